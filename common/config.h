@@ -1,0 +1,65 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "yaml-cpp/yaml.h"
+
+namespace robostress {
+
+// A config struct is its own schema: it has
+//   template <class V> void Visit(V& v) { v.Field("rank", rank, "LoRA rank"); v.Section("osc", osc, "..."); }
+// where fields are bool, int, int64_t, uint64_t, double, std::string, std::vector of these (and enums through v.Choice).
+// Reading refuses unknown keys and wrong types, and names file, key path, value and the allowed keys.
+class ConfigReader {
+ public:
+  ConfigReader(std::string source, YAML::Node root) : source_(std::move(source)), node_(std::move(root)) {}
+  template <class T>
+  void Field(const char* key, T& value, const char* doc);
+  template <class E>
+  void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices, const char* doc);
+  template <class S>
+  void Section(const char* key, S& section, const char* doc);
+  absl::Status Finish();  // unknown keys, first error
+
+ private:
+  bool Take(const char* key, YAML::Node& out);
+  void Fail(const std::string& key, const std::string& message);
+  std::string source_, path_;
+  YAML::Node node_;
+  std::vector<std::string> known_;
+  absl::Status status_;
+};
+
+// Writes a struct as YAML, fields in order.
+class ConfigWriter {
+ public:
+  template <class T>
+  void Field(const char* key, T& value, const char* doc);
+  template <class E>
+  void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices, const char* doc);
+  template <class S>
+  void Section(const char* key, S& section, const char* doc);
+  std::string Text() const;
+
+ private:
+  YAML::Node root_{YAML::NodeType::Map};
+};
+
+// Parses YAML text (or a file) into an options struct whose defaults stand for absent keys.
+template <class Options>
+absl::StatusOr<Options> ParseConfig(const std::string& source, const std::string& yaml_text);
+template <class Options>
+absl::StatusOr<Options> LoadConfig(const std::string& file);
+// Applies "a.b.c=value" overrides in order, with the same checks.
+template <class Options>
+absl::Status ApplyOverrides(const std::vector<std::string>& overrides, Options& options);
+template <class Options>
+std::string DumpConfig(const Options& options);
+
+}  // namespace robostress
+
+#include "common/config_impl.h"

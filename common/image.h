@@ -1,0 +1,19 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "common/types.h"
+
+namespace robostress {
+
+// Exact box average when the size divides evenly, else area-weighted average.
+Image ResizeArea(const Image& image, int width, int height);
+Image HStack(const std::vector<Image>& images, int gap_px);
+absl::StatusOr<std::string> EncodePng(const Image& image);
+// Animated lossy WebP, endless loop; frames of one size.
+absl::StatusOr<std::string> EncodeAnimatedWebp(const std::vector<Image>& frames, double frame_s, float quality);
+
+}  // namespace robostress

@@ -1,0 +1,59 @@
+#include "common/method_options.h"
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/config.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+
+// Chosen on the dev split (initial states 40-49, scenario dev_mixed); see adapter/README.md.
+constexpr double kNanoLearningRate = 3e-5;
+constexpr double kGainControl = 1.3;
+
+struct Preset {
+  const char* name;
+  void (*apply)(MethodOptions&);
+};
+
+void Adapt(MethodOptions& o) {
+  o.adapt = true;
+  o.learning_rate = kNanoLearningRate;
+}
+
+constexpr Preset kPresets[] = {
+    {"base", [](MethodOptions&) {}},
+    {"ours", Adapt},
+    {"ours_intent", [](MethodOptions& o) { Adapt(o); o.target = TargetReference::kIntent; o.residual_scale = ResidualScale::kTracking; }},
+    {"ours_nominal", [](MethodOptions& o) { Adapt(o); o.target = TargetReference::kNominal; }},
+    {"gain", [](MethodOptions& o) { o.gain = kGainControl; }},
+    {"null", [](MethodOptions& o) { o.noise_stream = "null"; }},
+    {"direct", [](MethodOptions& o) { o.direct = true; }},
+    {"no_residual", [](MethodOptions& o) { Adapt(o); o.use_residual = false; }},
+    {"no_anchor", [](MethodOptions& o) { Adapt(o); o.anchor_weight = 0; }},
+};
+
+}  // namespace
+
+std::vector<std::string> MethodNames() {
+  std::vector<std::string> names;
+  for (const Preset& preset : kPresets) names.emplace_back(preset.name);
+  return names;
+}
+
+absl::StatusOr<MethodOptions> MakeMethod(const std::string& name,
+                                         const std::vector<std::string>& overrides) {
+  for (const Preset& preset : kPresets) {
+    if (name != preset.name) continue;
+    MethodOptions options;
+    options.method = name;
+    preset.apply(options);
+    RS_RETURN_IF_ERROR(ApplyOverrides(overrides, options));
+    return options;
+  }
+  return absl::NotFoundError(absl::StrCat("unknown method '", name, "'; known: ",
+                                          absl::StrJoin(MethodNames(), ", ")));
+}
+
+}  // namespace robostress

@@ -1,0 +1,75 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+
+namespace robostress {
+
+enum class ResidualScale { kCommand, kTracking };
+enum class TargetReference { kExecuted, kIntent, kNominal };
+enum class ExecutionMode { kLockstep, kAsync };
+
+// Everything that distinguishes one method from another; the defaults are the paper's (sec:supp_method,
+// sec:supp_lora) except learning_rate, which is nano's, chosen on the dev split.
+struct MethodOptions {
+  std::string method = "base";       // the preset it started from
+  bool adapt = false;                // online LoRA updates
+  int rank = 4;
+  double lora_init_std = 0.01;
+  double learning_rate = 1e-6;
+  double beta1 = 0.9, beta2 = 0.999, adam_epsilon = 1e-8;
+  double clip_norm = 1.0;
+  double anchor_weight = 1e-4;       // lambda_anc; 0 in no_anchor
+  int buffer_chunks = 32;
+  int update_interval = 8;
+  int batch = 4;
+  bool use_residual = true;          // false: eta = 0 (no_residual)
+  bool direct = false;               // subtract the previous chunk's mean residual, no updates
+  double gain = 1.0;                 // commands (gripper excluded) scaled by this before they are sent
+  TargetReference target = TargetReference::kExecuted;
+  ResidualScale residual_scale = ResidualScale::kCommand;
+  double tracking_gain = 0.267;      // steady achieved/commanded displacement of the controller
+  bool clip_command = true;          // residual against the command as the controller clips it, +-1
+  std::string noise_stream = "policy";  // null control: another name, other sampling noise
+  bool track_intent = true;          // also predict with the unadapted policy
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, direct, no_residual, no_anchor, gain, null");
+    v.Field("adapt", adapt, "update the LoRA online");
+    v.Field("rank", rank, "LoRA rank");
+    v.Field("lora_init_std", lora_init_std, "standard deviation of A at the start (B = 0)");
+    v.Field("learning_rate", learning_rate, "Adam step size");
+    v.Field("beta1", beta1, "Adam");
+    v.Field("beta2", beta2, "Adam");
+    v.Field("adam_epsilon", adam_epsilon, "Adam");
+    v.Field("clip_norm", clip_norm, "global L2 norm of the gradient");
+    v.Field("anchor_weight", anchor_weight, "lambda_anc of ||phi - phi_0||^2");
+    v.Field("buffer_chunks", buffer_chunks, "FIFO length [chunks]");
+    v.Field("update_interval", update_interval, "chunks between updates once the buffer is full");
+    v.Field("batch", batch, "chunks per update, without replacement");
+    v.Field("use_residual", use_residual, "false: the policy's own commands are the targets");
+    v.Field("direct", direct, "subtract the previous chunk's mean residual from the next chunk");
+    v.Field("gain", gain, "constant factor on every command, gripper excluded");
+    v.Choice("target", target,
+             {{"executed", TargetReference::kExecuted}, {"intent", TargetReference::kIntent}, {"nominal", TargetReference::kNominal}},
+             "what the residual is taken against: the executed command (paper), the unadapted policy's, a nominal arm's response");
+    v.Choice("residual_scale", residual_scale,
+             {{"command", ResidualScale::kCommand}, {"tracking", ResidualScale::kTracking}},
+             "command: divide by the controller's scale (paper); tracking: also by tracking_gain");
+    v.Field("tracking_gain", tracking_gain, "achieved/commanded displacement of a nominal arm at steady state");
+    v.Field("clip_command", clip_command, "residual against the command clipped to +-1, as executed");
+    v.Field("noise_stream", noise_stream, "name of the sampling noise stream");
+    v.Field("track_intent", track_intent, "also predict with the unadapted policy, for the tracking of intent");
+  }
+};
+
+// Names in the order of the tables.
+std::vector<std::string> MethodNames();
+// A preset with "key=value" overrides applied; unknown names list the known ones.
+absl::StatusOr<MethodOptions> MakeMethod(const std::string& name, const std::vector<std::string>& overrides = {});
+
+}  // namespace robostress

@@ -1,0 +1,57 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "common/types.h"
+
+namespace robostress {
+
+// What a policy expects and delivers. Filled by the server (or a local policy) before the first rollout.
+struct PolicySpec {
+  std::string name;                  // "nano", "expert", "replay"
+  std::string model_hash;            // SHA-256 of the weights file, hex; empty without weights
+  std::vector<std::string> cameras;  // views it wants, in order; empty: no rendering
+  int image_width = 224;             // [px] of the views it wants
+  int image_height = 224;
+  int state_dim = 8;
+  int action_dim = 7;                // environment action
+  int horizon = 50;                  // K, steps per predicted chunk
+  int execute_steps = 5;             // n_exec
+  bool adaptable = false;            // has an action expert that LoRA can adapt
+};
+
+// Where in a sweep a prediction stands. The sampling noise is a function of
+// (seed, suite, task, episode, chunk) only.
+struct EpisodeKey {
+  int task = 0;
+  int episode = 0;
+};
+
+// A session's counters, for tables and logs.
+struct SessionStats {
+  uint64_t feedback_chunks = 0;
+  uint64_t updates_applied = 0;
+  double adapter_distance = 0;  // ||phi - phi_0||_2
+  double last_loss = 0;
+};
+
+// A policy as the rollout loop sees it: local (expert, replay) or behind gRPC. One object, one session,
+// one thread.
+class PolicyEndpoint {
+ public:
+  virtual ~PolicyEndpoint() = default;
+  virtual const PolicySpec& spec() const = 0;
+  // Start of an episode: per-episode state (e.g. the direct correction) is reset. A change of task is a
+  // boundary: the feedback buffer is cleared.
+  virtual absl::Status StartEpisode(const EpisodeKey& key) = 0;
+  // Lockstep: returns when all feedback sent before is in and every due update is published.
+  virtual absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) = 0;
+  virtual absl::Status SendFeedback(ExecutedChunk executed) = 0;
+  virtual absl::StatusOr<SessionStats> Stats() = 0;
+};
+
+}  // namespace robostress

@@ -1,0 +1,69 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/joint_errors/options.h"
+#include "common/method_options.h"
+
+namespace robostress {
+
+enum class GoalReference { kAchieved, kDesired };
+enum class Stepping { kFast, kReference };
+
+// The simulator's options.
+struct SimOptions {
+  GoalReference goal_reference = GoalReference::kAchieved;
+  Stepping stepping = Stepping::kFast;
+  int settle_steps = 10;
+  JointErrorOptions joint_errors;
+
+  template <class V>
+  void Visit(V& v) {
+    v.Choice("goal_reference", goal_reference,
+             {{"achieved", GoalReference::kAchieved}, {"desired", GoalReference::kDesired}},
+             "goal of the delta command: achieved pose + delta (robosuite) or previous goal + delta");
+    v.Choice("stepping", stepping, {{"fast", Stepping::kFast}, {"reference", Stepping::kReference}},
+             "fast: one forward per sub-step; reference: the paper's order with a forward after the offset");
+    v.Field("settle_steps", settle_steps, "control steps with a zero command before the episode");
+    v.Section("joint_errors", joint_errors, "discretisation of the error laws");
+  }
+};
+
+// One unit of a sweep: sequential episodes of one session. This struct is units/<id>/config.yaml.
+struct UnitConfig {
+  std::string suite = "tabletop_spatial";
+  std::string scenario = "clean";
+  int severity = 5;                    // level 1..5
+  std::string policy = "nano";         // nano, expert, replay, or another model the server holds
+  int64_t seed = 0;                    // sampling noise; changes nothing else
+  std::vector<int> tasks;              // indices in order; empty: all
+  int episodes = 20;                   // consecutive episodes per task
+  int first_initial_state = 0;         // 0: reporting split, 40: dev split
+  int videos = 0;                      // first N episodes of each task are filmed
+  std::string replay_file;             // policy replay: safetensors with actions [T, 7]
+  std::string libero_root, robosuite_root;
+  SimOptions sim;
+  MethodOptions method;
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("suite", suite, "see `robostress suites`");
+    v.Field("scenario", scenario, "see `robostress scenarios`");
+    v.Field("severity", severity, "level 1 (mild) to 5 (the paper's tables)");
+    v.Field("policy", policy, "nano, expert, replay");
+    v.Field("seed", seed, "of the policy's sampling noise");
+    v.Field("tasks", tasks, "task indices; empty: all ten");
+    v.Field("episodes", episodes, "consecutive episodes per task");
+    v.Field("first_initial_state", first_initial_state, "0-19 reporting, 40-49 dev");
+    v.Field("videos", videos, "film the first N episodes of each task");
+    v.Field("replay_file", replay_file, "actions for policy replay");
+    v.Field("libero_root", libero_root, "LIBERO checkout");
+    v.Field("robosuite_root", robosuite_root, "robosuite checkout");
+    v.Section("sim", sim, "simulator");
+    v.Section("method", method, "method");
+  }
+};
+
+}  // namespace robostress
