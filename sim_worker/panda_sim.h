@@ -1,0 +1,60 @@
+#pragma once
+
+#include <memory>
+
+#include <Eigen/Core>
+#include <mujoco/mujoco.h>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/types/span.h"
+#include "common/joint_errors/scenarios.h"
+#include "common/types.h"
+#include "common/unit_config.h"
+
+namespace robostress {
+
+// Compiled models are immutable and shared between simulators.
+using SharedModel = std::shared_ptr<const mjModel>;
+// Compiles MJCF text; `source` names it in errors.
+absl::StatusOr<SharedModel> CompileModel(const std::string& source, const std::string& mjcf);
+
+// A Panda with its gripper in a compiled scene: operational-space control at 500 Hz, joint errors, 20 Hz
+// commands. One thread. Joints, motors, sites and cameras carry robosuite's names.
+class PandaSim {
+ public:
+  static absl::StatusOr<std::unique_ptr<PandaSim>> Create(SharedModel model, const SimOptions& options);
+  ~PandaSim();
+
+  // Errors to inject from the next Reset on; horizon is the suite's [control steps], the length of a ramp.
+  void SetScenario(const Scenario& scenario, int horizon);
+  // qpos [nq], qvel zero. Hidden error states, controller goal, gripper and progress start anew. home: the
+  // controller's null-space posture [7] (robosuite: the reset pose).
+  absl::Status Reset(absl::Span<const double> qpos, const Eigen::Matrix<double, 7, 1>& home);
+  // `steps` control steps with a zero command and an open gripper at progress 0, errors on.
+  absl::Status Settle(int steps);
+  // One control step (25 sub-steps). command [7]: clipped to +-1.
+  absl::Status Step(const Eigen::VectorXf& command);
+
+  RobotState Measure() const;
+  // Held: both finger pads touch one and the same free body's geoms.
+  bool GraspDetected() const;
+  int held_body() const;  // body id or -1
+  int steps_taken() const;
+
+  const mjModel& model() const;
+  const mjData& data() const;
+  mjData& mutable_data();
+
+  // Everything that a continuation depends on, for branching (expert labels) and restoring.
+  struct Snapshot;
+  std::shared_ptr<const Snapshot> Save() const;
+  void Restore(const Snapshot& snapshot);
+
+ private:
+  struct Impl;
+  explicit PandaSim(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace robostress

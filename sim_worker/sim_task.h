@@ -1,0 +1,29 @@
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "common/rollout/policy_endpoint.h"
+#include "common/rollout/robot.h"
+#include "common/unit_config.h"
+#include "sim_worker/panda_sim.h"
+
+namespace robostress {
+
+// One task of a suite in simulation.
+class SimTask : public Robot {
+ public:
+  virtual const std::string& name() const = 0;
+  virtual const std::string& instruction() const = 0;
+  virtual PandaSim& sim() = 0;
+  // The scripted expert with access to the true state; it reads this task, which must outlive it.
+  virtual absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeExpert() = 0;
+  // One frame for a video: third-person and wrist view side by side.
+  virtual absl::StatusOr<Image> Film(int height) = 0;
+};
+
+// Embedded and LIBERO suites by name, with the unit's scenario and simulator options.
+absl::StatusOr<std::unique_ptr<SimTask>> MakeSimTask(const UnitConfig& unit, int task);
+
+}  // namespace robostress
