@@ -1,0 +1,81 @@
+// robostress COMMAND [arguments]: runs robostress-COMMAND, in the manner of git.
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <string>
+#include <vector>
+
+#include "eval/build_info.h"
+#include "eval/process.h"
+
+namespace {
+
+struct Command {
+  const char* name;
+  const char* summary;
+};
+
+// What the help lists; a program robostress-X that is not here runs too.
+constexpr Command kCommands[] = {
+    {"sweep", "Evaluate policies and methods over suites and scenarios, then report"},
+    {"report", "Write the report page and tables of a run directory"},
+    {"suites", "List suites, their tasks and instructions"},
+    {"scenarios", "List scenarios with their severity factors"},
+    {"serve", "Serve a policy, with online adaptation, over gRPC"},
+    {"worker", "Run one unit of a sweep: the simulator's side"},
+    {"record", "Record demonstrations of the scripted experts"},
+    {"train", "Train the embedded policy from demonstrations"},
+};
+
+void PrintHelp() {
+  std::printf(
+      "Usage: robostress COMMAND [options]\n\n"
+      "Stress-tests vision-language-action policies under joint-level execution errors and measures what\n"
+      "online self-compensation wins back.\n\nCommands\n");
+  const std::vector<std::string> installed = robostress::InstalledCommands();
+  for (const Command& command : kCommands) {
+    const bool here = std::find(installed.begin(), installed.end(), command.name) != installed.end();
+    std::printf("  %-11s %s%s\n", command.name, command.summary, here ? "" : "  (not in this build)");
+  }
+  for (const std::string& name : installed) {
+    const bool listed = std::any_of(std::begin(kCommands), std::end(kCommands),
+                                    [&](const Command& command) { return name == command.name; });
+    if (!listed) std::printf("  %-11s see `robostress %s --help`\n", name.c_str(), name.c_str());
+  }
+  std::printf(
+      "\nExamples\n"
+      "  robostress sweep --quick --out runs/quick        one suite, base and self-compensating, two workers\n"
+      "  robostress report runs/quick                     the report again, from the recorded episodes\n"
+      "  robostress scenarios                             what each scenario does to each joint\n"
+      "  robostress COMMAND --help                        every option of a command\n\n"
+      "Programs are looked for beside this one, or in ROBOSTRESS_BIN. Version %s.\n",
+      robostress::kVersion);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const std::string command = argc > 1 ? argv[1] : "--help";
+  if (command == "--help" || command == "-h" || command == "help") {
+    PrintHelp();
+    return 0;
+  }
+  if (command == "--version") {
+    std::printf("robostress %s\n", robostress::kVersion);
+    return 0;
+  }
+  const absl::StatusOr<std::string> program = robostress::FindProgram(command);
+  if (!program.ok()) {
+    std::fprintf(stderr, "robostress: %s\nSee `robostress --help`.\n", std::string(program.status().message()).c_str());
+    return 2;
+  }
+  robostress::ChooseOpenMpBlas();
+  std::vector<char*> arguments(argv + 1, argv + argc);
+  arguments[0] = const_cast<char*>(program->c_str());
+  arguments.push_back(nullptr);
+  execv(program->c_str(), arguments.data());
+  std::perror(program->c_str());
+  return 126;
+}
