@@ -47,6 +47,7 @@ class SafetensorsFile {
  private:
   struct Storage;
   SafetensorsFile();
+  static absl::StatusOr<SafetensorsFile> ParseStorage(const std::string& path, std::unique_ptr<Storage> storage);
   std::string path_;
   std::unique_ptr<Storage> storage_;
   std::map<std::string, std::string> metadata_;
