@@ -48,10 +48,7 @@ RandomStream::RandomStream(const StreamKey& key)
       counter_{0, 0, static_cast<uint32_t>(key.hi()), static_cast<uint32_t>(key.hi() >> 32)},
       block_{} {}
 
-// Philox4x32 with ten rounds.
-void RandomStream::Refill() {
-  std::array<uint32_t, 4> x = counter_;
-  std::array<uint32_t, 2> k = key_;
+std::array<uint32_t, 4> Philox4x32(std::array<uint32_t, 4> x, std::array<uint32_t, 2> k) {
   for (int round = 0; round < 10; ++round) {
     const uint64_t product0 = uint64_t{0xD2511F53} * x[0];
     const uint64_t product1 = uint64_t{0xCD9E8D57} * x[2];
@@ -60,7 +57,11 @@ void RandomStream::Refill() {
     k[0] += 0x9E3779B9;
     k[1] += 0xBB67AE85;
   }
-  block_ = x;
+  return x;
+}
+
+void RandomStream::Refill() {
+  block_ = Philox4x32(counter_, key_);
   if (++counter_[0] == 0) ++counter_[1];
   next_ = 0;
 }

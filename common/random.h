@@ -20,7 +20,10 @@ class StreamKey {
   uint64_t lo_ = 0, hi_ = 0;
 };
 
-// Counter-based stream: Philox4x32-10 (Salmon et al., SC'11) keyed by a StreamKey.
+// Philox4x32 with ten rounds (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC'11).
+std::array<uint32_t, 4> Philox4x32(std::array<uint32_t, 4> counter, std::array<uint32_t, 2> key);
+
+// Counter-based stream: Philox4x32-10 keyed by a StreamKey.
 class RandomStream {
  public:
   explicit RandomStream(const StreamKey& key);

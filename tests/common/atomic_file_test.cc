@@ -1,0 +1,61 @@
+#include "common/atomic_file.h"
+
+#include <filesystem>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+class AtomicFile : public ::testing::Test {
+ protected:
+  AtomicFile() : directory_(::testing::TempDir() + "atomic_file_test") {
+    fs::remove_all(directory_);
+    fs::create_directories(directory_);
+  }
+  ~AtomicFile() override { fs::remove_all(directory_); }
+  size_t Files() const { return std::distance(fs::directory_iterator(directory_), fs::directory_iterator()); }
+  const std::string directory_;
+};
+
+TEST_F(AtomicFile, ReplacesTheWholeFileAndLeavesNothingElse) {
+  const std::string path = directory_ + "/f";
+  ASSERT_TRUE(WriteFileAtomically(path, "first version").ok());
+  ASSERT_TRUE(WriteFileAtomically(path, std::string_view("a\0b", 3)).ok());
+  EXPECT_EQ(*ReadFile(path), std::string("a\0b", 3));
+  EXPECT_EQ(Files(), 1u);
+}
+
+TEST_F(AtomicFile, FailureKeepsTheOldFileAndNamesThePath) {
+  const absl::Status status = WriteFileAtomically(directory_ + "/no/such/folder/f", "x");
+  EXPECT_TRUE(absl::IsNotFound(status));
+  EXPECT_THAT(std::string(status.message()), ::testing::HasSubstr("no/such/folder/f"));
+  // A directory in the way: the rename fails after the temporary file was written.
+  fs::create_directories(directory_ + "/d/inside");
+  EXPECT_FALSE(WriteFileAtomically(directory_ + "/d", "x").ok());
+  EXPECT_EQ(Files(), 1u);
+}
+
+TEST_F(AtomicFile, FullDiskIsReportedWithARemedy) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
+  const absl::Status status = AppendLine("/dev/full", "x");
+  EXPECT_FALSE(status.ok());
+  EXPECT_THAT(std::string(status.message()), ::testing::HasSubstr("/dev/full"));
+}
+
+TEST_F(AtomicFile, AppendedLinesFollowEachOther) {
+  const std::string path = directory_ + "/log";
+  ASSERT_TRUE(AppendLine(path, "one").ok());
+  ASSERT_TRUE(AppendLine(path, "two").ok());
+  EXPECT_EQ(*ReadFile(path), "one\ntwo\n");
+}
+
+TEST(Sha256, MatchesTheStandardsExample) {
+  EXPECT_EQ(Sha256Hex("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+}  // namespace
+}  // namespace robostress

@@ -1,0 +1,104 @@
+#include "common/config.h"
+
+#include "common/method_options.h"
+#include "common/unit_config.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+std::string Message(const absl::Status& status) { return std::string(status.message()); }
+
+TEST(Config, DefaultsStandForAbsentKeys) {
+  const auto unit = ParseConfig<UnitConfig>("u.yaml", "suite: tabletop_goal\nsim:\n  joint_errors: {friction_law: stick}\n");
+  ASSERT_TRUE(unit.ok()) << unit.status();
+  EXPECT_EQ(unit->suite, "tabletop_goal");
+  EXPECT_EQ(unit->sim.joint_errors.friction_law, FrictionLaw::kStick);
+  EXPECT_EQ(unit->episodes, 20);
+}
+
+TEST(Config, EmptyTextIsAllDefaults) { EXPECT_TRUE(ParseConfig<UnitConfig>("u.yaml", "").ok()); }
+
+TEST(Config, UnknownKeyIsNamedWithItsPathAndTheKnownOnes) {
+  const auto unit = ParseConfig<UnitConfig>("u.yaml", "sim:\n  joint_errors:\n    friction_laws: sgn\n");
+  ASSERT_FALSE(unit.ok());
+  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml"));
+  EXPECT_THAT(Message(unit.status()), HasSubstr("sim.joint_errors.friction_laws"));
+  EXPECT_THAT(Message(unit.status()), HasSubstr("friction_law,"));
+}
+
+TEST(Config, WrongTypeNamesKeyAndValue) {
+  const auto unit = ParseConfig<UnitConfig>("u.yaml", "episodes: many\n");
+  ASSERT_FALSE(unit.ok());
+  EXPECT_THAT(Message(unit.status()), HasSubstr("episodes is 'many', must be an integer"));
+}
+
+TEST(Config, UnknownChoiceListsTheChoices) {
+  const auto unit = ParseConfig<UnitConfig>("u.yaml", "sim: {goal_reference: desire}\n");
+  ASSERT_FALSE(unit.ok());
+  EXPECT_THAT(Message(unit.status()), HasSubstr("achieved, desired"));
+}
+
+TEST(Config, BrokenYamlIsAnErrorAndNotACrash) {
+  EXPECT_FALSE(ParseConfig<UnitConfig>("u.yaml", "a: [1, 2").ok());
+  EXPECT_FALSE(ParseConfig<UnitConfig>("u.yaml", "- 1\n- 2\n").ok());
+  EXPECT_FALSE(ParseConfig<UnitConfig>("u.yaml", "sim: 3\n").ok());
+  EXPECT_FALSE(ParseConfig<UnitConfig>("u.yaml", "sim: [1]\n").ok());
+}
+
+TEST(Config, DumpReadsBackToTheSameValues) {
+  UnitConfig unit;
+  unit.tasks = {3, 1};
+  unit.method.learning_rate = 0.1 + 0.2;
+  unit.sim.joint_errors.offset_mode = OffsetMode::kVelocity;
+  const std::string text = DumpConfig(unit);
+  const auto again = ParseConfig<UnitConfig>("dump", text);
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(again->tasks, unit.tasks);
+  EXPECT_EQ(again->method.learning_rate, unit.method.learning_rate);
+  EXPECT_EQ(again->sim.joint_errors.offset_mode, OffsetMode::kVelocity);
+  EXPECT_EQ(DumpConfig(*again), text);
+}
+
+TEST(Config, TextThatLooksLikeANumberStaysText) {
+  UnitConfig unit;
+  unit.replay_file = "123";
+  const auto again = ParseConfig<UnitConfig>("dump", DumpConfig(unit));
+  ASSERT_TRUE(again.ok());
+  EXPECT_EQ(again->replay_file, "123");
+}
+
+TEST(Config, OverridesReachNestedKeysAndAreChecked) {
+  UnitConfig unit;
+  EXPECT_TRUE(ApplyOverrides({"sim.joint_errors.tanh_width=0.02", "tasks=[0, 2]"}, unit).ok());
+  EXPECT_EQ(unit.sim.joint_errors.tanh_width, 0.02);
+  EXPECT_EQ(unit.tasks, (std::vector<int>{0, 2}));
+  EXPECT_THAT(Message(ApplyOverrides({"sim.nothing=1"}, unit)), HasSubstr("sim.nothing"));
+  EXPECT_FALSE(ApplyOverrides({"no_equals_sign"}, unit).ok());
+}
+
+TEST(MethodOptions, UnknownMethodListsTheKnownOnes) {
+  const auto method = MakeMethod("our");
+  ASSERT_FALSE(method.ok());
+  EXPECT_THAT(Message(method.status()), HasSubstr("'our'"));
+  EXPECT_THAT(Message(method.status()), HasSubstr("ours_intent"));
+}
+
+TEST(MethodOptions, PaperDefaultsHold) {
+  const auto ours = MakeMethod("ours");
+  ASSERT_TRUE(ours.ok());
+  EXPECT_TRUE(ours->adapt);
+  EXPECT_EQ(ours->rank, 4);
+  EXPECT_EQ(ours->buffer_chunks, 32);
+  EXPECT_EQ(ours->update_interval, 8);
+  EXPECT_EQ(ours->batch, 4);
+  EXPECT_EQ(ours->anchor_weight, 1e-4);
+  EXPECT_EQ(ours->target, TargetReference::kExecuted);
+  EXPECT_EQ(ours->residual_scale, ResidualScale::kCommand);
+}
+
+}  // namespace
+}  // namespace robostress
