@@ -1,0 +1,27 @@
+#include "adapter/disturbance_observer.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/check.h"
+
+namespace robostress {
+
+void DisturbanceObserver::Reset() {
+  z_.resize(0);
+  last_target_.resize(0);
+}
+
+DisturbanceObserver::Joints DisturbanceObserver::Correct(const Joints& q_ref, const Joints& q, double dt_s) {
+  RS_CHECK(q_ref.size() == q.size() && (z_.size() == 0 || z_.size() == q.size()));
+  if (z_.size() == 0) {
+    z_ = Joints::Zero(q.size());
+  } else {
+    const double dt = std::clamp(dt_s, options_.min_dt_s, options_.max_dt_s);
+    z_ += (1 - std::exp(-options_.bandwidth * dt)) * (q - last_target_ - z_);
+  }
+  last_target_ = q_ref - z_.cwiseMax(-options_.max_correction).cwiseMin(options_.max_correction);
+  return last_target_;
+}
+
+}  // namespace robostress

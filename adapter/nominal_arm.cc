@@ -1,0 +1,23 @@
+#include "adapter/nominal_arm.h"
+
+#include <cmath>
+
+namespace robostress {
+
+NominalArm::Vector6 NominalArm::Step(const Vector6& command) {
+  const Vector6 a = command.cwiseMax(-1.0).cwiseMin(1.0);
+  Vector6 goal = options_.goal_reference == GoalReference::kAchieved ? a : Vector6(state_.goal + a);
+  if (a.tail<3>().isZero(0)) goal.tail<3>() = state_.goal.tail<3>();
+
+  const double h = options_.control_period_s / options_.sub_steps;
+  const double kd = 2 * options_.damping_ratio * std::sqrt(options_.kp);
+  Vector6 x = Vector6::Zero();
+  for (int i = 0; i < options_.sub_steps; ++i) {
+    state_.velocity += h * (options_.kp * (goal - x) - kd * state_.velocity);
+    x += h * state_.velocity;
+  }
+  state_.goal = goal - x;
+  return x;
+}
+
+}  // namespace robostress
