@@ -1,0 +1,368 @@
+#include "sim_worker/panda_sim.h"
+
+#include <algorithm>
+#include <cstring>
+#include <mutex>
+#include <utility>
+#include <vector>
+
+#include <Eigen/Cholesky>
+
+#include "absl/strings/str_format.h"
+#include "common/check.h"
+#include "common/joint_errors/joint_error_stack.h"
+#include "common/status_macros.h"
+#include "sim_worker/osc_controller.h"
+#include "sim_worker/panda_model.h"
+
+namespace robostress {
+namespace {
+
+constexpr int kSubSteps = 25;
+constexpr double kControlPeriod = 0.05;       // [s]
+constexpr double kGripperPerSubStep = 0.01;   // of the half stroke
+
+// MuJoCo's default writes MUJOCO_LOG.TXT into the working directory. What matters is counted in
+// mjData::warning, which Step turns into a status.
+void IgnoreWarning(const char*) {}
+
+struct DataDeleter {
+  void operator()(mjData* data) const { mj_deleteData(data); }
+};
+using DataPtr = std::unique_ptr<mjData, DataDeleter>;
+
+// Warnings after which the state is not that of the task any more.
+absl::Status CheckWarnings(const mjData& data) {
+  for (const mjtWarning kind : {mjWARN_BADQPOS, mjWARN_BADQVEL, mjWARN_BADQACC}) {
+    if (data.warning[kind].number > 0) {
+      return absl::InternalError(absl::StrFormat(
+          "the simulation diverged (%s) at t = %.3f s, degree of freedom %d; severities or the stepping options are "
+          "beyond what 2 ms sub-steps integrate",
+          mju_warningText(kind, data.warning[kind].lastinfo), data.time, data.warning[kind].lastinfo));
+    }
+  }
+  for (const mjtWarning kind : {mjWARN_CONTACTFULL, mjWARN_CNSTRFULL}) {
+    if (data.warning[kind].number > 0) {
+      return absl::ResourceExhaustedError(
+          absl::StrFormat("%s; raise <size nconmax njmax> of the scene",
+                          mju_warningText(kind, data.warning[kind].lastinfo)));
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<SharedModel> CompileModel(const std::string& source, const std::string& mjcf) {
+  static std::once_flag once;
+  std::call_once(once, [] { mju_user_warning = IgnoreWarning; });
+  constexpr char kFile[] = "scene.xml";
+  const auto vfs = std::make_unique<mjVFS>();
+  mj_defaultVFS(vfs.get());
+  if (mj_makeEmptyFileVFS(vfs.get(), kFile, static_cast<int>(mjcf.size())) != 0) {
+    return absl::InternalError(absl::StrFormat("%s: no memory for %d bytes of MJCF", source, mjcf.size()));
+  }
+  std::memcpy(vfs->filedata[mj_findFileVFS(vfs.get(), kFile)], mjcf.data(), mjcf.size());
+  char error[1000] = "";
+  mjModel* model = mj_loadXML(kFile, vfs.get(), error, sizeof(error));
+  mj_deleteVFS(vfs.get());
+  if (model == nullptr) {
+    return absl::InvalidArgumentError(absl::StrFormat("%s: MJCF does not compile: %s", source, error));
+  }
+  return SharedModel(model, [](const mjModel* m) { mj_deleteModel(const_cast<mjModel*>(m)); });
+}
+
+// The state of an episode beside mjData: everything that a continuation depends on.
+struct EpisodeState {
+  EpisodeState(const SimOptions& options) : controller(options.goal_reference), errors(options.joint_errors) {}
+
+  OscController controller;
+  JointErrorStack errors;
+  ArmState arm;                     // what the controller saw last
+  std::array<double, 2> gripper{};  // integrated gripper command in +-1, per finger
+  int steps = 0;                    // control steps since Reset, settling excluded
+  bool first_sub_step = true;       // see Reset
+};
+
+struct PandaSim::Snapshot {
+  EpisodeState episode;
+  double time;
+  std::vector<double> qpos, qvel, act, ctrl, warmstart, mocap_pos, mocap_quat;
+};
+
+struct PandaSim::Impl {
+  Impl(SharedModel shared, const SimOptions& o, const PandaModel& p)
+      : model(std::move(shared)), data(mj_makeData(model.get())), options(o), panda(p), episode(o) {}
+
+  void SubStep();
+  absl::Status ControlStep(const Eigen::Matrix<double, 6, 1>& delta, double gripper, int progress_steps);
+  Vector7d Saturated(const Vector7d& torque) const;
+  Vector7d PerturbedTorque(const Vector7d& controller_torque);
+  void DriveGripper(double direction);
+  void Integrate(const Vector7d& offset_change);
+  // Root body with a free joint that `pad` touches in a contact, or -1.
+  int FreeBodyTouching(int contact_index, int pad) const;
+  int HeldBody() const;
+
+  const SharedModel model;
+  const DataPtr data;
+  const SimOptions options;
+  const PandaModel panda;
+  EpisodeState episode;
+  bool position_stage_stale = false;  // somebody may have written to data since the last mj_step1
+};
+
+Vector7d PandaSim::Impl::Saturated(const Vector7d& torque) const {
+  return torque.cwiseMax(-panda.torque_limit).cwiseMin(panda.torque_limit);
+}
+
+Vector7d PandaSim::Impl::PerturbedTorque(const Vector7d& controller_torque) {
+  const JointErrorStack& errors = episode.errors;
+  const Scenario& scenario = errors.scenario();
+  if (!errors.torque_stage()) return Saturated(controller_torque);
+  Vector7d dq;
+  for (int i = 0; i < 7; ++i) dq[i] = data->qvel[panda.dof[i]];
+  const Vector7d gravity =
+      scenario.gravity_on ? GravityTorque(*model, *data, panda) : Vector7d(Vector7d::Zero());
+  if (!scenario.friction_on || options.joint_errors.friction_law != FrictionLaw::kStick) {
+    return errors.PerturbTorque(controller_torque, dq, gravity, panda.torque_limit);
+  }
+  // Stick: dry friction that would bring the joints to rest within this sub-step, given all other torques; those
+  // of contacts and joint limits are the previous sub-step's.
+  const Vector7d torque = errors.TorqueWithoutDryFriction(controller_torque, dq, gravity);
+  const Vector7d applied = Saturated(torque);
+  Vector7d net;
+  for (int i = 0; i < 7; ++i) {
+    const int dof = panda.dof[i];
+    net[i] = applied[i] + data->qfrc_passive[dof] - data->qfrc_bias[dof] + data->qfrc_constraint[dof];
+  }
+  const double h = model->opt.timestep;
+  const Eigen::LLT<Matrix7d> M(episode.arm.M);
+  const JointErrorStack::Matrix velocity_per_torque = h * M.solve(Matrix7d::Identity());
+  const Vector7d v_free = dq + velocity_per_torque * net;
+  return errors.AddStickFriction(torque, dq, v_free, velocity_per_torque, panda.torque_limit);
+}
+
+void PandaSim::Impl::DriveGripper(double direction) {
+  // robosuite: finger 1 opens towards the upper end of its range, finger 2 towards its lower end.
+  constexpr double kOpening[2] = {1, -1};
+  for (int i = 0; i < 2; ++i) {
+    double& command = episode.gripper[i];
+    command = std::clamp(command - kOpening[i] * kGripperPerSubStep * direction, -1.0, 1.0);
+    data->ctrl[panda.finger_motor[i]] = panda.finger_mid[i] + panda.finger_half[i] * command;
+  }
+}
+
+void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
+  const bool moved = episode.errors.position_stage();
+  if (moved && options.joint_errors.offset_mode == OffsetMode::kVelocity) {
+    // The offset travels as a velocity of one sub-step, seen by contacts, damping and Coriolis terms.
+    const Vector7d velocity = offset_change / model->opt.timestep;
+    for (int i = 0; i < 7; ++i) data->qvel[panda.dof[i]] += velocity[i];
+    if (options.stepping == Stepping::kReference) {
+      mj_step(model.get(), data.get());
+    } else {
+      mj_fwdVelocity(model.get(), data.get());
+      mj_step2(model.get(), data.get());
+    }
+    for (int i = 0; i < 7; ++i) data->qvel[panda.dof[i]] -= velocity[i];
+  } else {
+    if (moved) {
+      for (int i = 0; i < 7; ++i) data->qpos[panda.qpos[i]] += offset_change[i];
+    }
+    if (moved && options.stepping == Stepping::kReference) {
+      mj_step(model.get(), data.get());
+    } else {
+      mj_step2(model.get(), data.get());
+    }
+  }
+  mj_step1(model.get(), data.get());
+}
+
+void PandaSim::Impl::SubStep() {
+  EpisodeState& e = episode;
+  if (!e.first_sub_step) ReadArm(*model, *data, panda, e.arm);
+  e.first_sub_step = false;
+  e.errors.BeginSubStep(model->opt.timestep);
+  Vector7d bias;
+  for (int i = 0; i < 7; ++i) bias[i] = data->qfrc_bias[panda.dof[i]];
+  const Vector7d tau_load = PerturbedTorque(e.controller.Torque(e.arm, bias));
+  for (int i = 0; i < 7; ++i) data->ctrl[panda.motor[i]] = tau_load[i];
+  Vector7d offset_change = Vector7d::Zero();
+  if (e.errors.position_stage()) {
+    Vector7d q;
+    for (int i = 0; i < 7; ++i) q[i] = data->qpos[panda.qpos[i]];
+    offset_change = e.errors.OffsetChange(q, tau_load);
+  }
+  Integrate(offset_change);
+}
+
+absl::Status PandaSim::Impl::ControlStep(const Eigen::Matrix<double, 6, 1>& delta, double gripper,
+                                         int progress_steps) {
+  if (position_stage_stale) mj_step1(model.get(), data.get());
+  position_stage_stale = false;
+  if (!episode.first_sub_step) ReadArm(*model, *data, panda, episode.arm);
+  episode.controller.SetGoal(delta, episode.arm);
+  const bool gated = episode.errors.scenario().profile == SeverityProfile::kWhileGrasping;
+  episode.errors.BeginControlStep(progress_steps, gated && HeldBody() >= 0);
+  for (int i = 0; i < kSubSteps; ++i) {
+    DriveGripper(gripper);
+    SubStep();
+  }
+  return CheckWarnings(*data);
+}
+
+int PandaSim::Impl::FreeBodyTouching(int contact_index, int pad) const {
+  const mjContact& contact = data->contact[contact_index];
+  const int geom = panda.finger_pad[pad];
+  if (contact.geom1 != geom && contact.geom2 != geom) return -1;
+  const int root = model->body_rootid[model->geom_bodyid[contact.geom1 == geom ? contact.geom2 : contact.geom1]];
+  const bool free = model->body_jntnum[root] > 0 && model->jnt_type[model->body_jntadr[root]] == mjJNT_FREE;
+  return free ? root : -1;
+}
+
+int PandaSim::Impl::HeldBody() const {
+  for (int i = 0; i < data->ncon; ++i) {
+    const int body = FreeBodyTouching(i, 0);
+    if (body < 0) continue;
+    for (int k = 0; k < data->ncon; ++k) {
+      if (FreeBodyTouching(k, 1) == body) return body;
+    }
+  }
+  return -1;
+}
+
+absl::StatusOr<std::unique_ptr<PandaSim>> PandaSim::Create(SharedModel model, const SimOptions& options) {
+  RS_CHECK(model != nullptr);
+  RS_ASSIGN_OR_RETURN(const PandaModel panda, PandaModel::Find(*model));
+  auto impl = std::make_unique<Impl>(std::move(model), options, panda);
+  if (impl->data == nullptr) return absl::ResourceExhaustedError("no memory for mjData; lower njmax of the scene");
+  std::unique_ptr<PandaSim> sim(new PandaSim(std::move(impl)));
+  const mjModel& m = sim->model();
+  RS_RETURN_IF_ERROR(sim->Reset(absl::MakeConstSpan(m.qpos0, m.nq), Vector7d::Zero()));
+  return sim;
+}
+
+PandaSim::PandaSim(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+PandaSim::~PandaSim() = default;
+
+void PandaSim::SetScenario(const Scenario& scenario, int horizon) {
+  impl_->episode.errors.SetScenario(scenario, horizon);
+}
+
+absl::Status PandaSim::Reset(absl::Span<const double> qpos, const Eigen::Matrix<double, 7, 1>& home) {
+  Impl& s = *impl_;
+  const mjModel* m = s.model.get();
+  mjData* d = s.data.get();
+  if (static_cast<int>(qpos.size()) != m->nq) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("an initial state has %d positions, the model %d; it belongs to another scene", qpos.size(),
+                        m->nq));
+  }
+  EpisodeState& e = s.episode;
+  mj_resetData(m, d);
+  std::copy(qpos.begin(), qpos.end(), d->qpos);
+  // robosuite's controller starts from the home posture: its first goal is the pose there, the goal of the
+  // orientation stays there until a command rotates, and the first sub-step still acts on the pose, Jacobian and
+  // masses of home (facts of LIBERO's reset, sim_worker/README.md).
+  for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = home[i];
+  mj_step1(m, d);
+  ReadArm(*m, *d, s.panda, e.arm);
+  e.controller.Reset(e.arm, home);
+  for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = qpos[s.panda.qpos[i]];
+  mj_step1(m, d);
+  e.first_sub_step = true;
+  e.gripper = {};
+  e.steps = 0;
+  Vector7d q;
+  for (int i = 0; i < 7; ++i) q[i] = d->qpos[s.panda.qpos[i]];
+  e.errors.Reset(q, GravityTorque(*m, *d, s.panda));
+  s.position_stage_stale = false;
+  return CheckWarnings(*d);
+}
+
+absl::Status PandaSim::Settle(int steps) {
+  for (int i = 0; i < steps; ++i) {
+    RS_RETURN_IF_ERROR(impl_->ControlStep(Eigen::Matrix<double, 6, 1>::Zero(), -1, 0));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status PandaSim::Step(const Eigen::VectorXf& command) {
+  if (command.size() != 7 || !command.allFinite()) {
+    return absl::InvalidArgumentError(absl::StrFormat(
+        "a command has %d values%s; it must have 7 finite ones", command.size(),
+        command.allFinite() ? "" : ", not all finite"));
+  }
+  Impl& s = *impl_;
+  const Eigen::Matrix<double, 6, 1> delta = command.head<6>().cast<double>().cwiseMax(-1).cwiseMin(1);
+  const double gripper = (command[6] > 0) - (command[6] < 0);
+  RS_RETURN_IF_ERROR(s.ControlStep(delta, gripper, s.episode.steps));
+  ++s.episode.steps;
+  return absl::OkStatus();
+}
+
+RobotState PandaSim::Measure() const {
+  const Impl& s = *impl_;
+  const mjData& d = *s.data;
+  RobotState state;
+  state.stamp_s = s.episode.steps * kControlPeriod;
+  state.q.resize(7);
+  state.dq.resize(7);
+  for (int i = 0; i < 7; ++i) {
+    state.q[i] = d.qpos[s.panda.qpos[i]];
+    state.dq[i] = d.qvel[s.panda.dof[i]];
+  }
+  using Map3 = Eigen::Map<const Eigen::Vector3d>;
+  state.tool.p_base_tool = Map3(d.site_xpos + 3 * s.panda.grip_site) - Map3(d.xpos + 3 * s.panda.base_body);
+  const double* q = d.xquat + 4 * s.panda.hand_body;
+  state.tool.q_base_tool = Eigen::Quaterniond(q[0], q[1], q[2], q[3]);
+  state.gripper = d.qpos[s.panda.finger_qpos[0]] - d.qpos[s.panda.finger_qpos[1]];
+  return state;
+}
+
+bool PandaSim::GraspDetected() const { return impl_->HeldBody() >= 0; }
+int PandaSim::held_body() const { return impl_->HeldBody(); }
+int PandaSim::steps_taken() const { return impl_->episode.steps; }
+const mjModel& PandaSim::model() const { return *impl_->model; }
+const mjData& PandaSim::data() const { return *impl_->data; }
+
+mjData& PandaSim::mutable_data() {
+  impl_->position_stage_stale = true;
+  return *impl_->data;
+}
+
+std::shared_ptr<const PandaSim::Snapshot> PandaSim::Save() const {
+  const Impl& s = *impl_;
+  const mjModel& m = *s.model;
+  const mjData& d = *s.data;
+  return std::make_shared<const Snapshot>(Snapshot{s.episode,
+                                                   d.time,
+                                                   {d.qpos, d.qpos + m.nq},
+                                                   {d.qvel, d.qvel + m.nv},
+                                                   {d.act, d.act + m.na},
+                                                   {d.ctrl, d.ctrl + m.nu},
+                                                   {d.qacc_warmstart, d.qacc_warmstart + m.nv},
+                                                   {d.mocap_pos, d.mocap_pos + 3 * m.nmocap},
+                                                   {d.mocap_quat, d.mocap_quat + 4 * m.nmocap}});
+}
+
+void PandaSim::Restore(const Snapshot& snapshot) {
+  Impl& s = *impl_;
+  mjData* d = s.data.get();
+  RS_CHECK(static_cast<int>(snapshot.qpos.size()) == s.model->nq);
+  mj_resetData(s.model.get(), d);
+  s.episode = snapshot.episode;
+  d->time = snapshot.time;
+  std::copy(snapshot.qpos.begin(), snapshot.qpos.end(), d->qpos);
+  std::copy(snapshot.qvel.begin(), snapshot.qvel.end(), d->qvel);
+  std::copy(snapshot.act.begin(), snapshot.act.end(), d->act);
+  std::copy(snapshot.ctrl.begin(), snapshot.ctrl.end(), d->ctrl);
+  std::copy(snapshot.warmstart.begin(), snapshot.warmstart.end(), d->qacc_warmstart);
+  std::copy(snapshot.mocap_pos.begin(), snapshot.mocap_pos.end(), d->mocap_pos);
+  std::copy(snapshot.mocap_quat.begin(), snapshot.mocap_quat.end(), d->mocap_quat);
+  mj_step1(s.model.get(), d);
+  s.position_stage_stale = false;
+}
+
+}  // namespace robostress
