@@ -1,0 +1,287 @@
+#include "server/policies/nano_network.h"
+
+#include <cmath>
+#include <numbers>
+
+#include <torch/torch.h>
+
+#include "absl/strings/str_cat.h"
+#include "common/check.h"
+
+namespace robostress {
+namespace {
+
+using torch::Tensor;
+
+constexpr double kNormEpsilon = 1e-6;
+constexpr double kRopeBase = 10000.0;
+constexpr float kMasked = -2.3819763e38f;  // finite, so that a row with nothing to see stays a number (as in pi0)
+constexpr int kTargetsPerLayer = 7;        // q, k, v, o, gate, up, down
+
+// The one list of parameters: calls f(name, shape, init_std, decays, tensor) in the order of the file.
+template <class F>
+void VisitParameters(const NanoConfig& c, NanoParameters& p, F&& f) {
+  const auto fan = [](int64_t inputs) { return 1.0 / std::sqrt(static_cast<double>(inputs)); };
+  const int64_t w = c.prefix_width, e = c.expert_width, hq = c.heads * c.head_dim, h = c.head_dim;
+  const double residual = 1.0 / std::sqrt(2.0 * c.layers);
+
+  p.cameras.resize(c.cameras.size());
+  for (size_t v = 0; v < c.cameras.size(); ++v) {
+    NanoCamera& camera = p.cameras[v];
+    const std::string name = absl::StrCat("cameras.", v, ".");
+    camera.conv_weight.resize(c.conv_channels.size());
+    camera.conv_bias.resize(c.conv_channels.size());
+    int64_t in = 3;
+    for (size_t i = 0; i < c.conv_channels.size(); ++i) {
+      const int64_t out = c.conv_channels[i], k = i == 0 ? 5 : 3;
+      f(absl::StrCat(name, "conv.", i, ".weight"), {out, in, k, k}, std::sqrt(2.0) * fan(in * k * k), true,
+        camera.conv_weight[i]);
+      f(absl::StrCat(name, "conv.", i, ".bias"), {out}, 0.0, false, camera.conv_bias[i]);
+      in = out;
+    }
+    f(name + "token.weight", {w, in}, fan(in), true, camera.token_weight);
+    f(name + "token.bias", {w}, 0.0, false, camera.token_bias);
+    f(name + "position", {c.image_tokens(), w}, 0.5, false, camera.position);
+  }
+  f("prefix.words", {c.vocabulary_rows, w}, fan(w), false, p.words);
+  f("prefix.readout", {c.readout_tokens, w}, 1.0, false, p.readout);
+
+  const auto layer = [&](const std::string& name, int64_t width, int64_t mlp, bool only_keys, NanoLayer& l) {
+    f(name + "input_norm.weight", {width}, 0.0, false, l.input_norm);
+    f(name + (only_keys ? "kv_proj.weight" : "qkv_proj.weight"), {(only_keys ? 0 : hq) + 2 * h, width}, fan(width),
+      true, l.qkv_proj);
+    if (only_keys) return;
+    f(name + "o_proj.weight", {width, hq}, residual * fan(hq), true, l.o_proj);
+    f(name + "post_norm.weight", {width}, 0.0, false, l.post_norm);
+    f(name + "gate_up_proj.weight", {2 * mlp, width}, fan(width), true, l.gate_up_proj);
+    f(name + "down_proj.weight", {width, mlp}, residual * fan(mlp), true, l.down_proj);
+  };
+  p.prefix.resize(c.layers);
+  for (int i = 0; i < c.layers; ++i) {
+    layer(absl::StrCat("prefix.layers.", i, "."), w, c.prefix_mlp, i + 1 == c.layers, p.prefix[i]);
+  }
+  const int64_t readout = c.readout_tokens * w;
+  f("aux.norm.weight", {w}, 0.0, false, p.aux_norm);
+  f("aux.weight", {c.aux_dim, readout}, fan(readout), true, p.aux_weight);
+  f("aux.bias", {c.aux_dim}, 0.0, false, p.aux_bias);
+
+  const int64_t token = static_cast<int64_t>(c.steps_per_token) * c.model_action_dim;
+  f("state_proj.weight", {e, c.state_dim}, fan(c.state_dim), true, p.state_weight);
+  f("state_proj.bias", {e}, 0.0, false, p.state_bias);
+  f("action_in_proj.weight", {e, token}, fan(token), true, p.action_in_weight);
+  f("action_in_proj.bias", {e}, 0.0, false, p.action_in_bias);
+  f("action_time_mlp_in.weight", {e, 2 * e}, fan(2 * e), true, p.time_in_weight);
+  f("action_time_mlp_in.bias", {e}, 0.0, false, p.time_in_bias);
+  f("action_time_mlp_out.weight", {e, e}, fan(e), true, p.time_out_weight);
+  f("action_time_mlp_out.bias", {e}, 0.0, false, p.time_out_bias);
+  p.expert.resize(c.layers);
+  for (int i = 0; i < c.layers; ++i) {
+    layer(absl::StrCat("expert.layers.", i, "."), e, c.expert_mlp, false, p.expert[i]);
+  }
+  f("expert.norm.weight", {e}, 0.0, false, p.expert_norm);
+  f("action_out_proj.weight", {token, e}, fan(e), true, p.action_out_weight);
+  f("action_out_proj.bias", {token}, 0.0, false, p.action_out_bias);
+}
+
+Tensor RmsNorm(const Tensor& x, const Tensor& weight) {
+  return x * torch::rsqrt(x.square().mean(-1, true) + kNormEpsilon) * (weight + 1.0);
+}
+
+// Rotates the halves of the last dimension: [x1 cos - x2 sin, x2 cos + x1 sin].
+Tensor Rope(const Tensor& x, const Tensor& cos, const Tensor& sin) {
+  const auto half = x.chunk(2, -1);
+  return torch::cat({half[0] * cos - half[1] * sin, half[1] * cos + half[0] * sin}, -1);
+}
+
+Tensor GeGlu(const Tensor& gate, const Tensor& up) { return at::gelu(gate, "tanh") * up; }
+
+// y = x W^T for rows of W that belong to one or more projections, each with its LoRA if there is one:
+// part i is y_i + B_i (A_i x).
+std::vector<Tensor> Project(const Tensor& x, const Tensor& weight, const std::vector<int64_t>& parts,
+                            const LoraWeights* lora, size_t first_target) {
+  std::vector<Tensor> out = torch::linear(x, weight).split_with_sizes(parts, -1);
+  if (lora != nullptr) {
+    for (size_t i = 0; i < out.size(); ++i) {
+      out[i] = out[i] + torch::linear(torch::linear(x, lora->A[first_target + i]), lora->B[first_target + i]);
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+std::vector<NanoTensorInfo> NanoTensorTable(const NanoConfig& config) {
+  std::vector<NanoTensorInfo> table;
+  NanoParameters unused;
+  VisitParameters(config, unused,
+                  [&](const std::string& name, std::vector<int64_t> shape, double init_std, bool decays, Tensor&) {
+                    table.push_back({name, std::move(shape), init_std, decays});
+                  });
+  return table;
+}
+
+NanoParameters AssembleNano(const NanoConfig& config, const std::vector<Tensor>& tensors) {
+  NanoParameters parameters;
+  size_t next = 0;
+  VisitParameters(config, parameters,
+                  [&](const std::string&, const std::vector<int64_t>& shape, double, bool, Tensor& tensor) {
+                    RS_CHECK(next < tensors.size() && tensors[next].sizes() == torch::IntArrayRef(shape));
+                    tensor = tensors[next++];
+                  });
+  return parameters;
+}
+
+std::vector<Tensor> RandomNanoTensors(const NanoConfig& config, uint64_t seed) {
+  torch::NoGradGuard no_grad;
+  auto generator = at::make_generator<at::CPUGeneratorImpl>(seed);
+  std::vector<Tensor> tensors;
+  for (const NanoTensorInfo& info : NanoTensorTable(config)) {
+    tensors.push_back(info.init_std == 0 ? torch::zeros(info.shape)
+                                         : torch::randn(info.shape, generator) * info.init_std);
+  }
+  return tensors;
+}
+
+Tensor TimeEmbedding(const Tensor& t, int64_t dim) {
+  constexpr double kMinPeriod = 4e-3, kMaxPeriod = 4.0;
+  const Tensor fraction = torch::linspace(0.0, 1.0, dim / 2, torch::kFloat64);
+  const Tensor period = kMinPeriod * torch::pow(kMaxPeriod / kMinPeriod, fraction);
+  const Tensor angle = 2.0 * std::numbers::pi * t.to(torch::kFloat64).unsqueeze(-1) / period;
+  return torch::cat({angle.sin(), angle.cos()}, -1).to(torch::kFloat32);
+}
+
+NanoNetwork::NanoNetwork(const NanoConfig& config, NanoParameters parameters)
+    : config_(config), p_(std::move(parameters)) {
+  const int64_t e = config.expert_width, m = config.expert_mlp, hq = config.heads * config.head_dim,
+                h = config.head_dim;
+  for (int i = 0; i < config.layers; ++i) {
+    const std::string name = absl::StrCat("layers.", i, ".");
+    lora_targets_.push_back({name + "q_proj", e, hq});
+    lora_targets_.push_back({name + "k_proj", e, h});
+    lora_targets_.push_back({name + "v_proj", e, h});
+    lora_targets_.push_back({name + "o_proj", hq, e});
+    lora_targets_.push_back({name + "gate_proj", e, m});
+    lora_targets_.push_back({name + "up_proj", e, m});
+    lora_targets_.push_back({name + "down_proj", m, e});
+  }
+  torch::NoGradGuard no_grad;
+  const int64_t positions = config.prefix_tokens() + 1 + config.action_tokens();
+  const Tensor frequency = torch::pow(kRopeBase, torch::arange(h / 2, torch::kFloat64) * (-2.0 / h));
+  const Tensor angle = torch::arange(positions, torch::kFloat64).unsqueeze(1) * frequency;
+  rope_cos_ = angle.cos().to(torch::kFloat32);
+  rope_sin_ = angle.sin().to(torch::kFloat32);
+}
+
+Tensor NanoNetwork::EncodeImage(const NanoCamera& camera, const Tensor& image) const {
+  Tensor x = image;  // [B, 3, s, s]
+  for (size_t i = 0; i < camera.conv_weight.size(); ++i) {
+    const int64_t k = camera.conv_weight[i].size(-1);
+    x = torch::relu(torch::conv2d(x, camera.conv_weight[i], camera.conv_bias[i], 2, (k - 1) / 2));
+  }
+  x = x.permute({0, 2, 3, 1}).reshape({x.size(0), config_.image_tokens(), x.size(1)});  // [B, grid^2, c]
+  return torch::linear(x, camera.token_weight, camera.token_bias) + camera.position;
+}
+
+NanoNetwork::Prefix NanoNetwork::EncodePrefix(const std::vector<Tensor>& images, const Tensor& words,
+                                              bool with_aux) const {
+  const int64_t batch = words.size(0), heads = config_.heads, h = config_.head_dim, hq = heads * h;
+  std::vector<Tensor> tokens = {p_.readout.unsqueeze(0).expand({batch, -1, -1})};
+  for (size_t v = 0; v < images.size(); ++v) tokens.push_back(EncodeImage(p_.cameras[v], images[v]));
+  tokens.push_back(torch::embedding(p_.words, words) * std::sqrt(static_cast<double>(config_.prefix_width)));
+  Tensor x = torch::cat(tokens, 1);  // [B, P, w]
+  const int64_t length = x.size(1);
+
+  Prefix prefix;
+  prefix.context.prefix_mask =
+      torch::cat({torch::ones({batch, length - words.size(1)}, torch::kBool), words.ne(0)}, 1);
+  const Tensor bias = torch::where(prefix.context.prefix_mask, 0.0f, kMasked).unsqueeze(1);  // [B, 1, P]
+  // Padding comes last, so a token's position is its index.
+  const Tensor cos = rope_cos_.narrow(0, 0, length), sin = rope_sin_.narrow(0, 0, length);  // [P, h/2]
+  const double scale = 1.0 / std::sqrt(static_cast<double>(h));
+  const Tensor q_cos = cos.unsqueeze(1) * scale, q_sin = sin.unsqueeze(1) * scale;
+
+  for (int i = 0; i < config_.layers; ++i) {
+    const NanoLayer& layer = p_.prefix[i];
+    const bool last = i + 1 == config_.layers;
+    if (last && with_aux) {
+      const Tensor readout = RmsNorm(x.narrow(1, 0, config_.readout_tokens), p_.aux_norm);
+      prefix.aux = torch::linear(readout.flatten(1), p_.aux_weight, p_.aux_bias);
+    }
+    const Tensor normed = RmsNorm(x, layer.input_norm);
+    std::vector<int64_t> parts = {hq, h, h};
+    if (last) parts.erase(parts.begin());
+    auto qkv = Project(normed, layer.qkv_proj, parts, nullptr, 0);
+    const Tensor v = qkv.back();
+    const Tensor k = Rope(qkv[qkv.size() - 2], cos, sin);  // [B, P, h]
+    prefix.context.keys.push_back(k.unsqueeze(1));
+    prefix.context.values.push_back(v.unsqueeze(1));
+    if (last) break;
+    const Tensor q = Rope(qkv[0].reshape({batch, length, heads, h}), q_cos, q_sin).view({batch, length * heads, h});
+    Tensor scores = torch::bmm(q, k.transpose(1, 2));  // [B, P H, P]; one key head serves all query heads
+    scores = torch::softmax(scores.add_(bias), -1);
+    const Tensor attended = torch::bmm(scores, v).view({batch, length, hq});
+    x = x + torch::linear(attended, layer.o_proj);
+    const auto gate_up = Project(RmsNorm(x, layer.post_norm), layer.gate_up_proj,
+                                 {config_.prefix_mlp, config_.prefix_mlp}, nullptr, 0);
+    x = x + torch::linear(GeGlu(gate_up[0], gate_up[1]), layer.down_proj);
+  }
+  return prefix;
+}
+
+Tensor NanoNetwork::Velocity(const PolicyContext& context, const Tensor& x_u, const Tensor& u,
+                             const LoraWeights* lora) const {
+  const int64_t rows = context.state.size(0), batch = x_u.size(0), draws = batch / rows;
+  const int64_t actions = config_.action_tokens(), length = actions + 1, e = config_.expert_width;
+  const int64_t heads = config_.heads, h = config_.head_dim, hq = heads * h;
+  const int64_t prefix = context.prefix_mask.size(1);
+  RS_CHECK(rows * draws == batch && u.size(0) == batch);
+
+  // Suffix tokens: state, then actions with the time mixed in. The time half of action_time_mlp_in is the same
+  // for all tokens of a row, so it is multiplied once.
+  const Tensor state = torch::linear(context.state, p_.state_weight, p_.state_bias);  // [rows, e]
+  const Tensor action = torch::linear(x_u.reshape({batch, actions, -1}), p_.action_in_weight, p_.action_in_bias);
+  const Tensor time = torch::linear(TimeEmbedding(u, e), p_.time_in_weight.narrow(1, e, e), p_.time_in_bias);
+  const Tensor mixed = torch::linear(action, p_.time_in_weight.narrow(1, 0, e)) + time.unsqueeze(1);
+  const Tensor timed = torch::linear(torch::silu(mixed), p_.time_out_weight, p_.time_out_bias);
+  Tensor x = torch::cat({state.view({rows, 1, 1, e}).expand({rows, draws, 1, e}).reshape({batch, 1, e}), timed}, 1);
+
+  // Positions go on after the valid prefix tokens; the state sees prefix and itself, actions see everything.
+  const Tensor first = context.prefix_mask.sum(1, true);                              // [rows, 1]
+  const Tensor position = (first + torch::arange(length)).flatten();                  // [rows T]
+  const Tensor cos = rope_cos_.index_select(0, position).view({rows, 1, length, h / 2});
+  const Tensor sin = rope_sin_.index_select(0, position).view({rows, 1, length, h / 2});
+  const double scale = 1.0 / std::sqrt(static_cast<double>(h));
+  const Tensor q_cos = cos.unsqueeze(3) * scale, q_sin = sin.unsqueeze(3) * scale;
+  Tensor suffix_bias = torch::zeros({length, length});
+  suffix_bias[0].narrow(0, 1, actions).fill_(kMasked);
+  const Tensor prefix_bias = torch::where(context.prefix_mask, 0.0f, kMasked);  // [rows, P]
+  const Tensor bias = torch::cat({prefix_bias.view({rows, 1, prefix}).expand({rows, length, prefix}),
+                                  suffix_bias.unsqueeze(0).expand({rows, length, length})},
+                                 2)
+                          .view({rows, 1, length, 1, prefix + length});
+
+  for (int i = 0; i < config_.layers; ++i) {
+    const NanoLayer& layer = p_.expert[i];
+    const size_t target = static_cast<size_t>(i) * kTargetsPerLayer;
+    const auto qkv = Project(RmsNorm(x, layer.input_norm), layer.qkv_proj, {hq, h, h}, lora, target);
+    const Tensor q = Rope(qkv[0].reshape({rows, draws, length, heads, h}), q_cos, q_sin);
+    const Tensor k = Rope(qkv[1].reshape({rows, draws, length, h}), cos, sin);
+    const Tensor v = qkv[2].reshape({rows, draws, length, h});
+    const Tensor keys = torch::cat({context.keys[i].expand({rows, draws, prefix, h}), k}, 2);
+    const Tensor values = torch::cat({context.values[i].expand({rows, draws, prefix, h}), v}, 2);
+    Tensor scores = torch::bmm(q.view({batch, length * heads, h}),
+                               keys.view({batch, prefix + length, h}).transpose(1, 2));
+    scores = scores.view({rows, draws, length, heads, prefix + length}).add_(bias);
+    scores = torch::softmax(scores, -1).view({batch, length * heads, prefix + length});
+    const Tensor attended = torch::bmm(scores, values.view({batch, prefix + length, h})).view({batch, length, hq});
+    x = x + Project(attended, layer.o_proj, {e}, lora, target + 3)[0];
+    const auto gate_up = Project(RmsNorm(x, layer.post_norm), layer.gate_up_proj,
+                                 {config_.expert_mlp, config_.expert_mlp}, lora, target + 4);
+    x = x + Project(GeGlu(gate_up[0], gate_up[1]), layer.down_proj, {e}, lora, target + 6)[0];
+  }
+  const Tensor out = torch::linear(RmsNorm(x.narrow(1, 1, actions), p_.expert_norm), p_.action_out_weight,
+                                   p_.action_out_bias);
+  return out.reshape({batch, config_.horizon, config_.model_action_dim});
+}
+
+}  // namespace robostress

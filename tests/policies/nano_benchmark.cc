@@ -1,0 +1,53 @@
+#include <benchmark/benchmark.h>
+#include <torch/torch.h>
+
+#include "server/policy.h"
+
+// Times one prediction of nano: the prefix (Encode), ten Euler steps (Sample), and one expert pass.
+namespace robostress {
+namespace {
+
+Observation SomeObservation(const PolicySpec& spec) {
+  Observation observation;
+  observation.instruction = "put the red bowl on the plate";
+  for (const std::string& camera : spec.cameras) {
+    Image image{spec.image_width, spec.image_height, {}};
+    image.data.resize(size_t{3} * image.width * image.height);
+    for (size_t i = 0; i < image.data.size(); ++i) image.data[i] = static_cast<uint8_t>(i * 37 % 251);
+    observation.views.push_back({camera, image});
+  }
+  observation.proprioception = Eigen::VectorXf::Constant(spec.state_dim, 0.1f);
+  return observation;
+}
+
+LoraWeights SomeLora(const FlowPolicy& policy) {
+  LoraWeights lora;
+  for (const LoraTarget& target : policy.lora_targets()) {
+    lora.A.push_back(torch::randn({4, target.in_features}) * 0.01);
+    lora.B.push_back(torch::zeros({target.out_features, 4}));
+  }
+  return lora;
+}
+
+void BM_Encode(benchmark::State& state) {
+  at::set_num_threads(1);
+  const auto policy = LoadFlowPolicy("nano:random").value();
+  const Observation observation = SomeObservation(policy->spec());
+  for (auto _ : state) benchmark::DoNotOptimize(policy->Encode(observation).value());
+}
+BENCHMARK(BM_Encode)->Unit(benchmark::kMillisecond);
+
+void BM_Sample(benchmark::State& state) {
+  at::set_num_threads(1);
+  const auto policy = LoadFlowPolicy("nano:random").value();
+  const PolicyContext context = policy->Encode(SomeObservation(policy->spec())).value();
+  const torch::Tensor noise = torch::randn({1, policy->horizon(), policy->model_action_dim()});
+  const LoraWeights lora = SomeLora(*policy);
+  for (auto _ : state) benchmark::DoNotOptimize(policy->Sample(context, noise, state.range(0) ? &lora : nullptr));
+}
+BENCHMARK(BM_Sample)->ArgName("lora")->Arg(0)->Arg(1)->Unit(benchmark::kMillisecond);
+
+}  // namespace
+}  // namespace robostress
+
+BENCHMARK_MAIN();
