@@ -1,0 +1,104 @@
+#include "common/rollout/rollout.h"
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+
+// Adds the wall time of a scope to a total.
+class StopWatch {
+ public:
+  explicit StopWatch(double& total) : total_(total), start_(std::chrono::steady_clock::now()) {}
+  ~StopWatch() {
+    total_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  }
+
+ private:
+  double& total_;
+  std::chrono::steady_clock::time_point start_;
+};
+
+absl::Status CheckShapes(const PredictedChunk& prediction, const PolicySpec& spec) {
+  const auto fits = [&](const Eigen::MatrixXf& m) {
+    return m.rows() >= spec.execute_steps && m.cols() == spec.action_dim;
+  };
+  if (fits(prediction.actions) && fits(prediction.policy_actions) &&
+      (prediction.base_actions.size() == 0 || fits(prediction.base_actions))) {
+    return absl::OkStatus();
+  }
+  return absl::InternalError(absl::StrCat("policy '", spec.name, "' predicted ",
+                                          prediction.actions.rows(), " x ",
+                                          prediction.actions.cols(), " actions, needs at least ",
+                                          spec.execute_steps, " x ", spec.action_dim));
+}
+
+}  // namespace
+
+absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOptions& options,
+                                         Robot& robot, PolicyEndpoint& policy, uint64_t& sequence) {
+  const PolicySpec& spec = policy.spec();
+  EpisodeRecord record;
+  // The robot first: a policy with access to the state (the expert) reads it when its episode
+  // starts.
+  RS_RETURN_IF_ERROR(robot.Reset(options.initial_state));
+  RS_RETURN_IF_ERROR(policy.StartEpisode(key));
+  if (options.on_step) options.on_step(0);
+  RS_ASSIGN_OR_RETURN(RobotState state, robot.Measure());
+  record.success = robot.Success();
+
+  for (int chunk = 0; !record.success && record.steps < robot.horizon(); ++chunk) {
+    absl::StatusOr<Observation> observation = absl::UnknownError("not observed");
+    {
+      const StopWatch watch(record.observe_s);
+      observation = robot.Observe(spec);
+    }
+    RS_RETURN_IF_ERROR(observation.status());
+    absl::StatusOr<PredictedChunk> prediction = absl::UnknownError("not predicted");
+    {
+      const StopWatch watch(record.predict_s);
+      prediction = policy.Predict(*observation, chunk);
+    }
+    RS_RETURN_IF_ERROR(prediction.status());
+    RS_RETURN_IF_ERROR(CheckShapes(*prediction, spec));
+
+    ExecutedChunk executed;
+    executed.sequence = sequence + 1;
+    executed.task = key.task;
+    executed.episode = key.episode;
+    executed.chunk = chunk;
+    executed.prediction_id = prediction->prediction_id;
+    const int steps = std::min(spec.execute_steps, robot.horizon() - record.steps);
+    for (int i = 0; i < steps && !record.success; ++i) {
+      ExecutedStep& step = executed.steps.emplace_back();
+      step.before = std::move(state);
+      step.policy_command = prediction->policy_actions.row(i).transpose();
+      step.sent_command = prediction->actions.row(i).transpose();
+      if (prediction->base_actions.size() > 0)
+        step.base_command = prediction->base_actions.row(i).transpose();
+      {
+        const StopWatch watch(record.step_s);
+        RS_RETURN_IF_ERROR(robot.Step(step.sent_command));
+      }
+      RS_ASSIGN_OR_RETURN(state, robot.Measure());
+      record.success = robot.Success();
+      ++record.steps;
+      if (options.on_step) options.on_step(record.steps);
+    }
+    executed.final_state = state;
+    executed.last_of_episode = record.success || record.steps >= robot.horizon();
+    record.chunks.push_back(executed);
+    {
+      const StopWatch watch(record.feedback_s);
+      RS_RETURN_IF_ERROR(policy.SendFeedback(std::move(executed)));
+    }
+    ++sequence;
+  }
+  return record;
+}
+
+}  // namespace robostress

@@ -1,0 +1,17 @@
+#pragma once
+
+#include <grpcpp/support/status.h>
+
+#include "absl/status/status.h"
+
+namespace robostress {
+
+// Largest message either side accepts [bytes]: an exported adapter with its buffer of observations.
+inline constexpr int kMaxMessageBytes = 256 << 20;
+
+// The two libraries number their codes alike; messages are kept (gRPC's are cut to 4 KB, its header
+// limit is 8 KB).
+grpc::Status ToGrpc(const absl::Status& status);
+absl::Status FromGrpc(const grpc::Status& status);
+
+}  // namespace robostress

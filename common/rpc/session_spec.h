@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/method_options.h"
+#include "common/rollout/policy_endpoint.h"
+#include "common/unit_config.h"
+
+namespace robostress {
+
+// Everything that decides what a session computes: equal specs, observations and feedback give
+// equal bits.
+struct SessionSpec {
+  std::string robot = "panda_sim";
+  std::string suite;     // part of the noise key
+  std::string scenario;  // names the session, part of no noise key
+  int severity = 5;      // 1..5; names the session, part of no noise key
+  std::string policy;    // "nano"
+  int64_t seed = 0;      // of the sampling noise; part of the noise key
+  ExecutionMode mode = ExecutionMode::kLockstep;
+  GoalReference goal_reference = GoalReference::kAchieved;
+  MethodOptions method;
+  double control_period_s = 0.05;   // [s]
+  double translation_scale = 0.05;  // of action entries 0..2 [m]
+  double rotation_scale = 0.5;      // of action entries 3..5 [rad]
+};
+
+// What a server holds.
+struct ServerInfo {
+  std::string version;
+  std::vector<PolicySpec> policies;
+  int open_sessions = 0;
+  int max_sessions = 0;
+  int inference_threads = 0;
+};
+
+// A session's adaptation as a safetensors file: LoRA, Adam, feedback buffer, counters.
+struct AdapterState {
+  std::string safetensors;
+  uint64_t feedback_sequence = 0;  // watermark it includes
+  uint64_t updates_applied = 0;
+};
+
+}  // namespace robostress
