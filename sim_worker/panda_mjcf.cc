@@ -64,9 +64,9 @@ constexpr char kHandXml[] = R"(
   <camera name="robot0_eye_in_hand" mode="fixed" pos="0.05 0 0" quat="0 0.70710678 0.70710678 0" fovy="75"/>
   <body name="gripper0_right_gripper" quat="0.7071067811865476 0 0 -0.7071067811865476">
     <inertial pos="0 0 0.17" quat="0.7071067811865476 0.7071067811865476 0 0" mass="0.3" diaginertia="0.09 0.07 0.05"/>
-    <geom class="shell" type="box" size="0.019 0.095 0.021" pos="0 0 0.036"/>
-    <geom class="trim" type="box" size="0.015 0.085 0.005" pos="0 0 0.06"/>
-    <geom class="collision" name="gripper0_hand_collision" type="box" size="0.022 0.1 0.03" pos="0 0 0.032"/>
+    <geom class="shell" type="box" size="0.095 0.019 0.021" pos="0 0 0.036"/>
+    <geom class="trim" type="box" size="0.085 0.015 0.005" pos="0 0 0.06"/>
+    <geom class="collision" name="gripper0_hand_collision" type="box" size="0.1 0.022 0.03" pos="0 0 0.032"/>
     <body name="gripper0_eef" pos="0 0 0.097">
       <site name="gripper0_grip_site" size="0.002" group="4"/>
     </body>
@@ -74,7 +74,8 @@ constexpr char kHandXml[] = R"(
   </body>
 </body>)";
 
-// One finger; side +1 is finger 1 (left), -1 is finger 2 (right). Both slide along the hand's x axis.
+// One finger; side +1 is finger 1 (left), -1 is finger 2 (right). Both slide along the y axis of
+// robot0_right_hand, the hand's long side.
 std::string FingerXml(int side) {
   const int index = side > 0 ? 1 : 2;
   return absl::StrFormat(
@@ -141,8 +142,6 @@ constexpr char kSceneFormat[] = R"(<mujoco model="%s">
 <size nconmax="%d" njmax="%d"/>
 <visual>
   <map znear="0.001" shadowscale="0.5"/>
-  <quality shadowsize="1024" offsamples="0"/>
-  <global offwidth="1024" offheight="1024"/>
   <headlight ambient="0.35 0.35 0.35" diffuse="0.4 0.4 0.4" specular="0.1 0.1 0.1"/>
 </visual>
 <asset>
