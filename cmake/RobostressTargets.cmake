@@ -47,6 +47,8 @@ if(ROBOSTRESS_TORCH)
   add_library(torch_pch STATIC ${CMAKE_BINARY_DIR}/torch_pch.cc)
   target_link_libraries(torch_pch PUBLIC ${TORCH_LIBRARIES})
   target_include_directories(torch_pch SYSTEM PUBLIC ${TORCH_INCLUDE_DIRS})
+  # gRPC's target adds -pthread, and a precompiled header is refused when the flag differs.
+  target_compile_options(torch_pch PUBLIC -pthread)
   target_precompile_headers(torch_pch PRIVATE <torch/torch.h>)
   target_link_libraries(torch_pch PRIVATE robostress_warnings)
 
