@@ -1,0 +1,273 @@
+#include "sim_worker/libero/catalog.h"
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
+#include "common/status_macros.h"
+
+namespace robostress::libero {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct SuiteTasks {
+  std::string_view suite;
+  std::array<std::string_view, 10> tasks;
+};
+
+constexpr SuiteTasks kSuites[] = {
+    {"libero_spatial",
+     {"pick_up_the_black_bowl_between_the_plate_and_the_ramekin_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_next_to_the_ramekin_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_from_table_center_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_on_the_cookie_box_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_in_the_top_drawer_of_the_wooden_cabinet_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_on_the_ramekin_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_next_to_the_cookie_box_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_on_the_stove_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_next_to_the_plate_and_place_it_on_the_plate",
+      "pick_up_the_black_bowl_on_the_wooden_cabinet_and_place_it_on_the_plate"}},
+    {"libero_object",
+     {"pick_up_the_alphabet_soup_and_place_it_in_the_basket",
+      "pick_up_the_cream_cheese_and_place_it_in_the_basket",
+      "pick_up_the_salad_dressing_and_place_it_in_the_basket",
+      "pick_up_the_bbq_sauce_and_place_it_in_the_basket",
+      "pick_up_the_ketchup_and_place_it_in_the_basket",
+      "pick_up_the_tomato_sauce_and_place_it_in_the_basket",
+      "pick_up_the_butter_and_place_it_in_the_basket",
+      "pick_up_the_milk_and_place_it_in_the_basket",
+      "pick_up_the_chocolate_pudding_and_place_it_in_the_basket",
+      "pick_up_the_orange_juice_and_place_it_in_the_basket"}},
+    {"libero_goal",
+     {"open_the_middle_drawer_of_the_cabinet",
+      "put_the_bowl_on_the_stove",
+      "put_the_wine_bottle_on_top_of_the_cabinet",
+      "open_the_top_drawer_and_put_the_bowl_inside",
+      "put_the_bowl_on_top_of_the_cabinet",
+      "push_the_plate_to_the_front_of_the_stove",
+      "put_the_cream_cheese_in_the_bowl",
+      "turn_on_the_stove",
+      "put_the_bowl_on_the_plate",
+      "put_the_wine_bottle_on_the_rack"}},
+    {"libero_10",
+     {"LIVING_ROOM_SCENE2_put_both_the_alphabet_soup_and_the_tomato_sauce_in_the_basket",
+      "LIVING_ROOM_SCENE2_put_both_the_cream_cheese_box_and_the_butter_in_the_basket",
+      "KITCHEN_SCENE3_turn_on_the_stove_and_put_the_moka_pot_on_it",
+      "KITCHEN_SCENE4_put_the_black_bowl_in_the_bottom_drawer_of_the_cabinet_and_close_it",
+      "LIVING_ROOM_SCENE5_put_the_white_mug_on_the_left_plate_and_put_the_yellow_and_white_mug_on_the_right_plate",
+      "STUDY_SCENE1_pick_up_the_book_and_place_it_in_the_back_compartment_of_the_caddy",
+      "LIVING_ROOM_SCENE6_put_the_white_mug_on_the_plate_and_put_the_chocolate_pudding_to_the_right_of_the_plate",
+      "LIVING_ROOM_SCENE1_put_both_the_alphabet_soup_and_the_cream_cheese_box_in_the_basket",
+      "KITCHEN_SCENE8_put_both_moka_pots_on_the_stove",
+      "KITCHEN_SCENE6_put_the_yellow_and_white_mug_in_the_microwave_and_close_it"}},
+};
+
+constexpr std::array<double, 3> kDefaultFriction = {1, 0.005, 0.0001};
+constexpr std::array<double, 4> kAgentQuat = {0.6380177736282349, 0.3048497438430786, 0.30484986305236816,
+                                              0.6380177736282349};
+constexpr std::array<double, 4> kLowAgentQuat = {0.6182166934013367, 0.3432307541370392, 0.3432314395904541,
+                                                 0.6182177066802979};
+constexpr CameraPlacement kGalleryView = {
+    "galleryview",
+    {2.844547668904445, 2.1279684793440667, 3.128616846013882},
+    {0.42261379957199097, 0.23374411463737488, 0.41646939516067505, 0.7702690958976746}};
+constexpr std::array<double, 4> kPaperQuat = {0.513, 0.353, 0.443, 0.645};
+constexpr std::array<double, 4> kFrontQuat = {0.56, 0.43, 0.43, 0.56};
+constexpr CameraPlacement kTableAgentView = {"agentview", {0.6586131746834771, 0.0, 1.6103500240372423}, kAgentQuat};
+constexpr CameraPlacement kTableFrontView = {"frontview", {1.0, 0.0, 1.48}, kFrontQuat};
+constexpr CameraPlacement kTablePaperView = {"paperview", {2.1, 0.535, 2.075}, kPaperQuat};
+// A robot stands 0.16 m (study: 0.25 m) behind the table's edge. Fixtures are placed 1 cm above the table's
+// lower face plus their own bottom offset.
+constexpr ProblemClass kProblems[] = {
+    {.name = "libero_tabletop_manipulation",
+     .workspace = "table",
+     .region_marker = "main_table",
+     .scene = "scenes/libero_tabletop_base_style.xml",
+     .arena_body = "table",
+     .has_table = true,
+     .table_size = {1.0, 1.2, 0.05},
+     .workspace_offset = {0, 0, 0.90},
+     .floor_texture = "light-gray-floor-tile.png",
+     .wall_texture = "light-gray-plaster.png",
+     .table_friction = {0.6, 0.005, 0.0001},
+     .robot_base = {-0.16 - 1.0 / 2, 0, 0},
+     .mounted = true,
+     .fixture_z = 0.01 - 0.05,
+     .zone_at_workspace = false,
+     .zone_z = 0.02,
+     .cameras = {{kTableAgentView, kTableFrontView, kGalleryView}}},
+    {.name = "libero_kitchen_tabletop_manipulation",
+     .workspace = "kitchen_table",
+     .region_marker = "kitchen_table",
+     .scene = "scenes/libero_kitchen_tabletop_base_style.xml",
+     .arena_body = "table",
+     .has_table = true,
+     .table_size = {1.0, 1.2, 0.05},
+     .workspace_offset = {0, 0, 0.90},
+     .floor_texture = "gray_ceramic_tile.png",
+     .wall_texture = "yellow_linen_wall_texture.png",
+     .table_friction = kDefaultFriction,
+     .robot_base = {-0.16 - 1.0 / 2, 0, 0},
+     .mounted = true,
+     .fixture_z = 0.01 - 0.05,
+     .zone_at_workspace = true,
+     .zone_z = 0.90 + -0.90,
+     .cameras = {{kTableAgentView, kTableFrontView, kGalleryView, kTablePaperView}}},
+    {.name = "libero_floor_manipulation",
+     .workspace = "floor",
+     .region_marker = "floor",
+     .scene = "scenes/libero_floor_base_style.xml",
+     .arena_body = "floor",
+     .has_table = false,
+     .table_size = {0, 0, 0},
+     .workspace_offset = {0, 0, -0.035},
+     .floor_texture = "light-gray-floor-tile.png",
+     .wall_texture = "light-gray-plaster.png",
+     .table_friction = kDefaultFriction,
+     .robot_base = {-0.6, 0, 0},
+     .mounted = false,
+     .fixture_z = -0.025,
+     .zone_at_workspace = false,
+     .zone_z = 0.02,
+     .cameras = {{{"agentview", {0.8965773716836134, 5.216182733499864e-07, 0.65}, kLowAgentQuat},
+                  {"frontview", {1.0, 0.0, 0.65}, kFrontQuat},
+                  kGalleryView}}},
+    {.name = "libero_living_room_tabletop_manipulation",
+     .workspace = "living_room_table",
+     .region_marker = "living_room_table",
+     .scene = "scenes/libero_living_room_tabletop_base_style.xml",
+     .arena_body = "living_room_table",
+     .has_table = false,
+     .table_size = {0.70, 1.6, 0.024},
+     .workspace_offset = {0, 0, 0.41},
+     .floor_texture = "seamless_wood_planks_floor.png",
+     .wall_texture = "light-gray-plaster.png",
+     .table_friction = kDefaultFriction,
+     .robot_base = {-0.16 - 0.70 / 2, 0, 0.42},
+     .mounted = false,
+     .fixture_z = 0.01 - 0.024,
+     .zone_at_workspace = true,
+     .zone_z = 0.41,
+     .cameras = {{{"agentview", {0.6065773716836134, 0.0, 0.96}, kLowAgentQuat},
+                  {"frontview", {1.5, 0.0, 0.9}, kFrontQuat},
+                  kGalleryView,
+                  {"paperview", {2.1, 0.735, 1.875}, kPaperQuat}}}},
+    {.name = "libero_study_tabletop_manipulation",
+     .workspace = "study_table",
+     .region_marker = "study_table",
+     .scene = "scenes/libero_study_base_style.xml",
+     .arena_body = "study_table",
+     .has_table = false,
+     .table_size = {1.0, 1.2, 0.05},
+     .workspace_offset = {-0.2, 0, 0.867},
+     .floor_texture = "light-gray-floor-tile.png",
+     .wall_texture = "light-gray-plaster.png",
+     .table_friction = kDefaultFriction,
+     .robot_base = {-0.25 - 1.0 / 2, 0, 0},
+     .mounted = true,
+     .fixture_z = 0.01 - 0.05,
+     .zone_at_workspace = true,
+     .zone_z = 0.867,
+     .cameras = {{{"agentview", {0.4586131746834771, 0.0, 1.6103500240372423}, kAgentQuat},
+                  kTableFrontView, kGalleryView, kTablePaperView}}},
+};
+
+constexpr Articulation kArticulations[] = {
+    {.category = "wooden_cabinet", .open_below = true, .open = -0.14, .close = 0.0},
+    {.category = "white_cabinet", .open_below = true, .open = -0.14, .close = 0.0},
+    {.category = "microwave", .open_below = true, .open = -1.3, .close = -0.005},
+    {.category = "short_cabinet", .open_below = false, .open = 0.10, .close = 0.0},
+    {.category = "short_fridge", .open_below = false, .open = 2.0, .close = 0.0},
+    {.category = "flat_stove", .has_switch = true, .on = 0.5, .off = 0.0},
+};
+
+// The folder that holds `marker`: root itself or one of the candidates below it.
+absl::StatusOr<std::string> FindRoot(const std::string& given, const char* variable, const char* option,
+                                     const std::vector<std::string>& candidates, const std::string& marker,
+                                     const char* what) {
+  std::string root = given;
+  if (root.empty()) {
+    const char* from_environment = std::getenv(variable);
+    if (from_environment != nullptr) root = from_environment;
+  }
+  if (root.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat("LIBERO's suites read ", what, ": give ", option,
+                                                   " DIR or set ", variable));
+  }
+  std::error_code ignored;
+  for (const std::string& candidate : candidates) {
+    const fs::path path = fs::path(root) / candidate;
+    if (fs::exists(path / marker, ignored)) return fs::absolute(path, ignored).lexically_normal().string();
+  }
+  return absl::NotFoundError(absl::StrCat(option, " ", root, ": no ", candidates.front(), "/", marker,
+                                          " below it; expected ", what));
+}
+
+}  // namespace
+
+absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root, const std::string& robosuite_root) {
+  LiberoPaths paths;
+  RS_ASSIGN_OR_RETURN(paths.libero, FindRoot(libero_root, "LIBERO_ROOT", "--libero-root",
+                                             {"libero/libero", "libero", "."}, "bddl_files", "a LIBERO checkout"));
+  RS_ASSIGN_OR_RETURN(paths.robosuite,
+                      FindRoot(robosuite_root, "ROBOSUITE_ROOT", "--robosuite-root",
+                               {"robosuite/models/assets", "models/assets", "."}, "base.xml", "a robosuite 1.4 checkout"));
+  return paths;
+}
+
+absl::StatusOr<std::vector<std::string>> LiberoTaskNames(const std::string& suite) {
+  std::vector<std::string> known;
+  for (const SuiteTasks& entry : kSuites) {
+    if (entry.suite == suite) return std::vector<std::string>(entry.tasks.begin(), entry.tasks.end());
+    known.emplace_back(entry.suite);
+  }
+  return absl::NotFoundError(absl::StrCat("'", suite, "' is not a LIBERO suite; known: ", absl::StrJoin(known, ", ")));
+}
+
+std::string LiberoInstruction(const std::string& task_name) {
+  std::string words = task_name;
+  const size_t scene = task_name.find("SCENE");
+  if (!task_name.empty() && task_name[0] >= 'A' && task_name[0] <= 'Z' && scene != std::string::npos) {
+    words = task_name.substr(task_name.find('_', scene) + 1);
+  }
+  return absl::StrReplaceAll(words, {{"_", " "}});
+}
+
+absl::StatusOr<ProblemClass> FindProblemClass(const std::string& name) {
+  std::vector<std::string> known;
+  for (const ProblemClass& problem : kProblems) {
+    if (problem.name == name) return problem;
+    known.emplace_back(problem.name);
+  }
+  return absl::NotFoundError(absl::StrCat("problem class '", name, "' is unknown; known: ", absl::StrJoin(known, ", ")));
+}
+
+const Articulation* FindArticulation(const std::string& category) {
+  for (const Articulation& articulation : kArticulations) {
+    if (articulation.category == category) return &articulation;
+  }
+  return nullptr;
+}
+
+absl::StatusOr<std::string> FindObjectFile(const LiberoPaths& paths, const std::string& category) {
+  const std::string file = category == "rack" ? "simple_rack" : category;
+  const std::string assets = paths.libero + "/assets/";
+  const std::string candidates[] = {
+      absl::StrCat(assets, "articulated_objects/", file, ".xml"),
+      absl::StrCat(assets, "stable_scanned_objects/", file, "/", file, ".xml"),
+      absl::StrCat(assets, "stable_hope_objects/", file, "/", file, ".xml"),
+      absl::StrCat(assets, "turbosquid_objects/", file, "/", file, ".xml"),
+  };
+  std::error_code ignored;
+  for (const std::string& candidate : candidates) {
+    if (fs::exists(candidate, ignored)) return candidate;
+  }
+  return absl::NotFoundError(absl::StrCat("no object or fixture of category '", category, "'; searched ",
+                                          absl::StrJoin(candidates, ", ")));
+}
+
+}  // namespace robostress::libero

@@ -1,0 +1,374 @@
+#include "sim_worker/libero/init_states.h"
+
+#include <bit>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <map>
+#include <memory>
+#include <optional>
+#include <variant>
+
+#include <zlib.h>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
+
+namespace robostress::libero {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "the stored float64 are little-endian");
+
+constexpr int64_t kMaxValues = int64_t{1} << 24;
+
+template <class T>
+std::optional<T> Load(std::string_view bytes, size_t offset) {
+  if (offset > bytes.size() || bytes.size() - offset < sizeof(T)) return std::nullopt;
+  T value;
+  std::memcpy(&value, bytes.data() + offset, sizeof(T));
+  return value;
+}
+
+absl::Status Bad(const std::string& file, const std::string& what) {
+  return absl::InvalidArgumentError(absl::StrCat(
+      file, ": ", what, "; expected a LIBERO .pruned_init file (take it anew from the LIBERO checkout)"));
+}
+
+// The bytes of the entry whose name ends in `suffix`, through the central directory (the local headers of
+// these files carry no sizes).
+absl::StatusOr<std::string_view> FindZipEntry(const std::string& file, std::string_view zip, std::string_view suffix) {
+  constexpr uint32_t kEnd = 0x06054b50, kCentral = 0x02014b50, kLocal = 0x04034b50;
+  constexpr size_t kEndSize = 22, kCentralSize = 46, kLocalSize = 30;
+  if (zip.size() < kEndSize) return Bad(file, absl::StrCat(zip.size(), " bytes are too few for a zip file"));
+  std::optional<size_t> end;
+  for (size_t back = 0; back <= 65535 && back + kEndSize <= zip.size() && !end; ++back) {
+    const size_t offset = zip.size() - kEndSize - back;
+    if (Load<uint32_t>(zip, offset) == kEnd) end = offset;
+  }
+  if (!end) return Bad(file, "no end-of-central-directory record: not a zip file, or truncated");
+  const int entries = *Load<uint16_t>(zip, *end + 10);
+  size_t offset = *Load<uint32_t>(zip, *end + 16);
+  for (int i = 0; i < entries; ++i) {
+    if (Load<uint32_t>(zip, offset) != kCentral || zip.size() - offset < kCentralSize) {
+      return Bad(file, absl::StrCat("entry ", i, " of the zip directory is broken"));
+    }
+    const uint16_t method = *Load<uint16_t>(zip, offset + 10);
+    const uint32_t crc = *Load<uint32_t>(zip, offset + 16);
+    const uint32_t packed = *Load<uint32_t>(zip, offset + 20);
+    const uint32_t size = *Load<uint32_t>(zip, offset + 24);
+    const uint16_t name_length = *Load<uint16_t>(zip, offset + 28);
+    const uint16_t extra_length = *Load<uint16_t>(zip, offset + 30);
+    const uint16_t comment_length = *Load<uint16_t>(zip, offset + 32);
+    const uint32_t local = *Load<uint32_t>(zip, offset + 42);
+    if (zip.size() - offset - kCentralSize < name_length) return Bad(file, "a name in the zip directory is cut off");
+    const std::string_view name = zip.substr(offset + kCentralSize, name_length);
+    offset += kCentralSize + name_length + extra_length + comment_length;
+    if (!name.ends_with(suffix)) continue;
+    if (method != 0 || packed != size) {
+      return Bad(file, absl::StrCat(std::string(name), " is compressed (method ", method, "), expected stored"));
+    }
+    if (Load<uint32_t>(zip, local) != kLocal || zip.size() - local < kLocalSize) {
+      return Bad(file, absl::StrCat("the local header of ", std::string(name), " is broken"));
+    }
+    const size_t begin = size_t{local} + kLocalSize + *Load<uint16_t>(zip, local + 26) + *Load<uint16_t>(zip, local + 28);
+    if (begin > zip.size() || zip.size() - begin < size) {
+      return Bad(file, absl::StrCat(std::string(name), " needs ", size, " bytes at ", begin, ", the file has ", zip.size()));
+    }
+    const std::string_view data = zip.substr(begin, size);
+    const uint32_t actual = crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(size));
+    if (actual != crc) {
+      return Bad(file, absl::StrFormat("%s has checksum %08x, the directory says %08x", std::string(name), actual, crc));
+    }
+    return data;
+  }
+  return Bad(file, absl::StrCat("no entry ends in '", std::string(suffix), "'"));
+}
+
+// What can be on the stack of the pickle of one matrix.
+struct Value;
+using Ref = std::shared_ptr<Value>;
+struct None {};
+struct MarkTag {};
+struct Text { std::string utf8; };
+struct Bytes { std::string data; };
+struct Tuple { std::vector<Ref> items; };
+enum class Name { kReconstruct, kNdarray, kDtype, kEncode };
+struct Dtype { bool little_endian = false; };
+struct Array { bool built = false; int64_t rows = 0, columns = 0; std::string data; };
+struct Value {
+  std::variant<None, MarkTag, bool, int64_t, Text, Bytes, Tuple, Name, Dtype, Array> v;
+};
+
+template <class T>
+T* As(const Ref& ref) { return ref ? std::get_if<T>(&ref->v) : nullptr; }
+
+// utf8 -> latin1; false at a code point above 255 or a malformed sequence.
+bool EncodeLatin1(std::string_view utf8, std::string& out) {
+  out.clear();
+  out.reserve(utf8.size());
+  for (size_t i = 0; i < utf8.size(); ++i) {
+    const uint8_t c = static_cast<uint8_t>(utf8[i]);
+    if (c < 0x80) {
+      out.push_back(static_cast<char>(c));
+      continue;
+    }
+    if ((c != 0xc2 && c != 0xc3) || i + 1 >= utf8.size()) return false;
+    const uint8_t next = static_cast<uint8_t>(utf8[++i]);
+    if ((next & 0xc0) != 0x80) return false;
+    out.push_back(static_cast<char>(((c & 3) << 6) | (next & 0x3f)));
+  }
+  return true;
+}
+
+class Unpickler {
+ public:
+  Unpickler(const std::string& file, std::string_view bytes) : file_(file), bytes_(bytes) {}
+
+  absl::StatusOr<Array> Run() {
+    if (bytes_.size() < 2 || bytes_[0] != '\x80' || bytes_[1] != 2) return Fail("the pickle is not protocol 2");
+    pos_ = 2;
+    while (pos_ < bytes_.size()) {
+      at_ = pos_;
+      const uint8_t opcode = static_cast<uint8_t>(bytes_[pos_++]);
+      if (opcode == '.') {
+        Array* array = stack_.size() == 1 ? As<Array>(stack_.back()) : nullptr;
+        if (array == nullptr || !array->built) return Fail("the pickle does not end on one matrix");
+        return std::move(*array);
+      }
+      RS_RETURN_IF_ERROR(Step(opcode));
+    }
+    return Fail("the pickle ends without STOP");
+  }
+
+ private:
+  absl::Status Fail(const std::string& what) const { return Bad(file_, absl::StrCat("byte ", at_, " of data.pkl: ", what)); }
+
+  absl::StatusOr<std::string_view> Take(size_t n) {
+    if (bytes_.size() - pos_ < n) return Fail(absl::StrCat("needs ", n, " bytes, ", bytes_.size() - pos_, " are left"));
+    std::string_view taken = bytes_.substr(pos_, n);
+    pos_ += n;
+    return taken;
+  }
+
+  template <class T>
+  absl::StatusOr<T> TakeInt() {
+    RS_ASSIGN_OR_RETURN(std::string_view raw, Take(sizeof(T)));
+    T value;
+    std::memcpy(&value, raw.data(), sizeof(T));
+    return value;
+  }
+
+  template <class T>
+  void Push(T value) { stack_.push_back(std::make_shared<Value>(Value{std::move(value)})); }
+
+  absl::StatusOr<Ref> Pop() {
+    if (stack_.empty() || As<MarkTag>(stack_.back())) return Fail("the stack is empty");
+    Ref top = std::move(stack_.back());
+    stack_.pop_back();
+    return top;
+  }
+
+  absl::Status MakeTuple(size_t n) {
+    Tuple tuple;
+    tuple.items.resize(n);
+    for (size_t i = n; i-- > 0;) {
+      RS_ASSIGN_OR_RETURN(tuple.items[i], Pop());
+    }
+    Push(std::move(tuple));
+    return absl::OkStatus();
+  }
+
+  absl::Status Step(uint8_t opcode) {
+    switch (opcode) {
+      case 'c': return Global();
+      case 'q': {  // BINPUT
+        RS_ASSIGN_OR_RETURN(uint8_t index, TakeInt<uint8_t>());
+        if (stack_.empty()) return Fail("BINPUT on an empty stack");
+        memo_[index] = stack_.back();
+        return absl::OkStatus();
+      }
+      case 'h': {  // BINGET
+        RS_ASSIGN_OR_RETURN(uint8_t index, TakeInt<uint8_t>());
+        auto found = memo_.find(index);
+        if (found == memo_.end()) return Fail(absl::StrCat("BINGET of unset slot ", index));
+        stack_.push_back(found->second);
+        return absl::OkStatus();
+      }
+      case 'K': {  // BININT1
+        RS_ASSIGN_OR_RETURN(uint8_t value, TakeInt<uint8_t>());
+        Push<int64_t>(value);
+        return absl::OkStatus();
+      }
+      case 'M': {  // BININT2
+        RS_ASSIGN_OR_RETURN(uint16_t value, TakeInt<uint16_t>());
+        Push<int64_t>(value);
+        return absl::OkStatus();
+      }
+      case 'J': {  // BININT
+        RS_ASSIGN_OR_RETURN(int32_t value, TakeInt<int32_t>());
+        Push<int64_t>(value);
+        return absl::OkStatus();
+      }
+      case 'X': {  // BINUNICODE
+        RS_ASSIGN_OR_RETURN(uint32_t length, TakeInt<uint32_t>());
+        RS_ASSIGN_OR_RETURN(std::string_view text, Take(length));
+        Push(Text{std::string(text)});
+        return absl::OkStatus();
+      }
+      case 'N': Push(None{}); return absl::OkStatus();
+      case 0x88: Push(true); return absl::OkStatus();
+      case 0x89: Push(false); return absl::OkStatus();
+      case '(': Push(MarkTag{}); return absl::OkStatus();
+      case 0x85: return MakeTuple(1);
+      case 0x86: return MakeTuple(2);
+      case 0x87: return MakeTuple(3);
+      case 't': {
+        size_t n = 0;
+        while (n < stack_.size() && !As<MarkTag>(stack_[stack_.size() - 1 - n])) ++n;
+        if (n == stack_.size()) return Fail("TUPLE without MARK");
+        RS_RETURN_IF_ERROR(MakeTuple(n));
+        stack_.erase(stack_.end() - 2);
+        return absl::OkStatus();
+      }
+      case 'R': return Reduce();
+      case 'b': return Build();
+      default:
+        return Fail(absl::StrFormat("opcode 0x%02x is not on the list of what a matrix needs", opcode));
+    }
+  }
+
+  absl::Status Global() {
+    std::string names[2];
+    for (std::string& name : names) {
+      const size_t newline = bytes_.find('\n', pos_);
+      if (newline == std::string_view::npos || newline - pos_ > 64) return Fail("a name has no end");
+      name = std::string(bytes_.substr(pos_, newline - pos_));
+      pos_ = newline + 1;
+    }
+    const std::string name = names[0] + "." + names[1];
+    if (name == "numpy.core.multiarray._reconstruct" || name == "numpy._core.multiarray._reconstruct") {
+      Push(Name::kReconstruct);
+    } else if (name == "numpy.ndarray") {
+      Push(Name::kNdarray);
+    } else if (name == "numpy.dtype") {
+      Push(Name::kDtype);
+    } else if (name == "_codecs.encode") {
+      Push(Name::kEncode);
+    } else {
+      return Fail(absl::StrCat("the name '", name, "' is not on the list of what a matrix needs"));
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status Reduce() {
+    RS_ASSIGN_OR_RETURN(Ref argument, Pop());
+    RS_ASSIGN_OR_RETURN(Ref callable, Pop());
+    const Tuple* tuple = As<Tuple>(argument);
+    const Name* name = As<Name>(callable);
+    if (tuple == nullptr || name == nullptr) return Fail("REDUCE of something that is not a known name");
+    const std::vector<Ref>& args = tuple->items;
+    if (*name == Name::kEncode && args.size() == 2) {
+      const Text* text = As<Text>(args[0]);
+      const Text* codec = As<Text>(args[1]);
+      Bytes encoded;
+      if (text && codec && codec->utf8 == "latin1" && EncodeLatin1(text->utf8, encoded.data)) {
+        Push(std::move(encoded));
+        return absl::OkStatus();
+      }
+      return Fail("the bytes of the matrix are not latin1 text");
+    }
+    if (*name == Name::kReconstruct && args.size() == 3) {
+      const Name* type = As<Name>(args[0]);
+      if (type && *type == Name::kNdarray) {
+        Push(Array{});
+        return absl::OkStatus();
+      }
+    }
+    if (*name == Name::kDtype && args.size() == 3) {
+      const Text* type = As<Text>(args[0]);
+      if (type && type->utf8 == "f8") {
+        Push(Dtype{});
+        return absl::OkStatus();
+      }
+      return Fail(absl::StrCat("the matrix has type '", type ? type->utf8 : "?", "', expected 'f8'"));
+    }
+    return Fail("REDUCE with unexpected arguments");
+  }
+
+  absl::Status Build() {
+    RS_ASSIGN_OR_RETURN(Ref argument, Pop());
+    if (stack_.empty()) return Fail("BUILD on an empty stack");
+    const Tuple* tuple = As<Tuple>(argument);
+    if (tuple == nullptr) return Fail("BUILD with something that is not a tuple");
+    const std::vector<Ref>& state = tuple->items;
+    if (Dtype* dtype = As<Dtype>(stack_.back())) {
+      const Text* order = state.size() >= 2 ? As<Text>(state[1]) : nullptr;
+      if (order == nullptr || order->utf8 != "<") return Fail("the matrix is not little-endian");
+      dtype->little_endian = true;
+      return absl::OkStatus();
+    }
+    Array* array = As<Array>(stack_.back());
+    if (array == nullptr || state.size() != 5) return Fail("BUILD of something that is not a matrix");
+    const Tuple* shape = As<Tuple>(state[1]);
+    const Dtype* dtype = As<Dtype>(state[2]);
+    const bool* fortran = As<bool>(state[3]);
+    Bytes* bytes = As<Bytes>(state[4]);
+    if (!shape || !dtype || !dtype->little_endian || !fortran || !bytes) return Fail("the state of the matrix is malformed");
+    if (*fortran) return Fail("the matrix is stored by columns, expected by rows");
+    const int64_t* rows = shape->items.size() == 2 ? As<int64_t>(shape->items[0]) : nullptr;
+    const int64_t* columns = shape->items.size() == 2 ? As<int64_t>(shape->items[1]) : nullptr;
+    if (!rows || !columns || *rows < 1 || *columns < 1 || *rows > kMaxValues / *columns) {
+      return Fail("the shape is not [rows, columns] of a sensible size");
+    }
+    const size_t expected = static_cast<size_t>(*rows * *columns) * sizeof(double);
+    if (bytes->data.size() != expected) {
+      return Fail(absl::StrCat("shape [", *rows, ", ", *columns, "] needs ", expected, " bytes, got ", bytes->data.size()));
+    }
+    array->rows = *rows;
+    array->columns = *columns;
+    array->data = bytes->data;
+    array->built = true;
+    return absl::OkStatus();
+  }
+
+  const std::string& file_;
+  std::string_view bytes_;
+  size_t pos_ = 0, at_ = 0;
+  std::vector<Ref> stack_;
+  std::map<int, Ref> memo_;
+};
+
+}  // namespace
+
+absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_view bytes) {
+  RS_ASSIGN_OR_RETURN(std::string_view pickle, FindZipEntry(file, bytes, "/data.pkl"));
+  RS_ASSIGN_OR_RETURN(Array array, Unpickler(file, pickle).Run());
+  InitStates states;
+  states.file = file;
+  states.rows = static_cast<int>(array.rows);
+  states.columns = static_cast<int>(array.columns);
+  states.values.resize(static_cast<size_t>(array.rows * array.columns));
+  std::memcpy(states.values.data(), array.data.data(), array.data.size());
+  for (size_t i = 0; i < states.values.size(); ++i) {
+    if (!std::isfinite(states.values[i])) {
+      return Bad(file, absl::StrCat("row ", i / states.columns, ", column ", i % states.columns, " is not finite"));
+    }
+  }
+  return states;
+}
+
+absl::StatusOr<InitStates> ReadInitStates(const std::string& file) {
+  RS_ASSIGN_OR_RETURN(std::string bytes, ReadFile(file));
+  return ParseInitStates(file, bytes);
+}
+
+absl::Status CheckInitStates(const InitStates& states, int nq, int nv) {
+  if (states.columns == 1 + nq + nv) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      states.file, ": rows have ", states.columns, " values, the composed model needs 1 + nq + nv = 1 + ", nq, " + ", nv,
+      " = ", 1 + nq + nv, "; the init file and the BDDL file do not belong together"));
+}
+
+}  // namespace robostress::libero

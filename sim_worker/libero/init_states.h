@@ -1,0 +1,28 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/statusor.h"
+
+namespace robostress::libero {
+
+// LIBERO's stored initial states of one task: rows of [time, qpos (nq), qvel (nv)].
+struct InitStates {
+  std::string file;
+  int rows = 0, columns = 0;
+  std::vector<double> values;  // [rows, columns]
+  const double* row(int i) const { return values.data() + static_cast<size_t>(i) * columns; }
+};
+
+// Reads a `.pruned_init` file: a zip of stored entries whose data.pkl is a pickle (protocol 2) of one
+// float64 NumPy matrix. Nothing is executed: a small stack machine knows the opcodes and the four names
+// that such a file needs and refuses everything else, with the file, the byte and the opcode in the error.
+absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_view bytes);
+absl::StatusOr<InitStates> ReadInitStates(const std::string& file);
+
+// The row's length must be 1 + nq + nv of the compiled model; the error names file and sizes.
+absl::Status CheckInitStates(const InitStates& states, int nq, int nv);
+
+}  // namespace robostress::libero

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "sim_worker/libero/init_states.h"
+#include "sim_worker/libero/predicates.h"
+#include "sim_worker/libero/scene.h"
+#include "sim_worker/renderer.h"
+#include "sim_worker/sim_task.h"
+
+namespace robostress::libero {
+
+// A task of a LIBERO suite in PandaSim. The model is compiled once and kept across resets.
+class LiberoSimTask : public SimTask {
+ public:
+  static absl::StatusOr<std::unique_ptr<LiberoSimTask>> Create(const UnitConfig& unit, int task);
+
+  // Row `initial_state` of the task's .pruned_init, then the settle steps with the originals' dummy command.
+  absl::Status Reset(int initial_state) override;
+  // Proprioception [8]: grip site in the world [m], axis-angle of the hand body's quaternion as openpi computes
+  // it (not along the short path), finger joints [m]. Views are rendered at 256 x 256, mirrored as the
+  // originals' are, and resized to the policy's size.
+  absl::StatusOr<Observation> Observe(const PolicySpec& spec) override;
+  absl::StatusOr<RobotState> Measure() override { return sim_->Measure(); }
+  absl::Status Step(const Eigen::VectorXf& command) override;
+  // As of the last step, like the originals' done; false after Reset.
+  bool Success() const override { return success_; }
+  int horizon() const override { return horizon_; }
+  const std::string& name() const override { return name_; }
+  const std::string& instruction() const override { return instruction_; }
+  PandaSim& sim() override { return *sim_; }
+  absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeExpert() override;
+  absl::StatusOr<Image> Film(int height) override;
+
+  const LiberoScene& scene() const { return *scene_; }
+  const LiberoGoal& goal() const { return *goal_; }
+  const InitStates& init_states() const { return init_states_; }
+  int settle_steps() const { return unit_.sim.settle_steps; }
+  // Where the fixtures stand from the next Reset on; default: the centres of their regions.
+  absl::Status MoveFixtures(const std::vector<FixturePose>& poses);
+  // LIBERO's init_qpos: the arm's posture at a reset, and the controller's null-space posture.
+  static Eigen::Matrix<double, 7, 1> HomePosture();
+
+ private:
+  LiberoSimTask() = default;
+  absl::StatusOr<Image> RenderUpright(const std::string& camera, int width, int height);
+
+  UnitConfig unit_;
+  std::string name_, instruction_;
+  int horizon_ = 0;
+  std::unique_ptr<LiberoScene> scene_;
+  std::unique_ptr<LiberoGoal> goal_;
+  InitStates init_states_;
+  Scenario scenario_;
+  std::unique_ptr<PandaSim> sim_;
+  std::shared_ptr<mjModel> render_model_;
+  std::unique_ptr<Renderer> renderer_;  // created with the first view
+  bool success_ = false;
+};
+
+}  // namespace robostress::libero
