@@ -1,0 +1,201 @@
+// robostress-record: records demonstrations of the scripted expert, with labels for what a learned policy got
+// into (DAgger), and measures the expert.
+
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <cstdio>
+#include <string>
+#include <vector>
+
+#include "CLI/CLI.hpp"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "common/atomic_file.h"
+#include "common/rpc/policy_client.h"
+#include "common/status_macros.h"
+#include "common/suites.h"
+#include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/shard.h"
+
+namespace robostress {
+namespace {
+
+constexpr char kExamples[] =
+    "\nExamples\n"
+    "  robostress record --suite tabletop_goal --episodes 40 --out data/demos --workers 2\n"
+    "  robostress record --suite all --eval --episodes 20 --first-draw 0 --workers 2\n"
+    "  robostress record --suite tabletop_goal --server 127.0.0.1:7777 --policy nano --mix 0.3 --episodes 10 --out data/dagger1\n\n"
+    "Draws from 1000 on are training draws; 0 to 49 are the reproducible initial states and are refused for recording.\n";
+
+struct CommandLine {
+  std::string suite = "all";
+  std::vector<int> tasks;
+  int episodes = 40, first_draw = kFirstTrainingDraw, workers = 1;
+  int64_t seed = 0;
+  std::string out, server, policy = "nano", scenario = "clean", tag = "expert";
+  int severity = 5;
+  double mix = 0.3;
+  bool eval = false;
+  RecordOptions record;
+};
+
+// One task of one suite: the unit that worker processes share out.
+struct Job {
+  std::string suite;
+  int task = 0;
+};
+
+double Now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
+  std::vector<Job> jobs;
+  for (const SuiteInfo& info : AllSuites()) {
+    if (info.needs_libero || (line.suite != "all" && line.suite != info.name)) continue;
+    for (int task = 0; task < info.num_tasks; ++task) {
+      const bool wanted = line.tasks.empty() || std::find(line.tasks.begin(), line.tasks.end(), task) != line.tasks.end();
+      if (wanted) jobs.push_back({info.name, task});
+    }
+  }
+  if (jobs.empty()) {
+    return absl::NotFoundError(absl::StrCat("no embedded suite '", line.suite,
+                                            "' with the tasks given; `robostress suites` lists suites and tasks"));
+  }
+  if (!line.eval && line.first_draw < kFirstTrainingDraw) {
+    return absl::InvalidArgumentError(absl::StrCat("--first-draw ", line.first_draw, " is not a training draw; use ",
+                                                   kFirstTrainingDraw, " or above"));
+  }
+  if (!line.eval && line.out.empty()) return absl::InvalidArgumentError("--out DIR is missing");
+  return jobs;
+}
+
+// Success, steps and speed of one task; the frames go to a shard when recording.
+absl::Status RunJob(const CommandLine& line, const Job& job) {
+  UnitConfig unit;
+  unit.suite = job.suite;
+  unit.scenario = line.scenario;
+  unit.severity = line.severity;
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<EmbeddedTask> task, EmbeddedTask::Create(unit, job.task));
+  std::unique_ptr<GrpcPolicyClient> policy;
+  if (!line.server.empty()) {
+    SessionSpec session;
+    session.suite = job.suite;
+    session.scenario = line.scenario;
+    session.policy = line.policy;
+    session.seed = line.seed;
+    session.method.track_intent = false;
+    RS_ASSIGN_OR_RETURN(policy, GrpcPolicyClient::Connect({line.server}, session));
+    if (policy->spec().cameras.size() != 2) {
+      return absl::InvalidArgumentError(absl::StrCat("policy '", line.policy, "' looks at ", policy->spec().cameras.size(),
+                                                     " cameras; recording needs agentview and robot0_eye_in_hand"));
+    }
+  }
+  RecordOptions options = line.record;
+  options.render = !line.eval;
+  if (line.eval && line.tag == "expert") options.noisy_share = 0;
+  Shard shard(job.suite, job.task, task->instruction());
+  int successes = 0, steps = 0;
+  std::string failed;
+  const double start = Now();
+  // A demonstration that fails teaches nothing: the next draw replaces it, up to twice as many draws. What a
+  // policy drove into is kept either way.
+  int kept = 0, draws = 0;
+  for (; kept < line.episodes && draws < 2 * line.episodes; ++draws) {
+    const int draw = line.first_draw + draws;
+    RandomStream random(StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw));
+    absl::StatusOr<Demonstration> episode =
+        policy != nullptr ? RecordDagger(*task, draw, {job.task, draw}, line.mix, *policy, random)
+                          : RecordExpert(*task, draw, options, random);
+    RS_RETURN_IF_ERROR(episode.status());
+    successes += episode->success;
+    steps += episode->steps;
+    if (!episode->success) absl::StrAppend(&failed, " ", draw);
+    if (!line.eval && policy == nullptr && !episode->success) continue;
+    ++kept;
+    if (!line.eval) shard.Add(draw, *episode);
+  }
+  const double wall = Now() - start;
+  std::string written;
+  if (!line.eval) {
+    const std::string path = absl::StrFormat("%s/%s_task%02d_%s_%d.safetensors", line.out, job.suite, job.task, line.tag, line.first_draw);
+    RS_RETURN_IF_ERROR(shard.Write(path));
+    written = absl::StrFormat("  %d frames, %.0f frames/s -> %s", shard.frames(), shard.frames() / wall, path);
+  }
+  std::printf("%-17s %2d  success %3d/%-3d  mean steps %5.1f  %6.0f steps/s%s  %s%s%s\n", job.suite.c_str(), job.task, successes,
+              draws, static_cast<double>(steps) / draws, steps / wall, written.c_str(), task->instruction().c_str(),
+              failed.empty() ? "" : "  failed draws:", failed.c_str());
+  std::fflush(stdout);
+  return absl::OkStatus();
+}
+
+int RunJobs(const CommandLine& line, const std::vector<Job>& jobs, int worker) {
+  for (size_t i = worker; i < jobs.size(); i += line.workers) {
+    const absl::Status status = RunJob(line, jobs[i]);
+    if (!status.ok()) {
+      std::fprintf(stderr, "record: %s task %d: %s\n", jobs[i].suite.c_str(), jobs[i].task,
+                   std::string(status.message()).c_str());
+      return 1;
+    }
+  }
+  return 0;
+}
+
+int Run(const CommandLine& line) {
+  absl::StatusOr<std::vector<Job>> jobs = PlanJobs(line);
+  if (jobs.ok() && !line.eval) {
+    if (absl::Status made = MakeDirectories(line.out); !made.ok()) jobs = made;
+  }
+  if (!jobs.ok()) {
+    std::fprintf(stderr, "record: %s\n", std::string(jobs.status().message()).c_str());
+    return 2;
+  }
+  if (line.workers == 1) return RunJobs(line, *jobs, 0);
+  std::vector<pid_t> children;
+  for (int worker = 0; worker < line.workers; ++worker) {
+    const pid_t child = fork();
+    if (child == 0) _exit(RunJobs(line, *jobs, worker));
+    if (child < 0) {
+      std::perror("record: fork");
+      break;
+    }
+    children.push_back(child);
+  }
+  int failures = line.workers - static_cast<int>(children.size());
+  for (const pid_t child : children) {
+    int status = 0;
+    waitpid(child, &status, 0);
+    failures += !(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+  }
+  return failures == 0 ? 0 : 1;
+}
+
+}  // namespace
+}  // namespace robostress
+
+int main(int argc, char** argv) {
+  CLI::App app("Records demonstrations of the scripted expert, or measures it.", "robostress record");
+  robostress::CommandLine line;
+  app.footer(robostress::kExamples);
+  app.add_option("--suite", line.suite, "An embedded suite, or all")->capture_default_str();
+  app.add_option("--tasks", line.tasks, "Task indices (default: all)")->delimiter(',');
+  app.add_option("--episodes", line.episodes, "Episodes per task")->check(CLI::Range(1, 100000))->capture_default_str();
+  app.add_option("--first-draw", line.first_draw, "First initial state")->capture_default_str();
+  app.add_option("--out", line.out, "Folder for the shards, one file per task");
+  app.add_option("--tag", line.tag, "Part of the shards' names")->capture_default_str();
+  app.add_option("--image-size", line.record.image_size, "Of the views [px]")->check(CLI::Range(16, 512))->capture_default_str();
+  app.add_option("--stride", line.record.stride, "Control steps between frames")->check(CLI::Range(1, 50))->capture_default_str();
+  app.add_option("--noisy-share", line.record.noisy_share, "Share of episodes with bursts of action noise")->check(CLI::Range(0.0, 1.0))->capture_default_str();
+  app.add_option("--seed", line.seed, "Of the noise")->capture_default_str();
+  app.add_option("--workers", line.workers, "Processes")->check(CLI::Range(1, 256))->capture_default_str();
+  app.add_option("--scenario", line.scenario, "See `robostress scenarios`")->capture_default_str();
+  app.add_option("--severity", line.severity, "Level")->check(CLI::Range(1, 5))->capture_default_str();
+  app.add_option("--server", line.server, "HOST:PORT of a policy that drives while the expert labels (DAgger)");
+  app.add_option("--policy", line.policy, "Which of the server's policies")->capture_default_str();
+  app.add_option("--mix", line.mix, "Chance that the expert drives a chunk (DAgger)")->check(CLI::Range(0.0, 1.0))->capture_default_str();
+  app.add_flag("--eval", line.eval, "Only print the success table, record nothing");
+  CLI11_PARSE(app, argc, argv);
+  return robostress::Run(line);
+}

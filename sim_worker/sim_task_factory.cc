@@ -1,0 +1,26 @@
+#include "absl/strings/str_cat.h"
+#include "common/status_macros.h"
+#include "common/suites.h"
+#include "sim_worker/sim_task.h"
+#include "sim_worker/suites/embedded_task.h"
+#ifdef ROBOSTRESS_HAVE_LIBERO
+#include "sim_worker/libero/libero_task.h"
+#endif
+
+namespace robostress {
+
+absl::StatusOr<std::unique_ptr<SimTask>> MakeSimTask(const UnitConfig& unit, int task) {
+  const SuiteInfo* info = FindSuite(unit.suite);
+  if (info != nullptr && info->needs_libero) {
+#ifdef ROBOSTRESS_HAVE_LIBERO
+    return MakeLiberoTask(unit, task);
+#else
+    return absl::UnimplementedError(
+        absl::StrCat("suite '", unit.suite, "' needs LIBERO's files, and this build has ROBOSTRESS_LIBERO=OFF"));
+#endif
+  }
+  RS_ASSIGN_OR_RETURN(std::unique_ptr<EmbeddedTask> embedded, EmbeddedTask::Create(unit, task));
+  return embedded;
+}
+
+}  // namespace robostress
