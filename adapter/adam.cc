@@ -1,8 +1,8 @@
 #include "adapter/adam.h"
 
-#include <cmath>
-
 #include <torch/torch.h>
+
+#include <cmath>
 
 #include "common/check.h"
 
@@ -17,7 +17,8 @@ AdamState InitialAdamState(const std::vector<torch::Tensor>& parameters) {
   return state;
 }
 
-std::vector<torch::Tensor> AdamStep(const AdamOptions& options, const std::vector<torch::Tensor>& parameters,
+std::vector<torch::Tensor> AdamStep(const AdamOptions& options,
+                                    const std::vector<torch::Tensor>& parameters,
                                     const std::vector<torch::Tensor>& gradients, AdamState& state) {
   RS_CHECK(parameters.size() == gradients.size() && parameters.size() == state.m.size());
   torch::NoGradGuard no_grad;
@@ -38,7 +39,8 @@ std::vector<torch::Tensor> AdamStep(const AdamOptions& options, const std::vecto
 double ClipGlobalNorm(std::vector<torch::Tensor>& gradients, double max_norm) {
   torch::NoGradGuard no_grad;
   double sum = 0;
-  for (const torch::Tensor& g : gradients) sum += g.to(torch::kFloat64).square().sum().item<double>();
+  for (const torch::Tensor& g : gradients)
+    sum += g.to(torch::kFloat64).square().sum().item<double>();
   const double norm = std::sqrt(sum);
   if (norm > max_norm) {
     for (torch::Tensor& g : gradients) g = g * (max_norm / norm);

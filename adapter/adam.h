@@ -1,9 +1,9 @@
 #pragma once
 
+#include <torch/types.h>
+
 #include <cstdint>
 #include <vector>
-
-#include <torch/types.h>
 
 namespace robostress {
 
@@ -26,11 +26,12 @@ AdamState InitialAdamState(const std::vector<torch::Tensor>& parameters);
 //   m <- beta1 m + (1 - beta1) g,  v <- beta2 v + (1 - beta2) g^2
 //   p <- p - lr (m / (1 - beta1^t)) / (sqrt(v / (1 - beta2^t)) + epsilon)
 // Returns new tensors; nothing that was passed in changes.
-std::vector<torch::Tensor> AdamStep(const AdamOptions& options, const std::vector<torch::Tensor>& parameters,
+std::vector<torch::Tensor> AdamStep(const AdamOptions& options,
+                                    const std::vector<torch::Tensor>& parameters,
                                     const std::vector<torch::Tensor>& gradients, AdamState& state);
 
-// Scales the gradients to a joint L2 norm of at most `max_norm`: g <- g max_norm / ||g|| where ||g|| > max_norm.
-// Returns the norm before.
+// Scales the gradients to a joint L2 norm of at most `max_norm`: g <- g max_norm / ||g|| where
+// ||g|| > max_norm. Returns the norm before.
 double ClipGlobalNorm(std::vector<torch::Tensor>& gradients, double max_norm);
 
 }  // namespace robostress

@@ -12,7 +12,8 @@ void DisturbanceObserver::Reset() {
   last_target_.resize(0);
 }
 
-DisturbanceObserver::Joints DisturbanceObserver::Correct(const Joints& q_ref, const Joints& q, double dt_s) {
+DisturbanceObserver::Joints DisturbanceObserver::Correct(const Joints& q_ref, const Joints& q,
+                                                         double dt_s) {
   RS_CHECK(q_ref.size() == q.size() && (z_.size() == 0 || z_.size() == q.size()));
   if (z_.size() == 0) {
     z_ = Joints::Zero(q.size());

@@ -11,7 +11,8 @@ double Ratio(double numerator_sq, double denominator_sq) {
 
 }  // namespace
 
-EpisodeMetrics::EpisodeMetrics(const ResidualOptions& options) : command_(options), tracking_(options) {
+EpisodeMetrics::EpisodeMetrics(const ResidualOptions& options)
+    : command_(options), tracking_(options) {
   command_.scale = ResidualScale::kCommand;
   tracking_.scale = ResidualScale::kTracking;
 }
@@ -22,11 +23,13 @@ void EpisodeMetrics::Add(const ExecutedChunk& chunk) {
     const RobotState& after = StateAfter(chunk, i);
     ++steps_;
     eta_sq_ += StepResidual(step.before, after, step.policy_command, command_).squaredNorm();
-    tracking_eta_sq_ += StepResidual(step.before, after, step.policy_command, tracking_).squaredNorm();
+    tracking_eta_sq_ +=
+        StepResidual(step.before, after, step.policy_command, tracking_).squaredNorm();
     a_sq_ += ReferenceCommand(step.policy_command, command_).squaredNorm();
     if (step.base_command.size() == step.policy_command.size()) {
       intent_eta_sq_ += StepResidual(step.before, after, step.base_command, command_).squaredNorm();
-      intent_tracking_eta_sq_ += StepResidual(step.before, after, step.base_command, tracking_).squaredNorm();
+      intent_tracking_eta_sq_ +=
+          StepResidual(step.before, after, step.base_command, tracking_).squaredNorm();
       intent_a_sq_ += ReferenceCommand(step.base_command, command_).squaredNorm();
     } else {
       has_intent_ = false;

@@ -1,8 +1,8 @@
 #include "adapter/lora.h"
 
-#include <cmath>
-
 #include <torch/torch.h>
+
+#include <cmath>
 
 #include "common/check.h"
 
@@ -15,7 +15,8 @@ LoraWeights InitialLora(const std::vector<LoraTarget>& targets, int64_t rank, do
     RandomStream stream(session.With("lora_init").With(target.name));
     torch::Tensor A = torch::empty({rank, target.in_features}, torch::kFloat32);
     float* values = A.data_ptr<float>();
-    for (int64_t i = 0; i < A.numel(); ++i) values[i] = static_cast<float>(init_std * stream.Normal());
+    for (int64_t i = 0; i < A.numel(); ++i)
+      values[i] = static_cast<float>(init_std * stream.Normal());
     lora.A.push_back(A);
     lora.B.push_back(torch::zeros({target.out_features, rank}, torch::kFloat32));
   }

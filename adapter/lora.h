@@ -8,8 +8,8 @@
 
 namespace robostress {
 
-// phi_0: A ~ N(0, init_std^2), drawn from `session` and the target's name, so a function of these alone; B = 0, so
-// the adapted policy equals the base policy (paper, sec:supp_lora).
+// phi_0: A ~ N(0, init_std^2), drawn from `session` and the target's name, so a function of these
+// alone; B = 0, so the adapted policy equals the base policy (paper, sec:supp_lora).
 LoraWeights InitialLora(const std::vector<LoraTarget>& targets, int64_t rank, double init_std,
                         const StreamKey& session);
 

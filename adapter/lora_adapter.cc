@@ -1,9 +1,9 @@
 #include "adapter/lora_adapter.h"
 
+#include <torch/torch.h>
+
 #include <cmath>
 #include <utility>
-
-#include <torch/torch.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -13,17 +13,18 @@
 namespace robostress {
 namespace {
 
-absl::Status SameShapes(const std::vector<torch::Tensor>& expected, const std::vector<torch::Tensor>& got,
-                        const char* what) {
+absl::Status SameShapes(const std::vector<torch::Tensor>& expected,
+                        const std::vector<torch::Tensor>& got, const char* what) {
   if (expected.size() != got.size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(what, " has ", got.size(), " tensors; this policy's adapter has ", expected.size()));
+    return absl::InvalidArgumentError(absl::StrCat(
+        what, " has ", got.size(), " tensors; this policy's adapter has ", expected.size()));
   }
   for (size_t i = 0; i < expected.size(); ++i) {
     if (expected[i].sizes() != got[i].sizes() || expected[i].dtype() != got[i].dtype()) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          what, " tensor ", i, " has shape [", absl::StrJoin(got[i].sizes(), ", "), "]; this policy's adapter has [",
-          absl::StrJoin(expected[i].sizes(), ", "), "] in float32; use an adapter of the same model and rank"));
+      return absl::InvalidArgumentError(
+          absl::StrCat(what, " tensor ", i, " has shape [", absl::StrJoin(got[i].sizes(), ", "),
+                       "]; this policy's adapter has [", absl::StrJoin(expected[i].sizes(), ", "),
+                       "] in float32; use an adapter of the same model and rank"));
     }
   }
   return absl::OkStatus();
@@ -31,7 +32,8 @@ absl::Status SameShapes(const std::vector<torch::Tensor>& expected, const std::v
 
 }  // namespace
 
-LoraAdapter::LoraAdapter(const VelocityField* field, const MethodOptions& options, const StreamKey& session)
+LoraAdapter::LoraAdapter(const VelocityField* field, const MethodOptions& options,
+                         const StreamKey& session)
     : field_(field),
       options_(options),
       session_(session),
@@ -45,10 +47,12 @@ absl::StatusOr<std::unique_ptr<LoraAdapter>> LoraAdapter::Create(const VelocityF
                                                                  const StreamKey& session) {
   if (field->lora_targets().empty()) {
     return absl::FailedPreconditionError(
-        "this policy has no layers that LoRA can adapt; use a method without adaptation, e.g. base");
+        "this policy has no layers that LoRA can adapt; use a method without adaptation, e.g. "
+        "base");
   }
   if (options.rank < 1 || options.rank > 256) {
-    return absl::InvalidArgumentError(absl::StrCat("rank is ", options.rank, "; it must be in 1..256"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("rank is ", options.rank, "; it must be in 1..256"));
   }
   return std::unique_ptr<LoraAdapter>(new LoraAdapter(field, options, session));
 }
@@ -73,8 +77,8 @@ void LoraAdapter::Publish(LoraWeights phi) {
   if (history_.size() > kHistory) history_.pop_front();
 }
 
-absl::StatusOr<UpdateReport> LoraAdapter::Update(uint64_t index,
-                                                 const std::vector<std::shared_ptr<const TrainingChunk>>& batch) {
+absl::StatusOr<UpdateReport> LoraAdapter::Update(
+    uint64_t index, const std::vector<std::shared_ptr<const TrainingChunk>>& batch) {
   const std::shared_ptr<const LoraWeights> current = snapshot();
   UpdateReport report;
   report.version = current->version;
@@ -99,8 +103,10 @@ absl::StatusOr<UpdateReport> LoraAdapter::Update(uint64_t index,
     report.gradient_norm = ClipGlobalNorm(gradients, options_.clip_norm);
     if (!std::isfinite(report.loss) || !std::isfinite(report.gradient_norm)) return report;
 
-    const AdamOptions adam{options_.learning_rate, options_.beta1, options_.beta2, options_.adam_epsilon};
-    Publish(FromParameters(AdamStep(adam, Parameters(*current), gradients, adam_), current->version + 1));
+    const AdamOptions adam{options_.learning_rate, options_.beta1, options_.beta2,
+                           options_.adam_epsilon};
+    Publish(FromParameters(AdamStep(adam, Parameters(*current), gradients, adam_),
+                           current->version + 1));
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("update ", index, ": ", error.what()));
   }

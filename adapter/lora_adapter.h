@@ -16,10 +16,12 @@
 
 namespace robostress {
 
-// One buffered chunk: what the action expert saw and what it should have said. Immutable once shared.
+// One buffered chunk: what the action expert saw and what it should have said. Immutable once
+// shared.
 struct TrainingChunk {
-  PolicyContext context;  // B = 1: stored keys and values, so an update runs no vision-language forward
-  torch::Tensor target;   // [K, d] model space
+  PolicyContext
+      context;  // B = 1: stored keys and values, so an update runs no vision-language forward
+  torch::Tensor target;  // [K, d] model space
 };
 
 struct UpdateReport {
@@ -36,14 +38,15 @@ struct LoraState {
   AdamState adam;
 };
 
-// The online adapter of one session. snapshot() may be called from any thread at any time and never waits for an
-// update; the other functions are for one thread at a time.
+// The online adapter of one session. snapshot() may be called from any thread at any time and never
+// waits for an update; the other functions are for one thread at a time.
 class LoraAdapter {
  public:
   static constexpr size_t kHistory = 16;  // versions that Rollback can reach, beside phi_0
 
   // `field` must outlive the adapter. `session` keys phi_0 and every draw of an update.
-  static absl::StatusOr<std::unique_ptr<LoraAdapter>> Create(const VelocityField* field, const MethodOptions& options,
+  static absl::StatusOr<std::unique_ptr<LoraAdapter>> Create(const VelocityField* field,
+                                                             const MethodOptions& options,
                                                              const StreamKey& session);
 
   // The last published weights.
@@ -51,9 +54,10 @@ class LoraAdapter {
   // ||phi - phi_0||_2 of the last published weights.
   double distance() const ABSL_LOCKS_EXCLUDED(mu_);
 
-  // One Adam step on the compensation loss of `batch`; publishes a new snapshot. A function of the state, `batch` and
-  // `index` alone.
-  absl::StatusOr<UpdateReport> Update(uint64_t index, const std::vector<std::shared_ptr<const TrainingChunk>>& batch)
+  // One Adam step on the compensation loss of `batch`; publishes a new snapshot. A function of the
+  // state, `batch` and `index` alone.
+  absl::StatusOr<UpdateReport> Update(
+      uint64_t index, const std::vector<std::shared_ptr<const TrainingChunk>>& batch)
       ABSL_LOCKS_EXCLUDED(mu_);
 
   LoraState Export() const ABSL_LOCKS_EXCLUDED(mu_);
@@ -76,7 +80,8 @@ class LoraAdapter {
 
   mutable absl::Mutex mu_;
   std::shared_ptr<const LoraWeights> published_ ABSL_GUARDED_BY(mu_);
-  std::deque<std::shared_ptr<const LoraWeights>> history_ ABSL_GUARDED_BY(mu_);  // newest last, published_ included
+  std::deque<std::shared_ptr<const LoraWeights>> history_
+      ABSL_GUARDED_BY(mu_);  // newest last, published_ included
   double distance_ ABSL_GUARDED_BY(mu_) = 0;
 };
 

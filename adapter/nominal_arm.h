@@ -15,15 +15,17 @@ struct NominalArmOptions {
   double damping_ratio = 1;        // kd = 2 * damping_ratio * sqrt(kp) [1/s]
 };
 
-// Displacement that a nominal Clean arm gives to a sequence of commands. With task-space inertia decoupled and
-// gravity compensated, the controller leaves per axis a unit mass:
+// Displacement that a nominal Clean arm gives to a sequence of commands. With task-space inertia
+// decoupled and gravity compensated, the controller leaves per axis a unit mass:
 //
 //   goal = x + a  (achieved)   or   goal = goal + a  (desired)       at the start of a control step
-//   v <- v + h (kp (goal - x) - kd v),   x <- x + h v                per sub-step, semi-implicit Euler
+//   v <- v + h (kp (goal - x) - kd v),   x <- x + h v                per sub-step, semi-implicit
+//   Euler
 //
-// x, v, goal are in normalised command units (1 = 0.05 m or 0.5 rad), so the same filter serves all six axes. The
-// velocity is carried along the episode. As in OSC_POSE the rotation goal stays where it was when all three
-// rotation commands are exactly zero. Constant command: steady gain 0.267 for achieved, 1 for desired.
+// x, v, goal are in normalised command units (1 = 0.05 m or 0.5 rad), so the same filter serves all
+// six axes. The velocity is carried along the episode. As in OSC_POSE the rotation goal stays where
+// it was when all three rotation commands are exactly zero. Constant command: steady gain 0.267 for
+// achieved, 1 for desired.
 class NominalArm {
  public:
   using Vector6 = Eigen::Matrix<double, 6, 1>;
@@ -36,7 +38,8 @@ class NominalArm {
   explicit NominalArm(const NominalArmOptions& options) : options_(options) {}
 
   void Reset() { state_ = {}; }  // at rest, goal reached; start of an episode
-  // One control step; `command` is clipped to +-1 as the controller does. Returns the displacement [6].
+  // One control step; `command` is clipped to +-1 as the controller does. Returns the displacement
+  // [6].
   Vector6 Step(const Vector6& command);
 
   const State& state() const { return state_; }

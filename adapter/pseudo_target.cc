@@ -5,7 +5,8 @@
 
 namespace robostress {
 
-absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk, TargetReference reference,
+absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
+                                                   TargetReference reference,
                                                    const ResidualOptions& options,
                                                    const Eigen::MatrixXf& base, NominalArm* arm) {
   if (reference == TargetReference::kExecuted) return ChunkResidual(chunk, options);
@@ -19,21 +20,25 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk, T
     }
     Eigen::MatrixXd residual(steps, base.cols());
     for (Eigen::Index i = 0; i < steps; ++i) {
-      residual.row(i) = StepResidual(chunk.steps[i].before, StateAfter(chunk, i), base.row(i), options);
+      residual.row(i) =
+          StepResidual(chunk.steps[i].before, StateAfter(chunk, i), base.row(i), options);
     }
     return residual;
   }
 
   if (options.space != ResidualSpace::kEndEffector || arm == nullptr) {
     return absl::InvalidArgumentError(
-        "target: nominal models an end-effector controller; use target executed or intent in joint space");
+        "target: nominal models an end-effector controller; use target executed or intent in joint "
+        "space");
   }
   Eigen::MatrixXd residual = Eigen::MatrixXd::Zero(steps, chunk.steps[0].policy_command.size());
   const double divisor = options.scale == ResidualScale::kTracking ? options.tracking_gain : 1.0;
   for (Eigen::Index i = 0; i < steps; ++i) {
-    const NominalArm::Vector6 nominal = arm->Step(chunk.steps[i].sent_command.head<6>().cast<double>());
+    const NominalArm::Vector6 nominal =
+        arm->Step(chunk.steps[i].sent_command.head<6>().cast<double>());
     residual.row(i).head<6>() =
-        (AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), options) - nominal / divisor).transpose();
+        (AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), options) - nominal / divisor)
+            .transpose();
   }
   return residual;
 }
@@ -43,7 +48,8 @@ Eigen::MatrixXf PseudoTarget(const ExecutedChunk& chunk, const Eigen::MatrixXd& 
   Eigen::MatrixXf target(residual.rows(), residual.cols());
   for (Eigen::Index i = 0; i < target.rows(); ++i) {
     const Eigen::VectorXf& command = chunk.steps[i].policy_command;
-    target.row(i) = (command.cast<double>() - residual.row(i).transpose()).cast<float>().transpose();
+    target.row(i) =
+        (command.cast<double>() - residual.row(i).transpose()).cast<float>().transpose();
     target(i, target.cols() - 1) = command[command.size() - 1];
   }
   return target;

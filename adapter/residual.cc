@@ -37,8 +37,8 @@ absl::Status CheckState(const RobotState& state, const std::string& what) {
 
 absl::Status CheckCommand(const Eigen::VectorXf& command, int action_dim, const std::string& what) {
   if (command.size() != action_dim) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(what, " has ", command.size(), " entries; the policy's actions have ", action_dim));
+    return absl::InvalidArgumentError(absl::StrCat(
+        what, " has ", command.size(), " entries; the policy's actions have ", action_dim));
   }
   return CheckFinite(command.cast<double>(), what);
 }
@@ -76,9 +76,8 @@ Eigen::VectorXd AchievedDelta(const RobotState& before, const RobotState& after,
 Eigen::VectorXd StepResidual(const RobotState& before, const RobotState& after,
                              const Eigen::VectorXf& command, const ResidualOptions& options) {
   const Eigen::VectorXd reference = ReferenceCommand(command, options);
-  const Eigen::VectorXd achieved = options.space == ResidualSpace::kJoint
-                                       ? after.q
-                                       : AchievedDelta(before, after, options);
+  const Eigen::VectorXd achieved =
+      options.space == ResidualSpace::kJoint ? after.q : AchievedDelta(before, after, options);
   RS_CHECK(achieved.size() == reference.size());
   Eigen::VectorXd residual = Eigen::VectorXd::Zero(command.size());
   residual.head(reference.size()) = achieved - reference;
@@ -90,17 +89,20 @@ const RobotState& StateAfter(const ExecutedChunk& chunk, size_t step) {
   return step + 1 < chunk.steps.size() ? chunk.steps[step + 1].before : chunk.final_state;
 }
 
-absl::Status ValidateExecutedChunk(const ExecutedChunk& chunk, int action_dim, ResidualSpace space) {
+absl::Status ValidateExecutedChunk(const ExecutedChunk& chunk, int action_dim,
+                                   ResidualSpace space) {
   if (chunk.steps.empty()) {
     return absl::InvalidArgumentError(
-        absl::StrCat("executed chunk ", chunk.sequence, " has no steps; send only chunks of which something was executed"));
+        absl::StrCat("executed chunk ", chunk.sequence,
+                     " has no steps; send only chunks of which something was executed"));
   }
   if (space == ResidualSpace::kEndEffector && action_dim != 7) {
     return absl::InvalidArgumentError(
         absl::StrCat("the end-effector residual needs actions of 7 entries, not ", action_dim));
   }
   if (chunk.first_step < 0) {
-    return absl::InvalidArgumentError(absl::StrCat("first_step is ", chunk.first_step, "; it must be >= 0"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("first_step is ", chunk.first_step, "; it must be >= 0"));
   }
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     const ExecutedStep& step = chunk.steps[i];
@@ -114,7 +116,8 @@ absl::Status ValidateExecutedChunk(const ExecutedChunk& chunk, int action_dim, R
     const RobotState& after = StateAfter(chunk, i);
     RS_RETURN_IF_ERROR(CheckState(after, what + ": after"));
     if (space == ResidualSpace::kJoint && after.q.size() != action_dim - 1) {
-      return absl::InvalidArgumentError(absl::StrCat(what, ": ", after.q.size(), " joints measured; the action has ",
+      return absl::InvalidArgumentError(absl::StrCat(what, ": ", after.q.size(),
+                                                     " joints measured; the action has ",
                                                      action_dim - 1, " and a gripper"));
     }
   }

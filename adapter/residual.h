@@ -1,8 +1,7 @@
 #pragma once
 
-#include <vector>
-
 #include <Eigen/Core>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -15,11 +14,10 @@
 //
 // symbol  name                  shape         unit
 // eta     residual              [action_dim]  normalised action (joint space: rad)
-// a       command               [action_dim]  normalised action (joint space: absolute joint target, rad)
-// dx      achieved delta        [6]           normalised action
-// c_p     translation_scale     scalar        m
-// c_r     rotation_scale        scalar        rad
-// g       tracking_gain         scalar        achieved / commanded displacement of a nominal arm
+// a       command               [action_dim]  normalised action (joint space: absolute joint
+// target, rad) dx      achieved delta        [6]           normalised action c_p translation_scale
+// scalar        m c_r     rotation_scale        scalar        rad g       tracking_gain scalar
+// achieved / commanded displacement of a nominal arm
 //
 // The gripper is the last entry of an action; its residual is exactly 0. Rotations are world-frame
 // differences along the short path.
@@ -32,8 +30,8 @@ enum class ResidualSpace {
 
 struct ResidualOptions {
   ResidualSpace space = ResidualSpace::kEndEffector;
-  double translation_scale = 0.05;  // c_p [m]
-  double rotation_scale = 0.5;      // c_r [rad]
+  double translation_scale = 0.05;                // c_p [m]
+  double rotation_scale = 0.5;                    // c_r [rad]
   ResidualScale scale = ResidualScale::kCommand;  // tracking: dx is also divided by tracking_gain
   double tracking_gain = 0.267;
   // Against the command as the controller clips it to +-1; ignored in joint space.
@@ -58,12 +56,13 @@ Eigen::VectorXd StepResidual(const RobotState& before, const RobotState& after,
 // The state after step i of an executed chunk.
 const RobotState& StateAfter(const ExecutedChunk& chunk, size_t step);
 
-// Checks that an executed chunk is usable as feedback: at least one step, commands of `action_dim` entries,
-// everything finite, quaternions of unit length, in joint space action_dim - 1 joints. The error names step,
-// field and value.
+// Checks that an executed chunk is usable as feedback: at least one step, commands of `action_dim`
+// entries, everything finite, quaternions of unit length, in joint space action_dim - 1 joints. The
+// error names step, field and value.
 absl::Status ValidateExecutedChunk(const ExecutedChunk& chunk, int action_dim, ResidualSpace space);
 
-// eta against the policy's own (adapted) command, one row per executed step [steps, action_dim]; Eq. eta-obs.
+// eta against the policy's own (adapted) command, one row per executed step [steps, action_dim];
+// Eq. eta-obs.
 Eigen::MatrixXd ChunkResidual(const ExecutedChunk& chunk, const ResidualOptions& options);
 
 }  // namespace robostress

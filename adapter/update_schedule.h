@@ -25,7 +25,8 @@ class UpdateSchedule {
   int64_t chunks_ = 0;
 };
 
-// `count` different indices of 0 .. n-1 in the order drawn; a function of the key alone. 0 <= count <= n.
+// `count` different indices of 0 .. n-1 in the order drawn; a function of the key alone. 0 <= count
+// <= n.
 std::vector<int> SampleWithoutReplacement(const StreamKey& key, int n, int count);
 
 }  // namespace robostress

@@ -1,9 +1,9 @@
-#include "adapter/adapter_state.h"
+#include "adapter/adaptation_state.h"
+
+#include <torch/torch.h>
 
 #include <cstring>
 #include <utility>
-
-#include <torch/torch.h>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -41,22 +41,27 @@ absl::StatusOr<torch::Tensor> ReadTensor(const SafetensorsFile& file, const std:
     if (tensor.nbytes() > 0) std::memcpy(tensor.data_ptr(), view.bytes.data(), tensor.nbytes());
     return tensor;
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat(file.path(), ": ", name, " has type ", DTypeName(view.dtype), ", which no adapter state uses"));
+  return absl::InvalidArgumentError(absl::StrCat(file.path(), ": ", name, " has type ",
+                                                 DTypeName(view.dtype),
+                                                 ", which no adapter state uses"));
 }
 
 absl::StatusOr<torch::Tensor> ReadShaped(const SafetensorsFile& file, const std::string& name,
-                                         const std::vector<int64_t>& shape, torch::ScalarType type) {
+                                         const std::vector<int64_t>& shape,
+                                         torch::ScalarType type) {
   RS_ASSIGN_OR_RETURN(torch::Tensor tensor, ReadTensor(file, name));
   bool fits = tensor.scalar_type() == type && tensor.dim() == static_cast<int64_t>(shape.size());
-  for (size_t i = 0; fits && i < shape.size(); ++i) fits = shape[i] < 0 || tensor.size(i) == shape[i];
+  for (size_t i = 0; fits && i < shape.size(); ++i)
+    fits = shape[i] < 0 || tensor.size(i) == shape[i];
   if (!fits) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        file.path(), ": ", name, " is ", torch::toString(tensor.scalar_type()), " [",
-        absl::StrJoin(tensor.sizes(), ", "), "]; expected ", torch::toString(type), " [", absl::StrJoin(shape, ", "), "]"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(file.path(), ": ", name, " is ", torch::toString(tensor.scalar_type()), " [",
+                     absl::StrJoin(tensor.sizes(), ", "), "]; expected ", torch::toString(type),
+                     " [", absl::StrJoin(shape, ", "), "]"));
   }
   if (tensor.is_floating_point() && !torch::isfinite(tensor).all().item<bool>()) {
-    return absl::InvalidArgumentError(absl::StrCat(file.path(), ": ", name, " holds a value that is not finite"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(file.path(), ": ", name, " holds a value that is not finite"));
   }
   return tensor;
 }
@@ -64,7 +69,8 @@ absl::StatusOr<torch::Tensor> ReadShaped(const SafetensorsFile& file, const std:
 absl::StatusOr<std::string> Text(const SafetensorsFile& file, const std::string& key) {
   const auto found = file.metadata().find(key);
   if (found == file.metadata().end()) {
-    return absl::InvalidArgumentError(absl::StrCat(file.path(), ": metadata has no '", key, "'; not an adapter state"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(file.path(), ": metadata has no '", key, "'; not an adapter state"));
   }
   return found->second;
 }
@@ -73,46 +79,56 @@ template <class Int>
 absl::Status ReadInt(const SafetensorsFile& file, const std::string& key, Int& value) {
   RS_ASSIGN_OR_RETURN(const std::string text, Text(file, key));
   if (!absl::SimpleAtoi(text, &value)) {
-    return absl::InvalidArgumentError(absl::StrCat(file.path(), ": metadata '", key, "' is '", text, "', not a number"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(file.path(), ": metadata '", key, "' is '", text, "', not a number"));
   }
   return absl::OkStatus();
 }
 
 // A_i and B_i of one role ("phi", "phi_0", "adam_m", "adam_v") in the order of Parameters().
-absl::StatusOr<std::vector<torch::Tensor>> ReadRole(const SafetensorsFile& file, const std::string& role,
+absl::StatusOr<std::vector<torch::Tensor>> ReadRole(const SafetensorsFile& file,
+                                                    const std::string& role,
                                                     const std::vector<LoraTarget>& targets) {
   std::vector<torch::Tensor> result;
   for (const LoraTarget& target : targets) {
-    RS_ASSIGN_OR_RETURN(torch::Tensor A, ReadShaped(file, absl::StrCat(role, ".", target.name, ".A"),
-                                                    {-1, target.in_features}, torch::kFloat32));
-    RS_ASSIGN_OR_RETURN(torch::Tensor B, ReadShaped(file, absl::StrCat(role, ".", target.name, ".B"),
-                                                    {target.out_features, A.size(0)}, torch::kFloat32));
+    RS_ASSIGN_OR_RETURN(torch::Tensor A,
+                        ReadShaped(file, absl::StrCat(role, ".", target.name, ".A"),
+                                   {-1, target.in_features}, torch::kFloat32));
+    RS_ASSIGN_OR_RETURN(torch::Tensor B,
+                        ReadShaped(file, absl::StrCat(role, ".", target.name, ".B"),
+                                   {target.out_features, A.size(0)}, torch::kFloat32));
     result.push_back(std::move(A));
     result.push_back(std::move(B));
   }
   return result;
 }
 
-void AddRole(SafetensorsWriter& writer, const std::string& role, const std::vector<LoraTarget>& targets,
-             const std::vector<torch::Tensor>& parameters) {
+void AddRole(SafetensorsWriter& writer, const std::string& role,
+             const std::vector<LoraTarget>& targets, const std::vector<torch::Tensor>& parameters) {
   for (size_t i = 0; i < targets.size(); ++i) {
     AddTensor(writer, absl::StrCat(role, ".", targets[i].name, ".A"), parameters[2 * i]);
     AddTensor(writer, absl::StrCat(role, ".", targets[i].name, ".B"), parameters[2 * i + 1]);
   }
 }
 
-absl::StatusOr<std::shared_ptr<const TrainingChunk>> ReadChunk(const SafetensorsFile& file, const std::string& prefix,
-                                                               int layers, const VelocityField& field) {
+absl::StatusOr<std::shared_ptr<const TrainingChunk>> ReadChunk(const SafetensorsFile& file,
+                                                               const std::string& prefix,
+                                                               int layers,
+                                                               const VelocityField& field) {
   auto chunk = std::make_shared<TrainingChunk>();
-  RS_ASSIGN_OR_RETURN(chunk->target, ReadShaped(file, prefix + "target", {field.horizon(), field.model_action_dim()},
-                                                torch::kFloat32));
-  RS_ASSIGN_OR_RETURN(chunk->context.prefix_mask, ReadShaped(file, prefix + "prefix_mask", {1, -1}, torch::kBool));
+  RS_ASSIGN_OR_RETURN(chunk->target,
+                      ReadShaped(file, prefix + "target",
+                                 {field.horizon(), field.model_action_dim()}, torch::kFloat32));
+  RS_ASSIGN_OR_RETURN(chunk->context.prefix_mask,
+                      ReadShaped(file, prefix + "prefix_mask", {1, -1}, torch::kBool));
   RS_ASSIGN_OR_RETURN(chunk->context.state, ReadTensor(file, prefix + "state"));
   for (int layer = 0; layer < layers; ++layer) {
     for (auto* side : {&chunk->context.keys, &chunk->context.values}) {
-      const std::string name = absl::StrCat(prefix, side == &chunk->context.keys ? "keys." : "values.", layer);
+      const std::string name =
+          absl::StrCat(prefix, side == &chunk->context.keys ? "keys." : "values.", layer);
       RS_ASSIGN_OR_RETURN(torch::Tensor tensor, ReadTensor(file, name));
-      if (tensor.dim() != 4 || tensor.size(0) != 1 || tensor.size(2) != chunk->context.prefix_mask.size(1)) {
+      if (tensor.dim() != 4 || tensor.size(0) != 1 ||
+          tensor.size(2) != chunk->context.prefix_mask.size(1)) {
         return absl::InvalidArgumentError(absl::StrCat(file.path(), ": ", name, " has shape [",
                                                        absl::StrJoin(tensor.sizes(), ", "),
                                                        "]; expected [1, heads, prefix, head_dim]"));
@@ -125,7 +141,8 @@ absl::StatusOr<std::shared_ptr<const TrainingChunk>> ReadChunk(const Safetensors
 
 }  // namespace
 
-absl::StatusOr<std::string> SerializeAdapterState(const AdapterState& state, const std::vector<LoraTarget>& targets) {
+absl::StatusOr<std::string> SerializeAdaptationState(const AdaptationState& state,
+                                                     const std::vector<LoraTarget>& targets) {
   SafetensorsWriter writer;
   writer.SetMetadata("format", kFormat);
   writer.SetMetadata("policy", state.policy);
@@ -141,7 +158,8 @@ absl::StatusOr<std::string> SerializeAdapterState(const AdapterState& state, con
   writer.SetMetadata("nominal_task", absl::StrCat(state.nominal_task));
   writer.SetMetadata("nominal_episode", absl::StrCat(state.nominal_episode));
   writer.SetMetadata("buffered", absl::StrCat(state.buffer.size()));
-  writer.SetMetadata("layers", absl::StrCat(state.buffer.empty() ? 0 : state.buffer[0]->context.keys.size()));
+  writer.SetMetadata("layers",
+                     absl::StrCat(state.buffer.empty() ? 0 : state.buffer[0]->context.keys.size()));
 
   AddRole(writer, "phi", targets, Parameters(state.lora.phi));
   AddRole(writer, "phi_0", targets, Parameters(state.lora.phi_0));
@@ -165,22 +183,24 @@ absl::StatusOr<std::string> SerializeAdapterState(const AdapterState& state, con
   return writer.Serialize();
 }
 
-absl::StatusOr<AdapterState> ParseAdapterState(const std::string& name, std::string bytes, const VelocityField& field,
-                                               const std::string& model_hash) {
+absl::StatusOr<AdaptationState> ParseAdaptationState(const std::string& name, std::string bytes,
+                                                     const VelocityField& field,
+                                                     const std::string& model_hash) {
   RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Parse(name, std::move(bytes)));
   RS_ASSIGN_OR_RETURN(const std::string format, Text(file, "format"));
   if (format != kFormat) {
-    return absl::InvalidArgumentError(absl::StrCat(name, ": format is '", format, "'; this program reads '", kFormat, "'"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(name, ": format is '", format, "'; this program reads '", kFormat, "'"));
   }
-  AdapterState state;
+  AdaptationState state;
   RS_ASSIGN_OR_RETURN(state.policy, Text(file, "policy"));
   RS_ASSIGN_OR_RETURN(state.model_hash, Text(file, "model_hash"));
   RS_ASSIGN_OR_RETURN(state.method, Text(file, "method"));
   RS_ASSIGN_OR_RETURN(state.session, Text(file, "session"));
   if (state.model_hash != model_hash) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(name, ": the adapter belongs to weights ", state.model_hash, "; this policy has ", model_hash,
-                     "; an adapter is of use only with the weights it was learned on"));
+    return absl::InvalidArgumentError(absl::StrCat(
+        name, ": the adapter belongs to weights ", state.model_hash, "; this policy has ",
+        model_hash, "; an adapter is of use only with the weights it was learned on"));
   }
   int layers = 0, buffered = 0;
   RS_RETURN_IF_ERROR(ReadInt(file, "version", state.lora.phi.version));
@@ -208,11 +228,13 @@ absl::StatusOr<AdapterState> ParseAdapterState(const std::string& name, std::str
   RS_ASSIGN_OR_RETURN(const std::vector<double> last_loss, file.ReadDoubles("last_loss", {1}));
   state.last_loss = last_loss[0];
   if (buffered < 0 || layers < 0 || static_cast<size_t>(buffered) > file.tensors().size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(name, ": metadata says ", buffered, " buffered chunks of ", layers, " layers; the file is damaged"));
+    return absl::InvalidArgumentError(absl::StrCat(name, ": metadata says ", buffered,
+                                                   " buffered chunks of ", layers,
+                                                   " layers; the file is damaged"));
   }
   for (int i = 0; i < buffered; ++i) {
-    RS_ASSIGN_OR_RETURN(auto chunk, ReadChunk(file, absl::StrFormat("buffer.%03d.", i), layers, field));
+    RS_ASSIGN_OR_RETURN(auto chunk,
+                        ReadChunk(file, absl::StrFormat("buffer.%03d.", i), layers, field));
     state.buffer.push_back(std::move(chunk));
   }
   return state;

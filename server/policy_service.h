@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <semaphore>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/statusor.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "server/adaptation.h"
+#include "server/policy.h"
+#include "server/session.h"
+
+namespace grpc {
+class Server;
+}
+
+namespace robostress {
+
+struct PolicyServerOptions {
+  std::string listen = "127.0.0.1:0";  // HOST:PORT; port 0: any free one
+  int threads = 2;  // predictions computed at once, and as many threads for updates
+  int max_sessions = 64;
+  absl::Duration lockstep_timeout = absl::Seconds(120);
+};
+
+// A policy service over gRPC with health and reflection. Construction starts it.
+class PolicyServer {
+ public:
+  // `policies` are served by their spec().name.
+  static absl::StatusOr<std::unique_ptr<PolicyServer>> Start(
+      const PolicyServerOptions& options, std::vector<std::shared_ptr<const FlowPolicy>> policies);
+  ~PolicyServer();  // Stop with no grace
+
+  int port() const { return port_; }
+  // Refuses new sessions and messages, answers those under way for at most `grace`, cancels the
+  // rest, joins.
+  void Stop(absl::Duration grace);
+
+ private:
+  class Service;
+  PolicyServer();
+
+  std::unique_ptr<Service> service_;
+  std::unique_ptr<grpc::Server> server_;
+  int port_ = 0;
+};
+
+}  // namespace robostress

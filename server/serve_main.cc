@@ -1,0 +1,88 @@
+#include <pthread.h>
+
+#include <CLI/CLI.hpp>
+#include <csignal>
+#include <cstdio>
+#include <memory>
+#include <thread>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "server/policy_service.h"
+#include "server/torch_threads.h"
+
+namespace robostress {
+namespace {
+
+constexpr char kExamples[] = R"(Examples:
+  robostress serve                                        # nano on a free port of this machine
+  robostress serve --policy nano --listen 0.0.0.0:50051   # for workers on other machines
+  robostress serve --policy my_nano.safetensors --port-file /tmp/port
+  robostress-worker --unit UNIT.yaml --out DIR --server 127.0.0.1:50051
+
+SIGTERM and SIGINT stop it: it refuses new messages, answers those under way (at most --grace seconds) and exits.
+The transport is neither encrypted nor authenticated: listen on a trusted network only.)";
+
+int Fail(const absl::Status& status) {
+  std::fprintf(stderr, "robostress serve: %s\n", std::string(status.message()).c_str());
+  return 1;
+}
+
+int Main(int argc, char** argv) {
+  CLI::App app{"Serves a policy with online self-compensation over gRPC.", "robostress serve"};
+  app.footer(kExamples);
+  PolicyServerOptions options;
+  options.threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  std::string policy_name = "nano", port_file;
+  double grace_s = 10;
+  app.add_option("--policy", policy_name, "nano, nano:random, or a weights file (.safetensors)")
+      ->capture_default_str();
+  app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one")
+      ->capture_default_str();
+  app.add_option("--port-file", port_file, "write the bound port to this file");
+  app.add_option("--threads", options.threads,
+                 "predictions computed at once, and as many update threads")
+      ->capture_default_str();
+  app.add_option("--max-sessions", options.max_sessions, "sessions open at once")
+      ->capture_default_str();
+  app.add_option("--grace", grace_s, "seconds to answer what is under way when stopped")
+      ->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+
+  // Blocked before any thread starts, so that every thread inherits it and sigwait below is the
+  // only receiver.
+  sigset_t stop_signals;
+  sigemptyset(&stop_signals);
+  sigaddset(&stop_signals, SIGTERM);
+  sigaddset(&stop_signals, SIGINT);
+  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
+
+  UseOneTorchThread();
+  absl::StatusOr<std::unique_ptr<FlowPolicy>> policy = LoadFlowPolicy(policy_name);
+  if (!policy.ok()) return Fail(policy.status());
+  const PolicySpec spec = (*policy)->spec();
+  absl::StatusOr<std::unique_ptr<PolicyServer>> server =
+      PolicyServer::Start(options, {*std::move(policy)});
+  if (!server.ok()) return Fail(server.status());
+  if (!port_file.empty()) {
+    const absl::Status written =
+        WriteFileAtomically(port_file, absl::StrCat((*server)->port(), "\n"));
+    if (!written.ok()) return Fail(written);
+  }
+  const std::string host = options.listen.substr(0, options.listen.rfind(':'));
+  std::printf("serving %s (%s) on %s:%d with %d threads\n", spec.name.c_str(),
+              spec.model_hash.c_str(), host.c_str(), (*server)->port(), options.threads);
+  std::fflush(stdout);
+
+  int signal = 0;
+  sigwait(&stop_signals, &signal);
+  std::printf("stopping\n");
+  std::fflush(stdout);
+  (*server)->Stop(absl::Seconds(grace_s));
+  return 0;
+}
+
+}  // namespace
+}  // namespace robostress
+
+int main(int argc, char** argv) { return robostress::Main(argc, argv); }
