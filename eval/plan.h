@@ -1,0 +1,73 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "common/unit_config.h"
+
+namespace robostress {
+
+// What a sweep evaluates: the product of the lists. This struct is RUN_DIR/sweep.yaml and the schema of a grid file.
+struct SweepGrid {
+  std::vector<std::string> suites = {"tabletop_goal"};
+  std::vector<std::string> scenarios;  // empty: clean and the seven deployment scenarios
+  std::vector<int> severities = {5};
+  std::vector<std::string> policies = {"nano"};
+  std::vector<std::string> methods = {"base", "ours"};
+  std::vector<int64_t> seeds = {0};
+  std::vector<int> tasks;  // empty: all
+  int episodes = 20;
+  int first_initial_state = 0;
+  int videos = 0;
+  std::vector<std::string> overrides;  // "sim.x=y", "method.x=y"
+  std::string replay_file, libero_root, robosuite_root;
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("suites", suites, "see `robostress suites`");
+    v.Field("scenarios", scenarios, "see `robostress scenarios`; empty: clean and the seven deployment scenarios");
+    v.Field("severities", severities, "levels 1 (mild) to 5 (full)");
+    v.Field("policies", policies, "nano, expert, replay, or a weights file");
+    v.Field("methods", methods, "base, ours, controls and ablations");
+    v.Field("seeds", seeds, "of the policy's sampling noise");
+    v.Field("tasks", tasks, "task indices within each suite; empty: all");
+    v.Field("episodes", episodes, "consecutive episodes per task");
+    v.Field("first_initial_state", first_initial_state, "0-19 reporting, 40-49 dev");
+    v.Field("videos", videos, "film the first N episodes of each task");
+    v.Field("overrides", overrides, "sim.KEY=VALUE and method.KEY=VALUE, in order");
+    v.Field("replay_file", replay_file, "actions for policy replay");
+    v.Field("libero_root", libero_root, "LIBERO checkout, for suites libero_*");
+    v.Field("robosuite_root", robosuite_root, "robosuite checkout, for suites libero_*");
+  }
+};
+
+// One unit of the sweep: what one worker process runs from start to end.
+struct PlannedUnit {
+  std::string id;  // "tabletop_goal-heavy_payload-L5-nano-ours-s0": folder name, unique in the sweep
+  UnitConfig config;
+  int EpisodeCount() const;  // tasks x episodes
+};
+
+// What `robostress sweep --quick` and `--full` start from; other flags are applied on top.
+SweepGrid QuickGrid();
+SweepGrid FullGrid();
+
+// "4": the first four tasks; "0,3,7" and "2-5": indices; "all" or "": empty.
+absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text);
+// Fills defaults that depend on other fields (the scenario list) and checks every name and range. The error
+// lists everything that is wrong, with the names that are known.
+absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid);
+// Units in canonical order: suite, scenario, severity, policy, method, seed. A policy that does not adapt
+// (expert, replay) gets the method base only; a scenario that is equal at all levels gets one level.
+absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& resolved);
+// True when every level of the scenario is the same (clean, nominal, dev_mixed).
+bool SameAtEveryLevel(const std::string& scenario);
+// True for policies that run inside the worker.
+bool RunsInWorker(const std::string& policy);
+// The policy's name as it stands in ids and tables: a weights file is named by its stem.
+std::string PolicyLabel(const std::string& policy);
+
+}  // namespace robostress

@@ -1,0 +1,264 @@
+#include "eval/report.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
+#include "eval/paper_values.h"
+#include "eval/report_page.h"
+#include "eval/progress.h"
+#include "nlohmann/json.hpp"
+
+namespace robostress {
+namespace {
+
+using nlohmann::json;
+
+// Display columns of UTF-8 text.
+size_t Columns(const std::string& text) {
+  return std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; });
+}
+
+std::string Pad(const std::string& text, size_t columns, bool right = false) {
+  const size_t used = Columns(text);
+  const std::string space(columns > used ? columns - used : 0, ' ');
+  return right ? space + text : text + space;
+}
+
+// Rows of cells as aligned text; the first column is left-aligned.
+std::string Aligned(const std::vector<std::vector<std::string>>& rows) {
+  std::vector<size_t> widths;
+  for (const auto& row : rows) {
+    widths.resize(std::max(widths.size(), row.size()));
+    for (size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], Columns(row[c]));
+  }
+  std::string text;
+  for (const auto& row : rows) {
+    std::string line;
+    for (size_t c = 0; c < row.size(); ++c) absl::StrAppend(&line, c == 0 ? "  " : "   ", Pad(row[c], widths[c], c > 0));
+    absl::StrAppend(&text, line, "\n");
+  }
+  return text;
+}
+
+std::string Percent(double fraction) { return absl::StrFormat("%.1f", 100 * fraction); }
+std::string OptionalPercent(const std::optional<double>& fraction) { return fraction ? Percent(*fraction) : "-"; }
+
+std::string IntervalText(const Interval& interval) {
+  if (!std::isfinite(interval.low)) return "[n/a]";
+  return absl::StrFormat("[%.0f, %.0f]", 100 * interval.low, 100 * interval.high);
+}
+
+std::string DifferenceText(const Comparison& c) {
+  const Interval& interval = c.difference.interval;
+  const std::string ends = std::isfinite(interval.low) ? absl::StrFormat("[%+.0f, %+.0f]", 100 * interval.low, 100 * interval.high) : "[n/a]";
+  return absl::StrFormat("%+.1f %s +%d/-%d", 100 * c.difference.estimate, ends, c.plus, c.minus);
+}
+
+std::string TableHeading(const SuccessTable& table) {
+  return absl::StrCat("Success (%), policy ", table.policy, ", severity L", table.severity, ", suite", table.title.find(',') == std::string::npos ? " " : "s ", table.title);
+}
+
+std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
+  std::vector<std::vector<std::string>> rows = {{"Scenario", "n"}};
+  for (const std::string& method : table.methods) {
+    rows[0].push_back(method);
+    if (method != "base") rows[0].insert(rows[0].end(), {method == "ours" ? "ours - base" : absl::StrCat(method, " - base"), "updates"});
+  }
+  for (const ScenarioRow& row : table.rows) {
+    int n = 0;
+    for (const auto& [method, cell] : row.cells) n = std::max(n, cell.n);
+    std::vector<std::string> cells = {row.title, absl::StrCat(n)};
+    for (const std::string& method : table.methods) {
+      const auto found = row.cells.find(method);
+      if (found == row.cells.end()) {
+        cells.push_back("-");
+        if (method != "base") cells.insert(cells.end(), {"-", "-"});
+        continue;
+      }
+      const Cell& cell = found->second;
+      cells.push_back(absl::StrCat(Percent(cell.rate()), " ", IntervalText(cell.wilson)));
+      if (method == "base") continue;
+      cells.push_back(cell.versus_base ? DifferenceText(*cell.versus_base) : "-");
+      cells.push_back(UpdatesText(cell.adapts, cell.updates));
+    }
+    rows.push_back(cells);
+  }
+  if (table.averages.empty()) return rows;
+  std::vector<std::string> cells = {"Average without Clean", ""};
+  for (const std::string& method : table.methods) {
+    const AverageCell& average = table.averages.at(method);
+    cells.push_back(std::isfinite(average.success.estimate) ? absl::StrCat(Percent(average.success.estimate), " ", IntervalText(average.success.interval)) : "-");
+    if (method == "base") continue;
+    cells.push_back(average.versus_base ? DifferenceText(*average.versus_base) : "-");
+    cells.push_back(UpdatesText(average.adapts, average.updates));
+  }
+  rows.push_back(cells);
+  return rows;
+}
+
+std::vector<std::vector<std::string>> ResidualRows(const SuccessTable& table) {
+  std::vector<std::vector<std::string>> rows = {{"Residual (%)", "method", "||eta||/||a||", "with gain in the scale", "of intent", "paper (pi0)"}};
+  for (const ScenarioRow& row : table.rows) {
+    for (const std::string& method : table.methods) {
+      const auto cell = row.cells.find(method);
+      if (cell == row.cells.end()) continue;
+      const PaperRow* paper = FindPaperRow(row.scenario);
+      const Measures& m = cell->second.measures;
+      rows.push_back({row.title, method, OptionalPercent(m.residual_mean), OptionalPercent(m.tracking_mean), OptionalPercent(m.intent_mean),
+                      paper == nullptr ? "-" : absl::StrFormat("%.1f", paper->residual)});
+    }
+  }
+  return rows;
+}
+
+json NumberOrNull(const std::optional<double>& value) { return value && std::isfinite(*value) ? json(*value) : json(nullptr); }
+json IntervalJson(const Interval& interval) { return {NumberOrNull(interval.low), NumberOrNull(interval.high)}; }
+
+json ComparisonJson(const std::optional<Comparison>& c) {
+  if (!c) return nullptr;
+  return {{"difference", NumberOrNull(c->difference.estimate)}, {"interval", IntervalJson(c->difference.interval)},
+          {"clusters", c->difference.clusters}, {"pairs", c->pairs}, {"plus", c->plus}, {"minus", c->minus}};
+}
+
+json MeasuresJson(const Measures& m) {
+  return {{"residual_mean", NumberOrNull(m.residual_mean)},     {"residual_pooled", NumberOrNull(m.residual_pooled)},
+          {"residual_tracking_mean", NumberOrNull(m.tracking_mean)}, {"intent_mean", NumberOrNull(m.intent_mean)},
+          {"intent_pooled", NumberOrNull(m.intent_pooled)},     {"mean_abs_action", NumberOrNull(m.mean_abs_action)},
+          {"clipped_share", NumberOrNull(m.clipped_share)},     {"adapter_distance", NumberOrNull(m.adapter_distance)}};
+}
+
+json TableJson(const SuccessTable& table) {
+  json rows = json::array();
+  for (const ScenarioRow& row : table.rows) {
+    json cells = json::object();
+    for (const auto& [method, cell] : row.cells) {
+      cells[method] = {{"n", cell.n}, {"successes", cell.successes}, {"rate", cell.rate()}, {"wilson", IntervalJson(cell.wilson)},
+                       {"units", cell.units}, {"adapts", cell.adapts}, {"updates", cell.updates},
+                       {"measures", MeasuresJson(cell.measures)}, {"versus_base", ComparisonJson(cell.versus_base)}};
+    }
+    rows.push_back({{"scenario", row.scenario}, {"cells", cells}});
+  }
+  json averages = json::object();
+  for (const auto& [method, average] : table.averages) {
+    averages[method] = {{"success", NumberOrNull(average.success.estimate)}, {"interval", IntervalJson(average.success.interval)},
+                        {"clusters", average.success.clusters}, {"adapts", average.adapts}, {"updates", average.updates},
+                        {"measures", MeasuresJson(average.measures)}, {"versus_base", ComparisonJson(average.versus_base)}};
+  }
+  return {{"policy", table.policy}, {"severity", table.severity}, {"suite", table.suite}, {"suites", table.title},
+          {"methods", table.methods}, {"scenarios", rows}, {"average_without_clean", averages}};
+}
+
+std::string CsvNumber(const std::optional<double>& value) {
+  return value && std::isfinite(*value) ? absl::StrFormat("%.6g", *value) : "";
+}
+
+std::vector<std::string> ComparisonCells(const std::optional<Comparison>& c) {
+  if (!c) return {"", "", "", "", "", "", ""};
+  return {CsvNumber(c->difference.estimate), CsvNumber(c->difference.interval.low), CsvNumber(c->difference.interval.high),
+          absl::StrCat(c->plus), absl::StrCat(c->minus), absl::StrCat(c->pairs), absl::StrCat(c->difference.clusters)};
+}
+
+std::vector<std::string> MeasureCells(const Measures& m) {
+  return {CsvNumber(m.residual_mean), CsvNumber(m.residual_pooled), CsvNumber(m.tracking_mean), CsvNumber(m.intent_mean),
+          CsvNumber(m.intent_pooled), CsvNumber(m.mean_abs_action), CsvNumber(m.clipped_share), CsvNumber(m.adapter_distance)};
+}
+
+void AppendCells(std::string& csv, std::vector<std::string> cells, const std::vector<std::string>& more, const std::vector<std::string>& most) {
+  cells.insert(cells.end(), more.begin(), more.end());
+  cells.insert(cells.end(), most.begin(), most.end());
+  absl::StrAppend(&csv, absl::StrJoin(cells, ","), "\n");
+}
+
+}  // namespace
+
+std::string TerminalTable(const RunData& run, const Summary& summary) {
+  std::string text;
+  for (const SuccessTable& table : summary.tables) {
+    absl::StrAppend(&text, "\n", TableHeading(table), "\n", Aligned(SuccessRows(table)));
+    if (table.suite.empty()) absl::StrAppend(&text, "\n", Aligned(ResidualRows(table)));
+  }
+  absl::StrAppend(&text,
+                  "\n  [a, b]: 95 % intervals; Wilson for a success rate, paired bootstrap over (task, initial state) for a difference\n"
+                  "  and an average. +a/-b: episodes that only the method, only base, won. Residuals: mean over rollouts, no gripper.\n");
+  if (!run.unfinished.empty()) {
+    absl::StrAppend(&text, "  ", run.unfinished.size(), " unfinished units are left out; the same sweep command completes them.\n");
+  }
+  return text;
+}
+
+std::string TableCsv(const Summary& summary) {
+  std::string csv =
+      "policy,severity,suite,scenario,method,n,successes,rate,low,high,adapts,updates,difference,difference_low,difference_high,plus,minus,"
+      "pairs,clusters,residual_mean,residual_pooled,residual_tracking_mean,intent_mean,intent_pooled,mean_abs_action,clipped_share,"
+      "adapter_distance\n";
+  for (const SuccessTable& table : summary.tables) {
+    const std::string suite = table.suite.empty() ? "all" : table.suite;
+    const auto lead = [&](const std::string& scenario, const std::string& method) {
+      return std::vector<std::string>{table.policy, absl::StrCat(table.severity), suite, scenario, method};
+    };
+    for (const ScenarioRow& row : table.rows) {
+      for (const std::string& method : table.methods) {
+        const auto found = row.cells.find(method);
+        if (found == row.cells.end()) continue;
+        const Cell& cell = found->second;
+        std::vector<std::string> cells = lead(row.scenario, method);
+        for (const std::string& value : {absl::StrCat(cell.n), absl::StrCat(cell.successes), CsvNumber(cell.rate()), CsvNumber(cell.wilson.low),
+                                         CsvNumber(cell.wilson.high), absl::StrCat(cell.adapts ? 1 : 0), absl::StrCat(cell.updates)}) {
+          cells.push_back(value);
+        }
+        AppendCells(csv, cells, ComparisonCells(cell.versus_base), MeasureCells(cell.measures));
+      }
+    }
+    for (const std::string& method : table.methods) {
+      const auto found = table.averages.find(method);
+      if (found == table.averages.end()) continue;
+      const AverageCell& average = found->second;
+      std::vector<std::string> cells = lead("average_without_clean", method);
+      for (const std::string& value : {std::string(), std::string(), CsvNumber(average.success.estimate), CsvNumber(average.success.interval.low),
+                                       CsvNumber(average.success.interval.high), absl::StrCat(average.adapts ? 1 : 0), absl::StrCat(average.updates)}) {
+        cells.push_back(value);
+      }
+      AppendCells(csv, cells, ComparisonCells(average.versus_base), MeasureCells(average.measures));
+    }
+  }
+  return csv;
+}
+
+std::string ReportJson(const RunData& run, const Summary& summary) {
+  json tables = json::array();
+  for (const SuccessTable& table : summary.tables) tables.push_back(TableJson(table));
+  const json report = {{"episodes", summary.episodes}, {"bootstrap_replicates", summary.replicates}, {"tables", tables},
+                       {"unfinished_units", run.unfinished}, {"environment", run.environment}, {"sweep_wall_s", run.sweep_wall_s}};
+  return report.dump(1) + "\n";
+}
+
+absl::Status WriteTables(const RunData& run) {
+  RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/episodes.csv", EpisodeTableCsv(run)));
+  return WriteFileAtomically(run.dir + "/timings.csv", UnitTimingCsv(run));
+}
+
+absl::Status WriteReport(const RunData& run, const ReportOptions& options) {
+  const Summary summary = Summarise(run, options.bootstrap_replicates);
+  RS_RETURN_IF_ERROR(MakeDirectories(run.dir + "/figures"));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/table.csv", TableCsv(summary)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/report.json", ReportJson(run, summary)));
+  for (const SuccessTable& table : summary.tables) {
+    const std::string name = absl::StrCat(table.policy, "-L", table.severity, table.suite.empty() ? "" : "-" + table.suite);
+    RS_RETURN_IF_ERROR(WriteFileAtomically(absl::StrCat(run.dir, "/figures/success-", name, ".svg"), SuccessPlot(table)));
+  }
+  RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/report.html", ReportPage(run, summary, options)));
+  if (options.print) {
+    std::printf("%s\nreport: %s/report.html\ntables: %s/table.csv %s/report.json %s/episodes.csv\n", TerminalTable(run, summary).c_str(), run.dir.c_str(),
+                run.dir.c_str(), run.dir.c_str(), run.dir.c_str());
+    if (run.sweep_wall_s > 0) std::printf("wall time of the sweep: %s\n", FormatDuration(run.sweep_wall_s).c_str());
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace robostress

@@ -1,0 +1,429 @@
+#include "eval/report_page.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
+#include "eval/paper_values.h"
+#include "eval/progress.h"
+#include "eval/report_appendix.h"
+#include "eval/svg_plot.h"
+
+namespace robostress {
+namespace {
+
+constexpr char kStyle[] = R"css(
+:root{--ink:#1f2937;--muted:#6b7280;--line:#e5e7eb;--soft:#f8fafc;--accent:#0072b2}
+*{box-sizing:border-box}
+body{margin:0;color:var(--ink);background:#fff;font:15px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,Helvetica,Arial,sans-serif}
+header{background:#0f172a;color:#f8fafc;padding:34px 0 30px}
+header p{margin:6px 0 0;color:#cbd5e1}
+.wrap{max-width:1120px;margin:0 auto;padding:0 28px}
+h1{font-size:27px;line-height:1.25;margin:0;font-weight:650}
+h2{font-size:20px;margin:44px 0 8px;padding-top:6px;font-weight:650}
+h3{font-size:15px;margin:26px 0 6px;font-weight:650}
+nav{border-bottom:1px solid var(--line);background:var(--soft)}
+nav a{display:inline-block;padding:10px 18px 10px 0;color:var(--ink);text-decoration:none;font-size:14px}
+nav a:hover{color:var(--accent)}
+.lead{font-size:17px;max-width:86ch;margin:24px 0 4px}
+.note{color:var(--muted);font-size:13.5px;max-width:100ch;margin:8px 0}
+.warn{border-left:4px solid #d55e00;background:#fff7ed;padding:9px 14px;margin:14px 0;max-width:100ch}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(165px,1fr));gap:12px;margin:22px 0 8px}
+.tile{border:1px solid var(--line);border-radius:8px;padding:12px 15px;background:#fff}
+.tile b{display:block;font-size:24px;line-height:1.3;font-weight:650;font-variant-numeric:tabular-nums}
+.tile span{color:var(--muted);font-size:12.5px;display:block}
+.scroll{overflow-x:auto}
+table{border-collapse:collapse;margin:10px 0;font-size:13.5px;font-variant-numeric:tabular-nums}
+th,td{padding:6px 12px;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap;vertical-align:top}
+th{font-weight:600;border-bottom:2px solid #cbd5e1;vertical-align:bottom}
+th:first-child,td:first-child{text-align:left;padding-left:2px}
+tr.avg td{border-top:2px solid #cbd5e1;font-weight:600}
+td small,th small{color:var(--muted);font-weight:400;font-size:12px}
+td .ci{color:var(--muted);font-weight:400;font-size:12px;display:block;line-height:1.3}
+.dot{display:inline-block;width:9px;height:9px;border-radius:50%;margin-right:6px}
+.tag{background:#fef3c7;color:#92400e;border-radius:4px;padding:1px 6px;font-size:12px;font-weight:600}
+.paper{color:var(--muted)}
+svg{max-width:100%;height:auto}
+.panels{display:flex;flex-wrap:wrap;gap:8px 10px}
+.videos{display:grid;grid-template-columns:repeat(auto-fill,minmax(500px,1fr));gap:18px}
+.pair{border:1px solid var(--line);border-radius:8px;padding:12px 14px}
+.pair .row{display:flex;gap:10px;flex-wrap:wrap}
+.pair figure{margin:0;flex:1 1 220px}
+.pair img{width:100%;border-radius:4px;display:block}
+figcaption{font-size:12.5px;color:var(--muted);margin-top:4px}
+pre{background:var(--soft);border:1px solid var(--line);border-radius:6px;padding:12px 14px;overflow-x:auto;font-size:12.5px;line-height:1.45}
+details{margin:8px 0}summary{cursor:pointer;color:var(--accent)}
+li{margin:5px 0;max-width:100ch}
+footer{color:var(--muted);font-size:13px;border-top:1px solid var(--line);margin-top:50px;padding:18px 0 34px}
+@media print{nav{display:none}header{background:#fff;color:#000}header p{color:#444}}
+)css";
+
+std::string Minus(const std::string& text) { return absl::StrReplaceAll(text, {{"-", "\u2212"}}); }
+std::string Percent(double fraction) { return absl::StrFormat("%.1f", 100 * fraction); }
+std::string Signed(double fraction) { return Minus(absl::StrFormat("%+.1f", 100 * fraction)); }
+std::string OptionalPercent(const std::optional<double>& value) { return value ? Percent(*value) : "\u2013"; }
+
+std::string IntervalText(const Interval& interval, bool with_sign) {
+  if (!std::isfinite(interval.low)) return "no interval";
+  return Minus(with_sign ? absl::StrFormat("[%+.1f, %+.1f]", 100 * interval.low, 100 * interval.high)
+                         : absl::StrFormat("[%.0f, %.0f]", 100 * interval.low, 100 * interval.high));
+}
+
+std::string MethodLabel(const std::string& method) {
+  return absl::StrCat("<span class=dot style=\"background:", MethodColor(method), "\"></span>", EscapeXml(MethodTitle(method)));
+}
+
+std::string UpdatesHtml(bool adapts, int updates) {
+  const std::string text = UpdatesText(adapts, updates);
+  if (text == "not adapted") return "<span class=tag>not adapted</span>";
+  return text == "-" ? "\u2013" : text;
+}
+
+std::string DifferenceHtml(const std::optional<Comparison>& c) {
+  if (!c) return "\u2013";
+  return absl::StrFormat("%s<span class=ci>%s</span><span class=ci>+%d / \u2212%d of %d</span>", Signed(c->difference.estimate),
+                         IntervalText(c->difference.interval, true), c->plus, c->minus, c->pairs);
+}
+
+std::string SuccessTableHtml(const SuccessTable& table) {
+  std::string html = "<div class=scroll><table><tr><th>Scenario</th><th>n</th>";
+  for (const std::string& method : table.methods) {
+    absl::StrAppend(&html, "<th>", MethodLabel(method), "<br><small>% [95 % interval]</small></th>");
+    if (method != "base") absl::StrAppend(&html, "<th>against base<br><small>points [95 %], won / lost</small></th><th>updates<br><small>applied</small></th>");
+  }
+  html += "<th class=paper>paper, \u03c0<sub>0</sub><br><small>base / ours</small></th></tr>\n";
+  for (const ScenarioRow& row : table.rows) {
+    int n = 0;
+    for (const auto& [method, cell] : row.cells) n = std::max(n, cell.n);
+    absl::StrAppend(&html, "<tr><td>", EscapeXml(row.title), "</td><td>", n, "</td>");
+    for (const std::string& method : table.methods) {
+      const auto found = row.cells.find(method);
+      if (found == row.cells.end()) {
+        absl::StrAppend(&html, method == "base" ? "<td>\u2013</td>" : "<td>\u2013</td><td>\u2013</td><td>\u2013</td>");
+        continue;
+      }
+      const Cell& cell = found->second;
+      absl::StrAppend(&html, "<td>", Percent(cell.rate()), "<span class=ci>", IntervalText(cell.wilson, false), "</span></td>");
+      if (method == "base") continue;
+      absl::StrAppend(&html, "<td>", DifferenceHtml(cell.versus_base), "</td><td>", UpdatesHtml(cell.adapts, cell.updates), "</td>");
+    }
+    const PaperRow* paper = FindPaperRow(row.scenario);
+    absl::StrAppend(&html, "<td class=paper>", paper == nullptr ? "\u2013" : absl::StrFormat("%.1f / %.1f", paper->pi0_base, paper->pi0_ours), "</td></tr>\n");
+  }
+  if (!table.averages.empty()) {
+    html += "<tr class=avg><td>Average without Clean</td><td></td>";
+    for (const std::string& method : table.methods) {
+      const AverageCell& average = table.averages.at(method);
+      const bool known = std::isfinite(average.success.estimate);
+      absl::StrAppend(&html, "<td>", known ? Percent(average.success.estimate) : "\u2013", "<span class=ci>",
+                      known ? IntervalText(average.success.interval, false) : "", "</span></td>");
+      if (method == "base") continue;
+      absl::StrAppend(&html, "<td>", DifferenceHtml(average.versus_base), "</td><td>", UpdatesHtml(average.adapts, average.updates), "</td>");
+    }
+    html += "<td class=paper>41.7 / 44.2</td></tr>\n";
+  }
+  return html + "</table></div>\n";
+}
+
+std::string ResidualTableHtml(const SuccessTable& table) {
+  const auto cells_of = [](const Measures& m) {
+    return absl::StrCat("<td>", OptionalPercent(m.residual_mean), "</td><td>", OptionalPercent(m.residual_pooled), "</td><td>", OptionalPercent(m.tracking_mean),
+                        "</td><td>", OptionalPercent(m.intent_mean), "</td><td>", m.mean_abs_action ? absl::StrFormat("%.3f", *m.mean_abs_action) : "\u2013", "</td><td>",
+                        OptionalPercent(m.clipped_share), "</td><td>", m.adapter_distance ? absl::StrFormat("%.3g", *m.adapter_distance) : "\u2013", "</td>");
+  };
+  std::string html =
+      "<div class=scroll><table><tr><th>Scenario</th><th style=\"text-align:left\">Method</th><th>\u2016\u03b7\u2016 / \u2016a\u2016<br><small>mean, %</small></th>"
+      "<th>\u2016\u03b7\u2016 / \u2016a\u2016<br><small>pooled, %</small></th><th>with tracking gain<br><small>mean, %</small></th>"
+      "<th>of intent<br><small>mean, %</small></th><th>|a|<br><small>mean</small></th><th>clipped<br><small>%</small></th>"
+      "<th>\u2016\u03c6 \u2212 \u03c6<sub>0</sub>\u2016<br><small>at the end</small></th><th class=paper>paper, \u03c0<sub>0</sub><br><small>mean, %</small></th></tr>\n";
+  for (const ScenarioRow& row : table.rows) {
+    bool first = true;
+    for (const std::string& method : table.methods) {
+      const auto found = row.cells.find(method);
+      if (found == row.cells.end()) continue;
+      const PaperRow* paper = FindPaperRow(row.scenario);
+      absl::StrAppend(&html, "<tr><td>", first ? EscapeXml(row.title) : "", "</td><td style=\"text-align:left\">", MethodLabel(method), "</td>",
+                      cells_of(found->second.measures), "<td class=paper>", first && paper != nullptr ? absl::StrFormat("%.1f", paper->residual) : "", "</td></tr>\n");
+      first = false;
+    }
+  }
+  bool first = true;
+  for (const std::string& method : table.methods) {
+    const auto average = table.averages.find(method);
+    if (average == table.averages.end()) continue;
+    absl::StrAppend(&html, first ? "<tr class=avg><td>Average without Clean" : "<tr><td>", "</td><td style=\"text-align:left\">", MethodLabel(method), "</td>",
+                    cells_of(average->second.measures), "<td class=paper>", first ? "47.5" : "", "</td></tr>\n");
+    first = false;
+  }
+  return html + "</table></div>\n";
+}
+
+// Moving mean over up to `window` past points.
+std::vector<double> Smoothed(const std::vector<double>& values, int window) {
+  std::vector<double> smooth(values.size());
+  for (size_t i = 0; i < values.size(); ++i) {
+    double sum = 0;
+    int count = 0;
+    for (size_t j = i + 1 < static_cast<size_t>(window) ? 0 : i + 1 - window; j <= i; ++j) {
+      if (!std::isfinite(values[j])) continue;
+      sum += values[j];
+      ++count;
+    }
+    smooth[i] = count == 0 ? std::nan("") : sum / count;
+  }
+  return smooth;
+}
+
+std::string CurvePlots(const CurveSet& set) {
+  std::vector<LineSeries> success, residual, distance;
+  size_t length = 0;
+  for (const AdaptationCurve& curve : set.curves) length = std::max(length, curve.success.size());
+  const int window = std::clamp(static_cast<int>(length) / 8, 3, 20);
+  std::string legend;
+  for (const AdaptationCurve& curve : set.curves) {
+    std::vector<double> x;
+    for (size_t i = 0; i < curve.success.size(); ++i) x.push_back(static_cast<double>(i + 1));
+    const auto percent = [](std::vector<double> values) {
+      for (double& value : values) value *= 100;
+      return values;
+    };
+    const std::string color = MethodColor(curve.method);
+    success.push_back({curve.method, color, x, percent(Smoothed(curve.success, window))});
+    residual.push_back({curve.method, color, x, percent(curve.residual)});
+    distance.push_back({curve.method, color, x, curve.adapter_distance});
+    absl::StrAppend(&legend, "<span style=\"margin-right:16px\">", MethodLabel(curve.method), " <small class=paper>", curve.units, " units</small></span>");
+  }
+  LinePlotOptions options;
+  options.width = 355;
+  options.x_label = "episode of the unit";
+  for (size_t mark = set.episodes_per_task; set.episodes_per_task > 0 && mark < length; mark += set.episodes_per_task) {
+    options.vertical_marks.push_back(mark + 0.5);
+  }
+  std::string html = absl::StrCat("<p>", legend, "</p><div class=panels>");
+  options.title = absl::StrCat("Success, mean of the last ", window, " [%]");
+  options.y_min = 0;
+  options.y_max = 100;
+  html += LinePlot(success, options);
+  options.y_max.reset();
+  options.title = "Residual \u2016\u03b7\u2016 / \u2016a\u2016 [%]";
+  html += LinePlot(residual, options);
+  options.title = "Adapter \u2016\u03c6 \u2212 \u03c6\u2080\u2016";
+  html += LinePlot(distance, options);
+  return html + "</div>\n";
+}
+
+// Average success over severity levels, when there are several.
+std::string SeveritySection(const Summary& summary) {
+  std::map<std::string, std::map<std::string, LineSeries>> by_policy;  // policy -> method
+  for (const SuccessTable& table : summary.tables) {
+    if (!table.suite.empty()) continue;
+    for (const auto& [method, average] : table.averages) {
+      LineSeries& series = by_policy[table.policy].try_emplace(method, LineSeries{method, MethodColor(method), {}, {}}).first->second;
+      series.x.push_back(table.severity);
+      series.y.push_back(100 * average.success.estimate);
+    }
+  }
+  std::string html;
+  for (const auto& [policy, methods] : by_policy) {
+    if (methods.empty() || methods.begin()->second.x.size() < 2) continue;
+    std::vector<LineSeries> series;
+    std::string legend;
+    for (const auto& [method, line] : methods) {
+      series.push_back(line);
+      absl::StrAppend(&legend, "<span style=\"margin-right:16px\">", MethodLabel(method), "</span>");
+    }
+    LinePlotOptions options;
+    options.title = absl::StrCat(policy, ": average success without Clean [%]");
+    options.x_label = "severity level";
+    options.width = 560;
+    options.height = 300;
+    options.y_min = 0;
+    options.y_max = 100;
+    options.dots = true;
+    absl::StrAppend(&html, "<p>", legend, "</p>", LinePlot(series, options));
+  }
+  return html.empty() ? "" : "<h2 id=severity>Severity</h2>\n" + html;
+}
+
+const SuccessTable* MainTable(const Summary& summary) {
+  const SuccessTable* best = nullptr;
+  for (const SuccessTable& table : summary.tables) {
+    if (!table.suite.empty()) continue;
+    if (best == nullptr || table.methods.size() > best->methods.size() || (table.methods.size() == best->methods.size() && table.severity > best->severity)) best = &table;
+  }
+  return best;
+}
+
+// What the main table says, in words that claim no more than it shows.
+std::string Headline(const SuccessTable& table) {
+  const auto base = table.averages.find("base");
+  if (base == table.averages.end() || !std::isfinite(base->second.success.estimate)) {
+    return "<p class=lead>This run has no scenario with errors for the base policy, so there is nothing to compare yet.</p>";
+  }
+  std::string text = "<p class=lead>";
+  const Cell* clean = nullptr;
+  for (const ScenarioRow& row : table.rows) {
+    if (row.scenario == "clean" && row.cells.count("base")) clean = &row.cells.at("base");
+  }
+  if (clean != nullptr) {
+    absl::StrAppend(&text, "The unadapted policy succeeds in ", Percent(clean->rate()), " % of the episodes without execution errors and in ");
+  } else {
+    text += "The unadapted policy succeeds in ";
+  }
+  absl::StrAppend(&text, Percent(base->second.success.estimate), " % on average under them. ");
+  for (const std::string method : {"ours", "ours_intent", "ours_nominal"}) {
+    const auto average = table.averages.find(method);
+    if (average == table.averages.end() || !average->second.versus_base) continue;
+    const Comparison& c = *average->second.versus_base;
+    const Interval& interval = c.difference.interval;
+    absl::StrAppend(&text, "<b>", MethodTitle(method), "</b> (", average->second.updates == 0 ? "not adapted" : absl::StrCat(average->second.updates, " updates"), ") reaches ",
+                    Percent(average->second.success.estimate), " %: ", Signed(c.difference.estimate), " points ", IntervalText(interval, true), ". ");
+    if (!std::isfinite(interval.low)) {
+      text += "One cluster supports no interval. ";
+    } else if (interval.low <= 0 && interval.high >= 0) {
+      text += "The interval includes zero: this run does not show a difference. ";
+    } else {
+      absl::StrAppend(&text, "The interval excludes zero: a ", c.difference.estimate > 0 ? "gain" : "loss", " on these episodes. ");
+    }
+  }
+  text += "</p>\n";
+  if (clean != nullptr && clean->rate() < 0.7) {
+    absl::StrAppend(&text, "<p class=warn>Success without errors is ", Percent(clean->rate()),
+                    " %, under 70 %: a policy this weak supports no claim about adaptation.</p>\n");
+  }
+  return text;
+}
+
+std::string Tile(const std::string& value, const std::string& label) {
+  return absl::StrCat("<div class=tile><b>", value, "</b><span>", label, "</span></div>");
+}
+
+std::string Tiles(const RunData& run, const Summary& summary, const SuccessTable& table) {
+  std::string html = "<div class=tiles>";
+  for (const ScenarioRow& row : table.rows) {
+    if (row.scenario == "clean" && row.cells.count("base")) html += Tile(Percent(row.cells.at("base").rate()) + " %", "base, Clean");
+  }
+  for (const std::string& method : table.methods) {
+    if (html.size() > 700 || !table.averages.count(method)) break;
+    html += Tile(Percent(table.averages.at(method).success.estimate) + " %", absl::StrCat(MethodTitle(method), ", average under errors"));
+  }
+  const auto ours = table.averages.find("ours");
+  if (ours != table.averages.end() && ours->second.versus_base) {
+    html += Tile(Signed(ours->second.versus_base->difference.estimate),
+                 absl::StrCat("points, ours against base<br>", IntervalText(ours->second.versus_base->difference.interval, true)));
+    html += Tile(UpdatesHtml(ours->second.adapts, ours->second.updates), "updates applied, ours");
+  }
+  html += Tile(absl::StrCat(summary.episodes), absl::StrCat("episodes in ", run.units.size(), " units"));
+  if (run.sweep_wall_s > 0) html += Tile(FormatDuration(run.sweep_wall_s), "wall time of the sweep");
+  return html + "</div>\n";
+}
+
+std::string PlotRows(const SuccessTable& table, const std::vector<std::string>& methods, bool difference) {
+  std::vector<std::string> categories;
+  std::vector<IntervalSeries> series;
+  for (const std::string& method : methods) series.push_back({MethodTitle(method) + (difference ? " against base" : ""), MethodColor(method), {}});
+  double extent = 0.1;
+  for (const ScenarioRow& row : table.rows) {
+    categories.push_back(row.title);
+    for (size_t m = 0; m < methods.size(); ++m) {
+      const auto cell = row.cells.find(methods[m]);
+      std::optional<IntervalPoint> point;
+      if (cell != row.cells.end() && !difference) {
+        point = {100 * cell->second.rate(), {100 * cell->second.wilson.low, 100 * cell->second.wilson.high}};
+      } else if (cell != row.cells.end() && cell->second.versus_base) {
+        const BootstrapResult& d = cell->second.versus_base->difference;
+        point = {100 * d.estimate, {100 * d.interval.low, 100 * d.interval.high}};
+        for (const double end : {d.estimate, d.interval.low, d.interval.high}) extent = std::isfinite(end) ? std::max(extent, std::abs(end)) : extent;
+      }
+      series[m].points.push_back(point);
+    }
+  }
+  IntervalPlotOptions options;
+  if (!table.averages.empty() && table.rows.size() > 1) {
+    options.separator_after = static_cast<int>(categories.size()) - 1;
+    categories.push_back("Average without Clean");
+    for (size_t m = 0; m < methods.size(); ++m) {
+      const AverageCell& average = table.averages.at(methods[m]);
+      const BootstrapResult* result = difference ? average.versus_base ? &average.versus_base->difference : nullptr : &average.success;
+      std::optional<IntervalPoint> point;
+      if (result != nullptr && std::isfinite(result->estimate)) point = {100 * result->estimate, {100 * result->interval.low, 100 * result->interval.high}};
+      series[m].points.push_back(point);
+    }
+  }
+  if (difference) {
+    options.x_max = 10 * std::ceil(10 * extent);
+    options.x_min = -options.x_max;
+    options.zero_line = true;
+    options.x_label = "difference of success against base [percentage points], 95 % bootstrap intervals";
+  } else {
+    options.x_label = "success [%], 95 % intervals";
+  }
+  return IntervalPlot(categories, series, options);
+}
+
+std::string TableSection(const SuccessTable& table) {
+  std::string html = absl::StrCat("<h3>", EscapeXml(table.policy), ", severity L", table.severity, ", ", EscapeXml(table.title), "</h3>\n", SuccessTableHtml(table));
+  if (table.suite.empty()) absl::StrAppend(&html, SuccessPlot(table), DifferencePlot(table));
+  return html;
+}
+
+}  // namespace
+
+std::string SuccessPlot(const SuccessTable& table) { return PlotRows(table, table.methods, false); }
+
+std::string DifferencePlot(const SuccessTable& table) {
+  std::vector<std::string> methods;
+  for (const std::string& method : table.methods) {
+    const bool compared = std::any_of(table.rows.begin(), table.rows.end(), [&](const ScenarioRow& row) {
+      return row.cells.count(method) && row.cells.at(method).versus_base.has_value();
+    });
+    if (compared) methods.push_back(method);
+  }
+  return methods.empty() ? "" : PlotRows(table, methods, true);
+}
+
+std::string ReportPage(const RunData& run, const Summary& summary, const ReportOptions& options) {
+  const SuccessTable& main = *MainTable(summary);
+  const std::string videos = VideoSection(run, options);
+  std::string html = absl::StrCat("<!doctype html>\n<html lang=en><head><meta charset=utf-8><meta name=viewport content=\"width=device-width,initial-scale=1\">"
+                                  "<title>RoboStress report</title><style>", kStyle, "</style></head><body>\n");
+  absl::StrAppend(&html, "<header><div class=wrap><h1>RoboStress: policy ", EscapeXml(main.policy), " under joint-level execution errors</h1><p>Suite",
+                  main.title.find(',') == std::string::npos ? " " : "s ", EscapeXml(main.title), " \u00b7 severity L", main.severity, " \u00b7 ", summary.episodes,
+                  " episodes \u00b7 ", run.units.size(), " units</p></div></header>\n");
+  absl::StrAppend(&html, "<nav><div class=wrap><a href=\"#success\">Success</a><a href=\"#residual\">Residuals</a><a href=\"#adaptation\">Adaptation</a>",
+                  videos.empty() ? "" : "<a href=\"#videos\">Rollouts</a>", "<a href=\"#setup\">Setup</a><a href=\"#limits\">Limits</a></div></nav>\n<main class=wrap>\n");
+  absl::StrAppend(&html, Headline(main), Tiles(run, summary, main));
+  if (!run.unfinished.empty()) {
+    absl::StrAppend(&html, "<p class=warn>", run.unfinished.size(), " unfinished units are left out of every number on this page: ",
+                    EscapeXml(absl::StrJoin(run.unfinished, ", ")), ".</p>\n");
+  }
+  html += "<h2 id=success>Success</h2>\n";
+  for (const SuccessTable& table : summary.tables) html += TableSection(table);
+  absl::StrAppend(&html, "<p class=note>Intervals of a success rate are Wilson's, of a difference and of an average a paired cluster bootstrap over (task, initial state) with ",
+                  summary.replicates, " replicates. Won / lost: episodes that only the method, only base, completed; both start from the same state with the same sampling noise "
+                  "(the null control has other noise). The paper's columns (tab:realistic) are for orientation only: another policy, other tasks, 20 episodes on each of 40 tasks, three seeds.</p>\n");
+  html += SeveritySection(summary);
+  html += "<h2 id=residual>How far execution is from the command</h2>\n";
+  for (const SuccessTable& table : summary.tables) {
+    if (!table.suite.empty()) continue;
+    absl::StrAppend(&html, "<h3>", EscapeXml(table.policy), ", severity L", table.severity, "</h3>", ResidualTableHtml(table));
+  }
+  html += "<p class=note>\u2016\u03b7\u2016 / \u2016a\u2016 is the paper's measure (tab:residual-magnitude): achieved minus commanded end-effector motion over the command, gripper excluded; "
+          "mean: over rollouts; pooled: \u221a(\u03a3\u2016\u03b7\u2016\u00b2 / \u03a3\u2016a\u2016\u00b2). With tracking gain: the displacement is divided by the controller's steady gain first, so controller lag no longer "
+          "counts as error. Of intent: \u2016dx \u2212 a_base\u2016 / \u2016a_base\u2016, against the unadapted policy's command on the same observation. The paper's column comes from \u03c0\u2080 on LIBERO: "
+          "the protocol differs, compare the order of scenarios at most.</p>\n";
+  html += "<h2 id=adaptation>Adaptation over episodes</h2>\n";
+  for (const CurveSet& set : summary.curves) {
+    absl::StrAppend(&html, "<h3>", EscapeXml(set.policy), ", severity L", set.severity, "</h3>", CurvePlots(set));
+  }
+  html += "<p class=note>Means over all units with errors at the same episode of their unit; dashed lines are task boundaries, where the buffer is cleared and the adapter is carried on.</p>\n";
+  absl::StrAppend(&html, videos, SetupSection(run), LimitsSection(run, summary, main));
+  absl::StrAppend(&html, "</main><footer><div class=wrap>Written by <code>robostress report ", EscapeXml(run.dir), "</code> from the recorded episodes. "
+                         "The same numbers as data: table.csv, report.json, episodes.csv.</div></footer></body></html>\n");
+  return html;
+}
+
+}  // namespace robostress

@@ -1,0 +1,90 @@
+// A stand-in for robostress-worker that speaks its command line and writes its files without a simulator: outcomes
+// are drawn from streams keyed by the episode, so they are the same in every order of dispatch.
+//   FAKE_FAIL_SCENARIO=name  exits with code 3 in units of that scenario
+//   FAKE_EPISODE_MS=n        takes that long per episode
+
+#include <poll.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <string>
+
+#include "common/atomic_file.h"
+#include "common/config.h"
+#include "common/image.h"
+#include "common/random.h"
+#include "common/unit_config.h"
+#include "nlohmann/json.hpp"
+
+namespace robostress {
+namespace {
+
+nlohmann::json Episode(const UnitConfig& config, int task, int episode, int index) {
+  const int initial_state = config.first_initial_state + episode;
+  const StreamKey key = StreamKey("fake").With(config.suite).With(task).With(initial_state);
+  RandomStream difficulty(key), chance(key.With(config.scenario).With(config.method.method).With(config.seed));
+  const bool clean = config.scenario == "clean";
+  const int updates = config.method.adapt ? std::max(0, (index * 20 - 32) / 8) : 0;
+  const double gain = config.method.adapt ? 0.1 * std::min(1.0, updates / 20.0) : 0;
+  const bool success = difficulty.Uniform() + 0.2 * chance.Normal() < (clean ? 0.92 : 0.5 + gain);
+  const double residual = (clean ? 0.21 : 0.45) + 0.03 * chance.Normal();
+  const double a_sq = 20 + 5 * chance.Uniform();
+  return {{"suite", config.suite}, {"scenario", config.scenario}, {"severity", config.severity}, {"policy", config.policy},
+          {"method", config.method.method}, {"seed", config.seed}, {"task", task}, {"episode", episode}, {"initial_state", initial_state},
+          {"success", success}, {"steps", success ? 110 : 300}, {"chunks", success ? 22 : 60}, {"updates", updates},
+          {"residual", residual}, {"eta_sq", residual * residual * a_sq}, {"a_sq", a_sq}, {"intent", residual * 1.02},
+          {"intent_eta_sq", residual * residual * a_sq}, {"intent_a_sq", a_sq}, {"residual_tracking", residual * 0.6},
+          {"mean_abs_action", 0.21}, {"clipped_share", 0.01}, {"adapter_distance", 0.01 * std::sqrt(updates)}};
+}
+
+int Run(const std::string& unit_file, const std::string& out) {
+  const absl::StatusOr<UnitConfig> config = LoadConfig<UnitConfig>(unit_file);
+  if (!config.ok()) {
+    std::fprintf(stderr, "%s\n", std::string(config.status().message()).c_str());
+    return 2;
+  }
+  const char* fail = std::getenv("FAKE_FAIL_SCENARIO");
+  if (fail != nullptr && config->scenario == fail) {
+    std::fprintf(stderr, "fake worker: no simulator for scenario %s\n", fail);
+    return 3;
+  }
+  const char* episode_ms = std::getenv("FAKE_EPISODE_MS");
+  absl::Status status = MakeDirectories(out + "/videos");
+  if (status.ok()) status = WriteFileAtomically(out + "/config.yaml", DumpConfig(*config));
+  if (status.ok()) status = WriteFileAtomically(out + "/episodes.jsonl", "");
+  if (status.ok()) status = AppendLine(out + "/starts.txt", "started");
+  int index = 0;
+  for (const int task : config->tasks) {
+    for (int episode = 0; episode < config->episodes && status.ok(); ++episode) {
+      if (episode_ms != nullptr) poll(nullptr, 0, std::atoi(episode_ms));
+      status = AppendLine(out + "/episodes.jsonl", Episode(*config, task, episode, index++).dump());
+      if (status.ok()) status = AppendLine(out + "/timing.jsonl", R"({"wall_s": 0.5})");
+      if (status.ok() && episode < config->videos) {
+        std::vector<Image> frames(4);
+        for (size_t f = 0; f < frames.size(); ++f) {
+          frames[f].width = 96, frames[f].height = 64;
+          frames[f].data.assign(96 * 64 * 3, static_cast<uint8_t>(60 * f + 20));
+        }
+        const absl::StatusOr<std::string> film = EncodeAnimatedWebp(frames, 0.2, 70);
+        status = film.ok() ? WriteFileAtomically(out + "/videos/task" + std::to_string(task) + "_episode" + std::to_string(episode) + ".webp", *film) : film.status();
+      }
+    }
+  }
+  if (status.ok()) status = WriteFileAtomically(out + "/DONE", "");
+  if (!status.ok()) std::fprintf(stderr, "%s\n", std::string(status.message()).c_str());
+  return status.ok() ? 0 : 1;
+}
+
+}  // namespace
+}  // namespace robostress
+
+int main(int argc, char** argv) {
+  std::string unit, out;
+  for (int i = 1; i + 1 < argc; i += 2) {
+    if (std::string(argv[i]) == "--unit") unit = argv[i + 1];
+    if (std::string(argv[i]) == "--out") out = argv[i + 1];
+  }
+  return robostress::Run(unit, out);
+}

@@ -1,0 +1,144 @@
+#include "eval/plan.h"
+
+#include <set>
+
+#include "common/config.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+
+std::vector<PlannedUnit> Plan(const SweepGrid& grid) {
+  const absl::StatusOr<SweepGrid> resolved = ResolveGrid(grid);
+  EXPECT_TRUE(resolved.ok()) << resolved.status();
+  const absl::StatusOr<std::vector<PlannedUnit>> units = ExpandUnits(*resolved);
+  EXPECT_TRUE(units.ok()) << units.status();
+  return *units;
+}
+
+std::vector<std::string> Ids(const std::vector<PlannedUnit>& units) {
+  std::vector<std::string> ids;
+  for (const PlannedUnit& unit : units) ids.push_back(unit.id);
+  return ids;
+}
+
+TEST(Plan, QuickIsCleanAndSevenScenariosWithTwoMethods) {
+  const std::vector<PlannedUnit> units = Plan(QuickGrid());
+  EXPECT_EQ(units.size(), 16u);
+  EXPECT_EQ(units.front().id, "tabletop_goal-clean-L5-nano-base-s0");
+  for (const PlannedUnit& unit : units) {
+    EXPECT_GE(unit.config.episodes, 10) << "a method that never fills its buffer never adapts";
+    EXPECT_LE(unit.config.tasks.size(), 2u);
+  }
+}
+
+TEST(Plan, FullIsFourSuitesTenTasksTwentyEpisodes) {
+  const std::vector<PlannedUnit> units = Plan(FullGrid());
+  EXPECT_EQ(units.size(), 4u * 8 * 2);
+  for (const PlannedUnit& unit : units) EXPECT_EQ(unit.EpisodeCount(), 200);
+}
+
+TEST(Plan, IdsAreUniqueAndFlagOrderDoesNotMatter) {
+  SweepGrid a;
+  a.suites = {"tabletop_goal", "tabletop_spatial"};
+  a.scenarios = {"heavy_payload", "clean"};
+  a.methods = {"ours", "base"};
+  a.seeds = {0, 1};
+  SweepGrid b = a;
+  std::swap(b.suites[0], b.suites[1]);
+  std::swap(b.scenarios[0], b.scenarios[1]);
+  std::swap(b.methods[0], b.methods[1]);
+  const std::vector<std::string> ids = Ids(Plan(a));
+  EXPECT_EQ(ids, Ids(Plan(b)));
+  EXPECT_EQ(std::set<std::string>(ids.begin(), ids.end()).size(), ids.size());
+  EXPECT_EQ(ids.size(), 16u);
+}
+
+TEST(Plan, CleanIsRunAtOneLevelOnly) {
+  SweepGrid grid;
+  grid.scenarios = {"clean", "heavy_payload"};
+  grid.methods = {"base"};
+  grid.severities = {1, 3, 5};
+  EXPECT_THAT(Ids(Plan(grid)), ElementsAre("tabletop_goal-clean-L5-nano-base-s0", "tabletop_goal-heavy_payload-L1-nano-base-s0",
+                                           "tabletop_goal-heavy_payload-L3-nano-base-s0", "tabletop_goal-heavy_payload-L5-nano-base-s0"));
+}
+
+TEST(Plan, ExpertRunsWithBaseOnly) {
+  SweepGrid grid;
+  grid.scenarios = {"clean"};
+  grid.policies = {"expert", "nano"};
+  EXPECT_THAT(Ids(Plan(grid)), ElementsAre("tabletop_goal-clean-L5-expert-base-s0", "tabletop_goal-clean-L5-nano-base-s0",
+                                           "tabletop_goal-clean-L5-nano-ours-s0"));
+  grid.methods = {"ours"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("expert does not adapt"));
+}
+
+TEST(Plan, OverridesReachSimulatorAndMethod) {
+  SweepGrid grid;
+  grid.scenarios = {"clean"};
+  grid.overrides = {"sim.goal_reference=desired", "method.learning_rate=0.5", "sim.joint_errors.friction_law=stick"};
+  for (const PlannedUnit& unit : Plan(grid)) {
+    EXPECT_EQ(unit.config.sim.goal_reference, GoalReference::kDesired);
+    EXPECT_EQ(unit.config.sim.joint_errors.friction_law, FrictionLaw::kStick);
+    EXPECT_EQ(unit.config.method.learning_rate, 0.5);
+  }
+}
+
+TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
+  SweepGrid grid;
+  grid.suites = {"tabletop_gaol", "tabletop_goal"};
+  grid.scenarios = {"heavy_load"};
+  grid.methods = {"our"};
+  grid.policies = {"pi0"};
+  grid.severities = {6};
+  grid.tasks = {11};
+  grid.overrides = {"sim.frixion=1", "learning_rate=1"};
+  const absl::Status status = ResolveGrid(grid).status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(status.message()),
+              AllOf(HasSubstr("'tabletop_gaol'"), HasSubstr("tabletop_long"), HasSubstr("'heavy_load'"), HasSubstr("aged_joint_elbow"),
+                    HasSubstr("'our'"), HasSubstr("no_anchor"), HasSubstr("'pi0'"), HasSubstr("severity 6"), HasSubstr("task 11"),
+                    HasSubstr("frixion"), HasSubstr("'learning_rate=1' must be sim.KEY=VALUE")));
+}
+
+TEST(Plan, NothingAndDoublesAreRefused) {
+  SweepGrid grid;
+  grid.methods = {};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("no method given"));
+  grid.methods = {"base", "base"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("method base is given twice"));
+}
+
+TEST(Plan, LiberoSuitesAskForTheirFiles) {
+  SweepGrid grid;
+  grid.suites = {"libero_goal"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("--libero-root"));
+}
+
+TEST(Plan, GridSurvivesItsFile) {
+  SweepGrid grid = QuickGrid();
+  grid.overrides = {"method.learning_rate=1e-5"};
+  grid.seeds = {3, 1};
+  const absl::StatusOr<SweepGrid> resolved = ResolveGrid(grid);
+  ASSERT_TRUE(resolved.ok()) << resolved.status();
+  const absl::StatusOr<SweepGrid> read = ParseConfig<SweepGrid>("sweep.yaml", DumpConfig(*resolved));
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(DumpConfig(*read), DumpConfig(*resolved));
+  EXPECT_FALSE(ParseConfig<SweepGrid>("sweep.yaml", "sweets: [a]").ok());
+}
+
+TEST(ParseTasks, ReadsCountsIndicesAndRanges) {
+  EXPECT_THAT(*ParseTasks("2"), ElementsAre(0, 1));
+  EXPECT_THAT(*ParseTasks("0,3,7"), ElementsAre(0, 3, 7));
+  EXPECT_THAT(*ParseTasks("2-4,8-8"), ElementsAre(2, 3, 4, 8));
+  EXPECT_THAT(*ParseTasks("all"), ElementsAre());
+  for (const char* bad : {"0", "-1", "a", "1,,2", "4-2", "1-2-3", "1.5"}) EXPECT_FALSE(ParseTasks(bad).ok()) << bad;
+}
+
+}  // namespace
+}  // namespace robostress

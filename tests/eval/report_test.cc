@@ -1,0 +1,109 @@
+#include "eval/report.h"
+
+#include <cmath>
+#include <limits>
+
+#include "common/atomic_file.h"
+#include "eval/report_page.h"
+#include "eval/svg_plot.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "nlohmann/json.hpp"
+#include "tests/eval/synthetic_run.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+RunData SmallRun() {
+  RunData run;
+  run.dir = "runs/<small>";
+  run.units = {SyntheticUnit("clean", "base", {1, 1, 1, 0}), SyntheticUnit("clean", "ours", {1, 1, 1, 0}),
+               SyntheticUnit("heavy_payload", "base", {1, 0, 0, 0}), SyntheticUnit("heavy_payload", "ours", {1, 1, 0, 0}, {0, 1, 2, 3})};
+  return run;
+}
+
+TEST(TerminalTable, ShowsRatesDifferencesUpdatesAndTheOneThatDidNotAdapt) {
+  const RunData run = SmallRun();
+  const std::string text = TerminalTable(run, Summarise(run, 100));
+  EXPECT_THAT(text, HasSubstr("Heavy Payload"));
+  EXPECT_THAT(text, HasSubstr("25.0 ["));
+  EXPECT_THAT(text, HasSubstr("+25.0"));
+  EXPECT_THAT(text, HasSubstr("+1/-0"));
+  EXPECT_THAT(text, HasSubstr("not adapted"));
+  EXPECT_THAT(text, HasSubstr("Average without Clean"));
+}
+
+TEST(ReportPage, RefersToNothingOutsideItself) {
+  const RunData run = SmallRun();
+  const std::string page = ReportPage(run, Summarise(run, 100), {});
+  // The only address is the SVG namespace, which nothing loads.
+  std::string rest = page;
+  for (size_t at; (at = rest.find("http://www.w3.org/2000/svg")) != std::string::npos;) rest.erase(at, 26);
+  EXPECT_THAT(rest, Not(HasSubstr("http")));
+  EXPECT_THAT(rest, Not(HasSubstr("<script")));
+  EXPECT_THAT(rest, Not(HasSubstr("<link")));
+  EXPECT_THAT(rest, Not(::testing::ContainsRegex("nan[^o]")));
+  EXPECT_THAT(rest, HasSubstr("runs/&lt;small&gt;"));
+}
+
+TEST(ReportPage, WarnsWhenThePolicyIsTooWeakForAClaim) {
+  RunData run = SmallRun();
+  EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}), Not(HasSubstr("no claim about adaptation")));
+  for (EpisodeRow& row : run.units[0].episodes) row.success = false;
+  EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}), HasSubstr("no claim about adaptation"));
+}
+
+TEST(ReportPage, HoldsWithBaseAlone) {
+  RunData run;
+  run.units = {SyntheticUnit("clean", "base", {1, 0})};
+  EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}), HasSubstr("nothing to compare yet"));
+}
+
+TEST(WriteReport, PublishesPageDataAndFigures) {
+  RunData run = SmallRun();
+  run.dir = TestFolder();
+  ReportOptions options;
+  options.print = false;
+  ASSERT_TRUE(WriteReport(run, options).ok());
+  const absl::StatusOr<std::string> text = ReadFile(run.dir + "/report.json");
+  ASSERT_TRUE(text.ok()) << text.status();
+  const nlohmann::json report = nlohmann::json::parse(*text);
+  EXPECT_EQ(report["tables"][0]["scenarios"][1]["cells"]["ours"]["versus_base"]["plus"], 1);
+  for (const char* file : {"/report.html", "/table.csv", "/figures/success-nano-L5.svg"}) EXPECT_TRUE(ReadFile(run.dir + file).ok()) << file;
+}
+
+TEST(TableCsv, HasOneWidth) {
+  const RunData run = SmallRun();
+  const std::string csv = TableCsv(Summarise(run, 100));
+  size_t columns = 0;
+  for (size_t start = 0; start < csv.size();) {
+    const size_t end = csv.find('\n', start);
+    const size_t commas = std::count(csv.begin() + start, csv.begin() + end, ',');
+    if (start == 0) columns = commas;
+    EXPECT_EQ(commas, columns) << csv.substr(start, end - start);
+    start = end + 1;
+  }
+}
+
+TEST(NiceTicks, StayInsideAndAreRound) {
+  EXPECT_THAT(NiceTicks(0, 100, 5), ::testing::ElementsAre(0, 20, 40, 60, 80, 100));
+  for (const double tick : NiceTicks(0.013, 0.087, 4)) {
+    EXPECT_GE(tick, 0.013);
+    EXPECT_LE(tick, 0.087 + 1e-9);
+  }
+}
+
+TEST(LinePlot, LeavesAGapWhereNothingWasMeasured) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const std::string svg = LinePlot({{"a", "#000", {1, 2, 3, 4}, {1, nan, 2, 3}}}, {});
+  EXPECT_THAT(svg, Not(HasSubstr("nan")));
+  const size_t path = svg.find("<path d=\"");
+  const std::string d = svg.substr(path, svg.find('"', path + 9) - path);
+  EXPECT_EQ(std::count(d.begin(), d.end(), 'M'), 2);
+}
+
+}  // namespace
+}  // namespace robostress

@@ -1,0 +1,87 @@
+#include "eval/run_store.h"
+
+#include <filesystem>
+
+#include "common/atomic_file.h"
+#include "common/config.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "tests/eval/synthetic_run.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+constexpr char kLine[] = R"({"task":0,"episode":0,"initial_state":0,"success":true,"steps":10,"chunks":2,"updates":0,"residual":0.25,"intent":null})";
+
+// Writes a unit with `episodes` as its record.
+void WriteUnit(const std::string& run, const std::string& id, int episodes, const std::string& record, bool done) {
+  const std::string dir = run + "/units/" + id;
+  UnitConfig config;
+  config.tasks = {0};
+  config.episodes = episodes;
+  ASSERT_TRUE(MakeDirectories(dir).ok());
+  ASSERT_TRUE(WriteFileAtomically(dir + "/config.yaml", DumpConfig(config)).ok());
+  ASSERT_TRUE(WriteFileAtomically(dir + "/episodes.jsonl", record).ok());
+  if (done) {
+    ASSERT_TRUE(WriteFileAtomically(dir + "/DONE", "").ok());
+  }
+}
+
+TEST(ParseEpisode, ReadsMeasuresAndLeavesAbsentOnesOut) {
+  const absl::StatusOr<EpisodeRow> row = ParseEpisode("e:1", kLine);
+  ASSERT_TRUE(row.ok()) << row.status();
+  EXPECT_TRUE(row->success);
+  EXPECT_EQ(row->residual, 0.25);
+  EXPECT_FALSE(row->intent.has_value());
+  EXPECT_FALSE(row->eta_sq.has_value());
+}
+
+TEST(ParseEpisode, NamesFileLineFieldAndValue) {
+  std::string wrong = kLine;
+  wrong.replace(wrong.find("true"), 4, "\"yes\"");
+  EXPECT_THAT(std::string(ParseEpisode("episodes.jsonl:7", wrong).status().message()),
+              ::testing::AllOf(HasSubstr("episodes.jsonl:7"), HasSubstr("success"), HasSubstr("\"yes\"")));
+  EXPECT_THAT(std::string(ParseEpisode("f:1", R"({"task":0})").status().message()), HasSubstr("episode is missing"));
+  EXPECT_FALSE(ParseEpisode("f:1", R"({"task":0,"epis)").ok());
+}
+
+TEST(LoadRun, LeavesUnfinishedUnitsOut) {
+  const std::string run = TestFolder();
+  WriteUnit(run, "a", 1, std::string(kLine) + "\n", true);
+  WriteUnit(run, "b", 1, "", false);
+  const absl::StatusOr<RunData> data = LoadRun(run);
+  ASSERT_TRUE(data.ok()) << data.status();
+  EXPECT_EQ(data->units.size(), 1u);
+  EXPECT_THAT(data->unfinished, ::testing::ElementsAre("b"));
+}
+
+TEST(LoadRun, RefusesAFinishedUnitThatContradictsItsConfiguration) {
+  const std::string run = TestFolder();
+  WriteUnit(run, "a", 2, std::string(kLine) + "\n", true);
+  EXPECT_THAT(std::string(LoadRun(run).status().message()), HasSubstr("has 1 episodes, its configuration says 2"));
+  WriteUnit(run, "a", 2, std::string(kLine) + "\n" + kLine + "\n", true);
+  EXPECT_THAT(std::string(LoadRun(run).status().message()), HasSubstr("recorded twice"));
+}
+
+TEST(LoadRun, SaysWhenAFolderIsNoRun) {
+  const std::string folder = TestFolder();
+  EXPECT_THAT(std::string(LoadRun(folder).status().message()), HasSubstr("not a run directory"));
+  std::filesystem::create_directories(folder + "/units");
+  EXPECT_THAT(std::string(LoadRun(folder).status().message()), HasSubstr("no finished unit"));
+}
+
+TEST(EpisodeTable, QuotesTextsAndWritesNumbersAsTheyWere) {
+  RunData run;
+  run.units = {SyntheticUnit("clean", "base", {1})};
+  run.units[0].episodes[0].fields["policy"] = "a,\"b\"";
+  run.units[0].episodes[0].fields["residual"] = 0.1;
+  const std::string csv = EpisodeTableCsv(run);
+  EXPECT_THAT(csv, HasSubstr("suite,scenario,severity,policy,method"));
+  EXPECT_THAT(csv, HasSubstr("\"a,\"\"b\"\"\""));
+  EXPECT_THAT(csv, HasSubstr(",0.1\n"));
+}
+
+}  // namespace
+}  // namespace robostress

@@ -1,0 +1,157 @@
+// The sweep through its program, with stand-ins for worker and server.
+
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "eval/process.h"
+#include "eval/progress.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "tests/eval/synthetic_run.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+class SweepProgram : public ::testing::Test {
+ protected:
+  void SetUp() override { folder_ = TestFolder(); }
+
+  // Runs the sweep with stand-ins; returns its exit code, output in output().
+  int Sweep(const std::string& arguments, const std::string& environment = "") {
+    output_file_ = folder_ + "/output.txt";
+    const std::string command = absl::StrCat("ROBOSTRESS_BIN='", FAKE_PROGRAMS, "' ", environment, " '", BIN_DIR, "/robostress-sweep' ", arguments, " > '", output_file_, "' 2>&1");
+    const int status = std::system(command.c_str());
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  }
+  std::string output() const { return *ReadFile(output_file_); }
+  std::string Small(const std::string& name) const {
+    return absl::StrCat("--suites tabletop_goal --tasks 2 --episodes 3 --scenarios clean,heavy_payload --methods base,ours --out '", folder_, "/", name, "' ");
+  }
+  int Starts(const std::string& name, const std::string& unit) const { return CountLines(absl::StrCat(folder_, "/", name, "/units/", unit, "/starts.txt")); }
+
+  std::string folder_, output_file_;
+};
+
+TEST_F(SweepProgram, EpisodeTableIsByteEqualForOneAndTwoWorkers) {
+  ASSERT_EQ(Sweep(Small("one") + "--workers 1"), 0) << output();
+  ASSERT_EQ(Sweep(Small("two") + "--workers 2"), 0) << output();
+  const std::string one = *ReadFile(folder_ + "/one/episodes.csv");
+  EXPECT_EQ(one, *ReadFile(folder_ + "/two/episodes.csv"));
+  EXPECT_EQ(std::count(one.begin(), one.end(), '\n'), 1 + 4 * 6);
+  EXPECT_THAT(one, ::testing::Not(HasSubstr("wall_s")));
+  EXPECT_EQ(*ReadFile(folder_ + "/one/table.csv"), *ReadFile(folder_ + "/two/table.csv"));
+}
+
+TEST_F(SweepProgram, SecondRunRepeatsNothing) {
+  ASSERT_EQ(Sweep(Small("run")), 0) << output();
+  const std::string table = *ReadFile(folder_ + "/run/episodes.csv");
+  ASSERT_EQ(Sweep(Small("run")), 0) << output();
+  EXPECT_THAT(output(), HasSubstr("4 of 4 units were already done"));
+  EXPECT_EQ(Starts("run", "tabletop_goal-clean-L5-nano-base-s0"), 1);
+  EXPECT_EQ(*ReadFile(folder_ + "/run/episodes.csv"), table);
+}
+
+TEST_F(SweepProgram, CompletesWhatIsMissing) {
+  ASSERT_EQ(Sweep(Small("run")), 0) << output();
+  const std::string table = *ReadFile(folder_ + "/run/episodes.csv");
+  const std::string unit = folder_ + "/run/units/tabletop_goal-heavy_payload-L5-nano-ours-s0";
+  std::filesystem::remove(unit + "/DONE");
+  ASSERT_EQ(Sweep(Small("run")), 0) << output();
+  EXPECT_EQ(Starts("run", "tabletop_goal-heavy_payload-L5-nano-ours-s0"), 2);
+  EXPECT_EQ(Starts("run", "tabletop_goal-heavy_payload-L5-nano-base-s0"), 1);
+  EXPECT_EQ(*ReadFile(folder_ + "/run/episodes.csv"), table);
+}
+
+TEST_F(SweepProgram, FailedUnitIsReportedWithItsLogAndTheOthersGoOn) {
+  EXPECT_EQ(Sweep(Small("run"), "FAKE_FAIL_SCENARIO=heavy_payload"), 1);
+  EXPECT_THAT(output(), HasSubstr("exit code 3"));
+  EXPECT_THAT(output(), HasSubstr("no simulator for scenario heavy_payload"));
+  EXPECT_THAT(output(), HasSubstr("FAILED tabletop_goal-heavy_payload-L5-nano-ours-s0"));
+  const std::string table = *ReadFile(folder_ + "/run/episodes.csv");
+  EXPECT_EQ(std::count(table.begin(), table.end(), '\n'), 1 + 2 * 6);
+  // The same command completes the run once the cause is gone.
+  EXPECT_EQ(Sweep(Small("run")), 0) << output();
+  EXPECT_EQ(Starts("run", "tabletop_goal-clean-L5-nano-base-s0"), 1);
+}
+
+TEST_F(SweepProgram, ServerThatDoesNotStartIsReportedWithItsLog) {
+  EXPECT_EQ(Sweep(Small("run"), "FAKE_SERVER_FAILS=1"), 1);
+  EXPECT_THAT(output(), HasSubstr("weights not found"));
+  EXPECT_FALSE(std::filesystem::exists(folder_ + "/run/report.html"));
+}
+
+TEST_F(SweepProgram, ExpertNeedsNoServer) {
+  EXPECT_EQ(Sweep(absl::StrCat("--policies expert --methods base --tasks 1 --episodes 2 --scenarios clean --out '", folder_, "/run'"), "FAKE_SERVER_FAILS=1"), 0) << output();
+}
+
+TEST_F(SweepProgram, OtherConfigurationOfAStartedUnitIsRefused) {
+  ASSERT_EQ(Sweep(Small("run")), 0) << output();
+  const std::string table = *ReadFile(folder_ + "/run/episodes.csv");
+  EXPECT_EQ(Sweep(Small("run") + "--set sim.goal_reference=desired"), 1);
+  EXPECT_THAT(output(), HasSubstr("another configuration"));
+  EXPECT_EQ(*ReadFile(folder_ + "/run/episodes.csv"), table);
+}
+
+TEST_F(SweepProgram, WidensARunDirectory) {
+  ASSERT_EQ(Sweep(Small("run")), 0) << output();
+  ASSERT_EQ(Sweep(Small("run") + "--methods base,ours,null"), 0) << output();
+  EXPECT_EQ(Starts("run", "tabletop_goal-clean-L5-nano-base-s0"), 1);
+  EXPECT_THAT(*ReadFile(folder_ + "/run/table.csv"), HasSubstr(",null,"));
+}
+
+TEST_F(SweepProgram, UnknownNamesEndWithCodeTwoAndWriteNothing) {
+  EXPECT_EQ(Sweep(absl::StrCat("--suites tabletop_gaol --out '", folder_, "/run'")), 2);
+  EXPECT_THAT(output(), HasSubstr("tabletop_goal"));
+  EXPECT_FALSE(std::filesystem::exists(folder_ + "/run"));
+  EXPECT_EQ(Sweep("--no-such-flag"), 2);
+}
+
+TEST_F(SweepProgram, SecondSweepInTheSameDirectoryIsRefused) {
+  const std::string out = folder_ + "/run";
+  setenv("ROBOSTRESS_BIN", FAKE_PROGRAMS, 1);
+  absl::StatusOr<ChildProcess> first =
+      ChildProcess::Start({absl::StrCat(BIN_DIR, "/robostress-sweep"), "--tasks", "1", "--episodes", "10", "--scenarios", "clean", "--out", out},
+                          {{"FAKE_EPISODE_MS", "300"}}, folder_ + "/first.txt");
+  ASSERT_TRUE(first.ok()) << first.status();
+  const std::string episodes = out + "/units/tabletop_goal-clean-L5-nano-base-s0/episodes.jsonl";
+  while (CountLines(episodes) == 0 && !first->Poll()) usleep(10000);
+  EXPECT_EQ(Sweep(absl::StrCat("--tasks 1 --episodes 10 --scenarios clean --out '", out, "'")), 1);
+  EXPECT_THAT(output(), HasSubstr("another sweep is running"));
+  // SIGINT ends it with its workers and leaves the unit unfinished.
+  kill(first->pid(), SIGINT);
+  while (!first->Poll()) usleep(10000);
+  EXPECT_EQ(first->Poll()->code, 130) << *ReadFile(folder_ + "/first.txt");
+  EXPECT_FALSE(std::filesystem::exists(out + "/units/tabletop_goal-clean-L5-nano-base-s0/DONE"));
+}
+
+TEST(Dispatcher, RunsTheProgramAndListsWhatThereIs) {
+  const std::string folder = TestFolder();
+  const auto run = [&](const std::string& arguments) {
+    const int status = std::system(absl::StrCat("'", BIN_DIR, "/robostress' ", arguments, " > '", folder, "/out.txt' 2>&1").c_str());
+    return std::pair(WEXITSTATUS(status), *ReadFile(folder + "/out.txt"));
+  };
+  EXPECT_EQ(run("").first, 0);
+  EXPECT_THAT(run("--help").second, HasSubstr("sweep"));
+  EXPECT_THAT(run("report --help").second, HasSubstr("RUN_DIR"));
+  EXPECT_EQ(run("fly").first, 2);
+  EXPECT_THAT(run("fly").second, HasSubstr("robostress-fly"));
+  EXPECT_EQ(run("report " + folder).first, 1);
+}
+
+TEST(Progress, FormatsDurations) {
+  EXPECT_EQ(FormatDuration(0), "0:00");
+  EXPECT_EQ(FormatDuration(62.4), "1:02");
+  EXPECT_EQ(FormatDuration(3723), "1:02:03");
+}
+
+}  // namespace
+}  // namespace robostress
