@@ -137,7 +137,7 @@ std::string ActuatorXml() {
 
 constexpr char kSceneFormat[] = R"(<mujoco model="%s">
 <compiler angle="radian"/>
-<option timestep="0.002" integrator="Euler" solver="Newton" cone="%s" impratio="%g" iterations="%d"
+<option timestep="0.002" integrator="Euler" solver="Newton" jacobian="sparse" cone="%s" impratio="%g" iterations="%d"
         tolerance="%g" density="%g" viscosity="%g"/>
 <size nconmax="%d" njmax="%d"/>
 <visual>
