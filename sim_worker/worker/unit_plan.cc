@@ -1,0 +1,128 @@
+#include "sim_worker/worker/unit_plan.h"
+
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/config.h"
+#include "common/joint_errors/scenarios.h"
+#include "common/status_macros.h"
+#include "common/suites.h"
+
+namespace robostress {
+namespace {
+
+absl::Status CheckRange(const char* key, int64_t value, int64_t low, int64_t high,
+                        const char* hint) {
+  if (value >= low && value <= high) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("unit: ", key, " is ", value, ", must be ", low, " to ", high, hint));
+}
+
+// The preset that a method section starts from: base, unless it names one.
+absl::StatusOr<MethodOptions> PresetOf(const MethodOptions& read, const YAML::Node& section) {
+  RS_ASSIGN_OR_RETURN(MethodOptions method, MakeMethod(read.method));
+  for (const auto& entry : section) {
+    YAML::Emitter value;
+    value << YAML::Flow << entry.second;
+    RS_RETURN_IF_ERROR(
+        ApplyOverrides({absl::StrCat(entry.first.Scalar(), "=", value.c_str())}, method));
+  }
+  return method;
+}
+
+// "method.method=ours" selects the preset before the other overrides change it.
+std::vector<std::string> PresetsFirst(const std::vector<std::string>& overrides) {
+  std::vector<std::string> ordered;
+  for (const bool preset : {true, false}) {
+    for (const std::string& assignment : overrides) {
+      if (assignment.starts_with("method.method=") == preset) ordered.push_back(assignment);
+    }
+  }
+  return ordered;
+}
+
+}  // namespace
+
+absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string& yaml,
+                                    const std::vector<std::string>& overrides) {
+  RS_ASSIGN_OR_RETURN(UnitConfig unit, ParseConfig<UnitConfig>(source, yaml));
+  const YAML::Node root = YAML::Load(yaml);  // parsed once already
+  if (root.IsMap() && root["method"].IsDefined() && root["method"].IsMap()) {
+    RS_ASSIGN_OR_RETURN(unit.method, PresetOf(unit.method, root["method"]));
+  }
+  for (const std::string& assignment : PresetsFirst(overrides)) {
+    RS_RETURN_IF_ERROR(ApplyOverrides({assignment}, unit));
+    if (assignment.starts_with("method.method=")) {
+      RS_ASSIGN_OR_RETURN(unit.method, MakeMethod(unit.method.method));
+    }
+  }
+  return unit;
+}
+
+absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
+  const SuiteInfo* suite = FindSuite(unit.suite);
+  if (suite == nullptr) {
+    std::vector<std::string> names;
+    for (const SuiteInfo& info : AllSuites()) names.push_back(info.name);
+    return absl::NotFoundError(absl::StrCat("unit: unknown suite '", unit.suite,
+                                            "'; known: ", absl::StrJoin(names, ", ")));
+  }
+  RS_RETURN_IF_ERROR(CheckRange("severity", unit.severity, 1, 5, ""));
+  RS_RETURN_IF_ERROR(MakeScenario(unit.scenario, unit.severity).status());
+  RS_RETURN_IF_ERROR(MakeMethod(unit.method.method).status());
+  UnitConfig resolved = unit;
+  if (resolved.tasks.empty()) {
+    for (int task = 0; task < suite->num_tasks; ++task) resolved.tasks.push_back(task);
+  }
+  std::set<int> seen;
+  for (const int task : resolved.tasks) {
+    RS_RETURN_IF_ERROR(
+        CheckRange("tasks", task, 0, suite->num_tasks - 1, "; see `robostress suites`"));
+    if (!seen.insert(task).second) {
+      return absl::InvalidArgumentError(absl::StrCat("unit: tasks lists task ", task, " twice"));
+    }
+  }
+  const int states = suite->num_initial_states;
+  RS_RETURN_IF_ERROR(
+      CheckRange("first_initial_state", unit.first_initial_state, 0, states - 1, ""));
+  RS_RETURN_IF_ERROR(CheckRange("episodes", unit.episodes, 1, states - unit.first_initial_state,
+                                ": every episode of a task has an initial state of its own"));
+  RS_RETURN_IF_ERROR(CheckRange("videos", unit.videos, 0, states, ""));
+  RS_RETURN_IF_ERROR(CheckRange("sim.settle_steps", unit.sim.settle_steps, 0, 1000, ""));
+  if (unit.policy.empty()) return absl::InvalidArgumentError("unit: policy is empty");
+  if (RunsLocally(unit.policy) && unit.method.method != "base") {
+    return absl::InvalidArgumentError(absl::StrCat("unit: policy '", unit.policy,
+                                                   "' has nothing to adapt, method is '",
+                                                   unit.method.method, "', must be 'base'"));
+  }
+  return resolved;
+}
+
+std::vector<PlannedEpisode> PlanEpisodes(const UnitConfig& resolved) {
+  std::vector<PlannedEpisode> plan;
+  for (const int task : resolved.tasks) {
+    for (int episode = 0; episode < resolved.episodes; ++episode) {
+      plan.push_back(
+          {task, episode, resolved.first_initial_state + episode, episode < resolved.videos});
+    }
+  }
+  return plan;
+}
+
+bool RunsLocally(const std::string& policy) { return policy == "expert" || policy == "replay"; }
+
+SessionSpec SessionSpecOf(const UnitConfig& resolved) {
+  SessionSpec spec;
+  spec.suite = resolved.suite;
+  spec.scenario = resolved.scenario;
+  spec.severity = resolved.severity;
+  spec.policy = resolved.policy;
+  spec.seed = resolved.seed;
+  spec.mode = ExecutionMode::kLockstep;
+  spec.goal_reference = resolved.sim.goal_reference;
+  spec.method = resolved.method;
+  return spec;
+}
+
+}  // namespace robostress

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "common/rpc/session_spec.h"
+#include "common/unit_config.h"
+
+namespace robostress {
+
+// One episode of a unit, in the order of execution.
+struct PlannedEpisode {
+  int task = 0;
+  int episode = 0;        // within the task
+  int initial_state = 0;  // first_initial_state + episode
+  bool film = false;
+};
+
+// Reads a unit and applies "a.b=value" overrides. A method section that names a preset
+// (method.method) starts from that preset and changes only the keys that it gives. `source` names
+// the text in errors.
+absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string& yaml,
+                                    const std::vector<std::string>& overrides = {});
+
+// Checks every name and range against what exists and writes out what was left to default (the
+// tasks), so that equal units have equal texts. The error names key, value and what is allowed.
+absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit);
+
+// The episodes of a resolved unit: task by task, because a change of task is a boundary.
+std::vector<PlannedEpisode> PlanEpisodes(const UnitConfig& resolved);
+
+// expert and replay run inside the worker.
+bool RunsLocally(const std::string& policy);
+SessionSpec SessionSpecOf(const UnitConfig& resolved);
+
+}  // namespace robostress

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "common/rollout/policy_endpoint.h"
+#include "common/rollout/robot.h"
+#include "common/types.h"
+#include "common/unit_config.h"
+
+namespace robostress {
+
+// One task of a suite as the runner sees it; the callbacks may be used while `robot` lives.
+struct UnitTask {
+  std::shared_ptr<Robot> robot;
+  std::function<absl::StatusOr<std::unique_ptr<PolicyEndpoint>>()> make_expert;
+  std::function<absl::StatusOr<Image>(int height)> film;  // one frame, height [px]
+};
+using TaskFactory = std::function<absl::StatusOr<UnitTask>(const UnitConfig& unit, int task)>;
+
+struct UnitRunOptions {
+  std::string out;                // directory, created
+  std::string server;             // HOST:PORT for every policy but expert and replay
+  double connect_timeout_s = 10;  // [s]
+  double call_timeout_s = 300;    // [s]
+  std::function<void(std::string_view)> progress;  // one line per episode
+};
+
+// Runs what is missing of a unit and leaves `out` complete, DONE last. Interrupted at any point and
+// called again, it gives the same episodes.jsonl as one uninterrupted call. A finished unit returns
+// at once.
+absl::Status RunUnit(const UnitConfig& unit, const UnitRunOptions& options,
+                     const TaskFactory& make_task);
+
+}  // namespace robostress

@@ -1,0 +1,123 @@
+// robostress-worker: runs one unit of a sweep (one suite, scenario, severity, policy, method and
+// seed).
+
+#include <cstdio>
+#include <cstdlib>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "CLI/CLI.hpp"
+#include "common/atomic_file.h"
+#include "sim_worker/sim_task.h"
+#include "sim_worker/worker/unit_plan.h"
+#include "sim_worker/worker/unit_runner.h"
+
+namespace robostress {
+namespace {
+
+constexpr char kExamples[] = R"(Examples:
+  # the scripted expert on one task, without a server
+  robostress worker --set suite=tabletop_goal --set policy=expert --set tasks=[0] --set episodes=3 --out runs/expert
+
+  # the embedded policy with self-compensation under Heavy Payload
+  robostress serve --policy nano --listen 127.0.0.1:50051 &
+  robostress worker --unit unit.yaml --server 127.0.0.1:50051 --out runs/unit
+
+  # unit.yaml; keys that are absent keep their defaults, see DIR/config.yaml for all of them
+  suite: tabletop_goal
+  scenario: heavy_payload
+  policy: nano
+  method: {method: ours}
+  tasks: [0, 1]
+  episodes: 20
+
+Exit codes: 0 complete; 1 it failed on the way, the same command continues; 2 bad input.
+)";
+
+absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
+  absl::StatusOr<std::unique_ptr<SimTask>> made = MakeSimTask(unit, task);
+  if (!made.ok()) return made.status();
+  const std::shared_ptr<SimTask> sim_task = *std::move(made);
+  UnitTask out;
+  out.robot = sim_task;
+  out.make_expert = [sim_task] { return sim_task->MakeExpert(); };
+  out.film = [sim_task](int height) { return sim_task->Film(height); };
+  return out;
+}
+
+int ExitCode(const absl::Status& status) {
+  switch (status.code()) {
+    case absl::StatusCode::kOk:
+      return 0;
+    case absl::StatusCode::kInvalidArgument:
+    case absl::StatusCode::kNotFound:
+    case absl::StatusCode::kFailedPrecondition:
+    case absl::StatusCode::kUnimplemented:
+      return 2;
+    default:
+      return 1;
+  }
+}
+
+absl::Status Run(const std::string& unit_file, const std::vector<std::string>& overrides,
+                 const UnitRunOptions& options) {
+  std::string yaml;
+  if (!unit_file.empty()) {
+    absl::StatusOr<std::string> text = ReadFile(unit_file);
+    if (!text.ok()) return text.status();
+    yaml = *std::move(text);
+  }
+  const absl::StatusOr<UnitConfig> unit = ReadUnit(unit_file, yaml, overrides);
+  if (!unit.ok()) return unit.status();
+  return RunUnit(*unit, options, MakeTask);
+}
+
+int Main(int argc, char** argv) {
+  // One unit, one core: sweeps run one worker per core. Set before any library starts threads.
+  setenv("LP_NUM_THREADS", "0", /*overwrite=*/0);
+  setenv("OMP_NUM_THREADS", "1", 0);
+  setenv("OPENBLAS_NUM_THREADS", "1", 0);
+
+  CLI::App app(
+      "Runs one unit of a sweep and writes its directory; the same command again continues it.",
+      "robostress worker");
+  app.footer(kExamples);
+  std::string unit_file;
+  std::vector<std::string> overrides;
+  UnitRunOptions options;
+  bool quiet = false;
+  app.add_option("--unit", unit_file, "unit configuration (YAML); absent: defaults");
+  app.add_option("--set", overrides, "key.key=value over the unit's configuration, repeatable")
+      ->allow_extra_args(false);
+  app.add_option("--out", options.out, "directory to write")->required();
+  app.add_option("--server", options.server,
+                 "HOST:PORT of a policy server; not for expert and replay");
+  app.add_option("--connect-timeout", options.connect_timeout_s,
+                 "seconds until the server must accept")
+      ->capture_default_str();
+  app.add_option("--call-timeout", options.call_timeout_s, "seconds for any answer of the server")
+      ->capture_default_str();
+  app.add_flag("--quiet", quiet, "no progress lines");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  if (!quiet) {
+    options.progress = [](std::string_view line) {
+      std::printf("%.*s\n", static_cast<int>(line.size()), line.data());
+      std::fflush(stdout);
+    };
+  }
+  const absl::Status status = Run(unit_file, overrides, options);
+  if (!status.ok()) {
+    std::fprintf(stderr, "robostress worker: %s\n", std::string(status.message()).c_str());
+  }
+  return ExitCode(status);
+}
+
+}  // namespace
+}  // namespace robostress
+
+int main(int argc, char** argv) { return robostress::Main(argc, argv); }

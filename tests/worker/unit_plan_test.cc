@@ -1,0 +1,94 @@
+#include "sim_worker/worker/unit_plan.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/config.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+TEST(UnitPlanTest, MethodSectionStartsFromThePresetItNames) {
+  const absl::StatusOr<UnitConfig> unit = ReadUnit(
+      "unit.yaml", "method: {method: ours_intent, learning_rate: 0.5, tracking_gain: 0.25}");
+  ASSERT_TRUE(unit.ok()) << unit.status();
+  EXPECT_TRUE(unit->method.adapt);
+  EXPECT_EQ(unit->method.target, TargetReference::kIntent);
+  EXPECT_EQ(unit->method.learning_rate, 0.5);
+  EXPECT_EQ(unit->method.tracking_gain, 0.25);
+}
+
+TEST(UnitPlanTest, DumpedUnitReadsBackEqual) {
+  const absl::StatusOr<UnitConfig> unit =
+      ReadUnit("", "method: {method: ours, adapt: false}\ntasks: [3, 1]");
+  ASSERT_TRUE(unit.ok()) << unit.status();
+  EXPECT_FALSE(unit->method.adapt) << "given keys win over the preset";
+  const absl::StatusOr<UnitConfig> again = ReadUnit("", DumpConfig(*unit));
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(DumpConfig(*again), DumpConfig(*unit));
+}
+
+TEST(UnitPlanTest, OverridesSelectThePresetFirst) {
+  const absl::StatusOr<UnitConfig> unit =
+      ReadUnit("", "", {"method.learning_rate=0.25", "method.method=no_anchor", "tasks=[2]"});
+  ASSERT_TRUE(unit.ok()) << unit.status();
+  EXPECT_EQ(unit->method.learning_rate, 0.25);
+  EXPECT_EQ(unit->method.anchor_weight, 0);
+  EXPECT_TRUE(unit->method.adapt);
+  EXPECT_EQ(unit->tasks, std::vector<int>{2});
+}
+
+TEST(UnitPlanTest, BadInputNamesKeyValueAndWhatIsAllowed) {
+  const std::pair<const char*, const char*> cases[] = {
+      {"siute: tabletop_goal", "unknown key 'siute'"},
+      {"method: {learning_rat: 1}", "unknown key 'method.learning_rat'"},
+      {"sim: {joint_errors: {friction_law: glue}}", "sgn, tanh, stick"},
+      {"episodes: many", "episodes is 'many', must be an integer"},
+      {"suite: [", "unit.yaml"},
+      {"method: {method: ourz}", "unknown method 'ourz'; known: base, ours"},
+      {"suite: tabletop_gaol", "unknown suite 'tabletop_gaol'; known: tabletop_spatial"},
+      {"scenario: rusty", "rusty"},
+      {"severity: 9", "severity is 9, must be 1 to 5"},
+      {"tasks: [0, 10]", "tasks is 10, must be 0 to 9"},
+      {"tasks: [4, 4]", "tasks lists task 4 twice"},
+      {"episodes: 0", "episodes is 0, must be 1 to 50"},
+      {"{episodes: 20, first_initial_state: 40}", "episodes is 20, must be 1 to 10"},
+      {"first_initial_state: 50", "first_initial_state is 50, must be 0 to 49"},
+      {"videos: -1", "videos is -1"},
+      {"policy: ''", "policy is empty"},
+      {"{policy: expert, method: {method: ours}}", "policy 'expert' has nothing to adapt"},
+  };
+  for (const auto& [yaml, message] : cases) {
+    const absl::StatusOr<UnitConfig> read = ReadUnit("unit.yaml", yaml);
+    const absl::Status status = read.ok() ? ResolveUnit(*read).status() : read.status();
+    ASSERT_FALSE(status.ok()) << yaml;
+    EXPECT_THAT(std::string(status.message()), HasSubstr(message)) << yaml;
+  }
+}
+
+TEST(UnitPlanTest, EpisodesRunTaskByTaskFromTheFirstInitialState) {
+  UnitConfig unit;
+  unit.tasks = {7, 2};
+  unit.episodes = 2;
+  unit.first_initial_state = 40;
+  unit.videos = 1;
+  const std::vector<PlannedEpisode> plan = PlanEpisodes(*ResolveUnit(unit));
+  ASSERT_EQ(plan.size(), 4u);
+  EXPECT_EQ(plan[1].task, 7);
+  EXPECT_EQ(plan[1].episode, 1);
+  EXPECT_EQ(plan[1].initial_state, 41);
+  EXPECT_TRUE(plan[2].film);
+  EXPECT_FALSE(plan[3].film);
+  EXPECT_EQ(plan[2].task, 2);
+}
+
+TEST(UnitPlanTest, ResolvedUnitNamesEveryTask) {
+  const absl::StatusOr<UnitConfig> resolved = ResolveUnit(UnitConfig());
+  ASSERT_TRUE(resolved.ok()) << resolved.status();
+  EXPECT_EQ(resolved->tasks.size(), 10u);
+}
+
+}  // namespace
+}  // namespace robostress
