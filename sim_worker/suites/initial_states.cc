@@ -2,7 +2,6 @@
 
 #include "common/check.h"
 #include "common/random.h"
-#include "sim_worker/panda_mjcf.h"
 #include "sim_worker/suites/shapes.h"
 
 namespace robostress {
@@ -51,7 +50,12 @@ bool KeepsClear(const SceneSpec& scene, const std::vector<Eigen::Vector3d>& posi
 
 }  // namespace
 
-Eigen::Matrix<double, 7, 1> EmbeddedHome() { return PandaHome(); }
+Eigen::Matrix<double, 7, 1> EmbeddedHome() {
+  // Inverse kinematics of the tool at (0.50, 0, 0.24) m, pointing straight down: q6 = q2 - q4.
+  Eigen::Matrix<double, 7, 1> q;
+  q << 0, -0.0142386, 0, -2.3507008, 0, 2.3364622, 0.7853981633974483;
+  return q;
+}
 
 InitialState SampleInitialState(const SuiteSpec& suite, int task, int index) {
   const SceneSpec& scene = suite.scenes[suite.tasks[task].scene];

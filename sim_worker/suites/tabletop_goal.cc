@@ -8,14 +8,14 @@ SuiteSpec TabletopGoal() {
   suite.name = "tabletop_goal";
   SceneSpec scene;
   scene.props = {
-      {"cabinet", PropKind::kCabinet, "brown", "", {0.60, 0.25}, {0.03, 0.015}},
-      {"stove", PropKind::kStove, "grey", "", {0.60, -0.25}, {0.02, 0.02}},
-      {"rack", PropKind::kRack, "purple", "", {0.38, 0.25}, {0.02, 0.02}},
-      {"mat", PropKind::kMat, "cyan", "", {0.42, -0.22}, {0.015, 0.015}},
-      {"plate", PropKind::kPlate, "white", "", {0.43, -0.02}, {0.02, 0.025}},
-      {"pot", PropKind::kPot, "red", "", {0.355, 0.11}, {0.025, 0.03}},
-      {"cube", PropKind::kCube, "yellow", "", {0.58, -0.03}, {0.03, 0.025}},
-      {"bottle", PropKind::kBottle, "green", "", {0.50, 0.10}, {0.02, 0.03}},
+      {"cabinet", PropKind::kCabinet, "brown", "", {0.65, 0.25}, {0.03, 0.015}},
+      {"stove", PropKind::kStove, "grey", "", {0.65, -0.25}, {0.02, 0.02}},
+      {"rack", PropKind::kRack, "purple", "", {0.43, 0.25}, {0.02, 0.02}},
+      {"mat", PropKind::kMat, "cyan", "", {0.47, -0.22}, {0.015, 0.015}},
+      {"plate", PropKind::kPlate, "white", "", {0.48, -0.02}, {0.02, 0.025}},
+      {"pot", PropKind::kPot, "red", "", {0.405, 0.11}, {0.025, 0.03}},
+      {"cube", PropKind::kCube, "yellow", "", {0.63, -0.03}, {0.03, 0.025}},
+      {"bottle", PropKind::kBottle, "green", "", {0.55, 0.10}, {0.02, 0.03}},
   };
   suite.scenes = {scene};
   suite.tasks = {

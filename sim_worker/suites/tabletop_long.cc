@@ -8,19 +8,19 @@ SuiteSpec TabletopLong() {
   suite.name = "tabletop_long";
   SceneSpec packing;
   packing.props = {
-      {"basket", PropKind::kBasket, "brown", "", {0.48, -0.21}, {0.03, 0.02}},
-      {"plate", PropKind::kPlate, "white", "", {0.48, 0.22}, {0.03, 0.03}},
-      {"cube", PropKind::kCube, "red", "", {0.38, 0.04}, {0.03, 0.03}},
-      {"can", PropKind::kCan, "blue", "", {0.60, 0.05}, {0.03, 0.03}},
-      {"bottle", PropKind::kBottle, "yellow", "", {0.48, -0.04}, {0.025, 0.03}},
+      {"basket", PropKind::kBasket, "brown", "", {0.53, -0.21}, {0.03, 0.02}},
+      {"plate", PropKind::kPlate, "white", "", {0.53, 0.22}, {0.03, 0.03}},
+      {"cube", PropKind::kCube, "red", "", {0.43, 0.04}, {0.03, 0.03}},
+      {"can", PropKind::kCan, "blue", "", {0.65, 0.05}, {0.03, 0.03}},
+      {"bottle", PropKind::kBottle, "yellow", "", {0.53, -0.04}, {0.025, 0.03}},
   };
   SceneSpec kitchen;
   kitchen.props = {
-      {"cabinet", PropKind::kCabinet, "brown", "", {0.60, 0.25}, {0.03, 0.015}},
-      {"stove", PropKind::kStove, "grey", "", {0.60, -0.25}, {0.02, 0.02}},
-      {"plate", PropKind::kPlate, "white", "", {0.43, -0.18}, {0.02, 0.03}},
-      {"pot", PropKind::kPot, "red", "", {0.37, 0.17}, {0.03, 0.03}},
-      {"cube", PropKind::kCube, "green", "", {0.40, 0.01}, {0.035, 0.035}},
+      {"cabinet", PropKind::kCabinet, "brown", "", {0.65, 0.25}, {0.03, 0.015}},
+      {"stove", PropKind::kStove, "grey", "", {0.65, -0.25}, {0.02, 0.02}},
+      {"plate", PropKind::kPlate, "white", "", {0.48, -0.18}, {0.02, 0.03}},
+      {"pot", PropKind::kPot, "red", "", {0.42, 0.17}, {0.03, 0.03}},
+      {"cube", PropKind::kCube, "green", "", {0.45, 0.01}, {0.035, 0.035}},
   };
   suite.scenes = {packing, kitchen};
   const Eigen::Vector2d near = {-0.034, 0}, far = {0.034, 0};

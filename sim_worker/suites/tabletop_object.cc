@@ -21,7 +21,7 @@ const Item kItems[2][5] = {
      {"black", "pot", PropKind::kPot},
      {"white", "bottle", PropKind::kBottle}},
 };
-const Eigen::Vector2d kPlaces[5] = {{0.38, 0.24}, {0.59, 0.24}, {0.485, 0.135}, {0.38, 0.03}, {0.59, 0.03}};
+const Eigen::Vector2d kPlaces[5] = {{0.43, 0.24}, {0.64, 0.24}, {0.535, 0.135}, {0.43, 0.03}, {0.64, 0.03}};
 
 }  // namespace
 
@@ -31,7 +31,7 @@ SuiteSpec TabletopObject() {
   suite.name = "tabletop_object";
   for (int s = 0; s < 2; ++s) {
     SceneSpec scene;
-    scene.props = {{"basket", PropKind::kBasket, "brown", "", {0.48, -0.20}, {0.04, 0.03}}};
+    scene.props = {{"basket", PropKind::kBasket, "brown", "", {0.53, -0.20}, {0.04, 0.03}}};
     for (int i = 0; i < 5; ++i) {
       const Item& item = kItems[s][i];
       const std::string name = std::string(item.color) + "_" + item.noun;

@@ -34,11 +34,11 @@ SuiteSpec TabletopSpatial() {
   for (int pair = 0; pair < 5; ++pair) {
     SceneSpec scene;
     scene.props = {
-        {"plate", PropKind::kPlate, "white", "", {0.47, -0.02}, {0.025, 0.025}},
-        {"box", PropKind::kBox, "blue", "", {0.375, 0.215}, {0.02, 0.02}},
-        {"cabinet", PropKind::kCabinet, "brown", "", {0.62, 0.235}, {0.02, 0.02}},
-        {"mat", PropKind::kMat, "yellow", "", {0.60, -0.25}, {0.02, 0.02}},
-        {"cup", PropKind::kCup, "green", "", {0.37, -0.235}, {0.02, 0.02}},
+        {"plate", PropKind::kPlate, "white", "", {0.52, -0.02}, {0.025, 0.025}},
+        {"box", PropKind::kBox, "blue", "", {0.425, 0.215}, {0.02, 0.02}},
+        {"cabinet", PropKind::kCabinet, "brown", "", {0.67, 0.235}, {0.02, 0.02}},
+        {"mat", PropKind::kMat, "yellow", "", {0.65, -0.25}, {0.02, 0.02}},
+        {"cup", PropKind::kCup, "green", "", {0.42, -0.235}, {0.02, 0.02}},
     };
     for (int i = 2 * pair; i < 2 * pair + 2; ++i) {
       const Relation& relation = kRelations[i];
