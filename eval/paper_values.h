@@ -29,6 +29,9 @@ inline const std::vector<PaperRow>& PaperRows() {
   return rows;
 }
 
+// Mean over the seven scenarios; the residual's is ours, of the published rows.
+inline constexpr PaperRow kPaperAverage = {"average", 47.5, 41.7, 44.2, 49.1, 56.6};
+
 inline const PaperRow* FindPaperRow(const std::string& scenario) {
   for (const PaperRow& row : PaperRows()) {
     if (scenario == row.scenario) return &row;

@@ -102,17 +102,24 @@ std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
   return rows;
 }
 
+// The paper's measure per method, intent per method, and the tracking-scaled residual of the first method.
 std::vector<std::vector<std::string>> ResidualRows(const SuccessTable& table) {
-  std::vector<std::vector<std::string>> rows = {{"Residual (%)", "method", "||eta||/||a||", "with gain in the scale", "of intent", "paper (pi0)"}};
+  std::vector<std::vector<std::string>> rows = {{"Residual (%)"}};
+  for (const std::string& method : table.methods) rows[0].push_back(method);
+  for (const std::string& method : table.methods) rows[0].push_back(method + " intent");
+  rows[0].insert(rows[0].end(), {table.methods.front() + " tracking", "paper (pi0)"});
+  const auto measures_of = [](const ScenarioRow& row, const std::string& method) {
+    const auto cell = row.cells.find(method);
+    return cell == row.cells.end() ? Measures() : cell->second.measures;
+  };
   for (const ScenarioRow& row : table.rows) {
-    for (const std::string& method : table.methods) {
-      const auto cell = row.cells.find(method);
-      if (cell == row.cells.end()) continue;
-      const PaperRow* paper = FindPaperRow(row.scenario);
-      const Measures& m = cell->second.measures;
-      rows.push_back({row.title, method, OptionalPercent(m.residual_mean), OptionalPercent(m.tracking_mean), OptionalPercent(m.intent_mean),
-                      paper == nullptr ? "-" : absl::StrFormat("%.1f", paper->residual)});
-    }
+    std::vector<std::string> cells = {row.title};
+    for (const std::string& method : table.methods) cells.push_back(OptionalPercent(measures_of(row, method).residual_mean));
+    for (const std::string& method : table.methods) cells.push_back(OptionalPercent(measures_of(row, method).intent_mean));
+    cells.push_back(OptionalPercent(measures_of(row, table.methods.front()).tracking_mean));
+    const PaperRow* paper = FindPaperRow(row.scenario);
+    cells.push_back(paper == nullptr ? "-" : absl::StrFormat("%.1f", paper->residual));
+    rows.push_back(cells);
   }
   return rows;
 }
@@ -185,7 +192,9 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
   }
   absl::StrAppend(&text,
                   "\n  [a, b]: 95 % intervals; Wilson for a success rate, paired bootstrap over (task, initial state) for a difference\n"
-                  "  and an average. +a/-b: episodes that only the method, only base, won. Residuals: mean over rollouts, no gripper.\n");
+                  "  and an average. +a/-b: episodes that only the method, only base, won.\n"
+                  "  Residual: ||eta|| / ||a||, mean over rollouts, no gripper; intent: against the unadapted policy's command; tracking: with\n"
+                  "  the controller's steady gain in the scale. The paper's column: another policy and other tasks.\n");
   if (!run.unfinished.empty()) {
     absl::StrAppend(&text, "  ", run.unfinished.size(), " unfinished units are left out; the same sweep command completes them.\n");
   }

@@ -76,6 +76,18 @@ std::string MethodLabel(const std::string& method) {
   return absl::StrCat("<span class=dot style=\"background:", MethodColor(method), "\"></span>", EscapeXml(MethodTitle(method)));
 }
 
+// Methods that were paired with base somewhere in the table.
+std::vector<std::string> ComparedMethods(const SuccessTable& table) {
+  std::vector<std::string> methods;
+  for (const std::string& method : table.methods) {
+    const bool compared = std::any_of(table.rows.begin(), table.rows.end(), [&](const ScenarioRow& row) {
+      return row.cells.count(method) && row.cells.at(method).versus_base.has_value();
+    });
+    if (compared) methods.push_back(method);
+  }
+  return methods;
+}
+
 std::string UpdatesHtml(bool adapts, int updates) {
   const std::string text = UpdatesText(adapts, updates);
   if (text == "not adapted") return "<span class=tag>not adapted</span>";
@@ -88,42 +100,64 @@ std::string DifferenceHtml(const std::optional<Comparison>& c) {
                          IntervalText(c->difference.interval, true), c->plus, c->minus, c->pairs);
 }
 
+std::string RateHtml(double rate, const Interval& interval, bool adapts, int updates) {
+  if (!std::isfinite(rate)) return "<td>\u2013</td>";
+  const std::string text = UpdatesText(adapts, updates);
+  const std::string note = !adapts ? "" : updates == 0 ? "<span class=tag>not adapted</span>" : absl::StrCat("<span class=ci>", text, updates == 1 ? " update" : " updates", "</span>");
+  return absl::StrCat("<td>", Percent(rate), "<span class=ci>", IntervalText(interval, false), "</span>", note, "</td>");
+}
+
+// Scenarios x methods, as the paper's table.
 std::string SuccessTableHtml(const SuccessTable& table) {
   std::string html = "<div class=scroll><table><tr><th>Scenario</th><th>n</th>";
-  for (const std::string& method : table.methods) {
-    absl::StrAppend(&html, "<th>", MethodLabel(method), "<br><small>% [95 % interval]</small></th>");
-    if (method != "base") absl::StrAppend(&html, "<th>against base<br><small>points [95 %], won / lost</small></th><th>updates<br><small>applied</small></th>");
-  }
-  html += "<th class=paper>paper, \u03c0<sub>0</sub><br><small>base / ours</small></th></tr>\n";
+  for (const std::string& method : table.methods) absl::StrAppend(&html, "<th>", MethodLabel(method), "<br><small>% [95 %]</small></th>");
+  html += "<th class=paper>paper, \u03c0<sub>0</sub><br><small>base / ours</small></th><th class=paper>paper, \u03c0<sub>0.5</sub><br><small>base / ours</small></th></tr>\n";
   for (const ScenarioRow& row : table.rows) {
     int n = 0;
     for (const auto& [method, cell] : row.cells) n = std::max(n, cell.n);
     absl::StrAppend(&html, "<tr><td>", EscapeXml(row.title), "</td><td>", n, "</td>");
     for (const std::string& method : table.methods) {
       const auto found = row.cells.find(method);
-      if (found == row.cells.end()) {
-        absl::StrAppend(&html, method == "base" ? "<td>\u2013</td>" : "<td>\u2013</td><td>\u2013</td><td>\u2013</td>");
-        continue;
-      }
-      const Cell& cell = found->second;
-      absl::StrAppend(&html, "<td>", Percent(cell.rate()), "<span class=ci>", IntervalText(cell.wilson, false), "</span></td>");
-      if (method == "base") continue;
-      absl::StrAppend(&html, "<td>", DifferenceHtml(cell.versus_base), "</td><td>", UpdatesHtml(cell.adapts, cell.updates), "</td>");
+      html += found == row.cells.end() ? "<td>\u2013</td>" : RateHtml(found->second.rate(), found->second.wilson, found->second.adapts, found->second.updates);
     }
     const PaperRow* paper = FindPaperRow(row.scenario);
-    absl::StrAppend(&html, "<td class=paper>", paper == nullptr ? "\u2013" : absl::StrFormat("%.1f / %.1f", paper->pi0_base, paper->pi0_ours), "</td></tr>\n");
+    if (paper == nullptr) {
+      html += "<td class=paper>\u2013</td><td class=paper>\u2013</td></tr>\n";
+    } else {
+      absl::StrAppendFormat(&html, "<td class=paper>%.1f / %.1f</td><td class=paper>%.1f / %.1f</td></tr>\n", paper->pi0_base, paper->pi0_ours, paper->pi05_base, paper->pi05_ours);
+    }
   }
   if (!table.averages.empty()) {
     html += "<tr class=avg><td>Average without Clean</td><td></td>";
     for (const std::string& method : table.methods) {
       const AverageCell& average = table.averages.at(method);
-      const bool known = std::isfinite(average.success.estimate);
-      absl::StrAppend(&html, "<td>", known ? Percent(average.success.estimate) : "\u2013", "<span class=ci>",
-                      known ? IntervalText(average.success.interval, false) : "", "</span></td>");
-      if (method == "base") continue;
-      absl::StrAppend(&html, "<td>", DifferenceHtml(average.versus_base), "</td><td>", UpdatesHtml(average.adapts, average.updates), "</td>");
+      html += RateHtml(average.success.estimate, average.success.interval, average.adapts, average.updates);
     }
-    html += "<td class=paper>41.7 / 44.2</td></tr>\n";
+    absl::StrAppendFormat(&html, "<td class=paper>%.1f / %.1f</td><td class=paper>%.1f / %.1f</td></tr>\n", kPaperAverage.pi0_base, kPaperAverage.pi0_ours, kPaperAverage.pi05_base,
+                          kPaperAverage.pi05_ours);
+  }
+  return html + "</table></div>\n";
+}
+
+// Scenarios x methods against base; empty when nothing was paired.
+std::string DifferenceTableHtml(const SuccessTable& table) {
+  const std::vector<std::string> methods = ComparedMethods(table);
+  if (methods.empty()) return "";
+  std::string html = "<div class=scroll><table><tr><th>Against base</th>";
+  for (const std::string& method : methods) absl::StrAppend(&html, "<th>", MethodLabel(method), "<br><small>points [95 %], won / lost</small></th>");
+  html += "</tr>\n";
+  for (const ScenarioRow& row : table.rows) {
+    absl::StrAppend(&html, "<tr><td>", EscapeXml(row.title), "</td>");
+    for (const std::string& method : methods) {
+      const auto found = row.cells.find(method);
+      absl::StrAppend(&html, "<td>", found == row.cells.end() ? "\u2013" : DifferenceHtml(found->second.versus_base), "</td>");
+    }
+    html += "</tr>\n";
+  }
+  if (!table.averages.empty()) {
+    html += "<tr class=avg><td>Average without Clean</td>";
+    for (const std::string& method : methods) absl::StrAppend(&html, "<td>", DifferenceHtml(table.averages.at(method).versus_base), "</td>");
+    html += "</tr>\n";
   }
   return html + "</table></div>\n";
 }
@@ -155,7 +189,7 @@ std::string ResidualTableHtml(const SuccessTable& table) {
     const auto average = table.averages.find(method);
     if (average == table.averages.end()) continue;
     absl::StrAppend(&html, first ? "<tr class=avg><td>Average without Clean" : "<tr><td>", "</td><td style=\"text-align:left\">", MethodLabel(method), "</td>",
-                    cells_of(average->second.measures), "<td class=paper>", first ? "47.5" : "", "</td></tr>\n");
+                    cells_of(average->second.measures), "<td class=paper>", first ? absl::StrFormat("%.1f", kPaperAverage.residual) : "", "</td></tr>\n");
     first = false;
   }
   return html + "</table></div>\n";
@@ -197,7 +231,7 @@ std::string CurvePlots(const CurveSet& set) {
     absl::StrAppend(&legend, "<span style=\"margin-right:16px\">", MethodLabel(curve.method), " <small class=paper>", curve.units, " units</small></span>");
   }
   LinePlotOptions options;
-  options.width = 355;
+  options.width = 344;
   options.x_label = "episode of the unit";
   for (size_t mark = set.episodes_per_task; set.episodes_per_task > 0 && mark < length; mark += set.episodes_per_task) {
     options.vertical_marks.push_back(mark + 0.5);
@@ -366,7 +400,9 @@ std::string PlotRows(const SuccessTable& table, const std::vector<std::string>& 
 
 std::string TableSection(const SuccessTable& table) {
   std::string html = absl::StrCat("<h3>", EscapeXml(table.policy), ", severity L", table.severity, ", ", EscapeXml(table.title), "</h3>\n", SuccessTableHtml(table));
-  if (table.suite.empty()) absl::StrAppend(&html, SuccessPlot(table), DifferencePlot(table));
+  if (table.suite.empty()) html += SuccessPlot(table);
+  html += DifferenceTableHtml(table);
+  if (table.suite.empty()) html += DifferencePlot(table);
   return html;
 }
 
@@ -375,13 +411,7 @@ std::string TableSection(const SuccessTable& table) {
 std::string SuccessPlot(const SuccessTable& table) { return PlotRows(table, table.methods, false); }
 
 std::string DifferencePlot(const SuccessTable& table) {
-  std::vector<std::string> methods;
-  for (const std::string& method : table.methods) {
-    const bool compared = std::any_of(table.rows.begin(), table.rows.end(), [&](const ScenarioRow& row) {
-      return row.cells.count(method) && row.cells.at(method).versus_base.has_value();
-    });
-    if (compared) methods.push_back(method);
-  }
+  const std::vector<std::string> methods = ComparedMethods(table);
   return methods.empty() ? "" : PlotRows(table, methods, true);
 }
 

@@ -103,7 +103,8 @@ TEST_F(SweepProgram, OtherConfigurationOfAStartedUnitIsRefused) {
 
 TEST_F(SweepProgram, WidensARunDirectory) {
   ASSERT_EQ(Sweep(Small("run")), 0) << output();
-  ASSERT_EQ(Sweep(Small("run") + "--methods base,ours,null"), 0) << output();
+  ASSERT_EQ(Sweep(absl::StrCat("--suites tabletop_goal --tasks 2 --episodes 3 --scenarios clean,heavy_payload --methods base,ours,null --out '", folder_, "/run'")), 0)
+      << output();
   EXPECT_EQ(Starts("run", "tabletop_goal-clean-L5-nano-base-s0"), 1);
   EXPECT_THAT(*ReadFile(folder_ + "/run/table.csv"), HasSubstr(",null,"));
 }
@@ -117,10 +118,9 @@ TEST_F(SweepProgram, UnknownNamesEndWithCodeTwoAndWriteNothing) {
 
 TEST_F(SweepProgram, SecondSweepInTheSameDirectoryIsRefused) {
   const std::string out = folder_ + "/run";
-  setenv("ROBOSTRESS_BIN", FAKE_PROGRAMS, 1);
   absl::StatusOr<ChildProcess> first =
       ChildProcess::Start({absl::StrCat(BIN_DIR, "/robostress-sweep"), "--tasks", "1", "--episodes", "10", "--scenarios", "clean", "--out", out},
-                          {{"FAKE_EPISODE_MS", "300"}}, folder_ + "/first.txt");
+                          {{"FAKE_EPISODE_MS", "300"}, {"ROBOSTRESS_BIN", FAKE_PROGRAMS}}, folder_ + "/first.txt");
   ASSERT_TRUE(first.ok()) << first.status();
   const std::string episodes = out + "/units/tabletop_goal-clean-L5-nano-base-s0/episodes.jsonl";
   while (CountLines(episodes) == 0 && !first->Poll()) usleep(10000);
