@@ -107,12 +107,12 @@ absl::Status UnitDirectory::CheckConfig(const UnitConfig& resolved) {
   planned_ = PlanEpisodes(resolved).size();
   const std::string file = File("config.yaml");
   const std::string wanted = DumpConfig(resolved);
+  const bool begun = Exists(File("episodes.jsonl")) || Exists(File("adapter_state.safetensors")) ||
+                     Exists(File("DONE"));
+  if (!begun) return WriteFileAtomically(file, wanted);  // nothing to protect yet
   if (!Exists(file)) {
-    if (Exists(File("episodes.jsonl")) || Exists(File("DONE"))) {
-      return absl::FailedPreconditionError(
-          absl::StrCat("'", path_, "' has episodes without a config.yaml; choose another --out"));
-    }
-    return WriteFileAtomically(file, wanted);
+    return absl::FailedPreconditionError(
+        absl::StrCat("'", path_, "' has episodes without a config.yaml; choose another --out"));
   }
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   RS_ASSIGN_OR_RETURN(const UnitConfig read, ReadUnit(file, text));

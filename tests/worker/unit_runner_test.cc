@@ -352,6 +352,8 @@ TEST_F(UnitRunnerTest, UnknownPolicyListsWhatTheServerHolds) {
   const absl::Status status = Run("a");
   EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
   EXPECT_THAT(std::string(status.message()), HasSubstr("known: fake"));
+  unit.policy = "fake";
+  EXPECT_TRUE(Run("a").ok()) << "nothing was begun under the wrong name";
 }
 
 TEST_F(UnitRunnerTest, PolicyWithoutActionExpertCannotBeAdapted) {
