@@ -1,11 +1,20 @@
 #include "sim_worker/panda_sim.h"
 
+#include <cmath>
+#include <cstdio>
+
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "sim_worker/panda_model.h"
 #include "tests/sim_worker/test_scene.h"
 
 namespace robostress {
 namespace {
+
+using ::testing::HasSubstr;
+
+std::vector<double> Positions(const PandaSim& sim) { return {sim.data().qpos, sim.data().qpos + sim.model().nq}; }
 
 TEST(PandaSim, HoldsItsPoseInClean) {
   auto sim = MakeTestSim();
@@ -17,6 +26,35 @@ TEST(PandaSim, HoldsItsPoseInClean) {
   EXPECT_LT(after.tool.q_base_tool.angularDistance(before.tool.q_base_tool), 2e-3);
   EXPECT_LT(after.dq.norm(), 1e-3);
   EXPECT_NEAR(after.gripper, 0.08, 1e-3);
+  EXPECT_DOUBLE_EQ(after.stamp_s, 5.0);
+  EXPECT_EQ(sim->steps_taken(), 100);
+}
+
+TEST(PandaSim, MeasuresThePoseOfThePositionsThatItReports) {
+  auto sim = MakeTestSim();
+  UseScenario(*sim, "aged_joint_uniform");
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  for (int i = 0; i < 10; ++i) ASSERT_TRUE(sim->Step(Command(1, 0.5, -0.5)).ok());
+  const RobotState measured = sim->Measure();
+  // Independent kinematics of the reported joint positions.
+  mjData* data = mj_makeData(&sim->model());
+  for (int i = 0; i < 7; ++i) data->qpos[i] = measured.q[i];
+  mj_kinematics(&sim->model(), data);
+  const int site = mj_name2id(&sim->model(), mjOBJ_SITE, "gripper0_grip_site");
+  for (int i = 0; i < 3; ++i) EXPECT_NEAR(data->site_xpos[3 * site + i], measured.tool.p_base_tool[i], 1e-12);
+  mj_deleteData(data);
+}
+
+TEST(PandaSim, ReportsTheToolInTheBaseFrame) {
+  PandaScene scene = TestScene();
+  scene.base_position = {-0.66, 0.1, 0.912};
+  auto here = MakeTestSim(), there = MakeTestSim({}, scene);
+  ASSERT_TRUE(here->Reset(HomeState(*here), PandaHome()).ok());
+  ASSERT_TRUE(there->Reset(HomeState(*there), PandaHome()).ok());
+  EXPECT_LT((here->Measure().tool.p_base_tool - there->Measure().tool.p_base_tool).norm(), 1e-12);
+  // The home posture points down: R close to diag(1, -1, -1).
+  const Eigen::Matrix3d R = here->Measure().tool.q_base_tool.toRotationMatrix();
+  EXPECT_LT((R - Eigen::Vector3d(1, -1, -1).asDiagonal().toDenseMatrix()).norm(), 0.1);
 }
 
 TEST(PandaSim, MovesAlongTheCommandedDirection) {
@@ -27,6 +65,206 @@ TEST(PandaSim, MovesAlongTheCommandedDirection) {
   const Eigen::Vector3d moved = sim->Measure().tool.p_base_tool - before.tool.p_base_tool;
   EXPECT_GT(moved.y(), 0.1);
   EXPECT_LT(std::hypot(moved.x(), moved.z()), 0.02);
+}
+
+TEST(PandaSim, GoalReferenceDecidesTheGain) {
+  // Ideal steady gain of the achieved reference: 0.267 (kp 150, damping ratio 1, 50 ms). The desired reference
+  // trails by a constant lag, so its gain tends to one.
+  for (const auto& [reference, low, high] : {std::tuple{GoalReference::kAchieved, 0.20, 0.28},
+                                             std::tuple{GoalReference::kDesired, 0.85, 1.02}}) {
+    SimOptions options;
+    options.goal_reference = reference;
+    auto sim = MakeTestSim(options);
+    ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+    for (int i = 0; i < 20; ++i) ASSERT_TRUE(sim->Step(Command(0, 0.2, 0)).ok());
+    const double y = sim->Measure().tool.p_base_tool.y();
+    for (int i = 0; i < 20; ++i) ASSERT_TRUE(sim->Step(Command(0, 0.2, 0)).ok());
+    const double gain = (sim->Measure().tool.p_base_tool.y() - y) / (20 * 0.2 * 0.05);
+    EXPECT_GT(gain, low);
+    EXPECT_LT(gain, high);
+  }
+}
+
+TEST(PandaSim, KeepsTheOrientationGoalUntilACommandRotates) {
+  // Started 0.15 rad off the home posture: the goal of the orientation stays at home, so the hand turns back
+  // although no command rotates. With a goal at the achieved orientation it would stay where it is.
+  auto sim = MakeTestSim();
+  std::vector<double> qpos = HomeState(*sim);
+  qpos[6] += 0.15;
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  const Eigen::Quaterniond home = sim->Measure().tool.q_base_tool;
+  ASSERT_TRUE(sim->Reset(qpos, PandaHome()).ok());
+  EXPECT_NEAR(sim->Measure().tool.q_base_tool.angularDistance(home), 0.15, 1e-6);
+  for (int i = 0; i < 30; ++i) ASSERT_TRUE(sim->Step(Command(0, 0.3, 0)).ok());
+  EXPECT_LT(sim->Measure().tool.q_base_tool.angularDistance(home), 0.01);
+}
+
+TEST(PandaSim, ClipsCommandsAndRefusesWhatIsNotOne) {
+  auto a = MakeTestSim(), b = MakeTestSim();
+  ASSERT_TRUE(a->Reset(HomeState(*a), PandaHome()).ok());
+  ASSERT_TRUE(b->Reset(HomeState(*b), PandaHome()).ok());
+  for (int i = 0; i < 5; ++i) {
+    ASSERT_TRUE(a->Step(Command(1, -1, 0.5, 1)).ok());
+    ASSERT_TRUE(b->Step(Command(40, -1.2, 0.5, 0.1)).ok());
+  }
+  EXPECT_EQ(Positions(*a), Positions(*b));
+  EXPECT_EQ(a->Step(Eigen::VectorXf::Zero(6)).code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(a->Step(Command(std::nan(""), 0, 0)).code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(a->steps_taken(), 5);
+}
+
+TEST(PandaSim, GripperTakesFourControlStepsFromTheMiddleAndHoldsAtZero) {
+  auto sim = MakeTestSim();
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  const int motor = mj_name2id(&sim->model(), mjOBJ_ACTUATOR, "gripper0_gripper_finger_joint1");
+  for (int i = 1; i <= 4; ++i) {
+    ASSERT_TRUE(sim->Step(Command(0, 0, 0, -1)).ok());
+    EXPECT_NEAR(sim->data().ctrl[motor], 0.02 + 0.005 * i, 1e-12);  // 25 * 0.01 of the half stroke a step
+  }
+  ASSERT_TRUE(sim->Step(Command(0, 0, 0, -1)).ok());
+  EXPECT_NEAR(sim->data().ctrl[motor], 0.04, 1e-12);
+  ASSERT_TRUE(sim->Step(Command(0, 0, 0, 1)).ok());
+  EXPECT_NEAR(sim->data().ctrl[motor], 0.035, 1e-12);
+  ASSERT_TRUE(sim->Step(Command(0, 0, 0, 0)).ok());
+  EXPECT_NEAR(sim->data().ctrl[motor], 0.035, 1e-12);
+}
+
+// Moves the tool over the cube, down and closes; returns whether the check says "held".
+bool GraspCube(PandaSim& sim) {
+  const auto go_to = [&](double z, double gripper, int steps) {
+    for (int i = 0; i < steps; ++i) {
+      const Eigen::Vector3d u = 20 * (Eigen::Vector3d(0.5, 0, z) - sim.Measure().tool.p_base_tool);
+      if (!sim.Step(Command(u.x(), u.y(), u.z(), gripper)).ok()) return;
+    }
+  };
+  go_to(0.15, -1, 20);
+  go_to(0.03, -1, 40);
+  go_to(0.03, 1, 12);
+  return sim.GraspDetected();
+}
+
+TEST(PandaSim, GraspNeedsBothPadsOnOneFreeBody) {
+  auto sim = MakeTestSim();
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  EXPECT_FALSE(sim->GraspDetected());
+  ASSERT_TRUE(GraspCube(*sim));
+  EXPECT_EQ(sim->held_body(), mj_name2id(&sim->model(), mjOBJ_BODY, "cube"));
+  for (int i = 0; i < 20; ++i) ASSERT_TRUE(sim->Step(Command(0, 0, 1, 1)).ok());
+  EXPECT_TRUE(sim->GraspDetected());
+  EXPECT_GT(sim->data().qpos[11], 0.1);  // the cube's height
+  for (int i = 0; i < 12; ++i) ASSERT_TRUE(sim->Step(Command(0, 0, 0, -1)).ok());
+  EXPECT_FALSE(sim->GraspDetected());
+  EXPECT_EQ(sim->held_body(), -1);
+}
+
+TEST(PandaSim, AFixedBodyBetweenThePadsIsNotHeld) {
+  PandaScene scene = TestScene();
+  const std::string joint = "<freejoint name=\"cube_joint\"/>";
+  scene.world_xml.erase(scene.world_xml.find(joint), joint.size());
+  auto sim = MakeTestSim({}, scene);
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  EXPECT_FALSE(GraspCube(*sim));
+  EXPECT_GT(sim->Measure().gripper, 0.03);  // the pads do press on it
+}
+
+TEST(PandaSim, RepeatsAnEpisodeBitForBit) {
+  auto sim = MakeTestSim();
+  UseScenario(*sim, "aged_joint_uniform");
+  std::vector<std::vector<double>> runs;
+  for (int run = 0; run < 2; ++run) {
+    ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+    ASSERT_TRUE(sim->Settle(10).ok());
+    GraspCube(*sim);
+    for (int i = 0; i < 10; ++i) ASSERT_TRUE(sim->Step(Command(0.3, 0.2, 0.5, 1)).ok());
+    runs.push_back(Positions(*sim));
+  }
+  EXPECT_EQ(runs[0], runs[1]);
+}
+
+TEST(PandaSim, RestoreContinuesBitForBitWithHiddenStatesAndContacts) {
+  auto sim = MakeTestSim();
+  UseScenario(*sim, "heavy_payload");
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  ASSERT_TRUE(GraspCube(*sim));
+  const auto snapshot = sim->Save();
+  const auto continue_run = [&] {
+    for (int i = 0; i < 20; ++i) EXPECT_TRUE(sim->Step(Command(0.2, -0.4, 0.6, i < 15 ? 1 : -1)).ok());
+    return Positions(*sim);
+  };
+  const std::vector<double> first = continue_run();
+  sim->Restore(*snapshot);
+  EXPECT_TRUE(sim->GraspDetected());
+  EXPECT_EQ(continue_run(), first);
+  // Also in another simulator of the same model.
+  auto other = PandaSim::Create(CompileModel("copy", ComposePandaScene(TestScene())).value(), {}).value();
+  other->Restore(*snapshot);
+  for (int i = 0; i < 20; ++i) ASSERT_TRUE(other->Step(Command(0.2, -0.4, 0.6, i < 15 ? 1 : -1)).ok());
+  EXPECT_EQ(Positions(*other), first);
+}
+
+TEST(PandaSim, SeesStatesThatWereWrittenFromOutside) {
+  auto a = MakeTestSim(), b = MakeTestSim();
+  std::vector<double> qpos = HomeState(*a);
+  qpos[10] = 0.2;  // the cube's y
+  ASSERT_TRUE(a->Reset(qpos, PandaHome()).ok());
+  ASSERT_TRUE(b->Reset(HomeState(*b), PandaHome()).ok());
+  b->mutable_data().qpos[10] = 0.2;
+  for (int i = 0; i < 3; ++i) {
+    ASSERT_TRUE(a->Step(Command(0, 0, -1)).ok());
+    ASSERT_TRUE(b->Step(Command(0, 0, -1)).ok());
+  }
+  EXPECT_EQ(Positions(*a), Positions(*b));
+}
+
+TEST(PandaSim, FindsAnArmWhoseJointsAreNotFirst) {
+  // The same scene with the objects before the robot, as in other composers.
+  const std::string xml = ComposePandaScene(TestScene());
+  const size_t world = xml.find("<worldbody>") + 11, robot_end = xml.find("<light pos=\"0.5");
+  const size_t world_end = xml.find("</worldbody>");
+  const std::string swapped = xml.substr(0, world) + xml.substr(robot_end, world_end - robot_end) +
+                              xml.substr(world, robot_end - world) + xml.substr(world_end);
+  auto usual = MakeTestSim();
+  auto other = PandaSim::Create(CompileModel("swapped", swapped).value(), {}).value();
+  const std::vector<double> qpos = HomeState(*usual);
+  std::vector<double> moved(qpos.begin() + 9, qpos.end());
+  moved.insert(moved.end(), qpos.begin(), qpos.begin() + 9);
+  for (PandaSim* sim : {usual.get(), other.get()}) UseScenario(*sim, "aged_joint_uniform");
+  ASSERT_TRUE(usual->Reset(qpos, PandaHome()).ok());
+  ASSERT_TRUE(other->Reset(moved, PandaHome()).ok());
+  for (int i = 0; i < 20; ++i) {
+    ASSERT_TRUE(usual->Step(Command(0.3, 0.5, 0.2)).ok());
+    ASSERT_TRUE(other->Step(Command(0.3, 0.5, 0.2)).ok());
+  }
+  EXPECT_LT((usual->Measure().q - other->Measure().q).norm(), 1e-9);
+}
+
+TEST(PandaSim, ReportsADivergedState) {
+  auto sim = MakeTestSim();
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  sim->mutable_data().qvel[3] = 1e11;
+  const absl::Status status = sim->Step(Command(0, 0, 0));
+  EXPECT_EQ(status.code(), absl::StatusCode::kInternal);
+  EXPECT_THAT(std::string(status.message()), HasSubstr("diverged"));
+  // A reset makes it usable again.
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  EXPECT_TRUE(sim->Step(Command(0, 0, 0)).ok());
+}
+
+TEST(PandaSim, NamesWhatAModelLacks) {
+  const auto bad_xml = CompileModel("kitchen scene", "<mujoco><worldbody><geom/></worldbody></mujoco>");
+  EXPECT_EQ(bad_xml.status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(bad_xml.status().message()), HasSubstr("kitchen scene"));
+  const auto empty = PandaSim::Create(
+      CompileModel("empty", "<mujoco><option timestep=\"0.002\"/><worldbody/></mujoco>").value(), {});
+  EXPECT_EQ(empty.status().code(), absl::StatusCode::kNotFound);
+  EXPECT_THAT(std::string(empty.status().message()), HasSubstr("robot0_joint1"));
+  std::string xml = ComposePandaScene(TestScene());
+  xml.replace(xml.find("timestep=\"0.002\""), 16, "timestep=\"0.004\"");
+  EXPECT_EQ(PandaSim::Create(CompileModel("slow", xml).value(), {}).status().code(),
+            absl::StatusCode::kInvalidArgument);
+  auto sim = MakeTestSim();
+  const std::vector<double> short_state(5, 0.0);
+  EXPECT_EQ(sim->Reset(short_state, PandaHome()).code(), absl::StatusCode::kInvalidArgument);
 }
 
 }  // namespace
