@@ -442,6 +442,16 @@ absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene, const std::v
   return SharedModel(std::move(model));
 }
 
+SharedModel SpreadObjects(const mjModel& model, const double* qpos) {
+  std::shared_ptr<mjModel> copy = CopyModel(model);
+  for (int joint = 0; copy != nullptr && joint < copy->njnt; ++joint) {
+    if (copy->jnt_type[joint] != mjJNT_FREE) continue;
+    const int address = copy->jnt_qposadr[joint];
+    std::copy(qpos + address, qpos + address + 7, copy->qpos0 + address);
+  }
+  return copy;
+}
+
 absl::StatusOr<std::shared_ptr<mjModel>> MakeRenderModel(const LiberoScene& scene, const mjModel& physics) {
   constexpr int kShown = 1, kHidden = 4;  // MuJoCo shows groups 0-2 by default
   std::shared_ptr<mjModel> model = CopyModel(physics);

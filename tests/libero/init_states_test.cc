@@ -1,1 +1,167 @@
-#include <gtest/gtest.h>
+#include "sim_worker/libero/init_states.h"
+
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+
+#include <gmock/gmock.h>
+#include <zlib.h>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "common/atomic_file.h"
+#include "common/random.h"
+#include "tests/libero/shared_data.h"
+
+namespace robostress::libero {
+namespace {
+
+using namespace std::string_literals;
+using ::testing::HasSubstr;
+
+template <class T>
+void Put(std::string& out, T value) { out.append(reinterpret_cast<const char*>(&value), sizeof(T)); }
+
+// A zip file of one stored entry, written as torch.save writes it.
+std::string Zip(const std::string& name, const std::string& data, uint16_t method = 0) {
+  const uint32_t crc = crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(data.size()));
+  auto header = [&](std::string& out) {
+    Put<uint16_t>(out, method);
+    Put<uint32_t>(out, 0);
+    Put<uint32_t>(out, crc);
+    Put<uint32_t>(out, static_cast<uint32_t>(data.size()));
+    Put<uint32_t>(out, static_cast<uint32_t>(data.size()));
+    Put<uint16_t>(out, static_cast<uint16_t>(name.size()));
+    Put<uint16_t>(out, 0);
+  };
+  std::string zip = "PK\x03\x04";
+  Put<uint16_t>(zip, 20);
+  Put<uint16_t>(zip, 0);
+  header(zip);
+  zip += name + data;
+  const uint32_t directory = static_cast<uint32_t>(zip.size());
+  zip += "PK\x01\x02";
+  Put<uint16_t>(zip, 20);
+  Put<uint16_t>(zip, 20);
+  Put<uint16_t>(zip, 0);
+  header(zip);
+  zip.append(2 + 2 + 2 + 4, '\0');
+  Put<uint32_t>(zip, 0);
+  zip += name;
+  const uint32_t size = static_cast<uint32_t>(zip.size()) - directory;
+  zip += std::string("PK\x05\x06\0\0\0\0\x01\0\x01\0", 12);
+  Put<uint32_t>(zip, size);
+  Put<uint32_t>(zip, directory);
+  Put<uint16_t>(zip, 0);
+  return zip;
+}
+
+std::string Unicode(const std::string& utf8) {
+  std::string out = "X";
+  Put<uint32_t>(out, static_cast<uint32_t>(utf8.size()));
+  return out + utf8;
+}
+
+// NumPy's pickle (protocol 2) of a float64 matrix, as LIBERO's files hold it.
+std::string Pickle(const std::vector<double>& values, int rows, int columns) {
+  std::string utf8;
+  for (size_t i = 0; i < values.size() * sizeof(double); ++i) {
+    const uint8_t byte = reinterpret_cast<const uint8_t*>(values.data())[i];
+    if (byte < 0x80) {
+      utf8.push_back(static_cast<char>(byte));
+    } else {
+      utf8.push_back(static_cast<char>(0xc0 | (byte >> 6)));
+      utf8.push_back(static_cast<char>(0x80 | (byte & 0x3f)));
+    }
+  }
+  std::string p("\x80\x02", 2);
+  p += "cnumpy.core.multiarray\n_reconstruct\nq\0cnumpy\nndarray\nq\1K\0\x85q\2"s;
+  p += "c_codecs\nencode\nq\3" + Unicode("b") + Unicode("latin1") + "\x86R\x87R";
+  p += "(K\1K" + std::string(1, static_cast<char>(rows)) + "K" + std::string(1, static_cast<char>(columns)) + "\x86";
+  p += "cnumpy\ndtype\n" + Unicode("f8") + "\x89\x88\x87R(K\3" + Unicode("<") + "NNNJ" + std::string(4, '\xff') + "J" +
+       std::string(4, '\xff') + "K\0tb\x89"s;
+  p += "h\3" + Unicode(utf8) + Unicode("latin1") + "\x86Rtb.";
+  return p;
+}
+
+const std::vector<double> kValues = {0, 1.5, -2.25, 1e-300, 3.141592653589793, -0.0};
+
+std::string ErrorOf(const std::string& bytes) {
+  const absl::StatusOr<InitStates> states = ParseInitStates("task.pruned_init", bytes);
+  return states.ok() ? "read" : std::string(states.status().message());
+}
+
+TEST(InitStatesTest, ReadsAMatrixBitForBit) {
+  const absl::StatusOr<InitStates> states = ParseInitStates("a", Zip("archive/data.pkl", Pickle(kValues, 2, 3)));
+  ASSERT_TRUE(states.ok()) << states.status();
+  EXPECT_EQ(states->rows, 2);
+  EXPECT_EQ(states->columns, 3);
+  EXPECT_EQ(std::memcmp(states->values.data(), kValues.data(), sizeof(double) * 6), 0);
+  EXPECT_EQ(states->row(1)[0], 1e-300);
+}
+
+TEST(InitStatesTest, RefusesWhatCouldExecute) {
+  const std::string good = Pickle(kValues, 2, 3);
+  // A name that Python would import and call.
+  const std::string system = std::string("\x80\x02", 2) + "cos\nsystem\n" + Unicode("id") + "\x85R.";
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", system)), HasSubstr("the name 'os.system' is not on the list"));
+  for (const char opcode : std::string("oi\x81\x82\x93]}luseaQP0")) {
+    const std::string pickle = good.substr(0, 2) + opcode + good.substr(2);
+    EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", pickle)), HasSubstr("is not on the list")) << static_cast<int>(opcode);
+  }
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", absl::StrReplaceAll(good, {{"f8", "O8"}}))), HasSubstr("type 'O8'"));
+}
+
+TEST(InitStatesTest, ErrorsNameFileAndPlace) {
+  const std::string good = Pickle(kValues, 2, 3);
+  EXPECT_THAT(ErrorOf("hello"), HasSubstr("task.pruned_init: 5 bytes are too few"));
+  EXPECT_THAT(ErrorOf(std::string(100, 'x')), HasSubstr("not a zip file"));
+  EXPECT_THAT(ErrorOf(Zip("archive/other", good)), HasSubstr("no entry ends in '/data.pkl'"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good, 8)), HasSubstr("compressed (method 8)"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle(kValues, 3, 3))), HasSubstr("shape [3, 3] needs 72 bytes, got 48"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good.substr(0, good.size() - 1))), HasSubstr("without STOP"));
+  std::string flipped = Zip("archive/data.pkl", good);
+  flipped[100] ^= 1;
+  EXPECT_THAT(ErrorOf(flipped), HasSubstr("checksum"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle({0, NAN, 0, 0, 0, 0}, 2, 3))), HasSubstr("row 0, column 1 is not finite"));
+}
+
+TEST(InitStatesTest, ARowOfTheWrongLengthNamesFileAndSizes) {
+  const absl::StatusOr<InitStates> states = ParseInitStates("task.pruned_init", Zip("archive/data.pkl", Pickle(kValues, 2, 3)));
+  ASSERT_TRUE(states.ok());
+  EXPECT_TRUE(CheckInitStates(*states, 1, 1).ok());
+  EXPECT_THAT(CheckInitStates(*states, 41, 37).message(),
+              HasSubstr("task.pruned_init: rows have 3 values, the composed model needs 1 + nq + nv = 1 + 41 + 37 = 79"));
+}
+
+TEST(InitStatesTest, SurvivesDamagedFiles) {
+  const std::string pickle = Pickle(kValues, 2, 3);
+  RandomStream random(StreamKey("init states damage"));
+  for (int i = 0; i < 5000; ++i) {
+    // Damage inside the pickle under a correct checksum, and damage to the container.
+    std::string inner = pickle;
+    for (int k = 0; k <= i % 3; ++k) inner[random.UniformInt(static_cast<int>(inner.size()))] = static_cast<char>(random.UniformInt(256));
+    (void)ParseInitStates("a", Zip("archive/data.pkl", inner));
+    std::string outer = Zip("archive/data.pkl", pickle);
+    outer[random.UniformInt(static_cast<int>(outer.size()))] = static_cast<char>(random.UniformInt(256));
+    if (i % 2 == 0) outer.resize(random.UniformInt(static_cast<int>(outer.size())));
+    (void)ParseInitStates("a", outer);
+  }
+}
+
+TEST(InitStatesTest, ReadsEveryTaskOfTheFourSuites) {
+  SKIP_WITHOUT_SHARED_DATA();
+  int files = 0;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(LiberoTree() + "/libero/libero/init_files")) {
+    if (entry.path().extension() != ".pruned_init") continue;
+    const absl::StatusOr<InitStates> states = ReadInitStates(entry.path());
+    ASSERT_TRUE(states.ok()) << states.status();
+    EXPECT_EQ(states->rows, 50);
+    EXPECT_EQ(states->row(0)[0], 0) << "time";
+    ++files;
+  }
+  EXPECT_EQ(files, 40);
+}
+
+}  // namespace
+}  // namespace robostress::libero
