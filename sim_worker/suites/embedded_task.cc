@@ -88,7 +88,10 @@ absl::Status EmbeddedTask::Reset(int initial_state) {
                                               " are reproducible states, ", kFirstTrainingDraw,
                                               " and above are training draws"));
   }
-  const InitialState state = SampleInitialState(model_->suite(), model_->task_index(), initial_state);
+  return ResetTo(SampleInitialState(model_->suite(), model_->task_index(), initial_state));
+}
+
+absl::Status EmbeddedTask::ResetTo(const InitialState& state) {
   RS_RETURN_IF_ERROR(sim_->Reset(model_->Qpos(state), EmbeddedHome()));
   model_->PlaceStaticProps(state, sim_->mutable_data());
   mj_forward(&sim_->model(), &sim_->mutable_data());

@@ -32,6 +32,9 @@ class EmbeddedTask : public SimTask {
   const TaskModel& model() const { return *model_; }
   ExpertDecision Decide() const { return DecideExpert(*model_, *sim_); }
 
+  // Starts an episode from any state, e.g. one that a test made up.
+  absl::Status ResetTo(const InitialState& state);
+
   // [8]: tool position in the base frame [m], Log(R_tool R_home^-1) [rad], finger joints [m].
   Eigen::VectorXf Proprioception() const;
   // A view at the size a policy wants: small views are rendered at twice their size and averaged.

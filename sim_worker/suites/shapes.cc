@@ -81,14 +81,13 @@ Parts PartsOf(const Prop& prop) {
       parts.inertial = Inertial(0.06, 0.02);
       break;
     case PropKind::kCan:
-      parts.visual = Visual("cylinder", "0.021 0.03", "0 0 0.03", c) +
-                     Visual("cylinder", "0.012 0.001", "0 0 0.0605", "silver");
+      parts.visual = Visual("cylinder", "0.021 0.03", "0 0 0.03", c);
       parts.proxy = GraspProxy("0.018 0.018 0.0285", "0 0 0.0315", 0.013);
       parts.inertial = Inertial(0.07, 0.025);
       break;
     case PropKind::kBottle:
       parts.visual = Visual("cylinder", "0.021 0.025", "0 0 0.025", c) +
-                     Visual("cylinder", "0.014 0.010", "0 0 0.06", c) + Visual("cylinder", "0.010 0.003", "0 0 0.073", "black");
+                     Visual("cylinder", "0.014 0.013", "0 0 0.063", c);
       parts.proxy = GraspProxy("0.018 0.018 0.024", "0 0 0.027", 0.014);
       parts.inertial = Inertial(0.07, 0.022);
       break;

@@ -1,0 +1,101 @@
+#include <cstdlib>
+#include <string>
+
+#include "common/safetensors.h"
+#include "gtest/gtest.h"
+#include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/shard.h"
+
+namespace robostress {
+namespace {
+
+std::unique_ptr<EmbeddedTask> MakeTask(const std::string& suite, int task) {
+  UnitConfig unit;
+  unit.suite = suite;
+  absl::StatusOr<std::unique_ptr<EmbeddedTask>> made = EmbeddedTask::Create(unit, task);
+  EXPECT_TRUE(made.ok()) << made.status();
+  return std::move(made).value();
+}
+
+RandomStream TestStream(int index) { return RandomStream(StreamKey("record test").With(index)); }
+
+TEST(Record, LabelsAreTheExpertsPathAndRestAfterSuccess) {
+  const auto task = MakeTask("tabletop_goal", 4);
+  RecordOptions options;
+  options.noisy_share = 0;
+  const absl::StatusOr<Demonstration> episode = RecordExpert(*task, 1000, options, TestStream(0));
+  if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
+  ASSERT_TRUE(episode.ok()) << episode.status();
+  ASSERT_TRUE(episode->success);
+  ASSERT_EQ(static_cast<int>(episode->frames.size()), (episode->steps + 1) / 2);
+  const DemonstrationFrame& first = episode->frames[0];
+  EXPECT_EQ(first.actions.row(2), episode->frames[1].actions.row(0)) << "frames are two control steps apart";
+  const DemonstrationFrame& last = episode->frames.back();
+  EXPECT_EQ(last.actions.bottomRows(40).leftCols(6).norm(), 0);
+  EXPECT_EQ(last.actions(49, 6), last.actions(0, 6));
+}
+
+TEST(Record, NoiseDisturbsWhatIsExecutedNotTheLabels) {
+  const auto task = MakeTask("tabletop_goal", 4);
+  RecordOptions calm, noisy;
+  calm.render = noisy.render = false;
+  calm.noisy_share = 0;
+  noisy.noisy_share = 1;
+  noisy.burst_chance = 1;
+  const absl::StatusOr<Demonstration> a = RecordExpert(*task, 1001, calm, TestStream(1));
+  const absl::StatusOr<Demonstration> b = RecordExpert(*task, 1001, noisy, TestStream(1));
+  const absl::StatusOr<Demonstration> c = RecordExpert(*task, 1001, noisy, TestStream(1));
+  ASSERT_TRUE(a.ok() && b.ok() && c.ok());
+  EXPECT_NE(a->steps, b->steps);
+  EXPECT_EQ(b->steps, c->steps) << "the noise is a function of the stream";
+}
+
+TEST(Record, BranchLabelIsTheExpertsFutureAndLeavesNoTrace) {
+  const auto task = MakeTask("tabletop_spatial", 0), untouched = MakeTask("tabletop_spatial", 0);
+  ASSERT_TRUE(task->Reset(1002).ok());
+  ASSERT_TRUE(untouched->Reset(1002).ok());
+  for (int i = 0; i < 12; ++i) {
+    ASSERT_TRUE(task->Step(task->Decide().command).ok());
+    ASSERT_TRUE(untouched->Step(untouched->Decide().command).ok());
+  }
+  const absl::StatusOr<Eigen::MatrixXf> label = BranchLabel(*task);
+  ASSERT_TRUE(label.ok());
+  for (int i = 0; i < 20; ++i) {
+    EXPECT_EQ(label->row(i).transpose(), task->Decide().command) << "row " << i;
+    ASSERT_TRUE(task->Step(task->Decide().command).ok());
+    ASSERT_TRUE(untouched->Step(untouched->Decide().command).ok());
+  }
+  EXPECT_EQ(task->Proprioception(), untouched->Proprioception());
+}
+
+TEST(Shard, ReadsBackWithTheShapesThatTrainingExpects) {
+  Demonstration episode;
+  for (int i = 0; i < 3; ++i) {
+    DemonstrationFrame frame;
+    frame.views.assign(2, Image{4, 4, std::vector<uint8_t>(48, static_cast<uint8_t>(i))});
+    frame.proprioception = Eigen::VectorXf::Constant(8, 0.5f);
+    frame.aux.setConstant(static_cast<float>(i));
+    frame.actions = Eigen::MatrixXf::Zero(kLabelSteps, 7);
+    frame.actions(1, 6) = 7;
+    episode.frames.push_back(frame);
+  }
+  Shard shard("tabletop_goal", 4, "turn on the stove");
+  shard.Add(1000, episode);
+  shard.Add(1001, episode);
+  const std::string path = ::testing::TempDir() + "/shard_test.safetensors";
+  ASSERT_TRUE(shard.Write(path).ok());
+  const absl::StatusOr<SafetensorsFile> file = SafetensorsFile::Open(path);
+  ASSERT_TRUE(file.ok()) << file.status();
+  EXPECT_EQ(file->metadata().at("instruction"), "turn on the stove");
+  EXPECT_EQ(file->metadata().at("task"), "4");
+  EXPECT_EQ(file->Get("images")->shape, (std::vector<int64_t>{6, 2, 4, 4, 3}));
+  EXPECT_EQ(file->Get("images")->bytes[48 * 2], 1);
+  EXPECT_EQ(file->Get("actions")->shape, (std::vector<int64_t>{6, 50, 7}));
+  EXPECT_EQ((*file->ReadFloats("actions"))[13], 7);
+  EXPECT_EQ((*file->ReadFloats("aux"))[8], 1);
+  EXPECT_EQ((*file->ReadDoubles("episode"))[3], 1001);
+  std::remove(path.c_str());
+}
+
+}  // namespace
+}  // namespace robostress
