@@ -28,13 +28,15 @@ std::string FirstLineOf(const std::string& command) {
 // The git revision, with "-dirty" when tracked files differ; empty outside a checkout.
 std::string SourceRevision() {
   if (!fs::exists(fs::path(kSourceDir) / ".git")) return "";
-  return FirstLineOf(absl::StrCat("git -C '", kSourceDir, "' describe --always --dirty --abbrev=12 2>/dev/null"));
+  return FirstLineOf(
+      absl::StrCat("git -C '", kSourceDir, "' describe --always --dirty --abbrev=12 2>/dev/null"));
 }
 
 std::string Processor() {
   std::ifstream file("/proc/cpuinfo");
   for (std::string line; std::getline(file, line);) {
-    if (absl::StartsWith(line, "model name")) return std::string(absl::StripAsciiWhitespace(line.substr(line.find(':') + 1)));
+    if (absl::StartsWith(line, "model name"))
+      return std::string(absl::StripAsciiWhitespace(line.substr(line.find(':') + 1)));
   }
   return "unknown";
 }
@@ -42,9 +44,11 @@ std::string Processor() {
 nlohmann::json WeightHashes() {
   nlohmann::json hashes = nlohmann::json::object();
   std::error_code none;
-  for (const auto& entry : fs::directory_iterator(fs::path(kSourceDir) / "server/models/weights", none)) {
+  for (const auto& entry :
+       fs::directory_iterator(fs::path(kSourceDir) / "server/models/weights", none)) {
     if (entry.path().extension() != ".safetensors") continue;
-    if (const auto hash = Sha256OfFile(entry.path().string()); hash.ok()) hashes[entry.path().filename().string()] = *hash;
+    if (const auto hash = Sha256OfFile(entry.path().string()); hash.ok())
+      hashes[entry.path().filename().string()] = *hash;
   }
   return hashes;
 }
@@ -53,9 +57,12 @@ nlohmann::json WeightHashes() {
 
 absl::Status WriteEnvironment(const std::string& run_dir) {
   const nlohmann::json record = {
-      {"robostress", kVersion}, {"revision", SourceRevision()}, {"compiler", kCompiler}, {"build_type", kBuildType},
-      {"sanitizers", kSanitizers}, {"mujoco", kMujocoVersion}, {"torch", kTorchVersion}, {"grpc", kGrpcVersion},
-      {"processor", Processor()}, {"cores", std::thread::hardware_concurrency()}, {"weights_sha256", WeightHashes()}};
+      {"robostress", kVersion},          {"revision", SourceRevision()},
+      {"compiler", kCompiler},           {"build_type", kBuildType},
+      {"sanitizers", kSanitizers},       {"mujoco", kMujocoVersion},
+      {"torch", kTorchVersion},          {"grpc", kGrpcVersion},
+      {"processor", Processor()},        {"cores", std::thread::hardware_concurrency()},
+      {"weights_sha256", WeightHashes()}};
   return WriteFileAtomically(run_dir + "/environment.json", record.dump(2) + "\n");
 }
 

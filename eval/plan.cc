@@ -28,25 +28,30 @@ class Complaints {
                   const std::vector<std::string>& known) {
     std::vector<std::string> unknown;
     for (const std::string& name : names) {
-      if (std::find(known.begin(), known.end(), name) == known.end()) unknown.push_back(absl::StrCat("'", name, "'"));
+      if (std::find(known.begin(), known.end(), name) == known.end())
+        unknown.push_back(absl::StrCat("'", name, "'"));
     }
     if (!unknown.empty()) {
-      Add(absl::StrCat("unknown ", what, " ", absl::StrJoin(unknown, ", "), "; known: ", absl::StrJoin(known, ", ")));
+      Add(absl::StrCat("unknown ", what, " ", absl::StrJoin(unknown, ", "),
+                       "; known: ", absl::StrJoin(known, ", ")));
     }
-    if (names.empty()) Add(absl::StrCat("no ", what, " given; known: ", absl::StrJoin(known, ", ")));
+    if (names.empty())
+      Add(absl::StrCat("no ", what, " given; known: ", absl::StrJoin(known, ", ")));
   }
 
   template <class T>
   void CheckUnique(const std::string& what, const std::vector<T>& values) {
     std::set<T> seen;
     for (const T& value : values) {
-      if (!seen.insert(value).second) Add(absl::StrCat(what, " ", value, " is given twice; remove one"));
+      if (!seen.insert(value).second)
+        Add(absl::StrCat(what, " ", value, " is given twice; remove one"));
     }
   }
 
   absl::Status ToStatus() const {
     if (texts_.empty()) return absl::OkStatus();
-    return absl::InvalidArgumentError(absl::StrCat("the sweep cannot be planned:\n  - ", absl::StrJoin(texts_, "\n  - ")));
+    return absl::InvalidArgumentError(
+        absl::StrCat("the sweep cannot be planned:\n  - ", absl::StrJoin(texts_, "\n  - ")));
   }
 
  private:
@@ -70,13 +75,16 @@ std::vector<std::string> DefaultScenarios() {
 }
 
 bool SameFactors(const std::vector<SeverityFactors>& a, const std::vector<SeverityFactors>& b) {
-  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const SeverityFactors& x, const SeverityFactors& y) {
-    return x.friction == y.friction && x.gravity == y.gravity && x.backlash == y.backlash && x.compliance == y.compliance;
-  });
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                    [](const SeverityFactors& x, const SeverityFactors& y) {
+                      return x.friction == y.friction && x.gravity == y.gravity &&
+                             x.backlash == y.backlash && x.compliance == y.compliance;
+                    });
 }
 
 // Names in the order of `known`, so that the order of flags changes nothing.
-std::vector<std::string> InOrderOf(const std::vector<std::string>& known, const std::vector<std::string>& names) {
+std::vector<std::string> InOrderOf(const std::vector<std::string>& known,
+                                   const std::vector<std::string>& names) {
   std::vector<std::string> ordered;
   for (const std::string& name : known) {
     if (std::find(names.begin(), names.end(), name) != names.end()) ordered.push_back(name);
@@ -85,38 +93,47 @@ std::vector<std::string> InOrderOf(const std::vector<std::string>& known, const 
 }
 
 void CheckPolicies(const SweepGrid& grid, Complaints& complaints) {
-  if (grid.policies.empty()) complaints.Add("no policy given; known: nano, expert, replay, or a weights file");
-  const bool has_base = std::find(grid.methods.begin(), grid.methods.end(), "base") != grid.methods.end();
+  if (grid.policies.empty())
+    complaints.Add("no policy given; known: nano, expert, replay, or a weights file");
+  const bool has_base =
+      std::find(grid.methods.begin(), grid.methods.end(), "base") != grid.methods.end();
   for (const std::string& policy : grid.policies) {
     if (RunsInWorker(policy)) {
       if (!has_base) {
-        complaints.Add(absl::StrCat("policy ", policy, " does not adapt and runs with method base only; add it to --methods"));
+        complaints.Add(
+            absl::StrCat("policy ", policy,
+                         " does not adapt and runs with method base only; add it to --methods"));
       }
       if (policy == "replay" && grid.replay_file.empty()) {
         complaints.Add("policy replay needs --replay-file FILE (safetensors with actions [T, 7])");
       }
-    } else if (policy != "nano" && access(policy.c_str(), R_OK) != 0) {
-      complaints.Add(absl::StrCat("unknown policy '", policy, "'; known: nano, expert, replay, or the path of a readable weights file"));
+    } else if (policy != "nano" && policy != "nano:random" && access(policy.c_str(), R_OK) != 0) {
+      complaints.Add(
+          absl::StrCat("unknown policy '", policy,
+                       "'; known: nano, expert, replay, or the path of a readable weights file"));
     }
   }
 }
 
 void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
   for (const int severity : grid.severities) {
-    if (severity < 1 || severity > 5) complaints.Add(absl::StrCat("severity ", severity, " is not a level 1 to 5"));
+    if (severity < 1 || severity > 5)
+      complaints.Add(absl::StrCat("severity ", severity, " is not a level 1 to 5"));
   }
   if (grid.severities.empty()) complaints.Add("no severity given; levels are 1 to 5");
   if (grid.seeds.empty()) complaints.Add("no seed given");
   if (grid.episodes < 1 || grid.episodes > 10000) {
     complaints.Add(absl::StrCat("episodes is ", grid.episodes, ", must be 1 to 10000"));
   }
-  if (grid.videos < 0) complaints.Add(absl::StrCat("videos is ", grid.videos, ", must be 0 or more"));
+  if (grid.videos < 0)
+    complaints.Add(absl::StrCat("videos is ", grid.videos, ", must be 0 or more"));
   for (const std::string& name : grid.suites) {
     const SuiteInfo* suite = FindSuite(name);
     if (suite == nullptr) continue;
     for (const int task : grid.tasks) {
       if (task < 0 || task >= suite->num_tasks) {
-        complaints.Add(absl::StrCat("task ", task, " of ", name, " does not exist; it has tasks 0 to ", suite->num_tasks - 1));
+        complaints.Add(absl::StrCat("task ", task, " of ", name,
+                                    " does not exist; it has tasks 0 to ", suite->num_tasks - 1));
       }
     }
     if (grid.first_initial_state < 0 || grid.first_initial_state >= suite->num_initial_states) {
@@ -124,23 +141,29 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
                                   " does not exist; it has 0 to ", suite->num_initial_states - 1));
     }
     if (suite->needs_libero && (grid.libero_root.empty() || grid.robosuite_root.empty())) {
-      complaints.Add(absl::StrCat(name, " reads LIBERO's own files: give --libero-root DIR and --robosuite-root DIR"));
+      complaints.Add(absl::StrCat(
+          name, " reads LIBERO's own files: give --libero-root DIR and --robosuite-root DIR"));
     }
   }
 }
 
 }  // namespace
 
-int PlannedUnit::EpisodeCount() const { return static_cast<int>(config.tasks.size()) * config.episodes; }
+int PlannedUnit::EpisodeCount() const {
+  return static_cast<int>(config.tasks.size()) * config.episodes;
+}
 
 bool SameAtEveryLevel(const std::string& scenario) {
   const absl::StatusOr<Scenario> mild = MakeScenario(scenario, 1), full = MakeScenario(scenario, 5);
-  return mild.ok() && full.ok() && SameFactors(mild->end, full->end) && SameFactors(mild->start, full->start);
+  return mild.ok() && full.ok() && SameFactors(mild->end, full->end) &&
+         SameFactors(mild->start, full->start);
 }
 
 bool RunsInWorker(const std::string& policy) { return policy == "expert" || policy == "replay"; }
 
-std::string PolicyLabel(const std::string& policy) { return std::filesystem::path(policy).stem().string(); }
+std::string PolicyLabel(const std::string& policy) {
+  return std::filesystem::path(policy).stem().string();
+}
 
 SweepGrid QuickGrid() {
   SweepGrid grid;
@@ -160,7 +183,8 @@ absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text) {
   std::vector<int> tasks;
   if (text.empty() || text == "all") return tasks;
   const absl::Status error = absl::InvalidArgumentError(absl::StrCat(
-      "tasks '", text, "' is neither a number of tasks (2), nor indices (0,3,7), nor a range (2-5), nor all"));
+      "tasks '", text,
+      "' is neither a number of tasks (2), nor indices (0,3,7), nor a range (2-5), nor all"));
   int count = 0;
   if (absl::SimpleAtoi(text, &count)) {
     if (count < 1) return error;
@@ -170,8 +194,8 @@ absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text) {
   for (absl::string_view part : absl::StrSplit(text, ',')) {
     const std::vector<std::string> ends = absl::StrSplit(part, '-');
     int first = 0, last = 0;
-    if (ends.size() > 2 || !absl::SimpleAtoi(ends.front(), &first) || !absl::SimpleAtoi(ends.back(), &last) ||
-        first < 0 || last < first || last > 9999) {
+    if (ends.size() > 2 || !absl::SimpleAtoi(ends.front(), &first) ||
+        !absl::SimpleAtoi(ends.back(), &last) || first < 0 || last < first || last > 9999) {
       return error;
     }
     for (int task = first; task <= last; ++task) tasks.push_back(task);
@@ -198,8 +222,10 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid) {
   complaints.CheckUnique("policy name", labels);
   UnitConfig scratch;
   for (const std::string& assignment : grid.overrides) {
-    if (!absl::StrContains(assignment, '=') || (assignment.rfind("sim.", 0) != 0 && assignment.rfind("method.", 0) != 0)) {
-      complaints.Add(absl::StrCat("override '", assignment, "' must be sim.KEY=VALUE or method.KEY=VALUE"));
+    if (!absl::StrContains(assignment, '=') ||
+        (assignment.rfind("sim.", 0) != 0 && assignment.rfind("method.", 0) != 0)) {
+      complaints.Add(
+          absl::StrCat("override '", assignment, "' must be sim.KEY=VALUE or method.KEY=VALUE"));
     } else if (const absl::Status status = ApplyOverrides({assignment}, scratch); !status.ok()) {
       complaints.Add(std::string(status.message()));
     }
@@ -216,8 +242,9 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
   const auto add = [&](UnitConfig config, const std::string& method) -> absl::Status {
     RS_ASSIGN_OR_RETURN(config.method, MakeMethod(method));
     RS_RETURN_IF_ERROR(ApplyOverrides(grid.overrides, config));
-    const std::string id = absl::StrCat(config.suite, "-", config.scenario, "-L", config.severity, "-",
-                                        PolicyLabel(config.policy), "-", method, "-s", config.seed);
+    const std::string id =
+        absl::StrCat(config.suite, "-", config.scenario, "-L", config.severity, "-",
+                     PolicyLabel(config.policy), "-", method, "-s", config.seed);
     units.push_back({id, std::move(config)});
     return absl::OkStatus();
   };
@@ -226,7 +253,8 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
     config.suite = suite_name;
     config.tasks = grid.tasks;
     if (config.tasks.empty()) {
-      for (int task = 0; task < FindSuite(suite_name)->num_tasks; ++task) config.tasks.push_back(task);
+      for (int task = 0; task < FindSuite(suite_name)->num_tasks; ++task)
+        config.tasks.push_back(task);
     }
     config.episodes = grid.episodes;
     config.first_initial_state = grid.first_initial_state;
@@ -236,7 +264,8 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
     config.robosuite_root = grid.robosuite_root;
     for (const std::string& scenario : grid.scenarios) {
       config.scenario = scenario;
-      const std::vector<int> once = {*std::max_element(grid.severities.begin(), grid.severities.end())};
+      const std::vector<int> once = {
+          *std::max_element(grid.severities.begin(), grid.severities.end())};
       for (const int severity : SameAtEveryLevel(scenario) ? once : grid.severities) {
         config.severity = severity;
         for (const std::string& policy : grid.policies) {

@@ -10,7 +10,8 @@
 
 namespace robostress {
 
-// What a sweep evaluates: the product of the lists. This struct is RUN_DIR/sweep.yaml and the schema of a grid file.
+// What a sweep evaluates: the product of the lists. This struct is RUN_DIR/sweep.yaml and the
+// schema of a grid file.
 struct SweepGrid {
   std::vector<std::string> suites = {"tabletop_goal"};
   std::vector<std::string> scenarios;  // empty: clean and the seven deployment scenarios
@@ -28,7 +29,8 @@ struct SweepGrid {
   template <class V>
   void Visit(V& v) {
     v.Field("suites", suites, "see `robostress suites`");
-    v.Field("scenarios", scenarios, "see `robostress scenarios`; empty: clean and the seven deployment scenarios");
+    v.Field("scenarios", scenarios,
+            "see `robostress scenarios`; empty: clean and the seven deployment scenarios");
     v.Field("severities", severities, "levels 1 (mild) to 5 (full)");
     v.Field("policies", policies, "nano, expert, replay, or a weights file");
     v.Field("methods", methods, "base, ours, controls and ablations");
@@ -46,7 +48,8 @@ struct SweepGrid {
 
 // One unit of the sweep: what one worker process runs from start to end.
 struct PlannedUnit {
-  std::string id;  // "tabletop_goal-heavy_payload-L5-nano-ours-s0": folder name, unique in the sweep
+  std::string
+      id;  // "tabletop_goal-heavy_payload-L5-nano-ours-s0": folder name, unique in the sweep
   UnitConfig config;
   int EpisodeCount() const;  // tasks x episodes
 };
@@ -57,11 +60,12 @@ SweepGrid FullGrid();
 
 // "4": the first four tasks; "0,3,7" and "2-5": indices; "all" or "": empty.
 absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text);
-// Fills defaults that depend on other fields (the scenario list) and checks every name and range. The error
-// lists everything that is wrong, with the names that are known.
+// Fills defaults that depend on other fields (the scenario list) and checks every name and range.
+// The error lists everything that is wrong, with the names that are known.
 absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid);
-// Units in canonical order: suite, scenario, severity, policy, method, seed. A policy that does not adapt
-// (expert, replay) gets the method base only; a scenario that is equal at all levels gets one level.
+// Units in canonical order: suite, scenario, severity, policy, method, seed. A policy that does not
+// adapt (expert, replay) gets the method base only; a scenario that is equal at all levels gets one
+// level.
 absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& resolved);
 // True when every level of the scenario is the same (clean, nominal, dev_mixed).
 bool SameAtEveryLevel(const std::string& scenario);

@@ -36,7 +36,8 @@ absl::Status ErrnoStatus(const std::string& what) {
 }  // namespace
 
 std::string ProgramFolder() {
-  if (const char* folder = std::getenv("ROBOSTRESS_BIN"); folder != nullptr && *folder != '\0') return folder;
+  if (const char* folder = std::getenv("ROBOSTRESS_BIN"); folder != nullptr && *folder != '\0')
+    return folder;
   std::error_code error;
   const std::filesystem::path self = std::filesystem::read_symlink("/proc/self/exe", error);
   return error ? "." : self.parent_path().string();
@@ -58,24 +59,27 @@ std::vector<std::string> InstalledCommands() {
 absl::StatusOr<std::string> FindProgram(const std::string& command) {
   const std::string path = absl::StrCat(ProgramFolder(), "/", kPrefix, command);
   if (command.find('/') == std::string::npos && access(path.c_str(), X_OK) == 0) return path;
-  return absl::NotFoundError(absl::StrCat(
-      "no program ", kPrefix, command, " in ", ProgramFolder(), "; there: ", absl::StrJoin(InstalledCommands(), ", "),
-      ". Build it with ./run build, or name its folder in ROBOSTRESS_BIN"));
+  return absl::NotFoundError(
+      absl::StrCat("no program ", kPrefix, command, " in ", ProgramFolder(),
+                   "; there: ", absl::StrJoin(InstalledCommands(), ", "),
+                   ". Build it with ./run build, or name its folder in ROBOSTRESS_BIN"));
 }
 
 void ChooseOpenMpBlas() {
   if (access(absl::StrCat(kOpenMpBlasDir, "/libblas.so.3").c_str(), R_OK) != 0) return;
   const char* current = std::getenv("LD_LIBRARY_PATH");
   if (current != nullptr && absl::StrContains(current, kOpenMpBlasDir)) return;
-  const std::string path = current == nullptr || *current == '\0' ? std::string(kOpenMpBlasDir)
-                                                                  : absl::StrCat(kOpenMpBlasDir, ":", current);
+  const std::string path = current == nullptr || *current == '\0'
+                               ? std::string(kOpenMpBlasDir)
+                               : absl::StrCat(kOpenMpBlasDir, ":", current);
   setenv("LD_LIBRARY_PATH", path.c_str(), 1);
 }
 
-absl::StatusOr<ChildProcess> ChildProcess::Start(const std::vector<std::string>& command,
-                                                 const std::map<std::string, std::string>& environment,
-                                                 const std::string& log_file) {
-  // Everything that allocates happens before fork: the child may only call async-signal-safe functions.
+absl::StatusOr<ChildProcess> ChildProcess::Start(
+    const std::vector<std::string>& command, const std::map<std::string, std::string>& environment,
+    const std::string& log_file) {
+  // Everything that allocates happens before fork: the child may only call async-signal-safe
+  // functions.
   std::vector<std::string> variables;
   for (char** variable = environ; *variable != nullptr; ++variable) {
     const std::string name = std::string(*variable).substr(0, std::string(*variable).find('='));
@@ -122,7 +126,9 @@ absl::StatusOr<ChildProcess> ChildProcess::Start(const std::vector<std::string>&
 }
 
 ChildProcess::ChildProcess(ChildProcess&& other) noexcept
-    : pid_(std::exchange(other.pid_, -1)), pidfd_(std::exchange(other.pidfd_, -1)), exit_(std::move(other.exit_)) {}
+    : pid_(std::exchange(other.pid_, -1)),
+      pidfd_(std::exchange(other.pidfd_, -1)),
+      exit_(std::move(other.exit_)) {}
 
 ChildProcess& ChildProcess::operator=(ChildProcess&& other) noexcept {
   std::swap(pid_, other.pid_);
@@ -146,7 +152,8 @@ std::optional<ExitState> ChildProcess::Wait(int timeout_ms) {
     exit_ = ExitState{WEXITSTATUS(status), absl::StrCat("exit code ", WEXITSTATUS(status))};
   } else {
     const int signal = WTERMSIG(status);
-    exit_ = ExitState{128 + signal, absl::StrCat("killed by signal ", signal, " (", strsignal(signal), ")")};
+    exit_ = ExitState{128 + signal,
+                      absl::StrCat("killed by signal ", signal, " (", strsignal(signal), ")")};
   }
   return exit_;
 }

@@ -14,26 +14,29 @@ namespace robostress {
 
 // The folder of the other programs: ROBOSTRESS_BIN if set, else that of the running program.
 std::string ProgramFolder();
-// Full path of robostress-<command>; not found: the folder that was searched and the programs that are there.
+// Full path of robostress-<command>; not found: the folder that was searched and the programs that
+// are there.
 absl::StatusOr<std::string> FindProgram(const std::string& command);
 // Commands that ProgramFolder() holds, sorted: "report", "serve", "sweep" ...
 std::vector<std::string> InstalledCommands();
 
-// Prepends the OpenMP build of OpenBLAS to LD_LIBRARY_PATH of this process's children, where it is installed: the
-// pthread build, Debian's default alternative, ignores the thread counts that LibTorch sets.
+// Prepends the OpenMP build of OpenBLAS to LD_LIBRARY_PATH of this process's children, where it is
+// installed: the pthread build, Debian's default alternative, ignores the thread counts that
+// LibTorch sets.
 void ChooseOpenMpBlas();
 
 // How a child ended.
 struct ExitState {
-  int code = 0;    // exit code, or 128 + signal
+  int code = 0;      // exit code, or 128 + signal
   std::string text;  // "exit code 3", "killed by signal 9 (Killed)"
 };
 
-// A running child process. It dies with its parent (PR_SET_PDEATHSIG) and is terminated by the destructor.
+// A running child process. It dies with its parent (PR_SET_PDEATHSIG) and is terminated by the
+// destructor.
 class ChildProcess {
  public:
-  // Runs `command` (command[0] is a path) with standard output and error appended to `log_file` and the
-  // variables of `environment` added to this process's own.
+  // Runs `command` (command[0] is a path) with standard output and error appended to `log_file` and
+  // the variables of `environment` added to this process's own.
   static absl::StatusOr<ChildProcess> Start(const std::vector<std::string>& command,
                                             const std::map<std::string, std::string>& environment,
                                             const std::string& log_file);

@@ -20,7 +20,8 @@ std::string FormatDuration(double seconds) {
 
 int CountLines(const std::string& file) {
   std::ifstream stream(file, std::ios::binary);
-  return static_cast<int>(std::count(std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>(), '\n'));
+  return static_cast<int>(
+      std::count(std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>(), '\n'));
 }
 
 Progress::Progress(Output output)
@@ -56,10 +57,14 @@ std::string Progress::Line() {
     fresh += unit.recorded - unit.before;
     expected += unit.expected;
   }
-  const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
-  const std::string eta = fresh == 0 ? "?" : FormatDuration(elapsed / fresh * (expected - episodes));
-  return absl::StrFormat("%d/%d units  %d/%d episodes (%d %%)  elapsed %s  ETA %s", units_done, units_.size(), episodes, expected,
-                         expected == 0 ? 100 : 100 * episodes / expected, FormatDuration(elapsed), eta);
+  const double elapsed =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  const std::string eta =
+      fresh == 0 ? "?" : FormatDuration(elapsed / fresh * (expected - episodes));
+  return absl::StrFormat("%d/%d units  %d/%d episodes (%d %%)  elapsed %s  ETA %s", units_done,
+                         units_.size(), episodes, expected,
+                         expected == 0 ? 100 : 100 * episodes / expected, FormatDuration(elapsed),
+                         eta);
 }
 
 void Progress::Print(bool force) {
@@ -76,7 +81,8 @@ void Progress::Print(bool force) {
 void Progress::Show() { Print(false); }
 
 void Progress::Say(const std::string& message) {
-  std::fprintf(stderr, "%s%s\n", enabled_ && terminal_ && printed_ ? "\r\033[K" : "", message.c_str());
+  std::fprintf(stderr, "%s%s\n", enabled_ && terminal_ && printed_ ? "\r\033[K" : "",
+               message.c_str());
 }
 
 void Progress::End() {

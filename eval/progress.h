@@ -6,9 +6,9 @@
 
 namespace robostress {
 
-// The progress line of a sweep: units and episodes done, and when the rest will be. Episodes are counted in the
-// files the workers append to. A terminal gets one line that is rewritten every second, anything else a line
-// every 20 s.
+// The progress line of a sweep: units and episodes done, and when the rest will be. Episodes are
+// counted in the files the workers append to. A terminal gets one line that is rewritten every
+// second, anything else a line every 20 s.
 class Progress {
  public:
   enum class Output { kAutomatic, kNone };

@@ -10,8 +10,8 @@
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 #include "eval/paper_values.h"
-#include "eval/report_page.h"
 #include "eval/progress.h"
+#include "eval/report_page.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -21,7 +21,8 @@ using nlohmann::json;
 
 // Display columns of UTF-8 text.
 size_t Columns(const std::string& text) {
-  return std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; });
+  return std::count_if(text.begin(), text.end(),
+                       [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; });
 }
 
 std::string Pad(const std::string& text, size_t columns, bool right = false) {
@@ -40,14 +41,17 @@ std::string Aligned(const std::vector<std::vector<std::string>>& rows) {
   std::string text;
   for (const auto& row : rows) {
     std::string line;
-    for (size_t c = 0; c < row.size(); ++c) absl::StrAppend(&line, c == 0 ? "  " : "   ", Pad(row[c], widths[c], c > 0));
+    for (size_t c = 0; c < row.size(); ++c)
+      absl::StrAppend(&line, c == 0 ? "  " : "   ", Pad(row[c], widths[c], c > 0));
     absl::StrAppend(&text, line, "\n");
   }
   return text;
 }
 
 std::string Percent(double fraction) { return absl::StrFormat("%.1f", 100 * fraction); }
-std::string OptionalPercent(const std::optional<double>& fraction) { return fraction ? Percent(*fraction) : "-"; }
+std::string OptionalPercent(const std::optional<double>& fraction) {
+  return fraction ? Percent(*fraction) : "-";
+}
 
 std::string IntervalText(const Interval& interval) {
   if (!std::isfinite(interval.low)) return "[n/a]";
@@ -56,19 +60,27 @@ std::string IntervalText(const Interval& interval) {
 
 std::string DifferenceText(const Comparison& c) {
   const Interval& interval = c.difference.interval;
-  const std::string ends = std::isfinite(interval.low) ? absl::StrFormat("[%+.0f, %+.0f]", 100 * interval.low, 100 * interval.high) : "[n/a]";
+  const std::string ends =
+      std::isfinite(interval.low)
+          ? absl::StrFormat("[%+.0f, %+.0f]", 100 * interval.low, 100 * interval.high)
+          : "[n/a]";
   return absl::StrFormat("%+.1f %s +%d/-%d", 100 * c.difference.estimate, ends, c.plus, c.minus);
 }
 
 std::string TableHeading(const SuccessTable& table) {
-  return absl::StrCat("Success (%), policy ", table.policy, ", severity L", table.severity, ", suite", table.title.find(',') == std::string::npos ? " " : "s ", table.title);
+  return absl::StrCat("Success (%), policy ", table.policy, ", severity L", table.severity,
+                      ", suite", table.title.find(',') == std::string::npos ? " " : "s ",
+                      table.title);
 }
 
 std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
   std::vector<std::vector<std::string>> rows = {{"Scenario", "n"}};
   for (const std::string& method : table.methods) {
     rows[0].push_back(method);
-    if (method != "base") rows[0].insert(rows[0].end(), {method == "ours" ? "ours - base" : absl::StrCat(method, " - base"), "updates"});
+    if (method != "base")
+      rows[0].insert(
+          rows[0].end(),
+          {method == "ours" ? "ours - base" : absl::StrCat(method, " - base"), "updates"});
   }
   for (const ScenarioRow& row : table.rows) {
     int n = 0;
@@ -93,7 +105,10 @@ std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
   std::vector<std::string> cells = {"Average without Clean", ""};
   for (const std::string& method : table.methods) {
     const AverageCell& average = table.averages.at(method);
-    cells.push_back(std::isfinite(average.success.estimate) ? absl::StrCat(Percent(average.success.estimate), " ", IntervalText(average.success.interval)) : "-");
+    cells.push_back(std::isfinite(average.success.estimate)
+                        ? absl::StrCat(Percent(average.success.estimate), " ",
+                                       IntervalText(average.success.interval))
+                        : "-");
     if (method == "base") continue;
     cells.push_back(average.versus_base ? DifferenceText(*average.versus_base) : "-");
     cells.push_back(UpdatesText(average.adapts, average.updates));
@@ -102,7 +117,8 @@ std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
   return rows;
 }
 
-// The paper's measure per method, intent per method, and the tracking-scaled residual of the first method.
+// The paper's measure per method, intent per method, and the tracking-scaled residual of the first
+// method.
 std::vector<std::vector<std::string>> ResidualRows(const SuccessTable& table) {
   std::vector<std::vector<std::string>> rows = {{"Residual (%)"}};
   for (const std::string& method : table.methods) rows[0].push_back(method);
@@ -114,8 +130,10 @@ std::vector<std::vector<std::string>> ResidualRows(const SuccessTable& table) {
   };
   for (const ScenarioRow& row : table.rows) {
     std::vector<std::string> cells = {row.title};
-    for (const std::string& method : table.methods) cells.push_back(OptionalPercent(measures_of(row, method).residual_mean));
-    for (const std::string& method : table.methods) cells.push_back(OptionalPercent(measures_of(row, method).intent_mean));
+    for (const std::string& method : table.methods)
+      cells.push_back(OptionalPercent(measures_of(row, method).residual_mean));
+    for (const std::string& method : table.methods)
+      cells.push_back(OptionalPercent(measures_of(row, method).intent_mean));
     cells.push_back(OptionalPercent(measures_of(row, table.methods.front()).tracking_mean));
     const PaperRow* paper = FindPaperRow(row.scenario);
     cells.push_back(paper == nullptr ? "-" : absl::StrFormat("%.1f", paper->residual));
@@ -124,20 +142,32 @@ std::vector<std::vector<std::string>> ResidualRows(const SuccessTable& table) {
   return rows;
 }
 
-json NumberOrNull(const std::optional<double>& value) { return value && std::isfinite(*value) ? json(*value) : json(nullptr); }
-json IntervalJson(const Interval& interval) { return {NumberOrNull(interval.low), NumberOrNull(interval.high)}; }
+json NumberOrNull(const std::optional<double>& value) {
+  return value && std::isfinite(*value) ? json(*value) : json(nullptr);
+}
+json IntervalJson(const Interval& interval) {
+  return {NumberOrNull(interval.low), NumberOrNull(interval.high)};
+}
 
 json ComparisonJson(const std::optional<Comparison>& c) {
   if (!c) return nullptr;
-  return {{"difference", NumberOrNull(c->difference.estimate)}, {"interval", IntervalJson(c->difference.interval)},
-          {"clusters", c->difference.clusters}, {"pairs", c->pairs}, {"plus", c->plus}, {"minus", c->minus}};
+  return {{"difference", NumberOrNull(c->difference.estimate)},
+          {"interval", IntervalJson(c->difference.interval)},
+          {"clusters", c->difference.clusters},
+          {"pairs", c->pairs},
+          {"plus", c->plus},
+          {"minus", c->minus}};
 }
 
 json MeasuresJson(const Measures& m) {
-  return {{"residual_mean", NumberOrNull(m.residual_mean)},     {"residual_pooled", NumberOrNull(m.residual_pooled)},
-          {"residual_tracking_mean", NumberOrNull(m.tracking_mean)}, {"intent_mean", NumberOrNull(m.intent_mean)},
-          {"intent_pooled", NumberOrNull(m.intent_pooled)},     {"mean_abs_action", NumberOrNull(m.mean_abs_action)},
-          {"clipped_share", NumberOrNull(m.clipped_share)},     {"adapter_distance", NumberOrNull(m.adapter_distance)}};
+  return {{"residual_mean", NumberOrNull(m.residual_mean)},
+          {"residual_pooled", NumberOrNull(m.residual_pooled)},
+          {"residual_tracking_mean", NumberOrNull(m.tracking_mean)},
+          {"intent_mean", NumberOrNull(m.intent_mean)},
+          {"intent_pooled", NumberOrNull(m.intent_pooled)},
+          {"mean_abs_action", NumberOrNull(m.mean_abs_action)},
+          {"clipped_share", NumberOrNull(m.clipped_share)},
+          {"adapter_distance", NumberOrNull(m.adapter_distance)}};
 }
 
 json TableJson(const SuccessTable& table) {
@@ -145,20 +175,35 @@ json TableJson(const SuccessTable& table) {
   for (const ScenarioRow& row : table.rows) {
     json cells = json::object();
     for (const auto& [method, cell] : row.cells) {
-      cells[method] = {{"n", cell.n}, {"successes", cell.successes}, {"rate", cell.rate()}, {"wilson", IntervalJson(cell.wilson)},
-                       {"units", cell.units}, {"adapts", cell.adapts}, {"updates", cell.updates},
-                       {"measures", MeasuresJson(cell.measures)}, {"versus_base", ComparisonJson(cell.versus_base)}};
+      cells[method] = {{"n", cell.n},
+                       {"successes", cell.successes},
+                       {"rate", cell.rate()},
+                       {"wilson", IntervalJson(cell.wilson)},
+                       {"units", cell.units},
+                       {"adapts", cell.adapts},
+                       {"updates", cell.updates},
+                       {"measures", MeasuresJson(cell.measures)},
+                       {"versus_base", ComparisonJson(cell.versus_base)}};
     }
     rows.push_back({{"scenario", row.scenario}, {"cells", cells}});
   }
   json averages = json::object();
   for (const auto& [method, average] : table.averages) {
-    averages[method] = {{"success", NumberOrNull(average.success.estimate)}, {"interval", IntervalJson(average.success.interval)},
-                        {"clusters", average.success.clusters}, {"adapts", average.adapts}, {"updates", average.updates},
-                        {"measures", MeasuresJson(average.measures)}, {"versus_base", ComparisonJson(average.versus_base)}};
+    averages[method] = {{"success", NumberOrNull(average.success.estimate)},
+                        {"interval", IntervalJson(average.success.interval)},
+                        {"clusters", average.success.clusters},
+                        {"adapts", average.adapts},
+                        {"updates", average.updates},
+                        {"measures", MeasuresJson(average.measures)},
+                        {"versus_base", ComparisonJson(average.versus_base)}};
   }
-  return {{"policy", table.policy}, {"severity", table.severity}, {"suite", table.suite}, {"suites", table.title},
-          {"methods", table.methods}, {"scenarios", rows}, {"average_without_clean", averages}};
+  return {{"policy", table.policy},
+          {"severity", table.severity},
+          {"suite", table.suite},
+          {"suites", table.title},
+          {"methods", table.methods},
+          {"scenarios", rows},
+          {"average_without_clean", averages}};
 }
 
 std::string CsvNumber(const std::optional<double>& value) {
@@ -167,16 +212,23 @@ std::string CsvNumber(const std::optional<double>& value) {
 
 std::vector<std::string> ComparisonCells(const std::optional<Comparison>& c) {
   if (!c) return {"", "", "", "", "", "", ""};
-  return {CsvNumber(c->difference.estimate), CsvNumber(c->difference.interval.low), CsvNumber(c->difference.interval.high),
-          absl::StrCat(c->plus), absl::StrCat(c->minus), absl::StrCat(c->pairs), absl::StrCat(c->difference.clusters)};
+  return {CsvNumber(c->difference.estimate),
+          CsvNumber(c->difference.interval.low),
+          CsvNumber(c->difference.interval.high),
+          absl::StrCat(c->plus),
+          absl::StrCat(c->minus),
+          absl::StrCat(c->pairs),
+          absl::StrCat(c->difference.clusters)};
 }
 
 std::vector<std::string> MeasureCells(const Measures& m) {
-  return {CsvNumber(m.residual_mean), CsvNumber(m.residual_pooled), CsvNumber(m.tracking_mean), CsvNumber(m.intent_mean),
-          CsvNumber(m.intent_pooled), CsvNumber(m.mean_abs_action), CsvNumber(m.clipped_share), CsvNumber(m.adapter_distance)};
+  return {CsvNumber(m.residual_mean), CsvNumber(m.residual_pooled), CsvNumber(m.tracking_mean),
+          CsvNumber(m.intent_mean),   CsvNumber(m.intent_pooled),   CsvNumber(m.mean_abs_action),
+          CsvNumber(m.clipped_share), CsvNumber(m.adapter_distance)};
 }
 
-void AppendCells(std::string& csv, std::vector<std::string> cells, const std::vector<std::string>& more, const std::vector<std::string>& most) {
+void AppendCells(std::string& csv, std::vector<std::string> cells,
+                 const std::vector<std::string>& more, const std::vector<std::string>& most) {
   cells.insert(cells.end(), more.begin(), more.end());
   cells.insert(cells.end(), most.begin(), most.end());
   absl::StrAppend(&csv, absl::StrJoin(cells, ","), "\n");
@@ -191,25 +243,32 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
     if (table.suite.empty()) absl::StrAppend(&text, "\n", Aligned(ResidualRows(table)));
   }
   absl::StrAppend(&text,
-                  "\n  [a, b]: 95 % intervals; Wilson for a success rate, paired bootstrap over (task, initial state) for a difference\n"
+                  "\n  [a, b]: 95 % intervals; Wilson for a success rate, paired bootstrap over "
+                  "(task, initial state) for a difference\n"
                   "  and an average. +a/-b: episodes that only the method, only base, won.\n"
-                  "  Residual: ||eta|| / ||a||, mean over rollouts, no gripper; intent: against the unadapted policy's command; tracking: with\n"
-                  "  the controller's steady gain in the scale. The paper's column: another policy and other tasks.\n");
+                  "  Residual: ||eta|| / ||a||, mean over rollouts, no gripper; intent: against "
+                  "the unadapted policy's command; tracking: with\n"
+                  "  the controller's steady gain in the scale. The paper's column: another policy "
+                  "and other tasks.\n");
   if (!run.unfinished.empty()) {
-    absl::StrAppend(&text, "  ", run.unfinished.size(), " unfinished units are left out; the same sweep command completes them.\n");
+    absl::StrAppend(&text, "  ", run.unfinished.size(),
+                    " unfinished units are left out; the same sweep command completes them.\n");
   }
   return text;
 }
 
 std::string TableCsv(const Summary& summary) {
   std::string csv =
-      "policy,severity,suite,scenario,method,n,successes,rate,low,high,adapts,updates,difference,difference_low,difference_high,plus,minus,"
-      "pairs,clusters,residual_mean,residual_pooled,residual_tracking_mean,intent_mean,intent_pooled,mean_abs_action,clipped_share,"
+      "policy,severity,suite,scenario,method,n,successes,rate,low,high,adapts,updates,difference,"
+      "difference_low,difference_high,plus,minus,"
+      "pairs,clusters,residual_mean,residual_pooled,residual_tracking_mean,intent_mean,intent_"
+      "pooled,mean_abs_action,clipped_share,"
       "adapter_distance\n";
   for (const SuccessTable& table : summary.tables) {
     const std::string suite = table.suite.empty() ? "all" : table.suite;
     const auto lead = [&](const std::string& scenario, const std::string& method) {
-      return std::vector<std::string>{table.policy, absl::StrCat(table.severity), suite, scenario, method};
+      return std::vector<std::string>{table.policy, absl::StrCat(table.severity), suite, scenario,
+                                      method};
     };
     for (const ScenarioRow& row : table.rows) {
       for (const std::string& method : table.methods) {
@@ -217,8 +276,10 @@ std::string TableCsv(const Summary& summary) {
         if (found == row.cells.end()) continue;
         const Cell& cell = found->second;
         std::vector<std::string> cells = lead(row.scenario, method);
-        for (const std::string& value : {absl::StrCat(cell.n), absl::StrCat(cell.successes), CsvNumber(cell.rate()), CsvNumber(cell.wilson.low),
-                                         CsvNumber(cell.wilson.high), absl::StrCat(cell.adapts ? 1 : 0), absl::StrCat(cell.updates)}) {
+        for (const std::string& value :
+             {absl::StrCat(cell.n), absl::StrCat(cell.successes), CsvNumber(cell.rate()),
+              CsvNumber(cell.wilson.low), CsvNumber(cell.wilson.high),
+              absl::StrCat(cell.adapts ? 1 : 0), absl::StrCat(cell.updates)}) {
           cells.push_back(value);
         }
         AppendCells(csv, cells, ComparisonCells(cell.versus_base), MeasureCells(cell.measures));
@@ -229,8 +290,10 @@ std::string TableCsv(const Summary& summary) {
       if (found == table.averages.end()) continue;
       const AverageCell& average = found->second;
       std::vector<std::string> cells = lead("average_without_clean", method);
-      for (const std::string& value : {std::string(), std::string(), CsvNumber(average.success.estimate), CsvNumber(average.success.interval.low),
-                                       CsvNumber(average.success.interval.high), absl::StrCat(average.adapts ? 1 : 0), absl::StrCat(average.updates)}) {
+      for (const std::string& value :
+           {std::string(), std::string(), CsvNumber(average.success.estimate),
+            CsvNumber(average.success.interval.low), CsvNumber(average.success.interval.high),
+            absl::StrCat(average.adapts ? 1 : 0), absl::StrCat(average.updates)}) {
         cells.push_back(value);
       }
       AppendCells(csv, cells, ComparisonCells(average.versus_base), MeasureCells(average.measures));
@@ -242,8 +305,12 @@ std::string TableCsv(const Summary& summary) {
 std::string ReportJson(const RunData& run, const Summary& summary) {
   json tables = json::array();
   for (const SuccessTable& table : summary.tables) tables.push_back(TableJson(table));
-  const json report = {{"episodes", summary.episodes}, {"bootstrap_replicates", summary.replicates}, {"tables", tables},
-                       {"unfinished_units", run.unfinished}, {"environment", run.environment}, {"sweep_wall_s", run.sweep_wall_s}};
+  const json report = {{"episodes", summary.episodes},
+                       {"bootstrap_replicates", summary.replicates},
+                       {"tables", tables},
+                       {"unfinished_units", run.unfinished},
+                       {"environment", run.environment},
+                       {"sweep_wall_s", run.sweep_wall_s}};
   return report.dump(1) + "\n";
 }
 
@@ -258,14 +325,19 @@ absl::Status WriteReport(const RunData& run, const ReportOptions& options) {
   RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/table.csv", TableCsv(summary)));
   RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/report.json", ReportJson(run, summary)));
   for (const SuccessTable& table : summary.tables) {
-    const std::string name = absl::StrCat(table.policy, "-L", table.severity, table.suite.empty() ? "" : "-" + table.suite);
-    RS_RETURN_IF_ERROR(WriteFileAtomically(absl::StrCat(run.dir, "/figures/success-", name, ".svg"), SuccessPlot(table)));
+    const std::string name = absl::StrCat(table.policy, "-L", table.severity,
+                                          table.suite.empty() ? "" : "-" + table.suite);
+    RS_RETURN_IF_ERROR(WriteFileAtomically(absl::StrCat(run.dir, "/figures/success-", name, ".svg"),
+                                           SuccessPlot(table)));
   }
-  RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/report.html", ReportPage(run, summary, options)));
+  RS_RETURN_IF_ERROR(
+      WriteFileAtomically(run.dir + "/report.html", ReportPage(run, summary, options)));
   if (options.print) {
-    std::printf("%s\nreport: %s/report.html\ntables: %s/table.csv %s/report.json %s/episodes.csv\n", TerminalTable(run, summary).c_str(), run.dir.c_str(),
-                run.dir.c_str(), run.dir.c_str(), run.dir.c_str());
-    if (run.sweep_wall_s > 0) std::printf("wall time of the sweep: %s\n", FormatDuration(run.sweep_wall_s).c_str());
+    std::printf("%s\nreport: %s/report.html\ntables: %s/table.csv %s/report.json %s/episodes.csv\n",
+                TerminalTable(run, summary).c_str(), run.dir.c_str(), run.dir.c_str(),
+                run.dir.c_str(), run.dir.c_str());
+    if (run.sweep_wall_s > 0)
+      std::printf("wall time of the sweep: %s\n", FormatDuration(run.sweep_wall_s).c_str());
   }
   return absl::OkStatus();
 }

@@ -10,15 +10,15 @@ namespace robostress {
 
 struct ReportOptions {
   int bootstrap_replicates = 4000;
-  int max_videos = 48;        // pairs are kept together
-  double max_video_mb = 24;   // of video data in the page
-  bool print = true;          // the table on standard output
+  int max_videos = 48;       // pairs are kept together
+  double max_video_mb = 24;  // of video data in the page
+  bool print = true;         // the table on standard output
 };
 
 // Publishes RUN_DIR/episodes.csv (deterministic) and timings.csv.
 absl::Status WriteTables(const RunData& run);
-// Publishes RUN_DIR/report.html (one self-contained page), report.json, table.csv and figures/*.svg, and prints the
-// table.
+// Publishes RUN_DIR/report.html (one self-contained page), report.json, table.csv and
+// figures/*.svg, and prints the table.
 absl::Status WriteReport(const RunData& run, const ReportOptions& options);
 
 // The parts of the report, as text.

@@ -33,8 +33,10 @@ FilmGroups GroupFilms(const RunData& run) {
   for (const UnitResult& unit : run.units) {
     for (const std::string& path : unit.videos) {
       const UnitConfig& c = unit.config;
-      const std::string key = absl::StrCat(c.suite, "|", c.scenario, "|", c.severity, "|", c.policy, "|", c.seed, "|", fs::path(path).stem().string());
-      auto group = std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == key; });
+      const std::string key = absl::StrCat(c.suite, "|", c.scenario, "|", c.severity, "|", c.policy,
+                                           "|", c.seed, "|", fs::path(path).stem().string());
+      auto group =
+          std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == key; });
       if (group == groups.end()) group = groups.insert(groups.end(), {key, {}});
       group->second.push_back({&unit, path});
     }
@@ -51,7 +53,8 @@ std::vector<int> Numbers(const std::string& name) {
       continue;
     }
     int value = 0;
-    for (; i < name.size() && name[i] >= '0' && name[i] <= '9'; ++i) value = std::min(10 * value + (name[i] - '0'), 1000000);
+    for (; i < name.size() && name[i] >= '0' && name[i] <= '9'; ++i)
+      value = std::min(10 * value + (name[i] - '0'), 1000000);
     numbers.push_back(value);
   }
   return numbers;
@@ -63,7 +66,8 @@ std::string OutcomeText(const Film& film) {
   if (numbers.size() < 2) return "";
   for (const EpisodeRow& row : film.unit->episodes) {
     if (row.task == numbers[0] && row.episode == numbers[1]) {
-      return absl::StrCat(row.success ? "success" : "failure", " after ", row.steps, " steps, ", row.updates, " updates so far");
+      return absl::StrCat(row.success ? "success" : "failure", " after ", row.steps, " steps, ",
+                          row.updates, " updates so far");
     }
   }
   return "";
@@ -71,22 +75,32 @@ std::string OutcomeText(const Film& film) {
 
 std::string Figure(const Film& film, const std::string& bytes) {
   const std::string method = film.unit->config.method.method;
-  return absl::StrCat("<figure><img alt=\"rollout\" src=\"data:image/webp;base64,", absl::Base64Escape(bytes), "\"><figcaption><span class=dot style=\"background:",
-                      MethodColor(method), "\"></span><b>", EscapeXml(MethodTitle(method)), "</b> ", EscapeXml(OutcomeText(film)), "</figcaption></figure>");
+  return absl::StrCat("<figure><img alt=\"rollout\" src=\"data:image/webp;base64,",
+                      absl::Base64Escape(bytes),
+                      "\"><figcaption><span class=dot style=\"background:", MethodColor(method),
+                      "\"></span><b>", EscapeXml(MethodTitle(method)), "</b> ",
+                      EscapeXml(OutcomeText(film)), "</figcaption></figure>");
 }
 
 std::string Row(const std::string& name, const std::string& value) {
-  return value.empty() ? "" : absl::StrCat("<tr><td>", EscapeXml(name), "</td><td style=\"text-align:left;white-space:normal\">", EscapeXml(value), "</td></tr>\n");
+  return value.empty() ? ""
+                       : absl::StrCat("<tr><td>", EscapeXml(name),
+                                      "</td><td style=\"text-align:left;white-space:normal\">",
+                                      EscapeXml(value), "</td></tr>\n");
 }
 
 std::string EnvironmentTable(const nlohmann::json& environment) {
-  if (!environment.is_object()) return "<p class=note>environment.json is missing: versions were not recorded.</p>\n";
+  if (!environment.is_object())
+    return "<p class=note>environment.json is missing: versions were not recorded.</p>\n";
   std::string html = "<table><tr><th>Recorded</th><th style=\"text-align:left\">Value</th></tr>\n";
   for (const auto& [name, value] : environment.items()) {
     if (value.is_object()) {
-      for (const auto& [file, hash] : value.items()) absl::StrAppend(&html, Row(absl::StrCat(name, " ", file), hash.is_string() ? hash.get<std::string>() : hash.dump()));
+      for (const auto& [file, hash] : value.items())
+        absl::StrAppend(&html, Row(absl::StrCat(name, " ", file),
+                                   hash.is_string() ? hash.get<std::string>() : hash.dump()));
     } else {
-      absl::StrAppend(&html, Row(name, value.is_string() ? value.get<std::string>() : value.dump()));
+      absl::StrAppend(&html,
+                      Row(name, value.is_string() ? value.get<std::string>() : value.dump()));
     }
   }
   return html + "</table>\n";
@@ -97,7 +111,9 @@ std::string EnvironmentTable(const nlohmann::json& environment) {
 std::string VideoSection(const RunData& run, const ReportOptions& options) {
   const FilmGroups groups = GroupFilms(run);
   if (groups.empty() || options.max_videos == 0) return "";
-  std::string html = "<h2 id=videos>Rollouts side by side</h2>\n<p class=note>Same task, same initial state, same sampling noise: the methods differ, nothing else.</p>\n<div class=videos>\n";
+  std::string html =
+      "<h2 id=videos>Rollouts side by side</h2>\n<p class=note>Same task, same initial state, same "
+      "sampling noise: the methods differ, nothing else.</p>\n<div class=videos>\n";
   int shown = 0, left_out = 0;
   double megabytes = 0;
   for (const auto& [key, films] : groups) {
@@ -109,7 +125,8 @@ std::string VideoSection(const RunData& run, const ReportOptions& options) {
       size += bytes->size() / 1e6;
       absl::StrAppend(&figures, Figure(film, *bytes));
     }
-    if (shown + static_cast<int>(films.size()) > options.max_videos || megabytes + size > options.max_video_mb) {
+    if (shown + static_cast<int>(films.size()) > options.max_videos ||
+        megabytes + size > options.max_video_mb) {
       left_out += static_cast<int>(films.size());
       continue;
     }
@@ -118,12 +135,17 @@ std::string VideoSection(const RunData& run, const ReportOptions& options) {
     const UnitConfig& c = films.front().unit->config;
     const std::vector<int> numbers = Numbers(fs::path(films.front().path).stem().string());
     const SuiteInfo* suite = FindSuite(c.suite);
-    absl::StrAppend(&html, "<div class=pair><h3 style=\"margin-top:0\">", EscapeXml(ScenarioTitle(c.scenario)), " <small class=paper>", EscapeXml(suite == nullptr ? c.suite : suite->title),
-                    numbers.size() >= 2 ? absl::StrCat(", task ", numbers[0], ", episode ", numbers[1]) : "", ", L", c.severity, "</small></h3><div class=row>", figures, "</div></div>\n");
+    absl::StrAppend(
+        &html, "<div class=pair><h3 style=\"margin-top:0\">", EscapeXml(ScenarioTitle(c.scenario)),
+        " <small class=paper>", EscapeXml(suite == nullptr ? c.suite : suite->title),
+        numbers.size() >= 2 ? absl::StrCat(", task ", numbers[0], ", episode ", numbers[1]) : "",
+        ", L", c.severity, "</small></h3><div class=row>", figures, "</div></div>\n");
   }
   html += "</div>\n";
   if (left_out > 0) {
-    absl::StrAppend(&html, "<p class=note>", left_out, " more films are in units/*/videos; --max-videos and --max-video-mb let more into the page.</p>\n");
+    absl::StrAppend(&html, "<p class=note>", left_out,
+                    " more films are in units/*/videos; --max-videos and --max-video-mb let more "
+                    "into the page.</p>\n");
   }
   return html;
 }
@@ -132,19 +154,24 @@ std::string SetupSection(const RunData& run) {
   std::string html = "<h2 id=setup>Setup and versions</h2>\n";
   absl::StrAppend(&html, EnvironmentTable(run.environment));
   if (const absl::StatusOr<std::string> grid = ReadFile(run.dir + "/sweep.yaml"); grid.ok()) {
-    absl::StrAppend(&html, "<p>To repeat: <code>robostress sweep --grid sweep.yaml --out DIR</code> with this grid (the last one run in the directory):</p><pre>", EscapeXml(*grid), "</pre>\n");
+    absl::StrAppend(&html,
+                    "<p>To repeat: <code>robostress sweep --grid sweep.yaml --out DIR</code> with "
+                    "this grid (the last one run in the directory):</p><pre>",
+                    EscapeXml(*grid), "</pre>\n");
   }
   std::set<std::string> shown;
   for (const UnitResult& unit : run.units) {
     if (!shown.insert(unit.config.method.method).second) continue;
-    absl::StrAppend(&html, "<details><summary>Resolved configuration of ", EscapeXml(unit.id), "</summary><pre>", EscapeXml(DumpConfig(unit.config)), "</pre></details>\n");
+    absl::StrAppend(&html, "<details><summary>Resolved configuration of ", EscapeXml(unit.id),
+                    "</summary><pre>", EscapeXml(DumpConfig(unit.config)), "</pre></details>\n");
   }
   return html;
 }
 
 std::string LimitsSection(const RunData& run, const Summary& summary, const SuccessTable& main) {
   int clusters = 0;
-  for (const auto& [method, average] : main.averages) clusters = std::max(clusters, average.success.clusters);
+  for (const auto& [method, average] : main.averages)
+    clusters = std::max(clusters, average.success.clusters);
   std::set<int64_t> seeds;
   bool embedded = false, dev_states = false;
   std::set<std::string> not_adapted;
@@ -153,26 +180,45 @@ std::string LimitsSection(const RunData& run, const Summary& summary, const Succ
     const SuiteInfo* suite = FindSuite(unit.config.suite);
     embedded = embedded || (suite != nullptr && !suite->needs_libero);
     dev_states = dev_states || unit.config.first_initial_state + unit.config.episodes > 20;
-    if (unit.config.method.adapt && (unit.episodes.empty() || unit.episodes.back().updates == 0)) not_adapted.insert(unit.id);
+    if (unit.config.method.adapt && (unit.episodes.empty() || unit.episodes.back().updates == 0))
+      not_adapted.insert(unit.id);
   }
   std::string html = "<h2 id=limits>Limits</h2>\n<ul>\n";
   if (clusters > 0 && clusters < 40) {
-    absl::StrAppend(&html, "<li>", clusters, " clusters of (task, initial state): bootstrap intervals from so few are too narrow as often as not. Read this as a demonstration, not as a measurement.</li>\n");
+    absl::StrAppend(
+        &html, "<li>", clusters,
+        " clusters of (task, initial state): bootstrap intervals from so few are too narrow as "
+        "often as not. Read this as a demonstration, not as a measurement.</li>\n");
   }
-  html += "<li>Episodes of an adapting method are not independent: the adapter is carried across them. Wilson intervals ignore this, and the bootstrap resamples "
-          "initial states, not whole adaptation histories; other orders of the same episodes would give other numbers.</li>\n";
-  html += "<li>A single difference says little: the null control (same weights, other sampling noise) shows how many outcomes flip by chance, and the gain control what a constant factor does. "
-          "Compare with them before calling a difference an effect of adaptation.</li>\n";
+  html +=
+      "<li>Episodes of an adapting method are not independent: the adapter is carried across them. "
+      "Wilson intervals ignore this, and the bootstrap resamples "
+      "initial states, not whole adaptation histories; other orders of the same episodes would "
+      "give other numbers.</li>\n";
+  html +=
+      "<li>A single difference says little: the null control (same weights, other sampling noise) "
+      "shows how many outcomes flip by chance, and the gain control what a constant factor does. "
+      "Compare with them before calling a difference an effect of adaptation.</li>\n";
   if (seeds.size() == 1) html += "<li>One seed of the sampling noise.</li>\n";
-  if (summary.tables.size() > 1) html += "<li>Many comparisons stand on this page and none is corrected for their number.</li>\n";
+  if (summary.tables.size() > 1)
+    html +=
+        "<li>Many comparisons stand on this page and none is corrected for their number.</li>\n";
   if (embedded) {
-    html += "<li>The embedded suites are made of primitives and the embedded policy is small and trained on them. They follow LIBERO's ideas, and their numbers are not LIBERO's.</li>\n";
+    html +=
+        "<li>The embedded suites are made of primitives and the embedded policy is small and "
+        "trained on them. They follow LIBERO's ideas, and their numbers are not LIBERO's.</li>\n";
   }
-  if (dev_states) html += "<li>Some episodes start from states beyond 0-19, the reporting split.</li>\n";
+  if (dev_states)
+    html += "<li>Some episodes start from states beyond 0-19, the reporting split.</li>\n";
   if (!not_adapted.empty()) {
-    absl::StrAppend(&html, "<li>", not_adapted.size(), " units of adapting methods never applied an update (their buffer never filled) and count as base: ", EscapeXml(absl::StrJoin(not_adapted, ", ")), ".</li>\n");
+    absl::StrAppend(&html, "<li>", not_adapted.size(),
+                    " units of adapting methods never applied an update (their buffer never "
+                    "filled) and count as base: ",
+                    EscapeXml(absl::StrJoin(not_adapted, ", ")), ".</li>\n");
   }
-  html += "<li>Execution errors are models of friction, gravity compensation, backlash and compliance at nominal parameters; no real robot was measured for this page.</li>\n";
+  html +=
+      "<li>Execution errors are models of friction, gravity compensation, backlash and compliance "
+      "at nominal parameters; no real robot was measured for this page.</li>\n";
   return html + "</ul>\n";
 }
 

@@ -8,8 +8,8 @@ namespace robostress {
 
 // Sections of the report page that follow the numbers.
 
-// Films of paired rollouts, methods side by side; empty when the run filmed nothing. Films beyond the options' limits
-// are counted, not shown.
+// Films of paired rollouts, methods side by side; empty when the run filmed nothing. Films beyond
+// the options' limits are counted, not shown.
 std::string VideoSection(const RunData& run, const ReportOptions& options);
 // Configuration, versions, and how to repeat the run.
 std::string SetupSection(const RunData& run);

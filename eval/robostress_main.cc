@@ -32,12 +32,15 @@ constexpr Command kCommands[] = {
 void PrintHelp() {
   std::printf(
       "Usage: robostress COMMAND [options]\n\n"
-      "Stress-tests vision-language-action policies under joint-level execution errors and measures what\n"
+      "Stress-tests vision-language-action policies under joint-level execution errors and "
+      "measures what\n"
       "online self-compensation wins back.\n\nCommands\n");
   const std::vector<std::string> installed = robostress::InstalledCommands();
   for (const Command& command : kCommands) {
-    const bool here = std::find(installed.begin(), installed.end(), command.name) != installed.end();
-    std::printf("  %-11s %s%s\n", command.name, command.summary, here ? "" : "  (not in this build)");
+    const bool here =
+        std::find(installed.begin(), installed.end(), command.name) != installed.end();
+    std::printf("  %-11s %s%s\n", command.name, command.summary,
+                here ? "" : "  (not in this build)");
   }
   for (const std::string& name : installed) {
     const bool listed = std::any_of(std::begin(kCommands), std::end(kCommands),
@@ -46,8 +49,10 @@ void PrintHelp() {
   }
   std::printf(
       "\nExamples\n"
-      "  robostress sweep --quick --out runs/quick        one suite, base and self-compensating, two workers\n"
-      "  robostress report runs/quick                     the report again, from the recorded episodes\n"
+      "  robostress sweep --quick --out runs/quick        one suite, base and self-compensating, "
+      "two workers\n"
+      "  robostress report runs/quick                     the report again, from the recorded "
+      "episodes\n"
       "  robostress scenarios                             what each scenario does to each joint\n"
       "  robostress COMMAND --help                        every option of a command\n\n"
       "Programs are looked for beside this one, or in ROBOSTRESS_BIN. Version %s.\n",
@@ -68,7 +73,8 @@ int main(int argc, char** argv) {
   }
   const absl::StatusOr<std::string> program = robostress::FindProgram(command);
   if (!program.ok()) {
-    std::fprintf(stderr, "robostress: %s\nSee `robostress --help`.\n", std::string(program.status().message()).c_str());
+    std::fprintf(stderr, "robostress: %s\nSee `robostress --help`.\n",
+                 std::string(program.status().message()).c_str());
     return 2;
   }
   robostress::ChooseOpenMpBlas();

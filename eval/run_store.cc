@@ -25,7 +25,8 @@ using nlohmann::json;
 // Columns of the table, in this order; other fields of the records follow in alphabetical order.
 const std::vector<std::string>& LeadingColumns() {
   static const auto& columns = *new std::vector<std::string>{
-      "suite", "scenario", "severity", "policy", "method", "seed", "task", "episode", "initial_state", "success", "steps", "chunks", "updates"};
+      "suite",   "scenario",      "severity", "policy", "method", "seed",   "task",
+      "episode", "initial_state", "success",  "steps",  "chunks", "updates"};
   return columns;
 }
 
@@ -48,8 +49,9 @@ auto CanonicalKey(const UnitConfig& config) {
   }());
   static const auto& scenarios = *new std::vector<std::string>(ScenarioNames());
   static const auto& methods = *new std::vector<std::string>(MethodNames());
-  return std::tuple(IndexOf(suites, config.suite), IndexOf(scenarios, config.scenario), config.severity, config.policy,
-                    IndexOf(methods, config.method.method), config.seed);
+  return std::tuple(IndexOf(suites, config.suite), IndexOf(scenarios, config.scenario),
+                    config.severity, config.policy, IndexOf(methods, config.method.method),
+                    config.seed);
 }
 
 std::string CsvCell(const json& value) {
@@ -69,7 +71,8 @@ absl::StatusOr<std::vector<json>> ReadJsonLines(const std::string& file) {
   for (const std::string& line : Lines(text)) {
     json record = json::parse(line, nullptr, false);
     if (!record.is_object()) {
-      return absl::DataLossError(absl::StrCat(file, ":", records.size() + 1, ": not a JSON object: '", line.substr(0, 80), "'"));
+      return absl::DataLossError(absl::StrCat(file, ":", records.size() + 1,
+                                              ": not a JSON object: '", line.substr(0, 80), "'"));
     }
     records.push_back(std::move(record));
   }
@@ -103,8 +106,10 @@ class RecordReader {
   void Fail(const char* key, const char* expected) {
     if (!status_.ok()) return;
     const auto field = record_.find(key);
-    status_ = absl::DataLossError(absl::StrCat(source_, ": field ", key, field == record_.end() ? " is missing" : absl::StrCat(" is ", field->dump()),
-                                               ", must be ", expected, "; the file was not written by this version's worker"));
+    status_ = absl::DataLossError(absl::StrCat(
+        source_, ": field ", key,
+        field == record_.end() ? " is missing" : absl::StrCat(" is ", field->dump()), ", must be ",
+        expected, "; the file was not written by this version's worker"));
   }
   const std::string& source_;
   const json& record_;
@@ -114,13 +119,15 @@ class RecordReader {
 absl::Status CheckAgainstConfig(const std::string& file, const UnitResult& unit) {
   const size_t expected = unit.config.tasks.size() * unit.config.episodes;
   if (unit.episodes.size() != expected) {
-    return absl::DataLossError(absl::StrCat(file, " has ", unit.episodes.size(), " episodes, its configuration says ", expected,
+    return absl::DataLossError(absl::StrCat(file, " has ", unit.episodes.size(),
+                                            " episodes, its configuration says ", expected,
                                             "; remove the unit's folder and run the sweep again"));
   }
   std::set<std::pair<int, int>> seen;
   for (const EpisodeRow& row : unit.episodes) {
     if (!seen.insert({row.task, row.episode}).second) {
-      return absl::DataLossError(absl::StrCat(file, ": task ", row.task, " episode ", row.episode, " is recorded twice"));
+      return absl::DataLossError(
+          absl::StrCat(file, ": task ", row.task, " episode ", row.episode, " is recorded twice"));
     }
   }
   return absl::OkStatus();
@@ -132,12 +139,14 @@ absl::StatusOr<UnitResult> LoadUnit(const fs::path& dir) {
   RS_ASSIGN_OR_RETURN(unit.config, LoadConfig<UnitConfig>((dir / "config.yaml").string()));
   if (unit.config.tasks.empty()) {
     const SuiteInfo* suite = FindSuite(unit.config.suite);
-    for (int task = 0; suite != nullptr && task < suite->num_tasks; ++task) unit.config.tasks.push_back(task);
+    for (int task = 0; suite != nullptr && task < suite->num_tasks; ++task)
+      unit.config.tasks.push_back(task);
   }
   const std::string file = (dir / "episodes.jsonl").string();
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   for (const std::string& line : Lines(text)) {
-    RS_ASSIGN_OR_RETURN(EpisodeRow row, ParseEpisode(absl::StrCat(file, ":", unit.episodes.size() + 1), line));
+    RS_ASSIGN_OR_RETURN(EpisodeRow row,
+                        ParseEpisode(absl::StrCat(file, ":", unit.episodes.size() + 1), line));
     unit.episodes.push_back(std::move(row));
   }
   RS_RETURN_IF_ERROR(CheckAgainstConfig(file, unit));
@@ -148,7 +157,8 @@ absl::StatusOr<UnitResult> LoadUnit(const fs::path& dir) {
   std::sort(unit.videos.begin(), unit.videos.end());
   if (const auto timings = ReadJsonLines((dir / "timing.jsonl").string()); timings.ok()) {
     for (const json& record : *timings) {
-      if (record.contains("wall_s") && record["wall_s"].is_number()) unit.wall_s += record["wall_s"].get<double>();
+      if (record.contains("wall_s") && record["wall_s"].is_number())
+        unit.wall_s += record["wall_s"].get<double>();
       ++unit.timed_episodes;
     }
   }
@@ -161,7 +171,8 @@ absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::st
   EpisodeRow row;
   row.fields = json::parse(line, nullptr, false);
   if (!row.fields.is_object()) {
-    return absl::DataLossError(absl::StrCat(source, ": not a JSON object: '", line.substr(0, 80), "'"));
+    return absl::DataLossError(
+        absl::StrCat(source, ": not a JSON object: '", line.substr(0, 80), "'"));
   }
   RecordReader reader(source, row.fields);
   row.task = reader.Int("task");
@@ -191,7 +202,8 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
   const fs::path units = fs::path(dir) / "units";
   std::error_code error;
   if (!fs::is_directory(units, error)) {
-    return absl::NotFoundError(absl::StrCat(dir, " is not a run directory: it has no folder units/. Give the --out of a sweep"));
+    return absl::NotFoundError(absl::StrCat(
+        dir, " is not a run directory: it has no folder units/. Give the --out of a sweep"));
   }
   std::vector<fs::path> folders;
   for (const auto& entry : fs::directory_iterator(units, error)) folders.push_back(entry.path());
@@ -205,12 +217,15 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
     run.units.push_back(std::move(unit));
   }
   if (run.units.empty()) {
-    return absl::NotFoundError(absl::StrCat(dir, " has no finished unit; run the sweep that made it again, it continues"));
+    return absl::NotFoundError(
+        absl::StrCat(dir, " has no finished unit; run the sweep that made it again, it continues"));
   }
-  std::stable_sort(run.units.begin(), run.units.end(), [](const UnitResult& a, const UnitResult& b) {
-    return CanonicalKey(a.config) < CanonicalKey(b.config);
-  });
-  if (const auto text = ReadFile(dir + "/environment.json"); text.ok()) run.environment = json::parse(*text, nullptr, false);
+  std::stable_sort(run.units.begin(), run.units.end(),
+                   [](const UnitResult& a, const UnitResult& b) {
+                     return CanonicalKey(a.config) < CanonicalKey(b.config);
+                   });
+  if (const auto text = ReadFile(dir + "/environment.json"); text.ok())
+    run.environment = json::parse(*text, nullptr, false);
   if (const auto launches = ReadJsonLines(dir + "/launches.jsonl"); launches.ok()) {
     for (const json& launch : *launches) run.sweep_wall_s += launch.value("wall_s", 0.0);
   }
@@ -231,7 +246,8 @@ std::string EpisodeTableCsv(const RunData& run) {
   for (const UnitResult& unit : run.units) {
     for (const EpisodeRow& row : unit.episodes) {
       std::vector<std::string> cells;
-      for (const std::string& name : columns) cells.push_back(row.fields.contains(name) ? CsvCell(row.fields[name]) : "");
+      for (const std::string& name : columns)
+        cells.push_back(row.fields.contains(name) ? CsvCell(row.fields[name]) : "");
       absl::StrAppend(&csv, absl::StrJoin(cells, ","), "\n");
     }
   }
@@ -241,8 +257,9 @@ std::string EpisodeTableCsv(const RunData& run) {
 std::string UnitTimingCsv(const RunData& run) {
   std::string csv = "unit,episodes,wall_s,seconds_per_episode\n";
   for (const UnitResult& unit : run.units) {
-    absl::StrAppend(&csv, absl::StrFormat("%s,%d,%.3f,%.3f\n", unit.id, unit.timed_episodes, unit.wall_s,
-                                          unit.timed_episodes == 0 ? 0.0 : unit.wall_s / unit.timed_episodes));
+    absl::StrAppend(
+        &csv, absl::StrFormat("%s,%d,%.3f,%.3f\n", unit.id, unit.timed_episodes, unit.wall_s,
+                              unit.timed_episodes == 0 ? 0.0 : unit.wall_s / unit.timed_episodes));
   }
   return csv;
 }

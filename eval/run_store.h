@@ -12,17 +12,18 @@
 
 namespace robostress {
 
-// One line of episodes.jsonl. Measures that an episode does not have (no unadapted prediction, no motion) are absent.
+// One line of episodes.jsonl. Measures that an episode does not have (no unadapted prediction, no
+// motion) are absent.
 struct EpisodeRow {
   int task = 0;
-  int episode = 0;        // within the task
+  int episode = 0;  // within the task
   int initial_state = 0;
   bool success = false;
   int steps = 0, chunks = 0;
-  int updates = 0;        // applied in this unit so far
-  std::optional<double> residual;           // ||eta|| / ||a||, paper
-  std::optional<double> eta_sq, a_sq;       // its squared sums
-  std::optional<double> intent;             // ||dx - a_base|| / ||a_base||
+  int updates = 0;                     // applied in this unit so far
+  std::optional<double> residual;      // ||eta|| / ||a||, paper
+  std::optional<double> eta_sq, a_sq;  // its squared sums
+  std::optional<double> intent;        // ||dx - a_base|| / ||a_base||
   std::optional<double> intent_eta_sq, intent_a_sq;
   std::optional<double> residual_tracking;  // with the controller's steady gain in the scale
   std::optional<double> mean_abs_action, clipped_share, adapter_distance;
@@ -42,19 +43,19 @@ struct UnitResult {
 // A run directory as far as it is finished.
 struct RunData {
   std::string dir;
-  std::vector<UnitResult> units;         // canonical order, whatever the order of flags and dispatch
-  std::vector<std::string> unfinished;   // ids without DONE
-  nlohmann::json environment;            // environment.json, null when absent
-  double sweep_wall_s = 0;               // over all calls, from launches.jsonl
+  std::vector<UnitResult> units;        // canonical order, whatever the order of flags and dispatch
+  std::vector<std::string> unfinished;  // ids without DONE
+  nlohmann::json environment;           // environment.json, null when absent
+  double sweep_wall_s = 0;              // over all calls, from launches.jsonl
 };
 
 // Parses one line; the error names the field. `source` is "file:line".
 absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::string& line);
-// Reads every finished unit; NotFound when `dir` is no run directory or has none, DataLoss when a finished unit's
-// files contradict its configuration.
+// Reads every finished unit; NotFound when `dir` is no run directory or has none, DataLoss when a
+// finished unit's files contradict its configuration.
 absl::StatusOr<RunData> LoadRun(const std::string& dir);
-// The episode table: a header, then one row per episode in canonical order. Byte-equal for equal results, however
-// many workers produced them; no timing in it.
+// The episode table: a header, then one row per episode in canonical order. Byte-equal for equal
+// results, however many workers produced them; no timing in it.
 std::string EpisodeTableCsv(const RunData& run);
 // Timings apart: one row per unit, summed over its timing.jsonl.
 std::string UnitTimingCsv(const RunData& run);

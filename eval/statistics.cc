@@ -66,7 +66,8 @@ double Quantile(const std::vector<double>& sorted, double q) {
   return sorted[below] + (position - below) * (sorted[above] - sorted[below]);
 }
 
-BootstrapResult ClusterBootstrap(const std::vector<ClusteredValue>& values, int replicates, const StreamKey& key) {
+BootstrapResult ClusterBootstrap(const std::vector<ClusteredValue>& values, int replicates,
+                                 const StreamKey& key) {
   std::map<int, std::map<int, Part>> by_cluster;
   std::map<int, int> strata;
   for (const ClusteredValue& value : values) strata.emplace(value.stratum, 0);

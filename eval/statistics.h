@@ -16,8 +16,9 @@ struct Interval {
 // Descriptive: it treats episodes as independent, which adapted ones are not.
 Interval WilsonInterval(int successes, int n);
 
-// One observation of a clustered, stratified sample: here the success of an episode (0/1), or the difference of
-// two methods on the same episode; cluster = (suite, task, initial state), stratum = scenario.
+// One observation of a clustered, stratified sample: here the success of an episode (0/1), or the
+// difference of two methods on the same episode; cluster = (suite, task, initial state), stratum =
+// scenario.
 struct ClusteredValue {
   int cluster = 0;
   int stratum = 0;
@@ -31,12 +32,14 @@ struct BootstrapResult {
   int clusters = 0;
 };
 
-// Percentile bootstrap over clusters (Efron & Tibshirani, ch. 13; clusters resampled with replacement, all their
-// observations with them): each replicate draws as many clusters as there are. One cluster gives NaN ends. The
-// result depends on the values and on `key` only.
-BootstrapResult ClusterBootstrap(const std::vector<ClusteredValue>& values, int replicates, const StreamKey& key);
+// Percentile bootstrap over clusters (Efron & Tibshirani, ch. 13; clusters resampled with
+// replacement, all their observations with them): each replicate draws as many clusters as there
+// are. One cluster gives NaN ends. The result depends on the values and on `key` only.
+BootstrapResult ClusterBootstrap(const std::vector<ClusteredValue>& values, int replicates,
+                                 const StreamKey& key);
 
-// Quantile by linear interpolation between order statistics (type 7); `sorted` ascending, not empty, q in [0, 1].
+// Quantile by linear interpolation between order statistics (type 7); `sorted` ascending, not
+// empty, q in [0, 1].
 double Quantile(const std::vector<double>& sorted, double q);
 
 }  // namespace robostress

@@ -27,7 +27,9 @@ class Mean {
     sum_ += *value;
     ++count_;
   }
-  std::optional<double> value() const { return count_ == 0 ? std::nullopt : std::optional<double>(sum_ / count_); }
+  std::optional<double> value() const {
+    return count_ == 0 ? std::nullopt : std::optional<double>(sum_ / count_);
+  }
 
  private:
   double sum_ = 0;
@@ -43,7 +45,8 @@ class PooledRatio {
     denominator_ += *denominator;
   }
   std::optional<double> value() const {
-    return denominator_ > 0 ? std::optional<double>(std::sqrt(numerator_ / denominator_)) : std::nullopt;
+    return denominator_ > 0 ? std::optional<double>(std::sqrt(numerator_ / denominator_))
+                            : std::nullopt;
   }
 
  private:
@@ -65,15 +68,17 @@ Measures MeasuresOf(const Units& units) {
     }
     if (!unit->episodes.empty()) distance.Add(unit->episodes.back().adapter_distance);
   }
-  return {residual.value(), residual_pooled.value(), tracking.value(), intent.value(), intent_pooled.value(),
-          action.value(),   clipped.value(),         distance.value()};
+  return {residual.value(),      residual_pooled.value(), tracking.value(), intent.value(),
+          intent_pooled.value(), action.value(),          clipped.value(),  distance.value()};
 }
 
 // Means over cells, field by field.
 Measures MeanMeasures(const std::vector<Measures>& all) {
   Measures mean;
-  for (const auto field : {&Measures::residual_mean, &Measures::residual_pooled, &Measures::tracking_mean, &Measures::intent_mean,
-                           &Measures::intent_pooled, &Measures::mean_abs_action, &Measures::clipped_share, &Measures::adapter_distance}) {
+  for (const auto field :
+       {&Measures::residual_mean, &Measures::residual_pooled, &Measures::tracking_mean,
+        &Measures::intent_mean, &Measures::intent_pooled, &Measures::mean_abs_action,
+        &Measures::clipped_share, &Measures::adapter_distance}) {
     Mean m;
     for (const Measures& measures : all) m.Add(measures.*field);
     mean.*field = m.value();
@@ -88,18 +93,22 @@ struct Observation {
   double value = 0;
 };
 
-BootstrapResult Bootstrap(const std::vector<Observation>& observations, int replicates, const std::string& label) {
+BootstrapResult Bootstrap(const std::vector<Observation>& observations, int replicates,
+                          const std::string& label) {
   std::map<std::tuple<std::string, int, int>, int> numbers;
   for (const Observation& o : observations) numbers.emplace(o.cluster, 0);
   int next = 0;
   for (auto& [cluster, number] : numbers) number = next++;
   std::vector<ClusteredValue> values;
-  for (const Observation& o : observations) values.push_back({numbers[o.cluster], o.stratum, o.value});
+  for (const Observation& o : observations)
+    values.push_back({numbers[o.cluster], o.stratum, o.value});
   return ClusterBootstrap(values, replicates, StreamKey("eval/bootstrap").With(label));
 }
 
-// The pairs of one scenario, appended to `observations` with the stratum given; counts go to `comparison`.
-void AddPairs(const Units& method, const Units& base, int stratum, std::vector<Observation>& observations, Comparison& comparison) {
+// The pairs of one scenario, appended to `observations` with the stratum given; counts go to
+// `comparison`.
+void AddPairs(const Units& method, const Units& base, int stratum,
+              std::vector<Observation>& observations, Comparison& comparison) {
   // suite, seed, task, episode
   std::map<std::tuple<std::string, int64_t, int, int>, bool> base_success;
   for (const UnitResult* unit : base) {
@@ -109,12 +118,15 @@ void AddPairs(const Units& method, const Units& base, int stratum, std::vector<O
   }
   for (const UnitResult* unit : method) {
     for (const EpisodeRow& row : unit->episodes) {
-      const auto pair = base_success.find({unit->config.suite, unit->config.seed, row.task, row.episode});
+      const auto pair =
+          base_success.find({unit->config.suite, unit->config.seed, row.task, row.episode});
       if (pair == base_success.end()) continue;
       ++comparison.pairs;
       comparison.plus += row.success && !pair->second;
       comparison.minus += !row.success && pair->second;
-      observations.push_back({{unit->config.suite, row.task, row.initial_state}, stratum, static_cast<double>(row.success) - pair->second});
+      observations.push_back({{unit->config.suite, row.task, row.initial_state},
+                              stratum,
+                              static_cast<double>(row.success) - pair->second});
     }
   }
 }
@@ -140,7 +152,8 @@ Cell MakeCell(const Units& units) {
 // Scenarios and methods of a table, each in canonical order.
 using Grid = std::map<std::string, std::map<std::string, Units>>;  // scenario -> method -> units
 
-AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::string& method, int replicates, const std::string& label) {
+AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::string& method,
+                        int replicates, const std::string& label) {
   AverageCell average;
   std::vector<Observation> successes, differences;
   std::vector<Measures> measures;
@@ -152,7 +165,9 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
     const auto& by_method = grid.at(row.scenario);
     for (const UnitResult* unit : by_method.at(method)) {
       for (const EpisodeRow& episode : unit->episodes) {
-        successes.push_back({{unit->config.suite, episode.task, episode.initial_state}, stratum, static_cast<double>(episode.success)});
+        successes.push_back({{unit->config.suite, episode.task, episode.initial_state},
+                             stratum,
+                             static_cast<double>(episode.success)});
       }
     }
     if (method != "base" && by_method.count("base")) {
@@ -172,7 +187,8 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
   return average;
 }
 
-SuccessTable MakeTable(const Units& units, const std::string& policy, int severity, const std::string& suite, int replicates) {
+SuccessTable MakeTable(const Units& units, const std::string& policy, int severity,
+                       const std::string& suite, int replicates) {
   SuccessTable table;
   table.policy = policy;
   table.severity = severity;
@@ -202,7 +218,8 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
         Comparison comparison;
         std::vector<Observation> differences;
         AddPairs(cell_units, by_method->second.at("base"), 0, differences, comparison);
-        comparison.difference = Bootstrap(differences, replicates, absl::StrCat(label, "/", scenario, "/", method));
+        comparison.difference =
+            Bootstrap(differences, replicates, absl::StrCat(label, "/", scenario, "/", method));
         if (comparison.pairs > 0) cell.versus_base = comparison;
       }
       row.cells.emplace(method, std::move(cell));
@@ -211,7 +228,8 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
   }
   if (table.rows.size() > 1 || (!table.rows.empty() && table.rows[0].scenario != "clean")) {
     for (const std::string& method : table.methods) {
-      table.averages.emplace(method, MakeAverage(table, grid, method, replicates, absl::StrCat(label, "/", method)));
+      table.averages.emplace(
+          method, MakeAverage(table, grid, method, replicates, absl::StrCat(label, "/", method)));
     }
   }
   return table;
@@ -259,16 +277,16 @@ std::string ScenarioTitle(const std::string& scenario) {
 }
 
 std::string MethodTitle(const std::string& method) {
-  static const auto& titles = *new std::map<std::string, std::string>{
-      {"base", "Base"},
-      {"ours", "Ours"},
-      {"ours_intent", "Ours, target intent"},
-      {"ours_nominal", "Ours, target nominal"},
-      {"gain", "Gain control"},
-      {"null", "Null control"},
-      {"direct", "Direct subtraction"},
-      {"no_residual", "Ours w/o residual"},
-      {"no_anchor", "Ours w/o anchor"}};
+  static const auto& titles =
+      *new std::map<std::string, std::string>{{"base", "Base"},
+                                              {"ours", "Ours"},
+                                              {"ours_intent", "Ours, target intent"},
+                                              {"ours_nominal", "Ours, target nominal"},
+                                              {"gain", "Gain control"},
+                                              {"null", "Null control"},
+                                              {"direct", "Direct subtraction"},
+                                              {"no_residual", "Ours w/o residual"},
+                                              {"no_anchor", "Ours w/o anchor"}};
   const auto title = titles.find(method);
   return title == titles.end() ? method : title->second;
 }
@@ -285,7 +303,8 @@ Summary Summarise(const RunData& run, int bootstrap_replicates) {
   std::map<std::string, std::set<int>> levels;   // of scenarios that have several
   for (const UnitResult& unit : run.units) {
     summary.episodes += static_cast<int>(unit.episodes.size());
-    if (!SameAtEveryLevel(unit.config.scenario)) levels[unit.config.policy].insert(unit.config.severity);
+    if (!SameAtEveryLevel(unit.config.scenario))
+      levels[unit.config.policy].insert(unit.config.severity);
   }
   for (const UnitResult& unit : run.units) {
     const std::set<int>& of_policy = levels[unit.config.policy];
@@ -299,14 +318,16 @@ Summary Summarise(const RunData& run, int bootstrap_replicates) {
       if (unit.config.policy != policy) continue;
       if (unit.config.severity != severity && !SameAtEveryLevel(unit.config.scenario)) continue;
       units.push_back(&unit);
-      if (std::find(suites.begin(), suites.end(), unit.config.suite) == suites.end()) suites.push_back(unit.config.suite);
+      if (std::find(suites.begin(), suites.end(), unit.config.suite) == suites.end())
+        suites.push_back(unit.config.suite);
     }
     const std::string label = PolicyLabel(policy);
     summary.tables.push_back(MakeTable(units, label, severity, "", bootstrap_replicates));
     if (suites.size() > 1) {
       for (const std::string& suite : suites) {
         Units of_suite;
-        std::copy_if(units.begin(), units.end(), std::back_inserter(of_suite), [&](const UnitResult* unit) { return unit->config.suite == suite; });
+        std::copy_if(units.begin(), units.end(), std::back_inserter(of_suite),
+                     [&](const UnitResult* unit) { return unit->config.suite == suite; });
         summary.tables.push_back(MakeTable(of_suite, label, severity, suite, bootstrap_replicates));
       }
     }

@@ -10,16 +10,17 @@
 
 namespace robostress {
 
-// A method against base on the same episodes: equal suite, scenario, severity, policy, seed, task, episode.
+// A method against base on the same episodes: equal suite, scenario, severity, policy, seed, task,
+// episode.
 struct Comparison {
   BootstrapResult difference;  // of success rates, method - base
   int pairs = 0;
-  int plus = 0, minus = 0;     // pairs only the method won, pairs only base won
+  int plus = 0, minus = 0;  // pairs only the method won, pairs only base won
 };
 
 // What execution and adaptation did; absent where no episode has the measure.
 struct Measures {
-  std::optional<double> residual_mean;    // mean over rollouts of ||eta|| / ||a||: the paper's table
+  std::optional<double> residual_mean;  // mean over rollouts of ||eta|| / ||a||: the paper's table
   std::optional<double> residual_pooled;  // sqrt(sum ||eta||^2 / sum ||a||^2)
   std::optional<double> tracking_mean;    // as residual_mean, residual_scale tracking
   std::optional<double> intent_mean;      // mean of ||dx - a_base|| / ||a_base||
@@ -59,8 +60,8 @@ struct AverageCell {
 struct SuccessTable {
   std::string policy;
   int severity = 5;
-  std::string suite;  // empty: all suites of the run
-  std::string title;  // "Goal", "Spatial, Object" ...
+  std::string suite;                 // empty: all suites of the run
+  std::string title;                 // "Goal", "Spatial, Object" ...
   std::vector<std::string> methods;  // base first
   std::vector<ScenarioRow> rows;
   std::map<std::string, AverageCell> averages;  // empty with Clean alone
@@ -69,7 +70,8 @@ struct SuccessTable {
 // Means over units at the i-th episode of a unit, Clean excluded.
 struct AdaptationCurve {
   std::string method;
-  std::vector<double> success, residual, adapter_distance;  // [episodes of a unit]; NaN where nothing was measured
+  std::vector<double> success, residual,
+      adapter_distance;  // [episodes of a unit]; NaN where nothing was measured
   int units = 0;
 };
 
@@ -81,7 +83,8 @@ struct CurveSet {
 };
 
 struct Summary {
-  std::vector<SuccessTable> tables;  // per policy and severity: all suites first, then each suite if there are several
+  std::vector<SuccessTable>
+      tables;  // per policy and severity: all suites first, then each suite if there are several
   std::vector<CurveSet> curves;
   int episodes = 0;
   int replicates = 0;
@@ -93,7 +96,8 @@ Summary Summarise(const RunData& run, int bootstrap_replicates);
 std::string ScenarioTitle(const std::string& scenario);
 // "Base", "Ours", "Ours, target intent", "Gain control" ...
 std::string MethodTitle(const std::string& method);
-// "12", "not adapted" (an adapting method without an update), or "-" (a method that does not adapt).
+// "12", "not adapted" (an adapting method without an update), or "-" (a method that does not
+// adapt).
 std::string UpdatesText(bool adapts, int updates);
 
 }  // namespace robostress

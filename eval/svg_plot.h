@@ -32,7 +32,8 @@ struct IntervalPlotOptions {
 };
 
 // Horizontal dots with interval whiskers, categories from top to bottom.
-std::string IntervalPlot(const std::vector<std::string>& categories, const std::vector<IntervalSeries>& series,
+std::string IntervalPlot(const std::vector<std::string>& categories,
+                         const std::vector<IntervalSeries>& series,
                          const IntervalPlotOptions& options);
 
 // One line; NaN leaves a gap.

@@ -35,10 +35,14 @@ namespace fs = std::filesystem;
 using Seconds = std::chrono::duration<double>;
 using SteadyClock = std::chrono::steady_clock;
 
-// One thread per process: the sweep's parallelism is its processes, and results must not depend on thread counts.
+// One thread per process: the sweep's parallelism is its processes, and results must not depend on
+// thread counts.
 const std::map<std::string, std::string>& ChildEnvironment() {
-  static const auto& environment = *new std::map<std::string, std::string>{
-      {"OMP_NUM_THREADS", "1"}, {"OPENBLAS_NUM_THREADS", "1"}, {"MKL_NUM_THREADS", "1"}, {"LP_NUM_THREADS", "0"}};
+  static const auto& environment =
+      *new std::map<std::string, std::string>{{"OMP_NUM_THREADS", "1"},
+                                              {"OPENBLAS_NUM_THREADS", "1"},
+                                              {"MKL_NUM_THREADS", "1"},
+                                              {"LP_NUM_THREADS", "0"}};
   return environment;
 }
 
@@ -89,7 +93,8 @@ std::string UtcNow() {
 double ExpectedCost(const PlannedUnit& unit) {
   const SuiteInfo* suite = FindSuite(unit.config.suite);
   const double horizon = suite == nullptr ? 300 : suite->horizon;
-  return unit.EpisodeCount() * horizon * (unit.config.scenario == "clean" ? 0.5 : 1) * (unit.config.method.adapt ? 1.5 : 1);
+  return unit.EpisodeCount() * horizon * (unit.config.scenario == "clean" ? 0.5 : 1) *
+         (unit.config.method.adapt ? 1.5 : 1);
 }
 
 class Sweep {
@@ -110,8 +115,12 @@ class Sweep {
     std::string log;
   };
 
-  std::string UnitDir(const PlannedUnit& unit) const { return absl::StrCat(dir_, "/units/", unit.id); }
-  std::string UnitLog(const PlannedUnit& unit) const { return absl::StrCat(dir_, "/logs/", unit.id, ".log"); }
+  std::string UnitDir(const PlannedUnit& unit) const {
+    return absl::StrCat(dir_, "/units/", unit.id);
+  }
+  std::string UnitLog(const PlannedUnit& unit) const {
+    return absl::StrCat(dir_, "/logs/", unit.id, ".log");
+  }
   bool Done(const PlannedUnit& unit) const { return fs::exists(UnitDir(unit) + "/DONE"); }
 
   absl::Status Prepare(const SweepGrid& grid);
@@ -143,15 +152,19 @@ absl::Status Sweep::WritePlan(const PlannedUnit& unit) {
     // Until a worker has written something there is nothing to protect.
     if (fs::exists(UnitDir(unit))) {
       return absl::FailedPreconditionError(absl::StrCat(
-          file, " plans this unit with another configuration, and it has been started: results of different configurations "
-          "cannot share a run directory. Choose another --out, or repeat the options of ", dir_, "/sweep.yaml"));
+          file,
+          " plans this unit with another configuration, and it has been started: results of "
+          "different configurations "
+          "cannot share a run directory. Choose another --out, or repeat the options of ",
+          dir_, "/sweep.yaml"));
     }
   }
   return WriteFileAtomically(file, text);
 }
 
 absl::Status Sweep::Prepare(const SweepGrid& grid) {
-  for (const char* folder : {"", "/plan", "/units", "/logs"}) RS_RETURN_IF_ERROR(MakeDirectories(dir_ + folder));
+  for (const char* folder : {"", "/plan", "/units", "/logs"})
+    RS_RETURN_IF_ERROR(MakeDirectories(dir_ + folder));
   for (const PlannedUnit& unit : units_) RS_RETURN_IF_ERROR(WritePlan(unit));
   return WriteFileAtomically(dir_ + "/sweep.yaml", DumpConfig(grid));
 }
@@ -164,25 +177,30 @@ absl::Status Sweep::StartServer(const std::string& policy) {
   std::error_code ignored;
   fs::remove(port_file, ignored);
   RS_ASSIGN_OR_RETURN(ChildProcess process,
-                      ChildProcess::Start({program, "--policy", policy, "--listen", "127.0.0.1:0", "--port-file", port_file,
-                                           "--threads", "1"},
+                      ChildProcess::Start({program, "--policy", policy, "--listen", "127.0.0.1:0",
+                                           "--port-file", port_file, "--threads", absl::StrCat(options_.workers)},
                                           ChildEnvironment(), log));
   const auto deadline = SteadyClock::now() + std::chrono::seconds(options_.server_start_timeout_s);
   while (!fs::exists(port_file)) {
     pollfd items[] = {{process.exit_fd(), POLLIN, 0}, {signals_.fd(), POLLIN, 0}};
     poll(items, 2, 50);
-    if (items[1].revents != 0) return absl::CancelledError("interrupted while the policy server started");
+    if (items[1].revents != 0)
+      return absl::CancelledError("interrupted while the policy server started");
     if (const std::optional<ExitState> exit = process.Poll()) {
-      return absl::UnavailableError(absl::StrCat("the server of policy ", label, " ended at its start (", exit->text, "). Its log ", log, " ends:\n", LastLines(log, 15)));
+      return absl::UnavailableError(absl::StrCat("the server of policy ", label,
+                                                 " ended at its start (", exit->text, "). Its log ",
+                                                 log, " ends:\n", LastLines(log, 15)));
     }
     if (SteadyClock::now() > deadline) {
-      return absl::UnavailableError(absl::StrCat("the server of policy ", label, " did not open a port within ",
+      return absl::UnavailableError(absl::StrCat("the server of policy ", label,
+                                                 " did not open a port within ",
                                                  options_.server_start_timeout_s, " s; see ", log));
     }
   }
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(port_file));
   const std::string port(absl::StripAsciiWhitespace(text));
-  const std::string address = port.find(':') == std::string::npos ? absl::StrCat("127.0.0.1:", port) : port;
+  const std::string address =
+      port.find(':') == std::string::npos ? absl::StrCat("127.0.0.1:", port) : port;
   servers_.emplace(policy, Server{std::move(process), address, log});
   return absl::OkStatus();
 }
@@ -198,7 +216,8 @@ absl::Status Sweep::StartServers(const std::vector<const PlannedUnit*>& pending)
 
 absl::StatusOr<ChildProcess> Sweep::StartWorker(const PlannedUnit& unit) {
   RS_ASSIGN_OR_RETURN(const std::string program, FindProgram("worker"));
-  std::vector<std::string> command = {program, "--unit", absl::StrCat(dir_, "/plan/", unit.id, ".yaml"), "--out", UnitDir(unit)};
+  std::vector<std::string> command = {
+      program, "--unit", absl::StrCat(dir_, "/plan/", unit.id, ".yaml"), "--out", UnitDir(unit)};
   if (const auto server = servers_.find(unit.config.policy); server != servers_.end()) {
     command.insert(command.end(), {"--server", server->second.address});
   }
@@ -208,7 +227,8 @@ absl::StatusOr<ChildProcess> Sweep::StartWorker(const PlannedUnit& unit) {
 bool Sweep::WaitForEvent(int timeout_ms) {
   std::vector<pollfd> items = {{signals_.fd(), POLLIN, 0}};
   for (const Running& worker : running_) items.push_back({worker.process.exit_fd(), POLLIN, 0});
-  for (const auto& [policy, server] : servers_) items.push_back({server.process.exit_fd(), POLLIN, 0});
+  for (const auto& [policy, server] : servers_)
+    items.push_back({server.process.exit_fd(), POLLIN, 0});
   poll(items.data(), items.size(), timeout_ms);
   return items[0].revents == 0;
 }
@@ -225,8 +245,9 @@ void Sweep::Collect(Progress& progress) {
       ++outcome_.completed;
     } else {
       outcome_.failed.push_back(unit.id);
-      progress.Say(absl::StrCat("unit ", unit.id, " failed (", exit->text, exit->code == 0 ? ", but it left no DONE" : "",
-                                "). Its log ", UnitLog(unit), " ends:\n", LastLines(UnitLog(unit), 12)));
+      progress.Say(absl::StrCat("unit ", unit.id, " failed (", exit->text,
+                                exit->code == 0 ? ", but it left no DONE" : "", "). Its log ",
+                                UnitLog(unit), " ends:\n", LastLines(UnitLog(unit), 12)));
     }
     progress.Finish(unit.id);
     worker = running_.erase(worker);
@@ -236,18 +257,21 @@ void Sweep::Collect(Progress& progress) {
 absl::Status Sweep::CheckServers() {
   for (auto& [policy, server] : servers_) {
     if (const std::optional<ExitState> exit = server.process.Poll()) {
-      return absl::UnavailableError(absl::StrCat("the server of policy ", PolicyLabel(policy), " ended (", exit->text, ") while units needed it. Its log ",
-                                                 server.log, " ends:\n", LastLines(server.log, 15)));
+      return absl::UnavailableError(absl::StrCat(
+          "the server of policy ", PolicyLabel(policy), " ended (", exit->text,
+          ") while units needed it. Its log ", server.log, " ends:\n", LastLines(server.log, 15)));
     }
   }
   return absl::OkStatus();
 }
 
 absl::Status Sweep::RunPending(std::vector<const PlannedUnit*> pending) {
-  std::stable_sort(pending.begin(), pending.end(),
-                   [](const PlannedUnit* a, const PlannedUnit* b) { return ExpectedCost(*a) > ExpectedCost(*b); });
+  std::stable_sort(pending.begin(), pending.end(), [](const PlannedUnit* a, const PlannedUnit* b) {
+    return ExpectedCost(*a) > ExpectedCost(*b);
+  });
   Progress progress(options_.quiet ? Progress::Output::kNone : Progress::Output::kAutomatic);
-  for (const PlannedUnit* unit : pending) progress.Expect(unit->id, UnitDir(*unit) + "/episodes.jsonl", unit->EpisodeCount());
+  for (const PlannedUnit* unit : pending)
+    progress.Expect(unit->id, UnitDir(*unit) + "/episodes.jsonl", unit->EpisodeCount());
   size_t next = 0;
   while (next < pending.size() || !running_.empty()) {
     while (next < pending.size() && static_cast<int>(running_.size()) < options_.workers) {
@@ -259,7 +283,8 @@ absl::Status Sweep::RunPending(std::vector<const PlannedUnit*> pending) {
     progress.Show();
     if (!WaitForEvent(1000)) {
       outcome_.interrupted = true;
-      progress.Say("interrupted: the units that run are stopped; the same command completes them later");
+      progress.Say(
+          "interrupted: the units that run are stopped; the same command completes them later");
       break;
     }
     Collect(progress);
@@ -277,9 +302,11 @@ absl::StatusOr<SweepOutcome> Sweep::Run(const SweepGrid& grid) {
   const std::string started = UtcNow();
   RS_RETURN_IF_ERROR(MakeDirectories(dir_));
   const Descriptor lock(open((dir_ + "/.lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644));
-  if (lock.get() < 0) return absl::InternalError(absl::StrCat("cannot write in ", dir_, ": ", strerror(errno)));
+  if (lock.get() < 0)
+    return absl::InternalError(absl::StrCat("cannot write in ", dir_, ": ", strerror(errno)));
   if (flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
-    return absl::FailedPreconditionError(absl::StrCat("another sweep is running in ", dir_, "; wait for it or choose another --out"));
+    return absl::FailedPreconditionError(absl::StrCat("another sweep is running in ", dir_,
+                                                      "; wait for it or choose another --out"));
   }
   RS_RETURN_IF_ERROR(Prepare(grid));
   std::vector<const PlannedUnit*> pending;
@@ -296,8 +323,11 @@ absl::StatusOr<SweepOutcome> Sweep::Run(const SweepGrid& grid) {
   running_.clear();  // an interrupted sweep stops its workers before their servers
   for (auto& [policy, server] : servers_) server.process.Terminate(5000);
   outcome_.wall_s = Seconds(SteadyClock::now() - start).count();
-  const nlohmann::json launch = {{"started", started}, {"wall_s", outcome_.wall_s}, {"workers", options_.workers},
-                                 {"completed", outcome_.completed}, {"failed", outcome_.failed}};
+  const nlohmann::json launch = {{"started", started},
+                                 {"wall_s", outcome_.wall_s},
+                                 {"workers", options_.workers},
+                                 {"completed", outcome_.completed},
+                                 {"failed", outcome_.failed}};
   RS_RETURN_IF_ERROR(AppendLine(dir_ + "/launches.jsonl", launch.dump()));
   RS_RETURN_IF_ERROR(status);
   return outcome_;

@@ -19,19 +19,20 @@ struct LaunchOptions {
 
 // What happened to the units of this call.
 struct SweepOutcome {
-  int completed = 0;        // finished by this call
-  int already_done = 0;     // had DONE before
+  int completed = 0;                // finished by this call
+  int already_done = 0;             // had DONE before
   std::vector<std::string> failed;  // ids
   bool interrupted = false;
   double wall_s = 0;
 };
 
-// Runs the units that have no DONE yet, at most `workers` processes at a time, the longest first, with one policy
-// server per policy that needs one. Layout of the run directory:
-//   sweep.yaml plan/<id>.yaml units/<id>/ (written by the worker) logs/<id>.log logs/server-<policy>.log launches.jsonl
-// A unit that fails is reported with the end of its log and the others go on. FailedPrecondition when the
-// directory holds a unit of the same id with another configuration, or another sweep is running in it; Unavailable
-// when a server does not start or dies.
+// Runs the units that have no DONE yet, at most `workers` processes at a time, the longest first,
+// with one policy server per policy that needs one. Layout of the run directory:
+//   sweep.yaml plan/<id>.yaml units/<id>/ (written by the worker) logs/<id>.log
+//   logs/server-<policy>.log launches.jsonl
+// A unit that fails is reported with the end of its log and the others go on. FailedPrecondition
+// when the directory holds a unit of the same id with another configuration, or another sweep is
+// running in it; Unavailable when a server does not start or dies.
 absl::StatusOr<SweepOutcome> RunSweep(const SweepGrid& grid, const std::vector<PlannedUnit>& units,
                                       const LaunchOptions& options);
 

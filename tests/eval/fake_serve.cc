@@ -1,5 +1,5 @@
-// A stand-in for robostress-serve: publishes a port and waits to be terminated. With FAKE_SERVER_FAILS set it ends
-// at once with a message, as a server whose weights are missing does.
+// A stand-in for robostress-serve: publishes a port and waits to be terminated. With
+// FAKE_SERVER_FAILS set it ends at once with a message, as a server whose weights are missing does.
 
 #include <unistd.h>
 
@@ -15,7 +15,9 @@ int main(int argc, char** argv) {
     return 4;
   }
   for (int i = 1; i + 1 < argc; ++i) {
-    if (std::string(argv[i]) == "--port-file" && !robostress::WriteFileAtomically(argv[i + 1], "127.0.0.1:4242\n").ok()) return 1;
+    if (std::string(argv[i]) == "--port-file" &&
+        !robostress::WriteFileAtomically(argv[i + 1], "127.0.0.1:4242\n").ok())
+      return 1;
   }
   while (true) pause();
 }

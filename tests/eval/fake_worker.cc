@@ -1,5 +1,6 @@
-// A stand-in for robostress-worker that speaks its command line and writes its files without a simulator: outcomes
-// are drawn from streams keyed by the episode, so they are the same in every order of dispatch.
+// A stand-in for robostress-worker that speaks its command line and writes its files without a
+// simulator: outcomes are drawn from streams keyed by the episode, so they are the same in every
+// order of dispatch.
 //   FAKE_FAIL_SCENARIO=name  exits with code 3 in units of that scenario
 //   FAKE_EPISODE_MS=n        takes that long per episode
 
@@ -24,19 +25,37 @@ namespace {
 nlohmann::json Episode(const UnitConfig& config, int task, int episode, int index) {
   const int initial_state = config.first_initial_state + episode;
   const StreamKey key = StreamKey("fake").With(config.suite).With(task).With(initial_state);
-  RandomStream difficulty(key), chance(key.With(config.scenario).With(config.method.method).With(config.seed));
+  RandomStream difficulty(key),
+      chance(key.With(config.scenario).With(config.method.method).With(config.seed));
   const bool clean = config.scenario == "clean";
   const int updates = config.method.adapt ? std::max(0, (index * 20 - 32) / 8) : 0;
   const double gain = config.method.adapt ? 0.1 * std::min(1.0, updates / 20.0) : 0;
   const bool success = difficulty.Uniform() + 0.2 * chance.Normal() < (clean ? 0.92 : 0.5 + gain);
   const double residual = (clean ? 0.21 : 0.45) + 0.03 * chance.Normal();
   const double a_sq = 20 + 5 * chance.Uniform();
-  return {{"suite", config.suite}, {"scenario", config.scenario}, {"severity", config.severity}, {"policy", config.policy},
-          {"method", config.method.method}, {"seed", config.seed}, {"task", task}, {"episode", episode}, {"initial_state", initial_state},
-          {"success", success}, {"steps", success ? 110 : 300}, {"chunks", success ? 22 : 60}, {"updates", updates},
-          {"residual", residual}, {"eta_sq", residual * residual * a_sq}, {"a_sq", a_sq}, {"intent", residual * 1.02},
-          {"intent_eta_sq", residual * residual * a_sq}, {"intent_a_sq", a_sq}, {"residual_tracking", residual * 0.6},
-          {"mean_abs_action", 0.21}, {"clipped_share", 0.01}, {"adapter_distance", 0.01 * std::sqrt(updates)}};
+  return {{"suite", config.suite},
+          {"scenario", config.scenario},
+          {"severity", config.severity},
+          {"policy", config.policy},
+          {"method", config.method.method},
+          {"seed", config.seed},
+          {"task", task},
+          {"episode", episode},
+          {"initial_state", initial_state},
+          {"success", success},
+          {"steps", success ? 110 : 300},
+          {"chunks", success ? 22 : 60},
+          {"updates", updates},
+          {"residual", residual},
+          {"eta_sq", residual * residual * a_sq},
+          {"a_sq", a_sq},
+          {"intent", residual * 1.02},
+          {"intent_eta_sq", residual * residual * a_sq},
+          {"intent_a_sq", a_sq},
+          {"residual_tracking", residual * 0.6},
+          {"mean_abs_action", 0.21},
+          {"clipped_share", 0.01},
+          {"adapter_distance", 0.01 * std::sqrt(updates)}};
 }
 
 int Run(const std::string& unit_file, const std::string& out) {
@@ -68,7 +87,10 @@ int Run(const std::string& unit_file, const std::string& out) {
           frames[f].data.assign(96 * 64 * 3, static_cast<uint8_t>(60 * f + 20));
         }
         const absl::StatusOr<std::string> film = EncodeAnimatedWebp(frames, 0.2, 70);
-        status = film.ok() ? WriteFileAtomically(out + "/videos/task" + std::to_string(task) + "_episode" + std::to_string(episode) + ".webp", *film) : film.status();
+        status = film.ok() ? WriteFileAtomically(out + "/videos/task" + std::to_string(task) +
+                                                     "_episode" + std::to_string(episode) + ".webp",
+                                                 *film)
+                           : film.status();
       }
     }
   }

@@ -64,24 +64,29 @@ TEST(Plan, CleanIsRunAtOneLevelOnly) {
   grid.scenarios = {"clean", "heavy_payload"};
   grid.methods = {"base"};
   grid.severities = {1, 3, 5};
-  EXPECT_THAT(Ids(Plan(grid)), ElementsAre("tabletop_goal-clean-L5-nano-base-s0", "tabletop_goal-heavy_payload-L1-nano-base-s0",
-                                           "tabletop_goal-heavy_payload-L3-nano-base-s0", "tabletop_goal-heavy_payload-L5-nano-base-s0"));
+  EXPECT_THAT(Ids(Plan(grid)), ElementsAre("tabletop_goal-clean-L5-nano-base-s0",
+                                           "tabletop_goal-heavy_payload-L1-nano-base-s0",
+                                           "tabletop_goal-heavy_payload-L3-nano-base-s0",
+                                           "tabletop_goal-heavy_payload-L5-nano-base-s0"));
 }
 
 TEST(Plan, ExpertRunsWithBaseOnly) {
   SweepGrid grid;
   grid.scenarios = {"clean"};
   grid.policies = {"expert", "nano"};
-  EXPECT_THAT(Ids(Plan(grid)), ElementsAre("tabletop_goal-clean-L5-expert-base-s0", "tabletop_goal-clean-L5-nano-base-s0",
+  EXPECT_THAT(Ids(Plan(grid)), ElementsAre("tabletop_goal-clean-L5-expert-base-s0",
+                                           "tabletop_goal-clean-L5-nano-base-s0",
                                            "tabletop_goal-clean-L5-nano-ours-s0"));
   grid.methods = {"ours"};
-  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("expert does not adapt"));
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("expert does not adapt"));
 }
 
 TEST(Plan, OverridesReachSimulatorAndMethod) {
   SweepGrid grid;
   grid.scenarios = {"clean"};
-  grid.overrides = {"sim.goal_reference=desired", "method.learning_rate=0.5", "sim.joint_errors.friction_law=stick"};
+  grid.overrides = {"sim.goal_reference=desired", "method.learning_rate=0.5",
+                    "sim.joint_errors.friction_law=stick"};
   for (const PlannedUnit& unit : Plan(grid)) {
     EXPECT_EQ(unit.config.sim.goal_reference, GoalReference::kDesired);
     EXPECT_EQ(unit.config.sim.joint_errors.friction_law, FrictionLaw::kStick);
@@ -100,10 +105,12 @@ TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
   grid.overrides = {"sim.frixion=1", "learning_rate=1"};
   const absl::Status status = ResolveGrid(grid).status();
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
-  EXPECT_THAT(std::string(status.message()),
-              AllOf(HasSubstr("'tabletop_gaol'"), HasSubstr("tabletop_long"), HasSubstr("'heavy_load'"), HasSubstr("aged_joint_elbow"),
-                    HasSubstr("'our'"), HasSubstr("no_anchor"), HasSubstr("'pi0'"), HasSubstr("severity 6"), HasSubstr("task 11"),
-                    HasSubstr("frixion"), HasSubstr("'learning_rate=1' must be sim.KEY=VALUE")));
+  EXPECT_THAT(
+      std::string(status.message()),
+      AllOf(HasSubstr("'tabletop_gaol'"), HasSubstr("tabletop_long"), HasSubstr("'heavy_load'"),
+            HasSubstr("aged_joint_elbow"), HasSubstr("'our'"), HasSubstr("no_anchor"),
+            HasSubstr("'pi0'"), HasSubstr("severity 6"), HasSubstr("task 11"), HasSubstr("frixion"),
+            HasSubstr("'learning_rate=1' must be sim.KEY=VALUE")));
 }
 
 TEST(Plan, NothingAndDoublesAreRefused) {
@@ -111,7 +118,8 @@ TEST(Plan, NothingAndDoublesAreRefused) {
   grid.methods = {};
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("no method given"));
   grid.methods = {"base", "base"};
-  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("method base is given twice"));
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("method base is given twice"));
 }
 
 TEST(Plan, LiberoSuitesAskForTheirFiles) {
@@ -126,7 +134,8 @@ TEST(Plan, GridSurvivesItsFile) {
   grid.seeds = {3, 1};
   const absl::StatusOr<SweepGrid> resolved = ResolveGrid(grid);
   ASSERT_TRUE(resolved.ok()) << resolved.status();
-  const absl::StatusOr<SweepGrid> read = ParseConfig<SweepGrid>("sweep.yaml", DumpConfig(*resolved));
+  const absl::StatusOr<SweepGrid> read =
+      ParseConfig<SweepGrid>("sweep.yaml", DumpConfig(*resolved));
   ASSERT_TRUE(read.ok()) << read.status();
   EXPECT_EQ(DumpConfig(*read), DumpConfig(*resolved));
   EXPECT_FALSE(ParseConfig<SweepGrid>("sweep.yaml", "sweets: [a]").ok());
@@ -137,7 +146,8 @@ TEST(ParseTasks, ReadsCountsIndicesAndRanges) {
   EXPECT_THAT(*ParseTasks("0,3,7"), ElementsAre(0, 3, 7));
   EXPECT_THAT(*ParseTasks("2-4,8-8"), ElementsAre(2, 3, 4, 8));
   EXPECT_THAT(*ParseTasks("all"), ElementsAre());
-  for (const char* bad : {"0", "-1", "a", "1,,2", "4-2", "1-2-3", "1.5"}) EXPECT_FALSE(ParseTasks(bad).ok()) << bad;
+  for (const char* bad : {"0", "-1", "a", "1,,2", "4-2", "1-2-3", "1.5"})
+    EXPECT_FALSE(ParseTasks(bad).ok()) << bad;
 }
 
 }  // namespace

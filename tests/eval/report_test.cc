@@ -20,8 +20,10 @@ using ::testing::Not;
 RunData SmallRun() {
   RunData run;
   run.dir = "runs/<small>";
-  run.units = {SyntheticUnit("clean", "base", {1, 1, 1, 0}), SyntheticUnit("clean", "ours", {1, 1, 1, 0}),
-               SyntheticUnit("heavy_payload", "base", {1, 0, 0, 0}), SyntheticUnit("heavy_payload", "ours", {1, 1, 0, 0}, {0, 1, 2, 3})};
+  run.units = {SyntheticUnit("clean", "base", {1, 1, 1, 0}),
+               SyntheticUnit("clean", "ours", {1, 1, 1, 0}),
+               SyntheticUnit("heavy_payload", "base", {1, 0, 0, 0}),
+               SyntheticUnit("heavy_payload", "ours", {1, 1, 0, 0}, {0, 1, 2, 3})};
   return run;
 }
 
@@ -41,7 +43,8 @@ TEST(ReportPage, RefersToNothingOutsideItself) {
   const std::string page = ReportPage(run, Summarise(run, 100), {});
   // The only address is the SVG namespace, which nothing loads.
   std::string rest = page;
-  for (size_t at; (at = rest.find("http://www.w3.org/2000/svg")) != std::string::npos;) rest.erase(at, 26);
+  for (size_t at; (at = rest.find("http://www.w3.org/2000/svg")) != std::string::npos;)
+    rest.erase(at, 26);
   EXPECT_THAT(rest, Not(HasSubstr("http")));
   EXPECT_THAT(rest, Not(HasSubstr("<script")));
   EXPECT_THAT(rest, Not(HasSubstr("<link")));
@@ -51,7 +54,8 @@ TEST(ReportPage, RefersToNothingOutsideItself) {
 
 TEST(ReportPage, WarnsWhenThePolicyIsTooWeakForAClaim) {
   RunData run = SmallRun();
-  EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}), Not(HasSubstr("no claim about adaptation")));
+  EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}),
+              Not(HasSubstr("no claim about adaptation")));
   for (EpisodeRow& row : run.units[0].episodes) row.success = false;
   EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}), HasSubstr("no claim about adaptation"));
 }
@@ -72,7 +76,8 @@ TEST(WriteReport, PublishesPageDataAndFigures) {
   ASSERT_TRUE(text.ok()) << text.status();
   const nlohmann::json report = nlohmann::json::parse(*text);
   EXPECT_EQ(report["tables"][0]["scenarios"][1]["cells"]["ours"]["versus_base"]["plus"], 1);
-  for (const char* file : {"/report.html", "/table.csv", "/figures/success-nano-L5.svg"}) EXPECT_TRUE(ReadFile(run.dir + file).ok()) << file;
+  for (const char* file : {"/report.html", "/table.csv", "/figures/success-nano-L5.svg"})
+    EXPECT_TRUE(ReadFile(run.dir + file).ok()) << file;
 }
 
 TEST(TableCsv, HasOneWidth) {

@@ -13,10 +13,12 @@ namespace {
 
 using ::testing::HasSubstr;
 
-constexpr char kLine[] = R"({"task":0,"episode":0,"initial_state":0,"success":true,"steps":10,"chunks":2,"updates":0,"residual":0.25,"intent":null})";
+constexpr char kLine[] =
+    R"({"task":0,"episode":0,"initial_state":0,"success":true,"steps":10,"chunks":2,"updates":0,"residual":0.25,"intent":null})";
 
 // Writes a unit with `episodes` as its record.
-void WriteUnit(const std::string& run, const std::string& id, int episodes, const std::string& record, bool done) {
+void WriteUnit(const std::string& run, const std::string& id, int episodes,
+               const std::string& record, bool done) {
   const std::string dir = run + "/units/" + id;
   UnitConfig config;
   config.tasks = {0};
@@ -41,9 +43,11 @@ TEST(ParseEpisode, ReadsMeasuresAndLeavesAbsentOnesOut) {
 TEST(ParseEpisode, NamesFileLineFieldAndValue) {
   std::string wrong = kLine;
   wrong.replace(wrong.find("true"), 4, "\"yes\"");
-  EXPECT_THAT(std::string(ParseEpisode("episodes.jsonl:7", wrong).status().message()),
-              ::testing::AllOf(HasSubstr("episodes.jsonl:7"), HasSubstr("success"), HasSubstr("\"yes\"")));
-  EXPECT_THAT(std::string(ParseEpisode("f:1", R"({"task":0})").status().message()), HasSubstr("episode is missing"));
+  EXPECT_THAT(
+      std::string(ParseEpisode("episodes.jsonl:7", wrong).status().message()),
+      ::testing::AllOf(HasSubstr("episodes.jsonl:7"), HasSubstr("success"), HasSubstr("\"yes\"")));
+  EXPECT_THAT(std::string(ParseEpisode("f:1", R"({"task":0})").status().message()),
+              HasSubstr("episode is missing"));
   EXPECT_FALSE(ParseEpisode("f:1", R"({"task":0,"epis)").ok());
 }
 
@@ -60,7 +64,8 @@ TEST(LoadRun, LeavesUnfinishedUnitsOut) {
 TEST(LoadRun, RefusesAFinishedUnitThatContradictsItsConfiguration) {
   const std::string run = TestFolder();
   WriteUnit(run, "a", 2, std::string(kLine) + "\n", true);
-  EXPECT_THAT(std::string(LoadRun(run).status().message()), HasSubstr("has 1 episodes, its configuration says 2"));
+  EXPECT_THAT(std::string(LoadRun(run).status().message()),
+              HasSubstr("has 1 episodes, its configuration says 2"));
   WriteUnit(run, "a", 2, std::string(kLine) + "\n" + kLine + "\n", true);
   EXPECT_THAT(std::string(LoadRun(run).status().message()), HasSubstr("recorded twice"));
 }

@@ -21,7 +21,8 @@ std::string SciPy(const std::string& script) {
   const std::unique_ptr<FILE, int (*)(FILE*)> pipe(popen(command.c_str(), "r"), pclose);
   std::string text;
   char buffer[256];
-  while (pipe != nullptr && std::fgets(buffer, sizeof(buffer), pipe.get()) != nullptr) text += buffer;
+  while (pipe != nullptr && std::fgets(buffer, sizeof(buffer), pipe.get()) != nullptr)
+    text += buffer;
   return text;
 }
 
@@ -49,9 +50,12 @@ TEST(WilsonInterval, TouchesTheBoundaryExactlyAtTheExtremes) {
 TEST(WilsonInterval, IsNotANumberWithoutData) { EXPECT_TRUE(std::isnan(WilsonInterval(0, 0).low)); }
 
 TEST(WilsonInterval, AgreesWithSciPy) {
-  const std::string text = SciPy("from scipy.stats import binomtest as b; c=b(7,20).proportion_ci(method='wilson'); print(repr(c.low), repr(c.high))");
+  const std::string text = SciPy(
+      "from scipy.stats import binomtest as b; c=b(7,20).proportion_ci(method='wilson'); "
+      "print(repr(c.low), repr(c.high))");
   double low = 0, high = 0;
-  if (std::sscanf(text.c_str(), "%lf %lf", &low, &high) != 2) GTEST_SKIP() << "no /usr/bin/python3 with SciPy (package python3-scipy)";
+  if (std::sscanf(text.c_str(), "%lf %lf", &low, &high) != 2)
+    GTEST_SKIP() << "no /usr/bin/python3 with SciPy (package python3-scipy)";
   EXPECT_NEAR(WilsonInterval(7, 20).low, low, 1e-12);
   EXPECT_NEAR(WilsonInterval(7, 20).high, high, 1e-12);
 }
@@ -64,8 +68,9 @@ TEST(Quantile, InterpolatesBetweenOrderStatistics) {
 }
 
 TEST(ClusterBootstrap, IntervalOfAMeanIsThatOfItsNormalLimit) {
-  // 400 clusters of one value each: the interval is mean -+ 1.96 s / sqrt(n). Monte-Carlo error of a 2.5 % quantile
-  // over 20000 replicates is about 2 % of the half width, and the normal limit errs by less.
+  // 400 clusters of one value each: the interval is mean -+ 1.96 s / sqrt(n). Monte-Carlo error of
+  // a 2.5 % quantile over 20000 replicates is about 2 % of the half width, and the normal limit
+  // errs by less.
   std::vector<ClusteredValue> values;
   RandomStream stream(StreamKey("test"));
   double sum = 0, squares = 0;
@@ -83,23 +88,25 @@ TEST(ClusterBootstrap, IntervalOfAMeanIsThatOfItsNormalLimit) {
 }
 
 TEST(ClusterBootstrap, ResamplesWholeClusters) {
-  // Twenty copies in each of 100 clusters carry no more information than one: the interval must not shrink by
-  // sqrt(20), as one over single episodes would.
+  // Twenty copies in each of 100 clusters carry no more information than one: the interval must not
+  // shrink by sqrt(20), as one over single episodes would.
   std::vector<ClusteredValue> one, many;
   for (int i = 0; i < 100; ++i) {
     one.push_back({i, 0, i % 2 == 0 ? 1.0 : 0.0});
     for (int copy = 0; copy < 20; ++copy) many.push_back({i, 0, i % 2 == 0 ? 1.0 : 0.0});
   }
-  const BootstrapResult a = ClusterBootstrap(one, 4000, StreamKey("k")), b = ClusterBootstrap(many, 4000, StreamKey("k"));
+  const BootstrapResult a = ClusterBootstrap(one, 4000, StreamKey("k")),
+                        b = ClusterBootstrap(many, 4000, StreamKey("k"));
   EXPECT_EQ(a.clusters, 100);
   EXPECT_DOUBLE_EQ(a.interval.low, b.interval.low);
   EXPECT_DOUBLE_EQ(a.interval.high, b.interval.high);
 }
 
 TEST(ClusterBootstrap, MatchesTheExactDistributionOfThreeClusters) {
-  // Values 0, 0, 1: a replicate's mean is Binomial(3, 1/3) / 3; P(0) = 8/27 and P(3) = 1/27 > 2.5 %, so the
-  // percentile interval is [0, 1] exactly.
-  const BootstrapResult result = ClusterBootstrap({{0, 0, 0}, {1, 0, 0}, {2, 0, 1}}, 20000, StreamKey("exact"));
+  // Values 0, 0, 1: a replicate's mean is Binomial(3, 1/3) / 3; P(0) = 8/27 and P(3) = 1/27 > 2.5
+  // %, so the percentile interval is [0, 1] exactly.
+  const BootstrapResult result =
+      ClusterBootstrap({{0, 0, 0}, {1, 0, 0}, {2, 0, 1}}, 20000, StreamKey("exact"));
   EXPECT_EQ(result.interval.low, 0);
   EXPECT_EQ(result.interval.high, 1);
 }

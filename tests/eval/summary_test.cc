@@ -11,7 +11,8 @@ namespace {
 
 TEST(Summary, CountsDiscordantPairsOnTheSameEpisodes) {
   RunData run;
-  run.units = {SyntheticUnit("heavy_payload", "base", {1, 1, 0, 0, 0}), SyntheticUnit("heavy_payload", "ours", {1, 0, 1, 1, 0}, {0, 0, 1, 2, 3})};
+  run.units = {SyntheticUnit("heavy_payload", "base", {1, 1, 0, 0, 0}),
+               SyntheticUnit("heavy_payload", "ours", {1, 0, 1, 1, 0}, {0, 0, 1, 2, 3})};
   const Summary summary = Summarise(run, 200);
   const Cell& ours = summary.tables.at(0).rows.at(0).cells.at("ours");
   ASSERT_TRUE(ours.versus_base.has_value());
@@ -25,7 +26,8 @@ TEST(Summary, CountsDiscordantPairsOnTheSameEpisodes) {
 
 TEST(Summary, AverageLeavesCleanOutAndWeighsScenariosEqually) {
   RunData run;
-  run.units = {SyntheticUnit("clean", "base", {1, 1, 1, 1}), SyntheticUnit("heavy_payload", "base", {1, 0, 0, 0}),
+  run.units = {SyntheticUnit("clean", "base", {1, 1, 1, 1}),
+               SyntheticUnit("heavy_payload", "base", {1, 0, 0, 0}),
                SyntheticUnit("aged_joint_elbow", "base", {1, 1})};
   const AverageCell& average = Summarise(run, 200).tables.at(0).averages.at("base");
   EXPECT_NEAR(average.success.estimate, (0.25 + 1.0) / 2, 1e-12);
@@ -44,9 +46,12 @@ TEST(Summary, AdaptingMethodWithoutAnUpdateIsNotAdapted) {
 TEST(Summary, ResidualsAreMeansOverRolloutsAndPooledSums) {
   RunData run;
   run.units = {SyntheticUnit("clean", "base", {1, 1, 0})};
-  // Rollouts of different length: the mean of ratios and the ratio of sums differ. The third has no measure.
-  run.units[0].episodes[0].residual = 0.5, run.units[0].episodes[0].eta_sq = 1, run.units[0].episodes[0].a_sq = 4;
-  run.units[0].episodes[1].residual = 0.1, run.units[0].episodes[1].eta_sq = 1, run.units[0].episodes[1].a_sq = 100;
+  // Rollouts of different length: the mean of ratios and the ratio of sums differ. The third has no
+  // measure.
+  run.units[0].episodes[0].residual = 0.5, run.units[0].episodes[0].eta_sq = 1,
+  run.units[0].episodes[0].a_sq = 4;
+  run.units[0].episodes[1].residual = 0.1, run.units[0].episodes[1].eta_sq = 1,
+  run.units[0].episodes[1].a_sq = 100;
   const Measures measures = Summarise(run, 10).tables.at(0).rows.at(0).cells.at("base").measures;
   EXPECT_NEAR(*measures.residual_mean, 0.3, 1e-12);
   EXPECT_NEAR(*measures.residual_pooled, std::sqrt(2.0 / 104), 1e-12);
@@ -55,7 +60,8 @@ TEST(Summary, ResidualsAreMeansOverRolloutsAndPooledSums) {
 
 TEST(Summary, SeveralSuitesGetATableEachAfterTheCommonOne) {
   RunData run;
-  run.units = {SyntheticUnit("heavy_payload", "base", {1, 0}, {}, "tabletop_spatial"), SyntheticUnit("heavy_payload", "base", {0, 0}, {}, "tabletop_goal")};
+  run.units = {SyntheticUnit("heavy_payload", "base", {1, 0}, {}, "tabletop_spatial"),
+               SyntheticUnit("heavy_payload", "base", {0, 0}, {}, "tabletop_goal")};
   const Summary summary = Summarise(run, 10);
   ASSERT_EQ(summary.tables.size(), 3u);
   EXPECT_EQ(summary.tables[0].suite, "");
@@ -67,7 +73,8 @@ TEST(Summary, SeveralSuitesGetATableEachAfterTheCommonOne) {
 
 TEST(Summary, CleanStandsInTheTableOfEverySeverity) {
   RunData run;
-  run.units = {SyntheticUnit("clean", "base", {1}), SyntheticUnit("heavy_payload", "base", {1}), SyntheticUnit("heavy_payload", "base", {0})};
+  run.units = {SyntheticUnit("clean", "base", {1}), SyntheticUnit("heavy_payload", "base", {1}),
+               SyntheticUnit("heavy_payload", "base", {0})};
   run.units[1].config.severity = 1;
   const Summary summary = Summarise(run, 10);
   ASSERT_EQ(summary.tables.size(), 2u);
@@ -81,7 +88,9 @@ TEST(Summary, CleanStandsInTheTableOfEverySeverity) {
 
 TEST(Summary, CurvesFollowTheEpisodesOfAUnitWithoutClean) {
   RunData run;
-  run.units = {SyntheticUnit("clean", "ours", {0, 0}), SyntheticUnit("heavy_payload", "ours", {1, 0}), SyntheticUnit("aged_joint_elbow", "ours", {1, 1})};
+  run.units = {SyntheticUnit("clean", "ours", {0, 0}),
+               SyntheticUnit("heavy_payload", "ours", {1, 0}),
+               SyntheticUnit("aged_joint_elbow", "ours", {1, 1})};
   const Summary summary = Summarise(run, 10);
   ASSERT_EQ(summary.curves.size(), 1u);
   EXPECT_THAT(summary.curves[0].curves.at(0).success, ::testing::ElementsAre(1.0, 0.5));

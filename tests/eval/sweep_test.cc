@@ -28,15 +28,22 @@ class SweepProgram : public ::testing::Test {
   // Runs the sweep with stand-ins; returns its exit code, output in output().
   int Sweep(const std::string& arguments, const std::string& environment = "") {
     output_file_ = folder_ + "/output.txt";
-    const std::string command = absl::StrCat("ROBOSTRESS_BIN='", FAKE_PROGRAMS, "' ", environment, " '", BIN_DIR, "/robostress-sweep' ", arguments, " > '", output_file_, "' 2>&1");
+    const std::string command =
+        absl::StrCat("ROBOSTRESS_BIN='", FAKE_PROGRAMS, "' ", environment, " '", BIN_DIR,
+                     "/robostress-sweep' ", arguments, " > '", output_file_, "' 2>&1");
     const int status = std::system(command.c_str());
     return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
   }
   std::string output() const { return *ReadFile(output_file_); }
   std::string Small(const std::string& name) const {
-    return absl::StrCat("--suites tabletop_goal --tasks 2 --episodes 3 --scenarios clean,heavy_payload --methods base,ours --out '", folder_, "/", name, "' ");
+    return absl::StrCat(
+        "--suites tabletop_goal --tasks 2 --episodes 3 --scenarios clean,heavy_payload --methods "
+        "base,ours --out '",
+        folder_, "/", name, "' ");
   }
-  int Starts(const std::string& name, const std::string& unit) const { return CountLines(absl::StrCat(folder_, "/", name, "/units/", unit, "/starts.txt")); }
+  int Starts(const std::string& name, const std::string& unit) const {
+    return CountLines(absl::StrCat(folder_, "/", name, "/units/", unit, "/starts.txt"));
+  }
 
   std::string folder_, output_file_;
 };
@@ -90,7 +97,13 @@ TEST_F(SweepProgram, ServerThatDoesNotStartIsReportedWithItsLog) {
 }
 
 TEST_F(SweepProgram, ExpertNeedsNoServer) {
-  EXPECT_EQ(Sweep(absl::StrCat("--policies expert --methods base --tasks 1 --episodes 2 --scenarios clean --out '", folder_, "/run'"), "FAKE_SERVER_FAILS=1"), 0) << output();
+  EXPECT_EQ(
+      Sweep(absl::StrCat(
+                "--policies expert --methods base --tasks 1 --episodes 2 --scenarios clean --out '",
+                folder_, "/run'"),
+            "FAKE_SERVER_FAILS=1"),
+      0)
+      << output();
 }
 
 TEST_F(SweepProgram, OtherConfigurationOfAStartedUnitIsRefused) {
@@ -103,7 +116,10 @@ TEST_F(SweepProgram, OtherConfigurationOfAStartedUnitIsRefused) {
 
 TEST_F(SweepProgram, WidensARunDirectory) {
   ASSERT_EQ(Sweep(Small("run")), 0) << output();
-  ASSERT_EQ(Sweep(absl::StrCat("--suites tabletop_goal --tasks 2 --episodes 3 --scenarios clean,heavy_payload --methods base,ours,null --out '", folder_, "/run'")), 0)
+  ASSERT_EQ(Sweep(absl::StrCat("--suites tabletop_goal --tasks 2 --episodes 3 --scenarios "
+                               "clean,heavy_payload --methods base,ours,null --out '",
+                               folder_, "/run'")),
+            0)
       << output();
   EXPECT_EQ(Starts("run", "tabletop_goal-clean-L5-nano-base-s0"), 1);
   EXPECT_THAT(*ReadFile(folder_ + "/run/table.csv"), HasSubstr(",null,"));
@@ -118,9 +134,10 @@ TEST_F(SweepProgram, UnknownNamesEndWithCodeTwoAndWriteNothing) {
 
 TEST_F(SweepProgram, SecondSweepInTheSameDirectoryIsRefused) {
   const std::string out = folder_ + "/run";
-  absl::StatusOr<ChildProcess> first =
-      ChildProcess::Start({absl::StrCat(BIN_DIR, "/robostress-sweep"), "--tasks", "1", "--episodes", "10", "--scenarios", "clean", "--out", out},
-                          {{"FAKE_EPISODE_MS", "300"}, {"ROBOSTRESS_BIN", FAKE_PROGRAMS}}, folder_ + "/first.txt");
+  absl::StatusOr<ChildProcess> first = ChildProcess::Start(
+      {absl::StrCat(BIN_DIR, "/robostress-sweep"), "--tasks", "1", "--episodes", "10",
+       "--scenarios", "clean", "--out", out},
+      {{"FAKE_EPISODE_MS", "300"}, {"ROBOSTRESS_BIN", FAKE_PROGRAMS}}, folder_ + "/first.txt");
   ASSERT_TRUE(first.ok()) << first.status();
   const std::string episodes = out + "/units/tabletop_goal-clean-L5-nano-base-s0/episodes.jsonl";
   while (CountLines(episodes) == 0 && !first->Poll()) usleep(10000);
@@ -136,7 +153,9 @@ TEST_F(SweepProgram, SecondSweepInTheSameDirectoryIsRefused) {
 TEST(Dispatcher, RunsTheProgramAndListsWhatThereIs) {
   const std::string folder = TestFolder();
   const auto run = [&](const std::string& arguments) {
-    const int status = std::system(absl::StrCat("'", BIN_DIR, "/robostress' ", arguments, " > '", folder, "/out.txt' 2>&1").c_str());
+    const int status = std::system(
+        absl::StrCat("'", BIN_DIR, "/robostress' ", arguments, " > '", folder, "/out.txt' 2>&1")
+            .c_str());
     return std::pair(WEXITSTATUS(status), *ReadFile(folder + "/out.txt"));
   };
   EXPECT_EQ(run("").first, 0);

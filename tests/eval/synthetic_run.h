@@ -12,15 +12,19 @@ namespace robostress {
 // A fresh empty folder for the running test.
 inline std::string TestFolder() {
   const auto* test = ::testing::UnitTest::GetInstance()->current_test_info();
-  const std::string folder = ::testing::TempDir() + "robostress_" + test->test_suite_name() + "_" + test->name();
+  const std::string folder =
+      ::testing::TempDir() + "robostress_" + test->test_suite_name() + "_" + test->name();
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
   return folder;
 }
 
-// A finished unit in memory: one task, outcomes in episode order; updates[i] belong to episode i (missing: 0).
-inline UnitResult SyntheticUnit(const std::string& scenario, const std::string& method, const std::vector<int>& outcomes,
-                                const std::vector<int>& updates = {}, const std::string& suite = "tabletop_goal") {
+// A finished unit in memory: one task, outcomes in episode order; updates[i] belong to episode i
+// (missing: 0).
+inline UnitResult SyntheticUnit(const std::string& scenario, const std::string& method,
+                                const std::vector<int>& outcomes,
+                                const std::vector<int>& updates = {},
+                                const std::string& suite = "tabletop_goal") {
   UnitResult unit;
   unit.config.suite = suite;
   unit.config.scenario = scenario;
@@ -34,7 +38,11 @@ inline UnitResult SyntheticUnit(const std::string& scenario, const std::string& 
     row.success = outcomes[i] != 0;
     row.updates = i < updates.size() ? updates[i] : 0;
     row.steps = 100, row.chunks = 20;
-    row.fields = {{"suite", suite}, {"scenario", scenario}, {"method", method}, {"episode", i}, {"success", row.success}};
+    row.fields = {{"suite", suite},
+                  {"scenario", scenario},
+                  {"method", method},
+                  {"episode", i},
+                  {"success", row.success}};
     unit.episodes.push_back(row);
   }
   return unit;

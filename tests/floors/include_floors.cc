@@ -1,0 +1,181 @@
+#include "tests/floors/include_floors.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <optional>
+#include <regex>
+#include <set>
+
+namespace robostress {
+namespace {
+
+enum Library : unsigned { kTorch = 1, kMujoco = 2, kRpc = 4 };
+
+// What the files of one folder may include; the longest prefix decides.
+struct Floor {
+  const char* folder;
+  std::vector<const char*>
+      may_include;     // prefixes; the longest known folder of the included file must be among them
+  unsigned libraries;  // that it may reach, directly or through others
+};
+
+// DESIGN's table. A folder of its own in this list is not covered by its parent's permission:
+// "common/" does not include "common/rpc/".
+const std::vector<Floor>& Floors() {
+  static const auto& floors = *new std::vector<Floor>{
+      {"common/", {"common/"}, 0},
+      {"common/rpc/", {"common/", "common/rpc/", "proto/"}, kRpc},
+      {"adapter/", {"adapter/", "common/"}, kTorch},
+      {"sim_worker/", {"sim_worker/", "adapter/", "common/"}, kMujoco},
+      // Where a stream is opened.
+      {"sim_worker/worker/",
+       {"sim_worker/", "sim_worker/worker/", "adapter/", "common/", "common/rpc/"},
+       kMujoco | kRpc},
+      {"sim_worker/record/",
+       {"sim_worker/", "sim_worker/record/", "adapter/", "common/", "common/rpc/"},
+       kMujoco | kRpc},
+      {"robot_client/", {"robot_client/", "adapter/", "common/", "common/rpc/"}, kRpc},
+      {"robot_client/emulator/",
+       {"robot_client/", "robot_client/emulator/", "adapter/", "common/", "common/rpc/"},
+       kMujoco | kRpc},
+      // The service's base class is generated; its handlers convert and call.
+      {"server/", {"server/", "adapter/", "common/", "common/rpc/", "proto/"}, kTorch | kRpc},
+      {"calibration/", {"calibration/", "sim_worker/", "common/"}, kMujoco},
+      {"eval/", {"eval/", "calibration/", "common/", "common/rpc/"}, kRpc},
+      {"tests/",
+       {"tests/", "eval/", "calibration/", "server/", "robot_client/", "robot_client/emulator/",
+        "sim_worker/", "sim_worker/worker/", "sim_worker/record/", "adapter/", "common/",
+        "common/rpc/", "proto/"},
+       kTorch | kMujoco | kRpc},
+      {"proto/", {}, kRpc}};
+  return floors;
+}
+
+const Floor* FloorOf(const std::string& path) {
+  const Floor* best = nullptr;
+  for (const Floor& floor : Floors()) {
+    const std::string folder = floor.folder;
+    if (path.rfind(folder, 0) == 0 &&
+        (best == nullptr || folder.size() > std::string(best->folder).size()))
+      best = &floor;
+  }
+  return best;
+}
+
+std::optional<Library> LibraryOf(const std::string& include) {
+  static const auto& prefixes = *new std::vector<std::pair<std::string, Library>>{
+      {"torch/", kTorch}, {"ATen/", kTorch}, {"c10/", kTorch},          {"mujoco/", kMujoco},
+      {"grpcpp/", kRpc},  {"grpc/", kRpc},   {"google/protobuf/", kRpc}};
+  const std::string name = include.front() == '<' ? include.substr(1) : include;
+  for (const auto& [prefix, library] : prefixes) {
+    if (name.rfind(prefix, 0) == 0) return library;
+  }
+  return std::nullopt;
+}
+
+const char* NameOf(Library library) {
+  switch (library) {
+    case kTorch:
+      return "LibTorch";
+    case kMujoco:
+      return "MuJoCo";
+    case kRpc:
+      return "gRPC or protobuf";
+  }
+  return "";
+}
+
+// Reports libraries that `file` must not know but reaches through its includes, with the way there.
+void CheckReach(const IncludeGraph& graph, const std::string& file, unsigned allowed,
+                std::vector<std::string>& complaints) {
+  std::set<std::string> visited = {file};
+  std::vector<std::pair<std::string, std::string>> open = {{file, file}};  // node, way
+  unsigned reported = 0;
+  while (!open.empty()) {
+    const auto [node, way] = open.back();
+    open.pop_back();
+    const auto includes = graph.find(node);
+    if (includes == graph.end()) continue;
+    for (const std::string& include : includes->second) {
+      const std::optional<Library> library = LibraryOf(include);
+      if (library && (allowed & *library) == 0 && (reported & *library) == 0) {
+        reported |= *library;
+        complaints.push_back(file + " must not know " + NameOf(*library) + ", but " + way + " -> " +
+                             include);
+      }
+      if (visited.insert(include).second) open.emplace_back(include, way + " -> " + include);
+    }
+  }
+}
+
+void CheckInclude(const IncludeGraph& graph, const std::string& file, const Floor& floor,
+                  const std::string& include, std::vector<std::string>& complaints) {
+  if (include.front() == '<' || LibraryOf(include)) return;
+  const Floor* target = FloorOf(include);
+  if (target == nullptr) {
+    // A library's header in quotes is fine; a file of ours must be named from the root.
+    const std::string beside =
+        (std::filesystem::path(file).parent_path() / include).lexically_normal().string();
+    if (graph.count(beside) != 0)
+      complaints.push_back(file + " includes \"" + include +
+                           "\", which must be named from the repository root: \"" + beside + "\"");
+    return;
+  }
+  const bool allowed =
+      std::any_of(floor.may_include.begin(), floor.may_include.end(),
+                  [&](const char* folder) { return std::string(folder) == target->folder; });
+  if (!allowed)
+    complaints.push_back(file + " includes \"" + include + "\": " + floor.folder +
+                         " may not include " + target->folder);
+}
+
+}  // namespace
+
+std::vector<std::string> IncludesOf(const std::string& text) {
+  static const auto& pattern = *new std::regex(
+      R"re(^[ \t]*#[ \t]*include[ \t]*(?:"([^"]+)"|(<[^>]+)>))re", std::regex::multiline);
+  std::vector<std::string> includes;
+  for (std::sregex_iterator match(text.begin(), text.end(), pattern), end; match != end; ++match) {
+    includes.push_back((*match)[1].matched ? (*match)[1].str() : (*match)[2].str());
+  }
+  return includes;
+}
+
+IncludeGraph ReadTree(const std::string& root) {
+  IncludeGraph graph;
+  for (const Floor& floor : Floors()) {
+    const std::filesystem::path folder = std::filesystem::path(root) / floor.folder;
+    if (!std::filesystem::is_directory(folder)) continue;
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(folder)) {
+      const std::string extension = entry.path().extension().string();
+      if (extension != ".h" && extension != ".cc") continue;
+      std::ifstream file(entry.path());
+      const std::string text((std::istreambuf_iterator<char>(file)),
+                             std::istreambuf_iterator<char>());
+      graph[std::filesystem::relative(entry.path(), root).string()] = IncludesOf(text);
+    }
+  }
+  return graph;
+}
+
+std::vector<std::string> CheckFloors(const IncludeGraph& graph) {
+  std::vector<std::string> complaints;
+  for (const auto& [file, includes] : graph) {
+    const Floor* floor = FloorOf(file);
+    if (floor == nullptr) continue;
+    for (const std::string& include : includes) {
+      if (include.find("../") != std::string::npos || include.rfind("./", 0) == 0) {
+        complaints.push_back(file + " includes \"" + include +
+                             "\", which must be named from the repository root");
+        continue;
+      }
+      CheckInclude(graph, file, *floor, include, complaints);
+    }
+    CheckReach(graph, file, floor->libraries, complaints);
+  }
+  return complaints;
+}
+
+}  // namespace robostress
