@@ -1,0 +1,83 @@
+#include "adapter/pseudo_target.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/adapter/toy_arm.h"
+
+namespace robostress {
+namespace {
+
+Eigen::VectorXf Command() {
+  return (Eigen::VectorXf(7) << 0.5f, -0.25f, 0.8f, 0.1f, -0.2f, 0.3f, -0.9f).finished();
+}
+
+Eigen::MatrixXf Target(const ExecutedChunk& chunk, TargetReference reference,
+                       const Eigen::MatrixXf& base = {}, NominalArm* arm = nullptr) {
+  return PseudoTarget(chunk, *ReferencedResidual(chunk, reference, {}, base, arm));
+}
+
+TEST(PseudoTarget, OfAnArmThatTracksWithGainGIsTwoMinusGTimesTheCommand) {
+  const double g = 0.6;
+  const ExecutedChunk chunk = ToyArm(g).Execute(ConstantPrediction(Command(), 5), 5);
+  const Eigen::MatrixXf target = Target(chunk, TargetReference::kExecuted);
+  for (int i = 0; i < 5; ++i) {
+    EXPECT_LT((target.row(i).head<6>() - (2 - g) * Command().head<6>().transpose()).norm(), 1e-6);
+  }
+}
+
+TEST(PseudoTarget, KeepsTheGripperCommandBitForBit) {
+  const ExecutedChunk chunk = ToyArm(0.3).Execute(ConstantPrediction(Command(), 5), 4);
+  const Eigen::MatrixXf target = Target(chunk, TargetReference::kExecuted);
+  ASSERT_EQ(target.rows(), 4);
+  for (int i = 0; i < 4; ++i) EXPECT_EQ(target(i, 6), -0.9f);
+}
+
+TEST(PseudoTarget, AgainstIntentHasAFixedPointWhereTheMotionIsWhatTheBasePolicyWanted) {
+  // The adapted policy asks for base / g, the arm delivers base: nothing is left to correct.
+  const double g = 0.5;
+  PredictedChunk prediction = ConstantPrediction(Command(), 5);
+  Eigen::MatrixXf base = prediction.policy_actions;
+  base.leftCols(6) *= static_cast<float>(g);
+  const ExecutedChunk chunk = ToyArm(g).Execute(prediction, 5);
+  EXPECT_LT((Target(chunk, TargetReference::kIntent, base) - prediction.policy_actions.topRows(5))
+                .cwiseAbs()
+                .maxCoeff(),
+            1e-6f);
+  EXPECT_GT((Target(chunk, TargetReference::kExecuted) - prediction.policy_actions.topRows(5))
+                .cwiseAbs()
+                .maxCoeff(),
+            0.3f);
+}
+
+TEST(PseudoTarget, AgainstIntentNeedsTheBaseCommands) {
+  const ExecutedChunk chunk = ToyArm(1).Execute(ConstantPrediction(Command(), 5), 5);
+  EXPECT_EQ(ReferencedResidual(chunk, TargetReference::kIntent, {}, {}, nullptr).status().code(),
+            absl::StatusCode::kFailedPrecondition);
+}
+
+TEST(PseudoTarget, AgainstTheNominalArmIsTheCommandItselfForANominalArm) {
+  // An arm that moves as the nominal model does, lag and all, over three chunks.
+  NominalArm truth({}), model({});
+  RobotState state = ToyArm(1).state();
+  for (int c = 0; c < 3; ++c) {
+    ExecutedChunk chunk;
+    for (int i = 0; i < 5; ++i) {
+      ExecutedStep step;
+      step.before = state;
+      step.policy_command = step.sent_command = Command() * (1.0f - 0.3f * c);
+      const NominalArm::Vector6 delta = truth.Step(step.sent_command.head<6>().cast<double>());
+      state.tool.p_base_tool += 0.05 * delta.head<3>();
+      state.tool.q_base_tool = ExpSo3(0.5 * delta.tail<3>()) * state.tool.q_base_tool;
+      chunk.steps.push_back(step);
+    }
+    chunk.final_state = state;
+    const Eigen::MatrixXf target = Target(chunk, TargetReference::kNominal, {}, &model);
+    for (int i = 0; i < 5; ++i) {
+      EXPECT_LT((target.row(i).transpose() - chunk.steps[i].policy_command).norm(), 1e-5);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace robostress
