@@ -7,13 +7,13 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/check.h"
+#include "server/policies/fused_ops.h"
 
 namespace robostress {
 namespace {
 
 using torch::Tensor;
 
-constexpr double kNormEpsilon = 1e-6;
 constexpr double kRopeBase = 10000.0;
 constexpr float kMasked = -2.3819763e38f;  // finite, so that a row with nothing to see stays a number (as in pi0)
 constexpr int kTargetsPerLayer = 7;        // q, k, v, o, gate, up, down
@@ -83,29 +83,16 @@ void VisitParameters(const NanoConfig& c, NanoParameters& p, F&& f) {
   f("action_out_proj.bias", {token}, 0.0, false, p.action_out_bias);
 }
 
-Tensor RmsNorm(const Tensor& x, const Tensor& weight) {
-  return x * torch::rsqrt(x.square().mean(-1, true) + kNormEpsilon) * (weight + 1.0);
-}
-
-// Rotates the halves of the last dimension: [x1 cos - x2 sin, x2 cos + x1 sin].
-Tensor Rope(const Tensor& x, const Tensor& cos, const Tensor& sin) {
-  const auto half = x.chunk(2, -1);
-  return torch::cat({half[0] * cos - half[1] * sin, half[1] * cos + half[0] * sin}, -1);
-}
-
-Tensor GeGlu(const Tensor& gate, const Tensor& up) { return at::gelu(gate, "tanh") * up; }
-
-// y = x W^T for rows of W that belong to one or more projections, each with its LoRA if there is one:
-// part i is y_i + B_i (A_i x).
-std::vector<Tensor> Project(const Tensor& x, const Tensor& weight, const std::vector<int64_t>& parts,
-                            const LoraWeights* lora, size_t first_target) {
-  std::vector<Tensor> out = torch::linear(x, weight).split_with_sizes(parts, -1);
-  if (lora != nullptr) {
-    for (size_t i = 0; i < out.size(); ++i) {
-      out[i] = out[i] + torch::linear(torch::linear(x, lora->A[first_target + i]), lora->B[first_target + i]);
-    }
+// y = x W^T, where the rows of W belong to one or more projections, each with its LoRA if there is one: target i adds
+// B_i (A_i x) to its part of y.
+Tensor Project(const Tensor& x, const Tensor& weight, const LoraWeights* lora, size_t first_target, size_t num_targets) {
+  const Tensor y = torch::linear(x, weight);
+  if (lora == nullptr) return y;
+  std::vector<Tensor> deltas;
+  for (size_t i = first_target; i < first_target + num_targets; ++i) {
+    deltas.push_back(torch::linear(torch::linear(x, lora->A[i]), lora->B[i]));
   }
-  return out;
+  return y + (deltas.size() == 1 ? deltas[0] : torch::cat(deltas, -1));
 }
 
 }  // namespace
@@ -184,7 +171,7 @@ Tensor NanoNetwork::EncodeImage(const NanoCamera& camera, const Tensor& image) c
 
 NanoNetwork::Prefix NanoNetwork::EncodePrefix(const std::vector<Tensor>& images, const Tensor& words,
                                               bool with_aux) const {
-  const int64_t batch = words.size(0), heads = config_.heads, h = config_.head_dim, hq = heads * h;
+  const int64_t batch = words.size(0), heads = config_.heads, h = config_.head_dim;
   std::vector<Tensor> tokens = {p_.readout.unsqueeze(0).expand({batch, -1, -1})};
   for (size_t v = 0; v < images.size(); ++v) tokens.push_back(EncodeImage(p_.cameras[v], images[v]));
   tokens.push_back(torch::embedding(p_.words, words) * std::sqrt(static_cast<double>(config_.prefix_width)));
@@ -196,34 +183,29 @@ NanoNetwork::Prefix NanoNetwork::EncodePrefix(const std::vector<Tensor>& images,
       torch::cat({torch::ones({batch, length - words.size(1)}, torch::kBool), words.ne(0)}, 1);
   const Tensor bias = torch::where(prefix.context.prefix_mask, 0.0f, kMasked).unsqueeze(1);  // [B, 1, P]
   // Padding comes last, so a token's position is its index.
-  const Tensor cos = rope_cos_.narrow(0, 0, length), sin = rope_sin_.narrow(0, 0, length);  // [P, h/2]
+  const Tensor position = torch::arange(length).repeat({batch});
   const double scale = 1.0 / std::sqrt(static_cast<double>(h));
-  const Tensor q_cos = cos.unsqueeze(1) * scale, q_sin = sin.unsqueeze(1) * scale;
 
+  Tensor delta;  // what the last sub-layer adds to x
   for (int i = 0; i < config_.layers; ++i) {
     const NanoLayer& layer = p_.prefix[i];
     const bool last = i + 1 == config_.layers;
+    Tensor normed;
+    std::tie(x, normed) = AddRmsNorm(x, delta, layer.input_norm);
     if (last && with_aux) {
-      const Tensor readout = RmsNorm(x.narrow(1, 0, config_.readout_tokens), p_.aux_norm);
+      const Tensor readout = AddRmsNorm(x.narrow(1, 0, config_.readout_tokens), Tensor(), p_.aux_norm).second;
       prefix.aux = torch::linear(readout.flatten(1), p_.aux_weight, p_.aux_bias);
     }
-    const Tensor normed = RmsNorm(x, layer.input_norm);
-    std::vector<int64_t> parts = {hq, h, h};
-    if (last) parts.erase(parts.begin());
-    auto qkv = Project(normed, layer.qkv_proj, parts, nullptr, 0);
-    const Tensor v = qkv.back();
-    const Tensor k = Rope(qkv[qkv.size() - 2], cos, sin);  // [B, P, h]
+    const auto [q, k, v] = SplitRope(torch::linear(normed, layer.qkv_proj), rope_cos_, rope_sin_, position,
+                                     last ? 0 : heads, scale);
     prefix.context.keys.push_back(k.unsqueeze(1));
     prefix.context.values.push_back(v.unsqueeze(1));
     if (last) break;
-    const Tensor q = Rope(qkv[0].reshape({batch, length, heads, h}), q_cos, q_sin).view({batch, length * heads, h});
-    Tensor scores = torch::bmm(q, k.transpose(1, 2));  // [B, P H, P]; one key head serves all query heads
-    scores = torch::softmax(scores.add_(bias), -1);
-    const Tensor attended = torch::bmm(scores, v).view({batch, length, hq});
-    x = x + torch::linear(attended, layer.o_proj);
-    const auto gate_up = Project(RmsNorm(x, layer.post_norm), layer.gate_up_proj,
-                                 {config_.prefix_mlp, config_.prefix_mlp}, nullptr, 0);
-    x = x + torch::linear(GeGlu(gate_up[0], gate_up[1]), layer.down_proj);
+    // One key head serves all query heads: rows of q are (token, head).
+    const Tensor attention = SoftmaxBias(torch::bmm(q, k.transpose(1, 2)), bias, heads);  // [B, P H, P]
+    delta = torch::linear(torch::bmm(attention, v).view({batch, length, heads * h}), layer.o_proj);
+    std::tie(x, normed) = AddRmsNorm(x, delta, layer.post_norm);
+    delta = torch::linear(GeGlu(torch::linear(normed, layer.gate_up_proj)), layer.down_proj);
   }
   return prefix;
 }
@@ -232,7 +214,7 @@ Tensor NanoNetwork::Velocity(const PolicyContext& context, const Tensor& x_u, co
                              const LoraWeights* lora) const {
   const int64_t rows = context.state.size(0), batch = x_u.size(0), draws = batch / rows;
   const int64_t actions = config_.action_tokens(), length = actions + 1, e = config_.expert_width;
-  const int64_t heads = config_.heads, h = config_.head_dim, hq = heads * h;
+  const int64_t heads = config_.heads, h = config_.head_dim;
   const int64_t prefix = context.prefix_mask.size(1);
   RS_CHECK(rows * draws == batch && u.size(0) == batch);
 
@@ -247,40 +229,36 @@ Tensor NanoNetwork::Velocity(const PolicyContext& context, const Tensor& x_u, co
 
   // Positions go on after the valid prefix tokens; the state sees prefix and itself, actions see everything.
   const Tensor first = context.prefix_mask.sum(1, true);                              // [rows, 1]
-  const Tensor position = (first + torch::arange(length)).flatten();                  // [rows T]
-  const Tensor cos = rope_cos_.index_select(0, position).view({rows, 1, length, h / 2});
-  const Tensor sin = rope_sin_.index_select(0, position).view({rows, 1, length, h / 2});
+  const Tensor position =
+      (first + torch::arange(length)).unsqueeze(1).expand({rows, draws, length}).flatten();  // [batch T]
   const double scale = 1.0 / std::sqrt(static_cast<double>(h));
-  const Tensor q_cos = cos.unsqueeze(3) * scale, q_sin = sin.unsqueeze(3) * scale;
   Tensor suffix_bias = torch::zeros({length, length});
   suffix_bias[0].narrow(0, 1, actions).fill_(kMasked);
   const Tensor prefix_bias = torch::where(context.prefix_mask, 0.0f, kMasked);  // [rows, P]
   const Tensor bias = torch::cat({prefix_bias.view({rows, 1, prefix}).expand({rows, length, prefix}),
                                   suffix_bias.unsqueeze(0).expand({rows, length, length})},
-                                 2)
-                          .view({rows, 1, length, 1, prefix + length});
+                                 2);  // [rows, T, P + T]
 
+  Tensor delta, normed;
   for (int i = 0; i < config_.layers; ++i) {
     const NanoLayer& layer = p_.expert[i];
     const size_t target = static_cast<size_t>(i) * kTargetsPerLayer;
-    const auto qkv = Project(RmsNorm(x, layer.input_norm), layer.qkv_proj, {hq, h, h}, lora, target);
-    const Tensor q = Rope(qkv[0].reshape({rows, draws, length, heads, h}), q_cos, q_sin);
-    const Tensor k = Rope(qkv[1].reshape({rows, draws, length, h}), cos, sin);
-    const Tensor v = qkv[2].reshape({rows, draws, length, h});
-    const Tensor keys = torch::cat({context.keys[i].expand({rows, draws, prefix, h}), k}, 2);
-    const Tensor values = torch::cat({context.values[i].expand({rows, draws, prefix, h}), v}, 2);
-    Tensor scores = torch::bmm(q.view({batch, length * heads, h}),
-                               keys.view({batch, prefix + length, h}).transpose(1, 2));
-    scores = scores.view({rows, draws, length, heads, prefix + length}).add_(bias);
-    scores = torch::softmax(scores, -1).view({batch, length * heads, prefix + length});
-    const Tensor attended = torch::bmm(scores, values.view({batch, prefix + length, h})).view({batch, length, hq});
-    x = x + Project(attended, layer.o_proj, {e}, lora, target + 3)[0];
-    const auto gate_up = Project(RmsNorm(x, layer.post_norm), layer.gate_up_proj,
-                                 {config_.expert_mlp, config_.expert_mlp}, lora, target + 4);
-    x = x + Project(GeGlu(gate_up[0], gate_up[1]), layer.down_proj, {e}, lora, target + 6)[0];
+    std::tie(x, normed) = AddRmsNorm(x, delta, layer.input_norm);
+    const auto [q, k, v] = SplitRope(Project(normed, layer.qkv_proj, lora, target, 3), rope_cos_, rope_sin_, position,
+                                     heads, scale);
+    const auto join = [&](const Tensor& of_prefix, const Tensor& of_suffix) {  // -> [batch, P + T, h]
+      return torch::cat({of_prefix.expand({rows, draws, prefix, h}), of_suffix.view({rows, draws, length, h})}, 2)
+          .view({batch, prefix + length, h});
+    };
+    const Tensor keys = join(context.keys[i], k), values = join(context.values[i], v);
+    const Tensor attention = SoftmaxBias(torch::bmm(q, keys.transpose(1, 2)), bias, heads);  // [batch, T H, P + T]
+    const Tensor attended = torch::bmm(attention, values).view({batch, length, heads * h});
+    delta = Project(attended, layer.o_proj, lora, target + 3, 1);
+    std::tie(x, normed) = AddRmsNorm(x, delta, layer.post_norm);
+    delta = Project(GeGlu(Project(normed, layer.gate_up_proj, lora, target + 4, 2)), layer.down_proj, lora, target + 6, 1);
   }
-  const Tensor out = torch::linear(RmsNorm(x.narrow(1, 1, actions), p_.expert_norm), p_.action_out_weight,
-                                   p_.action_out_bias);
+  normed = AddRmsNorm(x, delta, p_.expert_norm).second.narrow(1, 1, actions);
+  const Tensor out = torch::linear(normed, p_.action_out_weight, p_.action_out_bias);
   return out.reshape({batch, config_.horizon, config_.model_action_dim});
 }
 

@@ -1,0 +1,67 @@
+#include <cstdio>
+#include <string>
+#include <vector>
+
+#include <malloc.h>
+
+#include "CLI/CLI.hpp"
+#include "common/config.h"
+#include "server/training/trainer.h"
+
+namespace {
+
+constexpr char kExamples[] = R"(Examples:
+  robostress-train --data demos --out runs/nano --steps 20000
+  robostress-train --data demos --data dagger1 --init runs/nano/nano.safetensors --out runs/nano2 --steps 5000
+  robostress-train --recipe server/training/nano.yaml --data demos --out runs/nano
+  robostress-train --data demos --out runs/nano --steps 20000 --resume
+Any other field of the recipe: --set network.layers=3 --set lr=0.0005)";
+
+absl::Status Train(const std::string& recipe, const std::vector<std::string>& overrides,
+                   const std::vector<std::string>& data, bool resume) {
+  robostress::TrainOptions options;
+  if (!recipe.empty()) {
+    auto loaded = robostress::LoadConfig<robostress::TrainOptions>(recipe);
+    if (!loaded.ok()) return loaded.status();
+    options = *std::move(loaded);
+  }
+  if (absl::Status status = robostress::ApplyOverrides(overrides, options); !status.ok()) return status;
+  if (!data.empty()) options.data = data;
+  return robostress::RunTraining(options, resume);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  // Activations are megabytes and live for milliseconds: keep them in the heap instead of mapping fresh pages.
+  mallopt(M_MMAP_THRESHOLD, 1 << 30);
+  mallopt(M_TRIM_THRESHOLD, 2000 << 20);
+
+  CLI::App app{"Trains the embedded policy nano from demonstrations that robostress-record has written."};
+  app.footer(kExamples);
+  std::string recipe;
+  std::vector<std::string> data, overrides;
+  bool resume = false;
+  app.add_option("--recipe", recipe, "YAML file with training options; the flags below override it");
+  app.add_option("--data", data, "directory of shards, may be given more than once");
+  app.add_option("--set", overrides, "field=value, may be given more than once");
+  app.add_flag("--resume", resume, "go on from the checkpoint in --out");
+  // Flags that are short for --set.
+  const std::vector<std::pair<std::string, std::string>> fields = {
+      {"out", "output directory"},     {"init", "weights to go on from"},
+      {"steps", "optimizer steps"},    {"batch", "frames per step"},
+      {"lr", "peak learning rate"},    {"seed", "of everything random"},
+      {"threads", "training threads"},
+  };
+  std::vector<std::string> values(fields.size());
+  for (size_t i = 0; i < fields.size(); ++i) app.add_option("--" + fields[i].first, values[i], fields[i].second);
+  CLI11_PARSE(app, argc, argv);
+  for (size_t i = 0; i < fields.size(); ++i) {
+    if (!values[i].empty()) overrides.push_back(fields[i].first + "=" + values[i]);
+  }
+  if (absl::Status status = Train(recipe, overrides, data, resume); !status.ok()) {
+    std::fprintf(stderr, "robostress-train: %s\n", std::string(status.message()).c_str());
+    return 1;
+  }
+  return 0;
+}
