@@ -81,7 +81,7 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
 
 absl::Status LiberoSimTask::MoveFixtures(const std::vector<FixturePose>& poses) {
   RS_ASSIGN_OR_RETURN(SharedModel placed, PlaceFixtures(*scene_, poses));
-  SharedModel model = SpreadObjects(*placed, init_states_.row(0) + 1);
+  SharedModel model = MakeSimulationModel(*placed, init_states_.row(0) + 1);
   if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
   RS_ASSIGN_OR_RETURN(render_model_, MakeRenderModel(*scene_, *model));
   renderer_.reset();

@@ -1,5 +1,6 @@
 #include "sim_worker/libero/scene.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstring>
@@ -442,9 +443,11 @@ absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene, const std::v
   return SharedModel(std::move(model));
 }
 
-SharedModel SpreadObjects(const mjModel& model, const double* qpos) {
+SharedModel MakeSimulationModel(const mjModel& model, const double* qpos) {
   std::shared_ptr<mjModel> copy = CopyModel(model);
-  for (int joint = 0; copy != nullptr && joint < copy->njnt; ++joint) {
+  if (copy == nullptr) return nullptr;
+  copy->njmax = std::min(copy->njmax, kMaxConstraints);
+  for (int joint = 0; joint < copy->njnt; ++joint) {
     if (copy->jnt_type[joint] != mjJNT_FREE) continue;
     const int address = copy->jnt_qposadr[joint];
     std::copy(qpos + address, qpos + address + 7, copy->qpos0 + address);

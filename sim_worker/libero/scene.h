@@ -63,9 +63,12 @@ std::vector<FixturePose> SampleFixtures(const LiberoScene& scene, uint64_t key);
 // A copy of the model with the fixtures moved, as the originals move them: body_pos and body_quat only.
 absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene, const std::vector<FixturePose>& poses);
 
-// Sets where the free objects of a model copy stand before the first reset (their part of qpos0, which
-// dynamics does not read): in the composed model they all overlap, which overflows the contact buffers.
-SharedModel SpreadObjects(const mjModel& model, const double* qpos);
+// A copy to simulate, with equal dynamics. The free objects' part of qpos0, which only a reset reads, is taken
+// from `qpos`: in the composed model they overlap and overflow the contact buffers before the first reset.
+// The constraint buffers hold kMaxConstraints instead of robosuite's 5000 rows, which costs 75 instead of
+// 308 MB per simulator; the stored states and the reference trajectories need at most 226 contacts.
+inline constexpr int kMaxConstraints = 2500;
+SharedModel MakeSimulationModel(const mjModel& model, const double* qpos);
 
 // A copy for rendering: collision geoms hidden (originals: group 0), but shown in plain colours on bodies
 // whose visual meshes are missing; marker sites hidden. Geometry and sizes are equal, so mjData of `model`

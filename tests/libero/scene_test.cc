@@ -1,26 +1,26 @@
-// Compiled scenes against the model arrays that LIBERO 8f1084e on robosuite 1.4.0 compiled with MuJoCo 2.2.2.
+// All 40 tasks compile and reset; where a reference exists, the compiled arrays equal those that LIBERO 8f1084e
+// on robosuite 1.4.0 compiled with MuJoCo 2.2.2.
 #include "sim_worker/libero/scene.h"
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <set>
 
-#include <gmock/gmock.h>
+#include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
+#include "sim_worker/libero/libero_sim_task.h"
 #include "tests/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {
-
-using ::testing::HasSubstr;
 
 // One array of the model by its oracle name; `width` values per row.
 struct ArrayView {
@@ -50,16 +50,6 @@ const std::vector<ArrayView>& Arrays() {
   return arrays;
 }
 
-absl::StatusOr<LiberoScene> Compose(const std::string& suite, int task) {
-  absl::StatusOr<LiberoPaths> paths = FindLibero(LiberoTree(), RobosuiteTree());
-  if (!paths.ok()) return paths.status();
-  absl::StatusOr<std::vector<std::string>> names = LiberoTaskNames(suite);
-  if (!names.ok()) return names.status();
-  absl::StatusOr<BddlProblem> problem = ReadBddl(absl::StrCat(paths->libero, "/bddl_files/", suite, "/", (*names)[task], ".bddl"));
-  if (!problem.ok()) return problem.status();
-  return ComposeScene(*paths, *problem);
-}
-
 // Largest absolute difference of one array; the rows in `skip` (replaced visual geoms) do not count.
 double LargestDifference(const ArrayView& array, const mjModel& model, const std::vector<double>& expected, const std::set<int>& skip) {
   double largest = 0;
@@ -86,50 +76,68 @@ void ExpectNames(const mjModel& model, const nlohmann::json& names) {
 // room for the last digit of what Python prints.
 constexpr double kExact = 1e-12;
 
-TEST(LiberoSceneTest, CompiledArraysEqualTheOriginalsInEveryOracleTask) {
+// Compares with the oracle at `stem`; returns the largest difference and collects it per array.
+double CompareWithOracle(const LiberoScene& scene, const std::string& stem, std::map<std::string, double>& largest) {
+  const absl::StatusOr<SafetensorsFile> oracle = SafetensorsFile::Open(stem + ".safetensors");
+  EXPECT_TRUE(oracle.ok()) << oracle.status();
+  if (!oracle.ok()) return INFINITY;
+  const nlohmann::json facts = nlohmann::json::parse(*ReadFile(stem + ".json"));
+  std::vector<FixturePose> poses;
+  for (const auto& [fixture, pose] : facts["fixture_pose"].items()) {
+    poses.push_back({fixture, pose[0].get<std::array<double, 3>>(), pose[1].get<std::array<double, 4>>()});
+  }
+  const absl::StatusOr<SharedModel> model = PlaceFixtures(scene, poses);
+  EXPECT_TRUE(model.ok()) << model.status();
+  if (!model.ok()) return INFINITY;
+  const mjModel& m = **model;
+  const std::vector<int> sizes = {m.nq, m.nv, m.nbody, m.ngeom, m.njnt, m.nsite};
+  const std::vector<int> expected_sizes = {facts["nq"], facts["nv"], facts["nbody"], facts["ngeom"], facts["njnt"], facts["nsite"]};
+  EXPECT_EQ(sizes, expected_sizes);
+  if (sizes != expected_sizes) return INFINITY;
+  ExpectNames(m, facts["names"]);
+  const std::set<int> replaced(scene.replaced_geoms.begin(), scene.replaced_geoms.end());
+  double task_largest = 0;
+  for (const ArrayView& array : Arrays()) {
+    const absl::StatusOr<std::vector<double>> expected = oracle->ReadDoubles(absl::StrCat("model.", array.name));
+    EXPECT_TRUE(expected.ok()) << expected.status();
+    if (!expected.ok()) continue;
+    const std::string name = array.name;
+    const bool of_mesh = name == "geom_size" || name == "geom_pos" || name == "geom_quat";
+    const double difference = LargestDifference(array, m, *expected, of_mesh ? replaced : std::set<int>());
+    EXPECT_LE(difference, kExact) << name;
+    largest[name] = std::max(largest[name], difference);
+    task_largest = std::max(task_largest, difference);
+  }
+  return task_largest;
+}
+
+TEST(LiberoSceneTest, All40TasksCompileAndResetAndEqualTheOriginalsArrays) {
   SKIP_WITHOUT_SHARED_DATA();
   std::map<std::string, double> largest;
   int compared = 0;
   for (const char* suite : {"libero_spatial", "libero_object", "libero_goal", "libero_10"}) {
     for (int task = 0; task < 10; ++task) {
-      const std::string stem = absl::StrCat(SharedFolder(), "/oracles/libero/", suite, task < 10 ? "_0" : "_", task);
-      if (!std::filesystem::exists(stem + ".safetensors")) continue;
       SCOPED_TRACE(absl::StrCat(suite, " ", task));
-      absl::StatusOr<LiberoScene> scene = Compose(suite, task);
-      ASSERT_TRUE(scene.ok()) << scene.status();
-      const absl::StatusOr<SafetensorsFile> oracle = SafetensorsFile::Open(stem + ".safetensors");
-      ASSERT_TRUE(oracle.ok()) << oracle.status();
-      const nlohmann::json facts = nlohmann::json::parse(*ReadFile(stem + ".json"));
-      std::vector<FixturePose> poses;
-      for (const auto& [fixture, pose] : facts["fixture_pose"].items()) {
-        poses.push_back({fixture, pose[0].get<std::array<double, 3>>(), pose[1].get<std::array<double, 4>>()});
+      UnitConfig unit;
+      unit.suite = suite;
+      unit.libero_root = LiberoTree();
+      unit.robosuite_root = RobosuiteTree();
+      const absl::StatusOr<std::unique_ptr<LiberoSimTask>> sim_task = LiberoSimTask::Create(unit, task);
+      ASSERT_TRUE(sim_task.ok()) << sim_task.status();
+      const LiberoScene& scene = (*sim_task)->scene();
+      const absl::Status reset = (*sim_task)->Reset(0);
+      EXPECT_TRUE(reset.ok()) << reset;
+      EXPECT_FALSE((*sim_task)->goal().Holds((*sim_task)->sim().data())) << "solved before it starts";
+      const std::string stem = absl::StrCat(SharedFolder(), "/oracles/libero/", suite, "_0", task);
+      std::string difference = "no reference";
+      if (std::filesystem::exists(stem + ".safetensors")) {
+        difference = absl::StrCat("largest difference ", CompareWithOracle(scene, stem, largest));
+        ++compared;
       }
-      const absl::StatusOr<SharedModel> model = PlaceFixtures(*scene, poses);
-      ASSERT_TRUE(model.ok()) << model.status();
-      ASSERT_EQ((*model)->nq, facts["nq"].get<int>());
-      ASSERT_EQ((*model)->nv, facts["nv"].get<int>());
-      ASSERT_EQ((*model)->nbody, facts["nbody"].get<int>());
-      ASSERT_EQ((*model)->ngeom, facts["ngeom"].get<int>());
-      ASSERT_EQ((*model)->nsite, facts["nsite"].get<int>());
-      ExpectNames(**model, facts["names"]);
-      const std::set<int> replaced(scene->replaced_geoms.begin(), scene->replaced_geoms.end());
-      double task_largest = 0;
-      for (const ArrayView& array : Arrays()) {
-        const absl::StatusOr<std::vector<double>> expected = oracle->ReadDoubles(absl::StrCat("model.", array.name));
-        ASSERT_TRUE(expected.ok()) << expected.status();
-        const bool of_mesh = absl::StartsWith(array.name, "geom_size") || absl::StartsWith(array.name, "geom_pos") ||
-                             absl::StartsWith(array.name, "geom_quat");
-        const double difference = LargestDifference(array, **model, *expected, of_mesh ? replaced : std::set<int>());
-        EXPECT_LE(difference, kExact) << array.name;
-        largest[array.name] = std::max(largest[array.name], difference);
-        task_largest = std::max(task_largest, difference);
-      }
-      std::printf("%-15s %2d  %-34s nq %2d ngeom %3d  replaced visuals %3zu  largest difference %.3g\n", suite, task,
-                  facts["problem"].get<std::string>().c_str(), (*model)->nq, (*model)->ngeom, replaced.size(), task_largest);
-      ++compared;
+      std::printf("%-15s %d  nq %2d  ngeom %3d  replaced visuals %2zu  reset %s  %s\n", suite, task, scene.model->nq,
+                  scene.model->ngeom, scene.replaced_geoms.size(), reset.ok() ? "ok" : "failed", difference.c_str());
     }
   }
-  if (compared == 0) GTEST_SKIP() << "no oracles/libero/*.safetensors in " << SharedFolder();
   std::printf("largest difference per array over %d tasks:\n", compared);
   for (const auto& [name, difference] : largest) std::printf("  %-20s %.3g\n", name.c_str(), difference);
 }
