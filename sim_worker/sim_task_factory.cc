@@ -15,8 +15,8 @@ absl::StatusOr<std::unique_ptr<SimTask>> MakeSimTask(const UnitConfig& unit, int
 #ifdef ROBOSTRESS_HAVE_LIBERO
     return MakeLiberoTask(unit, task);
 #else
-    return absl::UnimplementedError(
-        absl::StrCat("suite '", unit.suite, "' needs LIBERO's files, and this build has ROBOSTRESS_LIBERO=OFF"));
+    return absl::UnimplementedError(absl::StrCat(
+        "suite '", unit.suite, "' needs LIBERO's files, and this build has ROBOSTRESS_LIBERO=OFF"));
 #endif
   }
   RS_ASSIGN_OR_RETURN(std::unique_ptr<EmbeddedTask> embedded, EmbeddedTask::Create(unit, task));

@@ -22,12 +22,14 @@ class NoiseBursts {
       left_ = 3 + random_.UniformInt(6);
       const double size = random_.Uniform(0.3, 1);
       for (int i = 0; i < 6; ++i) {
-        offset_[i] = size * (i < 3 ? options_.translation_noise : options_.rotation_noise) * random_.Normal();
+        offset_[i] = size * (i < 3 ? options_.translation_noise : options_.rotation_noise) *
+                     random_.Normal();
       }
     }
     if (left_ == 0) return command;
     --left_;
-    for (int i = 0; i < 6; ++i) command[i] = std::clamp(command[i] + static_cast<float>(offset_[i]), -1.0f, 1.0f);
+    for (int i = 0; i < 6; ++i)
+      command[i] = std::clamp(command[i] + static_cast<float>(offset_[i]), -1.0f, 1.0f);
     return command;
   }
 
@@ -41,12 +43,13 @@ class NoiseBursts {
 
 Eigen::Matrix<float, 8, 1> AuxOf(const ExpertDecision& decision) {
   Eigen::Matrix<float, 8, 1> aux;
-  aux << decision.target.cast<float>(), decision.destination.cast<float>(), decision.holding ? 1.0f : 0.0f,
-      static_cast<float>(decision.progress);
+  aux << decision.target.cast<float>(), decision.destination.cast<float>(),
+      decision.holding ? 1.0f : 0.0f, static_cast<float>(decision.progress);
   return aux;
 }
 
-// Rows first .. first + kLabelSteps of a path; after its end zero motion with the last gripper command.
+// Rows first .. first + kLabelSteps of a path; after its end zero motion with the last gripper
+// command.
 Eigen::MatrixXf LabelFrom(const std::vector<Eigen::VectorXf>& path, size_t first) {
   Eigen::MatrixXf label = Eigen::MatrixXf::Zero(kLabelSteps, 7);
   for (int i = 0; i < kLabelSteps; ++i) {
@@ -61,8 +64,8 @@ Eigen::MatrixXf LabelFrom(const std::vector<Eigen::VectorXf>& path, size_t first
 
 }  // namespace
 
-absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state, const RecordOptions& options,
-                                           RandomStream random) {
+absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
+                                           const RecordOptions& options, RandomStream random) {
   RS_RETURN_IF_ERROR(task.Reset(initial_state));
   NoiseBursts noise(options, random);
   Demonstration result;
@@ -75,7 +78,8 @@ absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state
       frame.proprioception = task.Proprioception();
       frame.aux = AuxOf(decision);
       for (const char* camera : {kAgentView, kWristView}) {
-        RS_ASSIGN_OR_RETURN(Image image, task.RenderView(camera, options.image_size, options.image_size));
+        RS_ASSIGN_OR_RETURN(Image image,
+                            task.RenderView(camera, options.image_size, options.image_size));
         frame.views.push_back(std::move(image));
       }
       result.frames.push_back(std::move(frame));
@@ -102,7 +106,8 @@ absl::StatusOr<Eigen::MatrixXf> BranchLabel(EmbeddedTask& task) {
   return LabelFrom(path, 0);
 }
 
-absl::StatusOr<Demonstration> RecordDagger(EmbeddedTask& task, int initial_state, const EpisodeKey& key, double mix,
+absl::StatusOr<Demonstration> RecordDagger(EmbeddedTask& task, int initial_state,
+                                           const EpisodeKey& key, double mix,
                                            PolicyEndpoint& policy, RandomStream random) {
   RS_RETURN_IF_ERROR(task.Reset(initial_state));
   RS_RETURN_IF_ERROR(policy.StartEpisode(key));

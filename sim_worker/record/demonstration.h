@@ -1,9 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "absl/status/statusor.h"
 #include "common/random.h"
@@ -18,10 +17,10 @@ inline constexpr int kLabelSteps = 50;  // rows of a label, the policies' horizo
 // One observation with what the expert would do from there.
 struct DemonstrationFrame {
   int step = 0;
-  std::vector<Image> views;           // agentview, robot0_eye_in_hand
-  Eigen::VectorXf proprioception;     // [8]
-  Eigen::Matrix<float, 8, 1> aux;     // target 3, destination 3, holding, progress
-  Eigen::MatrixXf actions;            // [kLabelSteps, 7]
+  std::vector<Image> views;        // agentview, robot0_eye_in_hand
+  Eigen::VectorXf proprioception;  // [8]
+  Eigen::Matrix<float, 8, 1> aux;  // target 3, destination 3, holding, progress
+  Eigen::MatrixXf actions;         // [kLabelSteps, 7]
 };
 
 struct Demonstration {
@@ -32,25 +31,27 @@ struct Demonstration {
 
 // How episodes are recorded.
 struct RecordOptions {
-  int image_size = 64;       // [px]
-  int stride = 2;            // control steps between frames
+  int image_size = 64;  // [px]
+  int stride = 2;       // control steps between frames
   bool render = true;
-  // Held action noise (after DART): bursts of a constant offset are added to what is executed; labels stay the
-  // expert's.
-  double noisy_share = 0.75;   // of the episodes
-  double burst_chance = 0.08;  // per control step without one
+  // Held action noise (after DART): bursts of a constant offset are added to what is executed;
+  // labels stay the expert's.
+  double noisy_share = 0.75;       // of the episodes
+  double burst_chance = 0.08;      // per control step without one
   double translation_noise = 0.5;  // largest standard deviation of a burst [command]
   double rotation_noise = 0.12;
 };
 
-// The expert drives, disturbed by bursts of noise drawn from `random`. Labels are the expert's own commands along
-// the path; after success zero motion with the last gripper command. Ends at success or at the horizon.
-absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state, const RecordOptions& options,
-                                           RandomStream random);
+// The expert drives, disturbed by bursts of noise drawn from `random`. Labels are the expert's own
+// commands along the path; after success zero motion with the last gripper command. Ends at success
+// or at the horizon.
+absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
+                                           const RecordOptions& options, RandomStream random);
 
-// The policy drives; with chance `mix` a chunk is the expert's. A frame per chunk; its label is the expert's
-// rollout on a branch of the simulation from that state (DAgger).
-absl::StatusOr<Demonstration> RecordDagger(EmbeddedTask& task, int initial_state, const EpisodeKey& key, double mix,
+// The policy drives; with chance `mix` a chunk is the expert's. A frame per chunk; its label is the
+// expert's rollout on a branch of the simulation from that state (DAgger).
+absl::StatusOr<Demonstration> RecordDagger(EmbeddedTask& task, int initial_state,
+                                           const EpisodeKey& key, double mix,
                                            PolicyEndpoint& policy, RandomStream random);
 
 // The expert's next kLabelSteps commands from the present state, which is restored.

@@ -1,5 +1,5 @@
-// robostress-record: records demonstrations of the scripted expert, with labels for what a learned policy got
-// into (DAgger), and measures the expert.
+// robostress-record: records demonstrations of the scripted expert, with labels for what a learned
+// policy got into (DAgger), and measures the expert.
 
 #include <sys/wait.h>
 #include <unistd.h>
@@ -26,8 +26,10 @@ constexpr char kExamples[] =
     "\nExamples\n"
     "  robostress record --suite tabletop_goal --episodes 40 --out data/demos --workers 2\n"
     "  robostress record --suite all --eval --episodes 20 --first-draw 0 --workers 2\n"
-    "  robostress record --suite tabletop_goal --server 127.0.0.1:7777 --policy nano --mix 0.3 --episodes 10 --out data/dagger1\n\n"
-    "Draws from 1000 on are training draws; 0 to 49 are the reproducible initial states and are refused for recording.\n";
+    "  robostress record --suite tabletop_goal --server 127.0.0.1:7777 --policy nano --mix 0.3 "
+    "--episodes 10 --out data/dagger1\n\n"
+    "Draws from 1000 on are training draws; 0 to 49 are the reproducible initial states and are "
+    "refused for recording.\n";
 
 struct CommandLine {
   std::string suite = "all";
@@ -56,16 +58,19 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
   for (const SuiteInfo& info : AllSuites()) {
     if (info.needs_libero || (line.suite != "all" && line.suite != info.name)) continue;
     for (int task = 0; task < info.num_tasks; ++task) {
-      const bool wanted = line.tasks.empty() || std::find(line.tasks.begin(), line.tasks.end(), task) != line.tasks.end();
+      const bool wanted = line.tasks.empty() ||
+                          std::find(line.tasks.begin(), line.tasks.end(), task) != line.tasks.end();
       if (wanted) jobs.push_back({info.name, task});
     }
   }
   if (jobs.empty()) {
-    return absl::NotFoundError(absl::StrCat("no embedded suite '", line.suite,
-                                            "' with the tasks given; `robostress suites` lists suites and tasks"));
+    return absl::NotFoundError(
+        absl::StrCat("no embedded suite '", line.suite,
+                     "' with the tasks given; `robostress suites` lists suites and tasks"));
   }
   if (!line.eval && line.first_draw < kFirstTrainingDraw) {
-    return absl::InvalidArgumentError(absl::StrCat("--first-draw ", line.first_draw, " is not a training draw; use ",
+    return absl::InvalidArgumentError(absl::StrCat("--first-draw ", line.first_draw,
+                                                   " is not a training draw; use ",
                                                    kFirstTrainingDraw, " or above"));
   }
   if (!line.eval && line.out.empty()) return absl::InvalidArgumentError("--out DIR is missing");
@@ -78,7 +83,8 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   unit.suite = job.suite;
   unit.scenario = line.scenario;
   unit.severity = line.severity;
-  RS_ASSIGN_OR_RETURN(const std::unique_ptr<EmbeddedTask> task, EmbeddedTask::Create(unit, job.task));
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<EmbeddedTask> task,
+                      EmbeddedTask::Create(unit, job.task));
   std::unique_ptr<GrpcPolicyClient> policy;
   if (!line.server.empty()) {
     SessionSpec session;
@@ -89,8 +95,9 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
     session.method.track_intent = false;
     RS_ASSIGN_OR_RETURN(policy, GrpcPolicyClient::Connect({line.server}, session));
     if (policy->spec().cameras.size() != 2) {
-      return absl::InvalidArgumentError(absl::StrCat("policy '", line.policy, "' looks at ", policy->spec().cameras.size(),
-                                                     " cameras; recording needs agentview and robot0_eye_in_hand"));
+      return absl::InvalidArgumentError(
+          absl::StrCat("policy '", line.policy, "' looks at ", policy->spec().cameras.size(),
+                       " cameras; recording needs agentview and robot0_eye_in_hand"));
     }
   }
   RecordOptions options = line.record;
@@ -100,12 +107,13 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   int successes = 0, steps = 0;
   std::string failed;
   const double start = Now();
-  // A demonstration that fails teaches nothing: the next draw replaces it, up to twice as many draws. What a
-  // policy drove into is kept either way.
+  // A demonstration that fails teaches nothing: the next draw replaces it, up to twice as many
+  // draws. What a policy drove into is kept either way.
   int kept = 0, draws = 0;
   for (; kept < line.episodes && draws < 2 * line.episodes; ++draws) {
     const int draw = line.first_draw + draws;
-    RandomStream random(StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw));
+    RandomStream random(
+        StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw));
     absl::StatusOr<Demonstration> episode =
         policy != nullptr ? RecordDagger(*task, draw, {job.task, draw}, line.mix, *policy, random)
                           : RecordExpert(*task, draw, options, random);
@@ -120,12 +128,15 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   const double wall = Now() - start;
   std::string written;
   if (!line.eval) {
-    const std::string path = absl::StrFormat("%s/%s_task%02d_%s_%d.safetensors", line.out, job.suite, job.task, line.tag, line.first_draw);
+    const std::string path = absl::StrFormat("%s/%s_task%02d_%s_%d.safetensors", line.out,
+                                             job.suite, job.task, line.tag, line.first_draw);
     RS_RETURN_IF_ERROR(shard.Write(path));
-    written = absl::StrFormat("  %d frames, %.0f frames/s -> %s", shard.frames(), shard.frames() / wall, path);
+    written = absl::StrFormat("  %d frames, %.0f frames/s -> %s", shard.frames(),
+                              shard.frames() / wall, path);
   }
-  std::printf("%-17s %2d  success %3d/%-3d  mean steps %5.1f  %6.0f steps/s%s  %s%s%s\n", job.suite.c_str(), job.task, successes,
-              draws, static_cast<double>(steps) / draws, steps / wall, written.c_str(), task->instruction().c_str(),
+  std::printf("%-17s %2d  success %3d/%-3d  mean steps %5.1f  %6.0f steps/s%s  %s%s%s\n",
+              job.suite.c_str(), job.task, successes, draws, static_cast<double>(steps) / draws,
+              steps / wall, written.c_str(), task->instruction().c_str(),
               failed.empty() ? "" : "  failed draws:", failed.c_str());
   std::fflush(stdout);
   return absl::OkStatus();
@@ -176,25 +187,42 @@ int Run(const CommandLine& line) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Records demonstrations of the scripted expert, or measures it.", "robostress record");
+  CLI::App app("Records demonstrations of the scripted expert, or measures it.",
+               "robostress record");
   robostress::CommandLine line;
   app.footer(robostress::kExamples);
   app.add_option("--suite", line.suite, "An embedded suite, or all")->capture_default_str();
   app.add_option("--tasks", line.tasks, "Task indices (default: all)")->delimiter(',');
-  app.add_option("--episodes", line.episodes, "Episodes per task")->check(CLI::Range(1, 100000))->capture_default_str();
+  app.add_option("--episodes", line.episodes, "Episodes per task")
+      ->check(CLI::Range(1, 100000))
+      ->capture_default_str();
   app.add_option("--first-draw", line.first_draw, "First initial state")->capture_default_str();
   app.add_option("--out", line.out, "Folder for the shards, one file per task");
   app.add_option("--tag", line.tag, "Part of the shards' names")->capture_default_str();
-  app.add_option("--image-size", line.record.image_size, "Of the views [px]")->check(CLI::Range(16, 512))->capture_default_str();
-  app.add_option("--stride", line.record.stride, "Control steps between frames")->check(CLI::Range(1, 50))->capture_default_str();
-  app.add_option("--noisy-share", line.record.noisy_share, "Share of episodes with bursts of action noise")->check(CLI::Range(0.0, 1.0))->capture_default_str();
+  app.add_option("--image-size", line.record.image_size, "Of the views [px]")
+      ->check(CLI::Range(16, 512))
+      ->capture_default_str();
+  app.add_option("--stride", line.record.stride, "Control steps between frames")
+      ->check(CLI::Range(1, 50))
+      ->capture_default_str();
+  app.add_option("--noisy-share", line.record.noisy_share,
+                 "Share of episodes with bursts of action noise")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
   app.add_option("--seed", line.seed, "Of the noise")->capture_default_str();
-  app.add_option("--workers", line.workers, "Processes")->check(CLI::Range(1, 256))->capture_default_str();
+  app.add_option("--workers", line.workers, "Processes")
+      ->check(CLI::Range(1, 256))
+      ->capture_default_str();
   app.add_option("--scenario", line.scenario, "See `robostress scenarios`")->capture_default_str();
-  app.add_option("--severity", line.severity, "Level")->check(CLI::Range(1, 5))->capture_default_str();
-  app.add_option("--server", line.server, "HOST:PORT of a policy that drives while the expert labels (DAgger)");
+  app.add_option("--severity", line.severity, "Level")
+      ->check(CLI::Range(1, 5))
+      ->capture_default_str();
+  app.add_option("--server", line.server,
+                 "HOST:PORT of a policy that drives while the expert labels (DAgger)");
   app.add_option("--policy", line.policy, "Which of the server's policies")->capture_default_str();
-  app.add_option("--mix", line.mix, "Chance that the expert drives a chunk (DAgger)")->check(CLI::Range(0.0, 1.0))->capture_default_str();
+  app.add_option("--mix", line.mix, "Chance that the expert drives a chunk (DAgger)")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
   app.add_flag("--eval", line.eval, "Only print the success table, record nothing");
   CLI11_PARSE(app, argc, argv);
   return robostress::Run(line);

@@ -57,18 +57,23 @@ std::string KnownSuites() {
 
 }  // namespace
 
-std::string TaskName(const std::string& instruction) { return absl::StrReplaceAll(instruction, {{" ", "_"}}); }
+std::string TaskName(const std::string& instruction) {
+  return absl::StrReplaceAll(instruction, {{" ", "_"}});
+}
 
-absl::StatusOr<std::unique_ptr<EmbeddedTask>> EmbeddedTask::Create(const UnitConfig& unit, int task) {
+absl::StatusOr<std::unique_ptr<EmbeddedTask>> EmbeddedTask::Create(const UnitConfig& unit,
+                                                                   int task) {
   const SuiteSpec* suite = FindSuiteSpec(unit.suite);
   const SuiteInfo* info = FindSuite(unit.suite);
   if (suite == nullptr || info == nullptr) {
-    return absl::NotFoundError(absl::StrCat("suite '", unit.suite, "' is unknown; known suites: ", KnownSuites()));
+    return absl::NotFoundError(
+        absl::StrCat("suite '", unit.suite, "' is unknown; known suites: ", KnownSuites()));
   }
   const int num_tasks = static_cast<int>(suite->tasks.size());
   if (task < 0 || task >= num_tasks) {
-    return absl::OutOfRangeError(absl::StrCat("task ", task, " of suite '", unit.suite, "' does not exist; tasks are 0 to ",
-                                              num_tasks - 1, " (robostress suites lists them)"));
+    return absl::OutOfRangeError(absl::StrCat("task ", task, " of suite '", unit.suite,
+                                              "' does not exist; tasks are 0 to ", num_tasks - 1,
+                                              " (robostress suites lists them)"));
   }
   RS_ASSIGN_OR_RETURN(const Scenario scenario, MakeScenario(unit.scenario, unit.severity));
   std::unique_ptr<EmbeddedTask> result(new EmbeddedTask());
@@ -84,9 +89,9 @@ absl::StatusOr<std::unique_ptr<EmbeddedTask>> EmbeddedTask::Create(const UnitCon
 absl::Status EmbeddedTask::Reset(int initial_state) {
   const int num_states = FindSuite(model_->suite().name)->num_initial_states;
   if (initial_state < 0 || (initial_state >= num_states && initial_state < kFirstTrainingDraw)) {
-    return absl::OutOfRangeError(absl::StrCat("initial state ", initial_state, " does not exist; 0 to ", num_states - 1,
-                                              " are reproducible states, ", kFirstTrainingDraw,
-                                              " and above are training draws"));
+    return absl::OutOfRangeError(absl::StrCat(
+        "initial state ", initial_state, " does not exist; 0 to ", num_states - 1,
+        " are reproducible states, ", kFirstTrainingDraw, " and above are training draws"));
   }
   return ResetTo(SampleInitialState(model_->suite(), model_->task_index(), initial_state));
 }
@@ -128,7 +133,8 @@ absl::StatusOr<Observation> EmbeddedTask::Observe(const PolicySpec& spec) {
   observation.proprioception = Proprioception();
   for (const std::string& camera : spec.cameras) {
     if (camera != kAgentView && camera != kWristView) {
-      return absl::NotFoundError(absl::StrCat("camera '", camera, "' is unknown; cameras are ", kAgentView, ", ", kWristView));
+      return absl::NotFoundError(absl::StrCat("camera '", camera, "' is unknown; cameras are ",
+                                              kAgentView, ", ", kWristView));
     }
     RS_ASSIGN_OR_RETURN(Image image, RenderView(camera, spec.image_width, spec.image_height));
     observation.views.push_back({camera, std::move(image)});

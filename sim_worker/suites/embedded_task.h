@@ -10,8 +10,8 @@
 
 namespace robostress {
 
-// One task of an embedded suite. Initial states 0 .. 49 are the reproducible ones; kFirstTrainingDraw and
-// above are training draws.
+// One task of an embedded suite. Initial states 0 .. 49 are the reproducible ones;
+// kFirstTrainingDraw and above are training draws.
 class EmbeddedTask : public SimTask {
  public:
   // Unknown suites and tasks list the known ones.

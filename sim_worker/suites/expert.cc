@@ -11,21 +11,22 @@ namespace {
 
 using Eigen::Vector3d;
 
-constexpr double kMaxCommand = 0.8;        // norm of the translation command
-constexpr double kMinCommand = 0.25;       // ditto, outside the tolerance: below, friction eats it
-constexpr double kTolerance = 0.004;       // [m]
-constexpr double kFullCommandAt = 0.035;   // error at which the command would be 1 [m]
-constexpr double kRotationGain = 2.0;      // command per scaled rotation error
+constexpr double kMaxCommand = 0.8;       // norm of the translation command
+constexpr double kMinCommand = 0.25;      // ditto, outside the tolerance: below, friction eats it
+constexpr double kTolerance = 0.004;      // [m]
+constexpr double kFullCommandAt = 0.035;  // error at which the command would be 1 [m]
+constexpr double kRotationGain = 2.0;     // command per scaled rotation error
 constexpr double kMaxRotation = 0.4;
-constexpr double kFunnelStart = 0.012;     // horizontal error under which the tool comes all the way down [m]
-constexpr double kFunnelSlope = 2.5;       // height over horizontal error
-constexpr double kReachClearance = 0.06;   // over the target while the tool is beside it [m]
-constexpr double kCarryClearance = 0.07;   // of a carried object's underside [m]
-constexpr double kTooLow = 0.015;          // below the funnel by this much, sideways motion slows down [m]
-constexpr double kOpenGap = 0.06;          // a gripper this wide counts as open [m]
-constexpr double kGapMargin = 0.006;       // [m]
-constexpr double kPushOffset = 0.108;      // tool behind the plate's centre before a push [m]
-constexpr double kPushHeight = 0.018;      // [m]
+constexpr double kFunnelStart =
+    0.012;  // horizontal error under which the tool comes all the way down [m]
+constexpr double kFunnelSlope = 2.5;      // height over horizontal error
+constexpr double kReachClearance = 0.06;  // over the target while the tool is beside it [m]
+constexpr double kCarryClearance = 0.07;  // of a carried object's underside [m]
+constexpr double kTooLow = 0.015;  // below the funnel by this much, sideways motion slows down [m]
+constexpr double kOpenGap = 0.06;  // a gripper this wide counts as open [m]
+constexpr double kGapMargin = 0.006;   // [m]
+constexpr double kPushOffset = 0.108;  // tool behind the plate's centre before a push [m]
+constexpr double kPushHeight = 0.018;  // [m]
 constexpr double kOpenCommand = -1, kCloseCommand = 1;
 
 Vector3d ShapeCommand(const Vector3d& error) {
@@ -40,7 +41,11 @@ Vector3d ShapeCommand(const Vector3d& error) {
 class Decider {
  public:
   Decider(const TaskModel& model, const PandaSim& sim)
-      : model_(model), sim_(sim), data_(sim.data()), state_(sim.Measure()), tool_(state_.tool.p_base_tool),
+      : model_(model),
+        sim_(sim),
+        data_(sim.data()),
+        state_(sim.Measure()),
+        tool_(state_.tool.p_base_tool),
         gap_(state_.gripper) {
     decision_.target = decision_.destination = tool_;
   }
@@ -56,10 +61,18 @@ class Decider {
     }
     const Goal& goal = goals[open_goal];
     switch (goal.kind) {
-      case GoalKind::kPlace: Place(goal); break;
-      case GoalKind::kOpen: PullDrawer(goal); break;
-      case GoalKind::kTurnOn: TurnKnob(goal); break;
-      case GoalKind::kPush: Push(goal); break;
+      case GoalKind::kPlace:
+        Place(goal);
+        break;
+      case GoalKind::kOpen:
+        PullDrawer(goal);
+        break;
+      case GoalKind::kTurnOn:
+        TurnKnob(goal);
+        break;
+      case GoalKind::kPush:
+        Push(goal);
+        break;
     }
     decision_.progress = (open_goal + std::clamp(phase_, 0.0, 0.99)) / n;
     return decision_;
@@ -73,13 +86,16 @@ class Decider {
     decision_.command.resize(7);
     for (int i = 0; i < 3; ++i) {
       decision_.command[i] = static_cast<float>(translation[i]);
-      decision_.command[3 + i] = static_cast<float>(std::clamp(rotation[i], -kMaxRotation, kMaxRotation));
+      decision_.command[3 + i] =
+          static_cast<float>(std::clamp(rotation[i], -kMaxRotation, kMaxRotation));
     }
     decision_.command[6] = static_cast<float>(gripper);
   }
 
-  // Goes to a point from above: the lower it is, the less it may be beside it. `from` is what shall arrive.
-  void Funnel(const Vector3d& from, const Vector3d& to, double clearance, double lift, double gripper) {
+  // Goes to a point from above: the lower it is, the less it may be beside it. `from` is what shall
+  // arrive.
+  void Funnel(const Vector3d& from, const Vector3d& to, double clearance, double lift,
+              double gripper) {
     Vector3d error = to - from;
     const double beside = error.head<2>().norm();
     error.z() += lift + std::min(clearance, std::max(0.0, beside - kFunnelStart) * kFunnelSlope);
@@ -93,7 +109,8 @@ class Decider {
     return e.x() < x && e.y() < y && e.z() < z;
   }
 
-  // Opens, comes down around `target` and closes. The caller handles a closed gripper that holds something.
+  // Opens, comes down around `target` and closes. The caller handles a closed gripper that holds
+  // something.
   void Grasp(const Vector3d& target, double width) {
     const bool closing = gap_ < kOpenGap;
     const bool empty = gap_ < width - kGapMargin;
@@ -117,7 +134,8 @@ class Decider {
     decision_.destination = destination;
     const Vector3d offset = object - destination;
     const double beside = offset.head<2>().norm();
-    decision_.holding = sim_.held_body() == model_.BodyId(goal.object) && gap_ < shape.grasp_width + kGapMargin;
+    decision_.holding =
+        sim_.held_body() == model_.BodyId(goal.object) && gap_ < shape.grasp_width + kGapMargin;
     if (decision_.holding) {
       const bool arrived = beside < 0.016 && offset.z() < region.release_height + 0.012;
       const Vector3d to = destination + Vector3d(0, 0, region.release_height);
@@ -137,10 +155,12 @@ class Decider {
   }
 
   // Holds the handle and leads it in `direction`; true once it is held.
-  void Lead(const Vector3d& handle, const Handle& shape, const Vector3d& direction, double fraction) {
+  void Lead(const Vector3d& handle, const Handle& shape, const Vector3d& direction,
+            double fraction) {
     decision_.target = handle;
     decision_.destination = handle + direction;
-    decision_.holding = gap_ < shape.width + kGapMargin && gap_ > shape.width - 0.01 && Near(handle, 0.02, 0.025, 0.03);
+    decision_.holding = gap_ < shape.width + kGapMargin && gap_ > shape.width - 0.01 &&
+                        Near(handle, 0.02, 0.025, 0.03);
     if (!decision_.holding) {
       Grasp(handle, shape.width);
       return;
@@ -152,7 +172,8 @@ class Decider {
   void PullDrawer(const Goal& goal) {
     const Handle& shape = DrawerHandle();
     const double q = model_.JointPosition(data_, goal.object + shape.joint_suffix);
-    Lead(model_.HandleCenter(data_, goal.object, shape), shape, Vector3d(0, -0.03, 0), q / shape.done);
+    Lead(model_.HandleCenter(data_, goal.object, shape), shape, Vector3d(0, -0.03, 0),
+         q / shape.done);
   }
 
   void TurnKnob(const Goal& goal) {
@@ -172,7 +193,8 @@ class Decider {
     decision_.destination = destination;
     const Vector3d start = plate + Vector3d(0, kPushOffset, kPushHeight);
     const Vector3d rel = tool_ - start;
-    const bool behind = std::abs(rel.x()) < 0.02 && rel.y() > -0.06 && rel.y() < 0.015 && rel.z() < 0.012;
+    const bool behind =
+        std::abs(rel.x()) < 0.02 && rel.y() > -0.06 && rel.y() < 0.015 && rel.z() < 0.012;
     const double left = std::abs(plate.y() - destination.y());
     if (behind && gap_ < 0.02) {
       Command(ShapeCommand(Vector3d(-rel.x(), -0.025, -rel.z())), kCloseCommand);
@@ -195,6 +217,8 @@ class Decider {
 
 }  // namespace
 
-ExpertDecision DecideExpert(const TaskModel& model, const PandaSim& sim) { return Decider(model, sim).Decide(); }
+ExpertDecision DecideExpert(const TaskModel& model, const PandaSim& sim) {
+  return Decider(model, sim).Decide();
+}
 
 }  // namespace robostress

@@ -18,16 +18,20 @@ bool GoalHolds(const TaskModel& model, const PandaSim& sim, const Goal& goal) {
   const mjData& data = sim.data();
   switch (goal.kind) {
     case GoalKind::kPlace: {
-      const Eigen::Vector3d offset = model.Position(data, goal.object) - model.RegionCenter(data, goal);
+      const Eigen::Vector3d offset =
+          model.Position(data, goal.object) - model.RegionCenter(data, goal);
       return InRegion(model.RegionOf(goal), offset) && std::abs(offset.z()) < kRestTolerance &&
-             model.Upright(data, goal.object) > kUpright && sim.held_body() != model.BodyId(goal.object);
+             model.Upright(data, goal.object) > kUpright &&
+             sim.held_body() != model.BodyId(goal.object);
     }
     case GoalKind::kOpen:
-      return model.JointPosition(data, goal.object + DrawerHandle().joint_suffix) > DrawerHandle().done;
+      return model.JointPosition(data, goal.object + DrawerHandle().joint_suffix) >
+             DrawerHandle().done;
     case GoalKind::kTurnOn:
       return model.JointPosition(data, goal.object + KnobHandle().joint_suffix) > KnobHandle().done;
     case GoalKind::kPush:
-      return InRegion(model.RegionOf(goal), model.Position(data, goal.object) - model.RegionCenter(data, goal));
+      return InRegion(model.RegionOf(goal),
+                      model.Position(data, goal.object) - model.RegionCenter(data, goal));
   }
   return false;
 }

@@ -7,9 +7,9 @@
 
 namespace robostress {
 
-// Whether a goal holds now. kPlace: the object's origin lies over the region, at rest on its surface,
-// upright and out of the gripper. kOpen, kTurnOn: the joint is past Handle::done. kPush: the object's centre
-// lies in the region.
+// Whether a goal holds now. kPlace: the object's origin lies over the region, at rest on its
+// surface, upright and out of the gripper. kOpen, kTurnOn: the joint is past Handle::done. kPush:
+// the object's centre lies in the region.
 bool GoalHolds(const TaskModel& model, const PandaSim& sim, const Goal& goal);
 
 // All goals of the task hold at once.

@@ -7,8 +7,8 @@
 namespace robostress {
 namespace {
 
-constexpr double kJointNoise = 0.02;   // standard deviation [rad]
-constexpr double kMinGap = 0.012;      // between footprints [m]
+constexpr double kJointNoise = 0.02;  // standard deviation [rad]
+constexpr double kMinGap = 0.012;     // between footprints [m]
 constexpr int kMaxDraws = 500;
 
 int IndexOf(const SceneSpec& scene, const std::string& name) {
@@ -27,7 +27,8 @@ std::vector<Eigen::Vector3d> DrawPositions(const SceneSpec& scene, RandomStream&
     if (!prop.anchor.empty()) {
       const int anchor = IndexOf(scene, prop.anchor);
       p.head<2>() += positions[anchor].head<2>();
-      if (prop.on_anchor) p.z() = positions[anchor].z() + ShapeOf(scene.props[anchor].kind).region.center.z();
+      if (prop.on_anchor)
+        p.z() = positions[anchor].z() + ShapeOf(scene.props[anchor].kind).region.center.z();
     }
     positions.push_back(p);
   }
@@ -39,9 +40,10 @@ bool KeepsClear(const SceneSpec& scene, const std::vector<Eigen::Vector3d>& posi
   for (size_t i = 0; i < positions.size(); ++i) {
     if (!ShapeOf(scene.props[i].kind).graspable) continue;
     for (size_t j = 0; j < positions.size(); ++j) {
-      if (i == j || (scene.props[i].on_anchor && scene.props[i].anchor == scene.props[j].name)) continue;
-      const double gap = (positions[i] - positions[j]).head<2>().norm() - ShapeOf(scene.props[i].kind).radius -
-                         ShapeOf(scene.props[j].kind).radius;
+      if (i == j || (scene.props[i].on_anchor && scene.props[i].anchor == scene.props[j].name))
+        continue;
+      const double gap = (positions[i] - positions[j]).head<2>().norm() -
+                         ShapeOf(scene.props[i].kind).radius - ShapeOf(scene.props[j].kind).radius;
       if (gap < kMinGap) return false;
     }
   }

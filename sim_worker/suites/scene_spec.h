@@ -1,29 +1,38 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <string>
 #include <vector>
-
-#include <Eigen/Core>
 
 namespace robostress {
 
 // What a thing on the table is. shapes.h says how each kind looks, collides and is grasped.
 enum class PropKind {
-  kPot, kCube, kCan, kBottle, kBrick,           // can be picked up
-  kPlate, kBasket, kBox, kMat, kRack,           // something can be put on or in them
-  kCabinet, kStove,                             // have a drawer, a knob
-  kCup,                                         // a landmark
+  kPot,
+  kCube,
+  kCan,
+  kBottle,
+  kBrick,  // can be picked up
+  kPlate,
+  kBasket,
+  kBox,
+  kMat,
+  kRack,  // something can be put on or in them
+  kCabinet,
+  kStove,  // have a drawer, a knob
+  kCup,    // a landmark
 };
 
 // A thing on the table, and where an episode may find it.
 struct Prop {
-  std::string name;          // its MJCF body: "red_pot"
+  std::string name;  // its MJCF body: "red_pot"
   PropKind kind = PropKind::kCube;
-  std::string color;         // of shapes.h
-  std::string anchor;        // `position` is relative to this prop, which precedes it; empty: the robot's base
+  std::string color;  // of shapes.h
+  std::string
+      anchor;  // `position` is relative to this prop, which precedes it; empty: the robot's base
   Eigen::Vector2d position = Eigen::Vector2d::Zero();  // [m]
   Eigen::Vector2d jitter = Eigen::Vector2d::Zero();    // uniform in +-jitter [m]
-  bool on_anchor = false;    // stands on the anchor, not beside it
+  bool on_anchor = false;                              // stands on the anchor, not beside it
 };
 
 enum class GoalKind {
@@ -33,12 +42,14 @@ enum class GoalKind {
   kPush,    // object lies at destination, without being lifted
 };
 
-// One predicate of a task; all of a task's goals must hold at once, the expert reaches them in order.
+// One predicate of a task; all of a task's goals must hold at once, the expert reaches them in
+// order.
 struct Goal {
   GoalKind kind = GoalKind::kPlace;
   std::string object;
-  std::string destination;     // prop; "cabinet/drawer" is the drawer's inside
-  Eigen::Vector2d offset = Eigen::Vector2d::Zero();  // where the expert aims, from the region's centre [m]
+  std::string destination;  // prop; "cabinet/drawer" is the drawer's inside
+  Eigen::Vector2d offset =
+      Eigen::Vector2d::Zero();  // where the expert aims, from the region's centre [m]
 };
 
 struct SceneSpec {

@@ -1,9 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <string>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "sim_worker/suites/scene_spec.h"
 
@@ -13,17 +12,18 @@ namespace robostress {
 struct Region {
   std::string body_suffix;  // of the prop's body that carries it: "" or "_drawer"
   Eigen::Vector3d center = Eigen::Vector3d::Zero();  // of the supporting surface [m]
-  Eigen::Vector2d half = Eigen::Vector2d::Zero();    // where an object's origin counts as placed [m]
-  double release_height = 0.006;  // of the object's underside above the surface, when the expert lets go [m]
+  Eigen::Vector2d half = Eigen::Vector2d::Zero();  // where an object's origin counts as placed [m]
+  double release_height =
+      0.006;  // of the object's underside above the surface, when the expert lets go [m]
 };
 
 // What the tasks need to know of a kind of prop. Body frames lie at the centre of the underside.
 struct ShapeInfo {
-  double radius = 0;        // footprint, for the spacing of initial states [m]
-  double height = 0;        // [m]
+  double radius = 0;  // footprint, for the spacing of initial states [m]
+  double height = 0;  // [m]
   bool graspable = false;
-  double grasp_z = 0;       // height of the tool at the grasp [m]
-  double grasp_width = 0;   // between the pads [m]
+  double grasp_z = 0;      // height of the tool at the grasp [m]
+  double grasp_width = 0;  // between the pads [m]
   bool has_region = false;
   Region region;
 };
@@ -34,11 +34,11 @@ const Region& DrawerRegion();
 
 // A handle that the gripper holds while a joint moves: drawer or knob.
 struct Handle {
-  std::string body_suffix;   // body that carries it
-  std::string joint_suffix;  // its joint
+  std::string body_suffix;                           // body that carries it
+  std::string joint_suffix;                          // its joint
   Eigen::Vector3d center = Eigen::Vector3d::Zero();  // in that body's frame [m]
-  double width = 0;          // between the pads [m]
-  double done = 0;           // joint position at which the goal holds [m or rad]
+  double width = 0;                                  // between the pads [m]
+  double done = 0;  // joint position at which the goal holds [m or rad]
 };
 const Handle& DrawerHandle();  // of kCabinet: slides along -y
 const Handle& KnobHandle();    // of kStove: turns about z, from -x towards +y

@@ -21,7 +21,8 @@ const Item kItems[2][5] = {
      {"black", "pot", PropKind::kPot},
      {"white", "bottle", PropKind::kBottle}},
 };
-const Eigen::Vector2d kPlaces[5] = {{0.43, 0.24}, {0.64, 0.24}, {0.535, 0.135}, {0.43, 0.03}, {0.64, 0.03}};
+const Eigen::Vector2d kPlaces[5] = {
+    {0.43, 0.24}, {0.64, 0.24}, {0.535, 0.135}, {0.43, 0.03}, {0.64, 0.03}};
 
 }  // namespace
 
@@ -36,7 +37,8 @@ SuiteSpec TabletopObject() {
       const Item& item = kItems[s][i];
       const std::string name = std::string(item.color) + "_" + item.noun;
       scene.props.push_back({name, item.kind, item.color, "", kPlaces[i], {0.035, 0.035}});
-      suite.tasks.push_back({std::string("pick up the ") + item.color + " " + item.noun + " and place it in the basket",
+      suite.tasks.push_back({std::string("pick up the ") + item.color + " " + item.noun +
+                                 " and place it in the basket",
                              s,
                              {{GoalKind::kPlace, name, "basket"}}});
     }

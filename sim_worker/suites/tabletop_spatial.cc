@@ -26,8 +26,8 @@ const Relation kRelations[] = {
 
 }  // namespace
 
-// Two pots that look the same: only their place among the landmarks tells which one is meant. Every scene
-// holds the pots of two relations, so a scene alone does not decide the task.
+// Two pots that look the same: only their place among the landmarks tells which one is meant. Every
+// scene holds the pots of two relations, so a scene alone does not decide the task.
 SuiteSpec TabletopSpatial() {
   SuiteSpec suite;
   suite.name = "tabletop_spatial";
@@ -43,11 +43,12 @@ SuiteSpec TabletopSpatial() {
     for (int i = 2 * pair; i < 2 * pair + 2; ++i) {
       const Relation& relation = kRelations[i];
       const std::string pot = i % 2 == 0 ? "pot_a" : "pot_b";
-      scene.props.push_back(
-          {pot, PropKind::kPot, "red", relation.anchor, relation.offset, relation.jitter, relation.on_anchor});
-      suite.tasks.push_back({std::string("pick up the red pot ") + relation.phrase + " and place it on the plate",
-                             pair,
-                             {{GoalKind::kPlace, pot, "plate"}}});
+      scene.props.push_back({pot, PropKind::kPot, "red", relation.anchor, relation.offset,
+                             relation.jitter, relation.on_anchor});
+      suite.tasks.push_back(
+          {std::string("pick up the red pot ") + relation.phrase + " and place it on the plate",
+           pair,
+           {{GoalKind::kPlace, pot, "plate"}}});
     }
     suite.scenes.push_back(scene);
   }

@@ -10,8 +10,8 @@
 namespace robostress {
 namespace {
 
-// Table, light and the third-person camera. The camera is framed on the places where props can be, so that
-// a 64-pixel view spends its pixels on them.
+// Table, light and the third-person camera. The camera is framed on the places where props can be,
+// so that a 64-pixel view spends its pixels on them.
 constexpr char kStageXml[] = R"(
 <light directional="true" pos="0.5 0 2" dir="-0.2 0.15 -1" diffuse="0.45 0.45 0.45" ambient="0.1 0.1 0.1"/>
 <geom name="table" type="plane" size="1.5 1.5 0.1" pos="0 0 0" rgba="0.62 0.58 0.5 1" contype="1" conaffinity="2"
@@ -33,9 +33,10 @@ absl::StatusOr<std::unique_ptr<TaskModel>> TaskModel::Create(const SuiteSpec& su
   scene.name = suite.name;
   scene.base_position = Eigen::Vector3d::Zero();
   scene.world_xml = result->SceneMjcf();
-  RS_ASSIGN_OR_RETURN(result->model_, CompileModel(absl::StrCat(suite.name, " task ", task), ComposePandaScene(scene)));
-  // Round shapes are drawn with fewer faces: the software rasteriser spends its time on vertices. Nobody else
-  // holds the model yet.
+  RS_ASSIGN_OR_RETURN(result->model_, CompileModel(absl::StrCat(suite.name, " task ", task),
+                                                   ComposePandaScene(scene)));
+  // Round shapes are drawn with fewer faces: the software rasteriser spends its time on vertices.
+  // Nobody else holds the model yet.
   mjModel& drawn = const_cast<mjModel&>(*result->model_);
   drawn.vis.quality.numslices = kSlices;
   drawn.vis.quality.numstacks = kSlices / 2;
@@ -75,7 +76,9 @@ std::vector<double> TaskModel::Qpos(const InitialState& state) const {
   for (int j = 0; j < 2; ++j) qpos[7 + j] = PandaHomeFingers()[j];
   for (size_t i = 0; i < entries_.size(); ++i) {
     const Entry& entry = entries_[i];
-    const int dofs = entry.mobility == Mobility::kFree ? 3 : entry.mobility == Mobility::kPlanar ? 2 : 0;
+    const int dofs = entry.mobility == Mobility::kFree     ? 3
+                     : entry.mobility == Mobility::kPlanar ? 2
+                                                           : 0;
     for (int k = 0; k < dofs; ++k) qpos[entry.qpos + k] = state.positions[i][k];
   }
   return qpos;
@@ -126,7 +129,8 @@ Eigen::Vector3d TaskModel::RegionCenter(const mjData& data, const Goal& goal) co
   return Position(data, PropOf(goal.destination) + region.body_suffix) + region.center;
 }
 
-Eigen::Vector3d TaskModel::HandleCenter(const mjData& data, const std::string& prop, const Handle& handle) const {
+Eigen::Vector3d TaskModel::HandleCenter(const mjData& data, const std::string& prop,
+                                        const Handle& handle) const {
   const int body = BodyId(prop + handle.body_suffix);
   const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> R(data.xmat + 9 * body);
   return Eigen::Map<const Eigen::Vector3d>(data.xpos + 3 * body) + R * handle.center;

@@ -1,11 +1,11 @@
 #pragma once
 
+#include <mujoco/mujoco.h>
+
+#include <Eigen/Core>
 #include <memory>
 #include <string>
 #include <vector>
-
-#include <Eigen/Core>
-#include <mujoco/mujoco.h>
 
 #include "absl/status/statusor.h"
 #include "sim_worker/panda_sim.h"
@@ -15,8 +15,9 @@
 
 namespace robostress {
 
-// A scene compiled for one of its tasks: what this task moves has joints, everything else is placed per
-// episode and fixed, so that a control step costs what the task needs. It looks the same for every task.
+// A scene compiled for one of its tasks: what this task moves has joints, everything else is placed
+// per episode and fixed, so that a control step costs what the task needs. It looks the same for
+// every task.
 class TaskModel {
  public:
   static absl::StatusOr<std::unique_ptr<TaskModel>> Create(const SuiteSpec& suite, int task);
@@ -30,7 +31,8 @@ class TaskModel {
   std::vector<double> Qpos(const InitialState& state) const;
   void PlaceStaticProps(const InitialState& state, mjData& data) const;
 
-  // The true state, as predicates and the expert read it. Names are the scene's; the caller knows them.
+  // The true state, as predicates and the expert read it. Names are the scene's; the caller knows
+  // them.
   const Prop& FindProp(const std::string& name) const;
   Eigen::Vector3d Position(const mjData& data, const std::string& body) const;
   double Upright(const mjData& data, const std::string& body) const;  // cosine of the tilt
@@ -39,12 +41,13 @@ class TaskModel {
   // A goal's destination: its region and the centre of that region's surface now.
   const Region& RegionOf(const Goal& goal) const;
   Eigen::Vector3d RegionCenter(const mjData& data, const Goal& goal) const;
-  Eigen::Vector3d HandleCenter(const mjData& data, const std::string& prop, const Handle& handle) const;
+  Eigen::Vector3d HandleCenter(const mjData& data, const std::string& prop,
+                               const Handle& handle) const;
 
  private:
   struct Entry {
     Mobility mobility = Mobility::kStatic;
-    int qpos = -1;   // address of the first joint
+    int qpos = -1;  // address of the first joint
     int mocap = -1;
   };
   TaskModel(const SuiteSpec& suite, int task) : suite_(&suite), task_(task) {}

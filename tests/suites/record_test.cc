@@ -29,7 +29,8 @@ TEST(Record, LabelsAreTheExpertsPathAndRestAfterSuccess) {
   ASSERT_TRUE(episode->success);
   ASSERT_EQ(static_cast<int>(episode->frames.size()), (episode->steps + 1) / 2);
   const DemonstrationFrame& first = episode->frames[0];
-  EXPECT_EQ(first.actions.row(2), episode->frames[1].actions.row(0)) << "frames are two control steps apart";
+  EXPECT_EQ(first.actions.row(2), episode->frames[1].actions.row(0))
+      << "frames are two control steps apart";
   const DemonstrationFrame& last = episode->frames.back();
   EXPECT_EQ(last.actions.bottomRows(40).leftCols(6).norm(), 0);
   EXPECT_EQ(last.actions(49, 6), last.actions(0, 6));

@@ -27,18 +27,20 @@ TEST_P(ExpertSolves, OneEpisodeWithinTheHorizon) {
   uint64_t sequence = 0;
   RolloutOptions options;
   options.initial_state = 12;
-  const absl::StatusOr<EpisodeRecord> episode = RunEpisode({GetParam().second, 0}, options, *task, **expert, sequence);
+  const absl::StatusOr<EpisodeRecord> episode =
+      RunEpisode({GetParam().second, 0}, options, *task, **expert, sequence);
   ASSERT_TRUE(episode.ok()) << episode.status();
   EXPECT_TRUE(episode->success) << task->instruction();
   EXPECT_LT(episode->steps, task->horizon());
 }
 
-INSTANTIATE_TEST_SUITE_P(Skills, ExpertSolves,
-                         ::testing::Values(std::pair("tabletop_spatial", 2), std::pair("tabletop_spatial", 6),
-                                           std::pair("tabletop_object", 0), std::pair("tabletop_object", 8),
-                                           std::pair("tabletop_goal", 0), std::pair("tabletop_goal", 4),
-                                           std::pair("tabletop_goal", 5), std::pair("tabletop_long", 0),
-                                           std::pair("tabletop_long", 5)));
+INSTANTIATE_TEST_SUITE_P(
+    Skills, ExpertSolves,
+    ::testing::Values(std::pair("tabletop_spatial", 2), std::pair("tabletop_spatial", 6),
+                      std::pair("tabletop_object", 0), std::pair("tabletop_object", 8),
+                      std::pair("tabletop_goal", 0), std::pair("tabletop_goal", 4),
+                      std::pair("tabletop_goal", 5), std::pair("tabletop_long", 0),
+                      std::pair("tabletop_long", 5)));
 
 TEST(Expert, CommandsKeepHeadroomAndAreNotSwallowedByFriction) {
   const auto task = MakeTask("tabletop_goal", 1);

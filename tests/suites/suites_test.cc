@@ -1,6 +1,7 @@
+#include "common/suites.h"
+
 #include <set>
 
-#include "common/suites.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "sim_worker/suites/embedded_task.h"
@@ -11,7 +12,8 @@ namespace {
 
 using ::testing::HasSubstr;
 
-const char* const kSuites[] = {"tabletop_spatial", "tabletop_object", "tabletop_goal", "tabletop_long"};
+const char* const kSuites[] = {"tabletop_spatial", "tabletop_object", "tabletop_goal",
+                               "tabletop_long"};
 
 std::unique_ptr<EmbeddedTask> MakeTask(const std::string& suite, int task) {
   UnitConfig unit;
@@ -101,7 +103,8 @@ TEST(InitialStates, DependOnTheIndexOnly) {
   SampleInitialState(suite, 3, 8);
   const InitialState again = SampleInitialState(suite, 3, 7);
   EXPECT_EQ(first.q, again.q);
-  for (size_t i = 0; i < first.positions.size(); ++i) EXPECT_EQ(first.positions[i], again.positions[i]);
+  for (size_t i = 0; i < first.positions.size(); ++i)
+    EXPECT_EQ(first.positions[i], again.positions[i]);
 }
 
 TEST(InitialStates, AllDiffer) {
@@ -109,7 +112,8 @@ TEST(InitialStates, AllDiffer) {
   std::set<double> seen;
   for (int task = 0; task < 10; ++task) {
     for (int i = 0; i < 50; ++i) seen.insert(SampleInitialState(suite, task, i).q[0]);
-    for (int i = 0; i < 50; ++i) seen.insert(SampleInitialState(suite, task, kFirstTrainingDraw + i).q[0]);
+    for (int i = 0; i < 50; ++i)
+      seen.insert(SampleInitialState(suite, task, kFirstTrainingDraw + i).q[0]);
   }
   EXPECT_EQ(seen.size(), 1000u);
 }
@@ -123,10 +127,13 @@ TEST(InitialStates, KeepGraspableThingsApart) {
         const InitialState state = SampleInitialState(suite, task, index);
         for (size_t a = 0; a < props.size(); ++a) {
           for (size_t b = 0; b < props.size(); ++b) {
-            if (a == b || !ShapeOf(props[a].kind).graspable || (props[a].on_anchor && props[a].anchor == props[b].name)) continue;
-            const double gap = (state.positions[a] - state.positions[b]).head<2>().norm() - ShapeOf(props[a].kind).radius -
-                               ShapeOf(props[b].kind).radius;
-            EXPECT_GT(gap, 0.01) << name << " task " << task << " state " << index << ": " << props[a].name << ", " << props[b].name;
+            if (a == b || !ShapeOf(props[a].kind).graspable ||
+                (props[a].on_anchor && props[a].anchor == props[b].name))
+              continue;
+            const double gap = (state.positions[a] - state.positions[b]).head<2>().norm() -
+                               ShapeOf(props[a].kind).radius - ShapeOf(props[b].kind).radius;
+            EXPECT_GT(gap, 0.01) << name << " task " << task << " state " << index << ": "
+                                 << props[a].name << ", " << props[b].name;
           }
         }
       }
@@ -158,7 +165,8 @@ TEST(Goals, PlaceNeedsTheObjectOnTheRegion) {
 TEST(Goals, PlaceNeedsTheSurfaceNotTheAirAboveIt) {
   const auto task = MakeTask("tabletop_goal", 1);
   InitialState state = SampleInitialState(task->model().suite(), 1, 0);
-  state.positions[PropIndex(*task, "pot")] = state.positions[PropIndex(*task, "plate")] + Eigen::Vector3d(0, 0, 0.2);
+  state.positions[PropIndex(*task, "pot")] =
+      state.positions[PropIndex(*task, "plate")] + Eigen::Vector3d(0, 0, 0.2);
   ASSERT_TRUE(task->sim().Reset(task->model().Qpos(state), EmbeddedHome()).ok());
   task->model().PlaceStaticProps(state, task->sim().mutable_data());
   mj_forward(&task->sim().model(), &task->sim().mutable_data());
@@ -192,7 +200,8 @@ TEST(Goals, OpenAndTurnOnFollowTheJoint) {
 TEST(Goals, PushFollowsThePlate) {
   const auto task = MakeTask("tabletop_goal", 5);
   const InitialState state = SampleInitialState(task->model().suite(), 5, 0);
-  PlaceAt(*task, "plate", state.positions[PropIndex(*task, "mat")] + Eigen::Vector3d(0.01, 0.03, 0));
+  PlaceAt(*task, "plate",
+          state.positions[PropIndex(*task, "mat")] + Eigen::Vector3d(0.01, 0.03, 0));
   EXPECT_TRUE(task->Success());
   PlaceAt(*task, "plate", state.positions[PropIndex(*task, "mat")] + Eigen::Vector3d(0.0, 0.07, 0));
   EXPECT_FALSE(task->Success());
@@ -243,16 +252,19 @@ TEST(Observation, ProprioceptionIsNearZeroRotationAtTheStart) {
 }
 
 TEST(Observation, TasksOfASceneLookAlike) {
-  // The same initial state shown by two tasks of a scene gives the same picture, although other props have joints.
+  // The same initial state shown by two tasks of a scene gives the same picture, although other
+  // props have joints.
   const auto a = MakeTask("tabletop_goal", 1), b = MakeTask("tabletop_goal", 3);
   const InitialState state = SampleInitialState(a->model().suite(), 1, 0);
   ASSERT_TRUE(a->ResetTo(state).ok());
   ASSERT_TRUE(b->ResetTo(state).ok());
-  absl::StatusOr<Image> image_a = a->RenderView("agentview", 64, 64), image_b = b->RenderView("agentview", 64, 64);
+  absl::StatusOr<Image> image_a = a->RenderView("agentview", 64, 64),
+                        image_b = b->RenderView("agentview", 64, 64);
   if (absl::IsUnavailable(image_a.status())) GTEST_SKIP() << image_a.status().message();
   ASSERT_TRUE(image_a.ok() && image_b.ok());
   int different = 0;
-  for (size_t i = 0; i < image_a->data.size(); ++i) different += std::abs(image_a->data[i] - image_b->data[i]) > 12;
+  for (size_t i = 0; i < image_a->data.size(); ++i)
+    different += std::abs(image_a->data[i] - image_b->data[i]) > 12;
   EXPECT_LT(different, 60) << "of " << image_a->data.size();
 }
 
