@@ -1,25 +1,26 @@
 #include "sim_worker/osc_controller.h"
 
-#include <cmath>
-
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
+#include <cmath>
 
 namespace robostress {
 namespace {
 
-// Solves A x = b for a symmetric positive semi-definite A; where A is singular to working precision, by the
-// pseudo-inverse with numpy's cut-off (robosuite uses numpy.linalg.pinv).
+// Solves A x = b for a symmetric positive semi-definite A; where A is singular to working
+// precision, by the pseudo-inverse with numpy's cut-off (robosuite uses numpy.linalg.pinv).
 template <int n>
-Eigen::Matrix<double, n, 1> SolvePsd(const Eigen::Matrix<double, n, n>& A, const Eigen::Matrix<double, n, 1>& b) {
+Eigen::Matrix<double, n, 1> SolvePsd(const Eigen::Matrix<double, n, n>& A,
+                                     const Eigen::Matrix<double, n, 1>& b) {
   const Eigen::LDLT<Eigen::Matrix<double, n, n>> ldlt(A);
   const auto pivots = ldlt.vectorD();
   if (pivots.minCoeff() > 1e-12 * pivots.maxCoeff()) return ldlt.solve(b);
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, n, n>> eigen(A);
   const double cutoff = 1e-15 * eigen.eigenvalues().cwiseAbs().maxCoeff();
   Eigen::Matrix<double, n, 1> y = eigen.eigenvectors().transpose() * b;
-  for (int i = 0; i < n; ++i) y[i] = std::abs(eigen.eigenvalues()[i]) > cutoff ? y[i] / eigen.eigenvalues()[i] : 0;
+  for (int i = 0; i < n; ++i)
+    y[i] = std::abs(eigen.eigenvalues()[i]) > cutoff ? y[i] / eigen.eigenvalues()[i] : 0;
   return eigen.eigenvectors() * y;
 }
 

@@ -7,12 +7,13 @@
 
 namespace robostress {
 
-// Operational-space control of position and orientation, robosuite 1.4.0's OSC_POSE with its defaults:
+// Operational-space control of position and orientation, robosuite 1.4.0's OSC_POSE with its
+// defaults:
 //   F = kp (p_goal - p) - kd v          e_R = 1/2 sum_i R_i x R_goal,i
 //   T = kp e_R - kd w
 //   tau = J' [Lp F; Lr T] + bias + N' M (k0 (q0 - q) - d0 dq)
-// with Lp = (Jp M^-1 Jp')^-1, Lr = (Jr M^-1 Jr')^-1, L = (J M^-1 J')^-1 and N = I - M^-1 J' L J, so that
-// N' M u = M u - J' L J u. kd = 2 sqrt(kp), d0 = 2 sqrt(k0) (damping ratio 1).
+// with Lp = (Jp M^-1 Jp')^-1, Lr = (Jr M^-1 Jr')^-1, L = (J M^-1 J')^-1 and N = I - M^-1 J' L J, so
+// that N' M u = M u - J' L J u. kd = 2 sqrt(kp), d0 = 2 sqrt(k0) (damping ratio 1).
 class OscController {
  public:
   static constexpr double kPositionScale = 0.05;  // [m] per unit of command
@@ -24,15 +25,15 @@ class OscController {
 
   // Goal at the pose of `arm`; q0: null-space posture.
   void Reset(const ArmState& arm, const Vector7d& q0);
-  // Moves the goal once per control step by the normalised delta command[0..5] in +-1, translation and
-  // world-frame axis-angle. Achieved: from the pose in `arm`, and the orientation goal stays where it is
-  // unless the command rotates (robosuite). Desired: from the previous goal.
+  // Moves the goal once per control step by the normalised delta command[0..5] in +-1, translation
+  // and world-frame axis-angle. Achieved: from the pose in `arm`, and the orientation goal stays
+  // where it is unless the command rotates (robosuite). Desired: from the previous goal.
   void SetGoal(const Eigen::Matrix<double, 6, 1>& command, const ArmState& arm);
   // Not saturated [Nm]. bias: Coriolis, centrifugal and gravity torque.
   Vector7d Torque(const ArmState& arm, const Vector7d& bias) const;
 
-  const Eigen::Vector3d& goal_position() const { return p_goal_; }   // world frame [m]
-  const Eigen::Matrix3d& goal_rotation() const { return R_goal_; }   // of the site, world frame
+  const Eigen::Vector3d& goal_position() const { return p_goal_; }  // world frame [m]
+  const Eigen::Matrix3d& goal_rotation() const { return R_goal_; }  // of the site, world frame
 
  private:
   GoalReference reference_;

@@ -13,11 +13,11 @@ struct Link {
   const char* pos;
   const char* quat;
   const char* com;
-  double mass, inertia;          // [kg], diagonal [kg m^2]
-  double low, high;              // joint range [rad]
-  double damping, armature;      // [Nm s/rad], [kg m^2]
-  double torque_limit;           // [Nm]
-  const char* shape_xml;         // what is seen, and what collides
+  double mass, inertia;      // [kg], diagonal [kg m^2]
+  double low, high;          // joint range [rad]
+  double damping, armature;  // [Nm s/rad], [kg m^2]
+  double torque_limit;       // [Nm]
+  const char* shape_xml;     // what is seen, and what collides
 };
 
 // Public Denavit-Hartenberg data of the Panda; inertials and joint constants as in robosuite 1.4.0.
@@ -29,35 +29,37 @@ constexpr std::array<Link, 8> kLinks = {{
     {"0 0 0.333", "1 0 0 0", "0 0 -0.07", 3, 0.3, -2.8973, 2.8973, 0.1, 5.0, 80,
      R"(<geom class="shell" type="capsule" size="0.058" fromto="0 0 -0.13 0 0 -0.04"/>
         <geom class="shell" type="capsule" size="0.056" fromto="0 -0.045 0 0 0.045 0"/>)"},
-    {"0 0 0", "0.7071067811865476 -0.7071067811865476 0 0", "0 -0.1 0", 3, 0.3, -1.7628, 1.7628, 0.1, 2.5, 80,
+    {"0 0 0", "0.7071067811865476 -0.7071067811865476 0 0", "0 -0.1 0", 3, 0.3, -1.7628, 1.7628,
+     0.1, 2.5, 80,
      R"(<geom class="trim" type="cylinder" size="0.057 0.062"/>
         <geom class="shell" type="capsule" size="0.054" fromto="0 -0.05 0 0 -0.15 0"/>)"},
-    {"0 -0.316 0", "0.7071067811865476 0.7071067811865476 0 0", "0.04 0 -0.05", 2, 0.2, -2.8973, 2.8973, 0.1,
-     5.0 / 3, 80,
+    {"0 -0.316 0", "0.7071067811865476 0.7071067811865476 0 0", "0.04 0 -0.05", 2, 0.2, -2.8973,
+     2.8973, 0.1, 5.0 / 3, 80,
      R"(<geom class="shell" type="capsule" size="0.053" fromto="0 0 -0.12 0 0 -0.06"/>
         <geom class="shell" type="capsule" size="0.05" fromto="0.02 0 -0.02 0.0825 -0.03 0"/>)"},
-    {"0.0825 0 0", "0.7071067811865476 0.7071067811865476 0 0", "-0.04 0.05 0", 2, 0.2, -3.0718, -0.0698, 0.1,
-     1.25, 80,
+    {"0.0825 0 0", "0.7071067811865476 0.7071067811865476 0 0", "-0.04 0.05 0", 2, 0.2, -3.0718,
+     -0.0698, 0.1, 1.25, 80,
      R"(<geom class="trim" type="cylinder" size="0.05 0.055"/>
         <geom class="shell" type="capsule" size="0.05" fromto="-0.02 0.02 0 -0.0825 0.09 0"/>)"},
-    {"-0.0825 0.384 0", "0.7071067811865476 -0.7071067811865476 0 0", "0 0 -0.15", 2, 0.2, -2.8973, 2.8973, 0.1, 1.0,
-     80,
+    {"-0.0825 0.384 0", "0.7071067811865476 -0.7071067811865476 0 0", "0 0 -0.15", 2, 0.2, -2.8973,
+     2.8973, 0.1, 1.0, 80,
      R"(<geom class="shell" type="capsule" size="0.05" fromto="0 0 -0.28 0 0.05 -0.19"/>
         <geom class="shell" type="capsule" size="0.042" fromto="0 0.06 -0.17 0 0.06 -0.02"/>
         <geom class="collision" type="capsule" size="0.055" fromto="0 0.03 -0.25 0 0.04 -0.02"/>)"},
-    {"0 0 0", "0.7071067811865476 0.7071067811865476 0 0", "0.06 0 0", 1.5, 0.1, -0.0175, 3.7525, 0.01, 5.0 / 6, 12,
+    {"0 0 0", "0.7071067811865476 0.7071067811865476 0 0", "0.06 0 0", 1.5, 0.1, -0.0175, 3.7525,
+     0.01, 5.0 / 6, 12,
      R"(<geom class="trim" type="cylinder" size="0.045 0.06"/>
         <geom class="shell" type="capsule" size="0.045" fromto="0.02 0 0 0.088 0 0"/>
         <geom class="collision" type="capsule" size="0.05" fromto="0 0 0 0.088 0 0"/>)"},
-    {"0.088 0 0", "0.7071067811865476 0.7071067811865476 0 0", "0 0 0.08", 0.5, 0.05, -2.8973, 2.8973, 0.01, 5.0 / 7,
-     12,
+    {"0.088 0 0", "0.7071067811865476 0.7071067811865476 0 0", "0 0 0.08", 0.5, 0.05, -2.8973,
+     2.8973, 0.01, 5.0 / 7, 12,
      R"(<geom class="shell" type="cylinder" size="0.044 0.035" pos="0 0 0.06"/>
         <geom class="trim" type="cylinder" size="0.04 0.006" pos="0 0 0.1"/>
         <geom class="collision" type="capsule" size="0.045" fromto="0 0 0.02 0 0 0.06"/>)"},
 }};
 
-// Hand, fingers, tool site and wrist camera, in the flange frame. Pads: 16 x 8 x 16 mm, centred 93.4 mm from
-// the hand's origin; the tool site lies between them at 97 mm.
+// Hand, fingers, tool site and wrist camera, in the flange frame. Pads: 16 x 8 x 16 mm,
+// centred 93.4 mm from the hand's origin; the tool site lies between them at 97 mm.
 constexpr char kHandXml[] = R"(
 <body name="robot0_right_hand" pos="0 0 0.1065" quat="0.924 0 0 -0.383">
   <inertial pos="0 0 0" mass="0.5" diaginertia="0.05 0.05 0.05"/>
@@ -94,8 +96,9 @@ std::string FingerXml(int side) {
               pos="0 %g -0.015" friction="2 0.05 0.0001" condim="4" solref="0.01 0.5"/>
       </body>
     </body>)",
-      side > 0 ? "left" : "right", index, side > 0 ? 0.0 : -0.04, side > 0 ? 0.04 : 0.0, side * 0.008,
-      side * 0.0055, index, side * 0.0085, index, side * 0.0085, index, side * -0.005);
+      side > 0 ? "left" : "right", index, side > 0 ? 0.0 : -0.04, side > 0 ? 0.04 : 0.0,
+      side * 0.008, side * 0.0055, index, side * 0.0085, index, side * 0.0085, index,
+      side * -0.005);
 }
 
 std::string ArmXml() {
@@ -105,27 +108,31 @@ std::string ArmXml() {
     absl::StrAppendFormat(&open,
                           "<body name=\"robot0_link%d\" pos=\"%s\" quat=\"%s\">\n"
                           "<inertial pos=\"%s\" mass=\"%g\" diaginertia=\"%g %g %g\"/>\n",
-                          i, link.pos, link.quat, link.com, link.mass, link.inertia, link.inertia, link.inertia);
+                          i, link.pos, link.quat, link.com, link.mass, link.inertia, link.inertia,
+                          link.inertia);
     if (i > 0) {
-      absl::StrAppendFormat(&open,
-                            "<joint name=\"robot0_joint%d\" type=\"hinge\" axis=\"0 0 1\" limited=\"true\" "
-                            "range=\"%.17g %.17g\" damping=\"%.17g\" armature=\"%.17g\" frictionloss=\"0.1\"/>\n",
-                            i, link.low, link.high, link.damping, link.armature);
+      absl::StrAppendFormat(
+          &open,
+          "<joint name=\"robot0_joint%d\" type=\"hinge\" axis=\"0 0 1\" limited=\"true\" "
+          "range=\"%.17g %.17g\" damping=\"%.17g\" armature=\"%.17g\" frictionloss=\"0.1\"/>\n",
+          i, link.low, link.high, link.damping, link.armature);
     }
     absl::StrAppend(&open, link.shape_xml, "\n");
     absl::StrAppend(&close, "</body>");
   }
-  return absl::StrCat(open, absl::StrFormat(kHandXml, absl::StrCat(FingerXml(1), FingerXml(-1))), close);
+  return absl::StrCat(open, absl::StrFormat(kHandXml, absl::StrCat(FingerXml(1), FingerXml(-1))),
+                      close);
 }
 
 std::string ActuatorXml() {
   std::string xml;
   for (size_t i = 1; i < kLinks.size(); ++i) {
     const double limit = kLinks[i].torque_limit;
-    absl::StrAppendFormat(&xml,
-                          "<motor name=\"robot0_torq_j%d\" joint=\"robot0_joint%d\" ctrllimited=\"true\" "
-                          "ctrlrange=\"%g %g\"/>\n",
-                          i, i, -limit, limit);
+    absl::StrAppendFormat(
+        &xml,
+        "<motor name=\"robot0_torq_j%d\" joint=\"robot0_joint%d\" ctrllimited=\"true\" "
+        "ctrlrange=\"%g %g\"/>\n",
+        i, i, -limit, limit);
   }
   absl::StrAppend(&xml, R"(
 <position name="gripper0_gripper_finger_joint1" joint="gripper0_finger_joint1" kp="1000" ctrllimited="true"
@@ -176,9 +183,10 @@ constexpr char kSceneFormat[] = R"(<mujoco model="%s">
 
 std::string ComposePandaScene(const PandaScene& scene) {
   const Eigen::Vector3d& p = scene.base_position;
-  return absl::StrFormat(kSceneFormat, scene.name, scene.elliptic_cone ? "elliptic" : "pyramidal", scene.impratio,
-                         scene.iterations, scene.tolerance, scene.density, scene.viscosity, scene.max_contacts,
-                         scene.max_constraints, scene.assets_xml, scene.defaults_xml, p.x(), p.y(), p.z(), ArmXml(),
+  return absl::StrFormat(kSceneFormat, scene.name, scene.elliptic_cone ? "elliptic" : "pyramidal",
+                         scene.impratio, scene.iterations, scene.tolerance, scene.density,
+                         scene.viscosity, scene.max_contacts, scene.max_constraints,
+                         scene.assets_xml, scene.defaults_xml, p.x(), p.y(), p.z(), ArmXml(),
                          scene.world_xml, scene.contact_xml, ActuatorXml());
 }
 

@@ -1,12 +1,11 @@
 #include "sim_worker/panda_sim.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cstring>
 #include <mutex>
 #include <utility>
 #include <vector>
-
-#include <Eigen/Cholesky>
 
 #include "absl/strings/str_format.h"
 #include "common/check.h"
@@ -19,8 +18,8 @@ namespace robostress {
 namespace {
 
 constexpr int kSubSteps = 25;
-constexpr double kControlPeriod = 0.05;       // [s]
-constexpr double kGripperPerSubStep = 0.01;   // of the half stroke
+constexpr double kControlPeriod = 0.05;      // [s]
+constexpr double kGripperPerSubStep = 0.01;  // of the half stroke
 
 // MuJoCo's default writes MUJOCO_LOG.TXT into the working directory. What matters is counted in
 // mjData::warning, which Step turns into a status.
@@ -35,10 +34,12 @@ using DataPtr = std::unique_ptr<mjData, DataDeleter>;
 absl::Status CheckWarnings(const mjData& data) {
   for (const mjtWarning kind : {mjWARN_BADQPOS, mjWARN_BADQVEL, mjWARN_BADQACC}) {
     if (data.warning[kind].number > 0) {
-      return absl::InternalError(absl::StrFormat(
-          "the simulation diverged (%s) at t = %.3f s, degree of freedom %d; severities or the stepping options are "
-          "beyond what 2 ms sub-steps integrate",
-          mju_warningText(kind, data.warning[kind].lastinfo), data.time, data.warning[kind].lastinfo));
+      return absl::InternalError(
+          absl::StrFormat("the simulation diverged (%s) at t = %.3f s, degree of freedom %d; "
+                          "severities or the stepping options are "
+                          "beyond what 2 ms sub-steps integrate",
+                          mju_warningText(kind, data.warning[kind].lastinfo), data.time,
+                          data.warning[kind].lastinfo));
     }
   }
   for (const mjtWarning kind : {mjWARN_CONTACTFULL, mjWARN_CNSTRFULL}) {
@@ -60,21 +61,24 @@ absl::StatusOr<SharedModel> CompileModel(const std::string& source, const std::s
   const auto vfs = std::make_unique<mjVFS>();
   mj_defaultVFS(vfs.get());
   if (mj_makeEmptyFileVFS(vfs.get(), kFile, static_cast<int>(mjcf.size())) != 0) {
-    return absl::InternalError(absl::StrFormat("%s: no memory for %d bytes of MJCF", source, mjcf.size()));
+    return absl::InternalError(
+        absl::StrFormat("%s: no memory for %d bytes of MJCF", source, mjcf.size()));
   }
   std::memcpy(vfs->filedata[mj_findFileVFS(vfs.get(), kFile)], mjcf.data(), mjcf.size());
   char error[1000] = "";
   mjModel* model = mj_loadXML(kFile, vfs.get(), error, sizeof(error));
   mj_deleteVFS(vfs.get());
   if (model == nullptr) {
-    return absl::InvalidArgumentError(absl::StrFormat("%s: MJCF does not compile: %s", source, error));
+    return absl::InvalidArgumentError(
+        absl::StrFormat("%s: MJCF does not compile: %s", source, error));
   }
   return SharedModel(model, [](const mjModel* m) { mj_deleteModel(const_cast<mjModel*>(m)); });
 }
 
 // The state of an episode beside mjData: everything that a continuation depends on.
 struct EpisodeState {
-  EpisodeState(const SimOptions& options) : controller(options.goal_reference), errors(options.joint_errors) {}
+  EpisodeState(const SimOptions& options)
+      : controller(options.goal_reference), errors(options.joint_errors) {}
 
   OscController controller;
   JointErrorStack errors;
@@ -92,10 +96,15 @@ struct PandaSim::Snapshot {
 
 struct PandaSim::Impl {
   Impl(SharedModel shared, const SimOptions& o, const PandaModel& p)
-      : model(std::move(shared)), data(mj_makeData(model.get())), options(o), panda(p), episode(o) {}
+      : model(std::move(shared)),
+        data(mj_makeData(model.get())),
+        options(o),
+        panda(p),
+        episode(o) {}
 
   void SubStep();
-  absl::Status ControlStep(const Eigen::Matrix<double, 6, 1>& delta, double gripper, int progress_steps);
+  absl::Status ControlStep(const Eigen::Matrix<double, 6, 1>& delta, double gripper,
+                           int progress_steps);
   Vector7d Saturated(const Vector7d& torque) const;
   Vector7d PerturbedTorque(const Vector7d& controller_torque);
   void DriveGripper(double direction);
@@ -127,14 +136,15 @@ Vector7d PandaSim::Impl::PerturbedTorque(const Vector7d& controller_torque) {
   if (!scenario.friction_on || options.joint_errors.friction_law != FrictionLaw::kStick) {
     return errors.PerturbTorque(controller_torque, dq, gravity, panda.torque_limit);
   }
-  // Stick: dry friction that would bring the joints to rest within this sub-step, given all other torques; those
-  // of contacts and joint limits are the previous sub-step's.
+  // Stick: dry friction that would bring the joints to rest within this sub-step, given all other
+  // torques; those of contacts and joint limits are the previous sub-step's.
   const Vector7d torque = errors.TorqueWithoutDryFriction(controller_torque, dq, gravity);
   const Vector7d applied = Saturated(torque);
   Vector7d net;
   for (int i = 0; i < 7; ++i) {
     const int dof = panda.dof[i];
-    net[i] = applied[i] + data->qfrc_passive[dof] - data->qfrc_bias[dof] + data->qfrc_constraint[dof];
+    net[i] =
+        applied[i] + data->qfrc_passive[dof] - data->qfrc_bias[dof] + data->qfrc_constraint[dof];
   }
   const double h = model->opt.timestep;
   const Eigen::LLT<Matrix7d> M(episode.arm.M);
@@ -156,7 +166,8 @@ void PandaSim::Impl::DriveGripper(double direction) {
 void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
   const bool moved = episode.errors.position_stage();
   if (moved && options.joint_errors.offset_mode == OffsetMode::kVelocity) {
-    // The offset travels as a velocity of one sub-step, seen by contacts, damping and Coriolis terms.
+    // The offset travels as a velocity of one sub-step, seen by contacts, damping and Coriolis
+    // terms.
     const Vector7d velocity = offset_change / model->opt.timestep;
     for (int i = 0; i < 7; ++i) data->qvel[panda.dof[i]] += velocity[i];
     if (options.stepping == Stepping::kReference) {
@@ -216,8 +227,10 @@ int PandaSim::Impl::FreeBodyTouching(int contact_index, int pad) const {
   const mjContact& contact = data->contact[contact_index];
   const int geom = panda.finger_pad[pad];
   if (contact.geom1 != geom && contact.geom2 != geom) return -1;
-  const int root = model->body_rootid[model->geom_bodyid[contact.geom1 == geom ? contact.geom2 : contact.geom1]];
-  const bool free = model->body_jntnum[root] > 0 && model->jnt_type[model->body_jntadr[root]] == mjJNT_FREE;
+  const int root =
+      model->body_rootid[model->geom_bodyid[contact.geom1 == geom ? contact.geom2 : contact.geom1]];
+  const bool free =
+      model->body_jntnum[root] > 0 && model->jnt_type[model->body_jntadr[root]] == mjJNT_FREE;
   return free ? root : -1;
 }
 
@@ -232,11 +245,13 @@ int PandaSim::Impl::HeldBody() const {
   return -1;
 }
 
-absl::StatusOr<std::unique_ptr<PandaSim>> PandaSim::Create(SharedModel model, const SimOptions& options) {
+absl::StatusOr<std::unique_ptr<PandaSim>> PandaSim::Create(SharedModel model,
+                                                           const SimOptions& options) {
   RS_CHECK(model != nullptr);
   RS_ASSIGN_OR_RETURN(const PandaModel panda, PandaModel::Find(*model));
   auto impl = std::make_unique<Impl>(std::move(model), options, panda);
-  if (impl->data == nullptr) return absl::ResourceExhaustedError("no memory for mjData; lower njmax of the scene");
+  if (impl->data == nullptr)
+    return absl::ResourceExhaustedError("no memory for mjData; lower njmax of the scene");
   std::unique_ptr<PandaSim> sim(new PandaSim(std::move(impl)));
   const mjModel& m = sim->model();
   RS_RETURN_IF_ERROR(sim->Reset(absl::MakeConstSpan(m.qpos0, m.nq), Vector7d::Zero()));
@@ -250,21 +265,22 @@ void PandaSim::SetScenario(const Scenario& scenario, int horizon) {
   impl_->episode.errors.SetScenario(scenario, horizon);
 }
 
-absl::Status PandaSim::Reset(absl::Span<const double> qpos, const Eigen::Matrix<double, 7, 1>& home) {
+absl::Status PandaSim::Reset(absl::Span<const double> qpos,
+                             const Eigen::Matrix<double, 7, 1>& home) {
   Impl& s = *impl_;
   const mjModel* m = s.model.get();
   mjData* d = s.data.get();
   if (static_cast<int>(qpos.size()) != m->nq) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("an initial state has %d positions, the model %d; it belongs to another scene", qpos.size(),
-                        m->nq));
+    return absl::InvalidArgumentError(absl::StrFormat(
+        "an initial state has %d positions, the model %d; it belongs to another scene", qpos.size(),
+        m->nq));
   }
   EpisodeState& e = s.episode;
   mj_resetData(m, d);
   std::copy(qpos.begin(), qpos.end(), d->qpos);
-  // robosuite's controller starts from the home posture: its first goal is the pose there, the goal of the
-  // orientation stays there until a command rotates, and the first sub-step still acts on the pose, Jacobian and
-  // masses of home (facts of LIBERO's reset, sim_worker/README.md).
+  // robosuite's controller starts from the home posture: its first goal is the pose there, the goal
+  // of the orientation stays there until a command rotates, and the first sub-step still acts on
+  // the pose, Jacobian and masses of home (facts of LIBERO's reset, sim_worker/README.md).
   for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = home[i];
   mj_step1(m, d);
   ReadArm(*m, *d, s.panda, e.arm);
@@ -290,12 +306,13 @@ absl::Status PandaSim::Settle(int steps) {
 
 absl::Status PandaSim::Step(const Eigen::VectorXf& command) {
   if (command.size() != 7 || !command.allFinite()) {
-    return absl::InvalidArgumentError(absl::StrFormat(
-        "a command has %d values%s; it must have 7 finite ones", command.size(),
-        command.allFinite() ? "" : ", not all finite"));
+    return absl::InvalidArgumentError(
+        absl::StrFormat("a command has %d values%s; it must have 7 finite ones", command.size(),
+                        command.allFinite() ? "" : ", not all finite"));
   }
   Impl& s = *impl_;
-  const Eigen::Matrix<double, 6, 1> delta = command.head<6>().cast<double>().cwiseMax(-1).cwiseMin(1);
+  const Eigen::Matrix<double, 6, 1> delta =
+      command.head<6>().cast<double>().cwiseMax(-1).cwiseMin(1);
   const double gripper = (command[6] > 0) - (command[6] < 0);
   RS_RETURN_IF_ERROR(s.ControlStep(delta, gripper, s.episode.steps));
   ++s.episode.steps;
@@ -314,7 +331,8 @@ RobotState PandaSim::Measure() const {
     state.dq[i] = d.qvel[s.panda.dof[i]];
   }
   using Map3 = Eigen::Map<const Eigen::Vector3d>;
-  state.tool.p_base_tool = Map3(d.site_xpos + 3 * s.panda.grip_site) - Map3(d.xpos + 3 * s.panda.base_body);
+  state.tool.p_base_tool =
+      Map3(d.site_xpos + 3 * s.panda.grip_site) - Map3(d.xpos + 3 * s.panda.base_body);
   const double* q = d.xquat + 4 * s.panda.hand_body;
   state.tool.q_base_tool = Eigen::Quaterniond(q[0], q[1], q[2], q[3]);
   state.gripper = d.qpos[s.panda.finger_qpos[0]] - d.qpos[s.panda.finger_qpos[1]];

@@ -1,14 +1,14 @@
 #include "sim_worker/renderer.h"
 
+#include <EGL/egl.h>
+#include <EGL/eglext.h>
+
 #include <algorithm>
 #include <cstdlib>
 #include <mutex>
 #include <string>
 #include <utility>
 #include <vector>
-
-#include <EGL/egl.h>
-#include <EGL/eglext.h>
 
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
@@ -19,14 +19,16 @@
 namespace robostress {
 namespace {
 
-constexpr int kMaxGeoms = 4000;         // of one abstract scene; LIBERO's largest has 270
-constexpr int kShadowSize = 1024;       // [px]; 4096 costs two to seven times as much in software
-constexpr int kFirstWidth = 448, kFirstHeight = 448;  // [px] of the frame buffer before it has to grow
+constexpr int kMaxGeoms = 4000;    // of one abstract scene; LIBERO's largest has 270
+constexpr int kShadowSize = 1024;  // [px]; 4096 costs two to seven times as much in software
+constexpr int kFirstWidth = 448,
+              kFirstHeight = 448;  // [px] of the frame buffer before it has to grow
 
 absl::Status EglError(const char* call) {
-  return absl::UnavailableError(absl::StrFormat(
-      "%s failed with EGL error 0x%x; off-screen rendering needs an EGL driver (Debian: libegl1 libgl1-mesa-dri)", call,
-      eglGetError()));
+  return absl::UnavailableError(
+      absl::StrFormat("%s failed with EGL error 0x%x; off-screen rendering needs an EGL driver "
+                      "(Debian: libegl1 libgl1-mesa-dri)",
+                      call, eglGetError()));
 }
 
 // The process' display. It is initialised once and stays: EGL counts no users of a display.
@@ -34,18 +36,23 @@ absl::StatusOr<EGLDisplay> OpenDisplay() {
   static std::once_flag once;
   static EGLDisplay display = EGL_NO_DISPLAY;
   std::call_once(once, [] {
-    // Mesa's software rasteriser would start a thread per core in every worker; 0 renders in the caller.
+    // Mesa's software rasteriser would start a thread per core in every worker; 0 renders in the
+    // caller.
     setenv("LP_NUM_THREADS", "0", /*overwrite=*/0);
-    const auto get_display =
-        reinterpret_cast<PFNEGLGETPLATFORMDISPLAYEXTPROC>(eglGetProcAddress("eglGetPlatformDisplayEXT"));
+    const auto get_display = reinterpret_cast<PFNEGLGETPLATFORMDISPLAYEXTPROC>(
+        eglGetProcAddress("eglGetPlatformDisplayEXT"));
     if (get_display == nullptr) return;
     const auto try_display = [](EGLDisplay candidate) {
-      if (candidate != EGL_NO_DISPLAY && eglInitialize(candidate, nullptr, nullptr)) display = candidate;
+      if (candidate != EGL_NO_DISPLAY && eglInitialize(candidate, nullptr, nullptr))
+        display = candidate;
       return display != EGL_NO_DISPLAY;
     };
-    // Surfaceless Mesa first: the same pixels on every machine. A GPU's driver without Mesa is a device.
-    if (try_display(get_display(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr))) return;
-    const auto query_devices = reinterpret_cast<PFNEGLQUERYDEVICESEXTPROC>(eglGetProcAddress("eglQueryDevicesEXT"));
+    // Surfaceless Mesa first: the same pixels on every machine. A GPU's driver without Mesa is a
+    // device.
+    if (try_display(get_display(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr)))
+      return;
+    const auto query_devices =
+        reinterpret_cast<PFNEGLQUERYDEVICESEXTPROC>(eglGetProcAddress("eglQueryDevicesEXT"));
     EGLDeviceEXT devices[16];
     EGLint count = 0;
     if (query_devices == nullptr || !query_devices(16, devices, &count)) return;
@@ -59,11 +66,21 @@ absl::StatusOr<EGLDisplay> OpenDisplay() {
 
 absl::StatusOr<EGLContext> CreateContext(EGLDisplay display) {
   if (!eglBindAPI(EGL_OPENGL_API)) return EglError("eglBindAPI(OpenGL)");
-  constexpr EGLint kConfig[] = {EGL_SURFACE_TYPE, EGL_PBUFFER_BIT, EGL_RENDERABLE_TYPE, EGL_OPENGL_BIT, EGL_RED_SIZE, 8,
-                                EGL_GREEN_SIZE,   8,               EGL_BLUE_SIZE,       8,              EGL_NONE};
+  constexpr EGLint kConfig[] = {EGL_SURFACE_TYPE,
+                                EGL_PBUFFER_BIT,
+                                EGL_RENDERABLE_TYPE,
+                                EGL_OPENGL_BIT,
+                                EGL_RED_SIZE,
+                                8,
+                                EGL_GREEN_SIZE,
+                                8,
+                                EGL_BLUE_SIZE,
+                                8,
+                                EGL_NONE};
   EGLConfig config;
   EGLint count = 0;
-  if (!eglChooseConfig(display, kConfig, &config, 1, &count) || count < 1) return EglError("eglChooseConfig");
+  if (!eglChooseConfig(display, kConfig, &config, 1, &count) || count < 1)
+    return EglError("eglChooseConfig");
   const EGLContext context = eglCreateContext(display, config, EGL_NO_CONTEXT, nullptr);
   if (context == EGL_NO_CONTEXT) return EglError("eglCreateContext");
   return context;
@@ -85,16 +102,19 @@ struct Renderer::Impl {
 
   absl::Status MakeCurrent() const {
     if (eglGetCurrentContext() == context) return absl::OkStatus();
-    if (!eglBindAPI(EGL_OPENGL_API) || !eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, context)) {
+    if (!eglBindAPI(EGL_OPENGL_API) ||
+        !eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, context)) {
       return EglError("eglMakeCurrent");
     }
     return absl::OkStatus();
   }
 
-  // (Re)builds MuJoCo's OpenGL objects with a frame buffer of width x height [px]. The context must be current.
+  // (Re)builds MuJoCo's OpenGL objects with a frame buffer of width x height [px]. The context must
+  // be current.
   absl::Status MakeBuffers(int width, int height) {
-    // mjr_makeContext reads these sizes from the model, which is shared: it gets a copy of the struct alone.
-    // No multisampling: RenderOptions::supersample averages, and costs less in software.
+    // mjr_makeContext reads these sizes from the model, which is shared: it gets a copy of the
+    // struct alone. No multisampling: RenderOptions::supersample averages, and costs less in
+    // software.
     mjModel sized = *model;
     sized.vis.global.offwidth = width;
     sized.vis.global.offheight = height;
@@ -103,8 +123,8 @@ struct Renderer::Impl {
     mjr_makeContext(&sized, &render, mjFONTSCALE_50);  // frees what it held
     mjr_setBuffer(mjFB_OFFSCREEN, &render);
     if (render.currentBuffer != mjFB_OFFSCREEN) {
-      return absl::UnavailableError(
-          absl::StrFormat("the OpenGL driver offers no off-screen frame buffer of %d x %d pixels", width, height));
+      return absl::UnavailableError(absl::StrFormat(
+          "the OpenGL driver offers no off-screen frame buffer of %d x %d pixels", width, height));
     }
     return absl::OkStatus();
   }
@@ -139,24 +159,29 @@ absl::StatusOr<std::unique_ptr<Renderer>> Renderer::Create(SharedModel model) {
 Renderer::Renderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 Renderer::~Renderer() = default;
 
-absl::StatusOr<Image> Renderer::Render(const mjData& data, const std::string& camera, const RenderOptions& options) {
+absl::StatusOr<Image> Renderer::Render(const mjData& data, const std::string& camera,
+                                       const RenderOptions& options) {
   Impl& r = *impl_;
   const int camera_id = mj_name2id(r.model.get(), mjOBJ_CAMERA, camera.c_str());
   if (camera_id < 0) {
     std::vector<std::string> known;
-    for (int i = 0; i < r.model->ncam; ++i) known.push_back(mj_id2name(r.model.get(), mjOBJ_CAMERA, i));
-    return absl::NotFoundError(
-        absl::StrFormat("the scene has no camera '%s'; it has: %s", camera, absl::StrJoin(known, ", ")));
+    for (int i = 0; i < r.model->ncam; ++i)
+      known.push_back(mj_id2name(r.model.get(), mjOBJ_CAMERA, i));
+    return absl::NotFoundError(absl::StrFormat("the scene has no camera '%s'; it has: %s", camera,
+                                               absl::StrJoin(known, ", ")));
   }
-  const int width = options.width * options.supersample, height = options.height * options.supersample;
-  if (options.width < 1 || options.height < 1 || options.supersample < 1 || width > 4096 || height > 4096) {
+  const int width = options.width * options.supersample,
+            height = options.height * options.supersample;
+  if (options.width < 1 || options.height < 1 || options.supersample < 1 || width > 4096 ||
+      height > 4096) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("an image of %d x %d pixels, supersampled %d times, is outside 1 .. 4096", options.width,
-                        options.height, options.supersample));
+        absl::StrFormat("an image of %d x %d pixels, supersampled %d times, is outside 1 .. 4096",
+                        options.width, options.height, options.supersample));
   }
   RS_RETURN_IF_ERROR(r.MakeCurrent());
   if (r.render.offWidth < width || r.render.offHeight < height) {
-    RS_RETURN_IF_ERROR(r.MakeBuffers(std::max(width, r.render.offWidth), std::max(height, r.render.offHeight)));
+    RS_RETURN_IF_ERROR(
+        r.MakeBuffers(std::max(width, r.render.offWidth), std::max(height, r.render.offHeight)));
   }
 
   mjvCamera view;
@@ -164,7 +189,8 @@ absl::StatusOr<Image> Renderer::Render(const mjData& data, const std::string& ca
   view.type = mjCAMERA_FIXED;
   view.fixedcamid = camera_id;
   // MuJoCo takes mutable data for its stack, which it leaves as it was.
-  mjv_updateScene(r.model.get(), const_cast<mjData*>(&data), &r.visual, nullptr, &view, mjCAT_ALL, &r.scene);
+  mjv_updateScene(r.model.get(), const_cast<mjData*>(&data), &r.visual, nullptr, &view, mjCAT_ALL,
+                  &r.scene);
   r.scene.flags[mjRND_SHADOW] = options.shadows;
   r.scene.flags[mjRND_REFLECTION] = 0;
   const mjrRect viewport = {0, 0, width, height};

@@ -1,9 +1,8 @@
 // robostress-scenarios: the table of scenarios with the parameters that they inject.
+#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <string>
 #include <vector>
-
-#include <CLI/CLI.hpp>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -45,15 +44,18 @@ Json FactorJson(const SeverityFactors& w) {
 }
 
 Json ParameterJson(const JointErrorParameters& p) {
-  return {{"Fc", p.Fc}, {"Fs", p.Fs},       {"vs", p.vs}, {"sigma_v", p.sigma_v}, {"B", p.B},
-          {"M_eff", p.M_eff}, {"D", p.D}, {"K", p.K},   {"beta", p.beta}};
+  return {{"Fc", p.Fc},       {"Fs", p.Fs}, {"vs", p.vs}, {"sigma_v", p.sigma_v}, {"B", p.B},
+          {"M_eff", p.M_eff}, {"D", p.D},   {"K", p.K},   {"beta", p.beta}};
 }
 
 Json ScenarioJson(const Scenario& scenario) {
-  Json json = {{"name", scenario.name}, {"title", scenario.title}, {"deployment", scenario.deployment},
+  Json json = {{"name", scenario.name},
+               {"title", scenario.title},
+               {"deployment", scenario.deployment},
                {"profile", ProfileName(scenario.profile)}};
   for (const Part& part : kParts) json["active"][part.name] = scenario.*part.on;
-  const std::vector<SeverityFactors> first = FactorsAt(scenario, 0, 0), last = FactorsAt(scenario, 1, 1);
+  const std::vector<SeverityFactors> first = FactorsAt(scenario, 0, 0),
+                                     last = FactorsAt(scenario, 1, 1);
   json["joints"] = Json::array();
   for (size_t j = 0; j < last.size(); ++j) {
     const JointErrorParameters& nominal = NominalPandaErrors()[j];
@@ -69,7 +71,8 @@ Json ScenarioJson(const Scenario& scenario) {
 // "x1.5->2 J1-J3", "nominal" or "off".
 std::string Cell(const Scenario& scenario, const Part& part) {
   if (!(scenario.*part.on)) return "off";
-  const std::vector<SeverityFactors> first = FactorsAt(scenario, 0, 0), last = FactorsAt(scenario, 1, 1);
+  const std::vector<SeverityFactors> first = FactorsAt(scenario, 0, 0),
+                                     last = FactorsAt(scenario, 1, 1);
   std::vector<std::string> joints;
   double from = 1, to = 1;
   for (size_t j = 0; j < last.size(); ++j) {
@@ -85,39 +88,50 @@ std::string Cell(const Scenario& scenario, const Part& part) {
 }
 
 void PrintTable(const std::vector<Scenario>& scenarios, int level) {
-  std::printf("Severity level %d of 5. Factors: friction scales Fc, Fs, sigma_v; gravity beta; backlash B; compliance "
-              "divides K and, as a root, D.\nA range runs over the episode (Thermal Drift) or over 0.1 s of a grasp "
-              "(Heavy Payload).\n\n",
-              level);
-  std::printf("%-24s %-12s %-12s %-12s %-14s %-18s %s\n", "scenario", "friction", "gravity", "backlash", "compliance",
-              "profile", "reported");
+  std::printf(
+      "Severity level %d of 5. Factors: friction scales Fc, Fs, sigma_v; gravity beta; backlash B; "
+      "compliance "
+      "divides K and, as a root, D.\nA range runs over the episode (Thermal Drift) or over 0.1 s "
+      "of a grasp "
+      "(Heavy Payload).\n\n",
+      level);
+  std::printf("%-24s %-12s %-12s %-12s %-14s %-18s %s\n", "scenario", "friction", "gravity",
+              "backlash", "compliance", "profile", "reported");
   for (const Scenario& s : scenarios) {
-    std::printf("%-24s %-12s %-12s %-12s %-14s %-18s %s\n", s.name.c_str(), Cell(s, kParts[0]).c_str(),
-                Cell(s, kParts[1]).c_str(), Cell(s, kParts[2]).c_str(), Cell(s, kParts[3]).c_str(),
-                ProfileName(s.profile), s.deployment ? "deployment" : s.name == "dev_mixed" ? "tuning only" : "");
+    std::printf("%-24s %-12s %-12s %-12s %-14s %-18s %s\n", s.name.c_str(),
+                Cell(s, kParts[0]).c_str(), Cell(s, kParts[1]).c_str(), Cell(s, kParts[2]).c_str(),
+                Cell(s, kParts[3]).c_str(), ProfileName(s.profile),
+                s.deployment            ? "deployment"
+                : s.name == "dev_mixed" ? "tuning only"
+                                        : "");
   }
 }
 
 void PrintParameters(const Scenario& scenario) {
   const std::vector<SeverityFactors> last = FactorsAt(scenario, 1, 1);
-  std::printf("\n%s: parameters at full severity of the episode (* component off)\n", scenario.name.c_str());
+  std::printf("\n%s: parameters at full severity of the episode (* component off)\n",
+              scenario.name.c_str());
   const auto mark = [](bool on) { return on ? ' ' : '*'; };
-  std::printf("joint   Fc%c     Fs%c     vs%c   sigma_v%c  beta%c      B%c    M_eff%c      D%c       K%c\n",
-              mark(scenario.friction_on), mark(scenario.friction_on), mark(scenario.friction_on),
-              mark(scenario.friction_on), mark(scenario.gravity_on), mark(scenario.backlash_on),
-              mark(scenario.compliance_on), mark(scenario.compliance_on), mark(scenario.compliance_on));
-  std::printf("        [Nm]    [Nm]  [rad/s] [Nms/rad]  [1]     [rad]  [kg m^2] [Nms/rad] [Nm/rad]\n");
+  std::printf(
+      "joint   Fc%c     Fs%c     vs%c   sigma_v%c  beta%c      B%c    M_eff%c      D%c       K%c\n",
+      mark(scenario.friction_on), mark(scenario.friction_on), mark(scenario.friction_on),
+      mark(scenario.friction_on), mark(scenario.gravity_on), mark(scenario.backlash_on),
+      mark(scenario.compliance_on), mark(scenario.compliance_on), mark(scenario.compliance_on));
+  std::printf(
+      "        [Nm]    [Nm]  [rad/s] [Nms/rad]  [1]     [rad]  [kg m^2] [Nms/rad] [Nm/rad]\n");
   for (size_t j = 0; j < last.size(); ++j) {
     const JointErrorParameters p = Scale(NominalPandaErrors()[j], last[j]);
-    std::printf("J%zu    %6.3f  %6.3f   %5.2f    %6.3f   %5.2f  %8.5f    %5.2f  %7.2f  %7.1f\n", j + 1, p.Fc, p.Fs, p.vs,
-                p.sigma_v, p.beta, p.B, p.M_eff, p.D, p.K);
+    std::printf("J%zu    %6.3f  %6.3f   %5.2f    %6.3f   %5.2f  %8.5f    %5.2f  %7.2f  %7.1f\n",
+                j + 1, p.Fc, p.Fs, p.vs, p.sigma_v, p.beta, p.B, p.M_eff, p.D, p.K);
   }
 }
 
 int Main(int argc, char** argv) {
-  CLI::App app("Prints the deployment scenarios and the joint error parameters that they inject.\n"
-               "Examples:\n  robostress scenarios\n  robostress scenarios --level 3 --parameters aged_joint_elbow\n"
-               "  robostress scenarios --json");
+  CLI::App app(
+      "Prints the deployment scenarios and the joint error parameters that they inject.\n"
+      "Examples:\n  robostress scenarios\n  robostress scenarios --level 3 --parameters "
+      "aged_joint_elbow\n"
+      "  robostress scenarios --json");
   int level = 5;
   std::string parameters;
   bool json = false;
@@ -130,7 +144,8 @@ int Main(int argc, char** argv) {
   for (const std::string& name : ScenarioNames()) {
     absl::StatusOr<Scenario> scenario = MakeScenario(name, level);
     if (!scenario.ok()) {
-      std::fprintf(stderr, "robostress-scenarios: %s\n", std::string(scenario.status().message()).c_str());
+      std::fprintf(stderr, "robostress-scenarios: %s\n",
+                   std::string(scenario.status().message()).c_str());
       return 2;
     }
     scenarios.push_back(*std::move(scenario));
@@ -138,7 +153,8 @@ int Main(int argc, char** argv) {
   if (!parameters.empty()) {
     const absl::StatusOr<Scenario> chosen = MakeScenario(parameters, level);
     if (!chosen.ok()) {
-      std::fprintf(stderr, "robostress-scenarios: %s\n", std::string(chosen.status().message()).c_str());
+      std::fprintf(stderr, "robostress-scenarios: %s\n",
+                   std::string(chosen.status().message()).c_str());
       return 2;
     }
   }

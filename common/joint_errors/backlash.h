@@ -4,10 +4,10 @@
 
 namespace robostress {
 
-// Position stage: the Tao-Kokotovic deadband (paper, Eq. backlash). The link angle q_l follows the motor angle
-// q_m only when it pushes against a side of the gap of half-width B [rad]:
-//   q_l(t) = q_m - B  if q_m - q_l(t-1) > B;   q_m + B  if q_m - q_l(t-1) < -B;   q_l(t-1) otherwise,
-//   eta_back = q_l(t) - q_m(t),  |eta_back| <= B.
+// Position stage: the Tao-Kokotovic deadband (paper, Eq. backlash). The link angle q_l follows the
+// motor angle q_m only when it pushes against a side of the gap of half-width B [rad]:
+//   q_l(t) = q_m - B  if q_m - q_l(t-1) > B;   q_m + B  if q_m - q_l(t-1) < -B;   q_l(t-1)
+//   otherwise, eta_back = q_l(t) - q_m(t),  |eta_back| <= B.
 // q_m is the joint coordinate minus the offset that it carries, not the joint coordinate.
 class Backlash {
  public:

@@ -10,14 +10,15 @@ double StribeckMagnitude(const JointErrorParameters& p, double dq) {
   return p.Fc + (p.Fs - p.Fc) * std::exp(-ratio * ratio);
 }
 
-double StribeckTorque(const JointErrorParameters& p, double dq, FrictionLaw law, double tanh_width) {
+double StribeckTorque(const JointErrorParameters& p, double dq, FrictionLaw law,
+                      double tanh_width) {
   const double direction = law == FrictionLaw::kTanh ? std::tanh(dq / tanh_width)
                                                      : static_cast<double>((dq > 0) - (dq < 0));
   return -direction * StribeckMagnitude(p, dq) - p.sigma_v * dq;
 }
 
-void StickTorques(absl::Span<const double> v_free, absl::Span<const double> A, absl::Span<const double> limit,
-                  absl::Span<double> f) {
+void StickTorques(absl::Span<const double> v_free, absl::Span<const double> A,
+                  absl::Span<const double> limit, absl::Span<double> f) {
   const size_t n = v_free.size();
   std::fill(f.begin(), f.end(), 0.0);
   for (int sweep = 0; sweep < kStickSweeps; ++sweep) {

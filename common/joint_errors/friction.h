@@ -6,9 +6,11 @@
 
 // Torque stage: Stribeck friction (paper, Eq. stribeck),
 //   eta_fric = -s(dq) [Fc + (Fs - Fc) exp(-(dq / vs)^2)] - sigma_v dq,
-// with dq the joint velocity [rad/s], Fc and Fs the kinetic and static friction torque [Nm], vs the Stribeck
-// velocity [rad/s], sigma_v the viscous coefficient [Nm s/rad]. The law is the choice of s:
-//   sgn    s = sgn(dq), the paper's. In discrete time a joint near rest chatters, and so creeps where a real
+// with dq the joint velocity [rad/s], Fc and Fs the kinetic and static friction torque [Nm], vs the
+// Stribeck velocity [rad/s], sigma_v the viscous coefficient [Nm s/rad]. The law is the choice of
+// s:
+//   sgn    s = sgn(dq), the paper's. In discrete time a joint near rest chatters, and so creeps
+//   where a real
 //          one would hold.
 //   tanh   s = tanh(dq / width): smooth, no chatter, creeps viscously near zero.
 //   stick  set-valued: s dq = |dq|, and |s| <= 1 where the velocity after the sub-step is zero.
@@ -20,12 +22,13 @@ double StribeckMagnitude(const JointErrorParameters& p, double dq);
 // Laws sgn and tanh for one joint [Nm].
 double StribeckTorque(const JointErrorParameters& p, double dq, FrictionLaw law, double tanh_width);
 
-// Law stick: the dry torques f [Nm], |f_j| <= limit_j, that bring the velocities after the sub-step to rest where
-// they can: v = v_free + A f, with f_j = -limit_j sgn(v_j) where v_j stays non-zero. v_free [n]: velocity after
-// the sub-step without dry friction [rad/s]; A [n x n, row-major, symmetric positive definite]: velocity per
-// torque, h M^-1. Projected Gauss-Seidel from zero, at most kStickSweeps sweeps. Allocates nothing.
+// Law stick: the dry torques f [Nm], |f_j| <= limit_j, that bring the velocities after the sub-step
+// to rest where they can: v = v_free + A f, with f_j = -limit_j sgn(v_j) where v_j stays non-zero.
+// v_free [n]: velocity after the sub-step without dry friction [rad/s]; A [n x n, row-major,
+// symmetric positive definite]: velocity per torque, h M^-1. Projected Gauss-Seidel from zero, at
+// most kStickSweeps sweeps. Allocates nothing.
 inline constexpr int kStickSweeps = 50;
-void StickTorques(absl::Span<const double> v_free, absl::Span<const double> A, absl::Span<const double> limit,
-                  absl::Span<double> f);
+void StickTorques(absl::Span<const double> v_free, absl::Span<const double> A,
+                  absl::Span<const double> limit, absl::Span<double> f);
 
 }  // namespace robostress

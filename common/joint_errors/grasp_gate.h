@@ -4,13 +4,14 @@
 
 namespace robostress {
 
-// Gate of Heavy Payload (paper, sec:supp_composite): opens when an object is held, linearly over kRampIn, and
-// closes at once when the object has been let go for kReleaseSteps control steps. A grasp regained before that
-// leaves it as it is, so a flickering contact does not fire the ramp again.
+// Gate of Heavy Payload (paper, sec:supp_composite): opens when an object is held, linearly over
+// kRampIn, and closes at once when the object has been let go for kReleaseSteps control steps. A
+// grasp regained before that leaves it as it is, so a flickering contact does not fire the ramp
+// again.
 class GraspGate {
  public:
-  static constexpr double kRampIn = 0.1;     // [s]
-  static constexpr int kReleaseSteps = 3;    // control steps
+  static constexpr double kRampIn = 0.1;   // [s]
+  static constexpr int kReleaseSteps = 3;  // control steps
 
   void Reset() { *this = GraspGate(); }
   // At the start of a control step, with what the grasp check says there.
@@ -31,9 +32,9 @@ class GraspGate {
   bool closed() const { return closed_; }
 
  private:
-  bool closed_ = false;         // the payload is on
+  bool closed_ = false;  // the payload is on
   int steps_since_held_ = 0;
-  double elapsed_ = 0;          // [s] since it closed, at most kRampIn
+  double elapsed_ = 0;  // [s] since it closed, at most kRampIn
 };
 
 }  // namespace robostress

@@ -15,8 +15,8 @@ JointErrorStack::JointErrorStack(const JointErrorOptions& options) : options_(op
 }
 
 void JointErrorStack::SetScenario(const Scenario& scenario, int horizon) {
-  RS_CHECK(!scenario.start.empty() || !(scenario.friction_on || scenario.gravity_on || scenario.backlash_on ||
-                                        scenario.compliance_on));
+  RS_CHECK(!scenario.start.empty() || !(scenario.friction_on || scenario.gravity_on ||
+                                        scenario.backlash_on || scenario.compliance_on));
   RS_CHECK(horizon >= 1);
   scenario_ = scenario;
   horizon_ = horizon;
@@ -50,23 +50,27 @@ void JointErrorStack::BeginSubStep(double h) {
 void JointErrorStack::Rescale(double progress, double grasp) {
   const std::vector<JointErrorParameters>& nominal = NominalPandaErrors();
   for (int j = 0; j < kJoints; ++j) {
-    factors_[j] = scenario_.start.empty() ? SeverityFactors() : FactorOfJoint(scenario_, j, progress, grasp);
+    factors_[j] =
+        scenario_.start.empty() ? SeverityFactors() : FactorOfJoint(scenario_, j, progress, grasp);
     parameters_[j] = Scale(nominal[j], factors_[j]);
   }
 }
 
-JointErrorStack::Vector JointErrorStack::TorqueWithoutDryFriction(const Vector& controller, const Vector& dq,
+JointErrorStack::Vector JointErrorStack::TorqueWithoutDryFriction(const Vector& controller,
+                                                                  const Vector& dq,
                                                                   const Vector& gravity) const {
   Vector torque = controller;
   for (int j = 0; j < kJoints; ++j) {
     if (scenario_.friction_on) torque[j] -= parameters_[j].sigma_v * dq[j];
-    if (scenario_.gravity_on) torque[j] += GravityResidual(parameters_[j], gravity[j], options_.gravity_sign);
+    if (scenario_.gravity_on)
+      torque[j] += GravityResidual(parameters_[j], gravity[j], options_.gravity_sign);
   }
   return torque;
 }
 
 JointErrorStack::Vector JointErrorStack::AddStickFriction(const Vector& torque, const Vector& dq,
-                                                          const Vector& v_free, const Matrix& velocity_per_torque,
+                                                          const Vector& v_free,
+                                                          const Matrix& velocity_per_torque,
                                                           const Vector& limit) const {
   Vector magnitude, friction;
   for (int j = 0; j < kJoints; ++j) magnitude[j] = StribeckMagnitude(parameters_[j], dq[j]);
@@ -76,18 +80,22 @@ JointErrorStack::Vector JointErrorStack::AddStickFriction(const Vector& torque, 
 }
 
 JointErrorStack::Vector JointErrorStack::PerturbTorque(const Vector& controller, const Vector& dq,
-                                                       const Vector& gravity, const Vector& limit) const {
+                                                       const Vector& gravity,
+                                                       const Vector& limit) const {
   Vector torque = controller;
   for (int j = 0; j < kJoints; ++j) {
     if (scenario_.friction_on) {
-      torque[j] += StribeckTorque(parameters_[j], dq[j], options_.friction_law, options_.tanh_width);
+      torque[j] +=
+          StribeckTorque(parameters_[j], dq[j], options_.friction_law, options_.tanh_width);
     }
-    if (scenario_.gravity_on) torque[j] += GravityResidual(parameters_[j], gravity[j], options_.gravity_sign);
+    if (scenario_.gravity_on)
+      torque[j] += GravityResidual(parameters_[j], gravity[j], options_.gravity_sign);
   }
   return torque.cwiseMax(-limit).cwiseMin(limit);
 }
 
-JointErrorStack::Vector JointErrorStack::OffsetChange(const Vector& q_joint, const Vector& tau_load) {
+JointErrorStack::Vector JointErrorStack::OffsetChange(const Vector& q_joint,
+                                                      const Vector& tau_load) {
   Vector next = Vector::Zero();
   for (int j = 0; j < kJoints; ++j) {
     const double q_motor = q_joint[j] - offset_[j];

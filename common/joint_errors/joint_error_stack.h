@@ -1,8 +1,7 @@
 #pragma once
 
-#include <array>
-
 #include <Eigen/Core>
+#include <array>
 
 #include "common/joint_errors/backlash.h"
 #include "common/joint_errors/compliance.h"
@@ -12,14 +11,15 @@
 
 namespace robostress {
 
-// The four joint errors of a seven-joint arm under one scenario, in the order of the paper (sec:supp_injection).
-// Per physics sub-step:
+// The four joint errors of a seven-joint arm under one scenario, in the order of the paper
+// (sec:supp_injection). Per physics sub-step:
 //   BeginSubStep(h)                       severity factors of this moment
 //   tau_load = PerturbTorque(...)         friction and gravity residual added, the sum saturated
 //   change   = OffsetChange(q, tau_load)  backlash from the motor angle, compliance from tau_load
-// and `change` is added to the joint coordinates before the integration. Compliance is driven by tau_load after
-// saturation: that is what "is applied to the actuator" (paper, sec:hybrid), so a deflection never exceeds the
-// motor's limit over the stiffness in steady state. Holds no MuJoCo type; allocates only in SetScenario.
+// and `change` is added to the joint coordinates before the integration. Compliance is driven by
+// tau_load after saturation: that is what "is applied to the actuator" (paper, sec:hybrid), so a
+// deflection never exceeds the motor's limit over the stiffness in steady state. Holds no MuJoCo
+// type; allocates only in SetScenario.
 class JointErrorStack {
  public:
   static constexpr int kJoints = 7;
@@ -31,20 +31,23 @@ class JointErrorStack {
   // From the next Reset on. horizon [control steps]: over which a ramp runs.
   void SetScenario(const Scenario& scenario, int horizon);
   // Hidden states start anew: link at the motor, gate open, progress 0, deflection zero or, under
-  // offset_start: equilibrium, static under holding_torque. q [rad] is the joint coordinate, and is taken to
-  // carry that deflection already.
+  // offset_start: equilibrium, static under holding_torque. q [rad] is the joint coordinate, and is
+  // taken to carry that deflection already.
   void Reset(const Vector& q, const Vector& holding_torque);
 
-  // steps_done: control steps of the episode before this one (0 while settling); held: the grasp check.
+  // steps_done: control steps of the episode before this one (0 while settling); held: the grasp
+  // check.
   void BeginControlStep(int steps_done, bool held);
   void BeginSubStep(double h);
 
   // Torque stage. dq [rad/s]; gravity [Nm]: torque at zero velocity; limit [Nm]: of the motors.
-  Vector PerturbTorque(const Vector& controller, const Vector& dq, const Vector& gravity, const Vector& limit) const;
-  // The same under friction_law: stick, which needs the sub-step's free velocity: v_free [rad/s] is the one
-  // after the sub-step under `controller` and the residuals without dry friction, and velocity_per_torque
-  // is h M^-1. limit saturates the sum, dry friction included.
-  Vector TorqueWithoutDryFriction(const Vector& controller, const Vector& dq, const Vector& gravity) const;
+  Vector PerturbTorque(const Vector& controller, const Vector& dq, const Vector& gravity,
+                       const Vector& limit) const;
+  // The same under friction_law: stick, which needs the sub-step's free velocity: v_free [rad/s] is
+  // the one after the sub-step under `controller` and the residuals without dry friction, and
+  // velocity_per_torque is h M^-1. limit saturates the sum, dry friction included.
+  Vector TorqueWithoutDryFriction(const Vector& controller, const Vector& dq,
+                                  const Vector& gravity) const;
   Vector AddStickFriction(const Vector& torque, const Vector& dq, const Vector& v_free,
                           const Matrix& velocity_per_torque, const Vector& limit) const;
   // Position stage: change of the offset since the previous sub-step [rad].
@@ -66,7 +69,7 @@ class JointErrorStack {
   JointErrorOptions options_;
   Scenario scenario_;  // default: Clean, every component off
   int horizon_ = 1;
-  double h_ = 0;                 // [s]
+  double h_ = 0;  // [s]
   double progress_ = 0;
   GraspGate gate_;
   std::array<SeverityFactors, kJoints> factors_;

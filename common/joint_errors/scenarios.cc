@@ -14,8 +14,8 @@ namespace {
 constexpr int kJoints = 7;
 constexpr int kLevels = 5;
 
-// Nominal parameters (tab:base_params): Fc, Fs [Nm], vs [rad/s], sigma_v [Nm s/rad], B [rad], M_eff [kg m^2],
-// D [Nm s/rad], K [Nm/rad], beta [1].
+// Nominal parameters (tab:base_params): Fc, Fs [Nm], vs [rad/s], sigma_v [Nm s/rad], B [rad], M_eff
+// [kg m^2], D [Nm s/rad], K [Nm/rad], beta [1].
 constexpr std::array<JointErrorParameters, kJoints> kNominal = {{
     {2.175, 3.480, 0.15, 0.348, 0.00087, 0.70, 90.73, 6000, 0.05},
     {2.175, 3.480, 0.15, 0.348, 0.00087, 0.70, 90.73, 6000, 0.10},
@@ -37,37 +37,43 @@ constexpr unsigned kEveryJoint = 0x7F, kShoulder = 0x07, kElbow = 0x08;
 struct Row {
   const char* name;
   const char* title;
-  unsigned active;   // components that inject at all
-  unsigned raised;   // components above nominal, on `joints`
+  unsigned active;  // components that inject at all
+  unsigned raised;  // components above nominal, on `joints`
   unsigned joints;
   SeverityProfile profile;
-  bool deployment;   // one of the paper's seven
+  bool deployment;  // one of the paper's seven
 };
 
 // tab:scenarios and tab:composite; the isolated settings of tab:isolated.
 constexpr Row kRows[] = {
     {"clean", "Clean", kNone, kNone, 0, SeverityProfile::kFixed, false},
-    {"heavy_payload", "Heavy Payload", kAll, kGrav | kComp, kEveryJoint, SeverityProfile::kWhileGrasping, true},
-    {"thermal_drift_stribeck", "Thermal Drift-Stribeck", kAll, kFric, kEveryJoint, SeverityProfile::kRampOverEpisode,
-     true},
-    {"thermal_drift_backlash", "Thermal Drift-Backlash", kAll, kBack, kEveryJoint, SeverityProfile::kRampOverEpisode,
-     true},
-    {"aged_transmission", "Aged Transmission", kAll, kFric | kBack, kEveryJoint, SeverityProfile::kFixed, true},
-    {"aged_joint_uniform", "Aged Joint-Uniform", kAll, kFric | kBack | kComp, kEveryJoint, SeverityProfile::kFixed,
-     true},
-    {"aged_joint_shoulder", "Aged Joint-Shoulder", kAll, kFric | kBack | kComp, kShoulder, SeverityProfile::kFixed,
-     true},
-    {"aged_joint_elbow", "Aged Joint-Elbow", kAll, kFric | kBack | kComp, kElbow, SeverityProfile::kFixed, true},
+    {"heavy_payload", "Heavy Payload", kAll, kGrav | kComp, kEveryJoint,
+     SeverityProfile::kWhileGrasping, true},
+    {"thermal_drift_stribeck", "Thermal Drift-Stribeck", kAll, kFric, kEveryJoint,
+     SeverityProfile::kRampOverEpisode, true},
+    {"thermal_drift_backlash", "Thermal Drift-Backlash", kAll, kBack, kEveryJoint,
+     SeverityProfile::kRampOverEpisode, true},
+    {"aged_transmission", "Aged Transmission", kAll, kFric | kBack, kEveryJoint,
+     SeverityProfile::kFixed, true},
+    {"aged_joint_uniform", "Aged Joint-Uniform", kAll, kFric | kBack | kComp, kEveryJoint,
+     SeverityProfile::kFixed, true},
+    {"aged_joint_shoulder", "Aged Joint-Shoulder", kAll, kFric | kBack | kComp, kShoulder,
+     SeverityProfile::kFixed, true},
+    {"aged_joint_elbow", "Aged Joint-Elbow", kAll, kFric | kBack | kComp, kElbow,
+     SeverityProfile::kFixed, true},
     {"nominal", "Nominal", kAll, kNone, 0, SeverityProfile::kFixed, false},
-    {"isolated_stribeck", "Stribeck only", kFric, kFric, kEveryJoint, SeverityProfile::kFixed, false},
-    {"isolated_backlash", "Backlash only", kBack, kBack, kEveryJoint, SeverityProfile::kFixed, false},
-    {"isolated_compliance", "Compliance only", kComp, kComp, kEveryJoint, SeverityProfile::kFixed, false},
+    {"isolated_stribeck", "Stribeck only", kFric, kFric, kEveryJoint, SeverityProfile::kFixed,
+     false},
+    {"isolated_backlash", "Backlash only", kBack, kBack, kEveryJoint, SeverityProfile::kFixed,
+     false},
+    {"isolated_compliance", "Compliance only", kComp, kComp, kEveryJoint, SeverityProfile::kFixed,
+     false},
     {"isolated_gravity", "Gravity only", kGrav, kGrav, kEveryJoint, SeverityProfile::kFixed, false},
     {"dev_mixed", "Dev Mixed", kAll, kNone, 0, SeverityProfile::kFixed, false},
 };
 
-// dev_mixed is ours and private to tuning, so that no choice is made on a scenario that is reported. It has one
-// severity, whatever the level.
+// dev_mixed is ours and private to tuning, so that no choice is made on a scenario that is
+// reported. It has one severity, whatever the level.
 constexpr double kDevFriction = 1.3, kDevBacklash = 8, kDevCompliance = 3;
 constexpr unsigned kDevComplianceJoints = 0x32;  // J2, J5, J6
 
@@ -83,7 +89,8 @@ SeverityFactors Raise(const Row& row, int joint, const SeverityFactors& w) {
 
 SeverityFactors Between(const SeverityFactors& a, const SeverityFactors& b, double t) {
   return {a.friction + t * (b.friction - a.friction), a.gravity + t * (b.gravity - a.gravity),
-          a.backlash + t * (b.backlash - a.backlash), a.compliance + t * (b.compliance - a.compliance)};
+          a.backlash + t * (b.backlash - a.backlash),
+          a.compliance + t * (b.compliance - a.compliance)};
 }
 
 }  // namespace
@@ -95,19 +102,22 @@ std::vector<std::string> ScenarioNames() {
 }
 
 const std::vector<JointErrorParameters>& NominalPandaErrors() {
-  static const auto& nominal = *new std::vector<JointErrorParameters>(kNominal.begin(), kNominal.end());
+  static const auto& nominal =
+      *new std::vector<JointErrorParameters>(kNominal.begin(), kNominal.end());
   return nominal;
 }
 
 absl::StatusOr<Scenario> MakeScenario(const std::string& name, int level) {
-  const Row* row = std::find_if(std::begin(kRows), std::end(kRows), [&](const Row& r) { return name == r.name; });
+  const Row* row = std::find_if(std::begin(kRows), std::end(kRows),
+                                [&](const Row& r) { return name == r.name; });
   if (row == std::end(kRows)) {
-    return absl::NotFoundError(
-        absl::StrFormat("unknown scenario '%s'; known: %s", name, absl::StrJoin(ScenarioNames(), ", ")));
+    return absl::NotFoundError(absl::StrFormat("unknown scenario '%s'; known: %s", name,
+                                               absl::StrJoin(ScenarioNames(), ", ")));
   }
   if (level < 1 || level > kLevels) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("severity level %d of scenario '%s' is outside 1 (mild) .. %d (full)", level, name, kLevels));
+        absl::StrFormat("severity level %d of scenario '%s' is outside 1 (mild) .. %d (full)",
+                        level, name, kLevels));
   }
   Scenario scenario;
   scenario.name = row->name;
@@ -129,7 +139,8 @@ absl::StatusOr<Scenario> MakeScenario(const std::string& name, int level) {
     }
     scenario.end.push_back(end);
     // A ramp's onset is the mild setting at every level.
-    scenario.start.push_back(row->profile == SeverityProfile::kRampOverEpisode ? Raise(*row, j, kMild) : end);
+    scenario.start.push_back(
+        row->profile == SeverityProfile::kRampOverEpisode ? Raise(*row, j, kMild) : end);
   }
   return scenario;
 }

@@ -1,4 +1,5 @@
-// What the error laws do at 2 ms sub-steps, as a Markdown table: the figures of sim_worker/README.md.
+// What the error laws do at 2 ms sub-steps, as a Markdown table: the figures of
+// sim_worker/README.md.
 #include <cmath>
 #include <cstdio>
 #include <string>
@@ -25,7 +26,8 @@ SharedModel Model() {
 }
 
 std::unique_ptr<PandaSim> Start(const std::string& scenario, const JointErrorOptions& errors,
-                                Stepping stepping = Stepping::kFast, GoalReference reference = GoalReference::kAchieved,
+                                Stepping stepping = Stepping::kFast,
+                                GoalReference reference = GoalReference::kAchieved,
                                 int settle = 10) {
   SimOptions options;
   options.joint_errors = errors;
@@ -74,16 +76,18 @@ double Gain(PandaSim& sim, double size) {
   return (Tool(sim) - before).y() / (16 * 0.05 * size);
 }
 
-// Grasp the cube, lift it and carry it to and fro for 60 steps: how far it has slipped in the hand [mm], or a
-// negative number when it is lost.
+// Grasp the cube, lift it and carry it to and fro for 60 steps: how far it has slipped in the hand
+// [mm], or a negative number when it is lost.
 double Slip(PandaSim& sim) {
   const mjModel& m = sim.model();
   const int cube = mj_name2id(&m, mjOBJ_BODY, "cube");
   const int hand = mj_name2id(&m, mjOBJ_SITE, "gripper0_grip_site");
   const auto cube_in_hand = [&] {
     using Map = Eigen::Map<const Eigen::Vector3d>;
-    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> R(sim.data().site_xmat + 9 * hand);
-    return Eigen::Vector3d(R.transpose() * (Map(sim.data().xpos + 3 * cube) - Map(sim.data().site_xpos + 3 * hand)));
+    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> R(sim.data().site_xmat +
+                                                                           9 * hand);
+    return Eigen::Vector3d(
+        R.transpose() * (Map(sim.data().xpos + 3 * cube) - Map(sim.data().site_xpos + 3 * hand)));
   };
   // A closed loop to a height, strong enough for stiction and for the literal gravity error.
   const auto go_to = [&](const Eigen::Vector3d& target, double gripper, int steps) {
@@ -106,7 +110,8 @@ void Row(const std::string& title, const std::string& scenario, const JointError
   double dz, dxy, speed;
   Hold(*Start(scenario, errors), &dz, &dxy, &speed);
   std::printf("| %s | %+.1f | %.1f | %.4f |", title.c_str(), dz, dxy, speed);
-  for (const double size : {0.05, 0.1, 0.2, 0.5, 1.0}) std::printf(" %.3f |", Gain(*Start(scenario, errors), size));
+  for (const double size : {0.05, 0.1, 0.2, 0.5, 1.0})
+    std::printf(" %.3f |", Gain(*Start(scenario, errors), size));
   const double slip = Slip(*Start(scenario, errors));
   if (slip == -1) {
     std::printf(" not grasped |\n");
@@ -119,11 +124,12 @@ void Row(const std::string& title, const std::string& scenario, const JointError
 
 // Largest tool distance between two steppings over 200 control steps of a varied command [mm].
 double SteppingDifference(const std::string& scenario, const JointErrorOptions& errors) {
-  auto fast = Start(scenario, errors, Stepping::kFast), reference = Start(scenario, errors, Stepping::kReference);
+  auto fast = Start(scenario, errors, Stepping::kFast),
+       reference = Start(scenario, errors, Stepping::kReference);
   double worst = 0;
   for (int i = 0; i < 200; ++i) {
-    const Eigen::VectorXf u =
-        Command(0.4 * std::sin(0.07 * i), 0.6 * std::cos(0.05 * i), 0.3 * std::sin(0.11 * i), i / 50 % 2 ? 1 : -1);
+    const Eigen::VectorXf u = Command(0.4 * std::sin(0.07 * i), 0.6 * std::cos(0.05 * i),
+                                      0.3 * std::sin(0.11 * i), i / 50 % 2 ? 1 : -1);
     RS_CHECK(fast->Step(u).ok() && reference->Step(u).ok());
     worst = std::max(worst, (Tool(*fast) - Tool(*reference)).norm());
   }
@@ -138,8 +144,10 @@ int Main() {
   payload.gravity_sign = GravitySign::kPayload;
   equilibrium.offset_start = OffsetStart::kEquilibrium;
 
-  std::printf("| setting (severity 5) | dz after 5 s [mm] | dxy [mm] | joint speed [rad/s] | gain c=0.05 | 0.1 | 0.2 | "
-              "0.5 | 1.0 | slip of a held cube |\n|---|---|---|---|---|---|---|---|---|---|\n");
+  std::printf(
+      "| setting (severity 5) | dz after 5 s [mm] | dxy [mm] | joint speed [rad/s] | gain c=0.05 | "
+      "0.1 | 0.2 | "
+      "0.5 | 1.0 | slip of a held cube |\n|---|---|---|---|---|---|---|---|---|---|\n");
   Row("clean", "clean", literal);
   Row("nominal", "nominal", literal);
   Row("isolated_stribeck, sgn", "isolated_stribeck", literal);
@@ -158,9 +166,12 @@ int Main() {
     Row(name + ", velocity", name, velocity);
   }
 
-  std::printf("\n| fast against reference stepping, 200 control steps | largest tool distance [mm] |\n|---|---|\n");
-  for (const char* name : {"clean", "nominal", "isolated_stribeck", "isolated_backlash", "isolated_compliance",
-                           "isolated_gravity", "thermal_drift_backlash", "aged_transmission", "aged_joint_uniform"}) {
+  std::printf(
+      "\n| fast against reference stepping, 200 control steps | largest tool distance [mm] "
+      "|\n|---|---|\n");
+  for (const char* name :
+       {"clean", "nominal", "isolated_stribeck", "isolated_backlash", "isolated_compliance",
+        "isolated_gravity", "thermal_drift_backlash", "aged_transmission", "aged_joint_uniform"}) {
     std::printf("| %s | %.4f |\n", name, SteppingDifference(name, literal));
   }
   std::printf("| aged_joint_uniform, velocity, stick | ");

@@ -1,10 +1,11 @@
 // What a control step costs and what of it is ours. Run alone on a core:
 //   sim_bench [--benchmark_filter=...]
-// "ratio" compares 25 sub-steps of the simulator with 25 bare mj_step of the same scene, interleaved, in CPU time.
+// "ratio" compares 25 sub-steps of the simulator with 25 bare mj_step of the same scene,
+// interleaved, in CPU time.
+#include <benchmark/benchmark.h>
+
 #include <ctime>
 #include <string>
-
-#include <benchmark/benchmark.h>
 
 #include "common/check.h"
 #include "common/joint_errors/joint_error_stack.h"
@@ -36,8 +37,10 @@ PandaScene Scene() {
   return scene;
 }
 
-std::unique_ptr<PandaSim> MakeSim(const std::string& scenario, SimOptions options = {}, PandaScene scene = Scene()) {
-  auto sim = PandaSim::Create(CompileModel("bench", ComposePandaScene(scene)).value(), options).value();
+std::unique_ptr<PandaSim> MakeSim(const std::string& scenario, SimOptions options = {},
+                                  PandaScene scene = Scene()) {
+  auto sim =
+      PandaSim::Create(CompileModel("bench", ComposePandaScene(scene)).value(), options).value();
   sim->SetScenario(MakeScenario(scenario, 5).value(), 220);
   return sim;
 }
@@ -77,7 +80,8 @@ void RunControlSteps(benchmark::State& state, PandaSim& sim) {
       state.ResumeTiming();
     }
   }
-  state.counters["control_steps/s"] = benchmark::Counter(static_cast<double>(done), benchmark::Counter::kIsRate);
+  state.counters["control_steps/s"] =
+      benchmark::Counter(static_cast<double>(done), benchmark::Counter::kIsRate);
   state.counters["contacts"] = contacts / done;
 }
 
@@ -87,11 +91,16 @@ void BM_ControlStep(benchmark::State& state, const char* scenario) {
 }
 BENCHMARK_CAPTURE(BM_ControlStep, clean, "clean")->Unit(benchmark::kMicrosecond);
 BENCHMARK_CAPTURE(BM_ControlStep, nominal, "nominal")->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(BM_ControlStep, isolated_stribeck, "isolated_stribeck")->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(BM_ControlStep, isolated_gravity, "isolated_gravity")->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(BM_ControlStep, isolated_backlash, "isolated_backlash")->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(BM_ControlStep, isolated_compliance, "isolated_compliance")->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(BM_ControlStep, thermal_drift_stribeck, "thermal_drift_stribeck")->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStep, isolated_stribeck, "isolated_stribeck")
+    ->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStep, isolated_gravity, "isolated_gravity")
+    ->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStep, isolated_backlash, "isolated_backlash")
+    ->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStep, isolated_compliance, "isolated_compliance")
+    ->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStep, thermal_drift_stribeck, "thermal_drift_stribeck")
+    ->Unit(benchmark::kMicrosecond);
 
 void BM_ControlStepVelocityOffsets(benchmark::State& state) {
   SimOptions options;
@@ -118,7 +127,8 @@ void BM_ControlStepReferenceOrder(benchmark::State& state) {
 BENCHMARK(BM_ControlStepReferenceOrder)->Unit(benchmark::kMicrosecond);
 
 // Same scene with other solver settings: cone, iterations.
-void BM_ControlStepSolver(benchmark::State& state, bool elliptic, double impratio, int iterations, double tolerance) {
+void BM_ControlStepSolver(benchmark::State& state, bool elliptic, double impratio, int iterations,
+                          double tolerance) {
   PandaScene scene = Scene();
   scene.elliptic_cone = elliptic;
   scene.impratio = impratio;
@@ -127,10 +137,14 @@ void BM_ControlStepSolver(benchmark::State& state, bool elliptic, double imprati
   auto sim = MakeSim("nominal", {}, scene);
   RunControlSteps(state, *sim);
 }
-BENCHMARK_CAPTURE(BM_ControlStepSolver, elliptic_100_1e8, true, 20, 100, 1e-8)->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(BM_ControlStepSolver, elliptic_20_1e7, true, 10, 20, 1e-7)->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(BM_ControlStepSolver, elliptic_10_1e6, true, 10, 10, 1e-6)->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(BM_ControlStepSolver, pyramidal_20_1e7, false, 10, 20, 1e-7)->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStepSolver, elliptic_100_1e8, true, 20, 100, 1e-8)
+    ->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStepSolver, elliptic_20_1e7, true, 10, 20, 1e-7)
+    ->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStepSolver, elliptic_10_1e6, true, 10, 10, 1e-6)
+    ->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(BM_ControlStepSolver, pyramidal_20_1e7, false, 10, 20, 1e-7)
+    ->Unit(benchmark::kMicrosecond);
 
 double CpuSeconds() {
   timespec t;
@@ -167,15 +181,22 @@ void BM_RatioToBareStepping(benchmark::State& state, const char* scenario) {
   state.counters["bare_us"] = 1e6 * theirs / state.iterations();
   state.counters["ours_us"] = 1e6 * ours / state.iterations();
 }
-BENCHMARK_CAPTURE(BM_RatioToBareStepping, clean, "clean")->Unit(benchmark::kMicrosecond)->MinTime(2);
-BENCHMARK_CAPTURE(BM_RatioToBareStepping, nominal, "nominal")->Unit(benchmark::kMicrosecond)->MinTime(2);
+BENCHMARK_CAPTURE(BM_RatioToBareStepping, clean, "clean")
+    ->Unit(benchmark::kMicrosecond)
+    ->MinTime(2);
+BENCHMARK_CAPTURE(BM_RatioToBareStepping, nominal, "nominal")
+    ->Unit(benchmark::kMicrosecond)
+    ->MinTime(2);
 BENCHMARK_CAPTURE(BM_RatioToBareStepping, aged_joint_uniform, "aged_joint_uniform")
     ->Unit(benchmark::kMicrosecond)
     ->MinTime(2);
 
 // The parts of one sub-step.
 struct Parts {
-  Parts() : sim(MakeSim("nominal")), panda(PandaModel::Find(sim->model()).value()), controller(GoalReference::kAchieved) {
+  Parts()
+      : sim(MakeSim("nominal")),
+        panda(PandaModel::Find(sim->model()).value()),
+        controller(GoalReference::kAchieved) {
     Start(*sim);
     ReadArm(sim->model(), sim->data(), panda, arm);
     controller.Reset(arm, PandaHome());
@@ -203,7 +224,8 @@ BENCHMARK(BM_OscTorque);
 
 void BM_GravityTorque(benchmark::State& state) {
   Parts parts;
-  for (auto _ : state) benchmark::DoNotOptimize(GravityTorque(parts.sim->model(), parts.sim->data(), parts.panda));
+  for (auto _ : state)
+    benchmark::DoNotOptimize(GravityTorque(parts.sim->model(), parts.sim->data(), parts.panda));
 }
 BENCHMARK(BM_GravityTorque);
 
@@ -231,10 +253,13 @@ BENCHMARK_CAPTURE(BM_JointErrors, compliance, "isolated_compliance");
 void BM_RenderPair(benchmark::State& state) {
   auto sim = MakeSim("clean");
   Start(*sim);
-  auto renderer = Renderer::Create(CompileModel("bench", ComposePandaScene(Scene())).value()).value();
+  auto renderer =
+      Renderer::Create(CompileModel("bench", ComposePandaScene(Scene())).value()).value();
   const int size = static_cast<int>(state.range(0));
-  const RenderOptions options{
-      .width = size, .height = size, .supersample = static_cast<int>(state.range(1)), .shadows = state.range(2) != 0};
+  const RenderOptions options{.width = size,
+                              .height = size,
+                              .supersample = static_cast<int>(state.range(1)),
+                              .shadows = state.range(2) != 0};
   for (auto _ : state) {
     benchmark::DoNotOptimize(renderer->Render(sim->data(), "agentview", options).value());
     benchmark::DoNotOptimize(renderer->Render(sim->data(), "robot0_eye_in_hand", options).value());

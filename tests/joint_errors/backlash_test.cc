@@ -1,9 +1,9 @@
 #include "common/joint_errors/backlash.h"
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cmath>
-
-#include <gtest/gtest.h>
 
 namespace robostress {
 namespace {
@@ -15,7 +15,7 @@ TEST(Backlash, StartsMidGapAndFollowsAfterHalfTheGap) {
   backlash.Reset(1.0);
   EXPECT_DOUBLE_EQ(backlash.Step(kJoint, 1.0), 0);
   EXPECT_NEAR(backlash.Step(kJoint, 1.009), -0.009, 1e-15);  // the link stays
-  EXPECT_NEAR(backlash.Step(kJoint, 1.05), -0.01, 1e-15);  // pushed, B behind
+  EXPECT_NEAR(backlash.Step(kJoint, 1.05), -0.01, 1e-15);    // pushed, B behind
   EXPECT_NEAR(backlash.link_angle(), 1.04, 1e-15);
 }
 

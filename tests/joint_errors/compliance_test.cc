@@ -1,9 +1,9 @@
 #include "common/joint_errors/compliance.h"
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cmath>
-
-#include <gtest/gtest.h>
 
 namespace robostress {
 namespace {
@@ -22,8 +22,8 @@ TEST(Compliance, SettlesAtTheStaticDeflectionAgainstTheLoad) {
 }
 
 TEST(Compliance, StepResponseFollowsTheContinuousSystem) {
-  // Largest difference to the closed form of the underdamped second-order system, as a share of the static
-  // deflection: 10 % at 22.5 Hz and 2 ms (omega h = 0.28), less for the softer joints.
+  // Largest difference to the closed form of the underdamped second-order system, as a share of the
+  // static deflection: 10 % at 22.5 Hz and 2 ms (omega h = 0.28), less for the softer joints.
   for (const double w : {1.0, 5.0}) {
     for (const int j : {0, 6}) {
       const JointErrorParameters p = Scale(NominalPandaErrors()[j], {.compliance = w});
@@ -36,9 +36,9 @@ TEST(Compliance, StepResponseFollowsTheContinuousSystem) {
       for (int i = 1; i <= 250; ++i) {
         const double t = i * kStep;
         const double eta = compliance.Step(p, p.K, kStep);  // static deflection -1
-        const double exact =
-            -1 + std::exp(-zeta * omega * t) *
-                     (std::cos(damped * t) + zeta / std::sqrt(1 - zeta * zeta) * std::sin(damped * t));
+        const double exact = -1 + std::exp(-zeta * omega * t) *
+                                      (std::cos(damped * t) +
+                                       zeta / std::sqrt(1 - zeta * zeta) * std::sin(damped * t));
         worst = std::max(worst, std::abs(eta - exact));
         peak = std::min(peak, eta);
       }

@@ -1,9 +1,9 @@
 #include "common/joint_errors/friction.h"
 
+#include <gtest/gtest.h>
+
 #include <array>
 #include <cmath>
-
-#include <gtest/gtest.h>
 
 #include "common/joint_errors/gravity_residual.h"
 
@@ -14,24 +14,27 @@ const JointErrorParameters kJoint = {.Fc = 2, .Fs = 3, .vs = 0.1, .sigma_v = 0.5
 
 TEST(Friction, FollowsTheStribeckCurve) {
   // -[2 + 1 e^-1] - 0.5 * 0.1 at the Stribeck velocity.
-  EXPECT_DOUBLE_EQ(StribeckTorque(kJoint, 0.1, FrictionLaw::kSgn, 0.01), -(2 + std::exp(-1.0)) - 0.05);
-  EXPECT_NEAR(StribeckTorque(kJoint, 1e-9, FrictionLaw::kSgn, 0.01), -3, 1e-6);   // static at creep
-  EXPECT_NEAR(StribeckTorque(kJoint, 1.0, FrictionLaw::kSgn, 0.01), -2.5, 1e-6);  // kinetic and viscous when fast
+  EXPECT_DOUBLE_EQ(StribeckTorque(kJoint, 0.1, FrictionLaw::kSgn, 0.01),
+                   -(2 + std::exp(-1.0)) - 0.05);
+  EXPECT_NEAR(StribeckTorque(kJoint, 1e-9, FrictionLaw::kSgn, 0.01), -3, 1e-6);  // static at creep
+  EXPECT_NEAR(StribeckTorque(kJoint, 1.0, FrictionLaw::kSgn, 0.01), -2.5,
+              1e-6);  // kinetic and viscous when fast
 }
 
 TEST(Friction, OpposesMotionAndIsOdd) {
   for (const FrictionLaw law : {FrictionLaw::kSgn, FrictionLaw::kTanh}) {
     for (const double dq : {1e-6, 0.003, 0.05, 0.7}) {
       EXPECT_LT(StribeckTorque(kJoint, dq, law, 0.01), 0);
-      EXPECT_DOUBLE_EQ(StribeckTorque(kJoint, dq, law, 0.01), -StribeckTorque(kJoint, -dq, law, 0.01));
+      EXPECT_DOUBLE_EQ(StribeckTorque(kJoint, dq, law, 0.01),
+                       -StribeckTorque(kJoint, -dq, law, 0.01));
     }
     EXPECT_EQ(StribeckTorque(kJoint, 0, law, 0.01), 0);
   }
 }
 
 TEST(Friction, TanhAgreesWithSgnAwayFromRestAndIsSmoothAtIt) {
-  EXPECT_NEAR(StribeckTorque(kJoint, 0.2, FrictionLaw::kTanh, 0.01), StribeckTorque(kJoint, 0.2, FrictionLaw::kSgn, 0.01),
-              1e-12);
+  EXPECT_NEAR(StribeckTorque(kJoint, 0.2, FrictionLaw::kTanh, 0.01),
+              StribeckTorque(kJoint, 0.2, FrictionLaw::kSgn, 0.01), 1e-12);
   // Slope at rest: -Fs / width - sigma_v.
   EXPECT_NEAR(StribeckTorque(kJoint, 1e-7, FrictionLaw::kTanh, 0.01) / 1e-7, -3 / 0.01 - 0.5, 1e-3);
 }
@@ -40,14 +43,16 @@ TEST(Friction, StickHoldsAJointBelowTheStaticTorqueAndLetsItGoAbove) {
   const double inertia = 2, h = 0.002;
   const std::array<double, 1> A = {h / inertia}, limit = {3};
   std::array<double, 1> f;
-  StickTorques(std::array{h / inertia * 2.9}, A, limit, absl::MakeSpan(f));  // pushed from rest with 2.9 Nm
+  StickTorques(std::array{h / inertia * 2.9}, A, limit,
+               absl::MakeSpan(f));  // pushed from rest with 2.9 Nm
   EXPECT_NEAR(f[0], -2.9, 1e-12);
   StickTorques(std::array{h / inertia * 3.5}, A, limit, absl::MakeSpan(f));
   EXPECT_DOUBLE_EQ(f[0], -3);
 }
 
 TEST(Friction, StickTorquesOfCoupledJointsSatisfyComplementarity) {
-  // Inverse inertia of a coupled pair; joint 1 slides, joint 2 is held although joint 1 drags on it.
+  // Inverse inertia of a coupled pair; joint 1 slides, joint 2 is held although joint 1 drags on
+  // it.
   const std::array<double, 4> A = {1e-3, -4e-4, -4e-4, 2e-3};
   const std::array<double, 2> v_free = {0.02, -0.002}, limit = {3, 5};
   std::array<double, 2> f;

@@ -1,8 +1,8 @@
 #include "common/joint_errors/joint_error_stack.h"
 
-#include <cmath>
-
 #include <gtest/gtest.h>
+
+#include <cmath>
 
 #include "common/joint_errors/friction.h"
 
@@ -13,7 +13,8 @@ using Vector = JointErrorStack::Vector;
 constexpr double kStep = 0.002;
 const Vector kLimit = (Vector() << 80, 80, 80, 80, 80, 12, 12).finished();
 
-JointErrorStack Make(const std::string& scenario, const JointErrorOptions& options = {}, int level = 5) {
+JointErrorStack Make(const std::string& scenario, const JointErrorOptions& options = {},
+                     int level = 5) {
   JointErrorStack stack(options);
   stack.SetScenario(MakeScenario(scenario, level).value(), 100);
   stack.Reset(Vector::Zero(), Vector::Zero());
@@ -50,14 +51,16 @@ TEST(JointErrorStack, ComplianceAnswersTheSameSubStepsTorque) {
   const Vector change = stack.OffsetChange(Vector::Zero(), load);
   for (int j = 0; j < 7; ++j) {
     const JointErrorParameters& p = stack.parameters()[j];
-    // One semi-implicit Euler step from rest; a stack that is driven by the previous torque returns zero here.
+    // One semi-implicit Euler step from rest; a stack that is driven by the previous torque returns
+    // zero here.
     EXPECT_DOUBLE_EQ(change[j], kStep * kStep * -load[j] / p.M_eff);
   }
 }
 
 TEST(JointErrorStack, ComplianceIsDrivenByThePerturbedSaturatedTorque) {
   JointErrorStack stack = Make("nominal");
-  const Vector dq = Vector::Constant(0.05), gravity = Vector::Constant(10), controller = Vector::Constant(11.9);
+  const Vector dq = Vector::Constant(0.05), gravity = Vector::Constant(10),
+               controller = Vector::Constant(11.9);
   const Vector load = stack.PerturbTorque(controller, dq, gravity, kLimit);
   for (int j = 0; j < 7; ++j) {
     const JointErrorParameters& p = stack.parameters()[j];
@@ -73,18 +76,23 @@ TEST(JointErrorStack, OffsetChangesAddUpToTheOffsetThatIsCarried) {
     stack.BeginSubStep(kStep);
     const Vector change = stack.OffsetChange(q, Vector::Constant(8 * std::sin(0.02 * t)));
     carried += change;
-    q += change + Vector::Constant(2e-4 * std::cos(0.01 * t));  // the joint coordinate carries the offset and moves
+    q += change +
+         Vector::Constant(2e-4 *
+                          std::cos(0.01 * t));  // the joint coordinate carries the offset and moves
     EXPECT_LT((carried - stack.offset()).cwiseAbs().maxCoeff(), 1e-12);
-    // |eta_back| <= B and |eta_comp| of the order tau / K: an offset that accumulates would leave this range.
+    // |eta_back| <= B and |eta_comp| of the order tau / K: an offset that accumulates would leave
+    // this range.
     for (int j = 0; j < 7; ++j) {
-      EXPECT_LT(std::abs(stack.offset()[j]), stack.parameters()[j].B + 1.5 * 8 / stack.parameters()[j].K);
+      EXPECT_LT(std::abs(stack.offset()[j]),
+                stack.parameters()[j].B + 1.5 * 8 / stack.parameters()[j].K);
     }
   }
 }
 
 TEST(JointErrorStack, BacklashSeesTheMotorAngle) {
-  // A motor that moves steadily: its link trails by exactly B, whatever the joint coordinate's own offset. A
-  // stack that feeds the joint coordinate back as the motor angle sees it retreat by the offset, and trails by less.
+  // A motor that moves steadily: its link trails by exactly B, whatever the joint coordinate's own
+  // offset. A stack that feeds the joint coordinate back as the motor angle sees it retreat by the
+  // offset, and trails by less.
   JointErrorStack stack = Make("isolated_backlash");
   Vector q = Vector::Zero(), motor = Vector::Zero();
   for (int t = 0; t < 400; ++t) {
@@ -95,7 +103,8 @@ TEST(JointErrorStack, BacklashSeesTheMotorAngle) {
     q += Vector::Constant(1e-4);
   }
   for (int j = 0; j < 7; ++j) EXPECT_NEAR(stack.offset()[j], -stack.parameters()[j].B, 1e-9);
-  // After a reversal the link stands still until the motor has crossed the gap: the joint coordinate does not move.
+  // After a reversal the link stands still until the motor has crossed the gap: the joint
+  // coordinate does not move.
   const double stands_at = q[0];
   for (int t = 0; t < 200; ++t) {
     motor -= Vector::Constant(1e-4);
@@ -107,7 +116,8 @@ TEST(JointErrorStack, BacklashSeesTheMotorAngle) {
 
 TEST(JointErrorStack, RampsOverTheHorizonAndStartsAtProgressZero) {
   JointErrorStack stack = Make("thermal_drift_backlash");
-  for (const auto& [step, factor] : std::vector<std::pair<int, double>>{{0, 5}, {25, 7.5}, {50, 10}, {100, 15}, {180, 15}}) {
+  for (const auto& [step, factor] :
+       std::vector<std::pair<int, double>>{{0, 5}, {25, 7.5}, {50, 10}, {100, 15}, {180, 15}}) {
     stack.BeginControlStep(step, false);
     stack.BeginSubStep(kStep);
     EXPECT_DOUBLE_EQ(stack.factors()[2].backlash, factor) << step;

@@ -1,11 +1,11 @@
 #include "common/joint_errors/scenarios.h"
 
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
 #include <array>
 #include <cmath>
 #include <map>
-
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 namespace robostress {
 namespace {
@@ -13,14 +13,17 @@ namespace {
 using ::testing::HasSubstr;
 
 const std::vector<std::string> kDeployment = {
-    "heavy_payload",     "thermal_drift_stribeck", "thermal_drift_backlash", "aged_transmission",
-    "aged_joint_uniform", "aged_joint_shoulder",   "aged_joint_elbow"};
+    "heavy_payload",      "thermal_drift_stribeck", "thermal_drift_backlash", "aged_transmission",
+    "aged_joint_uniform", "aged_joint_shoulder",    "aged_joint_elbow"};
 
-JointErrorParameters At(const std::string& name, int joint, double progress, double grasp, int level = 5) {
-  return Scale(NominalPandaErrors()[joint], FactorsAt(MakeScenario(name, level).value(), progress, grasp)[joint]);
+JointErrorParameters At(const std::string& name, int joint, double progress, double grasp,
+                        int level = 5) {
+  return Scale(NominalPandaErrors()[joint],
+               FactorsAt(MakeScenario(name, level).value(), progress, grasp)[joint]);
 }
 
-void ExpectSame(const JointErrorParameters& a, const JointErrorParameters& b, const std::string& what) {
+void ExpectSame(const JointErrorParameters& a, const JointErrorParameters& b,
+                const std::string& what) {
   EXPECT_EQ(a.Fc, b.Fc) << what;
   EXPECT_EQ(a.Fs, b.Fs) << what;
   EXPECT_EQ(a.vs, b.vs) << what;
@@ -62,7 +65,8 @@ TEST(Scenarios, IsolatedSettingsHaveThePapersValuesAndTheOtherThreeOff) {
     EXPECT_NEAR(compliance.D / (2 * std::sqrt(compliance.K * compliance.M_eff)), 0.70, 1e-3);
     EXPECT_DOUBLE_EQ(At("isolated_gravity", j, 0, 0).beta, full_beta[j]);
   }
-  for (const char* name : {"isolated_stribeck", "isolated_backlash", "isolated_compliance", "isolated_gravity"}) {
+  for (const char* name :
+       {"isolated_stribeck", "isolated_backlash", "isolated_compliance", "isolated_gravity"}) {
     const Scenario s = MakeScenario(name, 5).value();
     EXPECT_EQ(s.friction_on + s.gravity_on + s.backlash_on + s.compliance_on, 1) << name;
     EXPECT_FALSE(s.deployment);
@@ -79,7 +83,8 @@ TEST(Scenarios, AllFourComponentsAreActiveInTheSevenAndNoneInClean) {
   EXPECT_EQ(deployment, 7);
   for (const std::string& name : kDeployment) {
     const Scenario s = MakeScenario(name, 5).value();
-    EXPECT_TRUE(s.deployment && s.friction_on && s.gravity_on && s.backlash_on && s.compliance_on) << name;
+    EXPECT_TRUE(s.deployment && s.friction_on && s.gravity_on && s.backlash_on && s.compliance_on)
+        << name;
   }
   const Scenario clean = MakeScenario("clean", 5).value();
   EXPECT_FALSE(clean.friction_on || clean.gravity_on || clean.backlash_on || clean.compliance_on);
@@ -88,20 +93,26 @@ TEST(Scenarios, AllFourComponentsAreActiveInTheSevenAndNoneInClean) {
 TEST(Scenarios, ComponentsThatAScenarioDoesNotRaiseAreNominalBitForBit) {
   // factor raised in: friction, gravity, backlash, compliance
   const std::map<std::string, std::array<bool, 4>> raised = {
-      {"heavy_payload", {false, true, false, true}},     {"thermal_drift_stribeck", {true, false, false, false}},
-      {"thermal_drift_backlash", {false, false, true, false}}, {"aged_transmission", {true, false, true, false}},
-      {"aged_joint_uniform", {true, false, true, true}}, {"aged_joint_shoulder", {true, false, true, true}},
+      {"heavy_payload", {false, true, false, true}},
+      {"thermal_drift_stribeck", {true, false, false, false}},
+      {"thermal_drift_backlash", {false, false, true, false}},
+      {"aged_transmission", {true, false, true, false}},
+      {"aged_joint_uniform", {true, false, true, true}},
+      {"aged_joint_shoulder", {true, false, true, true}},
       {"aged_joint_elbow", {true, false, true, true}}};
   for (const auto& [name, expected] : raised) {
     for (const double t : {0.0, 0.37, 1.0}) {
       const auto factors = FactorsAt(MakeScenario(name, 4).value(), t, 1);
       for (int j = 0; j < 7; ++j) {
-        const bool worn = name == "aged_joint_shoulder" ? j < 3 : name == "aged_joint_elbow" ? j == 3 : true;
+        const bool worn = name == "aged_joint_shoulder" ? j < 3
+                          : name == "aged_joint_elbow"  ? j == 3
+                                                        : true;
         EXPECT_EQ(factors[j].friction > 1, expected[0] && worn) << name << j;
         EXPECT_EQ(factors[j].gravity > 1, expected[1] && worn) << name << j;
         EXPECT_EQ(factors[j].backlash > 1, expected[2] && worn) << name << j;
         EXPECT_EQ(factors[j].compliance > 1, expected[3] && worn) << name << j;
-        if (!worn) ExpectSame(Scale(NominalPandaErrors()[j], factors[j]), NominalPandaErrors()[j], name);
+        if (!worn)
+          ExpectSame(Scale(NominalPandaErrors()[j], factors[j]), NominalPandaErrors()[j], name);
       }
     }
   }
@@ -133,12 +144,14 @@ TEST(Scenarios, LevelsMoveLinearlyFromMildToFull) {
   const double friction[] = {1.5, 1.625, 1.75, 1.875, 2}, backlash[] = {5, 7.5, 10, 12.5, 15},
                compliance[] = {2, 2.75, 3.5, 4.25, 5}, gravity[] = {2, 2.5, 3, 3.5, 4};
   for (int level = 1; level <= 5; ++level) {
-    const SeverityFactors worn = FactorsAt(MakeScenario("aged_joint_uniform", level).value(), 0, 0)[0];
+    const SeverityFactors worn =
+        FactorsAt(MakeScenario("aged_joint_uniform", level).value(), 0, 0)[0];
     EXPECT_DOUBLE_EQ(worn.friction, friction[level - 1]);
     EXPECT_DOUBLE_EQ(worn.backlash, backlash[level - 1]);
     EXPECT_DOUBLE_EQ(worn.compliance, compliance[level - 1]);
     EXPECT_EQ(worn.gravity, 1);
-    const SeverityFactors payload = FactorsAt(MakeScenario("heavy_payload", level).value(), 0, 1)[0];
+    const SeverityFactors payload =
+        FactorsAt(MakeScenario("heavy_payload", level).value(), 0, 1)[0];
     EXPECT_DOUBLE_EQ(payload.gravity, gravity[level - 1]);
     EXPECT_DOUBLE_EQ(payload.compliance, compliance[level - 1]);
     // The onset of a ramp stays at mild.

@@ -1,9 +1,9 @@
-// The joint errors in the simulator: order, gates, equality where the paper says "nominal", and how far the fast
-// stepping order is from the paper's.
-#include <cmath>
+// The joint errors in the simulator: order, gates, equality where the paper says "nominal", and how
+// far the fast stepping order is from the paper's.
+#include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
-#include <gtest/gtest.h>
+#include <cmath>
 
 #include "sim_worker/panda_model.h"
 #include "tests/sim_worker/test_scene.h"
@@ -17,7 +17,8 @@ const std::vector<std::string> kDeployment = {
 
 // Tool-space wandering of the arm above the table that meets nothing.
 Eigen::VectorXf Wander(int i) {
-  return Command(0.4 * std::sin(0.07 * i), 0.6 * std::cos(0.05 * i), 0.3 * std::sin(0.11 * i), i / 50 % 2 ? 1 : -1);
+  return Command(0.4 * std::sin(0.07 * i), 0.6 * std::cos(0.05 * i), 0.3 * std::sin(0.11 * i),
+                 i / 50 % 2 ? 1 : -1);
 }
 
 // Arm positions after `settle` settle steps and each of `steps` control steps.
@@ -32,13 +33,15 @@ std::vector<Eigen::VectorXd> Simulate(PandaSim& sim, int steps, int settle = 2) 
   return path;
 }
 
-std::vector<Eigen::VectorXd> Simulate(const Scenario& scenario, int steps, const SimOptions& options = {}) {
+std::vector<Eigen::VectorXd> Simulate(const Scenario& scenario, int steps,
+                                      const SimOptions& options = {}) {
   auto sim = MakeTestSim(options);
   sim->SetScenario(scenario, 220);
   return Simulate(*sim, steps);
 }
 
-std::vector<Eigen::VectorXd> Simulate(const std::string& scenario, int steps, const SimOptions& options = {}, int level = 5) {
+std::vector<Eigen::VectorXd> Simulate(const std::string& scenario, int steps,
+                                      const SimOptions& options = {}, int level = 5) {
   return Simulate(MakeScenario(scenario, level).value(), steps, options);
 }
 
@@ -57,8 +60,8 @@ TEST(JointErrorsInSim, EveryComponentActsInEachOfTheSevenScenarios) {
   for (const std::string& name : kDeployment) {
     const Scenario scenario = MakeScenario(name, 5).value();
     const auto with_all = Simulate(scenario, 4);
-    for (bool Scenario::*component :
-         {&Scenario::friction_on, &Scenario::gravity_on, &Scenario::backlash_on, &Scenario::compliance_on}) {
+    for (bool Scenario::*component : {&Scenario::friction_on, &Scenario::gravity_on,
+                                      &Scenario::backlash_on, &Scenario::compliance_on}) {
       Scenario without = scenario;
       without.*component = false;
       EXPECT_NE(Simulate(without, 4), with_all) << name;
@@ -79,7 +82,8 @@ TEST(JointErrorsInSim, HeavyPayloadActsOnceAnObjectIsHeld) {
     ASSERT_TRUE(sim.Reset(HomeState(sim), PandaHome()).ok());
     const auto go_to = [&](double z, double gripper, int steps) {
       for (int i = 0; i < steps && !(gripper > 0 && sim.GraspDetected()); ++i) {
-        const Eigen::Vector3d u = 20 * (Eigen::Vector3d(0.5, 0, z) - sim.Measure().tool.p_base_tool);
+        const Eigen::Vector3d u =
+            20 * (Eigen::Vector3d(0.5, 0, z) - sim.Measure().tool.p_base_tool);
         ASSERT_TRUE(sim.Step(Command(u.x(), u.y(), u.z(), gripper)).ok());
       }
     };
@@ -147,7 +151,8 @@ TEST(JointErrorsInSim, GravityTorqueIsThatOfRestWhateverTheVelocity) {
   mj_forward(&sim->model(), &data);
   const Vector7d bias_at_rest = Eigen::Map<const Vector7d>(data.qfrc_bias);
   EXPECT_LT((g - bias_at_rest).cwiseAbs().maxCoeff(), 1e-10);
-  EXPECT_GT((bias_in_motion - bias_at_rest).cwiseAbs().maxCoeff(), 0.1);  // what qfrc_bias would have added
+  EXPECT_GT((bias_in_motion - bias_at_rest).cwiseAbs().maxCoeff(),
+            0.1);  // what qfrc_bias would have added
 }
 
 TEST(JointErrorsInSim, LiteralGravityLiftsTheArmAndPayloadLetsItSag) {
@@ -222,16 +227,18 @@ TEST(JointErrorsInSim, EquilibriumStartHasNoTransient) {
 }
 
 TEST(JointErrorsInSim, TheJointCoordinateCarriesTheOffsetInBothModes) {
-  // A rested arm under compliance sags by -g / K per joint against the motor, and the controller holds the tool:
-  // after the settle steps both modes are at the same place.
-  const SimOptions velocity = With([](SimOptions& o) { o.joint_errors.offset_mode = OffsetMode::kVelocity; });
-  const Eigen::VectorXd a = Simulate("isolated_compliance", 40).back(), b = Simulate("isolated_compliance", 40, velocity).back();
+  // A rested arm under compliance sags by -g / K per joint against the motor, and the controller
+  // holds the tool: after the settle steps both modes are at the same place.
+  const SimOptions velocity =
+      With([](SimOptions& o) { o.joint_errors.offset_mode = OffsetMode::kVelocity; });
+  const Eigen::VectorXd a = Simulate("isolated_compliance", 40).back(),
+                        b = Simulate("isolated_compliance", 40, velocity).back();
   EXPECT_LT((a - b).cwiseAbs().maxCoeff(), 2e-3);
   EXPECT_NE(a, b);
 }
 
-// A closed loop that grasps the cube and carries it to and fro; slip of the cube in the hand [m], or infinity when
-// it is lost.
+// A closed loop that grasps the cube and carries it to and fro; slip of the cube in the hand [m],
+// or infinity when it is lost.
 double Slip(OffsetMode mode) {
   SimOptions options;
   options.joint_errors.offset_mode = mode;
@@ -239,11 +246,14 @@ double Slip(OffsetMode mode) {
   UseScenario(*sim, "isolated_compliance");
   EXPECT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
   const mjModel& m = sim->model();
-  const int cube = mj_name2id(&m, mjOBJ_BODY, "cube"), site = mj_name2id(&m, mjOBJ_SITE, "gripper0_grip_site");
+  const int cube = mj_name2id(&m, mjOBJ_BODY, "cube"),
+            site = mj_name2id(&m, mjOBJ_SITE, "gripper0_grip_site");
   const auto in_hand = [&] {
     using Map = Eigen::Map<const Eigen::Vector3d>;
-    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> R(sim->data().site_xmat + 9 * site);
-    return Eigen::Vector3d(R.transpose() * (Map(sim->data().xpos + 3 * cube) - Map(sim->data().site_xpos + 3 * site)));
+    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> R(sim->data().site_xmat +
+                                                                           9 * site);
+    return Eigen::Vector3d(
+        R.transpose() * (Map(sim->data().xpos + 3 * cube) - Map(sim->data().site_xpos + 3 * site)));
   };
   const auto go_to = [&](const Eigen::Vector3d& target, double gripper, int steps) {
     for (int i = 0; i < steps; ++i) {
@@ -266,7 +276,8 @@ TEST(JointErrorsInSim, ATeleportedJointDoesNotDragAHeldObjectButAVelocityDoes) {
   EXPECT_GT(teleport, 2 * velocity);
 }
 
-// Largest distance between the tool's positions under fast and reference stepping over 200 control steps.
+// Largest distance between the tool's positions under fast and reference stepping over 200 control
+// steps.
 double SteppingDifference(const std::string& scenario) {
   std::unique_ptr<PandaSim> sims[2];
   for (int k = 0; k < 2; ++k) {
@@ -280,7 +291,8 @@ double SteppingDifference(const std::string& scenario) {
   double worst = 0;
   for (int i = 0; i < 200; ++i) {
     for (auto& sim : sims) EXPECT_TRUE(sim->Step(Wander(i)).ok());
-    worst = std::max(worst, (sims[0]->Measure().tool.p_base_tool - sims[1]->Measure().tool.p_base_tool).norm());
+    worst = std::max(
+        worst, (sims[0]->Measure().tool.p_base_tool - sims[1]->Measure().tool.p_base_tool).norm());
   }
   return worst;
 }
@@ -289,8 +301,9 @@ TEST(JointErrorsInSim, FastSteppingStaysWithinAMillimetreOfThePapersOrder) {
   // Without position errors the two are the same computation.
   EXPECT_LT(SteppingDifference("clean"), 1e-9);
   EXPECT_LT(SteppingDifference("isolated_gravity"), 1e-9);
-  // With them, the fast order takes mass matrix and bias from before the offset's change (at most 7e-5 rad a
-  // sub-step), which moves the tool by up to 0.5 mm in 10 s (README); the free backlash gap amplifies rounding.
+  // With them, the fast order takes mass matrix and bias from before the offset's change (at most
+  // 7e-5 rad a sub-step), which moves the tool by up to 0.5 mm in 10 s (README); the free backlash
+  // gap amplifies rounding.
   for (const char* name : {"nominal", "aged_transmission", "aged_joint_uniform"}) {
     EXPECT_LT(SteppingDifference(name), 1e-3) << name;
   }

@@ -1,10 +1,10 @@
 #include "sim_worker/panda_sim.h"
 
-#include <cmath>
-#include <cstdio>
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdio>
 
 #include "sim_worker/panda_model.h"
 #include "tests/sim_worker/test_scene.h"
@@ -14,7 +14,9 @@ namespace {
 
 using ::testing::HasSubstr;
 
-std::vector<double> Positions(const PandaSim& sim) { return {sim.data().qpos, sim.data().qpos + sim.model().nq}; }
+std::vector<double> Positions(const PandaSim& sim) {
+  return {sim.data().qpos, sim.data().qpos + sim.model().nq};
+}
 
 TEST(PandaSim, HoldsItsPoseInClean) {
   auto sim = MakeTestSim();
@@ -41,7 +43,8 @@ TEST(PandaSim, MeasuresThePoseOfThePositionsThatItReports) {
   for (int i = 0; i < 7; ++i) data->qpos[i] = measured.q[i];
   mj_kinematics(&sim->model(), data);
   const int site = mj_name2id(&sim->model(), mjOBJ_SITE, "gripper0_grip_site");
-  for (int i = 0; i < 3; ++i) EXPECT_NEAR(data->site_xpos[3 * site + i], measured.tool.p_base_tool[i], 1e-12);
+  for (int i = 0; i < 3; ++i)
+    EXPECT_NEAR(data->site_xpos[3 * site + i], measured.tool.p_base_tool[i], 1e-12);
   mj_deleteData(data);
 }
 
@@ -68,8 +71,8 @@ TEST(PandaSim, MovesAlongTheCommandedDirection) {
 }
 
 TEST(PandaSim, GoalReferenceDecidesTheGain) {
-  // Ideal steady gain of the achieved reference: 0.267 (kp 150, damping ratio 1, 50 ms). The desired reference
-  // trails by a constant lag, so its gain tends to one.
+  // Ideal steady gain of the achieved reference: 0.267 (kp 150, damping ratio 1, 50 ms). The
+  // desired reference trails by a constant lag, so its gain tends to one.
   for (const auto& [reference, low, high] : {std::tuple{GoalReference::kAchieved, 0.20, 0.28},
                                              std::tuple{GoalReference::kDesired, 0.85, 1.02}}) {
     SimOptions options;
@@ -86,8 +89,9 @@ TEST(PandaSim, GoalReferenceDecidesTheGain) {
 }
 
 TEST(PandaSim, KeepsTheOrientationGoalUntilACommandRotates) {
-  // Started 0.15 rad off the home posture: the goal of the orientation stays at home, so the hand turns back
-  // although no command rotates. With a goal at the achieved orientation it would stay where it is.
+  // Started 0.15 rad off the home posture: the goal of the orientation stays at home, so the hand
+  // turns back although no command rotates. With a goal at the achieved orientation it would stay
+  // where it is.
   auto sim = MakeTestSim();
   std::vector<double> qpos = HomeState(*sim);
   qpos[6] += 0.15;
@@ -119,7 +123,8 @@ TEST(PandaSim, GripperTakesFourControlStepsFromTheMiddleAndHoldsAtZero) {
   const int motor = mj_name2id(&sim->model(), mjOBJ_ACTUATOR, "gripper0_gripper_finger_joint1");
   for (int i = 1; i <= 4; ++i) {
     ASSERT_TRUE(sim->Step(Command(0, 0, 0, -1)).ok());
-    EXPECT_NEAR(sim->data().ctrl[motor], 0.02 + 0.005 * i, 1e-12);  // 25 * 0.01 of the half stroke a step
+    EXPECT_NEAR(sim->data().ctrl[motor], 0.02 + 0.005 * i,
+                1e-12);  // 25 * 0.01 of the half stroke a step
   }
   ASSERT_TRUE(sim->Step(Command(0, 0, 0, -1)).ok());
   EXPECT_NEAR(sim->data().ctrl[motor], 0.04, 1e-12);
@@ -188,7 +193,8 @@ TEST(PandaSim, RestoreContinuesBitForBitWithHiddenStatesAndContacts) {
   ASSERT_TRUE(GraspCube(*sim));
   const auto snapshot = sim->Save();
   const auto continue_run = [&] {
-    for (int i = 0; i < 20; ++i) EXPECT_TRUE(sim->Step(Command(0.2, -0.4, 0.6, i < 15 ? 1 : -1)).ok());
+    for (int i = 0; i < 20; ++i)
+      EXPECT_TRUE(sim->Step(Command(0.2, -0.4, 0.6, i < 15 ? 1 : -1)).ok());
     return Positions(*sim);
   };
   const std::vector<double> first = continue_run();
@@ -196,9 +202,11 @@ TEST(PandaSim, RestoreContinuesBitForBitWithHiddenStatesAndContacts) {
   EXPECT_TRUE(sim->GraspDetected());
   EXPECT_EQ(continue_run(), first);
   // Also in another simulator of the same model.
-  auto other = PandaSim::Create(CompileModel("copy", ComposePandaScene(TestScene())).value(), {}).value();
+  auto other =
+      PandaSim::Create(CompileModel("copy", ComposePandaScene(TestScene())).value(), {}).value();
   other->Restore(*snapshot);
-  for (int i = 0; i < 20; ++i) ASSERT_TRUE(other->Step(Command(0.2, -0.4, 0.6, i < 15 ? 1 : -1)).ok());
+  for (int i = 0; i < 20; ++i)
+    ASSERT_TRUE(other->Step(Command(0.2, -0.4, 0.6, i < 15 ? 1 : -1)).ok());
   EXPECT_EQ(Positions(*other), first);
 }
 
@@ -251,11 +259,13 @@ TEST(PandaSim, ReportsADivergedState) {
 }
 
 TEST(PandaSim, NamesWhatAModelLacks) {
-  const auto bad_xml = CompileModel("kitchen scene", "<mujoco><worldbody><geom/></worldbody></mujoco>");
+  const auto bad_xml =
+      CompileModel("kitchen scene", "<mujoco><worldbody><geom/></worldbody></mujoco>");
   EXPECT_EQ(bad_xml.status().code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(bad_xml.status().message()), HasSubstr("kitchen scene"));
   const auto empty = PandaSim::Create(
-      CompileModel("empty", "<mujoco><option timestep=\"0.002\"/><worldbody/></mujoco>").value(), {});
+      CompileModel("empty", "<mujoco><option timestep=\"0.002\"/><worldbody/></mujoco>").value(),
+      {});
   EXPECT_EQ(empty.status().code(), absl::StatusCode::kNotFound);
   EXPECT_THAT(std::string(empty.status().message()), HasSubstr("robot0_joint1"));
   std::string xml = ComposePandaScene(TestScene());

@@ -1,11 +1,12 @@
-// The paper's injection (sec:supp_injection) written down once more, plainly and on MuJoCo's own functions, against
-// the simulator's reference stepping: the same sub-step order, the same torques, the same offsets.
+// The paper's injection (sec:supp_injection) written down once more, plainly and on MuJoCo's own
+// functions, against the simulator's reference stepping: the same sub-step order, the same torques,
+// the same offsets.
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
 #include <algorithm>
 #include <array>
 #include <cmath>
-
-#include <Eigen/Dense>
-#include <gtest/gtest.h>
 
 #include "tests/sim_worker/test_scene.h"
 
@@ -19,7 +20,10 @@ using RowMajor6x7 = Eigen::Matrix<double, 6, 7, Eigen::RowMajor>;
 class PlainSimulator {
  public:
   PlainSimulator(SharedModel model, const Scenario& scenario)
-      : m_(std::move(model)), d_(mj_makeData(m_.get())), rest_(mj_makeData(m_.get())), scenario_(scenario) {
+      : m_(std::move(model)),
+        d_(mj_makeData(m_.get())),
+        rest_(mj_makeData(m_.get())),
+        scenario_(scenario) {
     site_ = mj_name2id(m_.get(), mjOBJ_SITE, "gripper0_grip_site");
     q0_ = PandaHome();
   }
@@ -45,9 +49,12 @@ class PlainSimulator {
   const double* qpos() const { return d_->qpos; }
 
  private:
-  Eigen::Vector3d Position() const { return Eigen::Map<const Eigen::Vector3d>(d_->site_xpos + 3 * site_); }
+  Eigen::Vector3d Position() const {
+    return Eigen::Map<const Eigen::Vector3d>(d_->site_xpos + 3 * site_);
+  }
   Eigen::Matrix3d Rotation() const {
-    return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(d_->site_xmat + 9 * site_);
+    return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(d_->site_xmat +
+                                                                          9 * site_);
   }
 
   // robosuite's OSC_POSE as its Python is written, with explicit inverses.
@@ -66,7 +73,8 @@ class PlainSimulator {
     const Eigen::Vector3d F = 150 * (goal_position_ - Position()) - kd * twist.head<3>();
     const Eigen::Vector3d T = 150 * e_rotation - kd * twist.tail<3>();
     const Eigen::MatrixXd Jp = J.topRows<3>(), Jr = J.bottomRows<3>();
-    const Eigen::MatrixXd Lp = (Jp * M_inv * Jp.transpose()).inverse(), Lr = (Jr * M_inv * Jr.transpose()).inverse();
+    const Eigen::MatrixXd Lp = (Jp * M_inv * Jp.transpose()).inverse(),
+                          Lr = (Jr * M_inv * Jr.transpose()).inverse();
     const Eigen::MatrixXd L = (J * M_inv * J.transpose()).inverse();
     Eigen::VectorXd wrench(6);
     wrench << Lp * F, Lr * T;
@@ -92,7 +100,8 @@ class PlainSimulator {
     for (int j = 0; j < 7; ++j) {
       const JointErrorParameters& p = NominalPandaErrors()[j];
       const double dq = d_->qvel[j], sign = dq > 0 ? 1 : dq < 0 ? -1 : 0;
-      const double friction = -sign * (p.Fc + (p.Fs - p.Fc) * std::exp(-std::pow(dq / p.vs, 2))) - p.sigma_v * dq;
+      const double friction =
+          -sign * (p.Fc + (p.Fs - p.Fc) * std::exp(-std::pow(dq / p.vs, 2))) - p.sigma_v * dq;
       if (scenario_.friction_on) tau[j] += w[j].friction * friction;
       if (scenario_.gravity_on) tau[j] += w[j].gravity * p.beta * g[j];
       tau[j] = std::clamp(tau[j], -limit[j], limit[j]);
@@ -112,8 +121,8 @@ class PlainSimulator {
       const double K = p.K / w[j].compliance, D = p.D / std::sqrt(w[j].compliance);
       rate_[j] += 0.002 / p.M_eff * (-tau[j] - D * rate_[j] - K * deflection_[j]);
       deflection_[j] += 0.002 * rate_[j];
-      const double offset =
-          (scenario_.backlash_on ? link_[j] - motor : 0) + (scenario_.compliance_on ? deflection_[j] : 0);
+      const double offset = (scenario_.backlash_on ? link_[j] - motor : 0) +
+                            (scenario_.compliance_on ? deflection_[j] : 0);
       d_->qpos[j] += offset - offset_[j];
       offset_[j] = offset;
     }
@@ -145,19 +154,22 @@ TEST_P(PaperOrder, ReferenceSteppingIsThePapersInjection) {
                        MakeScenario(GetParam(), 5).value());
   plain.Reset(home);
   for (int step = 0; step < 12; ++step) {
-    const Eigen::Vector3d u(0.6 * std::sin(0.9 * step), 0.7, -0.4 * std::cos(0.9 * step));  // reverses directions
+    const Eigen::Vector3d u(0.6 * std::sin(0.9 * step), 0.7,
+                            -0.4 * std::cos(0.9 * step));  // reverses directions
     ASSERT_TRUE(sim->Step(Command(u.x(), u.y(), u.z(), -1)).ok());
     plain.ControlStep(u.cast<float>().cast<double>(), -1, step);
     // The two differ by rounding: 9e-16 at most when this was written.
     for (int j = 0; j < 9; ++j) {
-      ASSERT_NEAR(sim->data().qpos[j], plain.qpos()[j], 1e-12) << "joint " << j + 1 << " after step " << step;
+      ASSERT_NEAR(sim->data().qpos[j], plain.qpos()[j], 1e-12)
+          << "joint " << j + 1 << " after step " << step;
     }
   }
 }
 
 INSTANTIATE_TEST_SUITE_P(Scenarios, PaperOrder,
-                         testing::Values("clean", "nominal", "isolated_stribeck", "isolated_gravity",
-                                         "isolated_backlash", "isolated_compliance", "thermal_drift_backlash",
+                         testing::Values("clean", "nominal", "isolated_stribeck",
+                                         "isolated_gravity", "isolated_backlash",
+                                         "isolated_compliance", "thermal_drift_backlash",
                                          "aged_joint_uniform"));
 
 }  // namespace

@@ -1,10 +1,10 @@
 #include "sim_worker/renderer.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <cstdlib>
 #include <thread>
-
-#include <gtest/gtest.h>
 
 #include "common/atomic_file.h"
 #include "common/image.h"
@@ -35,21 +35,29 @@ struct Cubes {
   std::unique_ptr<Renderer> renderer;
 };
 
-int Channel(const Image& image, int x, int y, int c) { return image.data[3 * (y * image.width + x) + c]; }
+int Channel(const Image& image, int x, int y, int c) {
+  return image.data[3 * (y * image.width + x) + c];
+}
 
 TEST(Renderer, PutsTheTopRowFirstAndHidesCollisionGeometry) {
   Cubes cubes;
-  const Image image = cubes.renderer->Render(*cubes.data, "front", {.width = 120, .height = 80}).value();
+  const Image image =
+      cubes.renderer->Render(*cubes.data, "front", {.width = 120, .height = 80}).value();
   ASSERT_EQ(image.width, 120);
   ASSERT_EQ(image.height, 80);
-  const auto red = [&](int x, int y) { return Channel(image, x, y, 0) > 2 * Channel(image, x, y, 1) + 20; };
-  const auto green = [&](int x, int y) { return Channel(image, x, y, 1) > 2 * Channel(image, x, y, 0) + 20; };
+  const auto red = [&](int x, int y) {
+    return Channel(image, x, y, 0) > 2 * Channel(image, x, y, 1) + 20;
+  };
+  const auto green = [&](int x, int y) {
+    return Channel(image, x, y, 1) > 2 * Channel(image, x, y, 0) + 20;
+  };
   EXPECT_TRUE(red(60, 40));
   // fovy 45 at 2 m: 80 px are 1.66 m, so 0.5 m up is 24 px and 0.3 m right 14 px.
   EXPECT_TRUE(green(74, 16));
   EXPECT_FALSE(green(74, 64));
   int blue = 0;
-  for (int i = 0; i < image.width * image.height; ++i) blue += image.data[3 * i + 2] > image.data[3 * i] + 100;
+  for (int i = 0; i < image.width * image.height; ++i)
+    blue += image.data[3 * i + 2] > image.data[3 * i] + 100;
   EXPECT_EQ(blue, 0);
 }
 
@@ -82,15 +90,18 @@ TEST(Renderer, WorksOnSeveralThreadsAtOnce) {
 
 TEST(Renderer, SupersamplingAveragesBoxes) {
   Cubes cubes;
-  const Image fine = cubes.renderer->Render(*cubes.data, "front", {.width = 96, .height = 96}).value();
+  const Image fine =
+      cubes.renderer->Render(*cubes.data, "front", {.width = 96, .height = 96}).value();
   const Image averaged =
-      cubes.renderer->Render(*cubes.data, "front", {.width = 48, .height = 48, .supersample = 2}).value();
+      cubes.renderer->Render(*cubes.data, "front", {.width = 48, .height = 48, .supersample = 2})
+          .value();
   EXPECT_EQ(averaged.data, ResizeArea(fine, 48, 48).data);
 }
 
 TEST(Renderer, GrowsItsBufferForALargerImage) {
   Cubes cubes;  // MuJoCo's default buffer is 640 x 480
-  const Image image = cubes.renderer->Render(*cubes.data, "front", {.width = 900, .height = 700}).value();
+  const Image image =
+      cubes.renderer->Render(*cubes.data, "front", {.width = 900, .height = 700}).value();
   EXPECT_GT(Channel(image, 450, 350, 0), 60);
 }
 
@@ -107,7 +118,8 @@ TEST(Renderer, DrawsThePandaFromBothCameras) {
   auto sim = MakeTestSim();
   ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
   ASSERT_TRUE(sim->Settle(10).ok());
-  auto renderer = Renderer::Create(CompileModel("test scene", ComposePandaScene(TestScene())).value()).value();
+  auto renderer =
+      Renderer::Create(CompileModel("test scene", ComposePandaScene(TestScene())).value()).value();
   std::vector<Image> views;
   for (const char* camera : {"agentview", "robot0_eye_in_hand"}) {
     views.push_back(renderer->Render(sim->data(), camera, {.supersample = 2}).value());

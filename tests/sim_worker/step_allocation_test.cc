@@ -1,8 +1,8 @@
 // A control step allocates nothing: this program counts what reaches malloc.
+#include <gtest/gtest.h>
+
 #include <atomic>
 #include <cstdlib>
-
-#include <gtest/gtest.h>
 
 #include "tests/sim_worker/test_scene.h"
 

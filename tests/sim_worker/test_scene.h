@@ -1,9 +1,9 @@
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <memory>
 #include <vector>
-
-#include <gtest/gtest.h>
 
 #include "sim_worker/panda_mjcf.h"
 #include "sim_worker/panda_sim.h"
@@ -25,7 +25,8 @@ inline PandaScene TestScene() {
   return scene;
 }
 
-inline std::unique_ptr<PandaSim> MakeTestSim(const SimOptions& options = {}, const PandaScene& scene = TestScene()) {
+inline std::unique_ptr<PandaSim> MakeTestSim(const SimOptions& options = {},
+                                             const PandaScene& scene = TestScene()) {
   auto model = CompileModel("test scene", ComposePandaScene(scene));
   if (!model.ok()) {
     ADD_FAILURE() << model.status();
@@ -58,7 +59,8 @@ inline void UseScenario(PandaSim& sim, const std::string& name, int level = 5, i
 
 inline Eigen::VectorXf Command(double x, double y, double z, double gripper = -1) {
   Eigen::VectorXf command = Eigen::VectorXf::Zero(7);
-  command << static_cast<float>(x), static_cast<float>(y), static_cast<float>(z), 0, 0, 0, static_cast<float>(gripper);
+  command << static_cast<float>(x), static_cast<float>(y), static_cast<float>(z), 0, 0, 0,
+      static_cast<float>(gripper);
   return command;
 }
 
