@@ -21,9 +21,9 @@ constexpr float kStdEpsilon = 1e-6f;
 
 class NanoPolicy : public FlowPolicy {
  public:
-  NanoPolicy(NanoModel model, const std::string& model_hash)
+  NanoPolicy(NanoModel model, const std::string& model_hash, const std::string& name)
       : model_(std::move(model)), network_(model_.config, AssembleNano(model_.config, InferenceTensors(model_.tensors))) {
-    spec_.name = "nano";
+    spec_.name = name;
     spec_.model_hash = model_hash;
     spec_.cameras = model_.config.cameras;
     spec_.image_width = spec_.image_height = model_.config.image_size;
@@ -164,9 +164,10 @@ std::vector<float> EulerTimes(int steps) {
   return times;
 }
 
-absl::StatusOr<std::unique_ptr<FlowPolicy>> MakeNanoPolicy(NanoModel model, const std::string& model_hash) {
+absl::StatusOr<std::unique_ptr<FlowPolicy>> MakeNanoPolicy(NanoModel model, const std::string& model_hash,
+                                                           const std::string& name) {
   try {
-    return std::make_unique<NanoPolicy>(std::move(model), model_hash);
+    return std::make_unique<NanoPolicy>(std::move(model), model_hash, name);
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("nano: the network cannot be built: ", error.what()));
   }
