@@ -41,28 +41,15 @@ std::string Processor() {
   return "unknown";
 }
 
-nlohmann::json WeightHashes() {
-  nlohmann::json hashes = nlohmann::json::object();
-  std::error_code none;
-  for (const auto& entry :
-       fs::directory_iterator(fs::path(kSourceDir) / "server/models/weights", none)) {
-    if (entry.path().extension() != ".safetensors") continue;
-    if (const auto hash = Sha256OfFile(entry.path().string()); hash.ok())
-      hashes[entry.path().filename().string()] = *hash;
-  }
-  return hashes;
-}
-
 }  // namespace
 
 absl::Status WriteEnvironment(const std::string& run_dir) {
   const nlohmann::json record = {
-      {"robostress", kVersion},          {"revision", SourceRevision()},
-      {"compiler", kCompiler},           {"build_type", kBuildType},
-      {"sanitizers", kSanitizers},       {"mujoco", kMujocoVersion},
-      {"torch", kTorchVersion},          {"grpc", kGrpcVersion},
-      {"processor", Processor()},        {"cores", std::thread::hardware_concurrency()},
-      {"weights_sha256", WeightHashes()}};
+      {"robostress", kVersion},    {"revision", SourceRevision()},
+      {"compiler", kCompiler},     {"build_type", kBuildType},
+      {"sanitizers", kSanitizers}, {"mujoco", kMujocoVersion},
+      {"torch", kTorchVersion},    {"grpc", kGrpcVersion},
+      {"processor", Processor()},  {"cores", std::thread::hardware_concurrency()}};
   return WriteFileAtomically(run_dir + "/environment.json", record.dump(2) + "\n");
 }
 

@@ -257,6 +257,24 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
   return text;
 }
 
+std::string TableMarkdown(const Summary& summary) {
+  std::string text;
+  for (const SuccessTable& table : summary.tables) {
+    if (!table.suite.empty()) continue;
+    const std::vector<std::vector<std::string>> rows = SuccessRows(table);
+    absl::StrAppend(&text, TableHeading(table), "\n\n");
+    for (size_t r = 0; r < rows.size(); ++r) {
+      absl::StrAppend(&text, "| ", absl::StrJoin(rows[r], " | "), " |\n");
+      if (r > 0) continue;
+      text += "|---|";
+      for (size_t c = 1; c < rows[0].size(); ++c) text += "---:|";
+      text += "\n";
+    }
+    text += "\n";
+  }
+  return text;
+}
+
 std::string TableCsv(const Summary& summary) {
   std::string csv =
       "policy,severity,suite,scenario,method,n,successes,rate,low,high,adapts,updates,difference,"
@@ -323,6 +341,7 @@ absl::Status WriteReport(const RunData& run, const ReportOptions& options) {
   const Summary summary = Summarise(run, options.bootstrap_replicates);
   RS_RETURN_IF_ERROR(MakeDirectories(run.dir + "/figures"));
   RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/table.csv", TableCsv(summary)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/table.md", TableMarkdown(summary)));
   RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/report.json", ReportJson(run, summary)));
   for (const SuccessTable& table : summary.tables) {
     const std::string name = absl::StrCat(table.policy, "-L", table.severity,

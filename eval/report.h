@@ -10,20 +10,22 @@ namespace robostress {
 
 struct ReportOptions {
   int bootstrap_replicates = 4000;
-  int max_videos = 48;       // pairs are kept together
+  int max_videos = 32;       // the films of one episode stay together
   double max_video_mb = 24;  // of video data in the page
   bool print = true;         // the table on standard output
 };
 
 // Publishes RUN_DIR/episodes.csv (deterministic) and timings.csv.
 absl::Status WriteTables(const RunData& run);
-// Publishes RUN_DIR/report.html (one self-contained page), report.json, table.csv and
+// Publishes RUN_DIR/report.html (one self-contained page), report.json, table.csv, table.md and
 // figures/*.svg, and prints the table.
 absl::Status WriteReport(const RunData& run, const ReportOptions& options);
 
 // The parts of the report, as text.
 std::string TerminalTable(const RunData& run, const Summary& summary);
 std::string TableCsv(const Summary& summary);
+// The tables over all suites, for a README.
+std::string TableMarkdown(const Summary& summary);
 std::string ReportJson(const RunData& run, const Summary& summary);
 
 }  // namespace robostress

@@ -23,26 +23,30 @@ namespace fs = std::filesystem;
 struct Film {
   const UnitResult* unit;
   std::string path;
+  const EpisodeRow* episode;  // null when the name points to none
 };
 
-// Films of the same episode by different methods; the key orders pairs as the tables are.
-using FilmGroups = std::vector<std::pair<std::string, std::vector<Film>>>;
+// Films of the same episode by different methods.
+struct FilmGroup {
+  const UnitConfig* config;  // of the first film
+  std::vector<Film> films;
+  std::string scene;  // suite, scenario, severity, policy, seed
+  std::string name;   // the file's stem
 
-FilmGroups GroupFilms(const RunData& run) {
-  FilmGroups groups;
-  for (const UnitResult& unit : run.units) {
-    for (const std::string& path : unit.videos) {
-      const UnitConfig& c = unit.config;
-      const std::string key = absl::StrCat(c.suite, "|", c.scenario, "|", c.severity, "|", c.policy,
-                                           "|", c.seed, "|", fs::path(path).stem().string());
-      auto group =
-          std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == key; });
-      if (group == groups.end()) group = groups.insert(groups.end(), {key, {}});
-      group->second.push_back({&unit, path});
+  // Groups that show more come first: an outcome that differs, an adapter that has been updated.
+  int Interest() const {
+    bool success = false, failure = false, updated = false;
+    for (const Film& film : films) {
+      if (film.episode == nullptr) continue;
+      (film.episode->success ? success : failure) = true;
+      updated = updated || film.episode->updates > 0;
     }
+    return 2 * (success && failure) + updated;
   }
-  return groups;
-}
+  int Episode() const {
+    return films.front().episode == nullptr ? 0 : films.front().episode->episode;
+  }
+};
 
 // The integers in a file name, in order: task and episode.
 std::vector<int> Numbers(const std::string& name) {
@@ -60,17 +64,59 @@ std::vector<int> Numbers(const std::string& name) {
   return numbers;
 }
 
-// "success after 143 steps", from the episode the film's name points to.
-std::string OutcomeText(const Film& film) {
-  const std::vector<int> numbers = Numbers(fs::path(film.path).stem().string());
-  if (numbers.size() < 2) return "";
-  for (const EpisodeRow& row : film.unit->episodes) {
-    if (row.task == numbers[0] && row.episode == numbers[1]) {
-      return absl::StrCat(row.success ? "success" : "failure", " after ", row.steps, " steps, ",
-                          row.updates, " updates so far");
+const EpisodeRow* FindEpisode(const UnitResult& unit, const std::string& stem) {
+  const std::vector<int> numbers = Numbers(stem);
+  for (const EpisodeRow& row : unit.episodes) {
+    if (numbers.size() >= 2 && row.task == numbers[0] && row.episode == numbers[1]) return &row;
+  }
+  return nullptr;
+}
+
+std::vector<FilmGroup> GroupFilms(const RunData& run) {
+  std::vector<FilmGroup> groups;
+  for (const UnitResult& unit : run.units) {
+    const UnitConfig& c = unit.config;
+    const std::string scene =
+        absl::StrCat(c.suite, "|", c.scenario, "|", c.severity, "|", c.policy, "|", c.seed);
+    for (const std::string& path : unit.videos) {
+      const std::string name = fs::path(path).stem().string();
+      auto group = std::find_if(groups.begin(), groups.end(), [&](const FilmGroup& g) {
+        return g.scene == scene && g.name == name;
+      });
+      if (group == groups.end()) group = groups.insert(groups.end(), {&c, {}, scene, name});
+      group->films.push_back({&unit, path, FindEpisode(unit, name)});
     }
   }
-  return "";
+  return groups;
+}
+
+// Ranks each group within its scene, best first, and orders by rank: every scene shows its best
+// before any shows its second.
+std::vector<const FilmGroup*> ByInterest(const std::vector<FilmGroup>& groups) {
+  std::map<std::string, std::vector<const FilmGroup*>> scenes;
+  for (const FilmGroup& group : groups) scenes[group.scene].push_back(&group);
+  std::map<const FilmGroup*, size_t> rank;
+  std::vector<const FilmGroup*> ordered;
+  for (auto& [scene, of_scene] : scenes) {
+    std::stable_sort(of_scene.begin(), of_scene.end(), [](const FilmGroup* a, const FilmGroup* b) {
+      return std::pair(a->Interest(), a->Episode()) > std::pair(b->Interest(), b->Episode());
+    });
+    for (size_t i = 0; i < of_scene.size(); ++i) rank[of_scene[i]] = i;
+  }
+  for (const FilmGroup& group : groups) ordered.push_back(&group);
+  std::stable_sort(ordered.begin(), ordered.end(),
+                   [&](const FilmGroup* a, const FilmGroup* b) { return rank[a] < rank[b]; });
+  return ordered;
+}
+
+// "success after 143 steps, 21 updates so far"
+std::string OutcomeText(const Film& film) {
+  if (film.episode == nullptr) return "";
+  const std::string updates = film.unit->config.method.adapt
+                                  ? absl::StrCat(", ", film.episode->updates, " updates so far")
+                                  : "";
+  return absl::StrCat(film.episode->success ? "success" : "failure", " after ", film.episode->steps,
+                      " steps", updates);
 }
 
 std::string Figure(const Film& film, const std::string& bytes) {
@@ -109,37 +155,48 @@ std::string EnvironmentTable(const nlohmann::json& environment) {
 }  // namespace
 
 std::string VideoSection(const RunData& run, const ReportOptions& options) {
-  const FilmGroups groups = GroupFilms(run);
+  const std::vector<FilmGroup> groups = GroupFilms(run);
   if (groups.empty() || options.max_videos == 0) return "";
-  std::string html =
-      "<h2 id=videos>Rollouts side by side</h2>\n<p class=note>Same task, same initial state, same "
-      "sampling noise: the methods differ, nothing else.</p>\n<div class=videos>\n";
+  std::map<const FilmGroup*, std::string> chosen;  // -> figures
   int shown = 0, left_out = 0;
   double megabytes = 0;
-  for (const auto& [key, films] : groups) {
+  for (const FilmGroup* group : ByInterest(groups)) {
+    const int count = static_cast<int>(group->films.size());
     std::string figures;
     double size = 0;
-    for (const Film& film : films) {
+    for (const Film& film : group->films) {
       const absl::StatusOr<std::string> bytes = ReadFile(film.path);
       if (!bytes.ok()) continue;
       size += bytes->size() / 1e6;
       absl::StrAppend(&figures, Figure(film, *bytes));
     }
-    if (shown + static_cast<int>(films.size()) > options.max_videos ||
-        megabytes + size > options.max_video_mb) {
-      left_out += static_cast<int>(films.size());
+    if (shown + count > options.max_videos || megabytes + size > options.max_video_mb) {
+      left_out += count;
       continue;
     }
-    shown += static_cast<int>(films.size());
+    shown += count;
     megabytes += size;
-    const UnitConfig& c = films.front().unit->config;
-    const std::vector<int> numbers = Numbers(fs::path(films.front().path).stem().string());
-    const SuiteInfo* suite = FindSuite(c.suite);
-    absl::StrAppend(
-        &html, "<div class=pair><h3 style=\"margin-top:0\">", EscapeXml(ScenarioTitle(c.scenario)),
-        " <small class=paper>", EscapeXml(suite == nullptr ? c.suite : suite->title),
-        numbers.size() >= 2 ? absl::StrCat(", task ", numbers[0], ", episode ", numbers[1]) : "",
-        ", L", c.severity, "</small></h3><div class=row>", figures, "</div></div>\n");
+    chosen.emplace(group, std::move(figures));
+  }
+  std::string html =
+      "<h2 id=videos>Rollouts side by side</h2>\n<p class=note>Same task, same initial state, same "
+      "sampling noise: the "
+      "methods differ, nothing else. Chosen for difference: pairs whose outcomes differ come "
+      "first, so these films "
+      "are no sample of the success rates.</p>\n<div class=videos>\n";
+  for (const FilmGroup& group : groups) {
+    const auto figures = chosen.find(&group);
+    if (figures == chosen.end()) continue;
+    const SuiteInfo* suite = FindSuite(group.config->suite);
+    const EpisodeRow* episode = group.films.front().episode;
+    absl::StrAppend(&html, "<div class=pair><h3 style=\"margin-top:0\">",
+                    EscapeXml(ScenarioTitle(group.config->scenario)), " <small class=paper>",
+                    EscapeXml(suite == nullptr ? group.config->suite : suite->title),
+                    episode == nullptr
+                        ? ""
+                        : absl::StrCat(", task ", episode->task, ", episode ", episode->episode),
+                    ", L", group.config->severity, "</small></h3><div class=row>", figures->second,
+                    "</div></div>\n");
   }
   html += "</div>\n";
   if (left_out > 0) {
@@ -158,6 +215,14 @@ std::string SetupSection(const RunData& run) {
                     "<p>To repeat: <code>robostress sweep --grid sweep.yaml --out DIR</code> with "
                     "this grid (the last one run in the directory):</p><pre>",
                     EscapeXml(*grid), "</pre>\n");
+  }
+  std::set<std::string> models;
+  for (const UnitResult& unit : run.units) {
+    if (unit.provenance.is_object()) models.insert(unit.provenance.dump());
+  }
+  for (const std::string& model : models) {
+    absl::StrAppend(&html, "<p class=note>Units were run with <code>", EscapeXml(model),
+                    "</code></p>\n");
   }
   std::set<std::string> shown;
   for (const UnitResult& unit : run.units) {

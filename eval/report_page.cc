@@ -50,8 +50,8 @@ svg{max-width:100%;height:auto}
 .panels{display:flex;flex-wrap:wrap;gap:8px 10px}
 .videos{display:grid;grid-template-columns:repeat(auto-fill,minmax(500px,1fr));gap:18px}
 .pair{border:1px solid var(--line);border-radius:8px;padding:12px 14px}
-.pair .row{display:flex;gap:10px;flex-wrap:wrap}
-.pair figure{margin:0;flex:1 1 220px}
+.pair .row{display:grid;grid-template-columns:repeat(auto-fill,minmax(210px,1fr));gap:10px}
+.pair figure{margin:0}
 .pair img{width:100%;border-radius:4px;display:block}
 figcaption{font-size:12.5px;color:var(--muted);margin-top:4px}
 pre{background:var(--soft);border:1px solid var(--line);border-radius:6px;padding:12px 14px;overflow-x:auto;font-size:12.5px;line-height:1.45}

@@ -150,6 +150,9 @@ absl::StatusOr<UnitResult> LoadUnit(const fs::path& dir) {
     unit.episodes.push_back(std::move(row));
   }
   RS_RETURN_IF_ERROR(CheckAgainstConfig(file, unit));
+  if (const auto text = ReadFile((dir / "provenance.json").string()); text.ok()) {
+    unit.provenance = json::parse(*text, nullptr, false);
+  }
   std::error_code none;
   for (const auto& entry : fs::directory_iterator(dir / "videos", none)) {
     if (entry.path().extension() == ".webp") unit.videos.push_back(entry.path().string());

@@ -36,7 +36,8 @@ struct UnitResult {
   UnitConfig config;
   std::vector<EpisodeRow> episodes;  // in the order they were run
   std::vector<std::string> videos;   // paths, sorted
-  double wall_s = 0;                 // sum over timing.jsonl
+  nlohmann::json provenance;  // provenance.json: policy, model_hash, version; null when absent
+  double wall_s = 0;          // sum over timing.jsonl
   int timed_episodes = 0;
 };
 

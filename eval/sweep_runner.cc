@@ -176,10 +176,11 @@ absl::Status Sweep::StartServer(const std::string& policy) {
   const std::string port_file = absl::StrCat(dir_, "/logs/server-", label, ".port");
   std::error_code ignored;
   fs::remove(port_file, ignored);
-  RS_ASSIGN_OR_RETURN(ChildProcess process,
-                      ChildProcess::Start({program, "--policy", policy, "--listen", "127.0.0.1:0",
-                                           "--port-file", port_file, "--threads", absl::StrCat(options_.workers)},
-                                          ChildEnvironment(), log));
+  RS_ASSIGN_OR_RETURN(
+      ChildProcess process,
+      ChildProcess::Start({program, "--policy", policy, "--listen", "127.0.0.1:0", "--port-file",
+                           port_file, "--threads", absl::StrCat(options_.workers)},
+                          ChildEnvironment(), log));
   const auto deadline = SteadyClock::now() + std::chrono::seconds(options_.server_start_timeout_s);
   while (!fs::exists(port_file)) {
     pollfd items[] = {{process.exit_fd(), POLLIN, 0}, {signals_.fd(), POLLIN, 0}};

@@ -96,6 +96,15 @@ TEST_F(SweepProgram, ServerThatDoesNotStartIsReportedWithItsLog) {
   EXPECT_FALSE(std::filesystem::exists(folder_ + "/run/report.html"));
 }
 
+TEST_F(SweepProgram, ServerThatDiesEndsTheSweepWithItsLog) {
+  EXPECT_EQ(Sweep(Small("run"), "FAKE_SERVER_LIFETIME_MS=300 FAKE_EPISODE_MS=400"), 1);
+  EXPECT_THAT(output(), HasSubstr("exit code 5"));
+  EXPECT_THAT(output(), HasSubstr("out of memory"));
+  // Nothing half-done looks whole, and the same command completes it.
+  EXPECT_FALSE(std::filesystem::exists(folder_ + "/run/report.html"));
+  EXPECT_EQ(Sweep(Small("run")), 0) << output();
+}
+
 TEST_F(SweepProgram, ExpertNeedsNoServer) {
   EXPECT_EQ(
       Sweep(absl::StrCat(
