@@ -37,32 +37,36 @@ void Progress::Expect(const std::string& id, const std::string& episodes_file, i
 
 void Progress::Start(const std::string& id) { units_[id].running = true; }
 
-void Progress::Finish(const std::string& id) {
+void Progress::Finish(const std::string& id, bool failed) {
   Unit& unit = units_[id];
   unit.recorded = std::min(CountLines(unit.file), unit.expected);
   unit.running = false;
   unit.finished = true;
+  unit.failed = failed;
 }
 
 std::string Progress::Line() {
-  int units_done = 0, episodes = 0, expected = 0, fresh = 0;
+  int units_done = 0, units_failed = 0, episodes = 0, expected = 0, fresh = 0;
   for (auto& [id, unit] : units_) {
     if (unit.running) {
       unit.recorded = std::min(CountLines(unit.file), unit.expected);
       // A worker that starts its unit again rewrites the file.
       unit.before = std::min(unit.before, unit.recorded);
     }
-    units_done += unit.finished;
-    episodes += unit.finished ? unit.expected : unit.recorded;
+    units_done += unit.finished && !unit.failed;
+    units_failed += unit.failed;
+    episodes += unit.recorded;
     fresh += unit.recorded - unit.before;
-    expected += unit.expected;
+    expected += unit.failed ? unit.recorded : unit.expected;
   }
   const double elapsed =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   const std::string eta =
       fresh == 0 ? "?" : FormatDuration(elapsed / fresh * (expected - episodes));
-  return absl::StrFormat("%d/%d units  %d/%d episodes (%d %%)  elapsed %s  ETA %s", units_done,
-                         units_.size(), episodes, expected,
+  const std::string failures =
+      units_failed == 0 ? "" : absl::StrFormat(" (%d failed)", units_failed);
+  return absl::StrFormat("%d/%d units%s  %d/%d episodes (%d %%)  elapsed %s  ETA %s", units_done,
+                         units_.size(), failures, episodes, expected,
                          expected == 0 ? 100 : 100 * episodes / expected, FormatDuration(elapsed),
                          eta);
 }

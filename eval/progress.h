@@ -17,7 +17,7 @@ class Progress {
   // A unit that is to be run: where its episodes will appear and how many.
   void Expect(const std::string& id, const std::string& episodes_file, int episodes);
   void Start(const std::string& id);
-  void Finish(const std::string& id);
+  void Finish(const std::string& id, bool failed);
   void Show();
   // Prints a message without tearing the line.
   void Say(const std::string& message);
@@ -29,7 +29,7 @@ class Progress {
     std::string file;
     int expected = 0, recorded = 0;
     int before = 0;  // recorded by an earlier call
-    bool running = false, finished = false;
+    bool running = false, finished = false, failed = false;
   };
   std::string Line();
   void Print(bool force);

@@ -135,6 +135,47 @@ std::string Row(const std::string& name, const std::string& value) {
                                       EscapeXml(value), "</td></tr>\n");
 }
 
+// Where the time of an episode goes, per method; empty when nothing was timed.
+std::string TimingTable(const RunData& run) {
+  struct Row {
+    TimingSums sums;
+    int64_t steps = 0, chunks = 0;
+  };
+  std::map<std::string, Row> rows;
+  for (const UnitResult& unit : run.units) {
+    if (unit.timing.episodes != static_cast<int>(unit.episodes.size())) continue;
+    Row& row = rows[unit.config.method.method];
+    row.sums.episodes += unit.timing.episodes;
+    row.sums.wall_s += unit.timing.wall_s;
+    row.sums.predict_s += unit.timing.predict_s;
+    row.sums.step_s += unit.timing.step_s;
+    row.sums.observe_s += unit.timing.observe_s;
+    row.sums.feedback_s += unit.timing.feedback_s;
+    for (const EpisodeRow& episode : unit.episodes) {
+      row.steps += episode.steps;
+      row.chunks += episode.chunks;
+    }
+  }
+  std::string html;
+  for (const std::string& method : MethodNames()) {
+    const auto found = rows.find(method);
+    if (found == rows.end() || found->second.steps == 0 || found->second.chunks == 0) continue;
+    const Row& row = found->second;
+    absl::StrAppendFormat(
+        &html,
+        "<tr><td>%s</td><td>%.2f</td><td>%.2f</td><td>%.1f</td><td>%.1f</td><td>%.1f</td></tr>\n",
+        EscapeXml(MethodTitle(method)), row.sums.wall_s / row.sums.episodes,
+        1e3 * row.sums.step_s / row.steps, 1e3 * row.sums.observe_s / row.chunks,
+        1e3 * row.sums.predict_s / row.chunks, 1e3 * row.sums.feedback_s / row.chunks);
+  }
+  if (html.empty()) return "";
+  return "<h3>Wall time on this machine, workers and server sharing its "
+         "cores</h3><table><tr><th>Method</th><th>s per episode</th>"
+         "<th>ms per control step</th><th>ms per observation</th><th>ms per prediction</th><th>ms "
+         "per feedback</th></tr>\n" +
+         html + "</table>\n";
+}
+
 std::string EnvironmentTable(const nlohmann::json& environment) {
   if (!environment.is_object())
     return "<p class=note>environment.json is missing: versions were not recorded.</p>\n";
@@ -209,7 +250,7 @@ std::string VideoSection(const RunData& run, const ReportOptions& options) {
 
 std::string SetupSection(const RunData& run) {
   std::string html = "<h2 id=setup>Setup and versions</h2>\n";
-  absl::StrAppend(&html, EnvironmentTable(run.environment));
+  absl::StrAppend(&html, EnvironmentTable(run.environment), TimingTable(run));
   if (const absl::StatusOr<std::string> grid = ReadFile(run.dir + "/sweep.yaml"); grid.ok()) {
     absl::StrAppend(&html,
                     "<p>To repeat: <code>robostress sweep --grid sweep.yaml --out DIR</code> with "

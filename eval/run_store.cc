@@ -133,6 +133,19 @@ absl::Status CheckAgainstConfig(const std::string& file, const UnitResult& unit)
   return absl::OkStatus();
 }
 
+void AddTiming(const json& record, TimingSums& sums) {
+  const auto seconds = [&](const char* key) {
+    const auto field = record.find(key);
+    return field != record.end() && field->is_number() ? field->get<double>() : 0.0;
+  };
+  ++sums.episodes;
+  sums.wall_s += seconds("wall_s");
+  sums.predict_s += seconds("predict_s");
+  sums.step_s += seconds("step_s");
+  sums.observe_s += seconds("observe_s");
+  sums.feedback_s += seconds("feedback_s");
+}
+
 absl::StatusOr<UnitResult> LoadUnit(const fs::path& dir) {
   UnitResult unit;
   unit.id = dir.filename().string();
@@ -159,11 +172,7 @@ absl::StatusOr<UnitResult> LoadUnit(const fs::path& dir) {
   }
   std::sort(unit.videos.begin(), unit.videos.end());
   if (const auto timings = ReadJsonLines((dir / "timing.jsonl").string()); timings.ok()) {
-    for (const json& record : *timings) {
-      if (record.contains("wall_s") && record["wall_s"].is_number())
-        unit.wall_s += record["wall_s"].get<double>();
-      ++unit.timed_episodes;
-    }
+    for (const json& record : *timings) AddTiming(record, unit.timing);
   }
   return unit;
 }
@@ -258,11 +267,12 @@ std::string EpisodeTableCsv(const RunData& run) {
 }
 
 std::string UnitTimingCsv(const RunData& run) {
-  std::string csv = "unit,episodes,wall_s,seconds_per_episode\n";
+  std::string csv = "unit,episodes,wall_s,predict_s,step_s,observe_s,feedback_s\n";
   for (const UnitResult& unit : run.units) {
+    const TimingSums& t = unit.timing;
     absl::StrAppend(
-        &csv, absl::StrFormat("%s,%d,%.3f,%.3f\n", unit.id, unit.timed_episodes, unit.wall_s,
-                              unit.timed_episodes == 0 ? 0.0 : unit.wall_s / unit.timed_episodes));
+        &csv, absl::StrFormat("%s,%d,%.3f,%.3f,%.3f,%.3f,%.3f\n", unit.id, t.episodes, t.wall_s,
+                              t.predict_s, t.step_s, t.observe_s, t.feedback_s));
   }
   return csv;
 }

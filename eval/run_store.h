@@ -30,6 +30,12 @@ struct EpisodeRow {
   nlohmann::json fields;  // the line as it was read, for episodes.csv
 };
 
+// Wall time of a unit's episodes, summed [s]; kept out of every table that is compared.
+struct TimingSums {
+  int episodes = 0;
+  double wall_s = 0, predict_s = 0, step_s = 0, observe_s = 0, feedback_s = 0;
+};
+
 // One finished unit of a run directory.
 struct UnitResult {
   std::string id;
@@ -37,8 +43,7 @@ struct UnitResult {
   std::vector<EpisodeRow> episodes;  // in the order they were run
   std::vector<std::string> videos;   // paths, sorted
   nlohmann::json provenance;  // provenance.json: policy, model_hash, version; null when absent
-  double wall_s = 0;          // sum over timing.jsonl
-  int timed_episodes = 0;
+  TimingSums timing;
 };
 
 // A run directory as far as it is finished.

@@ -242,7 +242,8 @@ void Sweep::Collect(Progress& progress) {
       continue;
     }
     const PlannedUnit& unit = *worker->unit;
-    if (exit->code == 0 && Done(unit)) {
+    const bool failed = exit->code != 0 || !Done(unit);
+    if (!failed) {
       ++outcome_.completed;
     } else {
       outcome_.failed.push_back(unit.id);
@@ -250,7 +251,7 @@ void Sweep::Collect(Progress& progress) {
                                 exit->code == 0 ? ", but it left no DONE" : "", "). Its log ",
                                 UnitLog(unit), " ends:\n", LastLines(UnitLog(unit), 12)));
     }
-    progress.Finish(unit.id);
+    progress.Finish(unit.id, failed);
     worker = running_.erase(worker);
   }
 }

@@ -1,6 +1,7 @@
 #include "eval/report.h"
 
 #include <cmath>
+#include <filesystem>
 #include <limits>
 
 #include "common/atomic_file.h"
@@ -64,6 +65,28 @@ TEST(ReportPage, HoldsWithBaseAlone) {
   RunData run;
   run.units = {SyntheticUnit("clean", "base", {1, 0})};
   EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}), HasSubstr("nothing to compare yet"));
+}
+
+TEST(ReportPage, ShowsThePairWhoseOutcomesDifferFirst) {
+  RunData run = SmallRun();
+  run.dir = TestFolder();
+  // Heavy Payload: base and ours agree on episode 0 and differ on episode 1.
+  for (size_t unit : {2, 3}) {
+    for (int episode : {0, 1}) {
+      std::filesystem::create_directories(run.dir + "/" + std::to_string(unit));
+      const std::string film = run.dir + "/" + std::to_string(unit) + "/task0_episode" +
+                               std::to_string(episode) + ".webp";
+      ASSERT_TRUE(WriteFileAtomically(film, "film").ok());
+      run.units[unit].videos.push_back(film);
+    }
+  }
+  ReportOptions options;
+  options.max_videos = 2;
+  const std::string page = ReportPage(run, Summarise(run, 100), options);
+  EXPECT_THAT(page, HasSubstr("task 0, episode 1"));
+  EXPECT_THAT(page, Not(HasSubstr("task 0, episode 0")));
+  EXPECT_THAT(page, HasSubstr("data:image/webp;base64,ZmlsbQ=="));
+  EXPECT_THAT(page, HasSubstr("2 more films"));
 }
 
 TEST(WriteReport, PublishesPageDataAndFigures) {
