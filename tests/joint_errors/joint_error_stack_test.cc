@@ -138,6 +138,8 @@ TEST(JointErrorStack, PayloadRampsInWithTheGraspAndIsNominalBefore) {
     EXPECT_NEAR(payload.factors()[0].compliance, 1 + 4 * 0.02 * i, 1e-12);
   }
   payload.Reset(Vector::Zero(), Vector::Zero());
+  payload.BeginControlStep(0, false);
+  payload.BeginSubStep(kStep);
   EXPECT_EQ(payload.factors()[0].gravity, 1);  // the gate does not survive the episode
 }
 

@@ -162,6 +162,47 @@ TEST(PandaSim, GraspNeedsBothPadsOnOneFreeBody) {
   EXPECT_EQ(sim->held_body(), -1);
 }
 
+TEST(PandaSim, OnePadAloneIsNoGrasp) {
+  auto sim = MakeTestSim();
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  mjData& data = sim->mutable_data();
+  const mjModel& m = sim->model();
+  const auto geom = [&](const char* name) { return mj_name2id(&m, mjOBJ_GEOM, name); };
+  const int pads[2] = {geom("gripper0_finger1_pad_collision"),
+                       geom("gripper0_finger2_pad_collision")};
+  // Puts the cube (40 mm wide) between the pads, `offset` from their middle along the closing
+  // direction, and reports how many pads touch it.
+  const auto touching_pads = [&](double finger, double offset) {
+    data.qpos[7] = finger;
+    data.qpos[8] = -finger;
+    mj_kinematics(&m, &data);
+    const Eigen::Map<const Eigen::Vector3d> a(data.geom_xpos + 3 * pads[0]),
+        b(data.geom_xpos + 3 * pads[1]);
+    const Eigen::Vector3d at = 0.5 * (a + b) + offset * (a - b).normalized();
+    const double* hand = data.xquat + 4 * mj_name2id(&m, mjOBJ_BODY, "robot0_right_hand");
+    std::copy(at.data(), at.data() + 3, data.qpos + 9);
+    std::copy(hand, hand + 4, data.qpos + 12);
+    mj_forward(&m, &data);
+    bool touches[2] = {false, false};
+    for (int c = 0; c < data.ncon; ++c) {
+      for (int i = 0; i < 2; ++i) {
+        const mjContact& contact = data.contact[c];
+        const int cube = geom("cube");
+        touches[i] |= (contact.geom1 == pads[i] && contact.geom2 == cube) ||
+                      (contact.geom1 == cube && contact.geom2 == pads[i]);
+      }
+    }
+    return touches[0] + touches[1];
+  };
+  // Open, the inner faces are 39.5 mm from the middle; the cube reaches 0.3 mm into one of them.
+  for (const double offset : {0.0198, -0.0198}) {
+    EXPECT_EQ(touching_pads(0.04, offset), 1);
+    EXPECT_FALSE(sim->GraspDetected());
+  }
+  EXPECT_EQ(touching_pads(0.0203, 0), 2);
+  EXPECT_TRUE(sim->GraspDetected());
+}
+
 TEST(PandaSim, AFixedBodyBetweenThePadsIsNotHeld) {
   PandaScene scene = TestScene();
   const std::string joint = "<freejoint name=\"cube_joint\"/>";
@@ -211,12 +252,13 @@ TEST(PandaSim, RestoreContinuesBitForBitWithHiddenStatesAndContacts) {
 }
 
 TEST(PandaSim, SeesStatesThatWereWrittenFromOutside) {
+  // The bias torque of the first sub-step must be that of the written posture.
   auto a = MakeTestSim(), b = MakeTestSim();
   std::vector<double> qpos = HomeState(*a);
-  qpos[10] = 0.2;  // the cube's y
+  qpos[3] += 0.1;
   ASSERT_TRUE(a->Reset(qpos, PandaHome()).ok());
   ASSERT_TRUE(b->Reset(HomeState(*b), PandaHome()).ok());
-  b->mutable_data().qpos[10] = 0.2;
+  b->mutable_data().qpos[3] = qpos[3];
   for (int i = 0; i < 3; ++i) {
     ASSERT_TRUE(a->Step(Command(0, 0, -1)).ok());
     ASSERT_TRUE(b->Step(Command(0, 0, -1)).ok());
