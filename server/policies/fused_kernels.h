@@ -28,7 +28,16 @@ struct FusedKernels {
                        int64_t bias_rows, int64_t draws);
   // grad_scores = p * (grad_p - sum(p grad_p)).
   void (*softmax_backward)(const float* p, const float* grad_p, int64_t rows, int64_t keys, float* grad_scores);
+  // y = x W^T for few rows: W [out, in] packed into panels of kPanel outputs, [panel][in][kPanel], the last one filled up with
+  // zeros. A row's result does not depend on the other rows.
+  void (*linear)(const float* x, int64_t rows, int64_t in, const float* panels, int64_t out, float* y);
+  // y += (x A^T) B^T with A [rank, in] and B transposed, [rank, out]; rows of y are y_stride apart.
+  void (*add_low_rank)(const float* x, int64_t rows, int64_t in, const float* a, const float* b_transposed, int64_t rank,
+                       int64_t out, float* y, int64_t y_stride);
 };
+
+inline constexpr int64_t kPanel = 16;
+constexpr int64_t PadToPanel(int64_t n) { return (n + kPanel - 1) / kPanel * kPanel; }
 
 // The best table for this processor.
 const FusedKernels& BestFusedKernels();

@@ -12,8 +12,8 @@ namespace robostress {
 struct NanoConfig {
   std::vector<std::string> cameras = {"agentview", "robot0_eye_in_hand"};
   int image_size = 64;                              // [px], square
-  std::vector<int> conv_channels = {24, 48, 96};    // one convolution of stride 2 each
-  int max_words = 24;                               // words of an instruction, padding included
+  std::vector<int> conv_channels = {24, 48, 96, 128};  // one convolution of stride 2 each
+  int max_words = 18;                               // words of an instruction, padding included
   int vocabulary_rows = 192;                        // rows of the word table, two of them for padding and unknown
   int readout_tokens = 4;                           // learned prefix tokens that the auxiliary head reads
   int layers = 4;                                   // of prefix and action expert alike

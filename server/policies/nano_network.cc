@@ -137,6 +137,14 @@ Tensor TimeEmbedding(const Tensor& t, int64_t dim) {
   return torch::cat({angle.sin(), angle.cos()}, -1).to(torch::kFloat32);
 }
 
+std::pair<Tensor, Tensor> RopeTables(const NanoConfig& config) {
+  torch::NoGradGuard no_grad;
+  const int64_t positions = config.prefix_tokens() + 1 + config.action_tokens(), h = config.head_dim;
+  const Tensor frequency = torch::pow(kRopeBase, torch::arange(h / 2, torch::kFloat64) * (-2.0 / h));
+  const Tensor angle = torch::arange(positions, torch::kFloat64).unsqueeze(1) * frequency;
+  return {angle.cos().to(torch::kFloat32), angle.sin().to(torch::kFloat32)};
+}
+
 NanoNetwork::NanoNetwork(const NanoConfig& config, NanoParameters parameters)
     : config_(config), p_(std::move(parameters)) {
   const int64_t e = config.expert_width, m = config.expert_mlp, hq = config.heads * config.head_dim,
@@ -151,12 +159,7 @@ NanoNetwork::NanoNetwork(const NanoConfig& config, NanoParameters parameters)
     lora_targets_.push_back({name + "up_proj", e, m});
     lora_targets_.push_back({name + "down_proj", m, e});
   }
-  torch::NoGradGuard no_grad;
-  const int64_t positions = config.prefix_tokens() + 1 + config.action_tokens();
-  const Tensor frequency = torch::pow(kRopeBase, torch::arange(h / 2, torch::kFloat64) * (-2.0 / h));
-  const Tensor angle = torch::arange(positions, torch::kFloat64).unsqueeze(1) * frequency;
-  rope_cos_ = angle.cos().to(torch::kFloat32);
-  rope_sin_ = angle.sin().to(torch::kFloat32);
+  std::tie(rope_cos_, rope_sin_) = RopeTables(config);
 }
 
 Tensor NanoNetwork::EncodeImage(const NanoCamera& camera, const Tensor& image) const {

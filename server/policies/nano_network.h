@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <torch/types.h>
@@ -62,6 +63,9 @@ std::vector<torch::Tensor> RandomNanoTensors(const NanoConfig& config, uint64_t 
 // emb(t) as in pi0: period_k = 4e-3 * (4.0 / 4e-3)^(k / (dim/2 - 1)), angle = 2 pi t / period in double;
 // [B] -> [B, dim], all sines, then all cosines.
 torch::Tensor TimeEmbedding(const torch::Tensor& t, int64_t dim);
+
+// cos and sin of position * 10000^(-2 j / head_dim), [positions, head_dim / 2] each, for every position there is.
+std::pair<torch::Tensor, torch::Tensor> RopeTables(const NanoConfig& config);
 
 // The pi0 graph in small: images and words -> prefix transformer -> keys and values -> action expert.
 // Functions of the parameters; differentiable wherever a parameter requires gradients.

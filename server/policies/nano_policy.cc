@@ -10,6 +10,7 @@
 #include "common/check.h"
 #include "common/status_macros.h"
 #include "server/policies/nano_network.h"
+#include "server/policies/nano_sampler.h"
 
 namespace robostress {
 namespace {
@@ -22,7 +23,8 @@ constexpr float kStdEpsilon = 1e-6f;
 class NanoPolicy : public FlowPolicy {
  public:
   NanoPolicy(NanoModel model, const std::string& model_hash, const std::string& name)
-      : model_(std::move(model)), network_(model_.config, AssembleNano(model_.config, InferenceTensors(model_.tensors))) {
+      : model_(std::move(model)), network_(model_.config, AssembleNano(model_.config, InferenceTensors(model_.tensors))),
+        sampler_(model_.config, AssembleNano(model_.config, InferenceTensors(model_.tensors)), EulerTimes(kEulerSteps)) {
     spec_.name = name;
     spec_.model_hash = model_hash;
     spec_.cameras = model_.config.cameras;
@@ -65,13 +67,7 @@ class NanoPolicy : public FlowPolicy {
   }
 
   Tensor Sample(const PolicyContext& context, const Tensor& noise, const LoraWeights* lora) const override {
-    torch::NoGradGuard no_grad;
-    const int64_t batch = noise.size(0);
-    Tensor x = noise.clone();
-    for (const float t : EulerTimes(kEulerSteps)) {
-      x.add_(network_.Velocity(context, x, torch::full({batch}, t), lora), -1.0f / kEulerSteps);
-    }
-    return x;
+    return sampler_.Sample(context, noise, lora);
   }
 
   Eigen::MatrixXf ToEnvironment(const Tensor& chunk) const override {
@@ -151,7 +147,8 @@ class NanoPolicy : public FlowPolicy {
   }
 
   NanoModel model_;
-  NanoNetwork network_;
+  NanoNetwork network_;   // the prefix, and the velocity where gradients are wanted
+  NanoSampler sampler_;   // predictions
   PolicySpec spec_;
 };
 

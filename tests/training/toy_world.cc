@@ -136,7 +136,7 @@ void ToyWorld::Advance(State& state, const Eigen::VectorXf& action, int target) 
 void ToyWorld::Step(const Eigen::VectorXf& action) { Advance(state_, action, target_); }
 
 bool ToyWorld::Success(const State& state) const {
-  return !state.holding && state.finger > 0.03 && (state.blocks[target_] - plates_[destination_]).norm() < 0.025;
+  return !state.holding && state.finger > 0.025 && (state.blocks[target_] - plates_[destination_]).norm() < 0.025;
 }
 
 bool ToyWorld::success() const { return Success(state_); }

@@ -1,0 +1,234 @@
+#include "server/policies/nano_sampler.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <torch/torch.h>
+
+#include "common/check.h"
+#include "server/policies/fused_kernels.h"
+
+namespace robostress {
+namespace {
+
+constexpr float kMasked = -2.3819763e38f;
+constexpr size_t kTargetsPerLayer = 7;
+
+std::vector<float> ToVector(const torch::Tensor& tensor) {
+  const torch::Tensor flat = tensor.detach().to(torch::kFloat32).contiguous();
+  return {flat.data_ptr<float>(), flat.data_ptr<float>() + flat.numel()};
+}
+
+// Value of row-major W [out, in] goes to panel out / 16, place [in][out % 16].
+float& PanelAt(float* panels, int64_t in, int64_t out_index, int64_t in_index) {
+  return panels[(out_index / kPanel * in + in_index) * kPanel + out_index % kPanel];
+}
+
+}  // namespace
+
+struct NanoSampler::Lora {
+  struct Target {
+    int64_t in, out, rank;
+    std::vector<float> a, b_transposed;
+  };
+  explicit Lora(const LoraWeights& weights) {
+    for (size_t i = 0; i < weights.A.size(); ++i) {
+      targets.push_back({weights.A[i].size(1), weights.B[i].size(0), weights.A[i].size(0), ToVector(weights.A[i]),
+                         ToVector(weights.B[i].t())});
+    }
+  }
+  std::vector<Target> targets;
+};
+
+// Buffers of one row. Key slots: prefix, state, filled up to a panel; then actions, filled up to a panel.
+struct NanoSampler::Workspace {
+  Workspace(const NanoConfig& c, int64_t prefix)
+      : slots(PadToPanel(prefix + 1) + PadToPanel(c.action_tokens())),
+        keys(c.layers, std::vector<float>(slots * c.head_dim)),
+        values(c.layers, std::vector<float>(slots * PadToPanel(c.head_dim))) {
+    const int64_t rows = std::max(1, c.action_tokens());
+    tokens.resize(rows * c.expert_width);
+    sum.resize(tokens.size());
+    delta.resize(tokens.size());
+    normed.resize(tokens.size());
+    inverse_rms.resize(rows);
+    qkv.resize(rows * (c.heads + 2) * c.head_dim);
+    q.resize(rows * c.heads * c.head_dim);
+    k.resize(rows * c.head_dim);
+    v.resize(rows * c.head_dim);
+    attended.resize(q.size());
+    scores.resize(rows * c.heads * slots);
+    gate_up.resize(rows * 2 * c.expert_mlp);
+    hidden.resize(rows * c.expert_mlp);
+    positions.resize(rows);
+  }
+  int64_t slots;
+  std::vector<std::vector<float>> keys;    // per layer, packed as weights [slots, head_dim]
+  std::vector<std::vector<float>> values;  // per layer, packed as weights [head_dim, slots]
+  std::vector<float> tokens, sum, delta, normed, inverse_rms, qkv, q, k, v, attended, scores, gate_up, hidden;
+  std::vector<int64_t> positions;
+
+  void PutKey(int layer, int64_t slot, const float* key, const float* value, int64_t h) {
+    for (int64_t i = 0; i < h; ++i) {
+      PanelAt(keys[layer].data(), h, slot, i) = key[i];
+      PanelAt(values[layer].data(), slots, i, slot) = value[i];
+    }
+  }
+};
+
+NanoSampler::Packed NanoSampler::Pack(const torch::Tensor& weight, const torch::Tensor& bias) {
+  const std::vector<float> values = ToVector(weight);
+  Packed packed;
+  packed.out = weight.size(0);
+  packed.in = weight.size(1);
+  packed.panels.resize(PadToPanel(packed.out) * packed.in);
+  for (int64_t o = 0; o < packed.out; ++o) {
+    for (int64_t i = 0; i < packed.in; ++i) PanelAt(packed.panels.data(), packed.in, o, i) = values[o * packed.in + i];
+  }
+  if (bias.defined()) packed.bias = ToVector(bias);
+  return packed;
+}
+
+NanoSampler::NanoSampler(const NanoConfig& config, const NanoParameters& p, const std::vector<float>& times)
+    : config_(config), times_(times) {
+  torch::NoGradGuard no_grad;
+  const int64_t e = config.expert_width;
+  state_ = Pack(p.state_weight, p.state_bias);
+  action_in_ = Pack(p.action_in_weight, p.action_in_bias);
+  time_in_ = Pack(p.time_in_weight.narrow(1, 0, e), {});
+  time_out_ = Pack(p.time_out_weight, p.time_out_bias);
+  action_out_ = Pack(p.action_out_weight, p.action_out_bias);
+  const torch::Tensor embedding = TimeEmbedding(torch::tensor(times), e);
+  const torch::Tensor time = torch::linear(embedding, p.time_in_weight.narrow(1, e, e), p.time_in_bias);
+  for (size_t i = 0; i < times.size(); ++i) time_bias_.push_back(ToVector(time[static_cast<int64_t>(i)]));
+  for (const NanoLayer& layer : p.expert) {
+    layers_.push_back({ToVector(layer.input_norm), ToVector(layer.post_norm), Pack(layer.qkv_proj, {}),
+                       Pack(layer.o_proj, {}), Pack(layer.gate_up_proj, {}), Pack(layer.down_proj, {})});
+  }
+  final_norm_ = ToVector(p.expert_norm);
+  const auto [cos, sin] = RopeTables(config);
+  rope_cos_ = ToVector(cos);
+  rope_sin_ = ToVector(sin);
+}
+
+void NanoSampler::Apply(const Packed& packed, const float* x, int64_t rows, float* y) const {
+  BestFusedKernels().linear(x, rows, packed.in, packed.panels.data(), packed.out, y);
+  if (packed.bias.empty()) return;
+  for (int64_t r = 0; r < rows; ++r) {
+    for (int64_t i = 0; i < packed.out; ++i) y[r * packed.out + i] += packed.bias[i];
+  }
+}
+
+void NanoSampler::AddLora(const Lora* lora, size_t first, size_t count, const float* x, int64_t rows, float* y,
+                          int64_t width) const {
+  if (lora == nullptr) return;
+  for (size_t i = first; i < first + count; ++i) {
+    const Lora::Target& target = lora->targets[i];
+    BestFusedKernels().add_low_rank(x, rows, target.in, target.a.data(), target.b_transposed.data(), target.rank,
+                                    target.out, y, width);
+    y += target.out;
+  }
+}
+
+void NanoSampler::RunTokens(Workspace& w, int64_t rows, int64_t first_slot, int64_t first_position,
+                            const std::vector<float>& bias, const Lora* lora) const {
+  const FusedKernels& kernels = BestFusedKernels();
+  const int64_t e = config_.expert_width, heads = config_.heads, h = config_.head_dim;
+  for (int64_t i = 0; i < rows; ++i) w.positions[i] = first_position + i;
+  const float q_scale = static_cast<float>(1.0 / std::sqrt(static_cast<double>(h)));
+  bool has_delta = false;
+  // tokens += delta, normed = the norm of that.
+  const auto norm = [&](const std::vector<float>& weight) {
+    kernels.add_rms_norm(w.tokens.data(), has_delta ? w.delta.data() : nullptr, weight.data(), rows, e, w.sum.data(),
+                         w.normed.data(), w.inverse_rms.data());
+    if (has_delta) w.tokens.swap(w.sum);
+    has_delta = true;
+  };
+  for (int i = 0; i < config_.layers; ++i) {
+    const Layer& layer = layers_[i];
+    const size_t target = i * kTargetsPerLayer;
+    norm(layer.input_norm);
+    Apply(layer.qkv, w.normed.data(), rows, w.qkv.data());
+    AddLora(lora, target, 3, w.normed.data(), rows, w.qkv.data(), layer.qkv.out);
+    kernels.split_rope(w.qkv.data(), rope_cos_.data(), rope_sin_.data(), w.positions.data(), q_scale, rows, heads, h,
+                       false, w.q.data(), w.k.data(), w.v.data());
+    for (int64_t r = 0; r < rows; ++r) w.PutKey(i, first_slot + r, w.k.data() + r * h, w.v.data() + r * h, h);
+    kernels.linear(w.q.data(), rows * heads, h, w.keys[i].data(), w.slots, w.scores.data());
+    kernels.softmax_bias(w.scores.data(), bias.data(), 1, rows * heads, w.slots, heads, 1, 1);
+    kernels.linear(w.scores.data(), rows * heads, w.slots, w.values[i].data(), h, w.attended.data());
+    Apply(layer.o, w.attended.data(), rows, w.delta.data());
+    AddLora(lora, target + 3, 1, w.attended.data(), rows, w.delta.data(), e);
+    norm(layer.post_norm);
+    Apply(layer.gate_up, w.normed.data(), rows, w.gate_up.data());
+    AddLora(lora, target + 4, 2, w.normed.data(), rows, w.gate_up.data(), layer.gate_up.out);
+    kernels.geglu(w.gate_up.data(), rows, config_.expert_mlp, w.hidden.data());
+    Apply(layer.down, w.hidden.data(), rows, w.delta.data());
+    AddLora(lora, target + 6, 1, w.hidden.data(), rows, w.delta.data(), e);
+  }
+  norm(final_norm_);
+}
+
+void NanoSampler::SampleRow(const PolicyContext& context, int64_t row, const Lora* lora, float* x) const {
+  const int64_t prefix = context.prefix_mask.size(1), h = config_.head_dim, e = config_.expert_width;
+  const int64_t tokens = config_.action_tokens();
+  const int64_t values_per_token = static_cast<int64_t>(config_.steps_per_token) * config_.model_action_dim;
+  Workspace w(config_, prefix);
+  for (int i = 0; i < config_.layers; ++i) {
+    const torch::Tensor keys = context.keys[i][row].contiguous(), values = context.values[i][row].contiguous();
+    for (int64_t slot = 0; slot < prefix; ++slot) {
+      w.PutKey(i, slot, keys.data_ptr<float>() + slot * h, values.data_ptr<float>() + slot * h, h);
+    }
+  }
+  // Slots that a query may see: the state sees prefix and itself, an action sees everything but the filling.
+  const torch::Tensor mask = context.prefix_mask[row].contiguous();
+  std::vector<float> state_bias(w.slots, kMasked);
+  int64_t valid = 0;
+  for (int64_t slot = 0; slot < prefix; ++slot) {
+    if (!mask.data_ptr<bool>()[slot]) continue;
+    state_bias[slot] = 0.0f;
+    ++valid;
+  }
+  state_bias[prefix] = 0.0f;
+  std::vector<float> action_bias = state_bias;
+  const int64_t first_action = PadToPanel(prefix + 1);
+  std::fill_n(action_bias.begin() + first_action, tokens, 0.0f);
+
+  const torch::Tensor state = context.state[row].contiguous();
+  Apply(state_, state.data_ptr<float>(), 1, w.tokens.data());
+  RunTokens(w, 1, prefix, valid, state_bias, lora);
+
+  std::vector<float> mixed(tokens * e), velocity(tokens * values_per_token);
+  for (size_t step = 0; step < times_.size(); ++step) {
+    Apply(action_in_, x, tokens, w.tokens.data());
+    Apply(time_in_, w.tokens.data(), tokens, mixed.data());
+    for (int64_t r = 0; r < tokens; ++r) {
+      for (int64_t i = 0; i < e; ++i) {
+        float& value = mixed[r * e + i];
+        value += time_bias_[step][i];
+        value = value / (1.0f + std::exp(-value));
+      }
+    }
+    Apply(time_out_, mixed.data(), tokens, w.tokens.data());
+    RunTokens(w, tokens, first_action, valid + 1, action_bias, lora);
+    Apply(action_out_, w.normed.data(), tokens, velocity.data());
+    const float dt = -1.0f / static_cast<float>(times_.size());
+    for (size_t i = 0; i < velocity.size(); ++i) x[i] += dt * velocity[i];
+  }
+}
+
+torch::Tensor NanoSampler::Sample(const PolicyContext& context, const torch::Tensor& noise,
+                                  const LoraWeights* lora) const {
+  torch::NoGradGuard no_grad;
+  RS_CHECK(noise.size(0) == context.state.size(0) && noise.size(1) == config_.horizon &&
+           noise.size(2) == config_.model_action_dim);
+  const torch::Tensor x = noise.to(torch::kFloat32).contiguous().clone();
+  std::unique_ptr<Lora> packed_lora;
+  if (lora != nullptr) packed_lora = std::make_unique<Lora>(*lora);
+  const int64_t size = noise.size(1) * noise.size(2);
+  for (int64_t row = 0; row < noise.size(0); ++row) {
+    SampleRow(context, row, packed_lora.get(), x.data_ptr<float>() + row * size);
+  }
+  return x;
+}
+
+}  // namespace robostress
