@@ -17,8 +17,8 @@
 namespace robostress::libero {
 namespace {
 
-constexpr int kMaxDepth = 32;            // LIBERO's files nest 5 deep
-constexpr size_t kMaxBytes = 1 << 20;    // LIBERO's largest file has 5 kB
+constexpr int kMaxDepth = 32;          // LIBERO's files nest 5 deep
+constexpr size_t kMaxBytes = 1 << 20;  // LIBERO's largest file has 5 kB
 
 // An s-expression: a word, or a list of s-expressions.
 struct Node {
@@ -35,7 +35,8 @@ class Parser {
   absl::StatusOr<Node> Parse() {
     RS_ASSIGN_OR_RETURN(Node root, ParseNode(0));
     SkipSpace();
-    if (pos_ < text_.size()) return Error(line_, absl::StrCat("'", Peek(), "' after the closing parenthesis"));
+    if (pos_ < text_.size())
+      return Error(line_, absl::StrCat("'", Peek(), "' after the closing parenthesis"));
     return root;
   }
 
@@ -69,8 +70,8 @@ class Parser {
     if (text_[pos_] == ')') return Error(line_, "')' without its '('");
     if (text_[pos_] != '(') {
       const size_t begin = pos_;
-      while (pos_ < text_.size() && text_[pos_] != '(' && text_[pos_] != ')' && text_[pos_] != ';' &&
-             !std::isspace(static_cast<unsigned char>(text_[pos_]))) {
+      while (pos_ < text_.size() && text_[pos_] != '(' && text_[pos_] != ')' &&
+             text_[pos_] != ';' && !std::isspace(static_cast<unsigned char>(text_[pos_]))) {
         ++pos_;
       }
       node.word = absl::AsciiStrToLower(std::string(text_.substr(begin, pos_ - begin)));
@@ -95,10 +96,12 @@ class Parser {
   int line_ = 1;
 };
 
-// LIBERO evaluates yaw values as Python; its files hold numbers and pi with an optional sign and divisor.
+// LIBERO evaluates yaw values as Python; its files hold numbers and pi with an optional sign and
+// divisor.
 std::optional<double> EvaluateAngle(const std::string& word) {
   double value = 0;
-  if (absl::SimpleAtod(word, &value)) return std::isfinite(value) ? std::optional(value) : std::nullopt;
+  if (absl::SimpleAtod(word, &value))
+    return std::isfinite(value) ? std::optional(value) : std::nullopt;
   std::string_view rest = word;
   auto skip = [&](std::string_view prefix) {
     const bool found = rest.starts_with(prefix);
@@ -134,8 +137,9 @@ class Reader {
  private:
   absl::Status ReadSection(const Node& section) {
     if (!section.is_list || section.items.empty() || section.items[0].is_list) {
-      return parser_.Error(section.line,
-                           absl::StrCat("expected a section such as (:objects ...), got '", section.word, "'"));
+      return parser_.Error(
+          section.line,
+          absl::StrCat("expected a section such as (:objects ...), got '", section.word, "'"));
     }
     const std::string& kind = section.items[0].word;
     if (kind == "problem") return ReadWord(section, problem_.name);
@@ -143,7 +147,8 @@ class Reader {
       std::string domain;
       RS_RETURN_IF_ERROR(ReadWord(section, domain));
       if (domain != "robosuite") {
-        return parser_.Error(section.line, absl::StrCat("domain '", domain, "', expected 'robosuite'"));
+        return parser_.Error(section.line,
+                             absl::StrCat("domain '", domain, "', expected 'robosuite'"));
       }
       return absl::OkStatus();
     }
@@ -165,14 +170,16 @@ class Reader {
       return absl::OkStatus();
     }
     if (kind == ":goal") return ReadGoal(section);
-    return parser_.Error(section.line, absl::StrCat("unknown section '", kind,
-                                                    "'; known: problem :domain :requirements :language :regions "
-                                                    ":fixtures :objects :obj_of_interest :init :goal"));
+    return parser_.Error(section.line,
+                         absl::StrCat("unknown section '", kind,
+                                      "'; known: problem :domain :requirements :language :regions "
+                                      ":fixtures :objects :obj_of_interest :init :goal"));
   }
 
   absl::Status ReadWord(const Node& section, std::string& out) {
     if (section.items.size() != 2 || section.items[1].is_list) {
-      return parser_.Error(section.line, absl::StrCat("(", section.items[0].word, " ...) takes one word"));
+      return parser_.Error(section.line,
+                           absl::StrCat("(", section.items[0].word, " ...) takes one word"));
     }
     out = section.items[1].word;
     return absl::OkStatus();
@@ -181,7 +188,8 @@ class Reader {
   absl::Status ReadWords(const Node& section, std::vector<std::string>& out) {
     for (size_t i = 1; i < section.items.size(); ++i) {
       if (section.items[i].is_list) {
-        return parser_.Error(section.items[i].line, absl::StrCat(section.items[0].word, " holds words, not lists"));
+        return parser_.Error(section.items[i].line,
+                             absl::StrCat(section.items[0].word, " holds words, not lists"));
       }
       out.push_back(section.items[i].word);
     }
@@ -192,7 +200,9 @@ class Reader {
     BddlGroup group;
     for (size_t i = 1; i < section.items.size(); ++i) {
       const Node& item = section.items[i];
-      if (item.is_list) return parser_.Error(item.line, absl::StrCat(section.items[0].word, " holds words, not lists"));
+      if (item.is_list)
+        return parser_.Error(item.line,
+                             absl::StrCat(section.items[0].word, " holds words, not lists"));
       if (item.word != "-") {
         group.instances.push_back(item.word);
         continue;
@@ -203,12 +213,14 @@ class Reader {
       group.category = section.items[++i].word;
       group.line = item.line;
       if (group.instances.empty()) {
-        return parser_.Error(item.line, absl::StrCat("category '", group.category, "' without an instance before '-'"));
+        return parser_.Error(item.line, absl::StrCat("category '", group.category,
+                                                     "' without an instance before '-'"));
       }
       for (const BddlGroup& other : out) {
         if (other.category == group.category) {
-          return parser_.Error(item.line, absl::StrCat("category '", group.category, "' again (first on line ",
-                                                       other.line, "): list its instances before one '-'"));
+          return parser_.Error(item.line,
+                               absl::StrCat("category '", group.category, "' again (first on line ",
+                                            other.line, "): list its instances before one '-'"));
         }
       }
       for (const std::string& instance : group.instances) {
@@ -220,20 +232,24 @@ class Reader {
       group = BddlGroup();
     }
     if (!group.instances.empty()) {
-      return parser_.Error(section.line, absl::StrCat("'", group.instances[0], "' without '- category'"));
+      return parser_.Error(section.line,
+                           absl::StrCat("'", group.instances[0], "' without '- category'"));
     }
     return absl::OkStatus();
   }
 
   absl::Status ReadNumbers(const Node& list, size_t count, double* out) {
     if (!list.is_list || list.items.size() != count) {
-      return parser_.Error(list.line, absl::StrCat("expected a list of ", count, " numbers, got ",
-                                                   list.is_list ? absl::StrCat(list.items.size()) : list.word));
+      return parser_.Error(
+          list.line, absl::StrCat("expected a list of ", count, " numbers, got ",
+                                  list.is_list ? absl::StrCat(list.items.size()) : list.word));
     }
     for (size_t i = 0; i < count; ++i) {
       const std::optional<double> value =
           list.items[i].is_list ? std::nullopt : EvaluateAngle(list.items[i].word);
-      if (!value) return parser_.Error(list.items[i].line, absl::StrCat("'", list.items[i].word, "' is not a number"));
+      if (!value)
+        return parser_.Error(list.items[i].line,
+                             absl::StrCat("'", list.items[i].word, "' is not a number"));
       out[i] = *value;
     }
     return absl::OkStatus();
@@ -247,15 +263,18 @@ class Reader {
       }
       BddlRegion region;
       region.line = node.line;
-      for (size_t k = 1; k < node.items.size(); ++k) RS_RETURN_IF_ERROR(ReadRegionAttribute(node.items[k], region));
+      for (size_t k = 1; k < node.items.size(); ++k)
+        RS_RETURN_IF_ERROR(ReadRegionAttribute(node.items[k], region));
       if (region.target.empty()) {
-        return parser_.Error(node.line, absl::StrCat("region '", node.items[0].word, "' has no (:target INSTANCE)"));
+        return parser_.Error(
+            node.line, absl::StrCat("region '", node.items[0].word, "' has no (:target INSTANCE)"));
       }
       region.name = absl::StrCat(region.target, "_", node.items[0].word);
       auto same = [&](const BddlRegion& other) { return other.name == region.name; };
       auto found = std::find_if(problem_.regions.begin(), problem_.regions.end(), same);
       if (found != problem_.regions.end()) {
-        *found = std::move(region);  // the last one wins and keeps its place, as in LIBERO's dictionary
+        *found =
+            std::move(region);  // the last one wins and keeps its place, as in LIBERO's dictionary
       } else {
         problem_.regions.push_back(std::move(region));
       }
@@ -265,7 +284,9 @@ class Reader {
 
   absl::Status ReadRegionAttribute(const Node& node, BddlRegion& region) {
     if (!node.is_list || node.items.size() != 2 || node.items[0].is_list) {
-      return parser_.Error(node.line, "a region's attribute is (:target ..), (:ranges ..), (:yaw_rotation ..) or (:rgba ..)");
+      return parser_.Error(
+          node.line,
+          "a region's attribute is (:target ..), (:ranges ..), (:yaw_rotation ..) or (:rgba ..)");
     }
     const std::string& kind = node.items[0].word;
     const Node& value = node.items[1];
@@ -281,15 +302,18 @@ class Reader {
         std::array<double, 4> range;
         RS_RETURN_IF_ERROR(ReadNumbers(item, 4, range.data()));
         if (range[2] < range[0] || range[3] < range[1]) {
-          return parser_.Error(item.line, absl::StrCat("range (", absl::StrJoin(range, " "), ") has x1 < x0 or y1 < y0"));
+          return parser_.Error(item.line, absl::StrCat("range (", absl::StrJoin(range, " "),
+                                                       ") has x1 < x0 or y1 < y0"));
         }
         region.ranges.push_back(range);
       }
       return absl::OkStatus();
     }
     if (kind == ":yaw_rotation") {
-      if (!value.is_list) return parser_.Error(value.line, ":yaw_rotation takes a list of (low high)");
-      for (const Node& item : value.items) RS_RETURN_IF_ERROR(ReadNumbers(item, 2, region.yaw.data()));
+      if (!value.is_list)
+        return parser_.Error(value.line, ":yaw_rotation takes a list of (low high)");
+      for (const Node& item : value.items)
+        RS_RETURN_IF_ERROR(ReadNumbers(item, 2, region.yaw.data()));
       return absl::OkStatus();
     }
     return parser_.Error(node.line, absl::StrCat("unknown region attribute '", kind, "'"));
@@ -299,10 +323,12 @@ class Reader {
     BddlAtom atom;
     atom.line = node.line;
     if (!node.is_list || node.items.empty()) {
-      return parser_.Error(node.line, absl::StrCat("expected (PREDICATE names ...), got '", node.word, "'"));
+      return parser_.Error(node.line,
+                           absl::StrCat("expected (PREDICATE names ...), got '", node.word, "'"));
     }
     for (const Node& item : node.items) {
-      if (item.is_list) return parser_.Error(item.line, "a predicate's arguments are names, not lists");
+      if (item.is_list)
+        return parser_.Error(item.line, "a predicate's arguments are names, not lists");
       if (atom.predicate.empty()) {
         atom.predicate = item.word;
       } else {
@@ -319,9 +345,10 @@ class Reader {
     }
     const Node& expression = section.items[1];
     const std::string& connective = expression.items[0].word;
-    if (connective == "or" || connective == "not" || connective == "forall" || connective == "exists" ||
-        connective == "imply") {
-      return parser_.Error(expression.line, absl::StrCat("goal connective '", connective, "'; only 'and' is supported"));
+    if (connective == "or" || connective == "not" || connective == "forall" ||
+        connective == "exists" || connective == "imply") {
+      return parser_.Error(expression.line, absl::StrCat("goal connective '", connective,
+                                                         "'; only 'and' is supported"));
     }
     if (connective != "and") return ReadAtom(expression, problem_.goal);
     for (size_t i = 1; i < expression.items.size(); ++i) {

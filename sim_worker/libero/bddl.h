@@ -10,7 +10,8 @@
 
 namespace robostress::libero {
 
-// A predicate applied to names: (On akita_black_bowl_1 plate_1). Lower case, as LIBERO's scanner makes it.
+// A predicate applied to names: (On akita_black_bowl_1 plate_1). Lower case, as LIBERO's scanner
+// makes it.
 struct BddlAtom {
   std::string predicate;
   std::vector<std::string> arguments;
@@ -37,7 +38,7 @@ struct BddlGroup {
 // One task of LIBERO: what exists, where it starts, when it is solved.
 struct BddlProblem {
   std::string file;
-  std::string name;      // "libero_tabletop_manipulation"
+  std::string name;  // "libero_tabletop_manipulation"
   std::string language;
   std::vector<BddlRegion> regions;
   std::vector<BddlGroup> fixtures, objects;
@@ -47,7 +48,8 @@ struct BddlProblem {
   const BddlRegion* FindRegion(std::string_view name) const;
 };
 
-// Parses the text of a BDDL file; `file` names it in errors, which also hold the line and the token.
+// Parses the text of a BDDL file; `file` names it in errors, which also hold the line and the
+// token.
 absl::StatusOr<BddlProblem> ParseBddl(const std::string& file, std::string_view text);
 absl::StatusOr<BddlProblem> ReadBddl(const std::string& file);
 

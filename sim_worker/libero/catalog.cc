@@ -43,45 +43,43 @@ constexpr SuiteTasks kSuites[] = {
       "pick_up_the_chocolate_pudding_and_place_it_in_the_basket",
       "pick_up_the_orange_juice_and_place_it_in_the_basket"}},
     {"libero_goal",
-     {"open_the_middle_drawer_of_the_cabinet",
-      "put_the_bowl_on_the_stove",
-      "put_the_wine_bottle_on_top_of_the_cabinet",
-      "open_the_top_drawer_and_put_the_bowl_inside",
-      "put_the_bowl_on_top_of_the_cabinet",
-      "push_the_plate_to_the_front_of_the_stove",
-      "put_the_cream_cheese_in_the_bowl",
-      "turn_on_the_stove",
-      "put_the_bowl_on_the_plate",
+     {"open_the_middle_drawer_of_the_cabinet", "put_the_bowl_on_the_stove",
+      "put_the_wine_bottle_on_top_of_the_cabinet", "open_the_top_drawer_and_put_the_bowl_inside",
+      "put_the_bowl_on_top_of_the_cabinet", "push_the_plate_to_the_front_of_the_stove",
+      "put_the_cream_cheese_in_the_bowl", "turn_on_the_stove", "put_the_bowl_on_the_plate",
       "put_the_wine_bottle_on_the_rack"}},
     {"libero_10",
      {"LIVING_ROOM_SCENE2_put_both_the_alphabet_soup_and_the_tomato_sauce_in_the_basket",
       "LIVING_ROOM_SCENE2_put_both_the_cream_cheese_box_and_the_butter_in_the_basket",
       "KITCHEN_SCENE3_turn_on_the_stove_and_put_the_moka_pot_on_it",
       "KITCHEN_SCENE4_put_the_black_bowl_in_the_bottom_drawer_of_the_cabinet_and_close_it",
-      "LIVING_ROOM_SCENE5_put_the_white_mug_on_the_left_plate_and_put_the_yellow_and_white_mug_on_the_right_plate",
+      "LIVING_ROOM_SCENE5_put_the_white_mug_on_the_left_plate_and_put_the_yellow_and_white_mug_on_"
+      "the_right_plate",
       "STUDY_SCENE1_pick_up_the_book_and_place_it_in_the_back_compartment_of_the_caddy",
-      "LIVING_ROOM_SCENE6_put_the_white_mug_on_the_plate_and_put_the_chocolate_pudding_to_the_right_of_the_plate",
+      "LIVING_ROOM_SCENE6_put_the_white_mug_on_the_plate_and_put_the_chocolate_pudding_to_the_"
+      "right_of_the_plate",
       "LIVING_ROOM_SCENE1_put_both_the_alphabet_soup_and_the_cream_cheese_box_in_the_basket",
       "KITCHEN_SCENE8_put_both_moka_pots_on_the_stove",
       "KITCHEN_SCENE6_put_the_yellow_and_white_mug_in_the_microwave_and_close_it"}},
 };
 
 constexpr std::array<double, 3> kDefaultFriction = {1, 0.005, 0.0001};
-constexpr std::array<double, 4> kAgentQuat = {0.6380177736282349, 0.3048497438430786, 0.30484986305236816,
-                                              0.6380177736282349};
-constexpr std::array<double, 4> kLowAgentQuat = {0.6182166934013367, 0.3432307541370392, 0.3432314395904541,
-                                                 0.6182177066802979};
+constexpr std::array<double, 4> kAgentQuat = {0.6380177736282349, 0.3048497438430786,
+                                              0.30484986305236816, 0.6380177736282349};
+constexpr std::array<double, 4> kLowAgentQuat = {0.6182166934013367, 0.3432307541370392,
+                                                 0.3432314395904541, 0.6182177066802979};
 constexpr CameraPlacement kGalleryView = {
     "galleryview",
     {2.844547668904445, 2.1279684793440667, 3.128616846013882},
     {0.42261379957199097, 0.23374411463737488, 0.41646939516067505, 0.7702690958976746}};
 constexpr std::array<double, 4> kPaperQuat = {0.513, 0.353, 0.443, 0.645};
 constexpr std::array<double, 4> kFrontQuat = {0.56, 0.43, 0.43, 0.56};
-constexpr CameraPlacement kTableAgentView = {"agentview", {0.6586131746834771, 0.0, 1.6103500240372423}, kAgentQuat};
+constexpr CameraPlacement kTableAgentView = {
+    "agentview", {0.6586131746834771, 0.0, 1.6103500240372423}, kAgentQuat};
 constexpr CameraPlacement kTableFrontView = {"frontview", {1.0, 0.0, 1.48}, kFrontQuat};
 constexpr CameraPlacement kTablePaperView = {"paperview", {2.1, 0.535, 2.075}, kPaperQuat};
-// A robot stands 0.16 m (study: 0.25 m) behind the table's edge. Fixtures are placed 1 cm above the table's
-// lower face plus their own bottom offset.
+// A robot stands 0.16 m (study: 0.25 m) behind the table's edge. Fixtures are placed 1 cm above the
+// table's lower face plus their own bottom offset.
 constexpr ProblemClass kProblems[] = {
     {.name = "libero_tabletop_manipulation",
      .workspace = "table",
@@ -173,7 +171,9 @@ constexpr ProblemClass kProblems[] = {
      .zone_at_workspace = true,
      .zone_z = 0.867,
      .cameras = {{{"agentview", {0.4586131746834771, 0.0, 1.6103500240372423}, kAgentQuat},
-                  kTableFrontView, kGalleryView, kTablePaperView}}},
+                  kTableFrontView,
+                  kGalleryView,
+                  kTablePaperView}}},
 };
 
 constexpr Articulation kArticulations[] = {
@@ -186,52 +186,59 @@ constexpr Articulation kArticulations[] = {
 };
 
 // The folder that holds `marker`: root itself or one of the candidates below it.
-absl::StatusOr<std::string> FindRoot(const std::string& given, const char* variable, const char* option,
-                                     const std::vector<std::string>& candidates, const std::string& marker,
-                                     const char* what) {
+absl::StatusOr<std::string> FindRoot(const std::string& given, const char* variable,
+                                     const char* option, const std::vector<std::string>& candidates,
+                                     const std::string& marker, const char* what) {
   std::string root = given;
   if (root.empty()) {
     const char* from_environment = std::getenv(variable);
     if (from_environment != nullptr) root = from_environment;
   }
   if (root.empty()) {
-    return absl::InvalidArgumentError(absl::StrCat("LIBERO's suites read ", what, ": give ", option,
-                                                   " DIR or set ", variable));
+    return absl::InvalidArgumentError(
+        absl::StrCat("LIBERO's suites read ", what, ": give ", option, " DIR or set ", variable));
   }
   std::error_code ignored;
   for (const std::string& candidate : candidates) {
     const fs::path path = fs::path(root) / candidate;
-    if (fs::exists(path / marker, ignored)) return fs::absolute(path, ignored).lexically_normal().string();
+    if (fs::exists(path / marker, ignored))
+      return fs::absolute(path, ignored).lexically_normal().string();
   }
-  return absl::NotFoundError(absl::StrCat(option, " ", root, ": no ", candidates.front(), "/", marker,
-                                          " below it; expected ", what));
+  return absl::NotFoundError(absl::StrCat(option, " ", root, ": no ", candidates.front(), "/",
+                                          marker, " below it; expected ", what));
 }
 
 }  // namespace
 
-absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root, const std::string& robosuite_root) {
+absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
+                                       const std::string& robosuite_root) {
   LiberoPaths paths;
-  RS_ASSIGN_OR_RETURN(paths.libero, FindRoot(libero_root, "LIBERO_ROOT", "--libero-root",
-                                             {"libero/libero", "libero", "."}, "bddl_files", "a LIBERO checkout"));
+  RS_ASSIGN_OR_RETURN(
+      paths.libero, FindRoot(libero_root, "LIBERO_ROOT", "--libero-root",
+                             {"libero/libero", "libero", "."}, "bddl_files", "a LIBERO checkout"));
   RS_ASSIGN_OR_RETURN(paths.robosuite,
                       FindRoot(robosuite_root, "ROBOSUITE_ROOT", "--robosuite-root",
-                               {"robosuite/models/assets", "models/assets", "."}, "base.xml", "a robosuite 1.4 checkout"));
+                               {"robosuite/models/assets", "models/assets", "."}, "base.xml",
+                               "a robosuite 1.4 checkout"));
   return paths;
 }
 
 absl::StatusOr<std::vector<std::string>> LiberoTaskNames(const std::string& suite) {
   std::vector<std::string> known;
   for (const SuiteTasks& entry : kSuites) {
-    if (entry.suite == suite) return std::vector<std::string>(entry.tasks.begin(), entry.tasks.end());
+    if (entry.suite == suite)
+      return std::vector<std::string>(entry.tasks.begin(), entry.tasks.end());
     known.emplace_back(entry.suite);
   }
-  return absl::NotFoundError(absl::StrCat("'", suite, "' is not a LIBERO suite; known: ", absl::StrJoin(known, ", ")));
+  return absl::NotFoundError(
+      absl::StrCat("'", suite, "' is not a LIBERO suite; known: ", absl::StrJoin(known, ", ")));
 }
 
 std::string LiberoInstruction(const std::string& task_name) {
   std::string words = task_name;
   const size_t scene = task_name.find("SCENE");
-  if (!task_name.empty() && task_name[0] >= 'A' && task_name[0] <= 'Z' && scene != std::string::npos) {
+  if (!task_name.empty() && task_name[0] >= 'A' && task_name[0] <= 'Z' &&
+      scene != std::string::npos) {
     words = task_name.substr(task_name.find('_', scene) + 1);
   }
   return absl::StrReplaceAll(words, {{"_", " "}});
@@ -243,7 +250,8 @@ absl::StatusOr<ProblemClass> FindProblemClass(const std::string& name) {
     if (problem.name == name) return problem;
     known.emplace_back(problem.name);
   }
-  return absl::NotFoundError(absl::StrCat("problem class '", name, "' is unknown; known: ", absl::StrJoin(known, ", ")));
+  return absl::NotFoundError(
+      absl::StrCat("problem class '", name, "' is unknown; known: ", absl::StrJoin(known, ", ")));
 }
 
 const Articulation* FindArticulation(const std::string& category) {
@@ -266,8 +274,8 @@ absl::StatusOr<std::string> FindObjectFile(const LiberoPaths& paths, const std::
   for (const std::string& candidate : candidates) {
     if (fs::exists(candidate, ignored)) return candidate;
   }
-  return absl::NotFoundError(absl::StrCat("no object or fixture of category '", category, "'; searched ",
-                                          absl::StrJoin(candidates, ", ")));
+  return absl::NotFoundError(absl::StrCat("no object or fixture of category '", category,
+                                          "'; searched ", absl::StrJoin(candidates, ", ")));
 }
 
 }  // namespace robostress::libero

@@ -1,5 +1,7 @@
 #include "sim_worker/libero/init_states.h"
 
+#include <zlib.h>
+
 #include <bit>
 #include <cmath>
 #include <cstdint>
@@ -8,8 +10,6 @@
 #include <memory>
 #include <optional>
 #include <variant>
-
-#include <zlib.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -33,15 +33,18 @@ std::optional<T> Load(std::string_view bytes, size_t offset) {
 
 absl::Status Bad(const std::string& file, const std::string& what) {
   return absl::InvalidArgumentError(absl::StrCat(
-      file, ": ", what, "; expected a LIBERO .pruned_init file (take it anew from the LIBERO checkout)"));
+      file, ": ", what,
+      "; expected a LIBERO .pruned_init file (take it anew from the LIBERO checkout)"));
 }
 
-// The bytes of the entry whose name ends in `suffix`, through the central directory (the local headers of
-// these files carry no sizes).
-absl::StatusOr<std::string_view> FindZipEntry(const std::string& file, std::string_view zip, std::string_view suffix) {
+// The bytes of the entry whose name ends in `suffix`, through the central directory (the local
+// headers of these files carry no sizes).
+absl::StatusOr<std::string_view> FindZipEntry(const std::string& file, std::string_view zip,
+                                              std::string_view suffix) {
   constexpr uint32_t kEnd = 0x06054b50, kCentral = 0x02014b50, kLocal = 0x04034b50;
   constexpr size_t kEndSize = 22, kCentralSize = 46, kLocalSize = 30;
-  if (zip.size() < kEndSize) return Bad(file, absl::StrCat(zip.size(), " bytes are too few for a zip file"));
+  if (zip.size() < kEndSize)
+    return Bad(file, absl::StrCat(zip.size(), " bytes are too few for a zip file"));
   std::optional<size_t> end;
   for (size_t back = 0; back <= 65535 && back + kEndSize <= zip.size() && !end; ++back) {
     const size_t offset = zip.size() - kEndSize - back;
@@ -62,24 +65,30 @@ absl::StatusOr<std::string_view> FindZipEntry(const std::string& file, std::stri
     const uint16_t extra_length = *Load<uint16_t>(zip, offset + 30);
     const uint16_t comment_length = *Load<uint16_t>(zip, offset + 32);
     const uint32_t local = *Load<uint32_t>(zip, offset + 42);
-    if (zip.size() - offset - kCentralSize < name_length) return Bad(file, "a name in the zip directory is cut off");
+    if (zip.size() - offset - kCentralSize < name_length)
+      return Bad(file, "a name in the zip directory is cut off");
     const std::string_view name = zip.substr(offset + kCentralSize, name_length);
     offset += kCentralSize + name_length + extra_length + comment_length;
     if (!name.ends_with(suffix)) continue;
     if (method != 0 || packed != size) {
-      return Bad(file, absl::StrCat(std::string(name), " is compressed (method ", method, "), expected stored"));
+      return Bad(file, absl::StrCat(std::string(name), " is compressed (method ", method,
+                                    "), expected stored"));
     }
     if (Load<uint32_t>(zip, local) != kLocal || zip.size() - local < kLocalSize) {
       return Bad(file, absl::StrCat("the local header of ", std::string(name), " is broken"));
     }
-    const size_t begin = size_t{local} + kLocalSize + *Load<uint16_t>(zip, local + 26) + *Load<uint16_t>(zip, local + 28);
+    const size_t begin = size_t{local} + kLocalSize + *Load<uint16_t>(zip, local + 26) +
+                         *Load<uint16_t>(zip, local + 28);
     if (begin > zip.size() || zip.size() - begin < size) {
-      return Bad(file, absl::StrCat(std::string(name), " needs ", size, " bytes at ", begin, ", the file has ", zip.size()));
+      return Bad(file, absl::StrCat(std::string(name), " needs ", size, " bytes at ", begin,
+                                    ", the file has ", zip.size()));
     }
     const std::string_view data = zip.substr(begin, size);
-    const uint32_t actual = crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(size));
+    const uint32_t actual =
+        crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(size));
     if (actual != crc) {
-      return Bad(file, absl::StrFormat("%s has checksum %08x, the directory says %08x", std::string(name), actual, crc));
+      return Bad(file, absl::StrFormat("%s has checksum %08x, the directory says %08x",
+                                       std::string(name), actual, crc));
     }
     return data;
   }
@@ -91,18 +100,32 @@ struct Value;
 using Ref = std::shared_ptr<Value>;
 struct None {};
 struct MarkTag {};
-struct Text { std::string utf8; };
-struct Bytes { std::string data; };
-struct Tuple { std::vector<Ref> items; };
+struct Text {
+  std::string utf8;
+};
+struct Bytes {
+  std::string data;
+};
+struct Tuple {
+  std::vector<Ref> items;
+};
 enum class Name { kReconstruct, kNdarray, kDtype, kEncode };
-struct Dtype { bool little_endian = false; };
-struct Array { bool built = false; int64_t rows = 0, columns = 0; std::string data; };
+struct Dtype {
+  bool little_endian = false;
+};
+struct Array {
+  bool built = false;
+  int64_t rows = 0, columns = 0;
+  std::string data;
+};
 struct Value {
   std::variant<None, MarkTag, bool, int64_t, Text, Bytes, Tuple, Name, Dtype, Array> v;
 };
 
 template <class T>
-T* As(const Ref& ref) { return ref ? std::get_if<T>(&ref->v) : nullptr; }
+T* As(const Ref& ref) {
+  return ref ? std::get_if<T>(&ref->v) : nullptr;
+}
 
 // utf8 -> latin1; false at a code point above 255 or a malformed sequence.
 bool EncodeLatin1(std::string_view utf8, std::string& out) {
@@ -127,7 +150,8 @@ class Unpickler {
   Unpickler(const std::string& file, std::string_view bytes) : file_(file), bytes_(bytes) {}
 
   absl::StatusOr<Array> Run() {
-    if (bytes_.size() < 2 || bytes_[0] != '\x80' || bytes_[1] != 2) return Fail("the pickle is not protocol 2");
+    if (bytes_.size() < 2 || bytes_[0] != '\x80' || bytes_[1] != 2)
+      return Fail("the pickle is not protocol 2");
     pos_ = 2;
     while (pos_ < bytes_.size()) {
       at_ = pos_;
@@ -143,10 +167,13 @@ class Unpickler {
   }
 
  private:
-  absl::Status Fail(const std::string& what) const { return Bad(file_, absl::StrCat("byte ", at_, " of data.pkl: ", what)); }
+  absl::Status Fail(const std::string& what) const {
+    return Bad(file_, absl::StrCat("byte ", at_, " of data.pkl: ", what));
+  }
 
   absl::StatusOr<std::string_view> Take(size_t n) {
-    if (bytes_.size() - pos_ < n) return Fail(absl::StrCat("needs ", n, " bytes, ", bytes_.size() - pos_, " are left"));
+    if (bytes_.size() - pos_ < n)
+      return Fail(absl::StrCat("needs ", n, " bytes, ", bytes_.size() - pos_, " are left"));
     std::string_view taken = bytes_.substr(pos_, n);
     pos_ += n;
     return taken;
@@ -161,7 +188,9 @@ class Unpickler {
   }
 
   template <class T>
-  void Push(T value) { stack_.push_back(std::make_shared<Value>(Value{std::move(value)})); }
+  void Push(T value) {
+    stack_.push_back(std::make_shared<Value>(Value{std::move(value)}));
+  }
 
   absl::StatusOr<Ref> Pop() {
     if (stack_.empty() || As<MarkTag>(stack_.back())) return Fail("the stack is empty");
@@ -182,7 +211,8 @@ class Unpickler {
 
   absl::Status Step(uint8_t opcode) {
     switch (opcode) {
-      case 'c': return Global();
+      case 'c':
+        return Global();
       case 'q': {  // BINPUT
         RS_ASSIGN_OR_RETURN(uint8_t index, TakeInt<uint8_t>());
         if (stack_.empty()) return Fail("BINPUT on an empty stack");
@@ -217,13 +247,24 @@ class Unpickler {
         Push(Text{std::string(text)});
         return absl::OkStatus();
       }
-      case 'N': Push(None{}); return absl::OkStatus();
-      case 0x88: Push(true); return absl::OkStatus();
-      case 0x89: Push(false); return absl::OkStatus();
-      case '(': Push(MarkTag{}); return absl::OkStatus();
-      case 0x85: return MakeTuple(1);
-      case 0x86: return MakeTuple(2);
-      case 0x87: return MakeTuple(3);
+      case 'N':
+        Push(None{});
+        return absl::OkStatus();
+      case 0x88:
+        Push(true);
+        return absl::OkStatus();
+      case 0x89:
+        Push(false);
+        return absl::OkStatus();
+      case '(':
+        Push(MarkTag{});
+        return absl::OkStatus();
+      case 0x85:
+        return MakeTuple(1);
+      case 0x86:
+        return MakeTuple(2);
+      case 0x87:
+        return MakeTuple(3);
       case 't': {
         size_t n = 0;
         while (n < stack_.size() && !As<MarkTag>(stack_[stack_.size() - 1 - n])) ++n;
@@ -232,10 +273,13 @@ class Unpickler {
         stack_.erase(stack_.end() - 2);
         return absl::OkStatus();
       }
-      case 'R': return Reduce();
-      case 'b': return Build();
+      case 'R':
+        return Reduce();
+      case 'b':
+        return Build();
       default:
-        return Fail(absl::StrFormat("opcode 0x%02x is not on the list of what a matrix needs", opcode));
+        return Fail(
+            absl::StrFormat("opcode 0x%02x is not on the list of what a matrix needs", opcode));
     }
   }
 
@@ -243,12 +287,14 @@ class Unpickler {
     std::string names[2];
     for (std::string& name : names) {
       const size_t newline = bytes_.find('\n', pos_);
-      if (newline == std::string_view::npos || newline - pos_ > 64) return Fail("a name has no end");
+      if (newline == std::string_view::npos || newline - pos_ > 64)
+        return Fail("a name has no end");
       name = std::string(bytes_.substr(pos_, newline - pos_));
       pos_ = newline + 1;
     }
     const std::string name = names[0] + "." + names[1];
-    if (name == "numpy.core.multiarray._reconstruct" || name == "numpy._core.multiarray._reconstruct") {
+    if (name == "numpy.core.multiarray._reconstruct" ||
+        name == "numpy._core.multiarray._reconstruct") {
       Push(Name::kReconstruct);
     } else if (name == "numpy.ndarray") {
       Push(Name::kNdarray);
@@ -267,7 +313,8 @@ class Unpickler {
     RS_ASSIGN_OR_RETURN(Ref callable, Pop());
     const Tuple* tuple = As<Tuple>(argument);
     const Name* name = As<Name>(callable);
-    if (tuple == nullptr || name == nullptr) return Fail("REDUCE of something that is not a known name");
+    if (tuple == nullptr || name == nullptr)
+      return Fail("REDUCE of something that is not a known name");
     const std::vector<Ref>& args = tuple->items;
     if (*name == Name::kEncode && args.size() == 2) {
       const Text* text = As<Text>(args[0]);
@@ -292,7 +339,8 @@ class Unpickler {
         Push(Dtype{});
         return absl::OkStatus();
       }
-      return Fail(absl::StrCat("the matrix has type '", type ? type->utf8 : "?", "', expected 'f8'"));
+      return Fail(
+          absl::StrCat("the matrix has type '", type ? type->utf8 : "?", "', expected 'f8'"));
     }
     return Fail("REDUCE with unexpected arguments");
   }
@@ -310,12 +358,14 @@ class Unpickler {
       return absl::OkStatus();
     }
     Array* array = As<Array>(stack_.back());
-    if (array == nullptr || state.size() != 5) return Fail("BUILD of something that is not a matrix");
+    if (array == nullptr || state.size() != 5)
+      return Fail("BUILD of something that is not a matrix");
     const Tuple* shape = As<Tuple>(state[1]);
     const Dtype* dtype = As<Dtype>(state[2]);
     const bool* fortran = As<bool>(state[3]);
     Bytes* bytes = As<Bytes>(state[4]);
-    if (!shape || !dtype || !dtype->little_endian || !fortran || !bytes) return Fail("the state of the matrix is malformed");
+    if (!shape || !dtype || !dtype->little_endian || !fortran || !bytes)
+      return Fail("the state of the matrix is malformed");
     if (*fortran) return Fail("the matrix is stored by columns, expected by rows");
     const int64_t* rows = shape->items.size() == 2 ? As<int64_t>(shape->items[0]) : nullptr;
     const int64_t* columns = shape->items.size() == 2 ? As<int64_t>(shape->items[1]) : nullptr;
@@ -324,7 +374,8 @@ class Unpickler {
     }
     const size_t expected = static_cast<size_t>(*rows * *columns) * sizeof(double);
     if (bytes->data.size() != expected) {
-      return Fail(absl::StrCat("shape [", *rows, ", ", *columns, "] needs ", expected, " bytes, got ", bytes->data.size()));
+      return Fail(absl::StrCat("shape [", *rows, ", ", *columns, "] needs ", expected,
+                               " bytes, got ", bytes->data.size()));
     }
     array->rows = *rows;
     array->columns = *columns;
@@ -353,7 +404,8 @@ absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_
   std::memcpy(states.values.data(), array.data.data(), array.data.size());
   for (size_t i = 0; i < states.values.size(); ++i) {
     if (!std::isfinite(states.values[i])) {
-      return Bad(file, absl::StrCat("row ", i / states.columns, ", column ", i % states.columns, " is not finite"));
+      return Bad(file, absl::StrCat("row ", i / states.columns, ", column ", i % states.columns,
+                                    " is not finite"));
     }
   }
   return states;
@@ -366,9 +418,10 @@ absl::StatusOr<InitStates> ReadInitStates(const std::string& file) {
 
 absl::Status CheckInitStates(const InitStates& states, int nq, int nv) {
   if (states.columns == 1 + nq + nv) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      states.file, ": rows have ", states.columns, " values, the composed model needs 1 + nq + nv = 1 + ", nq, " + ", nv,
-      " = ", 1 + nq + nv, "; the init file and the BDDL file do not belong together"));
+  return absl::InvalidArgumentError(
+      absl::StrCat(states.file, ": rows have ", states.columns,
+                   " values, the composed model needs 1 + nq + nv = 1 + ", nq, " + ", nv, " = ",
+                   1 + nq + nv, "; the init file and the BDDL file do not belong together"));
 }
 
 }  // namespace robostress::libero

@@ -1,10 +1,10 @@
 #include "sim_worker/libero/libero_sim_task.h"
 
+#include <spdlog/spdlog.h>
+
 #include <cmath>
 #include <mutex>
 #include <numbers>
-
-#include <spdlog/spdlog.h>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -22,7 +22,8 @@ namespace {
 
 constexpr int kCameraSize = 256;  // [px] of LIBERO's renderings before they are resized
 
-// MuJoCo's w x y z to an axis-angle vector with an angle in [0, 2 pi], as openpi's LIBERO client does.
+// MuJoCo's w x y z to an axis-angle vector with an angle in [0, 2 pi], as openpi's LIBERO client
+// does.
 Eigen::Vector3d AxisAngle(const double* wxyz) {
   const double w = std::clamp(wxyz[0], -1.0, 1.0);
   const double sine = std::sqrt(1 - w * w);
@@ -34,9 +35,11 @@ void AnnounceMissingVisuals(const LiberoScene& scene) {
   if (scene.missing_visuals.empty()) return;
   static std::once_flag once;
   std::call_once(once, [&] {
-    spdlog::warn("{} mesh and texture files of this scene are not in the checkouts (first: {}); they are replaced by "
-                 "plain shapes and colours. Physics is unchanged, images are not LIBERO's.",
-                 scene.missing_visuals.size(), scene.missing_visuals.front());
+    spdlog::warn(
+        "{} mesh and texture files of this scene are not in the checkouts (first: {}); they are "
+        "replaced by "
+        "plain shapes and colours. Physics is unchanged, images are not LIBERO's.",
+        scene.missing_visuals.size(), scene.missing_visuals.front());
   });
 }
 
@@ -48,19 +51,22 @@ Eigen::Matrix<double, 7, 1> LiberoSimTask::HomePosture() {
   return home;
 }
 
-absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitConfig& unit, int task) {
+absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitConfig& unit,
+                                                                     int task) {
   RS_ASSIGN_OR_RETURN(std::vector<std::string> names, LiberoTaskNames(unit.suite));
   const SuiteInfo* info = FindSuite(unit.suite);
-  if (info == nullptr) return absl::NotFoundError(absl::StrCat("suite '", unit.suite, "' is unknown"));
+  if (info == nullptr)
+    return absl::NotFoundError(absl::StrCat("suite '", unit.suite, "' is unknown"));
   const int num_tasks = static_cast<int>(names.size());
   if (task < 0 || task >= num_tasks) {
-    return absl::OutOfRangeError(absl::StrCat("task ", task, " of suite '", unit.suite, "' does not exist; tasks are 0 to ",
-                                              num_tasks - 1));
+    return absl::OutOfRangeError(absl::StrCat("task ", task, " of suite '", unit.suite,
+                                              "' does not exist; tasks are 0 to ", num_tasks - 1));
   }
   RS_ASSIGN_OR_RETURN(const Scenario scenario, MakeScenario(unit.scenario, unit.severity));
   RS_ASSIGN_OR_RETURN(const LiberoPaths paths, FindLibero(unit.libero_root, unit.robosuite_root));
   const std::string stem = absl::StrCat(unit.suite, "/", names[task]);
-  RS_ASSIGN_OR_RETURN(BddlProblem problem, ReadBddl(absl::StrCat(paths.libero, "/bddl_files/", stem, ".bddl")));
+  RS_ASSIGN_OR_RETURN(BddlProblem problem,
+                      ReadBddl(absl::StrCat(paths.libero, "/bddl_files/", stem, ".bddl")));
   RS_ASSIGN_OR_RETURN(LiberoScene scene, ComposeScene(paths, std::move(problem)));
   AnnounceMissingVisuals(scene);
 
@@ -73,8 +79,11 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
   result->scene_ = std::make_unique<LiberoScene>(std::move(scene));
   RS_ASSIGN_OR_RETURN(LiberoGoal goal, LiberoGoal::Create(*result->scene_));
   result->goal_ = std::make_unique<LiberoGoal>(std::move(goal));
-  RS_ASSIGN_OR_RETURN(result->init_states_, ReadInitStates(absl::StrCat(paths.libero, "/init_files/", stem, ".pruned_init")));
-  RS_RETURN_IF_ERROR(CheckInitStates(result->init_states_, result->scene_->model->nq, result->scene_->model->nv));
+  RS_ASSIGN_OR_RETURN(
+      result->init_states_,
+      ReadInitStates(absl::StrCat(paths.libero, "/init_files/", stem, ".pruned_init")));
+  RS_RETURN_IF_ERROR(
+      CheckInitStates(result->init_states_, result->scene_->model->nq, result->scene_->model->nv));
   RS_RETURN_IF_ERROR(result->MoveFixtures(result->scene_->centred_fixtures));
   return result;
 }
@@ -93,7 +102,8 @@ absl::Status LiberoSimTask::MoveFixtures(const std::vector<FixturePose>& poses) 
 
 absl::Status LiberoSimTask::Reset(int initial_state) {
   if (initial_state < 0 || initial_state >= init_states_.rows) {
-    return absl::OutOfRangeError(absl::StrCat("initial state ", initial_state, " does not exist; ", init_states_.file, " has rows 0 to ",
+    return absl::OutOfRangeError(absl::StrCat("initial state ", initial_state, " does not exist; ",
+                                              init_states_.file, " has rows 0 to ",
                                               init_states_.rows - 1));
   }
   success_ = false;
@@ -108,17 +118,20 @@ absl::Status LiberoSimTask::Step(const Eigen::VectorXf& command) {
   return absl::OkStatus();
 }
 
-absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, int width, int height) {
+absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, int width,
+                                                   int height) {
   const mjData& data = sim_->data();
   if (renderer_ == nullptr) {
     RS_ASSIGN_OR_RETURN(renderer_, Renderer::Create(render_model_));
   }
   // LIBERO lights a stove's burner while it is on.
   for (const auto& [name, object] : scene_->objects) {
-    if (object.articulation == nullptr || !object.articulation->has_switch || object.joints.empty()) continue;
+    if (object.articulation == nullptr || !object.articulation->has_switch || object.joints.empty())
+      continue;
     const int site = mj_name2id(render_model_.get(), mjOBJ_SITE, (name + "_burner").c_str());
     const double q = data.qpos[scene_->model->jnt_qposadr[object.joints[0]]];
-    if (site >= 0) render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on ? 1.0f : 0.0f;
+    if (site >= 0)
+      render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on ? 1.0f : 0.0f;
   }
   RenderOptions options;
   options.width = width;
@@ -138,10 +151,12 @@ absl::StatusOr<Observation> LiberoSimTask::Observe(const PolicySpec& spec) {
     observation.proprioception[i] = static_cast<float>(data.site_xpos[3 * panda.grip_site + i]);
     observation.proprioception[3 + i] = static_cast<float>(rotation[i]);
   }
-  for (int i = 0; i < 2; ++i) observation.proprioception[6 + i] = static_cast<float>(data.qpos[panda.finger_qpos[i]]);
+  for (int i = 0; i < 2; ++i)
+    observation.proprioception[6 + i] = static_cast<float>(data.qpos[panda.finger_qpos[i]]);
   for (const std::string& camera : spec.cameras) {
     RS_ASSIGN_OR_RETURN(Image upright, RenderUpright(camera, kCameraSize, kCameraSize));
-    observation.views.push_back({camera, ResizeWithPad(MirrorAsLibero(upright), spec.image_width, spec.image_height)});
+    observation.views.push_back(
+        {camera, ResizeWithPad(MirrorAsLibero(upright), spec.image_width, spec.image_height)});
   }
   return observation;
 }
@@ -152,7 +167,9 @@ absl::StatusOr<Image> LiberoSimTask::Film(int height) {
   return HStack({agent, wrist}, 2);
 }
 
-absl::StatusOr<std::unique_ptr<PolicyEndpoint>> LiberoSimTask::MakeExpert() { return MakeLiberoExpert(*this); }
+absl::StatusOr<std::unique_ptr<PolicyEndpoint>> LiberoSimTask::MakeExpert() {
+  return MakeLiberoExpert(*this);
+}
 
 }  // namespace robostress::libero
 

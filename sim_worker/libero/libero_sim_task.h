@@ -18,11 +18,12 @@ class LiberoSimTask : public SimTask {
  public:
   static absl::StatusOr<std::unique_ptr<LiberoSimTask>> Create(const UnitConfig& unit, int task);
 
-  // Row `initial_state` of the task's .pruned_init, then the settle steps with the originals' dummy command.
+  // Row `initial_state` of the task's .pruned_init, then the settle steps with the originals' dummy
+  // command.
   absl::Status Reset(int initial_state) override;
-  // Proprioception [8]: grip site in the world [m], axis-angle of the hand body's quaternion as openpi computes
-  // it (not along the short path), finger joints [m]. Views are rendered at 256 x 256, mirrored as the
-  // originals' are, and resized to the policy's size.
+  // Proprioception [8]: grip site in the world [m], axis-angle of the hand body's quaternion as
+  // openpi computes it (not along the short path), finger joints [m]. Views are rendered at 256 x
+  // 256, mirrored as the originals' are, and resized to the policy's size.
   absl::StatusOr<Observation> Observe(const PolicySpec& spec) override;
   absl::StatusOr<RobotState> Measure() override { return sim_->Measure(); }
   absl::Status Step(const Eigen::VectorXf& command) override;

@@ -21,12 +21,14 @@ using tinyxml2::XMLAttribute;
 using tinyxml2::XMLDocument;
 using tinyxml2::XMLElement;
 
-constexpr const char* kSections[] = {"worldbody", "actuator", "sensor", "asset", "tendon", "equality", "contact", "default"};
+constexpr const char* kSections[] = {"worldbody", "actuator", "sensor",  "asset",
+                                     "tendon",    "equality", "contact", "default"};
 // Attributes that hold the name of something (robosuite 1.4, utils/mjcf_utils.py).
 constexpr const char* kNamingAttributes[] = {
-    "class", "childclass", "name", "objname", "material", "texture", "joint", "joint1", "joint2",
-    "jointinparent", "geom", "geom1", "geom2", "mesh", "fixed", "actuator", "tendon", "tendon1", "tendon2",
-    "slidesite", "cranksite", "body", "body1", "body2", "hfield", "target", "prefix", "site"};
+    "class",  "childclass", "name",          "objname", "material", "texture",   "joint",
+    "joint1", "joint2",     "jointinparent", "geom",    "geom1",    "geom2",     "mesh",
+    "fixed",  "actuator",   "tendon",        "tendon1", "tendon2",  "slidesite", "cranksite",
+    "body",   "body1",      "body2",         "hfield",  "target",   "prefix",    "site"};
 
 std::string Attribute(const XMLElement* element, const char* name) {
   const char* value = element->Attribute(name);
@@ -47,18 +49,20 @@ absl::Status InlineDefaults(const std::string& path, XMLElement* root, XMLElemen
   absl::Status status;
   VisitElements(root, [&](XMLElement* element) {
     const std::string name = Attribute(element, "class");
-    for (XMLElement* up = element; up != nullptr; up = up->Parent() ? up->Parent()->ToElement() : nullptr) {
+    for (XMLElement* up = element; up != nullptr;
+         up = up->Parent() ? up->Parent()->ToElement() : nullptr) {
       if (up == defaults) return;
     }
     if (element->Attribute("childclass") != nullptr && status.ok()) {
-      status = absl::UnimplementedError(absl::StrCat(path, ":", element->GetLineNum(), ": childclass is not supported"));
+      status = absl::UnimplementedError(
+          absl::StrCat(path, ":", element->GetLineNum(), ": childclass is not supported"));
     }
     if (name.empty()) return;
     auto found = classes.find(name);
     if (found == classes.end()) {
       if (status.ok()) {
-        status = absl::InvalidArgumentError(
-            absl::StrCat(path, ":", element->GetLineNum(), ": default class '", name, "' does not exist"));
+        status = absl::InvalidArgumentError(absl::StrCat(
+            path, ":", element->GetLineNum(), ": default class '", name, "' does not exist"));
       }
       return;
     }
@@ -85,9 +89,9 @@ bool Collides(const XMLElement* geom) {
 // Flat colours that keep a scene without its textures readable.
 const char* ColourFor(const std::string& file) {
   static constexpr std::pair<const char*, const char*> kColours[] = {
-      {"floor", "0.75 0.75 0.75"}, {"tile", "0.75 0.75 0.75"},   {"plaster", "0.85 0.85 0.82"},
-      {"wall", "0.87 0.85 0.76"},  {"wood", "0.55 0.40 0.27"},   {"table", "0.60 0.45 0.30"},
-      {"metal", "0.62 0.63 0.66"}, {"bowl", "0.12 0.12 0.13"},   {"plate", "0.90 0.90 0.92"},
+      {"floor", "0.75 0.75 0.75"}, {"tile", "0.75 0.75 0.75"}, {"plaster", "0.85 0.85 0.82"},
+      {"wall", "0.87 0.85 0.76"},  {"wood", "0.55 0.40 0.27"}, {"table", "0.60 0.45 0.30"},
+      {"metal", "0.62 0.63 0.66"}, {"bowl", "0.12 0.12 0.13"}, {"plate", "0.90 0.90 0.92"},
       {"basket", "0.70 0.52 0.30"}};
   for (const auto& [word, colour] : kColours) {
     if (absl::StrContains(file, word)) return colour;
@@ -103,8 +107,8 @@ absl::StatusOr<MjcfFile> MjcfFile::Load(const std::string& path) {
   file.path_ = path;
   file.document_ = std::make_unique<XMLDocument>();
   if (file.document_->Parse(text.data(), text.size()) != tinyxml2::XML_SUCCESS) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(path, ":", file.document_->ErrorLineNum(), ": not XML: ", file.document_->ErrorStr()));
+    return absl::InvalidArgumentError(absl::StrCat(path, ":", file.document_->ErrorLineNum(),
+                                                   ": not XML: ", file.document_->ErrorStr()));
   }
   XMLElement* root = file.root();
   if (root == nullptr || std::strcmp(root->Name(), "mujoco") != 0) {
@@ -145,7 +149,8 @@ XMLElement* FindElement(XMLElement* root, const char* tag, const std::string& na
 }
 
 XMLElement* FindChild(XMLElement* parent, const char* tag, const std::string& name) {
-  for (XMLElement* child = parent->FirstChildElement(tag); child; child = child->NextSiblingElement(tag)) {
+  for (XMLElement* child = parent->FirstChildElement(tag); child;
+       child = child->NextSiblingElement(tag)) {
     if (Attribute(child, "name") == name) return child;
   }
   return nullptr;
@@ -182,7 +187,8 @@ void MergeAssets(XMLElement* asset, XMLElement* other) {
 
 void MergeFile(MjcfFile& into, XMLElement* body, MjcfFile& other) {
   XMLElement* world = other.Section("worldbody");
-  for (XMLElement* item = world->FirstChildElement(); item; item = item->NextSiblingElement()) AppendCopy(body, item);
+  for (XMLElement* item = world->FirstChildElement(); item; item = item->NextSiblingElement())
+    AppendCopy(body, item);
   MergeAssets(into.Section("asset"), other.Section("asset"));
   for (const char* section : {"actuator", "sensor", "tendon", "equality", "contact"}) {
     XMLElement* from = other.Section(section);
@@ -193,15 +199,18 @@ void MergeFile(MjcfFile& into, XMLElement* body, MjcfFile& other) {
 }
 
 absl::StatusOr<std::vector<double>> ReadNumbers(const std::string& file, const XMLElement* element,
-                                                const char* attribute, const std::vector<double>& fallback) {
+                                                const char* attribute,
+                                                const std::vector<double>& fallback) {
   const char* text = element->Attribute(attribute);
   if (text == nullptr) return fallback;
   std::vector<double> numbers;
-  for (absl::string_view word : absl::StrSplit(text, absl::ByAnyChar(" \t\r\n"), absl::SkipEmpty())) {
+  for (absl::string_view word :
+       absl::StrSplit(text, absl::ByAnyChar(" \t\r\n"), absl::SkipEmpty())) {
     double value = 0;
     if (!absl::SimpleAtod(word, &value)) {
-      return absl::InvalidArgumentError(absl::StrCat(file, ":", element->GetLineNum(), ": <", element->Name(), " ", attribute,
-                                                     "=\"", text, "\">: '", std::string(word), "' is not a number"));
+      return absl::InvalidArgumentError(
+          absl::StrCat(file, ":", element->GetLineNum(), ": <", element->Name(), " ", attribute,
+                       "=\"", text, "\">: '", std::string(word), "' is not a number"));
     }
     numbers.push_back(value);
   }
@@ -235,8 +244,8 @@ absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model) 
                          "-.01 -.01 -.01 .01 -.01 -.01 -.01 .01 -.01 .01 .01 -.01 "
                          "-.01 -.01 .01 .01 -.01 .01 -.01 .01 .01 .01 .01 .01");
     } else if (std::strcmp(item->Name(), "texture") == 0) {
-      for (const char* attribute : {"gridsize", "gridlayout", "fileright", "fileleft", "fileup", "filedown", "filefront",
-                                    "fileback"}) {
+      for (const char* attribute : {"gridsize", "gridlayout", "fileright", "fileleft", "fileup",
+                                    "filedown", "filefront", "fileback"}) {
         item->DeleteAttribute(attribute);
       }
       item->SetAttribute("builtin", "flat");
@@ -245,19 +254,22 @@ absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model) 
       item->SetAttribute("width", "8");
       item->SetAttribute("height", "8");
     } else {
-      return absl::NotFoundError(absl::StrCat(file, ": missing, and a <", item->Name(), "> cannot be replaced"));
+      return absl::NotFoundError(
+          absl::StrCat(file, ": missing, and a <", item->Name(), "> cannot be replaced"));
     }
   }
   std::string colliding;
   VisitElements(model.Section("worldbody"), [&](XMLElement* element) {
-    if (std::strcmp(element->Name(), "geom") == 0 && missing_meshes.count(Attribute(element, "mesh")) > 0 &&
-        Collides(element) && colliding.empty()) {
+    if (std::strcmp(element->Name(), "geom") == 0 &&
+        missing_meshes.count(Attribute(element, "mesh")) > 0 && Collides(element) &&
+        colliding.empty()) {
       colliding = Attribute(element, "mesh");
     }
   });
   if (!colliding.empty()) {
-    return absl::NotFoundError(absl::StrCat("collision mesh '", colliding, "' is missing: ", missing_meshes[colliding],
-                                            "; physics cannot go on without it, complete the checkout"));
+    return absl::NotFoundError(
+        absl::StrCat("collision mesh '", colliding, "' is missing: ", missing_meshes[colliding],
+                     "; physics cannot go on without it, complete the checkout"));
   }
   return files;
 }

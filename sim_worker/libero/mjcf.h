@@ -1,11 +1,11 @@
 #pragma once
 
+#include <tinyxml2.h>
+
 #include <functional>
 #include <memory>
 #include <string>
 #include <vector>
-
-#include <tinyxml2.h>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -13,8 +13,8 @@
 namespace robostress::libero {
 
 // One MJCF file, prepared as robosuite prepares it before it merges files (robosuite 1.4,
-// models/base.py): default classes are written into the elements that use them, asset files get absolute
-// paths, every section exists.
+// models/base.py): default classes are written into the elements that use them, asset files get
+// absolute paths, every section exists.
 class MjcfFile {
  public:
   static absl::StatusOr<MjcfFile> Load(const std::string& path);
@@ -30,13 +30,17 @@ class MjcfFile {
   std::unique_ptr<tinyxml2::XMLDocument> document_;
 };
 
-// Calls `visit` for root and every element below it, parents first. The visited element may be changed, not
-// removed.
-void VisitElements(tinyxml2::XMLElement* root, const std::function<void(tinyxml2::XMLElement*)>& visit);
-// The first element, parents first, with this tag and this name attribute; nullptr if there is none.
-tinyxml2::XMLElement* FindElement(tinyxml2::XMLElement* root, const char* tag, const std::string& name);
+// Calls `visit` for root and every element below it, parents first. The visited element may be
+// changed, not removed.
+void VisitElements(tinyxml2::XMLElement* root,
+                   const std::function<void(tinyxml2::XMLElement*)>& visit);
+// The first element, parents first, with this tag and this name attribute; nullptr if there is
+// none.
+tinyxml2::XMLElement* FindElement(tinyxml2::XMLElement* root, const char* tag,
+                                  const std::string& name);
 // Direct child with this tag and name.
-tinyxml2::XMLElement* FindChild(tinyxml2::XMLElement* parent, const char* tag, const std::string& name);
+tinyxml2::XMLElement* FindChild(tinyxml2::XMLElement* parent, const char* tag,
+                                const std::string& name);
 // Prefixes every attribute that names something, unless it starts with the prefix already.
 void AddPrefix(tinyxml2::XMLElement* root, const std::string& prefix);
 // Deep copy of `element` as the last child of `parent`, across documents. Returns the copy.
@@ -44,19 +48,21 @@ tinyxml2::XMLElement* AppendCopy(tinyxml2::XMLElement* parent, const tinyxml2::X
 tinyxml2::XMLElement* AppendNew(tinyxml2::XMLElement* parent, const char* tag);
 // Copies the assets of `other` whose (tag, name) is not in `asset` yet: the first one wins.
 void MergeAssets(tinyxml2::XMLElement* asset, tinyxml2::XMLElement* other);
-// Robosuite's merge: children of other's worldbody below `body`, then assets, actuators, sensors, tendons,
-// equalities and contacts. Other sections of `other` are dropped.
+// Robosuite's merge: children of other's worldbody below `body`, then assets, actuators, sensors,
+// tendons, equalities and contacts. Other sections of `other` are dropped.
 void MergeFile(MjcfFile& into, tinyxml2::XMLElement* body, MjcfFile& other);
 
 // Numbers of an attribute; `fallback` when it is absent. An error names file, element and value.
-absl::StatusOr<std::vector<double>> ReadNumbers(const std::string& file, const tinyxml2::XMLElement* element,
-                                                const char* attribute, const std::vector<double>& fallback);
+absl::StatusOr<std::vector<double>> ReadNumbers(const std::string& file,
+                                                const tinyxml2::XMLElement* element,
+                                                const char* attribute,
+                                                const std::vector<double>& fallback);
 // Shortest text that reads back as the same doubles.
 std::string FormatNumbers(const std::vector<double>& numbers);
 
-// Replaces mesh and texture files that do not exist: a texture by a flat one of the same type, a mesh by a
-// cube of 2 cm. Returns the files. A missing mesh that a colliding geom uses is an error, because it would
-// change the physics.
+// Replaces mesh and texture files that do not exist: a texture by a flat one of the same type, a
+// mesh by a cube of 2 cm. Returns the files. A missing mesh that a colliding geom uses is an error,
+// because it would change the physics.
 absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model);
 
 }  // namespace robostress::libero

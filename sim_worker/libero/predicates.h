@@ -1,9 +1,9 @@
 #pragma once
 
+#include <mujoco/mujoco.h>
+
 #include <string>
 #include <vector>
-
-#include <mujoco/mujoco.h>
 
 #include "absl/status/statusor.h"
 #include "sim_worker/libero/scene.h"
@@ -12,23 +12,26 @@ namespace robostress::libero {
 
 // The conjunction of a task's goal, with LIBERO's geometry, quirks included (envs/predicates,
 // envs/object_states, envs/objects/site_object.py at 8f1084e):
-//   on A B (objects)   z_B <= z_A, some contact between their collision geoms, |xy_A - xy_B| < 0.03 m of the
+//   on A B (objects)   z_B <= z_A, some contact between their collision geoms, |xy_A - xy_B| < 0.03
+//   m of the
 //                      body origins.
-//   on A S (site)      d = R_S (p_A - p_S) (the rotation, not its transpose): size.z - 0.005 < d.z <
-//                      size.z + 0.10, |d.x| < size.x, |d.y| < size.y; and contact between A and the site's
-//                      owner, if it has one (zones of the table have none).
-//   in A S             p_A strictly inside p_S +- |R_S size|, the lower z bound 0.01 m lower. No contact.
-//   open / close T     any / every joint of T (an object's, or those of the innermost body around a site)
+//   on A S (site)      d = R_S (p_A - p_S) (the rotation, not its transpose): size.z - 0.005 < d.z
+//   <
+//                      size.z + 0.10, |d.x| < size.x, |d.y| < size.y; and contact between A and the
+//                      site's owner, if it has one (zones of the table have none).
+//   in A S             p_A strictly inside p_S +- |R_S size|, the lower z bound 0.01 m lower. No
+//   contact. open / close T     any / every joint of T (an object's, or those of the innermost body
+//   around a site)
 //                      beyond its category's threshold. With no joint: never open, always closed.
 //   turnon / turnoff T likewise any / every.
 //   up A               z_A >= 1 m.
 class LiberoGoal {
  public:
-  // Resolves the names; an unknown predicate, object or wrong number of arguments is an error with file and
-  // line. The scene must outlive the goal.
+  // Resolves the names; an unknown predicate, object or wrong number of arguments is an error with
+  // file and line. The scene must outlive the goal.
   static absl::StatusOr<LiberoGoal> Create(const LiberoScene& scene);
-  // Reads positions and contacts as `data` holds them: after a step without a forward, those of the start of
-  // the last sub-step, which is when the originals look.
+  // Reads positions and contacts as `data` holds them: after a step without a forward, those of the
+  // start of the last sub-step, which is when the originals look.
   bool Holds(const mjData& data) const;
   // One value per atom of the goal.
   std::vector<bool> Evaluate(const mjData& data) const;
@@ -38,8 +41,9 @@ class LiberoGoal {
   struct Atom {
     Kind kind;
     const LiberoObject* object = nullptr;  // first argument
-    const LiberoObject* target = nullptr;  // second argument, or of a unary predicate the articulated object
-    const LiberoSite* site = nullptr;      // second argument, or of open / close the only one
+    const LiberoObject* target =
+        nullptr;  // second argument, or of a unary predicate the articulated object
+    const LiberoSite* site = nullptr;  // second argument, or of open / close the only one
     std::vector<int> joints;
   };
   bool Evaluate(const Atom& atom, const mjData& data) const;

@@ -41,7 +41,9 @@ std::vector<Window> MakeWindows(int in, int out) {
   return windows;
 }
 
-uint8_t Clip(int32_t sum) { return static_cast<uint8_t>(std::clamp(sum >> kPrecisionBits, 0, 255)); }
+uint8_t Clip(int32_t sum) {
+  return static_cast<uint8_t>(std::clamp(sum >> kPrecisionBits, 0, 255));
+}
 
 }  // namespace
 
@@ -84,11 +86,14 @@ Image ResizeBilinear(const Image& image, int width, int height) {
 
 Image ResizeWithPad(const Image& image, int width, int height) {
   if (image.width == width && image.height == height) return image;
-  const double ratio = std::max(static_cast<double>(image.width) / width, static_cast<double>(image.height) / height);
-  const int inner_width = static_cast<int>(image.width / ratio), inner_height = static_cast<int>(image.height / ratio);
+  const double ratio = std::max(static_cast<double>(image.width) / width,
+                                static_cast<double>(image.height) / height);
+  const int inner_width = static_cast<int>(image.width / ratio),
+            inner_height = static_cast<int>(image.height / ratio);
   const Image inner = ResizeBilinear(image, inner_width, inner_height);
   Image padded{width, height, std::vector<uint8_t>(size_t{3} * width * height, 0)};
-  const int left = std::max(0, (width - inner_width) / 2), top = std::max(0, (height - inner_height) / 2);
+  const int left = std::max(0, (width - inner_width) / 2),
+            top = std::max(0, (height - inner_height) / 2);
   for (int y = 0; y < inner_height; ++y) {
     std::copy_n(inner.data.begin() + size_t{3} * y * inner_width, size_t{3} * inner_width,
                 padded.data.begin() + 3 * (size_t(y + top) * width + left));

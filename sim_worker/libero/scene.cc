@@ -18,7 +18,8 @@ namespace {
 using tinyxml2::XMLElement;
 
 constexpr double kZoneHalfHeight = 0.007;  // [m] of a workspace region's site
-// Robosuite's arm: damping from LIBERO's robot classes, the rest from RobotModel (5 / (i + 1) armature).
+// Robosuite's arm: damping from LIBERO's robot classes, the rest from RobotModel (5 / (i + 1)
+// armature).
 constexpr std::array<double, 7> kJointDamping = {0.1, 0.1, 0.1, 0.1, 0.1, 0.01, 0.01};
 constexpr double kJointFriction = 0.1;
 
@@ -27,7 +28,9 @@ std::string Text(const XMLElement* element, const char* attribute) {
   return value == nullptr ? "" : value;
 }
 
-bool IsTag(const XMLElement* element, const char* tag) { return std::strcmp(element->Name(), tag) == 0; }
+bool IsTag(const XMLElement* element, const char* tag) {
+  return std::strcmp(element->Name(), tag) == 0;
+}
 
 bool IsCollisionGroup(const XMLElement* geom) {
   const char* group = geom->Attribute("group");
@@ -39,17 +42,20 @@ void SetNumbers(XMLElement* element, const char* attribute, const std::array<dou
   element->SetAttribute(attribute, FormatNumbers({values.begin(), values.end()}).c_str());
 }
 
-absl::StatusOr<XMLElement*> Child(const MjcfFile& file, XMLElement* parent, const char* tag, const std::string& name) {
+absl::StatusOr<XMLElement*> Child(const MjcfFile& file, XMLElement* parent, const char* tag,
+                                  const std::string& name) {
   XMLElement* child = FindChild(parent, tag, name);
   if (child != nullptr) return child;
-  return absl::NotFoundError(absl::StrCat(file.path(), ": no <", tag, " name=\"", name, "\"> below <", parent->Name(), " name=\"",
+  return absl::NotFoundError(absl::StrCat(file.path(), ": no <", tag, " name=\"", name,
+                                          "\"> below <", parent->Name(), " name=\"",
                                           Text(parent, "name"), "\">"));
 }
 
 // Collision geoms get a flat colour and lose their material (robosuite's recolor_collision_geoms).
 void Recolour(XMLElement* root, const char* rgba) {
   VisitElements(root, [&](XMLElement* element) {
-    if (!IsTag(element, "geom") || !IsCollisionGroup(element) || Text(element, "name") == "floor") return;
+    if (!IsTag(element, "geom") || !IsCollisionGroup(element) || Text(element, "name") == "floor")
+      return;
     element->SetAttribute("rgba", rgba);
     element->DeleteAttribute("material");
   });
@@ -60,8 +66,10 @@ void PlaceTableLegs(XMLElement* table, const std::array<double, 3>& half, double
   for (int i = 0; i < 4; ++i) {
     XMLElement* leg = FindChild(table, "geom", absl::StrCat("table_leg", i + 1, "_visual"));
     if (leg == nullptr) continue;
-    const double x = half[0] > std::abs(kDx[i] * 2.0) ? std::copysign(1.0, kDx[i]) * half[0] - kDx[i] : 0;
-    const double y = half[1] > std::abs(kDy[i] * 2.0) ? std::copysign(1.0, kDy[i]) * half[1] - kDy[i] : 0;
+    const double x =
+        half[0] > std::abs(kDx[i] * 2.0) ? std::copysign(1.0, kDx[i]) * half[0] - kDx[i] : 0;
+    const double y =
+        half[1] > std::abs(kDy[i] * 2.0) ? std::copysign(1.0, kDy[i]) * half[1] - kDy[i] : 0;
     const double z = (offset_z - half[2]) / 2.0;
     SetNumbers(leg, "pos", std::array<double, 3>{x, y, -z});
     SetNumbers(leg, "size", std::array<double, 2>{0.025, z});
@@ -73,31 +81,38 @@ void ReplaceFileName(XMLElement* asset, const char* texture, std::string_view fi
   if (element == nullptr) return;
   const std::string file = Text(element, "file");
   const size_t slash = file.rfind('/');
-  element->SetAttribute("file", (file.substr(0, slash == std::string::npos ? 0 : slash + 1) + std::string(file_name)).c_str());
+  element->SetAttribute(
+      "file", (file.substr(0, slash == std::string::npos ? 0 : slash + 1) + std::string(file_name))
+                  .c_str());
 }
 
 bool OnWorkspace(const ProblemClass& problem, const BddlRegion& region) {
   return region.name.find(problem.region_marker) != std::string::npos;
 }
 
-// The arena: LIBERO's scene file with its table placed, textures chosen, cameras set and regions added.
-absl::StatusOr<MjcfFile> MakeArena(const LiberoPaths& paths, const BddlProblem& bddl, const ProblemClass& problem) {
-  RS_ASSIGN_OR_RETURN(MjcfFile arena, MjcfFile::Load(paths.libero + "/assets/" + std::string(problem.scene)));
+// The arena: LIBERO's scene file with its table placed, textures chosen, cameras set and regions
+// added.
+absl::StatusOr<MjcfFile> MakeArena(const LiberoPaths& paths, const BddlProblem& bddl,
+                                   const ProblemClass& problem) {
+  RS_ASSIGN_OR_RETURN(MjcfFile arena,
+                      MjcfFile::Load(paths.libero + "/assets/" + std::string(problem.scene)));
   XMLElement* world = arena.Section("worldbody");
   Recolour(world, "0.5 0.5 0 1");
-  RS_ASSIGN_OR_RETURN(XMLElement* body, Child(arena, world, "body", std::string(problem.arena_body)));
+  RS_ASSIGN_OR_RETURN(XMLElement * body,
+                      Child(arena, world, "body", std::string(problem.arena_body)));
   if (problem.has_table) {
     std::array<double, 3> half, centre = problem.workspace_offset;
     for (int i = 0; i < 3; ++i) half[i] = problem.table_size[i] / 2;
     centre[2] = -half[2] + problem.workspace_offset[2];
-    if (XMLElement* floor = FindChild(world, "geom", "floor")) SetNumbers(floor, "pos", std::array<double, 3>{0, 0, 0});
+    if (XMLElement* floor = FindChild(world, "geom", "floor"))
+      SetNumbers(floor, "pos", std::array<double, 3>{0, 0, 0});
     SetNumbers(body, "pos", centre);
-    RS_ASSIGN_OR_RETURN(XMLElement* collision, Child(arena, body, "geom", "table_collision"));
+    RS_ASSIGN_OR_RETURN(XMLElement * collision, Child(arena, body, "geom", "table_collision"));
     SetNumbers(collision, "size", half);
     SetNumbers(collision, "friction", problem.table_friction);
-    RS_ASSIGN_OR_RETURN(XMLElement* visual, Child(arena, body, "geom", "table_visual"));
+    RS_ASSIGN_OR_RETURN(XMLElement * visual, Child(arena, body, "geom", "table_visual"));
     SetNumbers(visual, "size", half);
-    RS_ASSIGN_OR_RETURN(XMLElement* top, Child(arena, body, "site", "table_top"));
+    RS_ASSIGN_OR_RETURN(XMLElement * top, Child(arena, body, "site", "table_top"));
     SetNumbers(top, "pos", std::array<double, 3>{0, 0, half[2]});
     PlaceTableLegs(body, half, problem.workspace_offset[2]);
   }
@@ -117,11 +132,13 @@ absl::StatusOr<MjcfFile> MakeArena(const LiberoPaths& paths, const BddlProblem& 
   for (const BddlRegion& region : bddl.regions) {
     if (!OnWorkspace(problem, region)) continue;
     if (region.ranges.empty()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(bddl.file, ":", region.line, ": region '", region.name, "' lies on the workspace and has no :ranges"));
+      return absl::InvalidArgumentError(absl::StrCat(bddl.file, ":", region.line, ": region '",
+                                                     region.name,
+                                                     "' lies on the workspace and has no :ranges"));
     }
     const std::array<double, 4>& range = region.ranges[0];
-    std::array<double, 3> pos = {(range[2] + range[0]) / 2, (range[3] + range[1]) / 2, problem.zone_z};
+    std::array<double, 3> pos = {(range[2] + range[0]) / 2, (range[3] + range[1]) / 2,
+                                 problem.zone_z};
     if (problem.zone_at_workspace) {
       pos[0] += problem.workspace_offset[0];
       pos[1] += problem.workspace_offset[1];
@@ -131,20 +148,23 @@ absl::StatusOr<MjcfFile> MakeArena(const LiberoPaths& paths, const BddlProblem& 
     SetNumbers(site, "pos", pos);
     site->SetAttribute("quat", "1 0 0 0");
     SetNumbers(site, "rgba", region.rgba);
-    SetNumbers(site, "size", std::array<double, 3>{(range[2] - range[0]) / 2, (range[3] - range[1]) / 2, kZoneHalfHeight});
+    SetNumbers(site, "size",
+               std::array<double, 3>{(range[2] - range[0]) / 2, (range[3] - range[1]) / 2,
+                                     kZoneHalfHeight});
     site->SetAttribute("type", "box");
   }
   return arena;
 }
 
 // A robot part: unnamed geoms get robosuite's names, everything its prefix.
-absl::StatusOr<MjcfFile> LoadPart(const std::string& path, const std::string& prefix, const char* rgba) {
+absl::StatusOr<MjcfFile> LoadPart(const std::string& path, const std::string& prefix,
+                                  const char* rgba) {
   RS_ASSIGN_OR_RETURN(MjcfFile part, MjcfFile::Load(path));
   int visual = 0, collision = 0;
   VisitElements(part.root(), [&](XMLElement* element) {
     if (!IsTag(element, "geom") || element->Attribute("name") != nullptr) return;
-    const std::string name =
-        IsCollisionGroup(element) ? absl::StrCat("g", collision++, "_col") : absl::StrCat("g", visual++, "_vis");
+    const std::string name = IsCollisionGroup(element) ? absl::StrCat("g", collision++, "_col")
+                                                       : absl::StrCat("g", visual++, "_vis");
     element->SetAttribute("name", name.c_str());
   });
   AddPrefix(part.root(), prefix);
@@ -153,26 +173,37 @@ absl::StatusOr<MjcfFile> LoadPart(const std::string& path, const std::string& pr
 }
 
 absl::StatusOr<MjcfFile> MakeRobot(const LiberoPaths& paths, const ProblemClass& problem) {
-  RS_ASSIGN_OR_RETURN(MjcfFile robot, LoadPart(paths.robosuite + "/robots/panda/robot.xml", "robot0_", "0 0.5 0 1"));
+  RS_ASSIGN_OR_RETURN(MjcfFile robot, LoadPart(paths.robosuite + "/robots/panda/robot.xml",
+                                               "robot0_", "0 0.5 0 1"));
   int joint = 0;
   VisitElements(robot.Section("worldbody"), [&](XMLElement* element) {
     if (!IsTag(element, "joint") || joint >= 7) return;
     SetNumbers(element, "damping", std::array<double, 1>{kJointDamping[joint]});
-    if (element->Attribute("frictionloss") == nullptr) SetNumbers(element, "frictionloss", std::array<double, 1>{kJointFriction});
-    if (element->Attribute("armature") == nullptr) SetNumbers(element, "armature", std::array<double, 1>{5.0 / (joint + 1)});
+    if (element->Attribute("frictionloss") == nullptr)
+      SetNumbers(element, "frictionloss", std::array<double, 1>{kJointFriction});
+    if (element->Attribute("armature") == nullptr)
+      SetNumbers(element, "armature", std::array<double, 1>{5.0 / (joint + 1)});
     ++joint;
   });
-  if (joint != 7) return absl::InvalidArgumentError(absl::StrCat(robot.path(), ": ", joint, " joints, expected a Panda's 7"));
+  if (joint != 7)
+    return absl::InvalidArgumentError(
+        absl::StrCat(robot.path(), ": ", joint, " joints, expected a Panda's 7"));
 
   RS_ASSIGN_OR_RETURN(MjcfFile mount,
-                      LoadPart(paths.robosuite + (problem.mounted ? "/mounts/rethink_mount.xml" : "/mounts/null_mount.xml"),
+                      LoadPart(paths.robosuite + (problem.mounted ? "/mounts/rethink_mount.xml"
+                                                                  : "/mounts/null_mount.xml"),
                                "mount0_", "0.5 0.5 0 1"));
-  RS_ASSIGN_OR_RETURN(XMLElement* base, Child(robot, robot.Section("worldbody"), "body", "robot0_base"));
-  RS_ASSIGN_OR_RETURN(XMLElement* mount_base, Child(mount, mount.Section("worldbody"), "body", "mount0_base"));
-  RS_ASSIGN_OR_RETURN(std::vector<double> base_offset, ReadNumbers(robot.path(), base, "pos", {0, 0, 0}));
-  RS_ASSIGN_OR_RETURN(std::vector<double> mount_bottom, ReadNumbers(mount.path(), mount_base, "pos", {0, 0, 0}));
+  RS_ASSIGN_OR_RETURN(XMLElement * base,
+                      Child(robot, robot.Section("worldbody"), "body", "robot0_base"));
+  RS_ASSIGN_OR_RETURN(XMLElement * mount_base,
+                      Child(mount, mount.Section("worldbody"), "body", "mount0_base"));
+  RS_ASSIGN_OR_RETURN(std::vector<double> base_offset,
+                      ReadNumbers(robot.path(), base, "pos", {0, 0, 0}));
+  RS_ASSIGN_OR_RETURN(std::vector<double> mount_bottom,
+                      ReadNumbers(mount.path(), mount_base, "pos", {0, 0, 0}));
   if (base_offset.size() != 3 || mount_bottom.size() != 3) {
-    return absl::InvalidArgumentError(absl::StrCat(mount.path(), ": a pos attribute does not have 3 numbers"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(mount.path(), ": a pos attribute does not have 3 numbers"));
   }
   const std::array<double, 3> mount_top = {0, 0, problem.mounted ? -0.01 : 0.0};
   std::array<double, 3> mount_pos, base_pos;
@@ -182,9 +213,11 @@ absl::StatusOr<MjcfFile> MakeRobot(const LiberoPaths& paths, const ProblemClass&
   }
   SetNumbers(mount_base, "pos", mount_pos);
   MergeFile(robot, base, mount);
-  RS_ASSIGN_OR_RETURN(MjcfFile gripper, LoadPart(paths.robosuite + "/grippers/panda_gripper.xml", "gripper0_", "0 0 0.5 1"));
+  RS_ASSIGN_OR_RETURN(MjcfFile gripper, LoadPart(paths.robosuite + "/grippers/panda_gripper.xml",
+                                                 "gripper0_", "0 0 0.5 1"));
   XMLElement* hand = FindElement(robot.Section("worldbody"), "body", "robot0_right_hand");
-  if (hand == nullptr) return absl::NotFoundError(absl::StrCat(robot.path(), ": no body 'right_hand'"));
+  if (hand == nullptr)
+    return absl::NotFoundError(absl::StrCat(robot.path(), ": no body 'right_hand'"));
   MergeFile(robot, hand, gripper);
   SetNumbers(base, "pos", base_pos);
   return robot;
@@ -202,9 +235,10 @@ struct SiteOwner {
   std::vector<std::string> joints;
 };
 
-// LIBERO's search for the joints that move a site: walks the bodies in document order, stops at the first
-// body without a site below it, and lets a later (deeper) body override an earlier one.
-void FindSites(XMLElement* wrapper, const std::string& parent, std::map<std::string, SiteOwner>& sites) {
+// LIBERO's search for the joints that move a site: walks the bodies in document order, stops at the
+// first body without a site below it, and lets a later (deeper) body override an earlier one.
+void FindSites(XMLElement* wrapper, const std::string& parent,
+               std::map<std::string, SiteOwner>& sites) {
   bool stopped = false;
   for (XMLElement* top = wrapper->FirstChildElement(); top; top = top->NextSiblingElement()) {
     VisitElements(top, [&](XMLElement* body) {
@@ -215,7 +249,8 @@ void FindSites(XMLElement* wrapper, const std::string& parent, std::map<std::str
       });
       if (names.empty()) stopped = true;
       SiteOwner owner{parent, {}};
-      for (XMLElement* joint = body->FirstChildElement("joint"); joint; joint = joint->NextSiblingElement("joint")) {
+      for (XMLElement* joint = body->FirstChildElement("joint"); joint;
+           joint = joint->NextSiblingElement("joint")) {
         owner.joints.push_back(Text(joint, "name"));
       }
       for (const std::string& name : names) sites[name] = owner;
@@ -224,18 +259,20 @@ void FindSites(XMLElement* wrapper, const std::string& parent, std::map<std::str
 }
 
 // Loads an object's file, prefixes it and appends it to the world.
-absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl, const BddlGroup& group,
-                               const std::string& instance, bool fixture, MjcfFile& model,
-                               std::map<std::string, SiteOwner>& sites) {
+absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl,
+                               const BddlGroup& group, const std::string& instance, bool fixture,
+                               MjcfFile& model, std::map<std::string, SiteOwner>& sites) {
   absl::StatusOr<std::string> path = FindObjectFile(paths, group.category);
   if (!path.ok()) {
-    return absl::NotFoundError(absl::StrCat(bddl.file, ":", group.line, ": ", path.status().message()));
+    return absl::NotFoundError(
+        absl::StrCat(bddl.file, ":", group.line, ": ", path.status().message()));
   }
   RS_ASSIGN_OR_RETURN(MjcfFile file, MjcfFile::Load(*path));
   XMLElement* wrapper = file.Section("worldbody")->FirstChildElement("body");
   XMLElement* object = wrapper == nullptr ? nullptr : FindChild(wrapper, "body", "object");
   if (object == nullptr) {
-    return absl::InvalidArgumentError(absl::StrCat(*path, ": no worldbody/body/body[@name='object']"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(*path, ": no worldbody/body/body[@name='object']"));
   }
   Part part;
   part.object.name = instance;
@@ -244,7 +281,9 @@ absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl
   part.object.articulation = FindArticulation(group.category);
   if (const XMLElement* bottom = FindChild(wrapper, "site", "bottom_site")) {
     RS_ASSIGN_OR_RETURN(std::vector<double> pos, ReadNumbers(*path, bottom, "pos", {0, 0, 0}));
-    if (pos.size() != 3) return absl::InvalidArgumentError(absl::StrCat(*path, ": bottom_site's pos does not have 3 numbers"));
+    if (pos.size() != 3)
+      return absl::InvalidArgumentError(
+          absl::StrCat(*path, ": bottom_site's pos does not have 3 numbers"));
     part.bottom = pos[2];
   } else {
     return absl::InvalidArgumentError(absl::StrCat(*path, ": no bottom_site"));
@@ -265,7 +304,8 @@ absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl
   });
   for (XMLElement* element : dropped) element->Parent()->DeleteChild(element);
   AddPrefix(file.root(), instance + "_");
-  FindSites(wrapper, instance, sites);  // before the free joint: LIBERO searches the file, not the model
+  FindSites(wrapper, instance,
+            sites);  // before the free joint: LIBERO searches the file, not the model
   if (!fixture) {
     XMLElement* joint = AppendNew(object, "joint");
     joint->SetAttribute("type", "free");
@@ -273,14 +313,18 @@ absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl
     joint->SetAttribute("name", (instance + "_joint0").c_str());
   }
   XMLElement* site = AppendNew(object, "site");
-  for (const auto& [name, value] : {std::pair("pos", "0 0 0"), {"size", "0.002 0.002 0.002"}, {"rgba", "1 0 0 0"},
-                                    {"type", "sphere"}, {"group", "0"}}) {
+  for (const auto& [name, value] : {std::pair("pos", "0 0 0"),
+                                    {"size", "0.002 0.002 0.002"},
+                                    {"rgba", "1 0 0 0"},
+                                    {"type", "sphere"},
+                                    {"group", "0"}}) {
     site->SetAttribute(name, value);
   }
   site->SetAttribute("name", (instance + "_default_site").c_str());
   VisitElements(object, [&](XMLElement* element) {
     if (IsTag(element, "joint")) part.joints.push_back(Text(element, "name"));
-    if (IsTag(element, "geom") && IsCollisionGroup(element)) part.contact_geoms.push_back(Text(element, "name"));
+    if (IsTag(element, "geom") && IsCollisionGroup(element))
+      part.contact_geoms.push_back(Text(element, "name"));
   });
   MergeAssets(model.Section("asset"), file.Section("asset"));
   AppendCopy(model.Section("worldbody"), object);
@@ -289,11 +333,14 @@ absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl
 
 absl::StatusOr<int> Id(const mjModel& model, mjtObj type, const std::string& name) {
   const int id = mj_name2id(&model, type, name.c_str());
-  if (id < 0) return absl::InternalError(absl::StrCat("the compiled scene has no ", mju_type2Str(type), " '", name, "'"));
+  if (id < 0)
+    return absl::InternalError(
+        absl::StrCat("the compiled scene has no ", mju_type2Str(type), " '", name, "'"));
   return id;
 }
 
-absl::Status ResolveParts(std::vector<Part>& parts, const std::map<std::string, SiteOwner>& sites, LiberoScene& scene) {
+absl::Status ResolveParts(std::vector<Part>& parts, const std::map<std::string, SiteOwner>& sites,
+                          LiberoScene& scene) {
   const mjModel& model = *scene.model;
   for (Part& part : parts) {
     LiberoObject& object = part.object;
@@ -327,19 +374,23 @@ absl::Status ResolveParts(std::vector<Part>& parts, const std::map<std::string, 
   return absl::OkStatus();
 }
 
-// Calls `pose` with (fixture, region, z) for every fixture that an init atom places on the workspace.
+// Calls `pose` with (fixture, region, z) for every fixture that an init atom places on the
+// workspace.
 template <class F>
 void ForEachPlacedFixture(const LiberoScene& scene, const F& pose) {
   for (const BddlAtom& atom : scene.problem.init) {
     if (atom.predicate != "on" || atom.arguments.size() != 2) continue;
     const auto object = scene.objects.find(atom.arguments[0]);
     const BddlRegion* region = scene.problem.FindRegion(atom.arguments[1]);
-    if (object == scene.objects.end() || !object->second.fixture || region == nullptr || region->ranges.empty()) continue;
+    if (object == scene.objects.end() || !object->second.fixture || region == nullptr ||
+        region->ranges.empty())
+      continue;
     pose(object->first, *region);
   }
 }
 
-FixturePose MakePose(const ProblemClass& problem, const std::string& fixture, double x, double y, double z, double yaw) {
+FixturePose MakePose(const ProblemClass& problem, const std::string& fixture, double x, double y,
+                     double z, double yaw) {
   return {fixture,
           {x + problem.workspace_offset[0], y + problem.workspace_offset[1], z},
           {std::cos(yaw / 2), 0, 0, std::sin(yaw / 2)}};
@@ -353,7 +404,8 @@ const FixturePose* FindPose(const std::vector<FixturePose>& poses, const std::st
 }
 
 std::shared_ptr<mjModel> CopyModel(const mjModel& model) {
-  return std::shared_ptr<mjModel>(mj_copyModel(nullptr, &model), [](mjModel* m) { mj_deleteModel(m); });
+  return std::shared_ptr<mjModel>(mj_copyModel(nullptr, &model),
+                                  [](mjModel* m) { mj_deleteModel(m); });
 }
 
 }  // namespace
@@ -363,7 +415,8 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
   scene.problem = std::move(problem);
   const BddlProblem& bddl = scene.problem;
   absl::StatusOr<ProblemClass> problem_class = FindProblemClass(bddl.name);
-  if (!problem_class.ok()) return absl::NotFoundError(absl::StrCat(bddl.file, ": ", problem_class.status().message()));
+  if (!problem_class.ok())
+    return absl::NotFoundError(absl::StrCat(bddl.file, ": ", problem_class.status().message()));
   scene.problem_class = *problem_class;
 
   RS_ASSIGN_OR_RETURN(MjcfFile model, MjcfFile::Load(paths.robosuite + "/base.xml"));
@@ -380,7 +433,8 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
     for (const BddlGroup& group : fixture ? bddl.fixtures : bddl.objects) {
       if (fixture && group.category == scene.problem_class.workspace) continue;
       for (const std::string& instance : group.instances) {
-        RS_ASSIGN_OR_RETURN(Part part, AddObject(paths, bddl, group, instance, fixture, model, sites));
+        RS_ASSIGN_OR_RETURN(Part part,
+                            AddObject(paths, bddl, group, instance, fixture, model, sites));
         parts.push_back(std::move(part));
       }
     }
@@ -388,7 +442,8 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
   RS_ASSIGN_OR_RETURN(scene.missing_visuals, ReplaceMissingVisuals(model));
   std::set<std::string> replaced_meshes;
   XMLElement* asset = model.Section("asset");
-  for (XMLElement* mesh = asset->FirstChildElement("mesh"); mesh; mesh = mesh->NextSiblingElement("mesh")) {
+  for (XMLElement* mesh = asset->FirstChildElement("mesh"); mesh;
+       mesh = mesh->NextSiblingElement("mesh")) {
     if (mesh->Attribute("vertex") != nullptr) replaced_meshes.insert(Text(mesh, "name"));
   }
   tinyxml2::XMLPrinter printer(nullptr, true);
@@ -407,9 +462,11 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
       if (part.object.name == fixture) bottom = part.bottom;
     }
     const std::array<double, 4>& range = region.ranges[0];
-    const double z = scene.problem_class.fixture_z + scene.problem_class.workspace_offset[2] - bottom;
-    scene.centred_fixtures.push_back(MakePose(scene.problem_class, fixture, (range[0] + range[2]) / 2,
-                                              (range[1] + range[3]) / 2, z, (region.yaw[0] + region.yaw[1]) / 2));
+    const double z =
+        scene.problem_class.fixture_z + scene.problem_class.workspace_offset[2] - bottom;
+    scene.centred_fixtures.push_back(MakePose(scene.problem_class, fixture,
+                                              (range[0] + range[2]) / 2, (range[1] + range[3]) / 2,
+                                              z, (region.yaw[0] + region.yaw[1]) / 2));
   });
   return scene;
 }
@@ -417,8 +474,10 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
 std::vector<FixturePose> SampleFixtures(const LiberoScene& scene, uint64_t key) {
   std::vector<FixturePose> poses;
   ForEachPlacedFixture(scene, [&](const std::string& fixture, const BddlRegion& region) {
-    RandomStream random(StreamKey("libero fixture pose").With(static_cast<int64_t>(key)).With(fixture));
-    const std::array<double, 4>& range = region.ranges[random.UniformInt(static_cast<int>(region.ranges.size()))];
+    RandomStream random(
+        StreamKey("libero fixture pose").With(static_cast<int64_t>(key)).With(fixture));
+    const std::array<double, 4>& range =
+        region.ranges[random.UniformInt(static_cast<int>(region.ranges.size()))];
     const double x = random.Uniform(range[0], range[2]);
     const double y = random.Uniform(range[1], range[3]);
     const double yaw = random.Uniform(region.yaw[0], region.yaw[1]);
@@ -428,13 +487,15 @@ std::vector<FixturePose> SampleFixtures(const LiberoScene& scene, uint64_t key) 
   return poses;
 }
 
-absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene, const std::vector<FixturePose>& poses) {
+absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene,
+                                          const std::vector<FixturePose>& poses) {
   std::shared_ptr<mjModel> model = CopyModel(*scene.model);
   if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
   for (const FixturePose& pose : poses) {
     const auto object = scene.objects.find(pose.fixture);
     if (object == scene.objects.end() || !object->second.fixture) {
-      return absl::NotFoundError(absl::StrCat("'", pose.fixture, "' is not a fixture of ", scene.problem.file));
+      return absl::NotFoundError(
+          absl::StrCat("'", pose.fixture, "' is not a fixture of ", scene.problem.file));
     }
     const int body = object->second.body;
     std::copy(pose.pos.begin(), pose.pos.end(), model->body_pos + 3 * body);
@@ -455,7 +516,8 @@ SharedModel MakeSimulationModel(const mjModel& model, const double* qpos) {
   return copy;
 }
 
-absl::StatusOr<std::shared_ptr<mjModel>> MakeRenderModel(const LiberoScene& scene, const mjModel& physics) {
+absl::StatusOr<std::shared_ptr<mjModel>> MakeRenderModel(const LiberoScene& scene,
+                                                         const mjModel& physics) {
   constexpr int kShown = 1, kHidden = 4;  // MuJoCo shows groups 0-2 by default
   std::shared_ptr<mjModel> model = CopyModel(physics);
   if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
@@ -474,12 +536,14 @@ absl::StatusOr<std::shared_ptr<mjModel>> MakeRenderModel(const LiberoScene& scen
     float rgb[3] = {0.92f, 0.92f, 0.94f};
     if (absl::StrContains(name, "bowl")) {
       std::fill(rgb, rgb + 3, 0.15f);
-    } else if (absl::StrContains(name, "cabinet") || absl::StrContains(name, "rack") || absl::StrContains(name, "basket")) {
+    } else if (absl::StrContains(name, "cabinet") || absl::StrContains(name, "rack") ||
+               absl::StrContains(name, "basket")) {
       rgb[0] = 0.50f, rgb[1] = 0.34f, rgb[2] = 0.22f;
     } else if (absl::StrContains(name, "stove") || absl::StrContains(name, "microwave")) {
       std::fill(rgb, rgb + 3, 0.42f);
     } else if (!absl::StrContains(name, "robot") && !absl::StrContains(name, "plate")) {
-      RandomStream random(StreamKey("libero colour").With(name.substr(0, name.find_last_of("0123456789"))));
+      RandomStream random(
+          StreamKey("libero colour").With(name.substr(0, name.find_last_of("0123456789"))));
       for (float& channel : rgb) channel = static_cast<float>(random.Uniform(0.25, 0.9));
     }
     model->geom_group[geom] = kShown;

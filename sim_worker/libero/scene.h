@@ -1,12 +1,12 @@
 #pragma once
 
-#include <map>
-#include <string>
-#include <vector>
+#include <mujoco/mujoco.h>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <mujoco/mujoco.h>
+#include <map>
+#include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -29,12 +29,13 @@ struct LiberoObject {
 // A named region that goals speak of: a zone of the table or a site inside an object.
 struct LiberoSite {
   std::string name;
-  std::string parent;       // object or fixture that owns it; empty for a zone of the workspace
+  std::string parent;  // object or fixture that owns it; empty for a zone of the workspace
   int site = -1;
   std::vector<int> joints;  // of the innermost body that holds the site
 };
 
-// Where a welded fixture stands. The originals draw it at every reset; it is not part of an initial state.
+// Where a welded fixture stands. The originals draw it at every reset; it is not part of an initial
+// state.
 struct FixturePose {
   std::string fixture;
   std::array<double, 3> pos;   // [m] world
@@ -48,31 +49,36 @@ struct LiberoScene {
   SharedModel model;  // as the originals compile it; fixtures stand where their files put them
   std::map<std::string, LiberoObject> objects;
   std::map<std::string, LiberoSite> sites;
-  std::vector<FixturePose> centred_fixtures;      // each at the centre of its region and of its yaw range
-  std::vector<std::string> missing_visuals;       // files that were replaced
-  std::vector<int> replaced_geoms;                // visual geoms whose mesh was replaced
+  std::vector<FixturePose>
+      centred_fixtures;  // each at the centre of its region and of its yaw range
+  std::vector<std::string> missing_visuals;  // files that were replaced
+  std::vector<int> replaced_geoms;           // visual geoms whose mesh was replaced
 };
 
-// Composes and compiles the scene of a parsed BDDL file in the originals' order: arena, robot with mount and
-// gripper, objects, fixtures (LIBERO 8f1084e on robosuite 1.4.0).
+// Composes and compiles the scene of a parsed BDDL file in the originals' order: arena, robot with
+// mount and gripper, objects, fixtures (LIBERO 8f1084e on robosuite 1.4.0).
 absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem problem);
 
 // The poses drawn uniformly from the regions, a function of (key, fixture) only.
 std::vector<FixturePose> SampleFixtures(const LiberoScene& scene, uint64_t key);
 
-// A copy of the model with the fixtures moved, as the originals move them: body_pos and body_quat only.
-absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene, const std::vector<FixturePose>& poses);
+// A copy of the model with the fixtures moved, as the originals move them: body_pos and body_quat
+// only.
+absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene,
+                                          const std::vector<FixturePose>& poses);
 
-// A copy to simulate, with equal dynamics. The free objects' part of qpos0, which only a reset reads, is taken
-// from `qpos`: in the composed model they overlap and overflow the contact buffers before the first reset.
-// The constraint buffers hold kMaxConstraints instead of robosuite's 5000 rows, which costs 75 instead of
-// 308 MB per simulator; the stored states and the reference trajectories need at most 226 contacts.
+// A copy to simulate, with equal dynamics. The free objects' part of qpos0, which only a reset
+// reads, is taken from `qpos`: in the composed model they overlap and overflow the contact buffers
+// before the first reset. The constraint buffers hold kMaxConstraints instead of robosuite's 5000
+// rows, which costs 75 instead of 308 MB per simulator; the stored states and the reference
+// trajectories need at most 226 contacts.
 inline constexpr int kMaxConstraints = 2500;
 SharedModel MakeSimulationModel(const mjModel& model, const double* qpos);
 
-// A copy for rendering: collision geoms hidden (originals: group 0), but shown in plain colours on bodies
-// whose visual meshes are missing; marker sites hidden. Geometry and sizes are equal, so mjData of `model`
-// can be rendered with it. The caller may toggle sites in it.
-absl::StatusOr<std::shared_ptr<mjModel>> MakeRenderModel(const LiberoScene& scene, const mjModel& model);
+// A copy for rendering: collision geoms hidden (originals: group 0), but shown in plain colours on
+// bodies whose visual meshes are missing; marker sites hidden. Geometry and sizes are equal, so
+// mjData of `model` can be rendered with it. The caller may toggle sites in it.
+absl::StatusOr<std::shared_ptr<mjModel>> MakeRenderModel(const LiberoScene& scene,
+                                                         const mjModel& model);
 
 }  // namespace robostress::libero

@@ -1,9 +1,9 @@
 #include "sim_worker/libero/bddl.h"
 
+#include <gmock/gmock.h>
+
 #include <filesystem>
 #include <numbers>
-
-#include <gmock/gmock.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
@@ -47,7 +47,8 @@ TEST(BddlTest, ReadsEverySectionInTheFilesOrderAndInLowerCase) {
   EXPECT_EQ(problem->name, "libero_tabletop_manipulation");
   EXPECT_EQ(problem->language, "put the bowl on the plate");
   ASSERT_EQ(problem->objects.size(), 2u);
-  EXPECT_THAT(problem->objects[0].instances, ElementsAre("akita_black_bowl_1", "akita_black_bowl_2"));
+  EXPECT_THAT(problem->objects[0].instances,
+              ElementsAre("akita_black_bowl_1", "akita_black_bowl_2"));
   EXPECT_EQ(problem->fixtures[1].category, "wooden_cabinet");
   const BddlRegion* region = problem->FindRegion("main_table_plate_region");
   ASSERT_NE(region, nullptr);
@@ -61,12 +62,17 @@ TEST(BddlTest, ReadsEverySectionInTheFilesOrderAndInLowerCase) {
 
 TEST(BddlTest, ErrorsNameFileLineAndToken) {
   EXPECT_THAT(ErrorOf(With("-0.01))", "x))")), HasSubstr("task.bddl:5: 'x' is not a number"));
-  EXPECT_THAT(ErrorOf(With("(0.04 -0.03 0.06 -0.01)", "(0.04 -0.03 0.06)")), HasSubstr("task.bddl:5: expected a list of 4"));
+  EXPECT_THAT(ErrorOf(With("(0.04 -0.03 0.06 -0.01)", "(0.04 -0.03 0.06)")),
+              HasSubstr("task.bddl:5: expected a list of 4"));
   EXPECT_THAT(ErrorOf(With("0.04 -0.03 0.06", "0.07 -0.03 0.06")), HasSubstr("x1 < x0"));
-  EXPECT_THAT(ErrorOf(With(":obj_of_interest", ":colour")), HasSubstr("task.bddl:10: unknown section ':colour'"));
-  EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "plate_1 -)")), HasSubstr("task.bddl:9: '-' without a category"));
-  EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "plate_1)")), HasSubstr("'plate_1' without '- category'"));
-  EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "akita_black_bowl_1 - plate)")), HasSubstr("'akita_black_bowl_1' is declared twice"));
+  EXPECT_THAT(ErrorOf(With(":obj_of_interest", ":colour")),
+              HasSubstr("task.bddl:10: unknown section ':colour'"));
+  EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "plate_1 -)")),
+              HasSubstr("task.bddl:9: '-' without a category"));
+  EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "plate_1)")),
+              HasSubstr("'plate_1' without '- category'"));
+  EXPECT_THAT(ErrorOf(With("plate_1 - plate)", "akita_black_bowl_1 - plate)")),
+              HasSubstr("'akita_black_bowl_1' is declared twice"));
   EXPECT_THAT(ErrorOf(With("(And", "(Or")), HasSubstr("task.bddl:12: goal connective 'or'"));
   EXPECT_THAT(ErrorOf(With("robosuite", "igibson")), HasSubstr("domain 'igibson'"));
   EXPECT_THAT(ErrorOf(std::string(kProblem) + ")"), HasSubstr("after the closing parenthesis"));
@@ -90,14 +96,15 @@ TEST(BddlTest, SurvivesDamagedFiles) {
     }
     parsed += ParseBddl("task.bddl", text).ok();
   }
-  EXPECT_GT(parsed, 0);     // damage in a name leaves a valid file
+  EXPECT_GT(parsed, 0);  // damage in a name leaves a valid file
   EXPECT_LT(parsed, 3000);
 }
 
 TEST(BddlTest, ReadsEveryTaskOfTheFourSuites) {
   SKIP_WITHOUT_SHARED_DATA();
   int files = 0;
-  for (const auto& entry : std::filesystem::recursive_directory_iterator(LiberoTree() + "/libero/libero/bddl_files")) {
+  for (const auto& entry :
+       std::filesystem::recursive_directory_iterator(LiberoTree() + "/libero/libero/bddl_files")) {
     if (entry.path().extension() != ".bddl") continue;
     const absl::StatusOr<BddlProblem> problem = ReadBddl(entry.path());
     EXPECT_TRUE(problem.ok()) << problem.status();

@@ -1,11 +1,11 @@
 #include "sim_worker/libero/init_states.h"
 
+#include <gmock/gmock.h>
+#include <zlib.h>
+
 #include <cmath>
 #include <cstring>
 #include <filesystem>
-
-#include <gmock/gmock.h>
-#include <zlib.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
@@ -20,11 +20,14 @@ using namespace std::string_literals;
 using ::testing::HasSubstr;
 
 template <class T>
-void Put(std::string& out, T value) { out.append(reinterpret_cast<const char*>(&value), sizeof(T)); }
+void Put(std::string& out, T value) {
+  out.append(reinterpret_cast<const char*>(&value), sizeof(T));
+}
 
 // A zip file of one stored entry, written as torch.save writes it.
 std::string Zip(const std::string& name, const std::string& data, uint16_t method = 0) {
-  const uint32_t crc = crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(data.size()));
+  const uint32_t crc =
+      crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(data.size()));
   auto header = [&](std::string& out) {
     Put<uint16_t>(out, method);
     Put<uint32_t>(out, 0);
@@ -77,9 +80,10 @@ std::string Pickle(const std::vector<double>& values, int rows, int columns) {
   std::string p("\x80\x02", 2);
   p += "cnumpy.core.multiarray\n_reconstruct\nq\0cnumpy\nndarray\nq\1K\0\x85q\2"s;
   p += "c_codecs\nencode\nq\3" + Unicode("b") + Unicode("latin1") + "\x86R\x87R";
-  p += "(K\1K" + std::string(1, static_cast<char>(rows)) + "K" + std::string(1, static_cast<char>(columns)) + "\x86";
-  p += "cnumpy\ndtype\n" + Unicode("f8") + "\x89\x88\x87R(K\3" + Unicode("<") + "NNNJ" + std::string(4, '\xff') + "J" +
-       std::string(4, '\xff') + "K\0tb\x89"s;
+  p += "(K\1K" + std::string(1, static_cast<char>(rows)) + "K" +
+       std::string(1, static_cast<char>(columns)) + "\x86";
+  p += "cnumpy\ndtype\n" + Unicode("f8") + "\x89\x88\x87R(K\3" + Unicode("<") + "NNNJ" +
+       std::string(4, '\xff') + "J" + std::string(4, '\xff') + "K\0tb\x89"s;
   p += "h\3" + Unicode(utf8) + Unicode("latin1") + "\x86Rtb.";
   return p;
 }
@@ -92,7 +96,8 @@ std::string ErrorOf(const std::string& bytes) {
 }
 
 TEST(InitStatesTest, ReadsAMatrixBitForBit) {
-  const absl::StatusOr<InitStates> states = ParseInitStates("a", Zip("archive/data.pkl", Pickle(kValues, 2, 3)));
+  const absl::StatusOr<InitStates> states =
+      ParseInitStates("a", Zip("archive/data.pkl", Pickle(kValues, 2, 3)));
   ASSERT_TRUE(states.ok()) << states.status();
   EXPECT_EQ(states->rows, 2);
   EXPECT_EQ(states->columns, 3);
@@ -103,13 +108,17 @@ TEST(InitStatesTest, ReadsAMatrixBitForBit) {
 TEST(InitStatesTest, RefusesWhatCouldExecute) {
   const std::string good = Pickle(kValues, 2, 3);
   // A name that Python would import and call.
-  const std::string system = std::string("\x80\x02", 2) + "cos\nsystem\n" + Unicode("id") + "\x85R.";
-  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", system)), HasSubstr("the name 'os.system' is not on the list"));
+  const std::string system =
+      std::string("\x80\x02", 2) + "cos\nsystem\n" + Unicode("id") + "\x85R.";
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", system)),
+              HasSubstr("the name 'os.system' is not on the list"));
   for (const char opcode : std::string("oi\x81\x82\x93]}luseaQP0")) {
     const std::string pickle = good.substr(0, 2) + opcode + good.substr(2);
-    EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", pickle)), HasSubstr("is not on the list")) << static_cast<int>(opcode);
+    EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", pickle)), HasSubstr("is not on the list"))
+        << static_cast<int>(opcode);
   }
-  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", absl::StrReplaceAll(good, {{"f8", "O8"}}))), HasSubstr("type 'O8'"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", absl::StrReplaceAll(good, {{"f8", "O8"}}))),
+              HasSubstr("type 'O8'"));
 }
 
 TEST(InitStatesTest, ErrorsNameFileAndPlace) {
@@ -118,20 +127,25 @@ TEST(InitStatesTest, ErrorsNameFileAndPlace) {
   EXPECT_THAT(ErrorOf(std::string(100, 'x')), HasSubstr("not a zip file"));
   EXPECT_THAT(ErrorOf(Zip("archive/other", good)), HasSubstr("no entry ends in '/data.pkl'"));
   EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good, 8)), HasSubstr("compressed (method 8)"));
-  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle(kValues, 3, 3))), HasSubstr("shape [3, 3] needs 72 bytes, got 48"));
-  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good.substr(0, good.size() - 1))), HasSubstr("without STOP"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle(kValues, 3, 3))),
+              HasSubstr("shape [3, 3] needs 72 bytes, got 48"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good.substr(0, good.size() - 1))),
+              HasSubstr("without STOP"));
   std::string flipped = Zip("archive/data.pkl", good);
   flipped[100] ^= 1;
   EXPECT_THAT(ErrorOf(flipped), HasSubstr("checksum"));
-  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle({0, NAN, 0, 0, 0, 0}, 2, 3))), HasSubstr("row 0, column 1 is not finite"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle({0, NAN, 0, 0, 0, 0}, 2, 3))),
+              HasSubstr("row 0, column 1 is not finite"));
 }
 
 TEST(InitStatesTest, ARowOfTheWrongLengthNamesFileAndSizes) {
-  const absl::StatusOr<InitStates> states = ParseInitStates("task.pruned_init", Zip("archive/data.pkl", Pickle(kValues, 2, 3)));
+  const absl::StatusOr<InitStates> states =
+      ParseInitStates("task.pruned_init", Zip("archive/data.pkl", Pickle(kValues, 2, 3)));
   ASSERT_TRUE(states.ok());
   EXPECT_TRUE(CheckInitStates(*states, 1, 1).ok());
   EXPECT_THAT(CheckInitStates(*states, 41, 37).message(),
-              HasSubstr("task.pruned_init: rows have 3 values, the composed model needs 1 + nq + nv = 1 + 41 + 37 = 79"));
+              HasSubstr("task.pruned_init: rows have 3 values, the composed model needs 1 + nq + "
+                        "nv = 1 + 41 + 37 = 79"));
 }
 
 TEST(InitStatesTest, SurvivesDamagedFiles) {
@@ -140,10 +154,13 @@ TEST(InitStatesTest, SurvivesDamagedFiles) {
   for (int i = 0; i < 5000; ++i) {
     // Damage inside the pickle under a correct checksum, and damage to the container.
     std::string inner = pickle;
-    for (int k = 0; k <= i % 3; ++k) inner[random.UniformInt(static_cast<int>(inner.size()))] = static_cast<char>(random.UniformInt(256));
+    for (int k = 0; k <= i % 3; ++k)
+      inner[random.UniformInt(static_cast<int>(inner.size()))] =
+          static_cast<char>(random.UniformInt(256));
     (void)ParseInitStates("a", Zip("archive/data.pkl", inner));
     std::string outer = Zip("archive/data.pkl", pickle);
-    outer[random.UniformInt(static_cast<int>(outer.size()))] = static_cast<char>(random.UniformInt(256));
+    outer[random.UniformInt(static_cast<int>(outer.size()))] =
+        static_cast<char>(random.UniformInt(256));
     if (i % 2 == 0) outer.resize(random.UniformInt(static_cast<int>(outer.size())));
     (void)ParseInitStates("a", outer);
   }
@@ -152,7 +169,8 @@ TEST(InitStatesTest, SurvivesDamagedFiles) {
 TEST(InitStatesTest, ReadsEveryTaskOfTheFourSuites) {
   SKIP_WITHOUT_SHARED_DATA();
   int files = 0;
-  for (const auto& entry : std::filesystem::recursive_directory_iterator(LiberoTree() + "/libero/libero/init_files")) {
+  for (const auto& entry :
+       std::filesystem::recursive_directory_iterator(LiberoTree() + "/libero/libero/init_files")) {
     if (entry.path().extension() != ".pruned_init") continue;
     const absl::StatusOr<InitStates> states = ReadInitStates(entry.path());
     ASSERT_TRUE(states.ok()) << states.status();

@@ -1,13 +1,12 @@
 #include "sim_worker/libero/libero_task.h"
 
+#include <gmock/gmock.h>
+#include <unistd.h>
+
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-
-#include <unistd.h>
-
-#include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
 #include "absl/strings/str_cat.h"
@@ -41,7 +40,8 @@ std::string ErrorOf(const UnitConfig& unit, int task) {
 // A copy of a tree in which single files can be damaged.
 class DamagedTree {
  public:
-  explicit DamagedTree(const std::string& source) : path_(fs::temp_directory_path() / absl::StrCat("robostress_libero_", getpid())) {
+  explicit DamagedTree(const std::string& source)
+      : path_(fs::temp_directory_path() / absl::StrCat("robostress_libero_", getpid())) {
     fs::remove_all(path_);
     fs::copy(source, path_, fs::copy_options::recursive);
     for (const auto& entry : fs::recursive_directory_iterator(path_)) {
@@ -52,7 +52,9 @@ class DamagedTree {
   ~DamagedTree() { fs::remove_all(path_); }
   std::string path() const { return path_.string(); }
   void Remove(const std::string& file) { ASSERT_TRUE(fs::remove(path_ / file)) << file; }
-  void Write(const std::string& file, const std::string& text) { std::ofstream(path_ / file) << text; }
+  void Write(const std::string& file, const std::string& text) {
+    std::ofstream(path_ / file) << text;
+  }
 
  private:
   fs::path path_;
@@ -90,7 +92,8 @@ TEST(LiberoTaskTest, ResetIsReproducibleAndStartsFromTheStoredRow) {
   SKIP_WITHOUT_SHARED_DATA();
   UnitConfig unit = GoalUnit();
   unit.sim.settle_steps = 0;
-  const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task = LiberoSimTask::Create(unit, kBowlOnPlate);
+  const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task =
+      LiberoSimTask::Create(unit, kBowlOnPlate);
   ASSERT_TRUE(task.ok()) << task.status();
   ASSERT_TRUE((*task)->Reset(3).ok());
   const int nq = (*task)->scene().model->nq;
@@ -112,7 +115,8 @@ TEST(LiberoTaskTest, ResetIsReproducibleAndStartsFromTheStoredRow) {
 
 TEST(LiberoTaskTest, ObservesInTheOriginalsConventions) {
   SKIP_WITHOUT_SHARED_DATA();
-  const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task = LiberoSimTask::Create(GoalUnit(), kBowlOnPlate);
+  const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task =
+      LiberoSimTask::Create(GoalUnit(), kBowlOnPlate);
   ASSERT_TRUE(task.ok()) << task.status();
   ASSERT_TRUE((*task)->Reset(0).ok());
   PolicySpec spec;
@@ -130,8 +134,9 @@ TEST(LiberoTaskTest, ObservesInTheOriginalsConventions) {
   EXPECT_NEAR(state[6] - state[7], measured.gripper, 1e-7);
 }
 
-// The originals' 90 control steps, from their reset. Commands pass through float here, and PandaSim's fast
-// stepping solves contacts from another warm start: 1e-6 rad is what that leaves where no contact bifurcates.
+// The originals' 90 control steps, from their reset. Commands pass through float here, and
+// PandaSim's fast stepping solves contacts from another warm start: 1e-6 rad is what that leaves
+// where no contact bifurcates.
 TEST(LiberoTaskTest, FollowsTheOriginalsTrajectory) {
   SKIP_WITHOUT_SHARED_DATA();
   const std::string stem = SharedFolder() + "/oracles/libero/libero_goal_00";
@@ -141,19 +146,24 @@ TEST(LiberoTaskTest, FollowsTheOriginalsTrajectory) {
   const nlohmann::json facts = nlohmann::json::parse(*ReadFile(stem + ".json"));
   std::vector<FixturePose> poses;
   for (const auto& [fixture, pose] : facts["fixture_pose"].items()) {
-    poses.push_back({fixture, pose[0].get<std::array<double, 3>>(), pose[1].get<std::array<double, 4>>()});
+    poses.push_back(
+        {fixture, pose[0].get<std::array<double, 3>>(), pose[1].get<std::array<double, 4>>()});
   }
   ASSERT_TRUE((*task)->MoveFixtures(poses).ok());
   const absl::StatusOr<SafetensorsFile> oracle = SafetensorsFile::Open(stem + ".safetensors");
   ASSERT_TRUE(oracle.ok()) << oracle.status();
-  const std::vector<double> start = *oracle->ReadDoubles("init_state"), actions = *oracle->ReadDoubles("actions");
-  const std::vector<double> qpos = *oracle->ReadDoubles("qpos"), home = *oracle->ReadDoubles("initial_joint");
+  const std::vector<double> start = *oracle->ReadDoubles("init_state"),
+                            actions = *oracle->ReadDoubles("actions");
+  const std::vector<double> qpos = *oracle->ReadDoubles("qpos"),
+                            home = *oracle->ReadDoubles("initial_joint");
   const int nq = (*task)->scene().model->nq;
-  const Eigen::Matrix<double, 7, 1> posture = Eigen::Map<const Eigen::Matrix<double, 7, 1>>(home.data());
+  const Eigen::Matrix<double, 7, 1> posture =
+      Eigen::Map<const Eigen::Matrix<double, 7, 1>>(home.data());
   ASSERT_TRUE((*task)->sim().Reset(absl::MakeConstSpan(start.data() + 1, nq), posture).ok());
   double arm = 0, rest = 0;
   for (size_t step = 0; step < actions.size() / 7; ++step) {
-    const Eigen::VectorXf command = Eigen::Map<const Eigen::VectorXd>(actions.data() + 7 * step, 7).cast<float>();
+    const Eigen::VectorXf command =
+        Eigen::Map<const Eigen::VectorXd>(actions.data() + 7 * step, 7).cast<float>();
     ASSERT_TRUE((*task)->Step(command).ok());
     EXPECT_FALSE((*task)->Success()) << step;
     for (int i = 0; i < nq; ++i) {
@@ -161,22 +171,26 @@ TEST(LiberoTaskTest, FollowsTheOriginalsTrajectory) {
       (i < 7 ? arm : rest) = std::max(i < 7 ? arm : rest, error);
     }
   }
-  std::printf("after %zu control steps: arm %.2g rad, everything else %.2g\n", actions.size() / 7, arm, rest);
+  std::printf("after %zu control steps: arm %.2g rad, everything else %.2g\n", actions.size() / 7,
+              arm, rest);
   EXPECT_LT(arm, 1e-6);
   EXPECT_LT(rest, 1e-6);
 }
 
 TEST(LiberoTaskTest, SampledFixturesAreReproducibleAndStayInTheirRegions) {
   SKIP_WITHOUT_SHARED_DATA();
-  const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task = LiberoSimTask::Create(GoalUnit(), kBowlOnPlate);
+  const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task =
+      LiberoSimTask::Create(GoalUnit(), kBowlOnPlate);
   ASSERT_TRUE(task.ok()) << task.status();
   const LiberoScene& scene = (*task)->scene();
-  const std::vector<FixturePose> a = SampleFixtures(scene, 7), b = SampleFixtures(scene, 7), c = SampleFixtures(scene, 8);
+  const std::vector<FixturePose> a = SampleFixtures(scene, 7), b = SampleFixtures(scene, 7),
+                                 c = SampleFixtures(scene, 8);
   ASSERT_EQ(a.size(), 3u);
   for (size_t i = 0; i < a.size(); ++i) {
     EXPECT_EQ(a[i].pos, b[i].pos);
     EXPECT_NE(a[i].pos, c[i].pos);
-    for (int k = 0; k < 2; ++k) EXPECT_NEAR(a[i].pos[k], scene.centred_fixtures[i].pos[k], 0.01) << "regions are 2 cm wide";
+    for (int k = 0; k < 2; ++k)
+      EXPECT_NEAR(a[i].pos[k], scene.centred_fixtures[i].pos[k], 0.01) << "regions are 2 cm wide";
     EXPECT_EQ(a[i].pos[2], scene.centred_fixtures[i].pos[2]);
   }
   // The heights that the originals computed for their draw.
@@ -191,9 +205,11 @@ TEST(LiberoTaskTest, BadInputNamesTheFileAndTheRemedy) {
   EXPECT_THAT(ErrorOf(unit, 0), HasSubstr("--libero-root /nowhere"));
   SKIP_WITHOUT_SHARED_DATA();
   unit = GoalUnit();
-  EXPECT_THAT(ErrorOf(unit, 10), HasSubstr("task 10 of suite 'libero_goal' does not exist; tasks are 0 to 9"));
+  EXPECT_THAT(ErrorOf(unit, 10),
+              HasSubstr("task 10 of suite 'libero_goal' does not exist; tasks are 0 to 9"));
   unit.suite = "libero_90";
-  EXPECT_THAT(ErrorOf(unit, 0), HasSubstr("'libero_90' is not a LIBERO suite; known: libero_spatial"));
+  EXPECT_THAT(ErrorOf(unit, 0),
+              HasSubstr("'libero_90' is not a LIBERO suite; known: libero_spatial"));
   unit.suite = "libero_goal";
   unit.robosuite_root = LiberoTree();
   EXPECT_THAT(ErrorOf(unit, 0), HasSubstr("expected a robosuite 1.4 checkout"));
@@ -211,7 +227,9 @@ TEST(LiberoTaskTest, AMissingCollisionMeshIsAnErrorAndAMissingVisualIsNot) {
   const absl::StatusOr<std::unique_ptr<SimTask>> task = MakeLiberoTask(unit, 0);
   EXPECT_TRUE(task.ok()) << task.status();
   robosuite.Remove("robosuite/models/assets/robots/panda/meshes/link5.stl");
-  EXPECT_THAT(ErrorOf(unit, 0), ::testing::AllOf(HasSubstr("collision mesh 'robot0_link5' is missing"), HasSubstr("link5.stl")));
+  EXPECT_THAT(ErrorOf(unit, 0),
+              ::testing::AllOf(HasSubstr("collision mesh 'robot0_link5' is missing"),
+                               HasSubstr("link5.stl")));
   robosuite.Write("robosuite/models/assets/grippers/panda_gripper.xml", "<mujoco><worldbody>");
   EXPECT_THAT(ErrorOf(unit, 0), HasSubstr("panda_gripper.xml:1: not XML"));
 }

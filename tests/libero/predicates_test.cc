@@ -18,7 +18,8 @@ class PredicatesTest : public ::testing::Test {
   void Compose(const std::string& suite, const std::string& task) {
     const absl::StatusOr<LiberoPaths> paths = FindLibero(LiberoTree(), RobosuiteTree());
     ASSERT_TRUE(paths.ok()) << paths.status();
-    absl::StatusOr<BddlProblem> problem = ReadBddl(absl::StrCat(paths->libero, "/bddl_files/", suite, "/", task, ".bddl"));
+    absl::StatusOr<BddlProblem> problem =
+        ReadBddl(absl::StrCat(paths->libero, "/bddl_files/", suite, "/", task, ".bddl"));
     ASSERT_TRUE(problem.ok()) << problem.status();
     absl::StatusOr<LiberoScene> scene = ComposeScene(*paths, *std::move(problem));
     ASSERT_TRUE(scene.ok()) << scene.status();
@@ -45,13 +46,15 @@ class PredicatesTest : public ::testing::Test {
   }
   void Forward() { mj_forward(model_.get(), data_.get()); }
   Eigen::Vector3d Site(const std::string& name) const {
-    return Eigen::Map<const Eigen::Vector3d>(data_->site_xpos + 3 * mj_name2id(model_.get(), mjOBJ_SITE, name.c_str()));
+    return Eigen::Map<const Eigen::Vector3d>(
+        data_->site_xpos + 3 * mj_name2id(model_.get(), mjOBJ_SITE, name.c_str()));
   }
   Eigen::Vector3d Body(const std::string& name) const {
     return Eigen::Map<const Eigen::Vector3d>(data_->xpos + 3 * scene_->objects.at(name).body);
   }
 
-  absl::StatusOr<bool> TryHolds(const std::string& predicate, const std::vector<std::string>& arguments) {
+  absl::StatusOr<bool> TryHolds(const std::string& predicate,
+                                const std::vector<std::string>& arguments) {
     scene_->problem.goal = {BddlAtom{predicate, arguments, 7}};
     const absl::StatusOr<LiberoGoal> goal = LiberoGoal::Create(*scene_);
     if (!goal.ok()) return goal.status();
@@ -137,8 +140,10 @@ TEST_F(PredicatesTest, KitchenCounterOfTheGoalSuite) {
   EXPECT_FALSE(Holds("open", {"wooden_cabinet_1_middle_region"}));
   EXPECT_TRUE(Holds("open", {"wooden_cabinet_1"})) << "any joint of the object";
   SetJoint("wooden_cabinet_1_top_level", -0.14);
-  EXPECT_FALSE(Holds("open", {"wooden_cabinet_1_top_region"})) << "the threshold itself is not open";
-  EXPECT_FALSE(Holds("close", {"wooden_cabinet_1_middle_region"})) << "0 is not closed: the originals ask q > 0";
+  EXPECT_FALSE(Holds("open", {"wooden_cabinet_1_top_region"}))
+      << "the threshold itself is not open";
+  EXPECT_FALSE(Holds("close", {"wooden_cabinet_1_middle_region"}))
+      << "0 is not closed: the originals ask q > 0";
   SetJoint("wooden_cabinet_1_middle_level", 1e-6);
   EXPECT_TRUE(Holds("close", {"wooden_cabinet_1_middle_region"}));
   EXPECT_FALSE(Holds("close", {"wooden_cabinet_1"})) << "every joint of the object";
@@ -157,9 +162,12 @@ TEST_F(PredicatesTest, KitchenCounterOfTheGoalSuite) {
   EXPECT_FALSE(Holds("up", {"wooden_cabinet_1"}));
 
   // Names that cannot be resolved.
-  EXPECT_THAT(ErrorOf("under", {bowl, plate}), HasSubstr("bddl:7: predicate 'under' is unknown; known: on in open"));
-  EXPECT_THAT(ErrorOf("on", {"spoon_1", plate}), HasSubstr("'spoon_1' is not an object or fixture"));
-  EXPECT_THAT(ErrorOf("on", {bowl, "spoon_1"}), HasSubstr("'spoon_1' is neither an object nor a region"));
+  EXPECT_THAT(ErrorOf("under", {bowl, plate}),
+              HasSubstr("bddl:7: predicate 'under' is unknown; known: on in open"));
+  EXPECT_THAT(ErrorOf("on", {"spoon_1", plate}),
+              HasSubstr("'spoon_1' is not an object or fixture"));
+  EXPECT_THAT(ErrorOf("on", {bowl, "spoon_1"}),
+              HasSubstr("'spoon_1' is neither an object nor a region"));
   EXPECT_THAT(ErrorOf("on", {bowl}), HasSubstr("'on' takes 2 names, got 1"));
   EXPECT_THAT(ErrorOf("in", {bowl, plate}), HasSubstr("'in' needs a region"));
   EXPECT_THAT(ErrorOf("open", {"flat_stove_1"}), HasSubstr("'flat_stove_1' cannot open"));
@@ -168,7 +176,8 @@ TEST_F(PredicatesTest, KitchenCounterOfTheGoalSuite) {
 
 TEST_F(PredicatesTest, MicrowaveClosesAsAnObjectAndContainsInWorldAxes) {
   SKIP_WITHOUT_SHARED_DATA();
-  ASSERT_NO_FATAL_FAILURE(Compose("libero_10", "KITCHEN_SCENE6_put_the_yellow_and_white_mug_in_the_microwave_and_close_it"));
+  ASSERT_NO_FATAL_FAILURE(Compose(
+      "libero_10", "KITCHEN_SCENE6_put_the_yellow_and_white_mug_in_the_microwave_and_close_it"));
   EXPECT_TRUE(Holds("close", {"microwave_1"}));
   SetJoint("microwave_1_microjoint", -0.005);
   EXPECT_FALSE(Holds("close", {"microwave_1"}));
@@ -188,7 +197,8 @@ TEST_F(PredicatesTest, MicrowaveClosesAsAnObjectAndContainsInWorldAxes) {
   }
   Put("white_yellow_mug_1", inside - Eigen::Vector3d(0, 0, half.z() + 0.009));
   Forward();
-  EXPECT_TRUE(Holds("in", {"white_yellow_mug_1", "microwave_1_heating_region"})) << "the lower bound reaches 1 cm further";
+  EXPECT_TRUE(Holds("in", {"white_yellow_mug_1", "microwave_1_heating_region"}))
+      << "the lower bound reaches 1 cm further";
 }
 
 }  // namespace

@@ -1,8 +1,8 @@
 #include "sim_worker/libero/preprocess.h"
 
-#include <filesystem>
-
 #include <gmock/gmock.h>
+
+#include <filesystem>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
@@ -21,11 +21,12 @@ Image Noise(int width, int height) {
 }
 
 TEST(PreprocessTest, HalvingAveragesWithTheTrianglesWeights) {
-  // Output 1 of 4 -> 2 pixels: centre 3, support 2, weights 1 3 3 1 over the pixels within, normalised.
+  // Output 1 of 4 -> 2 pixels: centre 3, support 2, weights 1 3 3 1 over the pixels within,
+  // normalised.
   Image image{4, 1, {}};
   for (int v : {0, 80, 160, 240}) image.data.insert(image.data.end(), 3, static_cast<uint8_t>(v));
   const Image half = ResizeBilinear(image, 2, 1);
-  EXPECT_EQ(half.data[0], (3 * 0 + 3 * 80 + 1 * 160 + 3) / 7);  // 57.1
+  EXPECT_EQ(half.data[0], (3 * 0 + 3 * 80 + 1 * 160 + 3) / 7);    // 57.1
   EXPECT_EQ(half.data[3], (1 * 80 + 3 * 160 + 3 * 240 + 3) / 7);  // 182.9
 }
 
@@ -44,8 +45,9 @@ TEST(PreprocessTest, MirrorsLeftAndRightAsARotatedBottomUpImage) {
   for (int y = 0; y < 3; ++y) {
     for (int x = 0; x < 5; ++x) {
       for (int c = 0; c < 3; ++c) {
-        const int raw_y = 3 - 1 - y, raw_x = 5 - 1 - x;        // position in the rotated view of the raw image
-        const int upright_y = 3 - 1 - raw_y;                   // raw rows run bottom-up
+        const int raw_y = 3 - 1 - y,
+                  raw_x = 5 - 1 - x;          // position in the rotated view of the raw image
+        const int upright_y = 3 - 1 - raw_y;  // raw rows run bottom-up
         expected.data[3 * (y * 5 + x) + c] = upright.data[3 * (upright_y * 5 + raw_x) + c];
       }
     }
@@ -67,9 +69,11 @@ TEST(PreprocessTest, EqualsPillowBitForBit) {
     SCOPED_TRACE(name);
     const absl::StatusOr<TensorView> input = file->Get("inputs/" + parts[1]);
     ASSERT_TRUE(input.ok()) << input.status();
-    const Image image{static_cast<int>(input->shape[1]), static_cast<int>(input->shape[0]),
+    const Image image{static_cast<int>(input->shape[1]),
+                      static_cast<int>(input->shape[0]),
                       {input->bytes.begin(), input->bytes.end()}};
-    const Image resized = ResizeWithPad(image, static_cast<int>(tensor.shape[1]), static_cast<int>(tensor.shape[0]));
+    const Image resized =
+        ResizeWithPad(image, static_cast<int>(tensor.shape[1]), static_cast<int>(tensor.shape[0]));
     EXPECT_EQ(resized.data, std::vector<uint8_t>(tensor.bytes.begin(), tensor.bytes.end()));
     ++compared;
   }

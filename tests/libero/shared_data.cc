@@ -7,8 +7,11 @@ namespace robostress::libero {
 
 std::string SharedFolder() {
   const char* given = std::getenv("ROBOSTRESS_SHARED");
-  const std::filesystem::path folder = given != nullptr ? given : "../shared";  // ctest starts tests in the source folder
-  return std::filesystem::exists(folder / "data/libero_tree") ? std::filesystem::absolute(folder).string() : "";
+  const std::filesystem::path folder =
+      given != nullptr ? given : "../shared";  // ctest starts tests in the source folder
+  return std::filesystem::exists(folder / "data/libero_tree")
+             ? std::filesystem::absolute(folder).string()
+             : "";
 }
 
 std::string LiberoTree() { return SharedFolder() + "/data/libero_tree"; }
