@@ -20,6 +20,7 @@ namespace robostress {
 class FakePolicy : public FlowPolicy {
  public:
   static constexpr int64_t kHorizon = 10, kDim = 8, kWidth = 12, kState = 3;
+  static constexpr float kScale = 0.15f;
 
   explicit FakePolicy(const std::string& hash = "fake-hash") {
     spec_.name = "fake";
@@ -83,13 +84,13 @@ class FakePolicy : public FlowPolicy {
     return x;
   }
 
-  // Environment = 0.3 x model + 0.02 x channel index.
+  // Environment = kScale x model + 0.02 x channel index: commands stay within +-1.
   Eigen::MatrixXf ToEnvironment(const torch::Tensor& chunk) const override {
     const torch::Tensor rows = chunk.contiguous();
     const auto values = rows.accessor<float, 2>();
     Eigen::MatrixXf actions(rows.size(0), 7);
     for (int i = 0; i < actions.rows(); ++i) {
-      for (int j = 0; j < 7; ++j) actions(i, j) = 0.3f * values[i][j] + 0.02f * j;
+      for (int j = 0; j < 7; ++j) actions(i, j) = kScale * values[i][j] + 0.02f * j;
     }
     return actions;
   }
@@ -98,7 +99,7 @@ class FakePolicy : public FlowPolicy {
     torch::Tensor rows = torch::empty({actions.rows(), 7});
     auto values = rows.accessor<float, 2>();
     for (int i = 0; i < actions.rows(); ++i) {
-      for (int j = 0; j < 7; ++j) values[i][j] = (actions(i, j) - 0.02f * j) / 0.3f;
+      for (int j = 0; j < 7; ++j) values[i][j] = (actions(i, j) - 0.02f * j) / kScale;
     }
     return rows;
   }

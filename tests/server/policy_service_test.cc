@@ -1,0 +1,166 @@
+#include "server/policy_service.h"
+
+#include <gmock/gmock.h>
+#include <grpcpp/generic/generic_stub.h>
+#include <grpcpp/grpcpp.h>
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <thread>
+
+#include "absl/strings/str_cat.h"
+#include "common/rpc/policy_client.h"
+#include "proto/robostress/v1/policy.grpc.pb.h"
+#include "tests/server/drive.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+class PolicyServiceTest : public ::testing::Test {
+ protected:
+  PolicyServiceTest() {
+    PolicyServerOptions options;
+    options.max_sessions = 3;
+    auto server = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
+    EXPECT_TRUE(server.ok()) << server.status();
+    server_ = *std::move(server);
+  }
+
+  PolicyClientOptions Address() const {
+    PolicyClientOptions options;
+    options.address = absl::StrCat("127.0.0.1:", server_->port());
+    return options;
+  }
+  std::unique_ptr<GrpcPolicyClient> Connect(const SessionSpec& spec) const {
+    auto client = GrpcPolicyClient::Connect(Address(), spec);
+    EXPECT_TRUE(client.ok()) << client.status();
+    return *std::move(client);
+  }
+
+  std::unique_ptr<PolicyServer> server_;
+};
+
+// All actions of `chunks` chunks over the wire.
+Eigen::MatrixXf Drive(GrpcPolicyClient& client, int chunks) {
+  ToyArm arm(0.6);
+  Eigen::MatrixXf actions(chunks * 10, 7);
+  EXPECT_TRUE(client.StartEpisode({0, 0}).ok());
+  for (int i = 0; i < chunks; ++i) {
+    Observation observation = FakePolicy::MakeObservation(i);
+    observation.proprioception = arm.state().tool.p_base_tool.cast<float>();
+    const auto prediction = client.Predict(observation, i);
+    EXPECT_TRUE(prediction.ok()) << prediction.status();
+    actions.middleRows(10 * i, 10) = prediction->actions;
+    ExecutedChunk executed = arm.Execute(*prediction, 5);
+    executed.sequence = client.last_feedback_sequence() + 1;
+    executed.chunk = i;
+    const absl::Status sent = client.SendFeedback(executed);
+    EXPECT_TRUE(sent.ok()) << sent;
+  }
+  return actions;
+}
+
+TEST_F(PolicyServiceTest, GivesOverTheWireTheBitsOfALocalSession) {
+  const SessionSpec spec = Spec("ours", {"learning_rate=0.01"});
+  const auto remote = Connect(spec);
+  const Eigen::MatrixXf actions = Drive(*remote, 50);
+  EXPECT_EQ(remote->Stats()->updates_applied, 3u);
+  EXPECT_GT(remote->Stats()->adapter_distance, 0);
+
+  Rig rig;
+  Client local(rig.Open(spec));
+  local.StartEpisode(0, 0);
+  for (int i = 0; i < 50; ++i) {
+    ASSERT_EQ(actions.middleRows(10 * i, 10), local.RunChunk().actions) << "chunk " << i;
+  }
+  EXPECT_EQ(remote->ExportAdapter()->safetensors, ExportOf(local.session()));
+}
+
+TEST_F(PolicyServiceTest, ImportsWhatItExported) {
+  const SessionSpec spec = Spec("ours", {"learning_rate=0.01"});
+  const auto first = Connect(spec), second = Connect(spec);
+  Drive(*first, 40);
+  const auto exported = first->ExportAdapter();
+  ASSERT_TRUE(exported.ok()) << exported.status();
+  const auto sequence = second->ImportAdapter(exported->safetensors);
+  ASSERT_TRUE(sequence.ok()) << sequence.status();
+  EXPECT_EQ(*sequence, 40u);
+  EXPECT_EQ(second->ExportAdapter()->safetensors, exported->safetensors);
+  EXPECT_EQ(*second->RollbackAdapter(0), 0u);
+  EXPECT_EQ(second->Stats()->adapter_distance, 0);
+}
+
+TEST_F(PolicyServiceTest, SaysWhatItServes) {
+  const auto info = GetServerInfo(Address());
+  ASSERT_TRUE(info.ok()) << info.status();
+  ASSERT_EQ(info->policies.size(), 1u);
+  EXPECT_EQ(info->policies[0].name, "fake");
+  EXPECT_EQ(info->max_sessions, 3);
+}
+
+TEST_F(PolicyServiceTest, RefusesAnUnknownPolicyAndOneSessionTooMany) {
+  SessionSpec spec = Spec("base");
+  spec.policy = "pi9";
+  EXPECT_THAT(std::string(GrpcPolicyClient::Connect(Address(), spec).status().message()),
+              HasSubstr("policy 'pi9' is not served here; served: fake"));
+  const auto a = Connect(Spec("base")), b = Connect(Spec("base")), c = Connect(Spec("base"));
+  EXPECT_EQ(GrpcPolicyClient::Connect(Address(), Spec("base")).status().code(),
+            absl::StatusCode::kResourceExhausted);
+}
+
+TEST_F(PolicyServiceTest, ClosingASessionMakesRoom) {
+  for (int i = 0; i < 10; ++i) {
+    const auto client = Connect(Spec("ours"));
+    Drive(*client, 1);
+  }
+  EXPECT_EQ(GetServerInfo(Address())->open_sessions, 0);
+}
+
+TEST_F(PolicyServiceTest, AnswersHealthChecks) {
+  // No generated code of the health protocol is installed: an empty request asks for the whole
+  // server, and the answer is one enum.
+  grpc::GenericStub stub(
+      grpc::CreateChannel(Address().address, grpc::InsecureChannelCredentials()));
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(20));
+  context.set_wait_for_ready(true);
+  grpc::CompletionQueue queue;
+  const grpc::Slice empty;
+  auto call = stub.PrepareUnaryCall(&context, "/grpc.health.v1.Health/Check",
+                                    grpc::ByteBuffer(&empty, 1), &queue);
+  call->StartCall();
+  grpc::ByteBuffer response;
+  grpc::Status status;
+  call->Finish(&response, &status, nullptr);
+  void* tag = nullptr;
+  bool ok = false;
+  ASSERT_TRUE(queue.Next(&tag, &ok));
+  ASSERT_TRUE(status.ok()) << status.error_message();
+  grpc::Slice slice;
+  ASSERT_TRUE(response.DumpToSingleSlice(&slice).ok());
+  ASSERT_EQ(slice.size(), 2u);
+  EXPECT_EQ(slice.begin()[1], 1);  // field 1 = SERVING
+}
+
+TEST_F(PolicyServiceTest, StopAnswersWhatIsUnderWayAndRefusesTheRest) {
+  const auto client = Connect(Spec("base"));
+  Drive(*client, 2);
+  server_->Stop(absl::Seconds(5));
+  EXPECT_FALSE(client->Predict(FakePolicy::MakeObservation(0), 2).ok());
+}
+
+TEST(PolicyServer, SaysWhenThePortIsTaken) {
+  PolicyServerOptions options;
+  auto first = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
+  ASSERT_TRUE(first.ok());
+  options.listen = absl::StrCat("127.0.0.1:", (*first)->port());
+  EXPECT_THAT(
+      std::string(
+          PolicyServer::Start(options, {std::make_shared<FakePolicy>()}).status().message()),
+      HasSubstr("cannot listen on 127.0.0.1:"));
+}
+
+}  // namespace
+}  // namespace robostress
