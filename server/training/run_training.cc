@@ -72,6 +72,8 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
                                                  "choose another --out"));
   }
   RS_RETURN_IF_ERROR(MakeDirectories(options.out));
+  std::error_code absent;
+  std::filesystem::remove(files.done, absent);  // not finished any more, if it goes on with more steps
   const std::string weights = started ? files.weights : options.init;
   if (!weights.empty()) {
     RS_ASSIGN_OR_RETURN(const NanoModel model, LoadNanoModel(weights));
