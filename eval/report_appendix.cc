@@ -293,8 +293,8 @@ std::string LimitsSection(const RunData& run, const Summary& summary, const Succ
   if (clusters > 0 && clusters < 40) {
     absl::StrAppend(
         &html, "<li>", clusters,
-        " clusters of (task, initial state): bootstrap intervals from so few are too narrow as "
-        "often as not. Read this as a demonstration, not as a measurement.</li>\n");
+        " clusters of (task, initial state): bootstrap intervals from so few tend to be too "
+        "narrow. Read this as a demonstration, not as a measurement.</li>\n");
   }
   html +=
       "<li>Episodes of an adapting method are not independent: the adapter is carried across them. "

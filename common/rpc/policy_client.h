@@ -13,7 +13,7 @@ namespace robostress {
 
 struct PolicyClientOptions {
   std::string address;            // HOST:PORT, or unix:PATH
-  double connect_timeout_s = 10;  // [s] until the server must accept a connection
+  double connect_timeout_s = 20;  // [s] until the server must accept a connection
   double call_timeout_s = 300;  // [s] for any answer; a lockstep prediction may wait for an update
   int max_unacknowledged = 16;  // async only: executed chunks under way before SendFeedback waits;
                                 // lockstep waits for every acknowledgement

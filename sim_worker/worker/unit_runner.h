@@ -25,7 +25,7 @@ using TaskFactory = std::function<absl::StatusOr<UnitTask>(const UnitConfig& uni
 struct UnitRunOptions {
   std::string out;                // directory, created
   std::string server;             // HOST:PORT for every policy but expert and replay
-  double connect_timeout_s = 10;  // [s]
+  double connect_timeout_s = 20;  // [s]
   double call_timeout_s = 300;    // [s]
   std::function<void(std::string_view)> progress;  // one line per episode
 };

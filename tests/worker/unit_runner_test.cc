@@ -71,7 +71,7 @@ struct UnitRunnerTest : public testing::Test {
     UnitRunOptions options;
     options.out = Dir(name);
     options.server = server == nullptr ? "" : server->address();
-    options.connect_timeout_s = 0.3;
+    options.connect_timeout_s = 60;
     options.progress = [this](std::string_view line) { lines.emplace_back(line); };
     return RunUnit(unit, options, [&](const UnitConfig&, int task) -> absl::StatusOr<UnitTask> {
       auto robot = std::make_shared<FakeRobot>(0.012 + 0.004 * task, 15);
