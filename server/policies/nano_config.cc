@@ -41,23 +41,25 @@ absl::Status ValidateNanoConfig(const NanoConfig& config) {
   };
   for (const Range& range : ranges) {
     if (range.value < range.low || range.value > range.high) {
-      return absl::InvalidArgumentError(absl::StrCat("nano config: ", range.name, " is ", range.value, ", must be ",
-                                                     range.low, " to ", range.high));
+      return absl::InvalidArgumentError(absl::StrCat("nano config: ", range.name, " is ",
+                                                     range.value, ", must be ", range.low, " to ",
+                                                     range.high));
     }
   }
   for (int channels : config.conv_channels) {
     if (channels < 1 || channels > 4096) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("nano config: a value of conv_channels is ", channels, ", must be 1 to 4096"));
+      return absl::InvalidArgumentError(absl::StrCat("nano config: a value of conv_channels is ",
+                                                     channels, ", must be 1 to 4096"));
     }
   }
   if (config.grid() << config.conv_channels.size() != config.image_size) {
-    return absl::InvalidArgumentError(absl::StrCat("nano config: image_size is ", config.image_size,
-                                                   ", must be a multiple of 2^", config.conv_channels.size(),
-                                                   ", one factor of two per convolution"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("nano config: image_size is ", config.image_size, ", must be a multiple of 2^",
+                     config.conv_channels.size(), ", one factor of two per convolution"));
   }
   if (config.horizon % config.steps_per_token != 0) {
-    return absl::InvalidArgumentError(absl::StrCat("nano config: steps_per_token is ", config.steps_per_token,
+    return absl::InvalidArgumentError(absl::StrCat("nano config: steps_per_token is ",
+                                                   config.steps_per_token,
                                                    ", must divide the horizon, ", config.horizon));
   }
   if (config.head_dim % 2 != 0 || config.expert_width % 2 != 0) {

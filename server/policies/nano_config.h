@@ -11,23 +11,23 @@ namespace robostress {
 // The shape of a nano policy. Stored in the weights file, so that a file describes itself.
 struct NanoConfig {
   std::vector<std::string> cameras = {"agentview", "robot0_eye_in_hand"};
-  int image_size = 64;                              // [px], square
+  int image_size = 64;                                 // [px], square
   std::vector<int> conv_channels = {24, 48, 96, 128};  // one convolution of stride 2 each
-  int max_words = 18;                               // words of an instruction, padding included
-  int vocabulary_rows = 192;                        // rows of the word table, two of them for padding and unknown
-  int readout_tokens = 4;                           // learned prefix tokens that the auxiliary head reads
-  int layers = 4;                                   // of prefix and action expert alike
-  int heads = 4;                                    // query heads; one key-value head, as in pi0
+  int max_words = 18;                                  // words of an instruction, padding included
+  int vocabulary_rows = 192;  // rows of the word table, two of them for padding and unknown
+  int readout_tokens = 4;     // learned prefix tokens that the auxiliary head reads
+  int layers = 4;             // of prefix and action expert alike
+  int heads = 4;              // query heads; one key-value head, as in pi0
   int head_dim = 32;
   int prefix_width = 96, prefix_mlp = 256;
   int expert_width = 128, expert_mlp = 384;
-  int horizon = 50;                                 // K
-  int action_dim = 7;                               // of the environment
-  int model_action_dim = 8;                         // d; the last channel is padding, as in pi0
-  int steps_per_token = 5;                          // control steps in one action token; pi0 has 1
-  int execute_steps = 5;                            // n_exec
+  int horizon = 50;          // K
+  int action_dim = 7;        // of the environment
+  int model_action_dim = 8;  // d; the last channel is padding, as in pi0
+  int steps_per_token = 5;   // control steps in one action token; pi0 has 1
+  int execute_steps = 5;     // n_exec
   int state_dim = 8;
-  int aux_dim = 8;                                  // target position, destination, holding, progress
+  int aux_dim = 8;  // target position, destination, holding, progress
 
   int grid() const;           // image tokens per side
   int image_tokens() const;   // per camera
@@ -41,7 +41,8 @@ struct NanoConfig {
     v.Field("conv_channels", conv_channels, "one convolution of stride 2 each");
     v.Field("max_words", max_words, "words of an instruction");
     v.Field("vocabulary_rows", vocabulary_rows, "rows of the word table");
-    v.Field("readout_tokens", readout_tokens, "learned prefix tokens that the auxiliary head reads");
+    v.Field("readout_tokens", readout_tokens,
+            "learned prefix tokens that the auxiliary head reads");
     v.Field("layers", layers, "of prefix and action expert alike");
     v.Field("heads", heads, "query heads; one key-value head");
     v.Field("head_dim", head_dim, "width of a head");

@@ -1,9 +1,9 @@
 #include "server/policies/nano_network.h"
 
+#include <torch/torch.h>
+
 #include <cmath>
 #include <numbers>
-
-#include <torch/torch.h>
 
 #include "absl/strings/str_cat.h"
 #include "common/check.h"
@@ -15,10 +15,12 @@ namespace {
 using torch::Tensor;
 
 constexpr double kRopeBase = 10000.0;
-constexpr float kMasked = -2.3819763e38f;  // finite, so that a row with nothing to see stays a number (as in pi0)
-constexpr int kTargetsPerLayer = 7;        // q, k, v, o, gate, up, down
+constexpr float kMasked =
+    -2.3819763e38f;  // finite, so that a row with nothing to see stays a number (as in pi0)
+constexpr int kTargetsPerLayer = 7;  // q, k, v, o, gate, up, down
 
-// The one list of parameters: calls f(name, shape, init_std, decays, tensor) in the order of the file.
+// The one list of parameters: calls f(name, shape, init_std, decays, tensor) in the order of the
+// file.
 template <class F>
 void VisitParameters(const NanoConfig& c, NanoParameters& p, F&& f) {
   const auto fan = [](int64_t inputs) { return 1.0 / std::sqrt(static_cast<double>(inputs)); };
@@ -34,8 +36,8 @@ void VisitParameters(const NanoConfig& c, NanoParameters& p, F&& f) {
     int64_t in = 3;
     for (size_t i = 0; i < c.conv_channels.size(); ++i) {
       const int64_t out = c.conv_channels[i], k = i == 0 ? 5 : 3;
-      f(absl::StrCat(name, "conv.", i, ".weight"), {out, in, k, k}, std::sqrt(2.0) * fan(in * k * k), true,
-        camera.conv_weight[i]);
+      f(absl::StrCat(name, "conv.", i, ".weight"), {out, in, k, k},
+        std::sqrt(2.0) * fan(in * k * k), true, camera.conv_weight[i]);
       f(absl::StrCat(name, "conv.", i, ".bias"), {out}, 0.0, false, camera.conv_bias[i]);
       in = out;
     }
@@ -46,10 +48,11 @@ void VisitParameters(const NanoConfig& c, NanoParameters& p, F&& f) {
   f("prefix.words", {c.vocabulary_rows, w}, fan(w), false, p.words);
   f("prefix.readout", {c.readout_tokens, w}, 1.0, false, p.readout);
 
-  const auto layer = [&](const std::string& name, int64_t width, int64_t mlp, bool only_keys, NanoLayer& l) {
+  const auto layer = [&](const std::string& name, int64_t width, int64_t mlp, bool only_keys,
+                         NanoLayer& l) {
     f(name + "input_norm.weight", {width}, 0.0, false, l.input_norm);
-    f(name + (only_keys ? "kv_proj.weight" : "qkv_proj.weight"), {(only_keys ? 0 : hq) + 2 * h, width}, fan(width),
-      true, l.qkv_proj);
+    f(name + (only_keys ? "kv_proj.weight" : "qkv_proj.weight"),
+      {(only_keys ? 0 : hq) + 2 * h, width}, fan(width), true, l.qkv_proj);
     if (only_keys) return;
     f(name + "o_proj.weight", {width, hq}, residual * fan(hq), true, l.o_proj);
     f(name + "post_norm.weight", {width}, 0.0, false, l.post_norm);
@@ -83,9 +86,10 @@ void VisitParameters(const NanoConfig& c, NanoParameters& p, F&& f) {
   f("action_out_proj.bias", {token}, 0.0, false, p.action_out_bias);
 }
 
-// y = x W^T, where the rows of W belong to one or more projections, each with its LoRA if there is one: target i adds
-// B_i (A_i x) to its part of y.
-Tensor Project(const Tensor& x, const Tensor& weight, const LoraWeights* lora, size_t first_target, size_t num_targets) {
+// y = x W^T, where the rows of W belong to one or more projections, each with its LoRA if there is
+// one: target i adds B_i (A_i x) to its part of y.
+Tensor Project(const Tensor& x, const Tensor& weight, const LoraWeights* lora, size_t first_target,
+               size_t num_targets) {
   const Tensor y = torch::linear(x, weight);
   if (lora == nullptr) return y;
   std::vector<Tensor> deltas;
@@ -101,7 +105,8 @@ std::vector<NanoTensorInfo> NanoTensorTable(const NanoConfig& config) {
   std::vector<NanoTensorInfo> table;
   NanoParameters unused;
   VisitParameters(config, unused,
-                  [&](const std::string& name, std::vector<int64_t> shape, double init_std, bool decays, Tensor&) {
+                  [&](const std::string& name, std::vector<int64_t> shape, double init_std,
+                      bool decays, Tensor&) {
                     table.push_back({name, std::move(shape), init_std, decays});
                   });
   return table;
@@ -110,11 +115,12 @@ std::vector<NanoTensorInfo> NanoTensorTable(const NanoConfig& config) {
 NanoParameters AssembleNano(const NanoConfig& config, const std::vector<Tensor>& tensors) {
   NanoParameters parameters;
   size_t next = 0;
-  VisitParameters(config, parameters,
-                  [&](const std::string&, const std::vector<int64_t>& shape, double, bool, Tensor& tensor) {
-                    RS_CHECK(next < tensors.size() && tensors[next].sizes() == torch::IntArrayRef(shape));
-                    tensor = tensors[next++];
-                  });
+  VisitParameters(
+      config, parameters,
+      [&](const std::string&, const std::vector<int64_t>& shape, double, bool, Tensor& tensor) {
+        RS_CHECK(next < tensors.size() && tensors[next].sizes() == torch::IntArrayRef(shape));
+        tensor = tensors[next++];
+      });
   return parameters;
 }
 
@@ -139,8 +145,10 @@ Tensor TimeEmbedding(const Tensor& t, int64_t dim) {
 
 std::pair<Tensor, Tensor> RopeTables(const NanoConfig& config) {
   torch::NoGradGuard no_grad;
-  const int64_t positions = config.prefix_tokens() + 1 + config.action_tokens(), h = config.head_dim;
-  const Tensor frequency = torch::pow(kRopeBase, torch::arange(h / 2, torch::kFloat64) * (-2.0 / h));
+  const int64_t positions = config.prefix_tokens() + 1 + config.action_tokens(),
+                h = config.head_dim;
+  const Tensor frequency =
+      torch::pow(kRopeBase, torch::arange(h / 2, torch::kFloat64) * (-2.0 / h));
   const Tensor angle = torch::arange(positions, torch::kFloat64).unsqueeze(1) * frequency;
   return {angle.cos().to(torch::kFloat32), angle.sin().to(torch::kFloat32)};
 }
@@ -168,23 +176,27 @@ Tensor NanoNetwork::EncodeImage(const NanoCamera& camera, const Tensor& image) c
     const int64_t k = camera.conv_weight[i].size(-1);
     x = torch::relu(torch::conv2d(x, camera.conv_weight[i], camera.conv_bias[i], 2, (k - 1) / 2));
   }
-  x = x.permute({0, 2, 3, 1}).reshape({x.size(0), config_.image_tokens(), x.size(1)});  // [B, grid^2, c]
+  x = x.permute({0, 2, 3, 1})
+          .reshape({x.size(0), config_.image_tokens(), x.size(1)});  // [B, grid^2, c]
   return torch::linear(x, camera.token_weight, camera.token_bias) + camera.position;
 }
 
-NanoNetwork::Prefix NanoNetwork::EncodePrefix(const std::vector<Tensor>& images, const Tensor& words,
-                                              bool with_aux) const {
+NanoNetwork::Prefix NanoNetwork::EncodePrefix(const std::vector<Tensor>& images,
+                                              const Tensor& words, bool with_aux) const {
   const int64_t batch = words.size(0), heads = config_.heads, h = config_.head_dim;
   std::vector<Tensor> tokens = {p_.readout.unsqueeze(0).expand({batch, -1, -1})};
-  for (size_t v = 0; v < images.size(); ++v) tokens.push_back(EncodeImage(p_.cameras[v], images[v]));
-  tokens.push_back(torch::embedding(p_.words, words) * std::sqrt(static_cast<double>(config_.prefix_width)));
+  for (size_t v = 0; v < images.size(); ++v)
+    tokens.push_back(EncodeImage(p_.cameras[v], images[v]));
+  tokens.push_back(torch::embedding(p_.words, words) *
+                   std::sqrt(static_cast<double>(config_.prefix_width)));
   Tensor x = torch::cat(tokens, 1);  // [B, P, w]
   const int64_t length = x.size(1);
 
   Prefix prefix;
   prefix.context.prefix_mask =
       torch::cat({torch::ones({batch, length - words.size(1)}, torch::kBool), words.ne(0)}, 1);
-  const Tensor bias = torch::where(prefix.context.prefix_mask, 0.0f, kMasked).unsqueeze(1);  // [B, 1, P]
+  const Tensor bias =
+      torch::where(prefix.context.prefix_mask, 0.0f, kMasked).unsqueeze(1);  // [B, 1, P]
   // Padding comes last, so a token's position is its index.
   const Tensor position = torch::arange(length).repeat({batch});
   const double scale = 1.0 / std::sqrt(static_cast<double>(h));
@@ -196,16 +208,18 @@ NanoNetwork::Prefix NanoNetwork::EncodePrefix(const std::vector<Tensor>& images,
     Tensor normed;
     std::tie(x, normed) = AddRmsNorm(x, delta, layer.input_norm);
     if (last && with_aux) {
-      const Tensor readout = AddRmsNorm(x.narrow(1, 0, config_.readout_tokens), Tensor(), p_.aux_norm).second;
+      const Tensor readout =
+          AddRmsNorm(x.narrow(1, 0, config_.readout_tokens), Tensor(), p_.aux_norm).second;
       prefix.aux = torch::linear(readout.flatten(1), p_.aux_weight, p_.aux_bias);
     }
-    const auto [q, k, v] = SplitRope(torch::linear(normed, layer.qkv_proj), rope_cos_, rope_sin_, position,
-                                     last ? 0 : heads, scale);
+    const auto [q, k, v] = SplitRope(torch::linear(normed, layer.qkv_proj), rope_cos_, rope_sin_,
+                                     position, last ? 0 : heads, scale);
     prefix.context.keys.push_back(k.unsqueeze(1));
     prefix.context.values.push_back(v.unsqueeze(1));
     if (last) break;
     // One key head serves all query heads: rows of q are (token, head).
-    const Tensor attention = SoftmaxBias(torch::bmm(q, k.transpose(1, 2)), bias, heads);  // [B, P H, P]
+    const Tensor attention =
+        SoftmaxBias(torch::bmm(q, k.transpose(1, 2)), bias, heads);  // [B, P H, P]
     delta = torch::linear(torch::bmm(attention, v).view({batch, length, heads * h}), layer.o_proj);
     std::tie(x, normed) = AddRmsNorm(x, delta, layer.post_norm);
     delta = torch::linear(GeGlu(torch::linear(normed, layer.gate_up_proj)), layer.down_proj);
@@ -221,44 +235,56 @@ Tensor NanoNetwork::Velocity(const PolicyContext& context, const Tensor& x_u, co
   const int64_t prefix = context.prefix_mask.size(1);
   RS_CHECK(rows * draws == batch && u.size(0) == batch);
 
-  // Suffix tokens: state, then actions with the time mixed in. The time half of action_time_mlp_in is the same
-  // for all tokens of a row, so it is multiplied once.
+  // Suffix tokens: state, then actions with the time mixed in. The time half of action_time_mlp_in
+  // is the same for all tokens of a row, so it is multiplied once.
   const Tensor state = torch::linear(context.state, p_.state_weight, p_.state_bias);  // [rows, e]
-  const Tensor action = torch::linear(x_u.reshape({batch, actions, -1}), p_.action_in_weight, p_.action_in_bias);
-  const Tensor time = torch::linear(TimeEmbedding(u, e), p_.time_in_weight.narrow(1, e, e), p_.time_in_bias);
+  const Tensor action =
+      torch::linear(x_u.reshape({batch, actions, -1}), p_.action_in_weight, p_.action_in_bias);
+  const Tensor time =
+      torch::linear(TimeEmbedding(u, e), p_.time_in_weight.narrow(1, e, e), p_.time_in_bias);
   const Tensor mixed = torch::linear(action, p_.time_in_weight.narrow(1, 0, e)) + time.unsqueeze(1);
   const Tensor timed = torch::linear(torch::silu(mixed), p_.time_out_weight, p_.time_out_bias);
-  Tensor x = torch::cat({state.view({rows, 1, 1, e}).expand({rows, draws, 1, e}).reshape({batch, 1, e}), timed}, 1);
+  Tensor x = torch::cat(
+      {state.view({rows, 1, 1, e}).expand({rows, draws, 1, e}).reshape({batch, 1, e}), timed}, 1);
 
-  // Positions go on after the valid prefix tokens; the state sees prefix and itself, actions see everything.
-  const Tensor first = context.prefix_mask.sum(1, true);                              // [rows, 1]
-  const Tensor position =
-      (first + torch::arange(length)).unsqueeze(1).expand({rows, draws, length}).flatten();  // [batch T]
+  // Positions go on after the valid prefix tokens; the state sees prefix and itself, actions see
+  // everything.
+  const Tensor first = context.prefix_mask.sum(1, true);  // [rows, 1]
+  const Tensor position = (first + torch::arange(length))
+                              .unsqueeze(1)
+                              .expand({rows, draws, length})
+                              .flatten();  // [batch T]
   const double scale = 1.0 / std::sqrt(static_cast<double>(h));
   Tensor suffix_bias = torch::zeros({length, length});
   suffix_bias[0].narrow(0, 1, actions).fill_(kMasked);
   const Tensor prefix_bias = torch::where(context.prefix_mask, 0.0f, kMasked);  // [rows, P]
-  const Tensor bias = torch::cat({prefix_bias.view({rows, 1, prefix}).expand({rows, length, prefix}),
-                                  suffix_bias.unsqueeze(0).expand({rows, length, length})},
-                                 2);  // [rows, T, P + T]
+  const Tensor bias =
+      torch::cat({prefix_bias.view({rows, 1, prefix}).expand({rows, length, prefix}),
+                  suffix_bias.unsqueeze(0).expand({rows, length, length})},
+                 2);  // [rows, T, P + T]
 
   Tensor delta, normed;
   for (int i = 0; i < config_.layers; ++i) {
     const NanoLayer& layer = p_.expert[i];
     const size_t target = static_cast<size_t>(i) * kTargetsPerLayer;
     std::tie(x, normed) = AddRmsNorm(x, delta, layer.input_norm);
-    const auto [q, k, v] = SplitRope(Project(normed, layer.qkv_proj, lora, target, 3), rope_cos_, rope_sin_, position,
-                                     heads, scale);
-    const auto join = [&](const Tensor& of_prefix, const Tensor& of_suffix) {  // -> [batch, P + T, h]
-      return torch::cat({of_prefix.expand({rows, draws, prefix, h}), of_suffix.view({rows, draws, length, h})}, 2)
+    const auto [q, k, v] = SplitRope(Project(normed, layer.qkv_proj, lora, target, 3), rope_cos_,
+                                     rope_sin_, position, heads, scale);
+    const auto join = [&](const Tensor& of_prefix,
+                          const Tensor& of_suffix) {  // -> [batch, P + T, h]
+      return torch::cat({of_prefix.expand({rows, draws, prefix, h}),
+                         of_suffix.view({rows, draws, length, h})},
+                        2)
           .view({batch, prefix + length, h});
     };
     const Tensor keys = join(context.keys[i], k), values = join(context.values[i], v);
-    const Tensor attention = SoftmaxBias(torch::bmm(q, keys.transpose(1, 2)), bias, heads);  // [batch, T H, P + T]
+    const Tensor attention =
+        SoftmaxBias(torch::bmm(q, keys.transpose(1, 2)), bias, heads);  // [batch, T H, P + T]
     const Tensor attended = torch::bmm(attention, values).view({batch, length, heads * h});
     delta = Project(attended, layer.o_proj, lora, target + 3, 1);
     std::tie(x, normed) = AddRmsNorm(x, delta, layer.post_norm);
-    delta = Project(GeGlu(Project(normed, layer.gate_up_proj, lora, target + 4, 2)), layer.down_proj, lora, target + 6, 1);
+    delta = Project(GeGlu(Project(normed, layer.gate_up_proj, lora, target + 4, 2)),
+                    layer.down_proj, lora, target + 6, 1);
   }
   normed = AddRmsNorm(x, delta, p_.expert_norm).second.narrow(1, 1, actions);
   const Tensor out = torch::linear(normed, p_.action_out_weight, p_.action_out_bias);

@@ -1,10 +1,10 @@
 #pragma once
 
+#include <torch/types.h>
+
 #include <string>
 #include <utility>
 #include <vector>
-
-#include <torch/types.h>
 
 #include "adapter/velocity_field.h"
 #include "server/policies/nano_config.h"
@@ -13,12 +13,12 @@ namespace robostress {
 
 // One transformer layer, without biases (Gemma). w: model width, H heads of size h, m: GeGLU width.
 struct NanoLayer {
-  torch::Tensor input_norm;      // [w]; y = x / rms(x) * (1 + input_norm)
-  torch::Tensor qkv_proj;        // [H h + 2 h, w]: rows q, k, v
-  torch::Tensor o_proj;          // [w, H h]
-  torch::Tensor post_norm;       // [w]
-  torch::Tensor gate_up_proj;    // [2 m, w]: rows gate, up
-  torch::Tensor down_proj;       // [w, m]
+  torch::Tensor input_norm;    // [w]; y = x / rms(x) * (1 + input_norm)
+  torch::Tensor qkv_proj;      // [H h + 2 h, w]: rows q, k, v
+  torch::Tensor o_proj;        // [w, H h]
+  torch::Tensor post_norm;     // [w]
+  torch::Tensor gate_up_proj;  // [2 m, w]: rows gate, up
+  torch::Tensor down_proj;     // [w, m]
 };
 
 struct NanoCamera {
@@ -31,21 +31,24 @@ struct NanoCamera {
 // All parameters of a nano policy.
 struct NanoParameters {
   std::vector<NanoCamera> cameras;
-  torch::Tensor words;               // [vocabulary_rows, prefix_width]
-  torch::Tensor readout;             // [readout_tokens, prefix_width]
-  std::vector<NanoLayer> prefix;     // layers; the last has only input_norm and k, v rows (nobody reads its output)
-  torch::Tensor aux_norm;            // [prefix_width]
-  torch::Tensor aux_weight, aux_bias;  // [aux_dim, readout_tokens * prefix_width], [aux_dim]
-  torch::Tensor state_weight, state_bias;            // state_proj
-  torch::Tensor action_in_weight, action_in_bias;    // action_in_proj
-  torch::Tensor time_in_weight, time_in_bias;        // action_time_mlp_in: [We, 2 We], columns action, time
-  torch::Tensor time_out_weight, time_out_bias;      // action_time_mlp_out
+  torch::Tensor words;    // [vocabulary_rows, prefix_width]
+  torch::Tensor readout;  // [readout_tokens, prefix_width]
+  std::vector<NanoLayer>
+      prefix;  // layers; the last has only input_norm and k, v rows (nobody reads its output)
+  torch::Tensor aux_norm;                  // [prefix_width]
+  torch::Tensor aux_weight, aux_bias;      // [aux_dim, readout_tokens * prefix_width], [aux_dim]
+  torch::Tensor state_weight, state_bias;  // state_proj
+  torch::Tensor action_in_weight, action_in_bias;  // action_in_proj
+  torch::Tensor time_in_weight,
+      time_in_bias;  // action_time_mlp_in: [We, 2 We], columns action, time
+  torch::Tensor time_out_weight, time_out_bias;  // action_time_mlp_out
   std::vector<NanoLayer> expert;
-  torch::Tensor expert_norm;         // [expert_width]
+  torch::Tensor expert_norm;                         // [expert_width]
   torch::Tensor action_out_weight, action_out_bias;  // action_out_proj
 };
 
-// A parameter's name in the weights file, its shape, and the standard deviation it starts with (0: zeros).
+// A parameter's name in the weights file, its shape, and the standard deviation it starts with (0:
+// zeros).
 struct NanoTensorInfo {
   std::string name;
   std::vector<int64_t> shape;
@@ -60,19 +63,20 @@ NanoParameters AssembleNano(const NanoConfig& config, const std::vector<torch::T
 // Random tensors in the order of the table.
 std::vector<torch::Tensor> RandomNanoTensors(const NanoConfig& config, uint64_t seed);
 
-// emb(t) as in pi0: period_k = 4e-3 * (4.0 / 4e-3)^(k / (dim/2 - 1)), angle = 2 pi t / period in double;
-// [B] -> [B, dim], all sines, then all cosines.
+// emb(t) as in pi0: period_k = 4e-3 * (4.0 / 4e-3)^(k / (dim/2 - 1)), angle = 2 pi t / period in
+// double; [B] -> [B, dim], all sines, then all cosines.
 torch::Tensor TimeEmbedding(const torch::Tensor& t, int64_t dim);
 
-// cos and sin of position * 10000^(-2 j / head_dim), [positions, head_dim / 2] each, for every position there is.
+// cos and sin of position * 10000^(-2 j / head_dim), [positions, head_dim / 2] each, for every
+// position there is.
 std::pair<torch::Tensor, torch::Tensor> RopeTables(const NanoConfig& config);
 
-// The pi0 graph in small: images and words -> prefix transformer -> keys and values -> action expert.
-// Functions of the parameters; differentiable wherever a parameter requires gradients.
+// The pi0 graph in small: images and words -> prefix transformer -> keys and values -> action
+// expert. Functions of the parameters; differentiable wherever a parameter requires gradients.
 class NanoNetwork {
  public:
-  // What the prefix gives: the context (without the state) and the auxiliary prediction [B, aux_dim], which
-  // is undefined unless asked for.
+  // What the prefix gives: the context (without the state) and the auxiliary prediction [B,
+  // aux_dim], which is undefined unless asked for.
   struct Prefix {
     PolicyContext context;
     torch::Tensor aux;
@@ -83,13 +87,15 @@ class NanoNetwork {
   const NanoConfig& config() const { return config_; }
   const std::vector<LoraTarget>& lora_targets() const { return lora_targets_; }
 
-  // images: per camera [B, 3, s, s] in [-1, 1], channels last in memory; words [B, max_words] int64, 0 is padding.
-  Prefix EncodePrefix(const std::vector<torch::Tensor>& images, const torch::Tensor& words, bool with_aux) const;
+  // images: per camera [B, 3, s, s] in [-1, 1], channels last in memory; words [B, max_words]
+  // int64, 0 is padding.
+  Prefix EncodePrefix(const std::vector<torch::Tensor>& images, const torch::Tensor& words,
+                      bool with_aux) const;
 
-  // v(s, x_u, u): x_u [B, K, d], u [B] -> [B, K, d]. The context may have fewer rows than x_u: row i of the
-  // context then serves rows i n ... i n + n - 1.
-  torch::Tensor Velocity(const PolicyContext& context, const torch::Tensor& x_u, const torch::Tensor& u,
-                         const LoraWeights* lora) const;
+  // v(s, x_u, u): x_u [B, K, d], u [B] -> [B, K, d]. The context may have fewer rows than x_u: row
+  // i of the context then serves rows i n ... i n + n - 1.
+  torch::Tensor Velocity(const PolicyContext& context, const torch::Tensor& x_u,
+                         const torch::Tensor& u, const LoraWeights* lora) const;
 
  private:
   torch::Tensor EncodeImage(const NanoCamera& camera, const torch::Tensor& image) const;

@@ -1,9 +1,9 @@
 #include "server/policies/nano_policy.h"
 
+#include <torch/torch.h>
+
 #include <cmath>
 #include <cstring>
-
-#include <torch/torch.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -23,8 +23,10 @@ constexpr float kStdEpsilon = 1e-6f;
 class NanoPolicy : public FlowPolicy {
  public:
   NanoPolicy(NanoModel model, const std::string& model_hash, const std::string& name)
-      : model_(std::move(model)), network_(model_.config, AssembleNano(model_.config, InferenceTensors(model_.tensors))),
-        sampler_(model_.config, AssembleNano(model_.config, InferenceTensors(model_.tensors)), EulerTimes(kEulerSteps)) {
+      : model_(std::move(model)),
+        network_(model_.config, AssembleNano(model_.config, InferenceTensors(model_.tensors))),
+        sampler_(model_.config, AssembleNano(model_.config, InferenceTensors(model_.tensors)),
+                 EulerTimes(kEulerSteps)) {
     spec_.name = name;
     spec_.model_hash = model_hash;
     spec_.cameras = model_.config.cameras;
@@ -49,14 +51,16 @@ class NanoPolicy : public FlowPolicy {
         RS_ASSIGN_OR_RETURN(Tensor image, EncodeView(observation, camera));
         images.push_back(std::move(image));
       }
-      RS_ASSIGN_OR_RETURN(std::vector<int64_t> words,
-                          model_.vocabulary.Encode(observation.instruction, model_.config.max_words));
+      RS_ASSIGN_OR_RETURN(
+          std::vector<int64_t> words,
+          model_.vocabulary.Encode(observation.instruction, model_.config.max_words));
       RS_ASSIGN_OR_RETURN(Tensor state, EncodeState(observation.proprioception));
       const Tensor rows = torch::tensor(words, torch::kInt64).unsqueeze(0);
       PolicyContext context = network_.EncodePrefix(images, rows, /*with_aux=*/false).context;
       context.state = state;
       return context;
-    } catch (const std::exception& error) {  // LibTorch reports out of memory and the like by throwing
+    } catch (
+        const std::exception& error) {  // LibTorch reports out of memory and the like by throwing
       return absl::InternalError(absl::StrCat("nano: encoding failed: ", error.what()));
     }
   }
@@ -66,7 +70,8 @@ class NanoPolicy : public FlowPolicy {
     return network_.Velocity(context, x_u, u, lora);
   }
 
-  Tensor Sample(const PolicyContext& context, const Tensor& noise, const LoraWeights* lora) const override {
+  Tensor Sample(const PolicyContext& context, const Tensor& noise,
+                const LoraWeights* lora) const override {
     return sampler_.Sample(context, noise, lora);
   }
 
@@ -78,7 +83,8 @@ class NanoPolicy : public FlowPolicy {
     const auto values = rows.accessor<float, 2>();
     for (int i = 0; i < actions.rows(); ++i) {
       for (int j = 0; j < dim; ++j) {
-        actions(i, j) = values[i][j] * (model_.actions.std[j] + kStdEpsilon) + model_.actions.mean[j];
+        actions(i, j) =
+            values[i][j] * (model_.actions.std[j] + kStdEpsilon) + model_.actions.mean[j];
       }
     }
     return actions;
@@ -90,7 +96,8 @@ class NanoPolicy : public FlowPolicy {
     auto values = rows.accessor<float, 2>();
     for (int i = 0; i < actions.rows(); ++i) {
       for (int j = 0; j < actions.cols(); ++j) {
-        values[i][j] = (actions(i, j) - model_.actions.mean[j]) / (model_.actions.std[j] + kStdEpsilon);
+        values[i][j] =
+            (actions(i, j) - model_.actions.mean[j]) / (model_.actions.std[j] + kStdEpsilon);
       }
     }
     return rows;
@@ -101,12 +108,14 @@ class NanoPolicy : public FlowPolicy {
     std::vector<Tensor> copies;
     for (const Tensor& tensor : tensors) {
       const Tensor detached = tensor.detach();
-      copies.push_back(detached.dim() == 4 ? detached.contiguous(at::MemoryFormat::ChannelsLast) : detached);
+      copies.push_back(detached.dim() == 4 ? detached.contiguous(at::MemoryFormat::ChannelsLast)
+                                           : detached);
     }
     return copies;
   }
 
-  absl::StatusOr<Tensor> EncodeView(const Observation& observation, const std::string& camera) const {
+  absl::StatusOr<Tensor> EncodeView(const Observation& observation,
+                                    const std::string& camera) const {
     const int size = model_.config.image_size;
     std::vector<std::string> given;
     for (const CameraView& view : observation.views) {
@@ -114,41 +123,44 @@ class NanoPolicy : public FlowPolicy {
       if (view.camera != camera) continue;
       const Image& image = view.image;
       if (image.width != size || image.height != size) {
-        return absl::InvalidArgumentError(absl::StrCat("image of camera '", camera, "' is ", image.width, " x ",
-                                                       image.height, ", nano takes ", size, " x ", size,
-                                                       "; render at the size that the policy declares"));
+        return absl::InvalidArgumentError(absl::StrCat(
+            "image of camera '", camera, "' is ", image.width, " x ", image.height, ", nano takes ",
+            size, " x ", size, "; render at the size that the policy declares"));
       }
       const size_t bytes = size_t{3} * size * size;
       if (image.data.size() != bytes) {
-        return absl::InvalidArgumentError(absl::StrCat("image of camera '", camera, "' has ", image.data.size(),
-                                                       " bytes, must have ", bytes));
+        return absl::InvalidArgumentError(absl::StrCat(
+            "image of camera '", camera, "' has ", image.data.size(), " bytes, must have ", bytes));
       }
       Tensor pixels = torch::empty({1, size, size, 3}, torch::kUInt8);
       std::memcpy(pixels.data_ptr<uint8_t>(), image.data.data(), bytes);
       return pixels.to(torch::kFloat32).div_(127.5f).sub_(1.0f).permute({0, 3, 1, 2});
     }
-    return absl::InvalidArgumentError(absl::StrCat("no image of camera '", camera, "', which nano needs; given: ",
-                                                   given.empty() ? "none" : absl::StrJoin(given, ", ")));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "no image of camera '", camera,
+        "', which nano needs; given: ", given.empty() ? "none" : absl::StrJoin(given, ", ")));
   }
 
   absl::StatusOr<Tensor> EncodeState(const Eigen::VectorXf& state) const {
     if (state.size() != spec_.state_dim) {
-      return absl::InvalidArgumentError(absl::StrCat("proprioception has ", state.size(), " numbers, nano takes ",
-                                                     spec_.state_dim));
+      return absl::InvalidArgumentError(absl::StrCat("proprioception has ", state.size(),
+                                                     " numbers, nano takes ", spec_.state_dim));
     }
     Tensor row = torch::empty({1, spec_.state_dim});
     for (int i = 0; i < spec_.state_dim; ++i) {
       if (!std::isfinite(state[i])) {
-        return absl::InvalidArgumentError(absl::StrCat("proprioception[", i, "] is ", state[i], ", must be finite"));
+        return absl::InvalidArgumentError(
+            absl::StrCat("proprioception[", i, "] is ", state[i], ", must be finite"));
       }
-      row.data_ptr<float>()[i] = (state[i] - model_.state.mean[i]) / (model_.state.std[i] + kStdEpsilon);
+      row.data_ptr<float>()[i] =
+          (state[i] - model_.state.mean[i]) / (model_.state.std[i] + kStdEpsilon);
     }
     return row;
   }
 
   NanoModel model_;
-  NanoNetwork network_;   // the prefix, and the velocity where gradients are wanted
-  NanoSampler sampler_;   // predictions
+  NanoNetwork network_;  // the prefix, and the velocity where gradients are wanted
+  NanoSampler sampler_;  // predictions
   PolicySpec spec_;
 };
 
@@ -161,7 +173,8 @@ std::vector<float> EulerTimes(int steps) {
   return times;
 }
 
-absl::StatusOr<std::unique_ptr<FlowPolicy>> MakeNanoPolicy(NanoModel model, const std::string& model_hash,
+absl::StatusOr<std::unique_ptr<FlowPolicy>> MakeNanoPolicy(NanoModel model,
+                                                           const std::string& model_hash,
                                                            const std::string& name) {
   try {
     return std::make_unique<NanoPolicy>(std::move(model), model_hash, name);

@@ -1,9 +1,9 @@
 #include "server/policies/nano_sampler.h"
 
+#include <torch/torch.h>
+
 #include <algorithm>
 #include <cmath>
-
-#include <torch/torch.h>
 
 #include "common/check.h"
 #include "server/policies/fused_kernels.h"
@@ -33,14 +33,15 @@ struct NanoSampler::Lora {
   };
   explicit Lora(const LoraWeights& weights) {
     for (size_t i = 0; i < weights.A.size(); ++i) {
-      targets.push_back({weights.A[i].size(1), weights.B[i].size(0), weights.A[i].size(0), ToVector(weights.A[i]),
-                         ToVector(weights.B[i].t())});
+      targets.push_back({weights.A[i].size(1), weights.B[i].size(0), weights.A[i].size(0),
+                         ToVector(weights.A[i]), ToVector(weights.B[i].t())});
     }
   }
   std::vector<Target> targets;
 };
 
-// Buffers of one row. Key slots: prefix, state, filled up to a panel; then actions, filled up to a panel.
+// Buffers of one row. Key slots: prefix, state, filled up to a panel; then actions, filled up to a
+// panel.
 struct NanoSampler::Workspace {
   Workspace(const NanoConfig& c, int64_t prefix)
       : slots(PadToPanel(prefix + 1) + PadToPanel(c.action_tokens())),
@@ -65,7 +66,8 @@ struct NanoSampler::Workspace {
   int64_t slots;
   std::vector<std::vector<float>> keys;    // per layer, packed as weights [slots, head_dim]
   std::vector<std::vector<float>> values;  // per layer, packed as weights [head_dim, slots]
-  std::vector<float> tokens, sum, delta, normed, inverse_rms, qkv, q, k, v, attended, scores, gate_up, hidden;
+  std::vector<float> tokens, sum, delta, normed, inverse_rms, qkv, q, k, v, attended, scores,
+      gate_up, hidden;
   std::vector<int64_t> positions;
 
   void PutKey(int layer, int64_t slot, const float* key, const float* value, int64_t h) {
@@ -83,13 +85,15 @@ NanoSampler::Packed NanoSampler::Pack(const torch::Tensor& weight, const torch::
   packed.in = weight.size(1);
   packed.panels.resize(PadToPanel(packed.out) * packed.in);
   for (int64_t o = 0; o < packed.out; ++o) {
-    for (int64_t i = 0; i < packed.in; ++i) PanelAt(packed.panels.data(), packed.in, o, i) = values[o * packed.in + i];
+    for (int64_t i = 0; i < packed.in; ++i)
+      PanelAt(packed.panels.data(), packed.in, o, i) = values[o * packed.in + i];
   }
   if (bias.defined()) packed.bias = ToVector(bias);
   return packed;
 }
 
-NanoSampler::NanoSampler(const NanoConfig& config, const NanoParameters& p, const std::vector<float>& times)
+NanoSampler::NanoSampler(const NanoConfig& config, const NanoParameters& p,
+                         const std::vector<float>& times)
     : config_(config), times_(times) {
   torch::NoGradGuard no_grad;
   const int64_t e = config.expert_width;
@@ -99,11 +103,14 @@ NanoSampler::NanoSampler(const NanoConfig& config, const NanoParameters& p, cons
   time_out_ = Pack(p.time_out_weight, p.time_out_bias);
   action_out_ = Pack(p.action_out_weight, p.action_out_bias);
   const torch::Tensor embedding = TimeEmbedding(torch::tensor(times), e);
-  const torch::Tensor time = torch::linear(embedding, p.time_in_weight.narrow(1, e, e), p.time_in_bias);
-  for (size_t i = 0; i < times.size(); ++i) time_bias_.push_back(ToVector(time[static_cast<int64_t>(i)]));
+  const torch::Tensor time =
+      torch::linear(embedding, p.time_in_weight.narrow(1, e, e), p.time_in_bias);
+  for (size_t i = 0; i < times.size(); ++i)
+    time_bias_.push_back(ToVector(time[static_cast<int64_t>(i)]));
   for (const NanoLayer& layer : p.expert) {
-    layers_.push_back({ToVector(layer.input_norm), ToVector(layer.post_norm), Pack(layer.qkv_proj, {}),
-                       Pack(layer.o_proj, {}), Pack(layer.gate_up_proj, {}), Pack(layer.down_proj, {})});
+    layers_.push_back({ToVector(layer.input_norm), ToVector(layer.post_norm),
+                       Pack(layer.qkv_proj, {}), Pack(layer.o_proj, {}),
+                       Pack(layer.gate_up_proj, {}), Pack(layer.down_proj, {})});
   }
   final_norm_ = ToVector(p.expert_norm);
   const auto [cos, sin] = RopeTables(config);
@@ -119,13 +126,13 @@ void NanoSampler::Apply(const Packed& packed, const float* x, int64_t rows, floa
   }
 }
 
-void NanoSampler::AddLora(const Lora* lora, size_t first, size_t count, const float* x, int64_t rows, float* y,
-                          int64_t width) const {
+void NanoSampler::AddLora(const Lora* lora, size_t first, size_t count, const float* x,
+                          int64_t rows, float* y, int64_t width) const {
   if (lora == nullptr) return;
   for (size_t i = first; i < first + count; ++i) {
     const Lora::Target& target = lora->targets[i];
-    BestFusedKernels().add_low_rank(x, rows, target.in, target.a.data(), target.b_transposed.data(), target.rank,
-                                    target.out, y, width);
+    BestFusedKernels().add_low_rank(x, rows, target.in, target.a.data(), target.b_transposed.data(),
+                                    target.rank, target.out, y, width);
     y += target.out;
   }
 }
@@ -139,8 +146,8 @@ void NanoSampler::RunTokens(Workspace& w, int64_t rows, int64_t first_slot, int6
   bool has_delta = false;
   // tokens += delta, normed = the norm of that.
   const auto norm = [&](const std::vector<float>& weight) {
-    kernels.add_rms_norm(w.tokens.data(), has_delta ? w.delta.data() : nullptr, weight.data(), rows, e, w.sum.data(),
-                         w.normed.data(), w.inverse_rms.data());
+    kernels.add_rms_norm(w.tokens.data(), has_delta ? w.delta.data() : nullptr, weight.data(), rows,
+                         e, w.sum.data(), w.normed.data(), w.inverse_rms.data());
     if (has_delta) w.tokens.swap(w.sum);
     has_delta = true;
   };
@@ -150,12 +157,14 @@ void NanoSampler::RunTokens(Workspace& w, int64_t rows, int64_t first_slot, int6
     norm(layer.input_norm);
     Apply(layer.qkv, w.normed.data(), rows, w.qkv.data());
     AddLora(lora, target, 3, w.normed.data(), rows, w.qkv.data(), layer.qkv.out);
-    kernels.split_rope(w.qkv.data(), rope_cos_.data(), rope_sin_.data(), w.positions.data(), q_scale, rows, heads, h,
-                       false, w.q.data(), w.k.data(), w.v.data());
-    for (int64_t r = 0; r < rows; ++r) w.PutKey(i, first_slot + r, w.k.data() + r * h, w.v.data() + r * h, h);
+    kernels.split_rope(w.qkv.data(), rope_cos_.data(), rope_sin_.data(), w.positions.data(),
+                       q_scale, rows, heads, h, false, w.q.data(), w.k.data(), w.v.data());
+    for (int64_t r = 0; r < rows; ++r)
+      w.PutKey(i, first_slot + r, w.k.data() + r * h, w.v.data() + r * h, h);
     kernels.linear(w.q.data(), rows * heads, h, w.keys[i].data(), w.slots, w.scores.data());
     kernels.softmax_bias(w.scores.data(), bias.data(), 1, rows * heads, w.slots, heads, 1, 1);
-    kernels.linear(w.scores.data(), rows * heads, w.slots, w.values[i].data(), h, w.attended.data());
+    kernels.linear(w.scores.data(), rows * heads, w.slots, w.values[i].data(), h,
+                   w.attended.data());
     Apply(layer.o, w.attended.data(), rows, w.delta.data());
     AddLora(lora, target + 3, 1, w.attended.data(), rows, w.delta.data(), e);
     norm(layer.post_norm);
@@ -168,18 +177,23 @@ void NanoSampler::RunTokens(Workspace& w, int64_t rows, int64_t first_slot, int6
   norm(final_norm_);
 }
 
-void NanoSampler::SampleRow(const PolicyContext& context, int64_t row, const Lora* lora, float* x) const {
-  const int64_t prefix = context.prefix_mask.size(1), h = config_.head_dim, e = config_.expert_width;
+void NanoSampler::SampleRow(const PolicyContext& context, int64_t row, const Lora* lora,
+                            float* x) const {
+  const int64_t prefix = context.prefix_mask.size(1), h = config_.head_dim,
+                e = config_.expert_width;
   const int64_t tokens = config_.action_tokens();
-  const int64_t values_per_token = static_cast<int64_t>(config_.steps_per_token) * config_.model_action_dim;
+  const int64_t values_per_token =
+      static_cast<int64_t>(config_.steps_per_token) * config_.model_action_dim;
   Workspace w(config_, prefix);
   for (int i = 0; i < config_.layers; ++i) {
-    const torch::Tensor keys = context.keys[i][row].contiguous(), values = context.values[i][row].contiguous();
+    const torch::Tensor keys = context.keys[i][row].contiguous(),
+                        values = context.values[i][row].contiguous();
     for (int64_t slot = 0; slot < prefix; ++slot) {
       w.PutKey(i, slot, keys.data_ptr<float>() + slot * h, values.data_ptr<float>() + slot * h, h);
     }
   }
-  // Slots that a query may see: the state sees prefix and itself, an action sees everything but the filling.
+  // Slots that a query may see: the state sees prefix and itself, an action sees everything but the
+  // filling.
   const torch::Tensor mask = context.prefix_mask[row].contiguous();
   std::vector<float> state_bias(w.slots, kMasked);
   int64_t valid = 0;

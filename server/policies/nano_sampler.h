@@ -1,23 +1,26 @@
 #pragma once
 
-#include <vector>
-
 #include <torch/types.h>
+
+#include <vector>
 
 #include "server/policies/nano_network.h"
 
 namespace robostress {
 
-// The ten Euler steps of a prediction without LibTorch's operators: the action expert is so small that they cost more than
-// its arithmetic (a sample took 2-3 times as long). Same graph as NanoNetwork::Velocity, to rounding. Two things that are
-// the same in every step are computed once: the state token's keys and values, and the time's part of the
-// action tokens. Rows of a batch are computed one by one, so a row's bits do not depend on the others. Immutable.
+// The ten Euler steps of a prediction without LibTorch's operators: the action expert is so small
+// that they cost more than its arithmetic (a sample took 2-3 times as long). Same graph as
+// NanoNetwork::Velocity, to rounding. Two things that are the same in every step are computed once:
+// the state token's keys and values, and the time's part of the action tokens. Rows of a batch are
+// computed one by one, so a row's bits do not depend on the others. Immutable.
 class NanoSampler {
  public:
-  NanoSampler(const NanoConfig& config, const NanoParameters& parameters, const std::vector<float>& times);
+  NanoSampler(const NanoConfig& config, const NanoParameters& parameters,
+              const std::vector<float>& times);
 
   // noise [B, K, d] and a context of B rows -> chunks [B, K, d].
-  torch::Tensor Sample(const PolicyContext& context, const torch::Tensor& noise, const LoraWeights* lora) const;
+  torch::Tensor Sample(const PolicyContext& context, const torch::Tensor& noise,
+                       const LoraWeights* lora) const;
 
  private:
   struct Packed {  // weights [out, in] in panels, and the bias if there is one
@@ -28,16 +31,18 @@ class NanoSampler {
     std::vector<float> input_norm, post_norm;
     Packed qkv, o, gate_up, down;
   };
-  struct Lora;     // the adapter in the layout of the kernels
+  struct Lora;  // the adapter in the layout of the kernels
   struct Workspace;
 
   static Packed Pack(const torch::Tensor& weight, const torch::Tensor& bias);
   void Apply(const Packed& packed, const float* x, int64_t rows, float* y) const;
-  // Adds the adapter's part of targets first ... first + count - 1, whose outputs lie side by side in y.
-  void AddLora(const Lora* lora, size_t first, size_t count, const float* x, int64_t rows, float* y, int64_t width) const;
+  // Adds the adapter's part of targets first ... first + count - 1, whose outputs lie side by side
+  // in y.
+  void AddLora(const Lora* lora, size_t first, size_t count, const float* x, int64_t rows, float* y,
+               int64_t width) const;
   // Runs `rows` tokens through the layers; their keys and values go to slots first_slot ...
-  void RunTokens(Workspace& work, int64_t rows, int64_t first_slot, int64_t first_position, const std::vector<float>& bias,
-                 const Lora* lora) const;
+  void RunTokens(Workspace& work, int64_t rows, int64_t first_slot, int64_t first_position,
+                 const std::vector<float>& bias, const Lora* lora) const;
   void SampleRow(const PolicyContext& context, int64_t row, const Lora* lora, float* x) const;
 
   NanoConfig config_;

@@ -1,10 +1,10 @@
 #include "server/policies/nano_weights.h"
 
+#include <torch/torch.h>
+
 #include <cmath>
 #include <cstring>
 #include <set>
-
-#include <torch/torch.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -17,9 +17,12 @@
 namespace robostress {
 namespace {
 
-constexpr char kRemedy[] = "; train it again with robostress-train or take the file that belongs to this version";
+constexpr char kRemedy[] =
+    "; train it again with robostress-train or take the file that belongs to this version";
 
-std::string Shape(const std::vector<int64_t>& shape) { return absl::StrCat("[", absl::StrJoin(shape, ","), "]"); }
+std::string Shape(const std::vector<int64_t>& shape) {
+  return absl::StrCat("[", absl::StrJoin(shape, ","), "]");
+}
 
 // A tensor of the file, and where its values go.
 struct Wanted {
@@ -47,13 +50,16 @@ std::string ReadTensor(const SafetensorsFile& file, const Wanted& wanted) {
   const auto found = file.tensors().find(wanted.name);
   if (found == file.tensors().end()) return absl::StrCat(wanted.name, " is missing");
   const TensorView& view = found->second;
-  if (view.dtype != DType::kF32) return absl::StrCat(wanted.name, " is ", DTypeName(view.dtype), ", must be F32");
+  if (view.dtype != DType::kF32)
+    return absl::StrCat(wanted.name, " is ", DTypeName(view.dtype), ", must be F32");
   if (view.shape != wanted.shape) {
-    return absl::StrCat(wanted.name, " has shape ", Shape(view.shape), ", must be ", Shape(wanted.shape));
+    return absl::StrCat(wanted.name, " has shape ", Shape(view.shape), ", must be ",
+                        Shape(wanted.shape));
   }
   std::memcpy(wanted.values, view.bytes.data(), view.bytes.size());
   for (int64_t i = 0; i < view.num_elements(); ++i) {
-    if (!std::isfinite(wanted.values[i])) return absl::StrCat(wanted.name, " holds ", wanted.values[i], " at ", i);
+    if (!std::isfinite(wanted.values[i]))
+      return absl::StrCat(wanted.name, " holds ", wanted.values[i], " at ", i);
   }
   return "";
 }
@@ -69,8 +75,9 @@ absl::Status SaveNanoModel(const NanoModel& model, const std::string& path) {
   const std::vector<NanoTensorInfo> table = NanoTensorTable(model.config);
   for (size_t i = 0; i < table.size(); ++i) {
     const torch::Tensor tensor = model.tensors[i].detach().contiguous();
-    writer.AddFloats(table[i].name, table[i].shape,
-                     absl::MakeConstSpan(tensor.data_ptr<float>(), static_cast<size_t>(tensor.numel())));
+    writer.AddFloats(
+        table[i].name, table[i].shape,
+        absl::MakeConstSpan(tensor.data_ptr<float>(), static_cast<size_t>(tensor.numel())));
   }
   NanoModel copy = model;
   for (const Wanted& wanted : NormalisationTensors(copy)) {
@@ -87,15 +94,18 @@ absl::StatusOr<NanoModel> LoadNanoModel(const std::string& path) {
     return found == file.metadata().end() ? std::string() : found->second;
   };
   if (metadata("format") != kNanoFormat) {
-    return absl::InvalidArgumentError(absl::StrCat(path, ": format is '", metadata("format"), "', must be '",
-                                                   kNanoFormat, "': not a nano weights file", kRemedy));
+    return absl::InvalidArgumentError(absl::StrCat(path, ": format is '", metadata("format"),
+                                                   "', must be '", kNanoFormat,
+                                                   "': not a nano weights file", kRemedy));
   }
   if (metadata("format_version") != kNanoFormatVersion) {
-    return absl::InvalidArgumentError(absl::StrCat(path, ": format_version is '", metadata("format_version"),
-                                                   "', this program reads '", kNanoFormatVersion, "'", kRemedy));
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": format_version is '", metadata("format_version"),
+                     "', this program reads '", kNanoFormatVersion, "'", kRemedy));
   }
   NanoModel model;
-  RS_ASSIGN_OR_RETURN(model.config, ParseConfig<NanoConfig>(path + ": metadata config", metadata("config")));
+  RS_ASSIGN_OR_RETURN(model.config,
+                      ParseConfig<NanoConfig>(path + ": metadata config", metadata("config")));
   if (absl::Status status = ValidateNanoConfig(model.config); !status.ok()) {
     return absl::InvalidArgumentError(absl::StrCat(path, ": ", status.message()));
   }
@@ -103,8 +113,8 @@ absl::StatusOr<NanoModel> LoadNanoModel(const std::string& path) {
   std::vector<std::string> problems;
   const size_t rows = model.vocabulary.words().size() + Vocabulary::kFirstWord;
   if (rows > static_cast<size_t>(model.config.vocabulary_rows)) {
-    problems.push_back(
-        absl::StrCat("the vocabulary needs ", rows, " rows, the word table has ", model.config.vocabulary_rows));
+    problems.push_back(absl::StrCat("the vocabulary needs ", rows, " rows, the word table has ",
+                                    model.config.vocabulary_rows));
   }
 
   std::vector<Wanted> wanted = NormalisationTensors(model);
@@ -115,14 +125,15 @@ absl::StatusOr<NanoModel> LoadNanoModel(const std::string& path) {
   std::set<std::string> known;
   for (const Wanted& w : wanted) {
     known.insert(w.name);
-    if (std::string problem = ReadTensor(file, w); !problem.empty()) problems.push_back(std::move(problem));
+    if (std::string problem = ReadTensor(file, w); !problem.empty())
+      problems.push_back(std::move(problem));
   }
   for (const auto& [name, view] : file.tensors()) {
     if (!known.contains(name)) problems.push_back(absl::StrCat(name, " is unknown"));
   }
   if (!problems.empty()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(path, ": ", problems.size(), " problems: ", absl::StrJoin(problems, "; "), kRemedy));
+    return absl::InvalidArgumentError(absl::StrCat(
+        path, ": ", problems.size(), " problems: ", absl::StrJoin(problems, "; "), kRemedy));
   }
   return model;
 }

@@ -1,9 +1,9 @@
 #pragma once
 
+#include <torch/types.h>
+
 #include <string>
 #include <vector>
-
-#include <torch/types.h>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -17,7 +17,8 @@ struct ZScore {
   std::vector<float> mean, std;
 };
 
-// Everything a nano policy is: shape, words, normalisation, parameters in the order of NanoTensorTable.
+// Everything a nano policy is: shape, words, normalisation, parameters in the order of
+// NanoTensorTable.
 struct NanoModel {
   NanoConfig config;
   Vocabulary vocabulary;
@@ -27,8 +28,9 @@ struct NanoModel {
   std::vector<torch::Tensor> tensors;
 };
 
-// The weights file: safetensors; metadata format = "robostress-nano", format_version, config (YAML), vocabulary (words
-// separated by spaces); float32 tensors of the table and normalize.{state,actions,aux}.{mean,std}.
+// The weights file: safetensors; metadata format = "robostress-nano", format_version, config
+// (YAML), vocabulary (words separated by spaces); float32 tensors of the table and
+// normalize.{state,actions,aux}.{mean,std}.
 inline constexpr char kNanoFormat[] = "robostress-nano";
 inline constexpr char kNanoFormatVersion[] = "1";
 

@@ -25,7 +25,8 @@ std::vector<std::string> SplitWords(const std::string& instruction) {
 }
 
 Vocabulary::Vocabulary(std::vector<std::string> words) : words_(std::move(words)) {
-  for (size_t i = 0; i < words_.size(); ++i) rows_[words_[i]] = kFirstWord + static_cast<int64_t>(i);
+  for (size_t i = 0; i < words_.size(); ++i)
+    rows_[words_[i]] = kFirstWord + static_cast<int64_t>(i);
 }
 
 void Vocabulary::Add(const std::string& instruction) {
@@ -36,13 +37,15 @@ void Vocabulary::Add(const std::string& instruction) {
   }
 }
 
-absl::StatusOr<std::vector<int64_t>> Vocabulary::Encode(const std::string& instruction, int max_words) const {
+absl::StatusOr<std::vector<int64_t>> Vocabulary::Encode(const std::string& instruction,
+                                                        int max_words) const {
   const std::vector<std::string> words = SplitWords(instruction);
   if (words.empty()) {
     return absl::InvalidArgumentError(absl::StrCat("instruction '", instruction, "' has no words"));
   }
   if (static_cast<int>(words.size()) > max_words) {
-    return absl::InvalidArgumentError(absl::StrCat("instruction '", instruction, "' has ", words.size(),
+    return absl::InvalidArgumentError(absl::StrCat("instruction '", instruction, "' has ",
+                                                   words.size(),
                                                    " words, the policy reads at most ", max_words));
   }
   std::vector<int64_t> rows(max_words, kPadding);

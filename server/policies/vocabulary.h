@@ -9,10 +9,12 @@
 
 namespace robostress {
 
-// Splits an instruction into lower-case words: letters, digits and inner hyphens; all else separates.
+// Splits an instruction into lower-case words: letters, digits and inner hyphens; all else
+// separates.
 std::vector<std::string> SplitWords(const std::string& instruction);
 
-// Words of a policy's instructions. Row 0 of the word table is padding, row 1 every unknown word, row 2 + i is words[i].
+// Words of a policy's instructions. Row 0 of the word table is padding, row 1 every unknown word,
+// row 2 + i is words[i].
 class Vocabulary {
  public:
   static constexpr int64_t kPadding = 0, kUnknown = 1, kFirstWord = 2;

@@ -1,11 +1,11 @@
 #include "server/training/demonstrations.h"
 
+#include <torch/torch.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <filesystem>
-
-#include <torch/torch.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -17,7 +17,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr float kStdEpsilon = 1e-6f;
-// Smallest deviations: proprioception in m and rad, actions in command units, auxiliary targets in m.
+// Smallest deviations: proprioception in m and rad, actions in command units, auxiliary targets in
+// m.
 constexpr double kStateFloor = 1e-3, kActionFloor = 0.02, kAuxFloor = 1e-2;
 
 absl::StatusOr<std::vector<std::string>> ListShards(const std::vector<std::string>& directories) {
@@ -27,15 +28,18 @@ absl::StatusOr<std::vector<std::string>> ListShards(const std::vector<std::strin
     std::vector<std::string> found;
     fs::recursive_directory_iterator it(directory, error), end;
     while (!error && it != end) {
-      if (it->path().extension() == ".safetensors" && it->is_regular_file(error)) found.push_back(it->path().string());
+      if (it->path().extension() == ".safetensors" && it->is_regular_file(error))
+        found.push_back(it->path().string());
       it.increment(error);
     }
     if (error) {
-      return absl::NotFoundError(absl::StrCat("data directory '", directory, "' cannot be read: ", error.message()));
+      return absl::NotFoundError(
+          absl::StrCat("data directory '", directory, "' cannot be read: ", error.message()));
     }
     if (found.empty()) {
       return absl::NotFoundError(
-          absl::StrCat("data directory '", directory, "' holds no *.safetensors; write some with robostress-record"));
+          absl::StrCat("data directory '", directory,
+                       "' holds no *.safetensors; write some with robostress-record"));
     }
     std::sort(found.begin(), found.end());
     paths.insert(paths.end(), found.begin(), found.end());
@@ -43,14 +47,16 @@ absl::StatusOr<std::vector<std::string>> ListShards(const std::vector<std::strin
   return paths;
 }
 
-// Writes one frame, shifted by (dx, dy) with the border repeated, as gain * value / 127.5 - 1 + offset per channel.
-void ConvertImage(const uint8_t* source, int size, int dx, int dy, const float* gain, const float* offset,
-                  float* target) {
+// Writes one frame, shifted by (dx, dy) with the border repeated, as gain * value / 127.5 - 1 +
+// offset per channel.
+void ConvertImage(const uint8_t* source, int size, int dx, int dy, const float* gain,
+                  const float* offset, float* target) {
   for (int row = 0; row < size; ++row) {
     const uint8_t* line = source + size_t{3} * size * std::clamp(row + dy, 0, size - 1);
     for (int col = 0; col < size; ++col, target += 3) {
       const uint8_t* pixel = line + size_t{3} * std::clamp(col + dx, 0, size - 1);
-      for (int channel = 0; channel < 3; ++channel) target[channel] = pixel[channel] * gain[channel] + offset[channel];
+      for (int channel = 0; channel < 3; ++channel)
+        target[channel] = pixel[channel] * gain[channel] + offset[channel];
     }
   }
 }
@@ -82,12 +88,15 @@ struct Moments {
 }  // namespace
 
 absl::StatusOr<Demonstrations> Demonstrations::Open(const std::vector<std::string>& directories,
-                                                    const NanoConfig& config, double validation_share) {
+                                                    const NanoConfig& config,
+                                                    double validation_share) {
   RS_ASSIGN_OR_RETURN(const std::vector<std::string> paths, ListShards(directories));
   Demonstrations demonstrations(config);
-  for (const std::string& path : paths) RS_RETURN_IF_ERROR(demonstrations.AddShard(path, validation_share));
+  for (const std::string& path : paths)
+    RS_RETURN_IF_ERROR(demonstrations.AddShard(path, validation_share));
   if (demonstrations.training_.empty()) {
-    return absl::InvalidArgumentError(absl::StrCat("no training frames in ", absl::StrJoin(directories, ", ")));
+    return absl::InvalidArgumentError(
+        absl::StrCat("no training frames in ", absl::StrJoin(directories, ", ")));
   }
   return demonstrations;
 }
@@ -96,36 +105,43 @@ absl::Status Demonstrations::AddShard(const std::string& path, double validation
   RS_ASSIGN_OR_RETURN(SafetensorsFile file, SafetensorsFile::Open(path));
   const auto instruction = file.metadata().find("instruction");
   if (instruction == file.metadata().end() || SplitWords(instruction->second).empty()) {
-    return absl::InvalidArgumentError(absl::StrCat(path, ": metadata 'instruction' is missing or empty: not a shard of "
-                                                   "robostress-record"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(path,
+                     ": metadata 'instruction' is missing or empty: not a shard of "
+                     "robostress-record"));
   }
   RS_ASSIGN_OR_RETURN(const TensorView episode, file.Get("episode"));
   if (episode.dtype != DType::kI64 || episode.shape.size() != 1) {
     return absl::InvalidArgumentError(absl::StrCat(path, ": episode must be I64 [frames]"));
   }
   const int64_t frames = episode.shape[0], size = config_.image_size;
-  const auto take = [&](const char* name, DType dtype, std::vector<int64_t> shape) -> absl::StatusOr<const uint8_t*> {
+  const auto take = [&](const char* name, DType dtype,
+                        std::vector<int64_t> shape) -> absl::StatusOr<const uint8_t*> {
     RS_ASSIGN_OR_RETURN(const TensorView view, file.Get(name));
     if (view.dtype != dtype || view.shape != shape) {
-      return absl::InvalidArgumentError(absl::StrCat(path, ": ", name, " is ", DTypeName(view.dtype), " [",
-                                                     absl::StrJoin(view.shape, ","), "], must be ", DTypeName(dtype),
-                                                     " [", absl::StrJoin(shape, ","), "]"));
+      return absl::InvalidArgumentError(absl::StrCat(
+          path, ": ", name, " is ", DTypeName(view.dtype), " [", absl::StrJoin(view.shape, ","),
+          "], must be ", DTypeName(dtype), " [", absl::StrJoin(shape, ","), "]"));
     }
     return view.bytes.data();
   };
   const int64_t views = static_cast<int64_t>(config_.cameras.size());
-  const auto floats = [&](const char* name, std::vector<int64_t> shape) -> absl::StatusOr<const float*> {
+  const auto floats = [&](const char* name,
+                          std::vector<int64_t> shape) -> absl::StatusOr<const float*> {
     RS_ASSIGN_OR_RETURN(const uint8_t* bytes, take(name, DType::kF32, std::move(shape)));
     return reinterpret_cast<const float*>(bytes);
   };
-  RS_ASSIGN_OR_RETURN(const uint8_t* images, take("images", DType::kU8, {frames, views, size, size, 3}));
+  RS_ASSIGN_OR_RETURN(const uint8_t* images,
+                      take("images", DType::kU8, {frames, views, size, size, 3}));
   RS_ASSIGN_OR_RETURN(const float* state, floats("state", {frames, config_.state_dim}));
-  RS_ASSIGN_OR_RETURN(const float* actions, floats("actions", {frames, config_.horizon, config_.action_dim}));
+  RS_ASSIGN_OR_RETURN(const float* actions,
+                      floats("actions", {frames, config_.horizon, config_.action_dim}));
   RS_ASSIGN_OR_RETURN(const float* aux, floats("aux", {frames, config_.aux_dim}));
   const auto check = [&](const char* name, const float* values, int64_t count) -> absl::Status {
     for (int64_t i = 0; i < count; ++i) {
       if (!std::isfinite(values[i])) {
-        return absl::InvalidArgumentError(absl::StrCat(path, ": ", name, " holds ", values[i], " at ", i));
+        return absl::InvalidArgumentError(
+            absl::StrCat(path, ": ", name, " holds ", values[i], " at ", i));
       }
     }
     return absl::OkStatus();
@@ -147,13 +163,15 @@ absl::Status Demonstrations::AddShard(const std::string& path, double validation
   const int64_t first = frames_;
   frames_ += frames;
   std::string words = instruction->second;
-  shards_.push_back({std::move(file), std::move(words), first, frames, images, state, actions, aux});
+  shards_.push_back(
+      {std::move(file), std::move(words), first, frames, images, state, actions, aux});
   return absl::OkStatus();
 }
 
 const Demonstrations::Shard& Demonstrations::ShardOf(int64_t frame) const {
-  const auto after = std::upper_bound(shards_.begin(), shards_.end(), frame,
-                                      [](int64_t value, const Shard& shard) { return value < shard.first; });
+  const auto after =
+      std::upper_bound(shards_.begin(), shards_.end(), frame,
+                       [](int64_t value, const Shard& shard) { return value < shard.first; });
   return *(after - 1);
 }
 
@@ -164,8 +182,9 @@ absl::StatusOr<Vocabulary> Demonstrations::CollectWords(Vocabulary start) const 
   }
   const int64_t rows = static_cast<int64_t>(start.words().size()) + Vocabulary::kFirstWord;
   if (rows > config_.vocabulary_rows) {
-    return absl::ResourceExhaustedError(absl::StrCat("the instructions need ", rows, " rows of the word table, it has ",
-                                                     config_.vocabulary_rows, "; raise network.vocabulary_rows"));
+    return absl::ResourceExhaustedError(
+        absl::StrCat("the instructions need ", rows, " rows of the word table, it has ",
+                     config_.vocabulary_rows, "; raise network.vocabulary_rows"));
   }
   return start;
 }
@@ -186,8 +205,10 @@ void Demonstrations::MeasureNormalisation(NanoModel& model) const {
   model.aux = aux.Finish(kAuxFloor);
 }
 
-absl::StatusOr<DemoBatch> Demonstrations::Fill(absl::Span<const int64_t> frames, const NanoModel& model,
-                                               const Augmentation& augmentation, RandomStream& random) const {
+absl::StatusOr<DemoBatch> Demonstrations::Fill(absl::Span<const int64_t> frames,
+                                               const NanoModel& model,
+                                               const Augmentation& augmentation,
+                                               RandomStream& random) const {
   const int64_t rows = static_cast<int64_t>(frames.size()), size = config_.image_size;
   const int64_t pixels = 3 * size * size;
   const int views = static_cast<int>(config_.cameras.size());
@@ -200,7 +221,8 @@ absl::StatusOr<DemoBatch> Demonstrations::Fill(absl::Span<const int64_t> frames,
   batch.aux = torch::empty({rows, config_.aux_dim});
   int64_t longest = 1;
   const auto normalise = [](const float* row, const ZScore& z, float* out) {
-    for (size_t j = 0; j < z.mean.size(); ++j) out[j] = (row[j] - z.mean[j]) / (z.std[j] + kStdEpsilon);
+    for (size_t j = 0; j < z.mean.size(); ++j)
+      out[j] = (row[j] - z.mean[j]) / (z.std[j] + kStdEpsilon);
   };
   for (int64_t row = 0; row < rows; ++row) {
     const Shard& shard = ShardOf(frames[row]);
@@ -215,15 +237,18 @@ absl::StatusOr<DemoBatch> Demonstrations::Fill(absl::Span<const int64_t> frames,
       for (int channel = 0; channel < 3; ++channel) {
         const double own = jitter > 0 ? random.Uniform(-jitter, jitter) : 0.0;
         gain[channel] = static_cast<float>((1.0 + 0.5 * common + 0.5 * own) / 127.5);
-        offset[channel] = static_cast<float>(-1.0 + (jitter > 0 ? random.Uniform(-jitter, jitter) : 0.0));
+        offset[channel] =
+            static_cast<float>(-1.0 + (jitter > 0 ? random.Uniform(-jitter, jitter) : 0.0));
       }
-      ConvertImage(shard.images + (i * views + v) * pixels, static_cast<int>(size), dx, dy, gain, offset,
-                   images[v].data_ptr<float>() + row * pixels);
+      ConvertImage(shard.images + (i * views + v) * pixels, static_cast<int>(size), dx, dy, gain,
+                   offset, images[v].data_ptr<float>() + row * pixels);
     }
     RS_ASSIGN_OR_RETURN(const std::vector<int64_t> words,
                         model.vocabulary.Encode(shard.instruction, config_.max_words));
-    std::copy(words.begin(), words.end(), batch.words.data_ptr<int64_t>() + row * config_.max_words);
-    longest = std::max<int64_t>(longest, std::find(words.begin(), words.end(), Vocabulary::kPadding) - words.begin());
+    std::copy(words.begin(), words.end(),
+              batch.words.data_ptr<int64_t>() + row * config_.max_words);
+    longest = std::max<int64_t>(
+        longest, std::find(words.begin(), words.end(), Vocabulary::kPadding) - words.begin());
     float* state = batch.state.data_ptr<float>() + row * config_.state_dim;
     normalise(shard.state + i * config_.state_dim, model.state, state);
     if (augmentation.state_noise > 0) {
@@ -232,10 +257,12 @@ absl::StatusOr<DemoBatch> Demonstrations::Fill(absl::Span<const int64_t> frames,
       }
     }
     for (int k = 0; k < config_.horizon; ++k) {
-      normalise(shard.actions + (i * config_.horizon + k) * config_.action_dim, model.actions,
-                batch.actions.data_ptr<float>() + (row * config_.horizon + k) * config_.model_action_dim);
+      normalise(
+          shard.actions + (i * config_.horizon + k) * config_.action_dim, model.actions,
+          batch.actions.data_ptr<float>() + (row * config_.horizon + k) * config_.model_action_dim);
     }
-    normalise(shard.aux + i * config_.aux_dim, model.aux, batch.aux.data_ptr<float>() + row * config_.aux_dim);
+    normalise(shard.aux + i * config_.aux_dim, model.aux,
+              batch.aux.data_ptr<float>() + row * config_.aux_dim);
   }
   for (torch::Tensor& image : images) batch.images.push_back(image.permute({0, 3, 1, 2}));
   batch.words = batch.words.narrow(1, 0, longest).contiguous();

@@ -1,10 +1,10 @@
 #pragma once
 
+#include <torch/types.h>
+
 #include <cstdint>
 #include <string>
 #include <vector>
-
-#include <torch/types.h>
 
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
@@ -30,25 +30,28 @@ struct Augmentation {
   double state_noise = 0;
 };
 
-// Demonstration shards (one safetensors file per task and batch of episodes), memory-mapped: frames are read when
-// they are drawn, so the machine's page cache is the only copy. Immutable; Fill may run on several threads.
+// Demonstration shards (one safetensors file per task and batch of episodes), memory-mapped: frames
+// are read when they are drawn, so the machine's page cache is the only copy. Immutable; Fill may
+// run on several threads.
 class Demonstrations {
  public:
-  // Every *.safetensors below the directories, in the order of their names; the error names file, tensor and value.
-  static absl::StatusOr<Demonstrations> Open(const std::vector<std::string>& directories, const NanoConfig& config,
-                                             double validation_share);
+  // Every *.safetensors below the directories, in the order of their names; the error names file,
+  // tensor and value.
+  static absl::StatusOr<Demonstrations> Open(const std::vector<std::string>& directories,
+                                             const NanoConfig& config, double validation_share);
 
   // Frame numbers for training, and held-out ones (whole episodes).
   const std::vector<int64_t>& training() const { return training_; }
   const std::vector<int64_t>& validation() const { return validation_; }
   int64_t episodes() const { return episodes_; }
 
-  // Words and z-scores of the training frames. Dimensions that hardly vary get a floor of the deviation, so that
-  // normalising does not blow up their noise.
+  // Words and z-scores of the training frames. Dimensions that hardly vary get a floor of the
+  // deviation, so that normalising does not blow up their noise.
   absl::StatusOr<Vocabulary> CollectWords(Vocabulary start) const;
   void MeasureNormalisation(NanoModel& model) const;
 
-  // Row i of the batch is frames[i]; `random` feeds the augmentation. The model gives words and normalisation.
+  // Row i of the batch is frames[i]; `random` feeds the augmentation. The model gives words and
+  // normalisation.
   absl::StatusOr<DemoBatch> Fill(absl::Span<const int64_t> frames, const NanoModel& model,
                                  const Augmentation& augmentation, RandomStream& random) const;
 
@@ -59,7 +62,7 @@ class Demonstrations {
     int64_t first = 0, frames = 0;
     const uint8_t* images = nullptr;  // [frames, views, s, s, 3]
     const float* state = nullptr;
-    const float* actions = nullptr;   // [frames, K, action_dim]
+    const float* actions = nullptr;  // [frames, K, action_dim]
     const float* aux = nullptr;
   };
   explicit Demonstrations(const NanoConfig& config) : config_(config) {}

@@ -26,7 +26,8 @@ struct OutputFiles {
   std::string config, log, checkpoint, weights, done;
 };
 
-// The model that training starts from, with words and normalisation of the data (or of `weights` where given).
+// The model that training starts from, with words and normalisation of the data (or of `weights`
+// where given).
 absl::StatusOr<NanoModel> StartModel(const TrainOptions& options, const std::string& weights,
                                      const Demonstrations& demonstrations) {
   NanoModel model;
@@ -54,9 +55,11 @@ absl::Status LogEvaluation(const Trainer& trainer, const OutputFiles& files) {
                                {"gripper_agreement", result.gripper_agreement},
                                {"target_error_mm", result.target_error_mm},
                                {"destination_error_mm", result.destination_error_mm}};
-  absl::PrintF("step %d  held out: flow %.4f  action error %.4f  gripper %.1f %%  target %.1f mm  destination %.1f mm\n",
-               trainer.step(), result.losses.flow, result.action_error, 100 * result.gripper_agreement,
-               result.target_error_mm, result.destination_error_mm);
+  absl::PrintF(
+      "step %d  held out: flow %.4f  action error %.4f  gripper %.1f %%  target %.1f mm  "
+      "destination %.1f mm\n",
+      trainer.step(), result.losses.flow, result.action_error, 100 * result.gripper_agreement,
+      result.target_error_mm, result.destination_error_mm);
   return AppendLine(files.log, line.dump());
 }
 
@@ -68,26 +71,30 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
   const OutputFiles files(options.out);
   const bool started = std::filesystem::exists(files.checkpoint);
   if (started && !resume) {
-    return absl::AlreadyExistsError(absl::StrCat(options.out, " holds a training run already; add --resume to go on, or "
-                                                 "choose another --out"));
+    return absl::AlreadyExistsError(
+        absl::StrCat(options.out,
+                     " holds a training run already; add --resume to go on, or "
+                     "choose another --out"));
   }
   RS_RETURN_IF_ERROR(MakeDirectories(options.out));
   std::error_code absent;
-  std::filesystem::remove(files.done, absent);  // not finished any more, if it goes on with more steps
+  std::filesystem::remove(files.done,
+                          absent);  // not finished any more, if it goes on with more steps
   const std::string weights = started ? files.weights : options.init;
   if (!weights.empty()) {
     RS_ASSIGN_OR_RETURN(const NanoModel model, LoadNanoModel(weights));
     options.network = model.config;
   }
-  RS_ASSIGN_OR_RETURN(const Demonstrations demonstrations,
-                      Demonstrations::Open(options.data, options.network, options.validation_share));
+  RS_ASSIGN_OR_RETURN(
+      const Demonstrations demonstrations,
+      Demonstrations::Open(options.data, options.network, options.validation_share));
   RS_ASSIGN_OR_RETURN(NanoModel model, StartModel(options, weights, demonstrations));
   Trainer trainer(options, std::move(model), demonstrations);
   if (started) RS_RETURN_IF_ERROR(trainer.LoadCheckpoint(files.checkpoint));
   RS_RETURN_IF_ERROR(WriteFileAtomically(files.config, DumpConfig(options)));
   absl::PrintF("%d training frames, %d held out, %d episodes; %d parameters; step %d of %d\n",
-               demonstrations.training().size(), demonstrations.validation().size(), demonstrations.episodes(),
-               trainer.parameter_count(), trainer.step(), options.steps);
+               demonstrations.training().size(), demonstrations.validation().size(),
+               demonstrations.episodes(), trainer.parameter_count(), trainer.step(), options.steps);
 
   const auto start = std::chrono::steady_clock::now();
   auto window_start = start;
@@ -104,12 +111,13 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
     const bool last = step == options.steps;
     if (step % options.log_every == 0 || last) {
       const auto now = std::chrono::steady_clock::now();
-      const double seconds = Seconds(now - window_start).count(), elapsed = Seconds(now - start).count();
+      const double seconds = Seconds(now - window_start).count(),
+                   elapsed = Seconds(now - start).count();
       const double rate = static_cast<double>(window_steps * options.batch) / seconds;
       const double cpu_ms = 1e3 * static_cast<double>(std::clock() - window_cpu) / CLOCKS_PER_SEC /
                             static_cast<double>(window_steps * options.batch);
-      const double remaining =
-          elapsed / static_cast<double>(step - first_step) * static_cast<double>(options.steps - step);
+      const double remaining = elapsed / static_cast<double>(step - first_step) *
+                               static_cast<double>(options.steps - step);
       const nlohmann::json line = {{"step", step},
                                    {"flow", window.flow / window_steps},
                                    {"aux", window.aux / window_steps},
@@ -119,8 +127,10 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
                                    {"cpu_ms_per_sample", cpu_ms},
                                    {"elapsed_s", elapsed}};
       RS_RETURN_IF_ERROR(AppendLine(files.log, line.dump()));
-      absl::PrintF("step %d/%d  flow %.4f  aux %.4f  %.0f samples/s (%.1f CPU ms each)  %.0f s left\n", step, options.steps,
-                   window.flow / window_steps, window.aux / window_steps, rate, cpu_ms, remaining);
+      absl::PrintF(
+          "step %d/%d  flow %.4f  aux %.4f  %.0f samples/s (%.1f CPU ms each)  %.0f s left\n", step,
+          options.steps, window.flow / window_steps, window.aux / window_steps, rate, cpu_ms,
+          remaining);
       std::fflush(stdout);
       window = {};
       window_steps = 0;

@@ -1,8 +1,8 @@
+#include <malloc.h>
+
 #include <cstdio>
 #include <string>
 #include <vector>
-
-#include <malloc.h>
 
 #include "CLI/CLI.hpp"
 #include "common/config.h"
@@ -25,7 +25,8 @@ absl::Status Train(const std::string& recipe, const std::vector<std::string>& ov
     if (!loaded.ok()) return loaded.status();
     options = *std::move(loaded);
   }
-  if (absl::Status status = robostress::ApplyOverrides(overrides, options); !status.ok()) return status;
+  if (absl::Status status = robostress::ApplyOverrides(overrides, options); !status.ok())
+    return status;
   if (!data.empty()) options.data = data;
   return robostress::RunTraining(options, resume);
 }
@@ -33,16 +34,19 @@ absl::Status Train(const std::string& recipe, const std::vector<std::string>& ov
 }  // namespace
 
 int main(int argc, char** argv) {
-  // Activations are megabytes and live for milliseconds: keep them in the heap instead of mapping fresh pages.
+  // Activations are megabytes and live for milliseconds: keep them in the heap instead of mapping
+  // fresh pages.
   mallopt(M_MMAP_THRESHOLD, 1 << 30);
   mallopt(M_TRIM_THRESHOLD, 2000 << 20);
 
-  CLI::App app{"Trains the embedded policy nano from demonstrations that robostress-record has written."};
+  CLI::App app{
+      "Trains the embedded policy nano from demonstrations that robostress-record has written."};
   app.footer(kExamples);
   std::string recipe;
   std::vector<std::string> data, overrides;
   bool resume = false;
-  app.add_option("--recipe", recipe, "YAML file with training options; the flags below override it");
+  app.add_option("--recipe", recipe,
+                 "YAML file with training options; the flags below override it");
   app.add_option("--data", data, "directory of shards, may be given more than once");
   app.add_option("--set", overrides, "field=value, may be given more than once");
   app.add_flag("--resume", resume, "go on from the checkpoint in --out");
@@ -54,7 +58,8 @@ int main(int argc, char** argv) {
       {"threads", "training threads"},
   };
   std::vector<std::string> values(fields.size());
-  for (size_t i = 0; i < fields.size(); ++i) app.add_option("--" + fields[i].first, values[i], fields[i].second);
+  for (size_t i = 0; i < fields.size(); ++i)
+    app.add_option("--" + fields[i].first, values[i], fields[i].second);
   CLI11_PARSE(app, argc, argv);
   for (size_t i = 0; i < fields.size(); ++i) {
     if (!values[i].empty()) overrides.push_back(fields[i].first + "=" + values[i]);

@@ -12,7 +12,8 @@ absl::Status ValidateTrainOptions(const TrainOptions& options) {
         absl::StrCat("training: ", name, " is ", value, ", must be ", low, " to ", high));
   };
   if (options.data.empty()) {
-    return absl::InvalidArgumentError("training: no data; give --data DIR, a folder that robostress-record has written");
+    return absl::InvalidArgumentError(
+        "training: no data; give --data DIR, a folder that robostress-record has written");
   }
   if (options.out.empty()) return absl::InvalidArgumentError("training: no output; give --out DIR");
   RS_RETURN_IF_ERROR(check("steps", static_cast<double>(options.steps), 1, 1e9));
@@ -36,10 +37,12 @@ absl::Status ValidateTrainOptions(const TrainOptions& options) {
   RS_RETURN_IF_ERROR(check("validation_frames", options.validation_frames, 1, 1e6));
   RS_RETURN_IF_ERROR(check("log_every", static_cast<double>(options.log_every), 1, 1e9));
   RS_RETURN_IF_ERROR(check("evaluate_every", static_cast<double>(options.evaluate_every), 1, 1e9));
-  RS_RETURN_IF_ERROR(check("checkpoint_every", static_cast<double>(options.checkpoint_every), 1, 1e9));
+  RS_RETURN_IF_ERROR(
+      check("checkpoint_every", static_cast<double>(options.checkpoint_every), 1, 1e9));
   if (options.batch % options.threads != 0) {
     return absl::InvalidArgumentError(absl::StrCat("training: batch is ", options.batch,
-                                                   ", must be a multiple of threads, ", options.threads));
+                                                   ", must be a multiple of threads, ",
+                                                   options.threads));
   }
   return ValidateNanoConfig(options.network);
 }

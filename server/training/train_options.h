@@ -13,31 +13,31 @@ namespace robostress {
 struct TrainOptions {
   std::vector<std::string> data;  // directories of shards
   std::string out;
-  std::string init;               // weights to go on from; empty: random
-  int64_t steps = 20000;          // optimizer steps of the whole run
-  int batch = 128;                // frames per step
-  int draws = 2;                  // flow times and noises per frame; the prefix is shared
+  std::string init;       // weights to go on from; empty: random
+  int64_t steps = 20000;  // optimizer steps of the whole run
+  int batch = 128;        // frames per step
+  int draws = 2;          // flow times and noises per frame; the prefix is shared
   double lr = 1e-3;
-  double final_lr = 1e-5;         // end of the cosine
-  int64_t warmup = 300;           // steps
-  double weight_decay = 0.01;     // AdamW, on matrices only
+  double final_lr = 1e-5;      // end of the cosine
+  int64_t warmup = 300;        // steps
+  double weight_decay = 0.01;  // AdamW, on matrices only
   double beta2 = 0.99;
-  double clip = 1.0;              // global norm of the gradient
-  double ema = 0.999;             // decay of the averaged weights, which are what is published
+  double clip = 1.0;   // global norm of the gradient
+  double ema = 0.999;  // decay of the averaged weights, which are what is published
   uint64_t seed = 1;
-  int threads = 2;                // each computes batch / threads frames
-  double aux_weight = 0.5;        // of the auxiliary loss on prefix outputs
-  int near_steps = 15;            // steps of a chunk with full weight in the loss
-  double far_weight = 0.3;        // weight of the other steps
-  int shift_px = 0;               // largest random shift of an image
-  double colour_jitter = 0.05;    // largest relative change of a channel's gain, and of its offset
-  double state_noise = 0.02;      // Gaussian noise on the normalised proprioception
+  int threads = 2;                 // each computes batch / threads frames
+  double aux_weight = 0.5;         // of the auxiliary loss on prefix outputs
+  int near_steps = 15;             // steps of a chunk with full weight in the loss
+  double far_weight = 0.3;         // weight of the other steps
+  int shift_px = 0;                // largest random shift of an image
+  double colour_jitter = 0.05;     // largest relative change of a channel's gain, and of its offset
+  double state_noise = 0.02;       // Gaussian noise on the normalised proprioception
   double validation_share = 0.03;  // of the episodes, held out
-  int validation_frames = 256;    // of them, spread evenly
-  int64_t log_every = 50;         // steps
+  int validation_frames = 256;     // of them, spread evenly
+  int64_t log_every = 50;          // steps
   int64_t evaluate_every = 1000;
   int64_t checkpoint_every = 500;
-  NanoConfig network;             // unused with init
+  NanoConfig network;  // unused with init
 
   template <class V>
   void Visit(V& v) {

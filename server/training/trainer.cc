@@ -1,9 +1,9 @@
 #include "server/training/trainer.h"
 
+#include <torch/torch.h>
+
 #include <cmath>
 #include <thread>
-
-#include <torch/torch.h>
 
 #include "absl/strings/str_cat.h"
 #include "common/safetensors.h"
@@ -30,7 +30,8 @@ FlowDraw DrawFlow(int64_t rows, int64_t draws, const NanoConfig& config, uint64_
   draw.noise = torch::randn({rows * draws, config.horizon, config.model_action_dim}, generator);
   const Tensor uniform =
       (torch::rand({rows, draws}, generator) + torch::arange(draws)) / static_cast<double>(draws);
-  draw.t = (uniform.pow(1.0 / 1.5) * 0.999 + 0.001).flatten();  // the quantile of Beta(1.5, 1) is u^(1/1.5)
+  draw.t = (uniform.pow(1.0 / 1.5) * 0.999 + 0.001)
+               .flatten();  // the quantile of Beta(1.5, 1) is u^(1/1.5)
   return draw;
 }
 
@@ -83,7 +84,8 @@ Trainer::Trainer(TrainOptions options, NanoModel model, const Demonstrations& de
       replica.leaves[j].set_requires_grad(true);
       replica.leaves[j].mutable_grad() = gradients[j];  // backward adds into the flat buffer
     }
-    replica.network = std::make_unique<NanoNetwork>(model_.config, AssembleNano(model_.config, replica.leaves));
+    replica.network =
+        std::make_unique<NanoNetwork>(model_.config, AssembleNano(model_.config, replica.leaves));
     replicas_.push_back(std::move(replica));
   }
 }
@@ -105,7 +107,8 @@ double Trainer::learning_rate() const {
   }
   const double span = static_cast<double>(std::max<int64_t>(1, options_.steps - options_.warmup));
   const double progress = std::min(1.0, static_cast<double>(step_ - options_.warmup) / span);
-  return options_.final_lr + 0.5 * (options_.lr - options_.final_lr) * (1.0 + std::cos(M_PI * progress));
+  return options_.final_lr +
+         0.5 * (options_.lr - options_.final_lr) * (1.0 + std::cos(M_PI * progress));
 }
 
 absl::StatusOr<TrainLosses> Trainer::Backward(int thread) {
@@ -113,15 +116,18 @@ absl::StatusOr<TrainLosses> Trainer::Backward(int thread) {
   try {
     Replica& replica = replicas_[thread];
     replica.gradient.zero_();
-    const StreamKey key = StreamKey("train").With(static_cast<int64_t>(options_.seed)).With(step_).With(thread);
+    const StreamKey key =
+        StreamKey("train").With(static_cast<int64_t>(options_.seed)).With(step_).With(thread);
     RandomStream random(key);
     const std::vector<int64_t>& all = demonstrations_.training();
     std::vector<int64_t> frames(options_.batch / options_.threads);
     for (int64_t& frame : frames) frame = all[random.UniformInt(static_cast<int>(all.size()))];
-    const Augmentation augmentation{options_.shift_px, options_.colour_jitter, options_.state_noise};
-    RS_ASSIGN_OR_RETURN(const DemoBatch batch, demonstrations_.Fill(frames, model_, augmentation, random));
-    const FlowDraw draw = DrawFlow(static_cast<int64_t>(frames.size()), options_.draws, model_.config,
-                                   key.With("flow").lo());
+    const Augmentation augmentation{options_.shift_px, options_.colour_jitter,
+                                    options_.state_noise};
+    RS_ASSIGN_OR_RETURN(const DemoBatch batch,
+                        demonstrations_.Fill(frames, model_, augmentation, random));
+    const FlowDraw draw = DrawFlow(static_cast<int64_t>(frames.size()), options_.draws,
+                                   model_.config, key.With("flow").lo());
     const Losses losses = ComputeLosses(*replica.network, batch, draw, step_weights_);
     (losses.flow + losses.aux * options_.aux_weight).backward();
     return TrainLosses{losses.flow.item<double>(), losses.aux.item<double>()};
@@ -148,9 +154,9 @@ absl::StatusOr<TrainLosses> Trainer::Step() {
     mean.aux += result->aux / static_cast<double>(results.size());
   }
   if (!std::isfinite(mean.flow + mean.aux)) {
-    return absl::FailedPreconditionError(absl::StrCat("training diverged at step ", step_, ": loss ", mean.flow,
-                                                      ", auxiliary loss ", mean.aux, "; lower lr (now ",
-                                                      learning_rate(), ") and go on with --resume"));
+    return absl::FailedPreconditionError(
+        absl::StrCat("training diverged at step ", step_, ": loss ", mean.flow, ", auxiliary loss ",
+                     mean.aux, "; lower lr (now ", learning_rate(), ") and go on with --resume"));
   }
   Update();
   return mean;
@@ -166,9 +172,11 @@ void Trainer::Update() {
   const double lr = learning_rate(), count = static_cast<double>(step_ + 1);
   moment1_.mul_(kBeta1).add_(gradient, 1.0 - kBeta1);
   moment2_.mul_(options_.beta2).addcmul_(gradient, gradient, 1.0 - options_.beta2);
-  const double correction1 = 1.0 - std::pow(kBeta1, count), correction2 = 1.0 - std::pow(options_.beta2, count);
+  const double correction1 = 1.0 - std::pow(kBeta1, count),
+               correction2 = 1.0 - std::pow(options_.beta2, count);
   parameters_.sub_(parameters_ * decay_, lr * options_.weight_decay);
-  parameters_.addcdiv_(moment1_, (moment2_ / correction2).sqrt_().add_(kAdamEpsilon), -lr / correction1);
+  parameters_.addcdiv_(moment1_, (moment2_ / correction2).sqrt_().add_(kAdamEpsilon),
+                       -lr / correction1);
   const double decay = std::min(options_.ema, (1.0 + count) / (10.0 + count));
   average_.lerp_(parameters_, 1.0 - decay);
   ++step_;
@@ -183,7 +191,8 @@ NanoModel Trainer::Published() const {
 absl::StatusOr<Evaluation> Trainer::Evaluate() const {
   const std::vector<int64_t>& held_out = demonstrations_.validation();
   if (held_out.empty()) {
-    return absl::FailedPreconditionError("no held-out episodes; record more or raise validation_share");
+    return absl::FailedPreconditionError(
+        "no held-out episodes; record more or raise validation_share");
   }
   UseOneTorchThread();
   try {
@@ -191,7 +200,8 @@ absl::StatusOr<Evaluation> Trainer::Evaluate() const {
     const NanoModel model = Published();
     const NanoConfig& config = model.config;
     const NanoNetwork network(config, AssembleNano(config, model.tensors));
-    const int64_t count = std::min<int64_t>(options_.validation_frames, static_cast<int64_t>(held_out.size()));
+    const int64_t count =
+        std::min<int64_t>(options_.validation_frames, static_cast<int64_t>(held_out.size()));
     constexpr int64_t kRows = 64;
     Evaluation sum;
     int64_t rows_done = 0;
@@ -203,8 +213,8 @@ absl::StatusOr<Evaluation> Trainer::Evaluate() const {
       const int64_t rows = static_cast<int64_t>(frames.size());
       RandomStream random(StreamKey("evaluate").With(first));
       RS_ASSIGN_OR_RETURN(const DemoBatch batch, demonstrations_.Fill(frames, model, {}, random));
-      const Losses losses = ComputeLosses(network, batch, DrawFlow(rows, options_.draws, config, 17 + first),
-                                          step_weights_);
+      const Losses losses = ComputeLosses(
+          network, batch, DrawFlow(rows, options_.draws, config, 17 + first), step_weights_);
       sum.losses.flow += losses.flow.item<double>() * rows;
       sum.losses.aux += losses.aux.item<double>() * rows;
 
@@ -214,23 +224,30 @@ absl::StatusOr<Evaluation> Trainer::Evaluate() const {
       for (const float t : EulerTimes(10)) {
         x.add_(network.Velocity(prefix.context, x, torch::full({rows}, t), nullptr), -0.1);
       }
-      const Tensor scale = torch::tensor(model.actions.std), mean = torch::tensor(model.actions.mean);
+      const Tensor scale = torch::tensor(model.actions.std),
+                   mean = torch::tensor(model.actions.mean);
       const int64_t motion = config.action_dim - 1;
       const auto commands = [&](const Tensor& chunk) {
-        return chunk.narrow(1, 0, config.execute_steps).narrow(2, 0, config.action_dim) * scale + mean;
+        return chunk.narrow(1, 0, config.execute_steps).narrow(2, 0, config.action_dim) * scale +
+               mean;
       };
       const Tensor sampled = commands(x), expert = commands(batch.actions);
-      sum.action_error += (sampled - expert).narrow(2, 0, motion).abs().mean().item<double>() * rows;
-      sum.gripper_agreement +=
-          (sampled.select(2, motion).gt(0) == expert.select(2, motion).gt(0)).to(torch::kFloat32).mean().item<double>() *
-          rows;
+      sum.action_error +=
+          (sampled - expert).narrow(2, 0, motion).abs().mean().item<double>() * rows;
+      sum.gripper_agreement += (sampled.select(2, motion).gt(0) == expert.select(2, motion).gt(0))
+                                   .to(torch::kFloat32)
+                                   .mean()
+                                   .item<double>() *
+                               rows;
       const Tensor metres = (prefix.aux - batch.aux) * torch::tensor(model.aux.std);
       sum.target_error_mm += metres.narrow(1, 0, 3).norm(2, 1).mean().item<double>() * 1e3 * rows;
-      sum.destination_error_mm += metres.narrow(1, 3, 3).norm(2, 1).mean().item<double>() * 1e3 * rows;
+      sum.destination_error_mm +=
+          metres.narrow(1, 3, 3).norm(2, 1).mean().item<double>() * 1e3 * rows;
       rows_done += rows;
     }
-    for (double* value : {&sum.losses.flow, &sum.losses.aux, &sum.action_error, &sum.gripper_agreement,
-                          &sum.target_error_mm, &sum.destination_error_mm}) {
+    for (double* value :
+         {&sum.losses.flow, &sum.losses.aux, &sum.action_error, &sum.gripper_agreement,
+          &sum.target_error_mm, &sum.destination_error_mm}) {
       *value /= static_cast<double>(rows_done);
     }
     return sum;
@@ -243,7 +260,8 @@ absl::Status Trainer::SaveCheckpoint(const std::string& path) const {
   SafetensorsWriter writer;
   writer.SetMetadata("format", "robostress-nano-checkpoint");
   const auto add = [&](const char* name, const Tensor& flat) {
-    writer.AddFloats(name, {flat.size(0)}, absl::MakeConstSpan(flat.data_ptr<float>(), flat.size(0)));
+    writer.AddFloats(name, {flat.size(0)},
+                     absl::MakeConstSpan(flat.data_ptr<float>(), flat.size(0)));
   };
   add("parameters", parameters_);
   add("average", average_);

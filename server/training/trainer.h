@@ -1,11 +1,11 @@
 #pragma once
 
+#include <torch/types.h>
+
 #include <functional>
 #include <memory>
 #include <string>
 #include <vector>
-
-#include <torch/types.h>
 
 #include "absl/status/statusor.h"
 #include "server/policies/nano_network.h"
@@ -23,16 +23,18 @@ struct TrainLosses {
 // What the held-out episodes say.
 struct Evaluation {
   TrainLosses losses;
-  double action_error = 0;       // mean |error| of the first execute_steps sampled motion commands [command units]
+  double action_error =
+      0;  // mean |error| of the first execute_steps sampled motion commands [command units]
   double gripper_agreement = 0;  // share of those steps whose gripper sign is right
   double target_error_mm = 0;    // auxiliary position of the target object
   double destination_error_mm = 0;
 };
 
 // Behaviour cloning by flow matching: minimises over the parameters
-//   E_{t, eps} || v(s, t eps + (1 - t) a, t) - (eps - a) ||^2_w + aux_weight * || aux(s) - aux ||^2,
-// t = 0.999 Beta(1.5, 1) + 0.001 as in pi0, with AdamW and an exponential average of the weights. Data-parallel on
-// threads of one process: each has its own gradients over the shared parameters.
+//   E_{t, eps} || v(s, t eps + (1 - t) a, t) - (eps - a) ||^2_w + aux_weight * || aux(s) - aux
+//   ||^2,
+// t = 0.999 Beta(1.5, 1) + 0.001 as in pi0, with AdamW and an exponential average of the weights.
+// Data-parallel on threads of one process: each has its own gradients over the shared parameters.
 class Trainer {
  public:
   Trainer(TrainOptions options, NanoModel model, const Demonstrations& demonstrations);
@@ -76,8 +78,9 @@ class Trainer {
   double gradient_norm_ = 0;
 };
 
-// Trains as the options say: reads the data, writes OUT/config.yaml, train.jsonl (losses and samples/s),
-// checkpoint.safetensors, nano.safetensors (averaged weights), DONE last. `resume` goes on from OUT's checkpoint.
+// Trains as the options say: reads the data, writes OUT/config.yaml, train.jsonl (losses and
+// samples/s), checkpoint.safetensors, nano.safetensors (averaged weights), DONE last. `resume` goes
+// on from OUT's checkpoint.
 absl::Status RunTraining(const TrainOptions& options, bool resume);
 
 }  // namespace robostress

@@ -13,7 +13,8 @@ Observation SomeObservation(const PolicySpec& spec) {
   for (const std::string& camera : spec.cameras) {
     Image image{spec.image_width, spec.image_height, {}};
     image.data.resize(size_t{3} * image.width * image.height);
-    for (size_t i = 0; i < image.data.size(); ++i) image.data[i] = static_cast<uint8_t>(i * 37 % 251);
+    for (size_t i = 0; i < image.data.size(); ++i)
+      image.data[i] = static_cast<uint8_t>(i * 37 % 251);
     observation.views.push_back({camera, image});
   }
   observation.proprioception = Eigen::VectorXf::Constant(spec.state_dim, 0.1f);
@@ -43,7 +44,8 @@ void BM_Sample(benchmark::State& state) {
   const PolicyContext context = policy->Encode(SomeObservation(policy->spec())).value();
   const torch::Tensor noise = torch::randn({1, policy->horizon(), policy->model_action_dim()});
   const LoraWeights lora = SomeLora(*policy);
-  for (auto _ : state) benchmark::DoNotOptimize(policy->Sample(context, noise, state.range(0) ? &lora : nullptr));
+  for (auto _ : state)
+    benchmark::DoNotOptimize(policy->Sample(context, noise, state.range(0) ? &lora : nullptr));
 }
 BENCHMARK(BM_Sample)->ArgName("lora")->Arg(0)->Arg(1)->Unit(benchmark::kMillisecond);
 

@@ -1,14 +1,14 @@
 #include "server/policies/nano_policy.h"
 
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <torch/torch.h>
+
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <numbers>
 #include <thread>
-
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-#include <torch/torch.h>
 
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
@@ -22,7 +22,9 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using torch::Tensor;
 
-std::unique_ptr<FlowPolicy> TinyPolicy(uint64_t seed = 3) { return MakeNanoPolicy(TinyModel(seed), "tiny").value(); }
+std::unique_ptr<FlowPolicy> TinyPolicy(uint64_t seed = 3) {
+  return MakeNanoPolicy(TinyModel(seed), "tiny").value();
+}
 
 LoraWeights SomeLora(const VelocityField& field, double b_scale) {
   torch::manual_seed(8);
@@ -38,7 +40,8 @@ std::string TempFile(const std::string& name) {
   return (std::filesystem::path(testing::TempDir()) / ("nano_policy_test_" + name)).string();
 }
 
-// ---- an independent implementation: one pass over prefix and suffix together, no cache, plain operators ----
+// ---- an independent implementation: one pass over prefix and suffix together, no cache, plain
+// operators ----
 
 Tensor PlainNorm(const Tensor& x, const Tensor& weight) {
   return x / torch::sqrt(x.square().mean(-1, true) + 1e-6) * (1.0 + weight);
@@ -51,7 +54,8 @@ Tensor PlainRope(const Tensor& x, const Tensor& position) {
   for (int64_t t = 0; t < x.size(0); ++t) {
     for (int64_t j = 0; j < half; ++j) {
       const double angle =
-          position[t].item<double>() * std::pow(10000.0, -2.0 * static_cast<double>(j) / static_cast<double>(2 * half));
+          position[t].item<double>() *
+          std::pow(10000.0, -2.0 * static_cast<double>(j) / static_cast<double>(2 * half));
       const Tensor x1 = x[t].select(-1, j), x2 = x[t].select(-1, j + half);
       out[t].select(-1, j).copy_(x1 * std::cos(angle) - x2 * std::sin(angle));
       out[t].select(-1, j + half).copy_(x2 * std::cos(angle) + x1 * std::sin(angle));
@@ -68,30 +72,35 @@ struct JointInput {
   double u = 0;
 };
 
-// The velocity by the rule of pi0: query i may see key j iff cumsum(block)[j] <= cumsum(block)[i] and both are valid;
-// blocks start at the state and at the first action.
+// The velocity by the rule of pi0: query i may see key j iff cumsum(block)[j] <= cumsum(block)[i]
+// and both are valid; blocks start at the state and at the first action.
 Tensor JointVelocity(const NanoConfig& c, const NanoParameters& p, const JointInput& input) {
   std::vector<Tensor> prefix = {p.readout};
   for (size_t v = 0; v < p.cameras.size(); ++v) {
     Tensor y = input.images[v];
     for (size_t i = 0; i < p.cameras[v].conv_weight.size(); ++i) {
       const int64_t pad = (p.cameras[v].conv_weight[i].size(-1) - 1) / 2;
-      y = torch::relu(torch::conv2d(y, p.cameras[v].conv_weight[i], p.cameras[v].conv_bias[i], 2, pad));
+      y = torch::relu(
+          torch::conv2d(y, p.cameras[v].conv_weight[i], p.cameras[v].conv_bias[i], 2, pad));
     }
     y = y[0].flatten(1).t();  // [grid^2, channels]
-    prefix.push_back(torch::matmul(y, p.cameras[v].token_weight.t()) + p.cameras[v].token_bias + p.cameras[v].position);
+    prefix.push_back(torch::matmul(y, p.cameras[v].token_weight.t()) + p.cameras[v].token_bias +
+                     p.cameras[v].position);
   }
-  prefix.push_back(p.words.index_select(0, input.words) * std::sqrt(static_cast<double>(c.prefix_width)));
+  prefix.push_back(p.words.index_select(0, input.words) *
+                   std::sqrt(static_cast<double>(c.prefix_width)));
   Tensor a = torch::cat(prefix);  // [P, w]
 
   const int64_t tokens = c.action_tokens(), e = c.expert_width;
   Tensor time = torch::zeros({e});
   for (int64_t k = 0; k < e / 2; ++k) {
-    const double period = 4e-3 * std::pow(4.0 / 4e-3, static_cast<double>(k) / static_cast<double>(e / 2 - 1));
+    const double period =
+        4e-3 * std::pow(4.0 / 4e-3, static_cast<double>(k) / static_cast<double>(e / 2 - 1));
     time[k] = std::sin(2.0 * std::numbers::pi * input.u / period);
     time[k + e / 2] = std::cos(2.0 * std::numbers::pi * input.u / period);
   }
-  const Tensor action = torch::matmul(input.x.reshape({tokens, -1}), p.action_in_weight.t()) + p.action_in_bias;
+  const Tensor action =
+      torch::matmul(input.x.reshape({tokens, -1}), p.action_in_weight.t()) + p.action_in_bias;
   const Tensor both = torch::cat({action, time.unsqueeze(0).expand({tokens, e})}, 1);
   const Tensor mixed = torch::silu(torch::matmul(both, p.time_in_weight.t()) + p.time_in_bias);
   const Tensor timed = torch::matmul(mixed, p.time_out_weight.t()) + p.time_out_bias;
@@ -113,26 +122,31 @@ Tensor JointVelocity(const NanoConfig& c, const NanoParameters& p, const JointIn
     const Tensor ya = torch::matmul(PlainNorm(a, la.input_norm), la.qkv_proj.t());
     const Tensor yb = torch::matmul(PlainNorm(b, lb.input_norm), lb.qkv_proj.t());
     const Tensor qa = last ? torch::zeros({a.size(0), hq}) : ya.narrow(1, 0, hq);
-    const Tensor q = PlainRope(torch::cat({qa, yb.narrow(1, 0, hq)}).view({length, c.heads, h}), position);
+    const Tensor q =
+        PlainRope(torch::cat({qa, yb.narrow(1, 0, hq)}).view({length, c.heads, h}), position);
     const Tensor ka = ya.narrow(1, last ? 0 : hq, h), va = ya.narrow(1, last ? h : hq + h, h);
-    const Tensor k = PlainRope(torch::cat({ka, yb.narrow(1, hq, h)}).view({length, 1, h}), position);
+    const Tensor k =
+        PlainRope(torch::cat({ka, yb.narrow(1, hq, h)}).view({length, 1, h}), position);
     const Tensor v = torch::cat({va, yb.narrow(1, hq + h, h)});
     std::vector<Tensor> heads;
     for (int head = 0; head < c.heads; ++head) {
-      const Tensor scores = torch::matmul(q.select(1, head), k.select(1, 0).t()) / std::sqrt(static_cast<double>(h));
+      const Tensor scores =
+          torch::matmul(q.select(1, head), k.select(1, 0).t()) / std::sqrt(static_cast<double>(h));
       heads.push_back(torch::matmul(torch::softmax(scores.masked_fill(~sees, -1e30), -1), v));
     }
     const Tensor attended = torch::cat(heads, 1);
     const auto finish = [&](const Tensor& x, const Tensor& rows, const NanoLayer& l, int64_t mlp) {
       const Tensor mid = x + torch::matmul(rows, l.o_proj.t());
-      const auto parts = torch::matmul(PlainNorm(mid, l.post_norm), l.gate_up_proj.t()).split(mlp, -1);
+      const auto parts =
+          torch::matmul(PlainNorm(mid, l.post_norm), l.gate_up_proj.t()).split(mlp, -1);
       return mid + torch::matmul(at::gelu(parts[0], "tanh") * parts[1], l.down_proj.t());
     };
     if (!last) a = finish(a, attended.narrow(0, 0, a.size(0)), la, c.prefix_mlp);
     b = finish(b, attended.narrow(0, a.size(0), b.size(0)), lb, c.expert_mlp);
   }
   const Tensor out = PlainNorm(b.narrow(0, 1, tokens), p.expert_norm);
-  return (torch::matmul(out, p.action_out_weight.t()) + p.action_out_bias).reshape({c.horizon, c.model_action_dim});
+  return (torch::matmul(out, p.action_out_weight.t()) + p.action_out_bias)
+      .reshape({c.horizon, c.model_action_dim});
 }
 
 class NanoGraph : public testing::TestWithParam<int> {};
@@ -143,14 +157,20 @@ TEST_P(NanoGraph, CachedPrefixGivesTheJointPassOfPi0) {
   const NanoNetwork network(model.config, parameters);
   torch::manual_seed(2);
   const Tensor words = torch::tensor({2, 3, 4, 5, 0, 0, 0, 0, 0}, torch::kInt64);
-  JointInput input{{torch::randn({1, 3, 16, 16}), torch::randn({1, 3, 16, 16})}, words, torch::randn({8}),
-                   torch::randn({model.config.horizon, 8}), 0.37};
+  JointInput input{{torch::randn({1, 3, 16, 16}), torch::randn({1, 3, 16, 16})},
+                   words,
+                   torch::randn({8}),
+                   torch::randn({model.config.horizon, 8}),
+                   0.37};
   NanoNetwork::Prefix prefix = network.EncodePrefix(input.images, words.unsqueeze(0), false);
   prefix.context.state = input.state.unsqueeze(0);
-  const Tensor v = network.Velocity(prefix.context, input.x.unsqueeze(0), torch::tensor({0.37f}), nullptr);
+  const Tensor v =
+      network.Velocity(prefix.context, input.x.unsqueeze(0), torch::tensor({0.37f}), nullptr);
   const Tensor expected = JointVelocity(model.config, parameters, input);
-  // Single precision through three layers; the double precision of the test's trigonometry is the larger part.
-  EXPECT_LT((v[0] - expected).abs().max().item<double>(), 2e-5 * (1.0 + expected.abs().max().item<double>()));
+  // Single precision through three layers; the double precision of the test's trigonometry is the
+  // larger part.
+  EXPECT_LT((v[0] - expected).abs().max().item<double>(),
+            2e-5 * (1.0 + expected.abs().max().item<double>()));
 }
 
 INSTANTIATE_TEST_SUITE_P(StepsPerToken, NanoGraph, testing::Values(1, 5));
@@ -160,7 +180,8 @@ TEST(NanoGraph, PaddingWordsHaveNoInfluence) {
   const NanoConfig& config = model.config;
   const auto table = NanoTensorTable(config);
   const std::vector<Tensor> images = {torch::randn({1, 3, 16, 16}), torch::randn({1, 3, 16, 16})};
-  const Tensor words = torch::tensor({{2, 3, 4, 0, 0, 0, 0, 0, 0}}, torch::kInt64), x = torch::randn({1, 10, 8});
+  const Tensor words = torch::tensor({{2, 3, 4, 0, 0, 0, 0, 0, 0}}, torch::kInt64),
+               x = torch::randn({1, 10, 8});
   const auto velocity = [&](const Tensor& rows) {
     const NanoNetwork network(config, AssembleNano(config, model.tensors));
     NanoNetwork::Prefix prefix = network.EncodePrefix(images, rows, false);
@@ -207,7 +228,8 @@ TEST(NanoTime, EmbeddingFollowsPi0) {
   const double times[] = {0.0, static_cast<double>(0.3f), 1.0};
   for (int row = 0; row < 3; ++row) {
     for (int k = 0; k < 4; ++k) {
-      const double period = 4e-3 * std::pow(1000.0, k / 3.0), angle = 2.0 * std::numbers::pi * times[row] / period;
+      const double period = 4e-3 * std::pow(1000.0, k / 3.0),
+                   angle = 2.0 * std::numbers::pi * times[row] / period;
       EXPECT_NEAR(embedding[row][k].item<float>(), std::sin(angle), 1e-6);
       EXPECT_NEAR(embedding[row][4 + k].item<float>(), std::cos(angle), 1e-6);
     }
@@ -240,7 +262,8 @@ TEST(NanoLora, HasNoEffectAtAllWhileBIsZero) {
   const PolicyContext context = policy->Encode(TinyObservation(policy->spec())).value();
   const Tensor noise = torch::randn({1, 10, 8});
   const LoraWeights lora = SomeLora(*policy, 0.0);
-  EXPECT_TRUE(torch::equal(policy->Sample(context, noise, &lora), policy->Sample(context, noise, nullptr)));
+  EXPECT_TRUE(
+      torch::equal(policy->Sample(context, noise, &lora), policy->Sample(context, noise, nullptr)));
 }
 
 TEST(NanoLora, EveryTargetActsAsItsMergedWeight) {
@@ -253,7 +276,8 @@ TEST(NanoLora, EveryTargetActsAsItsMergedWeight) {
   for (size_t i = 0; i < table.size(); ++i) {
     for (int layer = 0; layer < 3; ++layer) {
       for (const auto& [name, targets] : parts) {
-        if (table[i].name != "expert.layers." + std::to_string(layer) + "." + name + ".weight") continue;
+        if (table[i].name != "expert.layers." + std::to_string(layer) + "." + name + ".weight")
+          continue;
         std::vector<Tensor> deltas;
         for (const size_t target : targets) {
           deltas.push_back(torch::matmul(lora.B[layer * 7 + target], lora.A[layer * 7 + target]));
@@ -311,7 +335,8 @@ TEST(NanoPolicy, SamplingIsDeterministicAndFollowsTheVelocity) {
     EXPECT_TRUE(torch::equal(chunk, policy->Sample(context, noise, weights)));
     Tensor x = noise.clone();
     float t = 1.0f;
-    for (int i = 0; i < 10; ++i, t -= 0.1f) x = x - 0.1f * policy->Velocity(context, x, torch::tensor({t}), weights);
+    for (int i = 0; i < 10; ++i, t -= 0.1f)
+      x = x - 0.1f * policy->Velocity(context, x, torch::tensor({t}), weights);
     // The sampler's own arithmetic against LibTorch's operators: ten steps of single precision.
     EXPECT_TRUE(torch::allclose(chunk, x, 2e-5, 2e-5)) << (chunk - x).abs().max();
   }
@@ -320,13 +345,17 @@ TEST(NanoPolicy, SamplingIsDeterministicAndFollowsTheVelocity) {
 TEST(NanoPolicy, RowsOfABatchHaveTheBitsOfSinglePredictions) {
   const auto policy = TinyPolicy();
   std::vector<PolicyContext> contexts;
-  for (int i = 0; i < 3; ++i) contexts.push_back(policy->Encode(TinyObservation(policy->spec(), i)).value());
+  for (int i = 0; i < 3; ++i)
+    contexts.push_back(policy->Encode(TinyObservation(policy->spec(), i)).value());
   PolicyContext batch;
   for (size_t layer = 0; layer < contexts[0].keys.size(); ++layer) {
-    batch.keys.push_back(torch::cat({contexts[0].keys[layer], contexts[1].keys[layer], contexts[2].keys[layer]}));
-    batch.values.push_back(torch::cat({contexts[0].values[layer], contexts[1].values[layer], contexts[2].values[layer]}));
+    batch.keys.push_back(
+        torch::cat({contexts[0].keys[layer], contexts[1].keys[layer], contexts[2].keys[layer]}));
+    batch.values.push_back(torch::cat(
+        {contexts[0].values[layer], contexts[1].values[layer], contexts[2].values[layer]}));
   }
-  batch.prefix_mask = torch::cat({contexts[0].prefix_mask, contexts[1].prefix_mask, contexts[2].prefix_mask});
+  batch.prefix_mask =
+      torch::cat({contexts[0].prefix_mask, contexts[1].prefix_mask, contexts[2].prefix_mask});
   batch.state = torch::cat({contexts[0].state, contexts[1].state, contexts[2].state});
   const Tensor noise = torch::randn({3, 10, 8});
   const Tensor together = policy->Sample(batch, noise, nullptr);
@@ -346,7 +375,8 @@ TEST(NanoPolicy, ThreadsPredictTheSameBitsAtOnce) {
   for (int i = 0; i < 4; ++i) {
     threads.emplace_back([&, i] {
       for (int k = 0; k < 5; ++k) {
-        same[i] += torch::equal(policy->Sample(policy->Encode(observation).value(), noise, nullptr), expected);
+        same[i] += torch::equal(policy->Sample(policy->Encode(observation).value(), noise, nullptr),
+                                expected);
       }
     });
   }
@@ -371,15 +401,21 @@ TEST(NanoPolicy, RefusesObservationsThatItWasNotTrainedOn) {
     change(observation);
     return std::string(policy->Encode(observation).status().message());
   };
-  EXPECT_THAT(message([](Observation& o) { o.views[0].image = {8, 8, std::vector<uint8_t>(192)}; }),
+  EXPECT_THAT(message([](Observation& o) {
+                o.views[0].image = {8, 8, std::vector<uint8_t>(192)};
+              }),
               AllOf(HasSubstr("8 x 8"), HasSubstr("16 x 16"), HasSubstr("agentview")));
-  EXPECT_THAT(message([](Observation& o) { o.views[1].image.data.pop_back(); }), HasSubstr("767 bytes"));
+  EXPECT_THAT(message([](Observation& o) { o.views[1].image.data.pop_back(); }),
+              HasSubstr("767 bytes"));
   EXPECT_THAT(message([](Observation& o) { o.views[1].camera = "side"; }),
               AllOf(HasSubstr("robot0_eye_in_hand"), HasSubstr("side")));
-  EXPECT_THAT(message([](Observation& o) { o.proprioception.conservativeResize(7); }), HasSubstr("7 numbers"));
-  EXPECT_THAT(message([](Observation& o) { o.proprioception[2] = std::nanf(""); }), HasSubstr("proprioception[2]"));
+  EXPECT_THAT(message([](Observation& o) { o.proprioception.conservativeResize(7); }),
+              HasSubstr("7 numbers"));
+  EXPECT_THAT(message([](Observation& o) { o.proprioception[2] = std::nanf(""); }),
+              HasSubstr("proprioception[2]"));
   EXPECT_THAT(message([](Observation& o) { o.instruction = " ?! "; }), HasSubstr("no words"));
-  EXPECT_THAT(message([](Observation& o) { o.instruction = "a b c d e f g h i j"; }), HasSubstr("10 words"));
+  EXPECT_THAT(message([](Observation& o) { o.instruction = "a b c d e f g h i j"; }),
+              HasSubstr("10 words"));
   EXPECT_EQ(message([](Observation&) {}), "");
 }
 
@@ -391,7 +427,8 @@ TEST(NanoWeights, SurviveARoundTrip) {
   EXPECT_EQ(read.vocabulary.words(), model.vocabulary.words());
   EXPECT_EQ(read.actions.std, model.actions.std);
   EXPECT_EQ(read.state.mean, model.state.mean);
-  for (size_t i = 0; i < model.tensors.size(); ++i) EXPECT_TRUE(torch::equal(read.tensors[i], model.tensors[i]));
+  for (size_t i = 0; i < model.tensors.size(); ++i)
+    EXPECT_TRUE(torch::equal(read.tensors[i], model.tensors[i]));
   const auto policy = LoadFlowPolicy(path).value();
   EXPECT_EQ(policy->spec().model_hash, Sha256OfFile(path).value());
   EXPECT_EQ(policy->spec().image_width, 16);
@@ -413,13 +450,16 @@ TEST(NanoWeights, ReportAllProblemsOfAFileAtOnce) {
   }
   writer.AddFloats("extra", {1}, std::vector<float>{1.0f});
   ASSERT_TRUE(writer.Write(path).ok());
-  EXPECT_THAT(std::string(LoadNanoModel(path).status().message()),
-              AllOf(HasSubstr("3 problems"), HasSubstr("prefix.readout is missing"), HasSubstr("extra is unknown"),
-                    HasSubstr("state_proj.weight has shape [8,16], must be [16,8]"), HasSubstr(path)));
+  EXPECT_THAT(
+      std::string(LoadNanoModel(path).status().message()),
+      AllOf(HasSubstr("3 problems"), HasSubstr("prefix.readout is missing"),
+            HasSubstr("extra is unknown"),
+            HasSubstr("state_proj.weight has shape [8,16], must be [16,8]"), HasSubstr(path)));
 
   model.tensors[0][0][0][0][0] = std::nanf("");
   ASSERT_TRUE(SaveNanoModel(model, path).ok());
-  EXPECT_THAT(std::string(LoadNanoModel(path).status().message()), HasSubstr("cameras.0.conv.0.weight holds nan"));
+  EXPECT_THAT(std::string(LoadNanoModel(path).status().message()),
+              HasSubstr("cameras.0.conv.0.weight holds nan"));
   std::filesystem::remove(path);
 }
 
@@ -437,7 +477,20 @@ TEST(NanoWeights, RefuseTruncatedForeignAndAbsentFiles) {
               AllOf(HasSubstr("format is 'pt'"), HasSubstr("robostress-nano")));
   std::filesystem::remove(path);
   EXPECT_FALSE(LoadFlowPolicy(path).ok());
-  EXPECT_THAT(std::string(LoadFlowPolicy("nanno").status().message()), AllOf(HasSubstr("nanno"), HasSubstr("nano:random")));
+  EXPECT_THAT(std::string(LoadFlowPolicy("nanno").status().message()),
+              AllOf(HasSubstr("nanno"), HasSubstr("nano:random")));
+}
+
+TEST(NanoWeights, OfTheRepositoryLoadAndKnowTheirWords) {
+  const std::string path =
+      "server/models/weights/nano.safetensors";  // tests run in the source folder
+  if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
+  EXPECT_LE(std::filesystem::file_size(path), 20u << 20);
+  const auto policy = LoadFlowPolicy("nano");
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  EXPECT_EQ((*policy)->spec().horizon, 50);
+  EXPECT_EQ((*policy)->spec().execute_steps, 5);
+  EXPECT_GT(LoadNanoModel(path)->vocabulary.words().size(), 10u);
 }
 
 TEST(NanoConfig, RefusesSizesThatDoNotFit) {
@@ -447,14 +500,17 @@ TEST(NanoConfig, RefusesSizesThatDoNotFit) {
     return std::string(ValidateNanoConfig(config).message());
   };
   EXPECT_EQ(message([](NanoConfig&) {}), "");
-  EXPECT_THAT(message([](NanoConfig& c) { c.steps_per_token = 3; }), HasSubstr("steps_per_token is 3"));
+  EXPECT_THAT(message([](NanoConfig& c) { c.steps_per_token = 3; }),
+              HasSubstr("steps_per_token is 3"));
   EXPECT_THAT(message([](NanoConfig& c) { c.image_size = 18; }), HasSubstr("multiple of 2^2"));
   EXPECT_THAT(message([](NanoConfig& c) { c.layers = 0; }), HasSubstr("layers is 0"));
-  EXPECT_THAT(message([](NanoConfig& c) { c.model_action_dim = 6; }), HasSubstr("model_action_dim is 6"));
+  EXPECT_THAT(message([](NanoConfig& c) { c.model_action_dim = 6; }),
+              HasSubstr("model_action_dim is 6"));
 }
 
 TEST(Vocabulary, SplitsWordsAndPads) {
-  EXPECT_THAT(SplitWords("Put the  Red-hot bowl, on_it!"), testing::ElementsAre("put", "the", "red-hot", "bowl", "on", "it"));
+  EXPECT_THAT(SplitWords("Put the  Red-hot bowl, on_it!"),
+              testing::ElementsAre("put", "the", "red-hot", "bowl", "on", "it"));
   Vocabulary vocabulary;
   vocabulary.Add("put the bowl");
   vocabulary.Add("the plate");

@@ -5,8 +5,8 @@
 
 namespace robostress {
 
-// A policy small enough for tests, every code path of the real one: two cameras, three layers, padding words, a padding
-// channel, norms away from one.
+// A policy small enough for tests, every code path of the real one: two cameras, three layers,
+// padding words, a padding channel, norms away from one.
 inline NanoConfig TinyConfig(int steps_per_token = 5) {
   NanoConfig config;
   config.image_size = 16;
@@ -30,10 +30,12 @@ inline NanoModel TinyModel(uint64_t seed = 3, int steps_per_token = 5) {
   NanoModel model = RandomNanoModel(TinyConfig(steps_per_token), seed);
   torch::manual_seed(seed);
   for (torch::Tensor& tensor : model.tensors) {
-    if (tensor.dim() == 1) tensor += torch::randn_like(tensor) * 0.2;  // norms and biases start at zero
+    if (tensor.dim() == 1)
+      tensor += torch::randn_like(tensor) * 0.2;  // norms and biases start at zero
   }
   model.vocabulary = Vocabulary({"put", "the", "red", "bowl", "on", "plate"});
-  for (int i = 0; i < model.config.state_dim; ++i) model.state.mean[i] = 0.1f * static_cast<float>(i);
+  for (int i = 0; i < model.config.state_dim; ++i)
+    model.state.mean[i] = 0.1f * static_cast<float>(i);
   for (int i = 0; i < model.config.action_dim; ++i) {
     model.actions.mean[i] = 0.05f * static_cast<float>(i);
     model.actions.std[i] = 0.3f + 0.1f * static_cast<float>(i);
@@ -48,11 +50,13 @@ inline Observation TinyObservation(const PolicySpec& spec, int seed = 0) {
     Image image{spec.image_width, spec.image_height, {}};
     image.data.resize(size_t{3} * image.width * image.height);
     for (size_t i = 0; i < image.data.size(); ++i) {
-      image.data[i] = static_cast<uint8_t>((i * 37 + static_cast<size_t>(seed) * 101 + camera.size() * 7) % 251);
+      image.data[i] = static_cast<uint8_t>(
+          (i * 37 + static_cast<size_t>(seed) * 101 + camera.size() * 7) % 251);
     }
     observation.views.push_back({camera, image});
   }
-  observation.proprioception = Eigen::VectorXf::LinSpaced(spec.state_dim, -0.4f, 0.5f + 0.1f * static_cast<float>(seed));
+  observation.proprioception =
+      Eigen::VectorXf::LinSpaced(spec.state_dim, -0.4f, 0.5f + 0.1f * static_cast<float>(seed));
   return observation;
 }
 

@@ -16,22 +16,26 @@ struct Colour {
   const char* name;
   double rgb[3];
 };
-constexpr Colour kColours[] = {{"red", {200, 40, 40}},     {"green", {50, 160, 60}},  {"blue", {50, 80, 200}},
-                               {"yellow", {210, 190, 60}}, {"purple", {130, 60, 150}}, {"white", {225, 225, 225}}};
+constexpr Colour kColours[] = {{"red", {200, 40, 40}},     {"green", {50, 160, 60}},
+                               {"blue", {50, 80, 200}},    {"yellow", {210, 190, 60}},
+                               {"purple", {130, 60, 150}}, {"white", {225, 225, 225}}};
 constexpr int kNumColours = 6, kBlocks = 3, kPlates = 2;
-constexpr double kReach = 0.25;                     // half width of the table [m]
-constexpr double kStepGain = 0.05 * 0.25;           // motion per step of a full command [m]
-constexpr double kHover = 0.10, kGrasp = 0.02;      // heights [m]
-constexpr double kOpen = 0.04, kClosed = 0.02;      // finger opening [m]
+constexpr double kReach = 0.25;                 // half width of the table [m]
+constexpr double kStepGain = 0.05 * 0.25;       // motion per step of a full command [m]
+constexpr double kHover = 0.10, kGrasp = 0.02;  // heights [m]
+constexpr double kOpen = 0.04, kClosed = 0.02;  // finger opening [m]
 
 }  // namespace
 
 ToyWorld::ToyWorld(RandomStream random) {
-  const auto place = [&] { return Eigen::Vector2d(random.Uniform(-0.2, 0.2), random.Uniform(-0.2, 0.2)); };
+  const auto place = [&] {
+    return Eigen::Vector2d(random.Uniform(-0.2, 0.2), random.Uniform(-0.2, 0.2));
+  };
   std::vector<Eigen::Vector2d> taken;
   const auto place_apart = [&] {
     Eigen::Vector2d spot = place();
-    while (std::any_of(taken.begin(), taken.end(), [&](const auto& other) { return (other - spot).norm() < 0.09; })) {
+    while (std::any_of(taken.begin(), taken.end(),
+                       [&](const auto& other) { return (other - spot).norm() < 0.09; })) {
       spot = place();
     }
     taken.push_back(spot);
@@ -40,7 +44,8 @@ ToyWorld::ToyWorld(RandomStream random) {
   const auto colours = [&](int count) {
     std::vector<int> order(kNumColours);
     for (int i = 0; i < kNumColours; ++i) order[i] = i;
-    for (int i = 0; i < count; ++i) std::swap(order[i], order[i + random.UniformInt(kNumColours - i)]);
+    for (int i = 0; i < count; ++i)
+      std::swap(order[i], order[i + random.UniformInt(kNumColours - i)]);
     order.resize(count);
     return order;
   };
@@ -49,14 +54,16 @@ ToyWorld::ToyWorld(RandomStream random) {
   for (int i = 0; i < kBlocks; ++i) state_.blocks.push_back(place_apart());
   for (int i = 0; i < kPlates; ++i) plates_.push_back(place_apart());
   state_.tool = {random.Uniform(-0.2, 0.2), random.Uniform(-0.2, 0.2), random.Uniform(0.1, 0.2)};
-  instruction_ = absl::StrCat("pick up the ", kColours[block_colours_[target_]].name, " block and put it on the ",
+  instruction_ = absl::StrCat("pick up the ", kColours[block_colours_[target_]].name,
+                              " block and put it on the ",
                               kColours[plate_colours_[destination_]].name, " plate");
 }
 
 Image ToyWorld::Draw(bool from_hand) const {
   Image image{kImageSize, kImageSize, std::vector<uint8_t>(3 * kImageSize * kImageSize)};
   const double view = from_hand ? 0.1 + state_.tool.z() : 2.2 * kReach;  // width of the view [m]
-  const Eigen::Vector2d centre = from_hand ? Eigen::Vector2d(state_.tool.head<2>()) : Eigen::Vector2d(0, 0);
+  const Eigen::Vector2d centre =
+      from_hand ? Eigen::Vector2d(state_.tool.head<2>()) : Eigen::Vector2d(0, 0);
   constexpr int kSub = 2;  // samples per pixel and axis
   for (int row = 0; row < kImageSize; ++row) {
     for (int col = 0; col < kImageSize; ++col) {
@@ -74,11 +81,13 @@ Image ToyWorld::Draw(bool from_hand) const {
           if (r < 0.045) paint(kColours[plate_colours_[i]], r > 0.035 ? 0.7 : 1.0);
         }
         for (int i = 0; i < kBlocks; ++i) {
-          if ((p - state_.blocks[i]).cwiseAbs().maxCoeff() < 0.02) paint(kColours[block_colours_[i]], 0.9);
+          if ((p - state_.blocks[i]).cwiseAbs().maxCoeff() < 0.02)
+            paint(kColours[block_colours_[i]], 0.9);
         }
         const Eigen::Vector2d d = p - state_.tool.head<2>();
         const double finger = std::abs(std::abs(d.x()) - state_.finger);
-        if (!from_hand && finger < 0.008 && std::abs(d.y()) < 0.01 + 0.1 * state_.tool.z()) paint({"", {30, 30, 30}}, 1);
+        if (!from_hand && finger < 0.008 && std::abs(d.y()) < 0.01 + 0.1 * state_.tool.z())
+          paint({"", {30, 30, 30}}, 1);
         for (int c = 0; c < 3; ++c) sum[c] += rgb[c];
       }
       for (int c = 0; c < 3; ++c) {
@@ -136,7 +145,8 @@ void ToyWorld::Advance(State& state, const Eigen::VectorXf& action, int target) 
 void ToyWorld::Step(const Eigen::VectorXf& action) { Advance(state_, action, target_); }
 
 bool ToyWorld::Success(const State& state) const {
-  return !state.holding && state.finger > 0.025 && (state.blocks[target_] - plates_[destination_]).norm() < 0.025;
+  return !state.holding && state.finger > 0.025 &&
+         (state.blocks[target_] - plates_[destination_]).norm() < 0.025;
 }
 
 bool ToyWorld::success() const { return Success(state_); }
@@ -154,13 +164,15 @@ Eigen::MatrixXf ToyWorld::ExpertChunk() const {
 
 Eigen::Matrix<float, 8, 1> ToyWorld::Aux() const {
   Eigen::Matrix<float, 8, 1> aux;
-  aux << static_cast<float>(state_.blocks[target_].x()), static_cast<float>(state_.blocks[target_].y()), 0.0f,
-      static_cast<float>(plates_[destination_].x()), static_cast<float>(plates_[destination_].y()), 0.0f,
-      state_.holding ? 1.0f : 0.0f, state_.holding ? 0.5f : 0.0f;
+  aux << static_cast<float>(state_.blocks[target_].x()),
+      static_cast<float>(state_.blocks[target_].y()), 0.0f,
+      static_cast<float>(plates_[destination_].x()), static_cast<float>(plates_[destination_].y()),
+      0.0f, state_.holding ? 1.0f : 0.0f, state_.holding ? 0.5f : 0.0f;
   return aux;
 }
 
-absl::Status WriteToyDemonstrations(const std::string& directory, int episodes, int stride, uint64_t seed) {
+absl::Status WriteToyDemonstrations(const std::string& directory, int episodes, int stride,
+                                    uint64_t seed) {
   struct Task {
     std::vector<uint8_t> images;
     std::vector<float> state, actions, aux;
@@ -211,7 +223,8 @@ absl::Status WriteToyDemonstrations(const std::string& directory, int episodes, 
     writer.SetMetadata("task", absl::StrCat(index));
     writer.SetMetadata("instruction", instruction);
     writer.SetMetadata("version", "1");
-    writer.Add("images", DType::kU8, {frames, 2, size, size, 3}, task.images.data(), task.images.size());
+    writer.Add("images", DType::kU8, {frames, 2, size, size, 3}, task.images.data(),
+               task.images.size());
     writer.AddFloats("state", {frames, 8}, task.state);
     writer.AddFloats("actions", {frames, ToyWorld::kHorizon, 7}, task.actions);
     writer.AddFloats("aux", {frames, 8}, task.aux);

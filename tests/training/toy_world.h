@@ -1,9 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <string>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "absl/status/status.h"
 #include "common/random.h"
@@ -11,9 +10,9 @@
 
 namespace robostress {
 
-// A pick-and-place world without physics, for trying training and policies before there is a simulator: coloured
-// blocks and plates on a table, seen from above and from the hand; the instruction names a block and a plate; the
-// tool follows the commands as a first-order arm would.
+// A pick-and-place world without physics, for trying training and policies before there is a
+// simulator: coloured blocks and plates on a table, seen from above and from the hand; the
+// instruction names a block and a plate; the tool follows the commands as a first-order arm would.
 class ToyWorld {
  public:
   static constexpr int kImageSize = 64;
@@ -33,10 +32,10 @@ class ToyWorld {
  private:
   struct State {
     Eigen::Vector3d tool;
-    double finger = 0.04;      // opening [m]
+    double finger = 0.04;  // opening [m]
     bool holding = false;
     std::vector<Eigen::Vector2d> blocks;
-    double block_height = 0;   // of the held block [m]
+    double block_height = 0;  // of the held block [m]
   };
   Eigen::VectorXf Expert(const State& state) const;
   static void Advance(State& state, const Eigen::VectorXf& action, int target);
@@ -51,6 +50,7 @@ class ToyWorld {
 };
 
 // Writes demonstrations in the format of robostress-record: one shard per pair of colours.
-absl::Status WriteToyDemonstrations(const std::string& directory, int episodes, int stride, uint64_t seed);
+absl::Status WriteToyDemonstrations(const std::string& directory, int episodes, int stride,
+                                    uint64_t seed);
 
 }  // namespace robostress

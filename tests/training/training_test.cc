@@ -1,9 +1,9 @@
-#include <filesystem>
-#include <fstream>
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <torch/torch.h>
+
+#include <filesystem>
+#include <fstream>
 
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
@@ -52,7 +52,8 @@ class Training : public testing::Test {
   static void SetUpTestSuite() {
     root_ = fs::path(testing::TempDir()) / "robostress_training_test";
     fs::remove_all(root_);
-    ASSERT_TRUE(WriteToyDemonstrations(Path("toy"), /*episodes=*/20, /*stride=*/10, /*seed=*/1).ok());
+    ASSERT_TRUE(
+        WriteToyDemonstrations(Path("toy"), /*episodes=*/20, /*stride=*/10, /*seed=*/1).ok());
   }
   static void TearDownTestSuite() { fs::remove_all(root_); }
   static std::string Path(const std::string& name) { return (root_ / name).string(); }
@@ -93,7 +94,8 @@ TEST_F(Training, LearnsToReproduceAFewFrames) {
   options.lr = 3e-3;
   options.shift_px = 0;
   options.colour_jitter = options.state_noise = 0;
-  const Demonstrations demonstrations = Demonstrations::Open(options.data, options.network, 0.2).value();
+  const Demonstrations demonstrations =
+      Demonstrations::Open(options.data, options.network, 0.2).value();
   NanoModel model = RandomNanoModel(options.network, 1);
   demonstrations.MeasureNormalisation(model);
   model.vocabulary = demonstrations.CollectWords({}).value();
@@ -113,7 +115,8 @@ TEST_F(Training, ResumedRunEndsWithTheBitsOfAnUninterruptedOne) {
   TrainOptions options = SmallOptions(Path("toy"), Path("whole"));
   options.threads = 1;
   ASSERT_TRUE(RunTraining(options, false).ok());
-  const Demonstrations demonstrations = Demonstrations::Open(options.data, options.network, 0.2).value();
+  const Demonstrations demonstrations =
+      Demonstrations::Open(options.data, options.network, 0.2).value();
   NanoModel model = RandomNanoModel(options.network, options.seed);
   demonstrations.MeasureNormalisation(model);
   model.vocabulary = demonstrations.CollectWords({}).value();
@@ -126,12 +129,14 @@ TEST_F(Training, ResumedRunEndsWithTheBitsOfAnUninterruptedOne) {
   }
   options.out = Path("cut");
   ASSERT_TRUE(RunTraining(options, true).ok());
-  EXPECT_EQ(ReadFile(Path("cut") + "/nano.safetensors").value(), ReadFile(Path("whole") + "/nano.safetensors").value());
+  EXPECT_EQ(ReadFile(Path("cut") + "/nano.safetensors").value(),
+            ReadFile(Path("whole") + "/nano.safetensors").value());
 }
 
 TEST_F(Training, ThreadsShareTheWorkOfOneBatch) {
   TrainOptions options = SmallOptions(Path("toy"), Path("threads"));
-  const Demonstrations demonstrations = Demonstrations::Open(options.data, options.network, 0.2).value();
+  const Demonstrations demonstrations =
+      Demonstrations::Open(options.data, options.network, 0.2).value();
   NanoModel model = RandomNanoModel(options.network, 1);
   demonstrations.MeasureNormalisation(model);
   model.vocabulary = demonstrations.CollectWords({}).value();
@@ -142,7 +147,8 @@ TEST_F(Training, ThreadsShareTheWorkOfOneBatch) {
     EXPECT_EQ(la.flow, lb.flow);  // whichever thread comes first
   }
   const NanoModel pa = a.Published(), pb = b.Published();
-  for (size_t i = 0; i < pa.tensors.size(); ++i) EXPECT_TRUE(torch::equal(pa.tensors[i], pb.tensors[i]));
+  for (size_t i = 0; i < pa.tensors.size(); ++i)
+    EXPECT_TRUE(torch::equal(pa.tensors[i], pb.tensors[i]));
 }
 
 TEST_F(Training, GoesOnFromWeightsWithNewWordsAndTheOldNormalisation) {
@@ -164,7 +170,8 @@ TEST_F(Training, GoesOnFromWeightsWithNewWordsAndTheOldNormalisation) {
 
 TEST_F(Training, HoldsOutWholeEpisodes) {
   const TrainOptions options = SmallOptions(Path("toy"), "");
-  const Demonstrations demonstrations = Demonstrations::Open(options.data, options.network, 0.3).value();
+  const Demonstrations demonstrations =
+      Demonstrations::Open(options.data, options.network, 0.3).value();
   EXPECT_EQ(demonstrations.episodes(), 20);
   EXPECT_FALSE(demonstrations.validation().empty());
   for (const int64_t frame : demonstrations.validation()) {
@@ -174,7 +181,8 @@ TEST_F(Training, HoldsOutWholeEpisodes) {
 
 TEST_F(Training, AugmentationShiftsImagesAndLeavesLabelsAlone) {
   const TrainOptions options = SmallOptions(Path("toy"), "");
-  const Demonstrations demonstrations = Demonstrations::Open(options.data, options.network, 0.2).value();
+  const Demonstrations demonstrations =
+      Demonstrations::Open(options.data, options.network, 0.2).value();
   NanoModel model = RandomNanoModel(options.network, 1);
   model.vocabulary = demonstrations.CollectWords({}).value();
   RandomStream random(StreamKey("augment"));
@@ -188,7 +196,8 @@ TEST_F(Training, AugmentationShiftsImagesAndLeavesLabelsAlone) {
   for (int row = 0; row < 8; ++row) {
     for (int dy = -2; dy <= 2; ++dy) {
       for (int dx = -2; dx <= 2; ++dx) {
-        found += torch::equal(moved.images[0][row].narrow(1, 4 - dy, 56).narrow(2, 4 - dx, 56), middle);
+        found +=
+            torch::equal(moved.images[0][row].narrow(1, 4 - dy, 56).narrow(2, 4 - dx, 56), middle);
       }
     }
   }
@@ -215,15 +224,19 @@ TEST_F(Training, RefusesWhatIsNotAShardOrDoesNotFit) {
     return std::string(RunTraining(SmallOptions(directory, Path("bad_out")), false).message());
   };
   EXPECT_THAT(message("horizon", [](auto&, auto& actions) { actions.resize(10 * 7); }),
-              AllOf(HasSubstr("actions is F32 [1,10,7]"), HasSubstr("must be F32 [1,50,7]"), HasSubstr("shard.safetensors")));
-  EXPECT_THAT(message("nan", [](auto&, auto& actions) { actions[9] = std::nanf(""); }), HasSubstr("actions holds nan at 9"));
+              AllOf(HasSubstr("actions is F32 [1,10,7]"), HasSubstr("must be F32 [1,50,7]"),
+                    HasSubstr("shard.safetensors")));
+  EXPECT_THAT(message("nan", [](auto&, auto& actions) { actions[9] = std::nanf(""); }),
+              HasSubstr("actions holds nan at 9"));
   EXPECT_THAT(message("words", [](auto& writer, auto&) { writer.SetMetadata("instruction", ""); }),
               HasSubstr("'instruction' is missing"));
-  EXPECT_THAT(std::string(RunTraining(SmallOptions(Path("nowhere"), Path("bad_out")), false).message()),
-              HasSubstr("nowhere"));
+  EXPECT_THAT(
+      std::string(RunTraining(SmallOptions(Path("nowhere"), Path("bad_out")), false).message()),
+      HasSubstr("nowhere"));
   TrainOptions odd = SmallOptions(Path("toy"), Path("bad_out"));
   odd.batch = 9;
-  EXPECT_THAT(std::string(RunTraining(odd, false).message()), AllOf(HasSubstr("batch is 9"), HasSubstr("threads, 2")));
+  EXPECT_THAT(std::string(RunTraining(odd, false).message()),
+              AllOf(HasSubstr("batch is 9"), HasSubstr("threads, 2")));
   EXPECT_FALSE(fs::exists(Path("bad_out") + "/DONE"));
 }
 
@@ -237,7 +250,8 @@ TEST(ToyWorld, ExpertSucceeds) {
   int successes = 0;
   for (int i = 0; i < 20; ++i) {
     ToyWorld world{RandomStream(StreamKey("toy-test").With(i))};
-    for (int step = 0; step < 150 && !world.success(); ++step) world.Step(world.ExpertChunk().row(0).transpose());
+    for (int step = 0; step < 150 && !world.success(); ++step)
+      world.Step(world.ExpertChunk().row(0).transpose());
     successes += world.success();
   }
   EXPECT_EQ(successes, 20);
