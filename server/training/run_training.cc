@@ -76,10 +76,6 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
                      " holds a training run already; add --resume to go on, or "
                      "choose another --out"));
   }
-  RS_RETURN_IF_ERROR(MakeDirectories(options.out));
-  std::error_code absent;
-  std::filesystem::remove(files.done,
-                          absent);  // not finished any more, if it goes on with more steps
   const std::string weights = started ? files.weights : options.init;
   if (!weights.empty()) {
     RS_ASSIGN_OR_RETURN(const NanoModel model, LoadNanoModel(weights));
@@ -89,6 +85,9 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
       const Demonstrations demonstrations,
       Demonstrations::Open(options.data, options.network, options.validation_share));
   RS_ASSIGN_OR_RETURN(NanoModel model, StartModel(options, weights, demonstrations));
+  RS_RETURN_IF_ERROR(MakeDirectories(options.out));
+  std::error_code absent;  // a run that goes on with more steps is not finished any more
+  std::filesystem::remove(files.done, absent);
   Trainer trainer(options, std::move(model), demonstrations);
   if (started) RS_RETURN_IF_ERROR(trainer.LoadCheckpoint(files.checkpoint));
   RS_RETURN_IF_ERROR(WriteFileAtomically(files.config, DumpConfig(options)));
