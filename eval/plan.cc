@@ -167,7 +167,8 @@ std::string PolicyLabel(const std::string& policy) {
 
 SweepGrid QuickGrid() {
   SweepGrid grid;
-  grid.tasks = {0};
+  grid.suites = {"tabletop_object"};
+  grid.tasks = {0, 1};
   grid.episodes = 10;
   grid.videos = 1;
   return grid;

@@ -60,11 +60,12 @@ std::string IntervalText(const Interval& interval) {
 
 std::string DifferenceText(const Comparison& c) {
   const Interval& interval = c.difference.interval;
-  const std::string ends =
-      std::isfinite(interval.low)
-          ? absl::StrFormat("[%+.0f, %+.0f]", 100 * interval.low, 100 * interval.high)
-          : "[n/a]";
-  return absl::StrFormat("%+.1f %s +%d/-%d", 100 * c.difference.estimate, ends, c.plus, c.minus);
+  const std::string ends = std::isfinite(interval.low)
+                               ? absl::StrFormat("[%+.0f, %+.0f]", PercentagePoints(interval.low),
+                                                 PercentagePoints(interval.high))
+                               : "[n/a]";
+  return absl::StrFormat("%+.1f %s +%d/-%d", PercentagePoints(c.difference.estimate), ends, c.plus,
+                         c.minus);
 }
 
 std::string TableHeading(const SuccessTable& table) {

@@ -63,7 +63,9 @@ footer{color:var(--muted);font-size:13px;border-top:1px solid var(--line);margin
 
 std::string Minus(const std::string& text) { return absl::StrReplaceAll(text, {{"-", "\u2212"}}); }
 std::string Percent(double fraction) { return absl::StrFormat("%.1f", 100 * fraction); }
-std::string Signed(double fraction) { return Minus(absl::StrFormat("%+.1f", 100 * fraction)); }
+std::string Signed(double fraction) {
+  return Minus(absl::StrFormat("%+.1f", PercentagePoints(fraction)));
+}
 std::string OptionalPercent(const std::optional<double>& value) {
   return value ? Percent(*value) : "\u2013";
 }
@@ -71,7 +73,8 @@ std::string OptionalPercent(const std::optional<double>& value) {
 std::string IntervalText(const Interval& interval, bool with_sign) {
   if (!std::isfinite(interval.low)) return "no interval";
   return Minus(with_sign
-                   ? absl::StrFormat("[%+.1f, %+.1f]", 100 * interval.low, 100 * interval.high)
+                   ? absl::StrFormat("[%+.1f, %+.1f]", PercentagePoints(interval.low),
+                                     PercentagePoints(interval.high))
                    : absl::StrFormat("[%.0f, %.0f]", 100 * interval.low, 100 * interval.high));
 }
 

@@ -291,6 +291,10 @@ std::string MethodTitle(const std::string& method) {
   return title == titles.end() ? method : title->second;
 }
 
+double PercentagePoints(double fraction) {
+  return std::abs(fraction) < 0.0005 ? 0.0 : 100 * fraction;
+}
+
 std::string UpdatesText(bool adapts, int updates) {
   if (!adapts) return "-";
   return updates == 0 ? "not adapted" : absl::StrCat(updates);

@@ -49,7 +49,7 @@ struct CommandLine {
 };
 
 void DeclareFlags(CLI::App& app, CommandLine& line) {
-  app.add_flag("--quick", line.quick, "One suite, one task, ten episodes, videos: a first look");
+  app.add_flag("--quick", line.quick, "One suite, two tasks, ten episodes, videos: a first look");
   app.add_flag("--full", line.full,
                "The four embedded suites, all tasks, 20 episodes (wins over --quick)");
   app.add_option("--grid", line.grid_file,

@@ -30,7 +30,7 @@ std::vector<std::string> Ids(const std::vector<PlannedUnit>& units) {
 TEST(Plan, QuickIsCleanAndSevenScenariosWithTwoMethods) {
   const std::vector<PlannedUnit> units = Plan(QuickGrid());
   EXPECT_EQ(units.size(), 16u);
-  EXPECT_EQ(units.front().id, "tabletop_goal-clean-L5-nano-base-s0");
+  EXPECT_EQ(units.front().id, "tabletop_object-clean-L5-nano-base-s0");
   for (const PlannedUnit& unit : units) {
     EXPECT_GE(unit.config.episodes, 10) << "a method that never fills its buffer never adapts";
     EXPECT_LE(unit.config.tasks.size(), 2u);
