@@ -11,6 +11,7 @@ namespace robostress {
 enum class ResidualScale { kCommand, kTracking };
 enum class TargetReference { kExecuted, kIntent, kNominal };
 enum class ExecutionMode { kLockstep, kAsync };
+enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozenState };
 
 // Everything that distinguishes one method from another; the defaults are the paper's (sec:supp_method,
 // sec:supp_lora) except learning_rate, which is nano's, chosen on the dev split.
@@ -35,10 +36,11 @@ struct MethodOptions {
   bool clip_command = true;          // residual against the command as the controller clips it, +-1
   std::string noise_stream = "policy";  // null control: another name, other sampling noise
   bool track_intent = true;          // also predict with the unadapted policy
+  ObservationInput observation = ObservationInput::kFull;  // what the policy is shown
 
   template <class V>
   void Visit(V& v) {
-    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, direct, no_residual, no_anchor, gain, null");
+    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, direct, no_residual, no_anchor, gain, null, shuffled_instruction, blank_images, frozen_state");
     v.Field("adapt", adapt, "update the LoRA online");
     v.Field("rank", rank, "LoRA rank");
     v.Field("lora_init_std", lora_init_std, "standard deviation of A at the start (B = 0)");
@@ -64,6 +66,10 @@ struct MethodOptions {
     v.Field("clip_command", clip_command, "residual against the command clipped to +-1, as executed");
     v.Field("noise_stream", noise_stream, "name of the sampling noise stream");
     v.Field("track_intent", track_intent, "also predict with the unadapted policy, for the tracking of intent");
+    v.Choice("observation", observation,
+             {{"full", ObservationInput::kFull}, {"shuffled_instruction", ObservationInput::kShuffledInstruction},
+              {"blank_images", ObservationInput::kBlankImages}, {"frozen_state", ObservationInput::kFrozenState}},
+             "controls: another task's instruction, grey images, or the first proprioception for the whole episode");
   }
 };
 

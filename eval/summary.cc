@@ -286,7 +286,10 @@ std::string MethodTitle(const std::string& method) {
                                               {"null", "Null control"},
                                               {"direct", "Direct subtraction"},
                                               {"no_residual", "Ours w/o residual"},
-                                              {"no_anchor", "Ours w/o anchor"}};
+                                              {"no_anchor", "Ours w/o anchor"},
+                                              {"shuffled_instruction", "Shuffled instruction"},
+                                              {"blank_images", "Blank images"},
+                                              {"frozen_state", "Frozen state"}};
   const auto title = titles.find(method);
   return title == titles.end() ? method : title->second;
 }

@@ -8,8 +8,10 @@
 
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/method_options.h"
 #include "common/status_macros.h"
 #include "eval/environment.h"
 #include "eval/plan.h"
@@ -69,10 +71,7 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
   app.add_option("--severities", line.severities, "Levels 1 to 5")->delimiter(',');
   app.add_option("--policies", line.policies, "nano, expert, replay, or a weights file")
       ->delimiter(',');
-  app.add_option(
-         "--methods", line.methods,
-         "base, ours, ours_intent, ours_nominal, gain, null, direct, no_residual, no_anchor")
-      ->delimiter(',');
+  app.add_option("--methods", line.methods, absl::StrJoin(MethodNames(), ", "))->delimiter(',');
   app.add_option("--seeds", line.seeds, "Seeds of the sampling noise")->delimiter(',');
   app.add_option("--first-initial-state", line.first_initial_state,
                  "0-19 reporting split, 40-49 dev split");

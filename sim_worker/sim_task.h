@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "common/rollout/policy_endpoint.h"
@@ -25,5 +26,8 @@ class SimTask : public Robot {
 
 // Embedded and LIBERO suites by name, with the unit's scenario and simulator options.
 absl::StatusOr<std::unique_ptr<SimTask>> MakeSimTask(const UnitConfig& unit, int task);
+
+// The instructions of a suite in task order.
+absl::StatusOr<std::vector<std::string>> SuiteInstructions(const std::string& suite);
 
 }  // namespace robostress

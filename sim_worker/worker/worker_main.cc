@@ -10,6 +10,7 @@
 #include "CLI/CLI.hpp"
 #include "common/atomic_file.h"
 #include "sim_worker/sim_task.h"
+#include "sim_worker/worker/observation_control.h"
 #include "sim_worker/worker/unit_plan.h"
 #include "sim_worker/worker/unit_runner.h"
 
@@ -39,8 +40,10 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   absl::StatusOr<std::unique_ptr<SimTask>> made = MakeSimTask(unit, task);
   if (!made.ok()) return made.status();
   const std::shared_ptr<SimTask> sim_task = *std::move(made);
+  const absl::StatusOr<std::vector<std::string>> instructions = SuiteInstructions(unit.suite);
+  if (!instructions.ok()) return instructions.status();
   UnitTask out;
-  out.robot = sim_task;
+  out.robot = ControlObservations(sim_task, unit.method.observation, *instructions, task);
   out.make_expert = [sim_task] { return sim_task->MakeExpert(); };
   out.film = [sim_task](int height) { return sim_task->Film(height); };
   return out;
