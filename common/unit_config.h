@@ -10,7 +10,33 @@
 namespace robostress {
 
 enum class GoalReference { kAchieved, kDesired };
-enum class Stepping { kFast, kReference };
+enum class Stepping { kFast, kReference, kParity };
+enum class Switch { kAuto, kOn, kOff };
+
+// Behaviours of robosuite 1.4.0 and LIBERO that a clean implementation would not have; trajectories equal
+// theirs only with all of them (sim_worker/README.md). The fifth, the forward passes of a sub-step and what
+// they leave as the solver's warm start, is stepping: parity.
+struct RobosuiteOptions {
+  bool stale_reset_pose = true;
+  bool home_goal = true;
+  Switch single_precision_rotation = Switch::kAuto;
+  Switch late_observation = Switch::kAuto;
+
+  template <class V>
+  void Visit(V& v) {
+    const auto add = [&v](const char* name, Switch& field, const char* help) {
+      v.Choice(name, field, {{"auto", Switch::kAuto}, {"on", Switch::kOn}, {"off", Switch::kOff}}, help);
+    };
+    v.Field("stale_reset_pose", stale_reset_pose,
+            "the first sub-step and the first goal act on pose, Jacobian and masses of the home posture");
+    v.Field("home_goal", home_goal,
+            "the orientation's goal and the null-space posture are those of home, not of the initial state");
+    add("single_precision_rotation", single_precision_rotation,
+        "a commanded rotation becomes a matrix in single precision; auto: on with stepping parity");
+    add("late_observation", late_observation,
+        "measurements and views are of sub-step 24 of 25, poses from its start; auto: on with stepping parity");
+  }
+};
 
 // The simulator's options.
 struct SimOptions {
@@ -18,16 +44,28 @@ struct SimOptions {
   Stepping stepping = Stepping::kFast;
   int settle_steps = 10;
   JointErrorOptions joint_errors;
+  RobosuiteOptions robosuite;
+
+  bool SinglePrecisionRotation() const { return IsOn(robosuite.single_precision_rotation); }
+  bool LateObservation() const { return IsOn(robosuite.late_observation); }
 
   template <class V>
   void Visit(V& v) {
     v.Choice("goal_reference", goal_reference,
              {{"achieved", GoalReference::kAchieved}, {"desired", GoalReference::kDesired}},
              "goal of the delta command: achieved pose + delta (robosuite) or previous goal + delta");
-    v.Choice("stepping", stepping, {{"fast", Stepping::kFast}, {"reference", Stepping::kReference}},
-             "fast: one forward per sub-step; reference: the paper's order with a forward after the offset");
+    v.Choice("stepping", stepping,
+             {{"fast", Stepping::kFast}, {"reference", Stepping::kReference}, {"parity", Stepping::kParity}},
+             "fast: one forward per sub-step; reference: the paper's order with a forward after the offset; "
+             "parity: robosuite's three forwards");
     v.Field("settle_steps", settle_steps, "control steps with a zero command before the episode");
     v.Section("joint_errors", joint_errors, "discretisation of the error laws");
+    v.Section("robosuite", robosuite, "behaviours of the originals");
+  }
+
+ private:
+  bool IsOn(Switch s) const {
+    return s == Switch::kOn || (s == Switch::kAuto && stepping == Stepping::kParity);
   }
 };
 

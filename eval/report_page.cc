@@ -255,7 +255,7 @@ std::vector<double> Smoothed(const std::vector<double>& values, int window) {
 }
 
 std::string CurvePlots(const CurveSet& set) {
-  std::vector<LineSeries> success, residual, distance;
+  std::vector<LineSeries> success, residual, action, clipped, distance;
   size_t length = 0;
   for (const AdaptationCurve& curve : set.curves) length = std::max(length, curve.success.size());
   const int window = std::clamp(static_cast<int>(length) / 8, 3, 20);
@@ -270,6 +270,8 @@ std::string CurvePlots(const CurveSet& set) {
     const std::string color = MethodColor(curve.method);
     success.push_back({curve.method, color, x, percent(Smoothed(curve.success, window))});
     residual.push_back({curve.method, color, x, percent(curve.residual)});
+    action.push_back({curve.method, color, x, Smoothed(curve.mean_abs_action, window)});
+    clipped.push_back({curve.method, color, x, percent(curve.clipped_share)});
     distance.push_back({curve.method, color, x, curve.adapter_distance});
     absl::StrAppend(&legend, "<span style=\"margin-right:16px\">", MethodLabel(curve.method),
                     " <small class=paper>", curve.units, " units</small></span>");
@@ -289,6 +291,10 @@ std::string CurvePlots(const CurveSet& set) {
   options.y_max.reset();
   options.title = "Residual \u2016\u03b7\u2016 / \u2016a\u2016 [%]";
   html += LinePlot(residual, options);
+  options.title = absl::StrCat("Mean |a| of the policy, mean of the last ", window);
+  html += LinePlot(action, options);
+  options.title = "Share of commands beyond \u00b11, as sent [%]";
+  html += LinePlot(clipped, options);
   options.title = "Adapter \u2016\u03c6 \u2212 \u03c6\u2080\u2016";
   html += LinePlot(distance, options);
   return html + "</div>\n";

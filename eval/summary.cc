@@ -253,15 +253,20 @@ CurveSet MakeCurves(const Units& units, const std::string& policy, int severity)
     curve.method = method;
     curve.units = static_cast<int>(chosen.size());
     for (size_t i = 0; i < length; ++i) {
-      Mean success, residual, distance;
+      Mean success, residual, action, clipped, distance;
       for (const UnitResult* unit : chosen) {
         if (i >= unit->episodes.size()) continue;
-        success.Add(unit->episodes[i].success ? 1.0 : 0.0);
-        residual.Add(unit->episodes[i].residual);
-        distance.Add(unit->episodes[i].adapter_distance);
+        const EpisodeRow& episode = unit->episodes[i];
+        success.Add(episode.success ? 1.0 : 0.0);
+        residual.Add(episode.residual);
+        action.Add(episode.mean_abs_action);
+        clipped.Add(episode.clipped_share);
+        distance.Add(episode.adapter_distance);
       }
       curve.success.push_back(success.value().value_or(kNaN));
       curve.residual.push_back(residual.value().value_or(kNaN));
+      curve.mean_abs_action.push_back(action.value().value_or(kNaN));
+      curve.clipped_share.push_back(clipped.value().value_or(kNaN));
       curve.adapter_distance.push_back(distance.value().value_or(kNaN));
     }
     set.curves.push_back(std::move(curve));

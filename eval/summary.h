@@ -70,8 +70,8 @@ struct SuccessTable {
 // Means over units at the i-th episode of a unit, Clean excluded.
 struct AdaptationCurve {
   std::string method;
-  std::vector<double> success, residual,
-      adapter_distance;  // [episodes of a unit]; NaN where nothing was measured
+  // [episodes of a unit]; NaN where nothing was measured
+  std::vector<double> success, residual, mean_abs_action, clipped_share, adapter_distance;
   int units = 0;
 };
 

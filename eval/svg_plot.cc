@@ -52,7 +52,7 @@ std::string Legend(const std::vector<std::pair<std::string, std::string>>& entri
   std::string svg;
   double at = x;
   for (const auto& [name, color] : entries) {
-    const double length = 22 + 6.6 * name.size();
+    const double length = 34 + 6.2 * name.size();
     if (at > x && at + length > x + width) {
       at = x;
       y += 18;

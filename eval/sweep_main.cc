@@ -62,17 +62,18 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
       ->capture_default_str();
   app.add_flag("--dry-run", line.dry_run, "Print the units and stop");
   app.add_flag("--no-report", line.no_report, "Run and merge only");
-  app.add_option("--suites", line.suites, "See `robostress suites`")->delimiter(',');
+  app.add_option("--suites,--suite", line.suites, "See `robostress suites`")->delimiter(',');
   app.add_option("--tasks", line.tasks, "2: the first two; 0,3,7 or 2-5: indices; all");
   app.add_option("--episodes", line.episodes, "Consecutive episodes per task");
-  app.add_option("--scenarios", line.scenarios,
+  app.add_option("--scenarios,--scenario", line.scenarios,
                  "See `robostress scenarios` (default: clean and the seven)")
       ->delimiter(',');
-  app.add_option("--severities", line.severities, "Levels 1 to 5")->delimiter(',');
-  app.add_option("--policies", line.policies, "nano, expert, replay, or a weights file")
+  app.add_option("--severities,--severity", line.severities, "Levels 1 to 5")->delimiter(',');
+  app.add_option("--policies,--policy", line.policies, "nano, expert, replay, or a weights file")
       ->delimiter(',');
-  app.add_option("--methods", line.methods, absl::StrJoin(MethodNames(), ", "))->delimiter(',');
-  app.add_option("--seeds", line.seeds, "Seeds of the sampling noise")->delimiter(',');
+  app.add_option("--methods,--method", line.methods, absl::StrJoin(MethodNames(), ", "))
+      ->delimiter(',');
+  app.add_option("--seeds,--seed", line.seeds, "Seeds of the sampling noise")->delimiter(',');
   app.add_option("--first-initial-state", line.first_initial_state,
                  "0-19 reporting split, 40-49 dev split");
   app.add_option("--videos", line.videos, "Film the first N episodes of each task");

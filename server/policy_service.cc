@@ -4,12 +4,14 @@
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/resource_quota.h>
+#include <spdlog/spdlog.h>
 
 #include <chrono>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/time/clock.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
@@ -47,7 +49,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   }
   void CancelSessions() ABSL_LOCKS_EXCLUDED(mu_) {
     absl::MutexLock lock(&mu_);
-    for (auto& [id, session] : sessions_) session->Cancel();
+    for (auto& [id, entry] : sessions_) entry.session->Cancel();
   }
   void StopAdaptation() { adaptation_.Stop(); }
 
@@ -76,7 +78,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     absl::MutexLock lock(&mu_);
     const auto found = sessions_.find(request->session_id());
     if (found == sessions_.end()) return ToGrpc(UnknownSession(request->session_id()));
-    found->second->Cancel();
+    found->second.session->Cancel();
     sessions_.erase(found);
     return grpc::Status::OK;
   }
@@ -205,9 +207,13 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       absl::MutexLock lock(&mu_);
       if (draining_) return absl::UnavailableError("the server is shutting down");
       if (static_cast<int>(sessions_.size() + opening_) >= options_.max_sessions) {
-        return absl::ResourceExhaustedError(
-            absl::StrCat(sessions_.size(), " sessions are open, which is the limit",
-                         "; close one or start the server with --max-sessions"));
+        CloseAbandoned();
+      }
+      if (static_cast<int>(sessions_.size() + opening_) >= options_.max_sessions) {
+        return absl::ResourceExhaustedError(absl::StrCat(
+            sessions_.size(), " sessions are open, which is the limit, and all were used within ",
+            absl::FormatDuration(options_.abandoned_after),
+            "; close one or start the server with more --max-sessions"));
       }
       ++opening_;
       owner = ++last_session_;
@@ -219,7 +225,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     --opening_;
     if (!session.ok()) return session.status();
     const std::string id = absl::StrCat("session-", owner);
-    sessions_[id] = *std::move(session);
+    sessions_[id].session = *std::move(session);
     response.set_session_id(id);
     *response.mutable_policy() = ToProto(policy->second->spec());
     return absl::OkStatus();
@@ -234,14 +240,41 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       if (draining_) return ToGrpc(absl::UnavailableError("the server is shutting down"));
       const auto found = sessions_.find(id);
       if (found == sessions_.end()) return ToGrpc(UnknownSession(id));
-      session = found->second;
+      session = found->second.session;
+      ++found->second.in_flight;
       ++in_flight_;
     }
     const absl::Status status = function(*session);
     absl::MutexLock lock(&mu_);
     --in_flight_;
+    if (const auto found = sessions_.find(id); found != sessions_.end()) {
+      --found->second.in_flight;
+      found->second.last_used = absl::Now();
+    }
     return ToGrpc(status);
   }
+
+  // Closes the session that nobody has used for longest, if that is long enough.
+  void CloseAbandoned() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    auto oldest = sessions_.end();
+    for (auto at = sessions_.begin(); at != sessions_.end(); ++at) {
+      if (at->second.in_flight > 0) continue;
+      if (oldest == sessions_.end() || at->second.last_used < oldest->second.last_used) oldest = at;
+    }
+    if (oldest == sessions_.end()) return;
+    const absl::Duration unused = absl::Now() - oldest->second.last_used;
+    if (unused < options_.abandoned_after) return;
+    spdlog::warn("{} was not used for {}: closed to make room", oldest->first,
+                 absl::FormatDuration(unused));
+    oldest->second.session->Cancel();
+    sessions_.erase(oldest);
+  }
+
+  struct OpenedSession {
+    std::shared_ptr<Session> session;
+    absl::Time last_used = absl::Now();
+    int in_flight = 0;  // messages under way
+  };
 
   const PolicyServerOptions options_;
   std::map<std::string, std::shared_ptr<const FlowPolicy>>
@@ -254,7 +287,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   int in_flight_ ABSL_GUARDED_BY(mu_) = 0;
   size_t opening_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t last_session_ ABSL_GUARDED_BY(mu_) = 0;
-  std::map<std::string, std::shared_ptr<Session>> sessions_ ABSL_GUARDED_BY(mu_);
+  std::map<std::string, OpenedSession> sessions_ ABSL_GUARDED_BY(mu_);
 };
 
 PolicyServer::PolicyServer() = default;

@@ -25,6 +25,9 @@ struct PolicyServerOptions {
   std::string listen = "127.0.0.1:0";  // HOST:PORT; port 0: any free one
   int threads = 2;  // predictions computed at once, and as many threads for updates
   int max_sessions = 64;
+  // When max_sessions are open, the one unused for longest makes room if it was unused this long:
+  // its client was killed, or it has ended without closing.
+  absl::Duration abandoned_after = absl::Minutes(15);
   absl::Duration lockstep_timeout = absl::Seconds(120);
 };
 

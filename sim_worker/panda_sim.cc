@@ -18,7 +18,8 @@ namespace robostress {
 namespace {
 
 constexpr int kSubSteps = 25;
-constexpr double kControlPeriod = 0.05;      // [s]
+constexpr int kLateSubStep = 23;         // robosuite's observables fall due after this one, from 0
+constexpr double kControlPeriod = 0.05;  // [s]
 constexpr double kGripperPerSubStep = 0.01;  // of the half stroke
 
 // MuJoCo's default writes MUJOCO_LOG.TXT into the working directory. What matters is counted in
@@ -78,7 +79,8 @@ absl::StatusOr<SharedModel> CompileModel(const std::string& source, const std::s
 // The state of an episode beside mjData: everything that a continuation depends on.
 struct EpisodeState {
   EpisodeState(const SimOptions& options)
-      : controller(options.goal_reference), errors(options.joint_errors) {}
+      : controller(options.goal_reference, options.SinglePrecisionRotation()),
+        errors(options.joint_errors) {}
 
   OscController controller;
   JointErrorStack errors;
@@ -92,19 +94,21 @@ struct PandaSim::Snapshot {
   EpisodeState episode;
   double time;
   std::vector<double> qpos, qvel, act, ctrl, warmstart, mocap_pos, mocap_quat;
+  std::vector<double> late_pose_qpos, late_qpos, late_qvel;
 };
 
 struct PandaSim::Impl {
   Impl(SharedModel shared, const SimOptions& o, const PandaModel& p)
-      : model(std::move(shared)),
-        data(mj_makeData(model.get())),
-        options(o),
-        panda(p),
-        episode(o) {}
+      : model(std::move(shared)), data(mj_makeData(model.get())), options(o), panda(p), episode(o) {
+    if (options.LateObservation()) late.data.reset(mj_makeData(model.get()));
+  }
 
+  bool parity() const { return options.stepping == Stepping::kParity; }
+  // The forward passes of a sub-step, and the arm as the controller then sees it.
+  void LookAtArm();
   void SubStep();
-  absl::Status ControlStep(const Eigen::Matrix<double, 6, 1>& delta, double gripper,
-                           int progress_steps);
+  const mjData& Observed();
+  absl::Status ControlStep(const Vector7d& command, int progress_steps);
   Vector7d Saturated(const Vector7d& torque) const;
   Vector7d PerturbedTorque(const Vector7d& controller_torque);
   void DriveGripper(double direction);
@@ -119,7 +123,33 @@ struct PandaSim::Impl {
   const PandaModel panda;
   EpisodeState episode;
   bool position_stage_stale = false;  // somebody may have written to data since the last mj_step1
+  std::function<void()> on_sub_step;
+
+  // An observation that is older than the end of the control step: kinematics of the positions from
+  // which its sub-step started, positions and velocities of its end.
+  struct LateObservation {
+    DataPtr data;  // null: observations are of data
+    std::vector<double> pose_qpos, qpos, qvel;
+    bool keep = false;    // this sub-step's
+    bool current = true;  // data holds it
+  } late;
 };
+
+const mjData& PandaSim::Impl::Observed() {
+  if (late.data == nullptr) return *data;
+  if (late.current) return *late.data;
+  mjData* d = late.data.get();
+  std::copy(late.pose_qpos.begin(), late.pose_qpos.end(), d->qpos);
+  std::copy_n(data->mocap_pos, 3 * model->nmocap, d->mocap_pos);
+  std::copy_n(data->mocap_quat, 4 * model->nmocap, d->mocap_quat);
+  mj_kinematics(model.get(), d);
+  mj_comPos(model.get(), d);
+  mj_camlight(model.get(), d);
+  std::copy(late.qpos.begin(), late.qpos.end(), d->qpos);
+  std::copy(late.qvel.begin(), late.qvel.end(), d->qvel);
+  late.current = true;
+  return *d;
+}
 
 Vector7d PandaSim::Impl::Saturated(const Vector7d& torque) const {
   return torque.cwiseMax(-panda.torque_limit).cwiseMin(panda.torque_limit);
@@ -165,35 +195,45 @@ void PandaSim::Impl::DriveGripper(double direction) {
 
 void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
   const bool moved = episode.errors.position_stage();
-  if (moved && options.joint_errors.offset_mode == OffsetMode::kVelocity) {
-    // The offset travels as a velocity of one sub-step, seen by contacts, damping and Coriolis
-    // terms.
-    const Vector7d velocity = offset_change / model->opt.timestep;
-    for (int i = 0; i < 7; ++i) data->qvel[panda.dof[i]] += velocity[i];
-    if (options.stepping == Stepping::kReference) {
-      mj_step(model.get(), data.get());
-    } else {
-      mj_fwdVelocity(model.get(), data.get());
-      mj_step2(model.get(), data.get());
-    }
-    for (int i = 0; i < 7; ++i) data->qvel[panda.dof[i]] -= velocity[i];
-  } else {
-    if (moved) {
-      for (int i = 0; i < 7; ++i) data->qpos[panda.qpos[i]] += offset_change[i];
-    }
-    if (moved && options.stepping == Stepping::kReference) {
-      mj_step(model.get(), data.get());
-    } else {
-      mj_step2(model.get(), data.get());
-    }
+  // The offset travels as a velocity of one sub-step, seen by contacts, damping and Coriolis terms.
+  const bool as_velocity = moved && options.joint_errors.offset_mode == OffsetMode::kVelocity;
+  const Vector7d velocity = offset_change / model->opt.timestep;
+  for (int i = 0; i < 7; ++i) {
+    if (as_velocity) data->qvel[panda.dof[i]] += velocity[i];
+    if (moved && !as_velocity) data->qpos[panda.qpos[i]] += offset_change[i];
   }
-  mj_step1(model.get(), data.get());
+  if (late.keep) late.pose_qpos.assign(data->qpos, data->qpos + model->nq);
+  if (parity() || (moved && options.stepping == Stepping::kReference)) {
+    mj_step(model.get(), data.get());
+  } else {
+    if (as_velocity) mj_fwdVelocity(model.get(), data.get());
+    mj_step2(model.get(), data.get());
+  }
+  if (as_velocity) {
+    for (int i = 0; i < 7; ++i) data->qvel[panda.dof[i]] -= velocity[i];
+  }
+  if (late.keep) {
+    late.qpos.assign(data->qpos, data->qpos + model->nq);
+    late.qvel.assign(data->qvel, data->qvel + model->nv);
+    late.current = false;
+  }
+  if (!parity()) mj_step1(model.get(), data.get());
+}
+
+void PandaSim::Impl::LookAtArm() {
+  EpisodeState& e = episode;
+  if (parity()) {
+    // The environment's forward, then the controller's, which is left out in the first sub-step
+    // after a reset. What they add to the results is the solver's warm start.
+    mj_forward(model.get(), data.get());
+    if (!e.first_sub_step) mj_forward(model.get(), data.get());
+  }
+  if (!e.first_sub_step) ReadArm(*model, *data, panda, e.arm);
+  e.first_sub_step = false;
 }
 
 void PandaSim::Impl::SubStep() {
   EpisodeState& e = episode;
-  if (!e.first_sub_step) ReadArm(*model, *data, panda, e.arm);
-  e.first_sub_step = false;
   e.errors.BeginSubStep(model->opt.timestep);
   Vector7d bias;
   for (int i = 0; i < 7; ++i) bias[i] = data->qfrc_bias[panda.dof[i]];
@@ -208,17 +248,25 @@ void PandaSim::Impl::SubStep() {
   Integrate(offset_change);
 }
 
-absl::Status PandaSim::Impl::ControlStep(const Eigen::Matrix<double, 6, 1>& delta, double gripper,
-                                         int progress_steps) {
-  if (position_stage_stale) mj_step1(model.get(), data.get());
+absl::Status PandaSim::Impl::ControlStep(const Vector7d& command, int progress_steps) {
+  if (!command.allFinite()) {
+    return absl::InvalidArgumentError("a command has values that are not finite");
+  }
+  const Eigen::Matrix<double, 6, 1> delta = command.head<6>().cwiseMax(-1).cwiseMin(1);
+  const double gripper = (command[6] > 0) - (command[6] < 0);
+  if (position_stage_stale && !parity()) mj_step1(model.get(), data.get());
   position_stage_stale = false;
-  if (!episode.first_sub_step) ReadArm(*model, *data, panda, episode.arm);
-  episode.controller.SetGoal(delta, episode.arm);
   const bool gated = episode.errors.scenario().profile == SeverityProfile::kWhileGrasping;
-  episode.errors.BeginControlStep(progress_steps, gated && HeldBody() >= 0);
   for (int i = 0; i < kSubSteps; ++i) {
+    LookAtArm();
+    if (i == 0) {
+      episode.controller.SetGoal(delta, episode.arm);
+      episode.errors.BeginControlStep(progress_steps, gated && HeldBody() >= 0);
+    }
     DriveGripper(gripper);
+    late.keep = late.data != nullptr && i == kLateSubStep;
     SubStep();
+    if (on_sub_step) on_sub_step();
   }
   return CheckWarnings(*data);
 }
@@ -286,42 +334,54 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   ReadArm(*m, *d, s.panda, e.arm);
   e.controller.Reset(e.arm, home);
   for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = qpos[s.panda.qpos[i]];
-  mj_step1(m, d);
-  e.first_sub_step = true;
+  s.parity() ? mj_forward(m, d) : mj_step1(m, d);
+  if (!s.options.robosuite.home_goal) {
+    ArmState start;
+    ReadArm(*m, *d, s.panda, start);
+    e.controller.Reset(start, start.q);
+  }
+  e.first_sub_step = s.options.robosuite.stale_reset_pose;
   e.gripper = {};
   e.steps = 0;
   Vector7d q;
   for (int i = 0; i < 7; ++i) q[i] = d->qpos[s.panda.qpos[i]];
   e.errors.Reset(q, GravityTorque(*m, *d, s.panda));
   s.position_stage_stale = false;
+  s.late.pose_qpos.assign(d->qpos, d->qpos + m->nq);
+  s.late.qpos = s.late.pose_qpos;
+  s.late.qvel.assign(m->nv, 0);
+  s.late.current = false;
   return CheckWarnings(*d);
 }
 
 absl::Status PandaSim::Settle(int steps) {
-  for (int i = 0; i < steps; ++i) {
-    RS_RETURN_IF_ERROR(impl_->ControlStep(Eigen::Matrix<double, 6, 1>::Zero(), -1, 0));
-  }
+  Vector7d open = Vector7d::Zero();
+  open[6] = -1;
+  for (int i = 0; i < steps; ++i) RS_RETURN_IF_ERROR(SettleWith(open));
   return absl::OkStatus();
 }
 
+absl::Status PandaSim::SettleWith(const Vector7d& command) {
+  return impl_->ControlStep(command, 0);
+}
+
 absl::Status PandaSim::Step(const Eigen::VectorXf& command) {
-  if (command.size() != 7 || !command.allFinite()) {
+  if (command.size() != 7) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("a command has %d values%s; it must have 7 finite ones", command.size(),
-                        command.allFinite() ? "" : ", not all finite"));
+        absl::StrFormat("a command has %d values; it must have 7", command.size()));
   }
-  Impl& s = *impl_;
-  const Eigen::Matrix<double, 6, 1> delta =
-      command.head<6>().cast<double>().cwiseMax(-1).cwiseMin(1);
-  const double gripper = (command[6] > 0) - (command[6] < 0);
-  RS_RETURN_IF_ERROR(s.ControlStep(delta, gripper, s.episode.steps));
-  ++s.episode.steps;
+  return StepExact(command.cast<double>());
+}
+
+absl::Status PandaSim::StepExact(const Vector7d& command) {
+  RS_RETURN_IF_ERROR(impl_->ControlStep(command, impl_->episode.steps));
+  ++impl_->episode.steps;
   return absl::OkStatus();
 }
 
 RobotState PandaSim::Measure() const {
   const Impl& s = *impl_;
-  const mjData& d = *s.data;
+  const mjData& d = observed();
   RobotState state;
   state.stamp_s = s.episode.steps * kControlPeriod;
   state.q.resize(7);
@@ -344,6 +404,9 @@ int PandaSim::held_body() const { return impl_->HeldBody(); }
 int PandaSim::steps_taken() const { return impl_->episode.steps; }
 const mjModel& PandaSim::model() const { return *impl_->model; }
 const mjData& PandaSim::data() const { return *impl_->data; }
+const mjData& PandaSim::observed() const { return impl_->Observed(); }
+const OscController& PandaSim::controller() const { return impl_->episode.controller; }
+void PandaSim::OnSubStep(std::function<void()> call) { impl_->on_sub_step = std::move(call); }
 
 mjData& PandaSim::mutable_data() {
   impl_->position_stage_stale = true;
@@ -362,7 +425,10 @@ std::shared_ptr<const PandaSim::Snapshot> PandaSim::Save() const {
                                                    {d.ctrl, d.ctrl + m.nu},
                                                    {d.qacc_warmstart, d.qacc_warmstart + m.nv},
                                                    {d.mocap_pos, d.mocap_pos + 3 * m.nmocap},
-                                                   {d.mocap_quat, d.mocap_quat + 4 * m.nmocap}});
+                                                   {d.mocap_quat, d.mocap_quat + 4 * m.nmocap},
+                                                   s.late.pose_qpos,
+                                                   s.late.qpos,
+                                                   s.late.qvel});
 }
 
 void PandaSim::Restore(const Snapshot& snapshot) {
@@ -379,6 +445,10 @@ void PandaSim::Restore(const Snapshot& snapshot) {
   std::copy(snapshot.warmstart.begin(), snapshot.warmstart.end(), d->qacc_warmstart);
   std::copy(snapshot.mocap_pos.begin(), snapshot.mocap_pos.end(), d->mocap_pos);
   std::copy(snapshot.mocap_quat.begin(), snapshot.mocap_quat.end(), d->mocap_quat);
+  s.late.pose_qpos = snapshot.late_pose_qpos;
+  s.late.qpos = snapshot.late_qpos;
+  s.late.qvel = snapshot.late_qvel;
+  s.late.current = false;
   mj_step1(s.model.get(), d);
   s.position_stage_stale = false;
 }

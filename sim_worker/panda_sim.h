@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 
 #include <Eigen/Core>
@@ -13,6 +14,8 @@
 #include "common/unit_config.h"
 
 namespace robostress {
+
+class OscController;
 
 // Compiled models are immutable and shared between simulators.
 using SharedModel = std::shared_ptr<const mjModel>;
@@ -33,8 +36,11 @@ class PandaSim {
   absl::Status Reset(absl::Span<const double> qpos, const Eigen::Matrix<double, 7, 1>& home);
   // `steps` control steps with a zero command and an open gripper at progress 0, errors on.
   absl::Status Settle(int steps);
+  // One such step with a command of the caller's.
+  absl::Status SettleWith(const Eigen::Matrix<double, 7, 1>& command);
   // One control step (25 sub-steps). command [7]: clipped to +-1.
   absl::Status Step(const Eigen::VectorXf& command);
+  absl::Status StepExact(const Eigen::Matrix<double, 7, 1>& command);
 
   RobotState Measure() const;
   // Held: both finger pads touch one and the same free body's geoms.
@@ -45,6 +51,12 @@ class PandaSim {
   const mjModel& model() const;
   const mjData& data() const;
   mjData& mutable_data();
+  // What observations are made of: positions, velocities and kinematics, nothing else of mjData. data(),
+  // unless observations are late.
+  const mjData& observed() const;
+  const OscController& controller() const;
+  // Called after every sub-step, before the next one's forward passes.
+  void OnSubStep(std::function<void()> call);
 
   // Everything that a continuation depends on, for branching (expert labels) and restoring.
   struct Snapshot;

@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <cmath>
 #include <mutex>
 #include <numbers>
@@ -89,8 +90,8 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
 }
 
 absl::Status LiberoSimTask::MoveFixtures(const std::vector<FixturePose>& poses) {
-  RS_ASSIGN_OR_RETURN(SharedModel placed, PlaceFixtures(*scene_, poses));
-  SharedModel model = MakeSimulationModel(*placed, init_states_.row(0) + 1);
+  RS_ASSIGN_OR_RETURN(placed_model_, PlaceFixtures(*scene_, poses));
+  SharedModel model = MakeSimulationModel(*placed_model_, init_states_.row(0) + 1);
   if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
   RS_ASSIGN_OR_RETURN(render_model_, MakeRenderModel(*scene_, *model));
   renderer_.reset();
@@ -112,15 +113,35 @@ absl::Status LiberoSimTask::Reset(int initial_state) {
   return sim_->Settle(unit_.sim.settle_steps);
 }
 
+absl::Status LiberoSimTask::ResetTo(absl::Span<const double> qpos, absl::Span<const double> qvel,
+                                    const Eigen::Matrix<double, 7, 1>& home) {
+  const size_t nv = scene_->model->nv;
+  if (qvel.size() != nv) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("a state has ", qvel.size(), " velocities, the scene of '", name_, "' ", nv));
+  }
+  success_ = false;
+  RS_RETURN_IF_ERROR(sim_->Reset(qpos, home));
+  if (std::any_of(qvel.begin(), qvel.end(), [](double v) { return v != 0; }))
+    std::copy(qvel.begin(), qvel.end(), sim_->mutable_data().qvel);
+  return absl::OkStatus();
+}
+
 absl::Status LiberoSimTask::Step(const Eigen::VectorXf& command) {
   RS_RETURN_IF_ERROR(sim_->Step(command));
   success_ = goal_->Holds(sim_->data());
   return absl::OkStatus();
 }
 
+absl::Status LiberoSimTask::StepExact(const Eigen::Matrix<double, 7, 1>& command, bool settling) {
+  RS_RETURN_IF_ERROR(settling ? sim_->SettleWith(command) : sim_->StepExact(command));
+  success_ = goal_->Holds(sim_->data());
+  return absl::OkStatus();
+}
+
 absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, int width,
                                                    int height) {
-  const mjData& data = sim_->data();
+  const mjData& data = sim_->observed();
   if (renderer_ == nullptr) {
     RS_ASSIGN_OR_RETURN(renderer_, Renderer::Create(render_model_));
   }
@@ -140,7 +161,7 @@ absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, in
 }
 
 absl::StatusOr<Observation> LiberoSimTask::Observe(const PolicySpec& spec) {
-  const mjData& data = sim_->data();
+  const mjData& data = sim_->observed();
   const mjModel& model = sim_->model();
   RS_ASSIGN_OR_RETURN(const PandaModel panda, PandaModel::Find(model));
   Observation observation;

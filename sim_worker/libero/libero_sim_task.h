@@ -26,7 +26,13 @@ class LiberoSimTask : public SimTask {
   // 256, mirrored as the originals' are, and resized to the policy's size.
   absl::StatusOr<Observation> Observe(const PolicySpec& spec) override;
   absl::StatusOr<RobotState> Measure() override { return sim_->Measure(); }
+  // From any state instead of a stored one, without settle steps: qpos [nq], qvel [nv]; home: the
+  // posture [7] at which the originals' controller was reset.
+  absl::Status ResetTo(absl::Span<const double> qpos, absl::Span<const double> qvel,
+                       const Eigen::Matrix<double, 7, 1>& home);
   absl::Status Step(const Eigen::VectorXf& command) override;
+  // settling: progress stays 0.
+  absl::Status StepExact(const Eigen::Matrix<double, 7, 1>& command, bool settling);
   // As of the last step, like the originals' done; false after Reset.
   bool Success() const override { return success_; }
   int horizon() const override { return horizon_; }
@@ -44,6 +50,8 @@ class LiberoSimTask : public SimTask {
   absl::Status MoveFixtures(const std::vector<FixturePose>& poses);
   // LIBERO's init_qpos: the arm's posture at a reset, and the controller's null-space posture.
   static Eigen::Matrix<double, 7, 1> HomePosture();
+  // The compiled model with the fixtures where they stand.
+  const mjModel& placed_model() const { return *placed_model_; }
 
  private:
   LiberoSimTask() = default;
@@ -56,6 +64,7 @@ class LiberoSimTask : public SimTask {
   std::unique_ptr<LiberoGoal> goal_;
   InitStates init_states_;
   Scenario scenario_;
+  SharedModel placed_model_;
   std::unique_ptr<PandaSim> sim_;
   std::shared_ptr<mjModel> render_model_;
   std::unique_ptr<Renderer> renderer_;  // created with the first view

@@ -112,7 +112,7 @@ Eigen::VectorXf EmbeddedTask::Proprioception() const {
     result[i] = static_cast<float>(state.tool.p_base_tool[i]);
     result[3 + i] = static_cast<float>(rotation[i]);
   }
-  for (int i = 0; i < 2; ++i) result[6 + i] = static_cast<float>(sim_->data().qpos[7 + i]);
+  for (int i = 0; i < 2; ++i) result[6 + i] = static_cast<float>(sim_->observed().qpos[7 + i]);
   return result;
 }
 
@@ -124,7 +124,7 @@ absl::StatusOr<Image> EmbeddedTask::RenderView(const std::string& camera, int wi
   options.width = width;
   options.height = height;
   options.supersample = std::max(width, height) <= kSupersampleUpTo ? 2 : 1;
-  return renderer_->Render(sim_->data(), camera, options);
+  return renderer_->Render(sim_->observed(), camera, options);
 }
 
 absl::StatusOr<Observation> EmbeddedTask::Observe(const PolicySpec& spec) {

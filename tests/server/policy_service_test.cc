@@ -20,9 +20,12 @@ using ::testing::HasSubstr;
 
 class PolicyServiceTest : public ::testing::Test {
  protected:
-  PolicyServiceTest() {
+  PolicyServiceTest() { Start(absl::Minutes(15)); }
+
+  void Start(absl::Duration abandoned_after) {
     PolicyServerOptions options;
     options.max_sessions = 3;
+    options.abandoned_after = abandoned_after;
     auto server = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
     EXPECT_TRUE(server.ok()) << server.status();
     server_ = *std::move(server);
@@ -116,6 +119,20 @@ TEST_F(PolicyServiceTest, ClosingASessionMakesRoom) {
     Drive(*client, 1);
   }
   EXPECT_EQ(GetServerInfo(Address())->open_sessions, 0);
+}
+
+TEST_F(PolicyServiceTest, AnAbandonedSessionMakesRoomAndSaysSoToItsClient) {
+  Start(absl::ZeroDuration());
+  const auto abandoned = Connect(Spec("base")), used = Connect(Spec("base"));
+  const auto last = Connect(Spec("base"));
+  Drive(*used, 1);
+  Drive(*last, 1);
+  const auto fourth = Connect(Spec("base"));
+  EXPECT_EQ(GetServerInfo(Address())->open_sessions, 3);
+  EXPECT_THAT(std::string(abandoned->StartEpisode({0, 0}).message()),
+              HasSubstr("is not open here"));
+  Drive(*used, 1);
+  Drive(*fourth, 1);
 }
 
 TEST_F(PolicyServiceTest, AnswersHealthChecks) {
