@@ -291,9 +291,9 @@ std::string CurvePlots(const CurveSet& set) {
   options.y_max.reset();
   options.title = "Residual \u2016\u03b7\u2016 / \u2016a\u2016 [%]";
   html += LinePlot(residual, options);
-  options.title = absl::StrCat("Mean |a| of the policy, mean of the last ", window);
+  options.title = absl::StrCat("Mean |a|, mean of the last ", window);
   html += LinePlot(action, options);
-  options.title = "Share of commands beyond \u00b11, as sent [%]";
+  options.title = "Commands beyond \u00b11 [%]";
   html += LinePlot(clipped, options);
   options.title = "Adapter \u2016\u03c6 \u2212 \u03c6\u2080\u2016";
   html += LinePlot(distance, options);

@@ -27,6 +27,7 @@ constexpr Command kCommands[] = {
     {"worker", "Run one unit of a sweep: the simulator's side"},
     {"record", "Record demonstrations of the scripted experts"},
     {"train", "Train the embedded policy from demonstrations"},
+    {"replay", "Play recorded commands in a LIBERO task, compare two recordings"},
 };
 
 void PrintHelp() {
