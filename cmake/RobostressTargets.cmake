@@ -52,8 +52,12 @@ if(ROBOSTRESS_TORCH)
   target_precompile_headers(torch_pch PRIVATE <torch/torch.h>)
   target_link_libraries(torch_pch PRIVATE robostress_warnings)
 
-  # robostress_torch(target): links LibTorch and reuses the precompiled header.
+  # robostress_torch(target): links LibTorch and reuses the precompiled header. A benchmark that is not
+  # built is passed over.
   function(robostress_torch target)
+    if(NOT TARGET ${target})
+      return()
+    endif()
     target_link_libraries(${target} PUBLIC torch_pch)
     if(NOT ROBOSTRESS_NO_PCH)
       target_precompile_headers(${target} REUSE_FROM torch_pch)
