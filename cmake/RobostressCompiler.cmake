@@ -30,3 +30,21 @@ if(ROBOSTRESS_SANITIZE)
   add_compile_options(-fsanitize=${ROBOSTRESS_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
   add_link_options(-fsanitize=${ROBOSTRESS_SANITIZE})
 endif()
+if(ROBOSTRESS_SANITIZE MATCHES thread)
+  # Debian's absl is not instrumented: what its locks do is told by common/tsan_mutex.cc.
+  set(wrapped
+    _ZN4absl7debian35Mutex4LockEv
+    _ZN4absl7debian35Mutex6UnlockEv
+    _ZNK4absl7debian35Mutex10AssertHeldEv
+    _ZN4absl7debian35Mutex5AwaitERKNS0_9ConditionE
+    _ZN4absl7debian35Mutex16AwaitWithTimeoutERKNS0_9ConditionENS0_8DurationE
+    _ZN4absl7debian312Notification6NotifyEv
+    _ZNK4absl7debian312Notification19WaitForNotificationEv
+    _ZNK4absl7debian312Notification30WaitForNotificationWithTimeoutENS0_8DurationE
+    _ZN4absl7debian315BlockingCounter14DecrementCountEv
+    _ZN4absl7debian315BlockingCounter4WaitEv)
+  list(TRANSFORM wrapped PREPEND "LINKER:--wrap=")
+  add_link_options(${wrapped})
+  add_library(robostress_tsan_mutex STATIC ${PROJECT_SOURCE_DIR}/common/tsan_mutex.cc)
+  link_libraries(robostress_tsan_mutex)
+endif()

@@ -30,6 +30,7 @@ class AdaptationLoop {
  private:
   void Run(int index);
   bool HasWorkOrStopped() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    mu_.AssertHeld();
     return stopped_ || !ready_.empty();
   }
 
