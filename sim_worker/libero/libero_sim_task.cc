@@ -37,9 +37,9 @@ void AnnounceMissingVisuals(const LiberoScene& scene) {
   static std::once_flag once;
   std::call_once(once, [&] {
     spdlog::warn(
-        "{} mesh and texture files of this scene are not in the checkouts (first: {}); they are "
-        "replaced by "
-        "plain shapes and colours. Physics is unchanged, images are not LIBERO's.",
+        "{} mesh and texture files of this scene are not in the checkouts (first: {}); plain "
+        "shapes "
+        "of equal bounds and flat colours replace them. Dynamics stay, images are not LIBERO's.",
         scene.missing_visuals.size(), scene.missing_visuals.front());
   });
 }

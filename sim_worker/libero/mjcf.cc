@@ -1,10 +1,13 @@
 #include "sim_worker/libero/mjcf.h"
 
+#include <array>
 #include <charconv>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <iterator>
 #include <map>
+#include <optional>
 
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
@@ -13,6 +16,7 @@
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
+#include "sim_worker/libero/visual_bounds.h"
 
 namespace robostress::libero {
 namespace {
@@ -228,6 +232,28 @@ std::string FormatNumbers(const std::vector<double>& numbers) {
   return text;
 }
 
+namespace {
+
+// Vertices of a box with the bounding sphere of a visual mesh, where that is known; else of a cube
+// 2 cm wide. The sides differ, so that the mesh's principal axes, along which MuJoCo measures it,
+// are the box's.
+std::string BoxInPlaceOf(const std::string& file) {
+  std::array<double, 3> centre = {0, 0, 0}, half = {0.01, 0.01, 0.01};
+  if (const std::optional<VisualBounds> bounds = FindVisualBounds(file)) {
+    centre = bounds->centre;
+    const double unit = bounds->radius / std::sqrt(0.9 * 0.9 + 1.0 + 1.1 * 1.1);
+    half = {0.9 * unit, unit, 1.1 * unit};
+  }
+  std::vector<double> vertices;
+  for (int corner = 0; corner < 8; ++corner) {
+    for (int axis = 0; axis < 3; ++axis)
+      vertices.push_back(centre[axis] + ((corner >> axis) & 1 ? half[axis] : -half[axis]));
+  }
+  return FormatNumbers(vertices);
+}
+
+}  // namespace
+
 absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model) {
   std::map<std::string, std::string> missing_meshes;  // name -> file
   std::vector<std::string> files;
@@ -240,9 +266,7 @@ absl::StatusOr<std::vector<std::string>> ReplaceMissingVisuals(MjcfFile& model) 
     item->DeleteAttribute("file");
     if (std::strcmp(item->Name(), "mesh") == 0) {
       missing_meshes[Attribute(item, "name")] = file;
-      item->SetAttribute("vertex",
-                         "-.01 -.01 -.01 .01 -.01 -.01 -.01 .01 -.01 .01 .01 -.01 "
-                         "-.01 -.01 .01 .01 -.01 .01 -.01 .01 .01 .01 .01 .01");
+      item->SetAttribute("vertex", BoxInPlaceOf(file).c_str());
     } else if (std::strcmp(item->Name(), "texture") == 0) {
       for (const char* attribute : {"gridsize", "gridlayout", "fileright", "fileleft", "fileup",
                                     "filedown", "filefront", "fileback"}) {

@@ -64,10 +64,11 @@ Differences ReplayAgainst(const Reference& reference, const UnitConfig& unit) {
   if (!std::filesystem::exists(OracleFile(reference))) \
   GTEST_SKIP() << OracleFile(reference) << " is absent"
 
-// Tasks of each suite in which nothing bifurcates; the README has all 24.
+// Tasks of each suite in which nothing bifurcates; the README has all 24. libero_object 2 needs the
+// bounds of visual meshes, which double contacts with the floor (visual_bounds.h).
 TEST(ReplayTest, ParityFollowsTheOriginals) {
   for (const Reference& reference : {Reference{"libero_goal", 0},
-                                     {"libero_object", 3},
+                                     {"libero_object", 2},
                                      {"libero_spatial", 3},
                                      {"libero_10", 4}}) {
     SKIP_WITHOUT_ORACLE(reference);
