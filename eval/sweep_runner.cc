@@ -222,6 +222,7 @@ absl::StatusOr<ChildProcess> Sweep::StartWorker(const PlannedUnit& unit) {
   if (const auto server = servers_.find(unit.config.policy); server != servers_.end()) {
     command.insert(command.end(), {"--server", server->second.address});
   }
+  if (options_.measure_lag) command.push_back("--lag");
   return ChildProcess::Start(command, ChildEnvironment(), UnitLog(unit));
 }
 

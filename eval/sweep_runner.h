@@ -15,6 +15,8 @@ struct LaunchOptions {
   int workers = 2;
   int server_start_timeout_s = 180;
   bool quiet = false;  // no progress line
+  // Adds lag_residual to every episode: its commands played again without joint errors.
+  bool measure_lag = false;
 };
 
 // What happened to the units of this call.
