@@ -61,10 +61,11 @@ struct Rollouts {
     row.title = title;
     row.n = n;
     row.successes = successes;
-    row.residual = BootstrapEpisodes(residual, replicates, label + "/residual");
-    row.lag = BootstrapEpisodes(lag, replicates, label + "/lag");
-    row.added = BootstrapEpisodes(added, replicates, label + "/added");
-    row.lag_share = BootstrapEpisodes(lag_share, replicates, label + "/share");
+    // One label: the four measures are resampled alike.
+    row.residual = BootstrapEpisodes(residual, replicates, label);
+    row.lag = BootstrapEpisodes(lag, replicates, label);
+    row.added = BootstrapEpisodes(added, replicates, label);
+    row.lag_share = BootstrapEpisodes(lag_share, replicates, label);
     return row;
   }
 };
