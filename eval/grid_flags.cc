@@ -7,6 +7,19 @@
 
 namespace robostress {
 
+void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch) {
+  app.add_option("--workers", launch.workers, "Worker processes")
+      ->check(CLI::Range(1, 256))
+      ->capture_default_str();
+  app.add_option("--server", launch.server,
+                 "HOST:PORT of a policy server that runs already and holds the policies; absent: "
+                 "one is started for each");
+}
+
+PolicyHome PolicyHomeOf(const LaunchOptions& launch) {
+  return launch.server.empty() ? PolicyHome::kHere : PolicyHome::kElsewhere;
+}
+
 void DeclareGridFlags(CLI::App& app, GridFlags& flags) {
   app.add_option("--grid", flags.grid_file,
                  "YAML file of a grid, such as a run's sweep.yaml; flags override it");

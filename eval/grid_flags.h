@@ -7,6 +7,7 @@
 #include "CLI/CLI.hpp"
 #include "absl/status/status.h"
 #include "eval/plan.h"
+#include "eval/sweep_runner.h"
 
 namespace robostress {
 
@@ -21,6 +22,11 @@ struct GridFlags {
   int episodes = 0, first_initial_state = 0;
   std::string replay_file, libero_root, robosuite_root;
 };
+
+// --workers and --server of the programs that run a grid.
+void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch);
+// Where the policies of a launch are.
+PolicyHome PolicyHomeOf(const LaunchOptions& launch);
 
 // `flags` must outlive `app`'s parsing.
 void DeclareGridFlags(CLI::App& app, GridFlags& flags);

@@ -32,6 +32,7 @@ constexpr char kExamples[] =
     "--out runs/residual\n"
     "  robostress residual --suite tabletop_object --tasks 0,5 --policy weights.safetensors "
     "--goal-references achieved\n"
+    "  robostress residual --suite tabletop_goal --policy pi0 --server 10.0.0.7:50051\n"
     "  robostress residual --suite libero_goal --tasks 8-8 --policy replay --replay-file "
     "actions.safetensors \\\n"
     "      --libero-root LIBERO --robosuite-root robosuite --out runs/libero_residual\n\n"
@@ -39,8 +40,10 @@ constexpr char kExamples[] =
     "tab:residual-magnitude;\n"
     "lag, what the same commands leave when they are played again without joint errors from the "
     "same initial states;\n"
-    "errors add, residual minus lag [points]; lag share, lag over residual per rollout. [a, b]: 95 "
-    "% over episodes.\n"
+    "errors add, residual minus lag [points]; lag share, lag over residual per rollout; tracking "
+    "scale, ||dx / g - a|| / ||a||\n"
+    "with a nominal arm's steady gain g (method.tracking_gain). [a, b]: 95 % over episodes.\n"
+    "Defaults: suite tabletop_goal, policy nano, method base, five episodes per task.\n"
     "Leaves residual.csv (one row per episode), residual.md and a run directory per goal "
     "reference. Running a command\n"
     "again completes what is missing. Exit code: 0 all done, 1 a unit failed, 2 the command is "
@@ -61,9 +64,7 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
                  "What a command is relative to: achieved, desired")
       ->delimiter(',')
       ->capture_default_str();
-  app.add_option("--workers", line.launch.workers, "Worker processes")
-      ->check(CLI::Range(1, 256))
-      ->capture_default_str();
+  DeclareLaunchFlags(app, line.launch);
   app.add_option("--bootstrap", line.bootstrap_replicates, "Bootstrap replicates")
       ->check(CLI::Range(1, 1000000))
       ->capture_default_str();
@@ -91,7 +92,7 @@ absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line)
                        "' contradicts the comparison of goal references; use --goal-references"));
     }
   }
-  return ResolveGrid(std::move(grid));
+  return ResolveGrid(std::move(grid), PolicyHomeOf(line.launch));
 }
 
 absl::StatusOr<std::vector<ReferenceRun>> PlanRuns(const CLI::App& app, const CommandLine& line) {
@@ -168,8 +169,9 @@ int Run(const CLI::App& app, CommandLine& line) {
 
 int main(int argc, char** argv) {
   CLI::App app(
-      "Measures the residual magnitude of a policy across scenarios, for both goal references, and "
-      "the share of it that\nis controller lag.",
+      "Measures a policy's residual across scenarios, for both goal references, and the share of "
+      "it "
+      "that is controller lag.",
       "robostress residual");
   robostress::CommandLine line;
   robostress::DeclareFlags(app, line);

@@ -44,9 +44,7 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
   app.add_flag("--full", line.full,
                "The four embedded suites, all tasks, 20 episodes (wins over --quick)");
   app.add_option("--out", line.out, "Run directory (default: runs/quick, runs/full or runs/sweep)");
-  app.add_option("--workers", line.launch.workers, "Worker processes")
-      ->check(CLI::Range(1, 256))
-      ->capture_default_str();
+  DeclareLaunchFlags(app, line.launch);
   app.add_flag("--dry-run", line.dry_run, "Print the units and stop");
   app.add_flag("--no-report", line.no_report, "Run and merge only");
   DeclareGridFlags(app, line.grid);
@@ -60,7 +58,7 @@ absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line)
   if (line.full) grid = FullGrid();
   RS_RETURN_IF_ERROR(ApplyGridFlags(app, line.grid, grid));
   if (app.count("--videos")) grid.videos = line.videos;
-  return ResolveGrid(std::move(grid));
+  return ResolveGrid(std::move(grid), PolicyHomeOf(line.launch));
 }
 
 int Run(const CLI::App& app, CommandLine& line) {

@@ -22,6 +22,11 @@
 namespace robostress {
 namespace {
 
+struct WorkerArguments {
+  std::string unit, out, server;
+  bool lag = false;
+};
+
 nlohmann::json Episode(const UnitConfig& config, int task, int episode, int index, bool lag) {
   const int initial_state = config.first_initial_state + episode;
   const StreamKey key = StreamKey("fake").With(config.suite).With(task).With(initial_state);
@@ -61,8 +66,9 @@ nlohmann::json Episode(const UnitConfig& config, int task, int episode, int inde
   return row;
 }
 
-int Run(const std::string& unit_file, const std::string& out, bool lag) {
-  const absl::StatusOr<UnitConfig> config = LoadConfig<UnitConfig>(unit_file);
+int Run(const WorkerArguments& options) {
+  const std::string& out = options.out;
+  const absl::StatusOr<UnitConfig> config = LoadConfig<UnitConfig>(options.unit);
   if (!config.ok()) {
     std::fprintf(stderr, "%s\n", std::string(config.status().message()).c_str());
     return 2;
@@ -77,12 +83,13 @@ int Run(const std::string& unit_file, const std::string& out, bool lag) {
   if (status.ok()) status = WriteFileAtomically(out + "/config.yaml", DumpConfig(*config));
   if (status.ok()) status = WriteFileAtomically(out + "/episodes.jsonl", "");
   if (status.ok()) status = AppendLine(out + "/starts.txt", "started");
+  if (status.ok()) status = AppendLine(out + "/server.txt", options.server);
   int index = 0;
   for (const int task : config->tasks) {
     for (int episode = 0; episode < config->episodes && status.ok(); ++episode) {
       if (episode_ms != nullptr) poll(nullptr, 0, std::atoi(episode_ms));
-      status =
-          AppendLine(out + "/episodes.jsonl", Episode(*config, task, episode, index++, lag).dump());
+      status = AppendLine(out + "/episodes.jsonl",
+                          Episode(*config, task, episode, index++, options.lag).dump());
       if (status.ok()) status = AppendLine(out + "/timing.jsonl", R"({"wall_s": 0.5})");
       if (status.ok() && episode < config->videos) {
         std::vector<Image> frames(4);
@@ -107,12 +114,14 @@ int Run(const std::string& unit_file, const std::string& out, bool lag) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  std::string unit, out;
-  bool lag = false;
+  robostress::WorkerArguments options;
   for (int i = 1; i < argc; ++i) {
-    if (std::string(argv[i]) == "--unit") unit = argv[i + 1];
-    if (std::string(argv[i]) == "--out") out = argv[i + 1];
-    if (std::string(argv[i]) == "--lag") lag = true;
+    const std::string flag = argv[i];
+    if (flag == "--lag") options.lag = true;
+    if (i + 1 == argc) break;
+    if (flag == "--unit") options.unit = argv[i + 1];
+    if (flag == "--out") options.out = argv[i + 1];
+    if (flag == "--server") options.server = argv[i + 1];
   }
-  return robostress::Run(unit, out, lag);
+  return robostress::Run(options);
 }
