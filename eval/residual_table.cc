@@ -23,10 +23,11 @@ constexpr int kPaperSeverity = 5;
 
 absl::Status CheckHasLag(const UnitResult& unit) {
   for (const EpisodeRow& row : unit.episodes) {
-    const char* missing = !row.residual       ? "residual"
-                          : !row.a_sq         ? "a_sq"
-                          : !row.lag_residual ? "lag_residual"
-                                              : nullptr;
+    const char* missing = !row.residual            ? "residual"
+                          : !row.a_sq              ? "a_sq"
+                          : !row.lag_residual      ? "lag_residual"
+                          : !row.residual_tracking ? "residual_tracking"
+                                                   : nullptr;
     if (missing == nullptr) continue;
     return absl::FailedPreconditionError(absl::StrCat(
         "unit ", unit.id, ", task ", row.task, " episode ", row.episode, ": field ", missing,
@@ -38,7 +39,7 @@ absl::Status CheckHasLag(const UnitResult& unit) {
 // The measures of a set of rollouts, before they are averaged.
 struct Rollouts {
   int n = 0, successes = 0, motionless = 0;
-  std::vector<EpisodeValue> residual, lag, added, lag_share;
+  std::vector<EpisodeValue> residual, lag, added, lag_share, tracking;
 
   void Add(const UnitResult& unit, const EpisodeRow& row, int stratum) {
     if (*row.a_sq <= 0 || *row.residual <= 0) {
@@ -54,6 +55,7 @@ struct Rollouts {
     lag.push_back(value(*row.lag_residual));
     added.push_back(value(*row.residual - *row.lag_residual));
     lag_share.push_back(value(*row.lag_residual / *row.residual));
+    tracking.push_back(value(*row.residual_tracking));
   }
 
   ResidualRow Average(const std::string& title, int replicates, const std::string& label) const {
@@ -61,11 +63,12 @@ struct Rollouts {
     row.title = title;
     row.n = n;
     row.successes = successes;
-    // One label: the four measures are resampled alike.
+    // One label: the measures are resampled alike.
     row.residual = BootstrapEpisodes(residual, replicates, label);
     row.lag = BootstrapEpisodes(lag, replicates, label);
     row.added = BootstrapEpisodes(added, replicates, label);
     row.lag_share = BootstrapEpisodes(lag_share, replicates, label);
+    row.tracking = BootstrapEpisodes(tracking, replicates, label);
     return row;
   }
 };
@@ -217,13 +220,14 @@ std::string ResidualHeading(const ResidualTable& table) {
 }
 
 std::vector<std::vector<std::string>> ResidualCells(const ResidualTable& table) {
-  std::vector<std::vector<std::string>> cells = {
-      {"Scenario", "n", "success", "residual", "lag", "errors add", "lag share", "paper, pi0"}};
+  std::vector<std::vector<std::string>> cells = {{"Scenario", "n", "success", "residual", "lag",
+                                                  "errors add", "lag share", "tracking scale",
+                                                  "paper, pi0"}};
   for (const ResidualRow& row : table.rows) {
     cells.push_back({row.title, absl::StrCat(row.n),
                      row.n == 0 ? "-" : absl::StrFormat("%.0f", 100.0 * row.successes / row.n),
                      PercentText(row.residual), PercentText(row.lag), PointsText(row.added),
-                     PercentText(row.lag_share),
+                     PercentText(row.lag_share), PercentText(row.tracking),
                      row.paper ? absl::StrFormat("%.1f", *row.paper) : "-"});
   }
   return cells;

@@ -15,6 +15,9 @@
 //   lag_r      = ||eta_lag||_2 / ||a||_2    eta_lag = dx_lag - a
 //   added_r    = residual_r - lag_r
 //   share_r    = lag_r / residual_r = ||eta_lag||_2 / ||eta||_2
+//   tracking_r = ||dx / g - a||_2 / ||a||_2    g: the method's tracking_gain, a nominal arm's
+//   steady
+//                                              gain; beside the paper's reading, not instead of it
 //
 // where dx_lag is the motion that the rollout's commands as sent, played again open loop from the
 // same initial state, make without joint errors. A table holds the means over rollouts.
@@ -25,7 +28,7 @@ struct ResidualRow {
   std::string title;
   int n = 0;          // rollouts that moved: ||a|| > 0
   int successes = 0;  // of these
-  BootstrapResult residual, lag, added, lag_share;
+  BootstrapResult residual, lag, added, lag_share, tracking;
   std::optional<double> paper;  // tab:residual-magnitude, pi0, severity 5 [%]
 };
 
