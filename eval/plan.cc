@@ -92,7 +92,7 @@ std::vector<std::string> InOrderOf(const std::vector<std::string>& known,
   return ordered;
 }
 
-void CheckPolicies(const SweepGrid& grid, Complaints& complaints) {
+void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaints) {
   if (grid.policies.empty())
     complaints.Add("no policy given; known: nano, expert, replay, or a weights file");
   const bool has_base =
@@ -107,10 +107,12 @@ void CheckPolicies(const SweepGrid& grid, Complaints& complaints) {
       if (policy == "replay" && grid.replay_file.empty()) {
         complaints.Add("policy replay needs --replay-file FILE (safetensors with actions [T, 7])");
       }
-    } else if (policy != "nano" && policy != "nano:random" && access(policy.c_str(), R_OK) != 0) {
+    } else if (home == PolicyHome::kHere && policy != "nano" && policy != "nano:random" &&
+               access(policy.c_str(), R_OK) != 0) {
       complaints.Add(
           absl::StrCat("unknown policy '", policy,
-                       "'; known: nano, expert, replay, or the path of a readable weights file"));
+                       "'; known: nano, expert, replay, or the path of a readable weights file; "
+                       "a policy that another server holds needs --server HOST:PORT"));
     }
   }
 }
@@ -204,13 +206,13 @@ absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text) {
   return tasks;
 }
 
-absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid) {
+absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios();
   Complaints complaints;
   complaints.CheckNames("suite", grid.suites, SuiteNames());
   complaints.CheckNames("scenario", grid.scenarios, ScenarioNames());
   complaints.CheckNames("method", grid.methods, MethodNames());
-  CheckPolicies(grid, complaints);
+  CheckPolicies(grid, home, complaints);
   CheckRanges(grid, complaints);
   complaints.CheckUnique("suite", grid.suites);
   complaints.CheckUnique("scenario", grid.scenarios);

@@ -60,9 +60,14 @@ SweepGrid FullGrid();
 
 // "4": the first four tasks; "0,3,7" and "2-5": indices; "all" or "": empty.
 absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text);
+// Where a policy that does not run in the worker is served: by a server that the sweep starts, or
+// by one that runs already.
+enum class PolicyHome { kHere, kElsewhere };
+
 // Fills defaults that depend on other fields (the scenario list) and checks every name and range.
-// The error lists everything that is wrong, with the names that are known.
-absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid);
+// The error lists everything that is wrong, with the names that are known. Policies served
+// elsewhere may have any name.
+absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home = PolicyHome::kHere);
 // Units in canonical order: suite, scenario, severity, policy, method, seed. A policy that does not
 // adapt (expert, replay) gets the method base only; a scenario that is equal at all levels gets one
 // level.

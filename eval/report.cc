@@ -12,41 +12,13 @@
 #include "eval/paper_values.h"
 #include "eval/progress.h"
 #include "eval/report_page.h"
+#include "eval/text_table.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
 namespace {
 
 using nlohmann::json;
-
-// Display columns of UTF-8 text.
-size_t Columns(const std::string& text) {
-  return std::count_if(text.begin(), text.end(),
-                       [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; });
-}
-
-std::string Pad(const std::string& text, size_t columns, bool right = false) {
-  const size_t used = Columns(text);
-  const std::string space(columns > used ? columns - used : 0, ' ');
-  return right ? space + text : text + space;
-}
-
-// Rows of cells as aligned text; the first column is left-aligned.
-std::string Aligned(const std::vector<std::vector<std::string>>& rows) {
-  std::vector<size_t> widths;
-  for (const auto& row : rows) {
-    widths.resize(std::max(widths.size(), row.size()));
-    for (size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], Columns(row[c]));
-  }
-  std::string text;
-  for (const auto& row : rows) {
-    std::string line;
-    for (size_t c = 0; c < row.size(); ++c)
-      absl::StrAppend(&line, c == 0 ? "  " : "   ", Pad(row[c], widths[c], c > 0));
-    absl::StrAppend(&text, line, "\n");
-  }
-  return text;
-}
 
 std::string Percent(double fraction) { return absl::StrFormat("%.1f", 100 * fraction); }
 std::string OptionalPercent(const std::optional<double>& fraction) {
@@ -240,8 +212,8 @@ void AppendCells(std::string& csv, std::vector<std::string> cells,
 std::string TerminalTable(const RunData& run, const Summary& summary) {
   std::string text;
   for (const SuccessTable& table : summary.tables) {
-    absl::StrAppend(&text, "\n", TableHeading(table), "\n", Aligned(SuccessRows(table)));
-    if (table.suite.empty()) absl::StrAppend(&text, "\n", Aligned(ResidualRows(table)));
+    absl::StrAppend(&text, "\n", TableHeading(table), "\n", AlignedTable(SuccessRows(table)));
+    if (table.suite.empty()) absl::StrAppend(&text, "\n", AlignedTable(ResidualRows(table)));
   }
   absl::StrAppend(&text,
                   "\n  [a, b]: 95 % intervals; Wilson for a success rate, paired bootstrap over "
@@ -262,16 +234,7 @@ std::string TableMarkdown(const Summary& summary) {
   std::string text;
   for (const SuccessTable& table : summary.tables) {
     if (!table.suite.empty()) continue;
-    const std::vector<std::vector<std::string>> rows = SuccessRows(table);
-    absl::StrAppend(&text, TableHeading(table), "\n\n");
-    for (size_t r = 0; r < rows.size(); ++r) {
-      absl::StrAppend(&text, "| ", absl::StrJoin(rows[r], " | "), " |\n");
-      if (r > 0) continue;
-      text += "|---|";
-      for (size_t c = 1; c < rows[0].size(); ++c) text += "---:|";
-      text += "\n";
-    }
-    text += "\n";
+    absl::StrAppend(&text, TableHeading(table), "\n\n", MarkdownTable(SuccessRows(table)), "\n");
   }
   return text;
 }

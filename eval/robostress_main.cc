@@ -21,7 +21,8 @@ struct Command {
 constexpr Command kCommands[] = {
     {"sweep", "Evaluate policies and methods over suites and scenarios, then report"},
     {"report", "Write the report page and tables of a run directory"},
-    {"suites", "List suites, their tasks and instructions"},
+    {"residual", "Measure residual magnitudes for both goal references, and their controller lag"},
+    {"suites", "List suites, their tasks and instructions; draw their first frames"},
     {"scenarios", "List scenarios with their severity factors"},
     {"serve", "Serve a policy, with online adaptation, over gRPC"},
     {"worker", "Run one unit of a sweep: the simulator's side"},

@@ -201,6 +201,7 @@ absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::st
   row.intent_eta_sq = reader.Number("intent_eta_sq");
   row.intent_a_sq = reader.Number("intent_a_sq");
   row.residual_tracking = reader.Number("residual_tracking");
+  row.lag_residual = reader.Number("lag_residual");
   row.mean_abs_action = reader.Number("mean_abs_action");
   row.clipped_share = reader.Number("clipped_share");
   row.adapter_distance = reader.Number("adapter_distance");

@@ -26,6 +26,7 @@ struct EpisodeRow {
   std::optional<double> intent;        // ||dx - a_base|| / ||a_base||
   std::optional<double> intent_eta_sq, intent_a_sq;
   std::optional<double> residual_tracking;  // with the controller's steady gain in the scale
+  std::optional<double> lag_residual;  // of the same commands without joint errors (worker --lag)
   std::optional<double> mean_abs_action, clipped_share, adapter_distance;
   nlohmann::json fields;  // the line as it was read, for episodes.csv
 };

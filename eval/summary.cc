@@ -10,6 +10,7 @@
 #include "absl/strings/str_join.h"
 #include "common/joint_errors/scenarios.h"
 #include "common/suites.h"
+#include "eval/episode_bootstrap.h"
 #include "eval/plan.h"
 
 namespace robostress {
@@ -86,29 +87,10 @@ Measures MeanMeasures(const std::vector<Measures>& all) {
   return mean;
 }
 
-// One observation before clusters are numbered.
-struct Observation {
-  std::tuple<std::string, int, int> cluster;  // suite, task, initial state
-  int stratum = 0;
-  double value = 0;
-};
-
-BootstrapResult Bootstrap(const std::vector<Observation>& observations, int replicates,
-                          const std::string& label) {
-  std::map<std::tuple<std::string, int, int>, int> numbers;
-  for (const Observation& o : observations) numbers.emplace(o.cluster, 0);
-  int next = 0;
-  for (auto& [cluster, number] : numbers) number = next++;
-  std::vector<ClusteredValue> values;
-  for (const Observation& o : observations)
-    values.push_back({numbers[o.cluster], o.stratum, o.value});
-  return ClusterBootstrap(values, replicates, StreamKey("eval/bootstrap").With(label));
-}
-
 // The pairs of one scenario, appended to `observations` with the stratum given; counts go to
 // `comparison`.
 void AddPairs(const Units& method, const Units& base, int stratum,
-              std::vector<Observation>& observations, Comparison& comparison) {
+              std::vector<EpisodeValue>& observations, Comparison& comparison) {
   // suite, seed, task, episode
   std::map<std::tuple<std::string, int64_t, int, int>, bool> base_success;
   for (const UnitResult* unit : base) {
@@ -124,8 +106,7 @@ void AddPairs(const Units& method, const Units& base, int stratum,
       ++comparison.pairs;
       comparison.plus += row.success && !pair->second;
       comparison.minus += !row.success && pair->second;
-      observations.push_back({{unit->config.suite, row.task, row.initial_state},
-                              stratum,
+      observations.push_back({unit->config.suite, row.task, row.initial_state, stratum,
                               static_cast<double>(row.success) - pair->second});
     }
   }
@@ -155,7 +136,7 @@ using Grid = std::map<std::string, std::map<std::string, Units>>;  // scenario -
 AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::string& method,
                         int replicates, const std::string& label) {
   AverageCell average;
-  std::vector<Observation> successes, differences;
+  std::vector<EpisodeValue> successes, differences;
   std::vector<Measures> measures;
   Comparison comparison;
   int stratum = 0;
@@ -165,8 +146,7 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
     const auto& by_method = grid.at(row.scenario);
     for (const UnitResult* unit : by_method.at(method)) {
       for (const EpisodeRow& episode : unit->episodes) {
-        successes.push_back({{unit->config.suite, episode.task, episode.initial_state},
-                             stratum,
+        successes.push_back({unit->config.suite, episode.task, episode.initial_state, stratum,
                              static_cast<double>(episode.success)});
       }
     }
@@ -178,10 +158,11 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
     measures.push_back(cell->second.measures);
     ++stratum;
   }
-  average.success = Bootstrap(successes, replicates, label + "/average");
+  average.success = BootstrapEpisodes(successes, replicates, label + "/average");
   average.measures = MeanMeasures(measures);
   if (comparison.pairs > 0) {
-    comparison.difference = Bootstrap(differences, replicates, label + "/average difference");
+    comparison.difference =
+        BootstrapEpisodes(differences, replicates, label + "/average difference");
     average.versus_base = comparison;
   }
   return average;
@@ -216,10 +197,10 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
       Cell cell = MakeCell(cell_units);
       if (method != "base" && by_method->second.count("base")) {
         Comparison comparison;
-        std::vector<Observation> differences;
+        std::vector<EpisodeValue> differences;
         AddPairs(cell_units, by_method->second.at("base"), 0, differences, comparison);
-        comparison.difference =
-            Bootstrap(differences, replicates, absl::StrCat(label, "/", scenario, "/", method));
+        comparison.difference = BootstrapEpisodes(differences, replicates,
+                                                  absl::StrCat(label, "/", scenario, "/", method));
         if (comparison.pairs > 0) cell.versus_base = comparison;
       }
       row.cells.emplace(method, std::move(cell));

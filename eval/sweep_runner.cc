@@ -207,6 +207,7 @@ absl::Status Sweep::StartServer(const std::string& policy) {
 }
 
 absl::Status Sweep::StartServers(const std::vector<const PlannedUnit*>& pending) {
+  if (!options_.server.empty()) return absl::OkStatus();
   std::set<std::string> policies;
   for (const PlannedUnit* unit : pending) {
     if (!RunsInWorker(unit->config.policy)) policies.insert(unit->config.policy);
@@ -219,9 +220,12 @@ absl::StatusOr<ChildProcess> Sweep::StartWorker(const PlannedUnit& unit) {
   RS_ASSIGN_OR_RETURN(const std::string program, FindProgram("worker"));
   std::vector<std::string> command = {
       program, "--unit", absl::StrCat(dir_, "/plan/", unit.id, ".yaml"), "--out", UnitDir(unit)};
-  if (const auto server = servers_.find(unit.config.policy); server != servers_.end()) {
-    command.insert(command.end(), {"--server", server->second.address});
+  if (!RunsInWorker(unit.config.policy)) {
+    const std::string& address =
+        options_.server.empty() ? servers_.at(unit.config.policy).address : options_.server;
+    command.insert(command.end(), {"--server", address});
   }
+  if (options_.measure_lag) command.push_back("--lag");
   return ChildProcess::Start(command, ChildEnvironment(), UnitLog(unit));
 }
 

@@ -14,7 +14,10 @@ struct LaunchOptions {
   std::string run_dir;
   int workers = 2;
   int server_start_timeout_s = 180;
+  std::string server;  // HOST:PORT of a policy server that runs already; empty: one per policy
   bool quiet = false;  // no progress line
+  // Adds lag_residual to every episode: its commands played again without joint errors.
+  bool measure_lag = false;
 };
 
 // What happened to the units of this call.
@@ -27,7 +30,8 @@ struct SweepOutcome {
 };
 
 // Runs the units that have no DONE yet, at most `workers` processes at a time, the longest first,
-// with one policy server per policy that needs one. Layout of the run directory:
+// with one policy server per policy that needs one, unless options.server is there. Layout of the
+// run directory:
 //   sweep.yaml plan/<id>.yaml units/<id>/ (written by the worker) logs/<id>.log
 //   logs/server-<policy>.log launches.jsonl
 // A unit that fails is reported with the end of its log and the others go on. FailedPrecondition

@@ -1,4 +1,4 @@
-// robostress-suites: lists suites, tasks and instructions; draws a contact sheet of first frames.
+// robostress-suites: lists suites, tasks and instructions; draws contact sheets of first frames.
 
 #include <cstdio>
 #include <string>
@@ -7,19 +7,19 @@
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/image.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "nlohmann/json.hpp"
+#include "sim_worker/contact_sheet.h"
 #include "sim_worker/suites/embedded_task.h"
 
 namespace robostress {
 namespace {
 
 struct CommandLine {
-  std::string suite, sheet;
+  std::string suite, sheets, libero_root, robosuite_root;
   bool json = false;
-  int size = 128, initial_state = 0, step = 0;
+  int size = 176, initial_state = 0;
 };
 
 void PrintText(const CommandLine& line) {
@@ -56,35 +56,24 @@ void PrintJson(const CommandLine& line) {
   std::printf("%s\n", out.dump(2).c_str());
 }
 
-// A row per suite and view: the first frame of every task, after `step` control steps of the
-// expert.
-absl::Status WriteSheet(const CommandLine& line) {
-  std::vector<Image> rows;
+// FOLDER/SUITE.svg of the suite that was asked for, or of every embedded one.
+absl::Status WriteSheets(const CommandLine& line) {
   for (const SuiteInfo& info : AllSuites()) {
-    if (info.needs_libero || (!line.suite.empty() && line.suite != info.name)) continue;
-    std::vector<Image> views[2];
-    for (int i = 0; i < info.num_tasks; ++i) {
-      UnitConfig unit;
-      unit.suite = info.name;
-      RS_ASSIGN_OR_RETURN(const std::unique_ptr<EmbeddedTask> task, EmbeddedTask::Create(unit, i));
-      RS_RETURN_IF_ERROR(task->Reset(line.initial_state));
-      for (int k = 0; k < line.step && !task->Success(); ++k)
-        RS_RETURN_IF_ERROR(task->Step(task->Decide().command));
-      RS_ASSIGN_OR_RETURN(Image agent, task->RenderView("agentview", line.size, line.size));
-      RS_ASSIGN_OR_RETURN(Image wrist,
-                          task->RenderView("robot0_eye_in_hand", line.size, line.size));
-      views[0].push_back(std::move(agent));
-      views[1].push_back(std::move(wrist));
-    }
-    for (const auto& row : views) rows.push_back(HStack(row, 2));
+    if (line.suite.empty() ? info.needs_libero : line.suite != info.name) continue;
+    UnitConfig unit;
+    unit.suite = info.name;
+    unit.libero_root = line.libero_root;
+    unit.robosuite_root = line.robosuite_root;
+    RS_ASSIGN_OR_RETURN(const std::vector<FirstFrame> frames,
+                        RenderFirstFrames(unit, line.initial_state, line.size));
+    const std::string title = absl::StrCat(info.name, ", initial state ", line.initial_state);
+    RS_ASSIGN_OR_RETURN(const std::string svg, ContactSheetSvg(title, frames));
+    RS_RETURN_IF_ERROR(MakeDirectories(line.sheets));
+    const std::string file = absl::StrCat(line.sheets, "/", info.name, ".svg");
+    RS_RETURN_IF_ERROR(WriteFileAtomically(file, svg));
+    std::printf("%s\n", file.c_str());
   }
-  Image sheet = rows.front();
-  for (size_t i = 1; i < rows.size(); ++i) {
-    sheet.data.insert(sheet.data.end(), rows[i].data.begin(), rows[i].data.end());
-    sheet.height += rows[i].height;
-  }
-  RS_ASSIGN_OR_RETURN(const std::string png, EncodePng(sheet));
-  return WriteFileAtomically(line.sheet, png);
+  return absl::OkStatus();
 }
 
 int Run(const CommandLine& line) {
@@ -93,14 +82,8 @@ int Run(const CommandLine& line) {
                  line.suite.c_str());
     return 2;
   }
-  if (!line.sheet.empty()) {
-    if (const SuiteInfo* info = FindSuite(line.suite); info != nullptr && info->needs_libero) {
-      std::fprintf(stderr,
-                   "suites: a sheet can be drawn of the embedded suites only, not of '%s'\n",
-                   line.suite.c_str());
-      return 2;
-    }
-    const absl::Status status = WriteSheet(line);
+  if (!line.sheets.empty()) {
+    const absl::Status status = WriteSheets(line);
     if (!status.ok()) std::fprintf(stderr, "suites: %s\n", std::string(status.message()).c_str());
     return status.ok() ? 0 : 1;
   }
@@ -112,21 +95,28 @@ int Run(const CommandLine& line) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Lists suites, tasks and instructions.", "robostress suites");
+  CLI::App app("Lists suites, tasks and instructions; draws contact sheets of their first frames.",
+               "robostress suites");
   app.footer(
       "\nExamples\n  robostress suites\n  robostress suites --suite tabletop_goal --json\n  "
-      "robostress suites --sheet suites.png --size 160\n");
+      "robostress suites --sheet sheets\n  robostress suites --sheet sheets --suite libero_goal "
+      "--libero-root LIBERO --robosuite-root robosuite\n");
   robostress::CommandLine line;
   app.add_option("--suite", line.suite, "Only this one");
   app.add_flag("--json", line.json, "As JSON");
-  app.add_option("--sheet", line.sheet, "Write a PNG with the first frames of all embedded tasks");
+  app.add_option(
+         "--sheet", line.sheets,
+         "Write FOLDER/SUITE.svg with the first frame of every task, of the embedded suites "
+         "or of --suite")
+      ->type_name("FOLDER");
   app.add_option("--size", line.size, "Of a view on the sheet [px]")
       ->check(CLI::Range(16, 512))
       ->capture_default_str();
   app.add_option("--initial-state", line.initial_state, "Shown on the sheet")
       ->capture_default_str();
-  app.add_option("--step", line.step, "Control steps of the expert before the picture")
-      ->capture_default_str();
+  app.add_option("--libero-root", line.libero_root, "LIBERO checkout, for suites libero_*");
+  app.add_option("--robosuite-root", line.robosuite_root,
+                 "robosuite checkout, for suites libero_*");
   CLI11_PARSE(app, argc, argv);
   return robostress::Run(line);
 }

@@ -12,6 +12,12 @@ using nlohmann::json;
 
 json OrNull(const std::optional<double>& value) { return value ? json(*value) : json(nullptr); }
 
+EpisodeMetrics MetricsOf(const std::vector<ExecutedChunk>& chunks, const ResidualOptions& options) {
+  EpisodeMetrics metrics(options);
+  for (const ExecutedChunk& chunk : chunks) metrics.Add(chunk);
+  return metrics;
+}
+
 }  // namespace
 
 json EpisodeIdentity(const UnitConfig& resolved, const PlannedEpisode& planned) {
@@ -27,9 +33,10 @@ json EpisodeIdentity(const UnitConfig& resolved, const PlannedEpisode& planned) 
 }
 
 std::string EpisodeLine(const UnitConfig& resolved, const PlannedEpisode& planned,
-                        const EpisodeRecord& record, const SessionStats& stats) {
-  EpisodeMetrics metrics(ResidualOptionsOf(resolved.method));
-  for (const ExecutedChunk& chunk : record.chunks) metrics.Add(chunk);
+                        const EpisodeRecord& record, const SessionStats& stats,
+                        const std::optional<std::vector<ExecutedChunk>>& in_clean) {
+  const ResidualOptions options = ResidualOptionsOf(resolved.method);
+  const EpisodeMetrics metrics = MetricsOf(record.chunks, options);
   const bool has_intent = metrics.steps() > 0 && metrics.intent().has_value();
   json row = EpisodeIdentity(resolved, planned);
   row["success"] = record.success;
@@ -50,6 +57,11 @@ std::string EpisodeLine(const UnitConfig& resolved, const PlannedEpisode& planne
   row["intent_a_sq"] = has_intent ? json(metrics.intent_a_sq()) : json(nullptr);
   row["mean_abs_action"] = metrics.mean_abs_action();
   row["clipped_share"] = metrics.clipped_share();
+  if (in_clean) {
+    const EpisodeMetrics lag = MetricsOf(*in_clean, options);
+    row["lag_residual"] = lag.residual();
+    row["lag_eta_sq"] = lag.eta_sq();
+  }
   return row.dump();
 }
 
@@ -66,8 +78,7 @@ std::string TimingLine(const PlannedEpisode& planned, const EpisodeRecord& recor
 
 std::string ProgressLine(size_t index, size_t total, const PlannedEpisode& planned,
                          const EpisodeRecord& record, const SessionStats& stats, double wall_s) {
-  EpisodeMetrics metrics{ResidualOptions{}};
-  for (const ExecutedChunk& chunk : record.chunks) metrics.Add(chunk);
+  const EpisodeMetrics metrics = MetricsOf(record.chunks, ResidualOptions{});
   return absl::StrFormat(
       "episode %d/%d  task %d state %d  %s  %d steps  %d updates  residual %.3f  %.2f s", index + 1,
       total, planned.task, planned.initial_state, record.success ? "success" : "failure",

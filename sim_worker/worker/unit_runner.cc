@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/image.h"
+#include "common/rollout/replay_chunks.h"
 #include "common/rollout/replay_policy.h"
 #include "common/rollout/rollout.h"
 #include "common/rpc/policy_client.h"
@@ -130,6 +131,11 @@ class UnitRun {
     if (task_index_ == task) return absl::OkStatus();
     if (unit_.policy == "expert") local_.reset();  // it reads the task that goes
     RS_ASSIGN_OR_RETURN(task_, make_task_(unit_, task));
+    if (options_.measure_lag) {
+      UnitConfig clean = unit_;
+      clean.scenario = "clean";
+      RS_ASSIGN_OR_RETURN(clean_task_, make_task_(clean, task));
+    }
     task_index_ = task;
     if (unit_.policy == "expert") {
       RS_ASSIGN_OR_RETURN(local_, task_.make_expert());
@@ -160,7 +166,12 @@ class UnitRun {
     }
     const double wall_s =
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    RS_RETURN_IF_ERROR(directory_->Append(EpisodeLine(unit_, planned, record, stats),
+    std::optional<std::vector<ExecutedChunk>> in_clean;
+    if (options_.measure_lag) {
+      RS_ASSIGN_OR_RETURN(in_clean,
+                          ReplayChunks(record.chunks, planned.initial_state, *clean_task_.robot));
+    }
+    RS_RETURN_IF_ERROR(directory_->Append(EpisodeLine(unit_, planned, record, stats, in_clean),
                                           TimingLine(planned, record, wall_s),
                                           adapter ? &adapter->safetensors : nullptr));
     Say(ProgressLine(index, plan_.size(), planned, record, stats, wall_s));
@@ -179,6 +190,7 @@ class UnitRun {
   std::unique_ptr<UnitDirectory> directory_;
   int task_index_ = -1;
   UnitTask task_;
+  UnitTask clean_task_;  // the same task without joint errors; with measure_lag only
   std::unique_ptr<PolicyEndpoint> local_;  // expert (reads task_), replay
   std::unique_ptr<GrpcPolicyClient> client_;
   uint64_t sequence_ = 0;  // of the last feedback sent

@@ -27,6 +27,8 @@ struct UnitRunOptions {
   std::string server;             // HOST:PORT for every policy but expert and replay
   double connect_timeout_s = 20;  // [s]
   double call_timeout_s = 300;    // [s]
+  // Adds the lag of each episode to its row (episode_row.h); changes nothing else in it.
+  bool measure_lag = false;
   std::function<void(std::string_view)> progress;  // one line per episode
 };
 

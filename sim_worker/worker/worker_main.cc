@@ -101,6 +101,9 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--call-timeout", options.call_timeout_s, "seconds for any answer of the server")
       ->capture_default_str();
+  app.add_flag("--lag", options.measure_lag,
+               "also play each episode's commands without joint errors and add lag_residual to its "
+               "row; see `robostress residual`");
   app.add_flag("--quiet", quiet, "no progress lines");
   try {
     app.parse(argc, argv);

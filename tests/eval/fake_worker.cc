@@ -22,7 +22,12 @@
 namespace robostress {
 namespace {
 
-nlohmann::json Episode(const UnitConfig& config, int task, int episode, int index) {
+struct WorkerArguments {
+  std::string unit, out, server;
+  bool lag = false;
+};
+
+nlohmann::json Episode(const UnitConfig& config, int task, int episode, int index, bool lag) {
   const int initial_state = config.first_initial_state + episode;
   const StreamKey key = StreamKey("fake").With(config.suite).With(task).With(initial_state);
   RandomStream difficulty(key),
@@ -31,35 +36,39 @@ nlohmann::json Episode(const UnitConfig& config, int task, int episode, int inde
   const int updates = config.method.adapt ? std::max(0, (index * 20 - 32) / 8) : 0;
   const double gain = config.method.adapt ? 0.1 * std::min(1.0, updates / 20.0) : 0;
   const bool success = difficulty.Uniform() + 0.2 * chance.Normal() < (clean ? 0.92 : 0.5 + gain);
-  const double residual = (clean ? 0.21 : 0.45) + 0.03 * chance.Normal();
+  const bool desired = config.sim.goal_reference == GoalReference::kDesired;
+  const double residual = (desired ? 2 : 1) * ((clean ? 0.21 : 0.45) + 0.03 * chance.Normal());
   const double a_sq = 20 + 5 * chance.Uniform();
-  return {{"suite", config.suite},
-          {"scenario", config.scenario},
-          {"severity", config.severity},
-          {"policy", config.policy},
-          {"method", config.method.method},
-          {"seed", config.seed},
-          {"task", task},
-          {"episode", episode},
-          {"initial_state", initial_state},
-          {"success", success},
-          {"steps", success ? 110 : 300},
-          {"chunks", success ? 22 : 60},
-          {"updates", updates},
-          {"residual", residual},
-          {"eta_sq", residual * residual * a_sq},
-          {"a_sq", a_sq},
-          {"intent", residual * 1.02},
-          {"intent_eta_sq", residual * residual * a_sq},
-          {"intent_a_sq", a_sq},
-          {"residual_tracking", residual * 0.6},
-          {"mean_abs_action", 0.21},
-          {"clipped_share", 0.01},
-          {"adapter_distance", 0.01 * std::sqrt(updates)}};
+  nlohmann::json row = {{"suite", config.suite},
+                        {"scenario", config.scenario},
+                        {"severity", config.severity},
+                        {"policy", config.policy},
+                        {"method", config.method.method},
+                        {"seed", config.seed},
+                        {"task", task},
+                        {"episode", episode},
+                        {"initial_state", initial_state},
+                        {"success", success},
+                        {"steps", success ? 110 : 300},
+                        {"chunks", success ? 22 : 60},
+                        {"updates", updates},
+                        {"residual", residual},
+                        {"eta_sq", residual * residual * a_sq},
+                        {"a_sq", a_sq},
+                        {"intent", residual * 1.02},
+                        {"intent_eta_sq", residual * residual * a_sq},
+                        {"intent_a_sq", a_sq},
+                        {"residual_tracking", residual * 0.6},
+                        {"mean_abs_action", 0.21},
+                        {"clipped_share", 0.01},
+                        {"adapter_distance", 0.01 * std::sqrt(updates)}};
+  if (lag) row["lag_residual"] = (clean ? 1 : 0.5) * residual;
+  return row;
 }
 
-int Run(const std::string& unit_file, const std::string& out) {
-  const absl::StatusOr<UnitConfig> config = LoadConfig<UnitConfig>(unit_file);
+int Run(const WorkerArguments& options) {
+  const std::string& out = options.out;
+  const absl::StatusOr<UnitConfig> config = LoadConfig<UnitConfig>(options.unit);
   if (!config.ok()) {
     std::fprintf(stderr, "%s\n", std::string(config.status().message()).c_str());
     return 2;
@@ -74,11 +83,13 @@ int Run(const std::string& unit_file, const std::string& out) {
   if (status.ok()) status = WriteFileAtomically(out + "/config.yaml", DumpConfig(*config));
   if (status.ok()) status = WriteFileAtomically(out + "/episodes.jsonl", "");
   if (status.ok()) status = AppendLine(out + "/starts.txt", "started");
+  if (status.ok()) status = AppendLine(out + "/server.txt", options.server);
   int index = 0;
   for (const int task : config->tasks) {
     for (int episode = 0; episode < config->episodes && status.ok(); ++episode) {
       if (episode_ms != nullptr) poll(nullptr, 0, std::atoi(episode_ms));
-      status = AppendLine(out + "/episodes.jsonl", Episode(*config, task, episode, index++).dump());
+      status = AppendLine(out + "/episodes.jsonl",
+                          Episode(*config, task, episode, index++, options.lag).dump());
       if (status.ok()) status = AppendLine(out + "/timing.jsonl", R"({"wall_s": 0.5})");
       if (status.ok() && episode < config->videos) {
         std::vector<Image> frames(4);
@@ -103,10 +114,14 @@ int Run(const std::string& unit_file, const std::string& out) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  std::string unit, out;
-  for (int i = 1; i + 1 < argc; i += 2) {
-    if (std::string(argv[i]) == "--unit") unit = argv[i + 1];
-    if (std::string(argv[i]) == "--out") out = argv[i + 1];
+  robostress::WorkerArguments options;
+  for (int i = 1; i < argc; ++i) {
+    const std::string flag = argv[i];
+    if (flag == "--lag") options.lag = true;
+    if (i + 1 == argc) break;
+    if (flag == "--unit") options.unit = argv[i + 1];
+    if (flag == "--out") options.out = argv[i + 1];
+    if (flag == "--server") options.server = argv[i + 1];
   }
-  return robostress::Run(unit, out);
+  return robostress::Run(options);
 }

@@ -116,6 +116,17 @@ TEST_F(SweepProgram, ExpertNeedsNoServer) {
       << output();
 }
 
+TEST_F(SweepProgram, PolicyOfAServerElsewhereNeedsNoneHere) {
+  const std::string pi0 =
+      absl::StrCat("--policies pi0 --methods base --tasks 1 --episodes 2 --scenarios clean --out '",
+                   folder_, "/run' ");
+  EXPECT_EQ(Sweep(pi0), 2) << output();
+  EXPECT_THAT(output(), HasSubstr("needs --server HOST:PORT"));
+  EXPECT_EQ(Sweep(pi0 + "--server 10.0.0.7:50051", "FAKE_SERVER_FAILS=1"), 0) << output();
+  EXPECT_EQ(*ReadFile(folder_ + "/run/units/tabletop_goal-clean-L5-pi0-base-s0/server.txt"),
+            "10.0.0.7:50051\n");
+}
+
 TEST_F(SweepProgram, OtherConfigurationOfAStartedUnitIsRefused) {
   ASSERT_EQ(Sweep(Small("run")), 0) << output();
   const std::string table = *ReadFile(folder_ + "/run/episodes.csv");

@@ -6,8 +6,9 @@
 
 namespace robostress {
 
-// A point that follows 30 % of each commanded displacement. Succeeds once it has moved `goal`
-// metres along x from its start. 7 joints that stand still, 7-D actions, proprioception (x, y).
+// A point that follows 30 % (`follow`) of each commanded displacement. Succeeds once it has moved
+// `goal` metres along x from its start. 7 joints that stand still, 7-D actions, proprioception (x,
+// y).
 class FakeRobot : public Robot {
  public:
   explicit FakeRobot(double goal = 1e9, int horizon = 7) : goal_(goal), horizon_(horizon) {}
@@ -39,13 +40,14 @@ class FakeRobot : public Robot {
     if (steps_to_failure >= 0 && steps_to_failure-- == 0)
       return absl::InternalError("the arm tripped");
     commands.push_back(command);
-    p_ += 0.3 * 0.05 * command.head(3).cast<double>();
+    p_ += follow * 0.05 * command.head(3).cast<double>();
     ++steps_;
     return absl::OkStatus();
   }
   bool Success() const override { return p_.x() - start_.x() >= goal_; }
   int horizon() const override { return horizon_; }
 
+  double follow = 0.3;
   int resets = 0, observations = 0;
   int steps_to_failure = -1;  // n >= 0: the n-th step from now fails
   std::vector<Eigen::VectorXf> commands;

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 
+#include <cmath>
 #include <csignal>
 #include <filesystem>
 
@@ -72,24 +73,27 @@ struct UnitRunnerTest : public testing::Test {
     options.out = Dir(name);
     options.server = server == nullptr ? "" : server->address();
     options.connect_timeout_s = 60;
+    options.measure_lag = measure_lag;
     options.progress = [this](std::string_view line) { lines.emplace_back(line); };
-    return RunUnit(unit, options, [&](const UnitConfig&, int task) -> absl::StatusOr<UnitTask> {
-      auto robot = std::make_shared<FakeRobot>(0.012 + 0.004 * task, 15);
-      robot->steps_to_failure = steps_before_failure;
-      robots.push_back(robot);
-      UnitTask out;
-      out.robot = robot;
-      out.make_expert = []() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
-        return std::make_unique<FakeExpert>();
-      };
-      out.film = [this](int height) -> absl::StatusOr<Image> {
-        ++frames;
-        return Image{
-            2 * height, height,
-            std::vector<uint8_t>(size_t{6} * height * height, static_cast<uint8_t>(frames))};
-      };
-      return out;
-    });
+    return RunUnit(
+        unit, options, [&](const UnitConfig& made, int task) -> absl::StatusOr<UnitTask> {
+          auto robot = std::make_shared<FakeRobot>(0.012 + 0.004 * task, 15);
+          if (made.scenario != "clean") robot->follow = 0.2;
+          robot->steps_to_failure = steps_before_failure;
+          robots.push_back(robot);
+          UnitTask out;
+          out.robot = robot;
+          out.make_expert = []() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
+            return std::make_unique<FakeExpert>();
+          };
+          out.film = [this](int height) -> absl::StatusOr<Image> {
+            ++frames;
+            return Image{
+                2 * height, height,
+                std::vector<uint8_t>(size_t{6} * height * height, static_cast<uint8_t>(frames))};
+          };
+          return out;
+        });
   }
   std::string Read(const std::string& name, const char* file) const {
     const absl::StatusOr<std::string> text = ReadFile(absl::StrCat(Dir(name), "/", file));
@@ -113,6 +117,7 @@ struct UnitRunnerTest : public testing::Test {
   std::vector<std::shared_ptr<FakeRobot>> robots;
   std::vector<std::string> lines;
   int frames = 0;
+  bool measure_lag = false;
 };
 
 TEST_F(UnitRunnerTest, WritesOneRowPerEpisodeAndDoneLast) {
@@ -143,6 +148,27 @@ TEST_F(UnitRunnerTest, ResidualOfARobotThatFollowsThirtyPercentIsSeventyPercent)
     // The point follows 0.3 of the translation and none of the rotation.
     EXPECT_GT(row["residual"], 0.7);
     EXPECT_LT(row["residual"], 1.0);
+  }
+}
+
+TEST_F(UnitRunnerTest, LagIsWhatTheSameCommandsLeaveWithoutErrors) {
+  unit.policy = "expert";  // 0.5 in every entry
+  unit.method = *MakeMethod("base");
+  unit.scenario = "heavy_payload";
+  ASSERT_TRUE(Run("plain").ok());
+  measure_lag = true;
+  ASSERT_TRUE(Run("lag").ok());
+  std::vector<json> plain = Rows("plain"), lag = Rows("lag");
+  for (size_t i = 0; i < lag.size(); ++i) {
+    // Follows 0.2 of the translation with errors, 0.3 without, and none of the rotation.
+    EXPECT_NEAR(lag[i]["residual"], std::sqrt((0.8 * 0.8 + 1) / 2), 1e-6);
+    EXPECT_NEAR(lag[i]["lag_residual"], std::sqrt((0.7 * 0.7 + 1) / 2), 1e-6);
+    EXPECT_NEAR(lag[i]["lag_eta_sq"].get<double>() / lag[i]["a_sq"].get<double>(),
+                (0.7 * 0.7 + 1) / 2, 1e-6);
+    EXPECT_FALSE(plain[i].contains("lag_residual"));
+    lag[i].erase("lag_residual");
+    lag[i].erase("lag_eta_sq");
+    EXPECT_EQ(lag[i], plain[i]) << "measuring the lag changes nothing else";
   }
 }
 

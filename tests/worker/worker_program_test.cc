@@ -13,6 +13,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "nlohmann/json.hpp"
 
 namespace robostress {
 namespace {
@@ -127,6 +128,28 @@ TEST_F(WorkerProgramTest, KilledExpertUnitContinuesToTheSameBytes) {
   EXPECT_EQ(*ReadFile(Path("killed/episodes.jsonl")), *ReadFile(Path("straight/episodes.jsonl")));
   EXPECT_THAT(Worker({"--unit", unit, "--out", Path("killed")}).output,
               HasSubstr("already complete"));
+}
+
+// The replay is exact: without errors to take away, it leaves what the episode left.
+TEST_F(WorkerProgramTest, LagOfACleanEpisodeIsItsResidual) {
+  const std::string unit = WriteUnit();
+  for (const std::string scenario : {"clean", "aged_transmission"}) {
+    for (const char* reference : {"achieved", "desired"}) {
+      const std::string out = Path(absl::StrCat(scenario, reference));
+      const Outcome outcome =
+          Worker({"--unit", unit, "--set", "tasks=[0]", "--set", "episodes=1", "--set",
+                  "scenario=" + scenario, "--set", absl::StrCat("sim.goal_reference=", reference),
+                  "--lag", "--out", out});
+      ASSERT_EQ(outcome.code, 0) << outcome.output;
+      const nlohmann::json row = nlohmann::json::parse(*ReadFile(out + "/episodes.jsonl"));
+      EXPECT_GT(row["lag_residual"], 0);
+      if (scenario == "clean") {
+        EXPECT_EQ(row["lag_eta_sq"], row["eta_sq"]) << reference;
+      } else {
+        EXPECT_NE(row["lag_eta_sq"], row["eta_sq"]) << reference;
+      }
+    }
+  }
 }
 
 TEST_F(WorkerProgramTest, FilmsAnEmbeddedSceneWithoutADisplay) {

@@ -1,0 +1,23 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "eval/statistics.h"
+
+namespace robostress {
+
+// A number that one episode gave; episodes of equal suite, task and initial state are one cluster.
+struct EpisodeValue {
+  std::string suite;
+  int task = 0, initial_state = 0;
+  int stratum = 0;  // scenario
+  double value = 0;
+};
+
+// ClusterBootstrap with a stream keyed by `label`, the cell of the table: a number does not depend
+// on what else is in the report.
+BootstrapResult BootstrapEpisodes(const std::vector<EpisodeValue>& values, int replicates,
+                                  const std::string& label);
+
+}  // namespace robostress

@@ -1,0 +1,16 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace robostress {
+
+// Rows of cells, the heading first; UTF-8.
+using TextRows = std::vector<std::vector<std::string>>;
+
+// For a terminal: two spaces before each line, the first column left-aligned, the others right.
+std::string AlignedTable(const TextRows& rows);
+// The same as a Markdown table.
+std::string MarkdownTable(const TextRows& rows);
+
+}  // namespace robostress

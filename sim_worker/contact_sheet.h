@@ -1,0 +1,28 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "common/types.h"
+#include "common/unit_config.h"
+
+namespace robostress {
+
+// What one task of a suite looks like when its episode starts.
+struct FirstFrame {
+  std::string instruction;
+  Image image;  // third-person view
+};
+
+// The first frames of all tasks of `unit.suite` from `initial_state`, in task order, size x size
+// [px], each averaged from twice that. Takes a task at a time.
+absl::StatusOr<std::vector<FirstFrame>> RenderFirstFrames(const UnitConfig& unit, int initial_state,
+                                                          int size);
+
+// A page of frames of equal size, five in a row, each with its number and instruction below it: an
+// SVG that holds its pictures. `title` stands above.
+absl::StatusOr<std::string> ContactSheetSvg(const std::string& title,
+                                            const std::vector<FirstFrame>& frames);
+
+}  // namespace robostress
