@@ -3,17 +3,22 @@
 #include <gmock/gmock.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
+#include <numbers>
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "common/so3.h"
+#include "common/suites.h"
 #include "sim_worker/libero/libero_sim_task.h"
+#include "sim_worker/libero/replay.h"
 #include "tests/libero/shared_data.h"
 
 namespace robostress::libero {
@@ -175,6 +180,142 @@ TEST(LiberoTaskTest, FollowsTheOriginalsTrajectory) {
               arm, rest);
   EXPECT_LT(arm, 1e-6);
   EXPECT_LT(rest, 1e-6);
+}
+
+// openpi's episode: the suites' horizons, and ten settle steps of a zero command with an open hand.
+TEST(LiberoTaskTest, HorizonsAreOpenpis) {
+  const std::map<std::string, int> horizons = {
+      {"libero_spatial", 220}, {"libero_object", 280}, {"libero_goal", 300}, {"libero_10", 520}};
+  for (const auto& [suite, horizon] : horizons) {
+    ASSERT_NE(FindSuite(suite), nullptr) << suite;
+    EXPECT_EQ(FindSuite(suite)->horizon, horizon) << suite;
+    EXPECT_EQ(FindSuite(suite)->num_tasks, 10) << suite;
+    EXPECT_EQ(LiberoTaskNames(suite)->size(), 10u) << suite;
+  }
+  SKIP_WITHOUT_SHARED_DATA();
+  const auto task = LiberoSimTask::Create(GoalUnit(), kBowlOnPlate);
+  ASSERT_TRUE(task.ok()) << task.status();
+  EXPECT_EQ((*task)->horizon(), 300) << "the settle steps are not among them";
+}
+
+TEST(LiberoTaskTest, AResetTakesTenSettleStepsThatAreNotTheEpisodes) {
+  SKIP_WITHOUT_SHARED_DATA();
+  UnitConfig bare = GoalUnit();
+  bare.sim.settle_steps = 0;
+  const auto settled = LiberoSimTask::Create(GoalUnit(), kBowlOnPlate);
+  const auto stepped = LiberoSimTask::Create(bare, kBowlOnPlate);
+  ASSERT_TRUE(settled.ok() && stepped.ok()) << settled.status() << stepped.status();
+  ASSERT_TRUE((*settled)->Reset(4).ok());
+  ASSERT_TRUE((*stepped)->Reset(4).ok());
+  EXPECT_NEAR((*settled)->sim().data().time, 10 * 0.05, 1e-9);
+  EXPECT_EQ((*settled)->sim().steps_taken(), 0);
+  EXPECT_FALSE((*settled)->Success());
+  Eigen::Matrix<double, 7, 1> dummy = Eigen::Matrix<double, 7, 1>::Zero();
+  dummy[6] = -1;
+  for (int i = 0; i < 10; ++i) ASSERT_TRUE((*stepped)->StepExact(dummy, /*settling=*/true).ok());
+  for (int i = 0; i < (*settled)->scene().model->nq; ++i)
+    EXPECT_EQ((*settled)->sim().data().qpos[i], (*stepped)->sim().data().qpos[i]) << i;
+}
+
+// openpi's _quat2axisangle, in its order x y z w.
+Eigen::Vector3d OpenpiAxisAngle(const double* xyzw) {
+  const double w = std::clamp(xyzw[3], -1.0, 1.0), den = std::sqrt(1 - w * w);
+  if (den == 0) return Eigen::Vector3d::Zero();
+  return Eigen::Vector3d(xyzw[0], xyzw[1], xyzw[2]) * 2 * std::acos(w) / den;
+}
+
+// The state that openpi's client builds of the originals' recorded observations, row by row.
+TEST(LiberoTaskTest, ObservesTheOriginalsStateInParityMode) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const std::string file = SharedFolder() + "/oracles/libero/libero_goal_00.safetensors";
+  if (!fs::exists(file)) GTEST_SKIP() << file << " is absent";
+  UnitConfig unit = GoalUnit();
+  unit.sim.stepping = Stepping::kParity;
+  const auto task = LiberoSimTask::Create(unit, 0);
+  ASSERT_TRUE(task.ok()) << task.status();
+  const auto oracle = SafetensorsFile::Open(file);
+  ASSERT_TRUE(oracle.ok()) << oracle.status();
+  const auto recording = ReadRecording(*oracle, **task);
+  ASSERT_TRUE(recording.ok()) << recording.status();
+  ASSERT_TRUE((*task)->MoveFixtures(recording->fixtures).ok());
+  const int nq = (*task)->scene().model->nq;
+  const absl::Span<const double> start = recording->init_state;
+  ASSERT_TRUE((*task)->ResetTo(start.subspan(1, nq), start.subspan(1 + nq), recording->home).ok());
+  const std::vector<double> pos = *oracle->ReadDoubles("eef_pos"),
+                            quat = *oracle->ReadDoubles("eef_quat"),
+                            fingers = *oracle->ReadDoubles("gripper_qpos");
+  for (int t = 0; t < recording->steps(); ++t) {
+    const Eigen::Map<const Eigen::Matrix<double, 7, 1>> action(recording->actions.data() + 7 * t);
+    ASSERT_TRUE((*task)->StepExact(action, /*settling=*/t < 10).ok());
+    const auto observation = (*task)->Observe(PolicySpec());
+    ASSERT_TRUE(observation.ok()) << observation.status();
+    const Eigen::VectorXf& state = observation->proprioception;
+    const int row = t + 1;
+    const Eigen::Vector3d rotation = OpenpiAxisAngle(quat.data() + 4 * row);
+    for (int i = 0; i < 3; ++i) {
+      EXPECT_EQ(state[i], static_cast<float>(pos[3 * row + i])) << t;
+      EXPECT_NEAR(state[3 + i], rotation[i], 1e-6) << t;
+    }
+    for (int i = 0; i < 2; ++i) EXPECT_NEAR(state[6 + i], fingers[2 * row + i], 1e-8) << t;
+  }
+}
+
+// Where a world point lies in an upright picture of a camera [px].
+Eigen::Vector2d Project(const mjModel& model, const mjData& data, const char* camera,
+                        const Eigen::Vector3d& p, int size) {
+  const int id = mj_name2id(&model, mjOBJ_CAMERA, camera);
+  const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> R(data.cam_xmat + 9 * id);
+  const Eigen::Vector3d d =
+      R.transpose() * (p - Eigen::Map<const Eigen::Vector3d>(data.cam_xpos + 3 * id));
+  const double focal = size / 2.0 / std::tan(model.cam_fovy[id] / 2 * std::numbers::pi / 180);
+  return {size / 2.0 - focal * d.x() / d.z(), size / 2.0 + focal * d.y() / d.z()};
+}
+
+// The centre of the pixels in which two pictures differ [px].
+Eigen::Vector2d CentreOfChange(const Image& a, const Image& b) {
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  int changed = 0;
+  for (int i = 0; i < a.width * a.height; ++i) {
+    if (std::equal(&a.data[3 * i], &a.data[3 * i] + 3, &b.data[3 * i])) continue;
+    sum += Eigen::Vector2d(i % a.width + 0.5, i / a.width + 0.5);
+    ++changed;
+  }
+  return sum / std::max(changed, 1);
+}
+
+// A bowl that is put aside leaves a hole where the camera's geometry says, left and right
+// exchanged: LIBERO's bottom-up pixels turned by 180 degrees.
+TEST(LiberoTaskTest, ViewsStandUprightWithLeftAndRightExchanged) {
+  SKIP_WITHOUT_SHARED_DATA();
+  UnitConfig unit = GoalUnit();
+  unit.sim.settle_steps = 0;
+  const auto task = LiberoSimTask::Create(unit, kBowlOnPlate);
+  ASSERT_TRUE(task.ok()) << task.status();
+  const mjModel& model = (*task)->sim().model();
+  const int joint = (*task)->scene().objects.at("akita_black_bowl_1").joints.back();
+  const double* row = (*task)->init_states().row(0);
+  std::vector<double> qpos(row + 1, row + 1 + model.nq);
+  const std::vector<double> rest(model.nv, 0.0);
+  const Eigen::Vector3d bowl(0.1, 0.3, 0.93);
+  PolicySpec spec;
+  spec.cameras = {"agentview"};
+  spec.image_width = spec.image_height = 256;
+  std::vector<Image> views;
+  for (const double aside : {0.0, 20.0}) {
+    double* position = &qpos[model.jnt_qposadr[joint]];
+    for (int i = 0; i < 3; ++i) position[i] = bowl[i];
+    position[0] += aside;
+    ASSERT_TRUE((*task)->ResetTo(qpos, rest, LiberoSimTask::HomePosture()).ok());
+    const auto observation = (*task)->Observe(spec);
+    if (!observation.ok()) GTEST_SKIP() << observation.status();
+    views.push_back(observation->views[0].image);
+  }
+  const Eigen::Vector2d upright =
+      Project(model, (*task)->sim().data(), "agentview", bowl, spec.image_width);
+  const Eigen::Vector2d seen = CentreOfChange(views[0], views[1]);
+  EXPECT_GT(std::abs(upright.x() - 128), 40) << "the bowl stands clearly on one side";
+  EXPECT_NEAR(seen.x(), 256 - upright.x(), 10);
+  EXPECT_NEAR(seen.y(), upright.y(), 10);
 }
 
 TEST(LiberoTaskTest, SampledFixturesAreReproducibleAndStayInTheirRegions) {
