@@ -6,8 +6,11 @@
 #include <cstring>
 #include <set>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "common/random.h"
 #include "common/status_macros.h"
 #include "sim_worker/libero/mjcf.h"
@@ -315,6 +318,32 @@ const FixturePose* FindPose(const std::vector<FixturePose>& poses, const std::st
   return nullptr;
 }
 
+// MuJoCo's errors count lines of the composed text, which nobody sees: the line is quoted, its
+// names begin with the instance whose file is at fault.
+absl::StatusOr<SharedModel> CompileScene(const BddlProblem& bddl, MjcfFile& model) {
+  tinyxml2::XMLPrinter printer;
+  model.document().Print(&printer);
+  absl::StatusOr<SharedModel> compiled = CompileModel(bddl.file, printer.CStr());
+  if (compiled.ok()) return compiled;
+  constexpr std::string_view kMarks[] = {", line ", ", line = "};
+  const std::string message(compiled.status().message());
+  const std::vector<std::string> lines = absl::StrSplit(printer.CStr(), '\n');
+  size_t number = 0;
+  for (const std::string_view mark : kMarks) {
+    const size_t at = message.find(mark);
+    if (at == std::string::npos) continue;
+    const std::string digits = message.substr(at + mark.size());
+    if (absl::SimpleAtoi(digits.substr(0, digits.find_first_not_of("0123456789")), &number)) break;
+  }
+  if (number < 1 || number > lines.size()) return compiled;
+  return absl::Status(
+      compiled.status().code(),
+      absl::StrCat(
+          message, "\nin the composed scene: ", absl::StripAsciiWhitespace(lines[number - 1]),
+          "\nnames begin with robot0_, gripper0_, mount0_ or the instance of the BDDL file: "
+          "correct that part's MJCF file"));
+}
+
 std::shared_ptr<mjModel> CopyModel(const mjModel& model) {
   return std::shared_ptr<mjModel>(mj_copyModel(nullptr, &model),
                                   [](mjModel* m) { mj_deleteModel(m); });
@@ -358,9 +387,7 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
        mesh = mesh->NextSiblingElement("mesh")) {
     if (mesh->Attribute("vertex") != nullptr) replaced_meshes.insert(Attribute(mesh, "name"));
   }
-  tinyxml2::XMLPrinter printer(nullptr, true);
-  model.document().Print(&printer);
-  RS_ASSIGN_OR_RETURN(scene.model, CompileModel(bddl.file, printer.CStr()));
+  RS_ASSIGN_OR_RETURN(scene.model, CompileScene(bddl, model));
   for (int geom = 0; geom < scene.model->ngeom; ++geom) {
     const int mesh = scene.model->geom_dataid[geom];
     if (scene.model->geom_type[geom] != mjGEOM_MESH || mesh < 0) continue;

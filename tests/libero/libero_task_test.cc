@@ -182,6 +182,81 @@ TEST(LiberoTaskTest, FollowsTheOriginalsTrajectory) {
   EXPECT_LT(rest, 1e-6);
 }
 
+// A plate that flies over the zone in front of the stove at `speed` [m/s] along x.
+class FlyingPlate {
+ public:
+  explicit FlyingPlate(Stepping stepping) {
+    constexpr int kPlateInFrontOfStove = 5;
+    UnitConfig unit = GoalUnit();
+    unit.sim.stepping = stepping;
+    unit.sim.settle_steps = 0;
+    task_ = LiberoSimTask::Create(unit, kPlateInFrontOfStove).value();
+    const LiberoObject& plate = task_->scene().objects.at("plate_1");
+    const mjModel& m = task_->sim().model();
+    qpos_ = m.jnt_qposadr[plate.joints.back()];
+    qvel_ = m.jnt_dofadr[plate.joints.back()];
+    const int site = task_->scene().sites.at("main_table_stove_front_region").site;
+    half_ = m.site_size[3 * site];
+    EXPECT_TRUE(task_->Reset(0).ok());
+    const double* p = task_->sim().data().site_xpos + 3 * site;
+    centre_ = {p[0], p[1], p[2]};
+  }
+
+  double half() const { return half_; }  // [m] of the zone along x
+  LiberoSimTask& task() { return *task_; }
+
+  // One control step from `x` [m] beside the zone's centre; returns x at the end of each sub-step.
+  std::vector<double> Step(double x, double speed) {
+    const mjModel& m = task_->sim().model();
+    const double* row = task_->init_states().row(0);
+    std::vector<double> qpos(row + 1, row + 1 + m.nq), qvel(m.nv, 0.0);
+    qpos[qpos_] = centre_.x() + x;
+    qpos[qpos_ + 1] = centre_.y();
+    qpos[qpos_ + 2] = centre_.z() + 0.08;
+    qvel[qvel_] = speed;
+    EXPECT_TRUE(task_->ResetTo(qpos, qvel, LiberoSimTask::HomePosture()).ok());
+    std::vector<double> xs;
+    task_->sim().OnSubStep([&] { xs.push_back(task_->sim().data().qpos[qpos_] - centre_.x()); });
+    EXPECT_TRUE(task_->StepExact(Eigen::Matrix<double, 7, 1>::Zero(), false).ok());
+    task_->sim().OnSubStep(nullptr);
+    return xs;
+  }
+
+ private:
+  std::unique_ptr<LiberoSimTask> task_;
+  int qpos_ = 0, qvel_ = 0;
+  double half_ = 0;
+  Eigen::Vector3d centre_;
+};
+
+// The originals look once per control step, after mj_step without a forward: at the poses from
+// which the last of 25 sub-steps started. Parity mode does; fast mode looks at the end of that
+// sub-step.
+TEST(LiberoTaskTest, SuccessIsOfTheOriginalsMomentInParityMode) {
+  SKIP_WITHOUT_SHARED_DATA();
+  constexpr double kSpeed = 1;  // 2 mm in a sub-step
+  for (const Stepping stepping : {Stepping::kParity, Stepping::kFast}) {
+    FlyingPlate plate(stepping);
+    const std::vector<double> flight = plate.Step(0, kSpeed);
+    ASSERT_EQ(flight.size(), 25u);
+    const double middle_of_last = (flight[23] + flight[24]) / 2;
+    // Leaves the zone within the last sub-step, then enters it within the last sub-step.
+    std::vector<double> xs = plate.Step(plate.half() - middle_of_last, kSpeed);
+    ASSERT_LT(xs[23], plate.half());
+    ASSERT_GT(xs[24], plate.half());
+    EXPECT_EQ(plate.task().Success(), stepping == Stepping::kParity);
+    xs = plate.Step(-plate.half() - middle_of_last, kSpeed);
+    ASSERT_LT(xs[23], -plate.half());
+    ASSERT_GT(xs[24], -plate.half());
+    EXPECT_EQ(plate.task().Success(), stepping == Stepping::kFast);
+    // What crosses the zone between two looks is not seen.
+    xs = plate.Step(-0.2, 8);
+    ASSERT_LT(xs[0], -plate.half());
+    ASSERT_GT(xs[24], plate.half());
+    EXPECT_FALSE(plate.task().Success());
+  }
+}
+
 // openpi's episode: the suites' horizons, and ten settle steps of a zero command with an open hand.
 TEST(LiberoTaskTest, HorizonsAreOpenpis) {
   const std::map<std::string, int> horizons = {
@@ -373,6 +448,20 @@ TEST(LiberoTaskTest, AMissingCollisionMeshIsAnErrorAndAMissingVisualIsNot) {
                                HasSubstr("link5.stl")));
   robosuite.Write("robosuite/models/assets/grippers/panda_gripper.xml", "<mujoco><worldbody>");
   EXPECT_THAT(ErrorOf(unit, 0), HasSubstr("panda_gripper.xml:1: not XML"));
+}
+
+TEST(LiberoTaskTest, AnErrorOfTheCompilerQuotesTheElement) {
+  SKIP_WITHOUT_SHARED_DATA();
+  DamagedTree robosuite(RobosuiteTree());
+  UnitConfig unit = GoalUnit();
+  unit.robosuite_root = robosuite.path();
+  const std::string mount = "robosuite/models/assets/mounts/rethink_mount.xml";
+  std::string text = *ReadFile(RobosuiteTree() + "/" + mount);
+  text.insert(text.find("<geom ") + 6, "colour=\"1\" ");
+  robosuite.Write(mount, text);
+  EXPECT_THAT(ErrorOf(unit, 0), ::testing::AllOf(HasSubstr("unrecognized attribute: 'colour'"),
+                                                 HasSubstr("in the composed scene: <geom colour"),
+                                                 HasSubstr("\"mount0_")));
 }
 
 }  // namespace
