@@ -248,6 +248,7 @@ absl::StatusOr<SafetensorsFile> SafetensorsFile::ParseStorage(const std::string&
   const absl::Span<const uint8_t> data = all.subspan(8 + header_size);
   for (const auto& [name, entry] : header.items()) {
     if (name == "__metadata__") {
+      if (!entry.is_object()) return BadFile(path, absl::StrCat("__metadata__ ", entry.dump(), " is not an object"));
       for (const auto& [key, value] : entry.items()) {
         if (!value.is_string()) return BadFile(path, absl::StrCat("metadata '", key, "' is not a text"));
         file.metadata_[key] = value.get<std::string>();

@@ -1,17 +1,15 @@
 // What a control step costs and what of it is ours. Run alone on a core:
 //   sim_bench [--benchmark_filter=...]
-// "ratio" compares 25 sub-steps of the simulator with 25 bare mj_step of the same scene,
-// interleaved, in CPU time.
+// "of_bare" is the speed of a control step relative to 25 bare mj_step over the same states,
+// interleaved, in CPU time. LIBERO's scenes: libero_bench.
 #include <benchmark/benchmark.h>
 
-#include <ctime>
 #include <string>
 
 #include "common/check.h"
-#include "common/joint_errors/joint_error_stack.h"
-#include "sim_worker/osc_controller.h"
+#include "sim_worker/bench/arm_parts.h"
+#include "sim_worker/bench/bare_steps.h"
 #include "sim_worker/panda_mjcf.h"
-#include "sim_worker/panda_model.h"
 #include "sim_worker/panda_sim.h"
 #include "sim_worker/renderer.h"
 
@@ -52,16 +50,6 @@ void Start(PandaSim& sim) {
   std::copy(home.data(), home.data() + 7, qpos.begin());
   RS_CHECK(sim.Reset(qpos, home).ok());
   RS_CHECK(sim.Settle(10).ok());
-}
-
-// A slow circle above the objects, with the gripper at work.
-Eigen::VectorXf CircleCommand(int step) {
-  Eigen::VectorXf command = Eigen::VectorXf::Zero(7);
-  command[0] = 0.5f * std::cos(0.1f * step);
-  command[1] = 0.5f * std::sin(0.1f * step);
-  command[5] = 0.2f * std::sin(0.05f * step);
-  command[6] = step / 40 % 2 ? 1 : -1;
-  return command;
 }
 
 void RunControlSteps(benchmark::State& state, PandaSim& sim) {
@@ -146,101 +134,65 @@ BENCHMARK_CAPTURE(BM_ControlStepSolver, elliptic_10_1e6, true, 10, 10, 1e-6)
 BENCHMARK_CAPTURE(BM_ControlStepSolver, pyramidal_20_1e7, false, 10, 20, 1e-7)
     ->Unit(benchmark::kMicrosecond);
 
-double CpuSeconds() {
-  timespec t;
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
-}
-
 void BM_RatioToBareStepping(benchmark::State& state, const char* scenario) {
   auto sim = MakeSim(scenario);
-  auto bare = MakeSim("clean");
-  Start(*sim);
-  Start(*bare);
-  const mjModel& m = bare->model();
-  mjData& d = bare->mutable_data();
-  double ours = 0, theirs = 0;
-  int step = 0;
-  for (auto _ : state) {
-    const auto a = CpuSeconds();
-    RS_CHECK(sim->Step(CircleCommand(step)).ok());
-    const auto b = CpuSeconds();
-    for (int i = 0; i < 25; ++i) mj_step(&m, &d);
-    const auto c = CpuSeconds();
-    ours += b - a;
-    theirs += c - b;
-    if (++step == 200) {
-      state.PauseTiming();
-      Start(*sim);
-      Start(*bare);
-      step = 0;
-      state.ResumeTiming();
-    }
-  }
-  state.counters["ratio"] = ours / theirs;
-  state.counters["bare_us"] = 1e6 * theirs / state.iterations();
-  state.counters["ours_us"] = 1e6 * ours / state.iterations();
+  const TimedEpisode episode{.sim = sim.get(),
+                             .reset = [&] { Start(*sim); },
+                             .step = [&](int t) { RS_CHECK(sim->Step(CircleCommand(t)).ok()); }};
+  StepCost cost;
+  for (auto _ : state) cost = MeasureSteps(episode, /*steps=*/200, /*repeats=*/5);
+  state.counters["of_bare"] = cost.of_bare();
+  state.counters["bare_us"] = 1e6 * cost.bare_s;
+  state.counters["ours_us"] = 1e6 * cost.ours_s;
+  state.counters["replay_difference"] = cost.replay_difference;
 }
 BENCHMARK_CAPTURE(BM_RatioToBareStepping, clean, "clean")
-    ->Unit(benchmark::kMicrosecond)
-    ->MinTime(2);
+    ->Unit(benchmark::kMillisecond)
+    ->Iterations(1);
 BENCHMARK_CAPTURE(BM_RatioToBareStepping, nominal, "nominal")
-    ->Unit(benchmark::kMicrosecond)
-    ->MinTime(2);
+    ->Unit(benchmark::kMillisecond)
+    ->Iterations(1);
 BENCHMARK_CAPTURE(BM_RatioToBareStepping, aged_joint_uniform, "aged_joint_uniform")
-    ->Unit(benchmark::kMicrosecond)
-    ->MinTime(2);
+    ->Unit(benchmark::kMillisecond)
+    ->Iterations(1);
 
 // The parts of one sub-step.
 struct Parts {
-  Parts()
-      : sim(MakeSim("nominal")),
-        panda(PandaModel::Find(sim->model()).value()),
-        controller(GoalReference::kAchieved) {
+  Parts() : sim(Started()), arm(*sim) {}
+  static std::unique_ptr<PandaSim> Started() {
+    auto sim = MakeSim("nominal");
     Start(*sim);
-    ReadArm(sim->model(), sim->data(), panda, arm);
-    controller.Reset(arm, PandaHome());
+    return sim;
   }
   std::unique_ptr<PandaSim> sim;
-  PandaModel panda;
-  OscController controller;
-  ArmState arm;
+  ArmParts arm;
 };
 
 void BM_ReadArm(benchmark::State& state) {
   Parts parts;
   for (auto _ : state) {
-    ReadArm(parts.sim->model(), parts.sim->data(), parts.panda, parts.arm);
-    benchmark::DoNotOptimize(parts.arm.M.data());
+    parts.arm.Read();
+    benchmark::ClobberMemory();
   }
 }
 BENCHMARK(BM_ReadArm);
 
 void BM_OscTorque(benchmark::State& state) {
   Parts parts;
-  for (auto _ : state) benchmark::DoNotOptimize(parts.controller.Torque(parts.arm, parts.arm.q));
+  for (auto _ : state) benchmark::DoNotOptimize(parts.arm.Torque());
 }
 BENCHMARK(BM_OscTorque);
 
 void BM_GravityTorque(benchmark::State& state) {
   Parts parts;
-  for (auto _ : state)
-    benchmark::DoNotOptimize(GravityTorque(parts.sim->model(), parts.sim->data(), parts.panda));
+  for (auto _ : state) benchmark::DoNotOptimize(parts.arm.Gravity());
 }
 BENCHMARK(BM_GravityTorque);
 
 void BM_JointErrors(benchmark::State& state, const char* scenario) {
   Parts parts;
-  JointErrorStack errors{JointErrorOptions()};
-  errors.SetScenario(MakeScenario(scenario, 5).value(), 220);
-  errors.Reset(parts.arm.q, Vector7d::Zero());
-  errors.BeginControlStep(10, false);
-  const Vector7d torque = Vector7d::Constant(5), dq = Vector7d::Constant(0.05);
-  for (auto _ : state) {
-    errors.BeginSubStep(0.002);
-    const Vector7d load = errors.PerturbTorque(torque, dq, torque, parts.panda.torque_limit);
-    benchmark::DoNotOptimize(errors.OffsetChange(parts.arm.q, load));
-  }
+  JointErrorStack errors = parts.arm.Errors(scenario);
+  for (auto _ : state) benchmark::DoNotOptimize(parts.arm.OffsetChange(errors));
 }
 BENCHMARK_CAPTURE(BM_JointErrors, all_four, "nominal");
 BENCHMARK_CAPTURE(BM_JointErrors, all_four_ramp, "thermal_drift_stribeck");

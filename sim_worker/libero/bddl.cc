@@ -18,7 +18,7 @@ namespace robostress::libero {
 namespace {
 
 constexpr int kMaxDepth = 32;          // LIBERO's files nest 5 deep
-constexpr size_t kMaxBytes = 1 << 20;  // LIBERO's largest file has 5 kB
+constexpr size_t kMaxBytes = 1 << 16;  // LIBERO's largest file has 5 kB
 
 // An s-expression: a word, or a list of s-expressions.
 struct Node {

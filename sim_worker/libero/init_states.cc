@@ -21,7 +21,9 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little, "the stored float64 are little-endian");
 
-constexpr int64_t kMaxValues = int64_t{1} << 24;
+constexpr int64_t kMaxValues = int64_t{1} << 22;      // LIBERO's largest matrix has 12 thousand
+constexpr size_t kMaxBytes = kMaxValues * 16 + 4096;  // two bytes of UTF-8 per stored byte
+constexpr int kMaxOpcodes = 256;                      // LIBERO's pickles have about 50
 
 template <class T>
 std::optional<T> Load(std::string_view bytes, size_t offset) {
@@ -101,7 +103,7 @@ using Ref = std::shared_ptr<Value>;
 struct None {};
 struct MarkTag {};
 struct Text {
-  std::string utf8;
+  std::string_view utf8;  // in the pickle
 };
 struct Bytes {
   std::string data;
@@ -153,8 +155,10 @@ class Unpickler {
     if (bytes_.size() < 2 || bytes_[0] != '\x80' || bytes_[1] != 2)
       return Fail("the pickle is not protocol 2");
     pos_ = 2;
-    while (pos_ < bytes_.size()) {
+    for (int opcodes = 0; pos_ < bytes_.size(); ++opcodes) {
       at_ = pos_;
+      // Bounds the depth of nested tuples as well, whose destruction recurses.
+      if (opcodes == kMaxOpcodes) return Fail(absl::StrCat("more than ", kMaxOpcodes, " opcodes"));
       const uint8_t opcode = static_cast<uint8_t>(bytes_[pos_++]);
       if (opcode == '.') {
         Array* array = stack_.size() == 1 ? As<Array>(stack_.back()) : nullptr;
@@ -244,7 +248,7 @@ class Unpickler {
       case 'X': {  // BINUNICODE
         RS_ASSIGN_OR_RETURN(uint32_t length, TakeInt<uint32_t>());
         RS_ASSIGN_OR_RETURN(std::string_view text, Take(length));
-        Push(Text{std::string(text)});
+        Push(Text{text});
         return absl::OkStatus();
       }
       case 'N':
@@ -320,6 +324,9 @@ class Unpickler {
       const Text* text = As<Text>(args[0]);
       const Text* codec = As<Text>(args[1]);
       Bytes encoded;
+      // Honest pickles encode each text once; more would hold many times the file in memory.
+      if (text) encoded_ += text->utf8.size();
+      if (encoded_ > bytes_.size()) return Fail("encodes more text than the pickle holds");
       if (text && codec && codec->utf8 == "latin1" && EncodeLatin1(text->utf8, encoded.data)) {
         Push(std::move(encoded));
         return absl::OkStatus();
@@ -340,7 +347,7 @@ class Unpickler {
         return absl::OkStatus();
       }
       return Fail(
-          absl::StrCat("the matrix has type '", type ? type->utf8 : "?", "', expected 'f8'"));
+          absl::StrCat("the matrix has type '", std::string(type ? type->utf8 : "?"), "', expected 'f8'"));
     }
     return Fail("REDUCE with unexpected arguments");
   }
@@ -387,6 +394,7 @@ class Unpickler {
   const std::string& file_;
   std::string_view bytes_;
   size_t pos_ = 0, at_ = 0;
+  size_t encoded_ = 0;  // bytes of text that REDUCE has encoded
   std::vector<Ref> stack_;
   std::map<int, Ref> memo_;
 };
@@ -394,6 +402,8 @@ class Unpickler {
 }  // namespace
 
 absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_view bytes) {
+  if (bytes.size() > kMaxBytes)
+    return Bad(file, absl::StrCat(bytes.size(), " bytes, at most ", kMaxBytes, " make sense"));
   RS_ASSIGN_OR_RETURN(std::string_view pickle, FindZipEntry(file, bytes, "/data.pkl"));
   RS_ASSIGN_OR_RETURN(Array array, Unpickler(file, pickle).Run());
   InitStates states;

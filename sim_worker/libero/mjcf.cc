@@ -34,11 +34,6 @@ constexpr const char* kNamingAttributes[] = {
     "fixed",  "actuator",   "tendon",        "tendon1", "tendon2",  "slidesite", "cranksite",
     "body",   "body1",      "body2",         "hfield",  "target",   "prefix",    "site"};
 
-std::string Attribute(const XMLElement* element, const char* name) {
-  const char* value = element->Attribute(name);
-  return value == nullptr ? "" : value;
-}
-
 bool SameName(const XMLElement* a, const XMLElement* b) {
   const char* left = a->Attribute("name");
   const char* right = b->Attribute("name");
@@ -105,8 +100,26 @@ const char* ColourFor(const std::string& file) {
 
 }  // namespace
 
+std::string Attribute(const XMLElement* element, const char* name) {
+  const char* value = element->Attribute(name);
+  return value == nullptr ? "" : value;
+}
+
+bool IsTag(const XMLElement* element, const char* tag) {
+  return std::strcmp(element->Name(), tag) == 0;
+}
+
+bool IsCollisionGroup(const XMLElement* geom) {
+  const char* group = geom->Attribute("group");
+  return group == nullptr || std::strcmp(group, "0") == 0;
+}
+
 absl::StatusOr<MjcfFile> MjcfFile::Load(const std::string& path) {
-  RS_ASSIGN_OR_RETURN(std::string text, ReadFile(path));
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  return Parse(path, text);
+}
+
+absl::StatusOr<MjcfFile> MjcfFile::Parse(const std::string& path, std::string_view text) {
   MjcfFile file;
   file.path_ = path;
   file.document_ = std::make_unique<XMLDocument>();

@@ -5,6 +5,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -18,6 +19,8 @@ namespace robostress::libero {
 class MjcfFile {
  public:
   static absl::StatusOr<MjcfFile> Load(const std::string& path);
+  // `path` names the text in errors, with the line; asset files are relative to its folder.
+  static absl::StatusOr<MjcfFile> Parse(const std::string& path, std::string_view text);
   const std::string& path() const { return path_; }
   tinyxml2::XMLElement* root() { return document_->RootElement(); }
   // The section's element, e.g. "worldbody", created when absent.
@@ -29,6 +32,12 @@ class MjcfFile {
   std::string path_;
   std::unique_ptr<tinyxml2::XMLDocument> document_;
 };
+
+// An attribute's text; empty when the element does not have it.
+std::string Attribute(const tinyxml2::XMLElement* element, const char* name);
+bool IsTag(const tinyxml2::XMLElement* element, const char* tag);
+// Collision geoms are those of group 0, MuJoCo's default.
+bool IsCollisionGroup(const tinyxml2::XMLElement* geom);
 
 // Calls `visit` for root and every element below it, parents first. The visited element may be
 // changed, not removed.

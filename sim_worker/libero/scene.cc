@@ -6,11 +6,15 @@
 #include <cstring>
 #include <set>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "common/random.h"
 #include "common/status_macros.h"
 #include "sim_worker/libero/mjcf.h"
+#include "sim_worker/libero/object_file.h"
 
 namespace robostress::libero {
 namespace {
@@ -23,20 +27,6 @@ constexpr double kZoneHalfHeight = 0.007;  // [m] of a workspace region's site
 constexpr std::array<double, 7> kJointDamping = {0.1, 0.1, 0.1, 0.1, 0.1, 0.01, 0.01};
 constexpr double kJointFriction = 0.1;
 
-std::string Text(const XMLElement* element, const char* attribute) {
-  const char* value = element->Attribute(attribute);
-  return value == nullptr ? "" : value;
-}
-
-bool IsTag(const XMLElement* element, const char* tag) {
-  return std::strcmp(element->Name(), tag) == 0;
-}
-
-bool IsCollisionGroup(const XMLElement* geom) {
-  const char* group = geom->Attribute("group");
-  return group == nullptr || std::strcmp(group, "0") == 0;
-}
-
 template <size_t N>
 void SetNumbers(XMLElement* element, const char* attribute, const std::array<double, N>& values) {
   element->SetAttribute(attribute, FormatNumbers({values.begin(), values.end()}).c_str());
@@ -48,13 +38,14 @@ absl::StatusOr<XMLElement*> Child(const MjcfFile& file, XMLElement* parent, cons
   if (child != nullptr) return child;
   return absl::NotFoundError(absl::StrCat(file.path(), ": no <", tag, " name=\"", name,
                                           "\"> below <", parent->Name(), " name=\"",
-                                          Text(parent, "name"), "\">"));
+                                          Attribute(parent, "name"), "\">"));
 }
 
 // Collision geoms get a flat colour and lose their material (robosuite's recolor_collision_geoms).
 void Recolour(XMLElement* root, const char* rgba) {
   VisitElements(root, [&](XMLElement* element) {
-    if (!IsTag(element, "geom") || !IsCollisionGroup(element) || Text(element, "name") == "floor")
+    if (!IsTag(element, "geom") || !IsCollisionGroup(element) ||
+        Attribute(element, "name") == "floor")
       return;
     element->SetAttribute("rgba", rgba);
     element->DeleteAttribute("material");
@@ -79,7 +70,7 @@ void PlaceTableLegs(XMLElement* table, const std::array<double, 3>& half, double
 void ReplaceFileName(XMLElement* asset, const char* texture, std::string_view file_name) {
   XMLElement* element = FindChild(asset, "texture", texture);
   if (element == nullptr) return;
-  const std::string file = Text(element, "file");
+  const std::string file = Attribute(element, "file");
   const size_t slash = file.rfind('/');
   element->SetAttribute(
       "file", (file.substr(0, slash == std::string::npos ? 0 : slash + 1) + std::string(file_name))
@@ -230,35 +221,8 @@ struct Part {
   std::vector<std::string> joints;
   std::vector<std::string> contact_geoms;
 };
-struct SiteOwner {
-  std::string parent;
-  std::vector<std::string> joints;
-};
 
-// LIBERO's search for the joints that move a site: walks the bodies in document order, stops at the
-// first body without a site below it, and lets a later (deeper) body override an earlier one.
-void FindSites(XMLElement* wrapper, const std::string& parent,
-               std::map<std::string, SiteOwner>& sites) {
-  bool stopped = false;
-  for (XMLElement* top = wrapper->FirstChildElement(); top; top = top->NextSiblingElement()) {
-    VisitElements(top, [&](XMLElement* body) {
-      if (!IsTag(body, "body") || stopped) return;
-      std::vector<std::string> names;
-      VisitElements(body, [&](XMLElement* element) {
-        if (IsTag(element, "site")) names.push_back(Text(element, "name"));
-      });
-      if (names.empty()) stopped = true;
-      SiteOwner owner{parent, {}};
-      for (XMLElement* joint = body->FirstChildElement("joint"); joint;
-           joint = joint->NextSiblingElement("joint")) {
-        owner.joints.push_back(Text(joint, "name"));
-      }
-      for (const std::string& name : names) sites[name] = owner;
-    });
-  }
-}
-
-// Loads an object's file, prefixes it and appends it to the world.
+// Loads an object's file and appends its body to the world.
 absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl,
                                const BddlGroup& group, const std::string& instance, bool fixture,
                                MjcfFile& model, std::map<std::string, SiteOwner>& sites) {
@@ -267,67 +231,18 @@ absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl
     return absl::NotFoundError(
         absl::StrCat(bddl.file, ":", group.line, ": ", path.status().message()));
   }
-  RS_ASSIGN_OR_RETURN(MjcfFile file, MjcfFile::Load(*path));
-  XMLElement* wrapper = file.Section("worldbody")->FirstChildElement("body");
-  XMLElement* object = wrapper == nullptr ? nullptr : FindChild(wrapper, "body", "object");
-  if (object == nullptr) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(*path, ": no worldbody/body/body[@name='object']"));
-  }
+  RS_ASSIGN_OR_RETURN(ObjectFile file, ObjectFile::Load(*path, instance, fixture));
   Part part;
   part.object.name = instance;
   part.object.category = group.category;
   part.object.fixture = fixture;
   part.object.articulation = FindArticulation(group.category);
-  if (const XMLElement* bottom = FindChild(wrapper, "site", "bottom_site")) {
-    RS_ASSIGN_OR_RETURN(std::vector<double> pos, ReadNumbers(*path, bottom, "pos", {0, 0, 0}));
-    if (pos.size() != 3)
-      return absl::InvalidArgumentError(
-          absl::StrCat(*path, ": bottom_site's pos does not have 3 numbers"));
-    part.bottom = pos[2];
-  } else {
-    return absl::InvalidArgumentError(absl::StrCat(*path, ": no bottom_site"));
-  }
-
-  object->SetAttribute("name", "main");
-  std::vector<XMLElement*> dropped;
-  int index = 0;
-  VisitElements(object, [&](XMLElement* element) {
-    if (!IsTag(element, "geom")) return;
-    const std::string group_text = Text(element, "group");
-    const int position = index++;
-    if (group_text != "0" && group_text != "1") {
-      dropped.push_back(element);
-    } else if (element->Attribute("name") == nullptr) {
-      element->SetAttribute("name", absl::StrCat("g", position).c_str());
-    }
-  });
-  for (XMLElement* element : dropped) element->Parent()->DeleteChild(element);
-  AddPrefix(file.root(), instance + "_");
-  FindSites(wrapper, instance,
-            sites);  // before the free joint: LIBERO searches the file, not the model
-  if (!fixture) {
-    XMLElement* joint = AppendNew(object, "joint");
-    joint->SetAttribute("type", "free");
-    joint->SetAttribute("damping", "0.0005");
-    joint->SetAttribute("name", (instance + "_joint0").c_str());
-  }
-  XMLElement* site = AppendNew(object, "site");
-  for (const auto& [name, value] : {std::pair("pos", "0 0 0"),
-                                    {"size", "0.002 0.002 0.002"},
-                                    {"rgba", "1 0 0 0"},
-                                    {"type", "sphere"},
-                                    {"group", "0"}}) {
-    site->SetAttribute(name, value);
-  }
-  site->SetAttribute("name", (instance + "_default_site").c_str());
-  VisitElements(object, [&](XMLElement* element) {
-    if (IsTag(element, "joint")) part.joints.push_back(Text(element, "name"));
-    if (IsTag(element, "geom") && IsCollisionGroup(element))
-      part.contact_geoms.push_back(Text(element, "name"));
-  });
-  MergeAssets(model.Section("asset"), file.Section("asset"));
-  AppendCopy(model.Section("worldbody"), object);
+  part.bottom = file.bottom();
+  part.joints = file.joints();
+  part.contact_geoms = file.contact_geoms();
+  for (const auto& [name, owner] : file.sites()) sites[name] = owner;
+  MergeAssets(model.Section("asset"), file.asset());
+  AppendCopy(model.Section("worldbody"), file.body());
   return part;
 }
 
@@ -403,6 +318,32 @@ const FixturePose* FindPose(const std::vector<FixturePose>& poses, const std::st
   return nullptr;
 }
 
+// MuJoCo's errors count lines of the composed text, which nobody sees: the line is quoted, its
+// names begin with the instance whose file is at fault.
+absl::StatusOr<SharedModel> CompileScene(const BddlProblem& bddl, MjcfFile& model) {
+  tinyxml2::XMLPrinter printer;
+  model.document().Print(&printer);
+  absl::StatusOr<SharedModel> compiled = CompileModel(bddl.file, printer.CStr());
+  if (compiled.ok()) return compiled;
+  constexpr std::string_view kMarks[] = {", line ", ", line = "};
+  const std::string message(compiled.status().message());
+  const std::vector<std::string> lines = absl::StrSplit(printer.CStr(), '\n');
+  size_t number = 0;
+  for (const std::string_view mark : kMarks) {
+    const size_t at = message.find(mark);
+    if (at == std::string::npos) continue;
+    const std::string digits = message.substr(at + mark.size());
+    if (absl::SimpleAtoi(digits.substr(0, digits.find_first_not_of("0123456789")), &number)) break;
+  }
+  if (number < 1 || number > lines.size()) return compiled;
+  return absl::Status(
+      compiled.status().code(),
+      absl::StrCat(
+          message, "\nin the composed scene: ", absl::StripAsciiWhitespace(lines[number - 1]),
+          "\nnames begin with robot0_, gripper0_, mount0_ or the instance of the BDDL file: "
+          "correct that part's MJCF file"));
+}
+
 std::shared_ptr<mjModel> CopyModel(const mjModel& model) {
   return std::shared_ptr<mjModel>(mj_copyModel(nullptr, &model),
                                   [](mjModel* m) { mj_deleteModel(m); });
@@ -444,11 +385,9 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
   XMLElement* asset = model.Section("asset");
   for (XMLElement* mesh = asset->FirstChildElement("mesh"); mesh;
        mesh = mesh->NextSiblingElement("mesh")) {
-    if (mesh->Attribute("vertex") != nullptr) replaced_meshes.insert(Text(mesh, "name"));
+    if (mesh->Attribute("vertex") != nullptr) replaced_meshes.insert(Attribute(mesh, "name"));
   }
-  tinyxml2::XMLPrinter printer(nullptr, true);
-  model.document().Print(&printer);
-  RS_ASSIGN_OR_RETURN(scene.model, CompileModel(bddl.file, printer.CStr()));
+  RS_ASSIGN_OR_RETURN(scene.model, CompileScene(bddl, model));
   for (int geom = 0; geom < scene.model->ngeom; ++geom) {
     const int mesh = scene.model->geom_dataid[geom];
     if (scene.model->geom_type[geom] != mjGEOM_MESH || mesh < 0) continue;

@@ -76,6 +76,7 @@ TEST(Safetensors, HostileHeadersAreNamed) {
   EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]},"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]}})", "1")),
               HasSubstr("occurs twice"));
   EXPECT_THAT(ErrorOf(File(R"({"__metadata__":{"k":1}})", "")), HasSubstr("'k'"));
+  EXPECT_THAT(ErrorOf(File(R"({"__metadata__":"k"})", "")), HasSubstr("__metadata__ \"k\" is not an object"));
 }
 
 TEST(Safetensors, EveryTruncationIsRefused) {

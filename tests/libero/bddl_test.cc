@@ -78,7 +78,9 @@ TEST(BddlTest, ErrorsNameFileLineAndToken) {
   EXPECT_THAT(ErrorOf(std::string(kProblem) + ")"), HasSubstr("after the closing parenthesis"));
   EXPECT_THAT(ErrorOf(std::string(kProblem).substr(0, 200)), HasSubstr("a ')' is missing"));
   EXPECT_THAT(ErrorOf(""), HasSubstr("task.bddl:1"));
-  EXPECT_THAT(ErrorOf(std::string(100000, '(')), HasSubstr("nest deeper"));
+  EXPECT_THAT(ErrorOf(std::string(1000, '(')), HasSubstr("task.bddl:1: lists nest deeper than 32"));
+  EXPECT_THAT(ErrorOf(std::string(100000, '(')),
+              HasSubstr("task.bddl: 100000 bytes, a BDDL file has at most 65536"));
 }
 
 TEST(BddlTest, SurvivesDamagedFiles) {

@@ -1,0 +1,18 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace robostress::libero {
+
+// A zip file of one entry, written as torch.save writes it; method 0 is stored.
+std::string Zip(const std::string& name, const std::string& data, uint16_t method = 0);
+
+// BINUNICODE of a pickle.
+std::string Unicode(const std::string& utf8);
+
+// NumPy's pickle (protocol 2) of a float64 matrix [rows, columns], as LIBERO's files hold it.
+std::string Pickle(const std::vector<double>& values, int rows, int columns);
+
+}  // namespace robostress::libero
