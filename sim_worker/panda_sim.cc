@@ -123,7 +123,8 @@ struct PandaSim::Impl {
   const PandaModel panda;
   EpisodeState episode;
   bool position_stage_stale = false;  // somebody may have written to data since the last mj_step1
-  std::function<void()> on_sub_step;
+  std::function<void()> on_sub_step, on_integrated;
+  bool last_sub_step = false;  // of a control step
 
   // An observation that is older than the end of the control step: kinematics of the positions from
   // which its sub-step started, positions and velocities of its end.
@@ -217,6 +218,7 @@ void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
     late.qvel.assign(data->qvel, data->qvel + model->nv);
     late.current = false;
   }
+  if (last_sub_step && on_integrated) on_integrated();
   if (!parity()) mj_step1(model.get(), data.get());
 }
 
@@ -265,6 +267,7 @@ absl::Status PandaSim::Impl::ControlStep(const Vector7d& command, int progress_s
     }
     DriveGripper(gripper);
     late.keep = late.data != nullptr && i == kLateSubStep;
+    last_sub_step = i == kSubSteps - 1;
     SubStep();
     if (on_sub_step) on_sub_step();
   }
@@ -407,6 +410,7 @@ const mjData& PandaSim::data() const { return *impl_->data; }
 const mjData& PandaSim::observed() const { return impl_->Observed(); }
 const OscController& PandaSim::controller() const { return impl_->episode.controller; }
 void PandaSim::OnSubStep(std::function<void()> call) { impl_->on_sub_step = std::move(call); }
+void PandaSim::OnIntegrated(std::function<void()> call) { impl_->on_integrated = std::move(call); }
 
 mjData& PandaSim::mutable_data() {
   impl_->position_stage_stale = true;

@@ -1,10 +1,10 @@
 #pragma once
 
-#include <functional>
-#include <memory>
+#include <mujoco/mujoco.h>
 
 #include <Eigen/Core>
-#include <mujoco/mujoco.h>
+#include <functional>
+#include <memory>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -22,17 +22,19 @@ using SharedModel = std::shared_ptr<const mjModel>;
 // Compiles MJCF text; `source` names it in errors.
 absl::StatusOr<SharedModel> CompileModel(const std::string& source, const std::string& mjcf);
 
-// A Panda with its gripper in a compiled scene: operational-space control at 500 Hz, joint errors, 20 Hz
-// commands. One thread. Joints, motors, sites and cameras carry robosuite's names.
+// A Panda with its gripper in a compiled scene: operational-space control at 500 Hz, joint errors,
+// 20 Hz commands. One thread. Joints, motors, sites and cameras carry robosuite's names.
 class PandaSim {
  public:
-  static absl::StatusOr<std::unique_ptr<PandaSim>> Create(SharedModel model, const SimOptions& options);
+  static absl::StatusOr<std::unique_ptr<PandaSim>> Create(SharedModel model,
+                                                          const SimOptions& options);
   ~PandaSim();
 
-  // Errors to inject from the next Reset on; horizon is the suite's [control steps], the length of a ramp.
+  // Errors to inject from the next Reset on; horizon is the suite's [control steps], the length of
+  // a ramp.
   void SetScenario(const Scenario& scenario, int horizon);
-  // qpos [nq], qvel zero. Hidden error states, controller goal, gripper and progress start anew. home: the
-  // controller's null-space posture [7] (robosuite: the reset pose).
+  // qpos [nq], qvel zero. Hidden error states, controller goal, gripper and progress start anew.
+  // home: the controller's null-space posture [7] (robosuite: the reset pose).
   absl::Status Reset(absl::Span<const double> qpos, const Eigen::Matrix<double, 7, 1>& home);
   // `steps` control steps with a zero command and an open gripper at progress 0, errors on.
   absl::Status Settle(int steps);
@@ -51,12 +53,15 @@ class PandaSim {
   const mjModel& model() const;
   const mjData& data() const;
   mjData& mutable_data();
-  // What observations are made of: positions, velocities and kinematics, nothing else of mjData. data(),
-  // unless observations are late.
+  // What observations are made of: positions, velocities and kinematics, nothing else of mjData.
+  // data(), unless observations are late.
   const mjData& observed() const;
   const OscController& controller() const;
   // Called after every sub-step, before the next one's forward passes.
   void OnSubStep(std::function<void()> call);
+  // Called once per control step when data() holds positions of its end with poses and contacts of
+  // the start of its last sub-step: robosuite looks at success there.
+  void OnIntegrated(std::function<void()> call);
 
   // Everything that a continuation depends on, for branching (expert labels) and restoring.
   struct Snapshot;

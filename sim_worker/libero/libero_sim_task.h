@@ -69,6 +69,7 @@ class LiberoSimTask : public SimTask {
   std::shared_ptr<mjModel> render_model_;
   std::unique_ptr<Renderer> renderer_;  // created with the first view
   bool success_ = false;
+  bool goal_holds_ = false;  // at the moment of the last control step at which the originals look
 };
 
 }  // namespace robostress::libero

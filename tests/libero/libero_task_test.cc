@@ -230,9 +230,8 @@ class FlyingPlate {
 };
 
 // The originals look once per control step, after mj_step without a forward: at the poses from
-// which the last of 25 sub-steps started. Parity mode does; fast mode looks at the end of that
-// sub-step.
-TEST(LiberoTaskTest, SuccessIsOfTheOriginalsMomentInParityMode) {
+// which the last of 25 sub-steps started.
+TEST(LiberoTaskTest, SuccessIsOfTheOriginalsMoment) {
   SKIP_WITHOUT_SHARED_DATA();
   constexpr double kSpeed = 1;  // 2 mm in a sub-step
   for (const Stepping stepping : {Stepping::kParity, Stepping::kFast}) {
@@ -244,11 +243,11 @@ TEST(LiberoTaskTest, SuccessIsOfTheOriginalsMomentInParityMode) {
     std::vector<double> xs = plate.Step(plate.half() - middle_of_last, kSpeed);
     ASSERT_LT(xs[23], plate.half());
     ASSERT_GT(xs[24], plate.half());
-    EXPECT_EQ(plate.task().Success(), stepping == Stepping::kParity);
+    EXPECT_TRUE(plate.task().Success());
     xs = plate.Step(-plate.half() - middle_of_last, kSpeed);
     ASSERT_LT(xs[23], -plate.half());
     ASSERT_GT(xs[24], -plate.half());
-    EXPECT_EQ(plate.task().Success(), stepping == Stepping::kFast);
+    EXPECT_FALSE(plate.task().Success());
     // What crosses the zone between two looks is not seen.
     xs = plate.Step(-0.2, 8);
     ASSERT_LT(xs[0], -plate.half());
