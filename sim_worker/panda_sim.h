@@ -15,6 +15,7 @@
 
 namespace robostress {
 
+class JointErrorStack;
 class OscController;
 
 // Compiled models are immutable and shared between simulators.
@@ -55,6 +56,7 @@ class PandaSim {
   // unless observations are late.
   const mjData& observed() const;
   const OscController& controller() const;
+  const JointErrorStack& errors() const;
   // Called after every sub-step, before the next one's forward passes.
   void OnSubStep(std::function<void()> call);
 

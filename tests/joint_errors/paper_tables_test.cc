@@ -67,8 +67,17 @@ void ExpectBeta(const std::string& scenario, const std::array<const char*, 7>& p
 TEST(PaperTables, BaseParams) {
   for (int j = 1; j <= 7; ++j) {
     const JointErrorParameters& p = NominalPandaErrors()[j - 1];
-    ExpectRow(p, j <= 4 ? kNominalShoulder : kNominalWrist, "nominal");
-    ExpectPrinted(p.beta, kNominalBeta[j - 1], "nominal");
+    // Nominal values are the printed decimals themselves; all others follow by factors.
+    const Printed& row = j <= 4 ? kNominalShoulder : kNominalWrist;
+    EXPECT_EQ(p.Fc, std::stod(row.Fc));
+    EXPECT_EQ(p.Fs, std::stod(row.Fs));
+    EXPECT_EQ(p.vs, std::stod(row.vs));
+    EXPECT_EQ(p.sigma_v, std::stod(row.sigma_v));
+    EXPECT_EQ(p.B, std::stod(row.B));
+    EXPECT_EQ(p.M_eff, std::stod(row.M_eff));
+    EXPECT_EQ(p.D, std::stod(row.D));
+    EXPECT_EQ(p.K, std::stod(row.K));
+    EXPECT_EQ(p.beta, std::stod(kNominalBeta[j - 1]));
     // sec:supp_base_params: zeta, f_n, half-width in degrees, D0 = 1.4 sqrt(K0 M).
     ExpectPrinted(p.D / (2 * std::sqrt(p.K * p.M_eff)), "0.70", "zeta");
     ExpectPrinted(std::sqrt(p.K / p.M_eff) / (2 * M_PI), j <= 4 ? "14.7" : "22.5", "f_n");
