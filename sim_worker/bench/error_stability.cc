@@ -20,7 +20,7 @@ namespace robostress {
 namespace {
 
 struct CommandLine {
-  int episodes = 1000, steps = 60, level = 5, seed = 0;
+  int episodes = 1000, steps = 60, settle = 10, level = 5, seed = 0;
   std::vector<std::string> scenarios;
 };
 
@@ -205,17 +205,18 @@ int Run(const CommandLine& line) {
   for (const char* suite : kSuites) {
     UnitConfig unit;
     unit.suite = suite;
+    unit.sim.settle_steps = line.settle;
     for (int i = 0; i < kTasks; ++i) {
       tasks.push_back(EmbeddedTask::Create(unit, i).value());
       watches.push_back(std::make_unique<Watch>(tasks.back()->sim()));
     }
   }
   std::printf(
-      "%d episodes of %d control steps each, severity L%d, seed %d\n\n"
+      "%d episodes of %d + %d control steps each, severity L%d, seed %d\n\n"
       "| scenario | control steps | episodes with an object held | joint speed [rad/s] | kinetic "
       "energy [J] | potential energy, range [J] | torque / limit | backlash / B | deflection / "
       "bound | not finite | warnings |\n|---|---|---|---|---|---|---|---|---|---|---|\n",
-      line.episodes, line.steps, line.level, line.seed);
+      line.episodes, line.settle, line.steps, line.level, line.seed);
   bool violated = false;
   for (const std::string& name : line.scenarios) {
     const absl::StatusOr<Scenario> scenario = MakeScenario(name, line.level);
@@ -246,6 +247,9 @@ int Main(int argc, char** argv) {
   app.add_option("--episodes", line.episodes, "episodes per scenario")->capture_default_str();
   app.add_option("--steps", line.steps, "control steps per episode, also the length of a ramp")
       ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_option("--settle", line.settle, "control steps with a zero command before an episode")
+      ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
   app.add_option("--level", line.level, "severity level, 1 (mild) to 5 (full)")
       ->capture_default_str();
