@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <iterator>
 #include <limits>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -199,18 +201,36 @@ void PrintRow(const Scenario& scenario, const Extremes& e) {
   std::fflush(stdout);
 }
 
-int Run(const CommandLine& line) {
-  std::vector<std::unique_ptr<EmbeddedTask>> tasks;
-  std::vector<std::unique_ptr<Watch>> watches;
-  for (const char* suite : kSuites) {
-    UnitConfig unit;
-    unit.suite = suite;
-    unit.sim.settle_steps = line.settle;
-    for (int i = 0; i < kTasks; ++i) {
-      tasks.push_back(EmbeddedTask::Create(unit, i).value());
-      watches.push_back(std::make_unique<Watch>(tasks.back()->sim()));
+// The forty tasks of the embedded suites, each compiled when it is first asked for.
+class Tasks {
+ public:
+  struct Entry {
+    std::unique_ptr<EmbeddedTask> task;
+    std::unique_ptr<Watch> watch;
+  };
+  explicit Tasks(int settle_steps) : settle_steps_(settle_steps) {}
+  // Every task twice, wandering and with the expert, then the next.
+  Entry& OfEpisode(int episode) {
+    constexpr int kCount = kTasks * static_cast<int>(std::size(kSuites));
+    const int index = episode / 2 % kCount;
+    Entry& entry = entries_[index];
+    if (entry.task == nullptr) {
+      UnitConfig unit;
+      unit.suite = kSuites[index / kTasks];
+      unit.sim.settle_steps = settle_steps_;
+      entry.task = EmbeddedTask::Create(unit, index % kTasks).value();
+      entry.watch = std::make_unique<Watch>(entry.task->sim());
     }
+    return entry;
   }
+
+ private:
+  int settle_steps_;
+  std::map<int, Entry> entries_;
+};
+
+int Run(const CommandLine& line) {
+  Tasks tasks(line.settle);
   std::printf(
       "%d episodes of %d + %d control steps each, severity L%d, seed %d\n\n"
       "| scenario | control steps | episodes with an object held | joint speed [rad/s] | kinetic "
@@ -227,8 +247,8 @@ int Run(const CommandLine& line) {
     }
     Extremes extremes;
     for (int episode = 0; episode < line.episodes; ++episode) {
-      const size_t which = static_cast<size_t>(episode) / 2 % tasks.size();
-      RunEpisode(line, *scenario, episode, *tasks[which], *watches[which], extremes);
+      Tasks::Entry& entry = tasks.OfEpisode(episode);
+      RunEpisode(line, *scenario, episode, *entry.task, *entry.watch, extremes);
     }
     PrintRow(*scenario, extremes);
     violated |= extremes.Violated();
