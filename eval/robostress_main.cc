@@ -24,6 +24,7 @@ constexpr Command kCommands[] = {
     {"residual", "Measure residual magnitudes for both goal references, and their controller lag"},
     {"suites", "List suites, their tasks and instructions; draw their first frames"},
     {"scenarios", "List scenarios with their severity factors"},
+    {"error-models", "Draw the four joint error models over time"},
     {"serve", "Serve a policy, with online adaptation, over gRPC"},
     {"worker", "Run one unit of a sweep: the simulator's side"},
     {"record", "Record demonstrations of the scripted experts"},
@@ -41,13 +42,13 @@ void PrintHelp() {
   for (const Command& command : kCommands) {
     const bool here =
         std::find(installed.begin(), installed.end(), command.name) != installed.end();
-    std::printf("  %-11s %s%s\n", command.name, command.summary,
+    std::printf("  %-13s %s%s\n", command.name, command.summary,
                 here ? "" : "  (not in this build)");
   }
   for (const std::string& name : installed) {
     const bool listed = std::any_of(std::begin(kCommands), std::end(kCommands),
                                     [&](const Command& command) { return name == command.name; });
-    if (!listed) std::printf("  %-11s see `robostress %s --help`\n", name.c_str(), name.c_str());
+    if (!listed) std::printf("  %-13s see `robostress %s --help`\n", name.c_str(), name.c_str());
   }
   std::printf(
       "\nExamples\n"

@@ -160,7 +160,8 @@ std::string LinePlot(const std::vector<LineSeries>& series, const LinePlotOption
   y_low = options.y_min.value_or(y_low), y_high = options.y_max.value_or(y_high);
   if (x_high <= x_low) x_high = x_low + 1;
   if (y_high <= y_low) y_high = y_low + 1;
-  const double left = 52, right = 14, top = 34, bottom = options.height - 42;
+  const double left = options.y_label.empty() ? 52 : 72, right = 14, top = 34,
+               bottom = options.height - 42;
   const auto x_of = [&](double x) {
     return left + (x - x_low) / (x_high - x_low) * (options.width - left - right);
   };
@@ -183,6 +184,10 @@ std::string LinePlot(const std::vector<LineSeries>& series, const LinePlotOption
   }
   svg += Text((left + options.width - right) / 2, options.height - 8, options.x_label, "middle", 11,
               kInk);
+  if (!options.y_label.empty()) {
+    absl::StrAppendFormat(&svg, "<g transform=\"translate(14 %.1f) rotate(-90)\">%s</g>\n",
+                          (top + bottom) / 2, Text(0, 0, options.y_label, "middle", 11, kInk));
+  }
   for (const LineSeries& s : series) {
     std::string path, dots;
     bool pen_down = false;
@@ -202,6 +207,21 @@ std::string LinePlot(const std::vector<LineSeries>& series, const LinePlotOption
                           "<path d=\"%s\" fill=\"none\" stroke=\"%s\" stroke-width=\"2\" "
                           "stroke-linejoin=\"round\"/>%s\n",
                           path, s.color, dots);
+  }
+  return svg + "</svg>\n";
+}
+
+std::string PlotSheet(const std::vector<std::string>& plots, const PlotSheetOptions& options) {
+  constexpr int kHead = 52;
+  const int rows = static_cast<int>(plots.size() + options.columns - 1) / options.columns;
+  std::string svg =
+      Open(options.columns * options.plot_width, kHead + rows * options.plot_height, options.title);
+  svg += Text(14, 22, options.title, "start", 15, kInk, true);
+  svg += Legend(options.legend, 14, 44, options.columns * options.plot_width - 28);
+  for (size_t i = 0; i < plots.size(); ++i) {
+    const int row = static_cast<int>(i) / options.columns, column = i % options.columns;
+    absl::StrAppendFormat(&svg, "<g transform=\"translate(%d %d)\">\n%s</g>\n",
+                          column * options.plot_width, kHead + row * options.plot_height, plots[i]);
   }
   return svg + "</svg>\n";
 }

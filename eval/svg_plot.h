@@ -2,6 +2,7 @@
 
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "eval/statistics.h"
@@ -44,6 +45,7 @@ struct LineSeries {
 
 struct LinePlotOptions {
   std::string title, x_label;
+  std::string y_label;                 // upright beside the ticks; empty: no room is kept for it
   std::vector<double> vertical_marks;  // dashed, e.g. task boundaries
   std::optional<double> y_min, y_max;  // otherwise from the data
   int width = 380, height = 250;
@@ -51,6 +53,16 @@ struct LinePlotOptions {
 };
 
 std::string LinePlot(const std::vector<LineSeries>& series, const LinePlotOptions& options);
+
+struct PlotSheetOptions {
+  std::string title;
+  std::vector<std::pair<std::string, std::string>> legend;  // name, colour
+  int columns = 1;
+  int plot_width = 380, plot_height = 250;  // of every plot
+};
+
+// Plots in rows of `columns` under one title and legend.
+std::string PlotSheet(const std::vector<std::string>& plots, const PlotSheetOptions& options);
 
 // Tick positions at 1, 2 or 5 times a power of ten, about `count` of them, inside [low, high].
 std::vector<double> NiceTicks(double low, double high, int count);

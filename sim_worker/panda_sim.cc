@@ -409,6 +409,7 @@ const mjModel& PandaSim::model() const { return *impl_->model; }
 const mjData& PandaSim::data() const { return *impl_->data; }
 const mjData& PandaSim::observed() const { return impl_->Observed(); }
 const OscController& PandaSim::controller() const { return impl_->episode.controller; }
+const JointErrorStack& PandaSim::errors() const { return impl_->episode.errors; }
 void PandaSim::OnSubStep(std::function<void()> call) { impl_->on_sub_step = std::move(call); }
 void PandaSim::OnIntegrated(std::function<void()> call) { impl_->on_integrated = std::move(call); }
 

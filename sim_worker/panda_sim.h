@@ -15,6 +15,7 @@
 
 namespace robostress {
 
+class JointErrorStack;
 class OscController;
 
 // Compiled models are immutable and shared between simulators.
@@ -57,6 +58,7 @@ class PandaSim {
   // data(), unless observations are late.
   const mjData& observed() const;
   const OscController& controller() const;
+  const JointErrorStack& errors() const;
   // Called after every sub-step, before the next one's forward passes.
   void OnSubStep(std::function<void()> call);
   // Called once per control step when data() holds positions of its end with poses and contacts of

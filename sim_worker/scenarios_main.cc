@@ -9,6 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "common/joint_errors/scenarios.h"
 #include "nlohmann/json.hpp"
+#include "sim_worker/scenario_markdown.h"
 
 namespace robostress {
 namespace {
@@ -131,13 +132,16 @@ int Main(int argc, char** argv) {
       "Prints the deployment scenarios and the joint error parameters that they inject.\n"
       "Examples:\n  robostress scenarios\n  robostress scenarios --level 3 --parameters "
       "aged_joint_elbow\n"
-      "  robostress scenarios --json");
+      "  robostress scenarios --json\n  robostress scenarios --markdown");
   int level = 5;
   std::string parameters;
-  bool json = false;
+  bool json = false, markdown = false;
   app.add_option("--level", level, "severity level, 1 (mild) to 5 (full)")->capture_default_str();
   app.add_option("--parameters", parameters, "also print one scenario's parameters per joint");
   app.add_flag("--json", json, "everything as JSON, parameters of all scenarios included");
+  app.add_flag("--markdown", markdown,
+               "Markdown tables: parameters of all scenarios, factors of all levels, what the "
+               "compliance becomes at 2 ms");
   CLI11_PARSE(app, argc, argv);
 
   std::vector<Scenario> scenarios;
@@ -162,6 +166,11 @@ int Main(int argc, char** argv) {
     Json root = {{"level", level}, {"scenarios", Json::array()}};
     for (const Scenario& scenario : scenarios) root["scenarios"].push_back(ScenarioJson(scenario));
     std::printf("%s\n", root.dump(2).c_str());
+    return 0;
+  }
+  if (markdown) {
+    std::printf("%s\n%s\n%s", ParameterMarkdown(scenarios).c_str(), SeverityLevelMarkdown().c_str(),
+                ComplianceMarkdown().c_str());
     return 0;
   }
   PrintTable(scenarios, level);

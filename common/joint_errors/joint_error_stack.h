@@ -55,6 +55,9 @@ class JointErrorStack {
 
   // The offset that the joint coordinates carry now [rad].
   const Vector& offset() const { return offset_; }
+  // The two parts of offset()[joint] [rad].
+  double compliance_deflection(int joint) const { return compliance_[joint].deflection(); }
+  double backlash_offset(int joint) const { return offset_[joint] - compliance_deflection(joint); }
   const std::array<JointErrorParameters, kJoints>& parameters() const { return parameters_; }
   const std::array<SeverityFactors, kJoints>& factors() const { return factors_; }
   const Scenario& scenario() const { return scenario_; }

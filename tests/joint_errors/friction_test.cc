@@ -21,6 +21,31 @@ TEST(Friction, FollowsTheStribeckCurve) {
               1e-6);  // kinetic and viscous when fast
 }
 
+TEST(Friction, FollowsThePapersLawOverAVelocityGridAtEverySeverity) {
+  // Fc, Fs, vs, sigma_v of tab:base_params; the law in its exponential-free form, ln of what is
+  // left when viscous and kinetic parts are taken off: ln((|eta| - sigma_v v - Fc) / (Fs - Fc)) =
+  // -(v/vs)^2.
+  for (int j = 0; j < 7; ++j) {
+    const double Fc = j < 4 ? 2.175 : 0.480, Fs = j < 4 ? 3.480 : 0.720, vs = j < 4 ? 0.15 : 0.10,
+                 sigma_v = j < 4 ? 0.348 : 0.048;
+    for (const double w : {1.0, 1.5, 1.625, 1.75, 1.875, 2.0}) {
+      const JointErrorParameters p = Scale(NominalPandaErrors()[j], {.friction = w});
+      for (int k = -200; k <= 200; ++k) {
+        const double v = 0.01 * k;
+        const double eta = StribeckTorque(p, v, FrictionLaw::kSgn, 0.01);
+        EXPECT_EQ((eta > 0) - (eta < 0), (v < 0) - (v > 0));  // power eta v <= 0: it dissipates
+        if (k == 0) continue;
+        const double decaying = std::abs(eta) - w * (sigma_v * std::abs(v) + Fc);
+        if (std::abs(v) < 3 * vs) {
+          EXPECT_NEAR(std::log(decaying / (w * (Fs - Fc))), -v * v / (vs * vs), 1e-10) << v;
+        } else {
+          EXPECT_NEAR(decaying, 0, w * (Fs - Fc) * std::exp(-9) + 1e-12) << v;
+        }
+      }
+    }
+  }
+}
+
 TEST(Friction, OpposesMotionAndIsOdd) {
   for (const FrictionLaw law : {FrictionLaw::kSgn, FrictionLaw::kTanh}) {
     for (const double dq : {1e-6, 0.003, 0.05, 0.7}) {
