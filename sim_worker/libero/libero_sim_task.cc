@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <mutex>
-#include <numbers>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -47,9 +46,7 @@ void AnnounceMissingVisuals(const LiberoScene& scene) {
 }  // namespace
 
 Eigen::Matrix<double, 7, 1> LiberoSimTask::HomePosture() {
-  Eigen::Matrix<double, 7, 1> home;
-  home << 0, -1.61037389e-01, 0, -2.44459747e+00, 0, 2.22675220e+00, std::numbers::pi / 4;
-  return home;
+  return Eigen::Map<const Eigen::Matrix<double, 7, 1>>(kHomePosture.data());
 }
 
 absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitConfig& unit,
@@ -152,7 +149,7 @@ absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, in
     const int site = mj_name2id(render_model_.get(), mjOBJ_SITE, (name + "_burner").c_str());
     const double q = data.qpos[scene_->model->jnt_qposadr[object.joints[0]]];
     if (site >= 0)
-      render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on ? 1.0f : 0.0f;
+      render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on() ? 1.0f : 0.0f;
   }
   RenderOptions options;
   options.width = width;
