@@ -47,7 +47,7 @@ struct CommandLine {
   std::vector<int64_t> seeds;
   std::string tasks;
   int episodes = 0, first_initial_state = 0, videos = 0;
-  std::string replay_file, libero_root, robosuite_root;
+  std::string replay_file, libero_root, robosuite_root, libero_fixtures;
 };
 
 void DeclareFlags(CLI::App& app, CommandLine& line) {
@@ -83,6 +83,9 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
   app.add_option("--libero-root", line.libero_root, "LIBERO checkout, for suites libero_*");
   app.add_option("--robosuite-root", line.robosuite_root,
                  "robosuite checkout, for suites libero_*");
+  app.add_option("--libero-fixtures", line.libero_fixtures,
+                 "Where cabinets, stoves and racks of libero_* stand at each episode: centred "
+                 "(default), sampled, numpy[:SEED] (the originals' draw, seed 7), or a JSON table");
   app.footer(kExamples);
 }
 
@@ -107,6 +110,7 @@ absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line)
   if (app.count("--replay-file")) grid.replay_file = line.replay_file;
   if (app.count("--libero-root")) grid.libero_root = line.libero_root;
   if (app.count("--robosuite-root")) grid.robosuite_root = line.robosuite_root;
+  if (app.count("--libero-fixtures")) grid.libero_fixtures = line.libero_fixtures;
   if (app.count("--tasks")) {
     RS_ASSIGN_OR_RETURN(grid.tasks, ParseTasks(line.tasks));
   }

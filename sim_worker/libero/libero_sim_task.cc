@@ -82,20 +82,30 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
       ReadInitStates(absl::StrCat(paths.libero, "/init_files/", stem, ".pruned_init")));
   RS_RETURN_IF_ERROR(
       CheckInitStates(result->init_states_, result->scene_->model->nq, result->scene_->model->nv));
-  RS_RETURN_IF_ERROR(result->MoveFixtures(result->scene_->centred_fixtures));
+  RS_ASSIGN_OR_RETURN(const LiberoFixtures fixtures, ParseLiberoFixtures(unit.libero_fixtures));
+  if (fixtures.source != LiberoFixtures::Source::kCentred) {
+    RS_ASSIGN_OR_RETURN(FixturePoses poses,
+                        FixturePoses::Create(fixtures, names[task], *result->scene_));
+    result->fixture_poses_ = std::make_unique<FixturePoses>(std::move(poses));
+  }
+  RS_RETURN_IF_ERROR(result->MakeSimulator());
   return result;
 }
 
-absl::Status LiberoSimTask::MoveFixtures(const std::vector<FixturePose>& poses) {
-  RS_ASSIGN_OR_RETURN(placed_model_, PlaceFixtures(*scene_, poses));
-  SharedModel model = MakeSimulationModel(*placed_model_, init_states_.row(0) + 1);
-  if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
-  RS_ASSIGN_OR_RETURN(render_model_, MakeRenderModel(*scene_, *model));
-  renderer_.reset();
-  RS_ASSIGN_OR_RETURN(sim_, PandaSim::Create(std::move(model), unit_.sim));
+absl::Status LiberoSimTask::MakeSimulator() {
+  RS_ASSIGN_OR_RETURN(placed_model_, PlaceFixtures(*scene_, scene_->centred_fixtures));
+  simulation_model_ = MakeSimulationModel(*placed_model_, init_states_.row(0) + 1);
+  if (simulation_model_ == nullptr)
+    return absl::ResourceExhaustedError("no memory for a copy of the model");
+  RS_ASSIGN_OR_RETURN(render_model_, MakeRenderModel(*scene_, *simulation_model_));
+  RS_ASSIGN_OR_RETURN(sim_, PandaSim::Create(simulation_model_, unit_.sim));
   sim_->SetScenario(scenario_, horizon_);
-  success_ = false;
   return absl::OkStatus();
+}
+
+absl::Status LiberoSimTask::MoveFixtures(const std::vector<FixturePose>& poses) {
+  RS_RETURN_IF_ERROR(libero::MoveFixtures(*scene_, poses, *placed_model_));
+  return libero::MoveFixtures(*scene_, poses, *simulation_model_);
 }
 
 absl::Status LiberoSimTask::Reset(int initial_state) {
@@ -105,6 +115,10 @@ absl::Status LiberoSimTask::Reset(int initial_state) {
                                               init_states_.rows - 1));
   }
   success_ = false;
+  if (fixture_poses_ != nullptr) {
+    RS_ASSIGN_OR_RETURN(const std::vector<FixturePose> poses, fixture_poses_->At(initial_state));
+    RS_RETURN_IF_ERROR(MoveFixtures(poses));
+  }
   const double* qpos = init_states_.row(initial_state) + 1;  // after the time; velocities are zero
   RS_RETURN_IF_ERROR(sim_->Reset(absl::MakeConstSpan(qpos, scene_->model->nq), HomePosture()));
   return sim_->Settle(unit_.sim.settle_steps);

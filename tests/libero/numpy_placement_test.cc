@@ -82,9 +82,8 @@ void Compare(const LiberoScene& scene, const ResetDraw& draw, const std::string&
   }
 }
 
-// Two units in the last place of a number below 1: a drawn angle's sine and cosine are the C
-// library's here, and NumPy's own vectorised ones on machines with AVX-512. Everything else is
-// exact.
+// Two units in the last place of a number below 1, for the sine and cosine of a drawn angle: NumPy
+// has its own for some processors, the C library's are used here. Everything else is exact.
 constexpr double kSineTolerance = 2.3e-16;
 
 TEST(NumpyPlacementTest, TheFirstResetEqualsTheOriginalsIn24Tasks) {
