@@ -82,6 +82,7 @@ struct UnitConfig {
   int videos = 0;                      // first N episodes of each task are filmed
   std::string replay_file;             // policy replay: safetensors with actions [T, 7]
   std::string libero_root, robosuite_root;
+  std::string libero_fixtures = "centred";  // ParseLiberoFixtures reads it
   SimOptions sim;
   MethodOptions method;
 
@@ -99,6 +100,8 @@ struct UnitConfig {
     v.Field("replay_file", replay_file, "actions for policy replay");
     v.Field("libero_root", libero_root, "LIBERO checkout");
     v.Field("robosuite_root", robosuite_root, "robosuite checkout");
+    v.Field("libero_fixtures", libero_fixtures,
+            "where fixtures stand per episode: centred, sampled, numpy[:SEED] or a table's file");
     v.Section("sim", sim, "simulator");
     v.Section("method", method, "method");
   }

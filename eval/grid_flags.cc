@@ -43,6 +43,9 @@ void DeclareGridFlags(CLI::App& app, GridFlags& flags) {
   app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
   app.add_option("--robosuite-root", flags.robosuite_root,
                  "robosuite checkout, for suites libero_*");
+  app.add_option("--libero-fixtures", flags.libero_fixtures,
+                 "Where cabinets, stoves and racks of libero_* stand at each episode: centred "
+                 "(default), sampled, numpy[:SEED] (the originals' draw, seed 7), or a JSON table");
 }
 
 absl::Status ApplyGridFlags(const CLI::App& app, const GridFlags& flags, SweepGrid& grid) {
@@ -63,6 +66,7 @@ absl::Status ApplyGridFlags(const CLI::App& app, const GridFlags& flags, SweepGr
   if (app.count("--replay-file")) grid.replay_file = flags.replay_file;
   if (app.count("--libero-root")) grid.libero_root = flags.libero_root;
   if (app.count("--robosuite-root")) grid.robosuite_root = flags.robosuite_root;
+  if (app.count("--libero-fixtures")) grid.libero_fixtures = flags.libero_fixtures;
   if (app.count("--tasks")) {
     RS_ASSIGN_OR_RETURN(grid.tasks, ParseTasks(flags.tasks));
   }

@@ -20,7 +20,7 @@ struct GridFlags {
   std::vector<int64_t> seeds;
   std::string tasks;
   int episodes = 0, first_initial_state = 0;
-  std::string replay_file, libero_root, robosuite_root;
+  std::string replay_file, libero_root, robosuite_root, libero_fixtures;
 };
 
 // --workers and --server of the programs that run a grid.

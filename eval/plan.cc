@@ -12,6 +12,7 @@
 #include "absl/strings/str_split.h"
 #include "common/config.h"
 #include "common/joint_errors/scenarios.h"
+#include "common/libero_fixtures.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 
@@ -147,6 +148,8 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
           name, " reads LIBERO's own files: give --libero-root DIR and --robosuite-root DIR"));
     }
   }
+  if (const auto fixtures = ParseLiberoFixtures(grid.libero_fixtures); !fixtures.ok())
+    complaints.Add(std::string(fixtures.status().message()));
 }
 
 }  // namespace
@@ -265,6 +268,7 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
     config.replay_file = grid.replay_file;
     config.libero_root = grid.libero_root;
     config.robosuite_root = grid.robosuite_root;
+    config.libero_fixtures = grid.libero_fixtures;
     for (const std::string& scenario : grid.scenarios) {
       config.scenario = scenario;
       const std::vector<int> once = {

@@ -25,6 +25,7 @@ struct SweepGrid {
   int videos = 0;
   std::vector<std::string> overrides;  // "sim.x=y", "method.x=y"
   std::string replay_file, libero_root, robosuite_root;
+  std::string libero_fixtures = "centred";
 
   template <class V>
   void Visit(V& v) {
@@ -43,6 +44,8 @@ struct SweepGrid {
     v.Field("replay_file", replay_file, "actions for policy replay");
     v.Field("libero_root", libero_root, "LIBERO checkout, for suites libero_*");
     v.Field("robosuite_root", robosuite_root, "robosuite checkout, for suites libero_*");
+    v.Field("libero_fixtures", libero_fixtures,
+            "where fixtures of suites libero_* stand: centred, sampled, numpy[:SEED] or a file");
   }
 };
 

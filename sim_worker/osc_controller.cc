@@ -5,6 +5,8 @@
 #include <Eigen/Geometry>
 #include <cmath>
 
+#include "sim_worker/robosuite_rotation.h"
+
 namespace robostress {
 namespace {
 
@@ -24,28 +26,6 @@ Eigen::Matrix<double, n, 1> SolvePsd(const Eigen::Matrix<double, n, n>& A,
   return eigen.eigenvectors() * y;
 }
 
-// Matrix of a rotation as robosuite 1.4.0 computes it (utils/transform_utils.py, quat2mat): the
-// quaternion and its outer product in single precision, the diagonal in double.
-Eigen::Matrix3d SinglePrecisionMatrix(const Eigen::Vector3d& axis, double angle) {
-  const Eigen::Vector3d xyz = axis * std::sin(angle / 2);
-  float q[4] = {static_cast<float>(std::cos(angle / 2)), static_cast<float>(xyz[0]),
-                static_cast<float>(xyz[1]), static_cast<float>(xyz[2])};
-  double sum = 0;  // of single-precision products, as OpenBLAS's sdot adds so short a vector
-  for (const float element : q) sum += element * element;
-  const float n = static_cast<float>(sum);
-  const double scale = std::sqrt(2.0 / n);
-  for (float& element : q) element = static_cast<float>(element * scale);
-  const auto p = [&q](int i, int k) { return q[i] * q[k]; };
-  const auto diagonal = [&p](int i, int k) {
-    return 1.0 - static_cast<double>(p(i, i)) - static_cast<double>(p(k, k));
-  };
-  Eigen::Matrix3d R;
-  R << diagonal(2, 3), p(1, 2) - p(3, 0), p(1, 3) + p(2, 0),  //
-      p(1, 2) + p(3, 0), diagonal(1, 3), p(2, 3) - p(1, 0),   //
-      p(1, 3) - p(2, 0), p(2, 3) + p(1, 0), diagonal(1, 2);
-  return R;
-}
-
 }  // namespace
 
 void OscController::Reset(const ArmState& arm, const Vector7d& q0) {
@@ -63,7 +43,9 @@ void OscController::SetGoal(const Eigen::Matrix<double, 6, 1>& command, const Ar
   const Eigen::Matrix3d& R_from = reference_ == GoalReference::kAchieved ? arm.R_tool : R_goal_;
   const Eigen::Vector3d axis = rotation / angle;
   if (single_precision_rotation_) {
-    R_goal_ = SinglePrecisionMatrix(axis, angle) * R_from;
+    Eigen::Vector4d wxyz;
+    wxyz << std::cos(angle / 2), axis * std::sin(angle / 2);
+    R_goal_ = SinglePrecisionMatrix(wxyz) * R_from;
     return;
   }
   const Eigen::Matrix3d R_next = Eigen::AngleAxisd(angle, axis).toRotationMatrix() * R_from;

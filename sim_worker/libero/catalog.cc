@@ -97,6 +97,7 @@ constexpr ProblemClass kProblems[] = {
      .fixture_z = 0.01 - 0.05,
      .zone_at_workspace = false,
      .zone_z = 0.02,
+     .draws_inset = true,
      .cameras = {{kTableAgentView, kTableFrontView, kGalleryView}}},
     {.name = "libero_kitchen_tabletop_manipulation",
      .workspace = "kitchen_table",
@@ -131,6 +132,7 @@ constexpr ProblemClass kProblems[] = {
      .fixture_z = -0.025,
      .zone_at_workspace = false,
      .zone_z = 0.02,
+     .draws_inset = true,
      .cameras = {{{"agentview", {0.8965773716836134, 5.216182733499864e-07, 0.65}, kLowAgentQuat},
                   {"frontview", {1.0, 0.0, 0.65}, kFrontQuat},
                   kGalleryView}}},
@@ -177,12 +179,57 @@ constexpr ProblemClass kProblems[] = {
 };
 
 constexpr Articulation kArticulations[] = {
-    {.category = "wooden_cabinet", .open_below = true, .open = -0.14, .close = 0.0},
-    {.category = "white_cabinet", .open_below = true, .open = -0.14, .close = 0.0},
-    {.category = "microwave", .open_below = true, .open = -1.3, .close = -0.005},
-    {.category = "short_cabinet", .open_below = false, .open = 0.10, .close = 0.0},
-    {.category = "short_fridge", .open_below = false, .open = 2.0, .close = 0.0},
-    {.category = "flat_stove", .has_switch = true, .on = 0.5, .off = 0.0},
+    {.category = "wooden_cabinet", .open_range = {-0.16, -0.14}, .close_range = {0.0, 0.005}},
+    {.category = "white_cabinet", .open_range = {-0.16, -0.14}, .close_range = {0.0, 0.005}},
+    {.category = "microwave", .open_range = {-2.094, -1.3}, .close_range = {-0.005, 0.0}},
+    {.category = "short_cabinet",
+     .open_below = false,
+     .open_range = {0.10, 0.16},
+     .close_range = {-0.005, 0.0}},
+    {.category = "short_fridge",
+     .open_below = false,
+     .open_range = {2.0, 2.7},
+     .close_range = {-0.005, 0.0}},
+    {.category = "flat_stove",
+     .has_switch = true,
+     .on_range = {0.5, 2.1},
+     .off_range = {-0.005, 0.0}},
+};
+
+constexpr double kQuarterTurn = std::numbers::pi / 2;
+constexpr PlacementRotation::Turn kQuarterX = {'x', kQuarterTurn, kQuarterTurn};
+constexpr PlacementRotation::Turn kQuarterZ = {'z', kQuarterTurn, kQuarterTurn};
+constexpr PlacementRotation::Turn kUnturned = {'x', 0, 0};
+constexpr PlacementRotation::Turn kUnturnedY = {'y', 0, 0};
+constexpr PlacementRotation::Turn kBackQuarterX = {'x', -kQuarterTurn, -kQuarterTurn};
+constexpr PlacementRotation::Turn kBookX = {'x', -kQuarterTurn, -std::numbers::pi / 4};
+// The folders' rules are those of the base classes (HopeBaseObject and its siblings).
+constexpr PlacementRotation kRotations[] = {
+    {"articulated_objects", {{{'x', std::numbers::pi / 4, kQuarterTurn}}}},
+    {"stable_hope_objects", {{kQuarterX}}},
+    {"stable_scanned_objects", {{kQuarterX}}},
+    {"turbosquid_objects", {{kUnturned}}},
+    {"alphabet_soup", {{kQuarterZ}}},
+    {"black_book", {{kBookX}}},
+    {"butter", {{kUnturned}}},
+    {"chocolate_pudding", {{kUnturned}}},
+    {"cream_cheese", {{kUnturned}}},
+    {"flat_stove", {{kUnturnedY}}},
+    {"ketchup", {{kQuarterX, kQuarterZ}}},
+    {"macaroni_and_cheese", {{kQuarterX, kQuarterZ}}},
+    {"mayo", {{kQuarterX, kQuarterZ}}},
+    {"milk", {{kQuarterX, kQuarterZ}}},
+    {"new_salad_dressing", {{kQuarterX, kQuarterZ}}},
+    {"orange_juice", {{kQuarterX, kQuarterZ}}},
+    {"popcorn", {{kUnturned}}},
+    {"porcelain_mug", {{kBackQuarterX}}},
+    {"rack", {{kUnturned}}},
+    {"red_coffee_mug", {{kBackQuarterX}}},
+    {"salad_dressing", {{kQuarterX, kQuarterZ}}},
+    {"tomato_sauce", {{kQuarterZ}}},
+    {"white_storage_box", {{kUnturnedY}}},
+    {"white_yellow_mug", {{kBackQuarterX}}},
+    {"yellow_book", {{kBookX}}},
 };
 
 // The folder that holds `marker`: root itself or one of the candidates below it.
@@ -259,6 +306,20 @@ const Articulation* FindArticulation(const std::string& category) {
     if (articulation.category == category) return &articulation;
   }
   return nullptr;
+}
+
+absl::StatusOr<PlacementRotation> FindPlacementRotation(const std::string& category,
+                                                        const std::string& object_file) {
+  for (const PlacementRotation& rotation : kRotations) {
+    if (rotation.name == category) return rotation;
+  }
+  for (const fs::path& folder : fs::path(object_file)) {
+    for (const PlacementRotation& rotation : kRotations) {
+      if (rotation.name == folder.string()) return rotation;
+    }
+  }
+  return absl::NotFoundError(
+      absl::StrCat("no rule for the rotation of category '", category, "' in ", object_file));
 }
 
 absl::StatusOr<std::string> FindObjectFile(const LiberoPaths& paths, const std::string& category) {

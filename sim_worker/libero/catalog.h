@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <numbers>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -51,21 +52,50 @@ struct ProblemClass {
   double fixture_z;                        // [m] added to a fixture's height
   bool zone_at_workspace = false;          // regions' sites are shifted by workspace_offset
   double zone_z;                           // [m] of a region's site in arena_body
+  bool draws_inset = false;                // objects are drawn whole inside their region
   std::array<CameraPlacement, 4> cameras;  // in this order; an empty name ends the list
 };
 absl::StatusOr<ProblemClass> FindProblemClass(const std::string& name);
 
-// Thresholds of an articulated category on each joint coordinate
-// (envs/objects/articulated_objects.py).
+// Where LIBERO's init atoms put each joint coordinate of an articulated category, and the
+// thresholds that follow from the same ranges (envs/objects/articulated_objects.py).
 struct Articulation {
+  using Range = std::array<double, 2>;  // low, high
   std::string_view category;
-  bool open_below = true;      // open when q < open (cabinets, microwave), else q > open
-  double open = 0, close = 0;  // closed when q lies beyond `close` on the other side
+  bool open_below = true;  // open when q < open() (cabinets, microwave), else q > open()
+  Range open_range = {}, close_range = {};
   bool has_switch = false;
-  double on = 0, off = 0;  // turned on at q >= on, off at q < off
+  Range on_range = {}, off_range = {};
+
+  constexpr double open() const { return open_below ? open_range[1] : open_range[0]; }
+  // Closed when q lies beyond this on the other side.
+  constexpr double close() const { return open_below ? close_range[0] : close_range[1]; }
+  constexpr double on() const { return on_range[0]; }    // turned on at q >= on()
+  constexpr double off() const { return off_range[1]; }  // turned off at q < off()
 };
 // nullptr for a category without movable parts.
 const Articulation* FindArticulation(const std::string& category);
+
+// How LIBERO turns a movable object when it draws its pose (envs/objects/*.py: rotation and
+// rotation_axis; no class has an init_quat, so none is applied).
+struct PlacementRotation {
+  struct Turn {
+    char axis = 0;             // 'x', 'y' or 'z'; 0: no turn
+    double low = 0, high = 0;  // [rad]
+  };
+  std::string_view name;      // a category, or the folder of all other categories in it
+  std::array<Turn, 2> turns;  // two: a dict in the originals, applied in this order
+};
+// The category's own rule, else that of the folder of its file (FindObjectFile's); NotFound if
+// neither exists.
+absl::StatusOr<PlacementRotation> FindPlacementRotation(const std::string& category,
+                                                        const std::string& object_file);
+
+// The Panda at a reset (init_qpos in LIBERO's envs/robots/*.py and robosuite's
+// models/grippers/panda_gripper.py).
+inline constexpr std::array<double, 7> kHomePosture = {
+    0, -1.61037389e-01, 0, -2.44459747e+00, 0, 2.22675220e+00, std::numbers::pi / 4};  // [rad]
+inline constexpr std::array<double, 2> kHomeFingers = {0.020833, -0.020833};           // [m]
 
 // The category's MJCF file below `libero`; NotFound names the folders that were searched.
 absl::StatusOr<std::string> FindObjectFile(const LiberoPaths& paths, const std::string& category);

@@ -346,8 +346,8 @@ class Unpickler {
         Push(Dtype{});
         return absl::OkStatus();
       }
-      return Fail(
-          absl::StrCat("the matrix has type '", std::string(type ? type->utf8 : "?"), "', expected 'f8'"));
+      return Fail(absl::StrCat("the matrix has type '", std::string(type ? type->utf8 : "?"),
+                               "', expected 'f8'"));
     }
     return Fail("REDUCE with unexpected arguments");
   }

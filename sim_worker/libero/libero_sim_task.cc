@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <mutex>
-#include <numbers>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -47,9 +46,7 @@ void AnnounceMissingVisuals(const LiberoScene& scene) {
 }  // namespace
 
 Eigen::Matrix<double, 7, 1> LiberoSimTask::HomePosture() {
-  Eigen::Matrix<double, 7, 1> home;
-  home << 0, -1.61037389e-01, 0, -2.44459747e+00, 0, 2.22675220e+00, std::numbers::pi / 4;
-  return home;
+  return Eigen::Map<const Eigen::Matrix<double, 7, 1>>(kHomePosture.data());
 }
 
 absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitConfig& unit,
@@ -85,21 +82,31 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
       ReadInitStates(absl::StrCat(paths.libero, "/init_files/", stem, ".pruned_init")));
   RS_RETURN_IF_ERROR(
       CheckInitStates(result->init_states_, result->scene_->model->nq, result->scene_->model->nv));
-  RS_RETURN_IF_ERROR(result->MoveFixtures(result->scene_->centred_fixtures));
+  RS_ASSIGN_OR_RETURN(const LiberoFixtures fixtures, ParseLiberoFixtures(unit.libero_fixtures));
+  if (fixtures.source != LiberoFixtures::Source::kCentred) {
+    RS_ASSIGN_OR_RETURN(FixturePoses poses,
+                        FixturePoses::Create(fixtures, names[task], *result->scene_));
+    result->fixture_poses_ = std::make_unique<FixturePoses>(std::move(poses));
+  }
+  RS_RETURN_IF_ERROR(result->MakeSimulator());
   return result;
 }
 
-absl::Status LiberoSimTask::MoveFixtures(const std::vector<FixturePose>& poses) {
-  RS_ASSIGN_OR_RETURN(placed_model_, PlaceFixtures(*scene_, poses));
-  SharedModel model = MakeSimulationModel(*placed_model_, init_states_.row(0) + 1);
-  if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
-  RS_ASSIGN_OR_RETURN(render_model_, MakeRenderModel(*scene_, *model));
-  renderer_.reset();
-  RS_ASSIGN_OR_RETURN(sim_, PandaSim::Create(std::move(model), unit_.sim));
+absl::Status LiberoSimTask::MakeSimulator() {
+  RS_ASSIGN_OR_RETURN(placed_model_, PlaceFixtures(*scene_, scene_->centred_fixtures));
+  simulation_model_ = MakeSimulationModel(*placed_model_, init_states_.row(0) + 1);
+  if (simulation_model_ == nullptr)
+    return absl::ResourceExhaustedError("no memory for a copy of the model");
+  RS_ASSIGN_OR_RETURN(render_model_, MakeRenderModel(*scene_, *simulation_model_));
+  RS_ASSIGN_OR_RETURN(sim_, PandaSim::Create(simulation_model_, unit_.sim));
   sim_->SetScenario(scenario_, horizon_);
   sim_->OnIntegrated([this] { goal_holds_ = goal_->Holds(sim_->data()); });
-  success_ = false;
   return absl::OkStatus();
+}
+
+absl::Status LiberoSimTask::MoveFixtures(const std::vector<FixturePose>& poses) {
+  RS_RETURN_IF_ERROR(libero::MoveFixtures(*scene_, poses, *placed_model_));
+  return libero::MoveFixtures(*scene_, poses, *simulation_model_);
 }
 
 absl::Status LiberoSimTask::Reset(int initial_state) {
@@ -109,6 +116,10 @@ absl::Status LiberoSimTask::Reset(int initial_state) {
                                               init_states_.rows - 1));
   }
   success_ = false;
+  if (fixture_poses_ != nullptr) {
+    RS_ASSIGN_OR_RETURN(const std::vector<FixturePose> poses, fixture_poses_->At(initial_state));
+    RS_RETURN_IF_ERROR(MoveFixtures(poses));
+  }
   const double* qpos = init_states_.row(initial_state) + 1;  // after the time; velocities are zero
   RS_RETURN_IF_ERROR(sim_->Reset(absl::MakeConstSpan(qpos, scene_->model->nq), HomePosture()));
   return sim_->Settle(unit_.sim.settle_steps);
@@ -153,7 +164,7 @@ absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, in
     const int site = mj_name2id(render_model_.get(), mjOBJ_SITE, (name + "_burner").c_str());
     const double q = data.qpos[scene_->model->jnt_qposadr[object.joints[0]]];
     if (site >= 0)
-      render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on ? 1.0f : 0.0f;
+      render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on() ? 1.0f : 0.0f;
   }
   RenderOptions options;
   options.width = width;

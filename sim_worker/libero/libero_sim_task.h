@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "sim_worker/libero/fixture_poses.h"
 #include "sim_worker/libero/init_states.h"
 #include "sim_worker/libero/predicates.h"
 #include "sim_worker/libero/scene.h"
@@ -18,8 +19,8 @@ class LiberoSimTask : public SimTask {
  public:
   static absl::StatusOr<std::unique_ptr<LiberoSimTask>> Create(const UnitConfig& unit, int task);
 
-  // Row `initial_state` of the task's .pruned_init, then the settle steps with the originals' dummy
-  // command.
+  // Row `initial_state` of the task's .pruned_init, fixtures as unit.libero_fixtures has them for
+  // it, then the settle steps with the originals' dummy command.
   absl::Status Reset(int initial_state) override;
   // Proprioception [8]: grip site in the world [m], axis-angle of the hand body's quaternion as
   // openpi computes it (not along the short path), finger joints [m]. Views are rendered at 256 x
@@ -46,7 +47,7 @@ class LiberoSimTask : public SimTask {
   const LiberoGoal& goal() const { return *goal_; }
   const InitStates& init_states() const { return init_states_; }
   int settle_steps() const { return unit_.sim.settle_steps; }
-  // Where the fixtures stand from the next Reset on; default: the centres of their regions.
+  // Where the fixtures stand from the next ResetTo on, or Reset if unit.libero_fixtures is centred.
   absl::Status MoveFixtures(const std::vector<FixturePose>& poses);
   // LIBERO's init_qpos: the arm's posture at a reset, and the controller's null-space posture.
   static Eigen::Matrix<double, 7, 1> HomePosture();
@@ -55,6 +56,7 @@ class LiberoSimTask : public SimTask {
 
  private:
   LiberoSimTask() = default;
+  absl::Status MakeSimulator();
   absl::StatusOr<Image> RenderUpright(const std::string& camera, int width, int height);
 
   UnitConfig unit_;
@@ -64,7 +66,10 @@ class LiberoSimTask : public SimTask {
   std::unique_ptr<LiberoGoal> goal_;
   InitStates init_states_;
   Scenario scenario_;
-  SharedModel placed_model_;
+  std::unique_ptr<FixturePoses> fixture_poses_;  // null: centred, nothing moves between episodes
+  // Fixtures are moved in place between episodes, on the thread that steps: sim_ and experts refer
+  // to simulation_model_.
+  std::shared_ptr<mjModel> placed_model_, simulation_model_;
   std::unique_ptr<PandaSim> sim_;
   std::shared_ptr<mjModel> render_model_;
   std::unique_ptr<Renderer> renderer_;  // created with the first view

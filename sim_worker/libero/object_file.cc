@@ -59,18 +59,22 @@ absl::Status ObjectFile::FindBody() {
     return absl::InvalidArgumentError(
         absl::StrCat(file_.path(), ": no worldbody/body/body[@name='object']"));
   }
-  const XMLElement* bottom = FindChild(wrapper_, "site", "bottom_site");
-  if (bottom == nullptr)
-    return absl::InvalidArgumentError(absl::StrCat(file_.path(), ": no bottom_site"));
-  RS_ASSIGN_OR_RETURN(const std::vector<double> pos,
-                      ReadNumbers(file_.path(), bottom, "pos", {0, 0, 0}));
-  if (pos.size() != 3) {
-    return absl::InvalidArgumentError(absl::StrCat(file_.path(), ":", bottom->GetLineNum(),
-                                                   ": bottom_site's pos has ", pos.size(),
-                                                   " numbers, expected 3"));
-  }
-  bottom_ = pos[2];
+  RS_ASSIGN_OR_RETURN(bottom_, ReadMarker("bottom_site", 2));
+  RS_ASSIGN_OR_RETURN(top_, ReadMarker("top_site", 2));
+  RS_ASSIGN_OR_RETURN(horizontal_radius_, ReadMarker("horizontal_radius_site", 0));
   return absl::OkStatus();
+}
+
+absl::StatusOr<double> ObjectFile::ReadMarker(const char* site, int axis) {
+  const XMLElement* marker = FindChild(wrapper_, "site", site);
+  if (marker == nullptr)
+    return absl::InvalidArgumentError(absl::StrCat(file_.path(), ": no ", site));
+  RS_ASSIGN_OR_RETURN(const std::vector<double> pos,
+                      ReadNumbers(file_.path(), marker, "pos", {0, 0, 0}));
+  if (pos.size() == 3) return pos[axis];
+  return absl::InvalidArgumentError(absl::StrCat(file_.path(), ":", marker->GetLineNum(), ": ",
+                                                 site, "'s pos has ", pos.size(),
+                                                 " numbers, expected 3"));
 }
 
 // Unnamed geoms are called after their place among all geoms, dropped ones included.

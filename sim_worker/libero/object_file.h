@@ -30,7 +30,10 @@ class ObjectFile {
   // The body that goes below the world's; owned by this file.
   const tinyxml2::XMLElement* body() const { return body_; }
   tinyxml2::XMLElement* asset() { return file_.Section("asset"); }
-  double bottom() const { return bottom_; }  // [m] z of its bottom below its origin
+  // Extent for placement [m]: z of bottom and top above its origin, radius around it.
+  double bottom() const { return bottom_; }
+  double top() const { return top_; }
+  double horizontal_radius() const { return horizontal_radius_; }
   const std::vector<std::string>& joints() const { return joints_; }  // in the file's order
   const std::vector<std::string>& contact_geoms() const { return contact_geoms_; }
   const std::map<std::string, SiteOwner>& sites() const { return sites_; }
@@ -38,6 +41,8 @@ class ObjectFile {
  private:
   explicit ObjectFile(MjcfFile file) : file_(std::move(file)) {}
   absl::Status FindBody();
+  // One coordinate of a marker site that only placement reads.
+  absl::StatusOr<double> ReadMarker(const char* site, int axis);
   void NameGeoms();
   absl::Status CheckNames() const;
   void AddFreeJoint(const std::string& instance);
@@ -46,7 +51,7 @@ class ObjectFile {
   MjcfFile file_;
   tinyxml2::XMLElement* wrapper_ = nullptr;  // holds the body and the sites of the placement
   tinyxml2::XMLElement* body_ = nullptr;
-  double bottom_ = 0;
+  double bottom_ = 0, top_ = 0, horizontal_radius_ = 0;
   std::vector<std::string> joints_, contact_geoms_;
   std::map<std::string, SiteOwner> sites_;
 };

@@ -15,8 +15,10 @@ Eigen::Vector3d BodyPosition(const mjData& data, int body) {
 
 using RowMajor3d = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
-bool IsOpen(const Articulation& a, double q) { return a.open_below ? q < a.open : q > a.open; }
-bool IsClosed(const Articulation& a, double q) { return a.open_below ? q > a.close : q < a.close; }
+bool IsOpen(const Articulation& a, double q) { return a.open_below ? q < a.open() : q > a.open(); }
+bool IsClosed(const Articulation& a, double q) {
+  return a.open_below ? q > a.close() : q < a.close();
+}
 
 }  // namespace
 
@@ -117,9 +119,9 @@ bool LiberoGoal::Evaluate(const Atom& atom, const mjData& data) const {
     case Kind::kClose:
       return all([&](double q) { return IsClosed(*atom.target->articulation, q); });
     case Kind::kTurnOn:
-      return any([&](double q) { return q >= atom.target->articulation->on; });
+      return any([&](double q) { return q >= atom.target->articulation->on(); });
     case Kind::kTurnOff:
-      return all([&](double q) { return q < atom.target->articulation->off; });
+      return all([&](double q) { return q < atom.target->articulation->off(); });
     case Kind::kUp:
       return BodyPosition(data, atom.object->body).z() >= 1.0;
     case Kind::kOn:

@@ -217,7 +217,6 @@ absl::StatusOr<MjcfFile> MakeRobot(const LiberoPaths& paths, const ProblemClass&
 // What composition learns of an object before the model is compiled.
 struct Part {
   LiberoObject object;
-  double bottom = 0;  // [m] z of its bottom below its origin
   std::vector<std::string> joints;
   std::vector<std::string> contact_geoms;
 };
@@ -237,7 +236,10 @@ absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl
   part.object.category = group.category;
   part.object.fixture = fixture;
   part.object.articulation = FindArticulation(group.category);
-  part.bottom = file.bottom();
+  part.object.bottom = file.bottom();
+  part.object.top = file.top();
+  part.object.horizontal_radius = file.horizontal_radius();
+  RS_ASSIGN_OR_RETURN(part.object.rotation, FindPlacementRotation(group.category, *path));
   part.joints = file.joints();
   part.contact_geoms = file.contact_geoms();
   for (const auto& [name, owner] : file.sites()) sites[name] = owner;
@@ -396,10 +398,7 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
   }
   RS_RETURN_IF_ERROR(ResolveParts(parts, sites, scene));
   ForEachPlacedFixture(scene, [&](const std::string& fixture, const BddlRegion& region) {
-    double bottom = 0;
-    for (const Part& part : parts) {
-      if (part.object.name == fixture) bottom = part.bottom;
-    }
+    const double bottom = scene.objects.at(fixture).bottom;
     const std::array<double, 4>& range = region.ranges[0];
     const double z =
         scene.problem_class.fixture_z + scene.problem_class.workspace_offset[2] - bottom;
@@ -426,10 +425,8 @@ std::vector<FixturePose> SampleFixtures(const LiberoScene& scene, uint64_t key) 
   return poses;
 }
 
-absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene,
-                                          const std::vector<FixturePose>& poses) {
-  std::shared_ptr<mjModel> model = CopyModel(*scene.model);
-  if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
+absl::Status MoveFixtures(const LiberoScene& scene, const std::vector<FixturePose>& poses,
+                          mjModel& model) {
   for (const FixturePose& pose : poses) {
     const auto object = scene.objects.find(pose.fixture);
     if (object == scene.objects.end() || !object->second.fixture) {
@@ -437,13 +434,21 @@ absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene,
           absl::StrCat("'", pose.fixture, "' is not a fixture of ", scene.problem.file));
     }
     const int body = object->second.body;
-    std::copy(pose.pos.begin(), pose.pos.end(), model->body_pos + 3 * body);
-    std::copy(pose.quat.begin(), pose.quat.end(), model->body_quat + 4 * body);
+    std::copy(pose.pos.begin(), pose.pos.end(), model.body_pos + 3 * body);
+    std::copy(pose.quat.begin(), pose.quat.end(), model.body_quat + 4 * body);
   }
-  return SharedModel(std::move(model));
+  return absl::OkStatus();
 }
 
-SharedModel MakeSimulationModel(const mjModel& model, const double* qpos) {
+absl::StatusOr<std::shared_ptr<mjModel>> PlaceFixtures(const LiberoScene& scene,
+                                                       const std::vector<FixturePose>& poses) {
+  std::shared_ptr<mjModel> model = CopyModel(*scene.model);
+  if (model == nullptr) return absl::ResourceExhaustedError("no memory for a copy of the model");
+  RS_RETURN_IF_ERROR(MoveFixtures(scene, poses, *model));
+  return model;
+}
+
+std::shared_ptr<mjModel> MakeSimulationModel(const mjModel& model, const double* qpos) {
   std::shared_ptr<mjModel> copy = CopyModel(model);
   if (copy == nullptr) return nullptr;
   copy->njmax = std::min(copy->njmax, kMaxConstraints);

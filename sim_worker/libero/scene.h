@@ -24,6 +24,10 @@ struct LiberoObject {
   std::vector<int> joints;         // all joints below its root, model indices, in the file's order
   std::vector<char> contact_geom;  // [ngeom] 1 for its collision geoms (group 0)
   const Articulation* articulation = nullptr;
+  // What the originals' placement samplers know of it, from marker sites of its file [m]: heights
+  // of bottom and top above its origin, radius around it.
+  double bottom = 0, top = 0, horizontal_radius = 0;
+  PlacementRotation rotation;
 };
 
 // A named region that goals speak of: a zone of the table or a site inside an object.
@@ -62,10 +66,13 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
 // The poses drawn uniformly from the regions, a function of (key, fixture) only.
 std::vector<FixturePose> SampleFixtures(const LiberoScene& scene, uint64_t key);
 
-// A copy of the model with the fixtures moved, as the originals move them: body_pos and body_quat
-// only.
-absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene,
-                                          const std::vector<FixturePose>& poses);
+// Moves the fixtures in `model`, a copy of the scene's, as the originals do: body_pos and body_quat
+// only. NotFound for a name that is not a fixture.
+absl::Status MoveFixtures(const LiberoScene& scene, const std::vector<FixturePose>& poses,
+                          mjModel& model);
+// A copy of the scene's model with the fixtures moved.
+absl::StatusOr<std::shared_ptr<mjModel>> PlaceFixtures(const LiberoScene& scene,
+                                                       const std::vector<FixturePose>& poses);
 
 // A copy to simulate, with equal dynamics. The free objects' part of qpos0, which only a reset
 // reads, is taken from `qpos`: in the composed model they overlap and overflow the contact buffers
@@ -73,7 +80,7 @@ absl::StatusOr<SharedModel> PlaceFixtures(const LiberoScene& scene,
 // rows, which costs 75 instead of 308 MB per simulator; the stored states and the reference
 // trajectories need at most 226 contacts.
 inline constexpr int kMaxConstraints = 2500;
-SharedModel MakeSimulationModel(const mjModel& model, const double* qpos);
+std::shared_ptr<mjModel> MakeSimulationModel(const mjModel& model, const double* qpos);
 
 // A copy for rendering: collision geoms hidden (originals: group 0), but shown in plain colours on
 // bodies whose visual meshes are missing; marker sites hidden. Geometry and sizes are equal, so

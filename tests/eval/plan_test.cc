@@ -128,6 +128,16 @@ TEST(Plan, LiberoSuitesAskForTheirFiles) {
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("--libero-root"));
 }
 
+TEST(Plan, LiberoFixturesReachEveryUnitAndAreChecked) {
+  SweepGrid grid;
+  for (const PlannedUnit& unit : Plan(grid)) EXPECT_EQ(unit.config.libero_fixtures, "centred");
+  grid.libero_fixtures = "numpy:3";
+  for (const PlannedUnit& unit : Plan(grid)) EXPECT_EQ(unit.config.libero_fixtures, "numpy:3");
+  grid.libero_fixtures = "centre";
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("libero_fixtures 'centre'"));
+}
+
 TEST(Plan, GridSurvivesItsFile) {
   SweepGrid grid = QuickGrid();
   grid.overrides = {"method.learning_rate=1e-5"};

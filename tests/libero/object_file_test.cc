@@ -24,6 +24,8 @@ constexpr char kCabinet[] = R"(<mujoco>
     </body>
   </body>
   <site name="bottom_site" pos="0 0 -0.05"/>
+  <site name="top_site" pos="0 0 0.2"/>
+  <site name="horizontal_radius_site" pos="0.1 0 0"/>
 </body></worldbody></mujoco>)";
 
 absl::StatusOr<ObjectFile> Parse(const std::string& text, bool fixture = true) {
@@ -41,6 +43,8 @@ TEST(ObjectFileTest, CarriesTheInstancesNamesAndItsRegionsJoints) {
   const absl::StatusOr<ObjectFile> fixture = Parse(kCabinet);
   ASSERT_TRUE(fixture.ok()) << fixture.status();
   EXPECT_EQ(fixture->bottom(), -0.05);
+  EXPECT_EQ(fixture->top(), 0.2);
+  EXPECT_EQ(fixture->horizontal_radius(), 0.1);
   EXPECT_THAT(fixture->joints(), ElementsAre("cabinet_1_level"));
   EXPECT_THAT(fixture->contact_geoms(), ElementsAre("cabinet_1_g0", "cabinet_1_g3"))
       << "numbered over all geoms, the dropped one of group 3 included";
@@ -69,6 +73,7 @@ TEST(ObjectFileTest, ErrorsNameFileAndPlace) {
               HasSubstr("/assets/cabinet.xml: no worldbody/body/body[@name='object']"));
   EXPECT_THAT(ErrorOf("bottom_site", "floor_site"),
               HasSubstr("/assets/cabinet.xml: no bottom_site"));
+  EXPECT_THAT(ErrorOf("top_site", "floor_site"), HasSubstr("/assets/cabinet.xml: no top_site"));
   EXPECT_THAT(ErrorOf("0 0 -0.05", "0 0"),
               HasSubstr("/assets/cabinet.xml:13: bottom_site's pos has 2 numbers"));
   EXPECT_THAT(ErrorOf("0 0 -0.05", "0 0 low"),
@@ -82,9 +87,9 @@ TEST(ObjectFileTest, ErrorsNameFileAndPlace) {
 }
 
 TEST(ObjectFileTest, AnObjectWithoutPartsHasNone) {
-  const absl::StatusOr<ObjectFile> object =
-      Parse(R"(<mujoco><worldbody><body><body name="object"/><site name="bottom_site"/></body>
-               </worldbody></mujoco>)");
+  const absl::StatusOr<ObjectFile> object = Parse(
+      R"(<mujoco><worldbody><body><body name="object"/><site name="bottom_site"/><site name="top_site"/>
+               <site name="horizontal_radius_site"/></body></worldbody></mujoco>)");
   ASSERT_TRUE(object.ok()) << object.status();
   EXPECT_THAT(object->joints(), IsEmpty());
   EXPECT_THAT(object->contact_geoms(), IsEmpty());

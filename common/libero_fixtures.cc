@@ -1,0 +1,35 @@
+#include "common/libero_fixtures.h"
+
+#include <unistd.h>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+
+namespace robostress {
+
+absl::StatusOr<LiberoFixtures> ParseLiberoFixtures(const std::string& text) {
+  LiberoFixtures fixtures;
+  if (text == "centred") return fixtures;
+  if (text == "sampled") {
+    fixtures.source = LiberoFixtures::Source::kSampled;
+    return fixtures;
+  }
+  absl::string_view seed = text;
+  if (text == "numpy" ||
+      (absl::ConsumePrefix(&seed, "numpy:") && absl::SimpleAtoi(seed, &fixtures.seed))) {
+    fixtures.source = LiberoFixtures::Source::kNumpy;
+    return fixtures;
+  }
+  if (access(text.c_str(), R_OK) != 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("libero_fixtures '", text,
+                     "' is neither centred, sampled, numpy nor numpy:SEED (0 to 4294967295), nor a "
+                     "readable file with a table of poses"));
+  }
+  fixtures.source = LiberoFixtures::Source::kTable;
+  fixtures.table = text;
+  return fixtures;
+}
+
+}  // namespace robostress

@@ -1,0 +1,29 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/statusor.h"
+
+namespace robostress {
+
+// Where the fixtures of LIBERO's scenes (cabinet, stove, rack) stand at each episode. Initial
+// states do not hold their poses.
+struct LiberoFixtures {
+  enum class Source {
+    kCentred,  // at the centres of their regions, always
+    kSampled,  // drawn from their regions, a function of task and initial state
+    kNumpy,    // where the originals' environment, seeded once per task, has them after as many
+               // resets
+    kTable,    // as a file says
+  };
+  Source source = Source::kCentred;
+  uint32_t seed = 7;  // of kNumpy; 7 is openpi's evaluation
+  std::string table;  // of kTable: the file
+};
+
+// "centred", "sampled", "numpy", "numpy:SEED", or the path of a readable table. InvalidArgument
+// names what was given and what is known.
+absl::StatusOr<LiberoFixtures> ParseLiberoFixtures(const std::string& text);
+
+}  // namespace robostress

@@ -1,0 +1,50 @@
+#include "sim_worker/libero/fixture_poses.h"
+
+#include "absl/strings/str_cat.h"
+#include "common/random.h"
+#include "common/status_macros.h"
+
+namespace robostress::libero {
+
+using Source = LiberoFixtures::Source;
+
+absl::StatusOr<FixturePoses> FixturePoses::Create(const LiberoFixtures& choice,
+                                                  const std::string& task,
+                                                  const LiberoScene& scene) {
+  FixturePoses result(choice, task, scene);
+  if (choice.source == Source::kTable) {
+    RS_ASSIGN_OR_RETURN(result.table_, ReadFixtureTable(choice.table, task, scene));
+  }
+  if (choice.source == Source::kNumpy) {
+    RS_ASSIGN_OR_RETURN(result.numpy_, NumpyPlacement::Create(scene, choice.seed));
+  }
+  return result;
+}
+
+absl::StatusOr<std::vector<FixturePose>> FixturePoses::At(int initial_state) {
+  if (scene_->centred_fixtures.empty()) return std::vector<FixturePose>();
+  switch (choice_.source) {
+    case Source::kCentred:
+      break;
+    case Source::kSampled:
+      return SampleFixtures(
+          *scene_, StreamKey("libero fixtures").With(task_).With(int64_t{initial_state}).lo());
+    case Source::kNumpy:
+      while (static_cast<int>(resets_.size()) <= initial_state) {
+        RS_ASSIGN_OR_RETURN(ResetDraw draw, numpy_->Reset());
+        resets_.push_back(std::move(draw.fixtures));
+      }
+      return resets_[initial_state];
+    case Source::kTable:
+      const auto poses = table_.find(initial_state);
+      if (poses != table_.end()) return poses->second;
+      return absl::NotFoundError(
+          absl::StrCat(choice_.table, ": task '", task_, "': no poses for initial state ",
+                       initial_state, "; it has ", table_.size(),
+                       " initial states; add this one, or choose others with --episodes and "
+                       "--first-initial-state"));
+  }
+  return scene_->centred_fixtures;
+}
+
+}  // namespace robostress::libero

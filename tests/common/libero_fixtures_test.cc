@@ -1,0 +1,45 @@
+#include "common/libero_fixtures.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+
+#include "common/atomic_file.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using Source = LiberoFixtures::Source;
+
+TEST(LiberoFixturesTest, KnownNames) {
+  EXPECT_EQ(ParseLiberoFixtures("centred")->source, Source::kCentred);
+  EXPECT_EQ(ParseLiberoFixtures("sampled")->source, Source::kSampled);
+  EXPECT_EQ(ParseLiberoFixtures("numpy")->source, Source::kNumpy);
+  EXPECT_EQ(ParseLiberoFixtures("numpy")->seed, 7u) << "openpi's evaluation";
+  EXPECT_EQ(ParseLiberoFixtures("numpy:4294967295")->seed, 4294967295u);
+}
+
+TEST(LiberoFixturesTest, AnythingElseIsAReadableFile) {
+  const std::string file = ::testing::TempDir() + "/fixtures.json";
+  ASSERT_TRUE(WriteFileAtomically(file, "{}").ok());
+  const absl::StatusOr<LiberoFixtures> fixtures = ParseLiberoFixtures(file);
+  ASSERT_TRUE(fixtures.ok()) << fixtures.status();
+  EXPECT_EQ(fixtures->source, Source::kTable);
+  EXPECT_EQ(fixtures->table, file);
+}
+
+TEST(LiberoFixturesTest, AnErrorNamesWhatWasGivenAndWhatIsKnown) {
+  for (const char* text : {"centered", "", "numpy:", "numpy:-1", "numpy:4294967296", "/no/file"}) {
+    const absl::Status status = ParseLiberoFixtures(text).status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << text;
+    EXPECT_THAT(std::string(status.message()),
+                AllOf(HasSubstr(std::string("'") + text + "'"), HasSubstr("numpy:SEED"),
+                      HasSubstr("centred, sampled")));
+  }
+}
+
+}  // namespace
+}  // namespace robostress
