@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cstdlib>
 #include <filesystem>
 #include <set>
 
@@ -145,11 +146,23 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
     }
     if (suite->needs_libero && (grid.libero_root.empty() || grid.robosuite_root.empty())) {
       complaints.Add(absl::StrCat(
-          name, " reads LIBERO's own files: give --libero-root DIR and --robosuite-root DIR"));
+          name,
+          " reads LIBERO's own files: give --libero-root DIR and --robosuite-root DIR, or set "
+          "LIBERO_ROOT and ROBOSUITE_ROOT"));
     }
   }
   if (const auto fixtures = ParseLiberoFixtures(grid.libero_fixtures); !fixtures.ok())
     complaints.Add(std::string(fixtures.status().message()));
+}
+
+bool NeedsLibero(const std::string& suite) {
+  const SuiteInfo* info = FindSuite(suite);
+  return info != nullptr && info->needs_libero;
+}
+
+void SetFromEnvironment(const char* variable, std::string& value) {
+  const char* set = std::getenv(variable);
+  if (value.empty() && set != nullptr) value = set;
 }
 
 }  // namespace
@@ -211,6 +224,10 @@ absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text) {
 
 absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios();
+  if (std::any_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
+    SetFromEnvironment("LIBERO_ROOT", grid.libero_root);
+    SetFromEnvironment("ROBOSUITE_ROOT", grid.robosuite_root);
+  }
   Complaints complaints;
   complaints.CheckNames("suite", grid.suites, SuiteNames());
   complaints.CheckNames("scenario", grid.scenarios, ScenarioNames());

@@ -67,9 +67,9 @@ absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text);
 // by one that runs already.
 enum class PolicyHome { kHere, kElsewhere };
 
-// Fills defaults that depend on other fields (the scenario list) and checks every name and range.
-// The error lists everything that is wrong, with the names that are known. Policies served
-// elsewhere may have any name.
+// Fills defaults (the scenario list; LIBERO's and robosuite's folders from the environment) and
+// checks every name and range. The error lists everything that is wrong, with the names that are
+// known. Policies served elsewhere may have any name.
 absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home = PolicyHome::kHere);
 // Units in canonical order: suite, scenario, severity, policy, method, seed. A policy that does not
 // adapt (expert, replay) gets the method base only; a scenario that is equal at all levels gets one

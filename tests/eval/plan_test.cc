@@ -27,6 +27,22 @@ std::vector<std::string> Ids(const std::vector<PlannedUnit>& units) {
   return ids;
 }
 
+TEST(Plan, LiberosFoldersComeFromTheEnvironmentWhereTheyAreNeeded) {
+  setenv("LIBERO_ROOT", "/libero", 1);
+  setenv("ROBOSUITE_ROOT", "/robosuite", 1);
+  SweepGrid grid = QuickGrid();
+  EXPECT_EQ(ResolveGrid(grid)->libero_root, "") << "a unit of another suite must not depend on it";
+  grid.suites = {"libero_goal"};
+  grid.robosuite_root = "/given";
+  const absl::StatusOr<SweepGrid> resolved = ResolveGrid(grid);
+  unsetenv("LIBERO_ROOT");
+  unsetenv("ROBOSUITE_ROOT");
+  ASSERT_TRUE(resolved.ok()) << resolved.status();
+  EXPECT_EQ(resolved->libero_root, "/libero");
+  EXPECT_EQ(resolved->robosuite_root, "/given");
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("LIBERO_ROOT"));
+}
+
 TEST(Plan, QuickIsCleanAndSevenScenariosWithTwoMethods) {
   const std::vector<PlannedUnit> units = Plan(QuickGrid());
   EXPECT_EQ(units.size(), 16u);
