@@ -62,6 +62,8 @@ std::vector<std::string> Contradictions(const OpenpiConfig& c) {
     problems.push_back(
         absl::StrCat("ew ", c.expert_width, " must be even and at least 4 for the time embedding"));
   }
+  if (c.state_dim > c.action_dim)
+    problems.push_back(absl::StrCat("sdim ", c.state_dim, " exceeds adim ", c.action_dim));
   return problems;
 }
 
