@@ -25,6 +25,7 @@ constexpr Command kCommands[] = {
     {"suites", "List suites, their tasks and instructions; draw their first frames"},
     {"scenarios", "List scenarios with their severity factors"},
     {"serve", "Serve a policy, with online adaptation, over gRPC"},
+    {"policy", "Check and inspect policy checkpoints"},
     {"worker", "Run one unit of a sweep: the simulator's side"},
     {"record", "Record demonstrations of the scripted experts"},
     {"train", "Train the embedded policy from demonstrations"},

@@ -5,13 +5,12 @@
 #include <cmath>
 #include <vector>
 
-#include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
 #include "absl/strings/strip.h"
 #include "common/check.h"
 #include "common/status_macros.h"
+#include "server/policies/openpi/problem_list.h"
 #include "server/policies/openpi/tensor_io.h"
 
 namespace robostress::openpi {
@@ -102,13 +101,6 @@ double MetadataNumber(const SafetensorsFile& file, const std::string& key, doubl
   return value;
 }
 
-absl::Status Problems(const SafetensorsFile& file, const std::vector<std::string>& problems) {
-  if (problems.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      file.path(), ": not an adapter of this network, ", problems.size(), " problems:\n  ",
-      absl::StrJoin(problems, "\n  "), "\nGive the adapter that was trained on these weights"));
-}
-
 }  // namespace
 
 absl::StatusOr<OpenpiLora> LoadOpenpiLora(const SafetensorsFile& file, const OpenpiConfig& config) {
@@ -129,7 +121,8 @@ absl::StatusOr<OpenpiLora> LoadOpenpiLora(const SafetensorsFile& file, const Ope
     }
     if (!problem.empty()) problems.push_back(std::move(problem));
   }
-  RS_RETURN_IF_ERROR(Problems(file, problems));
+  RS_RETURN_IF_ERROR(ProblemList(file.path(), "not an adapter of this network", problems,
+                                 "Give the adapter that was trained on these weights"));
   for (const auto& [name, pair] : stored) {
     const std::string what = absl::StrCat(file.path(), ": tensor '", kRoot, name);
     RS_ASSIGN_OR_RETURN(lora.pairs[name].A, ToFiniteFloats(absl::StrCat(what, kA, "'"), *pair.A));

@@ -4,13 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <set>
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
 #include "common/status_macros.h"
+#include "server/policies/openpi/problem_list.h"
 #include "server/policies/openpi/tensor_io.h"
 
 namespace robostress::openpi {
@@ -129,11 +127,17 @@ std::string TiedProblem(const SafetensorsFile& file) {
                       " are one tied tensor but hold different bytes");
 }
 
-// All problems, and where nothing fits the reason that is likely.
+// Everything that keeps the file from being this network.
 absl::Status CheckFits(const SafetensorsFile& file, const OpenpiConfig& config) {
   ShapeCollector wanted;
   OpenpiWeights nothing;
   VisitParameters(config, nothing, wanted);
+  if (std::none_of(wanted.shapes.begin(), wanted.shapes.end(),
+                   [&](const auto& tensor) { return FindStored(file, tensor.first) != nullptr; })) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        file.path(), ": holds none of the tensors of a ", config.name(),
+        " network, so it is no weights file; give the one with openpi's tensor names"));
+  }
   std::vector<std::string> problems;
   std::set<std::string> known = {kTiedHeadName, kUnusedHeadName};
   for (const auto& [name, shape] : wanted.shapes) {
@@ -155,13 +159,13 @@ absl::Status CheckFits(const SafetensorsFile& file, const OpenpiConfig& config) 
       problems.push_back(absl::StrCat("unexpected: ", name, " ", ShapeText(view.shape)));
   }
   if (std::string problem = TiedProblem(file); !problem.empty()) problems.push_back(problem);
-  if (problems.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      file.path(), ": its tensors do not make the ", config.name(),
-      " network of its metadata 'config', ", problems.size(), " problems:\n  ",
-      absl::StrJoin(problems, "\n  "),
-      "\nTake a file with openpi's tensor names whose 'config' belongs to it; `pi05` in it decides "
-      "which of the two networks is meant"));
+  return ProblemList(file.path(),
+                     absl::StrCat("its tensors do not make the ", config.name(),
+                                  " network of its metadata 'config'"),
+                     problems,
+                     "Take a file with openpi's tensor names whose 'config' belongs to it; `pi05` "
+                     "in it decides which "
+                     "of the two networks is meant");
 }
 
 struct LoadVisitor : ParameterVisitor {

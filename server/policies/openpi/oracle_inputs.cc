@@ -6,8 +6,8 @@
 #include <iterator>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
 #include "absl/strings/strip.h"
+#include "server/policies/openpi/problem_list.h"
 #include "server/policies/openpi/tensor_io.h"
 
 namespace robostress::openpi {
@@ -15,12 +15,12 @@ namespace {
 
 constexpr char kImage[] = "inputs/image.", kImageMask[] = "inputs/image_mask.";
 constexpr const char* kCameraOrder[] = {"base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb"};
-constexpr double kMaxAttention = 1ull << 31;  // elements of one attention matrix, 8 GiB
+constexpr double kMaxAttention = 1 << 28;  // elements of one attention matrix, 1 GiB
 
 // Reads inputs one by one and keeps what is wrong with each.
 class InputReader {
  public:
-  InputReader(const SafetensorsFile& file) : file_(file) {}
+  explicit InputReader(const SafetensorsFile& file) : file_(file) {}
 
   int64_t batch() const { return batch_; }
   // The batch of all that follows is the first extent of `name`.
@@ -28,7 +28,7 @@ class InputReader {
     const auto found = file_.tensors().find(name);
     if (found != file_.tensors().end() && !found->second.shape.empty())
       batch_ = found->second.shape[0];
-    if (batch_ < 1) Complain(name, "gives no batch: its first extent must be at least 1");
+    if (batch_ < 1) Complain(name, "is missing or empty, must be [batch, tokens]");
   }
 
   // [batch, shape...] of finite floats.
@@ -57,10 +57,8 @@ class InputReader {
     problems_.push_back(absl::StrCat(name, " ", what));
   }
   absl::Status status() const {
-    if (problems_.empty()) return absl::OkStatus();
-    return absl::InvalidArgumentError(absl::StrCat(
-        file_.path(), ": its inputs do not fit the network, ", problems_.size(), " problems:\n  ",
-        absl::StrJoin(problems_, "\n  "), "\nGive the io file that was made with these weights"));
+    return ProblemList(file_.path(), "its inputs do not fit the network", problems_,
+                       "Give the io file that was made with these weights");
   }
 
  private:

@@ -22,7 +22,7 @@ struct OracleInputs {
 };
 
 // Reads and checks every input against `config`: batch, sizes, dtypes, token ids, finite values,
-// and that the attention over all of it stays below a few GiB. The error lists all problems.
+// and that the attention over all of it stays below 1 GiB. The error lists all problems.
 // Cameras come in openpi's order (base_0_rgb, left_wrist_0_rgb, right_wrist_0_rgb), others behind
 // them by name.
 absl::StatusOr<OracleInputs> LoadOracleInputs(const SafetensorsFile& file,
