@@ -137,6 +137,15 @@ TEST_F(OwnFiles, EmbeddingMayGoByEitherNameOrBoth) {
   EXPECT_THAT(Error(), HasSubstr(absl::StrCat("missing: ", kEmbeddingName, " [31, 28]")));
 }
 
+TEST_F(OwnFiles, TiedEmbeddingHasOneGradient) {
+  Quantities quantities(model_, inputs_, {kEmbeddingName}, 10);
+  const torch::Tensor gradient = *quantities.Compute(absl::StrCat("grad/", kEmbeddingName));
+  io_[absl::StrCat("expected/grad/", kEmbeddingName)] = gradient;
+  io_[absl::StrCat("expected/grad/", kTiedHeadName)] = gradient;
+  EXPECT_GT(gradient.abs().max().item<double>(), 1e-5);
+  EXPECT_THAT(Failures(), ::testing::IsEmpty());
+}
+
 TEST_F(OwnFiles, WidenHalfPrecision) {
   for (const auto type : {torch::kBFloat16, torch::kFloat16}) {
     OpenpiModel rounded = model_;

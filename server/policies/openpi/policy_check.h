@@ -36,7 +36,7 @@ struct CheckReport {
 // fit each other or cannot be read; it names file, tensor, value and remedy.
 absl::StatusOr<CheckReport> CheckPolicy(const CheckOptions& options);
 
-// One line per quantity, worst ones readable at the end; and the same for programs.
+// A table with one line per quantity and a verdict at its end; the same as one JSON object.
 std::string ReportText(const CheckReport& report);
 std::string ReportJson(const CheckOptions& options, const CheckReport& report);
 

@@ -19,7 +19,6 @@ struct LeafVisitor : ParameterVisitor {
   explicit LeafVisitor(const std::set<std::string>& w) : wanted(w) {}
   void OnTensor(const std::string& name, const std::vector<int64_t>&,
                 torch::Tensor& tensor) override {
-    names.insert(name);
     if (!wanted.contains(name)) return;
     tensor = tensor.detach().requires_grad_();
     leaves[name] = tensor;
@@ -32,19 +31,24 @@ struct LeafVisitor : ParameterVisitor {
     OnTensor(name + ".lora_B.weight", {}, linear.lora_B);
   }
   const std::set<std::string>& wanted;
-  std::set<std::string> names;
   std::map<std::string, torch::Tensor> leaves;
 };
+
+// The tied embedding has two names and one gradient.
+std::string Untied(absl::string_view name) {
+  return name == kTiedHeadName ? kEmbeddingName : std::string(name);
+}
 
 }  // namespace
 
 Quantities::Quantities(OpenpiModel model, OracleInputs inputs,
                        const std::set<std::string>& gradients, int64_t euler_steps)
     : model_(std::move(model)), inputs_(std::move(inputs)), euler_steps_(euler_steps) {
-  LeafVisitor visitor(gradients);
+  std::set<std::string> wanted;
+  for (const std::string& name : gradients) wanted.insert(Untied(name));
+  LeafVisitor visitor(wanted);
   VisitParameters(model_.config, model_.weights, visitor);
   leaves_ = std::move(visitor.leaves);
-  parameters_ = std::move(visitor.names);
 }
 
 const Tokens& Quantities::prefix() {
@@ -203,7 +207,7 @@ torch::Tensor Quantities::GradientQuantity(const std::string& name) {
       gradients_[leaf] = gradient.defined() ? gradient : at::zeros_like(tensor);
     }
   }
-  const auto found = gradients_.find(std::string(parameter));
+  const auto found = gradients_.find(Untied(parameter));
   return found == gradients_.end() ? torch::Tensor() : found->second;
 }
 

@@ -3,7 +3,6 @@
 #include <torch/types.h>
 
 #include <map>
-#include <memory>
 #include <optional>
 #include <set>
 #include <string>
@@ -55,7 +54,6 @@ class Quantities {
   OracleInputs inputs_;
   int64_t euler_steps_;
   std::map<std::string, torch::Tensor> leaves_;  // parameters with a gradient, by name
-  std::set<std::string> parameters_;             // names of all
   std::optional<Tokens> prefix_;
   std::optional<PrefixContext> context_;
   std::optional<EulerTrajectory> euler_;
