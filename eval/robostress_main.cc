@@ -26,7 +26,7 @@ constexpr Command kCommands[] = {
     {"scenarios", "List scenarios with their severity factors"},
     {"error-models", "Draw the four joint error models over time"},
     {"serve", "Serve a policy, with online adaptation, over gRPC"},
-    {"policy", "Check and inspect policy checkpoints"},
+    {"policy", "Check a pi0 or pi0.5 checkpoint against expected values"},
     {"worker", "Run one unit of a sweep: the simulator's side"},
     {"record", "Record demonstrations of the scripted experts"},
     {"train", "Train the embedded policy from demonstrations"},

@@ -47,7 +47,7 @@ int RunCheck(const CheckOptions& options, bool json) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"Checks and inspects policy checkpoints (pi0, pi0.5)."};
+  CLI::App app{"Checks pi0 and pi0.5 checkpoints."};
   app.require_subcommand(1);
   CLI::App* check = app.add_subcommand(
       "check", "Compare every intermediate of a network with expected values from a file");
