@@ -2,7 +2,6 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sys/wait.h>
 #include <torch/torch.h>
 
 #include <cstdio>
@@ -14,6 +13,7 @@
 #include "server/policies/openpi/policy_check.h"
 #include "server/policies/openpi/quantities.h"
 #include "tests/policies/tiny_openpi.h"
+#include "tests/run_program.h"
 
 namespace robostress::openpi {
 namespace {
@@ -292,13 +292,8 @@ TEST_F(OwnFiles, AdaptersAreAppliedWithTheirScale) {
                              HasSubstr("lora/state_proj is no linear layer")));
 }
 
-// Output of both streams and the exit code.
 std::pair<std::string, int> RunPolicy(const std::string& arguments) {
-  FILE* pipe = popen(absl::StrCat(POLICY_PROGRAM, " ", arguments, " 2>&1").c_str(), "r");
-  std::string output;
-  char buffer[4096];
-  while (const size_t n = fread(buffer, 1, sizeof buffer, pipe)) output.append(buffer, n);
-  return {output, WEXITSTATUS(pclose(pipe))};
+  return RunProgram(POLICY_PROGRAM, arguments);
 }
 
 TEST_F(OwnFiles, TheProgramTellsFailuresFromBadInput) {

@@ -13,19 +13,15 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/rpc/policy_client.h"
+#include "tests/run_program.h"
 
 namespace robostress {
 namespace {
 
 using ::testing::HasSubstr;
 
-// Runs the program to its end; output of both streams and the exit code.
 std::pair<std::string, int> RunServe(const std::string& arguments) {
-  FILE* pipe = popen(absl::StrCat(SERVE_PROGRAM, " ", arguments, " 2>&1").c_str(), "r");
-  std::string output;
-  char buffer[4096];
-  while (const size_t n = fread(buffer, 1, sizeof buffer, pipe)) output.append(buffer, n);
-  return {output, WEXITSTATUS(pclose(pipe))};
+  return RunProgram(SERVE_PROGRAM, arguments);
 }
 
 TEST(ServeProgram, ExplainsItselfWithExamples) {
