@@ -74,16 +74,8 @@ struct Oscillator {
   double frequency, damping;  // [Hz], [1]
 };
 
-Oscillator Continuous(const JointErrorParameters& p) {
+Oscillator OscillatorOf(const JointErrorParameters& p) {
   return {std::sqrt(p.K / p.M_eff) / (2 * M_PI), p.D / (2 * std::sqrt(p.K * p.M_eff))};
-}
-
-Oscillator AtTwoMilliseconds(const JointErrorParameters& p) {
-  constexpr double kStep = 0.002;  // [s]
-  const double damping = kStep * p.D / p.M_eff, rho = std::sqrt(1 - damping);
-  const double theta = std::acos((2 - damping - kStep * kStep * p.K / p.M_eff) / (2 * rho));
-  const double magnitude = std::hypot(std::log(rho), theta);  // of ln(z)
-  return {magnitude / kStep / (2 * M_PI), -std::log(rho) / magnitude};
 }
 
 }  // namespace
@@ -128,9 +120,8 @@ std::string SeverityLevelMarkdown() {
 
 std::string ComplianceMarkdown() {
   std::string table =
-      "| compliance factor | J1–J4: f [Hz] | zeta | at 2 ms: f [Hz] | zeta | J5–J7: f [Hz] | zeta "
-      "| "
-      "at 2 ms: f [Hz] | zeta |\n|---|---|---|---|---|---|---|---|---|\n";
+      "| compliance factor | J1–J4: f [Hz] | zeta | J5–J7: f [Hz] | zeta "
+      "|\n|---|---|---|---|---|\n";
   std::vector<double> factors = {1};
   for (int level = 1; level <= 5; ++level) {
     factors.push_back(EndFactors("isolated_compliance", level).compliance);
@@ -139,9 +130,8 @@ std::string ComplianceMarkdown() {
     absl::StrAppendFormat(&table, "| %g", w);
     for (const int joint : {0, 6}) {
       const JointErrorParameters p = Scale(NominalPandaErrors()[joint], {.compliance = w});
-      const Oscillator exact = Continuous(p), integrated = AtTwoMilliseconds(p);
-      absl::StrAppendFormat(&table, " | %.1f | %.2f | %.1f | %.2f", exact.frequency, exact.damping,
-                            integrated.frequency, integrated.damping);
+      const Oscillator response = OscillatorOf(p);
+      absl::StrAppendFormat(&table, " | %.1f | %.2f", response.frequency, response.damping);
     }
     absl::StrAppend(&table, " |\n");
   }

@@ -16,10 +16,8 @@ std::string ParameterMarkdown(const std::vector<Scenario>& scenarios);
 // Severity factors of levels 1 to 5 (paper, tab:supp_severity_levels), read off the scenarios.
 std::string SeverityLevelMarkdown();
 
-// Natural frequency and damping ratio of the compliance at every level: of the continuous equation,
-// sqrt(K / M_eff) and D / (2 sqrt(K M_eff)), and of its integration at 2 ms, whose poles
-// z = rho exp(+-i theta), rho^2 = 1 - h D / M_eff, 2 rho cos(theta) = 2 - h D / M_eff - h^2 K /
-// M_eff, are those of a continuous system with s = ln(z) / h.
+// Natural frequency sqrt(K / M_eff) and damping ratio D / (2 sqrt(K M_eff)) of the compliance at
+// every level.
 std::string ComplianceMarkdown();
 
 }  // namespace robostress

@@ -1,15 +1,20 @@
 #pragma once
 
+#include <cmath>
+
 #include "common/joint_errors/scenarios.h"
 
 namespace robostress {
 
 // Position stage: spring-mass-damper deflection of the transmission (paper, Eq. compliance),
 //   M_eff eta'' + D eta' + K eta = -tau_load,
-// eta = eta_comp [rad], tau_load [Nm] the same sub-step's perturbed torque. Integrated with
-// semi-implicit Euler:
-//   eta' += h (-tau_load - D eta' - K eta) / M_eff,   eta += h eta',
-// stable while K h^2 + 2 D h < 4 M_eff; at h = 2 ms the left side is at most 0.22 of the right one.
+// eta = eta_comp [rad], tau_load [Nm] the same sub-step's perturbed torque. Integrated exactly for
+// a load and parameters that are constant over a sub-step: with delta = eta + tau_load / K, alpha =
+// D / (2 M_eff), omega^2 = K / M_eff,
+//   delta(h) = e^(-alpha h) ((C + alpha S) delta + S eta'),
+//   eta'(h)  = e^(-alpha h) ((C - alpha S) eta' - omega^2 S delta),
+// C = cos(w h), S = sin(w h) / w, w^2 = omega^2 - alpha^2; hyperbolic where w^2 < 0. The response
+// has frequency and damping of the equation at every step size.
 class Compliance {
  public:
   void Reset(double deflection) {
@@ -22,15 +27,32 @@ class Compliance {
   }
   // One sub-step of h [s]; returns eta_comp [rad].
   double Step(const JointErrorParameters& p, double tau_load, double h) {
-    rate_ += h * (-tau_load - p.D * rate_ - p.K * deflection_) / p.M_eff;
-    deflection_ += h * rate_;
+    if (p.M_eff != M_eff_ || p.D != D_ || p.K != K_ || h != h_) Discretise(p, h);
+    const double rest = Equilibrium(p, tau_load), delta = deflection_ - rest;
+    deflection_ = rest + delta_delta_ * delta + delta_rate_ * rate_;
+    rate_ = rate_delta_ * delta + rate_rate_ * rate_;
     return deflection_;
   }
-  double deflection() const { return deflection_; }
+  double deflection() const { return deflection_; }  // [rad]
+  double rate() const { return rate_; }              // [rad/s]
 
  private:
-  double deflection_ = 0;  // [rad]
-  double rate_ = 0;        // [rad/s]
+  void Discretise(const JointErrorParameters& p, double h) {
+    M_eff_ = p.M_eff, D_ = p.D, K_ = p.K, h_ = h;
+    const double alpha = p.D / (2 * p.M_eff), omega2 = p.K / p.M_eff;
+    const double w2 = omega2 - alpha * alpha, w = std::sqrt(std::abs(w2));
+    const double C = w2 > 0 ? std::cos(w * h) : std::cosh(w * h);
+    const double S = w == 0 ? h : (w2 > 0 ? std::sin(w * h) : std::sinh(w * h)) / w;
+    const double decay = std::exp(-alpha * h);
+    delta_delta_ = decay * (C + alpha * S);
+    delta_rate_ = decay * S;
+    rate_delta_ = -decay * omega2 * S;
+    rate_rate_ = decay * (C - alpha * S);
+  }
+
+  double deflection_ = 0, rate_ = 0;
+  double M_eff_ = 0, D_ = 0, K_ = 0, h_ = 0;  // of the transition matrix below
+  double delta_delta_ = 1, delta_rate_ = 0, rate_delta_ = 0, rate_rate_ = 1;
 };
 
 }  // namespace robostress

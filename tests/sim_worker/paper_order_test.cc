@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <unsupported/Eigen/MatrixFunctions>
 
 #include "tests/sim_worker/test_scene.h"
 
@@ -119,8 +120,12 @@ class PlainSimulator {
         link_[j] = motor + B;
       }
       const double K = p.K / w[j].compliance, D = p.D / std::sqrt(w[j].compliance);
-      rate_[j] += 0.002 / p.M_eff * (-tau[j] - D * rate_[j] - K * deflection_[j]);
-      deflection_[j] += 0.002 * rate_[j];
+      // (deflection, rate, 1) obeys a linear equation while the load is constant.
+      Eigen::Matrix3d A;
+      A << 0, 1, 0, -K / p.M_eff, -D / p.M_eff, -tau[j] / p.M_eff, 0, 0, 0;
+      const Eigen::Vector3d next = (0.002 * A).exp() * Eigen::Vector3d(deflection_[j], rate_[j], 1);
+      deflection_[j] = next[0];
+      rate_[j] = next[1];
       const double offset = (scenario_.backlash_on ? link_[j] - motor : 0) +
                             (scenario_.compliance_on ? deflection_[j] : 0);
       d_->qpos[j] += offset - offset_[j];
