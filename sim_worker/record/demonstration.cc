@@ -41,6 +41,13 @@ class NoiseBursts {
   double offset_[6] = {};
 };
 
+// Adds N(0, sigma^2) to the motion channels of what is executed; the simulator takes [-1, 1].
+void AddExecutionNoise(double sigma, RandomStream& random, Eigen::VectorXf& command) {
+  for (int i = 0; i < 6; ++i) {
+    command[i] = std::clamp(command[i] + static_cast<float>(sigma * random.Normal()), -1.0f, 1.0f);
+  }
+}
+
 Eigen::Matrix<float, 8, 1> AuxOf(const ExpertDecision& decision) {
   Eigen::Matrix<float, 8, 1> aux;
   aux << decision.target.cast<float>(), decision.destination.cast<float>(),
@@ -65,10 +72,13 @@ Eigen::MatrixXf LabelFrom(const std::vector<Eigen::VectorXf>& path, size_t first
 }  // namespace
 
 absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
-                                           const RecordOptions& options, RandomStream random) {
+                                           const RecordOptions& options, const StreamKey& key) {
   RS_RETURN_IF_ERROR(task.Reset(initial_state));
+  RandomStream random(key), execution(key.With("execution noise"));
   NoiseBursts noise(options, random);
   Demonstration result;
+  if (options.execution_noise > 0)
+    result.execution_sigma = execution.Uniform(0, options.execution_noise);
   std::vector<Eigen::VectorXf> path;
   while (result.steps < task.horizon() && !result.success) {
     const ExpertDecision decision = task.Decide();
@@ -85,7 +95,9 @@ absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state
       result.frames.push_back(std::move(frame));
     }
     path.push_back(decision.command);
-    RS_RETURN_IF_ERROR(task.Step(noise.Disturb(decision.command)));
+    Eigen::VectorXf executed = noise.Disturb(decision.command);
+    if (result.execution_sigma > 0) AddExecutionNoise(result.execution_sigma, execution, executed);
+    RS_RETURN_IF_ERROR(task.Step(executed));
     ++result.steps;
     result.success = task.Success();
   }

@@ -26,6 +26,7 @@ struct DemonstrationFrame {
 struct Demonstration {
   bool success = false;
   int steps = 0;
+  double execution_sigma = 0;  // of the Gaussian noise on the executed command [command]
   std::vector<DemonstrationFrame> frames;
 };
 
@@ -40,13 +41,17 @@ struct RecordOptions {
   double burst_chance = 0.08;      // per control step without one
   double translation_noise = 0.5;  // largest standard deviation of a burst [command]
   double rotation_noise = 0.12;
+  // Domain randomisation (DR) of the action space: per episode sigma ~ U[0, execution_noise], per
+  // control step independent N(0, sigma^2) on the six motion channels of the executed end-effector
+  // command, in command units (full scale is 1: 0.05 m, 0.5 rad). The gripper is left alone.
+  double execution_noise = 0;
 };
 
-// The expert drives, disturbed by bursts of noise drawn from `random`. Labels are the expert's own
-// commands along the path; after success zero motion with the last gripper command. Ends at success
-// or at the horizon.
+// The expert drives; bursts come from the stream `key`, execution noise from a stream of its own,
+// so that it changes nothing else. Labels are the expert's own commands along the path; after
+// success zero motion with the last gripper command. Ends at success or at the horizon.
 absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
-                                           const RecordOptions& options, RandomStream random);
+                                           const RecordOptions& options, const StreamKey& key);
 
 // The policy drives; with chance `mix` a chunk is the expert's. A frame per chunk; its label is the
 // expert's rollout on a branch of the simulation from that state (DAgger).

@@ -27,7 +27,9 @@ constexpr char kExamples[] =
     "  robostress record --suite tabletop_goal --episodes 40 --out data/demos --workers 2\n"
     "  robostress record --suite all --eval --episodes 20 --first-draw 0 --workers 2\n"
     "  robostress record --suite tabletop_goal --server 127.0.0.1:7777 --policy nano --mix 0.3 "
-    "--episodes 10 --out data/dagger1\n\n"
+    "--episodes 10 --out data/dagger1\n"
+    "  robostress record --suite all --execution-noise 0.05 --out data/dr          domain "
+    "randomisation\n\n"
     "Draws from 1000 on are training draws; 0 to 49 are the reproducible initial states and are "
     "refused for recording.\n";
 
@@ -73,6 +75,11 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
                                                    " is not a training draw; use ",
                                                    kFirstTrainingDraw, " or above"));
   }
+  if (line.record.execution_noise > 0 && !line.server.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--execution-noise ", line.record.execution_noise,
+        " is of what the expert executes, and --server lets a policy drive; give one of them"));
+  }
   if (!line.eval && line.out.empty()) return absl::InvalidArgumentError("--out DIR is missing");
   return jobs;
 }
@@ -103,7 +110,7 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   RecordOptions options = line.record;
   options.render = !line.eval;
   if (line.eval && line.tag == "expert") options.noisy_share = 0;
-  Shard shard(job.suite, job.task, task->instruction());
+  Shard shard(job.suite, job.task, task->instruction(), options.execution_noise);
   int successes = 0, steps = 0;
   std::string failed;
   const double start = Now();
@@ -112,11 +119,12 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   int kept = 0, draws = 0;
   for (; kept < line.episodes && draws < 2 * line.episodes; ++draws) {
     const int draw = line.first_draw + draws;
-    RandomStream random(
-        StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw));
+    const StreamKey key =
+        StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw);
     absl::StatusOr<Demonstration> episode =
-        policy != nullptr ? RecordDagger(*task, draw, {job.task, draw}, line.mix, *policy, random)
-                          : RecordExpert(*task, draw, options, random);
+        policy != nullptr
+            ? RecordDagger(*task, draw, {job.task, draw}, line.mix, *policy, RandomStream(key))
+            : RecordExpert(*task, draw, options, key);
     RS_RETURN_IF_ERROR(episode.status());
     successes += episode->success;
     steps += episode->steps;
@@ -207,6 +215,11 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--noisy-share", line.record.noisy_share,
                  "Share of episodes with bursts of action noise")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  app.add_option("--execution-noise", line.record.execution_noise,
+                 "Domain randomisation: per episode sigma ~ U[0, this], Gaussian noise on the "
+                 "executed motion command [command units]; labels stay clean")
       ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();
   app.add_option("--seed", line.seed, "Of the noise")->capture_default_str();
