@@ -1,8 +1,10 @@
 #include "sim_worker/record/demonstration.h"
 
 #include <algorithm>
+#include <chrono>
 
 #include "common/status_macros.h"
+#include "sim_worker/record/libero_recorder.h"
 
 namespace robostress {
 namespace {
@@ -87,11 +89,17 @@ absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state
       frame.step = result.steps;
       frame.proprioception = task.Proprioception();
       frame.aux = AuxOf(decision);
+      if (options.simulator_state) {
+        RS_ASSIGN_OR_RETURN(frame.simulator, ReadSimulator(task));
+      }
+      const auto drawing = std::chrono::steady_clock::now();
       for (const char* camera : {kAgentView, kWristView}) {
         RS_ASSIGN_OR_RETURN(Image image,
                             task.RenderView(camera, options.image_size, options.image_size));
         frame.views.push_back(std::move(image));
       }
+      result.render_seconds +=
+          std::chrono::duration<double>(std::chrono::steady_clock::now() - drawing).count();
       result.frames.push_back(std::move(frame));
     }
     path.push_back(decision.command);
