@@ -118,7 +118,7 @@ absl::Status Hdf5File::Publish() {
 // Every link on the way must be a hard one: a soft or external link leads elsewhere.
 absl::Status Hdf5File::CheckLinks(const std::string& name) const {
   std::string way;
-  for (const std::string_view part : absl::StrSplit(name, '/', absl::SkipEmpty())) {
+  for (const absl::string_view part : absl::StrSplit(name, '/', absl::SkipEmpty())) {
     absl::StrAppend(&way, way.empty() ? "" : "/", part);
     if (H5Lexists(file_, way.c_str(), H5P_DEFAULT) <= 0)
       return absl::NotFoundError(absl::StrCat(path_, ": ", way, " is missing"));

@@ -53,7 +53,7 @@ absl::StatusOr<std::string> InstructionOf(const std::string& path, const std::st
       }
     }
   }
-  std::string_view stripped = instruction;
+  absl::string_view stripped = instruction;
   absl::ConsumePrefix(&stripped, "\"");
   absl::ConsumeSuffix(&stripped, "\"");
   if (stripped.empty()) {
@@ -148,7 +148,7 @@ absl::StatusOr<LiberoDemonstrationFile> LiberoDemonstrationFile::Open(const std:
   RS_ASSIGN_OR_RETURN(const std::vector<std::string> children, file.file_.Children("data"));
   std::vector<std::pair<int64_t, std::string>> groups;
   for (const std::string& name : children) {
-    std::string_view number = name;
+    absl::string_view number = name;
     int64_t index = 0;
     if (!absl::ConsumePrefix(&number, "demo_") || !absl::SimpleAtoi(number, &index) || index < 0) {
       return absl::InvalidArgumentError(

@@ -14,6 +14,7 @@
 #include "eval/statistics.h"
 #include "eval/svg_plot.h"
 #include "nlohmann/json.hpp"
+#include "yaml-cpp/yaml.h"
 
 namespace robostress {
 namespace {
@@ -47,6 +48,15 @@ void Insert(TrainingRun::Column& column, double step, double value) {
   }
   column.step.insert(at, step);
   column.value.insert(column.value.begin() + index, value);
+}
+
+absl::StatusOr<double> BatchOf(const std::string& path, const std::string& config) {
+  try {
+    return YAML::Load(config)["batch"].as<double>();
+  } catch (const YAML::Exception& error) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": batch is missing or not a number: ", error.what()));
+  }
 }
 
 std::string CurvePlot(const std::vector<TrainingRun>& runs, const Plot& plot) {
@@ -90,27 +100,29 @@ std::string Number(const char* format, double value) {
   return absl::StrCat("<td>", text, "</td>");
 }
 
-// CPU time over all logged windows [s].
-double CpuSeconds(const TrainingRun& run, double* frames, double* data_share) {
+// What a run spent on training, evaluations apart.
+struct Cost {
+  double frames = 0, cpu_seconds = 0, data_share = kNan;
+};
+
+// Sums over the lines of the log; each speaks of the steps since the one before.
+Cost CostOf(const TrainingRun& run) {
   const TrainingRun::Column *cpu = run.Find("cpu_ms_per_sample"), *rate = run.Find("samples_per_s"),
-                            *elapsed = run.Find("elapsed_s"), *share = run.Find("data_share");
-  if (cpu == nullptr || rate == nullptr || elapsed == nullptr) return kNan;
-  // A window lasts as long as the clock went on since the line before; the first one, and the first
-  // after a resumption, since their start.
-  double seconds = 0, busy = 0, waiting = 0, before = 0;
-  *frames = 0;
-  for (size_t i = 0; i < cpu->value.size(); ++i) {
-    double window = elapsed->value[i] - before;
-    if (window <= 0) window = elapsed->value[i];
-    before = elapsed->value[i];
-    const double count = window * rate->value[i];
-    *frames += count;
-    busy += count * cpu->value[i] * 1e-3;
-    seconds += window;
-    if (share != nullptr && i < share->value.size()) waiting += window * share->value[i];
+                            *share = run.Find("data_share");
+  Cost cost;
+  if (cpu == nullptr || rate == nullptr || rate->step != cpu->step) return cost;
+  double before = 0, seconds = 0, waiting = 0;
+  for (size_t i = 0; i < cpu->step.size(); ++i) {
+    const double frames = (cpu->step[i] - before) * run.batch;
+    before = cpu->step[i];
+    cost.frames += frames;
+    cost.cpu_seconds += frames * cpu->value[i] * 1e-3;
+    seconds += frames / rate->value[i];
+    if (share != nullptr && share->step == cpu->step)
+      waiting += frames / rate->value[i] * share->value[i];
   }
-  *data_share = share != nullptr && seconds > 0 ? waiting / seconds : kNan;
-  return busy;
+  if (share != nullptr && seconds > 0) cost.data_share = waiting / seconds;
+  return cost;
 }
 
 std::string CostTable(const std::vector<TrainingRun>& runs) {
@@ -121,8 +133,7 @@ std::string CostTable(const std::vector<TrainingRun>& runs) {
       "time</small></th><th>Success<br><small>last, 95 %</small></th></tr>\n";
   for (size_t i = 0; i < runs.size(); ++i) {
     const TrainingRun& run = runs[i];
-    double frames = 0, share = kNan;
-    const double cpu = CpuSeconds(run, &frames, &share);
+    const Cost cost = CostOf(run);
     absl::StrAppend(&html, "<tr><td><span class=dot style=\"background:", ColorOf(i), "\"></span>",
                     EscapeXml(run.name), "</td>");
     const TrainingRun::Column* flow = run.Find("flow");
@@ -130,8 +141,8 @@ std::string CostTable(const std::vector<TrainingRun>& runs) {
                     Number("%.4f", run.Last("flow")), Number("%.4f", run.Last("validation_flow")),
                     Number("%.4f", run.Last("action_error")),
                     Number("%.1f", run.Last("target_error_mm")),
-                    Number("%.2f", frames > 0 ? 1e3 * cpu / frames : kNan),
-                    Number("%.1f", cpu / 60), Number("%.1f", 100 * share));
+                    Number("%.2f", 1e3 * cost.cpu_seconds / cost.frames),
+                    Number("%.1f", cost.cpu_seconds / 60), Number("%.1f", 100 * cost.data_share));
     const double won = run.Last("successes"), all = run.Last("episodes");
     if (std::isfinite(won) && all > 0) {
       const Interval interval = WilsonInterval(static_cast<int>(won), static_cast<int>(all));
@@ -164,6 +175,7 @@ absl::StatusOr<TrainingRun> LoadTrainingRun(const std::string& dir) {
   const std::string log = dir + "/train.jsonl";
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(log));
   RS_ASSIGN_OR_RETURN(run.config, ReadFile(dir + "/config.yaml"));
+  RS_ASSIGN_OR_RETURN(run.batch, BatchOf(dir + "/config.yaml", run.config));
   std::istringstream lines(text);
   int64_t number = 0;
   for (std::string line; std::getline(lines, line);) {

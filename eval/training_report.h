@@ -18,6 +18,7 @@ struct TrainingRun {
   };
   std::string dir, name;  // name: the folder's, unless two are equal
   std::string config;     // config.yaml, resolved
+  double batch = 0;       // frames per step, from it
   std::map<std::string, Column> columns;
 
   const Column* Find(const std::string& column) const;

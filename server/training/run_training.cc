@@ -176,7 +176,8 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
                demonstrations.training().size(), demonstrations.validation().size(),
                demonstrations.episodes(), trainer.parameter_count(), trainer.step(), options.steps);
 
-  if (!started && !options.init.empty()) RS_RETURN_IF_ERROR(EvaluateNow(trainer, options, files));
+  if (trainer.step() == 0 && !options.init.empty())
+    RS_RETURN_IF_ERROR(EvaluateNow(trainer, options, files));
   Window window(trainer);
   const auto start = Clock::now();
   const int64_t first_step = trainer.step();

@@ -2,8 +2,10 @@
 #include <string>
 
 #include "common/safetensors.h"
+#include "common/so3.h"
 #include "gtest/gtest.h"
 #include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/libero_recorder.h"
 #include "sim_worker/record/shard.h"
 
 namespace robostress {
@@ -94,6 +96,46 @@ TEST(Record, BranchLabelIsTheExpertsFutureAndLeavesNoTrace) {
     ASSERT_TRUE(untouched->Step(untouched->Decide().command).ok());
   }
   EXPECT_EQ(task->Proprioception(), untouched->Proprioception());
+}
+
+TEST(Record, LiberosFormHoldsTheEpisode) {
+  const auto task = MakeTask("tabletop_goal", 4);
+  RecordOptions options;
+  options.stride = 1;
+  options.image_size = 32;
+  options.simulator_state = true;
+  const absl::StatusOr<Demonstration> episode = RecordExpert(*task, 1000, options, TestKey(3));
+  if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
+  ASSERT_TRUE(episode.ok()) << episode.status();
+  const std::string path = ::testing::TempDir() + "/record_test.hdf5";
+  auto writer =
+      LiberoDemonstrationWriter::Create(path, {"tabletop_goal", task->name(), task->instruction()});
+  ASSERT_TRUE(writer.ok()) << writer.status();
+  ASSERT_TRUE(writer->Add(ToLibero(*episode, task->model().mjcf())).ok());
+  ASSERT_TRUE(writer->Publish().ok());
+  const auto file = LiberoDemonstrationFile::Open(path);
+  ASSERT_TRUE(file.ok()) << file.status();
+  EXPECT_EQ(file->instruction(), task->instruction());
+  ASSERT_EQ(file->steps(0), episode->steps);
+  const LiberoColumns columns = file->ReadColumns(0).value();
+  for (int t = 0; t < episode->steps; ++t) {
+    const DemonstrationFrame& frame = episode->frames[t];
+    EXPECT_EQ(static_cast<float>(columns.actions[7 * t + 2]), frame.actions(0, 2));
+    // The base stands at the world's origin, and the home hand points straight down.
+    const Eigen::Vector3d axis_angle(columns.ee_ori[3 * t], columns.ee_ori[3 * t + 1],
+                                     columns.ee_ori[3 * t + 2]);
+    const Eigen::Vector3d rotation =
+        RotationBetween(Eigen::Quaterniond(0, 1, 0, 0), ExpSo3(axis_angle));
+    for (int i = 0; i < 3; ++i) {
+      EXPECT_NEAR(columns.ee_pos[3 * t + i], frame.proprioception[i], 1e-6);
+      EXPECT_NEAR(rotation[i], frame.proprioception[3 + i], 1e-5) << "step " << t;
+    }
+    EXPECT_NEAR(columns.gripper_states[2 * t], frame.proprioception[6], 1e-6);
+    EXPECT_EQ(static_cast<float>(columns.proprioception[8 * t + 4]), frame.proprioception[4]);
+  }
+  EXPECT_EQ(file->ReadView(0, LiberoDemonstrationFile::View::kAgent, 5)->data,
+            episode->frames[5].views[0].data);
+  std::remove(path.c_str());
 }
 
 TEST(Shard, NamesTheExecutionNoiseOnlyWhereThereIsSome) {

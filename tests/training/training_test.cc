@@ -6,10 +6,12 @@
 #include <fstream>
 
 #include "common/atomic_file.h"
+#include "common/libero_demonstrations.h"
 #include "common/safetensors.h"
 #include "nlohmann/json.hpp"
 #include "server/policy.h"
 #include "server/training/flow_objective.h"
+#include "server/training/libero_shards.h"
 #include "server/training/trainer.h"
 #include "server/training/worst_case_actions.h"
 #include "tests/training/toy_world.h"
@@ -402,6 +404,79 @@ TEST_F(Training, RefusesWhatIsNotAShardOrDoesNotFit) {
   EXPECT_THAT(std::string(RunTraining(odd, false).message()),
               AllOf(HasSubstr("batch is 9"), HasSubstr("threads, 2")));
   EXPECT_FALSE(fs::exists(Path("bad_out") + "/DONE"));
+}
+
+// A file of two demonstrations of 60 and 61 steps whose left image half is dark.
+void WriteLibero(const std::string& path, bool ours) {
+  auto writer = LiberoDemonstrationWriter::Create(path, {"toy", "push", "push the block"});
+  ASSERT_TRUE(writer.ok()) << writer.status();
+  for (const int64_t steps : {60, 61}) {
+    LiberoDemonstration demonstration;
+    LiberoColumns& columns = demonstration.columns;
+    columns.steps = steps;
+    const auto ramp = [&](double base, int64_t width) {
+      std::vector<double> values;
+      for (int64_t i = 0; i < steps * width; ++i)
+        values.push_back(base + 0.001 * static_cast<double>(i / width));
+      return values;
+    };
+    columns.actions = ramp(0.1, 7);
+    columns.states = ramp(0, 20);
+    columns.robot_states = ramp(0, 9);
+    columns.ee_pos = ramp(0.2, 3);
+    columns.ee_ori = ramp(0.3, 3);
+    columns.gripper_states = ramp(0.4, 2);
+    columns.joint_states = ramp(0.5, 7);
+    if (ours) {
+      columns.proprioception = ramp(0.6, 8);
+      columns.aux = ramp(0.7, 8);
+    }
+    Image image{128, 128, std::vector<uint8_t>(3 * 128 * 128)};
+    for (size_t i = 0; i < image.data.size(); ++i)
+      image.data[i] = i / 3 % 128 < 64 ? 0 : static_cast<uint8_t>(100 + i / (3 * 128));
+    demonstration.agentview.assign(steps, image);
+    demonstration.eye_in_hand.assign(steps, image);
+    ASSERT_TRUE(writer->Add(demonstration).ok());
+  }
+  ASSERT_TRUE(writer->Publish().ok());
+}
+
+TEST_F(Training, ReadsDemonstrationsInLiberosForm) {
+  for (const bool ours : {true, false}) {
+    const std::string name = ours ? "ours" : "libero";
+    fs::create_directories(Path(name));
+    WriteLibero(Path(name) + "/push_demo.hdf5", ours);
+    TrainOptions options = SmallOptions(Path(name) + "/push_demo.hdf5", Path(name + "_run"));
+    options.validation_share = 0;
+    options.steps = 2;
+    const absl::Status trained = RunTraining(options, false);
+    if (!ours) {
+      EXPECT_THAT(std::string(trained.message()),
+                  AllOf(HasSubstr("push_demo"), HasSubstr("aux_weight=0")));
+      options.aux_weight = 0;
+    }
+    const absl::Status status = ours ? trained : RunTraining(options, true);
+    ASSERT_TRUE(status.ok()) << status;
+    const auto shard =
+        SafetensorsFile::Open(Path(name + "_run") + "/data/000_push_demo.safetensors");
+    ASSERT_TRUE(shard.ok()) << shard.status();
+    EXPECT_EQ(shard->metadata().at("instruction"), "push the block");
+    const std::vector<float> state = shard->ReadFloats("state", {61, 8}).value();
+    EXPECT_FLOAT_EQ(state[8], ours ? 0.602f : 0.202f) << "step 2 is the second frame";
+    EXPECT_FLOAT_EQ(state[8 + 6], ours ? 0.602f : 0.402f);
+    const std::vector<float> actions = shard->ReadFloats("actions", {61, 50, 7}).value();
+    const float* last = &actions[29 * 350];  // of step 58 of 60
+    EXPECT_FLOAT_EQ(last[0], 0.158f);
+    EXPECT_FLOAT_EQ(last[7], 0.159f);
+    EXPECT_EQ(last[14], 0) << "no motion after the end";
+    EXPECT_FLOAT_EQ(last[14 + 6], 0.159f) << "the last gripper command";
+    EXPECT_EQ(shard->ReadDoubles("episode", {61}).value()[30], 1);
+    // Top row first; LIBERO's own files are mirrored, as the policy will see that suite.
+    const uint8_t* image = shard->Get("images")->bytes.data();
+    EXPECT_EQ(image[ours ? 0 : 3 * 63], 0);
+    EXPECT_EQ(image[ours ? 3 * 63 : 0], 101);
+    EXPECT_EQ(image[3 * 64 * 63 + (ours ? 3 * 63 : 0)], 227);
+  }
 }
 
 TEST_F(Training, DoesNotOverwriteARun) {
