@@ -20,6 +20,8 @@ namespace {
 // The longest text that an attribute may hold [bytes].
 constexpr size_t kMaxText = size_t{16} << 20;
 constexpr int kMaxRank = 8;
+// Bytes that one stored byte can become: deflate's limit is 1032.
+constexpr double kMostCompressed = 1032;
 
 // An HDF5 identifier and how it is closed.
 class Handle {
@@ -169,6 +171,15 @@ absl::StatusOr<Hdf5Dataset> Hdf5File::Describe(const std::string& name) const {
   for (const hsize_t length : extent) {
     if (length > hsize_t{1} << 40) return Fail(absl::StrCat("has a length of ", length), name);
     result.shape.push_back(static_cast<int64_t>(length));
+  }
+  // A file may declare what it does not hold, and the library would fill memory with zeros.
+  double declared = type.ok() ? static_cast<double>(H5Tget_size(type)) : 0;
+  for (const int64_t length : result.shape) declared *= static_cast<double>(length);
+  const double stored = static_cast<double>(H5Dget_storage_size(dataset));
+  if (declared > kMostCompressed * stored) {
+    return Fail(absl::StrCat("declares ", declared, " bytes and stores ", stored,
+                             ", less than any compression needs"),
+                name);
   }
   const H5T_class_t kind = type.ok() ? H5Tget_class(type) : H5T_NO_CLASS;
   if (kind != H5T_INTEGER && kind != H5T_FLOAT)

@@ -20,7 +20,8 @@ struct Hdf5Dataset {
 
 // An HDF5 file: groups, numeric datasets and scalar attributes, through Debian's serial library.
 // Names are paths from the root ("data/demo_0/actions"). Only what lies in the file itself is
-// followed: soft and external links, external storage and filters from plugins are refused. One
+// followed: soft and external links, external storage and filters from plugins are refused, and
+// datasets that declare more than they store before memory is taken for them. One
 // thread at a time for all files of the process: the library is not thread-safe.
 class Hdf5File {
  public:

@@ -182,6 +182,47 @@ TEST(LiberoDemonstrations, RefuseTruncatedAndForeignFiles) {
   EXPECT_TRUE(absl::IsNotFound(LiberoDemonstrationFile::Open("/nowhere.hdf5").status()));
 }
 
+// Files that only another writer makes: h5py, where it is installed.
+TEST(LiberoDemonstrations, RefuseLinksAndSizesThatAreNotThere) {
+  if (std::system("/usr/bin/python3 -c 'import h5py' 2>/dev/null") != 0)
+    GTEST_SKIP() << "python3-h5py is not installed";
+  const std::string script = TempPath("libero_hostile.py");
+  ASSERT_TRUE(WriteFileAtomically(script, R"py(
+import h5py, json, sys
+kind, path = sys.argv[1:]
+f = h5py.File(path, "w")
+d = f.create_group("data")
+d.attrs["problem_info"] = json.dumps({"language_instruction": "x"})
+o = d.create_group("demo_0/obs")
+if kind == "huge":
+    o.create_dataset("agentview_rgb", (90000, 2048, 2048, 3), "u1", chunks=(1, 2048, 2048, 3))
+elif kind == "soft":
+    o["agentview_rgb"] = h5py.SoftLink("/elsewhere")
+elif kind == "external":
+    o["agentview_rgb"] = h5py.ExternalLink("/etc/passwd", "/x")
+elif kind == "storage":
+    o.create_dataset("agentview_rgb", (2, 8, 8, 3), "u1", external=[("/etc/passwd", 0, 384)])
+elif kind == "text":
+    o.create_dataset("agentview_rgb", data=["a", "b"])
+)py")
+                  .ok());
+  const auto refusal = [&](const std::string& kind) {
+    const std::string path = TempPath("libero_hostile_" + kind + ".hdf5");
+    EXPECT_EQ(std::system(absl::StrCat("/usr/bin/python3 ", script, " ", kind, " ", path).c_str()),
+              0);
+    const auto file = LiberoDemonstrationFile::Open(path);
+    EXPECT_FALSE(file.ok()) << kind;
+    EXPECT_THAT(std::string(file.status().message()),
+                AllOf(HasSubstr(path), HasSubstr("data/demo_0/obs/agentview_rgb")));
+    return std::string(file.status().message());
+  };
+  EXPECT_THAT(refusal("huge"), HasSubstr("bytes and stores 0"));
+  EXPECT_THAT(refusal("soft"), HasSubstr("link to elsewhere"));
+  EXPECT_THAT(refusal("external"), HasSubstr("link to elsewhere"));
+  EXPECT_THAT(refusal("storage"), HasSubstr("stored in other files"));
+  EXPECT_THAT(refusal("text"), HasSubstr("neither integers nor floats"));
+}
+
 // The independent reader: h5py, as LIBERO's own code uses it.
 TEST(LiberoDemonstrations, AreWhatH5pyReads) {
   if (std::system("/usr/bin/python3 -c 'import h5py' 2>/dev/null") != 0)
