@@ -92,7 +92,8 @@ absl::StatusOr<Normaliser> Normaliser::Create(const std::string& what, const Fie
   } else {
     const Eigen::ArrayXd range = Row(stats.q99) - Row(stats.q01);
     result.offset_ = Row(stats.q01);
-    result.forward_ = openpi ? range + kOpenpiEpsilon : (range == 0).select(kLerobotEpsilon, range);
+    result.forward_ = range + kOpenpiEpsilon;
+    if (!openpi) result.forward_ = (range == 0).select(kLerobotEpsilon, range);
     result.backward_ = result.forward_;
   }
   return result;

@@ -72,12 +72,10 @@ class Resolver {
   void ChooseRobot() {
     std::string name = options_.transform;
     if (name == "auto") {
-      const bool libero = absl::StrContains(options_.asset_id, "libero") ||
-                          std::any_of(checkpoint_.norm_stats.begin(), checkpoint_.norm_stats.end(),
-                                      [](const NormStatsSource& source) {
-                                        return absl::StrContains(source.asset_id, "libero");
-                                      });
-      name = libero ? "libero" : "plain";
+      std::string asset = options_.asset_id;
+      if (asset.empty() && checkpoint_.norm_stats.size() == 1)
+        asset = checkpoint_.norm_stats[0].asset_id;
+      name = absl::StrContains(asset, "libero") ? "libero" : "plain";
     }
     absl::StatusOr<RobotTransform> robot = FindRobotTransform(name);
     if (!robot.ok()) return Problem(std::string(robot.status().message()));

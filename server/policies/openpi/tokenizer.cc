@@ -45,6 +45,12 @@ absl::StatusOr<nlohmann::json> ParseAnswer(const std::string& path, const std::s
   return answer;
 }
 
+// -1 where it is no integer.
+int64_t IntegerOf(const nlohmann::json& object, const char* key) {
+  const auto found = object.is_object() ? object.find(key) : object.end();
+  return found != object.end() && found->is_number_integer() ? found->get<int64_t>() : -1;
+}
+
 absl::Status CheckFile(const std::string& path) {
   std::error_code error;
   if (!std::filesystem::is_regular_file(path, error)) {
@@ -68,8 +74,8 @@ absl::StatusOr<std::unique_ptr<Tokenizer>> Tokenizer::Load(const std::string& pa
   RS_RETURN_IF_ERROR(tokenizer->Start());
   RS_ASSIGN_OR_RETURN(const std::string line, tokenizer->ReadLine());
   RS_ASSIGN_OR_RETURN(const nlohmann::json hello, ParseAnswer(path, line));
-  tokenizer->pieces_ = hello.value("pieces", int64_t{0});
-  tokenizer->bos_ = hello.value("bos", int64_t{-1});
+  tokenizer->pieces_ = IntegerOf(hello, "pieces");
+  tokenizer->bos_ = IntegerOf(hello, "bos");
   if (tokenizer->bos_ < 0 || tokenizer->bos_ >= tokenizer->pieces_) {
     return absl::InvalidArgumentError(absl::StrCat(
         "tokenizer ", path, " has no piece that begins a text (bos_id is ", tokenizer->bos_, " of ",
@@ -81,6 +87,11 @@ absl::StatusOr<std::unique_ptr<Tokenizer>> Tokenizer::Load(const std::string& pa
 Tokenizer::~Tokenizer() {
   absl::MutexLock lock(&mu_);
   End();
+}
+
+pid_t Tokenizer::process_id() const {
+  absl::MutexLock lock(&mu_);
+  return pid_;
 }
 
 absl::Status Tokenizer::Start() const {

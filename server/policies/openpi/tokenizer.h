@@ -31,6 +31,7 @@ class Tokenizer {
   const std::string& path() const { return path_; }
   int64_t pieces() const { return pieces_; }  // ids are 0 .. pieces() - 1
   int64_t bos() const { return bos_; }        // begins every prompt
+  pid_t process_id() const ABSL_LOCKS_EXCLUDED(mu_);
 
   // Ids of UTF-8 text, without BOS. Any thread; one text at a time. A process that died is started
   // once more.
