@@ -117,6 +117,16 @@ absl::StatusOr<std::string> ReadFile(const std::string& path) {
   return contents;
 }
 
+absl::StatusOr<std::string> ReadFileUpTo(const std::string& path, uint64_t max_bytes) {
+  struct stat info {};
+  if (::stat(path.c_str(), &info) != 0) return ErrnoStatus("cannot open", path, errno);
+  if (!S_ISREG(info.st_mode)) return absl::InvalidArgumentError(absl::StrCat(path, ": is not a regular file"));
+  if (static_cast<uint64_t>(info.st_size) > max_bytes) {
+    return absl::InvalidArgumentError(absl::StrCat(path, ": has ", info.st_size, " bytes, the limit is ", max_bytes));
+  }
+  return ReadFile(path);
+}
+
 absl::Status AppendLine(const std::string& path, std::string_view line) {
   FileDescriptor file(::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644));
   if (file.get() < 0) return ErrnoStatus("cannot open", path, errno);

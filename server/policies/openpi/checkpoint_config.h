@@ -28,7 +28,7 @@ struct CheckpointConfig {
   std::optional<int64_t> image;          // image_resolution, resize_imgs_with_padding [pixels]
   std::optional<int64_t> euler_steps;    // num_inference_steps, num_steps
 
-  // LeRobot's features: cameras in the file's order, entries before padding.
+  // LeRobot's features: cameras by name, entries before padding.
   std::vector<std::string> cameras;  // e.g. observation.images.base_0_rgb
   std::optional<int64_t> robot_state_dim, robot_action_dim;
   std::map<std::string, std::string> normalization;  // STATE, ACTION -> MEAN_STD, QUANTILES, ...

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -35,7 +36,10 @@ absl::StatusOr<NormStats> ReadNormStatsJson(const std::string& path);
 // LeRobot's normalizer file (observation.state.mean, action.q99, ...), or, where it is a weights
 // file of the old generation, its buffers (normalize_inputs.buffer_observation_state.mean,
 // unnormalize_outputs.buffer_action.std, ...). Becomes "state" and "actions"; statistics of images
-// are left out. Same refusals; buffers that were never filled hold infinities and are refused.
+// are left out. Same refusals; buffers that were never filled hold infinities and are refused.//
+// Shards count as one file.
+absl::StatusOr<NormStats> NormStatsOf(
+    const std::vector<std::shared_ptr<const SafetensorsFile>>& shards);
 absl::StatusOr<NormStats> NormStatsOf(const SafetensorsFile& file);
 
 // True for tensors of an old weights file that only hold statistics.
