@@ -234,8 +234,9 @@ TEST_P(OpenpiPolicyTest, RefusesObservationsThatDoNotFit) {
 
 TEST_P(OpenpiPolicyTest, PiperHasAbsoluteJointsOfSixDeltasAndAGripper) {
   WriteText(folder_ / kPolicyOptionsFile,
-            "transform: piper\ncameras: [front, '', hand]\nexecute_steps: 3\n");
+            "name: arm\ntransform: piper\ncameras: [front, '', hand]\nexecute_steps: 3\n");
   const auto policy = Load();
+  EXPECT_EQ(policy->spec().name, "arm");
   EXPECT_THAT(policy->spec().cameras, ElementsAre("front", "hand"));
   EXPECT_EQ(policy->spec().state_dim, 7);
   EXPECT_EQ(policy->spec().execute_steps, 3);

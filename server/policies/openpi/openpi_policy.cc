@@ -134,7 +134,7 @@ class OpenpiPolicy : public FlowPolicy {
 // Of all that decides what the policy computes.
 absl::StatusOr<std::string> HashOf(const Checkpoint& checkpoint, const PolicySetup& setup,
                                    PolicyOptions options) {
-  options.tokenizer = options.norm_stats = "";  // where they lie decides nothing
+  options.name = options.tokenizer = options.norm_stats = "";  // decide nothing by themselves
   std::string text = DumpConfig(options);
   for (const auto& shard : checkpoint.shards) {
     RS_ASSIGN_OR_RETURN(const std::string hash, Sha256OfFile(shard->path()));
@@ -166,11 +166,12 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadOpenpiPolicy(
   RS_RETURN_IF_ERROR(ProblemList(path, "cannot be served as it is", resolved.problems,
                                  "`robostress policy inspect` shows everything that is decided; "
                                  "options are keys of robostress_policy.yaml beside it"));
-  RS_ASSIGN_OR_RETURN(const std::string hash, HashOf(checkpoint, resolved.setup, options));
   RS_ASSIGN_OR_RETURN(std::unique_ptr<const Preprocessor> preprocessor,
                       Preprocessor::Create(std::move(resolved.setup), checkpoint.config));
+  RS_ASSIGN_OR_RETURN(const std::string hash, HashOf(checkpoint, preprocessor->setup(), options));
   RS_ASSIGN_OR_RETURN(OpenpiModel model, LoadCheckpoint(checkpoint));
-  return MakeOpenpiPolicy(std::move(model), std::move(preprocessor), path, hash);
+  return MakeOpenpiPolicy(std::move(model), std::move(preprocessor),
+                          options.name.empty() ? path : options.name, hash);
 }
 
 }  // namespace robostress::openpi

@@ -18,9 +18,10 @@ std::unique_ptr<FlowPolicy> MakeOpenpiPolicy(OpenpiModel model,
                                              const std::string& name,
                                              const std::string& model_hash);
 
-// Serves a checkpoint under the name `path`. In this order, and each before memory is taken for the
-// next: options, tensors of all shards, norm stats and everything else of the setup (all problems
-// in one message), tokenizer, weights. The hash covers shards, statistics and setup.
+// Serves a checkpoint under the name `path`, or the one of the options. In this order, and each
+// before memory is taken for the next: options, tensors of all shards, norm stats and everything
+// else of the setup (all problems in one message), tokenizer, weights. The hash covers shards,
+// statistics and setup.
 absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadOpenpiPolicy(
     const std::string& path, const std::vector<std::string>& options);
 

@@ -15,6 +15,7 @@ enum class ResizeSetting { kAuto, kPillow, kInterpolate };
 // What a checkpoint does not say of itself. From robostress_policy.yaml beside it and from
 // `--policy-options KEY=VALUE ...`, which win. "auto" is resolved in policy_setup.h.
 struct PolicyOptions {
+  std::string name;
   std::string transform = "auto";
   std::string tokenizer;
   std::string norm_stats;
@@ -31,6 +32,7 @@ struct PolicyOptions {
 
   template <class V>
   void Visit(V& v) {
+    v.Field("name", name, "that sessions ask for; empty: the path as given");
     v.Field("transform", transform,
             "auto, plain, libero or piper; auto: libero where the asset id says so, else plain");
     v.Field("tokenizer", tokenizer,
