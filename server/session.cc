@@ -210,12 +210,12 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     const torch::Tensor noise = DrawNoise(NoiseKey(spec_, task, episode, chunk), policy.horizon(),
                                           policy.model_action_dim());
     const torch::Tensor raw = policy.Sample(context, noise, lora.get()).squeeze(0);
-    result.policy_actions = policy.ToEnvironment(raw);
+    result.policy_actions = policy.ToEnvironment(raw, context);
     if (wants_base) {
       result.base_actions =
           result.adapter_version == 0
               ? result.policy_actions
-              : policy.ToEnvironment(policy.Sample(context, noise, nullptr).squeeze(0));
+              : policy.ToEnvironment(policy.Sample(context, noise, nullptr).squeeze(0), context);
     }
     if (adapter_ != nullptr) {
       prediction.raw = raw;
@@ -274,7 +274,7 @@ absl::StatusOr<std::shared_ptr<const TrainingChunk>> Session::MakeTrainingChunk(
   try {
     torch::NoGradGuard no_grad;
     chunk->target = TargetChunk(prediction.raw, executed.first_step,
-                                resources_.policy->ToModel(PseudoTarget(executed, residual)));
+                                resources_.policy->ToModel(PseudoTarget(executed, residual), prediction.context));
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("pseudo-target failed: ", error.what()));
   }

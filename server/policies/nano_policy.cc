@@ -75,7 +75,7 @@ class NanoPolicy : public FlowPolicy {
     return sampler_.Sample(context, noise, lora);
   }
 
-  Eigen::MatrixXf ToEnvironment(const Tensor& chunk) const override {
+  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const PolicyContext&) const override {
     const Tensor rows = chunk.to(torch::kFloat32).contiguous();
     const int dim = spec_.action_dim;
     RS_CHECK(rows.dim() == 2 && rows.size(1) >= dim);
@@ -90,7 +90,7 @@ class NanoPolicy : public FlowPolicy {
     return actions;
   }
 
-  Tensor ToModel(const Eigen::MatrixXf& actions) const override {
+  Tensor ToModel(const Eigen::MatrixXf& actions, const PolicyContext&) const override {
     RS_CHECK(actions.cols() == spec_.action_dim);
     Tensor rows = torch::empty({actions.rows(), actions.cols()});
     auto values = rows.accessor<float, 2>();

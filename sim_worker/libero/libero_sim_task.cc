@@ -9,6 +9,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/image.h"
+#include "common/image_resize.h"
 #include "common/joint_errors/scenarios.h"
 #include "common/status_macros.h"
 #include "common/suites.h"

@@ -85,7 +85,7 @@ class FakePolicy : public FlowPolicy {
   }
 
   // Environment = kScale x model + 0.02 x channel index: commands stay within +-1.
-  Eigen::MatrixXf ToEnvironment(const torch::Tensor& chunk) const override {
+  Eigen::MatrixXf ToEnvironment(const torch::Tensor& chunk, const PolicyContext&) const override {
     const torch::Tensor rows = chunk.contiguous();
     const auto values = rows.accessor<float, 2>();
     Eigen::MatrixXf actions(rows.size(0), 7);
@@ -95,7 +95,7 @@ class FakePolicy : public FlowPolicy {
     return actions;
   }
 
-  torch::Tensor ToModel(const Eigen::MatrixXf& actions) const override {
+  torch::Tensor ToModel(const Eigen::MatrixXf& actions, const PolicyContext&) const override {
     torch::Tensor rows = torch::empty({actions.rows(), 7});
     auto values = rows.accessor<float, 2>();
     for (int i = 0; i < actions.rows(); ++i) {

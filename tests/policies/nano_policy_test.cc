@@ -387,11 +387,11 @@ TEST(NanoPolicy, ThreadsPredictTheSameBitsAtOnce) {
 TEST(NanoPolicy, ActionTransformsAreInverse) {
   const auto policy = TinyPolicy();
   const Eigen::MatrixXf actions = Eigen::MatrixXf::Random(10, 7);
-  const Tensor model = policy->ToModel(actions);
+  const Tensor model = policy->ToModel(actions, {});
   EXPECT_EQ(model.size(1), 7);
   EXPECT_NEAR(model[2][3].item<float>(), (actions(2, 3) - 0.15f) / (0.6f + 1e-6f), 1e-6);
   const Tensor padded = torch::cat({model, torch::full({10, 1}, 9.0f)}, 1);
-  EXPECT_LT((policy->ToEnvironment(padded) - actions).cwiseAbs().maxCoeff(), 1e-6);
+  EXPECT_LT((policy->ToEnvironment(padded, {}) - actions).cwiseAbs().maxCoeff(), 1e-6);
 }
 
 TEST(NanoPolicy, RefusesObservationsThatItWasNotTrainedOn) {
@@ -473,8 +473,9 @@ TEST(NanoWeights, RefuseTruncatedForeignAndAbsentFiles) {
   foreign.SetMetadata("format", "pt");
   foreign.AddFloats("weight", {1}, std::vector<float>{1.0f});
   ASSERT_TRUE(foreign.Write(path).ok());
-  EXPECT_THAT(std::string(LoadFlowPolicy(path).status().message()),
+  EXPECT_THAT(std::string(LoadNanoModel(path).status().message()),
               AllOf(HasSubstr("format is 'pt'"), HasSubstr("robostress-nano")));
+  EXPECT_THAT(std::string(LoadFlowPolicy(path).status().message()), HasSubstr(path));
   std::filesystem::remove(path);
   EXPECT_FALSE(LoadFlowPolicy(path).ok());
   EXPECT_THAT(std::string(LoadFlowPolicy("nanno").status().message()),

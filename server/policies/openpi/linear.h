@@ -13,7 +13,8 @@ struct Linear {
   double lora_scale = 1;
 };
 
-// x [..., in] -> [..., out]; the adapter is computed beside W, never merged into it.
+// x [..., in] -> [..., out] in the type of W; the adapter is computed in its own type beside W,
+// never merged into it.
 torch::Tensor Apply(const Linear& linear, const torch::Tensor& x);
 
 }  // namespace robostress::openpi
