@@ -72,6 +72,11 @@ class NanoPolicy : public FlowPolicy {
 
   Tensor Sample(const PolicyContext& context, const Tensor& noise,
                 const LoraWeights* lora) const override {
+    return sampler_.Sample(context, noise, std::vector<const LoraWeights*>(noise.size(0), lora));
+  }
+
+  Tensor SampleRows(const PolicyContext& context, const Tensor& noise,
+                    const std::vector<const LoraWeights*>& lora) const override {
     return sampler_.Sample(context, noise, lora);
   }
 

@@ -2,13 +2,15 @@
 
 #include <torch/torch.h>
 
+#include "adapter/lora.h"
+
 namespace robostress::openpi {
 
 torch::Tensor Apply(const Linear& linear, const torch::Tensor& x) {
   torch::Tensor y = at::linear(x, linear.weight, linear.bias);
   if (!linear.lora_A.defined()) return y;
-  const torch::Tensor low_rank = at::linear(x, linear.lora_A);  // [..., rank]
-  return y + linear.lora_scale * at::linear(low_rank, linear.lora_B);
+  return y + linear.lora_scale * (linear.lora_rows ? LoraRowsDelta(x, linear.lora_A, linear.lora_B)
+                                                   : LoraDelta(x, linear.lora_A, linear.lora_B));
 }
 
 }  // namespace robostress::openpi
