@@ -52,6 +52,10 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--max-sessions", options.max_sessions, "sessions open at once")
       ->capture_default_str();
+  app.add_option("--prefix-budget-mib", options.prefix_budget_mib,
+                 "memory for the prefixes that adapters learn from, all sessions together; what "
+                 "exceeds it is dropped and encoded again when an update needs it")
+      ->capture_default_str();
   app.add_option("--grace", grace_s, "seconds to answer what is under way when stopped")
       ->capture_default_str();
   CLI11_PARSE(app, argc, argv);

@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/lora.h"
 #include "common/check.h"
 #include "server/policies/fused_ops.h"
 
@@ -87,14 +88,14 @@ void VisitParameters(const NanoConfig& c, NanoParameters& p, F&& f) {
 }
 
 // y = x W^T, where the rows of W belong to one or more projections, each with its LoRA if there is
-// one: target i adds B_i (A_i x) to its part of y.
+// one, which adds to its part of y.
 Tensor Project(const Tensor& x, const Tensor& weight, const LoraWeights* lora, size_t first_target,
                size_t num_targets) {
   const Tensor y = torch::linear(x, weight);
   if (lora == nullptr) return y;
   std::vector<Tensor> deltas;
   for (size_t i = first_target; i < first_target + num_targets; ++i) {
-    deltas.push_back(torch::linear(torch::linear(x, lora->A[i]), lora->B[i]));
+    deltas.push_back(LoraDelta(x, lora->A[i], lora->B[i]));
   }
   return y + (deltas.size() == 1 ? deltas[0] : torch::cat(deltas, -1));
 }
@@ -153,20 +154,25 @@ std::pair<Tensor, Tensor> RopeTables(const NanoConfig& config) {
   return {angle.cos().to(torch::kFloat32), angle.sin().to(torch::kFloat32)};
 }
 
-NanoNetwork::NanoNetwork(const NanoConfig& config, NanoParameters parameters)
-    : config_(config), p_(std::move(parameters)) {
+std::vector<LoraTarget> NanoLoraTargets(const NanoConfig& config) {
   const int64_t e = config.expert_width, m = config.expert_mlp, hq = config.heads * config.head_dim,
                 h = config.head_dim;
+  std::vector<LoraTarget> targets;
   for (int i = 0; i < config.layers; ++i) {
     const std::string name = absl::StrCat("layers.", i, ".");
-    lora_targets_.push_back({name + "q_proj", e, hq});
-    lora_targets_.push_back({name + "k_proj", e, h});
-    lora_targets_.push_back({name + "v_proj", e, h});
-    lora_targets_.push_back({name + "o_proj", hq, e});
-    lora_targets_.push_back({name + "gate_proj", e, m});
-    lora_targets_.push_back({name + "up_proj", e, m});
-    lora_targets_.push_back({name + "down_proj", m, e});
+    targets.push_back({name + "q_proj", e, hq, config.heads});
+    targets.push_back({name + "k_proj", e, h});
+    targets.push_back({name + "v_proj", e, h});
+    targets.push_back({name + "o_proj", hq, e, 1, config.heads});
+    targets.push_back({name + "gate_proj", e, m});
+    targets.push_back({name + "up_proj", e, m});
+    targets.push_back({name + "down_proj", m, e});
   }
+  return targets;
+}
+
+NanoNetwork::NanoNetwork(const NanoConfig& config, NanoParameters parameters)
+    : config_(config), p_(std::move(parameters)), lora_targets_(NanoLoraTargets(config)) {
   std::tie(rope_cos_, rope_sin_) = RopeTables(config);
 }
 

@@ -28,6 +28,9 @@ struct NanoCamera {
   torch::Tensor position;                  // [grid^2, prefix_width]
 };
 
+// q, k, v, o, gate, up, down of every expert layer, in this order.
+std::vector<LoraTarget> NanoLoraTargets(const NanoConfig& config);
+
 // All parameters of a nano policy.
 struct NanoParameters {
   std::vector<NanoCamera> cameras;

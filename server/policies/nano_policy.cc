@@ -72,10 +72,15 @@ class NanoPolicy : public FlowPolicy {
 
   Tensor Sample(const PolicyContext& context, const Tensor& noise,
                 const LoraWeights* lora) const override {
+    return sampler_.Sample(context, noise, std::vector<const LoraWeights*>(noise.size(0), lora));
+  }
+
+  Tensor SampleRows(const PolicyContext& context, const Tensor& noise,
+                    const std::vector<const LoraWeights*>& lora) const override {
     return sampler_.Sample(context, noise, lora);
   }
 
-  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const PolicyContext&) const override {
+  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor&) const override {
     const Tensor rows = chunk.to(torch::kFloat32).contiguous();
     const int dim = spec_.action_dim;
     RS_CHECK(rows.dim() == 2 && rows.size(1) >= dim);
@@ -90,7 +95,7 @@ class NanoPolicy : public FlowPolicy {
     return actions;
   }
 
-  Tensor ToModel(const Eigen::MatrixXf& actions, const PolicyContext&) const override {
+  Tensor ToModel(const Eigen::MatrixXf& actions, const torch::Tensor&) const override {
     RS_CHECK(actions.cols() == spec_.action_dim);
     Tensor rows = torch::empty({actions.rows(), actions.cols()});
     auto values = rows.accessor<float, 2>();

@@ -4,6 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <tuple>
+#include <utility>
 
 #include "common/check.h"
 #include "server/policies/fused_kernels.h"
@@ -27,14 +30,27 @@ float& PanelAt(float* panels, int64_t in, int64_t out_index, int64_t in_index) {
 }  // namespace
 
 struct NanoSampler::Lora {
-  struct Target {
-    int64_t in, out, rank;
+  // One pair of matrices: reads `in` inputs from `first_in` on, adds to `out` outputs from
+  // `first_out` on. A target per head has one for each head.
+  struct Pair {
+    int64_t first_in, in, first_out, out, rank;
     std::vector<float> a, b_transposed;
   };
-  explicit Lora(const LoraWeights& weights) {
-    for (size_t i = 0; i < weights.A.size(); ++i) {
-      targets.push_back({weights.A[i].size(1), weights.B[i].size(0), weights.A[i].size(0),
-                         ToVector(weights.A[i]), ToVector(weights.B[i].t())});
+  struct Target {
+    int64_t in, out;
+    std::vector<Pair> pairs;
+  };
+  Lora(const std::vector<LoraTarget>& shapes, const LoraWeights& weights) {
+    for (size_t i = 0; i < shapes.size(); ++i) {
+      torch::Tensor A = weights.A[i], B = weights.B[i];
+      if (A.dim() == 2) std::tie(A, B) = std::pair(A.unsqueeze(0), B.unsqueeze(0));
+      Target target{shapes[i].in_features, shapes[i].out_features, {}};
+      for (int64_t n = 0; n < A.size(0); ++n) {
+        const int64_t in = A.size(2), out = B.size(1);
+        target.pairs.push_back({in < target.in ? n * in : 0, in, out < target.out ? n * out : 0,
+                                out, A.size(1), ToVector(A[n]), ToVector(B[n].t())});
+      }
+      targets.push_back(std::move(target));
     }
   }
   std::vector<Target> targets;
@@ -94,7 +110,7 @@ NanoSampler::Packed NanoSampler::Pack(const torch::Tensor& weight, const torch::
 
 NanoSampler::NanoSampler(const NanoConfig& config, const NanoParameters& p,
                          const std::vector<float>& times)
-    : config_(config), times_(times) {
+    : config_(config), lora_targets_(NanoLoraTargets(config)), times_(times) {
   torch::NoGradGuard no_grad;
   const int64_t e = config.expert_width;
   state_ = Pack(p.state_weight, p.state_bias);
@@ -131,8 +147,11 @@ void NanoSampler::AddLora(const Lora* lora, size_t first, size_t count, const fl
   if (lora == nullptr) return;
   for (size_t i = first; i < first + count; ++i) {
     const Lora::Target& target = lora->targets[i];
-    BestFusedKernels().add_low_rank(x, rows, target.in, target.a.data(), target.b_transposed.data(),
-                                    target.rank, target.out, y, width);
+    for (const Lora::Pair& pair : target.pairs) {
+      BestFusedKernels().add_low_rank(x + pair.first_in, target.in, rows, pair.in, pair.a.data(),
+                                      pair.b_transposed.data(), pair.rank, pair.out,
+                                      y + pair.first_out, width);
+    }
     y += target.out;
   }
 }
@@ -231,16 +250,22 @@ void NanoSampler::SampleRow(const PolicyContext& context, int64_t row, const Lor
 }
 
 torch::Tensor NanoSampler::Sample(const PolicyContext& context, const torch::Tensor& noise,
-                                  const LoraWeights* lora) const {
+                                  const std::vector<const LoraWeights*>& lora) const {
   torch::NoGradGuard no_grad;
-  RS_CHECK(noise.size(0) == context.state.size(0) && noise.size(1) == config_.horizon &&
+  RS_CHECK(noise.size(0) == context.state.size(0) &&
+           noise.size(0) == static_cast<int64_t>(lora.size()) && noise.size(1) == config_.horizon &&
            noise.size(2) == config_.model_action_dim);
   const torch::Tensor x = noise.to(torch::kFloat32).contiguous().clone();
-  std::unique_ptr<Lora> packed_lora;
-  if (lora != nullptr) packed_lora = std::make_unique<Lora>(*lora);
+  std::map<const LoraWeights*, Lora> packed;
+  for (const LoraWeights* weights : lora) {
+    if (weights != nullptr && !packed.contains(weights))
+      packed.emplace(weights, Lora(lora_targets_, *weights));
+  }
   const int64_t size = noise.size(1) * noise.size(2);
   for (int64_t row = 0; row < noise.size(0); ++row) {
-    SampleRow(context, row, packed_lora.get(), x.data_ptr<float>() + row * size);
+    const auto found = packed.find(lora[row]);
+    SampleRow(context, row, found == packed.end() ? nullptr : &found->second,
+              x.data_ptr<float>() + row * size);
   }
   return x;
 }

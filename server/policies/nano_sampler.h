@@ -18,9 +18,10 @@ class NanoSampler {
   NanoSampler(const NanoConfig& config, const NanoParameters& parameters,
               const std::vector<float>& times);
 
-  // noise [B, K, d] and a context of B rows -> chunks [B, K, d].
+  // noise [B, K, d], a context of B rows and an adapter for each row (null: none) -> chunks
+  // [B, K, d].
   torch::Tensor Sample(const PolicyContext& context, const torch::Tensor& noise,
-                       const LoraWeights* lora) const;
+                       const std::vector<const LoraWeights*>& lora) const;
 
  private:
   struct Packed {  // weights [out, in] in panels, and the bias if there is one
@@ -46,6 +47,7 @@ class NanoSampler {
   void SampleRow(const PolicyContext& context, int64_t row, const Lora* lora, float* x) const;
 
   NanoConfig config_;
+  std::vector<LoraTarget> lora_targets_;
   std::vector<float> times_;
   std::vector<std::vector<float>> time_bias_;  // per step [expert_width]
   Packed state_, action_in_, time_in_, time_out_, action_out_;

@@ -10,6 +10,7 @@
 #include <numbers>
 #include <thread>
 
+#include "adapter/compensation.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "server/policies/nano_network.h"
@@ -26,12 +27,14 @@ std::unique_ptr<FlowPolicy> TinyPolicy(uint64_t seed = 3) {
   return MakeNanoPolicy(TinyModel(seed), "tiny").value();
 }
 
-LoraWeights SomeLora(const VelocityField& field, double b_scale) {
+LoraWeights SomeLora(const VelocityField& field, double b_scale,
+                     LoraKind kind = LoraKind::kPerHead) {
   torch::manual_seed(8);
   LoraWeights lora;
   for (const LoraTarget& target : field.lora_targets()) {
-    lora.A.push_back(torch::randn({4, target.in_features}) * 0.1);
-    lora.B.push_back(torch::randn({target.out_features, 4}) * b_scale);
+    const LoraShape shape = LoraShapeOf(target, kind, 4);
+    lora.A.push_back(torch::randn(shape.A) * 0.1);
+    lora.B.push_back(torch::randn(shape.B) * b_scale);
   }
   return lora;
 }
@@ -257,6 +260,15 @@ TEST(NanoLora, CoversSevenProjectionsOfEveryExpertLayer) {
   EXPECT_EQ(targets[20].out_features, 16);
 }
 
+TEST(NanoLora, HasTheCountsOfBothKinds) {
+  const std::vector<LoraTarget> targets = NanoLoraTargets(NanoConfig());
+  // q and o: 4 heads of 32 in and out of 128; k and v; gate and up; down: rank 4, four layers.
+  EXPECT_EQ(NumLoraParameters(targets, LoraKind::kPerHead, 4),
+            4 * 4 * (2 * 4 * (128 + 32) + 2 * (128 + 32) + 3 * (128 + 384)));
+  EXPECT_EQ(NumLoraParameters(targets, LoraKind::kPerMatrix, 4),
+            4 * 4 * (2 * (128 + 128) + 2 * (128 + 32) + 3 * (128 + 384)));
+}
+
 TEST(NanoLora, HasNoEffectAtAllWhileBIsZero) {
   const auto policy = TinyPolicy();
   const PolicyContext context = policy->Encode(TinyObservation(policy->spec())).value();
@@ -266,10 +278,14 @@ TEST(NanoLora, HasNoEffectAtAllWhileBIsZero) {
       torch::equal(policy->Sample(context, noise, &lora), policy->Sample(context, noise, nullptr)));
 }
 
-TEST(NanoLora, EveryTargetActsAsItsMergedWeight) {
+class NanoLoraKinds : public testing::TestWithParam<LoraKind> {};
+INSTANTIATE_TEST_SUITE_P(Kinds, NanoLoraKinds,
+                         testing::Values(LoraKind::kPerHead, LoraKind::kPerMatrix));
+
+TEST_P(NanoLoraKinds, EveryTargetActsAsItsMergedWeight) {
   NanoModel model = TinyModel();
   const auto policy = MakeNanoPolicy(TinyModel(), "tiny").value();
-  const LoraWeights lora = SomeLora(*policy, 0.1);
+  const LoraWeights lora = SomeLora(*policy, 0.1, GetParam());
   const auto table = NanoTensorTable(model.config);
   const std::map<std::string, std::vector<size_t>> parts = {
       {"qkv_proj", {0, 1, 2}}, {"o_proj", {3}}, {"gate_up_proj", {4, 5}}, {"down_proj", {6}}};
@@ -280,7 +296,9 @@ TEST(NanoLora, EveryTargetActsAsItsMergedWeight) {
           continue;
         std::vector<Tensor> deltas;
         for (const size_t target : targets) {
-          deltas.push_back(torch::matmul(lora.B[layer * 7 + target], lora.A[layer * 7 + target]));
+          const size_t at = layer * 7 + target;
+          const MatrixPair pair = AsMatrices(policy->lora_targets()[at], lora.A[at], lora.B[at]);
+          deltas.push_back(torch::matmul(pair.B, pair.A));
         }
         model.tensors[i] = model.tensors[i] + torch::cat(deltas);
       }
@@ -292,6 +310,99 @@ TEST(NanoLora, EveryTargetActsAsItsMergedWeight) {
   const Tensor with = policy->Velocity(context, x, u, &lora);
   EXPECT_TRUE(torch::allclose(with, merged->Velocity(context, x, u, nullptr), 1e-4, 1e-4));
   EXPECT_FALSE(torch::allclose(with, policy->Velocity(context, x, u, nullptr), 1e-3, 1e-3));
+}
+
+// Expert weights with the adapter added, differentiable in it.
+NanoParameters Merged(const NanoConfig& config, NanoParameters p, const LoraWeights& lora) {
+  const std::vector<LoraTarget> targets = NanoLoraTargets(config);
+  const auto product = [&](int layer, int target) {
+    const size_t at = layer * 7 + target;
+    const MatrixPair pair = AsMatrices(targets[at], lora.A[at], lora.B[at]);
+    return torch::matmul(pair.B, pair.A);
+  };
+  for (int i = 0; i < config.layers; ++i) {
+    NanoLayer& layer = p.expert[i];
+    layer.qkv_proj = layer.qkv_proj + torch::cat({product(i, 0), product(i, 1), product(i, 2)});
+    layer.o_proj = layer.o_proj + product(i, 3);
+    layer.gate_up_proj = layer.gate_up_proj + torch::cat({product(i, 4), product(i, 5)});
+    layer.down_proj = layer.down_proj + product(i, 6);
+  }
+  return p;
+}
+
+TEST_P(NanoLoraKinds, LossAndGradientsOnStoredPrefixesAreThoseOfTheFullComputation) {
+  const NanoModel model = TinyModel(5);
+  const NanoConfig& config = model.config;
+  const NanoParameters parameters = AssembleNano(config, model.tensors);
+  const NanoNetwork network(config, parameters);
+  const auto policy = MakeNanoPolicy(TinyModel(5), "tiny").value();
+  torch::manual_seed(4);
+  std::vector<JointInput> inputs;
+  std::vector<PolicyContext> stored;
+  std::vector<Tensor> targets;
+  for (int i = 0; i < 4; ++i) {
+    Tensor words = torch::zeros({9}, torch::kInt64);
+    words.narrow(0, 0, 2 + i).fill_(2 + i);
+    inputs.push_back({{torch::randn({1, 3, 16, 16}), torch::randn({1, 3, 16, 16})},
+                      words,
+                      torch::randn({8}),
+                      {},
+                      0});
+    torch::NoGradGuard no_grad;
+    stored.push_back(network.EncodePrefix(inputs[i].images, words.unsqueeze(0), false).context);
+    stored[i].state = inputs[i].state.unsqueeze(0);
+    targets.push_back(torch::randn({config.horizon, config.model_action_dim}));
+  }
+  const LoraWeights phi_0 =
+      InitialLora(policy->lora_targets(), GetParam(), 4, 0.05, StreamKey("phi_0"));
+  std::vector<Tensor> leaves;
+  for (const Tensor& tensor : Parameters(SomeLora(*policy, 0.1, GetParam())))
+    leaves.push_back(tensor.requires_grad_());
+  const LoraWeights phi = FromParameters(leaves, 1);
+  const FlowDraw draw = DrawFlow(StreamKey("draw"), 0, config.horizon, config.model_action_dim);
+
+  const Tensor loss =
+      CompensationLoss(*policy, StackContexts({&stored[0], &stored[1], &stored[2], &stored[3]}),
+                       torch::stack(targets), draw, phi, phi_0, 1e-2);
+  const NanoParameters merged = Merged(config, parameters, phi);
+  Tensor full = torch::zeros({});
+  for (int i = 0; i < 4; ++i) {
+    inputs[i].x = draw.u * draw.eps + (1 - draw.u) * targets[i];
+    inputs[i].u = static_cast<double>(static_cast<float>(draw.u));
+    const Tensor v = JointVelocity(config, merged, inputs[i]);
+    full = full + (v - (draw.eps - targets[i])).square().mean() / 4;
+  }
+  for (size_t i = 0; i < leaves.size(); ++i)
+    full = full + 1e-2 * (leaves[i] - Parameters(phi_0)[i]).square().sum();
+  EXPECT_NEAR(loss.item<double>(), full.item<double>(), 1e-5 * full.item<double>());
+  const std::vector<Tensor> got = torch::autograd::grad({loss}, leaves),
+                            expected = torch::autograd::grad({full}, leaves);
+  for (size_t i = 0; i < leaves.size(); ++i) {
+    const double largest = expected[i].abs().max().item<double>();
+    EXPECT_GT(largest, 1e-5);
+    EXPECT_LT((got[i] - expected[i]).abs().max().item<double>(), 1e-4 * largest + 1e-7) << i;
+  }
+}
+
+TEST(NanoLora, RowsWithTheirOwnAdaptersHaveTheBitsOfBatchesOfOne) {
+  const auto policy = TinyPolicy();
+  const LoraWeights a = SomeLora(*policy, 0.1), b = SomeLora(*policy, 0.2, LoraKind::kPerMatrix);
+  const std::vector<const LoraWeights*> lora = {&a, nullptr, &b, &a};
+  std::vector<PolicyContext> contexts;
+  std::vector<const PolicyContext*> pointers;
+  for (int i = 0; i < 4; ++i)  // the last two rows share a prefix
+    contexts.push_back(policy->Encode(TinyObservation(policy->spec(), std::min(i, 2))).value());
+  for (const PolicyContext& context : contexts) pointers.push_back(&context);
+  const PolicyContext batch = StackContexts(pointers);
+  const Tensor noise = torch::randn({4, 10, 8});
+  const Tensor chunks = policy->SampleRows(batch, noise, lora);
+  const Tensor by_default = policy->FlowPolicy::SampleRows(batch, noise, lora);
+  for (int i = 0; i < 4; ++i) {
+    const Tensor alone = policy->Sample(contexts[i], noise.narrow(0, i, 1), lora[i]);
+    EXPECT_TRUE(torch::equal(chunks[i], alone[0])) << i;
+    EXPECT_TRUE(torch::equal(by_default[i], alone[0])) << i;
+  }
+  EXPECT_FALSE(torch::allclose(chunks[2], chunks[3], 1e-2, 1e-2));
 }
 
 TEST(NanoLora, VelocityIsDifferentiableInTheAdapterAndInNothingElse) {

@@ -168,7 +168,7 @@ TEST_P(OpenpiPolicyTest, PredictsWhatTheNetworkGivesForOpenpisInputs) {
   EXPECT_LT(MaxDifference(chunk, expected), 2e-5);
   EXPECT_LT(MaxDifference(context->state, inputs.state), 1e-6);
 
-  const Eigen::MatrixXf actions = policy->ToEnvironment(chunk[0], *context);
+  const Eigen::MatrixXf actions = policy->ToEnvironment(chunk[0], context->state);
   ASSERT_EQ(actions.rows(), 7);
   ASSERT_EQ(actions.cols(), 7);
   for (int i = 0; i < 7; ++i) {
@@ -181,7 +181,7 @@ TEST_P(OpenpiPolicyTest, PredictsWhatTheNetworkGivesForOpenpisInputs) {
       EXPECT_NEAR(actions(i, j), x + state, 2e-6) << i << " " << j;
     }
   }
-  const Tensor back = policy->ToModel(actions, *context);
+  const Tensor back = policy->ToModel(actions, context->state);
   EXPECT_LT(MaxDifference(back, chunk[0].narrow(1, 0, 7)), 1e-5);
 }
 
@@ -249,7 +249,7 @@ TEST_P(OpenpiPolicyTest, PiperHasAbsoluteJointsOfSixDeltasAndAGripper) {
   const auto plain = Load({"delta=false"});
   const Tensor chunk = at::randn({7, 10}, at::detail::createCPUGenerator(3));
   Eigen::MatrixXf difference =
-      policy->ToEnvironment(chunk, *context) - plain->ToEnvironment(chunk, *context);
+      policy->ToEnvironment(chunk, context->state) - plain->ToEnvironment(chunk, context->state);
   EXPECT_LT((difference.leftCols(6).rowwise() - observation.proprioception.head(6).transpose())
                 .cwiseAbs()
                 .maxCoeff(),

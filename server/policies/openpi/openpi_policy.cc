@@ -95,12 +95,12 @@ class OpenpiPolicy : public FlowPolicy {
     return IntegrateEuler(Adapted(lora), Prefix(context), noise, steps).xs.back();
   }
 
-  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const PolicyContext& context) const override {
-    return preprocessor_->ToEnvironment(chunk, context.state);
+  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor& state) const override {
+    return preprocessor_->ToEnvironment(chunk, state);
   }
 
-  Tensor ToModel(const Eigen::MatrixXf& actions, const PolicyContext& context) const override {
-    return preprocessor_->ToModel(actions, context.state);
+  Tensor ToModel(const Eigen::MatrixXf& actions, const Tensor& state) const override {
+    return preprocessor_->ToModel(actions, state);
   }
 
  private:
