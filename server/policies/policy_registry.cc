@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
+#include "common/embedded_policies.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "server/policies/nano_policy.h"
@@ -32,10 +33,10 @@ bool IsCheckpointPath(const std::string& path) {
 }  // namespace
 
 std::string WeightsPath(const std::string& name_or_path) {
-  if (name_or_path != "nano") return name_or_path;
+  if (!IsEmbeddedPolicy(name_or_path)) return name_or_path;
   const char* directory = std::getenv("ROBOSTRESS_WEIGHTS_DIR");
-  return absl::StrCat(directory != nullptr ? directory : ROBOSTRESS_SOURCE_WEIGHTS_DIR,
-                      "/nano.safetensors");
+  return absl::StrCat(directory != nullptr ? directory : ROBOSTRESS_SOURCE_WEIGHTS_DIR, "/",
+                      name_or_path, ".safetensors");
 }
 
 bool IsNanoFile(const std::string& path) {
@@ -47,9 +48,9 @@ bool IsNanoFile(const std::string& path) {
   return format != file->metadata().end() && format->second == kNanoFormat;
 }
 
-// One line per policy, served under the name it was asked for: "nano" is the embedded file,
-// "nano:random" has random weights (tests, timing), and a path is a nano file or a checkpoint of
-// pi0 or pi0.5.
+// One line per policy, served under the name it was asked for: kEmbeddedPolicies are files of
+// the source, "nano:random" has random weights (tests, timing), and a path is a nano file or a
+// checkpoint of pi0 or pi0.5.
 absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
     const std::string& name_or_path, const std::vector<std::string>& options) {
   const bool random = name_or_path == "nano:random";
@@ -62,12 +63,13 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
     if (random) return MakeNanoPolicy(RandomNanoModel(NanoConfig(), 1), "random", name_or_path);
     return LoadNano(name_or_path);
   }
-  if (name_or_path == "nano") return LoadNano(name_or_path);  // whose error says what is wrong
+  if (IsEmbeddedPolicy(name_or_path))
+    return LoadNano(name_or_path);  // whose error says what is wrong
   if (IsCheckpointPath(name_or_path)) return openpi::LoadOpenpiPolicy(name_or_path, options);
-  return absl::NotFoundError(
-      absl::StrCat("policy '", name_or_path,
-                   "' is unknown; use nano, nano:random, a path that ends in .safetensors, or the "
-                   "folder of a pi0 or pi0.5 checkpoint"));
+  return absl::NotFoundError(absl::StrCat("policy '", name_or_path, "' is unknown; use ",
+                                          absl::StrJoin(kEmbeddedPolicies, ", "),
+                                          ", nano:random, a path that ends in .safetensors, or the "
+                                          "folder of a pi0 or pi0.5 checkpoint"));
 }
 
 }  // namespace robostress
