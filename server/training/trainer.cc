@@ -42,8 +42,8 @@ struct Losses {
 
 Losses ComputeLosses(const NanoNetwork& network, const DemoBatch& batch, const FlowDraw& draw,
                      const Tensor& step_weights) {
-  NanoNetwork::Prefix prefix = network.EncodePrefix(batch.images, batch.words, /*with_aux=*/true);
-  prefix.context.state = batch.state;
+  NanoNetwork::Prefix prefix =
+      network.EncodePrefix(batch.images, batch.words, batch.state, /*with_aux=*/true);
   const int64_t draws = draw.t.size(0) / batch.state.size(0);
   const Tensor actions = batch.actions.repeat_interleave(draws, 0);
   const Tensor t = draw.t.view({-1, 1, 1});
@@ -218,8 +218,8 @@ absl::StatusOr<Evaluation> Trainer::Evaluate() const {
       sum.losses.flow += losses.flow.item<double>() * rows;
       sum.losses.aux += losses.aux.item<double>() * rows;
 
-      NanoNetwork::Prefix prefix = network.EncodePrefix(batch.images, batch.words, true);
-      prefix.context.state = batch.state;
+      NanoNetwork::Prefix prefix =
+          network.EncodePrefix(batch.images, batch.words, batch.state, true);
       Tensor x = DrawFlow(rows, 1, config, 91 + first).noise;
       for (const float t : EulerTimes(10)) {
         x.add_(network.Velocity(prefix.context, x, torch::full({rows}, t), nullptr), -0.1);
