@@ -56,9 +56,7 @@ class NanoPolicy : public FlowPolicy {
           model_.vocabulary.Encode(observation.instruction, model_.config.max_words));
       RS_ASSIGN_OR_RETURN(Tensor state, EncodeState(observation.proprioception));
       const Tensor rows = torch::tensor(words, torch::kInt64).unsqueeze(0);
-      PolicyContext context = network_.EncodePrefix(images, rows, /*with_aux=*/false).context;
-      context.state = state;
-      return context;
+      return network_.EncodePrefix(images, rows, state, /*with_aux=*/false).context;
     } catch (
         const std::exception& error) {  // LibTorch reports out of memory and the like by throwing
       return absl::InternalError(absl::StrCat("nano: encoding failed: ", error.what()));

@@ -211,8 +211,8 @@ TEST_F(Training, WorstCaseStaysInTheBallAndRaisesTheLoss) {
   const Scene scene = MakeScene(options, 6);
   const NanoNetwork network(scene.model.config,
                             AssembleNano(scene.model.config, scene.model.tensors));
-  NanoNetwork::Prefix prefix = network.EncodePrefix(scene.batch.images, scene.batch.words, false);
-  prefix.context.state = scene.batch.state;
+  const NanoNetwork::Prefix prefix =
+      network.EncodePrefix(scene.batch.images, scene.batch.words, scene.batch.state, false);
   const FlowDraw draw = DrawFlow(6, 2, scene.model.config, 3);
   const torch::Tensor weights = torch::ones({50, 1});
   const double clean =
@@ -238,8 +238,8 @@ TEST_F(Training, GradientInTheActionsIsThatOfFiniteDifferences) {
   const Scene scene = MakeScene(SmallOptions(Path("toy"), ""), 2);
   const NanoNetwork network(scene.model.config,
                             AssembleNano(scene.model.config, scene.model.tensors));
-  NanoNetwork::Prefix prefix = network.EncodePrefix(scene.batch.images, scene.batch.words, false);
-  prefix.context.state = scene.batch.state;
+  const NanoNetwork::Prefix prefix =
+      network.EncodePrefix(scene.batch.images, scene.batch.words, scene.batch.state, false);
   const FlowDraw draw = DrawFlow(2, 2, scene.model.config, 3);
   const torch::Tensor weights = torch::ones({50, 1});
   const auto loss = [&](const torch::Tensor& actions) {
