@@ -66,10 +66,12 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
   if (IsEmbeddedPolicy(name_or_path))
     return LoadNano(name_or_path);  // whose error says what is wrong
   if (IsCheckpointPath(name_or_path)) return openpi::LoadOpenpiPolicy(name_or_path, options);
-  return absl::NotFoundError(absl::StrCat("policy '", name_or_path, "' is unknown; use ",
-                                          absl::StrJoin(kEmbeddedPolicies, ", "),
-                                          ", nano:random, a path that ends in .safetensors, or the "
-                                          "folder of a pi0 or pi0.5 checkpoint"));
+  return absl::NotFoundError(absl::StrCat(
+      "policy '", name_or_path, "' is unknown; use ",
+      absl::StrJoin(kEmbeddedPolicies, ", ",
+                    [](std::string* out, std::string_view name) { out->append(name); }),
+      ", nano:random, a path that ends in .safetensors, or the "
+      "folder of a pi0 or pi0.5 checkpoint"));
 }
 
 }  // namespace robostress

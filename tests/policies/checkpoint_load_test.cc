@@ -80,10 +80,10 @@ TEST(Load, Bf16KeepsOpenpisSelectionInFloat32) {
   const std::vector<std::string> bf16 = {p + "language_model.embed_tokens.weight",
                                          p + "language_model.layers.2.mlp.down_proj.weight",
                                          e + "layers.2.self_attn.q_proj.weight"};
-  const TensorMap stored = Tensors(path, {.precision = Precision::kAsStored});
+  const TensorMap stored = Tensors(path, {.precision = WeightPrecision::kAsStored});
   for (const bool float32_vision : {false, true}) {
     const TensorMap tensors =
-        Tensors(path, {.precision = Precision::kBf16, .float32_vision = float32_vision});
+        Tensors(path, {.precision = WeightPrecision::kBf16, .float32_vision = float32_vision});
     for (const auto& name : float32) EXPECT_EQ(tensors.at(name).dtype(), torch::kFloat32) << name;
     for (const auto& name : bf16) EXPECT_EQ(tensors.at(name).dtype(), torch::kBFloat16) << name;
     for (const auto& name : vision)
@@ -99,7 +99,7 @@ TEST(Load, StoredPrecisionIsViewedWhereItLiesAndOutlivesTheCheckpoint) {
   {
     const auto checkpoint = OpenCheckpoint(path.string());
     ASSERT_TRUE(checkpoint.ok()) << checkpoint.status();
-    const auto model = LoadCheckpoint(*checkpoint, {.precision = Precision::kAsStored});
+    const auto model = LoadCheckpoint(*checkpoint, {.precision = WeightPrecision::kAsStored});
     ASSERT_TRUE(model.ok()) << model.status();
     tensors = WeightTensors(*model);
     for (const auto& [name, tensor] : tensors)
@@ -119,7 +119,8 @@ TEST(Load, HalfPrecisionFilesAreWidened) {
         DType::kF16, half.sizes().vec(),
         std::string(static_cast<const char*>(half.data_ptr()), half.nbytes())};
   });
-  for (const auto precision : {Precision::kAsStored, Precision::kBf16, Precision::kFloat32}) {
+  for (const auto precision :
+       {WeightPrecision::kAsStored, WeightPrecision::kBf16, WeightPrecision::kFloat32}) {
     const torch::Tensor loaded = Tensors(path, {.precision = precision}).at("state_proj.weight");
     EXPECT_EQ(loaded.dtype(), torch::kFloat32);
     EXPECT_TRUE(at::equal(
@@ -145,9 +146,10 @@ void Misalign(const fs::path& file) {
 TEST(Load, UnalignedTensorsAreCopied) {
   for (const DType dtype : {DType::kF32, DType::kBF16}) {
     const fs::path path = Generate("unaligned", {.dtype = dtype});
-    const TensorMap aligned = Tensors(path, {.precision = Precision::kAsStored});
+    const TensorMap aligned = Tensors(path, {.precision = WeightPrecision::kAsStored});
     Misalign(path / "model.safetensors");
-    for (const auto precision : {Precision::kAsStored, Precision::kBf16, Precision::kFloat32}) {
+    for (const auto precision :
+         {WeightPrecision::kAsStored, WeightPrecision::kBf16, WeightPrecision::kFloat32}) {
       for (const auto& [name, tensor] : Tensors(path, {.precision = precision})) {
         EXPECT_EQ(reinterpret_cast<uintptr_t>(tensor.data_ptr()) % tensor.element_size(), 0u);
         EXPECT_TRUE(at::equal(tensor, aligned.at(name).to(tensor.dtype()))) << name;
@@ -159,7 +161,7 @@ TEST(Load, UnalignedTensorsAreCopied) {
 TEST(Load, ValuesThatAreNotFiniteAreNamedInEveryPrecision) {
   const fs::path path =
       Generate("infinite", {.dtype = DType::kF32, .layout = CheckpointLayout::kLerobot});
-  const auto with = [&](float value, Precision precision) {
+  const auto with = [&](float value, WeightPrecision precision) {
     Edit(path / "model.safetensors", [&](RawFile& raw) {
       auto& bytes = raw.tensors
                         .at("model.paligemma_with_expert.paligemma.model.language_model.layers.0."
@@ -169,15 +171,17 @@ TEST(Load, ValuesThatAreNotFiniteAreNamedInEveryPrecision) {
     });
     return ErrorOf(path, {.precision = precision});
   };
-  for (const auto precision : {Precision::kAsStored, Precision::kBf16, Precision::kFloat32}) {
+  for (const auto precision :
+       {WeightPrecision::kAsStored, WeightPrecision::kBf16, WeightPrecision::kFloat32}) {
     EXPECT_THAT(with(-INFINITY, precision),
                 AllOf(HasSubstr("model.safetensors: tensor 'model.paligemma_with_expert"),
                       HasSubstr("up_proj.weight"), HasSubstr("holds -inf at index 1234")));
     EXPECT_THAT(with(NAN, precision), HasSubstr("holds nan at index 1234"));
     EXPECT_EQ(with(0, precision), "(loaded)");
   }
-  EXPECT_EQ(with(3.4e38f, Precision::kFloat32), "(loaded)");
-  EXPECT_THAT(with(3.4e38f, Precision::kBf16), HasSubstr("holds 3.4e+38 at index 1234 as BF16"));
+  EXPECT_EQ(with(3.4e38f, WeightPrecision::kFloat32), "(loaded)");
+  EXPECT_THAT(with(3.4e38f, WeightPrecision::kBf16),
+              HasSubstr("holds 3.4e+38 at index 1234 as BF16"));
 }
 
 TEST(FiniteScan, FindsTheFirstInEveryTypeAtEveryPlace) {
@@ -231,9 +235,9 @@ TEST(Load, MixedPrecisionComputesWhatFloat32DoesToRounding) {
     ASSERT_TRUE(wide.ok()) << wide.status();
     const torch::Tensor reference = Actions(*wide, inputs);
     for (const LoadOptions& options :
-         {LoadOptions{.precision = Precision::kBf16},
-          LoadOptions{.precision = Precision::kBf16, .float32_vision = true},
-          LoadOptions{.precision = Precision::kAsStored}}) {
+         {LoadOptions{.precision = WeightPrecision::kBf16},
+          LoadOptions{.precision = WeightPrecision::kBf16, .float32_vision = true},
+          LoadOptions{.precision = WeightPrecision::kAsStored}}) {
       const auto model = Load(path, options);
       ASSERT_TRUE(model.ok()) << model.status();
       const torch::Tensor actions = Actions(*model, inputs);
@@ -285,11 +289,11 @@ TEST(Load, HoldsOneCopyAtMost) {
   if (Memory("VmHWM") == 0) GTEST_SKIP() << "no /proc/self/status on this system";
   constexpr double kSlack = 24 << 20;  // blocks in flight
   uint64_t bytes = 0;
-  const double viewed = PeakOf(DType::kBF16, {.precision = Precision::kBf16}, bytes);
+  const double viewed = PeakOf(DType::kBF16, {.precision = WeightPrecision::kBf16}, bytes);
   EXPECT_LT(viewed, 1.1 * bytes + kSlack);
-  const double narrowed = PeakOf(DType::kF32, {.precision = Precision::kBf16}, bytes);
+  const double narrowed = PeakOf(DType::kF32, {.precision = WeightPrecision::kBf16}, bytes);
   EXPECT_LT(narrowed, 0.55 * bytes + kSlack);  // without giving pages back: 1.5
-  const double widened = PeakOf(DType::kBF16, {.precision = Precision::kFloat32}, bytes);
+  const double widened = PeakOf(DType::kBF16, {.precision = WeightPrecision::kFloat32}, bytes);
   EXPECT_LT(widened, 2.1 * bytes + kSlack);  // without: 3
 }
 

@@ -27,11 +27,11 @@ c10::ScalarType TypeOf(DType dtype) {
 
 DType WantedType(const std::string& name, DType stored, const LoadOptions& options) {
   switch (options.precision) {
-    case Precision::kAsStored:
+    case WeightPrecision::kAsStored:
       return stored == DType::kF16 ? DType::kF32 : stored;
-    case Precision::kBf16:
+    case WeightPrecision::kBf16:
       return StaysFloat32(name, options) ? DType::kF32 : DType::kBF16;
-    case Precision::kFloat32:
+    case WeightPrecision::kFloat32:
       return DType::kF32;
   }
   return DType::kF32;
@@ -161,10 +161,10 @@ absl::Status CheckTied(const Checkpoint& checkpoint) {
 
 }  // namespace
 
-absl::StatusOr<Precision> ParsePrecision(const std::string& name) {
-  if (name == "as_stored") return Precision::kAsStored;
-  if (name == "bf16") return Precision::kBf16;
-  if (name == "float32") return Precision::kFloat32;
+absl::StatusOr<WeightPrecision> ParsePrecision(const std::string& name) {
+  if (name == "as_stored") return WeightPrecision::kAsStored;
+  if (name == "bf16") return WeightPrecision::kBf16;
+  if (name == "float32") return WeightPrecision::kFloat32;
   return absl::InvalidArgumentError(
       absl::StrCat("precision '", name, "' is not known, must be as_stored, bf16 or float32"));
 }

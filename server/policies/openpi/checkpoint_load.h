@@ -9,15 +9,16 @@
 namespace robostress::openpi {
 
 // Precision of the tensors that a network computes with.
-enum class Precision {
+enum class WeightPrecision {
   kAsStored,  // F16 becomes float32, which every operator of a CPU has
   kBf16,      // bfloat16 but for what StaysFloat32 names
   kFloat32,
 };
-absl::StatusOr<Precision> ParsePrecision(const std::string& name);  // as_stored, bf16, float32
+absl::StatusOr<WeightPrecision> ParsePrecision(
+    const std::string& name);  // as_stored, bf16, float32
 
 struct LoadOptions {
-  Precision precision = Precision::kFloat32;
+  WeightPrecision precision = WeightPrecision::kFloat32;
   bool float32_vision = false;  // with kBf16: encoder and projector in float32, as LeRobot does
 };
 
