@@ -15,6 +15,7 @@
 #include "adapter/lora.h"
 #include "common/image_resize.h"
 #include "common/rpc/policy_client.h"
+#include "server/policies/openpi/images.h"
 #include "server/policies/openpi/tensor_io.h"
 #include "tests/adapter/toy_arm.h"
 #include "tests/oracle_file.h"
@@ -261,14 +262,18 @@ TEST_P(OpenpiPolicyTest, ListsAllProblemsBeforeItTakesMemory) {
   std::filesystem::remove(folder_ / "tokenizer.model");
   FieldStats bad = TinyStats(8, 0);
   bad.std.resize(5), bad.mean.resize(5), bad.q01.resize(5), bad.q99.resize(5);
-  WriteText(folder_ / kTinyAsset,
-            absl::StrCat("{\"norm_stats\": {\"state\": ", StatsJson(bad), "}}"));
-  EXPECT_THAT(
-      LoadError({"execute_steps=9"}),
-      AllOf(HasSubstr("4 problems"), HasSubstr("norm_stats.json: 'state'"),
-            HasSubstr("has 5 numbers, must have at least 8"),
-            HasSubstr("no statistics of 'actions'"), HasSubstr("no SentencePiece tokenizer"),
-            HasSubstr("execute_steps is 9, a chunk has 7")));
+  WriteText(folder_ / kTinyAsset, absl::StrCat("{\"norm_stats\": {\"state\": ", StatsJson(bad),
+                                               ", \"actions\": ", StatsJson(bad), "}}"));
+  EXPECT_THAT(LoadError({"execute_steps=9"}),
+              AllOf(HasSubstr("4 problems"), HasSubstr("norm_stats.json: 'state'"),
+                    HasSubstr("has 5 numbers, must have at least 8"),
+                    HasSubstr("has 5 numbers, must have at least 7"),
+                    HasSubstr("no SentencePiece tokenizer"),
+                    HasSubstr("execute_steps is 9, a chunk has 7")));
+  const std::string half = (folder_ / "half.json").string();
+  WriteText(half, absl::StrCat("{\"norm_stats\": {\"state\": ", StatsJson(TinyStats(8, 0)), "}}"));
+  EXPECT_THAT(LoadError({"norm_stats=" + half}),
+              AllOf(HasSubstr(half), HasSubstr("no statistics of 'actions'")));
   // Wrong statistics are refused by the one that reads them.
   WriteText(folder_ / kTinyAsset, "{\"norm_stats\": {\"state\": 3}}");
   EXPECT_THAT(LoadError({absl::StrCat("tokenizer=", kTinyTokenizer)}),

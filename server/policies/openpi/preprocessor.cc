@@ -10,6 +10,7 @@
 #include "absl/strings/str_join.h"
 #include "common/check.h"
 #include "common/status_macros.h"
+#include "server/policies/openpi/images.h"
 
 namespace robostress::openpi {
 namespace {
