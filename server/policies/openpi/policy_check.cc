@@ -195,10 +195,10 @@ absl::StatusOr<std::vector<QuantityResult>> CompareAll(const SafetensorsFile& fi
 
 // The part of a check that may meet LibTorch's exceptions.
 absl::StatusOr<CheckReport> Check(const CheckOptions& options) {
-  RS_ASSIGN_OR_RETURN(const Checkpoint weights, OpenCheckpoint(options.weights));
   RS_ASSIGN_OR_RETURN(const SafetensorsFile io, SafetensorsFile::Open(options.io));
-  const OpenpiConfig& config = weights.config;
   RS_RETURN_IF_ERROR(CheckFolders(io, {"inputs/", kExpected}));
+  RS_ASSIGN_OR_RETURN(const Checkpoint weights, OpenCheckpoint(options.weights));
+  const OpenpiConfig& config = weights.config;
   RS_RETURN_IF_ERROR(CheckMadeFor(io, weights));
   RS_ASSIGN_OR_RETURN(OpenpiModel model, LoadCheckpoint(weights));
   RS_ASSIGN_OR_RETURN(const std::optional<SafetensorsFile> apart, OpenInputs(options, io));
