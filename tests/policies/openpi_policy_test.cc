@@ -123,7 +123,8 @@ TEST_P(OpenpiPolicyTest, SaysWhatItWants) {
   EXPECT_TRUE(spec.adaptable);
   EXPECT_EQ(policy->model_action_dim(), 10);
   EXPECT_EQ(policy->lora_targets().size(), 7u * 3);
-  EXPECT_EQ(policy->lora_targets()[7 + 6].name, "layers.1.down_proj");
+  EXPECT_EQ(policy->lora_targets()[7 + 6].name,
+            "paligemma_with_expert.gemma_expert.model.layers.1.mlp.down_proj");
   EXPECT_EQ(policy->lora_targets()[7 + 6].in_features, 24);
   EXPECT_EQ(policy->lora_targets()[7 + 6].out_features, 16);
   // Whatever changes the actions changes the hash.
@@ -201,7 +202,8 @@ TEST_P(OpenpiPolicyTest, LoraWithoutBHasNoEffectAndTrainsThroughTheVelocity) {
   const auto policy = Load();
   const PolicyContext context = policy->Encode(LiberoObservation(15)).value();
   const Tensor noise = at::randn({1, 7, 10}, at::detail::createCPUGenerator(2));
-  LoraWeights lora = InitialLora(policy->lora_targets(), 4, 0.01, StreamKey("test"));
+  LoraWeights lora =
+      InitialLora(policy->lora_targets(), LoraKind::kPerHead, 4, 0.01, StreamKey("test"));
   EXPECT_TRUE(
       torch::equal(policy->Sample(context, noise, &lora), policy->Sample(context, noise, nullptr)));
   for (const Tensor& parameter : Parameters(lora)) parameter.requires_grad_(true);
