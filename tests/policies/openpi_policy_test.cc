@@ -15,6 +15,7 @@
 #include "adapter/lora.h"
 #include "common/image_resize.h"
 #include "common/rpc/policy_client.h"
+#include "server/policies/openpi/checkpoint_generator.h"
 #include "server/policies/openpi/images.h"
 #include "server/policies/openpi/tensor_io.h"
 #include "tests/adapter/toy_arm.h"
@@ -82,8 +83,46 @@ TEST(OpenpiImages, EqualTheOracles) {
   EXPECT_EQ(compared, 14);
 }
 
-// ------------------------------------------------------------------------- before and after,
-// served
+// ------------------------------------------------------------------------------------------ setup
+
+TEST(PolicySetup, FollowsWhoWroteTheCheckpoint) {
+  for (const auto layout : {CheckpointLayout::kOpenpi, CheckpointLayout::kLerobot}) {
+    for (const bool pi05 : {false, true}) {
+      const auto folder = std::filesystem::path(::testing::TempDir()) / "setup_of_layout";
+      std::filesystem::remove_all(folder);
+      const absl::Status made =
+          GenerateCheckpoint({.pi05 = pi05, .layout = layout, .out = folder.string()});
+      ASSERT_TRUE(made.ok()) << made;
+      PolicyOptions options;
+      options.tokenizer = kTinyTokenizer;
+      const auto checkpoint = OpenCheckpoint(folder.string(), NetworkOptions(options));
+      ASSERT_TRUE(checkpoint.ok()) << checkpoint.status();
+      const SetupResult resolved = ResolveSetup(*checkpoint, options);
+      const PolicySetup& setup = resolved.setup;
+      ASSERT_THAT(resolved.problems, ::testing::IsEmpty());
+      const bool lerobot = layout == CheckpointLayout::kLerobot;
+      EXPECT_EQ(setup.robot.name, "plain");
+      EXPECT_EQ(setup.robot.state_dim, 8);
+      EXPECT_EQ(setup.robot.action_dim, 7);
+      EXPECT_EQ(setup.convention, lerobot ? NormConvention::kLerobot : NormConvention::kOpenpi);
+      EXPECT_EQ(setup.state.kind(), pi05 ? NormKind::kQuantile : NormKind::kZScore);
+      EXPECT_EQ(setup.actions.kind(), setup.state.kind());
+      EXPECT_EQ(setup.resize, lerobot ? ResizeFilter::kInterpolate : ResizeFilter::kPillow);
+      EXPECT_EQ(setup.prompt, pi05 ? PromptFormat::kTextAndState : PromptFormat::kText);
+      EXPECT_EQ(setup.prompt_has_padded_state, lerobot);
+      EXPECT_EQ(setup.prompt_tokens, pi05 ? 200 : 48);
+      EXPECT_FALSE(setup.delta);
+      // libero: a delta too many in openpi's pi0, none in LeRobot's; no state in pi05's prompt.
+      options.transform = "libero";
+      const PolicySetup libero = ResolveSetup(*checkpoint, options).setup;
+      EXPECT_EQ(libero.delta, !lerobot && !pi05);
+      EXPECT_EQ(libero.prompt, pi05 && lerobot ? PromptFormat::kTextAndState : PromptFormat::kText);
+      std::filesystem::remove_all(folder);
+    }
+  }
+}
+
+// ------------------------------------------------------------------------- before and after
 
 class OpenpiPolicyTest : public ::testing::TestWithParam<bool> {
  protected:
@@ -123,7 +162,8 @@ TEST_P(OpenpiPolicyTest, SaysWhatItWants) {
   EXPECT_TRUE(spec.adaptable);
   EXPECT_EQ(policy->model_action_dim(), 10);
   EXPECT_EQ(policy->lora_targets().size(), 7u * 3);
-  EXPECT_EQ(policy->lora_targets()[7 + 6].name, "layers.1.down_proj");
+  EXPECT_EQ(policy->lora_targets()[7 + 6].name,
+            "paligemma_with_expert.gemma_expert.model.layers.1.mlp.down_proj");
   EXPECT_EQ(policy->lora_targets()[7 + 6].in_features, 24);
   EXPECT_EQ(policy->lora_targets()[7 + 6].out_features, 16);
   // Whatever changes the actions changes the hash.
@@ -201,7 +241,8 @@ TEST_P(OpenpiPolicyTest, LoraWithoutBHasNoEffectAndTrainsThroughTheVelocity) {
   const auto policy = Load();
   const PolicyContext context = policy->Encode(LiberoObservation(15)).value();
   const Tensor noise = at::randn({1, 7, 10}, at::detail::createCPUGenerator(2));
-  LoraWeights lora = InitialLora(policy->lora_targets(), 4, 0.01, StreamKey("test"));
+  LoraWeights lora =
+      InitialLora(policy->lora_targets(), LoraKind::kPerHead, 4, 0.01, StreamKey("test"));
   EXPECT_TRUE(
       torch::equal(policy->Sample(context, noise, &lora), policy->Sample(context, noise, nullptr)));
   for (const Tensor& parameter : Parameters(lora)) parameter.requires_grad_(true);

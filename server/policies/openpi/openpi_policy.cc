@@ -4,39 +4,16 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/check.h"
 #include "common/config.h"
 #include "common/status_macros.h"
 #include "server/policies/openpi/checkpoint_load.h"
+#include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/problem_list.h"
 
 namespace robostress::openpi {
 namespace {
 
 using torch::Tensor;
-
-// One adaptable layer of the expert and the name of its target.
-struct Adaptable {
-  std::string name;
-  Linear* linear;
-};
-
-// In the order of lora_targets().
-std::vector<Adaptable> AdaptableLayers(GemmaStack& expert) {
-  std::vector<Adaptable> layers;
-  for (size_t i = 0; i < expert.layers.size(); ++i) {
-    GemmaLayer& layer = expert.layers[i];
-    const std::string prefix = absl::StrCat("layers.", i, ".");
-    for (const auto& [name, linear] :
-         {std::pair("q_proj", &layer.q), std::pair("k_proj", &layer.k),
-          std::pair("v_proj", &layer.v), std::pair("o_proj", &layer.o),
-          std::pair("gate_proj", &layer.gate), std::pair("up_proj", &layer.up),
-          std::pair("down_proj", &layer.down)}) {
-      layers.push_back({prefix + name, linear});
-    }
-  }
-  return layers;
-}
 
 class OpenpiPolicy : public FlowPolicy {
  public:
@@ -55,9 +32,7 @@ class OpenpiPolicy : public FlowPolicy {
     spec_.horizon = static_cast<int>(model_.config.horizon);
     spec_.execute_steps = static_cast<int>(setup.execute_steps);
     spec_.adaptable = true;
-    for (const Adaptable& layer : AdaptableLayers(model_.weights.expert)) {
-      targets_.push_back({layer.name, layer.linear->weight.size(1), layer.linear->weight.size(0)});
-    }
+    targets_ = ExpertLoraTargets(model_.config);
   }
 
   const PolicySpec& spec() const override { return spec_; }
@@ -114,15 +89,7 @@ class OpenpiPolicy : public FlowPolicy {
 
   // The model with an adapter beside the expert's layers; tensors are shared.
   OpenpiModel Adapted(const LoraWeights* lora) const {
-    OpenpiModel model = model_;
-    if (lora == nullptr) return model;
-    const std::vector<Adaptable> layers = AdaptableLayers(model.weights.expert);
-    RS_CHECK(lora->A.size() == layers.size() && lora->B.size() == layers.size());
-    for (size_t i = 0; i < layers.size(); ++i) {
-      layers[i].linear->lora_A = lora->A[i];
-      layers[i].linear->lora_B = lora->B[i];
-    }
-    return model;
+    return lora == nullptr ? model_ : WithLora(model_, *lora);
   }
 
   OpenpiModel model_;

@@ -11,8 +11,7 @@
 
 namespace robostress::openpi {
 
-// pi0 or pi0.5 as a policy. LoRA targets: q, k, v, o, gate, up, down of each layer of the action
-// expert, named "layers.I.q_proj" ...
+// pi0 or pi0.5 as a policy. LoRA targets: ExpertLoraTargets (openpi_lora.h).
 std::unique_ptr<FlowPolicy> MakeOpenpiPolicy(OpenpiModel model,
                                              std::unique_ptr<const Preprocessor> preprocessor,
                                              const std::string& name,
