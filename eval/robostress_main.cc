@@ -9,6 +9,7 @@
 
 #include "common/program_folder.h"
 #include "eval/build_info.h"
+#include "eval/process.h"
 
 namespace {
 
