@@ -153,7 +153,8 @@ TEST(FullSize, WhatNoFileSaysMustBeStatedAndIsNotContradicted) {
   EXPECT_EQ(checkpoint->config.horizon, 10);
   EXPECT_THAT(checkpoint->notes, Contains(HasSubstr("prompt_tokens 200")));
   WriteText(folder / "config.json", R"({"action_horizon": 50})");
-  EXPECT_THAT(ErrorOf(folder, {.horizon = 10}), HasSubstr("horizon"));
+  EXPECT_THAT(ErrorOf(folder, {.horizon = 10}),
+              HasSubstr("the stated horizon is 10, the checkpoint has 50"));
 }
 
 TEST(FullSize, AMissingLastLayerIsMissing) {

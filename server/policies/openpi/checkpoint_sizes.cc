@@ -142,13 +142,13 @@ void DeriveInputs(const SizeSources& sources, OpenpiConfig& c, std::vector<std::
                                                 {"action_out_proj.weight", "", 0},
                                                 {"action_out_proj.bias", "", 0}});
   if (c.action_dim == 0) c.action_dim = declared.action_dim.value_or(32);
-  c.horizon = options.horizon.value_or(declared.horizon.value_or(0));
+  c.horizon = declared.horizon.value_or(options.horizon.value_or(0));
   if (c.horizon == 0) {
     problems.push_back(
         "horizon: no tensor shows it and no config.json says action_horizon or chunk_size; state "
         "it (openpi: 50 for base models, 10 for LIBERO's)");
   }
-  c.prompt_tokens = options.prompt_tokens.value_or(declared.prompt_tokens.value_or(0));
+  c.prompt_tokens = declared.prompt_tokens.value_or(options.prompt_tokens.value_or(0));
   if (c.prompt_tokens == 0) {
     c.prompt_tokens = c.pi05 ? kPi05PromptTokens : kPi0PromptTokens;
     notes.push_back(absl::StrCat("prompt_tokens ", c.prompt_tokens, ", openpi's for ", c.name(),
