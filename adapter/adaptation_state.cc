@@ -213,7 +213,7 @@ absl::StatusOr<AdaptationState> ReadWithoutBuffer(const SafetensorsFile& file,
   RS_ASSIGN_OR_RETURN(state.method, Text(file, "method"));
   RS_ASSIGN_OR_RETURN(state.session, Text(file, "session"));
   RS_ASSIGN_OR_RETURN(state.lora_kind, ReadLoraKind(file));
-  if (state.model_hash != model_hash) {
+  if (!model_hash.empty() && state.model_hash != model_hash) {
     return absl::InvalidArgumentError(absl::StrCat(
         name, ": the adapter belongs to weights ", state.model_hash, "; this policy has ",
         model_hash, "; an adapter is of use only with the weights it was learned on"));

@@ -39,7 +39,8 @@ absl::StatusOr<AdaptationState> ParseAdaptationState(const std::string& name, st
                                                      const VelocityField& field,
                                                      const std::string& model_hash);
 
-// All but the buffer, for programs that have the policy's layers and not its network.
+// All but the buffer, for programs that have the policy's layers and not its network. An empty
+// `model_hash` is not compared.
 absl::StatusOr<AdaptationState> ParseAdapter(const std::string& name, std::string bytes,
                                              const std::vector<LoraTarget>& targets,
                                              const std::string& model_hash);

@@ -12,6 +12,7 @@
 #include "common/status_macros.h"
 #include "server/policies/nano_network.h"
 #include "server/policies/nano_weights.h"
+#include "server/policies/openpi/checkpoint.h"
 #include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/tensor_io.h"
 
@@ -56,15 +57,16 @@ absl::StatusOr<AdapterBase> OpenAdapterBase(const std::string& path) {
   if (IsNano(file)) {
     RS_ASSIGN_OR_RETURN(const NanoModel model, LoadNanoModel(path));
     base.module_root = "expert.";
+    RS_ASSIGN_OR_RETURN(base.model_hash, Sha256OfFile(path));
     base.targets = NanoLoraTargets(model.config);
     for (const LoraTarget& target : base.targets)
       base.weights.push_back(NanoRows(model.config, target.name));
   } else {
-    RS_ASSIGN_OR_RETURN(const openpi::OpenpiConfig config, openpi::OpenpiConfigOf(file));
-    base.targets = openpi::ExpertLoraTargets(config);
-    for (const LoraTarget& target : base.targets) base.weights.push_back({target.name + ".weight"});
+    RS_ASSIGN_OR_RETURN(const openpi::Checkpoint checkpoint, openpi::OpenCheckpoint(path));
+    base.targets = openpi::ExpertLoraTargets(checkpoint.config);
+    for (const LoraTarget& target : base.targets)
+      base.weights.push_back({checkpoint.tensors.at(target.name + ".weight").stored_name});
   }
-  RS_ASSIGN_OR_RETURN(base.model_hash, Sha256OfFile(path));
   return base;
 }
 

@@ -15,10 +15,11 @@ struct WeightRows {
   int64_t first_row = 0;
 };
 
-// A weights file as what adapters sit on: nano's, or one with openpi's tensor names.
+// A weights file as what adapters sit on: nano's, or a checkpoint of pi0 or pi0.5 of one file.
 struct AdapterBase {
   std::string path;
-  std::string model_hash;           // SHA-256 of the file
+  std::string model_hash;           // of nano: SHA-256 of the file; else empty, since tokenizer,
+                                    // statistics and options are part of a served policy's hash
   std::vector<LoraTarget> targets;  // in the order of LoraWeights
   std::vector<WeightRows> weights;  // of each target
   std::string module_root;          // before a target's name in PEFT's modules

@@ -107,8 +107,15 @@ absl::Status Export(const std::string& adapter, const std::string& weights,
 // A state that a session continues from: the imported adapter as version 1, anchored at the same A
 // with B = 0, the unadapted policy, which is also version 0 for a roll-back; nothing buffered.
 absl::Status Import(const std::string& folder, const std::string& weights, LoraKind kind,
-                    const std::string& policy, const std::string& method, const std::string& out) {
+                    const std::string& policy, const std::string& method,
+                    const std::string& model_hash, const std::string& out) {
   RS_ASSIGN_OR_RETURN(const AdapterBase base, OpenAdapterBase(weights));
+  if (base.model_hash.empty() && model_hash.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        weights,
+        ": what a policy of pi0 computes depends on its tokenizer and statistics too; give "
+        "--model-hash as `robostress serve` prints it"));
+  }
   PeftFiles files;
   RS_ASSIGN_OR_RETURN(files.safetensors, ReadFile(absl::StrCat(folder, "/", kPeftTensors)));
   RS_ASSIGN_OR_RETURN(files.config_json, ReadFile(absl::StrCat(folder, "/", kPeftConfig)));
@@ -121,7 +128,7 @@ absl::Status Import(const std::string& folder, const std::string& weights, LoraK
     state.lora.phi_0.B.push_back(torch::zeros_like(B));
   state.lora.adam = InitialAdamState(Parameters(state.lora.phi));
   state.policy = policy;
-  state.model_hash = base.model_hash;
+  state.model_hash = model_hash.empty() ? base.model_hash : model_hash;
   state.method = method;
   state.lora_kind = kind;
   state.session = absl::StrCat("imported from ", folder);
@@ -162,6 +169,8 @@ AdapterCommand::AdapterCommand(CLI::App& app)
       ->capture_default_str();
   import_->add_option("--method", method_, "method of the sessions that take it")
       ->capture_default_str();
+  import_->add_option("--model-hash", model_hash_,
+                      "hash of the served policy (default: of nano's weights)");
   export_->add_option("--out", out_, "folder to write")->required();
   for (CLI::App* sub : {import_, merge_})
     sub->add_option("--out", out_, "file to write")->required();
@@ -176,8 +185,9 @@ int AdapterCommand::Run() const {
     const LoraKind kind = kind_ == "per_head" ? LoraKind::kPerHead : LoraKind::kPerMatrix;
     status = show_->parsed()     ? Show(adapter_, json_)
              : export_->parsed() ? Export(adapter_, weights_, out_)
-             : import_->parsed() ? Import(peft_, weights_, kind, policy_, method_, out_)
-                                 : Merge(adapter_, weights_, out_);
+             : import_->parsed()
+                 ? Import(peft_, weights_, kind, policy_, method_, model_hash_, out_)
+                 : Merge(adapter_, weights_, out_);
   } catch (const std::exception& error) {  // LibTorch: out of memory and the like
     status = absl::InternalError(error.what());
   }

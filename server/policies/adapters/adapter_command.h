@@ -20,7 +20,7 @@ class AdapterCommand {
  private:
   CLI::App *command_, *show_, *export_, *import_, *merge_;
   std::string adapter_, weights_, peft_, out_;
-  std::string kind_ = "per_matrix", policy_ = "nano", method_ = "ours";
+  std::string kind_ = "per_matrix", policy_ = "nano", method_ = "ours", model_hash_;
   bool json_ = false;
 };
 
