@@ -24,7 +24,7 @@ std::string Temp(const std::string& name) {
   return (std::filesystem::path(testing::TempDir()) / ("adapter_command_test_" + name)).string();
 }
 
-std::pair<std::string, int> Run(const std::string& arguments) {
+std::pair<std::string, int> RunAdapter(const std::string& arguments) {
   return RunProgram(POLICY_PROGRAM, "adapter " + arguments);
 }
 
@@ -74,7 +74,7 @@ INSTANTIATE_TEST_SUITE_P(Kinds, AdapterCommandTest,
                          ::testing::Values(LoraKind::kPerHead, LoraKind::kPerMatrix));
 
 TEST_P(AdapterCommandTest, ShowsWhatAFileHolds) {
-  const auto [output, code] = Run("show --json " + adapter_);
+  const auto [output, code] = RunAdapter("show --json " + adapter_);
   ASSERT_EQ(code, 0) << output;
   const auto facts = nlohmann::json::parse(output);
   const LoraWeights phi = ReadPhi(adapter_, base_);
@@ -91,11 +91,11 @@ TEST_P(AdapterCommandTest, ShowsWhatAFileHolds) {
 TEST_P(AdapterCommandTest, ExportedAndImportedItIsTheSameAdapter) {
   const std::string folder = Temp("peft"), back = Temp("back.safetensors");
   const auto [exported, export_code] =
-      Run("export --adapter " + adapter_ + " --weights " + nano_ + " --out " + folder);
+      RunAdapter("export --adapter " + adapter_ + " --weights " + nano_ + " --out " + folder);
   ASSERT_EQ(export_code, 0) << exported;
   const auto [imported, import_code] =
-      Run("import --peft " + folder + " --weights " + nano_ + " --lora " +
-          LoraKindName(GetParam()) + " --out " + back);
+      RunAdapter("import --peft " + folder + " --weights " + nano_ + " --lora " +
+                 LoraKindName(GetParam()) + " --out " + back);
   ASSERT_EQ(import_code, 0) << imported;
   const LoraWeights before = ReadPhi(adapter_, base_), after = ReadPhi(back, base_);
   for (size_t i = 0; i < before.A.size(); ++i) {
@@ -108,7 +108,7 @@ TEST_P(AdapterCommandTest, ExportedAndImportedItIsTheSameAdapter) {
 TEST_P(AdapterCommandTest, MergedNanoPredictsWhatTheAdaptedOneDoes) {
   const std::string merged = Temp("merged.safetensors");
   const auto [output, code] =
-      Run("merge --adapter " + adapter_ + " --weights " + nano_ + " --out " + merged);
+      RunAdapter("merge --adapter " + adapter_ + " --weights " + nano_ + " --out " + merged);
   ASSERT_EQ(code, 0) << output;
   const auto base = LoadFlowPolicy(nano_).value(), sum = LoadFlowPolicy(merged).value();
   const PolicyContext context = base->Encode(TinyObservation(base->spec())).value();
@@ -131,7 +131,7 @@ TEST_P(AdapterCommandTest, MergedOpenpiHasTheVelocityOfTheAdaptedOne) {
   const std::string adapter = WriteAdapter("openpi_adapter.safetensors", *base, GetParam());
   const std::string out = Temp("openpi_merged.safetensors");
   const auto [output, code] =
-      Run("merge --adapter " + adapter + " --weights " + weights + " --out " + out);
+      RunAdapter("merge --adapter " + adapter + " --weights " + weights + " --out " + out);
   ASSERT_EQ(code, 0) << output;
   const auto merged = openpi::LoadOpenpiModel(out);
   ASSERT_TRUE(merged.ok()) << merged.status();
@@ -149,16 +149,18 @@ TEST_P(AdapterCommandTest, RefusesOtherWeightsForeignFilesAndBadUsage) {
   const std::string other = Temp("other.safetensors");
   ASSERT_TRUE(SaveNanoModel(TinyModel(4), other).ok());
   const auto [wrong, wrong_code] =
-      Run("merge --adapter " + adapter_ + " --weights " + other + " --out " + Temp("never"));
+      RunAdapter("merge --adapter " + adapter_ + " --weights " + other + " --out " + Temp("never"));
   EXPECT_EQ(wrong_code, 2);
   EXPECT_THAT(wrong, HasSubstr("the adapter belongs to weights"));
   EXPECT_FALSE(std::filesystem::exists(Temp("never")));
-  const auto [foreign, foreign_code] = Run("show " + nano_);
+  const auto [foreign, foreign_code] = RunAdapter("show " + nano_);
   EXPECT_EQ(foreign_code, 2);
   EXPECT_THAT(foreign, AllOf(HasSubstr(nano_), HasSubstr("format is 'robostress-nano'")));
-  EXPECT_EQ(Run("show /nowhere").second, 2);
-  EXPECT_EQ(Run("merge --adapter x").second, 2);
-  EXPECT_EQ(Run("import --peft /nowhere --weights " + nano_ + " --out " + Temp("never")).second, 2);
+  EXPECT_EQ(RunAdapter("show /nowhere").second, 2);
+  EXPECT_EQ(RunAdapter("merge --adapter x").second, 2);
+  EXPECT_EQ(
+      RunAdapter("import --peft /nowhere --weights " + nano_ + " --out " + Temp("never")).second,
+      2);
 }
 
 }  // namespace
