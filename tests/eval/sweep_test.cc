@@ -81,7 +81,7 @@ TEST_F(SweepProgram, CompletesWhatIsMissing) {
 TEST_F(SweepProgram, FailedUnitIsReportedWithItsLogAndTheOthersGoOn) {
   EXPECT_EQ(Sweep(Small("run"), "FAKE_FAIL_SCENARIO=heavy_payload"), 1);
   EXPECT_THAT(output(), HasSubstr("exit code 3"));
-  EXPECT_THAT(output(), HasSubstr("2/4 units (2 failed)  12/12 episodes"));
+  EXPECT_THAT(output(), HasSubstr("2/4 units (2 failed)  12/24 episodes"));
   EXPECT_THAT(output(), HasSubstr("no simulator for scenario heavy_payload"));
   EXPECT_THAT(output(), HasSubstr("FAILED tabletop_goal-heavy_payload-L5-nano-ours-s0"));
   const std::string table = *ReadFile(folder_ + "/run/episodes.csv");

@@ -9,6 +9,7 @@
 #include "common/atomic_file.h"
 #include "nlohmann/json.hpp"
 #include "server/policies/adapters/adapter_base.h"
+#include "server/policies/openpi/checkpoint_load.h"
 #include "server/policies/openpi/openpi_lora.h"
 #include "tests/policies/tiny_nano.h"
 #include "tests/policies/tiny_openpi.h"
@@ -133,7 +134,9 @@ TEST_P(AdapterCommandTest, MergedOpenpiHasTheVelocityOfTheAdaptedOne) {
   const auto [output, code] =
       RunAdapter("merge --adapter " + adapter + " --weights " + weights + " --out " + out);
   ASSERT_EQ(code, 0) << output;
-  const auto merged = openpi::LoadOpenpiModel(out);
+  const auto checkpoint = openpi::OpenCheckpoint(out);
+  ASSERT_TRUE(checkpoint.ok()) << checkpoint.status();
+  const auto merged = openpi::LoadCheckpoint(*checkpoint);
   ASSERT_TRUE(merged.ok()) << merged.status();
   const openpi::OracleInputs in = openpi::RandomInputs(config, 2, 2, true, 3);
   const auto velocity = [&](const openpi::OpenpiModel& m) {
