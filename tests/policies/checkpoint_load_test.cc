@@ -140,7 +140,9 @@ void Misalign(const fs::path& file) {
   bytes.insert(8 + size, " ");
   ++size;
   std::memcpy(bytes.data(), &size, 8);
-  std::ofstream(file, std::ios::binary) << bytes;
+  const fs::path whole = file.string() + ".new";  // in place, mapped tensors would change too
+  std::ofstream(whole, std::ios::binary) << bytes;
+  fs::rename(whole, file);
 }
 
 TEST(Load, UnalignedTensorsAreCopied) {
