@@ -30,4 +30,5 @@ endif()
 
 if(ROBOSTRESS_TORCH)
   find_package(Torch REQUIRED)
+  pkg_check_modules(SENTENCEPIECE REQUIRED IMPORTED_TARGET sentencepiece)
 endif()

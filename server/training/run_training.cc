@@ -2,6 +2,7 @@
 #include <cstdio>
 #include <ctime>
 #include <filesystem>
+#include <map>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -31,6 +32,37 @@ struct OutputFiles {
   std::string config, log, checkpoint, weights, evaluation, converted, done;
 };
 
+// Takes over what `model` shares with the weights in `file`: words, normalisation, tensors of equal
+// name and shape.
+absl::Status Graft(const std::string& file, NanoModel& model) {
+  RS_ASSIGN_OR_RETURN(const NanoModel donor, LoadNanoModel(file));
+  const NanoConfig &have = donor.config, &want = model.config;
+  if (have.state_dim != want.state_dim || have.action_dim != want.action_dim ||
+      have.aux_dim != want.aux_dim || have.vocabulary_rows != want.vocabulary_rows) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(file,
+                     ": state_dim, action_dim, aux_dim or vocabulary_rows differ from the "
+                     "network's; graft weights of the same robot and words"));
+  }
+  std::map<std::string, size_t> place;
+  const std::vector<NanoTensorInfo> donated = NanoTensorTable(have);
+  for (size_t i = 0; i < donated.size(); ++i) place[donated[i].name] = i;
+  const std::vector<NanoTensorInfo> table = NanoTensorTable(want);
+  size_t taken = 0;
+  for (size_t i = 0; i < table.size(); ++i) {
+    const auto found = place.find(table[i].name);
+    if (found == place.end() || donated[found->second].shape != table[i].shape) continue;
+    model.tensors[i] = donor.tensors[found->second];
+    ++taken;
+  }
+  model.vocabulary = donor.vocabulary;
+  model.state = donor.state;
+  model.actions = donor.actions;
+  model.aux = donor.aux;
+  absl::PrintF("%d of %d tensors are those of %s\n", taken, table.size(), file);
+  return absl::OkStatus();
+}
+
 // The model that training starts from, with words and normalisation of the data (or of `weights`
 // where given).
 absl::StatusOr<NanoModel> StartModel(const TrainOptions& options, const std::string& weights,
@@ -39,6 +71,7 @@ absl::StatusOr<NanoModel> StartModel(const TrainOptions& options, const std::str
   if (weights.empty()) {
     model = RandomNanoModel(options.network, options.seed);
     demonstrations.MeasureNormalisation(model);
+    if (!options.graft.empty()) RS_RETURN_IF_ERROR(Graft(options.graft, model));
   } else {
     RS_ASSIGN_OR_RETURN(model, LoadNanoModel(weights));
   }

@@ -16,6 +16,11 @@ absl::Status ValidateTrainOptions(const TrainOptions& options) {
         "training: no data; give --data DIR, a folder that robostress-record has written");
   }
   if (options.out.empty()) return absl::InvalidArgumentError("training: no output; give --out DIR");
+  if (!options.init.empty() && !options.graft.empty()) {
+    return absl::InvalidArgumentError(
+        "training: init and graft are both given; init goes on with a network, graft begins "
+        "another");
+  }
   RS_RETURN_IF_ERROR(check("hdf5_stride", options.hdf5_stride, 1, 1000));
   RS_RETURN_IF_ERROR(check("steps", static_cast<double>(options.steps), 1, 1e9));
   RS_RETURN_IF_ERROR(check("batch", options.batch, 1, 65536));

@@ -20,6 +20,9 @@ struct TrainOptions {
   int hdf5_stride = 2;  // control steps between the frames taken from those
   std::string out;
   std::string init;  // weights to go on from; empty: random
+  // Weights of another architecture: words, normalisation and every tensor that `network` has too
+  // are taken over, the rest starts random. Not with init.
+  std::string graft;
   Objective objective = Objective::kBc;
   PgdOptions robust;      // with objective robust
   int64_t steps = 20000;  // optimizer steps of the whole run
@@ -55,6 +58,7 @@ struct TrainOptions {
     v.Field("hdf5_stride", hdf5_stride, "control steps between the frames taken from .hdf5 files");
     v.Field("out", out, "output directory");
     v.Field("init", init, "weights to go on from; empty: random");
+    v.Field("graft", graft, "weights of another architecture whose shared tensors are taken over");
     v.Choice(
         "objective", objective, {{"bc", Objective::kBc}, {"robust", Objective::kRobust}},
         "bc: behaviour cloning; robust: on the worst chunk near the demonstration (RobustVLA)");

@@ -36,9 +36,7 @@ Losses ComputeLosses(const NanoNetwork& network, const NanoNetwork::Prefix& pref
 }
 
 NanoNetwork::Prefix EncodeBatch(const NanoNetwork& network, const DemoBatch& batch) {
-  NanoNetwork::Prefix prefix = network.EncodePrefix(batch.images, batch.words, /*with_aux=*/true);
-  prefix.context.state = batch.state;
-  return prefix;
+  return network.EncodePrefix(batch.images, batch.words, batch.state, /*with_aux=*/true);
 }
 
 // Keys and values as they are stored: no gradient goes through them.

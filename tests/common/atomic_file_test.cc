@@ -1,5 +1,7 @@
 #include "common/atomic_file.h"
 
+#include <unistd.h>
+
 #include <filesystem>
 
 #include "gmock/gmock.h"
@@ -55,6 +57,16 @@ TEST_F(AtomicFile, AppendedLinesFollowEachOther) {
 
 TEST(Sha256, MatchesTheStandardsExample) {
   EXPECT_EQ(Sha256Hex("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+TEST(ReadFileUpTo, RefusesLargeFilesFoldersAndPipesBeforeItReads) {
+  const std::string path = ::testing::TempDir() + "read_up_to." + std::to_string(::getpid());
+  ASSERT_TRUE(WriteFileAtomically(path, "12345").ok());
+  EXPECT_EQ(*ReadFileUpTo(path, 5), "12345");
+  EXPECT_THAT(ReadFileUpTo(path, 4).status().message(), ::testing::HasSubstr("has 5 bytes, the limit is 4"));
+  EXPECT_THAT(ReadFileUpTo("/dev/zero", 4).status().message(), ::testing::HasSubstr("not a regular file"));
+  EXPECT_EQ(ReadFileUpTo(path + ".absent", 4).status().code(), absl::StatusCode::kNotFound);
+  std::filesystem::remove(path);
 }
 
 }  // namespace

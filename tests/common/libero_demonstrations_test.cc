@@ -62,7 +62,7 @@ LiberoDemonstration MakeDemonstration(int64_t steps, bool ours = true) {
 
 std::string WriteFile(const std::string& name, bool ours = true) {
   const std::string path = TempPath(name);
-  std::filesystem::remove(path);
+  std::filesystem::remove(path);  // of an earlier run
   auto writer = LiberoDemonstrationWriter::Create(
       path, {"tabletop_goal", "turn_on_the_stove", "turn on the stove"});
   EXPECT_TRUE(writer.ok()) << writer.status();

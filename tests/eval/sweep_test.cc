@@ -81,7 +81,7 @@ TEST_F(SweepProgram, CompletesWhatIsMissing) {
 TEST_F(SweepProgram, FailedUnitIsReportedWithItsLogAndTheOthersGoOn) {
   EXPECT_EQ(Sweep(Small("run"), "FAKE_FAIL_SCENARIO=heavy_payload"), 1);
   EXPECT_THAT(output(), HasSubstr("exit code 3"));
-  EXPECT_THAT(output(), HasSubstr("2/4 units (2 failed)  12/12 episodes"));
+  EXPECT_THAT(output(), HasSubstr("2/4 units (2 failed)  12/24 episodes"));
   EXPECT_THAT(output(), HasSubstr("no simulator for scenario heavy_payload"));
   EXPECT_THAT(output(), HasSubstr("FAILED tabletop_goal-heavy_payload-L5-nano-ours-s0"));
   const std::string table = *ReadFile(folder_ + "/run/episodes.csv");
@@ -185,6 +185,17 @@ TEST(Dispatcher, RunsTheProgramAndListsWhatThereIs) {
   EXPECT_EQ(run("fly").first, 2);
   EXPECT_THAT(run("fly").second, HasSubstr("robostress-fly"));
   EXPECT_EQ(run("report " + folder).first, 1);
+}
+
+TEST(Progress, UnitsThatFailedAreNotCountedAsDone) {
+  Progress progress(Progress::Output::kNone);
+  for (const std::string id : {"a", "b"}) {
+    progress.Expect(id, "absent.jsonl", 10);
+    progress.Start(id);
+    progress.Finish(id, /*failed=*/true);
+  }
+  EXPECT_THAT(progress.Line(), HasSubstr("0/2 units (2 failed)  0/20 episodes (0 %)"));
+  EXPECT_THAT(progress.Line(), HasSubstr("ETA 0:00"));
 }
 
 TEST(Progress, FormatsDurations) {

@@ -193,6 +193,40 @@ Scene MakeScene(const TrainOptions& options, int rows) {
   return scene;
 }
 
+TEST_F(Training, GraftsThePrefixOfOneArchitectureOnTheOther) {
+  const TrainOptions first = SmallOptions(Path("toy"), Path("graft_from"));
+  ASSERT_TRUE(RunTraining(first, false).ok());
+  TrainOptions options = SmallOptions(Path("toy"), Path("graft_to"));
+  options.graft = Path("graft_from") + "/nano.safetensors";
+  options.network.architecture = NanoArchitecture::kPi05;
+  options.lr = options.final_lr = 0;  // what is published is where it began
+  absl::Status status = RunTraining(options, false);
+  ASSERT_TRUE(status.ok()) << status;
+  const NanoModel donor = LoadNanoModel(options.graft).value();
+  const NanoModel grafted = LoadNanoModel(Path("graft_to") + "/nano.safetensors").value();
+  EXPECT_TRUE(grafted.config.pi05());
+  EXPECT_EQ(grafted.state.mean, donor.state.mean);
+  const NanoParameters a = AssembleNano(donor.config, donor.tensors),
+                       b = AssembleNano(grafted.config, grafted.tensors);
+  EXPECT_TRUE(torch::equal(a.words, b.words));
+  EXPECT_TRUE(torch::equal(a.cameras[1].conv_weight[2], b.cameras[1].conv_weight[2]));
+  EXPECT_TRUE(torch::equal(a.prefix[0].qkv_proj, b.prefix[0].qkv_proj));
+  EXPECT_TRUE(b.expert[0].input_norm.dense.defined());
+
+  options.out = Path("graft_learns");
+  options.lr = 3e-3;
+  ASSERT_TRUE(RunTraining(options, false).ok());
+  const auto policy = LoadFlowPolicy(Path("graft_learns") + "/nano.safetensors");
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  const auto log = ReadLog(Path("graft_learns"));
+  EXPECT_LT(log[log.size() - 2].at("flow").get<double>(), log[0].at("flow").get<double>());
+
+  options.out = Path("graft_both");
+  options.init = options.graft;
+  status = RunTraining(options, false);
+  EXPECT_THAT(std::string(status.message()), HasSubstr("init and graft are both given"));
+}
+
 TEST_F(Training, FlowTimesFollowOpenpisBeta) {
   const FlowDraw draw = DrawFlow(20000, 2, SmallOptions("", "").network, 5);
   const torch::Tensor t = draw.t.to(torch::kFloat64);
@@ -211,8 +245,8 @@ TEST_F(Training, WorstCaseStaysInTheBallAndRaisesTheLoss) {
   const Scene scene = MakeScene(options, 6);
   const NanoNetwork network(scene.model.config,
                             AssembleNano(scene.model.config, scene.model.tensors));
-  NanoNetwork::Prefix prefix = network.EncodePrefix(scene.batch.images, scene.batch.words, false);
-  prefix.context.state = scene.batch.state;
+  const NanoNetwork::Prefix prefix =
+      network.EncodePrefix(scene.batch.images, scene.batch.words, scene.batch.state, false);
   const FlowDraw draw = DrawFlow(6, 2, scene.model.config, 3);
   const torch::Tensor weights = torch::ones({50, 1});
   const double clean =
@@ -238,8 +272,8 @@ TEST_F(Training, GradientInTheActionsIsThatOfFiniteDifferences) {
   const Scene scene = MakeScene(SmallOptions(Path("toy"), ""), 2);
   const NanoNetwork network(scene.model.config,
                             AssembleNano(scene.model.config, scene.model.tensors));
-  NanoNetwork::Prefix prefix = network.EncodePrefix(scene.batch.images, scene.batch.words, false);
-  prefix.context.state = scene.batch.state;
+  const NanoNetwork::Prefix prefix =
+      network.EncodePrefix(scene.batch.images, scene.batch.words, scene.batch.state, false);
   const FlowDraw draw = DrawFlow(2, 2, scene.model.config, 3);
   const torch::Tensor weights = torch::ones({50, 1});
   const auto loss = [&](const torch::Tensor& actions) {

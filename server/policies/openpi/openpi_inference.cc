@@ -1,0 +1,239 @@
+#include "server/policies/openpi/openpi_inference.h"
+
+#include <torch/torch.h>
+
+#include <limits>
+#include <map>
+#include <mutex>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/status_macros.h"
+#include "server/policies/openpi/step_graph.h"
+
+namespace robostress::openpi {
+namespace {
+
+constexpr int64_t kJoinLimitBytes = 4 << 20;  // see Projection::Join
+constexpr int64_t kGraphSlots = 64;           // prefixes of a graph are multiples of this
+constexpr size_t kMaxGraphs = 16;
+
+std::string SizesText(const torch::Tensor& tensor) {
+  return tensor.defined() ? absl::StrCat("[", absl::StrJoin(tensor.sizes(), ", "), "]") : "absent";
+}
+
+absl::Status CheckSizes(const std::string& what, const torch::Tensor& tensor,
+                        torch::IntArrayRef sizes) {
+  if (tensor.defined() && tensor.sizes() == sizes) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(what, " is ", SizesText(tensor), ", must be [",
+                                                 absl::StrJoin(sizes, ", "), "]"));
+}
+
+absl::Status CheckInputs(const OpenpiConfig& c, const ModelInputs& in) {
+  if (!in.tokens.defined() || in.tokens.dim() != 2 || in.tokens.size(0) == 0 ||
+      in.tokens.scalar_type() != torch::kInt64) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("tokens are ", SizesText(in.tokens), ", must be [batch, n] int64"));
+  }
+  const int64_t batch = in.tokens.size(0);
+  RS_RETURN_IF_ERROR(CheckSizes("token_mask", in.token_mask, in.tokens.sizes()));
+  if (in.tokens.numel() > 0) {
+    const int64_t low = in.tokens.min().item<int64_t>(), high = in.tokens.max().item<int64_t>();
+    if (low < 0 || high >= c.vocab) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("tokens hold ", low < 0 ? low : high, ", must be in [0, ", c.vocab, ")"));
+    }
+  }
+  if (in.images.size() != in.image_masks.size()) {
+    return absl::InvalidArgumentError(absl::StrCat(in.images.size(), " images with ",
+                                                   in.image_masks.size(), " masks, must be equal"));
+  }
+  torch::Tensor valid = in.token_mask.sum(1);
+  for (size_t i = 0; i < in.images.size(); ++i) {
+    RS_RETURN_IF_ERROR(
+        CheckSizes(absl::StrCat("image ", i), in.images[i], {batch, 3, c.image, c.image}));
+    RS_RETURN_IF_ERROR(CheckSizes(absl::StrCat("image mask ", i), in.image_masks[i], {batch}));
+    valid = valid + in.image_masks[i].to(torch::kInt64);
+  }
+  if (valid.min().item<int64_t>() == 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("row ", valid.argmin().item<int64_t>(),
+                     " has neither a camera nor a prompt token; give one that its mask keeps"));
+  }
+  return c.pi05 ? absl::OkStatus() : CheckSizes("state", in.state, {batch, c.action_dim});
+}
+
+absl::Status CheckLora(const std::vector<LoraTarget>& targets, const LoraWeights& lora) {
+  if (lora.A.size() != targets.size() || lora.B.size() != targets.size()) {
+    return absl::InvalidArgumentError(absl::StrCat("the adapter has ", lora.A.size(), " A and ",
+                                                   lora.B.size(), " B, must have ", targets.size(),
+                                                   " of each"));
+  }
+  for (size_t i = 0; i < targets.size(); ++i) {
+    const int64_t rank = lora.A[i].dim() == 2 ? lora.A[i].size(0) : 1;
+    RS_RETURN_IF_ERROR(CheckSizes(absl::StrCat("A of ", targets[i].name), lora.A[i],
+                                  {rank, targets[i].in_features}));
+    RS_RETURN_IF_ERROR(CheckSizes(absl::StrCat("B of ", targets[i].name), lora.B[i],
+                                  {targets[i].out_features, rank}));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckContext(const OpenpiConfig& c, const PolicyContext& context,
+                          const torch::Tensor& noise) {
+  if (!noise.defined() || noise.dim() != 3 || noise.size(0) == 0) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "noise is ", SizesText(noise), ", must be [batch, ", c.horizon, ", ", c.action_dim, "]"));
+  }
+  const int64_t batch = noise.size(0);
+  RS_RETURN_IF_ERROR(CheckSizes("noise", noise, {batch, c.horizon, c.action_dim}));
+  const int64_t prefix = context.prefix_mask.defined() ? context.prefix_mask.size(-1) : 0;
+  RS_RETURN_IF_ERROR(CheckSizes("the context's prefix mask", context.prefix_mask, {batch, prefix}));
+  if (!c.pi05)
+    RS_RETURN_IF_ERROR(CheckSizes("the context's state", context.state, {batch, c.action_dim}));
+  if (context.keys.size() != static_cast<size_t>(c.depth) ||
+      context.values.size() != context.keys.size()) {
+    return absl::InvalidArgumentError(absl::StrCat("the context has keys of ", context.keys.size(),
+                                                   " layers, the network has ", c.depth));
+  }
+  for (size_t i = 0; i < context.keys.size(); ++i) {
+    for (const torch::Tensor* tensor : {&context.keys[i], &context.values[i]}) {
+      RS_RETURN_IF_ERROR(CheckSizes(absl::StrCat("the context's keys or values of layer ", i),
+                                    *tensor, {batch, c.kv_heads, prefix, c.head_dim}));
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<torch::Device> FindDevice(const std::string& name) {
+  torch::Device device = torch::kCPU;
+  try {
+    device = torch::Device(name);
+  } catch (const std::exception&) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("device '", name, "' must be cpu, cuda or cuda:N"));
+  }
+  if (device.is_cpu()) return device;
+  const auto count = static_cast<int64_t>(torch::cuda::device_count());
+  if (device.is_cuda() && !device.has_index()) device.set_index(0);
+  if (!device.is_cuda() || device.index() >= count) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("device '", name, "' is not there: LibTorch sees ", count, " GPUs; use cpu"));
+  }
+  return device;
+}
+
+std::vector<LoraTarget> TargetsOf(const OpenpiConfig& c) {
+  const int64_t w = c.expert_width, q = c.heads * c.head_dim, kv = c.kv_heads * c.head_dim;
+  std::vector<LoraTarget> targets;
+  for (int64_t i = 0; i < c.depth; ++i) {
+    const std::string layer = absl::StrCat("layers.", i, ".");
+    targets.push_back({layer + "self_attn.q_proj", w, q});
+    targets.push_back({layer + "self_attn.k_proj", w, kv});
+    targets.push_back({layer + "self_attn.v_proj", w, kv});
+    targets.push_back({layer + "self_attn.o_proj", q, w});
+    targets.push_back({layer + "mlp.gate_proj", w, c.expert_mlp});
+    targets.push_back({layer + "mlp.up_proj", w, c.expert_mlp});
+    targets.push_back({layer + "mlp.down_proj", c.expert_mlp, w});
+  }
+  return targets;
+}
+
+}  // namespace
+
+// One prediction at a time uses a graph, whose buffers it owns.
+struct OpenpiInference::Graphs {
+  struct Entry {
+    StepBuffers buffers;
+    std::unique_ptr<StepGraph> graph;
+  };
+  std::mutex mutex;
+  std::map<StepShape, Entry> entries;
+};
+
+OpenpiInference::~OpenpiInference() = default;
+
+OpenpiInference::OpenpiInference(OpenpiModel model, const InferenceOptions& options,
+                                 const torch::Device& device)
+    : steps_(options.steps), lora_targets_(TargetsOf(model.config)) {
+  const bool bf16 = options.precision == Precision::kBf16;
+  const bool flows_bf16 = options.activations == InferenceOptions::Activations::kAutomatic
+                              ? MultipliesBf16(device)
+                              : options.activations == InferenceOptions::Activations::kBf16;
+  setup_.config = model.config;
+  setup_.device = device;
+  setup_.stored = bf16 ? torch::kBFloat16 : torch::kFloat32;
+  setup_.activations = bf16 && flows_bf16 ? torch::kBFloat16 : torch::kFloat32;
+  weights_ =
+      PrepareWeights(ConvertModel(std::move(model), {setup_.stored, setup_.activations}, device),
+                     EulerTimes(steps_), setup_.activations,
+                     device.is_cpu() ? kJoinLimitBytes : std::numeric_limits<int64_t>::max());
+  if (StepGraph::Available() && device.is_cuda()) graphs_ = std::make_unique<Graphs>();
+}
+
+absl::StatusOr<std::unique_ptr<OpenpiInference>> OpenpiInference::Create(
+    OpenpiModel model, const InferenceOptions& options) {
+  if (options.steps < 1 || options.steps > 1000) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("steps is ", options.steps, ", must be in [1, 1000]"));
+  }
+  RS_ASSIGN_OR_RETURN(const torch::Device device, FindDevice(options.device));
+  try {
+    const torch::NoGradGuard no_grad;
+    return std::unique_ptr<OpenpiInference>(new OpenpiInference(std::move(model), options, device));
+  } catch (const std::exception& error) {
+    return absl::InternalError(absl::StrCat("the network cannot be prepared: ", error.what()));
+  }
+}
+
+absl::StatusOr<PolicyContext> OpenpiInference::Encode(const ModelInputs& inputs) const {
+  try {
+    const torch::NoGradGuard no_grad;
+    RS_RETURN_IF_ERROR(CheckInputs(setup_.config, inputs));
+    return EncodePrefix(setup_, weights_, inputs);
+  } catch (
+      const std::exception& error) {  // LibTorch reports out of memory and the like by throwing
+    return absl::InternalError(absl::StrCat("encoding failed: ", error.what()));
+  }
+}
+
+absl::StatusOr<torch::Tensor> OpenpiInference::Sample(const PolicyContext& context,
+                                                      const torch::Tensor& noise,
+                                                      const LoraWeights* lora) const {
+  try {
+    const torch::NoGradGuard no_grad;
+    RS_RETURN_IF_ERROR(CheckContext(setup_.config, context, noise));
+    if (lora != nullptr) RS_RETURN_IF_ERROR(CheckLora(lora_targets_, *lora));
+    if (graphs_ != nullptr) return SampleByGraph(context, noise, lora);
+    StepBuffers buffers = AllocateSteps(
+        setup_, weights_, ShapeOfPrediction(context, lora, context.prefix_mask.size(1)));
+    FillSteps(setup_, weights_, context, noise, lora, buffers);
+    RunSteps(setup_, weights_, steps_, buffers);
+    return buffers.x.to(torch::kCPU);
+  } catch (const std::exception& error) {
+    return absl::InternalError(absl::StrCat("sampling failed: ", error.what()));
+  }
+}
+
+torch::Tensor OpenpiInference::SampleByGraph(const PolicyContext& context,
+                                             const torch::Tensor& noise,
+                                             const LoraWeights* lora) const {
+  const int64_t prefix =
+      (context.prefix_mask.size(1) + kGraphSlots - 1) / kGraphSlots * kGraphSlots;
+  const StepShape shape = ShapeOfPrediction(context, lora, prefix);
+  const std::lock_guard lock(graphs_->mutex);
+  auto found = graphs_->entries.find(shape);
+  if (found == graphs_->entries.end()) {
+    if (graphs_->entries.size() == kMaxGraphs) graphs_->entries.erase(graphs_->entries.begin());
+    found = graphs_->entries.try_emplace(shape).first;
+    StepBuffers& buffers = found->second.buffers;
+    buffers = AllocateSteps(setup_, weights_, shape);
+    found->second.graph = StepGraph::Record(setup_.device.index(),
+                                            [&] { RunSteps(setup_, weights_, steps_, buffers); });
+  }
+  FillSteps(setup_, weights_, context, noise, lora, found->second.buffers);
+  found->second.graph->Replay();
+  return found->second.buffers.x.to(torch::kCPU);
+}
+
+}  // namespace robostress::openpi

@@ -1,0 +1,104 @@
+#include "server/policies/openpi/projection.h"
+
+#include <torch/torch.h>
+
+#include <algorithm>
+
+#include "server/policies/fused_kernels.h"
+
+namespace robostress::openpi {
+namespace {
+
+constexpr int64_t kTileFloats = 1 << 19;  // 2 MiB: a tile is still in the cache when multiplied
+constexpr int64_t kTileRows = 128;        // fewer outputs per product would waste its packing
+
+// y = x W^T with W in bfloat16 and the rest in float32.
+void MultiplyWidened(const torch::Tensor& x, const torch::Tensor& weight, torch::Tensor y) {
+  const int64_t out = weight.size(0), in = weight.size(1);
+  const int64_t rows = std::min(out, std::max(kTileRows, kTileFloats / in));
+  const torch::Tensor tile = at::empty({rows, in}, x.options());
+  const auto* bits = reinterpret_cast<const uint16_t*>(weight.data_ptr<at::BFloat16>());
+  for (int64_t first = 0; first < out; first += rows) {
+    const int64_t count = std::min(rows, out - first);
+    at::parallel_for(0, count, 16, [&](int64_t begin, int64_t end) {
+      BestFusedKernels().widen_bf16(bits + (first + begin) * in, (end - begin) * in,
+                                    tile.data_ptr<float>() + begin * in);
+    });
+    torch::Tensor part = y.narrow(1, first, count);
+    at::mm_out(part, x, tile.narrow(0, 0, count).t());
+  }
+}
+
+// y = x W^T + b; x [rows, in], y [rows, out], possibly columns of a wider matrix.
+void Multiply(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias,
+              torch::Tensor y) {
+  if (weight.scalar_type() != x.scalar_type()) {
+    MultiplyWidened(x, weight, y);
+    if (bias.defined()) y.add_(bias);
+  } else if (x.scalar_type() != torch::kFloat32 && !y.is_contiguous()) {
+    y.copy_(at::linear(x, weight, bias));  // oneDNN's products do not write into columns
+  } else if (bias.defined()) {
+    at::addmm_out(y, bias, x, weight.t());
+  } else {
+    at::mm_out(y, x, weight.t());
+  }
+}
+
+// y += scale B (A x).
+void AddLowRank(const torch::Tensor& x, const torch::Tensor& A, const torch::Tensor& B,
+                double scale, torch::Tensor y) {
+  const torch::Tensor low_rank = at::mm(x, A.to(x.scalar_type()).t());  // [rows, rank]
+  y.addmm_(low_rank, B.to(x.scalar_type()).t(), 1, scale);
+}
+
+}  // namespace
+
+Projection Projection::Join(std::vector<Linear> parts, int64_t limit_bytes) {
+  Projection joined;
+  std::vector<torch::Tensor> weights, biases;
+  int64_t bytes = 0;
+  for (const Linear& part : parts) {
+    weights.push_back(part.weight);
+    if (part.bias.defined()) biases.push_back(part.bias);
+    bytes += static_cast<int64_t>(part.weight.nbytes());
+    joined.out += part.weight.size(0);
+  }
+  joined.in = weights.front().size(1);
+  if (parts.size() == 1) {
+    joined.weight = weights.front();
+    joined.bias = parts.front().bias;
+  } else if (bytes <= limit_bytes) {
+    joined.weight = at::cat(weights, 0);
+    if (!biases.empty()) joined.bias = at::cat(biases, 0);
+  }
+  joined.parts = std::move(parts);
+  int64_t first = 0;
+  for (Linear& part : joined.parts) {
+    const int64_t out = part.weight.size(0);
+    if (joined.weight.defined()) part.weight = joined.weight.narrow(0, first, out);
+    first += out;
+  }
+  return joined;
+}
+
+torch::Tensor Project(const Projection& projection, const torch::Tensor& x,
+                      const Adapter& adapter) {
+  const torch::Tensor rows = x.reshape({-1, projection.in});
+  const torch::Tensor y = at::empty({rows.size(0), projection.out}, rows.options());
+  if (projection.weight.defined()) Multiply(rows, projection.weight, projection.bias, y);
+  int64_t first = 0;
+  for (size_t i = 0; i < projection.parts.size(); ++i) {
+    const Linear& part = projection.parts[i];
+    const torch::Tensor columns = y.narrow(1, first, part.weight.size(0));
+    first += columns.size(1);
+    if (!projection.weight.defined()) Multiply(rows, part.weight, part.bias, columns);
+    if (part.lora_A.defined()) AddLowRank(rows, part.lora_A, part.lora_B, part.lora_scale, columns);
+    if (adapter.weights != nullptr) {
+      const size_t target = adapter.first + i;
+      AddLowRank(rows, adapter.weights->A[target], adapter.weights->B[target], 1, columns);
+    }
+  }
+  return y;
+}
+
+}  // namespace robostress::openpi

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <torch/types.h>
+
+#include <cstddef>
+#include <vector>
+
+#include "adapter/velocity_field.h"
+#include "server/policies/openpi/linear.h"
+
+namespace robostress::openpi {
+
+// Linear layers that read the same rows (q, k, v; gate, up). Their outputs lie side by side.
+struct Projection {
+  std::vector<Linear> parts;  // with the adapters that the network itself carries
+  torch::Tensor weight;       // all parts in one matrix [out, in]; undefined: multiplied singly
+  torch::Tensor bias;         // [out], of all parts
+  int64_t in = 0, out = 0;
+
+  // One product instead of several saves calls, which matters while the product is small, and costs
+  // a copy of the weights: parts are joined where that copy takes at most `limit_bytes`.
+  static Projection Join(std::vector<Linear> parts, int64_t limit_bytes);
+};
+
+// An adapter on parts 0, 1, ... of a projection: targets first, first + 1, ... of `weights`, which
+// may be null.
+struct Adapter {
+  const LoraWeights* weights = nullptr;
+  size_t first = 0;
+};
+
+// x [..., in] -> [rows, out] in x's dtype: W x + b, plus the network's own and the given adapter,
+// each beside W. The only place of inference that applies an adapter. Weights in bfloat16 under
+// float32 rows are widened tile by tile, so that the product runs at the speed of float32.
+torch::Tensor Project(const Projection& projection, const torch::Tensor& x, const Adapter& adapter);
+
+}  // namespace robostress::openpi

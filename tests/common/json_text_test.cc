@@ -1,0 +1,33 @@
+#include "common/json_text.h"
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+std::string ErrorOf(const std::string& text) {
+  const auto json = ParseJsonObject(text);
+  return json.ok() ? "" : std::string(json.status().message());
+}
+
+TEST(JsonText, ObjectsAreParsed) {
+  const auto json = ParseJsonObject(R"({"a": [1, {"b": "[[[[\"{"}], "c": {"b": 2}})");
+  ASSERT_TRUE(json.ok()) << json.status();
+  EXPECT_EQ((*json)["a"][1]["b"], "[[[[\"{");
+}
+
+TEST(JsonText, OtherTextRepeatedKeysAndDepthAreRefused) {
+  for (const char* text : {"", "[1]", "3", "{\"a\": 1", "{\"a\": 1e999}", "{\"a\": NaN}"}) {
+    EXPECT_EQ(ErrorOf(text), "it is not a JSON object") << text;
+  }
+  EXPECT_THAT(ErrorOf(R"({"a": {"k": 1, "k": 2}})"), HasSubstr("key 'k' occurs twice"));
+  EXPECT_EQ(ErrorOf(R"({"a": {"k": 1}, "b": {"k": 2}})"), "");
+  EXPECT_THAT(ErrorOf("{\"a\": " + std::string(50, '[') + std::string(50, ']') + "}"), HasSubstr("nested 51 deep"));
+  EXPECT_THAT(ErrorOf(std::string(10'000'000, '[')), HasSubstr("the limit is 16"));
+}
+
+}  // namespace
+}  // namespace robostress
