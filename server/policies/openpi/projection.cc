@@ -11,6 +11,8 @@ namespace {
 
 constexpr int64_t kTileFloats = 1 << 19;  // 2 MiB: a tile is still in the cache when multiplied
 constexpr int64_t kTileRows = 128;        // fewer outputs per product would waste its packing
+constexpr int64_t kPackedRows = 128;      // for more, BLAS is as fast
+constexpr int64_t kThreadRows = 20;
 
 // y = x W^T with W in bfloat16 and the rest in float32.
 void MultiplyWidened(const torch::Tensor& x, const torch::Tensor& weight, torch::Tensor y) {
@@ -42,6 +44,18 @@ void Multiply(const torch::Tensor& x, const torch::Tensor& weight, const torch::
   } else {
     at::mm_out(y, x, weight.t());
   }
+}
+
+// y = x W^T + b by the packed copy of W; y contiguous. A row's result depends on that row alone.
+void MultiplyPacked(const torch::Tensor& x, const Projection& projection, torch::Tensor y) {
+  const int64_t in = projection.in, out = projection.out;
+  const torch::Tensor rows = x.contiguous();
+  at::parallel_for(0, rows.size(0), kThreadRows, [&](int64_t begin, int64_t end) {
+    BestFusedKernels().linear(rows.data_ptr<float>() + begin * in, end - begin, in,
+                              projection.panels.data_ptr<float>(), out,
+                              y.data_ptr<float>() + begin * out);
+  });
+  if (projection.bias.defined()) y.add_(projection.bias);
 }
 
 // y += scale B (A x).
@@ -81,11 +95,27 @@ Projection Projection::Join(std::vector<Linear> parts, int64_t limit_bytes) {
   return joined;
 }
 
+Projection Projection::Packed(int64_t limit_bytes) && {
+  if (!weight.defined() || !weight.is_cpu() || weight.scalar_type() != torch::kFloat32 ||
+      static_cast<int64_t>(weight.nbytes()) > limit_bytes) {
+    return std::move(*this);
+  }
+  const int64_t padded = PadToPanel(out);
+  panels = at::zeros({padded, in}, weight.options());
+  panels.narrow(0, 0, out).copy_(weight);
+  panels = panels.view({padded / kPanel, kPanel, in}).transpose(1, 2).contiguous();
+  return std::move(*this);
+}
+
 torch::Tensor Project(const Projection& projection, const torch::Tensor& x,
                       const Adapter& adapter) {
   const torch::Tensor rows = x.reshape({-1, projection.in});
   const torch::Tensor y = at::empty({rows.size(0), projection.out}, rows.options());
-  if (projection.weight.defined()) Multiply(rows, projection.weight, projection.bias, y);
+  if (projection.panels.defined() && rows.size(0) <= kPackedRows) {
+    MultiplyPacked(rows, projection, y);
+  } else if (projection.weight.defined()) {
+    Multiply(rows, projection.weight, projection.bias, y);
+  }
   int64_t first = 0;
   for (size_t i = 0; i < projection.parts.size(); ++i) {
     const Linear& part = projection.parts[i];

@@ -15,11 +15,16 @@ struct Projection {
   std::vector<Linear> parts;  // with the adapters that the network itself carries
   torch::Tensor weight;       // all parts in one matrix [out, in]; undefined: multiplied singly
   torch::Tensor bias;         // [out], of all parts
+  torch::Tensor panels;  // `weight` packed for FusedKernels::linear, where Packed was asked for
   int64_t in = 0, out = 0;
 
   // One product instead of several saves calls, which matters while the product is small, and costs
   // a copy of the weights: parts are joined where that copy takes at most `limit_bytes`.
   static Projection Join(std::vector<Linear> parts, int64_t limit_bytes);
+
+  // With a packed copy of `weight` where it is float32 on the CPU and takes at most `limit_bytes`:
+  // for few rows, BLAS packs the weights anew in each product and spends a third of its time so.
+  Projection Packed(int64_t limit_bytes) &&;
 };
 
 // An adapter on parts 0, 1, ... of a projection: targets first, first + 1, ... of `weights`, which
