@@ -85,18 +85,30 @@ absl::Status ReadInt(const SafetensorsFile& file, const std::string& key, Int& v
   return absl::OkStatus();
 }
 
+// Files from before there were two kinds do not say theirs: they are per_matrix.
+absl::StatusOr<LoraKind> ReadLoraKind(const SafetensorsFile& file) {
+  const auto found = file.metadata().find("lora");
+  if (found == file.metadata().end()) return LoraKind::kPerMatrix;
+  for (const LoraKind kind : {LoraKind::kPerHead, LoraKind::kPerMatrix}) {
+    if (found->second == LoraKindName(kind)) return kind;
+  }
+  return absl::InvalidArgumentError(absl::StrCat(
+      file.path(), ": metadata 'lora' is '", found->second, "', must be per_head or per_matrix"));
+}
+
 // A_i and B_i of one role ("phi", "phi_0", "adam_m", "adam_v") in the order of Parameters().
 absl::StatusOr<std::vector<torch::Tensor>> ReadRole(const SafetensorsFile& file,
                                                     const std::string& role,
-                                                    const std::vector<LoraTarget>& targets) {
+                                                    const std::vector<LoraTarget>& targets,
+                                                    LoraKind kind) {
   std::vector<torch::Tensor> result;
   for (const LoraTarget& target : targets) {
     RS_ASSIGN_OR_RETURN(torch::Tensor A,
                         ReadShaped(file, absl::StrCat(role, ".", target.name, ".A"),
-                                   {-1, target.in_features}, torch::kFloat32));
+                                   LoraShapeOf(target, kind, -1).A, torch::kFloat32));
     RS_ASSIGN_OR_RETURN(torch::Tensor B,
                         ReadShaped(file, absl::StrCat(role, ".", target.name, ".B"),
-                                   {target.out_features, A.size(0)}, torch::kFloat32));
+                                   LoraShapeOf(target, kind, A.size(-2)).B, torch::kFloat32));
     result.push_back(std::move(A));
     result.push_back(std::move(B));
   }
@@ -148,6 +160,7 @@ absl::StatusOr<std::string> SerializeAdaptationState(const AdaptationState& stat
   writer.SetMetadata("policy", state.policy);
   writer.SetMetadata("model_hash", state.model_hash);
   writer.SetMetadata("method", state.method);
+  writer.SetMetadata("lora", LoraKindName(state.lora_kind));
   writer.SetMetadata("session", state.session);
   writer.SetMetadata("version", absl::StrCat(state.lora.phi.version));
   writer.SetMetadata("adam_steps", absl::StrCat(state.lora.adam.steps));
@@ -183,10 +196,12 @@ absl::StatusOr<std::string> SerializeAdaptationState(const AdaptationState& stat
   return writer.Serialize();
 }
 
-absl::StatusOr<AdaptationState> ParseAdaptationState(const std::string& name, std::string bytes,
-                                                     const VelocityField& field,
-                                                     const std::string& model_hash) {
-  RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Parse(name, std::move(bytes)));
+namespace {
+
+absl::StatusOr<AdaptationState> ReadWithoutBuffer(const SafetensorsFile& file,
+                                                  const std::vector<LoraTarget>& targets,
+                                                  const std::string& model_hash) {
+  const std::string& name = file.path();
   RS_ASSIGN_OR_RETURN(const std::string format, Text(file, "format"));
   if (format != kFormat) {
     return absl::InvalidArgumentError(
@@ -197,12 +212,12 @@ absl::StatusOr<AdaptationState> ParseAdaptationState(const std::string& name, st
   RS_ASSIGN_OR_RETURN(state.model_hash, Text(file, "model_hash"));
   RS_ASSIGN_OR_RETURN(state.method, Text(file, "method"));
   RS_ASSIGN_OR_RETURN(state.session, Text(file, "session"));
+  RS_ASSIGN_OR_RETURN(state.lora_kind, ReadLoraKind(file));
   if (state.model_hash != model_hash) {
     return absl::InvalidArgumentError(absl::StrCat(
         name, ": the adapter belongs to weights ", state.model_hash, "; this policy has ",
         model_hash, "; an adapter is of use only with the weights it was learned on"));
   }
-  int layers = 0, buffered = 0;
   RS_RETURN_IF_ERROR(ReadInt(file, "version", state.lora.phi.version));
   RS_RETURN_IF_ERROR(ReadInt(file, "adam_steps", state.lora.adam.steps));
   RS_RETURN_IF_ERROR(ReadInt(file, "triggers", state.triggers));
@@ -211,22 +226,39 @@ absl::StatusOr<AdaptationState> ParseAdaptationState(const std::string& name, st
   RS_RETURN_IF_ERROR(ReadInt(file, "task", state.task));
   RS_RETURN_IF_ERROR(ReadInt(file, "nominal_task", state.nominal_task));
   RS_RETURN_IF_ERROR(ReadInt(file, "nominal_episode", state.nominal_episode));
-  RS_RETURN_IF_ERROR(ReadInt(file, "buffered", buffered));
-  RS_RETURN_IF_ERROR(ReadInt(file, "layers", layers));
-
-  const std::vector<LoraTarget>& targets = field.lora_targets();
   const uint64_t version = state.lora.phi.version;
-  RS_ASSIGN_OR_RETURN(const auto phi, ReadRole(file, "phi", targets));
-  RS_ASSIGN_OR_RETURN(const auto phi_0, ReadRole(file, "phi_0", targets));
+  RS_ASSIGN_OR_RETURN(const auto phi, ReadRole(file, "phi", targets, state.lora_kind));
+  RS_ASSIGN_OR_RETURN(const auto phi_0, ReadRole(file, "phi_0", targets, state.lora_kind));
   state.lora.phi = FromParameters(phi, version);
   state.lora.phi_0 = FromParameters(phi_0, 0);
-  RS_ASSIGN_OR_RETURN(state.lora.adam.m, ReadRole(file, "adam_m", targets));
-  RS_ASSIGN_OR_RETURN(state.lora.adam.v, ReadRole(file, "adam_v", targets));
+  RS_ASSIGN_OR_RETURN(state.lora.adam.m, ReadRole(file, "adam_m", targets, state.lora_kind));
+  RS_ASSIGN_OR_RETURN(state.lora.adam.v, ReadRole(file, "adam_v", targets, state.lora_kind));
   RS_ASSIGN_OR_RETURN(const std::vector<double> nominal, file.ReadDoubles("nominal", {2, 6}));
   state.nominal.goal = Eigen::Map<const NominalArm::Vector6>(nominal.data());
   state.nominal.velocity = Eigen::Map<const NominalArm::Vector6>(nominal.data() + 6);
   RS_ASSIGN_OR_RETURN(const std::vector<double> last_loss, file.ReadDoubles("last_loss", {1}));
   state.last_loss = last_loss[0];
+  return state;
+}
+
+}  // namespace
+
+absl::StatusOr<AdaptationState> ParseAdapter(const std::string& name, std::string bytes,
+                                             const std::vector<LoraTarget>& targets,
+                                             const std::string& model_hash) {
+  RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Parse(name, std::move(bytes)));
+  return ReadWithoutBuffer(file, targets, model_hash);
+}
+
+absl::StatusOr<AdaptationState> ParseAdaptationState(const std::string& name, std::string bytes,
+                                                     const VelocityField& field,
+                                                     const std::string& model_hash) {
+  RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Parse(name, std::move(bytes)));
+  RS_ASSIGN_OR_RETURN(AdaptationState state,
+                      ReadWithoutBuffer(file, field.lora_targets(), model_hash));
+  int layers = 0, buffered = 0;
+  RS_RETURN_IF_ERROR(ReadInt(file, "buffered", buffered));
+  RS_RETURN_IF_ERROR(ReadInt(file, "layers", layers));
   if (buffered < 0 || layers < 0 || static_cast<size_t>(buffered) > file.tensors().size()) {
     return absl::InvalidArgumentError(absl::StrCat(name, ": metadata says ", buffered,
                                                    " buffered chunks of ", layers,

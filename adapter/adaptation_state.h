@@ -14,10 +14,11 @@ namespace robostress {
 // Everything that online adaptation remembers, as a safetensors file; README.md lists its tensors.
 // An adapter restored from it continues bit for bit.
 struct AdaptationState {
-  std::string policy;      // PolicySpec::name
-  std::string model_hash;  // SHA-256 of the weights it belongs to
-  std::string method;      // MethodOptions::method
-  std::string session;     // identity that keyed phi_0, for people
+  std::string policy;                       // PolicySpec::name
+  std::string model_hash;                   // SHA-256 of the weights it belongs to
+  std::string method;                       // MethodOptions::method
+  LoraKind lora_kind = LoraKind::kPerHead;  // MethodOptions::lora
+  std::string session;                      // identity that keyed phi_0, for people
   LoraState lora;
   uint64_t triggers = 0;           // updates triggered, keys the next update's draws
   uint64_t feedback_sequence = 0;  // last chunk taken
@@ -37,5 +38,10 @@ absl::StatusOr<std::string> SerializeAdaptationState(const AdaptationState& stat
 absl::StatusOr<AdaptationState> ParseAdaptationState(const std::string& name, std::string bytes,
                                                      const VelocityField& field,
                                                      const std::string& model_hash);
+
+// All but the buffer, for programs that have the policy's layers and not its network.
+absl::StatusOr<AdaptationState> ParseAdapter(const std::string& name, std::string bytes,
+                                             const std::vector<LoraTarget>& targets,
+                                             const std::string& model_hash);
 
 }  // namespace robostress

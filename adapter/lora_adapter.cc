@@ -24,7 +24,7 @@ absl::Status SameShapes(const std::vector<torch::Tensor>& expected,
       return absl::InvalidArgumentError(
           absl::StrCat(what, " tensor ", i, " has shape [", absl::StrJoin(got[i].sizes(), ", "),
                        "]; this policy's adapter has [", absl::StrJoin(expected[i].sizes(), ", "),
-                       "] in float32; use an adapter of the same model and rank"));
+                       "] in float32; use an adapter of the same model, kind (lora) and rank"));
     }
   }
   return absl::OkStatus();
@@ -37,7 +37,8 @@ LoraAdapter::LoraAdapter(const VelocityField* field, const MethodOptions& option
     : field_(field),
       options_(options),
       session_(session),
-      phi_0_(InitialLora(field->lora_targets(), options.rank, options.lora_init_std, session)),
+      phi_0_(InitialLora(field->lora_targets(), options.lora, options.rank, options.lora_init_std,
+                         session)),
       adam_(InitialAdamState(Parameters(phi_0_))) {
   Publish(phi_0_);
 }

@@ -23,4 +23,14 @@ PolicyContext StackContexts(const std::vector<const PolicyContext*>& contexts) {
   return result;
 }
 
+PolicyContext ContextRow(const PolicyContext& context, int64_t row) {
+  PolicyContext result;
+  for (const torch::Tensor& keys : context.keys) result.keys.push_back(keys.narrow(0, row, 1));
+  for (const torch::Tensor& values : context.values)
+    result.values.push_back(values.narrow(0, row, 1));
+  result.prefix_mask = context.prefix_mask.narrow(0, row, 1);
+  result.state = context.state.narrow(0, row, 1);
+  return result;
+}
+
 }  // namespace robostress

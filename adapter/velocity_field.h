@@ -1,30 +1,32 @@
 #pragma once
 
+#include <torch/types.h>
+
 #include <cstdint>
 #include <string>
 #include <vector>
 
-#include <torch/types.h>
-
 namespace robostress {
 
-// A linear layer of the action expert that a LoRA may adapt, e.g. {"layers.0.q_proj", 128, 128}.
+// A linear layer of the action expert that a LoRA may adapt, e.g. {"layers.0.q_proj", 128, 128, 4}.
 struct LoraTarget {
   std::string name;
   int64_t in_features = 0;
   int64_t out_features = 0;
+  int64_t output_heads = 1;  // q, k, v: the outputs lie head by head
+  int64_t input_heads = 1;   // o: the inputs do; one of the two is 1
 };
 
-// LoRA parameters of every target, in the order of VelocityField::lora_targets(): y += B_i (A_i x).
-// Published snapshots are shared as const and never change.
+// LoRA parameters of every target, in the order of VelocityField::lora_targets(), in the shapes of
+// LoraShapeOf (adapter/lora.h). Published snapshots are shared as const and never change.
 struct LoraWeights {
-  std::vector<torch::Tensor> A;  // [rank, in_features]
-  std::vector<torch::Tensor> B;  // [out_features, rank]
+  std::vector<torch::Tensor> A;  // [rank, in] or [heads, rank, in of a head]
+  std::vector<torch::Tensor> B;  // [out, rank] or [heads, out of a head, rank]
   uint64_t version = 0;          // updates applied
 };
 
-// What the action expert needs of an observation: the prefix's keys and values (no adapter touches them)
-// and the normalised proprioception. B rows.
+// What the action expert needs of an observation: the prefix's keys and values (no adapter touches
+// them) and the normalised proprioception. B rows.
 struct PolicyContext {
   std::vector<torch::Tensor> keys;    // per layer [B, kv_heads, prefix, head_dim], after RoPE
   std::vector<torch::Tensor> values;  // per layer [B, kv_heads, prefix, head_dim]
@@ -39,13 +41,15 @@ class VelocityField {
   virtual int64_t horizon() const = 0;           // K
   virtual int64_t model_action_dim() const = 0;  // d, padding included
   virtual const std::vector<LoraTarget>& lora_targets() const = 0;
-  // v(s, x_u, u): x_u [B, K, d], u [B] in [0, 1] (1 is noise) -> [B, K, d]. Differentiable in the LoRA
-  // parameters when they require gradients; lora may be null.
+  // v(s, x_u, u): x_u [B, K, d], u [B] in [0, 1] (1 is noise) -> [B, K, d]. Differentiable in the
+  // LoRA parameters when they require gradients; lora may be null.
   virtual torch::Tensor Velocity(const PolicyContext& context, const torch::Tensor& x_u,
                                  const torch::Tensor& u, const LoraWeights* lora) const = 0;
 };
 
 // Concatenates contexts along the batch.
 PolicyContext StackContexts(const std::vector<const PolicyContext*>& contexts);
+// One row of a context, B = 1; shares storage.
+PolicyContext ContextRow(const PolicyContext& context, int64_t row);
 
 }  // namespace robostress

@@ -10,6 +10,7 @@ namespace robostress {
 
 enum class ResidualScale { kCommand, kTracking };
 enum class TargetReference { kExecuted, kIntent, kNominal };
+enum class LoraKind { kPerHead, kPerMatrix };
 enum class ExecutionMode { kLockstep, kAsync };
 enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozenState };
 
@@ -18,6 +19,7 @@ enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozen
 struct MethodOptions {
   std::string method = "base";       // the preset it started from
   bool adapt = false;                // online LoRA updates
+  LoraKind lora = LoraKind::kPerHead;  // how q and o are factored (adapter/README.md)
   int rank = 4;
   double lora_init_std = 0.01;
   double learning_rate = 1e-6;
@@ -42,6 +44,8 @@ struct MethodOptions {
   void Visit(V& v) {
     v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, direct, no_residual, no_anchor, gain, null, shuffled_instruction, blank_images, frozen_state");
     v.Field("adapt", adapt, "update the LoRA online");
+    v.Choice("lora", lora, {{"per_head", LoraKind::kPerHead}, {"per_matrix", LoraKind::kPerMatrix}},
+             "per_head: a pair of factors for each attention head (openpi, the paper); per_matrix: one for each matrix (PEFT)");
     v.Field("rank", rank, "LoRA rank");
     v.Field("lora_init_std", lora_init_std, "standard deviation of A at the start (B = 0)");
     v.Field("learning_rate", learning_rate, "Adam step size");

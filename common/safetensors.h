@@ -35,6 +35,10 @@ class SafetensorsFile {
   ~SafetensorsFile();
 
   const std::string& path() const { return path_; }
+  uint64_t file_bytes() const;
+  // Gives the pages that lie wholly in `bytes`, a part of a tensor, back to the system; the next read brings
+  // them from the file again. Keeps a large tensor's conversion from holding it twice.
+  void ReleasePages(absl::Span<const uint8_t> bytes) const;
   const std::map<std::string, std::string>& metadata() const { return metadata_; }
   const std::map<std::string, TensorView>& tensors() const { return tensors_; }
   absl::StatusOr<TensorView> Get(const std::string& name) const;

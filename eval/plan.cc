@@ -12,6 +12,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "common/config.h"
+#include "common/embedded_policies.h"
 #include "common/joint_errors/scenarios.h"
 #include "common/libero_fixtures.h"
 #include "common/status_macros.h"
@@ -96,7 +97,9 @@ std::vector<std::string> InOrderOf(const std::vector<std::string>& known,
 
 void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaints) {
   if (grid.policies.empty())
-    complaints.Add("no policy given; known: nano, expert, replay, or a weights file");
+    complaints.Add(
+        "no policy given; known: nano, nano-bc, nano-dr, nano-robust, expert, replay, or a weights "
+        "file");
   const bool has_base =
       std::find(grid.methods.begin(), grid.methods.end(), "base") != grid.methods.end();
   for (const std::string& policy : grid.policies) {
@@ -109,12 +112,12 @@ void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaint
       if (policy == "replay" && grid.replay_file.empty()) {
         complaints.Add("policy replay needs --replay-file FILE (safetensors with actions [T, 7])");
       }
-    } else if (home == PolicyHome::kHere && policy != "nano" && policy != "nano:random" &&
+    } else if (home == PolicyHome::kHere && !IsEmbeddedPolicy(policy) && policy != "nano:random" &&
                access(policy.c_str(), R_OK) != 0) {
-      complaints.Add(
-          absl::StrCat("unknown policy '", policy,
-                       "'; known: nano, expert, replay, or the path of a readable weights file; "
-                       "a policy that another server holds needs --server HOST:PORT"));
+      complaints.Add(absl::StrCat("unknown policy '", policy,
+                                  "'; known: nano, nano-bc, nano-dr, nano-robust, expert, replay, "
+                                  "or the path of a readable weights file; "
+                                  "a policy that another server holds needs --server HOST:PORT"));
     }
   }
 }

@@ -12,14 +12,6 @@
 
 namespace robostress {
 
-// The folder of the other programs: ROBOSTRESS_BIN if set, else that of the running program.
-std::string ProgramFolder();
-// Full path of robostress-<command>; not found: the folder that was searched and the programs that
-// are there.
-absl::StatusOr<std::string> FindProgram(const std::string& command);
-// Commands that ProgramFolder() holds, sorted: "report", "serve", "sweep" ...
-std::vector<std::string> InstalledCommands();
-
 // Prepends the OpenMP build of OpenBLAS to LD_LIBRARY_PATH of this process's children, where it is
 // installed: the pthread build, Debian's default alternative, ignores the thread counts that
 // LibTorch sets.

@@ -46,7 +46,7 @@ void Progress::Finish(const std::string& id, bool failed) {
 }
 
 std::string Progress::Line() {
-  int units_done = 0, units_failed = 0, episodes = 0, expected = 0, fresh = 0;
+  int units_done = 0, units_failed = 0, episodes = 0, expected = 0, fresh = 0, remaining = 0;
   for (auto& [id, unit] : units_) {
     if (unit.running) {
       unit.recorded = std::min(CountLines(unit.file), unit.expected);
@@ -57,12 +57,17 @@ std::string Progress::Line() {
     units_failed += unit.failed;
     episodes += unit.recorded;
     fresh += unit.recorded - unit.before;
-    expected += unit.failed ? unit.recorded : unit.expected;
+    expected += unit.expected;
+    if (!unit.failed) remaining += unit.expected - unit.recorded;
   }
   const double elapsed =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
-  const std::string eta =
-      fresh == 0 ? "?" : FormatDuration(elapsed / fresh * (expected - episodes));
+  std::string eta = "?";
+  if (remaining == 0) {
+    eta = FormatDuration(0);
+  } else if (fresh > 0) {
+    eta = FormatDuration(elapsed / fresh * remaining);
+  }
   const std::string failures =
       units_failed == 0 ? "" : absl::StrFormat(" (%d failed)", units_failed);
   return absl::StrFormat("%d/%d units%s  %d/%d episodes (%d %%)  elapsed %s  ETA %s", units_done,

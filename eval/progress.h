@@ -23,6 +23,9 @@ class Progress {
   void Say(const std::string& message);
   // Prints the last state and leaves the line.
   void End();
+  // "3/4 units (1 failed)  30/40 episodes (75 %)  elapsed 1:05  ETA 0:00"; what failed is not
+  // waited for.
+  std::string Line();
 
  private:
   struct Unit {
@@ -31,7 +34,6 @@ class Progress {
     int before = 0;  // recorded by an earlier call
     bool running = false, finished = false, failed = false;
   };
-  std::string Line();
   void Print(bool force);
 
   const bool enabled_, terminal_;

@@ -1,18 +1,21 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "eval/run_store.h"
 #include "eval/summary.h"
+#include "eval/training_report.h"
 
 namespace robostress {
 
 struct ReportOptions {
   int bootstrap_replicates = 4000;
-  int max_videos = 32;       // the films of one episode stay together
-  double max_video_mb = 24;  // of video data in the page
-  bool print = true;         // the table on standard output
+  int max_videos = 32;                // the films of one episode stay together
+  double max_video_mb = 24;           // of video data in the page
+  bool print = true;                  // the table on standard output
+  std::vector<TrainingRun> training;  // of the policies, shown where there are any
 };
 
 // Publishes RUN_DIR/episodes.csv (deterministic) and timings.csv.

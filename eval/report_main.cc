@@ -1,20 +1,58 @@
 // robostress-report: the report of a run directory, from its recorded episodes.
 
+#include <algorithm>
 #include <cstdio>
 #include <string>
+#include <vector>
 
 #include "CLI/CLI.hpp"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
 #include "eval/report.h"
 #include "eval/run_store.h"
+
+namespace robostress {
+namespace {
+
+absl::Status Report(const std::string& dir, const std::vector<std::string>& training,
+                    const std::string& out, ReportOptions& options) {
+  for (const std::string& folder : training) {
+    RS_ASSIGN_OR_RETURN(TrainingRun run, LoadTrainingRun(folder));
+    const bool taken =
+        std::any_of(options.training.begin(), options.training.end(),
+                    [&](const TrainingRun& other) { return other.name == run.name; });
+    if (taken) run.name = folder;
+    options.training.push_back(std::move(run));
+  }
+  if (dir.empty() && training.empty())
+    return absl::InvalidArgumentError("nothing to report; give RUN_DIR or --training DIR");
+  if (dir.empty()) {
+    const std::string page = out.empty() ? training[0] + "/training.html" : out;
+    RS_RETURN_IF_ERROR(WriteFileAtomically(page, TrainingPage(options.training)));
+    std::printf("%s\n", page.c_str());
+    return absl::OkStatus();
+  }
+  RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(dir));
+  RS_RETURN_IF_ERROR(WriteTables(run));
+  return WriteReport(run, options);
+}
+
+}  // namespace
+}  // namespace robostress
 
 int main(int argc, char** argv) {
   CLI::App app(
       "Writes report.html, report.json, table.csv, episodes.csv and figures/ of a run directory "
       "and prints the table.",
       "robostress report");
-  std::string dir;
+  std::string dir, out;
+  std::vector<std::string> training;
   robostress::ReportOptions options;
-  app.add_option("RUN_DIR", dir, "The --out of a sweep")->required();
+  app.add_option("RUN_DIR", dir, "The --out of a sweep");
+  app.add_option("--training", training,
+                 "The --out of `robostress train`, may be given more than once: its curves go into "
+                 "the report, or, without RUN_DIR, into a page of their own");
+  app.add_option("--out", out, "That page (default: training.html in the first of them)");
   app.add_option("--bootstrap", options.bootstrap_replicates, "Bootstrap replicates")
       ->check(CLI::Range(1, 1000000))
       ->capture_default_str();
@@ -25,17 +63,16 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.0, 2000.0))
       ->capture_default_str();
   app.footer(
-      "\nExamples\n  robostress report runs/quick\n  robostress report runs/main --bootstrap 20000 "
+      "\nExamples\n  robostress report runs/quick\n  robostress report --training runs/base "
+      "--training runs/dr\n  robostress report runs/main --training runs/dr\n  robostress report "
+      "runs/main --bootstrap 20000 "
       "--max-videos 0\n");
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
   }
-  const absl::StatusOr<robostress::RunData> run = robostress::LoadRun(dir);
-  absl::Status status = run.status();
-  if (status.ok()) status = robostress::WriteTables(*run);
-  if (status.ok()) status = robostress::WriteReport(*run, options);
+  const absl::Status status = robostress::Report(dir, training, out, options);
   if (!status.ok()) {
     std::fprintf(stderr, "robostress report: %s\n", std::string(status.message()).c_str());
     return 1;

@@ -493,14 +493,17 @@ std::string DifferencePlot(const SuccessTable& table) {
   return methods.empty() ? "" : PlotRows(table, methods, true);
 }
 
+std::string PageHead(const std::string& title) {
+  return absl::StrCat(
+      "<!doctype html>\n<html lang=en><head><meta charset=utf-8><meta name=viewport "
+      "content=\"width=device-width,initial-scale=1\"><title>",
+      EscapeXml(title), "</title><style>", kStyle, "</style></head><body>\n");
+}
+
 std::string ReportPage(const RunData& run, const Summary& summary, const ReportOptions& options) {
   const SuccessTable& main = *MainTable(summary);
   const std::string videos = VideoSection(run, options);
-  std::string html = absl::StrCat(
-      "<!doctype html>\n<html lang=en><head><meta charset=utf-8><meta name=viewport "
-      "content=\"width=device-width,initial-scale=1\">"
-      "<title>RoboStress report</title><style>",
-      kStyle, "</style></head><body>\n");
+  std::string html = PageHead("RoboStress report");
   absl::StrAppend(&html, "<header><div class=wrap><h1>RoboStress: policy ", EscapeXml(main.policy),
                   " under joint-level execution errors</h1><p>Suite",
                   main.title.find(',') == std::string::npos ? " " : "s ", EscapeXml(main.title),
@@ -510,6 +513,7 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
                   "<nav><div class=wrap><a href=\"#success\">Success</a><a "
                   "href=\"#residual\">Residuals</a><a href=\"#adaptation\">Adaptation</a>",
                   videos.empty() ? "" : "<a href=\"#videos\">Rollouts</a>",
+                  options.training.empty() ? "" : "<a href=\"#training\">Training</a>",
                   "<a href=\"#setup\">Setup</a><a href=\"#limits\">Limits</a></div></nav>\n<main "
                   "class=wrap>\n");
   absl::StrAppend(&html, Headline(main), Tiles(run, summary, main));
@@ -555,7 +559,9 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
   html +=
       "<p class=note>Means over all units with errors at the same episode of their unit; dashed "
       "lines are task boundaries, where the buffer is cleared and the adapter is carried on.</p>\n";
-  absl::StrAppend(&html, videos, SetupSection(run), LimitsSection(run, summary, main));
+  absl::StrAppend(&html, videos,
+                  options.training.empty() ? "" : TrainingSection(options.training),
+                  SetupSection(run), LimitsSection(run, summary, main));
   absl::StrAppend(&html, "</main><footer><div class=wrap>Written by <code>robostress report ",
                   EscapeXml(run.dir),
                   "</code> from the recorded episodes. "

@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "common/program_folder.h"
 #include "eval/build_info.h"
-#include "eval/process.h"
 
 namespace {
 
@@ -26,7 +26,8 @@ constexpr Command kCommands[] = {
     {"scenarios", "List scenarios with their severity factors"},
     {"error-models", "Draw the four joint error models over time"},
     {"serve", "Serve a policy, with online adaptation, over gRPC"},
-    {"policy", "Check a pi0 or pi0.5 checkpoint against expected values"},
+    {"policy", "Inspect a policy; check a pi0 or pi0.5 checkpoint against expected values"},
+    {"tokenize", "Tokenise text with a SentencePiece model"},
     {"worker", "Run one unit of a sweep: the simulator's side"},
     {"record", "Record demonstrations of the scripted experts"},
     {"train", "Train the embedded policy from demonstrations"},

@@ -22,6 +22,7 @@
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/program_folder.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "eval/process.h"

@@ -29,7 +29,10 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
  public:
   Service(const PolicyServerOptions& options,
           std::vector<std::shared_ptr<const FlowPolicy>> policies)
-      : options_(options), adaptation_(options.threads), inference_(options.threads) {
+      : options_(options),
+        prefixes_(std::make_shared<PrefixStore>(options.prefix_budget_mib << 20)),
+        adaptation_(options.threads),
+        inference_(options.threads) {
     for (auto& policy : policies) policies_[policy->spec().name] = std::move(policy);
   }
 
@@ -145,6 +148,9 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       *response = ToProto(counters.stats);
       response->set_buffered_chunks(static_cast<uint32_t>(counters.buffered_chunks));
       response->set_predictions(counters.predictions);
+      response->set_prefix_bytes(static_cast<uint64_t>(counters.prefixes.bytes));
+      response->set_prefix_evictions(counters.prefixes.evictions);
+      response->set_prefix_rebuilds(counters.prefixes.rebuilds);
       return absl::OkStatus();
     });
   }
@@ -219,7 +225,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       owner = ++last_session_;
     }
     const SessionResources resources{policy->second, &adaptation_, &inference_,
-                                     options_.lockstep_timeout};
+                                     options_.lockstep_timeout, prefixes_};
     absl::StatusOr<std::shared_ptr<Session>> session = Session::Create(spec, resources, owner);
     absl::MutexLock lock(&mu_);
     --opening_;
@@ -279,6 +285,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   const PolicyServerOptions options_;
   std::map<std::string, std::shared_ptr<const FlowPolicy>>
       policies_;  // by name; fixed after construction
+  const std::shared_ptr<PrefixStore> prefixes_;
   AdaptationLoop adaptation_;
   std::counting_semaphore<> inference_;
 
@@ -298,6 +305,10 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   if (options.threads < 1 || options.threads > 1024) {
     return absl::InvalidArgumentError(
         absl::StrCat("--threads is ", options.threads, ", must be 1..1024"));
+  }
+  if (options.prefix_budget_mib < 0 || options.prefix_budget_mib > (int64_t{1} << 30)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--prefix-budget-mib is ", options.prefix_budget_mib, ", must be 0..1073741824"));
   }
   if (options.max_sessions < 1 || options.max_sessions > 4096) {
     return absl::InvalidArgumentError(

@@ -29,6 +29,8 @@ struct PolicyServerOptions {
   // its client was killed, or it has ended without closing.
   absl::Duration abandoned_after = absl::Minutes(15);
   absl::Duration lockstep_timeout = absl::Seconds(120);
+  // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
+  int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
 };
 
 // A policy service over gRPC with health and reflection. Construction starts it.

@@ -18,6 +18,7 @@ constexpr char kExamples[] = R"(Examples:
   robostress serve                                        # nano on a free port of this machine
   robostress serve --policy nano --listen 0.0.0.0:50051   # for workers on other machines
   robostress serve --policy my_nano.safetensors --port-file /tmp/port
+  robostress serve --policy pi05_libero --policy-options transform=libero tokenizer=paligemma_tokenizer.model
   robostress-worker --unit UNIT.yaml --out DIR --server 127.0.0.1:50051
 
 SIGTERM and SIGINT stop it: it refuses new messages, answers those under way (at most --grace seconds) and exits.
@@ -34,9 +35,15 @@ int Main(int argc, char** argv) {
   PolicyServerOptions options;
   options.threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   std::string policy_name = "nano", port_file;
+  std::vector<std::string> policy_options;
   double grace_s = 10;
-  app.add_option("--policy", policy_name, "nano, nano:random, or a weights file (.safetensors)")
+  app.add_option("--policy", policy_name,
+                 "nano, nano:random, a weights file (.safetensors), or the folder of a pi0 or "
+                 "pi0.5 checkpoint")
       ->capture_default_str();
+  app.add_option("--policy-options", policy_options,
+                 "KEY=VALUE ... over those of robostress_policy.yaml; `robostress policy inspect "
+                 "--help` lists them");
   app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one")
       ->capture_default_str();
   app.add_option("--port-file", port_file, "write the bound port to this file");
@@ -44,6 +51,10 @@ int Main(int argc, char** argv) {
                  "predictions computed at once, and as many update threads")
       ->capture_default_str();
   app.add_option("--max-sessions", options.max_sessions, "sessions open at once")
+      ->capture_default_str();
+  app.add_option("--prefix-budget-mib", options.prefix_budget_mib,
+                 "memory for the prefixes that adapters learn from, all sessions together; what "
+                 "exceeds it is dropped and encoded again when an update needs it")
       ->capture_default_str();
   app.add_option("--grace", grace_s, "seconds to answer what is under way when stopped")
       ->capture_default_str();
@@ -58,7 +69,7 @@ int Main(int argc, char** argv) {
   pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
 
   UseOneTorchThread();
-  absl::StatusOr<std::unique_ptr<FlowPolicy>> policy = LoadFlowPolicy(policy_name);
+  absl::StatusOr<std::unique_ptr<FlowPolicy>> policy = LoadFlowPolicy(policy_name, policy_options);
   if (!policy.ok()) return Fail(policy.status());
   const PolicySpec spec = (*policy)->spec();
   absl::StatusOr<std::unique_ptr<PolicyServer>> server =

@@ -199,7 +199,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
   if (adapter_ != nullptr) lora = adapter_->snapshot();
   result.adapter_version = lora == nullptr ? 0 : lora->version;
 
-  Prediction prediction{task, episode, chunk, {}, {}, {}};
+  Prediction prediction{task, episode, chunk, {}, {}, {}, {}};
   const bool wants_base =
       spec_.method.track_intent || spec_.method.target == TargetReference::kIntent;
   try {
@@ -210,16 +210,18 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     const torch::Tensor noise = DrawNoise(NoiseKey(spec_, task, episode, chunk), policy.horizon(),
                                           policy.model_action_dim());
     const torch::Tensor raw = policy.Sample(context, noise, lora.get()).squeeze(0);
-    result.policy_actions = policy.ToEnvironment(raw);
+    result.policy_actions = policy.ToEnvironment(raw, context.state);
     if (wants_base) {
       result.base_actions =
           result.adapter_version == 0
               ? result.policy_actions
-              : policy.ToEnvironment(policy.Sample(context, noise, nullptr).squeeze(0));
+              : policy.ToEnvironment(policy.Sample(context, noise, nullptr).squeeze(0), context.state);
     }
     if (adapter_ != nullptr) {
       prediction.raw = raw;
-      prediction.context = std::move(context);
+      prediction.state = context.state;
+      prediction.prefix = resources_.prefixes->Add(
+          resources_.policy, std::make_shared<const Observation>(observation), std::move(context));
       if (spec_.method.target == TargetReference::kIntent) prediction.base = result.base_actions;
     }
   } catch (const std::exception& error) {
@@ -250,10 +252,10 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
   return result;
 }
 
-absl::StatusOr<std::shared_ptr<const TrainingChunk>> Session::MakeTrainingChunk(
-    const ExecutedChunk& executed, const Prediction& prediction) {
-  auto chunk = std::make_shared<TrainingChunk>();
-  chunk->context = prediction.context;
+absl::StatusOr<Session::BufferedChunk> Session::MakeTrainingChunk(const ExecutedChunk& executed,
+                                                                  const Prediction& prediction) {
+  BufferedChunk chunk;
+  chunk.prefix = prediction.prefix;
   const std::pair<int, int> episode{executed.task, executed.episode};
   if (executed.chunk == 0 || arm_episode_ != episode) {
     arm_.Reset();
@@ -261,7 +263,7 @@ absl::StatusOr<std::shared_ptr<const TrainingChunk>> Session::MakeTrainingChunk(
   }
   if (!spec_.method.use_residual) {  // eta = 0: the raw prediction itself, without a round trip
                                      // through ToEnvironment
-    chunk->target = prediction.raw;
+    chunk.target = prediction.raw;
     return chunk;
   }
   Eigen::MatrixXf base;
@@ -273,8 +275,9 @@ absl::StatusOr<std::shared_ptr<const TrainingChunk>> Session::MakeTrainingChunk(
       ReferencedResidual(executed, spec_.method.target, residual_options_, base, &arm_));
   try {
     torch::NoGradGuard no_grad;
-    chunk->target = TargetChunk(prediction.raw, executed.first_step,
-                                resources_.policy->ToModel(PseudoTarget(executed, residual)));
+    chunk.target = TargetChunk(
+        prediction.raw, executed.first_step,
+        resources_.policy->ToModel(PseudoTarget(executed, residual), prediction.state));
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("pseudo-target failed: ", error.what()));
   }
@@ -319,8 +322,7 @@ absl::StatusOr<FeedbackResult> Session::Feedback(const ExecutedChunk& executed) 
   }
 
   if (adapter_ != nullptr) {
-    RS_ASSIGN_OR_RETURN(std::shared_ptr<const TrainingChunk> chunk,
-                        MakeTrainingChunk(executed, prediction));
+    RS_ASSIGN_OR_RETURN(BufferedChunk chunk, MakeTrainingChunk(executed, prediction));
     buffer_.Add(std::move(chunk));
     if (schedule_.Add()) TriggerUpdate();
   }
@@ -338,7 +340,7 @@ absl::StatusOr<FeedbackResult> Session::Feedback(const ExecutedChunk& executed) 
 void Session::TriggerUpdate() {
   const uint64_t index = triggers_++;
   const StreamKey key = key_.With("update").With(static_cast<int64_t>(index)).With("batch");
-  std::vector<std::shared_ptr<const TrainingChunk>> batch;
+  std::vector<BufferedChunk> batch;
   for (const int i : SampleWithoutReplacement(key, buffer_.size(), spec_.method.batch))
     batch.push_back(buffer_[i]);
   ++pending_updates_;
@@ -347,8 +349,18 @@ void Session::TriggerUpdate() {
   });
 }
 
-void Session::RunUpdate(uint64_t index,
-                        const std::vector<std::shared_ptr<const TrainingChunk>>& batch) {
+absl::StatusOr<std::vector<std::shared_ptr<const TrainingChunk>>> Session::WithPrefixes(
+    const std::vector<BufferedChunk>& chunks) const {
+  std::vector<std::shared_ptr<const TrainingChunk>> result;
+  for (const BufferedChunk& chunk : chunks) {
+    RS_ASSIGN_OR_RETURN(PolicyContext context, resources_.prefixes->Get(*chunk.prefix));
+    result.push_back(
+        std::make_shared<const TrainingChunk>(TrainingChunk{std::move(context), chunk.target}));
+  }
+  return result;
+}
+
+void Session::RunUpdate(uint64_t index, const std::vector<BufferedChunk>& batch) {
   {
     absl::MutexLock lock(&mu_);
     if (cancelled_ || !failure_.ok()) {
@@ -356,7 +368,10 @@ void Session::RunUpdate(uint64_t index,
       return;
     }
   }
-  const absl::StatusOr<UpdateReport> report = adapter_->Update(index, batch);
+  const absl::StatusOr<UpdateReport> report = [&]() -> absl::StatusOr<UpdateReport> {
+    RS_ASSIGN_OR_RETURN(const auto chunks, WithPrefixes(batch));
+    return adapter_->Update(index, chunks);
+  }();
   absl::MutexLock lock(&mu_);
   --pending_updates_;
   if (!report.ok()) {
@@ -384,6 +399,7 @@ absl::StatusOr<SessionCounters> Session::Counters() {
   counters.predictions = predictions_;
   counters.updates_refused = updates_refused_;
   counters.predictions_dropped = predictions_dropped_;
+  counters.prefixes = resources_.prefixes->counters();
   return counters;
 }
 
@@ -398,6 +414,7 @@ absl::StatusOr<AdapterState> Session::Export() {
   state.policy = policy_spec().name;
   state.model_hash = policy_spec().model_hash;
   state.method = spec_.method.method;
+  state.lora_kind = spec_.method.lora;
   state.session = SessionIdentity(spec_);
   state.lora = adapter_->Export();
   state.triggers = triggers_;
@@ -408,7 +425,9 @@ absl::StatusOr<AdapterState> Session::Export() {
   state.nominal_episode = arm_episode_.second;
   state.nominal = arm_.state();
   state.last_loss = last_loss_;
-  for (int i = 0; i < buffer_.size(); ++i) state.buffer.push_back(buffer_[i]);
+  std::vector<BufferedChunk> chunks;
+  for (int i = 0; i < buffer_.size(); ++i) chunks.push_back(buffer_[i]);
+  RS_ASSIGN_OR_RETURN(state.buffer, WithPrefixes(chunks));
   AdapterState result;
   RS_ASSIGN_OR_RETURN(result.safetensors,
                       SerializeAdaptationState(state, resources_.policy->lora_targets()));
@@ -430,6 +449,12 @@ absl::StatusOr<FeedbackResult> Session::Import(const std::string& safetensors) {
         "the adapter was learned by method ", state.method, " on policy ", state.policy,
         "; this session runs method ", spec_.method.method, " on policy ", policy_spec().name));
   }
+  if (state.lora_kind != spec_.method.lora) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("the adapter's parameters are ", LoraKindName(state.lora_kind),
+                     "; this session's method has lora: ", LoraKindName(spec_.method.lora),
+                     "; open the session with the adapter's kind"));
+  }
   if (static_cast<int>(state.buffer.size()) > spec_.method.buffer_chunks) {
     return absl::InvalidArgumentError(
         absl::StrCat("the adapter's buffer holds ", state.buffer.size(),
@@ -442,7 +467,10 @@ absl::StatusOr<FeedbackResult> Session::Import(const std::string& safetensors) {
   feedback_sequence_ = state.feedback_sequence;
   schedule_.set_chunks(state.chunks_since_clear);
   buffer_.Clear();
-  for (auto& chunk : state.buffer) buffer_.Add(std::move(chunk));
+  for (const auto& chunk : state.buffer) {  // the file has no observations to rebuild from
+    buffer_.Add(
+        {resources_.prefixes->Add(resources_.policy, nullptr, chunk->context), chunk->target});
+  }
   boundaries_.clear();
   outstanding_.clear();
   episode_.reset();

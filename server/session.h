@@ -24,6 +24,7 @@
 #include "common/types.h"
 #include "server/adaptation.h"
 #include "server/policy.h"
+#include "server/prefix_store.h"
 
 namespace robostress {
 
@@ -35,6 +36,7 @@ struct SessionResources {
       nullptr;  // as many predictions compute at once as it counts
   absl::Duration lockstep_timeout =
       absl::Seconds(120);  // for feedback that was announced and does not come
+  std::shared_ptr<PrefixStore> prefixes = std::make_shared<PrefixStore>();
 };
 
 struct FeedbackResult {
@@ -46,7 +48,8 @@ struct SessionCounters {
   SessionStats stats;
   int buffered_chunks = 0;
   uint64_t predictions = 0;
-  uint64_t updates_refused = 0;  // loss or gradient was not finite
+  PrefixStore::Counters prefixes;  // of all sessions that share the store
+  uint64_t updates_refused = 0;    // loss or gradient was not finite
   uint64_t predictions_dropped =
       0;  // kept for feedback that had not come when kMaxOutstanding others had been made
 };
@@ -104,9 +107,15 @@ class Session : public std::enable_shared_from_this<Session> {
   // What must be remembered of a prediction until its feedback arrives.
   struct Prediction {
     int task = 0, episode = 0, chunk = 0;
-    torch::Tensor raw;      // [K, d] model space; undefined where the method does not adapt
-    PolicyContext context;  // as above
-    Eigen::MatrixXf base;   // [K, action_dim] of the unadapted policy; target: intent only
+    torch::Tensor raw;  // [K, d] model space; undefined where the method does not adapt
+    torch::Tensor state;  // PolicyContext::state
+    std::shared_ptr<const PrefixStore::Prefix> prefix;  // as above
+    Eigen::MatrixXf base;  // [K, action_dim] of the unadapted policy; target: intent only
+  };
+  // A training chunk while nothing computes with it.
+  struct BufferedChunk {
+    std::shared_ptr<const PrefixStore::Prefix> prefix;
+    torch::Tensor target;  // [K, d] model space
   };
 
   Session(const SessionSpec& spec, const SessionResources& resources, uint64_t owner);
@@ -118,12 +127,14 @@ class Session : public std::enable_shared_from_this<Session> {
   absl::Status AwaitLearned(uint64_t sequence) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ClearBuffer() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Eq. 1 and 2: the training chunk of an executed chunk.
-  absl::StatusOr<std::shared_ptr<const TrainingChunk>> MakeTrainingChunk(
-      const ExecutedChunk& executed, const Prediction& prediction)
+  absl::StatusOr<BufferedChunk> MakeTrainingChunk(const ExecutedChunk& executed,
+                                                  const Prediction& prediction)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // With the keys and values, rebuilt where the store dropped them.
+  absl::StatusOr<std::vector<std::shared_ptr<const TrainingChunk>>> WithPrefixes(
+      const std::vector<BufferedChunk>& chunks) const;
   void TriggerUpdate() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  void RunUpdate(uint64_t index, const std::vector<std::shared_ptr<const TrainingChunk>>& batch)
-      ABSL_LOCKS_EXCLUDED(mu_);
+  void RunUpdate(uint64_t index, const std::vector<BufferedChunk>& batch) ABSL_LOCKS_EXCLUDED(mu_);
   uint64_t updates_applied() const {
     return adapter_ == nullptr ? 0 : adapter_->snapshot()->version;
   }
@@ -149,7 +160,7 @@ class Session : public std::enable_shared_from_this<Session> {
   std::map<uint64_t, Prediction> outstanding_ ABSL_GUARDED_BY(mu_);
   Eigen::VectorXd direct_correction_
       ABSL_GUARDED_BY(mu_);  // [action_dim] or empty: none yet in this episode
-  FeedbackBuffer<std::shared_ptr<const TrainingChunk>> buffer_ ABSL_GUARDED_BY(mu_);
+  FeedbackBuffer<BufferedChunk> buffer_ ABSL_GUARDED_BY(mu_);
   UpdateSchedule schedule_ ABSL_GUARDED_BY(mu_);
   uint64_t triggers_ ABSL_GUARDED_BY(mu_) = 0;
   int pending_updates_ ABSL_GUARDED_BY(mu_) = 0;

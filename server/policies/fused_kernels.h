@@ -38,8 +38,9 @@ struct FusedKernels {
   // the last one filled up with zeros. A row's result does not depend on the other rows.
   void (*linear)(const float* x, int64_t rows, int64_t in, const float* panels, int64_t out,
                  float* y);
-  // y += (x A^T) B^T with A [rank, in] and B transposed, [rank, out]; rows of y are y_stride apart.
-  void (*add_low_rank)(const float* x, int64_t rows, int64_t in, const float* a,
+  // y += (x A^T) B^T with A [rank, in] and B transposed, [rank, out]; rows of x and y are x_stride
+  // and y_stride apart.
+  void (*add_low_rank)(const float* x, int64_t x_stride, int64_t rows, int64_t in, const float* a,
                        const float* b_transposed, int64_t rank, int64_t out, float* y,
                        int64_t y_stride);
   // In place: gelu_tanh(x).

@@ -9,7 +9,8 @@ int NanoConfig::grid() const { return image_size >> conv_channels.size(); }
 int NanoConfig::image_tokens() const { return grid() * grid(); }
 
 int NanoConfig::prefix_tokens() const {
-  return readout_tokens + static_cast<int>(cameras.size()) * image_tokens() + max_words;
+  return readout_tokens + static_cast<int>(cameras.size()) * image_tokens() + state_words() +
+         max_words;
 }
 
 absl::Status ValidateNanoConfig(const NanoConfig& config) {
@@ -37,6 +38,7 @@ absl::Status ValidateNanoConfig(const NanoConfig& config) {
       {"steps_per_token", config.steps_per_token, 1, config.horizon},
       {"execute_steps", config.execute_steps, 1, config.horizon},
       {"state_dim", config.state_dim, 1, 64},
+      {"state_bins", config.state_bins, 2, 4096},
       {"aux_dim", config.aux_dim, 1, 64},
   };
   for (const Range& range : ranges) {
@@ -51,6 +53,10 @@ absl::Status ValidateNanoConfig(const NanoConfig& config) {
       return absl::InvalidArgumentError(absl::StrCat("nano config: a value of conv_channels is ",
                                                      channels, ", must be 1 to 4096"));
     }
+  }
+  if (!(config.state_span > 0 && config.state_span < 1000)) {
+    return absl::InvalidArgumentError(absl::StrCat("nano config: state_span is ", config.state_span,
+                                                   ", must be above 0 and below 1000"));
   }
   if (config.grid() << config.conv_channels.size() != config.image_size) {
     return absl::InvalidArgumentError(

@@ -8,8 +8,15 @@
 
 namespace robostress {
 
+// Which of openpi's two networks a nano policy is in small.
+//   pi0   a state token before the actions; the time is mixed into each action token
+//   pi05  the state stands in the prefix as one word per entry; the time modulates the expert's
+//         norms (adaptive RMSNorm)
+enum class NanoArchitecture { kPi0, kPi05 };
+
 // The shape of a nano policy. Stored in the weights file, so that a file describes itself.
 struct NanoConfig {
+  NanoArchitecture architecture = NanoArchitecture::kPi0;
   std::vector<std::string> cameras = {"agentview", "robot0_eye_in_hand"};
   int image_size = 64;                                 // [px], square
   std::vector<int> conv_channels = {24, 48, 96, 128};  // one convolution of stride 2 each
@@ -27,15 +34,23 @@ struct NanoConfig {
   int steps_per_token = 5;   // control steps in one action token; pi0 has 1
   int execute_steps = 5;     // n_exec
   int state_dim = 8;
-  int aux_dim = 8;  // target position, destination, holding, progress
+  int state_bins = 256;   // pi05: words of one entry of the state
+  double state_span = 4;  // pi05: [standard deviations] that the words cover, to either side
+  int aux_dim = 8;        // target position, destination, holding, progress
 
-  int grid() const;           // image tokens per side
-  int image_tokens() const;   // per camera
-  int prefix_tokens() const;  // readout + images + words
+  int grid() const;          // image tokens per side
+  int image_tokens() const;  // per camera
+  bool pi05() const { return architecture == NanoArchitecture::kPi05; }
+  int state_words() const { return pi05() ? state_dim : 0; }  // tokens of the state in the prefix
+  int prefix_tokens() const;                                  // readout + images + state + words
   int action_tokens() const { return horizon / steps_per_token; }
+  int suffix_tokens() const { return action_tokens() + (pi05() ? 0 : 1); }
 
   template <class V>
   void Visit(V& v) {
+    v.Choice("architecture", architecture,
+             {{"pi0", NanoArchitecture::kPi0}, {"pi05", NanoArchitecture::kPi05}},
+             "pi0: state token; pi05: state in the prefix, adaptive norms");
     v.Field("cameras", cameras, "views, in order");
     v.Field("image_size", image_size, "[px], square");
     v.Field("conv_channels", conv_channels, "one convolution of stride 2 each");
@@ -56,6 +71,8 @@ struct NanoConfig {
     v.Field("steps_per_token", steps_per_token, "control steps in one action token");
     v.Field("execute_steps", execute_steps, "n_exec");
     v.Field("state_dim", state_dim, "proprioception");
+    v.Field("state_bins", state_bins, "pi05: words of one entry of the state");
+    v.Field("state_span", state_span, "pi05: standard deviations that the words cover");
     v.Field("aux_dim", aux_dim, "outputs of the auxiliary head");
   }
 };

@@ -56,9 +56,7 @@ class NanoPolicy : public FlowPolicy {
           model_.vocabulary.Encode(observation.instruction, model_.config.max_words));
       RS_ASSIGN_OR_RETURN(Tensor state, EncodeState(observation.proprioception));
       const Tensor rows = torch::tensor(words, torch::kInt64).unsqueeze(0);
-      PolicyContext context = network_.EncodePrefix(images, rows, /*with_aux=*/false).context;
-      context.state = state;
-      return context;
+      return network_.EncodePrefix(images, rows, state, /*with_aux=*/false).context;
     } catch (
         const std::exception& error) {  // LibTorch reports out of memory and the like by throwing
       return absl::InternalError(absl::StrCat("nano: encoding failed: ", error.what()));
@@ -72,10 +70,15 @@ class NanoPolicy : public FlowPolicy {
 
   Tensor Sample(const PolicyContext& context, const Tensor& noise,
                 const LoraWeights* lora) const override {
+    return sampler_.Sample(context, noise, std::vector<const LoraWeights*>(noise.size(0), lora));
+  }
+
+  Tensor SampleRows(const PolicyContext& context, const Tensor& noise,
+                    const std::vector<const LoraWeights*>& lora) const override {
     return sampler_.Sample(context, noise, lora);
   }
 
-  Eigen::MatrixXf ToEnvironment(const Tensor& chunk) const override {
+  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor&) const override {
     const Tensor rows = chunk.to(torch::kFloat32).contiguous();
     const int dim = spec_.action_dim;
     RS_CHECK(rows.dim() == 2 && rows.size(1) >= dim);
@@ -90,7 +93,7 @@ class NanoPolicy : public FlowPolicy {
     return actions;
   }
 
-  Tensor ToModel(const Eigen::MatrixXf& actions) const override {
+  Tensor ToModel(const Eigen::MatrixXf& actions, const torch::Tensor&) const override {
     RS_CHECK(actions.cols() == spec_.action_dim);
     Tensor rows = torch::empty({actions.rows(), actions.cols()});
     auto values = rows.accessor<float, 2>();

@@ -4,6 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <tuple>
+#include <utility>
 
 #include "common/check.h"
 #include "server/policies/fused_kernels.h"
@@ -19,6 +22,15 @@ std::vector<float> ToVector(const torch::Tensor& tensor) {
   return {flat.data_ptr<float>(), flat.data_ptr<float>() + flat.numel()};
 }
 
+// Calls f(value, per_column[i]) for every entry i of every row.
+template <class F>
+void ForEachEntry(int64_t rows, int64_t width, const std::vector<float>& per_column,
+                  std::vector<float>& values, F&& f) {
+  for (int64_t r = 0; r < rows; ++r) {
+    for (int64_t i = 0; i < width; ++i) f(values[r * width + i], per_column[i]);
+  }
+}
+
 // Value of row-major W [out, in] goes to panel out / 16, place [in][out % 16].
 float& PanelAt(float* panels, int64_t in, int64_t out_index, int64_t in_index) {
   return panels[(out_index / kPanel * in + in_index) * kPanel + out_index % kPanel];
@@ -27,14 +39,27 @@ float& PanelAt(float* panels, int64_t in, int64_t out_index, int64_t in_index) {
 }  // namespace
 
 struct NanoSampler::Lora {
-  struct Target {
-    int64_t in, out, rank;
+  // One pair of matrices: reads `in` inputs from `first_in` on, adds to `out` outputs from
+  // `first_out` on. A target per head has one for each head.
+  struct Pair {
+    int64_t first_in, in, first_out, out, rank;
     std::vector<float> a, b_transposed;
   };
-  explicit Lora(const LoraWeights& weights) {
-    for (size_t i = 0; i < weights.A.size(); ++i) {
-      targets.push_back({weights.A[i].size(1), weights.B[i].size(0), weights.A[i].size(0),
-                         ToVector(weights.A[i]), ToVector(weights.B[i].t())});
+  struct Target {
+    int64_t in, out;
+    std::vector<Pair> pairs;
+  };
+  Lora(const std::vector<LoraTarget>& shapes, const LoraWeights& weights) {
+    for (size_t i = 0; i < shapes.size(); ++i) {
+      torch::Tensor A = weights.A[i], B = weights.B[i];
+      if (A.dim() == 2) std::tie(A, B) = std::pair(A.unsqueeze(0), B.unsqueeze(0));
+      Target target{shapes[i].in_features, shapes[i].out_features, {}};
+      for (int64_t n = 0; n < A.size(0); ++n) {
+        const int64_t in = A.size(2), out = B.size(1);
+        target.pairs.push_back({in < target.in ? n * in : 0, in, out < target.out ? n * out : 0,
+                                out, A.size(1), ToVector(A[n]), ToVector(B[n].t())});
+      }
+      targets.push_back(std::move(target));
     }
   }
   std::vector<Target> targets;
@@ -94,25 +119,44 @@ NanoSampler::Packed NanoSampler::Pack(const torch::Tensor& weight, const torch::
 
 NanoSampler::NanoSampler(const NanoConfig& config, const NanoParameters& p,
                          const std::vector<float>& times)
-    : config_(config), times_(times) {
+    : config_(config), lora_targets_(NanoLoraTargets(config)), times_(times) {
   torch::NoGradGuard no_grad;
   const int64_t e = config.expert_width;
-  state_ = Pack(p.state_weight, p.state_bias);
   action_in_ = Pack(p.action_in_weight, p.action_in_bias);
-  time_in_ = Pack(p.time_in_weight.narrow(1, 0, e), {});
-  time_out_ = Pack(p.time_out_weight, p.time_out_bias);
   action_out_ = Pack(p.action_out_weight, p.action_out_bias);
-  const torch::Tensor embedding = TimeEmbedding(torch::tensor(times), e);
-  const torch::Tensor time =
-      torch::linear(embedding, p.time_in_weight.narrow(1, e, e), p.time_in_bias);
-  for (size_t i = 0; i < times.size(); ++i)
-    time_bias_.push_back(ToVector(time[static_cast<int64_t>(i)]));
+  std::vector<const NanoNorm*> norms;
   for (const NanoLayer& layer : p.expert) {
-    layers_.push_back({ToVector(layer.input_norm), ToVector(layer.post_norm),
-                       Pack(layer.qkv_proj, {}), Pack(layer.o_proj, {}),
+    norms.push_back(&layer.input_norm);
+    norms.push_back(&layer.post_norm);
+  }
+  norms.push_back(&p.expert_norm);
+  if (config.pi05()) {
+    const torch::Tensor cond = TimeCondition(p, torch::tensor(times));  // [steps, e]
+    norms_.resize(times.size());
+    for (const NanoNorm* norm : norms) {
+      const auto parts = torch::linear(cond, norm->dense, norm->dense_bias).chunk(3, -1);
+      for (size_t i = 0; i < times.size(); ++i) {
+        const auto step = static_cast<int64_t>(i);
+        norms_[i].push_back(
+            {ToVector(parts[0][step]), ToVector(parts[1][step]), ToVector(parts[2][step])});
+      }
+    }
+  } else {
+    state_ = Pack(p.state_weight, p.state_bias);
+    time_in_ = Pack(p.time_in_weight.narrow(1, 0, e), {});
+    time_out_ = Pack(p.time_out_weight, p.time_out_bias);
+    const torch::Tensor embedding = TimeEmbedding(torch::tensor(times), e);
+    const torch::Tensor time =
+        torch::linear(embedding, p.time_in_weight.narrow(1, e, e), p.time_in_bias);
+    for (size_t i = 0; i < times.size(); ++i)
+      time_bias_.push_back(ToVector(time[static_cast<int64_t>(i)]));
+    norms_.resize(1);
+    for (const NanoNorm* norm : norms) norms_[0].push_back({ToVector(norm->weight), {}, {}});
+  }
+  for (const NanoLayer& layer : p.expert) {
+    layers_.push_back({Pack(layer.qkv_proj, {}), Pack(layer.o_proj, {}),
                        Pack(layer.gate_up_proj, {}), Pack(layer.down_proj, {})});
   }
-  final_norm_ = ToVector(p.expert_norm);
   const auto [cos, sin] = RopeTables(config);
   rope_cos_ = ToVector(cos);
   rope_sin_ = ToVector(sin);
@@ -131,30 +175,39 @@ void NanoSampler::AddLora(const Lora* lora, size_t first, size_t count, const fl
   if (lora == nullptr) return;
   for (size_t i = first; i < first + count; ++i) {
     const Lora::Target& target = lora->targets[i];
-    BestFusedKernels().add_low_rank(x, rows, target.in, target.a.data(), target.b_transposed.data(),
-                                    target.rank, target.out, y, width);
+    for (const Lora::Pair& pair : target.pairs) {
+      BestFusedKernels().add_low_rank(x + pair.first_in, target.in, rows, pair.in, pair.a.data(),
+                                      pair.b_transposed.data(), pair.rank, pair.out,
+                                      y + pair.first_out, width);
+    }
     y += target.out;
   }
 }
 
 void NanoSampler::RunTokens(Workspace& w, int64_t rows, int64_t first_slot, int64_t first_position,
-                            const std::vector<float>& bias, const Lora* lora) const {
+                            const std::vector<float>& bias, const StepNorms& norms,
+                            const Lora* lora) const {
   const FusedKernels& kernels = BestFusedKernels();
   const int64_t e = config_.expert_width, heads = config_.heads, h = config_.head_dim;
   for (int64_t i = 0; i < rows; ++i) w.positions[i] = first_position + i;
   const float q_scale = static_cast<float>(1.0 / std::sqrt(static_cast<double>(h)));
-  bool has_delta = false;
-  // tokens += delta, normed = the norm of that.
-  const auto norm = [&](const std::vector<float>& weight) {
-    kernels.add_rms_norm(w.tokens.data(), has_delta ? w.delta.data() : nullptr, weight.data(), rows,
-                         e, w.sum.data(), w.normed.data(), w.inverse_rms.data());
-    if (has_delta) w.tokens.swap(w.sum);
-    has_delta = true;
+  const Norm* before = nullptr;  // the norm whose branch is in delta
+  // tokens += gate * delta, normed = the norm of that.
+  const auto norm = [&](const Norm& n) {
+    if (before != nullptr && !before->gate.empty())
+      ForEachEntry(rows, e, before->gate, w.delta, [](float& x, float gate) { x *= gate; });
+    kernels.add_rms_norm(w.tokens.data(), before != nullptr ? w.delta.data() : nullptr,
+                         n.scale.data(), rows, e, w.sum.data(), w.normed.data(),
+                         w.inverse_rms.data());
+    if (before != nullptr) w.tokens.swap(w.sum);
+    if (!n.shift.empty())
+      ForEachEntry(rows, e, n.shift, w.normed, [](float& y, float shift) { y += shift; });
+    before = &n;
   };
   for (int i = 0; i < config_.layers; ++i) {
     const Layer& layer = layers_[i];
     const size_t target = i * kTargetsPerLayer;
-    norm(layer.input_norm);
+    norm(norms[2 * i]);
     Apply(layer.qkv, w.normed.data(), rows, w.qkv.data());
     AddLora(lora, target, 3, w.normed.data(), rows, w.qkv.data(), layer.qkv.out);
     kernels.split_rope(w.qkv.data(), rope_cos_.data(), rope_sin_.data(), w.positions.data(),
@@ -167,14 +220,28 @@ void NanoSampler::RunTokens(Workspace& w, int64_t rows, int64_t first_slot, int6
                    w.attended.data());
     Apply(layer.o, w.attended.data(), rows, w.delta.data());
     AddLora(lora, target + 3, 1, w.attended.data(), rows, w.delta.data(), e);
-    norm(layer.post_norm);
+    norm(norms[2 * i + 1]);
     Apply(layer.gate_up, w.normed.data(), rows, w.gate_up.data());
     AddLora(lora, target + 4, 2, w.normed.data(), rows, w.gate_up.data(), layer.gate_up.out);
     kernels.geglu(w.gate_up.data(), rows, config_.expert_mlp, w.hidden.data());
     Apply(layer.down, w.hidden.data(), rows, w.delta.data());
     AddLora(lora, target + 6, 1, w.hidden.data(), rows, w.delta.data(), e);
   }
-  norm(final_norm_);
+  norm(norms.back());
+}
+
+// pi05: the actions. pi0: with the time mixed in.
+void NanoSampler::EmbedActions(size_t step, const float* x, std::vector<float>& mixed,
+                               Workspace& w) const {
+  const int64_t tokens = config_.action_tokens(), e = config_.expert_width;
+  Apply(action_in_, x, tokens, w.tokens.data());
+  if (config_.pi05()) return;
+  Apply(time_in_, w.tokens.data(), tokens, mixed.data());
+  ForEachEntry(tokens, e, time_bias_[step], mixed, [](float& value, float bias) {
+    value += bias;
+    value = value / (1.0f + std::exp(-value));
+  });
+  Apply(time_out_, mixed.data(), tokens, w.tokens.data());
 }
 
 void NanoSampler::SampleRow(const PolicyContext& context, int64_t row, const Lora* lora,
@@ -202,28 +269,24 @@ void NanoSampler::SampleRow(const PolicyContext& context, int64_t row, const Lor
     state_bias[slot] = 0.0f;
     ++valid;
   }
-  state_bias[prefix] = 0.0f;
+  if (!config_.pi05()) state_bias[prefix] = 0.0f;
   std::vector<float> action_bias = state_bias;
   const int64_t first_action = PadToPanel(prefix + 1);
   std::fill_n(action_bias.begin() + first_action, tokens, 0.0f);
 
-  const torch::Tensor state = context.state[row].contiguous();
-  Apply(state_, state.data_ptr<float>(), 1, w.tokens.data());
-  RunTokens(w, 1, prefix, valid, state_bias, lora);
+  int64_t first_position = valid;
+  if (!config_.pi05()) {
+    const torch::Tensor state = context.state[row].contiguous();
+    Apply(state_, state.data_ptr<float>(), 1, w.tokens.data());
+    RunTokens(w, 1, prefix, valid, state_bias, norms_[0], lora);
+    ++first_position;
+  }
 
   std::vector<float> mixed(tokens * e), velocity(tokens * values_per_token);
   for (size_t step = 0; step < times_.size(); ++step) {
-    Apply(action_in_, x, tokens, w.tokens.data());
-    Apply(time_in_, w.tokens.data(), tokens, mixed.data());
-    for (int64_t r = 0; r < tokens; ++r) {
-      for (int64_t i = 0; i < e; ++i) {
-        float& value = mixed[r * e + i];
-        value += time_bias_[step][i];
-        value = value / (1.0f + std::exp(-value));
-      }
-    }
-    Apply(time_out_, mixed.data(), tokens, w.tokens.data());
-    RunTokens(w, tokens, first_action, valid + 1, action_bias, lora);
+    EmbedActions(step, x, mixed, w);
+    RunTokens(w, tokens, first_action, first_position, action_bias,
+              norms_[config_.pi05() ? step : 0], lora);
     Apply(action_out_, w.normed.data(), tokens, velocity.data());
     const float dt = -1.0f / static_cast<float>(times_.size());
     for (size_t i = 0; i < velocity.size(); ++i) x[i] += dt * velocity[i];
@@ -231,16 +294,22 @@ void NanoSampler::SampleRow(const PolicyContext& context, int64_t row, const Lor
 }
 
 torch::Tensor NanoSampler::Sample(const PolicyContext& context, const torch::Tensor& noise,
-                                  const LoraWeights* lora) const {
+                                  const std::vector<const LoraWeights*>& lora) const {
   torch::NoGradGuard no_grad;
-  RS_CHECK(noise.size(0) == context.state.size(0) && noise.size(1) == config_.horizon &&
+  RS_CHECK(noise.size(0) == context.state.size(0) &&
+           noise.size(0) == static_cast<int64_t>(lora.size()) && noise.size(1) == config_.horizon &&
            noise.size(2) == config_.model_action_dim);
   const torch::Tensor x = noise.to(torch::kFloat32).contiguous().clone();
-  std::unique_ptr<Lora> packed_lora;
-  if (lora != nullptr) packed_lora = std::make_unique<Lora>(*lora);
+  std::map<const LoraWeights*, Lora> packed;
+  for (const LoraWeights* weights : lora) {
+    if (weights != nullptr && !packed.contains(weights))
+      packed.emplace(weights, Lora(lora_targets_, *weights));
+  }
   const int64_t size = noise.size(1) * noise.size(2);
   for (int64_t row = 0; row < noise.size(0); ++row) {
-    SampleRow(context, row, packed_lora.get(), x.data_ptr<float>() + row * size);
+    const auto found = packed.find(lora[row]);
+    SampleRow(context, row, found == packed.end() ? nullptr : &found->second,
+              x.data_ptr<float>() + row * size);
   }
   return x;
 }

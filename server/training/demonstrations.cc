@@ -1,6 +1,8 @@
 #include "server/training/demonstrations.h"
 
+#include <sys/mman.h>
 #include <torch/torch.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cmath>
@@ -136,7 +138,12 @@ absl::Status Demonstrations::AddShard(const std::string& path, double validation
   RS_ASSIGN_OR_RETURN(const float* state, floats("state", {frames, config_.state_dim}));
   RS_ASSIGN_OR_RETURN(const float* actions,
                       floats("actions", {frames, config_.horizon, config_.action_dim}));
-  RS_ASSIGN_OR_RETURN(const float* aux, floats("aux", {frames, config_.aux_dim}));
+  const float* aux = nullptr;
+  if (file.tensors().count("aux") > 0) {
+    RS_ASSIGN_OR_RETURN(aux, floats("aux", {frames, config_.aux_dim}));
+  } else {
+    without_aux_ = path;
+  }
   const auto check = [&](const char* name, const float* values, int64_t count) -> absl::Status {
     for (int64_t i = 0; i < count; ++i) {
       if (!std::isfinite(values[i])) {
@@ -148,7 +155,7 @@ absl::Status Demonstrations::AddShard(const std::string& path, double validation
   };
   RS_RETURN_IF_ERROR(check("state", state, frames * config_.state_dim));
   RS_RETURN_IF_ERROR(check("actions", actions, frames * config_.horizon * config_.action_dim));
-  RS_RETURN_IF_ERROR(check("aux", aux, frames * config_.aux_dim));
+  if (aux != nullptr) RS_RETURN_IF_ERROR(check("aux", aux, frames * config_.aux_dim));
 
   const int64_t* ids = reinterpret_cast<const int64_t*>(episode.bytes.data());
   bool held_out = false;
@@ -195,7 +202,7 @@ void Demonstrations::MeasureNormalisation(NanoModel& model) const {
     const Shard& shard = ShardOf(frame);
     const int64_t i = frame - shard.first;
     state.Add(shard.state + i * config_.state_dim);
-    aux.Add(shard.aux + i * config_.aux_dim);
+    if (shard.aux != nullptr) aux.Add(shard.aux + i * config_.aux_dim);
     for (int k = 0; k < config_.horizon; ++k) {
       actions.Add(shard.actions + (i * config_.horizon + k) * config_.action_dim);
     }
@@ -218,7 +225,7 @@ absl::StatusOr<DemoBatch> Demonstrations::Fill(absl::Span<const int64_t> frames,
   batch.words = torch::zeros({rows, config_.max_words}, torch::kInt64);
   batch.state = torch::empty({rows, config_.state_dim});
   batch.actions = torch::zeros({rows, config_.horizon, config_.model_action_dim});
-  batch.aux = torch::empty({rows, config_.aux_dim});
+  batch.aux = torch::zeros({rows, config_.aux_dim});
   int64_t longest = 1;
   const auto normalise = [](const float* row, const ZScore& z, float* out) {
     for (size_t j = 0; j < z.mean.size(); ++j)
@@ -261,12 +268,28 @@ absl::StatusOr<DemoBatch> Demonstrations::Fill(absl::Span<const int64_t> frames,
           shard.actions + (i * config_.horizon + k) * config_.action_dim, model.actions,
           batch.actions.data_ptr<float>() + (row * config_.horizon + k) * config_.model_action_dim);
     }
-    normalise(shard.aux + i * config_.aux_dim, model.aux,
-              batch.aux.data_ptr<float>() + row * config_.aux_dim);
+    if (shard.aux != nullptr) {
+      normalise(shard.aux + i * config_.aux_dim, model.aux,
+                batch.aux.data_ptr<float>() + row * config_.aux_dim);
+    }
   }
   for (torch::Tensor& image : images) batch.images.push_back(image.permute({0, 3, 1, 2}));
   batch.words = batch.words.narrow(1, 0, longest).contiguous();
   return batch;
+}
+
+void Demonstrations::WillNeed(absl::Span<const int64_t> frames) const {
+  const uintptr_t page = static_cast<uintptr_t>(sysconf(_SC_PAGESIZE));
+  const size_t length =
+      size_t{3} * config_.cameras.size() * config_.image_size * config_.image_size;
+  for (const int64_t frame : frames) {
+    const Shard& shard = ShardOf(frame);
+    const uintptr_t begin =
+        reinterpret_cast<uintptr_t>(shard.images + (frame - shard.first) * length);
+    const uintptr_t aligned = begin / page * page;
+    // Advice only: where it is refused the pages are read when they are touched.
+    (void)madvise(reinterpret_cast<void*>(aligned), begin + length - aligned, MADV_WILLNEED);
+  }
 }
 
 }  // namespace robostress

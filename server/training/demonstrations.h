@@ -20,7 +20,7 @@ struct DemoBatch {
   torch::Tensor words;                // [B, longest instruction of the batch]
   torch::Tensor state;                // [B, state_dim] normalised
   torch::Tensor actions;              // [B, K, d] normalised, padding channels 0
-  torch::Tensor aux;                  // [B, aux_dim] normalised
+  torch::Tensor aux;                  // [B, aux_dim] normalised; 0 where a shard has none
 };
 
 // Random changes of a frame; zeros: none.
@@ -44,6 +44,8 @@ class Demonstrations {
   const std::vector<int64_t>& training() const { return training_; }
   const std::vector<int64_t>& validation() const { return validation_; }
   int64_t episodes() const { return episodes_; }
+  // A shard without auxiliary targets, or empty: those train with aux_weight 0 only.
+  const std::string& without_aux() const { return without_aux_; }
 
   // Words and z-scores of the training frames. Dimensions that hardly vary get a floor of the
   // deviation, so that normalising does not blow up their noise.
@@ -54,6 +56,9 @@ class Demonstrations {
   // normalisation.
   absl::StatusOr<DemoBatch> Fill(absl::Span<const int64_t> frames, const NanoModel& model,
                                  const Augmentation& augmentation, RandomStream& random) const;
+  // Asks the kernel to read these frames' images ahead, so that a Fill soon after does not wait for
+  // the disk. Returns at once.
+  void WillNeed(absl::Span<const int64_t> frames) const;
 
  private:
   struct Shard {
@@ -63,7 +68,7 @@ class Demonstrations {
     const uint8_t* images = nullptr;  // [frames, views, s, s, 3]
     const float* state = nullptr;
     const float* actions = nullptr;  // [frames, K, action_dim]
-    const float* aux = nullptr;
+    const float* aux = nullptr;      // may be absent
   };
   explicit Demonstrations(const NanoConfig& config) : config_(config) {}
   absl::Status AddShard(const std::string& path, double validation_share);
@@ -73,6 +78,7 @@ class Demonstrations {
   std::vector<Shard> shards_;
   std::vector<int64_t> training_, validation_;
   int64_t frames_ = 0, episodes_ = 0;
+  std::string without_aux_;
 };
 
 }  // namespace robostress

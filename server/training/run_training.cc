@@ -9,11 +9,14 @@
 #include "common/config.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
+#include "server/training/libero_shards.h"
+#include "server/training/success_evaluation.h"
 #include "server/training/trainer.h"
 
 namespace robostress {
 namespace {
 
+using Clock = std::chrono::steady_clock;
 using Seconds = std::chrono::duration<double>;
 
 struct OutputFiles {
@@ -22,8 +25,10 @@ struct OutputFiles {
         log(out + "/train.jsonl"),
         checkpoint(out + "/checkpoint.safetensors"),
         weights(out + "/nano.safetensors"),
+        evaluation(out + "/evaluation"),
+        converted(out + "/data"),
         done(out + "/DONE") {}
-  std::string config, log, checkpoint, weights, done;
+  std::string config, log, checkpoint, weights, evaluation, converted, done;
 };
 
 // The model that training starts from, with words and normalisation of the data (or of `weights`
@@ -63,6 +68,75 @@ absl::Status LogEvaluation(const Trainer& trainer, const OutputFiles& files) {
   return AppendLine(files.log, line.dump());
 }
 
+absl::Status LogSuccess(const Trainer& trainer, const TrainOptions& options,
+                        const OutputFiles& files) {
+  RS_RETURN_IF_ERROR(Publish(trainer, files));
+  std::fflush(stdout);
+  RS_ASSIGN_OR_RETURN(
+      const SuccessCount count,
+      MeasureSuccess(options.evaluate_command, files.weights,
+                     absl::StrCat(files.evaluation, "/step_", trainer.step()), trainer.step()));
+  absl::PrintF("step %d  success %d/%d\n", trainer.step(), count.successes, count.episodes);
+  const nlohmann::json line = {
+      {"step", trainer.step()}, {"successes", count.successes}, {"episodes", count.episodes}};
+  return AppendLine(files.log, line.dump());
+}
+
+// Held-out errors, and success where a command measures it.
+absl::Status EvaluateNow(const Trainer& trainer, const TrainOptions& options,
+                         const OutputFiles& files) {
+  if (trainer.has_held_out()) RS_RETURN_IF_ERROR(LogEvaluation(trainer, files));
+  return options.evaluate_command.empty() ? absl::OkStatus() : LogSuccess(trainer, options, files);
+}
+
+// What happened since the last line of the log.
+struct Window {
+  explicit Window(const Trainer& trainer) : data_start(trainer.data_seconds()) {}
+  void Add(const TrainLosses& losses) {
+    sum.flow += losses.flow;
+    sum.aux += losses.aux;
+    sum.clean_flow += losses.clean_flow;
+    ++steps;
+  }
+  TrainLosses sum;
+  int64_t steps = 0;
+  Clock::time_point start = Clock::now();
+  std::clock_t cpu_start = std::clock();  // of all threads
+  double data_start;
+};
+
+absl::Status LogWindow(const Window& window, const Trainer& trainer, const TrainOptions& options,
+                       const OutputFiles& files, double elapsed, double remaining) {
+  const double seconds = Seconds(Clock::now() - window.start).count();
+  const double steps = static_cast<double>(window.steps), samples = steps * options.batch;
+  const double cpu_ms =
+      1e3 * static_cast<double>(std::clock() - window.cpu_start) / CLOCKS_PER_SEC / samples;
+  // Of the threads' time; everything else is computing.
+  const double data_share =
+      (trainer.data_seconds() - window.data_start) / (seconds * options.threads);
+  nlohmann::json line = {{"step", trainer.step()},
+                         {"flow", window.sum.flow / steps},
+                         {"aux", window.sum.aux / steps},
+                         {"lr", trainer.learning_rate()},
+                         {"gradient_norm", trainer.gradient_norm()},
+                         {"samples_per_s", samples / seconds},
+                         {"cpu_ms_per_sample", cpu_ms},
+                         {"data_share", data_share},
+                         {"elapsed_s", elapsed}};
+  std::string robust;
+  if (options.objective == Objective::kRobust) {
+    line["clean_flow"] = window.sum.clean_flow / steps;
+    robust = absl::StrFormat(" (clean %.4f)", window.sum.clean_flow / steps);
+  }
+  absl::PrintF(
+      "step %d/%d  flow %.4f%s  aux %.4f  %.0f samples/s (%.1f CPU ms each, data %.1f %%)  %.0f s "
+      "left\n",
+      trainer.step(), options.steps, window.sum.flow / steps, robust, window.sum.aux / steps,
+      samples / seconds, cpu_ms, 100 * data_share, remaining);
+  std::fflush(stdout);
+  return AppendLine(files.log, line.dump());
+}
+
 }  // namespace
 
 absl::Status RunTraining(const TrainOptions& given, bool resume) {
@@ -82,8 +156,15 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
     options.network = model.config;
   }
   RS_ASSIGN_OR_RETURN(
-      const Demonstrations demonstrations,
-      Demonstrations::Open(options.data, options.network, options.validation_share));
+      const std::vector<std::string> shards,
+      PrepareShards(options.data, options.network, options.hdf5_stride, files.converted));
+  RS_ASSIGN_OR_RETURN(const Demonstrations demonstrations,
+                      Demonstrations::Open(shards, options.network, options.validation_share));
+  if (!demonstrations.without_aux().empty() && options.aux_weight > 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(demonstrations.without_aux(), ": no auxiliary targets, and aux_weight is ",
+                     options.aux_weight, "; train with --set aux_weight=0"));
+  }
   RS_ASSIGN_OR_RETURN(NanoModel model, StartModel(options, weights, demonstrations));
   RS_RETURN_IF_ERROR(MakeDirectories(options.out));
   std::error_code absent;  // a run that goes on with more steps is not finished any more
@@ -95,55 +176,31 @@ absl::Status RunTraining(const TrainOptions& given, bool resume) {
                demonstrations.training().size(), demonstrations.validation().size(),
                demonstrations.episodes(), trainer.parameter_count(), trainer.step(), options.steps);
 
-  const auto start = std::chrono::steady_clock::now();
-  auto window_start = start;
-  std::clock_t window_cpu = std::clock();  // of all threads
-  TrainLosses window;
-  int64_t window_steps = 0;
+  if (trainer.step() == 0 && !options.init.empty())
+    RS_RETURN_IF_ERROR(EvaluateNow(trainer, options, files));
+  Window window(trainer);
+  const auto start = Clock::now();
   const int64_t first_step = trainer.step();
   while (trainer.step() < options.steps) {
     RS_ASSIGN_OR_RETURN(const TrainLosses losses, trainer.Step());
-    window.flow += losses.flow;
-    window.aux += losses.aux;
-    ++window_steps;
+    window.Add(losses);
     const int64_t step = trainer.step();
     const bool last = step == options.steps;
     if (step % options.log_every == 0 || last) {
-      const auto now = std::chrono::steady_clock::now();
-      const double seconds = Seconds(now - window_start).count(),
-                   elapsed = Seconds(now - start).count();
-      const double rate = static_cast<double>(window_steps * options.batch) / seconds;
-      const double cpu_ms = 1e3 * static_cast<double>(std::clock() - window_cpu) / CLOCKS_PER_SEC /
-                            static_cast<double>(window_steps * options.batch);
+      const double elapsed = Seconds(Clock::now() - start).count();
       const double remaining = elapsed / static_cast<double>(step - first_step) *
                                static_cast<double>(options.steps - step);
-      const nlohmann::json line = {{"step", step},
-                                   {"flow", window.flow / window_steps},
-                                   {"aux", window.aux / window_steps},
-                                   {"lr", trainer.learning_rate()},
-                                   {"gradient_norm", trainer.gradient_norm()},
-                                   {"samples_per_s", rate},
-                                   {"cpu_ms_per_sample", cpu_ms},
-                                   {"elapsed_s", elapsed}};
-      RS_RETURN_IF_ERROR(AppendLine(files.log, line.dump()));
-      absl::PrintF(
-          "step %d/%d  flow %.4f  aux %.4f  %.0f samples/s (%.1f CPU ms each)  %.0f s left\n", step,
-          options.steps, window.flow / window_steps, window.aux / window_steps, rate, cpu_ms,
-          remaining);
-      std::fflush(stdout);
-      window = {};
-      window_steps = 0;
-      window_start = std::chrono::steady_clock::now();
-      window_cpu = std::clock();
+      RS_RETURN_IF_ERROR(LogWindow(window, trainer, options, files, elapsed, remaining));
+      window = Window(trainer);
     }
     if (step % options.checkpoint_every == 0 || last) RS_RETURN_IF_ERROR(Publish(trainer, files));
-    if ((step % options.evaluate_every == 0 || last) && !demonstrations.validation().empty()) {
-      RS_RETURN_IF_ERROR(LogEvaluation(trainer, files));
-      window_start = std::chrono::steady_clock::now();
-      window_cpu = std::clock();
+    if (step % options.evaluate_every == 0 || last) {
+      RS_RETURN_IF_ERROR(EvaluateNow(trainer, options, files));
+      window = Window(trainer);
     }
   }
-  absl::PrintF("weights: %s\n", files.weights);
+  absl::PrintF("weights: %s\ncurves:  robostress report --training %s\n", files.weights,
+               options.out);
   return WriteFileAtomically(files.done, "");
 }
 

@@ -15,6 +15,8 @@ constexpr char kExamples[] = R"(Examples:
   robostress-train --data demos --data dagger1 --init runs/nano/nano.safetensors --out runs/nano2 --steps 5000
   robostress-train --recipe server/training/nano.yaml --data demos --out runs/nano
   robostress-train --data demos --out runs/nano --steps 20000 --resume
+  robostress-train ... --evaluate-every 500 --evaluate "robostress sweep --policies {weights}
+      --suites tabletop_goal --scenarios clean --methods base --episodes 2 --first-state 40 --out {out} --no-report"
 Any other field of the recipe: --set network.layers=3 --set lr=0.0005)";
 
 absl::Status Train(const std::string& recipe, const std::vector<std::string>& overrides,
@@ -47,7 +49,9 @@ int main(int argc, char** argv) {
   bool resume = false;
   app.add_option("--recipe", recipe,
                  "YAML file with training options; the flags below override it");
-  app.add_option("--data", data, "directory of shards, may be given more than once");
+  app.add_option(
+      "--data", data,
+      "directory of shards or an .hdf5 file in LIBERO's form, may be given more than once");
   app.add_option("--set", overrides, "field=value, may be given more than once");
   app.add_flag("--resume", resume, "go on from the checkpoint in --out");
   // Flags that are short for --set.
@@ -55,15 +59,21 @@ int main(int argc, char** argv) {
       {"out", "output directory"},     {"init", "weights to go on from"},
       {"steps", "optimizer steps"},    {"batch", "frames per step"},
       {"lr", "peak learning rate"},    {"seed", "of everything random"},
-      {"threads", "training threads"},
+      {"threads", "training threads"}, {"objective", "bc, or robust: PGD on the action chunk"},
   };
   std::vector<std::string> values(fields.size());
   for (size_t i = 0; i < fields.size(); ++i)
     app.add_option("--" + fields[i].first, values[i], fields[i].second);
+  std::string evaluate, evaluate_every;
+  app.add_option("--evaluate", evaluate,
+                 "command that measures success; {weights}, {out}, {step} are replaced");
+  app.add_option("--evaluate-every", evaluate_every, "steps between evaluations");
   CLI11_PARSE(app, argc, argv);
   for (size_t i = 0; i < fields.size(); ++i) {
     if (!values[i].empty()) overrides.push_back(fields[i].first + "=" + values[i]);
   }
+  if (!evaluate.empty()) overrides.push_back("evaluate_command=" + evaluate);
+  if (!evaluate_every.empty()) overrides.push_back("evaluate_every=" + evaluate_every);
   if (absl::Status status = Train(recipe, overrides, data, resume); !status.ok()) {
     std::fprintf(stderr, "robostress-train: %s\n", std::string(status.message()).c_str());
     return 1;

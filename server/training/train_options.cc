@@ -16,6 +16,7 @@ absl::Status ValidateTrainOptions(const TrainOptions& options) {
         "training: no data; give --data DIR, a folder that robostress-record has written");
   }
   if (options.out.empty()) return absl::InvalidArgumentError("training: no output; give --out DIR");
+  RS_RETURN_IF_ERROR(check("hdf5_stride", options.hdf5_stride, 1, 1000));
   RS_RETURN_IF_ERROR(check("steps", static_cast<double>(options.steps), 1, 1e9));
   RS_RETURN_IF_ERROR(check("batch", options.batch, 1, 65536));
   RS_RETURN_IF_ERROR(check("draws", options.draws, 1, 64));
@@ -44,6 +45,7 @@ absl::Status ValidateTrainOptions(const TrainOptions& options) {
                                                    ", must be a multiple of threads, ",
                                                    options.threads));
   }
+  RS_RETURN_IF_ERROR(ValidatePgdOptions(options.robust));
   return ValidateNanoConfig(options.network);
 }
 

@@ -6,14 +6,22 @@
 
 #include "absl/status/status.h"
 #include "server/policies/nano_config.h"
+#include "server/training/worst_case_actions.h"
 
 namespace robostress {
 
+// kBc: behaviour cloning. kRobust: behaviour cloning of the worst chunk near the demonstration.
+enum class Objective { kBc, kRobust };
+
 // How a nano policy is trained. Saved resolved as OUT/config.yaml.
 struct TrainOptions {
-  std::vector<std::string> data;  // directories of shards
+  std::vector<std::string>
+      data;             // directories of shards; LIBERO's .hdf5 files, or directories of them
+  int hdf5_stride = 2;  // control steps between the frames taken from those
   std::string out;
-  std::string init;       // weights to go on from; empty: random
+  std::string init;  // weights to go on from; empty: random
+  Objective objective = Objective::kBc;
+  PgdOptions robust;      // with objective robust
   int64_t steps = 20000;  // optimizer steps of the whole run
   int batch = 128;        // frames per step
   int draws = 2;          // flow times and noises per frame; the prefix is shared
@@ -36,14 +44,21 @@ struct TrainOptions {
   int validation_frames = 256;     // of them, spread evenly
   int64_t log_every = 50;          // steps
   int64_t evaluate_every = 1000;
+  std::string evaluate_command;  // see MeasureSuccess; empty: held-out errors only
   int64_t checkpoint_every = 500;
   NanoConfig network;  // unused with init
 
   template <class V>
   void Visit(V& v) {
-    v.Field("data", data, "directories of shards");
+    v.Field("data", data,
+            "directories of shards; .hdf5 files in LIBERO's form, or directories of them");
+    v.Field("hdf5_stride", hdf5_stride, "control steps between the frames taken from .hdf5 files");
     v.Field("out", out, "output directory");
     v.Field("init", init, "weights to go on from; empty: random");
+    v.Choice(
+        "objective", objective, {{"bc", Objective::kBc}, {"robust", Objective::kRobust}},
+        "bc: behaviour cloning; robust: on the worst chunk near the demonstration (RobustVLA)");
+    v.Section("robust", robust, "PGD on the normalised action chunk, with objective robust");
     v.Field("steps", steps, "optimizer steps of the whole run");
     v.Field("batch", batch, "frames per step");
     v.Field("draws", draws, "flow times and noises per frame");
@@ -66,6 +81,9 @@ struct TrainOptions {
     v.Field("validation_frames", validation_frames, "frames of them that are evaluated");
     v.Field("log_every", log_every, "steps");
     v.Field("evaluate_every", evaluate_every, "steps");
+    v.Field(
+        "evaluate_command", evaluate_command,
+        "run then; {weights}, {out} and {step} are replaced, episodes.jsonl below {out} counted");
     v.Field("checkpoint_every", checkpoint_every, "steps");
     v.Section("network", network, "shape of the policy; unused with init");
   }

@@ -2,6 +2,7 @@
 
 #include <torch/torch.h>
 
+#include <chrono>
 #include <cmath>
 #include <thread>
 
@@ -10,49 +11,39 @@
 #include "common/status_macros.h"
 #include "server/policies/nano_policy.h"
 #include "server/torch_threads.h"
+#include "server/training/flow_objective.h"
+#include "server/training/worst_case_actions.h"
 
 namespace robostress {
 namespace {
 
 using torch::Tensor;
 
+using Seconds = std::chrono::duration<double>;
+
 constexpr double kBeta1 = 0.9, kAdamEpsilon = 1e-8;
 
-// eps and t for `rows` draws; t = 0.999 Beta(1.5, 1) + 0.001, stratified over the draws of a frame.
-struct FlowDraw {
-  Tensor noise;  // [rows draws, K, d]
-  Tensor t;      // [rows draws]
-};
-
-FlowDraw DrawFlow(int64_t rows, int64_t draws, const NanoConfig& config, uint64_t seed) {
-  auto generator = at::make_generator<at::CPUGeneratorImpl>(seed);
-  FlowDraw draw;
-  draw.noise = torch::randn({rows * draws, config.horizon, config.model_action_dim}, generator);
-  const Tensor uniform =
-      (torch::rand({rows, draws}, generator) + torch::arange(draws)) / static_cast<double>(draws);
-  draw.t = (uniform.pow(1.0 / 1.5) * 0.999 + 0.001)
-               .flatten();  // the quantile of Beta(1.5, 1) is u^(1/1.5)
-  return draw;
-}
-
-// Forward pass and losses of a batch; row i of the batch serves draws i n ... i n + n - 1.
+// Flow loss and auxiliary loss of a batch from its prefix.
 struct Losses {
   Tensor flow, aux;
 };
 
-Losses ComputeLosses(const NanoNetwork& network, const DemoBatch& batch, const FlowDraw& draw,
+Losses ComputeLosses(const NanoNetwork& network, const NanoNetwork::Prefix& prefix,
+                     const DemoBatch& batch, const Tensor& actions, const FlowDraw& draw,
                      const Tensor& step_weights) {
-  NanoNetwork::Prefix prefix = network.EncodePrefix(batch.images, batch.words, /*with_aux=*/true);
-  prefix.context.state = batch.state;
-  const int64_t draws = draw.t.size(0) / batch.state.size(0);
-  const Tensor actions = batch.actions.repeat_interleave(draws, 0);
-  const Tensor t = draw.t.view({-1, 1, 1});
-  const Tensor x = t * draw.noise + (1.0 - t) * actions;
-  const Tensor v = network.Velocity(prefix.context, x, draw.t, nullptr);
-  Losses losses;
-  losses.flow = ((v - (draw.noise - actions)).square() * step_weights).mean();
-  losses.aux = (prefix.aux - batch.aux).square().mean();
-  return losses;
+  return {FlowLoss(network, prefix.context, actions, draw, step_weights),
+          (prefix.aux - batch.aux).square().mean()};
+}
+
+NanoNetwork::Prefix EncodeBatch(const NanoNetwork& network, const DemoBatch& batch) {
+  return network.EncodePrefix(batch.images, batch.words, batch.state, /*with_aux=*/true);
+}
+
+// Keys and values as they are stored: no gradient goes through them.
+PolicyContext Detached(PolicyContext context) {
+  for (Tensor& keys : context.keys) keys = keys.detach();
+  for (Tensor& values : context.values) values = values.detach();
+  return context;
 }
 
 }  // namespace
@@ -86,6 +77,8 @@ Trainer::Trainer(TrainOptions options, NanoModel model, const Demonstrations& de
     }
     replica.network =
         std::make_unique<NanoNetwork>(model_.config, AssembleNano(model_.config, replica.leaves));
+    replica.frozen = std::make_unique<NanoNetwork>(model_.config,
+                                                   AssembleNano(model_.config, Slice(parameters_)));
     replicas_.push_back(std::move(replica));
   }
 }
@@ -111,26 +104,45 @@ double Trainer::learning_rate() const {
          0.5 * (options_.lr - options_.final_lr) * (1.0 + std::cos(M_PI * progress));
 }
 
+StreamKey Trainer::KeyOf(int64_t step, int thread) const {
+  return StreamKey("train").With(static_cast<int64_t>(options_.seed)).With(step).With(thread);
+}
+
+std::vector<int64_t> Trainer::DrawFrames(RandomStream& random) const {
+  const std::vector<int64_t>& all = demonstrations_.training();
+  std::vector<int64_t> frames(options_.batch / options_.threads);
+  for (int64_t& frame : frames) frame = all[random.UniformInt(static_cast<int>(all.size()))];
+  return frames;
+}
+
 absl::StatusOr<TrainLosses> Trainer::Backward(int thread) {
   UseOneTorchThread();
   try {
     Replica& replica = replicas_[thread];
     replica.gradient.zero_();
-    const StreamKey key =
-        StreamKey("train").With(static_cast<int64_t>(options_.seed)).With(step_).With(thread);
+    const StreamKey key = KeyOf(step_, thread);
     RandomStream random(key);
-    const std::vector<int64_t>& all = demonstrations_.training();
-    std::vector<int64_t> frames(options_.batch / options_.threads);
-    for (int64_t& frame : frames) frame = all[random.UniformInt(static_cast<int>(all.size()))];
+    const auto start = std::chrono::steady_clock::now();
+    const std::vector<int64_t> frames = DrawFrames(random);
     const Augmentation augmentation{options_.shift_px, options_.colour_jitter,
                                     options_.state_noise};
     RS_ASSIGN_OR_RETURN(const DemoBatch batch,
                         demonstrations_.Fill(frames, model_, augmentation, random));
+    RandomStream upcoming(KeyOf(step_ + 1, thread));
+    demonstrations_.WillNeed(DrawFrames(upcoming));
+    replica.data_seconds += Seconds(std::chrono::steady_clock::now() - start).count();
     const FlowDraw draw = DrawFlow(static_cast<int64_t>(frames.size()), options_.draws,
                                    model_.config, key.With("flow").lo());
-    const Losses losses = ComputeLosses(*replica.network, batch, draw, step_weights_);
+    const NanoNetwork::Prefix prefix = EncodeBatch(*replica.network, batch);
+    WorstCase worst{batch.actions};
+    if (options_.objective == Objective::kRobust) {
+      worst = FindWorstCaseActions(*replica.frozen, Detached(prefix.context), batch.actions, draw,
+                                   step_weights_, options_.robust);
+    }
+    const Losses losses =
+        ComputeLosses(*replica.network, prefix, batch, worst.actions, draw, step_weights_);
     (losses.flow + losses.aux * options_.aux_weight).backward();
-    return TrainLosses{losses.flow.item<double>(), losses.aux.item<double>()};
+    return TrainLosses{losses.flow.item<double>(), losses.aux.item<double>(), worst.clean_loss};
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("training step ", step_, ": ", error.what()));
   }
@@ -152,6 +164,7 @@ absl::StatusOr<TrainLosses> Trainer::Step() {
     RS_RETURN_IF_ERROR(result.status());
     mean.flow += result->flow / static_cast<double>(results.size());
     mean.aux += result->aux / static_cast<double>(results.size());
+    mean.clean_flow += result->clean_flow / static_cast<double>(results.size());
   }
   if (!std::isfinite(mean.flow + mean.aux)) {
     return absl::FailedPreconditionError(
@@ -160,6 +173,12 @@ absl::StatusOr<TrainLosses> Trainer::Step() {
   }
   Update();
   return mean;
+}
+
+double Trainer::data_seconds() const {
+  double sum = 0;
+  for (const Replica& replica : replicas_) sum += replica.data_seconds;
+  return sum;
 }
 
 void Trainer::Update() {
@@ -213,13 +232,13 @@ absl::StatusOr<Evaluation> Trainer::Evaluate() const {
       const int64_t rows = static_cast<int64_t>(frames.size());
       RandomStream random(StreamKey("evaluate").With(first));
       RS_ASSIGN_OR_RETURN(const DemoBatch batch, demonstrations_.Fill(frames, model, {}, random));
-      const Losses losses = ComputeLosses(
-          network, batch, DrawFlow(rows, options_.draws, config, 17 + first), step_weights_);
+      const NanoNetwork::Prefix prefix = EncodeBatch(network, batch);
+      const Losses losses =
+          ComputeLosses(network, prefix, batch, batch.actions,
+                        DrawFlow(rows, options_.draws, config, 17 + first), step_weights_);
       sum.losses.flow += losses.flow.item<double>() * rows;
       sum.losses.aux += losses.aux.item<double>() * rows;
 
-      NanoNetwork::Prefix prefix = network.EncodePrefix(batch.images, batch.words, true);
-      prefix.context.state = batch.state;
       Tensor x = DrawFlow(rows, 1, config, 91 + first).noise;
       for (const float t : EulerTimes(10)) {
         x.add_(network.Velocity(prefix.context, x, torch::full({rows}, t), nullptr), -0.1);

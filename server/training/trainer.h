@@ -16,8 +16,9 @@ namespace robostress {
 
 // Losses of one step or of an evaluation.
 struct TrainLosses {
-  double flow = 0;  // weighted mean of (v - (eps - a))^2
+  double flow = 0;  // weighted mean of (v - (eps - a))^2; with objective robust of the worst case
   double aux = 0;   // mean of squared normalised errors
+  double clean_flow = 0;  // with objective robust: the flow loss of the demonstration itself
 };
 
 // What the held-out episodes say.
@@ -33,7 +34,8 @@ struct Evaluation {
 // Behaviour cloning by flow matching: minimises over the parameters
 //   E_{t, eps} || v(s, t eps + (1 - t) a, t) - (eps - a) ||^2_w + aux_weight * || aux(s) - aux
 //   ||^2,
-// t = 0.999 Beta(1.5, 1) + 0.001 as in pi0, with AdamW and an exponential average of the weights.
+// t = 0.999 Beta(1.5, 1) + 0.001 as in openpi, with AdamW and an exponential average of the
+// weights. Objective robust puts the worst chunk near a in its place (worst_case_actions.h).
 // Data-parallel on threads of one process: each has its own gradients over the shared parameters.
 class Trainer {
  public:
@@ -43,9 +45,12 @@ class Trainer {
   int64_t parameter_count() const { return parameters_.size(0); }
   double learning_rate() const;
   double gradient_norm() const { return gradient_norm_; }
+  // Spent on drawing frames and filling batches since construction, summed over threads [s].
+  double data_seconds() const;
 
   // One optimizer step; frames, noise and augmentation depend on (seed, step) only.
   absl::StatusOr<TrainLosses> Step();
+  bool has_held_out() const { return !demonstrations_.validation().empty(); }
   // With the averaged weights.
   absl::StatusOr<Evaluation> Evaluate() const;
   // The policy with the averaged weights.
@@ -61,7 +66,11 @@ class Trainer {
     torch::Tensor gradient;  // [parameters]
     std::vector<torch::Tensor> leaves;
     std::unique_ptr<NanoNetwork> network;
+    std::unique_ptr<NanoNetwork> frozen;  // the same values, without gradients
+    double data_seconds = 0;
   };
+  StreamKey KeyOf(int64_t step, int thread) const;
+  std::vector<int64_t> DrawFrames(RandomStream& random) const;
   absl::StatusOr<TrainLosses> Backward(int thread);
   std::vector<torch::Tensor> Slice(const torch::Tensor& flat) const;
   void Update();

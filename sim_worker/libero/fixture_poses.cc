@@ -1,6 +1,7 @@
 #include "sim_worker/libero/fixture_poses.h"
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "common/random.h"
 #include "common/status_macros.h"
 
@@ -21,6 +22,20 @@ absl::StatusOr<FixturePoses> FixturePoses::Create(const LiberoFixtures& choice,
   return result;
 }
 
+absl::Status FixturePoses::CheckListed(int first, int count) const {
+  if (choice_.source != Source::kTable || scene_->centred_fixtures.empty()) return absl::OkStatus();
+  std::vector<int> absent;
+  for (int state = first; state < first + count; ++state) {
+    if (!table_.contains(state)) absent.push_back(state);
+  }
+  if (absent.empty()) return absl::OkStatus();
+  return absl::NotFoundError(
+      absl::StrCat(choice_.table, ": task '", task_, "': no poses for initial state ",
+                   absl::StrJoin(absent, ", "), "; it has ", table_.size(),
+                   " initial states; add what is absent, or choose others with --episodes and "
+                   "--first-initial-state"));
+}
+
 absl::StatusOr<std::vector<FixturePose>> FixturePoses::At(int initial_state) {
   if (scene_->centred_fixtures.empty()) return std::vector<FixturePose>();
   switch (choice_.source) {
@@ -36,13 +51,8 @@ absl::StatusOr<std::vector<FixturePose>> FixturePoses::At(int initial_state) {
       }
       return resets_[initial_state];
     case Source::kTable:
-      const auto poses = table_.find(initial_state);
-      if (poses != table_.end()) return poses->second;
-      return absl::NotFoundError(
-          absl::StrCat(choice_.table, ": task '", task_, "': no poses for initial state ",
-                       initial_state, "; it has ", table_.size(),
-                       " initial states; add this one, or choose others with --episodes and "
-                       "--first-initial-state"));
+      RS_RETURN_IF_ERROR(CheckListed(initial_state, 1));
+      return table_.at(initial_state);
   }
   return scene_->centred_fixtures;
 }

@@ -18,8 +18,10 @@ class FixturePoses {
   // `scene` must outlive this. Reads a table at once and reports what is wrong with it.
   static absl::StatusOr<FixturePoses> Create(const LiberoFixtures& choice, const std::string& task,
                                              const LiberoScene& scene);
+  // NotFound names every initial state of [first, first + count) that a table does not list.
+  absl::Status CheckListed(int first, int count) const;
   // The poses of the episode that starts from this row of the task's initial states; equal rows
-  // have equal poses. NotFound when a table does not list the row.
+  // have equal poses. NotFound as CheckListed.
   absl::StatusOr<std::vector<FixturePose>> At(int initial_state);
 
  private:

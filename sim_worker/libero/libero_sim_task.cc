@@ -9,6 +9,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/image.h"
+#include "common/image_resize.h"
 #include "common/joint_errors/scenarios.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
@@ -86,6 +87,7 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
   if (fixtures.source != LiberoFixtures::Source::kCentred) {
     RS_ASSIGN_OR_RETURN(FixturePoses poses,
                         FixturePoses::Create(fixtures, names[task], *result->scene_));
+    RS_RETURN_IF_ERROR(poses.CheckListed(unit.first_initial_state, unit.episodes));
     result->fixture_poses_ = std::make_unique<FixturePoses>(std::move(poses));
   }
   RS_RETURN_IF_ERROR(result->MakeSimulator());

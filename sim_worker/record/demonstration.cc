@@ -1,8 +1,10 @@
 #include "sim_worker/record/demonstration.h"
 
 #include <algorithm>
+#include <chrono>
 
 #include "common/status_macros.h"
+#include "sim_worker/record/libero_recorder.h"
 
 namespace robostress {
 namespace {
@@ -41,6 +43,13 @@ class NoiseBursts {
   double offset_[6] = {};
 };
 
+// Adds N(0, sigma^2) to the motion channels of what is executed; the simulator takes [-1, 1].
+void AddExecutionNoise(double sigma, RandomStream& random, Eigen::VectorXf& command) {
+  for (int i = 0; i < 6; ++i) {
+    command[i] = std::clamp(command[i] + static_cast<float>(sigma * random.Normal()), -1.0f, 1.0f);
+  }
+}
+
 Eigen::Matrix<float, 8, 1> AuxOf(const ExpertDecision& decision) {
   Eigen::Matrix<float, 8, 1> aux;
   aux << decision.target.cast<float>(), decision.destination.cast<float>(),
@@ -65,10 +74,13 @@ Eigen::MatrixXf LabelFrom(const std::vector<Eigen::VectorXf>& path, size_t first
 }  // namespace
 
 absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
-                                           const RecordOptions& options, RandomStream random) {
+                                           const RecordOptions& options, const StreamKey& key) {
   RS_RETURN_IF_ERROR(task.Reset(initial_state));
+  RandomStream random(key), execution(key.With("execution noise"));
   NoiseBursts noise(options, random);
   Demonstration result;
+  if (options.execution_noise > 0)
+    result.execution_sigma = execution.Uniform(0, options.execution_noise);
   std::vector<Eigen::VectorXf> path;
   while (result.steps < task.horizon() && !result.success) {
     const ExpertDecision decision = task.Decide();
@@ -77,15 +89,23 @@ absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state
       frame.step = result.steps;
       frame.proprioception = task.Proprioception();
       frame.aux = AuxOf(decision);
+      if (options.simulator_state) {
+        RS_ASSIGN_OR_RETURN(frame.simulator, ReadSimulator(task));
+      }
+      const auto drawing = std::chrono::steady_clock::now();
       for (const char* camera : {kAgentView, kWristView}) {
         RS_ASSIGN_OR_RETURN(Image image,
                             task.RenderView(camera, options.image_size, options.image_size));
         frame.views.push_back(std::move(image));
       }
+      result.render_seconds +=
+          std::chrono::duration<double>(std::chrono::steady_clock::now() - drawing).count();
       result.frames.push_back(std::move(frame));
     }
     path.push_back(decision.command);
-    RS_RETURN_IF_ERROR(task.Step(noise.Disturb(decision.command)));
+    Eigen::VectorXf executed = noise.Disturb(decision.command);
+    if (result.execution_sigma > 0) AddExecutionNoise(result.execution_sigma, execution, executed);
+    RS_RETURN_IF_ERROR(task.Step(executed));
     ++result.steps;
     result.success = task.Success();
   }

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -14,18 +16,31 @@ namespace robostress {
 
 inline constexpr int kLabelSteps = 50;  // rows of a label, the policies' horizon
 
+// The simulator before a control step, for LIBERO's form.
+struct SimulatorRow {
+  std::vector<double> state;      // time, qpos, qvel
+  std::array<double, 7> joints;   // [rad]
+  std::array<double, 2> fingers;  // [m]
+  std::array<double, 3> ee_pos;   // grip site in the world [m]
+  std::array<double, 3> ee_ori;   // axis-angle of the hand [rad]
+  std::array<double, 4> ee_quat;  // of the hand, x y z w
+};
+
 // One observation with what the expert would do from there.
 struct DemonstrationFrame {
   int step = 0;
-  std::vector<Image> views;        // agentview, robot0_eye_in_hand
-  Eigen::VectorXf proprioception;  // [8]
-  Eigen::Matrix<float, 8, 1> aux;  // target 3, destination 3, holding, progress
-  Eigen::MatrixXf actions;         // [kLabelSteps, 7]
+  std::vector<Image> views;               // agentview, robot0_eye_in_hand
+  Eigen::VectorXf proprioception;         // [8]
+  Eigen::Matrix<float, 8, 1> aux;         // target 3, destination 3, holding, progress
+  Eigen::MatrixXf actions;                // [kLabelSteps, 7]
+  std::optional<SimulatorRow> simulator;  // on request
 };
 
 struct Demonstration {
   bool success = false;
   int steps = 0;
+  double execution_sigma = 0;  // of the Gaussian noise on the executed command [command]
+  double render_seconds = 0;   // spent on drawing views
   std::vector<DemonstrationFrame> frames;
 };
 
@@ -34,19 +49,24 @@ struct RecordOptions {
   int image_size = 64;  // [px]
   int stride = 2;       // control steps between frames
   bool render = true;
+  bool simulator_state = false;  // frames carry a SimulatorRow
   // Held action noise (after DART): bursts of a constant offset are added to what is executed;
   // labels stay the expert's.
   double noisy_share = 0.75;       // of the episodes
   double burst_chance = 0.08;      // per control step without one
   double translation_noise = 0.5;  // largest standard deviation of a burst [command]
   double rotation_noise = 0.12;
+  // Domain randomisation (DR) of the action space: per episode sigma ~ U[0, execution_noise], per
+  // control step independent N(0, sigma^2) on the six motion channels of the executed end-effector
+  // command, in command units (full scale is 1: 0.05 m, 0.5 rad). The gripper is left alone.
+  double execution_noise = 0;
 };
 
-// The expert drives, disturbed by bursts of noise drawn from `random`. Labels are the expert's own
-// commands along the path; after success zero motion with the last gripper command. Ends at success
-// or at the horizon.
+// The expert drives; bursts come from the stream `key`, execution noise from a stream of its own,
+// so that it changes nothing else. Labels are the expert's own commands along the path; after
+// success zero motion with the last gripper command. Ends at success or at the horizon.
 absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
-                                           const RecordOptions& options, RandomStream random);
+                                           const RecordOptions& options, const StreamKey& key);
 
 // The policy drives; with chance `mix` a chunk is the expert's. A frame per chunk; its label is the
 // expert's rollout on a branch of the simulation from that state (DAgger).

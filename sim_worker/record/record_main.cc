@@ -1,11 +1,13 @@
 // robostress-record: records demonstrations of the scripted expert, with labels for what a learned
 // policy got into (DAgger), and measures the expert.
 
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <chrono>
 #include <cstdio>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -17,6 +19,7 @@
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/libero_recorder.h"
 #include "sim_worker/record/shard.h"
 
 namespace robostress {
@@ -27,7 +30,10 @@ constexpr char kExamples[] =
     "  robostress record --suite tabletop_goal --episodes 40 --out data/demos --workers 2\n"
     "  robostress record --suite all --eval --episodes 20 --first-draw 0 --workers 2\n"
     "  robostress record --suite tabletop_goal --server 127.0.0.1:7777 --policy nano --mix 0.3 "
-    "--episodes 10 --out data/dagger1\n\n"
+    "--episodes 10 --out data/dagger1\n"
+    "  robostress record --suite all --execution-noise 0.05 --out data/dr          domain "
+    "randomisation\n"
+    "  robostress record --suite tabletop_goal --format hdf5 --episodes 50 --out data/hdf5\n\n"
     "Draws from 1000 on are training draws; 0 to 49 are the reproducible initial states and are "
     "refused for recording.\n";
 
@@ -40,6 +46,7 @@ struct CommandLine {
   int severity = 5;
   double mix = 0.3;
   bool eval = false;
+  std::string format = "shards";
   RecordOptions record;
 };
 
@@ -51,6 +58,14 @@ struct Job {
 
 double Now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+// Of all threads of this process.
+double CpuSeconds() {
+  rusage usage;
+  getrusage(RUSAGE_SELF, &usage);
+  const auto seconds = [](const timeval& t) { return t.tv_sec + 1e-6 * t.tv_usec; };
+  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
 }
 
 absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
@@ -73,11 +88,58 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
                                                    " is not a training draw; use ",
                                                    kFirstTrainingDraw, " or above"));
   }
+  if (line.format == "hdf5" && !line.server.empty()) {
+    return absl::InvalidArgumentError(
+        "--format hdf5 is of whole demonstrations; what a policy drives into (--server) has labels "
+        "of its own and goes to shards");
+  }
+  if (line.record.execution_noise > 0 && !line.server.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--execution-noise ", line.record.execution_noise,
+        " is of what the expert executes, and --server lets a policy drive; give one of them"));
+  }
   if (!line.eval && line.out.empty()) return absl::InvalidArgumentError("--out DIR is missing");
   return jobs;
 }
 
-// Success, steps and speed of one task; the frames go to a shard when recording.
+// Where a task's episodes go: a shard, or a file in LIBERO's form.
+class EpisodeFile {
+ public:
+  static absl::StatusOr<EpisodeFile> Create(const CommandLine& line, const Job& job,
+                                            const EmbeddedTask& task) {
+    const bool hdf5 = line.format == "hdf5";
+    EpisodeFile file(absl::StrFormat("%s/%s_task%02d_%s_%d.%s", line.out, job.suite, job.task,
+                                     line.tag, line.first_draw, hdf5 ? "hdf5" : "safetensors"),
+                     Shard(job.suite, job.task, task.instruction(), line.record.execution_noise),
+                     task.model().mjcf());
+    if (hdf5) {
+      RS_ASSIGN_OR_RETURN(file.libero_,
+                          LiberoDemonstrationWriter::Create(
+                              file.path_, {job.suite, task.name(), task.instruction()}));
+    }
+    return file;
+  }
+  absl::Status Add(int draw, const Demonstration& episode) {
+    frames_ += static_cast<int>(episode.frames.size());
+    if (libero_.has_value()) return libero_->Add(ToLibero(episode, mjcf_));
+    shard_.Add(draw, episode);
+    return absl::OkStatus();
+  }
+  absl::Status Publish() { return libero_.has_value() ? libero_->Publish() : shard_.Write(path_); }
+  const std::string& path() const { return path_; }
+  int frames() const { return frames_; }
+
+ private:
+  EpisodeFile(std::string path, Shard shard, std::string mjcf)
+      : path_(std::move(path)), shard_(std::move(shard)), mjcf_(std::move(mjcf)) {}
+  std::string path_;
+  Shard shard_;
+  std::string mjcf_;
+  std::optional<LiberoDemonstrationWriter> libero_;
+  int frames_ = 0;
+};
+
+// Success, steps and speed of one task; the frames go to a file when recording.
 absl::Status RunJob(const CommandLine& line, const Job& job) {
   UnitConfig unit;
   unit.suite = job.suite;
@@ -103,36 +165,42 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   RecordOptions options = line.record;
   options.render = !line.eval;
   if (line.eval && line.tag == "expert") options.noisy_share = 0;
-  Shard shard(job.suite, job.task, task->instruction());
+  options.simulator_state = line.format == "hdf5";
+  std::optional<EpisodeFile> file;
+  if (!line.eval) {
+    RS_ASSIGN_OR_RETURN(file, EpisodeFile::Create(line, job, *task));
+  }
   int successes = 0, steps = 0;
   std::string failed;
-  const double start = Now();
+  double render = 0;
+  const double start = Now(), cpu_start = CpuSeconds();
   // A demonstration that fails teaches nothing: the next draw replaces it, up to twice as many
   // draws. What a policy drove into is kept either way.
   int kept = 0, draws = 0;
   for (; kept < line.episodes && draws < 2 * line.episodes; ++draws) {
     const int draw = line.first_draw + draws;
-    RandomStream random(
-        StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw));
+    const StreamKey key =
+        StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw);
     absl::StatusOr<Demonstration> episode =
-        policy != nullptr ? RecordDagger(*task, draw, {job.task, draw}, line.mix, *policy, random)
-                          : RecordExpert(*task, draw, options, random);
+        policy != nullptr
+            ? RecordDagger(*task, draw, {job.task, draw}, line.mix, *policy, RandomStream(key))
+            : RecordExpert(*task, draw, options, key);
     RS_RETURN_IF_ERROR(episode.status());
     successes += episode->success;
     steps += episode->steps;
+    render += episode->render_seconds;
     if (!episode->success) absl::StrAppend(&failed, " ", draw);
     if (!line.eval && policy == nullptr && !episode->success) continue;
     ++kept;
-    if (!line.eval) shard.Add(draw, *episode);
+    if (file.has_value()) RS_RETURN_IF_ERROR(file->Add(draw, *episode));
   }
   const double wall = Now() - start;
   std::string written;
-  if (!line.eval) {
-    const std::string path = absl::StrFormat("%s/%s_task%02d_%s_%d.safetensors", line.out,
-                                             job.suite, job.task, line.tag, line.first_draw);
-    RS_RETURN_IF_ERROR(shard.Write(path));
-    written = absl::StrFormat("  %d frames, %.0f frames/s -> %s", shard.frames(),
-                              shard.frames() / wall, path);
+  if (file.has_value()) {
+    RS_RETURN_IF_ERROR(file->Publish());
+    written = absl::StrFormat("  %d frames, %.0f frames/s, render %.0f %%, CPU %.0f %% -> %s",
+                              file->frames(), file->frames() / wall, 100 * render / wall,
+                              100 * (CpuSeconds() - cpu_start) / wall, file->path());
   }
   std::printf("%-17s %2d  success %3d/%-3d  mean steps %5.1f  %6.0f steps/s%s  %s%s%s\n",
               job.suite.c_str(), job.task, successes, draws, static_cast<double>(steps) / draws,
@@ -209,6 +277,11 @@ int main(int argc, char** argv) {
                  "Share of episodes with bursts of action noise")
       ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();
+  app.add_option("--execution-noise", line.record.execution_noise,
+                 "Domain randomisation: per episode sigma ~ U[0, this], Gaussian noise on the "
+                 "executed motion command [command units]; labels stay clean")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
   app.add_option("--seed", line.seed, "Of the noise")->capture_default_str();
   app.add_option("--workers", line.workers, "Processes")
       ->check(CLI::Range(1, 256))
@@ -224,6 +297,22 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();
   app.add_flag("--eval", line.eval, "Only print the success table, record nothing");
+  CLI::Option* const image_size = app.get_option("--image-size");
+  CLI::Option* const stride = app.get_option("--stride");
+  app.add_option("--format", line.format,
+                 "shards: safetensors for training; hdf5: LIBERO's form, one file per task, every "
+                 "control step, views of 128 pixels unless given")
+      ->check(CLI::IsMember({"shards", "hdf5"}))
+      ->capture_default_str();
   CLI11_PARSE(app, argc, argv);
+  if (line.format == "hdf5") {
+    if (image_size->count() == 0) line.record.image_size = 128;
+    if (stride->count() == 0) line.record.stride = 1;
+    if (line.record.stride != 1) {
+      std::fprintf(stderr, "record: --stride %d: --format hdf5 holds every control step; use 1\n",
+                   line.record.stride);
+      return 2;
+    }
+  }
   return robostress::Run(line);
 }

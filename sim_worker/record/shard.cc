@@ -24,6 +24,7 @@ void Shard::Add(int64_t episode, const Demonstration& demonstration) {
       for (int column = 0; column < 7; ++column) actions_.push_back(frame.actions(row, column));
     }
     episode_.push_back(episode);
+    execution_sigma_.push_back(static_cast<float>(demonstration.execution_sigma));
   }
 }
 
@@ -39,6 +40,10 @@ absl::Status Shard::Write(const std::string& path) const {
   writer.AddFloats("actions", {n, kLabelSteps, 7}, actions_);
   writer.AddFloats("aux", {n, 8}, aux_);
   writer.AddInts("episode", {n}, episode_);
+  if (execution_noise_ > 0) {
+    writer.SetMetadata("execution_noise", absl::StrCat(execution_noise_));
+    writer.AddFloats("execution_sigma", {n}, execution_sigma_);
+  }
   return writer.Write(path);
 }
 

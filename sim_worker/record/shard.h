@@ -14,11 +14,16 @@ namespace robostress {
 //   actions F32 [F, 50, 7]       the expert's next commands
 //   aux     F32 [F, 8]           target 3, destination 3 (base frame [m]), holding, progress
 //   episode I64 [F]              index of the draw; all frames of an episode are consecutive
-// metadata: suite, task, instruction, version.
+// metadata: suite, task, instruction, version. With domain randomisation also
+//   execution_sigma F32 [F]      of the frame's episode [command units]
+// and metadata execution_noise, the largest sigma that could be drawn.
 class Shard {
  public:
-  Shard(std::string suite, int task, std::string instruction)
-      : suite_(std::move(suite)), task_(task), instruction_(std::move(instruction)) {}
+  Shard(std::string suite, int task, std::string instruction, double execution_noise)
+      : suite_(std::move(suite)),
+        task_(task),
+        instruction_(std::move(instruction)),
+        execution_noise_(execution_noise) {}
 
   void Add(int64_t episode, const Demonstration& demonstration);
   int frames() const { return static_cast<int>(episode_.size()); }
@@ -29,10 +34,11 @@ class Shard {
   std::string suite_;
   int task_;
   std::string instruction_;
+  double execution_noise_;
   int episodes_ = 0;
   int height_ = 0, width_ = 0;
   std::vector<uint8_t> images_;
-  std::vector<float> state_, actions_, aux_;
+  std::vector<float> state_, actions_, aux_, execution_sigma_;
   std::vector<int64_t> episode_;
 };
 

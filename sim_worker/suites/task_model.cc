@@ -33,8 +33,9 @@ absl::StatusOr<std::unique_ptr<TaskModel>> TaskModel::Create(const SuiteSpec& su
   scene.name = suite.name;
   scene.base_position = Eigen::Vector3d::Zero();
   scene.world_xml = result->SceneMjcf();
-  RS_ASSIGN_OR_RETURN(result->model_, CompileModel(absl::StrCat(suite.name, " task ", task),
-                                                   ComposePandaScene(scene)));
+  result->mjcf_ = ComposePandaScene(scene);
+  RS_ASSIGN_OR_RETURN(result->model_,
+                      CompileModel(absl::StrCat(suite.name, " task ", task), result->mjcf_));
   // Round shapes are drawn with fewer faces: the software rasteriser spends its time on vertices.
   // Nobody else holds the model yet.
   mjModel& drawn = const_cast<mjModel&>(*result->model_);

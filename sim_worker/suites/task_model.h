@@ -23,6 +23,7 @@ class TaskModel {
   static absl::StatusOr<std::unique_ptr<TaskModel>> Create(const SuiteSpec& suite, int task);
 
   const SharedModel& model() const { return model_; }
+  const std::string& mjcf() const { return mjcf_; }  // what model() was compiled from
   const SuiteSpec& suite() const { return *suite_; }
   const TaskSpec& task() const { return suite_->tasks[task_]; }
   int task_index() const { return task_; }
@@ -57,6 +58,7 @@ class TaskModel {
 
   const SuiteSpec* suite_;
   int task_;
+  std::string mjcf_;
   SharedModel model_;
   std::vector<Entry> entries_;  // of the scene's props, in their order
 };

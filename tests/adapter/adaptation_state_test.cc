@@ -75,6 +75,30 @@ TEST_F(AdaptationStateTest, SurvivesTheFileBitForBit) {
       BitEqual(parsed->buffer[2]->context.prefix_mask, state_.buffer[2]->context.prefix_mask));
 }
 
+TEST_F(AdaptationStateTest, SaysItsKindAndIsPerMatrixWhereAnOldFileDoesNot) {
+  EXPECT_EQ(Parse(Bytes())->lora_kind, LoraKind::kPerHead);
+  MethodOptions options;
+  options.lora = LoraKind::kPerMatrix;
+  state_.lora = (*LoraAdapter::Create(&policy_, options, StreamKey("s")))->Export();
+  state_.lora_kind = LoraKind::kPerMatrix;
+  const auto file = SafetensorsFile::Parse("new", Bytes());
+  SafetensorsWriter old;
+  for (const auto& [key, value] : file->metadata()) {
+    if (key != "lora") old.SetMetadata(key, value);
+  }
+  for (const auto& [name, view] : file->tensors())
+    old.Add(name, view.dtype, view.shape, view.bytes.data(), view.bytes.size());
+  const auto parsed = Parse(*old.Serialize());
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  EXPECT_EQ(parsed->lora_kind, LoraKind::kPerMatrix);
+  EXPECT_TRUE(BitEqual(parsed->lora.phi, state_.lora.phi));
+}
+
+TEST_F(AdaptationStateTest, IsRefusedWhenItsTensorsAreOfTheOtherKind) {
+  state_.lora_kind = LoraKind::kPerMatrix;
+  EXPECT_THAT(std::string(Parse(Bytes()).status().message()), HasSubstr("phi.in.A"));
+}
+
 TEST_F(AdaptationStateTest, IsRefusedByOtherWeights) {
   EXPECT_THAT(std::string(Parse(Bytes(), "other-hash").status().message()),
               HasSubstr("belongs to weights fake-hash"));

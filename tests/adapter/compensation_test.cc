@@ -56,7 +56,7 @@ class Loss : public ::testing::Test {
     targets_ = FakePolicy::Random("targets", {2, kK, kD}, 1).to(f64);
     draw_ = DrawFlow(StreamKey("loss"), 0, kK, kD);
     draw_.eps = draw_.eps.to(f64);
-    phi_0_ = InitialLora(policy_.lora_targets(), 4, 0.3, StreamKey("phi_0"));
+    phi_0_ = InitialLora(policy_.lora_targets(), LoraKind::kPerHead, 4, 0.3, StreamKey("phi_0"));
     std::vector<torch::Tensor> parameters;
     int index = 0;
     for (const torch::Tensor& p : Parameters(phi_0_)) {

@@ -31,7 +31,7 @@ class FakePolicy : public FlowPolicy {
     spec_.horizon = kHorizon;
     spec_.execute_steps = 5;
     spec_.adaptable = true;
-    targets_ = {{"in", kDim, kWidth}, {"out", kWidth, kDim}};
+    targets_ = {{"in", kDim, kWidth, 3}, {"out", kWidth, kDim, 1, 2}};
     W1_ = Random("W1", {kWidth, kDim}, 0.3);
     W2_ = Random("W2", {kDim, kWidth}, 0.3);
     U_ = Random("U", {kWidth, 4}, 0.5);
@@ -49,9 +49,7 @@ class FakePolicy : public FlowPolicy {
     const auto type = x_u.options();
     const auto linear = [&](const torch::Tensor& x, const torch::Tensor& W, size_t target) {
       torch::Tensor y = torch::matmul(x, W.to(type).t());
-      if (lora != nullptr) {
-        y = y + torch::matmul(torch::matmul(x, lora->A[target].t()), lora->B[target].t());
-      }
+      if (lora != nullptr) y = y + LoraDelta(x, lora->A[target], lora->B[target]);
       return y;
     };
     const torch::Tensor key = context.keys[0].to(type).mean(c10::IntArrayRef{1, 2});  // [B, 4]
@@ -85,7 +83,7 @@ class FakePolicy : public FlowPolicy {
   }
 
   // Environment = kScale x model + 0.02 x channel index: commands stay within +-1.
-  Eigen::MatrixXf ToEnvironment(const torch::Tensor& chunk) const override {
+  Eigen::MatrixXf ToEnvironment(const torch::Tensor& chunk, const torch::Tensor&) const override {
     const torch::Tensor rows = chunk.contiguous();
     const auto values = rows.accessor<float, 2>();
     Eigen::MatrixXf actions(rows.size(0), 7);
@@ -95,7 +93,7 @@ class FakePolicy : public FlowPolicy {
     return actions;
   }
 
-  torch::Tensor ToModel(const Eigen::MatrixXf& actions) const override {
+  torch::Tensor ToModel(const Eigen::MatrixXf& actions, const torch::Tensor&) const override {
     torch::Tensor rows = torch::empty({actions.rows(), 7});
     auto values = rows.accessor<float, 2>();
     for (int i = 0; i < actions.rows(); ++i) {

@@ -38,7 +38,7 @@ std::unique_ptr<LoraAdapter> Make(const FakePolicy& policy, const MethodOptions&
 
 TEST(InitialLora, HasGaussianAAndZeroB) {
   const std::vector<LoraTarget> targets{{"a", 500, 20}, {"b", 500, 20}};
-  const LoraWeights lora = InitialLora(targets, 4, 0.01, StreamKey("s"));
+  const LoraWeights lora = InitialLora(targets, LoraKind::kPerMatrix, 4, 0.01, StreamKey("s"));
   EXPECT_NEAR(lora.A[0].std().item<double>(), 0.01,
               0.0007);  // 2000 draws: 2.2 standard errors are 0.00035
   EXPECT_NEAR(lora.A[0].mean().item<double>(), 0, 0.001);
@@ -48,10 +48,13 @@ TEST(InitialLora, HasGaussianAAndZeroB) {
 }
 
 TEST(InitialLora, DependsOnTheSessionAndTheTargetsNameNotOnItsPlace) {
-  const LoraWeights ab = InitialLora({{"a", 5, 2}, {"b", 5, 2}}, 4, 0.01, StreamKey("s"));
-  const LoraWeights ba = InitialLora({{"b", 5, 2}, {"a", 5, 2}}, 4, 0.01, StreamKey("s"));
+  const LoraWeights ab =
+      InitialLora({{"a", 5, 2}, {"b", 5, 2}}, LoraKind::kPerMatrix, 4, 0.01, StreamKey("s"));
+  const LoraWeights ba =
+      InitialLora({{"b", 5, 2}, {"a", 5, 2}}, LoraKind::kPerMatrix, 4, 0.01, StreamKey("s"));
   EXPECT_TRUE(BitEqual(ab.A[0], ba.A[1]));
-  EXPECT_FALSE(BitEqual(ab.A[0], InitialLora({{"a", 5, 2}}, 4, 0.01, StreamKey("other")).A[0]));
+  EXPECT_FALSE(BitEqual(
+      ab.A[0], InitialLora({{"a", 5, 2}}, LoraKind::kPerMatrix, 4, 0.01, StreamKey("other")).A[0]));
 }
 
 TEST(LoraAdapter, PredictsWhatTheBasePolicyPredictsBeforeTheFirstUpdateBitForBit) {

@@ -187,6 +187,17 @@ TEST(Dispatcher, RunsTheProgramAndListsWhatThereIs) {
   EXPECT_EQ(run("report " + folder).first, 1);
 }
 
+TEST(Progress, UnitsThatFailedAreNotCountedAsDone) {
+  Progress progress(Progress::Output::kNone);
+  for (const std::string id : {"a", "b"}) {
+    progress.Expect(id, "absent.jsonl", 10);
+    progress.Start(id);
+    progress.Finish(id, /*failed=*/true);
+  }
+  EXPECT_THAT(progress.Line(), HasSubstr("0/2 units (2 failed)  0/20 episodes (0 %)"));
+  EXPECT_THAT(progress.Line(), HasSubstr("ETA 0:00"));
+}
+
 TEST(Progress, FormatsDurations) {
   EXPECT_EQ(FormatDuration(0), "0:00");
   EXPECT_EQ(FormatDuration(62.4), "1:02");

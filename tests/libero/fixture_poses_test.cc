@@ -60,7 +60,10 @@ TEST(FixtureTableTest, GivesThePosesOfTheListedStates) {
   EXPECT_EQ(poses->At(0)->at(1).pos[0], 0.2);
   EXPECT_THAT(std::string(poses->At(1).status().message()),
               AllOf(HasSubstr(choice.table), HasSubstr(kTask), HasSubstr("initial state 1"),
-                    HasSubstr("add this one")));
+                    HasSubstr("add what is absent")));
+  EXPECT_TRUE(poses->CheckListed(41, 1).ok());
+  EXPECT_THAT(std::string(poses->CheckListed(40, 3).message()),
+              HasSubstr("no poses for initial state 40, 42;"));
 }
 
 TEST(FixtureTableTest, ErrorsNameFileTaskStateAndFixture) {

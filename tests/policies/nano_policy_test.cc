@@ -10,6 +10,7 @@
 #include <numbers>
 #include <thread>
 
+#include "adapter/compensation.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "server/policies/nano_network.h"
@@ -22,16 +23,21 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using torch::Tensor;
 
-std::unique_ptr<FlowPolicy> TinyPolicy(uint64_t seed = 3) {
-  return MakeNanoPolicy(TinyModel(seed), "tiny").value();
+constexpr NanoArchitecture kArchitectures[] = {NanoArchitecture::kPi0, NanoArchitecture::kPi05};
+
+std::unique_ptr<FlowPolicy> TinyPolicy(uint64_t seed = 3,
+                                       NanoArchitecture architecture = NanoArchitecture::kPi0) {
+  return MakeNanoPolicy(TinyModel(seed, 5, architecture), "tiny").value();
 }
 
-LoraWeights SomeLora(const VelocityField& field, double b_scale) {
+LoraWeights SomeLora(const VelocityField& field, double b_scale,
+                     LoraKind kind = LoraKind::kPerHead) {
   torch::manual_seed(8);
   LoraWeights lora;
   for (const LoraTarget& target : field.lora_targets()) {
-    lora.A.push_back(torch::randn({4, target.in_features}) * 0.1);
-    lora.B.push_back(torch::randn({target.out_features, 4}) * b_scale);
+    const LoraShape shape = LoraShapeOf(target, kind, 4);
+    lora.A.push_back(torch::randn(shape.A) * 0.1);
+    lora.B.push_back(torch::randn(shape.B) * b_scale);
   }
   return lora;
 }
@@ -72,8 +78,18 @@ struct JointInput {
   double u = 0;
 };
 
+// A norm by its equation: the plain one, or with scale, shift and gate from cond [w].
+struct PlainNormed {
+  Tensor y, gate;
+};
+PlainNormed AnyNorm(const Tensor& x, const NanoNorm& norm, const Tensor& cond) {
+  if (!norm.dense.defined()) return {PlainNorm(x, norm.weight), torch::ones({1})};
+  const auto m = (torch::matmul(norm.dense, cond) + norm.dense_bias).chunk(3, 0);
+  return {PlainNorm(x, m[0]) + m[1], m[2]};
+}
+
 // The velocity by the rule of pi0: query i may see key j iff cumsum(block)[j] <= cumsum(block)[i]
-// and both are valid; blocks start at the state and at the first action.
+// and both are valid; blocks start at the state, where it is a token, and at the first action.
 Tensor JointVelocity(const NanoConfig& c, const NanoParameters& p, const JointInput& input) {
   std::vector<Tensor> prefix = {p.readout};
   for (size_t v = 0; v < p.cameras.size(); ++v) {
@@ -86,6 +102,12 @@ Tensor JointVelocity(const NanoConfig& c, const NanoParameters& p, const JointIn
     y = y[0].flatten(1).t();  // [grid^2, channels]
     prefix.push_back(torch::matmul(y, p.cameras[v].token_weight.t()) + p.cameras[v].token_bias +
                      p.cameras[v].position);
+  }
+  for (int j = 0; j < c.state_words(); ++j) {
+    const double share = (input.state[j].item<double>() + c.state_span) / (2 * c.state_span);
+    const int bin =
+        std::clamp(static_cast<int>(std::floor(share * c.state_bins)), 0, c.state_bins - 1);
+    prefix.push_back((p.state_words[bin] + p.state_position[j]).unsqueeze(0));
   }
   prefix.push_back(p.words.index_select(0, input.words) *
                    std::sqrt(static_cast<double>(c.prefix_width)));
@@ -101,17 +123,23 @@ Tensor JointVelocity(const NanoConfig& c, const NanoParameters& p, const JointIn
   }
   const Tensor action =
       torch::matmul(input.x.reshape({tokens, -1}), p.action_in_weight.t()) + p.action_in_bias;
-  const Tensor both = torch::cat({action, time.unsqueeze(0).expand({tokens, e})}, 1);
-  const Tensor mixed = torch::silu(torch::matmul(both, p.time_in_weight.t()) + p.time_in_bias);
-  const Tensor timed = torch::matmul(mixed, p.time_out_weight.t()) + p.time_out_bias;
-  const Tensor state = torch::matmul(input.state.unsqueeze(0), p.state_weight.t()) + p.state_bias;
-  Tensor b = torch::cat({state, timed});  // [1 + tokens, e]
+  Tensor b = action, cond;  // [suffix tokens, e], [e]
+  if (c.pi05()) {
+    const Tensor hidden = torch::silu(torch::matmul(p.time_in_weight, time) + p.time_in_bias);
+    cond = torch::silu(torch::matmul(p.time_out_weight, hidden) + p.time_out_bias);
+  } else {
+    const Tensor both = torch::cat({action, time.unsqueeze(0).expand({tokens, e})}, 1);
+    const Tensor mixed = torch::silu(torch::matmul(both, p.time_in_weight.t()) + p.time_in_bias);
+    const Tensor timed = torch::matmul(mixed, p.time_out_weight.t()) + p.time_out_bias;
+    const Tensor state = torch::matmul(input.state.unsqueeze(0), p.state_weight.t()) + p.state_bias;
+    b = torch::cat({state, timed});
+  }
 
   const int64_t length = a.size(0) + b.size(0), first_word = a.size(0) - c.max_words;
   Tensor valid = torch::ones({length}, torch::kBool), block = torch::zeros({length}, torch::kInt64);
   valid.narrow(0, first_word, c.max_words).copy_(input.words.ne(0));
   block[a.size(0)] = 1;
-  block[a.size(0) + 1] = 1;
+  if (!c.pi05()) block[a.size(0) + 1] = 1;
   const Tensor level = block.cumsum(0), position = valid.to(torch::kInt64).cumsum(0) - 1;
   const Tensor sees = (level.unsqueeze(0) <= level.unsqueeze(1)) & valid.unsqueeze(0);
 
@@ -119,8 +147,9 @@ Tensor JointVelocity(const NanoConfig& c, const NanoParameters& p, const JointIn
     const NanoLayer &la = p.prefix[i], &lb = p.expert[i];
     const bool last = i + 1 == c.layers;  // nobody reads the prefix after its last keys
     const int64_t h = c.head_dim, hq = c.heads * h;
-    const Tensor ya = torch::matmul(PlainNorm(a, la.input_norm), la.qkv_proj.t());
-    const Tensor yb = torch::matmul(PlainNorm(b, lb.input_norm), lb.qkv_proj.t());
+    const PlainNormed na = AnyNorm(a, la.input_norm, cond), nb = AnyNorm(b, lb.input_norm, cond);
+    const Tensor ya = torch::matmul(na.y, la.qkv_proj.t());
+    const Tensor yb = torch::matmul(nb.y, lb.qkv_proj.t());
     const Tensor qa = last ? torch::zeros({a.size(0), hq}) : ya.narrow(1, 0, hq);
     const Tensor q =
         PlainRope(torch::cat({qa, yb.narrow(1, 0, hq)}).view({length, c.heads, h}), position);
@@ -135,35 +164,36 @@ Tensor JointVelocity(const NanoConfig& c, const NanoParameters& p, const JointIn
       heads.push_back(torch::matmul(torch::softmax(scores.masked_fill(~sees, -1e30), -1), v));
     }
     const Tensor attended = torch::cat(heads, 1);
-    const auto finish = [&](const Tensor& x, const Tensor& rows, const NanoLayer& l, int64_t mlp) {
-      const Tensor mid = x + torch::matmul(rows, l.o_proj.t());
-      const auto parts =
-          torch::matmul(PlainNorm(mid, l.post_norm), l.gate_up_proj.t()).split(mlp, -1);
-      return mid + torch::matmul(at::gelu(parts[0], "tanh") * parts[1], l.down_proj.t());
+    const auto finish = [&](const Tensor& x, const Tensor& rows, const Tensor& gate,
+                            const NanoLayer& l, int64_t mlp) {
+      const Tensor mid = x + gate * torch::matmul(rows, l.o_proj.t());
+      const PlainNormed n = AnyNorm(mid, l.post_norm, cond);
+      const auto parts = torch::matmul(n.y, l.gate_up_proj.t()).split(mlp, -1);
+      return mid + n.gate * torch::matmul(at::gelu(parts[0], "tanh") * parts[1], l.down_proj.t());
     };
-    if (!last) a = finish(a, attended.narrow(0, 0, a.size(0)), la, c.prefix_mlp);
-    b = finish(b, attended.narrow(0, a.size(0), b.size(0)), lb, c.expert_mlp);
+    if (!last) a = finish(a, attended.narrow(0, 0, a.size(0)), na.gate, la, c.prefix_mlp);
+    b = finish(b, attended.narrow(0, a.size(0), b.size(0)), nb.gate, lb, c.expert_mlp);
   }
-  const Tensor out = PlainNorm(b.narrow(0, 1, tokens), p.expert_norm);
+  const Tensor out = AnyNorm(b.narrow(0, b.size(0) - tokens, tokens), p.expert_norm, cond).y;
   return (torch::matmul(out, p.action_out_weight.t()) + p.action_out_bias)
       .reshape({c.horizon, c.model_action_dim});
 }
 
-class NanoGraph : public testing::TestWithParam<int> {};
+class NanoGraph : public testing::TestWithParam<std::tuple<int, NanoArchitecture>> {};
 
-TEST_P(NanoGraph, CachedPrefixGivesTheJointPassOfPi0) {
-  const NanoModel model = TinyModel(5, GetParam());
+TEST_P(NanoGraph, CachedPrefixGivesTheJointPass) {
+  const NanoModel model = TinyModel(5, std::get<0>(GetParam()), std::get<1>(GetParam()));
   const NanoParameters parameters = AssembleNano(model.config, model.tensors);
   const NanoNetwork network(model.config, parameters);
   torch::manual_seed(2);
   const Tensor words = torch::tensor({2, 3, 4, 5, 0, 0, 0, 0, 0}, torch::kInt64);
   JointInput input{{torch::randn({1, 3, 16, 16}), torch::randn({1, 3, 16, 16})},
                    words,
-                   torch::randn({8}),
+                   3 * torch::randn({8}),
                    torch::randn({model.config.horizon, 8}),
                    0.37};
-  NanoNetwork::Prefix prefix = network.EncodePrefix(input.images, words.unsqueeze(0), false);
-  prefix.context.state = input.state.unsqueeze(0);
+  const NanoNetwork::Prefix prefix =
+      network.EncodePrefix(input.images, words.unsqueeze(0), input.state.unsqueeze(0), false);
   const Tensor v =
       network.Velocity(prefix.context, input.x.unsqueeze(0), torch::tensor({0.37f}), nullptr);
   const Tensor expected = JointVelocity(model.config, parameters, input);
@@ -173,7 +203,10 @@ TEST_P(NanoGraph, CachedPrefixGivesTheJointPassOfPi0) {
             2e-5 * (1.0 + expected.abs().max().item<double>()));
 }
 
-INSTANTIATE_TEST_SUITE_P(StepsPerToken, NanoGraph, testing::Values(1, 5));
+INSTANTIATE_TEST_SUITE_P(StepsPerTokenAndArchitecture, NanoGraph,
+                         testing::Combine(testing::Values(1, 5),
+                                          testing::Values(NanoArchitecture::kPi0,
+                                                          NanoArchitecture::kPi05)));
 
 TEST(NanoGraph, PaddingWordsHaveNoInfluence) {
   NanoModel model = TinyModel();
@@ -184,8 +217,8 @@ TEST(NanoGraph, PaddingWordsHaveNoInfluence) {
                x = torch::randn({1, 10, 8});
   const auto velocity = [&](const Tensor& rows) {
     const NanoNetwork network(config, AssembleNano(config, model.tensors));
-    NanoNetwork::Prefix prefix = network.EncodePrefix(images, rows, false);
-    prefix.context.state = torch::ones({1, 8});
+    const NanoNetwork::Prefix prefix =
+        network.EncodePrefix(images, rows, torch::ones({1, 8}), false);
     return network.Velocity(prefix.context, x, torch::tensor({0.5f}), nullptr);
   };
   const Tensor before = velocity(words);
@@ -202,8 +235,8 @@ TEST(NanoGraph, ChunksThatShareAContextRowEqualRepeatedRows) {
   const NanoNetwork network(model.config, AssembleNano(model.config, model.tensors));
   const std::vector<Tensor> images = {torch::randn({2, 3, 16, 16}), torch::randn({2, 3, 16, 16})};
   const Tensor words = torch::tensor({{2, 3, 4, 0, 0}, {5, 6, 2, 3, 4}}, torch::kInt64);
-  PolicyContext context = network.EncodePrefix(images, words, false).context;
-  context.state = torch::randn({2, 8});
+  const PolicyContext context =
+      network.EncodePrefix(images, words, torch::randn({2, 8}), false).context;
   const Tensor x = torch::randn({6, 10, 8}), u = torch::rand({6});
   const Tensor shared = network.Velocity(context, x, u, nullptr);
   std::vector<PolicyContext> rows;
@@ -257,6 +290,15 @@ TEST(NanoLora, CoversSevenProjectionsOfEveryExpertLayer) {
   EXPECT_EQ(targets[20].out_features, 16);
 }
 
+TEST(NanoLora, HasTheCountsOfBothKinds) {
+  const std::vector<LoraTarget> targets = NanoLoraTargets(NanoConfig());
+  // q and o: 4 heads of 32 in and out of 128; k and v; gate and up; down: rank 4, four layers.
+  EXPECT_EQ(NumLoraParameters(targets, LoraKind::kPerHead, 4),
+            4 * 4 * (2 * 4 * (128 + 32) + 2 * (128 + 32) + 3 * (128 + 384)));
+  EXPECT_EQ(NumLoraParameters(targets, LoraKind::kPerMatrix, 4),
+            4 * 4 * (2 * (128 + 128) + 2 * (128 + 32) + 3 * (128 + 384)));
+}
+
 TEST(NanoLora, HasNoEffectAtAllWhileBIsZero) {
   const auto policy = TinyPolicy();
   const PolicyContext context = policy->Encode(TinyObservation(policy->spec())).value();
@@ -266,10 +308,14 @@ TEST(NanoLora, HasNoEffectAtAllWhileBIsZero) {
       torch::equal(policy->Sample(context, noise, &lora), policy->Sample(context, noise, nullptr)));
 }
 
-TEST(NanoLora, EveryTargetActsAsItsMergedWeight) {
+class NanoLoraKinds : public testing::TestWithParam<LoraKind> {};
+INSTANTIATE_TEST_SUITE_P(Kinds, NanoLoraKinds,
+                         testing::Values(LoraKind::kPerHead, LoraKind::kPerMatrix));
+
+TEST_P(NanoLoraKinds, EveryTargetActsAsItsMergedWeight) {
   NanoModel model = TinyModel();
   const auto policy = MakeNanoPolicy(TinyModel(), "tiny").value();
-  const LoraWeights lora = SomeLora(*policy, 0.1);
+  const LoraWeights lora = SomeLora(*policy, 0.1, GetParam());
   const auto table = NanoTensorTable(model.config);
   const std::map<std::string, std::vector<size_t>> parts = {
       {"qkv_proj", {0, 1, 2}}, {"o_proj", {3}}, {"gate_up_proj", {4, 5}}, {"down_proj", {6}}};
@@ -280,7 +326,9 @@ TEST(NanoLora, EveryTargetActsAsItsMergedWeight) {
           continue;
         std::vector<Tensor> deltas;
         for (const size_t target : targets) {
-          deltas.push_back(torch::matmul(lora.B[layer * 7 + target], lora.A[layer * 7 + target]));
+          const size_t at = layer * 7 + target;
+          const MatrixPair pair = AsMatrices(policy->lora_targets()[at], lora.A[at], lora.B[at]);
+          deltas.push_back(torch::matmul(pair.B, pair.A));
         }
         model.tensors[i] = model.tensors[i] + torch::cat(deltas);
       }
@@ -292,6 +340,101 @@ TEST(NanoLora, EveryTargetActsAsItsMergedWeight) {
   const Tensor with = policy->Velocity(context, x, u, &lora);
   EXPECT_TRUE(torch::allclose(with, merged->Velocity(context, x, u, nullptr), 1e-4, 1e-4));
   EXPECT_FALSE(torch::allclose(with, policy->Velocity(context, x, u, nullptr), 1e-3, 1e-3));
+}
+
+// Expert weights with the adapter added, differentiable in it.
+NanoParameters Merged(const NanoConfig& config, NanoParameters p, const LoraWeights& lora) {
+  const std::vector<LoraTarget> targets = NanoLoraTargets(config);
+  const auto product = [&](int layer, int target) {
+    const size_t at = layer * 7 + target;
+    const MatrixPair pair = AsMatrices(targets[at], lora.A[at], lora.B[at]);
+    return torch::matmul(pair.B, pair.A);
+  };
+  for (int i = 0; i < config.layers; ++i) {
+    NanoLayer& layer = p.expert[i];
+    layer.qkv_proj = layer.qkv_proj + torch::cat({product(i, 0), product(i, 1), product(i, 2)});
+    layer.o_proj = layer.o_proj + product(i, 3);
+    layer.gate_up_proj = layer.gate_up_proj + torch::cat({product(i, 4), product(i, 5)});
+    layer.down_proj = layer.down_proj + product(i, 6);
+  }
+  return p;
+}
+
+TEST_P(NanoLoraKinds, LossAndGradientsOnStoredPrefixesAreThoseOfTheFullComputation) {
+  const NanoModel model = TinyModel(5);
+  const NanoConfig& config = model.config;
+  const NanoParameters parameters = AssembleNano(config, model.tensors);
+  const NanoNetwork network(config, parameters);
+  const auto policy = MakeNanoPolicy(TinyModel(5), "tiny").value();
+  torch::manual_seed(4);
+  std::vector<JointInput> inputs;
+  std::vector<PolicyContext> stored;
+  std::vector<Tensor> targets;
+  for (int i = 0; i < 4; ++i) {
+    Tensor words = torch::zeros({9}, torch::kInt64);
+    words.narrow(0, 0, 2 + i).fill_(2 + i);
+    inputs.push_back({{torch::randn({1, 3, 16, 16}), torch::randn({1, 3, 16, 16})},
+                      words,
+                      torch::randn({8}),
+                      {},
+                      0});
+    torch::NoGradGuard no_grad;
+    stored.push_back(
+        network
+            .EncodePrefix(inputs[i].images, words.unsqueeze(0), inputs[i].state.unsqueeze(0), false)
+            .context);
+    targets.push_back(torch::randn({config.horizon, config.model_action_dim}));
+  }
+  const LoraWeights phi_0 =
+      InitialLora(policy->lora_targets(), GetParam(), 4, 0.05, StreamKey("phi_0"));
+  std::vector<Tensor> leaves;
+  for (const Tensor& tensor : Parameters(SomeLora(*policy, 0.1, GetParam())))
+    leaves.push_back(tensor.requires_grad_());
+  const LoraWeights phi = FromParameters(leaves, 1);
+  const FlowDraw draw = DrawFlow(StreamKey("draw"), 0, config.horizon, config.model_action_dim);
+
+  const Tensor loss =
+      CompensationLoss(*policy, StackContexts({&stored[0], &stored[1], &stored[2], &stored[3]}),
+                       torch::stack(targets), draw, phi, phi_0, 1e-2);
+  const NanoParameters merged = Merged(config, parameters, phi);
+  Tensor full = torch::zeros({});
+  for (int i = 0; i < 4; ++i) {
+    inputs[i].x = draw.u * draw.eps + (1 - draw.u) * targets[i];
+    inputs[i].u = static_cast<double>(static_cast<float>(draw.u));
+    const Tensor v = JointVelocity(config, merged, inputs[i]);
+    full = full + (v - (draw.eps - targets[i])).square().mean() / 4;
+  }
+  for (size_t i = 0; i < leaves.size(); ++i)
+    full = full + 1e-2 * (leaves[i] - Parameters(phi_0)[i]).square().sum();
+  EXPECT_NEAR(loss.item<double>(), full.item<double>(), 1e-5 * full.item<double>());
+  const std::vector<Tensor> got = torch::autograd::grad({loss}, leaves),
+                            expected = torch::autograd::grad({full}, leaves);
+  for (size_t i = 0; i < leaves.size(); ++i) {
+    const double largest = expected[i].abs().max().item<double>();
+    EXPECT_GT(largest, 1e-5);
+    EXPECT_LT((got[i] - expected[i]).abs().max().item<double>(), 1e-4 * largest + 1e-7) << i;
+  }
+}
+
+TEST(NanoLora, RowsWithTheirOwnAdaptersHaveTheBitsOfBatchesOfOne) {
+  const auto policy = TinyPolicy();
+  const LoraWeights a = SomeLora(*policy, 0.1), b = SomeLora(*policy, 0.2, LoraKind::kPerMatrix);
+  const std::vector<const LoraWeights*> lora = {&a, nullptr, &b, &a};
+  std::vector<PolicyContext> contexts;
+  std::vector<const PolicyContext*> pointers;
+  for (int i = 0; i < 4; ++i)  // the last two rows share a prefix
+    contexts.push_back(policy->Encode(TinyObservation(policy->spec(), std::min(i, 2))).value());
+  for (const PolicyContext& context : contexts) pointers.push_back(&context);
+  const PolicyContext batch = StackContexts(pointers);
+  const Tensor noise = torch::randn({4, 10, 8});
+  const Tensor chunks = policy->SampleRows(batch, noise, lora);
+  const Tensor by_default = policy->FlowPolicy::SampleRows(batch, noise, lora);
+  for (int i = 0; i < 4; ++i) {
+    const Tensor alone = policy->Sample(contexts[i], noise.narrow(0, i, 1), lora[i]);
+    EXPECT_TRUE(torch::equal(chunks[i], alone[0])) << i;
+    EXPECT_TRUE(torch::equal(by_default[i], alone[0])) << i;
+  }
+  EXPECT_FALSE(torch::allclose(chunks[2], chunks[3], 1e-2, 1e-2));
 }
 
 TEST(NanoLora, VelocityIsDifferentiableInTheAdapterAndInNothingElse) {
@@ -325,8 +468,11 @@ TEST(NanoLora, VelocityIsDifferentiableInTheAdapterAndInNothingElse) {
   }
 }
 
-TEST(NanoPolicy, SamplingIsDeterministicAndFollowsTheVelocity) {
-  const auto policy = TinyPolicy();
+class NanoSampling : public testing::TestWithParam<NanoArchitecture> {};
+INSTANTIATE_TEST_SUITE_P(Architecture, NanoSampling, testing::ValuesIn(kArchitectures));
+
+TEST_P(NanoSampling, IsDeterministicAndFollowsTheVelocity) {
+  const auto policy = TinyPolicy(3, GetParam());
   const PolicyContext context = policy->Encode(TinyObservation(policy->spec())).value();
   const Tensor noise = torch::randn({1, 10, 8});
   const LoraWeights lora = SomeLora(*policy, 0.1);
@@ -342,8 +488,8 @@ TEST(NanoPolicy, SamplingIsDeterministicAndFollowsTheVelocity) {
   }
 }
 
-TEST(NanoPolicy, RowsOfABatchHaveTheBitsOfSinglePredictions) {
-  const auto policy = TinyPolicy();
+TEST_P(NanoSampling, RowsOfABatchHaveTheBitsOfSinglePredictions) {
+  const auto policy = TinyPolicy(3, GetParam());
   std::vector<PolicyContext> contexts;
   for (int i = 0; i < 3; ++i)
     contexts.push_back(policy->Encode(TinyObservation(policy->spec(), i)).value());
@@ -387,11 +533,11 @@ TEST(NanoPolicy, ThreadsPredictTheSameBitsAtOnce) {
 TEST(NanoPolicy, ActionTransformsAreInverse) {
   const auto policy = TinyPolicy();
   const Eigen::MatrixXf actions = Eigen::MatrixXf::Random(10, 7);
-  const Tensor model = policy->ToModel(actions);
+  const Tensor model = policy->ToModel(actions, {});
   EXPECT_EQ(model.size(1), 7);
   EXPECT_NEAR(model[2][3].item<float>(), (actions(2, 3) - 0.15f) / (0.6f + 1e-6f), 1e-6);
   const Tensor padded = torch::cat({model, torch::full({10, 1}, 9.0f)}, 1);
-  EXPECT_LT((policy->ToEnvironment(padded) - actions).cwiseAbs().maxCoeff(), 1e-6);
+  EXPECT_LT((policy->ToEnvironment(padded, {}) - actions).cwiseAbs().maxCoeff(), 1e-6);
 }
 
 TEST(NanoPolicy, RefusesObservationsThatItWasNotTrainedOn) {
@@ -473,8 +619,9 @@ TEST(NanoWeights, RefuseTruncatedForeignAndAbsentFiles) {
   foreign.SetMetadata("format", "pt");
   foreign.AddFloats("weight", {1}, std::vector<float>{1.0f});
   ASSERT_TRUE(foreign.Write(path).ok());
-  EXPECT_THAT(std::string(LoadFlowPolicy(path).status().message()),
+  EXPECT_THAT(std::string(LoadNanoModel(path).status().message()),
               AllOf(HasSubstr("format is 'pt'"), HasSubstr("robostress-nano")));
+  EXPECT_THAT(std::string(LoadFlowPolicy(path).status().message()), HasSubstr(path));
   std::filesystem::remove(path);
   EXPECT_FALSE(LoadFlowPolicy(path).ok());
   EXPECT_THAT(std::string(LoadFlowPolicy("nanno").status().message()),

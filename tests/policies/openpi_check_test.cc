@@ -5,13 +5,13 @@
 #include <torch/torch.h>
 
 #include <cstdio>
-#include <cstdlib>
 #include <fstream>
 #include <set>
 
 #include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/policy_check.h"
 #include "server/policies/openpi/quantities.h"
+#include "tests/oracle_file.h"
 #include "tests/policies/tiny_openpi.h"
 #include "tests/run_program.h"
 
@@ -22,14 +22,6 @@ using ::testing::AllOf;
 using ::testing::Contains;
 using ::testing::HasSubstr;
 using ::testing::Not;
-
-// The oracle's file, or empty. ctest starts tests in the source folder.
-std::string OracleFile(const std::string& name) {
-  const char* shared = std::getenv("ROBOSTRESS_SHARED");
-  const auto path =
-      std::filesystem::path(shared != nullptr ? shared : "../shared") / "oracles/pi0" / name;
-  return std::filesystem::exists(path) ? path.string() : "";
-}
 
 // One run over the oracle's files: suffixes of weights, expected values and adapter.
 struct OracleRun {
@@ -53,7 +45,7 @@ TEST_P(Oracle, EveryQuantityIsWithinItsTolerance) {
     return kind.empty() ? "" : OracleFile(GetParam().name + "." + kind + ".safetensors");
   };
   if (file(GetParam().weights).empty())
-    GTEST_SKIP() << "no oracles/pi0: set ROBOSTRESS_SHARED to the folder of shared data";
+    GTEST_SKIP() << kNoOracle;
   const auto report = CheckPolicy({.weights = file(GetParam().weights),
                                    .io = file(GetParam().io),
                                    .lora = file(GetParam().lora)});

@@ -189,6 +189,104 @@ TEST_P(OpenpiNetwork, ExpertGradientsAgreeBetweenPassesAndWithDifferences) {
   EXPECT_NEAR(difference, slope, 0.02 * std::abs(slope) + 1e-3);
 }
 
+// The sizes of the published networks, as far as the adapter depends on them.
+OpenpiConfig FullExpert() {
+  OpenpiConfig c;
+  c.expert_width = 1024, c.expert_mlp = 4096, c.depth = 18;
+  c.heads = 8, c.kv_heads = 1, c.head_dim = 256;
+  return c;
+}
+
+LoraWeights RandomExpertLora(const OpenpiConfig& config, LoraKind kind, int64_t rank = 4) {
+  LoraWeights lora;
+  for (const LoraTarget& target : ExpertLoraTargets(config)) {
+    const LoraShape shape = LoraShapeOf(target, kind, rank);
+    lora.A.push_back(at::randn(shape.A) * 0.2);
+    lora.B.push_back(at::randn(shape.B) * 0.2);
+  }
+  return lora;
+}
+
+TEST(OpenpiExpertLora, HasThePapersCountPerHeadAndPlainLorasPerMatrix) {
+  const std::vector<LoraTarget> targets = ExpertLoraTargets(FullExpert());
+  EXPECT_EQ(targets.size(), 18u * 7u);
+  EXPECT_EQ(NumLoraParameters(targets, LoraKind::kPerHead, 4), 2'764'800);
+  EXPECT_EQ(NumLoraParameters(targets, LoraKind::kPerMatrix, 4), 1'732'608);
+  EXPECT_EQ(NumLoraParameters(targets, LoraKind::kPerHead, 32), 22'118'400);
+}
+
+// The joint pass through both experts, with the adapter in the weights: what an update computes
+// without stored prefixes.
+TEST_P(OpenpiNetwork, UpdateOnStoredPrefixesIsTheFullComputation) {
+  struct Merge : ParameterVisitor {
+    void OnTensor(const std::string&, const std::vector<int64_t>&, torch::Tensor&) override {}
+    void OnLinear(const std::string& name, int64_t, int64_t, bool, Linear& linear) override {
+      const auto found = products.find(name);
+      if (found != products.end()) linear.weight = linear.weight + found->second;
+    }
+    std::map<std::string, torch::Tensor> products;
+  };
+  const std::vector<LoraTarget> targets = ExpertLoraTargets(config_);
+  for (const LoraKind kind : {LoraKind::kPerHead, LoraKind::kPerMatrix}) {
+    torch::manual_seed(6);
+    std::vector<torch::Tensor> leaves;
+    for (const torch::Tensor& tensor : Parameters(RandomExpertLora(config_, kind)))
+      leaves.push_back(tensor.requires_grad_());
+    const LoraWeights phi = FromParameters(leaves, 1);
+    const PrefixContext stored =
+        EncodePrefix(model_, EmbedPrefix(model_, inputs_.model), inputs_.model.state);
+    const at::AutoGradMode record(true);
+    Merge merge;
+    for (size_t i = 0; i < targets.size(); ++i) {
+      const MatrixPair pair = AsMatrices(targets[i], phi.A[i], phi.B[i]);
+      merge.products[targets[i].name] = at::matmul(pair.B, pair.A);
+    }
+    OpenpiModel merged = model_;
+    VisitParameters(config_, merged.weights, merge);
+    const FlowLoss full = ComputeFlowLoss(merged, inputs_.model, inputs_.loss_actions,
+                                          inputs_.loss_noise, inputs_.loss_time);
+    const OpenpiModel adapted = WithLora(model_, phi);
+    const torch::Tensor v =
+        Velocity(adapted, SuffixOnCache(adapted, stored, full.x_t.detach(), inputs_.loss_time));
+    const torch::Tensor loss = (full.u_t - v).square().mean();
+    const double expected = full.mean.item<double>();
+    EXPECT_NEAR(loss.item<double>(), expected, 2e-5 * expected);
+    const auto by_cache = torch::autograd::grad({loss}, leaves),
+               by_joint = torch::autograd::grad({full.mean}, leaves);
+    for (size_t i = 0; i < leaves.size(); ++i) {
+      const double largest = by_joint[i].abs().max().item<double>();
+      EXPECT_LT(MaxDifference(by_cache[i], by_joint[i]), 2e-4 * largest + 1e-7) << i;
+    }
+  }
+}
+
+TEST_P(OpenpiNetwork, RowsWithTheirOwnAdaptersAgreeWithBatchesOfOne) {
+  torch::manual_seed(7);
+  const LoraWeights a = RandomExpertLora(config_, LoraKind::kPerHead),
+                    b = RandomExpertLora(config_, LoraKind::kPerMatrix, 2);
+  const std::vector<const LoraWeights*> rows = {&a, nullptr, &b};
+  const PrefixContext shared =
+      EncodePrefix(model_, EmbedPrefix(model_, inputs_.model), inputs_.model.state);
+  const OpenpiModel batch = WithLora(model_, StackLora(ExpertLoraTargets(config_), rows));
+  const torch::Tensor chunks = IntegrateEuler(batch, shared, inputs_.noise, 10).xs.back();
+  for (int64_t i = 0; i < 3; ++i) {
+    PrefixContext row;
+    for (size_t layer = 0; layer < shared.cache.keys.size(); ++layer) {
+      row.cache.keys.push_back(shared.cache.keys[layer].narrow(0, i, 1));
+      row.cache.values.push_back(shared.cache.values[layer].narrow(0, i, 1));
+    }
+    row.valid = shared.valid.narrow(0, i, 1);
+    row.state = shared.state.narrow(0, i, 1);
+    const OpenpiModel one = rows[i] == nullptr ? model_ : WithLora(model_, *rows[i]);
+    const torch::Tensor alone =
+        IntegrateEuler(one, row, inputs_.noise.narrow(0, i, 1), 10).xs.back();
+    // Ten steps of float32 with sums in another order.
+    EXPECT_LT(MaxDifference(chunks[i], alone[0]), 1e-5 * (1 + alone.abs().max().item<double>()));
+  }
+  EXPECT_GT(MaxDifference(chunks, IntegrateEuler(model_, shared, inputs_.noise, 10).xs.back()),
+            1e-3);
+}
+
 TEST(OpenpiFlow, EulerTimesAreSummedInSinglePrecision) {
   const torch::NoGradGuard no_grad;
   const OpenpiModel model = RandomOpenpiModel(TinyConfig(false), 5);

@@ -7,8 +7,11 @@ namespace robostress {
 
 // A policy small enough for tests, every code path of the real one: two cameras, three layers,
 // padding words, a padding channel, norms away from one.
-inline NanoConfig TinyConfig(int steps_per_token = 5) {
+inline NanoConfig TinyConfig(int steps_per_token = 5,
+                             NanoArchitecture architecture = NanoArchitecture::kPi0) {
   NanoConfig config;
+  config.architecture = architecture;
+  config.state_bins = 11;
   config.image_size = 16;
   config.conv_channels = {4, 6};
   config.max_words = 9;
@@ -26,12 +29,14 @@ inline NanoConfig TinyConfig(int steps_per_token = 5) {
   return config;
 }
 
-inline NanoModel TinyModel(uint64_t seed = 3, int steps_per_token = 5) {
-  NanoModel model = RandomNanoModel(TinyConfig(steps_per_token), seed);
+inline NanoModel TinyModel(uint64_t seed = 3, int steps_per_token = 5,
+                           NanoArchitecture architecture = NanoArchitecture::kPi0) {
+  NanoModel model = RandomNanoModel(TinyConfig(steps_per_token, architecture), seed);
   torch::manual_seed(seed);
   for (torch::Tensor& tensor : model.tensors) {
-    if (tensor.dim() == 1)
-      tensor += torch::randn_like(tensor) * 0.2;  // norms and biases start at zero
+    // Norms, biases and modulations start at zero.
+    if (tensor.dim() == 1 || tensor.count_nonzero().item<int64_t>() == 0)
+      tensor += torch::randn_like(tensor) * 0.2;
   }
   model.vocabulary = Vocabulary({"put", "the", "red", "bowl", "on", "plate"});
   for (int i = 0; i < model.config.state_dim; ++i)

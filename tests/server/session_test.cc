@@ -108,7 +108,7 @@ TEST(Session, CorrectsExecutedStepsOnlyAndTakesTheTargetThroughTheTrainingTransf
   const AdaptationState state = StateOf(rig, client.session());
   ASSERT_EQ(state.buffer.size(), 1u);
   const torch::Tensor target = state.buffer[0]->target;
-  const torch::Tensor raw = rig.policy->ToModel(prediction.policy_actions);
+  const torch::Tensor raw = rig.policy->ToModel(prediction.policy_actions, {});
   for (int64_t i = 0; i < 10; ++i) {
     for (int64_t j = 0; j < 6; ++j) {
       const double a = prediction.policy_actions(i, j);

@@ -2,8 +2,10 @@
 #include <string>
 
 #include "common/safetensors.h"
+#include "common/so3.h"
 #include "gtest/gtest.h"
 #include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/libero_recorder.h"
 #include "sim_worker/record/shard.h"
 
 namespace robostress {
@@ -17,13 +19,13 @@ std::unique_ptr<EmbeddedTask> MakeTask(const std::string& suite, int task) {
   return std::move(made).value();
 }
 
-RandomStream TestStream(int index) { return RandomStream(StreamKey("record test").With(index)); }
+StreamKey TestKey(int index) { return StreamKey("record test").With(index); }
 
 TEST(Record, LabelsAreTheExpertsPathAndRestAfterSuccess) {
   const auto task = MakeTask("tabletop_goal", 4);
   RecordOptions options;
   options.noisy_share = 0;
-  const absl::StatusOr<Demonstration> episode = RecordExpert(*task, 1000, options, TestStream(0));
+  const absl::StatusOr<Demonstration> episode = RecordExpert(*task, 1000, options, TestKey(0));
   if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
   ASSERT_TRUE(episode.ok()) << episode.status();
   ASSERT_TRUE(episode->success);
@@ -43,12 +45,39 @@ TEST(Record, NoiseDisturbsWhatIsExecutedNotTheLabels) {
   calm.noisy_share = 0;
   noisy.noisy_share = 1;
   noisy.burst_chance = 1;
-  const absl::StatusOr<Demonstration> a = RecordExpert(*task, 1001, calm, TestStream(1));
-  const absl::StatusOr<Demonstration> b = RecordExpert(*task, 1001, noisy, TestStream(1));
-  const absl::StatusOr<Demonstration> c = RecordExpert(*task, 1001, noisy, TestStream(1));
+  const absl::StatusOr<Demonstration> a = RecordExpert(*task, 1001, calm, TestKey(1));
+  const absl::StatusOr<Demonstration> b = RecordExpert(*task, 1001, noisy, TestKey(1));
+  const absl::StatusOr<Demonstration> c = RecordExpert(*task, 1001, noisy, TestKey(1));
   ASSERT_TRUE(a.ok() && b.ok() && c.ok());
   EXPECT_NE(a->steps, b->steps);
   EXPECT_EQ(b->steps, c->steps) << "the noise is a function of the stream";
+}
+
+TEST(Record, ExecutionNoiseMovesTheArmAndNeitherTheLabelNorTheBursts) {
+  const auto task = MakeTask("tabletop_goal", 4);
+  RecordOptions clean, randomised;
+  clean.render = randomised.render = true;
+  clean.stride = randomised.stride = 1;
+  randomised.execution_noise = 0.05;
+  const absl::StatusOr<Demonstration> a = RecordExpert(*task, 1001, clean, TestKey(1));
+  if (absl::IsUnavailable(a.status())) GTEST_SKIP() << a.status().message();
+  const absl::StatusOr<Demonstration> b = RecordExpert(*task, 1001, randomised, TestKey(1));
+  const absl::StatusOr<Demonstration> c = RecordExpert(*task, 1001, randomised, TestKey(1));
+  const absl::StatusOr<Demonstration> other = RecordExpert(*task, 1001, randomised, TestKey(2));
+  ASSERT_TRUE(a.ok() && b.ok() && c.ok() && other.ok());
+  EXPECT_EQ(a->execution_sigma, 0);
+  EXPECT_GT(b->execution_sigma, 0);
+  EXPECT_LE(b->execution_sigma, 0.05);
+  EXPECT_NE(b->execution_sigma, other->execution_sigma);
+  // The first label was decided before anything was executed.
+  EXPECT_EQ(a->frames[0].actions.row(0), b->frames[0].actions.row(0));
+  EXPECT_EQ(a->frames[0].proprioception, b->frames[0].proprioception);
+  // Where the arm gets to differs by millimetres: sigma * 0.05 m a step at most.
+  const Eigen::Vector3f apart =
+      a->frames[4].proprioception.head<3>() - b->frames[4].proprioception.head<3>();
+  EXPECT_GT(apart.norm(), 0);
+  EXPECT_LT(apart.norm(), 0.02);
+  EXPECT_EQ(b->frames[4].proprioception, c->frames[4].proprioception);
 }
 
 TEST(Record, BranchLabelIsTheExpertsFutureAndLeavesNoTrace) {
@@ -69,6 +98,72 @@ TEST(Record, BranchLabelIsTheExpertsFutureAndLeavesNoTrace) {
   EXPECT_EQ(task->Proprioception(), untouched->Proprioception());
 }
 
+TEST(Record, LiberosFormHoldsTheEpisode) {
+  const auto task = MakeTask("tabletop_goal", 4);
+  RecordOptions options;
+  options.stride = 1;
+  options.image_size = 32;
+  options.simulator_state = true;
+  const absl::StatusOr<Demonstration> episode = RecordExpert(*task, 1000, options, TestKey(3));
+  if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
+  ASSERT_TRUE(episode.ok()) << episode.status();
+  const std::string path = ::testing::TempDir() + "/record_test.hdf5";
+  auto writer =
+      LiberoDemonstrationWriter::Create(path, {"tabletop_goal", task->name(), task->instruction()});
+  ASSERT_TRUE(writer.ok()) << writer.status();
+  ASSERT_TRUE(writer->Add(ToLibero(*episode, task->model().mjcf())).ok());
+  ASSERT_TRUE(writer->Publish().ok());
+  const auto file = LiberoDemonstrationFile::Open(path);
+  ASSERT_TRUE(file.ok()) << file.status();
+  EXPECT_EQ(file->instruction(), task->instruction());
+  ASSERT_EQ(file->steps(0), episode->steps);
+  const LiberoColumns columns = file->ReadColumns(0).value();
+  for (int t = 0; t < episode->steps; ++t) {
+    const DemonstrationFrame& frame = episode->frames[t];
+    EXPECT_EQ(static_cast<float>(columns.actions[7 * t + 2]), frame.actions(0, 2));
+    // The base stands at the world's origin, and the home hand points straight down.
+    const Eigen::Vector3d axis_angle(columns.ee_ori[3 * t], columns.ee_ori[3 * t + 1],
+                                     columns.ee_ori[3 * t + 2]);
+    const Eigen::Vector3d rotation =
+        RotationBetween(Eigen::Quaterniond(0, 1, 0, 0), ExpSo3(axis_angle));
+    for (int i = 0; i < 3; ++i) {
+      EXPECT_NEAR(columns.ee_pos[3 * t + i], frame.proprioception[i], 1e-6);
+      EXPECT_NEAR(rotation[i], frame.proprioception[3 + i], 1e-5) << "step " << t;
+    }
+    EXPECT_NEAR(columns.gripper_states[2 * t], frame.proprioception[6], 1e-6);
+    EXPECT_EQ(static_cast<float>(columns.proprioception[8 * t + 4]), frame.proprioception[4]);
+  }
+  EXPECT_EQ(file->ReadView(0, LiberoDemonstrationFile::View::kAgent, 5)->data,
+            episode->frames[5].views[0].data);
+  std::remove(path.c_str());
+}
+
+TEST(Shard, NamesTheExecutionNoiseOnlyWhereThereIsSome) {
+  Demonstration episode;
+  DemonstrationFrame frame;
+  frame.views.assign(2, Image{4, 4, std::vector<uint8_t>(48)});
+  frame.proprioception = Eigen::VectorXf::Zero(8);
+  frame.aux.setZero();
+  frame.actions = Eigen::MatrixXf::Zero(kLabelSteps, 7);
+  episode.frames.push_back(frame);
+  episode.execution_sigma = 0.03;
+  const std::string path = ::testing::TempDir() + "/noise_shard_test.safetensors";
+  for (const double noise : {0.0, 0.05}) {
+    Shard shard("tabletop_goal", 4, "turn on the stove", noise);
+    shard.Add(1000, episode);
+    ASSERT_TRUE(shard.Write(path).ok());
+    const absl::StatusOr<SafetensorsFile> file = SafetensorsFile::Open(path);
+    ASSERT_TRUE(file.ok()) << file.status();
+    EXPECT_EQ(file->metadata().count("execution_noise"), noise > 0 ? 1u : 0u);
+    EXPECT_EQ(file->Get("execution_sigma").ok(), noise > 0);
+    if (noise > 0) {
+      EXPECT_EQ(file->metadata().at("execution_noise"), "0.05");
+      EXPECT_FLOAT_EQ((*file->ReadFloats("execution_sigma", {1}))[0], 0.03f);
+    }
+  }
+  std::remove(path.c_str());
+}
+
 TEST(Shard, ReadsBackWithTheShapesThatTrainingExpects) {
   Demonstration episode;
   for (int i = 0; i < 3; ++i) {
@@ -80,7 +175,7 @@ TEST(Shard, ReadsBackWithTheShapesThatTrainingExpects) {
     frame.actions(1, 6) = 7;
     episode.frames.push_back(frame);
   }
-  Shard shard("tabletop_goal", 4, "turn on the stove");
+  Shard shard("tabletop_goal", 4, "turn on the stove", /*execution_noise=*/0);
   shard.Add(1000, episode);
   shard.Add(1001, episode);
   const std::string path = ::testing::TempDir() + "/shard_test.safetensors";

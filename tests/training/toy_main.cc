@@ -44,7 +44,7 @@ int main(int argc, char** argv) {
       const torch::Tensor noise =
           torch::randn({1, (*policy)->horizon(), (*policy)->model_action_dim()});
       const Eigen::MatrixXf actions =
-          (*policy)->ToEnvironment((*policy)->Sample(context, noise, nullptr)[0]);
+          (*policy)->ToEnvironment((*policy)->Sample(context, noise, nullptr)[0], context.state);
       for (int k = 0; k < (*policy)->spec().execute_steps && !world.success(); ++k) {
         world.Step(actions.row(k).transpose());
       }

@@ -6,10 +6,14 @@
 #include <fstream>
 
 #include "common/atomic_file.h"
+#include "common/libero_demonstrations.h"
 #include "common/safetensors.h"
 #include "nlohmann/json.hpp"
 #include "server/policy.h"
+#include "server/training/flow_objective.h"
+#include "server/training/libero_shards.h"
 #include "server/training/trainer.h"
+#include "server/training/worst_case_actions.h"
 #include "tests/training/toy_world.h"
 
 namespace robostress {
@@ -168,6 +172,168 @@ TEST_F(Training, GoesOnFromWeightsWithNewWordsAndTheOldNormalisation) {
   }
 }
 
+// A model on the toy's frames, and one batch of them.
+struct Scene {
+  Demonstrations demonstrations;
+  NanoModel model;
+  DemoBatch batch;
+};
+
+Scene MakeScene(const TrainOptions& options, int rows) {
+  Scene scene{Demonstrations::Open(options.data, options.network, 0.2).value(),
+              RandomNanoModel(options.network, 1),
+              {}};
+  scene.demonstrations.MeasureNormalisation(scene.model);
+  scene.model.vocabulary = scene.demonstrations.CollectWords({}).value();
+  RandomStream random(StreamKey("scene"));
+  const std::vector<int64_t>& all = scene.demonstrations.training();
+  scene.batch =
+      scene.demonstrations.Fill(absl::MakeSpan(all).subspan(0, rows), scene.model, {}, random)
+          .value();
+  return scene;
+}
+
+TEST_F(Training, FlowTimesFollowOpenpisBeta) {
+  const FlowDraw draw = DrawFlow(20000, 2, SmallOptions("", "").network, 5);
+  const torch::Tensor t = draw.t.to(torch::kFloat64);
+  // t = 0.999 Beta(1.5, 1) + 0.001: mean 0.6, second moment 3/7 of the Beta.
+  EXPECT_NEAR(t.mean().item<double>(), 0.999 * 0.6 + 0.001, 2e-3);
+  EXPECT_NEAR(((t - 0.001) / 0.999).square().mean().item<double>(), 1.5 / 3.5, 2e-3);
+  EXPECT_GE(t.min().item<double>(), 0.001);
+  EXPECT_LE(t.max().item<double>(), 1.0);
+  // The distribution function of Beta(1.5, 1) is x^1.5.
+  EXPECT_NEAR((t < 0.5).to(torch::kFloat64).mean().item<double>(),
+              std::pow((0.5 - 0.001) / 0.999, 1.5), 5e-3);
+}
+
+TEST_F(Training, WorstCaseStaysInTheBallAndRaisesTheLoss) {
+  const TrainOptions options = SmallOptions(Path("toy"), "");
+  const Scene scene = MakeScene(options, 6);
+  const NanoNetwork network(scene.model.config,
+                            AssembleNano(scene.model.config, scene.model.tensors));
+  const NanoNetwork::Prefix prefix =
+      network.EncodePrefix(scene.batch.images, scene.batch.words, scene.batch.state, false);
+  const FlowDraw draw = DrawFlow(6, 2, scene.model.config, 3);
+  const torch::Tensor weights = torch::ones({50, 1});
+  const double clean =
+      FlowLoss(network, prefix.context, scene.batch.actions, draw, weights).item<double>();
+  for (const PgdOptions pgd : {PgdOptions{}, PgdOptions{0.03, 1, 0.5}, PgdOptions{0.2, 5, 0.1}}) {
+    const WorstCase worst =
+        FindWorstCaseActions(network, prefix.context, scene.batch.actions, draw, weights, pgd);
+    const torch::Tensor delta = worst.actions - scene.batch.actions;
+    EXPECT_LE(delta.abs().max().item<double>(), pgd.epsilon + 1e-6);
+    EXPECT_GT(delta.abs().max().item<double>(), 0.9 * pgd.epsilon);
+    EXPECT_EQ(delta.narrow(2, 7, 1).abs().max().item<double>(), 0) << "the padding channel";
+    EXPECT_EQ(worst.clean_loss, clean);
+    EXPECT_GT(FlowLoss(network, prefix.context, worst.actions, draw, weights).item<double>(),
+              clean);
+    EXPECT_FALSE(worst.actions.requires_grad());
+  }
+  const WorstCase none = FindWorstCaseActions(network, prefix.context, scene.batch.actions, draw,
+                                              weights, {.steps = 0});
+  EXPECT_TRUE(torch::equal(none.actions, scene.batch.actions));
+}
+
+TEST_F(Training, GradientInTheActionsIsThatOfFiniteDifferences) {
+  const Scene scene = MakeScene(SmallOptions(Path("toy"), ""), 2);
+  const NanoNetwork network(scene.model.config,
+                            AssembleNano(scene.model.config, scene.model.tensors));
+  const NanoNetwork::Prefix prefix =
+      network.EncodePrefix(scene.batch.images, scene.batch.words, scene.batch.state, false);
+  const FlowDraw draw = DrawFlow(2, 2, scene.model.config, 3);
+  const torch::Tensor weights = torch::ones({50, 1});
+  const auto loss = [&](const torch::Tensor& actions) {
+    return FlowLoss(network, prefix.context, actions, draw, weights);
+  };
+  const torch::Tensor actions = scene.batch.actions.clone().set_requires_grad(true);
+  const torch::Tensor gradient = torch::autograd::grad({loss(actions)}, {actions})[0];
+  // Along random directions: one number of size 1 each, where single entries would drown in
+  // float32's rounding. The step's error is of second order, the rounding's 1e-7 / h.
+  for (int i = 0; i < 4; ++i) {
+    torch::manual_seed(i);
+    const torch::Tensor direction = torch::randn_like(scene.batch.actions);
+    const double h = 3e-3;
+    const double difference = (loss(scene.batch.actions + h * direction).item<double>() -
+                               loss(scene.batch.actions - h * direction).item<double>()) /
+                              (2 * h);
+    const double exact = (gradient * direction).sum().item<double>();
+    EXPECT_NEAR(difference, exact, 2e-3 * std::max(1.0, std::abs(exact)));
+  }
+}
+
+TEST_F(Training, RobustWithoutStepsIsBehaviourCloningToTheBit) {
+  TrainOptions cloning = SmallOptions(Path("toy"), Path("bc"));
+  TrainOptions robust = SmallOptions(Path("toy"), Path("robust0"));
+  robust.objective = Objective::kRobust;
+  robust.robust.steps = 0;
+  ASSERT_TRUE(RunTraining(cloning, false).ok());
+  ASSERT_TRUE(RunTraining(robust, false).ok());
+  EXPECT_EQ(ReadFile(Path("bc") + "/nano.safetensors").value(),
+            ReadFile(Path("robust0") + "/nano.safetensors").value());
+}
+
+TEST_F(Training, RobustTrainsOnAHarderLossAndResumesToTheSameBits) {
+  TrainOptions options = SmallOptions(Path("toy"), Path("robust"));
+  options.objective = Objective::kRobust;
+  options.threads = 1;
+  ASSERT_TRUE(RunTraining(options, false).ok());
+  for (const nlohmann::json& line : ReadLog(Path("robust"))) {
+    if (!line.contains("flow")) continue;
+    EXPECT_GT(line.at("flow").get<double>(), line.at("clean_flow").get<double>());
+    EXPECT_GE(line.at("data_share").get<double>(), 0);
+    EXPECT_LT(line.at("data_share").get<double>(), 1);
+  }
+  EXPECT_THAT(ReadFile(Path("robust") + "/config.yaml").value(),
+              AllOf(HasSubstr("objective: robust"), HasSubstr("epsilon: 0.03"),
+                    HasSubstr("steps: 3"), HasSubstr("step_size: 0.015")));
+  // As if killed after half of the steps: an evaluation command that fails there ends the run.
+  TrainOptions cut = options;
+  cut.out = Path("robust_cut");
+  cut.evaluate_command =
+      "test {step} != 6 && mkdir -p {out}/units/u && "
+      "echo '{\"success\": true}' > {out}/units/u/episodes.jsonl";
+  const absl::Status killed = RunTraining(cut, false);
+  EXPECT_THAT(std::string(killed.message()),
+              AllOf(HasSubstr("step 6"), HasSubstr("exit code 1"), HasSubstr("--resume")));
+  cut.evaluate_command = options.evaluate_command;
+  ASSERT_TRUE(RunTraining(cut, true).ok());
+  EXPECT_EQ(ReadFile(Path("robust") + "/nano.safetensors").value(),
+            ReadFile(Path("robust_cut") + "/nano.safetensors").value());
+}
+
+TEST_F(Training, LogsTheSuccessThatACommandMeasures) {
+  TrainOptions options = SmallOptions(Path("toy"), Path("measured"));
+  options.evaluate_command =
+      "test -s {weights} && mkdir -p {out}/units/u && printf '{\"success\": true}\\n{\"success\": "
+      "false}\\n' > {out}/units/u/episodes.jsonl";
+  ASSERT_TRUE(RunTraining(options, false).ok());
+  std::vector<int> steps;
+  for (const nlohmann::json& line : ReadLog(Path("measured"))) {
+    if (!line.contains("successes")) continue;
+    steps.push_back(line.at("step"));
+    EXPECT_EQ(line.at("successes"), 1);
+    EXPECT_EQ(line.at("episodes"), 2);
+  }
+  EXPECT_THAT(steps, testing::ElementsAre(6, 12));
+  options.out = Path("unmeasured");
+  options.evaluate_command = "true";
+  EXPECT_THAT(std::string(RunTraining(options, false).message()),
+              HasSubstr("left no episodes.jsonl"));
+  options.out = Path("nonsense");
+  options.evaluate_command = "mkdir -p {out} && echo '{\"won\": 1}' > {out}/episodes.jsonl";
+  EXPECT_THAT(std::string(RunTraining(options, false).message()),
+              AllOf(HasSubstr("episodes.jsonl:1"), HasSubstr("'success'")));
+}
+
+TEST_F(Training, RefusesPgdOutOfRange) {
+  TrainOptions options = SmallOptions(Path("toy"), Path("bad_pgd"));
+  options.robust.epsilon = -1;
+  EXPECT_THAT(std::string(RunTraining(options, false).message()),
+              AllOf(HasSubstr("robust.epsilon is -1"), HasSubstr("0 to 10")));
+  options.robust = {.step_size = 0};
+  EXPECT_THAT(std::string(RunTraining(options, false).message()), HasSubstr("robust.step_size"));
+}
+
 TEST_F(Training, HoldsOutWholeEpisodes) {
   const TrainOptions options = SmallOptions(Path("toy"), "");
   const Demonstrations demonstrations =
@@ -238,6 +404,79 @@ TEST_F(Training, RefusesWhatIsNotAShardOrDoesNotFit) {
   EXPECT_THAT(std::string(RunTraining(odd, false).message()),
               AllOf(HasSubstr("batch is 9"), HasSubstr("threads, 2")));
   EXPECT_FALSE(fs::exists(Path("bad_out") + "/DONE"));
+}
+
+// A file of two demonstrations of 60 and 61 steps whose left image half is dark.
+void WriteLibero(const std::string& path, bool ours) {
+  auto writer = LiberoDemonstrationWriter::Create(path, {"toy", "push", "push the block"});
+  ASSERT_TRUE(writer.ok()) << writer.status();
+  for (const int64_t steps : {60, 61}) {
+    LiberoDemonstration demonstration;
+    LiberoColumns& columns = demonstration.columns;
+    columns.steps = steps;
+    const auto ramp = [&](double base, int64_t width) {
+      std::vector<double> values;
+      for (int64_t i = 0; i < steps * width; ++i)
+        values.push_back(base + 0.001 * static_cast<double>(i / width));
+      return values;
+    };
+    columns.actions = ramp(0.1, 7);
+    columns.states = ramp(0, 20);
+    columns.robot_states = ramp(0, 9);
+    columns.ee_pos = ramp(0.2, 3);
+    columns.ee_ori = ramp(0.3, 3);
+    columns.gripper_states = ramp(0.4, 2);
+    columns.joint_states = ramp(0.5, 7);
+    if (ours) {
+      columns.proprioception = ramp(0.6, 8);
+      columns.aux = ramp(0.7, 8);
+    }
+    Image image{128, 128, std::vector<uint8_t>(3 * 128 * 128)};
+    for (size_t i = 0; i < image.data.size(); ++i)
+      image.data[i] = i / 3 % 128 < 64 ? 0 : static_cast<uint8_t>(100 + i / (3 * 128));
+    demonstration.agentview.assign(steps, image);
+    demonstration.eye_in_hand.assign(steps, image);
+    ASSERT_TRUE(writer->Add(demonstration).ok());
+  }
+  ASSERT_TRUE(writer->Publish().ok());
+}
+
+TEST_F(Training, ReadsDemonstrationsInLiberosForm) {
+  for (const bool ours : {true, false}) {
+    const std::string name = ours ? "ours" : "libero";
+    fs::create_directories(Path(name));
+    WriteLibero(Path(name) + "/push_demo.hdf5", ours);
+    TrainOptions options = SmallOptions(Path(name) + "/push_demo.hdf5", Path(name + "_run"));
+    options.validation_share = 0;
+    options.steps = 2;
+    const absl::Status trained = RunTraining(options, false);
+    if (!ours) {
+      EXPECT_THAT(std::string(trained.message()),
+                  AllOf(HasSubstr("push_demo"), HasSubstr("aux_weight=0")));
+      options.aux_weight = 0;
+    }
+    const absl::Status status = ours ? trained : RunTraining(options, true);
+    ASSERT_TRUE(status.ok()) << status;
+    const auto shard =
+        SafetensorsFile::Open(Path(name + "_run") + "/data/000_push_demo.safetensors");
+    ASSERT_TRUE(shard.ok()) << shard.status();
+    EXPECT_EQ(shard->metadata().at("instruction"), "push the block");
+    const std::vector<float> state = shard->ReadFloats("state", {61, 8}).value();
+    EXPECT_FLOAT_EQ(state[8], ours ? 0.602f : 0.202f) << "step 2 is the second frame";
+    EXPECT_FLOAT_EQ(state[8 + 6], ours ? 0.602f : 0.402f);
+    const std::vector<float> actions = shard->ReadFloats("actions", {61, 50, 7}).value();
+    const float* last = &actions[29 * 350];  // of step 58 of 60
+    EXPECT_FLOAT_EQ(last[0], 0.158f);
+    EXPECT_FLOAT_EQ(last[7], 0.159f);
+    EXPECT_EQ(last[14], 0) << "no motion after the end";
+    EXPECT_FLOAT_EQ(last[14 + 6], 0.159f) << "the last gripper command";
+    EXPECT_EQ(shard->ReadDoubles("episode", {61}).value()[30], 1);
+    // Top row first; LIBERO's own files are mirrored, as the policy will see that suite.
+    const uint8_t* image = shard->Get("images")->bytes.data();
+    EXPECT_EQ(image[ours ? 0 : 3 * 63], 0);
+    EXPECT_EQ(image[ours ? 3 * 63 : 0], 101);
+    EXPECT_EQ(image[3 * 64 * 63 + (ours ? 3 * 63 : 0)], 227);
+  }
 }
 
 TEST_F(Training, DoesNotOverwriteARun) {

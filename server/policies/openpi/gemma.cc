@@ -20,10 +20,17 @@ struct Normed {
 Normed Normalise(const GemmaNorm& norm, const torch::Tensor& x, const torch::Tensor& cond) {
   const torch::Tensor wide = x.to(torch::kFloat32);
   const torch::Tensor unit = wide * at::rsqrt(wide.square().mean(-1, /*keepdim=*/true) + kEpsilon);
-  if (!norm.dense.weight.defined()) return {(unit * (1 + norm.weight)).to(x.dtype()), {}};
-  const auto modulation = Apply(norm.dense, cond).unsqueeze(1).chunk(3, -1);  // [B, 1, w] each
+  if (!norm.dense.weight.defined())
+    return {(unit * (1 + norm.weight.to(torch::kFloat32))).to(x.dtype()), {}};
+  const auto modulation =
+      Apply(norm.dense, cond).to(torch::kFloat32).unsqueeze(1).chunk(3, -1);  // [B, 1, w] each
   const torch::Tensor y = unit * (1 + modulation[0]) + modulation[1];
   return {y.to(x.dtype()), modulation[2].to(x.dtype())};
+}
+
+// The residual stream has the type of the expert's products, as in openpi.
+torch::Tensor ToStream(const GemmaStack& stack, const torch::Tensor& embeddings) {
+  return stack.layers.empty() ? embeddings : embeddings.to(stack.layers[0].q.weight.dtype());
 }
 
 torch::Tensor Residual(const torch::Tensor& x, const torch::Tensor& branch,
@@ -109,7 +116,7 @@ PrefixPass RunPrefix(const GemmaStack& stack, const AttentionShape& shape,
   const Rotation rotation = MakeRotation(positions, shape.head_dim);
   const torch::Tensor additive = AdditiveMask(mask);
   PrefixPass pass;
-  torch::Tensor x = embeddings;
+  torch::Tensor x = ToStream(stack, embeddings);
   for (const GemmaLayer& layer : stack.layers) {
     const Projected p = Project(layer, shape, x, {}, rotation);
     pass.cache.keys.push_back(p.k);
@@ -126,7 +133,7 @@ torch::Tensor RunSuffix(const GemmaStack& stack, const AttentionShape& shape,
                         const KvCache& prefix) {
   const Rotation rotation = MakeRotation(positions, shape.head_dim);
   const torch::Tensor additive = AdditiveMask(mask);
-  torch::Tensor x = embeddings;
+  torch::Tensor x = ToStream(stack, embeddings);
   for (size_t i = 0; i < stack.layers.size(); ++i) {
     const GemmaLayer& layer = stack.layers[i];
     const Projected p = Project(layer, shape, x, cond, rotation);
@@ -146,7 +153,7 @@ torch::Tensor RunJoint(const GemmaStack& prefix, const GemmaStack& expert,
   const Rotation b_rotation =
       MakeRotation(positions.narrow(1, split, total - split), shape.head_dim);
   const torch::Tensor additive = AdditiveMask(mask);
-  torch::Tensor a = prefix_embeddings, b = suffix_embeddings;
+  torch::Tensor a = ToStream(prefix, prefix_embeddings), b = ToStream(expert, suffix_embeddings);
   for (size_t i = 0; i < prefix.layers.size(); ++i) {
     const Projected pa = Project(prefix.layers[i], shape, a, {}, a_rotation);
     const Projected pb = Project(expert.layers[i], shape, b, cond, b_rotation);

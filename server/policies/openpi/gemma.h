@@ -42,7 +42,9 @@ struct KvCache {
 };
 
 // mask: [B, queries, keys] bool. positions: [B, queries] int64. cond: [B, w] for adaptive norms,
-// else undefined. Embeddings and outputs [B, T, w].
+// else undefined. Embeddings and outputs [B, T, w]. Weights may be float32 or bfloat16: the
+// residual stream and the cache have the type of the first layer's products; norms, rotation and
+// softmax are computed in float32 and go back to it.
 
 struct PrefixPass {
   torch::Tensor out_normed;  // after the final norm; actions do not depend on it

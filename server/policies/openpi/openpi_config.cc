@@ -108,6 +108,26 @@ absl::StatusOr<OpenpiConfig> OpenpiConfigOf(const SafetensorsFile& file) {
   return ParseOpenpiConfig(file.path(), found->second);
 }
 
+std::string OpenpiConfigJson(const OpenpiConfig& config) {
+  nlohmann::json json = {{"pi05", config.pi05}};
+  for (const ConfigField& field : kConfigFields) json[field.key] = config.*field.member;
+  if (config.state_dim > 0) json["sdim"] = config.state_dim;
+  return json.dump();
+}
+
+absl::Status CheckOpenpiConfig(const std::string& where, const OpenpiConfig& config) {
+  std::vector<std::string> problems;
+  for (const ConfigField& field : kConfigFields) {
+    const int64_t value = config.*field.member;
+    if (value < 1 || value > field.max)
+      problems.push_back(absl::StrCat(field.key, " is ", value, ", must be in 1..", field.max));
+  }
+  if (problems.empty()) problems = Contradictions(config);
+  if (problems.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(where, ": impossible sizes: ", absl::StrJoin(problems, ", ")));
+}
+
 absl::Status CheckSameConfig(const std::string& file, const OpenpiConfig& config,
                              const std::string& other_file, const OpenpiConfig& other) {
   std::vector<std::string> differences;

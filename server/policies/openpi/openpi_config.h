@@ -43,6 +43,12 @@ struct OpenpiConfig {
 absl::StatusOr<OpenpiConfig> ParseOpenpiConfig(const std::string& file, const std::string& json);
 absl::StatusOr<OpenpiConfig> OpenpiConfigOf(const SafetensorsFile& file);
 
+// The JSON that ParseOpenpiConfig reads.
+std::string OpenpiConfigJson(const OpenpiConfig& config);
+
+// The same limits for sizes that were derived otherwise; `where` begins the message.
+absl::Status CheckOpenpiConfig(const std::string& where, const OpenpiConfig& config);
+
 // OK when `other` (of file `other_file`) has the sizes of `config`; else every field that differs.
 absl::Status CheckSameConfig(const std::string& file, const OpenpiConfig& config,
                              const std::string& other_file, const OpenpiConfig& other);

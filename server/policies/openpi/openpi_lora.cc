@@ -31,6 +31,29 @@ struct LinearCollector : ParameterVisitor {
   std::map<std::string, Sizes> linears;
 };
 
+// Hangs pairs on the layers that `targets` name.
+struct TargetVisitor : ParameterVisitor {
+  TargetVisitor(const OpenpiConfig& config, const std::vector<torch::Tensor>& a,
+                const std::vector<torch::Tensor>& b, bool of_rows)
+      : A(a), B(b), rows(of_rows) {
+    const std::vector<LoraTarget> targets = ExpertLoraTargets(config);
+    RS_CHECK(A.size() == targets.size() && B.size() == targets.size());
+    for (size_t i = 0; i < targets.size(); ++i) index[targets[i].name] = i;
+  }
+  void OnTensor(const std::string&, const std::vector<int64_t>&, torch::Tensor&) override {}
+  void OnLinear(const std::string& name, int64_t, int64_t, bool, Linear& linear) override {
+    const auto found = index.find(name);
+    if (found == index.end()) return;
+    linear.lora_A = A[found->second];
+    linear.lora_B = B[found->second];
+    linear.lora_rows = rows;
+    linear.lora_scale = 1;
+  }
+  const std::vector<torch::Tensor>&A, &B;
+  const bool rows;
+  std::map<std::string, size_t> index;
+};
+
 struct AttachVisitor : ParameterVisitor {
   explicit AttachVisitor(const OpenpiLora& l) : lora(l) {}
   void OnTensor(const std::string&, const std::vector<int64_t>&, torch::Tensor&) override {}
@@ -102,6 +125,35 @@ double MetadataNumber(const SafetensorsFile& file, const std::string& key, doubl
 }
 
 }  // namespace
+
+std::vector<LoraTarget> ExpertLoraTargets(const OpenpiConfig& c) {
+  const int64_t w = c.expert_width, q = c.heads * c.head_dim, kv = c.kv_heads * c.head_dim;
+  std::vector<LoraTarget> targets;
+  for (int64_t i = 0; i < c.depth; ++i) {
+    const std::string layer =
+        absl::StrCat("paligemma_with_expert.gemma_expert.model.layers.", i, ".");
+    targets.push_back({layer + "self_attn.q_proj", w, q, c.heads});
+    targets.push_back({layer + "self_attn.k_proj", w, kv, c.kv_heads});
+    targets.push_back({layer + "self_attn.v_proj", w, kv, c.kv_heads});
+    targets.push_back({layer + "self_attn.o_proj", q, w, 1, c.heads});
+    targets.push_back({layer + "mlp.gate_proj", w, c.expert_mlp});
+    targets.push_back({layer + "mlp.up_proj", w, c.expert_mlp});
+    targets.push_back({layer + "mlp.down_proj", c.expert_mlp, w});
+  }
+  return targets;
+}
+
+OpenpiModel WithLora(OpenpiModel model, const LoraWeights& lora) {
+  TargetVisitor attach(model.config, lora.A, lora.B, false);
+  VisitParameters(model.config, model.weights, attach);
+  return model;
+}
+
+OpenpiModel WithLora(OpenpiModel model, const LoraRows& lora) {
+  TargetVisitor attach(model.config, lora.A, lora.B, true);
+  VisitParameters(model.config, model.weights, attach);
+  return model;
+}
 
 absl::StatusOr<OpenpiLora> LoadOpenpiLora(const SafetensorsFile& file, const OpenpiConfig& config) {
   LinearCollector layers;

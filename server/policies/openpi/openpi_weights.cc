@@ -2,14 +2,9 @@
 
 #include <torch/torch.h>
 
-#include <algorithm>
 #include <cmath>
-#include <set>
 
 #include "absl/strings/str_cat.h"
-#include "common/status_macros.h"
-#include "server/policies/openpi/problem_list.h"
-#include "server/policies/openpi/tensor_io.h"
 
 namespace robostress::openpi {
 
@@ -99,92 +94,6 @@ void VisitGemmaStack(const std::string& name, const OpenpiConfig& c, const Stack
   VisitGemmaNorm(name + "norm", s.width, s.adaptive, stack.norm, visitor);
 }
 
-// What a file must hold: name, shape.
-struct ShapeCollector : ParameterVisitor {
-  void OnTensor(const std::string& name, const std::vector<int64_t>& shape,
-                torch::Tensor&) override {
-    shapes.emplace_back(name, shape);
-  }
-  std::vector<std::pair<std::string, std::vector<int64_t>>> shapes;
-};
-
-// The tensor that holds `name`, which for the embedding may go by its tied name; null when absent.
-const TensorView* FindStored(const SafetensorsFile& file, const std::string& name) {
-  auto found = file.tensors().find(name);
-  if (found == file.tensors().end() && name == kEmbeddingName)
-    found = file.tensors().find(kTiedHeadName);
-  return found == file.tensors().end() ? nullptr : &found->second;
-}
-
-// The two names of the tied embedding must not disagree.
-std::string TiedProblem(const SafetensorsFile& file) {
-  const auto table = file.tensors().find(kEmbeddingName);
-  const auto head = file.tensors().find(kTiedHeadName);
-  if (table == file.tensors().end() || head == file.tensors().end()) return "";
-  if (table->second.dtype == head->second.dtype && table->second.bytes == head->second.bytes)
-    return "";
-  return absl::StrCat("contradictory: ", kEmbeddingName, " and ", kTiedHeadName,
-                      " are one tied tensor but hold different bytes");
-}
-
-// Everything that keeps the file from being this network.
-absl::Status CheckFits(const SafetensorsFile& file, const OpenpiConfig& config) {
-  ShapeCollector wanted;
-  OpenpiWeights nothing;
-  VisitParameters(config, nothing, wanted);
-  if (std::none_of(wanted.shapes.begin(), wanted.shapes.end(),
-                   [&](const auto& tensor) { return FindStored(file, tensor.first) != nullptr; })) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        file.path(), ": holds none of the tensors of a ", config.name(),
-        " network, so it is no weights file; give the one with openpi's tensor names"));
-  }
-  std::vector<std::string> problems;
-  std::set<std::string> known = {kTiedHeadName, kUnusedHeadName};
-  for (const auto& [name, shape] : wanted.shapes) {
-    known.insert(name);
-    const TensorView* stored = FindStored(file, name);
-    if (stored == nullptr) {
-      problems.push_back(absl::StrCat("missing: ", name, " ", ShapeText(shape)));
-    } else if (stored->shape != shape) {
-      problems.push_back(absl::StrCat("misshaped: ", name, " is ", ShapeText(stored->shape),
-                                      ", the configuration asks for ", ShapeText(shape)));
-    } else if (stored->dtype != DType::kF32 && stored->dtype != DType::kBF16 &&
-               stored->dtype != DType::kF16) {
-      problems.push_back(absl::StrCat("dtype: ", name, " is ", DTypeName(stored->dtype),
-                                      ", must be F32, BF16 or F16"));
-    }
-  }
-  for (const auto& [name, view] : file.tensors()) {
-    if (!known.contains(name))
-      problems.push_back(absl::StrCat("unexpected: ", name, " ", ShapeText(view.shape)));
-  }
-  if (std::string problem = TiedProblem(file); !problem.empty()) problems.push_back(problem);
-  return ProblemList(file.path(),
-                     absl::StrCat("its tensors do not make the ", config.name(),
-                                  " network of its metadata 'config'"),
-                     problems,
-                     "Take a file with openpi's tensor names whose 'config' belongs to it; `pi05` "
-                     "in it decides which "
-                     "of the two networks is meant");
-}
-
-struct LoadVisitor : ParameterVisitor {
-  explicit LoadVisitor(const SafetensorsFile& f) : file(f) {}
-  void OnTensor(const std::string& name, const std::vector<int64_t>&,
-                torch::Tensor& tensor) override {
-    if (!status.ok()) return;
-    auto loaded =
-        ToFiniteFloats(absl::StrCat(file.path(), ": tensor '", name, "'"), *FindStored(file, name));
-    if (loaded.ok()) {
-      tensor = *std::move(loaded);
-    } else {
-      status = loaded.status();
-    }
-  }
-  const SafetensorsFile& file;
-  absl::Status status;
-};
-
 struct RandomVisitor : ParameterVisitor {
   explicit RandomVisitor(uint64_t seed) : generator(at::detail::createCPUGenerator(seed)) {}
   void OnTensor(const std::string&, const std::vector<int64_t>& shape,
@@ -219,21 +128,6 @@ void VisitParameters(const OpenpiConfig& c, OpenpiWeights& weights, ParameterVis
     visitor.OnLinear("action_time_mlp_in", 2 * w, w, true, weights.time_in);
     visitor.OnLinear("action_time_mlp_out", w, w, true, weights.time_out);
   }
-}
-
-absl::StatusOr<OpenpiModel> LoadOpenpiModel(const SafetensorsFile& file) {
-  OpenpiModel model;
-  RS_ASSIGN_OR_RETURN(model.config, OpenpiConfigOf(file));
-  RS_RETURN_IF_ERROR(CheckFits(file, model.config));
-  LoadVisitor load(file);
-  VisitParameters(model.config, model.weights, load);
-  RS_RETURN_IF_ERROR(load.status);
-  return model;
-}
-
-absl::StatusOr<OpenpiModel> LoadOpenpiModel(const std::string& path) {
-  RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Open(path));
-  return LoadOpenpiModel(file);
 }
 
 OpenpiModel RandomOpenpiModel(const OpenpiConfig& config, uint64_t seed) {

@@ -6,8 +6,6 @@
 #include <string>
 #include <vector>
 
-#include "absl/status/statusor.h"
-#include "common/safetensors.h"
 #include "server/policies/openpi/gemma.h"
 #include "server/policies/openpi/linear.h"
 #include "server/policies/openpi/openpi_config.h"
@@ -15,7 +13,8 @@
 
 namespace robostress::openpi {
 
-// Every tensor that a pi0 or pi0.5 network computes with, float32. Copies share storage.
+// Every tensor that a pi0 or pi0.5 network computes with, float32 or bfloat16 (a layer computes in
+// the type of its weight). Copies share storage.
 struct OpenpiWeights {
   Siglip vision;
   Linear projector;         // [vision_width -> prefix_width]
@@ -46,14 +45,9 @@ class ParameterVisitor {
                         Linear& linear);
 };
 
-// The one list of names: loading, gradients, LoRA and random weights all go through it.
+// The one list of names: loading (checkpoint_load.h), gradients, LoRA and random weights all go
+// through it.
 void VisitParameters(const OpenpiConfig& config, OpenpiWeights& weights, ParameterVisitor& visitor);
-
-// Checks names, dtypes and shapes of the whole file before it takes memory, then widens every
-// tensor to float32. The error lists all missing, unexpected and misshaped tensors. The tied
-// embedding may be stored as embed_tokens, as lm_head or under both names with equal bytes.
-absl::StatusOr<OpenpiModel> LoadOpenpiModel(const SafetensorsFile& file);
-absl::StatusOr<OpenpiModel> LoadOpenpiModel(const std::string& path);
 
 // N(0, 1/in) matrices, small biases and norms: outputs of order one. For tests and timing.
 OpenpiModel RandomOpenpiModel(const OpenpiConfig& config, uint64_t seed);

@@ -13,6 +13,7 @@
 #include "absl/strings/strip.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
+#include "server/policies/openpi/checkpoint_load.h"
 #include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/oracle_inputs.h"
 #include "server/policies/openpi/quantities.h"
@@ -44,11 +45,10 @@ absl::Status CheckFolders(const SafetensorsFile& file, const std::vector<std::st
 }
 
 // Sizes of the network that a file was made for, where it says them.
-absl::Status CheckMadeFor(const SafetensorsFile& file, const SafetensorsFile& weights,
-                          const OpenpiConfig& config) {
+absl::Status CheckMadeFor(const SafetensorsFile& file, const Checkpoint& weights) {
   if (!file.metadata().contains("config")) return absl::OkStatus();
   RS_ASSIGN_OR_RETURN(const OpenpiConfig other, OpenpiConfigOf(file));
-  return CheckSameConfig(weights.path(), config, file.path(), other);
+  return CheckSameConfig(weights.path, weights.config, file.path(), other);
 }
 
 // The file with inputs that belongs to an io file without: a.io_x.safetensors -> a.io.safetensors.
@@ -195,21 +195,21 @@ absl::StatusOr<std::vector<QuantityResult>> CompareAll(const SafetensorsFile& fi
 
 // The part of a check that may meet LibTorch's exceptions.
 absl::StatusOr<CheckReport> Check(const CheckOptions& options) {
-  RS_ASSIGN_OR_RETURN(const SafetensorsFile weights, SafetensorsFile::Open(options.weights));
+  RS_ASSIGN_OR_RETURN(const Checkpoint weights, OpenCheckpoint(options.weights));
   RS_ASSIGN_OR_RETURN(const SafetensorsFile io, SafetensorsFile::Open(options.io));
-  RS_ASSIGN_OR_RETURN(const OpenpiConfig config, OpenpiConfigOf(weights));
+  const OpenpiConfig& config = weights.config;
   RS_RETURN_IF_ERROR(CheckFolders(io, {"inputs/", kExpected}));
-  RS_RETURN_IF_ERROR(CheckMadeFor(io, weights, config));
-  RS_ASSIGN_OR_RETURN(OpenpiModel model, LoadOpenpiModel(weights));
+  RS_RETURN_IF_ERROR(CheckMadeFor(io, weights));
+  RS_ASSIGN_OR_RETURN(OpenpiModel model, LoadCheckpoint(weights));
   RS_ASSIGN_OR_RETURN(const std::optional<SafetensorsFile> apart, OpenInputs(options, io));
-  if (apart) RS_RETURN_IF_ERROR(CheckMadeFor(*apart, weights, config));
+  if (apart) RS_RETURN_IF_ERROR(CheckMadeFor(*apart, weights));
   RS_ASSIGN_OR_RETURN(OracleInputs inputs, LoadOracleInputs(apart ? *apart : io, config));
 
   std::optional<SafetensorsFile> lora_file;
   if (!options.lora.empty()) {
     RS_ASSIGN_OR_RETURN(lora_file, SafetensorsFile::Open(options.lora));
     RS_RETURN_IF_ERROR(CheckFolders(*lora_file, {"lora/", kExpected}));
-    RS_RETURN_IF_ERROR(CheckMadeFor(*lora_file, weights, config));
+    RS_RETURN_IF_ERROR(CheckMadeFor(*lora_file, weights));
     RS_ASSIGN_OR_RETURN(const OpenpiLora lora, LoadOpenpiLora(*lora_file, config));
     model = WithLora(std::move(model), lora);
   }

@@ -1,10 +1,13 @@
-// robostress policy SUBCOMMAND: looks at checkpoints of pi0 and pi0.5.
+// robostress policy SUBCOMMAND: checkpoints of pi0 and pi0.5, and adapters.
 
 #include <cstdio>
 #include <string>
 
 #include "CLI/CLI.hpp"
 #include "nlohmann/json.hpp"
+#include "server/policies/adapters/adapter_command.h"
+#include "server/policies/inspect_command.h"
+#include "server/policies/openpi/checkpoint_commands.h"
 #include "server/policies/openpi/policy_check.h"
 
 namespace {
@@ -47,7 +50,10 @@ int RunCheck(const CheckOptions& options, bool json) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"Checks pi0 and pi0.5 checkpoints."};
+  CLI::App app{
+      "Inspects policies; checks, loads and generates pi0 and pi0.5 checkpoints; shows, exports, "
+      "imports "
+      "and merges adapters."};
   app.require_subcommand(1);
   CLI::App* check = app.add_subcommand(
       "check", "Compare every intermediate of a network with expected values from a file");
@@ -62,10 +68,18 @@ int main(int argc, char** argv) {
                     "CASE.io_*.safetensors)");
   check->add_option("--lora", options.lora, "file with lora/* and the expected values with it");
   check->add_flag("--json", json, "print one JSON object");
+  const auto commands = {robostress::openpi::AddLoadCommand(app),
+                         robostress::openpi::AddGenerateCommand(app),
+                         robostress::AddInspectCommand(app)};
+  const robostress::AdapterCommand adapter(app);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : kBadInput;
   }
+  for (const auto& command : commands) {
+    if (command.app->parsed()) return command.run();
+  }
+  if (adapter.chosen()) return adapter.Run();
   return RunCheck(options, json);
 }

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "server/policies/openpi/masks.h"
+#include "server/policies/openpi/prompt.h"
 
 namespace robostress::openpi {
 namespace {
@@ -214,11 +215,11 @@ torch::Tensor Quantities::GradientQuantity(const std::string& name) {
 torch::Tensor Quantities::StateBins() const {
   const int64_t size =
       model_.config.state_dim > 0 ? model_.config.state_dim : model_.config.action_dim;
-  const torch::Tensor edges =
-      at::linspace(-1, 1, 257, torch::kFloat64).narrow(0, 0, 256).contiguous();
   const torch::Tensor state =
       inputs_.model.state.narrow(1, 0, size).to(torch::kFloat64).contiguous();
-  return at::bucketize(state, edges, /*out_int32=*/false, /*right=*/true) - 1;
+  const std::vector<int64_t> bins = openpi::StateBins(
+      absl::MakeConstSpan(state.data_ptr<double>(), static_cast<size_t>(state.numel())));
+  return torch::tensor(bins, torch::kInt64).view(state.sizes());
 }
 
 }  // namespace robostress::openpi

@@ -10,7 +10,8 @@ namespace {
 constexpr double kEpsilon = 1e-6;
 
 torch::Tensor Normalise(const LayerNorm& norm, const torch::Tensor& x) {
-  return at::layer_norm(x, {x.size(-1)}, norm.weight, norm.bias, kEpsilon);
+  return at::layer_norm(x, {x.size(-1)}, norm.weight.to(x.dtype()), norm.bias.to(x.dtype()),
+                        kEpsilon);
 }
 
 // softmax(q k^T / sqrt(h)) v over all patches. x [B, N, w] -> [B, N, w].
@@ -36,11 +37,12 @@ torch::Tensor RunLayer(const SiglipLayer& layer, int64_t heads, torch::Tensor x)
 
 SiglipPass RunSiglip(const Siglip& siglip, int64_t heads, const torch::Tensor& images) {
   const int64_t patch = siglip.patch_weight.size(-1);
-  const torch::Tensor grid =
-      at::conv2d(images, siglip.patch_weight, siglip.patch_bias, /*stride=*/patch);
+  const torch::Tensor grid = at::conv2d(images.to(siglip.patch_weight.dtype()), siglip.patch_weight,
+                                        siglip.patch_bias, /*stride=*/patch);
   SiglipPass pass;
   pass.patch_pos = grid.flatten(2).transpose(1, 2) + siglip.position;  // [B, patches, w]
   torch::Tensor x = pass.patch_pos;
+  if (!siglip.layers.empty()) x = x.to(siglip.layers[0].q.weight.dtype());
   for (const SiglipLayer& layer : siglip.layers) x = RunLayer(layer, heads, x);
   pass.features = Normalise(siglip.post_norm, x);
   return pass;

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <string>
+
+namespace CLI {
+class App;
+}
+
+namespace robostress {
+
+// robostress policy adapter SUBCOMMAND: shows, exports, imports and merges adapter files (those
+// that a session exports, adapter/README.md).
+class AdapterCommand {
+ public:
+  explicit AdapterCommand(CLI::App& app);  // adds itself
+  bool chosen() const;
+  // Exit code: 0, or 2 with a message on stderr.
+  int Run() const;
+
+ private:
+  CLI::App *command_, *show_, *export_, *import_, *merge_;
+  std::string adapter_, weights_, peft_, out_;
+  std::string kind_ = "per_matrix", policy_ = "nano", method_ = "ours";
+  bool json_ = false;
+};
+
+}  // namespace robostress

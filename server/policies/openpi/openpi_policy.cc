@@ -1,0 +1,177 @@
+#include "server/policies/openpi/openpi_policy.h"
+
+#include <torch/torch.h>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "common/check.h"
+#include "common/config.h"
+#include "common/status_macros.h"
+#include "server/policies/openpi/checkpoint_load.h"
+#include "server/policies/openpi/problem_list.h"
+
+namespace robostress::openpi {
+namespace {
+
+using torch::Tensor;
+
+// One adaptable layer of the expert and the name of its target.
+struct Adaptable {
+  std::string name;
+  Linear* linear;
+};
+
+// In the order of lora_targets().
+std::vector<Adaptable> AdaptableLayers(GemmaStack& expert) {
+  std::vector<Adaptable> layers;
+  for (size_t i = 0; i < expert.layers.size(); ++i) {
+    GemmaLayer& layer = expert.layers[i];
+    const std::string prefix = absl::StrCat("layers.", i, ".");
+    for (const auto& [name, linear] :
+         {std::pair("q_proj", &layer.q), std::pair("k_proj", &layer.k),
+          std::pair("v_proj", &layer.v), std::pair("o_proj", &layer.o),
+          std::pair("gate_proj", &layer.gate), std::pair("up_proj", &layer.up),
+          std::pair("down_proj", &layer.down)}) {
+      layers.push_back({prefix + name, linear});
+    }
+  }
+  return layers;
+}
+
+class OpenpiPolicy : public FlowPolicy {
+ public:
+  OpenpiPolicy(OpenpiModel model, std::unique_ptr<const Preprocessor> preprocessor,
+               const std::string& name, const std::string& model_hash)
+      : model_(std::move(model)), preprocessor_(std::move(preprocessor)) {
+    const PolicySetup& setup = preprocessor_->setup();
+    spec_.name = name;
+    spec_.model_hash = model_hash;
+    for (const std::string& camera : setup.robot.cameras) {
+      if (!camera.empty()) spec_.cameras.push_back(camera);
+    }
+    spec_.image_width = spec_.image_height = static_cast<int>(model_.config.image);
+    spec_.state_dim = static_cast<int>(setup.robot.state_dim);
+    spec_.action_dim = static_cast<int>(setup.robot.action_dim);
+    spec_.horizon = static_cast<int>(model_.config.horizon);
+    spec_.execute_steps = static_cast<int>(setup.execute_steps);
+    spec_.adaptable = true;
+    for (const Adaptable& layer : AdaptableLayers(model_.weights.expert)) {
+      targets_.push_back({layer.name, layer.linear->weight.size(1), layer.linear->weight.size(0)});
+    }
+  }
+
+  const PolicySpec& spec() const override { return spec_; }
+  int64_t horizon() const override { return model_.config.horizon; }
+  int64_t model_action_dim() const override { return model_.config.action_dim; }
+  const std::vector<LoraTarget>& lora_targets() const override { return targets_; }
+
+  absl::StatusOr<PolicyContext> Encode(const Observation& observation) const override {
+    try {
+      torch::NoGradGuard no_grad;
+      RS_ASSIGN_OR_RETURN(const ModelInputs inputs, preprocessor_->Prepare(observation));
+      PrefixContext prefix = EncodePrefix(model_, EmbedPrefix(model_, inputs), inputs.state);
+      PolicyContext context;
+      context.keys = std::move(prefix.cache.keys);
+      context.values = std::move(prefix.cache.values);
+      context.prefix_mask = prefix.valid;
+      context.state = inputs.state;
+      return context;
+    } catch (const std::exception& error) {  // LibTorch reports out of memory by throwing
+      return absl::InternalError(
+          absl::StrCat(model_.config.name(), ": encoding failed: ", error.what()));
+    }
+  }
+
+  Tensor Velocity(const PolicyContext& context, const Tensor& x_u, const Tensor& u,
+                  const LoraWeights* lora) const override {
+    const OpenpiModel adapted = Adapted(lora);
+    return openpi::Velocity(adapted, SuffixOnCache(adapted, Prefix(context), x_u, u));
+  }
+
+  Tensor Sample(const PolicyContext& context, const Tensor& noise,
+                const LoraWeights* lora) const override {
+    torch::NoGradGuard no_grad;
+    const int64_t steps = preprocessor_->setup().euler_steps;
+    return IntegrateEuler(Adapted(lora), Prefix(context), noise, steps).xs.back();
+  }
+
+  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor& state) const override {
+    return preprocessor_->ToEnvironment(chunk, state);
+  }
+
+  Tensor ToModel(const Eigen::MatrixXf& actions, const Tensor& state) const override {
+    return preprocessor_->ToModel(actions, state);
+  }
+
+ private:
+  static PrefixContext Prefix(const PolicyContext& context) {
+    PrefixContext prefix;
+    prefix.cache = {context.keys, context.values};
+    prefix.valid = context.prefix_mask;
+    prefix.state = context.state;
+    return prefix;
+  }
+
+  // The model with an adapter beside the expert's layers; tensors are shared.
+  OpenpiModel Adapted(const LoraWeights* lora) const {
+    OpenpiModel model = model_;
+    if (lora == nullptr) return model;
+    const std::vector<Adaptable> layers = AdaptableLayers(model.weights.expert);
+    RS_CHECK(lora->A.size() == layers.size() && lora->B.size() == layers.size());
+    for (size_t i = 0; i < layers.size(); ++i) {
+      layers[i].linear->lora_A = lora->A[i];
+      layers[i].linear->lora_B = lora->B[i];
+    }
+    return model;
+  }
+
+  OpenpiModel model_;
+  const std::unique_ptr<const Preprocessor> preprocessor_;
+  PolicySpec spec_;
+  std::vector<LoraTarget> targets_;
+};
+
+// Of all that decides what the policy computes.
+absl::StatusOr<std::string> HashOf(const Checkpoint& checkpoint, const PolicySetup& setup,
+                                   PolicyOptions options) {
+  options.name = options.tokenizer = options.norm_stats = "";  // decide nothing by themselves
+  std::string text = DumpConfig(options);
+  for (const auto& shard : checkpoint.shards) {
+    RS_ASSIGN_OR_RETURN(const std::string hash, Sha256OfFile(shard->path()));
+    absl::StrAppend(&text, hash, "\n");
+  }
+  if (!setup.stats.source.empty()) {
+    RS_ASSIGN_OR_RETURN(const std::string hash, Sha256OfFile(setup.stats.source));
+    absl::StrAppend(&text, hash, "\n");
+  }
+  RS_ASSIGN_OR_RETURN(const std::string tokenizer, Sha256OfFile(setup.tokenizer));
+  return Sha256Hex(absl::StrCat(text, tokenizer));
+}
+
+}  // namespace
+
+std::unique_ptr<FlowPolicy> MakeOpenpiPolicy(OpenpiModel model,
+                                             std::unique_ptr<const Preprocessor> preprocessor,
+                                             const std::string& name,
+                                             const std::string& model_hash) {
+  return std::make_unique<OpenpiPolicy>(std::move(model), std::move(preprocessor), name,
+                                        model_hash);
+}
+
+absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadOpenpiPolicy(
+    const std::string& path, const std::vector<std::string>& overrides) {
+  RS_ASSIGN_OR_RETURN(const PolicyOptions options, ReadPolicyOptions(path, overrides));
+  RS_ASSIGN_OR_RETURN(const Checkpoint checkpoint, OpenCheckpoint(path, NetworkOptions(options)));
+  SetupResult resolved = ResolveSetup(checkpoint, options);
+  RS_RETURN_IF_ERROR(ProblemList(path, "cannot be served as it is", resolved.problems,
+                                 "`robostress policy inspect` shows everything that is decided; "
+                                 "options are keys of robostress_policy.yaml beside it"));
+  RS_ASSIGN_OR_RETURN(std::unique_ptr<const Preprocessor> preprocessor,
+                      Preprocessor::Create(std::move(resolved.setup), checkpoint.config));
+  RS_ASSIGN_OR_RETURN(const std::string hash, HashOf(checkpoint, preprocessor->setup(), options));
+  RS_ASSIGN_OR_RETURN(OpenpiModel model, LoadCheckpoint(checkpoint));
+  return MakeOpenpiPolicy(std::move(model), std::move(preprocessor),
+                          options.name.empty() ? path : options.name, hash);
+}
+
+}  // namespace robostress::openpi

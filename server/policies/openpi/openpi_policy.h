@@ -1,0 +1,28 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "server/policies/openpi/openpi_weights.h"
+#include "server/policies/openpi/preprocessor.h"
+#include "server/policy.h"
+
+namespace robostress::openpi {
+
+// pi0 or pi0.5 as a policy. LoRA targets: q, k, v, o, gate, up, down of each layer of the action
+// expert, named "layers.I.q_proj" ...
+std::unique_ptr<FlowPolicy> MakeOpenpiPolicy(OpenpiModel model,
+                                             std::unique_ptr<const Preprocessor> preprocessor,
+                                             const std::string& name,
+                                             const std::string& model_hash);
+
+// Serves a checkpoint under the name `path`, or the one of the options. In this order, and each
+// before memory is taken for the next: options, tensors of all shards, norm stats and everything
+// else of the setup (all problems in one message), tokenizer, weights. The hash covers shards,
+// statistics and setup.
+absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadOpenpiPolicy(
+    const std::string& path, const std::vector<std::string>& options);
+
+}  // namespace robostress::openpi

@@ -1,0 +1,133 @@
+#include "server/training/libero_shards.h"
+
+#include <algorithm>
+#include <filesystem>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "common/atomic_file.h"
+#include "common/image.h"
+#include "common/libero_demonstrations.h"
+#include "common/safetensors.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+// A shard in the making.
+struct Frames {
+  std::vector<uint8_t> images;
+  std::vector<float> state, actions, aux;
+  std::vector<int64_t> episode;
+};
+
+void MirrorColumns(Image& image) {
+  for (int row = 0; row < image.height; ++row) {
+    for (int left = 0, right = image.width - 1; left < right; ++left, --right) {
+      uint8_t* line = image.data.data() + size_t{3} * row * image.width;
+      std::swap_ranges(line + 3 * left, line + 3 * left + 3, line + 3 * right);
+    }
+  }
+}
+
+void AppendState(const LiberoColumns& columns, int64_t t, std::vector<float>& state) {
+  const auto add = [&](const std::vector<double>& values, int64_t width) {
+    for (int64_t i = 0; i < width; ++i) state.push_back(static_cast<float>(values[t * width + i]));
+  };
+  if (!columns.proprioception.empty()) return add(columns.proprioception, 8);
+  add(columns.ee_pos, 3);
+  add(columns.ee_ori, 3);
+  add(columns.gripper_states, 2);
+}
+
+void AppendLabel(const LiberoColumns& columns, int64_t first, int64_t horizon,
+                 std::vector<float>& label) {
+  for (int64_t k = 0; k < horizon; ++k) {
+    const bool over = first + k >= columns.steps;
+    const double* row = &columns.actions[7 * std::min(first + k, columns.steps - 1)];
+    for (int j = 0; j < 7; ++j) label.push_back(over && j < 6 ? 0.0f : static_cast<float>(row[j]));
+  }
+}
+
+absl::Status AppendDemonstration(const LiberoDemonstrationFile& file, int64_t index,
+                                 const NanoConfig& config, int stride, Frames& frames) {
+  RS_ASSIGN_OR_RETURN(const LiberoColumns columns, file.ReadColumns(index));
+  using View = LiberoDemonstrationFile::View;
+  for (int64_t t = 0; t < columns.steps; t += stride) {
+    for (const View view : {View::kAgent, View::kEyeInHand}) {
+      RS_ASSIGN_OR_RETURN(Image image, file.ReadView(index, view, t));
+      if (!file.has_proprioception()) MirrorColumns(image);
+      image = ResizeArea(image, config.image_size, config.image_size);
+      frames.images.insert(frames.images.end(), image.data.begin(), image.data.end());
+    }
+    AppendState(columns, t, frames.state);
+    AppendLabel(columns, t, config.horizon, frames.actions);
+    for (int i = 0; i < 8 && file.has_aux(); ++i)
+      frames.aux.push_back(static_cast<float>(columns.aux[8 * t + i]));
+    frames.episode.push_back(index);
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status ConvertLiberoFile(const std::string& path, const NanoConfig& config, int stride,
+                               const std::string& shard) {
+  RS_ASSIGN_OR_RETURN(const LiberoDemonstrationFile file, LiberoDemonstrationFile::Open(path));
+  if (config.cameras.size() != 2 || config.state_dim != 8 || config.action_dim != 7) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        path, ": LIBERO's form has 2 views, 8 state and 7 action dimensions, the network ",
+        config.cameras.size(), ", ", config.state_dim, " and ", config.action_dim));
+  }
+  Frames frames;
+  for (int64_t i = 0; i < file.demonstrations(); ++i)
+    RS_RETURN_IF_ERROR(AppendDemonstration(file, i, config, stride, frames));
+  const int64_t count = static_cast<int64_t>(frames.episode.size()), size = config.image_size;
+  SafetensorsWriter writer;
+  writer.SetMetadata("instruction", file.instruction());
+  writer.SetMetadata("source", path);
+  writer.SetMetadata("version", "1");
+  writer.Add("images", DType::kU8, {count, 2, size, size, 3}, frames.images.data(),
+             frames.images.size());
+  writer.AddFloats("state", {count, 8}, frames.state);
+  writer.AddFloats("actions", {count, config.horizon, 7}, frames.actions);
+  if (file.has_aux()) writer.AddFloats("aux", {count, 8}, frames.aux);
+  writer.AddInts("episode", {count}, frames.episode);
+  return writer.Write(shard);
+}
+
+absl::StatusOr<std::vector<std::string>> PrepareShards(const std::vector<std::string>& data,
+                                                       const NanoConfig& config, int stride,
+                                                       const std::string& converted) {
+  std::vector<std::string> directories, files;
+  for (const std::string& entry : data) {
+    std::error_code error;
+    if (fs::path(entry).extension() == ".hdf5") {
+      files.push_back(entry);
+      continue;
+    }
+    std::vector<std::string> inside;
+    bool shards = false;
+    for (fs::recursive_directory_iterator it(entry, error), end; !error && it != end;
+         it.increment(error)) {
+      if (it->path().extension() == ".hdf5") inside.push_back(it->path().string());
+      shards |= it->path().extension() == ".safetensors";
+    }
+    std::sort(inside.begin(), inside.end());
+    files.insert(files.end(), inside.begin(), inside.end());
+    if (shards || inside.empty()) directories.push_back(entry);
+  }
+  if (files.empty()) return directories;
+  RS_RETURN_IF_ERROR(MakeDirectories(converted));
+  for (size_t i = 0; i < files.size(); ++i) {
+    const std::string shard =
+        absl::StrFormat("%s/%03d_%s.safetensors", converted, i, fs::path(files[i]).stem().string());
+    if (!fs::exists(shard)) RS_RETURN_IF_ERROR(ConvertLiberoFile(files[i], config, stride, shard));
+  }
+  directories.push_back(converted);
+  return directories;
+}
+
+}  // namespace robostress
