@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "adapter/lora.h"
+#include "common/check.h"
 #include "server/policies/fused_kernels.h"
 
 namespace robostress::openpi {
@@ -58,11 +60,10 @@ void MultiplyPacked(const torch::Tensor& x, const Projection& projection, torch:
   if (projection.bias.defined()) y.add_(projection.bias);
 }
 
-// y += scale B (A x).
-void AddLowRank(const torch::Tensor& x, const torch::Tensor& A, const torch::Tensor& B,
+// y += scale B A x for the pair of a target, in either of its forms (adapter/lora.h).
+void AddAdapter(const torch::Tensor& x, const torch::Tensor& A, const torch::Tensor& B,
                 double scale, torch::Tensor y) {
-  const torch::Tensor low_rank = at::mm(x, A.to(x.scalar_type()).t());  // [rows, rank]
-  y.addmm_(low_rank, B.to(x.scalar_type()).t(), 1, scale);
+  y.add_(LoraDelta(x, A.to(x.scalar_type()), B.to(x.scalar_type())), scale);
 }
 
 }  // namespace
@@ -72,6 +73,7 @@ Projection Projection::Join(std::vector<Linear> parts, int64_t limit_bytes) {
   std::vector<torch::Tensor> weights, biases;
   int64_t bytes = 0;
   for (const Linear& part : parts) {
+    RS_CHECK(!part.lora_rows);  // adapters of rows are given to each prediction
     weights.push_back(part.weight);
     if (part.bias.defined()) biases.push_back(part.bias);
     bytes += static_cast<int64_t>(part.weight.nbytes());
@@ -108,7 +110,7 @@ Projection Projection::Packed(int64_t limit_bytes) && {
 }
 
 torch::Tensor Project(const Projection& projection, const torch::Tensor& x,
-                      const Adapter& adapter) {
+                      const Adapters& adapters, size_t first, int64_t batch) {
   const torch::Tensor rows = x.reshape({-1, projection.in});
   const torch::Tensor y = at::empty({rows.size(0), projection.out}, rows.options());
   if (projection.panels.defined() && rows.size(0) <= kPackedRows) {
@@ -116,16 +118,19 @@ torch::Tensor Project(const Projection& projection, const torch::Tensor& x,
   } else if (projection.weight.defined()) {
     Multiply(rows, projection.weight, projection.bias, y);
   }
-  int64_t first = 0;
+  int64_t column = 0;
   for (size_t i = 0; i < projection.parts.size(); ++i) {
     const Linear& part = projection.parts[i];
-    const torch::Tensor columns = y.narrow(1, first, part.weight.size(0));
-    first += columns.size(1);
+    torch::Tensor columns = y.narrow(1, column, part.weight.size(0));
+    column += columns.size(1);
     if (!projection.weight.defined()) Multiply(rows, part.weight, part.bias, columns);
-    if (part.lora_A.defined()) AddLowRank(rows, part.lora_A, part.lora_B, part.lora_scale, columns);
-    if (adapter.weights != nullptr) {
-      const size_t target = adapter.first + i;
-      AddLowRank(rows, adapter.weights->A[target], adapter.weights->B[target], 1, columns);
+    if (part.lora_A.defined()) AddAdapter(rows, part.lora_A, part.lora_B, part.lora_scale, columns);
+    if (adapters.A.empty()) continue;
+    const torch::Tensor &A = adapters.A[first + i], &B = adapters.B[first + i];
+    if (adapters.rows) {
+      columns.add_(LoraRowsDelta(rows.view({batch, -1, projection.in}), A, B).flatten(0, 1));
+    } else {
+      AddAdapter(rows, A, B, 1, columns);
     }
   }
   return y;
