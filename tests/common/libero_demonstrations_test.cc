@@ -2,6 +2,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <cstdlib>
@@ -18,7 +19,10 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using View = LiberoDemonstrationFile::View;
 
-std::string TempPath(const std::string& name) { return ::testing::TempDir() + "/" + name; }
+// Of this process: two builds may run the test at once.
+std::string TempPath(const std::string& name) {
+  return absl::StrCat(::testing::TempDir(), "/", getpid(), "_", name);
+}
 
 // Values that say where they belong: column c of row t is base + t + c / 100.
 std::vector<double> Ramp(double base, int64_t steps, int64_t width) {
@@ -190,27 +194,28 @@ TEST(LiberoDemonstrations, RefuseLinksAndSizesThatAreNotThere) {
   const std::string script = TempPath("libero_hostile.py");
   ASSERT_TRUE(WriteFileAtomically(script, R"py(
 import h5py, json, sys
-kind, path = sys.argv[1:]
-f = h5py.File(path, "w")
-d = f.create_group("data")
-d.attrs["problem_info"] = json.dumps({"language_instruction": "x"})
-o = d.create_group("demo_0/obs")
-if kind == "huge":
-    o.create_dataset("agentview_rgb", (90000, 2048, 2048, 3), "u1", chunks=(1, 2048, 2048, 3))
-elif kind == "soft":
-    o["agentview_rgb"] = h5py.SoftLink("/elsewhere")
-elif kind == "external":
-    o["agentview_rgb"] = h5py.ExternalLink("/etc/passwd", "/x")
-elif kind == "storage":
-    o.create_dataset("agentview_rgb", (2, 8, 8, 3), "u1", external=[("/etc/passwd", 0, 384)])
-elif kind == "text":
-    o.create_dataset("agentview_rgb", data=["a", "b"])
+for kind in "huge soft external storage text".split():
+    f = h5py.File(sys.argv[1] + kind + ".hdf5", "w")
+    d = f.create_group("data")
+    d.attrs["problem_info"] = json.dumps({"language_instruction": "x"})
+    o = d.create_group("demo_0/obs")
+    if kind == "huge":
+        o.create_dataset("agentview_rgb", (90000, 2048, 2048, 3), "u1", chunks=(1, 2048, 2048, 3))
+    elif kind == "soft":
+        o["agentview_rgb"] = h5py.SoftLink("/elsewhere")
+    elif kind == "external":
+        o["agentview_rgb"] = h5py.ExternalLink("/etc/passwd", "/x")
+    elif kind == "storage":
+        o.create_dataset("agentview_rgb", (2, 8, 8, 3), "u1", external=[("/etc/passwd", 0, 384)])
+    elif kind == "text":
+        o.create_dataset("agentview_rgb", data=["a", "b"])
+    f.close()
 )py")
                   .ok());
+  const std::string stem = TempPath("libero_hostile_");
+  ASSERT_EQ(std::system(absl::StrCat("/usr/bin/python3 ", script, " ", stem).c_str()), 0);
   const auto refusal = [&](const std::string& kind) {
-    const std::string path = TempPath("libero_hostile_" + kind + ".hdf5");
-    EXPECT_EQ(std::system(absl::StrCat("/usr/bin/python3 ", script, " ", kind, " ", path).c_str()),
-              0);
+    const std::string path = absl::StrCat(stem, kind, ".hdf5");
     const auto file = LiberoDemonstrationFile::Open(path);
     EXPECT_FALSE(file.ok()) << kind;
     EXPECT_THAT(std::string(file.status().message()),
