@@ -2,24 +2,39 @@
 
 #include <torch/torch.h>
 
+#include <algorithm>
+
 #include "common/check.h"
 
 namespace robostress {
 
 PolicyContext StackContexts(const std::vector<const PolicyContext*>& contexts) {
   RS_CHECK(!contexts.empty());
-  const auto stack = [&contexts](auto&& member) {
+  int64_t longest = 0;
+  for (const PolicyContext* context : contexts)
+    longest = std::max(longest, context->prefix_mask.size(1));
+  // `dimension` counts the slots of the prefix; 0 and false fill the masked ones.
+  const auto stack = [&](int64_t dimension, auto&& member) {
     std::vector<torch::Tensor> rows;
-    for (const PolicyContext* context : contexts) rows.push_back(member(*context));
+    for (const PolicyContext* context : contexts) {
+      rows.push_back(member(*context));
+      std::vector<int64_t> filling = rows.back().sizes().vec();
+      filling[dimension] = longest - filling[dimension];
+      if (filling[dimension] > 0)
+        rows.back() =
+            torch::cat({rows.back(), torch::zeros(filling, rows.back().options())}, dimension);
+    }
     return torch::cat(rows, 0);
   };
   PolicyContext result;
   for (size_t layer = 0; layer < contexts[0]->keys.size(); ++layer) {
-    result.keys.push_back(stack([layer](const PolicyContext& c) { return c.keys[layer]; }));
-    result.values.push_back(stack([layer](const PolicyContext& c) { return c.values[layer]; }));
+    result.keys.push_back(stack(2, [layer](const PolicyContext& c) { return c.keys[layer]; }));
+    result.values.push_back(stack(2, [layer](const PolicyContext& c) { return c.values[layer]; }));
   }
-  result.prefix_mask = stack([](const PolicyContext& c) { return c.prefix_mask; });
-  result.state = stack([](const PolicyContext& c) { return c.state; });
+  result.prefix_mask = stack(1, [](const PolicyContext& c) { return c.prefix_mask; });
+  std::vector<torch::Tensor> states;
+  for (const PolicyContext* context : contexts) states.push_back(context->state);
+  result.state = torch::cat(states, 0);
   return result;
 }
 

@@ -47,7 +47,7 @@ class VelocityField {
                                  const torch::Tensor& u, const LoraWeights* lora) const = 0;
 };
 
-// Concatenates contexts along the batch.
+// Concatenates contexts along the batch. Shorter prefixes are filled up with masked slots.
 PolicyContext StackContexts(const std::vector<const PolicyContext*>& contexts);
 // One row of a context, B = 1; shares storage.
 PolicyContext ContextRow(const PolicyContext& context, int64_t row);

@@ -10,7 +10,9 @@
 #include <cmath>
 #include <tuple>
 
+#include "adapter/lora.h"
 #include "server/policies/openpi/compute_threads.h"
+#include "server/policies/openpi/openpi_lora.h"
 #include "tests/policies/tiny_openpi.h"
 
 namespace robostress::openpi {
@@ -56,27 +58,16 @@ OracleInputs Row(const OracleInputs& in, int64_t b) {
   return row;
 }
 
-LoraWeights RandomAdapter(const OpenpiInference& inference) {
-  torch::manual_seed(4);
+LoraWeights RandomAdapter(const OpenpiInference& inference, LoraKind kind = LoraKind::kPerMatrix,
+                          int64_t rank = 3, uint64_t seed = 4) {
+  torch::manual_seed(seed);
   LoraWeights lora;
   for (const LoraTarget& target : inference.lora_targets()) {
-    lora.A.push_back(at::randn({3, target.in_features}) * 0.3);
-    lora.B.push_back(at::randn({target.out_features, 3}) * 0.2);
+    const LoraShape shape = LoraShapeOf(target, kind, rank);
+    lora.A.push_back(at::randn(shape.A) * 0.3);
+    lora.B.push_back(at::randn(shape.B) * 0.2);
   }
   return lora;
-}
-
-// The reference carries the adapter in its layers.
-OpenpiModel WithAdapter(OpenpiModel model, const LoraWeights& lora) {
-  size_t target = 0;
-  for (GemmaLayer& layer : model.weights.expert.layers) {
-    for (Linear* linear :
-         {&layer.q, &layer.k, &layer.v, &layer.o, &layer.gate, &layer.up, &layer.down}) {
-      linear->lora_A = lora.A[target];
-      linear->lora_B = lora.B[target++];
-    }
-  }
-  return model;
 }
 
 // pi05, key heads, padded. One key head is the case of every published network.
@@ -117,12 +108,28 @@ TEST_P(Inference, BatchEqualsItsRowsAlone) {
 
 TEST_P(Inference, AdapterEqualsTheReferenceThatCarriesIt) {
   const auto inference = Prepare(model_);
-  const LoraWeights lora = RandomAdapter(*inference);
-  const OpenpiModel adapted = WithAdapter(model_, lora);
-  const torch::Tensor expected = ReferenceActions(adapted, inputs_);
-  EXPECT_GT(MaxDifference(expected, ReferenceActions(model_, inputs_)), 1e-2);
-  EXPECT_LT(MaxDifference(FastActions(*inference, inputs_, &lora), expected), 5e-5);
-  EXPECT_LT(MaxDifference(FastActions(*Prepare(adapted), inputs_), expected), 5e-5);
+  for (const LoraKind kind : {LoraKind::kPerMatrix, LoraKind::kPerHead}) {
+    const LoraWeights lora = RandomAdapter(*inference, kind);
+    const OpenpiModel adapted = WithLora(model_, lora);
+    const torch::Tensor expected = ReferenceActions(adapted, inputs_);
+    EXPECT_GT(MaxDifference(expected, ReferenceActions(model_, inputs_)), 1e-2);
+    EXPECT_LT(MaxDifference(FastActions(*inference, inputs_, &lora), expected), 5e-5);
+    EXPECT_LT(MaxDifference(FastActions(*Prepare(adapted), inputs_), expected), 5e-5);
+  }
+}
+
+TEST_P(Inference, RowsOfOneBatchHaveTheirOwnAdapters) {
+  const auto inference = Prepare(model_);
+  const LoraWeights first = RandomAdapter(*inference, LoraKind::kPerHead, 2, 7);
+  const LoraWeights last = RandomAdapter(*inference, LoraKind::kPerMatrix, 5, 8);
+  const std::vector<const LoraWeights*> lora = {&first, nullptr, &last};
+  const PolicyContext context = inference->Encode(inputs_.model).value();
+  const torch::Tensor together = inference->SampleRows(context, inputs_.noise, lora).value();
+  for (int64_t b = 0; b < 3; ++b) {
+    EXPECT_LT(
+        MaxDifference(FastActions(*inference, Row(inputs_, b), lora[b]), together.narrow(0, b, 1)),
+        1e-5);
+  }
 }
 
 TEST_P(Inference, AdapterWithZeroBChangesNothing) {
@@ -141,6 +148,19 @@ TEST_P(Inference, ContextIsOnlyReadAndServesTheReferenceToo) {
       {context.keys, context.values}, context.prefix_mask, context.state, {}};
   EXPECT_LT(MaxDifference(IntegrateEuler(model_, reference, inputs_.noise, 10).xs.back(), first),
             kRounding);
+}
+
+TEST_P(Inference, StackedContextsOfAnyLengthsEqualTheirRowsAlone) {
+  const auto inference = Prepare(model_);
+  std::vector<PolicyContext> contexts;
+  for (int64_t b = 0; b < 3; ++b)
+    contexts.push_back(inference->Encode(Row(inputs_, b).model).value());
+  const PolicyContext stacked = StackContexts({&contexts[0], &contexts[1], &contexts[2]});
+  const torch::Tensor together = inference->Sample(stacked, inputs_.noise, nullptr).value();
+  for (int64_t b = 0; b < 3; ++b) {
+    EXPECT_LT(MaxDifference(FastActions(*inference, Row(inputs_, b)), together.narrow(0, b, 1)),
+              1e-5);
+  }
 }
 
 TEST_P(Inference, PrefixHoldsOnlyWhatIsValid) {
@@ -256,9 +276,11 @@ TEST_F(BadInput, ContextNoiseAndAdapterThatDoNotFitAreRefused) {
   LoraWeights lora = RandomAdapter(*inference_);
   lora.B[3] = at::zeros({16, 2});
   EXPECT_THAT(SampleError(context, in_.noise, &lora),
-              HasSubstr("B of layers.0.self_attn.o_proj is [16, 2], must be [16, 3]"));
+              HasSubstr("layers.0.self_attn.o_proj is [16, 2], must be [16, 3]"));
   lora.A.pop_back();
   EXPECT_THAT(SampleError(context, in_.noise, &lora), HasSubstr("must have 21 of each"));
+  const auto rows = inference_->SampleRows(context, in_.noise, {nullptr});
+  EXPECT_THAT(rows.status().message(), HasSubstr("1 adapters for 2 rows, must be equal"));
 }
 
 TEST_F(BadInput, DevicesAndStepsThatDoNotExistAreRefused) {

@@ -156,7 +156,8 @@ class NanoSubject : public Subject {
         {"inputs/state", context_.state},
         {"inputs/noise", noise_},
         {"expected/actions", actions_}};
-    for (size_t i = 0; i < pixels_.size(); ++i) io[absl::StrCat("inputs/image.", i)] = pixels_[i];
+    for (size_t i = 0; i < pixels_.size(); ++i)
+      io[absl::StrCat("inputs/image.", i)] = pixels_[i].to(torch::kInt64);
     WriteTensors(folder + "/io.safetensors", io, {});
   }
 

@@ -22,11 +22,11 @@ torch::Tensor SuffixBlocks(const OpenpiConfig& c) {
 torch::Tensor EmbedStep(const InferenceSetup& setup, const InferenceWeights& w, size_t step,
                         const StepBuffers& buffers) {
   const int64_t batch = buffers.x.size(0), width = setup.config.expert_width;
-  torch::Tensor actions = Project(w.action_in, buffers.x, {});  // [B K, w]
+  torch::Tensor actions = Project(w.action_in, buffers.x);  // [B K, w]
   if (setup.config.pi05) return actions.to(setup.activations);
   const torch::Tensor mixed =
-      Project(w.time_in, actions, {}).add_(w.time_bias[static_cast<int64_t>(step)]);
-  actions = Project(w.time_out, at::silu(mixed), {}).view({batch, setup.config.horizon, width});
+      Project(w.time_in, actions).add_(w.time_bias[static_cast<int64_t>(step)]);
+  actions = Project(w.time_out, at::silu(mixed)).view({batch, setup.config.horizon, width});
   return at::cat({buffers.state_token, actions}, 1).view({-1, width}).to(setup.activations);
 }
 
@@ -37,7 +37,6 @@ torch::Tensor StepVelocity(const InferenceSetup& setup, const InferenceWeights& 
   const int64_t batch = buffers.x.size(0), suffix = c.suffix_tokens();
   const int64_t prefix = buffers.keys[0].size(1) - suffix;
   const Rotary rotary = {buffers.cos, buffers.sin, buffers.rows};
-  const LoraWeights* lora = buffers.lora.A.empty() ? nullptr : &buffers.lora;
   const std::vector<Modulation>& norms = w.expert.NormsAt(step);
   torch::Tensor x = EmbedStep(setup, w, step, buffers);
   torch::Tensor branch;  // what the sub-layer before adds to x
@@ -48,38 +47,43 @@ torch::Tensor StepVelocity(const InferenceSetup& setup, const InferenceWeights& 
     const InferenceLayer& layer = w.expert.layers[i];
     const size_t target = i * kTargetsPerLayer;
     const Modulation &before_attention = norms[2 * i], &before_mlp = norms[2 * i + 1];
-    const torch::Tensor qkv =
-        Project(layer.qkv, AddAndNormalise(x, branch, before_attention), {lora, target});
+    const torch::Tensor qkv = Project(layer.qkv, AddAndNormalise(x, branch, before_attention),
+                                      buffers.adapters, target, batch);
     const Heads heads = SplitHeads(qkv, batch, setup.shape(), c.heads, &rotary);
     buffers.keys[i].narrow(1, prefix, suffix).copy_(heads.k);
     buffers.values[i].narrow(1, prefix, suffix).copy_(heads.v);
     const torch::Tensor attended =
         Attend(heads.q, buffers.keys[i], buffers.values[i], buffers.mask, batch, setup.shape());
-    branch = gated(Project(layer.o, attended, {lora, target + 3}), before_attention);
-    const torch::Tensor gate_up =
-        Project(layer.gate_up, AddAndNormalise(x, branch, before_mlp), {lora, target + 4});
-    branch = gated(Project(layer.down, GeGlu(gate_up), {lora, target + 6}), before_mlp);
+    branch =
+        gated(Project(layer.o, attended, buffers.adapters, target + 3, batch), before_attention);
+    const torch::Tensor gate_up = Project(layer.gate_up, AddAndNormalise(x, branch, before_mlp),
+                                          buffers.adapters, target + 4, batch);
+    branch =
+        gated(Project(layer.down, GeGlu(gate_up), buffers.adapters, target + 6, batch), before_mlp);
   }
   const torch::Tensor out = AddAndNormalise(x, branch, norms.back())
                                 .view({batch, suffix, c.expert_width})
                                 .narrow(1, suffix - c.horizon, c.horizon);
-  return Project(w.action_out, out.to(torch::kFloat32), {}).view_as(buffers.x);
+  return Project(w.action_out, out.to(torch::kFloat32)).view_as(buffers.x);
 }
 
 }  // namespace
 
-StepShape ShapeOfPrediction(const PolicyContext& context, const LoraWeights* lora, int64_t prefix) {
+StepShape ShapeOfPrediction(const PolicyContext& context, const Adapters& adapters,
+                            int64_t prefix) {
   StepShape shape;
   shape.batch = context.prefix_mask.size(0);
   shape.prefix = prefix;
   shape.masked = prefix != context.prefix_mask.size(1) || !context.prefix_mask.all().item<bool>();
-  if (lora == nullptr) return shape;
-  for (const torch::Tensor& A : lora->A) shape.rank.push_back(A.size(-2));
+  shape.rows = adapters.rows;
+  for (size_t i = 0; i < adapters.A.size(); ++i) {
+    shape.adapter.push_back(adapters.A[i].sizes().vec());
+    shape.adapter.push_back(adapters.B[i].sizes().vec());
+  }
   return shape;
 }
 
-StepBuffers AllocateSteps(const InferenceSetup& setup, const InferenceWeights& weights,
-                          const StepShape& shape) {
+StepBuffers AllocateSteps(const InferenceSetup& setup, const StepShape& shape) {
   const OpenpiConfig& c = setup.config;
   const int64_t suffix = c.suffix_tokens(), slots = shape.prefix + suffix, batch = shape.batch;
   const auto floats = torch::TensorOptions(setup.device).dtype(torch::kFloat32);
@@ -100,21 +104,16 @@ StepBuffers AllocateSteps(const InferenceSetup& setup, const InferenceWeights& w
   buffers.rows = at::arange(batch * suffix, floats.dtype(torch::kInt64));
   buffers.x = at::empty({batch, c.horizon, c.action_dim}, floats);
   if (!c.pi05) buffers.state_token = at::empty({batch, 1, c.expert_width}, floats);
-  for (size_t target = 0; target < shape.rank.size(); ++target) {
-    const InferenceLayer& layer = weights.expert.layers[target / kTargetsPerLayer];
-    const std::vector<const Linear*> linears = {
-        &layer.qkv.parts[0],     &layer.qkv.parts[1],     &layer.qkv.parts[2], &layer.o.parts[0],
-        &layer.gate_up.parts[0], &layer.gate_up.parts[1], &layer.down.parts[0]};
-    const torch::Tensor& weight = linears[target % kTargetsPerLayer]->weight;
-    const int64_t rank = shape.rank[target];
-    buffers.lora.A.push_back(at::empty({rank, weight.size(1)}, floats.dtype(setup.activations)));
-    buffers.lora.B.push_back(at::empty({weight.size(0), rank}, floats.dtype(setup.activations)));
+  buffers.adapters.rows = shape.rows;
+  for (size_t i = 0; i < shape.adapter.size(); i += 2) {
+    buffers.adapters.A.push_back(at::empty(shape.adapter[i], floats.dtype(setup.activations)));
+    buffers.adapters.B.push_back(at::empty(shape.adapter[i + 1], floats.dtype(setup.activations)));
   }
   return buffers;
 }
 
 void FillSteps(const InferenceSetup& setup, const InferenceWeights& weights,
-               const PolicyContext& context, const torch::Tensor& noise, const LoraWeights* lora,
+               const PolicyContext& context, const torch::Tensor& noise, const Adapters& adapters,
                StepBuffers& buffers) {
   const OpenpiConfig& c = setup.config;
   const int64_t given = context.prefix_mask.size(1), suffix = c.suffix_tokens();
@@ -140,11 +139,11 @@ void FillSteps(const InferenceSetup& setup, const InferenceWeights& weights,
   buffers.x.copy_(noise);
   if (!c.pi05) {
     const torch::Tensor state = context.state.to(setup.device, torch::kFloat32);
-    buffers.state_token.copy_(Project(weights.state, state, {}).unsqueeze(1));
+    buffers.state_token.copy_(Project(weights.state, state).unsqueeze(1));
   }
-  for (size_t i = 0; i < buffers.lora.A.size(); ++i) {
-    buffers.lora.A[i].copy_(lora->A[i]);
-    buffers.lora.B[i].copy_(lora->B[i]);
+  for (size_t i = 0; i < adapters.A.size(); ++i) {
+    buffers.adapters.A[i].copy_(adapters.A[i]);
+    buffers.adapters.B[i].copy_(adapters.B[i]);
   }
 }
 

@@ -18,24 +18,25 @@ struct StepBuffers {
   torch::Tensor rows;         // [B S] 0, 1, ...
   torch::Tensor state_token;  // [B, 1, w] float32; pi0
   torch::Tensor x;            // [B, K, d] float32: noise, then the actions
-  LoraWeights lora;           // empty: none
+  Adapters adapters;
 };
 
 // Everything that decides the sizes of the buffers and the operations of a prediction.
 struct StepShape {
   int64_t batch = 0, prefix = 0;
-  bool masked = false;        // a mask over the prefix
-  std::vector<int64_t> rank;  // of the adapter's targets; empty: none
+  bool masked = false;  // a mask over the prefix
+  bool rows = false;    // an adapter for each row
+  std::vector<std::vector<int64_t>>
+      adapter;  // sizes of A and B of each target in turn; empty: none
   auto operator<=>(const StepShape&) const = default;
 };
 
 // Shape of a prediction with at least `prefix` slots for the prefix.
-StepShape ShapeOfPrediction(const PolicyContext& context, const LoraWeights* lora, int64_t prefix);
-StepBuffers AllocateSteps(const InferenceSetup& setup, const InferenceWeights& weights,
-                          const StepShape& shape);
+StepShape ShapeOfPrediction(const PolicyContext& context, const Adapters& adapters, int64_t prefix);
+StepBuffers AllocateSteps(const InferenceSetup& setup, const StepShape& shape);
 // Copies what a prediction reads into its buffers.
 void FillSteps(const InferenceSetup& setup, const InferenceWeights& weights,
-               const PolicyContext& context, const torch::Tensor& noise, const LoraWeights* lora,
+               const PolicyContext& context, const torch::Tensor& noise, const Adapters& adapters,
                StepBuffers& buffers);
 // x becomes the actions: x -= v(x, t) / steps at each of `steps` times. Reads and writes the
 // buffers alone and never waits for the device.

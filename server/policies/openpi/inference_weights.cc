@@ -9,6 +9,14 @@ namespace {
 
 Projection Single(const Linear& linear) { return Projection::Join({linear}, 0); }
 
+// The expert's products have few rows: as many as there are actions.
+void PackSmall(InferenceStack& expert, int64_t limit) {
+  for (InferenceLayer& layer : expert.layers) {
+    for (Projection* projection : {&layer.qkv, &layer.o, &layer.gate_up, &layer.down})
+      *projection = std::move(*projection).Packed(limit);
+  }
+}
+
 // The modulation of a norm at every time; one entry where it does not depend on the time.
 std::vector<Modulation> Modulations(const GemmaNorm& norm, const torch::Tensor& cond,
                                     torch::Dtype activations) {
@@ -86,9 +94,11 @@ InferenceWeights PrepareWeights(OpenpiModel model, const std::vector<float>& tim
   if (model.config.pi05) {
     prepared.expert =
         PrepareStack(w.expert, TimeCondition(model, t), activations, join_limit_bytes, false);
+    PackSmall(prepared.expert, join_limit_bytes);
     return prepared;
   }
   prepared.expert = PrepareStack(w.expert, {}, activations, join_limit_bytes, false);
+  PackSmall(prepared.expert, join_limit_bytes);
   const int64_t width = model.config.expert_width;
   Linear of_time = Columns(w.time_in, width, width);
   of_time.bias = w.time_in.bias;

@@ -8,7 +8,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/lora.h"
 #include "common/status_macros.h"
+#include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/step_graph.h"
 
 namespace robostress::openpi {
@@ -70,11 +72,14 @@ absl::Status CheckLora(const std::vector<LoraTarget>& targets, const LoraWeights
                                                    " of each"));
   }
   for (size_t i = 0; i < targets.size(); ++i) {
-    const int64_t rank = lora.A[i].dim() == 2 ? lora.A[i].size(0) : 1;
-    RS_RETURN_IF_ERROR(CheckSizes(absl::StrCat("A of ", targets[i].name), lora.A[i],
-                                  {rank, targets[i].in_features}));
-    RS_RETURN_IF_ERROR(CheckSizes(absl::StrCat("B of ", targets[i].name), lora.B[i],
-                                  {targets[i].out_features, rank}));
+    // Both kinds of factors begin with the heads where there are three dimensions.
+    const torch::Tensor &A = lora.A[i], &B = lora.B[i];
+    const bool per_head = A.defined() && A.dim() == 3;
+    const int64_t rank = A.defined() && A.dim() >= 2 ? A.size(-2) : 1;
+    const LoraShape shape =
+        LoraShapeOf(targets[i], per_head ? LoraKind::kPerHead : LoraKind::kPerMatrix, rank);
+    RS_RETURN_IF_ERROR(CheckSizes(absl::StrCat("A of ", targets[i].name), A, shape.A));
+    RS_RETURN_IF_ERROR(CheckSizes(absl::StrCat("B of ", targets[i].name), B, shape.B));
   }
   return absl::OkStatus();
 }
@@ -123,22 +128,6 @@ absl::StatusOr<torch::Device> FindDevice(const std::string& name) {
   return device;
 }
 
-std::vector<LoraTarget> TargetsOf(const OpenpiConfig& c) {
-  const int64_t w = c.expert_width, q = c.heads * c.head_dim, kv = c.kv_heads * c.head_dim;
-  std::vector<LoraTarget> targets;
-  for (int64_t i = 0; i < c.depth; ++i) {
-    const std::string layer = absl::StrCat("layers.", i, ".");
-    targets.push_back({layer + "self_attn.q_proj", w, q});
-    targets.push_back({layer + "self_attn.k_proj", w, kv});
-    targets.push_back({layer + "self_attn.v_proj", w, kv});
-    targets.push_back({layer + "self_attn.o_proj", q, w});
-    targets.push_back({layer + "mlp.gate_proj", w, c.expert_mlp});
-    targets.push_back({layer + "mlp.up_proj", w, c.expert_mlp});
-    targets.push_back({layer + "mlp.down_proj", c.expert_mlp, w});
-  }
-  return targets;
-}
-
 }  // namespace
 
 // One prediction at a time uses a graph, whose buffers it owns.
@@ -155,7 +144,7 @@ OpenpiInference::~OpenpiInference() = default;
 
 OpenpiInference::OpenpiInference(OpenpiModel model, const InferenceOptions& options,
                                  const torch::Device& device)
-    : steps_(options.steps), lora_targets_(TargetsOf(model.config)) {
+    : steps_(options.steps), lora_targets_(ExpertLoraTargets(model.config)) {
   const bool bf16 = options.precision == Precision::kBf16;
   const bool flows_bf16 = options.activations == InferenceOptions::Activations::kAutomatic
                               ? MultipliesBf16(device)
@@ -203,35 +192,65 @@ absl::StatusOr<torch::Tensor> OpenpiInference::Sample(const PolicyContext& conte
   try {
     const torch::NoGradGuard no_grad;
     RS_RETURN_IF_ERROR(CheckContext(setup_.config, context, noise));
-    if (lora != nullptr) RS_RETURN_IF_ERROR(CheckLora(lora_targets_, *lora));
-    if (graphs_ != nullptr) return SampleByGraph(context, noise, lora);
-    StepBuffers buffers = AllocateSteps(
-        setup_, weights_, ShapeOfPrediction(context, lora, context.prefix_mask.size(1)));
-    FillSteps(setup_, weights_, context, noise, lora, buffers);
-    RunSteps(setup_, weights_, steps_, buffers);
-    return buffers.x.to(torch::kCPU);
+    if (lora == nullptr) return Predict(context, noise, {});
+    RS_RETURN_IF_ERROR(CheckLora(lora_targets_, *lora));
+    return Predict(context, noise, {lora->A, lora->B, /*rows=*/false});
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("sampling failed: ", error.what()));
   }
 }
 
-torch::Tensor OpenpiInference::SampleByGraph(const PolicyContext& context,
-                                             const torch::Tensor& noise,
-                                             const LoraWeights* lora) const {
+absl::StatusOr<torch::Tensor> OpenpiInference::SampleRows(
+    const PolicyContext& context, const torch::Tensor& noise,
+    const std::vector<const LoraWeights*>& lora) const {
+  try {
+    const torch::NoGradGuard no_grad;
+    RS_RETURN_IF_ERROR(CheckContext(setup_.config, context, noise));
+    if (static_cast<int64_t>(lora.size()) != noise.size(0)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(lora.size(), " adapters for ", noise.size(0), " rows, must be equal"));
+    }
+    bool any = false;
+    for (const LoraWeights* row : lora) {
+      if (row == nullptr) continue;
+      RS_RETURN_IF_ERROR(CheckLora(lora_targets_, *row));
+      any = true;
+    }
+    if (!any) return Predict(context, noise, {});
+    LoraRows rows = StackLora(lora_targets_, lora);
+    return Predict(context, noise, {std::move(rows.A), std::move(rows.B), /*rows=*/true});
+  } catch (const std::exception& error) {
+    return absl::InternalError(absl::StrCat("sampling failed: ", error.what()));
+  }
+}
+
+torch::Tensor OpenpiInference::Predict(const PolicyContext& context, const torch::Tensor& noise,
+                                       const Adapters& adapters) const {
+  if (graphs_ != nullptr) return PredictByGraph(context, noise, adapters);
+  StepBuffers buffers =
+      AllocateSteps(setup_, ShapeOfPrediction(context, adapters, context.prefix_mask.size(1)));
+  FillSteps(setup_, weights_, context, noise, adapters, buffers);
+  RunSteps(setup_, weights_, steps_, buffers);
+  return buffers.x.to(torch::kCPU);
+}
+
+torch::Tensor OpenpiInference::PredictByGraph(const PolicyContext& context,
+                                              const torch::Tensor& noise,
+                                              const Adapters& adapters) const {
   const int64_t prefix =
       (context.prefix_mask.size(1) + kGraphSlots - 1) / kGraphSlots * kGraphSlots;
-  const StepShape shape = ShapeOfPrediction(context, lora, prefix);
+  const StepShape shape = ShapeOfPrediction(context, adapters, prefix);
   const std::lock_guard lock(graphs_->mutex);
   auto found = graphs_->entries.find(shape);
   if (found == graphs_->entries.end()) {
     if (graphs_->entries.size() == kMaxGraphs) graphs_->entries.erase(graphs_->entries.begin());
     found = graphs_->entries.try_emplace(shape).first;
     StepBuffers& buffers = found->second.buffers;
-    buffers = AllocateSteps(setup_, weights_, shape);
+    buffers = AllocateSteps(setup_, shape);
     found->second.graph = StepGraph::Record(setup_.device.index(),
                                             [&] { RunSteps(setup_, weights_, steps_, buffers); });
   }
-  FillSteps(setup_, weights_, context, noise, lora, found->second.buffers);
+  FillSteps(setup_, weights_, context, noise, adapters, found->second.buffers);
   found->second.graph->Replay();
   return found->second.buffers.x.to(torch::kCPU);
 }

@@ -35,7 +35,7 @@ class OpenpiInference {
   ~OpenpiInference();
 
   const OpenpiConfig& config() const { return setup_.config; }
-  // q, k, v, o, gate, up, down of each layer of the action expert.
+  // ExpertLoraTargets of the network.
   const std::vector<LoraTarget>& lora_targets() const { return lora_targets_; }
 
   // Inputs of B rows, on the CPU. A row's valid tokens are counted per row: rows may differ.
@@ -46,12 +46,20 @@ class OpenpiInference {
   absl::StatusOr<torch::Tensor> Sample(const PolicyContext& context, const torch::Tensor& noise,
                                        const LoraWeights* lora) const;
 
+  // As Sample, each row with its own adapter (null: none) in one pass; row i agrees with a batch of
+  // one to 1e-5.
+  absl::StatusOr<torch::Tensor> SampleRows(const PolicyContext& context, const torch::Tensor& noise,
+                                           const std::vector<const LoraWeights*>& lora) const;
+
  private:
   struct Graphs;  // recorded steps by shape
 
   OpenpiInference(OpenpiModel model, const InferenceOptions& options, const torch::Device& device);
-  torch::Tensor SampleByGraph(const PolicyContext& context, const torch::Tensor& noise,
-                              const LoraWeights* lora) const;
+  // Checked inputs -> actions.
+  torch::Tensor Predict(const PolicyContext& context, const torch::Tensor& noise,
+                        const Adapters& adapters) const;
+  torch::Tensor PredictByGraph(const PolicyContext& context, const torch::Tensor& noise,
+                               const Adapters& adapters) const;
 
   InferenceSetup setup_;
   InferenceWeights weights_;

@@ -7,6 +7,7 @@
 #include "common/config.h"
 #include "common/status_macros.h"
 #include "server/policies/openpi/checkpoint_load.h"
+#include "server/policies/openpi/openpi_inference.h"
 #include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/problem_list.h"
 
@@ -18,8 +19,11 @@ using torch::Tensor;
 class OpenpiPolicy : public FlowPolicy {
  public:
   OpenpiPolicy(OpenpiModel model, std::unique_ptr<const Preprocessor> preprocessor,
-               const std::string& name, const std::string& model_hash)
-      : model_(std::move(model)), preprocessor_(std::move(preprocessor)) {
+               std::unique_ptr<const OpenpiInference> inference, const std::string& name,
+               const std::string& model_hash)
+      : model_(std::move(model)),
+        preprocessor_(std::move(preprocessor)),
+        inference_(std::move(inference)) {
     const PolicySetup& setup = preprocessor_->setup();
     spec_.name = name;
     spec_.model_hash = model_hash;
@@ -44,13 +48,7 @@ class OpenpiPolicy : public FlowPolicy {
     try {
       torch::NoGradGuard no_grad;
       RS_ASSIGN_OR_RETURN(const ModelInputs inputs, preprocessor_->Prepare(observation));
-      PrefixContext prefix = EncodePrefix(model_, EmbedPrefix(model_, inputs), inputs.state);
-      PolicyContext context;
-      context.keys = std::move(prefix.cache.keys);
-      context.values = std::move(prefix.cache.values);
-      context.prefix_mask = prefix.valid;
-      context.state = inputs.state;
-      return context;
+      return inference_->Encode(inputs);
     } catch (const std::exception& error) {  // LibTorch reports out of memory by throwing
       return absl::InternalError(
           absl::StrCat(model_.config.name(), ": encoding failed: ", error.what()));
@@ -65,9 +63,10 @@ class OpenpiPolicy : public FlowPolicy {
 
   Tensor Sample(const PolicyContext& context, const Tensor& noise,
                 const LoraWeights* lora) const override {
-    torch::NoGradGuard no_grad;
-    const int64_t steps = preprocessor_->setup().euler_steps;
-    return IntegrateEuler(Adapted(lora), Prefix(context), noise, steps).xs.back();
+    absl::StatusOr<Tensor> actions = inference_->Sample(context, noise, lora);
+    // Contexts and adapters come from this policy, so that they fit: what is left is LibTorch's.
+    TORCH_CHECK(actions.ok(), actions.status().ToString());
+    return *std::move(actions);
   }
 
   Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor& state) const override {
@@ -94,6 +93,7 @@ class OpenpiPolicy : public FlowPolicy {
 
   OpenpiModel model_;
   const std::unique_ptr<const Preprocessor> preprocessor_;
+  const std::unique_ptr<const OpenpiInference> inference_;  // shares the large tensors of model_
   PolicySpec spec_;
   std::vector<LoraTarget> targets_;
 };
@@ -117,12 +117,13 @@ absl::StatusOr<std::string> HashOf(const Checkpoint& checkpoint, const PolicySet
 
 }  // namespace
 
-std::unique_ptr<FlowPolicy> MakeOpenpiPolicy(OpenpiModel model,
-                                             std::unique_ptr<const Preprocessor> preprocessor,
-                                             const std::string& name,
-                                             const std::string& model_hash) {
-  return std::make_unique<OpenpiPolicy>(std::move(model), std::move(preprocessor), name,
-                                        model_hash);
+absl::StatusOr<std::unique_ptr<FlowPolicy>> MakeOpenpiPolicy(
+    OpenpiModel model, std::unique_ptr<const Preprocessor> preprocessor, const std::string& name,
+    const std::string& model_hash) {
+  RS_ASSIGN_OR_RETURN(std::unique_ptr<const OpenpiInference> inference,
+                      OpenpiInference::Create(model, {.steps = preprocessor->setup().euler_steps}));
+  return std::make_unique<OpenpiPolicy>(std::move(model), std::move(preprocessor),
+                                        std::move(inference), name, model_hash);
 }
 
 absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadOpenpiPolicy(

@@ -12,10 +12,10 @@
 namespace robostress::openpi {
 
 // pi0 or pi0.5 as a policy. LoRA targets: ExpertLoraTargets (openpi_lora.h).
-std::unique_ptr<FlowPolicy> MakeOpenpiPolicy(OpenpiModel model,
-                                             std::unique_ptr<const Preprocessor> preprocessor,
-                                             const std::string& name,
-                                             const std::string& model_hash);
+// Predicts by OpenpiInference; Velocity, where gradients are wanted, is the reference.
+absl::StatusOr<std::unique_ptr<FlowPolicy>> MakeOpenpiPolicy(
+    OpenpiModel model, std::unique_ptr<const Preprocessor> preprocessor, const std::string& name,
+    const std::string& model_hash);
 
 // Serves a checkpoint under the name `path`, or the one of the options. In this order, and each
 // before memory is taken for the next: options, tensors of all shards, norm stats and everything

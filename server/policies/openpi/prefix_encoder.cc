@@ -27,14 +27,14 @@ torch::Tensor EncodeImages(const InferenceSetup& setup, const InferenceWeights& 
                         .to(setup.activations)
                         .reshape({-1, c.vision_width});  // [N patches, vision_width]
   for (const VisionLayer& layer : w.vision) {
-    const Heads heads = SplitHeads(Project(layer.qkv, Normalise(layer.norm1, x), {}), count, shape,
+    const Heads heads = SplitHeads(Project(layer.qkv, Normalise(layer.norm1, x)), count, shape,
                                    shape.heads, nullptr);
-    x.add_(Project(layer.out, Attend(heads.q, heads.k, heads.v, {}, count, shape), {}));
-    torch::Tensor hidden = Project(layer.fc1, Normalise(layer.norm2, x), {});
+    x.add_(Project(layer.out, Attend(heads.q, heads.k, heads.v, {}, count, shape)));
+    torch::Tensor hidden = Project(layer.fc1, Normalise(layer.norm2, x));
     Gelu(hidden);
-    x.add_(Project(layer.fc2, hidden, {}));
+    x.add_(Project(layer.fc2, hidden));
   }
-  return Project(w.projector, Normalise(w.vision_norm, x), {})
+  return Project(w.projector, Normalise(w.vision_norm, x))
       .view({count, c.patches(), c.prefix_width});
 }
 
@@ -114,7 +114,7 @@ PolicyContext EncodePrefix(const InferenceSetup& setup, const InferenceWeights& 
   for (size_t i = 0; i < weights.prefix.layers.size(); ++i) {
     const InferenceLayer& layer = weights.prefix.layers[i];
     const bool last = i + 1 == weights.prefix.layers.size();
-    const Heads heads = SplitHeads(Project(layer.qkv, AddAndNormalise(x, branch, norms[2 * i]), {}),
+    const Heads heads = SplitHeads(Project(layer.qkv, AddAndNormalise(x, branch, norms[2 * i])),
                                    batch, setup.shape(), last ? 0 : setup.config.heads, &rotary);
     const auto store = [&](const torch::Tensor& of_heads) {
       return of_heads.view({batch, setup.config.kv_heads, length, setup.config.head_dim})
@@ -123,9 +123,9 @@ PolicyContext EncodePrefix(const InferenceSetup& setup, const InferenceWeights& 
     context.keys.push_back(store(heads.k));
     context.values.push_back(store(heads.v));
     if (last) break;
-    branch = Project(layer.o, Attend(heads.q, heads.k, heads.v, mask, batch, setup.shape()), {});
-    branch = Project(layer.gate_up, AddAndNormalise(x, branch, norms[2 * i + 1]), {});
-    branch = Project(layer.down, GeGlu(branch), {});
+    branch = Project(layer.o, Attend(heads.q, heads.k, heads.v, mask, batch, setup.shape()));
+    branch = Project(layer.gate_up, AddAndNormalise(x, branch, norms[2 * i + 1]));
+    branch = Project(layer.down, GeGlu(branch));
   }
   return context;
 }

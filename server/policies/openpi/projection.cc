@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "adapter/lora.h"
+#include "common/check.h"
 #include "server/policies/fused_kernels.h"
 
 namespace robostress::openpi {
@@ -11,6 +13,8 @@ namespace {
 
 constexpr int64_t kTileFloats = 1 << 19;  // 2 MiB: a tile is still in the cache when multiplied
 constexpr int64_t kTileRows = 128;        // fewer outputs per product would waste its packing
+constexpr int64_t kPackedRows = 128;      // for more, BLAS is as fast
+constexpr int64_t kThreadRows = 20;
 
 // y = x W^T with W in bfloat16 and the rest in float32.
 void MultiplyWidened(const torch::Tensor& x, const torch::Tensor& weight, torch::Tensor y) {
@@ -44,11 +48,22 @@ void Multiply(const torch::Tensor& x, const torch::Tensor& weight, const torch::
   }
 }
 
-// y += scale B (A x).
-void AddLowRank(const torch::Tensor& x, const torch::Tensor& A, const torch::Tensor& B,
+// y = x W^T + b by the packed copy of W; y contiguous. A row's result depends on that row alone.
+void MultiplyPacked(const torch::Tensor& x, const Projection& projection, torch::Tensor y) {
+  const int64_t in = projection.in, out = projection.out;
+  const torch::Tensor rows = x.contiguous();
+  at::parallel_for(0, rows.size(0), kThreadRows, [&](int64_t begin, int64_t end) {
+    BestFusedKernels().linear(rows.data_ptr<float>() + begin * in, end - begin, in,
+                              projection.panels.data_ptr<float>(), out,
+                              y.data_ptr<float>() + begin * out);
+  });
+  if (projection.bias.defined()) y.add_(projection.bias);
+}
+
+// y += scale B A x for the pair of a target, in either of its forms (adapter/lora.h).
+void AddAdapter(const torch::Tensor& x, const torch::Tensor& A, const torch::Tensor& B,
                 double scale, torch::Tensor y) {
-  const torch::Tensor low_rank = at::mm(x, A.to(x.scalar_type()).t());  // [rows, rank]
-  y.addmm_(low_rank, B.to(x.scalar_type()).t(), 1, scale);
+  y.add_(LoraDelta(x, A.to(x.scalar_type()), B.to(x.scalar_type())), scale);
 }
 
 }  // namespace
@@ -58,6 +73,7 @@ Projection Projection::Join(std::vector<Linear> parts, int64_t limit_bytes) {
   std::vector<torch::Tensor> weights, biases;
   int64_t bytes = 0;
   for (const Linear& part : parts) {
+    RS_CHECK(!part.lora_rows);  // adapters of rows are given to each prediction
     weights.push_back(part.weight);
     if (part.bias.defined()) biases.push_back(part.bias);
     bytes += static_cast<int64_t>(part.weight.nbytes());
@@ -81,21 +97,40 @@ Projection Projection::Join(std::vector<Linear> parts, int64_t limit_bytes) {
   return joined;
 }
 
+Projection Projection::Packed(int64_t limit_bytes) && {
+  if (!weight.defined() || !weight.is_cpu() || weight.scalar_type() != torch::kFloat32 ||
+      static_cast<int64_t>(weight.nbytes()) > limit_bytes) {
+    return std::move(*this);
+  }
+  const int64_t padded = PadToPanel(out);
+  panels = at::zeros({padded, in}, weight.options());
+  panels.narrow(0, 0, out).copy_(weight);
+  panels = panels.view({padded / kPanel, kPanel, in}).transpose(1, 2).contiguous();
+  return std::move(*this);
+}
+
 torch::Tensor Project(const Projection& projection, const torch::Tensor& x,
-                      const Adapter& adapter) {
+                      const Adapters& adapters, size_t first, int64_t batch) {
   const torch::Tensor rows = x.reshape({-1, projection.in});
   const torch::Tensor y = at::empty({rows.size(0), projection.out}, rows.options());
-  if (projection.weight.defined()) Multiply(rows, projection.weight, projection.bias, y);
-  int64_t first = 0;
+  if (projection.panels.defined() && rows.size(0) <= kPackedRows) {
+    MultiplyPacked(rows, projection, y);
+  } else if (projection.weight.defined()) {
+    Multiply(rows, projection.weight, projection.bias, y);
+  }
+  int64_t column = 0;
   for (size_t i = 0; i < projection.parts.size(); ++i) {
     const Linear& part = projection.parts[i];
-    const torch::Tensor columns = y.narrow(1, first, part.weight.size(0));
-    first += columns.size(1);
+    torch::Tensor columns = y.narrow(1, column, part.weight.size(0));
+    column += columns.size(1);
     if (!projection.weight.defined()) Multiply(rows, part.weight, part.bias, columns);
-    if (part.lora_A.defined()) AddLowRank(rows, part.lora_A, part.lora_B, part.lora_scale, columns);
-    if (adapter.weights != nullptr) {
-      const size_t target = adapter.first + i;
-      AddLowRank(rows, adapter.weights->A[target], adapter.weights->B[target], 1, columns);
+    if (part.lora_A.defined()) AddAdapter(rows, part.lora_A, part.lora_B, part.lora_scale, columns);
+    if (adapters.A.empty()) continue;
+    const torch::Tensor &A = adapters.A[first + i], &B = adapters.B[first + i];
+    if (adapters.rows) {
+      columns.add_(LoraRowsDelta(rows.view({batch, -1, projection.in}), A, B).flatten(0, 1));
+    } else {
+      AddAdapter(rows, A, B, 1, columns);
     }
   }
   return y;
