@@ -6,6 +6,7 @@
 #include <fstream>
 
 #include "common/atomic_file.h"
+#include "common/embedded_policies.h"
 #include "common/libero_demonstrations.h"
 #include "common/safetensors.h"
 #include "nlohmann/json.hpp"
@@ -517,6 +518,29 @@ TEST_F(Training, DoesNotOverwriteARun) {
   const TrainOptions options = SmallOptions(Path("toy"), Path("once"));
   ASSERT_TRUE(RunTraining(options, false).ok());
   EXPECT_THAT(std::string(RunTraining(options, false).message()), HasSubstr("--resume"));
+}
+
+TEST(EmbeddedPolicies, ThatAreComparedDescendFromTheSameWeights) {
+  const std::string folder = "server/models/weights/";  // tests run in the source folder
+  const NanoModel start = LoadNanoModel(folder + "nano.safetensors").value();
+  for (const std::string name : {"nano-bc", "nano-dr", "nano-robust"}) {
+    ASSERT_TRUE(IsEmbeddedPolicy(name));
+    const auto policy = LoadFlowPolicy(name);
+    ASSERT_TRUE(policy.ok()) << policy.status();
+    EXPECT_EQ((*policy)->spec().name, name);
+    const NanoModel model = LoadNanoModel(folder + name + ".safetensors").value();
+    EXPECT_EQ(model.actions.mean, start.actions.mean);
+    EXPECT_EQ(model.state.std, start.state.std);
+    EXPECT_EQ(model.vocabulary.words(), start.vocabulary.words());
+    // A short fine-tuning moves every weight a little.
+    double moved = 0, size = 0;
+    for (size_t i = 0; i < model.tensors.size(); ++i) {
+      moved += (model.tensors[i] - start.tensors[i]).square().sum().item<double>();
+      size += start.tensors[i].square().sum().item<double>();
+    }
+    EXPECT_GT(moved, 0);
+    EXPECT_LT(std::sqrt(moved / size), 0.3);
+  }
 }
 
 TEST(ToyWorld, ExpertSucceeds) {
