@@ -2,6 +2,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <filesystem>
 
@@ -22,7 +23,9 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 std::string Temp(const std::string& name) {
-  return (std::filesystem::path(testing::TempDir()) / ("adapter_command_test_" + name)).string();
+  return (std::filesystem::path(testing::TempDir()) /
+          ("adapter_command_test_" + std::to_string(getpid()) + "_" + name))
+      .string();
 }
 
 std::pair<std::string, int> RunAdapter(const std::string& arguments) {
@@ -124,9 +127,9 @@ TEST_P(AdapterCommandTest, MergedOpenpiHasTheVelocityOfTheAdaptedOne) {
   torch::NoGradGuard no_grad;
   const openpi::OpenpiConfig config = openpi::TinyConfig(false);
   const openpi::OpenpiModel model = openpi::RandomOpenpiModel(config, 5);
-  const std::string weights =
-      openpi::WriteTensors("adapter_command_openpi.safetensors", openpi::WeightTensors(model),
-                           {{"config", openpi::ConfigJson(config)}});
+  const std::string weights = openpi::WriteTensors(
+      "adapter_command_test_" + std::to_string(getpid()) + "_openpi.safetensors",
+      openpi::WeightTensors(model), {{"config", openpi::ConfigJson(config)}});
   const auto base = OpenAdapterBase(weights);
   ASSERT_TRUE(base.ok()) << base.status();
   const std::string adapter = WriteAdapter("openpi_adapter.safetensors", *base, GetParam());
