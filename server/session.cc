@@ -14,6 +14,7 @@
 #include "adapter/compensation.h"
 #include "adapter/pseudo_target.h"
 #include "common/rpc/convert.h"
+#include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "server/torch_threads.h"
 

@@ -5,9 +5,9 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
 #include "common/check.h"
 #include "common/config.h"
+#include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -48,9 +48,6 @@ absl::Status CheckText(const char* field, const std::string& text, size_t limit)
   return Invalid(field, " has ", text.size(), " bytes, at most ", limit, " are allowed");
 }
 
-std::string ImageSize(const Image& image) { return absl::StrCat(image.width, " x ", image.height); }
-std::string MatrixSize(const Eigen::MatrixXf& m) { return absl::StrCat(m.rows(), " x ", m.cols()); }
-
 absl::StatusOr<Eigen::VectorXd> JointVector(const char* field,
                                             const google::protobuf::RepeatedField<double>& values) {
   RS_RETURN_IF_ERROR(
@@ -61,11 +58,6 @@ absl::StatusOr<Eigen::VectorXd> JointVector(const char* field,
     out[i] = values[i];
   }
   return out;
-}
-
-absl::Status CheckMatrix(const char* field, const Eigen::MatrixXf& matrix, int rows, int cols) {
-  if (matrix.rows() == rows && matrix.cols() == cols) return absl::OkStatus();
-  return Invalid(field, " is ", MatrixSize(matrix), ", must be ", rows, " x ", cols);
 }
 
 Eigen::MatrixXf CommandRows(const ExecutedChunk& chunk, Eigen::VectorXf ExecutedStep::*command) {
@@ -337,11 +329,11 @@ absl::StatusOr<PredictedChunk> FromProto(const robostress::v1::PredictResponse& 
   if (message.has_policy_actions()) {
     RS_ASSIGN_OR_RETURN(prediction.policy_actions,
                         FromProto("policy_actions", message.policy_actions()));
-    RS_RETURN_IF_ERROR(CheckMatrix("policy_actions", prediction.policy_actions, rows, cols));
+    RS_RETURN_IF_ERROR(CheckMatrixSize("policy_actions", prediction.policy_actions, rows, cols));
   }
   if (message.has_base_actions()) {
     RS_ASSIGN_OR_RETURN(prediction.base_actions, FromProto("base_actions", message.base_actions()));
-    RS_RETURN_IF_ERROR(CheckMatrix("base_actions", prediction.base_actions, rows, cols));
+    RS_RETURN_IF_ERROR(CheckMatrixSize("base_actions", prediction.base_actions, rows, cols));
   }
   return prediction;
 }
@@ -417,14 +409,14 @@ absl::StatusOr<ExecutedChunk> FromProto(const robostress::v1::ExecutedChunk& mes
   RS_ASSIGN_OR_RETURN(const Eigen::MatrixXf policy,
                       FromProto("chunk.policy_commands", message.policy_commands()));
   const int action_dim = static_cast<int>(policy.cols());
-  RS_RETURN_IF_ERROR(CheckMatrix("chunk.policy_commands", policy, n, action_dim));
+  RS_RETURN_IF_ERROR(CheckMatrixSize("chunk.policy_commands", policy, n, action_dim));
   RS_ASSIGN_OR_RETURN(const Eigen::MatrixXf sent,
                       FromProto("chunk.sent_commands", message.sent_commands()));
-  RS_RETURN_IF_ERROR(CheckMatrix("chunk.sent_commands", sent, n, action_dim));
+  RS_RETURN_IF_ERROR(CheckMatrixSize("chunk.sent_commands", sent, n, action_dim));
   Eigen::MatrixXf base;
   if (message.has_base_commands()) {
     RS_ASSIGN_OR_RETURN(base, FromProto("chunk.base_commands", message.base_commands()));
-    RS_RETURN_IF_ERROR(CheckMatrix("chunk.base_commands", base, n, action_dim));
+    RS_RETURN_IF_ERROR(CheckMatrixSize("chunk.base_commands", base, n, action_dim));
   }
 
   ExecutedChunk chunk;
@@ -475,67 +467,6 @@ absl::StatusOr<SessionStats> FromProto(const robostress::v1::GetStatsResponse& m
   stats.adapter_distance = message.adapter_distance();
   stats.last_loss = message.last_loss();
   return stats;
-}
-
-absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec) {
-  std::vector<std::string> cameras;
-  for (const CameraView& view : observation.views) cameras.push_back(view.camera);
-  if (cameras != spec.cameras) {
-    return Invalid("observation has the views [", absl::StrJoin(cameras, ", "), "], policy '",
-                   spec.name, "' wants [", absl::StrJoin(spec.cameras, ", "), "] in this order");
-  }
-  for (const CameraView& view : observation.views) {
-    if (view.image.width != spec.image_width || view.image.height != spec.image_height) {
-      return Invalid("view '", view.camera, "' is ", ImageSize(view.image), " px, policy '",
-                     spec.name, "' wants ", spec.image_width, " x ", spec.image_height);
-    }
-  }
-  if (observation.proprioception.size() != spec.state_dim) {
-    return Invalid("proprioception has ", observation.proprioception.size(), " values, policy '",
-                   spec.name, "' wants ", spec.state_dim);
-  }
-  return absl::OkStatus();
-}
-
-absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec& spec) {
-  RS_RETURN_IF_ERROR(CheckMatrix("actions", prediction.actions, spec.horizon, spec.action_dim));
-  RS_RETURN_IF_ERROR(
-      CheckMatrix("policy_actions", prediction.policy_actions, spec.horizon, spec.action_dim));
-  if (prediction.base_actions.size() > 0) {
-    RS_RETURN_IF_ERROR(
-        CheckMatrix("base_actions", prediction.base_actions, spec.horizon, spec.action_dim));
-  }
-  for (const Eigen::MatrixXf* matrix :
-       {&prediction.actions, &prediction.policy_actions, &prediction.base_actions}) {
-    if (!matrix->allFinite())
-      return Invalid("policy '", spec.name, "' predicted an action that is not finite");
-  }
-  return absl::OkStatus();
-}
-
-absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec) {
-  const int n = static_cast<int>(chunk.steps.size());
-  if (n < 1) return Invalid("executed chunk ", chunk.sequence, " has no steps");
-  if (chunk.first_step < 0 || chunk.first_step + n > spec.horizon) {
-    return Invalid("executed chunk ", chunk.sequence, " covers steps ", chunk.first_step, " to ",
-                   chunk.first_step + n - 1, ", policy '", spec.name, "' predicts ", spec.horizon);
-  }
-  const bool has_base = chunk.steps[0].base_command.size() > 0;
-  for (int i = 0; i < n; ++i) {
-    const ExecutedStep& step = chunk.steps[i];
-    const std::pair<const char*, const Eigen::VectorXf*> commands[] = {
-        {"policy_command", &step.policy_command},
-        {"sent_command", &step.sent_command},
-        {"base_command", &step.base_command}};
-    for (const auto& [field, command] : commands) {
-      if (command == &step.base_command && !has_base && command->size() == 0) continue;
-      if (command->size() != spec.action_dim) {
-        return Invalid("executed chunk ", chunk.sequence, ", step ", i, ": ", field, " has ",
-                       command->size(), " values, must have ", spec.action_dim);
-      }
-    }
-  }
-  return absl::OkStatus();
 }
 
 }  // namespace robostress

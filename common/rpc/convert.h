@@ -60,12 +60,4 @@ absl::StatusOr<ExecutedChunk> FromProto(const robostress::v1::ExecutedChunk& mes
 robostress::v1::GetStatsResponse ToProto(const SessionStats& stats);
 absl::StatusOr<SessionStats> FromProto(const robostress::v1::GetStatsResponse& message);
 
-// Checks an observation against what the policy wants: the same cameras in the same order, image
-// sizes, state_dim. The message names what differs.
-absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec);
-// Checks a prediction: horizon x action_dim, all finite.
-absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec& spec);
-// Checks an executed chunk: action_dim columns, steps within the predicted chunk.
-absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec);
-
 }  // namespace robostress

@@ -9,6 +9,7 @@
 #include "common/rpc/convert.h"
 #include "common/rpc/deadline_stream.h"
 #include "common/rpc/grpc_status.h"
+#include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 

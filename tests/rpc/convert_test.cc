@@ -9,6 +9,7 @@
 #include <limits>
 
 #include "common/random.h"
+#include "common/rpc/spec_checks.h"
 #include "tests/rpc/fake_policy_server.h"
 
 namespace robostress {

@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/rpc/convert.h"
+#include "common/rpc/spec_checks.h"
 #include "common/rpc/grpc_status.h"
 #include "common/safetensors.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"

@@ -1,0 +1,91 @@
+#include "common/rpc/spec_checks.h"
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+
+template <class... Parts>
+absl::Status Invalid(const Parts&... parts) {
+  return absl::InvalidArgumentError(absl::StrCat(parts...));
+}
+
+std::string ImageSize(const Image& image) { return absl::StrCat(image.width, " x ", image.height); }
+std::string MatrixSize(const Eigen::MatrixXf& m) { return absl::StrCat(m.rows(), " x ", m.cols()); }
+
+}  // namespace
+
+absl::Status CheckMatrixSize(const std::string& field, const Eigen::MatrixXf& matrix, int rows,
+                             int cols) {
+  if (matrix.rows() == rows && matrix.cols() == cols) return absl::OkStatus();
+  return Invalid(field, " is ", MatrixSize(matrix), ", must be ", rows, " x ", cols);
+}
+
+absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec) {
+  std::vector<std::string> cameras;
+  for (const CameraView& view : observation.views) cameras.push_back(view.camera);
+  if (cameras != spec.cameras) {
+    return Invalid("observation has the views [", absl::StrJoin(cameras, ", "), "], policy '",
+                   spec.name, "' wants [", absl::StrJoin(spec.cameras, ", "), "] in this order");
+  }
+  for (const CameraView& view : observation.views) {
+    if (view.image.width != spec.image_width || view.image.height != spec.image_height) {
+      return Invalid("view '", view.camera, "' is ", ImageSize(view.image), " px, policy '",
+                     spec.name, "' wants ", spec.image_width, " x ", spec.image_height);
+    }
+  }
+  if (observation.proprioception.size() != spec.state_dim) {
+    return Invalid("proprioception has ", observation.proprioception.size(), " values, policy '",
+                   spec.name, "' wants ", spec.state_dim);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec& spec) {
+  RS_RETURN_IF_ERROR(CheckMatrixSize("actions", prediction.actions, spec.horizon, spec.action_dim));
+  RS_RETURN_IF_ERROR(
+      CheckMatrixSize("policy_actions", prediction.policy_actions, spec.horizon, spec.action_dim));
+  if (prediction.base_actions.size() > 0) {
+    RS_RETURN_IF_ERROR(
+        CheckMatrixSize("base_actions", prediction.base_actions, spec.horizon, spec.action_dim));
+  }
+  for (const Eigen::MatrixXf* matrix :
+       {&prediction.actions, &prediction.policy_actions, &prediction.base_actions}) {
+    if (!matrix->allFinite())
+      return Invalid("policy '", spec.name, "' predicted an action that is not finite");
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec) {
+  const int n = static_cast<int>(chunk.steps.size());
+  if (n < 1) return Invalid("executed chunk ", chunk.sequence, " has no steps");
+  if (chunk.first_step < 0 || chunk.first_step + n > spec.horizon) {
+    return Invalid("executed chunk ", chunk.sequence, " covers steps ", chunk.first_step, " to ",
+                   chunk.first_step + n - 1, ", policy '", spec.name, "' predicts ", spec.horizon);
+  }
+  const bool has_base = chunk.steps[0].base_command.size() > 0;
+  for (int i = 0; i < n; ++i) {
+    const ExecutedStep& step = chunk.steps[i];
+    const std::pair<const char*, const Eigen::VectorXf*> commands[] = {
+        {"policy_command", &step.policy_command},
+        {"sent_command", &step.sent_command},
+        {"base_command", &step.base_command}};
+    for (const auto& [field, command] : commands) {
+      if (command == &step.base_command && !has_base && command->size() == 0) continue;
+      if (command->size() != spec.action_dim) {
+        return Invalid("executed chunk ", chunk.sequence, ", step ", i, ": ", field, " has ",
+                       command->size(), " values, must have ", spec.action_dim);
+      }
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace robostress

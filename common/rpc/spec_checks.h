@@ -1,0 +1,26 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+
+#include "absl/status/status.h"
+#include "common/rollout/policy_endpoint.h"
+#include "common/types.h"
+
+// What passes between a client and a policy, against the policy's declaration. Errors are
+// INVALID_ARGUMENT and name what differs.
+namespace robostress {
+
+// Checks an observation against what the policy wants: the same cameras in the same order, image
+// sizes, state_dim. The message names what differs.
+absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec);
+// Checks a prediction: horizon x action_dim, all finite.
+absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec& spec);
+// Checks an executed chunk: action_dim columns, steps within the predicted chunk.
+absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec);
+
+// `field` names the matrix in the error.
+absl::Status CheckMatrixSize(const std::string& field, const Eigen::MatrixXf& matrix, int rows,
+                             int cols);
+
+}  // namespace robostress
