@@ -7,6 +7,8 @@ import torch
 import torch.nn.functional as F
 import yaml
 
+import euler
+
 MASKED = -2.3819763e38
 
 
@@ -101,13 +103,8 @@ class Policy:
             x = self.finish(p, x, q, k, v, mask)
         return self.linear("action_out_proj", self.norm("expert.norm", x)[:, 1:]).reshape(x_shape)
 
-    def sample(self, context, state, noise, steps=10):
-        x, dt = noise, torch.tensor(-1.0 / steps)
-        t = torch.tensor(1.0)
-        while t >= -dt / 2:
-            x = x + dt * self.velocity(context, state, x, t.expand(x.shape[0]))
-            t = t + dt
-        return x
+    def sample(self, context, state, noise):
+        return euler.integrate(lambda x, t: self.velocity(context, state, x, t), noise)
 
 
 def make(tensors, metadata, io):

@@ -7,6 +7,8 @@ import math
 import torch
 import torch.nn.functional as F
 
+import euler
+
 MASKED = -2.3819763e38
 VISION = "paligemma_with_expert.paligemma.model.vision_tower.vision_model."
 PROJECTOR = "paligemma_with_expert.paligemma.model.multi_modal_projector.linear"
@@ -119,13 +121,8 @@ class Policy:
         out, _ = self.layers(EXPERT, tokens, mask, positions, cond, cache)
         return self.linear("action_out_proj", out[:, -horizon:])
 
-    def sample(self, context, state, noise, steps=10):
-        x, dt = noise, torch.tensor(-1.0 / steps)
-        t = torch.tensor(1.0)
-        while t >= -dt / 2:
-            x = x + dt * self.velocity(context, state, x, t.expand(x.shape[0]))
-            t = t + dt
-        return x
+    def sample(self, context, state, noise):
+        return euler.integrate(lambda x, t: self.velocity(context, state, x, t), noise)
 
 
 def make(tensors, metadata, io):
