@@ -1,0 +1,47 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "calibration/plant.h"
+#include "calibration/rig.h"
+#include "common/joint_errors/effects/effect_library.h"
+
+namespace robostress::calibration {
+
+// An effect with values for all its parameters, in the order of EffectInfo::parameters.
+struct EffectInstance {
+  const EffectInfo* info = nullptr;
+  std::vector<double> values;
+};
+
+// Everything that the prediction of one joint depends on beside logs and rigid body.
+struct JointModel {
+  JointInput input = JointInput::kPositionTarget;
+  Servo servo;
+  double armature = 0;         // [kg m^2]
+  double mass_scale = 1;       // of inertia and gravity, armature excluded
+  double damping = 0;          // [Nm s/rad]
+  double frictionloss = 0;     // [Nm]
+  double stiffness = 0;        // [Nm/rad]
+  double spring_rest = 0;      // [rad]
+  double torque_offset = 0;    // [Nm]
+  double torque_gain = 1;      // of the drive
+  double position_offset = 0;  // [rad], of the reading
+  std::vector<EffectInstance> effects;
+};
+
+// The declared model of a rig's joint.
+absl::StatusOr<JointModel> DeclaredModel(const RigJoint& joint, const Plant& plant, int index);
+
+// The number that `path` names: a model parameter ("armature", "servo.kp") or
+// "<effect>.<parameter>". NotFound lists what there is.
+absl::StatusOr<double*> FindValue(JointModel& model, const std::string& path);
+
+// `model` under a log's overrides that concern `joint`.
+absl::StatusOr<JointModel> WithOverrides(JointModel model, const std::string& joint,
+                                         const std::map<std::string, double>& overrides);
+
+}  // namespace robostress::calibration

@@ -1,0 +1,297 @@
+#include "calibration/joint_simulation.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace robostress::calibration {
+
+// The effects of a model by stage.
+struct JointSimulation::Chain {
+  explicit Chain(const JointModel& model) {
+    for (const EffectInstance& effect : model.effects) {
+      objects.push_back(effect.info->make());
+      JointEffect* object = objects.back().get();
+      object->SetParameters(effect.values);
+      by_stage[static_cast<int>(effect.info->stage)].push_back(object);
+      needs_payload |= effect.info->type == "payload";
+      needs_tilt |= effect.info->type == "base_tilt";
+    }
+    offset = model.position_offset;
+  }
+  const std::vector<JointEffect*>& stage(EffectStage s) const {
+    return by_stage[static_cast<int>(s)];
+  }
+  void Reset(const JointMoment& moment) {
+    for (EffectStage s : {EffectStage::kDrive, EffectStage::kJoint, EffectStage::kTransmission})
+      for (JointEffect* effect : stage(s)) effect->Reset(moment);
+  }
+  double Drive(double torque, const JointMoment& moment) const {
+    for (JointEffect* effect : stage(EffectStage::kDrive)) torque = effect->Drive(torque, moment);
+    return torque;
+  }
+  double Offset(const JointMoment& moment) const {
+    double sum = 0;
+    for (JointEffect* effect : stage(EffectStage::kTransmission)) sum += effect->Offset(moment);
+    return sum;
+  }
+  double Reading(double q_link) const {
+    for (JointEffect* effect : stage(EffectStage::kSensor)) q_link = effect->Reading(q_link);
+    return q_link + offset;
+  }
+  // Readings are affine in the angle.
+  double LinkOf(double reading) const {
+    const double at_zero = Reading(0);
+    return (reading - at_zero) / (Reading(1) - at_zero);
+  }
+
+  std::vector<std::unique_ptr<JointEffect>> objects;
+  std::vector<JointEffect*> by_stage[5];
+  double offset = 0;
+  bool needs_payload = false, needs_tilt = false;
+};
+
+struct JointSimulation::State {
+  double t = 0, q = 0, dq = 0, offset = 0, drive = 0;
+};
+
+namespace {
+
+// Torque asked of the motor, and how it falls with the velocity [Nm s/rad] where it is not at a
+// limit.
+struct Asked {
+  double torque = 0, slope = 0;
+};
+
+Asked ServoTorque(const Servo& servo, double command, double q, double dq) {
+  if (servo.type == Servo::Type::kDcMotor) {
+    const double voltage = std::clamp(servo.kp * (command - q), -servo.vin, servo.vin);
+    const double back = servo.kt * servo.kt / servo.R;
+    return {servo.kt / servo.R * voltage - back * dq, back};
+  }
+  const double torque = servo.kp * (command - q) - servo.kd * dq;
+  if (std::abs(torque) > servo.torque_limit) return {std::copysign(servo.torque_limit, torque), 0};
+  return {torque, servo.kd};
+}
+
+}  // namespace
+
+JointSimulation::JointSimulation(const JointTrack& track) : track_(track) {
+  sub_steps_ = std::max(1, static_cast<int>(std::ceil(track.log->dt / kMaxSubStep - 1e-6)));
+  h_ = track.log->dt / sub_steps_;
+}
+
+JointSimulation::~JointSimulation() = default;
+
+void JointSimulation::Predict(const JointModel& model, int window, absl::Span<double> predicted) {
+  Chain chain(model);
+  const JointRecord& record = track_.record();
+  const std::vector<double>& given = model.input == JointInput::kPositionTarget ? record.command
+                                     : model.input == JointInput::kTransmission ? record.q_motor
+                                                                                : record.tau;
+  const std::vector<JointEffect*>& command_stage = chain.stage(EffectStage::kCommand);
+  const int steps = model.input == JointInput::kTransmission ? 1 : sub_steps_;
+  const size_t count = static_cast<size_t>(track_.log->rows) * steps;
+  commands_.resize(count);
+  JointMoment moment;
+  moment.h = track_.log->dt / steps;
+  for (JointEffect* effect : command_stage) effect->Reset(moment);
+  for (size_t i = 0; i < count; ++i) {
+    double command = given[i / steps];
+    moment.t = static_cast<double>(i) * moment.h;
+    for (JointEffect* effect : command_stage) command = effect->Command(command, moment);
+    commands_[i] = command;
+  }
+  switch (model.input) {
+    case JointInput::kPositionTarget:
+    case JointInput::kTorque:
+      return FreeRun(model, chain, window, predicted);
+    case JointInput::kTransmission:
+      return Transmission(chain, predicted);
+    case JointInput::kInverse:
+      return Inverse(model, chain, predicted);
+  }
+}
+
+namespace {
+
+// Fills what depends on posture and time alone.
+void Describe(const JointTrack& track, const PlantRow& plant, bool payload, bool tilt, int row,
+              double q, JointMoment& moment, double& gravity) {
+  double cos_q = 1, sin_q = 0;
+  if (track.single && (plant.gravity.a != 0 || plant.gravity.b != 0 || payload || tilt)) {
+    cos_q = std::cos(q);
+    sin_q = std::sin(q);
+  }
+  const auto value = [&](const PlantTerm& term) {
+    return Evaluate(term, track.single, cos_q, sin_q, q, plant.q_ref);
+  };
+  gravity = value(plant.gravity);
+  moment.gravity = gravity;
+  if (payload) {
+    moment.payload_gravity = value(plant.payload_gravity);
+    moment.payload_inertia = plant.payload_inertia;
+  }
+  if (tilt) {
+    for (int i = 0; i < 2; ++i) moment.tilt_gravity[i] = value(plant.tilt_gravity[i]);
+  }
+  if (track.coupled >= 0) moment.coupled_q = track.log->joints[track.coupled].q_smooth[row];
+}
+
+}  // namespace
+
+void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, double command,
+                              State& s) {
+  const PlantRow& p = plant(row);
+  const double middle = s.q + 0.5 * h_ * s.dq;
+  JointMoment moment;
+  moment.t = s.t;
+  moment.h = h_;
+  moment.q = middle;
+  moment.dq = s.dq;
+  double gravity = 0;
+  Describe(track_, p, chain.needs_payload, chain.needs_tilt, row, middle, moment, gravity);
+
+  Asked asked{command, 0};
+  if (model.input == JointInput::kPositionTarget) {
+    const double side = model.servo.feedback == ServoFeedback::kMotor ? middle : middle + s.offset;
+    asked = ServoTorque(model.servo, command, chain.Reading(side), s.dq);
+  }
+  s.drive = model.torque_gain * chain.Drive(asked.torque, moment);
+  moment.drive = s.drive;
+  DryFriction dry{model.frictionloss, model.frictionloss};
+  double torque = s.drive + model.torque_offset - model.mass_scale * (gravity + p.coupling) -
+                  model.stiffness * (middle - model.spring_rest) - model.damping * s.dq;
+  double inertia = model.armature + model.mass_scale * p.inertia;
+  for (JointEffect* effect : chain.stage(EffectStage::kJoint)) {
+    torque += effect->Torque(moment, dry);
+    if (chain.needs_payload) inertia += effect->Inertia(moment);
+  }
+  // Implicit in damping and kd: (M + h d) dv = h torque.
+  const double kick = h_ / (inertia + h_ * (model.damping + model.torque_gain * asked.slope));
+  double next = s.dq + kick * torque;
+  if (next > 0) {
+    next = std::max(0.0, next - kick * std::max(0.0, dry.forward));
+  } else {
+    next = std::min(0.0, next + kick * std::max(0.0, dry.backward));
+  }
+  s.dq = next;
+  s.q = middle + 0.5 * h_ * next;
+  s.t += h_;
+  moment.q = s.q;
+  moment.dq = s.dq;
+  s.offset = chain.Offset(moment);
+}
+
+// Along the measured motion, rows first ... last - 1; leaves the state at row `last`.
+void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int last, State& s) {
+  const JointRecord& record = track_.record();
+  const auto start_at = [&](int row) {
+    s.t = row * track_.log->dt;
+    s.q = chain.LinkOf(record.q_smooth[row]) - s.offset;
+    s.dq = record.dq[row];
+  };
+  s.offset = 0;
+  start_at(first);
+  JointMoment moment;
+  moment.h = h_;
+  moment.q = s.q;
+  moment.dq = s.dq;
+  for (int row = first; row < last; ++row) {
+    for (int i = 0; i < sub_steps_; ++i) {
+      const double share = static_cast<double>(i) / sub_steps_;
+      const double reading =
+          record.q_smooth[row] + share * (record.q_smooth[row + 1] - record.q_smooth[row]);
+      const double link = chain.LinkOf(reading);
+      moment.t = (row + share) * track_.log->dt;
+      moment.q = link - s.offset;
+      moment.dq = record.dq[row] + share * (record.dq[row + 1] - record.dq[row]);
+      double gravity = 0;
+      Describe(track_, plant(row), chain.needs_payload, chain.needs_tilt, row, moment.q, moment,
+               gravity);
+      const double command = commands_[static_cast<size_t>(row) * sub_steps_ + i];
+      double asked = command;
+      if (model.input == JointInput::kPositionTarget) {
+        const double side = model.servo.feedback == ServoFeedback::kMotor ? moment.q : link;
+        asked = ServoTorque(model.servo, command, chain.Reading(side), moment.dq).torque;
+      }
+      moment.drive = model.torque_gain * chain.Drive(asked, moment);
+      if (row == first && i == 0) chain.Reset(moment);
+      DryFriction ignored;
+      for (JointEffect* effect : chain.stage(EffectStage::kJoint)) effect->Torque(moment, ignored);
+      s.offset = chain.Offset(moment);
+    }
+  }
+  start_at(last);
+  if (first == last) {
+    double gravity = 0;
+    Describe(track_, plant(first), chain.needs_payload, chain.needs_tilt, first, s.q, moment,
+             gravity);
+    chain.Reset(moment);
+  }
+}
+
+void JointSimulation::FreeRun(const JointModel& model, Chain& chain, int window,
+                              absl::Span<double> predicted) {
+  const int rows = track_.log->rows;
+  if (window <= 0) window = rows;
+  const int warm_up = static_cast<int>(kWarmUp / track_.log->dt);
+  for (int start = 0; start < rows; start += window) {
+    State state;
+    Lead(model, chain, std::max(0, start - warm_up), start, state);
+    const int end = std::min(rows, start + window);
+    for (int row = start; row < end; ++row) {
+      predicted[row] = chain.Reading(state.q + state.offset);
+      for (int i = 0; i < sub_steps_; ++i)
+        SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], state);
+    }
+  }
+}
+
+void JointSimulation::Transmission(Chain& chain, absl::Span<double> predicted) {
+  const JointRecord& record = track_.record();
+  JointMoment moment;
+  moment.h = track_.log->dt;
+  moment.q = commands_[0];
+  moment.drive = record.tau.empty() ? 0 : record.tau[0];
+  chain.Reset(moment);
+  for (int row = 0; row < track_.log->rows; ++row) {
+    moment.t = row * moment.h;
+    moment.q = commands_[row];
+    moment.dq = record.dq[row];
+    moment.drive = record.tau.empty() ? 0 : record.tau[row];
+    predicted[row] = chain.Reading(moment.q + chain.Offset(moment));
+  }
+}
+
+void JointSimulation::Inverse(const JointModel& model, Chain& chain, absl::Span<double> predicted) {
+  const JointRecord& record = track_.record();
+  JointMoment moment;
+  moment.h = track_.log->dt;
+  for (int row = 0; row < track_.log->rows; ++row) {
+    const PlantRow& p = plant(row);
+    moment.t = row * moment.h;
+    moment.q = chain.LinkOf(record.q_smooth[row]);
+    moment.dq = record.dq[row];
+    double gravity = 0;
+    Describe(track_, p, chain.needs_payload, chain.needs_tilt, row, moment.q, moment, gravity);
+    const double given = commands_[static_cast<size_t>(row) * sub_steps_];
+    moment.drive = model.torque_gain * chain.Drive(given, moment);
+    if (row == 0) chain.Reset(moment);
+    DryFriction dry{model.frictionloss, model.frictionloss};
+    double inertia = model.armature + model.mass_scale * p.inertia;
+    double torque = model.mass_scale * (gravity + p.coupling) - model.torque_offset +
+                    model.stiffness * (moment.q - model.spring_rest) + model.damping * moment.dq;
+    for (JointEffect* effect : chain.stage(EffectStage::kJoint)) {
+      torque -= effect->Torque(moment, dry);
+      inertia += effect->Inertia(moment);
+    }
+    torque += inertia * record.ddq[row];
+    // Smooth through rest, where the direction is noise.
+    const double speed = 10 * record.noise / moment.h;
+    const double direction = std::tanh(moment.dq / std::max(speed, 1e-9));
+    torque += direction * std::max(0.0, direction > 0 ? dry.forward : dry.backward);
+    predicted[row] = torque - (moment.drive - given);
+  }
+}
+
+}  // namespace robostress::calibration

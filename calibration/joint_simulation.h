@@ -1,0 +1,63 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "absl/types/span.h"
+#include "calibration/joint_model.h"
+#include "calibration/measured_log.h"
+#include "calibration/plant.h"
+
+namespace robostress::calibration {
+
+// One joint in one log: what its model is driven with and compared to.
+struct JointTrack {
+  const MeasuredLog* log = nullptr;
+  int joint = 0;               // index in the rig
+  int coupled = -1;            // joint whose position cross_joint_coupling reads, or -1
+  bool single = true;          // of the plant
+  std::vector<PlantRow> rows;  // one, or one per row of the log
+  const JointRecord& record() const { return log->joints[joint]; }
+  // What predictions are compared with: q, or tau of input inverse.
+  const std::vector<double>& measured(JointInput input) const {
+    return input == JointInput::kInverse ? record().tau : record().q;
+  }
+};
+
+// Predicts a track with a model: the simulation kernel of calibration.
+//
+// Free runs start from the measured position and velocity every `window` rows and go on with the
+// model's alone; the hidden states of effects are led along the measured motion for kWarmUp
+// seconds before. One sub-step is a drift-kick-drift leapfrog: second order, no drift of energy;
+// damping and the servo's kd act implicitly; dry friction stops a joint within the sub-step
+// (friction law `stick`). Commands hold over a row.
+class JointSimulation {
+ public:
+  static constexpr double kWarmUp = 0.25;      // [s]
+  static constexpr double kMaxSubStep = 1e-3;  // [s]
+
+  explicit JointSimulation(const JointTrack& track);
+  ~JointSimulation();
+
+  // predicted [rows]. window [rows]: 0 is the whole log.
+  void Predict(const JointModel& model, int window, absl::Span<double> predicted);
+
+ private:
+  struct Chain;
+  struct State;
+  void FreeRun(const JointModel& model, Chain& chain, int window, absl::Span<double> predicted);
+  void Transmission(Chain& chain, absl::Span<double> predicted);
+  void Inverse(const JointModel& model, Chain& chain, absl::Span<double> predicted);
+  void SubStep(const JointModel& model, Chain& chain, int row, double command, State& state);
+  void Lead(const JointModel& model, Chain& chain, int first, int last, State& state);
+  const PlantRow& plant(int row) const {
+    return track_.rows[track_.single ? 0 : static_cast<size_t>(row)];
+  }
+
+  const JointTrack& track_;
+  int sub_steps_;
+  double h_;
+  std::vector<double> commands_;  // [rows * sub_steps] after the command stage
+};
+
+}  // namespace robostress::calibration

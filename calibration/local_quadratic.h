@@ -1,0 +1,16 @@
+#pragma once
+
+#include <vector>
+
+namespace robostress::calibration {
+
+// Least-squares quadratic over `half` rows each side of every row (Savitzky and Golay 1964),
+// one-sided at the ends: value, first and second derivative per row, and the standard deviation of
+// the signal's noise, from the residual of an odd number of rows.
+struct LocalQuadratic {
+  std::vector<double> value, first, second;
+  double noise = 0;
+};
+LocalQuadratic FitLocalQuadratics(const std::vector<double>& signal, double dt, int half);
+
+}  // namespace robostress::calibration

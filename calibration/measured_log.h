@@ -1,0 +1,39 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "calibration/rig.h"
+
+namespace robostress::calibration {
+
+// What one joint did in one run, on a uniform clock. Channels that the input does not need and the
+// file does not have are empty.
+struct JointRecord {
+  std::vector<double> command;      // q_cmd_<joint> [rad]
+  std::vector<double> q;            // q_<joint>; of a transmission q_link_<joint> [rad]
+  std::vector<double> q_motor;      // q_motor_<joint> [rad], of a transmission
+  std::vector<double> tau;          // tau_<joint> [Nm]
+  std::vector<double> temperature;  // temp_<joint> [deg C]
+  // From q (of a transmission q_motor) by local quadratics over `kSmoothing` rows each side.
+  std::vector<double> q_smooth, dq, ddq;
+  double noise = 0;  // [rad] standard deviation of q about those
+};
+
+struct MeasuredLog {
+  std::string file, condition;
+  LogRole role = LogRole::kFit;
+  std::map<std::string, double> overrides;
+  double dt = 0;  // [s]
+  int rows = 0;
+  std::vector<JointRecord> joints;  // in the order of the rig
+  std::vector<std::string> notes;   // what the reader found and what it did about it
+};
+
+// Reads a log of `rig` and gates it: header, numbers, clock (jitter, gaps, rate), wraps, constant
+// channels, excitation, saturation. Errors name file, line, column, value and remedy; what can be
+// repaired is, and is noted.
+absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& log);
+
+}  // namespace robostress::calibration

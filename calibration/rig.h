@@ -1,0 +1,91 @@
+#pragma once
+
+#include <limits>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+
+namespace robostress::calibration {
+
+// What a joint's logs drive and what is compared.
+enum class JointInput {
+  kPositionTarget,  // q_cmd_<joint> drives the declared servo; q_<joint> is compared
+  kTorque,          // tau_<joint> drives the joint; q_<joint> is compared
+  kInverse,         // tau_<joint> is predicted from the measured motion q_<joint>
+  kTransmission,    // q_link_<joint> is predicted from q_motor_<joint> (and tau_<joint>)
+};
+
+// The side of the transmission that the servo reads.
+enum class ServoFeedback { kLink, kMotor };
+
+struct Servo {
+  enum class Type {
+    kPd,       // torque = kp (q_cmd - q) - kd dq, within torque_limit
+    kDcMotor,  // V = kp (q_cmd - q) within vin; torque = kt / R (V - kt dq)
+  };
+  Type type = Type::kPd;
+  double kp = 0;                                                  // [Nm/rad]; of a DC motor [V/rad]
+  double kd = 0;                                                  // [Nm s/rad]
+  double torque_limit = std::numeric_limits<double>::infinity();  // [Nm]
+  double kt = 0;                                                  // [Nm/A]
+  double R = 0;                                                   // [ohm]
+  double vin = 0;                                                 // [V]
+  ServoFeedback feedback = ServoFeedback::kLink;
+};
+
+// An effect that the declared model has.
+struct DeclaredEffect {
+  std::string type;                          // of the effect library
+  std::map<std::string, double> parameters;  // what is not listed has the library's start
+  std::vector<std::string> fit;              // parameters that are estimated
+};
+
+struct RigJoint {
+  std::string name;
+  JointInput input = JointInput::kPositionTarget;
+  Servo servo;
+  std::vector<std::string> fit;  // of ModelParameterNames()
+  std::vector<DeclaredEffect> effects;
+};
+
+enum class LogRole { kFit, kHeldOut, kTransfer };
+
+struct RigLog {
+  std::string file;  // resolved
+  LogRole role = LogRole::kFit;
+  std::string condition;
+  // What differed in this run: "<joint>.servo.kp", "<joint>.<model parameter>",
+  // "<joint>.<effect>.<parameter>".
+  std::map<std::string, double> overrides;
+};
+
+enum class Folds { kAuto, kCondition, kLog, kBlock };
+
+struct Metric {
+  double window_s = 0.5;  // free runs are restarted every so often; 0: the whole log
+  std::string unit;       // "rad", "m", "mm", "mdeg" ...; empty: the joint's own
+};
+
+// A rig file (../shared design, "The measured-data loop"): a model, what is known of its joints,
+// and logs.
+struct Rig {
+  std::string file;
+  std::string name;
+  std::string model;  // MJCF, resolved
+  double rate_hz = 0;
+  std::vector<RigJoint> joints;
+  std::vector<RigLog> logs;
+  Metric metric;
+  Folds folds = Folds::kAuto;
+};
+
+// Parameters of the declared model that `fit` may name beside those of effects.
+const std::vector<std::string>& ModelParameterNames();
+
+// Errors name file, key path, value and what is allowed.
+absl::StatusOr<Rig> ReadRig(const std::string& file);
+std::string WriteRig(const Rig& rig);
+
+}  // namespace robostress::calibration

@@ -1,0 +1,22 @@
+#pragma once
+
+#include <memory>
+
+#include "common/joint_errors/effects/joint_effect.h"
+
+// The forward models, one function per row of effect_library.cc, grouped by stage in a file each.
+namespace robostress::effects {
+
+using Maker = std::unique_ptr<JointEffect>();
+
+Maker TransportDelay, ServoLag, RateLimit;                     // command_effects.cc
+Maker TorqueSaturation, Deadzone, TimeVaryingGain;             // drive_effects.cc
+Maker StribeckFriction, AsymmetricCoulomb, AsymmetricViscous,  // friction_effects.cc
+    LoadDependentFriction, QuadraticViscousFriction, TimeDriftFriction, PreslidingHysteresis,
+    PositionDependentFriction;
+Maker GravityError, Payload, PositionPeriodicTorque, PositionDependentTorque, CableSpring,
+    CrossJointCoupling, BaseTilt;                              // load_effects.cc
+Maker TransmissionError, BacklashGap, TransmissionCompliance;  // transmission_effects.cc
+Maker EncoderGain, EncoderOffset;                              // sensor_effects.cc
+
+}  // namespace robostress::effects
