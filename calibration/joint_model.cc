@@ -60,7 +60,9 @@ absl::StatusOr<double*> FindValue(JointModel& model, const std::string& path) {
       {"servo.vin", &model.servo.vin},
       {"torque_offset", &model.torque_offset},
       {"torque_gain", &model.torque_gain},
-      {"position_offset", &model.position_offset}};
+      {"position_offset", &model.position_offset},
+      {"command_shift", &model.command_shift},
+      {"force_lag", &model.force_lag}};
   std::vector<std::string> known;
   for (const auto& [name, value] : values) {
     if (name == path) return value;
