@@ -194,8 +194,10 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
     torque += effect->Torque(moment, dry);
     if (chain.needs_payload) inertia += effect->Inertia(moment);
   }
-  // Implicit in damping and kd: (M + h d) dv = h torque.
-  const double kick = h_ / (inertia + h_ * (model.damping + model.torque_gain * asked.slope));
+  // Exact for damping and kd while the other torques hold, up to x^3 of x = h d / M:
+  // h / M (1 - e^-x) / x; positive and without overshoot for every x.
+  const double x = h_ * (model.damping + model.torque_gain * asked.slope) / inertia;
+  const double kick = h_ / (inertia * (1 + x * (1.0 / 2 + x / 12)));
   double next = s.dq + kick * torque;
   if (next > 0) {
     next = std::max(0.0, next - kick * std::max(0.0, dry.forward));
