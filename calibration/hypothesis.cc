@@ -125,7 +125,8 @@ absl::StatusOr<Hypothesis> DeclaredHypothesis(const RigJoint& joint, const Joint
     h.free.push_back(ModelParameter(name, model, scales, inertia));
   if (model.input == JointInput::kPositionTarget || model.input == JointInput::kTorque) {
     for (const char* name : {"command_shift", "force_lag"})
-      h.free.push_back(ModelParameter(name, model, scales, inertia));
+      if (std::find(joint.fit.begin(), joint.fit.end(), name) == joint.fit.end())
+        h.free.push_back(ModelParameter(name, model, scales, inertia));
   }
   for (size_t i = 0; i < joint.effects.size(); ++i) {
     const EffectInfo& info = *model.effects[i].info;

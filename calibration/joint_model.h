@@ -39,8 +39,8 @@ struct JointModel {
   std::vector<EffectInstance> effects;
 };
 
-// The declared model of a rig's joint.
-absl::StatusOr<JointModel> DeclaredModel(const RigJoint& joint, const Plant& plant, int index);
+// The declared model of joint `index` of a rig.
+absl::StatusOr<JointModel> DeclaredModel(const Rig& rig, const Plant& plant, int index);
 
 // The number that `path` names: a model parameter ("armature", "servo.kp") or
 // "<effect>.<parameter>". NotFound lists what there is.
