@@ -46,7 +46,7 @@ SignalScales LoadedRig::Scales(int joint) const {
 }
 
 absl::StatusOr<Hypothesis> LoadedRig::Declared(int joint) const {
-  RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(rig.joints[joint], *plant, joint));
+  RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(rig, *plant, joint));
   return DeclaredHypothesis(rig.joints[joint], model, Scales(joint),
                             JointTracks(joint).front().rows.front().inertia);
 }
