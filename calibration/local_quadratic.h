@@ -6,7 +6,7 @@ namespace robostress::calibration {
 
 // Least-squares quadratic over `half` rows each side of every row (Savitzky and Golay 1964),
 // one-sided at the ends: value, first and second derivative per row, and the standard deviation of
-// the signal's noise, from the residual of an odd number of rows.
+// the signal's noise, from its differences and its resolution.
 struct LocalQuadratic {
   std::vector<double> value, first, second;
   double noise = 0;
