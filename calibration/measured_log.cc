@@ -198,6 +198,7 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointReco
   record.dq = fit.first;
   record.ddq = fit.second;
   record.noise = FitLocalQuadratics(record.q, dt, kSmoothing).noise;
+  if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, fit.noise);
   const double range = RangeOf(record.q);
   if (range == 0)
     return absl::InvalidArgumentError(

@@ -18,7 +18,8 @@ struct JointRecord {
   std::vector<double> temperature;  // temp_<joint> [deg C]
   // From q (of a transmission q_motor) by local quadratics over `kSmoothing` rows each side.
   std::vector<double> q_smooth, dq, ddq;
-  double noise = 0;  // [rad] standard deviation of q about those
+  // [rad] standard deviation of q about those; of a transmission of both readings together.
+  double noise = 0;
 };
 
 struct MeasuredLog {
