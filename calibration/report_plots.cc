@@ -96,8 +96,8 @@ std::string StructurePlot(const StructureCurve& curve, bool added, const Display
   options.title = absl::StrCat("against ", curve.against);
   options.x_label = absl::StrCat(curve.against, curve.unit.empty() ? "" : " [" + curve.unit + "]");
   options.y_label = unit.name;
-  options.width = 360;
-  options.height = 220;
+  options.width = 345;
+  options.height = 215;
   options.fractional_x_ticks = true;
   options.log_x = options.log_y = curve.against == "frequency";
   if (!options.log_y) SetRange(lines, options);

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "calibration/report_numbers.h"
 #include "calibration/report_plots.h"
@@ -76,13 +77,44 @@ std::string DeclaredSection(const JointReport& joint) {
   return html;
 }
 
+std::string OffSection(const JointReport& joint, const DisplayUnit& unit) {
+  const std::pair<const char*, const ErrorReport*> roles[] = {
+      {"the logs it was fitted to", &joint.fit},
+      {"logs held out", &joint.held_out},
+      {"an unseen regime", &joint.transfer},
+      {"whole runs", &joint.full_run}};
+  std::vector<std::string> parts;
+  double floor = 0, judged = 0;
+  for (const auto& [name, error] : roles) {
+    if (!error->present) continue;
+    parts.push_back(absl::StrCat(NumberText(unit.factor * error->declared), " ",
+                                 EscapeXml(unit.name), " on ", name));
+    if (error == &joint.full_run || (floor > 0 && error != &joint.held_out)) continue;
+    floor = error->noise_floor, judged = error->declared;
+  }
+  if (parts.empty()) return "";
+  std::string html = absl::StrCat(Heading("How far it is off"),
+                                  "<p>RMS of its predictions: ", absl::StrJoin(parts, ", "), ".");
+  if (floor > 0) {
+    absl::StrAppend(&html, " Noise alone makes ", NumberText(unit.factor * floor), " ",
+                    EscapeXml(unit.name), ": the model is off by ",
+                    absl::StrFormat(judged < 9.95 * floor ? "%.1f" : "%.0f", judged / floor),
+                    " times that.");
+  }
+  html += "</p>\n";
+  if (!joint.effects.empty()) return html;  // the pictures stand under "Before and after"
+  html += ErrorPlot(joint, unit);
+  for (const ExampleReport& example : joint.examples) html += ExamplePlot(example, false, unit);
+  return html;
+}
+
 std::string ResidualSection(const JointReport& joint, const DisplayUnit& unit) {
   const bool added = !joint.effects.empty();
   std::string figures;
   for (const StructureCurve& curve : joint.structure) {
     const std::string svg = StructurePlot(curve, added, unit);
     if (svg.empty()) continue;
-    absl::StrAppend(&figures, "<figure style=\"margin:0\">", svg);
+    absl::StrAppend(&figures, "<figure style=\"margin:0;max-width:345px\">", svg);
     if (curve.limit > 0) {
       const bool beyond = (added ? curve.explained_after : curve.explained_declared) > curve.limit;
       absl::StrAppend(&figures, "<figcaption>holds ", PercentText(curve.explained_declared),
@@ -108,7 +140,14 @@ std::string ResidualSection(const JointReport& joint, const DisplayUnit& unit) {
         white.strongest.empty() ? "" : " It goes most with " + EscapeXml(white.strongest) + ".",
         "</p>\n");
   }
-  return absl::StrCat(html, "<div class=panels>", figures, "</div>\n");
+  if (figures.empty()) return html;
+  const auto dot = [](const char* color, const char* name) {
+    return absl::StrCat("<span class=dot style=\"background:", color, "\"></span>", name, " ");
+  };
+  return absl::StrCat(
+      html, "<p class=note>Means of the residual over bins, its spectrum against frequency: ",
+      dot(kDeclaredColor, "declared model"), added ? dot(kAfterColor, "with what was added") : "",
+      "</p>\n<div class=panels>", figures, "</div>\n");
 }
 
 std::string CandidateRows(const RoundReport& round) {
@@ -119,8 +158,10 @@ std::string CandidateRows(const RoundReport& round) {
   for (const CandidateReport& c : round.candidates) {
     absl::StrAppend(&html, "<tr", c.accepted ? " style=\"font-weight:600\"" : "", "><td>",
                     EscapeXml(c.type), "</td><td>", PercentText(c.surviving), "</td><td>",
-                    PercentText(c.linear_gain), "</td><td>", NumberText(c.p_value), "</td><td>",
-                    c.refitted ? PercentText(c.cv_gain) : kNothing, "</td>", kLeft,
+                    PercentText(c.linear_gain), "</td><td>",
+                    c.p_value >= 0.0995 ? absl::StrFormat("%.2f", c.p_value)
+                                        : absl::StrFormat("%.3f", c.p_value),
+                    "</td><td>", c.refitted ? PercentText(c.cv_gain) : kNothing, "</td>", kLeft,
                     c.accepted         ? "accepted"
                     : c.reason.empty() ? ""
                                        : EscapeXml(c.reason),
@@ -181,18 +222,16 @@ std::string AcceptedSection(const JointReport& joint, const DisplayUnit& unit, i
 }
 
 std::string BeforeAfterSection(const JointReport& joint, const DisplayUnit& unit) {
+  if (joint.effects.empty()) return "";
   std::string html = ErrorPlot(joint, unit);
-  for (const ExampleReport& example : joint.examples)
-    html += ExamplePlot(example, !joint.effects.empty(), unit);
-  if (html.empty()) return "";
   if (joint.full_run.present) {
     absl::StrAppend(&html, "<p class=note>Left alone over whole runs: ",
                     NumberText(unit.factor * joint.full_run.declared), " \u2192 ",
                     NumberText(unit.factor * joint.full_run.after), " ", EscapeXml(unit.name),
                     ".</p>\n");
   }
-  return Heading(joint.effects.empty() ? "How far the declared model is off" : "Before and after") +
-         html;
+  for (const ExampleReport& example : joint.examples) html += ExamplePlot(example, true, unit);
+  return html.empty() ? "" : Heading("Before and after") + html;
 }
 
 std::string RemainingSection(const JointReport& joint) {
@@ -234,7 +273,7 @@ std::string JointSections(const JointReport& joint, int n_surrogates) {
                          : joint.cross_validated.present ? joint.cross_validated.declared
                                                          : joint.fit.declared;
   const DisplayUnit unit = DisplayUnitFor(joint.unit, typical);
-  return absl::StrCat(DeclaredSection(joint), ResidualSection(joint, unit),
+  return absl::StrCat(DeclaredSection(joint), OffSection(joint, unit), ResidualSection(joint, unit),
                       TriedSection(joint, unit), AcceptedSection(joint, unit, n_surrogates),
                       BeforeAfterSection(joint, unit), RemainingSection(joint));
 }

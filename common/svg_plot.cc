@@ -195,6 +195,15 @@ std::string BarPlot(const std::vector<Bar>& bars, const BarPlotOptions& options)
     svg += SvgLine(x_of(tick), top, x_of(tick), bottom, kSvgGrid, 1);
     svg += SvgText(x_of(tick), bottom + 16, TickText(tick), "middle", 11, kSvgMuted);
   }
+  double label_end = -1e9;
+  int lane = 0;
+  for (const auto& [value, name] : options.references) {
+    const double x = x_of(value);
+    lane = x < label_end ? 1 - lane : 0;
+    label_end = x + 8 + 6.2 * static_cast<double>(name.size());
+    svg += SvgLine(x, top - 4, x, bottom, kSvgInk, 1.2, "4 3");
+    svg += SvgText(x, top - 8 - 13 * lane, name, "start", 11, kSvgInk);
+  }
   for (size_t i = 0; i < bars.size(); ++i) {
     const double y = top + band * static_cast<double>(i);
     svg += SvgText(left - 8, y + 13.5, bars[i].name, "end", 12, kSvgInk);
@@ -204,17 +213,10 @@ std::string BarPlot(const std::vector<Bar>& bars, const BarPlotOptions& options)
                             "fill=\"%s\"/>\n",
                             x_of(axis.low), y + 4,
                             std::max(0.0, x_of(bars[i].value) - x_of(axis.low)), bars[i].color);
-      svg += SvgText(x_of(bars[i].value) + 6, y + 13.5, bars[i].note, "start", 11, kSvgMuted);
+      absl::StrAppendFormat(  // outlined in paper's colour, so that it reads on a dashed line
+          &svg, "<g stroke=\"#ffffff\" stroke-width=\"4\" paint-order=\"stroke\">%s</g>\n",
+          SvgText(x_of(bars[i].value) + 6, y + 13.5, bars[i].note, "start", 11, kSvgMuted));
     }
-  }
-  double label_end = -1e9;
-  int lane = 0;
-  for (const auto& [value, name] : options.references) {
-    const double x = x_of(value);
-    lane = x < label_end ? 1 - lane : 0;
-    label_end = x + 8 + 6.2 * static_cast<double>(name.size());
-    svg += SvgLine(x, top - 4, x, bottom, kSvgInk, 1.2, "4 3");
-    svg += SvgText(x, top - 8 - 13 * lane, name, "start", 11, kSvgInk);
   }
   svg += SvgText((left + options.width - right) / 2.0, bottom + 35, options.x_label, "middle", 11,
                  kSvgInk);

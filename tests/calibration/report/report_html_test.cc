@@ -45,9 +45,10 @@ TEST(ReportHtml, SaysEachVerdictByNameAndInWords) {
 TEST(ReportHtml, TellsTheStoryInOrder) {
   const std::string html = ReportHtml(AttributedReport());
   size_t last = 0;
-  for (const char* heading : {"What was declared", "What the residual looks like", "What was tried",
-                              "What was accepted, and why", "Before and after", "What remains",
-                              "What to do with it", "The logs"}) {
+  for (const char* heading :
+       {"What was declared", "How far it is off", "What the residual looks like", "What was tried",
+        "What was accepted, and why", "Before and after", "What remains", "What to do with it",
+        "The logs"}) {
     const size_t at = Find(html, std::string(">") + heading + "<");
     EXPECT_GT(at, last) << heading;
     last = at;
@@ -61,7 +62,8 @@ TEST(ReportHtml, HoldsTheFigures) {
         "\u221237.02 \u00b1 0.84 N s/m", "p \u2264 0.001", "95.31 \u00b1 0.12",
         "constant offset -3.17", "gain in 2 of 4 folds", "transport_delay, servo_lag",
         "quadratic_viscous_friction (7.0 %)", "clock: 3 gaps of one row", "rig_after.yaml",
-        "torque -d_sigma |dq|", "velocity: 0.41 of the variance", "9.60 \u2192 9.18 mm"}) {
+        "torque -d_sigma |dq|", "velocity: 0.41 of the variance",
+        "the model is off by 56 times that", "9.60 \u2192 9.18 mm"}) {
     EXPECT_THAT(html, HasSubstr(text));
   }
 }
@@ -84,7 +86,7 @@ TEST(ReportHtml, DrawsNothingOfAModelAfterWhereNothingWasAdded) {
                            "rig_after", "With what was added", "0.493"}) {
     EXPECT_THAT(html, Not(HasSubstr(text)));
   }
-  EXPECT_THAT(html, HasSubstr("How far the declared model is off"));
+  EXPECT_THAT(html, HasSubstr("How far it is off"));
 }
 
 TEST(ReportHtml, LeavesOutWhatTheReportDoesNotSay) {
