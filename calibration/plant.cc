@@ -2,7 +2,7 @@
 
 #include <mujoco/mujoco.h>
 
-#include <Eigen/Core>
+#include <Eigen/Dense>
 #include <cmath>
 #include <filesystem>
 
