@@ -10,7 +10,7 @@ namespace robostress::calibration {
 namespace {
 
 constexpr int kBlocks = 5;
-constexpr int kRefitIterations = 6;
+constexpr int kRefitIterations = 4;
 
 bool Fits(const JointProblem& problem, const Window& window) {
   return problem.tracks()[window.track].log->role == LogRole::kFit;

@@ -10,6 +10,8 @@ namespace robostress::calibration {
 namespace {
 
 // Ceres' view of a problem: one block of residuals, one of parameters.
+constexpr int kTrialIterations = 4;  // of every start, before the best goes on
+
 class Cost : public ceres::CostFunction {
  public:
   Cost(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen, double unit,
@@ -97,10 +99,10 @@ JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>&
   JointFit best;
   best.rms = std::numeric_limits<double>::infinity();
   for (const Hypothesis& start : starts) {
-    JointFit fit = Minimise(problem, start, chosen);
+    JointFit fit = Minimise(problem, start, chosen, kTrialIterations);
     if (fit.rms < best.rms) best = std::move(fit);
   }
-  return best;
+  return starts.empty() ? best : Minimise(problem, best.best, chosen);
 }
 
 std::vector<double> StandardDeviations(const JointProblem& problem, const JointFit& fit,

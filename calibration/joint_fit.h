@@ -15,8 +15,8 @@ struct JointFit {
 
 // Bounded Levenberg-Marquardt (Ceres) on a pseudo-Huber loss of projected residuals, from h.x.
 JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen,
-                  int max_iterations = 25);
-// The best of several starts.
+                  int max_iterations = 15);
+// From the start that comes lowest in a few iterations.
 JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>& starts,
                      const WindowSet& chosen);
 

@@ -7,6 +7,15 @@
 namespace robostress::calibration {
 namespace {
 
+constexpr int kLeast = 2;      // rows each side
+constexpr double kBent = 1.1;  // times the noise
+
+// Weight of its own row in the value of a local quadratic.
+double CenterLeverage(int half) {
+  const double m = half;
+  return 3 * (3 * m * m + 3 * m - 1) / ((2 * m - 1) * (2 * m + 1) * (2 * m + 3));
+}
+
 // Third differences of white noise have variance 20 sigma^2 and hardly see a smooth motion; the
 // median hardly sees its corners.
 double NoiseOf(const std::vector<double>& signal) {
@@ -46,7 +55,21 @@ LocalQuadratic FitLocalQuadratics(const std::vector<double>& signal, double dt, 
     fit.first[i] = c[1];
     fit.second[i] = 2 * c[2];
   }
+  const double m = half, squares = m * (m + 1) * (2 * m + 1) / 3;  // sum of i^2
+  fit.value_noise = fit.noise * std::sqrt(CenterLeverage(half));
+  fit.first_noise = fit.noise / (dt * std::sqrt(squares));
   return fit;
+}
+
+LocalQuadratic SmoothMotion(const std::vector<double>& signal, double dt, int most) {
+  for (int half = most;; --half) {
+    LocalQuadratic fit = FitLocalQuadratics(signal, dt, half);
+    double sum = 0;
+    for (size_t i = 0; i < signal.size(); ++i) sum += std::pow(signal[i] - fit.value[i], 2);
+    const double left = std::sqrt(sum / static_cast<double>(signal.size()));
+    if (half <= kLeast || left <= kBent * fit.noise * std::sqrt(1 - CenterLeverage(half)))
+      return fit;
+  }
 }
 
 }  // namespace robostress::calibration

@@ -10,7 +10,13 @@ namespace robostress::calibration {
 struct LocalQuadratic {
   std::vector<double> value, first, second;
   double noise = 0;
+  // Standard deviations of `value` and `first` that come of the noise.
+  double value_noise = 0, first_noise = 0;
 };
 LocalQuadratic FitLocalQuadratics(const std::vector<double>& signal, double dt, int half);
+
+// With the largest `half` up to `most` that leaves no more than noise: what is wider bends the
+// motion.
+LocalQuadratic SmoothMotion(const std::vector<double>& signal, double dt, int most);
 
 }  // namespace robostress::calibration

@@ -15,6 +15,7 @@ constexpr double kRank = 1e-7;  // of QR decompositions
 
 // Orthonormal basis of the columns' span [rows, rank].
 Eigen::MatrixXd BasisOf(const Eigen::MatrixXd& columns) {
+  if (columns.cols() == 0) return columns;
   Eigen::MatrixXd scaled = columns;
   for (int i = 0; i < scaled.cols(); ++i) {
     const double norm = scaled.col(i).norm();

@@ -17,6 +17,8 @@ constexpr double kMaxPValue = 0.01;
 constexpr double kMinCvGain = 0.02;
 constexpr double kMinBicGain = 10;
 constexpr double kMinFolds = 0.75;     // share of folds that must gain
+constexpr double kAtFloor = 1.1;       // times the floor: little is left
+constexpr double kDetourGain = 0.85;   // error of a way that does not lead over the best model
 constexpr double kMaxSpread = 0.5;     // of the size over folds, relative
 constexpr double kNotTestable = 0.02;  // surviving share
 constexpr double kRivalMargin = 0.05;  // a rival's error may be larger by this share
@@ -72,12 +74,19 @@ class Search {
     TracedModel best = trace.declared;
     while (!beam.empty() && static_cast<int>(beam.front().added.size()) < options_.max_effects) {
       std::vector<TracedModel> next;
+      double wanted = 1 - kMinCvGain;  // of the leader's error
       for (const TracedModel& base : beam) {
         trace.rounds.push_back(Round(base, next));
         if (base.added.empty()) NoteNotTestable(trace);
+        if (&base != &beam.front() || !next.empty()) continue;
+        // A leader that nothing improves on is the answer, unless much is left and another way
+        // leads much further.
+        if (base.cv.Rms() < kAtFloor * floor_) break;
+        wanted = kDetourGain;
       }
       KeepBest(next);
-      if (!next.empty() && next.front().cv.Rms() < best.cv.Rms()) best = next.front();
+      if (next.empty() || next.front().cv.Rms() > wanted * best.cv.Rms()) break;
+      best = next.front();
       beam = std::move(next);
     }
     trace.after = Trim(best, trace.declared);
@@ -101,10 +110,10 @@ class Search {
     // Nothing that could lower the error by as little as acceptance asks for.
     const bool hopeless = contenders.empty() || report.cv_error <= 1e-12;
     const int refits = hopeless ? 0 : CountFinalists(contenders);
-    options_.progress(
-        absl::StrFormat("%s: %d candidates screened, %d refitted",
-                        base.added.empty() ? "on the declared model" : "with " + KeyOf(base.added),
-                        contenders.size(), refits));
+    options_.progress(absl::StrFormat(
+        "%s: error %.3g, %.2f times the floor; %d candidates screened, %d refitted",
+        base.added.empty() ? "declared model" : "with " + KeyOf(base.added), report.cv_error,
+        report.cv_error / std::max(floor_, 1e-300), contenders.size(), refits));
     std::vector<TracedModel> models(refits);
     ParallelFor(refits, [&](int i) { models[i] = Refit(base, screening, contenders[i]); });
     for (size_t i = 0; i < contenders.size(); ++i) {
