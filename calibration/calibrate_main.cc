@@ -7,6 +7,7 @@
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_format.h"
 #include "calibration/calibrate.h"
+#include "calibration/effect_table.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 
@@ -89,6 +90,13 @@ int Main(int argc, char** argv) {
       ->check(CLI::Range(1, 10))
       ->capture_default_str();
   app.add_flag("--quiet", line.quiet, "No progress");
+  app.add_flag_callback(
+      "--effects",
+      [] {
+        std::printf("%s", EffectTableMarkdown().c_str());
+        throw CLI::Success();
+      },
+      "Print the effect library and do nothing else");
   app.footer(kExamples);
   try {
     app.parse(argc, argv);

@@ -50,24 +50,28 @@ std::string FactorText(double value, bool at_bound) {
   return absl::StrCat(NumberText(value), at_bound ? " (on the bound of the search)" : "");
 }
 
-// What came out, in a sentence or two.
-std::string Conclusion(const FidelityResult& result) {
-  const Contender &model = result.contenders[0], &noise = result.contenders[1];
+// How the distance of `noise` compares with the fitted model's.
+std::string Comparison(const Contender& noise) {
   const Interval& excess = noise.dtw_excess.interval;
-  std::string text;
-  if (!(excess.low > 0) && !(excess.high < 0)) {
-    text = "The distances of fitted model and Gaussian noise do not differ beyond their interval.";
-  } else {
-    text = absl::StrFormat("The %s is nearer to the measured profile.",
-                           excess.low > 0 ? "fitted model" : "Gaussian noise");
-  }
-  const auto rises = [](const Estimate& rise) { return rise.interval.low > 0; };
-  absl::StrAppend(
-      &text, " Deviation ", rises(result.measured_rise) ? "rises" : "does not clearly rise",
-      " after the grasp where it is measured, ",
-      rises(model.rise) ? "rises" : "does not clearly rise", " in the fitted model and ",
-      rises(noise.rise) ? "rises" : "does not clearly rise", " under Gaussian noise.");
-  return text;
+  if (!std::isfinite(excess.low)) return "one layout supports no interval";
+  if (excess.low > 0) return "farther from the measured profile than the fitted model";
+  if (excess.high < 0) return "nearer to the measured profile than the fitted model";
+  return "not apart from the fitted model beyond the interval";
+}
+
+// What came out, in three sentences.
+std::string Conclusion(const FidelityResult& result) {
+  const auto rises = [](const Estimate& rise) {
+    return rise.interval.low > 0 || (std::isnan(rise.interval.low) && rise.value > 0)
+               ? "rises"
+               : "does not clearly rise";
+  };
+  const Contender &model = result.contenders[0], &noise = result.contenders[1];
+  return absl::StrCat(
+      "Gaussian noise at its stated scale: ", Comparison(noise),
+      "; with its scale fitted like the model's factors: ", Comparison(result.contenders[2]),
+      ". The deviation ", rises(result.measured_rise), " after the grasp where it is measured, ",
+      rises(model.rise), " in the fitted model and ", rises(noise.rise), " under Gaussian noise.");
 }
 
 }  // namespace
@@ -172,7 +176,7 @@ std::string FidelityHtml(const FidelityOptions& options, const FidelityResult& r
       &html, "<header><div class=wrap><h1>Heavy Payload against a payload</h1><p>measured: ",
       EscapeXml(result.source), "</p></div></header>\n<main class=wrap>\n<p class=lead>",
       Conclusion(result), "</p>\n", FidelitySvg(result),
-      "<div class=scroll><table><tr><th>Ten other layouts against the measured mean</th>"
+      "<div class=scroll><table><tr><th>Other layouts against the measured mean</th>"
       "<th>DTW [mm per step]</th><th>DTW minus the model's</th><th>Rise after the grasp "
       "[mm]</th><th>Object lost</th></tr>\n");
   for (const Contender& c : result.contenders) {
