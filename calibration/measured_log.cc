@@ -17,7 +17,7 @@ namespace robostress::calibration {
 namespace {
 
 constexpr int kMinRows = 50;
-constexpr int kSmoothing = 4;        // rows each side
+constexpr int kSmoothing = 6;        // rows each side, at most
 constexpr double kJitter = 0.02;     // of dt; more is resampled
 constexpr double kGap = 5;           // in dt; more is refused
 constexpr double kRateError = 0.02;  // of the declared rate
@@ -203,7 +203,9 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointReco
   }
   const std::vector<double>& motion =
       joint.input == JointInput::kTransmission ? record.q_motor : record.q;
-  const LocalQuadratic fit = FitLocalQuadratics(motion, dt, kSmoothing);
+  const LocalQuadratic fit = SmoothMotion(motion, dt, kSmoothing);
+  record.start_noise_q = fit.value_noise;
+  record.start_noise_dq = fit.first_noise;
   record.q_smooth = fit.value;
   record.dq = fit.first;
   record.ddq = fit.second;
