@@ -210,6 +210,7 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
     const double side = model.servo.feedback == ServoFeedback::kMotor ? middle : middle + s.offset;
     asked = ServoTorque(model.servo, command, chain.Reading(side), s.dq);
   }
+  if (!Enabled(row)) asked = {};
   s.drive = model.torque_gain * chain.Drive(asked.torque, moment);
   moment.drive = s.drive;
   DryFriction dry{model.frictionloss, model.frictionloss};
@@ -265,6 +266,7 @@ void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int
         const double side = model.servo.feedback == ServoFeedback::kMotor ? moment.q : link;
         asked = ServoTorque(model.servo, command, chain.Reading(side), moment.dq).torque;
       }
+      if (!Enabled(row)) asked = 0;
       moment.drive = model.torque_gain * chain.Drive(asked, moment);
       if (row == first && i == 0) chain.Reset(moment);
       DryFriction ignored;

@@ -16,6 +16,7 @@ struct JointRecord {
   std::vector<double> q_motor;      // q_motor_<joint> [rad], of a transmission
   std::vector<double> tau;          // tau_<joint> [Nm]
   std::vector<double> temperature;  // temp_<joint> [deg C]
+  std::vector<double> enable;       // 0 where the drive is off; empty: always on
   // From q (of a transmission q_motor) by local quadratics, and what noise is in them
   // [rad, rad/s, rad/s^2].
   std::vector<double> q_smooth, dq, ddq;

@@ -21,6 +21,7 @@ constexpr double kResolution = 0.015;    // of the declared error: the kernel re
 constexpr double kMinExcessGain = 0.25;  // of the energy above the floor
 constexpr double kAtFloor = 1.1;         // times the floor: little is left
 constexpr double kDetourGain = 0.85;     // error of a way that does not lead over the best model
+constexpr double kMinSigmas = 3;         // of the size
 constexpr double kMaxSpread = 0.5;       // of the size over folds, relative
 constexpr double kNotTestable = 0.02;    // surviving share
 constexpr double kRivalMargin = 0.05;    // a rival's error may be larger by this share
@@ -297,6 +298,11 @@ class Search {
       }
     }
     if (largest < 0) return "";
+    const std::vector<double> std = StandardDeviations(problem_, model.fit, fit_windows_);
+    const double size = best.free[largest].inverse ? best.free[largest].ToValue(best.x[largest])
+                                                   : best.free[largest].scale * best.x[largest];
+    if (std::abs(size) < kMinSigmas * std[largest])
+      return absl::StrFormat("%s is %.3g +- %.2g", best.free[largest].path, size, std[largest]);
     if (model.fit.at_bound[largest]) return absl::StrCat(best.free[largest].path, " is on a bound");
     double low = best.x[largest], high = low;
     for (const Eigen::VectorXd& x : model.cv.x) {
