@@ -17,7 +17,7 @@ constexpr double kMaxPValue = 0.01;
 constexpr double kMinCvGain = 0.02;
 constexpr double kMinBicGain = 10;
 constexpr double kMinFolds = 0.75;       // share of folds that must gain
-constexpr double kResolution = 0.015;    // of the declared error: the kernel resolves no less
+constexpr double kResolution = 0.02;     // of the declared excess: the kernel resolves no less
 constexpr double kMinExcessGain = 0.25;  // of the energy above the floor
 constexpr double kAtFloor = 1.1;         // times the floor: little is left
 constexpr double kDetourGain = 0.85;     // error of a way that does not lead over the best model
@@ -123,10 +123,15 @@ class Search {
     return windows;
   }
 
+  // Cross-validated energy above the noise's, per row.
+  double Excess(const TracedModel& model) const {
+    return std::max(0.0, model.cv.Rms() * model.cv.Rms() - floor_ * floor_);
+  }
+
   // Noise, or what the kernel's own integration leaves.
   bool LittleLeft(const TracedModel& declared, const TracedModel& model) const {
-    return !model.added.empty() &&
-           model.cv.Rms() < std::max(kAtFloor * floor_, kResolution * declared.cv.Rms());
+    return !model.added.empty() && (model.cv.Rms() < kAtFloor * floor_ ||
+                                    Excess(model) < kResolution * kResolution * Excess(declared));
   }
 
   // Screens everything on top of `base`, refits the finalists, and adds what is accepted to `next`.
@@ -188,7 +193,13 @@ class Search {
     const bool has_torque =
         std::all_of(problem_.tracks().begin(), problem_.tracks().end(),
                     [](const JointTrack& track) { return !track.record().tau.empty(); });
-    return CandidatesFor(base.fit.best.model, other_joints_, has_torque);
+    std::vector<Candidate> candidates =
+        CandidatesFor(base.fit.best.model, other_joints_, has_torque);
+    std::erase_if(candidates, [&](const Candidate& candidate) {
+      return std::find(options_.exclude.begin(), options_.exclude.end(), NameOf(candidate)) !=
+             options_.exclude.end();
+    });
+    return candidates;
   }
 
   static std::vector<Contender> Rank(const Screening& screening, const NullDistribution& null) {
@@ -260,12 +271,9 @@ class Search {
     const double gain = 1 - model.cv.Rms() / base.cv.Rms();
     if (gain < kMinCvGain)
       return absl::StrFormat("the cross-validated error falls by %.1f %% only", 100 * gain);
-    const auto excess = [&](const TracedModel& m) {
-      return std::max(0.0, m.cv.Rms() * m.cv.Rms() - floor_ * floor_);
-    };
-    if (excess(model) > (1 - kMinExcessGain) * excess(base))
+    if (Excess(model) > (1 - kMinExcessGain) * Excess(base))
       return absl::StrFormat("it explains %.0f %% of what is above the noise",
-                             100 * (1 - excess(model) / std::max(excess(base), 1e-300)));
+                             100 * (1 - Excess(model) / std::max(Excess(base), 1e-300)));
     int gained = 0;
     for (size_t f = 0; f < folds_.size(); ++f) gained += model.cv.fold_rms[f] < base.cv.fold_rms[f];
     if (gained < kMinFolds * static_cast<double>(folds_.size()))
