@@ -7,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "calibration/local_quadratic.h"
 #include "calibration/residual_tests.h"
 #include "calibration/verdict.h"
 #include "common/status_macros.h"
@@ -331,6 +332,19 @@ const char* RoleName(LogRole role) {
   return role == LogRole::kFit ? "fit" : role == LogRole::kHeldOut ? "held_out" : "transfer";
 }
 
+// Of input inverse a torque is compared: its noise is that of tau and of the acceleration.
+void NoiseOfTorques(const Rig& rig, const Plant& plant, std::vector<MeasuredLog>& logs) {
+  for (int joint = 0; joint < static_cast<int>(rig.joints.size()); ++joint) {
+    if (rig.joints[joint].input != JointInput::kInverse) continue;
+    for (MeasuredLog& log : logs) {
+      JointRecord& record = log.joints[joint];
+      const double inertia = plant.Rows(joint, log).front().inertia + plant.passive(joint).armature;
+      record.noise = std::hypot(FitLocalQuadratics(record.tau, log.dt, 2).noise,
+                                inertia * record.acceleration_noise);
+    }
+  }
+}
+
 // Equal delays are a property of what the joints share.
 void CompareJoints(CalibrationReport& report) {
   std::vector<double> delays;
@@ -357,6 +371,7 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     RS_ASSIGN_OR_RETURN(MeasuredLog read, ReadMeasuredLog(rig, log));
     logs.push_back(std::move(read));
   }
+  NoiseOfTorques(rig, *plant, logs);
   Calibration result;
   result.after = rig;
   CalibrationReport& report = result.report;

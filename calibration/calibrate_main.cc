@@ -30,24 +30,33 @@ struct CommandLine {
   bool quiet = false;
 };
 
+// Nothing of an earlier run may pass for the result of one that fails.
+absl::Status PrepareFolder(const std::filesystem::path& out) {
+  std::error_code error;
+  std::filesystem::create_directories(out, error);
+  if (error)
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--out %s: cannot be made: %s", out.string(), error.message()));
+  for (const char* name : {"report.json", "report.html", "rig_after.yaml", "scenario.yaml"})
+    std::filesystem::remove(out / name, error);
+  return absl::OkStatus();
+}
+
 absl::Status Run(CommandLine line) {
+  const std::filesystem::path out = line.out;
   RS_ASSIGN_OR_RETURN(const Rig rig, ReadRig(line.rig));
+  RS_RETURN_IF_ERROR(PrepareFolder(out));
   if (!line.quiet) {
     line.trace.progress = [](const std::string& text) {
       std::fprintf(stderr, "calibrate: %s\n", text.c_str());
     };
   }
   RS_ASSIGN_OR_RETURN(Calibration calibration, Calibrate(rig, line.trace));
-  const std::filesystem::path out = line.out;
-  std::error_code error;
-  std::filesystem::create_directories(out, error);
-  if (error)
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--out %s: cannot be made: %s", line.out, error.message()));
   CalibrationReport& report = calibration.report;
   calibration.after.file = std::filesystem::absolute(out / "rig_after.yaml").string();
   report.model_out = "rig_after.yaml";
   RS_RETURN_IF_ERROR(WriteFileAtomically(calibration.after.file, WriteRig(calibration.after)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.html").string(), ReportHtml(report)));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.html").string(), ReportHtml(report)));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.json").string(), ReportJson(report)));
   std::printf("%s: %s\n", report.rig.c_str(), VerdictName(report.verdict));

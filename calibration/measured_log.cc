@@ -206,6 +206,7 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointReco
   const LocalQuadratic fit = SmoothMotion(motion, dt, kSmoothing);
   record.start_noise_q = fit.value_noise;
   record.start_noise_dq = fit.first_noise;
+  record.acceleration_noise = fit.second_noise;
   record.q_smooth = fit.value;
   record.dq = fit.first;
   record.ddq = fit.second;

@@ -17,10 +17,10 @@ struct JointRecord {
   std::vector<double> tau;          // tau_<joint> [Nm]
   std::vector<double> temperature;  // temp_<joint> [deg C]
   std::vector<double> enable;       // 0 where the drive is off; empty: always on
-  // From q (of a transmission q_motor) by local quadratics, and what noise is in the first two
-  // [rad, rad/s].
+  // From q (of a transmission q_motor) by local quadratics, and what noise is in them
+  // [rad, rad/s, rad/s^2].
   std::vector<double> q_smooth, dq, ddq;
-  double start_noise_q = 0, start_noise_dq = 0;
+  double start_noise_q = 0, start_noise_dq = 0, acceleration_noise = 0;
   // [rad] standard deviation of q about those; of a transmission of both readings together.
   double noise = 0;
 };
