@@ -185,8 +185,51 @@ absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& 
   return record;
 }
 
-absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointRecord& record,
-                       double dt, std::vector<std::string>& notes) {
+double Rms(const std::vector<double>& values) {
+  double sum = 0;
+  for (const double value : values) sum += value * value;
+  return std::sqrt(sum / static_cast<double>(values.size()));
+}
+
+// Standard deviation of white noise on a signal that is smooth but for some corners: of its third
+// differences, whose median size corners do not move.
+double NoiseBetweenCorners(const std::vector<double>& signal) {
+  std::vector<double> sizes;
+  for (size_t i = 3; i < signal.size(); ++i)
+    sizes.push_back(std::abs(signal[i] - 3 * signal[i - 1] + 3 * signal[i - 2] - signal[i - 3]));
+  std::nth_element(sizes.begin(), sizes.begin() + sizes.size() / 2, sizes.end());
+  return sizes[sizes.size() / 2] / 0.6745 / std::sqrt(20.0);
+}
+
+// Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
+// step leaves; from where a free run starts the rounding grows with time.
+void AdoptVelocity(const std::string& joint, const std::vector<double>& logged,
+                   const std::vector<double>& motion, double dt, JointRecord& record,
+                   std::vector<std::string>& notes) {
+  constexpr double kDisagreement = 0.5;  // of the velocity; the motor's may differ from the link's
+  // Of the derivative by a local quadratic: noise over the root of the sum of squared row numbers.
+  const double rows = kSmoothing * (kSmoothing + 1) * (2 * kSmoothing + 1) / 3.0;
+  const double derived = NoiseBetweenCorners(motion) / (dt * std::sqrt(rows));
+  const double noise = NoiseBetweenCorners(logged), speed = Rms(record.dq);
+  std::vector<double> difference(logged.size());
+  for (size_t i = 0; i < logged.size(); ++i) difference[i] = logged[i] - record.dq[i];
+  const double apart = Rms(difference);
+  if (apart > kDisagreement * speed + 3 * (noise + derived)) {
+    notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", apart,
+                                 " (rms) from the derivative of the position, which moves at ",
+                                 speed, "; it is not used"));
+  } else if (noise > 1e-3 * speed && noise > derived) {
+    notes.push_back(absl::StrCat(joint, ": dq_", joint, " has noise of ", noise,
+                                 ", the derivative of the position of ", derived,
+                                 "; it is not used"));
+  } else {
+    record.dq = logged;
+    if (noise <= 1e-3 * speed) record.ddq = FitLocalQuadratics(logged, dt, 1).first;
+  }
+}
+
+absl::Status GateJoint(const std::string& file, const RigJoint& joint,
+                       const std::vector<double>& logged_velocity, JointRecord& record, double dt, std::vector<std::string>& notes) {
   for (auto* angle : {&record.q, &record.q_motor}) {
     if (const int wraps = Unwrap(*angle); wraps > 0)
       notes.push_back(absl::StrCat(joint.name, ": ", wraps, " jumps by a whole turn taken out"));
@@ -197,6 +240,8 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointReco
   record.q_smooth = fit.value;
   record.dq = fit.first;
   record.ddq = fit.second;
+  if (!logged_velocity.empty())
+    AdoptVelocity(joint.name, logged_velocity, motion, dt, record, notes);
   record.noise = FitLocalQuadratics(record.q, dt, kSmoothing).noise;
   const double range = RangeOf(record.q);
   if (range == 0)
@@ -246,7 +291,9 @@ absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& declar
          {&record.command, &record.q, &record.q_motor, &record.tau, &record.temperature}) {
       if (clock < 0 && !channel->empty()) *channel = Resample(*t, *channel, log.dt);
     }
-    RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, record, log.dt, log.notes));
+    std::vector<double> velocity = channels.Optional("dq_" + joint.name);
+    if (clock < 0 && !velocity.empty()) velocity = Resample(*t, velocity, log.dt);
+    RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, velocity, record, log.dt, log.notes));
     log.joints.push_back(std::move(record));
   }
   log.rows = static_cast<int>(log.joints.front().q.size());

@@ -16,7 +16,8 @@ struct JointRecord {
   std::vector<double> q_motor;      // q_motor_<joint> [rad], of a transmission
   std::vector<double> tau;          // tau_<joint> [Nm]
   std::vector<double> temperature;  // temp_<joint> [deg C]
-  // From q (of a transmission q_motor) by local quadratics over `kSmoothing` rows each side.
+  // From q (of a transmission q_motor) by local quadratics over `kSmoothing` rows each side; dq is
+  // dq_<joint> where the file has it and it is the derivative of q with no more noise.
   std::vector<double> q_smooth, dq, ddq;
   double noise = 0;  // [rad] standard deviation of q about those
 };
