@@ -29,7 +29,8 @@ absl::StatusOr<EffectInstance> MakeInstance(const RigJoint& joint, const Declare
 
 }  // namespace
 
-absl::StatusOr<JointModel> DeclaredModel(const RigJoint& joint, const Plant& plant, int index) {
+absl::StatusOr<JointModel> DeclaredModel(const Rig& rig, const Plant& plant, int index) {
+  const RigJoint& joint = rig.joints[index];
   JointModel model;
   model.input = joint.input;
   model.servo = joint.servo;
@@ -41,7 +42,18 @@ absl::StatusOr<JointModel> DeclaredModel(const RigJoint& joint, const Plant& pla
   model.spring_rest = passive.spring_rest;
   for (const DeclaredEffect& declared : joint.effects) {
     RS_ASSIGN_OR_RETURN(EffectInstance instance, MakeInstance(joint, declared));
+    for (size_t i = 0; i < rig.joints.size(); ++i)
+      if (rig.joints[i].name == declared.partner) instance.partner = static_cast<int>(i);
+    if (declared.type == "cross_joint_coupling" &&
+        (instance.partner < 0 || instance.partner == index))
+      return absl::InvalidArgumentError(
+          absl::StrCat(rig.file, ": joint '", joint.name, "': cross_joint_coupling: partner is '",
+                       declared.partner, "', must be another joint of the rig"));
     model.effects.push_back(std::move(instance));
+  }
+  for (const auto& [name, value] : joint.parameters) {
+    RS_ASSIGN_OR_RETURN(double* target, FindValue(model, name));
+    *target = value;
   }
   return model;
 }
@@ -60,7 +72,9 @@ absl::StatusOr<double*> FindValue(JointModel& model, const std::string& path) {
       {"servo.vin", &model.servo.vin},
       {"torque_offset", &model.torque_offset},
       {"torque_gain", &model.torque_gain},
-      {"position_offset", &model.position_offset}};
+      {"position_offset", &model.position_offset},
+      {"command_shift", &model.command_shift},
+      {"force_lag", &model.force_lag}};
   std::vector<std::string> known;
   for (const auto& [name, value] : values) {
     if (name == path) return value;

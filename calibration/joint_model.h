@@ -15,6 +15,7 @@ namespace robostress::calibration {
 struct EffectInstance {
   const EffectInfo* info = nullptr;
   std::vector<double> values;
+  int partner = -1;  // joint of the rig whose position cross_joint_coupling reads
 };
 
 // Everything that the prediction of one joint depends on beside logs and rigid body.
@@ -30,11 +31,16 @@ struct JointModel {
   double torque_offset = 0;    // [Nm]
   double torque_gain = 1;      // of the drive
   double position_offset = 0;  // [rad], of the reading
+  // What a log leaves open within one row, free in every fit of a motion: when within its row a
+  // command acts (it holds from `command_shift` rows after its time stamp), and how old the
+  // position is that servo and gravity act on (integrators and sampled servos differ in it).
+  double command_shift = 0;  // [rows]
+  double force_lag = 0;      // [s]
   std::vector<EffectInstance> effects;
 };
 
-// The declared model of a rig's joint.
-absl::StatusOr<JointModel> DeclaredModel(const RigJoint& joint, const Plant& plant, int index);
+// The declared model of joint `index` of a rig.
+absl::StatusOr<JointModel> DeclaredModel(const Rig& rig, const Plant& plant, int index);
 
 // The number that `path` names: a model parameter ("armature", "servo.kp") or
 // "<effect>.<parameter>". NotFound lists what there is.

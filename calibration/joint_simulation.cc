@@ -15,6 +15,8 @@ struct JointSimulation::Chain {
       by_stage[static_cast<int>(effect.info->stage)].push_back(object);
       needs_payload |= effect.info->type == "payload";
       needs_tilt |= effect.info->type == "base_tilt";
+      has_state |= object->HasState();
+      if (effect.partner >= 0) partner = effect.partner;
     }
     offset = model.position_offset;
   }
@@ -47,7 +49,8 @@ struct JointSimulation::Chain {
   std::vector<std::unique_ptr<JointEffect>> objects;
   std::vector<JointEffect*> by_stage[5];
   double offset = 0;
-  bool needs_payload = false, needs_tilt = false;
+  bool needs_payload = false, needs_tilt = false, has_state = false;
+  int partner = -1;
 };
 
 struct JointSimulation::State {
@@ -82,8 +85,9 @@ JointSimulation::JointSimulation(const JointTrack& track) : track_(track) {
 
 JointSimulation::~JointSimulation() = default;
 
-void JointSimulation::Predict(const JointModel& model, int window, absl::Span<double> predicted) {
-  Chain chain(model);
+// The command of every sub-step: held from `command_shift` rows after its row on, averaged over the
+// sub-step, through the effects of the command stage.
+void JointSimulation::ShapeCommands(const JointModel& model, Chain& chain) {
   const JointRecord& record = track_.record();
   const std::vector<double>& given = model.input == JointInput::kPositionTarget ? record.command
                                      : model.input == JointInput::kTransmission ? record.q_motor
@@ -95,16 +99,38 @@ void JointSimulation::Predict(const JointModel& model, int window, absl::Span<do
   JointMoment moment;
   moment.h = track_.log->dt / steps;
   for (JointEffect* effect : command_stage) effect->Reset(moment);
+  const auto integral = [&](double at) {  // of the held commands from row 0 [rows]
+    at = std::clamp(at, 0.0, static_cast<double>(given.size()));
+    const size_t row = std::min(static_cast<size_t>(at), given.size() - 1);
+    return sums_[row] + (at - static_cast<double>(row)) * given[row];
+  };
+  const bool shifted = model.command_shift != 0 && model.input != JointInput::kTransmission;
+  if (shifted) {
+    sums_.assign(given.size() + 1, 0);
+    for (size_t i = 0; i < given.size(); ++i) sums_[i + 1] = sums_[i] + given[i];
+  }
   for (size_t i = 0; i < count; ++i) {
     double command = given[i / steps];
+    if (shifted) {
+      const double begin = static_cast<double>(i) / steps - model.command_shift;
+      const double low = std::max(begin, 0.0);
+      const double high = std::min(begin + 1.0 / steps, static_cast<double>(given.size()));
+      if (high > low) command = (integral(high) - integral(low)) / (high - low);
+    }
     moment.t = static_cast<double>(i) * moment.h;
     for (JointEffect* effect : command_stage) command = effect->Command(command, moment);
     commands_[i] = command;
   }
+}
+
+void JointSimulation::Predict(const JointModel& model, int window, const std::vector<char>& chosen,
+                              StartOffset offset, absl::Span<double> predicted) {
+  Chain chain(model);
+  ShapeCommands(model, chain);
   switch (model.input) {
     case JointInput::kPositionTarget:
     case JointInput::kTorque:
-      return FreeRun(model, chain, window, predicted);
+      return FreeRun(model, chain, window, chosen, offset, predicted);
     case JointInput::kTransmission:
       return Transmission(chain, predicted);
     case JointInput::kInverse:
@@ -115,8 +141,8 @@ void JointSimulation::Predict(const JointModel& model, int window, absl::Span<do
 namespace {
 
 // Fills what depends on posture and time alone.
-void Describe(const JointTrack& track, const PlantRow& plant, bool payload, bool tilt, int row,
-              double q, JointMoment& moment, double& gravity) {
+void Describe(const JointTrack& track, const PlantRow& plant, bool payload, bool tilt, int partner,
+              int row, double q, JointMoment& moment, double& gravity) {
   double cos_q = 1, sin_q = 0;
   if (track.single && (plant.gravity.a != 0 || plant.gravity.b != 0 || payload || tilt)) {
     cos_q = std::cos(q);
@@ -134,7 +160,7 @@ void Describe(const JointTrack& track, const PlantRow& plant, bool payload, bool
   if (tilt) {
     for (int i = 0; i < 2; ++i) moment.tilt_gravity[i] = value(plant.tilt_gravity[i]);
   }
-  if (track.coupled >= 0) moment.coupled_q = track.log->joints[track.coupled].q_smooth[row];
+  if (partner >= 0) moment.coupled_q = track.log->joints[partner].q_smooth[row];
 }
 
 }  // namespace
@@ -142,14 +168,16 @@ void Describe(const JointTrack& track, const PlantRow& plant, bool payload, bool
 void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, double command,
                               State& s) {
   const PlantRow& p = plant(row);
-  const double middle = s.q + 0.5 * h_ * s.dq;
+  const double lead = 0.5 * h_ - model.force_lag;
+  const double middle = s.q + lead * s.dq;
   JointMoment moment;
   moment.t = s.t;
   moment.h = h_;
   moment.q = middle;
   moment.dq = s.dq;
   double gravity = 0;
-  Describe(track_, p, chain.needs_payload, chain.needs_tilt, row, middle, moment, gravity);
+  Describe(track_, p, chain.needs_payload, chain.needs_tilt, chain.partner, row, middle, moment,
+           gravity);
 
   Asked asked{command, 0};
   if (model.input == JointInput::kPositionTarget) {
@@ -166,16 +194,18 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
     torque += effect->Torque(moment, dry);
     if (chain.needs_payload) inertia += effect->Inertia(moment);
   }
-  // Implicit in damping and kd: (M + h d) dv = h torque.
-  const double kick = h_ / (inertia + h_ * (model.damping + model.torque_gain * asked.slope));
+  // Exact for damping and kd while the other torques hold, up to x^3 of x = h d / M:
+  // h / M (1 - e^-x) / x; positive and without overshoot for every x.
+  const double x = h_ * (model.damping + model.torque_gain * asked.slope) / inertia;
+  const double kick = h_ / (inertia * (1 + x * (1.0 / 2 + x / 12)));
   double next = s.dq + kick * torque;
   if (next > 0) {
     next = std::max(0.0, next - kick * std::max(0.0, dry.forward));
   } else {
     next = std::min(0.0, next + kick * std::max(0.0, dry.backward));
   }
+  s.q += 0.5 * h_ * (s.dq + next);
   s.dq = next;
-  s.q = middle + 0.5 * h_ * next;
   s.t += h_;
   moment.q = s.q;
   moment.dq = s.dq;
@@ -206,8 +236,8 @@ void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int
       moment.q = link - s.offset;
       moment.dq = record.dq[row] + share * (record.dq[row + 1] - record.dq[row]);
       double gravity = 0;
-      Describe(track_, plant(row), chain.needs_payload, chain.needs_tilt, row, moment.q, moment,
-               gravity);
+      Describe(track_, plant(row), chain.needs_payload, chain.needs_tilt, chain.partner, row,
+               moment.q, moment, gravity);
       const double command = commands_[static_cast<size_t>(row) * sub_steps_ + i];
       double asked = command;
       if (model.input == JointInput::kPositionTarget) {
@@ -224,20 +254,26 @@ void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int
   start_at(last);
   if (first == last) {
     double gravity = 0;
-    Describe(track_, plant(first), chain.needs_payload, chain.needs_tilt, first, s.q, moment,
-             gravity);
+    Describe(track_, plant(first), chain.needs_payload, chain.needs_tilt, chain.partner, first, s.q,
+             moment, gravity);
     chain.Reset(moment);
   }
 }
 
 void JointSimulation::FreeRun(const JointModel& model, Chain& chain, int window,
+                              const std::vector<char>& chosen, StartOffset offset,
                               absl::Span<double> predicted) {
   const int rows = track_.log->rows;
   if (window <= 0) window = rows;
-  const int warm_up = static_cast<int>(kWarmUp / track_.log->dt);
+  const int warm_up = chain.objects.empty() ? 0
+                      : chain.has_state     ? static_cast<int>(kWarmUp / track_.log->dt)
+                                            : 1;
   for (int start = 0; start < rows; start += window) {
+    if (!chosen.empty() && chosen[start / window] == 0) continue;
     State state;
     Lead(model, chain, std::max(0, start - warm_up), start, state);
+    state.q += offset.q;
+    state.dq += offset.dq;
     const int end = std::min(rows, start + window);
     for (int row = start; row < end; ++row) {
       predicted[row] = chain.Reading(state.q + state.offset);
@@ -273,7 +309,8 @@ void JointSimulation::Inverse(const JointModel& model, Chain& chain, absl::Span<
     moment.q = chain.LinkOf(record.q_smooth[row]);
     moment.dq = record.dq[row];
     double gravity = 0;
-    Describe(track_, p, chain.needs_payload, chain.needs_tilt, row, moment.q, moment, gravity);
+    Describe(track_, p, chain.needs_payload, chain.needs_tilt, chain.partner, row, moment.q, moment,
+             gravity);
     const double given = commands_[static_cast<size_t>(row) * sub_steps_];
     moment.drive = model.torque_gain * chain.Drive(given, moment);
     if (row == 0) chain.Reset(moment);

@@ -14,7 +14,6 @@ namespace robostress::calibration {
 struct JointTrack {
   const MeasuredLog* log = nullptr;
   int joint = 0;               // index in the rig
-  int coupled = -1;            // joint whose position cross_joint_coupling reads, or -1
   bool single = true;          // of the plant
   std::vector<PlantRow> rows;  // one, or one per row of the log
   const JointRecord& record() const { return log->joints[joint]; }
@@ -39,13 +38,22 @@ class JointSimulation {
   explicit JointSimulation(const JointTrack& track);
   ~JointSimulation();
 
-  // predicted [rows]. window [rows]: 0 is the whole log.
-  void Predict(const JointModel& model, int window, absl::Span<double> predicted);
+  // Added to where free runs start.
+  struct StartOffset {
+    double q = 0;   // [rad]
+    double dq = 0;  // [rad/s]
+  };
+  // predicted [rows]. window [rows]: 0 is the whole log. `chosen` [windows]: rows of windows that
+  // it holds zero for may be left as they are; empty: all.
+  void Predict(const JointModel& model, int window, const std::vector<char>& chosen,
+               StartOffset offset, absl::Span<double> predicted);
 
  private:
   struct Chain;
   struct State;
-  void FreeRun(const JointModel& model, Chain& chain, int window, absl::Span<double> predicted);
+  void ShapeCommands(const JointModel& model, Chain& chain);
+  void FreeRun(const JointModel& model, Chain& chain, int window, const std::vector<char>& chosen,
+               StartOffset offset, absl::Span<double> predicted);
   void Transmission(Chain& chain, absl::Span<double> predicted);
   void Inverse(const JointModel& model, Chain& chain, absl::Span<double> predicted);
   void SubStep(const JointModel& model, Chain& chain, int row, double command, State& state);
@@ -58,6 +66,7 @@ class JointSimulation {
   int sub_steps_;
   double h_;
   std::vector<double> commands_;  // [rows * sub_steps] after the command stage
+  std::vector<double> sums_;      // of the given commands, one more than rows
 };
 
 }  // namespace robostress::calibration

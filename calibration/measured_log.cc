@@ -243,6 +243,7 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   if (!logged_velocity.empty())
     AdoptVelocity(joint.name, logged_velocity, motion, dt, record, notes);
   record.noise = FitLocalQuadratics(record.q, dt, kSmoothing).noise;
+  if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, fit.noise);
   const double range = RangeOf(record.q);
   if (range == 0)
     return absl::InvalidArgumentError(

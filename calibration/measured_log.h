@@ -19,7 +19,8 @@ struct JointRecord {
   // From q (of a transmission q_motor) by local quadratics over `kSmoothing` rows each side; dq is
   // dq_<joint> where the file has it and it is the derivative of q with no more noise.
   std::vector<double> q_smooth, dq, ddq;
-  double noise = 0;  // [rad] standard deviation of q about those
+  // [rad] standard deviation of q about those; of a transmission of both readings together.
+  double noise = 0;
 };
 
 struct MeasuredLog {

@@ -2,8 +2,7 @@
 
 #include <mujoco/mujoco.h>
 
-#include <Eigen/Core>
-#include <Eigen/Geometry>
+#include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 #include <filesystem>

@@ -142,12 +142,15 @@ absl::StatusOr<DeclaredEffect> ReadEffect(const Entry& entry) {
   RS_ASSIGN_OR_RETURN(effect.type, entry["type"].Text());
   const auto info = FindEffect(effect.type);
   if (!info.ok()) return entry["type"].Error(info.status().message());
-  std::vector<std::string> keys = {"type", "fit"};
+  std::vector<std::string> keys = {"type", "fit", "partner"};
   for (const EffectParameter& parameter : (*info)->parameters) keys.push_back(parameter.name);
   RS_RETURN_IF_ERROR(entry.CheckKeys(keys));
   for (const EffectParameter& parameter : (*info)->parameters) {
     if (!entry[parameter.name].present()) continue;
     RS_ASSIGN_OR_RETURN(effect.parameters[parameter.name], entry[parameter.name].Number());
+  }
+  if (entry["partner"].present()) {
+    RS_ASSIGN_OR_RETURN(effect.partner, entry["partner"].Text());
   }
   RS_ASSIGN_OR_RETURN(effect.fit, entry["fit"].Texts());
   for (const std::string& name : effect.fit) {
@@ -159,7 +162,7 @@ absl::StatusOr<DeclaredEffect> ReadEffect(const Entry& entry) {
 
 absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
   RigJoint joint;
-  RS_RETURN_IF_ERROR(entry.CheckKeys({"name", "input", "servo", "fit", "effects"}));
+  RS_RETURN_IF_ERROR(entry.CheckKeys({"name", "input", "servo", "parameters", "fit", "effects"}));
   RS_ASSIGN_OR_RETURN(joint.name, entry["name"].Text());
   if (!entry["input"].present()) return entry["input"].Error("is missing");
   RS_RETURN_IF_ERROR(entry["input"].Choice(kInputs, joint.input));
@@ -168,9 +171,17 @@ absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
   } else if (joint.input == JointInput::kPositionTarget) {
     return entry["servo"].Error("is missing; input position_target drives a servo");
   }
+  const auto& known = ModelParameterNames();
+  const Entry parameters = entry["parameters"];
+  if (parameters.present()) {
+    RS_RETURN_IF_ERROR(parameters.CheckKeys(known));
+    for (const auto& pair : parameters.node()) {
+      RS_ASSIGN_OR_RETURN(joint.parameters[pair.first.Scalar()],
+                          parameters[pair.first.Scalar()].Number());
+    }
+  }
   RS_ASSIGN_OR_RETURN(joint.fit, entry["fit"].Texts());
   for (const std::string& name : joint.fit) {
-    const auto& known = ModelParameterNames();
     if (std::find(known.begin(), known.end(), name) == known.end())
       return entry["fit"].Error("unknown parameter '", name,
                                 "'; known: ", absl::StrJoin(known, ", "));
@@ -271,8 +282,8 @@ absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file) {
 
 const std::vector<std::string>& ModelParameterNames() {
   static const auto& names = *new std::vector<std::string>{
-      "armature", "mass_scale",    "damping",         "frictionloss", "servo.kp",
-      "servo.kd", "torque_offset", "position_offset", "torque_gain"};
+      "armature",      "mass_scale",      "damping",     "frictionloss",  "servo.kp", "servo.kd",
+      "torque_offset", "position_offset", "torque_gain", "command_shift", "force_lag"};
   return names;
 }
 
@@ -313,12 +324,15 @@ std::string WriteRig(const Rig& rig) {
       out << YAML::Key << "feedback" << YAML::Value << NameOf(kFeedbacks, s.feedback);
       out << YAML::EndMap;
     }
+    if (!joint.parameters.empty())
+      out << YAML::Key << "parameters" << YAML::Value << YAML::Flow << joint.parameters;
     if (!joint.fit.empty()) out << YAML::Key << "fit" << YAML::Value << YAML::Flow << joint.fit;
     out << YAML::Key << "effects" << YAML::Value << YAML::BeginSeq;
     for (const DeclaredEffect& effect : joint.effects) {
       out << YAML::Flow << YAML::BeginMap << YAML::Key << "type" << YAML::Value << effect.type;
       for (const auto& [name, value] : effect.parameters)
         out << YAML::Key << name << YAML::Value << value;
+      if (!effect.partner.empty()) out << YAML::Key << "partner" << YAML::Value << effect.partner;
       if (!effect.fit.empty()) out << YAML::Key << "fit" << YAML::Value << effect.fit;
       out << YAML::EndMap;
     }

@@ -40,13 +40,16 @@ struct DeclaredEffect {
   std::string type;                          // of the effect library
   std::map<std::string, double> parameters;  // what is not listed has the library's start
   std::vector<std::string> fit;              // parameters that are estimated
+  std::string partner;                       // cross_joint_coupling: the joint that it reads
 };
 
 struct RigJoint {
   std::string name;
   JointInput input = JointInput::kPositionTarget;
   Servo servo;
-  std::vector<std::string> fit;  // of ModelParameterNames()
+  // Values of ModelParameterNames() that differ from the MJCF's, or have none there.
+  std::map<std::string, double> parameters;
+  std::vector<std::string> fit;  // of ModelParameterNames(), and command_shift, force_lag
   std::vector<DeclaredEffect> effects;
 };
 

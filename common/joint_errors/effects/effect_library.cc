@@ -28,7 +28,8 @@ EffectParameter Limit(const char* name, const char* unit, EffectScale scale,
 }
 EffectParameter Wavelength(const char* unit) {
   EffectParameter parameter = {"wavelength", unit, kPosition, 0.02, 8, {}};
-  for (double w = 4; w > 0.04; w *= 0.9) parameter.starts.push_back(w);
+  // A grid of spatial frequencies: half a period more over the range travelled, 2 P, each.
+  for (int k = 1; k <= 80; ++k) parameter.starts.push_back(4.0 / k);
   return parameter;
 }
 EffectParameter Fixed(const char* name, const char* unit, double lower, double upper,
@@ -157,7 +158,7 @@ std::vector<EffectInfo> MakeLibrary() {
        effects::PositionDependentTorque},
       {"cable_spring",
        kJoint,
-       {Signed("k", "Nm/rad", kTorquePerPosition, 2, 0.03), Signed("q0", "rad", kPosition, 4, 0)},
+       {Signed("k", "Nm/rad", kTorquePerPosition, 2, 0.03), {"q0", "rad", kPosition, -4, 4, {0, 1, -1}}},
        {0},
        "torque -k (q - q0)",
        "a wide range of positions",

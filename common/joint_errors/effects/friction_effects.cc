@@ -96,6 +96,7 @@ class PreslidingEffect : public CopyableEffect<PreslidingEffect> {
     x_s_ = p[1];
   }
   void Reset(const JointMoment&) override { z_ = 0; }
+  bool HasState() const override { return true; }
   double Torque(const JointMoment& m, DryFriction&) override {
     const double way = m.dq * m.h, end = way > 0 ? 1 : -1;
     if (way != 0) z_ = end + (z_ - end) * std::exp(-std::abs(way) / x_s_);

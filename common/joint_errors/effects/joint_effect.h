@@ -48,6 +48,8 @@ class JointEffect {
   virtual void SetParameters(absl::Span<const double> values) = 0;
   // State of a joint at rest at this moment.
   virtual void Reset(const JointMoment&) {}
+  // Whether what it does depends on what happened before.
+  virtual bool HasState() const { return false; }
 
   // kCommand: the command that arrives; `command` is the one given over this sub-step.
   virtual double Command(double command, const JointMoment&) { return command; }

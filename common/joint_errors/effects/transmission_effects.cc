@@ -27,6 +27,7 @@ class BacklashEffect : public CopyableEffect<BacklashEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { law_.B = p[0]; }
   void Reset(const JointMoment& m) override { gap_.Reset(m.q); }
+  bool HasState() const override { return true; }
   double Offset(const JointMoment& m) override { return gap_.Step(law_, m.q); }
 
  private:
@@ -47,6 +48,7 @@ class ComplianceEffect : public CopyableEffect<ComplianceEffect> {
   void Reset(const JointMoment& m) override {
     deflection_.Reset(Compliance::Equilibrium(law_, m.drive));
   }
+  bool HasState() const override { return true; }
   double Offset(const JointMoment& m) override { return deflection_.Step(law_, m.drive, m.h); }
 
  private:

@@ -1,0 +1,390 @@
+#include "calibration/calibrate.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "calibration/residual_tests.h"
+#include "calibration/verdict.h"
+#include "common/status_macros.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr double kBlock = 0.5;    // [s] windows of inputs that are no motion
+constexpr double kExample = 4.0;  // [s] of a log that the report shows
+
+const char* InputName(JointInput input) {
+  switch (input) {
+    case JointInput::kPositionTarget:
+      return "position_target";
+    case JointInput::kTorque:
+      return "torque";
+    case JointInput::kInverse:
+      return "inverse";
+    case JointInput::kTransmission:
+      return "transmission";
+  }
+  return "";
+}
+
+// Unit of the report and how many of it one SI unit is.
+std::pair<std::string, double> ReportUnit(const Metric& metric, JointInput input, bool hinge) {
+  static const std::vector<std::pair<std::string, double>> known = {
+      {"rad", 1}, {"mrad", 1e3}, {"deg", 180 / M_PI}, {"mdeg", 180e3 / M_PI},
+      {"m", 1},   {"mm", 1e3},   {"um", 1e6},         {"Nm", 1},
+      {"N", 1}};
+  for (const auto& [unit, factor] : known)
+    if (unit == metric.unit) return {unit, factor};
+  if (input == JointInput::kInverse) return {hinge ? "Nm" : "N", 1};
+  return {hinge ? "rad" : "m", 1};
+}
+
+// One joint of a rig with all that its trace needs.
+class JointCalibration {
+ public:
+  JointCalibration(const Rig& rig, const Plant& plant, const std::vector<MeasuredLog>& logs,
+                   int joint, const TraceOptions& options)
+      : rig_(rig),
+        plant_(plant),
+        joint_(rig.joints[joint]),
+        index_(joint),
+        options_(options),
+        tracks_(MakeTracks(plant, logs, joint)),
+        problem_(joint_.name, tracks_, WindowRows()) {
+    std::tie(unit_, factor_) = ReportUnit(rig.metric, joint_.input, plant.hinge(joint));
+  }
+
+  absl::Status Run(JointReport& report, RigJoint& after) {
+    RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(rig_, plant_, index_));
+    const SignalScales scales = MeasureScales(joint_, tracks_);
+    RS_ASSIGN_OR_RETURN(Hypothesis declared,
+                        DeclaredHypothesis(joint_, model, scales, MeanInertia()));
+    problem_.LinearizeStarts(model);
+    declared = Minimise(problem_, declared, WindowsOf(problem_, LogRole::kFit)).best;
+    problem_.LinearizeStarts(ModelAt(declared, declared.x));
+    std::vector<int> others;
+    for (int i = 0; i < static_cast<int>(rig_.joints.size()); ++i)
+      if (i != index_) others.push_back(i);
+    const Trace trace = TraceJoint(problem_, declared, scales, others, rig_.folds, options_);
+    Describe(trace, report);
+    Write(trace.after.fit.best, after);
+    return absl::OkStatus();
+  }
+
+ private:
+  static std::vector<JointTrack> MakeTracks(const Plant& plant,
+                                            const std::vector<MeasuredLog>& logs, int joint) {
+    std::vector<JointTrack> tracks;
+    for (const MeasuredLog& log : logs)
+      tracks.push_back({&log, joint, plant.single(), plant.Rows(joint, log)});
+    return tracks;
+  }
+  int WindowRows() const {
+    const bool motion =
+        joint_.input == JointInput::kPositionTarget || joint_.input == JointInput::kTorque;
+    const double seconds = motion ? rig_.metric.window_s : kBlock;
+    return static_cast<int>(std::round(seconds / tracks_.front().log->dt));
+  }
+  double MeanInertia() const {
+    double sum = 0, count = 0;
+    for (const JointTrack& track : tracks_)
+      for (const PlantRow& row : track.rows) sum += row.inertia, count += 1;
+    return count > 0 ? sum / count : 0;
+  }
+
+  void Describe(const Trace& trace, JointReport& report) const {
+    const Hypothesis& before = trace.declared.fit.best;
+    const Hypothesis& later = trace.after.fit.best;
+    const JointModel declared = ModelAt(before, before.x), after = ModelAt(later, later.x);
+    report.joint = joint_.name;
+    report.input = InputName(joint_.input);
+    report.unit = unit_;
+    report.rounds = trace.rounds;
+    for (RoundReport& round : report.rounds) round.cv_error *= factor_;
+    report.not_testable = trace.not_testable;
+    report.fit = Errors(declared, after, LogRole::kFit);
+    report.held_out = Errors(declared, after, LogRole::kHeldOut);
+    report.transfer = Errors(declared, after, LogRole::kTransfer);
+    report.cross_validated = {factor_ * trace.declared.cv.Rms(), factor_ * trace.after.cv.Rms(),
+                              factor_ * problem_.ProjectedFloor(Fit()), true};
+    report.full_run = FullRun(declared, after);
+    report.declared_parameters = Parameters(trace.declared.fit, "");
+    report.after_parameters = Parameters(trace.after.fit, "");
+    report.mimics_exposed = MimicsExposed(trace, report);
+    DescribeEffects(trace, report);
+    DescribeResidual(declared, after, report);
+    const Judgement judgement = Judge(EvidenceOf(trace, declared, after, report));
+    report.verdict = judgement.verdict;
+    report.because = judgement.because;
+    report.excess_explained = judgement.excess_explained;
+  }
+
+  WindowSet Fit() const { return WindowsOf(problem_, LogRole::kFit); }
+  // Held out where there is something held out, else fitted.
+  WindowSet Unseen() const {
+    WindowSet held_out = WindowsOf(problem_, LogRole::kHeldOut);
+    return problem_.Rows(held_out) > 0 ? held_out : Fit();
+  }
+
+  ErrorReport Errors(const JointModel& declared, const JointModel& after, LogRole role) const {
+    const WindowSet windows = WindowsOf(problem_, role);
+    if (problem_.Rows(windows) == 0) return {};
+    return {factor_ * problem_.Rms(declared, windows), factor_ * problem_.Rms(after, windows),
+            factor_ * problem_.Floor(windows), true};
+  }
+  ErrorReport FullRun(const JointModel& declared, const JointModel& after) const {
+    if (joint_.input == JointInput::kInverse || joint_.input == JointInput::kTransmission)
+      return {};
+    const JointProblem whole(joint_.name, tracks_, 0);
+    WindowSet windows = WindowsOf(whole, LogRole::kHeldOut);
+    if (whole.Rows(windows) == 0) windows = WindowsOf(whole, LogRole::kFit);
+    return {factor_ * whole.Rms(declared, windows), factor_ * whole.Rms(after, windows), 0, true};
+  }
+
+  // Free parameters whose path begins with `prefix`, without it.
+  std::vector<ParameterReport> Parameters(const JointFit& fit, const std::string& prefix) const {
+    const std::vector<double> std = StandardDeviations(problem_, fit, Fit());
+    std::vector<ParameterReport> parameters;
+    for (size_t i = 0; i < fit.best.free.size(); ++i) {
+      const FreeParameter& free = fit.best.free[i];
+      if (!absl::StartsWith(free.path, prefix)) continue;
+      parameters.push_back({free.path.substr(prefix.size()), UnitOf(free.path),
+                            free.ToValue(fit.best.x[static_cast<int>(i)]), std[i],
+                            fit.at_bound[i] != 0});
+    }
+    return parameters;
+  }
+  std::string UnitOf(const std::string& path) const {
+    std::string unit;
+    for (const EffectInfo& effect : EffectLibrary())
+      for (const EffectParameter& parameter : effect.parameters)
+        if (path == effect.type + "." + parameter.name) unit = parameter.unit;
+    static const std::vector<std::pair<std::string, std::string>> model = {
+        {"armature", "kg m^2"},    {"mass_scale", "1"},    {"damping", "Nm s/rad"},
+        {"frictionloss", "Nm"},    {"servo.kp", "Nm/rad"}, {"servo.kd", "Nm s/rad"},
+        {"torque_offset", "Nm"},   {"torque_gain", "1"},   {"position_offset", "rad"},
+        {"command_shift", "rows"}, {"force_lag", "s"}};
+    for (const auto& [name, its_unit] : model)
+      if (path == name) unit = its_unit;
+    return unit;
+  }
+
+  // Declared parameters that fell by half or more, beyond their own uncertainty, when an effect
+  // came in.
+  std::vector<std::string> MimicsExposed(const Trace& trace, const JointReport& report) const {
+    std::vector<std::string> exposed;
+    if (trace.after.added.empty()) return exposed;
+    for (const ParameterReport& before : report.declared_parameters) {
+      if (before.name != "torque_offset" && before.name != "position_offset") continue;
+      for (const ParameterReport& later : report.after_parameters) {
+        if (later.name != before.name || std::abs(before.value) < 3 * before.std ||
+            std::abs(later.value) > 0.5 * std::abs(before.value))
+          continue;
+        exposed.push_back(absl::StrFormat("%s falls from %.4g to %.4g %s: it stood in for %s",
+                                          before.name, before.value, later.value, before.unit,
+                                          trace.after.added.front()));
+      }
+    }
+    return exposed;
+  }
+
+  void DescribeEffects(const Trace& trace, JointReport& report) const {
+    const Hypothesis& later = trace.after.fit.best;
+    for (size_t i = 0; i < trace.after.added.size(); ++i) {
+      const std::string& type = trace.after.added[i];
+      AddedEffectReport effect;
+      effect.type = type;
+      effect.parameters = Parameters(trace.after.fit, type + ".");
+      const JointFit without = Minimise(problem_, WithoutEffect(later, type), Fit());
+      effect.held_out_error_before =
+          factor_ * problem_.Rms(ModelAt(without.best, without.best.x), Unseen());
+      effect.held_out_error_after = factor_ * problem_.Rms(ModelAt(later, later.x), Unseen());
+      effect.p_value = trace.after.p_values[i];
+      effect.cv_gain = trace.after.cv_gains[i];
+      effect.ambiguous_with = trace.rivals[i];
+      if (!effect.ambiguous_with.empty()) {
+        std::vector<std::string> group = {type};
+        group.insert(group.end(), effect.ambiguous_with.begin(), effect.ambiguous_with.end());
+        report.groups.push_back(std::move(group));
+        effect.separating_experiment = (*FindEffect(type))->separated_by;
+      }
+      report.effects.push_back(std::move(effect));
+    }
+  }
+
+  void DescribeResidual(const JointModel& declared, const JointModel& after,
+                        JointReport& report) const {
+    const WindowSet windows = Unseen();
+    report.residual_declared = Whiteness(declared, windows);
+    report.residual_after = Whiteness(after, windows);
+    report.structure = MeasureStructure(problem_, declared, after, windows, factor_);
+    NameStrongest(report.structure, false, report.residual_declared);
+    NameStrongest(report.structure, true, report.residual_after);
+    report.examples.push_back(Example(declared, after));
+  }
+  WhitenessReport Whiteness(const JointModel& model, const WindowSet& windows) const {
+    return TestWhiteness(problem_, problem_.Projected(model, windows), windows);
+  }
+  static void NameStrongest(const std::vector<StructureCurve>& curves, bool after,
+                            WhitenessReport& report) {
+    double most = 0;
+    for (const StructureCurve& curve : curves) {
+      const double share = after ? curve.explained_after : curve.explained_declared;
+      if (share <= std::max(most, curve.limit) || curve.limit == 0) continue;
+      most = share;
+      report.strongest =
+          absl::StrFormat("%s holds %.0f %% of the variance", curve.against, 100 * share);
+    }
+    if (most == 0)
+      report.strongest = report.white ? "nothing"
+                                      : "correlated in time, with none of position, "
+                                        "velocity, load and time";
+  }
+
+  // The stretch where the declared model is worst.
+  ExampleReport Example(const JointModel& declared, const JointModel& after) const {
+    const WindowSet windows = Unseen();
+    size_t track = 0;
+    for (size_t i = 0; i < windows.size(); ++i)
+      if (windows[i]) track = problem_.windows()[i].track;
+    const MeasuredLog& log = *tracks_[track].log;
+    const std::vector<double> before = problem_.TrackResidual(declared, track);
+    const std::vector<double> later = problem_.TrackResidual(after, track);
+    const int rows = std::min(log.rows, static_cast<int>(kExample / log.dt));
+    int worst = 0;
+    double energy = 0, most = -1;
+    for (int i = 0; i < log.rows; ++i) {
+      energy += before[i] * before[i] - (i >= rows ? before[i - rows] * before[i - rows] : 0);
+      if (i >= rows - 1 && energy > most) most = energy, worst = i - rows + 1;
+    }
+    ExampleReport example;
+    example.log = log.file;
+    const std::vector<double>& measured = tracks_[track].measured(joint_.input);
+    const int step = std::max(1, rows / 800);
+    for (int i = worst; i < worst + rows; i += step) {
+      example.t.push_back(i * log.dt);
+      example.measured.push_back(factor_ * measured[i]);
+      example.declared.push_back(factor_ * (measured[i] + before[i]));
+      example.after.push_back(factor_ * (measured[i] + later[i]));
+    }
+    return example;
+  }
+
+  Evidence EvidenceOf(const Trace& trace, const JointModel& declared, const JointModel& after,
+                      const JointReport& report) const {
+    const auto rms = [&](const JointModel& model, const WindowSet& windows) {
+      const Eigen::VectorXd r = problem_.Projected(model, windows);
+      return r.size() > 0 ? std::sqrt(r.squaredNorm() / static_cast<double>(r.size())) : 0.0;
+    };
+    Evidence evidence;
+    const WindowSet unseen = Unseen(), transfer = WindowsOf(problem_, LogRole::kTransfer);
+    evidence.declared = rms(declared, unseen);
+    evidence.after = rms(after, unseen);
+    evidence.floor = problem_.ProjectedFloor(unseen);
+    evidence.declared_white = report.residual_declared.white;
+    evidence.transfer_declared = rms(declared, transfer);
+    evidence.transfer_after = rms(after, transfer);
+    evidence.effects = static_cast<int>(trace.after.added.size());
+    evidence.ambiguous = !report.groups.empty();
+    for (const CandidateReport& line : trace.rounds.front().candidates)
+      evidence.significant |= line.p_value <= 0.01;
+    for (const char fits : Fit()) evidence.windows += fits;
+    return evidence;
+  }
+
+  // The rig's joint with what was fitted and added.
+  void Write(const Hypothesis& h, RigJoint& after) const {
+    JointModel model = ModelAt(h, h.x);
+    for (const FreeParameter& free : h.free) {
+      const auto value = FindValue(model, free.path);
+      if (value.ok() && free.path.find('.') == std::string::npos)
+        after.parameters[free.path] = **value;
+    }
+    after.servo = model.servo;
+    after.effects.clear();
+    for (const EffectInstance& instance : model.effects) {
+      DeclaredEffect effect;
+      effect.type = instance.info->type;
+      for (size_t i = 0; i < instance.values.size(); ++i)
+        effect.parameters[instance.info->parameters[i].name] = instance.values[i];
+      if (instance.partner >= 0) effect.partner = rig_.joints[instance.partner].name;
+      after.effects.push_back(std::move(effect));
+    }
+  }
+
+  const Rig& rig_;
+  const Plant& plant_;
+  const RigJoint& joint_;
+  int index_;
+  const TraceOptions& options_;
+  std::vector<JointTrack> tracks_;
+  JointProblem problem_;
+  std::string unit_;
+  double factor_ = 1;
+};
+
+const char* RoleName(LogRole role) {
+  return role == LogRole::kFit ? "fit" : role == LogRole::kHeldOut ? "held_out" : "transfer";
+}
+
+// Equal delays are a property of what the joints share.
+void CompareJoints(CalibrationReport& report) {
+  std::vector<double> delays;
+  for (const JointReport& joint : report.joints)
+    for (const AddedEffectReport& effect : joint.effects)
+      for (const ParameterReport& parameter : effect.parameters)
+        if (parameter.name == "delay_s") delays.push_back(parameter.value);
+  if (delays.size() < 2) return;
+  const auto [low, high] = std::minmax_element(delays.begin(), delays.end());
+  if (delays.size() == report.joints.size() && *high - *low < 0.2 * *high)
+    report.evidence.push_back(
+        absl::StrFormat("every joint has the same delay, %.2f to %.2f ms: a property of the "
+                        "channel (bus, sampling), not of a joint",
+                        *low * 1e3, *high * 1e3));
+}
+
+}  // namespace
+
+absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& options) {
+  const auto begin = std::chrono::steady_clock::now();
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Plant> plant, Plant::Load(rig));
+  std::vector<MeasuredLog> logs;
+  for (const RigLog& log : rig.logs) {
+    RS_ASSIGN_OR_RETURN(MeasuredLog read, ReadMeasuredLog(rig, log));
+    logs.push_back(std::move(read));
+  }
+  Calibration result;
+  result.after = rig;
+  CalibrationReport& report = result.report;
+  report.rig = rig.name;
+  report.rig_file = rig.file;
+  report.model = rig.model;
+  report.n_surrogates = options.surrogates;
+  for (const MeasuredLog& log : logs)
+    report.logs.push_back(
+        {log.file, RoleName(log.role), log.condition, log.rows, log.rows * log.dt, log.notes});
+  for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i) {
+    TraceOptions own = options;
+    own.progress = [&](const std::string& text) {
+      options.progress(absl::StrCat(rig.joints[i].name, ": ", text));
+    };
+    JointCalibration joint(rig, *plant, logs, i, own);
+    JointReport joint_report;
+    RS_RETURN_IF_ERROR(joint.Run(joint_report, result.after.joints[i]));
+    report.joints.push_back(std::move(joint_report));
+  }
+  report.verdict = Combine(report.joints);
+  for (const JointReport& joint : report.joints)
+    report.because +=
+        absl::StrCat(report.because.empty() ? "" : "; ", joint.joint, ": ", joint.because);
+  CompareJoints(report);
+  const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+  report.elapsed_s = elapsed.count();
+  return result;
+}
+
+}  // namespace robostress::calibration

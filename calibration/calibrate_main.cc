@@ -1,0 +1,106 @@
+// robostress-calibrate: finds what a declared model of a measured robot lacks.
+
+#include <cstdio>
+#include <filesystem>
+#include <string>
+
+#include "CLI/CLI.hpp"
+#include "absl/strings/str_format.h"
+#include "calibration/calibrate.h"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr char kExamples[] =
+    "\nExamples\n"
+    "  robostress calibrate --rig rig.yaml --out runs/calibration\n\n"
+    "Reads the rig's logs, fits the declared model, searches the effect library for what it lacks, "
+    "and says\n"
+    "before and after on logs that were not fitted. Leaves report.json, report.html and "
+    "rig_after.yaml.\n"
+    "Exit code: 0 done, whatever the verdict; 1 rig, logs or model are refused; 2 the command is "
+    "wrong.\n";
+
+struct CommandLine {
+  std::string rig, out;
+  TraceOptions trace;
+  bool quiet = false;
+};
+
+absl::Status Run(CommandLine line) {
+  RS_ASSIGN_OR_RETURN(const Rig rig, ReadRig(line.rig));
+  if (!line.quiet) {
+    line.trace.progress = [](const std::string& text) {
+      std::fprintf(stderr, "calibrate: %s\n", text.c_str());
+    };
+  }
+  RS_ASSIGN_OR_RETURN(Calibration calibration, Calibrate(rig, line.trace));
+  const std::filesystem::path out = line.out;
+  std::error_code error;
+  std::filesystem::create_directories(out, error);
+  if (error)
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--out %s: cannot be made: %s", line.out, error.message()));
+  CalibrationReport& report = calibration.report;
+  calibration.after.file = std::filesystem::absolute(out / "rig_after.yaml").string();
+  report.model_out = "rig_after.yaml";
+  RS_RETURN_IF_ERROR(WriteFileAtomically(calibration.after.file, WriteRig(calibration.after)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.json").string(), ReportJson(report)));
+  std::printf("%s: %s\n", report.rig.c_str(), VerdictName(report.verdict));
+  for (const JointReport& joint : report.joints) {
+    const ErrorReport& error = joint.held_out.present ? joint.held_out : joint.fit;
+    std::printf("  %s: %s: %s\n", joint.joint.c_str(), VerdictName(joint.verdict),
+                joint.because.c_str());
+    std::printf("    %s error %.4g -> %.4g %s (noise %.4g)\n",
+                joint.held_out.present ? "held-out" : "fit", error.declared, error.after,
+                joint.unit.c_str(), error.noise_floor);
+    for (const AddedEffectReport& effect : joint.effects) {
+      std::string text;
+      for (const ParameterReport& p : effect.parameters)
+        text += absl::StrFormat(" %s = %.4g +- %.2g %s", p.name, p.value, p.std, p.unit);
+      for (const std::string& rival : effect.ambiguous_with) text += " or " + rival;
+      std::printf("    + %s:%s\n", effect.type.c_str(), text.c_str());
+    }
+    for (const std::string& mimic : joint.mimics_exposed) std::printf("    %s\n", mimic.c_str());
+  }
+  for (const std::string& evidence : report.evidence) std::printf("  %s\n", evidence.c_str());
+  std::printf("  %d surrogates, %.1f s; %s\n", report.n_surrogates, report.elapsed_s,
+              (out / "report.json").string().c_str());
+  return absl::OkStatus();
+}
+
+int Main(int argc, char** argv) {
+  CommandLine line;
+  CLI::App app("Finds what a declared model of a measured robot lacks", "robostress calibrate");
+  app.add_option("--rig", line.rig, "Rig file: model, what is known of its joints, logs")
+      ->required();
+  app.add_option("--out", line.out, "Directory to write")->required();
+  app.add_option("--surrogates", line.trace.surrogates, "Surrogates of a null distribution")
+      ->check(CLI::Range(99, 100000))
+      ->capture_default_str();
+  app.add_option("--seed", line.trace.seed, "Of the surrogates")->capture_default_str();
+  app.add_option("--max-effects", line.trace.max_effects, "Added to a joint at most")
+      ->check(CLI::Range(1, 6))
+      ->capture_default_str();
+  app.add_option("--beam", line.trace.beam, "Models that the search follows at once")
+      ->check(CLI::Range(1, 10))
+      ->capture_default_str();
+  app.add_flag("--quiet", line.quiet, "No progress");
+  app.footer(kExamples);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  const absl::Status status = Run(line);
+  if (status.ok()) return 0;
+  std::fprintf(stderr, "robostress calibrate: %s\n", std::string(status.message()).c_str());
+  return 1;
+}
+
+}  // namespace
+}  // namespace robostress::calibration
+
+int main(int argc, char** argv) { return robostress::calibration::Main(argc, argv); }

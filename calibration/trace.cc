@@ -1,0 +1,392 @@
+#include "calibration/trace.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "calibration/parallel.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr double kMaxPValue = 0.01;
+constexpr double kMinCvGain = 0.02;
+constexpr double kMinBicGain = 10;
+constexpr double kMinFolds = 0.75;     // share of folds that must gain
+constexpr double kAtFloor = 1.1;       // times the floor: little is left
+constexpr double kDetourGain = 0.85;   // error of a way that does not lead over the best model
+constexpr double kMaxSpread = 0.5;     // of the size over folds, relative
+constexpr double kNotTestable = 0.02;  // surviving share
+constexpr double kRivalMargin = 0.05;  // a rival's error may be larger by this share
+constexpr double kAlikeMargin = 0.25;  // of one whose signature looks alike
+constexpr double kAlike = 0.95;        // |cos| between signatures
+constexpr int kStartsPerCandidate = 2;
+
+// Effects by name, with a partner where there is one.
+std::string NameOf(const Candidate& candidate) { return candidate.effect->type; }
+
+std::string KeyOf(std::vector<std::string> added) {
+  std::sort(added.begin(), added.end());
+  return absl::StrJoin(added, "+");
+}
+
+// A candidate on top of a base, after screening.
+struct Contender {
+  int candidate = 0;
+  std::vector<const Signature*> starts;  // best first
+  double gain = 0, p = 1, own_p = 1, surviving = 0;
+};
+
+// Rows that count as one observation, from the residual's autocorrelation.
+double CorrelationRows(const Eigen::VectorXd& r) {
+  double rows = 1;
+  for (int lag = 1; lag < r.size() / 4; ++lag) {
+    const double rho =
+        r.head(r.size() - lag).dot(r.tail(r.size() - lag)) / std::max(r.squaredNorm(), 1e-300);
+    if (!(rho > 0.05)) break;
+    rows += 2 * rho;
+  }
+  return rows;
+}
+
+class Search {
+ public:
+  Search(const JointProblem& problem, const SignalScales& scales,
+         const std::vector<int>& other_joints, Folds folds, const TraceOptions& options)
+      : problem_(problem),
+        scales_(scales),
+        other_joints_(other_joints),
+        options_(options),
+        fit_windows_(WindowsOf(problem, LogRole::kFit)),
+        folds_(MakeFolds(problem, folds)) {}
+
+  Trace Run(const Hypothesis& declared) {
+    Trace trace;
+    options_.progress("fitting the declared model");
+    trace.declared.fit = Minimise(problem_, declared, fit_windows_);
+    trace.declared.cv = CrossValidate(problem_, trace.declared.fit, folds_);
+    floor_ = problem_.ProjectedFloor(fit_windows_);
+    std::vector<TracedModel> beam = {trace.declared};
+    TracedModel best = trace.declared;
+    while (!beam.empty() && static_cast<int>(beam.front().added.size()) < options_.max_effects) {
+      std::vector<TracedModel> next;
+      double wanted = 1 - kMinCvGain;  // of the leader's error
+      for (const TracedModel& base : beam) {
+        trace.rounds.push_back(Round(base, next));
+        if (base.added.empty()) NoteNotTestable(trace);
+        if (&base != &beam.front() || !next.empty()) continue;
+        // A leader that nothing improves on is the answer, unless much is left and another way
+        // leads much further.
+        if (base.cv.Rms() < kAtFloor * floor_) break;
+        wanted = kDetourGain;
+      }
+      KeepBest(next);
+      if (next.empty() || next.front().cv.Rms() > wanted * best.cv.Rms()) break;
+      best = next.front();
+      beam = std::move(next);
+    }
+    trace.after = Trim(best, trace.declared);
+    for (const std::string& effect : trace.after.added)
+      trace.rivals.push_back(Rivals(trace.after, effect));
+    return trace;
+  }
+
+ private:
+  // Screens everything on top of `base`, refits the finalists, and adds what is accepted to `next`.
+  RoundReport Round(const TracedModel& base, std::vector<TracedModel>& next) {
+    RoundReport report;
+    report.base = base.added;
+    report.cv_error = base.cv.Rms();
+    const Screening screening(problem_, base.fit, scales_, Candidates(base), fit_windows_);
+    const NullDistribution null =
+        DrawNull(problem_, screening, fit_windows_, options_.surrogates, options_.seed);
+    report.null_95 = null.Quantile(0.95);
+    report.null_99 = null.Quantile(0.99);
+    std::vector<Contender> contenders = Rank(screening, null);
+    // Nothing that could lower the error by as little as acceptance asks for.
+    const bool hopeless = contenders.empty() || report.cv_error <= 1e-12;
+    const int refits = hopeless ? 0 : CountFinalists(contenders);
+    options_.progress(absl::StrFormat(
+        "%s: error %.3g, %.2f times the floor; %d candidates screened, %d refitted",
+        base.added.empty() ? "declared model" : "with " + KeyOf(base.added), report.cv_error,
+        report.cv_error / std::max(floor_, 1e-300), contenders.size(), refits));
+    std::vector<TracedModel> models(refits);
+    ParallelFor(refits, [&](int i) { models[i] = Refit(base, screening, contenders[i]); });
+    for (size_t i = 0; i < contenders.size(); ++i) {
+      CandidateReport line;
+      line.type = NameOf(screening.candidates()[contenders[i].candidate]);
+      line.surviving = contenders[i].surviving;
+      line.linear_gain = contenders[i].gain;
+      line.p_value = contenders[i].p;
+      if (static_cast<int>(i) < refits) {
+        TracedModel& model = models[i];
+        line.refitted = true;
+        line.cv_gain = 1 - model.cv.Rms() / base.cv.Rms();
+        line.reason = Objection(base, model, contenders[i]);
+        line.accepted = line.reason.empty();
+        model.p_values.push_back(contenders[i].p);
+        model.cv_gains.push_back(line.cv_gain);
+        if (line.accepted) next.push_back(model);
+        known_[KeyOf(model.added)] = std::move(model);
+      } else {
+        line.reason =
+            contenders[i].surviving < kNotTestable
+                ? "the declared parameters imitate it on this data"
+                : absl::StrFormat("explains %.1f %% of the residual, chance up to %.1f %%",
+                                  100 * contenders[i].gain, 100 * report.null_99);
+      }
+      report.candidates.push_back(std::move(line));
+    }
+    std::stable_sort(report.candidates.begin(), report.candidates.end(),
+                     [](const CandidateReport& a, const CandidateReport& b) {
+                       return std::make_tuple(a.accepted, a.cv_gain, a.linear_gain) >
+                              std::make_tuple(b.accepted, b.cv_gain, b.linear_gain);
+                     });
+    return report;
+  }
+
+  std::vector<Candidate> Candidates(const TracedModel& base) const {
+    const bool has_torque =
+        std::all_of(problem_.tracks().begin(), problem_.tracks().end(),
+                    [](const JointTrack& track) { return !track.record().tau.empty(); });
+    return CandidatesFor(base.fit.best.model, other_joints_, has_torque);
+  }
+
+  static std::vector<Contender> Rank(const Screening& screening, const NullDistribution& null) {
+    std::vector<Contender> contenders(screening.candidates().size());
+    for (size_t i = 0; i < contenders.size(); ++i) contenders[i].candidate = static_cast<int>(i);
+    for (const Signature& signature : screening.signatures()) {
+      Contender& own = contenders[signature.candidate];
+      own.starts.push_back(&signature);
+      own.surviving = std::max(own.surviving, signature.surviving);
+    }
+    for (Contender& contender : contenders) {
+      std::stable_sort(contender.starts.begin(), contender.starts.end(),
+                       [&](const Signature* a, const Signature* b) {
+                         return screening.Gain(*a) > screening.Gain(*b);
+                       });
+      if (contender.starts.empty()) continue;
+      contender.gain = screening.Gain(*contender.starts.front());
+      contender.p = null.PValue(contender.gain);
+      contender.own_p = null.PValueOf(contender.candidate, contender.gain);
+    }
+    std::stable_sort(contenders.begin(), contenders.end(),
+                     [](const Contender& a, const Contender& b) { return a.gain > b.gain; });
+    return contenders;
+  }
+
+  // Finalists: what beats its own chance, of what could matter.
+  int CountFinalists(const std::vector<Contender>& contenders) const {
+    int count = 0;
+    for (const Contender& contender : contenders) {
+      if (count == options_.finalists || contender.gain < kMinCvGain ||
+          contender.own_p > 5 * kMaxPValue)
+        break;
+      ++count;
+    }
+    return count;
+  }
+
+  TracedModel Refit(const TracedModel& base, const Screening& screening,
+                    const Contender& contender) const {
+    std::vector<Hypothesis> starts;
+    for (size_t i = 0; i < contender.starts.size() && i < kStartsPerCandidate; ++i) {
+      starts.push_back(screening.LinearStart(*contender.starts[i]));
+      if (i == 0) starts.push_back(contender.starts[i]->start);
+    }
+    TracedModel model = base;
+    model.added.push_back(NameOf(screening.candidates()[contender.candidate]));
+    model.fit = MinimiseAll(problem_, starts, fit_windows_);
+    model.cv = CrossValidate(problem_, model.fit, folds_);
+    return model;
+  }
+
+  // Why `model` is not accepted on top of `base`; empty: it is.
+  std::string Objection(const TracedModel& base, const TracedModel& model,
+                        const Contender& contender) const {
+    if (contender.p > kMaxPValue)
+      return absl::StrFormat("chance explains as much (p = %.3f)", contender.p);
+    const double gain = 1 - model.cv.Rms() / base.cv.Rms();
+    if (gain < kMinCvGain)
+      return absl::StrFormat("the cross-validated error falls by %.1f %% only", 100 * gain);
+    int gained = 0;
+    for (size_t f = 0; f < folds_.size(); ++f) gained += model.cv.fold_rms[f] < base.cv.fold_rms[f];
+    if (gained < kMinFolds * static_cast<double>(folds_.size()))
+      return absl::StrFormat("only %d of %d folds gain", gained, folds_.size());
+    if (BicGain(base, model) < kMinBicGain)
+      return absl::StrFormat("BIC falls by %.0f only", BicGain(base, model));
+    return SizeObjection(model);
+  }
+
+  double BicGain(const TracedModel& base, const TracedModel& model) const {
+    const Eigen::VectorXd r =
+        problem_.Projected(ModelAt(model.fit.best, model.fit.best.x), fit_windows_);
+    const double n = static_cast<double>(r.size()) / CorrelationRows(r);
+    const double more = static_cast<double>(model.fit.best.free.size()) -
+                        static_cast<double>(base.fit.best.free.size());
+    return 2 * n * std::log(base.fit.rms / std::max(model.fit.rms, 1e-300)) - more * std::log(n);
+  }
+
+  // The size of the last effect: off its bounds and the same over folds.
+  std::string SizeObjection(const TracedModel& model) const {
+    const Hypothesis& best = model.fit.best;
+    const EffectInfo& effect = *best.model.effects.back().info;
+    int largest = -1;
+    for (const int amplitude : effect.amplitudes) {
+      const std::string path = effect.type + "." + effect.parameters[amplitude].name;
+      for (size_t i = 0; i < best.free.size(); ++i) {
+        if (best.free[i].path != path) continue;
+        const int k = static_cast<int>(i);
+        if (largest < 0 || std::abs(best.x[k]) > std::abs(best.x[largest])) largest = k;
+      }
+    }
+    if (largest < 0) return "";
+    if (model.fit.at_bound[largest]) return absl::StrCat(best.free[largest].path, " is on a bound");
+    double low = best.x[largest], high = low;
+    for (const Eigen::VectorXd& x : model.cv.x) {
+      low = std::min(low, x[largest]);
+      high = std::max(high, x[largest]);
+    }
+    if (low * high < 0 || high - low > 2 * kMaxSpread * std::abs(best.x[largest]))
+      return absl::StrFormat("%s differs over the folds, %.3g to %.3g", best.free[largest].path,
+                             best.free[largest].ToValue(low), best.free[largest].ToValue(high));
+    return "";
+  }
+
+  void NoteNotTestable(Trace& trace) const {
+    for (const CandidateReport& line : trace.rounds.back().candidates)
+      if (line.surviving < kNotTestable) trace.not_testable.emplace_back(line.type, line.surviving);
+  }
+
+  void KeepBest(std::vector<TracedModel>& models) const {
+    std::stable_sort(models.begin(), models.end(), [](const TracedModel& a, const TracedModel& b) {
+      return a.cv.Rms() < b.cv.Rms();
+    });
+    std::set<std::string> seen;
+    std::erase_if(
+        models, [&](const TracedModel& model) { return !seen.insert(KeyOf(model.added)).second; });
+    if (static_cast<int>(models.size()) > options_.beam) models.resize(options_.beam);
+  }
+
+  // Drops effects that the later ones made needless.
+  TracedModel Trim(TracedModel model, const TracedModel& declared) {
+    for (size_t i = 0; model.added.size() > 1 && i < model.added.size();) {
+      TracedModel without = Without(model, i);
+      if (without.cv.Rms() < (1 + kMinCvGain) * model.cv.Rms()) {
+        model = std::move(without);
+        i = 0;
+      } else {
+        ++i;
+      }
+    }
+    return model.added.empty() ? declared : model;
+  }
+
+  TracedModel Without(const TracedModel& model, size_t index) {
+    TracedModel result = model;
+    result.added.erase(result.added.begin() + static_cast<int>(index));
+    result.p_values.erase(result.p_values.begin() + static_cast<int>(index));
+    result.cv_gains.erase(result.cv_gains.begin() + static_cast<int>(index));
+    const auto known = known_.find(KeyOf(result.added));
+    if (known != known_.end()) return known->second;
+    result.fit =
+        Minimise(problem_, WithoutEffect(model.fit.best, model.added[index]), fit_windows_);
+    result.cv = CrossValidate(problem_, result.fit, folds_);
+    return result;
+  }
+
+  // Effects that do as well in the place of `effect`.
+  std::vector<std::string> Rivals(const TracedModel& model, const std::string& effect) {
+    const size_t index =
+        std::find(model.added.begin(), model.added.end(), effect) - model.added.begin();
+    TracedModel base = Without(model, index);
+    if (base.added.empty()) base.fit.best = WithoutEffect(base.fit.best, effect);
+    const Screening screening(problem_, base.fit, scales_, Candidates(base), fit_windows_);
+    // The effect's share in the fitted prediction, as a direction.
+    Eigen::MatrixXd share =
+        problem_.Projected(ModelAt(model.fit.best, model.fit.best.x), fit_windows_) -
+        problem_.Projected(ModelAt(base.fit.best, base.fit.best.x), fit_windows_);
+    screening.RemoveImitated(share);
+    std::vector<Contender> others;
+    const NullDistribution nothing{{},
+                                   std::vector<std::vector<double>>(screening.candidates().size())};
+    for (Contender& contender : Rank(screening, nothing))
+      if (NameOf(screening.candidates()[contender.candidate]) != effect &&
+          contender.gain > 0.25 * GainOf(screening, effect))
+        others.push_back(std::move(contender));
+    if (static_cast<int>(others.size()) > options_.finalists) others.resize(options_.finalists);
+    std::vector<TracedModel> models(others.size());
+    std::vector<char> fresh(others.size(), 0);
+    for (size_t i = 0; i < others.size(); ++i) {
+      std::vector<std::string> added = base.added;
+      added.push_back(NameOf(screening.candidates()[others[i].candidate]));
+      const auto known = known_.find(KeyOf(added));
+      if (known != known_.end()) {
+        models[i] = known->second;
+      } else {
+        fresh[i] = 1;
+      }
+    }
+    options_.progress(absl::StrCat("rivals of ", effect));
+    ParallelFor(static_cast<int>(others.size()), [&](int i) {
+      if (fresh[i]) models[i] = Refit(base, screening, others[i]);
+    });
+    std::vector<std::string> rivals;
+    for (size_t i = 0; i < others.size(); ++i) {
+      const Signature& signature = *others[i].starts.front();
+      const double cosine =
+          (signature.basis.transpose() * share).norm() / std::max(share.norm(), 1e-300);
+      if (IsRival(model, models[i], cosine))
+        rivals.push_back(NameOf(screening.candidates()[others[i].candidate]));
+    }
+    return rivals;
+  }
+
+  static double GainOf(const Screening& screening, const std::string& effect) {
+    double gain = 0;
+    for (const Signature& signature : screening.signatures())
+      if (NameOf(screening.candidates()[signature.candidate]) == effect)
+        gain = std::max(gain, screening.Gain(signature));
+    return gain;
+  }
+
+  bool IsRival(const TracedModel& best, const TracedModel& other, double cosine) const {
+    const PairedDifference difference = Compare(best.cv, other.cv);
+    const double ratio = other.cv.Rms() / std::max(best.cv.Rms(), 1e-300);
+    const bool simpler = best.fit.best.free.size() < other.fit.best.free.size();
+    // One that needs more parameters to do no better is not needed.
+    if (simpler && ratio >= 1) return false;
+    if (difference.mean < difference.standard_error * 2) return true;
+    return ratio < 1 + (cosine > kAlike ? kAlikeMargin : kRivalMargin);
+  }
+
+  const JointProblem& problem_;
+  const SignalScales& scales_;
+  const std::vector<int>& other_joints_;
+  const TraceOptions& options_;
+  const WindowSet fit_windows_;
+  const std::vector<WindowSet> folds_;
+  double floor_ = 0;
+  std::map<std::string, TracedModel> known_;  // by KeyOf
+};
+
+}  // namespace
+
+WindowSet WindowsOf(const JointProblem& problem, LogRole role) {
+  WindowSet chosen(problem.windows().size(), 0);
+  for (size_t i = 0; i < chosen.size(); ++i)
+    chosen[i] = problem.tracks()[problem.windows()[i].track].log->role == role;
+  return chosen;
+}
+
+Trace TraceJoint(const JointProblem& problem, const Hypothesis& declared,
+                 const SignalScales& scales, const std::vector<int>& other_joints, Folds folds,
+                 const TraceOptions& options) {
+  return Search(problem, scales, other_joints, folds, options).Run(declared);
+}
+
+}  // namespace robostress::calibration

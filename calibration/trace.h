@@ -1,0 +1,53 @@
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "calibration/calibration_report.h"
+#include "calibration/cross_validation.h"
+#include "calibration/signatures.h"
+#include "calibration/surrogates.h"
+
+namespace robostress::calibration {
+
+struct TraceOptions {
+  int surrogates = 999;
+  uint64_t seed = 0;
+  int beam = 3;
+  int max_effects = 3;
+  int finalists = 8;  // candidates that are refitted in a round
+  // Says what is going on.
+  std::function<void(const std::string&)> progress = [](const std::string&) {};
+};
+
+// One joint's model with effects that were added, fitted and cross-validated.
+struct TracedModel {
+  std::vector<std::string> added;  // in the order in which they came
+  JointFit fit;
+  CrossValidation cv;
+  std::vector<double> p_values, cv_gains;  // of `added`
+};
+
+// What a forward search over the effect library found for one joint.
+struct Trace {
+  TracedModel declared, after;
+  std::vector<RoundReport> rounds;
+  // Of every added effect, those that fit the data as well in its place.
+  std::vector<std::vector<std::string>> rivals;
+  std::vector<std::pair<std::string, double>> not_testable;  // type, surviving share
+};
+
+// Forward selection with a beam. A candidate is accepted when its signature explains more of the
+// residual than any of the library does by chance (p <= 0.01, null distribution of this round), a
+// refit lowers the cross-validated error by 2 % and the BIC by 10, most folds gain, and its size
+// agrees over the folds and lies within its bounds. Then earlier effects are tested again, and
+// every effect against its rivals.
+Trace TraceJoint(const JointProblem& problem, const Hypothesis& declared,
+                 const SignalScales& scales, const std::vector<int>& other_joints, Folds folds,
+                 const TraceOptions& options);
+
+// Windows of the logs with a role.
+WindowSet WindowsOf(const JointProblem& problem, LogRole role);
+
+}  // namespace robostress::calibration

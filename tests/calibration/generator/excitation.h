@@ -1,0 +1,43 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "common/random.h"
+
+namespace robostress::generator {
+
+enum class Motion { kMultiSine, kChirp, kMoves, kRamps, kMixed };
+
+const char* MotionName(Motion motion);
+
+// What a joint is asked to do over a log: a reference of position [rad], continuous in time,
+// constant before 0.
+class Excitation {
+ public:
+  // amplitude [rad] about `centre`; fastest [Hz] of its sines and chirps.
+  static Excitation Draw(Motion motion, double amplitude, double centre, double fastest,
+                         double duration, RandomStream& random);
+  double At(double t) const;
+
+ private:
+  struct Sine {
+    double amplitude, frequency, phase;
+  };
+  struct Knot {
+    double t, q;
+    bool straight;  // to the next knot: a straight line, or a minimum-jerk move
+  };
+  struct Segment {
+    double begin = 0, end = 0, centre = 0;
+    std::vector<Sine> sines;
+    double chirp_from = 0, chirp_to = 0, chirp_amplitude = 0;  // [Hz, Hz, rad]
+    std::vector<Knot> knots;
+    double At(double t) const;
+  };
+  static Segment DrawSegment(Motion motion, double amplitude, double centre, double fastest,
+                             double begin, double end, RandomStream& random);
+  std::vector<Segment> segments_;
+};
+
+}  // namespace robostress::generator

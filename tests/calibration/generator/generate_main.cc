@@ -1,0 +1,48 @@
+// calibration_generate: writes a rig with logs and, beside them, what it hides.
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <string>
+
+#include "tests/calibration/generator/generated_rig.h"
+
+int main(int argc, char** argv) {
+  using namespace robostress::generator;
+  RigOptions options;
+  std::string out, family = "any", size = "medium", richness = "any";
+  CLI::App app{
+      "Writes a rig whose machine has effects that the rig does not declare: model.xml, "
+      "rig.yaml, log_*.csv, and truth.json, which calibrate never reads"};
+  app.add_option("--effect", options.effects, "Hidden effect; repeat for two; leave out for none");
+  app.add_option("--size", size, "small, medium or large")
+      ->check(CLI::IsMember({"small", "medium", "large"}));
+  app.add_option("--seed", options.seed, "Of everything that is drawn");
+  app.add_option("--family", family, "any, servo, torque, inverse, transmission, slide or arm");
+  app.add_option("--excitation", richness, "any, rich or poor")
+      ->check(CLI::IsMember({"any", "rich", "poor"}));
+  app.add_option("--out", out, "Folder of the rig")->required();
+  CLI11_PARSE(app, argc, argv);
+  options.size = size == "small" ? Size::kSmall : size == "medium" ? Size::kMedium : Size::kLarge;
+  options.richness = richness == "rich"   ? Richness::kRich
+                     : richness == "poor" ? Richness::kPoor
+                                          : Richness::kAny;
+  const auto parsed = ParseFamily(family);
+  if (!parsed.ok()) {
+    std::fprintf(stderr, "calibration_generate: %s\n",
+                 std::string(parsed.status().message()).c_str());
+    return 2;
+  }
+  options.family = *parsed;
+  const auto rig = GenerateRig(options);
+  if (!rig.ok()) {
+    std::fprintf(stderr, "calibration_generate: %s\n", std::string(rig.status().message()).c_str());
+    return 2;
+  }
+  const absl::Status written = WriteGeneratedRig(*rig, options, out);
+  if (!written.ok()) {
+    std::fprintf(stderr, "calibration_generate: %s\n", std::string(written.message()).c_str());
+    return 1;
+  }
+  std::printf("%s: %s, %zu logs at %g rows per second, visibility %.3g\n", out.c_str(),
+              FamilyName(rig->family), rig->logs.size(), rig->rate_hz, rig->visibility);
+  return 0;
+}

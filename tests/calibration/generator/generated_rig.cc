@@ -1,0 +1,357 @@
+#include "tests/calibration/generator/generated_rig.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/status_macros.h"
+
+namespace robostress::generator {
+namespace {
+
+bool Contains(const std::vector<std::string>& names, const std::string& name) {
+  return std::find(names.begin(), names.end(), name) != names.end();
+}
+
+constexpr Family kFamilies[] = {Family::kServo,        Family::kTorque, Family::kInverse,
+                                Family::kTransmission, Family::kSlide,  Family::kArm};
+
+// Effects that take from dry friction what must be there.
+bool NeedsFriction(const std::string& effect) {
+  return Contains({"asymmetric_coulomb", "position_dependent_friction", "time_drift_friction",
+                   "speeding_friction"},
+                  effect);
+}
+
+double LogUniform(RandomStream& random, double low, double high) {
+  return low * std::pow(high / low, random.Uniform());
+}
+
+// Everything of a rig but its hidden effects.
+class Drawer {
+ public:
+  Drawer(const RigOptions& options, Family family)
+      : options_(options),
+        family_(family),
+        random_(StreamKey("generated rig")
+                    .With(absl::StrJoin(options.effects, "+"))
+                    .With(static_cast<int64_t>(options.size))
+                    .With(static_cast<int64_t>(options.seed))
+                    .With(static_cast<int64_t>(family))),
+        rich_(options.richness == Richness::kRich ||
+              (options.richness == Richness::kAny && random_.Uniform() < 0.6)) {}
+
+  GeneratedRig Draw() {
+    rig_.family = family_;
+    DrawBody();
+    DrawExperiments();
+    DrawFriction();
+    rig_.declared = rig_.truth;
+    MeasureSignals();
+    Hide();
+    Declare();
+    Record();
+    return std::move(rig_);
+  }
+
+ private:
+  bool arm() const { return family_ == Family::kArm; }
+  int joints() const { return arm() ? 2 : 1; }
+
+  void DrawBody() {
+    Body& body = rig_.truth.body;
+    body.slide = family_ == Family::kSlide;
+    if (body.slide) {
+      rig_.joint_names[0] = "slide";
+      body.rise = random_.Uniform() < 0.5 ? 0 : 1;
+      for (const std::string& effect : options_.effects) {
+        if (Contains({"gravity_error", "encoder_offset", "encoder_gain"}, effect)) body.rise = 1;
+      }
+    }
+    if (arm()) rig_.joint_names[0] = "shoulder";
+    body.phase = body.slide || random_.Uniform() < 0.4 ? 0 : random_.Uniform(-2, 2);
+    for (int i = 0; i < joints(); ++i) {
+      Link link;
+      link.mass = LogUniform(random_, 0.15, 6);
+      link.com = random_.Uniform(0.06, 0.3);
+      if (i == 1) link.mass = rig_.truth.body.links[0].mass * random_.Uniform(0.3, 0.8);
+      link.length = link.com * random_.Uniform(1.3, 2);
+      link.inertia = link.mass * link.com * link.com * random_.Uniform(0.05, 0.4);
+      body.links.push_back(link);
+    }
+    for (int i = 0; i < joints(); ++i) {
+      const Link& link = body.links[i];
+      double inertia = body.slide ? link.mass : link.mass * link.com * link.com + link.inertia;
+      if (arm() && i == 0)
+        inertia += body.links[1].mass * std::pow(link.length + body.links[1].com, 2);
+      Drive drive;
+      drive.armature = inertia * random_.Uniform(0.05, 0.6);
+      inertia += drive.armature;
+      const double omega = 2 * M_PI * random_.Uniform(2.5, arm() ? 6 : 8);
+      drive.kp = inertia * omega * omega;
+      drive.kd = 2 * random_.Uniform(0.4, 0.9) * inertia * omega;
+      drive.viscous = inertia * omega * random_.Uniform(0.01, 0.08);
+      drive.reads_motor = random_.Uniform() < 0.3;
+      rig_.truth.drives.push_back(drive);
+      fastest_ = std::min(fastest_, omega / (2 * M_PI) / 2.5);
+    }
+  }
+
+  void DrawExperiments() {
+    constexpr double kRates[] = {100, 125, 200, 250, 500, 1000};
+    rig_.rate_hz = kRates[random_.UniformInt(6)];
+    if (rich_) rig_.rate_hz = std::max(200.0, rig_.rate_hz);
+    const Body& body = rig_.truth.body;
+    amplitude_ = body.slide ? random_.Uniform(0.05, 0.3) : random_.Uniform(0.4, 1.2);
+    if (arm()) amplitude_ = std::min(amplitude_, 0.8);
+    const double quiet = amplitude_ * LogUniform(random_, 1e-5, 2e-4);
+    const double step = random_.Uniform() < 0.5 ? 0 : amplitude_ * LogUniform(random_, 2e-5, 4e-4);
+    const int fit = rich_ ? 3 + random_.UniformInt(2) : 2 + random_.UniformInt(2);
+    const int held_out = 1 + random_.UniformInt(2);
+    const bool transfer = random_.Uniform() < 0.4;
+    const Motion poor = static_cast<Motion>(random_.UniformInt(4));
+    const bool by_torque = family_ == Family::kTorque;
+    // Mostly as a controller does that runs with the log; else the servo sees a smooth command.
+    const bool held = by_torque || random_.Uniform() < 0.75;
+    for (int i = 0; i < fit + held_out + (transfer ? 1 : 0); ++i) {
+      Experiment x;
+      x.dt = 1 / rig_.rate_hz;
+      x.duration = rich_ ? random_.Uniform(10, 16) : random_.Uniform(6, 10);
+      x.noise = quiet;
+      x.step = step;
+      x.held = held;
+      x.by_torque = by_torque;
+      const bool other = i == fit + held_out;
+      Motion motion = rich_ ? static_cast<Motion>((i + random_.UniformInt(2) * 4) % 5) : poor;
+      if (family_ == Family::kTransmission && motion == Motion::kRamps) motion = Motion::kMoves;
+      if (family_ == Family::kTransmission && motion == Motion::kMixed) motion = Motion::kChirp;
+      for (int j = 0; j < joints(); ++j) {
+        const double centre = other && !body.slide ? random_.Uniform(-0.5, 0.5) * amplitude_ : 0;
+        x.references.push_back(Excitation::Draw(motion, amplitude_ * (other ? 0.6 : 1), centre,
+                                                fastest_ * (other ? 0.7 : 1), x.duration, random_));
+      }
+      experiments_.push_back(std::move(x));
+      rig_.logs.push_back({other ? "transfer" : i < fit ? "fit" : "held_out", {}});
+    }
+  }
+
+  // Dry friction of the true machine; how it is declared comes later.
+  void DrawFriction() {
+    MeasureSignals();
+    if (family_ == Family::kTransmission) return;
+    bool dry = random_.Uniform() < 0.7;
+    for (const std::string& effect : options_.effects) {
+      if (NeedsFriction(effect)) dry = true;
+      if (effect == "stribeck_friction" || effect == "presliding_hysteresis" ||
+          effect == "thermal_friction")
+        dry = false;
+    }
+    if (!dry) return;
+    for (int j = 0; j < joints(); ++j) {
+      Drive& drive = rig_.truth.drives[j];
+      drive.Fc = signals_[j].torque * random_.Uniform(0.06, 0.2);
+      drive.Fs = drive.Fc * (random_.Uniform() < 0.5 ? 1 : random_.Uniform(1.1, 1.6));
+      drive.vs = signals_[j].speed * random_.Uniform(0.05, 0.2);
+    }
+  }
+
+  Recording Perform(const Machine& machine, const Experiment& x, int index) const {
+    const RandomStream own(StreamKey("generated log")
+                               .With(static_cast<int64_t>(options_.seed))
+                               .With(static_cast<int64_t>(index)));
+    return family_ == Family::kTransmission ? RunTransmission(machine, x, own)
+                                            : Run(machine, x, own);
+  }
+
+  // Of the machine without hidden effects.
+  void MeasureSignals() {
+    Experiment quiet = experiments_[0];
+    quiet.noise = quiet.step = 0;
+    const Recording log = Perform(rig_.truth, quiet, 0);
+    for (int j = 0; j < joints(); ++j) {
+      const JointChannels& c = log.joints[j];
+      Signals s;
+      double torque2 = 0, speed2 = 0;
+      s.peak_torque = s.peak_command_speed = 1e-12;
+      for (size_t k = 1; k < c.q.size(); ++k) {
+        torque2 += c.torque[k] * c.torque[k];
+        s.peak_torque = std::max(s.peak_torque, std::abs(c.torque[k]));
+        const double v = (c.q[k] - c.q[k - 1]) / quiet.dt;
+        speed2 += v * v;
+        s.peak_command_speed =
+            std::max(s.peak_command_speed, std::abs(c.command[k] - c.command[k - 1]) / quiet.dt);
+      }
+      s.torque = std::sqrt(torque2 / static_cast<double>(c.q.size()));
+      s.speed = std::sqrt(speed2 / static_cast<double>(c.q.size()));
+      const auto [low, high] = std::minmax_element(c.q.begin(), c.q.end());
+      s.range = (*high - *low) / 2;
+      const Body& body = rig_.truth.body;
+      s.holding = kGravity * body.links[j].mass * (body.slide ? body.rise : body.links[j].com);
+      s.duration = quiet.duration;
+      s.dt = quiet.dt;
+      s.mass = body.links.back().mass;
+      s.base_friction = rig_.truth.drives[j].Fc;
+      signals_[j] = s;
+    }
+  }
+
+  void Hide() {
+    for (const std::string& type : options_.effects) {
+      const int joint = arm() ? random_.UniformInt(2) : 0;
+      HiddenEffect effect = DrawEffect(type, options_.size, signals_[joint], random_);
+      effect.joint = joint;
+      if (type == "payload") {
+        effect.joint = joints() - 1;
+        rig_.truth.tip_mass = effect["mass"];
+      }
+      if (type == "base_tilt") rig_.truth.tilt = effect["y"];
+      rig_.truth.effects.push_back(std::move(effect));
+    }
+  }
+
+  // What the rig says: true, or off by what its `fit` may move.
+  void Declare() {
+    Machine& told = rig_.declared;
+    const bool stribeck_hidden = Contains(options_.effects, "stribeck_friction");
+    bool curved = false;
+    for (const Drive& drive : rig_.truth.drives) curved |= drive.Fs > drive.Fc;
+    rig_.declares_dry_friction = rig_.truth.drives[0].Fc > 0 && (curved || random_.Uniform() < 0.5);
+    for (int j = 0; j < joints(); ++j) {
+      const Drive& is = rig_.truth.drives[j];
+      Drive& said = told.drives[j];
+      std::vector<std::string> fit;
+      if (family_ != Family::kTransmission) {
+        if (random_.Uniform() < 0.6) {
+          fit.push_back("armature");
+          said.armature *= random_.Uniform(0.6, 1.5);
+        }
+        if (rig_.declares_dry_friction) {
+          rig_.friction_fit = random_.Uniform() < 0.7
+                                  ? std::vector<std::string>{"Fc", "Fs", "vs", "sigma_v"}
+                                  : std::vector<std::string>{"Fc", "sigma_v"};
+          if (!curved) rig_.friction_fit = {"Fc", "Fs", "sigma_v"};
+          for (const std::string& name : rig_.friction_fit) {
+            double& value = name == "Fc"   ? said.Fc
+                            : name == "Fs" ? said.Fs
+                            : name == "vs" ? said.vs
+                                           : said.viscous;
+            value *= random_.Uniform(0.7, 1.4);
+          }
+          said.Fs = std::max(said.Fs, said.Fc);
+        } else {
+          if (is.Fc > 0) {
+            fit.push_back("frictionloss");
+            said.Fc *= random_.Uniform(0.7, 1.4);
+          }
+          if (stribeck_hidden || random_.Uniform() < 0.6) {
+            fit.push_back("damping");
+            said.viscous *= random_.Uniform(0.7, 1.4);
+          }
+        }
+      }
+      rig_.fit.push_back(std::move(fit));
+    }
+    told.effects.clear();
+    told.tip_mass = told.tilt = 0;
+  }
+
+  void Record() {
+    for (size_t i = 0; i < experiments_.size(); ++i) {
+      Experiment& x = experiments_[i];
+      if (family_ == Family::kInverse || family_ == Family::kTransmission)
+        x.torque_noise = 0.005 * signals_[0].torque;
+      rig_.logs[i].recording = Perform(rig_.truth, x, static_cast<int>(i));
+    }
+    if (options_.effects.empty()) return;
+    Machine bare = rig_.truth;
+    bare.effects.clear();
+    bare.tip_mass = bare.tilt = 0;
+    const Recording &with = rig_.logs[0].recording, without = Perform(bare, experiments_[0], 0);
+    const double noise = std::hypot(experiments_[0].noise, experiments_[0].step / std::sqrt(12.0));
+    for (size_t j = 0; j < with.joints.size(); ++j) {
+      const std::vector<double>&a = with.joints[j].clean, &b = without.joints[j].clean;
+      double sum = 0;
+      for (size_t k = 0; k < a.size(); ++k) sum += (a[k] - b[k]) * (a[k] - b[k]);
+      rig_.visibility =
+          std::max(rig_.visibility, std::sqrt(sum / static_cast<double>(a.size())) / noise);
+    }
+  }
+
+  const RigOptions& options_;
+  Family family_;
+  RandomStream random_;
+  bool rich_;
+  double fastest_ = 3, amplitude_ = 1;
+  std::vector<Experiment> experiments_;
+  Signals signals_[2];
+  GeneratedRig rig_;
+};
+
+}  // namespace
+
+const char* FamilyName(Family family) {
+  constexpr const char* kNames[] = {"any",          "servo", "torque", "inverse",
+                                    "transmission", "slide", "arm"};
+  return kNames[static_cast<int>(family)];
+}
+
+absl::StatusOr<Family> ParseFamily(const std::string& name) {
+  if (name == "any") return Family::kAny;
+  std::vector<std::string> known = {"any"};
+  for (const Family family : kFamilies) {
+    if (name == FamilyName(family)) return family;
+    known.push_back(FamilyName(family));
+  }
+  return absl::NotFoundError(
+      absl::StrCat("family '", name, "' is unknown; known: ", absl::StrJoin(known, ", ")));
+}
+
+std::vector<Family> FamiliesOf(const std::string& effect) {
+  using enum Family;
+  if (Contains({"cross_joint_coupling", "base_tilt"}, effect)) return {kArm};
+  if (effect == "rate_limit") return {kServo, kSlide};
+  if (Contains({"transport_delay", "servo_lag", "delay_jitter"}, effect))
+    return {kServo, kSlide, kTransmission};
+  if (Contains({"backlash", "compliance", "transmission_error", "intermittent_slip"}, effect))
+    return {kServo, kSlide, kTransmission};
+  if (effect == "encoder_gain") return {kServo, kTransmission};
+  if (effect == "encoder_offset") return {kServo, kTorque};
+  if (effect == "gravity_error") return {kServo, kTorque, kInverse, kSlide, kArm};
+  if (effect == "second_mass" || effect == "quantised_command") return {kServo, kSlide};
+  if (Contains({"torque_saturation", "deadzone", "time_varying_gain", "load_dependent_friction",
+                "current_ripple"},
+               effect))
+    return {kServo, kTorque, kInverse, kSlide};
+  return {kServo, kTorque, kInverse, kSlide, kArm};
+}
+
+absl::StatusOr<GeneratedRig> GenerateRig(const RigOptions& options) {
+  std::vector<Family> families(std::begin(kFamilies), std::end(kFamilies));
+  for (const std::string& effect : options.effects) {
+    if (!Contains(LibraryEffects(), effect) && !Contains(OutsideEffects(), effect))
+      return absl::NotFoundError(absl::StrCat(
+          "effect '", effect, "' is unknown; known: ", absl::StrJoin(LibraryEffects(), ", "), ", ",
+          absl::StrJoin(OutsideEffects(), ", ")));
+    const std::vector<Family> own = FamiliesOf(effect);
+    std::erase_if(families, [&](Family family) {
+      return std::find(own.begin(), own.end(), family) == own.end();
+    });
+  }
+  if (options.family != Family::kAny)
+    std::erase_if(families, [&](Family family) { return family != options.family; });
+  if (families.empty())
+    return absl::InvalidArgumentError(absl::StrCat("no family shows ",
+                                                   absl::StrJoin(options.effects, " and "), " in ",
+                                                   FamilyName(options.family)));
+  RandomStream choice(StreamKey("family")
+                          .With(absl::StrJoin(options.effects, "+"))
+                          .With(static_cast<int64_t>(options.seed)));
+  // The plain servo is what most rigs are.
+  const bool plain = choice.Uniform() < 0.4 && families.front() == Family::kServo;
+  const Family family =
+      plain ? Family::kServo : families[choice.UniformInt(static_cast<int>(families.size()))];
+  return Drawer(options, family).Draw();
+}
+
+}  // namespace robostress::generator

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "calibration/joint_fit.h"
+#include "calibration/plant.h"
+
+namespace robostress::calibration {
+
+// A rig with its logs, ready to be fitted one joint at a time.
+struct LoadedRig {
+  Rig rig;
+  std::unique_ptr<Plant> plant;
+  std::vector<std::unique_ptr<MeasuredLog>> logs;  // in the order of the rig
+
+  JointProblem Problem(int joint) const;
+  // Windows of `problem` in logs of this role.
+  WindowSet Windows(const JointProblem& problem, LogRole role) const;
+  // The declared model with its `fit` lists free.
+  absl::StatusOr<Hypothesis> Declared(int joint) const;
+  SignalScales Scales(int joint) const;
+
+ private:
+  std::vector<JointTrack> JointTracks(int joint) const;
+};
+
+absl::StatusOr<LoadedRig> LoadRig(const std::string& file);
+
+}  // namespace robostress::calibration

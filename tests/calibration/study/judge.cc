@@ -1,0 +1,95 @@
+#include "tests/calibration/study/judge.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+namespace robostress::generator {
+namespace {
+
+using Json = nlohmann::json;
+
+// P(X <= count) of a binomial.
+double Binomial(int count, int n, double p) {
+  double sum = 0;
+  for (int k = 0; k <= count; ++k)
+    sum += std::exp(std::lgamma(n + 1) - std::lgamma(k + 1) - std::lgamma(n - k + 1) +
+                    k * std::log(p) + (n - k) * std::log1p(-p));
+  return sum;
+}
+
+}  // namespace
+
+const char* OutcomeName(Outcome outcome) {
+  constexpr const char* kNames[] = {"named", "in group",    "listed",  "hedged",      "missed",
+                                    "wrong", "wrong group", "nothing", "false alarm", "refused"};
+  return kNames[static_cast<int>(outcome)];
+}
+
+Judged Judge(const Json& report, const Json& truth) {
+  Judged judged;
+  const std::string verdict = report.value("verdict", "");
+  std::set<std::string> added, around;
+  judged.said = verdict;
+  for (const Json& effect : report["effects_added"]) {
+    const std::string type = effect["type"];
+    added.insert(type);
+    around.insert(type);
+    judged.said += " " + type;
+    if (report["joints"].size() > 1) judged.said += "@" + effect["joint"].get<std::string>();
+    for (const Json& other : effect["ambiguous_with"]) {
+      around.insert(other.get<std::string>());
+      judged.said += "|" + other.get<std::string>();
+    }
+  }
+  for (const Json& group : report["groups"]) {
+    if (std::any_of(group.begin(), group.end(),
+                    [&](const Json& name) { return added.count(name.get<std::string>()) > 0; }))
+      for (const Json& name : group) around.insert(name.get<std::string>());
+  }
+  std::set<std::string> real, near;
+  bool outside = false;
+  for (const Json& effect : truth["effects"]) {
+    real.insert(effect["type"].get<std::string>());
+    outside |= !effect["in_library"].get<bool>();
+    for (const Json& name : effect["near"]) near.insert(name.get<std::string>());
+  }
+  const auto holds = [](const std::set<std::string>& all, const std::set<std::string>& some) {
+    return std::includes(all.begin(), all.end(), some.begin(), some.end());
+  };
+  const bool silent = verdict == "declared_sufficient" || verdict == "not_testable";
+  if (real.empty()) {
+    judged.outcome = silent ? Outcome::kNothing : Outcome::kFalseAlarm;
+  } else if (silent) {
+    judged.outcome = Outcome::kMissed;
+  } else if (verdict == "attributed") {
+    judged.outcome = added == real                                    ? Outcome::kNamed
+                     : outside && !near.empty() && holds(near, added) ? Outcome::kListed
+                                                                      : Outcome::kWrong;
+  } else if (verdict == "ambiguous") {
+    judged.outcome =
+        outside ? (!near.empty() && holds(near, added) ? Outcome::kListed : Outcome::kWrongGroup)
+        : holds(around, real) ? Outcome::kGrouped
+                              : Outcome::kWrongGroup;
+  } else {
+    judged.outcome = !outside && holds(around, real) ? Outcome::kListed : Outcome::kHedged;
+  }
+  return judged;
+}
+
+std::pair<double, double> ClopperPearson(int count, int n, double confidence) {
+  if (n == 0) return {0, 1};
+  const double tail = (1 - confidence) / 2;
+  const auto solve = [](auto below) {
+    double low = 0, high = 1;
+    for (int i = 0; i < 60; ++i) (below((low + high) / 2) ? low : high) = (low + high) / 2;
+    return low;
+  };
+  const double lower =
+      count == 0 ? 0 : solve([&](double p) { return 1 - Binomial(count - 1, n, p) < tail; });
+  const double upper =
+      count == n ? 1 : solve([&](double p) { return Binomial(count, n, p) > tail; });
+  return {lower, upper};
+}
+
+}  // namespace robostress::generator

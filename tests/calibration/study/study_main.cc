@@ -1,0 +1,230 @@
+// calibration_study: how often robostress-calibrate says what is true, on rigs that
+// calibration_generate makes.
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <thread>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "common/atomic_file.h"
+#include "common/program_folder.h"
+#include "tests/calibration/generator/generated_rig.h"
+#include "tests/calibration/study/judge.h"
+#include "tests/run_program.h"
+
+namespace robostress::generator {
+namespace {
+
+using Json = nlohmann::json;
+
+struct CommandLine {
+  std::string out, calibrate;
+  std::vector<std::string> kinds;
+  std::vector<std::string> sizes = {"medium"};
+  int first_seed = 1, seeds = 4, none = 0, workers = 2, surrogates = 199;
+  bool table_only = false;
+};
+
+// One rig of the study; kind: names joined by "+", or "none".
+struct Case {
+  std::string kind, size, folder;
+  uint64_t seed = 0;
+};
+
+std::vector<Case> Cases(const CommandLine& line) {
+  std::vector<Case> cases;
+  const auto add = [&](const std::string& kind, const std::string& size, int seed) {
+    cases.push_back({kind, size, absl::StrCat(line.out, "/", kind, ".", size, ".", seed),
+                     static_cast<uint64_t>(seed)});
+  };
+  // Seed by seed, so that a study that is stopped has something of every kind.
+  for (int i = 0; i < std::max(line.seeds, line.none); ++i) {
+    if (i < line.none) add("none", "medium", line.first_seed + i);
+    for (const std::string& kind : line.kinds)
+      for (const std::string& size : line.sizes)
+        if (i < line.seeds) add(kind, size, line.first_seed + i);
+  }
+  return cases;
+}
+
+absl::Status RunCase(const Case& c, const CommandLine& line) {
+  const std::string rig = c.folder + "/rig", report = c.folder + "/report";
+  if (std::filesystem::exists(c.folder + "/said.txt")) return absl::OkStatus();
+  RigOptions options;
+  if (c.kind != "none") options.effects = absl::StrSplit(c.kind, '+');
+  options.size = c.size == "small"   ? Size::kSmall
+                 : c.size == "large" ? Size::kLarge
+                                     : Size::kMedium;
+  options.seed = c.seed;
+  const auto generated = GenerateRig(options);
+  if (!generated.ok()) return generated.status();
+  if (absl::Status written = WriteGeneratedRig(*generated, options, rig); !written.ok())
+    return written;
+  const auto begin = std::chrono::steady_clock::now();
+  const auto [output, code] =
+      RunProgram(line.calibrate, absl::StrCat("--rig ", rig, "/rig.yaml --out ", report,
+                                              " --quiet --surrogates ", line.surrogates));
+  const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
+  if (absl::Status status =
+          WriteFileAtomically(c.folder + "/seconds.txt", absl::StrFormat("%.2f\n", taken.count()));
+      !status.ok())
+    return status;
+  // Last: a case that has it is done.
+  return WriteFileAtomically(c.folder + "/said.txt", absl::StrCat("exit ", code, "\n", output));
+}
+
+absl::StatusOr<Json> ReadJson(const std::string& file) {
+  const auto text = ReadFile(file);
+  if (!text.ok()) return text.status();
+  const Json json = Json::parse(*text, nullptr, false);
+  if (json.is_discarded()) return absl::InvalidArgumentError(file + ": no JSON");
+  return json;
+}
+
+double SecondsOf(const Case& c) {
+  std::ifstream file(c.folder + "/seconds.txt");
+  double seconds = 0;
+  file >> seconds;
+  return seconds;
+}
+
+std::string Share(int count, int n) {
+  const auto [low, high] = ClopperPearson(count, n);
+  return absl::StrFormat("%d of %d, %.1f %% (95 %%: %.1f to %.1f %%)", count, n,
+                         n > 0 ? 100.0 * count / n : 0, 100 * low, 100 * high);
+}
+
+// Markdown.
+std::string Table(const std::vector<Case>& cases) {
+  constexpr Outcome kColumns[] = {Outcome::kNamed,  Outcome::kGrouped, Outcome::kListed,
+                                  Outcome::kHedged, Outcome::kMissed,  Outcome::kWrongGroup,
+                                  Outcome::kWrong,  Outcome::kNothing, Outcome::kFalseAlarm,
+                                  Outcome::kRefused};
+  std::map<std::string, std::map<Outcome, int>> rows;
+  std::map<Outcome, int> total;
+  std::string listed;
+  std::vector<double> seconds;
+  int none = 0, alarms = 0, seen = 0, right = 0, all_hidden = 0;
+  for (const Case& c : cases) {
+    const auto truth = ReadJson(c.folder + "/rig/truth.json");
+    if (!truth.ok() || !std::filesystem::exists(c.folder + "/said.txt")) continue;
+    const auto report = ReadJson(c.folder + "/report/report.json");
+    const Judged judged = report.ok() ? Judge(*report, *truth) : Judged{};
+    seconds.push_back(SecondsOf(c));
+    ++rows[c.kind][judged.outcome];
+    ++total[judged.outcome];
+    if (c.kind == "none") {
+      ++none;
+      alarms += judged.outcome == Outcome::kFalseAlarm;
+    } else {
+      ++all_hidden;
+      const bool good = judged.outcome == Outcome::kNamed || judged.outcome == Outcome::kGrouped;
+      right += good;
+      seen += judged.outcome != Outcome::kMissed && judged.outcome != Outcome::kRefused;
+    }
+    switch (judged.outcome) {
+      case Outcome::kNamed:
+      case Outcome::kGrouped:
+      case Outcome::kNothing:
+        break;
+      default:
+        absl::StrAppendFormat(&listed, "| %s | %s %s %d | %s | %.3g | %s |\n",
+                              OutcomeName(judged.outcome), c.kind, c.size, c.seed,
+                              (*truth)["family"].get<std::string>(),
+                              (*truth)["visibility"].get<double>(), judged.said);
+    }
+  }
+  std::string text = "| hidden |";
+  for (const Outcome o : kColumns) absl::StrAppend(&text, " ", OutcomeName(o), " |");
+  text += "\n|---|";
+  for (size_t i = 0; i < std::size(kColumns); ++i) text += "---|";
+  text += "\n";
+  for (auto& [kind, counts] : rows) {
+    absl::StrAppend(&text, "| ", kind, " |");
+    for (const Outcome o : kColumns)
+      absl::StrAppend(&text, " ", counts[o] == 0 ? "" : absl::StrCat(counts[o]), " |");
+    text += "\n";
+  }
+  text += "| **all** |";
+  for (const Outcome o : kColumns) absl::StrAppend(&text, " ", total[o], " |");
+  text += "\n\n";
+  absl::StrAppend(&text, "Named or in the stated group: ", Share(right, all_hidden), "\n");
+  absl::StrAppend(&text, "Said that something is missing where it is: ", Share(seen, all_hidden),
+                  "\n");
+  absl::StrAppend(
+      &text, "Attributed to what is not there: ", Share(total[Outcome::kWrong], all_hidden), "\n");
+  absl::StrAppend(&text, "False alarms: ", Share(alarms, none), "\n");
+  if (!seconds.empty()) {
+    std::sort(seconds.begin(), seconds.end());
+    absl::StrAppendFormat(&text, "Seconds per trace: median %.1f, largest %.1f\n",
+                          seconds[seconds.size() / 2], seconds.back());
+  }
+  absl::StrAppend(&text, "\n| outcome | hidden, size, seed | family | visibility | said |\n",
+                  "|---|---|---|---|---|\n", listed);
+  return text;
+}
+
+int Main(int argc, char** argv) {
+  CommandLine line;
+  bool library = false, outside = false;
+  CLI::App app("Runs robostress-calibrate on generated rigs and prints how often it is right");
+  app.add_option("--out", line.out, "Directory of rigs and reports; what is there is not repeated")
+      ->required();
+  app.add_option("--effect", line.kinds, "Hidden effect, or two joined by +; repeat for more");
+  app.add_flag("--library", library, "All effects of the library");
+  app.add_flag("--outside", outside, "All effects that the library does not have");
+  app.add_option("--none", line.none, "Rigs that hide nothing");
+  app.add_option("--size", line.sizes, "small, medium, large; repeat for more");
+  app.add_option("--first-seed", line.first_seed, "Below 10000: for tuning; from 10000: to report")
+      ->capture_default_str();
+  app.add_option("--seeds", line.seeds, "Of every kind and size")->capture_default_str();
+  app.add_option("--workers", line.workers, "Processes at a time")->capture_default_str();
+  app.add_option("--surrogates", line.surrogates, "Of calibrate")->capture_default_str();
+  app.add_option("--calibrate", line.calibrate, "Program to judge; beside this one if not given");
+  app.add_flag("--table-only", line.table_only, "Run nothing");
+  CLI11_PARSE(app, argc, argv);
+  if (library)
+    line.kinds.insert(line.kinds.end(), LibraryEffects().begin(), LibraryEffects().end());
+  if (outside)
+    line.kinds.insert(line.kinds.end(), OutsideEffects().begin(), OutsideEffects().end());
+  if (line.calibrate.empty()) {
+    const auto found = FindProgram("calibrate");
+    if (!found.ok()) {
+      std::fprintf(stderr, "calibration_study: %s\n",
+                   std::string(found.status().message()).c_str());
+      return 1;
+    }
+    line.calibrate = *found;
+  }
+  const std::vector<Case> cases = Cases(line);
+  std::atomic<size_t> next{0};
+  std::atomic<bool> failed{false};
+  std::vector<std::thread> workers;
+  for (int i = 0; i < line.workers && !line.table_only; ++i)
+    workers.emplace_back([&] {
+      for (size_t k = next++; k < cases.size() && !failed; k = next++) {
+        const absl::Status status = RunCase(cases[k], line);
+        if (status.ok()) continue;
+        std::fprintf(stderr, "calibration_study: %s: %s\n", cases[k].folder.c_str(),
+                     std::string(status.message()).c_str());
+        failed = true;
+      }
+    });
+  for (std::thread& worker : workers) worker.join();
+  if (failed) return 1;
+  const std::string table = Table(cases);
+  std::fputs(table.c_str(), stdout);
+  return WriteFileAtomically(line.out + "/table.md", table).ok() ? 0 : 1;
+}
+
+}  // namespace
+}  // namespace robostress::generator
+
+int main(int argc, char** argv) { return robostress::generator::Main(argc, argv); }
