@@ -191,16 +191,6 @@ double Rms(const std::vector<double>& values) {
   return std::sqrt(sum / static_cast<double>(values.size()));
 }
 
-// Standard deviation of white noise on a signal that is smooth but for some corners: of its third
-// differences, whose median size corners do not move.
-double NoiseBetweenCorners(const std::vector<double>& signal) {
-  std::vector<double> sizes;
-  for (size_t i = 3; i < signal.size(); ++i)
-    sizes.push_back(std::abs(signal[i] - 3 * signal[i - 1] + 3 * signal[i - 2] - signal[i - 3]));
-  std::nth_element(sizes.begin(), sizes.begin() + sizes.size() / 2, sizes.end());
-  return sizes[sizes.size() / 2] / 0.6745 / std::sqrt(20.0);
-}
-
 // Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
 // step leaves; from where a free run starts the rounding grows with time.
 void AdoptVelocity(const std::string& joint, const std::vector<double>& logged,
@@ -209,8 +199,8 @@ void AdoptVelocity(const std::string& joint, const std::vector<double>& logged,
   constexpr double kDisagreement = 0.5;  // of the velocity; the motor's may differ from the link's
   // Of the derivative by a local quadratic: noise over the root of the sum of squared row numbers.
   const double rows = kSmoothing * (kSmoothing + 1) * (2 * kSmoothing + 1) / 3.0;
-  const double derived = NoiseBetweenCorners(motion) / (dt * std::sqrt(rows));
-  const double noise = NoiseBetweenCorners(logged), speed = Rms(record.dq);
+  const double derived = FitLocalQuadratics(motion, dt, kSmoothing).noise / (dt * std::sqrt(rows));
+  const double noise = FitLocalQuadratics(logged, dt, 1).noise, speed = Rms(record.dq);
   std::vector<double> difference(logged.size());
   for (size_t i = 0; i < logged.size(); ++i) difference[i] = logged[i] - record.dq[i];
   const double apart = Rms(difference);

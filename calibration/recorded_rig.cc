@@ -69,7 +69,7 @@ absl::Status CheckEpisode(const RecordedArm& arm, const RecordedEpisode& episode
 std::string PieceCsv(const RecordedArm& arm, const RecordedEpisode& episode, const Piece& piece,
                      const RecordedRigOptions& options, int index) {
   std::string csv = "t";
-  const bool with_dq = !episode.dq.empty() && options.encoder_noise == 0;
+  const bool with_dq = !episode.dq.empty();
   for (const std::string& joint : arm.joints)
     absl::StrAppend(&csv, ",q_", joint, with_dq ? ",dq_" + joint : "", ",tau_", joint);
   csv += "\n";
@@ -80,9 +80,12 @@ std::string PieceCsv(const RecordedArm& arm, const RecordedEpisode& episode, con
   for (size_t i = piece.first; i < piece.last; ++i) {
     absl::StrAppendFormat(&csv, "%.6f", episode.t[i]);
     for (size_t j = 0; j < arm.joints.size(); ++j) {
-      const double error = options.encoder_noise > 0 ? options.encoder_noise * noise.Normal() : 0;
-      absl::StrAppendFormat(&csv, ",%.10g", episode.q[j][i] + error);
-      if (with_dq) absl::StrAppendFormat(&csv, ",%.9g", episode.dq[j][i]);
+      const double q = episode.q[j][i] + options.encoder_noise * noise.Normal();
+      absl::StrAppendFormat(&csv, ",%.10g", q);
+      if (with_dq) {
+        const double error = RecordedRigOptions::kVelocityNoise * options.encoder_noise * noise.Normal();
+        absl::StrAppendFormat(&csv, ",%.9g", episode.dq[j][i] + error);
+      }
       absl::StrAppendFormat(&csv, ",%.9g", episode.tau[j][i]);
     }
     csv += "\n";

@@ -36,8 +36,11 @@ struct RecordedRigOptions {
   double contact_margin_s = 0.05;
   // What is left falls into pieces, each a log; shorter ones are dropped.
   double min_piece_s = 0.4;
-  // Encoder noise to add [rad]: a simulator's readings are exact, a robot's are not. Seeded.
-  double encoder_noise = 0;
+  // Noise to add to the angles [rad], and kVelocityNoise times that to the velocities: a simulator's
+  // readings are exact, a robot's are not, and a trace that knows no noise takes the last digits of
+  // the integrators for effects. Seeded.
+  static constexpr double kVelocityNoise = 20;  // [1/s]
+  double encoder_noise = 2e-5;
   uint64_t seed = 0;
   double window_s = 0.25;  // metric.window_s
   int held_out_every = 3;  // of the episodes of a group, the last of so many is held out
