@@ -7,6 +7,7 @@
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_format.h"
 #include "calibration/calibrate.h"
+#include "calibration/effect_table.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 
@@ -47,6 +48,7 @@ absl::Status Run(CommandLine line) {
   calibration.after.file = std::filesystem::absolute(out / "rig_after.yaml").string();
   report.model_out = "rig_after.yaml";
   RS_RETURN_IF_ERROR(WriteFileAtomically(calibration.after.file, WriteRig(calibration.after)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.html").string(), ReportHtml(report)));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.json").string(), ReportJson(report)));
   std::printf("%s: %s\n", report.rig.c_str(), VerdictName(report.verdict));
   for (const JointReport& joint : report.joints) {
@@ -88,6 +90,13 @@ int Main(int argc, char** argv) {
       ->check(CLI::Range(1, 10))
       ->capture_default_str();
   app.add_flag("--quiet", line.quiet, "No progress");
+  app.add_flag_callback(
+      "--effects",
+      [] {
+        std::printf("%s", EffectTableMarkdown().c_str());
+        throw CLI::Success();
+      },
+      "Print the effect library and do nothing else");
   app.footer(kExamples);
   try {
     app.parse(argc, argv);

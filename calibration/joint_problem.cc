@@ -13,7 +13,7 @@ constexpr int kMaxResiduals = 8000;  // of a problem; more rows are thinned out
 constexpr double kStep = 1e-4;       // of forward differences, in units of the scale
 // The measured state of a start is believed to this many standard deviations: beside noise it has
 // the bias of smoothing.
-constexpr double kStartTrust = 5;
+constexpr double kStartTrust = 8;
 
 bool Motion(JointInput input) {
   return input == JointInput::kPositionTarget || input == JointInput::kTorque;
@@ -110,11 +110,10 @@ void JointProblem::LinearizeStarts(const JointModel& model) {
 namespace {
 
 // r - S (S'S + ridge)^-1 S' r of one window.
-Eigen::Matrix2d StartGain(const Eigen::MatrixX2d& S, double noise, double dt) {
-  // Of local quadratics over four rows each side: values keep half of the noise, slopes
-  // noise / (dt sqrt(60)).
-  const double value = kStartTrust * 0.5 * noise;
-  const double slope = kStartTrust * noise / (dt * std::sqrt(60.0));
+Eigen::Matrix2d StartGain(const Eigen::MatrixX2d& S, const JointRecord& record) {
+  const double noise = record.noise;
+  const double value = kStartTrust * record.start_noise_q;
+  const double slope = kStartTrust * record.start_noise_dq;
   Eigen::Matrix2d A = S.transpose() * S;
   const double tiny = 1e-12 * (A.trace() + 1e-300);
   A(0, 0) += (noise > 0 ? std::pow(noise / value, 2) : 0) + tiny;
@@ -131,8 +130,7 @@ void JointProblem::Project(const WindowSet& chosen, Eigen::Ref<Eigen::MatrixXd> 
     const int rows = Rows(windows_[i]);
     if (chosen[i]) {
       const Eigen::MatrixX2d S = starts_.middleRows(from, rows);
-      const Eigen::Matrix2d gain =
-          StartGain(S, Noise(windows_[i]), tracks_[windows_[i].track].log->dt);
+      const Eigen::Matrix2d gain = StartGain(S, Record(windows_[i]));
       auto block = m.middleRows(to, rows);
       block -= S * (gain * (S.transpose() * block));
       to += rows;
@@ -157,11 +155,10 @@ double JointProblem::ProjectedFloor(const WindowSet& chosen) const {
       if (starts_.rows() > 0) {
         const Eigen::MatrixX2d S = starts_.middleRows(from, rows);
         const Eigen::Matrix2d SS = S.transpose() * S;
-        const Eigen::Matrix2d gain =
-            StartGain(S, Noise(windows_[i]), tracks_[windows_[i].track].log->dt);
+        const Eigen::Matrix2d gain = StartGain(S, Record(windows_[i]));
         trace += (gain * SS * gain * SS).trace() - 2 * (gain * SS).trace();
       }
-      sum += trace * std::pow(Noise(windows_[i]), 2);
+      sum += trace * std::pow(Record(windows_[i]).noise, 2);
       count += rows;
     }
     from += rows;
@@ -175,12 +172,12 @@ double JointProblem::Floor(const WindowSet& chosen) const {
   for (size_t i = 0; i < windows_.size(); ++i) {
     const int rows = Rows(windows_[i]);
     if (chosen[i]) {
-      const double noise = Noise(windows_[i]), dt = tracks_[windows_[i].track].log->dt;
-      sum += rows * noise * noise;
+      const JointRecord& record = Record(windows_[i]);
+      sum += rows * record.noise * record.noise;
       if (starts_.rows() > 0) {
         const Eigen::MatrixX2d S = starts_.middleRows(from, rows);
-        sum += S.col(0).squaredNorm() * std::pow(0.5 * noise, 2) +
-               S.col(1).squaredNorm() * noise * noise / (60 * dt * dt);
+        sum += S.col(0).squaredNorm() * std::pow(record.start_noise_q, 2) +
+               S.col(1).squaredNorm() * std::pow(record.start_noise_dq, 2);
       }
       count += rows;
     }

@@ -64,7 +64,7 @@ class JointProblem {
                JointSimulation::StartOffset offset, std::vector<double>& residual) const;
   Eigen::VectorXd Gather(const JointModel& model, const WindowSet& chosen,
                          JointSimulation::StartOffset offset) const;
-  double Noise(const Window& window) const { return tracks_[window.track].record().noise; }
+  const JointRecord& Record(const Window& window) const { return tracks_[window.track].record(); }
 
   std::string joint_;
   std::vector<JointTrack> tracks_;

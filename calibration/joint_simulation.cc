@@ -109,17 +109,23 @@ void JointSimulation::ShapeCommands(const JointModel& model, Chain& chain) {
     sums_.assign(given.size() + 1, 0);
     for (size_t i = 0; i < given.size(); ++i) sums_[i + 1] = sums_[i] + given[i];
   }
-  for (size_t i = 0; i < count; ++i) {
-    double command = given[i / steps];
-    if (shifted) {
-      const double begin = static_cast<double>(i) / steps - model.command_shift;
-      const double low = std::max(begin, 0.0);
-      const double high = std::min(begin + 1.0 / steps, static_cast<double>(given.size()));
-      if (high > low) command = (integral(high) - integral(low)) / (high - low);
+  double high = -model.command_shift, sum = shifted ? integral(high) : 0;
+  for (size_t row = 0; row < given.size(); ++row) {
+    for (int i = 0; i < steps; ++i) {
+      double command = given[row];
+      if (shifted) {
+        const double low = high, before = sum;
+        high = static_cast<double>(row) + static_cast<double>(i + 1) / steps - model.command_shift;
+        sum = integral(high);
+        const double within = std::clamp(high, 0.0, static_cast<double>(given.size())) -
+                              std::clamp(low, 0.0, static_cast<double>(given.size()));
+        if (within > 0) command = (sum - before) / within;
+      }
+      const size_t at = row * steps + i;
+      moment.t = static_cast<double>(at) * moment.h;
+      for (JointEffect* effect : command_stage) command = effect->Command(command, moment);
+      commands_[at] = command;
     }
-    moment.t = static_cast<double>(i) * moment.h;
-    for (JointEffect* effect : command_stage) command = effect->Command(command, moment);
-    commands_[i] = command;
   }
 }
 
@@ -163,6 +169,26 @@ void Describe(const JointTrack& track, const PlantRow& plant, bool payload, bool
   if (partner >= 0) moment.coupled_q = track.log->joints[partner].q_smooth[row];
 }
 
+// Velocity after a time under a constant torque and dry friction, which turns with the motion, and
+// the way gone. per_torque [1 / (kg m^2)].
+struct Stroke {
+  double dq = 0, way = 0;
+};
+
+Stroke Advance(double dq, double torque, const DryFriction& dry, double per_torque, double time) {
+  const double forward = std::max(0.0, dry.forward), backward = std::max(0.0, dry.backward);
+  double way = 0;
+  if (dq != 0) {
+    const double a = per_torque * (dq > 0 ? torque - forward : torque + backward);
+    const double next = dq + a * time;
+    if (next * dq >= 0) return {next, 0.5 * time * (dq + next)};
+    way = -0.5 * dq * dq / a;
+    time += dq / a;  // what is left after the stop
+  }
+  const double free = torque > forward ? torque - forward : std::min(0.0, torque + backward);
+  return {per_torque * free * time, way + 0.5 * per_torque * free * time * time};
+}
+
 }  // namespace
 
 void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, double command,
@@ -198,14 +224,9 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
   // h / M (1 - e^-x) / x; positive and without overshoot for every x.
   const double x = h_ * (model.damping + model.torque_gain * asked.slope) / inertia;
   const double kick = h_ / (inertia * (1 + x * (1.0 / 2 + x / 12)));
-  double next = s.dq + kick * torque;
-  if (next > 0) {
-    next = std::max(0.0, next - kick * std::max(0.0, dry.forward));
-  } else {
-    next = std::min(0.0, next + kick * std::max(0.0, dry.backward));
-  }
-  s.q += 0.5 * h_ * (s.dq + next);
-  s.dq = next;
+  const Stroke stroke = Advance(s.dq, torque, dry, kick / h_, h_);
+  s.q += stroke.way;
+  s.dq = stroke.dq;
   s.t += h_;
   moment.q = s.q;
   moment.dq = s.dq;

@@ -3,21 +3,57 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace robostress::calibration {
 namespace {
 
-// Third differences of white noise have variance 20 sigma^2 and hardly see a smooth motion; the
-// median hardly sees its corners.
+constexpr int kOrders = 6;  // of differences
+
+constexpr int kLeast = 2;      // rows each side
+constexpr double kBent = 1.1;  // times the noise
+
+// Weight of its own row in the value of a local quadratic.
+double CenterLeverage(int half) {
+  const double m = half;
+  return 3 * (3 * m * m + 3 * m - 1) / ((2 * m - 1) * (2 * m + 1) * (2 * m + 3));
+}
+
+// Differences of order k of white noise have variance (2k over k) sigma^2. A motion adds to them,
+// the less the higher the order, so the least is the best; their median hardly sees corners.
 double NoiseOf(const std::vector<double>& signal) {
-  std::vector<double> differences;
-  for (size_t i = 3; i < signal.size(); ++i)
-    differences.push_back(
-        std::abs(signal[i] - 3 * signal[i - 1] + 3 * signal[i - 2] - signal[i - 3]));
-  if (differences.empty()) return 0;
-  const auto middle = differences.begin() + differences.size() / 2;
-  std::nth_element(differences.begin(), middle, differences.end());
-  return *middle / 0.6745 / std::sqrt(20.0);
+  std::vector<double> differences = signal;
+  double least = std::numeric_limits<double>::infinity(), variance = 1;
+  for (int order = 1; order <= kOrders && differences.size() > 1; ++order) {
+    for (size_t i = 0; i + 1 < differences.size(); ++i)
+      differences[i] = differences[i + 1] - differences[i];
+    differences.pop_back();
+    variance *= 2.0 * (2 * order - 1) / order;
+    if (order < 3) continue;
+    std::vector<double> sizes = differences;
+    for (double& size : sizes) size = std::abs(size);
+    const auto middle = sizes.begin() + static_cast<int>(sizes.size() / 2);
+    std::nth_element(sizes.begin(), middle, sizes.end());
+    least = std::min(least, *middle / 0.6745 / std::sqrt(variance));
+  }
+  return std::isfinite(least) ? least : 0;
+}
+
+// The step of a reading that takes only multiples of one; 0 where there is none to be seen.
+double ResolutionOf(std::vector<double> signal) {
+  std::sort(signal.begin(), signal.end());
+  const double range = signal.back() - signal.front();
+  double step = range;
+  std::vector<double> gaps;
+  for (size_t i = 1; i < signal.size(); ++i) {
+    const double gap = signal[i] - signal[i - 1];
+    if (gap > 1e-9 * range) gaps.push_back(gap), step = std::min(step, gap);
+  }
+  if (gaps.empty()) return 0;
+  const auto off = std::count_if(gaps.begin(), gaps.end(), [&](double gap) {
+    return std::abs(gap / step - std::round(gap / step)) > 0.05;
+  });
+  return off * 50 < static_cast<int64_t>(gaps.size()) ? step : 0;
 }
 
 }  // namespace
@@ -26,7 +62,8 @@ LocalQuadratic FitLocalQuadratics(const std::vector<double>& signal, double dt, 
   const int n = static_cast<int>(signal.size()), width = std::min(2 * half + 1, n);
   LocalQuadratic fit;
   fit.value.resize(n), fit.first.resize(n), fit.second.resize(n);
-  fit.noise = NoiseOf(signal);
+  // Of a reading in steps, at least that of the steps.
+  fit.noise = std::max(NoiseOf(signal), ResolutionOf(signal) / std::sqrt(12.0));
   Eigen::MatrixXd design(width, 3);
   // Rows of the pseudo-inverse, evaluated at each place within the window.
   const auto weights_at = [&](int place) {
@@ -46,7 +83,21 @@ LocalQuadratic FitLocalQuadratics(const std::vector<double>& signal, double dt, 
     fit.first[i] = c[1];
     fit.second[i] = 2 * c[2];
   }
+  const double m = half, squares = m * (m + 1) * (2 * m + 1) / 3;  // sum of i^2
+  fit.value_noise = fit.noise * std::sqrt(CenterLeverage(half));
+  fit.first_noise = fit.noise / (dt * std::sqrt(squares));
   return fit;
+}
+
+LocalQuadratic SmoothMotion(const std::vector<double>& signal, double dt, int most) {
+  for (int half = most;; --half) {
+    LocalQuadratic fit = FitLocalQuadratics(signal, dt, half);
+    double sum = 0;
+    for (size_t i = 0; i < signal.size(); ++i) sum += std::pow(signal[i] - fit.value[i], 2);
+    const double left = std::sqrt(sum / static_cast<double>(signal.size()));
+    if (half <= kLeast || left <= kBent * fit.noise * std::sqrt(1 - CenterLeverage(half)))
+      return fit;
+  }
 }
 
 }  // namespace robostress::calibration

@@ -17,7 +17,7 @@ namespace robostress::calibration {
 namespace {
 
 constexpr int kMinRows = 50;
-constexpr int kSmoothing = 4;        // rows each side
+constexpr int kSmoothing = 6;        // rows each side, at most
 constexpr double kJitter = 0.02;     // of dt; more is resampled
 constexpr double kGap = 5;           // in dt; more is refused
 constexpr double kRateError = 0.02;  // of the declared rate
@@ -193,13 +193,10 @@ double Rms(const std::vector<double>& values) {
 
 // Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
 // step leaves; from where a free run starts the rounding grows with time.
-void AdoptVelocity(const std::string& joint, const std::vector<double>& logged,
-                   const std::vector<double>& motion, double dt, JointRecord& record,
-                   std::vector<std::string>& notes) {
+void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, double dt,
+                   JointRecord& record, std::vector<std::string>& notes) {
   constexpr double kDisagreement = 0.5;  // of the velocity; the motor's may differ from the link's
-  // Of the derivative by a local quadratic: noise over the root of the sum of squared row numbers.
-  const double rows = kSmoothing * (kSmoothing + 1) * (2 * kSmoothing + 1) / 3.0;
-  const double derived = FitLocalQuadratics(motion, dt, kSmoothing).noise / (dt * std::sqrt(rows));
+  const double derived = record.start_noise_dq;
   const double noise = FitLocalQuadratics(logged, dt, 1).noise, speed = Rms(record.dq);
   std::vector<double> difference(logged.size());
   for (size_t i = 0; i < logged.size(); ++i) difference[i] = logged[i] - record.dq[i];
@@ -214,6 +211,7 @@ void AdoptVelocity(const std::string& joint, const std::vector<double>& logged,
                                  "; it is not used"));
   } else {
     record.dq = logged;
+    record.start_noise_dq = noise;
     if (noise <= 1e-3 * speed) record.ddq = FitLocalQuadratics(logged, dt, 1).first;
   }
 }
@@ -226,12 +224,14 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   }
   const std::vector<double>& motion =
       joint.input == JointInput::kTransmission ? record.q_motor : record.q;
-  const LocalQuadratic fit = FitLocalQuadratics(motion, dt, kSmoothing);
+  const LocalQuadratic fit = SmoothMotion(motion, dt, kSmoothing);
+  record.start_noise_q = fit.value_noise;
+  record.start_noise_dq = fit.first_noise;
   record.q_smooth = fit.value;
   record.dq = fit.first;
   record.ddq = fit.second;
   if (!logged_velocity.empty())
-    AdoptVelocity(joint.name, logged_velocity, motion, dt, record, notes);
+    AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
   record.noise = FitLocalQuadratics(record.q, dt, kSmoothing).noise;
   if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, fit.noise);
   const double range = RangeOf(record.q);

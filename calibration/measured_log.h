@@ -16,9 +16,11 @@ struct JointRecord {
   std::vector<double> q_motor;      // q_motor_<joint> [rad], of a transmission
   std::vector<double> tau;          // tau_<joint> [Nm]
   std::vector<double> temperature;  // temp_<joint> [deg C]
-  // From q (of a transmission q_motor) by local quadratics over `kSmoothing` rows each side; dq is
-  // dq_<joint> where the file has it and it is the derivative of q with no more noise.
+  // From q (of a transmission q_motor) by local quadratics, and what noise is in the first two
+  // [rad, rad/s]; dq is dq_<joint> where the file has it and it is the derivative of q with no more
+  // noise.
   std::vector<double> q_smooth, dq, ddq;
+  double start_noise_q = 0, start_noise_dq = 0;
   // [rad] standard deviation of q about those; of a transmission of both readings together.
   double noise = 0;
 };

@@ -24,6 +24,7 @@ constexpr double kNotTestable = 0.02;  // surviving share
 constexpr double kRivalMargin = 0.05;  // a rival's error may be larger by this share
 constexpr double kAlikeMargin = 0.25;  // of one whose signature looks alike
 constexpr double kAlike = 0.95;        // |cos| between signatures
+constexpr double kRivalGain = 0.5;     // of the effect's own linear gain
 constexpr int kStartsPerCandidate = 2;
 
 // Effects by name, with a partner where there is one.
@@ -73,6 +74,8 @@ class Search {
     std::vector<TracedModel> beam = {trace.declared};
     TracedModel best = trace.declared;
     while (!beam.empty() && static_cast<int>(beam.front().added.size()) < options_.max_effects) {
+      // Nothing but noise is left.
+      if (best.cv.Rms() < kAtFloor * floor_ && !best.added.empty()) break;
       std::vector<TracedModel> next;
       double wanted = 1 - kMinCvGain;  // of the leader's error
       for (const TracedModel& base : beam) {
@@ -81,7 +84,6 @@ class Search {
         if (&base != &beam.front() || !next.empty()) continue;
         // A leader that nothing improves on is the answer, unless much is left and another way
         // leads much further.
-        if (base.cv.Rms() < kAtFloor * floor_) break;
         wanted = kDetourGain;
       }
       KeepBest(next);
@@ -179,12 +181,13 @@ class Search {
     return contenders;
   }
 
-  // Finalists: what beats its own chance, of what could matter.
+  // Finalists: what beats its own chance, of what could matter beside the best.
   int CountFinalists(const std::vector<Contender>& contenders) const {
     int count = 0;
+    const double best = contenders.front().gain;
     for (const Contender& contender : contenders) {
       if (count == options_.finalists || contender.gain < kMinCvGain ||
-          contender.own_p > 5 * kMaxPValue)
+          contender.gain < (best > 0.95 ? 0.8 : 0.25) * best || contender.own_p > 5 * kMaxPValue)
         break;
       ++count;
     }
@@ -316,7 +319,7 @@ class Search {
                                    std::vector<std::vector<double>>(screening.candidates().size())};
     for (Contender& contender : Rank(screening, nothing))
       if (NameOf(screening.candidates()[contender.candidate]) != effect &&
-          contender.gain > 0.25 * GainOf(screening, effect))
+          contender.gain > kRivalGain * GainOf(screening, effect))
         others.push_back(std::move(contender));
     if (static_cast<int>(others.size()) > options_.finalists) others.resize(options_.finalists);
     std::vector<TracedModel> models(others.size());

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "eval/statistics.h"
+#include "common/statistics.h"
 
 namespace robostress {
 

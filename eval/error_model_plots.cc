@@ -8,7 +8,7 @@
 #include "common/joint_errors/compliance.h"
 #include "common/joint_errors/friction.h"
 #include "common/joint_errors/joint_error_stack.h"
-#include "eval/svg_plot.h"
+#include "common/svg_plot.h"
 
 namespace robostress {
 namespace {

@@ -13,7 +13,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/suites.h"
-#include "eval/svg_plot.h"
+#include "common/svg_plot.h"
 
 namespace robostress {
 namespace {

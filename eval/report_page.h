@@ -9,9 +9,6 @@ namespace robostress {
 // The report as one HTML page that needs nothing else: style, plots and videos are inside it.
 std::string ReportPage(const RunData& run, const Summary& summary, const ReportOptions& options);
 
-// Doctype, title and style: what every page of this program begins with, <body> included.
-std::string PageHead(const std::string& title);
-
 // Plots that the page and the figures folder share.
 std::string SuccessPlot(const SuccessTable& table);
 std::string DifferencePlot(const SuccessTable& table);

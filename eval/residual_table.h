@@ -6,7 +6,7 @@
 
 #include "absl/status/statusor.h"
 #include "eval/run_store.h"
-#include "eval/statistics.h"
+#include "common/statistics.h"
 
 // Residual magnitude across scenarios (paper, tab:residual-magnitude) and the share of it that is
 // controller lag. Per rollout r, over its executed steps and without the gripper:

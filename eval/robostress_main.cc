@@ -24,6 +24,7 @@ constexpr Command kCommands[] = {
     {"report", "Write the report page and tables of a run directory"},
     {"residual", "Measure residual magnitudes for both goal references, and their controller lag"},
     {"calibrate", "Find what a model of a measured robot lacks, add it, report before and after"},
+    {"fidelity", "Compare Heavy Payload and Gaussian action noise with a real payload"},
     {"suites", "List suites, their tasks and instructions; draw their first frames"},
     {"scenarios", "List scenarios with their severity factors"},
     {"error-models", "Draw the four joint error models over time"},

@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "common/statistics.h"
 #include "eval/run_store.h"
-#include "eval/statistics.h"
 
 namespace robostress {
 
@@ -96,6 +96,8 @@ Summary Summarise(const RunData& run, int bootstrap_replicates);
 std::string ScenarioTitle(const std::string& scenario);
 // "Base", "Ours", "Ours, target intent", "Gain control" ...
 std::string MethodTitle(const std::string& method);
+// Colour of a method, equal in every plot; other names get a neutral one.
+std::string MethodColor(const std::string& method);
 // A fraction in percentage points without a negative zero.
 double PercentagePoints(double fraction);
 // "12", "not adapted" (an adapting method without an update), or "-" (a method that does not

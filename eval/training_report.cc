@@ -9,10 +9,10 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
+#include "common/html_page.h"
+#include "common/statistics.h"
 #include "common/status_macros.h"
-#include "eval/report_page.h"
-#include "eval/statistics.h"
-#include "eval/svg_plot.h"
+#include "common/svg_plot.h"
 #include "nlohmann/json.hpp"
 #include "yaml-cpp/yaml.h"
 

@@ -5,8 +5,8 @@
 #include <limits>
 
 #include "common/atomic_file.h"
+#include "common/svg_plot.h"
 #include "eval/report_page.h"
-#include "eval/svg_plot.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "nlohmann/json.hpp"

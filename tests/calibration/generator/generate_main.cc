@@ -17,14 +17,15 @@ int main(int argc, char** argv) {
       ->check(CLI::IsMember({"small", "medium", "large"}));
   app.add_option("--seed", options.seed, "Of everything that is drawn");
   app.add_option("--family", family, "any, servo, torque, inverse, transmission, slide or arm");
-  app.add_option("--excitation", richness, "any, rich or poor")
-      ->check(CLI::IsMember({"any", "rich", "poor"}));
+  app.add_option("--excitation", richness, "any, rich, poor or brief")
+      ->check(CLI::IsMember({"any", "rich", "poor", "brief"}));
   app.add_option("--out", out, "Folder of the rig")->required();
   CLI11_PARSE(app, argc, argv);
   options.size = size == "small" ? Size::kSmall : size == "medium" ? Size::kMedium : Size::kLarge;
-  options.richness = richness == "rich"   ? Richness::kRich
-                     : richness == "poor" ? Richness::kPoor
-                                          : Richness::kAny;
+  options.richness = richness == "rich"    ? Richness::kRich
+                     : richness == "poor"  ? Richness::kPoor
+                     : richness == "brief" ? Richness::kBrief
+                                           : Richness::kAny;
   const auto parsed = ParseFamily(family);
   if (!parsed.ok()) {
     std::fprintf(stderr, "calibration_generate: %s\n",

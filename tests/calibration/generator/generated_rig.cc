@@ -102,28 +102,32 @@ class Drawer {
     constexpr double kRates[] = {100, 125, 200, 250, 500, 1000};
     rig_.rate_hz = kRates[random_.UniformInt(6)];
     if (rich_) rig_.rate_hz = std::max(200.0, rig_.rate_hz);
+    const bool brief = options_.richness == Richness::kBrief;
+    if (brief) rig_.rate_hz = 200;
     const Body& body = rig_.truth.body;
     amplitude_ = body.slide ? random_.Uniform(0.05, 0.3) : random_.Uniform(0.4, 1.2);
     if (arm()) amplitude_ = std::min(amplitude_, 0.8);
     const double quiet = amplitude_ * LogUniform(random_, 1e-5, 2e-4);
     const double step = random_.Uniform() < 0.5 ? 0 : amplitude_ * LogUniform(random_, 2e-5, 4e-4);
-    const int fit = rich_ ? 3 + random_.UniformInt(2) : 2 + random_.UniformInt(2);
-    const int held_out = 1 + random_.UniformInt(2);
-    const bool transfer = random_.Uniform() < 0.4;
+    const int fit = brief ? 2 : rich_ ? 3 + random_.UniformInt(2) : 2 + random_.UniformInt(2);
+    const int held_out = brief ? 1 : 1 + random_.UniformInt(2);
+    const bool transfer = !brief && random_.Uniform() < 0.4;
     const Motion poor = static_cast<Motion>(random_.UniformInt(4));
     const bool by_torque = family_ == Family::kTorque;
     // Mostly as a controller does that runs with the log; else the servo sees a smooth command.
     const bool held = by_torque || random_.Uniform() < 0.75;
+    rig_.commands_hold = held;
     for (int i = 0; i < fit + held_out + (transfer ? 1 : 0); ++i) {
       Experiment x;
       x.dt = 1 / rig_.rate_hz;
-      x.duration = rich_ ? random_.Uniform(10, 16) : random_.Uniform(6, 10);
+      x.duration = brief ? 8 : rich_ ? random_.Uniform(10, 16) : random_.Uniform(6, 10);
       x.noise = quiet;
       x.step = step;
       x.held = held;
       x.by_torque = by_torque;
       const bool other = i == fit + held_out;
       Motion motion = rich_ ? static_cast<Motion>((i + random_.UniformInt(2) * 4) % 5) : poor;
+      if (brief) motion = family_ == Family::kTransmission ? Motion::kMultiSine : Motion::kMixed;
       if (family_ == Family::kTransmission && motion == Motion::kRamps) motion = Motion::kMoves;
       if (family_ == Family::kTransmission && motion == Motion::kMixed) motion = Motion::kChirp;
       for (int j = 0; j < joints(); ++j) {

@@ -11,7 +11,8 @@
 namespace robostress::generator {
 
 enum class Family { kAny, kServo, kTorque, kInverse, kTransmission, kSlide, kArm };
-enum class Richness { kAny, kRich, kPoor };
+// kBrief: two short logs to fit, full of everything, for tests that must be quick.
+enum class Richness { kAny, kRich, kPoor, kBrief };
 
 struct RigOptions {
   // What the rig does not declare: names of LibraryEffects() or OutsideEffects(); none: nothing.
@@ -36,6 +37,7 @@ struct GeneratedRig {
   bool declares_dry_friction = false;         // as a stribeck_friction effect
   std::vector<std::string> friction_fit;      // of its parameters
   double rate_hz = 200;
+  bool commands_hold = true;  // over a row; else the servo sees them continuously
   double window_s = 0.5;
   std::vector<Log> logs;
   // rms change of the first log's readings that the hidden effects make, over the noise: below

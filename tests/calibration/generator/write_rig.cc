@@ -126,6 +126,7 @@ Json TruthJson(const GeneratedRig& rig, const RigOptions& options) {
                {"family", FamilyName(rig.family)},
                {"size", static_cast<int>(options.size)},
                {"visibility", rig.visibility},
+               {"commands_hold", rig.commands_hold},
                {"effects", Json::array()}};
   for (const HiddenEffect& effect : rig.truth.effects) {
     bool known = false;

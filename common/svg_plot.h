@@ -5,14 +5,12 @@
 #include <utility>
 #include <vector>
 
-#include "eval/statistics.h"
+#include "common/statistics.h"
+#include "common/svg_elements.h"
 
 namespace robostress {
 
 // Plots as self-contained SVG text: explicit colours and fonts, no script, no external reference.
-
-// Colour of a method, equal in every plot; other names get a neutral one.
-std::string MethodColor(const std::string& method);
 
 struct IntervalPoint {
   double value = 0;
@@ -41,6 +39,14 @@ std::string IntervalPlot(const std::vector<std::string>& categories,
 struct LineSeries {
   std::string name, color;
   std::vector<double> x, y;
+  std::vector<double> low, high;  // a band behind the line, or empty
+  std::string dash;               // as of SVG: "4 3"
+};
+
+// Text at the upper end of a vertical mark.
+struct MarkLabel {
+  double x = 0;
+  std::string text;
 };
 
 struct LinePlotOptions {
@@ -48,11 +54,31 @@ struct LinePlotOptions {
   std::string y_label;                 // upright beside the ticks; empty: no room is kept for it
   std::vector<double> vertical_marks;  // dashed, e.g. task boundaries
   std::optional<double> y_min, y_max;  // otherwise from the data
+  std::vector<MarkLabel> labels;
   int width = 380, height = 250;
   bool dots = false;
+  bool fractional_x_ticks = false;    // otherwise only whole numbers: steps, episodes
+  bool log_x = false, log_y = false;  // what is not positive is left out
 };
 
 std::string LinePlot(const std::vector<LineSeries>& series, const LinePlotOptions& options);
+
+// One horizontal bar.
+struct Bar {
+  std::string name, color, note;  // note: after the bar's end
+  double value = 0;
+};
+
+struct BarPlotOptions {
+  std::string title, x_label;
+  double x_min = 0;
+  std::optional<double> x_max;                             // otherwise from the data
+  std::vector<std::pair<double, std::string>> references;  // dashed lines with names
+  int width = 560;
+};
+
+// Bars from top to bottom.
+std::string BarPlot(const std::vector<Bar>& bars, const BarPlotOptions& options);
 
 struct PlotSheetOptions {
   std::string title;
@@ -63,9 +89,5 @@ struct PlotSheetOptions {
 
 // Plots in rows of `columns` under one title and legend.
 std::string PlotSheet(const std::vector<std::string>& plots, const PlotSheetOptions& options);
-
-// Tick positions at 1, 2 or 5 times a power of ten, about `count` of them, inside [low, high].
-std::vector<double> NiceTicks(double low, double high, int count);
-std::string EscapeXml(const std::string& text);
 
 }  // namespace robostress

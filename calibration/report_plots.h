@@ -1,0 +1,23 @@
+#pragma once
+
+#include <string>
+
+#include "calibration/calibration_report.h"
+#include "calibration/report_numbers.h"
+
+namespace robostress::calibration {
+
+// Pictures of a joint's report as SVG; empty where the report holds nothing to draw. The declared
+// model is orange, the model after calibration blue, in all of them.
+inline constexpr char kDeclaredColor[] = "#d55e00", kAfterColor[] = "#0072b2";
+
+// Measured, declared and after over a stretch, and below it both residuals.
+std::string ExamplePlot(const ExampleReport& example, bool added, const DisplayUnit& unit);
+// The residual's means against position, velocity, load, time, or its spectrum (log axes).
+std::string StructurePlot(const StructureCurve& curve, bool added, const DisplayUnit& unit);
+// Share of the residual that each candidate explains, and what chance reaches.
+std::string RoundPlot(const RoundReport& round, int number);
+// Declared and after on the logs of every role, with the noise floor.
+std::string ErrorPlot(const JointReport& joint, const DisplayUnit& unit);
+
+}  // namespace robostress::calibration
