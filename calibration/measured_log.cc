@@ -185,39 +185,34 @@ absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& 
   return record;
 }
 
-double Rms(const std::vector<double>& values) {
-  double sum = 0;
-  for (const double value : values) sum += value * value;
-  return std::sqrt(sum / static_cast<double>(values.size()));
-}
-
 // Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
-// step leaves; from where a free run starts the rounding grows with time.
+// step leaves; from where a free run starts the rounding grows with time. Only where it is the
+// derivative: no other gain, no lag (a filter's would pose as an effect), no more noise.
 void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, double dt,
                    JointRecord& record, std::vector<std::string>& notes) {
-  constexpr double kDisagreement = 0.5;  // of the velocity; the motor's may differ from the link's
-  const double derived = record.start_noise_dq;
-  const double noise = FitLocalQuadratics(logged, dt, 1).noise, speed = Rms(record.dq);
-  std::vector<double> difference(logged.size());
-  for (size_t i = 0; i < logged.size(); ++i) difference[i] = logged[i] - record.dq[i];
-  const double apart = Rms(difference);
-  if (apart > kDisagreement * speed + 3 * (noise + derived)) {
-    notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", apart,
-                                 " (rms) from the derivative of the position, which moves at ",
-                                 speed, "; it is not used"));
-  } else if (noise > 1e-3 * speed && noise > derived) {
-    notes.push_back(absl::StrCat(joint, ": dq_", joint, " has noise of ", noise,
-                                 ", the derivative of the position of ", derived,
-                                 "; it is not used"));
-  } else {
+  double speed = 0, both = 0, bend = 0, ahead = 0;
+  for (size_t i = 0; i < logged.size(); ++i) {
+    speed += record.dq[i] * record.dq[i];
+    both += record.dq[i] * logged[i];
+    bend += record.ddq[i] * record.ddq[i];
+    ahead += record.ddq[i] * (logged[i] - record.dq[i]);
+  }
+  const double gain = both / std::max(speed, 1e-30), lag = -ahead / std::max(bend, 1e-30);
+  const double noise = FitLocalQuadratics(logged, dt, 1).noise;
+  if (std::abs(gain - 1) > 0.03 || std::abs(lag) > 0.5 * dt) {
+    notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", gain,
+                                 " times the derivative of the position, ", lag,
+                                 " s behind it; it is not used"));
+  } else if (noise <= record.start_noise_dq) {
     record.dq = logged;
     record.start_noise_dq = noise;
-    if (noise <= 1e-3 * speed) record.ddq = FitLocalQuadratics(logged, dt, 1).first;
+    record.ddq = SmoothMotion(logged, dt, kSmoothing).first;
   }
 }
 
 absl::Status GateJoint(const std::string& file, const RigJoint& joint,
-                       const std::vector<double>& logged_velocity, JointRecord& record, double dt, std::vector<std::string>& notes) {
+                       const std::vector<double>& logged_velocity, JointRecord& record, double dt,
+                       std::vector<std::string>& notes) {
   for (auto* angle : {&record.q, &record.q_motor}) {
     if (const int wraps = Unwrap(*angle); wraps > 0)
       notes.push_back(absl::StrCat(joint.name, ": ", wraps, " jumps by a whole turn taken out"));

@@ -39,7 +39,7 @@ struct RecordedRigOptions {
   // Noise to add to the angles [rad], and kVelocityNoise times that to the velocities: a simulator's
   // readings are exact, a robot's are not, and a trace that knows no noise takes the last digits of
   // the integrators for effects. Seeded.
-  static constexpr double kVelocityNoise = 20;  // [1/s]
+  static constexpr double kVelocityNoise = 10;  // [1/s]
   double encoder_noise = 2e-5;
   uint64_t seed = 0;
   double window_s = 0.25;  // metric.window_s
