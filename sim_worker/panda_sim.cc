@@ -533,7 +533,10 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   e.clock = 0;
   if (e.effects.any()) {
     EffectStack::Moments moments = s.DescribeJoints();
-    for (JointMoment& moment : moments) moment.drive = moment.gravity;
+    for (int i = 0; i < 7; ++i) {
+      moments[i].q = q[i] - e.errors.offset()[i];
+      moments[i].drive = moments[i].gravity;
+    }
     e.effects.Reset(moments);
   }
   s.position_stage_stale = false;

@@ -151,7 +151,7 @@ void PrintEffects() {
       "Values are physical; severity levels do not scale them. The controller gives torques, so "
       "that a\ncommand effect acts on the joint's torque command on its way to the motor. Effects "
       "of stage sensor\nare outside the paper, which adds no noise to observations: they act on "
-      "the joint readings that the\ncontroller sees. Ranges at J1; torques of J5 to J7 end at "
+      "the joint readings that the\ncontroller sees. Ranges at J1; torques of J6 and J7 end at "
       "12/80 of J1's.\n\n");
   for (const EffectInfo& effect : EffectLibrary()) {
     std::printf("%-28s %-12s %s%s\n", effect.type.c_str(), StageName(effect.stage),

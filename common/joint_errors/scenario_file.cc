@@ -24,7 +24,7 @@ constexpr char kCoupledKey[] = "joint";
 
 // Sizes of the arm, of which the library's bounds are multiples.
 double ArmScale(EffectScale scale, int joint) {
-  const double torque = joint < 4 ? 80 : 12;  // [Nm]
+  const double torque = joint < 5 ? 80 : 12;  // [Nm]
   constexpr double kPosition = M_PI, kVelocity = 2.2, kSample = 0.05, kReach = 0.85;
   switch (scale) {
     case EffectScale::kOne:

@@ -42,6 +42,8 @@ Path Record(PandaSim& sim, int steps) {
   EXPECT_TRUE(sim.Reset(HomeState(sim), PandaHome()).ok());
   EXPECT_TRUE(sim.Settle(2).ok());
   for (int i = 0; i < steps; ++i) EXPECT_TRUE(sim.Step(Wander(i)).ok());
+  sim.OnJointSample(nullptr);
+  sim.OnSubStep(nullptr);
   return path;
 }
 Path Record(const Scenario& scenario, int steps, const SimOptions& options = {}) {
@@ -189,8 +191,6 @@ TEST(EffectsInSim, ASnapshotHoldsHiddenStates) {
   auto sim = MakeTestSim();
   sim->SetScenario(scenario, 220);
   Record(*sim, 12);
-  sim->OnJointSample(nullptr);
-  sim->OnSubStep(nullptr);
   const auto snapshot = sim->Save();
   const auto go_on = [&] {
     for (int i = 0; i < 8; ++i) EXPECT_TRUE(sim->Step(Wander(40 + i)).ok());
