@@ -188,8 +188,34 @@ absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& 
   return record;
 }
 
-absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointRecord& record,
-                       double dt, std::vector<std::string>& notes) {
+// Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
+// step leaves; from where a free run starts the rounding grows with time. Only where it is the
+// derivative: no other gain, no lag (a filter's would pose as an effect), no more noise.
+void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, double dt,
+                   JointRecord& record, std::vector<std::string>& notes) {
+  double speed = 0, both = 0, bend = 0, ahead = 0;
+  for (size_t i = 0; i < logged.size(); ++i) {
+    speed += record.dq[i] * record.dq[i];
+    both += record.dq[i] * logged[i];
+    bend += record.ddq[i] * record.ddq[i];
+    ahead += record.ddq[i] * (logged[i] - record.dq[i]);
+  }
+  const double gain = both / std::max(speed, 1e-30), lag = -ahead / std::max(bend, 1e-30);
+  const double noise = FitLocalQuadratics(logged, dt, 1).noise;
+  if (std::abs(gain - 1) > 0.03 || std::abs(lag) > 0.5 * dt) {
+    notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", gain,
+                                 " times the derivative of the position, ", lag,
+                                 " s behind it; it is not used"));
+  } else if (noise <= record.start_noise_dq) {
+    record.dq = logged;
+    record.start_noise_dq = noise;
+    record.ddq = SmoothMotion(logged, dt, kSmoothing).first;
+  }
+}
+
+absl::Status GateJoint(const std::string& file, const RigJoint& joint,
+                       const std::vector<double>& logged_velocity, JointRecord& record, double dt,
+                       std::vector<std::string>& notes) {
   int wraps = 0;
   for (auto* angle : {&record.q, &record.q_motor, &record.command}) wraps += Unwrap(*angle);
   if (wraps > 0) {
@@ -210,6 +236,8 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointReco
   record.q_smooth = fit.value;
   record.dq = fit.first;
   record.ddq = fit.second;
+  if (!logged_velocity.empty())
+    AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
   record.noise = FitLocalQuadratics(record.q, dt, kSmoothing).noise;
   if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, fit.noise);
   const double range = RangeOf(record.q);
@@ -271,7 +299,9 @@ absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& declar
                           &record.temperature, &record.enable}) {
       if (clock < 0 && !channel->empty()) *channel = Resample(*t, *channel, log.dt);
     }
-    RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, record, log.dt, log.notes));
+    std::vector<double> velocity = channels.Optional("dq_" + joint.name);
+    if (clock < 0 && !velocity.empty()) velocity = Resample(*t, velocity, log.dt);
+    RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, velocity, record, log.dt, log.notes));
     log.joints.push_back(std::move(record));
   }
   log.rows = static_cast<int>(log.joints.front().q.size());
