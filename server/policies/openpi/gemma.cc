@@ -137,8 +137,9 @@ torch::Tensor RunSuffix(const GemmaStack& stack, const AttentionShape& shape,
   for (size_t i = 0; i < stack.layers.size(); ++i) {
     const GemmaLayer& layer = stack.layers[i];
     const Projected p = Project(layer, shape, x, cond, rotation);
-    const torch::Tensor k = at::cat({prefix.keys[i], p.k}, 2);  // [B, kv_heads, P + S, h]
-    const torch::Tensor v = at::cat({prefix.values[i], p.v}, 2);
+    const torch::Tensor k =
+        at::cat({prefix.keys[i].to(p.k.dtype()), p.k}, 2);  // [B, kv_heads, P + S, h]
+    const torch::Tensor v = at::cat({prefix.values[i].to(p.v.dtype()), p.v}, 2);
     x = Finish(layer, x, Attend(p.q, k, v, additive), p.gate, cond);
   }
   return Normalise(stack.norm, x, cond).y;
