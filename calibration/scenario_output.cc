@@ -54,7 +54,8 @@ absl::Status ReadEntry(const std::string& entry, const Rig& rig, JointMap& map) 
   if (parts.size() == 2 && (!absl::SimpleAtod(parts[1], &mapped.torque_ratio) ||
                             !(mapped.torque_ratio > 0 && mapped.torque_ratio < 1e6)))
     return error(absl::StrCat("'", parts[1], "' is no ratio above 0"));
-  for (const std::string& name : absl::StrSplit(parts[0], '+')) {
+  const std::vector<std::string> names = absl::StrSplit(parts[0], '+');
+  for (const std::string& name : names) {
     const int joint = ArmJoint(name);
     if (joint < 0) return error(absl::StrCat("'", name, "' is not one of J1 to J7"));
     mapped.arm_joints.push_back(joint);
@@ -97,7 +98,8 @@ bool WasDeclared(const RigJoint& declared, const DeclaredEffect& effect) {
 absl::StatusOr<JointMap> ParseJointMap(const std::vector<std::string>& arguments, const Rig& rig) {
   JointMap map;
   for (const std::string& argument : arguments) {
-    for (const std::string& entry : absl::StrSplit(argument, ',')) {
+    const std::vector<std::string> entries = absl::StrSplit(argument, ',');
+    for (const std::string& entry : entries) {
       if (entry != kOwn) {
         RS_RETURN_IF_ERROR(ReadEntry(entry, rig, map));
         continue;
