@@ -70,6 +70,15 @@ TEST(KernelAccuracy, DryFrictionStopsAJointWhereItsEnergyIsSpent) {
   EXPECT_EQ(q[joint.log.rows - 1], q[joint.log.rows - 100]) << "creeps";
 }
 
+TEST(KernelAccuracy, AModelThatRunsAwayStaysANumber) {
+  Coasting joint(1e-3);
+  EffectInstance cubic;
+  cubic.info = *FindEffect("position_dependent_torque");
+  cubic.values = {0, 0, 1e9};
+  joint.model.effects = {cubic};
+  for (const double q : joint.Predict()) EXPECT_TRUE(std::isfinite(q));
+}
+
 TEST(KernelAccuracy, ADriveThatIsOffGivesNothing) {
   Coasting joint(1e-3);
   joint.log.joints[0].enable.assign(joint.log.rows, 1.0);
