@@ -87,7 +87,8 @@ TEST_F(RecordedRigTest, LeavesOutWhatIsNearContacts) {
   EXPECT_EQ(summary->pieces, 6);
   const auto rig = ReadRig(summary->rig_file);
   ASSERT_TRUE(rig.ok());
-  const auto before = ReadMeasuredLog(*rig, rig->logs[0]), after = ReadMeasuredLog(*rig, rig->logs[1]);
+  const auto before = ReadMeasuredLog(*rig, rig->logs[0]),
+             after = ReadMeasuredLog(*rig, rig->logs[1]);
   ASSERT_TRUE(before.ok()) << before.status();
   ASSERT_TRUE(after.ok()) << after.status();
   // 0.05 s margin on both sides: 13 rows, rounded.
