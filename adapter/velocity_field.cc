@@ -13,11 +13,13 @@ PolicyContext StackContexts(const std::vector<const PolicyContext*>& contexts) {
   int64_t longest = 0;
   for (const PolicyContext* context : contexts)
     longest = std::max(longest, context->prefix_mask.size(1));
-  // `dimension` counts the slots of the prefix; 0 and false fill the masked ones.
+  // `dimension` counts the slots of the prefix; 0 and false fill the masked ones. Contexts that
+  // were imported lie on the CPU, those of a policy on a GPU there: all go to the first one's
+  // device.
   const auto stack = [&](int64_t dimension, auto&& member) {
     std::vector<torch::Tensor> rows;
     for (const PolicyContext* context : contexts) {
-      rows.push_back(member(*context));
+      rows.push_back(member(*context).to(member(*contexts[0]).device()));
       std::vector<int64_t> filling = rows.back().sizes().vec();
       filling[dimension] = longest - filling[dimension];
       if (filling[dimension] > 0)

@@ -7,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "calibration/local_quadratic.h"
 #include "calibration/residual_tests.h"
 #include "calibration/verdict.h"
 #include "common/status_macros.h"
@@ -14,8 +15,9 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr double kBlock = 0.5;    // [s] windows of inputs that are no motion
-constexpr double kExample = 4.0;  // [s] of a log that the report shows
+constexpr double kNoiseLeft = 1.5;  // times the floor
+constexpr double kBlock = 0.5;      // [s] windows of inputs that are no motion
+constexpr double kExample = 4.0;    // [s] of a log that the report shows
 
 const char* InputName(JointInput input) {
   switch (input) {
@@ -58,7 +60,9 @@ class JointCalibration {
     std::tie(unit_, factor_) = ReportUnit(rig.metric, joint_.input, plant.hinge(joint));
   }
 
-  absl::Status Run(JointReport& report, RigJoint& after) {
+  // `leads`: effects that were found on other joints. Where the data of this joint allow for one of
+  // them as well as for what it found, it is taken: the same cause on several joints is likelier.
+  absl::Status Run(const std::vector<std::string>& leads, JointReport& report, RigJoint& after) {
     RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(rig_, plant_, index_));
     const SignalScales scales = MeasureScales(joint_, tracks_);
     RS_ASSIGN_OR_RETURN(Hypothesis declared,
@@ -69,7 +73,10 @@ class JointCalibration {
     std::vector<int> others;
     for (int i = 0; i < static_cast<int>(rig_.joints.size()); ++i)
       if (i != index_) others.push_back(i);
-    const Trace trace = TraceJoint(problem_, declared, scales, others, rig_.folds, options_);
+    Trace trace = TraceJoint(problem_, declared, scales, others, rig_.folds, options_);
+    PreferLeads(leads, declared, scales, others, trace);
+    FitMetric(trace.declared.fit);
+    FitMetric(trace.after.fit);
     Describe(trace, report);
     Write(trace.after.fit.best, after);
     return absl::OkStatus();
@@ -124,6 +131,34 @@ class JointCalibration {
   }
 
   WindowSet Fit() const { return WindowsOf(problem_, LogRole::kFit); }
+  void PreferLeads(const std::vector<std::string>& leads, const Hypothesis& declared,
+                   const SignalScales& scales, const std::vector<int>& others, Trace& trace) const {
+    const auto led = [&](const std::string& type) {
+      return std::find(leads.begin(), leads.end(), type) != leads.end();
+    };
+    for (size_t i = 0; i < trace.after.added.size(); ++i) {
+      const std::string found = trace.after.added[i];
+      const std::vector<std::string>& rivals = trace.rivals[i];
+      if (led(found) || std::none_of(rivals.begin(), rivals.end(), led)) continue;
+      TraceOptions options = options_;
+      options.exclude.push_back(found);
+      Trace other = TraceJoint(problem_, declared, scales, others, rig_.folds, options);
+      for (size_t k = 0; k < other.after.added.size(); ++k) {
+        if (!led(other.after.added[k])) continue;
+        other.rivals[k].push_back(found);
+        trace = std::move(other);
+        return;
+      }
+    }
+  }
+
+  // Where more than noise is left, the parameters that are best for free runs as they are, which is
+  // what errors are reported of, differ from those that are best for projected ones.
+  void FitMetric(JointFit& fit) const {
+    if (fit.rms < kNoiseLeft * problem_.ProjectedFloor(Fit())) return;
+    fit.best = Minimise(JointProblem(joint_.name, tracks_, WindowRows()), fit.best, Fit()).best;
+  }
+
   // Held out where there is something held out, else fitted.
   WindowSet Unseen() const {
     WindowSet held_out = WindowsOf(problem_, LogRole::kHeldOut);
@@ -199,7 +234,8 @@ class JointCalibration {
       AddedEffectReport effect;
       effect.type = type;
       effect.parameters = Parameters(trace.after.fit, type + ".");
-      const JointFit without = Minimise(problem_, WithoutEffect(later, type), Fit());
+      JointFit without = Minimise(problem_, WithoutEffect(later, type), Fit());
+      FitMetric(without);
       effect.held_out_error_before =
           factor_ * problem_.Rms(ModelAt(without.best, without.best.x), Unseen());
       effect.held_out_error_after = factor_ * problem_.Rms(ModelAt(later, later.x), Unseen());
@@ -331,6 +367,19 @@ const char* RoleName(LogRole role) {
   return role == LogRole::kFit ? "fit" : role == LogRole::kHeldOut ? "held_out" : "transfer";
 }
 
+// Of input inverse a torque is compared: its noise is that of tau and of the acceleration.
+void NoiseOfTorques(const Rig& rig, const Plant& plant, std::vector<MeasuredLog>& logs) {
+  for (int joint = 0; joint < static_cast<int>(rig.joints.size()); ++joint) {
+    if (rig.joints[joint].input != JointInput::kInverse) continue;
+    for (MeasuredLog& log : logs) {
+      JointRecord& record = log.joints[joint];
+      const double inertia = plant.Rows(joint, log).front().inertia + plant.passive(joint).armature;
+      record.noise = std::hypot(FitLocalQuadratics(record.tau, log.dt, 2).noise,
+                                inertia * record.acceleration_noise);
+    }
+  }
+}
+
 // Equal delays are a property of what the joints share.
 void CompareJoints(CalibrationReport& report) {
   std::vector<double> delays;
@@ -357,6 +406,7 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     RS_ASSIGN_OR_RETURN(MeasuredLog read, ReadMeasuredLog(rig, log));
     logs.push_back(std::move(read));
   }
+  NoiseOfTorques(rig, *plant, logs);
   Calibration result;
   result.after = rig;
   CalibrationReport& report = result.report;
@@ -367,6 +417,7 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
   for (const MeasuredLog& log : logs)
     report.logs.push_back(
         {log.file, RoleName(log.role), log.condition, log.rows, log.rows * log.dt, log.notes});
+  std::vector<std::string> leads;
   for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i) {
     TraceOptions own = options;
     own.progress = [&](const std::string& text) {
@@ -374,7 +425,8 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     };
     JointCalibration joint(rig, *plant, logs, i, own);
     JointReport joint_report;
-    RS_RETURN_IF_ERROR(joint.Run(joint_report, result.after.joints[i]));
+    RS_RETURN_IF_ERROR(joint.Run(leads, joint_report, result.after.joints[i]));
+    for (const AddedEffectReport& effect : joint_report.effects) leads.push_back(effect.type);
     report.joints.push_back(std::move(joint_report));
   }
   report.verdict = Combine(report.joints);

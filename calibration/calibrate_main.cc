@@ -5,9 +5,11 @@
 #include <string>
 
 #include "CLI/CLI.hpp"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "calibration/calibrate.h"
 #include "calibration/effect_table.h"
+#include "calibration/scenario_output.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 
@@ -16,7 +18,9 @@ namespace {
 
 constexpr char kExamples[] =
     "\nExamples\n"
-    "  robostress calibrate --rig rig.yaml --out runs/calibration\n\n"
+    "  robostress calibrate --rig rig.yaml --out runs/calibration\n"
+    "  robostress calibrate --rig rig.yaml --out runs/worn --map hinge=J4\n"
+    "  robostress sweep --scenarios clean,runs/worn/scenario.yaml --out runs/stress\n\n"
     "Reads the rig's logs, fits the declared model, searches the effect library for what it lacks, "
     "and says\n"
     "before and after on logs that were not fitted. Leaves report.json, report.html and "
@@ -26,28 +30,56 @@ constexpr char kExamples[] =
 
 struct CommandLine {
   std::string rig, out;
+  std::vector<std::string> map;
   TraceOptions trace;
   bool quiet = false;
 };
 
+// Nothing of an earlier run may pass for the result of one that fails.
+absl::Status PrepareFolder(const std::filesystem::path& out) {
+  std::error_code error;
+  std::filesystem::create_directories(out, error);
+  if (error)
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--out %s: cannot be made: %s", out.string(), error.message()));
+  for (const char* name : {"report.json", "report.html", "rig_after.yaml", "scenario.yaml"})
+    std::filesystem::remove(out / name, error);
+  return absl::OkStatus();
+}
+
+// scenario.yaml of what was added, for `robostress sweep --scenarios`; none where nothing was.
+absl::Status WriteScenario(const Rig& declared, const Rig& after, const JointMap& map,
+                           const std::filesystem::path& out, std::string& scenario_out) {
+  const absl::StatusOr<ScenarioOutput> output =
+      ScenarioOfRig(declared, after, map, absl::StrCat("As ", declared.name));
+  if (absl::IsFailedPrecondition(output.status())) {
+    std::printf("  %s\n", std::string(output.status().message()).c_str());
+    return absl::OkStatus();
+  }
+  RS_RETURN_IF_ERROR(output.status());
+  for (const std::string& note : output->notes) std::printf("  scenario.yaml: %s\n", note.c_str());
+  scenario_out = "scenario.yaml";
+  return WriteFileAtomically((out / scenario_out).string(), WriteScenarioFile(output->scenario));
+}
+
 absl::Status Run(CommandLine line) {
+  const std::filesystem::path out = line.out;
   RS_ASSIGN_OR_RETURN(const Rig rig, ReadRig(line.rig));
+  RS_ASSIGN_OR_RETURN(const JointMap map, ParseJointMap(line.map, rig));
+  RS_RETURN_IF_ERROR(PrepareFolder(out));
   if (!line.quiet) {
     line.trace.progress = [](const std::string& text) {
       std::fprintf(stderr, "calibrate: %s\n", text.c_str());
     };
   }
   RS_ASSIGN_OR_RETURN(Calibration calibration, Calibrate(rig, line.trace));
-  const std::filesystem::path out = line.out;
-  std::error_code error;
-  std::filesystem::create_directories(out, error);
-  if (error)
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--out %s: cannot be made: %s", line.out, error.message()));
   CalibrationReport& report = calibration.report;
   calibration.after.file = std::filesystem::absolute(out / "rig_after.yaml").string();
   report.model_out = "rig_after.yaml";
   RS_RETURN_IF_ERROR(WriteFileAtomically(calibration.after.file, WriteRig(calibration.after)));
+  if (!map.empty()) {
+    RS_RETURN_IF_ERROR(WriteScenario(rig, calibration.after, map, out, report.scenario_out));
+  }
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.html").string(), ReportHtml(report)));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.json").string(), ReportJson(report)));
   std::printf("%s: %s\n", report.rig.c_str(), VerdictName(report.verdict));
@@ -79,6 +111,11 @@ int Main(int argc, char** argv) {
   app.add_option("--rig", line.rig, "Rig file: model, what is known of its joints, logs")
       ->required();
   app.add_option("--out", line.out, "Directory to write")->required();
+  app.add_option("--map", line.map,
+                 "Write scenario.yaml with what was added at joints of the simulated arm: "
+                 "hinge=J4, hinge=J2+J4, hinge=J4:2.5 (torques times 2.5; else values are kept), "
+                 "or own for an arm's own joints; repeatable")
+      ->allow_extra_args(false);
   app.add_option("--surrogates", line.trace.surrogates, "Surrogates of a null distribution")
       ->check(CLI::Range(99, 100000))
       ->capture_default_str();

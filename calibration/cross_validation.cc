@@ -72,7 +72,7 @@ CrossValidation CrossValidate(const JointProblem& problem, const JointFit& fit,
     WindowSet others = fitted;
     for (size_t i = 0; i < windows; ++i)
       if (folds[f][i]) others[i] = 0;
-    const Hypothesis best = Minimise(problem, fit.best, others, kRefitIterations).best;
+    const Hypothesis best = Minimise(problem, fit.best, others, kRefitIterations, 1e-3).best;
     result.x[f] = best.x;
     const Eigen::VectorXd r = problem.Projected(ModelAt(best, best.x), folds[f]);
     result.fold_rms[f] = r.size() > 0 ? std::sqrt(r.squaredNorm() / double(r.size())) : 0;

@@ -10,7 +10,9 @@ namespace robostress::calibration {
 namespace {
 
 // Ceres' view of a problem: one block of residuals, one of parameters.
-constexpr int kTrialIterations = 4;  // of every start, before the best goes on
+constexpr size_t kTrials = 2;        // starts that are followed
+constexpr int kTrialIterations = 3;  // of each, before the better goes on
+constexpr double kSearchTolerance = 3e-4;
 
 class Cost : public ceres::CostFunction {
  public:
@@ -56,7 +58,7 @@ class Cost : public ceres::CostFunction {
 }  // namespace
 
 JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen,
-                  int max_iterations) {
+                  int max_iterations, double tolerance) {
   JointFit fit;
   fit.best = h;
   const auto rms_at = [&](const Eigen::VectorXd& x) {
@@ -68,7 +70,8 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
     x[static_cast<int>(i)] = std::clamp(x[static_cast<int>(i)], h.free[i].lower, h.free[i].upper);
   fit.rms = rms_at(x);
   fit.at_bound.assign(h.free.size(), 0);
-  if (h.free.empty() || problem.Rows(chosen) == 0) return fit;
+  fit.best.x = x;
+  if (h.free.empty() || problem.Rows(chosen) == 0 || max_iterations == 0) return fit;
   const double unit = std::max(fit.rms, 1e-12);
   ceres::Problem solver;
   solver.AddResidualBlock(new Cost(problem, h, chosen, unit, &fit.evaluations), nullptr, x.data());
@@ -79,7 +82,7 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
   ceres::Solver::Options options;
   options.max_num_iterations = max_iterations;
   options.linear_solver_type = ceres::DENSE_QR;
-  options.function_tolerance = 1e-6;
+  options.function_tolerance = tolerance;
   options.parameter_tolerance = 1e-7;
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
@@ -96,13 +99,16 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
 
 JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>& starts,
                      const WindowSet& chosen) {
-  JointFit best;
-  best.rms = std::numeric_limits<double>::infinity();
-  for (const Hypothesis& start : starts) {
-    JointFit fit = Minimise(problem, start, chosen, kTrialIterations);
-    if (fit.rms < best.rms) best = std::move(fit);
-  }
-  return starts.empty() ? best : Minimise(problem, best.best, chosen);
+  std::vector<JointFit> trials;
+  for (const Hypothesis& start : starts) trials.push_back(Minimise(problem, start, chosen, 0));
+  const auto lower = [](const JointFit& a, const JointFit& b) { return a.rms < b.rms; };
+  std::stable_sort(trials.begin(), trials.end(), lower);
+  if (trials.empty()) return {};
+  if (trials.size() > kTrials) trials.resize(kTrials);
+  for (JointFit& trial : trials)
+    trial = Minimise(problem, trial.best, chosen, kTrialIterations, kSearchTolerance);
+  const JointFit& best = *std::min_element(trials.begin(), trials.end(), lower);
+  return Minimise(problem, best.best, chosen, 12, kSearchTolerance);
 }
 
 std::vector<double> StandardDeviations(const JointProblem& problem, const JointFit& fit,

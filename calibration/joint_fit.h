@@ -14,9 +14,11 @@ struct JointFit {
 };
 
 // Bounded Levenberg-Marquardt (Ceres) on a pseudo-Huber loss of projected residuals, from h.x.
+// Ends when an iteration gains less than `tolerance` of the loss.
 JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen,
-                  int max_iterations = 15);
-// From the start that comes lowest in a few iterations.
+                  int max_iterations = 15, double tolerance = 1e-6);
+// From that one of the two lowest starts that comes lower in a few iterations; as exact as a search
+// needs.
 JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>& starts,
                      const WindowSet& chosen);
 

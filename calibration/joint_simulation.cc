@@ -210,6 +210,7 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
     const double side = model.servo.feedback == ServoFeedback::kMotor ? middle : middle + s.offset;
     asked = ServoTorque(model.servo, command, chain.Reading(side), s.dq);
   }
+  if (!Enabled(row)) asked = {};
   s.drive = model.torque_gain * chain.Drive(asked.torque, moment);
   moment.drive = s.drive;
   DryFriction dry{model.frictionloss, model.frictionloss};
@@ -236,49 +237,45 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
 // Along the measured motion, rows first ... last - 1; leaves the state at row `last`.
 void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int last, State& s) {
   const JointRecord& record = track_.record();
-  const auto start_at = [&](int row) {
-    s.t = row * track_.log->dt;
-    s.q = chain.LinkOf(record.q_smooth[row]) - s.offset;
-    s.dq = record.dq[row];
-  };
-  s.offset = 0;
-  start_at(first);
+  // The moment at a share of the way from a row to the next, as measured.
   JointMoment moment;
   moment.h = h_;
-  moment.q = s.q;
-  moment.dq = s.dq;
+  const auto describe = [&](int row, int sub_step) {
+    const double share = static_cast<double>(sub_step) / sub_steps_;
+    const int next = std::min(row + 1, track_.log->rows - 1);
+    const double reading =
+        record.q_smooth[row] + share * (record.q_smooth[next] - record.q_smooth[row]);
+    const double link = chain.LinkOf(reading);
+    moment.t = (row + share) * track_.log->dt;
+    moment.q = link - s.offset;
+    moment.dq = record.dq[row] + share * (record.dq[next] - record.dq[row]);
+    double gravity = 0;
+    Describe(track_, plant(row), chain.needs_payload, chain.needs_tilt, chain.partner, row,
+             moment.q, moment, gravity);
+    const double command = commands_[static_cast<size_t>(row) * sub_steps_ + sub_step];
+    double asked = command;
+    if (model.input == JointInput::kPositionTarget) {
+      const double side = model.servo.feedback == ServoFeedback::kMotor ? moment.q : link;
+      asked = ServoTorque(model.servo, command, chain.Reading(side), moment.dq).torque;
+    }
+    if (!Enabled(row)) asked = 0;
+    moment.drive = model.torque_gain * chain.Drive(asked, moment);
+  };
+  s.offset = 0;
+  describe(first, 0);
+  chain.Reset(moment);
+  s.offset = chain.Offset(moment);
   for (int row = first; row < last; ++row) {
     for (int i = 0; i < sub_steps_; ++i) {
-      const double share = static_cast<double>(i) / sub_steps_;
-      const double reading =
-          record.q_smooth[row] + share * (record.q_smooth[row + 1] - record.q_smooth[row]);
-      const double link = chain.LinkOf(reading);
-      moment.t = (row + share) * track_.log->dt;
-      moment.q = link - s.offset;
-      moment.dq = record.dq[row] + share * (record.dq[row + 1] - record.dq[row]);
-      double gravity = 0;
-      Describe(track_, plant(row), chain.needs_payload, chain.needs_tilt, chain.partner, row,
-               moment.q, moment, gravity);
-      const double command = commands_[static_cast<size_t>(row) * sub_steps_ + i];
-      double asked = command;
-      if (model.input == JointInput::kPositionTarget) {
-        const double side = model.servo.feedback == ServoFeedback::kMotor ? moment.q : link;
-        asked = ServoTorque(model.servo, command, chain.Reading(side), moment.dq).torque;
-      }
-      moment.drive = model.torque_gain * chain.Drive(asked, moment);
-      if (row == first && i == 0) chain.Reset(moment);
+      describe(row, i);
       DryFriction ignored;
       for (JointEffect* effect : chain.stage(EffectStage::kJoint)) effect->Torque(moment, ignored);
       s.offset = chain.Offset(moment);
     }
   }
-  start_at(last);
-  if (first == last) {
-    double gravity = 0;
-    Describe(track_, plant(first), chain.needs_payload, chain.needs_tilt, chain.partner, first, s.q,
-             moment, gravity);
-    chain.Reset(moment);
-  }
+  s.t = last * track_.log->dt;
+  s.q = chain.LinkOf(record.q_smooth[last]) - s.offset;
+  s.dq = record.dq[last];
 }
 
 void JointSimulation::FreeRun(const JointModel& model, Chain& chain, int window,

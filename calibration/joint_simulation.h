@@ -62,6 +62,12 @@ class JointSimulation {
     return track_.rows[track_.single ? 0 : static_cast<size_t>(row)];
   }
 
+  // Whether the drive is on.
+  bool Enabled(int row) const {
+    const std::vector<double>& enable = track_.record().enable;
+    return enable.empty() || enable[row] >= 0.5;
+  }
+
   const JointTrack& track_;
   int sub_steps_;
   double h_;

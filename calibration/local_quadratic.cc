@@ -86,6 +86,9 @@ LocalQuadratic FitLocalQuadratics(const std::vector<double>& signal, double dt, 
   const double m = half, squares = m * (m + 1) * (2 * m + 1) / 3;  // sum of i^2
   fit.value_noise = fit.noise * std::sqrt(CenterLeverage(half));
   fit.first_noise = fit.noise / (dt * std::sqrt(squares));
+  const double fourths = squares * (3 * m * m + 3 * m - 1) / 5;  // sum of i^4
+  fit.second_noise =
+      2 * fit.noise / (dt * dt * std::sqrt(fourths - squares * squares / (2 * m + 1)));
   return fit;
 }
 

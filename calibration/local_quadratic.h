@@ -10,8 +10,8 @@ namespace robostress::calibration {
 struct LocalQuadratic {
   std::vector<double> value, first, second;
   double noise = 0;
-  // Standard deviations of `value` and `first` that come of the noise.
-  double value_noise = 0, first_noise = 0;
+  // Standard deviations of `value`, `first` and `second` that come of the noise.
+  double value_noise = 0, first_noise = 0, second_noise = 0;
 };
 LocalQuadratic FitLocalQuadratics(const std::vector<double>& signal, double dt, int half);
 

@@ -176,6 +176,9 @@ absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& 
   record.command = channels.Optional("q_cmd_" + name);
   record.tau = channels.Optional("tau_" + name);
   record.temperature = channels.Optional("temp_" + name);
+  if (!joint.enable.empty()) {
+    RS_ASSIGN_OR_RETURN(record.enable, channels.Need(joint.enable, joint));
+  }
   if (joint.input == JointInput::kPositionTarget) {
     RS_RETURN_IF_ERROR(channels.Need("q_cmd_" + name, joint).status());
   }
@@ -185,20 +188,56 @@ absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& 
   return record;
 }
 
-absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointRecord& record,
-                       double dt, std::vector<std::string>& notes) {
-  for (auto* angle : {&record.q, &record.q_motor}) {
-    if (const int wraps = Unwrap(*angle); wraps > 0)
-      notes.push_back(absl::StrCat(joint.name, ": ", wraps, " jumps by a whole turn taken out"));
+// Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
+// step leaves; from where a free run starts the rounding grows with time. Only where it is the
+// derivative: no other gain, no lag (a filter's would pose as an effect), no more noise.
+void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, double dt,
+                   JointRecord& record, std::vector<std::string>& notes) {
+  double speed = 0, both = 0, bend = 0, ahead = 0;
+  for (size_t i = 0; i < logged.size(); ++i) {
+    speed += record.dq[i] * record.dq[i];
+    both += record.dq[i] * logged[i];
+    bend += record.ddq[i] * record.ddq[i];
+    ahead += record.ddq[i] * (logged[i] - record.dq[i]);
+  }
+  const double gain = both / std::max(speed, 1e-30), lag = -ahead / std::max(bend, 1e-30);
+  const double noise = FitLocalQuadratics(logged, dt, 1).noise;
+  if (std::abs(gain - 1) > 0.03 || std::abs(lag) > 0.5 * dt) {
+    notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", gain,
+                                 " times the derivative of the position, ", lag,
+                                 " s behind it; it is not used"));
+  } else if (noise <= record.start_noise_dq) {
+    record.dq = logged;
+    record.start_noise_dq = noise;
+    record.ddq = SmoothMotion(logged, dt, kSmoothing).first;
+  }
+}
+
+absl::Status GateJoint(const std::string& file, const RigJoint& joint,
+                       const std::vector<double>& logged_velocity, JointRecord& record, double dt,
+                       std::vector<std::string>& notes) {
+  int wraps = 0;
+  for (auto* angle : {&record.q, &record.q_motor, &record.command}) wraps += Unwrap(*angle);
+  if (wraps > 0) {
+    // Both may have begun on another turn.
+    for (auto* angle : {&record.q_motor, &record.command}) {
+      if (angle->empty()) continue;
+      const double turns = std::round((record.q.front() - angle->front()) / (2 * M_PI));
+      for (double& value : *angle) value += 2 * M_PI * turns;
+    }
+    notes.push_back(absl::StrCat(joint.name, ": ", wraps, " jumps by a whole turn taken out"));
   }
   const std::vector<double>& motion =
       joint.input == JointInput::kTransmission ? record.q_motor : record.q;
   const LocalQuadratic fit = SmoothMotion(motion, dt, kSmoothing);
   record.start_noise_q = fit.value_noise;
   record.start_noise_dq = fit.first_noise;
+  record.acceleration_noise = fit.second_noise;
   record.q_smooth = fit.value;
   record.dq = fit.first;
   record.ddq = fit.second;
+  if (!logged_velocity.empty())
+    AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
   record.noise = FitLocalQuadratics(record.q, dt, kSmoothing).noise;
   if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, fit.noise);
   const double range = RangeOf(record.q);
@@ -210,10 +249,21 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint, JointReco
     return absl::FailedPreconditionError(
         absl::StrCat(file, ": joint '", joint.name, "' moves by ", range, " over noise of ",
                      record.noise, "; too little excitation, at least 20 times the noise"));
-  if (joint.input == JointInput::kPositionTarget && RangeOf(record.command) > 20 * range)
-    return absl::InvalidArgumentError(
-        absl::StrCat(file, ": q_cmd_", joint.name, " spans ", RangeOf(record.command), ", q_",
-                     joint.name, " only ", range, "; are both in radians (or metres)?"));
+  if (joint.input == JointInput::kPositionTarget) {
+    const double asked = RangeOf(record.command);
+    if (asked == 0)
+      return absl::InvalidArgumentError(
+          absl::StrCat(file, ": q_cmd_", joint.name, " is constant, ", record.command.front(),
+                       "; the channel is dead, or nothing was asked of the joint"));
+    if (asked > 20 * range || range > 20 * asked)
+      return absl::InvalidArgumentError(absl::StrCat(file, ": q_cmd_", joint.name, " spans ", asked,
+                                                     ", q_", joint.name, " spans ", range,
+                                                     "; are both in radians (or metres)?"));
+  }
+  const bool driven = joint.input == JointInput::kTorque || joint.input == JointInput::kInverse;
+  if (driven && RangeOf(record.tau) == 0)
+    return absl::InvalidArgumentError(absl::StrCat(file, ": tau_", joint.name, " is constant, ",
+                                                   record.tau.front(), "; the channel is dead"));
   if (!record.tau.empty()) {
     double peak = 0;
     for (const double tau : record.tau) peak = std::max(peak, std::abs(tau));
@@ -245,11 +295,13 @@ absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& declar
   log.dt = std::abs(clock);
   for (const RigJoint& joint : rig.joints) {
     RS_ASSIGN_OR_RETURN(JointRecord record, ReadJoint(channels, joint));
-    for (auto* channel :
-         {&record.command, &record.q, &record.q_motor, &record.tau, &record.temperature}) {
+    for (auto* channel : {&record.command, &record.q, &record.q_motor, &record.tau,
+                          &record.temperature, &record.enable}) {
       if (clock < 0 && !channel->empty()) *channel = Resample(*t, *channel, log.dt);
     }
-    RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, record, log.dt, log.notes));
+    std::vector<double> velocity = channels.Optional("dq_" + joint.name);
+    if (clock < 0 && !velocity.empty()) velocity = Resample(*t, velocity, log.dt);
+    RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, velocity, record, log.dt, log.notes));
     log.joints.push_back(std::move(record));
   }
   log.rows = static_cast<int>(log.joints.front().q.size());

@@ -16,10 +16,12 @@ struct JointRecord {
   std::vector<double> q_motor;      // q_motor_<joint> [rad], of a transmission
   std::vector<double> tau;          // tau_<joint> [Nm]
   std::vector<double> temperature;  // temp_<joint> [deg C]
-  // From q (of a transmission q_motor) by local quadratics, and what noise is in the first two
-  // [rad, rad/s].
+  std::vector<double> enable;       // 0 where the drive is off; empty: always on
+  // From q (of a transmission q_motor) by local quadratics, and what noise is in them
+  // [rad, rad/s, rad/s^2]; dq is dq_<joint> where the file has it and it is the derivative of q with
+  // no more noise.
   std::vector<double> q_smooth, dq, ddq;
-  double start_noise_q = 0, start_noise_dq = 0;
+  double start_noise_q = 0, start_noise_dq = 0, acceleration_noise = 0;
   // [rad] standard deviation of q about those; of a transmission of both readings together.
   double noise = 0;
 };

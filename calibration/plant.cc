@@ -3,6 +3,7 @@
 #include <mujoco/mujoco.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 
@@ -31,6 +32,7 @@ class MujocoPlant : public Plant {
   struct Joint {
     int id = 0, dof = 0, qpos = 0;
     int payload_body = 0, payload_site = -1;
+    bool between_rows = false;  // rows stand for the time to the next one, not for an instant
   };
 
   MujocoPlant(mjModel* model, mjData* data) : model_(model), data_(data) {}
@@ -53,6 +55,8 @@ class MujocoPlant : public Plant {
             rig.model, ": joint '", declared.name, "' is a ball or free joint; hinge or slide"));
       joint.dof = model_->jnt_dofadr[joint.id];
       joint.qpos = model_->jnt_qposadr[joint.id];
+      joint.between_rows = declared.input == JointInput::kPositionTarget ||
+                           declared.input == JointInput::kTorque;
       FindPayload(joint);
       joints_.push_back(joint);
     }
@@ -185,10 +189,14 @@ class MujocoPlant : public Plant {
     const Joint& joint = joints_[index];
     Vector posture = NeutralPosture(), velocity = Vector::Zero(model_->nv),
            acceleration = Vector::Zero(model_->nv);
+    const int next = joint.between_rows ? std::min(k + 1, log.rows - 1) : k;
+    const auto at = [&](const std::vector<double>& channel) {
+      return 0.5 * (channel[k] + channel[next]);
+    };
     for (size_t i = 0; i < joints_.size(); ++i) {
-      posture[joints_[i].qpos] = log.joints[i].q_smooth[k];
-      velocity[joints_[i].dof] = log.joints[i].dq[k];
-      acceleration[joints_[i].dof] = log.joints[i].ddq[k];
+      posture[joints_[i].qpos] = at(log.joints[i].q_smooth);
+      velocity[joints_[i].dof] = at(log.joints[i].dq);
+      acceleration[joints_[i].dof] = at(log.joints[i].ddq);
     }
     PlantRow row;
     row.q_ref = posture[joint.qpos];
@@ -200,8 +208,8 @@ class MujocoPlant : public Plant {
     row.coupling = inertia.dot(acceleration) + CoriolisAt(joint, velocity);
     posture[joint.qpos] += kSlopeStep;
     const GravityTerms ahead = TermsAt(joint, posture);
-    const auto term = [&](double value, double next) {
-      return PlantTerm{0, (next - value) / kSlopeStep, value};
+    const auto term = [&](double value, double beside) {
+      return PlantTerm{0, (beside - value) / kSlopeStep, value};
     };
     row.gravity = term(here.gravity, ahead.gravity);
     row.payload_gravity = term(here.payload, ahead.payload);

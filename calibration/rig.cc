@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <filesystem>
 #include <optional>
 #include <set>
@@ -162,7 +163,8 @@ absl::StatusOr<DeclaredEffect> ReadEffect(const Entry& entry) {
 
 absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
   RigJoint joint;
-  RS_RETURN_IF_ERROR(entry.CheckKeys({"name", "input", "servo", "parameters", "fit", "effects"}));
+  RS_RETURN_IF_ERROR(
+      entry.CheckKeys({"name", "input", "servo", "parameters", "enable", "fit", "effects"}));
   RS_ASSIGN_OR_RETURN(joint.name, entry["name"].Text());
   if (!entry["input"].present()) return entry["input"].Error("is missing");
   RS_RETURN_IF_ERROR(entry["input"].Choice(kInputs, joint.input));
@@ -180,6 +182,9 @@ absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
                           parameters[pair.first.Scalar()].Number());
     }
   }
+  if (entry["enable"].present()) {
+    RS_ASSIGN_OR_RETURN(joint.enable, entry["enable"].Text());
+  }
   RS_ASSIGN_OR_RETURN(joint.fit, entry["fit"].Texts());
   for (const std::string& name : joint.fit) {
     if (std::find(known.begin(), known.end(), name) == known.end())
@@ -196,11 +201,27 @@ absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
   return joint;
 }
 
+// Replaces every ${NAME} by that environment variable.
+absl::StatusOr<std::string> Expand(const Entry& entry, std::string text) {
+  for (size_t begin = text.find("${"); begin != std::string::npos; begin = text.find("${")) {
+    const size_t end = text.find('}', begin);
+    if (end == std::string::npos) return entry.Error("is '", text, "': '${' without '}'");
+    const std::string name = text.substr(begin + 2, end - begin - 2);
+    const char* value = std::getenv(name.c_str());
+    if (value == nullptr || *value == 0)
+      return entry.Error("is '", text, "', and the environment variable ", name,
+                         " is not set; set it to the folder of the recordings");
+    text.replace(begin, end + 1 - begin, value);
+  }
+  return text;
+}
+
 absl::StatusOr<RigLog> ReadLogEntry(const Entry& entry, const std::filesystem::path& folder,
                                     const std::vector<RigJoint>& joints) {
   RigLog log;
   RS_RETURN_IF_ERROR(entry.CheckKeys({"file", "role", "condition", "overrides"}));
-  RS_ASSIGN_OR_RETURN(const std::string file, entry["file"].Text());
+  RS_ASSIGN_OR_RETURN(std::string file, entry["file"].Text());
+  RS_ASSIGN_OR_RETURN(file, Expand(entry["file"], file));
   log.file = (folder / file).string();
   RS_RETURN_IF_ERROR(entry["role"].Choice(kRoles, log.role));
   if (entry["condition"].present()) {
@@ -299,7 +320,10 @@ absl::StatusOr<Rig> ReadRig(const std::string& file) {
 std::string WriteRig(const Rig& rig) {
   const std::filesystem::path folder = std::filesystem::path(rig.file).parent_path();
   const auto relative = [&](const std::string& path) {
-    return std::filesystem::path(path).lexically_relative(folder).string();
+    return std::filesystem::absolute(path)
+        .lexically_normal()
+        .lexically_relative(std::filesystem::absolute(folder).lexically_normal())
+        .string();
   };
   YAML::Emitter out;
   out.SetDoublePrecision(12);
@@ -326,6 +350,7 @@ std::string WriteRig(const Rig& rig) {
     }
     if (!joint.parameters.empty())
       out << YAML::Key << "parameters" << YAML::Value << YAML::Flow << joint.parameters;
+    if (!joint.enable.empty()) out << YAML::Key << "enable" << YAML::Value << joint.enable;
     if (!joint.fit.empty()) out << YAML::Key << "fit" << YAML::Value << YAML::Flow << joint.fit;
     out << YAML::Key << "effects" << YAML::Value << YAML::BeginSeq;
     for (const DeclaredEffect& effect : joint.effects) {

@@ -47,6 +47,7 @@ struct RigJoint {
   std::string name;
   JointInput input = JointInput::kPositionTarget;
   Servo servo;
+  std::string enable;  // column that is 0 where the drive is off; empty: always on
   // Values of ModelParameterNames() that differ from the MJCF's, or have none there.
   std::map<std::string, double> parameters;
   std::vector<std::string> fit;  // of ModelParameterNames(), and command_shift, force_lag
@@ -87,7 +88,8 @@ struct Rig {
 // Parameters of the declared model that `fit` may name beside those of effects.
 const std::vector<std::string>& ModelParameterNames();
 
-// Errors name file, key path, value and what is allowed.
+// Errors name file, key path, value and what is allowed. File names may hold environment variables,
+// as in ${ROBOSTRESS_MEASURED_DATA}/log.csv.
 absl::StatusOr<Rig> ReadRig(const std::string& file);
 std::string WriteRig(const Rig& rig);
 

@@ -16,15 +16,20 @@ namespace {
 constexpr double kMaxPValue = 0.01;
 constexpr double kMinCvGain = 0.02;
 constexpr double kMinBicGain = 10;
-constexpr double kMinFolds = 0.75;     // share of folds that must gain
-constexpr double kAtFloor = 1.1;       // times the floor: little is left
-constexpr double kDetourGain = 0.85;   // error of a way that does not lead over the best model
-constexpr double kMaxSpread = 0.5;     // of the size over folds, relative
-constexpr double kNotTestable = 0.02;  // surviving share
-constexpr double kRivalMargin = 0.05;  // a rival's error may be larger by this share
-constexpr double kAlikeMargin = 0.25;  // of one whose signature looks alike
-constexpr double kAlike = 0.95;        // |cos| between signatures
-constexpr double kRivalGain = 0.5;     // of the effect's own linear gain
+constexpr double kMinFolds = 0.75;       // share of folds that must gain
+constexpr double kResolution = 0.02;     // of the declared excess: the kernel resolves no less
+constexpr double kMinExcessGain = 0.25;  // of the energy above the floor
+constexpr double kAtFloor = 1.1;         // times the floor: little is left
+constexpr double kDetourGain = 0.85;     // error of a way that does not lead over the best model
+constexpr double kMinSigmas = 3;         // of the size
+constexpr double kMaxSpread = 0.5;       // of the size over folds, relative
+constexpr double kNotTestable = 0.02;    // surviving share
+constexpr double kRivalMargin = 0.05;    // a rival's error may be larger by this share
+constexpr double kAlikeMargin = 0.25;    // of one whose signature looks alike
+constexpr double kAlike = 0.95;          // |cos| between signatures
+constexpr double kRivalGain = 0.5;       // of the effect's own linear gain
+constexpr int64_t kMaxWindows = 120;     // that a search simulates
+constexpr int kCrossValidated = 4;       // refitted candidates of a round, the lowest errors
 constexpr int kStartsPerCandidate = 2;
 
 // Effects by name, with a partner where there is one.
@@ -62,8 +67,11 @@ class Search {
         scales_(scales),
         other_joints_(other_joints),
         options_(options),
-        fit_windows_(WindowsOf(problem, LogRole::kFit)),
-        folds_(MakeFolds(problem, folds)) {}
+        fit_windows_(Thinned(WindowsOf(problem, LogRole::kFit))),
+        folds_(MakeFolds(problem, folds)) {
+    for (WindowSet& fold : folds_)
+      for (size_t i = 0; i < fold.size(); ++i) fold[i] &= fit_windows_[i];
+  }
 
   Trace Run(const Hypothesis& declared) {
     Trace trace;
@@ -75,7 +83,7 @@ class Search {
     TracedModel best = trace.declared;
     while (!beam.empty() && static_cast<int>(beam.front().added.size()) < options_.max_effects) {
       // Nothing but noise is left.
-      if (best.cv.Rms() < kAtFloor * floor_ && !best.added.empty()) break;
+      if (LittleLeft(trace.declared, best)) break;
       std::vector<TracedModel> next;
       double wanted = 1 - kMinCvGain;  // of the leader's error
       for (const TracedModel& base : beam) {
@@ -94,10 +102,38 @@ class Search {
     trace.after = Trim(best, trace.declared);
     for (const std::string& effect : trace.after.added)
       trace.rivals.push_back(Rivals(trace.after, effect));
+    const WindowSet all = WindowsOf(problem_, LogRole::kFit);
+    trace.declared.fit = Minimise(problem_, trace.declared.fit.best, all);
+    trace.after.fit = trace.after.added.empty() ? trace.declared.fit
+                                                : Minimise(problem_, trace.after.fit.best, all);
     return trace;
   }
 
  private:
+  // At most kMaxWindows of `windows`, evenly.
+  static WindowSet Thinned(WindowSet windows) {
+    const auto count = std::count(windows.begin(), windows.end(), 1);
+    int64_t seen = 0;
+    for (char& window : windows) {
+      if (!window) continue;
+      window =
+          count <= kMaxWindows || seen * kMaxWindows / count != (seen + 1) * kMaxWindows / count;
+      ++seen;
+    }
+    return windows;
+  }
+
+  // Cross-validated energy above the noise's, per row.
+  double Excess(const TracedModel& model) const {
+    return std::max(0.0, model.cv.Rms() * model.cv.Rms() - floor_ * floor_);
+  }
+
+  // Noise, or what the kernel's own integration leaves.
+  bool LittleLeft(const TracedModel& declared, const TracedModel& model) const {
+    return !model.added.empty() && (model.cv.Rms() < kAtFloor * floor_ ||
+                                    Excess(model) < kResolution * kResolution * Excess(declared));
+  }
+
   // Screens everything on top of `base`, refits the finalists, and adds what is accepted to `next`.
   RoundReport Round(const TracedModel& base, std::vector<TracedModel>& next) {
     RoundReport report;
@@ -118,6 +154,7 @@ class Search {
         report.cv_error / std::max(floor_, 1e-300), contenders.size(), refits));
     std::vector<TracedModel> models(refits);
     ParallelFor(refits, [&](int i) { models[i] = Refit(base, screening, contenders[i]); });
+    CrossValidateBest(models);
     for (size_t i = 0; i < contenders.size(); ++i) {
       CandidateReport line;
       line.type = NameOf(screening.candidates()[contenders[i].candidate]);
@@ -127,13 +164,14 @@ class Search {
       if (static_cast<int>(i) < refits) {
         TracedModel& model = models[i];
         line.refitted = true;
-        line.cv_gain = 1 - model.cv.Rms() / base.cv.Rms();
+        line.cv_gain = 1 - (model.cv.energy.empty() ? model.fit.rms / base.fit.rms
+                                                    : model.cv.Rms() / base.cv.Rms());
         line.reason = Objection(base, model, contenders[i]);
         line.accepted = line.reason.empty();
         model.p_values.push_back(contenders[i].p);
         model.cv_gains.push_back(line.cv_gain);
         if (line.accepted) next.push_back(model);
-        known_[KeyOf(model.added)] = std::move(model);
+        if (!model.cv.energy.empty()) known_[KeyOf(model.added)] = std::move(model);
       } else {
         line.reason =
             contenders[i].surviving < kNotTestable
@@ -155,7 +193,13 @@ class Search {
     const bool has_torque =
         std::all_of(problem_.tracks().begin(), problem_.tracks().end(),
                     [](const JointTrack& track) { return !track.record().tau.empty(); });
-    return CandidatesFor(base.fit.best.model, other_joints_, has_torque);
+    std::vector<Candidate> candidates =
+        CandidatesFor(base.fit.best.model, other_joints_, has_torque);
+    std::erase_if(candidates, [&](const Candidate& candidate) {
+      return std::find(options_.exclude.begin(), options_.exclude.end(), NameOf(candidate)) !=
+             options_.exclude.end();
+    });
+    return candidates;
   }
 
   static std::vector<Contender> Rank(const Screening& screening, const NullDistribution& null) {
@@ -204,18 +248,32 @@ class Search {
     TracedModel model = base;
     model.added.push_back(NameOf(screening.candidates()[contender.candidate]));
     model.fit = MinimiseAll(problem_, starts, fit_windows_);
-    model.cv = CrossValidate(problem_, model.fit, folds_);
+    model.cv = {};
     return model;
+  }
+
+  void CrossValidateBest(std::vector<TracedModel>& models) const {
+    std::vector<TracedModel*> order;
+    for (TracedModel& model : models) order.push_back(&model);
+    std::stable_sort(order.begin(), order.end(), [](const TracedModel* a, const TracedModel* b) {
+      return a->fit.rms < b->fit.rms;
+    });
+    if (order.size() > kCrossValidated) order.resize(kCrossValidated);
+    for (TracedModel* model : order) model->cv = CrossValidate(problem_, model->fit, folds_);
   }
 
   // Why `model` is not accepted on top of `base`; empty: it is.
   std::string Objection(const TracedModel& base, const TracedModel& model,
                         const Contender& contender) const {
+    if (model.cv.energy.empty()) return "others fit better";
     if (contender.p > kMaxPValue)
       return absl::StrFormat("chance explains as much (p = %.3f)", contender.p);
     const double gain = 1 - model.cv.Rms() / base.cv.Rms();
     if (gain < kMinCvGain)
       return absl::StrFormat("the cross-validated error falls by %.1f %% only", 100 * gain);
+    if (Excess(model) > (1 - kMinExcessGain) * Excess(base))
+      return absl::StrFormat("it explains %.0f %% of what is above the noise",
+                             100 * (1 - Excess(model) / std::max(Excess(base), 1e-300)));
     int gained = 0;
     for (size_t f = 0; f < folds_.size(); ++f) gained += model.cv.fold_rms[f] < base.cv.fold_rms[f];
     if (gained < kMinFolds * static_cast<double>(folds_.size()))
@@ -248,6 +306,11 @@ class Search {
       }
     }
     if (largest < 0) return "";
+    const std::vector<double> std = StandardDeviations(problem_, model.fit, fit_windows_);
+    const double size = best.free[largest].inverse ? best.free[largest].ToValue(best.x[largest])
+                                                   : best.free[largest].scale * best.x[largest];
+    if (std::abs(size) < kMinSigmas * std[largest])
+      return absl::StrFormat("%s is %.3g +- %.2g", best.free[largest].path, size, std[largest]);
     if (model.fit.at_bound[largest]) return absl::StrCat(best.free[largest].path, " is on a bound");
     double low = best.x[largest], high = low;
     for (const Eigen::VectorXd& x : model.cv.x) {
@@ -338,12 +401,17 @@ class Search {
     ParallelFor(static_cast<int>(others.size()), [&](int i) {
       if (fresh[i]) models[i] = Refit(base, screening, others[i]);
     });
+    for (size_t i = 0; i < others.size(); ++i) {
+      // What fits far worse is no rival, whatever cross-validation says.
+      if (models[i].cv.energy.empty() && models[i].fit.rms < 2 * model.fit.rms)
+        models[i].cv = CrossValidate(problem_, models[i].fit, folds_);
+    }
     std::vector<std::string> rivals;
     for (size_t i = 0; i < others.size(); ++i) {
       const Signature& signature = *others[i].starts.front();
       const double cosine =
           (signature.basis.transpose() * share).norm() / std::max(share.norm(), 1e-300);
-      if (IsRival(model, models[i], cosine))
+      if (!models[i].cv.energy.empty() && IsRival(model, models[i], cosine))
         rivals.push_back(NameOf(screening.candidates()[others[i].candidate]));
     }
     return rivals;
@@ -372,7 +440,7 @@ class Search {
   const std::vector<int>& other_joints_;
   const TraceOptions& options_;
   const WindowSet fit_windows_;
-  const std::vector<WindowSet> folds_;
+  std::vector<WindowSet> folds_;
   double floor_ = 0;
   std::map<std::string, TracedModel> known_;  // by KeyOf
 };

@@ -17,6 +17,7 @@ struct TraceOptions {
   int beam = 3;
   int max_effects = 3;
   int finalists = 8;  // candidates that are refitted in a round
+  std::vector<std::string> exclude;  // types that are no candidates
   // Says what is going on.
   std::function<void(const std::string&)> progress = [](const std::string&) {};
 };

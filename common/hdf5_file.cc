@@ -30,8 +30,8 @@ class Handle {
   ~Handle() {
     if (id_ >= 0) close_(id_);
   }
-  Handle(const Handle&) = delete;
-  Handle& operator=(const Handle&) = delete;
+  Handle(Handle&& other) noexcept : id_(std::exchange(other.id_, -1)), close_(other.close_) {}
+  Handle& operator=(Handle&&) = delete;
   bool ok() const { return id_ >= 0; }
   operator hid_t() const { return id_; }
 
@@ -247,28 +247,43 @@ absl::Status Hdf5File::ReadByteRow(const std::string& name, int64_t row,
   return absl::OkStatus();
 }
 
+struct Hdf5File::Attribute {
+  std::string full;  // object@name
+  Handle handle, type;
+};
+
+absl::StatusOr<Hdf5File::Attribute> Hdf5File::OpenAttribute(const std::string& object,
+                                                            const std::string& name, int kind,
+                                                            const char* what) const {
+  RS_RETURN_IF_ERROR(CheckLinks(object));
+  std::string full = absl::StrCat(object, "@", name);
+  Handle attribute(H5Aopen_by_name(file_, object.c_str(), name.c_str(), H5P_DEFAULT, H5P_DEFAULT),
+                   H5Aclose);
+  if (!attribute.ok()) return absl::NotFoundError(absl::StrCat(path_, ": ", full, " is missing"));
+  Handle type(H5Aget_type(attribute), H5Tclose);
+  const Handle space(H5Aget_space(attribute), H5Sclose);
+  if (H5Tget_class(type) != kind || H5Sget_simple_extent_npoints(space) != 1)
+    return Fail(absl::StrCat("is not ", what), full);
+  return Attribute{std::move(full), std::move(attribute), std::move(type)};
+}
+
 absl::StatusOr<std::string> Hdf5File::StringAttribute(const std::string& object,
                                                       const std::string& name) const {
-  RS_RETURN_IF_ERROR(CheckLinks(object));
-  const std::string full = absl::StrCat(object, "@", name);
-  const Handle attribute(
-      H5Aopen_by_name(file_, object.c_str(), name.c_str(), H5P_DEFAULT, H5P_DEFAULT), H5Aclose);
-  if (!attribute.ok()) return absl::NotFoundError(absl::StrCat(path_, ": ", full, " is missing"));
-  const Handle type(H5Aget_type(attribute), H5Tclose), space(H5Aget_space(attribute), H5Sclose);
-  if (H5Tget_class(type) != H5T_STRING || H5Sget_simple_extent_npoints(space) != 1)
-    return Fail("is not one text", full);
+  RS_ASSIGN_OR_RETURN(const Attribute attribute,
+                      OpenAttribute(object, name, H5T_STRING, "one text"));
+  const auto& [full, handle, type] = attribute;
   std::string text;
   if (H5Tis_variable_str(type) > 0) {
     const Handle memory(H5Tcopy(type), H5Tclose);
     char* value = nullptr;
-    if (H5Aread(attribute, memory, &value) < 0) return Fail("cannot be read", full);
+    if (H5Aread(handle, memory, &value) < 0) return Fail("cannot be read", full);
     if (value != nullptr) text = value;
     H5free_memory(value);
   } else {
     const size_t size = H5Tget_size(type);
     if (size > kMaxText) return Fail(absl::StrCat("is ", size, " bytes long"), full);
     text.resize(size);
-    if (H5Aread(attribute, type, text.data()) < 0) return Fail("cannot be read", full);
+    if (H5Aread(handle, type, text.data()) < 0) return Fail("cannot be read", full);
     text.resize(std::min(size, text.find('\0')));
   }
   if (text.size() > kMaxText) return Fail(absl::StrCat("is ", text.size(), " bytes long"), full);
@@ -277,17 +292,11 @@ absl::StatusOr<std::string> Hdf5File::StringAttribute(const std::string& object,
 
 absl::StatusOr<int64_t> Hdf5File::IntAttribute(const std::string& object,
                                                const std::string& name) const {
-  RS_RETURN_IF_ERROR(CheckLinks(object));
-  const std::string full = absl::StrCat(object, "@", name);
-  const Handle attribute(
-      H5Aopen_by_name(file_, object.c_str(), name.c_str(), H5P_DEFAULT, H5P_DEFAULT), H5Aclose);
-  if (!attribute.ok()) return absl::NotFoundError(absl::StrCat(path_, ": ", full, " is missing"));
-  const Handle type(H5Aget_type(attribute), H5Tclose), space(H5Aget_space(attribute), H5Sclose);
+  RS_ASSIGN_OR_RETURN(const Attribute attribute,
+                      OpenAttribute(object, name, H5T_INTEGER, "one integer"));
   int64_t value = 0;
-  if (H5Tget_class(type) != H5T_INTEGER || H5Sget_simple_extent_npoints(space) != 1 ||
-      H5Aread(attribute, H5T_NATIVE_INT64, &value) < 0) {
-    return Fail("is not one integer", full);
-  }
+  if (H5Aread(attribute.handle, H5T_NATIVE_INT64, &value) < 0)
+    return Fail("cannot be read", attribute.full);
   return value;
 }
 

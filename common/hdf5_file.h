@@ -65,6 +65,10 @@ class Hdf5File {
   Hdf5File() = default;
   absl::Status Fail(const std::string& what, const std::string& object) const;
   absl::Status CheckLinks(const std::string& name) const;
+  // Opens object@name, which holds `what`: one value of HDF5's class `kind`.
+  struct Attribute;
+  absl::StatusOr<Attribute> OpenAttribute(const std::string& object, const std::string& name,
+                                          int kind, const char* what) const;
   void Close();
 
   std::string path_, temporary_;

@@ -27,7 +27,8 @@ void DeclareGridFlags(CLI::App& app, GridFlags& flags) {
   app.add_option("--tasks", flags.tasks, "2: the first two; 0,3,7 or 2-5: indices; all");
   app.add_option("--episodes", flags.episodes, "Consecutive episodes per task");
   app.add_option("--scenarios,--scenario", flags.scenarios,
-                 "See `robostress scenarios` (default: clean and the seven)")
+                 "See `robostress scenarios`, or scenario files: FILE.yaml (default: clean and the "
+                 "seven)")
       ->delimiter(',');
   app.add_option("--severities,--severity", flags.severities, "Levels 1 to 5")->delimiter(',');
   app.add_option("--policies,--policy", flags.policies, "nano, expert, replay, or a weights file")

@@ -13,7 +13,7 @@
 #include "absl/strings/str_split.h"
 #include "common/config.h"
 #include "common/embedded_policies.h"
-#include "common/joint_errors/scenarios.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/libero_fixtures.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
@@ -120,6 +120,20 @@ void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaint
                                   "a policy that another server holds needs --server HOST:PORT"));
     }
   }
+}
+
+void CheckScenarios(const SweepGrid& grid, Complaints& complaints) {
+  std::vector<std::string> built_in, labels;
+  for (const std::string& scenario : grid.scenarios) {
+    labels.push_back(ScenarioLabel(scenario));
+    if (!IsScenarioFile(scenario)) {
+      built_in.push_back(scenario);
+    } else if (const auto file = ReadScenarioFile(scenario); !file.ok()) {
+      complaints.Add(std::string(file.status().message()));
+    }
+  }
+  if (!built_in.empty()) complaints.CheckNames("scenario", built_in, ScenarioNames());
+  complaints.CheckUnique("scenario", labels);
 }
 
 void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
@@ -233,12 +247,11 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   }
   Complaints complaints;
   complaints.CheckNames("suite", grid.suites, SuiteNames());
-  complaints.CheckNames("scenario", grid.scenarios, ScenarioNames());
+  CheckScenarios(grid, complaints);
   complaints.CheckNames("method", grid.methods, MethodNames());
   CheckPolicies(grid, home, complaints);
   CheckRanges(grid, complaints);
   complaints.CheckUnique("suite", grid.suites);
-  complaints.CheckUnique("scenario", grid.scenarios);
   complaints.CheckUnique("method", grid.methods);
   complaints.CheckUnique("severity", grid.severities);
   complaints.CheckUnique("seed", grid.seeds);
@@ -258,7 +271,12 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   }
   RS_RETURN_IF_ERROR(complaints.ToStatus());
   grid.suites = InOrderOf(SuiteNames(), grid.suites);
-  grid.scenarios = InOrderOf(ScenarioNames(), grid.scenarios);
+  std::vector<std::string> scenarios = InOrderOf(ScenarioNames(), grid.scenarios);
+  for (const std::string& scenario : grid.scenarios) {
+    if (IsScenarioFile(scenario))
+      scenarios.push_back(std::filesystem::absolute(scenario).lexically_normal().string());
+  }
+  grid.scenarios = scenarios;
   grid.methods = InOrderOf(MethodNames(), grid.methods);
   return grid;
 }
@@ -269,7 +287,7 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
     RS_ASSIGN_OR_RETURN(config.method, MakeMethod(method));
     RS_RETURN_IF_ERROR(ApplyOverrides(grid.overrides, config));
     const std::string id =
-        absl::StrCat(config.suite, "-", config.scenario, "-L", config.severity, "-",
+        absl::StrCat(config.suite, "-", ScenarioLabel(config.scenario), "-L", config.severity, "-",
                      PolicyLabel(config.policy), "-", method, "-s", config.seed);
     units.push_back({id, std::move(config)});
     return absl::OkStatus();

@@ -31,7 +31,8 @@ struct SweepGrid {
   void Visit(V& v) {
     v.Field("suites", suites, "see `robostress suites`");
     v.Field("scenarios", scenarios,
-            "see `robostress scenarios`; empty: clean and the seven deployment scenarios");
+            "see `robostress scenarios`, or scenario files; empty: clean and the seven deployment "
+            "scenarios");
     v.Field("severities", severities, "levels 1 (mild) to 5 (full)");
     v.Field("policies", policies, "nano, expert, replay, or a weights file");
     v.Field("methods", methods, "base, ours, controls and ablations");

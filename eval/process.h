@@ -40,6 +40,8 @@ class ChildProcess {
   int exit_fd() const { return pidfd_; }  // readable (poll) once the child has ended
   // How it ended, or nothing while it runs.
   std::optional<ExitState> Poll();
+  // How it ended; waits for that.
+  ExitState WaitForEnd() { return *Wait(-1); }
   // SIGTERM, then SIGKILL after `grace_ms`; waits for the end.
   ExitState Terminate(int grace_ms);
 

@@ -34,6 +34,9 @@ constexpr Command kCommands[] = {
     {"worker", "Run one unit of a sweep: the simulator's side"},
     {"record", "Record demonstrations of the scripted experts"},
     {"train", "Train the embedded policy from demonstrations"},
+    {"record-to-rig", "Turn a recorded run into a rig with logs for calibrate"},
+    {"calibrate", "Find what the declared model of a measured robot lacks"},
+    {"close-loop", "Hide errors in the simulated arm, find them from its logs, compare"},
     {"replay", "Play recorded commands in a LIBERO task, compare two recordings"},
 };
 

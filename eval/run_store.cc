@@ -12,7 +12,7 @@
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
-#include "common/joint_errors/scenarios.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 
@@ -50,7 +50,7 @@ auto CanonicalKey(const UnitConfig& config) {
   static const auto& scenarios = *new std::vector<std::string>(ScenarioNames());
   static const auto& methods = *new std::vector<std::string>(MethodNames());
   return std::tuple(IndexOf(suites, config.suite), IndexOf(scenarios, config.scenario),
-                    config.severity, config.policy, IndexOf(methods, config.method.method),
+                    ScenarioLabel(config.scenario), config.severity, config.policy, IndexOf(methods, config.method.method),
                     config.seed);
 }
 

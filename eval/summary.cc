@@ -8,7 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "common/joint_errors/scenarios.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/suites.h"
 #include "eval/episode_bootstrap.h"
 #include "eval/plan.h"
@@ -189,7 +189,12 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
     if (methods_present.count(method)) table.methods.push_back(method);
   }
   const std::string label = absl::StrCat(policy, "/L", severity, "/", suite);
-  for (const std::string& scenario : ScenarioNames()) {
+  // The built-in ones in their order, then scenario files.
+  std::vector<std::string> scenarios = ScenarioNames();
+  for (const auto& [scenario, by_method] : grid) {
+    if (IsScenarioFile(scenario)) scenarios.push_back(scenario);
+  }
+  for (const std::string& scenario : scenarios) {
     const auto by_method = grid.find(scenario);
     if (by_method == grid.end()) continue;
     ScenarioRow row{scenario, ScenarioTitle(scenario), {}};
@@ -259,7 +264,7 @@ CurveSet MakeCurves(const Units& units, const std::string& policy, int severity)
 
 std::string ScenarioTitle(const std::string& scenario) {
   const absl::StatusOr<Scenario> row = MakeScenario(scenario, 5);
-  return row.ok() ? row->title : scenario;
+  return row.ok() ? row->title : ScenarioLabel(scenario);
 }
 
 std::string MethodColor(const std::string& method) {

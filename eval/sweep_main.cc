@@ -23,6 +23,7 @@ constexpr char kExamples[] =
     "  robostress sweep --full --methods base,ours,gain,null --seeds 0,1,2 --out runs/main\n"
     "  robostress sweep --suites tabletop_goal --tasks 0,3 --scenarios clean,heavy_payload "
     "--severities 1,3,5 --out runs/levels\n"
+    "  robostress sweep --scenarios clean,worn_elbow.yaml --policies nano --out runs/worn\n"
     "  robostress sweep --grid runs/main/sweep.yaml --out runs/again\n"
     "  robostress sweep --suites libero_goal --tasks 8-8 --policies expert --methods base "
     "--libero-root LIBERO \\\n"
@@ -45,6 +46,9 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
                "The four embedded suites, all tasks, 20 episodes (wins over --quick)");
   app.add_option("--out", line.out, "Run directory (default: runs/quick, runs/full or runs/sweep)");
   DeclareLaunchFlags(app, line.launch);
+  app.add_flag("--record-joints", line.launch.record_joints,
+               "Also record joint angles, torques and contacts of every sub-step; see `robostress "
+               "record-to-rig`");
   app.add_flag("--dry-run", line.dry_run, "Print the units and stop");
   app.add_flag("--no-report", line.no_report, "Run and merge only");
   DeclareGridFlags(app, line.grid);

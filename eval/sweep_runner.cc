@@ -22,6 +22,7 @@
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
@@ -126,6 +127,7 @@ class Sweep {
 
   absl::Status Prepare(const SweepGrid& grid);
   absl::Status WritePlan(const PlannedUnit& unit);
+  absl::Status KeepScenario(const std::string& scenario) const;
   absl::Status StartServers(const std::vector<const PlannedUnit*>& pending);
   absl::Status StartServer(const std::string& policy);
   absl::StatusOr<ChildProcess> StartWorker(const PlannedUnit& unit);
@@ -163,10 +165,27 @@ absl::Status Sweep::WritePlan(const PlannedUnit& unit) {
   return WriteFileAtomically(file, text);
 }
 
+// A scenario file may change; results of two versions of it cannot share a run directory.
+absl::Status Sweep::KeepScenario(const std::string& scenario) const {
+  if (!IsScenarioFile(scenario)) return absl::OkStatus();
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(scenario));
+  RS_RETURN_IF_ERROR(MakeDirectories(dir_ + "/scenarios"));
+  const std::string kept = absl::StrCat(dir_, "/scenarios/", ScenarioLabel(scenario), ".yaml");
+  if (fs::exists(kept)) {
+    RS_ASSIGN_OR_RETURN(const std::string present, ReadFile(kept));
+    if (present == text) return absl::OkStatus();
+    return absl::FailedPreconditionError(
+        absl::StrCat(scenario, " has changed since this run began, which kept it as ", kept,
+                     "; choose another --out, or restore the file"));
+  }
+  return WriteFileAtomically(kept, text);
+}
+
 absl::Status Sweep::Prepare(const SweepGrid& grid) {
   for (const char* folder : {"", "/plan", "/units", "/logs"})
     RS_RETURN_IF_ERROR(MakeDirectories(dir_ + folder));
   for (const PlannedUnit& unit : units_) RS_RETURN_IF_ERROR(WritePlan(unit));
+  for (const std::string& scenario : grid.scenarios) RS_RETURN_IF_ERROR(KeepScenario(scenario));
   return WriteFileAtomically(dir_ + "/sweep.yaml", DumpConfig(grid));
 }
 
@@ -227,6 +246,7 @@ absl::StatusOr<ChildProcess> Sweep::StartWorker(const PlannedUnit& unit) {
     command.insert(command.end(), {"--server", address});
   }
   if (options_.measure_lag) command.push_back("--lag");
+  if (options_.record_joints) command.push_back("--record-joints");
   return ChildProcess::Start(command, ChildEnvironment(), UnitLog(unit));
 }
 

@@ -18,6 +18,8 @@ struct LaunchOptions {
   bool quiet = false;  // no progress line
   // Adds lag_residual to every episode: its commands played again without joint errors.
   bool measure_lag = false;
+  // Records the joints of every sub-step beside every episode, for `robostress record-to-rig`.
+  bool record_joints = false;
 };
 
 // What happened to the units of this call.
@@ -33,7 +35,7 @@ struct SweepOutcome {
 // with one policy server per policy that needs one, unless options.server is there. Layout of the
 // run directory:
 //   sweep.yaml plan/<id>.yaml units/<id>/ (written by the worker) logs/<id>.log
-//   logs/server-<policy>.log launches.jsonl
+//   logs/server-<policy>.log launches.jsonl scenarios/<label>.yaml (copies of scenario files)
 // A unit that fails is reported with the end of its log and the others go on. FailedPrecondition
 // when the directory holds a unit of the same id with another configuration, or another sweep is
 // running in it; Unavailable when a server does not start or dies.

@@ -78,14 +78,20 @@ constexpr char kHandXml[] = R"(
 
 // One finger; side +1 is finger 1 (left), -1 is finger 2 (right). Both slide along the y axis of
 // robot0_right_hand, the hand's long side.
-std::string FingerXml(int side) {
+// `joint` lets it slide, else it stands half open.
+std::string FingerXml(int side, bool joint) {
   const int index = side > 0 ? 1 : 2;
+  const std::string slide = absl::StrFormat(
+      R"(<joint name="gripper0_finger_joint%d" type="slide" axis="0 1 0" limited="true" range="%g %g" damping="100"
+             armature="1" frictionloss="1"/>)",
+      index, side > 0 ? 0.0 : -0.04, side > 0 ? 0.04 : 0.0);
+  // The body's y axis is the hand's -x.
+  const double x = joint ? 0 : -side * PandaHomeFingers()[0];
   return absl::StrFormat(
       R"(
-    <body name="gripper0_%sfinger" pos="0 0 0.0524" quat="0.7071067811865476 0 0 0.7071067811865476">
+    <body name="gripper0_%sfinger" pos="%s 0 0.0524" quat="0.7071067811865476 0 0 0.7071067811865476">
       <inertial pos="0 0 0.05" mass="0.1" diaginertia="0.01 0.01 0.005"/>
-      <joint name="gripper0_finger_joint%d" type="slide" axis="0 1 0" limited="true" range="%g %g" damping="100"
-             armature="1" frictionloss="1"/>
+      %s
       <geom class="trim" type="box" size="0.0095 0.008 0.012" pos="0 %g 0.012"/>
       <geom class="finger" type="box" size="0.0085 0.0055 0.019" pos="0 %g 0.035"/>
       <geom class="collision" name="gripper0_finger%d_collision" type="box" size="0.0095 0.0065 0.0125"
@@ -96,12 +102,11 @@ std::string FingerXml(int side) {
               pos="0 %g -0.015" friction="2 0.05 0.0001" condim="4" solref="0.01 0.5"/>
       </body>
     </body>)",
-      side > 0 ? "left" : "right", index, side > 0 ? 0.0 : -0.04, side > 0 ? 0.04 : 0.0,
-      side * 0.008, side * 0.0055, index, side * 0.0085, index, side * 0.0085, index,
+      side > 0 ? "left" : "right", absl::StrCat(x), joint ? slide : std::string(), side * 0.008, side * 0.0055, index, side * 0.0085, index, side * 0.0085, index,
       side * -0.005);
 }
 
-std::string ArmXml() {
+std::string ArmXml(bool fingers_slide) {
   std::string open, close;
   for (size_t i = 0; i < kLinks.size(); ++i) {
     const Link& link = kLinks[i];
@@ -120,7 +125,8 @@ std::string ArmXml() {
     absl::StrAppend(&open, link.shape_xml, "\n");
     absl::StrAppend(&close, "</body>");
   }
-  return absl::StrCat(open, absl::StrFormat(kHandXml, absl::StrCat(FingerXml(1), FingerXml(-1))),
+  return absl::StrCat(open, absl::StrFormat(kHandXml, absl::StrCat(FingerXml(1, fingers_slide),
+                                                                      FingerXml(-1, fingers_slide))),
                       close);
 }
 
@@ -179,6 +185,23 @@ constexpr char kSceneFormat[] = R"(<mujoco model="%s">
 </mujoco>
 )";
 
+constexpr char kArmFormat[] = R"(<mujoco model="panda_arm">
+<compiler angle="radian"/>
+<option timestep="0.002" integrator="Euler"/>
+<default>
+  <default class="collision"><geom contype="0" conaffinity="0"/></default>
+  <default class="shell"><geom contype="0" conaffinity="0" mass="0"/></default>
+  <default class="trim"><geom contype="0" conaffinity="0" mass="0"/></default>
+  <default class="finger"><geom contype="0" conaffinity="0" mass="0"/></default>
+</default>
+<worldbody>
+  <body name="robot0_base">
+    %s
+  </body>
+</worldbody>
+</mujoco>
+)";
+
 }  // namespace
 
 std::string ComposePandaScene(const PandaScene& scene) {
@@ -186,8 +209,12 @@ std::string ComposePandaScene(const PandaScene& scene) {
   return absl::StrFormat(kSceneFormat, scene.name, scene.elliptic_cone ? "elliptic" : "pyramidal",
                          scene.impratio, scene.iterations, scene.tolerance, scene.density,
                          scene.viscosity, scene.max_contacts, scene.max_constraints,
-                         scene.assets_xml, scene.defaults_xml, p.x(), p.y(), p.z(), ArmXml(),
+                         scene.assets_xml, scene.defaults_xml, p.x(), p.y(), p.z(), ArmXml(true),
                          scene.world_xml, scene.contact_xml, ActuatorXml());
+}
+
+std::string ComposePandaArm() {
+  return absl::StrFormat(kArmFormat, ArmXml(false));
 }
 
 Eigen::Matrix<double, 7, 1> PandaHome() {

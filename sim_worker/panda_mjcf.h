@@ -44,6 +44,10 @@ struct PandaScene {
 // fingers.
 std::string ComposePandaScene(const PandaScene& scene);
 
+// The arm alone as a rig's model: no scene, no actuators, no contacts; the gripper is a fixed mass
+// with its fingers half open. Inertials, damping, armature and friction loss are the scene's.
+std::string ComposePandaArm();
+
 // robosuite's home posture of the Panda in LIBERO [rad]: the tool points down, 3.3 degrees off the
 // vertical.
 Eigen::Matrix<double, 7, 1> PandaHome();

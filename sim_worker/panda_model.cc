@@ -98,8 +98,12 @@ void ReadArm(const mjModel& model, const mjData& data, const PandaModel& panda, 
 }
 
 Vector7d GravityTorque(const mjModel& model, const mjData& data, const PandaModel& panda) {
+  return GravityTorque(model, data, panda, ConstMap3(model.opt.gravity));
+}
+
+Vector7d GravityTorque(const mjModel& model, const mjData& data, const PandaModel& panda,
+                       const Eigen::Vector3d& gravity) {
   Vector7d g;
-  const ConstMap3 gravity(model.opt.gravity);
   for (int i = 0; i < 7; ++i) {
     const int body = model.jnt_bodyid[panda.joint[i]];
     const ConstMap3 axis(data.xaxis + 3 * panda.joint[i]);

@@ -47,5 +47,8 @@ void ReadArm(const mjModel& model, const mjData& data, const PandaModel& panda, 
 // Needs the position stage only. Joints must be hinges, whatever else the scene holds. Allocates
 // nothing.
 Vector7d GravityTorque(const mjModel& model, const mjData& data, const PandaModel& panda);
+// The same in a field of `gravity` [m/s^2], world frame.
+Vector7d GravityTorque(const mjModel& model, const mjData& data, const PandaModel& panda,
+                       const Eigen::Vector3d& gravity);
 
 }  // namespace robostress

@@ -3,12 +3,15 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cstring>
+#include <limits>
 #include <mutex>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_format.h"
 #include "common/check.h"
+#include "common/joint_errors/effect_stack.h"
+#include "common/joint_errors/friction.h"
 #include "common/joint_errors/joint_error_stack.h"
 #include "common/status_macros.h"
 #include "sim_worker/osc_controller.h"
@@ -84,7 +87,10 @@ struct EpisodeState {
 
   OscController controller;
   JointErrorStack errors;
+  EffectStack effects;
   ArmState arm;                     // what the controller saw last
+  Vector7d bias = Vector7d::Zero();  // its model of Coriolis, centrifugal and gravity torque [Nm]
+  double clock = 0;                 // [s] since Reset
   std::array<double, 2> gripper{};  // integrated gripper command in +-1, per finger
   int steps = 0;                    // control steps since Reset, settling excluded
   bool first_sub_step = true;       // see Reset
@@ -106,11 +112,22 @@ struct PandaSim::Impl {
   bool parity() const { return options.stepping == Stepping::kParity; }
   // The forward passes of a sub-step, and the arm as the controller then sees it.
   void LookAtArm();
+  // The arm of the joint readings and the bias that the controller compensates; the truth without
+  // sensor effects. Believe brings its kinematics up to date.
+  void Believe();
+  const mjData& Believed() const { return believed == nullptr ? *data : *believed; }
+  Vector7d Readings() const;
+  Vector7d ReadingRates() const;
   void SubStep();
   const mjData& Observed();
   absl::Status ControlStep(const Vector7d& command, int progress_steps);
   Vector7d Saturated(const Vector7d& torque) const;
   Vector7d PerturbedTorque(const Vector7d& controller_torque);
+  Vector7d TorqueWithEffects(const Vector7d& controller_torque, EffectStack::Moments& moments);
+  EffectStack::Moments DescribeJoints() const;
+  Vector7d NetTorque(const Vector7d& applied) const;
+  Vector7d OffsetChange(const Vector7d& tau_load, EffectStack::Moments& moments);
+  double ContactForce() const;
   void DriveGripper(double direction);
   void Integrate(const Vector7d& offset_change);
   // Root body with a free joint that `pad` touches in a contact, or -1.
@@ -124,7 +141,10 @@ struct PandaSim::Impl {
   EpisodeState episode;
   bool position_stage_stale = false;  // somebody may have written to data since the last mj_step1
   std::function<void()> on_sub_step, on_integrated;
+  std::function<void(const JointSample&)> on_sample;
   bool last_sub_step = false;  // of a control step
+  double contact_N = 0;  // of this sub-step, while somebody listens
+  DataPtr believed;      // kinematics of the readings; null without sensor effects
 
   // An observation that is older than the end of the control step: kinematics of the positions from
   // which its sub-step started, positions and velocities of its end.
@@ -170,18 +190,136 @@ Vector7d PandaSim::Impl::PerturbedTorque(const Vector7d& controller_torque) {
   // Stick: dry friction that would bring the joints to rest within this sub-step, given all other
   // torques; those of contacts and joint limits are the previous sub-step's.
   const Vector7d torque = errors.TorqueWithoutDryFriction(controller_torque, dq, gravity);
-  const Vector7d applied = Saturated(torque);
+  const Vector7d net = NetTorque(Saturated(torque));
+  const double h = model->opt.timestep;
+  const Eigen::LLT<Matrix7d> M(episode.arm.M);
+  const JointErrorStack::Matrix velocity_per_torque = h * M.solve(Matrix7d::Identity());
+  const Vector7d v_free = dq + velocity_per_torque * net;
+  return errors.AddStickFriction(torque, dq, v_free, velocity_per_torque, panda.torque_limit);
+}
+
+// With the motors' torques `applied`; forces of contacts and joint limits are the previous
+// sub-step's.
+Vector7d PandaSim::Impl::NetTorque(const Vector7d& applied) const {
   Vector7d net;
   for (int i = 0; i < 7; ++i) {
     const int dof = panda.dof[i];
     net[i] =
         applied[i] + data->qfrc_passive[dof] - data->qfrc_bias[dof] + data->qfrc_constraint[dof];
   }
+  return net;
+}
+
+// Joints at the start of a sub-step; `drive` is filled by the stack. The payload's place is the tool
+// site.
+EffectStack::Moments PandaSim::Impl::DescribeJoints() const {
+  const EpisodeState& e = episode;
+  const Eigen::Vector3d field(model->opt.gravity);
+  const Vector7d gravity = GravityTorque(*model, *data, panda);
+  // A base that turns by a small angle about an axis sees gravity turn the other way.
+  const Vector7d tilt_x =
+      GravityTorque(*model, *data, panda, -Eigen::Vector3d::UnitX().cross(field));
+  const Vector7d tilt_y =
+      GravityTorque(*model, *data, panda, -Eigen::Vector3d::UnitY().cross(field));
+  const Eigen::Vector3d tool(data->site_xpos + 3 * panda.grip_site);
+  EffectStack::Moments moments;
+  for (int i = 0; i < 7; ++i) {
+    JointMoment& m = moments[i];
+    m.t = e.clock;
+    m.h = model->opt.timestep;
+    m.q = data->qpos[panda.qpos[i]] - e.errors.offset()[i] - e.effects.offset()[i];
+    m.dq = data->qvel[panda.dof[i]];
+    m.gravity = gravity[i];
+    m.tilt_gravity[0] = tilt_x[i];
+    m.tilt_gravity[1] = tilt_y[i];
+    const Eigen::Vector3d axis(data->xaxis + 3 * panda.joint[i]);
+    const Eigen::Vector3d arm = tool - Eigen::Vector3d(data->xanchor + 3 * panda.joint[i]);
+    const Eigen::Vector3d column = axis.cross(arm);
+    m.payload_gravity = -column.dot(field);
+    m.payload_inertia = column.squaredNorm();
+    if (const int other = e.effects.coupled(i); other >= 0)
+      m.coupled_q = data->qpos[panda.qpos[other]];
+  }
+  return moments;
+}
+
+// The library's effects and the paper's errors together. All dry friction that has a stick law, the
+// paper's under friction_law: stick and the library's always, is one problem.
+Vector7d PandaSim::Impl::TorqueWithEffects(const Vector7d& controller_torque,
+                                           EffectStack::Moments& moments) {
+  EpisodeState& e = episode;
+  const JointErrorStack& errors = e.errors;
+  const Scenario& scenario = errors.scenario();
+  const Vector7d drive = e.effects.Drive(controller_torque, moments);
+  EffectStack::JointTorques joints = e.effects.Torques(moments);
+  Vector7d torque = drive + joints.torque, dq, gravity;
+  for (int i = 0; i < 7; ++i) {
+    dq[i] = moments[i].dq;
+    gravity[i] = moments[i].gravity;
+  }
+  const bool stick = options.joint_errors.friction_law == FrictionLaw::kStick;
+  if (stick || !scenario.friction_on) {
+    torque = errors.TorqueWithoutDryFriction(torque, dq, gravity);
+  } else {
+    const Vector7d unlimited = Vector7d::Constant(std::numeric_limits<double>::infinity());
+    torque = errors.PerturbTorque(torque, dq, gravity, unlimited);
+  }
+  Vector7d forward, backward;
+  for (int i = 0; i < 7; ++i) {
+    const double own =
+        stick && scenario.friction_on ? StribeckMagnitude(errors.parameters()[i], dq[i]) : 0;
+    forward[i] = std::max(0.0, joints.dry[i].forward + own);
+    backward[i] = std::max(0.0, joints.dry[i].backward + own);
+  }
+  // M is the arm's, whatever its encoders say; what a payload adds to a joint's inertia goes into
+  // MuJoCo as the torque that it takes.
+  ArmState arm;
+  ReadArm(*model, *data, panda, arm);
+  const Matrix7d M = arm.M + Matrix7d(joints.inertia.asDiagonal());
+  const JointErrorStack::Matrix M_inverse =
+      Eigen::LLT<Matrix7d>(M).solve(Matrix7d::Identity());
+  const Vector7d net = NetTorque(Saturated(torque));
   const double h = model->opt.timestep;
-  const Eigen::LLT<Matrix7d> M(episode.arm.M);
-  const JointErrorStack::Matrix velocity_per_torque = h * M.solve(Matrix7d::Identity());
+  const JointErrorStack::Matrix velocity_per_torque = h * M_inverse;
   const Vector7d v_free = dq + velocity_per_torque * net;
-  return errors.AddStickFriction(torque, dq, v_free, velocity_per_torque, panda.torque_limit);
+  Vector7d friction;
+  StickTorques({v_free.data(), 7}, {velocity_per_torque.data(), 49}, {forward.data(), 7},
+               {backward.data(), 7}, {friction.data(), 7});
+  const Vector7d acceleration = M_inverse * (net + friction);
+  torque += friction - joints.inertia.cwiseProduct(acceleration);
+  return Saturated(torque);
+}
+
+// Position stage of both: backlash and compliance of the paper from the motor's angle now, effects
+// from the angle that the sub-step leads to.
+Vector7d PandaSim::Impl::OffsetChange(const Vector7d& tau_load, EffectStack::Moments& moments) {
+  EpisodeState& e = episode;
+  Vector7d change = Vector7d::Zero();
+  if (e.errors.position_stage()) {
+    Vector7d q;
+    for (int i = 0; i < 7; ++i) q[i] = data->qpos[panda.qpos[i]] - e.effects.offset()[i];
+    change = e.errors.OffsetChange(q, tau_load);
+  }
+  if (e.effects.has(EffectStage::kTransmission)) {
+    for (JointMoment& m : moments) m.q += m.h * m.dq;
+    change += e.effects.OffsetChange(moments);
+  }
+  return change;
+}
+
+// Needs contacts and solver forces of one and the same sub-step.
+double PandaSim::Impl::ContactForce() const {
+  double sum = 0;
+  for (int i = 0; i < data->ncon; ++i) {
+    const mjContact& contact = data->contact[i];
+    const int root1 = model->body_rootid[model->geom_bodyid[contact.geom1]];
+    const int root2 = model->body_rootid[model->geom_bodyid[contact.geom2]];
+    if (root1 != panda.base_body && root2 != panda.base_body) continue;
+    double wrench[6];
+    mj_contactForce(model.get(), data.get(), i, wrench);
+    sum += Eigen::Vector3d(wrench).norm();
+  }
+  return sum;
 }
 
 void PandaSim::Impl::DriveGripper(double direction) {
@@ -195,7 +333,8 @@ void PandaSim::Impl::DriveGripper(double direction) {
 }
 
 void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
-  const bool moved = episode.errors.position_stage();
+  const bool moved =
+      episode.errors.position_stage() || episode.effects.has(EffectStage::kTransmission);
   // The offset travels as a velocity of one sub-step, seen by contacts, damping and Coriolis terms.
   const bool as_velocity = moved && options.joint_errors.offset_mode == OffsetMode::kVelocity;
   const Vector7d velocity = offset_change / model->opt.timestep;
@@ -210,6 +349,7 @@ void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
     if (as_velocity) mj_fwdVelocity(model.get(), data.get());
     mj_step2(model.get(), data.get());
   }
+  if (on_sample) contact_N = ContactForce();
   if (as_velocity) {
     for (int i = 0; i < 7; ++i) data->qvel[panda.dof[i]] -= velocity[i];
   }
@@ -230,24 +370,59 @@ void PandaSim::Impl::LookAtArm() {
     mj_forward(model.get(), data.get());
     if (!e.first_sub_step) mj_forward(model.get(), data.get());
   }
-  if (!e.first_sub_step) ReadArm(*model, *data, panda, e.arm);
+  Believe();
+  if (!e.first_sub_step) ReadArm(*model, Believed(), panda, e.arm);
+  for (int i = 0; i < 7; ++i) e.bias[i] = Believed().qfrc_bias[panda.dof[i]];
   e.first_sub_step = false;
+}
+
+Vector7d PandaSim::Impl::Readings() const {
+  Vector7d q;
+  for (int i = 0; i < 7; ++i) q[i] = episode.effects.Reading(i, data->qpos[panda.qpos[i]]);
+  return q;
+}
+
+Vector7d PandaSim::Impl::ReadingRates() const {
+  Vector7d dq;
+  for (int i = 0; i < 7; ++i)
+    dq[i] = episode.effects.ReadingSlope(i) * data->qvel[panda.dof[i]];
+  return dq;
+}
+
+void PandaSim::Impl::Believe() {
+  if (believed == nullptr) return;
+  mjData* d = believed.get();
+  std::copy_n(data->qpos, model->nq, d->qpos);
+  std::copy_n(data->qvel, model->nv, d->qvel);
+  const Vector7d q = Readings(), dq = ReadingRates();
+  for (int i = 0; i < 7; ++i) {
+    d->qpos[panda.qpos[i]] = q[i];
+    d->qvel[panda.dof[i]] = dq[i];
+  }
+  mj_kinematics(model.get(), d);
+  mj_comPos(model.get(), d);
+  mj_crb(model.get(), d);
+  mj_comVel(model.get(), d);
+  mj_rne(model.get(), d, 0, d->qfrc_bias);
 }
 
 void PandaSim::Impl::SubStep() {
   EpisodeState& e = episode;
   e.errors.BeginSubStep(model->opt.timestep);
-  Vector7d bias;
-  for (int i = 0; i < 7; ++i) bias[i] = data->qfrc_bias[panda.dof[i]];
-  const Vector7d tau_load = PerturbedTorque(e.controller.Torque(e.arm, bias));
+  const Vector7d asked = e.controller.Torque(e.arm, e.bias);
+  EffectStack::Moments moments;
+  if (e.effects.any()) moments = DescribeJoints();
+  const Vector7d tau_load =
+      e.effects.any() ? TorqueWithEffects(asked, moments) : PerturbedTorque(asked);
   for (int i = 0; i < 7; ++i) data->ctrl[panda.motor[i]] = tau_load[i];
-  Vector7d offset_change = Vector7d::Zero();
-  if (e.errors.position_stage()) {
-    Vector7d q;
-    for (int i = 0; i < 7; ++i) q[i] = data->qpos[panda.qpos[i]];
-    offset_change = e.errors.OffsetChange(q, tau_load);
+  JointSample sample;
+  if (on_sample) sample = {e.clock, Readings(), ReadingRates(), Saturated(asked), 0};
+  Integrate(OffsetChange(tau_load, moments));
+  e.clock += model->opt.timestep;
+  if (on_sample) {
+    sample.contact_N = contact_N;
+    on_sample(sample);
   }
-  Integrate(offset_change);
 }
 
 absl::Status PandaSim::Impl::ControlStep(const Vector7d& command, int progress_steps) {
@@ -313,7 +488,11 @@ PandaSim::PandaSim(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 PandaSim::~PandaSim() = default;
 
 void PandaSim::SetScenario(const Scenario& scenario, int horizon) {
-  impl_->episode.errors.SetScenario(scenario, horizon);
+  Impl& s = *impl_;
+  s.episode.errors.SetScenario(scenario, horizon);
+  s.episode.effects.SetScenario(scenario);
+  s.believed.reset(s.episode.effects.has(EffectStage::kSensor) ? mj_makeData(s.model.get())
+                                                              : nullptr);
 }
 
 absl::Status PandaSim::Reset(absl::Span<const double> qpos,
@@ -334,13 +513,15 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   // the pose, Jacobian and masses of home (facts of LIBERO's reset, sim_worker/README.md).
   for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = home[i];
   mj_step1(m, d);
-  ReadArm(*m, *d, s.panda, e.arm);
+  s.Believe();
+  ReadArm(*m, s.Believed(), s.panda, e.arm);
   e.controller.Reset(e.arm, home);
   for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = qpos[s.panda.qpos[i]];
   s.parity() ? mj_forward(m, d) : mj_step1(m, d);
   if (!s.options.robosuite.home_goal) {
     ArmState start;
-    ReadArm(*m, *d, s.panda, start);
+    s.Believe();
+    ReadArm(*m, s.Believed(), s.panda, start);
     e.controller.Reset(start, start.q);
   }
   e.first_sub_step = s.options.robosuite.stale_reset_pose;
@@ -349,6 +530,15 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   Vector7d q;
   for (int i = 0; i < 7; ++i) q[i] = d->qpos[s.panda.qpos[i]];
   e.errors.Reset(q, GravityTorque(*m, *d, s.panda));
+  e.clock = 0;
+  if (e.effects.any()) {
+    EffectStack::Moments moments = s.DescribeJoints();
+    for (int i = 0; i < 7; ++i) {
+      moments[i].q = q[i] - e.errors.offset()[i];
+      moments[i].drive = moments[i].gravity;
+    }
+    e.effects.Reset(moments);
+  }
   s.position_stage_stale = false;
   s.late.pose_qpos.assign(d->qpos, d->qpos + m->nq);
   s.late.qpos = s.late.pose_qpos;
@@ -410,7 +600,11 @@ const mjData& PandaSim::data() const { return *impl_->data; }
 const mjData& PandaSim::observed() const { return impl_->Observed(); }
 const OscController& PandaSim::controller() const { return impl_->episode.controller; }
 const JointErrorStack& PandaSim::errors() const { return impl_->episode.errors; }
+const EffectStack& PandaSim::effects() const { return impl_->episode.effects; }
 void PandaSim::OnSubStep(std::function<void()> call) { impl_->on_sub_step = std::move(call); }
+void PandaSim::OnJointSample(std::function<void(const JointSample&)> call) {
+  impl_->on_sample = std::move(call);
+}
 void PandaSim::OnIntegrated(std::function<void()> call) { impl_->on_integrated = std::move(call); }
 
 mjData& PandaSim::mutable_data() {

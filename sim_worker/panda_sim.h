@@ -12,9 +12,11 @@
 #include "common/joint_errors/scenarios.h"
 #include "common/types.h"
 #include "common/unit_config.h"
+#include "sim_worker/joint_log.h"
 
 namespace robostress {
 
+class EffectStack;
 class JointErrorStack;
 class OscController;
 
@@ -59,8 +61,11 @@ class PandaSim {
   const mjData& observed() const;
   const OscController& controller() const;
   const JointErrorStack& errors() const;
+  const EffectStack& effects() const;
   // Called after every sub-step, before the next one's forward passes.
   void OnSubStep(std::function<void()> call);
+  // Called for every sub-step, those of settling too.
+  void OnJointSample(std::function<void(const JointSample&)> call);
   // Called once per control step when data() holds positions of its end with poses and contacts of
   // the start of its last sub-step: robosuite looks at success there.
   void OnIntegrated(std::function<void()> call);

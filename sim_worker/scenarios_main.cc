@@ -7,7 +7,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "common/joint_errors/scenarios.h"
+#include "common/joint_errors/effects/effect_library.h"
+#include "common/joint_errors/scenario_file.h"
 #include "nlohmann/json.hpp"
 #include "sim_worker/scenario_markdown.h"
 
@@ -127,22 +128,72 @@ void PrintParameters(const Scenario& scenario) {
   }
 }
 
+// What a scenario file lists beside its base.
+void PrintEffectsOf(const Scenario& scenario) {
+  for (const ScenarioEffect& effect : scenario.effects) {
+    const EffectInfo& info = **FindEffect(effect.type);
+    std::printf("J%d    %s:", effect.joint + 1, effect.type.c_str());
+    for (size_t i = 0; i < effect.values.size(); ++i)
+      std::printf(" %s %g %s", info.parameters[i].name.c_str(), effect.values[i],
+                  info.parameters[i].unit.c_str());
+    if (effect.coupled >= 0) std::printf(" of J%d", effect.coupled + 1);
+    std::printf("%s\n", info.stage == EffectStage::kSensor ? "  (sensor: outside the paper)" : "");
+  }
+}
+
+// The effects that a scenario file may list, with parameters, units and ranges.
+void PrintEffects() {
+  std::printf(
+      "Effects that a scenario file lists per joint (FILE.yaml, passed wherever a scenario is "
+      "named):\n\n"
+      "  title: Worn elbow\n  base: clean\n  joints:\n    - name: J4\n      effects:\n"
+      "        - {type: transport_delay, delay_s: 0.02}\n\n"
+      "Values are physical; severity levels do not scale them. The controller gives torques, so "
+      "that a\ncommand effect acts on the joint's torque command on its way to the motor. Effects "
+      "of stage sensor\nare outside the paper, which adds no noise to observations: they act on "
+      "the joint readings that the\ncontroller sees. Ranges at J1; torques of J6 and J7 end at "
+      "12/80 of J1's.\n\n");
+  for (const EffectInfo& effect : EffectLibrary()) {
+    std::printf("%-28s %-12s %s%s\n", effect.type.c_str(), StageName(effect.stage),
+                effect.equation.c_str(),
+                effect.stage == EffectStage::kSensor ? "  (outside the paper)" : "");
+    for (size_t i = 0; i < effect.parameters.size(); ++i) {
+      const EffectParameter& parameter = effect.parameters[i];
+      const EffectRange range = RangeInScenario(effect, i, 0);
+      std::printf("    %-12s [%s] %s %.4g to %.4g%s\n", parameter.name.c_str(),
+                  parameter.unit.c_str(), range.lower_open ? "above" : "", range.lower,
+                  range.upper,
+                  parameter.fixed ? absl::StrFormat(", else %g", parameter.starts.front()).c_str()
+                                  : "");
+    }
+    if (effect.type == "cross_joint_coupling")
+      std::printf("    %-12s the other joint, J1 to J7\n", "joint");
+  }
+}
+
 int Main(int argc, char** argv) {
   CLI::App app(
       "Prints the deployment scenarios and the joint error parameters that they inject.\n"
       "Examples:\n  robostress scenarios\n  robostress scenarios --level 3 --parameters "
       "aged_joint_elbow\n"
-      "  robostress scenarios --json\n  robostress scenarios --markdown");
+      "  robostress scenarios --json\n  robostress scenarios --markdown\n"
+      "  robostress scenarios --effects");
   int level = 5;
   std::string parameters;
-  bool json = false, markdown = false;
+  bool json = false, markdown = false, effects = false;
   app.add_option("--level", level, "severity level, 1 (mild) to 5 (full)")->capture_default_str();
   app.add_option("--parameters", parameters, "also print one scenario's parameters per joint");
   app.add_flag("--json", json, "everything as JSON, parameters of all scenarios included");
   app.add_flag("--markdown", markdown,
                "Markdown tables: parameters of all scenarios, factors of all levels, what the "
                "compliance becomes at 2 ms");
+  app.add_flag("--effects", effects,
+               "the effects that a scenario file may list, with parameters, units and ranges");
   CLI11_PARSE(app, argc, argv);
+  if (effects) {
+    PrintEffects();
+    return 0;
+  }
 
   std::vector<Scenario> scenarios;
   for (const std::string& name : ScenarioNames()) {
@@ -174,8 +225,10 @@ int Main(int argc, char** argv) {
     return 0;
   }
   PrintTable(scenarios, level);
-  for (const Scenario& scenario : scenarios) {
-    if (scenario.name == parameters) PrintParameters(scenario);
+  if (!parameters.empty()) {
+    const absl::StatusOr<Scenario> chosen = MakeScenario(parameters, level);
+    PrintParameters(*chosen);
+    PrintEffectsOf(*chosen);
   }
   return 0;
 }

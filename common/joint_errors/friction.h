@@ -30,5 +30,9 @@ double StribeckTorque(const JointErrorParameters& p, double dq, FrictionLaw law,
 inline constexpr int kStickSweeps = 50;
 void StickTorques(absl::Span<const double> v_free, absl::Span<const double> A,
                   absl::Span<const double> limit, absl::Span<double> f);
+// The same with limits that depend on the direction: -forward_j <= f_j <= backward_j, both >= 0.
+void StickTorques(absl::Span<const double> v_free, absl::Span<const double> A,
+                  absl::Span<const double> forward, absl::Span<const double> backward,
+                  absl::Span<double> f);
 
 }  // namespace robostress

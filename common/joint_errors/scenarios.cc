@@ -6,7 +6,9 @@
 
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/joint_errors/severity.h"
+#include "common/status_macros.h"
 
 namespace robostress {
 namespace {
@@ -108,10 +110,19 @@ const std::vector<JointErrorParameters>& NominalPandaErrors() {
 }
 
 absl::StatusOr<Scenario> MakeScenario(const std::string& name, int level) {
+  if (IsScenarioFile(name)) {
+    RS_ASSIGN_OR_RETURN(ScenarioFile file, ReadScenarioFile(name));
+    RS_ASSIGN_OR_RETURN(Scenario scenario, MakeScenario(file.base, level));
+    scenario.name = ScenarioLabel(name);
+    scenario.title = file.title.empty() ? scenario.name : file.title;
+    scenario.deployment = false;
+    scenario.effects = std::move(file.effects);
+    return scenario;
+  }
   const Row* row = std::find_if(std::begin(kRows), std::end(kRows),
                                 [&](const Row& r) { return name == r.name; });
   if (row == std::end(kRows)) {
-    return absl::NotFoundError(absl::StrFormat("unknown scenario '%s'; known: %s", name,
+    return absl::NotFoundError(absl::StrFormat("unknown scenario '%s'; known: %s, or the path of a scenario file (.yaml)", name,
                                                absl::StrJoin(ScenarioNames(), ", ")));
   }
   if (level < 1 || level > kLevels) {

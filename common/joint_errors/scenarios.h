@@ -33,7 +33,17 @@ enum class SeverityProfile {
   kWhileGrasping,   // nominal, w_end while an object is held
 };
 
-// One row of the scenario table: everything that distinguishes a scenario from Clean.
+// An effect of the effect library at one joint, with a value for each of its parameters in the order
+// of EffectInfo::parameters. Physical values: severity levels do not scale them.
+struct ScenarioEffect {
+  int joint = 0;  // 0: J1
+  std::string type;
+  std::vector<double> values;
+  int coupled = -1;  // of cross_joint_coupling: the joint whose position it reads
+};
+
+// One row of the scenario table, or a scenario file: everything that distinguishes a scenario from
+// Clean.
 struct Scenario {
   std::string name;         // "clean", "heavy_payload", "thermal_drift_stribeck", ...
   std::string title;        // "Heavy Payload"
@@ -42,13 +52,15 @@ struct Scenario {
   std::vector<SeverityFactors> start;  // [7], ramp onset (equal to `end` without a ramp)
   std::vector<SeverityFactors> end;    // [7], at the chosen severity level
   bool deployment = false;             // one of the seven
+  std::vector<ScenarioEffect> effects;  // of scenario files only; beside the paper's four errors
 };
 
 // clean, the seven deployment scenarios, nominal, four isolated settings, dev_mixed (private, for tuning);
 // names as printed by `robostress scenarios`.
 std::vector<std::string> ScenarioNames();
 const std::vector<JointErrorParameters>& NominalPandaErrors();  // [7]
-// level: 1 (mild) .. 5 (full; the paper's main tables). Unknown names list the known ones.
+// level: 1 (mild) .. 5 (full; the paper's main tables). Unknown names list the known ones. A name that
+// ends in .yaml is the path of a scenario file (scenario_file.h), which is read at every call.
 absl::StatusOr<Scenario> MakeScenario(const std::string& name, int level);
 // Factors at `progress` in [0, 1] of the horizon and `grasp` in [0, 1] of the grasp gate.
 std::vector<SeverityFactors> FactorsAt(const Scenario& scenario, double progress, double grasp);

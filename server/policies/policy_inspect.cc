@@ -8,6 +8,7 @@
 #include "server/policies/nano_weights.h"
 #include "server/policies/openpi/openpi_weights.h"
 #include "server/policies/openpi/policy_setup.h"
+#include "server/policies/openpi/precision.h"
 #include "server/policies/openpi/tokenizer.h"
 #include "server/policies/policy_registry.h"
 
@@ -201,9 +202,15 @@ void InspectOpenpi(const std::string& path, const std::vector<std::string>& over
   const openpi::SetupResult resolved = ResolveSetup(*checkpoint, *options);
   inspection.problems.insert(inspection.problems.end(), resolved.problems.begin(),
                              resolved.problems.end());
+  if (const absl::Status device = openpi::FindDevice(options->device).status(); !device.ok())
+    inspection.problems.emplace_back(device.message());
   if (!resolved.setup.tokenizer.empty())
     InspectTokenizer(resolved.setup.tokenizer, &checkpoint->config, inspection);
   inspection.content["expects"] = DescribeSetup(resolved.setup, checkpoint->config);
+  inspection.content["computes"] = {
+      {"precision", options->precision == openpi::PrecisionSetting::kBf16 ? "bf16" : "float32"},
+      {"device", options->device},
+      {"threads", options->threads}};
 }
 
 // ------------------------------------------------------------------------------------------- text

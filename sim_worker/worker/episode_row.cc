@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_format.h"
 #include "adapter/episode_metrics.h"
+#include "common/joint_errors/scenario_file.h"
 
 namespace robostress {
 namespace {
@@ -22,7 +23,7 @@ EpisodeMetrics MetricsOf(const std::vector<ExecutedChunk>& chunks, const Residua
 
 json EpisodeIdentity(const UnitConfig& resolved, const PlannedEpisode& planned) {
   return {{"suite", resolved.suite},
-          {"scenario", resolved.scenario},
+          {"scenario", ScenarioLabel(resolved.scenario)},
           {"severity", resolved.severity},
           {"policy", resolved.policy},
           {"method", resolved.method.method},

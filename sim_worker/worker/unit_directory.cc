@@ -246,6 +246,12 @@ absl::Status UnitDirectory::WriteVideo(const PlannedEpisode& planned, const std:
       webp);
 }
 
+absl::Status UnitDirectory::WriteJoints(const PlannedEpisode& planned, const JointLog& log) {
+  RS_RETURN_IF_ERROR(MakeDirectories(File("joints")));
+  return WriteJointLog(log, absl::StrCat(path_, "/joints/task", planned.task, "_episode",
+                                         planned.episode, ".safetensors"));
+}
+
 absl::Status UnitDirectory::Append(const std::string& row, const std::string& timing,
                                    const std::string* adapter_state) {
   if (adapter_state != nullptr) {

@@ -8,6 +8,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "common/unit_config.h"
+#include "sim_worker/joint_log.h"
 #include "sim_worker/worker/unit_plan.h"
 
 namespace robostress {
@@ -24,6 +25,7 @@ namespace robostress {
 //                             nothing
 //   adapter.safetensors       of a finished adapted unit
 //   videos/                   task{T}_episode{E}.webp
+//   joints/                   task{T}_episode{E}.safetensors, of runs that record joints
 //   DONE                      last; holds the SHA-256 of episodes.jsonl
 //
 // One process at a time: the directory is locked while the object lives.
@@ -50,6 +52,7 @@ class UnitDirectory {
   absl::Status Restart();
 
   absl::Status WriteVideo(const PlannedEpisode& planned, const std::string& webp);
+  absl::Status WriteJoints(const PlannedEpisode& planned, const JointLog& log);
   // Adds a finished episode; adapter_state is null for methods without adaptation.
   absl::Status Append(const std::string& row, const std::string& timing,
                       const std::string* adapter_state);

@@ -5,7 +5,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/config.h"
-#include "common/joint_errors/scenarios.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 
@@ -115,7 +115,7 @@ bool RunsLocally(const std::string& policy) { return policy == "expert" || polic
 SessionSpec SessionSpecOf(const UnitConfig& resolved) {
   SessionSpec spec;
   spec.suite = resolved.suite;
-  spec.scenario = resolved.scenario;
+  spec.scenario = ScenarioLabel(resolved.scenario);
   spec.severity = resolved.severity;
   spec.policy = resolved.policy;
   spec.seed = resolved.seed;

@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/image.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/rollout/replay_chunks.h"
 #include "common/rollout/replay_policy.h"
 #include "common/rollout/rollout.h"
@@ -137,10 +138,31 @@ class UnitRun {
       RS_ASSIGN_OR_RETURN(clean_task_, make_task_(clean, task));
     }
     task_index_ = task;
+    if (options_.record_joints && !task_.listen_to_joints)
+      return absl::UnimplementedError("this robot keeps no record of its joints");
     if (unit_.policy == "expert") {
       RS_ASSIGN_OR_RETURN(local_, task_.make_expert());
     }
     return absl::OkStatus();
+  }
+
+  void DescribeEpisode(const PlannedEpisode& planned, const EpisodeRecord& record,
+                       JointLog& log) const {
+    log.suite = unit_.suite;
+    log.scenario = ScenarioLabel(unit_.scenario);
+    log.policy = unit_.policy;
+    log.severity = unit_.severity;
+    log.task = planned.task;
+    log.episode = planned.episode;
+    log.initial_state = planned.initial_state;
+    log.success = record.success;
+    for (const ExecutedChunk& chunk : record.chunks) {
+      for (const ExecutedStep& step : chunk.steps) {
+        log.states.push_back(step.before);
+        log.actions.push_back(step.sent_command);
+      }
+    }
+    if (!record.chunks.empty()) log.states.push_back(record.chunks.back().final_state);
   }
 
   absl::Status RunOne(size_t index) {
@@ -152,9 +174,17 @@ class UnitRun {
     RolloutOptions rollout;
     rollout.initial_state = planned.initial_state;
     if (planned.film) rollout.on_step = [&](int step) { film.OnStep(step); };
+    JointLog joints;
+    if (options_.record_joints)
+      task_.listen_to_joints([&](const JointSample& sample) { joints.samples.push_back(sample); });
     RS_ASSIGN_OR_RETURN(
         const EpisodeRecord record,
         RunEpisode({planned.task, planned.episode}, rollout, *task_.robot, policy, sequence_));
+    if (options_.record_joints) {
+      task_.listen_to_joints(nullptr);
+      DescribeEpisode(planned, record, joints);
+      RS_RETURN_IF_ERROR(directory_->WriteJoints(planned, joints));
+    }
     RS_ASSIGN_OR_RETURN(const SessionStats stats, policy.Stats());
     if (planned.film) {
       RS_ASSIGN_OR_RETURN(const std::string webp, film.Encode());

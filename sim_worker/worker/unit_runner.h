@@ -11,6 +11,7 @@
 #include "common/rollout/robot.h"
 #include "common/types.h"
 #include "common/unit_config.h"
+#include "sim_worker/joint_log.h"
 
 namespace robostress {
 
@@ -19,6 +20,8 @@ struct UnitTask {
   std::shared_ptr<Robot> robot;
   std::function<absl::StatusOr<std::unique_ptr<PolicyEndpoint>>()> make_expert;
   std::function<absl::StatusOr<Image>(int height)> film;  // one frame, height [px]
+  // Sets who gets the joints of every sub-step; null where the robot has no such record.
+  std::function<void(std::function<void(const JointSample&)>)> listen_to_joints;
 };
 using TaskFactory = std::function<absl::StatusOr<UnitTask>(const UnitConfig& unit, int task)>;
 
@@ -29,6 +32,8 @@ struct UnitRunOptions {
   double call_timeout_s = 300;    // [s]
   // Adds the lag of each episode to its row (episode_row.h); changes nothing else in it.
   bool measure_lag = false;
+  // Writes joints/task{T}_episode{E}.safetensors (joint_log.h) beside each row; changes no row.
+  bool record_joints = false;
   std::function<void(std::string_view)> progress;  // one line per episode
 };
 

@@ -45,6 +45,9 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   UnitTask out;
   out.robot = ControlObservations(sim_task, unit.method.observation, *instructions, task);
   out.make_expert = [sim_task] { return sim_task->MakeExpert(); };
+  out.listen_to_joints = [sim_task](std::function<void(const JointSample&)> call) {
+    sim_task->sim().OnJointSample(std::move(call));
+  };
   out.film = [sim_task](int height) { return sim_task->Film(height); };
   return out;
 }
@@ -104,6 +107,9 @@ int Main(int argc, char** argv) {
   app.add_flag("--lag", options.measure_lag,
                "also play each episode's commands without joint errors and add lag_residual to its "
                "row; see `robostress residual`");
+  app.add_flag("--record-joints", options.record_joints,
+               "also write joint angles, torques and contacts of every sub-step (500 Hz) to "
+               "DIR/joints; see `robostress record-to-rig`");
   app.add_flag("--quiet", quiet, "no progress lines");
   try {
     app.parse(argc, argv);

@@ -255,6 +255,68 @@ TEST_P(OpenpiPolicyTest, LoraWithoutBHasNoEffectAndTrainsThroughTheVelocity) {
     EXPECT_GT(lora.B[i].grad().abs().max().item<double>(), 0) << policy->lora_targets()[i].name;
 }
 
+TEST_P(OpenpiPolicyTest, ServesBf16WithGradientsNearThoseOfFloat32) {
+  const auto wide = Load(), narrow = Load({"precision=bf16"});
+  EXPECT_NE(narrow->spec().model_hash, wide->spec().model_hash);
+  const Observation observation = LiberoObservation(15);
+  const PolicyContext stored = narrow->Encode(observation).value();
+  EXPECT_EQ(stored.keys.back().scalar_type(), torch::kBFloat16);
+  const Tensor noise = at::randn({1, 7, 10}, at::detail::createCPUGenerator(2));
+  const Tensor expected = wide->Sample(wide->Encode(observation).value(), noise, nullptr);
+  const Tensor actions = narrow->Sample(stored, noise, nullptr);
+  EXPECT_EQ(actions.scalar_type(), torch::kFloat32);
+  EXPECT_LT((actions - expected).square().mean().sqrt().item<double>(),
+            0.03 * expected.square().mean().sqrt().item<double>());
+
+  const auto gradients = [&](const FlowPolicy& policy) {
+    LoraWeights lora =
+        InitialLora(policy.lora_targets(), LoraKind::kPerHead, 4, 0.01, StreamKey("test"));
+    for (const Tensor& parameter : Parameters(lora)) parameter.requires_grad_(true);
+    const PolicyContext context = policy.Encode(observation).value();
+    const Tensor velocity = policy.Velocity(context, noise, torch::tensor({0.3f}), &lora);
+    EXPECT_EQ(velocity.scalar_type(), torch::kFloat32);
+    velocity.square().mean().backward();
+    std::vector<Tensor> flat;
+    for (const Tensor& B : lora.B) flat.push_back(B.grad().flatten());
+    return at::cat(flat);
+  };
+  const Tensor a = gradients(*wide), b = gradients(*narrow);
+  EXPECT_LT((a - b).norm().item<double>(), 0.05 * a.norm().item<double>());
+}
+
+TEST_P(OpenpiPolicyTest, ThreadsOfAPredictionAreItsOwnAndLeaveTheHash) {
+  const auto one = Load(), two = Load({"threads=2", "device=cpu"});
+  EXPECT_EQ(two->spec().model_hash, one->spec().model_hash);
+  const Observation observation = LiberoObservation(15);
+  const int before = at::get_num_threads();
+  std::thread([&] {  // a count belongs to a thread
+    EXPECT_TRUE(two->Encode(observation).ok());
+    EXPECT_EQ(at::get_num_threads(), 2);
+  })
+      .join();
+  EXPECT_TRUE(one->Encode(observation).ok());
+  EXPECT_EQ(at::get_num_threads(), before);
+}
+
+TEST_P(OpenpiPolicyTest, RefusesPrecisionsDevicesAndThreadsThatAreNotThere) {
+  EXPECT_THAT(LoadError({"precision=fp8"}),
+              AllOf(HasSubstr("precision"), HasSubstr("fp8"), HasSubstr("float32, bf16")));
+  EXPECT_THAT(LoadError({"device=gpu"}),
+              HasSubstr("--policy-options: policy option device is 'gpu', must be cpu, cuda or"));
+  EXPECT_THAT(LoadError({"device=cuda:99"}),
+              AllOf(HasSubstr("device 'cuda:99' is not there"), HasSubstr("use cpu")));
+  EXPECT_THAT(LoadError({"threads=0"}), HasSubstr("threads is 0, must be 1..1024"));
+  WriteText(folder_ / kPolicyOptionsFile, "threads: 4096\n");
+  EXPECT_THAT(LoadError(), AllOf(HasSubstr((folder_ / kPolicyOptionsFile).string()),
+                                 HasSubstr("threads is 4096, must be 1..1024")));
+  const auto [text, code] =
+      RunProgram(POLICY_PROGRAM, "inspect " + folder_.string() +
+                                     " --policy-options threads=2 precision=bf16 device=cuda:99");
+  EXPECT_EQ(code, 1);
+  EXPECT_THAT(text, AllOf(HasSubstr("problems (1)"), HasSubstr("device 'cuda:99' is not there"),
+                          HasSubstr("bf16")));
+}
+
 TEST_P(OpenpiPolicyTest, RefusesObservationsThatDoNotFit) {
   const auto policy = Load();
   const auto message = [&](auto change) {

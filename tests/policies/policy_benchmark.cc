@@ -1,6 +1,7 @@
 // Times predictions of nano, pi0 and pi0.5, and their matrix products alone. With --files it writes
 // weights, inputs and actions for the eager networks of tests/policies/eager, whose compare.sh runs
-// both in turn.
+// both in turn. With --update it times an update of batch 4 on stored prefixes beside predictions
+// that carry its adapter.
 
 #include <gtest/gtest.h>
 #include <torch/torch.h>
@@ -13,10 +14,12 @@
 #include <ctime>
 #include <iostream>
 
+#include "adapter/lora_adapter.h"
 #include "server/policies/fused_kernels.h"
 #include "server/policies/nano_policy.h"
 #include "server/policies/openpi/compute_threads.h"
 #include "server/policies/openpi/openpi_inference.h"
+#include "server/policies/openpi/openpi_lora.h"
 #include "tests/policies/tiny_openpi.h"
 
 namespace robostress::openpi {
@@ -86,7 +89,9 @@ class Products {
 struct Subject {
   virtual ~Subject() = default;
   virtual void Encode() = 0;
-  virtual void Sample() = 0;  // after Encode
+  virtual void Sample(const LoraWeights* lora) = 0;  // after Encode
+  virtual const PolicyContext& context() const = 0;  // after Encode
+  virtual const VelocityField& field() const = 0;    // what an adapter learns on
   virtual std::vector<Product> EncodeProducts() const = 0;
   virtual std::vector<Product> SampleProducts() const = 0;
   virtual void WriteFiles(const std::string& folder) = 0;
@@ -111,7 +116,11 @@ class NanoSubject : public Subject {
     policy_ = MakeNanoPolicy(model_, "", "nano").value();
   }
   void Encode() override { context_ = policy_->Encode(observation_).value(); }
-  void Sample() override { actions_ = policy_->Sample(context_, noise_, nullptr); }
+  void Sample(const LoraWeights* lora) override {
+    actions_ = policy_->Sample(context_, noise_, lora);
+  }
+  const PolicyContext& context() const override { return context_; }
+  const VelocityField& field() const override { return *policy_; }
 
   std::vector<Product> EncodeProducts() const override {
     const NanoConfig& c = model_.config;
@@ -144,7 +153,7 @@ class NanoSubject : public Subject {
   }
   void WriteFiles(const std::string& folder) override {
     Encode();
-    Sample();
+    Sample(nullptr);
     const absl::Status saved = SaveNanoModel(model_, folder + "/weights.safetensors");
     EXPECT_TRUE(saved.ok()) << saved;
     TensorMap io = {
@@ -215,6 +224,30 @@ OpenpiModel RandomModel(const OpenpiConfig& config, torch::Dtype dtype) {
   return model;
 }
 
+// The action expert of an openpi network as a served policy gives it to an adapter: bfloat16
+// weights are widened for each update where the processor does not multiply them.
+class OpenpiField : public VelocityField {
+ public:
+  explicit OpenpiField(OpenpiModel model)
+      : model_(std::move(model)), targets_(ExpertLoraTargets(model_.config)) {}
+  int64_t horizon() const override { return model_.config.horizon; }
+  int64_t model_action_dim() const override { return model_.config.action_dim; }
+  const std::vector<LoraTarget>& lora_targets() const override { return targets_; }
+  torch::Tensor Velocity(const PolicyContext& context, const torch::Tensor& x_u,
+                         const torch::Tensor& u, const LoraWeights* lora) const override {
+    const bool widen = context.keys[0].scalar_type() == torch::kBFloat16 &&
+                       !MultipliesBf16(context.keys[0].device());
+    const OpenpiModel adapted = WithLora(widen ? WithFloat32Expert(model_) : model_, *lora);
+    const PrefixContext prefix{
+        {context.keys, context.values}, context.prefix_mask, context.state, {}};
+    return openpi::Velocity(adapted, SuffixOnCache(adapted, prefix, x_u, u));
+  }
+
+ private:
+  OpenpiModel model_;
+  std::vector<LoraTarget> targets_;
+};
+
 class OpenpiSubject : public Subject {
  public:
   // `cameras` of three slots hold a view and `words` prompt tokens are given; the rest is masked.
@@ -231,12 +264,15 @@ class OpenpiSubject : public Subject {
     auto made = OpenpiInference::Create(model, options);
     EXPECT_TRUE(made.ok()) << made.status();
     inference_ = std::move(made).value();
-    weights_ = WeightTensors(std::move(model));  // shared with the inference
+    weights_ = WeightTensors(model);  // shared with the inference
+    field_ = std::make_unique<OpenpiField>(std::move(model));
   }
   void Encode() override { context_ = inference_->Encode(inputs_.model).value(); }
-  void Sample() override {
-    actions_ = inference_->Sample(context_, inputs_.noise, nullptr).value();
+  void Sample(const LoraWeights* lora) override {
+    actions_ = inference_->Sample(context_, inputs_.noise, lora).value();
   }
+  const PolicyContext& context() const override { return context_; }
+  const VelocityField& field() const override { return *field_; }
 
   std::vector<Product> EncodeProducts() const override {
     const OpenpiConfig& c = config_;
@@ -267,7 +303,7 @@ class OpenpiSubject : public Subject {
   }
   void WriteFiles(const std::string& folder) override {
     Encode();
-    Sample();
+    Sample(nullptr);
     WriteTensors(folder + "/weights.safetensors", weights_, {{"config", ConfigJson(config_)}});
     TensorMap io = InputTensors(inputs_);
     io["expected/actions"] = actions_;
@@ -290,10 +326,54 @@ class OpenpiSubject : public Subject {
   OracleInputs inputs_;
   int64_t cameras_, words_;
   std::unique_ptr<OpenpiInference> inference_;
+  std::unique_ptr<OpenpiField> field_;
   TensorMap weights_;
   PolicyContext context_;
   torch::Tensor actions_;
 };
+
+// Updates of the paper's method, batch 4, on the subject's context, and their adapter.
+class Updates {
+ public:
+  Updates(const Subject& subject, LoraKind kind) {
+    MethodOptions options = MakeMethod("ours").value();
+    options.lora = kind;
+    adapter_ = LoraAdapter::Create(&subject.field(), options, StreamKey("benchmark")).value();
+    for (int i = 0; i < kBatch; ++i) {
+      batch_.push_back(std::make_shared<const TrainingChunk>(TrainingChunk{
+          subject.context(),
+          at::randn({subject.field().horizon(), subject.field().model_action_dim()})}));
+    }
+  }
+  void Run() {
+    const at::AutoGradMode record(true);
+    EXPECT_TRUE(adapter_->Update(index_++, batch_).value().applied);
+  }
+  std::shared_ptr<const LoraWeights> lora() const { return adapter_->snapshot(); }
+
+  static constexpr int kBatch = 4;
+
+ private:
+  std::unique_ptr<LoraAdapter> adapter_;
+  std::vector<std::shared_ptr<const TrainingChunk>> batch_;
+  uint64_t index_ = 0;
+};
+
+double GigaFlops(const std::vector<Product>& products) {
+  double flops = 0;
+  for (const Product& p : products) flops += 2e-9 * static_cast<double>(p.m * p.k * p.n * p.times);
+  return flops;
+}
+
+// Of the products alone. An update is one step of ten per chunk, forward and as much backward: no
+// weight and nothing of the prefix has a gradient, so that each product has one partner.
+void PrintFlops(const Subject& subject) {
+  const double encode = GigaFlops(subject.EncodeProducts());
+  const double sample = GigaFlops(subject.SampleProducts());
+  const double update = 2 * Updates::kBatch * sample / 10;
+  std::printf("GFLOP: encode %.2f, sample %.2f, update %.2f = %.3f of a prediction\n", encode,
+              sample, update, update / (encode + sample));
+}
 
 // What a round times, in this order.
 struct Timings {
@@ -302,7 +382,7 @@ struct Timings {
 };
 
 struct Options {
-  std::string subject = "nano", precision = "float32", device = "cpu", files;
+  std::string subject = "nano", precision = "float32", device = "cpu", files, update;
   int64_t scale = 8, cameras = 2, words = 20, rounds = 20;
   int threads = 1;
   bool lockstep = false, products = true;
@@ -360,12 +440,22 @@ int Run(const Options& options) {
                      torch::kFloat32);
   Products of_sample(options.products ? subject->SampleProducts() : std::vector<Product>(),
                      torch::kFloat32);
+  std::unique_ptr<Updates> updates;
+  std::shared_ptr<const LoraWeights> lora;
+  if (!options.update.empty()) {
+    subject->Encode();
+    updates = std::make_unique<Updates>(
+        *subject, options.update == "per_head" ? LoraKind::kPerHead : LoraKind::kPerMatrix);
+    lora = updates->lora();
+    PrintFlops(*subject);
+  }
   Timings timings = {{"encode", "sample"},
-                     {[&] { subject->Encode(); }, [&] { subject->Sample(); }}};
+                     {[&] { subject->Encode(); }, [&] { subject->Sample(lora.get()); }}};
   const auto add = [&](const std::string& name, std::function<void()> run) {
     timings.names.push_back(name);
     timings.runs.push_back(std::move(run));
   };
+  if (updates != nullptr) add("update", [&] { updates->Run(); });
   if (options.products) {
     add("encode_products", [&] { of_encode.RunLibTorch(); });
     add("sample_products", [&] { of_sample.RunLibTorch(); });
@@ -400,6 +490,8 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(1, 48));
   app.add_option("--rounds", options.rounds)->check(CLI::Range(1, 100000));
   app.add_flag("--products,!--no-products", options.products, "time the matrix products too");
+  app.add_option("--update", options.update, "also time an update of batch 4")
+      ->check(CLI::IsMember({"per_head", "per_matrix"}));
   app.add_option("--files", options.files, "existing folder for weights, inputs and actions")
       ->check(CLI::ExistingDirectory);
   app.add_flag("--lockstep", options.lockstep, "one round per line on standard input");

@@ -9,7 +9,7 @@ namespace {
 
 // command(t - delay), linear between the samples that a sub-step's command stands for. Before the
 // first one: the first one.
-class TransportDelayEffect : public JointEffect {
+class TransportDelayEffect : public CopyableEffect<TransportDelayEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { delay_ = std::max(0.0, p[0]); }
   void Reset(const JointMoment&) override { history_.clear(); }
@@ -29,7 +29,7 @@ class TransportDelayEffect : public JointEffect {
 };
 
 // First order, exact for a command that is constant over a sub-step.
-class ServoLagEffect : public JointEffect {
+class ServoLagEffect : public CopyableEffect<ServoLagEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { tau_ = std::max(0.0, p[0]); }
   void Reset(const JointMoment&) override { started_ = false; }
@@ -49,7 +49,7 @@ class ServoLagEffect : public JointEffect {
   bool started_ = false;
 };
 
-class RateLimitEffect : public JointEffect {
+class RateLimitEffect : public CopyableEffect<RateLimitEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { rate_ = p[0]; }
   void Reset(const JointMoment&) override { started_ = false; }

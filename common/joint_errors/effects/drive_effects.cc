@@ -6,7 +6,7 @@
 namespace robostress::effects {
 namespace {
 
-class TorqueSaturationEffect : public JointEffect {
+class TorqueSaturationEffect : public CopyableEffect<TorqueSaturationEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { limit_ = p[0]; }
   double Drive(double torque, const JointMoment&) override {
@@ -18,7 +18,7 @@ class TorqueSaturationEffect : public JointEffect {
 };
 
 // Torques below the width do nothing, larger ones lose it.
-class DeadzoneEffect : public JointEffect {
+class DeadzoneEffect : public CopyableEffect<DeadzoneEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { width_ = p[0]; }
   double Drive(double torque, const JointMoment&) override {
@@ -29,7 +29,7 @@ class DeadzoneEffect : public JointEffect {
   double width_ = 0;  // [Nm]
 };
 
-class TimeVaryingGainEffect : public JointEffect {
+class TimeVaryingGainEffect : public CopyableEffect<TimeVaryingGainEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { rate_ = p[0]; }
   double Drive(double torque, const JointMoment& m) override { return torque * (1 + rate_ * m.t); }

@@ -27,9 +27,10 @@ EffectParameter Limit(const char* name, const char* unit, EffectScale scale,
   return parameter;
 }
 EffectParameter Wavelength(const char* unit) {
-  EffectParameter parameter = {"wavelength", unit, kPosition, 0.02, 8, {}};
-  // A grid of spatial frequencies: half a period more over the range travelled, 2 P, each.
-  for (int k = 1; k <= 80; ++k) parameter.starts.push_back(4.0 / k);
+  EffectParameter parameter = {"wavelength", unit, kPosition, 0.02, 2.2, {}};
+  // A grid of spatial frequencies: half a period more over the range travelled, 2 P,
+  // each, from a whole one on.
+  for (int k = 2; k <= 80; ++k) parameter.starts.push_back(4.0 / k);
   return parameter;
 }
 EffectParameter Fixed(const char* name, const char* unit, double lower, double upper,
@@ -158,7 +159,8 @@ std::vector<EffectInfo> MakeLibrary() {
        effects::PositionDependentTorque},
       {"cable_spring",
        kJoint,
-       {Signed("k", "Nm/rad", kTorquePerPosition, 2, 0.03), {"q0", "rad", kPosition, -4, 4, {0, 1, -1}}},
+       {Signed("k", "Nm/rad", kTorquePerPosition, 2, 0.03),
+        {"q0", "rad", kPosition, -4, 4, {0, 1, -1}}},
        {0},
        "torque -k (q - q0)",
        "a wide range of positions",

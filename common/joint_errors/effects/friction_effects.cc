@@ -8,7 +8,7 @@ namespace robostress::effects {
 namespace {
 
 // The law of friction.h: its dry part bounds stiction, its viscous part is a torque.
-class StribeckEffect : public JointEffect {
+class StribeckEffect : public CopyableEffect<StribeckEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     law_.Fc = p[0];
@@ -27,7 +27,7 @@ class StribeckEffect : public JointEffect {
   JointErrorParameters law_;
 };
 
-class AsymmetricCoulombEffect : public JointEffect {
+class AsymmetricCoulombEffect : public CopyableEffect<AsymmetricCoulombEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { difference_ = p[0]; }
   double Torque(const JointMoment&, DryFriction& dry) override {
@@ -40,7 +40,7 @@ class AsymmetricCoulombEffect : public JointEffect {
   double difference_ = 0;  // [Nm]
 };
 
-class AsymmetricViscousEffect : public JointEffect {
+class AsymmetricViscousEffect : public CopyableEffect<AsymmetricViscousEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { difference_ = p[0]; }
   double Torque(const JointMoment& m, DryFriction&) override {
@@ -51,7 +51,7 @@ class AsymmetricViscousEffect : public JointEffect {
   double difference_ = 0;  // [Nm s/rad]
 };
 
-class LoadDependentEffect : public JointEffect {
+class LoadDependentEffect : public CopyableEffect<LoadDependentEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { mu_ = p[0]; }
   double Torque(const JointMoment& m, DryFriction& dry) override {
@@ -64,7 +64,7 @@ class LoadDependentEffect : public JointEffect {
   double mu_ = 0;
 };
 
-class QuadraticViscousEffect : public JointEffect {
+class QuadraticViscousEffect : public CopyableEffect<QuadraticViscousEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { c2_ = p[0]; }
   double Torque(const JointMoment& m, DryFriction&) override {
@@ -75,7 +75,7 @@ class QuadraticViscousEffect : public JointEffect {
   double c2_ = 0;  // [Nm s^2/rad^2]
 };
 
-class TimeDriftEffect : public JointEffect {
+class TimeDriftEffect : public CopyableEffect<TimeDriftEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { rate_ = p[0]; }
   double Torque(const JointMoment& m, DryFriction& dry) override {
@@ -89,7 +89,7 @@ class TimeDriftEffect : public JointEffect {
 };
 
 // Dahl: dz/dx = (1 - sgn(dx) z) / x_s, integrated exactly over the way of a sub-step; -F z.
-class PreslidingEffect : public JointEffect {
+class PreslidingEffect : public CopyableEffect<PreslidingEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     F_ = p[0];
@@ -109,7 +109,7 @@ class PreslidingEffect : public JointEffect {
   double z_ = 0;    // in [-1, 1]
 };
 
-class PositionDependentEffect : public JointEffect {
+class PositionDependentEffect : public CopyableEffect<PositionDependentEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     a_ = p[0];

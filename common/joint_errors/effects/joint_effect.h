@@ -63,6 +63,17 @@ class JointEffect {
   virtual double Offset(const JointMoment&) { return 0; }
   // kSensor: the reading of a link angle [rad].
   virtual double Reading(double q_link) { return q_link; }
+  // With parameters and hidden state, for snapshots of a simulation.
+  virtual std::unique_ptr<JointEffect> Clone() const = 0;
+};
+
+// Gives an effect its Clone.
+template <class Effect>
+class CopyableEffect : public JointEffect {
+ public:
+  std::unique_ptr<JointEffect> Clone() const override {
+    return std::make_unique<Effect>(static_cast<const Effect&>(*this));
+  }
 };
 
 }  // namespace robostress

@@ -6,7 +6,7 @@
 namespace robostress::effects {
 namespace {
 
-class GravityErrorEffect : public JointEffect {
+class GravityErrorEffect : public CopyableEffect<GravityErrorEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { law_.beta = p[0]; }
   double Torque(const JointMoment& m, DryFriction&) override {
@@ -17,7 +17,7 @@ class GravityErrorEffect : public JointEffect {
   JointErrorParameters law_;
 };
 
-class PayloadEffect : public JointEffect {
+class PayloadEffect : public CopyableEffect<PayloadEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { mass_ = p[0]; }
   double Torque(const JointMoment& m, DryFriction&) override { return -mass_ * m.payload_gravity; }
@@ -27,7 +27,7 @@ class PayloadEffect : public JointEffect {
   double mass_ = 0;  // [kg]
 };
 
-class PositionPeriodicEffect : public JointEffect {
+class PositionPeriodicEffect : public CopyableEffect<PositionPeriodicEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     a_ = p[0];
@@ -43,7 +43,7 @@ class PositionPeriodicEffect : public JointEffect {
   double wave_ = 1;       // [rad/rad]
 };
 
-class PositionDependentTorqueEffect : public JointEffect {
+class PositionDependentTorqueEffect : public CopyableEffect<PositionDependentTorqueEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     for (int i = 0; i < 3; ++i) c_[i] = p[i];
@@ -56,7 +56,7 @@ class PositionDependentTorqueEffect : public JointEffect {
   double c_[3] = {0, 0, 0};  // [Nm/rad, Nm/rad^2, Nm/rad^3]
 };
 
-class CableSpringEffect : public JointEffect {
+class CableSpringEffect : public CopyableEffect<CableSpringEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     k_ = p[0];
@@ -69,7 +69,7 @@ class CableSpringEffect : public JointEffect {
   double q0_ = 0;  // [rad]
 };
 
-class CrossJointCouplingEffect : public JointEffect {
+class CrossJointCouplingEffect : public CopyableEffect<CrossJointCouplingEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { k_ = p[0]; }
   double Torque(const JointMoment& m, DryFriction&) override { return -k_ * m.coupled_q; }
@@ -78,7 +78,7 @@ class CrossJointCouplingEffect : public JointEffect {
   double k_ = 0;  // [Nm/rad]
 };
 
-class BaseTiltEffect : public JointEffect {
+class BaseTiltEffect : public CopyableEffect<BaseTiltEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     x_ = p[0];

@@ -3,7 +3,7 @@
 namespace robostress::effects {
 namespace {
 
-class EncoderGainEffect : public JointEffect {
+class EncoderGainEffect : public CopyableEffect<EncoderGainEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { error_ = p[0]; }
   double Reading(double q_link) override { return q_link * (1 + error_); }
@@ -12,7 +12,7 @@ class EncoderGainEffect : public JointEffect {
   double error_ = 0;
 };
 
-class EncoderOffsetEffect : public JointEffect {
+class EncoderOffsetEffect : public CopyableEffect<EncoderOffsetEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { offset_ = p[0]; }
   double Reading(double q_link) override { return q_link + offset_; }

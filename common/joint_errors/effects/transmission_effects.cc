@@ -7,7 +7,7 @@
 namespace robostress::effects {
 namespace {
 
-class TransmissionErrorEffect : public JointEffect {
+class TransmissionErrorEffect : public CopyableEffect<TransmissionErrorEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     a_ = p[0];
@@ -23,7 +23,7 @@ class TransmissionErrorEffect : public JointEffect {
   double wave_ = 1;       // [rad/rad]
 };
 
-class BacklashEffect : public JointEffect {
+class BacklashEffect : public CopyableEffect<BacklashEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { law_.B = p[0]; }
   void Reset(const JointMoment& m) override { gap_.Reset(m.q); }
@@ -37,7 +37,7 @@ class BacklashEffect : public JointEffect {
 
 // The deflection of compliance.h, given by stiffness, natural frequency and damping ratio:
 // M_eff = K / (2 pi f)^2, D = 2 zeta sqrt(K M_eff).
-class ComplianceEffect : public JointEffect {
+class ComplianceEffect : public CopyableEffect<ComplianceEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     const double omega = 2 * M_PI * p[1];

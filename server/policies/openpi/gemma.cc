@@ -4,6 +4,7 @@
 
 #include <cmath>
 
+#include "server/policies/openpi/cached_attention.h"
 #include "server/policies/openpi/masks.h"
 
 namespace robostress::openpi {
@@ -98,6 +99,14 @@ torch::Tensor Attend(const torch::Tensor& q, const torch::Tensor& k, const torch
       .reshape({batch, queries, heads * head_dim});
 }
 
+// Of a suffix to a stored prefix and itself.
+torch::Tensor AttendOverCache(const Projected& p, const torch::Tensor& prefix_k,
+                              const torch::Tensor& prefix_v, const torch::Tensor& mask) {
+  if (p.q.is_cpu() && p.q.scalar_type() == torch::kFloat32 && !prefix_k.requires_grad())
+    return AttendToStored(p.q, p.k, p.v, prefix_k, prefix_v, mask);
+  return Attend(p.q, at::cat({prefix_k, p.k}, 2), at::cat({prefix_v, p.v}, 2), mask);
+}
+
 // The rest of a layer after attention: both residuals.
 torch::Tensor Finish(const GemmaLayer& layer, const torch::Tensor& x, const torch::Tensor& attended,
                      const torch::Tensor& gate, const torch::Tensor& cond) {
@@ -137,9 +146,9 @@ torch::Tensor RunSuffix(const GemmaStack& stack, const AttentionShape& shape,
   for (size_t i = 0; i < stack.layers.size(); ++i) {
     const GemmaLayer& layer = stack.layers[i];
     const Projected p = Project(layer, shape, x, cond, rotation);
-    const torch::Tensor k = at::cat({prefix.keys[i], p.k}, 2);  // [B, kv_heads, P + S, h]
-    const torch::Tensor v = at::cat({prefix.values[i], p.v}, 2);
-    x = Finish(layer, x, Attend(p.q, k, v, additive), p.gate, cond);
+    const torch::Tensor attended = AttendOverCache(p, prefix.keys[i].to(p.k.dtype()),
+                                                   prefix.values[i].to(p.v.dtype()), additive);
+    x = Finish(layer, x, attended, p.gate, cond);
   }
   return Normalise(stack.norm, x, cond).y;
 }

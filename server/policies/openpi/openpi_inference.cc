@@ -110,24 +110,6 @@ absl::Status CheckContext(const OpenpiConfig& c, const PolicyContext& context,
   return absl::OkStatus();
 }
 
-absl::StatusOr<torch::Device> FindDevice(const std::string& name) {
-  torch::Device device = torch::kCPU;
-  try {
-    device = torch::Device(name);
-  } catch (const std::exception&) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("device '", name, "' must be cpu, cuda or cuda:N"));
-  }
-  if (device.is_cpu()) return device;
-  const auto count = static_cast<int64_t>(torch::cuda::device_count());
-  if (device.is_cuda() && !device.has_index()) device.set_index(0);
-  if (!device.is_cuda() || device.index() >= count) {
-    return absl::FailedPreconditionError(
-        absl::StrCat("device '", name, "' is not there: LibTorch sees ", count, " GPUs; use cpu"));
-  }
-  return device;
-}
-
 }  // namespace
 
 // One prediction at a time uses a graph, whose buffers it owns.

@@ -7,8 +7,10 @@
 #include "common/config.h"
 #include "common/status_macros.h"
 #include "server/policies/openpi/checkpoint_load.h"
+#include "server/policies/openpi/compute_threads.h"
 #include "server/policies/openpi/openpi_inference.h"
 #include "server/policies/openpi/openpi_lora.h"
+#include "server/policies/openpi/precision.h"
 #include "server/policies/openpi/problem_list.h"
 
 namespace robostress::openpi {
@@ -16,14 +18,31 @@ namespace {
 
 using torch::Tensor;
 
+// Where and how a policy computes.
+struct Compute {
+  torch::Device device = torch::kCPU;
+  int threads = 1;
+  bool widen_expert = false;  // for gradients: bfloat16 weights that the device multiplies slowly
+};
+
+Tensor OnDevice(const Tensor& tensor, const torch::Device& device) {
+  return tensor.defined() ? tensor.to(device) : tensor;
+}
+
+std::vector<Tensor> OnDevice(std::vector<Tensor> tensors, const torch::Device& device) {
+  for (Tensor& tensor : tensors) tensor = OnDevice(tensor, device);
+  return tensors;
+}
+
 class OpenpiPolicy : public FlowPolicy {
  public:
   OpenpiPolicy(OpenpiModel model, std::unique_ptr<const Preprocessor> preprocessor,
-               std::unique_ptr<const OpenpiInference> inference, const std::string& name,
-               const std::string& model_hash)
+               std::unique_ptr<const OpenpiInference> inference, const Compute& compute,
+               const std::string& name, const std::string& model_hash)
       : model_(std::move(model)),
         preprocessor_(std::move(preprocessor)),
-        inference_(std::move(inference)) {
+        inference_(std::move(inference)),
+        compute_(compute) {
     const PolicySetup& setup = preprocessor_->setup();
     spec_.name = name;
     spec_.model_hash = model_hash;
@@ -47,6 +66,7 @@ class OpenpiPolicy : public FlowPolicy {
   absl::StatusOr<PolicyContext> Encode(const Observation& observation) const override {
     try {
       torch::NoGradGuard no_grad;
+      UseThreads();
       RS_ASSIGN_OR_RETURN(const ModelInputs inputs, preprocessor_->Prepare(observation));
       return inference_->Encode(inputs);
     } catch (const std::exception& error) {  // LibTorch reports out of memory by throwing
@@ -57,12 +77,16 @@ class OpenpiPolicy : public FlowPolicy {
 
   Tensor Velocity(const PolicyContext& context, const Tensor& x_u, const Tensor& u,
                   const LoraWeights* lora) const override {
+    UseThreads();
     const OpenpiModel adapted = Adapted(lora);
-    return openpi::Velocity(adapted, SuffixOnCache(adapted, Prefix(context), x_u, u));
+    const Tensor out = SuffixOnCache(adapted, Prefix(context), OnDevice(x_u, compute_.device),
+                                     OnDevice(u, compute_.device));
+    return openpi::Velocity(adapted, out).to(torch::kCPU);
   }
 
   Tensor Sample(const PolicyContext& context, const Tensor& noise,
                 const LoraWeights* lora) const override {
+    UseThreads();
     absl::StatusOr<Tensor> actions = inference_->Sample(context, noise, lora);
     // Contexts and adapters come from this policy, so that they fit: what is left is LibTorch's.
     TORCH_CHECK(actions.ok(), actions.status().ToString());
@@ -78,22 +102,33 @@ class OpenpiPolicy : public FlowPolicy {
   }
 
  private:
-  static PrefixContext Prefix(const PolicyContext& context) {
+  // The threads that compute are the server's, which limits each to one core at its first use.
+  void UseThreads() const {
+    if (compute_.threads > 1) SetComputeThreads(compute_.threads);
+  }
+
+  PrefixContext Prefix(const PolicyContext& context) const {
     PrefixContext prefix;
-    prefix.cache = {context.keys, context.values};
-    prefix.valid = context.prefix_mask;
-    prefix.state = context.state;
+    prefix.cache = {OnDevice(context.keys, compute_.device),
+                    OnDevice(context.values, compute_.device)};
+    prefix.valid = OnDevice(context.prefix_mask, compute_.device);
+    prefix.state = OnDevice(context.state, compute_.device);
     return prefix;
   }
 
-  // The model with an adapter beside the expert's layers; tensors are shared.
+  // The model with an adapter beside the expert's layers. Tensors are shared, but for an expert
+  // that is widened.
   OpenpiModel Adapted(const LoraWeights* lora) const {
-    return lora == nullptr ? model_ : WithLora(model_, *lora);
+    const OpenpiModel model = compute_.widen_expert ? WithFloat32Expert(model_) : model_;
+    if (lora == nullptr) return model;
+    return WithLora(model, LoraWeights{OnDevice(lora->A, compute_.device),
+                                       OnDevice(lora->B, compute_.device), lora->version});
   }
 
   OpenpiModel model_;
   const std::unique_ptr<const Preprocessor> preprocessor_;
   const std::unique_ptr<const OpenpiInference> inference_;  // shares the large tensors of model_
+  const Compute compute_;
   PolicySpec spec_;
   std::vector<LoraTarget> targets_;
 };
@@ -101,7 +136,9 @@ class OpenpiPolicy : public FlowPolicy {
 // Of all that decides what the policy computes.
 absl::StatusOr<std::string> HashOf(const Checkpoint& checkpoint, const PolicySetup& setup,
                                    PolicyOptions options) {
-  options.name = options.tokenizer = options.norm_stats = "";  // decide nothing by themselves
+  // These decide nothing by themselves.
+  options.name = options.tokenizer = options.norm_stats = options.device = "";
+  options.threads = 0;
   std::string text = DumpConfig(options);
   for (const auto& shard : checkpoint.shards) {
     RS_ASSIGN_OR_RETURN(const std::string hash, Sha256OfFile(shard->path()));
@@ -118,12 +155,24 @@ absl::StatusOr<std::string> HashOf(const Checkpoint& checkpoint, const PolicySet
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<FlowPolicy>> MakeOpenpiPolicy(
-    OpenpiModel model, std::unique_ptr<const Preprocessor> preprocessor, const std::string& name,
-    const std::string& model_hash) {
-  RS_ASSIGN_OR_RETURN(std::unique_ptr<const OpenpiInference> inference,
-                      OpenpiInference::Create(model, {.steps = preprocessor->setup().euler_steps}));
+    OpenpiModel model, std::unique_ptr<const Preprocessor> preprocessor,
+    const PolicyOptions& options, const std::string& name, const std::string& model_hash) {
+  const bool bf16 = options.precision == PrecisionSetting::kBf16;
+  Compute compute;
+  RS_ASSIGN_OR_RETURN(compute.device, FindDevice(options.device));
+  compute.threads = static_cast<int>(options.threads);
+  compute.widen_expert = bf16 && !MultipliesBf16(compute.device);
+  if (!compute.device.is_cpu()) {  // once, for the inference and for gradients
+    const torch::Dtype dtype = bf16 ? torch::kBFloat16 : torch::kFloat32;
+    model = ConvertModel(std::move(model), {dtype, dtype}, compute.device);
+  }
+  RS_ASSIGN_OR_RETURN(
+      std::unique_ptr<const OpenpiInference> inference,
+      OpenpiInference::Create(model, {.precision = bf16 ? Precision::kBf16 : Precision::kFloat32,
+                                      .device = options.device,
+                                      .steps = preprocessor->setup().euler_steps}));
   return std::make_unique<OpenpiPolicy>(std::move(model), std::move(preprocessor),
-                                        std::move(inference), name, model_hash);
+                                        std::move(inference), compute, name, model_hash);
 }
 
 absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadOpenpiPolicy(
@@ -131,14 +180,18 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadOpenpiPolicy(
   RS_ASSIGN_OR_RETURN(const PolicyOptions options, ReadPolicyOptions(path, overrides));
   RS_ASSIGN_OR_RETURN(const Checkpoint checkpoint, OpenCheckpoint(path, NetworkOptions(options)));
   SetupResult resolved = ResolveSetup(checkpoint, options);
+  if (const absl::Status device = FindDevice(options.device).status(); !device.ok())
+    resolved.problems.emplace_back(device.message());
   RS_RETURN_IF_ERROR(ProblemList(path, "cannot be served as it is", resolved.problems,
                                  "`robostress policy inspect` shows everything that is decided; "
                                  "options are keys of robostress_policy.yaml beside it"));
   RS_ASSIGN_OR_RETURN(std::unique_ptr<const Preprocessor> preprocessor,
                       Preprocessor::Create(std::move(resolved.setup), checkpoint.config));
   RS_ASSIGN_OR_RETURN(const std::string hash, HashOf(checkpoint, preprocessor->setup(), options));
-  RS_ASSIGN_OR_RETURN(OpenpiModel model, LoadCheckpoint(checkpoint));
-  return MakeOpenpiPolicy(std::move(model), std::move(preprocessor),
+  const auto precision = options.precision == PrecisionSetting::kBf16 ? WeightPrecision::kBf16
+                                                                      : WeightPrecision::kFloat32;
+  RS_ASSIGN_OR_RETURN(OpenpiModel model, LoadCheckpoint(checkpoint, {.precision = precision}));
+  return MakeOpenpiPolicy(std::move(model), std::move(preprocessor), options,
                           options.name.empty() ? path : options.name, hash);
 }
 

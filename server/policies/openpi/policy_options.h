@@ -11,6 +11,7 @@ namespace robostress::openpi {
 enum class Setting { kAuto, kYes, kNo };
 enum class NormSetting { kAuto, kNone, kZScore, kQuantile };
 enum class ResizeSetting { kAuto, kPillow, kInterpolate };
+enum class PrecisionSetting { kFloat32, kBf16 };
 
 // What a checkpoint does not say of itself. From robostress_policy.yaml beside it and from
 // `--policy-options KEY=VALUE ...`, which win. "auto" is resolved in policy_setup.h.
@@ -29,6 +30,9 @@ struct PolicyOptions {
   int64_t prompt_tokens = 0;
   int64_t euler_steps = 0;
   std::vector<std::string> cameras;
+  PrecisionSetting precision = PrecisionSetting::kFloat32;
+  std::string device = "cpu";
+  int64_t threads = 1;
 
   template <class V>
   void Visit(V& v) {
@@ -62,6 +66,12 @@ struct PolicyOptions {
     v.Field("cameras", cameras,
             "the environment's cameras for base, left wrist, right wrist, '' where absent; empty: "
             "the transform's");
+    v.Choice("precision", precision,
+             {{"float32", PrecisionSetting::kFloat32}, {"bf16", PrecisionSetting::kBf16}},
+             "of the large matrices and of stored prefixes; bf16 takes half the memory");
+    v.Field("device", device, "cpu, cuda or cuda:N; cuda needs a LibTorch that was built with it");
+    v.Field("threads", threads,
+            "within one prediction on the CPU, beside those of `robostress serve --threads`");
   }
 
  private:

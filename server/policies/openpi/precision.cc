@@ -3,6 +3,7 @@
 #include <torch/torch.h>
 
 #include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
 
 namespace robostress::openpi {
 namespace {
@@ -17,6 +18,14 @@ bool StaysFloat32(const std::string& name) {
   }
   return false;
 }
+
+struct WidenExpert : ParameterVisitor {
+  void OnTensor(const std::string& name, const std::vector<int64_t>&,
+                torch::Tensor& tensor) override {
+    if (absl::StartsWith(name, "paligemma_with_expert.gemma_expert."))
+      tensor = tensor.to(torch::kFloat32);
+  }
+};
 
 struct ConvertVisitor : ParameterVisitor {
   ConvertVisitor(const Dtypes& d, const torch::Device& on) : dtypes(d), device(on) {}
@@ -43,6 +52,28 @@ struct ConvertVisitor : ParameterVisitor {
 
 }  // namespace
 
+absl::StatusOr<torch::Device> FindDevice(const std::string& name) {
+  torch::Device device = torch::kCPU;
+  try {
+    device = torch::Device(name);
+  } catch (const std::exception&) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("device '", name, "' must be cpu, cuda or cuda:N"));
+  }
+  if (device.is_cpu()) return device;
+  if (!device.is_cuda() || !at::hasCUDA()) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "device '", name, "' is not there: this LibTorch was built without it; use cpu"));
+  }
+  const auto count = static_cast<int64_t>(torch::cuda::device_count());
+  if (!device.has_index()) device.set_index(0);
+  if (device.index() >= count) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("device '", name, "' is not there: LibTorch sees ", count, " GPUs; use cpu"));
+  }
+  return device;
+}
+
 bool MultipliesBf16(const torch::Device& device) {
   if (device.is_cuda()) return true;
 #if defined(__x86_64__)
@@ -55,6 +86,12 @@ bool MultipliesBf16(const torch::Device& device) {
 OpenpiModel ConvertModel(OpenpiModel model, const Dtypes& dtypes, const torch::Device& device) {
   ConvertVisitor convert(dtypes, device);
   VisitParameters(model.config, model.weights, convert);
+  return model;
+}
+
+OpenpiModel WithFloat32Expert(OpenpiModel model) {
+  WidenExpert widen;
+  VisitParameters(model.config, model.weights, widen);
   return model;
 }
 

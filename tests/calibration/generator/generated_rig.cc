@@ -114,8 +114,9 @@ class Drawer {
     const bool transfer = !brief && random_.Uniform() < 0.4;
     const Motion poor = static_cast<Motion>(random_.UniformInt(4));
     const bool by_torque = family_ == Family::kTorque;
-    // Mostly as a controller does that runs with the log; else the servo sees a smooth command.
-    const bool held = by_torque || random_.Uniform() < 0.75;
+    // Mostly as a controller does that runs with the log; else the servo sees a smooth command. A
+    // torque that steps with the command cannot be compared with a motion row by row.
+    const bool held = by_torque || (family_ != Family::kInverse && random_.Uniform() < 0.75);
     rig_.commands_hold = held;
     for (int i = 0; i < fit + held_out + (transfer ? 1 : 0); ++i) {
       Experiment x;

@@ -1,0 +1,94 @@
+// robostress-record-to-rig: turns recorded runs of an arm into a rig with logs.
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <string>
+
+#include "calibration/recorded_rig.h"
+#include "calibration/sim_recordings.h"
+#include "common/status_macros.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr char kExamples[] = R"(
+Examples
+  robostress sweep --suites tabletop_goal --tasks 3 --policies expert --methods base --scenarios worn.yaml \
+      --record-joints --out runs/worn
+  robostress record-to-rig runs/worn --out rigs/worn
+  robostress calibrate --rig rigs/worn/rig.yaml --out found
+
+DIR gets rig.yaml, the arm's MJCF (gripper as a fixed mass, no scene) and a CSV per piece of free motion: rows
+near contacts are left out, because the rig's model has no objects. Roles go by episode: the last of several tasks
+is the transfer regime; of every other task each third episode is held out; the rest is fitted.
+
+Exit code: 0 done; 1 writing failed; 2 bad input.
+)";
+
+struct CommandLine {
+  std::string run, out, unit, name = "panda";
+  double rate_hz = 250;
+  RecordedRigOptions rig;
+};
+
+absl::StatusOr<RecordedRigSummary> Convert(const CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const std::vector<std::string> files, FindJointLogs(line.run, line.unit));
+  std::vector<RecordedEpisode> episodes;
+  for (const std::string& file : files) {
+    RS_ASSIGN_OR_RETURN(const JointLog log, ReadJointLog(file));
+    RS_ASSIGN_OR_RETURN(RecordedEpisode episode, EpisodeOfJointLog(log, line.rate_hz));
+    episodes.push_back(std::move(episode));
+  }
+  return WriteRecordedRig(PandaOfRecordings(line.name), episodes, line.rig, line.out);
+}
+
+int Main(int argc, char** argv) {
+  CLI::App app("Turns recorded runs of an arm into a rig with logs, for `robostress calibrate`.",
+               "robostress record-to-rig");
+  app.footer(kExamples);
+  CommandLine line;
+  bool no_transfer = false;
+  app.add_option("RUN", line.run, "a sweep's or a unit's directory, recorded with --record-joints")
+      ->required();
+  app.add_option("--out", line.out, "directory to write")->required();
+  app.add_option("--unit", line.unit, "id of the unit, where the sweep has several");
+  app.add_option("--name", line.name, "of the rig")->capture_default_str();
+  app.add_option("--rate-hz", line.rate_hz, "rows per second: 500, 250, 125 or 100")
+      ->capture_default_str();
+  app.add_option("--contact-limit", line.rig.contact_limit_N,
+                 "rows with larger contact forces are left out [N]")
+      ->capture_default_str();
+  app.add_option("--encoder-noise", line.rig.encoder_noise,
+                 "noise to add to the angles, which a simulator reads exactly [rad]")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  app.add_option("--seed", line.rig.seed, "of that noise")->capture_default_str();
+  app.add_option("--window", line.rig.window_s, "length of the free runs that are compared [s]")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_flag("--no-transfer", no_transfer, "no task is a transfer regime");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  line.rig.transfer = !no_transfer;
+  const auto summary = Convert(line);
+  if (!summary.ok()) {
+    std::fprintf(stderr, "robostress record-to-rig: %s\n",
+                 std::string(summary.status().message()).c_str());
+    return summary.status().code() == absl::StatusCode::kUnavailable ? 1 : 2;
+  }
+  std::printf(
+      "%s: %d episodes, %d pieces of free motion, %.1f s (%.1f s near contacts or too short left "
+      "out)\nlogs: %d fit, %d held_out, %d transfer\n",
+      summary->rig_file.c_str(), summary->episodes, summary->pieces, summary->seconds,
+      summary->seconds_left_out, summary->logs_of_role[0], summary->logs_of_role[1],
+      summary->logs_of_role[2]);
+  return 0;
+}
+
+}  // namespace
+}  // namespace robostress::calibration
+
+int main(int argc, char** argv) { return robostress::calibration::Main(argc, argv); }

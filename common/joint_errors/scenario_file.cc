@@ -1,0 +1,267 @@
+#include "common/joint_errors/scenario_file.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <limits>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "common/atomic_file.h"
+#include "common/joint_errors/effects/effect_library.h"
+#include "common/status_macros.h"
+#include "yaml-cpp/yaml.h"
+
+namespace robostress {
+namespace {
+
+constexpr int kJoints = 7;
+constexpr char kEnding[] = ".yaml";
+constexpr char kCoupling[] = "cross_joint_coupling";
+constexpr char kCoupledKey[] = "joint";
+
+// Sizes of the arm, of which the library's bounds are multiples.
+double ArmScale(EffectScale scale, int joint) {
+  const double torque = joint < 5 ? 80 : 12;  // [Nm]
+  constexpr double kPosition = M_PI, kVelocity = 2.2, kSample = 0.05, kReach = 0.85;
+  switch (scale) {
+    case EffectScale::kOne:
+      return 1;
+    case EffectScale::kTorque:
+    case EffectScale::kTorquePerSecond:
+      return torque;
+    case EffectScale::kPosition:
+      return kPosition;
+    case EffectScale::kVelocity:
+      return kVelocity;
+    case EffectScale::kSample:
+      return kSample;
+    case EffectScale::kTorquePerPosition:
+      return torque / kPosition;
+    case EffectScale::kTorquePerPosition2:
+      return torque / std::pow(kPosition, 2);
+    case EffectScale::kTorquePerPosition3:
+      return torque / std::pow(kPosition, 3);
+    case EffectScale::kTorquePerVelocity:
+      return torque / kVelocity;
+    case EffectScale::kTorquePerVelocity2:
+      return torque / std::pow(kVelocity, 2);
+    case EffectScale::kPayload:
+      return torque / (9.81 * kReach);
+  }
+  return 1;
+}
+
+class Parser {
+ public:
+  explicit Parser(std::string file) : file_(std::move(file)) {}
+
+  absl::StatusOr<ScenarioFile> Parse(const YAML::Node& root) const {
+    ScenarioFile scenario;
+    RS_RETURN_IF_ERROR(CheckKeys(root, "", {"title", "base", "joints"}));
+    if (root["title"]) {
+      RS_ASSIGN_OR_RETURN(scenario.title, Text(root["title"], "title"));
+    }
+    if (root["base"]) {
+      RS_ASSIGN_OR_RETURN(scenario.base, Text(root["base"], "base"));
+    }
+    const std::vector<std::string> known = ScenarioNames();
+    if (std::find(known.begin(), known.end(), scenario.base) == known.end())
+      return Error("base", absl::StrCat("is '", scenario.base, "', must be one of ",
+                                        absl::StrJoin(known, ", ")));
+    const YAML::Node joints = root["joints"];
+    if (!joints || !joints.IsSequence() || joints.size() == 0)
+      return Error("joints", "must be a list with at least one joint");
+    for (size_t i = 0; i < joints.size(); ++i)
+      RS_RETURN_IF_ERROR(ReadJoint(joints[i], absl::StrCat("joints[", i, "]"), scenario));
+    return scenario;
+  }
+
+ private:
+  absl::Status Error(const std::string& key, const std::string& what) const {
+    return absl::InvalidArgumentError(absl::StrCat(file_, ": ", key, ": ", what));
+  }
+  absl::Status CheckKeys(const YAML::Node& node, const std::string& path,
+                         const std::vector<std::string>& allowed) const {
+    const std::string place = path.empty() ? "the file" : path;
+    if (!node.IsMap())
+      return Error(place, absl::StrCat("must be a map with ", absl::StrJoin(allowed, ", ")));
+    for (const auto& pair : node) {
+      const std::string key = pair.first.Scalar();
+      if (std::find(allowed.begin(), allowed.end(), key) == allowed.end())
+        return Error(place, absl::StrCat("unknown key '", key,
+                                         "'; known: ", absl::StrJoin(allowed, ", ")));
+    }
+    return absl::OkStatus();
+  }
+  absl::StatusOr<std::string> Text(const YAML::Node& node, const std::string& path) const {
+    if (!node || !node.IsScalar() || node.Scalar().empty())
+      return Error(path, "is missing or no text");
+    return node.Scalar();
+  }
+  absl::StatusOr<double> Number(const YAML::Node& node, const std::string& path) const {
+    double value = 0;
+    if (!node.IsScalar() || !YAML::convert<double>::decode(node, value) || !std::isfinite(value))
+      return Error(path, absl::StrCat("is '", node.IsScalar() ? node.Scalar() : "no scalar",
+                                      "', must be a finite number"));
+    return value;
+  }
+  absl::StatusOr<int> Joint(const YAML::Node& node, const std::string& path) const {
+    RS_ASSIGN_OR_RETURN(const std::string name, Text(node, path));
+    for (int j = 0; j < kJoints; ++j) {
+      if (name == absl::StrCat("J", j + 1)) return j;
+    }
+    return Error(path, absl::StrCat("is '", name, "', must be one of J1 to J7"));
+  }
+
+  absl::Status ReadJoint(const YAML::Node& node, const std::string& path,
+                         ScenarioFile& scenario) const {
+    RS_RETURN_IF_ERROR(CheckKeys(node, path, {"name", "effects"}));
+    RS_ASSIGN_OR_RETURN(const int joint, Joint(node["name"], path + ".name"));
+    const YAML::Node effects = node["effects"];
+    if (!effects || !effects.IsSequence() || effects.size() == 0)
+      return Error(path + ".effects", "must be a list with at least one effect");
+    for (size_t i = 0; i < effects.size(); ++i) {
+      const std::string place = absl::StrCat(path, ".effects[", i, "]");
+      RS_ASSIGN_OR_RETURN(ScenarioEffect effect, ReadEffect(effects[i], place, joint));
+      for (const ScenarioEffect& other : scenario.effects) {
+        if (other.joint == joint && other.type == effect.type)
+          return Error(place, absl::StrCat("'", effect.type, "' stands twice at J", joint + 1));
+      }
+      scenario.effects.push_back(std::move(effect));
+    }
+    return absl::OkStatus();
+  }
+
+  absl::StatusOr<ScenarioEffect> ReadEffect(const YAML::Node& node, const std::string& path,
+                                            int joint) const {
+    ScenarioEffect effect;
+    effect.joint = joint;
+    if (!node.IsMap()) return Error(path, "must be a map with type and the effect's parameters");
+    RS_ASSIGN_OR_RETURN(effect.type, Text(node["type"], path + ".type"));
+    const auto info = FindEffect(effect.type);
+    if (!info.ok()) return Error(path + ".type", std::string(info.status().message()));
+    std::vector<std::string> keys = {"type"};
+    for (const EffectParameter& parameter : (*info)->parameters) keys.push_back(parameter.name);
+    const bool coupling = effect.type == kCoupling;
+    if (coupling) keys.push_back(kCoupledKey);
+    RS_RETURN_IF_ERROR(CheckKeys(node, path, keys));
+    for (size_t i = 0; i < (*info)->parameters.size(); ++i) {
+      RS_ASSIGN_OR_RETURN(const double value, ReadParameter(node, path, **info, i, joint));
+      effect.values.push_back(value);
+    }
+    if (coupling) {
+      const std::string place = absl::StrCat(path, ".", kCoupledKey);
+      RS_ASSIGN_OR_RETURN(effect.coupled, Joint(node[kCoupledKey], place));
+      if (effect.coupled == joint)
+        return Error(place, absl::StrCat("is J", joint + 1, " itself, must be another joint"));
+    }
+    return effect;
+  }
+
+  absl::StatusOr<double> ReadParameter(const YAML::Node& effect, const std::string& path,
+                                       const EffectInfo& info, size_t index, int joint) const {
+    const EffectParameter& parameter = info.parameters[index];
+    const std::string place = absl::StrCat(path, ".", parameter.name);
+    const YAML::Node node = effect[parameter.name];
+    if (!node) {
+      if (parameter.fixed) return parameter.starts.front();
+      return Error(place, absl::StrCat("is missing; '", info.type, "' needs it [", parameter.unit,
+                                       "]: ", info.equation));
+    }
+    RS_ASSIGN_OR_RETURN(const double value, Number(node, place));
+    const EffectRange range = RangeInScenario(info, index, joint);
+    const bool below = range.lower_open ? value <= range.lower : value < range.lower;
+    if (below || value > range.upper) {
+      const std::string low = range.lower_open ? absl::StrFormat("above %g", range.lower)
+                                               : absl::StrFormat("at least %g", range.lower);
+      const std::string high = std::isfinite(range.upper)
+                                   ? absl::StrFormat(" and at most %g", range.upper)
+                                   : std::string();
+      return Error(place, absl::StrFormat("is %g %s at J%d, must be %s%s", value, parameter.unit,
+                                          joint + 1, low, high));
+    }
+    return value;
+  }
+
+  std::string file_;
+};
+
+}  // namespace
+
+EffectRange RangeInScenario(const EffectInfo& effect, size_t index, int joint) {
+  const EffectParameter& parameter = effect.parameters[index];
+  const double scale = ArmScale(parameter.scale, joint);
+  if (parameter.inverse)
+    return {scale / parameter.upper, std::numeric_limits<double>::infinity(), false};
+  // What is no amplitude is divided by.
+  const bool amplitude = std::find(effect.amplitudes.begin(), effect.amplitudes.end(),
+                                   static_cast<int>(index)) != effect.amplitudes.end();
+  return {scale * parameter.lower, scale * parameter.upper, !amplitude && parameter.lower == 0};
+}
+
+absl::StatusOr<ScenarioFile> ParseScenarioFile(const std::string& file, const std::string& yaml) {
+  try {
+    return Parser(file).Parse(YAML::Load(yaml));
+  } catch (const YAML::Exception& error) {
+    return absl::InvalidArgumentError(absl::StrCat(file, ": not YAML: ", error.what()));
+  }
+}
+
+absl::StatusOr<ScenarioFile> ReadScenarioFile(const std::string& file) {
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  const std::string label = ScenarioLabel(file);
+  const std::vector<std::string> known = ScenarioNames();
+  if (std::find(known.begin(), known.end(), label) != known.end())
+    return absl::InvalidArgumentError(absl::StrCat(
+        file, ": a scenario is called by its file's name, and '", label,
+        "' is built in; rename the file"));
+  const bool plain = std::all_of(label.begin(), label.end(), [](unsigned char c) {
+    return std::isalnum(c) || c == '_';
+  });
+  if (label.empty() || !plain)
+    return absl::InvalidArgumentError(absl::StrCat(
+        file, ": a scenario is called by its file's name, and '", label,
+        "' has other characters than letters, digits and _; rename the file"));
+  return ParseScenarioFile(file, text);
+}
+
+std::string WriteScenarioFile(const ScenarioFile& scenario) {
+  YAML::Emitter out;
+  out.SetDoublePrecision(12);
+  out << YAML::BeginMap;
+  if (!scenario.title.empty()) out << YAML::Key << "title" << YAML::Value << scenario.title;
+  out << YAML::Key << "base" << YAML::Value << scenario.base;
+  out << YAML::Key << "joints" << YAML::Value << YAML::BeginSeq;
+  for (int joint = 0; joint < kJoints; ++joint) {
+    bool open = false;
+    for (const ScenarioEffect& effect : scenario.effects) {
+      const auto info = FindEffect(effect.type);
+      if (effect.joint != joint || !info.ok()) continue;
+      if (!open) {
+        out << YAML::BeginMap << YAML::Key << "name" << YAML::Value << absl::StrCat("J", joint + 1)
+            << YAML::Key << "effects" << YAML::Value << YAML::BeginSeq;
+        open = true;
+      }
+      out << YAML::Flow << YAML::BeginMap << YAML::Key << "type" << YAML::Value << effect.type;
+      for (size_t i = 0; i < effect.values.size(); ++i)
+        out << YAML::Key << (*info)->parameters[i].name << YAML::Value << effect.values[i];
+      if (effect.coupled >= 0)
+        out << YAML::Key << kCoupledKey << YAML::Value << absl::StrCat("J", effect.coupled + 1);
+      out << YAML::EndMap;
+    }
+    if (open) out << YAML::EndSeq << YAML::EndMap;
+  }
+  out << YAML::EndSeq << YAML::EndMap;
+  return std::string(out.c_str()) + "\n";
+}
+
+bool IsScenarioFile(const std::string& scenario) { return absl::EndsWith(scenario, kEnding); }
+
+std::string ScenarioLabel(const std::string& scenario) {
+  return IsScenarioFile(scenario) ? std::filesystem::path(scenario).stem().string() : scenario;
+}
+
+}  // namespace robostress

@@ -1,0 +1,157 @@
+#include "common/joint_errors/scenario_file.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "common/joint_errors/effect_stack.h"
+#include "common/joint_errors/effects/effect_library.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+namespace fs = std::filesystem;
+
+constexpr char kWorn[] = R"(title: Worn elbow
+base: isolated_stribeck
+joints:
+  - name: J4
+    effects:
+      - {type: transport_delay, delay_s: 0.02}
+      - {type: compliance, K: 3000}
+  - name: J2
+    effects: [{type: cross_joint_coupling, k: -3, joint: J4}]
+)";
+
+// One effect at J1, as it stands in a file.
+std::string Effect(const std::string& effect) {
+  return absl::StrCat("joints: [{name: J1, effects: [{", effect, "}]}]\n");
+}
+
+TEST(ScenarioFile, HoldsEffectsPerJointBesideTheErrorsOfABuiltInScenario) {
+  const auto file = ParseScenarioFile("worn.yaml", kWorn);
+  ASSERT_TRUE(file.ok()) << file.status();
+  EXPECT_EQ(file->base, "isolated_stribeck");
+  ASSERT_EQ(file->effects.size(), 3u);
+  EXPECT_EQ(file->effects[0].joint, 3);
+  EXPECT_EQ(file->effects[0].values, std::vector<double>{0.02});
+  // What the library fixes need not be said.
+  EXPECT_EQ(file->effects[1].values, (std::vector<double>{3000, 15, 0.7}));
+  EXPECT_EQ(file->effects[2].joint, 1);
+  EXPECT_EQ(file->effects[2].coupled, 3);
+}
+
+TEST(ScenarioFile, IsReadWhereverAScenarioIsNamed) {
+  const std::string path =
+      (fs::path(testing::TempDir()) / absl::StrCat("worn_elbow_", getpid(), ".yaml")).string();
+  ASSERT_TRUE(WriteFileAtomically(path, kWorn).ok());
+  const auto scenario = MakeScenario(path, 3);
+  fs::remove(path);
+  ASSERT_TRUE(scenario.ok()) << scenario.status();
+  EXPECT_EQ(scenario->title, "Worn elbow");
+  EXPECT_EQ(scenario->name, ScenarioLabel(path));
+  EXPECT_TRUE(scenario->friction_on);
+  EXPECT_FALSE(scenario->gravity_on);
+  EXPECT_FALSE(scenario->deployment);
+  EXPECT_EQ(scenario->effects.size(), 3u);
+  EXPECT_EQ(scenario->end[0].friction, MakeScenario("isolated_stribeck", 3)->end[0].friction);
+}
+
+TEST(ScenarioFile, IsReadBackAsItWasWritten) {
+  const auto file = ParseScenarioFile("worn.yaml", kWorn);
+  ASSERT_TRUE(file.ok());
+  const std::string text = WriteScenarioFile(*file);
+  const auto again = ParseScenarioFile("again.yaml", text);
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(WriteScenarioFile(*again), text);
+}
+
+TEST(ScenarioFile, NamesFileKeyValueAndWhatIsAllowed) {
+  const struct {
+    std::string yaml;
+    std::vector<const char*> says;
+  } cases[] = {
+      {"joints: []\n", {"x.yaml: joints", "at least one joint"}},
+      {"base: rainy\njoints: [{name: J1}]\n", {"base", "'rainy'", "clean"}},
+      {"joints: [{name: J8, effects: []}]\n", {"joints[0].name", "'J8'", "J1 to J7"}},
+      {Effect("type: rust"), {"joints[0].effects[0].type", "'rust'", "transport_delay"}},
+      {Effect("type: deadzone, breadth: 1"), {"unknown key 'breadth'", "width"}},
+      {Effect("type: deadzone"), {"effects[0].width", "is missing", "Nm"}},
+      {Effect("type: deadzone, width: -1"), {"width", "is -1 Nm", "at least 0"}},
+      {Effect("type: deadzone, width: wide"), {"width", "'wide'", "finite number"}},
+      {Effect("type: transport_delay, delay_s: 3"), {"delay_s", "is 3 s", "at most 2"}},
+      {Effect("type: torque_saturation, limit: 0"), {"limit", "is 0 Nm", "at least 0.8"}},
+      {Effect("type: presliding_hysteresis, F: 1, x_s: 0"), {"x_s", "above 0"}},
+      {Effect("type: cross_joint_coupling, k: 1"), {"effects[0].joint", "missing"}},
+      {Effect("type: cross_joint_coupling, k: 1, joint: J1"), {"another joint"}},
+      {"joints: [{name: J1, effects: [{type: deadzone, width: 1}, {type: deadzone, width: 2}]}]\n",
+       {"'deadzone' stands twice at J1"}},
+      {"joints: {\n", {"x.yaml: not YAML"}}};
+  for (const auto& c : cases) {
+    const auto file = ParseScenarioFile("x.yaml", c.yaml);
+    ASSERT_FALSE(file.ok()) << c.yaml;
+    for (const char* words : c.says)
+      EXPECT_THAT(std::string(file.status().message()), HasSubstr(words)) << c.yaml;
+  }
+}
+
+TEST(ScenarioFile, MayNotBeCalledLikeABuiltInScenario) {
+  const fs::path folder = fs::path(testing::TempDir()) / absl::StrCat("scenarios_", getpid());
+  fs::create_directories(folder);
+  const std::string path = (folder / "clean.yaml").string();
+  ASSERT_TRUE(WriteFileAtomically(path, kWorn).ok());
+  EXPECT_THAT(std::string(MakeScenario(path, 5).status().message()), HasSubstr("built in"));
+  fs::remove_all(folder);
+}
+
+TEST(ScenarioFile, LetsEveryEffectOfTheLibraryStandAtEveryJoint) {
+  for (const EffectInfo& info : EffectLibrary()) {
+    for (int joint = 0; joint < 7; ++joint) {
+      std::string effect = absl::StrCat("type: ", info.type);
+      for (size_t i = 0; i < info.parameters.size(); ++i) {
+        const EffectRange range = RangeInScenario(info, i, joint);
+        EXPECT_LT(range.lower, range.upper) << info.type << " " << info.parameters[i].name;
+        const double value = range.upper > 1e9 ? 2 * range.lower : 0.9 * range.upper;
+        absl::StrAppend(&effect, ", ", info.parameters[i].name, ": ", value);
+      }
+      if (info.type == "cross_joint_coupling")
+        absl::StrAppend(&effect, ", joint: J", joint == 0 ? 2 : 1);
+      const auto file = ParseScenarioFile(
+          "x.yaml",
+          absl::StrCat("joints: [{name: J", joint + 1, ", effects: [{", effect, "}]}]\n"));
+      EXPECT_TRUE(file.ok()) << file.status();
+    }
+  }
+}
+
+TEST(EffectStack, ACopyGoesOnAloneFromTheSameHiddenState) {
+  const auto file = ParseScenarioFile(
+      "x.yaml", Effect("type: presliding_hysteresis, F: 2, x_s: 0.05"));
+  ASSERT_TRUE(file.ok());
+  Scenario scenario;
+  scenario.effects = file->effects;
+  EffectStack stack;
+  stack.SetScenario(scenario);
+  EffectStack::Moments moments;
+  for (JointMoment& moment : moments) moment.h = 0.002;
+  stack.Reset(moments);
+  moments[0].dq = 1;
+  for (int i = 0; i < 10; ++i) stack.Torques(moments);
+  EffectStack copy = stack;
+  const double ahead = stack.Torques(moments).torque[0];
+  EXPECT_LT(ahead, -0.5);
+  EXPECT_EQ(copy.Torques(moments).torque[0], ahead);
+  moments[0].dq = -1;
+  for (int i = 0; i < 20; ++i) stack.Torques(moments);
+  moments[0].dq = 0;
+  EXPECT_EQ(copy.Torques(moments).torque[0], ahead);
+  EXPECT_GT(stack.Torques(moments).torque[0], 0);
+}
+
+}  // namespace
+}  // namespace robostress
