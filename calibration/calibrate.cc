@@ -7,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_replace.h"
 #include "calibration/local_quadratic.h"
 #include "calibration/residual_tests.h"
 #include "calibration/verdict.h"
@@ -205,7 +206,12 @@ class JointCalibration {
         {"command_shift", "rows"}, {"force_lag", "s"}};
     for (const auto& [name, its_unit] : model)
       if (path == name) unit = its_unit;
-    return unit;
+    return OfJoint(unit);
+  }
+  // The unit of a hinge, or what stands for it on a slide.
+  std::string OfJoint(const std::string& unit) const {
+    if (plant_.hinge(index_)) return unit;
+    return absl::StrReplaceAll(unit, {{"kg m^2", "kg"}, {"Nm", "N"}, {"rad", "m"}});
   }
 
   // Declared parameters that fell by half or more, beyond their own uncertainty, when an effect
@@ -258,6 +264,7 @@ class JointCalibration {
     report.residual_declared = Whiteness(declared, windows);
     report.residual_after = Whiteness(after, windows);
     report.structure = MeasureStructure(problem_, declared, after, windows, factor_);
+    for (StructureCurve& curve : report.structure) curve.unit = OfJoint(curve.unit);
     NameStrongest(report.structure, false, report.residual_declared);
     NameStrongest(report.structure, true, report.residual_after);
     report.examples.push_back(Example(declared, after));

@@ -6,6 +6,7 @@
 #include "absl/strings/str_join.h"
 #include "calibration/calibration_report.h"
 #include "calibration/report_numbers.h"
+#include "calibration/report_plots.h"
 #include "calibration/report_sections.h"
 #include "common/html_page.h"
 #include "common/svg_elements.h"
@@ -118,9 +119,10 @@ std::string LogSection(const CalibrationReport& report) {
   for (const CalibrationReport::Log& log : report.logs) {
     std::vector<std::string> notes;
     for (const std::string& note : log.notes) notes.push_back(EscapeXml(note));
-    absl::StrAppend(&html, "<tr><td>", EscapeXml(log.file), "</td><td>", EscapeXml(log.role),
-                    "</td><td>", log.condition.empty() ? "\u2013" : EscapeXml(log.condition),
-                    "</td><td>", log.rows, "</td><td>", NumberText(log.duration_s),
+    absl::StrAppend(&html, "<tr><td>", EscapeXml(FileName(log.file)), "</td><td>",
+                    EscapeXml(log.role), "</td><td>",
+                    log.condition.empty() ? "\u2013" : EscapeXml(log.condition), "</td><td>",
+                    log.rows, "</td><td>", NumberText(log.duration_s),
                     "</td><td style=\"text-align:left;white-space:normal\">",
                     notes.empty() ? "in order" : absl::StrJoin(notes, "<br>"), "</td></tr>\n");
   }
@@ -147,12 +149,12 @@ std::string FileSection(const CalibrationReport& report) {
 std::string ReportHtml(const CalibrationReport& report) {
   const bool one = report.joints.size() == 1;
   std::string html = PageHead(absl::StrCat("Calibration of ", report.rig));
-  absl::StrAppend(&html, "<header><div class=wrap><h1>", EscapeXml(report.rig), ": ",
-                  VerdictText(report.verdict),
-                  "</h1><p>Calibration against measured logs \u00b7 rig ",
-                  EscapeXml(report.rig_file), " \u00b7 model ", EscapeXml(report.model), " \u00b7 ",
-                  report.logs.size(), report.logs.size() == 1 ? " log" : " logs",
-                  "</p></div></header>\n<nav><div class=wrap>");
+  absl::StrAppend(
+      &html, "<header><div class=wrap><h1>", EscapeXml(report.rig), ": ",
+      VerdictText(report.verdict), "</h1><p>Calibration against measured logs \u00b7 rig ",
+      EscapeXml(FileName(report.rig_file)), " \u00b7 model ", EscapeXml(FileName(report.model)),
+      " \u00b7 ", report.logs.size(), report.logs.size() == 1 ? " log" : " logs",
+      "</p></div></header>\n<nav><div class=wrap>");
   for (size_t i = 0; i < report.joints.size(); ++i) {
     absl::StrAppend(&html, "<a href=\"#joint", i, "\">", EscapeXml(report.joints[i].joint), "</a>");
   }

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "common/svg_plot.h"
 
 namespace robostress::calibration {
@@ -60,7 +61,7 @@ std::string ExamplePlot(const ExampleReport& example, bool added, const DisplayU
   std::vector<LineSeries> residuals = {Line("declared model", kDeclaredColor, example.t,
                                             Difference(example.declared, example.measured), f)};
   PlotSheetOptions sheet;
-  sheet.title = absl::StrCat("A stretch of ", example.log);
+  sheet.title = absl::StrCat("A stretch of ", FileName(example.log));
   sheet.legend = {{"measured", kMeasuredColor}, {"declared model", kDeclaredColor}};
   if (added) {
     signals.push_back(Line("after", kAfterColor, example.t, example.after, 1));
@@ -104,7 +105,21 @@ std::string StructurePlot(const StructureCurve& curve, bool added, const Display
   return LinePlot(lines, options);
 }
 
-std::string RoundPlot(const RoundReport& round, int number) {
+bool IsPartOf(const std::string& type, const JointReport& joint) {
+  for (const absl::string_view part : absl::StrSplit(type, '+')) {
+    if (std::none_of(joint.effects.begin(), joint.effects.end(),
+                     [&](const AddedEffectReport& effect) { return effect.type == part; }))
+      return false;
+  }
+  return true;
+}
+
+std::string FileName(const std::string& path) {
+  const size_t slash = path.find_last_of('/');
+  return slash == std::string::npos ? path : path.substr(slash + 1);
+}
+
+std::string RoundPlot(const RoundReport& round, int number, const JointReport& joint) {
   if (round.candidates.empty()) return "";
   std::vector<Bar> bars;
   for (const CandidateReport& c : round.candidates) {
@@ -112,8 +127,9 @@ std::string RoundPlot(const RoundReport& round, int number) {
     Bar bar;
     bar.name = c.type;
     bar.value = 100 * c.linear_gain;
-    bar.color = c.accepted ? kAfterColor : c.refitted ? kRefittedColor : kScreenedColor;
-    bar.note = c.accepted ? "accepted" : c.refitted ? "refitted, not taken" : "";
+    const bool kept = c.accepted && IsPartOf(c.type, joint);
+    bar.color = kept ? kAfterColor : c.refitted ? kRefittedColor : kScreenedColor;
+    bar.note = kept ? "accepted" : c.accepted ? "passes alone" : c.refitted ? "not taken" : "";
     bars.push_back(bar);
   }
   BarPlotOptions options;

@@ -16,7 +16,11 @@ std::string ExamplePlot(const ExampleReport& example, bool added, const DisplayU
 // The residual's means against position, velocity, load, time, or its spectrum (log axes).
 std::string StructurePlot(const StructureCurve& curve, bool added, const DisplayUnit& unit);
 // Share of the residual that each candidate explains, and what chance reaches.
-std::string RoundPlot(const RoundReport& round, int number);
+std::string RoundPlot(const RoundReport& round, int number, const JointReport& joint);
+// Whether `type`, or both of a pair, are among the effects that were added to the joint.
+bool IsPartOf(const std::string& type, const JointReport& joint);
+// The last part of a path: pages name no folders of the machine they were made on.
+std::string FileName(const std::string& path);
 // Declared and after on the logs of every role, with the noise floor.
 std::string ErrorPlot(const JointReport& joint, const DisplayUnit& unit);
 

@@ -69,10 +69,8 @@ std::string DeclaredSection(const JointReport& joint) {
       "</table></div>\n<p class=note>Values with \u00b1 were fitted (one standard "
       "deviation).</p>\n";
   if (!joint.mimics_exposed.empty()) {
-    absl::StrAppend(
-        &html,
-        "<p class=warn>Stood in for a missing effect and changed or vanished once it was there: ",
-        Escaped(joint.mimics_exposed, "; "), ".</p>\n");
+    absl::StrAppend(&html, "<p class=warn><b>Mimics exposed.</b> ",
+                    Escaped(joint.mimics_exposed, "; "), ".</p>\n");
   }
   return html;
 }
@@ -98,7 +96,9 @@ std::string OffSection(const JointReport& joint, const DisplayUnit& unit) {
   if (floor > 0) {
     absl::StrAppend(&html, " Noise alone makes ", NumberText(unit.factor * floor), " ",
                     EscapeXml(unit.name), ": the model is off by ",
-                    absl::StrFormat(judged < 9.95 * floor ? "%.1f" : "%.0f", judged / floor),
+                    judged > 1000 * floor
+                        ? "more than 1000"
+                        : absl::StrFormat(judged < 9.95 * floor ? "%.1f" : "%.0f", judged / floor),
                     " times that.");
   }
   html += "</p>\n";
@@ -137,8 +137,7 @@ std::string ResidualSection(const JointReport& joint, const DisplayUnit& unit) {
     }
     absl::StrAppend(
         &html, ".",
-        white.strongest.empty() ? "" : " It goes most with " + EscapeXml(white.strongest) + ".",
-        "</p>\n");
+        white.strongest.empty() ? "" : " Strongest: " + EscapeXml(white.strongest) + ".", "</p>\n");
   }
   if (figures.empty()) return html;
   const auto dot = [](const char* color, const char* name) {
@@ -150,24 +149,45 @@ std::string ResidualSection(const JointReport& joint, const DisplayUnit& unit) {
       "</p>\n<div class=panels>", figures, "</div>\n");
 }
 
-std::string CandidateRows(const RoundReport& round) {
-  std::string html = absl::StrCat(
+std::string CandidateRow(const CandidateReport& c, const JointReport& joint) {
+  const bool kept = c.accepted && IsPartOf(c.type, joint);
+  return absl::StrCat("<tr", kept ? " style=\"font-weight:600\"" : "", "><td>", EscapeXml(c.type),
+                      "</td><td>", PercentText(c.surviving), "</td><td>",
+                      PercentText(c.linear_gain), "</td><td>",
+                      absl::StrFormat(c.p_value >= 0.0995 ? "%.2f" : "%.3f", c.p_value),
+                      "</td><td>", c.refitted ? PercentText(c.cv_gain) : kNothing, "</td>", kLeft,
+                      kept         ? "accepted"
+                      : c.accepted ? "passes every test alone; another model is better"
+                                   : EscapeXml(c.reason),
+                      "</td></tr>\n");
+}
+
+// What came near being accepted stands in sight, the others can be unfolded.
+std::string CandidateRows(const RoundReport& round, const JointReport& joint) {
+  const std::string head = absl::StrCat(
       "<div class=scroll><table><tr><th>Effect</th><th>Of its own</th><th>Explains</th><th>p</th>"
       "<th>CV gain</th>",
       kLeftHead, "Outcome</th></tr>\n");
+  std::string near, others;
+  int folded = 0;
   for (const CandidateReport& c : round.candidates) {
-    absl::StrAppend(&html, "<tr", c.accepted ? " style=\"font-weight:600\"" : "", "><td>",
-                    EscapeXml(c.type), "</td><td>", PercentText(c.surviving), "</td><td>",
-                    PercentText(c.linear_gain), "</td><td>",
-                    c.p_value >= 0.0995 ? absl::StrFormat("%.2f", c.p_value)
-                                        : absl::StrFormat("%.3f", c.p_value),
-                    "</td><td>", c.refitted ? PercentText(c.cv_gain) : kNothing, "</td>", kLeft,
-                    c.accepted         ? "accepted"
-                    : c.reason.empty() ? ""
-                                       : EscapeXml(c.reason),
-                    "</td></tr>\n");
+    if (c.accepted || c.refitted || c.p_value < 0.1) {
+      near += CandidateRow(c, joint);
+    } else {
+      others += CandidateRow(c, joint);
+      ++folded;
+    }
   }
-  return html + "</table></div>\n";
+  std::string html = near.empty() ? "" : absl::StrCat(head, near, "</table></div>\n");
+  if (folded > 0) {
+    absl::StrAppend(&html, "<details><summary>", folded,
+                    near.empty()  ? ""
+                    : folded == 1 ? " other"
+                                  : " others",
+                    near.empty() ? " effects, none of which explains more than chance" : "",
+                    ", with reasons</summary>", head, others, "</table></div></details>\n");
+  }
+  return html;
 }
 
 std::string TriedSection(const JointReport& joint, const DisplayUnit& unit) {
@@ -178,8 +198,8 @@ std::string TriedSection(const JointReport& joint, const DisplayUnit& unit) {
     absl::StrAppend(&html, "<p>Round ", i + 1, ", on top of ",
                     round.base.empty() ? "the declared model" : Escaped(round.base, " and "),
                     " (cross-validated error ", NumberText(unit.factor * round.cv_error), " ",
-                    EscapeXml(unit.name), "):</p>\n", RoundPlot(round, static_cast<int>(i) + 1),
-                    CandidateRows(round));
+                    EscapeXml(unit.name), "):</p>\n",
+                    RoundPlot(round, static_cast<int>(i) + 1, joint), CandidateRows(round, joint));
   }
   if (html.empty()) return "";
   return absl::StrCat(
@@ -249,7 +269,7 @@ std::string RemainingSection(const JointReport& joint) {
                           : "",
                       white.strongest.empty() || white.white
                           ? "."
-                          : "; it goes most with " + EscapeXml(white.strongest) + "."));
+                          : "; strongest: " + EscapeXml(white.strongest) + "."));
   }
   for (const std::vector<std::string>& group : joint.groups) {
     item(absl::StrCat("This data does not tell apart: ", Escaped(group, ", "), "."));

@@ -22,7 +22,7 @@ nav a:hover{color:var(--accent)}
 .lead{font-size:17px;max-width:86ch;margin:24px 0 4px}
 .note{color:var(--muted);font-size:13.5px;max-width:100ch;margin:8px 0}
 .warn{border-left:4px solid #d55e00;background:var(--warn);padding:9px 14px;margin:14px 0;max-width:100ch}
-.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(158px,1fr));gap:12px;margin:22px 0 8px}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(168px,1fr));gap:12px;margin:22px 0 8px}
 .tile{border:1px solid var(--line);border-radius:8px;padding:12px 15px;background:var(--paper)}
 .tile b{display:block;white-space:nowrap;font-size:22px;line-height:1.3;font-weight:650;font-variant-numeric:tabular-nums}
 .tile span{color:var(--muted);font-size:12.5px;display:block}

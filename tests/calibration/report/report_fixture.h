@@ -50,7 +50,8 @@ inline CalibrationReport AttributedReport() {
   joint.after_parameters = joint.declared_parameters;
   joint.after_parameters[0].value = 95.08;
   joint.after_parameters[3].value = -0.21;
-  joint.mimics_exposed = {"constant offset -3.17 -> -0.21 N"};
+  joint.mimics_exposed = {
+      "torque_offset falls from -3.17 to -0.21 N: it stood in for asymmetric_viscous"};
 
   RoundReport first;
   first.cv_error = 0.561e-3;

@@ -60,7 +60,7 @@ TEST(ReportHtml, HoldsTheFigures) {
   for (const char* text :
        {"0.724 mm", "0.493 mm", "\u221232 %", "0.724 \u2192 0.493 mm",
         "\u221237.02 \u00b1 0.84 N s/m", "p \u2264 0.001", "95.31 \u00b1 0.12",
-        "constant offset -3.17", "gain in 2 of 4 folds", "transport_delay, servo_lag",
+        "torque_offset falls from -3.17", "gain in 2 of 4 folds", "transport_delay, servo_lag",
         "quadratic_viscous_friction (7.0 %)", "clock: 3 gaps of one row", "rig_after.yaml",
         "torque -d_sigma |dq|", "velocity: 0.41 of the variance",
         "the model is off by 56 times that", "9.60 \u2192 9.18 mm"}) {
@@ -113,6 +113,29 @@ TEST(ReportHtml, HasAnOverviewAndASectionForEachJointOfAnArm) {
   EXPECT_LT(Find(html, "href=\"#joint1\">joint_2</a></td>"), Find(html, "<h2>Joint slider"));
   EXPECT_LT(Find(html, "<h2>Joint slider"), Find(html, "<h2>Joint joint_2"));
   EXPECT_THAT(html, HasSubstr("at one joint only: mechanical"));
+}
+
+TEST(ReportHtml, FoldsAwayWhatDidNotComeNear) {
+  const std::string html = ReportHtml(AttributedReport());
+  EXPECT_LT(Find(html, "time_drift_friction</td>"), Find(html, "<details>"));
+  EXPECT_GT(Find(html, "servo_lag</td>"), Find(html, "<details>"));
+}
+
+TEST(ReportHtml, DoesNotCallAcceptedWhatAnotherModelBeat) {
+  CalibrationReport report = AttributedReport();
+  report.joints[0].rounds[0].candidates[1].accepted = true;  // passed, and is not in the result
+  EXPECT_THAT(ReportHtml(report), HasSubstr("passes every test alone; another model is better"));
+  EXPECT_THAT(ReportHtml(AttributedReport()), Not(HasSubstr("passes every test alone")));
+}
+
+TEST(ReportHtml, NamesFilesWithoutTheirFolders) {
+  CalibrationReport report = AttributedReport();
+  report.rig_file = "/home/someone/rigs/rig_7.yaml";
+  report.logs[0].file = "/home/someone/logs/log_7.csv";
+  const std::string html = ReportHtml(report);
+  EXPECT_THAT(html, Not(HasSubstr("/home/someone")));
+  EXPECT_THAT(html, HasSubstr("rig_7.yaml"));
+  EXPECT_THAT(html, HasSubstr("<td>log_7.csv</td>"));
 }
 
 TEST(ReportHtml, EscapesNamesFromFiles) {
