@@ -1,6 +1,6 @@
 #include "eval/close_loop.h"
 
-#include <algorithm>
+#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <set>

@@ -6,7 +6,6 @@
 
 #include <cmath>
 #include <filesystem>
-#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "calibration/measured_log.h"
@@ -102,7 +101,6 @@ TEST_F(RecordedRigTest, AddsTheSameNoiseForTheSameSeed) {
   std::vector<RecordedEpisode> episodes;
   for (int i = 0; i < 3; ++i)
     episodes.push_back(Episode(absl::StrCat("task0_episode", i), "task 0"));
-  std::set<double> noises;
   std::vector<std::vector<double>> readings;
   for (const uint64_t seed : {1, 1, 2}) {
     RecordedRigOptions options;
