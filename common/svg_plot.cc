@@ -96,11 +96,11 @@ std::string LinePlot(const std::vector<LineSeries>& series, const LinePlotOption
   double x_low = std::numeric_limits<double>::infinity(), x_high = -x_low, y_low = x_low,
          y_high = -x_low;
   for (const LineSeries& s : series) {
-    for (size_t i = 0; i < s.x.size(); ++i) {
-      for (const auto& y : {s.y, s.low, s.high}) {
-        if (y.empty() || !shown(s.x[i], y[i])) continue;
+    for (const std::vector<double>* y : {&s.y, &s.low, &s.high}) {
+      for (size_t i = 0; i < y->size(); ++i) {
+        if (!shown(s.x[i], (*y)[i])) continue;
         x_low = std::min(x_low, s.x[i]), x_high = std::max(x_high, s.x[i]);
-        y_low = std::min(y_low, y[i]), y_high = std::max(y_high, y[i]);
+        y_low = std::min(y_low, (*y)[i]), y_high = std::max(y_high, (*y)[i]);
       }
     }
   }
