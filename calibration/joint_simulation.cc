@@ -53,6 +53,10 @@ struct JointSimulation::Chain {
   int partner = -1;
 };
 
+namespace {
+constexpr double kRunaway = 1e4;  // [rad]
+}  // namespace
+
 struct JointSimulation::State {
   double t = 0, q = 0, dq = 0, offset = 0, drive = 0;
 };
@@ -294,6 +298,8 @@ void JointSimulation::FreeRun(const JointModel& model, Chain& chain, int window,
     state.dq += offset.dq;
     const int end = std::min(rows, start + window);
     for (int row = start; row < end; ++row) {
+      // A model that runs away is far off, but a number: fits then turn back.
+      if (!(std::abs(state.q) < kRunaway)) state = {state.t, std::copysign(kRunaway, state.q)};
       predicted[row] = chain.Reading(state.q + state.offset);
       for (int i = 0; i < sub_steps_; ++i)
         SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], state);

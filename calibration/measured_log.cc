@@ -236,8 +236,7 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   record.q_smooth = fit.value;
   record.dq = fit.first;
   record.ddq = fit.second;
-  if (!logged_velocity.empty())
-    AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
+  if (!logged_velocity.empty()) AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
   record.noise = FitLocalQuadratics(record.q, dt, kSmoothing).noise;
   if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, fit.noise);
   const double range = RangeOf(record.q);

@@ -55,8 +55,8 @@ class MujocoPlant : public Plant {
             rig.model, ": joint '", declared.name, "' is a ball or free joint; hinge or slide"));
       joint.dof = model_->jnt_dofadr[joint.id];
       joint.qpos = model_->jnt_qposadr[joint.id];
-      joint.between_rows = declared.input == JointInput::kPositionTarget ||
-                           declared.input == JointInput::kTorque;
+      joint.between_rows =
+          declared.input == JointInput::kPositionTarget || declared.input == JointInput::kTorque;
       FindPayload(joint);
       joints_.push_back(joint);
     }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <map>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -60,10 +61,9 @@ absl::Status CheckEpisode(const RecordedArm& arm, const RecordedEpisode& episode
       (episode.dq.empty() || fits(episode.dq)) &&
       (episode.contact_N.empty() || episode.contact_N.size() == episode.t.size()))
     return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("episode ", episode.name, " has ", episode.t.size(), " rows and ",
-                   episode.q.size(), " joints, the arm has ", arm.joints.size(),
-                   "; all channels must have one value per row"));
+  return absl::InvalidArgumentError(absl::StrCat(
+      "episode ", episode.name, " has ", episode.t.size(), " rows and ", episode.q.size(),
+      " joints, the arm has ", arm.joints.size(), "; all channels must have one value per row"));
 }
 
 std::string PieceCsv(const RecordedArm& arm, const RecordedEpisode& episode, const Piece& piece,
@@ -83,7 +83,8 @@ std::string PieceCsv(const RecordedArm& arm, const RecordedEpisode& episode, con
       const double q = episode.q[j][i] + options.encoder_noise * noise.Normal();
       absl::StrAppendFormat(&csv, ",%.10g", q);
       if (with_dq) {
-        const double error = RecordedRigOptions::kVelocityNoise * options.encoder_noise * noise.Normal();
+        const double error =
+            RecordedRigOptions::kVelocityNoise * options.encoder_noise * noise.Normal();
         absl::StrAppendFormat(&csv, ",%.9g", episode.dq[j][i] + error);
       }
       absl::StrAppendFormat(&csv, ",%.9g", episode.tau[j][i]);

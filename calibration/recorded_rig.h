@@ -15,10 +15,10 @@ struct RecordedEpisode {
   std::string name;   // of its logs and its condition: "task0_episode3"
   std::string group;  // what it was a run of, for the transfer role: "tabletop_goal task 0"
   double rate_hz = 0;
-  std::vector<double> t;                // [rows] s
+  std::vector<double> t;                   // [rows] s
   std::vector<std::vector<double>> q, dq;  // [joints][rows] rad, rad/s; dq may be empty
-  std::vector<std::vector<double>> tau; // [joints][rows] Nm, asked of the motors
-  std::vector<double> contact_N;        // [rows] contact forces on the arm; empty: not measured
+  std::vector<std::vector<double>> tau;    // [joints][rows] Nm, asked of the motors
+  std::vector<double> contact_N;           // [rows] contact forces on the arm; empty: not measured
 };
 
 // What is needed of a robot beside its episodes.
@@ -36,9 +36,9 @@ struct RecordedRigOptions {
   double contact_margin_s = 0.05;
   // What is left falls into pieces, each a log; shorter ones are dropped.
   double min_piece_s = 0.4;
-  // Noise to add to the angles [rad], and kVelocityNoise times that to the velocities: a simulator's
-  // readings are exact, a robot's are not, and a trace that knows no noise takes the last digits of
-  // the integrators for effects. Seeded.
+  // Noise to add to the angles [rad], and kVelocityNoise times that to the velocities: a
+  // simulator's readings are exact, a robot's are not, and a trace that knows no noise takes the
+  // last digits of the integrators for effects. Seeded.
   static constexpr double kVelocityNoise = 10;  // [1/s]
   double encoder_noise = 2e-5;
   uint64_t seed = 0;

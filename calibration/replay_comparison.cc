@@ -31,10 +31,10 @@ struct Sums {
 
 // Control steps before the first contact; settling stands before the first of them.
 size_t FreeSteps(const JointLog& log, double contact_limit_N) {
-  const double settled =
-      log.samples.empty() ? 0
-                          : log.samples.back().t + 1 / JointLog::kRateHz -
-                                kControlPeriod * static_cast<double>(log.actions.size());
+  const double settled = log.samples.empty()
+                             ? 0
+                             : log.samples.back().t + 1 / JointLog::kRateHz -
+                                   kControlPeriod * static_cast<double>(log.actions.size());
   for (const JointSample& sample : log.samples) {
     if (sample.contact_N <= contact_limit_N) continue;
     const double steps = std::floor((sample.t - settled) / kControlPeriod + 1e-6);

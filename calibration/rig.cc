@@ -164,7 +164,7 @@ absl::StatusOr<DeclaredEffect> ReadEffect(const Entry& entry) {
 absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
   RigJoint joint;
   RS_RETURN_IF_ERROR(
-      entry.CheckKeys({"name", "input", "servo", "parameters", "enable", "fit", "effects"}));
+      entry.CheckKeys({"name", "input", "servo", "enable", "parameters", "fit", "effects"}));
   RS_ASSIGN_OR_RETURN(joint.name, entry["name"].Text());
   if (!entry["input"].present()) return entry["input"].Error("is missing");
   RS_RETURN_IF_ERROR(entry["input"].Choice(kInputs, joint.input));

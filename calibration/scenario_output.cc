@@ -54,7 +54,7 @@ absl::Status ReadEntry(const std::string& entry, const Rig& rig, JointMap& map) 
   if (parts.size() == 2 && (!absl::SimpleAtod(parts[1], &mapped.torque_ratio) ||
                             !(mapped.torque_ratio > 0 && mapped.torque_ratio < 1e6)))
     return error(absl::StrCat("'", parts[1], "' is no ratio above 0"));
-  for (const std::string& name : absl::StrSplit(parts[0], '+')) {
+  for (const absl::string_view name : absl::StrSplit(parts[0], '+')) {
     const int joint = ArmJoint(name);
     if (joint < 0) return error(absl::StrCat("'", name, "' is not one of J1 to J7"));
     mapped.arm_joints.push_back(joint);
@@ -86,10 +86,10 @@ bool IsOfTorque(EffectScale scale) {
 }
 
 bool WasDeclared(const RigJoint& declared, const DeclaredEffect& effect) {
-  return std::any_of(
-      declared.effects.begin(), declared.effects.end(), [&](const DeclaredEffect& known) {
-        return known.type == effect.type && known.partner == effect.partner;
-      });
+  return std::any_of(declared.effects.begin(), declared.effects.end(),
+                     [&](const DeclaredEffect& known) {
+                       return known.type == effect.type && known.partner == effect.partner;
+                     });
 }
 
 }  // namespace
@@ -97,7 +97,8 @@ bool WasDeclared(const RigJoint& declared, const DeclaredEffect& effect) {
 absl::StatusOr<JointMap> ParseJointMap(const std::vector<std::string>& arguments, const Rig& rig) {
   JointMap map;
   for (const std::string& argument : arguments) {
-    for (const std::string& entry : absl::StrSplit(argument, ',')) {
+    for (const absl::string_view piece : absl::StrSplit(argument, ',')) {
+      const std::string entry(piece);
       if (entry != kOwn) {
         RS_RETURN_IF_ERROR(ReadEntry(entry, rig, map));
         continue;
@@ -169,9 +170,9 @@ absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& aft
   // What a scenario file may hold is said in one place.
   const auto checked = ParseScenarioFile("scenario", WriteScenarioFile(output.scenario));
   if (!checked.ok())
-    return absl::OutOfRangeError(
-        absl::StrCat(checked.status().message(),
-                     "; map to a larger joint or give a torque ratio below 1 (--map JOINT=J4:0.5)"));
+    return absl::OutOfRangeError(absl::StrCat(
+        checked.status().message(),
+        "; map to a larger joint or give a torque ratio below 1 (--map JOINT=J4:0.5)"));
   return output;
 }
 

@@ -13,8 +13,8 @@ namespace robostress::calibration {
 // Which joints of the simulated arm show what a joint of a rig was found to have.
 struct MappedJoint {
   std::vector<int> arm_joints;  // 0: J1
-  // Of torques, stiffnesses and payloads: 1 keeps the physical values. The arm's joint may be larger
-  // or smaller than the rig's; angles, times and velocities are kept in any case.
+  // Of torques, stiffnesses and payloads: 1 keeps the physical values. The arm's joint may be
+  // larger or smaller than the rig's; angles, times and velocities are kept in any case.
   double torque_ratio = 1;
 };
 using JointMap = std::map<std::string, MappedJoint>;  // by name of the rig's joint

@@ -13,9 +13,10 @@ namespace {
 
 constexpr double kRank = 1e-7;  // of QR decompositions
 
-// Orthonormal basis of the columns' span [rows, rank].
+// Orthonormal basis of the columns' span [rows, rank]; nothing where one is not finite, because
+// a prediction diverged.
 Eigen::MatrixXd BasisOf(const Eigen::MatrixXd& columns) {
-  if (columns.cols() == 0) return columns;
+  if (columns.cols() == 0 || !columns.allFinite()) return columns.leftCols(0);
   Eigen::MatrixXd scaled = columns;
   for (int i = 0; i < scaled.cols(); ++i) {
     const double norm = scaled.col(i).norm();

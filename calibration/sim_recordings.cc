@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <filesystem>
 #include <tuple>
 
@@ -44,15 +45,17 @@ absl::StatusOr<std::vector<std::string>> FindJointLogs(const std::string& run,
   std::vector<std::tuple<int, int, std::string>> found;
   for (const std::string& name : List(folder / "joints", false)) {
     int task = 0, episode = 0, length = 0;
-    if (std::sscanf(name.c_str(), "task%d_episode%d.safetensors%n", &task, &episode, &length) != 2 ||
+    if (std::sscanf(name.c_str(), "task%d_episode%d.safetensors%n", &task, &episode, &length) !=
+            2 ||
         length != static_cast<int>(name.size()))
       continue;
     found.emplace_back(task, episode, (folder / "joints" / name).string());
   }
   if (found.empty())
-    return absl::NotFoundError(absl::StrCat(
-        folder.string(), ": holds no joint logs; record them with `robostress sweep "
-                         "--record-joints` or `robostress worker --record-joints`"));
+    return absl::NotFoundError(
+        absl::StrCat(folder.string(),
+                     ": holds no joint logs; record them with `robostress sweep "
+                     "--record-joints` or `robostress worker --record-joints`"));
   std::sort(found.begin(), found.end());
   std::vector<std::string> files;
   for (const auto& [task, episode, file] : found) files.push_back(file);

@@ -15,9 +15,10 @@ namespace robostress::calibration {
 absl::StatusOr<std::vector<std::string>> FindJointLogs(const std::string& run,
                                                        const std::string& unit);
 
-// Rows of `rate_hz`, which divides the recorded 500. The simulator gives the torque of a sub-step as
-// a push at its start, so that half of a push belongs to the row before and half to the row after
-// (its Euler steps are leapfrog steps in position): a row's torque is the trapezoidal mean over it.
+// Rows of `rate_hz`, which divides the recorded 500. The simulator gives the torque of a sub-step
+// as a push at its start, so that half of a push belongs to the row before and half to the row
+// after (its Euler steps are leapfrog steps in position): a row's torque is the trapezoidal mean
+// over it.
 absl::StatusOr<RecordedEpisode> EpisodeOfJointLog(const JointLog& log, double rate_hz);
 
 // The Panda of the simulator: ComposePandaArm, joints robot0_joint1 .. 7.

@@ -1,6 +1,6 @@
 #include "eval/close_loop.h"
 
-#include <algorithm>
+#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <set>
@@ -50,7 +50,9 @@ class Circle {
   }
 
  private:
-  std::string Out(const std::string& name) const { return (fs::path(options_.out) / name).string(); }
+  std::string Out(const std::string& name) const {
+    return (fs::path(options_.out) / name).string();
+  }
 
   // Runs a sweep of the options' tasks.
   absl::StatusOr<MergedSweep> RunTasks(const std::string& folder, SweepGrid grid,
@@ -68,8 +70,8 @@ class Circle {
     AnnouncePlan(kCommand, units, launch);
     RS_ASSIGN_OR_RETURN(MergedSweep merged, RunAndMerge(kCommand, grid, units, launch));
     if (!merged.outcome.failed.empty() || merged.outcome.interrupted)
-      return absl::InternalError(absl::StrCat(launch.run_dir,
-                                              ": not all units are done; the same command goes on"));
+      return absl::InternalError(
+          absl::StrCat(launch.run_dir, ": not all units are done; the same command goes on"));
     return merged;
   }
 
@@ -90,8 +92,8 @@ class Circle {
     if (!fs::exists(file)) return WriteFileAtomically(file, text);
     RS_ASSIGN_OR_RETURN(const std::string present, ReadFile(file));
     if (present == text) return absl::OkStatus();
-    return absl::FailedPreconditionError(absl::StrCat(
-        file, " was begun with other options; repeat them or choose another --out"));
+    return absl::FailedPreconditionError(
+        absl::StrCat(file, " was begun with other options; repeat them or choose another --out"));
   }
 
   absl::Status Record() {
@@ -130,11 +132,10 @@ class Circle {
                  Out("calibration.log").c_str());
     RS_ASSIGN_OR_RETURN(
         ChildProcess child,
-        ChildProcess::Start({program, "--rig", Out("rig/rig.yaml"), "--out", Out("calibration"),
-                             "--surrogates", absl::StrCat(options_.surrogates), "--seed",
-                             absl::StrCat(options_.seed)},
-                            {{"OMP_NUM_THREADS", "1"}, {"OPENBLAS_NUM_THREADS", "1"}},
-                            Out("calibration.log")));
+        ChildProcess::Start(
+            {program, "--rig", Out("rig/rig.yaml"), "--out", Out("calibration"), "--surrogates",
+             absl::StrCat(options_.surrogates), "--seed", absl::StrCat(options_.seed)},
+            {{"OMP_NUM_THREADS", "1"}, {"OPENBLAS_NUM_THREADS", "1"}}, Out("calibration.log")));
     const ExitState exit = child.WaitForEnd();
     if (exit.code == 0) return absl::OkStatus();
     return absl::InternalError(absl::StrCat("robostress calibrate ended with ", exit.text, ":\n",
@@ -142,8 +143,7 @@ class Circle {
   }
 
   absl::Status MakeScenarioFile() {
-    RS_ASSIGN_OR_RETURN(const calibration::Rig declared,
-                        calibration::ReadRig(Out("rig/rig.yaml")));
+    RS_ASSIGN_OR_RETURN(const calibration::Rig declared, calibration::ReadRig(Out("rig/rig.yaml")));
     RS_ASSIGN_OR_RETURN(const calibration::Rig after,
                         calibration::ReadRig(Out("calibration/rig_after.yaml")));
     RS_RETURN_IF_ERROR(ReadVerdicts());
@@ -180,8 +180,7 @@ class Circle {
     const std::string file = Out("calibration/report.json");
     RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
     const nlohmann::json report = nlohmann::json::parse(text, nullptr, false);
-    if (!report.is_object())
-      return absl::DataLossError(absl::StrCat(file, ": is no JSON object"));
+    if (!report.is_object()) return absl::DataLossError(absl::StrCat(file, ": is no JSON object"));
     result_.verdict = report.value("verdict", "");
     for (const auto& joint : report.value("joints", nlohmann::json::array()))
       verdicts_[joint.value("joint", "")] = joint;
@@ -212,7 +211,7 @@ class Circle {
     RS_ASSIGN_OR_RETURN(const MergedSweep merged, RunTasks("evaluation", grid, false));
     for (const UnitResult& unit : merged.run->units) {
       const std::string label = ScenarioLabel(unit.config.scenario);
-      SuccessRate& rate = label == "clean"                         ? result_.clean
+      SuccessRate& rate = label == "clean"                          ? result_.clean
                           : label == ScenarioLabel(options_.hidden) ? result_.under_hidden
                                                                     : result_.under_found;
       for (const EpisodeRow& row : unit.episodes) {
@@ -299,11 +298,10 @@ std::string CloseLoopTable(const CloseLoopResult& r) {
     absl::StrAppendFormat(&text, "  hidden  %s  %-28s %s\n", JointName(effect.joint), effect.type,
                           Values(effect.type, effect.values));
   for (const FoundEffect& effect : r.found) {
-    absl::StrAppendFormat(&text, "  found   %s  %-28s %s  (%s%s)\n", JointName(effect.joint),
-                          effect.type, Values(effect.type, effect.values), effect.verdict,
-                          effect.ambiguous_with.empty()
-                              ? ""
-                              : ", or " + absl::StrJoin(effect.ambiguous_with, ", "));
+    absl::StrAppendFormat(
+        &text, "  found   %s  %-28s %s  (%s%s)\n", JointName(effect.joint), effect.type,
+        Values(effect.type, effect.values), effect.verdict,
+        effect.ambiguous_with.empty() ? "" : ", or " + absl::StrJoin(effect.ambiguous_with, ", "));
   }
   for (const std::string& note : r.notes) absl::StrAppend(&text, "  note    ", note, "\n");
   absl::StrAppendFormat(&text,

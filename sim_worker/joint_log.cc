@@ -56,17 +56,16 @@ class Reader {
 
 absl::Status WriteJointLog(const JointLog& log, const std::string& file) {
   SafetensorsWriter writer;
-  for (const auto& [key, value] :
-       {std::pair<const char*, std::string>{"format", kFormat},
-        {"suite", log.suite},
-        {"scenario", log.scenario},
-        {"policy", log.policy},
-        {"severity", absl::StrCat(log.severity)},
-        {"task", absl::StrCat(log.task)},
-        {"episode", absl::StrCat(log.episode)},
-        {"initial_state", absl::StrCat(log.initial_state)},
-        {"success", absl::StrCat(log.success ? 1 : 0)},
-        {"rate_hz", absl::StrCat(JointLog::kRateHz)}})
+  for (const auto& [key, value] : {std::pair<const char*, std::string>{"format", kFormat},
+                                   {"suite", log.suite},
+                                   {"scenario", log.scenario},
+                                   {"policy", log.policy},
+                                   {"severity", absl::StrCat(log.severity)},
+                                   {"task", absl::StrCat(log.task)},
+                                   {"episode", absl::StrCat(log.episode)},
+                                   {"initial_state", absl::StrCat(log.initial_state)},
+                                   {"success", absl::StrCat(log.success ? 1 : 0)},
+                                   {"rate_hz", absl::StrCat(JointLog::kRateHz)}})
     writer.SetMetadata(key, value);
   std::vector<double> t, contact;
   for (const JointSample& sample : log.samples) {
@@ -123,8 +122,7 @@ absl::StatusOr<JointLog> ReadJointLog(const std::string& path) {
   RS_ASSIGN_OR_RETURN(const auto actions, file.ReadDoubles("actions", {-1, kJoints}));
   const size_t steps = actions.size() / kJoints, states = steps == 0 ? 0 : steps + 1;
   for (size_t i = 0; i < steps; ++i)
-    log.actions.push_back(
-        Eigen::Map<const Row7>(actions.data() + i * kJoints).cast<float>());
+    log.actions.push_back(Eigen::Map<const Row7>(actions.data() + i * kJoints).cast<float>());
   const std::vector<int64_t> shape = {static_cast<int64_t>(states), kJoints};
   RS_ASSIGN_OR_RETURN(const auto step_q, file.ReadDoubles("step_q", shape));
   RS_ASSIGN_OR_RETURN(const auto step_tool, file.ReadDoubles("step_tool", shape));

@@ -19,9 +19,9 @@ struct JointSample {
   double contact_N = 0;  // sum of the contact forces on arm and gripper in the sub-step [N]
 };
 
-// One recorded episode: joints at 500 Hz from before the arm moves, so that delays and hidden states
-// have their past in the log; and what replaying it needs: initial state, actions, and
-// the state that each control step reached.
+// One recorded episode: joints at 500 Hz from before the arm moves, so that delays and hidden
+// states have their past in the log; and what replaying it needs: initial state, actions, and the
+// state that each control step reached.
 struct JointLog {
   static constexpr double kRateHz = 500;
   std::string suite, scenario, policy;

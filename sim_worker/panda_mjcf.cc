@@ -102,8 +102,8 @@ std::string FingerXml(int side, bool joint) {
               pos="0 %g -0.015" friction="2 0.05 0.0001" condim="4" solref="0.01 0.5"/>
       </body>
     </body>)",
-      side > 0 ? "left" : "right", absl::StrCat(x), joint ? slide : std::string(), side * 0.008, side * 0.0055, index, side * 0.0085, index, side * 0.0085, index,
-      side * -0.005);
+      side > 0 ? "left" : "right", absl::StrCat(x), joint ? slide : std::string(), side * 0.008,
+      side * 0.0055, index, side * 0.0085, index, side * 0.0085, index, side * -0.005);
 }
 
 std::string ArmXml(bool fingers_slide) {
@@ -125,8 +125,9 @@ std::string ArmXml(bool fingers_slide) {
     absl::StrAppend(&open, link.shape_xml, "\n");
     absl::StrAppend(&close, "</body>");
   }
-  return absl::StrCat(open, absl::StrFormat(kHandXml, absl::StrCat(FingerXml(1, fingers_slide),
-                                                                      FingerXml(-1, fingers_slide))),
+  return absl::StrCat(open,
+                      absl::StrFormat(kHandXml, absl::StrCat(FingerXml(1, fingers_slide),
+                                                             FingerXml(-1, fingers_slide))),
                       close);
 }
 
@@ -213,9 +214,7 @@ std::string ComposePandaScene(const PandaScene& scene) {
                          scene.world_xml, scene.contact_xml, ActuatorXml());
 }
 
-std::string ComposePandaArm() {
-  return absl::StrFormat(kArmFormat, ArmXml(false));
-}
+std::string ComposePandaArm() { return absl::StrFormat(kArmFormat, ArmXml(false)); }
 
 Eigen::Matrix<double, 7, 1> PandaHome() {
   Eigen::Matrix<double, 7, 1> q;

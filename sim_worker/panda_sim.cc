@@ -88,12 +88,12 @@ struct EpisodeState {
   OscController controller;
   JointErrorStack errors;
   EffectStack effects;
-  ArmState arm;                     // what the controller saw last
+  ArmState arm;                      // what the controller saw last
   Vector7d bias = Vector7d::Zero();  // its model of Coriolis, centrifugal and gravity torque [Nm]
-  double clock = 0;                 // [s] since Reset
-  std::array<double, 2> gripper{};  // integrated gripper command in +-1, per finger
-  int steps = 0;                    // control steps since Reset, settling excluded
-  bool first_sub_step = true;       // see Reset
+  double clock = 0;                  // [s] since Reset
+  std::array<double, 2> gripper{};   // integrated gripper command in +-1, per finger
+  int steps = 0;                     // control steps since Reset, settling excluded
+  bool first_sub_step = true;        // see Reset
 };
 
 struct PandaSim::Snapshot {
@@ -143,8 +143,8 @@ struct PandaSim::Impl {
   std::function<void()> on_sub_step, on_integrated;
   std::function<void(const JointSample&)> on_sample;
   bool last_sub_step = false;  // of a control step
-  double contact_N = 0;  // of this sub-step, while somebody listens
-  DataPtr believed;      // kinematics of the readings; null without sensor effects
+  double contact_N = 0;        // of this sub-step, while somebody listens
+  DataPtr believed;            // kinematics of the readings; null without sensor effects
 
   // An observation that is older than the end of the control step: kinematics of the positions from
   // which its sub-step started, positions and velocities of its end.
@@ -210,8 +210,8 @@ Vector7d PandaSim::Impl::NetTorque(const Vector7d& applied) const {
   return net;
 }
 
-// Joints at the start of a sub-step; `drive` is filled by the stack. The payload's place is the tool
-// site.
+// Joints at the start of a sub-step; `drive` is filled by the stack. The payload's place is the
+// tool site.
 EffectStack::Moments PandaSim::Impl::DescribeJoints() const {
   const EpisodeState& e = episode;
   const Eigen::Vector3d field(model->opt.gravity);
@@ -276,8 +276,7 @@ Vector7d PandaSim::Impl::TorqueWithEffects(const Vector7d& controller_torque,
   ArmState arm;
   ReadArm(*model, *data, panda, arm);
   const Matrix7d M = arm.M + Matrix7d(joints.inertia.asDiagonal());
-  const JointErrorStack::Matrix M_inverse =
-      Eigen::LLT<Matrix7d>(M).solve(Matrix7d::Identity());
+  const JointErrorStack::Matrix M_inverse = Eigen::LLT<Matrix7d>(M).solve(Matrix7d::Identity());
   const Vector7d net = NetTorque(Saturated(torque));
   const double h = model->opt.timestep;
   const JointErrorStack::Matrix velocity_per_torque = h * M_inverse;
@@ -384,8 +383,7 @@ Vector7d PandaSim::Impl::Readings() const {
 
 Vector7d PandaSim::Impl::ReadingRates() const {
   Vector7d dq;
-  for (int i = 0; i < 7; ++i)
-    dq[i] = episode.effects.ReadingSlope(i) * data->qvel[panda.dof[i]];
+  for (int i = 0; i < 7; ++i) dq[i] = episode.effects.ReadingSlope(i) * data->qvel[panda.dof[i]];
   return dq;
 }
 
@@ -492,7 +490,7 @@ void PandaSim::SetScenario(const Scenario& scenario, int horizon) {
   s.episode.errors.SetScenario(scenario, horizon);
   s.episode.effects.SetScenario(scenario);
   s.believed.reset(s.episode.effects.has(EffectStage::kSensor) ? mj_makeData(s.model.get())
-                                                              : nullptr);
+                                                               : nullptr);
 }
 
 absl::Status PandaSim::Reset(absl::Span<const double> qpos,

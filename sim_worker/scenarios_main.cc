@@ -160,11 +160,10 @@ void PrintEffects() {
     for (size_t i = 0; i < effect.parameters.size(); ++i) {
       const EffectParameter& parameter = effect.parameters[i];
       const EffectRange range = RangeInScenario(effect, i, 0);
-      std::printf("    %-12s [%s] %s %.4g to %.4g%s\n", parameter.name.c_str(),
-                  parameter.unit.c_str(), range.lower_open ? "above" : "", range.lower,
-                  range.upper,
-                  parameter.fixed ? absl::StrFormat(", else %g", parameter.starts.front()).c_str()
-                                  : "");
+      std::printf(
+          "    %-12s [%s] %s %.4g to %.4g%s\n", parameter.name.c_str(), parameter.unit.c_str(),
+          range.lower_open ? "above" : "", range.lower, range.upper,
+          parameter.fixed ? absl::StrFormat(", else %g", parameter.starts.front()).c_str() : "");
     }
     if (effect.type == "cross_joint_coupling")
       std::printf("    %-12s the other joint, J1 to J7\n", "joint");

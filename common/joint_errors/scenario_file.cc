@@ -91,8 +91,8 @@ class Parser {
     for (const auto& pair : node) {
       const std::string key = pair.first.Scalar();
       if (std::find(allowed.begin(), allowed.end(), key) == allowed.end())
-        return Error(place, absl::StrCat("unknown key '", key,
-                                         "'; known: ", absl::StrJoin(allowed, ", ")));
+        return Error(
+            place, absl::StrCat("unknown key '", key, "'; known: ", absl::StrJoin(allowed, ", ")));
     }
     return absl::OkStatus();
   }
@@ -215,16 +215,15 @@ absl::StatusOr<ScenarioFile> ReadScenarioFile(const std::string& file) {
   const std::string label = ScenarioLabel(file);
   const std::vector<std::string> known = ScenarioNames();
   if (std::find(known.begin(), known.end(), label) != known.end())
-    return absl::InvalidArgumentError(absl::StrCat(
-        file, ": a scenario is called by its file's name, and '", label,
-        "' is built in; rename the file"));
-  const bool plain = std::all_of(label.begin(), label.end(), [](unsigned char c) {
-    return std::isalnum(c) || c == '_';
-  });
+    return absl::InvalidArgumentError(
+        absl::StrCat(file, ": a scenario is called by its file's name, and '", label,
+                     "' is built in; rename the file"));
+  const bool plain = std::all_of(label.begin(), label.end(),
+                                 [](unsigned char c) { return std::isalnum(c) || c == '_'; });
   if (label.empty() || !plain)
-    return absl::InvalidArgumentError(absl::StrCat(
-        file, ": a scenario is called by its file's name, and '", label,
-        "' has other characters than letters, digits and _; rename the file"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(file, ": a scenario is called by its file's name, and '", label,
+                     "' has other characters than letters, digits and _; rename the file"));
   return ParseScenarioFile(file, text);
 }
 

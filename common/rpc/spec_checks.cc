@@ -1,5 +1,6 @@
 #include "common/rpc/spec_checks.h"
 
+#include <algorithm>
 #include <string>
 #include <utility>
 #include <vector>
@@ -16,7 +17,6 @@ absl::Status Invalid(const Parts&... parts) {
   return absl::InvalidArgumentError(absl::StrCat(parts...));
 }
 
-std::string ImageSize(const Image& image) { return absl::StrCat(image.width, " x ", image.height); }
 std::string MatrixSize(const Eigen::MatrixXf& m) { return absl::StrCat(m.rows(), " x ", m.cols()); }
 
 }  // namespace
@@ -34,10 +34,13 @@ absl::Status CheckObservation(const Observation& observation, const PolicySpec& 
     return Invalid("observation has the views [", absl::StrJoin(cameras, ", "), "], policy '",
                    spec.name, "' wants [", absl::StrJoin(spec.cameras, ", "), "] in this order");
   }
+  const int limit = std::max({kMaxViewSide, spec.image_width, spec.image_height});
   for (const CameraView& view : observation.views) {
-    if (view.image.width != spec.image_width || view.image.height != spec.image_height) {
-      return Invalid("view '", view.camera, "' is ", ImageSize(view.image), " px, policy '",
-                     spec.name, "' wants ", spec.image_width, " x ", spec.image_height);
+    const int width = view.image.width, height = view.image.height;
+    if (std::max(width, height) > limit) {
+      return Invalid("view '", view.camera, "' is ", width, " x ", height, " px, at most ", limit,
+                     " a side; policy '", spec.name, "' computes with ", spec.image_width, " x ",
+                     spec.image_height);
     }
   }
   if (observation.proprioception.size() != spec.state_dim) {

@@ -10,6 +10,7 @@
 #include "calibration/measured_log.h"
 #include "calibration/plant.h"
 #include "common/atomic_file.h"
+#include "common/random.h"
 
 namespace robostress::calibration {
 namespace {
@@ -19,6 +20,7 @@ using testing::HasSubstr;
 
 constexpr double kDt = 0.005;
 constexpr int kRows = 400;
+constexpr double kNoise = 1e-4;  // [rad]
 
 double Motion(double t) { return 0.5 * std::sin(2 * M_PI * t); }
 
@@ -31,10 +33,10 @@ using Change = std::function<void(int, Row&)>;
 std::string LogText(const Change& change,
                     const std::string& header = "t,q_cmd_hinge,q_hinge,tau_hinge") {
   std::string text = header + "\n";
+  RandomStream noise(StreamKey("log_gates"));
   for (int k = 0; k < kRows; ++k) {
     const double t = k * kDt;
-    // Noise of an encoder, so that the motion stands out from something.
-    Row row{t, Motion(t), Motion(t - 0.01) + 1e-5 * std::sin(1000.0 * k), std::cos(5 * t)};
+    Row row{t, Motion(t), Motion(t - 0.01) + kNoise * noise.Normal(), std::cos(5 * t)};
     change(k, row);
     absl::StrAppend(&text, row.t, ",", row.command, ",", row.q, ",", row.tau, "\n");
   }
@@ -86,7 +88,7 @@ TEST_F(LogGates, ReadsALogThatIsInOrderWithoutANote) {
   const JointRecord& record = log->joints[0];
   EXPECT_EQ(record.command.size(), static_cast<size_t>(kRows));
   EXPECT_NEAR(record.dq[200], M_PI * std::cos(2 * M_PI * (200 * kDt - 0.01)), 0.02);
-  EXPECT_NEAR(record.noise, 1e-5 / std::sqrt(2.0), 4e-6);
+  EXPECT_NEAR(record.noise, kNoise, 0.2 * kNoise);
 }
 
 TEST_F(LogGates, RefusesAColumnThatTheInputNeedsAndTheFileLacks) {
@@ -152,7 +154,7 @@ TEST_F(LogGates, ResamplesAJitteryClockAndSaysSo) {
   const auto log = Read([&](int k, Row& row) {
     row.t += jitter(k);
     row.command = Motion(row.t);
-    row.q = Motion(row.t - 0.01) + 1e-5 * std::sin(1000.0 * k);
+    row.q = Motion(row.t - 0.01);
   });
   ASSERT_TRUE(log.ok()) << log.status();
   ASSERT_EQ(log->notes.size(), 1u);
@@ -187,7 +189,10 @@ TEST_F(LogGates, RefusesDegreesBesideRadians) {
 TEST_F(LogGates, RefusesAConstantChannelAndAMotionWithinTheNoise) {
   EXPECT_THAT(Refusal([](int, Row& row) { row.q = 0.25; }),
               AllOf(HasSubstr("'hinge' is constant"), HasSubstr("0.25")));
-  EXPECT_THAT(Refusal([](int k, Row& row) { row.q = 1e-4 * std::sin(1000.0 * k); }),
+  EXPECT_THAT(Refusal([](int, Row& row) {
+                row.q -= Motion(row.t - 0.01) * 0.9999;
+                row.command *= 1e-4;
+              }),
               HasSubstr("too little excitation"));
   EXPECT_THAT(Refusal([](int, Row& row) { row.command = 0.1; }),
               AllOf(HasSubstr("q_cmd_hinge"), HasSubstr("constant")));

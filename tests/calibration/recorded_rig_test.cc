@@ -6,7 +6,6 @@
 
 #include <cmath>
 #include <filesystem>
-#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "calibration/measured_log.h"
@@ -87,7 +86,8 @@ TEST_F(RecordedRigTest, LeavesOutWhatIsNearContacts) {
   EXPECT_EQ(summary->pieces, 6);
   const auto rig = ReadRig(summary->rig_file);
   ASSERT_TRUE(rig.ok());
-  const auto before = ReadMeasuredLog(*rig, rig->logs[0]), after = ReadMeasuredLog(*rig, rig->logs[1]);
+  const auto before = ReadMeasuredLog(*rig, rig->logs[0]),
+             after = ReadMeasuredLog(*rig, rig->logs[1]);
   ASSERT_TRUE(before.ok()) << before.status();
   ASSERT_TRUE(after.ok()) << after.status();
   // 0.05 s margin on both sides: 13 rows, rounded.
@@ -101,7 +101,6 @@ TEST_F(RecordedRigTest, AddsTheSameNoiseForTheSameSeed) {
   std::vector<RecordedEpisode> episodes;
   for (int i = 0; i < 3; ++i)
     episodes.push_back(Episode(absl::StrCat("task0_episode", i), "task 0"));
-  std::set<double> noises;
   std::vector<std::vector<double>> readings;
   for (const uint64_t seed : {1, 1, 2}) {
     RecordedRigOptions options;

@@ -1,6 +1,6 @@
 // The kernel of calibration against the simulator of the Panda: from a recorded episode's torques
-// alone, the other joints moving as recorded, a joint's free run stays where the simulator went; and
-// an effect that is added to the model and fitted has the parameters that were simulated.
+// alone, the other joints moving as recorded, a joint's free run stays where the simulator went;
+// and an effect that is added to the model and fitted has the parameters that were simulated.
 #include <gtest/gtest.h>
 #include <unistd.h>
 
@@ -79,8 +79,8 @@ struct RecordedArmTest : public testing::Test {
     const SignalScales scales = MeasureScales(rig.joints[joint], problem.tracks());
     const auto model = DeclaredModel(rig, *plant, joint);
     const auto declared = DeclaredHypothesis(rig.joints[joint], *model, scales, 5);
-    const JointFit fit = MinimiseAll(
-        problem, WithEffect(*declared, **FindEffect(type), scales), problem.All());
+    const JointFit fit =
+        MinimiseAll(problem, WithEffect(*declared, **FindEffect(type), scales), problem.All());
     return ModelAt(fit.best, fit.best.x).effects.back().values;
   }
 

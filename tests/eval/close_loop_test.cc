@@ -1,5 +1,5 @@
-// The whole circle as one command: errors hidden in the simulated arm are named at their joints, and
-// simulations with them are nearer to the recording than simulations without.
+// The whole circle as one command: errors hidden in the simulated arm are named at their joints,
+// and simulations with them are nearer to the recording than simulations without.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -34,9 +34,9 @@ joints:
     effects: [{type: deadzone, width: 1.5}]
 )")
                   .ok());
-  const std::string command = absl::StrCat(
-      "--hidden ", hidden, " --out ", root, "/circle --tasks 1-1 --episodes 3 --rate-hz 125 ",
-      "--evaluated-episodes 2 --surrogates 99");
+  const std::string command = absl::StrCat("--hidden ", hidden, " --out ", root,
+                                           "/circle --tasks 1-1 --episodes 3 --rate-hz 125 ",
+                                           "--evaluated-episodes 2 --surrogates 99");
   const auto [output, code] = RunProgram(CLOSE_LOOP, command);
   ASSERT_EQ(code, 0) << output;
   const auto text = ReadFile(root + "/circle/summary.json");

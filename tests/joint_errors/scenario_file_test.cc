@@ -130,8 +130,8 @@ TEST(ScenarioFile, LetsEveryEffectOfTheLibraryStandAtEveryJoint) {
 }
 
 TEST(EffectStack, ACopyGoesOnAloneFromTheSameHiddenState) {
-  const auto file = ParseScenarioFile(
-      "x.yaml", Effect("type: presliding_hysteresis, F: 2, x_s: 0.05"));
+  const auto file =
+      ParseScenarioFile("x.yaml", Effect("type: presliding_hysteresis, F: 2, x_s: 0.05"));
   ASSERT_TRUE(file.ok());
   Scenario scenario;
   scenario.effects = file->effects;

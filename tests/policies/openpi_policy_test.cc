@@ -514,7 +514,8 @@ TEST_P(OpenpiPolicyTest, IsServedPredictsLearnsAndReports) {
   ToyArm arm(0.6);
   std::vector<Eigen::MatrixXf> actions;
   for (int i = 0; i < 4; ++i) {
-    const auto prediction = (*client)->Predict(LiberoObservation(15, 1), i);
+    // Cameras need not have the network's size: the server resizes, as openpi's client does.
+    const auto prediction = (*client)->Predict(LiberoObservation(i % 2 == 0 ? 15 : 40, 1), i);
     ASSERT_TRUE(prediction.ok()) << prediction.status();
     ASSERT_EQ(prediction->actions.rows(), 7);
     ASSERT_EQ(prediction->actions.cols(), 7);

@@ -291,11 +291,13 @@ TEST(ConvertTest, ChecksNameWhatThePolicyWants) {
   EXPECT_THAT(std::string(CheckObservation(observation, spec).message()),
               HasSubstr("has the views [agentview], policy 'fake' wants []"));
   spec.cameras = {"agentview"};
-  EXPECT_THAT(std::string(CheckObservation(observation, spec).message()),
-              HasSubstr("view 'agentview' is 2 x 1 px, policy 'fake' wants 224 x 224"));
-  spec.image_width = 2;
-  spec.image_height = 1;
-  EXPECT_TRUE(CheckObservation(observation, spec).ok());
+  EXPECT_TRUE(CheckObservation(observation, spec).ok());  // 2 x 1 px: the policy's own affair
+  observation.views[0].image.width = kMaxViewSide + 1;
+  EXPECT_THAT(
+      std::string(CheckObservation(observation, spec).message()),
+      HasSubstr("view 'agentview' is 1281 x 1 px, at most 1280 a side; policy 'fake' computes "
+                "with 224 x 224"));
+  observation.views[0].image.width = 2;
   spec.state_dim = 8;
   EXPECT_THAT(std::string(CheckObservation(observation, spec).message()),
               HasSubstr("proprioception has 2 values, policy 'fake' wants 8"));

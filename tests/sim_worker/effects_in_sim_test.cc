@@ -26,7 +26,7 @@ Eigen::VectorXf Wander(int i) {
 }
 
 struct Path {
-  std::vector<JointSample> asked;         // of every sub-step
+  std::vector<JointSample> asked;                 // of every sub-step
   std::vector<JointSample::Vector> motor, truth;  // torque given to MuJoCo, joint angles
 };
 
@@ -145,8 +145,8 @@ TEST(EffectsInSim, APayloadSagsAndIsHeavyToMove) {
   auto sim = MakeTestSim();
   ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
   // At the first sub-step the motor's torque lacks what holds 1 kg at the tool, and what moves it.
-  const double lever = sim->data().site_xpos[3 * mj_name2id(&sim->model(), mjOBJ_SITE,
-                                                            "gripper0_grip_site")];
+  const double lever =
+      sim->data().site_xpos[3 * mj_name2id(&sim->model(), mjOBJ_SITE, "gripper0_grip_site")];
   EXPECT_NEAR(clean.motor[1][1] - heavy.motor[1][1], -9.81 * lever, 0.15 * 9.81 * lever);
   EXPECT_GT(LargestDistance(clean, heavy), 0.01);
 }
