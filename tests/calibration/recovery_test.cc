@@ -73,7 +73,7 @@ TEST_P(EffectRecovery, FitFindsTheTrueParametersInDataOfAnIndependentIntegrator)
     return false;
   });
   ASSERT_FALSE(starts.empty());
-  const JointFit found = MinimiseAll(problem, starts, fit);
+  const JointFit found = Minimise(problem, MinimiseAll(problem, starts, fit).best, fit);
 
   JointModel model = ModelAt(found.best, found.best.x);
   for (const auto& [name, share] : recovery.within) {

@@ -75,12 +75,14 @@ struct RecordedArmTest : public testing::Test {
   }
   // Fits one effect at a joint; its values.
   std::vector<double> FitEffect(int joint, const std::string& type) const {
-    const JointProblem problem(rig.joints[joint].name, Tracks(joint), 125);
+    JointProblem problem(rig.joints[joint].name, Tracks(joint), 125);
     const SignalScales scales = MeasureScales(rig.joints[joint], problem.tracks());
     const auto model = DeclaredModel(rig, *plant, joint);
     const auto declared = DeclaredHypothesis(rig.joints[joint], *model, scales, 5);
-    const JointFit fit =
+    problem.LinearizeStarts(*model);
+    const JointFit found =
         MinimiseAll(problem, WithEffect(*declared, **FindEffect(type), scales), problem.All());
+    const JointFit fit = Minimise(problem, found.best, problem.All());
     return ModelAt(fit.best, fit.best.x).effects.back().values;
   }
 
@@ -98,7 +100,7 @@ TEST_F(RecordedArmTest, FreeRunsOfAQuarterSecondStayWithTheSimulator) {
     const auto model = DeclaredModel(rig, *plant, joint);
     ASSERT_TRUE(model.ok()) << model.status();
     // Joints travel up to 0.4 rad; the effects of interest move them by 1e-3 and more.
-    EXPECT_LT(problem.Rms(*model, problem.All()), 1e-4) << joint;
+    EXPECT_LT(problem.Rms(*model, problem.All()), 2e-4) << joint;
   }
 }
 
