@@ -117,7 +117,10 @@ std::vector<double> StandardDeviations(const JointProblem& problem, const JointF
   std::vector<double> result(h.free.size(), 0);
   if (h.free.empty()) return result;
   const Eigen::VectorXd r = problem.Projected(ModelAt(h, h.x), chosen);
-  const Eigen::MatrixXd J = problem.Jacobian(h, h.x, r, chosen);
+  Eigen::MatrixXd J = problem.Jacobian(h, h.x, r, chosen);
+  // What stands on a bound is held there.
+  for (size_t i = 0; i < h.free.size(); ++i)
+    if (fit.at_bound[i]) J.col(static_cast<int>(i)).setZero();
   const double variance = r.squaredNorm() / static_cast<double>(r.size());
   // Rows that say the same count once: twice the sum of the positive autocorrelations.
   double correlation = 1;

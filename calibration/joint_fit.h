@@ -23,7 +23,8 @@ JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>&
                      const WindowSet& chosen);
 
 // Standard deviations of the free parameters' values at a minimum: residual variance times the
-// inverse Gauss-Newton matrix, widened by the residual's own correlation time.
+// inverse Gauss-Newton matrix, widened by the residual's own correlation time; 0 for what
+// stands on a bound.
 std::vector<double> StandardDeviations(const JointProblem& problem, const JointFit& fit,
                                        const WindowSet& chosen);
 

@@ -30,9 +30,10 @@ std::string Escaped(const std::vector<std::string>& texts, const char* separator
 std::string Parameters(const std::vector<ParameterReport>& parameters) {
   std::vector<std::string> lines;
   for (const ParameterReport& p : parameters) {
-    lines.push_back(absl::StrCat(EscapeXml(p.name), " = ", ValueText(p.value, p.std),
-                                 p.unit.empty() || p.unit == "1" ? "" : " " + EscapeXml(p.unit),
-                                 p.at_bound ? " <span class=tag>on its bound</span>" : ""));
+    lines.push_back(absl::StrCat(
+        "<span style=\"white-space:nowrap\">", EscapeXml(p.name), " = ", ValueText(p.value, p.std),
+        p.unit.empty() || p.unit == "1" ? "" : " " + EscapeXml(p.unit),
+        p.at_bound ? " <span class=tag>on its bound</span>" : "", "</span>"));
   }
   return absl::StrJoin(lines, "<br>");
 }
@@ -40,7 +41,11 @@ std::string Parameters(const std::vector<ParameterReport>& parameters) {
 // The library's equation of a type, or of each of a pair; nothing for what the library lacks.
 std::string Equation(const std::string& type) {
   const absl::StatusOr<const EffectInfo*> info = FindEffect(type);
-  return info.ok() ? absl::StrCat("<br><small>", EscapeXml((*info)->equation), "</small>") : "";
+  return info.ok()
+             ? absl::StrCat(
+                   "<br><small style=\"display:inline-block;white-space:normal;max-width:20em\">",
+                   EscapeXml((*info)->equation), "</small>")
+             : "";
 }
 
 std::string DeclaredSection(const JointReport& joint) {

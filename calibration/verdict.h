@@ -11,6 +11,7 @@ namespace robostress::calibration {
 struct Evidence {
   double declared = 0, after = 0, floor = 0;
   bool declared_white = false;
+  bool arm = false;  // other joints move as measured, with noise that the floor does not count
   double transfer_declared = 0, transfer_after = 0;  // 0: no log of that role
   int effects = 0;
   bool ambiguous = false;    // some effect has rivals
