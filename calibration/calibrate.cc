@@ -328,6 +328,7 @@ class JointCalibration {
     evidence.declared = rms(declared, unseen);
     evidence.after = rms(after, unseen);
     evidence.floor = problem_.ProjectedFloor(unseen);
+    evidence.inverse = joint_.input == JointInput::kInverse;
     evidence.arm = !plant_.single();
     evidence.declared_white = report.residual_declared.white;
     evidence.transfer_declared = rms(declared, transfer);

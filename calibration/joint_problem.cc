@@ -10,10 +10,27 @@ namespace robostress::calibration {
 namespace {
 
 constexpr int kMaxResiduals = 8000;  // of a problem; more rows are thinned out
+constexpr int kReversalRows = 8;     // silent each side of a reversal
 constexpr double kStep = 1e-4;       // of forward differences, in units of the scale
 // The measured state of a start is believed to this many standard deviations: beside noise it has
 // the bias of smoothing.
 constexpr double kStartTrust = 8;
+
+// Of input inverse: where a motion turns, its smoothed velocity says neither when dry friction
+// turns nor whether the joint rests. Those rows say nothing.
+void SilenceReversals(const JointRecord& record, std::vector<double>& residual) {
+  const double slow = 4 * record.start_noise_dq;
+  const int rows = static_cast<int>(residual.size());
+  std::vector<char> silent(rows, 0);
+  for (int i = 0; i < rows; ++i) {
+    const bool turns = i > 0 && record.dq[i] * record.dq[i - 1] <= 0;
+    if (!turns && std::abs(record.dq[i]) > slow) continue;
+    for (int k = std::max(0, i - kReversalRows); k < std::min(rows, i + kReversalRows + 1); ++k)
+      silent[k] = 1;
+  }
+  for (int i = 0; i < rows; ++i)
+    if (silent[i]) residual[i] = 0;
+}
 
 bool Motion(JointInput input) {
   return input == JointInput::kPositionTarget || input == JointInput::kTorque;
@@ -52,6 +69,7 @@ void JointProblem::Predict(const JointModel& model, size_t index, const std::vec
   JointSimulation(track).Predict(*own, window_, chosen, offset, absl::MakeSpan(residual));
   const std::vector<double>& measured = track.measured(model.input);
   for (size_t i = 0; i < residual.size(); ++i) residual[i] -= measured[i];
+  if (model.input == JointInput::kInverse) SilenceReversals(track.record(), residual);
   if (model.input != JointInput::kTransmission) return;
   double mean = 0;
   for (const double value : residual) mean += value / static_cast<double>(residual.size());

@@ -348,7 +348,7 @@ void JointSimulation::Inverse(const JointModel& model, Chain& chain, absl::Span<
     }
     torque += inertia * record.ddq[row];
     // Smooth through rest, where the direction is noise.
-    const double speed = 10 * record.noise / moment.h;
+    const double speed = 2 * record.start_noise_dq;
     const double direction = std::tanh(moment.dq / std::max(speed, 1e-9));
     torque += direction * std::max(0.0, direction > 0 ? dry.forward : dry.backward);
     predicted[row] = torque - (moment.drive - given);

@@ -7,7 +7,7 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr double kAtFloor = 1.15;       // times the floor counts as noise
+constexpr double kAtFloor = 1.15;  // times the floor counts as noise
 constexpr double kAtFloorOfArm = 1.5;
 constexpr double kExplained = 0.97;     // of the excess energy: hardly anything remains
 constexpr double kTransferLoss = 1.05;  // worse than declared by more than this: no mechanism
@@ -61,7 +61,8 @@ Judgement Judge(const Evidence& e) {
     judgement.because = "what was added makes the transfer logs worse";
     return judgement;
   }
-  if (e.after > kAtFloor * e.floor && judgement.excess_explained < kExplained) {
+  const bool noise_only = !e.inverse && e.after <= kAtFloor * e.floor;
+  if (!noise_only && judgement.excess_explained < kExplained) {
     judgement.verdict = Verdict::kReducedNotAttributed;
     judgement.because = absl::StrFormat(
         "what was added explains %.1f %% of the excess over noise, and the rest "
