@@ -111,6 +111,17 @@ JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>&
   return Minimise(problem, best.best, chosen, 12, kSearchTolerance);
 }
 
+double CorrelationRows(const Eigen::VectorXd& r) {
+  double rows = 1;
+  for (int lag = 1; lag < r.size() / 4; ++lag) {
+    const double rho =
+        r.head(r.size() - lag).dot(r.tail(r.size() - lag)) / std::max(r.squaredNorm(), 1e-300);
+    if (!(rho > 0.05)) break;
+    rows += 2 * rho;
+  }
+  return rows;
+}
+
 std::vector<double> StandardDeviations(const JointProblem& problem, const JointFit& fit,
                                        const WindowSet& chosen) {
   const Hypothesis& h = fit.best;
@@ -122,16 +133,9 @@ std::vector<double> StandardDeviations(const JointProblem& problem, const JointF
   for (size_t i = 0; i < h.free.size(); ++i)
     if (fit.at_bound[i]) J.col(static_cast<int>(i)).setZero();
   const double variance = r.squaredNorm() / static_cast<double>(r.size());
-  // Rows that say the same count once: twice the sum of the positive autocorrelations.
-  double correlation = 1;
-  for (int lag = 1; lag < r.size() / 4; ++lag) {
-    const double rho = r.head(r.size() - lag).dot(r.tail(r.size() - lag)) / r.squaredNorm();
-    if (!(rho > 0.05)) break;
-    correlation += 2 * rho;
-  }
   const Eigen::MatrixXd covariance =
       (J.transpose() * J).completeOrthogonalDecomposition().pseudoInverse() * variance *
-      correlation;
+      CorrelationRows(r);
   for (size_t i = 0; i < h.free.size(); ++i) {
     const int k = static_cast<int>(i);
     // d value / d x

@@ -22,6 +22,9 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
 JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>& starts,
                      const WindowSet& chosen);
 
+// Rows that count as one observation, from a residual's autocorrelation.
+double CorrelationRows(const Eigen::VectorXd& r);
+
 // Standard deviations of the free parameters' values at a minimum: residual variance times the
 // inverse Gauss-Newton matrix, widened by the residual's own correlation time; 0 for what
 // stands on a bound.

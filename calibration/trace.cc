@@ -47,18 +47,6 @@ struct Contender {
   double gain = 0, p = 1, own_p = 1, surviving = 0;
 };
 
-// Rows that count as one observation, from the residual's autocorrelation.
-double CorrelationRows(const Eigen::VectorXd& r) {
-  double rows = 1;
-  for (int lag = 1; lag < r.size() / 4; ++lag) {
-    const double rho =
-        r.head(r.size() - lag).dot(r.tail(r.size() - lag)) / std::max(r.squaredNorm(), 1e-300);
-    if (!(rho > 0.05)) break;
-    rows += 2 * rho;
-  }
-  return rows;
-}
-
 class Search {
  public:
   Search(const JointProblem& problem, const SignalScales& scales,
