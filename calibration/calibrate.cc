@@ -8,7 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_replace.h"
-#include "calibration/local_quadratic.h"
+#include "calibration/local_polynomial.h"
 #include "calibration/residual_tests.h"
 #include "calibration/verdict.h"
 #include "common/status_macros.h"
@@ -383,7 +383,7 @@ void NoiseOfTorques(const Rig& rig, const Plant& plant, std::vector<MeasuredLog>
     for (MeasuredLog& log : logs) {
       JointRecord& record = log.joints[joint];
       const double inertia = plant.Rows(joint, log).front().inertia + plant.passive(joint).armature;
-      record.noise = std::hypot(FitLocalQuadratics(record.tau, log.dt, 2).noise,
+      record.noise = std::hypot(NoiseOfReading(record.tau),
                                 inertia * record.acceleration_noise);
     }
   }

@@ -9,7 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
-#include "calibration/local_quadratic.h"
+#include "calibration/local_polynomial.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 
@@ -17,7 +17,7 @@ namespace robostress::calibration {
 namespace {
 
 constexpr int kMinRows = 50;
-constexpr int kSmoothing = 6;        // rows each side, at most
+constexpr int kSmoothing = 12;       // rows each side, at most
 constexpr double kJitter = 0.02;     // of dt; more is resampled
 constexpr double kGap = 5;           // in dt; more is refused
 constexpr double kRateError = 0.02;  // of the declared rate
@@ -201,7 +201,7 @@ void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, 
     ahead += record.ddq[i] * (logged[i] - record.dq[i]);
   }
   const double gain = both / std::max(speed, 1e-30), lag = -ahead / std::max(bend, 1e-30);
-  const double noise = FitLocalQuadratics(logged, dt, 1).noise;
+  const double noise = NoiseOfReading(logged);
   if (std::abs(gain - 1) > 0.03 || std::abs(lag) > 0.5 * dt) {
     notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", gain,
                                  " times the derivative of the position, ", lag,
@@ -229,7 +229,7 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   }
   const std::vector<double>& motion =
       joint.input == JointInput::kTransmission ? record.q_motor : record.q;
-  const LocalQuadratic fit = SmoothMotion(motion, dt, kSmoothing);
+  const SmoothSignal fit = SmoothMotion(motion, dt, kSmoothing);
   record.start_noise_q = fit.value_noise;
   record.start_noise_dq = fit.first_noise;
   record.acceleration_noise = fit.second_noise;
@@ -237,8 +237,8 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   record.dq = fit.first;
   record.ddq = fit.second;
   if (!logged_velocity.empty()) AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
-  record.noise = FitLocalQuadratics(record.q, dt, kSmoothing).noise;
-  if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, fit.noise);
+  record.noise = NoiseOfReading(record.q);
+  if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, NoiseOfReading(record.q_motor));
   const double range = RangeOf(record.q);
   if (range == 0)
     return absl::InvalidArgumentError(

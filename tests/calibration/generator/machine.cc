@@ -131,11 +131,21 @@ class Runner {
       if (middle_v[i] * v_[i] < 0) middle_v[i] = 0;
     }
     a_ = Accelerations(t, h, middle_q, middle_v);
+    Pair stopped = v_;
     for (int i = 0; i < n_; ++i) {
-      const double next = v_[i] + h * a_[i];
-      const bool turns = next * v_[i] < 0;
-      q_[i] += turns ? 0.5 * h * v_[i] : h * middle_v[i];
-      v_[i] = turns ? 0 : next;
+      if ((v_[i] + h * a_[i]) * v_[i] < 0) stopped[i] = 0;
+    }
+    // What a joint does after it has come to rest within the step: stays, or turns.
+    const Pair onward = stopped == v_ ? a_ : Accelerations(t, h, middle_q, stopped);
+    for (int i = 0; i < n_; ++i) {
+      if (stopped[i] == v_[i]) {
+        q_[i] += h * middle_v[i];
+        v_[i] += h * a_[i];
+        continue;
+      }
+      const double stop = -v_[i] / a_[i], rest = h - stop;
+      q_[i] += 0.5 * v_[i] * stop + 0.5 * onward[i] * rest * rest;
+      v_[i] = onward[i] * rest;
     }
   }
 

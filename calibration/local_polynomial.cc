@@ -1,0 +1,138 @@
+#include "calibration/local_polynomial.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace robostress::calibration {
+namespace {
+
+constexpr int kOrders = 6;  // of differences
+
+// Differences of order k of white noise have variance (2k over k) sigma^2. A motion adds to them,
+// the less the higher the order, so the least is the best; their median hardly sees corners.
+double NoiseOf(const std::vector<double>& signal) {
+  std::vector<double> differences = signal;
+  double least = std::numeric_limits<double>::infinity(), variance = 1;
+  for (int order = 1; order <= kOrders && differences.size() > 1; ++order) {
+    for (size_t i = 0; i + 1 < differences.size(); ++i)
+      differences[i] = differences[i + 1] - differences[i];
+    differences.pop_back();
+    variance *= 2.0 * (2 * order - 1) / order;
+    if (order < 3) continue;
+    std::vector<double> sizes = differences;
+    for (double& size : sizes) size = std::abs(size);
+    const auto middle = sizes.begin() + static_cast<int>(sizes.size() / 2);
+    std::nth_element(sizes.begin(), middle, sizes.end());
+    least = std::min(least, *middle / 0.6745 / std::sqrt(variance));
+  }
+  return std::isfinite(least) ? least : 0;
+}
+
+// The step of a reading that takes only multiples of one; 0 where there is none to be seen.
+double ResolutionOf(std::vector<double> signal) {
+  std::sort(signal.begin(), signal.end());
+  const double range = signal.back() - signal.front();
+  double step = range;
+  std::vector<double> gaps;
+  for (size_t i = 1; i < signal.size(); ++i) {
+    const double gap = signal[i] - signal[i - 1];
+    if (gap > 1e-9 * range) gaps.push_back(gap), step = std::min(step, gap);
+  }
+  if (gaps.empty()) return 0;
+  const auto off = std::count_if(gaps.begin(), gaps.end(), [&](double gap) {
+    return std::abs(gap / step - std::round(gap / step)) > 0.05;
+  });
+  return off * 50 < static_cast<int64_t>(gaps.size()) ? step : 0;
+}
+
+// Rows of the pseudo-inverse of a polynomial around `place` of a window: weights of the value, the
+// first and half the second derivative [order + 1, width].
+Eigen::MatrixXd Weights(int width, int place, double dt, int order) {
+  // In units of the width, so that high powers stay near one.
+  const double unit = std::max(1, width / 2);
+  Eigen::MatrixXd design(width, order + 1);
+  for (int i = 0; i < width; ++i)
+    for (int power = 0; power <= order; ++power)
+      design(i, power) = std::pow((i - place) / unit, power);
+  Eigen::MatrixXd weights = design.completeOrthogonalDecomposition().pseudoInverse();
+  for (int power = 0; power <= order; ++power) weights.row(power) /= std::pow(unit * dt, power);
+  return weights;
+}
+
+double MeanSquareDifference(const std::vector<double>& a, const std::vector<double>& b) {
+  double sum = 0;
+  for (size_t i = 0; i < a.size(); ++i) sum += (a[i] - b[i]) * (a[i] - b[i]);
+  return sum / static_cast<double>(a.size());
+}
+
+// Adds to the standard deviations of `fit` what a fit of higher order and the same width changes
+// beyond its noise; of nested least squares the variances of the noise subtract.
+void AddBias(const SmoothSignal& higher, SmoothSignal& fit) {
+  const auto add = [](const std::vector<double>& a, const std::vector<double>& b, double more,
+                      double& own) {
+    const double noise = more * more - own * own;
+    own = std::sqrt(own * own + std::max(0.0, MeanSquareDifference(a, b) - noise));
+  };
+  add(higher.value, fit.value, higher.value_noise, fit.value_noise);
+  add(higher.first, fit.first, higher.first_noise, fit.first_noise);
+  add(higher.second, fit.second, higher.second_noise, fit.second_noise);
+}
+
+}  // namespace
+
+double NoiseOfReading(const std::vector<double>& signal) {
+  // Of a reading in steps, at least that of the steps.
+  return std::max(NoiseOf(signal), ResolutionOf(signal) / std::sqrt(12.0));
+}
+
+SmoothSignal FitLocalPolynomials(const std::vector<double>& signal, double dt, int half, int order,
+                                 double noise) {
+  const int n = static_cast<int>(signal.size()), width = std::min(2 * half + 1, n);
+  SmoothSignal fit;
+  fit.value.resize(n), fit.first.resize(n), fit.second.resize(n);
+  std::vector<Eigen::MatrixXd> weights(width);
+  for (int i = 0; i < n; ++i) {
+    const int first = std::clamp(i - width / 2, 0, n - width), place = i - first;
+    if (weights[place].size() == 0) weights[place] = Weights(width, place, dt, order).topRows(3);
+    const Eigen::Map<const Eigen::VectorXd> window(signal.data() + first, width);
+    const Eigen::Vector3d c = weights[place] * window;
+    fit.value[i] = c[0];
+    fit.first[i] = c[1];
+    fit.second[i] = 2 * c[2];
+  }
+  const Eigen::MatrixXd centre = Weights(width, width / 2, dt, order);
+  fit.value_noise = noise * centre.row(0).norm();
+  fit.first_noise = noise * centre.row(1).norm();
+  fit.second_noise = 2 * noise * centre.row(2).norm();
+  return fit;
+}
+
+SmoothSignal SmoothMotion(const std::vector<double>& signal, double dt, int most) {
+  const double noise = NoiseOfReading(signal);
+  SmoothSignal best;
+  best.first_noise = best.second_noise = std::numeric_limits<double>::infinity();
+  for (int half = 2; half <= most; ++half) {
+    std::vector<SmoothSignal> orders;
+    for (int order = 2; order <= std::min(6, 2 * half); order += 2)
+      orders.push_back(FitLocalPolynomials(signal, dt, half, order, noise));
+    for (size_t i = 0; i + 1 < orders.size(); ++i) {
+      SmoothSignal& fit = orders[i];
+      AddBias(orders[i + 1], fit);
+      if (fit.second_noise < best.second_noise) {
+        best.second_noise = fit.second_noise;
+        best.second = fit.second;
+      }
+      if (fit.first_noise < best.first_noise) {
+        best.value_noise = fit.value_noise;
+        best.first_noise = fit.first_noise;
+        best.value = std::move(fit.value);
+        best.first = std::move(fit.first);
+      }
+    }
+  }
+  return best;
+}
+
+}  // namespace robostress::calibration
