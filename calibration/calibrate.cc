@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_replace.h"
+#include "calibration/aided_motion.h"
 #include "calibration/local_polynomial.h"
 #include "calibration/residual_tests.h"
 #include "calibration/verdict.h"
@@ -67,9 +68,9 @@ class JointCalibration {
     RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(rig_, plant_, index_));
     const SignalScales scales = MeasureScales(joint_, tracks_);
     RS_ASSIGN_OR_RETURN(Hypothesis declared,
-                        DeclaredHypothesis(joint_, model, scales, MeanInertia()));
+                        DeclaredHypothesis(joint_, model, scales, MeanInertia(tracks_)));
     problem_.LinearizeStarts(model);
-    declared = Minimise(problem_, declared, WindowsOf(problem_, LogRole::kFit)).best;
+    declared = MinimiseDeclared(problem_, declared, problem_.OfRole(LogRole::kFit)).best;
     problem_.LinearizeStarts(ModelAt(declared, declared.x));
     std::vector<int> others;
     for (int i = 0; i < static_cast<int>(rig_.joints.size()); ++i)
@@ -84,26 +85,12 @@ class JointCalibration {
   }
 
  private:
-  static std::vector<JointTrack> MakeTracks(const Plant& plant,
-                                            const std::vector<MeasuredLog>& logs, int joint) {
-    std::vector<JointTrack> tracks;
-    for (const MeasuredLog& log : logs)
-      tracks.push_back({&log, joint, plant.single(), plant.Rows(joint, log)});
-    return tracks;
-  }
   int WindowRows() const {
     const bool motion =
         joint_.input == JointInput::kPositionTarget || joint_.input == JointInput::kTorque;
     const double seconds = motion ? rig_.metric.window_s : kBlock;
     return static_cast<int>(std::round(seconds / tracks_.front().log->dt));
   }
-  double MeanInertia() const {
-    double sum = 0, count = 0;
-    for (const JointTrack& track : tracks_)
-      for (const PlantRow& row : track.rows) sum += row.inertia, count += 1;
-    return count > 0 ? sum / count : 0;
-  }
-
   void Describe(const Trace& trace, JointReport& report) const {
     const Hypothesis& before = trace.declared.fit.best;
     const Hypothesis& later = trace.after.fit.best;
@@ -131,7 +118,7 @@ class JointCalibration {
     report.excess_explained = judgement.excess_explained;
   }
 
-  WindowSet Fit() const { return WindowsOf(problem_, LogRole::kFit); }
+  WindowSet Fit() const { return problem_.OfRole(LogRole::kFit); }
   void PreferLeads(const std::vector<std::string>& leads, const Hypothesis& declared,
                    const SignalScales& scales, const std::vector<int>& others, Trace& trace) const {
     const auto led = [&](const std::string& type) {
@@ -162,12 +149,12 @@ class JointCalibration {
 
   // Held out where there is something held out, else fitted.
   WindowSet Unseen() const {
-    WindowSet held_out = WindowsOf(problem_, LogRole::kHeldOut);
+    WindowSet held_out = problem_.OfRole(LogRole::kHeldOut);
     return problem_.Rows(held_out) > 0 ? held_out : Fit();
   }
 
   ErrorReport Errors(const JointModel& declared, const JointModel& after, LogRole role) const {
-    const WindowSet windows = WindowsOf(problem_, role);
+    const WindowSet windows = problem_.OfRole(role);
     if (problem_.Rows(windows) == 0) return {};
     return {factor_ * problem_.Rms(declared, windows), factor_ * problem_.Rms(after, windows),
             factor_ * problem_.Floor(windows), true};
@@ -176,8 +163,8 @@ class JointCalibration {
     if (joint_.input == JointInput::kInverse || joint_.input == JointInput::kTransmission)
       return {};
     const JointProblem whole(joint_.name, tracks_, 0);
-    WindowSet windows = WindowsOf(whole, LogRole::kHeldOut);
-    if (whole.Rows(windows) == 0) windows = WindowsOf(whole, LogRole::kFit);
+    WindowSet windows = whole.OfRole(LogRole::kHeldOut);
+    if (whole.Rows(windows) == 0) windows = whole.OfRole(LogRole::kFit);
     return {factor_ * whole.Rms(declared, windows), factor_ * whole.Rms(after, windows), 0, true};
   }
 
@@ -324,12 +311,11 @@ class JointCalibration {
       return r.size() > 0 ? std::sqrt(r.squaredNorm() / static_cast<double>(r.size())) : 0.0;
     };
     Evidence evidence;
-    const WindowSet unseen = Unseen(), transfer = WindowsOf(problem_, LogRole::kTransfer);
+    const WindowSet unseen = Unseen(), transfer = problem_.OfRole(LogRole::kTransfer);
     evidence.declared = rms(declared, unseen);
     evidence.after = rms(after, unseen);
     evidence.floor = problem_.ProjectedFloor(unseen);
     evidence.inverse = joint_.input == JointInput::kInverse;
-    evidence.arm = !plant_.single();
     evidence.declared_white = report.residual_declared.white;
     evidence.transfer_declared = rms(declared, transfer);
     evidence.transfer_after = rms(after, transfer);
@@ -383,8 +369,7 @@ void NoiseOfTorques(const Rig& rig, const Plant& plant, std::vector<MeasuredLog>
     for (MeasuredLog& log : logs) {
       JointRecord& record = log.joints[joint];
       const double inertia = plant.Rows(joint, log).front().inertia + plant.passive(joint).armature;
-      record.noise = std::hypot(NoiseOfReading(record.tau),
-                                inertia * record.acceleration_noise);
+      record.noise = std::hypot(NoiseOfReading(record.tau), inertia * record.acceleration_noise);
     }
   }
 }
@@ -416,6 +401,10 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     logs.push_back(std::move(read));
   }
   NoiseOfTorques(rig, *plant, logs);
+  if (!plant->single()) {
+    options.progress("motions of the arm");
+    RS_RETURN_IF_ERROR(AidArmMotions(rig, *plant, logs));
+  }
   Calibration result;
   result.after = rig;
   CalibrationReport& report = result.report;

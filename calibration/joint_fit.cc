@@ -13,6 +13,7 @@ namespace {
 constexpr size_t kTrials = 2;        // starts that are followed
 constexpr int kTrialIterations = 3;  // of each, before the better goes on
 constexpr double kSearchTolerance = 3e-4;
+constexpr double kStiction = 1.25;  // Fs / Fc of further starts
 
 class Cost : public ceres::CostFunction {
  public:
@@ -109,6 +110,29 @@ JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>&
     trial = Minimise(problem, trial.best, chosen, kTrialIterations, kSearchTolerance);
   const JointFit& best = *std::min_element(trials.begin(), trials.end(), lower);
   return Minimise(problem, best.best, chosen, 12, kSearchTolerance);
+}
+
+JointFit MinimiseDeclared(const JointProblem& problem, const Hypothesis& h,
+                          const WindowSet& chosen) {
+  JointFit best = Minimise(problem, h, chosen);
+  const auto index_of = [&](const std::string& name) {
+    for (size_t i = 0; i < h.free.size(); ++i)
+      if (h.free[i].path == "stribeck_friction." + name) return static_cast<int>(i);
+    return -1;
+  };
+  const int Fs = index_of("Fs"), vs = index_of("vs");
+  if (Fs < 0 && vs < 0) return best;
+  JointModel model = ModelAt(h, h.x);
+  const double Fc = **FindValue(model, "stribeck_friction.Fc");
+  for (const double speed : {0.4, 1.0, 2.5}) {
+    if (vs < 0 && speed != 1) continue;
+    Hypothesis other = h;
+    if (vs >= 0) other.x[vs] *= speed;
+    if (Fs >= 0) other.x[Fs] = std::max(h.x[Fs], kStiction * h.free[Fs].FromValue(Fc));
+    JointFit fit = Minimise(problem, other, chosen);
+    if (fit.rms < best.rms) best = std::move(fit);
+  }
+  return best;
 }
 
 double CorrelationRows(const Eigen::VectorXd& r) {

@@ -15,6 +15,8 @@ constexpr double kStep = 1e-4;       // of forward differences, in units of the 
 // The measured state of a start is believed to this many standard deviations: beside noise it has
 // the bias of smoothing.
 constexpr double kStartTrust = 8;
+// On generated two-link arms with nothing hidden, joints were left with up to 2.5 times the noise.
+constexpr double kArmFloor = 2.5;
 
 // Of input inverse: where a motion turns, its smoothed velocity says neither when dry friction
 // turns nor whether the joint rests. Those rows say nothing.
@@ -43,6 +45,7 @@ JointProblem::JointProblem(std::string joint, std::vector<JointTrack> tracks, in
   int total = 0;
   for (size_t track = 0; track < tracks_.size(); ++track) {
     const MeasuredLog& log = *tracks_[track].log;
+    if (!tracks_[track].single) floor_scale_ = kArmFloor;
     first_window_.push_back(windows_.size());
     const int step = window > 0 ? window : log.rows;
     for (int first = 0; first < log.rows; first += step)
@@ -51,6 +54,13 @@ JointProblem::JointProblem(std::string joint, std::vector<JointTrack> tracks, in
   }
   first_window_.push_back(windows_.size());
   stride_ = std::max(1, (total + kMaxResiduals - 1) / kMaxResiduals);
+}
+
+WindowSet JointProblem::OfRole(LogRole role) const {
+  WindowSet chosen(windows_.size(), 0);
+  for (size_t i = 0; i < chosen.size(); ++i)
+    chosen[i] = tracks_[windows_[i].track].log->role == role;
+  return chosen;
 }
 
 int JointProblem::Rows(const WindowSet& chosen) const {
@@ -181,7 +191,7 @@ double JointProblem::ProjectedFloor(const WindowSet& chosen) const {
     }
     from += rows;
   }
-  return count == 0 ? 0 : std::sqrt(sum / count);
+  return count == 0 ? 0 : floor_scale_ * std::sqrt(sum / count);
 }
 
 double JointProblem::Floor(const WindowSet& chosen) const {
@@ -201,7 +211,7 @@ double JointProblem::Floor(const WindowSet& chosen) const {
     }
     from += rows;
   }
-  return count == 0 ? 0 : std::sqrt(sum / count);
+  return count == 0 ? 0 : floor_scale_ * std::sqrt(sum / count);
 }
 
 Eigen::MatrixXd JointProblem::Jacobian(const Hypothesis& h, const Eigen::VectorXd& x,

@@ -33,6 +33,7 @@ class JointProblem {
   const std::vector<JointTrack>& tracks() const { return tracks_; }
   const std::vector<Window>& windows() const { return windows_; }
   WindowSet All() const { return WindowSet(windows_.size(), 1); }
+  WindowSet OfRole(LogRole role) const;
   int stride() const { return stride_; }
   int Rows(const Window& window) const { return (window.rows + stride_ - 1) / stride_; }
   int Rows(const WindowSet& chosen) const;
@@ -51,7 +52,8 @@ class JointProblem {
   Eigen::VectorXd Projected(const JointModel& model, const WindowSet& chosen) const;
 
   // What noise of the readings alone leaves of projected residuals, and of residuals as they are
-  // (which carry the noise of their initial states); root mean squares.
+  // (which carry the noise of their initial states); root mean squares. Of an arm's joint kArmFloor
+  // times as much: the other joints' motions, which push it, come of readings as well.
   double ProjectedFloor(const WindowSet& chosen) const;
   double Floor(const WindowSet& chosen) const;
 
@@ -71,6 +73,7 @@ class JointProblem {
   std::vector<Window> windows_;
   std::vector<size_t> first_window_;  // of every track, and one past the end
   int window_ = 0, stride_ = 1;
+  double floor_scale_ = 1;
   Eigen::Matrix<double, Eigen::Dynamic, 2> starts_;  // [all rows] sensitivities; empty: none
 };
 

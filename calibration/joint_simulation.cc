@@ -16,6 +16,8 @@ struct JointSimulation::Chain {
       needs_payload |= effect.info->type == "payload";
       needs_tilt |= effect.info->type == "base_tilt";
       has_state |= object->HasState();
+      if (effect.info->stage == EffectStage::kJoint)
+        (object->HasState() ? with_memory : memoryless).push_back(object);
       if (effect.partner >= 0) partner = effect.partner;
     }
     offset = model.position_offset;
@@ -48,6 +50,7 @@ struct JointSimulation::Chain {
 
   std::vector<std::unique_ptr<JointEffect>> objects;
   std::vector<JointEffect*> by_stage[5];
+  std::vector<JointEffect*> with_memory, memoryless;  // of the joint stage
   double offset = 0;
   bool needs_payload = false, needs_tilt = false, has_state = false;
   int partner = -1;
@@ -81,6 +84,21 @@ Asked ServoTorque(const Servo& servo, double command, double q, double dq) {
 }
 
 }  // namespace
+
+std::vector<JointTrack> MakeTracks(const Plant& plant, const std::vector<MeasuredLog>& logs,
+                                   int joint) {
+  std::vector<JointTrack> tracks;
+  for (const MeasuredLog& log : logs)
+    tracks.push_back({&log, joint, plant.single(), plant.Rows(joint, log)});
+  return tracks;
+}
+
+double MeanInertia(const std::vector<JointTrack>& tracks) {
+  double sum = 0, count = 0;
+  for (const JointTrack& track : tracks)
+    for (const PlantRow& row : track.rows) sum += row.inertia, count += 1;
+  return count > 0 ? sum / count : 0;
+}
 
 JointSimulation::JointSimulation(const JointTrack& track) : track_(track) {
   sub_steps_ = std::max(1, static_cast<int>(std::ceil(track.log->dt / kMaxSubStep - 1e-6)));
@@ -140,12 +158,20 @@ void JointSimulation::Predict(const JointModel& model, int window, const std::ve
   switch (model.input) {
     case JointInput::kPositionTarget:
     case JointInput::kTorque:
-      return FreeRun(model, chain, window, chosen, offset, predicted);
+      return FreeRun(model, chain, window, chosen, offset, 0, predicted, {});
     case JointInput::kTransmission:
       return Transmission(chain, predicted);
     case JointInput::kInverse:
       return Inverse(model, chain, predicted);
   }
+}
+
+void JointSimulation::PredictMotion(const JointModel& model, int window, int shift,
+                                    StartOffset offset, absl::Span<double> readings,
+                                    absl::Span<double> velocities) {
+  Chain chain(model);
+  ShapeCommands(model, chain);
+  FreeRun(model, chain, window, {}, offset, shift, readings, velocities);
 }
 
 namespace {
@@ -217,19 +243,28 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
   if (!Enabled(row)) asked = {};
   s.drive = model.torque_gain * chain.Drive(asked.torque, moment);
   moment.drive = s.drive;
-  DryFriction dry{model.frictionloss, model.frictionloss};
-  double torque = s.drive + model.torque_offset - model.mass_scale * (gravity + p.coupling) -
-                  model.stiffness * (middle - model.spring_rest) - model.damping * s.dq;
+  DryFriction lasting{model.frictionloss, model.frictionloss};
+  double held = s.drive + model.torque_offset - model.mass_scale * (gravity + p.coupling) -
+                model.stiffness * (middle - model.spring_rest) - model.damping * s.dq;
   double inertia = model.armature + model.mass_scale * p.inertia;
-  for (JointEffect* effect : chain.stage(EffectStage::kJoint)) {
-    torque += effect->Torque(moment, dry);
-    if (chain.needs_payload) inertia += effect->Inertia(moment);
-  }
+  for (JointEffect* effect : chain.with_memory) held += effect->Torque(moment, lasting);
+  if (chain.needs_payload)
+    for (JointEffect* effect : chain.stage(EffectStage::kJoint)) inertia += effect->Inertia(moment);
   // Exact for damping and kd while the other torques hold, up to x^3 of x = h d / M:
   // h / M (1 - e^-x) / x; positive and without overshoot for every x.
   const double x = h_ * (model.damping + model.torque_gain * asked.slope) / inertia;
   const double kick = h_ / (inertia * (1 + x * (1.0 / 2 + x / 12)));
-  const Stroke stroke = Advance(s.dq, torque, dry, kick / h_, h_);
+  const auto stroke_at = [&](double dq) {
+    moment.dq = dq;
+    DryFriction dry = lasting;
+    double torque = held;
+    for (JointEffect* effect : chain.memoryless) torque += effect->Torque(moment, dry);
+    return Advance(s.dq, torque, dry, kick / h_, h_);
+  };
+  Stroke stroke = stroke_at(s.dq);
+  // Friction that falls with the velocity drives itself: taken at the middle of the sub-step.
+  const double mean = 0.5 * (s.dq + stroke.dq);
+  if (!chain.memoryless.empty() && mean * s.dq > 0) stroke = stroke_at(mean);
   s.q += stroke.way;
   s.dq = stroke.dq;
   s.t += h_;
@@ -283,24 +318,25 @@ void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int
 }
 
 void JointSimulation::FreeRun(const JointModel& model, Chain& chain, int window,
-                              const std::vector<char>& chosen, StartOffset offset,
-                              absl::Span<double> predicted) {
+                              const std::vector<char>& chosen, StartOffset offset, int shift,
+                              absl::Span<double> readings, absl::Span<double> velocities) {
   const int rows = track_.log->rows;
   if (window <= 0) window = rows;
   const int warm_up = chain.objects.empty() ? 0
                       : chain.has_state     ? static_cast<int>(kWarmUp / track_.log->dt)
                                             : 1;
-  for (int start = 0; start < rows; start += window) {
+  for (int start = 0, end = 0; start < rows; start = end) {
+    end = std::min(rows, start == 0 && shift > 0 ? shift : start + window);
     if (!chosen.empty() && chosen[start / window] == 0) continue;
     State state;
     Lead(model, chain, std::max(0, start - warm_up), start, state);
     state.q += offset.q;
     state.dq += offset.dq;
-    const int end = std::min(rows, start + window);
     for (int row = start; row < end; ++row) {
       // A model that runs away is far off, but a number: fits then turn back.
       if (!(std::abs(state.q) < kRunaway)) state = {state.t, std::copysign(kRunaway, state.q)};
-      predicted[row] = chain.Reading(state.q + state.offset);
+      readings[row] = chain.Reading(state.q + state.offset);
+      if (!velocities.empty()) velocities[row] = state.dq;
       for (int i = 0; i < sub_steps_; ++i)
         SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], state);
     }

@@ -23,6 +23,11 @@ struct JointTrack {
   }
 };
 
+std::vector<JointTrack> MakeTracks(const Plant& plant, const std::vector<MeasuredLog>& logs,
+                                   int joint);
+// Of the rows of all tracks, without armature [kg m^2].
+double MeanInertia(const std::vector<JointTrack>& tracks);
+
 // Predicts a track with a model: the simulation kernel of calibration.
 //
 // Free runs start from the measured position and velocity every `window` rows and go on with the
@@ -47,13 +52,18 @@ class JointSimulation {
   // it holds zero for may be left as they are; empty: all.
   void Predict(const JointModel& model, int window, const std::vector<char>& chosen,
                StartOffset offset, absl::Span<double> predicted);
+  // Free runs that start at row 0, at row `shift`, and every window after: readings [rows] and
+  // velocities of the joint [rows].
+  void PredictMotion(const JointModel& model, int window, int shift, StartOffset offset,
+                     absl::Span<double> readings, absl::Span<double> velocities);
 
  private:
   struct Chain;
   struct State;
   void ShapeCommands(const JointModel& model, Chain& chain);
   void FreeRun(const JointModel& model, Chain& chain, int window, const std::vector<char>& chosen,
-               StartOffset offset, absl::Span<double> predicted);
+               StartOffset offset, int shift, absl::Span<double> readings,
+               absl::Span<double> velocities);
   void Transmission(Chain& chain, absl::Span<double> predicted);
   void Inverse(const JointModel& model, Chain& chain, absl::Span<double> predicted);
   void SubStep(const JointModel& model, Chain& chain, int row, double command, State& state);

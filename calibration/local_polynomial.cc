@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 
 namespace robostress::calibration {
 namespace {
@@ -88,35 +89,46 @@ double NoiseOfReading(const std::vector<double>& signal) {
 }
 
 SmoothSignal FitLocalPolynomials(const std::vector<double>& signal, double dt, int half, int order,
-                                 double noise) {
-  const int n = static_cast<int>(signal.size()), width = std::min(2 * half + 1, n);
+                                 double noise, const std::vector<int>& pieces) {
+  const size_t n = signal.size();
   SmoothSignal fit;
   fit.value.resize(n), fit.first.resize(n), fit.second.resize(n);
-  std::vector<Eigen::MatrixXd> weights(width);
-  for (int i = 0; i < n; ++i) {
-    const int first = std::clamp(i - width / 2, 0, n - width), place = i - first;
-    if (weights[place].size() == 0) weights[place] = Weights(width, place, dt, order).topRows(3);
-    const Eigen::Map<const Eigen::VectorXd> window(signal.data() + first, width);
-    const Eigen::Vector3d c = weights[place] * window;
-    fit.value[i] = c[0];
-    fit.first[i] = c[1];
-    fit.second[i] = 2 * c[2];
+  std::map<std::pair<int, int>, Eigen::MatrixXd> weights;  // by width and place
+  Eigen::Vector3d variance = Eigen::Vector3d::Zero();
+  for (size_t piece = 0; piece + 1 < pieces.size(); ++piece) {
+    const int begin = pieces[piece], end = pieces[piece + 1];
+    const int width = std::min(2 * half + 1, end - begin);
+    for (int i = begin; i < end; ++i) {
+      const int first = std::clamp(i - width / 2, begin, end - width), place = i - first;
+      Eigen::MatrixXd& own = weights[{width, place}];
+      if (own.size() == 0) own = Weights(width, place, dt, std::min(order, width - 1));
+      const int known = std::min<int>(3, static_cast<int>(own.rows()));
+      Eigen::Vector3d c = Eigen::Vector3d::Zero();
+      c.head(known) =
+          own.topRows(known) * Eigen::Map<const Eigen::VectorXd>(signal.data() + first, width);
+      variance.head(known) += own.topRows(known).rowwise().squaredNorm();
+      fit.value[i] = c[0];
+      fit.first[i] = c[1];
+      fit.second[i] = 2 * c[2];
+    }
   }
-  const Eigen::MatrixXd centre = Weights(width, width / 2, dt, order);
-  fit.value_noise = noise * centre.row(0).norm();
-  fit.first_noise = noise * centre.row(1).norm();
-  fit.second_noise = 2 * noise * centre.row(2).norm();
+  const Eigen::Vector3d deviation = noise * (variance / static_cast<double>(n)).cwiseSqrt();
+  fit.value_noise = deviation[0];
+  fit.first_noise = deviation[1];
+  fit.second_noise = 2 * deviation[2];
   return fit;
 }
 
-SmoothSignal SmoothMotion(const std::vector<double>& signal, double dt, int most) {
+SmoothSignal SmoothMotion(const std::vector<double>& signal, double dt, int most,
+                          std::vector<int> pieces) {
+  if (pieces.empty()) pieces = {0, static_cast<int>(signal.size())};
   const double noise = NoiseOfReading(signal);
   SmoothSignal best;
   best.first_noise = best.second_noise = std::numeric_limits<double>::infinity();
-  for (int half = 2; half <= most; ++half) {
+  for (int half = 2; half <= most; half += 1 + half / 8) {
     std::vector<SmoothSignal> orders;
     for (int order = 2; order <= std::min(6, 2 * half); order += 2)
-      orders.push_back(FitLocalPolynomials(signal, dt, half, order, noise));
+      orders.push_back(FitLocalPolynomials(signal, dt, half, order, noise, pieces));
     for (size_t i = 0; i + 1 < orders.size(); ++i) {
       SmoothSignal& fit = orders[i];
       AddBias(orders[i + 1], fit);

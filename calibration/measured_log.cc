@@ -237,8 +237,10 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   record.dq = fit.first;
   record.ddq = fit.second;
   if (!logged_velocity.empty()) AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
+  record.motion = {record.q_smooth, record.dq, UntilNextRow(record.ddq)};
   record.noise = NoiseOfReading(record.q);
-  if (joint.input == JointInput::kTransmission) record.noise = std::hypot(record.noise, NoiseOfReading(record.q_motor));
+  if (joint.input == JointInput::kTransmission)
+    record.noise = std::hypot(record.noise, NoiseOfReading(record.q_motor));
   const double range = RangeOf(record.q);
   if (range == 0)
     return absl::InvalidArgumentError(
@@ -277,6 +279,11 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
 }
 
 }  // namespace
+
+std::vector<double> UntilNextRow(std::vector<double> at_rows) {
+  for (size_t i = 0; i + 1 < at_rows.size(); ++i) at_rows[i] = 0.5 * (at_rows[i] + at_rows[i + 1]);
+  return at_rows;
+}
 
 absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& declared) {
   RS_ASSIGN_OR_RETURN(const Table table, ReadCsv(declared.file));

@@ -8,6 +8,12 @@
 
 namespace robostress::calibration {
 
+// Position and velocity per row, and the mean acceleration until the next row [rad, rad/s,
+// rad/s^2].
+struct JointMotion {
+  std::vector<double> q, dq, ddq;
+};
+
 // What one joint did in one run, on a uniform clock. Channels that the input does not need and the
 // file does not have are empty.
 struct JointRecord {
@@ -18,9 +24,11 @@ struct JointRecord {
   std::vector<double> temperature;  // temp_<joint> [deg C]
   std::vector<double> enable;       // 0 where the drive is off; empty: always on
   // From q (of a transmission q_motor) by local quadratics, and what noise is in them
-  // [rad, rad/s, rad/s^2]; dq is dq_<joint> where the file has it and it is the derivative of q with
-  // no more noise.
+  // [rad, rad/s, rad/s^2]; dq is dq_<joint> where the file has it and it is the derivative of q
+  // with no more noise.
   std::vector<double> q_smooth, dq, ddq;
+  // What the other joints of an arm see of this one: those, or what AidArmMotions makes of them.
+  JointMotion motion;
   double start_noise_q = 0, start_noise_dq = 0, acceleration_noise = 0;
   // [rad] standard deviation of q about those; of a transmission of both readings together.
   double noise = 0;
@@ -35,6 +43,9 @@ struct MeasuredLog {
   std::vector<JointRecord> joints;  // in the order of the rig
   std::vector<std::string> notes;   // what the reader found and what it did about it
 };
+
+// Means of a value at rows with that of the next row; the last one as it is.
+std::vector<double> UntilNextRow(std::vector<double> at_rows);
 
 // Reads a log of `rig` and gates it: header, numbers, clock (jitter, gaps, rate), wraps, constant
 // channels, excitation, saturation. Errors name file, line, column, value and remedy; what can be

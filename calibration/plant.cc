@@ -194,9 +194,11 @@ class MujocoPlant : public Plant {
       return 0.5 * (channel[k] + channel[next]);
     };
     for (size_t i = 0; i < joints_.size(); ++i) {
-      posture[joints_[i].qpos] = at(log.joints[i].q_smooth);
-      velocity[joints_[i].dof] = at(log.joints[i].dq);
-      acceleration[joints_[i].dof] = at(log.joints[i].ddq);
+      posture[joints_[i].qpos] = at(log.joints[i].motion.q);
+      velocity[joints_[i].dof] = at(log.joints[i].motion.dq);
+      const std::vector<double>& ddq = log.joints[i].motion.ddq;
+      acceleration[joints_[i].dof] =
+          joint.between_rows ? ddq[k] : 0.5 * (ddq[std::max(0, k - 1)] + ddq[k]);
     }
     PlantRow row;
     row.q_ref = posture[joint.qpos];

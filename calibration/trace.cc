@@ -55,7 +55,7 @@ class Search {
         scales_(scales),
         other_joints_(other_joints),
         options_(options),
-        fit_windows_(Thinned(WindowsOf(problem, LogRole::kFit))),
+        fit_windows_(Thinned(problem.OfRole(LogRole::kFit))),
         folds_(MakeFolds(problem, folds)) {
     for (WindowSet& fold : folds_)
       for (size_t i = 0; i < fold.size(); ++i) fold[i] &= fit_windows_[i];
@@ -90,7 +90,7 @@ class Search {
     trace.after = Trim(best, trace.declared);
     for (const std::string& effect : trace.after.added)
       trace.rivals.push_back(Rivals(trace.after, effect));
-    const WindowSet all = WindowsOf(problem_, LogRole::kFit);
+    const WindowSet all = problem_.OfRole(LogRole::kFit);
     trace.declared.fit = Minimise(problem_, trace.declared.fit.best, all);
     trace.after.fit = trace.after.added.empty() ? trace.declared.fit
                                                 : Minimise(problem_, trace.after.fit.best, all);
@@ -434,13 +434,6 @@ class Search {
 };
 
 }  // namespace
-
-WindowSet WindowsOf(const JointProblem& problem, LogRole role) {
-  WindowSet chosen(problem.windows().size(), 0);
-  for (size_t i = 0; i < chosen.size(); ++i)
-    chosen[i] = problem.tracks()[problem.windows()[i].track].log->role == role;
-  return chosen;
-}
 
 Trace TraceJoint(const JointProblem& problem, const Hypothesis& declared,
                  const SignalScales& scales, const std::vector<int>& other_joints, Folds folds,

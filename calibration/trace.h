@@ -16,7 +16,7 @@ struct TraceOptions {
   uint64_t seed = 0;
   int beam = 3;
   int max_effects = 3;
-  int finalists = 8;  // candidates that are refitted in a round
+  int finalists = 8;                 // candidates that are refitted in a round
   std::vector<std::string> exclude;  // types that are no candidates
   // Says what is going on.
   std::function<void(const std::string&)> progress = [](const std::string&) {};
@@ -47,8 +47,5 @@ struct Trace {
 Trace TraceJoint(const JointProblem& problem, const Hypothesis& declared,
                  const SignalScales& scales, const std::vector<int>& other_joints, Folds folds,
                  const TraceOptions& options);
-
-// Windows of the logs with a role.
-WindowSet WindowsOf(const JointProblem& problem, LogRole role);
 
 }  // namespace robostress::calibration

@@ -7,8 +7,7 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr double kAtFloor = 1.15;  // times the floor counts as noise
-constexpr double kAtFloorOfArm = 1.5;
+constexpr double kAtFloor = 1.15;       // times the floor counts as noise
 constexpr double kExplained = 0.97;     // of the excess energy: hardly anything remains
 constexpr double kTransferLoss = 1.05;  // worse than declared by more than this: no mechanism
 constexpr int kMinWindows = 8;
@@ -45,7 +44,7 @@ Judgement Judge(const Evidence& e) {
             absl::StrFormat("the logs hold %d free runs, fewer than %d", e.windows, kMinWindows),
             0};
   if (e.effects == 0) {
-    if (e.declared <= (e.arm ? kAtFloorOfArm : kAtFloor) * e.floor || e.declared_white)
+    if (e.declared <= kAtFloor * e.floor || e.declared_white)
       return {Verdict::kDeclaredSufficient,
               absl::StrFormat("the declared model leaves %.2f times the noise of the readings",
                               e.floor > 0 ? e.declared / e.floor : 1.0),

@@ -12,7 +12,6 @@ struct Evidence {
   double declared = 0, after = 0, floor = 0;
   bool declared_white = false;
   bool inverse = false;  // accelerations are smoothed, and the floor does not count their bias
-  bool arm = false;      // other joints move as measured, with noise that the floor does not count
   double transfer_declared = 0, transfer_after = 0;  // 0: no log of that role
   int effects = 0;
   bool ambiguous = false;    // some effect has rivals

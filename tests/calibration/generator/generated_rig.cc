@@ -243,6 +243,8 @@ class Drawer {
                                            : said.viscous;
             value *= random_.Uniform(0.7, 1.4);
           }
+          if (said.Fs < said.Fc && !Contains(rig_.friction_fit, "Fs"))
+            rig_.friction_fit.push_back("Fs");
           said.Fs = std::max(said.Fs, said.Fc);
         } else {
           if (is.Fc > 0) {
