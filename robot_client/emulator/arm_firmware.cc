@@ -130,7 +130,7 @@ void ArmFirmware::TakeParameterQuery(int query) {
   } else if (query == 2) {
     reply = {kCollisionLevel, 8, {}};  // protection off at every joint, as delivered
   } else {
-    reply = {kGripperRange, 8, {100, 70, 1}};  // teaching range 100 %, 70 mm, friction 1
+    reply = EncodeGripperRange(options_.gripper_range);
   }
   replies_.push_back(reply);
 }

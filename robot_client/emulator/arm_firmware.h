@@ -18,6 +18,7 @@ namespace robostress::piper {
 struct FirmwareOptions {
   Firmware version = {1, 8, 9};
   double command_lag_s = 0.06;         // from a target's frame to its effect
+  double gripper_range = kGripperOpening;  // [m], as configured; 0: never was
   JointVector gravity_feedforward{};   // share of PlantReading::gravity
 };
 

@@ -23,7 +23,8 @@ struct Inertial {
 };
 
 // The tensors of links 2, 3 and 5 fit their masses only about the joint's origin (link 2: Iyy is
-// 0.0676, of which m x^2 is 0.0554). Link 6 has a placeholder in the description (0.1 kg,
+// 0.0676, of which m x^2 is 0.0554); their products of inertia, whose signs differ from link to link,
+// are taken as zero about the centre of mass. Link 6 has a placeholder in the description (0.1 kg,
 // 0.001 kg m^2); here it is a disc of 3 cm radius.
 constexpr std::array<Inertial, kJoints> kInertials = {{
     {0.71, {0.00032, -0.00041, -0.00348},
@@ -69,7 +70,7 @@ constexpr char kGripper[] = R"(
 </body>)";
 
 // ixx iyy izz ixy ixz iyz about the centre of mass:
-// I_com = I_origin - m (c.c 1 - c c^T).
+// I_com = I_origin - m (c.c 1 - c c^T), its diagonal.
 std::string FullInertia(const Inertial& link) {
   const auto& i = link.inertia;
   Eigen::Matrix3d I;
@@ -77,6 +78,7 @@ std::string FullInertia(const Inertial& link) {
   if (link.about_origin) {
     const Eigen::Vector3d c(link.com[0], link.com[1], link.com[2]);
     I -= link.mass * (c.squaredNorm() * Eigen::Matrix3d::Identity() - c * c.transpose());
+    I = I.diagonal().eval().asDiagonal();
   }
   return absl::StrFormat("%.10g %.10g %.10g %.10g %.10g %.10g", I(0, 0), I(1, 1), I(2, 2), I(0, 1),
                          I(0, 2), I(1, 2));

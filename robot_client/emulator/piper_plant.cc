@@ -12,6 +12,8 @@ namespace robostress::piper {
 namespace {
 
 using ConstMap3 = Eigen::Map<const Eigen::Vector3d>;
+constexpr double kRestFriction = 50;  // [Nm], more than the arm's weight
+
 using Matrix6 = Eigen::Matrix<double, kJoints, kJoints, Eigen::RowMajor>;
 
 // The only place where MuJoCo compiles: through a virtual file system, errors as text.
@@ -139,8 +141,9 @@ PiperPlant::Vector6 PiperPlant::WithFriction(const Vector6& torque,
     dq[i] = data_->qvel[dof_[i]];
     net[i] = torque[i] + data_->qfrc_passive[dof_[i]] + data_->qfrc_constraint[dof_[i]] -
              data_->qfrc_bias[dof_[i]];
-    forward[i] = std::max(0.0, joints.dry[i].forward);
-    backward[i] = std::max(0.0, joints.dry[i].backward);
+    const double rest = parked_ ? kRestFriction : 0;
+    forward[i] = std::max(0.0, joints.dry[i].forward) + rest;
+    backward[i] = std::max(0.0, joints.dry[i].backward) + rest;
   }
   const Matrix6 M_inverse = Eigen::LLT<Matrix6>(M).solve(Matrix6::Identity());
   const Matrix6 velocity_per_torque = kStep_s * M_inverse;

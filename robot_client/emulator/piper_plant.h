@@ -39,6 +39,8 @@ class PiperPlant {
                                                             const WearProfile& profile);
   // At rest at q [rad], fingers `opening` [m] apart, transmissions settled under gravity.
   void Reset(const JointVector& q, double opening);
+  // Lying on its rest, as an arm does at power-on: the joints resist as if supported.
+  void SetParked(bool parked) { parked_ = parked; }
   // One step under the motors' torques [Nm] and the fingers' force [N].
   void Step(const JointVector& motor_torque, double finger_force);
 
@@ -66,6 +68,7 @@ class PiperPlant {
   std::array<int, kJoints> joint_{}, qpos_{}, dof_{};
   std::array<int, 2> finger_qpos_{}, finger_dof_{};
   int payload_ = -1;  // body, -1 without one
+  bool parked_ = false;
   EffectStack effects_;
   PlantReading reading_;
 };

@@ -48,7 +48,7 @@ absl::Status CheckJointLimit(const JointLimit& limit, const JointAcceleration& a
 
 ArmLimits UsableLimits(const std::array<std::optional<JointLimit>, kJoints>& limits,
                        const std::array<std::optional<JointAcceleration>, kJoints>& accelerations,
-                       double margin) {
+                       double gripper_range, double margin) {
   ArmLimits usable;
   for (int j = 0; j < kJoints; ++j) {
     RS_CHECK(limits[j].has_value() && accelerations[j].has_value());
@@ -58,7 +58,7 @@ ArmLimits UsableLimits(const std::array<std::optional<JointLimit>, kJoints>& lim
     usable.max_acceleration[j] = accelerations[j]->max_acceleration;
   }
   usable.lower[kJoints] = 0;
-  usable.upper[kJoints] = kGripperOpening;
+  usable.upper[kJoints] = gripper_range;
   usable.max_velocity[kJoints] = kGripperSpeed;
   usable.max_acceleration[kJoints] = kGripperAcceleration;
   return usable;

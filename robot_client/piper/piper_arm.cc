@@ -73,6 +73,7 @@ absl::Status PiperArm::Connect() {
 }
 
 absl::Status PiperArm::Listen() {
+  state_.ForgetForeignCommands();
   // The whole time, so that a sender of a slow cycle is heard too.
   WaitFor(options_.listen_ns, [] { return false; });
   if (state_.foreign_commands() > 0)
@@ -118,7 +119,7 @@ absl::Status PiperArm::AskLimits() {
     for (int j = 0; j < kJoints; ++j) {
       if (!state_.joint_limits()[j] || !state_.accelerations()[j]) return false;
     }
-    return true;
+    return state_.gripper_range().has_value();
   };
   for (int attempt = 0; attempt < options_.attempts && !complete(); ++attempt) {
     for (int j = 0; j < kJoints; ++j) {
@@ -127,6 +128,8 @@ absl::Status PiperArm::AskLimits() {
       if (!state_.accelerations()[j])
         RS_RETURN_IF_ERROR(SendAllowed(Encode(LimitQuery{j + 1, true}), Consent::kMotion));
     }
+    if (!state_.gripper_range())
+      RS_RETURN_IF_ERROR(SendAllowed(EncodeParameterQuery(kGripperRangeQuery), Consent::kMotion));
     WaitFor(options_.reply_ns, complete);
   }
   for (int j = 0; j < kJoints; ++j) {
@@ -138,7 +141,12 @@ absl::Status PiperArm::AskLimits() {
         !fit.ok())
       return absl::FailedPreconditionError(Named(std::string(fit.message())));
   }
-  limits_ = UsableLimits(state_.joint_limits(), state_.accelerations(), options_.limit_margin);
+  if (state_.gripper_range() == 0.0)
+    return absl::FailedPreconditionError(
+        Named("the gripper's range is not configured (0x47E answers 0 mm), so its opening is not "
+              "reported; set 70 or 100 mm once with the vendor's tool"));
+  limits_ = UsableLimits(state_.joint_limits(), state_.accelerations(),
+                         state_.gripper_range().value_or(kGripperOpening), options_.limit_margin);
   return absl::OkStatus();
 }
 

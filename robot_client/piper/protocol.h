@@ -129,6 +129,8 @@ CanFrame Encode(const LimitQuery& query);
 std::optional<LimitQuery> DecodeLimitQuery(const CanFrame& frame);
 
 // 0x477 with nothing but a query: 1 kEndVelocity, 2 kCollisionLevel, 4 kGripperRange.
+inline constexpr int kGripperRangeQuery = 4;
+CanFrame EncodeParameterQuery(int query);
 std::optional<int> DecodeParameterQuery(const CanFrame& frame);
 
 CanFrame EncodeFirmwareQuery();
@@ -238,6 +240,11 @@ struct JointAcceleration {
 };
 CanFrame Encode(const JointAcceleration& acceleration);
 std::optional<JointAcceleration> DecodeJointAcceleration(const CanFrame& frame);
+
+// 0x47E: the widest opening that the gripper is configured for [m]: 0.07 or 0.1; 0 when it never was,
+// and then 0x2A8 reports no opening (the SDK's Q&A, 1).
+CanFrame EncodeGripperRange(double opening);
+std::optional<double> DecodeGripperRange(const CanFrame& frame);
 
 // 0x476: the arm took a write of this identifier's low byte.
 CanFrame EncodeWriteReply(uint16_t written_id, bool zero_set);
