@@ -11,7 +11,7 @@ namespace {
 constexpr double kStep_s = PiperPlant::kStep_s;
 constexpr uint64_t kFastSteps = 5;     // 200 Hz
 constexpr uint64_t kDriverSteps = 25;  // 40 Hz
-constexpr size_t kMaxDelayed = 4096;   // target frames on their way; more are lost, as on a full bus
+constexpr size_t kMaxDelayed = 4096;  // target frames on their way; more are lost, as on a full bus
 
 // Gains of the joints' servos [Nm/rad], [Nm s/rad] and the time constant of the integral part. The
 // feedback of a Piper of firmware S-V1.8-6 stays within 0.2 degrees of its targets while J2 carries
@@ -143,7 +143,9 @@ void ArmFirmware::TakeWrite(const CanFrame& frame) {
     as_reply.id = kJointLimit;
     const JointLimit written = *DecodeJointLimit(as_reply);
     JointLimit& limit = limits_[written.joint];
-    const auto given = [&](int byte) { return frame.data[byte] != 0x7F || frame.data[byte + 1] != 0xFF; };
+    const auto given = [&](int byte) {
+      return frame.data[byte] != 0x7F || frame.data[byte + 1] != 0xFF;
+    };
     if (given(1)) limit.upper = written.upper;
     if (given(3)) limit.lower = written.lower;
     if (given(5)) limit.max_speed = written.max_speed;
@@ -172,8 +174,8 @@ void ArmFirmware::ApplyJointTargets(const JointPair& pair) {
   constexpr double kResolution = 1e-5;  // [rad], half of the wire's
   for (const auto& [joint, target] :
        {std::pair{2 * pair.pair, pair.first}, std::pair{2 * pair.pair + 1, pair.second}}) {
-    beyond_limit_[joint] = target < limits_[joint].lower - kResolution ||
-                           target > limits_[joint].upper + kResolution;
+    beyond_limit_[joint] =
+        target < limits_[joint].lower - kResolution || target > limits_[joint].upper + kResolution;
     if (!beyond_limit_[joint]) planners_[joint].SetTarget(target);
   }
 }
@@ -190,8 +192,8 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
     power.integral = 0;
   } else {
     const double most = kIntegralShare * PiperPlant::kTorqueLimit[joint];
-    power.integral = std::clamp(power.integral + gains.kp * error * kStep_s / kIntegralTime_s,
-                                -most, most);
+    power.integral =
+        std::clamp(power.integral + gains.kp * error * kStep_s / kIntegralTime_s, -most, most);
   }
   const double torque = gains.kp * error + gains.kd * (planner.velocity() - reading.dq[joint]) +
                         power.integral +
@@ -258,9 +260,10 @@ void ArmFirmware::UpdateStatus(const PlantReading& reading) {
     const auto bit = static_cast<uint8_t>(1 << j);
     if (beyond_limit_[j]) status_.joint_limit |= bit;
     if (power_[j].silent) status_.joint_bus |= bit;
-    status_.moving = status_.moving ||
-                     (power_[j].enabled && (!planners_[j].at_target() ||
-                                            std::abs(planners_[j].target() - reading.q[j]) > kReached));
+    status_.moving =
+        status_.moving ||
+        (power_[j].enabled &&
+         (!planners_[j].at_target() || std::abs(planners_[j].target() - reading.q[j]) > kReached));
   }
   if (stopped_) {
     status_.code = StatusCode::kEmergencyStop;
@@ -284,7 +287,8 @@ void ArmFirmware::TakeReports(const PlantReading& reading, std::vector<CanFrame>
 void ArmFirmware::ReportFast(const PlantReading& reading, std::vector<CanFrame>& frames) const {
   for (int j = 0; j < kJoints; ++j) {
     if (power_[j].silent) continue;
-    const double current = reading.torque[j] / (TorquePerAmpere(j) * CurrentScale(options_.version, j));
+    const double current =
+        reading.torque[j] / (TorquePerAmpere(j) * CurrentScale(options_.version, j));
     frames.push_back(Encode(JointSpeed{j, reading.dq[j], current}));
   }
   frames.push_back(Encode(status_));
@@ -320,9 +324,7 @@ void ArmFirmware::ReportDrivers(std::vector<CanFrame>& frames) const {
   }
 }
 
-void ArmFirmware::RaiseDriverFault(int joint, DriverBit bit) {
-  power_[joint].fault_bits |= bit;
-}
+void ArmFirmware::RaiseDriverFault(int joint, DriverBit bit) { power_[joint].fault_bits |= bit; }
 
 void ArmFirmware::RaiseStatus(StatusCode code) {
   if (latched_ == StatusCode::kNormal) latched_ = code;

@@ -17,19 +17,19 @@ namespace robostress::piper {
 
 struct FirmwareOptions {
   Firmware version = {1, 8, 9};
-  double command_lag_s = 0.06;         // from a target's frame to its effect
+  double command_lag_s = 0.06;             // from a target's frame to its effect
   double gripper_range = kGripperOpening;  // [m], as configured; 0: never was
-  JointVector gravity_feedforward{};   // share of PlantReading::gravity
+  JointVector gravity_feedforward{};       // share of PlantReading::gravity
 };
 
 // The main controller and the joints' drivers of a Piper: frames in, motor torques and frames out.
-// What is public of the arm's behaviour is followed (see README.md beside this file for the sources);
-// what is not is marked there as assumed. Holds no MuJoCo and no clock: time is counted in steps of
-// PiperPlant::kStep_s.
+// What is public of the arm's behaviour is followed (see README.md beside this file for the
+// sources); what is not is marked there as assumed. Holds no MuJoCo and no clock: time is counted
+// in steps of PiperPlant::kStep_s.
 class ArmFirmware {
  public:
   struct Torques {
-    JointVector motor{};     // [Nm]
+    JointVector motor{};      // [Nm]
     double finger_force = 0;  // [N]
   };
 
@@ -41,11 +41,11 @@ class ArmFirmware {
   // Frames that are due after the last step, replies first. Cleared by the call.
   void TakeReports(const PlantReading& reading, std::vector<CanFrame>& frames);
 
-  // Faults from outside. joint 0 .. 5. They stay until Stop::kReset, silence and joint silence until
-  // they are taken back.
+  // Faults from outside. joint 0 .. 5. They stay until Stop::kReset, silence and joint silence
+  // until they are taken back.
   void RaiseDriverFault(int joint, DriverBit bit);
-  void RaiseStatus(StatusCode code);  // latched arm status, for example kCollision
-  void SetJointSilent(int joint, bool silent);  // the joint no longer answers the controller
+  void RaiseStatus(StatusCode code);                 // latched arm status, for example kCollision
+  void SetJointSilent(int joint, bool silent);       // the joint no longer answers the controller
   void SetSilent(bool silent) { silent_ = silent; }  // no frames at all
   void SetLimit(const JointLimit& limit) { limits_[limit.joint] = limit; }
 

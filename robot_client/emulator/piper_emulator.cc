@@ -14,8 +14,9 @@ constexpr int kCommandsPerStep = 64;
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<PiperEmulator>> PiperEmulator::Create(
-    const EmulatorOptions& options, std::unique_ptr<CanBus> bus, const Clock& clock) {
+absl::StatusOr<std::unique_ptr<PiperEmulator>> PiperEmulator::Create(const EmulatorOptions& options,
+                                                                     std::unique_ptr<CanBus> bus,
+                                                                     const Clock& clock) {
   std::unique_ptr<PiperEmulator> emulator(new PiperEmulator);
   RS_ASSIGN_OR_RETURN(emulator->profile_, MakeWearProfile(options.profile));
   RS_ASSIGN_OR_RETURN(emulator->plant_,

@@ -21,10 +21,10 @@ struct EmulatorOptions {
   std::string profile = "new";  // see MakeWearProfile
   PiperScene scene;             // with the payload
   Firmware version = {1, 8, 9};
-  double command_lag_s = -1;    // negative: the profile's
+  double command_lag_s = -1;               // negative: the profile's
   double gripper_range = kGripperOpening;  // [m], as configured; 0: never was
-  JointVector start{};          // [rad], joints at power-on: the arm lies on its rest
-  double opening = 0;           // [m], of the gripper at power-on
+  JointVector start{};                     // [rad], joints at power-on: the arm lies on its rest
+  double opening = 0;                      // [m], of the gripper at power-on
   std::vector<PlannedFault> faults;
 };
 

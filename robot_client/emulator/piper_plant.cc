@@ -62,15 +62,14 @@ absl::Status PiperPlant::FindNames() {
     dof_[i] = model_->jnt_dofadr[joint_[i]];
   }
   for (int i = 0; i < 2; ++i) {
-    RS_ASSIGN_OR_RETURN(const int finger,
-                        find(mjOBJ_JOINT, absl::StrCat("piper_finger", i + 1)));
+    RS_ASSIGN_OR_RETURN(const int finger, find(mjOBJ_JOINT, absl::StrCat("piper_finger", i + 1)));
     finger_qpos_[i] = model_->jnt_qposadr[finger];
     finger_dof_[i] = model_->jnt_dofadr[finger];
   }
   payload_ = mj_name2id(model_.get(), mjOBJ_BODY, "piper_payload");
   if (model_->opt.timestep != kStep_s)
-    return absl::InvalidArgumentError(absl::StrCat("the scene's timestep is ",
-                                                   model_->opt.timestep, " s, expected ", kStep_s));
+    return absl::InvalidArgumentError(
+        absl::StrCat("the scene's timestep is ", model_->opt.timestep, " s, expected ", kStep_s));
   return absl::OkStatus();
 }
 

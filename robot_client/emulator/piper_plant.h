@@ -16,18 +16,18 @@ namespace robostress::piper {
 
 // What the arm's controller knows of its mechanics.
 struct PlantReading {
-  JointVector q{}, dq{};    // encoders at the joints [rad], [rad/s]
-  JointVector gravity{};    // torque that holds the unloaded arm [Nm], the controller's model
-  JointVector torque{};     // of the motors over the last step [Nm]
-  double opening = 0;       // between the fingers [m]
+  JointVector q{}, dq{};     // encoders at the joints [rad], [rad/s]
+  JointVector gravity{};     // torque that holds the unloaded arm [Nm], the controller's model
+  JointVector torque{};      // of the motors over the last step [Nm]
+  double opening = 0;        // between the fingers [m]
   double opening_speed = 0;  // [m/s]
-  double grip_force = 0;    // of each finger's drive [N], positive opens
+  double grip_force = 0;     // of each finger's drive [N], positive opens
 };
 
-// The arm's mechanics in MuJoCo, with the profile's execution errors: per step of kStep_s the torque
-// stage of the motors (drive effects, friction as true stiction, loads), MuJoCo, then the position
-// stage (backlash and compliance move the joint coordinates). The joint coordinate is the link's,
-// and so is what the encoders read, up to the profile's sensor effects.
+// The arm's mechanics in MuJoCo, with the profile's execution errors: per step of kStep_s the
+// torque stage of the motors (drive effects, friction as true stiction, loads), MuJoCo, then the
+// position stage (backlash and compliance move the joint coordinates). The joint coordinate is the
+// link's, and so is what the encoders read, up to the profile's sensor effects.
 class PiperPlant {
  public:
   static constexpr double kStep_s = 0.001;

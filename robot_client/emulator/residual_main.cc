@@ -16,9 +16,9 @@
 namespace robostress::piper {
 namespace {
 
-constexpr int kRate = 30;          // [Hz]
-constexpr int kExecuted = 10;      // steps per chunk
-constexpr double kDwell_s = 0.4;   // at the end of a motion, as for a grasp
+constexpr int kRate = 30;         // [Hz]
+constexpr int kExecuted = 10;     // steps per chunk
+constexpr double kDwell_s = 0.4;  // at the end of a motion, as for a grasp
 
 struct CommandLine {
   std::vector<std::string> profiles = {"new", "used_one_year"};
@@ -63,8 +63,7 @@ class Motion {
   void Draw(JointVector& q) {
     constexpr JointVector kMiddle = {0, 1.3, -1.1, 0, 0.7, 0};
     constexpr JointVector kReach = {0.7, 0.4, 0.4, 0.3, 0.35, 0.7};
-    for (int j = 0; j < kJoints; ++j)
-      q[j] = kMiddle[j] + random_.Uniform(-kReach[j], kReach[j]);
+    for (int j = 0; j < kJoints; ++j) q[j] = kMiddle[j] + random_.Uniform(-kReach[j], kReach[j]);
   }
   RandomStream random_;
   double motion_s_ = 0;
@@ -129,9 +128,10 @@ class Bench {
 };
 
 absl::Status Run(const CommandLine& line) {
-  std::printf("| profile | payload [kg] | residual, mean of %d episodes | range | rms [mrad] |\n"
-              "|---|---|---|---|---|\n",
-              line.episodes);
+  std::printf(
+      "| profile | payload [kg] | residual, mean of %d episodes | range | rms [mrad] |\n"
+      "|---|---|---|---|---|\n",
+      line.episodes);
   for (const std::string& profile : line.profiles) {
     for (const double payload_kg : line.payloads_kg) {
       EmulatorOptions options;
@@ -167,7 +167,8 @@ int main(int argc, char** argv) {
       "\nExamples\n"
       "  piper_residual\n"
       "  piper_residual --payload-kg 0,1 --command-lag-ms 30\n\n"
-      "The residual of an episode is |q(t+1) - target(t)| over |target(t) - q(start of chunk)|, both\n"
+      "The residual of an episode is |q(t+1) - target(t)| over |target(t) - q(start of chunk)|, "
+      "both\n"
       "over all executed steps and the six joints, 30 Hz, 10 steps per chunk.\n");
   app.add_option("--profile", line.profiles, "Profiles")->delimiter(',')->capture_default_str();
   app.add_option("--payload-kg", line.payloads_kg, "Payloads")

@@ -10,12 +10,12 @@
 namespace robostress::piper {
 namespace {
 
-constexpr double kResolution = 0.002;  // [rad] of the answer, 0.1 degrees, rounded up
-constexpr double kSmallestRange = 0.5;  // [rad]
+constexpr double kResolution = 0.002;        // [rad] of the answer, 0.1 degrees, rounded up
+constexpr double kSmallestRange = 0.5;       // [rad]
 constexpr Range kSpeeds = {0.5, 3.5};        // [rad/s]
 constexpr Range kAccelerations = {0.5, 20};  // [rad/s^2]
-constexpr double kGripperSpeed = 0.2;  // [m/s], what a client may ask for; the arm names none
-constexpr double kGripperAcceleration = 2;  // [m/s^2], likewise
+constexpr double kGripperSpeed = 0.2;        // [m/s], what a client may ask for; the arm names none
+constexpr double kGripperAcceleration = 2;   // [m/s^2], likewise
 
 absl::Status Unfit(int joint, const char* field, double value, const char* unit,
                    const Range& expected) {

@@ -271,12 +271,9 @@ CanFrame Encode(const DriverStatus& status) {
 std::optional<DriverStatus> DecodeDriverStatus(const CanFrame& frame) {
   const std::optional<int> joint = IndexIn(frame, kDriver, kJoints);
   if (!joint) return std::nullopt;
-  return DriverStatus{*joint,
-                      Get<uint16_t>(frame, 0) / kDeci,
-                      Get<int16_t>(frame, 2),
-                      Get<int8_t>(frame, 4),
-                      frame.data[5],
-                      Get<uint16_t>(frame, 6) / kMilli};
+  return DriverStatus{
+      *joint,        Get<uint16_t>(frame, 0) / kDeci, Get<int16_t>(frame, 2), Get<int8_t>(frame, 4),
+      frame.data[5], Get<uint16_t>(frame, 6) / kMilli};
 }
 
 CanFrame Encode(const JointLimit& limit) {

@@ -1,10 +1,10 @@
+#include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <linux/can.h>
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <netinet/in.h>
-#include <arpa/inet.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -31,22 +31,29 @@ absl::Span<const uint8_t> Bytes(const std::string& text) {
   return {reinterpret_cast<const uint8_t*>(text.data()), text.size()};
 }
 
-// Printed by can.interfaces.udp_multicast.utils.pack_message of python-can 4.1.0 with msgpack 1.0.3.
+// Printed by can.interfaces.udp_multicast.utils.pack_message of python-can 4.1.0 with
+// msgpack 1.0.3.
 const std::string& PythonDatagram() {
-  static const auto& datagram = *new std::string(absl::HexStringToBytes(
-      "8ba974696d657374616d70cb3ff8000000000000ae6172626974726174696f6e5f6964cd02a5ae69735f657874656e"
-      "6465645f6964c2af69735f72656d6f74655f6672616d65c2ae69735f6572726f725f6672616d65c2a76368616e6e65"
-      "6cc0a3646c6308a464617461c40800003039ffffe57ba569735f6664c2ae626974726174655f737769746368c2b565"
-      "72726f725f73746174655f696e64696361746f72c2"));
+  static const auto& datagram =
+      *new std::string(absl::HexStringToBytes("8ba974696d657374616d70cb3ff8000000000000ae6172626974"
+                                              "726174696f6e5f6964cd02a5ae69735f657874656e"
+                                              "6465645f6964c2af69735f72656d6f74655f6672616d65c2ae69"
+                                              "735f6572726f725f6672616d65c2a76368616e6e65"
+                                              "6cc0a3646c6308a464617461c40800003039ffffe57ba569735f"
+                                              "6664c2ae626974726174655f737769746368c2b565"
+                                              "72726f725f73746174655f696e64696361746f72c2"));
   return datagram;
 }
 // The same library, with the channel that the vendor's SDK fills in.
 const std::string& PythonDatagramWithChannel() {
-  static const auto& datagram = *new std::string(absl::HexStringToBytes(
-      "8ba974696d657374616d70cb3ff8000000000000ae6172626974726174696f6e5f6964cd0155ae69735f657874656e"
-      "6465645f6964c2af69735f72656d6f74655f6672616d65c2ae69735f6572726f725f6672616d65c2a76368616e6e65"
-      "6cac3233392e37342e3136332e32a3646c6308a464617461c4080001020304050607a569735f6664c2ae6269747261"
-      "74655f737769746368c2b56572726f725f73746174655f696e64696361746f72c2"));
+  static const auto& datagram = *new std::string(
+      absl::HexStringToBytes("8ba974696d657374616d70cb3ff8000000000000ae6172626974726174696f6e5f696"
+                             "4cd0155ae69735f657874656e"
+                             "6465645f6964c2af69735f72656d6f74655f6672616d65c2ae69735f6572726f725f6"
+                             "672616d65c2a76368616e6e65"
+                             "6cac3233392e37342e3136332e32a3646c6308a464617461c4080001020304050607a"
+                             "569735f6664c2ae6269747261"
+                             "74655f737769746368c2b56572726f725f73746174655f696e64696361746f72c2"));
   return datagram;
 }
 std::string Replaced(std::string text, const std::string& from, const std::string& to) {
@@ -114,15 +121,23 @@ TEST(UdpCodec, RefusesUnknownAndRepeatedKeysAndWrongLengths) {
   twice[0] = '\x8C';
   EXPECT_FALSE(DecodeUdpCan(Bytes(twice), frame));
   EXPECT_FALSE(DecodeUdpCan(Bytes(Replaced(good, "dlc\x08", "dlc\x07")), frame));
-  const std::string nine_bytes = Replaced(good, std::string("data\xC4\x08", 6), std::string("data\xC4\x09x", 7));
+  const std::string nine_bytes =
+      Replaced(good, std::string("data\xC4\x08", 6), std::string("data\xC4\x09x", 7));
   EXPECT_FALSE(DecodeUdpCan(Bytes(Replaced(nine_bytes, "dlc\x08", "dlc\x09")), frame));
   EXPECT_FALSE(DecodeUdpCan(Bytes(Replaced(good, "\xCD\x02\xA5", "\xCD\x08\xA5")), frame));
   EXPECT_FALSE(DecodeUdpCan(Bytes(std::string(5000, '\x8B')), frame));
 }
 
 TEST(UdpCodec, TakesKeysInAnyOrderAndLeavesOutDefaults) {
-  const std::string datagram = std::string("\x84\xA4""data\xC4\x02\x01\x02\xAE""arbitration_id\xD1\x01\x51", 30) +
-                               std::string("\xAEis_extended_id\xC2\xA3""dlc\xD0\x02", 22);
+  const std::string datagram = std::string(
+                                   "\x84\xA4"
+                                   "data\xC4\x02\x01\x02\xAE"
+                                   "arbitration_id\xD1\x01\x51",
+                                   30) +
+                               std::string(
+                                   "\xAEis_extended_id\xC2\xA3"
+                                   "dlc\xD0\x02",
+                                   22);
   CanFrame frame;
   ASSERT_TRUE(DecodeUdpCan(Bytes(datagram), frame));
   EXPECT_EQ(frame, (CanFrame{0x151, 2, {1, 2}}));

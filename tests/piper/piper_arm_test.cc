@@ -62,7 +62,8 @@ TEST(PiperArm, NeverEnablesByItself) {
 TEST(PiperArm, EnablesWithoutMovingAndFollowsTargets) {
   EmulatedArm world;
   ASSERT_TRUE(world.arm->Connect().ok());
-  EXPECT_EQ(world.arm->Send(Command({0, 0, 0, 0, 0, 9})).code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(world.arm->Send(Command({0, 0, 0, 0, 0, 9})).code(),
+            absl::StatusCode::kInvalidArgument);
   ASSERT_TRUE(world.arm->Enable().ok());
   EXPECT_TRUE(world.arm->Latest().enabled);
   for (int j = 0; j < kJoints; ++j) EXPECT_NEAR(world.arm->Latest().position[j], 0, 0.02);
@@ -162,7 +163,8 @@ TEST(PiperArm, ShowsFaultsOfTheArmByName) {
   EmulatedArm world(options);
   ASSERT_TRUE(world.arm->Connect().ok());
   ASSERT_TRUE(world.arm->Enable().ok());
-  ASSERT_TRUE(world.Stream(Command(kPose), 4.2 - 1e-9 * static_cast<double>(world.time.now_ns())).ok());
+  ASSERT_TRUE(
+      world.Stream(Command(kPose), 4.2 - 1e-9 * static_cast<double>(world.time.now_ns())).ok());
   world.Run(0.1);
   EXPECT_EQ(world.arm->Latest().faults, kFaultCollision);
   world.Run(0.6);

@@ -29,8 +29,8 @@ TEST(PiperMjcf, StandsWhereTheSdksKinematicsSay) {
     plant->Reset(q, 0.02);
     const Eigen::Isometry3d T = ToolPose(q, Zero::kSince_1_6_3);
     const Eigen::Map<const Eigen::Vector3d> p(plant->data().site_xpos + 3 * tool);
-    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> R(
-        plant->data().site_xmat + 9 * tool);
+    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> R(plant->data().site_xmat +
+                                                                           9 * tool);
     ASSERT_LT((p - T.translation()).norm(), 1e-4);  // 0.1 mm
     ASSERT_LT((R - T.linear()).norm(), 1e-6);
   }
@@ -38,8 +38,9 @@ TEST(PiperMjcf, StandsWhereTheSdksKinematicsSay) {
 
 TEST(PiperMjcf, WeighsWhatTheVendorSays) {
   const auto plant = PiperPlant::Create(ComposePiperScene({}), {}).value();
-  EXPECT_NEAR(plant->model().body_subtreemass[mj_name2id(&plant->model(), mjOBJ_BODY, "piper_base")],
-              4.903, 0.01);
+  EXPECT_NEAR(
+      plant->model().body_subtreemass[mj_name2id(&plant->model(), mjOBJ_BODY, "piper_base")], 4.903,
+      0.01);
   PiperScene loaded;
   loaded.payload_kg = 1.5;
   const auto heavy = PiperPlant::Create(ComposePiperScene(loaded), {}).value();
@@ -67,7 +68,8 @@ TEST(JointPlanner, ReachesATargetInTheTimeOfItsTrapezoid) {
   while (!planner.at_target() && steps < 5000) {
     const double before = planner.velocity();
     planner.Step(1.5, 5, 0.001);
-    EXPECT_LE(std::abs(planner.velocity() - before), 5e-3 * (1 + 1e-9) + (planner.at_target() ? 6e-3 : 0));
+    EXPECT_LE(std::abs(planner.velocity() - before),
+              5e-3 * (1 + 1e-9) + (planner.at_target() ? 6e-3 : 0));
     fastest = std::max(fastest, planner.velocity());
     EXPECT_LE(planner.position(), 2 + 1e-9);
     ++steps;
@@ -138,7 +140,8 @@ TEST(PiperEmulator, StopsFollowingATargetBeyondALimitUntilItIsWithdrawn) {
   ASSERT_TRUE(world.third->Send(EncodeJointTargets({1, 0.1, 0.2})).ok());
   ASSERT_TRUE(world.third->Send(EncodeJointTargets({0, 3.0, 1.0})).ok());
   world.Run(0.5);
-  EXPECT_EQ(world.arm->Latest().faults, kFaultTargetLimit | kFaultJointLimit | kFaultForeignCommand);
+  EXPECT_EQ(world.arm->Latest().faults,
+            kFaultTargetLimit | kFaultJointLimit | kFaultForeignCommand);
   EXPECT_EQ(world.emulator->firmware().status().joint_limit, 1 << 0 | 1 << 2);
   for (int j = 0; j < kJoints; ++j) EXPECT_NEAR(world.arm->Latest().position[j], kPose[j], 0.01);
   ASSERT_TRUE(world.Stream(Command(kPose), 0.5).ok());
@@ -248,7 +251,8 @@ TEST(WearProfile, UsedArmFollowsASlowReversalWorse) {
       for (int j = 0; j < kJoints; ++j) q[j] += 0.03 * std::sin(2 * M_PI * tick / 60.0);
       EXPECT_TRUE(world.arm->Send(Command(q)).ok());
       world.Run(1.0 / 30);
-      for (int j = 0; j < kJoints; ++j) squares += std::pow(world.arm->Latest().position[j] - q[j], 2);
+      for (int j = 0; j < kJoints; ++j)
+        squares += std::pow(world.arm->Latest().position[j] - q[j], 2);
     }
     return std::sqrt(squares / 120 / kJoints);
   };

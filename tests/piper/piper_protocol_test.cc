@@ -41,7 +41,7 @@ TEST(Protocol, WritesWhatTheVendorsSdkWrites) {
   EXPECT_EQ(Encode(GripperTarget{0, 5, true, true}),
             (CanFrame{0x159, 8, {0, 0, 0, 0, 0x13, 0x88, 3, 0}}));  // (0, 5000, 3, 0)
   EXPECT_EQ(Encode(GripperTarget{0.07, 0, false, false, true}),
-            (CanFrame{0x159, 8, {0, 1, 0x11, 0x70, 0, 0, 0, 0xAE}}));  // (70000, 0, 0, 0xAE)
+            (CanFrame{0x159, 8, {0, 1, 0x11, 0x70, 0, 0, 0, 0xAE}}));     // (70000, 0, 0, 0xAE)
   EXPECT_EQ(Encode(MotorPower{7, true}), (CanFrame{0x471, 8, {7, 2}}));   // EnableArm(7)
   EXPECT_EQ(Encode(MotorPower{3, true}), (CanFrame{0x471, 8, {3, 2}}));   // EnableArm(3)
   EXPECT_EQ(Encode(MotorPower{7, false}), (CanFrame{0x471, 8, {7, 1}}));  // DisableArm(7)
@@ -68,7 +68,8 @@ TEST(Protocol, ReadsFeedbackWithSignedExtremes) {
   EXPECT_TRUE(gripper->enabled);
   EXPECT_TRUE(gripper->homed);
   EXPECT_EQ(gripper->errors, 4);
-  const auto driver = DecodeDriverStatus({0x261, 8, {0xFF, 0xFF, 0xFF, 0xF6, 0x80, 0x50, 0xFF, 0xFF}});
+  const auto driver =
+      DecodeDriverStatus({0x261, 8, {0xFF, 0xFF, 0xFF, 0xF6, 0x80, 0x50, 0xFF, 0xFF}});
   ASSERT_TRUE(driver);
   EXPECT_DOUBLE_EQ(driver->supply_V, 6553.5);
   EXPECT_DOUBLE_EQ(driver->driver_temperature, -10);
@@ -107,7 +108,8 @@ TEST(Protocol, ReadsBackWhatItWrites) {
     const auto pose = DecodeEndPose(EncodeEndPose(i % 3, pair.first / 10, pair.second / 10));
     ASSERT_TRUE(pose);
     ASSERT_NEAR(pose->first, pair.first / 10, 1e-5);
-    const GripperTarget gripper{random.Uniform(0, 0.1), random.Uniform(0, 5), i % 2 == 0, i % 3 == 0};
+    const GripperTarget gripper{random.Uniform(0, 0.1), random.Uniform(0, 5), i % 2 == 0,
+                                i % 3 == 0};
     const auto gripper_back = DecodeGripperTarget(Encode(gripper));
     ASSERT_NEAR(gripper_back->opening, gripper.opening, 0.6e-6);
     ASSERT_NEAR(gripper_back->effort, gripper.effort, 0.6e-3);
@@ -146,8 +148,8 @@ TEST(Protocol, ReadsNothingFromAnotherIdentifierOrLength) {
 TEST(CommandGuard, RefusesConfigurationWritesAndUnknownIdentifiersWithAnyConsent) {
   for (const Consent consent : {Consent::kMotion, Consent::kPowerOff}) {
     for (int id = 0; id <= kMaxCanId; ++id) {
-      const bool known = id == 0x150 || id == 0x151 || (id >= 0x155 && id <= 0x157) || id == 0x159 ||
-                         id == 0x471 || id == 0x472 || id == 0x477 || id == 0x4AF;
+      const bool known = id == 0x150 || id == 0x151 || (id >= 0x155 && id <= 0x157) ||
+                         id == 0x159 || id == 0x471 || id == 0x472 || id == 0x477 || id == 0x4AF;
       const CanFrame ones{static_cast<uint16_t>(id), 8, {1, 1, 1, 1, 1, 1, 1, 1}};
       const CanFrame zeros{static_cast<uint16_t>(id), 8, {}};
       if (!known) {
@@ -155,28 +157,29 @@ TEST(CommandGuard, RefusesConfigurationWritesAndUnknownIdentifiersWithAnyConsent
         EXPECT_FALSE(CheckMaySend(zeros, consent).ok()) << id;
       }
     }
-    for (const CanFrame& denied : std::vector<CanFrame>{
-             {0x477, 8, {0, 1}},           // restore defaults
-             {0x477, 8, {0, 0, 0, 0xAE, 1}},  // load
-             {0x470, 8, {0xFA}},           // leader mode
-             {0x474, 8, {1, 0, 0, 0, 0, 1}},
-             {0x475, 8, {7, 0xAE}},        // zero of every joint
-             {0x47D, 8, {100, 70}},
-             Encode(GripperTarget{0, 0, true, false, true}),  // gripper's zero
-             {0x150, 8, {0, 0, 1}},        // teaching
-             {0x151, 8, {2, 1, 50}},       // teach mode
-             {0x151, 8, {1, 4, 50}},       // torque mode
-             {0x151, 8, {1, 0, 50}},       // Cartesian
-             {0x151, 8, {1, 1, 50, 0, 0, 2}},  // mounting position
-             {0x15A, 8, {}},
-             {0x152, 8, {}}})
+    for (const CanFrame& denied :
+         std::vector<CanFrame>{{0x477, 8, {0, 1}},              // restore defaults
+                               {0x477, 8, {0, 0, 0, 0xAE, 1}},  // load
+                               {0x470, 8, {0xFA}},              // leader mode
+                               {0x474, 8, {1, 0, 0, 0, 0, 1}},
+                               {0x475, 8, {7, 0xAE}},  // zero of every joint
+                               {0x47D, 8, {100, 70}},
+                               Encode(GripperTarget{0, 0, true, false, true}),  // gripper's zero
+                               {0x150, 8, {0, 0, 1}},                           // teaching
+                               {0x151, 8, {2, 1, 50}},                          // teach mode
+                               {0x151, 8, {1, 4, 50}},                          // torque mode
+                               {0x151, 8, {1, 0, 50}},                          // Cartesian
+                               {0x151, 8, {1, 1, 50, 0, 0, 2}},                 // mounting position
+                               {0x15A, 8, {}},
+                               {0x152, 8, {}}})
       EXPECT_FALSE(CheckMaySend(denied, consent).ok()) << denied.id;
   }
 }
 
 TEST(CommandGuard, LetsTheArmFallOnlyWithConsent) {
-  for (const CanFrame& dangerous : {EncodeStop(Stop::kReset), Encode(MotorPower{7, false}),
-                                    Encode(MotorPower{2, false}), Encode(GripperTarget{0, 1, false})}) {
+  for (const CanFrame& dangerous :
+       {EncodeStop(Stop::kReset), Encode(MotorPower{7, false}), Encode(MotorPower{2, false}),
+        Encode(GripperTarget{0, 1, false})}) {
     EXPECT_FALSE(CheckMaySend(dangerous, Consent::kMotion).ok());
     EXPECT_TRUE(CheckMaySend(dangerous, Consent::kPowerOff).ok());
   }
@@ -234,7 +237,7 @@ TEST(LimitCheck, NamesWhatDamagedFlashAnswers) {
   // pyAgxArm issue 55: both ends -0.1 degrees.
   const absl::Status same = CheckJointLimit({0, -0.00175, -0.00175, 3}, good);
   EXPECT_THAT(std::string(same.message()), HasSubstr("joint 1 answers upper = -0.0017 rad"));
-  EXPECT_FALSE(CheckJointLimit({1, -1, 2, 3}, good).ok());       // beyond a stop
+  EXPECT_FALSE(CheckJointLimit({1, -1, 2, 3}, good).ok());        // beyond a stop
   EXPECT_FALSE(CheckJointLimit({0, -2.6, 2.6, 0.3}, good).ok());  // the other unit
   EXPECT_FALSE(CheckJointLimit({0, -2.6, 2.6, 30}, good).ok());
   EXPECT_THAT(std::string(CheckJointLimit({0, -2.6, 2.6, 3}, {0, 655.35}).message()),
@@ -249,16 +252,21 @@ struct Reference {
 // C_PiperForwardKinematics(dh_is_offset).CalFK(q) of piper_sdk 0.6.1.
 const Reference kReferences[] = {
     {Zero::kSince_1_6_3, {}, {56.127512, 0, 213.266268, 0, 85, 0}},
-    {Zero::kSince_1_6_3, {0.5, 1.2, -0.8, 0.3, -0.4, 1.1},
+    {Zero::kSince_1_6_3,
+     {0.5, 1.2, -0.8, 0.3, -0.4, 1.1},
      {241.219328, 119.845517, 350.388272, 85.881100, 10.574849, 111.265825}},
-    {Zero::kSince_1_6_3, {-2.0, 2.5, -2.2, -1.5, 1.1, -1.9},
+    {Zero::kSince_1_6_3,
+     {-2.0, 2.5, -2.2, -1.5, 1.1, -1.9},
      {-297.534987, -455.731169, 215.321243, 108.752402, -60.687110, -105.265569}},
-    {Zero::kSince_1_6_3, {1.1, 0.3, -1.9, 1.2, 0.7, 0.4},
+    {Zero::kSince_1_6_3,
+     {1.1, 0.3, -1.9, 1.2, 0.7, 0.4},
      {-183.118407, -239.324776, 561.412498, 9.868393, 37.003042, 155.752819}},
     {Zero::kBefore_1_6_3, {}, {54.952969, 0, 203.386924, 0, 85, 0}},
-    {Zero::kBefore_1_6_3, {0.5, 1.2, -0.8, 0.3, -0.4, 1.1},
+    {Zero::kBefore_1_6_3,
+     {0.5, 1.2, -0.8, 0.3, -0.4, 1.1},
      {232.765102, 115.226953, 347.903135, 85.881100, 10.574849, 111.265825}},
-    {Zero::kBefore_1_6_3, {1.1, 0.3, -1.9, 1.2, 0.7, 0.4},
+    {Zero::kBefore_1_6_3,
+     {1.1, 0.3, -1.9, 1.2, 0.7, 0.4},
      {-184.951674, -242.926706, 552.321502, 9.868393, 37.003042, 155.752819}}};
 
 TEST(Kinematics, AgreesWithTheVendorsSdk) {
