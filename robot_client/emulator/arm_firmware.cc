@@ -39,7 +39,8 @@ constexpr double kForcePerTorque = 10;
 constexpr Gains kFinger = {2000, 60};
 
 bool IsTarget(const CanFrame& frame) {
-  return DecodeJointTargets(frame) || DecodeGripperTarget(frame);
+  return DecodeJointTargets(frame) || DecodeGripperTarget(frame) || DecodePoseTarget(frame) ||
+         DecodeMitTarget(frame);
 }
 
 }  // namespace
@@ -91,6 +92,8 @@ void ArmFirmware::TakeStop(Stop stop) {
     }
     gripper_enabled_ = false;
     beyond_limit_.fill(false);
+    pose_unreachable_ = false;
+    mit_.fill(std::nullopt);
     delayed_.clear();
   }
 }
@@ -164,7 +167,27 @@ void ArmFirmware::ApplyTarget(const CanFrame& frame) {
     gripper_target_.opening = std::clamp(gripper->opening, 0.0, kGripperOpening);
   } else if (const auto pair = DecodeJointTargets(frame)) {
     ApplyJointTargets(*pair);
+  } else if (const auto pose = DecodePoseTarget(frame)) {
+    ApplyPoseTarget(*pose);
+  } else if (const auto mit = DecodeMitTarget(frame)) {
+    mit_[mit->joint] = *mit;
   }
+}
+
+// A pose counts when its last frame is there. Both move modes P and L go there joint by joint here;
+// a real arm leads the tool along a line in mode L.
+void ArmFirmware::ApplyPoseTarget(const JointPair& pair) {
+  pose_target_[2 * pair.pair] = pair.first;
+  pose_target_[2 * pair.pair + 1] = pair.second;
+  const bool cartesian = mode_.move == MoveMode::kP || mode_.move == MoveMode::kL;
+  if (pair.pair != 2 || mode_.control != ControlMode::kCan || !cartesian) return;
+  std::array<Range, kJoints> limits;
+  for (int j = 0; j < kJoints; ++j) limits[j] = {limits_[j].lower, limits_[j].upper};
+  const auto q = SolvePose({pose_target_[0], pose_target_[1], pose_target_[2]},
+                           {pose_target_[3], pose_target_[4], pose_target_[5]}, last_.q, limits,
+                           ZeroOf(options_.version));
+  pose_unreachable_ = !q.has_value();
+  for (int j = 0; j < kJoints && q; ++j) planners_[j].SetTarget((*q)[j]);
 }
 
 // A target beyond a limit is not clamped: the arm reports it and no joint follows until the targets
@@ -184,6 +207,14 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
   Power& power = power_[joint];
   if (!power.enabled) return 0;
   if (stopped_) return -kBrake[joint] * reading.dq[joint];
+  if (mode_.move == MoveMode::kM && mit_[joint]) {
+    const MitTarget& mit = *mit_[joint];
+    power.integral = 0;
+    const double torque = mit.kp * (mit.position - reading.q[joint]) +
+                          mit.kd * (mit.velocity - reading.dq[joint]) +
+                          CurrentScale(options_.version, joint) * mit.feedforward;
+    return std::clamp(torque, -PiperPlant::kTorqueLimit[joint], PiperPlant::kTorqueLimit[joint]);
+  }
   const bool direct = mode_.follow == Follow::kDirect;
   const JointPlanner& planner = planners_[joint];
   const Gains& gains = direct ? kImpedance[joint] : kServo[joint];
@@ -228,11 +259,12 @@ ArmFirmware::Torques ArmFirmware::Step(const PlantReading& reading) {
   }
   const bool refused = std::count(beyond_limit_.begin(), beyond_limit_.end(), true) > 0;
   // A latched fault freezes the arm where it is; it holds until the reset.
-  const bool frozen = refused || latched_ != StatusCode::kNormal;
+  const bool frozen = refused || pose_unreachable_ || latched_ != StatusCode::kNormal;
   Torques torques;
   for (int j = 0; j < kJoints; ++j) {
     JointPlanner& planner = planners_[j];
-    if (!power_[j].enabled || stopped_) {
+    const bool torque_mode = mode_.move == MoveMode::kM && mit_[j].has_value();
+    if (!power_[j].enabled || stopped_ || torque_mode) {
       planner.Reset(reading.q[j]);
     } else if (frozen) {
       planner.Hold(accelerations_[j]);
@@ -269,6 +301,8 @@ void ArmFirmware::UpdateStatus(const PlantReading& reading) {
     status_.code = StatusCode::kEmergencyStop;
   } else if (latched_ != StatusCode::kNormal) {
     status_.code = latched_;
+  } else if (pose_unreachable_) {
+    status_.code = StatusCode::kNoSolution;
   } else if (status_.joint_bus != 0) {
     status_.code = StatusCode::kJointBus;
   } else {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "robot_client/emulator/joint_planner.h"
+#include "robot_client/emulator/other_modes.h"
 #include "robot_client/emulator/piper_plant.h"
 #include "robot_client/piper/firmware.h"
 #include "robot_client/piper/kinematics.h"
@@ -72,6 +73,7 @@ class ArmFirmware {
   void TakeWrite(const CanFrame& frame);
   void ApplyTarget(const CanFrame& frame);
   void ApplyJointTargets(const JointPair& pair);
+  void ApplyPoseTarget(const JointPair& pair);
   double ServoTorque(int joint, const PlantReading& reading);
   void WatchStall(int joint, double torque, const PlantReading& reading);
   double FingerForce(const PlantReading& reading) const;
@@ -86,6 +88,9 @@ class ArmFirmware {
   std::array<double, kJoints> accelerations_{};
   std::array<JointPlanner, kJoints> planners_;
   std::array<bool, kJoints> beyond_limit_{};
+  std::array<double, 6> pose_target_{};  // x y z [m], roll pitch yaw [rad], as far as received
+  bool pose_unreachable_ = false;
+  std::array<std::optional<MitTarget>, kJoints> mit_;
   std::deque<Delayed> delayed_;
   ModeControl mode_;
   ArmStatus status_;

@@ -148,6 +148,47 @@ TEST(PiperEmulator, StopsFollowingATargetBeyondALimitUntilItIsWithdrawn) {
   EXPECT_EQ(world.arm->Latest().faults, uint32_t{kFaultForeignCommand});
 }
 
+TEST(PiperEmulator, GoesToAPoseAndNamesOneThatItCannotReach) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok() && world.arm->Enable().ok());
+  ASSERT_TRUE(world.Stream(Command(kPose), 3).ok());
+  const Eigen::Isometry3d T = ToolPose(kPose, Zero::kSince_1_6_3);
+  const Eigen::Vector3d rpy = FixedAngles(T.linear());
+  const auto go = [&](const Eigen::Vector3d& p) {
+    ASSERT_TRUE(world.third->Send(Encode(ModeControl{ControlMode::kCan, MoveMode::kP, 50})).ok());
+    CanFrame frames[3] = {EncodeEndPose(0, p.x(), p.y()), EncodeEndPose(1, p.z(), rpy[0]),
+                          EncodeEndPose(2, rpy[1], rpy[2])};
+    for (CanFrame& frame : frames) {
+      frame.id = static_cast<uint16_t>(frame.id - kEndPose + 0x152);
+      ASSERT_TRUE(world.third->Send(frame).ok());
+    }
+    world.Run(2);
+  };
+  const Eigen::Vector3d near = T.translation() + Eigen::Vector3d(0.03, -0.04, 0.02);
+  go(near);
+  const Eigen::Isometry3d there =
+      ToolPose(world.emulator->plant().link_angles(), Zero::kSince_1_6_3);
+  EXPECT_LT((there.translation() - near).norm(), 0.005);
+  EXPECT_LT((there.linear() - T.linear()).norm(), 0.02);
+  go({2, 0, 0});
+  EXPECT_EQ(world.emulator->firmware().status().code, StatusCode::kNoSolution);
+}
+
+TEST(OtherModes, ReadsTheTorqueModesPackedFields) {
+  // JointMitCtrl(2, 0.5, 1.0, 10, 0.8, 2.0) of piper_sdk 0.6.1.
+  const auto mit = DecodeMitTarget({0x15B, 8, {0x85, 0x1E, 0x82, 0xD0, 0x51, 0x94, 0x79, 0xF5}});
+  ASSERT_TRUE(mit);
+  EXPECT_EQ(mit->joint, 1);
+  EXPECT_NEAR(mit->position, 0.5, 25.0 / 65535);
+  EXPECT_NEAR(mit->velocity, 1.0, 90.0 / 4095);
+  EXPECT_NEAR(mit->kp, 10, 500.0 / 4095);
+  EXPECT_NEAR(mit->kd, 0.8, 10.0 / 4095);
+  EXPECT_NEAR(mit->feedforward, 2.0, 16.0 / 255);
+  CanFrame damaged{0x15B, 8, {0x85, 0x1E, 0x82, 0xD0, 0x51, 0x94, 0x79, 0xF5}};
+  damaged.data[0] ^= 1;
+  EXPECT_FALSE(DecodeMitTarget(damaged));
+}
+
 TEST(PiperEmulator, NeedsTwoEnablesAfterAReset) {
   EmulatedArm world;
   ASSERT_TRUE(world.third->Send(EncodeStop(Stop::kReset)).ok());
