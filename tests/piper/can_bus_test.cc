@@ -133,7 +133,7 @@ TEST(UdpCodec, TakesKeysInAnyOrderAndLeavesOutDefaults) {
                                    "\x84\xA4"
                                    "data\xC4\x02\x01\x02\xAE"
                                    "arbitration_id\xD1\x01\x51",
-                                   30) +
+                                   28) +
                                std::string(
                                    "\xAEis_extended_id\xC2\xA3"
                                    "dlc\xD0\x02",

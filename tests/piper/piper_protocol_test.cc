@@ -235,7 +235,7 @@ TEST(LimitCheck, NamesWhatDamagedFlashAnswers) {
   const JointAcceleration good{0, 5};
   EXPECT_TRUE(CheckJointLimit({0, -2.618, 2.618, 3}, good).ok());
   // pyAgxArm issue 55: both ends -0.1 degrees.
-  const absl::Status same = CheckJointLimit({0, -0.00175, -0.00175, 3}, good);
+  const absl::Status same = CheckJointLimit({0, -0.0017, -0.0017, 3}, good);
   EXPECT_THAT(std::string(same.message()), HasSubstr("joint 1 answers upper = -0.0017 rad"));
   EXPECT_FALSE(CheckJointLimit({1, -1, 2, 3}, good).ok());        // beyond a stop
   EXPECT_FALSE(CheckJointLimit({0, -2.6, 2.6, 0.3}, good).ok());  // the other unit
