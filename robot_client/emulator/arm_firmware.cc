@@ -27,7 +27,7 @@ constexpr std::array<Gains, kJoints> kImpedance = {
 constexpr double kIntegralTime_s = 0.3;
 constexpr double kIntegralShare = 0.3;  // of the torque limit, at most
 // The damped stop: the motors brake like a viscous damper and the arm sinks [Nm s/rad].
-constexpr JointVector kBrake = {15, 15, 15, 3, 3, 3};
+constexpr JointVector kBrake = {40, 40, 40, 8, 8, 8};
 
 // A motor that gives this share of its largest torque for this long without moving is stalled.
 constexpr double kStallTorque = 0.95, kStallTime_s = 0.5, kStallSpeed = 0.05;

@@ -120,7 +120,7 @@ def check_motion(arm):
     asked = enable(arm)
     check("EnablePiper converges", asked > 0, f"{asked} calls")
     check("enable bits of six drivers", all(arm.GetArmEnableStatus()))
-    target = [20000, 30000, -30000, 10000, -10000, 15000]
+    target = [20000, 80000, -60000, 10000, -10000, 15000]
     stream(arm, target, 0.3)
     check("motion status 1 while moving", int(status(arm).motion_status) == 1)
     stream(arm, target, 2.5, gripper=50000)
@@ -144,7 +144,7 @@ def check_motion(arm):
 
 def check_limits(arm):
     before = joints(arm)
-    stream(arm, [20000, 30000, -30000, 110000, -10000, 15000], 0.6)
+    stream(arm, [20000, 80000, -60000, 110000, -10000, 15000], 0.6)
     time.sleep(0.1)
     check("target beyond J4's limit: status 4 and J4's bit",
           int(status(arm).arm_status) == 4 and arm.GetArmStatus().arm_status.err_status.joint_4_angle_limit)
