@@ -245,6 +245,19 @@ TEST(PiperEmulator, PayloadMakesTheArmSagAndItsIntegratorTakesItUp) {
   EXPECT_GT(std::abs(loaded.arm->Latest().effort[1]), std::abs(empty.arm->Latest().effort[1]) + 2);
 }
 
+TEST(PiperPlant, MotorEncodersDoNotSeeWhatTheTransmissionDoes) {
+  WearProfile soft;
+  soft.effects = {{1, "compliance", {100, 15, 0.7}}};
+  const auto at_link = PiperPlant::Create(ComposePiperScene({}), soft).value();
+  soft.motor_encoders = true;
+  const auto at_motor = PiperPlant::Create(ComposePiperScene({}), soft).value();
+  for (PiperPlant* plant : {at_link.get(), at_motor.get()}) plant->Reset(kPose, 0);
+  const double bent = -at_link->reading().gravity[1] / 100;
+  EXPECT_GT(std::abs(bent), 0.005);
+  EXPECT_NEAR(at_link->reading().q[1], kPose[1], 1e-9);
+  EXPECT_NEAR(at_link->reading().q[1] - at_motor->reading().q[1], bent, 1e-3);
+}
+
 TEST(PiperEmulator, IsDeterministic) {
   EmulatedArm one, two;
   for (EmulatedArm* world : {&one, &two}) {
