@@ -1,0 +1,97 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+
+#include "absl/status/status.h"
+
+// What the control loop knows of an arm: a complete sample in, absolute joint targets out. Vendor
+// units, frames and identifiers stay below this interface.
+namespace robostress {
+
+inline constexpr int kArmJoints = 6;             // J1 .. J6
+inline constexpr int kArmAxes = kArmJoints + 1;  // the gripper is the last axis
+using ArmVector = std::array<double, kArmAxes>;
+
+// Bits of ArmSnapshot::faults. A bit says what the arm reported, not what follows from it.
+enum ArmFault : uint32_t {
+  kFaultEmergencyStop = 1u << 0,    // the arm is in an emergency stop
+  kFaultNoSolution = 1u << 1,       // no inverse kinematic solution, or a singularity
+  kFaultTargetLimit = 1u << 2,      // a target beyond a joint's limit: the arm stops responding
+  kFaultJointLimit = 1u << 3,       // a joint stands beyond its limit
+  kFaultJointBus = 1u << 4,         // a joint does not answer the main controller
+  kFaultBrake = 1u << 5,            // a brake has not opened
+  kFaultCollision = 1u << 6,        // collision protection
+  kFaultStall = 1u << 7,            // a stalled motor
+  kFaultOverCurrent = 1u << 8,      // of a driver
+  kFaultOverTemperature = 1u << 9,  // motor, driver, controller or brake resistor
+  kFaultUnderVoltage = 1u << 10,    // of a driver's supply
+  kFaultDriver = 1u << 11,          // driver or sensor error
+  kFaultGripper = 1u << 12,         // the gripper's driver
+  kFaultOther = 1u << 13,           // an abnormal status with no name here
+  kFaultForeignCommand = 1u << 14,  // another sender commands this arm
+  kFaultBus = 1u << 15,             // the bus itself: bus-off, error frames, interface down
+};
+
+// "collision, stall"; "none" for 0.
+std::string ArmFaultNames(uint32_t faults);
+
+// One complete, untorn sample. Before the first one sequence is 0 and nothing else holds.
+struct ArmSnapshot {
+  ArmVector position{};   // J1 .. J6 [rad], gripper opening between the fingers [m]
+  ArmVector velocity{};   // [rad/s], gripper 0 where unknown
+  ArmVector effort{};     // [Nm] from motor currents; gripper [Nm] as the bus gives it
+  int64_t stamp_ns = 0;   // of the oldest joint frame in it, on the client's clock
+  uint64_t sequence = 0;  // grows by one per complete sample
+  bool enabled = false;   // every joint's driver
+  uint32_t faults = 0;    // ArmFault
+};
+
+// Absolute targets: joints [rad], gripper opening [m].
+struct ArmCommand {
+  ArmVector position{};
+  double gripper_effort = 1.0;  // [Nm], the most the gripper may press with
+};
+
+// What the arm itself allows, read from it at Connect.
+struct ArmLimits {
+  ArmVector lower{};             // joints [rad], gripper [m]
+  ArmVector upper{};             // joints [rad], gripper [m]
+  ArmVector max_velocity{};      // [rad/s], gripper [m/s]
+  ArmVector max_acceleration{};  // [rad/s^2], gripper [m/s^2]
+};
+
+// One thread calls everything but Latest, which any thread may call. Nothing here enables, disables
+// or stops an arm unless its function is called.
+class RobotArm {
+ public:
+  virtual ~RobotArm() = default;
+
+  // Opens the bus, waits for complete samples, queries firmware and limits. Refuses silence,
+  // commands of another sender, unfit limits and unknown firmware; the status says what to do.
+  virtual absl::Status Connect() = 0;
+  // Enables the joints' drivers (twice where the firmware needs it) and waits until they say so.
+  // Only on a person's request. The arm must be told to hold its measured position before and
+  // after.
+  virtual absl::Status Enable() = 0;
+  // Takes power off the joints: the arm FALLS unless it is supported. Only on a person's request.
+  virtual absl::Status Disable() = 0;
+
+  // Takes in what has arrived; never blocks, never allocates. Once per control tick, before Latest.
+  // A transport with a reader thread of its own has nothing to do here.
+  virtual void Poll() = 0;
+  // The newest complete sample; never blocks, never allocates.
+  virtual ArmSnapshot Latest() const = 0;
+  // Position-mode targets; never blocks, never allocates. An error says that nothing may have been
+  // sent (a full transmit queue, bus-off); a target beyond limits() is refused, not clamped.
+  virtual absl::Status Send(const ArmCommand& command) = 0;
+  // The damped stop: the joints brake and the arm sinks slowly. Call every tick while it is wanted.
+  // Never blocks, never allocates. Afterwards only Disable and a new Enable bring the arm back.
+  virtual absl::Status QuickStop() = 0;
+
+  virtual ArmLimits limits() const = 0;         // valid after Connect
+  virtual std::string description() const = 0;  // for records: kind, bus, firmware
+};
+
+}  // namespace robostress
