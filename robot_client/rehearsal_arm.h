@@ -9,7 +9,7 @@
 namespace robostress {
 
 struct RehearsalArmOptions {
-  double lag_s = 0.1;      // first-order lag of every axis [s]
+  double lag_s = 0.1;                                    // first-order lag of every axis [s]
   ArmVector start{0.0, 1.2, -1.0, 0.0, 0.5, 0.0, 0.05};  // joints [rad], gripper [m]
   // As a Piper's: positions of its published description, 3 rad/s, 5 rad/s^2, a 70 mm gripper.
   ArmLimits limits{{-2.6179, 0, -2.967, -1.745, -1.22, -2.0944, 0},
@@ -18,9 +18,9 @@ struct RehearsalArmOptions {
                    {5, 5, 5, 5, 5, 5, 10}};
 };
 
-// An arm that is not there: every axis follows its target with a first-order lag, samples come every
-// 5 ms. For rehearsing a set-up (server, cameras, episode, record) before an arm has power, and for
-// timing the client alone.
+// An arm that is not there: every axis follows its target with a first-order lag, samples come
+// every 5 ms. For rehearsing a set-up (server, cameras, episode, record) before an arm has power,
+// and for timing the client alone.
 class RehearsalArm : public RobotArm {
  public:
   RehearsalArm(const RehearsalArmOptions& options, const Clock* clock)

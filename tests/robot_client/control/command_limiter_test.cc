@@ -94,9 +94,9 @@ TEST(CommandLimiterTest, NeverExceedsABoundUnderRandomTargets) {
       ASSERT_LE(std::abs(v), (joint ? options.joint_velocity : options.gripper_velocity) + 1e-9);
       ASSERT_LE(std::abs(sent[a] - before[a]),
                 (joint ? options.joint_step : options.gripper_step) + 1e-9);
-      ASSERT_LE(std::abs(v - speed_before[a]),
-                (joint ? options.joint_acceleration : options.gripper_acceleration) * kPeriod +
-                    1e-9)
+      ASSERT_LE(
+          std::abs(v - speed_before[a]),
+          (joint ? options.joint_acceleration : options.gripper_acceleration) * kPeriod + 1e-9)
           << "axis " << a << " tick " << i;
       speed_before[a] = v;
     }
