@@ -20,13 +20,6 @@ bool Finite(const ArmSnapshot& arm) {
 
 }  // namespace
 
-int64_t CameraStamps::Oldest() const {
-  int64_t oldest = std::numeric_limits<int64_t>::max();
-  for (int i = 0; i < cameras_; ++i)
-    oldest = std::min(oldest, stamps_[i].load(std::memory_order_acquire));
-  return oldest;
-}
-
 void Watchdogs::OnRunStart(int64_t now_ns) {
   last_row_ns_ = now_ns;
   first_chunk_ = true;

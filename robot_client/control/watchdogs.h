@@ -1,10 +1,7 @@
 #pragma once
 
-#include <array>
-#include <atomic>
 #include <cstdint>
-#include <string>
-#include <vector>
+#include <limits>
 
 #include "robot_client/control/tick_record.h"
 #include "robot_client/robot_arm.h"
@@ -38,23 +35,18 @@ struct WatchdogOptions {
   }
 };
 
-// Newest frame stamps of up to kMaxCameras cameras. Written by their threads, read by the control
-// thread; nobody waits.
+// How old the cameras' pictures are, as the control thread asks it.
 class CameraStamps {
  public:
-  static constexpr int kMaxCameras = 8;
-  explicit CameraStamps(int cameras = 0) : cameras_(cameras) {}
-  int cameras() const { return cameras_; }
-  void Set(int camera, int64_t stamp_ns) {
-    stamps_[camera].store(stamp_ns, std::memory_order_release);
-  }
-  // Of the camera that is furthest behind; 0 while one has delivered nothing. INT64_MAX without
-  // cameras.
-  int64_t Oldest() const;
+  virtual ~CameraStamps() = default;
+  // Stamp of the newest picture of the camera that is furthest behind; 0 while one has delivered
+  // nothing, INT64_MAX without cameras. Any thread; never waits, never allocates.
+  virtual int64_t Oldest() const = 0;
+};
 
- private:
-  int cameras_;
-  std::array<std::atomic<int64_t>, kMaxCameras> stamps_{};
+class NoCameras : public CameraStamps {
+ public:
+  int64_t Oldest() const override { return std::numeric_limits<int64_t>::max(); }
 };
 
 // What the watchdogs say of one tick. `fault` outranks `hold`.

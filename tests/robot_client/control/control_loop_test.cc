@@ -34,11 +34,16 @@ namespace {
 
 constexpr int64_t kPeriod_ns = 33'333'333;
 
+struct FakeStamps : CameraStamps {
+  int64_t Oldest() const override { return stamp_ns; }
+  int64_t stamp_ns = 0;
+};
+
 // A client in simulated time against a fake arm; the policy moves J1 at 0.3 rad/s.
 struct Bench {
   ManualClock clock{1'000'000'000};
   FakeArm arm{&clock};
-  CameraStamps cameras{1};
+  FakeStamps cameras;
   SpscRing<TickRecord> records{1 << 12};
   std::unique_ptr<ControlLoop> loop;
   std::vector<TickRecord> seen;
@@ -86,7 +91,7 @@ struct Bench {
   }
   TickRecord Tick(uint32_t requests = 0) {
     clock.Advance(kPeriod_ns);
-    if (camera_alive) cameras.Set(0, clock.now_ns() - 10'000'000);
+    if (camera_alive) cameras.stamp_ns = clock.now_ns() - 10'000'000;
     Deliver();
     if (requests != 0) loop->Ask(requests);
     loop->Tick(clock.now_ns());
@@ -332,7 +337,7 @@ TEST(ControlLoopTest, AllocatesNothingOnceItRuns) {
   bench.loop->OnPredictionRequested(nullptr);
   const auto tick = [&bench] {
     bench.clock.Advance(kPeriod_ns);
-    bench.cameras.Set(0, bench.clock.now_ns());
+    bench.cameras.stamp_ns = bench.clock.now_ns();
     count_allocations = true;
     bench.loop->Tick(bench.clock.now_ns());
     count_allocations = false;
@@ -379,7 +384,7 @@ TEST(ControlLoopTest, KeepsAbsoluteDeadlinesAndSkipsThoseThatPass) {
   std::atomic<bool> stop{false};
   SlowArm arm(&clock, &stop);
   ASSERT_TRUE(arm.Connect().ok());
-  CameraStamps cameras;
+  NoCameras cameras;
   auto loop = ControlLoop::Create({}, &arm, &clock, &cameras);
   ASSERT_TRUE(loop.ok());
   (*loop)->Run(stop);
@@ -394,7 +399,7 @@ TEST(ControlLoopTest, RefusesOptionsThatMakeNoSense) {
   ManualClock clock;
   FakeArm arm(&clock);
   ASSERT_TRUE(arm.Connect().ok());
-  CameraStamps cameras;
+  NoCameras cameras;
   ControlOptions options;
   options.player.late_steps = 60;
   EXPECT_EQ(ControlLoop::Create(options, &arm, &clock, &cameras).status().code(),
