@@ -1,0 +1,37 @@
+#include "robot_client/can/socket_calls.h"
+
+#include <net/if.h>
+#include <unistd.h>
+
+namespace robostress {
+namespace {
+
+class SystemCalls : public SocketCalls {
+ public:
+  int Socket(int domain, int type, int protocol) override {
+    return socket(domain, type, protocol);
+  }
+  unsigned NameToIndex(const char* interface) override { return if_nametoindex(interface); }
+  int SetOption(int socket, int level, int option, const void* value, socklen_t size) override {
+    return setsockopt(socket, level, option, value, size);
+  }
+  int Bind(int socket, const sockaddr* address, socklen_t size) override {
+    return bind(socket, address, size);
+  }
+  ssize_t Send(int socket, const void* data, size_t size, int flags) override {
+    return send(socket, data, size, flags);
+  }
+  ssize_t Receive(int socket, msghdr* message, int flags) override {
+    return recvmsg(socket, message, flags);
+  }
+  int Close(int socket) override { return close(socket); }
+};
+
+}  // namespace
+
+SocketCalls& SystemSocketCalls() {
+  static auto& calls = *new SystemCalls;
+  return calls;
+}
+
+}  // namespace robostress

@@ -1,0 +1,100 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <deque>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "robot_client/emulator/joint_planner.h"
+#include "robot_client/emulator/piper_plant.h"
+#include "robot_client/piper/firmware.h"
+#include "robot_client/piper/kinematics.h"
+#include "robot_client/piper/protocol.h"
+
+namespace robostress::piper {
+
+struct FirmwareOptions {
+  Firmware version = {1, 8, 9};
+  double command_lag_s = 0.06;         // from a target's frame to its effect
+  JointVector gravity_feedforward{};   // share of PlantReading::gravity
+};
+
+// The main controller and the joints' drivers of a Piper: frames in, motor torques and frames out.
+// What is public of the arm's behaviour is followed (see README.md beside this file for the sources);
+// what is not is marked there as assumed. Holds no MuJoCo and no clock: time is counted in steps of
+// PiperPlant::kStep_s.
+class ArmFirmware {
+ public:
+  struct Torques {
+    JointVector motor{};     // [Nm]
+    double finger_force = 0;  // [N]
+  };
+
+  explicit ArmFirmware(const FirmwareOptions& options);
+
+  void Take(const CanFrame& frame);
+  // One step: plans, servoes, and watches for stalls.
+  Torques Step(const PlantReading& reading);
+  // Frames that are due after the last step, replies first. Cleared by the call.
+  void TakeReports(const PlantReading& reading, std::vector<CanFrame>& frames);
+
+  // Faults from outside. joint 0 .. 5. They stay until Stop::kReset, silence and joint silence until
+  // they are taken back.
+  void RaiseDriverFault(int joint, DriverBit bit);
+  void RaiseStatus(StatusCode code);  // latched arm status, for example kCollision
+  void SetJointSilent(int joint, bool silent);  // the joint no longer answers the controller
+  void SetSilent(bool silent) { silent_ = silent; }  // no frames at all
+  void SetLimit(const JointLimit& limit) { limits_[limit.joint] = limit; }
+
+  bool enabled(int joint) const { return power_[joint].enabled; }
+  const ArmStatus& status() const { return status_; }
+
+ private:
+  struct Power {
+    bool enabled = false;
+    int deaf = 0;  // enable frames that still go unheard
+    uint8_t fault_bits = 0;
+    bool silent = false;
+    double stalled_s = 0;
+    double integral = 0;  // of the servo [Nm]
+  };
+  struct Delayed {
+    uint64_t due_step;
+    CanFrame frame;
+  };
+  void TakeStop(Stop stop);
+  void TakePower(const MotorPower& power);
+  void TakeLimitQuery(const LimitQuery& query);
+  void TakeParameterQuery(int query);
+  void TakeWrite(const CanFrame& frame);
+  void ApplyTarget(const CanFrame& frame);
+  void ApplyJointTargets(const JointPair& pair);
+  double ServoTorque(int joint, const PlantReading& reading);
+  void WatchStall(int joint, double torque, const PlantReading& reading);
+  double FingerForce(const PlantReading& reading) const;
+  void UpdateStatus(const PlantReading& reading);
+  void ReportFast(const PlantReading& reading, std::vector<CanFrame>& frames) const;
+  void ReportDrivers(std::vector<CanFrame>& frames) const;
+
+  const FirmwareOptions options_;
+  uint64_t step_ = 0;
+  std::array<Power, kJoints> power_;
+  std::array<JointLimit, kJoints> limits_;
+  std::array<double, kJoints> accelerations_{};
+  std::array<JointPlanner, kJoints> planners_;
+  std::array<bool, kJoints> beyond_limit_{};
+  std::deque<Delayed> delayed_;
+  ModeControl mode_;
+  ArmStatus status_;
+  StatusCode latched_ = StatusCode::kNormal;
+  bool stopped_ = false;  // quick stop
+  bool silent_ = false;
+  GripperTarget gripper_target_;
+  bool gripper_enabled_ = false;
+  std::vector<CanFrame> replies_;
+  PlantReading last_;
+};
+
+}  // namespace robostress::piper

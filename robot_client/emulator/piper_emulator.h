@@ -1,0 +1,79 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "common/clock.h"
+#include "robot_client/can/can_bus.h"
+#include "robot_client/emulator/arm_firmware.h"
+#include "robot_client/emulator/fault_plan.h"
+#include "robot_client/emulator/piper_mjcf.h"
+#include "robot_client/emulator/piper_plant.h"
+
+namespace robostress::piper {
+
+struct EmulatorOptions {
+  std::string profile = "new";  // see MakeWearProfile
+  PiperScene scene;             // with the payload
+  Firmware version = {1, 8, 9};
+  double command_lag_s = -1;    // negative: the profile's
+  JointVector start{};          // [rad], joints at power-on: the arm lies on its rest
+  double opening = 0;           // [m], of the gripper at power-on
+  std::vector<PlannedFault> faults;
+};
+
+// A Piper in software: its frames on a bus, its firmware, its mechanics with a profile's execution
+// errors. Time passes in RunUntil only, in steps of 1 ms.
+class PiperEmulator {
+ public:
+  static absl::StatusOr<std::unique_ptr<PiperEmulator>> Create(const EmulatorOptions& options,
+                                                               std::unique_ptr<CanBus> bus,
+                                                               const Clock& clock);
+
+  // Takes in what has arrived, and lets the arm live until `now_ns` of the clock. A gap of more
+  // than kMaxGap_ns is skipped and counted: the machine was busy, and a real arm would not have run
+  // faster afterwards.
+  static constexpr int64_t kMaxGap_ns = 100'000'000;
+  void RunUntil(int64_t now_ns);
+
+  ArmFirmware& firmware() { return *firmware_; }
+  PiperPlant& plant() { return *plant_; }
+  const WearProfile& profile() const { return profile_; }
+  uint64_t steps() const { return steps_; }
+  uint64_t skipped_steps() const { return skipped_steps_; }
+  uint64_t frames_sent() const { return frames_sent_; }
+  uint64_t send_failures() const { return send_failures_; }
+  CanHealth bus_health() const { return bus_->health(); }
+
+ private:
+  PiperEmulator() = default;
+  void Step();
+  void SendReports();
+
+  std::unique_ptr<CanBus> bus_;
+  WearProfile profile_;
+  std::unique_ptr<PiperPlant> plant_;
+  std::unique_ptr<ArmFirmware> firmware_;
+  FaultSchedule faults_;
+  std::vector<CanFrame> reports_;
+  int64_t next_step_ns_ = 0;
+  uint64_t steps_ = 0, skipped_steps_ = 0, frames_sent_ = 0, send_failures_ = 0;
+};
+
+// Simulated time in which emulators live: whoever sleeps on this clock lets them run, in steps of
+// 1 ms, so that client, policy and arms share one thread and one time.
+class EmulatedTime : public ManualClock {
+ public:
+  void Add(PiperEmulator* emulator) { emulators_.push_back(emulator); }  // not owned
+  void SleepUntil(int64_t deadline_ns) override;
+
+ private:
+  std::vector<PiperEmulator*> emulators_;
+};
+
+}  // namespace robostress::piper

@@ -1,0 +1,224 @@
+#include "robot_client/piper/piper_arm.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "common/status_macros.h"
+#include "robot_client/piper/kinematics.h"
+#include "robot_client/piper/limit_check.h"
+
+namespace robostress::piper {
+namespace {
+
+constexpr int64_t kPollInterval_ns = 1'000'000;
+// Frames that one Poll takes in: half a second at the arm's full rate.
+constexpr int kFramesPerPoll = 1600;
+
+}  // namespace
+
+PiperArm::PiperArm(std::unique_ptr<CanBus> bus, Clock& clock, PiperArmOptions options)
+    : bus_(std::move(bus)),
+      clock_(clock),
+      options_(options),
+      state_(options.max_skew_ns) {}
+
+std::string PiperArm::Named(const std::string& text) const {
+  return absl::StrCat("Piper on '", bus_->description(), "': ", text);
+}
+
+std::string PiperArm::description() const {
+  return absl::StrCat("piper on ", bus_->description(),
+                      connected_ ? absl::StrCat(", firmware ", FirmwareName(firmware_)) : "");
+}
+
+void PiperArm::Poll() {
+  StampedFrame received;
+  for (int i = 0; i < kFramesPerPoll && bus_->Receive(received); ++i) state_.Take(received);
+  ArmSnapshot snapshot = state_.Snapshot(clock_.now_ns());
+  const CanState bus = bus_->health().state;
+  if (bus == CanState::kBusOff || bus == CanState::kDown) snapshot.faults |= kFaultBus;
+  if (snapshot.sequence == published_.sequence && snapshot.faults == published_.faults &&
+      snapshot.enabled == published_.enabled)
+    return;
+  published_ = snapshot;
+  snapshot_.Store(snapshot);
+}
+
+template <class Done>
+bool PiperArm::WaitFor(int64_t duration_ns, const Done& done) {
+  const int64_t end_ns = clock_.now_ns() + duration_ns;
+  while (true) {
+    Poll();
+    if (done()) return true;
+    const int64_t now_ns = clock_.now_ns();
+    if (now_ns >= end_ns) return false;
+    clock_.SleepUntil(std::min(now_ns + kPollInterval_ns, end_ns));
+  }
+}
+
+absl::Status PiperArm::SendAllowed(const CanFrame& frame, Consent consent) {
+  RS_RETURN_IF_ERROR(CheckMaySend(frame, consent));
+  return bus_->Send(frame);
+}
+
+absl::Status PiperArm::Connect() {
+  RS_RETURN_IF_ERROR(bus_->Open());
+  RS_RETURN_IF_ERROR(Listen());
+  RS_RETURN_IF_ERROR(AskFirmware());
+  RS_RETURN_IF_ERROR(AskLimits());
+  connected_ = true;
+  return absl::OkStatus();
+}
+
+absl::Status PiperArm::Listen() {
+  // The whole time, so that a sender of a slow cycle is heard too.
+  WaitFor(options_.listen_ns, [] { return false; });
+  if (state_.foreign_commands() > 0)
+    return absl::FailedPreconditionError(Named(absl::StrFormat(
+        "another sender commands this arm (%d frames, the last 0x%03X); stop the other program, "
+        "take the leader arm off the bus, or set the arm to follower mode",
+        state_.foreign_commands(), state_.last_foreign_id())));
+  if (published_.sequence == 0)
+    return absl::UnavailableError(Named(absl::StrFormat(
+        "no complete joint sample within %.1f s (%d frames of an arm, %d torn samples); check power, "
+        "wiring and bit rate (1 Mbit/s); an arm in leader mode is silent",
+        1e-9 * static_cast<double>(options_.listen_ns), state_.frames(), state_.torn_samples())));
+  return absl::OkStatus();
+}
+
+absl::Status PiperArm::AskFirmware() {
+  for (int attempt = 0; attempt < options_.attempts; ++attempt) {
+    state_.ForgetFirmware();
+    RS_RETURN_IF_ERROR(SendAllowed(EncodeFirmwareQuery(), Consent::kMotion));
+    const auto known = [&] { return ParseFirmware(state_.firmware_text()).has_value(); };
+    if (!WaitFor(options_.reply_ns, known)) continue;
+    // The patch number's last digit may be in a frame that is still on its way.
+    WaitFor(10 * kPollInterval_ns, [] { return false; });
+    firmware_ = *ParseFirmware(state_.firmware_text());
+    if (firmware_ < options_.oldest_firmware)
+      return absl::FailedPreconditionError(Named(
+          absl::StrCat("firmware ", FirmwareName(firmware_), " is older than ",
+                       FirmwareName(options_.oldest_firmware), "; update it with the vendor's tool")));
+    JointVector torque_per_ampere;
+    for (int j = 0; j < kJoints; ++j)
+      torque_per_ampere[j] = TorquePerAmpere(j) * CurrentScale(firmware_, j);
+    state_.SetTorquePerAmpere(torque_per_ampere);
+    return absl::OkStatus();
+  }
+  return absl::DeadlineExceededError(
+      Named(absl::StrCat("no firmware version (\"S-V\") in the answer to 0x4AF after ", options_.attempts,
+                         " questions; is this a Piper?")));
+}
+
+absl::Status PiperArm::AskLimits() {
+  state_.ForgetLimits();
+  const auto complete = [&] {
+    for (int j = 0; j < kJoints; ++j) {
+      if (!state_.joint_limits()[j] || !state_.accelerations()[j]) return false;
+    }
+    return true;
+  };
+  for (int attempt = 0; attempt < options_.attempts && !complete(); ++attempt) {
+    for (int j = 0; j < kJoints; ++j) {
+      if (!state_.joint_limits()[j])
+        RS_RETURN_IF_ERROR(SendAllowed(Encode(LimitQuery{j + 1, false}), Consent::kMotion));
+      if (!state_.accelerations()[j])
+        RS_RETURN_IF_ERROR(SendAllowed(Encode(LimitQuery{j + 1, true}), Consent::kMotion));
+    }
+    WaitFor(options_.reply_ns, complete);
+  }
+  for (int j = 0; j < kJoints; ++j) {
+    if (!state_.joint_limits()[j] || !state_.accelerations()[j])
+      return absl::DeadlineExceededError(Named(
+          absl::StrCat("joint ", j + 1, " did not answer 0x472 after ", options_.attempts,
+                       " questions; power the arm off and on, check the cable to that joint")));
+    if (absl::Status fit = CheckJointLimit(*state_.joint_limits()[j], *state_.accelerations()[j]);
+        !fit.ok())
+      return absl::FailedPreconditionError(Named(std::string(fit.message())));
+  }
+  limits_ = UsableLimits(state_.joint_limits(), state_.accelerations(), options_.limit_margin);
+  return absl::OkStatus();
+}
+
+absl::Status PiperArm::SendTargets(const JointVector& q) {
+  const ModeControl mode{ControlMode::kCan, MoveMode::kJ, options_.speed_percent, options_.follow};
+  RS_RETURN_IF_ERROR(SendAllowed(Encode(mode), Consent::kMotion));
+  for (int pair = 0; pair < kJoints / 2; ++pair) {
+    RS_RETURN_IF_ERROR(SendAllowed(EncodeJointTargets({pair, q[2 * pair], q[2 * pair + 1]}),
+                                   Consent::kMotion));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status PiperArm::HoldMeasuredPose() {
+  JointVector q;
+  for (int j = 0; j < kJoints; ++j)
+    q[j] = std::clamp(published_.position[j], limits_.lower[j], limits_.upper[j]);
+  return SendTargets(q);
+}
+
+absl::Status PiperArm::Enable() {
+  if (!connected_) return absl::FailedPreconditionError(Named("Enable before Connect"));
+  Poll();
+  if (stopped_ || (published_.faults & kFaultEmergencyStop) != 0)
+    return absl::FailedPreconditionError(
+        Named("the arm is in an emergency stop; support it, then Disable, which lets it fall, and "
+              "Enable again"));
+  const int64_t end_ns = clock_.now_ns() + options_.enable_ns;
+  // Two rounds at least: after a reset the firmware takes the first one without effect
+  // (piper_sdk issue 66). Motors are enabled one by one, because "all" also moves the gripper.
+  for (int round = 0; round < 2 || !published_.enabled; ++round) {
+    if (clock_.now_ns() >= end_ns)
+      return absl::DeadlineExceededError(Named(absl::StrCat(
+          "not every joint was enabled within ", options_.enable_ns / 1'000'000,
+          " ms; reported: ", ArmFaultNames(published_.faults))));
+    RS_RETURN_IF_ERROR(HoldMeasuredPose());
+    for (int j = 0; j < kJoints; ++j)
+      RS_RETURN_IF_ERROR(SendAllowed(Encode(MotorPower{j + 1, true}), Consent::kMotion));
+    WaitFor(100 * kPollInterval_ns, [] { return false; });
+  }
+  return HoldMeasuredPose();
+}
+
+absl::Status PiperArm::Disable() {
+  if (!connected_) return absl::FailedPreconditionError(Named("Disable before Connect"));
+  Poll();
+  if (stopped_ || (published_.faults & kFaultEmergencyStop) != 0)
+    RS_RETURN_IF_ERROR(SendAllowed(EncodeStop(Stop::kReset), Consent::kPowerOff));
+  RS_RETURN_IF_ERROR(SendAllowed(Encode(MotorPower{kAllMotors, false}), Consent::kPowerOff));
+  stopped_ = false;
+  const auto off = [&] {
+    return !published_.enabled && (published_.faults & kFaultEmergencyStop) == 0;
+  };
+  if (!WaitFor(options_.enable_ns, off))
+    return absl::DeadlineExceededError(
+        Named(absl::StrCat("the arm still reports its joints enabled, or a stop: ",
+                           ArmFaultNames(published_.faults), "; cut its power")));
+  return absl::OkStatus();
+}
+
+absl::Status PiperArm::Send(const ArmCommand& command) {
+  if (!connected_ || stopped_) return absl::FailedPreconditionError("");
+  for (int axis = 0; axis < kArmAxes; ++axis) {
+    // Written so that a NaN is refused.
+    if (!(command.position[axis] >= limits_.lower[axis] &&
+          command.position[axis] <= limits_.upper[axis]))
+      return absl::InvalidArgumentError("");
+  }
+  JointVector q;
+  std::copy_n(command.position.begin(), kJoints, q.begin());
+  RS_RETURN_IF_ERROR(SendTargets(q));
+  GripperTarget gripper;
+  gripper.opening = command.position[kJoints];
+  gripper.effort = command.gripper_effort;
+  return SendAllowed(Encode(gripper), Consent::kMotion);
+}
+
+absl::Status PiperArm::QuickStop() {
+  stopped_ = true;
+  return SendAllowed(EncodeStop(Stop::kQuick), Consent::kMotion);
+}
+
+}  // namespace robostress::piper

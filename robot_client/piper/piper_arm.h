@@ -1,0 +1,84 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "common/clock.h"
+#include "robot_client/can/can_bus.h"
+#include "robot_client/piper/arm_state.h"
+#include "robot_client/piper/command_guard.h"
+#include "robot_client/piper/firmware.h"
+#include "robot_client/robot_arm.h"
+#include "robot_client/snapshot_cell.h"
+
+namespace robostress::piper {
+
+struct PiperArmOptions {
+  int speed_percent = 100;            // of the joints' maximal speed, in every 0x151
+  Follow follow = Follow::kPlanned;   // kDirect is faster and weaker; see robot_client/README.md
+  double limit_margin = 0.005;        // [rad] between limits() and what the arm allows
+  Firmware oldest_firmware = kOldestFirmware;
+  int64_t max_skew_ns = 3'000'000;    // between the frames of a joint sample
+  int64_t listen_ns = 500'000'000;    // Connect listens this long for other senders' commands
+  int64_t reply_ns = 300'000'000;     // waits this long for an answer, then asks again
+  int attempts = 4;                   // questions per answer
+  int64_t enable_ns = 4'000'000'000;  // Enable gives up after this
+};
+
+// A Piper behind a CAN bus, driven by absolute joint targets in move mode J (follow as configured).
+// It has no thread: Poll takes in what the kernel stamped on arrival. Connect, Enable and Disable
+// wait on the clock, and so let simulated time pass; the others never wait and never allocate, their
+// errors carry a code only:
+//   Send: kFailedPrecondition before Connect or after QuickStop; kInvalidArgument for a target that
+//   is not finite or beyond limits(); else what the bus answered.
+class PiperArm : public RobotArm {
+ public:
+  PiperArm(std::unique_ptr<CanBus> bus, Clock& clock, PiperArmOptions options = {});
+
+  absl::Status Connect() override;
+  // Joints only: the gripper is enabled by the first Send. Holds the measured pose before and
+  // after. Refuses an arm that reports an emergency stop.
+  absl::Status Enable() override;
+  // Lets the arm fall. Also ends an emergency stop, which the vendor's reset does by taking the
+  // power off.
+  absl::Status Disable() override;
+  void Poll() override;
+  ArmSnapshot Latest() const override { return snapshot_.Load(); }
+  absl::Status Send(const ArmCommand& command) override;
+  absl::Status QuickStop() override;
+  ArmLimits limits() const override { return limits_; }
+  std::string description() const override;
+
+  // Known after Connect.
+  const Firmware& firmware() const { return firmware_; }
+  uint64_t torn_samples() const { return state_.torn_samples(); }
+  uint64_t foreign_commands() const { return state_.foreign_commands(); }
+  CanHealth bus_health() const { return bus_->health(); }
+
+ private:
+  absl::Status Listen();
+  absl::Status AskFirmware();
+  absl::Status AskLimits();
+  absl::Status SendAllowed(const CanFrame& frame, Consent consent);
+  absl::Status SendTargets(const JointVector& q);
+  absl::Status HoldMeasuredPose();
+  // Polls until `done` or for `duration_ns`; what `done` said last.
+  template <class Done>
+  bool WaitFor(int64_t duration_ns, const Done& done);
+  std::string Named(const std::string& text) const;  // with the bus in front
+
+  const std::unique_ptr<CanBus> bus_;
+  Clock& clock_;
+  const PiperArmOptions options_;
+  ArmState state_;
+  SnapshotCell<ArmSnapshot> snapshot_;
+  ArmSnapshot published_;
+  Firmware firmware_;
+  ArmLimits limits_;
+  bool connected_ = false;
+  bool stopped_ = false;  // by QuickStop, until Disable
+};
+
+}  // namespace robostress::piper
