@@ -11,6 +11,7 @@ namespace robostress {
 namespace {
 
 constexpr double kNsPerSecond = 1e9;
+constexpr double kRestOutside = 0.05;  // [rad], [m]
 
 absl::Status CheckOptions(const ControlOptions& o) {
   const auto invalid = [](const auto&... parts) {
@@ -37,6 +38,22 @@ absl::Status CheckOptions(const ControlOptions& o) {
   if (!(w.arm_hold_s > 0 && w.arm_fault_s >= w.arm_hold_s))
     return invalid("watchdogs.arm_hold_s is ", w.arm_hold_s, " and arm_fault_s ", w.arm_fault_s,
                    "; both must be positive and the fault not before the hold");
+  return absl::OkStatus();
+}
+
+// An arm at rest stands on its limits, and what it measures may lie a little beyond them: the first
+// command is the nearest one that it takes.
+absl::Status MoveInside(const ArmLimits& limits, ArmVector& position) {
+  for (int i = 0; i < kArmAxes; ++i) {
+    const double inside = std::clamp(position[i], limits.lower[i], limits.upper[i]);
+    if (std::abs(inside - position[i]) > kRestOutside) {
+      return absl::FailedPreconditionError(
+          absl::StrCat(i < kArmJoints ? absl::StrCat("J", i + 1) : "the gripper", " stands at ",
+                       position[i], ", outside ", limits.lower[i], " to ", limits.upper[i],
+                       " by more than ", kRestOutside, ": disable, move it by hand, enable again"));
+    }
+    position[i] = inside;
+  }
   return absl::OkStatus();
 }
 
@@ -85,8 +102,10 @@ void ControlLoop::EnableArm() {
     status = absl::UnavailableError(
         "the arm says that it is enabled, but no complete sample shows it; look at the bus");
   }
+  ArmVector start = arm.position;
+  if (status.ok()) status = MoveInside(arm_->limits(), start);
   if (status.ok()) {
-    limiter_.Reset(arm.position);
+    limiter_.Reset(start);
     machine_.Enabled();
   }
   absl::MutexLock lock(&mu_);

@@ -135,6 +135,27 @@ TEST(ControlLoopTest, TheFirstCommandIsWhereTheArmStands) {
   EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
 }
 
+TEST(ControlLoopTest, AnArmAtRestBeyondItsLimitsStartsAtTheNearestOne) {
+  ManualClock clock(5);
+  NoCameras cameras;
+  for (const double beyond : {0.02, 0.2}) {
+    RehearsalArmOptions options;
+    options.start[1] = -beyond;  // J2's lower limit is 0
+    FakeArm arm(&clock, options);
+    ASSERT_TRUE(arm.Connect().ok());
+    auto loop = ControlLoop::Create({}, &arm, &clock, &cameras);
+    ASSERT_TRUE(loop.ok());
+    (*loop)->Ask(kRequestEnable);
+    (*loop)->Tick(clock.now_ns());
+    if (beyond < 0.05) {
+      EXPECT_EQ(arm.last.position[1], 0);
+    } else {
+      EXPECT_EQ((*loop)->state(), ClientState::kIdle);
+      EXPECT_THAT(std::string((*loop)->enable_status().message()), ::testing::HasSubstr("J2"));
+    }
+  }
+}
+
 TEST(ControlLoopTest, AFailedEnableStaysIdleAndSaysWhy) {
   Bench bench;
   bench.arm.refuse_enable = true;
