@@ -1,6 +1,6 @@
-// joint_policy_server: a policy server without a policy. It speaks robostress.v1 and answers with joint
-// targets that sway about where the arm is: for rehearsals, for measuring the client's timing, and for
-// tests that end a server in mid-motion.
+// joint_policy_server: a policy server without a policy. It speaks robostress.v1 and answers with
+// joint targets that sway about where the arm is: for rehearsals, for measuring the client's
+// timing, and for tests that end a server in mid-motion.
 
 #include <csignal>
 #include <cstdio>
