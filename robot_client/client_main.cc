@@ -88,6 +88,7 @@ absl::Status Run(const CommandLine& line) {
   OperatorConsole console;
   run->StartThreads();
   std::optional<OperatorCommand> quit;
+  absl::Status refused;  // without a person nobody reads why, so the exit code says it
   while (!quit) {
     std::optional<OperatorCommand> command = console.Next(50);
     if (!command && line.automatic) command = AutomaticCommand(*run);
@@ -98,12 +99,18 @@ absl::Status Run(const CommandLine& line) {
       std::printf("%s\n", answer.ok()
                               ? answer->c_str()
                               : absl::StrCat("refused: ", answer.status().message()).c_str());
-      if (line.automatic && !answer.ok()) quit = OperatorCommand::kQuit;
+      if (line.automatic && !answer.ok()) {
+        refused = answer.status();
+        quit = OperatorCommand::kQuit;
+      }
     }
     RS_RETURN_IF_ERROR(run->Watch());
     std::fflush(stdout);
   }
-  return run->Finish(quit == OperatorCommand::kQuitLimp);
+  if (line.automatic && run->state() == ClientState::kFault && refused.ok())
+    refused = absl::AbortedError("the run ended in FAULT; events.jsonl says why");
+  RS_RETURN_IF_ERROR(run->Finish(quit == OperatorCommand::kQuitLimp));
+  return refused;
 }
 
 int ExitCode(const absl::Status& status) {

@@ -47,10 +47,10 @@ absl::Status MoveInside(const ArmLimits& limits, ArmVector& position) {
   for (int i = 0; i < kArmAxes; ++i) {
     const double inside = std::clamp(position[i], limits.lower[i], limits.upper[i]);
     if (std::abs(inside - position[i]) > kRestOutside) {
-      return absl::FailedPreconditionError(
-          absl::StrCat(i < kArmJoints ? absl::StrCat("J", i + 1) : "the gripper", " stands at ",
-                       position[i], ", outside ", limits.lower[i], " to ", limits.upper[i],
-                       " by more than ", kRestOutside, ": disable, move it by hand, enable again"));
+      return absl::FailedPreconditionError(absl::StrCat(
+          i < kArmJoints ? absl::StrCat("J", i + 1) : "the gripper", " stands at ", position[i],
+          ", outside ", limits.lower[i], " to ", limits.upper[i], " by more than ", kRestOutside,
+          ": take its power off, move it by hand, enable again"));
     }
     position[i] = inside;
   }
@@ -95,14 +95,17 @@ bool ControlLoop::streaming() const {
 
 void ControlLoop::EnableArm() {
   enabling_ = true;
-  absl::Status status = arm_->Enable();
+  ArmSnapshot arm = arm_->Latest();
+  ArmVector start = arm.position;
+  absl::Status status = MoveInside(arm_->limits(), start);  // refused while it has no power yet
+  if (status.ok()) status = arm_->Enable();
   arm_->Poll();
-  const ArmSnapshot arm = arm_->Latest();
+  arm = arm_->Latest();
+  start = arm.position;
   if (status.ok() && (arm.sequence == 0 || !arm.enabled)) {
     status = absl::UnavailableError(
         "the arm says that it is enabled, but no complete sample shows it; look at the bus");
   }
-  ArmVector start = arm.position;
   if (status.ok()) status = MoveInside(arm_->limits(), start);
   if (status.ok()) {
     limiter_.Reset(start);

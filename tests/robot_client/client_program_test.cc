@@ -46,7 +46,7 @@ std::string Text(const std::string& file) {
 TEST(ClientProgramTest, RehearsesWholeEpisodesAndLeavesAWholeRecording) {
   std::string out;
   const auto [text, code] = WithServer(
-      "rehearsal", "$client $common --automatic --set episodes=2 --set episode_s=1.5", &out);
+      "rehearsal", "$client $common --automatic --set episodes=2 --set episode_s=1", &out);
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(Text(out + "/run/ticks.csv"), AllOf(HasSubstr("policy_J1"), HasSubstr(",RUN,")));
   EXPECT_THAT(Text(out + "/run/episodes.jsonl"),
@@ -60,8 +60,8 @@ TEST(ClientProgramTest, HoldsWhenTheServerIsKilledAndSaysWhy) {
   std::string out;
   const auto [text, code] =
       WithServer("killed",
-                 "(sleep 2.5; kill -9 $server_pid) & $client $common --automatic --set episodes=1 "
-                 "--set episode_s=7",
+                 "(sleep 1.5; kill -9 $server_pid) & $client $common --automatic --set episodes=1 "
+                 "--set episode_s=4 --set control.watchdogs.server_hold_s=0.5",
                  &out);
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(Text(out + "/run/events.jsonl"), HasSubstr("\"cause\":\"server_silent\""));
@@ -73,7 +73,7 @@ TEST(ClientProgramTest, ObeysAPerson) {
   const auto [text, code] = WithServer("person",
                                        "(sleep 1.5; echo enable; sleep 1; echo start; sleep 1.5; "
                                        "echo; sleep 1; echo resume; sleep 1; "
-                                       "echo success; sleep 1; echo quit) | $client $common",
+                                       "0.5; echo success; sleep 0.5; echo quit) | $client $common",
                                        &out);
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(text, AllOf(HasSubstr("RUN (operator)"), HasSubstr("HOLD (operator)"),
@@ -83,11 +83,11 @@ TEST(ClientProgramTest, ObeysAPerson) {
 
 TEST(ClientProgramTest, ASignalHolds) {
   std::string out;
-  const auto [text, code] = WithServer(
-      "signal",
-      "$client $common --automatic --set episodes=1 --set episode_s=5 & pid=$!; sleep 3; kill -INT "
-      "$pid; wait $pid",
-      &out);
+  const auto [text, code] = WithServer("signal",
+                                       "$client $common --automatic --set episodes=1 --set "
+                                       "episode_s=3 & pid=$!; sleep 1.5; kill -INT "
+                                       "$pid; wait $pid",
+                                       &out);
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(text, HasSubstr("HOLD (operator)"));
 }

@@ -151,6 +151,7 @@ TEST(ControlLoopTest, AnArmAtRestBeyondItsLimitsStartsAtTheNearestOne) {
       EXPECT_EQ(arm.last.position[1], 0);
     } else {
       EXPECT_EQ((*loop)->state(), ClientState::kIdle);
+      EXPECT_EQ(arm.enables, 0) << "it never got power";
       EXPECT_THAT(std::string((*loop)->enable_status().message()), ::testing::HasSubstr("J2"));
     }
   }
