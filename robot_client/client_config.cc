@@ -87,16 +87,20 @@ absl::StatusOr<std::unique_ptr<FrameSource>> MakeCamera(const std::string& text,
   const std::vector<std::string> pieces = absl::StrSplit(parts[1], absl::MaxSplits(",fault=", 1));
   RS_ASSIGN_OR_RETURN(std::unique_ptr<FrameSource> source, MakeSource(name, pieces[0], clock));
   if (pieces.size() == 1) return source;
-  const std::vector<std::string> fault_parts = absl::StrSplit(pieces[1], absl::MaxSplits(':', 1));
+  const std::vector<std::string> timed = absl::StrSplit(pieces[1], absl::MaxSplits('@', 1));
+  const std::vector<std::string> kind = absl::StrSplit(timed[0], absl::MaxSplits(':', 1));
   CameraFault fault = CameraFault::kNone;
-  RS_RETURN_IF_ERROR(ParseCameraFault(fault_parts[0], &fault));
-  double amount = 0;
-  if (fault_parts.size() == 2 && !absl::SimpleAtod(fault_parts[1], &amount)) {
+  RS_RETURN_IF_ERROR(ParseCameraFault(kind[0], &fault));
+  double amount = 0, from_s = 0;
+  if ((kind.size() == 2 && !absl::SimpleAtod(kind[1], &amount)) ||
+      (timed.size() == 2 && !absl::SimpleAtod(timed[1], &from_s)) ||
+      !(amount >= 0 && amount <= 1) || !(from_s >= 0 && from_s <= 1e6)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("camera '", name, "': amount '", fault_parts[1], "' is no number"));
+        absl::StrCat("camera '", name, "': fault '", pieces[1],
+                     "' must be KIND[:AMOUNT][@SECONDS], AMOUNT from 0 to 1"));
   }
   auto faulty = std::make_unique<FaultySource>(std::move(source), clock);
-  faulty->Set(fault, amount);
+  faulty->Set(fault, amount, clock->now_ns() + static_cast<int64_t>(from_s * 1e9));
   return std::unique_ptr<FrameSource>(std::move(faulty));
 }
 

@@ -47,7 +47,7 @@ struct ClientConfig {
 // Checks what can be checked without arm, server and cameras; names key, value and remedy.
 absl::Status CheckConfig(const ClientConfig& config);
 
-// A camera from NAME=SOURCE[,fault=KIND[:AMOUNT]]:
+// A camera from NAME=SOURCE[,fault=KIND[:AMOUNT][@SECONDS]], the fault from SECONDS on:
 //   base=v4l2:/dev/v4l/by-id/...[@640x480]   a camera
 //   wrist=files:DIR                          *.ppm of a folder, over and over
 //   base=synthetic                           a moving pattern

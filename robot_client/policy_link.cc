@@ -35,6 +35,7 @@ PolicyLink::PolicyLink(const PolicyLinkOptions& options, ControlLoop* loop, Cloc
       cameras_(std::move(cameras)),
       connect_(std::move(connect)),
       assembler_(options.feedback, loop->period_s(), std::move(forward)) {
+  deliver_ = [loop](const ArmChunk& chunk) { loop->AnswerPrediction(chunk); };
   loop_->AddReader(&records_);
   loop_->OnPredictionRequested([this] { Wake(); });
 }
@@ -217,7 +218,7 @@ bool PolicyLink::Serve() {
           (failures_ >= kFailuresUntilNewSession && absl::IsFailedPrecondition(status)))
         endpoint_.reset();
     }
-    loop_->AnswerPrediction(answer_);
+    deliver_(answer_);
   }
   SendFeedback();
   return served;

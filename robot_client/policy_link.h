@@ -7,6 +7,7 @@
 #include <memory>
 #include <semaphore>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -57,6 +58,11 @@ class PolicyLink {
              std::vector<FrameSource*> cameras, Connect connect,
              FeedbackAssembler::ForwardKinematics forward = {});
 
+  // Before the first round: answers go to `deliver` instead of the loop, which hands them on later.
+  void DeliverThrough(std::function<void(const ArmChunk&)> deliver) {
+    deliver_ = std::move(deliver);
+  }
+
   // Opens the session and checks that the policy fits this arm and these cameras. Its thread, or
   // before it starts.
   absl::Status Open();
@@ -88,6 +94,7 @@ class PolicyLink {
   Clock* const clock_;
   const std::vector<FrameSource*> cameras_;
   const Connect connect_;
+  std::function<void(const ArmChunk&)> deliver_;
   SpscRing<TickRecord> records_{1 << 10};
   std::counting_semaphore<> wake_{0};
 

@@ -120,7 +120,12 @@ absl::Status Recorder::Drain() {
   if (ticks_ == nullptr) return absl::FailedPreconditionError("the recording is finished");
   TickRecord record;
   while (ring_.Pop(record)) {
-    if (rows_++ == 0) origin_ns_ = record.start_ns;
+    if (rows_++ == 0) {
+      origin_ns_ = record.start_ns;
+      RS_RETURN_IF_ERROR(Event(
+          nlohmann::ordered_json{{"t", 0.0}, {"event", "origin"}, {"monotonic_ns", origin_ns_}}
+              .dump()));
+    }
     const std::string row = Row(record, origin_ns_) + "\n";
     if (std::fputs(row.c_str(), ticks_) < 0) return FileError(directory_ + kPartial);
     if (record.state != state_ || record.cause != cause_) RS_RETURN_IF_ERROR(NoteChange(record));

@@ -11,9 +11,14 @@ namespace {
 constexpr size_t kHistory = 64;  // two seconds at 30 Hz
 }  // namespace
 
-void FaultySource::Set(CameraFault fault, double amount) {
+void FaultySource::Set(CameraFault fault, double amount, int64_t from_ns) {
   amount_.store(amount);
+  from_ns_.store(from_ns);
   fault_.store(fault);
+}
+
+CameraFault FaultySource::fault() const {
+  return clock_->now_ns() < from_ns_.load() ? CameraFault::kNone : fault_.load();
 }
 
 bool FaultySource::Drops(int64_t stamp_ns) const {
@@ -23,7 +28,7 @@ bool FaultySource::Drops(int64_t stamp_ns) const {
 
 int64_t FaultySource::newest_stamp_ns() const {
   const int64_t newest = source_->newest_stamp_ns();
-  switch (fault_.load()) {
+  switch (fault()) {
     case CameraFault::kUnplug:
       return last_stamp_ns_.load();
     case CameraFault::kDrop:
@@ -39,7 +44,7 @@ int64_t FaultySource::newest_stamp_ns() const {
 }
 
 std::shared_ptr<const Frame> FaultySource::Latest() {
-  const CameraFault fault = fault_.load();
+  const CameraFault fault = this->fault();
   if (fault == CameraFault::kUnplug) return last_;
   std::shared_ptr<const Frame> frame = source_->Latest();
   if (frame == nullptr) return last_;
@@ -83,7 +88,7 @@ std::shared_ptr<const Frame> FaultySource::Latest() {
 }
 
 absl::Status FaultySource::status() const {
-  if (fault_.load() == CameraFault::kUnplug)
+  if (fault() == CameraFault::kUnplug)
     return absl::UnavailableError(absl::StrCat("camera '", name(), "' was unplugged"));
   return source_->status();
 }

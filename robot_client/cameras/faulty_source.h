@@ -24,8 +24,9 @@ class FaultySource : public FrameSource {
   FaultySource(std::unique_ptr<FrameSource> source, const Clock* clock, uint64_t seed = 0)
       : source_(std::move(source)), clock_(clock), seed_(seed) {}
 
-  // `amount`: drop, share of pictures 0..1; delay, seconds 0..1; otherwise unused. Any thread.
-  void Set(CameraFault fault, double amount = 0);
+  // `amount`: drop, share of pictures 0..1; delay, seconds 0..1; otherwise unused. From `from_ns` of
+  // the clock on. Any thread.
+  void Set(CameraFault fault, double amount = 0, int64_t from_ns = 0);
 
   const std::string& name() const override { return source_->name(); }
   absl::Status Start() override { return source_->Start(); }
@@ -34,6 +35,7 @@ class FaultySource : public FrameSource {
   absl::Status status() const override;
 
  private:
+  CameraFault fault() const;  // now
   bool Drops(int64_t stamp_ns) const;
 
   const std::unique_ptr<FrameSource> source_;
@@ -41,6 +43,7 @@ class FaultySource : public FrameSource {
   const uint64_t seed_;
   std::atomic<CameraFault> fault_{CameraFault::kNone};
   std::atomic<double> amount_{0};
+  std::atomic<int64_t> from_ns_{0};
   mutable std::atomic<int64_t> last_stamp_ns_{0};     // of the last picture let through
   std::shared_ptr<const Frame> last_;                 // of Latest's thread
   std::deque<std::shared_ptr<const Frame>> history_;  // newest last, for delay

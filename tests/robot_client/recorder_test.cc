@@ -75,9 +75,10 @@ TEST(RecorderTest, SaysWhyTheStateChanged) {
   ASSERT_TRUE((*recorder)->Drain().ok());
   const std::vector<std::string> events =
       absl::StrSplit(*ReadFile(directory + "/events.jsonl"), '\n', absl::SkipEmpty());
-  ASSERT_EQ(events.size(), 2u) << "once per change";
-  EXPECT_THAT(events[1], HasSubstr("\"cause\":\"arm_fault\""));
-  EXPECT_THAT(events[1], HasSubstr("collision, stalled motor"));
+  ASSERT_EQ(events.size(), 3u) << "once per change";
+  EXPECT_THAT(events[0], HasSubstr("\"monotonic_ns\":1000000000"));
+  EXPECT_THAT(events[2], HasSubstr("\"cause\":\"arm_fault\""));
+  EXPECT_THAT(events[2], HasSubstr("collision, stalled motor"));
   EXPECT_THAT(told, HasSubstr("FAULT (arm_fault): collision, stalled motor"));
 }
 

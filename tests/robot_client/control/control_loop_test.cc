@@ -147,7 +147,7 @@ TEST(ControlLoopTest, AnArmAtRestBeyondItsLimitsStartsAtTheNearestOne) {
     ASSERT_TRUE(loop.ok());
     (*loop)->Ask(kRequestEnable);
     (*loop)->Tick(clock.now_ns());
-    if (beyond < 0.05) {
+    if (beyond < 0.1) {
       EXPECT_EQ(arm.last.position[1], 0);
     } else {
       EXPECT_EQ((*loop)->state(), ClientState::kIdle);
