@@ -10,8 +10,7 @@
 
 namespace robostress {
 
-absl::StatusOr<std::unique_ptr<CanBus>> MakeCanBus(const std::string& address,
-                                                   const Clock& clock) {
+absl::StatusOr<std::unique_ptr<CanBus>> MakeCanBus(const std::string& address, const Clock& clock) {
   absl::string_view rest = address;
   if (absl::ConsumePrefix(&rest, "udp:")) {
     RS_ASSIGN_OR_RETURN(const UdpCanOptions options, ParseUdpCanOptions(std::string(rest)));
@@ -19,14 +18,15 @@ absl::StatusOr<std::unique_ptr<CanBus>> MakeCanBus(const std::string& address,
   }
   if (absl::ConsumePrefix(&rest, "can:")) {
     if (rest.empty() || rest.size() >= IFNAMSIZ)
-      return absl::InvalidArgumentError(absl::StrCat("bus '", address, "': '", rest,
-                                                     "' is no interface name, as in can:can0"));
+      return absl::InvalidArgumentError(
+          absl::StrCat("bus '", address, "': '", rest, "' is no interface name, as in can:can0"));
     SocketCanOptions options;
     options.interface = std::string(rest);
     return std::make_unique<SocketCanBus>(options, clock);
   }
   return absl::InvalidArgumentError(
-      absl::StrCat("bus '", address, "': expected can:INTERFACE or udp:GROUP:PORT[%INTERFACE], as in "
+      absl::StrCat("bus '", address,
+                   "': expected can:INTERFACE or udp:GROUP:PORT[%INTERFACE], as in "
                    "can:can0 or udp:239.74.163.2:43113"));
 }
 

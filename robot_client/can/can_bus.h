@@ -21,13 +21,13 @@ const char* CanStateName(CanState state);
 struct CanHealth {
   CanState state = CanState::kClosed;
   uint64_t sent = 0;
-  uint64_t received = 0;      // frames handed out
-  uint64_t own_echoes = 0;    // own frames that the transport gave back; dropped
-  uint64_t refused = 0;       // what arrived and is no CAN 2.0 data frame; dropped
+  uint64_t received = 0;       // frames handed out
+  uint64_t own_echoes = 0;     // own frames that the transport gave back; dropped
+  uint64_t refused = 0;        // what arrived and is no CAN 2.0 data frame; dropped
   uint64_t send_failures = 0;  // transmit queue full, interface down
-  uint64_t overflows = 0;     // frames lost because nobody received them in time
-  uint64_t error_frames = 0;  // reported by the controller
-  uint64_t reopened = 0;      // times the interface came back
+  uint64_t overflows = 0;      // frames lost because nobody received them in time
+  uint64_t error_frames = 0;   // reported by the controller
+  uint64_t reopened = 0;       // times the interface came back
 };
 
 // One node of a CAN bus. A node never receives its own frames. One thread at a time; nothing here

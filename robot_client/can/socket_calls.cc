@@ -8,9 +8,7 @@ namespace {
 
 class SystemCalls : public SocketCalls {
  public:
-  int Socket(int domain, int type, int protocol) override {
-    return socket(domain, type, protocol);
-  }
+  int Socket(int domain, int type, int protocol) override { return socket(domain, type, protocol); }
   unsigned NameToIndex(const char* interface) override { return if_nametoindex(interface); }
   int SetOption(int socket, int level, int option, const void* value, socklen_t size) override {
     return setsockopt(socket, level, option, value, size);

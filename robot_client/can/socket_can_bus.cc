@@ -51,8 +51,7 @@ const char* SocketCanBus::TryOpen() {
     const size_t count = std::min(options_.filters.size(), kMaxFilters);
     for (size_t i = 0; i < count; ++i) {
       // Extended and remote frames are outside the mask's match.
-      filters[i] = {options_.filters[i].id,
-                    options_.filters[i].mask | CAN_EFF_FLAG | CAN_RTR_FLAG};
+      filters[i] = {options_.filters[i].id, options_.filters[i].mask | CAN_EFF_FLAG | CAN_RTR_FLAG};
     }
     if (calls_.SetOption(socket_, SOL_CAN_RAW, CAN_RAW_FILTER, filters.data(),
                          static_cast<socklen_t>(count * sizeof(can_filter))) != 0)
@@ -67,13 +66,13 @@ absl::Status SocketCanBus::Open() {
   if (socket_ >= 0) return absl::OkStatus();
   if (options_.filters.size() > kMaxFilters)
     return absl::InvalidArgumentError(
-        absl::StrCat("bus '", description(), "': ", options_.filters.size(),
-                     " filters; at most ", kMaxFilters, ": join them by their masks"));
+        absl::StrCat("bus '", description(), "': ", options_.filters.size(), " filters; at most ",
+                     kMaxFilters, ": join them by their masks"));
   if (const char* failed = TryOpen(); failed != nullptr) {
     const absl::Status status = absl::ErrnoToStatus(
-        errno, absl::StrCat("bus '", description(), "': ", failed, " failed; set it up with `ip link set ",
-                            options_.interface,
-                            " up type can bitrate 1000000 restart-ms 100`"));
+        errno,
+        absl::StrCat("bus '", description(), "': ", failed, " failed; set it up with `ip link set ",
+                     options_.interface, " up type can bitrate 1000000 restart-ms 100`"));
     if (socket_ >= 0) calls_.Close(socket_);
     socket_ = -1;
     return status;

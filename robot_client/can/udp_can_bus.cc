@@ -75,8 +75,8 @@ std::string UdpCanBus::description() const {
 }
 
 absl::Status UdpCanBus::Failure(const std::string& what, const std::string& remedy) const {
-  return absl::ErrnoToStatus(errno, absl::StrCat("bus '", description(), "': ", what, " failed; ",
-                                                 remedy));
+  return absl::ErrnoToStatus(
+      errno, absl::StrCat("bus '", description(), "': ", what, " failed; ", remedy));
 }
 
 void UdpCanBus::Close() {
@@ -92,7 +92,8 @@ absl::Status UdpCanBus::OpenReceiver(int interface_index) {
   const sockaddr_in address = Address(options_);
   // Several programs share the port. The group's address is bound, not any: other groups on this
   // port stay out.
-  if (!Set(receiver_, SOL_SOCKET, SO_REUSEADDR, 1) || !Set(receiver_, SOL_SOCKET, SO_REUSEPORT, 1) ||
+  if (!Set(receiver_, SOL_SOCKET, SO_REUSEADDR, 1) ||
+      !Set(receiver_, SOL_SOCKET, SO_REUSEPORT, 1) ||
       !Set(receiver_, SOL_SOCKET, SO_TIMESTAMPNS, 1) ||
       bind(receiver_, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
     return Failure("binding", "another program holds the port for itself");

@@ -25,8 +25,8 @@ struct UdpCanOptions {
 absl::StatusOr<UdpCanOptions> ParseUdpCanOptions(const std::string& text);
 
 // CAN frames as multicast datagrams in python-can's framing (udp_codec.h). Multicast gives a sender
-// its own frames back: they are told by the address and port of the sending socket, which belongs to
-// this object alone, and dropped. Arrival stamps are the kernel's.
+// its own frames back: they are told by the address and port of the sending socket, which belongs
+// to this object alone, and dropped. Arrival stamps are the kernel's.
 class UdpCanBus : public CanBus {
  public:
   // `clock` must be the machine's monotonic one and outlive the bus.

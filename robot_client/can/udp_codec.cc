@@ -29,10 +29,17 @@ enum Key {
   kErrorStateIndicator,
   kKeys
 };
-constexpr std::array<std::string_view, kKeys> kKeyNames = {
-    "timestamp", "arbitration_id", "is_extended_id", "is_remote_frame", "is_error_frame",
-    "channel",   "dlc",            "data",           "is_fd",           "bitrate_switch",
-    "error_state_indicator"};
+constexpr std::array<std::string_view, kKeys> kKeyNames = {"timestamp",
+                                                           "arbitration_id",
+                                                           "is_extended_id",
+                                                           "is_remote_frame",
+                                                           "is_error_frame",
+                                                           "channel",
+                                                           "dlc",
+                                                           "data",
+                                                           "is_fd",
+                                                           "bitrate_switch",
+                                                           "error_state_indicator"};
 
 class Writer {
  public:

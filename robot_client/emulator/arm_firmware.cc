@@ -11,7 +11,7 @@ namespace {
 constexpr double kStep_s = PiperPlant::kStep_s;
 constexpr uint64_t kFastSteps = 5;     // 200 Hz
 constexpr uint64_t kDriverSteps = 25;  // 40 Hz
-constexpr size_t kMaxDelayed = 4096;   // target frames on their way; more are lost, as on a full bus
+constexpr size_t kMaxDelayed = 4096;  // target frames on their way; more are lost, as on a full bus
 
 // Gains of the joints' servos [Nm/rad], [Nm s/rad] and the time constant of the integral part. The
 // feedback of a Piper of firmware S-V1.8-6 stays within 0.2 degrees of its targets while J2 carries
@@ -27,7 +27,7 @@ constexpr std::array<Gains, kJoints> kImpedance = {
 constexpr double kIntegralTime_s = 0.3;
 constexpr double kIntegralShare = 0.3;  // of the torque limit, at most
 // The damped stop: the motors brake like a viscous damper and the arm sinks [Nm s/rad].
-constexpr JointVector kBrake = {15, 15, 15, 3, 3, 3};
+constexpr JointVector kBrake = {40, 40, 40, 8, 8, 8};
 
 // A motor that gives this share of its largest torque for this long without moving is stalled.
 constexpr double kStallTorque = 0.95, kStallTime_s = 0.5, kStallSpeed = 0.05;
@@ -39,7 +39,8 @@ constexpr double kForcePerTorque = 10;
 constexpr Gains kFinger = {2000, 60};
 
 bool IsTarget(const CanFrame& frame) {
-  return DecodeJointTargets(frame) || DecodeGripperTarget(frame);
+  return DecodeJointTargets(frame) || DecodeGripperTarget(frame) || DecodePoseTarget(frame) ||
+         DecodeMitTarget(frame);
 }
 
 }  // namespace
@@ -91,6 +92,8 @@ void ArmFirmware::TakeStop(Stop stop) {
     }
     gripper_enabled_ = false;
     beyond_limit_.fill(false);
+    pose_unreachable_ = false;
+    mit_.fill(std::nullopt);
     delayed_.clear();
   }
 }
@@ -130,7 +133,7 @@ void ArmFirmware::TakeParameterQuery(int query) {
   } else if (query == 2) {
     reply = {kCollisionLevel, 8, {}};  // protection off at every joint, as delivered
   } else {
-    reply = {kGripperRange, 8, {100, 70, 1}};  // teaching range 100 %, 70 mm, friction 1
+    reply = EncodeGripperRange(options_.gripper_range);
   }
   replies_.push_back(reply);
 }
@@ -143,7 +146,9 @@ void ArmFirmware::TakeWrite(const CanFrame& frame) {
     as_reply.id = kJointLimit;
     const JointLimit written = *DecodeJointLimit(as_reply);
     JointLimit& limit = limits_[written.joint];
-    const auto given = [&](int byte) { return frame.data[byte] != 0x7F || frame.data[byte + 1] != 0xFF; };
+    const auto given = [&](int byte) {
+      return frame.data[byte] != 0x7F || frame.data[byte + 1] != 0xFF;
+    };
     if (given(1)) limit.upper = written.upper;
     if (given(3)) limit.lower = written.lower;
     if (given(5)) limit.max_speed = written.max_speed;
@@ -162,7 +167,27 @@ void ArmFirmware::ApplyTarget(const CanFrame& frame) {
     gripper_target_.opening = std::clamp(gripper->opening, 0.0, kGripperOpening);
   } else if (const auto pair = DecodeJointTargets(frame)) {
     ApplyJointTargets(*pair);
+  } else if (const auto pose = DecodePoseTarget(frame)) {
+    ApplyPoseTarget(*pose);
+  } else if (const auto mit = DecodeMitTarget(frame)) {
+    mit_[mit->joint] = *mit;
   }
+}
+
+// A pose counts when its last frame is there. Both move modes P and L go there joint by joint here;
+// a real arm leads the tool along a line in mode L.
+void ArmFirmware::ApplyPoseTarget(const JointPair& pair) {
+  pose_target_[2 * pair.pair] = pair.first;
+  pose_target_[2 * pair.pair + 1] = pair.second;
+  const bool cartesian = mode_.move == MoveMode::kP || mode_.move == MoveMode::kL;
+  if (pair.pair != 2 || mode_.control != ControlMode::kCan || !cartesian) return;
+  std::array<Range, kJoints> limits;
+  for (int j = 0; j < kJoints; ++j) limits[j] = {limits_[j].lower, limits_[j].upper};
+  const auto q = SolvePose({pose_target_[0], pose_target_[1], pose_target_[2]},
+                           {pose_target_[3], pose_target_[4], pose_target_[5]}, last_.q, limits,
+                           ZeroOf(options_.version));
+  pose_unreachable_ = !q.has_value();
+  for (int j = 0; j < kJoints && q; ++j) planners_[j].SetTarget((*q)[j]);
 }
 
 // A target beyond a limit is not clamped: the arm reports it and no joint follows until the targets
@@ -172,8 +197,8 @@ void ArmFirmware::ApplyJointTargets(const JointPair& pair) {
   constexpr double kResolution = 1e-5;  // [rad], half of the wire's
   for (const auto& [joint, target] :
        {std::pair{2 * pair.pair, pair.first}, std::pair{2 * pair.pair + 1, pair.second}}) {
-    beyond_limit_[joint] = target < limits_[joint].lower - kResolution ||
-                           target > limits_[joint].upper + kResolution;
+    beyond_limit_[joint] =
+        target < limits_[joint].lower - kResolution || target > limits_[joint].upper + kResolution;
     if (!beyond_limit_[joint]) planners_[joint].SetTarget(target);
   }
 }
@@ -182,6 +207,14 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
   Power& power = power_[joint];
   if (!power.enabled) return 0;
   if (stopped_) return -kBrake[joint] * reading.dq[joint];
+  if (mode_.move == MoveMode::kM && mit_[joint]) {
+    const MitTarget& mit = *mit_[joint];
+    power.integral = 0;
+    const double torque = mit.kp * (mit.position - reading.q[joint]) +
+                          mit.kd * (mit.velocity - reading.dq[joint]) +
+                          CurrentScale(options_.version, joint) * mit.feedforward;
+    return std::clamp(torque, -PiperPlant::kTorqueLimit[joint], PiperPlant::kTorqueLimit[joint]);
+  }
   const bool direct = mode_.follow == Follow::kDirect;
   const JointPlanner& planner = planners_[joint];
   const Gains& gains = direct ? kImpedance[joint] : kServo[joint];
@@ -190,8 +223,8 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
     power.integral = 0;
   } else {
     const double most = kIntegralShare * PiperPlant::kTorqueLimit[joint];
-    power.integral = std::clamp(power.integral + gains.kp * error * kStep_s / kIntegralTime_s,
-                                -most, most);
+    power.integral =
+        std::clamp(power.integral + gains.kp * error * kStep_s / kIntegralTime_s, -most, most);
   }
   const double torque = gains.kp * error + gains.kd * (planner.velocity() - reading.dq[joint]) +
                         power.integral +
@@ -226,11 +259,12 @@ ArmFirmware::Torques ArmFirmware::Step(const PlantReading& reading) {
   }
   const bool refused = std::count(beyond_limit_.begin(), beyond_limit_.end(), true) > 0;
   // A latched fault freezes the arm where it is; it holds until the reset.
-  const bool frozen = refused || latched_ != StatusCode::kNormal;
+  const bool frozen = refused || pose_unreachable_ || latched_ != StatusCode::kNormal;
   Torques torques;
   for (int j = 0; j < kJoints; ++j) {
     JointPlanner& planner = planners_[j];
-    if (!power_[j].enabled || stopped_) {
+    const bool torque_mode = mode_.move == MoveMode::kM && mit_[j].has_value();
+    if (!power_[j].enabled || stopped_ || torque_mode) {
       planner.Reset(reading.q[j]);
     } else if (frozen) {
       planner.Hold(accelerations_[j]);
@@ -258,14 +292,17 @@ void ArmFirmware::UpdateStatus(const PlantReading& reading) {
     const auto bit = static_cast<uint8_t>(1 << j);
     if (beyond_limit_[j]) status_.joint_limit |= bit;
     if (power_[j].silent) status_.joint_bus |= bit;
-    status_.moving = status_.moving ||
-                     (power_[j].enabled && (!planners_[j].at_target() ||
-                                            std::abs(planners_[j].target() - reading.q[j]) > kReached));
+    status_.moving =
+        status_.moving ||
+        (power_[j].enabled &&
+         (!planners_[j].at_target() || std::abs(planners_[j].target() - reading.q[j]) > kReached));
   }
   if (stopped_) {
     status_.code = StatusCode::kEmergencyStop;
   } else if (latched_ != StatusCode::kNormal) {
     status_.code = latched_;
+  } else if (pose_unreachable_) {
+    status_.code = StatusCode::kNoSolution;
   } else if (status_.joint_bus != 0) {
     status_.code = StatusCode::kJointBus;
   } else {
@@ -284,7 +321,8 @@ void ArmFirmware::TakeReports(const PlantReading& reading, std::vector<CanFrame>
 void ArmFirmware::ReportFast(const PlantReading& reading, std::vector<CanFrame>& frames) const {
   for (int j = 0; j < kJoints; ++j) {
     if (power_[j].silent) continue;
-    const double current = reading.torque[j] / (TorquePerAmpere(j) * CurrentScale(options_.version, j));
+    const double current =
+        reading.torque[j] / (TorquePerAmpere(j) * CurrentScale(options_.version, j));
     frames.push_back(Encode(JointSpeed{j, reading.dq[j], current}));
   }
   frames.push_back(Encode(status_));
@@ -320,9 +358,7 @@ void ArmFirmware::ReportDrivers(std::vector<CanFrame>& frames) const {
   }
 }
 
-void ArmFirmware::RaiseDriverFault(int joint, DriverBit bit) {
-  power_[joint].fault_bits |= bit;
-}
+void ArmFirmware::RaiseDriverFault(int joint, DriverBit bit) { power_[joint].fault_bits |= bit; }
 
 void ArmFirmware::RaiseStatus(StatusCode code) {
   if (latched_ == StatusCode::kNormal) latched_ = code;

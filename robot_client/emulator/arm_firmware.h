@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "robot_client/emulator/joint_planner.h"
+#include "robot_client/emulator/other_modes.h"
 #include "robot_client/emulator/piper_plant.h"
 #include "robot_client/piper/firmware.h"
 #include "robot_client/piper/kinematics.h"
@@ -17,18 +18,19 @@ namespace robostress::piper {
 
 struct FirmwareOptions {
   Firmware version = {1, 8, 9};
-  double command_lag_s = 0.06;         // from a target's frame to its effect
-  JointVector gravity_feedforward{};   // share of PlantReading::gravity
+  double command_lag_s = 0.06;             // from a target's frame to its effect
+  double gripper_range = kGripperOpening;  // [m], as configured; 0: never was
+  JointVector gravity_feedforward{};       // share of PlantReading::gravity
 };
 
 // The main controller and the joints' drivers of a Piper: frames in, motor torques and frames out.
-// What is public of the arm's behaviour is followed (see README.md beside this file for the sources);
-// what is not is marked there as assumed. Holds no MuJoCo and no clock: time is counted in steps of
-// PiperPlant::kStep_s.
+// What is public of the arm's behaviour is followed (see README.md beside this file for the
+// sources); what is not is marked there as assumed. Holds no MuJoCo and no clock: time is counted
+// in steps of PiperPlant::kStep_s.
 class ArmFirmware {
  public:
   struct Torques {
-    JointVector motor{};     // [Nm]
+    JointVector motor{};      // [Nm]
     double finger_force = 0;  // [N]
   };
 
@@ -40,11 +42,11 @@ class ArmFirmware {
   // Frames that are due after the last step, replies first. Cleared by the call.
   void TakeReports(const PlantReading& reading, std::vector<CanFrame>& frames);
 
-  // Faults from outside. joint 0 .. 5. They stay until Stop::kReset, silence and joint silence until
-  // they are taken back.
+  // Faults from outside. joint 0 .. 5. They stay until Stop::kReset, silence and joint silence
+  // until they are taken back.
   void RaiseDriverFault(int joint, DriverBit bit);
-  void RaiseStatus(StatusCode code);  // latched arm status, for example kCollision
-  void SetJointSilent(int joint, bool silent);  // the joint no longer answers the controller
+  void RaiseStatus(StatusCode code);                 // latched arm status, for example kCollision
+  void SetJointSilent(int joint, bool silent);       // the joint no longer answers the controller
   void SetSilent(bool silent) { silent_ = silent; }  // no frames at all
   void SetLimit(const JointLimit& limit) { limits_[limit.joint] = limit; }
 
@@ -71,6 +73,7 @@ class ArmFirmware {
   void TakeWrite(const CanFrame& frame);
   void ApplyTarget(const CanFrame& frame);
   void ApplyJointTargets(const JointPair& pair);
+  void ApplyPoseTarget(const JointPair& pair);
   double ServoTorque(int joint, const PlantReading& reading);
   void WatchStall(int joint, double torque, const PlantReading& reading);
   double FingerForce(const PlantReading& reading) const;
@@ -85,6 +88,9 @@ class ArmFirmware {
   std::array<double, kJoints> accelerations_{};
   std::array<JointPlanner, kJoints> planners_;
   std::array<bool, kJoints> beyond_limit_{};
+  std::array<double, 6> pose_target_{};  // x y z [m], roll pitch yaw [rad], as far as received
+  bool pose_unreachable_ = false;
+  std::array<std::optional<MitTarget>, kJoints> mit_;
   std::deque<Delayed> delayed_;
   ModeControl mode_;
   ArmStatus status_;

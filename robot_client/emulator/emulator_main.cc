@@ -87,13 +87,14 @@ absl::Status Run(const CommandLine& line) {
     emulator->RunUntil(now_ns);
   }
   const double seconds = 1e-9 * static_cast<double>(clock.now_ns() - start_ns);
-  std::printf("piper_emulator: %.1f s, %.1f frames per second sent, %llu refused by the bus, %llu "
-              "datagrams or frames not understood, %llu steps of 1 ms skipped, latest tick %.1f ms\n",
-              seconds, static_cast<double>(emulator->frames_sent()) / seconds,
-              static_cast<unsigned long long>(emulator->send_failures()),
-              static_cast<unsigned long long>(emulator->bus_health().refused),
-              static_cast<unsigned long long>(emulator->skipped_steps()),
-              1e-6 * static_cast<double>(worst_ns));
+  std::printf(
+      "piper_emulator: %.1f s, %.1f frames per second sent, %llu refused by the bus, %llu "
+      "datagrams or frames not understood, %llu steps of 1 ms skipped, latest tick %.1f ms\n",
+      seconds, static_cast<double>(emulator->frames_sent()) / seconds,
+      static_cast<unsigned long long>(emulator->send_failures()),
+      static_cast<unsigned long long>(emulator->bus_health().refused),
+      static_cast<unsigned long long>(emulator->skipped_steps()),
+      1e-6 * static_cast<double>(worst_ns));
   return absl::OkStatus();
 }
 
@@ -119,13 +120,13 @@ int main(int argc, char** argv) {
   app.add_option("--command-lag-ms", line.command_lag_ms,
                  "From a target's frame to its effect (default: the profile's)")
       ->check(CLI::Range(0.0, 1000.0));
-  app.add_option("--fault", line.faults,
-                 "KIND[:J1..J6]@SECONDS[+DURATION], repeatable: " + [] {
-                   std::string names;
-                   for (const std::string& name : robostress::piper::FaultNames())
-                     names += (names.empty() ? "" : ", ") + name;
-                   return names;
-                 }());
+  app.add_option(
+      "--fault", line.faults, "KIND[:J1..J6]@SECONDS[+DURATION], repeatable: " + [] {
+        std::string names;
+        for (const std::string& name : robostress::piper::FaultNames())
+          names += (names.empty() ? "" : ", ") + name;
+        return names;
+      }());
   app.add_option("--start-deg", line.start_deg, "Joint angles at power-on [degrees]")
       ->expected(6)
       ->delimiter(',');

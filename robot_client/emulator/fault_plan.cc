@@ -31,9 +31,9 @@ constexpr std::array<Kind, 13> kKinds = {{{FaultKind::kCollision, "collision", t
                                           {FaultKind::kForeign, "foreign", false}}};
 
 absl::Status Malformed(const std::string& text, const std::string& why) {
-  return absl::InvalidArgumentError(
-      absl::StrCat("fault '", text, "': ", why, "; expected KIND[:J1..J6]@SECONDS[+DURATION], KIND one of ",
-                   absl::StrJoin(FaultNames(), ", ")));
+  return absl::InvalidArgumentError(absl::StrCat(
+      "fault '", text, "': ", why, "; expected KIND[:J1..J6]@SECONDS[+DURATION], KIND one of ",
+      absl::StrJoin(FaultNames(), ", ")));
 }
 
 bool ReadSeconds(const std::string& text, double& seconds) {
@@ -78,7 +78,8 @@ absl::StatusOr<PlannedFault> ParseFault(const std::string& text) {
   }
   if (when.size() > 2 || !ReadSeconds(when[0], fault.at_s) ||
       (when.size() == 2 && !ReadSeconds(when[1], fault.for_s)))
-    return Malformed(text, absl::StrCat("time '", halves[1], "' is not SECONDS or SECONDS+DURATION"));
+    return Malformed(text,
+                     absl::StrCat("time '", halves[1], "' is not SECONDS or SECONDS+DURATION"));
   return fault;
 }
 
@@ -98,19 +99,27 @@ void FaultSchedule::Apply(double now_s, ArmFirmware& firmware) {
         if (on) RaiseMotor(firmware, fault.joint, kCollisionProtection, StatusCode::kCollision);
         break;
       case FaultKind::kStall:
-        if (on) RaiseMotor(firmware, fault.joint, robostress::piper::kStall, StatusCode::kJointStatus);
+        if (on)
+          RaiseMotor(firmware, fault.joint, robostress::piper::kStall, StatusCode::kJointStatus);
         break;
       case FaultKind::kMotorHot:
-        if (on) RaiseMotor(firmware, fault.joint, robostress::piper::kMotorHot, StatusCode::kJointStatus);
+        if (on)
+          RaiseMotor(firmware, fault.joint, robostress::piper::kMotorHot, StatusCode::kJointStatus);
         break;
       case FaultKind::kOverCurrent:
-        if (on) RaiseMotor(firmware, fault.joint, robostress::piper::kOverCurrent, StatusCode::kJointStatus);
+        if (on)
+          RaiseMotor(firmware, fault.joint, robostress::piper::kOverCurrent,
+                     StatusCode::kJointStatus);
         break;
       case FaultKind::kUnderVoltage:
-        if (on) RaiseMotor(firmware, fault.joint, robostress::piper::kUnderVoltage, StatusCode::kJointStatus);
+        if (on)
+          RaiseMotor(firmware, fault.joint, robostress::piper::kUnderVoltage,
+                     StatusCode::kJointStatus);
         break;
       case FaultKind::kDriverError:
-        if (on) RaiseMotor(firmware, fault.joint, robostress::piper::kDriverError, StatusCode::kJointStatus);
+        if (on)
+          RaiseMotor(firmware, fault.joint, robostress::piper::kDriverError,
+                     StatusCode::kJointStatus);
         break;
       case FaultKind::kBrake:
         if (on) firmware.RaiseStatus(StatusCode::kBrake);

@@ -11,19 +11,19 @@
 namespace robostress::piper {
 
 enum class FaultKind {
-  kCollision,    // collision protection: status 7, the arm freezes
-  kStall,        // a stalled motor
+  kCollision,  // collision protection: status 7, the arm freezes
+  kStall,      // a stalled motor
   kMotorHot,
   kOverCurrent,
   kUnderVoltage,
   kDriverError,
-  kBrake,        // status 6
+  kBrake,          // status 6
   kEmergencyStop,  // as if somebody had sent 0x150 1
-  kPowerOff,     // the joint's driver drops out: enable lost, the joint falls
-  kJointSilent,  // a joint no longer answers the main controller
-  kSilent,       // no frames at all: unplugged, or turned into a leader
-  kTear,         // every second frame with J3 and J4 is lost
-  kForeign,      // another sender's 0x155 frames on the bus
+  kPowerOff,       // the joint's driver drops out: enable lost, the joint falls
+  kJointSilent,    // a joint no longer answers the main controller
+  kSilent,         // no frames at all: unplugged, or turned into a leader
+  kTear,           // every second frame with J3 and J4 is lost
+  kForeign,        // another sender's 0x155 frames on the bus
 };
 
 // At `at_s` of the arm's time; `joint` 0 .. 5 where the kind has one; over after `for_s` where it

@@ -18,9 +18,10 @@ void JointPlanner::Step(double max_velocity, double max_acceleration, double h) 
     return;
   }
   // The speed from which a_max still stops in time, with the distance of this step taken off.
-  const double braking = std::sqrt(2 * max_acceleration * std::abs(error) + 0.25 * change * change) -
-                         0.5 * change;
-  const double wanted = std::copysign(std::min({max_velocity, braking, std::abs(error) / h}), error);
+  const double braking =
+      std::sqrt(2 * max_acceleration * std::abs(error) + 0.25 * change * change) - 0.5 * change;
+  const double wanted =
+      std::copysign(std::min({max_velocity, braking, std::abs(error) / h}), error);
   velocity_ += std::clamp(wanted - velocity_, -change, change);
   position_ += velocity_ * h;
 }

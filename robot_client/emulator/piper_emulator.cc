@@ -14,8 +14,9 @@ constexpr int kCommandsPerStep = 64;
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<PiperEmulator>> PiperEmulator::Create(
-    const EmulatorOptions& options, std::unique_ptr<CanBus> bus, const Clock& clock) {
+absl::StatusOr<std::unique_ptr<PiperEmulator>> PiperEmulator::Create(const EmulatorOptions& options,
+                                                                     std::unique_ptr<CanBus> bus,
+                                                                     const Clock& clock) {
   std::unique_ptr<PiperEmulator> emulator(new PiperEmulator);
   RS_ASSIGN_OR_RETURN(emulator->profile_, MakeWearProfile(options.profile));
   RS_ASSIGN_OR_RETURN(emulator->plant_,
@@ -25,6 +26,7 @@ absl::StatusOr<std::unique_ptr<PiperEmulator>> PiperEmulator::Create(
   firmware.version = options.version;
   firmware.command_lag_s =
       options.command_lag_s < 0 ? emulator->profile_.command_lag_s : options.command_lag_s;
+  firmware.gripper_range = options.gripper_range;
   firmware.gravity_feedforward = emulator->profile_.gravity_feedforward;
   emulator->firmware_ = std::make_unique<ArmFirmware>(firmware);
   emulator->faults_ = FaultSchedule(options.faults);
@@ -49,6 +51,8 @@ void PiperEmulator::Step() {
     firmware_->Take(received.frame);
   faults_.Apply(PiperPlant::kStep_s * static_cast<double>(steps_), *firmware_);
   const ArmFirmware::Torques torques = firmware_->Step(plant_->reading());
+  for (int j = 0; j < kJoints; ++j) parked_ = parked_ && !firmware_->enabled(j);
+  plant_->SetParked(parked_);
   plant_->Step(torques.motor, torques.finger_force);
   ++steps_;
   SendReports();

@@ -21,9 +21,10 @@ struct EmulatorOptions {
   std::string profile = "new";  // see MakeWearProfile
   PiperScene scene;             // with the payload
   Firmware version = {1, 8, 9};
-  double command_lag_s = -1;    // negative: the profile's
-  JointVector start{};          // [rad], joints at power-on: the arm lies on its rest
-  double opening = 0;           // [m], of the gripper at power-on
+  double command_lag_s = -1;               // negative: the profile's
+  double gripper_range = kGripperOpening;  // [m], as configured; 0: never was
+  JointVector start{};                     // [rad], joints at power-on: the arm lies on its rest
+  double opening = 0;                      // [m], of the gripper at power-on
   std::vector<PlannedFault> faults;
 };
 
@@ -60,6 +61,7 @@ class PiperEmulator {
   std::unique_ptr<PiperPlant> plant_;
   std::unique_ptr<ArmFirmware> firmware_;
   FaultSchedule faults_;
+  bool parked_ = true;  // on its rest until a joint is enabled for the first time
   std::vector<CanFrame> reports_;
   int64_t next_step_ns_ = 0;
   uint64_t steps_ = 0, skipped_steps_ = 0, frames_sent_ = 0, send_failures_ = 0;

@@ -23,19 +23,30 @@ struct Inertial {
 };
 
 // The tensors of links 2, 3 and 5 fit their masses only about the joint's origin (link 2: Iyy is
-// 0.0676, of which m x^2 is 0.0554). Link 6 has a placeholder in the description (0.1 kg,
-// 0.001 kg m^2); here it is a disc of 3 cm radius.
+// 0.0676, of which m x^2 is 0.0554); their products of inertia, whose signs differ from link to
+// link, are taken as zero about the centre of mass. Link 6 has a placeholder in the description
+// (0.1 kg, 0.001 kg m^2); here it is a disc of 3 cm radius.
 constexpr std::array<Inertial, kJoints> kInertials = {{
-    {0.71, {0.00032, -0.00041, -0.00348},
-     {0.00050027, 0.00040879, 0.00045802, 0.00000078, 0.00000626, 0.00000462}, false},
-    {1.16, {0.21852, -0.00861, 0.00126},
-     {0.00111915, 0.06763251, 0.067559, 0.00182916, 0.00019233, 0.00000767}, true},
-    {0.50, {-0.01999, -0.14808, -0.00053},
-     {0.01347608, 0.00046377, 0.01363321, 0.00161034, 0.00000066, 0.00000162}, true},
-    {0.38, {0.00013, -0.00076, -0.00394},
-     {0.00017844, 0.00018914, 0.00014613, 0.00000062, 0.00000067, 0.00000408}, false},
-    {0.383, {0.00018, -0.06104, -0.00227},
-     {0.00172318, 0.00017936, 0.00171172, 0.00000259, 0.0000001, 0.0000099}, true},
+    {0.71,
+     {0.00032, -0.00041, -0.00348},
+     {0.00050027, 0.00040879, 0.00045802, 0.00000078, 0.00000626, 0.00000462},
+     false},
+    {1.16,
+     {0.21852, -0.00861, 0.00126},
+     {0.00111915, 0.06763251, 0.067559, 0.00182916, 0.00019233, 0.00000767},
+     true},
+    {0.50,
+     {-0.01999, -0.14808, -0.00053},
+     {0.01347608, 0.00046377, 0.01363321, 0.00161034, 0.00000066, 0.00000162},
+     true},
+    {0.38,
+     {0.00013, -0.00076, -0.00394},
+     {0.00017844, 0.00018914, 0.00014613, 0.00000062, 0.00000067, 0.00000408},
+     false},
+    {0.383,
+     {0.00018, -0.06104, -0.00227},
+     {0.00172318, 0.00017936, 0.00171172, 0.00000259, 0.0000001, 0.0000099},
+     true},
     {0.1, {-0.00003, 0.00006, 0.04618}, {3e-5, 3e-5, 4.5e-5, 0, 0, 0}, false},
 }};
 
@@ -69,7 +80,7 @@ constexpr char kGripper[] = R"(
 </body>)";
 
 // ixx iyy izz ixy ixz iyz about the centre of mass:
-// I_com = I_origin - m (c.c 1 - c c^T).
+// I_com = I_origin - m (c.c 1 - c c^T), its diagonal.
 std::string FullInertia(const Inertial& link) {
   const auto& i = link.inertia;
   Eigen::Matrix3d I;
@@ -77,6 +88,7 @@ std::string FullInertia(const Inertial& link) {
   if (link.about_origin) {
     const Eigen::Vector3d c(link.com[0], link.com[1], link.com[2]);
     I -= link.mass * (c.squaredNorm() * Eigen::Matrix3d::Identity() - c * c.transpose());
+    I = I.diagonal().eval().asDiagonal();
   }
   return absl::StrFormat("%.10g %.10g %.10g %.10g %.10g %.10g", I(0, 0), I(1, 1), I(2, 2), I(0, 1),
                          I(0, 2), I(1, 2));
@@ -84,10 +96,9 @@ std::string FullInertia(const Inertial& link) {
 
 // Frame of link i + 1 in its parent's at zero: Rot_x(alpha) Trans_x(a) Rot_z(theta) Trans_z(d).
 std::string Placement(const DhRow& row) {
-  const Eigen::Isometry3d T = Eigen::AngleAxisd(row.alpha, Eigen::Vector3d::UnitX()) *
-                              Eigen::Translation3d(row.a, 0, 0) *
-                              Eigen::AngleAxisd(row.theta, Eigen::Vector3d::UnitZ()) *
-                              Eigen::Translation3d(0, 0, row.d);
+  const Eigen::Isometry3d T =
+      Eigen::AngleAxisd(row.alpha, Eigen::Vector3d::UnitX()) * Eigen::Translation3d(row.a, 0, 0) *
+      Eigen::AngleAxisd(row.theta, Eigen::Vector3d::UnitZ()) * Eigen::Translation3d(0, 0, row.d);
   const Eigen::Quaterniond q(T.linear());
   const Eigen::Vector3d p = T.translation();
   return absl::StrFormat("pos=\"%.12g %.12g %.12g\" quat=\"%.15g %.15g %.15g %.15g\"", p.x(), p.y(),
@@ -101,10 +112,11 @@ std::string Link(int i, double payload_kg) {
     inner = Link(i + 1, payload_kg);
   } else {
     const std::string payload =
-        payload_kg > 0 ? absl::StrFormat(
-                             R"(<body name="piper_payload" pos="0 0 0.1358"><geom class="payload" mass="%.9g"/></body>)",
-                             payload_kg)
-                       : "";
+        payload_kg > 0
+            ? absl::StrFormat(
+                  R"(<body name="piper_payload" pos="0 0 0.1358"><geom class="payload" mass="%.9g"/></body>)",
+                  payload_kg)
+            : "";
     inner = absl::StrReplaceAll(kGripper, {{"%s", payload}});
   }
   return absl::StrFormat(
@@ -135,15 +147,18 @@ std::string ComposePiperScene(const PiperScene& scene) {
   <default class="pad"><geom type="box" size="0.012 0.006 0.03" mass="0.1" contype="0" conaffinity="1" condim="4" friction="1.2 0.02 0.001" group="1" rgba="0.2 0.2 0.22 1"/></default>
   <default class="payload"><geom type="sphere" size="0.03" contype="0" conaffinity="0" group="1" rgba="0.6 0.3 0.2 1"/></default>
 </default>
-<asset>)", scene.assets_xml, R"(</asset>
+<asset>)",
+                      scene.assets_xml, R"(</asset>
 <worldbody>
   <light pos="0.3 0.3 1.5" dir="-0.1 -0.1 -1" diffuse="0.7 0.7 0.7"/>
   <camera name="piper_base_view" pos="0.75 0 0.55" xyaxes="0 1 0 -0.64 0 0.77" fovy="58"/>
-  )", scene.world_xml, R"(
+  )",
+                      scene.world_xml, R"(
   <body name="piper_base">
     <inertial pos="-0.00474 0.00003 0.04145" mass="1.02" fullinertia="0.00267433 0.00282612 0.00089624 -0.00000073 -0.00017389 0.0000004"/>
     <geom class="shell" type="cylinder" size="0.06 0.035" pos="0 0 0.035"/>
-    )", Link(0, scene.payload_kg), R"(
+    )",
+                      Link(0, scene.payload_kg), R"(
   </body>
 </worldbody>
 <equality><joint joint1="piper_finger1" joint2="piper_finger2" polycoef="0 1 0 0 0" solref="0.004 1"/></equality>

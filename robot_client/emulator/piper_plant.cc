@@ -12,6 +12,8 @@ namespace robostress::piper {
 namespace {
 
 using ConstMap3 = Eigen::Map<const Eigen::Vector3d>;
+constexpr double kRestFriction = 50;  // [Nm], more than the arm's weight
+
 using Matrix6 = Eigen::Matrix<double, kJoints, kJoints, Eigen::RowMajor>;
 
 // The only place where MuJoCo compiles: through a virtual file system, errors as text.
@@ -60,15 +62,14 @@ absl::Status PiperPlant::FindNames() {
     dof_[i] = model_->jnt_dofadr[joint_[i]];
   }
   for (int i = 0; i < 2; ++i) {
-    RS_ASSIGN_OR_RETURN(const int finger,
-                        find(mjOBJ_JOINT, absl::StrCat("piper_finger", i + 1)));
+    RS_ASSIGN_OR_RETURN(const int finger, find(mjOBJ_JOINT, absl::StrCat("piper_finger", i + 1)));
     finger_qpos_[i] = model_->jnt_qposadr[finger];
     finger_dof_[i] = model_->jnt_dofadr[finger];
   }
   payload_ = mj_name2id(model_.get(), mjOBJ_BODY, "piper_payload");
   if (model_->opt.timestep != kStep_s)
-    return absl::InvalidArgumentError(absl::StrCat("the scene's timestep is ",
-                                                   model_->opt.timestep, " s, expected ", kStep_s));
+    return absl::InvalidArgumentError(
+        absl::StrCat("the scene's timestep is ", model_->opt.timestep, " s, expected ", kStep_s));
   return absl::OkStatus();
 }
 
@@ -139,8 +140,9 @@ PiperPlant::Vector6 PiperPlant::WithFriction(const Vector6& torque,
     dq[i] = data_->qvel[dof_[i]];
     net[i] = torque[i] + data_->qfrc_passive[dof_[i]] + data_->qfrc_constraint[dof_[i]] -
              data_->qfrc_bias[dof_[i]];
-    forward[i] = std::max(0.0, joints.dry[i].forward);
-    backward[i] = std::max(0.0, joints.dry[i].backward);
+    const double rest = parked_ ? kRestFriction : 0;
+    forward[i] = std::max(0.0, joints.dry[i].forward) + rest;
+    backward[i] = std::max(0.0, joints.dry[i].backward) + rest;
   }
   const Matrix6 M_inverse = Eigen::LLT<Matrix6>(M).solve(Matrix6::Identity());
   const Matrix6 velocity_per_torque = kStep_s * M_inverse;

@@ -16,18 +16,18 @@ namespace robostress::piper {
 
 // What the arm's controller knows of its mechanics.
 struct PlantReading {
-  JointVector q{}, dq{};    // encoders at the joints [rad], [rad/s]
-  JointVector gravity{};    // torque that holds the unloaded arm [Nm], the controller's model
-  JointVector torque{};     // of the motors over the last step [Nm]
-  double opening = 0;       // between the fingers [m]
+  JointVector q{}, dq{};     // encoders at the joints [rad], [rad/s]
+  JointVector gravity{};     // torque that holds the unloaded arm [Nm], the controller's model
+  JointVector torque{};      // of the motors over the last step [Nm]
+  double opening = 0;        // between the fingers [m]
   double opening_speed = 0;  // [m/s]
-  double grip_force = 0;    // of each finger's drive [N], positive opens
+  double grip_force = 0;     // of each finger's drive [N], positive opens
 };
 
-// The arm's mechanics in MuJoCo, with the profile's execution errors: per step of kStep_s the torque
-// stage of the motors (drive effects, friction as true stiction, loads), MuJoCo, then the position
-// stage (backlash and compliance move the joint coordinates). The joint coordinate is the link's,
-// and so is what the encoders read, up to the profile's sensor effects.
+// The arm's mechanics in MuJoCo, with the profile's execution errors: per step of kStep_s the
+// torque stage of the motors (drive effects, friction as true stiction, loads), MuJoCo, then the
+// position stage (backlash and compliance move the joint coordinates). The joint coordinate is the
+// link's, and so is what the encoders read, up to the profile's sensor effects.
 class PiperPlant {
  public:
   static constexpr double kStep_s = 0.001;
@@ -39,6 +39,8 @@ class PiperPlant {
                                                             const WearProfile& profile);
   // At rest at q [rad], fingers `opening` [m] apart, transmissions settled under gravity.
   void Reset(const JointVector& q, double opening);
+  // Lying on its rest, as an arm does at power-on: the joints resist as if supported.
+  void SetParked(bool parked) { parked_ = parked; }
   // One step under the motors' torques [Nm] and the fingers' force [N].
   void Step(const JointVector& motor_torque, double finger_force);
 
@@ -66,6 +68,7 @@ class PiperPlant {
   std::array<int, kJoints> joint_{}, qpos_{}, dof_{};
   std::array<int, 2> finger_qpos_{}, finger_dof_{};
   int payload_ = -1;  // body, -1 without one
+  bool parked_ = false;
   EffectStack effects_;
   PlantReading reading_;
 };

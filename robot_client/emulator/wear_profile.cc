@@ -25,7 +25,8 @@ constexpr std::array<Joint, kJoints> kNew = {{{0.30, 0.030, 0.00087},
                                               {0.15, 0.015, 0.00087},
                                               {0.15, 0.015, 0.0013},
                                               {0.15, 0.015, 0.0013}}};
-// Static over Coulomb friction and Stribeck velocity: the paper's arm, 3.48 to 2.175 Nm; 0.15 rad/s.
+// Static over Coulomb friction and Stribeck velocity: the paper's arm, 3.48 to 2.175 Nm; 0.15
+// rad/s.
 constexpr double kStaticOverCoulomb = 1.6;
 constexpr double kStribeckVelocity = 0.15;
 // Compliance of the transmission: the paper's nominal distal joint over the wider torque range,
@@ -48,13 +49,12 @@ WearProfile Profile(const std::string& name, double friction, double backlash, d
   profile.command_lag_s = kCommandLag;
   for (int j = 0; j < kJoints; ++j) {
     const double coulomb = friction * kNew[j].coulomb;
-    profile.effects.push_back({j,
-                               "stribeck_friction",
-                               {coulomb, kStaticOverCoulomb * coulomb, kStribeckVelocity,
-                                friction * kNew[j].viscous}});
-    profile.effects.push_back({j, "backlash", {backlash * kNew[j].backlash}});
     profile.effects.push_back(
-        {j, "compliance", {kStiffness / compliance, kFrequency, kDamping}});
+        {j,
+         "stribeck_friction",
+         {coulomb, kStaticOverCoulomb * coulomb, kStribeckVelocity, friction * kNew[j].viscous}});
+    profile.effects.push_back({j, "backlash", {backlash * kNew[j].backlash}});
+    profile.effects.push_back({j, "compliance", {kStiffness / compliance, kFrequency, kDamping}});
   }
   return profile;
 }
@@ -79,12 +79,12 @@ absl::StatusOr<WearProfile> FromFile(const std::string& path) {
 
 absl::StatusOr<WearProfile> MakeWearProfile(const std::string& name) {
   if (name == "new") return Profile(name, 1, 1, 1);
-  if (name == "used_one_year")
-    return Profile(name, kUsedFriction, kUsedBacklash, kUsedCompliance);
+  if (name == "used_one_year") return Profile(name, kUsedFriction, kUsedBacklash, kUsedCompliance);
   if (IsScenarioFile(name)) return FromFile(name);
-  return absl::InvalidArgumentError(absl::StrCat(
-      "profile '", name, "' is unknown; known: new, used_one_year, or the path of a scenario "
-      "file that ends in .yaml"));
+  return absl::InvalidArgumentError(
+      absl::StrCat("profile '", name,
+                   "' is unknown; known: new, used_one_year, or the path of a scenario "
+                   "file that ends in .yaml"));
 }
 
 }  // namespace robostress::piper

@@ -87,6 +87,8 @@ bool ArmState::Take(const StampedFrame& received) {
     limits_[limit->joint] = *limit;
   } else if (const auto acceleration = DecodeJointAcceleration(frame)) {
     accelerations_[acceleration->joint] = *acceleration;
+  } else if (const auto range = DecodeGripperRange(frame)) {
+    gripper_range_ = *range;
   } else if (const auto text = DecodeFirmwareText(frame)) {
     if (firmware_text_.size() + text->size() <= kFirmwareText) firmware_text_ += *text;
   }
@@ -96,6 +98,7 @@ bool ArmState::Take(const StampedFrame& received) {
 void ArmState::ForgetLimits() {
   limits_.fill(std::nullopt);
   accelerations_.fill(std::nullopt);
+  gripper_range_.reset();
 }
 
 uint32_t ArmState::Faults() const {

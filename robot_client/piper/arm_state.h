@@ -34,10 +34,12 @@ class ArmState {
   void ForgetFirmware() { firmware_text_.clear(); }
   const std::string& firmware_text() const { return firmware_text_; }
   void ForgetLimits();
+  void ForgetForeignCommands() { foreign_commands_ = 0; }
   const std::array<std::optional<JointLimit>, kJoints>& joint_limits() const { return limits_; }
   const std::array<std::optional<JointAcceleration>, kJoints>& accelerations() const {
     return accelerations_;
   }
+  const std::optional<double>& gripper_range() const { return gripper_range_; }  // [m]
   const std::optional<ArmStatus>& status() const { return status_; }
   const std::optional<GripperStatus>& gripper() const { return gripper_; }
   uint64_t torn_samples() const { return assembler_.torn(); }
@@ -61,6 +63,7 @@ class ArmState {
   std::array<std::optional<JointAcceleration>, kJoints> accelerations_;
   std::optional<ArmStatus> status_;
   std::optional<GripperStatus> gripper_;
+  std::optional<double> gripper_range_;
   JointVector torque_per_ampere_{};
   std::string firmware_text_;  // its storage is reserved at construction
   uint64_t foreign_commands_ = 0, frames_ = 0;

@@ -7,7 +7,7 @@ namespace robostress::piper {
 
 // Which of the frames that move or stop an arm a client may send at this moment.
 enum class Consent {
-  kMotion,   // targets, modes, enabling, the damped stop, queries
+  kMotion,    // targets, modes, enabling, the damped stop, queries
   kPowerOff,  // also what lets the arm fall: disabling a motor, 0x150 reset
 };
 

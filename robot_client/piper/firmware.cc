@@ -11,7 +11,8 @@ namespace {
 std::optional<int> TakeNumber(std::string_view& text) {
   int value = 0;
   size_t digits = 0;
-  while (digits < text.size() && digits < 3 && std::isdigit(static_cast<unsigned char>(text[digits])))
+  while (digits < text.size() && digits < 3 &&
+         std::isdigit(static_cast<unsigned char>(text[digits])))
     value = 10 * value + (text[digits++] - '0');
   if (digits == 0) return std::nullopt;
   text.remove_prefix(digits);

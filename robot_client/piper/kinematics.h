@@ -37,20 +37,12 @@ Eigen::Vector3d FixedAngles(const Eigen::Matrix3d& R);
 struct Range {
   double lower, upper;
 };
-inline constexpr std::array<Range, kJoints> kJointRanges = {{{-2.6179, 2.6179},
-                                                             {0, 3.14},
-                                                             {-2.967, 0},
-                                                             {-1.745, 1.745},
-                                                             {-1.22, 1.22},
-                                                             {-2.0944, 2.0944}}};
+inline constexpr std::array<Range, kJoints> kJointRanges = {
+    {{-2.6179, 2.6179}, {0, 3.14}, {-2.967, 0}, {-1.745, 1.745}, {-1.22, 1.22}, {-2.0944, 2.0944}}};
 // Mechanical stops [rad], beyond the limits (github.com/Reimagine-Robotics/piper_control, pull
 // requests 76 and 78).
-inline constexpr std::array<Range, kJoints> kJointStops = {{{-2.687, 2.687},
-                                                            {0, 3.403},
-                                                            {-3.054, 0},
-                                                            {-1.85, 1.85},
-                                                            {-1.309, 1.309},
-                                                            {-2.967, 2.967}}};
+inline constexpr std::array<Range, kJoints> kJointStops = {
+    {{-2.687, 2.687}, {0, 3.403}, {-3.054, 0}, {-1.85, 1.85}, {-1.309, 1.309}, {-2.967, 2.967}}};
 inline constexpr double kMaxJointSpeed = 3.0;         // [rad/s], of the firmware
 inline constexpr double kMaxJointAcceleration = 5.0;  // [rad/s^2], as delivered
 inline constexpr double kGripperOpening = 0.07;       // [m], the 70 mm gripper

@@ -10,12 +10,12 @@
 namespace robostress::piper {
 namespace {
 
-constexpr double kResolution = 0.002;  // [rad] of the answer, 0.1 degrees, rounded up
-constexpr double kSmallestRange = 0.5;  // [rad]
+constexpr double kResolution = 0.002;        // [rad] of the answer, 0.1 degrees, rounded up
+constexpr double kSmallestRange = 0.5;       // [rad]
 constexpr Range kSpeeds = {0.5, 3.5};        // [rad/s]
 constexpr Range kAccelerations = {0.5, 20};  // [rad/s^2]
-constexpr double kGripperSpeed = 0.2;  // [m/s], what a client may ask for; the arm names none
-constexpr double kGripperAcceleration = 2;  // [m/s^2], likewise
+constexpr double kGripperSpeed = 0.2;        // [m/s], what a client may ask for; the arm names none
+constexpr double kGripperAcceleration = 2;   // [m/s^2], likewise
 
 absl::Status Unfit(int joint, const char* field, double value, const char* unit,
                    const Range& expected) {
@@ -48,7 +48,7 @@ absl::Status CheckJointLimit(const JointLimit& limit, const JointAcceleration& a
 
 ArmLimits UsableLimits(const std::array<std::optional<JointLimit>, kJoints>& limits,
                        const std::array<std::optional<JointAcceleration>, kJoints>& accelerations,
-                       double margin) {
+                       double gripper_range, double margin) {
   ArmLimits usable;
   for (int j = 0; j < kJoints; ++j) {
     RS_CHECK(limits[j].has_value() && accelerations[j].has_value());
@@ -58,7 +58,7 @@ ArmLimits UsableLimits(const std::array<std::optional<JointLimit>, kJoints>& lim
     usable.max_acceleration[j] = accelerations[j]->max_acceleration;
   }
   usable.lower[kJoints] = 0;
-  usable.upper[kJoints] = kGripperOpening;
+  usable.upper[kJoints] = gripper_range;
   usable.max_velocity[kJoints] = kGripperSpeed;
   usable.max_acceleration[kJoints] = kGripperAcceleration;
   return usable;

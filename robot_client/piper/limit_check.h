@@ -18,10 +18,10 @@ namespace robostress::piper {
 absl::Status CheckJointLimit(const JointLimit& limit, const JointAcceleration& acceleration);
 
 // What commands may use: the joints' answers within the vendor's ranges, `margin` [rad] inside
-// both; the gripper of 70 mm, its speed and acceleration unlimited by the arm. Every answer must be
-// there.
+// both; the gripper from closed to gripper_range [m], its speed and acceleration unlimited by the
+// arm. Every answer must be there.
 ArmLimits UsableLimits(const std::array<std::optional<JointLimit>, kJoints>& limits,
                        const std::array<std::optional<JointAcceleration>, kJoints>& accelerations,
-                       double margin);
+                       double gripper_range, double margin);
 
 }  // namespace robostress::piper

@@ -19,10 +19,7 @@ constexpr int kFramesPerPoll = 1600;
 }  // namespace
 
 PiperArm::PiperArm(std::unique_ptr<CanBus> bus, Clock& clock, PiperArmOptions options)
-    : bus_(std::move(bus)),
-      clock_(clock),
-      options_(options),
-      state_(options.max_skew_ns) {}
+    : bus_(std::move(bus)), clock_(clock), options_(options), state_(options.max_skew_ns) {}
 
 std::string PiperArm::Named(const std::string& text) const {
   return absl::StrCat("Piper on '", bus_->description(), "': ", text);
@@ -73,6 +70,7 @@ absl::Status PiperArm::Connect() {
 }
 
 absl::Status PiperArm::Listen() {
+  state_.ForgetForeignCommands();
   // The whole time, so that a sender of a slow cycle is heard too.
   WaitFor(options_.listen_ns, [] { return false; });
   if (state_.foreign_commands() > 0)
@@ -82,7 +80,8 @@ absl::Status PiperArm::Listen() {
         state_.foreign_commands(), state_.last_foreign_id())));
   if (published_.sequence == 0)
     return absl::UnavailableError(Named(absl::StrFormat(
-        "no complete joint sample within %.1f s (%d frames of an arm, %d torn samples); check power, "
+        "no complete joint sample within %.1f s (%d frames of an arm, %d torn samples); check "
+        "power, "
         "wiring and bit rate (1 Mbit/s); an arm in leader mode is silent",
         1e-9 * static_cast<double>(options_.listen_ns), state_.frames(), state_.torn_samples())));
   return absl::OkStatus();
@@ -98,9 +97,9 @@ absl::Status PiperArm::AskFirmware() {
     WaitFor(10 * kPollInterval_ns, [] { return false; });
     firmware_ = *ParseFirmware(state_.firmware_text());
     if (firmware_ < options_.oldest_firmware)
-      return absl::FailedPreconditionError(Named(
-          absl::StrCat("firmware ", FirmwareName(firmware_), " is older than ",
-                       FirmwareName(options_.oldest_firmware), "; update it with the vendor's tool")));
+      return absl::FailedPreconditionError(Named(absl::StrCat(
+          "firmware ", FirmwareName(firmware_), " is older than ",
+          FirmwareName(options_.oldest_firmware), "; update it with the vendor's tool")));
     JointVector torque_per_ampere;
     for (int j = 0; j < kJoints; ++j)
       torque_per_ampere[j] = TorquePerAmpere(j) * CurrentScale(firmware_, j);
@@ -108,8 +107,8 @@ absl::Status PiperArm::AskFirmware() {
     return absl::OkStatus();
   }
   return absl::DeadlineExceededError(
-      Named(absl::StrCat("no firmware version (\"S-V\") in the answer to 0x4AF after ", options_.attempts,
-                         " questions; is this a Piper?")));
+      Named(absl::StrCat("no firmware version (\"S-V\") in the answer to 0x4AF after ",
+                         options_.attempts, " questions; is this a Piper?")));
 }
 
 absl::Status PiperArm::AskLimits() {
@@ -118,7 +117,7 @@ absl::Status PiperArm::AskLimits() {
     for (int j = 0; j < kJoints; ++j) {
       if (!state_.joint_limits()[j] || !state_.accelerations()[j]) return false;
     }
-    return true;
+    return state_.gripper_range().has_value();
   };
   for (int attempt = 0; attempt < options_.attempts && !complete(); ++attempt) {
     for (int j = 0; j < kJoints; ++j) {
@@ -127,6 +126,8 @@ absl::Status PiperArm::AskLimits() {
       if (!state_.accelerations()[j])
         RS_RETURN_IF_ERROR(SendAllowed(Encode(LimitQuery{j + 1, true}), Consent::kMotion));
     }
+    if (!state_.gripper_range())
+      RS_RETURN_IF_ERROR(SendAllowed(EncodeParameterQuery(kGripperRangeQuery), Consent::kMotion));
     WaitFor(options_.reply_ns, complete);
   }
   for (int j = 0; j < kJoints; ++j) {
@@ -138,7 +139,12 @@ absl::Status PiperArm::AskLimits() {
         !fit.ok())
       return absl::FailedPreconditionError(Named(std::string(fit.message())));
   }
-  limits_ = UsableLimits(state_.joint_limits(), state_.accelerations(), options_.limit_margin);
+  if (state_.gripper_range() == 0.0)
+    return absl::FailedPreconditionError(
+        Named("the gripper's range is not configured (0x47E answers 0 mm), so its opening is not "
+              "reported; set 70 or 100 mm once with the vendor's tool"));
+  limits_ = UsableLimits(state_.joint_limits(), state_.accelerations(),
+                         state_.gripper_range().value_or(kGripperOpening), options_.limit_margin);
   return absl::OkStatus();
 }
 
@@ -146,8 +152,8 @@ absl::Status PiperArm::SendTargets(const JointVector& q) {
   const ModeControl mode{ControlMode::kCan, MoveMode::kJ, options_.speed_percent, options_.follow};
   RS_RETURN_IF_ERROR(SendAllowed(Encode(mode), Consent::kMotion));
   for (int pair = 0; pair < kJoints / 2; ++pair) {
-    RS_RETURN_IF_ERROR(SendAllowed(EncodeJointTargets({pair, q[2 * pair], q[2 * pair + 1]}),
-                                   Consent::kMotion));
+    RS_RETURN_IF_ERROR(
+        SendAllowed(EncodeJointTargets({pair, q[2 * pair], q[2 * pair + 1]}), Consent::kMotion));
   }
   return absl::OkStatus();
 }
@@ -171,9 +177,9 @@ absl::Status PiperArm::Enable() {
   // (piper_sdk issue 66). Motors are enabled one by one, because "all" also moves the gripper.
   for (int round = 0; round < 2 || !published_.enabled; ++round) {
     if (clock_.now_ns() >= end_ns)
-      return absl::DeadlineExceededError(Named(absl::StrCat(
-          "not every joint was enabled within ", options_.enable_ns / 1'000'000,
-          " ms; reported: ", ArmFaultNames(published_.faults))));
+      return absl::DeadlineExceededError(
+          Named(absl::StrCat("not every joint was enabled within ", options_.enable_ns / 1'000'000,
+                             " ms; reported: ", ArmFaultNames(published_.faults))));
     RS_RETURN_IF_ERROR(HoldMeasuredPose());
     for (int j = 0; j < kJoints; ++j)
       RS_RETURN_IF_ERROR(SendAllowed(Encode(MotorPower{j + 1, true}), Consent::kMotion));
@@ -193,9 +199,9 @@ absl::Status PiperArm::Disable() {
     return !published_.enabled && (published_.faults & kFaultEmergencyStop) == 0;
   };
   if (!WaitFor(options_.enable_ns, off))
-    return absl::DeadlineExceededError(
-        Named(absl::StrCat("the arm still reports its joints enabled, or a stop: ",
-                           ArmFaultNames(published_.faults), "; cut its power")));
+    return absl::DeadlineExceededError(Named(absl::StrCat(
+        "the arm still reports its joints enabled, or a stop: ", ArmFaultNames(published_.faults),
+        "; cut its power")));
   return absl::OkStatus();
 }
 

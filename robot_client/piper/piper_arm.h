@@ -16,9 +16,9 @@
 namespace robostress::piper {
 
 struct PiperArmOptions {
-  int speed_percent = 100;            // of the joints' maximal speed, in every 0x151
-  Follow follow = Follow::kPlanned;   // kDirect is faster and weaker; see robot_client/README.md
-  double limit_margin = 0.005;        // [rad] between limits() and what the arm allows
+  int speed_percent = 100;           // of the joints' maximal speed, in every 0x151
+  Follow follow = Follow::kPlanned;  // kDirect is faster and weaker; see robot_client/README.md
+  double limit_margin = 0.005;       // [rad] between limits() and what the arm allows
   Firmware oldest_firmware = kOldestFirmware;
   int64_t max_skew_ns = 3'000'000;    // between the frames of a joint sample
   int64_t listen_ns = 500'000'000;    // Connect listens this long for other senders' commands
@@ -29,8 +29,8 @@ struct PiperArmOptions {
 
 // A Piper behind a CAN bus, driven by absolute joint targets in move mode J (follow as configured).
 // It has no thread: Poll takes in what the kernel stamped on arrival. Connect, Enable and Disable
-// wait on the clock, and so let simulated time pass; the others never wait and never allocate, their
-// errors carry a code only:
+// wait on the clock, and so let simulated time pass; the others never wait and never allocate,
+// their errors carry a code only:
 //   Send: kFailedPrecondition before Connect or after QuickStop; kInvalidArgument for a target that
 //   is not finite or beyond limits(); else what the bus answered.
 class PiperArm : public RobotArm {

@@ -158,6 +158,12 @@ std::optional<LimitQuery> DecodeLimitQuery(const CanFrame& frame) {
   return LimitQuery{frame.data[0], frame.data[1] == 2};
 }
 
+CanFrame EncodeParameterQuery(int query) {
+  CanFrame frame = Frame(kParameterQuery);
+  frame.data[0] = Byte(query);
+  return frame;
+}
+
 std::optional<int> DecodeParameterQuery(const CanFrame& frame) {
   if (!Is(frame, kParameterQuery)) return std::nullopt;
   if (std::any_of(frame.data.begin() + 1, frame.data.end(), [](uint8_t b) { return b != 0; }))
@@ -265,12 +271,9 @@ CanFrame Encode(const DriverStatus& status) {
 std::optional<DriverStatus> DecodeDriverStatus(const CanFrame& frame) {
   const std::optional<int> joint = IndexIn(frame, kDriver, kJoints);
   if (!joint) return std::nullopt;
-  return DriverStatus{*joint,
-                      Get<uint16_t>(frame, 0) / kDeci,
-                      Get<int16_t>(frame, 2),
-                      Get<int8_t>(frame, 4),
-                      frame.data[5],
-                      Get<uint16_t>(frame, 6) / kMilli};
+  return DriverStatus{
+      *joint,        Get<uint16_t>(frame, 0) / kDeci, Get<int16_t>(frame, 2), Get<int8_t>(frame, 4),
+      frame.data[5], Get<uint16_t>(frame, 6) / kMilli};
 }
 
 CanFrame Encode(const JointLimit& limit) {
@@ -298,6 +301,19 @@ CanFrame Encode(const JointAcceleration& acceleration) {
 std::optional<JointAcceleration> DecodeJointAcceleration(const CanFrame& frame) {
   if (!Is(frame, kJointAcceleration) || !MotorIndex(frame)) return std::nullopt;
   return JointAcceleration{*MotorIndex(frame), Get<uint16_t>(frame, 1) / kCenti};
+}
+
+CanFrame EncodeGripperRange(double opening) {
+  CanFrame frame = Frame(kGripperRange);
+  frame.data[0] = 100;  // teaching range [%], as delivered
+  Put<uint8_t>(frame, 1, opening * kMilli);
+  frame.data[2] = 1;  // teaching friction, as delivered
+  return frame;
+}
+
+std::optional<double> DecodeGripperRange(const CanFrame& frame) {
+  if (!Is(frame, kGripperRange)) return std::nullopt;
+  return frame.data[1] / kMilli;
 }
 
 CanFrame EncodeWriteReply(uint16_t written_id, bool zero_set) {

@@ -21,36 +21,36 @@ using JointVector = std::array<double, kJoints>;
 // Identifiers. Of a family, the first; joint or pair i has first + i.
 enum Id : uint16_t {
   // to the arm
-  kStopControl = 0x150,     // StopControl
-  kModeControl = 0x151,     // ModeControl
-  kJointTargets = 0x155,    // 3 frames, two joints each
-  kGripperTarget = 0x159,   // GripperTarget
-  kMitTargets = 0x15A,      // 6 frames; torque mode, not used here
-  kLastCommand = 0x15F,     // of the motion commands
-  kLeaderFollower = 0x470,  // configuration write
-  kMotorPower = 0x471,      // MotorPower
-  kLimitQuery = 0x472,      // LimitQuery
-  kLimitWrite = 0x474,      // configuration write
-  kJointConfig = 0x475,     // configuration write (zero, acceleration)
-  kParameterQuery = 0x477,  // a query in byte 0, configuration writes in the others
+  kStopControl = 0x150,        // StopControl
+  kModeControl = 0x151,        // ModeControl
+  kJointTargets = 0x155,       // 3 frames, two joints each
+  kGripperTarget = 0x159,      // GripperTarget
+  kMitTargets = 0x15A,         // 6 frames; torque mode, not used here
+  kLastCommand = 0x15F,        // of the motion commands
+  kLeaderFollower = 0x470,     // configuration write
+  kMotorPower = 0x471,         // MotorPower
+  kLimitQuery = 0x472,         // LimitQuery
+  kLimitWrite = 0x474,         // configuration write
+  kJointConfig = 0x475,        // configuration write (zero, acceleration)
+  kParameterQuery = 0x477,     // a query in byte 0, configuration writes in the others
   kEndVelocityWrite = 0x479,   // configuration write
   kCollisionWrite = 0x47A,     // configuration write
   kGripperRangeWrite = 0x47D,  // configuration write
   // from the arm
-  kJointSpeed = 0x251,     // 6 frames, JointSpeed
-  kDriver = 0x261,         // 6 frames, DriverStatus
-  kArmStatus = 0x2A1,      // ArmStatus
-  kEndPose = 0x2A2,        // 3 frames, two coordinates each
-  kJointAngles = 0x2A5,    // 3 frames, two joints each
-  kGripper = 0x2A8,        // GripperStatus
-  kJointLimit = 0x473,     // JointLimit, the answer to LimitQuery 1
-  kWriteReply = 0x476,     // WriteReply
-  kEndVelocity = 0x478,    // the answer to ParameterQuery 1
-  kCollisionLevel = 0x47B, // the answer to ParameterQuery 2
+  kJointSpeed = 0x251,         // 6 frames, JointSpeed
+  kDriver = 0x261,             // 6 frames, DriverStatus
+  kArmStatus = 0x2A1,          // ArmStatus
+  kEndPose = 0x2A2,            // 3 frames, two coordinates each
+  kJointAngles = 0x2A5,        // 3 frames, two joints each
+  kGripper = 0x2A8,            // GripperStatus
+  kJointLimit = 0x473,         // JointLimit, the answer to LimitQuery 1
+  kWriteReply = 0x476,         // WriteReply
+  kEndVelocity = 0x478,        // the answer to ParameterQuery 1
+  kCollisionLevel = 0x47B,     // the answer to ParameterQuery 2
   kJointAcceleration = 0x47C,  // JointAcceleration, the answer to LimitQuery 2
-  kGripperRange = 0x47E,   // the answer to ParameterQuery 4
+  kGripperRange = 0x47E,       // the answer to ParameterQuery 4
   // both ways
-  kFirmware = 0x4AF,       // query; answer: text in several frames
+  kFirmware = 0x4AF,  // query; answer: text in several frames
 };
 
 // 0x150. Both stops end in an arm that no longer holds its pose.
@@ -74,8 +74,8 @@ enum class ControlMode : uint8_t {
 };
 enum class MoveMode : uint8_t { kP = 0, kJ = 1, kL = 2, kC = 3, kM = 4, kCpv = 5 };
 enum class Follow : uint8_t {
-  kPlanned = 0x00,    // each target is approached with a planned velocity profile
-  kDirect = 0xAD,     // targets go to the joints' impedance controllers as they are
+  kPlanned = 0x00,  // each target is approached with a planned velocity profile
+  kDirect = 0xAD,   // targets go to the joints' impedance controllers as they are
   kInvalid = 0xFF,
 };
 
@@ -129,6 +129,8 @@ CanFrame Encode(const LimitQuery& query);
 std::optional<LimitQuery> DecodeLimitQuery(const CanFrame& frame);
 
 // 0x477 with nothing but a query: 1 kEndVelocity, 2 kCollisionLevel, 4 kGripperRange.
+inline constexpr int kGripperRangeQuery = 4;
+CanFrame EncodeParameterQuery(int query);
 std::optional<int> DecodeParameterQuery(const CanFrame& frame);
 
 CanFrame EncodeFirmwareQuery();
@@ -158,7 +160,7 @@ struct ArmStatus {
   StatusCode code = StatusCode::kNormal;
   MoveMode move = MoveMode::kP;
   uint8_t teach = 0;
-  bool moving = false;      // the target is not reached yet
+  bool moving = false;  // the target is not reached yet
   uint8_t trajectory_point = 0;
   uint8_t joint_limit = 0;  // bit j: joint j + 1 stands at its angle limit
   uint8_t joint_bus = 0;    // bit j: joint j + 1 does not answer
@@ -181,14 +183,15 @@ struct GripperStatus {
   double effort = 0;   // [Nm]
   bool enabled = false;
   bool homed = false;
-  uint8_t errors = 0;  // bits 0 .. 5: undervoltage, motor hot, overcurrent, driver hot, sensor, driver
+  uint8_t errors =
+      0;  // bits 0 .. 5: undervoltage, motor hot, overcurrent, driver hot, sensor, driver
 };
 CanFrame Encode(const GripperStatus& status);
 std::optional<GripperStatus> DecodeGripperStatus(const CanFrame& frame);
 
 // 0x251 .. 0x256. The torque follows from the current by the SDK's constants: 1.18125 Nm/A at
-// joints 1 to 3, 0.95844 Nm/A at 4 to 6; firmware up to S-V1.8-2 reports a quarter of the current of
-// joints 1 to 3 (the SDK's Q&A, 3.2), which the caller corrects.
+// joints 1 to 3, 0.95844 Nm/A at 4 to 6; firmware up to S-V1.8-2 reports a quarter of the current
+// of joints 1 to 3 (the SDK's Q&A, 3.2), which the caller corrects.
 struct JointSpeed {
   int joint = 0;        // 0 .. 5
   double velocity = 0;  // [rad/s]
@@ -210,7 +213,7 @@ enum DriverBit : uint8_t {
   kStall = 1 << 7,
 };
 struct DriverStatus {
-  int joint = 0;                  // 0 .. 5
+  int joint = 0;  // 0 .. 5
   double supply_V = 0;
   double driver_temperature = 0;  // [degrees C]
   double motor_temperature = 0;   // [degrees C]
@@ -223,9 +226,9 @@ std::optional<DriverStatus> DecodeDriverStatus(const CanFrame& frame);
 // 0x473. The speed's unit is 0.01 rad/s (the vendor in piper_sdk issue 122; the SDK's own comment,
 // 0.001, is wrong).
 struct JointLimit {
-  int joint = 0;              // 0 .. 5
+  int joint = 0;                // 0 .. 5
   double lower = 0, upper = 0;  // [rad], resolution 0.1 degrees
-  double max_speed = 0;       // [rad/s]
+  double max_speed = 0;         // [rad/s]
 };
 CanFrame Encode(const JointLimit& limit);
 std::optional<JointLimit> DecodeJointLimit(const CanFrame& frame);
@@ -238,6 +241,11 @@ struct JointAcceleration {
 };
 CanFrame Encode(const JointAcceleration& acceleration);
 std::optional<JointAcceleration> DecodeJointAcceleration(const CanFrame& frame);
+
+// 0x47E: the widest opening that the gripper is configured for [m]: 0.07 or 0.1; 0 when it never
+// was, and then 0x2A8 reports no opening (the SDK's Q&A, 1).
+CanFrame EncodeGripperRange(double opening);
+std::optional<double> DecodeGripperRange(const CanFrame& frame);
 
 // 0x476: the arm took a write of this identifier's low byte.
 CanFrame EncodeWriteReply(uint16_t written_id, bool zero_set);

@@ -1,0 +1,258 @@
+#include "robot_client/piper/piper_arm.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <new>
+
+#include "tests/piper/emulated_arm.h"
+
+namespace {
+// Allocations of this thread while it counts.
+thread_local long allocations = -1;
+}  // namespace
+
+void* operator new(size_t size) {
+  if (allocations >= 0) ++allocations;
+  if (void* memory = std::malloc(size == 0 ? 1 : size)) return memory;
+  std::abort();
+}
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, size_t) noexcept { std::free(memory); }
+
+namespace robostress::piper {
+namespace {
+
+using ::testing::HasSubstr;
+
+const JointVector kPose = {0.4, 0.9, -0.7, 0.2, 0.3, -0.5};
+
+std::string Said(const absl::Status& status) { return std::string(status.message()); }
+
+TEST(PiperArm, ConnectsAndReadsFirmwareAndLimits) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  EXPECT_EQ(world.arm->firmware(), (Firmware{1, 8, 9}));
+  EXPECT_EQ(world.arm->description(), "piper on in-process, firmware S-V1.8-9");
+  const ArmLimits limits = world.arm->limits();
+  // The answer's 0.1 degrees lose at most 0.9 mrad; the margin is 5 mrad.
+  EXPECT_NEAR(limits.upper[0], 2.6179 - 0.005, 1e-3);
+  EXPECT_NEAR(limits.lower[1], 0.005, 1e-3);
+  EXPECT_LE(limits.upper[2], 0);
+  EXPECT_DOUBLE_EQ(limits.max_velocity[0], 3);
+  EXPECT_DOUBLE_EQ(limits.max_acceleration[5], 5);
+  EXPECT_EQ(limits.upper[6], 0.07);
+  const ArmSnapshot snapshot = world.arm->Latest();
+  EXPECT_GT(snapshot.sequence, 50u);
+  EXPECT_FALSE(snapshot.enabled);
+  EXPECT_EQ(snapshot.faults, 0u);
+  EXPECT_LE(world.time.now_ns() - snapshot.stamp_ns, 6'000'000);
+}
+
+TEST(PiperArm, NeverEnablesByItself) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(world.Stream(Command(kPose), 1).ok());
+  EXPECT_FALSE(world.arm->Latest().enabled);
+  for (int j = 0; j < kJoints; ++j) EXPECT_NEAR(world.arm->Latest().position[j], 0, 0.01);
+}
+
+TEST(PiperArm, EnablesWithoutMovingAndFollowsTargets) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  EXPECT_EQ(world.arm->Send(Command({0, 0, 0, 0, 0, 9})).code(),
+            absl::StatusCode::kInvalidArgument);
+  ASSERT_TRUE(world.arm->Enable().ok());
+  EXPECT_TRUE(world.arm->Latest().enabled);
+  for (int j = 0; j < kJoints; ++j) EXPECT_NEAR(world.arm->Latest().position[j], 0, 0.02);
+  EXPECT_NEAR(world.arm->Latest().position[6], 0, 1e-3);  // the gripper was not asked
+  ASSERT_TRUE(world.Stream(Command(kPose), 3).ok());
+  const ArmSnapshot snapshot = world.arm->Latest();
+  for (int j = 0; j < kJoints; ++j) {
+    EXPECT_NEAR(snapshot.position[j], kPose[j], 0.0035) << j;  // 0.2 degrees
+    EXPECT_NEAR(snapshot.velocity[j], 0, 0.01);
+  }
+  EXPECT_NEAR(snapshot.position[6], 0.03, 1e-3);
+  EXPECT_EQ(snapshot.faults, 0u);
+  // J2 carries the forearm: gravity's torque, from the current.
+  EXPECT_NEAR(snapshot.effort[1], world.emulator->plant().reading().gravity[1], 0.8);
+}
+
+TEST(PiperArm, ReportsTheSameTorqueForOldFirmwareWithScaledCurrents) {
+  EmulatorOptions old;
+  old.version = {1, 8, 2};
+  EmulatedArm world(old);
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(world.Stream(Command(kPose), 3).ok());
+  EXPECT_NEAR(world.arm->Latest().effort[1], world.emulator->plant().reading().gravity[1], 0.8);
+}
+
+TEST(PiperArm, RefusesSilence) {
+  EmulatedArm world;
+  world.emulator->firmware().SetSilent(true);
+  const absl::Status status = world.arm->Connect();
+  EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable);
+  EXPECT_THAT(Said(status), HasSubstr("leader mode"));
+  EXPECT_EQ(world.arm->Send(Command({})).code(), absl::StatusCode::kFailedPrecondition);
+}
+
+TEST(PiperArm, RefusesForeignCommandsAtStartAndReportsThemLater) {
+  EmulatorOptions options;
+  options.faults = {ParseFault("foreign@0.1+0.2").value()};
+  EmulatedArm world(options);
+  const absl::Status status = world.arm->Connect();
+  EXPECT_EQ(status.code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_THAT(Said(status), HasSubstr("0x155"));
+  // The other program was stopped.
+  ASSERT_TRUE(world.arm->Connect().ok());
+  EXPECT_EQ(world.arm->Latest().faults, 0u);
+  ASSERT_TRUE(world.third->Send(Encode(MotorPower{7, true})).ok());
+  world.Run(0.01);
+  EXPECT_EQ(world.arm->Latest().faults, kFaultForeignCommand);
+}
+
+TEST(PiperArm, RefusesOldFirmwareAndDamagedLimits) {
+  EmulatorOptions options;
+  options.version = {1, 4, 9};
+  EmulatedArm old(options);
+  EXPECT_THAT(Said(old.arm->Connect()), HasSubstr("S-V1.4-9 is older than S-V1.5-2"));
+
+  EmulatedArm damaged;
+  damaged.emulator->firmware().SetLimit({3, -0.00175, -0.00175, 3});
+  const absl::Status status = damaged.arm->Connect();
+  EXPECT_EQ(status.code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_THAT(Said(status), HasSubstr("joint 4 answers upper"));
+}
+
+TEST(PiperArm, RefusesAGripperThatWasNeverConfigured) {
+  EmulatorOptions options;
+  options.gripper_range = 0;
+  EmulatedArm world(options);
+  EXPECT_THAT(Said(world.arm->Connect()), HasSubstr("70 or 100 mm"));
+  options.gripper_range = 0.1;
+  EmulatedArm wide(options);
+  ASSERT_TRUE(wide.arm->Connect().ok());
+  EXPECT_EQ(wide.arm->limits().upper[6], 0.1);
+}
+
+TEST(PiperArm, NamesAJointThatDoesNotAnswer) {
+  EmulatedArm world;
+  world.emulator->firmware().SetJointSilent(2, true);
+  EXPECT_THAT(Said(world.arm->Connect()), HasSubstr("joint 3 did not answer 0x472"));
+}
+
+TEST(PiperArm, KeepsTheLastWholeSampleWhileFramesAreLost) {
+  EmulatorOptions options;
+  options.faults = {ParseFault("tear@2+0.5").value()};
+  EmulatedArm world(options);
+  ASSERT_TRUE(world.arm->Connect().ok());
+  world.Run(2.1 - 1e-9 * static_cast<double>(world.time.now_ns()));
+  const uint64_t before = world.arm->Latest().sequence;
+  world.Run(0.3);
+  // Half the samples are torn; the others arrive.
+  EXPECT_NEAR(static_cast<double>(world.arm->Latest().sequence - before), 30, 2);
+  EXPECT_NEAR(static_cast<double>(world.arm->torn_samples()), 40, 12);
+}
+
+TEST(PiperArm, ShowsFaultsOfTheArmByName) {
+  EmulatorOptions options;
+  options.faults = {ParseFault("collision:J2@4").value(), ParseFault("motor-hot:J5@4.5").value()};
+  EmulatedArm world(options);
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(
+      world.Stream(Command(kPose), 4.2 - 1e-9 * static_cast<double>(world.time.now_ns())).ok());
+  world.Run(0.1);
+  EXPECT_EQ(world.arm->Latest().faults, kFaultCollision);
+  world.Run(0.6);
+  EXPECT_EQ(world.arm->Latest().faults, kFaultCollision | kFaultOverTemperature);
+  EXPECT_TRUE(world.arm->Latest().enabled);
+}
+
+TEST(PiperArm, SaysWhenEnableIsLost) {
+  EmulatorOptions options;
+  options.faults = {ParseFault("power-off:J3@3").value()};
+  EmulatedArm world(options);
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(world.arm->Enable().ok());
+  EXPECT_TRUE(world.arm->Latest().enabled);
+  world.Run(3.1 - 1e-9 * static_cast<double>(world.time.now_ns()));
+  EXPECT_FALSE(world.arm->Latest().enabled);
+}
+
+TEST(PiperArm, SnapshotGrowsOldWhenTheArmFallsSilent) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  world.emulator->firmware().SetSilent(true);
+  const uint64_t before = world.arm->Latest().sequence;
+  world.Run(0.25);
+  EXPECT_LE(world.arm->Latest().sequence, before + 1);
+  EXPECT_GE(world.time.now_ns() - world.arm->Latest().stamp_ns, 245'000'000);
+  EXPECT_FALSE(world.arm->Latest().enabled);
+}
+
+TEST(PiperArm, QuickStopSinksAndOnlyDisableAndEnableBringTheArmBack) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(world.Stream(Command(kPose), 3).ok());
+  for (int i = 0; i < 5; ++i) {
+    ASSERT_TRUE(world.arm->QuickStop().ok());
+    world.Run(0.01);
+  }
+  EXPECT_EQ(world.arm->Send(Command(kPose)).code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_EQ(world.arm->Latest().faults, kFaultEmergencyStop);
+  const double before = world.arm->Latest().position[1];
+  world.Run(0.3);
+  EXPECT_GT(std::abs(world.arm->Latest().position[1] - before), 0.01);  // it sinks
+  EXPECT_LT(std::abs(world.arm->Latest().velocity[1]), 1.0);            // slowly
+  EXPECT_EQ(world.arm->Enable().code(), absl::StatusCode::kFailedPrecondition);
+  ASSERT_TRUE(world.arm->Disable().ok());
+  EXPECT_FALSE(world.arm->Latest().enabled);
+  ASSERT_TRUE(world.arm->Enable().ok());
+  EXPECT_TRUE(world.arm->Latest().enabled);
+  EXPECT_EQ(world.arm->Latest().faults, 0u);
+}
+
+TEST(PiperArm, SendsOnlyFramesOfTheAllowedList) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(world.Stream(Command(kPose), 1).ok());
+  ASSERT_TRUE(world.arm->QuickStop().ok());
+  world.Run(0.1);
+  StampedFrame frame;
+  int commands = 0;
+  while (world.third->Receive(frame)) {
+    if (!IsCommand(frame.frame)) continue;
+    ++commands;
+    EXPECT_TRUE(CheckMaySend(frame.frame, Consent::kMotion).ok()) << frame.frame.id;
+  }
+  EXPECT_GT(commands, 100);
+}
+
+TEST(PiperArm, AllocatesNothingInTheLoop) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(world.arm->Enable().ok());
+  const ArmCommand command = Command(kPose), refused = Command({0, 0, 0, 0, 0, 9});
+  long counted = 0;
+  for (int tick = 0; tick < 60; ++tick) {
+    allocations = 0;
+    world.arm->Poll();
+    const ArmSnapshot snapshot = world.arm->Latest();
+    const bool sent = world.arm->Send(command).ok();
+    const bool denied = !world.arm->Send(refused).ok();
+    counted += allocations;
+    allocations = -1;
+    EXPECT_TRUE(sent && denied && snapshot.sequence > 0);
+    world.Run(1.0 / 30);
+  }
+  EXPECT_EQ(counted, 0);
+}
+
+}  // namespace
+}  // namespace robostress::piper
