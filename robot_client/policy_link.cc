@@ -167,7 +167,6 @@ void PolicyLink::SendFeedback() {
     uint64_t session = 0;
     {
       absl::MutexLock lock(&mu_);
-      counters_.feedback = assembler_.counters();
       session = counters_.sessions;
       const auto start = chunk_start_.find(chunk->prediction_id);
       if (start != chunk_start_.end()) counters_.residual.Add(*chunk, start->second);
@@ -194,6 +193,8 @@ void PolicyLink::SendFeedback() {
     ++counters_.feedback_sent;
     if (!status.ok()) last_error_ = status;
   }
+  absl::MutexLock lock(&mu_);
+  counters_.feedback = assembler_.counters();
 }
 
 bool PolicyLink::Serve() {

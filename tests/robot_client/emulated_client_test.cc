@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "robot_client/can/in_process_bus.h"
@@ -14,7 +15,8 @@
 namespace robostress {
 namespace {
 
-// A policy of joint targets: a sway of J1 and J4 about where the episode began.
+// A policy of joint targets: off the rest, on which J2 and J3 stand at their limits, within two
+// seconds; from then on a sway of J1 and J4.
 class SwayPolicy : public PolicyEndpoint {
  public:
   SwayPolicy() {
@@ -37,6 +39,10 @@ class SwayPolicy : public PolicyEndpoint {
       out.actions.row(i) = first_.transpose();
       out.actions(i, 0) += 0.2f * static_cast<float>(std::sin(2 * M_PI * 0.3 * t));
       out.actions(i, 3) += 0.2f * static_cast<float>(std::sin(2 * M_PI * 0.3 * t));
+      const float lift = 0.4f * static_cast<float>(1 - std::cos(M_PI * std::min(t / 2, 1.0))) / 2;
+      out.actions(i, 1) = 0.05f + lift;
+      out.actions(i, 2) = -0.05f - lift;
+      out.actions(i, 4) = std::clamp(out.actions(i, 4), -1.1f, 1.1f);
       out.actions(i, 6) = 0.04f;
     }
     out.policy_actions = out.actions;
@@ -103,7 +109,8 @@ TEST(EmulatedClientTest, PlaysAnEpisodeOnAnArmInSoftware) {
   EXPECT_NEAR(episode->ticks, 180, 2);
   EXPECT_NEAR(reached, 0.2, 0.03) << "J1 follows";
   EXPECT_GE(episode->link.feedback_sent, 16u);
-  EXPECT_EQ(episode->link.feedback.steps_masked, 0u) << "nothing moved a command but the policy";
+  EXPECT_GT(episode->link.feedback.steps, 150u);
+  EXPECT_LT(episode->link.feedback.steps_masked, 30u) << "only while the limiter leaves the rest";
   EXPECT_GT(episode->link.residual.value(), 0.02);
   EXPECT_LT(episode->link.residual.value(), 1.5);
 }
@@ -126,8 +133,7 @@ TEST(EmulatedClientTest, TheObserverBringsAWornArmNearerToItsTargets) {
     int n = 0;
     auto episode = bench.client->RunEpisode({0, 0}, 10, [&](const TickRecord& r) {
       if ((r.flags & kTickPlayed) && r.tick > 90) {
-        // J2, which gravity pulls off a constant target.
-        sum += std::abs(r.position[1] - r.policy[1]);
+        sum += std::abs(r.position[0] - r.policy[0]);
         ++n;
       }
       return false;
@@ -135,7 +141,7 @@ TEST(EmulatedClientTest, TheObserverBringsAWornArmNearerToItsTargets) {
     EXPECT_TRUE(episode.ok()) << episode.status();
     return sum / std::max(n, 1);
   };
-  EXPECT_LE(error(true), error(false));
+  EXPECT_LT(error(true), 0.95 * error(false));
 }
 
 TEST(EmulatedClientTest, ACollisionInMidMotionIsAFaultAtOnce) {
