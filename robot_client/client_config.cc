@@ -10,6 +10,7 @@
 #include "common/status_macros.h"
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/file_source.h"
+#include "robot_client/cameras/mapped_frames.h"
 #include "robot_client/cameras/synthetic_source.h"
 #include "robot_client/cameras/v4l2_source.h"
 #include "robot_client/can/bus_address.h"
@@ -32,6 +33,9 @@ absl::StatusOr<std::unique_ptr<FrameSource>> MakeSource(const std::string& name,
     options.directory = std::string(source);
     return std::unique_ptr<FrameSource>(std::make_unique<FileSource>(options, clock));
   }
+  if (absl::ConsumePrefix(&source, "mapped:"))
+    return std::unique_ptr<FrameSource>(
+        std::make_unique<MappedSource>(name, std::string(source), clock));
   if (absl::ConsumePrefix(&source, "v4l2:")) {
     V4l2SourceOptions options;
     options.name = name;
@@ -50,7 +54,7 @@ absl::StatusOr<std::unique_ptr<FrameSource>> MakeSource(const std::string& name,
   }
   return absl::InvalidArgumentError(
       absl::StrCat("camera '", name, "' has source '", source,
-                   "'; use v4l2:/dev/v4l/by-id/..., files:DIR or synthetic"));
+                   "'; use v4l2:/dev/v4l/by-id/..., files:DIR, mapped:FILE or synthetic"));
 }
 
 }  // namespace

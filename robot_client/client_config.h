@@ -50,6 +50,7 @@ absl::Status CheckConfig(const ClientConfig& config);
 // A camera from NAME=SOURCE[,fault=KIND[:AMOUNT][@SECONDS]], the fault from SECONDS on:
 //   base=v4l2:/dev/v4l/by-id/...[@640x480]   a camera
 //   wrist=files:DIR                          *.ppm of a folder, over and over
+//   base=mapped:FILE                         pictures of an emulator on this machine
 //   base=synthetic                           a moving pattern
 absl::StatusOr<std::unique_ptr<FrameSource>> MakeCamera(const std::string& text, Clock* clock);
 

@@ -141,7 +141,8 @@ int Main(int argc, char** argv) {
   app.add_option("--bus", line.bus, "can:can0, udp:GROUP:PORT, or rehearse (no arm; default)");
   app.add_option("--instruction", line.instruction, "what the policy is told");
   app.add_option("--camera", line.cameras,
-                 "NAME=v4l2:DEVICE[@WxH] | NAME=files:DIR | NAME=synthetic, each with an optional "
+                 "NAME=v4l2:DEVICE[@WxH] | NAME=files:DIR | NAME=mapped:FILE | NAME=synthetic, "
+                 "each with an optional "
                  ",fault=KIND[:AMOUNT][@SECONDS]; in the policy's order, repeatable")
       ->allow_extra_args(false);
   app.add_option("--set", line.overrides, "key.key=value over the configuration, repeatable")

@@ -24,8 +24,8 @@ class FaultySource : public FrameSource {
   FaultySource(std::unique_ptr<FrameSource> source, const Clock* clock, uint64_t seed = 0)
       : source_(std::move(source)), clock_(clock), seed_(seed) {}
 
-  // `amount`: drop, share of pictures 0..1; delay, seconds 0..1; otherwise unused. From `from_ns` of
-  // the clock on. Any thread.
+  // `amount`: drop, share of pictures 0..1; delay, seconds 0..1; otherwise unused. From `from_ns`
+  // of the clock on. Any thread.
   void Set(CameraFault fault, double amount = 0, int64_t from_ns = 0);
 
   const std::string& name() const override { return source_->name(); }

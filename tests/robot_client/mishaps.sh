@@ -78,7 +78,7 @@ report() {
       for (i = 1; i <= n; ++i)
         for (j = 1; j <= 6; ++j) { d = q[i, j] - q[n, j]; if (d > 0.005 || d < -0.005) still = time[i] }
       printf "| %s | %s (%s) | %.2f | %.2f | %s |\n", name, to, cause, changed - mishap,
-             moved > mishap ? moved - mishap : 0, silent ? "not seen" : sprintf("%.2f", still > mishap ? still - mishap : 0) }
+             (moved > mishap ? moved - mishap : 0), silent ? "not seen" : sprintf("%.2f", (still > mishap ? still - mishap : 0)) }
     ' "$out/$name/ticks.csv"
 }
 

@@ -1,11 +1,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <filesystem>
+#include <thread>
 
 #include "common/atomic_file.h"
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/file_source.h"
+#include "robot_client/cameras/mapped_frames.h"
 #include "robot_client/cameras/pixel_formats.h"
 #include "robot_client/cameras/synthetic_source.h"
 
@@ -128,6 +131,63 @@ TEST(FileSourceTest, PlaysPicturesInOrderAndAgainOrNot) {
   ManualClock clock;
   FileSource missing({"wrist", folder + "/none"}, &clock);
   EXPECT_EQ(missing.Start().code(), absl::StatusCode::kNotFound);
+}
+
+TEST(MappedFramesTest, AReaderSeesWholePicturesAndTheirStamps) {
+  const std::string path = ::testing::TempDir() + "/mapped_frames";
+  std::filesystem::remove(path);
+  ManualClock clock(1'000'000'000);
+  MappedSource source("base", path, &clock);
+  EXPECT_THAT(std::string(source.Start().message()), HasSubstr("--views"));
+  auto writer = MappedFrameWriter::Create(path, 64, 48);
+  ASSERT_TRUE(writer.ok()) << writer.status();
+  ASSERT_TRUE(source.Start().ok());
+  EXPECT_EQ(source.Latest(), nullptr);
+  EXPECT_EQ(source.newest_stamp_ns(), 0);
+  std::atomic<bool> stop{false};
+  // Every picture is of one colour, its number; a torn one would have two.
+  std::thread write([&] {
+    for (int i = 1; !stop; ++i) {
+      const Image image{64, 48, std::vector<uint8_t>(size_t{3} * 64 * 48, static_cast<uint8_t>(i))};
+      ASSERT_TRUE((*writer)->Write(image, i).ok());
+    }
+  });
+  uint64_t last = 0;
+  for (int reads = 0; reads < 2000;) {
+    const auto frame = source.Latest();
+    if (frame == nullptr) continue;
+    ++reads;
+    EXPECT_GE(frame->sequence, last);
+    last = frame->sequence;
+    EXPECT_EQ(frame->stamp_ns, static_cast<int64_t>(frame->sequence));
+    for (const uint8_t value : frame->image.data) {
+      ASSERT_EQ(value, static_cast<uint8_t>(frame->sequence));
+    }
+  }
+  stop = true;
+  write.join();
+  EXPECT_EQ((*writer)->Write(Image{2, 2, std::vector<uint8_t>(12)}, 1).code(),
+            absl::StatusCode::kInvalidArgument);
+}
+
+TEST(MappedFramesTest, AWriterThatStartsAnewIsFoundAgainAndDamageIsRefused) {
+  const std::string path = ::testing::TempDir() + "/mapped_again";
+  ManualClock clock(10'000'000'000);
+  const Image image{8, 8, std::vector<uint8_t>(192, 5)};
+  auto writer = MappedFrameWriter::Create(path, 8, 8);
+  ASSERT_TRUE(writer.ok() && (*writer)->Write(image, clock.now_ns()).ok());
+  MappedSource source("base", path, &clock);
+  ASSERT_TRUE(source.Start().ok());
+  EXPECT_TRUE(source.status().ok());
+  clock.Advance(5'000'000'000);
+  EXPECT_FALSE(source.status().ok());
+  auto again = MappedFrameWriter::Create(path, 8, 8);
+  ASSERT_TRUE(again.ok() && (*again)->Write(image, clock.now_ns()).ok());
+  ASSERT_NE(source.Latest(), nullptr);
+  EXPECT_EQ(source.Latest()->stamp_ns, clock.now_ns());
+  ASSERT_TRUE(WriteFileAtomically(path, "RSFRAME1 and nothing else").ok());
+  MappedSource damaged("base", path, &clock);
+  EXPECT_EQ(damaged.Start().code(), absl::StatusCode::kDataLoss);
 }
 
 TEST(PixelFormatsTest, YuyvBecomesRgbAsBt601Says) {
