@@ -41,6 +41,7 @@ absl::Status ClientRun::Open() {
   stamps_ = std::make_unique<FrameStamps>(sources);
   RS_ASSIGN_OR_RETURN(loop_,
                       ControlLoop::Create(config_.control, arm_.get(), &clock_, stamps_.get()));
+  loop_->ObeyStops(OperatorConsole::presses());
   PolicyLinkOptions link;
   link.instruction = config_.instruction;
   link.max_frame_age_s = config_.control.watchdogs.camera_hold_s;

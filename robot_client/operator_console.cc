@@ -8,12 +8,15 @@
 #include <utility>
 
 #include "absl/strings/ascii.h"
+#include "common/clock.h"
 
 namespace robostress {
 namespace {
 
-volatile std::sig_atomic_t signals = 0;
-void CountSignal(int) { signals = signals + 1; }
+std::atomic<int> signals{0};
+static_assert(std::atomic<int>::is_always_lock_free);  // or a handler could not touch it
+void CountSignal(int) { signals.fetch_add(1); }
+constexpr int64_t kWindow_ns = 3'000'000'000;
 
 constexpr std::pair<const char*, OperatorCommand> kCommands[] = {
     {"enable", OperatorCommand::kEnable},   {"start", OperatorCommand::kStart},
@@ -34,7 +37,7 @@ const char kOperatorHelp[] =
     "  resume      go on with the episode that was held\n"
     "  success     end the episode: the task was done      failure   ... it was not\n"
     "  end         end the episode without a judgement\n"
-    "  stop        or Ctrl-C a second time: damped stop, the arm SINKS\n"
+    "  stop        or Ctrl-C again within 3 s: damped stop, the arm SINKS\n"
     "  clear       leave FAULT once its cause is gone; then enable again\n"
     "  quit        leave; the arm keeps its power and holds\n"
     "  quit limp   leave and take the power off: the arm FALLS, support it\n";
@@ -48,8 +51,9 @@ std::optional<OperatorCommand> ParseOperatorCommand(std::string_view line) {
   return std::nullopt;
 }
 
-OperatorConsole::OperatorConsole() {
-  signals = 0;
+const std::atomic<int>* OperatorConsole::presses() { return &signals; }
+
+OperatorConsole::OperatorConsole() : signals_seen_(signals) {
   struct sigaction action {};
   action.sa_handler = CountSignal;
   sigaction(SIGINT, &action, nullptr);
@@ -85,8 +89,11 @@ std::optional<OperatorCommand> OperatorConsole::Next(int timeout_ms) {
   }
   if (signals_seen_ < signals) {
     ++signals_seen_;
-    if (signals_seen_ == 1) return OperatorCommand::kHold;
-    if (signals_seen_ == 2) return OperatorCommand::kQuickStop;
+    const int64_t now = MonotonicClock().now_ns();
+    stage_ = now - last_press_ns_ < kWindow_ns ? stage_ + 1 : 1;
+    last_press_ns_ = now;
+    if (stage_ == 1) return OperatorCommand::kHold;
+    if (stage_ == 2) return OperatorCommand::kQuickStop;
     return OperatorCommand::kQuit;
   }
   if (commands_.empty()) return std::nullopt;

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <atomic>
+#include <cstdint>
 #include <deque>
 #include <optional>
 #include <string>
@@ -26,8 +28,8 @@ enum class OperatorCommand {
 std::optional<OperatorCommand> ParseOperatorCommand(std::string_view line);
 extern const char kOperatorHelp[];
 
-// Standard input and signals as commands. SIGINT and SIGTERM: the first means hold, the second the
-// quick stop, the third quit. One object at a time, one thread.
+// Standard input and signals as commands. SIGINT and SIGTERM: one means hold, a second within three
+// seconds the quick stop, a third quit. One object at a time, one thread.
 class OperatorConsole {
  public:
   OperatorConsole();  // takes the signals over
@@ -37,9 +39,13 @@ class OperatorConsole {
   // After the end of the input only signals come.
   std::optional<OperatorCommand> Next(int timeout_ms);
   bool input_ended() const { return ended_; }
+  // Counts the signals as they come, for ControlLoop::ObeyStops.
+  static const std::atomic<int>* presses();
 
  private:
   int signals_seen_ = 0;
+  int stage_ = 0;  // presses in a row
+  int64_t last_press_ns_ = 0;
   bool ended_ = false;
   std::string buffer_;
   std::deque<OperatorCommand> commands_;

@@ -95,6 +95,17 @@ bool ControlLoop::streaming() const {
          state == ClientState::kHold;
 }
 
+uint32_t ControlLoop::StopRequests(int64_t now_ns) {
+  const int presses = stop_presses_ == nullptr ? 0 : stop_presses_->load(std::memory_order_acquire);
+  if (presses == seen_presses_) return 0;
+  const bool again = presses > seen_presses_ + 1 ||
+                     (seen_presses_ > 0 &&
+                      static_cast<double>(now_ns - last_press_ns_) < kStopWindow_s * kNsPerSecond);
+  seen_presses_ = presses;
+  last_press_ns_ = now_ns;
+  return again ? kRequestQuickStop : kRequestHold;
+}
+
 void ControlLoop::EnableArm() {
   enabling_ = true;
   ArmSnapshot arm = arm_->Latest();
@@ -242,7 +253,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   const int64_t now = clock_->now_ns();
   enabling_ = false;
   arm_->Poll();
-  const uint32_t requests = asked_.exchange(0, std::memory_order_acq_rel);
+  const uint32_t requests = asked_.exchange(0, std::memory_order_acq_rel) | StopRequests(now);
   if ((requests & kRequestEnable) && machine_.state() == ClientState::kIdle &&
       !(requests & (kRequestHold | kRequestQuickStop)))
     EnableArm();

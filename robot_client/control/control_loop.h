@@ -75,6 +75,11 @@ class ControlLoop {
   // Before the first tick: every record goes to `ring` too; a full ring loses records, and the next
   // one that fits says so (kTickLost).
   void AddReader(SpscRing<TickRecord>* ring) { readers_.push_back({ring, false}); }
+  // Before the first tick: a count of presses on a stop key, raised by anyone, a signal handler for
+  // one. A press holds; another one within kStopWindow_s is the quick stop. Read every tick, so
+  // that no other thread's trouble delays a stop.
+  static constexpr double kStopWindow_s = 3;
+  void ObeyStops(const std::atomic<int>* presses) { stop_presses_ = presses; }
   // Before the first tick, in simulated time: called in the control thread where a prediction has
   // been asked for and before this tick's row is picked.
   void OnPredictionRequested(std::function<void()> call) { on_request_ = std::move(call); }
@@ -103,6 +108,7 @@ class ControlLoop {
 
   ControlLoop(const ControlOptions& options, RobotArm* arm, Clock* clock,
               const CameraStamps* cameras);
+  uint32_t StopRequests(int64_t now_ns);
   void EnableArm();
   void TakeChunks(int64_t now_ns);
   void AskForPrediction(int64_t now_ns);
@@ -131,7 +137,11 @@ class ControlLoop {
   SpscRing<PredictionRequest> prediction_requests_{4};
   SpscRing<ArmChunk> chunks_{4};
 
+  const std::atomic<int>* stop_presses_ = nullptr;
+
   // The control thread's own.
+  int seen_presses_ = 0;
+  int64_t last_press_ns_ = 0;
   TickRecord record_;
   ArmChunk incoming_;
   uint64_t last_sequence_ = 0;

@@ -297,6 +297,39 @@ TEST(ControlLoopTest, TheSecondStageOfAStopRepeatsTheDampedStop) {
   EXPECT_EQ(bench.seen.back().cause, StateCause::kQuickStop);
 }
 
+TEST(ControlLoopTest, APressHoldsAndASecondOneSoonAfterIsTheQuickStop) {
+  Bench bench;
+  std::atomic<int> presses{0};
+  bench.loop->ObeyStops(&presses);
+  bench.Start();
+  bench.Ticks(10);
+  ++presses;
+  bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
+  bench.Ticks(95);  // more than three seconds
+  bench.Tick(kRequestResume);
+  bench.Ticks(10);
+  ++presses;
+  bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold) << "a first press again";
+  bench.Ticks(20);
+  EXPECT_EQ(bench.arm.quick_stops, 0);
+  ++presses;
+  bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kFault);
+  EXPECT_EQ(bench.arm.quick_stops, 1);
+}
+
+TEST(ControlLoopTest, TwoPressesBetweenTwoTicksAreTheQuickStop) {
+  Bench bench;
+  std::atomic<int> presses{0};
+  bench.loop->ObeyStops(&presses);
+  bench.Start();
+  presses += 2;
+  bench.Tick();
+  EXPECT_EQ(bench.seen.back().cause, StateCause::kQuickStop);
+}
+
 TEST(ControlLoopTest, AfterAFaultTheArmMustBeClearedAndEnabledAgain) {
   Bench bench;
   bench.Start();
