@@ -48,6 +48,10 @@ absl::StatusOr<EmulatorOptions> Resolve(const CommandLine& line) {
     return absl::InvalidArgumentError(
         absl::StrCat("--firmware ", line.firmware, ": expected a version as S-V1.8-9"));
   options.version = *version;
+  if (!line.views.empty()) {
+    options.scene.assets_xml += kViewAssets;
+    options.scene.world_xml += kViewTable;
+  }
   options.command_lag_s = line.command_lag_ms < 0 ? -1 : line.command_lag_ms / 1000;
   for (size_t j = 0; j < line.start_deg.size(); ++j)
     options.start[j] = line.start_deg[j] * M_PI / 180;

@@ -20,6 +20,13 @@ struct ViewServerOptions {
   double rate_hz = 30;
 };
 
+// A table to look at under an arm that stands alone: drawn, not touched.
+inline constexpr char kViewAssets[] =
+    R"(<texture name="view_table" type="2d" builtin="checker" rgb1="0.55 0.5 0.45" rgb2="0.4 0.37 0.33" width="128" height="128"/>
+<material name="view_table" texture="view_table" texrepeat="12 12"/>)";
+inline constexpr char kViewTable[] =
+    R"(<geom name="view_table" type="plane" size="1.5 1.5 0.1" material="view_table" contype="0" conaffinity="0" group="1"/>)";
+
 // Draws an emulator's base and wrist views in a thread of its own and passes them to clients
 // through mapped files (cameras/mapped_frames.h), so that drawing never delays the arm's frames.
 class ViewServer {
