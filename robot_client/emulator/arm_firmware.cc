@@ -267,8 +267,7 @@ ArmFirmware::Torques ArmFirmware::Step(const PlantReading& reading) {
     if (!power_[j].enabled || stopped_ || torque_mode) {
       planner.Reset(reading.q[j]);
     } else if (frozen) {
-      planner.Hold(accelerations_[j]);
-      planner.Step(limits_[j].max_speed, accelerations_[j], kStep_s);
+      planner.Brake(accelerations_[j], kStep_s);
     } else if (mode_.follow == Follow::kDirect) {
       planner.Jump();
     } else {

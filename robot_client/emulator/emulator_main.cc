@@ -132,6 +132,8 @@ int main(int argc, char** argv) {
   app.add_option("--command-lag-ms", line.command_lag_ms,
                  "From a target's frame to its effect (default: the profile's)")
       ->check(CLI::Range(0.0, 1000.0));
+  app.add_flag("--motor-encoders", line.options.motor_encoders,
+               "Encoders before backlash and compliance (default: at the joints)");
   app.add_option(
       "--fault", line.faults, "KIND[:J1..J6]@SECONDS[+DURATION], repeatable: " + [] {
         std::string names;

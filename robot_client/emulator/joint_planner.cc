@@ -5,8 +5,10 @@
 
 namespace robostress::piper {
 
-void JointPlanner::Hold(double max_acceleration) {
-  target_ = position_ + velocity_ * std::abs(velocity_) / (2 * max_acceleration);
+void JointPlanner::Brake(double max_acceleration, double h) {
+  velocity_ -= std::clamp(velocity_, -max_acceleration * h, max_acceleration * h);
+  position_ += velocity_ * h;
+  target_ = position_;
 }
 
 void JointPlanner::Step(double max_velocity, double max_acceleration, double h) {

@@ -15,8 +15,8 @@ class JointPlanner {
     velocity_ = 0;
   }
   void SetTarget(double target) { target_ = target; }
-  // Stops with a_max from now on.
-  void Hold(double max_acceleration);
+  // One step of braking to a stop; where the reference then is becomes the target.
+  void Brake(double max_acceleration, double h);
   // The reference becomes the target at once (follow mode kDirect).
   void Jump() {
     position_ = target_;

@@ -19,6 +19,7 @@ absl::StatusOr<std::unique_ptr<PiperEmulator>> PiperEmulator::Create(const Emula
                                                                      const Clock& clock) {
   std::unique_ptr<PiperEmulator> emulator(new PiperEmulator);
   RS_ASSIGN_OR_RETURN(emulator->profile_, MakeWearProfile(options.profile));
+  emulator->profile_.motor_encoders |= options.motor_encoders;
   RS_ASSIGN_OR_RETURN(emulator->plant_,
                       PiperPlant::Create(ComposePiperScene(options.scene), emulator->profile_));
   emulator->plant_->Reset(options.start, options.opening);

@@ -22,6 +22,7 @@ struct EmulatorOptions {
   PiperScene scene;             // with the payload
   Firmware version = {1, 8, 9};
   double command_lag_s = -1;               // negative: the profile's
+  bool motor_encoders = false;             // see WearProfile
   double gripper_range = kGripperOpening;  // [m], as configured; 0: never was
   JointVector start{};                     // [rad], joints at power-on: the arm lies on its rest
   double opening = 0;                      // [m], of the gripper at power-on

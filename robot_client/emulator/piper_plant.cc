@@ -45,6 +45,7 @@ absl::StatusOr<std::unique_ptr<PiperPlant>> PiperPlant::Create(const std::string
   scenario.name = profile.name;
   scenario.effects = profile.effects;
   plant->effects_.SetScenario(scenario);
+  plant->motor_encoders_ = profile.motor_encoders;
   plant->Reset({}, 0);
   return plant;
 }
@@ -183,7 +184,8 @@ void PiperPlant::Step(const JointVector& motor_torque, double finger_force) {
 void PiperPlant::Read() {
   const Vector6 gravity = HoldingTorque(false);
   for (int i = 0; i < kJoints; ++i) {
-    reading_.q[i] = effects_.Reading(i, data_->qpos[qpos_[i]]);
+    const double before_encoder = motor_encoders_ ? effects_.offset()[i] : 0;
+    reading_.q[i] = effects_.Reading(i, data_->qpos[qpos_[i]] - before_encoder);
     reading_.dq[i] = effects_.ReadingSlope(i) * data_->qvel[dof_[i]];
     reading_.gravity[i] = gravity[i];
   }

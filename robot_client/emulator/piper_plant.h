@@ -27,7 +27,8 @@ struct PlantReading {
 // The arm's mechanics in MuJoCo, with the profile's execution errors: per step of kStep_s the
 // torque stage of the motors (drive effects, friction as true stiction, loads), MuJoCo, then the
 // position stage (backlash and compliance move the joint coordinates). The joint coordinate is the
-// link's, and so is what the encoders read, up to the profile's sensor effects.
+// link's, and so is what the encoders read, up to the profile's sensor effects, unless it puts them
+// on the motors.
 class PiperPlant {
  public:
   static constexpr double kStep_s = 0.001;
@@ -68,7 +69,7 @@ class PiperPlant {
   std::array<int, kJoints> joint_{}, qpos_{}, dof_{};
   std::array<int, 2> finger_qpos_{}, finger_dof_{};
   int payload_ = -1;  // body, -1 without one
-  bool parked_ = false;
+  bool parked_ = false, motor_encoders_ = false;
   EffectStack effects_;
   PlantReading reading_;
 };

@@ -24,7 +24,8 @@ struct CommandLine {
   std::vector<std::string> profiles = {"new", "used_one_year"};
   std::vector<double> payloads_kg = {0};
   double command_lag_ms = -1;
-  double motion_s = 1.5;
+  double motion_s = 3;
+  bool motor_encoders = false;
   int episodes = 25, motions = 8;
 };
 
@@ -137,6 +138,7 @@ absl::Status Run(const CommandLine& line) {
       EmulatorOptions options;
       options.profile = profile;
       options.scene.payload_kg = payload_kg;
+      options.motor_encoders = line.motor_encoders;
       options.command_lag_s = line.command_lag_ms < 0 ? -1 : line.command_lag_ms / 1000;
       double sum = 0, rms = 0, lowest = HUGE_VAL, highest = 0;
       RS_ASSIGN_OR_RETURN(const auto bench, Bench::Create(options));
@@ -177,6 +179,8 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--command-lag-ms", line.command_lag_ms, "Default: the profile's")
       ->check(CLI::Range(0.0, 1000.0));
+  app.add_flag("--motor-encoders", line.motor_encoders,
+               "Encoders before backlash and compliance (default: at the joints)");
   app.add_option("--motion-s", line.motion_s, "Duration of a reach")
       ->check(CLI::Range(0.2, 20.0))
       ->capture_default_str();

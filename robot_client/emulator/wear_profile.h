@@ -16,7 +16,9 @@ struct WearProfile {
   std::string name;
   std::vector<ScenarioEffect> effects;  // library effects with physical values; joint 0 is J1
   JointVector gravity_feedforward{};    // share of the unloaded arm's gravity torque, 0 .. 1
-  double command_lag_s = 0;             // from a target's frame to the controller that plans it
+  // Whether the encoders sit on the motors, before backlash and compliance, and not on the joints.
+  bool motor_encoders = false;
+  double command_lag_s = 0;  // from a target's frame to the controller that plans it
 };
 
 // "new" and "used_one_year"; every number with its source in wear_profile.cc. No Piper's friction,

@@ -4,23 +4,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstdlib>
-#include <new>
 
 #include "tests/piper/emulated_arm.h"
-
-namespace {
-// Allocations of this thread while it counts.
-thread_local long allocations = -1;
-}  // namespace
-
-void* operator new(size_t size) {
-  if (allocations >= 0) ++allocations;
-  if (void* memory = std::malloc(size == 0 ? 1 : size)) return memory;
-  std::abort();
-}
-void operator delete(void* memory) noexcept { std::free(memory); }
-void operator delete(void* memory, size_t) noexcept { std::free(memory); }
+#include "tests/sim_worker/allocation_counter.h"
 
 namespace robostress::piper {
 namespace {
@@ -235,22 +221,27 @@ TEST(PiperArm, SendsOnlyFramesOfTheAllowedList) {
 }
 
 TEST(PiperArm, AllocatesNothingInTheLoop) {
+  if (!CountsAllocations()) GTEST_SKIP() << "a sanitizer owns malloc";
   EmulatedArm world;
   ASSERT_TRUE(world.arm->Connect().ok());
   ASSERT_TRUE(world.arm->Enable().ok());
   const ArmCommand command = Command(kPose), refused = Command({0, 0, 0, 0, 0, 9});
   long counted = 0;
   for (int tick = 0; tick < 60; ++tick) {
-    allocations = 0;
+    const long before = Allocations();
     world.arm->Poll();
     const ArmSnapshot snapshot = world.arm->Latest();
     const bool sent = world.arm->Send(command).ok();
     const bool denied = !world.arm->Send(refused).ok();
-    counted += allocations;
-    allocations = -1;
+    counted += Allocations() - before;
     EXPECT_TRUE(sent && denied && snapshot.sequence > 0);
     world.Run(1.0 / 30);
   }
+  ASSERT_TRUE(world.arm->QuickStop().ok());
+  const long before = Allocations();
+  (void)world.arm->QuickStop();
+  (void)world.arm->Send(command);  // refused after a stop
+  EXPECT_EQ(Allocations(), before);
   EXPECT_EQ(counted, 0);
 }
 
