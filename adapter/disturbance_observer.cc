@@ -20,9 +20,21 @@ DisturbanceObserver::Joints DisturbanceObserver::Correct(const Joints& q_ref, co
   } else {
     const double dt = std::clamp(dt_s, options_.min_dt_s, options_.max_dt_s);
     z_ += (1 - std::exp(-options_.bandwidth * dt)) * (q - last_target_ - z_);
+    if (options_.anti_windup)
+      z_ = z_.cwiseMax(-options_.max_correction).cwiseMin(options_.max_correction);
   }
+  return CorrectUnmeasured(q_ref);
+}
+
+DisturbanceObserver::Joints DisturbanceObserver::CorrectUnmeasured(const Joints& q_ref) {
+  if (z_.size() == 0) z_ = Joints::Zero(q_ref.size());
   last_target_ = q_ref - z_.cwiseMax(-options_.max_correction).cwiseMin(options_.max_correction);
   return last_target_;
+}
+
+void DisturbanceObserver::Applied(const Joints& sent) {
+  RS_CHECK(sent.size() == z_.size());
+  last_target_ = sent;
 }
 
 }  // namespace robostress

@@ -9,6 +9,17 @@ struct DisturbanceObserverOptions {
   double max_correction = 0.05;  // d_max [rad]
   double min_dt_s = 0.005;       // the elapsed control interval is clamped to this range [s]
   double max_dt_s = 0.2;
+  bool anti_windup = false;  // true: the state z itself is clipped, not only what is subtracted
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("bandwidth", bandwidth, "omega_Q of the disturbance filter [1/s]");
+    v.Field("max_correction", max_correction, "d_max [rad]");
+    v.Field("min_dt_s", min_dt_s, "least elapsed interval it reckons with [s]");
+    v.Field("max_dt_s", max_dt_s, "most elapsed interval it reckons with [s]");
+    v.Field("anti_windup", anti_windup,
+            "clip the estimate itself, not only its use (paper: false)");
+  }
 };
 
 // The DOB baseline (paper, sec:supp_real): every joint servo is modelled as the identity, so the
@@ -17,6 +28,9 @@ struct DisturbanceObserverOptions {
 //
 //   z <- z + (1 - exp(-omega_Q dt)) ((q - q_DOB_previous) - z)
 //   q_DOB = q_ref - clip(z, -d_max, d_max)
+//
+// The paper clips what is subtracted and lets z go on (anti_windup = false): after a long block z
+// must run back first. With anti_windup z <- clip(z, -d_max, d_max) after every update.
 //
 // Runs in the control loop: allocates nothing. One thread.
 class DisturbanceObserver {
@@ -32,6 +46,11 @@ class DisturbanceObserver {
   // the last call [s]. `q_ref` and `q` have the same size, at most kMaxJoints, equal in every call
   // between resets.
   Joints Correct(const Joints& q_ref, const Joints& q, double dt_s);
+  // The same where no new measurement came: the estimate of the last update.
+  Joints CorrectUnmeasured(const Joints& q_ref);
+  // The command that was really sent after Correct, where something behind the observer changed it:
+  // the next update compares with this one.
+  void Applied(const Joints& sent);
   const Joints& estimate() const { return z_; }  // before the clip; empty before the first call
 
  private:

@@ -80,7 +80,8 @@ NominalArmOptions ArmOptions(const SessionSpec& spec) {
 }
 
 ResidualOptions ScaledResidualOptions(const SessionSpec& spec) {
-  ResidualOptions options = ResidualOptionsOf(spec.method);
+  ResidualOptions options = ResidualOptionsOf(
+      spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
   options.translation_scale = spec.translation_scale;
   options.rotation_scale = spec.rotation_scale;
   return options;
@@ -119,6 +120,17 @@ absl::StatusOr<std::shared_ptr<Session>> Session::Create(const SessionSpec& spec
                                                          uint64_t owner) {
   UseOneTorchThread();
   RS_RETURN_IF_ERROR(CheckMethod(spec.method, resources.policy->spec()));
+  if (ActsInJointSpace(spec) && spec.method.target == TargetReference::kNominal) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("method ", spec.method.method, ": target nominal models an end-effector "
+                     "controller; robot ", spec.robot,
+                     " acts in joint space: use target executed or intent"));
+  }
+  if (ActsInJointSpace(spec) && spec.method.gain != 1.0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("method ", spec.method.method, ": gain ", spec.method.gain,
+                     " would scale absolute joint targets; robot ", spec.robot, " needs gain 1"));
+  }
   auto session = std::shared_ptr<Session>(new Session(spec, resources, owner));
   if (spec.method.adapt) {
     RS_ASSIGN_OR_RETURN(session->adapter_,

@@ -3,6 +3,7 @@
 #include <grpcpp/grpcpp.h>
 
 #include <chrono>
+#include <deque>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -63,6 +64,7 @@ struct GrpcPolicyClient::Impl {
   uint64_t sent = 0, acknowledged = 0;  // feedback sequence numbers
   std::unique_ptr<PredictStream> predict;
   std::unique_ptr<FeedbackStream> feedback;
+  std::deque<v1::FeedbackRequest> unacknowledged;  // async: in the order of their sequence numbers
 
   template <class Request, class Response>
   absl::Status Unary(grpc::Status (v1::PolicyService::Stub::*method)(grpc::ClientContext*,
@@ -94,9 +96,42 @@ struct GrpcPolicyClient::Impl {
                                                 ", expected ", acknowledged + 1, " to ", sent));
       }
       acknowledged = ack.sequence();
+      while (!unacknowledged.empty() && unacknowledged.front().chunk().sequence() <= acknowledged)
+        unacknowledged.pop_front();
     }
     return absl::OkStatus();
   }
+
+  FeedbackStream& OpenFeedback() {
+    if (feedback == nullptr) {
+      feedback = std::make_unique<FeedbackStream>(
+          "Feedback", options.address,
+          [&](grpc::ClientContext* context, grpc::CompletionQueue* queue) {
+            return stub->PrepareAsyncFeedback(context, queue);
+          });
+    }
+    return *feedback;
+  }
+
+  // Everything that is kept, from the oldest on, on a new stream.
+  absl::Status ResendFeedback() {
+    feedback.reset();
+    for (const v1::FeedbackRequest& request : unacknowledged)
+      RS_RETURN_IF_ERROR(OpenFeedback().Write(request, After(options.call_timeout_s)));
+    return absl::OkStatus();
+  }
+
+  absl::Status SendKept() {
+    absl::Status status =
+        feedback_lost ? ResendFeedback()
+                      : OpenFeedback().Write(unacknowledged.back(), After(options.call_timeout_s));
+    if (status.ok())
+      status = AwaitAcknowledgements(static_cast<uint64_t>(options.max_unacknowledged));
+    feedback_lost = absl::IsUnavailable(status) || absl::IsDeadlineExceeded(status) ||
+                    absl::IsCancelled(status);
+    return status;
+  }
+  bool feedback_lost = false;  // the stream; what is kept must be sent again
 };
 
 absl::StatusOr<ServerInfo> GetServerInfo(const PolicyClientOptions& options) {
@@ -142,6 +177,7 @@ GrpcPolicyClient::~GrpcPolicyClient() {
 
 const PolicySpec& GrpcPolicyClient::spec() const { return impl_->spec; }
 uint64_t GrpcPolicyClient::last_feedback_sequence() const { return impl_->sent; }
+uint64_t GrpcPolicyClient::acknowledged_feedback_sequence() const { return impl_->acknowledged; }
 const std::string& GrpcPolicyClient::session_id() const { return impl_->session_id; }
 
 absl::Status GrpcPolicyClient::StartEpisode(const EpisodeKey& key) {
@@ -199,22 +235,18 @@ absl::Status GrpcPolicyClient::SendFeedback(ExecutedChunk executed) {
         absl::StrCat("feedback sequence is ", executed.sequence, ", must be ", impl_->sent + 1));
   }
   RS_RETURN_IF_ERROR(CheckExecutedChunk(executed, impl_->spec));
-  if (impl_->feedback == nullptr) {
-    impl_->feedback = std::make_unique<Impl::FeedbackStream>(
-        "Feedback", impl_->options.address,
-        [&](grpc::ClientContext* context, grpc::CompletionQueue* queue) {
-          return impl_->stub->PrepareAsyncFeedback(context, queue);
-        });
-  }
   v1::FeedbackRequest request;
   request.set_session_id(impl_->session_id);
   *request.mutable_chunk() = ToProto(executed);
-  RS_RETURN_IF_ERROR(impl_->feedback->Write(request, After(impl_->options.call_timeout_s)));
+  if (impl_->mode == ExecutionMode::kAsync) {
+    impl_->unacknowledged.push_back(std::move(request));
+    impl_->sent = executed.sequence;
+    return impl_->SendKept();
+  }
+  RS_RETURN_IF_ERROR(impl_->OpenFeedback().Write(request, After(impl_->options.call_timeout_s)));
   impl_->sent = executed.sequence;
-  // In lockstep a refused chunk must be known before the next prediction waits for it.
-  const int allowed =
-      impl_->mode == ExecutionMode::kLockstep ? 0 : impl_->options.max_unacknowledged;
-  return impl_->AwaitAcknowledgements(static_cast<uint64_t>(allowed));
+  // A refused chunk must be known before the next prediction waits for it.
+  return impl_->AwaitAcknowledgements(0);
 }
 
 absl::StatusOr<SessionStats> GrpcPolicyClient::Stats() {
@@ -252,6 +284,8 @@ absl::StatusOr<uint64_t> GrpcPolicyClient::ImportAdapter(const std::string& safe
   RS_RETURN_IF_ERROR(impl_->Unary(&v1::PolicyService::Stub::ImportAdapter, request, response,
                                   impl_->options.call_timeout_s));
   impl_->feedback.reset();
+  impl_->unacknowledged.clear();
+  impl_->feedback_lost = false;
   impl_->sent = impl_->acknowledged = response.feedback_sequence();
   impl_->episode_started = false;
   return impl_->sent;

@@ -34,7 +34,10 @@ class GrpcPolicyClient : public PolicyEndpoint {
   const PolicySpec& spec() const override;
   absl::Status StartEpisode(const EpisodeKey& key) override;
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
-  // FAILED_PRECONDITION unless executed.sequence follows the last one.
+  // FAILED_PRECONDITION unless executed.sequence follows the last one. Async: a chunk is kept until it
+  // is acknowledged; UNAVAILABLE, DEADLINE_EXCEEDED and CANCELLED say that the stream is lost, the
+  // chunk is kept, and the next call sends what is kept again on a new stream. The server takes every
+  // sequence number once.
   absl::Status SendFeedback(ExecutedChunk executed) override;
   // After every chunk sent so far is acknowledged.
   absl::StatusOr<SessionStats> Stats() override;
@@ -48,6 +51,7 @@ class GrpcPolicyClient : public PolicyEndpoint {
 
   // Sequence number of the last executed chunk sent; 0 before the first.
   uint64_t last_feedback_sequence() const;
+  uint64_t acknowledged_feedback_sequence() const;
   const std::string& session_id() const;
 
  private:

@@ -13,7 +13,7 @@ namespace robostress {
 // Everything that decides what a session computes: equal specs, observations and feedback give
 // equal bits.
 struct SessionSpec {
-  std::string robot = "panda_sim";
+  std::string robot = "panda_sim";  // "piper...": joint space
   std::string suite;     // part of the noise key
   std::string scenario;  // names the session, part of no noise key
   int severity = 5;      // 1..5; names the session, part of no noise key
@@ -26,6 +26,10 @@ struct SessionSpec {
   double translation_scale = 0.05;  // of action entries 0..2 [m]
   double rotation_scale = 0.5;      // of action entries 3..5 [rad]
 };
+
+// Robots whose actions are absolute joint targets [rad] and a gripper; their residual is in joint
+// space (paper, sec:supp_real). Others command end-effector displacements.
+inline bool ActsInJointSpace(const SessionSpec& spec) { return spec.robot.rfind("piper", 0) == 0; }
 
 // What a server holds.
 struct ServerInfo {

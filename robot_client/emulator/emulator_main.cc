@@ -14,6 +14,7 @@
 #include "common/status_macros.h"
 #include "robot_client/can/bus_address.h"
 #include "robot_client/emulator/piper_emulator.h"
+#include "robot_client/emulator/view_server.h"
 
 namespace robostress::piper {
 namespace {
@@ -34,6 +35,7 @@ struct CommandLine {
   std::vector<std::string> faults;
   std::vector<double> start_deg;
   double duration_s = 0;
+  std::string views;
   EmulatorOptions options;
 };
 
@@ -46,6 +48,10 @@ absl::StatusOr<EmulatorOptions> Resolve(const CommandLine& line) {
     return absl::InvalidArgumentError(
         absl::StrCat("--firmware ", line.firmware, ": expected a version as S-V1.8-9"));
   options.version = *version;
+  if (!line.views.empty()) {
+    options.scene.assets_xml += kViewAssets;
+    options.scene.world_xml += kViewTable;
+  }
   options.command_lag_s = line.command_lag_ms < 0 ? -1 : line.command_lag_ms / 1000;
   for (size_t j = 0; j < line.start_deg.size(); ++j)
     options.start[j] = line.start_deg[j] * M_PI / 180;
@@ -76,8 +82,13 @@ absl::Status Run(const CommandLine& line) {
               emulator->profile().name.c_str(), options.scene.payload_kg,
               FirmwareName(options.version).c_str());
   std::fflush(stdout);
+  std::unique_ptr<ViewServer> views;
+  if (!line.views.empty()) {
+    RS_ASSIGN_OR_RETURN(views,
+                        ViewServer::Create({.prefix = line.views}, emulator->plant(), &clock));
+  }
   const int64_t start_ns = clock.now_ns();
-  int64_t worst_ns = 0;
+  int64_t worst_ns = 0, ticks = 0;
   for (int64_t tick_ns = start_ns; !stop_asked; tick_ns += 1'000'000) {
     if (line.duration_s > 0 && 1e-9 * static_cast<double>(tick_ns - start_ns) >= line.duration_s)
       break;
@@ -85,6 +96,7 @@ absl::Status Run(const CommandLine& line) {
     const int64_t now_ns = clock.now_ns();
     worst_ns = std::max(worst_ns, now_ns - tick_ns);
     emulator->RunUntil(now_ns);
+    if (views != nullptr && ++ticks % 16 == 0) views->Show(emulator->plant().data());
   }
   const double seconds = 1e-9 * static_cast<double>(clock.now_ns() - start_ns);
   std::printf(
@@ -132,6 +144,9 @@ int main(int argc, char** argv) {
   app.add_option("--start-deg", line.start_deg, "Joint angles at power-on [degrees]")
       ->expected(6)
       ->delimiter(',');
+  app.add_option("--views", line.views,
+                 "also draw the base and wrist views: files PREFIX.base and PREFIX.wrist, e.g. "
+                 "/dev/shm/piper, for robot_client --camera base=mapped:PREFIX.base");
   app.add_option("--seconds", line.duration_s, "End after this long (default: on a signal)")
       ->check(CLI::NonNegativeNumber);
   CLI11_PARSE(app, argc, argv);

@@ -67,7 +67,7 @@ constexpr char kGripper[] = R"(
   <geom class="shell" type="box" size="0.03 0.05 0.03" pos="0 0 0.035"/>
   <site name="piper_tool" size="0.002" group="4"/>
   <site name="piper_grip" pos="0 0 0.1358" size="0.002" group="4"/>
-  <camera name="piper_wrist_view" pos="-0.06 0 0.03" xyaxes="0 1 0 -0.9659 0 0.2588" fovy="69"/>
+  <camera name="piper_wrist_view" pos="-0.06 0 0.03" xyaxes="0 -1 0 -0.9659 0 0.2588" fovy="69"/>
   <body name="piper_finger1">
     <joint name="piper_finger1" class="finger" axis="0 -1 0"/>
     <geom class="pad" pos="0 -0.006 0.1058"/>

@@ -60,5 +60,52 @@ TEST(DisturbanceObserver, ForgetsEverythingOnReset) {
   EXPECT_EQ(observer.Correct(Joints::Constant(6, 1), servo.q, 0.03), Joints::Constant(6, 1));
 }
 
+// A joint that is blocked for 5 s, then follows again without error.
+int TicksUntilRecovered(bool anti_windup) {
+  DisturbanceObserver observer({.anti_windup = anti_windup});
+  const double dt = 1.0 / 30;
+  Joints q = Joints::Zero(1);
+  const Joints reference = Joints::Constant(1, 0.3);
+  for (int i = 0; i < 150; ++i) observer.Correct(reference, q, dt);
+  for (int i = 0; i < 300; ++i) {
+    q = observer.Correct(reference, q, dt);
+    if (std::abs(q[0] - reference[0]) < 0.05 * 0.05) return i;
+  }
+  return 300;
+}
+
+TEST(DisturbanceObserver, AntiWindupRecoversSoonerFromABlock) {
+  const int state = TicksUntilRecovered(true), output = TicksUntilRecovered(false);
+  EXPECT_NEAR(state, 45, 2);  // 0.05 exp(-2 t) < 0.0025 after 1.5 s
+  EXPECT_GT(output, state + 20);
+  EXPECT_LT(output, 300);
+}
+
+TEST(DisturbanceObserver, ClipsTheStateOnlyWithAntiWindup) {
+  for (const bool anti_windup : {false, true}) {
+    DisturbanceObserver observer({.anti_windup = anti_windup});
+    for (int i = 0; i < 100; ++i)
+      observer.Correct(Joints::Zero(6), Joints::Constant(6, 1.0), 1.0 / 30);
+    EXPECT_EQ(observer.estimate()[0] > 0.05, !anti_windup);
+  }
+}
+
+TEST(DisturbanceObserver, ComparesWithWhatWasReallySent) {
+  DisturbanceObserver observer;
+  observer.Correct(Joints::Constant(6, 1.0), Joints::Zero(6), 1.0 / 30);
+  observer.Applied(Joints::Constant(6, 0.1));  // a limiter held it back
+  observer.Correct(Joints::Constant(6, 1.0), Joints::Constant(6, 0.1), 1.0 / 30);
+  EXPECT_EQ(observer.estimate()[0], 0) << "the arm did what it was told";
+}
+
+TEST(DisturbanceObserver, KeepsItsEstimateWithoutANewMeasurement) {
+  DisturbanceObserver observer;
+  observer.Correct(Joints::Zero(6), Joints::Zero(6), 1.0 / 30);
+  observer.Correct(Joints::Zero(6), Joints::Constant(6, 0.02), 1.0 / 30);
+  const double before = observer.estimate()[0];
+  EXPECT_EQ(observer.CorrectUnmeasured(Joints::Constant(6, 1))[0], 1 - before);
+  EXPECT_EQ(observer.estimate()[0], before);
+}
+
 }  // namespace
 }  // namespace robostress

@@ -2,15 +2,18 @@
 
 #include <grpcpp/grpcpp.h>
 
+#include <chrono>
+#include <cmath>
 #include <condition_variable>
 #include <map>
 #include <mutex>
+#include <thread>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "common/rpc/convert.h"
-#include "common/rpc/spec_checks.h"
 #include "common/rpc/grpc_status.h"
+#include "common/rpc/spec_checks.h"
 #include "common/safetensors.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 
@@ -26,6 +29,15 @@ struct Session {
   uint64_t sequence = 0, updates = 0, predictions = 0;
   double bias = 0;
   std::vector<double> buffer;  // mean tool displacement of every chunk since the last clear
+
+  // Absolute targets: a slow sway that returns to where it began, from the joints observed on.
+  static float JointTarget(const Observation& observation, int chunk, int row, int axis) {
+    const double phase = 0.3 * (10 * chunk + row + 1) / 30.0, start = 0.3 * 10 * chunk / 30.0;
+    const double sway = axis + 1 < observation.proprioception.size()
+                            ? 0.2 * (std::sin(2 * M_PI * phase) - std::sin(2 * M_PI * start))
+                            : 0;
+    return observation.proprioception[axis] + static_cast<float>(sway);
+  }
 
   void Learn(const ExecutedChunk& chunk) {
     sequence = chunk.sequence;
@@ -83,8 +95,8 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
   FakeServerOptions options;
   mutable std::mutex mutex;
   std::condition_variable changed;
-  std::map<std::string, Session> sessions;  // guarded by mutex
-  int opened = 0, total_predictions = 0;    // guarded by mutex
+  std::map<std::string, Session> sessions;                    // guarded by mutex
+  int opened = 0, total_predictions = 0, total_feedback = 0;  // guarded by mutex
   int port = 0;
   std::unique_ptr<grpc::Server> server;
 
@@ -156,6 +168,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
       if (!observation.ok()) return ToGrpc(observation.status());
       if (absl::Status status = CheckObservation(*observation, options.spec); !status.ok())
         return ToGrpc(status);
+      std::this_thread::sleep_for(std::chrono::duration<double>(options.predict_s));
       PredictedChunk prediction;
       {
         std::unique_lock lock(mutex);
@@ -175,11 +188,14 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
         for (int r = 0; r < rows; ++r) {
           for (int c = 0; c < options.spec.action_dim; ++c) {
             prediction.base_actions(r, c) =
-                0.01f * static_cast<float>((session->spec.seed * 31 + session->episode.task * 17 +
-                                            session->episode.episode * 7 +
-                                            static_cast<int>(request.chunk()) * 3 + r * 5 + c) %
-                                           23) +
-                0.1f * observation->proprioception.sum();
+                options.joint_targets
+                    ? Session::JointTarget(*observation, static_cast<int>(request.chunk()), r, c)
+                    : 0.01f * static_cast<float>(
+                                  (session->spec.seed * 31 + session->episode.task * 17 +
+                                   session->episode.episode * 7 +
+                                   static_cast<int>(request.chunk()) * 3 + r * 5 + c) %
+                                  23) +
+                          0.1f * observation->proprioception.sum();
           }
         }
         prediction.policy_actions =
@@ -205,12 +221,20 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
         grpc::Status status;
         Session* session = Find(request.session_id(), status);
         if (session == nullptr) return status;
+        if (chunk->sequence <= session->sequence) {  // sent again: it is in already
+          ack.set_sequence(session->sequence);
+          stream->Write(ack);
+          continue;
+        }
         if (chunk->sequence != session->sequence + 1) {
           return grpc::Status(
               grpc::StatusCode::FAILED_PRECONDITION,
               absl::StrCat("sequence ", chunk->sequence, " after ", session->sequence));
         }
         session->Learn(*chunk);
+        ++total_feedback;
+        if (total_feedback == options.lose_ack_of)
+          return grpc::Status(grpc::StatusCode::UNAVAILABLE, "the fake was told to lose an answer");
         ack.set_sequence(session->sequence);
         ack.set_updates_applied(session->updates);
         changed.notify_all();
@@ -281,7 +305,8 @@ FakePolicyServer::FakePolicyServer(FakeServerOptions options) : impl_(std::make_
   impl_->options = std::move(options);
   grpc::ServerBuilder builder;
   builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
-  builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &impl_->port);
+  builder.AddListeningPort(absl::StrCat("127.0.0.1:", impl_->options.port),
+                           grpc::InsecureServerCredentials(), &impl_->port);
   builder.RegisterService(impl_.get());
   impl_->server = builder.BuildAndStart();
 }
@@ -301,6 +326,11 @@ int FakePolicyServer::open_sessions() const {
 int FakePolicyServer::predictions() const {
   const std::lock_guard lock(impl_->mutex);
   return impl_->total_predictions;
+}
+
+int FakePolicyServer::feedback_chunks() const {
+  const std::lock_guard lock(impl_->mutex);
+  return impl_->total_feedback;
 }
 
 }  // namespace robostress

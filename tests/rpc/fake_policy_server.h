@@ -13,6 +13,10 @@ struct FakeServerOptions {
   int fail_predict_at =
       0;  // n > 0: the n-th prediction of the server's life ends the stream with INTERNAL
   int wrong_horizon = 0;  // n > 0: predictions have n rows
+  bool joint_targets = false;  // predicts absolute joint targets that sway about the joints observed
+  double predict_s = 0;        // every prediction takes this long
+  int lose_ack_of = 0;  // n > 0: the feedback stream ends after chunk n is in, before it is acknowledged
+  int port = 0;         // 0: a free one
 };
 
 // A small PolicySpec: no cameras, state_dim 2, action_dim 3, horizon 4, execute_steps 2, adaptable.
@@ -30,6 +34,7 @@ class FakePolicyServer {
   std::string address() const;
   int open_sessions() const;
   int predictions() const;
+  int feedback_chunks() const;  // taken in, of all sessions
 
  private:
   struct Impl;

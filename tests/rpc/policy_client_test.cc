@@ -101,6 +101,27 @@ TEST(PolicyClientTest, AsyncSessionsAcknowledgeEverythingBeforeStats) {
   EXPECT_EQ(stats->feedback_chunks, 60u);
 }
 
+TEST(PolicyClientTest, FeedbackWhoseAnswerIsLostIsSentAgainAndTakenOnce) {
+  FakePolicyServer server({.spec = FakeSpec(), .lose_ack_of = 3});
+  PolicyClientOptions options = Options(server.address());
+  options.max_unacknowledged = 0;  // an answer that is lost is missed at once
+  auto client = GrpcPolicyClient::Connect(options, Session(ExecutionMode::kAsync));
+  ASSERT_TRUE(client.ok()) << client.status();
+  ASSERT_TRUE((*client)->StartEpisode({0, 0}).ok());
+  for (int chunk = 0; chunk < 6; ++chunk) {
+    const absl::StatusOr<PredictedChunk> prediction = (*client)->Predict(Observe(), chunk);
+    ASSERT_TRUE(prediction.ok()) << prediction.status();
+    const absl::Status sent = (*client)->SendFeedback(
+        Execute((*client)->last_feedback_sequence() + 1, *prediction, chunk));
+    EXPECT_EQ(sent.ok(), chunk != 2) << sent;
+    if (chunk == 2) {
+      EXPECT_EQ((*client)->acknowledged_feedback_sequence(), 2u);
+    }
+  }
+  EXPECT_EQ((*client)->acknowledged_feedback_sequence(), 6u);
+  EXPECT_EQ(server.feedback_chunks(), 6) << "each once";
+}
+
 TEST(PolicyClientTest, ImportedAdapterContinuesBitForBit) {
   FakePolicyServer server({.spec = FakeSpec()});
   auto straight = GrpcPolicyClient::Connect(Options(server.address()), Session());

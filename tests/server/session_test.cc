@@ -22,6 +22,53 @@ AdaptationState StateOf(Rig& rig, Session& session) {
   return *state;
 }
 
+// ------------------------------------------------------------------------------ joint space
+
+TEST(Session, ARobotOfJointTargetsIsCorrectedInJointSpace) {
+  Rig rig;
+  SessionSpec spec = Spec("ours", {kRate});
+  spec.robot = "piper_new";
+  Client client(rig.Open(spec));
+  client.StartEpisode(0, 0);
+  const PredictedChunk prediction = client.Predict();
+  ExecutedChunk executed = client.Execute(prediction);
+  // Every joint stays 0.1 rad behind its target; the tool's motion says something else entirely.
+  const Eigen::Index arm = prediction.policy_actions.cols() - 1;
+  for (size_t i = 0; i < executed.steps.size(); ++i) {
+    const Eigen::VectorXf target = prediction.policy_actions.row(static_cast<Eigen::Index>(i));
+    RobotState& after =
+        i + 1 < executed.steps.size() ? executed.steps[i + 1].before : executed.final_state;
+    after.q = target.head(arm).cast<double>().array() - 0.1;
+    after.dq = Eigen::VectorXd::Zero(arm);
+  }
+  executed.steps[0].before.q = executed.steps[0].before.dq = Eigen::VectorXd::Zero(arm);
+  client.Send(executed);
+  const AdaptationState state = StateOf(rig, client.session());
+  ASSERT_EQ(state.buffer.size(), 1u);
+  const auto rows = static_cast<Eigen::Index>(executed.steps.size());
+  Eigen::MatrixXf expected = prediction.policy_actions.topRows(rows);
+  expected.leftCols(arm).array() += 0.1f;  // a - eta; the gripper's own target stays
+  const torch::Tensor model = rig.policy->ToModel(expected, state.buffer[0]->context.state);
+  const torch::Tensor target =  // without the padding of model space
+      state.buffer[0]->target.narrow(0, 0, rows).narrow(1, 0, model.size(1));
+  EXPECT_LT((target - model).abs().max().item<float>(), 1e-5f);
+
+  ExecutedChunk wrong = client.Execute(client.Predict());  // the toy arm measures no joints
+  EXPECT_EQ(client.session().Feedback(wrong).status().code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(Session, RefusesInJointSpaceWhatOnlyEndEffectorCommandsCanMean) {
+  Rig rig;
+  for (const auto& [method, word] :
+       {std::pair{"ours_nominal", "end-effector"}, std::pair{"gain", "absolute joint targets"}}) {
+    SessionSpec spec = Spec(method, {});
+    spec.robot = "piper_new";
+    const auto session = Session::Create(spec, {rig.policy, &rig.adaptation, &rig.inference}, 1);
+    EXPECT_EQ(session.status().code(), absl::StatusCode::kInvalidArgument) << method;
+    EXPECT_THAT(std::string(session.status().message()), HasSubstr(word));
+  }
+}
+
 // ------------------------------------------------------------------------------ when updates
 // happen
 

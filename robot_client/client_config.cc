@@ -1,0 +1,118 @@
+#include "robot_client/client_config.h"
+
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
+#include "common/status_macros.h"
+#include "robot_client/cameras/faulty_source.h"
+#include "robot_client/cameras/file_source.h"
+#include "robot_client/cameras/mapped_frames.h"
+#include "robot_client/cameras/synthetic_source.h"
+#include "robot_client/cameras/v4l2_source.h"
+#include "robot_client/can/bus_address.h"
+#include "robot_client/piper/piper_arm.h"
+#include "robot_client/rehearsal_arm.h"
+
+namespace robostress {
+namespace {
+
+absl::StatusOr<std::unique_ptr<FrameSource>> MakeSource(const std::string& name,
+                                                        absl::string_view source, Clock* clock) {
+  if (source == "synthetic") {
+    SyntheticSourceOptions options;
+    options.name = name;
+    return std::unique_ptr<FrameSource>(std::make_unique<SyntheticSource>(options, clock));
+  }
+  if (absl::ConsumePrefix(&source, "files:")) {
+    FileSourceOptions options;
+    options.name = name;
+    options.directory = std::string(source);
+    return std::unique_ptr<FrameSource>(std::make_unique<FileSource>(options, clock));
+  }
+  if (absl::ConsumePrefix(&source, "mapped:"))
+    return std::unique_ptr<FrameSource>(
+        std::make_unique<MappedSource>(name, std::string(source), clock));
+  if (absl::ConsumePrefix(&source, "v4l2:")) {
+    V4l2SourceOptions options;
+    options.name = name;
+    const std::vector<std::string> parts = absl::StrSplit(source, absl::MaxSplits('@', 1));
+    options.device = parts[0];
+    if (parts.size() == 2) {
+      const std::vector<std::string> size = absl::StrSplit(parts[1], 'x');
+      if (size.size() != 2 || !absl::SimpleAtoi(size[0], &options.width) ||
+          !absl::SimpleAtoi(size[1], &options.height)) {
+        return absl::InvalidArgumentError(
+            absl::StrCat("camera '", name, "': size '", parts[1], "' must be WIDTHxHEIGHT"));
+      }
+    }
+    return std::unique_ptr<FrameSource>(
+        std::make_unique<V4l2Source>(options, MakeV4l2System(), clock));
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat("camera '", name, "' has source '", source,
+                   "'; use v4l2:/dev/v4l/by-id/..., files:DIR, mapped:FILE or synthetic"));
+}
+
+}  // namespace
+
+absl::Status CheckConfig(const ClientConfig& c) {
+  const auto invalid = [](const auto&... parts) {
+    return absl::InvalidArgumentError(absl::StrCat(parts...));
+  };
+  if (c.policy.server.empty())
+    return invalid("policy.server is empty; give --server HOST:PORT of a policy server");
+  if (c.instruction.empty())
+    return invalid("instruction is empty; give --instruction \"pick up the bowl ...\"");
+  if (c.episodes < 1 || c.first_episode < 0 || c.task < 0)
+    return invalid("task is ", c.task, ", first_episode ", c.first_episode, ", episodes ",
+                   c.episodes, "; they must be at least 0, 0 and 1");
+  if (!(c.episode_s > 0 && c.episode_s <= 3600))
+    return invalid("episode_s is ", c.episode_s, ", must be above 0, at most 3600");
+  if (!absl::StartsWith(c.policy.robot, "piper")) {
+    return invalid("policy.robot is '", c.policy.robot,
+                   "'; the residual of this arm is in joint space, so its name must begin with "
+                   "'piper'");
+  }
+  if (c.cameras.size() > 8) return invalid(c.cameras.size(), " cameras, at most 8");
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::unique_ptr<FrameSource>> MakeCamera(const std::string& text, Clock* clock) {
+  std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('=', 1));
+  if (parts.size() != 2 || parts[0].empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("camera '", text, "' must be NAME=SOURCE, e.g. wrist=files:DIR"));
+  }
+  const std::string name = parts[0];
+  const std::vector<std::string> pieces = absl::StrSplit(parts[1], absl::MaxSplits(",fault=", 1));
+  RS_ASSIGN_OR_RETURN(std::unique_ptr<FrameSource> source, MakeSource(name, pieces[0], clock));
+  if (pieces.size() == 1) return source;
+  const std::vector<std::string> timed = absl::StrSplit(pieces[1], absl::MaxSplits('@', 1));
+  const std::vector<std::string> kind = absl::StrSplit(timed[0], absl::MaxSplits(':', 1));
+  CameraFault fault = CameraFault::kNone;
+  RS_RETURN_IF_ERROR(ParseCameraFault(kind[0], &fault));
+  double amount = 0, from_s = 0;
+  if ((kind.size() == 2 && !absl::SimpleAtod(kind[1], &amount)) ||
+      (timed.size() == 2 && !absl::SimpleAtod(timed[1], &from_s)) ||
+      !(amount >= 0 && amount <= 1) || !(from_s >= 0 && from_s <= 1e6)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("camera '", name, "': fault '", pieces[1],
+                     "' must be KIND[:AMOUNT][@SECONDS], AMOUNT from 0 to 1"));
+  }
+  auto faulty = std::make_unique<FaultySource>(std::move(source), clock);
+  faulty->Set(fault, amount, clock->now_ns() + static_cast<int64_t>(from_s * 1e9));
+  return std::unique_ptr<FrameSource>(std::move(faulty));
+}
+
+absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Clock* clock) {
+  if (config.bus == "rehearse")
+    return std::unique_ptr<RobotArm>(std::make_unique<RehearsalArm>(RehearsalArmOptions{}, clock));
+  RS_ASSIGN_OR_RETURN(std::unique_ptr<CanBus> bus, MakeCanBus(config.bus, *clock));
+  return std::unique_ptr<RobotArm>(std::make_unique<piper::PiperArm>(std::move(bus), *clock));
+}
+
+}  // namespace robostress

@@ -1,0 +1,60 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "common/clock.h"
+#include "robot_client/cameras/frame_source.h"
+#include "robot_client/control/control_loop.h"
+#include "robot_client/feedback_assembler.h"
+#include "robot_client/policy_connection.h"
+#include "robot_client/realtime.h"
+
+namespace robostress {
+
+// Everything that a run of the client is made of; this struct is DIR/config.yaml.
+struct ClientConfig {
+  std::string bus = "rehearse";      // can:can0, udp:GROUP:PORT, or rehearse: no arm at all
+  std::string instruction;           // what the policy is told
+  std::vector<std::string> cameras;  // NAME=SOURCE in the policy's order, see MakeCamera
+  int task = 0;                      // index in the experiment; one run is one task, one session
+  int first_episode = 0;
+  int episodes = 25;
+  double episode_s = 60;  // [s] of RUN until an episode ends by itself
+  PolicyConnectionOptions policy;
+  ControlOptions control;
+  FeedbackOptions feedback;
+  RealtimeOptions realtime;
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("bus", bus, "can:can0, udp:GROUP:PORT, or rehearse: no arm");
+    v.Field("instruction", instruction, "what the policy is told");
+    v.Field("cameras", cameras, "NAME=SOURCE in the order that the policy wants");
+    v.Field("task", task, "index in the experiment; one run, one task, one adaptation");
+    v.Field("first_episode", first_episode, "index of the first episode");
+    v.Field("episodes", episodes, "consecutive episodes; adaptation is kept over them");
+    v.Field("episode_s", episode_s, "most time of an episode [s]");
+    v.Section("policy", policy, "the policy server and its session");
+    v.Section("control", control, "the control loop");
+    v.Section("feedback", feedback, "what is reported to the server");
+    v.Section("realtime", realtime, "priority of the control thread");
+  }
+};
+
+// Checks what can be checked without arm, server and cameras; names key, value and remedy.
+absl::Status CheckConfig(const ClientConfig& config);
+
+// A camera from NAME=SOURCE[,fault=KIND[:AMOUNT][@SECONDS]], the fault from SECONDS on:
+//   base=v4l2:/dev/v4l/by-id/...[@640x480]   a camera
+//   wrist=files:DIR                          *.ppm of a folder, over and over
+//   base=mapped:FILE                         pictures of an emulator on this machine
+//   base=synthetic                           a moving pattern
+absl::StatusOr<std::unique_ptr<FrameSource>> MakeCamera(const std::string& text, Clock* clock);
+
+// The arm of config.bus, not connected.
+absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Clock* clock);
+
+}  // namespace robostress

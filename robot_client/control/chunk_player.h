@@ -1,0 +1,100 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "robot_client/robot_arm.h"
+
+namespace robostress {
+
+// A predicted chunk as the control thread takes it: fixed size.
+struct ArmChunk {
+  static constexpr int kMaxRows = 64;
+  uint64_t request = 0;        // PredictionRequest::id that it answers
+  bool failed = false;         // there is no prediction; nothing below holds
+  uint64_t prediction_id = 0;  // the server's
+  int32_t episode = 0;
+  int32_t chunk = 0;        // index within the episode
+  uint64_t played = 0;      // rows played before its observation
+  int64_t observed_ns = 0;  // of its observation, the client's clock
+  int32_t rows = 0;
+  std::array<ArmVector, kMaxRows> requested;  // to be sent: joints [rad], gripper [m]
+  std::array<ArmVector, kMaxRows> policy;     // before the server's own gain or direct correction
+};
+
+struct PlayerOptions {
+  int execute_steps = 10;  // n_exec: rows per prediction
+  int late_steps = 10;     // rows more that are played while the next chunk is late
+  int fade_steps = 4;      // ticks over which a late chunk's offset fades out; 0: an exact switch
+  double max_jump = 0.5;   // [rad], most between a chunk's first row and what was played before it
+  double max_age_s = 1.0;  // [s], of a chunk's observation when it arrives
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("execute_steps", execute_steps, "n_exec, rows executed per prediction");
+    v.Field("late_steps", late_steps, "rows more that are played while the next chunk is late");
+    v.Field("fade_steps", fade_steps, "ticks over which a late chunk's offset fades out");
+    v.Field("max_jump", max_jump, "most a chunk may differ from what was played before it [rad]");
+    v.Field("max_age_s", max_age_s, "most age of a chunk's observation when it arrives [s]");
+  }
+};
+
+enum class ChunkVerdict : uint8_t {
+  kTaken,
+  kWrongShape,
+  kNotFinite,
+  kOutdated,  // of another episode, or not newer than the one that plays
+  kTooOld,    // its observation is older than max_age_s
+  kUsedUp,    // it came after its last playable row was due
+  kJump,      // its first row is too far from where the arm is sent
+};
+const char* VerdictName(ChunkVerdict verdict);
+
+// Decides which row of which chunk is the target of a tick.
+//
+// Row i of a chunk is due i rows after its observation, where only ticks count that played a row:
+// while the arm holds, no row falls due. A chunk is entered at the row that is due when it arrives.
+// Entered late (row > 0) the difference between what would have been played and its row is taken
+// over and fades out linearly; joints only, the gripper switches at once. Rows from
+// execute_steps + late_steps on are never played: the queue is empty, the caller decelerates.
+//
+// Allocates nothing. One thread.
+class ChunkPlayer {
+ public:
+  explicit ChunkPlayer(const PlayerOptions& options) : options_(options) {}
+
+  // Forgets every chunk; `played` goes on, so that answers to earlier requests stay recognisable.
+  void StartEpisode(int episode);
+  void Clear();  // forgets the chunk that plays
+
+  // `held`: where the arm is sent now.
+  ChunkVerdict Offer(const ArmChunk& chunk, int64_t now_ns, const ArmVector& held);
+
+  struct Step {
+    ArmVector policy, requested, blended;
+    uint64_t prediction_id = 0;
+    int chunk = -1;
+    int row = -1;
+    bool entered = false, fading = false, overrun = false;
+  };
+  // The row of this tick; false: the queue is empty.
+  bool Next(Step& step);
+
+  uint64_t played() const { return played_; }  // rows so far
+  bool empty() const { return row_ >= end_; }
+
+ private:
+  ArmVector Continuation(const ArmVector& held) const;  // what Next would have played
+
+  const PlayerOptions options_;
+  ArmChunk chunk_;
+  int episode_ = -1;
+  int row_ = 0, end_ = 0;  // next row, one beyond the last
+  int entry_row_ = 0;
+  int fade_left_ = 0;    // ticks
+  ArmVector offset_{};   // at the start of the fade
+  int last_chunk_ = -1;  // index of the newest chunk taken
+  uint64_t played_ = 0;
+};
+
+}  // namespace robostress

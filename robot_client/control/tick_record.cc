@@ -1,0 +1,53 @@
+#include "robot_client/control/tick_record.h"
+
+namespace robostress {
+
+const char* StateName(ClientState state) {
+  switch (state) {
+    case ClientState::kIdle:
+      return "IDLE";
+    case ClientState::kEnabled:
+      return "ENABLED";
+    case ClientState::kRun:
+      return "RUN";
+    case ClientState::kHold:
+      return "HOLD";
+    case ClientState::kFault:
+      return "FAULT";
+  }
+  return "";
+}
+
+const char* CauseName(StateCause cause) {
+  switch (cause) {
+    case StateCause::kNone:
+      return "none";
+    case StateCause::kOperator:
+      return "operator";
+    case StateCause::kEpisodeEnd:
+      return "episode_end";
+    case StateCause::kArmSilent:
+      return "arm_silent";
+    case StateCause::kArmFault:
+      return "arm_fault";
+    case StateCause::kArmDisabled:
+      return "arm_disabled";
+    case StateCause::kServerSilent:
+      return "server_silent";
+    case StateCause::kCameraStale:
+      return "camera_stale";
+    case StateCause::kFollowingError:
+      return "following_error";
+    case StateCause::kSendFailed:
+      return "send_failed";
+    case StateCause::kNotFinite:
+      return "not_finite";
+    case StateCause::kQuickStop:
+      return "quick_stop";
+    case StateCause::kEnableFailed:
+      return "enable_failed";
+  }
+  return "";
+}
+
+}  // namespace robostress

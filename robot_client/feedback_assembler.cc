@@ -1,0 +1,109 @@
+#include "robot_client/feedback_assembler.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace robostress {
+namespace {
+
+Eigen::VectorXd Joints(const ArmVector& v) {
+  return Eigen::Map<const Eigen::Matrix<double, kArmJoints, 1>>(v.data());
+}
+
+Eigen::VectorXf Command(const ArmVector& v) {
+  return Eigen::Map<const Eigen::Matrix<double, kArmAxes, 1>>(v.data()).cast<float>();
+}
+
+double LargestDifference(const ArmVector& a, const ArmVector& b) {
+  double largest = 0;
+  for (int j = 0; j < kArmJoints; ++j) largest = std::max(largest, std::abs(a[j] - b[j]));
+  return largest;
+}
+
+}  // namespace
+
+FeedbackAssembler::FeedbackAssembler(const FeedbackOptions& options, double period_s,
+                                     ForwardKinematics forward)
+    : options_(options), period_s_(period_s), forward_(std::move(forward)) {}
+
+RobotState FeedbackAssembler::StateOf(const TickRecord& record) const {
+  RobotState state;
+  state.stamp_s = static_cast<double>(record.stamp_ns - episode_start_ns_) * 1e-9;
+  state.q = Joints(record.position);
+  state.dq = Joints(record.velocity);
+  if (forward_) state.tool = forward_(record.position);
+  state.gripper = record.position[kArmJoints];
+  return state;
+}
+
+void FeedbackAssembler::Complete(const TickRecord& next) {
+  Step step{*open_, false, StateOf(next)};
+  const TickRecord& r = step.record;
+  const double interval = static_cast<double>(next.start_ns - r.start_ns) * 1e-9;
+  step.masked = LargestDifference(r.blended, r.requested) > options_.moved_bound ||
+                LargestDifference(r.sent, r.corrected) > options_.moved_bound ||
+                !(r.flags & kTickSent) || !(next.flags & kTickFresh) || (next.flags & kTickLost) ||
+                std::abs(interval - period_s_) > 0.5 * period_s_;
+  ++counters_.steps;
+  if (step.masked) ++counters_.steps_masked;
+  steps_.push_back(std::move(step));
+  open_.reset();
+}
+
+std::optional<ExecutedChunk> FeedbackAssembler::Close(bool last_of_episode) {
+  if (steps_.empty()) return std::nullopt;
+  size_t first = 0, count = 0, good = 0;
+  for (size_t i = 0; i < steps_.size();) {
+    size_t end = i;
+    while (end < steps_.size() && !steps_[end].masked) ++end;
+    good += end - i;
+    if (end - i > count) {
+      first = i;
+      count = end - i;
+    }
+    i = end + 1;
+  }
+  counters_.steps_left_out += good - count;
+  std::optional<ExecutedChunk> chunk;
+  if (count == 0) {
+    ++counters_.chunks_empty;
+  } else {
+    ++counters_.chunks;
+    chunk.emplace();
+    const TickRecord& head = steps_[first].record;
+    chunk->episode = head.episode;
+    chunk->chunk = head.chunk;
+    chunk->prediction_id = head.prediction_id;
+    chunk->first_step = head.row;
+    for (size_t i = first; i < first + count; ++i) {
+      const TickRecord& r = steps_[i].record;
+      ExecutedStep& step = chunk->steps.emplace_back();
+      step.before = StateOf(r);
+      step.policy_command = Command(r.policy);
+      step.sent_command = Command(r.sent);
+    }
+    chunk->final_state = steps_[first + count - 1].after;
+    chunk->last_of_episode = last_of_episode;
+  }
+  steps_.clear();
+  return chunk;
+}
+
+std::optional<ExecutedChunk> FeedbackAssembler::Add(const TickRecord& record) {
+  if (open_) Complete(record);
+  const bool played = (record.flags & kTickPlayed) != 0;
+  std::optional<ExecutedChunk> closed;
+  const bool continues =
+      played && !steps_.empty() && steps_.back().record.episode == record.episode &&
+      steps_.back().record.chunk == record.chunk && steps_.back().record.row + 1 == record.row;
+  if (!continues) closed = Close(record.state == ClientState::kEnabled);
+  if (record.episode != episode_) {
+    episode_ = record.episode;
+    episode_start_ns_ = record.stamp_ns;
+  }
+  if (played) open_ = record;
+  return closed;
+}
+
+}  // namespace robostress

@@ -1,0 +1,35 @@
+#include "robot_client/policy_connection.h"
+
+#include <utility>
+
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+// Acknowledgements are taken in passing: this many may be open before feedback would wait for one.
+constexpr int kMaxUnacknowledged = 256;
+}  // namespace
+
+PolicyLink::Connect ConnectTo(const PolicyConnectionOptions& options, double control_period_s) {
+  return [options, control_period_s]() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
+    PolicyClientOptions client;
+    client.address = options.server;
+    client.connect_timeout_s = options.connect_timeout_s;
+    client.call_timeout_s = options.call_timeout_s;
+    client.max_unacknowledged = kMaxUnacknowledged;
+    SessionSpec session;
+    session.robot = options.robot;
+    session.suite = options.suite;
+    session.scenario = options.scenario;
+    session.policy = options.policy;
+    session.seed = options.seed;
+    session.mode = ExecutionMode::kAsync;
+    session.method = options.method;
+    session.control_period_s = control_period_s;
+    RS_ASSIGN_OR_RETURN(std::unique_ptr<GrpcPolicyClient> connected,
+                        GrpcPolicyClient::Connect(client, session));
+    return std::unique_ptr<PolicyEndpoint>(std::move(connected));
+  };
+}
+
+}  // namespace robostress

@@ -1,0 +1,236 @@
+#include "robot_client/policy_link.h"
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+
+constexpr double kNsPerSecond = 1e9;
+constexpr int kFailuresUntilNewSession = 3;
+constexpr size_t kChunkStarts = 128;  // more than a server keeps predictions
+
+// A session that a server no longer knows.
+bool SessionLost(const absl::Status& status) { return absl::IsNotFound(status); }
+
+ArmVector RowOf(const Eigen::MatrixXf& rows, int row) {
+  ArmVector v;
+  for (int i = 0; i < kArmAxes; ++i) v[i] = static_cast<double>(rows(row, i));
+  return v;
+}
+
+}  // namespace
+
+PolicyLink::PolicyLink(const PolicyLinkOptions& options, ControlLoop* loop, Clock* clock,
+                       std::vector<FrameSource*> cameras, Connect connect,
+                       FeedbackAssembler::ForwardKinematics forward)
+    : options_(options),
+      loop_(loop),
+      clock_(clock),
+      cameras_(std::move(cameras)),
+      connect_(std::move(connect)),
+      assembler_(options.feedback, loop->period_s(), std::move(forward)) {
+  deliver_ = [loop](const ArmChunk& chunk) { loop->AnswerPrediction(chunk); };
+  loop_->AddReader(&records_);
+  loop_->OnPredictionRequested([this] { Wake(); });
+}
+
+absl::Status PolicyLink::Open() {
+  RS_ASSIGN_OR_RETURN(endpoint_, connect_());
+  spec_ = endpoint_->spec();
+  started_episode_ = -1;
+  sequence_ = 0;
+  failures_ = 0;
+  std::vector<std::string> names;
+  for (const FrameSource* camera : cameras_) names.push_back(camera->name());
+  if (names != spec_.cameras) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "policy '", spec_.name, "' wants the cameras [", absl::StrJoin(spec_.cameras, ", "),
+        "] in this order, the client has [", absl::StrJoin(names, ", "), "]; correct --camera"));
+  }
+  if (spec_.action_dim != kArmAxes || spec_.state_dim != kArmAxes) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("policy '", spec_.name, "' has ", spec_.state_dim, " states and ",
+                     spec_.action_dim, " actions; this arm has ", kArmAxes,
+                     " of each (six joints [rad] and the gripper [m]): serve a policy fine-tuned "
+                     "in joint space"));
+  }
+  if (spec_.horizon > ArmChunk::kMaxRows) {
+    return absl::InvalidArgumentError(absl::StrCat("policy '", spec_.name, "' predicts ",
+                                                   spec_.horizon, " steps, at most ",
+                                                   ArmChunk::kMaxRows, " are taken"));
+  }
+  absl::MutexLock lock(&mu_);
+  ++counters_.sessions;
+  return absl::OkStatus();
+}
+
+void PolicyLink::StartEpisode(const EpisodeKey& key) {
+  absl::MutexLock lock(&mu_);
+  keys_[loop_->episode() + 1] = key;
+}
+
+PolicyLinkCounters PolicyLink::counters() const {
+  absl::MutexLock lock(&mu_);
+  return counters_;
+}
+
+absl::Status PolicyLink::last_error() const {
+  absl::MutexLock lock(&mu_);
+  return last_error_;
+}
+
+void PolicyLink::Note(const absl::Status& error) {
+  absl::MutexLock lock(&mu_);
+  last_error_ = error;
+  ++counters_.failed_predictions;
+}
+
+absl::StatusOr<Observation> PolicyLink::Observe(const PredictionRequest& request) {
+  Observation observation;
+  observation.instruction = options_.instruction;
+  for (FrameSource* camera : cameras_) {
+    const std::shared_ptr<const Frame> frame = camera->Latest();
+    const double age = frame == nullptr
+                           ? -1
+                           : static_cast<double>(clock_->now_ns() - frame->stamp_ns) / kNsPerSecond;
+    if (frame == nullptr || age > options_.max_frame_age_s) {
+      absl::MutexLock lock(&mu_);
+      ++counters_.stale_frames;
+      return absl::UnavailableError(absl::StrCat(
+          "camera '", camera->name(), "' ",
+          frame == nullptr ? "has delivered nothing" : absl::StrCat("is ", age, " s behind"), ": ",
+          camera->status().ok() ? "its pictures stopped" : camera->status().message()));
+    }
+    observation.views.push_back({camera->name(), frame->image});
+  }
+  observation.proprioception =
+      Eigen::Map<const Eigen::Matrix<double, kArmAxes, 1>>(request.position.data()).cast<float>();
+  return observation;
+}
+
+absl::Status PolicyLink::PrepareSession(int episode) {
+  if (endpoint_ == nullptr) RS_RETURN_IF_ERROR(Open());
+  if (started_episode_ == episode) return absl::OkStatus();
+  EpisodeKey key;
+  {
+    absl::MutexLock lock(&mu_);
+    const auto found = keys_.find(episode);
+    key = found == keys_.end() ? EpisodeKey{0, episode} : found->second;
+    counters_.residual = {};
+  }
+  RS_RETURN_IF_ERROR(endpoint_->StartEpisode(key));
+  started_episode_ = episode;
+  return absl::OkStatus();
+}
+
+absl::Status PolicyLink::Answer(const PredictionRequest& request, ArmChunk& chunk) {
+  RS_ASSIGN_OR_RETURN(const Observation observation, Observe(request));
+  RS_RETURN_IF_ERROR(PrepareSession(request.episode));
+  const int64_t before = clock_->now_ns();
+  RS_ASSIGN_OR_RETURN(const PredictedChunk prediction,
+                      endpoint_->Predict(observation, request.chunk));
+  const double took = static_cast<double>(clock_->now_ns() - before) / kNsPerSecond;
+  const Eigen::MatrixXf& policy =
+      prediction.policy_actions.size() > 0 ? prediction.policy_actions : prediction.actions;
+  if (prediction.actions.cols() != kArmAxes || policy.cols() != kArmAxes ||
+      policy.rows() != prediction.actions.rows() || prediction.actions.rows() > ArmChunk::kMaxRows)
+    return absl::InternalError(absl::StrCat("policy '", spec_.name, "' predicted ",
+                                            prediction.actions.rows(), " x ",
+                                            prediction.actions.cols(), " actions"));
+  absl::MutexLock lock(&mu_);
+  ++counters_.predictions;
+  counters_.longest_prediction_s = std::max(counters_.longest_prediction_s, took);
+  counters_.adapter_version = prediction.adapter_version;
+  chunk.failed = false;
+  chunk.prediction_id = prediction.prediction_id | (counters_.sessions << kSessionShift);
+  chunk.rows = static_cast<int32_t>(prediction.actions.rows());
+  for (int i = 0; i < chunk.rows; ++i) {
+    chunk.requested[i] = RowOf(prediction.actions, i);
+    chunk.policy[i] = RowOf(policy, i);
+  }
+  chunk_start_[chunk.prediction_id] = request.position;
+  while (chunk_start_.size() > kChunkStarts) chunk_start_.erase(chunk_start_.begin());
+  return absl::OkStatus();
+}
+
+void PolicyLink::SendFeedback() {
+  TickRecord record;
+  while (records_.Pop(record)) {
+    std::optional<ExecutedChunk> chunk = assembler_.Add(record);
+    if (!chunk) continue;
+    uint64_t session = 0;
+    {
+      absl::MutexLock lock(&mu_);
+      session = counters_.sessions;
+      const auto start = chunk_start_.find(chunk->prediction_id);
+      if (start != chunk_start_.end()) counters_.residual.Add(*chunk, start->second);
+      const auto key = keys_.find(chunk->episode);
+      chunk->task = key == keys_.end() ? 0 : key->second.task;
+      chunk->episode = key == keys_.end() ? chunk->episode : key->second.episode;
+      if (endpoint_ == nullptr || (chunk->prediction_id >> kSessionShift) != session) {
+        ++counters_.feedback_of_lost_sessions;
+        continue;
+      }
+    }
+    chunk->prediction_id &= (uint64_t{1} << kSessionShift) - 1;
+    chunk->sequence = sequence_ + 1;
+    const absl::Status status = endpoint_->SendFeedback(*std::move(chunk));
+    if (absl::IsFailedPrecondition(status) || absl::IsInvalidArgument(status) ||
+        SessionLost(status)) {
+      Note(status);
+      if (SessionLost(status)) endpoint_.reset();
+      continue;
+    }
+    // Taken: sent, or kept by the endpoint until the stream is back.
+    ++sequence_;
+    absl::MutexLock lock(&mu_);
+    ++counters_.feedback_sent;
+    if (!status.ok()) last_error_ = status;
+  }
+  absl::MutexLock lock(&mu_);
+  counters_.feedback = assembler_.counters();
+}
+
+bool PolicyLink::Serve() {
+  bool served = false;
+  PredictionRequest request;
+  while (loop_->prediction_requests().Pop(request)) {
+    served = true;
+    answer_.request = request.id;
+    answer_.episode = request.episode;
+    answer_.chunk = request.chunk;
+    answer_.played = request.played;
+    answer_.observed_ns = request.asked_ns;
+    answer_.failed = true;
+    answer_.rows = 0;
+    const absl::Status status = Answer(request, answer_);
+    if (status.ok()) {
+      failures_ = 0;
+    } else {
+      Note(status);
+      ++failures_;
+      if (SessionLost(status) ||
+          (failures_ >= kFailuresUntilNewSession && absl::IsFailedPrecondition(status)))
+        endpoint_.reset();
+    }
+    deliver_(answer_);
+  }
+  SendFeedback();
+  return served;
+}
+
+void PolicyLink::Run(const std::atomic<bool>& stop) {
+  while (!stop.load(std::memory_order_acquire)) {
+    Serve();
+    // Every 20 ms for feedback; a request ends the wait at once.
+    static_cast<void>(wake_.try_acquire_for(std::chrono::milliseconds(20)));
+  }
+}
+
+}  // namespace robostress

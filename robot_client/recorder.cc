@@ -1,0 +1,157 @@
+#include "robot_client/recorder.h"
+
+#include <unistd.h>
+
+#include <cerrno>
+#include <chrono>
+#include <cstring>
+#include <filesystem>
+#include <thread>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
+#include "nlohmann/json.hpp"
+
+namespace robostress {
+namespace {
+
+constexpr char kPartial[] = "/ticks.csv.partial";
+constexpr char kTicks[] = "/ticks.csv";
+constexpr char kEvents[] = "/events.jsonl";
+const char* const kAxes[kArmAxes] = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
+
+double Seconds(int64_t ns, int64_t origin_ns) { return static_cast<double>(ns - origin_ns) * 1e-9; }
+
+void AppendVector(const ArmVector& v, bool applies, std::string* out) {
+  for (const double x : v) {
+    out->push_back(',');
+    if (applies) absl::StrAppendFormat(out, "%.9g", x);
+  }
+}
+
+absl::Status FileError(const std::string& what) {
+  return absl::DataLossError(absl::StrCat(
+      what, ": ", std::strerror(errno), "; the recording ends there: free space or correct --out"));
+}
+
+}  // namespace
+
+std::string Recorder::Header() {
+  std::string header =
+      "t,tick,due,wake_us,sent_us,state,cause,flags,limiter,faults,episode,chunk,row,prediction,"
+      "stamp,sequence";
+  for (const char* group :
+       {"policy", "requested", "blended", "corrected", "sent", "q", "dq", "tau"}) {
+    for (const char* axis : kAxes) absl::StrAppend(&header, ",", group, "_", axis);
+  }
+  return header;
+}
+
+std::string Recorder::Row(const TickRecord& r, int64_t origin_ns) {
+  const bool played = (r.flags & kTickPlayed) != 0, measured = r.sequence != 0;
+  const bool streams = r.state == ClientState::kEnabled || r.state == ClientState::kRun ||
+                       r.state == ClientState::kHold;
+  std::string row = absl::StrFormat(
+      "%.9f,%d,%.9f,%.1f,%.1f,%s,%s,%d,%d,%d,%d,%d,%d,%d,%.9f,%d", Seconds(r.start_ns, origin_ns),
+      r.tick, Seconds(r.due_ns, origin_ns), static_cast<double>(r.start_ns - r.due_ns) / 1e3,
+      static_cast<double>(r.sent_ns - r.due_ns) / 1e3, StateName(r.state), CauseName(r.cause),
+      r.flags, r.limiter, r.faults, r.episode, r.chunk, r.row,
+      r.prediction_id & ((uint64_t{1} << 48) - 1), measured ? Seconds(r.stamp_ns, origin_ns) : 0,
+      r.sequence);
+  AppendVector(r.policy, played, &row);
+  AppendVector(r.requested, played, &row);
+  AppendVector(r.blended, streams, &row);
+  AppendVector(r.corrected, streams, &row);
+  AppendVector(r.sent, streams, &row);
+  AppendVector(r.position, measured, &row);
+  AppendVector(r.velocity, measured, &row);
+  AppendVector(r.effort, measured, &row);
+  return row;
+}
+
+absl::StatusOr<std::unique_ptr<Recorder>> Recorder::Create(const std::string& directory) {
+  RS_RETURN_IF_ERROR(MakeDirectories(directory));
+  for (const char* file : {kTicks, kPartial}) {
+    if (std::filesystem::exists(directory + file)) {
+      return absl::AlreadyExistsError(
+          absl::StrCat(directory, file,
+                       " is there already: a recording is never overwritten; name another --out"));
+    }
+  }
+  auto recorder = std::unique_ptr<Recorder>(new Recorder(directory));
+  recorder->ticks_ = std::fopen((directory + kPartial).c_str(), "wx");
+  if (recorder->ticks_ == nullptr) return FileError(directory + kPartial);
+  const std::string header = Header() + "\n";
+  if (std::fputs(header.c_str(), recorder->ticks_) < 0) return FileError(directory + kPartial);
+  return recorder;
+}
+
+Recorder::~Recorder() {
+  if (ticks_ != nullptr) std::fclose(ticks_);
+}
+
+absl::Status Recorder::NoteChange(const TickRecord& r) {
+  state_ = r.state;
+  cause_ = r.cause;
+  std::string line = absl::StrFormat("%9.3f s  %s (%s)", Seconds(r.start_ns, origin_ns_),
+                                     StateName(r.state), CauseName(r.cause));
+  nlohmann::ordered_json event = {{"t", Seconds(r.start_ns, origin_ns_)},
+                                  {"tick", r.tick},
+                                  {"event", "state"},
+                                  {"state", StateName(r.state)},
+                                  {"cause", CauseName(r.cause)},
+                                  {"episode", r.episode}};
+  if (r.faults != 0) {
+    event["faults"] = ArmFaultNames(r.faults);
+    absl::StrAppend(&line, ": ", ArmFaultNames(r.faults));
+  }
+  if (on_change_) on_change_(line);
+  return Event(event.dump());
+}
+
+absl::Status Recorder::Event(const std::string& json) {
+  return AppendLine(directory_ + kEvents, json);
+}
+
+absl::Status Recorder::Drain() {
+  if (ticks_ == nullptr) return absl::FailedPreconditionError("the recording is finished");
+  TickRecord record;
+  while (ring_.Pop(record)) {
+    if (rows_++ == 0) {
+      origin_ns_ = record.start_ns;
+      RS_RETURN_IF_ERROR(Event(
+          nlohmann::ordered_json{{"t", 0.0}, {"event", "origin"}, {"monotonic_ns", origin_ns_}}
+              .dump()));
+    }
+    const std::string row = Row(record, origin_ns_) + "\n";
+    if (std::fputs(row.c_str(), ticks_) < 0) return FileError(directory_ + kPartial);
+    if (record.state != state_ || record.cause != cause_) RS_RETURN_IF_ERROR(NoteChange(record));
+  }
+  if (std::fflush(ticks_) != 0) return FileError(directory_ + kPartial);
+  return absl::OkStatus();
+}
+
+absl::Status Recorder::Run(const std::atomic<bool>& stop) {
+  absl::Status first;
+  while (!stop.load(std::memory_order_acquire)) {
+    // An error ends the recording, not the run: the arm goes on being watched.
+    if (first.ok()) first = Drain();
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  return first;
+}
+
+absl::Status Recorder::Finish() {
+  RS_RETURN_IF_ERROR(Drain());
+  std::FILE* file = std::exchange(ticks_, nullptr);
+  const bool synced = std::fflush(file) == 0 && fsync(fileno(file)) == 0;
+  if (std::fclose(file) != 0 || !synced) return FileError(directory_ + kPartial);
+  if (std::rename((directory_ + kPartial).c_str(), (directory_ + kTicks).c_str()) != 0)
+    return FileError(directory_ + kTicks);
+  return absl::OkStatus();
+}
+
+}  // namespace robostress

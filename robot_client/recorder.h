@@ -1,0 +1,61 @@
+#pragma once
+
+#include <atomic>
+#include <cstdio>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "robot_client/control/spsc_ring.h"
+#include "robot_client/control/tick_record.h"
+
+namespace robostress {
+
+// Writes every tick and every change of state of a run to a directory:
+//
+//   ticks.csv      a row per tick; SI units, columns in its header. Empty fields did not apply.
+//   events.jsonl   changes of state with their cause, starts and ends of episodes, what the program
+//                  notes; flushed line by line
+//
+// ticks.csv is called ticks.csv.partial until Finish: a file without that ending is whole. One
+// thread (the recorder's) calls everything.
+class Recorder {
+ public:
+  // Makes the directory. ALREADY_EXISTS when it holds a recording.
+  static absl::StatusOr<std::unique_ptr<Recorder>> Create(const std::string& directory);
+  ~Recorder();
+
+  SpscRing<TickRecord>& ring() { return ring_; }
+  // Called with a line for people at each change of state.
+  void OnChange(std::function<void(const std::string& line)> call) { on_change_ = std::move(call); }
+
+  // Writes what has come. An error names the file; what was written before it stays.
+  absl::Status Drain();
+  // Drain every 50 ms until `stop`.
+  absl::Status Run(const std::atomic<bool>& stop);
+  // Appends an event; `json` is one object.
+  absl::Status Event(const std::string& json);
+  // The last rows, then the final name.
+  absl::Status Finish();
+
+  uint64_t rows() const { return rows_; }
+  static std::string Header();  // of ticks.csv, without line end
+  static std::string Row(const TickRecord& record, int64_t origin_ns);
+
+ private:
+  explicit Recorder(std::string directory) : directory_(std::move(directory)) {}
+  absl::Status NoteChange(const TickRecord& record);
+
+  const std::string directory_;
+  SpscRing<TickRecord> ring_{1 << 10};
+  std::function<void(const std::string&)> on_change_;
+  std::FILE* ticks_ = nullptr;
+  int64_t origin_ns_ = 0;
+  uint64_t rows_ = 0;
+  ClientState state_ = ClientState::kIdle;
+  StateCause cause_ = StateCause::kNone;
+};
+
+}  // namespace robostress

@@ -1,0 +1,116 @@
+// The program as a person uses it: a rehearsal against a server of joint targets, in real time, so
+// every bound on time is generous.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "tests/run_program.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+// Runs `body` with $client, $out (empty) and $server (pid $server_pid) in the environment.
+std::pair<std::string, int> WithServer(const std::string& name, const std::string& body,
+                                       std::string* out) {
+  *out = ::testing::TempDir() + "/client_program_" + name;
+  std::filesystem::remove_all(*out);
+  std::filesystem::create_directories(*out);
+  const std::string script = absl::StrCat(
+      "out=", *out, "; client=" ROBOT_CLIENT, "\n", JOINT_POLICY_SERVER,
+      " > $out/server.txt & server_pid=$!\n",
+      "for i in $(seq 200); do server=$(sed -n 's/^joint_policy_server: //p' $out/server.txt)\n",
+      "  [ -n \"$server\" ] && break; sleep 0.1; done\n",
+      "common=\"--bus rehearse --server $server --policy sway --instruction sway --camera "
+      "base=synthetic --camera wrist=synthetic --out $out/run --set realtime.priority=0 --set "
+      "realtime.lock_memory=false --set control.watchdogs.arm_fault_s=20 --set "
+      "control.watchdogs.arm_hold_s=10\"\n",
+      body, "\ncode=$?\nkill $server_pid 2>/dev/null\nwait 2>/dev/null\nexit $code\n");
+  EXPECT_TRUE(WriteFileAtomically(*out + "/script.sh", script).ok());
+  return RunProgram("bash", *out + "/script.sh");
+}
+
+std::string Text(const std::string& file) {
+  const absl::StatusOr<std::string> text = ReadFile(file);
+  EXPECT_TRUE(text.ok()) << text.status();
+  return text.ok() ? *text : "";
+}
+
+TEST(ClientProgramTest, RehearsesWholeEpisodesAndLeavesAWholeRecording) {
+  std::string out;
+  const auto [text, code] = WithServer(
+      "rehearsal", "$client $common --automatic --set episodes=2 --set episode_s=1", &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(Text(out + "/run/ticks.csv"), AllOf(HasSubstr("policy_J1"), HasSubstr(",RUN,")));
+  EXPECT_THAT(Text(out + "/run/episodes.jsonl"),
+              AllOf(HasSubstr("\"episode\":1"), HasSubstr("\"sessions\":1")));
+  EXPECT_THAT(Text(out + "/run/timing.json"), HasSubstr("wake_histogram"));
+  EXPECT_TRUE(std::filesystem::exists(out + "/run/DONE"));
+  EXPECT_FALSE(std::filesystem::exists(out + "/run/ticks.csv.partial"));
+}
+
+TEST(ClientProgramTest, HoldsWhenTheServerIsKilledAndSaysWhy) {
+  std::string out;
+  const auto [text, code] =
+      WithServer("killed",
+                 "(sleep 1.5; kill -9 $server_pid) & $client $common --automatic --set episodes=1 "
+                 "--set episode_s=4 --set control.watchdogs.server_hold_s=0.5",
+                 &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(Text(out + "/run/events.jsonl"), HasSubstr("\"cause\":\"server_silent\""));
+  EXPECT_THAT(text, HasSubstr("HOLD (server_silent)"));
+}
+
+TEST(ClientProgramTest, ObeysAPerson) {
+  std::string out;
+  const auto [text, code] = WithServer("person",
+                                       "(sleep 1.5; echo enable; sleep 1; echo start; sleep 1.5; "
+                                       "echo; sleep 1; echo resume; sleep 1; "
+                                       "0.5; echo success; sleep 0.5; echo quit) | $client $common",
+                                       &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, AllOf(HasSubstr("RUN (operator)"), HasSubstr("HOLD (operator)"),
+                          HasSubstr("the episode goes on"), HasSubstr("episode ended")));
+  EXPECT_THAT(Text(out + "/run/episodes.jsonl"), HasSubstr("\"success\":true"));
+}
+
+TEST(ClientProgramTest, ASignalHolds) {
+  std::string out;
+  const auto [text, code] = WithServer("signal",
+                                       "$client $common --automatic --set episodes=1 --set "
+                                       "episode_s=3 & pid=$!; sleep 1.5; kill -INT "
+                                       "$pid; wait $pid",
+                                       &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, HasSubstr("HOLD (operator)"));
+}
+
+TEST(ClientProgramTest, RefusesBadInput) {
+  const auto run = [](const std::string& arguments) {
+    return RunProgram(ROBOT_CLIENT, arguments + " --out " + ::testing::TempDir() + "/refused");
+  };
+  auto [text, code] = run("--bus can:can0 --automatic --server 127.0.0.1:1 --instruction x");
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text, HasSubstr("started by a person"));
+  std::tie(text, code) = run("--instruction x");
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text, HasSubstr("--server"));
+  std::tie(text, code) =
+      run("--server 127.0.0.1:1 --instruction x --camera base=synthetic,fault=melt");
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text, HasSubstr("unplug"));
+  std::tie(text, code) = run("--set control.rate=30");
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text, HasSubstr("rate_hz"));
+  EXPECT_EQ(RunProgram(ROBOT_CLIENT, "--help").second, 0);
+}
+
+}  // namespace
+}  // namespace robostress

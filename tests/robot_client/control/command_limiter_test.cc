@@ -1,0 +1,169 @@
+#include "robot_client/control/command_limiter.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+
+namespace robostress {
+namespace {
+
+constexpr double kPeriod = 1.0 / 30;
+
+ArmLimits Box() {
+  ArmLimits limits;
+  limits.lower.fill(-1);
+  limits.upper.fill(1);
+  limits.lower[6] = 0;
+  limits.upper[6] = 0.07;
+  limits.max_velocity.fill(3);
+  limits.max_acceleration.fill(10);
+  return limits;
+}
+
+CommandLimiter Limiter(const LimiterOptions& options = {}) {
+  CommandLimiter limiter;
+  EXPECT_TRUE(limiter.Configure(options, Box(), kPeriod).ok());
+  limiter.Reset({});
+  return limiter;
+}
+
+ArmVector AllJoints(double value) {
+  ArmVector v{};
+  std::fill_n(v.begin(), kArmJoints, value);
+  return v;
+}
+
+TEST(CommandLimiterTest, BrakingSpeedStopsExactlyAtTheGap) {
+  for (const double gap : {1e-6, 1e-3, 0.0055, 0.02, 0.3, 2.0}) {
+    double w = BrakingSpeed(gap, 5, kPeriod), covered = 0;
+    for (; w > 0; w -= 5 * kPeriod) covered += w * kPeriod;
+    EXPECT_NEAR(covered, gap, 1e-12);
+  }
+  EXPECT_EQ(BrakingSpeed(0, 5, kPeriod), 0);
+  EXPECT_EQ(BrakingSpeed(-1, 5, kPeriod), 0);
+}
+
+TEST(CommandLimiterTest, FollowsAReachableMotionExactly) {
+  CommandLimiter limiter = Limiter();
+  double worst = 0;
+  for (int i = 0; i < 600; ++i) {  // 0.5 rad at 0.2 Hz: 0.63 rad/s, 0.8 rad/s^2
+    const double target = 0.5 * (1 - std::cos(2 * M_PI * 0.2 * i * kPeriod)) / 2;
+    const ArmVector sent = limiter.Limit(AllJoints(target));
+    worst = std::max(worst, std::abs(sent[0] - target));
+    EXPECT_EQ(limiter.flags(), 0) << i;
+  }
+  EXPECT_LT(worst, 1e-12);
+}
+
+TEST(CommandLimiterTest, AStepIsReachedWithoutOvershoot) {
+  CommandLimiter limiter = Limiter();
+  double peak = 0;
+  for (int i = 0; i < 60; ++i) peak = std::max(peak, limiter.Limit(AllJoints(0.6))[2]);
+  EXPECT_LE(peak, 0.6 + 1e-12);
+  EXPECT_NEAR(limiter.position()[2], 0.6, 1e-9);
+  EXPECT_TRUE(limiter.at_rest());
+}
+
+// Whatever is asked for, every command keeps every bound.
+TEST(CommandLimiterTest, NeverExceedsABoundUnderRandomTargets) {
+  const LimiterOptions options;
+  CommandLimiter limiter = Limiter(options);
+  std::mt19937 random(7);
+  std::uniform_real_distribution<double> anywhere(-4, 4), small(-0.03, 0.03);
+  ArmVector target{}, before = limiter.position(), speed_before{};
+  for (int i = 0; i < 30000; ++i) {
+    for (int a = 0; a < kArmAxes; ++a) {
+      const uint32_t kind = random() % 20;
+      if (kind == 0) target[a] = anywhere(random);
+      if (kind > 10) target[a] += small(random);
+      if (kind == 1) target[a] = std::numeric_limits<double>::quiet_NaN();
+      if (!std::isfinite(target[a]) && kind == 2) target[a] = 0;
+    }
+    const ArmVector sent = i % 97 == 0 ? limiter.Decelerate() : limiter.Limit(target);
+    for (int a = 0; a < kArmAxes; ++a) {
+      const bool joint = a < kArmJoints;
+      const double v = (sent[a] - before[a]) / kPeriod;
+      const double lower = joint ? -1 + options.joint_margin : 0;
+      const double upper = joint ? 1 - options.joint_margin : 0.07;
+      ASSERT_GE(sent[a], lower - 1e-9);
+      ASSERT_LE(sent[a], upper + 1e-9);
+      ASSERT_LE(std::abs(v), (joint ? options.joint_velocity : options.gripper_velocity) + 1e-9);
+      ASSERT_LE(std::abs(sent[a] - before[a]),
+                (joint ? options.joint_step : options.gripper_step) + 1e-9);
+      ASSERT_LE(
+          std::abs(v - speed_before[a]),
+          (joint ? options.joint_acceleration : options.gripper_acceleration) * kPeriod + 1e-9)
+          << "axis " << a << " tick " << i;
+      speed_before[a] = v;
+    }
+    before = sent;
+  }
+}
+
+TEST(CommandLimiterTest, DeceleratesToRestAtTheAccelerationLimit) {
+  CommandLimiter limiter = Limiter();
+  double target = 0;
+  while (limiter.velocity()[0] < 0.8 - 1e-9) limiter.Limit(AllJoints(target += 0.8 * kPeriod));
+  const double from = limiter.position()[0];
+  int ticks = 0;
+  while (!limiter.at_rest()) {
+    limiter.Decelerate();
+    ASSERT_LT(++ticks, 20);
+  }
+  EXPECT_EQ(ticks, 5);  // 0.8 rad/s at 5 rad/s^2: 4.8 ticks
+  EXPECT_LT(limiter.position()[0] - from, 0.8 * 0.8 / (2 * 5));
+}
+
+TEST(CommandLimiterTest, SaysWhichBoundItApplied) {
+  CommandLimiter limiter = Limiter();
+  limiter.Limit(AllJoints(5));
+  EXPECT_TRUE(limiter.flags() & kLimitedPosition);
+  EXPECT_TRUE(limiter.flags() & kLimitedAcceleration);
+  CommandLimiter slow = Limiter({.joint_velocity = 0.1});
+  slow.Limit(AllJoints(0.5));
+  slow.Limit(AllJoints(0.5));
+  EXPECT_TRUE(slow.flags() & kLimitedVelocity);
+  CommandLimiter steps = Limiter({.joint_step = 0.001});
+  steps.Limit(AllJoints(0.5));
+  EXPECT_TRUE(steps.flags() & kLimitedStep);
+}
+
+TEST(CommandLimiterTest, AnArmOutsideTheBoxOnlyMovesInwards) {
+  CommandLimiter limiter = Limiter();
+  ArmVector outside = AllJoints(1.2);
+  limiter.Reset(outside);
+  EXPECT_EQ(limiter.Decelerate(), outside) << "holding does not move it";
+  double before = 1.2;
+  for (int i = 0; i < 100; ++i) {
+    const double now = limiter.Limit(AllJoints(2))[0];
+    ASSERT_LE(now, before + 1e-12);
+    before = now;
+  }
+  EXPECT_NEAR(before, 0.98, 1e-9) << "a target beyond the box is a target at its edge";
+}
+
+TEST(CommandLimiterTest, TheArmsOwnLimitsApplyWhereTheyAreLower) {
+  ArmLimits arm = Box();
+  arm.max_velocity.fill(0.2);
+  CommandLimiter limiter;
+  ASSERT_TRUE(limiter.Configure({}, arm, kPeriod).ok());
+  limiter.Reset({});
+  for (int i = 0; i < 30; ++i) limiter.Limit(AllJoints(0.9));
+  EXPECT_NEAR(limiter.velocity()[0], 0.2, 1e-12);
+}
+
+TEST(CommandLimiterTest, RefusesLimitsWithoutRoom) {
+  ArmLimits arm = Box();
+  arm.lower[2] = arm.upper[2] = -0.0017;  // as a corrupted flash was seen to say
+  CommandLimiter limiter;
+  const absl::Status status = limiter.Configure({}, arm, kPeriod);
+  EXPECT_EQ(status.code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_THAT(std::string(status.message()), ::testing::HasSubstr("J3"));
+}
+
+}  // namespace
+}  // namespace robostress

@@ -1,0 +1,468 @@
+#include "robot_client/control/control_loop.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <cmath>
+#include <cstdlib>
+#include <memory>
+#include <new>
+#include <thread>
+
+#include "tests/robot_client/fake_arm.h"
+
+namespace {
+thread_local bool count_allocations = false;
+thread_local int allocations = 0;
+void* Allocate(size_t size) {
+  if (count_allocations) ++allocations;
+  if (void* memory = std::malloc(size)) return memory;
+  throw std::bad_alloc();
+}
+}  // namespace
+
+void* operator new(size_t size) { return Allocate(size); }
+void* operator new[](size_t size) { return Allocate(size); }
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete[](void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, size_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, size_t) noexcept { std::free(memory); }
+
+namespace robostress {
+namespace {
+
+constexpr int64_t kPeriod_ns = 33'333'333;
+
+struct FakeStamps : CameraStamps {
+  int64_t Oldest() const override { return stamp_ns; }
+  int64_t stamp_ns = 0;
+};
+
+// A client in simulated time against a fake arm; the policy moves J1 at 0.3 rad/s.
+struct Bench {
+  ManualClock clock{1'000'000'000};
+  FakeArm arm{&clock};
+  FakeStamps cameras;
+  SpscRing<TickRecord> records{1 << 12};
+  std::unique_ptr<ControlLoop> loop;
+  std::vector<TickRecord> seen;
+  bool server_alive = true, camera_alive = true;
+  int latency_ticks = 0;
+  std::vector<std::pair<int64_t, ArmChunk>> on_the_way;
+  double policy_speed = 0.3;
+  double policy_offset = 0;  // [rad], where chunks start against the observation
+
+  explicit Bench(const ControlOptions& options = {}) {
+    EXPECT_TRUE(arm.Connect().ok());
+    auto made = ControlLoop::Create(options, &arm, &clock, &cameras);
+    EXPECT_TRUE(made.ok()) << made.status();
+    loop = *std::move(made);
+    loop->AddReader(&records);
+    loop->OnPredictionRequested([this] { Serve(); });
+  }
+
+  void Serve() {
+    PredictionRequest request;
+    while (loop->prediction_requests().Pop(request)) {
+      if (!server_alive) continue;
+      ArmChunk chunk;
+      chunk.request = request.id;
+      chunk.prediction_id = request.id;
+      chunk.episode = request.episode;
+      chunk.chunk = request.chunk;
+      chunk.played = request.played;
+      chunk.observed_ns = request.asked_ns;
+      chunk.rows = 50;
+      for (int i = 0; i < 50; ++i) {
+        chunk.policy[i] = request.position;
+        chunk.policy[i][0] += policy_offset + policy_speed * (i + 1) / 30.0;
+        chunk.requested[i] = chunk.policy[i];
+      }
+      on_the_way.emplace_back(clock.now_ns() + latency_ticks * kPeriod_ns, chunk);
+    }
+    Deliver();
+  }
+  void Deliver() {
+    while (!on_the_way.empty() && on_the_way.front().first <= clock.now_ns()) {
+      loop->AnswerPrediction(on_the_way.front().second);
+      on_the_way.erase(on_the_way.begin());
+    }
+  }
+  TickRecord Tick(uint32_t requests = 0) {
+    clock.Advance(kPeriod_ns);
+    if (camera_alive) cameras.stamp_ns = clock.now_ns() - 10'000'000;
+    Deliver();
+    if (requests != 0) loop->Ask(requests);
+    loop->Tick(clock.now_ns());
+    TickRecord record;
+    while (records.Pop(record)) seen.push_back(record);
+    return seen.back();
+  }
+  void Start() {
+    Tick(kRequestEnable);
+    EXPECT_EQ(loop->state(), ClientState::kEnabled);
+    Tick(kRequestStart);
+    EXPECT_EQ(loop->state(), ClientState::kRun);
+  }
+  void Ticks(int n) {
+    for (int i = 0; i < n; ++i) Tick();
+  }
+};
+
+double LargestStep(const std::vector<TickRecord>& records, size_t first) {
+  double largest = 0;
+  for (size_t i = first + 1; i < records.size(); ++i)
+    largest = std::max(largest, std::abs(records[i].sent[0] - records[i - 1].sent[0]));
+  return largest;
+}
+
+TEST(ControlLoopTest, SendsNothingBeforeAPersonEnables) {
+  Bench bench;
+  bench.Ticks(30);
+  bench.Tick(kRequestStart | kRequestResume);
+  EXPECT_EQ(bench.arm.sends, 0);
+  EXPECT_EQ(bench.arm.enables, 0);
+  EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
+}
+
+TEST(ControlLoopTest, TheFirstCommandIsWhereTheArmStands) {
+  Bench bench;
+  bench.arm.bias = 0.01;
+  bench.Tick(kRequestEnable);
+  for (int j = 0; j < kArmAxes; ++j)
+    EXPECT_EQ(bench.arm.last.position[j], bench.seen.back().position[j]);
+  EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
+}
+
+TEST(ControlLoopTest, AnArmAtRestBeyondItsLimitsStartsAtTheNearestOne) {
+  ManualClock clock(5);
+  NoCameras cameras;
+  for (const double beyond : {0.02, 0.2}) {
+    RehearsalArmOptions options;
+    options.start[1] = -beyond;  // J2's lower limit is 0
+    FakeArm arm(&clock, options);
+    ASSERT_TRUE(arm.Connect().ok());
+    auto loop = ControlLoop::Create({}, &arm, &clock, &cameras);
+    ASSERT_TRUE(loop.ok());
+    (*loop)->Ask(kRequestEnable);
+    (*loop)->Tick(clock.now_ns());
+    if (beyond < 0.1) {
+      EXPECT_EQ(arm.last.position[1], 0);
+    } else {
+      EXPECT_EQ((*loop)->state(), ClientState::kIdle);
+      EXPECT_EQ(arm.enables, 0) << "it never got power";
+      EXPECT_THAT(std::string((*loop)->enable_status().message()), ::testing::HasSubstr("J2"));
+    }
+  }
+}
+
+TEST(ControlLoopTest, AFailedEnableStaysIdleAndSaysWhy) {
+  Bench bench;
+  bench.arm.refuse_enable = true;
+  bench.Tick(kRequestEnable);
+  EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
+  EXPECT_THAT(std::string(bench.loop->enable_status().message()), ::testing::HasSubstr("no power"));
+}
+
+TEST(ControlLoopTest, PlaysTenRowsOfEachPredictionAndRecordsEveryStage) {
+  Bench bench;
+  bench.Start();
+  bench.Ticks(45);
+  int played = 0;
+  for (const TickRecord& r : bench.seen) {
+    if (r.state != ClientState::kRun) continue;
+    ASSERT_TRUE(r.flags & kTickPlayed);
+    EXPECT_EQ(r.row, played % 10);
+    EXPECT_EQ(r.chunk, played / 10);
+    EXPECT_EQ(r.policy, r.blended) << "in time: nothing to fade";
+    EXPECT_EQ(r.corrected, r.blended) << "no observer";
+    EXPECT_TRUE(r.flags & kTickSent);
+    ++played;
+  }
+  EXPECT_EQ(played, 46);
+}
+
+TEST(ControlLoopTest, EntersLateChunksAtTheDueRowAndStaysSmooth) {
+  Bench bench;
+  bench.latency_ticks = 3;
+  bench.Start();
+  bench.Ticks(60);
+  int entered = 0;
+  for (const TickRecord& r : bench.seen) {
+    if (!(r.flags & kTickEntered)) continue;
+    if (entered++ > 0) {
+      EXPECT_EQ(r.row, 3);
+    }
+  }
+  EXPECT_GE(entered, 5);
+  EXPECT_LE(LargestStep(bench.seen, 0), 1.0 / 30 + 1e-9);
+}
+
+TEST(ControlLoopTest, AnEmptyQueueDeceleratesHoldsAndGoesOnByItself) {
+  Bench bench;
+  bench.Start();
+  bench.Ticks(9);
+  bench.server_alive = false;
+  bench.Ticks(10 + 12);  // late rows, then braking
+  EXPECT_TRUE(bench.seen.back().flags & kTickStarved);
+  EXPECT_EQ(bench.loop->state(), ClientState::kRun);
+  const double held = bench.seen.back().sent[0];
+  bench.Ticks(5);
+  EXPECT_EQ(bench.seen.back().sent[0], held);
+  bench.server_alive = true;
+  // The lost answer is not waited for forever: HOLD ends the wait.
+  bench.Ticks(60);
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
+  EXPECT_EQ(bench.seen.back().cause, StateCause::kServerSilent);
+  bench.Tick(kRequestResume);
+  EXPECT_EQ(bench.loop->state(), ClientState::kRun);
+  bench.Tick();
+  EXPECT_TRUE(bench.seen.back().flags & kTickPlayed);
+}
+
+// Cause by cause: what happens in mid-motion, which state follows, and how long the command moves.
+struct Mishap {
+  const char* name;
+  void (*happen)(Bench&);
+  ClientState state;
+  StateCause cause;
+  int within_ticks;
+};
+class MishapTest : public ::testing::TestWithParam<Mishap> {};
+
+TEST_P(MishapTest, TheArmHoldsInTime) {
+  const Mishap& mishap = GetParam();
+  Bench bench;
+  bench.policy_speed = 0.6;
+  bench.Start();
+  bench.Ticks(25);
+  ASSERT_GT(std::abs(bench.seen.back().sent[0] - bench.seen[bench.seen.size() - 2].sent[0]), 0.01);
+  mishap.happen(bench);
+  int ticks = 0;
+  while (bench.Tick().state != mishap.state && ticks < 200) ++ticks;
+  EXPECT_EQ(bench.loop->state(), mishap.state);
+  EXPECT_EQ(bench.seen.back().cause, mishap.cause);
+  EXPECT_LE(ticks, mishap.within_ticks);
+  const int sends = bench.arm.sends;
+  bench.Ticks(8);  // 1 rad/s is gone after 6
+  const ArmVector rest = bench.arm.last.position;
+  bench.Ticks(100);
+  EXPECT_EQ(bench.arm.last.position, rest) << "it does not move any more";
+  if (mishap.state == ClientState::kFault) {
+    EXPECT_EQ(bench.arm.sends, sends) << "a fault sends nothing";
+  }
+  EXPECT_EQ(bench.arm.enables, 1) << "nothing enables it again";
+  EXPECT_EQ(bench.arm.disables, 0) << "nothing drops it";
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Causes, MishapTest,
+    ::testing::Values(Mishap{"server_killed", [](Bench& b) { b.server_alive = false; },
+                             ClientState::kHold, StateCause::kServerSilent, 82},
+                      Mishap{"camera_unplugged", [](Bench& b) { b.camera_alive = false; },
+                             ClientState::kHold, StateCause::kCameraStale, 15},
+                      Mishap{"arm_silent", [](Bench& b) { b.arm.silent = true; },
+                             ClientState::kHold, StateCause::kArmSilent, 2},
+                      Mishap{"arm_silent_for_long", [](Bench& b) { b.arm.silent = true; },
+                             ClientState::kFault, StateCause::kArmSilent, 8},
+                      Mishap{"arm_fault", [](Bench& b) { b.arm.faults = kFaultCollision; },
+                             ClientState::kFault, StateCause::kArmFault, 0},
+                      Mishap{"enable_lost", [](Bench& b) { b.arm.lost_enable = true; },
+                             ClientState::kFault, StateCause::kArmDisabled, 0},
+                      Mishap{"bus_off", [](Bench& b) { b.arm.refuse_send = true; },
+                             ClientState::kHold, StateCause::kSendFailed, 3},
+                      Mishap{"blocked",
+                             [](Bench& b) {
+                               b.arm.blocked = true;
+                               b.policy_speed = 2;
+                               b.policy_offset = 0.4;
+                             },
+                             ClientState::kHold, StateCause::kFollowingError, 60},
+                      Mishap{"operator", [](Bench& b) { b.loop->Ask(kRequestHold); },
+                             ClientState::kHold, StateCause::kOperator, 0}),
+    [](const auto& info) { return std::string(info.param.name); });
+
+TEST(ControlLoopTest, TheSecondStageOfAStopRepeatsTheDampedStop) {
+  Bench bench;
+  bench.Start();
+  bench.Ticks(20);
+  bench.Tick(kRequestHold);
+  EXPECT_EQ(bench.arm.quick_stops, 0);
+  bench.Tick(kRequestQuickStop);
+  const int sends = bench.arm.sends;
+  bench.Ticks(10);
+  EXPECT_EQ(bench.arm.quick_stops, 11);
+  EXPECT_EQ(bench.arm.sends, sends);
+  EXPECT_EQ(bench.seen.back().cause, StateCause::kQuickStop);
+}
+
+TEST(ControlLoopTest, APressHoldsAndASecondOneSoonAfterIsTheQuickStop) {
+  Bench bench;
+  std::atomic<int> presses{0};
+  bench.loop->ObeyStops(&presses);
+  bench.Start();
+  bench.Ticks(10);
+  ++presses;
+  bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
+  bench.Ticks(95);  // more than three seconds
+  bench.Tick(kRequestResume);
+  bench.Ticks(10);
+  ++presses;
+  bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold) << "a first press again";
+  bench.Ticks(20);
+  EXPECT_EQ(bench.arm.quick_stops, 0);
+  ++presses;
+  bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kFault);
+  EXPECT_EQ(bench.arm.quick_stops, 1);
+}
+
+TEST(ControlLoopTest, TwoPressesBetweenTwoTicksAreTheQuickStop) {
+  Bench bench;
+  std::atomic<int> presses{0};
+  bench.loop->ObeyStops(&presses);
+  bench.Start();
+  presses += 2;
+  bench.Tick();
+  EXPECT_EQ(bench.seen.back().cause, StateCause::kQuickStop);
+}
+
+TEST(ControlLoopTest, AfterAFaultTheArmMustBeClearedAndEnabledAgain) {
+  Bench bench;
+  bench.Start();
+  bench.Ticks(10);
+  bench.arm.faults = kFaultStall;
+  bench.Tick();
+  ASSERT_EQ(bench.loop->state(), ClientState::kFault);
+  bench.Tick(kRequestClear);
+  EXPECT_EQ(bench.loop->state(), ClientState::kFault);
+  bench.arm.faults = 0;
+  bench.Ticks(5);
+  EXPECT_EQ(bench.loop->state(), ClientState::kFault) << "latched";
+  bench.Tick(kRequestClear);
+  EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
+  bench.Tick(kRequestEnable);
+  bench.Tick(kRequestStart);
+  bench.Ticks(3);
+  EXPECT_EQ(bench.loop->state(), ClientState::kRun);
+  EXPECT_EQ(bench.loop->episode(), 1);
+}
+
+TEST(ControlLoopTest, TheObserverCorrectsButThePolicysTargetStaysOnRecord) {
+  Bench bench({.observer = true});
+  bench.policy_speed = 0;
+  bench.policy_offset = 0.02;  // the arm is always asked a little further: an error that stays
+  bench.Start();
+  bench.Ticks(60);
+  bool corrected = false;
+  for (const TickRecord& r : bench.seen) {
+    if (!(r.flags & kTickPlayed)) continue;
+    EXPECT_EQ(r.policy, r.requested);
+    const double correction = r.corrected[0] - r.blended[0];
+    EXPECT_LE(std::abs(correction), 0.05 + 1e-12);
+    corrected = corrected || std::abs(correction) > 1e-4;
+    EXPECT_EQ(r.corrected[6], r.blended[6]) << "not the gripper";
+  }
+  EXPECT_TRUE(corrected);
+}
+
+TEST(ControlLoopTest, AReaderThatIsTooSlowIsToldSo) {
+  Bench bench;
+  SpscRing<TickRecord> small(2);
+  bench.loop->AddReader(&small);
+  bench.Ticks(5);
+  TickRecord record;
+  ASSERT_TRUE(small.Pop(record));
+  EXPECT_EQ(record.tick, 1u);
+  bench.Tick();
+  ASSERT_TRUE(small.Pop(record));
+  ASSERT_TRUE(small.Pop(record));
+  EXPECT_EQ(record.tick, 6u);
+  EXPECT_TRUE(record.flags & kTickLost);
+}
+
+TEST(ControlLoopTest, AllocatesNothingOnceItRuns) {
+  Bench bench({.observer = true});
+  bench.latency_ticks = 2;
+  bench.Start();
+  ArmChunk chunk;
+  bench.loop->OnPredictionRequested(nullptr);
+  const auto tick = [&bench] {
+    bench.clock.Advance(kPeriod_ns);
+    bench.cameras.stamp_ns = bench.clock.now_ns();
+    count_allocations = true;
+    bench.loop->Tick(bench.clock.now_ns());
+    count_allocations = false;
+    TickRecord record;
+    while (bench.records.Pop(record)) {
+    }
+    bench.Serve();
+  };
+  allocations = 0;
+  for (int i = 0; i < 200; ++i) tick();
+  bench.loop->Ask(kRequestHold);
+  for (int i = 0; i < 20; ++i) tick();
+  bench.loop->Ask(kRequestResume);
+  for (int i = 0; i < 20; ++i) tick();
+  bench.arm.refuse_send = true;
+  for (int i = 0; i < 30; ++i) tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kFault);
+  bench.loop->Ask(kRequestQuickStop);
+  for (int i = 0; i < 20; ++i) tick();
+  EXPECT_EQ(allocations, 0);
+}
+
+TEST(ControlLoopTest, KeepsAbsoluteDeadlinesAndSkipsThoseThatPass) {
+  // A clock whose time passes while the tick computes: every tenth tick takes 100 ms.
+  struct SlowClock : ManualClock {
+    using ManualClock::ManualClock;
+    void SleepUntil(int64_t deadline) override {
+      ManualClock::SleepUntil(deadline);
+      deadlines.push_back(deadline);
+    }
+    std::vector<int64_t> deadlines;
+  } clock(5);
+  struct SlowArm : FakeArm {
+    SlowArm(SlowClock* slow, std::atomic<bool>* stop) : FakeArm(slow), slow(slow), stop(stop) {}
+    void Poll() override {
+      FakeArm::Poll();
+      if (++polls % 10 == 0) slow->Advance(100'000'000);
+      if (polls == 40) stop->store(true);
+    }
+    SlowClock* slow;
+    std::atomic<bool>* stop;
+    int polls = 0;
+  };
+  std::atomic<bool> stop{false};
+  SlowArm arm(&clock, &stop);
+  ASSERT_TRUE(arm.Connect().ok());
+  NoCameras cameras;
+  auto loop = ControlLoop::Create({}, &arm, &clock, &cameras);
+  ASSERT_TRUE(loop.ok());
+  (*loop)->Run(stop);
+  EXPECT_EQ((*loop)->timing().ticks, 40u);
+  EXPECT_EQ((*loop)->timing().missed, 4u);
+  EXPECT_EQ((*loop)->timing().skipped, 12u);
+  for (const int64_t deadline : clock.deadlines)
+    EXPECT_EQ((deadline - clock.deadlines[0]) % kPeriod_ns, 0) << "no drift";
+}
+
+TEST(ControlLoopTest, RefusesOptionsThatMakeNoSense) {
+  ManualClock clock;
+  FakeArm arm(&clock);
+  ASSERT_TRUE(arm.Connect().ok());
+  NoCameras cameras;
+  ControlOptions options;
+  options.player.late_steps = 60;
+  EXPECT_EQ(ControlLoop::Create(options, &arm, &clock, &cameras).status().code(),
+            absl::StatusCode::kInvalidArgument);
+  options = {};
+  options.rate_hz = 0;
+  EXPECT_FALSE(ControlLoop::Create(options, &arm, &clock, &cameras).ok());
+}
+
+}  // namespace
+}  // namespace robostress

@@ -1,0 +1,57 @@
+#pragma once
+
+#include "robot_client/rehearsal_arm.h"
+
+namespace robostress {
+
+// A rehearsal arm that can fail in every way the client watches for.
+class FakeArm : public RehearsalArm {
+ public:
+  explicit FakeArm(const Clock* clock, const RehearsalArmOptions& options = {})
+      : RehearsalArm(options, clock) {}
+
+  absl::Status Enable() override {
+    ++enables;
+    return refuse_enable ? absl::UnavailableError("no power") : RehearsalArm::Enable();
+  }
+  absl::Status Disable() override {
+    ++disables;
+    return RehearsalArm::Disable();
+  }
+  void Poll() override {
+    if (silent) {
+      moved_ns_ = clock_->now_ns();
+    } else {
+      RehearsalArm::Poll();
+    }
+    sample_.faults = faults;
+    if (lost_enable) sample_.enabled = false;
+    if (blocked) sample_.position = blocked_at_;
+    if (!blocked) blocked_at_ = sample_.position;
+    for (int j = 0; j < kArmJoints; ++j) sample_.position[j] += bias;
+    if (bias != 0) bias = 0;
+  }
+  absl::Status Send(const ArmCommand& command) override {
+    if (refuse_send) return refused_;
+    ++sends;
+    last = command;
+    return RehearsalArm::Send(command);
+  }
+  absl::Status QuickStop() override {
+    ++quick_stops;
+    return RehearsalArm::QuickStop();
+  }
+
+  bool silent = false, refuse_send = false, refuse_enable = false, lost_enable = false;
+  bool blocked = false;  // something holds the joints
+  double bias = 0;       // [rad], added once to every joint: something pushed the arm
+  uint32_t faults = 0;
+  int enables = 0, disables = 0, sends = 0, quick_stops = 0;
+  ArmCommand last;
+
+ private:
+  ArmVector blocked_at_{};
+  const absl::Status refused_ = absl::UnavailableError("bus-off");
+};
+
+}  // namespace robostress

@@ -1,0 +1,100 @@
+#include "robot_client/recorder.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <filesystem>
+
+#include "absl/strings/str_split.h"
+#include "common/atomic_file.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+std::string Fresh(const std::string& name) {
+  const std::string path = ::testing::TempDir() + "/recorder_" + name;
+  std::filesystem::remove_all(path);
+  return path;
+}
+
+TickRecord Record(uint64_t tick, ClientState state) {
+  TickRecord r;
+  r.tick = tick;
+  r.start_ns = static_cast<int64_t>(1e9 + static_cast<double>(tick) * 1e9 / 30);
+  r.due_ns = r.start_ns - 12'000;
+  r.sent_ns = r.start_ns + 30'000;
+  r.state = state;
+  r.sequence = tick;
+  r.sent.fill(0.25);
+  r.policy.fill(0.5);
+  return r;
+}
+
+TEST(RecorderTest, WritesARowPerTickUnderAHeaderThatNamesEveryColumn) {
+  const std::string directory = Fresh("rows");
+  auto recorder = Recorder::Create(directory);
+  ASSERT_TRUE(recorder.ok()) << recorder.status();
+  TickRecord record = Record(1, ClientState::kRun);
+  record.flags = kTickPlayed;
+  (*recorder)->ring().Push(Record(0, ClientState::kIdle));
+  (*recorder)->ring().Push(record);
+  ASSERT_TRUE((*recorder)->Finish().ok());
+  const std::vector<std::string> lines =
+      absl::StrSplit(*ReadFile(directory + "/ticks.csv"), '\n', absl::SkipEmpty());
+  ASSERT_EQ(lines.size(), 3u);
+  const std::vector<std::string> names = absl::StrSplit(lines[0], ',');
+  const auto column = [&names](const std::string& row, const std::string& name) {
+    const std::vector<std::string> fields = absl::StrSplit(row, ',');
+    EXPECT_EQ(fields.size(), names.size());
+    return fields[static_cast<size_t>(std::find(names.begin(), names.end(), name) - names.begin())];
+  };
+  EXPECT_EQ(column(lines[2], "policy_J3"), "0.5");
+  EXPECT_EQ(column(lines[2], "sent_gripper"), "0.25");
+  EXPECT_EQ(column(lines[2], "state"), "RUN");
+  EXPECT_EQ(column(lines[2], "wake_us"), "12.0");
+  EXPECT_EQ(column(lines[2], "sent_us"), "42.0");
+  EXPECT_EQ(column(lines[1], "policy_J3"), "") << "no policy played";
+  EXPECT_EQ(column(lines[1], "sent_J1"), "") << "nothing was sent in IDLE";
+}
+
+TEST(RecorderTest, SaysWhyTheStateChanged) {
+  const std::string directory = Fresh("events");
+  auto recorder = Recorder::Create(directory);
+  ASSERT_TRUE(recorder.ok());
+  std::string told;
+  (*recorder)->OnChange([&told](const std::string& line) { told += line; });
+  (*recorder)->ring().Push(Record(0, ClientState::kRun));
+  TickRecord fault = Record(1, ClientState::kFault);
+  fault.cause = StateCause::kArmFault;
+  fault.faults = kFaultCollision | kFaultStall;
+  (*recorder)->ring().Push(fault);
+  (*recorder)->ring().Push(fault);
+  ASSERT_TRUE((*recorder)->Drain().ok());
+  const std::vector<std::string> events =
+      absl::StrSplit(*ReadFile(directory + "/events.jsonl"), '\n', absl::SkipEmpty());
+  ASSERT_EQ(events.size(), 3u) << "once per change";
+  EXPECT_THAT(events[0], HasSubstr("\"monotonic_ns\":1000000000"));
+  EXPECT_THAT(events[2], HasSubstr("\"cause\":\"arm_fault\""));
+  EXPECT_THAT(events[2], HasSubstr("collision, stalled motor"));
+  EXPECT_THAT(told, HasSubstr("FAULT (arm_fault): collision, stalled motor"));
+}
+
+TEST(RecorderTest, AnUnfinishedRecordingDoesNotLookWhole) {
+  const std::string directory = Fresh("partial");
+  {
+    auto recorder = Recorder::Create(directory);
+    ASSERT_TRUE(recorder.ok());
+    (*recorder)->ring().Push(Record(0, ClientState::kRun));
+    ASSERT_TRUE((*recorder)->Drain().ok());
+  }
+  EXPECT_FALSE(std::filesystem::exists(directory + "/ticks.csv"));
+  EXPECT_TRUE(std::filesystem::exists(directory + "/ticks.csv.partial"));
+  EXPECT_EQ(Recorder::Create(directory).status().code(), absl::StatusCode::kAlreadyExists)
+      << "and is never overwritten";
+}
+
+}  // namespace
+}  // namespace robostress
