@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -19,9 +20,13 @@ struct EmulatedArm {
     arm = std::make_unique<PiperArm>(bus.Attach(), time, client);
     (void)third->Open();
   }
+  // The client polls as often as it should, at least.
   void Run(double seconds) {
-    time.SleepUntil(time.now_ns() + static_cast<int64_t>(1e9 * seconds));
-    arm->Poll();
+    const int64_t end_ns = time.now_ns() + static_cast<int64_t>(1e9 * seconds);
+    while (time.now_ns() < end_ns) {
+      time.SleepUntil(std::min(end_ns, time.now_ns() + 20'000'000));
+      arm->Poll();
+    }
   }
   // Commands at 30 Hz for a while, as a client does.
   absl::Status Stream(const ArmCommand& command, double seconds) {

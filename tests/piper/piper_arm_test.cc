@@ -184,7 +184,8 @@ TEST(PiperArm, QuickStopSinksAndOnlyDisableAndEnableBringTheArmBack) {
   EmulatedArm world;
   ASSERT_TRUE(world.arm->Connect().ok());
   ASSERT_TRUE(world.arm->Enable().ok());
-  ASSERT_TRUE(world.Stream(Command(kPose), 3).ok());
+  const JointVector stretched = {0.4, 1.6, -1.1, 0.2, 0.3, -0.5};
+  ASSERT_TRUE(world.Stream(Command(stretched), 3).ok());
   for (int i = 0; i < 5; ++i) {
     ASSERT_TRUE(world.arm->QuickStop().ok());
     world.Run(0.01);
