@@ -87,7 +87,7 @@ class Search {
       best = next.front();
       beam = std::move(next);
     }
-    trace.after = Trim(best, trace.declared);
+    trace.after = ByWeight(Trim(best, trace.declared));
     for (const std::string& effect : trace.after.added)
       trace.rivals.push_back(Rivals(trace.after, effect));
     const WindowSet all = problem_.OfRole(LogRole::kFit);
@@ -338,6 +338,22 @@ class Search {
       }
     }
     return model.added.empty() ? declared : model;
+  }
+
+  // With the effect first whose absence costs most: a beam may have come by another way.
+  TracedModel ByWeight(TracedModel model) {
+    std::vector<std::pair<double, size_t>> order;
+    for (size_t i = 0; model.added.size() > 1 && i < model.added.size(); ++i)
+      order.emplace_back(-Without(model, i).cv.Rms(), i);
+    std::sort(order.begin(), order.end());
+    const TracedModel before = model;
+    for (size_t to = 0; to < order.size(); ++to) {
+      const size_t from = order[to].second;
+      model.added[to] = before.added[from];
+      model.p_values[to] = before.p_values[from];
+      model.cv_gains[to] = before.cv_gains[from];
+    }
+    return model;
   }
 
   TracedModel Without(const TracedModel& model, size_t index) {

@@ -24,7 +24,7 @@ struct TraceOptions {
 
 // One joint's model with effects that were added, fitted and cross-validated.
 struct TracedModel {
-  std::vector<std::string> added;  // in the order in which they came
+  std::vector<std::string> added;  // while searching in the order in which they came
   JointFit fit;
   CrossValidation cv;
   std::vector<double> p_values, cv_gains;  // of `added`
@@ -32,7 +32,7 @@ struct TracedModel {
 
 // What a forward search over the effect library found for one joint.
 struct Trace {
-  TracedModel declared, after;
+  TracedModel declared, after;  // `after.added`: what matters most comes first
   std::vector<RoundReport> rounds;
   // Of every added effect, those that fit the data as well in its place.
   std::vector<std::vector<std::string>> rivals;
