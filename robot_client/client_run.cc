@@ -74,15 +74,14 @@ void ClientRun::StartThreads() {
     pthread_setname_np(pthread_self(), "policy");
     link_->Run(stop_others_);
   });
-  std::atomic<bool> ready{false};
-  control_ = std::thread([this, &ready] {
+  control_ = std::thread([this] {
     pthread_setname_np(pthread_self(), "control");
     realtime_ = MakeRealtime(config_.realtime);
-    ready.store(true, std::memory_order_release);
-    ready.notify_one();
+    control_ready_.store(true, std::memory_order_release);
+    control_ready_.notify_one();
     loop_->Run(stop_control_);
   });
-  ready.wait(false, std::memory_order_acquire);
+  control_ready_.wait(false, std::memory_order_acquire);
   std::printf("control thread: %s\n", realtime_.c_str());
 }
 

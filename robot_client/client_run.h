@@ -59,7 +59,7 @@ class ClientRun {
   std::unique_ptr<ControlLoop> loop_;
   std::unique_ptr<PolicyLink> link_;
   std::unique_ptr<Recorder> recorder_;
-  std::atomic<bool> stop_control_{false}, stop_others_{false};
+  std::atomic<bool> stop_control_{false}, stop_others_{false}, control_ready_{false};
   std::thread control_, policy_, recording_;
   std::string realtime_;           // what the control thread was granted; written before it ticks
   absl::Status recording_status_;  // of the recorder's thread, read after it

@@ -61,7 +61,7 @@ TEST(ClientProgramTest, HoldsWhenTheServerIsKilledAndSaysWhy) {
   const auto [text, code] =
       WithServer("killed",
                  "(sleep 1.5; kill -9 $server_pid) & $client $common --automatic --set episodes=1 "
-                 "--set episode_s=4 --set control.watchdogs.server_hold_s=0.5",
+                 "--set episode_s=3 --set control.watchdogs.server_hold_s=0.5",
                  &out);
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(Text(out + "/run/events.jsonl"), HasSubstr("\"cause\":\"server_silent\""));
@@ -71,9 +71,9 @@ TEST(ClientProgramTest, HoldsWhenTheServerIsKilledAndSaysWhy) {
 TEST(ClientProgramTest, ObeysAPerson) {
   std::string out;
   const auto [text, code] = WithServer("person",
-                                       "(sleep 1.5; echo enable; sleep 1; echo start; sleep 1.5; "
-                                       "echo; sleep 1; echo resume; sleep 1; "
-                                       "0.5; echo success; sleep 0.5; echo quit) | $client $common",
+                                       "(sleep 1; echo enable; sleep 0.6; echo start; sleep 0.8; "
+                                       "echo; sleep 0.6; echo resume; sleep "
+                                       "0.6; echo success; sleep 0.5; echo quit) | $client $common",
                                        &out);
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(text, AllOf(HasSubstr("RUN (operator)"), HasSubstr("HOLD (operator)"),
