@@ -125,7 +125,7 @@ SmoothSignal SmoothMotion(const std::vector<double>& signal, double dt, int most
   const double noise = NoiseOfReading(signal);
   SmoothSignal best;
   best.first_noise = best.second_noise = std::numeric_limits<double>::infinity();
-  for (int half = 2; half <= most; half += 1 + half / 8) {
+  for (int half = 2; half <= most; half += 1 + half / 6) {
     std::vector<SmoothSignal> orders;
     for (int order = 2; order <= std::min(6, 2 * half); order += 2)
       orders.push_back(FitLocalPolynomials(signal, dt, half, order, noise, pieces));

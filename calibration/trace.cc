@@ -134,7 +134,8 @@ class Search {
     report.null_99 = null.Quantile(0.99);
     std::vector<Contender> contenders = Rank(screening, null);
     // Nothing that could lower the error by as little as acceptance asks for.
-    const bool hopeless = contenders.empty() || report.cv_error <= 1e-12;
+    const bool within_noise = Excess(base) <= 0;
+    const bool hopeless = contenders.empty() || report.cv_error <= 1e-12 || within_noise;
     const int refits = hopeless ? 0 : CountFinalists(contenders);
     options_.progress(absl::StrFormat(
         "%s: error %.3g, %.2f times the floor; %d candidates screened, %d refitted",
@@ -161,11 +162,12 @@ class Search {
         if (line.accepted) next.push_back(model);
         if (!model.cv.energy.empty()) known_[KeyOf(model.added)] = std::move(model);
       } else {
-        line.reason =
-            contenders[i].surviving < kNotTestable
-                ? "the declared parameters imitate it on this data"
-                : absl::StrFormat("explains %.1f %% of the residual, chance up to %.1f %%",
-                                  100 * contenders[i].gain, 100 * report.null_99);
+        line.reason = contenders[i].surviving < kNotTestable
+                          ? "the declared parameters imitate it on this data"
+                      : within_noise ? "the error is within the noise, nothing is left to explain"
+                                     : absl::StrFormat(
+                                           "explains %.1f %% of the residual, chance up to %.1f %%",
+                                           100 * contenders[i].gain, 100 * report.null_99);
       }
       report.candidates.push_back(std::move(line));
     }
