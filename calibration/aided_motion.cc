@@ -101,6 +101,7 @@ absl::Status AidArmMotions(const Rig& rig, const Plant& plant, std::vector<Measu
     ParallelFor(joints, [&](int i) {
       const RigJoint& joint = rig.joints[i];
       if (joint.input != JointInput::kPositionTarget && joint.input != JointInput::kTorque) return;
+      if (logs.front().joints[i].velocity_logged) return;
       const std::vector<JointTrack>& tracks = all_tracks[i];
       done[i] = [&]() -> absl::Status {
         RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(rig, plant, i));

@@ -16,7 +16,8 @@ constexpr double kAidedRun = 0.5;  // [s]
 JointMotion AidedMotion(const JointTrack& track, const JointModel& model);
 
 // Lets every log's motions of an arm's driven joints be those that their declared models aid, after
-// a fit of what the rig lets free.
+// a fit of what the rig lets free. Joints whose velocity was logged stay as they are: its
+// derivative is better than a model that lacks something.
 absl::Status AidArmMotions(const Rig& rig, const Plant& plant, std::vector<MeasuredLog>& logs);
 
 }  // namespace robostress::calibration

@@ -208,6 +208,7 @@ void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, 
                                  " s behind it; it is not used"));
   } else if (noise <= record.start_noise_dq) {
     record.dq = logged;
+    record.velocity_logged = true;
     record.start_noise_dq = noise;
     record.ddq = SmoothMotion(logged, dt, kSmoothing).first;
   }
