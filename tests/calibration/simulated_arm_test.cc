@@ -68,10 +68,7 @@ struct RecordedArmTest : public testing::Test {
   }
   ~RecordedArmTest() override { fs::remove_all(out); }
   std::vector<JointTrack> Tracks(int joint) const {
-    std::vector<JointTrack> tracks;
-    for (const MeasuredLog& log : logs)
-      tracks.push_back({&log, joint, plant->single(), plant->Rows(joint, log)});
-    return tracks;
+    return MakeTracks(*plant, logs, joint);
   }
   // Fits one effect at a joint; its values.
   std::vector<double> FitEffect(int joint, const std::string& type) const {
