@@ -101,7 +101,9 @@ absl::Status AidArmMotions(const Rig& rig, const Plant& plant, std::vector<Measu
     ParallelFor(joints, [&](int i) {
       const RigJoint& joint = rig.joints[i];
       if (joint.input != JointInput::kPositionTarget && joint.input != JointInput::kTorque) return;
-      if (logs.front().joints[i].velocity_logged) return;
+      if (std::all_of(logs.begin(), logs.end(),
+                      [&](const MeasuredLog& log) { return log.joints[i].velocity_logged; }))
+        return;
       const std::vector<JointTrack>& tracks = all_tracks[i];
       done[i] = [&]() -> absl::Status {
         RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(rig, plant, i));
@@ -124,8 +126,10 @@ absl::Status AidArmMotions(const Rig& rig, const Plant& plant, std::vector<Measu
     });
     for (int i = 0; i < joints; ++i) {
       RS_RETURN_IF_ERROR(done[i]);
-      for (size_t log = 0; log < motions[i].size(); ++log)
-        logs[log].joints[i].motion = std::move(motions[i][log]);
+      for (size_t log = 0; log < motions[i].size(); ++log) {
+        JointRecord& record = logs[log].joints[i];
+        if (!record.velocity_logged) record.motion = std::move(motions[i][log]);
+      }
     }
   }
   return absl::OkStatus();

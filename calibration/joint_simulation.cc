@@ -5,63 +5,12 @@
 
 namespace robostress::calibration {
 
-// The effects of a model by stage.
-struct JointSimulation::Chain {
-  explicit Chain(const JointModel& model) {
-    for (const EffectInstance& effect : model.effects) {
-      objects.push_back(effect.info->make());
-      JointEffect* object = objects.back().get();
-      object->SetParameters(effect.values);
-      by_stage[static_cast<int>(effect.info->stage)].push_back(object);
-      needs_payload |= effect.info->type == "payload";
-      needs_tilt |= effect.info->type == "base_tilt";
-      has_state |= object->HasState();
-      if (effect.info->stage == EffectStage::kJoint)
-        (object->HasState() ? with_memory : memoryless).push_back(object);
-      if (effect.partner >= 0) partner = effect.partner;
-    }
-    offset = model.position_offset;
-  }
-  const std::vector<JointEffect*>& stage(EffectStage s) const {
-    return by_stage[static_cast<int>(s)];
-  }
-  void Reset(const JointMoment& moment) {
-    for (EffectStage s : {EffectStage::kDrive, EffectStage::kJoint, EffectStage::kTransmission})
-      for (JointEffect* effect : stage(s)) effect->Reset(moment);
-  }
-  double Drive(double torque, const JointMoment& moment) const {
-    for (JointEffect* effect : stage(EffectStage::kDrive)) torque = effect->Drive(torque, moment);
-    return torque;
-  }
-  double Offset(const JointMoment& moment) const {
-    double sum = 0;
-    for (JointEffect* effect : stage(EffectStage::kTransmission)) sum += effect->Offset(moment);
-    return sum;
-  }
-  double Reading(double q_link) const {
-    for (JointEffect* effect : stage(EffectStage::kSensor)) q_link = effect->Reading(q_link);
-    return q_link + offset;
-  }
-  // Readings are affine in the angle.
-  double LinkOf(double reading) const {
-    const double at_zero = Reading(0);
-    return (reading - at_zero) / (Reading(1) - at_zero);
-  }
-
-  std::vector<std::unique_ptr<JointEffect>> objects;
-  std::vector<JointEffect*> by_stage[5];
-  std::vector<JointEffect*> with_memory, memoryless;  // of the joint stage
-  double offset = 0;
-  bool needs_payload = false, needs_tilt = false, has_state = false;
-  int partner = -1;
-};
-
 namespace {
 constexpr double kRunaway = 1e4;  // [rad]
 }  // namespace
 
 struct JointSimulation::State {
-  double t = 0, q = 0, dq = 0, offset = 0, drive = 0;
+  double t = 0, q = 0, dq = 0, offset = 0;
 };
 
 namespace {
@@ -109,7 +58,7 @@ JointSimulation::~JointSimulation() = default;
 
 // The command of every sub-step: held from `command_shift` rows after its row on, averaged over the
 // sub-step, through the effects of the command stage.
-void JointSimulation::ShapeCommands(const JointModel& model, Chain& chain) {
+void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain) {
   const JointRecord& record = track_.record();
   const std::vector<double>& given = model.input == JointInput::kPositionTarget ? record.command
                                      : model.input == JointInput::kTransmission ? record.q_motor
@@ -153,7 +102,7 @@ void JointSimulation::ShapeCommands(const JointModel& model, Chain& chain) {
 
 void JointSimulation::Predict(const JointModel& model, int window, const std::vector<char>& chosen,
                               StartOffset offset, absl::Span<double> predicted) {
-  Chain chain(model);
+  EffectChain chain(model);
   ShapeCommands(model, chain);
   switch (model.input) {
     case JointInput::kPositionTarget:
@@ -169,7 +118,7 @@ void JointSimulation::Predict(const JointModel& model, int window, const std::ve
 void JointSimulation::PredictMotion(const JointModel& model, int window, int shift,
                                     StartOffset offset, absl::Span<double> readings,
                                     absl::Span<double> velocities) {
-  Chain chain(model);
+  EffectChain chain(model);
   ShapeCommands(model, chain);
   FreeRun(model, chain, window, {}, offset, shift, readings, velocities);
 }
@@ -221,7 +170,7 @@ Stroke Advance(double dq, double torque, const DryFriction& dry, double per_torq
 
 }  // namespace
 
-void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, double command,
+void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int row, double command,
                               State& s) {
   const PlantRow& p = plant(row);
   const double lead = 0.5 * h_ - model.force_lag;
@@ -241,10 +190,9 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
     asked = ServoTorque(model.servo, command, chain.Reading(side), s.dq);
   }
   if (!Enabled(row)) asked = {};
-  s.drive = model.torque_gain * chain.Drive(asked.torque, moment);
-  moment.drive = s.drive;
+  moment.drive = model.torque_gain * chain.Drive(asked.torque, moment);
   DryFriction lasting{model.frictionloss, model.frictionloss};
-  double held = s.drive + model.torque_offset - model.mass_scale * (gravity + p.coupling) -
+  double held = moment.drive + model.torque_offset - model.mass_scale * (gravity + p.coupling) -
                 model.stiffness * (middle - model.spring_rest) - model.damping * s.dq;
   double inertia = model.armature + model.mass_scale * p.inertia;
   for (JointEffect* effect : chain.with_memory) held += effect->Torque(moment, lasting);
@@ -273,8 +221,11 @@ void JointSimulation::SubStep(const JointModel& model, Chain& chain, int row, do
   s.offset = chain.Offset(moment);
 }
 
-// Along the measured motion, rows first ... last - 1; leaves the state at row `last`.
-void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int last, State& s) {
+// Along the measured motion, rows first ... last - 1; leaves the state at row `last`. The motor's
+// angle is the link's less the offset; inside a gap, where the link says nothing of it, it follows
+// the motor's velocity where that was logged, else the model's own motion.
+void JointSimulation::Lead(const JointModel& model, EffectChain& chain, int first, int last,
+                           State& s) {
   const JointRecord& record = track_.record();
   // The moment at a share of the way from a row to the next, as measured.
   JointMoment moment;
@@ -286,8 +237,8 @@ void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int
         record.q_smooth[row] + share * (record.q_smooth[next] - record.q_smooth[row]);
     const double link = chain.LinkOf(reading);
     moment.t = (row + share) * track_.log->dt;
-    moment.q = link - s.offset;
     moment.dq = record.dq[row] + share * (record.dq[next] - record.dq[row]);
+    moment.q = chain.MovesAlone(moment.dq) ? s.q : link - s.offset;
     double gravity = 0;
     Describe(track_, plant(row), chain.needs_payload, chain.needs_tilt, chain.partner, row,
              moment.q, moment, gravity);
@@ -300,31 +251,39 @@ void JointSimulation::Lead(const JointModel& model, Chain& chain, int first, int
     if (!Enabled(row)) asked = 0;
     moment.drive = model.torque_gain * chain.Drive(asked, moment);
   };
-  s.offset = 0;
+  s = {.q = chain.LinkOf(record.q_smooth[first]), .dq = record.dq[first]};
   describe(first, 0);
   chain.Reset(moment);
   s.offset = chain.Offset(moment);
   for (int row = first; row < last; ++row) {
     for (int i = 0; i < sub_steps_; ++i) {
+      if (!record.velocity_of_motor && chain.MovesAlone(record.dq[row])) {
+        SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
+        continue;
+      }
       describe(row, i);
       DryFriction ignored;
       for (JointEffect* effect : chain.stage(EffectStage::kJoint)) effect->Torque(moment, ignored);
       s.offset = chain.Offset(moment);
+      s.q = moment.q + h_ * moment.dq;
+      s.dq = moment.dq;
     }
   }
   s.t = last * track_.log->dt;
-  s.q = chain.LinkOf(record.q_smooth[last]) - s.offset;
-  s.dq = record.dq[last];
+  const bool alone = chain.MovesAlone(record.dq[last]);
+  if (!alone) s.q = chain.LinkOf(record.q_smooth[last]) - s.offset;
+  if (!alone || record.velocity_of_motor) s.dq = record.dq[last];
 }
 
-void JointSimulation::FreeRun(const JointModel& model, Chain& chain, int window,
+void JointSimulation::FreeRun(const JointModel& model, EffectChain& chain, int window,
                               const std::vector<char>& chosen, StartOffset offset, int shift,
                               absl::Span<double> readings, absl::Span<double> velocities) {
   const int rows = track_.log->rows;
   if (window <= 0) window = rows;
-  const int warm_up = chain.objects.empty() ? 0
-                      : chain.has_state     ? static_cast<int>(kWarmUp / track_.log->dt)
-                                            : 1;
+  const double lead = chain.has_gap() ? kGapWarmUp : kWarmUp;
+  const int warm_up = chain.empty()     ? 0
+                      : chain.has_state ? static_cast<int>(lead / track_.log->dt)
+                                        : 1;
   for (int start = 0, end = 0; start < rows; start = end) {
     end = std::min(rows, start == 0 && shift > 0 ? shift : start + window);
     if (!chosen.empty() && chosen[start / window] == 0) continue;
@@ -343,7 +302,7 @@ void JointSimulation::FreeRun(const JointModel& model, Chain& chain, int window,
   }
 }
 
-void JointSimulation::Transmission(Chain& chain, absl::Span<double> predicted) {
+void JointSimulation::Transmission(EffectChain& chain, absl::Span<double> predicted) {
   const JointRecord& record = track_.record();
   JointMoment moment;
   moment.h = track_.log->dt;
@@ -359,7 +318,8 @@ void JointSimulation::Transmission(Chain& chain, absl::Span<double> predicted) {
   }
 }
 
-void JointSimulation::Inverse(const JointModel& model, Chain& chain, absl::Span<double> predicted) {
+void JointSimulation::Inverse(const JointModel& model, EffectChain& chain,
+                              absl::Span<double> predicted) {
   const JointRecord& record = track_.record();
   JointMoment moment;
   moment.h = track_.log->dt;

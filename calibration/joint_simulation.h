@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "absl/types/span.h"
+#include "calibration/effect_chain.h"
 #include "calibration/joint_model.h"
 #include "calibration/measured_log.h"
 #include "calibration/plant.h"
@@ -32,12 +33,13 @@ double MeanInertia(const std::vector<JointTrack>& tracks);
 //
 // Free runs start from the measured position and velocity every `window` rows and go on with the
 // model's alone; the hidden states of effects are led along the measured motion for kWarmUp
-// seconds before. One sub-step is a drift-kick-drift leapfrog: second order, no drift of energy;
-// damping and the servo's kd act implicitly; dry friction stops a joint within the sub-step
-// (friction law `stick`). Commands hold over a row.
+// seconds before (kGapWarmUp: a motor may dwell in a gap). One sub-step is a drift-kick-drift
+// leapfrog: second order, no drift of energy; damping and the servo's kd act implicitly; dry
+// friction stops a joint within the sub-step (friction law `stick`). Commands hold over a row.
 class JointSimulation {
  public:
   static constexpr double kWarmUp = 0.25;      // [s]
+  static constexpr double kGapWarmUp = 1;      // [s]
   static constexpr double kMaxSubStep = 1e-3;  // [s]
 
   explicit JointSimulation(const JointTrack& track);
@@ -58,16 +60,15 @@ class JointSimulation {
                      absl::Span<double> readings, absl::Span<double> velocities);
 
  private:
-  struct Chain;
   struct State;
-  void ShapeCommands(const JointModel& model, Chain& chain);
-  void FreeRun(const JointModel& model, Chain& chain, int window, const std::vector<char>& chosen,
-               StartOffset offset, int shift, absl::Span<double> readings,
-               absl::Span<double> velocities);
-  void Transmission(Chain& chain, absl::Span<double> predicted);
-  void Inverse(const JointModel& model, Chain& chain, absl::Span<double> predicted);
-  void SubStep(const JointModel& model, Chain& chain, int row, double command, State& state);
-  void Lead(const JointModel& model, Chain& chain, int first, int last, State& state);
+  void ShapeCommands(const JointModel& model, EffectChain& chain);
+  void FreeRun(const JointModel& model, EffectChain& chain, int window,
+               const std::vector<char>& chosen, StartOffset offset, int shift,
+               absl::Span<double> readings, absl::Span<double> velocities);
+  void Transmission(EffectChain& chain, absl::Span<double> predicted);
+  void Inverse(const JointModel& model, EffectChain& chain, absl::Span<double> predicted);
+  void SubStep(const JointModel& model, EffectChain& chain, int row, double command, State& state);
+  void Lead(const JointModel& model, EffectChain& chain, int first, int last, State& state);
   const PlantRow& plant(int row) const {
     return track_.rows[track_.single ? 0 : static_cast<size_t>(row)];
   }

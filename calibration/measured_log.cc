@@ -185,7 +185,17 @@ absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& 
   if (joint.input == JointInput::kTorque || joint.input == JointInput::kInverse) {
     RS_RETURN_IF_ERROR(channels.Need("tau_" + name, joint).status());
   }
+  if (joint.velocity == VelocitySide::kMotor) {
+    RS_RETURN_IF_ERROR(channels.Need("dq_" + name, joint).status());
+  }
   return record;
+}
+
+void TakeVelocity(const std::vector<double>& logged, double dt, JointRecord& record) {
+  record.dq = logged;
+  record.velocity_logged = true;
+  record.start_noise_dq = NoiseOfReading(logged);
+  record.ddq = SmoothMotion(logged, dt, kSmoothing).first;
 }
 
 // Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
@@ -201,16 +211,12 @@ void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, 
     ahead += record.ddq[i] * (logged[i] - record.dq[i]);
   }
   const double gain = both / std::max(speed, 1e-30), lag = -ahead / std::max(bend, 1e-30);
-  const double noise = NoiseOfReading(logged);
   if (std::abs(gain - 1) > 0.03 || std::abs(lag) > 0.5 * dt) {
     notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", gain,
                                  " times the derivative of the position, ", lag,
                                  " s behind it; it is not used"));
-  } else if (noise <= record.start_noise_dq) {
-    record.dq = logged;
-    record.velocity_logged = true;
-    record.start_noise_dq = noise;
-    record.ddq = SmoothMotion(logged, dt, kSmoothing).first;
+  } else if (NoiseOfReading(logged) <= record.start_noise_dq) {
+    TakeVelocity(logged, dt, record);
   }
 }
 
@@ -237,7 +243,12 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   record.q_smooth = fit.value;
   record.dq = fit.first;
   record.ddq = fit.second;
-  if (!logged_velocity.empty()) AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
+  if (joint.velocity == VelocitySide::kMotor) {
+    TakeVelocity(logged_velocity, dt, record);
+    record.velocity_of_motor = true;
+  } else if (!logged_velocity.empty()) {
+    AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
+  }
   record.motion = {record.q_smooth, record.dq, UntilNextRow(record.ddq)};
   record.noise = NoiseOfReading(record.q);
   if (joint.input == JointInput::kTransmission)

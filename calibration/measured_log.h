@@ -27,7 +27,8 @@ struct JointRecord {
   // [rad, rad/s, rad/s^2]; dq is dq_<joint> where the file has it and it is the derivative of q
   // with no more noise.
   std::vector<double> q_smooth, dq, ddq;
-  bool velocity_logged = false;  // dq is the file's
+  bool velocity_logged = false;    // dq is the file's
+  bool velocity_of_motor = false;  // and the motor's (VelocitySide::kMotor)
   // What the other joints of an arm see of this one: those, or what AidArmMotions makes of them.
   JointMotion motion;
   double start_noise_q = 0, start_noise_dq = 0, acceleration_noise = 0;

@@ -112,6 +112,7 @@ absl::StatusOr<RecordedRigSummary> WriteRecordedRig(const RecordedArm& arm,
     RigJoint joint;
     joint.name = name;
     joint.input = JointInput::kTorque;
+    joint.velocity = arm.velocity;
     rig.joints.push_back(std::move(joint));
   }
   std::vector<std::string> groups;

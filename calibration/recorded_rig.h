@@ -27,6 +27,7 @@ struct RecordedArm {
   std::string model_file;           // name of the MJCF beside the rig
   std::string mjcf;                 // its text
   std::vector<std::string> joints;  // of the MJCF, in the order of RecordedEpisode::q
+  VelocitySide velocity = VelocitySide::kReading;  // of RecordedEpisode::dq
 };
 
 struct RecordedRigOptions {

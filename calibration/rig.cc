@@ -105,6 +105,8 @@ const std::vector<std::pair<std::string, Servo::Type>> kServoTypes = {
     {"pd", Servo::Type::kPd}, {"dc_motor", Servo::Type::kDcMotor}};
 const std::vector<std::pair<std::string, ServoFeedback>> kFeedbacks = {
     {"link", ServoFeedback::kLink}, {"motor", ServoFeedback::kMotor}};
+const std::vector<std::pair<std::string, VelocitySide>> kVelocitySides = {
+    {"reading", VelocitySide::kReading}, {"motor", VelocitySide::kMotor}};
 const std::vector<std::pair<std::string, LogRole>> kRoles = {
     {"fit", LogRole::kFit}, {"held_out", LogRole::kHeldOut}, {"transfer", LogRole::kTransfer}};
 const std::vector<std::pair<std::string, Folds>> kFolds = {{"auto", Folds::kAuto},
@@ -163,11 +165,12 @@ absl::StatusOr<DeclaredEffect> ReadEffect(const Entry& entry) {
 
 absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
   RigJoint joint;
-  RS_RETURN_IF_ERROR(
-      entry.CheckKeys({"name", "input", "servo", "enable", "parameters", "fit", "effects"}));
+  RS_RETURN_IF_ERROR(entry.CheckKeys(
+      {"name", "input", "velocity", "servo", "enable", "parameters", "fit", "effects"}));
   RS_ASSIGN_OR_RETURN(joint.name, entry["name"].Text());
   if (!entry["input"].present()) return entry["input"].Error("is missing");
   RS_RETURN_IF_ERROR(entry["input"].Choice(kInputs, joint.input));
+  RS_RETURN_IF_ERROR(entry["velocity"].Choice(kVelocitySides, joint.velocity));
   if (entry["servo"].present()) {
     RS_ASSIGN_OR_RETURN(joint.servo, ReadServo(entry["servo"]));
   } else if (joint.input == JointInput::kPositionTarget) {
@@ -335,6 +338,8 @@ std::string WriteRig(const Rig& rig) {
   for (const RigJoint& joint : rig.joints) {
     out << YAML::BeginMap << YAML::Key << "name" << YAML::Value << joint.name;
     out << YAML::Key << "input" << YAML::Value << NameOf(kInputs, joint.input);
+    if (joint.velocity != VelocitySide::kReading)
+      out << YAML::Key << "velocity" << YAML::Value << NameOf(kVelocitySides, joint.velocity);
     if (joint.servo.kp > 0) {
       const Servo& s = joint.servo;
       out << YAML::Key << "servo" << YAML::Value << YAML::Flow << YAML::BeginMap;

@@ -20,6 +20,12 @@ enum class JointInput {
 // The side of the transmission that the servo reads.
 enum class ServoFeedback { kLink, kMotor };
 
+// The side of the transmission whose velocity dq_<joint> is.
+enum class VelocitySide {
+  kReading,  // of q_<joint>: taken where the data show that it is its derivative
+  kMotor,    // of the motor: taken as it is; a gap or a spring may lie between it and q_<joint>
+};
+
 struct Servo {
   enum class Type {
     kPd,       // torque = kp (q_cmd - q) - kd dq, within torque_limit
@@ -46,6 +52,7 @@ struct DeclaredEffect {
 struct RigJoint {
   std::string name;
   JointInput input = JointInput::kPositionTarget;
+  VelocitySide velocity = VelocitySide::kReading;
   Servo servo;
   std::string enable;  // column that is 0 where the drive is off; empty: always on
   // Values of ModelParameterNames() that differ from the MJCF's, or have none there.

@@ -102,6 +102,7 @@ RecordedArm PandaOfRecordings(const std::string& rig_name) {
   arm.name = rig_name;
   arm.model_file = "panda_arm.xml";
   arm.mjcf = ComposePandaArm();
+  arm.velocity = VelocitySide::kMotor;  // backlash and compliance act on positions
   for (int j = 1; j <= 7; ++j) arm.joints.push_back(absl::StrCat("robot0_joint", j));
   return arm;
 }

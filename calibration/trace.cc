@@ -24,6 +24,7 @@ constexpr double kDetourGain = 0.85;     // error of a way that does not lead ov
 constexpr double kMinSigmas = 3;         // of the size
 constexpr double kMaxSpread = 0.5;       // of the size over folds, relative
 constexpr double kNotTestable = 0.02;    // surviving share
+constexpr double kSimilarErrors = 2;     // standard errors of the difference over folds
 constexpr double kRivalMargin = 0.05;    // a rival's error may be larger by this share
 constexpr double kAlikeMargin = 0.25;    // of one whose signature looks alike
 constexpr double kAlike = 0.95;          // |cos| between signatures
@@ -87,7 +88,7 @@ class Search {
       best = next.front();
       beam = std::move(next);
     }
-    trace.after = ByWeight(Trim(best, trace.declared));
+    trace.after = ByWeight(Trim(Simplest(beam, best), trace.declared));
     for (const std::string& effect : trace.after.added)
       trace.rivals.push_back(Rivals(trace.after, effect));
     const WindowSet all = problem_.OfRole(LogRole::kFit);
@@ -328,6 +329,23 @@ class Search {
     if (static_cast<int>(models.size()) > options_.beam) models.resize(options_.beam);
   }
 
+  // Of the models that were accepted beside `best`, the one with the fewest parameters that does no
+  // worse as far as the folds can tell: a polynomial follows everything a little.
+  static TracedModel Simplest(const std::vector<TracedModel>& accepted, TracedModel best) {
+    const CrossValidation least = best.cv;
+    for (const TracedModel& model : accepted)
+      if (model.fit.best.free.size() < best.fit.best.free.size() && DoesAsWell(least, model.cv))
+        best = model;
+    return best;
+  }
+
+  // `cv` is larger than `least` by chance, and by little.
+  static bool DoesAsWell(const CrossValidation& least, const CrossValidation& cv) {
+    const PairedDifference difference = Compare(least, cv);
+    return difference.mean < kSimilarErrors * difference.standard_error &&
+           cv.Rms() < (1 + kRivalMargin) * least.Rms();
+  }
+
   // Drops effects that the later ones made needless.
   TracedModel Trim(TracedModel model, const TracedModel& declared) {
     for (size_t i = 0; model.added.size() > 1 && i < model.added.size();) {
@@ -363,12 +381,18 @@ class Search {
     result.added.erase(result.added.begin() + static_cast<int>(index));
     result.p_values.erase(result.p_values.begin() + static_cast<int>(index));
     result.cv_gains.erase(result.cv_gains.begin() + static_cast<int>(index));
-    const auto known = known_.find(KeyOf(result.added));
-    if (known != known_.end()) return known->second;
     result.fit =
         Minimise(problem_, WithoutEffect(model.fit.best, model.added[index]), fit_windows_);
+    // The search came by here on another way, perhaps to a lesser minimum.
+    const auto known = known_.find(KeyOf(result.added));
+    if (known != known_.end() && known->second.fit.rms <= result.fit.rms) return known->second;
     result.cv = CrossValidate(problem_, result.fit, folds_);
-    return result;
+    if (known != known_.end()) {
+      result.added = known->second.added;
+      result.p_values = known->second.p_values;
+      result.cv_gains = known->second.cv_gains;
+    }
+    return known_[KeyOf(result.added)] = result;
   }
 
   // Effects that do as well in the place of `effect`.
@@ -437,7 +461,7 @@ class Search {
     const bool simpler = best.fit.best.free.size() < other.fit.best.free.size();
     // One that needs more parameters to do no better is not needed.
     if (simpler && ratio >= 1) return false;
-    if (difference.mean < difference.standard_error * 2) return true;
+    if (difference.mean < kSimilarErrors * difference.standard_error) return true;
     return ratio < 1 + (cosine > kAlike ? kAlikeMargin : kRivalMargin);
   }
 

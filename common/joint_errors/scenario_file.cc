@@ -199,6 +199,10 @@ EffectRange RangeInScenario(const EffectInfo& effect, size_t index, int joint) {
   // What is no amplitude is divided by.
   const bool amplitude = std::find(effect.amplitudes.begin(), effect.amplitudes.end(),
                                    static_cast<int>(index)) != effect.amplitudes.end();
+  // The least wavelength of a search follows from the motion that was recorded; a gear's teeth do
+  // not.
+  const bool divided = !amplitude && parameter.lower >= 0 && parameter.scale != EffectScale::kOne;
+  if (divided) return {0, scale * parameter.upper, true};
   return {scale * parameter.lower, scale * parameter.upper, !amplitude && parameter.lower == 0};
 }
 

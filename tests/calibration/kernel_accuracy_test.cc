@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "calibration/joint_simulation.h"
@@ -87,6 +88,40 @@ TEST(KernelAccuracy, ADriveThatIsOffGivesNothing) {
   // Speed stays at 1 Nm / 0.1 kg m^2 * 0.3 s.
   EXPECT_NEAR((q[900] - q[400]) / 0.5, 3.0, 1e-6);
 }
+
+// A motor swings by torque alone and drags the link through a gap. Windows that begin within the
+// gap know neither from the link's reading.
+void ExpectRunsFromWithinAGap(bool velocity_of_motor) {
+  constexpr double kOmega = 2 * M_PI, kHalfWidth = 0.05;
+  Coasting joint(1e-3);
+  JointRecord& record = joint.log.joints[0];
+  record.velocity_of_motor = velocity_of_motor;
+  double link = 0;
+  int within = 0;
+  for (int k = 0; k < joint.log.rows; ++k) {
+    const double t = k * 1e-3, before = link;
+    const double motor = 10 / (kOmega * kOmega) * (1 - std::cos(kOmega * t));
+    link = std::clamp(link, motor - kHalfWidth, motor + kHalfWidth);
+    within += k > 100 && link == before;
+    record.tau[k] = std::cos(kOmega * (t + 5e-4));
+    record.q[k] = record.q_smooth[k] = link;
+    const double speed = 10 / kOmega * std::sin(kOmega * t);
+    record.dq[k] = velocity_of_motor || link != before ? speed : 0;
+  }
+  ASSERT_GT(within, 120);
+  EffectInstance gap;
+  gap.info = *FindEffect("backlash");
+  gap.values = {kHalfWidth};
+  joint.model.effects = {gap};
+  std::vector<double> predicted(joint.log.rows);
+  JointSimulation(joint.track).Predict(joint.model, 50, {}, {}, absl::MakeSpan(predicted));
+  for (int k = 0; k < joint.log.rows; ++k)
+    EXPECT_NEAR(predicted[k], record.q[k], 0.02 * 2 * kHalfWidth) << k;
+}
+
+TEST(KernelAccuracy, AMotorWithinAGapFollowsItsLoggedVelocity) { ExpectRunsFromWithinAGap(true); }
+
+TEST(KernelAccuracy, AMotorWithinAGapFollowsTheModel) { ExpectRunsFromWithinAGap(false); }
 
 }  // namespace
 }  // namespace robostress::calibration

@@ -96,6 +96,8 @@ TEST_F(LogGates, RefusesAColumnThatTheInputNeedsAndTheFileLacks) {
               AllOf(HasSubstr("log.csv"), HasSubstr("no column 'q_hinge'"), HasSubstr("q_other")));
   EXPECT_THAT(Refusal(LogText([](int, Row&) {}, "time,q_cmd_hinge,q_hinge,tau_hinge")),
               AllOf(HasSubstr("no column 't'"), HasSubstr("time")));
+  rig_.joints[0].velocity = VelocitySide::kMotor;
+  EXPECT_THAT(Refusal([](int, Row&) {}), HasSubstr("no column 'dq_hinge'"));
   rig_.joints[0].input = JointInput::kTransmission;
   EXPECT_THAT(Refusal([](int, Row&) {}), HasSubstr("no column 'q_motor_hinge'"));
 }
@@ -246,7 +248,7 @@ class RigGates : public testing::Test {
 TEST_F(RigGates, WhatIsWrittenReadsBackTheSame) {
   const auto rig =
       Read(Text("name: hinge, input: position_target, servo: {kp: 10, kd: 1, torque_limit: 3, "
-                "feedback: motor}, "
+                "feedback: motor}, velocity: motor, "
                 "enable: on_hinge, fit: [armature], effects: [{type: backlash, B: 0.01, fit: [B]}]",
                 "file: log.csv, role: fit, condition: warm, overrides: {hinge.servo.kp: 20}"));
   ASSERT_TRUE(rig.ok()) << rig.status();
@@ -255,6 +257,7 @@ TEST_F(RigGates, WhatIsWrittenReadsBackTheSame) {
   EXPECT_EQ(WriteRig(*again), WriteRig(*rig));
   EXPECT_EQ(again->joints[0].enable, "on_hinge");
   EXPECT_EQ(again->joints[0].servo.torque_limit, 3);
+  EXPECT_EQ(again->joints[0].velocity, VelocitySide::kMotor);
   EXPECT_EQ(again->joints[0].effects[0].parameters.at("B"), 0.01);
   EXPECT_EQ(again->logs[0].overrides.at("hinge.servo.kp"), 20);
 }
@@ -266,6 +269,8 @@ TEST_F(RigGates, RefusesWhatItDoesNotKnowAndSaysWhatItDoes) {
   EXPECT_THAT(
       message("name: hinge, input: torques", "file: a.csv"),
       AllOf(HasSubstr("joints[0].input"), HasSubstr("'torques'"), HasSubstr("transmission")));
+  EXPECT_THAT(message("name: hinge, input: torque, velocity: link", "file: a.csv"),
+              AllOf(HasSubstr("joints[0].velocity"), HasSubstr("'link'"), HasSubstr("motor")));
   EXPECT_THAT(message("name: hinge, input: torque, fits: [armature]", "file: a.csv"),
               AllOf(HasSubstr("unknown key 'fits'"), HasSubstr("fit")));
   EXPECT_THAT(message("name: hinge, input: torque, fit: [weight]", "file: a.csv"),

@@ -67,9 +67,7 @@ struct RecordedArmTest : public testing::Test {
     }
   }
   ~RecordedArmTest() override { fs::remove_all(out); }
-  std::vector<JointTrack> Tracks(int joint) const {
-    return MakeTracks(*plant, logs, joint);
-  }
+  std::vector<JointTrack> Tracks(int joint) const { return MakeTracks(*plant, logs, joint); }
   // Fits one effect at a joint; its values.
   std::vector<double> FitEffect(int joint, const std::string& type) const {
     JointProblem problem(rig.joints[joint].name, Tracks(joint), 125);
