@@ -7,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "calibration/aided_motion.h"
 #include "calibration/local_polynomial.h"
@@ -390,10 +391,23 @@ void CompareJoints(CalibrationReport& report) {
                         *low * 1e3, *high * 1e3));
 }
 
+absl::Status CheckChosen(const Rig& rig, const std::vector<std::string>& chosen) {
+  std::vector<std::string> names;
+  for (const RigJoint& joint : rig.joints) names.push_back(joint.name);
+  for (const std::string& name : chosen) {
+    if (std::find(names.begin(), names.end(), name) == names.end())
+      return absl::InvalidArgumentError(absl::StrCat("joints: the rig ", rig.file,
+                                                     " has no joint '", name, "'; it has ",
+                                                     absl::StrJoin(names, ", ")));
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
+  RS_RETURN_IF_ERROR(CheckChosen(rig, options.joints));
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<Plant> plant, Plant::Load(rig));
   std::vector<MeasuredLog> logs;
   for (const RigLog& log : rig.logs) {
@@ -417,6 +431,10 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
         {log.file, RoleName(log.role), log.condition, log.rows, log.rows * log.dt, log.notes});
   std::vector<std::string> leads;
   for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i) {
+    const auto& chosen = options.joints;
+    if (!chosen.empty() &&
+        std::find(chosen.begin(), chosen.end(), rig.joints[i].name) == chosen.end())
+      continue;
     TraceOptions own = options;
     own.progress = [&](const std::string& text) {
       options.progress(absl::StrCat(rig.joints[i].name, ": ", text));

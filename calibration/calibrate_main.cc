@@ -116,6 +116,11 @@ int Main(int argc, char** argv) {
                  "hinge=J4, hinge=J2+J4, hinge=J4:2.5 (torques times 2.5; else values are kept), "
                  "or own for an arm's own joints; repeatable")
       ->allow_extra_args(false);
+  app.add_option(
+         "--joints", line.trace.joints,
+         "Joints to trace, with commas between them (default: all); the others move as they "
+         "were measured")
+      ->delimiter(',');
   app.add_option("--surrogates", line.trace.surrogates, "Surrogates of a null distribution")
       ->check(CLI::Range(99, 100000))
       ->capture_default_str();

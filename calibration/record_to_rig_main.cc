@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <string>
 
+#include "calibration/client_recordings.h"
 #include "calibration/recorded_rig.h"
 #include "calibration/sim_recordings.h"
 #include "common/status_macros.h"
@@ -17,21 +18,33 @@ Examples
       --record-joints --out runs/worn
   robostress record-to-rig runs/worn --out rigs/worn
   robostress calibrate --rig rigs/worn/rig.yaml --out found
+  robostress record-to-rig runs/piper_tuesday --out rigs/tuesday     # what robot_client left
 
 DIR gets rig.yaml, the arm's MJCF (gripper as a fixed mass, no scene) and a CSV per piece of free motion: rows
 near contacts are left out, because the rig's model has no objects. Roles go by episode: the last of several tasks
-is the transfer regime; of every other task each third episode is held out; the rest is fitted.
+is the transfer regime; of every other task each third episode is held out; the rest is fitted. A Piper's recording
+tells no contacts: move it freely. Its joints are driven by the torques that its motor currents amount to.
 
 Exit code: 0 done; 1 writing failed; 2 bad input.
 )";
 
 struct CommandLine {
-  std::string run, out, unit, name = "panda";
-  double rate_hz = 250;
+  std::string run, out, unit, name;
+  double rate_hz = 250, payload_kg = 0;
   RecordedRigOptions rig;
 };
 
+absl::StatusOr<RecordedRigSummary> ConvertClientRun(const CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const std::vector<RecordedEpisode> episodes,
+                      EpisodesOfClientRun(line.run, line.rig.held_out_every));
+  RecordedRigOptions options = line.rig;
+  options.encoder_noise = 0;  // the arm's own is in it
+  const std::string name = line.name.empty() ? "piper" : line.name;
+  return WriteRecordedRig(PiperOfRecordings(name, line.payload_kg), episodes, options, line.out);
+}
+
 absl::StatusOr<RecordedRigSummary> Convert(const CommandLine& line) {
+  if (IsClientRun(line.run)) return ConvertClientRun(line);
   RS_ASSIGN_OR_RETURN(const std::vector<std::string> files, FindJointLogs(line.run, line.unit));
   std::vector<RecordedEpisode> episodes;
   for (const std::string& file : files) {
@@ -39,7 +52,8 @@ absl::StatusOr<RecordedRigSummary> Convert(const CommandLine& line) {
     RS_ASSIGN_OR_RETURN(RecordedEpisode episode, EpisodeOfJointLog(log, line.rate_hz));
     episodes.push_back(std::move(episode));
   }
-  return WriteRecordedRig(PandaOfRecordings(line.name), episodes, line.rig, line.out);
+  const std::string name = line.name.empty() ? "panda" : line.name;
+  return WriteRecordedRig(PandaOfRecordings(name), episodes, line.rig, line.out);
 }
 
 int Main(int argc, char** argv) {
@@ -48,11 +62,16 @@ int Main(int argc, char** argv) {
   app.footer(kExamples);
   CommandLine line;
   bool no_transfer = false;
-  app.add_option("RUN", line.run, "a sweep's or a unit's directory, recorded with --record-joints")
+  app.add_option("RUN", line.run,
+                 "a sweep's or a unit's directory, recorded with --record-joints, or a run's of "
+                 "robot_client")
       ->required();
   app.add_option("--out", line.out, "directory to write")->required();
   app.add_option("--unit", line.unit, "id of the unit, where the sweep has several");
-  app.add_option("--name", line.name, "of the rig")->capture_default_str();
+  app.add_option("--name", line.name, "of the rig; panda or piper if not given");
+  app.add_option("--payload-kg", line.payload_kg, "in the Piper's gripper while it was recorded")
+      ->check(CLI::Range(0.0, 5.0))
+      ->capture_default_str();
   app.add_option("--rate-hz", line.rate_hz, "rows per second: 500, 250, 125 or 100")
       ->capture_default_str();
   app.add_option("--contact-limit", line.rig.contact_limit_N,

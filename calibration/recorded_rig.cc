@@ -113,6 +113,7 @@ absl::StatusOr<RecordedRigSummary> WriteRecordedRig(const RecordedArm& arm,
     joint.name = name;
     joint.input = JointInput::kTorque;
     joint.velocity = arm.velocity;
+    joint.fit = arm.fit;
     rig.joints.push_back(std::move(joint));
   }
   std::vector<std::string> groups;

@@ -28,6 +28,7 @@ struct RecordedArm {
   std::string mjcf;                 // its text
   std::vector<std::string> joints;  // of the MJCF, in the order of RecordedEpisode::q
   VelocitySide velocity = VelocitySide::kReading;  // of RecordedEpisode::dq
+  std::vector<std::string> fit;                    // declared parameters that every joint fits
 };
 
 struct RecordedRigOptions {

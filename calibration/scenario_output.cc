@@ -92,6 +92,18 @@ bool WasDeclared(const RigJoint& declared, const DeclaredEffect& effect) {
                      });
 }
 
+// What a scenario file may hold is said in one place.
+absl::Status FitsScenario(const ScenarioEffect& effect) {
+  ScenarioFile alone;
+  alone.title = "scenario";
+  alone.effects = {effect};
+  const auto checked = ParseScenarioFile("scenario", WriteScenarioFile(alone));
+  if (checked.ok()) return absl::OkStatus();
+  return absl::OutOfRangeError(
+      absl::StrCat(checked.status().message(),
+                   "; map to a larger joint or give a torque ratio below 1 (--map JOINT=J4:0.5)"));
+}
+
 }  // namespace
 
 absl::StatusOr<JointMap> ParseJointMap(const std::vector<std::string>& arguments, const Rig& rig) {
@@ -158,7 +170,11 @@ absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& aft
       }
       for (const int arm_joint : mapped->second.arm_joints) {
         found.joint = arm_joint;
-        output.scenario.effects.push_back(found);
+        if (absl::Status fits = FitsScenario(found); fits.ok()) {
+          output.scenario.effects.push_back(found);
+        } else {
+          output.notes.push_back(absl::StrCat(what, " is left out: ", fits.message()));
+        }
       }
     }
   }
@@ -167,12 +183,6 @@ absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& aft
         absl::StrCat(after.name, ": no scenario: ",
                      added == 0 ? "no effect was added to the declared model"
                                 : absl::StrJoin(output.notes, "; ")));
-  // What a scenario file may hold is said in one place.
-  const auto checked = ParseScenarioFile("scenario", WriteScenarioFile(output.scenario));
-  if (!checked.ok())
-    return absl::OutOfRangeError(absl::StrCat(
-        checked.status().message(),
-        "; map to a larger joint or give a torque ratio below 1 (--map JOINT=J4:0.5)"));
   return output;
 }
 

@@ -33,9 +33,9 @@ struct ScenarioOutput {
 // arm's joints that the map names. Fitted parameters of the declared model are of the rig's own
 // body and stay there. Effects of stage command act on what the rig's servo was given and, on the
 // arm, on its torque command; a rate limit of a position command has no meaning there and is left
-// out with a note, as are effects of joints that the map does not name. FailedPrecondition where
-// nothing was added or nothing is left; OutOfRange where a value is beyond what a scenario may give
-// the arm's joint, with the remedy.
+// out with a note, as are effects of joints that the map does not name and values beyond what a
+// scenario may give the arm's joint, with the remedy. FailedPrecondition where nothing was added or
+// nothing is left.
 absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& after,
                                              const JointMap& map, const std::string& title);
 

@@ -123,6 +123,7 @@ double Screening::Gain(const Signature& signature) const {
 
 Hypothesis Screening::LinearStart(const Signature& signature) const {
   Hypothesis h = signature.start;
+  if (signature.basis.cols() == 0) return h;  // imitated: no direction of its own
   const Eigen::VectorXd wanted = -(signature.basis.transpose() * residual_);
   const Eigen::VectorXd amplitudes =
       signature.columns_of_basis.completeOrthogonalDecomposition().solve(wanted);

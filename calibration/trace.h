@@ -18,6 +18,7 @@ struct TraceOptions {
   int max_effects = 3;
   int finalists = 8;                 // candidates that are refitted in a round
   std::vector<std::string> exclude;  // types that are no candidates
+  std::vector<std::string> joints;   // that are traced; empty: all
   // Says what is going on.
   std::function<void(const std::string&)> progress = [](const std::string&) {};
 };

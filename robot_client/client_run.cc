@@ -52,6 +52,7 @@ absl::Status ClientRun::Open() {
   RS_ASSIGN_OR_RETURN(recorder_, Recorder::Create(directory_));
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
   loop_->AddReader(&recorder_->ring());
+  arm_->AddSampleReader(&recorder_->samples());
   recorder_->OnChange([](const std::string& line) { std::printf("%s\n", line.c_str()); });
   return absl::OkStatus();
 }

@@ -18,8 +18,9 @@
 namespace robostress {
 namespace {
 
-constexpr char kPartial[] = "/ticks.csv.partial";
 constexpr char kTicks[] = "/ticks.csv";
+constexpr char kSamples[] = "/samples.csv";
+constexpr char kUnfinished[] = ".partial";
 constexpr char kEvents[] = "/events.jsonl";
 const char* const kAxes[kArmAxes] = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
 
@@ -35,6 +36,36 @@ void AppendVector(const ArmVector& v, bool applies, std::string* out) {
 absl::Status FileError(const std::string& what) {
   return absl::DataLossError(absl::StrCat(
       what, ": ", std::strerror(errno), "; the recording ends there: free space or correct --out"));
+}
+
+absl::StatusOr<std::FILE*> BeginTable(const std::string& path, const std::string& header) {
+  std::FILE* file = std::fopen((path + kUnfinished).c_str(), "wx");
+  if (file == nullptr || std::fputs(header.c_str(), file) < 0) return FileError(path + kUnfinished);
+  return file;
+}
+
+// Gives a whole table its name.
+absl::Status FinishTable(std::FILE* file, const std::string& path) {
+  const bool synced = std::fflush(file) == 0 && fsync(fileno(file)) == 0;
+  if (std::fclose(file) != 0 || !synced) return FileError(path + kUnfinished);
+  if (std::rename((path + kUnfinished).c_str(), path.c_str()) != 0) return FileError(path);
+  return absl::OkStatus();
+}
+
+std::string SampleHeader() {
+  std::string header = "t,sequence";
+  for (const char* group : {"q", "dq", "tau"}) {
+    for (const char* axis : kAxes) absl::StrAppend(&header, ",", group, "_", axis);
+  }
+  return header + "\n";
+}
+
+std::string SampleRow(const ArmSnapshot& sample, int64_t origin_ns) {
+  std::string row =
+      absl::StrFormat("%.9f,%d", Seconds(sample.stamp_ns, origin_ns), sample.sequence);
+  for (const ArmVector* group : {&sample.position, &sample.velocity, &sample.effort})
+    AppendVector(*group, true, &row);
+  return row + "\n";
 }
 
 }  // namespace
@@ -74,23 +105,23 @@ std::string Recorder::Row(const TickRecord& r, int64_t origin_ns) {
 
 absl::StatusOr<std::unique_ptr<Recorder>> Recorder::Create(const std::string& directory) {
   RS_RETURN_IF_ERROR(MakeDirectories(directory));
-  for (const char* file : {kTicks, kPartial}) {
-    if (std::filesystem::exists(directory + file)) {
-      return absl::AlreadyExistsError(
-          absl::StrCat(directory, file,
-                       " is there already: a recording is never overwritten; name another --out"));
+  for (const char* name : {kTicks, kSamples}) {
+    const std::string file = directory + name;
+    for (const std::string& path : {file, file + kUnfinished}) {
+      if (std::filesystem::exists(path))
+        return absl::AlreadyExistsError(absl::StrCat(
+            path, " is there already: a recording is never overwritten; name another --out"));
     }
   }
   auto recorder = std::unique_ptr<Recorder>(new Recorder(directory));
-  recorder->ticks_ = std::fopen((directory + kPartial).c_str(), "wx");
-  if (recorder->ticks_ == nullptr) return FileError(directory + kPartial);
-  const std::string header = Header() + "\n";
-  if (std::fputs(header.c_str(), recorder->ticks_) < 0) return FileError(directory + kPartial);
+  RS_ASSIGN_OR_RETURN(recorder->ticks_, BeginTable(directory + kTicks, Header() + "\n"));
   return recorder;
 }
 
 Recorder::~Recorder() {
-  if (ticks_ != nullptr) std::fclose(ticks_);
+  for (std::FILE* file : {ticks_, samples_file_}) {
+    if (file != nullptr) std::fclose(file);
+  }
 }
 
 absl::Status Recorder::NoteChange(const TickRecord& r) {
@@ -127,10 +158,24 @@ absl::Status Recorder::Drain() {
               .dump()));
     }
     const std::string row = Row(record, origin_ns_) + "\n";
-    if (std::fputs(row.c_str(), ticks_) < 0) return FileError(directory_ + kPartial);
+    if (std::fputs(row.c_str(), ticks_) < 0) return FileError(directory_ + kTicks);
     if (record.state != state_ || record.cause != cause_) RS_RETURN_IF_ERROR(NoteChange(record));
   }
-  if (std::fflush(ticks_) != 0) return FileError(directory_ + kPartial);
+  if (std::fflush(ticks_) != 0) return FileError(directory_ + kTicks);
+  return rows_ > 0 ? DrainSamples() : absl::OkStatus();
+}
+
+absl::Status Recorder::DrainSamples() {
+  ArmSnapshot sample;
+  while (samples_.Pop(sample)) {
+    if (samples_file_ == nullptr) {
+      RS_ASSIGN_OR_RETURN(samples_file_, BeginTable(directory_ + kSamples, SampleHeader()));
+    }
+    if (std::fputs(SampleRow(sample, origin_ns_).c_str(), samples_file_) < 0)
+      return FileError(directory_ + kSamples);
+  }
+  if (samples_file_ != nullptr && std::fflush(samples_file_) != 0)
+    return FileError(directory_ + kSamples);
   return absl::OkStatus();
 }
 
@@ -146,12 +191,9 @@ absl::Status Recorder::Run(const std::atomic<bool>& stop) {
 
 absl::Status Recorder::Finish() {
   RS_RETURN_IF_ERROR(Drain());
-  std::FILE* file = std::exchange(ticks_, nullptr);
-  const bool synced = std::fflush(file) == 0 && fsync(fileno(file)) == 0;
-  if (std::fclose(file) != 0 || !synced) return FileError(directory_ + kPartial);
-  if (std::rename((directory_ + kPartial).c_str(), (directory_ + kTicks).c_str()) != 0)
-    return FileError(directory_ + kTicks);
-  return absl::OkStatus();
+  RS_RETURN_IF_ERROR(FinishTable(std::exchange(ticks_, nullptr), directory_ + kTicks));
+  if (samples_file_ == nullptr) return absl::OkStatus();
+  return FinishTable(std::exchange(samples_file_, nullptr), directory_ + kSamples);
 }
 
 }  // namespace robostress

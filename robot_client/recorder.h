@@ -16,10 +16,13 @@ namespace robostress {
 // Writes every tick and every change of state of a run to a directory:
 //
 //   ticks.csv      a row per tick; SI units, columns in its header. Empty fields did not apply.
+//   samples.csv    a row per complete sample of the arm (200 per second on a Piper), for
+//   calibration:
+//                  joints [rad, rad/s, Nm], gripper [m]; not there where the arm gave none
 //   events.jsonl   changes of state with their cause, starts and ends of episodes, what the program
 //                  notes; flushed line by line
 //
-// ticks.csv is called ticks.csv.partial until Finish: a file without that ending is whole. One
+// A table's name ends in .partial until Finish: a file without that ending is whole. One
 // thread (the recorder's) calls everything.
 class Recorder {
  public:
@@ -28,6 +31,7 @@ class Recorder {
   ~Recorder();
 
   SpscRing<TickRecord>& ring() { return ring_; }
+  SpscRing<ArmSnapshot>& samples() { return samples_; }
   // Called with a line for people at each change of state.
   void OnChange(std::function<void(const std::string& line)> call) { on_change_ = std::move(call); }
 
@@ -47,11 +51,14 @@ class Recorder {
  private:
   explicit Recorder(std::string directory) : directory_(std::move(directory)) {}
   absl::Status NoteChange(const TickRecord& record);
+  absl::Status DrainSamples();
 
   const std::string directory_;
   SpscRing<TickRecord> ring_{1 << 10};
+  SpscRing<ArmSnapshot> samples_{1 << 11};  // 10 s of a Piper's
   std::function<void(const std::string&)> on_change_;
   std::FILE* ticks_ = nullptr;
+  std::FILE* samples_file_ = nullptr;
   int64_t origin_ns_ = 0;
   uint64_t rows_ = 0;
   ClientState state_ = ClientState::kIdle;

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "absl/status/status.h"
+#include "robot_client/control/spsc_ring.h"
 
 // What the control loop knows of an arm: a complete sample in, absolute joint targets out. Vendor
 // units, frames and identifiers stay below this interface.
@@ -81,6 +82,9 @@ class RobotArm {
   // Takes in what has arrived; never blocks, never allocates. Once per control tick, before Latest.
   // A transport with a reader thread of its own has nothing to do here.
   virtual void Poll() = 0;
+  // Before the first tick: every complete sample goes to `ring` too, in order, in the thread that
+  // polls. A full ring loses samples; their numbers tell. An arm without a bus has none to give.
+  virtual void AddSampleReader(SpscRing<ArmSnapshot>*) {}
   // The newest complete sample; never blocks, never allocates.
   virtual ArmSnapshot Latest() const = 0;
   // Position-mode targets; never blocks, never allocates. An error says that nothing may have been

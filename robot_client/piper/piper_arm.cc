@@ -32,7 +32,10 @@ std::string PiperArm::description() const {
 
 void PiperArm::Poll() {
   StampedFrame received;
-  for (int i = 0; i < kFramesPerPoll && bus_->Receive(received); ++i) state_.Take(received);
+  for (int i = 0; i < kFramesPerPoll && bus_->Receive(received); ++i) {
+    if (state_.Take(received) && sample_reader_ != nullptr)
+      sample_reader_->Push(state_.Snapshot(received.stamp_ns));
+  }
   ArmSnapshot snapshot = state_.Snapshot(clock_.now_ns());
   const CanState bus = bus_->health().state;
   if (bus == CanState::kBusOff || bus == CanState::kDown) snapshot.faults |= kFaultBus;

@@ -45,6 +45,7 @@ class PiperArm : public RobotArm {
   // power off.
   absl::Status Disable() override;
   void Poll() override;
+  void AddSampleReader(SpscRing<ArmSnapshot>* ring) override { sample_reader_ = ring; }
   ArmSnapshot Latest() const override { return snapshot_.Load(); }
   absl::Status Send(const ArmCommand& command) override;
   absl::Status QuickStop() override;
@@ -75,6 +76,7 @@ class PiperArm : public RobotArm {
   ArmState state_;
   SnapshotCell<ArmSnapshot> snapshot_;
   ArmSnapshot published_;
+  SpscRing<ArmSnapshot>* sample_reader_ = nullptr;
   Firmware firmware_;
   ArmLimits limits_;
   bool connected_ = false;

@@ -42,7 +42,10 @@ const std::vector<Floor>& Floors() {
        kMujoco | kRpc},
       // The service's base class is generated; its handlers convert and call.
       {"server/", {"server/", "adapter/", "common/", "common/rpc/", "proto/"}, kTorch | kRpc},
-      {"calibration/", {"calibration/", "sim_worker/", "common/"}, kMujoco},
+      // The emulator for the Piper's model.
+      {"calibration/",
+       {"calibration/", "sim_worker/", "robot_client/emulator/", "common/"},
+       kMujoco},
       {"eval/", {"eval/", "calibration/", "common/", "common/rpc/"}, kRpc},
       {"tests/",
        {"tests/", "eval/", "calibration/", "server/", "robot_client/", "robot_client/emulator/",

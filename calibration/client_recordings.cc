@@ -1,0 +1,220 @@
+#include "calibration/client_recordings.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <utility>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
+#include "robot_client/emulator/piper_mjcf.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr char kTicks[] = "ticks.csv";
+constexpr char kSamples[] = "samples.csv";
+constexpr int kJoints = 6;
+constexpr double kShortest_s = 1;  // of an episode
+
+// A table of a run, read cell by cell.
+class RunTable {
+ public:
+  static absl::StatusOr<RunTable> Read(const std::string& run, const std::string& name) {
+    RunTable table;
+    table.file_ = (std::filesystem::path(run) / name).string();
+    const auto text = ReadFile(table.file_);
+    if (!text.ok()) {
+      const bool unfinished = std::filesystem::exists(table.file_ + ".partial");
+      return absl::NotFoundError(absl::StrCat(
+          table.file_, ": is not there",
+          unfinished ? "; the recording was cut off: rename the file ending in .partial without it"
+          : name == kSamples ? "; the run is older than this table, or of an arm that is not there"
+                             : ""));
+    }
+    for (const absl::string_view line : absl::StrSplit(*text, '\n', absl::SkipEmpty()))
+      table.rows_.push_back(absl::StrSplit(line, ','));
+    if (table.rows_.size() < 2)
+      return absl::InvalidArgumentError(absl::StrCat(table.file_, ": has no rows"));
+    table.names_ = std::move(table.rows_.front());
+    table.rows_.erase(table.rows_.begin());
+    // The line on which a disk became full.
+    if (table.rows_.back().size() < table.names_.size()) table.rows_.pop_back();
+    for (size_t i = 0; i < table.rows_.size(); ++i) {
+      if (table.rows_[i].size() != table.names_.size())
+        return absl::InvalidArgumentError(absl::StrCat(table.file_, ":", i + 2, ": has ",
+                                                       table.rows_[i].size(), " columns, not ",
+                                                       table.names_.size()));
+    }
+    return table;
+  }
+
+  size_t rows() const { return rows_.size(); }
+  absl::StatusOr<size_t> Column(const std::string& name) const {
+    const auto at = std::find(names_.begin(), names_.end(), name);
+    if (at == names_.end())
+      return absl::InvalidArgumentError(
+          absl::StrCat(file_, ": has no column '", name, "'; robot_client writes one"));
+    return static_cast<size_t>(at - names_.begin());
+  }
+  const std::string& Text(size_t row, size_t column) const { return rows_[row][column]; }
+  absl::StatusOr<double> Number(size_t row, size_t column) const {
+    double value = 0;
+    if (!absl::SimpleAtod(rows_[row][column], &value) || !std::isfinite(value))
+      return absl::InvalidArgumentError(absl::StrCat(file_, ":", row + 2, ": ", names_[column],
+                                                     " is '", rows_[row][column],
+                                                     "', must be a finite number"));
+    return value;
+  }
+  absl::StatusOr<std::vector<double>> Numbers(const std::string& name) const {
+    RS_ASSIGN_OR_RETURN(const size_t column, Column(name));
+    std::vector<double> values(rows());
+    for (size_t row = 0; row < rows(); ++row) {
+      RS_ASSIGN_OR_RETURN(values[row], Number(row, column));
+    }
+    return values;
+  }
+
+ private:
+  std::string file_;
+  std::vector<std::string> names_;
+  std::vector<std::vector<std::string>> rows_;
+};
+
+struct Interval {
+  double begin = 0, end = 0;  // [s]
+};
+
+// When the arm followed a policy or held.
+absl::StatusOr<std::vector<Interval>> Driven(const RunTable& ticks) {
+  RS_ASSIGN_OR_RETURN(const std::vector<double> t, ticks.Numbers("t"));
+  RS_ASSIGN_OR_RETURN(const size_t state, ticks.Column("state"));
+  RS_ASSIGN_OR_RETURN(const size_t episode, ticks.Column("episode"));
+  std::vector<Interval> intervals;
+  std::string current;
+  for (size_t row = 0; row < ticks.rows(); ++row) {
+    const std::string& name = ticks.Text(row, state);
+    const bool driven = name == "RUN" || name == "HOLD";
+    if (!driven) {
+      current.clear();
+      continue;
+    }
+    if (current != ticks.Text(row, episode)) intervals.push_back({t[row], t[row]});
+    current = ticks.Text(row, episode);
+    intervals.back().end = t[row];
+  }
+  return intervals;
+}
+
+// All samples of a run by column.
+struct Samples {
+  std::vector<double> t, sequence;
+  std::vector<std::vector<double>> q, dq, tau;  // [6][rows]
+
+  static absl::StatusOr<Samples> Read(const RunTable& table) {
+    Samples samples;
+    RS_ASSIGN_OR_RETURN(samples.t, table.Numbers("t"));
+    RS_ASSIGN_OR_RETURN(samples.sequence, table.Numbers("sequence"));
+    for (auto [group, name] :
+         {std::pair(&samples.q, "q"), {&samples.dq, "dq"}, {&samples.tau, "tau"}}) {
+      for (int j = 1; j <= kJoints; ++j) {
+        RS_ASSIGN_OR_RETURN(group->emplace_back(), table.Numbers(absl::StrCat(name, "_J", j)));
+      }
+    }
+    return samples;
+  }
+};
+
+double RateOf(const std::vector<double>& t) {
+  std::vector<double> steps;
+  for (size_t i = 1; i < t.size(); ++i) steps.push_back(t[i] - t[i - 1]);
+  std::nth_element(steps.begin(), steps.begin() + steps.size() / 2, steps.end());
+  return std::round(1 / std::max(steps[steps.size() / 2], 1e-4));
+}
+
+RecordedEpisode Cut(const Samples& samples, size_t begin, size_t end, double rate_hz) {
+  RecordedEpisode episode;
+  episode.rate_hz = rate_hz;
+  episode.group = "run";
+  const auto part = [&](const std::vector<double>& channel) {
+    return std::vector<double>(channel.begin() + static_cast<int64_t>(begin),
+                               channel.begin() + static_cast<int64_t>(end));
+  };
+  episode.t = part(samples.t);
+  for (int j = 0; j < kJoints; ++j) {
+    episode.q.push_back(part(samples.q[j]));
+    episode.dq.push_back(part(samples.dq[j]));
+    std::vector<double> tau = part(samples.tau[j]);
+    for (size_t i = 0; i + 1 < tau.size(); ++i) tau[i] = 0.5 * (tau[i] + tau[i + 1]);
+    episode.tau.push_back(std::move(tau));
+  }
+  return episode;
+}
+
+}  // namespace
+
+bool IsClientRun(const std::string& run) {
+  const std::filesystem::path folder = run;
+  return std::filesystem::exists(folder / kTicks) ||
+         std::filesystem::exists(folder / absl::StrCat(kTicks, ".partial"));
+}
+
+absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::string& run,
+                                                                 int at_least) {
+  RS_ASSIGN_OR_RETURN(const RunTable ticks, RunTable::Read(run, kTicks));
+  RS_ASSIGN_OR_RETURN(const RunTable table, RunTable::Read(run, kSamples));
+  RS_ASSIGN_OR_RETURN(const std::vector<Interval> driven, Driven(ticks));
+  RS_ASSIGN_OR_RETURN(const Samples samples, Samples::Read(table));
+  const double rate_hz = RateOf(samples.t);
+  const auto shortest = static_cast<size_t>(kShortest_s * rate_hz);
+  std::vector<std::pair<size_t, size_t>> stretches;  // rows [first, last)
+  double rows = 0;
+  for (const Interval& interval : driven) {
+    size_t i =
+        std::lower_bound(samples.t.begin(), samples.t.end(), interval.begin) - samples.t.begin();
+    while (i < samples.t.size() && samples.t[i] <= interval.end) {
+      size_t end = i + 1;
+      while (end < samples.t.size() && samples.t[end] <= interval.end &&
+             samples.sequence[end] == samples.sequence[end - 1] + 1)
+        ++end;
+      if (end - i >= shortest) {
+        stretches.emplace_back(i, end);
+        rows += static_cast<double>(end - i);
+      }
+      i = end;
+    }
+  }
+  if (stretches.empty())
+    return absl::FailedPreconditionError(absl::StrCat(
+        run, ": no stretch of ", kShortest_s,
+        " s in which the arm ran and every sample was recorded; record an episode on an arm"));
+  const double part = static_cast<int>(stretches.size()) >= at_least ? rows : rows / at_least;
+  std::vector<RecordedEpisode> episodes;
+  for (const auto& [first, last] : stretches) {
+    const auto length = static_cast<double>(last - first);
+    const auto parts = static_cast<size_t>(std::max(1.0, std::ceil(length / part - 1e-9)));
+    for (size_t k = 0; k < parts; ++k) {
+      episodes.push_back(Cut(samples, first + k * (last - first) / parts,
+                             first + (k + 1) * (last - first) / parts, rate_hz));
+      episodes.back().name = absl::StrCat("episode", episodes.size() - 1);
+    }
+  }
+  return episodes;
+}
+
+RecordedArm PiperOfRecordings(const std::string& rig_name, double payload_kg) {
+  RecordedArm arm;
+  arm.name = rig_name;
+  arm.model_file = "piper.xml";
+  piper::PiperScene scene;
+  scene.payload_kg = payload_kg;
+  arm.mjcf = piper::ComposePiperScene(scene);
+  for (int j = 1; j <= kJoints; ++j) arm.joints.push_back(absl::StrCat("piper_joint", j));
+  arm.fit = {"armature"};
+  return arm;
+}
+
+}  // namespace robostress::calibration

@@ -1,0 +1,146 @@
+// The whole circle on a Piper in software: what is hidden in it is found in its recording, and an
+// arm with what was found goes where the recorded one went.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <filesystem>
+
+#include "absl/strings/str_cat.h"
+#include "calibration/client_recordings.h"
+#include "common/atomic_file.h"
+#include "nlohmann/json.hpp"
+#include "robot_client/recorder.h"
+#include "tests/piper/emulated_arm.h"
+#include "tests/run_program.h"
+
+namespace robostress::calibration {
+namespace {
+
+using piper::EmulatedArm;
+using piper::kJoints;
+using testing::AllOf;
+using testing::HasSubstr;
+namespace fs = std::filesystem;
+
+constexpr double kTick_s = 1.0 / 30;
+
+// Every joint sways at its own two frequencies, inside its limits.
+piper::JointVector Sway(double t) {
+  const piper::JointVector middle = {0, 1.2, -1.2, 0, 0, 0}, most = {0.6, 0.5, 0.5, 0.5, 0.5, 0.6};
+  piper::JointVector q;
+  for (int j = 0; j < kJoints; ++j) {
+    const double slow = 2 * M_PI * (0.11 + 0.023 * j), fast = 2 * M_PI * (0.31 + 0.017 * j);
+    q[j] = middle[j] + most[j] * (0.7 * std::sin(slow * t) + 0.3 * std::sin(fast * t + j));
+  }
+  return q;
+}
+
+// Moves an arm of `profile` as Sway says, and returns where its joints were at every tick. Records
+// like a client does where `directory` is given.
+std::vector<piper::JointVector> Play(const std::string& profile, double seconds,
+                                     const std::string& directory) {
+  piper::EmulatorOptions options;
+  options.profile = profile;
+  EmulatedArm world(options);
+  EXPECT_TRUE(world.arm->Connect().ok());
+  EXPECT_TRUE(world.arm->Enable().ok());
+  EXPECT_TRUE(world.Stream(piper::Command(Sway(0)), 3).ok());
+  std::unique_ptr<Recorder> recorder;
+  if (!directory.empty()) {
+    auto made = Recorder::Create(directory);
+    EXPECT_TRUE(made.ok()) << made.status();
+    recorder = *std::move(made);
+    world.arm->AddSampleReader(&recorder->samples());
+  }
+  std::vector<piper::JointVector> joints;
+  for (uint64_t tick = 0; tick < static_cast<uint64_t>(seconds / kTick_s); ++tick) {
+    const double t = static_cast<double>(tick) * kTick_s;
+    if (recorder != nullptr) {
+      TickRecord record;
+      record.tick = tick;
+      record.start_ns = record.due_ns = world.time.now_ns();
+      record.state = ClientState::kRun;
+      record.episode = 0;
+      recorder->ring().Push(record);
+      EXPECT_TRUE(recorder->Drain().ok());
+    }
+    EXPECT_TRUE(world.Stream(piper::Command(Sway(t)), kTick_s + 1e-6).ok());
+    joints.push_back(world.emulator->plant().link_angles());
+  }
+  if (recorder != nullptr) {
+    EXPECT_TRUE(recorder->Finish().ok());
+  }
+  return joints;
+}
+
+double Rms(const std::vector<piper::JointVector>& a, const std::vector<piper::JointVector>& b) {
+  double sum = 0;
+  for (size_t i = 0; i < a.size(); ++i)
+    for (int j = 0; j < kJoints; ++j) sum += std::pow(a[i][j] - b[i][j], 2);
+  return std::sqrt(sum / static_cast<double>(a.size() * kJoints));
+}
+
+struct PiperCircleTest : public testing::Test {
+  PiperCircleTest()
+      : root((fs::path(testing::TempDir()) / absl::StrCat("piper_circle_", getpid())).string()) {
+    fs::create_directories(root);
+  }
+  ~PiperCircleTest() override { fs::remove_all(root); }
+  std::string root;
+};
+
+TEST_F(PiperCircleTest, FindsWhatWasHiddenAndBringsAnArmToTheRecording) {
+  constexpr double kSeconds = 24;
+  const std::string hidden = root + "/worn.yaml", none = root + "/none.yaml";
+  const std::string effect = "[{type: stribeck_friction, Fc: 0.8, Fs: 1.0, vs: 0.1, sigma_v: 0.5}]";
+  const std::string absent = "[{type: stribeck_friction, Fc: 0, Fs: 0, vs: 0.1, sigma_v: 0}]";
+  for (const auto& [file, effects] : {std::pair(hidden, effect), {none, absent}}) {
+    ASSERT_TRUE(
+        WriteFileAtomically(file, absl::StrCat("joints: [{name: J3, effects: ", effects, "}]\n"))
+            .ok());
+  }
+  const auto measured = Play(hidden, kSeconds, root + "/run");
+  const auto [made, made_code] =
+      RunProgram(RECORD_TO_RIG, absl::StrCat(root, "/run --out ", root, "/rig"));
+  ASSERT_EQ(made_code, 0) << made;
+  EXPECT_THAT(made, HasSubstr("2 fit, 1 held_out"));
+  const auto [output, code] = RunProgram(
+      CALIBRATE,
+      absl::StrCat(
+          "--rig ", root, "/rig/rig.yaml --out ", root,
+          "/found --map own --surrogates 99 --joints piper_joint3 --max-effects 1 --beam 1"));
+  ASSERT_EQ(code, 0) << output;
+  const auto text = ReadFile(root + "/found/report.json");
+  ASSERT_TRUE(text.ok()) << text.status();
+  const auto report = nlohmann::json::parse(*text);
+  ASSERT_FALSE(report["effects_added"].empty()) << output;
+  EXPECT_EQ(report["effects_added"][0]["type"], "stribeck_friction") << output;
+  const double apart = Rms(Play(none, kSeconds, ""), measured);
+  const double left = Rms(Play(root + "/found/scenario.yaml", kSeconds, ""), measured);
+  EXPECT_LT(left, 0.2 * apart) << output;
+  RecordProperty("before_mrad", std::to_string(1e3 * apart));
+  RecordProperty("after_mrad", std::to_string(1e3 * left));
+}
+
+TEST_F(PiperCircleTest, SaysWhatARunLacks) {
+  const auto refusal = [&] {
+    const auto [output, code] =
+        RunProgram(RECORD_TO_RIG, absl::StrCat(root, " --out ", root, "/rig"));
+    EXPECT_EQ(code, 2);
+    return output;
+  };
+  ASSERT_TRUE(WriteFileAtomically(root + "/ticks.csv.partial", "t,state,episode\n").ok());
+  EXPECT_THAT(refusal(), HasSubstr("cut off"));
+  ASSERT_TRUE(WriteFileAtomically(root + "/ticks.csv", "t,state,episode\n0,RUN,0\n9,RUN,0\n").ok());
+  EXPECT_THAT(refusal(), AllOf(HasSubstr("samples.csv"), HasSubstr("older")));
+  ASSERT_TRUE(WriteFileAtomically(root + "/samples.csv", "t,sequence,q_J1\n0,1,0.5\n").ok());
+  EXPECT_THAT(refusal(), HasSubstr("no column 'q_J2'"));
+  ASSERT_TRUE(WriteFileAtomically(root + "/samples.csv", "t,sequence,q_J1\n0,x,0.5\n").ok());
+  EXPECT_THAT(refusal(), AllOf(HasSubstr("samples.csv:2"), HasSubstr("sequence is 'x'")));
+  EXPECT_FALSE(fs::exists(root + "/rig/rig.yaml"));
+}
+
+}  // namespace
+}  // namespace robostress::calibration
