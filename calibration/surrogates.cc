@@ -64,8 +64,9 @@ Eigen::VectorXd RandomPhases(const std::vector<std::complex<double>>& spectrum,
 
 }  // namespace
 
-NullDistribution DrawNull(const JointProblem& problem, const Screening& screening,
-                          const WindowSet& chosen, int surrogates, uint64_t seed) {
+void ForSurrogates(const JointProblem& problem, const Screening& screening, const WindowSet& chosen,
+                   int surrogates, uint64_t seed,
+                   const std::function<void(int first, const Eigen::MatrixXd& drawn)>& use) {
   const auto tracks = TrackRows(problem, chosen);
   std::vector<std::vector<std::complex<double>>> spectra(tracks.size());
   for (size_t i = 0; i < tracks.size(); ++i) {
@@ -73,9 +74,6 @@ NullDistribution DrawNull(const JointProblem& problem, const Screening& screenin
     if (count == 0) continue;
     spectra[i] = SpectrumOf(screening.residual().segment(first, count));
   }
-  NullDistribution null;
-  null.largest.assign(surrogates, 0);
-  null.of_candidate.assign(screening.candidates().size(), std::vector<double>(surrogates, 0));
   ParallelFor((surrogates + kBatch - 1) / kBatch, [&](int batch) {
     const int begin = batch * kBatch, count = std::min(kBatch, surrogates - begin);
     Eigen::MatrixXd drawn = Eigen::MatrixXd::Zero(screening.residual().size(), count);
@@ -90,19 +88,30 @@ NullDistribution DrawNull(const JointProblem& problem, const Screening& screenin
       }
     }
     screening.RemoveImitated(drawn);
-    const Eigen::RowVectorXd whole = drawn.colwise().squaredNorm();
-    for (const Signature& signature : screening.signatures()) {
-      if (signature.basis.cols() == 0) continue;
-      const Eigen::RowVectorXd explained =
-          (signature.basis.transpose() * drawn).colwise().squaredNorm();
-      for (int s = 0; s < count; ++s) {
-        const double gain = whole[s] > 0 ? explained[s] / whole[s] : 0;
-        double& own = null.of_candidate[signature.candidate][begin + s];
-        own = std::max(own, gain);
-        null.largest[begin + s] = std::max(null.largest[begin + s], gain);
-      }
-    }
+    use(begin, drawn);
   });
+}
+
+NullDistribution DrawNull(const JointProblem& problem, const Screening& screening,
+                          const WindowSet& chosen, int surrogates, uint64_t seed) {
+  NullDistribution null;
+  null.largest.assign(surrogates, 0);
+  null.of_candidate.assign(screening.candidates().size(), std::vector<double>(surrogates, 0));
+  ForSurrogates(problem, screening, chosen, surrogates, seed,
+                [&](int begin, const Eigen::MatrixXd& drawn) {
+                  const Eigen::RowVectorXd whole = drawn.colwise().squaredNorm();
+                  for (const Signature& signature : screening.signatures()) {
+                    if (signature.basis.cols() == 0) continue;
+                    const Eigen::RowVectorXd explained =
+                        (signature.basis.transpose() * drawn).colwise().squaredNorm();
+                    for (int s = 0; s < drawn.cols(); ++s) {
+                      const double gain = whole[s] > 0 ? explained[s] / whole[s] : 0;
+                      double& own = null.of_candidate[signature.candidate][begin + s];
+                      own = std::max(own, gain);
+                      null.largest[begin + s] = std::max(null.largest[begin + s], gain);
+                    }
+                  }
+                });
   return null;
 }
 

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "calibration/signatures.h"
@@ -18,6 +19,11 @@ struct NullDistribution {
   double PValue(double gain) const;
   double PValueOf(int candidate, double gain) const;
 };
+
+// Calls `use` with batches of surrogates [rows, count] from number `first` on, several at a time.
+void ForSurrogates(const JointProblem& problem, const Screening& screening, const WindowSet& chosen,
+                   int surrogates, uint64_t seed,
+                   const std::function<void(int first, const Eigen::MatrixXd& drawn)>& use);
 
 NullDistribution DrawNull(const JointProblem& problem, const Screening& screening,
                           const WindowSet& chosen, int surrogates, uint64_t seed);

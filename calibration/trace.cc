@@ -3,34 +3,30 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <optional>
 #include <set>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "calibration/acceptance.h"
+#include "calibration/pair_screening.h"
 #include "calibration/parallel.h"
 
 namespace robostress::calibration {
 namespace {
 
-constexpr double kMaxPValue = 0.01;
-constexpr double kMinCvGain = 0.02;
-constexpr double kMinBicGain = 10;
-constexpr double kMinFolds = 0.75;       // share of folds that must gain
-constexpr double kResolution = 0.02;     // of the declared excess: the kernel resolves no less
-constexpr double kMinExcessGain = 0.25;  // of the energy above the floor
-constexpr double kAtFloor = 1.1;         // times the floor: little is left
-constexpr double kDetourGain = 0.85;     // error of a way that does not lead over the best model
-constexpr double kMinSigmas = 3;         // of the size
-constexpr double kMaxSpread = 0.5;       // of the size over folds, relative
-constexpr double kNotTestable = 0.02;    // surviving share
-constexpr double kSimilarErrors = 2;     // standard errors of the difference over folds
-constexpr double kRivalMargin = 0.05;    // a rival's error may be larger by this share
-constexpr double kAlikeMargin = 0.25;    // of one whose signature looks alike
-constexpr double kAlike = 0.95;          // |cos| between signatures
-constexpr double kRivalGain = 0.5;       // of the effect's own linear gain
-constexpr int64_t kMaxWindows = 120;     // that a search simulates
-constexpr int kCrossValidated = 4;       // refitted candidates of a round, the lowest errors
+constexpr double kResolution = 0.02;   // of the declared excess: the kernel resolves no less
+constexpr double kAtFloor = 1.1;       // times the floor: little is left
+constexpr double kDetourGain = 0.85;   // error of a way that does not lead over the best model
+constexpr double kNotTestable = 0.02;  // surviving share
+constexpr double kSimilarErrors = 2;   // standard errors of the difference over folds
+constexpr double kRivalMargin = 0.05;  // a rival's error may be larger by this share
+constexpr double kAlikeMargin = 0.25;  // of one whose signature looks alike
+constexpr double kAlike = 0.95;        // |cos| between signatures
+constexpr double kRivalGain = 0.5;     // of the effect's own linear gain
+constexpr int64_t kMaxWindows = 120;   // that a search simulates
+constexpr int kCrossValidated = 4;     // refitted candidates of a round, the lowest errors
 constexpr int kStartsPerCandidate = 2;
 
 // Effects by name, with a partner where there is one.
@@ -68,16 +64,19 @@ class Search {
     trace.declared.fit = Minimise(problem_, declared, fit_windows_);
     trace.declared.cv = CrossValidate(problem_, trace.declared.fit, folds_);
     floor_ = problem_.ProjectedFloor(fit_windows_);
+    acceptance_.emplace(problem_, fit_windows_, floor_);
     std::vector<TracedModel> beam = {trace.declared};
     TracedModel best = trace.declared;
     while (!beam.empty() && static_cast<int>(beam.front().added.size()) < options_.max_effects) {
       // Nothing but noise is left.
       if (LittleLeft(trace.declared, best)) break;
       std::vector<TracedModel> next;
-      double wanted = 1 - kMinCvGain;  // of the leader's error
+      double wanted = 1 - Acceptance::kMinCvGain;  // of the leader's error
       for (const TracedModel& base : beam) {
         trace.rounds.push_back(Round(base, next));
         if (base.added.empty()) NoteNotTestable(trace);
+        if (&base == &beam.front() && next.empty() && MayTakePair(base))
+          PairRound(base, trace.rounds.back(), next);
         if (&base != &beam.front() || !next.empty()) continue;
         // A leader that nothing improves on is the answer, unless much is left and another way
         // leads much further.
@@ -112,15 +111,11 @@ class Search {
     return windows;
   }
 
-  // Cross-validated energy above the noise's, per row.
-  double Excess(const TracedModel& model) const {
-    return std::max(0.0, model.cv.Rms() * model.cv.Rms() - floor_ * floor_);
-  }
-
   // Noise, or what the kernel's own integration leaves.
   bool LittleLeft(const TracedModel& declared, const TracedModel& model) const {
-    return !model.added.empty() && (model.cv.Rms() < kAtFloor * floor_ ||
-                                    Excess(model) < kResolution * kResolution * Excess(declared));
+    return !model.added.empty() &&
+           (model.cv.Rms() < kAtFloor * floor_ ||
+            acceptance_->Excess(model) < kResolution * kResolution * acceptance_->Excess(declared));
   }
 
   // Screens everything on top of `base`, refits the finalists, and adds what is accepted to `next`.
@@ -135,7 +130,7 @@ class Search {
     report.null_99 = null.Quantile(0.99);
     std::vector<Contender> contenders = Rank(screening, null);
     // Nothing that could lower the error by as little as acceptance asks for.
-    const bool within_noise = Excess(base) <= 0;
+    const bool within_noise = acceptance_->Excess(base) <= 0;
     const bool hopeless = contenders.empty() || report.cv_error <= 1e-12 || within_noise;
     const int refits = hopeless ? 0 : CountFinalists(contenders);
     options_.progress(absl::StrFormat(
@@ -156,7 +151,7 @@ class Search {
         line.refitted = true;
         line.cv_gain = 1 - (model.cv.energy.empty() ? model.fit.rms / base.fit.rms
                                                     : model.cv.Rms() / base.cv.Rms());
-        line.reason = Objection(base, model, contenders[i]);
+        line.reason = acceptance_->Objection(base, model, contenders[i].p);
         line.accepted = line.reason.empty();
         model.p_values.push_back(contenders[i].p);
         model.cv_gains.push_back(line.cv_gain);
@@ -178,6 +173,45 @@ class Search {
                               std::make_tuple(b.accepted, b.cv_gain, b.linear_gain);
                      });
     return report;
+  }
+
+  // A pair is tried where no single effect is accepted and more than noise is left.
+  bool MayTakePair(const TracedModel& base) const {
+    return static_cast<int>(base.added.size()) + 2 <= options_.max_effects &&
+           base.cv.Rms() > kAtFloor * floor_ && acceptance_->Excess(base) > 0;
+  }
+
+  // Two effects may hide each other: neither explains much alone.
+  void PairRound(const TracedModel& base, RoundReport& report, std::vector<TracedModel>& next) {
+    const Screening screening(problem_, base.fit, scales_, Candidates(base), fit_windows_);
+    const std::vector<PairContender> pairs =
+        ScreenPairs(problem_, screening, scales_, fit_windows_, options_.surrogates, options_.seed);
+    std::vector<TracedModel> models(pairs.size(), base);
+    ParallelFor(static_cast<int>(pairs.size()), [&](int i) {
+      for (const int candidate : pairs[i].candidates)
+        models[i].added.push_back(NameOf(screening.candidates()[candidate]));
+      models[i].fit = Minimise(problem_, pairs[i].start, fit_windows_);
+      models[i].cv = {};
+    });
+    CrossValidateBest(models);
+    options_.progress(absl::StrFormat("no single effect; %d pairs refitted", pairs.size()));
+    for (size_t i = 0; i < pairs.size(); ++i) {
+      TracedModel& model = models[i];
+      CandidateReport line;
+      line.type = absl::StrCat(model.added[base.added.size()], "+", model.added.back());
+      line.surviving = 1;
+      line.linear_gain = pairs[i].gain;
+      line.p_value = pairs[i].p;
+      line.refitted = true;
+      line.cv_gain = 1 - (model.cv.energy.empty() ? model.fit.rms / base.fit.rms
+                                                  : model.cv.Rms() / base.cv.Rms());
+      line.reason = acceptance_->Objection(base, model, pairs[i].p);
+      line.accepted = line.reason.empty();
+      model.p_values.resize(model.added.size(), pairs[i].p);
+      model.cv_gains.resize(model.added.size(), line.cv_gain);
+      if (line.accepted) next.push_back(model);
+      report.candidates.push_back(std::move(line));
+    }
   }
 
   std::vector<Candidate> Candidates(const TracedModel& base) const {
@@ -221,8 +255,9 @@ class Search {
     int count = 0;
     const double best = contenders.front().gain;
     for (const Contender& contender : contenders) {
-      if (count == options_.finalists || contender.gain < kMinCvGain ||
-          contender.gain < (best > 0.95 ? 0.8 : 0.25) * best || contender.own_p > 5 * kMaxPValue)
+      if (count == options_.finalists || contender.gain < Acceptance::kMinCvGain ||
+          contender.gain < (best > 0.95 ? 0.8 : 0.25) * best ||
+          contender.own_p > 5 * Acceptance::kMaxPValue)
         break;
       ++count;
     }
@@ -251,67 +286,6 @@ class Search {
     });
     if (order.size() > kCrossValidated) order.resize(kCrossValidated);
     for (TracedModel* model : order) model->cv = CrossValidate(problem_, model->fit, folds_);
-  }
-
-  // Why `model` is not accepted on top of `base`; empty: it is.
-  std::string Objection(const TracedModel& base, const TracedModel& model,
-                        const Contender& contender) const {
-    if (model.cv.energy.empty()) return "others fit better";
-    if (contender.p > kMaxPValue)
-      return absl::StrFormat("chance explains as much (p = %.3f)", contender.p);
-    const double gain = 1 - model.cv.Rms() / base.cv.Rms();
-    if (gain < kMinCvGain)
-      return absl::StrFormat("the cross-validated error falls by %.1f %% only", 100 * gain);
-    if (Excess(model) > (1 - kMinExcessGain) * Excess(base))
-      return absl::StrFormat("it explains %.0f %% of what is above the noise",
-                             100 * (1 - Excess(model) / std::max(Excess(base), 1e-300)));
-    int gained = 0;
-    for (size_t f = 0; f < folds_.size(); ++f) gained += model.cv.fold_rms[f] < base.cv.fold_rms[f];
-    if (gained < kMinFolds * static_cast<double>(folds_.size()))
-      return absl::StrFormat("only %d of %d folds gain", gained, folds_.size());
-    if (BicGain(base, model) < kMinBicGain)
-      return absl::StrFormat("BIC falls by %.0f only", BicGain(base, model));
-    return SizeObjection(model);
-  }
-
-  double BicGain(const TracedModel& base, const TracedModel& model) const {
-    const Eigen::VectorXd r =
-        problem_.Projected(ModelAt(model.fit.best, model.fit.best.x), fit_windows_);
-    const double n = static_cast<double>(r.size()) / CorrelationRows(r);
-    const double more = static_cast<double>(model.fit.best.free.size()) -
-                        static_cast<double>(base.fit.best.free.size());
-    return 2 * n * std::log(base.fit.rms / std::max(model.fit.rms, 1e-300)) - more * std::log(n);
-  }
-
-  // The size of the last effect: off its bounds and the same over folds.
-  std::string SizeObjection(const TracedModel& model) const {
-    const Hypothesis& best = model.fit.best;
-    const EffectInfo& effect = *best.model.effects.back().info;
-    int largest = -1;
-    for (const int amplitude : effect.amplitudes) {
-      const std::string path = effect.type + "." + effect.parameters[amplitude].name;
-      for (size_t i = 0; i < best.free.size(); ++i) {
-        if (best.free[i].path != path) continue;
-        const int k = static_cast<int>(i);
-        if (largest < 0 || std::abs(best.x[k]) > std::abs(best.x[largest])) largest = k;
-      }
-    }
-    if (largest < 0) return "";
-    const std::vector<double> std = StandardDeviations(problem_, model.fit, fit_windows_);
-    const double size = best.free[largest].inverse ? best.free[largest].ToValue(best.x[largest])
-                                                   : best.free[largest].scale * best.x[largest];
-    if (std::abs(size) < kMinSigmas * std[largest])
-      return absl::StrFormat("%s is %.3g +- %.2g", best.free[largest].path, size, std[largest]);
-    if (model.fit.at_bound[largest]) return absl::StrCat(best.free[largest].path, " is on a bound");
-    double low = best.x[largest], high = low;
-    for (const Eigen::VectorXd& x : model.cv.x) {
-      low = std::min(low, x[largest]);
-      high = std::max(high, x[largest]);
-    }
-    if (low * high < 0 || high - low > 2 * kMaxSpread * std::abs(best.x[largest]))
-      return absl::StrFormat("%s differs over the folds, %.3g to %.3g", best.free[largest].path,
-                             best.free[largest].ToValue(low), best.free[largest].ToValue(high));
-    return "";
   }
 
   void NoteNotTestable(Trace& trace) const {
@@ -350,7 +324,7 @@ class Search {
   TracedModel Trim(TracedModel model, const TracedModel& declared) {
     for (size_t i = 0; model.added.size() > 1 && i < model.added.size();) {
       TracedModel without = Without(model, i);
-      if (without.cv.Rms() < (1 + kMinCvGain) * model.cv.Rms()) {
+      if (without.cv.Rms() < (1 + Acceptance::kMinCvGain) * model.cv.Rms()) {
         model = std::move(without);
         i = 0;
       } else {
@@ -472,6 +446,7 @@ class Search {
   const WindowSet fit_windows_;
   std::vector<WindowSet> folds_;
   double floor_ = 0;
+  std::optional<Acceptance> acceptance_;
   std::map<std::string, TracedModel> known_;  // by KeyOf
 };
 

@@ -44,7 +44,8 @@ struct Trace {
 // residual than any of the library does by chance (p <= 0.01, null distribution of this round), a
 // refit lowers the cross-validated error by 2 % and the BIC by 10, most folds gain, and its size
 // agrees over the folds and lies within its bounds. Then earlier effects are tested again, and
-// every effect against its rivals.
+// every effect against its rivals. Where no single effect is accepted, pairs are tried in the same
+// way.
 Trace TraceJoint(const JointProblem& problem, const Hypothesis& declared,
                  const SignalScales& scales, const std::vector<int>& other_joints, Folds folds,
                  const TraceOptions& options);

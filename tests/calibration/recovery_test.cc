@@ -51,8 +51,7 @@ TEST_P(EffectRecovery, FitFindsTheTrueParametersInDataOfAnIndependentIntegrator)
   const generator::HiddenEffect& truth = machine->truth.effects.front();
   const int joint = truth.joint;
   JointProblem problem = rig->Problem(joint);
-  const WindowSet fit = rig->Windows(problem, LogRole::kFit),
-                  held_out = rig->Windows(problem, LogRole::kHeldOut);
+  const WindowSet fit = problem.OfRole(LogRole::kFit), held_out = problem.OfRole(LogRole::kHeldOut);
   const auto declared = rig->Declared(joint);
   ASSERT_TRUE(declared.ok()) << declared.status();
   problem.LinearizeStarts(declared->model);

@@ -14,17 +14,12 @@ namespace robostress::calibration {
 struct LoadedRig {
   Rig rig;
   std::unique_ptr<Plant> plant;
-  std::vector<std::unique_ptr<MeasuredLog>> logs;  // in the order of the rig
+  std::vector<MeasuredLog> logs;  // in the order of the rig
 
   JointProblem Problem(int joint) const;
-  // Windows of `problem` in logs of this role.
-  WindowSet Windows(const JointProblem& problem, LogRole role) const;
   // The declared model with its `fit` lists free.
   absl::StatusOr<Hypothesis> Declared(int joint) const;
   SignalScales Scales(int joint) const;
-
- private:
-  std::vector<JointTrack> JointTracks(int joint) const;
 };
 
 absl::StatusOr<LoadedRig> LoadRig(const std::string& file);
