@@ -7,15 +7,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/strings/str_join.h"
-#include "calibration/scenario_output.h"
 #include "calibration/sim_recordings.h"
 #include "common/atomic_file.h"
-#include "common/joint_errors/effects/effect_library.h"
-#include "common/program_folder.h"
 #include "common/status_macros.h"
 #include "eval/merged_sweep.h"
-#include "eval/process.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -29,8 +24,6 @@ using Json = nlohmann::ordered_json;
 constexpr char kCommand[] = "close-loop";
 constexpr int kDevSplit = 40;  // first initial state
 
-std::string JointName(int joint) { return absl::StrCat("J", joint + 1); }
-
 class Circle {
  public:
   explicit Circle(const CloseLoopOptions& options) : options_(options) {}
@@ -42,7 +35,6 @@ class Circle {
     RS_RETURN_IF_ERROR(Record());
     RS_RETURN_IF_ERROR(MakeRig());
     RS_RETURN_IF_ERROR(Calibrate());
-    RS_RETURN_IF_ERROR(MakeScenarioFile());
     RS_RETURN_IF_ERROR(Replay());
     RS_RETURN_IF_ERROR(Evaluate());
     RS_RETURN_IF_ERROR(WriteFileAtomically(Out("summary.json"), Summary().dump(2) + "\n"));
@@ -125,69 +117,19 @@ class Circle {
     return absl::OkStatus();
   }
 
-  absl::Status Calibrate() const {
-    if (fs::exists(Out("calibration/report.json"))) return absl::OkStatus();
-    RS_ASSIGN_OR_RETURN(const std::string program, FindProgram("calibrate"));
-    std::fprintf(stderr, "%s: calibrating, progress in %s\n", kCommand,
-                 Out("calibration.log").c_str());
-    RS_ASSIGN_OR_RETURN(
-        ChildProcess child,
-        ChildProcess::Start(
-            {program, "--rig", Out("rig/rig.yaml"), "--out", Out("calibration"), "--surrogates",
-             absl::StrCat(options_.surrogates), "--seed", absl::StrCat(options_.seed)},
-            {{"OMP_NUM_THREADS", "1"}, {"OPENBLAS_NUM_THREADS", "1"}}, Out("calibration.log")));
-    const ExitState exit = child.WaitForEnd();
-    if (exit.code == 0) return absl::OkStatus();
-    return absl::InternalError(absl::StrCat("robostress calibrate ended with ", exit.text, ":\n",
-                                            LastLines(Out("calibration.log"), 15)));
-  }
-
-  absl::Status MakeScenarioFile() {
+  absl::Status Calibrate() {
+    RS_RETURN_IF_ERROR(RunCalibration(Out("rig/rig.yaml"), Out("calibration"),
+                                      Out("calibration.log"), options_.surrogates, options_.seed));
+    RS_ASSIGN_OR_RETURN(result_.found, ReadFoundEffects(Out("rig/rig.yaml"), Out("calibration"),
+                                                        Out("found.yaml")));
     RS_ASSIGN_OR_RETURN(const calibration::Rig declared, calibration::ReadRig(Out("rig/rig.yaml")));
-    RS_ASSIGN_OR_RETURN(const calibration::Rig after,
-                        calibration::ReadRig(Out("calibration/rig_after.yaml")));
-    RS_RETURN_IF_ERROR(ReadVerdicts());
     for (const calibration::RigLog& log : declared.logs) {
       if (log.role != calibration::LogRole::kFit) unseen_.insert(log.condition);
     }
-    RS_ASSIGN_OR_RETURN(const calibration::JointMap map,
-                        calibration::ParseJointMap({"own"}, declared));
-    const auto output = calibration::ScenarioOfRig(declared, after, map, "Found");
-    if (absl::IsFailedPrecondition(output.status())) {
-      result_.notes.push_back(std::string(output.status().message()));
-      return absl::OkStatus();
-    }
-    RS_RETURN_IF_ERROR(output.status());
-    result_.notes = output->notes;
-    for (const ScenarioEffect& effect : output->scenario.effects) {
-      FoundEffect found{effect.joint, effect.type, "", effect.values, {}};
-      const auto joint = verdicts_.find(absl::StrCat("robot0_joint", effect.joint + 1));
-      if (joint != verdicts_.end()) {
-        found.verdict = joint->second.value("verdict", "");
-        for (const auto& added : joint->second.value("effects_added", nlohmann::json::array())) {
-          if (added.value("type", "") != effect.type) continue;
-          for (const auto& rival : added.value("ambiguous_with", nlohmann::json::array()))
-            found.ambiguous_with.push_back(rival.get<std::string>());
-        }
-      }
-      result_.found.push_back(std::move(found));
-    }
-    return WriteFileAtomically(Out("found.yaml"), WriteScenarioFile(output->scenario));
-  }
-
-  // The report per joint, by name.
-  absl::Status ReadVerdicts() {
-    const std::string file = Out("calibration/report.json");
-    RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
-    const nlohmann::json report = nlohmann::json::parse(text, nullptr, false);
-    if (!report.is_object()) return absl::DataLossError(absl::StrCat(file, ": is no JSON object"));
-    result_.verdict = report.value("verdict", "");
-    for (const auto& joint : report.value("joints", nlohmann::json::array()))
-      verdicts_[joint.value("joint", "")] = joint;
     return absl::OkStatus();
   }
 
-  std::string Found() const { return result_.found.empty() ? "clean" : Out("found.yaml"); }
+  std::string Found() const { return result_.found.effects.empty() ? "clean" : Out("found.yaml"); }
 
   absl::Status Replay() {
     std::vector<JointLog> unseen;
@@ -205,7 +147,7 @@ class Circle {
   absl::Status Evaluate() {
     SweepGrid grid;
     grid.scenarios = {"clean", options_.hidden};
-    if (!result_.found.empty()) grid.scenarios.push_back(Found());
+    if (!result_.found.effects.empty()) grid.scenarios.push_back(Found());
     grid.policies = {options_.policy};
     grid.episodes = options_.evaluated_episodes;
     RS_ASSIGN_OR_RETURN(const MergedSweep merged, RunTasks("evaluation", grid, false));
@@ -219,7 +161,7 @@ class Circle {
         ++rate.episodes;
       }
     }
-    if (result_.found.empty()) result_.under_found = result_.clean;
+    if (result_.found.effects.empty()) result_.under_found = result_.clean;
     return absl::OkStatus();
   }
 
@@ -229,29 +171,18 @@ class Circle {
     };
     return {{"free_motion", error(comparison.free_motion)}, {"whole", error(comparison.whole)}};
   }
-  static Json EffectJson(int joint, const std::string& type, const std::vector<double>& values) {
-    Json json = {{"joint", JointName(joint)}, {"type", type}};
-    const auto info = FindEffect(type);
-    for (size_t i = 0; info.ok() && i < values.size(); ++i)
-      json["parameters"][(*info)->parameters[i].name] = values[i];
-    return json;
-  }
   Json Summary() const {
-    Json json = {{"verdict", result_.verdict},
+    Json json = {{"verdict", result_.found.verdict},
                  {"recorded_episodes", result_.rig.episodes},
                  {"free_motion_s", result_.rig.seconds},
                  {"left_out_s", result_.rig.seconds_left_out},
                  {"hidden", Json::array()},
                  {"found", Json::array()},
-                 {"notes", result_.notes}};
+                 {"notes", result_.found.notes}};
     for (const ScenarioEffect& effect : result_.hidden)
       json["hidden"].push_back(EffectJson(effect.joint, effect.type, effect.values));
-    for (const FoundEffect& effect : result_.found) {
-      Json found = EffectJson(effect.joint, effect.type, effect.values);
-      found["verdict"] = effect.verdict;
-      found["ambiguous_with"] = effect.ambiguous_with;
-      json["found"].push_back(std::move(found));
-    }
+    for (const FoundEffect& effect : result_.found.effects)
+      json["found"].push_back(EffectJson(effect));
     json["replay"] = {{"episodes", result_.replayed_episodes},
                       {"before", ReplayJson(result_.replay_before)},
                       {"after", ReplayJson(result_.replay_after)}};
@@ -268,20 +199,9 @@ class Circle {
   const CloseLoopOptions& options_;
   CloseLoopResult result_;
   std::map<std::string, JointLog> logs_;  // by episode
-  std::map<std::string, nlohmann::json> verdicts_;
-  std::set<std::string> unseen_;  // episodes that were not fitted
+  std::set<std::string> unseen_;          // episodes that were not fitted
   double contact_limit_N_ = 0;
 };
-
-std::string Values(const std::string& type, const std::vector<double>& values) {
-  std::vector<std::string> texts;
-  const auto info = FindEffect(type);
-  for (size_t i = 0; info.ok() && i < values.size(); ++i) {
-    const EffectParameter& parameter = (*info)->parameters[i];
-    texts.push_back(absl::StrFormat("%s %.4g %s", parameter.name, values[i], parameter.unit));
-  }
-  return absl::StrJoin(texts, ", ");
-}
 
 }  // namespace
 
@@ -293,17 +213,12 @@ absl::StatusOr<CloseLoopResult> CloseLoop(const CloseLoopOptions& options) {
 std::string CloseLoopTable(const CloseLoopResult& r) {
   std::string text = absl::StrFormat(
       "recorded %d episodes, %.1f s of free motion (%.1f s near contacts left out); verdict %s\n",
-      r.rig.episodes, r.rig.seconds, r.rig.seconds_left_out, r.verdict);
+      r.rig.episodes, r.rig.seconds, r.rig.seconds_left_out, r.found.verdict);
   for (const ScenarioEffect& effect : r.hidden)
     absl::StrAppendFormat(&text, "  hidden  %s  %-28s %s\n", JointName(effect.joint), effect.type,
-                          Values(effect.type, effect.values));
-  for (const FoundEffect& effect : r.found) {
-    absl::StrAppendFormat(
-        &text, "  found   %s  %-28s %s  (%s%s)\n", JointName(effect.joint), effect.type,
-        Values(effect.type, effect.values), effect.verdict,
-        effect.ambiguous_with.empty() ? "" : ", or " + absl::StrJoin(effect.ambiguous_with, ", "));
-  }
-  for (const std::string& note : r.notes) absl::StrAppend(&text, "  note    ", note, "\n");
+                          EffectValues(effect.type, effect.values));
+  for (const FoundEffect& effect : r.found.effects) absl::StrAppend(&text, EffectLine(effect));
+  for (const std::string& note : r.found.notes) absl::StrAppend(&text, "  note    ", note, "\n");
   absl::StrAppendFormat(&text,
                         "\nrecorded actions played again, %d unseen episodes, rms      before      "
                         "after\n",

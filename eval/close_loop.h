@@ -8,6 +8,7 @@
 #include "calibration/recorded_rig.h"
 #include "calibration/replay_comparison.h"
 #include "common/joint_errors/scenario_file.h"
+#include "eval/found_effects.h"
 
 namespace robostress {
 
@@ -27,22 +28,14 @@ struct CloseLoopOptions {
   uint64_t seed = 0;  // of encoder noise and surrogates
 };
 
-struct FoundEffect {
-  int joint = 0;  // 0: J1
-  std::string type, verdict;
-  std::vector<double> values;
-  std::vector<std::string> ambiguous_with;
-};
 struct SuccessRate {
   int successes = 0, episodes = 0;
 };
 
 struct CloseLoopResult {
   calibration::RecordedRigSummary rig;
-  std::string verdict;
   std::vector<ScenarioEffect> hidden;
-  std::vector<FoundEffect> found;
-  std::vector<std::string> notes;
+  FoundEffects found;
   // Of episodes that were not fitted (held out and transfer).
   calibration::ReplayComparison replay_before, replay_after;
   int replayed_episodes = 0;

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "eval/close_loop.h"
+#include "eval/close_piper_loop.h"
 #include "eval/merged_sweep.h"
 #include "eval/plan.h"
 
@@ -13,10 +14,13 @@ namespace {
 constexpr char kExamples[] = R"(
 Example
   robostress close-loop --hidden worn.yaml --out runs/circle
+  robostress close-loop --hidden worn.yaml --arm piper --out runs/piper_circle
 
 Records the expert under the hidden scenario, turns the joint logs into a rig that declares none of it, calibrates,
 writes what was found as a scenario, plays the recorded actions of unseen episodes again without and with it, and
 evaluates a policy under Clean, the hidden and the found scenario. The same command goes on where it was stopped.
+With --arm piper an emulated Piper makes reaches, its client's recording is calibrated, and arms without and with what
+was found are given the same targets; suite, tasks, policy, severity and rates are of the Panda only.
 `robostress scenarios --effects` lists what a scenario file may hold.
 
 Exit code: 0 the circle is complete, whatever was found; 1 a step failed; 2 the command is wrong.
@@ -32,6 +36,10 @@ int main(int argc, char** argv) {
   std::string tasks;
   app.add_option("--hidden", options.hidden, "Scenario file with the effects to hide")->required();
   app.add_option("--out", options.out, "Directory to write")->required();
+  std::string arm = "panda";
+  app.add_option("--arm", arm, "panda (simulated, in a suite) or piper (emulated, on its bus)")
+      ->check(CLI::IsMember({"panda", "piper"}))
+      ->capture_default_str();
   app.add_option("--suite", options.suite, "See `robostress suites`")->capture_default_str();
   app.add_option("--tasks", tasks, "Task indices (default 0,1,3); the last is the transfer regime");
   app.add_option("--episodes", options.episodes, "Recorded of each task, from the dev split")
@@ -58,6 +66,14 @@ int main(int argc, char** argv) {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
+  }
+  if (arm == "piper") {
+    const auto piper = robostress::ClosePiperLoop(
+        {options.hidden, options.out, options.episodes, options.surrogates, options.seed});
+    if (!piper.ok()) return robostress::FailCommand("close-loop", piper.status());
+    std::fputs(robostress::ClosePiperLoopTable(*piper).c_str(), stdout);
+    std::printf("%s/summary.json\n", options.out.c_str());
+    return 0;
   }
   if (!tasks.empty()) {
     const auto parsed = robostress::ParseTasks(tasks);

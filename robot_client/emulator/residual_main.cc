@@ -12,6 +12,7 @@
 #include "robot_client/can/in_process_bus.h"
 #include "robot_client/emulator/piper_emulator.h"
 #include "robot_client/piper/piper_arm.h"
+#include "robot_client/recorder.h"
 
 namespace robostress::piper {
 namespace {
@@ -27,6 +28,7 @@ struct CommandLine {
   double motion_s = 3;
   bool motor_encoders = false;
   int episodes = 25, motions = 8;
+  std::string record;  // directory
 };
 
 // Residual and action of one episode:
@@ -79,7 +81,9 @@ ArmCommand ToCommand(const JointVector& q) {
 
 class Bench {
  public:
-  static absl::StatusOr<std::unique_ptr<Bench>> Create(const EmulatorOptions& options) {
+  // Records every tick and sample to `directory`, if there is one.
+  static absl::StatusOr<std::unique_ptr<Bench>> Create(const EmulatorOptions& options,
+                                                       const std::string& directory) {
     auto bench = std::make_unique<Bench>();
     RS_ASSIGN_OR_RETURN(bench->emulator_,
                         PiperEmulator::Create(options, bench->bus_.Attach(), bench->time_));
@@ -87,12 +91,20 @@ class Bench {
     bench->arm_ = std::make_unique<PiperArm>(bench->bus_.Attach(), bench->time_);
     RS_RETURN_IF_ERROR(bench->arm_->Connect());
     RS_RETURN_IF_ERROR(bench->arm_->Enable());
+    if (!directory.empty()) {
+      RS_ASSIGN_OR_RETURN(bench->recorder_, Recorder::Create(directory));
+      bench->arm_->AddSampleReader(&bench->recorder_->samples());
+    }
     return bench;
   }
+  absl::Status Finish() { return recorder_ == nullptr ? absl::OkStatus() : recorder_->Finish(); }
 
   absl::StatusOr<Episode> Run(int episode, const CommandLine& line) {
     Motion motion(episode, line.motion_s);
+    record_.state = ClientState::kEnabled;
+    record_.episode = episode;
     for (int tick = 0; tick < 4 * kRate; ++tick) RS_RETURN_IF_ERROR(Tick(motion.At(0)));
+    record_.state = ClientState::kRun;
     Episode result;
     int step = 0;
     for (int i = 0; i < line.motions; ++i, motion.Next()) {
@@ -113,15 +125,35 @@ class Bench {
 
  private:
   absl::Status Tick(const JointVector& target) {
-    RS_RETURN_IF_ERROR(arm_->Send(ToCommand(target)));
+    const ArmCommand command = ToCommand(target);
+    if (recorder_ != nullptr) RS_RETURN_IF_ERROR(Record(command.position));
+    RS_RETURN_IF_ERROR(arm_->Send(command));
     next_ns_ = std::max(next_ns_, time_.now_ns()) + 1'000'000'000 / kRate;
     time_.SleepUntil(next_ns_);
     arm_->Poll();
     return absl::OkStatus();
   }
 
+  absl::Status Record(const ArmVector& target) {
+    const ArmSnapshot measured = arm_->Latest();
+    record_.start_ns = record_.due_ns = record_.sent_ns = time_.now_ns();
+    record_.flags = kTickPlayed | kTickSent;
+    record_.policy = record_.requested = record_.blended = record_.corrected = record_.sent =
+        target;
+    record_.position = measured.position;
+    record_.velocity = measured.velocity;
+    record_.effort = measured.effort;
+    record_.stamp_ns = measured.stamp_ns;
+    record_.sequence = measured.sequence;
+    recorder_->ring().Push(record_);
+    ++record_.tick;
+    return recorder_->Drain();
+  }
+
   EmulatedTime time_;
   InProcessBus bus_{time_};
+  std::unique_ptr<Recorder> recorder_;
+  TickRecord record_;
   std::unique_ptr<PiperEmulator> emulator_;
   std::unique_ptr<PiperArm> arm_;
   ArmVector chunk_start_{};
@@ -141,7 +173,7 @@ absl::Status Run(const CommandLine& line) {
       options.motor_encoders = line.motor_encoders;
       options.command_lag_s = line.command_lag_ms < 0 ? -1 : line.command_lag_ms / 1000;
       double sum = 0, rms = 0, lowest = HUGE_VAL, highest = 0;
-      RS_ASSIGN_OR_RETURN(const auto bench, Bench::Create(options));
+      RS_ASSIGN_OR_RETURN(const auto bench, Bench::Create(options, line.record));
       for (int episode = 0; episode < line.episodes; ++episode) {
         RS_ASSIGN_OR_RETURN(const Episode result, bench->Run(episode, line));
         sum += result.ratio();
@@ -149,6 +181,7 @@ absl::Status Run(const CommandLine& line) {
         lowest = std::min(lowest, result.ratio());
         highest = std::max(highest, result.ratio());
       }
+      RS_RETURN_IF_ERROR(bench->Finish());
       std::printf("| %s | %g | %.1f %% | %.1f to %.1f %% | %.1f |\n", profile.c_str(), payload_kg,
                   100 * sum / line.episodes, 100 * lowest, 100 * highest,
                   1000 * rms / line.episodes);
@@ -168,7 +201,8 @@ int main(int argc, char** argv) {
   app.footer(
       "\nExamples\n"
       "  piper_residual\n"
-      "  piper_residual --payload-kg 0,1 --command-lag-ms 30\n\n"
+      "  piper_residual --payload-kg 0,1 --command-lag-ms 30\n"
+      "  piper_residual --profile worn.yaml --episodes 3 --record runs/worn\n\n"
       "The residual of an episode is |q(t+1) - target(t)| over |target(t) - q(start of chunk)|, "
       "both\n"
       "over all executed steps and the six joints, 30 Hz, 10 steps per chunk.\n");
@@ -187,7 +221,14 @@ int main(int argc, char** argv) {
   app.add_option("--episodes", line.episodes, "Per row")
       ->check(CLI::Range(1, 1000))
       ->capture_default_str();
+  app.add_option("--record", line.record,
+                 "Directory for ticks.csv and samples.csv, as robot_client leaves them; with one "
+                 "profile and one payload");
   CLI11_PARSE(app, argc, argv);
+  if (!line.record.empty() && line.profiles.size() * line.payloads_kg.size() != 1) {
+    std::fprintf(stderr, "piper_residual: --record takes one profile and one payload\n");
+    return 2;
+  }
   if (const absl::Status status = robostress::piper::Run(line); !status.ok()) {
     std::fprintf(stderr, "piper_residual: %s\n",
                  status.message().empty() ? status.ToString().c_str()

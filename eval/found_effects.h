@@ -1,0 +1,45 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "nlohmann/json_fwd.hpp"
+
+namespace robostress {
+
+// An effect that calibration added to a joint of an arm.
+struct FoundEffect {
+  int joint = 0;  // 0: J1
+  std::string type, verdict;
+  std::vector<double> values;
+  std::vector<std::string> ambiguous_with;
+};
+
+struct FoundEffects {
+  std::string verdict;  // of the rig
+  std::vector<FoundEffect> effects;
+  std::vector<std::string> notes;
+};
+
+// Runs `robostress calibrate` on a rig unless `out` holds its report; progress goes to `log`.
+absl::Status RunCalibration(const std::string& rig_file, const std::string& out,
+                            const std::string& log, int surrogates, uint64_t seed);
+
+// What the calibration in `folder` added to the rig, mapped to the arm's own joints, and as a
+// scenario in `scenario_file`, which is written only where something was added.
+absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
+                                              const std::string& folder,
+                                              const std::string& scenario_file);
+
+std::string JointName(int joint);  // 0: "J1"
+// {"joint", "type", "parameters": {...}}
+nlohmann::ordered_json EffectJson(int joint, const std::string& type,
+                                  const std::vector<double>& values);
+nlohmann::ordered_json EffectJson(const FoundEffect& effect);
+// "B 0.01 rad", for people.
+std::string EffectValues(const std::string& type, const std::vector<double>& values);
+std::string EffectLine(const FoundEffect& effect);
+
+}  // namespace robostress
