@@ -71,7 +71,7 @@ class JointCalibration {
     RS_ASSIGN_OR_RETURN(Hypothesis declared,
                         DeclaredHypothesis(joint_, model, scales, MeanInertia(tracks_)));
     problem_.LinearizeStarts(model);
-    declared = MinimiseDeclared(problem_, declared, problem_.OfRole(LogRole::kFit)).best;
+    declared = MinimiseFriction(problem_, declared, problem_.OfRole(LogRole::kFit)).best;
     problem_.LinearizeStarts(ModelAt(declared, declared.x));
     std::vector<int> others;
     for (int i = 0; i < static_cast<int>(rig_.joints.size()); ++i)

@@ -112,7 +112,7 @@ JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>&
   return Minimise(problem, best.best, chosen, 12, kSearchTolerance);
 }
 
-JointFit MinimiseDeclared(const JointProblem& problem, const Hypothesis& h,
+JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,
                           const WindowSet& chosen) {
   JointFit best = Minimise(problem, h, chosen);
   const auto index_of = [&](const std::string& name) {

@@ -21,9 +21,9 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
 // needs.
 JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>& starts,
                      const WindowSet& chosen);
-// Of a declared model: from h.x, and where the rig lets Stribeck's vs or Fs free also from several
-// speeds with Fs above Fc, because nothing leads back from Fs below Fc.
-JointFit MinimiseDeclared(const JointProblem& problem, const Hypothesis& h,
+// From h.x, and where Stribeck's vs or Fs are free also from several speeds with Fs above Fc,
+// because nothing leads back from Fs below Fc.
+JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,
                           const WindowSet& chosen);
 
 // Rows that count as one observation, from a residual's autocorrelation.

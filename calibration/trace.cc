@@ -132,7 +132,7 @@ class Search {
     // Nothing that could lower the error by as little as acceptance asks for.
     const bool within_noise = acceptance_->Excess(base) <= 0;
     const bool hopeless = contenders.empty() || report.cv_error <= 1e-12 || within_noise;
-    const int refits = hopeless ? 0 : CountFinalists(contenders);
+    const int refits = hopeless ? 0 : ChooseFinalists(contenders, screening);
     options_.progress(absl::StrFormat(
         "%s: error %.3g, %.2f times the floor; %d candidates screened, %d refitted",
         base.added.empty() ? "declared model" : "with " + KeyOf(base.added), report.cv_error,
@@ -158,12 +158,14 @@ class Search {
         if (line.accepted) next.push_back(model);
         if (!model.cv.energy.empty()) known_[KeyOf(model.added)] = std::move(model);
       } else {
-        line.reason = contenders[i].surviving < kNotTestable
-                          ? "the declared parameters imitate it on this data"
-                      : within_noise ? "the error is within the noise, nothing is left to explain"
-                                     : absl::StrFormat(
-                                           "explains %.1f %% of the residual, chance up to %.1f %%",
-                                           100 * contenders[i].gain, 100 * report.null_99);
+        line.reason =
+            contenders[i].surviving < kNotTestable
+                ? "the declared parameters imitate it on this data"
+            : within_noise ? "the error is within the noise, nothing is left to explain"
+            : contenders[i].p <= Acceptance::kMaxPValue
+                ? "others explain more of the residual"
+                : absl::StrFormat("explains %.1f %% of the residual, chance up to %.1f %%",
+                                  100 * contenders[i].gain, 100 * report.null_99);
       }
       report.candidates.push_back(std::move(line));
     }
@@ -250,8 +252,10 @@ class Search {
     return contenders;
   }
 
-  // Finalists: what beats its own chance, of what could matter beside the best.
-  int CountFinalists(const std::vector<Contender>& contenders) const {
+  // Finalists, moved to the front: what beats its own chance, of what could matter beside the best;
+  // and dry friction that beats the library's, because a small friction, of which a signature is
+  // made, lets a joint creep that a large one holds.
+  int ChooseFinalists(std::vector<Contender>& contenders, const Screening& screening) const {
     int count = 0;
     const double best = contenders.front().gain;
     for (const Contender& contender : contenders) {
@@ -261,7 +265,14 @@ class Search {
         break;
       ++count;
     }
-    return count;
+    const auto sticks = [&](const Contender& contender) {
+      static const std::set<std::string> types = {"stribeck_friction", "presliding_hysteresis",
+                                                  "load_dependent_friction"};
+      return contender.p <= Acceptance::kMaxPValue &&
+             types.count(NameOf(screening.candidates()[contender.candidate])) > 0;
+    };
+    const auto rest = std::stable_partition(contenders.begin() + count, contenders.end(), sticks);
+    return static_cast<int>(rest - contenders.begin());
   }
 
   TracedModel Refit(const TracedModel& base, const Screening& screening,
@@ -274,6 +285,8 @@ class Search {
     TracedModel model = base;
     model.added.push_back(NameOf(screening.candidates()[contender.candidate]));
     model.fit = MinimiseAll(problem_, starts, fit_windows_);
+    if (model.added.back() == "stribeck_friction")
+      model.fit = MinimiseFriction(problem_, model.fit.best, fit_windows_);
     model.cv = {};
     return model;
   }
