@@ -84,8 +84,8 @@ class Builder : public msgpack::null_visitor {
   }
   bool end_map() {
     OpenpiValue* map = open_.back().value;
-    if (absl::Status made = NumpyOf(*map); !made.ok()) return Refuse(std::string(made.message()));
     open_.pop_back();
+    if (absl::Status made = NumpyOf(*map); !made.ok()) return Refuse(std::string(made.message()));
     return true;
   }
   void parse_error(size_t, size_t at) { Broken(absl::StrCat("no msgpack at byte ", at)); }

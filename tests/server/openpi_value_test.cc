@@ -83,8 +83,7 @@ TEST(DecodeOpenpi, NamesTheArrayThatLies) {
   EXPECT_THAT(with("|O", {1}, "12345678"), HasSubstr("image has dtype '|O'"));
   EXPECT_THAT(with(">f4", {1}, "1234"), HasSubstr("little-endian"));
   EXPECT_THAT(with("<c8", {1}, "12345678"), HasSubstr("dtype '<c8'"));
-  EXPECT_THAT(with("<f8", {1 << 30, 1 << 30}, ""), HasSubstr("impossible entry"));
-  EXPECT_THAT(with("<f8", {1 << 20, 1 << 20}, ""), HasSubstr("more than 4 GiB"));
+  EXPECT_THAT(with("<f8", {1 << 30, 1 << 30}, ""), HasSubstr("more than 4 GiB"));
 }
 
 TEST(DecodeOpenpi, RefusesTwoEqualKeysExtensionsAndWhatGrows) {
