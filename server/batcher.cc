@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "common/rpc/refusal.h"
 #include "server/torch_threads.h"
 #include "server/trace.h"
 
@@ -54,8 +55,26 @@ struct Row {
 
 }  // namespace
 
-Batcher::Batcher(const BatcherOptions& options, UpdatePacer* pacer)
-    : options_(options), pacer_(pacer), queue_(options.queue) {
+Batcher::Shown::Shown(Metrics* metrics) {
+  if (metrics == nullptr) return;
+  const auto refused = [metrics](const char* reason) {
+    return metrics->AddCounter("robostress_predictions_refused_total",
+                               "Predictions that were not computed, by reason.",
+                               {{"reason", reason}});
+  };
+  batch_size = metrics->AddHistogram("robostress_batch_size", "Predictions computed in one pass.",
+                                     CountBounds());
+  waiting = metrics->AddGauge("robostress_predictions_waiting",
+                              "Predictions that wait for a place in a batch.");
+  predictions = metrics->AddCounter("robostress_predictions_total", "Predictions computed.");
+  overloaded = refused("overload");
+  late = refused("deadline");
+  replaced = refused("replaced");
+  cancelled = refused("cancelled");
+}
+
+Batcher::Batcher(const BatcherOptions& options, UpdatePacer* pacer, Metrics* metrics)
+    : options_(options), pacer_(pacer), shown_(metrics), queue_(options.queue) {
   for (int i = 0; i < options.threads; ++i) threads_.emplace_back([this, i] { Run(i); });
 }
 
@@ -87,10 +106,15 @@ Batcher::Counters Batcher::counters() const {
 }
 
 void Batcher::Finish(Pending& pending, absl::Status status) {
-  if (absl::IsResourceExhausted(status)) ++counters_.overloaded;
-  if (absl::IsDeadlineExceeded(status)) ++counters_.late;
-  if (absl::IsAborted(status)) ++counters_.replaced;
-  if (absl::IsCancelled(status)) ++counters_.cancelled;
+  const auto count = [](uint64_t& own, const std::shared_ptr<Counter>& shown) {
+    ++own;
+    if (shown != nullptr) shown->Add();
+  };
+  if (absl::IsResourceExhausted(status)) count(counters_.overloaded, shown_.overloaded);
+  if (absl::IsDeadlineExceeded(status)) count(counters_.late, shown_.late);
+  if (absl::IsAborted(status)) count(counters_.replaced, shown_.replaced);
+  if (absl::IsCancelled(status)) count(counters_.cancelled, shown_.cancelled);
+  if (shown_.waiting != nullptr) shown_.waiting->Set(queue_.size());
   pending.status = std::move(status);
   pending.done = true;
   pending.answered.notify_one();
@@ -123,6 +147,7 @@ absl::StatusOr<SampledPrediction> Batcher::Predict(const PredictionJob& job) {
       Finish(*pending, absl::CancelledError("the server stops"));
     } else {
       Answer(queue_.Push(pending, RetryAfterNow()));
+      if (shown_.waiting != nullptr) shown_.waiting->Set(queue_.size());
       work_.notify_one();
     }
     while (!pending->done) {
@@ -133,9 +158,9 @@ absl::StatusOr<SampledPrediction> Batcher::Predict(const PredictionJob& job) {
       if (job.cancelled && job.cancelled() && queue_.Remove(pending.get())) {
         Finish(*pending, absl::CancelledError("the client gave the prediction up"));
       } else if (SteadyClock::now() >= pending->deadline && queue_.Remove(pending.get())) {
-        Finish(*pending, absl::DeadlineExceededError(absl::StrCat(
+        Finish(*pending, Refusal(absl::DeadlineExceededError(absl::StrCat(
                              "the observation waited its ", absl::FormatDuration(job.deadline),
-                             " for a place in a batch; ", queue_.size(), " others wait")));
+                             " for a place in a batch; ", queue_.size(), " others wait"))));
       }
     }
   }
@@ -185,6 +210,10 @@ void Batcher::Run(int index) {
     UpdateAverage(Seconds(end - begin) / size, prediction_seconds_);
     ++counters_.batches;
     counters_.predictions += batch.size();
+    if (shown_.batch_size != nullptr) {
+      shown_.batch_size->Observe(size);
+      shown_.predictions->Add(size);
+    }
     for (const auto& pending : batch) {
       pending->result.queued = absl::FromChrono(begin - pending->arrival);
       pending->result.computed = absl::FromChrono(end - begin);

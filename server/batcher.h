@@ -10,6 +10,7 @@
 
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
+#include "server/metrics.h"
 #include "server/policy.h"
 #include "server/request_queue.h"
 #include "server/update_pacer.h"
@@ -65,8 +66,9 @@ class Batcher {
     int waiting = 0;                                                 // now
   };
 
-  // `pacer` may be null; it must outlive this.
-  explicit Batcher(const BatcherOptions& options, UpdatePacer* pacer = nullptr);
+  // `pacer` and `metrics` may be null; they must outlive this.
+  explicit Batcher(const BatcherOptions& options, UpdatePacer* pacer = nullptr,
+                   Metrics* metrics = nullptr);
   ~Batcher() { Stop(); }
 
   // Any thread; waits for the answer. RESOURCE_EXHAUSTED with RetryAfter: overload;
@@ -83,6 +85,13 @@ class Batcher {
 
  private:
   struct Pending;
+  // What Prometheus sees of it; all null without metrics.
+  struct Shown {
+    explicit Shown(Metrics* metrics);
+    std::shared_ptr<Histogram> batch_size;
+    std::shared_ptr<Gauge> waiting;
+    std::shared_ptr<Counter> predictions, overloaded, late, replaced, cancelled;
+  };
   using Batch = std::vector<std::shared_ptr<Pending>>;
 
   void Run(int index);
@@ -95,6 +104,7 @@ class Batcher {
 
   const BatcherOptions options_;
   UpdatePacer* const pacer_;
+  const Shown shown_;
   // std: its timed waits follow the monotonic clock, absl's the time of day. Guards what follows.
   mutable std::mutex mu_;
   std::condition_variable work_;

@@ -16,11 +16,42 @@
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/predict_stream.h"
 
 namespace robostress {
 namespace {
 
 constexpr char kVersion[] = "0.1.0";
+
+absl::Status CheckBatching(const PolicyServerOptions& options) {
+  const auto invalid = [](const auto&... parts) {
+    return absl::InvalidArgumentError(absl::StrCat(parts...));
+  };
+  if (options.max_batch < 1 || options.max_batch > 1024)
+    return invalid("--max-batch is ", options.max_batch, ", must be 1..1024");
+  if (options.batch_window < absl::ZeroDuration() || options.batch_window > absl::Seconds(10)) {
+    return invalid("--batch-window-ms is ", absl::ToDoubleMilliseconds(options.batch_window),
+                   ", must be 0..10000");
+  }
+  if (options.queue_capacity < 1 || options.queue_capacity > 1 << 20)
+    return invalid("--queue-capacity is ", options.queue_capacity, ", must be 1..1048576");
+  if (!(options.update_share >= 0.001 && options.update_share <= 1))
+    return invalid("--update-share is ", options.update_share, ", must be 0.001..1");
+  if (options.cores < 0 || options.cores > 1 << 16)
+    return invalid("--cores is ", options.cores, ", must be 0..65536; 0: all of this machine");
+  if (options.update_nice < 0 || options.update_nice > 19)
+    return invalid("--update-nice is ", options.update_nice, ", must be 0..19");
+  return absl::OkStatus();
+}
+
+BatcherOptions BatchingOf(const PolicyServerOptions& options) {
+  BatcherOptions batching;
+  batching.threads = options.threads;
+  batching.max_batch = options.max_batch;
+  batching.window = options.batch_window;
+  batching.queue.capacity = options.queue_capacity;
+  return batching;
+}
 
 }  // namespace
 
@@ -31,8 +62,10 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
           std::vector<std::shared_ptr<const FlowPolicy>> policies)
       : options_(options),
         prefixes_(std::make_shared<PrefixStore>(options.prefix_budget_mib << 20)),
-        adaptation_(options.threads),
-        inference_(options.threads) {
+        pacer_({options.cores, options.update_share}),
+        async_updates_({options.threads, &pacer_, UpdatePacer::Kind::kAsync, options.update_nice}),
+        lockstep_updates_({options.threads, &pacer_, UpdatePacer::Kind::kLockstep, 0}),
+        inference_(BatchingOf(options), &pacer_) {
     for (auto& policy : policies) policies_[policy->spec().name] = std::move(policy);
   }
 
@@ -54,7 +87,11 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     absl::MutexLock lock(&mu_);
     for (auto& [id, entry] : sessions_) entry.session->Cancel();
   }
-  void StopAdaptation() { adaptation_.Stop(); }
+  void StopThreads() {
+    inference_.Stop();
+    async_updates_.Stop();
+    lockstep_updates_.Stop();
+  }
 
   grpc::Status GetServerInfo(grpc::ServerContext*, const v1::GetServerInfoRequest*,
                              v1::GetServerInfoResponse* response) override {
@@ -98,27 +135,13 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   }
 
   grpc::Status Predict(
-      grpc::ServerContext*,
+      grpc::ServerContext* context,
       grpc::ServerReaderWriter<v1::PredictResponse, v1::PredictRequest>* stream) override {
-    v1::PredictRequest request;
-    while (stream->Read(&request)) {
-      v1::PredictResponse response;
-      const grpc::Status status =
-          Serve(request.session_id(), [&](Session& session) -> absl::Status {
-            RS_RETURN_IF_ERROR(CheckIndex("chunk", request.chunk()));
-            RS_ASSIGN_OR_RETURN(const Observation observation, FromProto(request.observation()));
-            RS_ASSIGN_OR_RETURN(const PredictedChunk prediction,
-                                session.Predict(observation, static_cast<int>(request.task()),
-                                                static_cast<int>(request.episode()),
-                                                static_cast<int>(request.chunk()),
-                                                request.last_feedback_sequence()));
-            response = ToProto(prediction, static_cast<int>(request.chunk()));
-            return absl::OkStatus();
-          });
-      if (!status.ok()) return status;
-      if (!stream->Write(response)) break;
-    }
-    return grpc::Status::OK;
+    return ServePredictStream(
+        context, stream,
+        {[this](const std::string& id) { return IsAsync(id); },
+         [this](const v1::PredictRequest& request, const std::function<bool()>& cancelled,
+                v1::PredictResponse& response) { return Predict(request, cancelled, response); }});
   }
 
   grpc::Status Feedback(
@@ -224,7 +247,9 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       ++opening_;
       owner = ++last_session_;
     }
-    const SessionResources resources{policy->second, &adaptation_, &inference_,
+    AdaptationLoop* const updates =
+        spec.mode == ExecutionMode::kAsync ? &async_updates_ : &lockstep_updates_;
+    const SessionResources resources{policy->second, updates, &inference_,
                                      options_.lockstep_timeout, prefixes_};
     absl::StatusOr<std::shared_ptr<Session>> session = Session::Create(spec, resources, owner);
     absl::MutexLock lock(&mu_);
@@ -237,15 +262,45 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     return absl::OkStatus();
   }
 
-  // Runs one message of a session and counts it.
+  bool IsAsync(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_) {
+    absl::MutexLock lock(&mu_);
+    const auto found = sessions_.find(id);
+    return found != sessions_.end() && found->second.session->spec().mode == ExecutionMode::kAsync;
+  }
+
+  absl::Status Predict(const v1::PredictRequest& request, const std::function<bool()>& cancelled,
+                       v1::PredictResponse& response) {
+    return Run(request.session_id(), [&](Session& session) -> absl::Status {
+      RS_RETURN_IF_ERROR(CheckIndex("chunk", request.chunk()));
+      RS_ASSIGN_OR_RETURN(const Observation observation, FromProto(request.observation()));
+      PredictOptions options;
+      RS_ASSIGN_OR_RETURN(options.priority, FromProto(request.priority()));
+      if (request.deadline_ms() > 0) options.deadline = absl::Milliseconds(request.deadline_ms());
+      options.cancelled = cancelled;
+      RS_ASSIGN_OR_RETURN(
+          const PredictedChunk prediction,
+          session.Predict(observation, static_cast<int>(request.task()),
+                          static_cast<int>(request.episode()), static_cast<int>(request.chunk()),
+                          request.last_feedback_sequence(), options));
+      response = ToProto(prediction, static_cast<int>(request.chunk()));
+      return absl::OkStatus();
+    });
+  }
+
   template <class Function>
   grpc::Status Serve(const std::string& id, Function&& function) ABSL_LOCKS_EXCLUDED(mu_) {
+    return ToGrpc(Run(id, function));
+  }
+
+  // Runs one message of a session and counts it.
+  template <class Function>
+  absl::Status Run(const std::string& id, Function&& function) ABSL_LOCKS_EXCLUDED(mu_) {
     std::shared_ptr<Session> session;
     {
       absl::MutexLock lock(&mu_);
-      if (draining_) return ToGrpc(absl::UnavailableError("the server is shutting down"));
+      if (draining_) return absl::UnavailableError("the server is shutting down");
       const auto found = sessions_.find(id);
-      if (found == sessions_.end()) return ToGrpc(UnknownSession(id));
+      if (found == sessions_.end()) return UnknownSession(id);
       session = found->second.session;
       ++found->second.in_flight;
       ++in_flight_;
@@ -257,7 +312,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       --found->second.in_flight;
       found->second.last_used = absl::Now();
     }
-    return ToGrpc(status);
+    return status;
   }
 
   // Closes the session that nobody has used for longest, if that is long enough.
@@ -286,8 +341,9 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   std::map<std::string, std::shared_ptr<const FlowPolicy>>
       policies_;  // by name; fixed after construction
   const std::shared_ptr<PrefixStore> prefixes_;
-  AdaptationLoop adaptation_;
-  std::counting_semaphore<> inference_;
+  UpdatePacer pacer_;
+  AdaptationLoop async_updates_, lockstep_updates_;
+  Batcher inference_;
 
   absl::Mutex mu_;
   bool draining_ ABSL_GUARDED_BY(mu_) = false;
@@ -310,6 +366,7 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
     return absl::InvalidArgumentError(absl::StrCat(
         "--prefix-budget-mib is ", options.prefix_budget_mib, ", must be 0..1073741824"));
   }
+  RS_RETURN_IF_ERROR(CheckBatching(options));
   if (options.max_sessions < 1 || options.max_sessions > 4096) {
     return absl::InvalidArgumentError(
         absl::StrCat("--max-sessions is ", options.max_sessions, ", must be 1..4096"));
@@ -348,7 +405,7 @@ void PolicyServer::Stop(absl::Duration grace) {
   service_->CancelSessions();
   server_->Shutdown(std::chrono::system_clock::now());
   server_->Wait();
-  service_->StopAdaptation();
+  service_->StopThreads();
   server_.reset();
 }
 

@@ -3,7 +3,6 @@
 #include <cstdint>
 #include <map>
 #include <memory>
-#include <semaphore>
 #include <string>
 #include <vector>
 
@@ -23,7 +22,16 @@ namespace robostress {
 
 struct PolicyServerOptions {
   std::string listen = "127.0.0.1:0";  // HOST:PORT; port 0: any free one
-  int threads = 2;  // predictions computed at once, and as many threads for updates
+  int threads = 2;    // batches of predictions computed at once, and as many threads for updates
+  int max_batch = 8;  // predictions of one batch; 1: none is batched
+  absl::Duration batch_window = absl::ZeroDuration();  // BatcherOptions
+  int queue_capacity = 256;  // predictions that wait; more are refused with a time to come back
+  // Updates yield to predictions (server/update_pacer.h): cores that both share, 0: all; the share
+  // of its thread that an update keeps meanwhile; what is added to the nice value of the threads
+  // on which async sessions learn.
+  int cores = 0;
+  double update_share = 0.1;
+  int update_nice = 5;
   int max_sessions = 64;
   // When max_sessions are open, the one unused for longest makes room if it was unused this long:
   // its client was killed, or it has ended without closing.

@@ -3,32 +3,10 @@
 #include <algorithm>
 #include <string>
 
-#include "absl/strings/cord.h"
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "common/rpc/refusal.h"
 
 namespace robostress {
-namespace {
-
-constexpr char kRetryAfter[] = "robostress/retry_after_ms";
-
-}  // namespace
-
-absl::Status OverloadedError(const std::string& message, absl::Duration retry_after) {
-  const int64_t ms = std::max<int64_t>(1, absl::ToInt64Milliseconds(retry_after));
-  absl::Status status =
-      absl::ResourceExhaustedError(absl::StrCat(message, "; come back in ", ms, " ms"));
-  status.SetPayload(kRetryAfter, absl::Cord(absl::StrCat(ms)));
-  return status;
-}
-
-absl::Duration RetryAfter(const absl::Status& status) {
-  const auto payload = status.GetPayload(kRetryAfter);
-  int64_t ms = 0;
-  if (!payload || !absl::SimpleAtoi(std::string(*payload), &ms)) return absl::ZeroDuration();
-  return absl::Milliseconds(ms);
-}
-
 bool RequestQueue::Before(const QueuedRequest& a, const QueuedRequest& b, MonotonicTime now) const {
   const auto first_class = [&](const QueuedRequest& r) {
     return r.priority == Priority::kRobot ||
@@ -44,8 +22,9 @@ RequestQueue::Refused RequestQueue::Push(Request request, absl::Duration retry_a
   if (request->replaceable) {
     for (auto at = waiting_.begin(); at != waiting_.end();) {
       if ((*at)->session == request->session && (*at)->replaceable) {
-        refused.emplace_back(*at, absl::AbortedError("a newer observation of the session came "
-                                                     "before this one was computed"));
+        refused.emplace_back(*at,
+                             Refusal(absl::AbortedError("a newer observation of the session came "
+                                                        "before this one was computed")));
         at = waiting_.erase(at);
       } else {
         ++at;
@@ -87,10 +66,10 @@ std::vector<RequestQueue::Request> RequestQueue::PopBatch(MonotonicTime now, int
             absl::Floor(absl::FromChrono(t - request.arrival), absl::Microseconds(1)));
       };
       expired.emplace_back(
-          *at, absl::DeadlineExceededError(absl::StrCat(
+          *at, Refusal(absl::DeadlineExceededError(absl::StrCat(
                    "the observation has waited ", since_arrival(now), " and a prediction takes ",
                    absl::FormatDuration(absl::Floor(compute_time, absl::Microseconds(1))),
-                   ": its deadline of ", since_arrival(request.deadline), " cannot be kept")));
+                   ": its deadline of ", since_arrival(request.deadline), " cannot be kept"))));
       at = waiting_.erase(at);
     } else {
       ++at;

@@ -10,14 +10,12 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
+#include "common/rpc/session_spec.h"
 
 namespace robostress {
 
 // No change of the time of day moves it.
 using MonotonicTime = std::chrono::steady_clock::time_point;
-
-// Whose predictions go first when several wait.
-enum class Priority { kSimulation = 1, kRobot = 2 };
 
 struct RequestQueueOptions {
   int capacity = 256;  // predictions waiting; the next is refused, or takes a simulation's place
@@ -36,11 +34,6 @@ struct QueuedRequest {
   MonotonicTime arrival;
   MonotonicTime deadline = MonotonicTime::max();
 };
-
-// A status that says when to come back.
-absl::Status OverloadedError(const std::string& message, absl::Duration retry_after);
-// What OverloadedError was given; zero for any other status.
-absl::Duration RetryAfter(const absl::Status& status);
 
 // The order in which predictions are computed. Robots before simulations, within a class the
 // earliest deadline first, then the order of arrival. Bounded; not thread-safe: its owner locks.

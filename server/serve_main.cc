@@ -36,7 +36,7 @@ int Main(int argc, char** argv) {
   options.threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   std::string policy_name = "nano", port_file;
   std::vector<std::string> policy_options;
-  double grace_s = 10;
+  double grace_s = 10, batch_window_ms = 0;
   app.add_option("--policy", policy_name,
                  "nano, nano:random, a weights file (.safetensors), or the folder of a pi0 or "
                  "pi0.5 checkpoint")
@@ -48,7 +48,28 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--port-file", port_file, "write the bound port to this file");
   app.add_option("--threads", options.threads,
-                 "predictions computed at once, and as many update threads")
+                 "batches of predictions computed at once, and as many update threads")
+      ->capture_default_str();
+  app.add_option("--max-batch", options.max_batch,
+                 "predictions computed in one pass, each with its own adapter; 1: none is batched")
+      ->capture_default_str();
+  app.add_option("--batch-window-ms", batch_window_ms,
+                 "how long a batch that is not full waits for more; 0: it takes what has come")
+      ->capture_default_str();
+  app.add_option("--queue-capacity", options.queue_capacity,
+                 "predictions that may wait; more are refused and told when to come back")
+      ->capture_default_str();
+  app.add_option(
+         "--update-share", options.update_share,
+         "of its thread's time that an update keeps while predictions need the cores, above "
+         "0 to 1 (updates never yield)")
+      ->capture_default_str();
+  app.add_option("--cores", options.cores,
+                 "that predictions and updates share; updates yield beyond it. 1: whenever a "
+                 "prediction is under way; 0: all of this machine")
+      ->capture_default_str();
+  app.add_option("--update-nice", options.update_nice,
+                 "added to the nice value of the threads on which asynchronous sessions learn")
       ->capture_default_str();
   app.add_option("--max-sessions", options.max_sessions, "sessions open at once")
       ->capture_default_str();
@@ -59,6 +80,7 @@ int Main(int argc, char** argv) {
   app.add_option("--grace", grace_s, "seconds to answer what is under way when stopped")
       ->capture_default_str();
   CLI11_PARSE(app, argc, argv);
+  options.batch_window = absl::Milliseconds(batch_window_ms);
 
   // Blocked before any thread starts, so that every thread inherits it and sigwait below is the
   // only receiver.
@@ -72,6 +94,7 @@ int Main(int argc, char** argv) {
   absl::StatusOr<std::unique_ptr<FlowPolicy>> policy = LoadFlowPolicy(policy_name, policy_options);
   if (!policy.ok()) return Fail(policy.status());
   const PolicySpec spec = (*policy)->spec();
+  const bool exact_rows = (*policy)->exact_rows();
   absl::StatusOr<std::unique_ptr<PolicyServer>> server =
       PolicyServer::Start(options, {*std::move(policy)});
   if (!server.ok()) return Fail(server.status());
@@ -83,6 +106,9 @@ int Main(int argc, char** argv) {
   const std::string host = options.listen.substr(0, options.listen.rfind(':'));
   std::printf("serving %s (%s) on %s:%d with %d threads\n", spec.name.c_str(),
               spec.model_hash.c_str(), host.c_str(), (*server)->port(), options.threads);
+  std::printf("batches of at most %d; lockstep predictions are %s\n", options.max_batch,
+              exact_rows ? "batched too: this policy's rows have the bits of batches of one"
+                         : "computed alone: this policy's rows agree to rounding only");
   std::fflush(stdout);
 
   int signal = 0;

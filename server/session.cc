@@ -122,9 +122,10 @@ absl::StatusOr<std::shared_ptr<Session>> Session::Create(const SessionSpec& spec
   RS_RETURN_IF_ERROR(CheckMethod(spec.method, resources.policy->spec()));
   if (ActsInJointSpace(spec) && spec.method.target == TargetReference::kNominal) {
     return absl::InvalidArgumentError(
-        absl::StrCat("method ", spec.method.method, ": target nominal models an end-effector "
-                     "controller; robot ", spec.robot,
-                     " acts in joint space: use target executed or intent"));
+        absl::StrCat("method ", spec.method.method,
+                     ": target nominal models an end-effector "
+                     "controller; robot ",
+                     spec.robot, " acts in joint space: use target executed or intent"));
   }
   if (ActsInJointSpace(spec) && spec.method.gain != 1.0) {
     return absl::InvalidArgumentError(
@@ -140,8 +141,11 @@ absl::StatusOr<std::shared_ptr<Session>> Session::Create(const SessionSpec& spec
 }
 
 void Session::Cancel() {
-  absl::MutexLock lock(&mu_);
-  cancelled_ = true;
+  {
+    absl::MutexLock lock(&mu_);
+    cancelled_ = true;
+  }
+  resources_.inference->Cancel(owner_);
 }
 
 absl::Status Session::AwaitLearned(uint64_t sequence) {
@@ -184,14 +188,14 @@ absl::Status Session::StartEpisode(int task, int episode, uint64_t last_sequence
 }
 
 absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, int task,
-                                                int episode, int chunk, uint64_t last_sequence) {
+                                                int episode, int chunk, uint64_t last_sequence,
+                                                const PredictOptions& options) {
   UseOneTorchThread();
   const FlowPolicy& policy = *resources_.policy;
   const PolicySpec& spec = policy.spec();
   RS_RETURN_IF_ERROR(CheckObservation(observation, spec));
 
   PredictedChunk result;
-  std::shared_ptr<const LoraWeights> lora;
   Eigen::VectorXd correction;
   {
     absl::MutexLock lock(&mu_);
@@ -209,26 +213,35 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     result.prediction_id = next_prediction_++;
     correction = direct_correction_;
   }
-  if (adapter_ != nullptr) lora = adapter_->snapshot();
-  result.adapter_version = lora == nullptr ? 0 : lora->version;
+  const bool async = spec_.mode == ExecutionMode::kAsync;
+  PredictionJob job;
+  job.policy = resources_.policy;
+  job.observation = &observation;
+  job.with_base = spec_.method.track_intent || spec_.method.target == TargetReference::kIntent;
+  job.exact = !async;
+  job.replaceable = async;
+  job.session = owner_;
+  job.priority = options.priority;
+  if (job.priority == Priority::kUnspecified)
+    job.priority = async ? Priority::kRobot : Priority::kSimulation;
+  if (async) job.deadline = options.deadline;
+  job.cancelled = options.cancelled;
+  if (adapter_ != nullptr) job.adapter = [this] { return adapter_->snapshot(); };
 
   Prediction prediction{task, episode, chunk, {}, {}, {}, {}};
-  const bool wants_base =
-      spec_.method.track_intent || spec_.method.target == TargetReference::kIntent;
   try {
-    resources_.inference->acquire();
-    const absl::Cleanup release = [this] { resources_.inference->release(); };
     torch::NoGradGuard no_grad;
-    RS_ASSIGN_OR_RETURN(PolicyContext context, policy.Encode(observation));
-    const torch::Tensor noise = DrawNoise(NoiseKey(spec_, task, episode, chunk), policy.horizon(),
-                                          policy.model_action_dim());
-    const torch::Tensor raw = policy.Sample(context, noise, lora.get()).squeeze(0);
+    job.noise = DrawNoise(NoiseKey(spec_, task, episode, chunk), policy.horizon(),
+                          policy.model_action_dim());
+    RS_ASSIGN_OR_RETURN(SampledPrediction sampled, resources_.inference->Predict(job));
+    result.adapter_version = sampled.adapter == nullptr ? 0 : sampled.adapter->version;
+    PolicyContext& context = sampled.context;
+    const torch::Tensor raw = sampled.raw;
     result.policy_actions = policy.ToEnvironment(raw, context.state);
-    if (wants_base) {
-      result.base_actions =
-          result.adapter_version == 0
-              ? result.policy_actions
-              : policy.ToEnvironment(policy.Sample(context, noise, nullptr).squeeze(0), context.state);
+    if (job.with_base) {
+      result.base_actions = sampled.base.defined()
+                                ? policy.ToEnvironment(sampled.base, context.state)
+                                : result.policy_actions;
     }
     if (adapter_ != nullptr) {
       prediction.raw = raw;
@@ -288,9 +301,9 @@ absl::StatusOr<Session::BufferedChunk> Session::MakeTrainingChunk(const Executed
       ReferencedResidual(executed, spec_.method.target, residual_options_, base, &arm_));
   try {
     torch::NoGradGuard no_grad;
-    chunk.target = TargetChunk(
-        prediction.raw, executed.first_step,
-        resources_.policy->ToModel(PseudoTarget(executed, residual), prediction.state));
+    chunk.target =
+        TargetChunk(prediction.raw, executed.first_step,
+                    resources_.policy->ToModel(PseudoTarget(executed, residual), prediction.state));
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("pseudo-target failed: ", error.what()));
   }

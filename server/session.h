@@ -4,7 +4,6 @@
 #include <map>
 #include <memory>
 #include <optional>
-#include <semaphore>
 #include <set>
 #include <string>
 #include <utility>
@@ -23,6 +22,7 @@
 #include "common/rpc/session_spec.h"
 #include "common/types.h"
 #include "server/adaptation.h"
+#include "server/batcher.h"
 #include "server/policy.h"
 #include "server/prefix_store.h"
 
@@ -32,11 +32,17 @@ namespace robostress {
 struct SessionResources {
   std::shared_ptr<const FlowPolicy> policy;
   AdaptationLoop* adaptation = nullptr;
-  std::counting_semaphore<>* inference =
-      nullptr;  // as many predictions compute at once as it counts
+  Batcher* inference = nullptr;
   absl::Duration lockstep_timeout =
       absl::Seconds(120);  // for feedback that was announced and does not come
   std::shared_ptr<PrefixStore> prefixes = std::make_shared<PrefixStore>();
+};
+
+// How one prediction is served; decides no result.
+struct PredictOptions {
+  Priority priority = Priority::kUnspecified;          // robots: async sessions
+  absl::Duration deadline = absl::InfiniteDuration();  // from now on; async only
+  std::function<bool()> cancelled;                     // PredictionJob
 };
 
 struct FeedbackResult {
@@ -86,7 +92,8 @@ class Session : public std::enable_shared_from_this<Session> {
   // `last_sequence`.
   absl::Status StartEpisode(int task, int episode, uint64_t last_sequence) ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int task, int episode,
-                                         int chunk, uint64_t last_sequence)
+                                         int chunk, uint64_t last_sequence,
+                                         const PredictOptions& options = {})
       ABSL_LOCKS_EXCLUDED(mu_);
   // A sequence number that is in already is acknowledged and ignored; a gap is refused.
   absl::StatusOr<FeedbackResult> Feedback(const ExecutedChunk& executed) ABSL_LOCKS_EXCLUDED(mu_);
@@ -107,7 +114,7 @@ class Session : public std::enable_shared_from_this<Session> {
   // What must be remembered of a prediction until its feedback arrives.
   struct Prediction {
     int task = 0, episode = 0, chunk = 0;
-    torch::Tensor raw;  // [K, d] model space; undefined where the method does not adapt
+    torch::Tensor raw;    // [K, d] model space; undefined where the method does not adapt
     torch::Tensor state;  // PolicyContext::state
     std::shared_ptr<const PrefixStore::Prefix> prefix;  // as above
     Eigen::MatrixXf base;  // [K, action_dim] of the unadapted policy; target: intent only

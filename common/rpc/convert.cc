@@ -189,6 +189,31 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
   return spec;
 }
 
+robostress::v1::Priority ToProto(Priority priority) {
+  switch (priority) {
+    case Priority::kSimulation:
+      return v1::PRIORITY_SIMULATION;
+    case Priority::kRobot:
+      return v1::PRIORITY_ROBOT;
+    default:
+      return v1::PRIORITY_UNSPECIFIED;
+  }
+}
+
+absl::StatusOr<Priority> FromProto(robostress::v1::Priority message) {
+  switch (message) {
+    case v1::PRIORITY_UNSPECIFIED:
+      return Priority::kUnspecified;
+    case v1::PRIORITY_SIMULATION:
+      return Priority::kSimulation;
+    case v1::PRIORITY_ROBOT:
+      return Priority::kRobot;
+    default:
+      return Invalid("priority is ", static_cast<int>(message),
+                     ", must be UNSPECIFIED (0), SIMULATION (1) or ROBOT (2)");
+  }
+}
+
 robostress::v1::GetServerInfoResponse ToProto(const ServerInfo& info) {
   v1::GetServerInfoResponse message;
   message.set_version(info.version);

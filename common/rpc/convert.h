@@ -35,6 +35,9 @@ absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message
 robostress::v1::PolicySpec ToProto(const PolicySpec& spec);
 absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message);
 
+robostress::v1::Priority ToProto(Priority priority);
+absl::StatusOr<Priority> FromProto(robostress::v1::Priority message);
+
 robostress::v1::GetServerInfoResponse ToProto(const ServerInfo& info);
 absl::StatusOr<ServerInfo> FromProto(const robostress::v1::GetServerInfoResponse& message);
 

@@ -4,12 +4,14 @@
 
 #include <chrono>
 #include <deque>
+#include <thread>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/deadline_stream.h"
 #include "common/rpc/grpc_status.h"
+#include "common/rpc/refusal.h"
 #include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
@@ -214,11 +216,22 @@ absl::StatusOr<PredictedChunk> GrpcPolicyClient::Predict(const Observation& obse
   *request.mutable_observation() = ToProto(observation);
   const Clock::time_point deadline = After(impl_->options.call_timeout_s);
   v1::PredictResponse response;
-  absl::Status status = impl_->predict->Write(request, deadline);
-  if (status.ok()) status = impl_->predict->Read(response, deadline);
-  if (!status.ok()) {
-    impl_->predict.reset();  // the session outlives a stream
-    return status;
+  while (true) {
+    absl::Status status = impl_->predict->Write(request, deadline);
+    if (status.ok()) status = impl_->predict->Read(response, deadline);
+    if (!status.ok()) {
+      impl_->predict.reset();  // the session outlives a stream
+      return status;
+    }
+    if (!response.has_refusal()) break;
+    const absl::Status refusal = FromProto(response.refusal());
+    const Clock::time_point again = After(absl::ToDoubleSeconds(RetryAfter(refusal)));
+    // A simulation has time: it comes back when the server says. A robot decides itself.
+    if (impl_->mode != ExecutionMode::kLockstep || !absl::IsResourceExhausted(refusal) ||
+        RetryAfter(refusal) == absl::ZeroDuration() || again > deadline) {
+      return refusal;
+    }
+    std::this_thread::sleep_until(again);
   }
   if (response.chunk() != request.chunk()) {
     return absl::InternalError(

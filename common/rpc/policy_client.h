@@ -33,6 +33,8 @@ class GrpcPolicyClient : public PolicyEndpoint {
 
   const PolicySpec& spec() const override;
   absl::Status StartEpisode(const EpisodeKey& key) override;
+  // A refusal (common/rpc/refusal.h) leaves the stream as it is. Lockstep comes back on overload as
+  // long as call_timeout_s allows; async returns it.
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
   // FAILED_PRECONDITION unless executed.sequence follows the last one. Async: a chunk is kept until it
   // is acknowledged; UNAVAILABLE, DEADLINE_EXCEEDED and CANCELLED say that the stream is lost, the

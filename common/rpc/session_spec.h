@@ -27,6 +27,15 @@ struct SessionSpec {
   double rotation_scale = 0.5;      // of action entries 3..5 [rad]
 };
 
+// Whose predictions go first when several wait.
+enum class Priority { kUnspecified, kSimulation, kRobot };  // unspecified: by the mode
+
+// How a session's predictions are served; decides no result.
+struct SessionScheduling {
+  Priority priority = Priority::kUnspecified;
+  int deadline_ms = 0;  // of a prediction, from its arrival; 0: none. Async only
+};
+
 // Robots whose actions are absolute joint targets [rad] and a gripper; their residual is in joint
 // space (paper, sec:supp_real). Others command end-effector displacements.
 inline bool ActsInJointSpace(const SessionSpec& spec) { return spec.robot.rfind("piper", 0) == 0; }

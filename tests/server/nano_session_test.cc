@@ -9,7 +9,7 @@ namespace {
 
 class NanoSession : public ::testing::Test {
  protected:
-  NanoSession() : adaptation_(1), inference_(1) {
+  NanoSession() : adaptation_(1), inference_(BatcherOptions{1}) {
     UseOneTorchThread();
     auto policy = LoadFlowPolicy("nano:random");
     EXPECT_TRUE(policy.ok()) << policy.status();
@@ -56,7 +56,7 @@ class NanoSession : public ::testing::Test {
   }
 
   AdaptationLoop adaptation_;
-  std::counting_semaphore<> inference_;
+  Batcher inference_;
   std::shared_ptr<const FlowPolicy> policy_;
   uint64_t owner_ = 0;
 };
