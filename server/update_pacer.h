@@ -48,7 +48,8 @@ class UpdatePacer {
     friend class UpdatePacer;
     UpdatePacer* const pacer_;
     const Kind kind_;
-    MonotonicTime resumed_;  // since when it computes
+    MonotonicTime resumed_;               // since when it computes
+    std::chrono::nanoseconds credit_{0};  // what it may compute before it pauses again
   };
   // Pauses if the update on this thread has to; nothing outside of an update. A thread must not
   // hold a lock here that a prediction could wait for.
@@ -58,6 +59,8 @@ class UpdatePacer {
 
  private:
   bool MustYield(Kind kind) const;
+  bool MayResume(Kind kind) const;  // of one that pauses
+  void Notify();
   void Yield(Update& update);
 
   const int cores_;

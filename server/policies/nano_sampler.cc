@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <tuple>
 #include <utility>
 
 #include "common/check.h"
@@ -54,13 +53,22 @@ struct NanoSampler::Lora {
   };
   Lora(const std::vector<LoraTarget>& shapes, const LoraWeights& weights) {
     for (size_t i = 0; i < shapes.size(); ++i) {
-      torch::Tensor A = weights.A[i], B = weights.B[i];
-      if (A.dim() == 2) std::tie(A, B) = std::pair(A.unsqueeze(0), B.unsqueeze(0));
+      const torch::Tensor A = weights.A[i].detach().to(torch::kFloat32).contiguous(),
+                          B = weights.B[i].detach().to(torch::kFloat32).contiguous();
       Target target{shapes[i].in_features, shapes[i].out_features, {}};
-      for (int64_t n = 0; n < A.size(0); ++n) {
-        const int64_t in = A.size(2), out = B.size(1);
-        target.pairs.push_back({in < target.in ? n * in : 0, in, out < target.out ? n * out : 0,
-                                out, A.size(1), ToVector(A[n]), ToVector(B[n].t())});
+      const int64_t pairs = A.dim() == 2 ? 1 : A.size(0), rank = A.size(-2), in = A.size(-1),
+                    out = B.size(-2);
+      for (int64_t n = 0; n < pairs; ++n) {
+        Pair pair{
+            in < target.in ? n * in : 0, in, out < target.out ? n * out : 0, out, rank, {}, {}};
+        const float* a = A.data_ptr<float>() + n * rank * in;
+        const float* b = B.data_ptr<float>() + n * out * rank;
+        pair.a.assign(a, a + rank * in);
+        pair.b_transposed.resize(rank * out);
+        for (int64_t o = 0; o < out; ++o) {
+          for (int64_t r = 0; r < rank; ++r) pair.b_transposed[r * out + o] = b[o * rank + r];
+        }
+        target.pairs.push_back(std::move(pair));
       }
       targets.push_back(std::move(target));
     }

@@ -9,11 +9,14 @@
 #include <benchmark/benchmark.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
 #include <cstdio>
 #include <mutex>
 #include <thread>
 
 #include "absl/strings/str_cat.h"
+#include "server/operator_hook.h"
 #include "server/policy_service.h"
 #include "server/session.h"
 #include "server/torch_threads.h"
@@ -101,6 +104,42 @@ void Update(benchmark::State& state) {
     benchmark::DoNotOptimize(adapter->Update(index++, {chunk, chunk, chunk, chunk}));
 }
 BENCHMARK(Update)->Unit(benchmark::kMillisecond);
+
+// Where an update can stop: operators of one, and the longest stretch between two of them.
+std::chrono::steady_clock::time_point last_point;
+double longest_ms = 0;
+int points = 0;
+void NotePoint() {
+  const auto now = std::chrono::steady_clock::now();
+  longest_ms =
+      std::max(longest_ms, std::chrono::duration<double, std::milli>(now - last_point).count());
+  last_point = now;
+  ++points;
+}
+
+void UpdateWithYieldPoints(benchmark::State& state) {
+  UseOneTorchThread();
+  Bench bench("ours");
+  const auto adapter =
+      *LoraAdapter::Create(bench.policy.get(), *MakeMethod("ours"), StreamKey("bench"));
+  auto chunk = std::make_shared<TrainingChunk>();
+  chunk->context = *bench.policy->Encode(bench.observation);
+  chunk->target = torch::zeros({bench.policy->horizon(), bench.policy->model_action_dim()});
+  const OperatorHook hook(&NotePoint);
+  std::vector<double> longest;
+  uint64_t index = 0;
+  for (auto _ : state) {
+    last_point = std::chrono::steady_clock::now();
+    longest_ms = 0;
+    points = 0;
+    benchmark::DoNotOptimize(adapter->Update(index++, {chunk, chunk, chunk, chunk}));
+    longest.push_back(longest_ms);
+  }
+  std::sort(longest.begin(), longest.end());
+  state.counters["yield_points"] = points;
+  state.counters["longest_ms_median"] = longest[longest.size() / 2];
+}
+BENCHMARK(UpdateWithYieldPoints)->Unit(benchmark::kMillisecond);
 
 // -------------------------------------------------------------------------------------- the tables
 
