@@ -64,6 +64,11 @@ struct ExecutedChunk {
   std::vector<ExecutedStep> steps;  // size >= 1
   RobotState final_state;   // after the last step
   bool last_of_episode = false;
+  // [steps] or empty (none): steps whose motion says nothing about the robot, because limiter or cross-fade
+  // moved the command or the state after it was not measured. Their residual counts as zero.
+  std::vector<bool> masked;
+
+  bool IsMasked(size_t step) const { return step < masked.size() && masked[step]; }
 };
 
 // A predicted action chunk in environment units: rows are control steps.

@@ -4,6 +4,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/cord.h"
 #include "absl/strings/str_cat.h"
 #include "common/check.h"
 #include "common/config.h"
@@ -189,6 +190,31 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
   return spec;
 }
 
+robostress::v1::Priority ToProto(Priority priority) {
+  switch (priority) {
+    case Priority::kSimulation:
+      return v1::PRIORITY_SIMULATION;
+    case Priority::kRobot:
+      return v1::PRIORITY_ROBOT;
+    default:
+      return v1::PRIORITY_UNSPECIFIED;
+  }
+}
+
+absl::StatusOr<Priority> FromProto(robostress::v1::Priority message) {
+  switch (message) {
+    case v1::PRIORITY_UNSPECIFIED:
+      return Priority::kUnspecified;
+    case v1::PRIORITY_SIMULATION:
+      return Priority::kSimulation;
+    case v1::PRIORITY_ROBOT:
+      return Priority::kRobot;
+    default:
+      return Invalid("priority is ", static_cast<int>(message),
+                     ", must be UNSPECIFIED (0), SIMULATION (1) or ROBOT (2)");
+  }
+}
+
 robostress::v1::GetServerInfoResponse ToProto(const ServerInfo& info) {
   v1::GetServerInfoResponse message;
   message.set_version(info.version);
@@ -196,6 +222,9 @@ robostress::v1::GetServerInfoResponse ToProto(const ServerInfo& info) {
   message.set_open_sessions(static_cast<uint32_t>(info.open_sessions));
   message.set_max_sessions(static_cast<uint32_t>(info.max_sessions));
   message.set_inference_threads(static_cast<uint32_t>(info.inference_threads));
+  message.set_durable(info.durable);
+  message.set_instance(info.instance);
+  message.set_draining(info.draining);
   return message;
 }
 
@@ -213,6 +242,10 @@ absl::StatusOr<ServerInfo> FromProto(const robostress::v1::GetServerInfoResponse
   info.open_sessions = static_cast<int>(message.open_sessions());
   info.max_sessions = static_cast<int>(message.max_sessions());
   info.inference_threads = static_cast<int>(message.inference_threads());
+  RS_RETURN_IF_ERROR(CheckName("instance", message.instance(), /*may_be_empty=*/true));
+  info.durable = message.durable();
+  info.instance = message.instance();
+  info.draining = message.draining();
   return info;
 }
 
@@ -338,6 +371,15 @@ absl::StatusOr<PredictedChunk> FromProto(const robostress::v1::PredictResponse& 
   return prediction;
 }
 
+absl::Status ToStatus(const robostress::v1::Refusal& refusal) {
+  const int code = refusal.code();
+  if (code <= 0 || code > 16) return Invalid("refusal.code is ", code, ", must be 1 to 16");
+  absl::Status status(static_cast<absl::StatusCode>(code), refusal.message());
+  if (refusal.retry_after_ms() > 0)
+    status.SetPayload(kRetryAfterPayload, absl::Cord(absl::StrCat(refusal.retry_after_ms())));
+  return status;
+}
+
 robostress::v1::RobotState ToProto(const RobotState& state) {
   v1::RobotState message;
   message.set_stamp_s(state.stamp_s);
@@ -392,6 +434,7 @@ robostress::v1::ExecutedChunk ToProto(const ExecutedChunk& chunk) {
   const Eigen::MatrixXf base = CommandRows(chunk, &ExecutedStep::base_command);
   if (base.size() > 0) *message.mutable_base_commands() = ToProto(base);
   message.set_last_of_episode(chunk.last_of_episode);
+  for (const bool masked : chunk.masked) message.add_masked(masked);
   return message;
 }
 
@@ -427,6 +470,11 @@ absl::StatusOr<ExecutedChunk> FromProto(const robostress::v1::ExecutedChunk& mes
   chunk.prediction_id = message.prediction_id();
   chunk.first_step = static_cast<int>(message.first_step());
   chunk.last_of_episode = message.last_of_episode();
+  if (message.masked_size() != 0 && message.masked_size() != n) {
+    return Invalid("chunk.masked has ", message.masked_size(), " values for ", n,
+                   " steps; give one per step or none");
+  }
+  chunk.masked.assign(message.masked().begin(), message.masked().end());
   chunk.steps.resize(n);
   for (int i = 0; i <= n; ++i) {
     absl::StatusOr<RobotState> state = FromProto(message.states(i));
