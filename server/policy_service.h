@@ -12,7 +12,7 @@
 #include "absl/time/time.h"
 #include "server/adaptation.h"
 #include "server/policy.h"
-#include "server/session.h"
+#include "server/session_registry.h"
 
 namespace grpc {
 class Server;
@@ -36,6 +36,13 @@ struct PolicyServerOptions {
   // When max_sessions are open, the one unused for longest makes room if it was unused this long:
   // its client was killed, or it has ended without closing.
   absl::Duration abandoned_after = absl::Minutes(15);
+  // Durable sessions (server/session_registry.h); empty: in memory only.
+  std::string state_dir;
+  absl::Duration expire_after = absl::InfiniteDuration();
+  uint64_t snapshot_mib = 64;        // a snapshot is due after so much of a session's journal
+  uint64_t snapshot_records = 1024;  // or so many records
+  bool sync_predictions = false;     // predictions survive a loss of power
+  GuardOptions guard;                // of sessions that ask for none
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
@@ -50,8 +57,10 @@ class PolicyServer {
   ~PolicyServer();  // Stop with no grace
 
   int port() const { return port_; }
-  // Refuses new sessions and messages, answers those under way for at most `grace`, cancels the
-  // rest, joins.
+  // For what stands beside the service: operators, metrics.
+  SessionRegistry& sessions();
+  // Refuses new sessions and messages, answers those under way for at most `grace`, writes durable
+  // sessions to disk, cancels the rest, joins.
   void Stop(absl::Duration grace);
 
  private:

@@ -10,6 +10,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
+#include "common/rpc/convert.h"
 #include "common/rpc/grpc_status.h"
 #include "common/rpc/refusal.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
@@ -22,7 +23,7 @@ using Stream = grpc::ServerReaderWriter<v1::PredictResponse, v1::PredictRequest>
 v1::PredictResponse RefusedResponse(const v1::PredictRequest& request, const absl::Status& status) {
   v1::PredictResponse response;
   response.set_chunk(request.chunk());
-  *response.mutable_refusal() = ToProto(status);
+  *response.mutable_refusal() = ToRefusal(status);
   return response;
 }
 

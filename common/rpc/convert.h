@@ -53,6 +53,10 @@ absl::StatusOr<Eigen::MatrixXf> FromProto(const char* field,
 robostress::v1::PredictResponse ToProto(const PredictedChunk& prediction, int chunk);
 absl::StatusOr<PredictedChunk> FromProto(const robostress::v1::PredictResponse& message);
 
+// The status that a refusal stands for, with its mark (common/rpc/refusal.h), and back.
+absl::Status ToStatus(const robostress::v1::Refusal& refusal);
+robostress::v1::Refusal ToRefusal(const absl::Status& status);
+
 robostress::v1::RobotState ToProto(const RobotState& state);
 absl::StatusOr<RobotState> FromProto(const robostress::v1::RobotState& message);
 

@@ -7,13 +7,9 @@
 
 namespace robostress {
 
-namespace v1 {
-class Refusal;
-}  // namespace v1
-
 // A prediction that a server chose not to compute, though session and request are in order: it is
 // overloaded, the deadline cannot be kept, or a newer observation came. The mark and the time to
-// come back travel with the status, on the wire as v1.Refusal.
+// come back travel with the status, on the wire as v1.Refusal (convert.h).
 
 // `status` with the mark.
 absl::Status Refusal(absl::Status status, absl::Duration retry_after = absl::ZeroDuration());
@@ -23,10 +19,5 @@ absl::Status OverloadedError(const std::string& message, absl::Duration retry_af
 bool IsRefusal(const absl::Status& status);
 // Not before this; zero where nothing is said.
 absl::Duration RetryAfter(const absl::Status& status);
-
-// Any error; the mark is set by FromProto.
-v1::Refusal ToProto(const absl::Status& status);
-// INTERNAL where the message holds no error.
-absl::Status FromProto(const v1::Refusal& message);
 
 }  // namespace robostress

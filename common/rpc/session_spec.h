@@ -14,11 +14,11 @@ namespace robostress {
 // equal bits.
 struct SessionSpec {
   std::string robot = "panda_sim";  // "piper...": joint space
-  std::string suite;     // part of the noise key
-  std::string scenario;  // names the session, part of no noise key
-  int severity = 5;      // 1..5; names the session, part of no noise key
-  std::string policy;    // "nano"
-  int64_t seed = 0;      // of the sampling noise; part of the noise key
+  std::string suite;                // part of the noise key
+  std::string scenario;             // names the session, part of no noise key
+  int severity = 5;                 // 1..5; names the session, part of no noise key
+  std::string policy;               // "nano"
+  int64_t seed = 0;                 // of the sampling noise; part of the noise key
   ExecutionMode mode = ExecutionMode::kLockstep;
   GoalReference goal_reference = GoalReference::kAchieved;
   MethodOptions method;
@@ -47,6 +47,9 @@ struct ServerInfo {
   int open_sessions = 0;
   int max_sessions = 0;
   int inference_threads = 0;
+  bool durable = false;  // acknowledged feedback survives the server
+  std::string instance;  // of this start of the server
+  bool draining = false;
 };
 
 // A session's adaptation as a safetensors file: LoRA, Adam, feedback buffer, counters.
