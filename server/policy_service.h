@@ -3,7 +3,6 @@
 #include <cstdint>
 #include <map>
 #include <memory>
-#include <semaphore>
 #include <string>
 #include <vector>
 
@@ -13,7 +12,7 @@
 #include "absl/time/time.h"
 #include "server/adaptation.h"
 #include "server/policy.h"
-#include "server/session.h"
+#include "server/session_registry.h"
 
 namespace grpc {
 class Server;
@@ -23,11 +22,27 @@ namespace robostress {
 
 struct PolicyServerOptions {
   std::string listen = "127.0.0.1:0";  // HOST:PORT; port 0: any free one
-  int threads = 2;  // predictions computed at once, and as many threads for updates
+  int threads = 2;    // batches of predictions computed at once, and as many threads for updates
+  int max_batch = 8;  // predictions of one batch; 1: none is batched
+  absl::Duration batch_window = absl::ZeroDuration();  // BatcherOptions
+  int queue_capacity = 256;  // predictions that wait; more are refused with a time to come back
+  // Updates yield to predictions (server/update_pacer.h): cores that both share, 0: all; the share
+  // of its thread that an update keeps meanwhile; what is added to the nice value of the threads
+  // on which async sessions learn.
+  int cores = 0;
+  double update_share = 0.1;
+  int update_nice = 5;
   int max_sessions = 64;
   // When max_sessions are open, the one unused for longest makes room if it was unused this long:
   // its client was killed, or it has ended without closing.
   absl::Duration abandoned_after = absl::Minutes(15);
+  // Durable sessions (server/session_registry.h); empty: in memory only.
+  std::string state_dir;
+  absl::Duration expire_after = absl::InfiniteDuration();
+  uint64_t snapshot_mib = 64;        // a snapshot is due after so much of a session's journal
+  uint64_t snapshot_records = 1024;  // or so many records
+  bool sync_predictions = false;     // predictions survive a loss of power
+  GuardOptions guard;                // of sessions that ask for none
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
@@ -42,8 +57,10 @@ class PolicyServer {
   ~PolicyServer();  // Stop with no grace
 
   int port() const { return port_; }
-  // Refuses new sessions and messages, answers those under way for at most `grace`, cancels the
-  // rest, joins.
+  // For what stands beside the service: operators, metrics.
+  SessionRegistry& sessions();
+  // Refuses new sessions and messages, answers those under way for at most `grace`, writes durable
+  // sessions to disk, cancels the rest, joins.
   void Stop(absl::Duration grace);
 
  private:

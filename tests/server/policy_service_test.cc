@@ -65,6 +65,21 @@ Eigen::MatrixXf Drive(GrpcPolicyClient& client, int chunks) {
   return actions;
 }
 
+TEST_F(PolicyServiceTest, LockstepClientsComeBackFromAnOverloadedServerAndMissNothing) {
+  PolicyServerOptions options;
+  options.threads = 1;
+  options.queue_capacity = 1;
+  auto server = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
+  ASSERT_TRUE(server.ok()) << server.status();
+  server_ = *std::move(server);
+  const SessionSpec spec = Spec("ours", {"learning_rate=0.01"});
+  const Eigen::MatrixXf expected = Drive(*Connect(spec), 20);
+  std::vector<std::thread> threads;
+  for (int i = 0; i < 8; ++i)
+    threads.emplace_back([&] { EXPECT_EQ(Drive(*Connect(spec), 20), expected); });
+  for (std::thread& thread : threads) thread.join();
+}
+
 TEST_F(PolicyServiceTest, GivesOverTheWireTheBitsOfALocalSession) {
   const SessionSpec spec = Spec("ours", {"learning_rate=0.01"});
   const auto remote = Connect(spec);
