@@ -17,6 +17,7 @@
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/grpc_access.h"
 #include "server/predict_stream.h"
 #include "server/state/state_records.h"
 
@@ -24,6 +25,7 @@ namespace robostress {
 namespace {
 
 constexpr char kVersion[] = "0.1.0";
+constexpr char kHealthName[] = "robostress.v1.PolicyService";
 
 absl::Status CheckBatching(const PolicyServerOptions& options) {
   const auto invalid = [](const auto&... parts) {
@@ -46,6 +48,28 @@ absl::Status CheckBatching(const PolicyServerOptions& options) {
   return absl::OkStatus();
 }
 
+absl::Status WarmUp(const FlowPolicy& policy) {
+  const PolicySpec& spec = policy.spec();
+  Observation blank;
+  blank.instruction = "warm up";
+  for (const std::string& camera : spec.cameras) {
+    Image image{spec.image_width, spec.image_height, {}};
+    image.data.resize(3 * static_cast<size_t>(spec.image_width) *
+                      static_cast<size_t>(spec.image_height));
+    blank.views.push_back({camera, std::move(image)});
+  }
+  blank.proprioception = Eigen::VectorXf::Zero(spec.state_dim);
+  try {
+    torch::NoGradGuard no_grad;
+    RS_ASSIGN_OR_RETURN(const PolicyContext context, policy.Encode(blank));
+    policy.Sample(context, torch::zeros({1, policy.horizon(), policy.model_action_dim()}), nullptr);
+  } catch (const std::exception& error) {
+    return absl::InternalError(
+        absl::StrCat("policy ", spec.name, " failed to warm up: ", error.what()));
+  }
+  return absl::OkStatus();
+}
+
 BatcherOptions BatchingOf(const PolicyServerOptions& options) {
   BatcherOptions batching;
   batching.threads = options.threads;
@@ -64,10 +88,12 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
           std::vector<std::shared_ptr<const FlowPolicy>> policies)
       : options_(options),
         prefixes_(std::make_shared<PrefixStore>(options.prefix_budget_mib << 20)),
+        telemetry_(&metrics_),
+        traces_(&metrics_),
         pacer_({options.cores, options.update_share}),
         async_updates_({options.threads, &pacer_, UpdatePacer::Kind::kAsync, options.update_nice}),
         lockstep_updates_({options.threads, &pacer_, UpdatePacer::Kind::kLockstep, 0}),
-        inference_(BatchingOf(options), &pacer_) {
+        inference_(BatchingOf(options), &pacer_, &metrics_) {
     for (auto& policy : policies) policies_[policy->spec().name] = std::move(policy);
   }
 
@@ -81,17 +107,32 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
         sessions_,
         SessionRegistry::Create(
             registry, [this](const std::string& name) { return ResourcesOf(name); }, &clock_));
+    std::vector<PolicySpec> specs;
+    for (const auto& [name, policy] : policies_) specs.push_back(policy->spec());
+    host_ = std::make_unique<RegistryHost>(sessions_.get(), std::move(specs), options_.guard,
+                                           &telemetry_, &traces_);
+    return absl::OkStatus();
+  }
+  // The first prediction of a policy allocates and touches everything that later ones use.
+  absl::Status WarmUp() const {
+    for (const auto& [name, policy] : policies_) RS_RETURN_IF_ERROR(robostress::WarmUp(*policy));
     return absl::OkStatus();
   }
   SessionRegistry& sessions() { return *sessions_; }
+  RegistryHost& host() { return *host_; }
+  Metrics& metrics() { return metrics_; }
+  TraceLog& traces() { return traces_; }
+  Telemetry& telemetry() { return telemetry_; }
+  const AccessTokens& tokens() const { return options_.tokens; }
   void StopThreads() {
     inference_.Stop();
     async_updates_.Stop();
     lockstep_updates_.Stop();
   }
 
-  grpc::Status GetServerInfo(grpc::ServerContext*, const v1::GetServerInfoRequest*,
+  grpc::Status GetServerInfo(grpc::ServerContext* context, const v1::GetServerInfoRequest*,
                              v1::GetServerInfoResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     ServerInfo info;
     info.version = kVersion;
     for (const auto& [name, policy] : policies_) info.policies.push_back(policy->spec());
@@ -105,23 +146,27 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     return grpc::Status::OK;
   }
 
-  grpc::Status OpenSession(grpc::ServerContext*, const v1::OpenSessionRequest* request,
+  grpc::Status OpenSession(grpc::ServerContext* context, const v1::OpenSessionRequest* request,
                            v1::OpenSessionResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     return ToGrpc(Open(*request, *response));
   }
 
-  grpc::Status ResumeSession(grpc::ServerContext*, const v1::ResumeSessionRequest* request,
+  grpc::Status ResumeSession(grpc::ServerContext* context, const v1::ResumeSessionRequest* request,
                              v1::ResumeSessionResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     return ToGrpc(Resume(*request, *response));
   }
 
-  grpc::Status CloseSession(grpc::ServerContext*, const v1::CloseSessionRequest* request,
+  grpc::Status CloseSession(grpc::ServerContext* context, const v1::CloseSessionRequest* request,
                             v1::CloseSessionResponse*) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     return ToGrpc(sessions_->Close(request->session_id()));
   }
 
-  grpc::Status StartEpisode(grpc::ServerContext*, const v1::StartEpisodeRequest* request,
+  grpc::Status StartEpisode(grpc::ServerContext* context, const v1::StartEpisodeRequest* request,
                             v1::StartEpisodeResponse*) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_RETURN_IF_ERROR(CheckIndex("task", request->task()));
       RS_RETURN_IF_ERROR(CheckIndex("episode", request->episode()));
@@ -134,6 +179,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   grpc::Status Predict(
       grpc::ServerContext* context,
       grpc::ServerReaderWriter<v1::PredictResponse, v1::PredictRequest>* stream) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     return ServePredictStream(
         context, stream,
         {[this](const std::string& id) { return IsAsync(id); },
@@ -142,29 +188,21 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   }
 
   grpc::Status Feedback(
-      grpc::ServerContext*,
+      grpc::ServerContext* context,
       grpc::ServerReaderWriter<v1::FeedbackAck, v1::FeedbackRequest>* stream) override {
+    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
     v1::FeedbackRequest request;
     while (stream->Read(&request)) {
       v1::FeedbackAck ack;
-      const grpc::Status status =
-          Serve(request.session_id(), [&](Session& session) -> absl::Status {
-            RS_ASSIGN_OR_RETURN(const ExecutedChunk chunk, FromProto(request.chunk()));
-            RS_ASSIGN_OR_RETURN(const FeedbackResult result, session.Feedback(chunk));
-            ack.set_sequence(result.sequence);
-            ack.set_updates_applied(result.updates_applied);
-            ack.set_durable(result.durable);
-            ack.set_duplicate(result.duplicate);
-            return absl::OkStatus();
-          });
-      if (!status.ok()) return status;
+      if (const absl::Status status = Take(request, ack); !status.ok()) return ToGrpc(status);
       if (!stream->Write(ack)) break;
     }
     return grpc::Status::OK;
   }
 
-  grpc::Status GetStats(grpc::ServerContext*, const v1::GetStatsRequest* request,
+  grpc::Status GetStats(grpc::ServerContext* context, const v1::GetStatsRequest* request,
                         v1::GetStatsResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_ASSIGN_OR_RETURN(const SessionCounters counters, session.Counters());
       *response = ToProto(counters.stats);
@@ -185,8 +223,9 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     });
   }
 
-  grpc::Status ExportAdapter(grpc::ServerContext*, const v1::ExportAdapterRequest* request,
+  grpc::Status ExportAdapter(grpc::ServerContext* context, const v1::ExportAdapterRequest* request,
                              v1::ExportAdapterResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_ASSIGN_OR_RETURN(AdapterState state, session.Export());
       response->set_safetensors(std::move(state.safetensors));
@@ -196,8 +235,9 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     });
   }
 
-  grpc::Status ImportAdapter(grpc::ServerContext*, const v1::ImportAdapterRequest* request,
+  grpc::Status ImportAdapter(grpc::ServerContext* context, const v1::ImportAdapterRequest* request,
                              v1::ImportAdapterResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_ASSIGN_OR_RETURN(const FeedbackResult result, session.Import(request->safetensors()));
       response->set_feedback_sequence(result.sequence);
@@ -206,8 +246,10 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     });
   }
 
-  grpc::Status RollbackAdapter(grpc::ServerContext*, const v1::RollbackAdapterRequest* request,
+  grpc::Status RollbackAdapter(grpc::ServerContext* context,
+                               const v1::RollbackAdapterRequest* request,
                                v1::RollbackAdapterResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_RETURN_IF_ERROR(session.Rollback(request->version()));
       response->set_updates_applied(request->version());
@@ -216,6 +258,10 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   }
 
  private:
+  grpc::Status Allow(const grpc::ServerContext* context, Scope scope) const {
+    return Authorize(*context, options_.tokens, scope);
+  }
+
   static absl::Status CheckIndex(const char* field, uint32_t value) {
     if (value <= static_cast<uint32_t>(WireLimits::kIndex)) return absl::OkStatus();
     return absl::InvalidArgumentError(
@@ -291,25 +337,35 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
 
   absl::Status Predict(const v1::PredictRequest& request, const std::function<bool()>& cancelled,
                        v1::PredictResponse& response) {
-    RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, sessions_->Use(request.session_id()));
-    RS_RETURN_IF_ERROR(CheckIndex("chunk", request.chunk()));
-    RS_RETURN_IF_ERROR(CheckIndex("deadline_ms", request.deadline_ms()));
+    const auto received = std::chrono::steady_clock::now();
+    for (const auto& [field, index] : {std::pair("task", request.task()),
+                                       {"episode", request.episode()},
+                                       {"chunk", request.chunk()},
+                                       {"deadline_ms", request.deadline_ms()}})
+      RS_RETURN_IF_ERROR(CheckIndex(field, index));
     RS_ASSIGN_OR_RETURN(const Observation observation, FromProto(request.observation()));
-    RS_ASSIGN_OR_RETURN(const SessionScheduling scheduling,
-                        sessions_->SchedulingOf(request.session_id()));
     PredictOptions options;
     RS_ASSIGN_OR_RETURN(options.priority, FromProto(request.priority()));
-    if (options.priority == Priority::kUnspecified) options.priority = scheduling.priority;
-    const int64_t deadline_ms =
-        request.deadline_ms() > 0 ? request.deadline_ms() : scheduling.deadline_ms;
-    if (deadline_ms > 0) options.deadline = absl::Milliseconds(deadline_ms);
+    if (request.deadline_ms() > 0) options.deadline = absl::Milliseconds(request.deadline_ms());
     options.cancelled = cancelled;
     RS_ASSIGN_OR_RETURN(
         const PredictedChunk prediction,
-        session->Predict(observation, static_cast<int>(request.task()),
-                         static_cast<int>(request.episode()), static_cast<int>(request.chunk()),
-                         request.last_feedback_sequence(), options));
+        host_->Predict(request.session_id(), observation,
+                       {static_cast<int>(request.task()), static_cast<int>(request.episode())},
+                       static_cast<int>(request.chunk()), request.last_feedback_sequence(),
+                       std::move(options), received));
     response = ToProto(prediction, static_cast<int>(request.chunk()));
+    return absl::OkStatus();
+  }
+
+  absl::Status Take(const v1::FeedbackRequest& request, v1::FeedbackAck& ack) {
+    RS_ASSIGN_OR_RETURN(const ExecutedChunk chunk, FromProto(request.chunk()));
+    RS_ASSIGN_OR_RETURN(const SessionHost::Acknowledged taken,
+                        host_->Feedback(request.session_id(), chunk));
+    ack.set_sequence(taken.sequence);
+    ack.set_updates_applied(taken.updates_applied);
+    ack.set_durable(taken.durable);
+    ack.set_duplicate(taken.duplicate);
     return absl::OkStatus();
   }
 
@@ -327,15 +383,25 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   std::map<std::string, std::shared_ptr<const FlowPolicy>>
       policies_;  // by name; fixed after construction
   const std::shared_ptr<PrefixStore> prefixes_;
+  Metrics metrics_;
+  Telemetry telemetry_;
+  TraceLog traces_;
   UpdatePacer pacer_;
   AdaptationLoop async_updates_, lockstep_updates_;
   Batcher inference_;
-  std::unique_ptr<SessionRegistry> sessions_;  // set by OpenRegistry
+  // Set by OpenRegistry.
+  std::unique_ptr<SessionRegistry> sessions_;
+  std::unique_ptr<RegistryHost> host_;
 };
 
 PolicyServer::PolicyServer() = default;
 PolicyServer::~PolicyServer() { Stop(absl::ZeroDuration()); }
 SessionRegistry& PolicyServer::sessions() { return service_->sessions(); }
+RegistryHost& PolicyServer::host() { return service_->host(); }
+Metrics& PolicyServer::metrics() { return service_->metrics(); }
+TraceLog& PolicyServer::traces() { return service_->traces(); }
+Telemetry& PolicyServer::telemetry() { return service_->telemetry(); }
+const AccessTokens& PolicyServer::tokens() const { return service_->tokens(); }
 
 absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
     const PolicyServerOptions& options, std::vector<std::shared_ptr<const FlowPolicy>> policies) {
@@ -369,7 +435,8 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT,
                              0);  // a second server on the port must fail, not share it
-  builder.AddListeningPort(options.listen, grpc::InsecureServerCredentials(), &server->port_);
+  RS_ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
+  builder.AddListeningPort(options.listen, credentials, &server->port_);
   builder.RegisterService(server->service_.get());
   server->server_ = builder.BuildAndStart();
   if (server->server_ == nullptr || server->port_ == 0) {
@@ -378,15 +445,26 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
                      ": the port is taken or the address is not this machine's; use --listen "
                      "HOST:0 for a free port"));
   }
-  server->server_->GetHealthCheckService()->SetServingStatus("robostress.v1.PolicyService", true);
+  grpc::HealthCheckServiceInterface* health = server->server_->GetHealthCheckService();
+  health->SetServingStatus(false);
+  health->SetServingStatus(kHealthName, false);
+  if (options.warm_up) RS_RETURN_IF_ERROR(server->service_->WarmUp());
+  health->SetServingStatus(true);
+  health->SetServingStatus(kHealthName, true);
+  server->ready_ = true;
   return server;
+}
+
+void PolicyServer::Drain() {
+  ready_ = false;
+  server_->GetHealthCheckService()->SetServingStatus(false);
+  service_->sessions().Drain();
 }
 
 void PolicyServer::Stop(absl::Duration grace) {
   if (server_ == nullptr) return;
-  server_->GetHealthCheckService()->SetServingStatus(false);
+  Drain();
   SessionRegistry& sessions = service_->sessions();
-  sessions.Drain();
   if (sessions.AwaitIdle(grace)) sessions.FlushAll();
   sessions.CancelAll();
   server_->Shutdown(std::chrono::system_clock::now());

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -11,7 +12,10 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "server/adaptation.h"
+#include "server/edge/access_tokens.h"
+#include "server/edge/tls_files.h"
 #include "server/policy.h"
+#include "server/registry_host.h"
 #include "server/session_registry.h"
 
 namespace grpc {
@@ -46,9 +50,13 @@ struct PolicyServerOptions {
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
+  bool warm_up = true;  // predict once with every policy before health says SERVING
+  TlsFiles tls;
+  AccessTokens tokens;  // asked by every call
 };
 
-// A policy service over gRPC with health and reflection. Construction starts it.
+// A policy service over gRPC with health and reflection. Start listens, health says NOT_SERVING,
+// the policies are warmed up, health says SERVING, Start returns.
 class PolicyServer {
  public:
   // `policies` are served by their spec().name.
@@ -59,6 +67,15 @@ class PolicyServer {
   int port() const { return port_; }
   // For what stands beside the service: operators, metrics.
   SessionRegistry& sessions();
+  RegistryHost& host();
+  Metrics& metrics();
+  TraceLog& traces();
+  Telemetry& telemetry();
+  const AccessTokens& tokens() const;
+  // Warmed up and not draining.
+  bool ready() const { return ready_; }
+  // Refuses new sessions and messages; health says NOT_SERVING. Any thread; returns at once.
+  void Drain();
   // Refuses new sessions and messages, answers those under way for at most `grace`, writes durable
   // sessions to disk, cancels the rest, joins.
   void Stop(absl::Duration grace);
@@ -69,6 +86,7 @@ class PolicyServer {
 
   std::unique_ptr<Service> service_;
   std::unique_ptr<grpc::Server> server_;
+  std::atomic<bool> ready_{false};
   int port_ = 0;
 };
 
