@@ -92,8 +92,8 @@ TEST(Deploy, TheSystemdUnitStartsTheServerAndWaitsForItsGrace) {
 
 TEST(Deploy, TheContainerFileNamesFlagsAndFilesThatExist) {
   const std::string file = Deploy("container/Containerfile");
-  for (std::sregex_iterator at(file.begin(), file.end(), std::regex("\"(--[a-z-]+)\"")), end;
-       at != end; ++at)
+  const std::regex flag("\"(--[a-z-]+)\"");
+  for (std::sregex_iterator at(file.begin(), file.end(), flag), end; at != end; ++at)
     EXPECT_EQ(KnownFlags().count((*at)[1]), 1u) << (*at)[1];
   for (const char* used : {"deploy/packages.txt", "LICENSE"}) {
     EXPECT_THAT(file, HasSubstr(used));
