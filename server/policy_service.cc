@@ -161,7 +161,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   grpc::Status CloseSession(grpc::ServerContext* context, const v1::CloseSessionRequest* request,
                             v1::CloseSessionResponse*) override {
     if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    return ToGrpc(sessions_->Close(request->session_id()));
+    return ToGrpc(host_->CloseSession(request->session_id()));
   }
 
   grpc::Status StartEpisode(grpc::ServerContext* context, const v1::StartEpisodeRequest* request,

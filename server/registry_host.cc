@@ -22,6 +22,12 @@ absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const std::stri
                  opened.session->Position().feedback_sequence};
 }
 
+absl::Status RegistryHost::CloseSession(const std::string& id) {
+  const absl::Status closed = registry_->Close(id);
+  if (closed.ok()) telemetry_->Forget(id);
+  return closed;
+}
+
 absl::Status RegistryHost::StartEpisode(const std::string& id, const EpisodeKey& key,
                                         uint64_t last_sequence) {
   RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id));

@@ -28,7 +28,7 @@ class RegistryHost : public SessionHost {
   std::vector<PolicySpec> policies() const override { return policies_; }
   absl::StatusOr<Opened> OpenSession(const SessionSpec& spec) override;
   absl::StatusOr<Resumed> ResumeSession(const std::string& id, const std::string& token) override;
-  absl::Status CloseSession(const std::string& id) override { return registry_->Close(id); }
+  absl::Status CloseSession(const std::string& id) override;
   absl::Status StartEpisode(const std::string& id, const EpisodeKey& key,
                             uint64_t last_sequence) override;
   absl::StatusOr<PredictedChunk> Predict(const std::string& id, const Observation& observation,

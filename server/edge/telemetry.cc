@@ -38,6 +38,31 @@ Telemetry::Telemetry(Metrics* metrics)
           metrics->AddCounter("robostress_predictions_answered_total", "Predictions answered.")),
       chunks_(metrics->AddCounter("robostress_feedback_chunks_total", "Executed chunks taken.")) {}
 
+Telemetry::Record& Telemetry::Used(const std::string& session) {
+  const auto found = records_.find(session);
+  if (found == records_.end()) {
+    size_t unlisted = 0;
+    auto oldest = records_.end();
+    for (auto at = records_.begin(); at != records_.end(); ++at) {
+      if (at->second.listed) continue;
+      ++unlisted;
+      if (oldest == records_.end() || at->second.used < oldest->second.used) oldest = at;
+    }
+    if (unlisted >= kUnlisted) records_.erase(oldest);
+  }
+  Record& record = records_[session];
+  record.used = Clock::now();
+  return record;
+}
+
+void Telemetry::Forget(const std::string& session) {
+  {
+    absl::MutexLock lock(&mu_);
+    records_.erase(session);
+  }
+  metrics_->Remove("session", session);
+}
+
 void Telemetry::Predicted(const std::string& session, const Observation& observation,
                           double seconds) {
   predict_seconds_->Observe(seconds);
@@ -46,7 +71,7 @@ void Telemetry::Predicted(const std::string& session, const Observation& observa
   bool wants_images = false;
   {
     absl::MutexLock lock(&mu_);
-    Record& record = records_[session];
+    Record& record = Used(session);
     Push(record.latencies_s, seconds);
     wants_images = !observation.views.empty() &&
                    (record.image_count == 0 || now - record.image_time >= kImagePeriod);
@@ -56,7 +81,7 @@ void Telemetry::Predicted(const std::string& session, const Observation& observa
   for (const CameraView& view : observation.views)
     images[view.camera] = std::make_shared<const Image>(view.image);
   absl::MutexLock lock(&mu_);
-  Record& record = records_[session];
+  Record& record = Used(session);
   record.images = std::move(images);
   record.image_time = now;
   ++record.image_count;
@@ -80,7 +105,7 @@ void Telemetry::Reported(const std::string& session, const SessionSpec& spec,
         ->Observe(point.mean_abs[i]);
   }
   absl::MutexLock lock(&mu_);
-  Push(records_[session].residuals, std::move(point));
+  Push(Used(session).residuals, std::move(point));
 }
 
 void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {

@@ -36,6 +36,9 @@ struct SessionFigures {
 class Telemetry {
  public:
   static constexpr size_t kHistory = 240;  // points of every curve; then the oldest go
+  // Sessions that are remembered though no Refresh has named them: where nobody asks, those used
+  // last.
+  static constexpr size_t kUnlisted = 64;
   // Of a session's images, so that copying them costs next to nothing.
   static constexpr std::chrono::milliseconds kImagePeriod{500};
 
@@ -67,6 +70,8 @@ class Telemetry {
   // An executed chunk was taken.
   void Reported(const std::string& session, const SessionSpec& spec, const ExecutedChunk& executed)
       ABSL_LOCKS_EXCLUDED(mu_);
+  // It was closed.
+  void Forget(const std::string& session) ABSL_LOCKS_EXCLUDED(mu_);
   // All sessions as they stand: sets gauges, counts outcomes since the last call, and forgets those
   // that are gone.
   void Refresh(const std::vector<SessionFigures>& sessions) ABSL_LOCKS_EXCLUDED(mu_);
@@ -86,8 +91,11 @@ class Telemetry {
     std::deque<double> latencies_s;
     std::map<std::string, std::shared_ptr<const Image>> images;
     uint64_t image_count = 0;
-    Clock::time_point image_time{};
+    Clock::time_point image_time{}, used{};
   };
+
+  // Of a session that is used now.
+  Record& Used(const std::string& session) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   Metrics* const metrics_;
   const std::shared_ptr<Histogram> predict_seconds_;

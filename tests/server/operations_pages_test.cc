@@ -107,6 +107,22 @@ TEST_F(OperationsPagesTest, ShowsSessionsWithPlotsAndImagesAndEscapesTheirNames)
   EXPECT_EQ(Get("/else").status, 404);
 }
 
+TEST_F(OperationsPagesTest, RemembersABoundedNumberOfSessionsWhereNobodyAsks) {
+  for (int i = 0; i < 1000; ++i) telemetry_.Predicted(absl::StrCat("session-", i), Seen(), 0.02);
+  std::vector<SessionFigures> all;
+  for (int i = 0; i < 1000; ++i) {
+    all.push_back(figures_);
+    all.back().id = absl::StrCat("session-", i);
+  }
+  telemetry_.Refresh(all);
+  size_t with_images = 0;
+  for (const Telemetry::View& view : telemetry_.Views()) with_images += !view.cameras.empty();
+  EXPECT_EQ(with_images, Telemetry::kUnlisted);
+  telemetry_.Forget("session-999");
+  EXPECT_EQ(telemetry_.Views().size(), 999u);
+  EXPECT_THAT(metrics_.Text(), Not(HasSubstr("session-999")));
+}
+
 TEST_F(OperationsPagesTest, IsReadyOnlyWhileTheServerIs) {
   EXPECT_EQ(Get("/readyz").status, 200);
   ready_ = false;
