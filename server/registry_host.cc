@@ -8,7 +8,7 @@
 
 namespace robostress {
 
-using Clock = std::chrono::steady_clock;
+using Monotonic = std::chrono::steady_clock;
 
 absl::StatusOr<SessionHost::Opened> RegistryHost::OpenSession(const SessionSpec& spec) {
   RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Open({spec, guard_, {}}));
@@ -38,15 +38,15 @@ absl::StatusOr<PredictedChunk> RegistryHost::Predict(const std::string& id,
                                                      const Observation& observation,
                                                      const EpisodeKey& key, int chunk,
                                                      uint64_t last_sequence) {
-  return Predict(id, observation, key, chunk, last_sequence, {}, Clock::now());
+  return Predict(id, observation, key, chunk, last_sequence, {}, Monotonic::now());
 }
 
 absl::StatusOr<PredictedChunk> RegistryHost::Predict(const std::string& id,
                                                      const Observation& observation,
                                                      const EpisodeKey& key, int chunk,
                                                      uint64_t last_sequence, PredictOptions options,
-                                                     Clock::time_point received) {
-  const Clock::time_point begin = Clock::now();
+                                                     Monotonic::time_point received) {
+  const Monotonic::time_point begin = Monotonic::now();
   const auto trace = std::make_shared<PredictionTrace>(id, key.task, key.episode, chunk);
   trace->Add("decode", received, begin);
   const TraceScope scope(trace);
@@ -57,7 +57,7 @@ absl::StatusOr<PredictedChunk> RegistryHost::Predict(const std::string& id,
     options.deadline = absl::Milliseconds(scheduling.deadline_ms);
   absl::StatusOr<PredictedChunk> prediction =
       session->Predict(observation, key.task, key.episode, chunk, last_sequence, options);
-  const Clock::time_point end = Clock::now();
+  const Monotonic::time_point end = Monotonic::now();
   trace->Add("predict", begin, end);
   traces_->Finish(trace);
   if (!prediction.ok()) {
