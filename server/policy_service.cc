@@ -15,6 +15,7 @@
 #include "absl/time/clock.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/grpc_status.h"
+#include "common/rpc/refusal.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/predict_stream.h"
@@ -64,10 +65,10 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
           std::vector<std::shared_ptr<const FlowPolicy>> policies)
       : options_(options),
         prefixes_(std::make_shared<PrefixStore>(options.prefix_budget_mib << 20)),
-        pacer_({options.cores, options.update_share}),
+        pacer_({options.cores, options.update_share}, options.metrics),
         async_updates_({options.threads, &pacer_, UpdatePacer::Kind::kAsync, options.update_nice}),
         lockstep_updates_({options.threads, &pacer_, UpdatePacer::Kind::kLockstep, 0}),
-        inference_(BatchingOf(options), &pacer_) {
+        inference_(BatchingOf(options), &pacer_, options.metrics) {
     for (auto& policy : policies) policies_[policy->spec().name] = std::move(policy);
   }
 
@@ -105,9 +106,13 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     return grpc::Status::OK;
   }
 
-  grpc::Status OpenSession(grpc::ServerContext*, const v1::OpenSessionRequest* request,
+  grpc::Status OpenSession(grpc::ServerContext* context, const v1::OpenSessionRequest* request,
                            v1::OpenSessionResponse* response) override {
-    return ToGrpc(Open(*request, *response));
+    const absl::Status status = Open(*request, *response);
+    if (IsRefusal(status)) {
+      context->AddTrailingMetadata(kRefusalMetadata, ToRefusal(status).SerializeAsString());
+    }
+    return ToGrpc(status);
   }
 
   grpc::Status ResumeSession(grpc::ServerContext*, const v1::ResumeSessionRequest* request,
