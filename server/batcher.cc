@@ -18,6 +18,7 @@ namespace {
 using SteadyClock = std::chrono::steady_clock;
 
 constexpr auto kCancelPoll = std::chrono::milliseconds(20);
+constexpr char kGivenUp[] = "the client gave the prediction up";
 constexpr double kAverageWeight = 0.1;  // of a new value in a moving average
 
 double Seconds(SteadyClock::duration d) { return std::chrono::duration<double>(d).count(); }
@@ -152,11 +153,12 @@ absl::StatusOr<SampledPrediction> Batcher::Predict(const PredictionJob& job) {
     }
     while (!pending->done) {
       // Wakes up for the deadline or to ask whether the client is still there.
-      const MonotonicTime poll = SteadyClock::now() + kCancelPoll;
-      pending->answered.wait_until(lock, std::min(poll, pending->deadline));
+      const MonotonicTime now = SteadyClock::now(), poll = now + kCancelPoll;
+      const bool in_time = now < pending->deadline;  // otherwise it is being computed
+      pending->answered.wait_until(lock, in_time ? std::min(poll, pending->deadline) : poll);
       if (pending->done) break;
       if (job.cancelled && job.cancelled() && queue_.Remove(pending.get())) {
-        Finish(*pending, absl::CancelledError("the client gave the prediction up"));
+        Finish(*pending, absl::CancelledError(kGivenUp));
       } else if (SteadyClock::now() >= pending->deadline && queue_.Remove(pending.get())) {
         Finish(*pending, Refusal(absl::DeadlineExceededError(absl::StrCat(
                              "the observation waited its ", absl::FormatDuration(job.deadline),
@@ -187,7 +189,12 @@ Batcher::Batch Batcher::TakeBatch() {
     RequestQueue::Refused late;
     for (const RequestQueue::Request& request :
          queue_.PopBatch(SteadyClock::now(), most, absl::Seconds(batch_seconds_), late)) {
-      batch.push_back(std::static_pointer_cast<Pending>(request));
+      auto pending = std::static_pointer_cast<Pending>(request);
+      if (pending->job->cancelled && pending->job->cancelled()) {
+        Finish(*pending, absl::CancelledError(kGivenUp));
+      } else {
+        batch.push_back(std::move(pending));
+      }
     }
     Answer(late);
   }

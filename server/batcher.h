@@ -40,7 +40,9 @@ struct PredictionJob {
   Priority priority = Priority::kSimulation;
   absl::Duration deadline = absl::InfiniteDuration();  // from now on
   bool replaceable = false;                            // async (QueuedRequest)
-  std::function<bool()> cancelled;  // asked every 20 ms while it waits; may be empty
+  // Asked every 20 ms while it waits and once before it is computed, any thread, with the batcher's
+  // lock held; may be empty.
+  std::function<bool()> cancelled;
 };
 
 struct SampledPrediction {

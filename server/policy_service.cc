@@ -15,6 +15,7 @@
 #include "absl/time/clock.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/grpc_status.h"
+#include "common/rpc/refusal.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/grpc_access.h"
@@ -88,9 +89,11 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
           std::vector<std::shared_ptr<const FlowPolicy>> policies)
       : options_(options),
         prefixes_(std::make_shared<PrefixStore>(options.prefix_budget_mib << 20)),
+        own_metrics_(options.metrics == nullptr ? std::make_unique<Metrics>() : nullptr),
+        metrics_(options.metrics == nullptr ? *own_metrics_ : *options.metrics),
         telemetry_(&metrics_),
         traces_(&metrics_),
-        pacer_({options.cores, options.update_share}),
+        pacer_({options.cores, options.update_share}, &metrics_),
         async_updates_({options.threads, &pacer_, UpdatePacer::Kind::kAsync, options.update_nice}),
         lockstep_updates_({options.threads, &pacer_, UpdatePacer::Kind::kLockstep, 0}),
         inference_(BatchingOf(options), &pacer_, &metrics_) {
@@ -149,7 +152,11 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   grpc::Status OpenSession(grpc::ServerContext* context, const v1::OpenSessionRequest* request,
                            v1::OpenSessionResponse* response) override {
     if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    return ToGrpc(Open(*request, *response));
+    const absl::Status status = Open(*request, *response);
+    if (IsRefusal(status)) {
+      context->AddTrailingMetadata(kRefusalMetadata, ToRefusal(status).SerializeAsString());
+    }
+    return ToGrpc(status);
   }
 
   grpc::Status ResumeSession(grpc::ServerContext* context, const v1::ResumeSessionRequest* request,
@@ -383,7 +390,8 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   std::map<std::string, std::shared_ptr<const FlowPolicy>>
       policies_;  // by name; fixed after construction
   const std::shared_ptr<PrefixStore> prefixes_;
-  Metrics metrics_;
+  const std::unique_ptr<Metrics> own_metrics_;
+  Metrics& metrics_;
   Telemetry telemetry_;
   TraceLog traces_;
   UpdatePacer pacer_;

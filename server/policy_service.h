@@ -14,6 +14,7 @@
 #include "server/adaptation.h"
 #include "server/edge/access_tokens.h"
 #include "server/edge/tls_files.h"
+#include "server/metrics.h"
 #include "server/policy.h"
 #include "server/registry_host.h"
 #include "server/session_registry.h"
@@ -36,6 +37,7 @@ struct PolicyServerOptions {
   int cores = 0;
   double update_share = 0.1;
   int update_nice = 5;
+  Metrics* metrics = nullptr;  // counts batches, refusals and pauses; outlives the server
   int max_sessions = 64;
   // When max_sessions are open, the one unused for longest makes room if it was unused this long:
   // its client was killed, or it has ended without closing.

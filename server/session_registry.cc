@@ -18,6 +18,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/rpc/convert.h"
+#include "common/rpc/refusal.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/state/session_journal.h"
@@ -191,10 +192,15 @@ absl::Status SessionRegistry::TakePlace() {
               ? -absl::InfiniteDuration()
               : absl::Nanoseconds(clock_->now_ns() - oldest->second.last_used_ns);
       if (unused < options_.abandoned_after) {
-        return absl::ResourceExhaustedError(absl::StrCat(
-            places_, " sessions are open, which is the limit, and all were used within ",
-            absl::FormatDuration(options_.abandoned_after),
-            "; close one or start the server with more --max-sessions"));
+        // The one unused for longest makes room when it counts as abandoned.
+        const absl::Duration left =
+            oldest == entries_.end() ? options_.abandoned_after : options_.abandoned_after - unused;
+        return Refusal(
+            absl::ResourceExhaustedError(absl::StrCat(
+                places_, " sessions are open, which is the limit, and all were used within ",
+                absl::FormatDuration(options_.abandoned_after),
+                "; close one or start the server with more --max-sessions")),
+            left);
       }
       victim = oldest->first;
       session = oldest->second.session;

@@ -18,11 +18,15 @@ UpdatePacer::Update*& CurrentUpdate() {
 
 }  // namespace
 
-UpdatePacer::UpdatePacer(const UpdatePacerOptions& options)
+UpdatePacer::UpdatePacer(const UpdatePacerOptions& options, Metrics* metrics)
     : cores_(options.cores > 0
                  ? options.cores
                  : static_cast<int>(std::max(1u, std::thread::hardware_concurrency()))),
-      share_(std::clamp(options.share, 1e-3, 1.0)) {}
+      share_(std::clamp(options.share, 1e-3, 1.0)) {
+  if (metrics == nullptr) return;
+  paused_seconds_ = metrics->AddCounter("robostress_updates_paused_seconds_total",
+                                        "Time that updates gave way to predictions.");
+}
 
 void UpdatePacer::PredictionArrived(Priority priority) {
   ++predictions_;
@@ -96,6 +100,8 @@ void UpdatePacer::Yield(Update& update) {
   update.credit_ += std::chrono::duration_cast<nanoseconds>(paused * (share_ / (1 - share_)));
   if (resume) update.credit_ = {};
   paused_ns_ += std::chrono::duration_cast<nanoseconds>(paused).count();
+  if (paused_seconds_ != nullptr)
+    paused_seconds_->Add(std::chrono::duration<double>(paused).count());
 }
 
 }  // namespace robostress

@@ -4,9 +4,11 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
+#include <memory>
 #include <mutex>
 
 #include "absl/time/time.h"
+#include "server/metrics.h"
 #include "server/request_queue.h"
 
 namespace robostress {
@@ -28,7 +30,8 @@ class UpdatePacer {
  public:
   enum class Kind { kAsync, kLockstep };  // of the session that learns
 
-  explicit UpdatePacer(const UpdatePacerOptions& options);
+  // `metrics` may be null; it must outlive this.
+  explicit UpdatePacer(const UpdatePacerOptions& options, Metrics* metrics = nullptr);
   double share() const { return share_; }
   int cores() const { return cores_; }
 
@@ -68,6 +71,7 @@ class UpdatePacer {
   std::atomic<int> predictions_{0}, robots_{0};
   std::atomic<int> updates_{0};  // that compute now
   std::atomic<int64_t> paused_ns_{0};
+  std::shared_ptr<Counter> paused_seconds_;  // null without metrics
   // std: its timed waits follow the monotonic clock, absl's the time of day.
   std::mutex mu_;
   std::condition_variable answered_;

@@ -96,6 +96,12 @@ struct GrpcPolicyClient::Impl {
                                                       " did not answer within ", timeout_s,
                                                       " s; it may hang or be overloaded"));
     }
+    const auto& trailing = context.GetServerTrailingMetadata();
+    if (const auto found = trailing.find(kRefusalMetadata); found != trailing.end()) {
+      v1::Refusal refusal;
+      if (refusal.ParseFromArray(found->second.data(), static_cast<int>(found->second.size())))
+        return ToStatus(refusal);
+    }
     return FromGrpc(status);
   }
 

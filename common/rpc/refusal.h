@@ -16,6 +16,9 @@ absl::Status Refusal(absl::Status status, absl::Duration retry_after = absl::Zer
 // RESOURCE_EXHAUSTED with the mark; the message says when to come back.
 absl::Status OverloadedError(const std::string& message, absl::Duration retry_after);
 
+// Trailing metadata of a call that ends with a refusal: v1.Refusal, serialised.
+inline constexpr char kRefusalMetadata[] = "robostress-refusal-bin";
+
 bool IsRefusal(const absl::Status& status);
 // Not before this; zero where nothing is said.
 absl::Duration RetryAfter(const absl::Status& status);

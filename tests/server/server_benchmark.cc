@@ -201,12 +201,14 @@ void PrintServing(const char* name, const char* updates, const LoadResult& r, do
 }
 
 void PrintUpdatesTable(const TableOptions& table, const std::shared_ptr<const FlowPolicy>& policy) {
-  PolicyServerOptions yielding, greedy;
+  PolicyServerOptions yielding, always, greedy;
+  always.cores = 1;
   greedy.update_share = 1;
   greedy.update_nice = 0;
   std::vector<Serving> servings;
-  servings.push_back(Serve("updates yield (default)", yielding, table, policy));
-  servings.push_back(Serve("updates do not yield", greedy, table, policy));
+  servings.push_back(Serve("yield (default)", yielding, table, policy));
+  servings.push_back(Serve("yield, --cores 1", always, table, policy));
+  servings.push_back(Serve("do not yield", greedy, table, policy));
   for (const double rate : {table.rate_hz, 0.0}) {
     std::printf("\nPredictions with and without updates: %d arms, %s, %d threads; %s\n", table.arms,
                 rate > 0 ? absl::StrCat(rate, " predictions/s each").c_str()
