@@ -341,6 +341,7 @@ TEST(Session, KeepsSixteenVersionsAndEveryPinnedOne) {
   client.RunChunks(48);
   ASSERT_TRUE(client.session().Pin(2, true).ok());
   client.RunChunks(8 * 20);
+  EXPECT_EQ(client.updates(), 23u);
   std::vector<uint64_t> held;
   const std::vector<PublishedVersion> versions = client.session().Versions().value();
   for (const PublishedVersion& version : versions) held.push_back(version.weights->version);
