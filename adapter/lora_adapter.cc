@@ -76,8 +76,12 @@ void LoraAdapter::Publish(LoraWeights phi, double loss, uint64_t feedback_sequen
   published_ = std::move(snapshot);
   distance_ = distance;
   history_.push_back({published_, distance, loss, feedback_sequence, false});
+  TrimHistory();
+}
+
+void LoraAdapter::TrimHistory() {
   const auto pinned = [](const PublishedVersion& v) { return v.pinned; };
-  if (history_.size() - absl::c_count_if(history_, pinned) > kHistory)
+  while (history_.size() - absl::c_count_if(history_, pinned) > kHistory)
     history_.erase(absl::c_find_if_not(history_, pinned));
 }
 
@@ -232,6 +236,7 @@ absl::Status LoraAdapter::RestoreVersions(std::vector<PublishedVersion> versions
   }
   versions.back().weights = published_;
   history_.assign(versions.begin(), versions.end());
+  TrimHistory();
   return absl::OkStatus();
 }
 

@@ -104,6 +104,8 @@ class LoraAdapter {
   LoraAdapter(const VelocityField* field, const MethodOptions& options, const StreamKey& session);
   void Publish(LoraWeights phi, double loss, uint64_t feedback_sequence) ABSL_LOCKS_EXCLUDED(mu_);
 
+  void TrimHistory() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+
   const VelocityField* field_;
   const MethodOptions options_;
   const StreamKey session_;

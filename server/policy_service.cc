@@ -222,6 +222,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       response->set_updates_refused(counters.updates_refused);
       response->set_updates_guarded(counters.updates_guarded);
       response->set_predictions_dropped(counters.predictions_dropped);
+      response->set_resumes(counters.resumes);
       response->set_rollbacks(counters.rollbacks);
       response->set_steps_masked(counters.steps_masked);
       response->set_journal_bytes(counters.journal_bytes);

@@ -37,7 +37,7 @@ struct PolicyServerOptions {
   int cores = 0;
   double update_share = 0.1;
   int update_nice = 5;
-  Metrics* metrics = nullptr;  // counts batches, refusals and pauses; outlives the server
+  Metrics* metrics = nullptr;  // outlives the server; null: it has its own
   int max_sessions = 64;
   // When max_sessions are open, the one unused for longest makes room if it was unused this long:
   // its client was killed, or it has ended without closing.

@@ -222,6 +222,11 @@ SessionPosition Session::Position() {
   return {feedback_sequence_, next_prediction_ - 1, updates_applied(), episode_};
 }
 
+void Session::CountResume() {
+  absl::MutexLock lock(&mu_);
+  ++resumes_;
+}
+
 absl::Status Session::failure() {
   absl::MutexLock lock(&mu_);
   return failure_;
@@ -248,6 +253,7 @@ SessionCounters Session::CountersNow() {
   counters.predictions_dropped = predictions_dropped_;
   counters.updates_guarded = updates_guarded_;
   counters.duplicates = duplicates_;
+  counters.resumes = resumes_;
   counters.rollbacks = rollbacks_;
   counters.steps_masked = steps_masked_;
   counters.snapshots_failed = snapshots_failed_;

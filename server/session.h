@@ -87,6 +87,7 @@ struct SessionCounters {
   uint64_t predictions_dropped =
       0;  // kept for feedback that had not come when kMaxOutstanding others had been made
   uint64_t duplicates = 0;  // feedback that was in already
+  uint64_t resumes = 0;     // since this server started
   uint64_t rollbacks = 0;
   uint64_t steps_masked = 0;
   uint64_t journal_bytes = 0;       // since the last snapshot
@@ -143,6 +144,7 @@ class Session : public std::enable_shared_from_this<Session> {
       ABSL_LOCKS_EXCLUDED(order_mu_, mu_);
 
   SessionPosition Position() ABSL_LOCKS_EXCLUDED(mu_);
+  void CountResume() ABSL_LOCKS_EXCLUDED(mu_);
   // Why the session computes no further; OK while it does.
   absl::Status failure() ABSL_LOCKS_EXCLUDED(mu_);
   // Lockstep: with every update due.
@@ -273,6 +275,7 @@ class Session : public std::enable_shared_from_this<Session> {
   uint64_t updates_refused_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t updates_guarded_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t duplicates_ ABSL_GUARDED_BY(mu_) = 0;
+  uint64_t resumes_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t rollbacks_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t steps_masked_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t snapshots_failed_ ABSL_GUARDED_BY(mu_) = 0;

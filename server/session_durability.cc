@@ -31,8 +31,9 @@ struct SessionSnapshot {
 
 namespace {
 
+// `status` as one of the disk.
 absl::Status Damaged(const absl::Status& status) {
-  if (absl::IsFailedPrecondition(status) || absl::IsDataLoss(status)) return status;
+  if (status.ok() || absl::IsFailedPrecondition(status) || absl::IsDataLoss(status)) return status;
   return absl::DataLossError(absl::StrCat("state on disk: ", status.message()));
 }
 

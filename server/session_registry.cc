@@ -335,6 +335,7 @@ absl::StatusOr<OpenedSession> SessionRegistry::Resume(const std::string& id,
                                                       const std::string& token) {
   RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session, Acquire(id, &token));
   const Lease lease(this, id, session);
+  session->CountResume();
   return OpenedSession{id, "", std::move(session)};
 }
 

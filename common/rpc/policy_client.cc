@@ -105,6 +105,10 @@ struct GrpcPolicyClient::Impl {
     return FromGrpc(status);
   }
 
+  void SetReconnect(bool durable) {
+    if (options.reconnect_timeout_s < 0) options.reconnect_timeout_s = durable ? 30 : 0;
+  }
+
   // Runs `call`; where the session is lost it is resumed and `call` runs again, as long as the
   // options say.
   absl::Status WithSession(absl::FunctionRef<absl::Status()> call) {
@@ -245,6 +249,7 @@ absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> GrpcPolicyClient::Connect(
   RS_RETURN_IF_ERROR(impl->Unary(&v1::PolicyService::Stub::OpenSession, request, response,
                                  options.call_timeout_s));
   impl->ticket = {response.session_id(), response.resume_token()};
+  impl->SetReconnect(response.durable());
   auto client =
       std::unique_ptr<GrpcPolicyClient>(new GrpcPolicyClient(std::move(impl)));  // closes on error
   RS_ASSIGN_OR_RETURN(client->impl_->spec, FromProto(response.policy()));
@@ -267,6 +272,7 @@ absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> GrpcPolicyClient::Resume(
                                  options.call_timeout_s));
   RS_ASSIGN_OR_RETURN(impl->spec, FromProto(response.policy()));
   impl->ledger.Restart(response.feedback_sequence());
+  impl->SetReconnect(response.durable());
   return std::unique_ptr<GrpcPolicyClient>(new GrpcPolicyClient(std::move(impl)));
 }
 

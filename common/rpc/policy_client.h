@@ -16,8 +16,9 @@ struct PolicyClientOptions {
   double connect_timeout_s = 20;  // [s] until the server must accept a connection
   double call_timeout_s = 300;  // [s] for any answer; a lockstep prediction may wait for an update
   // A server that is lost is waited for this long [s], the session resumed and the call repeated;
-  // 0: the error is returned, and the next call tries to resume.
-  double reconnect_timeout_s = 0;
+  // 0: the error is returned, and the next call tries to resume. Below 0: 30 s if the server keeps
+  // sessions on disk, else 0.
+  double reconnect_timeout_s = -1;
   int max_unacknowledged = 16;  // async only: executed chunks under way before SendFeedback waits;
                                 // lockstep waits for every acknowledgement
   SessionScheduling scheduling;

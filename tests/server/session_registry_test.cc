@@ -164,7 +164,9 @@ TEST_F(RegistryTest, AThousandSessionsOpenedAndDroppedLeaveNothing) {
   Start();
   for (int i = 0; i < 1000; ++i) {
     const OpenedSession opened = Open("base");
-    if (i % 2 == 0) ASSERT_TRUE(registry_->Close(opened.id).ok());
+    if (i % 2 == 0) {
+      ASSERT_TRUE(registry_->Close(opened.id).ok());
+    }
   }
   EXPECT_EQ(registry_->open_sessions(), 500);
   clock_.Advance(absl::ToInt64Nanoseconds(absl::Hours(1)));
