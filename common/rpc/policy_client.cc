@@ -10,6 +10,7 @@
 #include "absl/functional/function_ref.h"
 #include "absl/strings/str_cat.h"
 #include "common/rollout/chunk_ledger.h"
+#include "common/rpc/channel_credentials.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/deadline_stream.h"
 #include "common/rpc/grpc_status.h"
@@ -33,6 +34,7 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const PolicyClientOpt
     return absl::InvalidArgumentError(absl::StrCat("server address '", options.address,
                                                    "' must be HOST:PORT, e.g. 127.0.0.1:50051"));
   }
+  RS_ASSIGN_OR_RETURN(const auto credentials, ChannelCredentialsFromEnvironment());
   grpc::ChannelArguments arguments;
   arguments.SetMaxReceiveMessageSize(kMaxMessageBytes);
   arguments.SetMaxSendMessageSize(kMaxMessageBytes);
@@ -42,7 +44,7 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const PolicyClientOpt
   arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 100);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 500);
   std::shared_ptr<grpc::Channel> channel =
-      grpc::CreateCustomChannel(options.address, grpc::InsecureChannelCredentials(), arguments);
+      grpc::CreateCustomChannel(options.address, credentials, arguments);
   if (!channel->WaitForConnected(After(options.connect_timeout_s))) {
     return absl::UnavailableError(absl::StrCat(
         "no policy server answers at ", options.address, " within ", options.connect_timeout_s,

@@ -14,6 +14,7 @@
 #include "absl/synchronization/notification.h"
 #include "common/atomic_file.h"
 #include "common/rpc/convert.h"
+#include "common/rpc/policy_client.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/admin_server.h"
 #include "server/policy_service.h"
@@ -359,6 +360,37 @@ TEST_F(TlsTest, AsksForACertificateOfItsAuthority) {
   EXPECT_EQ(Info("client"), grpc::StatusCode::OK);
   EXPECT_EQ(Info(""), grpc::StatusCode::UNAVAILABLE);
   EXPECT_EQ(Info("stranger"), grpc::StatusCode::UNAVAILABLE);
+}
+
+TEST_F(TlsTest, OurOwnClientTakesCertificateAndTokenFromTheEnvironment) {
+  PolicyServerOptions options;
+  options.tls = {File("server.crt"), File("server.key"), File("ca.crt")};
+  options.tokens = Tokens();
+  Start(options);
+  ASSERT_TRUE(WriteFileAtomically(File("token"), "arm\n").ok());
+  PolicyClientOptions address;
+  address.address = absl::StrCat("127.0.0.1:", server_->port());
+  address.connect_timeout_s = 5;
+  const std::pair<const char*, const char*> variables[] = {
+      {"ROBOSTRESS_TLS_CA", "ca.crt"},
+      {"ROBOSTRESS_TLS_CERTIFICATE", "client.crt"},
+      {"ROBOSTRESS_TLS_KEY", "client.key"},
+      {"ROBOSTRESS_TOKEN_FILE", "token"}};
+  for (const auto& [variable, file] : variables) setenv(variable, File(file).c_str(), 1);
+  auto client = GrpcPolicyClient::Connect(address, Spec("base"));
+  EXPECT_TRUE(client.ok()) << client.status();
+  if (client.ok()) {
+    EXPECT_TRUE((*client)->StartEpisode({0, 0}).ok());
+    EXPECT_TRUE((*client)->Predict(FakePolicy::MakeObservation(0), 0).ok());
+  }
+  unsetenv("ROBOSTRESS_TOKEN_FILE");
+  EXPECT_EQ(GrpcPolicyClient::Connect(address, Spec("base")).status().code(),
+            absl::StatusCode::kUnauthenticated);
+  setenv("ROBOSTRESS_TOKEN_FILE", File("token").c_str(), 1);
+  unsetenv("ROBOSTRESS_TLS_CA");
+  EXPECT_THAT(std::string(GrpcPolicyClient::Connect(address, Spec("base")).status().message()),
+              HasSubstr("need ROBOSTRESS_TLS_CA"));
+  for (const auto& [variable, file] : variables) unsetenv(variable);
 }
 
 TEST_F(TlsTest, NamesTheFileThatIsWrong) {
