@@ -32,6 +32,8 @@ class OpenpiBytes {
   OpenpiBytes& Bin(const std::string& data) {
     if (data.size() < 256) {
       Byte(0xc4).Big(data.size(), 1);
+    } else if (data.size() < 65536) {
+      Byte(0xc5).Big(data.size(), 2);
     } else {
       Byte(0xc6).Big(data.size(), 4);
     }

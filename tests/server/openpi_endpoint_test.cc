@@ -425,8 +425,9 @@ TEST_F(OpenpiEndpointTest, SaysGoodbyeWhenItIsStopped) {
   EXPECT_EQ(close.opcode, WebClient::kClose);
   EXPECT_EQ(close.close_code(), 1001);
   client->SendFrame(close.payload, WebClient::kClose);
-  stopping.join();
   EXPECT_EQ(client->Read().opcode, -1);
+  client->Close();
+  stopping.join();
 }
 
 TEST_F(OpenpiEndpointTest, LosesNothingToAThousandConnections) {
