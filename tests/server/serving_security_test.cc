@@ -442,8 +442,12 @@ TEST_F(ServingSecurityTest, StreamsCutAtEveryMessageLeaveTheSessionAsItWas) {
     {
       grpc::ClientContext context;
       auto stream = stub->Predict(&context);
-      if (place >= 1) ASSERT_TRUE(stream->Write(request));
-      if (place >= 2) ASSERT_TRUE(stream->Read(&response));
+      if (place >= 1) {
+        ASSERT_TRUE(stream->Write(request));
+      }
+      if (place >= 2) {
+        ASSERT_TRUE(stream->Read(&response));
+      }
       if (place >= 3) stream->WritesDone();
       context.TryCancel();
       stream->Finish().IgnoreError();
