@@ -14,6 +14,8 @@ namespace {
 // Sessions with plots and images; the others are rows of the table.
 constexpr size_t kShownInFull = 12;
 
+constexpr int kPlotWidth = 340;  // three beside each other
+
 // Okabe and Ito's colours: told apart by colour-blind eyes.
 constexpr const char* kColours[] = {"#0072b2", "#e69f00", "#009e73", "#d55e00",
                                     "#cc79a7", "#56b4e9", "#8a8a8a"};
@@ -68,6 +70,7 @@ std::string ResidualPlot(const Telemetry::View& view) {
                                                       : "mean |residual| [action units]";
   options.x_label = "executed chunk";
   options.y_min = 0;
+  options.width = kPlotWidth;
   return LinePlot(series, options);
 }
 
@@ -83,6 +86,7 @@ std::string DriftPlot(const Telemetry::View& view) {
   options.title = "adapter's distance from its start";
   options.x_label = "version";
   options.y_min = 0;
+  options.width = kPlotWidth;
   options.dots = line.x.size() < 2;
   return LinePlot({line}, options);
 }
@@ -99,6 +103,7 @@ std::string LatencyPlot(const Telemetry::View& view) {
   options.title = "prediction [ms]";
   options.x_label = absl::StrCat("the last ", view.latencies_s.size());
   options.y_min = 0;
+  options.width = kPlotWidth;
   return LinePlot({line}, options);
 }
 
@@ -116,7 +121,7 @@ std::string Legend(const Telemetry::View& view) {
 std::string Row(const Telemetry::View& view) {
   const SessionFigures& f = view.figures;
   return absl::StrCat(
-      "<tr><td>", EscapeXml(f.id), " <small>", EscapeXml(Name(f.spec)), "</small>",
+      "<tr><td>", EscapeXml(f.id), "<br><small>", EscapeXml(Name(f.spec)), "</small>",
       f.error.empty() ? "" : absl::StrCat("<br><span class=tag>", EscapeXml(f.error), "</span>"),
       "</td><td>", f.open ? "open" : "on disk", absl::StrFormat("</td><td>%.0f s", f.idle_s),
       "</td><td>", f.predictions, "</td><td>", f.feedback_sequence, "</td><td>", f.updates_applied,
