@@ -346,6 +346,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   absl::Status Predict(const v1::PredictRequest& request, const std::function<bool()>& cancelled,
                        v1::PredictResponse& response) {
     const auto received = std::chrono::steady_clock::now();
+    RS_RETURN_IF_ERROR(sessions_->Use(request.session_id()).status());  // before what it says
     for (const auto& [field, index] : {std::pair("task", request.task()),
                                        {"episode", request.episode()},
                                        {"chunk", request.chunk()},
@@ -367,6 +368,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   }
 
   absl::Status Take(const v1::FeedbackRequest& request, v1::FeedbackAck& ack) {
+    RS_RETURN_IF_ERROR(sessions_->Use(request.session_id()).status());
     RS_ASSIGN_OR_RETURN(const ExecutedChunk chunk, FromProto(request.chunk()));
     RS_ASSIGN_OR_RETURN(const SessionHost::Acknowledged taken,
                         host_->Feedback(request.session_id(), chunk));
