@@ -122,7 +122,7 @@ struct GrpcPolicyClient::Impl {
       }
       if (After(backoff_s) > deadline) return status;
       std::this_thread::sleep_for(std::chrono::duration<double>(backoff_s));
-      backoff_s = std::min(2 * backoff_s, 1.0);
+      backoff_s = std::min(2 * backoff_s, 0.5);
     }
   }
 
