@@ -65,6 +65,7 @@ struct GrpcPolicyClient::Impl {
 
   PolicyClientOptions options;
   ExecutionMode mode = ExecutionMode::kLockstep;
+  std::shared_ptr<grpc::Channel> channel;
   std::unique_ptr<v1::PolicyService::Stub> stub;
   SessionTicket ticket;
   bool left = false;
@@ -127,6 +128,12 @@ struct GrpcPolicyClient::Impl {
   }
 
   absl::Status Resume() {
+    // A connection is made only while somebody waits for it.
+    if (!channel->WaitForConnected(After(std::min(options.call_timeout_s, 0.5)))) {
+      return absl::UnavailableError(
+          absl::StrCat("the policy server at ", options.address,
+                       " is lost; start it again with `robostress serve` and repeat the command"));
+    }
     v1::ResumeSessionRequest request;
     request.set_session_id(ticket.session_id);
     request.set_resume_token(ticket.token);
@@ -233,6 +240,7 @@ absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> GrpcPolicyClient::Connect(
   auto impl = std::make_unique<Impl>();
   impl->options = options;
   impl->mode = session.mode;
+  impl->channel = channel;
   impl->stub = v1::PolicyService::NewStub(channel);
   v1::OpenSessionRequest request;
   *request.mutable_spec() = ToProto(session);
@@ -255,6 +263,7 @@ absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> GrpcPolicyClient::Resume(
   auto impl = std::make_unique<Impl>();
   impl->options = options;
   impl->mode = mode;
+  impl->channel = channel;
   impl->stub = v1::PolicyService::NewStub(channel);
   impl->ticket = ticket;
   v1::ResumeSessionRequest request;
