@@ -53,8 +53,8 @@ void FeedbackAssembler::Complete(const TickRecord& next) {
 
 std::optional<ExecutedChunk> FeedbackAssembler::Close(bool last_of_episode) {
   if (steps_.empty()) return std::nullopt;
-  const auto masked = static_cast<size_t>(std::count_if(
-      steps_.begin(), steps_.end(), [](const Step& step) { return step.masked; }));
+  const auto masked = static_cast<size_t>(
+      std::count_if(steps_.begin(), steps_.end(), [](const Step& step) { return step.masked; }));
   std::optional<ExecutedChunk> chunk;
   if (masked == steps_.size()) {
     ++counters_.chunks_empty;

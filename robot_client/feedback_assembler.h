@@ -24,10 +24,10 @@ struct FeedbackOptions {
 };
 
 struct FeedbackCounters {
-  uint64_t steps = 0;           // played
-  uint64_t steps_masked = 0;    // moved beyond the bound, or not measured one period later
-  uint64_t chunks = 0;          // given out
-  uint64_t chunks_empty = 0;    // every step masked: nothing to report
+  uint64_t steps = 0;         // played
+  uint64_t steps_masked = 0;  // moved beyond the bound, or not measured one period later
+  uint64_t chunks = 0;        // given out
+  uint64_t chunks_empty = 0;  // every step masked: nothing to report
 };
 
 // Makes executed chunks of tick records (paper, sec:supp_real): per executed step the policy's

@@ -328,6 +328,13 @@ absl::Status Session::Recover(const std::string& folder) {
   RS_RETURN_IF_ERROR(journal.status());
   RS_RETURN_IF_ERROR(restore());
   journal_ = *std::move(journal);
+  // Updates that were under way are made again before anybody sees the adapter.
+  absl::MutexLock lock(&mu_);
+  const auto learned = [this] {
+    mu_.AssertHeld();
+    return pending_updates_ == 0;
+  };
+  mu_.Await(absl::Condition(&learned));
   return absl::OkStatus();
 }
 

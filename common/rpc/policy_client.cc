@@ -68,6 +68,7 @@ struct GrpcPolicyClient::Impl {
 
   PolicyClientOptions options;
   ExecutionMode mode = ExecutionMode::kLockstep;
+  std::shared_ptr<grpc::Channel> channel;
   std::unique_ptr<v1::PolicyService::Stub> stub;
   SessionTicket ticket;
   bool left = false;
@@ -131,11 +132,17 @@ struct GrpcPolicyClient::Impl {
       }
       if (After(backoff_s) > deadline) return status;
       std::this_thread::sleep_for(std::chrono::duration<double>(backoff_s));
-      backoff_s = std::min(2 * backoff_s, 1.0);
+      backoff_s = std::min(2 * backoff_s, 0.5);
     }
   }
 
   absl::Status Resume() {
+    // A connection is made only while somebody waits for it.
+    if (!channel->WaitForConnected(After(std::min(options.call_timeout_s, 0.5)))) {
+      return absl::UnavailableError(
+          absl::StrCat("the policy server at ", options.address,
+                       " is lost; start it again with `robostress serve` and repeat the command"));
+    }
     v1::ResumeSessionRequest request;
     request.set_session_id(ticket.session_id);
     request.set_resume_token(ticket.token);
@@ -242,6 +249,7 @@ absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> GrpcPolicyClient::Connect(
   auto impl = std::make_unique<Impl>();
   impl->options = options;
   impl->mode = session.mode;
+  impl->channel = channel;
   impl->stub = v1::PolicyService::NewStub(channel);
   v1::OpenSessionRequest request;
   *request.mutable_spec() = ToProto(session);
@@ -264,6 +272,7 @@ absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> GrpcPolicyClient::Resume(
   auto impl = std::make_unique<Impl>();
   impl->options = options;
   impl->mode = mode;
+  impl->channel = channel;
   impl->stub = v1::PolicyService::NewStub(channel);
   impl->ticket = ticket;
   v1::ResumeSessionRequest request;

@@ -120,7 +120,7 @@ TEST(ServeProgram, ServesUntilItIsTerminated) {
   const pid_t child = fork();
   if (child == 0) {
     execl(SERVE_PROGRAM, SERVE_PROGRAM, "--policy", "nano:random", "--threads", "1", "--port-file",
-          port_file.c_str(), nullptr);
+          port_file.c_str(), "--state-dir", (port_file.string() + ".state").c_str(), nullptr);
     _exit(127);
   }
   std::string port;
@@ -135,12 +135,15 @@ TEST(ServeProgram, ServesUntilItIsTerminated) {
   EXPECT_TRUE(info.ok()) << info.status();
   if (info.ok()) {
     EXPECT_EQ(info->policies[0].name, "nano:random");
+    EXPECT_TRUE(info->durable);
+    EXPECT_FALSE(info->instance.empty());
   }
   kill(child, SIGTERM);
   int status = 0;
   waitpid(child, &status, 0);
   EXPECT_TRUE(WIFEXITED(status));
   EXPECT_EQ(WEXITSTATUS(status), 0);
+  EXPECT_TRUE(std::filesystem::remove_all(port_file.string() + ".state") > 0);
 }
 
 TEST(ServeProgram, ServesEveryPortAndLogsJson) {

@@ -1,10 +1,14 @@
-// The end of the server at any moment: `robostress serve` is killed with SIGKILL again and again
-// while a client learns, and started again on the same folder. What it has learned at the end must
-// be that of a server that was never killed, in every bit.
+// The end of the server at any moment: it is killed with SIGKILL again and again while a client
+// learns, and started again on the same folder and port. What it has learned at the end must be
+// that of a session that never ended, in every bit.
 //
 //   ROBOSTRESS_KILLS=200 build/release/test_bin/server_kill_test
+//
+// The server is a process of its own, forked from one that is forked before any thread starts: so
+// it is up within milliseconds, and a kill meets it at work.
 
 #include <gtest/gtest.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -14,167 +18,201 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
-#include <fstream>
 #include <string>
 #include <thread>
-#include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "common/method_options.h"
-#include "common/random.h"
 #include "common/rpc/policy_client.h"
-#include "tests/adapter/toy_arm.h"
+#include "server/policy_service.h"
+#include "tests/server/drive.h"
 
 namespace robostress {
 namespace {
 
 namespace fs = std::filesystem;
 
-// A server process on a folder; killed and started again on the port that it had.
-class ServeProcess {
- public:
-  explicit ServeProcess(std::string folder) : folder_(std::move(folder)) {}
-  ~ServeProcess() { Kill(); }
+struct Order {
+  pid_t kill = 0;  // this server; 0: start one
+  int port = 0;    // 0: a free one
+  char folder[256] = {};
+};
 
-  bool Start() {
-    const std::string port_file = folder_ + ".port";
-    fs::remove(port_file);
-    const std::string listen = absl::StrCat("127.0.0.1:", port_);
-    pid_ = fork();
-    if (pid_ == 0) {
-      if (std::freopen("/dev/null", "w", stdout) == nullptr) _exit(126);
-      if (std::freopen((folder_ + ".log").c_str(), "a", stderr) == nullptr) _exit(126);
-      execl(SERVE_PROGRAM, SERVE_PROGRAM, "--policy", "nano:random", "--threads", "1",
-            "--state-dir", folder_.c_str(), "--snapshot-records", "23", "--listen", listen.c_str(),
-            "--port-file", port_file.c_str(), nullptr);
-      _exit(127);
+// Starts and kills servers on order, in a process without threads.
+class ServerForge {
+ public:
+  ServerForge() {
+    if (pipe(orders_) != 0 || pipe(answers_) != 0) std::abort();
+    if (fork() != 0) return;
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    close(orders_[1]);
+    Order order;
+    while (read(orders_[0], &order, sizeof order) == sizeof order) {
+      int answer = 0;
+      if (order.kill != 0) {
+        kill(order.kill, SIGKILL);
+        waitpid(order.kill, nullptr, 0);
+      } else if ((answer = fork()) == 0) {
+        Serve(order);
+      }
+      if (write(answers_[1], &answer, sizeof answer) != sizeof answer) break;
     }
-    for (int i = 0; i < 3000; ++i) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(10));
-      if (std::ifstream(port_file) >> port_) return true;
-    }
-    return false;
+    _exit(0);
+  }
+
+  // Returns the port when the server listens; 0: it does not.
+  int Start(const std::string& folder, int port) {
+    Order order;
+    order.port = port;
+    folder.copy(order.folder, sizeof order.folder - 1);
+    Send(order);
+    const int first = Receive(), second = Receive();  // of the forge and of the server
+    server_ = std::max(first, second);                // process numbers exceed
+    return -std::min(first, second);                  // negated ports
   }
   void Kill() {
-    if (pid_ <= 0) return;
-    kill(pid_, SIGKILL);
-    waitpid(pid_, nullptr, 0);
-    pid_ = -1;
+    Order order;
+    order.kill = server_;
+    Send(order);
+    Receive();
   }
-  std::string address() const { return absl::StrCat("127.0.0.1:", port_); }
 
  private:
-  const std::string folder_;
-  pid_t pid_ = -1;
-  int port_ = 0;
+  [[noreturn]] void Serve(const Order& order) {
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    PolicyServerOptions options;
+    options.listen = absl::StrCat("127.0.0.1:", order.port);
+    options.threads = 1;
+    options.state_dir = order.folder;
+    options.snapshot_records = 23;
+    const auto server = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
+    const int port = server.ok() ? -(*server)->port() : 0;
+    if (write(answers_[1], &port, sizeof port) != sizeof port) _exit(1);
+    while (true) pause();
+  }
+  void Send(const Order& order) {
+    if (write(orders_[1], &order, sizeof order) != sizeof order) std::abort();
+  }
+  int Receive() {
+    int answer = 0;
+    if (read(answers_[0], &answer, sizeof answer) != sizeof answer) std::abort();
+    return answer;
+  }
+
+  int orders_[2], answers_[2];
+  pid_t server_ = 0;
 };
+
+ServerForge* forge = nullptr;
 
 SessionSpec LearningSession() {
-  SessionSpec spec;
-  spec.suite = "tabletop_goal";
-  spec.scenario = "heavy_payload";
-  spec.policy = "nano:random";
-  spec.method = *MakeMethod("ours", {"learning_rate=0.001", "buffer_chunks=8", "update_interval=2",
-                                     "batch=4", "track_intent=false"});
-  return spec;
+  return Spec("ours", {"learning_rate=0.01", "buffer_chunks=8", "update_interval=2"});
 }
 
-// A robot that observes what it did, so that one bit of difference shows in everything later.
-class Robot {
- public:
-  explicit Robot(GrpcPolicyClient* client) : client_(client) {}
+Observation Observe(const ToyArm& arm, int chunk) {
+  Observation observation = FakePolicy::MakeObservation(chunk);
+  observation.proprioception = arm.state().tool.p_base_tool.cast<float>();
+  return observation;
+}
 
-  absl::Status RunChunk() {
-    const PolicySpec& spec = client_->spec();
-    if (chunks_ % 20 == 0) {
-      const absl::Status started = client_->StartEpisode({chunks_ / 200, chunks_ / 20});
-      if (!started.ok()) return started;
-    }
-    const int chunk = chunks_ % 20;
-    Observation observation;
-    observation.instruction = "put the bowl on the plate";
-    for (const std::string& camera : spec.cameras) {
-      Image image{spec.image_width, spec.image_height, {}};
-      image.data.resize(size_t{3} * image.width * image.height, static_cast<uint8_t>(chunks_));
-      observation.views.push_back({camera, image});
-    }
-    observation.proprioception = Eigen::VectorXf::Zero(spec.state_dim);
-    observation.proprioception.head<3>() = arm_.state().tool.p_base_tool.cast<float>();
-    const auto prediction = client_->Predict(observation, chunk);
-    if (!prediction.ok()) return prediction.status();
-    ExecutedChunk executed = arm_.Execute(*prediction, spec.execute_steps);
-    executed.sequence = client_->last_feedback_sequence() + 1;
-    executed.task = chunks_ / 200;
-    executed.episode = chunks_ / 20;
-    executed.chunk = chunk;
-    ++chunks_;
-    return client_->SendFeedback(std::move(executed));
+// One chunk of a robot that sees what it did, so that a bit of difference shows in all that
+// follows.
+template <class Start, class Predict, class Send>
+absl::Status RunChunk(ToyArm& arm, int index, Start start, Predict predict, Send send) {
+  const int task = index / 300, episode = index / 20, chunk = index % 20;
+  if (chunk == 0) {
+    if (absl::Status status = start(task, episode); !status.ok()) return status;
   }
-  int chunks() const { return chunks_; }
-
- private:
-  GrpcPolicyClient* client_;
-  ToyArm arm_{0.6};
-  int chunks_ = 0;
-};
-
-std::unique_ptr<GrpcPolicyClient> Connect(const ServeProcess& server) {
-  PolicyClientOptions options;
-  options.address = server.address();
-  options.reconnect_timeout_s = 60;
-  auto client = GrpcPolicyClient::Connect(options, LearningSession());
-  EXPECT_TRUE(client.ok()) << client.status();
-  return client.ok() ? *std::move(client) : nullptr;
+  const absl::StatusOr<PredictedChunk> prediction =
+      predict(Observe(arm, chunk), task, episode, chunk);
+  if (!prediction.ok()) return prediction.status();
+  ExecutedChunk executed = arm.Execute(*prediction, 5);
+  executed.sequence = static_cast<uint64_t>(index) + 1;
+  executed.task = task;
+  executed.episode = episode;
+  executed.chunk = chunk;
+  return send(executed);
 }
 
 TEST(ServerKill, ContinuesBitForBitAfterBeingKilledAtAnyMoment) {
   const char* wanted = std::getenv("ROBOSTRESS_KILLS");
-  const int kills = wanted == nullptr ? 5 : std::atoi(wanted);
-  const fs::path root = fs::path(::testing::TempDir()) / absl::StrCat("kills-", getpid());
-  fs::create_directories(root);
-  ServeProcess killed((root / "killed").string()), straight((root / "straight").string());
-  ASSERT_TRUE(killed.Start());
-  const auto client = Connect(killed);
-  ASSERT_NE(client, nullptr);
-  Robot robot(client.get());
-  ASSERT_TRUE(robot.RunChunk().ok());
+  const int kills = wanted == nullptr ? 12 : std::atoi(wanted);
+  const fs::path folder = fs::path(::testing::TempDir()) / absl::StrCat("kills-", getpid());
+  fs::create_directories(folder);
+  const int port = forge->Start(folder.string(), 0);
+  ASSERT_GT(port, 0);
+  PolicyClientOptions options;
+  options.address = absl::StrCat("127.0.0.1:", port);
+  options.reconnect_timeout_s = 60;
+  auto client = GrpcPolicyClient::Connect(options, LearningSession());
+  ASSERT_TRUE(client.ok()) << client.status();
 
+  std::atomic<int> chunks{0};
   std::atomic<bool> done{false};
   std::thread killer([&] {
-    RandomStream moments(StreamKey("kills").With(kills));
+    RandomStream moments(StreamKey("kills").With(int64_t{kills}));
     for (int i = 0; i < kills; ++i) {
+      // Two of three meet a client at work, the third its return.
+      const int from = chunks, after = 1 + moments.UniformInt(6);
+      for (int ms = 0; i % 3 != 0 && ms < 20000 && chunks < from + after; ++ms)
+        std::this_thread::sleep_for(std::chrono::milliseconds(1));
       std::this_thread::sleep_for(
-          std::chrono::microseconds(static_cast<int64_t>(moments.Uniform(1e3, 4e5))));
-      killed.Kill();
-      if (!killed.Start()) break;
+          std::chrono::microseconds(static_cast<int64_t>(moments.Uniform(0, 6e4))));
+      forge->Kill();
+      if (forge->Start(folder.string(), port) != port) break;
     }
     done = true;
   });
+  ToyArm arm(0.6);
   absl::Status status;
-  while (status.ok() && (!done || robot.chunks() < 60)) status = robot.RunChunk();
+  while (status.ok() && (!done || chunks < 60)) {
+    status = RunChunk(
+        arm, chunks,
+        [&](int task, int episode) {
+          return (*client)->StartEpisode({task, episode});
+        },
+        [&](const Observation& observation, int, int, int chunk) {
+          return (*client)->Predict(observation, chunk);
+        },
+        [&](const ExecutedChunk& executed) { return (*client)->SendFeedback(executed); });
+    ++chunks;
+  }
   killer.join();
-  ASSERT_TRUE(status.ok()) << status;
-  const auto learned = client->ExportAdapter();
+  ASSERT_TRUE(status.ok()) << status << " in chunk " << chunks;
+  const auto learned = (*client)->ExportAdapter();
   ASSERT_TRUE(learned.ok()) << learned.status();
 
-  ASSERT_TRUE(straight.Start());
-  const auto reference = Connect(straight);
-  ASSERT_NE(reference, nullptr);
-  Robot twin(reference.get());
-  while (twin.chunks() < robot.chunks()) ASSERT_TRUE(twin.RunChunk().ok());
-  const auto expected = reference->ExportAdapter();
-  ASSERT_TRUE(expected.ok()) << expected.status();
-  EXPECT_EQ(learned->feedback_sequence, expected->feedback_sequence);
-  EXPECT_EQ(learned->updates_applied, expected->updates_applied);
-  EXPECT_GT(learned->updates_applied, 10u);
-  EXPECT_TRUE(learned->safetensors == expected->safetensors)
+  Rig rig;
+  const auto session = rig.Open(LearningSession());
+  ToyArm twin(0.6);
+  for (int i = 0; i < chunks; ++i) {
+    const auto sequence = static_cast<uint64_t>(i);
+    const absl::Status ran = RunChunk(
+        twin, i,
+        [&](int task, int episode) { return session->StartEpisode(task, episode, sequence); },
+        [&](const Observation& observation, int task, int episode, int chunk) {
+          return session->Predict(observation, task, episode, chunk, sequence);
+        },
+        [&](const ExecutedChunk& executed) { return session->Feedback(executed).status(); });
+    ASSERT_TRUE(ran.ok()) << ran;
+  }
+  EXPECT_EQ(learned->feedback_sequence, static_cast<uint64_t>(chunks));
+  EXPECT_GT(learned->updates_applied, 20u);
+  EXPECT_TRUE(learned->safetensors == ExportOf(*session))
       << "LoRA, Adam, buffer or counters differ in a bit";
-  std::printf(
-      "%d kills, %llu resumed sessions, %d chunks, %llu updates, %zu bytes of state equal\n", kills,
-      static_cast<unsigned long long>(client->resumes()), robot.chunks(),
-      static_cast<unsigned long long>(learned->updates_applied), learned->safetensors.size());
-  fs::remove_all(root);
+  std::printf("%d kills, resumed %d times, %d chunks, %d updates: %zu bytes of state are equal\n",
+              kills, static_cast<int>((*client)->resumes()), chunks.load(),
+              static_cast<int>(learned->updates_applied), learned->safetensors.size());
+  client->reset();
+  forge->Kill();
+  fs::remove_all(folder);
 }
 
 }  // namespace
 }  // namespace robostress
+
+int main(int argc, char** argv) {
+  robostress::ServerForge forge;  // before any thread
+  robostress::forge = &forge;
+  ::testing::InitGoogleTest(&argc, argv);
+  return RUN_ALL_TESTS();
+}
