@@ -5,6 +5,7 @@
 #include <cmath>
 #include <utility>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "adapter/compensation.h"
@@ -40,7 +41,7 @@ LoraAdapter::LoraAdapter(const VelocityField* field, const MethodOptions& option
       phi_0_(InitialLora(field->lora_targets(), options.lora, options.rank, options.lora_init_std,
                          session)),
       adam_(InitialAdamState(Parameters(phi_0_))) {
-  Publish(phi_0_);
+  Publish(phi_0_, 0, 0);
 }
 
 absl::StatusOr<std::unique_ptr<LoraAdapter>> LoraAdapter::Create(const VelocityField* field,
@@ -68,18 +69,25 @@ double LoraAdapter::distance() const {
   return distance_;
 }
 
-void LoraAdapter::Publish(LoraWeights phi) {
+void LoraAdapter::Publish(LoraWeights phi, double loss, uint64_t feedback_sequence) {
   const double distance = LoraDistance(phi, phi_0_);
   auto snapshot = std::make_shared<const LoraWeights>(std::move(phi));
   absl::MutexLock lock(&mu_);
   published_ = std::move(snapshot);
   distance_ = distance;
-  history_.push_back(published_);
-  if (history_.size() > kHistory) history_.pop_front();
+  history_.push_back({published_, distance, loss, feedback_sequence, false});
+  TrimHistory();
+}
+
+void LoraAdapter::TrimHistory() {
+  const auto pinned = [](const PublishedVersion& v) { return v.pinned; };
+  while (history_.size() - absl::c_count_if(history_, pinned) > kHistory)
+    history_.erase(absl::c_find_if_not(history_, pinned));
 }
 
 absl::StatusOr<UpdateReport> LoraAdapter::Update(
-    uint64_t index, const std::vector<std::shared_ptr<const TrainingChunk>>& batch) {
+    uint64_t index, const std::vector<std::shared_ptr<const TrainingChunk>>& batch,
+    const UpdateContext& context) {
   const std::shared_ptr<const LoraWeights> current = snapshot();
   UpdateReport report;
   report.version = current->version;
@@ -106,8 +114,16 @@ absl::StatusOr<UpdateReport> LoraAdapter::Update(
 
     const AdamOptions adam{options_.learning_rate, options_.beta1, options_.beta2,
                            options_.adam_epsilon};
-    Publish(FromParameters(AdamStep(adam, Parameters(*current), gradients, adam_),
-                           current->version + 1));
+    AdamState next = adam_;
+    LoraWeights candidate =
+        FromParameters(AdamStep(adam, Parameters(*current), gradients, next), current->version + 1);
+    if (context.guard.enabled) {
+      report.verdict = JudgeUpdate(context.guard, *field_, session_, context.held_out, *current,
+                                   candidate, phi_0_);
+      if (!report.verdict->accepted) return report;
+    }
+    adam_ = std::move(next);
+    Publish(std::move(candidate), report.loss, context.feedback_sequence);
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("update ", index, ": ", error.what()));
   }
@@ -119,46 +135,108 @@ absl::StatusOr<UpdateReport> LoraAdapter::Update(
 
 LoraState LoraAdapter::Export() const { return {*snapshot(), phi_0_, adam_}; }
 
-absl::Status LoraAdapter::Import(const LoraState& state) {
+absl::Status LoraAdapter::CheckShapes(const LoraState& state) const {
   const std::vector<torch::Tensor> expected = Parameters(phi_0_);
   RS_RETURN_IF_ERROR(SameShapes(expected, Parameters(state.phi), "LoRA"));
   RS_RETURN_IF_ERROR(SameShapes(expected, Parameters(state.phi_0), "anchor"));
   RS_RETURN_IF_ERROR(SameShapes(expected, state.adam.m, "first moment"));
-  RS_RETURN_IF_ERROR(SameShapes(expected, state.adam.v, "second moment"));
+  return SameShapes(expected, state.adam.v, "second moment");
+}
+
+absl::Status LoraAdapter::Import(const LoraState& state) {
+  RS_RETURN_IF_ERROR(CheckShapes(state));
   phi_0_ = state.phi_0;
   adam_ = state.adam;
   {
     absl::MutexLock lock(&mu_);
     history_.clear();
   }
-  Publish(state.phi);
+  Publish(state.phi, 0, 0);
   return absl::OkStatus();
 }
 
-absl::Status LoraAdapter::Rollback(uint64_t version) {
-  std::shared_ptr<const LoraWeights> found;
-  if (version == 0) {
-    found = std::make_shared<const LoraWeights>(phi_0_);
-  } else {
-    absl::MutexLock lock(&mu_);
-    std::vector<uint64_t> held{0};
-    for (const auto& weights : history_) {
-      held.push_back(weights->version);
-      if (weights->version == version) found = weights;
+absl::Status LoraAdapter::CheckRollback(uint64_t version) const {
+  absl::MutexLock lock(&mu_);
+  std::vector<uint64_t> held{0};
+  for (const PublishedVersion& candidate : history_) {
+    held.push_back(candidate.weights->version);
+    if (held.back() > version && candidate.pinned) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          "version ", held.back(), " is pinned and would be forgotten by going back to ", version,
+          "; take its pin away first"));
     }
-    if (found == nullptr) {
-      return absl::NotFoundError(
-          absl::StrCat("version ", version, " is not held; held: ", absl::StrJoin(held, ", ")));
-    }
-    while (history_.back()->version != version) history_.pop_back();
-    history_.pop_back();  // Publish adds it again
   }
-  if (version == 0) {
+  if (absl::c_linear_search(held, version)) return absl::OkStatus();
+  return absl::NotFoundError(
+      absl::StrCat("version ", version, " is not held; held: ", absl::StrJoin(held, ", ")));
+}
+
+absl::Status LoraAdapter::Rollback(uint64_t version) {
+  RS_RETURN_IF_ERROR(CheckRollback(version));
+  PublishedVersion found{std::make_shared<const LoraWeights>(phi_0_)};
+  {
     absl::MutexLock lock(&mu_);
-    history_.clear();
+    while (!history_.empty() && history_.back().weights->version >= version) {
+      if (version != 0 && history_.back().weights->version == version) found = history_.back();
+      history_.pop_back();
+    }
   }
   adam_ = InitialAdamState(Parameters(phi_0_));
-  Publish(*found);
+  Publish(*found.weights, found.loss, found.feedback_sequence);
+  return found.pinned ? Pin(version, true) : absl::OkStatus();
+}
+
+std::vector<PublishedVersion> LoraAdapter::Versions() const {
+  absl::MutexLock lock(&mu_);
+  std::vector<PublishedVersion> result(history_.begin(), history_.end());
+  if (result.front().weights->version != 0)
+    result.insert(result.begin(), {std::make_shared<const LoraWeights>(phi_0_)});
+  return result;
+}
+
+absl::Status LoraAdapter::CheckPin(uint64_t version, bool pinned) const {
+  absl::MutexLock lock(&mu_);
+  size_t others = 0;
+  bool found = version == 0;  // phi_0 is always held
+  for (const PublishedVersion& held : history_) {
+    if (held.weights->version == version) {
+      found = true;
+    } else if (held.pinned) {
+      ++others;
+    }
+  }
+  if (!found) {
+    return absl::NotFoundError(
+        absl::StrCat("version ", version, " is not held; list the versions for those that are"));
+  }
+  if (pinned && version != 0 && others >= kMaxPinned) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat(others, " versions are pinned, which is the limit; take a pin away first"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status LoraAdapter::Pin(uint64_t version, bool pinned) {
+  RS_RETURN_IF_ERROR(CheckPin(version, pinned));
+  absl::MutexLock lock(&mu_);
+  for (PublishedVersion& held : history_) {
+    if (held.weights->version == version && version != 0) held.pinned = pinned;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status LoraAdapter::RestoreVersions(std::vector<PublishedVersion> versions) {
+  const std::vector<torch::Tensor> expected = Parameters(phi_0_);
+  for (const PublishedVersion& held : versions)
+    RS_RETURN_IF_ERROR(SameShapes(expected, Parameters(*held.weights), "version"));
+  absl::MutexLock lock(&mu_);
+  if (versions.empty() || versions.back().weights->version != published_->version) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("the last version held is not the published one, ", published_->version));
+  }
+  versions.back().weights = published_;
+  history_.assign(versions.begin(), versions.end());
+  TrimHistory();
   return absl::OkStatus();
 }
 

@@ -2,6 +2,7 @@
 
 #include <deque>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -10,6 +11,7 @@
 #include "absl/synchronization/mutex.h"
 #include "adapter/adam.h"
 #include "adapter/lora.h"
+#include "adapter/update_guard.h"
 #include "adapter/velocity_field.h"
 #include "common/method_options.h"
 #include "common/random.h"
@@ -25,11 +27,13 @@ struct TrainingChunk {
 };
 
 struct UpdateReport {
-  bool applied = false;      // false: loss or gradient was not finite, nothing changed
-  double loss = 0;           // before the step
-  double gradient_norm = 0;  // before the clip
-  double distance = 0;       // ||phi - phi_0||_2 after the step
-  uint64_t version = 0;      // updates applied
+  bool applied = false;  // false: loss or gradient was not finite, or the guard refused the
+                         // candidate; nothing changed
+  std::optional<GuardVerdict> verdict;  // where a guard judged
+  double loss = 0;                      // before the step
+  double gradient_norm = 0;             // before the clip
+  double distance = 0;                  // ||phi - phi_0||_2 after the step
+  uint64_t version = 0;                 // updates applied
 };
 
 // phi and its optimiser, everything that an update changes.
@@ -38,11 +42,28 @@ struct LoraState {
   AdamState adam;
 };
 
+// What an update was made from, beside its batch.
+struct UpdateContext {
+  uint64_t feedback_sequence = 0;  // last chunk in when it was triggered, for people
+  GuardOptions guard;
+  std::vector<std::shared_ptr<const TrainingChunk>> held_out;  // for the guard
+};
+
+// Weights that predictions used or use.
+struct PublishedVersion {
+  std::shared_ptr<const LoraWeights> weights;
+  double distance = 0;             // ||phi - phi_0||_2
+  double loss = 0;                 // of its update, before the step
+  uint64_t feedback_sequence = 0;  // as UpdateContext
+  bool pinned = false;             // kept whatever is published after it
+};
+
 // The online adapter of one session. snapshot() may be called from any thread at any time and never
 // waits for an update; the other functions are for one thread at a time.
 class LoraAdapter {
  public:
-  static constexpr size_t kHistory = 16;  // versions that Rollback can reach, beside phi_0
+  // Versions held: phi_0, the last kHistory published and at most kMaxPinned pinned ones.
+  static constexpr size_t kHistory = 16, kMaxPinned = 16;
 
   // `field` must outlive the adapter. `session` keys phi_0 and every draw of an update.
   static absl::StatusOr<std::unique_ptr<LoraAdapter>> Create(const VelocityField* field,
@@ -57,20 +78,33 @@ class LoraAdapter {
   // One Adam step on the compensation loss of `batch`; publishes a new snapshot. A function of the
   // state, `batch` and `index` alone.
   absl::StatusOr<UpdateReport> Update(
-      uint64_t index, const std::vector<std::shared_ptr<const TrainingChunk>>& batch)
-      ABSL_LOCKS_EXCLUDED(mu_);
+      uint64_t index, const std::vector<std::shared_ptr<const TrainingChunk>>& batch,
+      const UpdateContext& context = {}) ABSL_LOCKS_EXCLUDED(mu_);
 
   LoraState Export() const ABSL_LOCKS_EXCLUDED(mu_);
-  // Refuses tensors of other shapes.
+  // Whether Import would take it: tensors of the right shapes.
+  absl::Status CheckShapes(const LoraState& state) const;
   absl::Status Import(const LoraState& state) ABSL_LOCKS_EXCLUDED(mu_);
-  // Back to `version` (0: phi_0) with a new Adam state.
+  // Back to `version` (0: phi_0) with a new Adam state; later versions are forgotten.
+  // FAILED_PRECONDITION while one of them is pinned.
   absl::Status Rollback(uint64_t version) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status CheckRollback(uint64_t version) const ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Held versions, oldest first; phi_0 first.
+  std::vector<PublishedVersion> Versions() const ABSL_LOCKS_EXCLUDED(mu_);
+  // NOT_FOUND: not held; RESOURCE_EXHAUSTED: kMaxPinned others are pinned.
+  absl::Status Pin(uint64_t version, bool pinned) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status CheckPin(uint64_t version, bool pinned) const ABSL_LOCKS_EXCLUDED(mu_);
+  // After Import: the versions held when the state was exported, the published one last.
+  absl::Status RestoreVersions(std::vector<PublishedVersion> versions) ABSL_LOCKS_EXCLUDED(mu_);
 
   const LoraWeights& phi_0() const { return phi_0_; }
 
  private:
   LoraAdapter(const VelocityField* field, const MethodOptions& options, const StreamKey& session);
-  void Publish(LoraWeights phi) ABSL_LOCKS_EXCLUDED(mu_);
+  void Publish(LoraWeights phi, double loss, uint64_t feedback_sequence) ABSL_LOCKS_EXCLUDED(mu_);
+
+  void TrimHistory() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const VelocityField* field_;
   const MethodOptions options_;
@@ -80,8 +114,7 @@ class LoraAdapter {
 
   mutable absl::Mutex mu_;
   std::shared_ptr<const LoraWeights> published_ ABSL_GUARDED_BY(mu_);
-  std::deque<std::shared_ptr<const LoraWeights>> history_
-      ABSL_GUARDED_BY(mu_);  // newest last, published_ included
+  std::deque<PublishedVersion> history_ ABSL_GUARDED_BY(mu_);  // newest last, published_ included
   double distance_ ABSL_GUARDED_BY(mu_) = 0;
 };
 

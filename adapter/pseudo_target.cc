@@ -20,6 +20,10 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
     }
     Eigen::MatrixXd residual(steps, base.cols());
     for (Eigen::Index i = 0; i < steps; ++i) {
+      if (chunk.IsMasked(i)) {
+        residual.row(i).setZero();
+        continue;
+      }
       residual.row(i) =
           StepResidual(chunk.steps[i].before, StateAfter(chunk, i), base.row(i), options);
     }
@@ -36,6 +40,7 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
   for (Eigen::Index i = 0; i < steps; ++i) {
     const NominalArm::Vector6 nominal =
         arm->Step(chunk.steps[i].sent_command.head<6>().cast<double>());
+    if (chunk.IsMasked(i)) continue;
     residual.row(i).head<6>() =
         (AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), options) - nominal / divisor)
             .transpose();

@@ -24,7 +24,8 @@ namespace robostress {
 
 // eta of every executed step [steps, action_dim], gripper 0, for the method's reference. `base`
 // holds the unadapted policy's actions of the same rows [steps, action_dim] (intent only; may be
-// empty otherwise). `arm` is advanced along the chunk (nominal only; may be null otherwise).
+// empty otherwise). `arm` is advanced along the chunk (nominal only; may be null otherwise). Rows
+// of masked steps are 0.
 absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
                                                    TargetReference reference,
                                                    const ResidualOptions& options,

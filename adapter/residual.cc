@@ -128,6 +128,10 @@ Eigen::MatrixXd ChunkResidual(const ExecutedChunk& chunk, const ResidualOptions&
   RS_CHECK(!chunk.steps.empty());
   Eigen::MatrixXd residual(chunk.steps.size(), chunk.steps[0].policy_command.size());
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
+    if (chunk.IsMasked(i)) {
+      residual.row(i).setZero();
+      continue;
+    }
     const ExecutedStep& step = chunk.steps[i];
     residual.row(i) = StepResidual(step.before, StateAfter(chunk, i), step.policy_command, options);
   }

@@ -62,7 +62,7 @@ const RobotState& StateAfter(const ExecutedChunk& chunk, size_t step);
 absl::Status ValidateExecutedChunk(const ExecutedChunk& chunk, int action_dim, ResidualSpace space);
 
 // eta against the policy's own (adapted) command, one row per executed step [steps, action_dim];
-// Eq. eta-obs.
+// Eq. eta-obs. Rows of masked steps are 0.
 Eigen::MatrixXd ChunkResidual(const ExecutedChunk& chunk, const ResidualOptions& options);
 
 }  // namespace robostress

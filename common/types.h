@@ -64,6 +64,11 @@ struct ExecutedChunk {
   std::vector<ExecutedStep> steps;  // size >= 1
   RobotState final_state;   // after the last step
   bool last_of_episode = false;
+  // [steps] or empty (none): steps whose motion says nothing about the robot, because limiter or cross-fade
+  // moved the command or the state after it was not measured. Their residual counts as zero.
+  std::vector<bool> masked;
+
+  bool IsMasked(size_t step) const { return step < masked.size() && masked[step]; }
 };
 
 // A predicted action chunk in environment units: rows are control steps.
@@ -73,6 +78,9 @@ struct PredictedChunk {
   Eigen::MatrixXf policy_actions; // [horizon, action_dim] before a correction (direct, gain); equal to actions otherwise
   Eigen::MatrixXf base_actions;   // [horizon, action_dim] of the unadapted policy, or 0 x 0
   uint64_t adapter_version = 0;   // number of updates applied when it was predicted
+  // How a server served it: waited for a place in a batch, computed [ms], predictions of the batch. 0: not measured.
+  double queue_ms = 0, compute_ms = 0;
+  int batch_size = 0;
 };
 
 }  // namespace robostress

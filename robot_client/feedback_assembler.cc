@@ -53,37 +53,28 @@ void FeedbackAssembler::Complete(const TickRecord& next) {
 
 std::optional<ExecutedChunk> FeedbackAssembler::Close(bool last_of_episode) {
   if (steps_.empty()) return std::nullopt;
-  size_t first = 0, count = 0, good = 0;
-  for (size_t i = 0; i < steps_.size();) {
-    size_t end = i;
-    while (end < steps_.size() && !steps_[end].masked) ++end;
-    good += end - i;
-    if (end - i > count) {
-      first = i;
-      count = end - i;
-    }
-    i = end + 1;
-  }
-  counters_.steps_left_out += good - count;
+  const auto masked = static_cast<size_t>(
+      std::count_if(steps_.begin(), steps_.end(), [](const Step& step) { return step.masked; }));
   std::optional<ExecutedChunk> chunk;
-  if (count == 0) {
+  if (masked == steps_.size()) {
     ++counters_.chunks_empty;
   } else {
     ++counters_.chunks;
     chunk.emplace();
-    const TickRecord& head = steps_[first].record;
+    const TickRecord& head = steps_.front().record;
     chunk->episode = head.episode;
     chunk->chunk = head.chunk;
     chunk->prediction_id = head.prediction_id;
     chunk->first_step = head.row;
-    for (size_t i = first; i < first + count; ++i) {
-      const TickRecord& r = steps_[i].record;
+    for (const Step& played : steps_) {
+      const TickRecord& r = played.record;
       ExecutedStep& step = chunk->steps.emplace_back();
       step.before = StateOf(r);
       step.policy_command = Command(r.policy);
       step.sent_command = Command(r.sent);
+      if (masked > 0) chunk->masked.push_back(played.masked);
     }
-    chunk->final_state = steps_[first + count - 1].after;
+    chunk->final_state = steps_.back().after;
     chunk->last_of_episode = last_of_episode;
   }
   steps_.clear();

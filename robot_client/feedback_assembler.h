@@ -12,32 +12,31 @@ namespace robostress {
 
 struct FeedbackOptions {
   // [rad] A step whose command the cross-fade or the limiter moved by more than this on any joint
-  // is not reported: its residual would be the client's doing. What the disturbance observer adds
-  // is not counted.
+  // is masked: its residual would be the client's doing. What the disturbance observer adds is not
+  // counted.
   double moved_bound = 0.005;
 
   template <class V>
   void Visit(V& v) {
     v.Field("moved_bound", moved_bound,
-            "steps that cross-fade or limiter moved by more are left out of feedback [rad]");
+            "steps that cross-fade or limiter moved by more are masked in feedback [rad]");
   }
 };
 
 struct FeedbackCounters {
-  uint64_t steps = 0;           // played
-  uint64_t steps_masked = 0;    // moved beyond the bound, or not measured one period later
-  uint64_t steps_left_out = 0;  // good, but beside the longest run of their chunk
-  uint64_t chunks = 0;          // given out
-  uint64_t chunks_empty = 0;    // every step masked: nothing to report
+  uint64_t steps = 0;         // played
+  uint64_t steps_masked = 0;  // moved beyond the bound, or not measured one period later
+  uint64_t chunks = 0;        // given out
+  uint64_t chunks_empty = 0;  // every step masked: nothing to report
 };
 
 // Makes executed chunks of tick records (paper, sec:supp_real): per executed step the policy's
 // joint target before any correction, what was sent, and the joints measured before it and one
 // control step later, so that the server's joint-space residual is eta_t = q_{t+1} - q_ref_t.
 //
-// A chunk travels as first_step and a run of consecutive steps, so masked steps are left out by
-// reporting the longest run without one; the rest of the chunk keeps its predicted targets, as rows
-// that were never executed do.
+// A chunk travels whole, with a mask over the steps whose residual says nothing about the arm; they
+// keep their predicted targets, as rows that were never executed do. A chunk of which every step is
+// masked is not reported.
 //
 // One thread; records in the order of their ticks.
 class FeedbackAssembler {

@@ -9,6 +9,7 @@ namespace robostress {
 void JointResidual::Add(const ExecutedChunk& chunk, const ArmVector& chunk_start) {
   const Eigen::MatrixXd eta = ChunkResidual(chunk, {.space = ResidualSpace::kJoint});
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
+    if (chunk.IsMasked(i)) continue;
     eta_sq += eta.row(static_cast<Eigen::Index>(i)).squaredNorm();
     for (int j = 0; j < kArmJoints; ++j) {
       const double d = static_cast<double>(chunk.steps[i].policy_command[j]) - chunk_start[j];

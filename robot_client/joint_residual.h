@@ -19,6 +19,7 @@ struct JointResidual {
   double displacement_sq = 0;  // sum of ||q_ref_t - q_chunk||^2 [rad^2]
   int64_t steps = 0;
 
+  // Masked steps are left out of both sums.
   void Add(const ExecutedChunk& chunk, const ArmVector& chunk_start);
   double value() const;  // 0 before the first step
 };

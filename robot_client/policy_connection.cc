@@ -17,6 +17,7 @@ PolicyLink::Connect ConnectTo(const PolicyConnectionOptions& options, double con
     client.connect_timeout_s = options.connect_timeout_s;
     client.call_timeout_s = options.call_timeout_s;
     client.max_unacknowledged = kMaxUnacknowledged;
+    client.reconnect_timeout_s = 0;  // the arm holds and asks again; each call tries to resume
     SessionSpec session;
     session.robot = options.robot;
     session.suite = options.suite;

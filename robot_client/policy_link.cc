@@ -15,8 +15,10 @@ constexpr double kNsPerSecond = 1e9;
 constexpr int kFailuresUntilNewSession = 3;
 constexpr size_t kChunkStarts = 128;  // more than a server keeps predictions
 
-// A session that a server no longer knows.
-bool SessionLost(const absl::Status& status) { return absl::IsNotFound(status); }
+// A session that a server no longer knows, or whose disk lost what it acknowledged.
+bool SessionLost(const absl::Status& status) {
+  return absl::IsNotFound(status) || absl::IsDataLoss(status);
+}
 
 ArmVector RowOf(const Eigen::MatrixXf& rows, int row) {
   ArmVector v;

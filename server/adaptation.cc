@@ -1,17 +1,20 @@
 #include "server/adaptation.h"
 
 #include <pthread.h>
+#include <sys/resource.h>
 
 #include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "server/operator_hook.h"
 #include "server/torch_threads.h"
 
 namespace robostress {
 
-AdaptationLoop::AdaptationLoop(int threads) {
-  for (int i = 0; i < threads; ++i) threads_.emplace_back([this, i] { Run(i); });
+AdaptationLoop::AdaptationLoop(const Options& options) {
+  for (int i = 0; i < options.threads; ++i)
+    threads_.emplace_back([this, i, options] { Run(i, options); });
 }
 
 void AdaptationLoop::Post(uint64_t owner, std::function<void()> job) {
@@ -34,9 +37,12 @@ void AdaptationLoop::Stop() {
   ready_.clear();
 }
 
-void AdaptationLoop::Run(int index) {
+void AdaptationLoop::Run(int index, const Options& options) {
   pthread_setname_np(pthread_self(), absl::StrCat("adapt-", index).c_str());
+  // Linux has a nice value per thread; 0 is the calling one. Raising it needs no rights.
+  if (options.nice > 0) setpriority(PRIO_PROCESS, 0, getpriority(PRIO_PROCESS, 0) + options.nice);
   UseOneTorchThread();
+  const OperatorHook hook(&UpdatePacer::YieldPoint);
   while (true) {
     uint64_t owner = 0;
     std::function<void()> job;
@@ -50,7 +56,10 @@ void AdaptationLoop::Run(int index) {
       jobs_[owner].pop_front();
       running_.insert(owner);
     }
-    job();
+    {
+      const UpdatePacer::Update update(options.pacer, options.kind);
+      job();
+    }
     job = nullptr;  // may hold the last reference to its session; not under the lock
     absl::MutexLock lock(&mu_);
     running_.erase(owner);

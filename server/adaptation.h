@@ -10,6 +10,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
+#include "server/update_pacer.h"
 
 namespace robostress {
 
@@ -19,7 +20,16 @@ namespace robostress {
 // (Session::kMaxPendingUpdates).
 class AdaptationLoop {
  public:
-  explicit AdaptationLoop(int threads);
+  struct Options {
+    int threads = 1;
+    // What its jobs yield to, between any two operators (server/update_pacer.h); null: nothing.
+    UpdatePacer* pacer = nullptr;
+    UpdatePacer::Kind kind = UpdatePacer::Kind::kAsync;
+    int nice = 0;  // added to its threads' nice value: the kernel prefers those that predict
+  };
+
+  explicit AdaptationLoop(const Options& options);
+  explicit AdaptationLoop(int threads) : AdaptationLoop(Options{threads}) {}
   ~AdaptationLoop() { Stop(); }
 
   // Any thread. After Stop the job is dropped.
@@ -28,7 +38,7 @@ class AdaptationLoop {
   void Stop() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
-  void Run(int index);
+  void Run(int index, const Options& options);
   bool HasWorkOrStopped() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     mu_.AssertHeld();
     return stopped_ || !ready_.empty();

@@ -12,8 +12,8 @@
 
 namespace robostress {
 
-// A flow-matching policy: observation -> context (once), context + noise -> action chunk (ten Euler steps).
-// Immutable after construction; const methods may run on several threads at once.
+// A flow-matching policy: observation -> context (once), context + noise -> action chunk (ten Euler
+// steps). Immutable after construction; const methods may run on several threads at once.
 class FlowPolicy : public VelocityField {
  public:
   virtual const PolicySpec& spec() const = 0;
@@ -22,9 +22,9 @@ class FlowPolicy : public VelocityField {
   // Integrates from noise [B, K, d] (float32) to model-space chunks [B, K, d].
   virtual torch::Tensor Sample(const PolicyContext& context, const torch::Tensor& noise,
                                const LoraWeights* lora) const = 0;
-  // As Sample, each row with its own adapter (null: none), none of them merged: robots with different
-  // adapters share one batch. Row i agrees with a batch of one to 1e-5; as written here, and by an
-  // override that says so, in every bit, which lockstep needs.
+  // As Sample, each row with its own adapter (null: none), none of them merged: robots with
+  // different adapters share one batch. Row i agrees with a batch of one to 1e-5; as written here,
+  // and by an override that says so, in every bit, which lockstep needs.
   virtual torch::Tensor SampleRows(const PolicyContext& context, const torch::Tensor& noise,
                                    const std::vector<const LoraWeights*>& lora) const {
     std::vector<torch::Tensor> rows;
@@ -34,17 +34,20 @@ class FlowPolicy : public VelocityField {
     }
     return at::cat(rows, 0);
   }
-  // Model-space chunk [K, d] -> environment actions [K, action_dim], and back for rows [n, action_dim] ->
-  // [n, action_dim] with the training's transforms. `state` is PolicyContext::state of the chunk's
-  // prediction: actions may be relative to it.
+  // Whether every row of SampleRows has the bits of a batch of one, whatever stands beside it.
+  // False: the server computes lockstep predictions in batches of one.
+  virtual bool exact_rows() const { return true; }
+  // Model-space chunk [K, d] -> environment actions [K, action_dim], and back for rows [n,
+  // action_dim] -> [n, action_dim] with the training's transforms. `state` is PolicyContext::state
+  // of the chunk's prediction: actions may be relative to it.
   virtual Eigen::MatrixXf ToEnvironment(const torch::Tensor& chunk,
                                         const torch::Tensor& state) const = 0;
   virtual torch::Tensor ToModel(const Eigen::MatrixXf& actions,
                                 const torch::Tensor& state) const = 0;
 };
 
-// Loads a policy by name: "nano" (embedded weights) or a path to weights. `options` are KEY=VALUE of
-// policies/openpi/policy_options.h, for a pi0 or pi0.5 checkpoint.
+// Loads a policy by name: "nano" (embedded weights) or a path to weights. `options` are KEY=VALUE
+// of policies/openpi/policy_options.h, for a pi0 or pi0.5 checkpoint.
 absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
     const std::string& name_or_path, const std::vector<std::string>& options = {});
 

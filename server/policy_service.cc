@@ -6,6 +6,7 @@
 #include <grpcpp/resource_quota.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <chrono>
 #include <utility>
 
@@ -14,13 +15,70 @@
 #include "absl/time/clock.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/grpc_status.h"
+#include "common/rpc/refusal.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/grpc_access.h"
+#include "server/predict_stream.h"
+#include "server/state/state_records.h"
 
 namespace robostress {
 namespace {
 
 constexpr char kVersion[] = "0.1.0";
+constexpr char kHealthName[] = "robostress.v1.PolicyService";
+
+absl::Status CheckBatching(const PolicyServerOptions& options) {
+  const auto invalid = [](const auto&... parts) {
+    return absl::InvalidArgumentError(absl::StrCat(parts...));
+  };
+  if (options.max_batch < 1 || options.max_batch > 1024)
+    return invalid("--max-batch is ", options.max_batch, ", must be 1..1024");
+  if (options.batch_window < absl::ZeroDuration() || options.batch_window > absl::Seconds(10)) {
+    return invalid("--batch-window-ms is ", absl::ToDoubleMilliseconds(options.batch_window),
+                   ", must be 0..10000");
+  }
+  if (options.queue_capacity < 1 || options.queue_capacity > 1 << 20)
+    return invalid("--queue-capacity is ", options.queue_capacity, ", must be 1..1048576");
+  if (!(options.update_share >= 0.001 && options.update_share <= 1))
+    return invalid("--update-share is ", options.update_share, ", must be 0.001..1");
+  if (options.cores < 0 || options.cores > 1 << 16)
+    return invalid("--cores is ", options.cores, ", must be 0..65536; 0: all of this machine");
+  if (options.update_nice < 0 || options.update_nice > 19)
+    return invalid("--update-nice is ", options.update_nice, ", must be 0..19");
+  return absl::OkStatus();
+}
+
+absl::Status WarmUp(const FlowPolicy& policy) {
+  const PolicySpec& spec = policy.spec();
+  Observation blank;
+  blank.instruction = "warm up";
+  for (const std::string& camera : spec.cameras) {
+    Image image{spec.image_width, spec.image_height, {}};
+    image.data.resize(3 * static_cast<size_t>(spec.image_width) *
+                      static_cast<size_t>(spec.image_height));
+    blank.views.push_back({camera, std::move(image)});
+  }
+  blank.proprioception = Eigen::VectorXf::Zero(spec.state_dim);
+  try {
+    torch::NoGradGuard no_grad;
+    RS_ASSIGN_OR_RETURN(const PolicyContext context, policy.Encode(blank));
+    policy.Sample(context, torch::zeros({1, policy.horizon(), policy.model_action_dim()}), nullptr);
+  } catch (const std::exception& error) {
+    return absl::InternalError(
+        absl::StrCat("policy ", spec.name, " failed to warm up: ", error.what()));
+  }
+  return absl::OkStatus();
+}
+
+BatcherOptions BatchingOf(const PolicyServerOptions& options) {
+  BatcherOptions batching;
+  batching.threads = options.threads;
+  batching.max_batch = options.max_batch;
+  batching.window = options.batch_window;
+  batching.queue.capacity = options.queue_capacity;
+  return batching;
+}
 
 }  // namespace
 
@@ -31,63 +89,91 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
           std::vector<std::shared_ptr<const FlowPolicy>> policies)
       : options_(options),
         prefixes_(std::make_shared<PrefixStore>(options.prefix_budget_mib << 20)),
-        adaptation_(options.threads),
-        inference_(options.threads) {
+        own_metrics_(options.metrics == nullptr ? std::make_unique<Metrics>() : nullptr),
+        metrics_(options.metrics == nullptr ? *own_metrics_ : *options.metrics),
+        telemetry_(&metrics_),
+        traces_(&metrics_),
+        pacer_({options.cores, options.update_share}, &metrics_),
+        async_updates_({options.threads, &pacer_, UpdatePacer::Kind::kAsync, options.update_nice}),
+        lockstep_updates_({options.threads, &pacer_, UpdatePacer::Kind::kLockstep, 0}),
+        inference_(BatchingOf(options), &pacer_, &metrics_) {
     for (auto& policy : policies) policies_[policy->spec().name] = std::move(policy);
   }
 
-  // New sessions and messages are refused from now on.
-  void Drain() ABSL_LOCKS_EXCLUDED(mu_) {
-    absl::MutexLock lock(&mu_);
-    draining_ = true;
+  absl::Status OpenRegistry() {
+    SessionRegistryOptions registry;
+    registry.max_sessions = options_.max_sessions;
+    registry.state_dir = options_.state_dir;
+    registry.abandoned_after = options_.abandoned_after;
+    registry.expire_after = options_.expire_after;
+    RS_ASSIGN_OR_RETURN(
+        sessions_,
+        SessionRegistry::Create(
+            registry, [this](const std::string& name) { return ResourcesOf(name); }, &clock_));
+    std::vector<PolicySpec> specs;
+    for (const auto& [name, policy] : policies_) specs.push_back(policy->spec());
+    host_ = std::make_unique<RegistryHost>(sessions_.get(), std::move(specs), options_.guard,
+                                           &telemetry_, &traces_);
+    return absl::OkStatus();
   }
-  // True when no message is under way.
-  bool AwaitIdle(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_) {
-    absl::MutexLock lock(&mu_);
-    const auto idle = [this] {
-      mu_.AssertHeld();
-      return in_flight_ == 0;
-    };
-    return mu_.AwaitWithTimeout(absl::Condition(&idle), timeout);
+  // The first prediction of a policy allocates and touches everything that later ones use.
+  absl::Status WarmUp() const {
+    for (const auto& [name, policy] : policies_) RS_RETURN_IF_ERROR(robostress::WarmUp(*policy));
+    return absl::OkStatus();
   }
-  void CancelSessions() ABSL_LOCKS_EXCLUDED(mu_) {
-    absl::MutexLock lock(&mu_);
-    for (auto& [id, entry] : sessions_) entry.session->Cancel();
+  SessionRegistry& sessions() { return *sessions_; }
+  RegistryHost& host() { return *host_; }
+  Metrics& metrics() { return metrics_; }
+  TraceLog& traces() { return traces_; }
+  Telemetry& telemetry() { return telemetry_; }
+  const AccessTokens& tokens() const { return options_.tokens; }
+  void StopThreads() {
+    inference_.Stop();
+    async_updates_.Stop();
+    lockstep_updates_.Stop();
   }
-  void StopAdaptation() { adaptation_.Stop(); }
 
-  grpc::Status GetServerInfo(grpc::ServerContext*, const v1::GetServerInfoRequest*,
+  grpc::Status GetServerInfo(grpc::ServerContext* context, const v1::GetServerInfoRequest*,
                              v1::GetServerInfoResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     ServerInfo info;
     info.version = kVersion;
     for (const auto& [name, policy] : policies_) info.policies.push_back(policy->spec());
     info.max_sessions = options_.max_sessions;
     info.inference_threads = options_.threads;
-    {
-      absl::MutexLock lock(&mu_);
-      info.open_sessions = static_cast<int>(sessions_.size());
-    }
+    info.open_sessions = sessions_->open_sessions();
+    info.durable = sessions_->durable();
+    info.instance = instance_;
+    info.draining = sessions_->draining();
     *response = ToProto(info);
     return grpc::Status::OK;
   }
 
-  grpc::Status OpenSession(grpc::ServerContext*, const v1::OpenSessionRequest* request,
+  grpc::Status OpenSession(grpc::ServerContext* context, const v1::OpenSessionRequest* request,
                            v1::OpenSessionResponse* response) override {
-    return ToGrpc(Open(*request, *response));
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
+    const absl::Status status = Open(*request, *response);
+    if (IsRefusal(status)) {
+      context->AddTrailingMetadata(kRefusalMetadata, ToRefusal(status).SerializeAsString());
+    }
+    return ToGrpc(status);
   }
 
-  grpc::Status CloseSession(grpc::ServerContext*, const v1::CloseSessionRequest* request,
+  grpc::Status ResumeSession(grpc::ServerContext* context, const v1::ResumeSessionRequest* request,
+                             v1::ResumeSessionResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
+    return ToGrpc(Resume(*request, *response));
+  }
+
+  grpc::Status CloseSession(grpc::ServerContext* context, const v1::CloseSessionRequest* request,
                             v1::CloseSessionResponse*) override {
-    absl::MutexLock lock(&mu_);
-    const auto found = sessions_.find(request->session_id());
-    if (found == sessions_.end()) return ToGrpc(UnknownSession(request->session_id()));
-    found->second.session->Cancel();
-    sessions_.erase(found);
-    return grpc::Status::OK;
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
+    return ToGrpc(host_->CloseSession(request->session_id()));
   }
 
-  grpc::Status StartEpisode(grpc::ServerContext*, const v1::StartEpisodeRequest* request,
+  grpc::Status StartEpisode(grpc::ServerContext* context, const v1::StartEpisodeRequest* request,
                             v1::StartEpisodeResponse*) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_RETURN_IF_ERROR(CheckIndex("task", request->task()));
       RS_RETURN_IF_ERROR(CheckIndex("episode", request->episode()));
@@ -98,51 +184,32 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   }
 
   grpc::Status Predict(
-      grpc::ServerContext*,
+      grpc::ServerContext* context,
       grpc::ServerReaderWriter<v1::PredictResponse, v1::PredictRequest>* stream) override {
-    v1::PredictRequest request;
-    while (stream->Read(&request)) {
-      v1::PredictResponse response;
-      const grpc::Status status =
-          Serve(request.session_id(), [&](Session& session) -> absl::Status {
-            RS_RETURN_IF_ERROR(CheckIndex("chunk", request.chunk()));
-            RS_ASSIGN_OR_RETURN(const Observation observation, FromProto(request.observation()));
-            RS_ASSIGN_OR_RETURN(const PredictedChunk prediction,
-                                session.Predict(observation, static_cast<int>(request.task()),
-                                                static_cast<int>(request.episode()),
-                                                static_cast<int>(request.chunk()),
-                                                request.last_feedback_sequence()));
-            response = ToProto(prediction, static_cast<int>(request.chunk()));
-            return absl::OkStatus();
-          });
-      if (!status.ok()) return status;
-      if (!stream->Write(response)) break;
-    }
-    return grpc::Status::OK;
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
+    return ServePredictStream(
+        context, stream,
+        {[this](const std::string& id) { return IsAsync(id); },
+         [this](const v1::PredictRequest& request, const std::function<bool()>& cancelled,
+                v1::PredictResponse& response) { return Predict(request, cancelled, response); }});
   }
 
   grpc::Status Feedback(
-      grpc::ServerContext*,
+      grpc::ServerContext* context,
       grpc::ServerReaderWriter<v1::FeedbackAck, v1::FeedbackRequest>* stream) override {
+    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
     v1::FeedbackRequest request;
     while (stream->Read(&request)) {
       v1::FeedbackAck ack;
-      const grpc::Status status =
-          Serve(request.session_id(), [&](Session& session) -> absl::Status {
-            RS_ASSIGN_OR_RETURN(const ExecutedChunk chunk, FromProto(request.chunk()));
-            RS_ASSIGN_OR_RETURN(const FeedbackResult result, session.Feedback(chunk));
-            ack.set_sequence(result.sequence);
-            ack.set_updates_applied(result.updates_applied);
-            return absl::OkStatus();
-          });
-      if (!status.ok()) return status;
+      if (const absl::Status status = Take(request, ack); !status.ok()) return ToGrpc(status);
       if (!stream->Write(ack)) break;
     }
     return grpc::Status::OK;
   }
 
-  grpc::Status GetStats(grpc::ServerContext*, const v1::GetStatsRequest* request,
+  grpc::Status GetStats(grpc::ServerContext* context, const v1::GetStatsRequest* request,
                         v1::GetStatsResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_ASSIGN_OR_RETURN(const SessionCounters counters, session.Counters());
       *response = ToProto(counters.stats);
@@ -151,12 +218,22 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       response->set_prefix_bytes(static_cast<uint64_t>(counters.prefixes.bytes));
       response->set_prefix_evictions(counters.prefixes.evictions);
       response->set_prefix_rebuilds(counters.prefixes.rebuilds);
+      response->set_duplicates(counters.duplicates);
+      response->set_updates_refused(counters.updates_refused);
+      response->set_updates_guarded(counters.updates_guarded);
+      response->set_predictions_dropped(counters.predictions_dropped);
+      response->set_resumes(counters.resumes);
+      response->set_rollbacks(counters.rollbacks);
+      response->set_steps_masked(counters.steps_masked);
+      response->set_journal_bytes(counters.journal_bytes);
+      response->set_durable(session.durable());
       return absl::OkStatus();
     });
   }
 
-  grpc::Status ExportAdapter(grpc::ServerContext*, const v1::ExportAdapterRequest* request,
+  grpc::Status ExportAdapter(grpc::ServerContext* context, const v1::ExportAdapterRequest* request,
                              v1::ExportAdapterResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_ASSIGN_OR_RETURN(AdapterState state, session.Export());
       response->set_safetensors(std::move(state.safetensors));
@@ -166,8 +243,9 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     });
   }
 
-  grpc::Status ImportAdapter(grpc::ServerContext*, const v1::ImportAdapterRequest* request,
+  grpc::Status ImportAdapter(grpc::ServerContext* context, const v1::ImportAdapterRequest* request,
                              v1::ImportAdapterResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_ASSIGN_OR_RETURN(const FeedbackResult result, session.Import(request->safetensors()));
       response->set_feedback_sequence(result.sequence);
@@ -176,8 +254,10 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     });
   }
 
-  grpc::Status RollbackAdapter(grpc::ServerContext*, const v1::RollbackAdapterRequest* request,
+  grpc::Status RollbackAdapter(grpc::ServerContext* context,
+                               const v1::RollbackAdapterRequest* request,
                                v1::RollbackAdapterResponse* response) override {
+    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
     return Serve(request->session_id(), [&](Session& session) -> absl::Status {
       RS_RETURN_IF_ERROR(session.Rollback(request->version()));
       response->set_updates_applied(request->version());
@@ -186,10 +266,8 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   }
 
  private:
-  static absl::Status UnknownSession(const std::string& id) {
-    return absl::NotFoundError(absl::StrCat(
-        "session '", id,
-        "' is not open here; it was closed or the server was restarted: open a new one"));
+  grpc::Status Allow(const grpc::ServerContext* context, Scope scope) const {
+    return Authorize(*context, options_.tokens, scope);
   }
 
   static absl::Status CheckIndex(const char* field, uint32_t value) {
@@ -198,107 +276,143 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
         absl::StrCat(field, " is ", value, ", must be at most ", WireLimits::kIndex));
   }
 
-  absl::Status Open(const v1::OpenSessionRequest& request, v1::OpenSessionResponse& response)
-      ABSL_LOCKS_EXCLUDED(mu_) {
-    RS_ASSIGN_OR_RETURN(const SessionSpec spec, FromProto(request.spec()));
-    const auto policy = policies_.find(spec.policy);
+  absl::StatusOr<SessionResources> ResourcesOf(const std::string& name) {
+    const auto policy = policies_.find(name);
     if (policy == policies_.end()) {
       std::vector<std::string> names;
-      for (const auto& [name, ignored] : policies_) names.push_back(name);
+      for (const auto& [served, ignored] : policies_) names.push_back(served);
       return absl::NotFoundError(absl::StrCat(
-          "policy '", spec.policy, "' is not served here; served: ", absl::StrJoin(names, ", ")));
+          "policy '", name, "' is not served here; served: ", absl::StrJoin(names, ", ")));
     }
-    uint64_t owner = 0;
-    {
-      absl::MutexLock lock(&mu_);
-      if (draining_) return absl::UnavailableError("the server is shutting down");
-      if (static_cast<int>(sessions_.size() + opening_) >= options_.max_sessions) {
-        CloseAbandoned();
-      }
-      if (static_cast<int>(sessions_.size() + opening_) >= options_.max_sessions) {
-        return absl::ResourceExhaustedError(absl::StrCat(
-            sessions_.size(), " sessions are open, which is the limit, and all were used within ",
-            absl::FormatDuration(options_.abandoned_after),
-            "; close one or start the server with more --max-sessions"));
-      }
-      ++opening_;
-      owner = ++last_session_;
+    SessionResources resources{policy->second, &async_updates_, &inference_,
+                               options_.lockstep_timeout, prefixes_};
+    resources.lockstep_adaptation = &lockstep_updates_;
+    resources.snapshot_bytes = options_.snapshot_mib << 20;
+    resources.snapshot_records = options_.snapshot_records;
+    resources.sync_predictions = options_.sync_predictions;
+    return resources;
+  }
+
+  uint64_t ExpiresAfter() const {
+    const absl::Duration after = options_.expire_after;
+    return after == absl::InfiniteDuration()
+               ? 0
+               : static_cast<uint64_t>(std::max(int64_t{1}, absl::ToInt64Seconds(after)));
+  }
+
+  absl::Status Open(const v1::OpenSessionRequest& request, v1::OpenSessionResponse& response) {
+    SessionRequest wanted;
+    RS_ASSIGN_OR_RETURN(wanted.spec, FromProto(request.spec()));
+    wanted.guard = options_.guard;
+    if (request.has_guard()) {
+      RS_ASSIGN_OR_RETURN(wanted.guard, FromRecord(request.guard()));
     }
-    const SessionResources resources{policy->second, &adaptation_, &inference_,
-                                     options_.lockstep_timeout, prefixes_};
-    absl::StatusOr<std::shared_ptr<Session>> session = Session::Create(spec, resources, owner);
-    absl::MutexLock lock(&mu_);
-    --opening_;
-    if (!session.ok()) return session.status();
-    const std::string id = absl::StrCat("session-", owner);
-    sessions_[id].session = *std::move(session);
-    response.set_session_id(id);
-    *response.mutable_policy() = ToProto(policy->second->spec());
+    RS_ASSIGN_OR_RETURN(wanted.scheduling.priority, FromProto(request.priority()));
+    RS_RETURN_IF_ERROR(CheckIndex("deadline_ms", request.deadline_ms()));
+    wanted.scheduling.deadline_ms = static_cast<int>(request.deadline_ms());
+    RS_ASSIGN_OR_RETURN(const OpenedSession opened, sessions_->Open(wanted));
+    response.set_session_id(opened.id);
+    response.set_resume_token(opened.token);
+    response.set_durable(opened.session->durable());
+    response.set_expires_after_s(ExpiresAfter());
+    *response.mutable_policy() = ToProto(opened.session->policy_spec());
     return absl::OkStatus();
   }
 
-  // Runs one message of a session and counts it.
+  absl::Status Resume(const v1::ResumeSessionRequest& request,
+                      v1::ResumeSessionResponse& response) {
+    RS_ASSIGN_OR_RETURN(const OpenedSession opened,
+                        sessions_->Resume(request.session_id(), request.resume_token()));
+    const SessionPosition position = opened.session->Position();
+    *response.mutable_policy() = ToProto(opened.session->policy_spec());
+    response.set_durable(opened.session->durable());
+    response.set_feedback_sequence(position.feedback_sequence);
+    response.set_last_prediction_id(position.last_prediction_id);
+    response.set_updates_applied(position.updates_applied);
+    response.set_episode_started(position.episode && position.episode->second >= 0);
+    if (response.episode_started()) {
+      response.set_task(static_cast<uint32_t>(position.episode->first));
+      response.set_episode(static_cast<uint32_t>(position.episode->second));
+    }
+    response.set_expires_after_s(ExpiresAfter());
+    return absl::OkStatus();
+  }
+
+  bool IsAsync(const std::string& id) {
+    const absl::StatusOr<SessionRegistry::Lease> session = sessions_->Use(id);
+    return session.ok() && (*session)->spec().mode == ExecutionMode::kAsync;
+  }
+
+  absl::Status Predict(const v1::PredictRequest& request, const std::function<bool()>& cancelled,
+                       v1::PredictResponse& response) {
+    const auto received = std::chrono::steady_clock::now();
+    RS_RETURN_IF_ERROR(sessions_->Use(request.session_id()).status());  // before what it says
+    for (const auto& [field, index] : {std::pair("task", request.task()),
+                                       {"episode", request.episode()},
+                                       {"chunk", request.chunk()},
+                                       {"deadline_ms", request.deadline_ms()}})
+      RS_RETURN_IF_ERROR(CheckIndex(field, index));
+    RS_ASSIGN_OR_RETURN(const Observation observation, FromProto(request.observation()));
+    PredictOptions options;
+    RS_ASSIGN_OR_RETURN(options.priority, FromProto(request.priority()));
+    if (request.deadline_ms() > 0) options.deadline = absl::Milliseconds(request.deadline_ms());
+    options.cancelled = cancelled;
+    RS_ASSIGN_OR_RETURN(
+        const PredictedChunk prediction,
+        host_->Predict(request.session_id(), observation,
+                       {static_cast<int>(request.task()), static_cast<int>(request.episode())},
+                       static_cast<int>(request.chunk()), request.last_feedback_sequence(),
+                       std::move(options), received));
+    response = ToProto(prediction, static_cast<int>(request.chunk()));
+    return absl::OkStatus();
+  }
+
+  absl::Status Take(const v1::FeedbackRequest& request, v1::FeedbackAck& ack) {
+    RS_RETURN_IF_ERROR(sessions_->Use(request.session_id()).status());
+    RS_ASSIGN_OR_RETURN(const ExecutedChunk chunk, FromProto(request.chunk()));
+    RS_ASSIGN_OR_RETURN(const SessionHost::Acknowledged taken,
+                        host_->Feedback(request.session_id(), chunk));
+    ack.set_sequence(taken.sequence);
+    ack.set_updates_applied(taken.updates_applied);
+    ack.set_durable(taken.durable);
+    ack.set_duplicate(taken.duplicate);
+    return absl::OkStatus();
+  }
+
+  // Runs one message of a session.
   template <class Function>
-  grpc::Status Serve(const std::string& id, Function&& function) ABSL_LOCKS_EXCLUDED(mu_) {
-    std::shared_ptr<Session> session;
-    {
-      absl::MutexLock lock(&mu_);
-      if (draining_) return ToGrpc(absl::UnavailableError("the server is shutting down"));
-      const auto found = sessions_.find(id);
-      if (found == sessions_.end()) return ToGrpc(UnknownSession(id));
-      session = found->second.session;
-      ++found->second.in_flight;
-      ++in_flight_;
-    }
-    const absl::Status status = function(*session);
-    absl::MutexLock lock(&mu_);
-    --in_flight_;
-    if (const auto found = sessions_.find(id); found != sessions_.end()) {
-      --found->second.in_flight;
-      found->second.last_used = absl::Now();
-    }
-    return ToGrpc(status);
+  grpc::Status Serve(const std::string& id, Function&& function) {
+    const absl::StatusOr<SessionRegistry::Lease> session = sessions_->Use(id);
+    if (!session.ok()) return ToGrpc(session.status());
+    return ToGrpc(function(**session));
   }
-
-  // Closes the session that nobody has used for longest, if that is long enough.
-  void CloseAbandoned() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-    auto oldest = sessions_.end();
-    for (auto at = sessions_.begin(); at != sessions_.end(); ++at) {
-      if (at->second.in_flight > 0) continue;
-      if (oldest == sessions_.end() || at->second.last_used < oldest->second.last_used) oldest = at;
-    }
-    if (oldest == sessions_.end()) return;
-    const absl::Duration unused = absl::Now() - oldest->second.last_used;
-    if (unused < options_.abandoned_after) return;
-    spdlog::warn("{} was not used for {}: closed to make room", oldest->first,
-                 absl::FormatDuration(unused));
-    oldest->second.session->Cancel();
-    sessions_.erase(oldest);
-  }
-
-  struct OpenedSession {
-    std::shared_ptr<Session> session;
-    absl::Time last_used = absl::Now();
-    int in_flight = 0;  // messages under way
-  };
 
   const PolicyServerOptions options_;
+  const std::string instance_ = absl::StrCat(absl::Hex(absl::ToUnixNanos(absl::Now())));
+  MonotonicClock clock_;
   std::map<std::string, std::shared_ptr<const FlowPolicy>>
       policies_;  // by name; fixed after construction
   const std::shared_ptr<PrefixStore> prefixes_;
-  AdaptationLoop adaptation_;
-  std::counting_semaphore<> inference_;
-
-  absl::Mutex mu_;
-  bool draining_ ABSL_GUARDED_BY(mu_) = false;
-  int in_flight_ ABSL_GUARDED_BY(mu_) = 0;
-  size_t opening_ ABSL_GUARDED_BY(mu_) = 0;
-  uint64_t last_session_ ABSL_GUARDED_BY(mu_) = 0;
-  std::map<std::string, OpenedSession> sessions_ ABSL_GUARDED_BY(mu_);
+  const std::unique_ptr<Metrics> own_metrics_;
+  Metrics& metrics_;
+  Telemetry telemetry_;
+  TraceLog traces_;
+  UpdatePacer pacer_;
+  AdaptationLoop async_updates_, lockstep_updates_;
+  Batcher inference_;
+  // Set by OpenRegistry.
+  std::unique_ptr<SessionRegistry> sessions_;
+  std::unique_ptr<RegistryHost> host_;
 };
 
 PolicyServer::PolicyServer() = default;
 PolicyServer::~PolicyServer() { Stop(absl::ZeroDuration()); }
+SessionRegistry& PolicyServer::sessions() { return service_->sessions(); }
+RegistryHost& PolicyServer::host() { return service_->host(); }
+Metrics& PolicyServer::metrics() { return service_->metrics(); }
+TraceLog& PolicyServer::traces() { return service_->traces(); }
+Telemetry& PolicyServer::telemetry() { return service_->telemetry(); }
+const AccessTokens& PolicyServer::tokens() const { return service_->tokens(); }
 
 absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
     const PolicyServerOptions& options, std::vector<std::shared_ptr<const FlowPolicy>> policies) {
@@ -310,12 +424,17 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
     return absl::InvalidArgumentError(absl::StrCat(
         "--prefix-budget-mib is ", options.prefix_budget_mib, ", must be 0..1073741824"));
   }
+  RS_RETURN_IF_ERROR(CheckBatching(options));
   if (options.max_sessions < 1 || options.max_sessions > 4096) {
     return absl::InvalidArgumentError(
         absl::StrCat("--max-sessions is ", options.max_sessions, ", must be 1..4096"));
   }
   auto server = std::unique_ptr<PolicyServer>(new PolicyServer());
+  if (options.snapshot_mib < 1 || options.snapshot_records < 1) {
+    return absl::InvalidArgumentError("a snapshot is due after at least 1 MiB and 1 record");
+  }
   server->service_ = std::make_unique<Service>(options, std::move(policies));
+  RS_RETURN_IF_ERROR(server->service_->OpenRegistry());
 
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
@@ -327,7 +446,8 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT,
                              0);  // a second server on the port must fail, not share it
-  builder.AddListeningPort(options.listen, grpc::InsecureServerCredentials(), &server->port_);
+  RS_ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
+  builder.AddListeningPort(options.listen, credentials, &server->port_);
   builder.RegisterService(server->service_.get());
   server->server_ = builder.BuildAndStart();
   if (server->server_ == nullptr || server->port_ == 0) {
@@ -336,19 +456,31 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
                      ": the port is taken or the address is not this machine's; use --listen "
                      "HOST:0 for a free port"));
   }
-  server->server_->GetHealthCheckService()->SetServingStatus("robostress.v1.PolicyService", true);
+  grpc::HealthCheckServiceInterface* health = server->server_->GetHealthCheckService();
+  health->SetServingStatus(false);
+  health->SetServingStatus(kHealthName, false);
+  if (options.warm_up) RS_RETURN_IF_ERROR(server->service_->WarmUp());
+  health->SetServingStatus(true);
+  health->SetServingStatus(kHealthName, true);
+  server->ready_ = true;
   return server;
+}
+
+void PolicyServer::Drain() {
+  ready_ = false;
+  server_->GetHealthCheckService()->SetServingStatus(false);
+  service_->sessions().Drain();
 }
 
 void PolicyServer::Stop(absl::Duration grace) {
   if (server_ == nullptr) return;
-  server_->GetHealthCheckService()->SetServingStatus(false);
-  service_->Drain();
-  service_->AwaitIdle(grace);
-  service_->CancelSessions();
+  Drain();
+  SessionRegistry& sessions = service_->sessions();
+  if (sessions.AwaitIdle(grace)) sessions.FlushAll();
+  sessions.CancelAll();
   server_->Shutdown(std::chrono::system_clock::now());
   server_->Wait();
-  service_->StopAdaptation();
+  service_->StopThreads();
   server_.reset();
 }
 

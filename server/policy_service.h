@@ -1,9 +1,9 @@
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <map>
 #include <memory>
-#include <semaphore>
 #include <string>
 #include <vector>
 
@@ -12,8 +12,12 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "server/adaptation.h"
+#include "server/edge/access_tokens.h"
+#include "server/edge/tls_files.h"
+#include "server/metrics.h"
 #include "server/policy.h"
-#include "server/session.h"
+#include "server/registry_host.h"
+#include "server/session_registry.h"
 
 namespace grpc {
 class Server;
@@ -23,17 +27,38 @@ namespace robostress {
 
 struct PolicyServerOptions {
   std::string listen = "127.0.0.1:0";  // HOST:PORT; port 0: any free one
-  int threads = 2;  // predictions computed at once, and as many threads for updates
+  int threads = 2;    // batches of predictions computed at once, and as many threads for updates
+  int max_batch = 8;  // predictions of one batch; 1: none is batched
+  absl::Duration batch_window = absl::ZeroDuration();  // BatcherOptions
+  int queue_capacity = 256;  // predictions that wait; more are refused with a time to come back
+  // Updates yield to predictions (server/update_pacer.h): cores that both share, 0: all; the share
+  // of its thread that an update keeps meanwhile; what is added to the nice value of the threads
+  // on which async sessions learn.
+  int cores = 0;
+  double update_share = 0.1;
+  int update_nice = 5;
+  Metrics* metrics = nullptr;  // outlives the server; null: it has its own
   int max_sessions = 64;
   // When max_sessions are open, the one unused for longest makes room if it was unused this long:
   // its client was killed, or it has ended without closing.
   absl::Duration abandoned_after = absl::Minutes(15);
+  // Durable sessions (server/session_registry.h); empty: in memory only.
+  std::string state_dir;
+  absl::Duration expire_after = absl::InfiniteDuration();
+  uint64_t snapshot_mib = 64;        // a snapshot is due after so much of a session's journal
+  uint64_t snapshot_records = 1024;  // or so many records
+  bool sync_predictions = false;     // predictions survive a loss of power
+  GuardOptions guard;                // of sessions that ask for none
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
+  bool warm_up = true;  // predict once with every policy before health says SERVING
+  TlsFiles tls;
+  AccessTokens tokens;  // asked by every call
 };
 
-// A policy service over gRPC with health and reflection. Construction starts it.
+// A policy service over gRPC with health and reflection. Start listens, health says NOT_SERVING,
+// the policies are warmed up, health says SERVING, Start returns.
 class PolicyServer {
  public:
   // `policies` are served by their spec().name.
@@ -42,8 +67,19 @@ class PolicyServer {
   ~PolicyServer();  // Stop with no grace
 
   int port() const { return port_; }
-  // Refuses new sessions and messages, answers those under way for at most `grace`, cancels the
-  // rest, joins.
+  // For what stands beside the service: operators, metrics.
+  SessionRegistry& sessions();
+  RegistryHost& host();
+  Metrics& metrics();
+  TraceLog& traces();
+  Telemetry& telemetry();
+  const AccessTokens& tokens() const;
+  // Warmed up and not draining.
+  bool ready() const { return ready_; }
+  // Refuses new sessions and messages; health says NOT_SERVING. Any thread; returns at once.
+  void Drain();
+  // Refuses new sessions and messages, answers those under way for at most `grace`, writes durable
+  // sessions to disk, cancels the rest, joins.
   void Stop(absl::Duration grace);
 
  private:
@@ -52,6 +88,7 @@ class PolicyServer {
 
   std::unique_ptr<Service> service_;
   std::unique_ptr<grpc::Server> server_;
+  std::atomic<bool> ready_{false};
   int port_ = 0;
 };
 

@@ -41,6 +41,17 @@ std::shared_ptr<const PrefixStore::Prefix> PrefixStore::Add(
   return std::make_shared<const Prefix>(this, id);
 }
 
+std::shared_ptr<const PrefixStore::Prefix> PrefixStore::AddDropped(
+    std::shared_ptr<const FlowPolicy> policy, std::shared_ptr<const Observation> observation) {
+  absl::MutexLock lock(&mu_);
+  const uint64_t id = ++last_id_;
+  Entry& entry = entries_[id];
+  entry.policy = std::move(policy);
+  entry.observation = std::move(observation);
+  counters_.observation_bytes += ObservationBytes(*entry.observation);
+  return std::make_shared<const Prefix>(this, id);
+}
+
 absl::StatusOr<PolicyContext> PrefixStore::Get(const Prefix& prefix) {
   std::shared_ptr<const FlowPolicy> policy;
   std::shared_ptr<const Observation> observation;

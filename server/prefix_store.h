@@ -49,6 +49,10 @@ class PrefixStore {
   std::shared_ptr<const Prefix> Add(std::shared_ptr<const FlowPolicy> policy,
                                     std::shared_ptr<const Observation> observation,
                                     PolicyContext context) ABSL_LOCKS_EXCLUDED(mu_);
+  // The same without its context, which the first Get makes: of a session that is read from disk.
+  std::shared_ptr<const Prefix> AddDropped(std::shared_ptr<const FlowPolicy> policy,
+                                           std::shared_ptr<const Observation> observation)
+      ABSL_LOCKS_EXCLUDED(mu_);
   // The context, rebuilt on this thread if it was dropped.
   absl::StatusOr<PolicyContext> Get(const Prefix& prefix) ABSL_LOCKS_EXCLUDED(mu_);
 

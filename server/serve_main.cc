@@ -1,6 +1,10 @@
 #include <pthread.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
+#include <atomic>
 #include <csignal>
 #include <cstdio>
 #include <memory>
@@ -8,8 +12,15 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/config.h"
+#include "common/status_macros.h"
+#include "server/admin_server.h"
+#include "server/edge/json_log.h"
+#include "server/flag_visitor.h"
 #include "server/policy_service.h"
+#include "server/serve_options.h"
 #include "server/torch_threads.h"
+#include "server/web_endpoints.h"
 
 namespace robostress {
 namespace {
@@ -17,80 +28,214 @@ namespace {
 constexpr char kExamples[] = R"(Examples:
   robostress serve                                        # nano on a free port of this machine
   robostress serve --policy nano --listen 0.0.0.0:50051   # for workers on other machines
+  robostress serve --state-dir /var/lib/robostress        # sessions survive the server
   robostress serve --policy my_nano.safetensors --port-file /tmp/port
   robostress serve --policy pi05_libero --policy-options transform=libero tokenizer=paligemma_tokenizer.model
+  robostress serve --websocket-listen 127.0.0.1:8000 --http-listen 127.0.0.1:9090   # openpi's clients; live page
+  robostress serve --config serve.yaml --threads 4        # a file with the flags' names, and flags over it
+  robostress serve --config serve.yaml --print-config     # what would be served with
   robostress-worker --unit UNIT.yaml --out DIR --server 127.0.0.1:50051
 
 SIGTERM and SIGINT stop it: it refuses new messages, answers those under way (at most --grace seconds) and exits.
-The transport is neither encrypted nor authenticated: listen on a trusted network only.)";
+Without --tls-certificate and --tokens nothing is encrypted and nobody is asked who they are: every port is loopback
+unless you say otherwise, and should stay there or on a trusted network.)";
 
 int Fail(const absl::Status& status) {
   std::fprintf(stderr, "robostress serve: %s\n", std::string(status.message()).c_str());
   return 1;
 }
 
-int Main(int argc, char** argv) {
-  CLI::App app{"Serves a policy with online self-compensation over gRPC.", "robostress serve"};
-  app.footer(kExamples);
-  PolicyServerOptions options;
-  options.threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  std::string policy_name = "nano", port_file;
-  std::vector<std::string> policy_options;
-  double grace_s = 10;
-  app.add_option("--policy", policy_name,
-                 "nano, nano:random, a weights file (.safetensors), or the folder of a pi0 or "
-                 "pi0.5 checkpoint")
-      ->capture_default_str();
-  app.add_option("--policy-options", policy_options,
-                 "KEY=VALUE ... over those of robostress_policy.yaml; `robostress policy inspect "
-                 "--help` lists them");
-  app.add_option("--listen", options.listen, "HOST:PORT; port 0 takes a free one")
-      ->capture_default_str();
-  app.add_option("--port-file", port_file, "write the bound port to this file");
-  app.add_option("--threads", options.threads,
-                 "predictions computed at once, and as many update threads")
-      ->capture_default_str();
-  app.add_option("--max-sessions", options.max_sessions, "sessions open at once")
-      ->capture_default_str();
-  app.add_option("--prefix-budget-mib", options.prefix_budget_mib,
-                 "memory for the prefixes that adapters learn from, all sessions together; what "
-                 "exceeds it is dropped and encoded again when an update needs it")
-      ->capture_default_str();
-  app.add_option("--grace", grace_s, "seconds to answer what is under way when stopped")
-      ->capture_default_str();
-  CLI11_PARSE(app, argc, argv);
+TlsFiles TlsOf(const ServeOptions& options) {
+  return {options.tls_certificate, options.tls_key, options.tls_client_ca};
+}
 
-  // Blocked before any thread starts, so that every thread inherits it and sigwait below is the
-  // only receiver.
-  sigset_t stop_signals;
-  sigemptyset(&stop_signals);
-  sigaddset(&stop_signals, SIGTERM);
-  sigaddset(&stop_signals, SIGINT);
-  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
+absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& options) {
+  PolicyServerOptions result;
+  result.listen = options.listen;
+  result.threads = options.threads != 0
+                       ? options.threads
+                       : static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  result.max_batch = options.max_batch;
+  result.batch_window = absl::Milliseconds(options.batch_window_ms);
+  result.queue_capacity = options.queue_capacity;
+  result.cores = options.cores;
+  result.update_share = options.update_share;
+  result.update_nice = options.update_nice;
+  result.max_sessions = options.max_sessions;
+  result.prefix_budget_mib = options.prefix_budget_mib;
+  result.warm_up = options.warm_up;
+  result.state_dir = options.state_dir;
+  if (options.session_expiry > 0) result.expire_after = absl::Seconds(options.session_expiry);
+  result.snapshot_mib = options.snapshot_mib;
+  result.snapshot_records = options.snapshot_records;
+  result.sync_predictions = options.sync_predictions;
+  if (!(options.guard_ratio >= 1e-6 && options.guard_ratio <= 1e6)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--guard-ratio is ", options.guard_ratio, ", must be 1e-6..1e6"));
+  }
+  if (!(options.guard_distance >= 0)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--guard-distance is ", options.guard_distance, ", must be 0 or above"));
+  }
+  result.guard.enabled = options.guard;
+  result.guard.max_loss_ratio = options.guard_ratio;
+  result.guard.max_distance = options.guard_distance;
+  result.tls = TlsOf(options);
+  if (!options.tokens.empty()) {
+    RS_ASSIGN_OR_RETURN(result.tokens, AccessTokens::Load(options.tokens));
+  }
+  return result;
+}
 
+absl::StatusOr<WebEndpointsOptions> WebEndpointsOptionsOf(const ServeOptions& options) {
+  if (options.websocket_max_mib < 1 || options.websocket_max_mib > 1024) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--websocket-max-mib is ", options.websocket_max_mib, ", must be 1..1024"));
+  }
+  WebEndpointsOptions result;
+  result.websocket_listen = options.websocket_listen;
+  result.http_listen = options.http_listen;
+  result.tls = TlsOf(options);
+  result.max_connections = options.max_connections;
+  result.max_message_bytes = static_cast<uint64_t>(options.websocket_max_mib) << 20;
+  result.openpi.input.camera_keys = options.websocket_cameras;
+  result.openpi.input.default_prompt = options.websocket_prompt;
+  result.openpi.session.robot = "openpi";
+  result.openpi.session.suite = "openpi";
+  result.openpi.session.scenario = "unknown";
+  result.openpi.session.mode = ExecutionMode::kAsync;
+  RS_ASSIGN_OR_RETURN(result.openpi.session.method, MakeMethod(options.websocket_method));
+  return result;
+}
+
+bool IsLoopback(const std::string& listen) {
+  return listen.empty() || listen.rfind("127.", 0) == 0 || listen.rfind("localhost:", 0) == 0 ||
+         listen.rfind("[::1]:", 0) == 0 || listen.rfind("unix:", 0) == 0;
+}
+
+void WarnOfOpenPorts(const ServeOptions& options) {
+  const bool closed = !options.tokens.empty() || !options.tls_client_ca.empty();
+  for (const std::string& listen :
+       {options.listen, options.websocket_listen, options.http_listen, options.admin_listen}) {
+    if (!closed && !IsLoopback(listen))
+      spdlog::warn("{} is open to other machines and asks nobody for a token or certificate",
+                   listen);
+  }
+}
+
+// Serves until a signal or Drain.
+absl::Status Serve(const ServeOptions& options, const sigset_t& stop_signals) {
   UseOneTorchThread();
-  absl::StatusOr<std::unique_ptr<FlowPolicy>> policy = LoadFlowPolicy(policy_name, policy_options);
-  if (!policy.ok()) return Fail(policy.status());
-  const PolicySpec spec = (*policy)->spec();
-  absl::StatusOr<std::unique_ptr<PolicyServer>> server =
-      PolicyServer::Start(options, {*std::move(policy)});
-  if (!server.ok()) return Fail(server.status());
-  if (!port_file.empty()) {
-    const absl::Status written =
-        WriteFileAtomically(port_file, absl::StrCat((*server)->port(), "\n"));
-    if (!written.ok()) return Fail(written);
+  RS_ASSIGN_OR_RETURN(const PolicyServerOptions server_options, PolicyServerOptionsOf(options));
+  RS_ASSIGN_OR_RETURN(const WebEndpointsOptions web_options, WebEndpointsOptionsOf(options));
+  WarnOfOpenPorts(options);
+  RS_ASSIGN_OR_RETURN(std::unique_ptr<FlowPolicy> policy,
+                      LoadFlowPolicy(options.policy, options.policy_options));
+  const PolicySpec spec = policy->spec();
+  const bool exact_rows = policy->exact_rows();
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<PolicyServer> server,
+                      PolicyServer::Start(server_options, {std::move(policy)}));
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<WebEndpoints> web,
+                      WebEndpoints::Start(web_options, server.get()));
+  std::atomic<double> drain_grace_s{0};
+  std::unique_ptr<AdminServer> admin;
+  if (!options.admin_listen.empty()) {
+    AdminServerOptions admin_options;
+    admin_options.listen = options.admin_listen;
+    admin_options.tls = TlsOf(options);
+    admin_options.drain = [&](absl::Duration grace) {
+      server->Drain();
+      drain_grace_s = absl::ToDoubleSeconds(grace);
+      kill(getpid(), SIGTERM);  // the main thread waits for it and stops the server
+    };
+    RS_ASSIGN_OR_RETURN(admin,
+                        AdminServer::Start(admin_options, &server->sessions(), &server->tokens()));
+  }
+  if (!options.port_file.empty()) {
+    RS_RETURN_IF_ERROR(WriteFileAtomically(options.port_file, absl::StrCat(server->port(), "\n")));
+  }
+  if (!options.ports_file.empty()) {
+    RS_RETURN_IF_ERROR(WriteFileAtomically(
+        options.ports_file,
+        absl::StrCat("grpc: ", server->port(), "\nwebsocket: ", web->websocket_port(), "\nhttp: ",
+                     web->http_port(), "\nadmin: ", admin == nullptr ? 0 : admin->port(), "\n")));
   }
   const std::string host = options.listen.substr(0, options.listen.rfind(':'));
   std::printf("serving %s (%s) on %s:%d with %d threads\n", spec.name.c_str(),
-              spec.model_hash.c_str(), host.c_str(), (*server)->port(), options.threads);
+              spec.model_hash.c_str(), host.c_str(), server->port(), server_options.threads);
+  std::printf("batches of at most %d; lockstep predictions are %s\n", options.max_batch,
+              exact_rows ? "batched too: this policy's rows have the bits of batches of one"
+                         : "computed alone: this policy's rows agree to rounding only");
+  if (web->websocket_port() != 0) std::printf("openpi clients: port %d\n", web->websocket_port());
+  if (web->http_port() != 0) {
+    std::printf("live page and metrics: %s://localhost:%d/\n",
+                web_options.tls.enabled() ? "https" : "http", web->http_port());
+  }
+  if (admin != nullptr) std::printf("operators: port %d\n", admin->port());
   std::fflush(stdout);
 
   int signal = 0;
   sigwait(&stop_signals, &signal);
   std::printf("stopping\n");
   std::fflush(stdout);
-  (*server)->Stop(absl::Seconds(grace_s));
-  return 0;
+  const absl::Duration grace =
+      absl::Seconds(drain_grace_s > 0 ? drain_grace_s.load() : options.grace);
+  server->Drain();
+  web->StopWebSockets(grace);
+  admin.reset();
+  server->Stop(grace);
+  return absl::OkStatus();
+}
+
+// A first pass finds the file, whose values are the defaults of the second.
+std::string ConfigFileOf(int argc, char** argv) {
+  CLI::App app;
+  std::string file;
+  app.add_option("--config", file);
+  app.set_help_flag();
+  app.allow_extras();
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError&) {
+    return "";  // the second pass says what is wrong
+  }
+  return file;
+}
+
+int Main(int argc, char** argv) {
+  ServeOptions options;
+  if (const std::string file = ConfigFileOf(argc, argv); !file.empty()) {
+    absl::StatusOr<ServeOptions> loaded = LoadConfig<ServeOptions>(file);
+    if (!loaded.ok()) return Fail(loaded.status());
+    options = *std::move(loaded);
+  }
+  CLI::App app{"Serves a policy with online self-compensation over gRPC and openpi's WebSocket.",
+               "robostress serve"};
+  app.footer(kExamples);
+  std::string config_file;
+  bool print_config = false;
+  app.add_option("--config", config_file,
+                 "YAML file with the flags' names (a_b for --a-b); flags win over it");
+  app.add_flag("--print-config", print_config, "print the resolved configuration and exit");
+  FlagVisitor flags(&app);
+  options.Visit(flags);
+  CLI11_PARSE(app, argc, argv);
+  if (print_config) {
+    std::printf("%s", DumpConfig(options).c_str());
+    return 0;
+  }
+
+  // Blocked before any thread starts, so that every thread inherits it and sigwait is the only
+  // receiver.
+  sigset_t stop_signals;
+  sigemptyset(&stop_signals);
+  sigaddset(&stop_signals, SIGTERM);
+  sigaddset(&stop_signals, SIGINT);
+  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
+
+  absl::Status status = SetUpLog(options.log_format, options.log_level);
+  if (status.ok()) status = Serve(options, stop_signals);
+  return status.ok() ? 0 : Fail(status);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #include "common/rpc/convert.h"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 #include <utility>
@@ -7,11 +8,15 @@
 #include "absl/strings/str_cat.h"
 #include "common/check.h"
 #include "common/config.h"
+#include "common/rpc/refusal.h"
 #include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 
 namespace robostress {
 namespace {
+
+constexpr size_t kMaxRefusalMessage = 4096;
+constexpr uint32_t kMaxRetryAfterMs = 24 * 3600 * 1000;
 
 template <class... Parts>
 absl::Status Invalid(const Parts&... parts) {
@@ -189,6 +194,31 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
   return spec;
 }
 
+robostress::v1::Priority ToProto(Priority priority) {
+  switch (priority) {
+    case Priority::kSimulation:
+      return v1::PRIORITY_SIMULATION;
+    case Priority::kRobot:
+      return v1::PRIORITY_ROBOT;
+    default:
+      return v1::PRIORITY_UNSPECIFIED;
+  }
+}
+
+absl::StatusOr<Priority> FromProto(robostress::v1::Priority message) {
+  switch (message) {
+    case v1::PRIORITY_UNSPECIFIED:
+      return Priority::kUnspecified;
+    case v1::PRIORITY_SIMULATION:
+      return Priority::kSimulation;
+    case v1::PRIORITY_ROBOT:
+      return Priority::kRobot;
+    default:
+      return Invalid("priority is ", static_cast<int>(message),
+                     ", must be UNSPECIFIED (0), SIMULATION (1) or ROBOT (2)");
+  }
+}
+
 robostress::v1::GetServerInfoResponse ToProto(const ServerInfo& info) {
   v1::GetServerInfoResponse message;
   message.set_version(info.version);
@@ -196,6 +226,9 @@ robostress::v1::GetServerInfoResponse ToProto(const ServerInfo& info) {
   message.set_open_sessions(static_cast<uint32_t>(info.open_sessions));
   message.set_max_sessions(static_cast<uint32_t>(info.max_sessions));
   message.set_inference_threads(static_cast<uint32_t>(info.inference_threads));
+  message.set_durable(info.durable);
+  message.set_instance(info.instance);
+  message.set_draining(info.draining);
   return message;
 }
 
@@ -213,6 +246,10 @@ absl::StatusOr<ServerInfo> FromProto(const robostress::v1::GetServerInfoResponse
   info.open_sessions = static_cast<int>(message.open_sessions());
   info.max_sessions = static_cast<int>(message.max_sessions());
   info.inference_threads = static_cast<int>(message.inference_threads());
+  RS_RETURN_IF_ERROR(CheckName("instance", message.instance(), /*may_be_empty=*/true));
+  info.durable = message.durable();
+  info.instance = message.instance();
+  info.draining = message.draining();
   return info;
 }
 
@@ -315,6 +352,9 @@ robostress::v1::PredictResponse ToProto(const PredictedChunk& prediction, int ch
   if (prediction.base_actions.size() > 0)
     *message.mutable_base_actions() = ToProto(prediction.base_actions);
   message.set_adapter_version(prediction.adapter_version);
+  message.set_queue_ms(static_cast<float>(prediction.queue_ms));
+  message.set_compute_ms(static_cast<float>(prediction.compute_ms));
+  message.set_batch_size(static_cast<uint32_t>(prediction.batch_size));
   return message;
 }
 
@@ -322,6 +362,10 @@ absl::StatusOr<PredictedChunk> FromProto(const robostress::v1::PredictResponse& 
   PredictedChunk prediction;
   prediction.prediction_id = message.prediction_id();
   prediction.adapter_version = message.adapter_version();
+  prediction.queue_ms = message.queue_ms();
+  prediction.compute_ms = message.compute_ms();
+  RS_RETURN_IF_ERROR(CheckRange("batch_size", message.batch_size(), 0, WireLimits::kIndex));
+  prediction.batch_size = static_cast<int>(message.batch_size());
   RS_ASSIGN_OR_RETURN(prediction.actions, FromProto("actions", message.actions()));
   const int rows = static_cast<int>(prediction.actions.rows()),
             cols = static_cast<int>(prediction.actions.cols());
@@ -336,6 +380,23 @@ absl::StatusOr<PredictedChunk> FromProto(const robostress::v1::PredictResponse& 
     RS_RETURN_IF_ERROR(CheckMatrixSize("base_actions", prediction.base_actions, rows, cols));
   }
   return prediction;
+}
+
+absl::Status ToStatus(const robostress::v1::Refusal& refusal) {
+  const int code = refusal.code();
+  if (code <= 0 || code > 16) return Invalid("refusal.code is ", code, ", must be 1 to 16");
+  return Refusal(absl::Status(static_cast<absl::StatusCode>(code), refusal.message()),
+                 absl::Milliseconds(std::min(refusal.retry_after_ms(), kMaxRetryAfterMs)));
+}
+
+robostress::v1::Refusal ToRefusal(const absl::Status& status) {
+  v1::Refusal message;
+  message.set_code(static_cast<int>(status.code()));
+  message.set_message(std::string(status.message().substr(0, kMaxRefusalMessage)));
+  const int64_t retry_ms = absl::ToInt64Milliseconds(RetryAfter(status));
+  message.set_retry_after_ms(
+      static_cast<uint32_t>(std::clamp<int64_t>(retry_ms, 0, kMaxRetryAfterMs)));
+  return message;
 }
 
 robostress::v1::RobotState ToProto(const RobotState& state) {
@@ -392,6 +453,7 @@ robostress::v1::ExecutedChunk ToProto(const ExecutedChunk& chunk) {
   const Eigen::MatrixXf base = CommandRows(chunk, &ExecutedStep::base_command);
   if (base.size() > 0) *message.mutable_base_commands() = ToProto(base);
   message.set_last_of_episode(chunk.last_of_episode);
+  for (const bool masked : chunk.masked) message.add_masked(masked);
   return message;
 }
 
@@ -427,6 +489,11 @@ absl::StatusOr<ExecutedChunk> FromProto(const robostress::v1::ExecutedChunk& mes
   chunk.prediction_id = message.prediction_id();
   chunk.first_step = static_cast<int>(message.first_step());
   chunk.last_of_episode = message.last_of_episode();
+  if (message.masked_size() != 0 && message.masked_size() != n) {
+    return Invalid("chunk.masked has ", message.masked_size(), " values for ", n,
+                   " steps; give one per step or none");
+  }
+  chunk.masked.assign(message.masked().begin(), message.masked().end());
   chunk.steps.resize(n);
   for (int i = 0; i <= n; ++i) {
     absl::StatusOr<RobotState> state = FromProto(message.states(i));

@@ -35,6 +35,9 @@ absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message
 robostress::v1::PolicySpec ToProto(const PolicySpec& spec);
 absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message);
 
+robostress::v1::Priority ToProto(Priority priority);
+absl::StatusOr<Priority> FromProto(robostress::v1::Priority message);
+
 robostress::v1::GetServerInfoResponse ToProto(const ServerInfo& info);
 absl::StatusOr<ServerInfo> FromProto(const robostress::v1::GetServerInfoResponse& message);
 
@@ -49,6 +52,10 @@ absl::StatusOr<Eigen::MatrixXf> FromProto(const char* field,
 // `chunk`: of the request that is answered.
 robostress::v1::PredictResponse ToProto(const PredictedChunk& prediction, int chunk);
 absl::StatusOr<PredictedChunk> FromProto(const robostress::v1::PredictResponse& message);
+
+// The status that a refusal stands for, with its mark (common/rpc/refusal.h), and back.
+absl::Status ToStatus(const robostress::v1::Refusal& refusal);
+robostress::v1::Refusal ToRefusal(const absl::Status& status);
 
 robostress::v1::RobotState ToProto(const RobotState& state);
 absl::StatusOr<RobotState> FromProto(const robostress::v1::RobotState& message);

@@ -14,17 +14,26 @@ namespace robostress {
 // equal bits.
 struct SessionSpec {
   std::string robot = "panda_sim";  // "piper...": joint space
-  std::string suite;     // part of the noise key
-  std::string scenario;  // names the session, part of no noise key
-  int severity = 5;      // 1..5; names the session, part of no noise key
-  std::string policy;    // "nano"
-  int64_t seed = 0;      // of the sampling noise; part of the noise key
+  std::string suite;                // part of the noise key
+  std::string scenario;             // names the session, part of no noise key
+  int severity = 5;                 // 1..5; names the session, part of no noise key
+  std::string policy;               // "nano"
+  int64_t seed = 0;                 // of the sampling noise; part of the noise key
   ExecutionMode mode = ExecutionMode::kLockstep;
   GoalReference goal_reference = GoalReference::kAchieved;
   MethodOptions method;
   double control_period_s = 0.05;   // [s]
   double translation_scale = 0.05;  // of action entries 0..2 [m]
   double rotation_scale = 0.5;      // of action entries 3..5 [rad]
+};
+
+// Whose predictions go first when several wait.
+enum class Priority { kUnspecified, kSimulation, kRobot };  // unspecified: by the mode
+
+// How a session's predictions are served; decides no result.
+struct SessionScheduling {
+  Priority priority = Priority::kUnspecified;
+  int deadline_ms = 0;  // of a prediction, from its arrival; 0: none. Async only
 };
 
 // Robots whose actions are absolute joint targets [rad] and a gripper; their residual is in joint
@@ -38,6 +47,9 @@ struct ServerInfo {
   int open_sessions = 0;
   int max_sessions = 0;
   int inference_threads = 0;
+  bool durable = false;  // acknowledged feedback survives the server
+  std::string instance;  // of this start of the server
+  bool draining = false;
 };
 
 // A session's adaptation as a safetensors file: LoRA, Adam, feedback buffer, counters.

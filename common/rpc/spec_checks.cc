@@ -73,6 +73,10 @@ absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& sp
     return Invalid("executed chunk ", chunk.sequence, " covers steps ", chunk.first_step, " to ",
                    chunk.first_step + n - 1, ", policy '", spec.name, "' predicts ", spec.horizon);
   }
+  if (!chunk.masked.empty() && chunk.masked.size() != chunk.steps.size()) {
+    return Invalid("executed chunk ", chunk.sequence, " has ", chunk.masked.size(),
+                   " mask values for ", n, " steps; give one per step or none");
+  }
   const bool has_base = chunk.steps[0].base_command.size() > 0;
   for (int i = 0; i < n; ++i) {
     const ExecutedStep& step = chunk.steps[i];

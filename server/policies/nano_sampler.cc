@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <tuple>
 #include <utility>
 
 #include "common/check.h"
@@ -16,6 +15,9 @@ namespace {
 
 constexpr float kMasked = -2.3819763e38f;
 constexpr size_t kTargetsPerLayer = 7;
+// Predictions computed together: each matrix is read once for all of them. More gain nothing (the
+// activations leave the cache).
+constexpr int64_t kTogether = 8;
 
 std::vector<float> ToVector(const torch::Tensor& tensor) {
   const torch::Tensor flat = tensor.detach().to(torch::kFloat32).contiguous();
@@ -51,13 +53,22 @@ struct NanoSampler::Lora {
   };
   Lora(const std::vector<LoraTarget>& shapes, const LoraWeights& weights) {
     for (size_t i = 0; i < shapes.size(); ++i) {
-      torch::Tensor A = weights.A[i], B = weights.B[i];
-      if (A.dim() == 2) std::tie(A, B) = std::pair(A.unsqueeze(0), B.unsqueeze(0));
+      const torch::Tensor A = weights.A[i].detach().to(torch::kFloat32).contiguous(),
+                          B = weights.B[i].detach().to(torch::kFloat32).contiguous();
       Target target{shapes[i].in_features, shapes[i].out_features, {}};
-      for (int64_t n = 0; n < A.size(0); ++n) {
-        const int64_t in = A.size(2), out = B.size(1);
-        target.pairs.push_back({in < target.in ? n * in : 0, in, out < target.out ? n * out : 0,
-                                out, A.size(1), ToVector(A[n]), ToVector(B[n].t())});
+      const int64_t pairs = A.dim() == 2 ? 1 : A.size(0), rank = A.size(-2), in = A.size(-1),
+                    out = B.size(-2);
+      for (int64_t n = 0; n < pairs; ++n) {
+        Pair pair{
+            in < target.in ? n * in : 0, in, out < target.out ? n * out : 0, out, rank, {}, {}};
+        const float* a = A.data_ptr<float>() + n * rank * in;
+        const float* b = B.data_ptr<float>() + n * out * rank;
+        pair.a.assign(a, a + rank * in);
+        pair.b_transposed.resize(rank * out);
+        for (int64_t o = 0; o < out; ++o) {
+          for (int64_t r = 0; r < rank; ++r) pair.b_transposed[r * out + o] = b[o * rank + r];
+        }
+        target.pairs.push_back(std::move(pair));
       }
       targets.push_back(std::move(target));
     }
@@ -65,14 +76,14 @@ struct NanoSampler::Lora {
   std::vector<Target> targets;
 };
 
-// Buffers of one row. Key slots: prefix, state, filled up to a panel; then actions, filled up to a
-// panel.
+// Buffers of `batch` predictions that are computed together. Key slots of each: prefix, state,
+// filled up to a panel; then actions, filled up to a panel.
 struct NanoSampler::Workspace {
-  Workspace(const NanoConfig& c, int64_t prefix)
+  Workspace(const NanoConfig& c, int64_t prefix, int64_t batch)
       : slots(PadToPanel(prefix + 1) + PadToPanel(c.action_tokens())),
-        keys(c.layers, std::vector<float>(slots * c.head_dim)),
-        values(c.layers, std::vector<float>(slots * PadToPanel(c.head_dim))) {
-    const int64_t rows = std::max(1, c.action_tokens());
+        keys(batch * c.layers, std::vector<float>(slots * c.head_dim)),
+        values(batch * c.layers, std::vector<float>(slots * PadToPanel(c.head_dim))) {
+    const int64_t tokens_each = std::max(1, c.action_tokens()), rows = batch * tokens_each;
     tokens.resize(rows * c.expert_width);
     sum.resize(tokens.size());
     delta.resize(tokens.size());
@@ -83,24 +94,32 @@ struct NanoSampler::Workspace {
     k.resize(rows * c.head_dim);
     v.resize(rows * c.head_dim);
     attended.resize(q.size());
-    scores.resize(rows * c.heads * slots);
+    scores.resize(tokens_each * c.heads * slots);
     gate_up.resize(rows * 2 * c.expert_mlp);
     hidden.resize(rows * c.expert_mlp);
     positions.resize(rows);
   }
   int64_t slots;
-  std::vector<std::vector<float>> keys;    // per layer, packed as weights [slots, head_dim]
-  std::vector<std::vector<float>> values;  // per layer, packed as weights [head_dim, slots]
+  // Per layer of each prediction.
+  std::vector<std::vector<float>> keys;    // packed as weights [slots, head_dim]
+  std::vector<std::vector<float>> values;  // packed as weights [head_dim, slots]
   std::vector<float> tokens, sum, delta, normed, inverse_rms, qkv, q, k, v, attended, scores,
       gate_up, hidden;
   std::vector<int64_t> positions;
 
-  void PutKey(int layer, int64_t slot, const float* key, const float* value, int64_t h) {
+  void PutKey(size_t place, int64_t slot, const float* key, const float* value, int64_t h) {
     for (int64_t i = 0; i < h; ++i) {
-      PanelAt(keys[layer].data(), h, slot, i) = key[i];
-      PanelAt(values[layer].data(), slots, i, slot) = value[i];
+      PanelAt(keys[place].data(), h, slot, i) = key[i];
+      PanelAt(values[place].data(), slots, i, slot) = value[i];
     }
   }
+};
+
+// One of the predictions that are computed together.
+struct NanoSampler::Item {
+  const Lora* lora = nullptr;
+  int64_t valid = 0;                           // prefix tokens that count
+  std::vector<float> state_bias, action_bias;  // [slots] what a query of the kind may see
 };
 
 NanoSampler::Packed NanoSampler::Pack(const torch::Tensor& weight, const torch::Tensor& bias) {
@@ -170,70 +189,90 @@ void NanoSampler::Apply(const Packed& packed, const float* x, int64_t rows, floa
   }
 }
 
-void NanoSampler::AddLora(const Lora* lora, size_t first, size_t count, const float* x,
-                          int64_t rows, float* y, int64_t width) const {
-  if (lora == nullptr) return;
-  for (size_t i = first; i < first + count; ++i) {
-    const Lora::Target& target = lora->targets[i];
-    for (const Lora::Pair& pair : target.pairs) {
-      BestFusedKernels().add_low_rank(x + pair.first_in, target.in, rows, pair.in, pair.a.data(),
-                                      pair.b_transposed.data(), pair.rank, pair.out,
-                                      y + pair.first_out, width);
+void NanoSampler::AddLora(const std::vector<Item>& items, size_t first, size_t count,
+                          const float* x, int64_t rows, float* y, int64_t width) const {
+  for (size_t n = 0; n < items.size(); ++n) {
+    if (items[n].lora == nullptr) continue;
+    int64_t column = 0;
+    for (size_t i = first; i < first + count; ++i) {
+      const Lora::Target& target = items[n].lora->targets[i];
+      const int64_t row = static_cast<int64_t>(n) * rows;
+      for (const Lora::Pair& pair : target.pairs) {
+        BestFusedKernels().add_low_rank(x + row * target.in + pair.first_in, target.in, rows,
+                                        pair.in, pair.a.data(), pair.b_transposed.data(), pair.rank,
+                                        pair.out, y + row * width + column + pair.first_out, width);
+      }
+      column += target.out;
     }
-    y += target.out;
   }
 }
 
-void NanoSampler::RunTokens(Workspace& w, int64_t rows, int64_t first_slot, int64_t first_position,
-                            const std::vector<float>& bias, const StepNorms& norms,
-                            const Lora* lora) const {
+void NanoSampler::RunTokens(Workspace& w, const std::vector<Item>& items, Tokens kind,
+                            int64_t first_slot, const StepNorms& norms) const {
   const FusedKernels& kernels = BestFusedKernels();
   const int64_t e = config_.expert_width, heads = config_.heads, h = config_.head_dim;
-  for (int64_t i = 0; i < rows; ++i) w.positions[i] = first_position + i;
+  const int64_t rows = kind == Tokens::kState ? 1 : config_.action_tokens();  // of each item
+  const int64_t all = rows * static_cast<int64_t>(items.size());
+  const int64_t state_tokens = kind == Tokens::kAction && !config_.pi05() ? 1 : 0;
+  for (size_t n = 0; n < items.size(); ++n) {
+    for (int64_t i = 0; i < rows; ++i)
+      w.positions[n * rows + i] = items[n].valid + state_tokens + i;
+  }
   const float q_scale = static_cast<float>(1.0 / std::sqrt(static_cast<double>(h)));
   const Norm* before = nullptr;  // the norm whose branch is in delta
   // tokens += gate * delta, normed = the norm of that.
   const auto norm = [&](const Norm& n) {
     if (before != nullptr && !before->gate.empty())
-      ForEachEntry(rows, e, before->gate, w.delta, [](float& x, float gate) { x *= gate; });
+      ForEachEntry(all, e, before->gate, w.delta, [](float& x, float gate) { x *= gate; });
     kernels.add_rms_norm(w.tokens.data(), before != nullptr ? w.delta.data() : nullptr,
-                         n.scale.data(), rows, e, w.sum.data(), w.normed.data(),
+                         n.scale.data(), all, e, w.sum.data(), w.normed.data(),
                          w.inverse_rms.data());
     if (before != nullptr) w.tokens.swap(w.sum);
     if (!n.shift.empty())
-      ForEachEntry(rows, e, n.shift, w.normed, [](float& y, float shift) { y += shift; });
+      ForEachEntry(all, e, n.shift, w.normed, [](float& y, float shift) { y += shift; });
     before = &n;
+  };
+  // Each item attends to its own prefix and its own tokens.
+  const auto attend = [&](int layer) {
+    for (size_t n = 0; n < items.size(); ++n) {
+      const size_t place = n * config_.layers + layer, row = n * rows;
+      for (int64_t r = 0; r < rows; ++r) {
+        w.PutKey(place, first_slot + r, w.k.data() + (row + r) * h, w.v.data() + (row + r) * h, h);
+      }
+      const std::vector<float>& bias =
+          kind == Tokens::kState ? items[n].state_bias : items[n].action_bias;
+      kernels.linear(w.q.data() + row * heads * h, rows * heads, h, w.keys[place].data(), w.slots,
+                     w.scores.data());
+      kernels.softmax_bias(w.scores.data(), bias.data(), 1, rows * heads, w.slots, heads, 1, 1);
+      kernels.linear(w.scores.data(), rows * heads, w.slots, w.values[place].data(), h,
+                     w.attended.data() + row * heads * h);
+    }
   };
   for (int i = 0; i < config_.layers; ++i) {
     const Layer& layer = layers_[i];
     const size_t target = i * kTargetsPerLayer;
     norm(norms[2 * i]);
-    Apply(layer.qkv, w.normed.data(), rows, w.qkv.data());
-    AddLora(lora, target, 3, w.normed.data(), rows, w.qkv.data(), layer.qkv.out);
+    Apply(layer.qkv, w.normed.data(), all, w.qkv.data());
+    AddLora(items, target, 3, w.normed.data(), rows, w.qkv.data(), layer.qkv.out);
     kernels.split_rope(w.qkv.data(), rope_cos_.data(), rope_sin_.data(), w.positions.data(),
-                       q_scale, rows, heads, h, false, w.q.data(), w.k.data(), w.v.data());
-    for (int64_t r = 0; r < rows; ++r)
-      w.PutKey(i, first_slot + r, w.k.data() + r * h, w.v.data() + r * h, h);
-    kernels.linear(w.q.data(), rows * heads, h, w.keys[i].data(), w.slots, w.scores.data());
-    kernels.softmax_bias(w.scores.data(), bias.data(), 1, rows * heads, w.slots, heads, 1, 1);
-    kernels.linear(w.scores.data(), rows * heads, w.slots, w.values[i].data(), h,
-                   w.attended.data());
-    Apply(layer.o, w.attended.data(), rows, w.delta.data());
-    AddLora(lora, target + 3, 1, w.attended.data(), rows, w.delta.data(), e);
+                       q_scale, all, heads, h, false, w.q.data(), w.k.data(), w.v.data());
+    attend(i);
+    Apply(layer.o, w.attended.data(), all, w.delta.data());
+    AddLora(items, target + 3, 1, w.attended.data(), rows, w.delta.data(), e);
     norm(norms[2 * i + 1]);
-    Apply(layer.gate_up, w.normed.data(), rows, w.gate_up.data());
-    AddLora(lora, target + 4, 2, w.normed.data(), rows, w.gate_up.data(), layer.gate_up.out);
-    kernels.geglu(w.gate_up.data(), rows, config_.expert_mlp, w.hidden.data());
-    Apply(layer.down, w.hidden.data(), rows, w.delta.data());
-    AddLora(lora, target + 6, 1, w.hidden.data(), rows, w.delta.data(), e);
+    Apply(layer.gate_up, w.normed.data(), all, w.gate_up.data());
+    AddLora(items, target + 4, 2, w.normed.data(), rows, w.gate_up.data(), layer.gate_up.out);
+    kernels.geglu(w.gate_up.data(), all, config_.expert_mlp, w.hidden.data());
+    Apply(layer.down, w.hidden.data(), all, w.delta.data());
+    AddLora(items, target + 6, 1, w.hidden.data(), rows, w.delta.data(), e);
   }
   norm(norms.back());
 }
 
 // pi05: the actions. pi0: with the time mixed in.
-void NanoSampler::EmbedActions(size_t step, const float* x, std::vector<float>& mixed,
-                               Workspace& w) const {
-  const int64_t tokens = config_.action_tokens(), e = config_.expert_width;
+void NanoSampler::EmbedActions(size_t step, const float* x, int64_t tokens,
+                               std::vector<float>& mixed, Workspace& w) const {
+  const int64_t e = config_.expert_width;
   Apply(action_in_, x, tokens, w.tokens.data());
   if (config_.pi05()) return;
   Apply(time_in_, w.tokens.data(), tokens, mixed.data());
@@ -244,49 +283,55 @@ void NanoSampler::EmbedActions(size_t step, const float* x, std::vector<float>& 
   Apply(time_out_, mixed.data(), tokens, w.tokens.data());
 }
 
-void NanoSampler::SampleRow(const PolicyContext& context, int64_t row, const Lora* lora,
-                            float* x) const {
-  const int64_t prefix = context.prefix_mask.size(1), h = config_.head_dim,
-                e = config_.expert_width;
-  const int64_t tokens = config_.action_tokens();
-  const int64_t values_per_token =
-      static_cast<int64_t>(config_.steps_per_token) * config_.model_action_dim;
-  Workspace w(config_, prefix);
+// Copies a row's prefix into the workspace and says what its tokens may see.
+NanoSampler::Item NanoSampler::PutPrefix(const PolicyContext& context, int64_t row, size_t n,
+                                         Workspace& w) const {
+  const int64_t prefix = context.prefix_mask.size(1), h = config_.head_dim;
   for (int i = 0; i < config_.layers; ++i) {
     const torch::Tensor keys = context.keys[i][row].contiguous(),
                         values = context.values[i][row].contiguous();
     for (int64_t slot = 0; slot < prefix; ++slot) {
-      w.PutKey(i, slot, keys.data_ptr<float>() + slot * h, values.data_ptr<float>() + slot * h, h);
+      w.PutKey(n * config_.layers + i, slot, keys.data_ptr<float>() + slot * h,
+               values.data_ptr<float>() + slot * h, h);
     }
   }
-  // Slots that a query may see: the state sees prefix and itself, an action sees everything but the
-  // filling.
+  // The state sees prefix and itself, an action sees everything but the filling.
   const torch::Tensor mask = context.prefix_mask[row].contiguous();
-  std::vector<float> state_bias(w.slots, kMasked);
-  int64_t valid = 0;
+  Item item;
+  item.state_bias.assign(w.slots, kMasked);
   for (int64_t slot = 0; slot < prefix; ++slot) {
     if (!mask.data_ptr<bool>()[slot]) continue;
-    state_bias[slot] = 0.0f;
-    ++valid;
+    item.state_bias[slot] = 0.0f;
+    ++item.valid;
   }
-  if (!config_.pi05()) state_bias[prefix] = 0.0f;
-  std::vector<float> action_bias = state_bias;
-  const int64_t first_action = PadToPanel(prefix + 1);
-  std::fill_n(action_bias.begin() + first_action, tokens, 0.0f);
+  if (!config_.pi05()) item.state_bias[prefix] = 0.0f;
+  item.action_bias = item.state_bias;
+  std::fill_n(item.action_bias.begin() + PadToPanel(prefix + 1), config_.action_tokens(), 0.0f);
+  return item;
+}
 
-  int64_t first_position = valid;
+void NanoSampler::SampleTogether(const PolicyContext& context, int64_t first_row,
+                                 const std::vector<const Lora*>& lora, float* x) const {
+  const int64_t prefix = context.prefix_mask.size(1), e = config_.expert_width;
+  const auto batch = static_cast<int64_t>(lora.size());
+  const int64_t tokens = batch * config_.action_tokens();
+  Workspace w(config_, prefix, batch);
+  std::vector<Item> items;
+  for (int64_t n = 0; n < batch; ++n) {
+    items.push_back(PutPrefix(context, first_row + n, n, w));
+    items.back().lora = lora[n];
+  }
   if (!config_.pi05()) {
-    const torch::Tensor state = context.state[row].contiguous();
-    Apply(state_, state.data_ptr<float>(), 1, w.tokens.data());
-    RunTokens(w, 1, prefix, valid, state_bias, norms_[0], lora);
-    ++first_position;
+    const torch::Tensor state = context.state.narrow(0, first_row, batch).contiguous();
+    Apply(state_, state.data_ptr<float>(), batch, w.tokens.data());
+    RunTokens(w, items, Tokens::kState, prefix, norms_[0]);
   }
 
-  std::vector<float> mixed(tokens * e), velocity(tokens * values_per_token);
+  std::vector<float> mixed(tokens * e);
+  std::vector<float> velocity(tokens * config_.steps_per_token * config_.model_action_dim);
   for (size_t step = 0; step < times_.size(); ++step) {
-    EmbedActions(step, x, mixed, w);
-    RunTokens(w, tokens, first_action, first_position, action_bias,
-              norms_[config_.pi05() ? step : 0], lora);
+    EmbedActions(step, x, tokens, mixed, w);
+    RunTokens(w, items, Tokens::kAction, PadToPanel(prefix + 1), norms_[config_.pi05() ? step : 0]);
     Apply(action_out_, w.normed.data(), tokens, velocity.data());
     const float dt = -1.0f / static_cast<float>(times_.size());
     for (size_t i = 0; i < velocity.size(); ++i) x[i] += dt * velocity[i];
@@ -306,10 +351,13 @@ torch::Tensor NanoSampler::Sample(const PolicyContext& context, const torch::Ten
       packed.emplace(weights, Lora(lora_targets_, *weights));
   }
   const int64_t size = noise.size(1) * noise.size(2);
-  for (int64_t row = 0; row < noise.size(0); ++row) {
-    const auto found = packed.find(lora[row]);
-    SampleRow(context, row, found == packed.end() ? nullptr : &found->second,
-              x.data_ptr<float>() + row * size);
+  for (int64_t first = 0; first < noise.size(0); first += kTogether) {
+    std::vector<const Lora*> together;
+    for (int64_t row = first; row < std::min(first + kTogether, noise.size(0)); ++row) {
+      const auto found = packed.find(lora[row]);
+      together.push_back(found == packed.end() ? nullptr : &found->second);
+    }
+    SampleTogether(context, first, together, x.data_ptr<float>() + first * size);
   }
   return x;
 }

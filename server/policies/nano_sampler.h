@@ -12,8 +12,9 @@ namespace robostress {
 // that they cost more than its arithmetic (a sample took 2-3 times as long). Same graph as
 // NanoNetwork::Velocity, to rounding. What is the same in every prediction or step is computed
 // once: pi0's state token's keys and values, the time's part of its action tokens, and pi05's
-// modulations of the norms. Rows of a batch are computed one by one, so a row's bits do not depend
-// on the others. Immutable.
+// modulations of the norms. Rows of a batch share each read of a matrix, and every kernel computes
+// a row by the same operations in the same order whatever stands beside it, so a row's bits do not
+// depend on the others. Immutable.
 class NanoSampler {
  public:
   NanoSampler(const NanoConfig& config, const NanoParameters& parameters,
@@ -39,21 +40,28 @@ class NanoSampler {
   };
   struct Lora;  // the adapter in the layout of the kernels
   struct Workspace;
+  struct Item;
+  enum class Tokens { kState, kAction };
 
   // Of one step: per layer the input and the post norm, then the final one.
   using StepNorms = std::vector<Norm>;
 
   static Packed Pack(const torch::Tensor& weight, const torch::Tensor& bias);
   void Apply(const Packed& packed, const float* x, int64_t rows, float* y) const;
-  // Adds the adapter's part of targets first ... first + count - 1, whose outputs lie side by side
-  // in y.
-  void AddLora(const Lora* lora, size_t first, size_t count, const float* x, int64_t rows, float* y,
-               int64_t width) const;
-  // Runs `rows` tokens through the layers; their keys and values go to slots first_slot ...
-  void RunTokens(Workspace& work, int64_t rows, int64_t first_slot, int64_t first_position,
-                 const std::vector<float>& bias, const StepNorms& norms, const Lora* lora) const;
-  void EmbedActions(size_t step, const float* x, std::vector<float>& mixed, Workspace& work) const;
-  void SampleRow(const PolicyContext& context, int64_t row, const Lora* lora, float* x) const;
+  // Adds to each item's `rows` rows of y its adapter's part of targets first ... first + count - 1,
+  // whose outputs lie side by side in y.
+  void AddLora(const std::vector<Item>& items, size_t first, size_t count, const float* x,
+               int64_t rows, float* y, int64_t width) const;
+  // Runs the tokens of one kind of every item through the layers; their keys and values go to slots
+  // first_slot ... of their item.
+  void RunTokens(Workspace& work, const std::vector<Item>& items, Tokens kind, int64_t first_slot,
+                 const StepNorms& norms) const;
+  void EmbedActions(size_t step, const float* x, int64_t tokens, std::vector<float>& mixed,
+                    Workspace& work) const;
+  Item PutPrefix(const PolicyContext& context, int64_t row, size_t n, Workspace& work) const;
+  // Rows first_row ... of the context, as many as there are adapters; x [rows, K, d] in place.
+  void SampleTogether(const PolicyContext& context, int64_t first_row,
+                      const std::vector<const Lora*>& lora, float* x) const;
 
   NanoConfig config_;
   std::vector<LoraTarget> lora_targets_;

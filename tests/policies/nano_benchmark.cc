@@ -49,6 +49,28 @@ void BM_Sample(benchmark::State& state) {
 }
 BENCHMARK(BM_Sample)->ArgName("lora")->Arg(0)->Arg(1)->Unit(benchmark::kMillisecond);
 
+// Rows with adapters of their own in one pass; the time is that of all rows.
+void BM_SampleRows(benchmark::State& state) {
+  at::set_num_threads(1);
+  const auto policy = LoadFlowPolicy("nano:random").value();
+  const PolicyContext context = policy->Encode(SomeObservation(policy->spec())).value();
+  const auto batch = static_cast<size_t>(state.range(0));
+  const torch::Tensor noise =
+      torch::randn({state.range(0), policy->horizon(), policy->model_action_dim()});
+  std::vector<LoraWeights> adapters;
+  for (size_t i = 0; i < batch; ++i) adapters.push_back(SomeLora(*policy));
+  std::vector<const LoraWeights*> rows;
+  for (const LoraWeights& adapter : adapters) rows.push_back(&adapter);
+  const PolicyContext contexts = StackContexts(std::vector<const PolicyContext*>(batch, &context));
+  for (auto _ : state) benchmark::DoNotOptimize(policy->SampleRows(contexts, noise, rows));
+  state.SetItemsProcessed(state.iterations() * state.range(0));
+}
+BENCHMARK(BM_SampleRows)
+    ->ArgName("rows")
+    ->RangeMultiplier(2)
+    ->Range(1, 16)
+    ->Unit(benchmark::kMillisecond);
+
 }  // namespace
 }  // namespace robostress
 

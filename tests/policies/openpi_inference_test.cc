@@ -132,6 +132,22 @@ TEST_P(Inference, RowsOfOneBatchHaveTheirOwnAdapters) {
   }
 }
 
+TEST_P(Inference, PrefixesOfDifferentLengthsThatWereEncodedAloneShareABatch) {
+  const auto inference = Prepare(model_);
+  const LoraWeights first = RandomAdapter(*inference, LoraKind::kPerHead, 2, 7);
+  const std::vector<const LoraWeights*> lora = {&first, nullptr, &first};
+  std::vector<PolicyContext> alone;
+  for (int64_t b = 0; b < 3; ++b) alone.push_back(inference->Encode(Row(inputs_, b).model).value());
+  EXPECT_NE(alone[0].prefix_mask.size(1), alone[2].prefix_mask.size(1));
+  const PolicyContext stacked = StackContexts({&alone[0], &alone[1], &alone[2]});
+  const torch::Tensor together = inference->SampleRows(stacked, inputs_.noise, lora).value();
+  for (int64_t b = 0; b < 3; ++b) {
+    EXPECT_LT(
+        MaxDifference(FastActions(*inference, Row(inputs_, b), lora[b]), together.narrow(0, b, 1)),
+        1e-5);
+  }
+}
+
 TEST_P(Inference, AdapterWithZeroBChangesNothing) {
   const auto inference = Prepare(model_);
   LoraWeights lora = RandomAdapter(*inference);

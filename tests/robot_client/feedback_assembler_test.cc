@@ -72,19 +72,26 @@ TEST(FeedbackAssemblerTest, ReportsTheRowsThatWerePlayedWithTheStateOneStepLater
   EXPECT_FLOAT_EQ(target(3, 6), 0.03f) << "the gripper's own target stays";
 }
 
-TEST(FeedbackAssemblerTest, LeavesOutStepsThatFadeOrLimiterMoved) {
+TEST(FeedbackAssemblerTest, ReportsTheWholeChunkAndMasksStepsThatFadeOrLimiterMoved) {
   std::vector<TickRecord> records = TwoChunks();
   for (int i = 12; i < 15; ++i) records[i].blended[1] += 0.02;  // fade
   records[18].sent[4] -= 0.02;                                  // limiter
   FeedbackAssembler assembler({}, kPeriod);
   const std::vector<ExecutedChunk> chunks = AddAll(assembler, records);
   ASSERT_EQ(chunks.size(), 2u);
-  // Rows 5..7 and 9..11 are whole; the first longest run is reported.
-  EXPECT_EQ(chunks[1].first_step, 5);
-  EXPECT_EQ(chunks[1].steps.size(), 3u);
+  EXPECT_TRUE(chunks[0].masked.empty());
+  EXPECT_EQ(chunks[1].first_step, 2);
+  ASSERT_EQ(chunks[1].steps.size(), 10u);
+  const std::vector<bool> expected{true,  true, true,  false, false,
+                                   false, true, false, false, false};
+  EXPECT_EQ(chunks[1].masked, expected);
   EXPECT_EQ(assembler.counters().steps, 22u);
   EXPECT_EQ(assembler.counters().steps_masked, 4u);
-  EXPECT_EQ(assembler.counters().steps_left_out, 3u);
+  const Eigen::MatrixXd eta = ChunkResidual(chunks[1], {.space = ResidualSpace::kJoint});
+  for (int i = 0; i < 10; ++i) EXPECT_NEAR(eta(i, 4), expected[i] ? 0 : -0.01, 1e-7) << i;
+  JointResidual residual;
+  residual.Add(chunks[1], ArmVector{});
+  EXPECT_EQ(residual.steps, 6);
 }
 
 TEST(FeedbackAssemblerTest, SmallMovesAndTheObserverMaskNothing) {

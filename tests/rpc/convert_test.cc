@@ -189,11 +189,31 @@ void ExpectRefused(const Message& good, const std::vector<Hostile<Message>>& cas
   }
 }
 
+TEST(ConvertTest, MasksPrioritiesAndRefusalsSurviveTheWire) {
+  ExecutedChunk chunk = MakeChunk(false);
+  EXPECT_TRUE(FromProto(Transmit(ToProto(chunk)))->masked.empty());
+  chunk.masked = {true, false};
+  EXPECT_EQ(FromProto(Transmit(ToProto(chunk)))->masked, chunk.masked);
+  for (const Priority priority : {Priority::kUnspecified, Priority::kSimulation, Priority::kRobot})
+    EXPECT_EQ(*FromProto(ToProto(priority)), priority);
+  EXPECT_FALSE(FromProto(static_cast<v1::Priority>(7)).ok());
+  v1::Refusal refusal;
+  refusal.set_code(8);
+  refusal.set_message("the queue is full");
+  refusal.set_retry_after_ms(40);
+  const absl::Status status = ToStatus(refusal);
+  EXPECT_EQ(status.code(), absl::StatusCode::kResourceExhausted);
+  EXPECT_EQ(status.GetPayload(kRetryAfterPayload), absl::Cord("40"));
+  refusal.set_code(0);
+  EXPECT_EQ(ToStatus(refusal).code(), absl::StatusCode::kInvalidArgument);
+}
+
 TEST(ConvertTest, RefusesHostileExecutedChunks) {
   using M = v1::ExecutedChunk;
   ExpectRefused<M>(
       ToProto(MakeChunk(true)),
       {{[](M& m) { m.set_sequence(0); }, "chunk.sequence is 0"},
+       {[](M& m) { m.add_masked(true); }, "chunk.masked has 1 values for 2 steps"},
        {[](M& m) { m.set_task(4000000000u); }, "chunk.task is 4000000000, must be 0 to"},
        {[](M& m) { m.clear_states(); }, "chunk.states size is 0, must be 2 to"},
        {[](M& m) { m.mutable_states()->RemoveLast(); },

@@ -20,6 +20,7 @@
 namespace robostress {
 namespace {
 
+constexpr char kToken[] = "00112233445566778899aabbccddeeff";
 constexpr size_t kFull = 4, kEvery = 2;
 
 struct Session {
@@ -96,6 +97,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
   mutable std::mutex mutex;
   std::condition_variable changed;
   std::map<std::string, Session> sessions;                    // guarded by mutex
+  int resumed = 0;                                            // guarded by mutex
   int opened = 0, total_predictions = 0, total_feedback = 0;  // guarded by mutex
   int port = 0;
   std::unique_ptr<grpc::Server> server;
@@ -134,7 +136,27 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
     const std::string id = absl::StrCat("session-", ++opened);
     sessions[id].spec = *spec;
     response->set_session_id(id);
+    response->set_resume_token(kToken);
     *response->mutable_policy() = ToProto(options.spec);
+    return grpc::Status::OK;
+  }
+
+  grpc::Status ResumeSession(grpc::ServerContext*, const v1::ResumeSessionRequest* request,
+                             v1::ResumeSessionResponse* response) override {
+    const std::lock_guard lock(mutex);
+    grpc::Status status;
+    const Session* session = Find(request->session_id(), status);
+    if (session == nullptr) return status;
+    if (request->resume_token() != kToken)
+      return grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "not its token");
+    *response->mutable_policy() = ToProto(options.spec);
+    response->set_feedback_sequence(session->sequence);
+    response->set_last_prediction_id(session->predictions);
+    response->set_updates_applied(session->updates);
+    response->set_episode_started(session->task >= 0);
+    response->set_task(static_cast<uint32_t>(session->episode.task));
+    response->set_episode(static_cast<uint32_t>(session->episode.episode));
+    ++resumed;
     return grpc::Status::OK;
   }
 

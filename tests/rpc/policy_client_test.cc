@@ -122,6 +122,44 @@ TEST(PolicyClientTest, FeedbackWhoseAnswerIsLostIsSentAgainAndTakenOnce) {
   EXPECT_EQ(server.feedback_chunks(), 6) << "each once";
 }
 
+TEST(PolicyClientTest, ResumesWithItsTokenAndSendsAgainWhatWasNotAcknowledged) {
+  FakePolicyServer server({.spec = FakeSpec(), .lose_ack_of = 3});
+  PolicyClientOptions options = Options(server.address());
+  options.reconnect_timeout_s = 20;
+  auto client = GrpcPolicyClient::Connect(options, Session());
+  ASSERT_TRUE(client.ok()) << client.status();
+  ASSERT_TRUE((*client)->StartEpisode({0, 0}).ok());
+  Drive(**client, 6);  // no call fails
+  EXPECT_EQ((*client)->resumes(), 1u);
+  EXPECT_EQ((*client)->acknowledged_feedback_sequence(), 6u);
+  EXPECT_EQ(server.feedback_chunks(), 6) << "each once";
+}
+
+TEST(PolicyClientTest, ASessionThatIsLeftIsResumedByAnotherClient) {
+  FakePolicyServer server({.spec = FakeSpec()});
+  SessionTicket ticket;
+  {
+    auto client = GrpcPolicyClient::Connect(Options(server.address()), Session());
+    ASSERT_TRUE(client.ok() && (*client)->StartEpisode({0, 0}).ok());
+    Drive(**client, 5);
+    ticket = (*client)->Leave();
+  }
+  EXPECT_EQ(server.open_sessions(), 1);
+  SessionTicket wrong = ticket;
+  wrong.token[3] = 'f';
+  EXPECT_EQ(GrpcPolicyClient::Resume(Options(server.address()), wrong, ExecutionMode::kLockstep)
+                .status()
+                .code(),
+            absl::StatusCode::kPermissionDenied);
+  auto client =
+      GrpcPolicyClient::Resume(Options(server.address()), ticket, ExecutionMode::kLockstep);
+  ASSERT_TRUE(client.ok()) << client.status();
+  EXPECT_EQ((*client)->last_feedback_sequence(), 5u);
+  ASSERT_TRUE((*client)->StartEpisode({0, 1}).ok());
+  Drive(**client, 3);
+  EXPECT_EQ(server.feedback_chunks(), 8);
+}
+
 TEST(PolicyClientTest, ImportedAdapterContinuesBitForBit) {
   FakePolicyServer server({.spec = FakeSpec()});
   auto straight = GrpcPolicyClient::Connect(Options(server.address()), Session());

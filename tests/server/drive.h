@@ -14,7 +14,7 @@ namespace robostress {
 
 // A session on a fake policy with everything that it needs.
 struct Rig {
-  explicit Rig(int threads = 2) : adaptation(threads), inference(threads) {}
+  explicit Rig(int threads = 2) : adaptation(threads), inference(BatcherOptions{threads}) {}
 
   std::shared_ptr<Session> Open(const SessionSpec& spec,
                                 absl::Duration timeout = absl::Seconds(20)) {
@@ -25,7 +25,7 @@ struct Rig {
 
   std::shared_ptr<FakePolicy> policy = std::make_shared<FakePolicy>();
   AdaptationLoop adaptation;
-  std::counting_semaphore<> inference;
+  Batcher inference;
   uint64_t last_owner = 0;
 };
 

@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <thread>
+
 #include "server/session.h"
 #include "server/torch_threads.h"
 #include "tests/adapter/toy_arm.h"
@@ -9,7 +11,7 @@ namespace {
 
 class NanoSession : public ::testing::Test {
  protected:
-  NanoSession() : adaptation_(1), inference_(1) {
+  NanoSession() : adaptation_(1), inference_(BatcherOptions{1}) {
     UseOneTorchThread();
     auto policy = LoadFlowPolicy("nano:random");
     EXPECT_TRUE(policy.ok()) << policy.status();
@@ -56,7 +58,7 @@ class NanoSession : public ::testing::Test {
   }
 
   AdaptationLoop adaptation_;
-  std::counting_semaphore<> inference_;
+  Batcher inference_;
   std::shared_ptr<const FlowPolicy> policy_;
   uint64_t owner_ = 0;
 };
@@ -75,6 +77,25 @@ TEST_F(NanoSession, OursEqualsBaseBitForBitUntilTheFirstUpdateAndAtLearningRateZ
   EXPECT_EQ(adapted.topRows(first), base.topRows(first));
   EXPECT_NE(adapted.bottomRows(first), base.bottomRows(first));
   EXPECT_GT(ours->Counters()->stats.adapter_distance, 0);
+}
+
+// One computing thread: what the others ask for meanwhile shares passes with it.
+TEST_F(NanoSession, ALockstepSessionHasTheSameBitsAloneAndInBatchesWithFifteenOthers) {
+  const std::vector<std::string> often{"buffer_chunks=4", "update_interval=2", "batch=4",
+                                       "learning_rate=0.001"};
+  const Eigen::MatrixXf alone = Drive(*Open("ours", often), 8);
+  std::vector<std::shared_ptr<Session>> sessions;
+  for (int i = 0; i < 16; ++i) sessions.push_back(Open("ours", often));
+  const uint64_t batches = inference_.counters().batches,
+                 predictions = inference_.counters().predictions;
+  std::vector<Eigen::MatrixXf> actions(sessions.size());
+  std::vector<std::thread> threads;
+  for (size_t i = 0; i < sessions.size(); ++i)
+    threads.emplace_back([&, i] { actions[i] = Drive(*sessions[i], 8); });
+  for (std::thread& thread : threads) thread.join();
+  for (size_t i = 0; i < sessions.size(); ++i) EXPECT_EQ(actions[i], alone) << i;
+  EXPECT_LT(inference_.counters().batches - batches,
+            (inference_.counters().predictions - predictions) / 2);
 }
 
 TEST_F(NanoSession, LoraSitsOnAllSevenProjectionsOfEveryExpertLayer) {

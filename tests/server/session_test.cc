@@ -230,6 +230,131 @@ TEST(Session, NominalTargetRunsItsArmAlongTheEpisode) {
   }
 }
 
+TEST(Session, MaskedStepsKeepThePredictionItselfAndTheRestOfTheChunkIsLearned) {
+  for (const std::string method : {"ours", "ours_intent", "ours_nominal"}) {
+    Rig rig;
+    Client client(rig.Open(Spec(method, {kRate})));
+    client.StartEpisode(0, 0);
+    const PredictedChunk prediction = client.Predict();
+    ExecutedChunk whole = client.Execute(prediction, /*steps=*/5);
+    ExecutedChunk masked = whole;
+    masked.masked = {false, true, true, false, false};
+    masked.steps[2].before.tool.p_base_tool.array() += 1.0;  // seen by masked steps alone
+    client.Send(masked);
+    const torch::Tensor target = StateOf(rig, client.session()).buffer[0]->target;
+    const torch::Tensor raw = rig.policy->ToModel(prediction.policy_actions, {});
+    Client other(rig.Open(Spec(method, {kRate})));
+    other.StartEpisode(0, 0);
+    ExecutedChunk reference = whole;
+    reference.prediction_id = other.Predict().prediction_id;
+    other.Send(reference);
+    const torch::Tensor unmasked = StateOf(rig, other.session()).buffer[0]->target;
+    for (const int row : {0, 3, 4}) EXPECT_TRUE(BitEqual(target[row], unmasked[row])) << row;
+    for (const int row : {1, 2}) {
+      EXPECT_LT((target[row].narrow(0, 0, 7) - raw[row]).abs().max().item<float>(), 1e-5f);
+      EXPECT_FALSE(BitEqual(target[row], unmasked[row])) << row;
+    }
+    EXPECT_EQ(client.session().Counters()->steps_masked, 2u);
+  }
+}
+
+TEST(Session, DirectAveragesOverUnmaskedStepsAndKeepsItsCorrectionWithoutAny) {
+  Rig rig;
+  Client client(rig.Open(Spec("direct"))), reference(rig.Open(Spec("direct")));
+  client.StartEpisode(0, 0);
+  reference.StartEpisode(0, 0);
+  ExecutedChunk masked = client.Execute(client.Predict(), 5);
+  masked.masked = {false, false, true, true, true};
+  masked.final_state.tool.p_base_tool.array() += 1.0;
+  client.Send(masked);
+  reference.Send(reference.Execute(reference.Predict(), 2));
+  const PredictedChunk next = client.Predict();
+  const Eigen::MatrixXf correction = next.policy_actions - next.actions;
+  const PredictedChunk twin = reference.Predict();
+  EXPECT_LT((correction - (twin.policy_actions - twin.actions)).cwiseAbs().maxCoeff(), 1e-6f);
+  EXPECT_GT(correction.cwiseAbs().maxCoeff(), 1e-3f);
+  ExecutedChunk none = client.Execute(next, 5);
+  none.masked.assign(5, true);
+  client.Send(none);
+  const PredictedChunk last = client.Predict();
+  EXPECT_LT((last.policy_actions - last.actions - correction).cwiseAbs().maxCoeff(), 1e-6f);
+}
+
+TEST(Session, AMaskOfAnotherLengthIsRefused) {
+  Rig rig;
+  Client client(rig.Open(Spec("ours")));
+  client.StartEpisode(0, 0);
+  ExecutedChunk executed = client.Execute(client.Predict(), 5);
+  executed.masked = {true, false};
+  EXPECT_THAT(std::string(client.session().Feedback(executed).status().message()),
+              HasSubstr("2 mask values for 5 steps"));
+}
+
+// ------------------------------------------------------------------------------------------ guard
+
+std::shared_ptr<Session> Guarded(Rig& rig, const GuardOptions& guard) {
+  auto session =
+      Session::Create(Spec("ours", {kRate}), {rig.policy, &rig.adaptation, &rig.inference},
+                      ++rig.last_owner, guard);
+  EXPECT_TRUE(session.ok()) << session.status();
+  return *session;
+}
+
+TEST(Session, AGuardThatAcceptsEverythingChangesNoBit) {
+  Rig rig;
+  GuardOptions lenient;
+  lenient.enabled = true;
+  lenient.max_loss_ratio = 1e6;
+  Client guarded(Guarded(rig, lenient)), plain(rig.Open(Spec("ours", {kRate})));
+  for (Client* client : {&guarded, &plain}) {
+    client->StartEpisode(0, 0);
+    client->RunChunks(60);
+  }
+  EXPECT_EQ(ExportOf(guarded.session()), ExportOf(plain.session()));
+  EXPECT_EQ(guarded.updates(), 4u);
+}
+
+TEST(Session, ARefusedUpdateIsCountedAndLeavesLoraAndAdamAlone) {
+  Rig rig;
+  GuardOptions near, strict;
+  near.enabled = strict.enabled = true;
+  near.max_distance = 1e-9;
+  strict.max_loss_ratio = 1e-6;
+  for (const GuardOptions& guard : {near, strict}) {
+    Client client(Guarded(rig, guard));
+    client.StartEpisode(0, 0);
+    client.RunChunks(48);
+    EXPECT_EQ(client.updates(), 0u);
+    EXPECT_EQ(client.session().Counters()->updates_guarded, 3u);
+    EXPECT_EQ(client.session().Counters()->updates_refused, 0u);
+    const AdaptationState state = StateOf(rig, client.session());
+    EXPECT_EQ(state.lora.adam.steps, 0);
+    EXPECT_EQ(state.lora.adam.m[0].abs().max().item<float>(), 0);
+    EXPECT_EQ(client.Predict().adapter_version, 0u);
+  }
+}
+
+TEST(Session, KeepsSixteenVersionsAndEveryPinnedOne) {
+  Rig rig;
+  Client client(rig.Open(Spec("ours", {kRate})));
+  client.StartEpisode(0, 0);
+  client.RunChunks(48);
+  ASSERT_TRUE(client.session().Pin(2, true).ok());
+  client.RunChunks(8 * 20);
+  EXPECT_EQ(client.updates(), 23u);
+  std::vector<uint64_t> held;
+  const std::vector<PublishedVersion> versions = client.session().Versions().value();
+  for (const PublishedVersion& version : versions) held.push_back(version.weights->version);
+  EXPECT_EQ(held.size(), 18u);
+  EXPECT_EQ(held[0], 0u);
+  EXPECT_EQ(held[1], 2u);
+  EXPECT_EQ(held[2], 8u);
+  EXPECT_EQ(held.back(), 23u);
+  EXPECT_EQ(client.session().Pin(3, true).code(), absl::StatusCode::kNotFound);
+  ASSERT_TRUE(client.session().Rollback(2).ok());
+  EXPECT_EQ(client.updates(), 2u);
+}
+
 // ------------------------------------------------------------------------------------- invariants
 
 // Every action of a run of `chunks` chunks over two tasks.

@@ -93,6 +93,17 @@ class OpenpiPolicy : public FlowPolicy {
     return *std::move(actions);
   }
 
+  Tensor SampleRows(const PolicyContext& context, const Tensor& noise,
+                    const std::vector<const LoraWeights*>& lora) const override {
+    UseThreads();
+    absl::StatusOr<Tensor> actions = inference_->SampleRows(context, noise, lora);
+    TORCH_CHECK(actions.ok(), actions.status().ToString());  // as in Sample
+    return *std::move(actions);
+  }
+
+  // Products of several rows are split differently than those of one.
+  bool exact_rows() const override { return false; }
+
   Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor& state) const override {
     return preprocessor_->ToEnvironment(chunk, state);
   }

@@ -1,0 +1,172 @@
+#include "server/admin_server.h"
+
+#include <grpcpp/grpcpp.h>
+#include <spdlog/spdlog.h>
+
+#include <atomic>
+#include <chrono>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "common/rpc/convert.h"
+#include "common/rpc/grpc_status.h"
+#include "common/status_macros.h"
+#include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/grpc_access.h"
+
+namespace robostress {
+
+// Handlers: ask for the scope, call, convert.
+class AdminServer::Service final : public v1::AdminService::Service {
+ public:
+  Service(AdminServerOptions options, SessionRegistry* registry, const AccessTokens* tokens)
+      : options_(std::move(options)), registry_(registry), tokens_(*tokens) {}
+
+  grpc::Status ListSessions(grpc::ServerContext* context, const v1::ListSessionsRequest*,
+                            v1::ListSessionsResponse* response) override {
+    return Guarded(*context, "", [&]() -> absl::Status {
+      for (const SessionRow& row : registry_->List()) {
+        v1::SessionSummary& summary = *response->add_sessions();
+        summary.set_session_id(row.id);
+        *summary.mutable_spec() = ToProto(row.request.spec);
+        summary.set_open(row.open);
+        summary.set_priority(ToProto(row.request.scheduling.priority));
+        summary.set_idle_s(absl::ToDoubleSeconds(row.idle));
+        summary.set_feedback_sequence(row.feedback_sequence);
+        summary.set_predictions(row.counters.predictions);
+        summary.set_updates_applied(row.counters.stats.updates_applied);
+        summary.set_adapter_distance(row.counters.stats.adapter_distance);
+        summary.set_last_loss(row.counters.stats.last_loss);
+        if (!row.error.ok()) summary.set_error(row.error.ToString());
+      }
+      return absl::OkStatus();
+    });
+  }
+
+  grpc::Status ListVersions(grpc::ServerContext* context, const v1::ListVersionsRequest* request,
+                            v1::ListVersionsResponse* response) override {
+    return Guarded(*context, "", [&]() -> absl::Status {
+      RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session,
+                          registry_->Load(request->session_id()));
+      RS_ASSIGN_OR_RETURN(const std::vector<PublishedVersion> versions, session->Versions());
+      for (size_t i = 0; i < versions.size(); ++i) {
+        v1::AdapterVersion& version = *response->add_versions();
+        version.set_version(versions[i].weights->version);
+        version.set_published(i + 1 == versions.size());
+        version.set_pinned(versions[i].pinned);
+        version.set_distance(versions[i].distance);
+        version.set_feedback_sequence(versions[i].feedback_sequence);
+        version.set_loss(versions[i].loss);
+      }
+      return absl::OkStatus();
+    });
+  }
+
+  grpc::Status PinVersion(grpc::ServerContext* context, const v1::PinVersionRequest* request,
+                          v1::PinVersionResponse*) override {
+    const std::string what = absl::StrCat(request->pinned() ? "pin" : "unpin", " version ",
+                                          request->version(), " of ", request->session_id());
+    return Guarded(*context, what, [&]() -> absl::Status {
+      RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session,
+                          registry_->Load(request->session_id()));
+      return session->Pin(request->version(), request->pinned());
+    });
+  }
+
+  grpc::Status ExportVersion(grpc::ServerContext* context, const v1::ExportVersionRequest* request,
+                             v1::ExportVersionResponse* response) override {
+    const std::string what =
+        absl::StrCat("export version ", request->version(), " of ", request->session_id());
+    return Guarded(*context, what, [&]() -> absl::Status {
+      RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session,
+                          registry_->Load(request->session_id()));
+      RS_ASSIGN_OR_RETURN(*response->mutable_safetensors(),
+                          session->ExportVersion(request->version()));
+      return absl::OkStatus();
+    });
+  }
+
+  grpc::Status RollbackSession(grpc::ServerContext* context,
+                               const v1::RollbackSessionRequest* request,
+                               v1::RollbackSessionResponse* response) override {
+    const std::string what =
+        absl::StrCat("roll ", request->session_id(), " back to version ", request->version());
+    return Guarded(*context, what, [&]() -> absl::Status {
+      RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session,
+                          registry_->Load(request->session_id()));
+      RS_RETURN_IF_ERROR(session->Rollback(request->version()));
+      response->set_updates_applied(request->version());
+      return absl::OkStatus();
+    });
+  }
+
+  grpc::Status EndSession(grpc::ServerContext* context, const v1::EndSessionRequest* request,
+                          v1::EndSessionResponse*) override {
+    return Guarded(*context, absl::StrCat("end ", request->session_id()),
+                   [&] { return registry_->Close(request->session_id()); });
+  }
+
+  grpc::Status Drain(grpc::ServerContext* context, const v1::DrainRequest* request,
+                     v1::DrainResponse*) override {
+    return Guarded(*context, "drain", [&]() -> absl::Status {
+      if (!(request->grace_s() >= 0 && request->grace_s() <= 86400)) {
+        return absl::InvalidArgumentError(
+            absl::StrCat("grace_s is ", request->grace_s(), ", must be 0..86400"));
+      }
+      if (!drained_.exchange(true) && options_.drain)
+        options_.drain(absl::Seconds(request->grace_s()));
+      return absl::OkStatus();
+    });
+  }
+
+ private:
+  // Logs what changes something, with who did it.
+  template <class Function>
+  grpc::Status Guarded(const grpc::ServerContext& context, const std::string& what,
+                       Function&& function) {
+    if (grpc::Status refused = Authorize(context, tokens_, Scope::kAdmin); !refused.ok()) {
+      spdlog::warn("admin: refused {}: {}", context.peer(), refused.error_message());
+      return refused;
+    }
+    const absl::Status status = function();
+    if (!what.empty())
+      spdlog::info("admin: {}: {}: {}", context.peer(), what,
+                   status.ok() ? "done" : status.ToString());
+    return ToGrpc(status);
+  }
+
+  const AdminServerOptions options_;
+  SessionRegistry* const registry_;
+  const AccessTokens& tokens_;
+  std::atomic<bool> drained_{false};
+};
+
+AdminServer::AdminServer() = default;
+AdminServer::~AdminServer() {
+  if (server_ == nullptr) return;
+  server_->Shutdown(std::chrono::system_clock::now());
+  server_->Wait();
+}
+
+absl::StatusOr<std::unique_ptr<AdminServer>> AdminServer::Start(const AdminServerOptions& options,
+                                                                SessionRegistry* registry,
+                                                                const AccessTokens* tokens) {
+  auto server = std::unique_ptr<AdminServer>(new AdminServer());
+  server->service_ = std::make_unique<Service>(options, registry, tokens);
+  RS_ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
+  grpc::ServerBuilder builder;
+  builder.SetMaxReceiveMessageSize(1 << 20);
+  builder.SetMaxSendMessageSize(kMaxMessageBytes);
+  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  builder.AddListeningPort(options.listen, credentials, &server->port_);
+  builder.RegisterService(server->service_.get());
+  server->server_ = builder.BuildAndStart();
+  if (server->server_ == nullptr || server->port_ == 0) {
+    return absl::UnavailableError(absl::StrCat("cannot listen on ", options.listen,
+                                               " for operators: the port is taken or the address "
+                                               "is not this machine's; use --admin-listen HOST:0"));
+  }
+  return server;
+}
+
+}  // namespace robostress

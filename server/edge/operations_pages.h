@@ -1,0 +1,30 @@
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "server/edge/access_tokens.h"
+#include "server/edge/live_page.h"
+#include "server/edge/telemetry.h"
+#include "server/edge/web_server.h"
+#include "server/trace.h"
+
+namespace robostress {
+
+// What the pages for operators show. Everything must outlive them.
+struct OperationsSources {
+  Metrics* metrics = nullptr;
+  TraceLog* traces = nullptr;
+  Telemetry* telemetry = nullptr;
+  const AccessTokens* tokens = nullptr;
+  std::function<std::vector<SessionFigures>()> figures;  // asked before sessions are shown
+  std::function<LiveServer()> server;
+  std::function<bool()> ready;  // warmed up and not draining
+};
+
+// The answer to one request. /healthz: 200 while the process answers; /readyz: 200 or 503; both for
+// everybody. With the scope `admin`: / (the live page), /main, /image?session=S&camera=C (PNG),
+// /metrics (Prometheus), /traces (trace event JSON of the last predictions).
+WebReply OperationsPage(const WebRequest& request, const OperationsSources& sources);
+
+}  // namespace robostress

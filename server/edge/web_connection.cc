@@ -1,0 +1,248 @@
+#include "server/edge/web_connection.h"
+
+#include <pthread.h>
+#include <spdlog/spdlog.h>
+
+#include <boost/asio/post.hpp>
+#include <boost/beast/core.hpp>
+#include <boost/beast/http.hpp>
+#include <boost/beast/ssl.hpp>
+#include <boost/beast/websocket.hpp>
+#include <boost/beast/websocket/ssl.hpp>
+#include <chrono>
+
+#include "absl/cleanup/cleanup.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+
+namespace robostress {
+namespace {
+
+namespace net = boost::asio;
+namespace beast = boost::beast;
+namespace http = beast::http;
+namespace websocket = beast::websocket;
+using boost::system::error_code;
+
+// The reason that openpi's server closes with; its clients only look at the text frame before it.
+constexpr char kErrorReason[] = "Internal server error. Traceback included in previous frame.";
+
+std::string View(beast::string_view text) { return {text.data(), text.size()}; }
+
+// A page of another site, opened in a browser that reaches this port, must not talk to a robot.
+bool FromElsewhere(const std::string& origin, const std::string& host) {
+  if (origin.empty()) return false;  // no browser
+  const size_t scheme = origin.find("://");
+  return scheme == std::string::npos || origin.substr(scheme + 3) != host;
+}
+
+}  // namespace
+
+template <class Start>
+error_code WebConnection::Run(Start&& start) {
+  error_code result;
+  bool done = false;
+  start([&result, &done](error_code error, auto&&...) {
+    result = error;
+    done = true;
+  });
+  while (!done) {
+    context_.restart();
+    context_.run_one();
+  }
+  return cut_ ? error_code(net::error::operation_aborted) : result;
+}
+
+void WebConnection::GoAway() {
+  net::post(context_, [this] {
+    going_away_ = true;
+    if (go_away_) go_away_();
+  });
+}
+
+void WebConnection::Cut() {
+  net::post(context_, [this] {
+    cut_ = true;
+    if (cut_stream_) cut_stream_();
+  });
+}
+
+void WebConnection::Serve(net::ip::tcp protocol, int descriptor) {
+  pthread_setname_np(pthread_self(), options_.name.substr(0, 15).c_str());
+  error_code error;
+  beast::tcp_stream tcp(context_);
+  tcp.socket().assign(protocol, descriptor, error);
+  if (error) return;
+  tcp.socket().set_option(net::ip::tcp::no_delay(true), error);
+  const auto endpoint = tcp.socket().remote_endpoint(error);
+  if (!error) peer_ = absl::StrCat(endpoint.address().to_string(), ":", endpoint.port());
+  const absl::Cleanup forget = [this] {
+    go_away_ = nullptr;
+    cut_stream_ = nullptr;
+  };
+  if (tls_ == nullptr) {
+    ServeHttp(tcp);
+    return;
+  }
+  beast::ssl_stream<beast::tcp_stream> stream(std::move(tcp), *tls_);
+  cut_stream_ = [&stream] { beast::get_lowest_layer(stream).close(); };
+  beast::get_lowest_layer(stream).expires_after(
+      absl::ToChronoMilliseconds(options_.request_timeout));
+  error = Run([&](auto done) { stream.async_handshake(net::ssl::stream_base::server, done); });
+  if (error) {
+    spdlog::info("{}: {}: TLS handshake failed: {}", options_.name, peer_, error.message());
+    return;
+  }
+  ServeHttp(stream);
+}
+
+// False: answered with `refusal`.
+template <class Request>
+bool WebConnection::Asks(const Request& request, WebRequest& seen, WebReply& refusal) {
+  const std::string target = View(request.target());
+  const size_t mark = target.find('?');
+  seen.path = target.substr(0, mark);
+  if (mark != std::string::npos) seen.query = target.substr(mark + 1);
+  seen.authorization = View(request[http::field::authorization]);
+  seen.peer = peer_;
+  if (request.method() != http::verb::get && request.method() != http::verb::head) {
+    refusal = {405, "text/plain; charset=utf-8", "only GET is served here\n"};
+    return false;
+  }
+  return true;
+}
+
+template <class Stream>
+void WebConnection::ServeHttp(Stream& stream) {
+  beast::tcp_stream& tcp = beast::get_lowest_layer(stream);
+  bool reading = false;
+  cut_stream_ = [&tcp] { tcp.close(); };
+  go_away_ = [&tcp, &reading] {
+    if (reading) tcp.cancel();  // no request is under way
+  };
+  beast::flat_buffer buffer;
+  while (!going_away_) {
+    http::request_parser<http::string_body> parser;
+    parser.body_limit(4096);
+    tcp.expires_after(absl::ToChronoMilliseconds(options_.request_timeout));
+    reading = true;
+    const error_code error =
+        Run([&](auto done) { http::async_read(stream, buffer, parser, done); });
+    reading = false;
+    if (error == http::error::end_of_stream || error == beast::error::timeout ||
+        error == net::error::operation_aborted || error == net::error::connection_reset) {
+      break;
+    }
+    WebReply reply;
+    WebRequest seen;
+    bool keep_alive = false;
+    http::verb method = http::verb::get;
+    if (error) {
+      reply = {400, "text/plain; charset=utf-8",
+               absl::StrCat("not an HTTP request: ", error.message(), "\n")};
+    } else {
+      const auto& request = parser.get();
+      method = request.method();
+      keep_alive = request.keep_alive();
+      if (Asks(request, seen, reply)) {
+        // openpi's server answers /healthz before it looks for an upgrade, and upgrades anything
+        // else.
+        if (upgrade_ && websocket::is_upgrade(request) && seen.path != "/healthz") {
+          if (FromElsewhere(View(request[http::field::origin]), View(request[http::field::host]))) {
+            reply = ErrorReply(absl::PermissionDeniedError(
+                "a browser's page from another origin may not open a WebSocket here"));
+          } else if (auto conversation = upgrade_(seen); !conversation.ok()) {
+            reply = ErrorReply(conversation.status());
+          } else {
+            ServeWebSocket(stream, request, *std::move(conversation));
+            return;
+          }
+        } else {
+          reply = page_(seen);
+        }
+      }
+    }
+    http::response<http::string_body> response(static_cast<http::status>(reply.status), 11);
+    response.set(http::field::content_type, reply.content_type);
+    response.set(http::field::cache_control, "no-store");
+    response.set("X-Content-Type-Options", "nosniff");
+    response.set("Content-Security-Policy",
+                 "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; "
+                 "connect-src 'self'; img-src 'self' data:");
+    if (reply.status == 401)
+      response.set(http::field::www_authenticate, "Basic realm=\"token as password\"");
+    if (reply.status == 503) response.set(http::field::retry_after, "1");
+    keep_alive = keep_alive && !going_away_;
+    response.keep_alive(keep_alive);
+    response.body() = std::move(reply.body);
+    response.prepare_payload();
+    if (method == http::verb::head) response.body().clear();
+    tcp.expires_after(absl::ToChronoMilliseconds(options_.request_timeout));
+    if (Run([&](auto done) { http::async_write(stream, response, done); }) || !keep_alive) break;
+  }
+  error_code ignored;
+  tcp.socket().shutdown(net::ip::tcp::socket::shutdown_send, ignored);
+}
+
+template <class Stream, class Request>
+void WebConnection::ServeWebSocket(Stream& stream, const Request& request,
+                                   std::unique_ptr<WebConversation> conversation) {
+  beast::get_lowest_layer(stream).expires_never();  // the WebSocket has timeouts of its own
+  websocket::stream<Stream&> socket(stream);
+  websocket::stream_base::timeout timeout{};
+  timeout.handshake_timeout = absl::ToChronoMilliseconds(options_.request_timeout);
+  timeout.idle_timeout = absl::ToChronoMilliseconds(options_.idle_timeout);
+  timeout.keep_alive_pings = true;
+  socket.set_option(timeout);
+  socket.read_message_max(options_.max_message_bytes);
+  socket.auto_fragment(false);
+  socket.binary(true);
+  if (Run([&](auto done) { socket.async_accept(request, done); })) return;
+
+  bool reading = false, closed = false;
+  go_away_ = [&] {
+    if (!reading) return;  // the answer under way goes out first
+    closed = true;
+    socket.async_close(websocket::close_code::going_away, [](error_code) {});
+  };
+  const auto send = [&](const std::string& message) {
+    return Run([&](auto done) { socket.async_write(net::buffer(message), done); });
+  };
+  const auto close = [&](const websocket::close_reason& reason) {
+    if (closed) return;
+    closed = true;
+    Run([&](auto done) { socket.async_close(reason, done); });
+  };
+  if (send(conversation->Greeting())) return;
+  beast::flat_buffer buffer;
+  while (!going_away_) {
+    buffer.clear();
+    reading = true;
+    const error_code error = Run([&](auto done) { socket.async_read(buffer, done); });
+    reading = false;
+    if (error) {
+      if (error != websocket::error::closed && !going_away_) {
+        spdlog::info("{}: {}: cut: {}", options_.name, peer_, error.message());
+      }
+      return;
+    }
+    const std::string_view message(static_cast<const char*>(buffer.data().data()), buffer.size());
+    absl::StatusOr<std::string> answer =
+        socket.got_text() ? absl::InvalidArgumentError(
+                                "text frame: observations are binary frames with a msgpack map")
+                          : conversation->Answer(message);
+    if (!answer.ok()) {
+      socket.text(true);
+      send(std::string(answer.status().message()));
+      close({websocket::close_code::internal_error, kErrorReason});
+      return;
+    }
+    if (const error_code failed = send(*answer)) {
+      spdlog::info("{}: {}: cut while it was answered: {}", options_.name, peer_, failed.message());
+      return;
+    }
+  }
+  close(websocket::close_code::going_away);
+}
+
+}  // namespace robostress

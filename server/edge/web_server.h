@@ -1,0 +1,87 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "server/edge/tls_files.h"
+#include "server/metrics.h"
+
+namespace robostress {
+
+// What a client asked for, as far as a page or an upgrade needs to know.
+struct WebRequest {
+  std::string path;           // "/healthz", without the query
+  std::string query;          // after the '?'
+  std::string authorization;  // the header's value; a secret, never to be logged
+  std::string peer;           // "127.0.0.1:51234"
+};
+
+struct WebReply {
+  int status = 200;
+  std::string content_type = "text/plain; charset=utf-8";
+  std::string body;
+};
+// An error in HTTP's terms: UNAUTHENTICATED 401, PERMISSION_DENIED 403, NOT_FOUND 404,
+// RESOURCE_EXHAUSTED and UNAVAILABLE 503, INVALID_ARGUMENT 400, others 500.
+WebReply ErrorReply(const absl::Status& status);
+
+// One WebSocket client: greeted, then answered message by message, strictly in turn. Used by one
+// thread, which may block in Answer.
+class WebConversation {
+ public:
+  virtual ~WebConversation() = default;
+  virtual std::string Greeting() = 0;
+  // `message` is one binary message. An error is sent as a text frame with its message, and closes
+  // the conversation with 1011.
+  virtual absl::StatusOr<std::string> Answer(std::string_view message) = 0;
+};
+
+struct WebServerOptions {
+  std::string name = "web";  // of its threads and of its metrics' label "listener"
+  std::string listen = "127.0.0.1:0";
+  TlsFiles tls;
+  // Each holds a thread. One more is answered 503, or cut if it does not listen to that.
+  int max_connections = 256;
+  uint64_t max_message_bytes = 64 << 20;  // of a WebSocket message; longer ones close with 1009
+  // For the TLS and WebSocket handshakes, a request's header, and an answer to a page.
+  absl::Duration request_timeout = absl::Seconds(30);
+  // A WebSocket peer that neither sends, nor answers a ping, nor takes what is sent to it for this
+  // long is cut off: half-open connections and readers that stopped reading.
+  absl::Duration idle_timeout = absl::Seconds(60);
+};
+
+// HTTP/1.1 pages (GET and HEAD) and WebSockets on one port, with or without TLS; a thread per
+// connection. A browser's page from elsewhere (Origin other than Host) gets no WebSocket.
+class WebServer {
+ public:
+  using Page = std::function<WebReply(const WebRequest&)>;
+  // Null: plain HTTP only. A refusal is answered as ErrorReply.
+  using Upgrade =
+      std::function<absl::StatusOr<std::unique_ptr<WebConversation>>(const WebRequest&)>;
+
+  // Both functions are called from several threads at once. `metrics` must outlive the server.
+  static absl::StatusOr<std::unique_ptr<WebServer>> Start(const WebServerOptions& options,
+                                                          Page page, Upgrade upgrade,
+                                                          Metrics* metrics);
+  ~WebServer();  // Stop with no grace
+
+  int port() const;
+  // Connections now.
+  int connections() const;
+  // Listens no more; answers that are under way are sent if they are ready within `grace`; says
+  // "going away" (1001) to every WebSocket; joins.
+  void Stop(absl::Duration grace);
+
+ private:
+  class Impl;
+  explicit WebServer(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace robostress

@@ -1,0 +1,114 @@
+#include "server/registry_host.h"
+
+#include <spdlog/spdlog.h>
+
+#include <utility>
+
+#include "common/status_macros.h"
+
+namespace robostress {
+
+using Monotonic = std::chrono::steady_clock;
+
+absl::StatusOr<SessionHost::Opened> RegistryHost::OpenSession(const SessionSpec& spec) {
+  RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Open({spec, guard_, {}}));
+  return Opened{opened.id, opened.token, opened.session->policy_spec(), opened.session->durable()};
+}
+
+absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const std::string& id,
+                                                                 const std::string& token) {
+  RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Resume(id, token));
+  return Resumed{opened.session->policy_spec(), opened.session->durable(),
+                 opened.session->Position().feedback_sequence};
+}
+
+absl::Status RegistryHost::CloseSession(const std::string& id) {
+  const absl::Status closed = registry_->Close(id);
+  if (closed.ok()) telemetry_->Forget(id);
+  return closed;
+}
+
+absl::Status RegistryHost::StartEpisode(const std::string& id, const EpisodeKey& key,
+                                        uint64_t last_sequence) {
+  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id));
+  return session->StartEpisode(key.task, key.episode, last_sequence);
+}
+
+absl::StatusOr<PredictedChunk> RegistryHost::Predict(const std::string& id,
+                                                     const Observation& observation,
+                                                     const EpisodeKey& key, int chunk,
+                                                     uint64_t last_sequence) {
+  return Predict(id, observation, key, chunk, last_sequence, {}, Monotonic::now());
+}
+
+absl::StatusOr<PredictedChunk> RegistryHost::Predict(const std::string& id,
+                                                     const Observation& observation,
+                                                     const EpisodeKey& key, int chunk,
+                                                     uint64_t last_sequence, PredictOptions options,
+                                                     Monotonic::time_point received) {
+  const Monotonic::time_point begin = Monotonic::now();
+  const auto trace = std::make_shared<PredictionTrace>(id, key.task, key.episode, chunk);
+  trace->Add("decode", received, begin);
+  const TraceScope scope(trace);
+  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id));
+  RS_ASSIGN_OR_RETURN(const SessionScheduling scheduling, registry_->SchedulingOf(id));
+  if (options.priority == Priority::kUnspecified) options.priority = scheduling.priority;
+  if (options.deadline == absl::InfiniteDuration() && scheduling.deadline_ms > 0)
+    options.deadline = absl::Milliseconds(scheduling.deadline_ms);
+  absl::StatusOr<PredictedChunk> prediction =
+      session->Predict(observation, key.task, key.episode, chunk, last_sequence, options);
+  const Monotonic::time_point end = Monotonic::now();
+  trace->Add("predict", begin, end);
+  traces_->Finish(trace);
+  if (!prediction.ok()) {
+    spdlog::info("prediction refused: {}", prediction.status().ToString());
+    return prediction;
+  }
+  const double seconds = std::chrono::duration<double>(end - begin).count();
+  telemetry_->Predicted(id, observation, seconds);
+  spdlog::debug("predicted in {:.1f} ms with adapter version {}, batch of {}", 1e3 * seconds,
+                prediction->adapter_version, prediction->batch_size);
+  return prediction;
+}
+
+absl::StatusOr<SessionHost::Acknowledged> RegistryHost::Feedback(const std::string& id,
+                                                                 const ExecutedChunk& executed) {
+  // For the log: no stage is timed.
+  const TraceScope scope(
+      std::make_shared<PredictionTrace>(id, executed.task, executed.episode, executed.chunk));
+  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id));
+  const absl::StatusOr<FeedbackResult> result = session->Feedback(executed);
+  if (!result.ok()) {
+    spdlog::warn("feedback {} refused: {}", executed.sequence, result.status().ToString());
+    return result.status();
+  }
+  if (!result->duplicate) telemetry_->Reported(id, session->spec(), executed);
+  spdlog::debug("feedback {} taken, {} updates applied", result->sequence, result->updates_applied);
+  return Acknowledged{result->sequence, result->updates_applied, result->durable,
+                      result->duplicate};
+}
+
+std::vector<SessionFigures> RegistryHost::Figures() const {
+  std::vector<SessionFigures> figures;
+  for (const SessionRow& row : registry_->List()) {
+    SessionFigures& f = figures.emplace_back();
+    f.id = row.id;
+    f.spec = row.request.spec;
+    f.open = row.open;
+    f.idle_s = absl::ToDoubleSeconds(row.idle);
+    f.feedback_sequence = row.feedback_sequence;
+    f.predictions = row.counters.predictions;
+    f.duplicates = row.counters.duplicates;
+    f.rollbacks = row.counters.rollbacks;
+    f.updates_applied = row.counters.stats.updates_applied;
+    f.updates_refused = row.counters.updates_refused;
+    f.updates_guarded = row.counters.updates_guarded;
+    f.adapter_distance = row.counters.stats.adapter_distance;
+    f.last_loss = row.counters.stats.last_loss;
+    f.buffered_chunks = row.counters.buffered_chunks;
+    if (!row.error.ok()) f.error = row.error.ToString();
+  }
+  return figures;
+}
+
+}  // namespace robostress

@@ -1,0 +1,113 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace robostress {
+
+// Everything that `robostress serve` can be told. The struct is the schema of the configuration
+// file and of the command line: key `max_sessions` is the flag --max-sessions, so that neither has
+// what the other lacks. 0 threads: one per core.
+struct ServeOptions {
+  std::string policy = "nano";
+  std::vector<std::string> policy_options;
+  std::string listen = "127.0.0.1:0", port_file;
+  int threads = 0, max_batch = 8;
+  double batch_window_ms = 0;
+  int queue_capacity = 256, cores = 0, update_nice = 5;
+  double update_share = 0.1;
+  int max_sessions = 64;
+  int64_t prefix_budget_mib = 512;
+  bool warm_up = true;
+  std::string state_dir;
+  double session_expiry = 0;
+  uint64_t snapshot_mib = 64, snapshot_records = 1024;
+  bool sync_predictions = false, guard = false;
+  double guard_ratio = 1, guard_distance = 0;
+  std::string websocket_listen, websocket_method = "base";
+  std::vector<std::string> websocket_cameras;
+  std::string websocket_prompt;
+  int64_t websocket_max_mib = 64;
+  int max_connections = 256;
+  std::string http_listen, admin_listen, ports_file;
+  std::string tls_certificate, tls_key, tls_client_ca, tokens;
+  std::string log_format = "text", log_level = "info";
+  double grace = 10;
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("policy", policy,
+            "nano, nano:random, a weights file (.safetensors), or the folder of a pi0 or pi0.5 "
+            "checkpoint");
+    v.Field("policy_options", policy_options,
+            "KEY=VALUE ... over those of robostress_policy.yaml; `robostress policy inspect "
+            "--help` lists them");
+    v.Field("listen", listen, "gRPC on HOST:PORT; port 0 takes a free one");
+    v.Field("port_file", port_file, "write the bound gRPC port to this file");
+    v.Field("threads", threads,
+            "batches of predictions computed at once, and as many update threads; 0: one per core");
+    v.Field("max_batch", max_batch,
+            "predictions computed in one pass, each with its own adapter; 1: none is batched");
+    v.Field("batch_window_ms", batch_window_ms,
+            "how long a batch that is not full waits for more; 0: it takes what has come");
+    v.Field("queue_capacity", queue_capacity,
+            "predictions that may wait; more are refused and told when to come back");
+    v.Field("update_share", update_share,
+            "of its thread's time that an update keeps while predictions need the cores, above 0 "
+            "to 1 (updates never yield)");
+    v.Field("cores", cores,
+            "that predictions and updates share; updates yield beyond it. 1: whenever a "
+            "prediction is under way; 0: all of this machine");
+    v.Field("update_nice", update_nice,
+            "added to the nice value of the threads on which asynchronous sessions learn");
+    v.Field("max_sessions", max_sessions, "sessions open at once");
+    v.Field("prefix_budget_mib", prefix_budget_mib,
+            "memory for the prefixes that adapters learn from, all sessions together; what exceeds "
+            "it is dropped and encoded again when an update needs it");
+    v.Field("warm_up", warm_up, "predict once before health says SERVING");
+    v.Field("state_dir", state_dir,
+            "folder where sessions are kept: feedback is acknowledged when it is on this disk, and "
+            "sessions are resumed after a restart; empty: they live in memory");
+    v.Field("session_expiry", session_expiry,
+            "seconds after which an unused session is closed, on disk too; 0: never");
+    v.Field("snapshot_mib", snapshot_mib,
+            "journal of a session after which its state is written anew");
+    v.Field("snapshot_records", snapshot_records, "the same in records");
+    v.Field("sync_predictions", sync_predictions,
+            "predictions are on the disk before they are answered: none is lost with the power");
+    v.Field("guard", guard,
+            "refuse updates whose candidate is worse on chunks that they did not sample; for "
+            "sessions that ask for no guard of their own");
+    v.Field("guard_ratio", guard_ratio, "largest loss of a candidate over the published adapter's");
+    v.Field("guard_distance", guard_distance,
+            "largest ||phi - phi_0|| of a candidate; 0: no bound");
+    v.Field("websocket_listen", websocket_listen,
+            "openpi's clients on HOST:PORT (theirs expect 8000); empty: not served");
+    v.Field("websocket_method", websocket_method,
+            "method of openpi's clients that name none: base adapts nothing");
+    v.Field("websocket_cameras", websocket_cameras,
+            "the clients' key of each of the policy's cameras, in its order; empty: those of "
+            "LIBERO, DROID, ALOHA or the cameras' names");
+    v.Field("websocket_prompt", websocket_prompt, "of clients that send none");
+    v.Field("websocket_max_mib", websocket_max_mib, "largest WebSocket message");
+    v.Field("max_connections", max_connections, "WebSocket and, apart from them, HTTP connections");
+    v.Field("http_listen", http_listen,
+            "live page, /metrics, /traces, /healthz, /readyz on HOST:PORT; empty: not served");
+    v.Field("admin_listen", admin_listen, "AdminService on HOST:PORT; empty: not served");
+    v.Field("ports_file", ports_file,
+            "write every bound port to this file: grpc, websocket, http, admin");
+    v.Field("tls_certificate", tls_certificate, "PEM file; with it every port speaks TLS only");
+    v.Field("tls_key", tls_key, "PEM file, readable by this user only");
+    v.Field("tls_client_ca", tls_client_ca,
+            "PEM file; clients must show a certificate that it signed (mTLS)");
+    v.Field("tokens", tokens,
+            "YAML file of SHA-256 of tokens with scopes (server/edge/README.md); empty: everybody "
+            "may do everything");
+    v.Field("log_format", log_format, "text, or json: one object per line");
+    v.Field("log_level", log_level, "debug (every prediction), info, warn, error, off");
+    v.Field("grace", grace, "seconds to answer what is under way when stopped");
+  }
+};
+
+}  // namespace robostress

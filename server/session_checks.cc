@@ -1,0 +1,76 @@
+#include "server/session_checks.h"
+
+#include <string>
+#include <vector>
+
+#include "absl/algorithm/container.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+
+absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
+  const std::vector<std::string> names = MethodNames();
+  const auto invalid = [&m](const auto&... parts) {
+    return absl::InvalidArgumentError(absl::StrCat("method ", m.method, ": ", parts...));
+  };
+  if (!absl::c_linear_search(names, m.method)) {
+    return absl::NotFoundError(
+        absl::StrCat("unknown method '", m.method, "'; known: ", absl::StrJoin(names, ", ")));
+  }
+  if (m.adapt && !policy.adaptable)
+    return invalid("policy ", policy.name, " has no layers to adapt; use base");
+  if (m.adapt && m.direct)
+    return invalid("adapt and direct exclude each other; set one of them to false");
+  if (m.buffer_chunks < 1 || m.buffer_chunks > 4096)
+    return invalid("buffer_chunks is ", m.buffer_chunks, ", must be 1..4096");
+  if (m.update_interval < 1)
+    return invalid("update_interval is ", m.update_interval, ", must be at least 1");
+  if (m.batch < 1 || m.batch > m.buffer_chunks) {
+    return invalid("batch is ", m.batch, ", must be 1..", m.buffer_chunks, " (buffer_chunks)");
+  }
+  const auto in_range = [](double value, double low, double high) {
+    return value >= low && value <= high;
+  };
+  if (!in_range(m.learning_rate, 0, 1))
+    return invalid("learning_rate is ", m.learning_rate, ", must be 0..1");
+  if (!in_range(m.lora_init_std, 0, 10))
+    return invalid("lora_init_std is ", m.lora_init_std, ", must be 0..10");
+  if (!in_range(m.beta1, 0, 1) || m.beta1 == 1)
+    return invalid("beta1 is ", m.beta1, ", must be in [0, 1)");
+  if (!in_range(m.beta2, 0, 1) || m.beta2 == 1)
+    return invalid("beta2 is ", m.beta2, ", must be in [0, 1)");
+  if (!in_range(m.adam_epsilon, 1e-30, 1))
+    return invalid("adam_epsilon is ", m.adam_epsilon, ", must be above 0, at most 1");
+  if (!in_range(m.clip_norm, 1e-12, 1e12))
+    return invalid("clip_norm is ", m.clip_norm, ", must be above 0");
+  if (!in_range(m.anchor_weight, 0, 1e6))
+    return invalid("anchor_weight is ", m.anchor_weight, ", must be 0 or above");
+  if (!in_range(m.gain, -100, 100)) return invalid("gain is ", m.gain, ", must be in -100..100");
+  if (!in_range(m.tracking_gain, 1e-3, 100))
+    return invalid("tracking_gain is ", m.tracking_gain, ", must be 0.001..100");
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy) {
+  RS_RETURN_IF_ERROR(CheckMethod(spec.method, policy));
+  if (ActsInJointSpace(spec) && spec.method.target == TargetReference::kNominal) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("method ", spec.method.method,
+                     ": target nominal models an end-effector "
+                     "controller; robot ",
+                     spec.robot, " acts in joint space: use target executed or intent"));
+  }
+  if (ActsInJointSpace(spec) && spec.method.gain != 1.0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("method ", spec.method.method, ": gain ", spec.method.gain,
+                     " would scale absolute joint targets; robot ", spec.robot, " needs gain 1"));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace robostress

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "common/rollout/policy_endpoint.h"
+#include "common/rpc/session_spec.h"
+#include "common/types.h"
+
+namespace robostress {
+
+// The sessions of a policy server as an endpoint sees them: what PolicyService does, without gRPC
+// and without LibTorch. The same limits, order and errors. Any thread.
+class SessionHost {
+ public:
+  struct Opened {
+    std::string id;
+    std::string resume_token;  // a secret
+    PolicySpec policy;
+    bool durable = false;  // acknowledged feedback survives the server
+  };
+  struct Resumed {
+    PolicySpec policy;
+    bool durable = false;
+    uint64_t feedback_sequence = 0;  // watermark
+  };
+  struct Acknowledged {
+    uint64_t sequence = 0;  // watermark
+    uint64_t updates_applied = 0;
+    bool durable = false;
+    bool duplicate = false;
+  };
+
+  virtual ~SessionHost() = default;
+  virtual std::vector<PolicySpec> policies() const = 0;
+  virtual absl::StatusOr<Opened> OpenSession(const SessionSpec& spec) = 0;
+  virtual absl::StatusOr<Resumed> ResumeSession(const std::string& id,
+                                                const std::string& token) = 0;
+  virtual absl::Status CloseSession(const std::string& id) = 0;
+  virtual absl::Status StartEpisode(const std::string& id, const EpisodeKey& key,
+                                    uint64_t last_sequence) = 0;
+  virtual absl::StatusOr<PredictedChunk> Predict(const std::string& id,
+                                                 const Observation& observation,
+                                                 const EpisodeKey& key, int chunk,
+                                                 uint64_t last_sequence) = 0;
+  virtual absl::StatusOr<Acknowledged> Feedback(const std::string& id,
+                                                const ExecutedChunk& executed) = 0;
+};
+
+}  // namespace robostress

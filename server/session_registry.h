@@ -1,0 +1,165 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "adapter/update_guard.h"
+#include "common/clock.h"
+#include "common/rpc/session_spec.h"
+#include "server/session.h"
+
+namespace robostress {
+
+struct SessionRegistryOptions {
+  int max_sessions = 64;  // in memory
+  // Where sessions live on disk (server/state/README.md); empty: in memory only.
+  std::string state_dir;
+  int max_stored_sessions = 4096;  // in memory and on disk together
+  // When max_sessions are open, the one unused for longest makes room if it was unused this long: a
+  // durable one is written to disk, from where Resume brings it back; another one is closed.
+  absl::Duration abandoned_after = absl::Minutes(15);
+  // Unused for this long a session is closed, on disk too. Counted by the monotonic clock while the
+  // server runs, so a wall clock that jumps closes nothing.
+  absl::Duration expire_after = absl::InfiniteDuration();
+};
+
+// What a client asks for when it opens a session.
+struct SessionRequest {
+  SessionSpec spec;
+  GuardOptions guard;
+  SessionScheduling scheduling;
+};
+
+struct OpenedSession {
+  std::string id;
+  std::string token;  // of Open; empty of Resume
+  std::shared_ptr<Session> session;
+};
+
+// One row of a list of sessions.
+struct SessionRow {
+  std::string id;
+  SessionRequest request;
+  bool open = false;         // in memory; false: on disk
+  absl::Duration idle;       // since its last message
+  SessionCounters counters;  // of an open one
+  uint64_t feedback_sequence = 0;
+  absl::Status error;  // why it computes no further, or cannot be read
+};
+
+// The sessions of a server by id: limits, expiry, resumption by token, and the folders on disk.
+// Thread-safe. Nothing slow (a disk, a replay) is done under its lock.
+class SessionRegistry {
+ public:
+  // The resources for a policy's sessions; NOT_FOUND: it is not served.
+  using ResourcesOf = std::function<absl::StatusOr<SessionResources>(const std::string& policy)>;
+
+  // `clock` outlives it. UNAVAILABLE: another server uses the folder.
+  static absl::StatusOr<std::unique_ptr<SessionRegistry>> Create(
+      const SessionRegistryOptions& options, ResourcesOf resources_of, Clock* clock);
+  ~SessionRegistry();
+
+  // A use of a session; while one is held the session is not idle.
+  class Lease {
+   public:
+    Lease(SessionRegistry* registry, std::string id, std::shared_ptr<Session> session)
+        : registry_(registry), id_(std::move(id)), session_(std::move(session)) {}
+    Lease(Lease&& other) noexcept = default;
+    Lease& operator=(Lease&&) = delete;
+    ~Lease() {
+      if (session_ != nullptr) registry_->Return(id_);
+    }
+    Session& operator*() const { return *session_; }
+    Session* operator->() const { return session_.get(); }
+
+   private:
+    SessionRegistry* registry_;
+    std::string id_;
+    std::shared_ptr<Session> session_;
+  };
+
+  absl::StatusOr<OpenedSession> Open(const SessionRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
+  // The session again, read from disk where it is not in memory or has failed. NOT_FOUND: closed,
+  // expired or never durable; PERMISSION_DENIED: not its token.
+  absl::StatusOr<OpenedSession> Resume(const std::string& id, const std::string& token)
+      ABSL_LOCKS_EXCLUDED(mu_);
+  // Ends the session, on disk too.
+  absl::Status Close(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
+  // For one message. NOT_FOUND says what a client can do.
+  absl::StatusOr<Lease> Use(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
+  // For an operator: the session without its token, read from disk where it is not in memory.
+  absl::StatusOr<Lease> Load(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
+
+  std::vector<SessionRow> List() ABSL_LOCKS_EXCLUDED(mu_);
+  // Priority and deadline that a session was opened with.
+  absl::StatusOr<SessionScheduling> SchedulingOf(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
+  int open_sessions() const ABSL_LOCKS_EXCLUDED(mu_);
+  bool durable() const { return !options_.state_dir.empty(); }
+  bool draining() const ABSL_LOCKS_EXCLUDED(mu_);
+  const SessionRegistryOptions& options() const { return options_; }
+
+  // Sessions and messages are refused from now on.
+  void Drain() ABSL_LOCKS_EXCLUDED(mu_);
+  // True when no message is under way.
+  bool AwaitIdle(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
+  // Writes every durable session to disk; after Drain. Errors are logged: the journals are there.
+  void FlushAll() ABSL_LOCKS_EXCLUDED(mu_);
+  void CancelAll() ABSL_LOCKS_EXCLUDED(mu_);
+  // Closes what is expired. Called by a thread of its own; tests with a clock of theirs call it.
+  void ExpireUnused() ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  struct Entry {
+    std::shared_ptr<Session> session;  // null: on disk
+    SessionRequest request;
+    std::string token_sha256;
+    absl::Status unreadable;  // why the folder cannot be used
+    int64_t last_used_ns = 0;
+    int in_flight = 0;  // messages under way
+    bool busy = false;  // one thread reads it from disk or writes it there
+  };
+
+  SessionRegistry(const SessionRegistryOptions& options, ResourcesOf resources_of, Clock* clock);
+  absl::Status TakeFolder() ABSL_LOCKS_EXCLUDED(mu_);
+  void FindStored() ABSL_LOCKS_EXCLUDED(mu_);
+  std::string FolderOf(const std::string& id) const;
+  void RemoveFolder(const std::string& id) const;
+  void Return(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
+  // Counts one more session in memory, where one may have to leave it.
+  absl::Status TakePlace() ABSL_LOCKS_EXCLUDED(mu_);
+  void GivePlaceBack() ABSL_LOCKS_EXCLUDED(mu_);
+  // In memory, and one use counted.
+  absl::StatusOr<std::shared_ptr<Session>> Acquire(const std::string& id, const std::string* token)
+      ABSL_LOCKS_EXCLUDED(mu_);
+  absl::StatusOr<std::shared_ptr<Session>> ReadFromDisk(const std::string& id,
+                                                        const SessionRequest& request)
+      ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status UnknownSession(const std::string& id) const;
+  void Sweep() ABSL_LOCKS_EXCLUDED(mu_);
+
+  const SessionRegistryOptions options_;
+  const ResourcesOf resources_of_;
+  Clock* const clock_;
+  int lock_fd_ = -1;
+
+  mutable absl::Mutex mu_;
+  std::map<std::string, Entry> entries_ ABSL_GUARDED_BY(mu_);
+  int places_ ABSL_GUARDED_BY(mu_) = 0;  // sessions in memory, and those on their way there
+  int in_flight_ ABSL_GUARDED_BY(mu_) = 0;
+  uint64_t last_owner_ ABSL_GUARDED_BY(mu_) = 0;
+  bool draining_ ABSL_GUARDED_BY(mu_) = false, stopped_ ABSL_GUARDED_BY(mu_) = false;
+  std::thread sweeper_;
+};
+
+}  // namespace robostress

@@ -1,0 +1,77 @@
+#include "server/web_endpoints.h"
+
+#include <chrono>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/status_macros.h"
+#include "server/edge/operations_pages.h"
+
+namespace robostress {
+
+absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
+    const WebEndpointsOptions& options, PolicyServer* server) {
+  auto endpoints = std::unique_ptr<WebEndpoints>(new WebEndpoints());
+  WebServerOptions web;
+  web.tls = options.tls;
+  web.max_connections = options.max_connections;
+  web.max_message_bytes = options.max_message_bytes;
+  if (!options.websocket_listen.empty()) {
+    web.name = "websocket";
+    web.listen = options.websocket_listen;
+    const auto upgrade =
+        [server, openpi = options.openpi](
+            const WebRequest& request) -> absl::StatusOr<std::unique_ptr<WebConversation>> {
+      RS_ASSIGN_OR_RETURN(const Caller caller,
+                          server->tokens().Authenticate(request.authorization));
+      RS_RETURN_IF_ERROR(AccessTokens::Require(caller, Scope::kPredict));
+      if (!server->ready()) return absl::UnavailableError("warming up or draining");
+      return std::make_unique<OpenpiConversation>(openpi, &server->host(), &server->metrics(),
+                                                  caller);
+    };
+    const auto page = [](const WebRequest& request) -> WebReply {
+      if (request.path == "/healthz") return {200, "text/plain; charset=utf-8", "OK\n"};
+      return {426, "text/plain; charset=utf-8", "this port speaks openpi's WebSocket protocol\n"};
+    };
+    RS_ASSIGN_OR_RETURN(endpoints->websocket_,
+                        WebServer::Start(web, page, upgrade, &server->metrics()));
+  }
+  if (!options.http_listen.empty()) {
+    web.name = "http";
+    web.listen = options.http_listen;
+    OperationsSources sources;
+    sources.metrics = &server->metrics();
+    sources.traces = &server->traces();
+    sources.telemetry = &server->telemetry();
+    sources.tokens = &server->tokens();
+    sources.figures = [server] { return server->host().Figures(); };
+    sources.ready = [server] { return server->ready(); };
+    const auto begin = std::chrono::steady_clock::now();
+    sources.server = [server, begin] {
+      LiveServer live;
+      std::vector<std::string> names;
+      for (const PolicySpec& policy : server->host().policies())
+        names.push_back(absl::StrCat(policy.name, " ", policy.model_hash.substr(0, 12)));
+      live.policies = absl::StrJoin(names, ", ");
+      const auto up = std::chrono::duration_cast<std::chrono::seconds>(
+          std::chrono::steady_clock::now() - begin);
+      live.uptime = absl::FormatDuration(absl::FromChrono(up));
+      live.draining = server->sessions().draining();
+      live.durable = server->sessions().durable();
+      return live;
+    };
+    RS_ASSIGN_OR_RETURN(
+        endpoints->http_,
+        WebServer::Start(
+            web, [sources](const WebRequest& request) { return OperationsPage(request, sources); },
+            nullptr, &server->metrics()));
+  }
+  return endpoints;
+}
+
+void WebEndpoints::StopWebSockets(absl::Duration grace) {
+  if (websocket_ != nullptr) websocket_->Stop(grace);
+}
+
+}  // namespace robostress

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "server/edge/openpi_conversation.h"
+#include "server/edge/web_server.h"
+#include "server/policy_service.h"
+
+namespace robostress {
+
+struct WebEndpointsOptions {
+  std::string websocket_listen, http_listen;  // empty: not served
+  TlsFiles tls;
+  int max_connections = 256;
+  uint64_t max_message_bytes = 64 << 20;
+  OpenpiOptions openpi;
+};
+
+// The openpi endpoint and the operators' pages of a policy server, each on a port of its own.
+class WebEndpoints {
+ public:
+  // `server` must outlive it.
+  static absl::StatusOr<std::unique_ptr<WebEndpoints>> Start(const WebEndpointsOptions& options,
+                                                             PolicyServer* server);
+
+  int websocket_port() const { return websocket_ == nullptr ? 0 : websocket_->port(); }
+  int http_port() const { return http_ == nullptr ? 0 : http_->port(); }
+  // Openpi's clients get the answers under way within `grace`; the pages stay until the end.
+  void StopWebSockets(absl::Duration grace);
+
+ private:
+  WebEndpoints() = default;
+  std::unique_ptr<WebServer> http_, websocket_;
+};
+
+}  // namespace robostress

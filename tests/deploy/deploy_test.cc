@@ -1,0 +1,185 @@
+// What deploy/ says of the policy server fits the server and itself. A cluster's own schema is not
+// at hand where tests run; systemd's checker is used where it is installed.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <map>
+#include <regex>
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "common/atomic_file.h"
+#include "common/config.h"
+#include "server/serve_options.h"
+#include "tests/run_program.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+std::string Deploy(const std::string& file) {
+  auto text = ReadFile(absl::StrCat(ROBOSTRESS_SOURCE_DIR, "/deploy/", file));
+  EXPECT_TRUE(text.ok()) << text.status();
+  return text.ok() ? *text : "";
+}
+
+ServeOptions Options(const std::string& name, const std::string& yaml) {
+  const auto options = ParseConfig<ServeOptions>(name, yaml);
+  EXPECT_TRUE(options.ok()) << options.status();
+  return options.ok() ? *options : ServeOptions();
+}
+
+int PortOf(const std::string& listen) { return std::stoi(listen.substr(listen.rfind(':') + 1)); }
+
+// The flags that the server has.
+struct FlagNames {
+  std::set<std::string> names = {"--config", "--print-config", "--help"};
+  template <class T>
+  void Field(std::string key, T&, const char*) {
+    std::replace(key.begin(), key.end(), '_', '-');
+    names.insert("--" + key);
+  }
+};
+std::set<std::string> KnownFlags() {
+  FlagNames flags;
+  ServeOptions().Visit(flags);
+  return flags.names;
+}
+
+TEST(Deploy, TheSampleConfigurationIsWhatTheServerReads) {
+  const ServeOptions options = Options("serve.yaml", Deploy("serve.yaml"));
+  for (const std::string& listen :
+       {options.listen, options.websocket_listen, options.http_listen, options.admin_listen})
+    EXPECT_EQ(listen.rfind("127.0.0.1:", 0), 0u) << listen << " is open to other machines";
+  // The keys that are commented out exist too.
+  const std::string all =
+      std::regex_replace(Deploy("serve.yaml"), std::regex("\n# (tls_|tokens)"), "\n$1");
+  EXPECT_FALSE(Options("serve.yaml", all).tokens.empty());
+}
+
+TEST(Deploy, TheSystemdUnitStartsTheServerAndWaitsForItsGrace) {
+  const std::string unit = Deploy("systemd/robostress-serve.service");
+  std::smatch match;
+  ASSERT_TRUE(
+      std::regex_search(unit, match, std::regex("\nExecStart=(\\S+)/robostress-serve (.*)\n")));
+  const std::vector<std::string> words = absl::StrSplit(match[2].str(), ' ');
+  for (const std::string& word : words) {
+    if (word.rfind("--", 0) == 0) {
+      EXPECT_EQ(KnownFlags().count(word), 1u) << word;
+    }
+  }
+  std::smatch stop;
+  ASSERT_TRUE(std::regex_search(unit, stop, std::regex("\nTimeoutStopSec=(\\d+)\n")));
+  EXPECT_GT(std::stod(stop[1]), 2 * Options("serve.yaml", Deploy("serve.yaml")).grace)
+      << "the server may use `grace` for WebSockets and again for gRPC";
+  EXPECT_THAT(unit, HasSubstr("\nStateDirectory=robostress\n"));
+
+  if (std::system("command -v systemd-analyze > /dev/null") != 0) GTEST_SKIP() << "no systemd";
+  const auto folder = std::filesystem::path(::testing::TempDir()) / "unit";
+  std::filesystem::create_directories(folder);
+  const auto file = folder / "robostress-serve.service";
+  // The binary is not installed here.
+  const std::string runnable =
+      std::regex_replace(unit, std::regex("ExecStart=\\S+"), "ExecStart=/bin/true");
+  ASSERT_TRUE(WriteFileAtomically(file.string(), runnable).ok());
+  const auto [output, code] = RunProgram("systemd-analyze", "verify --man=no " + file.string());
+  EXPECT_EQ(code, 0);
+  EXPECT_EQ(output.find("robostress-serve.service:"), std::string::npos) << output;
+}
+
+TEST(Deploy, TheContainerFileNamesFlagsAndFilesThatExist) {
+  const std::string file = Deploy("container/Containerfile");
+  const std::regex flag("\"(--[a-z-]+)\"");
+  for (std::sregex_iterator at(file.begin(), file.end(), flag), end; at != end; ++at)
+    EXPECT_EQ(KnownFlags().count((*at)[1]), 1u) << (*at)[1];
+  for (const char* used : {"deploy/packages.txt", "LICENSE"}) {
+    EXPECT_THAT(file, HasSubstr(used));
+    EXPECT_TRUE(std::filesystem::exists(absl::StrCat(ROBOSTRESS_SOURCE_DIR, "/", used)));
+  }
+  EXPECT_THAT(file, HasSubstr("\nUSER 65532:65532\n"));
+  EXPECT_THAT(file, HasSubstr("\nSTOPSIGNAL SIGTERM\n"));
+}
+
+class Kubernetes : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    for (const YAML::Node& document : YAML::LoadAll(Deploy("kubernetes/policy-server.yaml"))) {
+      ASSERT_TRUE(document["apiVersion"] && document["metadata"]["name"]);
+      objects_[document["kind"].as<std::string>()] = document;
+    }
+    ASSERT_EQ(objects_.size(), 4u);
+    config_ = Options("ConfigMap", objects_["ConfigMap"]["data"]["serve.yaml"].as<std::string>());
+    pod_ = objects_["StatefulSet"]["spec"]["template"];
+    container_ = pod_["spec"]["containers"][0];
+  }
+  std::map<std::string, YAML::Node> objects_;
+  ServeOptions config_;
+  YAML::Node pod_, container_;
+};
+
+TEST_F(Kubernetes, EveryPortIsOneThatTheServerListensOn) {
+  std::map<std::string, int> ports;
+  for (const YAML::Node& port : container_["ports"])
+    ports[port["name"].as<std::string>()] = port["containerPort"].as<int>();
+  EXPECT_EQ(ports["grpc"], PortOf(config_.listen));
+  EXPECT_EQ(ports["openpi"], PortOf(config_.websocket_listen));
+  EXPECT_EQ(ports["http"], PortOf(config_.http_listen));
+  EXPECT_EQ(ports.size(), 3u) << "operators' port is not published";
+  EXPECT_EQ(config_.admin_listen.rfind("127.0.0.1:", 0), 0u);
+  for (const YAML::Node& port : objects_["Service"]["spec"]["ports"])
+    EXPECT_EQ(ports.count(port["targetPort"].as<std::string>()), 1u);
+  for (const char* probe : {"startupProbe", "readinessProbe", "livenessProbe"}) {
+    const YAML::Node get = container_[probe]["httpGet"];
+    EXPECT_EQ(get["port"].as<std::string>(), "http") << probe;
+    EXPECT_EQ(get["scheme"].as<std::string>(), config_.tls_key.empty() ? "HTTP" : "HTTPS");
+  }
+  EXPECT_EQ(container_["readinessProbe"]["httpGet"]["path"].as<std::string>(), "/readyz");
+}
+
+TEST_F(Kubernetes, SelectorsFindThePodAndPathsAreMounted) {
+  const auto label = [](const YAML::Node& labels) {
+    return labels["app.kubernetes.io/name"].as<std::string>();
+  };
+  const std::string name = label(pod_["metadata"]["labels"]);
+  EXPECT_EQ(label(objects_["StatefulSet"]["spec"]["selector"]["matchLabels"]), name);
+  EXPECT_EQ(label(objects_["Service"]["spec"]["selector"]), name);
+  EXPECT_EQ(label(objects_["NetworkPolicy"]["spec"]["podSelector"]["matchLabels"]), name);
+  EXPECT_EQ(objects_["StatefulSet"]["spec"]["serviceName"].as<std::string>(),
+            objects_["Service"]["metadata"]["name"].as<std::string>());
+
+  std::set<std::string> volumes;
+  for (const YAML::Node& volume : pod_["spec"]["volumes"])
+    volumes.insert(volume["name"].as<std::string>());
+  for (const YAML::Node& claim : objects_["StatefulSet"]["spec"]["volumeClaimTemplates"])
+    volumes.insert(claim["metadata"]["name"].as<std::string>());
+  std::vector<std::string> mounts;
+  for (const YAML::Node& mount : container_["volumeMounts"]) {
+    EXPECT_EQ(volumes.erase(mount["name"].as<std::string>()), 1u) << mount["name"];
+    mounts.push_back(mount["mountPath"].as<std::string>());
+  }
+  EXPECT_TRUE(volumes.empty()) << "a volume is not mounted";
+  for (const std::string& path : {config_.state_dir, config_.tokens, config_.tls_certificate,
+                                  config_.tls_key, container_["args"][1].as<std::string>()}) {
+    EXPECT_TRUE(std::any_of(mounts.begin(), mounts.end(),
+                            [&](const std::string& mount) { return path.rfind(mount, 0) == 0; }))
+        << path << " is on no volume";
+  }
+}
+
+TEST_F(Kubernetes, ThePodMayDoNothingButServeAndIsGivenTimeToStop) {
+  EXPECT_GT(pod_["spec"]["terminationGracePeriodSeconds"].as<double>(), 2 * config_.grace);
+  EXPECT_TRUE(pod_["spec"]["securityContext"]["runAsNonRoot"].as<bool>());
+  EXPECT_FALSE(pod_["spec"]["automountServiceAccountToken"].as<bool>());
+  const YAML::Node security = container_["securityContext"];
+  EXPECT_FALSE(security["allowPrivilegeEscalation"].as<bool>());
+  EXPECT_TRUE(security["readOnlyRootFilesystem"].as<bool>());
+  EXPECT_EQ(security["capabilities"]["drop"][0].as<std::string>(), "ALL");
+  EXPECT_EQ(objects_["StatefulSet"]["spec"]["replicas"].as<int>(), 1) << "sessions have one disk";
+  EXPECT_FALSE(config_.tokens.empty()) << "the ports are open to other pods";
+}
+
+}  // namespace
+}  // namespace robostress

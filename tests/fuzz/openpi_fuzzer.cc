@@ -1,0 +1,44 @@
+// The reader of openpi's messages, and what becomes of an observation, a session and a report.
+#include <cmath>
+
+#include "server/edge/openpi_extensions.h"
+#include "server/edge/openpi_observation.h"
+#include "tests/fuzz/fuzz_check.h"
+
+extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
+  using namespace robostress;
+  const absl::StatusOr<OpenpiValue> message =
+      DecodeOpenpi({reinterpret_cast<const char*>(data), size});
+  if (!message.ok()) {
+    FuzzCheck(message.status().code() == absl::StatusCode::kInvalidArgument &&
+                  !message.status().message().empty(),
+              "a refusal without a reason");
+    return 0;
+  }
+  PolicySpec policy;
+  policy.name = "fuzzed";
+  policy.cameras = {"a", "b"};
+  policy.state_dim = 3;
+  policy.action_dim = 7;
+  if (const auto observation = ReadOpenpiObservation(*message, policy, {}); observation.ok()) {
+    FuzzCheck(observation->views.size() == 2, "a view is missing");
+    for (const CameraView& view : observation->views)
+      FuzzCheck(view.image.data.size() ==
+                    size_t{3} * static_cast<size_t>(view.image.width * view.image.height),
+                "an image of another size");
+    FuzzCheck(observation->proprioception.size() == 3 && observation->proprioception.allFinite(),
+              "an impossible state");
+  }
+  if (const OpenpiValue* session = message->Find("session"))
+    ReadOpenpiSession(*session, {}).status().IgnoreError();
+  if (const OpenpiValue* value = message->Find("executed")) {
+    const auto executed = ReadOpenpiExecuted(*value, policy.action_dim, 0.05);
+    if (!executed.ok()) return 0;
+    FuzzCheck(executed->states.size() >= 2 && executed->first_step >= 0, "a report of nothing");
+    for (const RobotState& state : executed->states) {
+      FuzzCheck(state.q.allFinite() && std::abs(state.tool.q_base_tool.norm() - 1) < 1e-2,
+                "an impossible robot");
+    }
+  }
+  return 0;
+}

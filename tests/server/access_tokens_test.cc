@@ -1,0 +1,95 @@
+#include "server/edge/access_tokens.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+constexpr char kArm[] = "arm-secret-0123456789";
+constexpr char kOperator[] = "operator-secret-0123456789";
+
+std::string File() {
+  return absl::StrCat("tokens:\n  - {name: arm_1, sha256: ", Sha256Hex(kArm),
+                      ", scopes: [predict, feedback]}\n  - {name: operator, sha256: ",
+                      Sha256Hex(kOperator), ", scopes: [admin]}\n");
+}
+
+AccessTokens Tokens() {
+  auto tokens = AccessTokens::Parse("tokens.yaml", File());
+  EXPECT_TRUE(tokens.ok()) << tokens.status();
+  return *std::move(tokens);
+}
+
+TEST(AccessTokens, KnowsATokenInEveryFormOfTheHeader) {
+  const AccessTokens tokens = Tokens();
+  const std::string basic = absl::Base64Escape(absl::StrCat("anyone:", kArm));
+  for (const std::string& header :
+       {absl::StrCat("Bearer ", kArm), absl::StrCat("bearer ", kArm),
+        absl::StrCat("Api-Key ", kArm), absl::StrCat("Basic ", basic)}) {
+    const auto caller = tokens.Authenticate(header);
+    ASSERT_TRUE(caller.ok()) << header.substr(0, 8) << caller.status();
+    EXPECT_EQ(caller->name, "arm_1");
+  }
+}
+
+TEST(AccessTokens, RefusesEverythingElseWithoutRepeatingIt) {
+  const AccessTokens tokens = Tokens();
+  for (const std::string& header :
+       {std::string(), std::string("Bearer "), std::string("Bearer"),
+        std::string("Bearer wrong-secret"), std::string(kArm), absl::StrCat("Digest ", kArm),
+        absl::StrCat("Bearer ", kArm, "x"), absl::StrCat("Bearer ", Sha256Hex(kArm)),
+        std::string("Basic !!!"), absl::StrCat("Bearer ", std::string(100000, 'a'))}) {
+    const auto caller = tokens.Authenticate(header);
+    EXPECT_EQ(caller.status().code(), absl::StatusCode::kUnauthenticated) << header.substr(0, 20);
+    EXPECT_THAT(std::string(caller.status().message()), Not(HasSubstr("secret")));
+  }
+}
+
+TEST(AccessTokens, GivesAScopeOnlyToWhoHasIt) {
+  const AccessTokens tokens = Tokens();
+  const std::string arm = absl::StrCat("Bearer ", kArm), admin = absl::StrCat("Bearer ", kOperator);
+  EXPECT_TRUE(tokens.Check(arm, Scope::kPredict).ok());
+  EXPECT_TRUE(tokens.Check(arm, Scope::kFeedback).ok());
+  EXPECT_TRUE(tokens.Check(admin, Scope::kAdmin).ok());
+  const absl::Status refused = tokens.Check(arm, Scope::kAdmin);
+  EXPECT_EQ(refused.code(), absl::StatusCode::kPermissionDenied);
+  EXPECT_THAT(std::string(refused.message()), HasSubstr("'arm_1' has no scope 'admin'"));
+  EXPECT_EQ(tokens.Check(admin, Scope::kPredict).code(), absl::StatusCode::kPermissionDenied);
+}
+
+TEST(AccessTokens, AsksNobodyWithoutAFile) {
+  const AccessTokens tokens;
+  EXPECT_FALSE(tokens.required());
+  EXPECT_TRUE(tokens.Check("", Scope::kAdmin).ok());
+}
+
+TEST(AccessTokens, NamesFileAndEntryThatAreWrong) {
+  const auto refusal = [](const std::string& text) {
+    const auto tokens = AccessTokens::Parse("tokens.yaml", text);
+    EXPECT_FALSE(tokens.ok()) << text;
+    return std::string(tokens.status().message());
+  };
+  const std::string digest = Sha256Hex("a");
+  EXPECT_THAT(refusal("[1, 2]"), HasSubstr("tokens.yaml: must hold one list"));
+  EXPECT_THAT(refusal("tokens: [{name: a, sha256: 12, scopes: [admin]}]"),
+              HasSubstr("tokens[0].sha256 must be 64 lower-case hex digits"));
+  EXPECT_THAT(refusal(absl::StrCat("tokens: [{name: a, sha256: ", digest, ", scopes: [root]}]")),
+              HasSubstr("tokens[0].scopes: must be of predict, feedback, admin"));
+  EXPECT_THAT(refusal(absl::StrCat("tokens: [{name: a, sha256: ", digest, ", scope: [admin]}]")),
+              HasSubstr("unknown key 'scope'"));
+  EXPECT_THAT(refusal(absl::StrCat("tokens: [{name: a, sha256: ", digest,
+                                   ", scopes: []}, {name: b, sha256: ", digest, ", scopes: []}]")),
+              HasSubstr("tokens[1].sha256 occurs twice"));
+  EXPECT_THAT(refusal("tokens: [{name: a\n  b: ["), HasSubstr("tokens.yaml: line"));
+}
+
+}  // namespace
+}  // namespace robostress
