@@ -9,6 +9,7 @@
 #include <limits>
 
 #include "common/random.h"
+#include "common/rpc/refusal.h"
 #include "common/rpc/spec_checks.h"
 #include "tests/rpc/fake_policy_server.h"
 
@@ -203,7 +204,8 @@ TEST(ConvertTest, MasksPrioritiesAndRefusalsSurviveTheWire) {
   refusal.set_retry_after_ms(40);
   const absl::Status status = ToStatus(refusal);
   EXPECT_EQ(status.code(), absl::StatusCode::kResourceExhausted);
-  EXPECT_EQ(status.GetPayload(kRetryAfterPayload), absl::Cord("40"));
+  EXPECT_TRUE(IsRefusal(status));
+  EXPECT_EQ(RetryAfter(status), absl::Milliseconds(40));
   refusal.set_code(0);
   EXPECT_EQ(ToStatus(refusal).code(), absl::StatusCode::kInvalidArgument);
 }
