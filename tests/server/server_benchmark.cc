@@ -148,7 +148,9 @@ struct TableOptions {
   int slices = 6;      // of each kind
   int threads = 2;
   int arms = 4;
-  double rate_hz = 4;  // predictions of an arm per second: five steps at 20 Hz
+  double rate_hz = 4;       // predictions of an arm per second: five steps at 20 Hz
+  int update_interval = 4;  // chunks per update: twice as often as in the paper. More than the
+                            // share of updates allows would hold feedback up, and with it the load
   bool load = true, batches = true;
 };
 
@@ -160,7 +162,7 @@ T OrDie(absl::StatusOr<T> value) {
 }
 
 // One line of the first table: a way to serve, with two equal sets of arms; one set's chunks
-// trigger an update each (eight times as often as in the paper), the other's none any more.
+// trigger updates, the other's none any more.
 struct Serving {
   std::string name;
   std::unique_ptr<PolicyServer> server;
@@ -181,7 +183,7 @@ Serving Serve(const std::string& name, PolicyServerOptions options, const TableO
   Serving serving{name, OrDie(PolicyServer::Start(options, {policy}))};
   const std::vector<std::string> common{"learning_rate=1e-6", "buffer_chunks=4", "batch=4"};
   std::vector<std::string> often = common, once = common;
-  often.push_back("update_interval=1");
+  often.push_back(absl::StrCat("update_interval=", table.update_interval));
   once.push_back("update_interval=1000000");  // one, so that both sets predict with an adapter
   const std::string& policy_name = policy->spec().name;
   serving.with = OrDie(Clients::Connect(*serving.server, policy_name, table.arms, often));
@@ -302,9 +304,12 @@ int Main(int argc, char** argv) {
   app.add_option("--arms", table.arms, "of the first table")->capture_default_str();
   app.add_option("--rate", table.rate_hz, "predictions of an arm per second")
       ->capture_default_str();
+  app.add_option("--update-interval", table.update_interval, "chunks per update")
+      ->capture_default_str();
   app.add_option("--updates-table", table.load, "predictions with and without updates");
   app.add_option("--batches-table", table.batches, "throughput by the number of clients");
   CLI11_PARSE(app, argc, argv);
+  std::setvbuf(stdout, nullptr, _IOLBF, 0);
   UseOneTorchThread();
   const std::shared_ptr<const FlowPolicy> nano = OrDie(LoadFlowPolicy("nano:random"));
   if (table.load) PrintUpdatesTable(table, nano);

@@ -80,7 +80,7 @@ struct Clients::Client {
     for (int i = 0; status.ok(); ++i) {
       if (options.rate_hz > 0) {
         const double due = (i + phase) / options.rate_hz;
-        if (due >= options.seconds) return;
+        if (due >= options.seconds || SteadyClock::now() >= at(options.seconds)) return;
         std::this_thread::sleep_until(at(due));
       } else if (SteadyClock::now() >= at(options.seconds)) {
         return;
