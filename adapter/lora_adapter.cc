@@ -159,10 +159,11 @@ absl::Status LoraAdapter::CheckRollback(uint64_t version) const {
   absl::MutexLock lock(&mu_);
   std::vector<uint64_t> held{0};
   for (const PublishedVersion& candidate : history_) {
-    held.push_back(candidate.weights->version);
-    if (held.back() > version && candidate.pinned) {
+    const uint64_t other = candidate.weights->version;
+    if (other != 0) held.push_back(other);
+    if (other > version && candidate.pinned) {
       return absl::FailedPreconditionError(absl::StrCat(
-          "version ", held.back(), " is pinned and would be forgotten by going back to ", version,
+          "version ", other, " is pinned and would be forgotten by going back to ", version,
           "; take its pin away first"));
     }
   }

@@ -8,6 +8,22 @@
 
 namespace robostress {
 
+namespace {
+
+void TakeCounters(const SessionCounters& counters, SessionFigures& figures) {
+  figures.predictions = counters.predictions;
+  figures.duplicates = counters.duplicates;
+  figures.rollbacks = counters.rollbacks;
+  figures.updates_applied = counters.stats.updates_applied;
+  figures.updates_refused = counters.updates_refused;
+  figures.updates_guarded = counters.updates_guarded;
+  figures.adapter_distance = counters.stats.adapter_distance;
+  figures.last_loss = counters.stats.last_loss;
+  figures.buffered_chunks = counters.buffered_chunks;
+}
+
+}  // namespace
+
 using Monotonic = std::chrono::steady_clock;
 
 absl::StatusOr<SessionHost::Opened> RegistryHost::OpenSession(const SessionSpec& spec) {
@@ -23,8 +39,14 @@ absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const std::stri
 }
 
 absl::Status RegistryHost::CloseSession(const std::string& id) {
+  SessionFigures last;
+  bool known = false;
+  if (const auto session = registry_->Use(id); session.ok()) {
+    TakeCounters((*session)->CountersNow(), last);
+    known = true;
+  }
   const absl::Status closed = registry_->Close(id);
-  if (closed.ok()) telemetry_->Forget(id);
+  if (closed.ok()) telemetry_->Forget(id, known ? &last : nullptr);
   return closed;
 }
 
@@ -97,15 +119,7 @@ std::vector<SessionFigures> RegistryHost::Figures() const {
     f.open = row.open;
     f.idle_s = absl::ToDoubleSeconds(row.idle);
     f.feedback_sequence = row.feedback_sequence;
-    f.predictions = row.counters.predictions;
-    f.duplicates = row.counters.duplicates;
-    f.rollbacks = row.counters.rollbacks;
-    f.updates_applied = row.counters.stats.updates_applied;
-    f.updates_refused = row.counters.updates_refused;
-    f.updates_guarded = row.counters.updates_guarded;
-    f.adapter_distance = row.counters.stats.adapter_distance;
-    f.last_loss = row.counters.stats.last_loss;
-    f.buffered_chunks = row.counters.buffered_chunks;
+    TakeCounters(row.counters, f);
     if (!row.error.ok()) f.error = row.error.ToString();
   }
   return figures;

@@ -25,9 +25,8 @@ std::string Tile(const std::string& value, const std::string& label) {
                       "</span></div>");
 }
 
-std::string Latency(const Histogram& histogram) {
-  return absl::StrFormat("%.1f / %.1f ms", 1e3 * histogram.Quantile(0.5),
-                         1e3 * histogram.Quantile(0.99));
+std::string Latency(const Histogram& histogram, double quantile) {
+  return absl::StrFormat("%.3g ms", 1e3 * histogram.Quantile(quantile));
 }
 
 double Percentile(std::vector<double> values, double q) {
@@ -168,7 +167,8 @@ std::string LiveMain(const LiveServer& server, const std::vector<Telemetry::View
   const auto applied = metrics.AddCounter("robostress_updates_total", "", {{"outcome", "applied"}});
   std::string html =
       absl::StrCat("<main class=wrap><div class=tiles>", Tile(absl::StrCat(open), "open sessions"),
-                   Tile(Latency(*predict), "prediction, p50 / p99"),
+                   Tile(Latency(*predict, 0.5), "prediction, p50"),
+                   Tile(Latency(*predict, 0.99), "prediction, p99"),
                    Tile(absl::StrFormat("%.0f", answered->value()), "predictions"),
                    Tile(absl::StrFormat("%.0f", chunks->value()), "executed chunks"),
                    Tile(absl::StrFormat("%.0f", applied->value()), "updates applied"),
@@ -180,7 +180,8 @@ std::string LiveMain(const LiveServer& server, const std::vector<Telemetry::View
       &html, "<p class=note>", EscapeXml(server.policies),
       server.durable ? ". Acknowledged feedback is on disk."
                      : ". Sessions live in memory: they end with this server.",
-      "</p><h2>Sessions</h2><div class=scroll><table><tr><th>session<th><th>idle"
+      "</p><h2>Sessions</h2>", sorted.empty() ? "<p class=note>None is open.</p>" : "",
+      "<div class=scroll><table><tr><th>session<th><th>idle"
       "<th>predictions<th>chunks<th>version<th>refused<th>duplicates<th>distance<th>loss"
       "<th>p50 / p99 ms</tr>\n");
   for (const Telemetry::View& view : sorted) absl::StrAppend(&html, Row(view));

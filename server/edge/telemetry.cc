@@ -55,9 +55,10 @@ Telemetry::Record& Telemetry::Used(const std::string& session) {
   return record;
 }
 
-void Telemetry::Forget(const std::string& session) {
+void Telemetry::Forget(const std::string& session, const SessionFigures* last) {
   {
     absl::MutexLock lock(&mu_);
+    if (last != nullptr) CountOutcomes(records_[session], *last);
     records_.erase(session);
   }
   metrics_->Remove("session", session);
@@ -108,7 +109,7 @@ void Telemetry::Reported(const std::string& session, const SessionSpec& spec,
   Push(Used(session).residuals, std::move(point));
 }
 
-void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {
+void Telemetry::CountOutcomes(const Record& record, const SessionFigures& now) {
   struct Outcome {
     const char* name;
     uint64_t SessionFigures::*count;
@@ -116,6 +117,25 @@ void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {
   static constexpr Outcome kOutcomes[] = {{"applied", &SessionFigures::updates_applied},
                                           {"refused", &SessionFigures::updates_refused},
                                           {"guarded", &SessionFigures::updates_guarded}};
+  const auto count = [&](uint64_t SessionFigures::*field, const std::string& name,
+                         const std::string& help, const MetricLabels& labels) {
+    // A session that a rollback put back has fewer than before: what it applied stays counted.
+    const uint64_t before = record.figures.*field;
+    const auto counter = metrics_->AddCounter(name, help, labels);
+    if (now.*field > before) counter->Add(static_cast<double>(now.*field - before));
+  };
+  for (const Outcome& outcome : kOutcomes) {
+    count(
+        outcome.count, "robostress_updates_total",
+        "Updates by outcome: applied; refused, not finite; guarded, worse than what was published.",
+        {{"outcome", outcome.name}});
+  }
+  count(&SessionFigures::duplicates, "robostress_feedback_duplicates_total",
+        "Chunks that were in already.", {});
+  count(&SessionFigures::rollbacks, "robostress_rollbacks_total", "Adapters rolled back.", {});
+}
+
+void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {
   double open = 0, stored = 0;
   std::vector<std::string> gone;
   {
@@ -124,22 +144,7 @@ void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {
     for (const SessionFigures& now : sessions) {
       now.open ? ++open : ++stored;
       Record& record = records_[now.id];
-      const auto count = [&](uint64_t SessionFigures::*field, const std::string& name,
-                             const std::string& help, const MetricLabels& labels) {
-        // A session that a rollback put back has fewer than before: what it applied stays counted.
-        const uint64_t before = record.figures.*field;
-        const auto counter = metrics_->AddCounter(name, help, labels);
-        if (now.*field > before) counter->Add(static_cast<double>(now.*field - before));
-      };
-      for (const Outcome& outcome : kOutcomes) {
-        count(outcome.count, "robostress_updates_total",
-              "Updates by outcome: applied; refused, not finite; guarded, worse than what was "
-              "published.",
-              {{"outcome", outcome.name}});
-      }
-      count(&SessionFigures::duplicates, "robostress_feedback_duplicates_total",
-            "Chunks that were in already.", {});
-      count(&SessionFigures::rollbacks, "robostress_rollbacks_total", "Adapters rolled back.", {});
+      CountOutcomes(record, now);
       const MetricLabels labels = {{"session", now.id}};
       metrics_->AddGauge("robostress_adapter_distance", "||phi - phi_0||_2.", labels)
           ->Set(now.adapter_distance);

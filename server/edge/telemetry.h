@@ -70,8 +70,9 @@ class Telemetry {
   // An executed chunk was taken.
   void Reported(const std::string& session, const SessionSpec& spec, const ExecutedChunk& executed)
       ABSL_LOCKS_EXCLUDED(mu_);
-  // It was closed.
-  void Forget(const std::string& session) ABSL_LOCKS_EXCLUDED(mu_);
+  // It was closed, and stood at `last`: what it did since Refresh is counted. Null: nobody knows.
+  void Forget(const std::string& session, const SessionFigures* last = nullptr)
+      ABSL_LOCKS_EXCLUDED(mu_);
   // All sessions as they stand: sets gauges, counts outcomes since the last call, and forgets those
   // that are gone.
   void Refresh(const std::vector<SessionFigures>& sessions) ABSL_LOCKS_EXCLUDED(mu_);
@@ -94,6 +95,9 @@ class Telemetry {
     Clock::time_point image_time{}, used{};
   };
 
+  // Counts what happened between the record's figures and `now`.
+  void CountOutcomes(const Record& record, const SessionFigures& now)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Of a session that is used now.
   Record& Used(const std::string& session) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 

@@ -118,7 +118,11 @@ TEST_F(OperationsPagesTest, RemembersABoundedNumberOfSessionsWhereNobodyAsks) {
   size_t with_images = 0;
   for (const Telemetry::View& view : telemetry_.Views()) with_images += !view.cameras.empty();
   EXPECT_EQ(with_images, Telemetry::kUnlisted);
-  telemetry_.Forget("session-999");
+  // What a session did since it was last asked is counted when it closes.
+  SessionFigures last;
+  last.updates_applied = 7;
+  telemetry_.Forget("session-999", &last);
+  EXPECT_THAT(metrics_.Text(), HasSubstr("robostress_updates_total{outcome=\"applied\"} 7\n"));
   EXPECT_EQ(telemetry_.Views().size(), 999u);
   EXPECT_THAT(metrics_.Text(), Not(HasSubstr("session-999")));
 }
