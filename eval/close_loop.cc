@@ -67,9 +67,7 @@ class Circle {
     return merged;
   }
 
-  // A directory belongs to one circle: steps of two are not mixed.
   absl::Status KeepOptions() const {
-    const std::string file = Out("options.json");
     const Json json = {{"hidden", fs::absolute(options_.hidden).lexically_normal().string()},
                        {"suite", options_.suite},
                        {"tasks", options_.tasks},
@@ -80,12 +78,7 @@ class Circle {
                        {"rate_hz", options_.rate_hz},
                        {"surrogates", options_.surrogates},
                        {"seed", options_.seed}};
-    const std::string text = json.dump(2) + "\n";
-    if (!fs::exists(file)) return WriteFileAtomically(file, text);
-    RS_ASSIGN_OR_RETURN(const std::string present, ReadFile(file));
-    if (present == text) return absl::OkStatus();
-    return absl::FailedPreconditionError(
-        absl::StrCat(file, " was begun with other options; repeat them or choose another --out"));
+    return KeepCircleOptions(Out("options.json"), json);
   }
 
   absl::Status Record() {

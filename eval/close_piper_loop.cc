@@ -52,20 +52,13 @@ class PiperCircle {
     return (fs::path(options_.out) / name).string();
   }
 
-  // A directory belongs to one circle: steps of two are not mixed.
   absl::Status KeepOptions() const {
-    const std::string file = Out("options.json");
     const Json json = {{"arm", "piper"},
                        {"hidden", fs::absolute(options_.hidden).lexically_normal().string()},
                        {"episodes", options_.episodes},
                        {"surrogates", options_.surrogates},
                        {"seed", options_.seed}};
-    const std::string text = json.dump(2) + "\n";
-    if (!fs::exists(file)) return WriteFileAtomically(file, text);
-    RS_ASSIGN_OR_RETURN(const std::string present, ReadFile(file));
-    if (present == text) return absl::OkStatus();
-    return absl::FailedPreconditionError(
-        absl::StrCat(file, " was begun with other options; repeat them or choose another --out"));
+    return KeepCircleOptions(Out("options.json"), json);
   }
 
   // Reaches of an emulated arm in simulated time, recorded as a client records.

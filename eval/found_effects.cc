@@ -83,6 +83,15 @@ absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
   return found;
 }
 
+absl::Status KeepCircleOptions(const std::string& file, const nlohmann::ordered_json& options) {
+  const std::string text = options.dump(2) + "\n";
+  if (!fs::exists(file)) return WriteFileAtomically(file, text);
+  RS_ASSIGN_OR_RETURN(const std::string present, ReadFile(file));
+  if (present == text) return absl::OkStatus();
+  return absl::FailedPreconditionError(
+      absl::StrCat(file, " was begun with other options; repeat them or choose another --out"));
+}
+
 std::string JointName(int joint) { return absl::StrCat("J", joint + 1); }
 
 nlohmann::ordered_json EffectJson(int joint, const std::string& type,

@@ -33,6 +33,10 @@ absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
                                               const std::string& folder,
                                               const std::string& scenario_file);
 
+// A directory belongs to one circle, so that steps of two are not mixed: writes `options` to
+// `file`, or refuses where it holds others.
+absl::Status KeepCircleOptions(const std::string& file, const nlohmann::ordered_json& options);
+
 std::string JointName(int joint);  // 0: "J1"
 // {"joint", "type", "parameters": {...}}
 nlohmann::ordered_json EffectJson(int joint, const std::string& type,

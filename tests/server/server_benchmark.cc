@@ -27,18 +27,6 @@
 namespace robostress {
 namespace {
 
-Observation BlankObservation(const PolicySpec& spec) {
-  Observation observation;
-  observation.instruction = "put the bowl on the plate";
-  for (const std::string& camera : spec.cameras) {
-    Image image{spec.image_width, spec.image_height, {}};
-    image.data.resize(size_t{3} * image.width * image.height, 127);
-    observation.views.push_back({camera, image});
-  }
-  observation.proprioception = Eigen::VectorXf::Zero(spec.state_dim);
-  return observation;
-}
-
 struct Bench {
   explicit Bench(const std::string& method) : adaptation(1), inference(BatcherOptions{1}) {
     UseOneTorchThread();

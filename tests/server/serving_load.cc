@@ -26,6 +26,8 @@ double CpuSeconds() {
   return seconds(usage.ru_utime) + seconds(usage.ru_stime);
 }
 
+}  // namespace
+
 Observation BlankObservation(const PolicySpec& spec) {
   Observation observation;
   observation.instruction = "put the bowl on the plate";
@@ -37,8 +39,6 @@ Observation BlankObservation(const PolicySpec& spec) {
   observation.proprioception = Eigen::VectorXf::Zero(spec.state_dim);
   return observation;
 }
-
-}  // namespace
 
 double Latencies::Quantile(double q) const {
   if (ms.empty()) return 0;

@@ -12,6 +12,9 @@
 // Load on a policy server over the loopback, for measurements.
 namespace robostress {
 
+// What a policy of this spec may be asked about, with nothing to see.
+Observation BlankObservation(const PolicySpec& spec);
+
 // Of predictions, as their client sees them: from the request to the answer.
 struct Latencies {
   std::vector<double> ms;
