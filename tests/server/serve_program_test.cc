@@ -11,6 +11,7 @@
 #include <fstream>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
@@ -24,6 +25,7 @@
 namespace robostress {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 std::pair<std::string, int> RunServe(const std::string& arguments) {
@@ -113,74 +115,133 @@ TEST(ServeProgram, RefusesAnAddressItCannotListenOn) {
   EXPECT_THAT(output, HasSubstr("cannot listen on 203.0.113.1:1"));
 }
 
+// A server process in a folder of its own; terminated, and its exit code checked, at the end.
+class ServeProcess {
+ public:
+  explicit ServeProcess(std::vector<std::string> arguments)
+      : folder_(std::filesystem::path(::testing::TempDir()) /
+                absl::StrCat("serve-", getpid(), "-", ++count_)) {
+    std::filesystem::create_directories(folder_);
+    const std::vector<std::string> common{SERVE_PROGRAM, "--policy",     "nano:random", "--threads",
+                                          "1",           "--ports-file", Path("ports")};
+    arguments.insert(arguments.begin(), common.begin(), common.end());
+    child_ = fork();
+    if (child_ == 0) {
+      if (freopen(Path("log").c_str(), "w", stderr) == nullptr) _exit(126);
+      std::vector<char*> argv;
+      for (std::string& argument : arguments) argv.push_back(argument.data());
+      argv.push_back(nullptr);
+      execv(SERVE_PROGRAM, argv.data());
+      _exit(127);
+    }
+    for (int i = 0; i < 1200 && !std::filesystem::exists(Path("ports")); ++i)
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    ports_ = YAML::LoadFile(Path("ports"));  // published whole, so any content is complete
+  }
+  ~ServeProcess() {
+    if (child_ > 0) End(SIGTERM);
+    std::filesystem::remove_all(folder_);
+  }
+
+  int port(const char* name) const { return ports_[name].as<int>(); }
+  std::string Address(const char* name) const { return absl::StrCat("127.0.0.1:", port(name)); }
+  std::string Path(const std::string& name) const { return (folder_ / name).string(); }
+  // Sends the signal (0: none) and waits for the end, which must be an orderly one.
+  void End(int signal) {
+    if (signal != 0) kill(child_, signal);
+    int status = 0;
+    waitpid(child_, &status, 0);
+    EXPECT_TRUE(WIFEXITED(status));
+    EXPECT_EQ(WEXITSTATUS(status), 0);
+    child_ = 0;
+  }
+
+ private:
+  static inline int count_ = 0;
+  const std::filesystem::path folder_;
+  pid_t child_ = 0;
+  YAML::Node ports_;
+};
+
 TEST(ServeProgram, ServesUntilItIsTerminated) {
-  const auto port_file =
-      std::filesystem::path(::testing::TempDir()) / absl::StrCat("port-", getpid());
-  std::filesystem::remove(port_file);
-  const pid_t child = fork();
-  if (child == 0) {
-    execl(SERVE_PROGRAM, SERVE_PROGRAM, "--policy", "nano:random", "--threads", "1", "--port-file",
-          port_file.c_str(), "--state-dir", (port_file.string() + ".state").c_str(), nullptr);
-    _exit(127);
-  }
-  std::string port;
-  for (int i = 0; i < 600 && port.empty(); ++i) {  // published whole, so any content is complete
-    std::this_thread::sleep_for(std::chrono::milliseconds(50));
-    std::ifstream(port_file) >> port;
-  }
-  ASSERT_FALSE(port.empty());
-  PolicyClientOptions options;
-  options.address = absl::StrCat("127.0.0.1:", port);
-  const auto info = GetServerInfo(options);
-  EXPECT_TRUE(info.ok()) << info.status();
-  if (info.ok()) {
+  const std::string state = absl::StrCat(::testing::TempDir(), "/state-of-", getpid());
+  {
+    const ServeProcess server({"--state-dir", state});
+    PolicyClientOptions options;
+    options.address = server.Address("grpc");
+    const auto info = GetServerInfo(options);
+    ASSERT_TRUE(info.ok()) << info.status();
     EXPECT_EQ(info->policies[0].name, "nano:random");
     EXPECT_TRUE(info->durable);
     EXPECT_FALSE(info->instance.empty());
   }
-  kill(child, SIGTERM);
-  int status = 0;
-  waitpid(child, &status, 0);
-  EXPECT_TRUE(WIFEXITED(status));
-  EXPECT_EQ(WEXITSTATUS(status), 0);
-  EXPECT_TRUE(std::filesystem::remove_all(port_file.string() + ".state") > 0);
+  EXPECT_GT(std::filesystem::remove_all(state), 0u);
 }
 
 TEST(ServeProgram, ServesEveryPortAndLogsJson) {
-  const auto folder =
-      std::filesystem::path(::testing::TempDir()) / absl::StrCat("ports-", getpid());
-  std::filesystem::create_directories(folder);
-  const std::string ports_file = (folder / "ports").string(), log = (folder / "log").string();
-  const pid_t child = fork();
-  if (child == 0) {
-    if (freopen(log.c_str(), "w", stderr) == nullptr) _exit(126);
-    execl(SERVE_PROGRAM, SERVE_PROGRAM, "--policy", "nano:random", "--threads", "1", "--ports-file",
-          ports_file.c_str(), "--websocket-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0",
-          "--admin-listen", "127.0.0.1:0", "--log-format", "json", nullptr);
-    _exit(127);
-  }
-  for (int i = 0; i < 600 && !std::filesystem::exists(ports_file); ++i)
-    std::this_thread::sleep_for(std::chrono::milliseconds(50));
-  const YAML::Node ports = YAML::LoadFile(ports_file);
-  for (const char* port : {"grpc", "websocket", "http", "admin"})
-    EXPECT_GT(ports[port].as<int>(), 0);
-  EXPECT_EQ(WebClient(ports["websocket"].as<int>()).Get("/healthz").second, "OK\n");
-  EXPECT_EQ(WebClient(ports["http"].as<int>()).Get("/readyz").first, 200);
-  EXPECT_THAT(WebClient(ports["http"].as<int>()).Get("/metrics").second,
+  ServeProcess server({"--websocket-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0",
+                       "--admin-listen", "127.0.0.1:0", "--log-format", "json"});
+  for (const char* port : {"grpc", "websocket", "http", "admin"}) EXPECT_GT(server.port(port), 0);
+  EXPECT_EQ(WebClient(server.port("websocket")).Get("/healthz").second, "OK\n");
+  EXPECT_EQ(WebClient(server.port("http")).Get("/readyz").first, 200);
+  EXPECT_THAT(WebClient(server.port("http")).Get("/metrics").second,
               HasSubstr("robostress_batch_size"));
-  WebClient client(ports["websocket"].as<int>());
+  WebClient client(server.port("websocket"));
   EXPECT_EQ(client.Upgrade(), 101);
   EXPECT_EQ(client.Read().opcode, WebClient::kBinary);
   client.SendFrame("nonsense");
   EXPECT_EQ(client.Read().opcode, WebClient::kText);
-  kill(child, SIGTERM);
-  int status = 0;
-  waitpid(child, &status, 0);
-  EXPECT_TRUE(WIFEXITED(status));
-  EXPECT_EQ(WEXITSTATUS(status), 0);
-  std::ifstream lines(log);
+  server.End(SIGTERM);
+  std::ifstream lines(server.Path("log"));
   for (std::string line; std::getline(lines, line);)
     EXPECT_TRUE(nlohmann::json::accept(line)) << line;
+}
+
+TEST(SessionsProgram, ListsExportsRollsBackAndEndsSessionsThenDrainsTheServer) {
+  ServeProcess server({"--admin-listen", "127.0.0.1:0"});
+  PolicyClientOptions options;
+  options.address = server.Address("grpc");
+  SessionSpec spec;
+  spec.suite = "tabletop_goal";
+  spec.scenario = "heavy_payload";
+  spec.policy = "nano:random";
+  spec.method = *MakeMethod("ours");
+  const auto client = GrpcPolicyClient::Connect(options, spec);
+  ASSERT_TRUE(client.ok()) << client.status();
+  const std::string& id = (*client)->session_id();
+  const auto sessions = [&](const std::string& arguments) {
+    return RunProgram(SESSIONS_PROGRAM,
+                      absl::StrCat("--server ", server.Address("admin"), " ", arguments));
+  };
+
+  EXPECT_THAT(sessions("list").first, AllOf(HasSubstr(id), HasSubstr("heavy_payload")));
+  const auto listed = nlohmann::json::parse(sessions("list --json").first);
+  EXPECT_EQ(listed.at(0).at("session"), id);
+  EXPECT_EQ(listed.at(0).at("state"), "open");
+  EXPECT_EQ(nlohmann::json::parse(sessions("versions " + id + " --json").first).at(0).at("version"),
+            0);
+  EXPECT_EQ(sessions("pin " + id + " 0").second, 0);
+  EXPECT_THAT(sessions("versions " + id).first, HasSubstr("published  always held"));
+  EXPECT_EQ(sessions("unpin " + id + " 0").second, 0);
+  EXPECT_EQ(sessions("export " + id + " 0 --out " + server.Path("phi_0")).second, 0);
+  EXPECT_TRUE((*client)->ImportAdapter(*ReadFile(server.Path("phi_0"))).ok());
+  EXPECT_EQ(sessions("rollback " + id + " 0").second, 0);
+
+  const auto [unknown, unknown_code] = sessions("versions session-0");
+  EXPECT_EQ(unknown_code, 1);
+  EXPECT_THAT(unknown, HasSubstr("session-0"));
+  const auto [version, version_code] =
+      sessions("export " + id + " 7 --out " + server.Path("phi_7"));
+  EXPECT_EQ(version_code, 1);
+  EXPECT_THAT(version, HasSubstr("7"));
+  EXPECT_FALSE(std::filesystem::exists(server.Path("phi_7")));
+  EXPECT_EQ(sessions("pin " + id).second, 2);
+  EXPECT_EQ(RunProgram(SESSIONS_PROGRAM, "--server 127.0.0.1:1 --timeout 2 list").second, 1);
+
+  EXPECT_EQ(sessions("end " + id).second, 0);
+  EXPECT_EQ(nlohmann::json::parse(sessions("list --json").first).size(), 0u);
+  EXPECT_EQ(sessions("drain --grace 1").second, 0);
+  server.End(0);
 }
 
 }  // namespace
