@@ -18,8 +18,10 @@
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/admin_server.h"
 #include "server/policy_service.h"
+#include "server/web_endpoints.h"
 #include "tests/run_program.h"
 #include "tests/server/drive.h"
+#include "tests/server/tls_web_client.h"
 
 namespace robostress {
 namespace {
@@ -397,6 +399,42 @@ TEST_F(TlsTest, OurOwnClientTakesCertificateAndTokenFromTheEnvironment) {
   EXPECT_THAT(std::string(GrpcPolicyClient::Connect(address, Spec("base")).status().message()),
               HasSubstr("need ROBOSTRESS_TLS_CA"));
   for (const auto& [variable, file] : variables) unsetenv(variable);
+}
+
+TEST_F(TlsTest, CoversTheWebPorts) {
+  PolicyServerOptions options;
+  options.tls = {File("server.crt"), File("server.key"), ""};
+  Start(options);
+  WebEndpointsOptions web;
+  web.websocket_listen = web.http_listen = "127.0.0.1:0";
+  web.tls = options.tls;
+  auto endpoints = WebEndpoints::Start(web, server_.get());
+  ASSERT_TRUE(endpoints.ok()) << endpoints.status();
+  for (const int port : {(*endpoints)->http_port(), (*endpoints)->websocket_port()}) {
+    TlsWebClient encrypted(port, File("ca.crt"));
+    EXPECT_TRUE(encrypted.connected());
+    EXPECT_EQ(encrypted.Get("/healthz").first, 200);
+    EXPECT_EQ(WebClient(port).Get("/healthz").first, 0);
+    EXPECT_FALSE(TlsWebClient(port, File("other.crt")).connected());
+  }
+  TlsWebClient client((*endpoints)->websocket_port(), File("ca.crt"));
+  EXPECT_EQ(client.Upgrade(), 101);
+  EXPECT_EQ(client.Read().opcode, WebClient::kBinary);
+
+  web.tls.client_ca = File("ca.crt");
+  endpoints->reset();
+  endpoints = WebEndpoints::Start(web, server_.get());
+  ASSERT_TRUE(endpoints.ok()) << endpoints.status();
+  for (const int port : {(*endpoints)->http_port(), (*endpoints)->websocket_port()}) {
+    const auto health = [&](const std::string& name) {
+      return TlsWebClient(port, File("ca.crt"), File(name + ".crt"), File(name + ".key"))
+          .Get("/healthz")
+          .first;
+    };
+    EXPECT_EQ(health("client"), 200);
+    EXPECT_EQ(health("stranger"), 0);
+    EXPECT_EQ(TlsWebClient(port, File("ca.crt")).Get("/healthz").first, 0);
+  }
 }
 
 TEST_F(TlsTest, NamesTheFileThatIsWrong) {

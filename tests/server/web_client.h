@@ -6,6 +6,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 #include <utility>
@@ -26,7 +27,7 @@ class WebClient {
     address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     EXPECT_EQ(connect(fd_, reinterpret_cast<sockaddr*>(&address), sizeof address), 0);
   }
-  ~WebClient() { Close(); }
+  virtual ~WebClient() { Close(); }
   WebClient(const WebClient&) = delete;
   WebClient& operator=(const WebClient&) = delete;
 
@@ -38,7 +39,7 @@ class WebClient {
   bool Send(const std::string& bytes) {
     size_t sent = 0;
     while (sent < bytes.size()) {
-      const ssize_t n = send(fd_, bytes.data() + sent, bytes.size() - sent, MSG_NOSIGNAL);
+      const ssize_t n = Write(bytes.data() + sent, bytes.size() - sent);
       if (n <= 0) return false;
       sent += static_cast<size_t>(n);
     }
@@ -49,7 +50,7 @@ class WebClient {
     std::string bytes;
     while (bytes.size() < size) {
       char buffer[65536];
-      const ssize_t n = recv(fd_, buffer, std::min(size - bytes.size(), sizeof buffer), 0);
+      const ssize_t n = ReadSome(buffer, std::min(size - bytes.size(), sizeof buffer));
       if (n <= 0) break;
       bytes.append(buffer, static_cast<size_t>(n));
     }
@@ -133,6 +134,12 @@ class WebClient {
   }
 
  private:
+  // What goes over the socket; a subclass may encrypt it.
+  virtual ssize_t Write(const char* bytes, size_t size) {
+    return send(fd_, bytes, size, MSG_NOSIGNAL);
+  }
+  virtual ssize_t ReadSome(char* bytes, size_t size) { return recv(fd_, bytes, size, 0); }
+
   int fd_ = -1;
   std::string head_;
 };
