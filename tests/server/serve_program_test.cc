@@ -20,6 +20,7 @@
 #include "nlohmann/json.hpp"
 #include "server/serve_options.h"
 #include "tests/run_program.h"
+#include "tests/server/serve_process.h"
 #include "tests/server/web_client.h"
 
 namespace robostress {
@@ -115,58 +116,10 @@ TEST(ServeProgram, RefusesAnAddressItCannotListenOn) {
   EXPECT_THAT(output, HasSubstr("cannot listen on 203.0.113.1:1"));
 }
 
-// A server process in a folder of its own; terminated, and its exit code checked, at the end.
-class ServeProcess {
- public:
-  explicit ServeProcess(std::vector<std::string> arguments)
-      : folder_(std::filesystem::path(::testing::TempDir()) /
-                absl::StrCat("serve-", getpid(), "-", ++count_)) {
-    std::filesystem::create_directories(folder_);
-    const std::vector<std::string> common{SERVE_PROGRAM, "--policy",     "nano:random", "--threads",
-                                          "1",           "--ports-file", Path("ports")};
-    arguments.insert(arguments.begin(), common.begin(), common.end());
-    child_ = fork();
-    if (child_ == 0) {
-      if (freopen(Path("log").c_str(), "w", stderr) == nullptr) _exit(126);
-      std::vector<char*> argv;
-      for (std::string& argument : arguments) argv.push_back(argument.data());
-      argv.push_back(nullptr);
-      execv(SERVE_PROGRAM, argv.data());
-      _exit(127);
-    }
-    for (int i = 0; i < 1200 && !std::filesystem::exists(Path("ports")); ++i)
-      std::this_thread::sleep_for(std::chrono::milliseconds(50));
-    ports_ = YAML::LoadFile(Path("ports"));  // published whole, so any content is complete
-  }
-  ~ServeProcess() {
-    if (child_ > 0) End(SIGTERM);
-    std::filesystem::remove_all(folder_);
-  }
-
-  int port(const char* name) const { return ports_[name].as<int>(); }
-  std::string Address(const char* name) const { return absl::StrCat("127.0.0.1:", port(name)); }
-  std::string Path(const std::string& name) const { return (folder_ / name).string(); }
-  // Sends the signal (0: none) and waits for the end, which must be an orderly one.
-  void End(int signal) {
-    if (signal != 0) kill(child_, signal);
-    int status = 0;
-    waitpid(child_, &status, 0);
-    EXPECT_TRUE(WIFEXITED(status));
-    EXPECT_EQ(WEXITSTATUS(status), 0);
-    child_ = 0;
-  }
-
- private:
-  static inline int count_ = 0;
-  const std::filesystem::path folder_;
-  pid_t child_ = 0;
-  YAML::Node ports_;
-};
-
 TEST(ServeProgram, ServesUntilItIsTerminated) {
   const std::string state = absl::StrCat(::testing::TempDir(), "/state-of-", getpid());
   {
-    const ServeProcess server({"--state-dir", state});
+    const ServeProcess server(SERVE_PROGRAM, {"--state-dir", state});
     PolicyClientOptions options;
     options.address = server.Address("grpc");
     const auto info = GetServerInfo(options);
@@ -179,7 +132,8 @@ TEST(ServeProgram, ServesUntilItIsTerminated) {
 }
 
 TEST(ServeProgram, ServesEveryPortAndLogsJson) {
-  ServeProcess server({"--websocket-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0",
+  ServeProcess server(SERVE_PROGRAM,
+                      {"--websocket-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0",
                        "--admin-listen", "127.0.0.1:0", "--log-format", "json"});
   for (const char* port : {"grpc", "websocket", "http", "admin"}) EXPECT_GT(server.port(port), 0);
   EXPECT_EQ(WebClient(server.port("websocket")).Get("/healthz").second, "OK\n");
@@ -198,7 +152,7 @@ TEST(ServeProgram, ServesEveryPortAndLogsJson) {
 }
 
 TEST(SessionsProgram, ListsExportsRollsBackAndEndsSessionsThenDrainsTheServer) {
-  ServeProcess server({"--admin-listen", "127.0.0.1:0"});
+  ServeProcess server(SERVE_PROGRAM, {"--admin-listen", "127.0.0.1:0"});
   PolicyClientOptions options;
   options.address = server.Address("grpc");
   SessionSpec spec;
