@@ -104,7 +104,11 @@ absl::StatusOr<SessionHost::Acknowledged> RegistryHost::Feedback(const std::stri
     spdlog::warn("feedback {} refused: {}", executed.sequence, result.status().ToString());
     return result.status();
   }
-  if (!result->duplicate) telemetry_->Reported(id, session->spec(), executed);
+  if (!result->duplicate) {
+    telemetry_->Reported(id, session->spec(), executed);
+    const SessionStats now = session->CountersNow().stats;
+    telemetry_->Adapted(id, {now.updates_applied, now.adapter_distance, now.last_loss});
+  }
   spdlog::debug("feedback {} taken, {} updates applied", result->sequence, result->updates_applied);
   return Acknowledged{result->sequence, result->updates_applied, result->durable,
                       result->duplicate};

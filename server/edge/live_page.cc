@@ -120,11 +120,12 @@ std::string Legend(const Telemetry::View& view) {
 std::string Row(const Telemetry::View& view) {
   const SessionFigures& f = view.figures;
   return absl::StrCat(
-      "<tr><td>", EscapeXml(f.id), "<br><small>", EscapeXml(Name(f.spec)), "</small>",
+      "<tr><td style=\"white-space:normal\">", EscapeXml(f.id), "<br><small>",
+      EscapeXml(Name(f.spec)), "</small>",
       f.error.empty() ? "" : absl::StrCat("<br><span class=tag>", EscapeXml(f.error), "</span>"),
-      "</td><td>", f.open ? "open" : "on disk", absl::StrFormat("</td><td>%.0f s", f.idle_s),
-      "</td><td>", f.predictions, "</td><td>", f.feedback_sequence, "</td><td>", f.updates_applied,
-      "</td><td>", f.updates_refused + f.updates_guarded, "</td><td>", f.duplicates,
+      "</td><td>", f.open ? "open" : "on disk", absl::StrFormat(", %.0f s", f.idle_s), "</td><td>",
+      f.predictions, "</td><td>", f.feedback_sequence, "</td><td>", f.updates_applied, "</td><td>",
+      f.updates_refused + f.updates_guarded, "</td><td>", f.duplicates,
       absl::StrFormat("</td><td>%.4g</td><td>%.3g</td><td>%.1f / %.1f</td></tr>\n",
                       f.adapter_distance, f.last_loss, 1e3 * Percentile(view.latencies_s, 0.5),
                       1e3 * Percentile(view.latencies_s, 0.99)));
@@ -181,7 +182,7 @@ std::string LiveMain(const LiveServer& server, const std::vector<Telemetry::View
       server.durable ? ". Acknowledged feedback is on disk."
                      : ". Sessions live in memory: they end with this server.",
       "</p><h2>Sessions</h2>", sorted.empty() ? "<p class=note>None is open.</p>" : "",
-      "<div class=scroll><table><tr><th>session<th><th>idle"
+      "<div class=scroll><table><tr><th>session<th>state, idle"
       "<th>predictions<th>chunks<th>version<th>refused<th>duplicates<th>distance<th>loss"
       "<th>p50 / p99 ms</tr>\n");
   for (const Telemetry::View& view : sorted) absl::StrAppend(&html, Row(view));

@@ -21,6 +21,10 @@ void Push(std::deque<T>& history, T value) {
   if (history.size() > Telemetry::kHistory) history.pop_front();
 }
 
+void PushDrift(std::deque<Telemetry::DriftPoint>& drift, const Telemetry::DriftPoint& point) {
+  if (drift.empty() || drift.back().version != point.version) Push(drift, point);
+}
+
 }  // namespace
 
 std::string ResidualAxis(const SessionSpec& spec, int index) {
@@ -53,6 +57,11 @@ Telemetry::Record& Telemetry::Used(const std::string& session) {
   Record& record = records_[session];
   record.used = Clock::now();
   return record;
+}
+
+void Telemetry::Adapted(const std::string& session, const DriftPoint& point) {
+  absl::MutexLock lock(&mu_);
+  PushDrift(Used(session).drift, point);
 }
 
 void Telemetry::Forget(const std::string& session, const SessionFigures* last) {
@@ -163,8 +172,7 @@ void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {
               ->Set(last[i]);
         }
       }
-      if (record.drift.empty() || record.drift.back().version != now.updates_applied)
-        Push(record.drift, {now.updates_applied, now.adapter_distance, now.last_loss});
+      PushDrift(record.drift, {now.updates_applied, now.adapter_distance, now.last_loss});
       record.figures = now;
       record.listed = true;
     }

@@ -70,6 +70,8 @@ class Telemetry {
   // An executed chunk was taken.
   void Reported(const std::string& session, const SessionSpec& spec, const ExecutedChunk& executed)
       ABSL_LOCKS_EXCLUDED(mu_);
+  // Where its adapter stands; the same version again is no new point.
+  void Adapted(const std::string& session, const DriftPoint& point) ABSL_LOCKS_EXCLUDED(mu_);
   // It was closed, and stood at `last`: what it did since Refresh is counted. Null: nobody knows.
   void Forget(const std::string& session, const SessionFigures* last = nullptr)
       ABSL_LOCKS_EXCLUDED(mu_);

@@ -127,6 +127,17 @@ TEST_F(OperationsPagesTest, RemembersABoundedNumberOfSessionsWhereNobodyAsks) {
   EXPECT_THAT(metrics_.Text(), Not(HasSubstr("session-999")));
 }
 
+TEST_F(OperationsPagesTest, FollowsTheDriftOfAnAdapterWhoeverLooks) {
+  for (uint64_t version : {0, 0, 1, 1, 2})
+    telemetry_.Adapted("session-1", {version, 0.1 * double(version), 1});
+  figures_.id = "session-1";
+  figures_.updates_applied = 2;
+  telemetry_.Refresh({figures_});
+  const std::vector<Telemetry::DriftPoint> drift = telemetry_.Views()[0].drift;
+  ASSERT_EQ(drift.size(), 3u);
+  for (size_t i = 0; i < drift.size(); ++i) EXPECT_EQ(drift[i].version, i);
+}
+
 TEST_F(OperationsPagesTest, IsReadyOnlyWhileTheServerIs) {
   EXPECT_EQ(Get("/readyz").status, 200);
   ready_ = false;
