@@ -12,7 +12,8 @@ int main(int argc, char** argv) {
   CLI::App app("Answers with joint targets that sway about the arm's.", "joint_policy_server");
   robostress::FakeServerOptions options;
   options.joint_targets = true;
-  app.add_option("--port", options.port, "on 127.0.0.1; 0: a free one, which is printed");
+  app.add_option("--host", options.host, "address to listen on")->capture_default_str();
+  app.add_option("--port", options.port, "0: a free one, which is printed");
   app.add_option("--predict-s", options.predict_s, "time of a prediction [s]");
   int cameras = 2;
   app.add_option("--cameras", cameras, "views it wants: base, wrist")->check(CLI::Range(0, 2));

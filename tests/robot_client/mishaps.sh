@@ -3,12 +3,12 @@
 # a network namespace of its own. Prints a Markdown table. About two minutes; a program, not a test: its
 # times depend on the machine.
 #
-#   unshare -rn tests/robot_client/mishaps.sh BUILD_DIR [OUT_DIR]
+#   unshare -rn tests/robot_client/mishaps.sh BUILD_DIR [OUT_DIR [ONLY]]   # ONLY: a pattern of names
 set -euo pipefail
-bin=${1:?usage: mishaps.sh BUILD_DIR [OUT_DIR]}
+bin=${1:?usage: mishaps.sh BUILD_DIR [OUT_DIR [ONLY]]}
 out=${2:-$(mktemp -d)}
 client=${ROBOT_CLIENT:-$bin/bin/robot_client} emulator=${PIPER_EMULATOR:-$bin/bin/piper_emulator}
-policy=${JOINT_POLICY_SERVER:-$bin/test_bin/joint_policy_server}
+only=${3:-} policy=${JOINT_POLICY_SERVER:-$bin/test_bin/joint_policy_server}
 ip link set lo up
 ip route add 224.0.0.0/4 dev lo
 mkdir -p "$out"
@@ -19,9 +19,10 @@ monotonic() { awk '{print $1}' /proc/uptime; } # [s], 10 ms
 run() {
   local name=$1 act=$2 server="" client_pid
   shift 2
-  "$policy" >"$out/$name.server" &
-  server_pid=$!
+  [[ $name =~ $only ]] || return 0
   # shellcheck disable=SC2086  # several options
+  ${server_in:-} "$policy" ${server_options:-} >"$out/$name.server" &
+  server_pid=$!
   "$emulator" --bus udp:239.74.163.2:43113 --profile used_one_year --seconds 60 ${emulator_options:-} \
     >"$out/$name.emulator" 2>&1 &
   emulator_pid=$!
@@ -45,7 +46,7 @@ run() {
   wait "$client_pid" || true
   kill -CONT "$server_pid" 2>/dev/null || true
   kill -9 "$server_pid" "$emulator_pid" 2>/dev/null || true
-  wait 2>/dev/null || true
+  wait "$server_pid" "$emulator_pid" 2>/dev/null || true
   report "$name" "$at"
 }
 
@@ -87,11 +88,27 @@ echo "|---|---|---:|---:|---:|"
 # shellcheck disable=SC2016  # evaluated in run
 {
   run server_killed 'kill -9 $server_pid'
-  run network_cut 'kill -STOP $server_pid'
+  run server_hangs 'kill -STOP $server_pid'
   run arm_process_killed 'kill -9 $emulator_pid'
   run operator_holds 'kill -INT $client_pid'
   run operator_stops_twice 'kill -INT $client_pid; sleep 0.1; kill -INT $client_pid'
 }
+# A server on another host: a network namespace of its own behind a link that is cut.
+unshare -n sleep infinity &
+host=$!
+sleep 0.3
+ip link add arm0 type veth peer name srv0 netns "$host"
+ip addr add 192.0.2.1/24 dev arm0
+ip link set arm0 up
+nsenter -t "$host" -n sh -c 'ip link set lo up; ip addr add 192.0.2.2/24 dev srv0; ip link set srv0 up'
+# shellcheck disable=SC2016
+{
+  server_in="nsenter -t $host -n" server_options="--host 192.0.2.2" run link_cut 'ip link set arm0 down'
+  ip link set arm0 up
+  server_in="nsenter -t $host -n" server_options="--host 192.0.2.2" \
+    run link_cut_for_1s 'ip link set arm0 down; sleep 1; ip link set arm0 up'
+}
+kill "$host"
 wrist=wrist=synthetic,fault=unplug@4 run camera_unplugged :
 emulator_options="--fault silent@6" run arm_silent :
 emulator_options="--fault collision:J2@6" run arm_collision :

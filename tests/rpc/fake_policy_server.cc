@@ -327,7 +327,7 @@ FakePolicyServer::FakePolicyServer(FakeServerOptions options) : impl_(std::make_
   impl_->options = std::move(options);
   grpc::ServerBuilder builder;
   builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
-  builder.AddListeningPort(absl::StrCat("127.0.0.1:", impl_->options.port),
+  builder.AddListeningPort(absl::StrCat(impl_->options.host, ":", impl_->options.port),
                            grpc::InsecureServerCredentials(), &impl_->port);
   builder.RegisterService(impl_.get());
   impl_->server = builder.BuildAndStart();
@@ -338,7 +338,9 @@ FakePolicyServer::~FakePolicyServer() {
   impl_->server->Wait();
 }
 
-std::string FakePolicyServer::address() const { return absl::StrCat("127.0.0.1:", impl_->port); }
+std::string FakePolicyServer::address() const {
+  return absl::StrCat(impl_->options.host, ":", impl_->port);
+}
 
 int FakePolicyServer::open_sessions() const {
   const std::lock_guard lock(impl_->mutex);
