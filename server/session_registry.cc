@@ -1,34 +1,20 @@
 #include "server/session_registry.h"
 
-#include <fcntl.h>
 #include <openssl/crypto.h>
 #include <openssl/rand.h>
 #include <pthread.h>
 #include <spdlog/spdlog.h>
-#include <sys/file.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
-#include <filesystem>
 
 #include "absl/strings/escaping.h"
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/rpc/convert.h"
 #include "common/rpc/refusal.h"
 #include "common/status_macros.h"
-#include "proto/robostress/v1/state.pb.h"
-#include "server/state/session_journal.h"
-#include "server/state/state_records.h"
 
 namespace robostress {
 namespace {
-
-constexpr char kClosed[] = "closed-";  // folders on their way out
-constexpr char kSession[] = "session-";
 
 absl::StatusOr<std::string> RandomHex(int bytes) {
   std::string random(static_cast<size_t>(bytes), '\0');
@@ -41,28 +27,6 @@ bool SameSecret(const std::string& a, const std::string& b) {
   return a.size() == b.size() && CRYPTO_memcmp(a.data(), b.data(), a.size()) == 0;
 }
 
-v1::StateHeader HeaderOf(const std::string& id, const std::string& token_sha256,
-                         const SessionRequest& request, const std::string& model_hash) {
-  v1::StateHeader header;
-  header.set_session_id(id);
-  header.set_token_sha256(token_sha256);
-  *header.mutable_spec() = ToProto(request.spec);
-  *header.mutable_guard() = ToRecord(request.guard);
-  header.set_priority(ToProto(request.scheduling.priority));
-  header.set_deadline_ms(static_cast<uint32_t>(request.scheduling.deadline_ms));
-  header.set_model_hash(model_hash);
-  return header;
-}
-
-absl::StatusOr<SessionRequest> RequestOf(const v1::StateHeader& header) {
-  SessionRequest request;
-  RS_ASSIGN_OR_RETURN(request.spec, FromProto(header.spec()));
-  RS_ASSIGN_OR_RETURN(request.guard, FromRecord(header.guard()));
-  RS_ASSIGN_OR_RETURN(request.scheduling.priority, FromProto(header.priority()));
-  request.scheduling.deadline_ms = static_cast<int>(header.deadline_ms());
-  return request;
-}
-
 }  // namespace
 
 SessionRegistry::SessionRegistry(const SessionRegistryOptions& options, ResourcesOf resources_of,
@@ -73,8 +37,8 @@ absl::StatusOr<std::unique_ptr<SessionRegistry>> SessionRegistry::Create(
     const SessionRegistryOptions& options, ResourcesOf resources_of, Clock* clock) {
   auto registry = std::unique_ptr<SessionRegistry>(
       new SessionRegistry(options, std::move(resources_of), clock));
-  if (registry->durable()) {
-    RS_RETURN_IF_ERROR(registry->TakeFolder());
+  if (!options.state_dir.empty()) {
+    RS_ASSIGN_OR_RETURN(registry->folders_, SessionFolders::Open(options.state_dir));
     registry->FindStored();
   }
   if (options.expire_after != absl::InfiniteDuration())
@@ -89,67 +53,21 @@ SessionRegistry::~SessionRegistry() {
   }
   if (sweeper_.joinable()) sweeper_.join();
   CancelAll();
-  if (lock_fd_ >= 0) ::close(lock_fd_);
 }
 
 // ------------------------------------------------------------------------------------------- disk
 
-absl::Status SessionRegistry::TakeFolder() {
-  RS_RETURN_IF_ERROR(MakeDirectories(options_.state_dir));
-  const std::string path = options_.state_dir + "/LOCK";
-  lock_fd_ = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
-  if (lock_fd_ < 0) {
-    return absl::PermissionDeniedError(
-        absl::StrCat("cannot open '", path, "': ", std::strerror(errno), "; correct --state-dir"));
-  }
-  if (::flock(lock_fd_, LOCK_EX | LOCK_NB) == 0) return absl::OkStatus();
-  return absl::UnavailableError(absl::StrCat("another server keeps its sessions in '",
-                                             options_.state_dir,
-                                             "'; give each one its own --state-dir"));
-}
-
-std::string SessionRegistry::FolderOf(const std::string& id) const {
-  return absl::StrCat(options_.state_dir, "/", id);
-}
-
-void SessionRegistry::RemoveFolder(const std::string& id) const {
-  if (!durable()) return;
-  // The rename is the moment of closing: what is left of the removal is removed at the next start.
-  std::error_code error;
-  const std::string closed = absl::StrCat(options_.state_dir, "/", kClosed, id);
-  std::filesystem::rename(FolderOf(id), closed, error);
-  if (!error) SyncDirectory(options_.state_dir).IgnoreError();
-  if (!error) std::filesystem::remove_all(closed, error);
-  if (error) spdlog::error("{}: cannot remove its folder: {}", id, error.message());
-}
-
 void SessionRegistry::FindStored() {
-  std::error_code error;
-  std::vector<std::string> names;
-  for (const auto& entry : std::filesystem::directory_iterator(options_.state_dir, error))
-    names.push_back(entry.path().filename().string());
   absl::MutexLock lock(&mu_);
-  for (const std::string& name : names) {
-    if (absl::StartsWith(name, kClosed)) {
-      std::filesystem::remove_all(FolderOf(name), error);
-      continue;
-    }
-    if (!absl::StartsWith(name, kSession)) continue;
-    Entry entry;
+  for (SessionFolders::Stored& stored : folders_->Find()) {
+    Entry& entry = entries_[stored.id];
+    entry.request = std::move(stored.request);
+    entry.token_sha256 = std::move(stored.token_sha256);
+    entry.unreadable = std::move(stored.readable);
     entry.last_used_ns = clock_->now_ns();
-    const absl::StatusOr<v1::StateHeader> header = SessionJournal::ReadHeader(FolderOf(name));
-    entry.unreadable = header.status();
-    if (header.ok()) {
-      const absl::StatusOr<SessionRequest> request = RequestOf(*header);
-      entry.unreadable = request.status();
-      if (request.ok()) entry.request = *request;
-      entry.token_sha256 = header->token_sha256();
-    }
-    if (!entry.unreadable.ok()) spdlog::error("{}: {}", name, entry.unreadable.ToString());
-    entries_[name] = std::move(entry);
   }
   if (!entries_.empty())
-    spdlog::info("{} sessions are on disk in {}", entries_.size(), options_.state_dir);
+    spdlog::info("{} sessions are on disk in {}", entries_.size(), folders_->state_dir());
 }
 
 absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::ReadFromDisk(
@@ -162,7 +80,7 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::ReadFromDisk(
   }
   RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session,
                       Session::Create(request.spec, resources, owner, request.guard));
-  const absl::Status status = session->Recover(FolderOf(id));
+  const absl::Status status = session->Recover(folders_->PathOf(id));
   if (status.ok()) return session;
   session->Cancel();
   return status;
@@ -240,7 +158,7 @@ absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& reques
   OpenedSession opened;
   RS_ASSIGN_OR_RETURN(const std::string name, RandomHex(8));
   RS_ASSIGN_OR_RETURN(opened.token, RandomHex(16));
-  opened.id = kSession + name;
+  opened.id = SessionFolders::kPrefix + name;
   RS_RETURN_IF_ERROR(TakePlace());
   uint64_t owner = 0;
   {
@@ -259,17 +177,13 @@ absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& reques
     RS_ASSIGN_OR_RETURN(opened.session,
                         Session::Create(request.spec, resources, owner, request.guard));
     if (!durable()) return absl::OkStatus();
-    RS_ASSIGN_OR_RETURN(
-        auto journal,
-        SessionJournal::Create(FolderOf(opened.id), HeaderOf(opened.id, token_sha256, request,
-                                                             resources.policy->spec().model_hash)));
+    RS_ASSIGN_OR_RETURN(auto journal, folders_->Create(opened.id, token_sha256, request,
+                                                       resources.policy->spec().model_hash));
     opened.session->SetJournal(std::move(journal));
     return absl::OkStatus();
   };
   if (absl::Status status = make(); !status.ok()) {
     GivePlaceBack();
-    std::error_code error;
-    if (durable()) std::filesystem::remove_all(FolderOf(opened.id), error);
     return status;
   }
   absl::MutexLock lock(&mu_);
@@ -381,7 +295,7 @@ absl::Status SessionRegistry::Close(const std::string& id) {
     }
     entries_.erase(found);
   }
-  RemoveFolder(id);
+  if (durable()) folders_->Remove(id);
   return absl::OkStatus();
 }
 
@@ -486,7 +400,7 @@ void SessionRegistry::ExpireUnused() {
   }
   for (const std::string& id : expired) {
     spdlog::warn("{} was not used for {}: closed", id, absl::FormatDuration(options_.expire_after));
-    RemoveFolder(id);
+    if (durable()) folders_->Remove(id);
   }
 }
 

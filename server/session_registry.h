@@ -14,10 +14,10 @@
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
-#include "adapter/update_guard.h"
 #include "common/clock.h"
-#include "common/rpc/session_spec.h"
 #include "server/session.h"
+#include "server/session_request.h"
+#include "server/state/session_folders.h"
 
 namespace robostress {
 
@@ -32,13 +32,6 @@ struct SessionRegistryOptions {
   // Unused for this long a session is closed, on disk too. Counted by the monotonic clock while the
   // server runs, so a wall clock that jumps closes nothing.
   absl::Duration expire_after = absl::InfiniteDuration();
-};
-
-// What a client asks for when it opens a session.
-struct SessionRequest {
-  SessionSpec spec;
-  GuardOptions guard;
-  SessionScheduling scheduling;
 };
 
 struct OpenedSession {
@@ -105,7 +98,7 @@ class SessionRegistry {
   // Priority and deadline that a session was opened with.
   absl::StatusOr<SessionScheduling> SchedulingOf(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
   int open_sessions() const ABSL_LOCKS_EXCLUDED(mu_);
-  bool durable() const { return !options_.state_dir.empty(); }
+  bool durable() const { return folders_ != nullptr; }
   bool draining() const ABSL_LOCKS_EXCLUDED(mu_);
   const SessionRegistryOptions& options() const { return options_; }
 
@@ -131,10 +124,7 @@ class SessionRegistry {
   };
 
   SessionRegistry(const SessionRegistryOptions& options, ResourcesOf resources_of, Clock* clock);
-  absl::Status TakeFolder() ABSL_LOCKS_EXCLUDED(mu_);
   void FindStored() ABSL_LOCKS_EXCLUDED(mu_);
-  std::string FolderOf(const std::string& id) const;
-  void RemoveFolder(const std::string& id) const;
   void Return(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
   // Counts one more session in memory, where one may have to leave it.
   absl::Status TakePlace() ABSL_LOCKS_EXCLUDED(mu_);
@@ -151,7 +141,7 @@ class SessionRegistry {
   const SessionRegistryOptions options_;
   const ResourcesOf resources_of_;
   Clock* const clock_;
-  int lock_fd_ = -1;
+  std::unique_ptr<SessionFolders> folders_;  // null: in memory only
 
   mutable absl::Mutex mu_;
   std::map<std::string, Entry> entries_ ABSL_GUARDED_BY(mu_);

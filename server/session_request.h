@@ -1,0 +1,15 @@
+#pragma once
+
+#include "adapter/update_guard.h"
+#include "common/rpc/session_spec.h"
+
+namespace robostress {
+
+// What a client asks for when it opens a session.
+struct SessionRequest {
+  SessionSpec spec;
+  GuardOptions guard;
+  SessionScheduling scheduling;
+};
+
+}  // namespace robostress

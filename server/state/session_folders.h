@@ -1,0 +1,52 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/session_request.h"
+#include "server/state/session_journal.h"
+
+namespace robostress {
+
+// The folders of a server's sessions in one --state-dir, which this process alone uses.
+class SessionFolders {
+ public:
+  static constexpr char kPrefix[] = "session-";  // of every session's id
+  // A session as its folder describes it.
+  struct Stored {
+    std::string id;
+    SessionRequest request;
+    std::string token_sha256;
+    absl::Status readable;  // otherwise only the id is known
+  };
+
+  // UNAVAILABLE: another server uses the folder.
+  static absl::StatusOr<std::unique_ptr<SessionFolders>> Open(const std::string& state_dir);
+  ~SessionFolders();
+  SessionFolders(const SessionFolders&) = delete;
+  SessionFolders& operator=(const SessionFolders&) = delete;
+
+  const std::string& state_dir() const { return state_dir_; }
+  // Every session that is there; finishes removals that an end of the server interrupted.
+  std::vector<Stored> Find() const;
+  std::string PathOf(const std::string& id) const;
+  // A folder for a new session, with its journal; durable when it returns. Nothing stays after an
+  // error.
+  absl::StatusOr<std::unique_ptr<SessionJournal>> Create(const std::string& id,
+                                                         const std::string& token_sha256,
+                                                         const SessionRequest& request,
+                                                         const std::string& model_hash) const;
+  // Errors are logged. Once it has begun the session is closed, whatever happens to this process.
+  void Remove(const std::string& id) const;
+
+ private:
+  SessionFolders(std::string state_dir, int lock) : state_dir_(std::move(state_dir)), lock_(lock) {}
+
+  const std::string state_dir_;
+  const int lock_;  // file descriptor of state_dir/LOCK
+};
+
+}  // namespace robostress
