@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "common/monotonic_wait.h"
 #include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
@@ -74,7 +75,7 @@ absl::Status Session::AwaitLearned(uint64_t sequence) {
     return cancelled_ || !failure_.ok() ||
            (feedback_sequence_ >= sequence && pending_updates_ == 0);
   };
-  const bool in_time = mu_.AwaitWithTimeout(absl::Condition(&learned), resources_.lockstep_timeout);
+  const bool in_time = AwaitFor(mu_, learned, resources_.lockstep_timeout);
   if (cancelled_) return absl::CancelledError("the session was closed");
   RS_RETURN_IF_ERROR(failure_);
   if (!in_time) {

@@ -10,6 +10,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/monotonic_wait.h"
 #include "common/rpc/refusal.h"
 #include "common/status_macros.h"
 
@@ -356,7 +357,7 @@ bool SessionRegistry::AwaitIdle(absl::Duration timeout) {
     mu_.AssertHeld();
     return in_flight_ == 0;
   };
-  return mu_.AwaitWithTimeout(absl::Condition(&idle), timeout);
+  return AwaitFor(mu_, idle, timeout);
 }
 
 void SessionRegistry::FlushAll() {
@@ -411,7 +412,11 @@ void SessionRegistry::Sweep() {
   while (true) {
     {
       absl::MutexLock lock(&mu_);
-      if (mu_.AwaitWithTimeout(absl::Condition(&stopped_), period)) return;
+      const auto stopped = [this] {
+        mu_.AssertHeld();
+        return stopped_;
+      };
+      if (AwaitFor(mu_, stopped, period)) return;
     }
     ExpireUnused();
   }

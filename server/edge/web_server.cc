@@ -17,6 +17,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/clock.h"
+#include "common/monotonic_wait.h"
 #include "common/status_macros.h"
 #include "server/edge/web_connection.h"
 
@@ -137,7 +138,11 @@ class WebServer::Impl {
     {
       absl::MutexLock lock(&mu_);
       for (Entry& entry : entries_) entry.connection->GoAway();
-      if (!mu_.AwaitWithTimeout(absl::Condition(this, &Impl::NoEntries), grace)) {
+      const auto gone = [this] {
+        mu_.AssertHeld();
+        return NoEntries();
+      };
+      if (!AwaitFor(mu_, gone, grace)) {
         for (Entry& entry : entries_) entry.connection->Cut();
         mu_.Await(absl::Condition(this, &Impl::NoEntries));
       }
