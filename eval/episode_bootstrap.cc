@@ -5,8 +5,7 @@
 
 namespace robostress {
 
-BootstrapResult BootstrapEpisodes(const std::vector<EpisodeValue>& values, int replicates,
-                                  const std::string& label) {
+std::vector<ClusteredValue> ClusterEpisodes(const std::vector<EpisodeValue>& values) {
   std::map<std::tuple<std::string, int, int>, int> numbers;
   for (const EpisodeValue& v : values)
     numbers.emplace(std::tuple(v.suite, v.task, v.initial_state), 0);
@@ -16,7 +15,13 @@ BootstrapResult BootstrapEpisodes(const std::vector<EpisodeValue>& values, int r
   for (const EpisodeValue& v : values) {
     clustered.push_back({numbers.at({v.suite, v.task, v.initial_state}), v.stratum, v.value});
   }
-  return ClusterBootstrap(clustered, replicates, StreamKey("eval/bootstrap").With(label));
+  return clustered;
+}
+
+BootstrapResult BootstrapEpisodes(const std::vector<EpisodeValue>& values, int replicates,
+                                  const std::string& label) {
+  return ClusterBootstrap(ClusterEpisodes(values), replicates,
+                          StreamKey("eval/bootstrap").With(label));
 }
 
 }  // namespace robostress

@@ -15,6 +15,9 @@ struct EpisodeValue {
   double value = 0;
 };
 
+// Numbers the clusters in the order of their names.
+std::vector<ClusteredValue> ClusterEpisodes(const std::vector<EpisodeValue>& values);
+
 // ClusterBootstrap with a stream keyed by `label`, the cell of the table: a number does not depend
 // on what else is in the report.
 BootstrapResult BootstrapEpisodes(const std::vector<EpisodeValue>& values, int replicates,
