@@ -55,7 +55,7 @@ std::string ResidualTableHtml(const SuccessTable& table) {
                     "</td><td style=\"text-align:left\">", MethodLabel(method), "</td><td>",
                     average->second.n, "</td>", cells_of(average->second.measures),
                     "<td class=paper>",
-                    first ? absl::StrFormat("%.1f", kPaperAverage.residual) : "", "</td></tr>\n");
+                    first ? absl::StrFormat("%.1f", PaperAverage().residual) : "", "</td></tr>\n");
     first = false;
   }
   return html + "</table></div>\n";

@@ -33,7 +33,8 @@ void ForEachPair(const std::vector<PairedUnits>& strata, const Use& use) {
       for (const EpisodeRow& row : unit->episodes) {
         const auto pair =
             reference.find({unit->config.suite, unit->config.seed, row.task, row.episode});
-        if (pair != reference.end()) use(*unit, row, *pair->second, static_cast<int>(stratum));
+        if (pair != reference.end() && pair->second->initial_state == row.initial_state)
+          use(*unit, row, *pair->second, static_cast<int>(stratum));
       }
     }
   }

@@ -12,7 +12,8 @@ namespace robostress {
 // Units of one cell of a table. They point into a RunData that outlives them.
 using Units = std::vector<const UnitResult*>;
 
-// A method against a reference on the same episodes: equal suite, seed, task and episode.
+// A method against a reference on the same episodes: equal suite, seed, task, episode and initial
+// state.
 struct Comparison {
   BootstrapResult difference;  // of success rates, method - reference; paired cluster bootstrap
   int pairs = 0;

@@ -23,4 +23,10 @@ std::vector<ClusteredValue> ClusterEpisodes(const std::vector<EpisodeValue>& val
 BootstrapResult BootstrapEpisodes(const std::vector<EpisodeValue>& values, int replicates,
                                   const std::string& label);
 
+// Mean of `values` minus mean of `others`, two samples that share nothing: clusters of each are
+// resampled apart, and the interval is of the differences of their replicates.
+BootstrapResult BootstrapUnpaired(const std::vector<EpisodeValue>& values,
+                                  const std::vector<EpisodeValue>& others, int replicates,
+                                  const std::string& label);
+
 }  // namespace robostress

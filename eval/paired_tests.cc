@@ -10,7 +10,7 @@
 namespace robostress {
 namespace {
 
-constexpr double kMostAdditions = 1e8;
+constexpr double kMostAdditions = 3e7;
 constexpr int64_t kLargestMultiple = 1'000'000;
 
 // Sum and count of one cluster within one stratum.

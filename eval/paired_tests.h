@@ -25,7 +25,7 @@ inline constexpr int kSignFlipDraws = 20000;
 // signs of all differences of a cluster flip together, each way with probability 1/2; the statistic
 // is that of ClusterBootstrap, the mean over strata of the means within. With one pair in each
 // cluster and one stratum it is ExactMcNemar. Differences that are whole numbers (0/1 outcomes) are
-// enumerated where that takes less than 10^8 additions; otherwise `key` seeds the draws, and p = (1
+// enumerated where that takes fewer than 3e7 additions; otherwise `key` seeds the draws, and p = (1
 // + hits) / (1 + draws) (Phipson & Smyth 2010). Without a difference p is 1.
 SignFlipResult ClusterSignFlipTest(const std::vector<ClusteredValue>& differences,
                                    const StreamKey& key);

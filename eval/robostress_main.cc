@@ -22,6 +22,7 @@ struct Command {
 constexpr Command kCommands[] = {
     {"sweep", "Evaluate policies and methods over suites and scenarios, then report"},
     {"report", "Write the report page and tables of a run directory"},
+    {"paper", "One table of the paper: planned, run and laid out beside the published numbers"},
     {"residual", "Measure residual magnitudes for both goal references, and their controller lag"},
     {"calibrate", "Find what a model of a measured robot lacks, add it, report before and after"},
     {"fidelity", "Compare Heavy Payload and Gaussian action noise with a real payload"},

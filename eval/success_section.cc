@@ -82,8 +82,8 @@ std::string SuccessTableHtml(const SuccessTable& table) {
     }
     absl::StrAppendFormat(&html,
                           "<td class=paper>%.1f / %.1f</td><td class=paper>%.1f / %.1f</td></tr>\n",
-                          kPaperAverage.pi0_base, kPaperAverage.pi0_ours, kPaperAverage.pi05_base,
-                          kPaperAverage.pi05_ours);
+                          PaperAverage().pi0_base, PaperAverage().pi0_ours, PaperAverage().pi05_base,
+                          PaperAverage().pi05_ours);
   }
   return html + "</table></div>\n";
 }

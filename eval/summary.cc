@@ -53,13 +53,13 @@ std::vector<PairedUnits> StrataOf(const Grid& grid, const std::vector<std::strin
 }
 
 Contrasts MakeContrasts(const Grid& grid, const std::vector<std::string>& scenarios,
-                        const std::string& method, bool adapts, int replicates,
+                        const std::string& method, bool controls, int replicates,
                         const std::string& label) {
   Contrasts contrasts;
   if (method == "base") return contrasts;
   const std::vector<PairedUnits> base = StrataOf(grid, scenarios, method, "base");
   contrasts.versus_base = CompareOnPairs(base, replicates, label);
-  if (!adapts) return contrasts;
+  if (!controls) return contrasts;
   for (const std::string control : {"gain", "null"}) {
     const std::optional<Comparison> comparison =
         CompareOnPairs(StrataOf(grid, scenarios, method, control), replicates,
@@ -101,8 +101,8 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
   average.success = BootstrapEpisodes(successes, replicates, label + "/average");
   average.seeds = SpreadOverSeeds(strata);
   average.measures = MeanMeasures(measures);
-  average.contrasts = MakeContrasts(grid, scenarios, method, average.adapts, replicates,
-                                    label + "/average difference");
+  average.contrasts = MakeContrasts(grid, scenarios, method, average.adapts && table.suite.empty(),
+                                    replicates, label + "/average difference");
   return average;
 }
 
@@ -168,8 +168,8 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
     ScenarioRow row{scenario, ScenarioTitle(scenario), {}};
     for (const auto& [method, cell_units] : by_method->second) {
       Cell cell = MakeCell(cell_units);
-      cell.contrasts = MakeContrasts(grid, {scenario}, method, cell.adapts, replicates,
-                                     absl::StrCat(label, "/", scenario, "/", method));
+      cell.contrasts = MakeContrasts(grid, {scenario}, method, cell.adapts && suite.empty(),
+                                     replicates, absl::StrCat(label, "/", scenario, "/", method));
       row.cells.emplace(method, std::move(cell));
     }
     table.rows.push_back(std::move(row));

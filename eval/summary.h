@@ -16,10 +16,10 @@ namespace robostress {
 // A method beside base and beside the controls, on the same episodes.
 struct Contrasts {
   std::optional<Comparison> versus_base;
-  // Of adapting methods: against "gain" (every command scaled by one constant) and "null" (other
-  // sampling noise), where the run has them.
+  // In tables over all suites, of adapting methods: against "gain" (every command scaled by one
+  // constant) and "null" (other sampling noise), where the run has them.
   std::map<std::string, Comparison> versus_control;
-  // Of adapting methods against base: after the first update beside unadapted.
+  // There too, against base: after the first update beside unadapted.
   std::optional<BeforeAfter> residual, intent;
 };
 

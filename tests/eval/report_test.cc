@@ -74,9 +74,9 @@ TEST(ReportPage, SaysWhatTheDifferencesAreWorth) {
 TEST(EpisodesNeeded, CountsTheDesignEffectAndRefusesWhatCannotBe) {
   Comparison comparison;
   comparison.pairs = 100, comparison.plus = 15, comparison.minus = 15;
-  EXPECT_EQ(EpisodesNeededText(comparison, 5), "939");
+  EXPECT_EQ(EpisodesNeededText(comparison, 5), "940");
   comparison.design_effect = 2;
-  EXPECT_EQ(EpisodesNeededText(comparison, 5), "1878");
+  EXPECT_EQ(EpisodesNeededText(comparison, 5), "1880");
   EXPECT_EQ(EpisodesNeededText(comparison, 40), "") << "30 % of the outcomes differ";
 }
 
