@@ -98,7 +98,8 @@ std::string HtmlRows(const TextRows& rows) {
   for (size_t r = 0; r < rows.size(); ++r) {
     html += "<tr>";
     for (const std::string& cell : rows[r])
-      absl::StrAppend(&html, r == 0 ? "<th>" : "<td>", EscapeXml(Minus(cell)),
+      absl::StrAppend(&html, r == 0 ? "<th>" : "<td>",
+                      EscapeXml(r == 0 || &cell == &rows[r].front() ? cell : Minus(cell)),
                       r == 0 ? "</th>" : "</td>");
     html += "</tr>\n";
   }
@@ -196,8 +197,11 @@ std::string FilledJson(const FilledTable& table) {
 
 std::string FilledPage(const FilledTable& table, const std::string& videos) {
   std::string html = PageHead(absl::StrCat("RoboStress: ", table.name));
-  absl::StrAppend(&html, "<header><div class=wrap><h1>", EscapeXml(table.caption), "</h1><p>",
-                  EscapeXml(table.label),
+  // Wide tables: ours, two backbones of the paper, controls.
+  absl::StrAppend(&html,
+                  "<style>.wrap{max-width:1560px}th,td{padding:5px 8px}</style>\n"
+                  "<header><div class=wrap><h1>",
+                  EscapeXml(table.caption), "</h1><p>", EscapeXml(table.label),
                   " of the paper; our numbers beside the published ones</p></div></header>\n<main "
                   "class=wrap>\n<h2>The table</h2>\n",
                   HtmlTable(table),

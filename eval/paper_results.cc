@@ -136,21 +136,22 @@ TextRows Differences(const PaperTable& table, const Filler& filler) {
     for (const PaperContrast& contrast : table.contrasts)
       all.back().push_back(filler.Contrast(scenarios, contrast));
   }
-  // One family of the scenarios, one of the averages.
-  for (const bool averages : {false, true}) {
-    std::vector<Comparison*> family;
+  const auto correct = [](const std::vector<Comparison*>& family) {
     std::vector<double> p_values;
-    for (size_t r = 0; r < rows.size(); ++r) {
-      if ((rows[r].first == "Average") != averages) continue;
-      for (std::optional<Comparison>& c : all[r]) {
-        if (!c) continue;
-        family.push_back(&*c);
-        p_values.push_back(c->p_value);
-      }
-    }
+    for (const Comparison* c : family) p_values.push_back(c->p_value);
     const std::vector<double> adjusted = HolmAdjust(p_values);
     for (size_t i = 0; i < family.size(); ++i) family[i]->p_holm = adjusted[i];
+  };
+  // Each contrast over its scenarios; the averages among themselves.
+  std::vector<Comparison*> averages;
+  for (size_t c = 0; c < table.contrasts.size(); ++c) {
+    std::vector<Comparison*> scenarios;
+    for (size_t r = 0; r < rows.size(); ++r) {
+      if (all[r][c]) (rows[r].first == "Average" ? averages : scenarios).push_back(&*all[r][c]);
+    }
+    correct(scenarios);
   }
+  correct(averages);
   TextRows text = {{"Points [95 %] won/lost"}};
   for (const auto& [title, scenarios] : rows) text[0].push_back(title);
   for (size_t c = 0; c < table.contrasts.size(); ++c) {
@@ -223,7 +224,7 @@ std::vector<std::string> Notes(const PaperTable& table, const PaperProtocol& pro
         "Differences pair episodes of equal suite, seed, task and initial state; intervals: "
         "cluster "
         "bootstrap over (task, initial state); p: signs of a cluster's differences flipped "
-        "together; Holm: over this table's scenarios, averages among themselves.");
+        "together; Holm: each difference over its scenarios, the averages among themselves.");
   }
   return notes;
 }
@@ -288,9 +289,14 @@ FilledTable FillPaperTable(const PaperTable& table, const PaperProtocol& protoco
         filled.rows[r].cells.push_back(filler.Cell(rows[r].second, column));
     }
     if (!group.columns.empty()) filled.groups.push_back(group);
+    // Between the paper's columns and the controls, which it does not have.
+    if (!control) AddPublished(published, keys, filled);
   }
-  AddPublished(published, keys, filled);
-  if (table.measure == PaperMeasure::kSuccess) MarkBest(filled);
+  // Columns of one level or another do not compete.
+  const bool one_level = std::all_of(
+      table.columns.begin(), table.columns.end(),
+      [&](const PaperColumn& column) { return column.severity == table.columns[0].severity; });
+  if (table.measure == PaperMeasure::kSuccess && one_level) MarkBest(filled);
   filled.differences = Differences(table, filler);
   filled.notes = Notes(table, protocol, published, run, planned);
   if (table.name == "severity" && !run.units.empty()) {

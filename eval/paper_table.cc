@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
 
 namespace robostress {
 namespace {
@@ -104,6 +105,16 @@ void AddOnce(std::vector<T>& values, const T& value) {
   if (std::find(values.begin(), values.end(), value) == values.end()) values.push_back(value);
 }
 
+// LIBERO's suite of the same idea; the name itself when there is none.
+std::string LiberosSuite(const std::string& embedded) {
+  const SuiteInfo* ours = FindSuite(embedded);
+  for (const SuiteInfo& suite : AllSuites()) {
+    if (ours != nullptr && suite.needs_libero && suite.title == "LIBERO-" + ours->title)
+      return suite.name;
+  }
+  return embedded;
+}
+
 }  // namespace
 
 const std::string& PaperProtocol::PolicyOf(PolicyRole role) const {
@@ -149,8 +160,7 @@ PaperProtocol FullProtocol() {
 }
 
 PaperProtocol OnLibero(PaperProtocol protocol, const std::string& checkpoint) {
-  for (std::string& suite : protocol.grid.suites)
-    suite = absl::StrCat("libero_", suite.substr(suite.find('_') + 1));
+  for (std::string& suite : protocol.grid.suites) suite = LiberosSuite(suite);
   protocol.grid.overrides.push_back(kPaperLearningRate);
   protocol.base = checkpoint;
   protocol.cloning.clear();

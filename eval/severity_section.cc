@@ -12,7 +12,7 @@
 namespace robostress {
 namespace {
 
-constexpr int kPanelWidth = 268, kPanelHeight = 176;
+constexpr int kPanelWidth = 304, kPanelHeight = 176;
 
 // A scenario in a suite: success by method and level.
 struct Panel {
@@ -71,7 +71,7 @@ LinePlotOptions LevelAxis() {
 }
 
 std::string PanelPlot(const Panel& panel, const std::vector<std::string>& methods,
-                      const std::string& title) {
+                      const std::string& scenario, const std::string& suite) {
   std::vector<LineSeries> series;
   for (const std::string& method : methods) {
     const auto levels = panel.cells.find(method);
@@ -86,7 +86,8 @@ std::string PanelPlot(const Panel& panel, const std::vector<std::string>& method
     series.push_back(std::move(line));
   }
   LinePlotOptions options = LevelAxis();
-  options.title = title;
+  options.title = absl::StrCat(ScenarioTitle(scenario), " (", CountText(panel), ")");
+  options.x_label = absl::StrCat(suite, ", severity level");
   options.width = kPanelWidth;
   options.height = kPanelHeight;
   return LinePlot(series, options);
@@ -143,9 +144,7 @@ std::string SeverityFigure(const Summary& summary, const std::string& policy) {
       const auto panel = grid.panels.find({scenario, suite});
       plots.push_back(panel == grid.panels.end()
                           ? ""
-                          : PanelPlot(panel->second, grid.methods,
-                                      absl::StrCat(ScenarioTitle(scenario), ", ", suite, ", ",
-                                                   CountText(panel->second))));
+                          : PanelPlot(panel->second, grid.methods, scenario, suite));
     }
   }
   PlotSheetOptions options;

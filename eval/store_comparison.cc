@@ -303,7 +303,9 @@ std::string StoreJson(const StoreComparison& comparison) {
 
 std::string StorePage(const StoreComparison& comparison) {
   std::string html = PageHead("RoboStress: two stores");
-  absl::StrAppend(&html, "<header><div class=wrap><h1>Two stores beside each other</h1><p>first: ",
+  absl::StrAppend(&html,
+                  "<style>.wrap{max-width:1400px}</style>\n<header><div class=wrap><h1>Two stores "
+                  "beside each other</h1><p>first: ",
                   EscapeXml(comparison.first), " \u00b7 second: ", EscapeXml(comparison.second),
                   "</p></div></header>\n<main class=wrap>\n<div class=scroll><table>");
   const TextRows rows = StoreCells(comparison);

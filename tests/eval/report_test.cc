@@ -92,7 +92,8 @@ TEST(SeverityFigure, HasAPanelForEveryScenarioAndSuiteWithItsCount) {
   }
   const Summary summary = Summarise(run, 10);
   const std::string figure = SeverityFigure(summary, "nano");
-  for (const char* title : {"Heavy Payload, Goal, n = 3", "Aged Joint-Elbow, Long, n = 3"})
+  for (const char* title : {"Heavy Payload (n = 3)", "Goal, severity level",
+                            "Aged Joint-Elbow (n = 3)", "Long, severity level"})
     EXPECT_THAT(figure, HasSubstr(title));
   EXPECT_THAT(ReportPage(run, summary, {}), HasSubstr("id=severity"));
   EXPECT_EQ(SeverityFigure(summary, "other"), "");
