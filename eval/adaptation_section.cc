@@ -50,7 +50,7 @@ std::string ResidualTableHtml(const SuccessTable& table) {
   bool first = true;
   for (const std::string& method : table.methods) {
     const auto average = table.averages.find(method);
-    if (average == table.averages.end()) continue;
+    if (average == table.averages.end() || average->second.n == 0) continue;
     absl::StrAppend(&html, first ? "<tr class=avg><td>Average without Clean" : "<tr><td>",
                     "</td><td style=\"text-align:left\">", MethodLabel(method), "</td><td>",
                     average->second.n, "</td>", cells_of(average->second.measures),

@@ -198,17 +198,18 @@ std::string FilledJson(const FilledTable& table) {
 std::string FilledPage(const FilledTable& table, const std::string& videos) {
   std::string html = PageHead(absl::StrCat("RoboStress: ", table.name));
   // Wide tables: ours, two backbones of the paper, controls.
-  absl::StrAppend(&html,
-                  "<style>.wrap{max-width:1560px}th,td{padding:5px 8px}</style>\n"
-                  "<header><div class=wrap><h1>",
-                  EscapeXml(table.caption), "</h1><p>", EscapeXml(table.label),
-                  " of the paper; our numbers beside the published ones</p></div></header>\n<main "
-                  "class=wrap>\n<h2>The table</h2>\n",
-                  HtmlTable(table),
-                  "<p class=note>Ours with 95 % intervals: Wilson's for a success rate, the "
-                  "cluster bootstrap over (task, initial state) for an average and a residual. n: "
-                  "episodes of each of our cells. Bold: best of its group, as in the paper; it is "
-                  "no test.</p>\n");
+  absl::StrAppend(
+      &html,
+      "<style>.wrap{max-width:1560px}th,td{padding:5px 8px}tr.avg td{font-weight:400}</style>\n"
+      "<header><div class=wrap><h1>",
+      EscapeXml(table.caption), "</h1><p>", EscapeXml(table.label),
+      " of the paper; our numbers beside the published ones</p></div></header>\n<main "
+      "class=wrap>\n<h2>The table</h2>\n",
+      HtmlTable(table),
+      "<p class=note>Ours with 95 % intervals: Wilson's for a success rate, the "
+      "cluster bootstrap over (task, initial state) for an average and a residual. n: "
+      "episodes of each of our cells. Bold: best of its group, as in the paper; it is "
+      "no test.</p>\n");
   if (!table.differences.empty())
     absl::StrAppend(&html, "<h2>Differences on the same episodes</h2>\n",
                     HtmlRows(table.differences));

@@ -168,7 +168,7 @@ bool IsDone(const std::string& out, const PlannedUnit& unit) {
   return std::filesystem::exists(absl::StrCat(out, "/units/", unit.id, "/DONE"));
 }
 
-int PrintPlan(const CommandLine& line, const std::vector<Work>& all) {
+int PrintTables(const CommandLine& line, const std::vector<Work>& all) {
   for (const Work& work : all) {
     if (!work.table.program.empty()) {
       const auto command =
@@ -219,9 +219,10 @@ absl::StatusOr<int> RunTable(CommandLine& line, const PaperProtocol& protocol, c
     AnnouncePlan(absl::StrCat(kCommand, " ", work.table.name), units, line.launch);
     RS_ASSIGN_OR_RETURN(MergedSweep merged, RunAndMerge(kCommand, grid, units, line.launch));
     code = std::max(code, ExitCodeOf(merged.outcome));
-    if (merged.outcome.interrupted) return code;
+    if (code > 128) return code;  // interrupted
     if (merged.run) run = *std::move(merged.run);
   }
+  if (run.units.empty()) return code;  // nothing is finished here yet
   const RunData chosen = UnitsOf(run, work.units);
   FilledTable table =
       FillPaperTable(work.table, protocol, chosen, work.units, line.bootstrap_replicates);
@@ -244,13 +245,13 @@ int Run(const CLI::App& app, CommandLine& line) {
     line.out = absl::StrCat("runs/paper-", line.full ? "full" : "quick",
                             line.weights.empty() ? "" : "-libero");
   }
-  if (line.dry_run) return PrintPlan(line, *all);
+  if (line.dry_run) return PrintTables(line, *all);
   int code = 0;
   for (const Work& work : *all) {
     const absl::StatusOr<int> of_table = RunTable(line, *protocol, work);
     // A table that cannot be made does not keep the others from being made.
     code = std::max(code, of_table.ok() ? *of_table : FailCommand(kCommand, of_table.status()));
-    if (code == 130) break;
+    if (code > 128) break;  // interrupted
   }
   return code;
 }

@@ -100,6 +100,7 @@ std::string AveragePlot(const Summary& summary, const std::string& policy) {
   for (const SuccessTable& table : summary.tables) {
     if (table.policy != policy || !table.suite.empty()) continue;
     for (const auto& [method, average] : table.averages) {
+      if (average.n == 0) continue;
       LineSeries& line =
           lines.try_emplace(method, LineSeries{method, MethodColor(method), {}, {}, {}, {}, ""})
               .first->second;

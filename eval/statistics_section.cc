@@ -118,7 +118,10 @@ std::string SeedTable(const SuccessTable& table) {
   if (!table.averages.empty()) {
     row(
         "Average without Clean",
-        [&](const std::string& method) -> const AverageCell* { return &table.averages.at(method); },
+        [&](const std::string& method) -> const AverageCell* {
+          const AverageCell& average = table.averages.at(method);
+          return average.n == 0 ? nullptr : &average;
+        },
         true);
   }
   if (seeds < 2) return "";
