@@ -5,6 +5,8 @@
 #include <limits>
 #include <map>
 
+#include "common/bootstrap_replicates.h"
+
 namespace robostress {
 namespace {
 
@@ -45,6 +47,49 @@ class Accumulator {
   std::vector<int64_t> counts_;
 };
 
+// Sums and counts of every cluster within every stratum, strata numbered from 0.
+struct ClusterTable {
+  std::vector<std::vector<Part>> clusters;
+  int strata = 0;
+};
+
+ClusterTable TableOf(const std::vector<ClusteredValue>& values) {
+  std::map<int, std::map<int, Part>> by_cluster;
+  std::map<int, int> strata;
+  for (const ClusteredValue& value : values) strata.emplace(value.stratum, 0);
+  int next = 0;
+  for (auto& [stratum, index] : strata) index = next++;
+  for (const ClusteredValue& value : values) {
+    Part& part = by_cluster[value.cluster][value.stratum];
+    part.stratum = strata[value.stratum];
+    part.sum += value.value;
+    ++part.count;
+  }
+  ClusterTable table;
+  table.strata = next;
+  for (const auto& [cluster, parts] : by_cluster) {
+    table.clusters.emplace_back();
+    for (const auto& [stratum, part] : parts) table.clusters.back().push_back(part);
+  }
+  return table;
+}
+
+std::vector<double> Replicates(const ClusterTable& table, int replicates, const StreamKey& key) {
+  const int count = static_cast<int>(table.clusters.size());
+  if (count < 2 || replicates < 1) return {};
+  Accumulator accumulator(table.strata);
+  RandomStream stream(key);
+  std::vector<double> means(replicates);
+  for (double& mean : means) {
+    accumulator.Reset();
+    for (int draw = 0; draw < count; ++draw) {
+      for (const Part& part : table.clusters[stream.UniformInt(count)]) accumulator.Add(part);
+    }
+    mean = accumulator.Mean();
+  }
+  return means;
+}
+
 }  // namespace
 
 Interval WilsonInterval(int successes, int n) {
@@ -66,44 +111,24 @@ double Quantile(const std::vector<double>& sorted, double q) {
   return sorted[below] + (position - below) * (sorted[above] - sorted[below]);
 }
 
+std::vector<double> ClusterReplicates(const std::vector<ClusteredValue>& values, int replicates,
+                                      const StreamKey& key) {
+  return Replicates(TableOf(values), replicates, key);
+}
+
 BootstrapResult ClusterBootstrap(const std::vector<ClusteredValue>& values, int replicates,
                                  const StreamKey& key) {
-  std::map<int, std::map<int, Part>> by_cluster;
-  std::map<int, int> strata;
-  for (const ClusteredValue& value : values) strata.emplace(value.stratum, 0);
-  int next = 0;
-  for (auto& [stratum, index] : strata) index = next++;
-  for (const ClusteredValue& value : values) {
-    Part& part = by_cluster[value.cluster][value.stratum];
-    part.stratum = strata[value.stratum];
-    part.sum += value.value;
-    ++part.count;
-  }
-  std::vector<std::vector<Part>> clusters;
-  for (const auto& [cluster, parts] : by_cluster) {
-    clusters.emplace_back();
-    for (const auto& [stratum, part] : parts) clusters.back().push_back(part);
-  }
-
-  Accumulator accumulator(static_cast<int>(strata.size()));
-  for (const auto& cluster : clusters) {
+  const ClusterTable table = TableOf(values);
+  Accumulator accumulator(table.strata);
+  for (const auto& cluster : table.clusters) {
     for (const Part& part : cluster) accumulator.Add(part);
   }
   BootstrapResult result;
   result.estimate = accumulator.Mean();
-  result.clusters = static_cast<int>(clusters.size());
+  result.clusters = static_cast<int>(table.clusters.size());
   result.interval = {kNaN, kNaN};
-  if (clusters.size() < 2 || replicates < 1) return result;
-
-  RandomStream stream(key);
-  std::vector<double> means(replicates);
-  for (double& mean : means) {
-    accumulator.Reset();
-    for (size_t draw = 0; draw < clusters.size(); ++draw) {
-      for (const Part& part : clusters[stream.UniformInt(result.clusters)]) accumulator.Add(part);
-    }
-    mean = accumulator.Mean();
-  }
+  std::vector<double> means = Replicates(table, replicates, key);
+  if (means.empty()) return result;
   std::sort(means.begin(), means.end());
   result.interval = {Quantile(means, 0.025), Quantile(means, 0.975)};
   return result;

@@ -12,6 +12,8 @@
 #include "eval/paper_values.h"
 #include "eval/progress.h"
 #include "eval/report_page.h"
+#include "eval/severity_section.h"
+#include "eval/success_section.h"
 #include "eval/text_table.h"
 #include "nlohmann/json.hpp"
 
@@ -69,7 +71,8 @@ std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
       const Cell& cell = found->second;
       cells.push_back(absl::StrCat(Percent(cell.rate()), " ", IntervalText(cell.wilson)));
       if (method == "base") continue;
-      cells.push_back(cell.versus_base ? DifferenceText(*cell.versus_base) : "-");
+      cells.push_back(cell.contrasts.versus_base ? DifferenceText(*cell.contrasts.versus_base)
+                                                 : "-");
       cells.push_back(UpdatesText(cell.adapts, cell.updates));
     }
     rows.push_back(cells);
@@ -83,7 +86,8 @@ std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
                                        IntervalText(average.success.interval))
                         : "-");
     if (method == "base") continue;
-    cells.push_back(average.versus_base ? DifferenceText(*average.versus_base) : "-");
+    cells.push_back(average.contrasts.versus_base ? DifferenceText(*average.contrasts.versus_base)
+                                                  : "-");
     cells.push_back(UpdatesText(average.adapts, average.updates));
   }
   rows.push_back(cells);
@@ -129,7 +133,37 @@ json ComparisonJson(const std::optional<Comparison>& c) {
           {"clusters", c->difference.clusters},
           {"pairs", c->pairs},
           {"plus", c->plus},
-          {"minus", c->minus}};
+          {"minus", c->minus},
+          {"p_value", c->p_value},
+          {"p_enumerated", c->p_exact},
+          {"p_holm", NumberOrNull(c->p_holm)},
+          {"mcnemar_p", c->mcnemar_p},
+          {"design_effect", c->design_effect}};
+}
+
+json BeforeAfterJson(const std::optional<BeforeAfter>& b) {
+  if (!b) return nullptr;
+  return {{"pairs", b->pairs},
+          {"before", b->before},
+          {"after", b->after},
+          {"change", NumberOrNull(b->change.estimate)},
+          {"interval", IntervalJson(b->change.interval)}};
+}
+
+json SeedsJson(const SeedSpread& spread) {
+  return {{"seeds", spread.seeds},
+          {"means", spread.means},
+          {"mean", NumberOrNull(spread.mean)},
+          {"standard_deviation", NumberOrNull(spread.deviation)}};
+}
+
+// Beside versus_base, which stands first.
+void AddContrasts(const Contrasts& contrasts, json& cell) {
+  cell["versus_base"] = ComparisonJson(contrasts.versus_base);
+  for (const auto& [control, comparison] : contrasts.versus_control)
+    cell["versus_" + control] = ComparisonJson(comparison);
+  if (contrasts.residual) cell["residual_before_after"] = BeforeAfterJson(contrasts.residual);
+  if (contrasts.intent) cell["intent_before_after"] = BeforeAfterJson(contrasts.intent);
 }
 
 json MeasuresJson(const Measures& m) {
@@ -155,8 +189,9 @@ json TableJson(const SuccessTable& table) {
                        {"units", cell.units},
                        {"adapts", cell.adapts},
                        {"updates", cell.updates},
-                       {"measures", MeasuresJson(cell.measures)},
-                       {"versus_base", ComparisonJson(cell.versus_base)}};
+                       {"seeds", SeedsJson(cell.seeds)},
+                       {"measures", MeasuresJson(cell.measures)}};
+      AddContrasts(cell.contrasts, cells[method]);
     }
     rows.push_back({{"scenario", row.scenario}, {"cells", cells}});
   }
@@ -167,8 +202,10 @@ json TableJson(const SuccessTable& table) {
                         {"clusters", average.success.clusters},
                         {"adapts", average.adapts},
                         {"updates", average.updates},
-                        {"measures", MeasuresJson(average.measures)},
-                        {"versus_base", ComparisonJson(average.versus_base)}};
+                        {"n", average.n},
+                        {"seeds", SeedsJson(average.seeds)},
+                        {"measures", MeasuresJson(average.measures)}};
+    AddContrasts(average.contrasts, averages[method]);
   }
   return {{"policy", table.policy},
           {"severity", table.severity},
@@ -200,10 +237,37 @@ std::vector<std::string> MeasureCells(const Measures& m) {
           CsvNumber(m.clipped_share), CsvNumber(m.adapter_distance)};
 }
 
-void AppendCells(std::string& csv, std::vector<std::string> cells,
-                 const std::vector<std::string>& more, const std::vector<std::string>& most) {
-  cells.insert(cells.end(), more.begin(), more.end());
-  cells.insert(cells.end(), most.begin(), most.end());
+// p values, the controls, seeds and before / after, which stand behind the older columns.
+std::vector<std::string> ContrastCells(const Contrasts& contrasts, const SeedSpread& seeds) {
+  std::vector<std::string> cells = {"", "", ""};
+  if (const auto& base = contrasts.versus_base)
+    cells = {CsvNumber(base->p_value), CsvNumber(base->p_holm), CsvNumber(base->mcnemar_p)};
+  for (const std::string control : {"gain", "null"}) {
+    const auto found = contrasts.versus_control.find(control);
+    if (found == contrasts.versus_control.end()) {
+      cells.insert(cells.end(), {"", "", "", ""});
+      continue;
+    }
+    const Comparison& c = found->second;
+    for (const double value :
+         {c.difference.estimate, c.difference.interval.low, c.difference.interval.high, c.p_holm})
+      cells.push_back(CsvNumber(value));
+  }
+  for (const auto& change : {contrasts.residual, contrasts.intent}) {
+    cells.push_back(change ? CsvNumber(change->before) : "");
+    cells.push_back(change ? CsvNumber(change->after) : "");
+  }
+  cells.push_back(absl::StrCat(seeds.seeds.size()));
+  cells.push_back(CsvNumber(seeds.deviation));
+  return cells;
+}
+
+void AppendCells(std::string& csv, std::vector<std::string> cells, const Contrasts& contrasts,
+                 const Measures& measures, const SeedSpread& seeds) {
+  for (const std::vector<std::string>& more :
+       {ComparisonCells(contrasts.versus_base), MeasureCells(measures),
+        ContrastCells(contrasts, seeds)})
+    cells.insert(cells.end(), more.begin(), more.end());
   absl::StrAppend(&csv, absl::StrJoin(cells, ","), "\n");
 }
 
@@ -245,7 +309,9 @@ std::string TableCsv(const Summary& summary) {
       "difference_low,difference_high,plus,minus,"
       "pairs,clusters,residual_mean,residual_pooled,residual_tracking_mean,intent_mean,intent_"
       "pooled,mean_abs_action,clipped_share,"
-      "adapter_distance\n";
+      "adapter_distance,p_value,p_holm,mcnemar_p,versus_gain,versus_gain_low,versus_gain_high,"
+      "versus_gain_p_holm,versus_null,versus_null_low,versus_null_high,versus_null_p_holm,"
+      "residual_before,residual_after,intent_before,intent_after,seeds,seed_deviation\n";
   for (const SuccessTable& table : summary.tables) {
     const std::string suite = table.suite.empty() ? "all" : table.suite;
     const auto lead = [&](const std::string& scenario, const std::string& method) {
@@ -264,7 +330,7 @@ std::string TableCsv(const Summary& summary) {
               absl::StrCat(cell.adapts ? 1 : 0), absl::StrCat(cell.updates)}) {
           cells.push_back(value);
         }
-        AppendCells(csv, cells, ComparisonCells(cell.versus_base), MeasureCells(cell.measures));
+        AppendCells(csv, cells, cell.contrasts, cell.measures, cell.seeds);
       }
     }
     for (const std::string& method : table.methods) {
@@ -278,7 +344,7 @@ std::string TableCsv(const Summary& summary) {
             absl::StrCat(average.adapts ? 1 : 0), absl::StrCat(average.updates)}) {
         cells.push_back(value);
       }
-      AppendCells(csv, cells, ComparisonCells(average.versus_base), MeasureCells(average.measures));
+      AppendCells(csv, cells, average.contrasts, average.measures, average.seeds);
     }
   }
   return csv;
@@ -312,6 +378,11 @@ absl::Status WriteReport(const RunData& run, const ReportOptions& options) {
                                           table.suite.empty() ? "" : "-" + table.suite);
     RS_RETURN_IF_ERROR(WriteFileAtomically(absl::StrCat(run.dir, "/figures/success-", name, ".svg"),
                                            SuccessPlot(table)));
+  }
+  for (const std::string& policy : PoliciesWithLevels(summary)) {
+    RS_RETURN_IF_ERROR(
+        WriteFileAtomically(absl::StrCat(run.dir, "/figures/severity-", policy, ".svg"),
+                            SeverityFigure(summary, policy)));
   }
   RS_RETURN_IF_ERROR(
       WriteFileAtomically(run.dir + "/report.html", ReportPage(run, summary, options)));

@@ -308,7 +308,8 @@ std::string LimitsSection(const RunData& run, const Summary& summary, const Succ
   if (seeds.size() == 1) html += "<li>One seed of the sampling noise.</li>\n";
   if (summary.tables.size() > 1)
     html +=
-        "<li>Many comparisons stand on this page and none is corrected for their number.</li>\n";
+        "<li>Holm's correction is made within each table; that there are several tables on this "
+        "page is not corrected for.</li>\n";
   if (embedded) {
     html +=
         "<li>The embedded suites are made of primitives and the embedded policy is small and "

@@ -10,9 +10,31 @@
 #include "common/status_macros.h"
 #include "eval/report.h"
 #include "eval/run_store.h"
+#include "eval/store_comparison.h"
+#include "eval/text_table.h"
 
 namespace robostress {
 namespace {
+
+// Two stores beside each other: compare.html, .json and .csv in `out`.
+absl::Status Compare(const std::vector<std::string>& dirs, const std::string& out,
+                     const ReportOptions& options) {
+  RS_ASSIGN_OR_RETURN(const RunData first, LoadRun(dirs[0]));
+  RS_ASSIGN_OR_RETURN(const RunData second, LoadRun(dirs[1]));
+  RS_ASSIGN_OR_RETURN(const StoreComparison comparison,
+                      CompareStores(first, second, options.bootstrap_replicates));
+  const std::string folder = out.empty() ? "runs/compare" : out;
+  RS_RETURN_IF_ERROR(MakeDirectories(folder));
+  const TextRows cells = StoreCells(comparison);
+  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.md", MarkdownTable(cells)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.csv", CsvTable(cells)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.json", StoreJson(comparison)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.html", StorePage(comparison)));
+  std::printf("%s", AlignedTable(cells).c_str());
+  for (const std::string& note : comparison.notes) std::printf("  - %s\n", note.c_str());
+  std::printf("%s/compare.html\n", folder.c_str());
+  return absl::OkStatus();
+}
 
 absl::Status Report(const std::string& dir, const std::vector<std::string>& training,
                     const std::string& out, ReportOptions& options) {
@@ -46,13 +68,19 @@ int main(int argc, char** argv) {
       "and prints the table.",
       "robostress report");
   std::string dir, out;
-  std::vector<std::string> training;
+  std::vector<std::string> training, compare;
   robostress::ReportOptions options;
   app.add_option("RUN_DIR", dir, "The --out of a sweep");
   app.add_option("--training", training,
                  "The --out of `robostress train`, may be given more than once: its curves go into "
                  "the report, or, without RUN_DIR, into a page of their own");
-  app.add_option("--out", out, "That page (default: training.html in the first of them)");
+  app.add_option("--compare", compare,
+                 "FIRST SECOND: success of two run directories and their differences, paired where "
+                 "episodes pair")
+      ->expected(2);
+  app.add_option("--out", out,
+                 "Of --training: that page (default: training.html in the first of them); of "
+                 "--compare: a folder (default: runs/compare)");
   app.add_option("--bootstrap", options.bootstrap_replicates, "Bootstrap replicates")
       ->check(CLI::Range(1, 1000000))
       ->capture_default_str();
@@ -64,7 +92,8 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.footer(
       "\nExamples\n  robostress report runs/quick\n  robostress report --training runs/base "
-      "--training runs/dr\n  robostress report runs/main --training runs/dr\n  robostress report "
+      "--training runs/dr\n  robostress report runs/main --training runs/dr\n  robostress "
+      "report --compare runs/before runs/after --out runs/compare\n  robostress report "
       "runs/main --bootstrap 20000 "
       "--max-videos 0\n");
   try {
@@ -72,7 +101,8 @@ int main(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
   }
-  const absl::Status status = robostress::Report(dir, training, out, options);
+  const absl::Status status = compare.empty() ? robostress::Report(dir, training, out, options)
+                                              : robostress::Compare(compare, out, options);
   if (!status.ok()) {
     std::fprintf(stderr, "robostress report: %s\n", std::string(status.message()).c_str());
     return 1;

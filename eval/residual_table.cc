@@ -142,7 +142,7 @@ ResidualTable MakeTable(const Units& units, const std::string& label, int replic
   }
   if (worn_levels.size() > 1) {
     table.rows.push_back(worn.Average("Average without Clean", replicates, label + "/average"));
-    if (AreThePapers(worn_levels)) table.rows.back().paper = kPaperAverage.residual;
+    if (AreThePapers(worn_levels)) table.rows.back().paper = PaperAverage().residual;
   }
   return table;
 }

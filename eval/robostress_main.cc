@@ -23,6 +23,7 @@ constexpr Command kCommands[] = {
     {"sweep", "Evaluate policies and methods over suites and scenarios, then report"},
     {"report", "Write the report page and tables of a run directory"},
     {"residual", "Measure residual magnitudes for both goal references, and their controller lag"},
+    {"paper", "One table of the paper: planned, run and laid out beside the published numbers"},
     {"calibrate", "Find what a model of a measured robot lacks, add it, report before and after"},
     {"fidelity", "Compare Heavy Payload and Gaussian action noise with a real payload"},
     {"suites", "List suites, their tasks and instructions; draw their first frames"},

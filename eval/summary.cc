@@ -4,113 +4,19 @@
 #include <cmath>
 #include <limits>
 #include <set>
-#include <tuple>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/suites.h"
 #include "eval/episode_bootstrap.h"
+#include "eval/paired_tests.h"
 #include "eval/plan.h"
 
 namespace robostress {
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-
-using Units = std::vector<const UnitResult*>;
-
-// Running mean of a measure that some episodes lack.
-class Mean {
- public:
-  void Add(const std::optional<double>& value) {
-    if (!value) return;
-    sum_ += *value;
-    ++count_;
-  }
-  std::optional<double> value() const {
-    return count_ == 0 ? std::nullopt : std::optional<double>(sum_ / count_);
-  }
-
- private:
-  double sum_ = 0;
-  int count_ = 0;
-};
-
-// sqrt(sum numerator / sum denominator) over the episodes that have both.
-class PooledRatio {
- public:
-  void Add(const std::optional<double>& numerator, const std::optional<double>& denominator) {
-    if (!numerator || !denominator) return;
-    numerator_ += *numerator;
-    denominator_ += *denominator;
-  }
-  std::optional<double> value() const {
-    return denominator_ > 0 ? std::optional<double>(std::sqrt(numerator_ / denominator_))
-                            : std::nullopt;
-  }
-
- private:
-  double numerator_ = 0, denominator_ = 0;
-};
-
-Measures MeasuresOf(const Units& units) {
-  Mean residual, tracking, intent, action, clipped, distance;
-  PooledRatio residual_pooled, intent_pooled;
-  for (const UnitResult* unit : units) {
-    for (const EpisodeRow& row : unit->episodes) {
-      residual.Add(row.residual);
-      tracking.Add(row.residual_tracking);
-      intent.Add(row.intent);
-      action.Add(row.mean_abs_action);
-      clipped.Add(row.clipped_share);
-      residual_pooled.Add(row.eta_sq, row.a_sq);
-      intent_pooled.Add(row.intent_eta_sq, row.intent_a_sq);
-    }
-    if (!unit->episodes.empty()) distance.Add(unit->episodes.back().adapter_distance);
-  }
-  return {residual.value(),      residual_pooled.value(), tracking.value(), intent.value(),
-          intent_pooled.value(), action.value(),          clipped.value(),  distance.value()};
-}
-
-// Means over cells, field by field.
-Measures MeanMeasures(const std::vector<Measures>& all) {
-  Measures mean;
-  for (const auto field :
-       {&Measures::residual_mean, &Measures::residual_pooled, &Measures::tracking_mean,
-        &Measures::intent_mean, &Measures::intent_pooled, &Measures::mean_abs_action,
-        &Measures::clipped_share, &Measures::adapter_distance}) {
-    Mean m;
-    for (const Measures& measures : all) m.Add(measures.*field);
-    mean.*field = m.value();
-  }
-  return mean;
-}
-
-// The pairs of one scenario, appended to `observations` with the stratum given; counts go to
-// `comparison`.
-void AddPairs(const Units& method, const Units& base, int stratum,
-              std::vector<EpisodeValue>& observations, Comparison& comparison) {
-  // suite, seed, task, episode
-  std::map<std::tuple<std::string, int64_t, int, int>, bool> base_success;
-  for (const UnitResult* unit : base) {
-    for (const EpisodeRow& row : unit->episodes) {
-      base_success[{unit->config.suite, unit->config.seed, row.task, row.episode}] = row.success;
-    }
-  }
-  for (const UnitResult* unit : method) {
-    for (const EpisodeRow& row : unit->episodes) {
-      const auto pair =
-          base_success.find({unit->config.suite, unit->config.seed, row.task, row.episode});
-      if (pair == base_success.end()) continue;
-      ++comparison.pairs;
-      comparison.plus += row.success && !pair->second;
-      comparison.minus += !row.success && pair->second;
-      observations.push_back({unit->config.suite, row.task, row.initial_state, stratum,
-                              static_cast<double>(row.success) - pair->second});
-    }
-  }
-}
 
 Cell MakeCell(const Units& units) {
   Cell cell;
@@ -126,6 +32,7 @@ Cell MakeCell(const Units& units) {
     cell.adapts = cell.adapts || unit->config.method.adapt;
   }
   cell.wilson = WilsonInterval(cell.successes, cell.n);
+  cell.seeds = SpreadOverSeeds({units});
   cell.measures = MeasuresOf(units);
   return cell;
 }
@@ -133,39 +40,100 @@ Cell MakeCell(const Units& units) {
 // Scenarios and methods of a table, each in canonical order.
 using Grid = std::map<std::string, std::map<std::string, Units>>;  // scenario -> method -> units
 
+// Units of the method and of another in each scenario that has both.
+std::vector<PairedUnits> StrataOf(const Grid& grid, const std::vector<std::string>& scenarios,
+                                  const std::string& method, const std::string& reference) {
+  std::vector<PairedUnits> strata;
+  for (const std::string& scenario : scenarios) {
+    const auto& by_method = grid.at(scenario);
+    if (by_method.count(method) && by_method.count(reference))
+      strata.push_back({by_method.at(method), by_method.at(reference)});
+  }
+  return strata;
+}
+
+Contrasts MakeContrasts(const Grid& grid, const std::vector<std::string>& scenarios,
+                        const std::string& method, bool controls, int replicates,
+                        const std::string& label) {
+  Contrasts contrasts;
+  if (method == "base") return contrasts;
+  const std::vector<PairedUnits> base = StrataOf(grid, scenarios, method, "base");
+  contrasts.versus_base = CompareOnPairs(base, replicates, label);
+  if (!controls) return contrasts;
+  for (const std::string control : {"gain", "null"}) {
+    const std::optional<Comparison> comparison =
+        CompareOnPairs(StrataOf(grid, scenarios, method, control), replicates,
+                       absl::StrCat(label, " against ", control));
+    if (comparison) contrasts.versus_control.emplace(control, *comparison);
+  }
+  contrasts.residual =
+      CompareBeforeAfter(base, AdaptationMeasure::kResidual, replicates, label + " residual");
+  contrasts.intent =
+      CompareBeforeAfter(base, AdaptationMeasure::kIntent, replicates, label + " intent");
+  return contrasts;
+}
+
 AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::string& method,
                         int replicates, const std::string& label) {
   AverageCell average;
-  std::vector<EpisodeValue> successes, differences;
+  std::vector<EpisodeValue> successes;
   std::vector<Measures> measures;
-  Comparison comparison;
-  int stratum = 0;
+  std::vector<Units> strata;
+  std::vector<std::string> scenarios;
   for (const ScenarioRow& row : table.rows) {
+    if (row.scenario == "clean") continue;
     const auto cell = row.cells.find(method);
-    if (row.scenario == "clean" || cell == row.cells.end()) continue;
-    const auto& by_method = grid.at(row.scenario);
-    for (const UnitResult* unit : by_method.at(method)) {
+    scenarios.push_back(row.scenario);
+    if (cell == row.cells.end()) continue;
+    strata.push_back(grid.at(row.scenario).at(method));
+    for (const UnitResult* unit : strata.back()) {
       for (const EpisodeRow& episode : unit->episodes) {
-        successes.push_back({unit->config.suite, episode.task, episode.initial_state, stratum,
+        successes.push_back({unit->config.suite, episode.task, episode.initial_state,
+                             static_cast<int>(strata.size()) - 1,
                              static_cast<double>(episode.success)});
       }
     }
-    if (method != "base" && by_method.count("base")) {
-      AddPairs(by_method.at(method), by_method.at("base"), stratum, differences, comparison);
-    }
+    average.n += cell->second.n;
     average.adapts = average.adapts || cell->second.adapts;
     average.updates += cell->second.updates;
     measures.push_back(cell->second.measures);
-    ++stratum;
   }
   average.success = BootstrapEpisodes(successes, replicates, label + "/average");
+  average.seeds = SpreadOverSeeds(strata);
   average.measures = MeanMeasures(measures);
-  if (comparison.pairs > 0) {
-    comparison.difference =
-        BootstrapEpisodes(differences, replicates, label + "/average difference");
-    average.versus_base = comparison;
-  }
+  average.contrasts = MakeContrasts(grid, scenarios, method, average.adapts && table.suite.empty(),
+                                    replicates, label + "/average difference");
   return average;
+}
+
+// The comparison with base (control empty) or with a control, where there is one.
+Comparison* Find(Contrasts& contrasts, const std::string& control) {
+  if (control.empty()) return contrasts.versus_base ? &*contrasts.versus_base : nullptr;
+  const auto found = contrasts.versus_control.find(control);
+  return found == contrasts.versus_control.end() ? nullptr : &found->second;
+}
+
+void Correct(const std::vector<Comparison*>& family) {
+  std::vector<double> p_values;
+  for (const Comparison* comparison : family) p_values.push_back(comparison->p_value);
+  const std::vector<double> adjusted = HolmAdjust(p_values);
+  for (size_t i = 0; i < family.size(); ++i) family[i]->p_holm = adjusted[i];
+}
+
+void CorrectForNumber(SuccessTable& table) {
+  for (const std::string control : {"", "gain", "null"}) {
+    std::vector<Comparison*> cells, averages;
+    for (ScenarioRow& row : table.rows) {
+      for (auto& [method, cell] : row.cells) {
+        if (Comparison* c = Find(cell.contrasts, control)) cells.push_back(c);
+      }
+    }
+    for (auto& [method, average] : table.averages) {
+      if (Comparison* c = Find(average.contrasts, control)) averages.push_back(c);
+    }
+    Correct(cells);
+    Correct(averages);
+  }
 }
 
 SuccessTable MakeTable(const Units& units, const std::string& policy, int severity,
@@ -200,14 +168,8 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
     ScenarioRow row{scenario, ScenarioTitle(scenario), {}};
     for (const auto& [method, cell_units] : by_method->second) {
       Cell cell = MakeCell(cell_units);
-      if (method != "base" && by_method->second.count("base")) {
-        Comparison comparison;
-        std::vector<EpisodeValue> differences;
-        AddPairs(cell_units, by_method->second.at("base"), 0, differences, comparison);
-        comparison.difference = BootstrapEpisodes(differences, replicates,
-                                                  absl::StrCat(label, "/", scenario, "/", method));
-        if (comparison.pairs > 0) cell.versus_base = comparison;
-      }
+      cell.contrasts = MakeContrasts(grid, {scenario}, method, cell.adapts && suite.empty(),
+                                     replicates, absl::StrCat(label, "/", scenario, "/", method));
       row.cells.emplace(method, std::move(cell));
     }
     table.rows.push_back(std::move(row));
@@ -218,6 +180,7 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
           method, MakeAverage(table, grid, method, replicates, absl::StrCat(label, "/", method)));
     }
   }
+  CorrectForNumber(table);
   return table;
 }
 
@@ -240,15 +203,18 @@ CurveSet MakeCurves(const Units& units, const std::string& policy, int severity)
     curve.units = static_cast<int>(chosen.size());
     for (size_t i = 0; i < length; ++i) {
       Mean success, residual, action, clipped, distance;
+      int present = 0;
       for (const UnitResult* unit : chosen) {
         if (i >= unit->episodes.size()) continue;
         const EpisodeRow& episode = unit->episodes[i];
+        ++present;
         success.Add(episode.success ? 1.0 : 0.0);
         residual.Add(episode.residual);
         action.Add(episode.mean_abs_action);
         clipped.Add(episode.clipped_share);
         distance.Add(episode.adapter_distance);
       }
+      curve.episodes.push_back(present);
       curve.success.push_back(success.value().value_or(kNaN));
       curve.residual.push_back(residual.value().value_or(kNaN));
       curve.mean_abs_action.push_back(action.value().value_or(kNaN));
@@ -261,50 +227,6 @@ CurveSet MakeCurves(const Units& units, const std::string& policy, int severity)
 }
 
 }  // namespace
-
-std::string ScenarioTitle(const std::string& scenario) {
-  const absl::StatusOr<Scenario> row = MakeScenario(scenario, 5);
-  return row.ok() ? row->title : ScenarioLabel(scenario);
-}
-
-std::string MethodColor(const std::string& method) {
-  static const auto& colors = *new std::map<std::string, std::string>{
-      {"base", "#6b7280"},         {"ours", "#0072b2"},
-      {"ours_intent", "#d55e00"},  {"ours_nominal", "#009e73"},
-      {"gain", "#e69f00"},         {"null", "#cc79a7"},
-      {"direct", "#56b4e9"},       {"no_residual", "#8b5cf6"},
-      {"no_anchor", "#a16207"},    {"shuffled_instruction", "#be123c"},
-      {"blank_images", "#0f766e"}, {"frozen_state", "#4d7c0f"}};
-  const auto color = colors.find(method);
-  return color == colors.end() ? "#334155" : color->second;
-}
-
-std::string MethodTitle(const std::string& method) {
-  static const auto& titles =
-      *new std::map<std::string, std::string>{{"base", "Base"},
-                                              {"ours", "Ours"},
-                                              {"ours_intent", "Ours, target intent"},
-                                              {"ours_nominal", "Ours, target nominal"},
-                                              {"gain", "Gain control"},
-                                              {"null", "Null control"},
-                                              {"direct", "Direct subtraction"},
-                                              {"no_residual", "Ours w/o residual"},
-                                              {"no_anchor", "Ours w/o anchor"},
-                                              {"shuffled_instruction", "Shuffled instruction"},
-                                              {"blank_images", "Blank images"},
-                                              {"frozen_state", "Frozen state"}};
-  const auto title = titles.find(method);
-  return title == titles.end() ? method : title->second;
-}
-
-double PercentagePoints(double fraction) {
-  return std::abs(fraction) < 0.0005 ? 0.0 : 100 * fraction;
-}
-
-std::string UpdatesText(bool adapts, int updates) {
-  if (!adapts) return "-";
-  return updates == 0 ? "not adapted" : absl::StrCat(updates);
-}
 
 Summary Summarise(const RunData& run, int bootstrap_replicates) {
   Summary summary;

@@ -6,38 +6,33 @@
 #include <vector>
 
 #include "common/statistics.h"
+#include "eval/comparison.h"
+#include "eval/measures.h"
 #include "eval/run_store.h"
+#include "eval/titles.h"
 
 namespace robostress {
 
-// A method against base on the same episodes: equal suite, scenario, severity, policy, seed, task,
-// episode.
-struct Comparison {
-  BootstrapResult difference;  // of success rates, method - base
-  int pairs = 0;
-  int plus = 0, minus = 0;  // pairs only the method won, pairs only base won
-};
-
-// What execution and adaptation did; absent where no episode has the measure.
-struct Measures {
-  std::optional<double> residual_mean;  // mean over rollouts of ||eta|| / ||a||: the paper's table
-  std::optional<double> residual_pooled;  // sqrt(sum ||eta||^2 / sum ||a||^2)
-  std::optional<double> tracking_mean;    // as residual_mean, residual_scale tracking
-  std::optional<double> intent_mean;      // mean of ||dx - a_base|| / ||a_base||
-  std::optional<double> intent_pooled;
-  std::optional<double> mean_abs_action, clipped_share;
-  std::optional<double> adapter_distance;  // ||phi - phi_0|| at the end, mean over units
+// A method beside base and beside the controls, on the same episodes.
+struct Contrasts {
+  std::optional<Comparison> versus_base;
+  // In tables over all suites, of adapting methods: against "gain" (every command scaled by one
+  // constant) and "null" (other sampling noise), where the run has them.
+  std::map<std::string, Comparison> versus_control;
+  // There too, against base: after the first update beside unadapted.
+  std::optional<BeforeAfter> residual, intent;
 };
 
 // One method in one scenario.
 struct Cell {
   int n = 0, successes = 0;
   Interval wilson;
+  SeedSpread seeds;
   int units = 0;
   bool adapts = false;  // by its configuration
   int updates = 0;      // applied, summed over units
   Measures measures;
-  std::optional<Comparison> versus_base;
+  Contrasts contrasts;
 
   double rate() const { return n == 0 ? 0 : static_cast<double>(successes) / n; }
 };
@@ -49,14 +44,18 @@ struct ScenarioRow {
 
 // Mean over the scenarios of a table, Clean excluded.
 struct AverageCell {
+  int n = 0;
   BootstrapResult success;
-  std::optional<Comparison> versus_base;
+  SeedSpread seeds;
   bool adapts = false;
   int updates = 0;
   Measures measures;  // means over scenarios
+  Contrasts contrasts;
 };
 
-// Success of one policy at one severity, over one suite or over all.
+// Success of one policy at one severity, over one suite or over all. p_holm of a comparison with
+// base or with a control is corrected over all comparisons of that kind in the table's scenarios;
+// of the averages over the averages' own.
 struct SuccessTable {
   std::string policy;
   int severity = 5;
@@ -73,6 +72,7 @@ struct AdaptationCurve {
   // [episodes of a unit]; NaN where nothing was measured
   std::vector<double> success, residual, mean_abs_action, clipped_share, adapter_distance;
   int units = 0;
+  std::vector<int> episodes;  // [episodes of a unit]: units that have one, n of each point
 };
 
 struct CurveSet {
@@ -91,17 +91,5 @@ struct Summary {
 };
 
 Summary Summarise(const RunData& run, int bootstrap_replicates);
-
-// "Heavy Payload" for heavy_payload; the name itself when unknown.
-std::string ScenarioTitle(const std::string& scenario);
-// "Base", "Ours", "Ours, target intent", "Gain control" ...
-std::string MethodTitle(const std::string& method);
-// Colour of a method, equal in every plot; other names get a neutral one.
-std::string MethodColor(const std::string& method);
-// A fraction in percentage points without a negative zero.
-double PercentagePoints(double fraction);
-// "12", "not adapted" (an adapting method without an update), or "-" (a method that does not
-// adapt).
-std::string UpdatesText(bool adapts, int updates);
 
 }  // namespace robostress

@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
 
 namespace robostress {
 namespace {
@@ -18,6 +19,11 @@ std::string Pad(const std::string& text, size_t columns, bool right) {
   const size_t used = Columns(text);
   const std::string space(columns > used ? columns - used : 0, ' ');
   return right ? space + text : text + space;
+}
+
+std::string Quoted(const std::string& text) {
+  if (text.find_first_of(",\"\n") == std::string::npos) return text;
+  return absl::StrCat("\"", absl::StrReplaceAll(text, {{"\"", "\"\""}}), "\"");
 }
 
 }  // namespace
@@ -45,6 +51,16 @@ std::string MarkdownTable(const TextRows& rows) {
     if (r > 0) continue;
     text += "|---|";
     for (size_t c = 1; c < rows[0].size(); ++c) text += "---:|";
+    text += "\n";
+  }
+  return text;
+}
+
+std::string CsvTable(const TextRows& rows) {
+  std::string text;
+  for (const auto& row : rows) {
+    for (size_t c = 0; c < row.size(); ++c)
+      absl::StrAppend(&text, c == 0 ? "" : ",", Quoted(row[c]));
     text += "\n";
   }
   return text;

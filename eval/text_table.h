@@ -12,5 +12,7 @@ using TextRows = std::vector<std::vector<std::string>>;
 std::string AlignedTable(const TextRows& rows);
 // The same as a Markdown table.
 std::string MarkdownTable(const TextRows& rows);
+// The same for a spreadsheet; cells with a comma, a quote or a line break are quoted.
+std::string CsvTable(const TextRows& rows);
 
 }  // namespace robostress

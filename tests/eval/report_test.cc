@@ -7,6 +7,8 @@
 #include "common/atomic_file.h"
 #include "common/svg_plot.h"
 #include "eval/report_page.h"
+#include "eval/severity_section.h"
+#include "eval/statistics_section.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "nlohmann/json.hpp"
@@ -59,6 +61,49 @@ TEST(ReportPage, WarnsWhenThePolicyIsTooWeakForAClaim) {
               Not(HasSubstr("no claim about adaptation")));
   for (EpisodeRow& row : run.units[0].episodes) row.success = false;
   EXPECT_THAT(ReportPage(run, Summarise(run, 100), {}), HasSubstr("no claim about adaptation"));
+}
+
+TEST(ReportPage, SaysWhatTheDifferencesAreWorth) {
+  const RunData run = SmallRun();
+  const std::string page = ReportPage(run, Summarise(run, 100), {});
+  EXPECT_THAT(page, HasSubstr("id=statistics"));
+  EXPECT_THAT(page, HasSubstr("Episodes needed"));
+  EXPECT_THAT(page, Not(HasSubstr("id=severity"))) << "one level";
+}
+
+TEST(EpisodesNeeded, CountsTheDesignEffectAndRefusesWhatCannotBe) {
+  Comparison comparison;
+  comparison.pairs = 100, comparison.plus = 15, comparison.minus = 15;
+  EXPECT_EQ(EpisodesNeededText(comparison, 5), "940");
+  comparison.design_effect = 2;
+  EXPECT_EQ(EpisodesNeededText(comparison, 5), "1880");
+  EXPECT_EQ(EpisodesNeededText(comparison, 40), "") << "30 % of the outcomes differ";
+}
+
+TEST(SeverityFigure, HasAPanelForEveryScenarioAndSuiteWithItsCount) {
+  RunData run;
+  for (const std::string suite : {"tabletop_goal", "tabletop_long"}) {
+    for (const std::string scenario : {"heavy_payload", "aged_joint_elbow"}) {
+      for (const int severity : {1, 3, 5}) {
+        run.units.push_back(SyntheticUnit(scenario, "base", {1, 0, 1}, {}, suite));
+        run.units.back().config.severity = severity;
+      }
+    }
+  }
+  const Summary summary = Summarise(run, 10);
+  const std::string figure = SeverityFigure(summary, "nano");
+  for (const char* title : {"Heavy Payload (n = 3)", "Goal, severity level",
+                            "Aged Joint-Elbow (n = 3)", "Long, severity level"})
+    EXPECT_THAT(figure, HasSubstr(title));
+  EXPECT_THAT(ReportPage(run, summary, {}), HasSubstr("id=severity"));
+  EXPECT_EQ(SeverityFigure(summary, "other"), "");
+}
+
+TEST(ReportPage, EveryFigureSaysHowManyEpisodesItIsOf) {
+  const RunData run = SmallRun();
+  const std::string page = ReportPage(run, Summarise(run, 100), {});
+  EXPECT_THAT(page, HasSubstr("Heavy Payload (n = 4)"));
+  EXPECT_THAT(page, HasSubstr("n = 1</small>")) << "units at each point of a curve";
 }
 
 TEST(ReportPage, HoldsWithBaseAlone) {

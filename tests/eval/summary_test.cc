@@ -15,13 +15,13 @@ TEST(Summary, CountsDiscordantPairsOnTheSameEpisodes) {
                SyntheticUnit("heavy_payload", "ours", {1, 0, 1, 1, 0}, {0, 0, 1, 2, 3})};
   const Summary summary = Summarise(run, 200);
   const Cell& ours = summary.tables.at(0).rows.at(0).cells.at("ours");
-  ASSERT_TRUE(ours.versus_base.has_value());
-  EXPECT_EQ(ours.versus_base->pairs, 5);
-  EXPECT_EQ(ours.versus_base->plus, 2);
-  EXPECT_EQ(ours.versus_base->minus, 1);
-  EXPECT_NEAR(ours.versus_base->difference.estimate, 0.2, 1e-12);
+  ASSERT_TRUE(ours.contrasts.versus_base.has_value());
+  EXPECT_EQ(ours.contrasts.versus_base->pairs, 5);
+  EXPECT_EQ(ours.contrasts.versus_base->plus, 2);
+  EXPECT_EQ(ours.contrasts.versus_base->minus, 1);
+  EXPECT_NEAR(ours.contrasts.versus_base->difference.estimate, 0.2, 1e-12);
   EXPECT_EQ(ours.updates, 3);
-  EXPECT_FALSE(summary.tables.at(0).rows.at(0).cells.at("base").versus_base.has_value());
+  EXPECT_FALSE(summary.tables.at(0).rows.at(0).cells.at("base").contrasts.versus_base.has_value());
 }
 
 TEST(Summary, AverageLeavesCleanOutAndWeighsScenariosEqually) {
@@ -94,6 +94,66 @@ TEST(Summary, CurvesFollowTheEpisodesOfAUnitWithoutClean) {
   const Summary summary = Summarise(run, 10);
   ASSERT_EQ(summary.curves.size(), 1u);
   EXPECT_THAT(summary.curves[0].curves.at(0).success, ::testing::ElementsAre(1.0, 0.5));
+}
+
+TEST(Summary, PutsTheControlsBesideEveryAdaptedMethod) {
+  RunData run;
+  run.units = {SyntheticUnit("heavy_payload", "base", {0, 0, 0, 1}),
+               SyntheticUnit("heavy_payload", "ours", {1, 1, 0, 1}),
+               SyntheticUnit("heavy_payload", "gain", {1, 0, 0, 0}),
+               SyntheticUnit("heavy_payload", "null", {0, 1, 0, 1})};
+  const Summary summary = Summarise(run, 100);
+  const auto& cells = summary.tables.at(0).rows.at(0).cells;
+  const Contrasts& ours = cells.at("ours").contrasts;
+  EXPECT_NEAR(ours.versus_control.at("gain").difference.estimate, 0.5, 1e-12);
+  EXPECT_NEAR(ours.versus_control.at("null").difference.estimate, 0.25, 1e-12);
+  EXPECT_TRUE(cells.at("gain").contrasts.versus_control.empty()) << "a control has no control";
+}
+
+TEST(Summary, CorrectsTheComparisonsWithBaseForTheirNumber) {
+  RunData run;
+  run.units = {SyntheticUnit("heavy_payload", "base", {0, 0, 0, 0, 0, 0, 0, 0}),
+               SyntheticUnit("heavy_payload", "ours", {1, 1, 1, 1, 1, 1, 1, 1}),
+               SyntheticUnit("aged_joint_elbow", "base", {0, 0, 0, 0, 0, 0, 0, 1}),
+               SyntheticUnit("aged_joint_elbow", "ours", {1, 0, 0, 0, 0, 0, 0, 1})};
+  const Summary summary = Summarise(run, 100);
+  const SuccessTable& table = summary.tables.at(0);
+  const Comparison& payload = *table.rows.at(0).cells.at("ours").contrasts.versus_base;
+  EXPECT_NEAR(payload.p_value, 2 / 256.0, 1e-12);
+  EXPECT_NEAR(payload.p_holm, 4 / 256.0, 1e-12);
+  const Comparison& elbow = *table.rows.at(1).cells.at("ours").contrasts.versus_base;
+  EXPECT_NEAR(elbow.p_value, 1, 1e-12);
+  const Comparison& average = *table.averages.at("ours").contrasts.versus_base;
+  EXPECT_EQ(average.p_holm, average.p_value) << "one average is a family of its own";
+}
+
+TEST(Summary, SpreadsOverSeedsWithTheSeedsMeans) {
+  RunData run;
+  run.units = {SyntheticUnit("heavy_payload", "base", {1, 1, 1, 0}),
+               SyntheticUnit("heavy_payload", "base", {1, 0, 0, 0})};
+  run.units[1].config.seed = 1;
+  const Summary summary = Summarise(run, 10);
+  const SeedSpread& seeds = summary.tables.at(0).rows.at(0).cells.at("base").seeds;
+  EXPECT_THAT(seeds.means, ::testing::ElementsAre(0.75, 0.25));
+  EXPECT_NEAR(seeds.mean, 0.5, 1e-12);
+  EXPECT_NEAR(seeds.deviation, 0.5 / std::sqrt(2), 1e-12);
+}
+
+TEST(Summary, BeforeAndAfterArePairedOnEpisodesThatBeganAdapted) {
+  RunData run;
+  run.units = {SyntheticUnit("heavy_payload", "base", {1, 1, 1}),
+               SyntheticUnit("heavy_payload", "ours", {1, 1, 1}, {1, 2, 3})};
+  for (int i = 0; i < 3; ++i) {
+    run.units[0].episodes[i].residual = 0.5 + 0.1 * i;
+    run.units[1].episodes[i].residual = 0.4 + 0.1 * i;
+  }
+  const Summary summary = Summarise(run, 10);
+  const Contrasts& ours = summary.tables.at(0).rows.at(0).cells.at("ours").contrasts;
+  ASSERT_TRUE(ours.residual.has_value());
+  EXPECT_EQ(ours.residual->pairs, 2) << "the first episode began without an update";
+  EXPECT_NEAR(ours.residual->before, 0.65, 1e-12);
+  EXPECT_NEAR(ours.residual->change.estimate, -0.1, 1e-12);
+  EXPECT_FALSE(ours.intent.has_value());
 }
 
 }  // namespace

@@ -1,0 +1,274 @@
+// robostress-paper: one table of the paper, planned, run and laid out like the paper's.
+
+#include <cstdio>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "CLI/CLI.hpp"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
+#include "eval/grid_flags.h"
+#include "eval/merged_sweep.h"
+#include "eval/paper_programs.h"
+#include "eval/paper_results.h"
+#include "eval/paper_table.h"
+#include "eval/report_appendix.h"
+
+namespace robostress {
+namespace {
+
+constexpr char kCommand[] = "paper";
+
+constexpr char kExamples[] =
+    "\nExamples\n"
+    "  robostress paper --list\n"
+    "  robostress paper main --quick                      a few minutes of nano on one suite\n"
+    "  robostress paper main noise ablation --full --dry-run\n"
+    "  robostress paper main --full --seeds 0 --out runs/paper\n"
+    "  robostress paper main --full --weights pi0.safetensors --dr-weights dr.safetensors "
+    "--libero-root LIBERO \\\n"
+    "      --robosuite-root robosuite --out runs/paper-libero\n"
+    "  robostress paper main --full --weights pi0 --server 10.0.0.7:50051 --out "
+    "runs/paper-libero\n\n"
+    "--quick is the default. Tables share their units in --out: what one ran, another only reads. "
+    "Running a command\nagain completes what is missing and repeats nothing. Leaves "
+    "OUT/tables/TABLE.html, .md, .csv and .json.\nExit code: 0 all done, 1 a unit or a program "
+    "failed, 2 the command is wrong, 130 interrupted.\n";
+
+struct CommandLine {
+  std::vector<std::string> tables;
+  bool quick = false, full = false, list = false, dry_run = false;
+  std::string out, weights, randomised, robust, cloning, tasks;
+  GridFlags grid;
+  int videos = 0, bootstrap_replicates = 4000;
+  LaunchOptions launch;
+};
+
+void DeclareFlags(CLI::App& app, CommandLine& line) {
+  app.add_option("TABLE", line.tables, "See --list; several, or all");
+  auto* quick = app.add_flag("--quick", line.quick,
+                             "One embedded suite, two tasks, ten episodes, one seed, films");
+  app.add_flag("--full", line.full,
+               "The paper's protocol: four suites, all tasks, 20 episodes, three seeds")
+      ->excludes(quick);
+  app.add_flag("--list", line.list, "List the tables with their size, and stop");
+  app.add_flag("--dry-run", line.dry_run, "Print the units, which of them are done, and stop");
+  app.add_option("--out", line.out,
+                 "Run directory, shared by tables (default: runs/paper-quick or runs/paper-full)");
+  app.add_option("--weights", line.weights,
+                 "A checkpoint, or the name of a policy that --server holds: LIBERO's suites, the "
+                 "paper's learning rate");
+  app.add_option("--dr-weights", line.randomised, "Weights of the DR column");
+  app.add_option("--robust-weights", line.robust, "Weights of the RobustVLA column");
+  app.add_option("--cloning-weights", line.cloning,
+                 "Weights of the cloning control: trained on as long as DR and RobustVLA");
+  app.add_option("--suites,--suite", line.grid.suites, "Instead of the protocol's")->delimiter(',');
+  app.add_option("--tasks", line.grid.tasks, "2: the first two; 0,3,7 or 2-5: indices; all");
+  app.add_option("--episodes", line.grid.episodes, "Consecutive episodes per task");
+  app.add_option("--seeds,--seed", line.grid.seeds, "Seeds of the sampling noise")->delimiter(',');
+  app.add_option("--first-initial-state", line.grid.first_initial_state,
+                 "0-19 reporting split, 40-49 dev split");
+  app.add_option("--set", line.grid.overrides, "sim.KEY=VALUE or method.KEY=VALUE, repeatable")
+      ->allow_extra_args(false);
+  app.add_option("--libero-root", line.grid.libero_root, "LIBERO checkout");
+  app.add_option("--robosuite-root", line.grid.robosuite_root, "robosuite checkout");
+  app.add_option("--libero-fixtures", line.grid.libero_fixtures,
+                 "centred (default), sampled, numpy[:SEED], or a JSON table");
+  app.add_option("--videos", line.videos, "Film the first N episodes of each task");
+  app.add_option("--bootstrap", line.bootstrap_replicates, "Bootstrap replicates")
+      ->check(CLI::Range(1, 1000000))
+      ->capture_default_str();
+  DeclareLaunchFlags(app, line.launch);
+  app.footer(kExamples);
+}
+
+absl::StatusOr<PaperProtocol> ProtocolFrom(const CLI::App& app, const CommandLine& line) {
+  PaperProtocol protocol = line.full ? FullProtocol() : QuickProtocol();
+  if (!line.weights.empty()) protocol = OnLibero(protocol, line.weights);
+  if (app.count("--dr-weights")) protocol.randomised = line.randomised;
+  if (app.count("--robust-weights")) protocol.robust = line.robust;
+  if (app.count("--cloning-weights")) protocol.cloning = line.cloning;
+  SweepGrid& grid = protocol.grid;
+  if (app.count("--suites")) grid.suites = line.grid.suites;
+  if (app.count("--tasks")) {
+    RS_ASSIGN_OR_RETURN(grid.tasks, ParseTasks(line.grid.tasks));
+  }
+  if (app.count("--episodes")) grid.episodes = line.grid.episodes;
+  if (app.count("--seeds")) grid.seeds = line.grid.seeds;
+  if (app.count("--first-initial-state")) grid.first_initial_state = line.grid.first_initial_state;
+  grid.overrides.insert(grid.overrides.end(), line.grid.overrides.begin(),
+                        line.grid.overrides.end());
+  if (app.count("--libero-root")) grid.libero_root = line.grid.libero_root;
+  if (app.count("--robosuite-root")) grid.robosuite_root = line.grid.robosuite_root;
+  if (app.count("--libero-fixtures")) grid.libero_fixtures = line.grid.libero_fixtures;
+  if (app.count("--videos")) grid.videos = line.videos;
+  return protocol;
+}
+
+// One table, ready to run: its units by grid, or another program.
+struct Work {
+  PaperTable table;
+  std::vector<SweepGrid> grids;
+  std::vector<PlannedUnit> units;
+};
+
+absl::StatusOr<std::vector<Work>> Plan(const CommandLine& line, const PaperProtocol& protocol) {
+  std::vector<std::string> names = line.tables;
+  if (names.size() == 1 && names[0] == "all") {
+    names.clear();
+    for (const PaperTable& table : PaperTables()) names.push_back(table.name);
+  }
+  if (names.empty()) {
+    return absl::InvalidArgumentError("no TABLE given; `robostress paper --list` names them");
+  }
+  std::vector<Work> all;
+  for (const std::string& name : names) {
+    Work work;
+    RS_ASSIGN_OR_RETURN(work.table, FindPaperTable(name));
+    if (work.table.program.empty()) {
+      RS_ASSIGN_OR_RETURN(work.grids, PaperGrids(work.table, protocol, PolicyHomeOf(line.launch)));
+      RS_ASSIGN_OR_RETURN(work.units, PaperUnits(work.grids));
+    }
+    all.push_back(std::move(work));
+  }
+  return all;
+}
+
+int Episodes(const std::vector<PlannedUnit>& units) {
+  int episodes = 0;
+  for (const PlannedUnit& unit : units) episodes += unit.EpisodeCount();
+  return episodes;
+}
+
+void PrintList() {
+  for (const PaperTable& table : PaperTables()) {
+    const PublishedTable& published = *FindPublished(table.name);
+    std::printf("%-9s %-24s %s\n", table.name.c_str(), published.label.c_str(),
+                published.caption.c_str());
+    if (!table.program.empty()) {
+      std::printf("%35srobostress %s\n", "", table.program.c_str());
+      continue;
+    }
+    for (const bool full : {false, true}) {
+      const auto grids =
+          PaperGrids(table, full ? FullProtocol() : QuickProtocol(), PolicyHome::kHere);
+      if (!grids.ok()) continue;
+      const auto units = PaperUnits(*grids);
+      if (units.ok())
+        std::printf("%35s%s: %zu units, %d episodes\n", "", full ? "--full" : "--quick",
+                    units->size(), Episodes(*units));
+    }
+  }
+}
+
+bool IsDone(const std::string& out, const PlannedUnit& unit) {
+  return std::filesystem::exists(absl::StrCat(out, "/units/", unit.id, "/DONE"));
+}
+
+int PrintTables(const CommandLine& line, const std::vector<Work>& all) {
+  for (const Work& work : all) {
+    if (!work.table.program.empty()) {
+      const auto command =
+          ProgramCommand({work.table, line.out, line.full, line.bootstrap_replicates});
+      if (!command.ok()) return FailCommand(kCommand, command.status());
+      std::printf("%s: %s\n", work.table.name.c_str(), absl::StrJoin(*command, " ").c_str());
+      continue;
+    }
+    std::vector<PlannedUnit> open;
+    for (const PlannedUnit& unit : work.units) {
+      if (!IsDone(line.out, unit)) open.push_back(unit);
+    }
+    std::printf("%s: %zu units, %d episodes; %zu units done, %d episodes to run, in %s\n",
+                work.table.name.c_str(), work.units.size(), Episodes(work.units),
+                work.units.size() - open.size(), Episodes(open), line.out.c_str());
+    for (const PlannedUnit& unit : work.units)
+      std::printf("  %s %s\n", IsDone(line.out, unit) ? "done" : "open", unit.id.c_str());
+  }
+  return 0;
+}
+
+absl::Status Publish(const CommandLine& line, const FilledTable& table, const RunData* run) {
+  const std::string stem = absl::StrCat(line.out, "/tables/", table.name);
+  ReportOptions options;
+  const std::string videos = run == nullptr ? "" : VideoSection(*run, options);
+  RS_RETURN_IF_ERROR(MakeDirectories(line.out + "/tables"));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".csv", FilledCsv(table)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".md", FilledMarkdown(table)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".json", FilledJson(table)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".html", FilledPage(table, videos)));
+  std::printf("%s\n%s.html\n", FilledText(table).c_str(), stem.c_str());
+  return absl::OkStatus();
+}
+
+// Runs one table; its exit code.
+absl::StatusOr<int> RunTable(CommandLine& line, const PaperProtocol& protocol, const Work& work) {
+  if (!work.table.program.empty()) {
+    RS_ASSIGN_OR_RETURN(const FilledTable table, RunPaperProgram({work.table, line.out, line.full,
+                                                                  line.bootstrap_replicates}));
+    RS_RETURN_IF_ERROR(Publish(line, table, nullptr));
+    return 0;
+  }
+  line.launch.run_dir = line.out;
+  int code = 0;
+  RunData run;
+  for (const SweepGrid& grid : work.grids) {
+    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
+    AnnouncePlan(absl::StrCat(kCommand, " ", work.table.name), units, line.launch);
+    RS_ASSIGN_OR_RETURN(MergedSweep merged, RunAndMerge(kCommand, grid, units, line.launch));
+    code = std::max(code, ExitCodeOf(merged.outcome));
+    if (code > 128) return code;  // interrupted
+    if (merged.run) run = *std::move(merged.run);
+  }
+  if (run.units.empty()) return code;  // nothing is finished here yet
+  const RunData chosen = UnitsOf(run, work.units);
+  FilledTable table =
+      FillPaperTable(work.table, protocol, chosen, work.units, line.bootstrap_replicates);
+  if (work.table.measure == PaperMeasure::kResidual)
+    RS_RETURN_IF_ERROR(AddPiperResiduals(line.full ? 25 : 3, table));
+  RS_RETURN_IF_ERROR(Publish(line, table, &chosen));
+  return code;
+}
+
+int Run(const CLI::App& app, CommandLine& line) {
+  if (line.list) {
+    PrintList();
+    return 0;
+  }
+  const absl::StatusOr<PaperProtocol> protocol = ProtocolFrom(app, line);
+  if (!protocol.ok()) return FailCommand(kCommand, protocol.status());
+  const absl::StatusOr<std::vector<Work>> all = Plan(line, *protocol);
+  if (!all.ok()) return FailCommand(kCommand, all.status());
+  if (line.out.empty()) {
+    line.out = absl::StrCat("runs/paper-", line.full ? "full" : "quick",
+                            line.weights.empty() ? "" : "-libero");
+  }
+  if (line.dry_run) return PrintTables(line, *all);
+  int code = 0;
+  for (const Work& work : *all) {
+    const absl::StatusOr<int> of_table = RunTable(line, *protocol, work);
+    // A table that cannot be made does not keep the others from being made.
+    code = std::max(code, of_table.ok() ? *of_table : FailCommand(kCommand, of_table.status()));
+    if (code > 128) break;  // interrupted
+  }
+  return code;
+}
+
+}  // namespace
+}  // namespace robostress
+
+int main(int argc, char** argv) {
+  CLI::App app(
+      "Plans, runs and lays out tables of the paper, our numbers beside the published ones.",
+      "robostress paper");
+  robostress::CommandLine line;
+  robostress::DeclareFlags(app, line);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  return robostress::Run(app, line);
+}

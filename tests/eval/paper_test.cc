@@ -1,0 +1,334 @@
+// The paper's tables: published numbers, plans, what is filled in, and the program with stand-ins.
+
+#include <cmath>
+#include <cstdlib>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "eval/paper_programs.h"
+#include "eval/paper_results.h"
+#include "eval/paper_table.h"
+#include "eval/paper_values.h"
+#include "eval/piper_results.h"
+#include "eval/progress.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "nlohmann/json.hpp"
+#include "tests/eval/synthetic_run.h"
+#include "tests/run_program.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+TEST(PublishedTables, AveragesAreThoseOfTheirRows) {
+  // The paper rounds its averages from unrounded rows: one decimal, or none on the arms.
+  for (const PublishedTable& table : PublishedTables()) {
+    const int average = table.RowOf("average");
+    if (average <= 0) continue;
+    const double tolerance = table.name == "real-arm" ? 0.6 : 0.11;
+    for (const PublishedGroup& group : table.groups) {
+      for (size_t c = 0; c < group.columns.size(); ++c) {
+        double sum = 0;
+        int n = 0;
+        for (int r = 0; r < average; ++r) {
+          if (table.rows[r] == "clean") continue;
+          sum += group.values[r][c];
+          ++n;
+        }
+        EXPECT_NEAR(sum / n, group.values[average][c], tolerance)
+            << table.name << " " << group.title << " " << group.columns[c];
+      }
+    }
+  }
+}
+
+TEST(PublishedTables, AgreeWhereTwoTablesSayTheSame) {
+  const PublishedTable &main = *FindPublished("main"), &anchor = *FindPublished("anchor");
+  for (size_t r = 0; r < anchor.rows.size(); ++r) {
+    EXPECT_EQ(anchor.groups[0].values[r][1], main.groups[1].values[main.RowOf(anchor.rows[r])][3])
+        << anchor.rows[r];
+  }
+  const PublishedTable& severity = *FindPublished("severity");
+  for (size_t r = 0; r < severity.rows.size(); ++r) {
+    EXPECT_EQ(severity.groups[0].values[r][1],
+              main.groups[0].values[main.RowOf(severity.rows[r])][3])
+        << severity.rows[r];
+  }
+  EXPECT_EQ(FindPublished("ablation")->groups[0].values[0][3], 44.2);
+  EXPECT_EQ(PaperAverage().residual, 47.5);
+  EXPECT_EQ(FindPaperRow("heavy_payload")->pi05_ours, 56.8);
+}
+
+TEST(PaperTables, HaveEveryPublishedTableAndOnlyThose) {
+  ASSERT_EQ(PaperTables().size(), PublishedTables().size());
+  for (const PaperTable& table : PaperTables()) {
+    const PublishedTable* published = FindPublished(table.name);
+    ASSERT_NE(published, nullptr) << table.name;
+    for (const std::string& scenario : table.scenarios) {
+      EXPECT_TRUE(table.only_average || published->RowOf(scenario) >= 0) << scenario;
+    }
+  }
+  EXPECT_THAT(std::string(FindPaperTable("mian").status().message()), HasSubstr("main, noise"));
+}
+
+std::vector<PlannedUnit> QuickUnits(const PaperTable& table) {
+  const auto grids = PaperGrids(table, QuickProtocol(), PolicyHome::kHere);
+  EXPECT_TRUE(grids.ok()) << grids.status();
+  const auto units = PaperUnits(*grids);
+  EXPECT_TRUE(units.ok()) << units.status();
+  return *units;
+}
+
+TEST(PaperPlan, FullIsThePapersProtocol) {
+  const PaperTable main = *FindPaperTable("main");
+  const auto grids = PaperGrids(main, FullProtocol(), PolicyHome::kHere);
+  ASSERT_TRUE(grids.ok()) << grids.status();
+  const auto units = PaperUnits(*grids);
+  ASSERT_TRUE(units.ok());
+  // Seven columns, eight scenarios, four suites, three seeds; 20 episodes on each of ten tasks.
+  EXPECT_EQ(units->size(), 7u * 8 * 4 * 3);
+  for (const PlannedUnit& unit : *units) EXPECT_EQ(unit.EpisodeCount(), 200);
+}
+
+TEST(PaperPlan, TablesShareTheirUnits) {
+  const auto ids = [](const char* name) {
+    std::set<std::string> ids;
+    const std::vector<PlannedUnit> units = QuickUnits(*FindPaperTable(name));
+    for (const PlannedUnit& unit : units) ids.insert(unit.id);
+    return ids;
+  };
+  const std::set<std::string> main = ids("main"), severity = ids("severity");
+  EXPECT_EQ(severity.size(), 2u * 7 * 5);
+  int shared = 0;
+  for (const std::string& id : severity) shared += main.count(id);
+  EXPECT_EQ(shared, 2 * 7) << "level L5 is the main table's";
+  for (const std::string& id : ids("residual")) EXPECT_TRUE(main.count(id)) << id;
+}
+
+TEST(PaperPlan, WeightsGoToLiberoAtThePapersRateAndMissingColumnsAreLeftOut) {
+  PaperProtocol protocol = OnLibero(FullProtocol(), "pi0");
+  protocol.grid.libero_root = protocol.grid.robosuite_root = "/libero";
+  const auto grids = PaperGrids(*FindPaperTable("main"), protocol, PolicyHome::kElsewhere);
+  ASSERT_TRUE(grids.ok()) << grids.status();
+  const auto units = PaperUnits(*grids);
+  ASSERT_TRUE(units.ok()) << units.status();
+  EXPECT_EQ(units->size(), 4u * 8 * 4 * 3) << "base, ours and the two controls of one policy";
+  for (const PlannedUnit& unit : *units) {
+    EXPECT_EQ(unit.config.suite.rfind("libero_", 0), 0u);
+    EXPECT_EQ(unit.config.method.learning_rate, 1e-6);
+  }
+}
+
+// Units of a plan with outcomes that depend on the method alone.
+RunData Played(const std::vector<PlannedUnit>& units) {
+  RunData run;
+  for (const PlannedUnit& planned : units) {
+    const bool ours = planned.config.method.method == "ours";
+    UnitResult unit =
+        SyntheticUnit(planned.config.scenario, planned.config.method.method,
+                      ours ? std::vector<int>{1, 1, 1, 0} : std::vector<int>{1, 0, 0, 0},
+                      ours ? std::vector<int>{0, 1, 2, 3} : std::vector<int>{});
+    unit.id = planned.id;
+    const auto method = unit.config.method;
+    unit.config = planned.config;
+    unit.config.method = method;
+    for (EpisodeRow& row : unit.episodes) row.residual = 0.5;
+    run.units.push_back(unit);
+  }
+  return run;
+}
+
+FilledTable Filled(const std::string& name) {
+  const PaperTable table = *FindPaperTable(name);
+  const std::vector<PlannedUnit> units = QuickUnits(table);
+  return FillPaperTable(table, QuickProtocol(), Played(units), units, 100);
+}
+
+TEST(PaperResults, MainTableHasOurNumbersBesideThePublishedOnes) {
+  const FilledTable table = Filled("main");
+  ASSERT_EQ(table.groups.size(), 4u);
+  EXPECT_EQ(table.groups[0].columns, (std::vector<std::string>{"Base", "DR", "RobustVLA", "Ours"}));
+  EXPECT_EQ(table.groups[3].title, "controls");
+  ASSERT_EQ(table.rows.size(), 9u);
+  const FilledRow& payload = table.rows[1];
+  EXPECT_EQ(payload.title, "Heavy Payload");
+  EXPECT_EQ(*payload.cells[0].value, 25);
+  EXPECT_EQ(*payload.cells[3].value, 75);
+  EXPECT_EQ(payload.cells[3].n, 4);
+  EXPECT_TRUE(payload.cells[3].best);
+  EXPECT_EQ(payload.cells[3].note, "3 updates");
+  EXPECT_EQ(*payload.cells[4].value, 44.1) << "the paper's pi0.5, base";
+  EXPECT_EQ(*payload.cells[11].value, 42.8) << "the paper's pi0, ours";
+  EXPECT_EQ(*table.rows[8].cells[3].value, 75) << "average";
+  EXPECT_EQ(table.rows[8].cells[3].n, 28) << "without Clean";
+  EXPECT_THAT(FilledText(table), HasSubstr("Ours - Gain control"));
+  EXPECT_THAT(FilledText(table), HasSubstr("20 episodes per task, three seeds"));
+}
+
+TEST(PaperResults, EveryTableRendersInEveryForm) {
+  for (const char* name : {"main", "noise", "ablation", "anchor", "severity", "residual"}) {
+    const FilledTable table = Filled(name);
+    size_t columns = 0;
+    for (const FilledGroup& group : table.groups) columns += group.columns.size();
+    for (const FilledRow& row : table.rows) EXPECT_EQ(row.cells.size(), columns) << name;
+    const std::string page = FilledPage(table, "");
+    EXPECT_THAT(page, Not(::testing::ContainsRegex("nan[^o]"))) << name;
+    EXPECT_THAT(FilledCsv(table), HasSubstr(absl::StrCat("\n", name, ","))) << name;
+    EXPECT_TRUE(nlohmann::json::parse(FilledJson(table), nullptr, false).is_object()) << name;
+    EXPECT_THAT(FilledMarkdown(table), HasSubstr("|---|")) << name;
+  }
+  EXPECT_THAT(Filled("severity").figure, HasSubstr("Heavy Payload (n = 4)"));
+  EXPECT_EQ(*Filled("residual").rows[1].cells[0].value, 50);
+}
+
+TEST(PaperResults, UnfinishedUnitsAreCountedAndOthersKeptOut) {
+  const PaperTable table = *FindPaperTable("anchor");
+  const std::vector<PlannedUnit> units = QuickUnits(table);
+  RunData run = Played(units);
+  run.units.erase(run.units.begin());
+  run.units.push_back(SyntheticUnit("clean", "gain", {1}));
+  const RunData chosen = UnitsOf(run, units);
+  EXPECT_EQ(chosen.units.size(), units.size() - 1);
+  EXPECT_THAT(FilledText(FillPaperTable(table, QuickProtocol(), chosen, units, 100)),
+              HasSubstr(absl::StrCat("1 of ", units.size(), " planned units are not finished")));
+}
+
+TEST(PiperResidual, IsReadFromWhatTheProgramPrints) {
+  const std::string output =
+      "| profile | payload [kg] | residual, mean of 3 episodes | range | rms [mrad] |\n"
+      "|---|---|---|---|---|\n| new | 1 | 40.1 % | .. | 14.6 |\n| new | 0 | 31.6 % | 29 | 14.6 |\n";
+  EXPECT_EQ(PiperResidualOf(output, "new"), 31.6);
+  EXPECT_EQ(PiperResidualOf(output, "used_one_year"), std::nullopt);
+}
+
+// Five episodes of a method as `robostress piper-study` tables them.
+std::string StudyRows(const std::string& arm, const std::string& method, int task, int variant,
+                      int successes) {
+  std::string rows;
+  for (int e = 0; e < 5; ++e) {
+    absl::StrAppend(&rows, arm, ",nano,", method, ",", task, ",", variant, ",", e, ",",
+                    e < successes ? 1 : 0, ",0.31,", method.find("ours") == 0 ? e : 0, "\n");
+  }
+  return rows;
+}
+
+constexpr char kStudyHeader[] = "arm,policy,method,task,variant,episode,success,residual,updates\n";
+
+TEST(PiperStudy, BecomesTheRealArmTables) {
+  const std::string file = TestFolder() + "/episodes.csv";
+  ASSERT_TRUE(
+      WriteFileAtomically(
+          file,
+          absl::StrCat(kStudyHeader, StudyRows("new", "base", 1, 0, 2),
+                       StudyRows("new", "robust", 1, 0, 3), StudyRows("new", "ours", 1, 0, 4),
+                       StudyRows("new", "dob_ours", 1, 0, 5), StudyRows("new", "ours", 1, 3, 1)))
+          .ok());
+  const auto episodes = ReadPiperEpisodes(file);
+  ASSERT_TRUE(episodes.ok()) << episodes.status();
+  EXPECT_EQ(episodes->size(), 25u);
+  const FilledTable arms = PiperTable("real-arm", *episodes, 100);
+  EXPECT_EQ(*arms.rows[0].cells[0].value, 40);
+  EXPECT_EQ(*arms.rows[0].cells[1].value, 60);
+  EXPECT_EQ(*arms.rows[0].cells[2].value, 80);
+  EXPECT_EQ(arms.rows[0].cells[2].note, "4 updates");
+  EXPECT_FALSE(arms.rows[1].cells[0].value.has_value());
+  EXPECT_EQ(*arms.rows[0].cells[6].value, 48) << "the paper's Robot A, pi0.5, base";
+  const FilledTable dob = PiperTable("dob", *episodes, 100);
+  EXPECT_EQ(*dob.rows[0].cells[3].value, 100);
+  EXPECT_FALSE(dob.rows[0].cells[1].value.has_value()) << "no DOB alone was run";
+  EXPECT_EQ(*PiperTable("unseen", *episodes, 100).rows[0].cells[2].value, 20);
+  EXPECT_THAT(FilledText(arms), HasSubstr("No real arm was used"));
+}
+
+TEST(PiperStudy, DamagedRecordIsNamed) {
+  const std::string file = TestFolder() + "/episodes.csv";
+  const auto message = [&](const std::string& text) {
+    EXPECT_TRUE(WriteFileAtomically(file, text).ok());
+    return std::string(ReadPiperEpisodes(file).status().message());
+  };
+  EXPECT_THAT(message(kStudyHeader), HasSubstr("no episode"));
+  EXPECT_THAT(message(absl::StrCat(kStudyHeader, "new,nano,base,7,0,0,1,0.3,0\n")),
+              HasSubstr("episodes.csv:2: column task is '7', must be 1 to 4"));
+  EXPECT_THAT(message(absl::StrCat(kStudyHeader, "new,nano,base\n")),
+              HasSubstr("is missing in this row"));
+  EXPECT_THAT(message("arm,policy\nnew,nano\n"), HasSubstr("column method is missing"));
+}
+
+TEST(PayloadTable, ReadsContendersAndNamesWhatIsMissing) {
+  const std::string file = TestFolder() + "/fidelity.json";
+  ASSERT_TRUE(WriteFileAtomically(file, R"({"contenders": [{"name": "Heavy Payload, fitted",
+      "dtw_per_step": {"value_mm": 1.25, "interval_mm": [1.0, 1.5]}, "rise": {"value_mm": 7.5},
+      "replays": 10, "lost": 1}]})")
+                  .ok());
+  const auto table = PayloadTable(file);
+  ASSERT_TRUE(table.ok()) << table.status();
+  EXPECT_THAT(FilledText(*table), HasSubstr("1.25 [1.00, 1.50]"));
+  EXPECT_EQ(table->rows[0].cells[0].n, 9);
+  ASSERT_TRUE(WriteFileAtomically(file, R"({"contenders": [{"name": "x"}]})").ok());
+  EXPECT_THAT(std::string(PayloadTable(file).status().message()), HasSubstr("dtw_per_step"));
+}
+
+class PaperProgram : public ::testing::Test {
+ protected:
+  void SetUp() override { folder_ = TestFolder(); }
+  std::pair<std::string, int> Paper(const std::string& arguments) {
+    return RunProgram(
+        absl::StrCat("ROBOSTRESS_BIN='", FAKE_PROGRAMS, "' '", BIN_DIR, "/robostress-paper'"),
+        arguments + " --bootstrap 200");
+  }
+  std::string folder_;
+};
+
+TEST_F(PaperProgram, ListsTheTables) {
+  const auto [output, code] = Paper("--list");
+  EXPECT_EQ(code, 0);
+  for (const PublishedTable& table : PublishedTables()) EXPECT_THAT(output, HasSubstr(table.label));
+  EXPECT_THAT(output, HasSubstr("--full: 672 units, 134400 episodes"));
+}
+
+TEST_F(PaperProgram, RunsATableAndTheNextOneOnlyWhatIsMissing) {
+  const std::string small =
+      absl::StrCat("--tasks 1 --episodes 3 --videos 0 --out '", folder_, "' ");
+  const auto [planned, plan_code] = Paper("anchor --dry-run " + small);
+  EXPECT_EQ(plan_code, 0);
+  EXPECT_THAT(planned, HasSubstr("anchor: 14 units, 42 episodes; 0 units done"));
+  const auto [first, first_code] = Paper("anchor " + small);
+  ASSERT_EQ(first_code, 0) << first;
+  EXPECT_THAT(first, HasSubstr("w/ anchor - w/o anchor"));
+  for (const char* form : {".html", ".md", ".csv", ".json"})
+    EXPECT_TRUE(ReadFile(folder_ + "/tables/anchor" + form).ok()) << form;
+  const auto [again, again_code] = Paper("ablation --dry-run " + small);
+  EXPECT_EQ(again_code, 0);
+  EXPECT_THAT(again, HasSubstr("ablation: 35 units, 105 episodes; 7 units done, 84 episodes"));
+  const std::string table = *ReadFile(folder_ + "/tables/anchor.csv");
+  ASSERT_EQ(Paper("ablation " + small).second, 0);
+  ASSERT_EQ(Paper("anchor " + small).second, 0);
+  EXPECT_EQ(*ReadFile(folder_ + "/tables/anchor.csv"), table) << "other units do not enter it";
+  EXPECT_EQ(CountLines(folder_ + "/units/tabletop_object-heavy_payload-L5-nano-ours-s0/starts.txt"),
+            1);
+}
+
+TEST_F(PaperProgram, WrongCommandsEndWithCodeTwo) {
+  EXPECT_EQ(Paper("mian").second, 2);
+  EXPECT_THAT(Paper("mian").first, HasSubstr("known: main"));
+  EXPECT_EQ(Paper("").second, 2);
+  EXPECT_EQ(Paper("main --quick --full").second, 2);
+  const auto [output, code] = Paper("main --suites tabletop_gaol --dry-run");
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(output, HasSubstr("tabletop_goal"));
+}
+
+TEST_F(PaperProgram, ProgramThatIsNotInTheBuildIsNamed) {
+  const auto [output, code] = Paper(absl::StrCat("real-arm --out '", folder_, "'"));
+  EXPECT_EQ(code, 1);
+  EXPECT_THAT(output, HasSubstr("piper-study"));
+}
+
+}  // namespace
+}  // namespace robostress
