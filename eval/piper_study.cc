@@ -118,11 +118,12 @@ absl::StatusOr<std::string> PiperUnitYaml(const PiperStudyOptions& options, cons
   const bool observer = unit.method == "dob" || unit.method == "dob_ours";
   std::string section = absl::StrCat("\n", DumpConfig(method));
   while (!section.empty() && section.back() == '\n') section.pop_back();
-  return absl::StrCat(
-      "arm: ", unit.arm, "\ntask: ", kPiperTasks[unit.task - 1], "\nvariants: [", variants,
-      "]\nepisodes: ", options.episodes, "\nepisode_s: ", options.episode_s,
-      "\nobserver: ", observer ? "true" : "false", "\nseed: ", options.seed, "\npolicy: \"", policy,
-      "\"\nmethod:", absl::StrReplaceAll(section, {{"\n", "\n  "}}), "\n");
+  return absl::StrCat("arm: ", unit.arm, "\ntask: ", kPiperTasks[unit.task - 1], "\nvariants: [",
+                      variants, "]\nepisodes: ", options.episodes,
+                      "\nepisode_s: ", options.episode_s,
+                      "\nobserver: ", observer ? "true" : "false", "\nseed: ", options.seed,
+                      "\nmoved_bound: ", options.moved_bound, "\npolicy: \"", policy,
+                      "\"\nmethod:", absl::StrReplaceAll(section, {{"\n", "\n  "}}), "\n");
 }
 
 }  // namespace robostress

@@ -19,9 +19,10 @@ struct PiperStudyOptions {
   int episodes = 25;                                         // per arm, task and method
   double episode_s = 15;                                     // until an episode has failed [s]
   std::vector<std::string> experiments = {"main", "dob", "unseen"};
-  int64_t seed = 0;                          // of the sampling noise
-  int64_t train_steps = 4000;                // of the policy that base and RobustVLA go on from
-  int64_t tune_steps = 300;                  // of each of the two
+  double moved_bound = 0.1;    // steps that the client moved by more are masked in feedback [rad]
+  int64_t seed = 0;            // of the sampling noise
+  int64_t train_steps = 1600;  // of the policy that base and RobustVLA go on from
+  int64_t tune_steps = 150;    // of each of the two
   std::vector<std::string> overrides;        // of the method options of ours: KEY=VALUE
   std::string base_weights, robust_weights;  // given: nothing is recorded or trained
   std::string recipe;  // of the training; empty: server/training/nano_piper.yaml
@@ -35,6 +36,8 @@ struct PiperStudyOptions {
     v.Field("episode_s", episode_s, "until an episode has failed [s]");
     v.Field("experiments", experiments, "main, dob, unseen");
     v.Field("seed", seed, "of the sampling noise");
+    v.Field("moved_bound", moved_bound,
+            "steps that limiter or cross-fade moved by more are masked in feedback [rad]");
     v.Field("train_steps", train_steps, "of the policy that base and RobustVLA go on from");
     v.Field("tune_steps", tune_steps, "of base and of RobustVLA, from that policy");
     v.Field("overrides", overrides, "KEY=VALUE of the method that adapts");

@@ -145,6 +145,7 @@ absl::StatusOr<std::string> ClientYaml(const PiperStudyOptions& options, const P
                       ".wrist\"]\ntask: ", unit.task - 1, "\nepisodes: ", options.episodes,
                       "\nepisode_s: 600\nhome: [", facts.home,
                       "]\ncontrol:\n  observer: ", observer ? "true" : "false",
+                      "\nfeedback:\n  moved_bound: ", options.moved_bound,
                       "\nrealtime:\n  priority: 0\n  lock_memory: false\npolicy:\n  server: \"",
                       server, "\"\n  policy: \"", weights, "\"\n  robot: piper_", unit.arm,
                       "\n  suite: piper_table\n  scenario: ", unit.arm, "\n  seed: ", options.seed,

@@ -60,8 +60,8 @@ TEST(PiperStudyPlan, AUnitSaysEverythingThatDecidesIt) {
                            HasSubstr("variants: [wooden, plum, light_blue, yellow_plate, "
                                      "green_plate]\n"),
                            HasSubstr("episodes: 25\n"), HasSubstr("observer: false\n"),
-                           HasSubstr("policy: \"w.safetensors\"\n"),
-                           HasSubstr("\n  adapt: true\n"), HasSubstr("learning_rate: 3")));
+                           HasSubstr("policy: \"w.safetensors\"\n"), HasSubstr("\n  adapt: true\n"),
+                           HasSubstr("learning_rate: 3")));
   const auto dob = PiperUnitYaml(options, {"dob_new_1_dob", "dob", "new", 1, "dob"}, "w");
   ASSERT_TRUE(dob.ok()) << dob.status();
   EXPECT_THAT(*dob, AllOf(HasSubstr("observer: true\n"), HasSubstr("\n  adapt: false\n"),
@@ -174,9 +174,9 @@ TEST(PiperStudy, KeepsResultsOfOtherOptionsApart) {
 TEST(PiperStudy, LeavesTheObjectVariantsToSimulatedTime) {
   PiperStudyLaunch launch;
   launch.out = Folder("live");
-  EXPECT_EQ(RunLiveUnit({}, {"unseen_new_1_ours", "unseen", "new", 1, "ours"}, "w", "s", launch)
-                .code(),
-            absl::StatusCode::kUnimplemented);
+  EXPECT_EQ(
+      RunLiveUnit({}, {"unseen_new_1_ours", "unseen", "new", 1, "ours"}, "w", "s", launch).code(),
+      absl::StatusCode::kUnimplemented);
 }
 
 }  // namespace

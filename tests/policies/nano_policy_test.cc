@@ -429,8 +429,8 @@ TEST(NanoPolicy, RefusesObservationsThatItWasNotTrainedOn) {
   EXPECT_EQ(message([](Observation&) {}), "");
 }
 
-// What the last executed step of a chunk should be does not depend on where the chunk began; how the
-// network sees it does (paper, sec:supp_real).
+// What the last executed step of a chunk should be does not depend on where the chunk began; how
+// the network sees it does (paper, sec:supp_real).
 TEST(NanoPolicy, ActionsThatAreDisplacementsAreCountedFromTheStateOfTheirPrediction) {
   NanoModel model = TinyModel();
   const NanoModel absolute = model;

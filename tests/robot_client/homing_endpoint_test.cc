@@ -64,8 +64,8 @@ TEST(HomingEndpoint, LeadsStraightHomeNoFasterThanItsSpeed) {
                 HomingEndpoint::kJointSpeed * kPeriod + 1e-5)
           << "row " << row << " joint " << j;
       // All joints are on their way by the same share.
-      EXPECT_NEAR(way->actions(row, j) / kHome[1], way->actions(row, 1) * kHome[j] / kHome[1] / kHome[1],
-                  1e-5);
+      EXPECT_NEAR(way->actions(row, j) / kHome[1],
+                  way->actions(row, 1) * kHome[j] / kHome[1] / kHome[1], 1e-5);
     }
     EXPECT_FLOAT_EQ(way->actions(row, kArmJoints), 0.07f) << "the gripper opens at once";
     before = way->actions.row(row).transpose();

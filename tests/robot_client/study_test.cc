@@ -200,8 +200,8 @@ TEST(StudyUnit, KeepsOneSessionOverEpisodesAndObjectVariants) {
   ASSERT_TRUE(status.ok()) << status;
   ASSERT_EQ(rows.size(), 4u);
   EXPECT_EQ(policy.episodes, (std::vector<int>{0, 1, 2, 3})) << "the way home is none of them";
-  EXPECT_EQ(policy.instructions,
-            (std::set<std::string>{kObjectVariants[1].instruction, kObjectVariants[2].instruction}));
+  EXPECT_EQ(policy.instructions, (std::set<std::string>{kObjectVariants[1].instruction,
+                                                        kObjectVariants[2].instruction}));
   ASSERT_GE(policy.sequences.size(), 8u);
   for (size_t i = 0; i < policy.sequences.size(); ++i) EXPECT_EQ(policy.sequences[i], i + 1);
   EXPECT_THAT(rows[0], HasSubstr("\"variant\":\"wooden\""));
@@ -224,6 +224,7 @@ TEST(StudyUnit, RefusesWhatDoesNotFit) {
   EXPECT_THAT(refused([](StudyUnit& u) { u.arm = "rusty"; }), HasSubstr("used_one_year"));
   EXPECT_THAT(refused([](StudyUnit& u) { u.episodes = 0; }), HasSubstr("episodes"));
   EXPECT_THAT(refused([](StudyUnit& u) { u.episode_s = -1; }), HasSubstr("episode_s"));
+  EXPECT_THAT(refused([](StudyUnit& u) { u.moved_bound = 0; }), HasSubstr("moved_bound"));
   EXPECT_THAT(refused([](StudyUnit& u) { u.latency_ticks = 31; }), HasSubstr("latency_ticks"));
   EXPECT_THAT(refused([](StudyUnit& u) {
                 u.variants = {"wooden"};

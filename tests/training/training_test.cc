@@ -207,9 +207,9 @@ TEST_F(Training, SeesAbsoluteTargetsAsDisplacementsFromTheStateOfTheirFrame) {
   const DemoBatch b = counted.Fill(frames, model, {}, random).value();
   EXPECT_TRUE(torch::equal(a.state, b.state));
   const torch::Tensor origin = a.state.narrow(1, 0, 6).unsqueeze(1);
-  EXPECT_LT((a.actions.narrow(2, 0, 6) - origin - b.actions.narrow(2, 0, 6)).abs().max()
-                .item<float>(),
-            1e-5f);
+  EXPECT_LT(
+      (a.actions.narrow(2, 0, 6) - origin - b.actions.narrow(2, 0, 6)).abs().max().item<float>(),
+      1e-5f);
   EXPECT_TRUE(torch::equal(a.actions.narrow(2, 6, 2), b.actions.narrow(2, 6, 2)));
 
   // Normalisation is that of the displacements; a graft of another meaning leaves it alone.

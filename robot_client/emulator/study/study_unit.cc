@@ -76,6 +76,7 @@ class UnitRun {
     RS_ASSIGN_OR_RETURN(bench_, StudyBench::Create(options));
     SimulatedClientOptions client;
     client.control.observer = unit_.observer;
+    client.link.feedback.moved_bound = unit_.moved_bound;
     client.link.instruction = Instruction(options.variant);
     client.latency_ticks = unit_.latency_ticks;
     const double period_s = 1 / client.control.rate_hz;
@@ -103,6 +104,7 @@ class UnitRun {
                                               [this](const TickRecord& record) {
                                                 return IsHome(record.position, home_);
                                               }));
+      counted_ = way.link.feedback;
       if (way.ended_by_caller && client_->loop().state() == ClientState::kEnabled)
         return absl::OkStatus();
     }
@@ -177,6 +179,10 @@ absl::Status CheckStudyUnit(const StudyUnit& unit) {
   if (!(unit.episode_s > 0 && unit.episode_s <= 600)) {
     return absl::InvalidArgumentError(
         absl::StrCat("episode_s is ", unit.episode_s, ", must be above 0 and at most 600"));
+  }
+  if (!(unit.moved_bound > 0 && unit.moved_bound <= 1)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("moved_bound is ", unit.moved_bound, ", must be above 0 and at most 1"));
   }
   if (unit.latency_ticks < 0 || unit.latency_ticks > 30) {
     return absl::InvalidArgumentError(

@@ -25,7 +25,10 @@ struct StudyUnit {
   bool observer = false;                         // disturbance observer
   int64_t seed = 0;                              // of the sampling noise
   int latency_ticks = 0;                         // from an observation to its chunk
-  std::string policy = "nano";                   // as the server names it
+  // [rad] steps that limiter or cross-fade moved by more are masked. The paper's client had no
+  // limiter, and ours allows what the arm's own planner does; a real arm's bound is tighter.
+  double moved_bound = 0.1;
+  std::string policy = "nano";  // as the server names it
   MethodOptions method;
 
   template <class V>
@@ -38,6 +41,8 @@ struct StudyUnit {
     v.Field("observer", observer, "correct commands by the disturbance observer");
     v.Field("seed", seed, "of the policy's sampling noise");
     v.Field("latency_ticks", latency_ticks, "control steps from an observation to its chunk");
+    v.Field("moved_bound", moved_bound,
+            "steps that limiter or cross-fade moved by more are masked in feedback [rad]");
     v.Field("policy", policy, "one that the server holds");
     v.Section("method", method, "what the server's session does");
   }
