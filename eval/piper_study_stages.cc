@@ -177,8 +177,8 @@ class Study {
                                                   {absl::StrCat("graft=", PiperGraft())}));
     RS_RETURN_IF_ERROR(RunJobs({start}, 1));
     const std::vector<std::string> go_on = {
-        "graft=", absl::StrCat("init=", Out("train/start/nano.safetensors")), "lr=0.0002",
-        "warmup=10", "seed=32"};
+        absl::StrCat("init=", Out("train/start/nano.safetensors")), "lr=0.0002", "warmup=10",
+        "seed=32"};
     RS_ASSIGN_OR_RETURN(const Job base, TrainJob("base", options_.tune_steps, go_on));
     std::vector<std::string> worst = go_on;
     worst.push_back("objective=robust");
