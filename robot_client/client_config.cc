@@ -1,5 +1,6 @@
 #include "robot_client/client_config.h"
 
+#include <cmath>
 #include <utility>
 
 #include "absl/strings/match.h"
@@ -76,6 +77,13 @@ absl::Status CheckConfig(const ClientConfig& c) {
     return invalid("policy.robot is '", c.policy.robot,
                    "'; the residual of this arm is in joint space, so its name must begin with "
                    "'piper'");
+  }
+  if (!c.home.empty() && c.home.size() != kArmAxes) {
+    return invalid("home has ", c.home.size(), " numbers, must have ", kArmAxes,
+                   ": six joints [rad] and the opening [m]");
+  }
+  for (const double value : c.home) {
+    if (!std::isfinite(value)) return invalid("home holds ", value, ", must be finite");
   }
   if (c.cameras.size() > 8) return invalid(c.cameras.size(), " cameras, at most 8");
   return absl::OkStatus();

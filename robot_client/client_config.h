@@ -23,6 +23,7 @@ struct ClientConfig {
   int first_episode = 0;
   int episodes = 25;
   double episode_s = 60;  // [s] of RUN until an episode ends by itself
+  std::vector<double> home;  // seven: joints [rad], opening [m]; empty: there is no such pose
   PolicyConnectionOptions policy;
   ControlOptions control;
   FeedbackOptions feedback;
@@ -37,6 +38,7 @@ struct ClientConfig {
     v.Field("first_episode", first_episode, "index of the first episode");
     v.Field("episodes", episodes, "consecutive episodes; adaptation is kept over them");
     v.Field("episode_s", episode_s, "most time of an episode [s]");
+    v.Field("home", home, "pose of `home`: six joints [rad] and the opening [m]; empty: none");
     v.Section("policy", policy, "the policy server and its session");
     v.Section("control", control, "the control loop");
     v.Section("feedback", feedback, "what is reported to the server");

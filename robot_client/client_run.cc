@@ -2,6 +2,7 @@
 
 #include <pthread.h>
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -11,12 +12,20 @@
 #include "common/config.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
+#include "robot_client/homing_endpoint.h"
 
 namespace robostress {
 namespace {
 
 constexpr int64_t kPoll_ns = 5'000'000;
 constexpr char kEpisodes[] = "/episodes.jsonl";
+constexpr double kHomingMost_s = 15;
+
+ArmVector HomeOf(const ClientConfig& config) {
+  ArmVector home{};
+  std::copy_n(config.home.begin(), home.size(), home.begin());
+  return home;
+}
 
 }  // namespace
 
@@ -46,8 +55,7 @@ absl::Status ClientRun::Open() {
   link.instruction = config_.instruction;
   link.max_frame_age_s = config_.control.watchdogs.camera_hold_s;
   link.feedback = config_.feedback;
-  link_ = std::make_unique<PolicyLink>(link, loop_.get(), &clock_, sources,
-                                       ConnectTo(config_.policy, 1 / config_.control.rate_hz));
+  link_ = std::make_unique<PolicyLink>(link, loop_.get(), &clock_, sources, ConnectWithHome());
   RS_RETURN_IF_ERROR(link_->Open());
   RS_ASSIGN_OR_RETURN(recorder_, Recorder::Create(directory_));
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
@@ -55,6 +63,18 @@ absl::Status ClientRun::Open() {
   arm_->AddSampleReader(&recorder_->samples());
   recorder_->OnChange([](const std::string& line) { std::printf("%s\n", line.c_str()); });
   return absl::OkStatus();
+}
+
+// The server's policy, with the way home before it where there is one.
+PolicyLink::Connect ClientRun::ConnectWithHome() const {
+  const double period_s = 1 / config_.control.rate_hz;
+  PolicyLink::Connect connect = ConnectTo(config_.policy, period_s);
+  if (config_.home.empty()) return connect;
+  return [connect, period_s,
+          home = HomeOf(config_)]() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
+    RS_ASSIGN_OR_RETURN(std::unique_ptr<PolicyEndpoint> policy, connect());
+    return std::make_unique<HomingEndpoint>(std::move(policy), home, period_s);
+  };
 }
 
 ClientRun::~ClientRun() { StopThreads(); }
@@ -130,6 +150,37 @@ absl::StatusOr<std::string> ClientRun::StartEpisode() {
                       "\"");
 }
 
+absl::StatusOr<std::string> ClientRun::GoHome() {
+  if (config_.home.empty()) {
+    return absl::FailedPreconditionError(
+        "no starting pose is configured; give home (six joints [rad] and the opening [m])");
+  }
+  if (episode_running_ || loop_->state() != ClientState::kEnabled) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "the client is ", StateName(loop_->state()), episode_running_ ? " and an episode runs" : "",
+        "; home is reached from ENABLED"));
+  }
+  const ArmVector home = HomeOf(config_);
+  link_->StartEpisode({config_.task, kHomingEpisode});
+  loop_->Ask(kRequestStart);
+  if (!WaitForState(ClientState::kRun, 1)) {
+    return absl::UnavailableError(
+        "the way home did not begin: arm or camera are not fresh; see events.jsonl");
+  }
+  const int64_t until = clock_.now_ns() + static_cast<int64_t>(kHomingMost_s * 1e9);
+  bool there = false;
+  while (!there && loop_->state() == ClientState::kRun && clock_.now_ns() < until) {
+    clock_.SleepUntil(clock_.now_ns() + kPoll_ns);
+    there = IsHome(arm_->Latest().position, home);
+  }
+  loop_->Ask(kRequestEnd);
+  const bool enabled = WaitForState(ClientState::kEnabled, 2);
+  if (there && enabled) return "the arm is home";
+  return absl::DeadlineExceededError(absl::StrCat("the arm did not come home within ",
+                                                  kHomingMost_s, " s; the client is ",
+                                                  StateName(loop_->state()), ", see events.jsonl"));
+}
+
 absl::StatusOr<std::string> ClientRun::EndEpisode(std::optional<bool> success) {
   if (!episode_running_) return absl::FailedPreconditionError("no episode runs");
   loop_->Ask(kRequestEnd);
@@ -172,6 +223,8 @@ absl::StatusOr<std::string> ClientRun::Act(OperatorCommand command) {
       return status.ok() ? absl::DeadlineExceededError("the arm was not enabled within 10 s")
                          : status;
     }
+    case OperatorCommand::kHome:
+      return GoHome();
     case OperatorCommand::kStart:
       return StartEpisode();
     case OperatorCommand::kHold:

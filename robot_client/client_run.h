@@ -45,8 +45,10 @@ class ClientRun {
   explicit ClientRun(const ClientConfig& config, std::string directory)
       : config_(config), directory_(std::move(directory)) {}
   absl::Status Open();
+  PolicyLink::Connect ConnectWithHome() const;
   void StopThreads();
   absl::StatusOr<std::string> StartEpisode();
+  absl::StatusOr<std::string> GoHome();
   absl::StatusOr<std::string> EndEpisode(std::optional<bool> success);
   bool WaitForState(ClientState state, double seconds);
 

@@ -20,6 +20,7 @@ constexpr int64_t kWindow_ns = 3'000'000'000;
 
 constexpr std::pair<const char*, OperatorCommand> kCommands[] = {
     {"enable", OperatorCommand::kEnable},   {"start", OperatorCommand::kStart},
+    {"home", OperatorCommand::kHome},
     {"", OperatorCommand::kHold},           {"hold", OperatorCommand::kHold},
     {"resume", OperatorCommand::kResume},   {"success", OperatorCommand::kSuccess},
     {"failure", OperatorCommand::kFailure}, {"end", OperatorCommand::kEnd},
@@ -33,6 +34,7 @@ const char kOperatorHelp[] =
     "Commands, one a line\n"
     "  enable      give the joints power; the arm holds where it is\n"
     "  start       begin an episode\n"
+    "  home        drive to the configured starting pose, slowly: clear the way first\n"
     "  hold        or just Enter, or Ctrl-C: brake and hold\n"
     "  resume      go on with the episode that was held\n"
     "  success     end the episode: the task was done      failure   ... it was not\n"

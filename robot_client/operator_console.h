@@ -12,6 +12,7 @@ namespace robostress {
 // What a person tells the client, one word a line on standard input.
 enum class OperatorCommand {
   kEnable,
+  kHome,  // drives to the configured starting pose
   kStart,
   kHold,  // also an empty line: the nearest key stops
   kResume,

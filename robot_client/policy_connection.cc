@@ -24,7 +24,7 @@ PolicyLink::Connect ConnectTo(const PolicyConnectionOptions& options, double con
     session.scenario = options.scenario;
     session.policy = options.policy;
     session.seed = options.seed;
-    session.mode = ExecutionMode::kAsync;
+    session.mode = options.mode;
     session.method = options.method;
     session.control_period_s = control_period_s;
     RS_ASSIGN_OR_RETURN(std::unique_ptr<GrpcPolicyClient> connected,

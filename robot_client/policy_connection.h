@@ -18,6 +18,9 @@ struct PolicyConnectionOptions {
   double connect_timeout_s = 5;   // [s] until the server must accept
   double call_timeout_s = 2;      // [s] for any answer; the arm holds long before
   MethodOptions method;
+  // Lockstep is for simulated time; it is no field of a configuration, because an arm in real time
+  // must never wait for an update.
+  ExecutionMode mode = ExecutionMode::kAsync;
 
   template <class V>
   void Visit(V& v) {
@@ -33,7 +36,8 @@ struct PolicyConnectionOptions {
   }
 };
 
-// Opens an asynchronous session: a prediction never waits for an update.
+// Opens a session, asynchronous unless the options say otherwise: a prediction never waits for an
+// update.
 PolicyLink::Connect ConnectTo(const PolicyConnectionOptions& options, double control_period_s);
 
 }  // namespace robostress

@@ -1,19 +1,26 @@
 // piper_emulator: a Piper in software on a CAN bus, in real time. A client or the vendor's SDK sees
 // the frames of an arm; see README.md beside this file.
 
+#include <fcntl.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <csignal>
 #include <cstdio>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "CLI/CLI.hpp"
 #include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
 #include "common/clock.h"
 #include "common/status_macros.h"
 #include "robot_client/can/bus_address.h"
 #include "robot_client/emulator/piper_emulator.h"
+#include "robot_client/emulator/study/table_expert.h"
 #include "robot_client/emulator/view_server.h"
 
 namespace robostress::piper {
@@ -24,9 +31,13 @@ constexpr char kExamples[] =
     "  piper_emulator --bus udp:239.74.163.2:43113 --profile new\n"
     "  piper_emulator --bus udp:239.74.163.2:43113 --profile used_one_year --payload-kg 1.0\n"
     "  piper_emulator --bus udp:239.74.163.2:43114 --fault collision:J2@20 --fault silent@30+0.5\n"
-    "  piper_emulator --bus can:vcan0 --firmware S-V1.8-2 --command-lag-ms 100\n\n"
+    "  piper_emulator --bus can:vcan0 --firmware S-V1.8-2 --command-lag-ms 100\n"
+    "  piper_emulator --task bowl_on_box --views /dev/shm/piper --view-size 64\n\n"
     "One port per arm. Frames stay on this machine unless the bus names an interface\n"
-    "(udp:239.74.163.2:43113%eth1). The arm starts on its rest, disabled; Ctrl-C ends it.\n";
+    "(udp:239.74.163.2:43113%eth1). The arm starts on its rest, disabled; Ctrl-C ends it.\n"
+    "With --task a table stands in front of it, the arm starts in the pose from which the task's\n"
+    "demonstrations start, and a line `place N` on standard input puts the objects where initial\n"
+    "state N has them; `done N` is printed when the task is.\n";
 
 struct CommandLine {
   std::string bus = "udp:239.74.163.2:43113";
@@ -35,7 +46,8 @@ struct CommandLine {
   std::vector<std::string> faults;
   std::vector<double> start_deg;
   double duration_s = 0;
-  std::string views;
+  std::string views, task, variant = kObjectVariants[0].name;
+  int view_size = 0;
   EmulatorOptions options;
 };
 
@@ -48,7 +60,18 @@ absl::StatusOr<EmulatorOptions> Resolve(const CommandLine& line) {
     return absl::InvalidArgumentError(
         absl::StrCat("--firmware ", line.firmware, ": expected a version as S-V1.8-9"));
   options.version = *version;
-  if (!line.views.empty()) {
+  if (!line.task.empty()) {
+    RS_RETURN_IF_ERROR(FindTableTask(line.task).status());
+    RS_ASSIGN_OR_RETURN(const int variant, FindObjectVariant(line.variant));
+    const double payload_kg = options.scene.payload_kg;
+    options.scene = MakeTableScene(kObjectVariants.at(static_cast<size_t>(variant)));
+    options.scene.payload_kg = payload_kg;
+    if (line.start_deg.empty()) {
+      RS_ASSIGN_OR_RETURN(const ArmVector home, TableExpert::Home());
+      std::copy_n(home.begin(), kJoints, options.start.begin());
+      options.opening = home[kArmJoints];
+    }
+  } else if (!line.views.empty()) {
     options.scene.assets_xml += kViewAssets;
     options.scene.world_xml += kViewTable;
   }
@@ -72,6 +95,52 @@ absl::StatusOr<EmulatorOptions> Resolve(const CommandLine& line) {
   return options;
 }
 
+// The table in front of the arm, as a person on standard input has it.
+class Table {
+ public:
+  static absl::StatusOr<Table> Create(const std::string& task, PiperPlant* plant) {
+    RS_ASSIGN_OR_RETURN(const int index, FindTableTask(task));
+    RS_ASSIGN_OR_RETURN(TableScene scene,
+                        TableScene::Create(plant, kTableTasks.at(static_cast<size_t>(index))));
+    Table table(std::move(scene));
+    table.Place(0);
+    fcntl(STDIN_FILENO, F_SETFL, fcntl(STDIN_FILENO, F_GETFL) | O_NONBLOCK);
+    return table;
+  }
+  // Every now and then: obeys lines that have come, and says when the task is done.
+  void Serve() {
+    char bytes[256];
+    for (ssize_t n; (n = read(STDIN_FILENO, bytes, sizeof bytes)) > 0;)
+      input_.append(bytes, static_cast<size_t>(n));
+    for (size_t end; (end = input_.find('\n')) != std::string::npos; input_.erase(0, end + 1)) {
+      absl::string_view text = absl::string_view(input_).substr(0, end);
+      int state = 0;
+      if (absl::ConsumePrefix(&text, "place ") && absl::SimpleAtoi(text, &state)) {
+        Place(state);
+      } else {
+        std::printf("not understood; `place N` puts the objects in initial state N\n");
+      }
+    }
+    if (input_.size() > sizeof bytes) input_.clear();
+    done_rounds_ = scene_.Done(scene_.Look()) ? done_rounds_ + 1 : 0;
+    if (done_rounds_ == kDoneRounds) std::printf("done %d\n", state_);
+    std::fflush(stdout);
+  }
+
+ private:
+  static constexpr int kDoneRounds = 20;  // of 16 ms
+  explicit Table(TableScene scene) : scene_(std::move(scene)) {}
+  void Place(int state) {
+    scene_.Place(state);
+    state_ = state;
+    done_rounds_ = 0;
+    std::printf("placed %d\n", state);
+  }
+  TableScene scene_;
+  std::string input_;
+  int state_ = 0, done_rounds_ = 0;
+};
+
 absl::Status Run(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const EmulatorOptions options, Resolve(line));
   MonotonicClock clock;
@@ -82,10 +151,17 @@ absl::Status Run(const CommandLine& line) {
               emulator->profile().name.c_str(), options.scene.payload_kg,
               FirmwareName(options.version).c_str());
   std::fflush(stdout);
+  std::optional<Table> table;
+  if (!line.task.empty()) {
+    RS_ASSIGN_OR_RETURN(table, Table::Create(line.task, &emulator->plant()));
+  }
   std::unique_ptr<ViewServer> views;
   if (!line.views.empty()) {
-    RS_ASSIGN_OR_RETURN(views,
-                        ViewServer::Create({.prefix = line.views}, emulator->plant(), &clock));
+    ViewServerOptions shown;
+    shown.prefix = line.views;
+    if (line.view_size > 0) shown.width = shown.height = line.view_size;
+    shown.shadows = line.task.empty();  // as the task's demonstrations are drawn
+    RS_ASSIGN_OR_RETURN(views, ViewServer::Create(shown, emulator->plant(), &clock));
   }
   const int64_t start_ns = clock.now_ns();
   int64_t worst_ns = 0, ticks = 0;
@@ -96,7 +172,9 @@ absl::Status Run(const CommandLine& line) {
     const int64_t now_ns = clock.now_ns();
     worst_ns = std::max(worst_ns, now_ns - tick_ns);
     emulator->RunUntil(now_ns);
-    if (views != nullptr && ++ticks % 16 == 0) views->Show(emulator->plant().data());
+    if (++ticks % 16 != 0) continue;
+    if (table) table->Serve();
+    if (views != nullptr) views->Show(emulator->plant().data());
   }
   const double seconds = 1e-9 * static_cast<double>(clock.now_ns() - start_ns);
   std::printf(
@@ -147,6 +225,13 @@ int main(int argc, char** argv) {
   app.add_option("--views", line.views,
                  "also draw the base and wrist views: files PREFIX.base and PREFIX.wrist, e.g. "
                  "/dev/shm/piper, for robot_client --camera base=mapped:PREFIX.base");
+  app.add_option("--view-size", line.view_size,
+                 "square views of so many pixels (default: 320 x 240)")
+      ->check(CLI::Range(16, 1024));
+  app.add_option("--task", line.task,
+                 "a table with objects: bowl_next_to_plate, bowl_on_cabinet, bowl_on_box or "
+                 "open_drawer");
+  app.add_option("--variant", line.variant, "what bowl and plate look like")->capture_default_str();
   app.add_option("--seconds", line.duration_s, "End after this long (default: on a signal)")
       ->check(CLI::NonNegativeNumber);
   CLI11_PARSE(app, argc, argv);

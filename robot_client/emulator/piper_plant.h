@@ -50,6 +50,7 @@ class PiperPlant {
   JointVector link_angles() const;
   const mjModel& model() const { return *model_; }
   mjData& data() { return *data_; }
+  const mjData& data() const { return *data_; }
 
  private:
   using Vector6 = Eigen::Matrix<double, kJoints, 1>;

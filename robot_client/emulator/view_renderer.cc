@@ -72,7 +72,7 @@ ViewRenderer::ViewRenderer(const mjModel& model, int width, int height,
 ViewRenderer::~ViewRenderer() = default;
 
 absl::StatusOr<std::unique_ptr<ViewRenderer>> ViewRenderer::Create(const mjModel& model, int width,
-                                                                   int height) {
+                                                                   int height, bool shadows) {
   if (width < 1 || height < 1 || width > kMaxSide || height > kMaxSide) {
     return absl::InvalidArgumentError(
         absl::StrCat("views of ", width, " x ", height, ", must be 1..", kMaxSide, " a side"));
@@ -83,6 +83,7 @@ absl::StatusOr<std::unique_ptr<ViewRenderer>> ViewRenderer::Create(const mjModel
   mjv_defaultScene(&context->scene);
   mjv_defaultOption(&context->options);
   mjv_makeScene(&model, &context->scene, kMaxGeoms);
+  context->scene.flags[mjRND_SHADOW] = shadows ? 1 : 0;
   // The frame buffer's size is read from the model: a copy of the struct alone says ours.
   mjModel sized = model;
   sized.vis.global.offwidth = width;

@@ -14,9 +14,10 @@ namespace robostress::piper {
 // display. Belongs to the thread that created it; `model` outlives it.
 class ViewRenderer {
  public:
-  // UNAVAILABLE where EGL gives no context; the message says what to install.
+  // UNAVAILABLE where EGL gives no context; the message says what to install. Without `shadows` a
+  // small picture costs a tenth.
   static absl::StatusOr<std::unique_ptr<ViewRenderer>> Create(const mjModel& model, int width,
-                                                              int height);
+                                                              int height, bool shadows = true);
   ~ViewRenderer();
   // `data` with positions computed (mj_kinematics at least). NOT_FOUND for a camera that the scene
   // lacks.

@@ -58,12 +58,14 @@ ViewServer::~ViewServer() {
 void ViewServer::Show(const mjData& data) {
   absl::MutexLock lock(&mu_);
   qpos_.assign(data.qpos, data.qpos + model_->nq);
+  mocap_.assign(data.mocap_pos, data.mocap_pos + 3 * model_->nmocap);
   stamp_ns_ = clock_->now_ns();
 }
 
 absl::Status ViewServer::Serve(const std::atomic<bool>* stop) {
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<ViewRenderer> renderer,
-                      ViewRenderer::Create(*model_, options_.width, options_.height));
+                      ViewRenderer::Create(*model_, options_.width, options_.height,
+                                           options_.shadows));
   std::vector<std::unique_ptr<MappedFrameWriter>> writers;
   for (const View& view : kViews) {
     RS_ASSIGN_OR_RETURN(
@@ -82,6 +84,7 @@ absl::Status ViewServer::Serve(const std::atomic<bool>* stop) {
       absl::MutexLock lock(&mu_);
       if (qpos_.empty()) continue;
       std::copy(qpos_.begin(), qpos_.end(), data->qpos);
+      std::copy(mocap_.begin(), mocap_.end(), data->mocap_pos);
       stamp = stamp_ns_;
     }
     mj_kinematics(model_.get(), data.get());

@@ -18,6 +18,7 @@ struct ViewServerOptions {
   std::string prefix;             // files PREFIX.base and PREFIX.wrist, e.g. /dev/shm/piper
   int width = 320, height = 240;  // [px]
   double rate_hz = 30;
+  bool shadows = true;
 };
 
 // A table to look at under an arm that stands alone: drawn, not touched.
@@ -54,6 +55,7 @@ class ViewServer {
 
   absl::Mutex mu_;
   std::vector<double> qpos_ ABSL_GUARDED_BY(mu_);
+  std::vector<double> mocap_ ABSL_GUARDED_BY(mu_);  // positions of what is placed by hand
   int64_t stamp_ns_ ABSL_GUARDED_BY(mu_) = 0;
   absl::Status status_ ABSL_GUARDED_BY(mu_);
 };

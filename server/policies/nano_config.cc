@@ -38,6 +38,8 @@ absl::Status ValidateNanoConfig(const NanoConfig& config) {
       {"steps_per_token", config.steps_per_token, 1, config.horizon},
       {"execute_steps", config.execute_steps, 1, config.horizon},
       {"state_dim", config.state_dim, 1, 64},
+      {"displacement_channels", config.displacement_channels, 0,
+       std::min(config.action_dim, config.state_dim)},
       {"state_bins", config.state_bins, 2, 4096},
       {"aux_dim", config.aux_dim, 1, 64},
   };

@@ -34,6 +34,10 @@ struct NanoConfig {
   int steps_per_token = 5;   // control steps in one action token; pi0 has 1
   int execute_steps = 5;     // n_exec
   int state_dim = 8;
+  // Leading action channels that the network sees as displacements from the same entries of the
+  // state at the start of the chunk (a Piper's joints; paper, sec:supp_real). Demonstrations and
+  // predictions hold absolute values.
+  int displacement_channels = 0;
   int state_bins = 256;   // pi05: words of one entry of the state
   double state_span = 4;  // pi05: [standard deviations] that the words cover, to either side
   int aux_dim = 8;        // target position, destination, holding, progress
@@ -71,6 +75,8 @@ struct NanoConfig {
     v.Field("steps_per_token", steps_per_token, "control steps in one action token");
     v.Field("execute_steps", execute_steps, "n_exec");
     v.Field("state_dim", state_dim, "proprioception");
+    v.Field("displacement_channels", displacement_channels,
+            "leading actions that are displacements from the state at the start of the chunk");
     v.Field("state_bins", state_bins, "pi05: words of one entry of the state");
     v.Field("state_span", state_span, "pi05: standard deviations that the words cover");
     v.Field("aux_dim", aux_dim, "outputs of the auxiliary head");

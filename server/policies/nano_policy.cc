@@ -78,7 +78,7 @@ class NanoPolicy : public FlowPolicy {
     return sampler_.Sample(context, noise, lora);
   }
 
-  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor&) const override {
+  Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor& state) const override {
     const Tensor rows = chunk.to(torch::kFloat32).contiguous();
     const int dim = spec_.action_dim;
     RS_CHECK(rows.dim() == 2 && rows.size(1) >= dim);
@@ -90,11 +90,13 @@ class NanoPolicy : public FlowPolicy {
             values[i][j] * (model_.actions.std[j] + kStdEpsilon) + model_.actions.mean[j];
       }
     }
+    if (model_.config.displacement_channels > 0) actions.rowwise() += Origin(state);
     return actions;
   }
 
-  Tensor ToModel(const Eigen::MatrixXf& actions, const torch::Tensor&) const override {
-    RS_CHECK(actions.cols() == spec_.action_dim);
+  Tensor ToModel(const Eigen::MatrixXf& absolute, const torch::Tensor& state) const override {
+    RS_CHECK(absolute.cols() == spec_.action_dim);
+    const Eigen::MatrixXf actions = absolute.rowwise() - Origin(state);
     Tensor rows = torch::empty({actions.rows(), actions.cols()});
     auto values = rows.accessor<float, 2>();
     for (int i = 0; i < actions.rows(); ++i) {
@@ -107,6 +109,19 @@ class NanoPolicy : public FlowPolicy {
   }
 
  private:
+  // What the network's actions are counted from [action_dim]: the state of the chunk's prediction
+  // in the channels that are displacements, 0 in the others.
+  Eigen::RowVectorXf Origin(const Tensor& state) const {
+    Eigen::RowVectorXf origin = Eigen::RowVectorXf::Zero(spec_.action_dim);
+    if (model_.config.displacement_channels == 0) return origin;
+    const Tensor row = state.to(torch::kFloat32).reshape({-1}).contiguous();
+    RS_CHECK(row.size(0) == spec_.state_dim);
+    for (int j = 0; j < model_.config.displacement_channels; ++j) {
+      origin[j] =
+          row.data_ptr<float>()[j] * (model_.state.std[j] + kStdEpsilon) + model_.state.mean[j];
+    }
+    return origin;
+  }
   static std::vector<Tensor> InferenceTensors(const std::vector<Tensor>& tensors) {
     std::vector<Tensor> copies;
     for (const Tensor& tensor : tensors) {

@@ -182,6 +182,14 @@ const Demonstrations::Shard& Demonstrations::ShardOf(int64_t frame) const {
   return *(after - 1);
 }
 
+std::vector<float> Demonstrations::Action(const Shard& shard, int64_t frame, int step) const {
+  const float* values = shard.actions + (frame * config_.horizon + step) * config_.action_dim;
+  std::vector<float> action(values, values + config_.action_dim);
+  for (int j = 0; j < config_.displacement_channels; ++j)
+    action[j] -= shard.state[frame * config_.state_dim + j];
+  return action;
+}
+
 absl::StatusOr<Vocabulary> Demonstrations::CollectWords(Vocabulary start) const {
   for (const Shard& shard : shards_) {
     start.Add(shard.instruction);
@@ -203,9 +211,7 @@ void Demonstrations::MeasureNormalisation(NanoModel& model) const {
     const int64_t i = frame - shard.first;
     state.Add(shard.state + i * config_.state_dim);
     if (shard.aux != nullptr) aux.Add(shard.aux + i * config_.aux_dim);
-    for (int k = 0; k < config_.horizon; ++k) {
-      actions.Add(shard.actions + (i * config_.horizon + k) * config_.action_dim);
-    }
+    for (int k = 0; k < config_.horizon; ++k) actions.Add(Action(shard, i, k).data());
   }
   model.state = state.Finish(kStateFloor);
   model.actions = actions.Finish(kActionFloor);
@@ -265,7 +271,7 @@ absl::StatusOr<DemoBatch> Demonstrations::Fill(absl::Span<const int64_t> frames,
     }
     for (int k = 0; k < config_.horizon; ++k) {
       normalise(
-          shard.actions + (i * config_.horizon + k) * config_.action_dim, model.actions,
+          Action(shard, i, k).data(), model.actions,
           batch.actions.data_ptr<float>() + (row * config_.horizon + k) * config_.model_action_dim);
     }
     if (shard.aux != nullptr) {

@@ -73,6 +73,8 @@ class Demonstrations {
   explicit Demonstrations(const NanoConfig& config) : config_(config) {}
   absl::Status AddShard(const std::string& path, double validation_share);
   const Shard& ShardOf(int64_t frame) const;
+  // Step `step` of a shard's frame as the network sees it, before normalising [action_dim].
+  std::vector<float> Action(const Shard& shard, int64_t frame, int step) const;
 
   NanoConfig config_;
   std::vector<Shard> shards_;

@@ -32,18 +32,20 @@ struct OutputFiles {
   std::string config, log, checkpoint, weights, evaluation, converted, done;
 };
 
-// Takes over what `model` shares with the weights in `file`: words, normalisation, tensors of equal
-// name and shape.
+// Takes over what `model` shares with the weights in `file`: words, tensors of equal name and
+// shape, and normalisation where state, actions and auxiliary targets have the same meaning.
+// Another robot's stays that of its own demonstrations.
 absl::Status Graft(const std::string& file, NanoModel& model) {
   RS_ASSIGN_OR_RETURN(const NanoModel donor, LoadNanoModel(file));
   const NanoConfig &have = donor.config, &want = model.config;
-  if (have.state_dim != want.state_dim || have.action_dim != want.action_dim ||
-      have.aux_dim != want.aux_dim || have.vocabulary_rows != want.vocabulary_rows) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(file,
-                     ": state_dim, action_dim, aux_dim or vocabulary_rows differ from the "
-                     "network's; graft weights of the same robot and words"));
+  if (have.vocabulary_rows != want.vocabulary_rows) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        file, ": vocabulary_rows is ", have.vocabulary_rows, ", the network's is ",
+        want.vocabulary_rows, "; graft weights with as many, or set network.vocabulary_rows"));
   }
+  const bool same_robot = have.state_dim == want.state_dim && have.action_dim == want.action_dim &&
+                          have.aux_dim == want.aux_dim &&
+                          have.displacement_channels == want.displacement_channels;
   std::map<std::string, size_t> place;
   const std::vector<NanoTensorInfo> donated = NanoTensorTable(have);
   for (size_t i = 0; i < donated.size(); ++i) place[donated[i].name] = i;
@@ -56,9 +58,11 @@ absl::Status Graft(const std::string& file, NanoModel& model) {
     ++taken;
   }
   model.vocabulary = donor.vocabulary;
-  model.state = donor.state;
-  model.actions = donor.actions;
-  model.aux = donor.aux;
+  if (same_robot) {
+    model.state = donor.state;
+    model.actions = donor.actions;
+    model.aux = donor.aux;
+  }
   absl::PrintF("%d of %d tensors are those of %s\n", taken, table.size(), file);
   return absl::OkStatus();
 }

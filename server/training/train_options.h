@@ -20,8 +20,8 @@ struct TrainOptions {
   int hdf5_stride = 2;  // control steps between the frames taken from those
   std::string out;
   std::string init;  // weights to go on from; empty: random
-  // Weights of another architecture: words, normalisation and every tensor that `network` has too
-  // are taken over, the rest starts random. Not with init.
+  // Weights of another architecture or robot: words and every tensor that `network` has too are
+  // taken over, normalisation if the robot is the same; the rest starts random. Not with init.
   std::string graft;
   Objective objective = Objective::kBc;
   PgdOptions robust;      // with objective robust

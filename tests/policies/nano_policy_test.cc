@@ -429,5 +429,28 @@ TEST(NanoPolicy, RefusesObservationsThatItWasNotTrainedOn) {
   EXPECT_EQ(message([](Observation&) {}), "");
 }
 
+// What the last executed step of a chunk should be does not depend on where the chunk began; how
+// the network sees it does (paper, sec:supp_real).
+TEST(NanoPolicy, ActionsThatAreDisplacementsAreCountedFromTheStateOfTheirPrediction) {
+  NanoModel model = TinyModel();
+  const NanoModel absolute = model;
+  model.config.displacement_channels = 6;
+  const auto policy = MakeNanoPolicy(model, "tiny").value();
+  const auto plain = MakeNanoPolicy(absolute, "tiny").value();
+  const Observation observation = TinyObservation(policy->spec());
+  const auto context = policy->Encode(observation);
+  ASSERT_TRUE(context.ok()) << context.status();
+  torch::manual_seed(4);
+  const Tensor chunk = torch::randn({10, 8});
+  const Eigen::MatrixXf actions = policy->ToEnvironment(chunk, context->state);
+  const Eigen::MatrixXf counted = plain->ToEnvironment(chunk, context->state);
+  for (int j = 0; j < 7; ++j) {
+    const float origin = j < 6 ? observation.proprioception[j] : 0.0f;
+    for (int i = 0; i < 10; ++i) EXPECT_NEAR(actions(i, j), origin + counted(i, j), 1e-5);
+  }
+  const Tensor back = policy->ToModel(actions, context->state);
+  EXPECT_LT((back - chunk.narrow(1, 0, 7)).abs().max().item<float>(), 1e-5f);
+}
+
 }  // namespace
 }  // namespace robostress

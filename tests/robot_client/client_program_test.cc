@@ -81,6 +81,32 @@ TEST(ClientProgramTest, ObeysAPerson) {
   EXPECT_THAT(Text(out + "/run/episodes.jsonl"), HasSubstr("\"success\":true"));
 }
 
+// Every command is answered before the next line is read, so nothing here depends on time.
+TEST(ClientProgramTest, DrivesHomeWhereAPersonHasConfiguredIt) {
+  std::string out;
+  const auto [text, code] =
+      WithServer("home",
+                 "printf 'enable\\nhome\\nstart\\nsuccess\\nquit\\n' | $client $common --set "
+                 "'home=[0.2, 1.0, -0.8, 0.0, 0.4, 0.0, 0.06]'",
+                 &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, AllOf(HasSubstr("the arm is home"), HasSubstr("episode 0 of task 0")));
+  EXPECT_THAT(Text(out + "/run/episodes.jsonl"),
+              AllOf(HasSubstr("\"episode\":0"), Not(HasSubstr("\"episode\":-1"))));
+}
+
+TEST(ClientProgramTest, HasNoHomeUnlessToldWhereItIs) {
+  std::string out;
+  const auto [text, code] =
+      WithServer("homeless", "printf 'enable\\nhome\\nquit\\n' | $client $common", &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, HasSubstr("refused: no starting pose is configured"));
+  const auto [refused, bad] = RunProgram(
+      ROBOT_CLIENT, "--server 127.0.0.1:1 --instruction x --set home=[1,2] --out " + out + "/no");
+  EXPECT_EQ(bad, 2);
+  EXPECT_THAT(refused, HasSubstr("home has 2 numbers"));
+}
+
 TEST(ClientProgramTest, ASignalHolds) {
   std::string out;
   const auto [text, code] = WithServer("signal",

@@ -194,6 +194,41 @@ Scene MakeScene(const TrainOptions& options, int rows) {
   return scene;
 }
 
+TEST_F(Training, SeesAbsoluteTargetsAsDisplacementsFromTheStateOfTheirFrame) {
+  NanoConfig config = SmallOptions(Path("toy"), "").network;
+  const Demonstrations absolute = Demonstrations::Open({Path("toy")}, config, 0).value();
+  config.displacement_channels = 6;
+  const Demonstrations counted = Demonstrations::Open({Path("toy")}, config, 0).value();
+  NanoModel model = RandomNanoModel(config, 1);  // identity normalisation
+  model.vocabulary = absolute.CollectWords({}).value();
+  const std::vector<int64_t> frames = {0, 3, 7};
+  RandomStream random(StreamKey("unused"));
+  const DemoBatch a = absolute.Fill(frames, model, {}, random).value();
+  const DemoBatch b = counted.Fill(frames, model, {}, random).value();
+  EXPECT_TRUE(torch::equal(a.state, b.state));
+  const torch::Tensor origin = a.state.narrow(1, 0, 6).unsqueeze(1);
+  EXPECT_LT(
+      (a.actions.narrow(2, 0, 6) - origin - b.actions.narrow(2, 0, 6)).abs().max().item<float>(),
+      1e-5f);
+  EXPECT_TRUE(torch::equal(a.actions.narrow(2, 6, 2), b.actions.narrow(2, 6, 2)));
+
+  // Normalisation is that of the displacements; a graft of another meaning leaves it alone.
+  TrainOptions first = SmallOptions(Path("toy"), Path("absolute"));
+  first.steps = 1;
+  ASSERT_TRUE(RunTraining(first, false).ok());
+  TrainOptions options = SmallOptions(Path("toy"), Path("displacements"));
+  options.steps = 1;
+  options.graft = Path("absolute") + "/nano.safetensors";
+  options.network.displacement_channels = 6;
+  const absl::Status status = RunTraining(options, false);
+  ASSERT_TRUE(status.ok()) << status;
+  const NanoModel donor = LoadNanoModel(options.graft).value();
+  const NanoModel grafted = LoadNanoModel(Path("displacements") + "/nano.safetensors").value();
+  EXPECT_EQ(grafted.config.displacement_channels, 6);
+  EXPECT_NE(grafted.actions.mean, donor.actions.mean);
+  EXPECT_EQ(grafted.vocabulary.words(), donor.vocabulary.words());
+}
+
 TEST_F(Training, GraftsThePrefixOfOneArchitectureOnTheOther) {
   const TrainOptions first = SmallOptions(Path("toy"), Path("graft_from"));
   ASSERT_TRUE(RunTraining(first, false).ok());

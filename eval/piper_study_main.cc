@@ -1,0 +1,103 @@
+// robostress-piper-study: the paper's real-arm experiments on emulated Pipers.
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <string>
+
+#include "common/config.h"
+#include "common/status_macros.h"
+#include "eval/merged_sweep.h"
+#include "eval/piper_study.h"
+
+namespace {
+
+constexpr char kExamples[] = R"(
+Examples
+  robostress piper-study --out runs/piper                   everything: record, train, evaluate, report
+  robostress piper-study --out runs/try --quick             the same in minutes; its numbers mean nothing
+  robostress piper-study evaluate report --out runs/piper --workers 2
+  robostress piper-study --out runs/piper --dry-run         the units, and what is done
+  robostress piper-study evaluate report --out runs/piper --experiments main --real-time
+  robostress piper-study --out runs/own --base-weights b.safetensors --robust-weights r.safetensors
+
+The same command goes on where it was stopped. --real-time plays the units with piper_emulator and robot_client, the
+programs of a real arm, over UDP multicast on the loopback interface, one second for a second, into DIR/live.
+
+Exit codes: 0 done; 1 a stage failed; 2 the command is wrong.
+)";
+
+struct CommandLine {
+  std::string config;
+  bool quick = false, dry_run = false;
+  std::vector<std::string> stages, arms, experiments, overrides, settings;
+  std::vector<int> tasks;
+  std::string base_weights, robust_weights;
+  int episodes = 0, demonstrations = 0;
+};
+
+absl::StatusOr<robostress::PiperStudyOptions> Resolve(const CommandLine& line) {
+  robostress::PiperStudyOptions options =
+      line.quick ? robostress::QuickPiperStudy() : robostress::PiperStudyOptions();
+  if (!line.config.empty()) {
+    RS_ASSIGN_OR_RETURN(options,
+                        robostress::LoadConfig<robostress::PiperStudyOptions>(line.config));
+  }
+  if (!line.arms.empty()) options.arms = line.arms;
+  if (!line.tasks.empty()) options.tasks = line.tasks;
+  if (!line.experiments.empty()) options.experiments = line.experiments;
+  if (line.episodes > 0) options.episodes = line.episodes;
+  if (line.demonstrations > 0) options.demonstrations = line.demonstrations;
+  if (!line.base_weights.empty()) options.base_weights = line.base_weights;
+  if (!line.robust_weights.empty()) options.robust_weights = line.robust_weights;
+  RS_RETURN_IF_ERROR(robostress::ApplyOverrides(line.settings, options));
+  return options;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("The paper's real-arm experiments on emulated Pipers.", "robostress piper-study");
+  app.footer(kExamples);
+  CommandLine line;
+  robostress::PiperStudyLaunch launch;
+  app.add_option("stages", line.stages, "record, train, evaluate, report (default: all, in order)");
+  app.add_option("--out", launch.out, "Directory of the study")->required();
+  app.add_option("--config", line.config, "Options (YAML), as a study keeps them in study.yaml");
+  app.add_flag("--quick", line.quick, "One arm, one task, a few steps of training");
+  app.add_flag("--dry-run", line.dry_run, "Print the units only");
+  app.add_flag("--real-time", launch.real_time, "Evaluate over UDP in real time");
+  app.add_option("--udp-port", launch.udp_port, "Of the emulated arm in real time")
+      ->check(CLI::Range(1024, 65535))
+      ->capture_default_str();
+  app.add_option("--workers", launch.workers, "Processes at once")
+      ->check(CLI::Range(1, 256))
+      ->capture_default_str();
+  app.add_option("--arms", line.arms, "Wear profiles")->delimiter(',');
+  app.add_option("--tasks", line.tasks, "1 to 4")->delimiter(',');
+  app.add_option("--experiments", line.experiments, "main, dob, unseen")->delimiter(',');
+  app.add_option("--episodes", line.episodes, "Of each arm, task and method")
+      ->check(CLI::Range(1, 1000));
+  app.add_option("--demonstrations", line.demonstrations, "Of each arm and task")
+      ->check(CLI::Range(1, 1000));
+  app.add_option("--base-weights", line.base_weights, "A trained policy (.safetensors)");
+  app.add_option("--robust-weights", line.robust_weights, "Its counterpart of RobustVLA");
+  app.add_option("--set", line.settings, "KEY=VALUE of study.yaml, repeatable")
+      ->allow_extra_args(false);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  if (!line.stages.empty()) launch.stages = line.stages;
+  const auto options = Resolve(line);
+  if (!options.ok()) return robostress::FailCommand("piper-study", options.status());
+  if (line.dry_run) {
+    const auto units = robostress::PlanPiperStudy(*options);
+    if (!units.ok()) return robostress::FailCommand("piper-study", units.status());
+    for (const robostress::PiperUnit& unit : *units) std::printf("%s\n", unit.id.c_str());
+    std::printf("%zu units of %d episodes\n", units->size(), options->episodes);
+    return 0;
+  }
+  const absl::Status status = robostress::RunPiperStudy(*options, launch);
+  return status.ok() ? 0 : robostress::FailCommand("piper-study", status);
+}

@@ -1,0 +1,242 @@
+// The experiments on emulated arms: table, expert, demonstrations, and units with a policy that
+// stands in for a server's; all in simulated time.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <set>
+
+#include "common/safetensors.h"
+#include "robot_client/emulator/study/demonstration_recorder.h"
+#include "robot_client/emulator/study/study_unit.h"
+
+namespace robostress::piper {
+namespace {
+
+using ::testing::HasSubstr;
+
+// Without EGL there are no pictures and so no demonstrations.
+#define SKIP_WITHOUT_EGL(made) \
+  if (absl::IsUnavailable((made).status())) GTEST_SKIP() << (made).status().message()
+
+std::unique_ptr<PiperPlant> MakePlant() {
+  auto plant = PiperPlant::Create(ComposePiperScene(MakeTableScene(kObjectVariants[0])),
+                                  *MakeWearProfile("new"));
+  EXPECT_TRUE(plant.ok()) << plant.status();
+  return *std::move(plant);
+}
+
+void MoveBowl(PiperPlant& plant, const Eigen::Vector3d& to) {
+  const int joint = mj_name2id(&plant.model(), mjOBJ_JOINT, "bowl_free");
+  std::copy_n(to.data(), 3, plant.data().qpos + plant.model().jnt_qposadr[joint]);
+  mj_step1(&plant.model(), &plant.data());
+}
+
+TEST(TableScene, InitialStatesAreDrawnOnceAndForAll) {
+  const auto plant = MakePlant();
+  for (const TableTask& task : kTableTasks) {
+    auto scene = TableScene::Create(plant.get(), task);
+    ASSERT_TRUE(scene.ok()) << scene.status();
+    std::set<double> places;
+    for (int state = 0; state < 25; ++state) {
+      scene->Place(state);
+      const TableState first = scene->Look();
+      EXPECT_FALSE(scene->Done(first)) << task.name << " state " << state;
+      scene->Place(state + 100);
+      scene->Place(state);
+      EXPECT_EQ(scene->Look().bowl, first.bowl);
+      EXPECT_EQ(scene->Look().plate, first.plate);
+      places.insert(first.bowl.x());
+      EXPECT_GT((first.bowl - first.plate).head<2>().norm(), kPlateRadius + kBowlRadius - 0.02);
+    }
+    EXPECT_EQ(places.size(), 25u) << task.name;
+  }
+}
+
+TEST(TableScene, JudgesABowlByWhereItStandsAndWhetherItWasLetGo) {
+  const auto plant = MakePlant();
+  plant->Reset({}, kGripperOpening);
+  auto scene = TableScene::Create(plant.get(), kTableTasks[0]);
+  ASSERT_TRUE(scene.ok()) << scene.status();
+  scene->Place(0);
+  const Eigen::Vector3d plate = scene->Look().plate;
+  MoveBowl(*plant, plate + Eigen::Vector3d(0.03, 0, kPlateHeight + 0.001));
+  TableState state = scene->Look();
+  EXPECT_TRUE(scene->Done(state));
+  state.opening = 0.006;
+  EXPECT_FALSE(scene->Done(state)) << "still held";
+  MoveBowl(*plant, plate + Eigen::Vector3d(0.03, 0, kPlateHeight + 0.03));
+  EXPECT_FALSE(scene->Done(scene->Look())) << "in the air";
+  MoveBowl(*plant, plate + Eigen::Vector3d(0.06, 0, kPlateHeight + 0.001));
+  EXPECT_FALSE(scene->Done(scene->Look())) << "over the edge";
+  auto drawer = TableScene::Create(plant.get(), kTableTasks[3]);
+  ASSERT_TRUE(drawer.ok()) << drawer.status();
+  state = drawer->Look();
+  state.drawer = TableScene::kDrawerOpen;
+  EXPECT_TRUE(drawer->Done(state));
+  state.drawer -= 1e-3;
+  EXPECT_FALSE(drawer->Done(state));
+}
+
+TEST(TableTasks, NamesAreChecked) {
+  EXPECT_EQ(*FindTableTask("open_drawer"), 3);
+  EXPECT_THAT(std::string(FindTableTask("fold_towel").status().message()),
+              HasSubstr("bowl_on_cabinet"));
+  EXPECT_THAT(std::string(FindObjectVariant("gold").status().message()), HasSubstr("light_blue"));
+}
+
+class Recording : public ::testing::TestWithParam<std::tuple<const char*, int>> {};
+
+TEST_P(Recording, TheExpertDoesTheTaskAndItsCommandsAreTheActions) {
+  const auto [arm, task] = GetParam();
+  const std::string path = ::testing::TempDir() + "/study_demo.safetensors";
+  RecorderOptions options;
+  options.episodes = 1;
+  StudyBenchOptions bench;
+  bench.arm = arm;
+  bench.task = task;
+  bench.image_size = 32;
+  auto recorder = DemonstrationRecorder::Create(options, bench);
+  SKIP_WITHOUT_EGL(recorder);
+  ASSERT_TRUE(recorder.ok()) << recorder.status();
+  const absl::Status recorded = (*recorder)->Record(path);
+  ASSERT_TRUE(recorded.ok()) << recorded;
+  EXPECT_EQ((*recorder)->attempts(), 1);
+
+  const auto file = SafetensorsFile::Open(path);
+  ASSERT_TRUE(file.ok()) << file.status();
+  EXPECT_EQ(file->metadata().at("instruction"), kTableTasks[static_cast<size_t>(task)].instruction);
+  const auto state = file->Get("state"), actions = file->Get("actions"),
+             images = file->Get("images");
+  ASSERT_TRUE(state.ok() && actions.ok() && images.ok());
+  const int64_t frames = state->shape[0];
+  EXPECT_GT(frames, 20);
+  EXPECT_EQ(actions->shape, (std::vector<int64_t>{frames, 50, kArmAxes}));
+  EXPECT_EQ(images->shape, (std::vector<int64_t>{frames, 2, 32, 32, 3}));
+  // Absolute targets: the arm is near the first row of its frame, and where the last one of a
+  // chunk's executed rows leads when that many steps have passed.
+  const auto* q = reinterpret_cast<const float*>(state->bytes.data());
+  const auto* a = reinterpret_cast<const float*>(actions->bytes.data());
+  const int apart = 12 / options.stride;
+  double followed = 0;
+  for (int64_t f = 0; f + apart < frames; ++f) {
+    for (int j = 0; j < kArmJoints; ++j) {
+      EXPECT_NEAR(a[f * 350 + j], q[f * 7 + j], 0.3);
+      followed += std::abs(q[(f + apart) * 7 + j] - a[f * 350 + 9 * 7 + j]);
+    }
+    const float opening = a[f * 350 + kArmJoints];
+    EXPECT_TRUE(opening == 0.0f || opening == 0.07f) << opening;
+  }
+  EXPECT_LT(followed / static_cast<double>((frames - apart) * kArmJoints), 0.06);
+}
+
+INSTANTIATE_TEST_SUITE_P(ArmsAndTasks, Recording,
+                         ::testing::Values(std::tuple{"new", 0}, std::tuple{"used_one_year", 3}));
+
+// Stays where it is, and remembers what it was asked.
+class StandingPolicy : public PolicyEndpoint {
+ public:
+  StandingPolicy() {
+    spec_.name = "standing";
+    spec_.state_dim = spec_.action_dim = kArmAxes;
+    spec_.horizon = 50;
+    spec_.image_width = spec_.image_height = 16;
+    spec_.cameras = {"base", "wrist"};
+  }
+  const PolicySpec& spec() const override { return spec_; }
+  absl::Status StartEpisode(const EpisodeKey& key) override {
+    episodes.push_back(key.episode);
+    return absl::OkStatus();
+  }
+  absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int) override {
+    instructions.insert(observation.instruction);
+    pictures.insert(observation.views[0].image.data);
+    PredictedChunk out;
+    out.prediction_id = ++predictions_;
+    out.actions = observation.proprioception.transpose().replicate(50, 1);
+    out.actions.col(0).array() += 0.1f;
+    out.policy_actions = out.actions;
+    return out;
+  }
+  absl::Status SendFeedback(ExecutedChunk executed) override {
+    sequences.push_back(executed.sequence);
+    return absl::OkStatus();
+  }
+  absl::StatusOr<SessionStats> Stats() override { return SessionStats{}; }
+
+  std::vector<int> episodes;
+  std::set<std::string> instructions;
+  std::set<std::vector<uint8_t>> pictures;
+  std::vector<uint64_t> sequences;
+
+ private:
+  PolicySpec spec_;
+  uint64_t predictions_ = 0;
+};
+
+StudyUnit ShortUnit() {
+  StudyUnit unit;
+  unit.variants = {"wooden", "plum"};
+  unit.episodes = 4;
+  unit.episode_s = 0.7;
+  return unit;
+}
+
+std::vector<std::string> Play(const StudyUnit& unit, StandingPolicy& policy, absl::Status& status) {
+  std::vector<std::string> rows;
+  status = RunStudyUnit(unit, &policy, [&](const StudyEpisode& episode) {
+    rows.push_back(StudyEpisodeJson(episode));
+    return absl::OkStatus();
+  });
+  return rows;
+}
+
+TEST(StudyUnit, KeepsOneSessionOverEpisodesAndObjectVariants) {
+  StandingPolicy policy;
+  absl::Status status;
+  const std::vector<std::string> rows = Play(ShortUnit(), policy, status);
+  SKIP_WITHOUT_EGL(absl::StatusOr<int>(status.ok() ? absl::StatusOr<int>(0) : status));
+  ASSERT_TRUE(status.ok()) << status;
+  ASSERT_EQ(rows.size(), 4u);
+  EXPECT_EQ(policy.episodes, (std::vector<int>{0, 1, 2, 3})) << "the way home is none of them";
+  EXPECT_EQ(policy.instructions, (std::set<std::string>{kObjectVariants[1].instruction,
+                                                        kObjectVariants[2].instruction}));
+  ASSERT_GE(policy.sequences.size(), 8u);
+  for (size_t i = 0; i < policy.sequences.size(); ++i) EXPECT_EQ(policy.sequences[i], i + 1);
+  EXPECT_THAT(rows[0], HasSubstr("\"variant\":\"wooden\""));
+  EXPECT_THAT(rows[3], HasSubstr("\"variant\":\"plum\""));
+  EXPECT_THAT(rows[3], HasSubstr("\"success\":false"));
+  EXPECT_THAT(rows[3], HasSubstr("\"power_cycles\":0"));
+
+  StandingPolicy again;
+  EXPECT_EQ(Play(ShortUnit(), again, status), rows) << "the same bits every time";
+  EXPECT_EQ(again.pictures, policy.pictures);
+}
+
+TEST(StudyUnit, RefusesWhatDoesNotFit) {
+  const auto refused = [](const std::function<void(StudyUnit&)>& change) {
+    StudyUnit unit;
+    change(unit);
+    return std::string(CheckStudyUnit(unit).message());
+  };
+  EXPECT_THAT(refused([](StudyUnit& u) { u.task = "juggle"; }), HasSubstr("open_drawer"));
+  EXPECT_THAT(refused([](StudyUnit& u) { u.arm = "rusty"; }), HasSubstr("used_one_year"));
+  EXPECT_THAT(refused([](StudyUnit& u) { u.episodes = 0; }), HasSubstr("episodes"));
+  EXPECT_THAT(refused([](StudyUnit& u) { u.episode_s = -1; }), HasSubstr("episode_s"));
+  EXPECT_THAT(refused([](StudyUnit& u) { u.moved_bound = 0; }), HasSubstr("moved_bound"));
+  EXPECT_THAT(refused([](StudyUnit& u) { u.latency_ticks = 31; }), HasSubstr("latency_ticks"));
+  EXPECT_THAT(refused([](StudyUnit& u) {
+                u.variants = {"wooden"};
+                u.task = "open_drawer";
+              }),
+              HasSubstr("bowl_next_to_plate"));
+  EXPECT_THAT(refused([](StudyUnit& u) {
+                u.variants = {"wooden", "plum"};
+                u.episodes = 25;
+              }),
+              HasSubstr("equally"));
+}
+
+}  // namespace
+}  // namespace robostress::piper
