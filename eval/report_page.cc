@@ -18,6 +18,13 @@ namespace {
 
 std::string Minus(const std::string& text) { return absl::StrReplaceAll(text, {{"-", "\u2212"}}); }
 std::string Percent(double fraction) { return absl::StrFormat("%.1f", 100 * fraction); }
+
+// The first names, and how many there are when there are more.
+std::string FirstOf(std::vector<std::string> names, size_t count) {
+  const size_t all = names.size();
+  names.resize(std::min(all, count));
+  return absl::StrCat(absl::StrJoin(names, ", "), all > count ? absl::StrCat(" ... ", all) : "");
+}
 std::string Signed(double fraction) {
   return Minus(absl::StrFormat("%+.1f", PercentagePoints(fraction)));
 }
@@ -465,10 +472,12 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
                   "<a href=\"#setup\">Setup</a><a href=\"#limits\">Limits</a></div></nav>\n<main "
                   "class=wrap>\n");
   absl::StrAppend(&html, Headline(main), Tiles(run, summary, main));
+  if (const std::string note = MixedMachinesNote(run); !note.empty())
+    absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), ".</p>\n");
   if (!run.unfinished.empty()) {
     absl::StrAppend(&html, "<p class=warn>", run.unfinished.size(),
                     " unfinished units are left out of every number on this page: ",
-                    EscapeXml(absl::StrJoin(run.unfinished, ", ")), ".</p>\n");
+                    EscapeXml(FirstOf(run.unfinished, 50)), ".</p>\n");
   }
   html += "<h2 id=success>Success</h2>\n";
   for (const SuccessTable& table : summary.tables) html += TableSection(table);
