@@ -72,10 +72,11 @@ absl::StatusOr<int> Serve(const Submission& submission, const CommandLine& line)
   RS_RETURN_IF_ERROR(PublishServer(submission, line.policy, line.index, place));
   std::printf("%s serves %s\n", place.address.c_str(), line.policy.c_str());
   std::fflush(stdout);
-  const int signal = WaitForTasks(submission, signals, server.process.exit_fd());
+  int signal = WaitForTasks(submission, signals, server.process.exit_fd());
+  if (signal == 0) signal = signals.Received();  // a scheduler sends it to every process of a job
   std::error_code ignored;
   std::filesystem::remove(submission.ServerFile(line.policy, line.index), ignored);
-  if (const std::optional<ExitState> exit = server.process.Poll()) {
+  if (const std::optional<ExitState> exit = server.process.Poll(); exit && signal == 0) {
     return absl::UnavailableError(absl::StrCat("the server ended (", exit->text, "). Its log ",
                                                server.log, " ends:\n", LastLines(server.log, 15)));
   }

@@ -28,7 +28,7 @@ std::string Quoted(const std::string& text) {
 // What every script begins with; arguments after --requeue come from the command line of sbatch.
 std::string Head(const Submission& submission, const std::string& kind) {
   const std::string log = absl::StrCat(submission.run().path(), "/logs/slurm-", submission.name(),
-                                       "-", kind, "-%a.log");
+                                       "-", kind, kind == "merge" ? "" : "-%a", ".log");
   return absl::StrCat("#!/bin/bash\n#SBATCH --job-name=", SlurmJobName(submission.run()), "-", kind,
                       "\n#SBATCH --requeue\n#SBATCH --open-mode=append\n#SBATCH --output=", log,
                       "\nexport ROBOSTRESS_BIN=", Quoted(ProgramFolder()), "\ncd ",
@@ -41,8 +41,8 @@ std::string GridJob(const Submission& submission, const std::string& command) {
                       " --submission ", Quoted(submission.folder()));
 }
 
-// Runs a command of Slurm; its output, or Unavailable with it. The output goes through a file, as
-// that of every process here.
+// Runs a command of Slurm; its output. NotFound where it is not installed, Unavailable when it
+// fails. The output goes through a file, as that of every process here.
 absl::StatusOr<std::string> Ask(const RunDirectory& run, std::vector<std::string> command) {
   const std::string file = run.path() + "/logs/slurm-command.txt";
   std::error_code ignored;
@@ -53,8 +53,11 @@ absl::StatusOr<std::string> Ask(const RunDirectory& run, std::vector<std::string
   const ExitState exit = process.WaitForEnd();
   const std::string output = ReadFile(file).value_or("");
   if (exit.code == 0) return std::string(absl::StripAsciiWhitespace(output));
-  return absl::UnavailableError(
-      absl::StrCat("`", text, "` failed (", exit.text, "): ", absl::StripAsciiWhitespace(output)));
+  const std::string message =
+      absl::StrCat("`", text, "` failed (", exit.text, "): ", absl::StripAsciiWhitespace(output));
+  constexpr int kNoSuchProgram = 127;  // of env
+  if (exit.code == kNoSuchProgram) return absl::NotFoundError(message);
+  return absl::UnavailableError(message);
 }
 
 // Submits a script of the submission's folder; the job's id.
@@ -114,7 +117,9 @@ absl::Status WaitForQueue(const LaunchRequest& request, LaunchResult& result) {
       result.outcome.signal = request.signals.Received();
       break;
     }
-    in_queue = !JobsInQueue(request.run).empty();
+    // A controller that does not answer for a while knows the jobs again later.
+    const absl::StatusOr<std::string> jobs = JobsInQueue(request.run);
+    in_queue = !jobs.ok() || !jobs->empty();
     for (size_t looks = in_queue ? std::min(kLooks, open.size()) : open.size(); looks > 0;
          --looks) {
       if (at >= open.size()) at = 0;
@@ -143,12 +148,14 @@ std::string SlurmJobName(const RunDirectory& run) {
   return absl::StrCat("robostress-", Sha256Hex(path).substr(0, 10));
 }
 
-std::string JobsInQueue(const RunDirectory& run) {
+absl::StatusOr<std::string> JobsInQueue(const RunDirectory& run) {
   const std::string name = SlurmJobName(run);
   const absl::StatusOr<std::string> jobs =
       Ask(run, {"squeue", "--noheader", "--format=%i",
                 absl::StrCat("--name=", name, "-serve,", name, "-work,", name, "-merge")});
-  return jobs.ok() ? absl::StrReplaceAll(*jobs, {{"\n", " "}}) : "";
+  if (absl::IsNotFound(jobs.status())) return "";
+  RS_RETURN_IF_ERROR(jobs.status());
+  return absl::StrReplaceAll(*jobs, {{"\n", " "}});
 }
 
 std::string ServeScript(const Submission& submission, const std::string& policy) {
@@ -187,12 +194,13 @@ absl::StatusOr<LaunchResult> SlurmLauncher::Launch(const LaunchRequest& request)
   }
   LaunchResult result;
   result.submitted = !request.options.cluster.wait;
-  result.hint = absl::StrCat(
-      submission->tasks(), " worker tasks submitted; `squeue --name=", SlurmJobName(request.run),
-      "-work` shows them, the report comes by itself, and the same command submits what is "
-      "missing once they have left the queue");
-  if (request.options.cluster.wait) {
-    RS_RETURN_IF_ERROR(WaitForQueue(request, result));
+  if (request.options.cluster.wait) RS_RETURN_IF_ERROR(WaitForQueue(request, result));
+  if (result.submitted || result.outcome.signal != 0) {
+    result.hint = absl::StrCat(
+        submission->tasks(),
+        " worker tasks are in the queue; `squeue --name=", SlurmJobName(request.run),
+        "-work` shows them, the report comes by itself, and the same command submits what is "
+        "missing once they have left");
   }
   return result;
 }

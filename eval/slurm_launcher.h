@@ -28,7 +28,8 @@ std::string WorkScript(const Submission& submission);
 std::string MergeScript(const Submission& submission);
 // Prefix of the names of all jobs of a run directory.
 std::string SlurmJobName(const RunDirectory& run);
-// Ids of the jobs of a run directory that are in the queue; empty where there is no Slurm.
-std::string JobsInQueue(const RunDirectory& run);
+// Ids of the jobs of a run directory that are in the queue; empty where there is no Slurm, and
+// Unavailable where it does not answer.
+absl::StatusOr<std::string> JobsInQueue(const RunDirectory& run);
 
 }  // namespace robostress

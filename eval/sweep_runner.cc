@@ -43,7 +43,7 @@ absl::Status JoinAll(const RunDirectory& run, const std::vector<PlannedUnit>& un
 absl::Status CheckQueue(const RunDirectory& run) {
   std::error_code error;
   if (!std::filesystem::exists(run.path() + "/submissions", error)) return absl::OkStatus();
-  const std::string jobs = JobsInQueue(run);
+  RS_ASSIGN_OR_RETURN(const std::string jobs, JobsInQueue(run));
   if (jobs.empty()) return absl::OkStatus();
   return absl::FailedPreconditionError(
       absl::StrCat("jobs of this run are still in Slurm's queue: ", jobs,
