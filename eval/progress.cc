@@ -1,5 +1,6 @@
 #include "eval/progress.h"
 
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -113,6 +114,17 @@ std::vector<std::string> Progress::Table(size_t units) {
   return lines;
 }
 
+namespace {
+
+// Columns of the terminal; a line that wraps could not be taken back.
+size_t Columns() {
+  winsize size{};
+  const bool known = ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
+  return known ? size.ws_col - 1 : 79;
+}
+
+}  // namespace
+
 void Progress::Clear() {
   if (!terminal_ || lines_ == 0) return;
   std::fprintf(stderr, "\r\033[K");
@@ -129,7 +141,8 @@ void Progress::Print(bool force) {
   printed_ = true;
   if (terminal_) {
     Clear();
-    const std::vector<std::string> table = Table(8);
+    std::vector<std::string> table = Table(8);
+    for (std::string& line : table) line = line.substr(0, Columns());
     std::fprintf(stderr, "%s", absl::StrJoin(table, "\n").c_str());
     lines_ = table.size();
   } else {

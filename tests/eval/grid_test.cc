@@ -133,10 +133,10 @@ class GridProgram : public ::testing::Test {
   std::string folder_, output_;
 };
 
-TEST_F(GridProgram, PartsGiveTheSameUnitsByteByByte) {
+TEST_F(GridProgram, PartsOnFourWorkersGiveTheSameUnitsByteByByte) {
   const std::string base = SmallGrid() + "--videos 1 ";
-  ASSERT_EQ(Sweep(base + In("whole")), 0) << output_;
-  ASSERT_EQ(Sweep(base + In("parts") + "--split-episodes 4"), 0) << output_;
+  ASSERT_EQ(Sweep(base + In("whole") + "--workers 1"), 0) << output_;
+  ASSERT_EQ(Sweep(base + In("parts") + "--split-episodes 4 --workers 4"), 0) << output_;
   EXPECT_EQ(Text("whole/episodes.csv"), Text("parts/episodes.csv"));
   const std::string unit = "/units/tabletop_goal-heavy_payload-L5-nano-base-s0/";
   for (const char* file : {"episodes.jsonl", "DONE", "config.yaml", "provenance.json",

@@ -91,22 +91,25 @@ absl::Status SlurmCluster::Launch() {
     while (daemons_.size() == 1 && access(socket.c_str(), F_OK) != 0 && !daemons_[0].Poll())
       poll(nullptr, 0, 20);
   }
-  while (!absl::StrContains(Run("sinfo --noheader --format=%t"), "idle")) {
+  constexpr int kTries = 600;
+  for (int i = 0; i < kTries; ++i) {
+    // "idle*" is a node that does not answer yet.
+    if (absl::StrContains(Run("sinfo --noheader --format=%t --partition=main"), "idle\n"))
+      return absl::OkStatus();
     for (ChildProcess& daemon : daemons_) {
-      if (!daemon.Poll()) continue;
-      return absl::UnavailableError(
-          absl::StrCat("a daemon ended:\n", LastLines(folder_ + "/daemons.log", 30)));
+      if (daemon.Poll()) i = kTries;
     }
     poll(nullptr, 0, 200);
   }
-  return absl::OkStatus();
+  return absl::UnavailableError(
+      absl::StrCat("its daemons do not come up here:\n", LastLines(folder_ + "/daemons.log", 30)));
 }
 
 SlurmCluster::~SlurmCluster() {
   Run("scancel --user=root");
   for (auto daemon = daemons_.rbegin(); daemon != daemons_.rend(); ++daemon) {
     if (daemon + 1 != daemons_.rend()) {
-      while (!Run("squeue --noheader").empty() && !daemon->Poll()) poll(nullptr, 0, 200);
+      for (int i = 0; i < 50 && !Run("squeue --noheader").empty(); ++i) poll(nullptr, 0, 200);
     }
     daemon->Terminate(5000);
   }

@@ -15,6 +15,7 @@ class SlurmCluster {
  public:
   // Why it cannot be started here ("slurmctld is not installed"); empty when it can.
   static std::string WhyNot();
+  // Unavailable, with the end of the daemons' log, when the node is not idle within two minutes.
   static absl::StatusOr<std::unique_ptr<SlurmCluster>> Start(const std::string& folder);
   ~SlurmCluster();
 

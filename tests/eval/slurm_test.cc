@@ -46,7 +46,7 @@ TEST(Slurm, KilledAndPreemptedTasksLeaveTheTableOfALocalSweep) {
   const std::string folder = TestFolder(), run = folder + "/run", gate = folder + "/gate";
   const absl::StatusOr<std::unique_ptr<SlurmCluster>> cluster =
       SlurmCluster::Start(folder + "/slurm");
-  ASSERT_TRUE(cluster.ok()) << cluster.status();
+  if (!cluster.ok()) GTEST_SKIP() << "no Slurm here: " << cluster.status().message();
   const auto [local, local_text] =
       RunGrid(folder, "sweep", SmallGrid() + "--no-report --out '" + folder + "/local'");
   ASSERT_EQ(local, 0) << local_text;
@@ -82,6 +82,11 @@ TEST(Slurm, KilledAndPreemptedTasksLeaveTheTableOfALocalSweep) {
   const int victim = ProcessWith("--submission " + run + "/submissions/0001 --index 1 ");
   ASSERT_NE(victim, 0);
   EXPECT_EQ(kill(victim, SIGKILL), 0);
+  // Until Slurm has seen its end, a preemption would still requeue it.
+  WaitUntil([&] {
+    return !absl::StrContains((*cluster)->Run("squeue --noheader --array --format=task%K."),
+                              "task1.");
+  });
   // A job of the other partition needs all cores: the server and the other task are preempted.
   (*cluster)->Run(
       "sbatch --wait --partition=urgent --cpus-per-task=4 --output=/dev/null "
