@@ -61,7 +61,7 @@ class Circle {
     launch.record_joints = record_joints;
     AnnouncePlan(kCommand, units, launch);
     RS_ASSIGN_OR_RETURN(MergedSweep merged, RunAndMerge(kCommand, grid, units, launch));
-    if (!merged.outcome.failed.empty() || merged.outcome.interrupted)
+    if (!merged.outcome.failed.empty() || merged.outcome.signal != 0)
       return absl::InternalError(
           absl::StrCat(launch.run_dir, ": not all units are done; the same command goes on"));
     return merged;

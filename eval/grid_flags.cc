@@ -16,6 +16,44 @@ void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch) {
                  "one is started for each");
 }
 
+void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch) {
+  ClusterOptions& cluster = launch.cluster;
+  app.add_option("--launcher", launch.launcher, absl::StrJoin(LauncherNames(), ", "))
+      ->check(CLI::IsMember(LauncherNames()))
+      ->capture_default_str()
+      ->group("Where it runs");
+  const auto option = [&app](const char* name, auto& value, const char* help) {
+    return app.add_option(name, value, help)->capture_default_str()->group("Where it runs");
+  };
+  option("--split-episodes", launch.part_episodes,
+         "Methods that carry nothing over run in parts of N episodes; 0: undivided")
+      ->check(CLI::Range(0, 1000000));
+  app.add_flag("--wait", cluster.wait, "Stay and show the progress until all jobs have left")
+      ->group("Where it runs");
+  app.add_flag("--quiet", launch.quiet, "No progress; failures and the result only")
+      ->group("Where it runs");
+  option("--servers", cluster.servers, "Server jobs per policy")->check(CLI::Range(1, 1000));
+  option("--server-threads", cluster.server_threads,
+         "Threads (and cores) of each; 0: one for each worker that uses it")
+      ->check(CLI::Range(0, 1024));
+  option("--server-host", cluster.server_host,
+         "Name or address that servers publish (default: of the machine they run on)");
+  option("--max-tasks", cluster.max_tasks, "Tasks of the worker array (Slurm: MaxArraySize - 1)")
+      ->check(CLI::Range(1, 1000000));
+  option("--workers-per-task", cluster.workers_per_task, "Worker processes of each task")
+      ->check(CLI::Range(1, 256));
+  option("--poll-interval", cluster.poll_s, "Seconds between questions to the queue, with --wait")
+      ->check(CLI::Range(1, 3600));
+  option("--slurm-server", cluster.slurm_server, "Further argument of sbatch for servers");
+  option("--slurm-worker", cluster.slurm_worker, "The same for workers, such as --partition=cpu");
+  option("--slurm-merge", cluster.slurm_merge, "The same for the merge");
+  option("--image", cluster.image, "Container image with every program (kubernetes)");
+  option("--claim", cluster.claim, "Volume claim that holds the run directory (kubernetes)");
+  option("--claim-mount", cluster.claim_mount,
+         "Where it is mounted, here and in pods (default: the run directory's parent)");
+  option("--namespace", cluster.k8s_namespace, "Namespace (kubernetes)");
+}
+
 PolicyHome PolicyHomeOf(const LaunchOptions& launch) {
   return launch.server.empty() ? PolicyHome::kHere : PolicyHome::kElsewhere;
 }

@@ -25,6 +25,8 @@ struct GridFlags {
 
 // --workers and --server of the programs that run a grid.
 void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch);
+// --launcher and what belongs to it, --split-episodes, --quiet.
+void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch);
 // Where the policies of a launch are.
 PolicyHome PolicyHomeOf(const LaunchOptions& launch);
 

@@ -1,5 +1,6 @@
 #include "eval/progress.h"
 
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -9,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 
 namespace robostress {
 
@@ -32,48 +34,102 @@ Progress::Progress(Output output)
 
 void Progress::Expect(const std::string& id, const std::string& episodes_file, int episodes) {
   const int before = std::min(CountLines(episodes_file), episodes);
-  units_[id] = {episodes_file, episodes, before, before, false, false};
+  units_[id] = {episodes_file, episodes, before, before, false, false, false, {}};
+  recorded_ += before;
+  expected_ += episodes;
 }
 
-void Progress::Start(const std::string& id) { units_[id].running = true; }
+void Progress::Start(const std::string& id) {
+  Unit& unit = units_[id];
+  unit.running = true;
+  unit.start = std::chrono::steady_clock::now();
+  running_[id] = &unit;
+}
+
+void Progress::Count(Unit& unit) {
+  const int recorded = std::min(CountLines(unit.file), unit.expected);
+  // A worker that starts its unit again rewrites the file.
+  const int before = std::min(unit.before, recorded);
+  recorded_ += recorded - unit.recorded;
+  fresh_ += (recorded - before) - (unit.recorded - unit.before);
+  unit.recorded = recorded;
+  unit.before = before;
+}
 
 void Progress::Finish(const std::string& id, bool failed) {
   Unit& unit = units_[id];
-  unit.recorded = std::min(CountLines(unit.file), unit.expected);
+  Count(unit);
+  running_.erase(id);
   unit.running = false;
   unit.finished = true;
   unit.failed = failed;
+  if (failed) {
+    failures_.push_back(id);
+    lost_ += unit.expected - unit.recorded;
+  } else {
+    ++done_;
+    // A part that was joined has left its file.
+    recorded_ += unit.expected - unit.recorded;
+    fresh_ += unit.expected - unit.recorded;
+    unit.recorded = unit.expected;
+  }
 }
 
 std::string Progress::Line() {
-  int units_done = 0, units_failed = 0, episodes = 0, expected = 0, fresh = 0, remaining = 0;
-  for (auto& [id, unit] : units_) {
-    if (unit.running) {
-      unit.recorded = std::min(CountLines(unit.file), unit.expected);
-      // A worker that starts its unit again rewrites the file.
-      unit.before = std::min(unit.before, unit.recorded);
-    }
-    units_done += unit.finished && !unit.failed;
-    units_failed += unit.failed;
-    episodes += unit.recorded;
-    fresh += unit.recorded - unit.before;
-    expected += unit.expected;
-    if (!unit.failed) remaining += unit.expected - unit.recorded;
-  }
+  for (auto& [id, unit] : running_) Count(*unit);
+  const int remaining = expected_ - recorded_ - lost_;
   const double elapsed =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   std::string eta = "?";
   if (remaining == 0) {
     eta = FormatDuration(0);
-  } else if (fresh > 0) {
-    eta = FormatDuration(elapsed / fresh * remaining);
+  } else if (fresh_ > 0) {
+    eta = FormatDuration(elapsed / fresh_ * remaining);
   }
   const std::string failures =
-      units_failed == 0 ? "" : absl::StrFormat(" (%d failed)", units_failed);
-  return absl::StrFormat("%d/%d units%s  %d/%d episodes (%d %%)  elapsed %s  ETA %s", units_done,
-                         units_.size(), failures, episodes, expected,
-                         expected == 0 ? 100 : 100 * episodes / expected, FormatDuration(elapsed),
-                         eta);
+      failures_.empty() ? "" : absl::StrFormat(" (%d failed)", failures_.size());
+  return absl::StrFormat("%d/%d units%s  %d/%d episodes (%d %%)  elapsed %s  ETA %s", done_,
+                         units_.size(), failures, recorded_, expected_,
+                         expected_ == 0 ? 100 : 100LL * recorded_ / expected_,
+                         FormatDuration(elapsed), eta);
+}
+
+std::vector<std::string> Progress::Table(size_t units) {
+  std::vector<std::string> lines = {Line()};
+  const auto now = std::chrono::steady_clock::now();
+  for (const auto& [id, unit] : running_) {
+    if (lines.size() > units) {
+      lines.push_back(absl::StrFormat("  ... and %d more", running_.size() - units));
+      break;
+    }
+    const double elapsed = std::chrono::duration<double>(now - unit->start).count();
+    const int fresh = unit->recorded - unit->before;
+    const std::string eta =
+        fresh == 0 ? "?" : FormatDuration(elapsed / fresh * (unit->expected - unit->recorded));
+    lines.push_back(absl::StrFormat("  %-56s %4d/%-4d  %s  ETA %s", id, unit->recorded,
+                                    unit->expected, FormatDuration(elapsed), eta));
+  }
+  for (size_t i = failures_.size() > 3 ? failures_.size() - 3 : 0; i < failures_.size(); ++i)
+    lines.push_back(absl::StrCat("  FAILED ", failures_[i]));
+  return lines;
+}
+
+namespace {
+
+// Columns of the terminal; a line that wraps could not be taken back.
+size_t Columns() {
+  winsize size{};
+  const bool known = ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
+  return known ? size.ws_col - 1 : 79;
+}
+
+}  // namespace
+
+void Progress::Clear() {
+  if (!terminal_ || lines_ == 0) return;
+  std::fprintf(stderr, "\r\033[K");
+  for (; lines_ > 1; --lines_) std::fprintf(stderr, "\033[A\033[K");
+  lines_ = 0;
 }
 
 void Progress::Print(bool force) {
@@ -83,21 +139,30 @@ void Progress::Print(bool force) {
   if (!force && printed_ && since < (terminal_ ? 0.5 : 20.0)) return;
   last_print_ = now;
   printed_ = true;
-  std::fprintf(stderr, terminal_ ? "\r\033[K%s" : "%s\n", Line().c_str());
+  if (terminal_) {
+    Clear();
+    std::vector<std::string> table = Table(8);
+    for (std::string& line : table) line = line.substr(0, Columns());
+    std::fprintf(stderr, "%s", absl::StrJoin(table, "\n").c_str());
+    lines_ = table.size();
+  } else {
+    std::fprintf(stderr, "%s\n", Line().c_str());
+  }
   std::fflush(stderr);
 }
 
 void Progress::Show() { Print(false); }
 
 void Progress::Say(const std::string& message) {
-  std::fprintf(stderr, "%s%s\n", enabled_ && terminal_ && printed_ ? "\r\033[K" : "",
-               message.c_str());
+  Clear();
+  std::fprintf(stderr, "%s\n", message.c_str());
 }
 
 void Progress::End() {
   if (!printed_) return;
   Print(true);
   if (enabled_ && terminal_) std::fputc('\n', stderr);
+  lines_ = 0;
 }
 
 }  // namespace robostress

@@ -287,6 +287,8 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
                   "the unadapted policy's command; tracking: with\n"
                   "  the controller's steady gain in the scale. The paper's column: another policy "
                   "and other tasks.\n");
+  if (const std::string note = MixedMachinesNote(run); !note.empty())
+    absl::StrAppend(&text, "  ", note, "\n");
   if (!run.unfinished.empty()) {
     absl::StrAppend(&text, "  ", run.unfinished.size(),
                     " unfinished units are left out; the same sweep command completes them.\n");
@@ -357,6 +359,7 @@ std::string ReportJson(const RunData& run, const Summary& summary) {
                        {"bootstrap_replicates", summary.replicates},
                        {"tables", tables},
                        {"unfinished_units", run.unfinished},
+                       {"processors", run.machines},
                        {"environment", run.environment},
                        {"sweep_wall_s", run.sweep_wall_s}};
   return report.dump(1) + "\n";

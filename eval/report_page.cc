@@ -18,6 +18,13 @@
 namespace robostress {
 namespace {
 
+// The first names, and how many there are when there are more.
+std::string FirstOf(std::vector<std::string> names, size_t count) {
+  const size_t all = names.size();
+  names.resize(std::min(all, count));
+  return absl::StrCat(absl::StrJoin(names, ", "), all > count ? absl::StrCat(" ... ", all) : "");
+}
+
 std::string UpdatesHtml(bool adapts, int updates) {
   const std::string text = UpdatesText(adapts, updates);
   if (text == "not adapted") return "<span class=tag>not adapted</span>";
@@ -133,10 +140,12 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
                   "<a href=\"#setup\">Setup</a><a href=\"#limits\">Limits</a></div></nav>\n<main "
                   "class=wrap>\n");
   absl::StrAppend(&html, Headline(main), Tiles(run, summary, main));
+  if (const std::string note = MixedMachinesNote(run); !note.empty())
+    absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), ".</p>\n");
   if (!run.unfinished.empty()) {
     absl::StrAppend(&html, "<p class=warn>", run.unfinished.size(),
                     " unfinished units are left out of every number on this page: ",
-                    EscapeXml(absl::StrJoin(run.unfinished, ", ")), ".</p>\n");
+                    EscapeXml(FirstOf(run.unfinished, 50)), ".</p>\n");
   }
   absl::StrAppend(&html, SuccessSection(summary), statistics, severity, ResidualSection(summary),
                   AdaptationSection(summary));

@@ -116,7 +116,9 @@ absl::StatusOr<std::vector<ReferenceRun>> PlanRuns(const CLI::App& app, const Co
 void Append(RunData run, RunData& all) {
   for (UnitResult& unit : run.units) {
     for (EpisodeRow& row : unit.episodes) {
-      row.fields["goal_reference"] = GoalReferenceName(unit.config.sim.goal_reference);
+      nlohmann::json fields = nlohmann::json::parse(row.record);
+      fields["goal_reference"] = GoalReferenceName(unit.config.sim.goal_reference);
+      row.record = fields.dump();
     }
     all.units.push_back(std::move(unit));
   }
@@ -154,7 +156,7 @@ int Run(const CLI::App& app, CommandLine& line) {
     }
     absl::StatusOr<MergedSweep> merged = RunAndMerge(kCommand, run.grid, run.units, line.launch);
     if (!merged.ok()) return FailCommand(kCommand, merged.status());
-    if (merged->outcome.interrupted) return ExitCodeOf(merged->outcome);
+    if (merged->outcome.signal != 0) return ExitCodeOf(merged->outcome);
     exit_code = std::max(exit_code, ExitCodeOf(merged->outcome));
     if (merged->run) Append(*std::move(merged->run), all);
   }

@@ -22,6 +22,8 @@ struct Command {
 constexpr Command kCommands[] = {
     {"sweep", "Evaluate policies and methods over suites and scenarios, then report"},
     {"report", "Write the report page and tables of a run directory"},
+    {"store", "Check, merge and index run directories"},
+    {"grid-job", "Run one job of a grid that a scheduler distributes"},
     {"residual", "Measure residual magnitudes for both goal references, and their controller lag"},
     {"paper", "One table of the paper: planned, run and laid out beside the published numbers"},
     {"calibrate", "Find what a model of a measured robot lacks, add it, report before and after"},

@@ -2,19 +2,21 @@
 
 #include <algorithm>
 #include <filesystem>
-#include <map>
+#include <limits>
 #include <set>
 #include <tuple>
+#include <unordered_set>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
-#include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
+#include "eval/run_directory.h"
+#include "eval/unit_files.h"
 
 namespace robostress {
 namespace {
@@ -28,12 +30,6 @@ const std::vector<std::string>& LeadingColumns() {
       "suite",   "scenario",      "severity", "policy", "method", "seed",   "task",
       "episode", "initial_state", "success",  "steps",  "chunks", "updates"};
   return columns;
-}
-
-std::vector<std::string> Lines(const std::string& text) {
-  std::vector<std::string> lines = absl::StrSplit(text, '\n');
-  lines.erase(std::remove(lines.begin(), lines.end(), ""), lines.end());
-  return lines;
 }
 
 template <class Names>
@@ -50,8 +46,8 @@ auto CanonicalKey(const UnitConfig& config) {
   static const auto& scenarios = *new std::vector<std::string>(ScenarioNames());
   static const auto& methods = *new std::vector<std::string>(MethodNames());
   return std::tuple(IndexOf(suites, config.suite), IndexOf(scenarios, config.scenario),
-                    ScenarioLabel(config.scenario), config.severity, config.policy, IndexOf(methods, config.method.method),
-                    config.seed);
+                    ScenarioLabel(config.scenario), config.severity, config.policy,
+                    IndexOf(methods, config.method.method), config.seed);
 }
 
 std::string CsvCell(const json& value) {
@@ -63,20 +59,6 @@ std::string CsvCell(const json& value) {
   std::string quoted = "\"";
   for (const char c : text) absl::StrAppend(&quoted, c == '"' ? "\"\"" : std::string(1, c));
   return quoted + "\"";
-}
-
-absl::StatusOr<std::vector<json>> ReadJsonLines(const std::string& file) {
-  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
-  std::vector<json> records;
-  for (const std::string& line : Lines(text)) {
-    json record = json::parse(line, nullptr, false);
-    if (!record.is_object()) {
-      return absl::DataLossError(absl::StrCat(file, ":", records.size() + 1,
-                                              ": not a JSON object: '", line.substr(0, 80), "'"));
-    }
-    records.push_back(std::move(record));
-  }
-  return records;
 }
 
 // Reads fields of one record and remembers the first that is wrong.
@@ -116,77 +98,44 @@ class RecordReader {
   absl::Status status_;
 };
 
-absl::Status CheckAgainstConfig(const std::string& file, const UnitResult& unit) {
-  const size_t expected = unit.config.tasks.size() * unit.config.episodes;
-  if (unit.episodes.size() != expected) {
-    return absl::DataLossError(absl::StrCat(file, " has ", unit.episodes.size(),
-                                            " episodes, its configuration says ", expected,
-                                            "; remove the unit's folder and run the sweep again"));
+// Seconds over all launches; lines that cannot be read are passed over.
+double LaunchSeconds(const std::string& file) {
+  double seconds = 0;
+  const std::string text = ReadFile(file).value_or("");
+  for (absl::string_view line : absl::StrSplit(text, '\n', absl::SkipEmpty())) {
+    const json launch = json::parse(line, nullptr, false);
+    if (launch.is_object() && launch.contains("wall_s") && launch["wall_s"].is_number())
+      seconds += launch["wall_s"].get<double>();
   }
-  std::set<std::pair<int, int>> seen;
-  for (const EpisodeRow& row : unit.episodes) {
-    if (!seen.insert({row.task, row.episode}).second) {
-      return absl::DataLossError(
-          absl::StrCat(file, ": task ", row.task, " episode ", row.episode, " is recorded twice"));
+  return seconds;
+}
+
+// Adds the units that the run's grids plan and that have no folder.
+absl::Status AddPlanned(const std::string& dir, const std::unordered_set<std::string>& present,
+                        std::vector<std::string>& unfinished) {
+  RS_ASSIGN_OR_RETURN(const std::vector<SweepGrid> grids, RunDirectory(dir).Grids());
+  for (const SweepGrid& grid : grids) {
+    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
+    for (const PlannedUnit& unit : units) {
+      if (present.count(unit.id) == 0) unfinished.push_back(unit.id);
     }
   }
+  std::sort(unfinished.begin(), unfinished.end());
+  unfinished.erase(std::unique(unfinished.begin(), unfinished.end()), unfinished.end());
   return absl::OkStatus();
-}
-
-void AddTiming(const json& record, TimingSums& sums) {
-  const auto seconds = [&](const char* key) {
-    const auto field = record.find(key);
-    return field != record.end() && field->is_number() ? field->get<double>() : 0.0;
-  };
-  ++sums.episodes;
-  sums.wall_s += seconds("wall_s");
-  sums.predict_s += seconds("predict_s");
-  sums.step_s += seconds("step_s");
-  sums.observe_s += seconds("observe_s");
-  sums.feedback_s += seconds("feedback_s");
-}
-
-absl::StatusOr<UnitResult> LoadUnit(const fs::path& dir) {
-  UnitResult unit;
-  unit.id = dir.filename().string();
-  RS_ASSIGN_OR_RETURN(unit.config, LoadConfig<UnitConfig>((dir / "config.yaml").string()));
-  if (unit.config.tasks.empty()) {
-    const SuiteInfo* suite = FindSuite(unit.config.suite);
-    for (int task = 0; suite != nullptr && task < suite->num_tasks; ++task)
-      unit.config.tasks.push_back(task);
-  }
-  const std::string file = (dir / "episodes.jsonl").string();
-  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
-  for (const std::string& line : Lines(text)) {
-    RS_ASSIGN_OR_RETURN(EpisodeRow row,
-                        ParseEpisode(absl::StrCat(file, ":", unit.episodes.size() + 1), line));
-    unit.episodes.push_back(std::move(row));
-  }
-  RS_RETURN_IF_ERROR(CheckAgainstConfig(file, unit));
-  if (const auto text = ReadFile((dir / "provenance.json").string()); text.ok()) {
-    unit.provenance = json::parse(*text, nullptr, false);
-  }
-  std::error_code none;
-  for (const auto& entry : fs::directory_iterator(dir / "videos", none)) {
-    if (entry.path().extension() == ".webp") unit.videos.push_back(entry.path().string());
-  }
-  std::sort(unit.videos.begin(), unit.videos.end());
-  if (const auto timings = ReadJsonLines((dir / "timing.jsonl").string()); timings.ok()) {
-    for (const json& record : *timings) AddTiming(record, unit.timing);
-  }
-  return unit;
 }
 
 }  // namespace
 
 absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::string& line) {
   EpisodeRow row;
-  row.fields = json::parse(line, nullptr, false);
-  if (!row.fields.is_object()) {
+  const json fields = json::parse(line, nullptr, false);
+  if (!fields.is_object()) {
     return absl::DataLossError(
         absl::StrCat(source, ": not a JSON object: '", line.substr(0, 80), "'"));
   }
-  RecordReader reader(source, row.fields);
+  RecordReader reader(source, fields);
+  row.record = line;
   row.task = reader.Int("task");
   row.episode = reader.Int("episode");
   row.initial_state = reader.Int("initial_state");
@@ -221,14 +170,28 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
   std::vector<fs::path> folders;
   for (const auto& entry : fs::directory_iterator(units, error)) folders.push_back(entry.path());
   std::sort(folders.begin(), folders.end());
+  UnitTextReader texts;
+  std::vector<std::string> damage;
+  std::vector<ModelUse> models;
+  std::unordered_set<std::string> present;
   for (const fs::path& folder : folders) {
-    if (!fs::exists(folder / "DONE")) {
-      run.unfinished.push_back(folder.filename().string());
+    UnitInspection inspection = InspectUnit(folder.string(), texts);
+    present.insert(inspection.unit.id);
+    if (!inspection.finished) {
+      run.unfinished.push_back(inspection.unit.id);
       continue;
     }
-    RS_ASSIGN_OR_RETURN(UnitResult unit, LoadUnit(folder));
+    damage.insert(damage.end(), inspection.damage.begin(), inspection.damage.end());
+    UnitResult& unit = inspection.unit;
+    if (unit.provenance.is_object())
+      models.push_back({unit.config.policy, unit.provenance.value("model_hash", ""), unit.id});
+    for (const std::string& machine : unit.machines) ++run.machines[machine];
     run.units.push_back(std::move(unit));
   }
+  for (std::string& complaint : DifferentModels(models)) damage.push_back(std::move(complaint));
+  if (const absl::Status status = AddPlanned(dir, present, run.unfinished); !status.ok())
+    damage.emplace_back(status.message());
+  if (!damage.empty()) return absl::DataLossError(absl::StrJoin(damage, "\n"));
   if (run.units.empty()) {
     return absl::NotFoundError(
         absl::StrCat(dir, " has no finished unit; run the sweep that made it again, it continues"));
@@ -239,32 +202,71 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
                    });
   if (const auto text = ReadFile(dir + "/environment.json"); text.ok())
     run.environment = json::parse(*text, nullptr, false);
-  if (const auto launches = ReadJsonLines(dir + "/launches.jsonl"); launches.ok()) {
-    for (const json& launch : *launches) run.sweep_wall_s += launch.value("wall_s", 0.0);
-  }
+  run.sweep_wall_s = LaunchSeconds(dir + "/launches.jsonl");
   return run;
 }
 
-std::string EpisodeTableCsv(const RunData& run) {
-  std::vector<std::string> columns = LeadingColumns();
-  std::set<std::string> others;
+std::string MixedMachinesNote(const RunData& run) {
+  if (run.machines.size() < 2) return "";
+  std::vector<std::string> kinds;
+  for (const auto& [kind, units] : run.machines)
+    kinds.push_back(absl::StrCat(kind, " (", units, " units)"));
+  return absl::StrCat(
+      "This table mixes kinds of processors, whose floating-point kernels may differ in the last "
+      "bits and so in outcomes: ",
+      absl::StrJoin(kinds, "; "));
+}
+
+namespace {
+
+// Rows of the table with `columns`; false when a record has a field that is none of them.
+bool AppendRows(const RunData& run, const std::vector<std::string>& columns, std::string& csv) {
+  const std::set<std::string> known(columns.begin(), columns.end());
   for (const UnitResult& unit : run.units) {
     for (const EpisodeRow& row : unit.episodes) {
-      for (const auto& [name, value] : row.fields.items()) others.insert(name);
+      const json fields = json::parse(row.record, nullptr, false);
+      for (const auto& [name, value] : fields.items()) {
+        if (known.count(name) == 0) return false;
+      }
+      const char* separator = "";
+      for (const std::string& name : columns) {
+        const auto field = fields.find(name);
+        absl::StrAppend(&csv, separator, field == fields.end() ? "" : CsvCell(*field));
+        separator = ",";
+      }
+      csv += '\n';
     }
   }
+  return true;
+}
+
+// Leading columns, then all other fields of the first `limit` records.
+std::vector<std::string> Columns(const RunData& run, size_t limit) {
+  std::set<std::string> others;
+  size_t read = 0;
+  for (const UnitResult& unit : run.units) {
+    for (const EpisodeRow& row : unit.episodes) {
+      if (read++ >= limit) break;
+      const json fields = json::parse(row.record, nullptr, false);
+      for (const auto& [name, value] : fields.items()) others.insert(name);
+    }
+  }
+  std::vector<std::string> columns = LeadingColumns();
   for (const std::string& name : columns) others.erase(name);
   columns.insert(columns.end(), others.begin(), others.end());
-  std::string csv = absl::StrJoin(columns, ",") + "\n";
-  for (const UnitResult& unit : run.units) {
-    for (const EpisodeRow& row : unit.episodes) {
-      std::vector<std::string> cells;
-      for (const std::string& name : columns)
-        cells.push_back(row.fields.contains(name) ? CsvCell(row.fields[name]) : "");
-      absl::StrAppend(&csv, absl::StrJoin(cells, ","), "\n");
-    }
+  return columns;
+}
+
+}  // namespace
+
+std::string EpisodeTableCsv(const RunData& run) {
+  // Records nearly always have the same fields; only when they do not is each parsed twice.
+  for (const size_t limit : {size_t{1}, std::numeric_limits<size_t>::max()}) {
+    const std::vector<std::string> columns = Columns(run, limit);
+    std::string csv = absl::StrJoin(columns, ",") + "\n";
+    if (AppendRows(run, columns, csv)) return csv;
   }
-  return csv;
+  return "";
 }
 
 std::string UnitTimingCsv(const RunData& run) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -28,7 +29,7 @@ struct EpisodeRow {
   std::optional<double> residual_tracking;  // with the controller's steady gain in the scale
   std::optional<double> lag_residual;  // of the same commands without joint errors (worker --lag)
   std::optional<double> mean_abs_action, clipped_share, adapter_distance;
-  nlohmann::json fields;  // the line as it was read, for episodes.csv
+  std::string record;  // the line as it was read, for episodes.csv
 };
 
 // Wall time of a unit's episodes, summed [s]; kept out of every table that is compared.
@@ -45,25 +46,30 @@ struct UnitResult {
   std::vector<std::string> videos;   // paths, sorted
   nlohmann::json provenance;  // provenance.json: policy, model_hash, version; null when absent
   TimingSums timing;
+  std::vector<std::string> machines;  // kinds of processors that worked on it, sorted (machine.h)
 };
 
 // A run directory as far as it is finished.
 struct RunData {
   std::string dir;
   std::vector<UnitResult> units;        // canonical order, whatever the order of flags and dispatch
-  std::vector<std::string> unfinished;  // ids without DONE
+  std::vector<std::string> unfinished;  // ids without DONE, begun or only planned, sorted
+  std::map<std::string, int> machines;  // units by kind of processor; several: results may differ
   nlohmann::json environment;           // environment.json, null when absent
   double sweep_wall_s = 0;              // over all calls, from launches.jsonl
 };
 
 // Parses one line; the error names the field. `source` is "file:line".
 absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::string& line);
-// Reads every finished unit; NotFound when `dir` is no run directory or has none, DataLoss when a
-// finished unit's files contradict its configuration.
+// Reads every finished unit; NotFound when `dir` is no run directory or has none. DataLoss, with
+// everything that is wrong listed: finished units whose files are damaged or contradict their
+// configuration or checksum, units of one policy with different weights, grids that cannot be read.
 absl::StatusOr<RunData> LoadRun(const std::string& dir);
 // The episode table: a header, then one row per episode in canonical order. Byte-equal for equal
 // results, however many workers produced them; no timing in it.
 std::string EpisodeTableCsv(const RunData& run);
+// "" when all units ran on one kind of processor; else what a table must say.
+std::string MixedMachinesNote(const RunData& run);
 // Timings apart: one row per unit, summed over its timing.jsonl.
 std::string UnitTimingCsv(const RunData& run);
 

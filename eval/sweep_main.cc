@@ -11,6 +11,7 @@
 #include "eval/merged_sweep.h"
 #include "eval/plan.h"
 #include "eval/report.h"
+#include "eval/unit_filter.h"
 
 namespace robostress {
 namespace {
@@ -27,14 +28,19 @@ constexpr char kExamples[] =
     "  robostress sweep --grid runs/main/sweep.yaml --out runs/again\n"
     "  robostress sweep --suites libero_goal --tasks 8-8 --policies expert --methods base "
     "--libero-root LIBERO \\\n"
-    "      --robosuite-root robosuite --out runs/libero\n\n"
+    "      --robosuite-root robosuite --out runs/libero\n"
+    "  robostress sweep --full --launcher slurm --workers 64 --split-episodes 50 "
+    "--slurm-worker=--partition=cpu --out /shared/runs/main\n"
+    "  robostress sweep --full --out runs/main --only 'method=base,scenario=aged_*' --dry-run\n\n"
     "Running a command again completes what is missing and repeats nothing. Exit code: 0 all units "
-    "done, 1 a unit\n"
-    "failed, 2 the command is wrong, 130 interrupted.\n";
+    "done (or handed to a\n"
+    "scheduler), 1 a unit failed or another error, 2 the command is wrong, 130 and 143 "
+    "interrupted.\n";
 
 struct CommandLine {
   bool quick = false, full = false, dry_run = false, no_report = false;
   std::string out;
+  std::vector<std::string> only;
   LaunchOptions launch;
   GridFlags grid;
   int videos = 0;
@@ -46,13 +52,18 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
                "The four embedded suites, all tasks, 20 episodes (wins over --quick)");
   app.add_option("--out", line.out, "Run directory (default: runs/quick, runs/full or runs/sweep)");
   DeclareLaunchFlags(app, line.launch);
+  DeclareClusterFlags(app, line.launch);
   app.add_flag("--record-joints", line.launch.record_joints,
                "Also record joint angles, torques and contacts of every sub-step; see `robostress "
                "record-to-rig`");
-  app.add_flag("--dry-run", line.dry_run, "Print the units and stop");
+  app.add_flag("--dry-run", line.dry_run, "Print units, what is done and an estimate, and stop");
   app.add_flag("--no-report", line.no_report, "Run and merge only");
   DeclareGridFlags(app, line.grid);
   app.add_option("--videos", line.videos, "Film the first N episodes of each task");
+  app.add_option("--only", line.only,
+                 "KEY=PATTERN,...: only units that match; keys suite, scenario, severity, policy, "
+                 "method, seed, unit; a key given twice: either")
+      ->delimiter(',');
   app.footer(kExamples);
 }
 
@@ -68,17 +79,15 @@ absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line)
 int Run(const CLI::App& app, CommandLine& line) {
   const absl::StatusOr<SweepGrid> grid = GridFrom(app, line);
   if (!grid.ok()) return FailCommand(kCommand, grid.status());
-  const absl::StatusOr<std::vector<PlannedUnit>> units = ExpandUnits(*grid);
+  absl::StatusOr<std::vector<PlannedUnit>> units = ExpandUnits(*grid);
+  if (units.ok()) units = FilterUnits(*std::move(units), line.only);
   if (!units.ok()) return FailCommand(kCommand, units.status());
   line.launch.run_dir = !line.out.empty() ? line.out
                         : line.full       ? "runs/full"
                         : line.quick      ? "runs/quick"
                                           : "runs/sweep";
   AnnouncePlan(kCommand, *units, line.launch);
-  if (line.dry_run) {
-    for (const PlannedUnit& unit : *units) std::printf("%s\n", unit.id.c_str());
-    return 0;
-  }
+  if (line.dry_run) return PrintPlan(*grid, *units, line.launch);
   const absl::StatusOr<MergedSweep> merged = RunAndMerge(kCommand, *grid, *units, line.launch);
   if (!merged.ok()) return FailCommand(kCommand, merged.status());
   if (merged->run && !line.no_report) {

@@ -5,40 +5,27 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "eval/launcher.h"
 #include "eval/plan.h"
 
 namespace robostress {
 
-// How a sweep is carried out; none of it may change a result.
-struct LaunchOptions {
-  std::string run_dir;
-  int workers = 2;
-  int server_start_timeout_s = 180;
-  std::string server;  // HOST:PORT of a policy server that runs already; empty: one per policy
-  bool quiet = false;  // no progress line
-  // Adds lag_residual to every episode: its commands played again without joint errors.
-  bool measure_lag = false;
-  // Records the joints of every sub-step beside every episode, for `robostress record-to-rig`.
-  bool record_joints = false;
-};
-
 // What happened to the units of this call.
 struct SweepOutcome {
-  int completed = 0;                // finished by this call
+  int completed = 0;                // units finished by this call
   int already_done = 0;             // had DONE before
-  std::vector<std::string> failed;  // ids
-  bool interrupted = false;
+  std::vector<std::string> failed;  // names of units, or of parts of units (WorkItem::Name)
+  int signal = 0;                   // that interrupted it; 0: none
+  bool submitted = false;           // handed to a scheduler: the rest is not known yet
+  std::string hint;                 // what a person does next
   double wall_s = 0;
 };
 
-// Runs the units that have no DONE yet, at most `workers` processes at a time, the longest first,
-// with one policy server per policy that needs one, unless options.server is there. Layout of the
-// run directory:
-//   sweep.yaml plan/<id>.yaml units/<id>/ (written by the worker) logs/<id>.log
-//   logs/server-<policy>.log launches.jsonl scenarios/<label>.yaml (copies of scenario files)
-// A unit that fails is reported with the end of its log and the others go on. FailedPrecondition
-// when the directory holds a unit of the same id with another configuration, or another sweep is
-// running in it; Unavailable when a server does not start or dies.
+// Gets the units done that have no DONE yet, through the launcher that the options name; layout in
+// run_directory.h. A unit that fails is reported with the end of its log and the others go on.
+// FailedPrecondition when the directory holds units of the same id with another configuration
+// (all are listed), or another sweep or its jobs are at work in it; Unavailable when a server does
+// not start or dies, or the scheduler refuses.
 absl::StatusOr<SweepOutcome> RunSweep(const SweepGrid& grid, const std::vector<PlannedUnit>& units,
                                       const LaunchOptions& options);
 

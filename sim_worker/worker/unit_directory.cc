@@ -74,13 +74,14 @@ bool IsPlanned(const std::string& line, const json& identity) {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<UnitDirectory>> UnitDirectory::Open(const std::string& path,
-                                                                   const UnitConfig& resolved) {
+absl::StatusOr<std::unique_ptr<UnitDirectory>> UnitDirectory::Open(
+    const std::string& path, const UnitConfig& resolved, const std::vector<PlannedEpisode>& plan) {
   RS_RETURN_IF_ERROR(MakeDirectories(path));
   std::unique_ptr<UnitDirectory> directory(new UnitDirectory(path));
   RS_RETURN_IF_ERROR(directory->Lock());
+  directory->planned_ = plan.size();
   RS_RETURN_IF_ERROR(directory->CheckConfig(resolved));
-  RS_RETURN_IF_ERROR(directory->LoadRows(resolved));
+  RS_RETURN_IF_ERROR(directory->LoadRows(resolved, plan));
   RS_RETURN_IF_ERROR(directory->CheckDone());
   return directory;
 }
@@ -104,7 +105,6 @@ absl::Status UnitDirectory::Lock() {
 }
 
 absl::Status UnitDirectory::CheckConfig(const UnitConfig& resolved) {
-  planned_ = PlanEpisodes(resolved).size();
   const std::string file = File("config.yaml");
   const std::string wanted = DumpConfig(resolved);
   const bool begun = Exists(File("episodes.jsonl")) || Exists(File("adapter_state.safetensors")) ||
@@ -123,12 +123,12 @@ absl::Status UnitDirectory::CheckConfig(const UnitConfig& resolved) {
       "; choose another --out or remove the directory"));
 }
 
-absl::Status UnitDirectory::LoadRows(const UnitConfig& resolved) {
+absl::Status UnitDirectory::LoadRows(const UnitConfig& resolved,
+                                     const std::vector<PlannedEpisode>& plan) {
   const std::string file = File("episodes.jsonl");
   RS_ASSIGN_OR_RETURN(const std::string text, ReadIfPresent(file));
   bool torn = false;
   std::vector<std::string> lines = CompleteLines(text, torn);
-  const std::vector<PlannedEpisode> plan = PlanEpisodes(resolved);
   if (lines.size() > plan.size()) {
     return absl::DataLossError(absl::StrCat(file, " has ", lines.size(), " rows, the unit has ",
                                             plan.size(), " episodes; remove '", path_,

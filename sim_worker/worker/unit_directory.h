@@ -33,8 +33,9 @@ class UnitDirectory {
  public:
   // Creates or opens. Drops a torn last row. FAILED_PRECONDITION: another configuration, or a
   // worker is at work; DATA_LOSS: rows that are not the plan's, or that changed after DONE.
-  static absl::StatusOr<std::unique_ptr<UnitDirectory>> Open(const std::string& path,
-                                                             const UnitConfig& resolved);
+  // `plan` is what the directory is to hold: the unit's episodes, or a range of them.
+  static absl::StatusOr<std::unique_ptr<UnitDirectory>> Open(
+      const std::string& path, const UnitConfig& resolved, const std::vector<PlannedEpisode>& plan);
   ~UnitDirectory();
   UnitDirectory(const UnitDirectory&) = delete;
   UnitDirectory& operator=(const UnitDirectory&) = delete;
@@ -63,7 +64,7 @@ class UnitDirectory {
   explicit UnitDirectory(std::string path) : path_(std::move(path)) {}
   absl::Status Lock();
   absl::Status CheckConfig(const UnitConfig& resolved);
-  absl::Status LoadRows(const UnitConfig& resolved);
+  absl::Status LoadRows(const UnitConfig& resolved, const std::vector<PlannedEpisode>& plan);
   absl::Status CheckDone();
   absl::Status TrimTimings();
   std::string File(const char* name) const { return path_ + "/" + name; }

@@ -2,8 +2,10 @@
 
 #include <set>
 
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
@@ -108,6 +110,26 @@ std::vector<PlannedEpisode> PlanEpisodes(const UnitConfig& resolved) {
     }
   }
   return plan;
+}
+
+absl::StatusOr<std::vector<PlannedEpisode>> PlanRange(const UnitConfig& resolved,
+                                                      const std::string& range) {
+  std::vector<PlannedEpisode> plan = PlanEpisodes(resolved);
+  if (range.empty()) return plan;
+  const std::vector<std::string> ends = absl::StrSplit(range, '-');
+  size_t first = 0, last = 0;
+  if (ends.size() != 2 || !absl::SimpleAtoi(ends[0], &first) || !absl::SimpleAtoi(ends[1], &last) ||
+      first > last || last >= plan.size()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("episodes '", range, "' is no range FIRST-LAST within 0-", plan.size() - 1));
+  }
+  if (resolved.method.adapt) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("episodes '", range, "': method '", resolved.method.method,
+                     "' adapts and carries what it learned from episode to episode; run the whole "
+                     "unit"));
+  }
+  return std::vector<PlannedEpisode>(plan.begin() + first, plan.begin() + last + 1);
 }
 
 bool RunsLocally(const std::string& policy) { return policy == "expert" || policy == "replay"; }

@@ -29,6 +29,11 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit);
 
 // The episodes of a resolved unit: task by task, because a change of task is a boundary.
 std::vector<PlannedEpisode> PlanEpisodes(const UnitConfig& resolved);
+// "40-59": the episodes of that range of PlanEpisodes, both ends included; empty: all. Only of a
+// method that carries nothing from one episode to the next: each episode then gives the row that it
+// gives in the whole unit.
+absl::StatusOr<std::vector<PlannedEpisode>> PlanRange(const UnitConfig& resolved,
+                                                      const std::string& range);
 
 // expert and replay run inside the worker.
 bool RunsLocally(const std::string& policy);

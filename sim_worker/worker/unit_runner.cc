@@ -57,16 +57,17 @@ class Film {
 
 class UnitRun {
  public:
-  UnitRun(UnitConfig unit, const UnitRunOptions& options, const TaskFactory& make_task)
+  UnitRun(UnitConfig unit, std::vector<PlannedEpisode> plan, const UnitRunOptions& options,
+          const TaskFactory& make_task)
       : unit_(std::move(unit)),
-        plan_(PlanEpisodes(unit_)),
+        plan_(std::move(plan)),
         options_(options),
         make_task_(make_task),
         adapts_(unit_.method.adapt) {}
 
   absl::Status Run() {
     RS_RETURN_IF_ERROR(CheckServerIsGiven());
-    RS_ASSIGN_OR_RETURN(directory_, UnitDirectory::Open(options_.out, unit_));
+    RS_ASSIGN_OR_RETURN(directory_, UnitDirectory::Open(options_.out, unit_, plan_));
     if (directory_->done()) {
       Say(absl::StrCat("already complete: ", plan_.size(), " episodes in ", options_.out));
       return absl::OkStatus();
@@ -231,7 +232,8 @@ class UnitRun {
 absl::Status RunUnit(const UnitConfig& unit, const UnitRunOptions& options,
                      const TaskFactory& make_task) {
   RS_ASSIGN_OR_RETURN(UnitConfig resolved, ResolveUnit(unit));
-  return UnitRun(std::move(resolved), options, make_task).Run();
+  RS_ASSIGN_OR_RETURN(std::vector<PlannedEpisode> plan, PlanRange(resolved, options.episodes));
+  return UnitRun(std::move(resolved), std::move(plan), options, make_task).Run();
 }
 
 }  // namespace robostress

@@ -30,6 +30,7 @@ struct UnitRunOptions {
   std::string server;             // HOST:PORT for every policy but expert and replay
   double connect_timeout_s = 20;  // [s]
   double call_timeout_s = 300;    // [s]
+  std::string episodes;           // "40-59": that range only (PlanRange); empty: the whole unit
   // Adds the lag of each episode to its row (episode_row.h); changes nothing else in it.
   bool measure_lag = false;
   // Writes joints/task{T}_episode{E}.safetensors (joint_log.h) beside each row; changes no row.

@@ -99,6 +99,10 @@ int Main(int argc, char** argv) {
   app.add_option("--out", options.out, "directory to write")->required();
   app.add_option("--server", options.server,
                  "HOST:PORT of a policy server; not for expert and replay");
+  app.add_option(
+      "--episodes", options.episodes,
+      "FIRST-LAST: only this range of the unit's episodes, in the order of execution; for "
+      "methods without adaptation");
   app.add_option("--connect-timeout", options.connect_timeout_s,
                  "seconds until the server must accept")
       ->capture_default_str();

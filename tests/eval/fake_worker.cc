@@ -3,8 +3,13 @@
 // order of dispatch.
 //   FAKE_FAIL_SCENARIO=name  exits with code 3 in units of that scenario
 //   FAKE_EPISODE_MS=n        takes that long per episode
+//   FAKE_WORKER_GATE=file    waits before its second episode until that file is there
+// Unlike the real worker it begins a unit that was interrupted from its first episode.
 
+#include <fcntl.h>
 #include <poll.h>
+#include <sys/file.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cmath>
@@ -23,7 +28,7 @@ namespace robostress {
 namespace {
 
 struct WorkerArguments {
-  std::string unit, out, server;
+  std::string unit, out, server, episodes;
   bool lag = false;
 };
 
@@ -66,6 +71,24 @@ nlohmann::json Episode(const UnitConfig& config, int task, int episode, int inde
   return row;
 }
 
+absl::Status Film(const std::string& out, int task, int episode) {
+  std::vector<Image> frames(4);
+  for (size_t f = 0; f < frames.size(); ++f) {
+    frames[f].width = 96, frames[f].height = 64;
+    frames[f].data.assign(96 * 64 * 3, static_cast<uint8_t>(60 * f + 20));
+  }
+  const absl::StatusOr<std::string> film = EncodeAnimatedWebp(frames, 0.2, 70);
+  if (!film.ok()) return film.status();
+  return WriteFileAtomically(
+      out + "/videos/task" + std::to_string(task) + "_episode" + std::to_string(episode) + ".webp",
+      *film);
+}
+
+void WaitForGate() {
+  const char* gate = std::getenv("FAKE_WORKER_GATE");
+  while (gate != nullptr && access(gate, F_OK) != 0) poll(nullptr, 0, 20);
+}
+
 int Run(const WorkerArguments& options) {
   const std::string& out = options.out;
   const absl::StatusOr<UnitConfig> config = LoadConfig<UnitConfig>(options.unit);
@@ -79,33 +102,43 @@ int Run(const WorkerArguments& options) {
     return 3;
   }
   const char* episode_ms = std::getenv("FAKE_EPISODE_MS");
+  int first = 0, last = static_cast<int>(config->tasks.size()) * config->episodes - 1;
+  if (!options.episodes.empty() &&
+      std::sscanf(options.episodes.c_str(), "%d-%d", &first, &last) != 2)
+    return 2;
   absl::Status status = MakeDirectories(out + "/videos");
+  // One worker at a time, as with the real one; the lock goes with the process.
+  flock(open(out.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC), LOCK_EX);
   if (status.ok()) status = WriteFileAtomically(out + "/config.yaml", DumpConfig(*config));
-  if (status.ok()) status = WriteFileAtomically(out + "/episodes.jsonl", "");
+  if (status.ok()) {
+    const nlohmann::json provenance = {
+        {"policy", config->policy}, {"model_hash", "fake"}, {"version", "0"}};
+    status = WriteFileAtomically(out + "/provenance.json", provenance.dump() + "\n");
+  }
+  for (const char* file : {"/episodes.jsonl", "/timing.jsonl"}) {
+    if (status.ok()) status = WriteFileAtomically(out + file, "");
+  }
   if (status.ok()) status = AppendLine(out + "/starts.txt", "started");
   if (status.ok()) status = AppendLine(out + "/server.txt", options.server);
   int index = 0;
+  std::string rows;
   for (const int task : config->tasks) {
-    for (int episode = 0; episode < config->episodes && status.ok(); ++episode) {
+    for (int episode = 0; episode < config->episodes && status.ok(); ++episode, ++index) {
+      if (index < first || index > last) continue;
+      if (index > first) WaitForGate();
       if (episode_ms != nullptr) poll(nullptr, 0, std::atoi(episode_ms));
-      status = AppendLine(out + "/episodes.jsonl",
-                          Episode(*config, task, episode, index++, options.lag).dump());
+      const std::string row = Episode(*config, task, episode, index, options.lag).dump();
+      rows += row + "\n";
+      status = AppendLine(out + "/episodes.jsonl", row);
       if (status.ok()) status = AppendLine(out + "/timing.jsonl", R"({"wall_s": 0.5})");
-      if (status.ok() && episode < config->videos) {
-        std::vector<Image> frames(4);
-        for (size_t f = 0; f < frames.size(); ++f) {
-          frames[f].width = 96, frames[f].height = 64;
-          frames[f].data.assign(96 * 64 * 3, static_cast<uint8_t>(60 * f + 20));
-        }
-        const absl::StatusOr<std::string> film = EncodeAnimatedWebp(frames, 0.2, 70);
-        status = film.ok() ? WriteFileAtomically(out + "/videos/task" + std::to_string(task) +
-                                                     "_episode" + std::to_string(episode) + ".webp",
-                                                 *film)
-                           : film.status();
-      }
+      if (status.ok() && episode < config->videos) status = Film(out, task, episode);
     }
   }
-  if (status.ok()) status = WriteFileAtomically(out + "/DONE", "");
+  if (status.ok()) {
+    const nlohmann::json done = {{"episodes", last - first + 1},
+                                 {"episodes_sha256", Sha256Hex(rows)}};
+    status = WriteFileAtomically(out + "/DONE", done.dump() + "\n");
+  }
   if (!status.ok()) std::fprintf(stderr, "%s\n", std::string(status.message()).c_str());
   return status.ok() ? 0 : 1;
 }
@@ -122,6 +155,7 @@ int main(int argc, char** argv) {
     if (flag == "--unit") options.unit = argv[i + 1];
     if (flag == "--out") options.out = argv[i + 1];
     if (flag == "--server") options.server = argv[i + 1];
+    if (flag == "--episodes") options.episodes = argv[i + 1];
   }
   return robostress::Run(options);
 }

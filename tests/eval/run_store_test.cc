@@ -80,8 +80,7 @@ TEST(LoadRun, SaysWhenAFolderIsNoRun) {
 TEST(EpisodeTable, QuotesTextsAndWritesNumbersAsTheyWere) {
   RunData run;
   run.units = {SyntheticUnit("clean", "base", {1})};
-  run.units[0].episodes[0].fields["policy"] = "a,\"b\"";
-  run.units[0].episodes[0].fields["residual"] = 0.1;
+  run.units[0].episodes[0].record = R"({"policy":"a,\"b\"","residual":0.1})";
   const std::string csv = EpisodeTableCsv(run);
   EXPECT_THAT(csv, HasSubstr("suite,scenario,severity,policy,method"));
   EXPECT_THAT(csv, HasSubstr("\"a,\"\"b\"\"\""));

@@ -38,11 +38,12 @@ inline UnitResult SyntheticUnit(const std::string& scenario, const std::string& 
     row.success = outcomes[i] != 0;
     row.updates = i < updates.size() ? updates[i] : 0;
     row.steps = 100, row.chunks = 20;
-    row.fields = {{"suite", suite},
-                  {"scenario", scenario},
-                  {"method", method},
-                  {"episode", i},
-                  {"success", row.success}};
+    const nlohmann::json fields = {{"suite", suite},
+                                   {"scenario", scenario},
+                                   {"method", method},
+                                   {"episode", i},
+                                   {"success", row.success}};
+    row.record = fields.dump();
     unit.episodes.push_back(row);
   }
   return unit;

@@ -84,6 +84,25 @@ TEST(UnitPlanTest, EpisodesRunTaskByTaskFromTheFirstInitialState) {
   EXPECT_EQ(plan[2].task, 2);
 }
 
+TEST(UnitPlanTest, RangeIsOfTheWholeOrderAndRefusedWhereEpisodesDependOnEachOther) {
+  UnitConfig unit;
+  unit.tasks = {7, 2};
+  unit.episodes = 2;
+  const UnitConfig resolved = *ResolveUnit(unit);
+  const absl::StatusOr<std::vector<PlannedEpisode>> part = PlanRange(resolved, "1-2");
+  ASSERT_TRUE(part.ok()) << part.status();
+  ASSERT_EQ(part->size(), 2u);
+  EXPECT_EQ(part->front().task, 7);
+  EXPECT_EQ(part->front().episode, 1);
+  EXPECT_EQ(part->back().task, 2);
+  EXPECT_EQ(PlanRange(resolved, "")->size(), 4u);
+  for (const char* bad : {"2-1", "0-4", "1", "a-b", "-1-2"})
+    EXPECT_FALSE(PlanRange(resolved, bad).ok()) << bad;
+  unit.method = *MakeMethod("ours");
+  EXPECT_THAT(std::string(PlanRange(*ResolveUnit(unit), "0-1").status().message()),
+              HasSubstr("carries"));
+}
+
 TEST(UnitPlanTest, ResolvedUnitNamesEveryTask) {
   const absl::StatusOr<UnitConfig> resolved = ResolveUnit(UnitConfig());
   ASSERT_TRUE(resolved.ok()) << resolved.status();

@@ -74,6 +74,7 @@ struct UnitRunnerTest : public testing::Test {
     options.server = server == nullptr ? "" : server->address();
     options.connect_timeout_s = 60;
     options.measure_lag = measure_lag;
+    options.episodes = range;
     options.progress = [this](std::string_view line) { lines.emplace_back(line); };
     return RunUnit(
         unit, options, [&](const UnitConfig& made, int task) -> absl::StatusOr<UnitTask> {
@@ -118,7 +119,27 @@ struct UnitRunnerTest : public testing::Test {
   std::vector<std::string> lines;
   int frames = 0;
   bool measure_lag = false;
+  std::string range;
 };
+
+TEST_F(UnitRunnerTest, RangesOfAMethodWithoutAdaptationAreTheRowsOfTheWholeUnit) {
+  for (const char* method : {"base", "gain", "null", "direct"}) {
+    unit.method = *MakeMethod(method);
+    range = "";
+    const std::string name = method;
+    ASSERT_TRUE(Run(name).ok());
+    std::string rows;
+    for (const char* part : {"0-1", "2-4", "5-5"}) {
+      range = part;
+      ASSERT_TRUE(Run(absl::StrCat(name, part)).ok());
+      rows += Read(absl::StrCat(name, part), "episodes.jsonl");
+      EXPECT_TRUE(Has(absl::StrCat(name, part), "DONE"));
+    }
+    EXPECT_EQ(rows, Read(name, "episodes.jsonl")) << method;
+  }
+  range = "0-1";
+  EXPECT_EQ(Run("base2-4").code(), absl::StatusCode::kDataLoss) << "a folder of another range";
+}
 
 TEST_F(UnitRunnerTest, WritesOneRowPerEpisodeAndDoneLast) {
   ASSERT_TRUE(Run("a").ok());

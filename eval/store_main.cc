@@ -1,0 +1,126 @@
+// robostress-store: the run directories of a lab as one store: index, verification, merging.
+
+#include <cstdio>
+#include <string>
+#include <vector>
+
+#include "CLI/CLI.hpp"
+#include "absl/strings/str_cat.h"
+#include "eval/exit_code.h"
+#include "eval/merged_sweep.h"
+#include "eval/report.h"
+#include "eval/store_check.h"
+#include "eval/store_index.h"
+#include "eval/store_merge.h"
+#include "nlohmann/json.hpp"
+
+namespace robostress {
+namespace {
+
+constexpr char kCommand[] = "store";
+
+constexpr char kExamples[] =
+    "\nExamples\n"
+    "  robostress store verify runs/main\n"
+    "  robostress store merge runs/cluster_a runs/cluster_b --out runs/all\n"
+    "  robostress store index --index runs/index.sqlite runs/main runs/levels\n"
+    "  sqlite3 runs/index.sqlite \"SELECT method, scenario, AVG(success) FROM episodes JOIN units "
+    "USING(store, unit) GROUP BY 1, 2\"\n\n"
+    "Exit code: 0 complete and sound; 1 units are unfinished or missing, or another error; 2 the "
+    "command is wrong; 3 damage,\n"
+    "conflicts or different weights, all listed.\n";
+
+struct CommandLine {
+  std::vector<std::string> stores;
+  std::string index, out;
+  bool json = false;
+};
+
+void PrintJson(const StoreContents& contents) {
+  nlohmann::json findings = nlohmann::json::array();
+  for (const StoreFinding& finding : contents.findings) {
+    findings.push_back({{"fault", StoreFaultName(finding.fault)},
+                        {"store", finding.store},
+                        {"unit", finding.unit},
+                        {"text", finding.text}});
+  }
+  const nlohmann::json report = {{"finished_units", contents.finished}, {"findings", findings}};
+  std::printf("%s\n", report.dump(1).c_str());
+}
+
+int ExitCodeOfFindings(const std::vector<StoreFinding>& findings) {
+  int code = kExitDone;
+  for (const StoreFinding& finding : findings) {
+    if (IsBad(finding.fault)) return kExitBadStore;
+    if (IsIncomplete(finding.fault)) code = kExitUnitFailed;
+  }
+  return code;
+}
+
+int Verify(const CommandLine& line) {
+  const absl::StatusOr<StoreContents> contents = CheckStores(line.stores);
+  if (!contents.ok()) return FailCommand(kCommand, contents.status());
+  if (line.json) {
+    PrintJson(*contents);
+  } else {
+    std::printf("%s%d finished units, %zu findings\n", FindingsText(contents->findings).c_str(),
+                contents->finished, contents->findings.size());
+  }
+  return ExitCodeOfFindings(contents->findings);
+}
+
+int Merge(const CommandLine& line) {
+  const absl::StatusOr<MergeResult> merged = MergeStores(line.stores, line.out);
+  if (absl::IsFailedPrecondition(merged.status())) {
+    FailCommand(kCommand, merged.status());
+    return kExitBadStore;
+  }
+  if (!merged.ok()) return FailCommand(kCommand, merged.status());
+  std::printf("%s%d units merged into %s, %d were there\n", FindingsText(merged->findings).c_str(),
+              merged->copied, line.out.c_str(), merged->present);
+  const absl::StatusOr<RunData> run = LoadRun(line.out);
+  if (!run.ok()) return FailCommand(kCommand, run.status());
+  if (const absl::Status status = WriteTables(*run); !status.ok())
+    return FailCommand(kCommand, status);
+  return run->unfinished.empty() ? kExitDone : kExitUnitFailed;
+}
+
+int MakeIndex(const CommandLine& line) {
+  const std::string file = line.index.empty() ? line.stores[0] + "/index.sqlite" : line.index;
+  const absl::StatusOr<IndexResult> result = UpdateIndex(file, line.stores);
+  if (!result.ok()) return FailCommand(kCommand, result.status());
+  for (const std::string& damage : result->damaged)
+    std::fprintf(stderr, "damaged: %s\n", damage.c_str());
+  std::printf("%s: %d units read, %d unchanged, %d removed\n", file.c_str(), result->read,
+              result->unchanged, result->removed);
+  return result->damaged.empty() ? kExitDone : kExitBadStore;
+}
+
+}  // namespace
+}  // namespace robostress
+
+int main(int argc, char** argv) {
+  CLI::App app("Checks, merges and indexes run directories.", "robostress store");
+  app.footer(robostress::kExamples);
+  app.require_subcommand(1);
+  robostress::CommandLine line;
+  const auto add = [&](const char* name, const char* help) {
+    CLI::App* command = app.add_subcommand(name, help);
+    command->add_option("RUN", line.stores, "Run directories: the --out of sweeps")->required();
+    return command;
+  };
+  CLI::App* verify = add("verify", "Read everything and list all that is wrong or missing");
+  verify->add_flag("--json", line.json, "As JSON");
+  CLI::App* merge = add("merge", "Bring the finished units of several stores into one");
+  merge->add_option("--out", line.out, "Run directory to make or extend")->required();
+  CLI::App* index = add("index", "Bring an SQLite index up to date, for questions");
+  index->add_option("--index", line.index, "File (default: index.sqlite in the first RUN)");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? robostress::kExitDone : robostress::kExitWrongCommand;
+  }
+  if (verify->parsed()) return robostress::Verify(line);
+  if (merge->parsed()) return robostress::Merge(line);
+  return robostress::MakeIndex(line);
+}
