@@ -47,8 +47,8 @@ class Circle {
   }
 
   // Runs a sweep of the options' tasks.
-  absl::StatusOr<MergedSweep> RunTasks(const std::string& folder, SweepGrid grid,
-                                       bool record_joints) const {
+  absl::StatusOr<RunData> RunTasks(const std::string& folder, SweepGrid grid,
+                                   bool record_joints) const {
     grid.suites = {options_.suite};
     grid.tasks = options_.tasks;
     grid.methods = {"base"};
@@ -61,10 +61,10 @@ class Circle {
     launch.record_joints = record_joints;
     AnnouncePlan(kCommand, units, launch);
     RS_ASSIGN_OR_RETURN(MergedSweep merged, RunAndMerge(kCommand, grid, units, launch));
-    if (!merged.outcome.failed.empty() || merged.outcome.signal != 0)
+    if (!merged.run || !merged.outcome.failed.empty() || merged.outcome.signal != 0)
       return absl::InternalError(
           absl::StrCat(launch.run_dir, ": not all units are done; the same command goes on"));
-    return merged;
+    return *std::move(merged.run);
   }
 
   absl::Status KeepOptions() const {
@@ -143,8 +143,8 @@ class Circle {
     if (!result_.found.effects.empty()) grid.scenarios.push_back(Found());
     grid.policies = {options_.policy};
     grid.episodes = options_.evaluated_episodes;
-    RS_ASSIGN_OR_RETURN(const MergedSweep merged, RunTasks("evaluation", grid, false));
-    for (const UnitResult& unit : merged.run->units) {
+    RS_ASSIGN_OR_RETURN(const RunData run, RunTasks("evaluation", grid, false));
+    for (const UnitResult& unit : run.units) {
       const std::string label = ScenarioLabel(unit.config.scenario);
       SuccessRate& rate = label == "clean"                          ? result_.clean
                           : label == ScenarioLabel(options_.hidden) ? result_.under_hidden
