@@ -38,6 +38,7 @@ void AddUnit(const std::string& store, UnitInspection inspection, StoreContents&
       Report(store, id, StoreFault::kDamaged, damage, contents);
     ++contents.finished;
   }
+  inspection.unit.episodes = std::vector<EpisodeRow>();  // a store may hold millions
   contents.units.push_back({store, std::move(inspection)});
 }
 

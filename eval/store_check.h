@@ -29,7 +29,7 @@ struct StoreFinding {
 // One unit of one store.
 struct StoredUnit {
   std::string store;
-  UnitInspection inspection;
+  UnitInspection inspection;  // its episodes were read and are not kept
   // What must be equal in all stores: configuration (folders of LIBERO apart, which differ between
   // clusters), episodes, weights.
   std::string Fingerprint() const;
