@@ -205,11 +205,7 @@ std::string FilledPage(const FilledTable& table, const std::string& videos) {
       EscapeXml(table.caption), "</h1><p>", EscapeXml(table.label),
       " of the paper; our numbers beside the published ones</p></div></header>\n<main "
       "class=wrap>\n<h2>The table</h2>\n",
-      HtmlTable(table),
-      "<p class=note>Ours with 95 % intervals: Wilson's for a success rate, the "
-      "cluster bootstrap over (task, initial state) for an average and a residual. n: "
-      "episodes of each of our cells. Bold: best of its group, as in the paper; it is "
-      "no test.</p>\n");
+      HtmlTable(table), "<p class=note>", EscapeXml(table.reading), "</p>\n");
   if (!table.differences.empty())
     absl::StrAppend(&html, "<h2>Differences on the same episodes</h2>\n",
                     HtmlRows(table.differences));

@@ -38,8 +38,13 @@ struct FilledTable {
   int decimals = 1;  // of values and of interval ends; success rates have whole ends
   std::vector<FilledGroup> groups;
   std::vector<FilledRow> rows;
-  TextRows differences;            // heading first; empty when nothing is compared
-  std::string figure;              // SVG, or empty
+  TextRows differences;  // heading first; empty when nothing is compared
+  std::string figure;    // SVG, or empty
+  // How n and intervals are to be read.
+  std::string reading =
+      "Ours with 95 % intervals: Wilson's for a success rate, the cluster bootstrap over (task, "
+      "initial state) for an average and a residual. n: episodes of each of our cells. Bold: best "
+      "of its group, as in the paper; it is no test.";
   std::vector<std::string> notes;  // differences in protocol, and what is missing
 };
 

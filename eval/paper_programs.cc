@@ -27,7 +27,8 @@ namespace {
 using nlohmann::json;
 
 std::string FolderOf(const ProgramRequest& request) {
-  return absl::StrCat(request.out, "/", request.table.program);
+  // Apart, so that a quick result is never taken for a full one.
+  return absl::StrCat(request.out, "/", request.table.program, request.full ? "" : "-quick");
 }
 
 // Runs a command to its end on this process's own streams; its exit code, 128 + signal when killed.
@@ -66,6 +67,53 @@ absl::StatusOr<FilledCell> Millimetres(const std::string& file, const json& cont
   return cell;
 }
 
+// Throws json::exception where a field has another type.
+absl::StatusOr<FilledTable> ReadPayload(const std::string& json_file) {
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(json_file));
+  const json result = json::parse(text, nullptr, false);
+  if (!result.is_object() || !result.contains("contenders") || !result["contenders"].is_array()) {
+    return absl::DataLossError(
+        absl::StrCat(json_file, ": no list contenders; remove the folder and run it again"));
+  }
+  const PublishedTable& published = *FindPublished("payload");
+  FilledTable table;
+  table.name = published.name;
+  table.label = published.label;
+  table.caption = published.caption;
+  table.row_heading = "Model";
+  table.decimals = 2;
+  table.reading =
+      "Intervals: 95 % over layouts and measured replays. n: replays in which the object was held.";
+  table.groups = {
+      {"simulated Panda [mm]", false, {"DTW per step to the loaded arm", "rise after the grasp"}}};
+  // What the models are compared with: the loaded arm's own rise, and its distance from itself.
+  if (const auto measured = result.find("measured"); measured != result.end() &&
+                                                     measured->contains("rise") &&
+                                                     measured->contains("dtw_between_replays_mm")) {
+    FilledRow row{"the loaded arm, replay to replay", false, {FilledCell()}};
+    row.cells[0].value = measured->value("dtw_between_replays_mm", 0.0);
+    RS_ASSIGN_OR_RETURN(const FilledCell rise, Millimetres(json_file, *measured, "rise"));
+    row.cells.push_back(rise);
+    for (FilledCell& cell : row.cells) cell.n = measured->value("loaded_replays", 0);
+    table.rows.push_back(row);
+  }
+  for (const json& contender : result["contenders"]) {
+    FilledRow row{contender.value("name", "?"), false, {}};
+    for (const char* field : {"dtw_per_step", "rise"}) {
+      RS_ASSIGN_OR_RETURN(FilledCell cell, Millimetres(json_file, contender, field));
+      cell.n = contender.value("replays", 0) - contender.value("lost", 0);
+      row.cells.push_back(cell);
+    }
+    table.rows.push_back(row);
+  }
+  table.notes = {
+      absl::StrCat("Paper: ", published.protocol, "."),
+      "Ours: the loaded arm is simulated too, a true mass in the gripper of the Panda, "
+      "unless `robostress fidelity --measured` reads a real one's replays.",
+      absl::StrCat("Profiles and fitted factors: fidelity.html beside ", json_file, ".")};
+  return table;
+}
+
 }  // namespace
 
 absl::StatusOr<std::vector<std::string>> ProgramCommand(const ProgramRequest& request) {
@@ -102,37 +150,12 @@ absl::StatusOr<FilledTable> RunPaperProgram(const ProgramRequest& request) {
 }
 
 absl::StatusOr<FilledTable> PayloadTable(const std::string& json_file) {
-  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(json_file));
-  const json result = json::parse(text, nullptr, false);
-  if (!result.is_object() || !result.contains("contenders") || !result["contenders"].is_array()) {
+  try {
+    return ReadPayload(json_file);
+  } catch (const json::exception& error) {
     return absl::DataLossError(
-        absl::StrCat(json_file, ": no list contenders; remove the folder and run it again"));
+        absl::StrCat(json_file, ": ", error.what(), "; remove the folder and run it again"));
   }
-  const PublishedTable& published = *FindPublished("payload");
-  FilledTable table;
-  table.name = published.name;
-  table.label = published.label;
-  table.caption = published.caption;
-  table.row_heading = "Model";
-  table.decimals = 2;
-  table.groups = {
-      {"distance to the loaded arm [mm]", false, {"DTW per step", "rise after the grasp"}}};
-  for (const json& contender : result["contenders"]) {
-    FilledRow row{contender.value("name", "?"), false, {}};
-    for (const char* field : {"dtw_per_step", "rise"}) {
-      RS_ASSIGN_OR_RETURN(FilledCell cell, Millimetres(json_file, contender, field));
-      cell.n = contender.value("replays", 0) - contender.value("lost", 0);
-      row.cells.push_back(cell);
-    }
-    table.rows.push_back(row);
-  }
-  table.notes = {
-      absl::StrCat("Paper: ", published.protocol, "."),
-      "Ours: the loaded arm is simulated too, a true mass in the gripper of the Panda, "
-      "unless `robostress fidelity --measured` reads a real one's replays. Intervals: 95 "
-      "% over layouts and measured replays. n: replays in which the object was held.",
-      absl::StrCat("Profiles and fitted factors: fidelity.html beside ", json_file, ".")};
-  return table;
 }
 
 std::optional<double> PiperResidualOf(const std::string& output, const std::string& profile) {

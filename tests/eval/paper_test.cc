@@ -262,16 +262,22 @@ TEST(PiperStudy, DamagedRecordIsNamed) {
 
 TEST(PayloadTable, ReadsContendersAndNamesWhatIsMissing) {
   const std::string file = TestFolder() + "/fidelity.json";
-  ASSERT_TRUE(WriteFileAtomically(file, R"({"contenders": [{"name": "Heavy Payload, fitted",
+  ASSERT_TRUE(WriteFileAtomically(file, R"({"measured": {"rise": {"value_mm": 5.8},
+      "dtw_between_replays_mm": 0.02, "loaded_replays": 3},
+      "contenders": [{"name": "Heavy Payload, fitted",
       "dtw_per_step": {"value_mm": 1.25, "interval_mm": [1.0, 1.5]}, "rise": {"value_mm": 7.5},
       "replays": 10, "lost": 1}]})")
                   .ok());
   const auto table = PayloadTable(file);
   ASSERT_TRUE(table.ok()) << table.status();
   EXPECT_THAT(FilledText(*table), HasSubstr("1.25 [1.00, 1.50]"));
-  EXPECT_EQ(table->rows[0].cells[0].n, 9);
+  EXPECT_EQ(table->rows[1].cells[0].n, 9);
+  EXPECT_EQ(*table->rows[0].cells[1].value, 5.8);
+  EXPECT_EQ(table->rows[0].cells[0].n, 3);
   ASSERT_TRUE(WriteFileAtomically(file, R"({"contenders": [{"name": "x"}]})").ok());
   EXPECT_THAT(std::string(PayloadTable(file).status().message()), HasSubstr("dtw_per_step"));
+  ASSERT_TRUE(WriteFileAtomically(file, R"({"contenders": [{"name": 3}]})").ok());
+  EXPECT_THAT(std::string(PayloadTable(file).status().message()), HasSubstr("must be string"));
 }
 
 class PaperProgram : public ::testing::Test {
