@@ -2,6 +2,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <filesystem>
 #include <string>
 
 #include "common/config.h"
@@ -94,8 +95,14 @@ int main(int argc, char** argv) {
   if (line.dry_run) {
     const auto units = robostress::PlanPiperStudy(*options);
     if (!units.ok()) return robostress::FailCommand("piper-study", units.status());
-    for (const robostress::PiperUnit& unit : *units) std::printf("%s\n", unit.id.c_str());
-    std::printf("%zu units of %d episodes\n", units->size(), options->episodes);
+    size_t done = 0;
+    for (const robostress::PiperUnit& unit : *units) {
+      const bool is_done = std::filesystem::exists(
+          launch.out + (launch.real_time ? "/live/" : "/units/") + unit.id + "/DONE");
+      done += is_done;
+      std::printf("%-28s %s\n", unit.id.c_str(), is_done ? "done" : "");
+    }
+    std::printf("%zu units of %d episodes, %zu done\n", units->size(), options->episodes, done);
     return 0;
   }
   const absl::Status status = robostress::RunPiperStudy(*options, launch);

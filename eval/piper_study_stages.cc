@@ -6,7 +6,7 @@
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/program_folder.h"
@@ -105,6 +105,7 @@ class Study {
       if (!fs::exists(job.done)) waiting.push_back(&job);
     }
     std::vector<Running> running;
+    std::vector<std::string> failed;  // the others go on
     size_t finished = jobs.size() - waiting.size();
     while (!waiting.empty() || !running.empty()) {
       while (!waiting.empty() && static_cast<int>(running.size()) < workers) {
@@ -121,9 +122,13 @@ class Study {
           continue;
         }
         if (exit->code != 0 || !fs::exists(it->job->done)) {
-          return absl::InternalError(absl::StrCat(it->job->name, " ended with ", exit->text, "; ",
-                                                  Log(it->job->name), " ends:\n",
-                                                  LastLines(Log(it->job->name), 12)));
+          failed.push_back(it->job->name);
+          std::printf("piper-study: %s ended with %s; %s ends:\n%s\n", it->job->name.c_str(),
+                      exit->text.c_str(), Log(it->job->name).c_str(),
+                      LastLines(Log(it->job->name), 12).c_str());
+          std::fflush(stdout);
+          it = running.erase(it);
+          continue;
         }
         std::printf("piper-study: %s done (%zu of %zu)\n", it->job->name.c_str(), ++finished,
                     jobs.size());
@@ -131,6 +136,10 @@ class Study {
         it = running.erase(it);
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(kPoll_ms));
+    }
+    if (!failed.empty()) {
+      return absl::InternalError(
+          absl::StrCat(absl::StrJoin(failed, ", "), " failed; the same command tries again"));
     }
     return absl::OkStatus();
   }

@@ -40,7 +40,8 @@ constexpr Command kCommands[] = {
     {"train", "Train the embedded policy from demonstrations"},
     {"record-to-rig", "Turn a recorded run into a rig with logs for calibrate"},
     {"close-loop", "Hide errors in the simulated arm, find them from its logs, compare"},
-    {"piper-study", "The paper's real-arm experiments on emulated Pipers, from recording to report"},
+    {"piper-study",
+     "The paper's real-arm experiments on emulated Pipers, from recording to report"},
     {"replay", "Play recorded commands in a LIBERO task, compare two recordings"},
 };
 

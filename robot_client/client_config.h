@@ -22,7 +22,7 @@ struct ClientConfig {
   int task = 0;                      // index in the experiment; one run is one task, one session
   int first_episode = 0;
   int episodes = 25;
-  double episode_s = 60;  // [s] of RUN until an episode ends by itself
+  double episode_s = 60;     // [s] of RUN until an episode ends by itself
   std::vector<double> home;  // seven: joints [rad], opening [m]; empty: there is no such pose
   PolicyConnectionOptions policy;
   ControlOptions control;

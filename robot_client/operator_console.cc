@@ -19,13 +19,19 @@ void CountSignal(int) { signals.fetch_add(1); }
 constexpr int64_t kWindow_ns = 3'000'000'000;
 
 constexpr std::pair<const char*, OperatorCommand> kCommands[] = {
-    {"enable", OperatorCommand::kEnable},   {"start", OperatorCommand::kStart},
+    {"enable", OperatorCommand::kEnable},
+    {"start", OperatorCommand::kStart},
     {"home", OperatorCommand::kHome},
-    {"", OperatorCommand::kHold},           {"hold", OperatorCommand::kHold},
-    {"resume", OperatorCommand::kResume},   {"success", OperatorCommand::kSuccess},
-    {"failure", OperatorCommand::kFailure}, {"end", OperatorCommand::kEnd},
-    {"clear", OperatorCommand::kClear},     {"stop", OperatorCommand::kQuickStop},
-    {"quit", OperatorCommand::kQuit},       {"quit limp", OperatorCommand::kQuitLimp},
+    {"", OperatorCommand::kHold},
+    {"hold", OperatorCommand::kHold},
+    {"resume", OperatorCommand::kResume},
+    {"success", OperatorCommand::kSuccess},
+    {"failure", OperatorCommand::kFailure},
+    {"end", OperatorCommand::kEnd},
+    {"clear", OperatorCommand::kClear},
+    {"stop", OperatorCommand::kQuickStop},
+    {"quit", OperatorCommand::kQuit},
+    {"quit limp", OperatorCommand::kQuitLimp},
 };
 
 }  // namespace

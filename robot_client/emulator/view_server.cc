@@ -63,9 +63,9 @@ void ViewServer::Show(const mjData& data) {
 }
 
 absl::Status ViewServer::Serve(const std::atomic<bool>* stop) {
-  RS_ASSIGN_OR_RETURN(const std::unique_ptr<ViewRenderer> renderer,
-                      ViewRenderer::Create(*model_, options_.width, options_.height,
-                                           options_.shadows));
+  RS_ASSIGN_OR_RETURN(
+      const std::unique_ptr<ViewRenderer> renderer,
+      ViewRenderer::Create(*model_, options_.width, options_.height, options_.shadows));
   std::vector<std::unique_ptr<MappedFrameWriter>> writers;
   for (const View& view : kViews) {
     RS_ASSIGN_OR_RETURN(
