@@ -46,7 +46,7 @@ class Filler {
     return units;
   }
 
-  // One stratum per scenario with units; Clean only when it is asked for alone.
+  // One stratum per scenario; empty when one of them has no unit yet.
   FilledCell Cell(const std::vector<std::string>& scenarios, const PaperColumn& column) const {
     FilledCell cell;
     std::vector<EpisodeValue> values;
@@ -54,6 +54,8 @@ class Filler {
     bool adapts = false;
     for (const std::string& scenario : scenarios) {
       const Units units = UnitsIn(scenario, column);
+      // An average over other scenarios than its neighbours' would mislead.
+      if (units.empty()) return FilledCell();
       for (const UnitResult* unit : units) {
         adapts = adapts || unit->config.method.adapt;
         if (!unit->episodes.empty()) updates += unit->episodes.back().updates;
@@ -64,7 +66,7 @@ class Filler {
           values.push_back({unit->config.suite, row.task, row.initial_state, stratum, *value});
         }
       }
-      stratum += !units.empty();
+      ++stratum;
     }
     cell.n = static_cast<int>(values.size());
     if (values.empty()) return cell;
@@ -84,8 +86,10 @@ class Filler {
                       &reference = table_.columns[contrast.reference];
     if (IsMissing(method) || IsMissing(reference)) return std::nullopt;
     std::vector<PairedUnits> strata;
-    for (const std::string& scenario : scenarios)
+    for (const std::string& scenario : scenarios) {
       strata.push_back({UnitsIn(scenario, method), UnitsIn(scenario, reference)});
+      if (strata.back().method.empty() || strata.back().reference.empty()) return std::nullopt;
+    }
     return CompareOnPairs(strata, replicates_,
                           absl::StrCat("paper/", table_.name, "/", absl::StrJoin(scenarios, "+"),
                                        "/", method.title, " - ", reference.title));

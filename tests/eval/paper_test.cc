@@ -195,8 +195,13 @@ TEST(PaperResults, UnfinishedUnitsAreCountedAndOthersKeptOut) {
   run.units.push_back(SyntheticUnit("clean", "gain", {1}));
   const RunData chosen = UnitsOf(run, units);
   EXPECT_EQ(chosen.units.size(), units.size() - 1);
-  EXPECT_THAT(FilledText(FillPaperTable(table, QuickProtocol(), chosen, units, 100)),
+  const FilledTable filled = FillPaperTable(table, QuickProtocol(), chosen, units, 100);
+  EXPECT_THAT(FilledText(filled),
               HasSubstr(absl::StrCat("1 of ", units.size(), " planned units are not finished")));
+  const std::vector<FilledCell>& average = filled.rows.back().cells;
+  EXPECT_NE(average[0].value.has_value(), average[1].value.has_value())
+      << "the column whose scenario is missing has no average, the other has";
+  EXPECT_EQ(filled.differences.back()[1], "-");
 }
 
 TEST(PiperResidual, IsReadFromWhatTheProgramPrints) {
