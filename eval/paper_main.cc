@@ -82,6 +82,7 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
       ->check(CLI::Range(1, 1000000))
       ->capture_default_str();
   DeclareLaunchFlags(app, line.launch);
+  DeclareClusterFlags(app, line.launch);
   app.footer(kExamples);
 }
 
@@ -106,6 +107,17 @@ absl::StatusOr<PaperProtocol> ProtocolFrom(const CLI::App& app, const CommandLin
   if (app.count("--libero-fixtures")) grid.libero_fixtures = line.grid.libero_fixtures;
   if (app.count("--videos")) grid.videos = line.videos;
   return protocol;
+}
+
+// A table is laid out from finished units, so this program stays until they are.
+absl::Status CheckLauncher(const LaunchOptions& launch) {
+  if (launch.launcher == "local" || (launch.launcher == "slurm" && launch.cluster.wait))
+    return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "--launcher ", launch.launcher, " hands units over and does not wait for them; ",
+      launch.launcher == "slurm" ? "add --wait"
+                                 : "let `robostress sweep` write the manifest, and run this again "
+                                   "when its units are done"));
 }
 
 // One table, ready to run: its units by grid, or another program.
@@ -237,6 +249,8 @@ int Run(const CLI::App& app, CommandLine& line) {
     PrintList();
     return 0;
   }
+  if (const absl::Status status = CheckLauncher(line.launch); !status.ok())
+    return FailCommand(kCommand, status);
   const absl::StatusOr<PaperProtocol> protocol = ProtocolFrom(app, line);
   if (!protocol.ok()) return FailCommand(kCommand, protocol.status());
   const absl::StatusOr<std::vector<Work>> all = Plan(line, *protocol);
