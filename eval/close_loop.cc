@@ -60,8 +60,8 @@ class Circle {
     launch.workers = options_.workers;
     launch.record_joints = record_joints;
     AnnouncePlan(kCommand, units, launch);
-    RS_ASSIGN_OR_RETURN(MergedSweep merged, RunAndMerge(kCommand, grid, units, launch));
-    if (!merged.outcome.failed.empty() || merged.outcome.signal != 0)
+    absl::StatusOr<MergedSweep> merged = RunAndMerge(kCommand, grid, units, launch);
+    if (merged.ok() && (!merged->outcome.failed.empty() || merged->outcome.signal != 0))
       return absl::InternalError(
           absl::StrCat(launch.run_dir, ": not all units are done; the same command goes on"));
     return merged;
