@@ -137,6 +137,7 @@ TEST_F(UnitRunnerTest, RangesOfAMethodWithoutAdaptationAreTheRowsOfTheWholeUnit)
     }
     EXPECT_EQ(rows, Read(name, "episodes.jsonl")) << method;
   }
+  unit.method = *MakeMethod("base");
   range = "0-1";
   EXPECT_EQ(Run("base2-4").code(), absl::StatusCode::kDataLoss) << "a folder of another range";
 }
