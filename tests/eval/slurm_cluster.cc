@@ -95,7 +95,7 @@ absl::Status SlurmCluster::Launch() {
   for (int i = 0; i < kTries; ++i) {
     // "idle*" is a node that does not answer yet.
     if (absl::StrContains(Run("sinfo --noheader --format=%t --partition=main"), "idle\n"))
-      return absl::OkStatus();
+      return RunsAJob();
     for (ChildProcess& daemon : daemons_) {
       if (daemon.Poll()) i = kTries;
     }
@@ -103,6 +103,16 @@ absl::Status SlurmCluster::Launch() {
   }
   return absl::UnavailableError(
       absl::StrCat("its daemons do not come up here:\n", LastLines(folder_ + "/daemons.log", 30)));
+}
+
+// Daemons that answer are not enough: some places let no job start.
+absl::Status SlurmCluster::RunsAJob() const {
+  const std::string proof = folder_ + "/proof";
+  const std::string said =
+      Run("timeout 120 sbatch --wait --output=/dev/null --wrap 'touch " + proof + "'");
+  if (access(proof.c_str(), F_OK) == 0) return absl::OkStatus();
+  return absl::UnavailableError(
+      absl::StrCat("it starts no job here: ", said, "\n", LastLines(folder_ + "/daemons.log", 30)));
 }
 
 SlurmCluster::~SlurmCluster() {

@@ -15,7 +15,8 @@ class SlurmCluster {
  public:
   // Why it cannot be started here ("slurmctld is not installed"); empty when it can.
   static std::string WhyNot();
-  // Unavailable, with the end of the daemons' log, when the node is not idle within two minutes.
+  // Unavailable, with the end of the daemons' log, when the node is not idle within two minutes or
+  // does no job.
   static absl::StatusOr<std::unique_ptr<SlurmCluster>> Start(const std::string& folder);
   ~SlurmCluster();
 
@@ -27,6 +28,7 @@ class SlurmCluster {
  private:
   explicit SlurmCluster(std::string folder) : folder_(std::move(folder)) {}
   absl::Status Launch();
+  absl::Status RunsAJob() const;
   const std::string folder_;
   std::vector<ChildProcess> daemons_;
 };
