@@ -101,12 +101,14 @@ FilledCell MakeCell(const Episodes& episodes, bool average, int replicates,
   cell.n = static_cast<int>(episodes.size());
   if (episodes.empty()) return cell;
   int successes = 0, updates = 0;
+  std::map<int, int> updates_of;  // of each task's session, at its last episode
   std::vector<EpisodeValue> values;
   for (const PiperEpisode* episode : episodes) {
     successes += episode->success;
-    updates = std::max(updates, episode->updates);
+    updates_of[episode->task] = std::max(updates_of[episode->task], episode->updates);
     values.push_back(ValueOf(*episode, episode->success));
   }
+  for (const auto& [task, applied] : updates_of) updates += applied;
   const BootstrapResult mean = BootstrapEpisodes(values, average ? replicates : 0, label);
   const Interval interval = average ? mean.interval : WilsonInterval(successes, cell.n);
   cell.value = 100 * mean.estimate;
