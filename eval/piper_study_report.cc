@@ -81,9 +81,10 @@ std::string CellText(const PiperCell& cell) {
   std::string text = absl::StrFormat("%d/%d [%.0f, %.0f]", cell.successes, cell.n,
                                      100 * cell.wilson.low, 100 * cell.wilson.high);
   if (cell.paired) {
-    absl::StrAppendFormat(&text, "; %+.0f [%+.0f, %+.0f]", 100 * cell.versus_base.estimate,
-                          100 * cell.versus_base.interval.low,
-                          100 * cell.versus_base.interval.high);
+    const Interval& interval = cell.versus_base.interval;
+    absl::StrAppendFormat(&text, "; %+.0f", 100 * cell.versus_base.estimate);
+    if (std::isfinite(interval.low))  // one initial state has none
+      absl::StrAppendFormat(&text, " [%+.0f, %+.0f]", 100 * interval.low, 100 * interval.high);
   }
   if (cell.updates > 0) absl::StrAppendFormat(&text, "; %d updates", cell.updates);
   return text;
