@@ -123,11 +123,18 @@ Held HeldBy(pid_t pid) {
   return held;
 }
 
+// Of the server's sessions; removed at the end.
+struct StateFolder {
+  const std::filesystem::path path =
+      std::filesystem::temp_directory_path() / absl::StrCat("server_churn-", getpid());
+  ~StateFolder() { std::filesystem::remove_all(path); }
+};
+
 int Run(const std::string& program, double minutes, int clients, double pause_s) {
-  ServeProcess server(
-      program, {"--websocket-listen", "127.0.0.1:0", "--max-sessions", "64", "--session-expiry",
-                "30", "--snapshot-records", "64", "--log-level", "error", "--state-dir",
-                absl::StrCat("/tmp/server_churn-", getpid())});
+  const StateFolder state;  // outlives the server
+  ServeProcess server(program, {"--websocket-listen", "127.0.0.1:0", "--max-sessions", "64",
+                                "--session-expiry", "30", "--snapshot-records", "64", "--log-level",
+                                "error", "--state-dir", state.path.string()});
   PolicyClientOptions options;
   options.address = server.Address("grpc");
   const auto info = GetServerInfo(options);
