@@ -14,6 +14,8 @@ constexpr double kLearningRateIntent = 3e-5;   // target: intent
 constexpr double kLearningRateNominal = 3e-4;  // target: nominal
 constexpr double kGainControl = 1.15;
 
+constexpr double kIntegralRate = 0.01, kIntegralLimit = 0.5;
+
 struct Preset {
   const char* name;
   void (*apply)(MethodOptions&);
@@ -37,11 +39,19 @@ void AdaptToNominal(MethodOptions& o) {
   o.target = TargetReference::kNominal;
 }
 
+void IntegrateTheDisturbance(MethodOptions& o) {
+  o.integral_rate = kIntegralRate;
+  o.integral_limit = kIntegralLimit;
+  o.integral_axes = IntegralAxes::kTranslation;
+  o.integral_carry = true;
+}
+
 constexpr Preset kPresets[] = {
     {"base", [](MethodOptions&) {}},
     {"ours", Adapt},
     {"ours_intent", AdaptToIntent},
     {"ours_nominal", AdaptToNominal},
+    {"ours_integral", IntegrateTheDisturbance},
     {"gain", [](MethodOptions& o) { o.gain = kGainControl; }},
     {"null", [](MethodOptions& o) { o.noise_stream = "null"; }},
     {"direct", [](MethodOptions& o) { o.direct = true; }},

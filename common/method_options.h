@@ -12,6 +12,7 @@ enum class ResidualScale { kCommand, kTracking };
 enum class TargetReference { kExecuted, kIntent, kNominal };
 enum class LoraKind { kPerHead, kPerMatrix };
 enum class ExecutionMode { kLockstep, kAsync };
+enum class IntegralAxes { kAll, kTranslation };
 enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozenState };
 
 // Everything that distinguishes one method from another; the defaults are the paper's (sec:supp_method,
@@ -31,6 +32,11 @@ struct MethodOptions {
   int batch = 4;
   bool use_residual = true;          // false: eta = 0 (no_residual)
   bool direct = false;               // subtract the previous chunk's mean residual, no updates
+  double integral_rate = 0;          // k of IntegralAction, per control step; 0: none
+  double integral_limit = 0.2;       // bound of its estimate on each axis [command units]
+  double integral_deadband = 0;      // smaller residuals count as none [command units]
+  IntegralAxes integral_axes = IntegralAxes::kAll;
+  bool integral_carry = false;       // the estimate outlives its episode
   double gain = 1.0;                 // commands (gripper excluded) scaled by this before they are sent
   TargetReference target = TargetReference::kExecuted;
   ResidualScale residual_scale = ResidualScale::kCommand;
@@ -40,9 +46,12 @@ struct MethodOptions {
   bool track_intent = true;          // also predict with the unadapted policy
   ObservationInput observation = ObservationInput::kFull;  // what the policy is shown
 
+  // Episodes depend on those before them.
+  bool CarriesOver() const { return adapt || (integral_rate > 0 && integral_carry); }
+
   template <class V>
   void Visit(V& v) {
-    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, direct, no_residual, no_anchor, gain, null, shuffled_instruction, blank_images, frozen_state");
+    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, ours_integral, direct, no_residual, no_anchor, gain, null, shuffled_instruction, blank_images, frozen_state");
     v.Field("adapt", adapt, "update the LoRA online");
     v.Choice("lora", lora, {{"per_head", LoraKind::kPerHead}, {"per_matrix", LoraKind::kPerMatrix}},
              "per_head: a pair of factors for each attention head (openpi, the paper); per_matrix: one for each matrix (PEFT)");
@@ -59,6 +68,12 @@ struct MethodOptions {
     v.Field("batch", batch, "chunks per update, without replacement");
     v.Field("use_residual", use_residual, "false: the policy's own commands are the targets");
     v.Field("direct", direct, "subtract the previous chunk's mean residual from the next chunk");
+    v.Field("integral_rate", integral_rate, "integral action: share of the newest disturbance in the estimate, per control step; 0: none");
+    v.Field("integral_limit", integral_limit, "bound of the estimated disturbance on each axis [command units]");
+    v.Field("integral_deadband", integral_deadband, "smaller disturbances of a control step count as none [command units]");
+    v.Choice("integral_axes", integral_axes, {{"all", IntegralAxes::kAll}, {"translation", IntegralAxes::kTranslation}},
+             "axes whose disturbance is estimated and subtracted");
+    v.Field("integral_carry", integral_carry, "keep the estimate across episodes");
     v.Field("gain", gain, "constant factor on every command, gripper excluded");
     v.Choice("target", target,
              {{"executed", TargetReference::kExecuted}, {"intent", TargetReference::kIntent}, {"nominal", TargetReference::kNominal}},

@@ -284,7 +284,7 @@ FilledTable FillPaperTable(const PaperTable& table, const PaperProtocol& protoco
     keys.push_back(average ? "average" : scenarios.front());
   }
   for (const bool control : {false, true}) {
-    FilledGroup group{control ? "controls" : PolicyLabel(protocol.base), false, {}};
+    FilledGroup group{control ? "beside the paper" : PolicyLabel(protocol.base), false, {}};
     for (const PaperColumn& column : table.columns) {
       if (column.control != control || filler.IsMissing(column)) continue;
       group.columns.push_back(column.title);

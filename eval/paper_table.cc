@@ -53,7 +53,8 @@ PaperTable External(const std::string& name, const std::string& program) {
 
 std::vector<PaperTable> MakeTables() {
   const PaperColumn base{"Base", kBase, "base"}, ours{"Ours", kBase, "ours"},
-      gain{"Gain control", kBase, "gain", 5, true}, null{"Null control", kBase, "null", 5, true};
+      gain{"Gain control", kBase, "gain", 5, true}, null{"Null control", kBase, "null", 5, true},
+      integral{"Integral action", kBase, "ours_integral", 5, true};
   return {
       {"main",
        WithClean(),
@@ -65,14 +66,15 @@ std::vector<PaperTable> MakeTables() {
         ours,
         gain,
         null,
-        {"Cloning control", PolicyRole::kCloning, "base", 5, true}},
-       {{3, 0}, {3, 4}, {3, 5}, {1, 0}, {2, 0}, {1, 6}, {2, 6}}},
+        {"Cloning control", PolicyRole::kCloning, "base", 5, true},
+        integral},
+       {{3, 0}, {3, 4}, {3, 5}, {1, 0}, {2, 0}, {1, 6}, {2, 6}, {7, 0}, {7, 4}, {7, 5}, {7, 3}}},
       {"noise",
        {"isolated_stribeck", "isolated_backlash", "isolated_compliance", "isolated_gravity"},
        false,
        true,
-       {base, ours, gain},
-       {{1, 0}, {1, 2}}},
+       {base, ours, gain, integral},
+       {{1, 0}, {1, 2}, {3, 0}, {3, 2}}},
       {"ablation",
        Deployment(),
        true,

@@ -15,13 +15,20 @@ std::string ScenarioTitle(const std::string& scenario) {
 }
 
 std::string MethodColor(const std::string& method) {
-  static const auto& colors = *new std::map<std::string, std::string>{
-      {"base", "#6b7280"},         {"ours", "#0072b2"},
-      {"ours_intent", "#d55e00"},  {"ours_nominal", "#009e73"},
-      {"gain", "#e69f00"},         {"null", "#cc79a7"},
-      {"direct", "#56b4e9"},       {"no_residual", "#8b5cf6"},
-      {"no_anchor", "#a16207"},    {"shuffled_instruction", "#be123c"},
-      {"blank_images", "#0f766e"}, {"frozen_state", "#4d7c0f"}};
+  static const auto& colors =
+      *new std::map<std::string, std::string>{{"base", "#6b7280"},
+                                              {"ours", "#0072b2"},
+                                              {"ours_intent", "#d55e00"},
+                                              {"ours_nominal", "#009e73"},
+                                              {"ours_integral", "#111827"},
+                                              {"gain", "#e69f00"},
+                                              {"null", "#cc79a7"},
+                                              {"direct", "#56b4e9"},
+                                              {"no_residual", "#8b5cf6"},
+                                              {"no_anchor", "#a16207"},
+                                              {"shuffled_instruction", "#be123c"},
+                                              {"blank_images", "#0f766e"},
+                                              {"frozen_state", "#4d7c0f"}};
   const auto color = colors.find(method);
   return color == colors.end() ? "#334155" : color->second;
 }
@@ -32,6 +39,7 @@ std::string MethodTitle(const std::string& method) {
                                               {"ours", "Ours"},
                                               {"ours_intent", "Ours, target intent"},
                                               {"ours_nominal", "Ours, target nominal"},
+                                              {"ours_integral", "Ours, integral action"},
                                               {"gain", "Gain control"},
                                               {"null", "Null control"},
                                               {"direct", "Direct subtraction"},

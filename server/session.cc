@@ -43,7 +43,10 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
       residual_options_(ScaledResidualOptions(spec)),
       buffer_(spec.method.buffer_chunks),
       schedule_(spec.method.buffer_chunks, spec.method.update_interval),
-      arm_(ArmOptions(spec)) {}
+      arm_(ArmOptions(spec)) {
+  if (spec.method.integral_rate > 0)
+    integral_.emplace(spec.method, residual_options_, ArmOptions(spec));
+}
 
 Session::~Session() = default;
 
@@ -125,6 +128,7 @@ void Session::ApplyEpisode(int task, int episode, uint64_t last_sequence) {
   }
   episode_ = {task, episode};
   direct_correction_.resize(0);
+  if (integral_) integral_->StartEpisode();
 }
 
 absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, int task,
@@ -150,6 +154,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     RS_RETURN_IF_ERROR(failure_);
     result.prediction_id = next_prediction_++;
     correction = direct_correction_;
+    if (integral_) correction = integral_->estimate();
   }
   PredictionJob job;
   job.policy = resources_.policy;
@@ -183,7 +188,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
   if (spec_.method.gain != 1.0) {
     result.actions.leftCols(arm) *= static_cast<float>(spec_.method.gain);
   }
-  if (spec_.method.direct && correction.size() > 0) {
+  if (correction.size() > 0) {
     result.actions.leftCols(arm).rowwise() -= correction.head(arm).cast<float>().transpose();
   }
 

@@ -16,6 +16,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "adapter/feedback_buffer.h"
+#include "adapter/integral_action.h"
 #include "adapter/lora_adapter.h"
 #include "adapter/nominal_arm.h"
 #include "adapter/residual.h"
@@ -180,6 +181,7 @@ class Session : public std::enable_shared_from_this<Session> {
     std::optional<BufferedChunk> training;      // where the method adapts
     NominalArm arm;                             // after it
     std::optional<Eigen::VectorXd> correction;  // of `direct`
+    std::optional<IntegralAction> integral;     // after it, where the method has one
   };
 
   Session(const SessionSpec& spec, const SessionResources& resources, uint64_t owner,
@@ -268,6 +270,7 @@ class Session : public std::enable_shared_from_this<Session> {
   std::map<uint64_t, Prediction> outstanding_ ABSL_GUARDED_BY(mu_);
   Eigen::VectorXd direct_correction_
       ABSL_GUARDED_BY(mu_);  // [action_dim] or empty: none yet in this episode
+  std::optional<IntegralAction> integral_ ABSL_GUARDED_BY(mu_);  // where integral_rate > 0
   FeedbackBuffer<BufferedChunk> buffer_ ABSL_GUARDED_BY(mu_);
   UpdateSchedule schedule_ ABSL_GUARDED_BY(mu_);
   uint64_t triggers_ ABSL_GUARDED_BY(mu_) = 0;

@@ -24,6 +24,8 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
     return invalid("policy ", policy.name, " has no layers to adapt; use base");
   if (m.adapt && m.direct)
     return invalid("adapt and direct exclude each other; set one of them to false");
+  if (m.direct && m.integral_rate > 0)
+    return invalid("direct and integral_rate exclude each other; set one of them to nothing");
   if (m.buffer_chunks < 1 || m.buffer_chunks > 4096)
     return invalid("buffer_chunks is ", m.buffer_chunks, ", must be 1..4096");
   if (m.update_interval < 1)
@@ -48,6 +50,12 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
     return invalid("clip_norm is ", m.clip_norm, ", must be above 0");
   if (!in_range(m.anchor_weight, 0, 1e6))
     return invalid("anchor_weight is ", m.anchor_weight, ", must be 0 or above");
+  if (!in_range(m.integral_rate, 0, 1))
+    return invalid("integral_rate is ", m.integral_rate, ", must be 0..1");
+  if (!in_range(m.integral_limit, 0, 10))
+    return invalid("integral_limit is ", m.integral_limit, ", must be 0..10");
+  if (!in_range(m.integral_deadband, 0, 10))
+    return invalid("integral_deadband is ", m.integral_deadband, ", must be 0..10");
   if (!in_range(m.gain, -100, 100)) return invalid("gain is ", m.gain, ", must be in -100..100");
   if (!in_range(m.tracking_gain, 1e-3, 100))
     return invalid("tracking_gain is ", m.tracking_gain, ", must be 0.001..100");
@@ -69,6 +77,12 @@ absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy)
     return absl::InvalidArgumentError(
         absl::StrCat("method ", spec.method.method, ": gain ", spec.method.gain,
                      " would scale absolute joint targets; robot ", spec.robot, " needs gain 1"));
+  }
+  if (ActsInJointSpace(spec) && spec.method.integral_rate > 0) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "method ", spec.method.method,
+        ": integral action compares with a nominal end-effector controller; robot ", spec.robot,
+        " acts in joint space: use the disturbance observer of its client"));
   }
   return absl::OkStatus();
 }

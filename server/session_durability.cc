@@ -149,6 +149,10 @@ SessionSnapshot Session::Capture() {
   for (const uint64_t boundary : boundaries_) counters.add_boundaries(boundary);
   counters.mutable_direct_correction()->Add(direct_correction_.data(),
                                             direct_correction_.data() + direct_correction_.size());
+  if (integral_) {
+    const Eigen::VectorXd state = integral_->State();
+    counters.mutable_integral_action()->Add(state.data(), state.data() + state.size());
+  }
   if (adapter_ != nullptr) {
     snapshot.adaptation = CurrentAdaptation();
     snapshot.versions = adapter_->Versions();
@@ -237,6 +241,13 @@ absl::Status Session::Restore(const SessionSnapshot& snapshot) {
   boundaries_.insert(counters.boundaries().begin(), counters.boundaries().end());
   direct_correction_ = Eigen::Map<const Eigen::VectorXd>(counters.direct_correction().data(),
                                                          counters.direct_correction_size());
+  if (integral_.has_value() != (counters.integral_action_size() == IntegralAction::kStateSize))
+    return absl::DataLossError(
+        "state on disk: an integral action where the method has none, or none");
+  if (integral_) {
+    integral_->SetState(Eigen::Map<const Eigen::VectorXd>(counters.integral_action().data(),
+                                                          counters.integral_action_size()));
+  }
   return absl::OkStatus();
 }
 

@@ -98,6 +98,10 @@ absl::StatusOr<Session::TakenChunk> Session::Prepare(const ExecutedChunk& execut
     RS_ASSIGN_OR_RETURN(taken.training, MakeTrainingChunk(executed, prediction, taken.arm));
   }
   if (spec_.method.direct) taken.correction = MeanResidual(executed, residual_options_);
+  if (integral_ && episode_ == std::pair(executed.task, executed.episode)) {
+    taken.integral = integral_;
+    taken.integral->Observe(executed);
+  }
   return taken;
 }
 
@@ -113,6 +117,7 @@ void Session::Apply(const ExecutedChunk& executed, TakenChunk taken) {
   }
   if (taken.correction && episode_ == std::pair(executed.task, executed.episode))
     direct_correction_ = *taken.correction;
+  if (taken.integral) integral_ = std::move(taken.integral);
   // A later prediction was made after this one: what is older will not be executed any more.
   outstanding_.erase(outstanding_.begin(), outstanding_.lower_bound(taken.prediction_id));
   if (boundaries_.erase(feedback_sequence_) > 0) ClearBuffer();

@@ -24,7 +24,7 @@ dagger() {  # NAME WEIGHTS FIRST_DRAW: the policy drives, the expert labels
   "$bin/robostress-serve" --policy "$2" --listen 127.0.0.1:0 --port-file "$out/port" &
   server=$!
   until [[ -s $out/port ]]; do kill -0 "$server"; sleep 0.2; done
-  record "$1" --server "127.0.0.1:$(cat "$out/port")" --mix 0.3 --episodes 15 --first-draw "$3"
+  record "$1" --server "127.0.0.1:$(cat "$out/port")" --policy "$2" --mix 0.3 --episodes 15 --first-draw "$3"
   kill "$server"
   wait "$server" || true
   server=

@@ -123,11 +123,10 @@ absl::StatusOr<std::vector<PlannedEpisode>> PlanRange(const UnitConfig& resolved
     return absl::InvalidArgumentError(
         absl::StrCat("episodes '", range, "' is no range FIRST-LAST within 0-", plan.size() - 1));
   }
-  if (resolved.method.adapt) {
+  if (resolved.method.CarriesOver()) {
     return absl::InvalidArgumentError(
         absl::StrCat("episodes '", range, "': method '", resolved.method.method,
-                     "' adapts and carries what it learned from episode to episode; run the whole "
-                     "unit"));
+                     "' carries what it learned from episode to episode; run the whole unit"));
   }
   return std::vector<PlannedEpisode>(plan.begin() + first, plan.begin() + last + 1);
 }

@@ -91,8 +91,8 @@ TEST(PaperPlan, FullIsThePapersProtocol) {
   ASSERT_TRUE(grids.ok()) << grids.status();
   const auto units = PaperUnits(*grids);
   ASSERT_TRUE(units.ok());
-  // Seven columns, eight scenarios, four suites, three seeds; 20 episodes on each of ten tasks.
-  EXPECT_EQ(units->size(), 7u * 8 * 4 * 3);
+  // Eight columns, eight scenarios, four suites, three seeds; 20 episodes on each of ten tasks.
+  EXPECT_EQ(units->size(), 8u * 8 * 4 * 3);
   for (const PlannedUnit& unit : *units) EXPECT_EQ(unit.EpisodeCount(), 200);
 }
 
@@ -118,7 +118,8 @@ TEST(PaperPlan, WeightsGoToLiberoAtThePapersRateAndMissingColumnsAreLeftOut) {
   ASSERT_TRUE(grids.ok()) << grids.status();
   const auto units = PaperUnits(*grids);
   ASSERT_TRUE(units.ok()) << units.status();
-  EXPECT_EQ(units->size(), 4u * 8 * 4 * 3) << "base, ours and the two controls of one policy";
+  EXPECT_EQ(units->size(), 5u * 8 * 4 * 3)
+      << "base, ours, integral action and the two controls of one policy";
   for (const PlannedUnit& unit : *units) {
     EXPECT_EQ(unit.config.suite.rfind("libero_", 0), 0u);
     EXPECT_EQ(unit.config.method.learning_rate, 1e-6);
@@ -154,7 +155,7 @@ TEST(PaperResults, MainTableHasOurNumbersBesideThePublishedOnes) {
   const FilledTable table = Filled("main");
   ASSERT_EQ(table.groups.size(), 4u);
   EXPECT_EQ(table.groups[0].columns, (std::vector<std::string>{"Base", "DR", "RobustVLA", "Ours"}));
-  EXPECT_EQ(table.groups[3].title, "controls");
+  EXPECT_EQ(table.groups[3].title, "beside the paper");
   ASSERT_EQ(table.rows.size(), 9u);
   const FilledRow& payload = table.rows[1];
   EXPECT_EQ(payload.title, "Heavy Payload");

@@ -60,7 +60,8 @@ TEST(Session, ARobotOfJointTargetsIsCorrectedInJointSpace) {
 TEST(Session, RefusesInJointSpaceWhatOnlyEndEffectorCommandsCanMean) {
   Rig rig;
   for (const auto& [method, word] :
-       {std::pair{"ours_nominal", "end-effector"}, std::pair{"gain", "absolute joint targets"}}) {
+       {std::pair{"ours_nominal", "end-effector"}, std::pair{"gain", "absolute joint targets"},
+        std::pair{"ours_integral", "disturbance observer"}}) {
     SessionSpec spec = Spec(method, {});
     spec.robot = "piper_new";
     const auto session = Session::Create(spec, {rig.policy, &rig.adaptation, &rig.inference}, 1);
@@ -497,6 +498,28 @@ TEST(Session, DirectMeasuresAgainstThePolicysCommandNotTheCorrectedOne) {
   EXPECT_LT(((third.policy_actions - third.actions).row(0) - eta).head(6).norm(), 1e-5f);
 }
 
+TEST(Session, IntegralActionSubtractsWhatTheArmDidBeyondANominalOneAndKeepsItBetweenEpisodes) {
+  Rig rig;
+  const SessionSpec spec = Spec("ours_integral", {"integral_rate=0.1"});
+  Client client(rig.Open(spec), /*gain=*/0.5);
+  IntegralAction expected(spec.method, ResidualOptionsOf(spec.method), {});
+  for (int episode = 0; episode < 2; ++episode) {
+    client.StartEpisode(0, episode);
+    expected.StartEpisode();
+    for (int chunk = 0; chunk < 4; ++chunk) {
+      const PredictedChunk prediction = client.Predict();
+      const Eigen::RowVectorXf d = expected.estimate().cast<float>().transpose();
+      EXPECT_EQ(d.norm() > 0, episode + chunk > 0);
+      EXPECT_EQ(prediction.actions.leftCols(6),
+                Eigen::MatrixXf(prediction.policy_actions.leftCols(6).rowwise() - d));
+      EXPECT_EQ(prediction.actions.col(6), prediction.policy_actions.col(6));
+      const ExecutedChunk executed = client.Execute(prediction);
+      client.Send(executed);
+      expected.Observe(executed);
+    }
+  }
+}
+
 TEST(Session, BaseActionsAreTheUnadaptedPolicys) {
   Rig rig;
   Client client(rig.Open(Spec("ours", {kRate})));
@@ -691,6 +714,9 @@ TEST(Session, RefusesMethodOptionsThatMakeNoSense) {
   EXPECT_THAT(refusal(Spec("ours", {"learning_rate=-1"})), HasSubstr("learning_rate is -1"));
   EXPECT_THAT(refusal(Spec("ours", {"rank=0"})), HasSubstr("rank is 0"));
   EXPECT_THAT(refusal(Spec("ours", {"direct=true"})), HasSubstr("exclude each other"));
+  EXPECT_THAT(refusal(Spec("ours_integral", {"direct=true"})), HasSubstr("exclude each other"));
+  EXPECT_THAT(refusal(Spec("ours_integral", {"integral_rate=1.5"})),
+              HasSubstr("integral_rate is 1.5, must be 0..1"));
   SessionSpec unknown = Spec("base");
   unknown.method.method = "magic";
   EXPECT_THAT(refusal(unknown), HasSubstr("unknown method 'magic'; known: base, ours"));

@@ -1,0 +1,53 @@
+#include "adapter/integral_action.h"
+
+#include <cmath>
+
+#include "common/check.h"
+
+namespace robostress {
+
+IntegralAction::IntegralAction(const MethodOptions& method, const ResidualOptions& residual,
+                               const NominalArmOptions& arm)
+    : rate_(method.integral_rate),
+      limit_(method.integral_limit),
+      deadband_(method.integral_deadband),
+      gain_(method.tracking_gain),
+      axes_(method.integral_axes == IntegralAxes::kTranslation ? 3 : 6),
+      carry_(method.integral_carry),
+      residual_(residual),
+      arm_(arm) {
+  residual_.scale = ResidualScale::kCommand;
+}
+
+void IntegralAction::StartEpisode() {
+  arm_.Reset();
+  if (!carry_) estimate_.setZero();
+}
+
+void IntegralAction::Observe(const ExecutedChunk& chunk) {
+  for (size_t i = 0; i < chunk.steps.size(); ++i) {
+    const Vector6 nominal = arm_.Step(chunk.steps[i].sent_command.head<6>().cast<double>());
+    if (chunk.IsMasked(i)) continue;
+    const Vector6 achieved = AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), residual_);
+    for (int axis = 0; axis < axes_; ++axis) {
+      double disturbance = (achieved[axis] - nominal[axis]) / gain_;
+      if (std::abs(disturbance) < deadband_) disturbance = 0;
+      estimate_[axis] += rate_ * (disturbance - estimate_[axis]);
+    }
+    estimate_ = estimate_.cwiseMax(-limit_).cwiseMin(limit_);
+  }
+}
+
+Eigen::VectorXd IntegralAction::State() const {
+  Eigen::VectorXd state(kStateSize);
+  state << estimate_, arm_.state().goal, arm_.state().velocity;
+  return state;
+}
+
+void IntegralAction::SetState(const Eigen::VectorXd& state) {
+  RS_CHECK(state.size() == kStateSize);
+  estimate_ = state.head<6>();
+  arm_.set_state({state.segment<6>(6), state.tail<6>()});
+}
+
+}  // namespace robostress

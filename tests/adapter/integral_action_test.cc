@@ -1,0 +1,148 @@
+#include "adapter/integral_action.h"
+
+#include <gtest/gtest.h>
+
+#include "common/method_options.h"
+#include "common/so3.h"
+
+namespace robostress {
+namespace {
+
+using Vector6 = NominalArm::Vector6;
+
+// A nominal arm whose commands are scaled by `gain` and shifted by `disturbance` on their way.
+class DisturbedArm {
+ public:
+  DisturbedArm(double gain, const Vector6& disturbance) : gain_(gain), disturbance_(disturbance) {}
+
+  // Executes `command` minus `correction` for `steps` control steps, as one chunk.
+  ExecutedChunk Execute(const Vector6& command, const Vector6& correction, int steps = 5) {
+    ExecutedChunk chunk;
+    for (int i = 0; i < steps; ++i) {
+      ExecutedStep step;
+      step.before = state_;
+      step.policy_command = Eigen::VectorXf::Zero(7);
+      step.policy_command.head<6>() = command.cast<float>();
+      step.sent_command = step.policy_command;
+      step.sent_command.head<6>() = (command - correction).cast<float>();
+      Move(step.sent_command.head<6>().cast<double>());
+      chunk.steps.push_back(step);
+    }
+    chunk.final_state = state_;
+    return chunk;
+  }
+  const Vector6& last_motion() const { return motion_; }  // normalised
+
+ private:
+  void Move(const Vector6& command) {
+    motion_ = arm_.Step(gain_ * command + disturbance_);
+    state_.tool.p_base_tool += 0.05 * motion_.head<3>();
+    state_.tool.q_base_tool =
+        (ExpSo3(0.5 * motion_.tail<3>()) * state_.tool.q_base_tool).normalized();
+  }
+
+  double gain_;
+  Vector6 disturbance_, motion_ = Vector6::Zero();
+  NominalArm arm_{NominalArmOptions()};
+  RobotState state_;
+};
+
+MethodOptions Method(const std::vector<std::string>& overrides = {}) {
+  std::vector<std::string> all = {"integral_rate=0.1", "integral_axes=all"};
+  all.insert(all.end(), overrides.begin(), overrides.end());
+  return *MakeMethod("ours_integral", all);
+}
+
+IntegralAction Make(const MethodOptions& method) {
+  return IntegralAction(method, ResidualOptionsOf(method), {});
+}
+
+void Run(IntegralAction& integral, DisturbedArm& arm, const Vector6& command, int chunks) {
+  for (int i = 0; i < chunks; ++i) integral.Observe(arm.Execute(command, integral.estimate()));
+}
+
+const Vector6 kCommand = (Vector6() << 0.2, -0.1, 0.05, 0.02, 0, -0.04).finished();
+const Vector6 kDisturbance = (Vector6() << 0, 0.05, -0.3, 0.03, -0.02, 0).finished();
+
+TEST(IntegralAction, FindsAConstantDisturbanceAndTheArmDoesWhatAnUndisturbedOneDoes) {
+  IntegralAction integral = Make(Method());
+  DisturbedArm arm(1, kDisturbance);
+  Run(integral, arm, kCommand, 40);
+  EXPECT_LT((integral.estimate() - kDisturbance).cwiseAbs().maxCoeff(), 2e-3);
+  EXPECT_LT((arm.last_motion() - 0.267 * kCommand).cwiseAbs().maxCoeff(), 1e-3);
+}
+
+TEST(IntegralAction, StandsStillWhereTheArmIsNominal) {
+  IntegralAction integral = Make(Method());
+  DisturbedArm arm(1, Vector6::Zero());
+  for (const double scale : {1.0, -0.5, 3.0, 0.0}) Run(integral, arm, scale * kCommand, 5);
+  EXPECT_LT(integral.estimate().cwiseAbs().maxCoeff(), 1e-6);
+}
+
+TEST(IntegralAction, MakesUpForALowerGain) {
+  IntegralAction integral = Make(Method());
+  DisturbedArm arm(0.7, Vector6::Zero());
+  Run(integral, arm, kCommand, 60);
+  EXPECT_LT((kCommand - integral.estimate() - kCommand / 0.7).cwiseAbs().maxCoeff(), 2e-3);
+}
+
+TEST(IntegralAction, KeepsItsBound) {
+  IntegralAction integral = Make(Method({"integral_limit=0.1"}));
+  DisturbedArm arm(1, kDisturbance);
+  Run(integral, arm, kCommand, 40);
+  EXPECT_EQ(integral.estimate()[2], -0.1);
+  EXPECT_NEAR(integral.estimate()[1], 0.05, 2e-3);
+}
+
+TEST(IntegralAction, EstimatesTheAxesItIsAskedFor) {
+  IntegralAction integral = Make(Method({"integral_axes=translation"}));
+  DisturbedArm arm(1, kDisturbance);
+  Run(integral, arm, kCommand, 40);
+  EXPECT_NEAR(integral.estimate()[2], -0.3, 2e-3);
+  EXPECT_EQ(integral.estimate().tail<3>(), Eigen::Vector3d::Zero());
+}
+
+TEST(IntegralAction, TakesLittleForNothingWithADeadband) {
+  IntegralAction integral = Make(Method({"integral_deadband=0.1"}));
+  DisturbedArm arm(1, kDisturbance);
+  Run(integral, arm, kCommand, 40);
+  EXPECT_EQ(integral.estimate()[1], 0);
+  EXPECT_LT(integral.estimate()[2], -0.05);
+}
+
+TEST(IntegralAction, MaskedStepsMoveTheNominalArmAndNotTheEstimate) {
+  IntegralAction integral = Make(Method());
+  DisturbedArm arm(1, kDisturbance);
+  ExecutedChunk chunk = arm.Execute(kCommand, Vector6::Zero());
+  chunk.masked.assign(5, true);
+  integral.Observe(chunk);
+  EXPECT_EQ(integral.estimate(), Vector6::Zero());
+  EXPECT_GT(integral.State().tail<6>().norm(), 0);
+}
+
+TEST(IntegralAction, AnEpisodeBeginsAtRestAndWithTheEstimateOnlyWhereItIsCarried) {
+  for (const bool carry : {false, true}) {
+    IntegralAction integral =
+        Make(Method({carry ? "integral_carry=true" : "integral_carry=false"}));
+    DisturbedArm arm(1, kDisturbance);
+    Run(integral, arm, kCommand, 4);
+    const Vector6 before = integral.estimate();
+    integral.StartEpisode();
+    EXPECT_EQ(integral.estimate(), carry ? before : Vector6(Vector6::Zero()));
+    EXPECT_EQ(integral.State().tail<12>().norm(), 0);
+  }
+}
+
+TEST(IntegralAction, GoesOnFromItsStateBitForBit) {
+  IntegralAction straight = Make(Method()), kept = Make(Method());
+  DisturbedArm arm(0.8, kDisturbance);
+  Run(straight, arm, kCommand, 7);
+  kept.SetState(straight.State());
+  DisturbedArm other = arm;
+  Run(straight, arm, kCommand, 7);
+  Run(kept, other, kCommand, 7);
+  EXPECT_EQ(straight.State(), kept.State());
+}
+
+}  // namespace
+}  // namespace robostress
