@@ -177,14 +177,15 @@ std::string LiveMain(const LiveServer& server, const std::vector<Telemetry::View
   if (server.draining)
     absl::StrAppend(&html,
                     "<div class=warn>Draining: new sessions and messages are refused.</div>");
-  absl::StrAppend(
-      &html, "<p class=note>", EscapeXml(server.policies),
-      server.durable ? ". Acknowledged feedback is on disk."
-                     : ". Sessions live in memory: they end with this server.",
-      "</p><h2>Sessions</h2>", sorted.empty() ? "<p class=note>None is open.</p>" : "",
-      "<div class=scroll><table><tr><th>session<th>state, idle"
-      "<th>predictions<th>chunks<th>version<th>refused<th>duplicates<th>distance<th>loss"
-      "<th>p50 / p99 ms</tr>\n");
+  absl::StrAppend(&html, "<p class=note>", EscapeXml(server.policies),
+                  server.durable ? ". Acknowledged feedback is on disk."
+                                 : ". Sessions live in memory: they end with this server.",
+                  "</p><h2>Sessions</h2>");
+  if (sorted.empty()) return html + "<p class=note>None is open.</p></main>";
+  absl::StrAppend(&html,
+                  "<div class=scroll><table><tr><th>session<th>state, idle"
+                  "<th>predictions<th>chunks<th>version<th>refused<th>duplicates<th>distance"
+                  "<th>loss<th>p50 / p99 ms</tr>\n");
   for (const Telemetry::View& view : sorted) absl::StrAppend(&html, Row(view));
   absl::StrAppend(&html, "</table></div>\n");
   for (size_t i = 0; i < sorted.size() && i < kShownInFull; ++i)
