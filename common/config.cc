@@ -54,7 +54,8 @@ absl::StatusOr<YAML::Node> ParseYaml(const std::string& source, const std::strin
     YAML::Node root = YAML::Load(text);
     if (root.IsNull()) return YAML::Node(YAML::NodeType::Map);
     if (!root.IsMap()) {
-      return absl::InvalidArgumentError(absl::StrCat(source, ": must be a YAML map of keys and values"));
+      return absl::InvalidArgumentError(
+          absl::StrCat(source, ": must be a YAML map of keys and values"));
     }
     return root;
   } catch (const YAML::Exception& error) {
@@ -69,9 +70,10 @@ absl::StatusOr<YAML::Node> OverrideTree(const std::string& assignment) {
         absl::StrCat("override '", assignment, "' must have the form key.key=value"));
   }
   const std::vector<std::string> keys = absl::StrSplit(assignment.substr(0, equals), '.');
-  YAML::Node value;
+  const std::string text = assignment.substr(equals + 1);
+  YAML::Node value("");  // "key=" is the empty string, where a file's "key:" is the default
   try {
-    value = YAML::Load(assignment.substr(equals + 1));
+    if (!text.empty()) value = YAML::Load(text);
   } catch (const YAML::Exception& error) {
     return absl::InvalidArgumentError(absl::StrCat("override '", assignment, "': ", error.what()));
   }

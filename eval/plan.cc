@@ -95,11 +95,16 @@ std::vector<std::string> InOrderOf(const std::vector<std::string>& known,
   return ordered;
 }
 
+std::string PoliciesByName() {
+  std::vector<std::string> names(kEmbeddedPolicies.begin(), kEmbeddedPolicies.end());
+  names.insert(names.end(), {"expert", "replay"});
+  return absl::StrJoin(names, ", ");
+}
+
 void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaints) {
   if (grid.policies.empty())
     complaints.Add(
-        "no policy given; known: nano, nano-bc, nano-dr, nano-robust, expert, replay, or a weights "
-        "file");
+        absl::StrCat("no policy given; known: ", PoliciesByName(), ", or a weights file"));
   const bool has_base =
       std::find(grid.methods.begin(), grid.methods.end(), "base") != grid.methods.end();
   for (const std::string& policy : grid.policies) {
@@ -114,9 +119,8 @@ void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaint
       }
     } else if (home == PolicyHome::kHere && !IsEmbeddedPolicy(policy) && policy != "nano:random" &&
                access(policy.c_str(), R_OK) != 0) {
-      complaints.Add(absl::StrCat("unknown policy '", policy,
-                                  "'; known: nano, nano-bc, nano-dr, nano-robust, expert, replay, "
-                                  "or the path of a readable weights file; "
+      complaints.Add(absl::StrCat("unknown policy '", policy, "'; known: ", PoliciesByName(),
+                                  ", or the path of a readable weights file; "
                                   "a policy that another server holds needs --server HOST:PORT"));
     }
   }

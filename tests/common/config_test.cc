@@ -80,6 +80,14 @@ TEST(Config, OverridesReachNestedKeysAndAreChecked) {
   EXPECT_FALSE(ApplyOverrides({"no_equals_sign"}, unit).ok());
 }
 
+TEST(Config, AnOverrideWithNothingAfterItsSignIsTheEmptyString) {
+  UnitConfig unit;
+  unit.replay_file = "given in a file";
+  EXPECT_TRUE(ApplyOverrides({"replay_file="}, unit).ok());
+  EXPECT_EQ(unit.replay_file, "");
+  EXPECT_THAT(Message(ApplyOverrides({"episodes="}, unit)), HasSubstr("episodes is ''"));
+}
+
 TEST(MethodOptions, UnknownMethodListsTheKnownOnes) {
   const auto method = MakeMethod("our");
   ASSERT_FALSE(method.ok());

@@ -7,7 +7,9 @@
 #include <filesystem>
 #include <fstream>
 
+#include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/embedded_policies.h"
 #include "common/safetensors.h"
 #include "server/policies/nano_policy.h"
 #include "tests/policies/tiny_nano.h"
@@ -87,15 +89,19 @@ TEST(NanoWeights, RefuseTruncatedForeignAndAbsentFiles) {
 }
 
 TEST(NanoWeights, OfTheRepositoryLoadAndKnowTheirWords) {
-  const std::string path =
-      "server/models/weights/nano.safetensors";  // tests run in the source folder
-  if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
-  EXPECT_LE(std::filesystem::file_size(path), 20u << 20);
-  const auto policy = LoadFlowPolicy("nano");
-  ASSERT_TRUE(policy.ok()) << policy.status();
-  EXPECT_EQ((*policy)->spec().horizon, 50);
-  EXPECT_EQ((*policy)->spec().execute_steps, 5);
-  EXPECT_GT(LoadNanoModel(path)->vocabulary.words().size(), 10u);
+  for (const std::string_view name : kEmbeddedPolicies) {
+    const std::string path =  // tests run in the source folder
+        absl::StrCat("server/models/weights/", name, ".safetensors");
+    if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
+    EXPECT_LE(std::filesystem::file_size(path), 20u << 20);
+    const auto policy = LoadFlowPolicy(std::string(name));
+    ASSERT_TRUE(policy.ok()) << policy.status();
+    EXPECT_EQ((*policy)->spec().horizon, 50);
+    EXPECT_EQ((*policy)->spec().execute_steps, 5);
+    const auto model = LoadNanoModel(path);
+    EXPECT_GT(model->vocabulary.words().size(), 10u);
+    EXPECT_EQ(model->config.pi05(), name == "nano-pi05") << name;
+  }
 }
 
 TEST(NanoConfig, RefusesSizesThatDoNotFit) {
