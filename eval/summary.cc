@@ -18,6 +18,10 @@ namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
+bool Compensates(const MethodOptions& method) {
+  return method.adapt || method.direct || method.integral_rate > 0;
+}
+
 Cell MakeCell(const Units& units) {
   Cell cell;
   cell.units = static_cast<int>(units.size());
@@ -30,6 +34,7 @@ Cell MakeCell(const Units& units) {
     }
     cell.updates += updates;
     cell.adapts = cell.adapts || unit->config.method.adapt;
+    cell.compensates = cell.compensates || Compensates(unit->config.method);
   }
   cell.wilson = WilsonInterval(cell.successes, cell.n);
   cell.seeds = SpreadOverSeeds({units});
@@ -95,14 +100,16 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
     }
     average.n += cell->second.n;
     average.adapts = average.adapts || cell->second.adapts;
+    average.compensates = average.compensates || cell->second.compensates;
     average.updates += cell->second.updates;
     measures.push_back(cell->second.measures);
   }
   average.success = BootstrapEpisodes(successes, replicates, label + "/average");
   average.seeds = SpreadOverSeeds(strata);
   average.measures = MeanMeasures(measures);
-  average.contrasts = MakeContrasts(grid, scenarios, method, average.adapts && table.suite.empty(),
-                                    replicates, label + "/average difference");
+  average.contrasts =
+      MakeContrasts(grid, scenarios, method, average.compensates && table.suite.empty(), replicates,
+                    label + "/average difference");
   return average;
 }
 
@@ -168,7 +175,7 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
     ScenarioRow row{scenario, ScenarioTitle(scenario), {}};
     for (const auto& [method, cell_units] : by_method->second) {
       Cell cell = MakeCell(cell_units);
-      cell.contrasts = MakeContrasts(grid, {scenario}, method, cell.adapts && suite.empty(),
+      cell.contrasts = MakeContrasts(grid, {scenario}, method, cell.compensates && suite.empty(),
                                      replicates, absl::StrCat(label, "/", scenario, "/", method));
       row.cells.emplace(method, std::move(cell));
     }

@@ -29,8 +29,9 @@ struct Cell {
   Interval wilson;
   SeedSpread seeds;
   int units = 0;
-  bool adapts = false;  // by its configuration
-  int updates = 0;      // applied, summed over units
+  bool adapts = false;       // by its configuration
+  bool compensates = false;  // what was executed decides later commands
+  int updates = 0;           // applied, summed over units
   Measures measures;
   Contrasts contrasts;
 
@@ -47,7 +48,7 @@ struct AverageCell {
   int n = 0;
   BootstrapResult success;
   SeedSpread seeds;
-  bool adapts = false;
+  bool adapts = false, compensates = false;
   int updates = 0;
   Measures measures;  // means over scenarios
   Contrasts contrasts;

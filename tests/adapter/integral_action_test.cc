@@ -57,7 +57,7 @@ IntegralAction Make(const MethodOptions& method) {
   return IntegralAction(method, ResidualOptionsOf(method), {});
 }
 
-void Run(IntegralAction& integral, DisturbedArm& arm, const Vector6& command, int chunks) {
+void Drive(IntegralAction& integral, DisturbedArm& arm, const Vector6& command, int chunks) {
   for (int i = 0; i < chunks; ++i) integral.Observe(arm.Execute(command, integral.estimate()));
 }
 
@@ -67,7 +67,7 @@ const Vector6 kDisturbance = (Vector6() << 0, 0.05, -0.3, 0.03, -0.02, 0).finish
 TEST(IntegralAction, FindsAConstantDisturbanceAndTheArmDoesWhatAnUndisturbedOneDoes) {
   IntegralAction integral = Make(Method());
   DisturbedArm arm(1, kDisturbance);
-  Run(integral, arm, kCommand, 40);
+  Drive(integral, arm, kCommand, 40);
   EXPECT_LT((integral.estimate() - kDisturbance).cwiseAbs().maxCoeff(), 2e-3);
   EXPECT_LT((arm.last_motion() - 0.267 * kCommand).cwiseAbs().maxCoeff(), 1e-3);
 }
@@ -75,21 +75,21 @@ TEST(IntegralAction, FindsAConstantDisturbanceAndTheArmDoesWhatAnUndisturbedOneD
 TEST(IntegralAction, StandsStillWhereTheArmIsNominal) {
   IntegralAction integral = Make(Method());
   DisturbedArm arm(1, Vector6::Zero());
-  for (const double scale : {1.0, -0.5, 3.0, 0.0}) Run(integral, arm, scale * kCommand, 5);
+  for (const double scale : {1.0, -0.5, 3.0, 0.0}) Drive(integral, arm, scale * kCommand, 5);
   EXPECT_LT(integral.estimate().cwiseAbs().maxCoeff(), 1e-6);
 }
 
 TEST(IntegralAction, MakesUpForALowerGain) {
   IntegralAction integral = Make(Method());
   DisturbedArm arm(0.7, Vector6::Zero());
-  Run(integral, arm, kCommand, 60);
+  Drive(integral, arm, kCommand, 60);
   EXPECT_LT((kCommand - integral.estimate() - kCommand / 0.7).cwiseAbs().maxCoeff(), 2e-3);
 }
 
 TEST(IntegralAction, KeepsItsBound) {
   IntegralAction integral = Make(Method({"integral_limit=0.1"}));
   DisturbedArm arm(1, kDisturbance);
-  Run(integral, arm, kCommand, 40);
+  Drive(integral, arm, kCommand, 40);
   EXPECT_EQ(integral.estimate()[2], -0.1);
   EXPECT_NEAR(integral.estimate()[1], 0.05, 2e-3);
 }
@@ -97,7 +97,7 @@ TEST(IntegralAction, KeepsItsBound) {
 TEST(IntegralAction, EstimatesTheAxesItIsAskedFor) {
   IntegralAction integral = Make(Method({"integral_axes=translation"}));
   DisturbedArm arm(1, kDisturbance);
-  Run(integral, arm, kCommand, 40);
+  Drive(integral, arm, kCommand, 40);
   EXPECT_NEAR(integral.estimate()[2], -0.3, 2e-3);
   EXPECT_EQ(integral.estimate().tail<3>(), Eigen::Vector3d::Zero());
 }
@@ -105,7 +105,7 @@ TEST(IntegralAction, EstimatesTheAxesItIsAskedFor) {
 TEST(IntegralAction, TakesLittleForNothingWithADeadband) {
   IntegralAction integral = Make(Method({"integral_deadband=0.1"}));
   DisturbedArm arm(1, kDisturbance);
-  Run(integral, arm, kCommand, 40);
+  Drive(integral, arm, kCommand, 40);
   EXPECT_EQ(integral.estimate()[1], 0);
   EXPECT_LT(integral.estimate()[2], -0.05);
 }
@@ -125,7 +125,7 @@ TEST(IntegralAction, AnEpisodeBeginsAtRestAndWithTheEstimateOnlyWhereItIsCarried
     IntegralAction integral =
         Make(Method({carry ? "integral_carry=true" : "integral_carry=false"}));
     DisturbedArm arm(1, kDisturbance);
-    Run(integral, arm, kCommand, 4);
+    Drive(integral, arm, kCommand, 4);
     const Vector6 before = integral.estimate();
     integral.StartEpisode();
     EXPECT_EQ(integral.estimate(), carry ? before : Vector6(Vector6::Zero()));
@@ -136,11 +136,11 @@ TEST(IntegralAction, AnEpisodeBeginsAtRestAndWithTheEstimateOnlyWhereItIsCarried
 TEST(IntegralAction, GoesOnFromItsStateBitForBit) {
   IntegralAction straight = Make(Method()), kept = Make(Method());
   DisturbedArm arm(0.8, kDisturbance);
-  Run(straight, arm, kCommand, 7);
+  Drive(straight, arm, kCommand, 7);
   kept.SetState(straight.State());
   DisturbedArm other = arm;
-  Run(straight, arm, kCommand, 7);
-  Run(kept, other, kCommand, 7);
+  Drive(straight, arm, kCommand, 7);
+  Drive(kept, other, kCommand, 7);
   EXPECT_EQ(straight.State(), kept.State());
 }
 

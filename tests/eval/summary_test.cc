@@ -96,10 +96,11 @@ TEST(Summary, CurvesFollowTheEpisodesOfAUnitWithoutClean) {
   EXPECT_THAT(summary.curves[0].curves.at(0).success, ::testing::ElementsAre(1.0, 0.5));
 }
 
-TEST(Summary, PutsTheControlsBesideEveryAdaptedMethod) {
+TEST(Summary, PutsTheControlsBesideEveryCompensatingMethod) {
   RunData run;
   run.units = {SyntheticUnit("heavy_payload", "base", {0, 0, 0, 1}),
                SyntheticUnit("heavy_payload", "ours", {1, 1, 0, 1}),
+               SyntheticUnit("heavy_payload", "ours_integral", {1, 1, 1, 1}),
                SyntheticUnit("heavy_payload", "gain", {1, 0, 0, 0}),
                SyntheticUnit("heavy_payload", "null", {0, 1, 0, 1})};
   const Summary summary = Summarise(run, 100);
@@ -107,6 +108,8 @@ TEST(Summary, PutsTheControlsBesideEveryAdaptedMethod) {
   const Contrasts& ours = cells.at("ours").contrasts;
   EXPECT_NEAR(ours.versus_control.at("gain").difference.estimate, 0.5, 1e-12);
   EXPECT_NEAR(ours.versus_control.at("null").difference.estimate, 0.25, 1e-12);
+  const Contrasts& integral = cells.at("ours_integral").contrasts;
+  EXPECT_NEAR(integral.versus_control.at("gain").difference.estimate, 0.75, 1e-12);
   EXPECT_TRUE(cells.at("gain").contrasts.versus_control.empty()) << "a control has no control";
 }
 

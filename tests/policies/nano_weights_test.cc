@@ -89,12 +89,13 @@ TEST(NanoWeights, RefuseTruncatedForeignAndAbsentFiles) {
 }
 
 TEST(NanoWeights, OfTheRepositoryLoadAndKnowTheirWords) {
-  for (const std::string_view name : kEmbeddedPolicies) {
+  for (const std::string_view embedded : kEmbeddedPolicies) {
+    const std::string name(embedded);
     const std::string path =  // tests run in the source folder
         absl::StrCat("server/models/weights/", name, ".safetensors");
     if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
     EXPECT_LE(std::filesystem::file_size(path), 20u << 20);
-    const auto policy = LoadFlowPolicy(std::string(name));
+    const auto policy = LoadFlowPolicy(name);
     ASSERT_TRUE(policy.ok()) << policy.status();
     EXPECT_EQ((*policy)->spec().horizon, 50);
     EXPECT_EQ((*policy)->spec().execute_steps, 5);
