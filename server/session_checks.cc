@@ -25,7 +25,8 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
   if (m.adapt && m.direct)
     return invalid("adapt and direct exclude each other; set one of them to false");
   if (m.direct && m.integral_rate > 0)
-    return invalid("direct and integral_rate exclude each other; set one of them to nothing");
+    return invalid(
+        "direct and integral_rate exclude each other; set direct to false or integral_rate to 0");
   if (m.buffer_chunks < 1 || m.buffer_chunks > 4096)
     return invalid("buffer_chunks is ", m.buffer_chunks, ", must be 1..4096");
   if (m.update_interval < 1)

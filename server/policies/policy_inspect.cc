@@ -38,7 +38,7 @@ void InspectNano(const std::string& path, PolicyInspection& inspection) {
   const NanoConfig& c = model->config;
   int64_t parameters = 0;
   for (const torch::Tensor& tensor : model->tensors) parameters += tensor.numel();
-  inspection.content["is"] = {{"network", "nano"},
+  inspection.content["is"] = {{"network", c.pi05() ? "nano, after pi0.5" : "nano, after pi0"},
                               {"format", absl::StrCat(kNanoFormat, " ", kNanoFormatVersion)},
                               {"parameters", parameters},
                               {"dtype", "F32"},
@@ -47,7 +47,8 @@ void InspectNano(const std::string& path, PolicyInspection& inspection) {
       {"cameras", c.cameras},
       {"image", absl::StrCat(c.image_size, " x ", c.image_size, " px, exactly")},
       {"prompt", absl::StrCat("whole words, at most ", c.max_words)},
-      {"state", absl::StrCat(c.state_dim, " entries, z_score (openpi)")},
+      {"state", absl::StrCat(c.state_dim, " entries, z_score (openpi)",
+                             c.pi05() ? ", as words of the prompt" : "")},
       {"actions", absl::StrCat(c.action_dim, " entries, z_score (openpi), as recorded")},
       {"horizon", c.horizon},
       {"execute_steps", c.execute_steps}};

@@ -456,7 +456,10 @@ TEST_P(OpenpiPolicyTest, InspectListsAllProblemsAndFails) {
 TEST(PolicyInspect, KnowsNano) {
   const auto [text, code] = RunProgram(POLICY_PROGRAM, "inspect nano");
   EXPECT_EQ(code, 0) << text;
-  EXPECT_THAT(text, AllOf(HasSubstr("nano"), HasSubstr("64 x 64"), HasSubstr("can be served")));
+  EXPECT_THAT(text,
+              AllOf(HasSubstr("after pi0\n"), HasSubstr("64 x 64"), HasSubstr("can be served")));
+  EXPECT_THAT(RunProgram(POLICY_PROGRAM, "inspect nano-pi05").first,
+              AllOf(HasSubstr("after pi0.5\n"), HasSubstr("as words of the prompt")));
   EXPECT_EQ(RunProgram(POLICY_PROGRAM, "inspect absent_folder").second, 1);
   EXPECT_EQ(RunProgram(POLICY_PROGRAM, "inspect").second, 2);
 }
