@@ -9,32 +9,17 @@ if [[ $# -ne 2 ]]; then
 fi
 bin=$1 out=$2 recipe=$(dirname "$0")/nano.yaml
 mkdir -p "$out"
-server=
-trap '[[ -z $server ]] || kill "$server" 2>/dev/null || true' EXIT
+source "$(dirname "$0")/stages.sh"
 
-record() {  # NAME ARGUMENTS...: one folder of shards
-  [[ -e $out/$1.done ]] || { "$bin/robostress-record" --suite all --out "$out/$1" --tag "$1" --workers 2 "${@:2}"; touch "$out/$1.done"; }
-}
 train() {  # NAME ARGUMENTS...
   [[ -e $out/$1/DONE ]] || "$bin/robostress-train" --recipe "$recipe" --out "$out/$1" --resume "${@:2}"
-}
-dagger() {  # NAME WEIGHTS FIRST_DRAW: the policy drives, the expert labels
-  [[ ! -e $out/$1.done ]] || return 0
-  rm -f "$out/port"
-  "$bin/robostress-serve" --policy "$2" --listen 127.0.0.1:0 --port-file "$out/port" &
-  server=$!
-  until [[ -s $out/port ]]; do kill -0 "$server"; sleep 0.2; done
-  record "$1" --server "127.0.0.1:$(cat "$out/port")" --policy "$2" --mix 0.3 --episodes 15 --first-draw "$3"
-  kill "$server"
-  wait "$server" || true
-  server=
 }
 
 record demos --episodes 40 --first-draw 1000
 train base --data "$out/demos"
-dagger dagger1 "$out/base/nano.safetensors" 2000
+dagger dagger1 "$out/base/nano.safetensors" --episodes 15 --first-draw 2000
 train round1 --data "$out/demos" --data "$out/dagger1" --init "$out/base/nano.safetensors" --steps 4000 --lr 0.0008
-dagger dagger2 "$out/round1/nano.safetensors" 3000
+dagger dagger2 "$out/round1/nano.safetensors" --episodes 15 --first-draw 3000
 train round2 --data "$out/demos" --data "$out/dagger1" --data "$out/dagger2" --init "$out/round1/nano.safetensors" \
   --steps 4000 --lr 0.0008
 echo "weights: $out/round2/nano.safetensors"
