@@ -21,6 +21,10 @@ double Acceptance::Excess(const TracedModel& model) const {
   return std::max(0.0, model.cv.Rms() * model.cv.Rms() - floor_ * floor_);
 }
 
+bool Acceptance::ExplainsMore(const TracedModel& base, const TracedModel& model) const {
+  return Excess(model) <= (1 - kMinExcessGain) * Excess(base);
+}
+
 std::string Acceptance::Objection(const TracedModel& base, const TracedModel& model,
                                   double p) const {
   if (model.cv.energy.empty()) return "others fit better";
@@ -28,7 +32,7 @@ std::string Acceptance::Objection(const TracedModel& base, const TracedModel& mo
   const double gain = 1 - model.cv.Rms() / base.cv.Rms();
   if (gain < kMinCvGain)
     return absl::StrFormat("the cross-validated error falls by %.1f %% only", 100 * gain);
-  if (Excess(model) > (1 - kMinExcessGain) * Excess(base))
+  if (!ExplainsMore(base, model))
     return absl::StrFormat("it explains %.0f %% of what is above the noise",
                            100 * (1 - Excess(model) / std::max(Excess(base), 1e-300)));
   const size_t folds = model.cv.fold_rms.size();

@@ -18,6 +18,8 @@ class Acceptance {
 
   // Cross-validated energy above the noise's, per row.
   double Excess(const TracedModel& model) const;
+  // Whether `model` leaves clearly less above the noise than `base`.
+  bool ExplainsMore(const TracedModel& base, const TracedModel& model) const;
   // Why `model` is not accepted on top of `base`, whose effects are its first; empty: it is.
   // `p`: of the gain that its signature promised.
   std::string Objection(const TracedModel& base, const TracedModel& model, double p) const;

@@ -5,20 +5,44 @@
 
 namespace robostress::calibration {
 
-EffectChain::EffectChain(const JointModel& model) : position_offset_(model.position_offset) {
+namespace {
+
+std::vector<std::unique_ptr<JointEffect>> MakeEffects(const JointModel& model) {
+  std::vector<std::unique_ptr<JointEffect>> objects;
   for (const EffectInstance& effect : model.effects) {
-    objects_.push_back(effect.info->make());
-    JointEffect* object = objects_.back().get();
-    object->SetParameters(effect.values);
+    objects.push_back(effect.info->make());
+    objects.back()->SetParameters(effect.values);
+  }
+  return objects;
+}
+
+}  // namespace
+
+EffectChain::EffectChain(const JointModel& model) : EffectChain(model, MakeEffects(model)) {}
+
+EffectChain::EffectChain(const JointModel& model, std::vector<std::unique_ptr<JointEffect>> objects)
+    : model_(model), objects_(std::move(objects)), position_offset_(model.position_offset) {
+  for (size_t i = 0; i < objects_.size(); ++i) {
+    const EffectInstance& effect = model.effects[i];
+    JointEffect* object = objects_[i].get();
     by_stage_[static_cast<int>(effect.info->stage)].push_back(object);
     needs_payload |= effect.info->type == "payload";
     needs_tilt |= effect.info->type == "base_tilt";
     has_state |= object->HasState();
+    oscillates |= effect.info->type == "compliance";
     if (effect.info->type == "backlash") gaps_.push_back({object, effect.values[0]});
     if (effect.info->stage == EffectStage::kJoint)
       (object->HasState() ? with_memory : memoryless).push_back(object);
     if (effect.partner >= 0) partner = effect.partner;
   }
+}
+
+EffectChain EffectChain::Copy() const {
+  std::vector<std::unique_ptr<JointEffect>> objects;
+  for (const std::unique_ptr<JointEffect>& object : objects_) objects.push_back(object->Clone());
+  EffectChain copy(model_, std::move(objects));
+  copy.side_ = side_;
+  return copy;
 }
 
 void EffectChain::Reset(const JointMoment& moment) {

@@ -12,6 +12,7 @@ namespace {
 // Ceres' view of a problem: one block of residuals, one of parameters.
 constexpr size_t kTrials = 2;        // starts that are followed
 constexpr int kTrialIterations = 3;  // of each, before the better goes on
+constexpr int kSettleIterations = 12;
 constexpr double kSearchTolerance = 3e-4;
 constexpr double kStiction = 1.25;  // Fs / Fc of further starts
 
@@ -98,8 +99,8 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
   return fit;
 }
 
-JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>& starts,
-                     const WindowSet& chosen) {
+JointFit Try(const JointProblem& problem, const std::vector<Hypothesis>& starts,
+             const WindowSet& chosen) {
   std::vector<JointFit> trials;
   for (const Hypothesis& start : starts) trials.push_back(Minimise(problem, start, chosen, 0));
   const auto lower = [](const JointFit& a, const JointFit& b) { return a.rms < b.rms; };
@@ -108,8 +109,11 @@ JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>&
   if (trials.size() > kTrials) trials.resize(kTrials);
   for (JointFit& trial : trials)
     trial = Minimise(problem, trial.best, chosen, kTrialIterations, kSearchTolerance);
-  const JointFit& best = *std::min_element(trials.begin(), trials.end(), lower);
-  return Minimise(problem, best.best, chosen, 12, kSearchTolerance);
+  return *std::min_element(trials.begin(), trials.end(), lower);
+}
+
+JointFit Settle(const JointProblem& problem, const JointFit& trial, const WindowSet& chosen) {
+  return Minimise(problem, trial.best, chosen, kSettleIterations, kSearchTolerance);
 }
 
 JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,

@@ -17,10 +17,11 @@ struct JointFit {
 // Ends when an iteration gains less than `tolerance` of the loss.
 JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen,
                   int max_iterations = 15, double tolerance = 1e-6);
-// From that one of the two lowest starts that comes lower in a few iterations; as exact as a search
-// needs.
-JointFit MinimiseAll(const JointProblem& problem, const std::vector<Hypothesis>& starts,
-                     const WindowSet& chosen);
+// A few iterations from the two lowest starts, the lower end of them; `Settle` goes on from there,
+// as exactly as a search needs.
+JointFit Try(const JointProblem& problem, const std::vector<Hypothesis>& starts,
+             const WindowSet& chosen);
+JointFit Settle(const JointProblem& problem, const JointFit& trial, const WindowSet& chosen);
 // From h.x, and where Stribeck's vs or Fs are free also from several speeds with Fs above Fc,
 // because nothing leads back from Fs below Fc.
 JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,

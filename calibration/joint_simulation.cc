@@ -123,30 +123,27 @@ void JointSimulation::PredictMotion(const JointModel& model, int window, int shi
   FreeRun(model, chain, window, {}, offset, shift, readings, velocities);
 }
 
-namespace {
-
 // Fills what depends on posture and time alone.
-void Describe(const JointTrack& track, const PlantRow& plant, bool payload, bool tilt, int partner,
-              int row, double q, JointMoment& moment, double& gravity) {
-  double cos_q = 1, sin_q = 0;
-  if (track.single && (plant.gravity.a != 0 || plant.gravity.b != 0 || payload || tilt)) {
-    cos_q = std::cos(q);
-    sin_q = std::sin(q);
-  }
+void JointSimulation::Describe(const EffectChain& chain, int row, double q, JointMoment& moment) {
+  const PlantRow& p = plant(row);
+  if (track_.single &&
+      (p.gravity.a != 0 || p.gravity.b != 0 || chain.needs_payload || chain.needs_tilt))
+    posture_.Turn(q);
   const auto value = [&](const PlantTerm& term) {
-    return Evaluate(term, track.single, cos_q, sin_q, q, plant.q_ref);
+    return Evaluate(term, track_.single, posture_.cosine, posture_.sine, q, p.q_ref);
   };
-  gravity = value(plant.gravity);
-  moment.gravity = gravity;
-  if (payload) {
-    moment.payload_gravity = value(plant.payload_gravity);
-    moment.payload_inertia = plant.payload_inertia;
+  moment.gravity = value(p.gravity);
+  if (chain.needs_payload) {
+    moment.payload_gravity = value(p.payload_gravity);
+    moment.payload_inertia = p.payload_inertia;
   }
-  if (tilt) {
-    for (int i = 0; i < 2; ++i) moment.tilt_gravity[i] = value(plant.tilt_gravity[i]);
+  if (chain.needs_tilt) {
+    for (int i = 0; i < 2; ++i) moment.tilt_gravity[i] = value(p.tilt_gravity[i]);
   }
-  if (partner >= 0) moment.coupled_q = track.log->joints[partner].q_smooth[row];
+  if (chain.partner >= 0) moment.coupled_q = track_.log->joints[chain.partner].q_smooth[row];
 }
+
+namespace {
 
 // Velocity after a time under a constant torque and dry friction, which turns with the motion, and
 // the way gone. per_torque [1 / (kg m^2)].
@@ -180,9 +177,7 @@ void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int r
   moment.h = h_;
   moment.q = middle;
   moment.dq = s.dq;
-  double gravity = 0;
-  Describe(track_, p, chain.needs_payload, chain.needs_tilt, chain.partner, row, middle, moment,
-           gravity);
+  Describe(chain, row, middle, moment);
 
   Asked asked{command, 0};
   if (model.input == JointInput::kPositionTarget) {
@@ -192,7 +187,8 @@ void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int r
   if (!Enabled(row)) asked = {};
   moment.drive = model.torque_gain * chain.Drive(asked.torque, moment);
   DryFriction lasting{model.frictionloss, model.frictionloss};
-  double held = moment.drive + model.torque_offset - model.mass_scale * (gravity + p.coupling) -
+  double held = moment.drive + model.torque_offset -
+                model.mass_scale * (moment.gravity + p.coupling) -
                 model.stiffness * (middle - model.spring_rest) - model.damping * s.dq;
   double inertia = model.armature + model.mass_scale * p.inertia;
   for (JointEffect* effect : chain.with_memory) held += effect->Torque(moment, lasting);
@@ -221,51 +217,71 @@ void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int r
   s.offset = chain.Offset(moment);
 }
 
-// Along the measured motion, rows first ... last - 1; leaves the state at row `last`. The motor's
-// angle is the link's less the offset; inside a gap, where the link says nothing of it, it follows
-// the motor's velocity where that was logged, else the model's own motion.
+// The moment at the beginning of a step of a row, as measured; the velocity is the step's. The
+// motor's angle is the link's less the offset; inside a gap, where the link says nothing of it, it
+// follows the motor's velocity where that was logged, else the model's own motion.
+JointMoment JointSimulation::MeasuredMoment(const JointModel& model, const EffectChain& chain,
+                                            int row, int step, const State& s) {
+  const JointRecord& record = track_.record();
+  const int steps = LeadSteps(chain);
+  const double share = static_cast<double>(step) / steps;
+  const int next = std::min(row + 1, track_.log->rows - 1);
+  const double link =
+      chain.LinkOf(record.q_smooth[row] + share * (record.q_smooth[next] - record.q_smooth[row]));
+  JointMoment moment;
+  moment.h = track_.log->dt / steps;
+  moment.t = (row + share) * track_.log->dt;
+  const double middle = (step + 0.5) / steps;
+  moment.dq = record.dq[row] + middle * (record.dq[next] - record.dq[row]);
+  moment.q = chain.MovesAlone(moment.dq) ? s.q : link - s.offset;
+  Describe(chain, row, moment.q, moment);
+  const double command =
+      commands_[static_cast<size_t>(row) * sub_steps_ + step * sub_steps_ / steps];
+  double asked = command;
+  if (model.input == JointInput::kPositionTarget) {
+    const double side = model.servo.feedback == ServoFeedback::kMotor ? moment.q : link;
+    asked = ServoTorque(model.servo, command, chain.Reading(side), moment.dq).torque;
+  }
+  if (!Enabled(row)) asked = 0;
+  moment.drive = model.torque_gain * chain.Drive(asked, moment);
+  return moment;
+}
+
+// The row from which the state of row `start` is led. Where memory is long it is the same for all
+// windows of a span, whichever are chosen: they are led one after the other.
+int JointSimulation::LeadFrom(int start, const EffectChain& chain) const {
+  const double dt = track_.log->dt;
+  if (!chain.has_state) return std::max(0, start - 1);
+  if (!chain.remembers_way()) return std::max(0, start - static_cast<int>(kWarmUp / dt));
+  const int span = std::max(1, static_cast<int>(kLeadSpan / dt));
+  return std::max(0, start / span * span - static_cast<int>(kLongWarmUp / dt));
+}
+
+void JointSimulation::BeginLead(const JointModel& model, EffectChain& chain, int first, State& s) {
+  const JointRecord& record = track_.record();
+  s = {.q = chain.LinkOf(record.q_smooth[first]), .dq = record.dq[first]};
+  const JointMoment moment = MeasuredMoment(model, chain, first, 0, s);
+  chain.Reset(moment);
+  s.offset = chain.Offset(moment);
+}
+
+// Along the measured motion, rows first ... last - 1; leaves the state at row `last`.
 void JointSimulation::Lead(const JointModel& model, EffectChain& chain, int first, int last,
                            State& s) {
   const JointRecord& record = track_.record();
-  // The moment at a share of the way from a row to the next, as measured.
-  JointMoment moment;
-  moment.h = h_;
-  const auto describe = [&](int row, int sub_step) {
-    const double share = static_cast<double>(sub_step) / sub_steps_;
-    const int next = std::min(row + 1, track_.log->rows - 1);
-    const double reading =
-        record.q_smooth[row] + share * (record.q_smooth[next] - record.q_smooth[row]);
-    const double link = chain.LinkOf(reading);
-    moment.t = (row + share) * track_.log->dt;
-    moment.dq = record.dq[row] + share * (record.dq[next] - record.dq[row]);
-    moment.q = chain.MovesAlone(moment.dq) ? s.q : link - s.offset;
-    double gravity = 0;
-    Describe(track_, plant(row), chain.needs_payload, chain.needs_tilt, chain.partner, row,
-             moment.q, moment, gravity);
-    const double command = commands_[static_cast<size_t>(row) * sub_steps_ + sub_step];
-    double asked = command;
-    if (model.input == JointInput::kPositionTarget) {
-      const double side = model.servo.feedback == ServoFeedback::kMotor ? moment.q : link;
-      asked = ServoTorque(model.servo, command, chain.Reading(side), moment.dq).torque;
-    }
-    if (!Enabled(row)) asked = 0;
-    moment.drive = model.torque_gain * chain.Drive(asked, moment);
-  };
-  s = {.q = chain.LinkOf(record.q_smooth[first]), .dq = record.dq[first]};
-  describe(first, 0);
-  chain.Reset(moment);
-  s.offset = chain.Offset(moment);
   for (int row = first; row < last; ++row) {
-    for (int i = 0; i < sub_steps_; ++i) {
-      if (!record.velocity_of_motor && chain.MovesAlone(record.dq[row])) {
+    s.t = row * track_.log->dt;
+    if (!record.velocity_of_motor && chain.MovesAlone(record.dq[row])) {
+      for (int i = 0; i < sub_steps_; ++i)
         SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
-        continue;
-      }
-      describe(row, i);
+      continue;
+    }
+    for (int i = 0; i < LeadSteps(chain); ++i) {
+      const JointMoment moment = MeasuredMoment(model, chain, row, i, s);
       DryFriction ignored;
-      for (JointEffect* effect : chain.stage(EffectStage::kJoint)) effect->Torque(moment, ignored);
+      for (JointEffect* effect : chain.with_memory) effect->Torque(moment, ignored);
       s.offset = chain.Offset(moment);
-      s.q = moment.q + h_ * moment.dq;
+      s.q = moment.q + moment.h * moment.dq;
       s.dq = moment.dq;
     }
   }
@@ -280,25 +296,38 @@ void JointSimulation::FreeRun(const JointModel& model, EffectChain& chain, int w
                               absl::Span<double> readings, absl::Span<double> velocities) {
   const int rows = track_.log->rows;
   if (window <= 0) window = rows;
-  const double lead = chain.has_gap() ? kGapWarmUp : kWarmUp;
-  const int warm_up = chain.empty()     ? 0
-                      : chain.has_state ? static_cast<int>(lead / track_.log->dt)
-                                        : 1;
+  State led;
+  int led_from = -1, led_to = 0;
   for (int start = 0, end = 0; start < rows; start = end) {
     end = std::min(rows, start == 0 && shift > 0 ? shift : start + window);
     if (!chosen.empty() && chosen[start / window] == 0) continue;
-    State state;
-    Lead(model, chain, std::max(0, start - warm_up), start, state);
-    state.q += offset.q;
-    state.dq += offset.dq;
-    for (int row = start; row < end; ++row) {
-      // A model that runs away is far off, but a number: fits then turn back.
-      if (!(std::abs(state.q) < kRunaway)) state = {state.t, std::copysign(kRunaway, state.q)};
-      readings[row] = chain.Reading(state.q + state.offset);
-      if (!velocities.empty()) velocities[row] = state.dq;
-      for (int i = 0; i < sub_steps_; ++i)
-        SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], state);
+    if (const int from = LeadFrom(start, chain); from != led_from) {
+      BeginLead(model, chain, from, led);
+      led_from = led_to = from;
     }
+    Lead(model, chain, led_to, start, led);
+    led_to = start;
+    if (chain.has_state) {
+      EffectChain own = chain.Copy();
+      Run(model, own, start, end, led, offset, readings, velocities);
+    } else {
+      Run(model, chain, start, end, led, offset, readings, velocities);
+    }
+  }
+}
+
+void JointSimulation::Run(const JointModel& model, EffectChain& chain, int start, int end, State s,
+                          StartOffset offset, absl::Span<double> readings,
+                          absl::Span<double> velocities) {
+  s.q += offset.q;
+  s.dq += offset.dq;
+  for (int row = start; row < end; ++row) {
+    // A model that runs away is far off, but a number: fits then turn back.
+    if (!(std::abs(s.q) < kRunaway)) s = {s.t, std::copysign(kRunaway, s.q)};
+    readings[row] = chain.Reading(s.q + s.offset);
+    if (!velocities.empty()) velocities[row] = s.dq;
+    for (int i = 0; i < sub_steps_; ++i)
+      SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
   }
 }
 
@@ -328,15 +357,13 @@ void JointSimulation::Inverse(const JointModel& model, EffectChain& chain,
     moment.t = row * moment.h;
     moment.q = chain.LinkOf(record.q_smooth[row]);
     moment.dq = record.dq[row];
-    double gravity = 0;
-    Describe(track_, p, chain.needs_payload, chain.needs_tilt, chain.partner, row, moment.q, moment,
-             gravity);
+    Describe(chain, row, moment.q, moment);
     const double given = commands_[static_cast<size_t>(row) * sub_steps_];
     moment.drive = model.torque_gain * chain.Drive(given, moment);
     if (row == 0) chain.Reset(moment);
     DryFriction dry{model.frictionloss, model.frictionloss};
     double inertia = model.armature + model.mass_scale * p.inertia;
-    double torque = model.mass_scale * (gravity + p.coupling) - model.torque_offset +
+    double torque = model.mass_scale * (moment.gravity + p.coupling) - model.torque_offset +
                     model.stiffness * (moment.q - model.spring_rest) + model.damping * moment.dq;
     for (JointEffect* effect : chain.stage(EffectStage::kJoint)) {
       torque -= effect->Torque(moment, dry);

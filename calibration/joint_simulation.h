@@ -8,6 +8,7 @@
 #include "calibration/joint_model.h"
 #include "calibration/measured_log.h"
 #include "calibration/plant.h"
+#include "calibration/posture.h"
 
 namespace robostress::calibration {
 
@@ -32,14 +33,17 @@ double MeanInertia(const std::vector<JointTrack>& tracks);
 // Predicts a track with a model: the simulation kernel of calibration.
 //
 // Free runs start from the measured position and velocity every `window` rows and go on with the
-// model's alone; the hidden states of effects are led along the measured motion for kWarmUp
-// seconds before (kGapWarmUp: a motor may dwell in a gap). One sub-step is a drift-kick-drift
-// leapfrog: second order, no drift of energy; damping and the servo's kd act implicitly; dry
-// friction stops a joint within the sub-step (friction law `stick`). Commands hold over a row.
+// model's alone; the hidden states of effects are led along the measured motion before. One
+// sub-step is a drift-kick-drift leapfrog: second order, no drift of energy; damping and the
+// servo's kd act implicitly; dry friction stops a joint within the sub-step (friction law `stick`).
+// Commands hold over a row.
 class JointSimulation {
  public:
-  static constexpr double kWarmUp = 0.25;      // [s]
-  static constexpr double kGapWarmUp = 1;      // [s]
+  static constexpr double kWarmUp = 0.25;  // [s] of leading before a free run
+  // Bristles remember a way, not a time, and a motor may dwell in a gap: their state is led through
+  // the windows of a span one after the other.
+  static constexpr double kLeadSpan = 10;      // [s]
+  static constexpr double kLongWarmUp = 5;     // [s] before the span
   static constexpr double kMaxSubStep = 1e-3;  // [s]
 
   explicit JointSimulation(const JointTrack& track);
@@ -61,13 +65,23 @@ class JointSimulation {
 
  private:
   struct State;
+  void Describe(const EffectChain& chain, int row, double q, JointMoment& moment);
   void ShapeCommands(const JointModel& model, EffectChain& chain);
   void FreeRun(const JointModel& model, EffectChain& chain, int window,
                const std::vector<char>& chosen, StartOffset offset, int shift,
                absl::Span<double> readings, absl::Span<double> velocities);
+  // One free run, rows start ... end - 1.
+  void Run(const JointModel& model, EffectChain& chain, int start, int end, State state,
+           StartOffset offset, absl::Span<double> readings, absl::Span<double> velocities);
   void Transmission(EffectChain& chain, absl::Span<double> predicted);
   void Inverse(const JointModel& model, EffectChain& chain, absl::Span<double> predicted);
   void SubStep(const JointModel& model, EffectChain& chain, int row, double command, State& state);
+  JointMoment MeasuredMoment(const JointModel& model, const EffectChain& chain, int row, int step,
+                             const State& state);
+  // Steps of a row while leading: only an oscillation needs the simulation's.
+  int LeadSteps(const EffectChain& chain) const { return chain.oscillates ? sub_steps_ : 1; }
+  int LeadFrom(int start, const EffectChain& chain) const;
+  void BeginLead(const JointModel& model, EffectChain& chain, int first, State& state);
   void Lead(const JointModel& model, EffectChain& chain, int first, int last, State& state);
   const PlantRow& plant(int row) const {
     return track_.rows[track_.single ? 0 : static_cast<size_t>(row)];
@@ -84,6 +98,7 @@ class JointSimulation {
   double h_;
   std::vector<double> commands_;  // [rows * sub_steps] after the command stage
   std::vector<double> sums_;      // of the given commands, one more than rows
+  Posture posture_;
 };
 
 }  // namespace robostress::calibration

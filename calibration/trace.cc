@@ -27,6 +27,8 @@ constexpr double kAlike = 0.95;        // |cos| between signatures
 constexpr double kRivalGain = 0.5;     // of the effect's own linear gain
 constexpr int64_t kMaxWindows = 120;   // that a search simulates
 constexpr int kCrossValidated = 4;     // refitted candidates of a round, the lowest errors
+constexpr double kFarOff = 5;          // times the lowest error after the first iterations
+constexpr double kOutclassed = 3;      // times the lowest error of a round
 constexpr int kStartsPerCandidate = 2;
 
 // Effects by name, with a partner where there is one.
@@ -82,7 +84,7 @@ class Search {
         // leads much further.
         wanted = kDetourGain;
       }
-      KeepBest(next);
+      KeepBest(next, best);
       if (next.empty() || next.front().cv.Rms() > wanted * best.cv.Rms()) break;
       best = next.front();
       beam = std::move(next);
@@ -138,7 +140,8 @@ class Search {
         base.added.empty() ? "declared model" : "with " + KeyOf(base.added), report.cv_error,
         report.cv_error / std::max(floor_, 1e-300), contenders.size(), refits));
     std::vector<TracedModel> models(refits);
-    ParallelFor(refits, [&](int i) { models[i] = Refit(base, screening, contenders[i]); });
+    ParallelFor(refits, [&](int i) { models[i] = OnTrial(base, screening, contenders[i]); });
+    SettleBest(models, base.fit.rms);
     CrossValidateBest(models);
     for (size_t i = 0; i < contenders.size(); ++i) {
       CandidateReport line;
@@ -275,8 +278,9 @@ class Search {
     return static_cast<int>(rest - contenders.begin());
   }
 
-  TracedModel Refit(const TracedModel& base, const Screening& screening,
-                    const Contender& contender) const {
+  // `base` with a candidate, after the first iterations of its fit.
+  TracedModel OnTrial(const TracedModel& base, const Screening& screening,
+                      const Contender& contender) const {
     std::vector<Hypothesis> starts;
     for (size_t i = 0; i < contender.starts.size() && i < kStartsPerCandidate; ++i) {
       starts.push_back(screening.LinearStart(*contender.starts[i]));
@@ -284,11 +288,22 @@ class Search {
     }
     TracedModel model = base;
     model.added.push_back(NameOf(screening.candidates()[contender.candidate]));
-    model.fit = MinimiseAll(problem_, starts, fit_windows_);
-    if (model.added.back() == "stribeck_friction")
-      model.fit = MinimiseFriction(problem_, model.fit.best, fit_windows_);
+    model.fit = Try(problem_, starts, fit_windows_);
     model.cv = {};
     return model;
+  }
+
+  // Goes on with the fits that may come near the lowest of them, or near `error`; a start that was
+  // far off is no more worth than that.
+  void SettleBest(std::vector<TracedModel>& models, double error) const {
+    for (const TracedModel& model : models) error = std::min(error, model.fit.rms);
+    ParallelFor(static_cast<int>(models.size()), [&](int i) {
+      TracedModel& model = models[i];
+      if (model.fit.rms > kFarOff * error || !model.cv.energy.empty()) return;
+      model.fit = Settle(problem_, model.fit, fit_windows_);
+      if (model.added.back() == "stribeck_friction")
+        model.fit = MinimiseFriction(problem_, model.fit.best, fit_windows_);
+    });
   }
 
   void CrossValidateBest(std::vector<TracedModel>& models) const {
@@ -298,6 +313,9 @@ class Search {
       return a->fit.rms < b->fit.rms;
     });
     if (order.size() > kCrossValidated) order.resize(kCrossValidated);
+    std::erase_if(order, [&](const TracedModel* model) {
+      return model->fit.rms > kOutclassed * order.front()->fit.rms;
+    });
     for (TracedModel* model : order) model->cv = CrossValidate(problem_, model->fit, folds_);
   }
 
@@ -306,13 +324,18 @@ class Search {
       if (line.surviving < kNotTestable) trace.not_testable.emplace_back(line.type, line.surviving);
   }
 
-  void KeepBest(std::vector<TracedModel>& models) const {
+  // Of `models` the best `beam` that are worth going on with; one that contains `best` must be an
+  // improvement on it.
+  void KeepBest(std::vector<TracedModel>& models, const TracedModel& best) const {
     std::stable_sort(models.begin(), models.end(), [](const TracedModel& a, const TracedModel& b) {
       return a.cv.Rms() < b.cv.Rms();
     });
     std::set<std::string> seen;
-    std::erase_if(
-        models, [&](const TracedModel& model) { return !seen.insert(KeyOf(model.added)).second; });
+    const double outclassed = models.empty() ? 0 : kOutclassed * models.front().cv.Rms();
+    std::erase_if(models, [&](const TracedModel& model) {
+      return !seen.insert(KeyOf(model.added)).second || model.cv.Rms() > outclassed ||
+             (Contains(model, best) && !acceptance_->ExplainsMore(best, model));
+    });
     if (static_cast<int>(models.size()) > options_.beam) models.resize(options_.beam);
   }
 
@@ -331,6 +354,12 @@ class Search {
     const PairedDifference difference = Compare(least, cv);
     return difference.mean < kSimilarErrors * difference.standard_error &&
            cv.Rms() < (1 + kRivalMargin) * least.Rms();
+  }
+
+  static bool Contains(const TracedModel& model, const TracedModel& part) {
+    return std::all_of(part.added.begin(), part.added.end(), [&](const std::string& effect) {
+      return std::find(model.added.begin(), model.added.end(), effect) != model.added.end();
+    });
   }
 
   // Drops effects that the later ones made needless.
@@ -416,8 +445,9 @@ class Search {
     }
     options_.progress(absl::StrCat("rivals of ", effect));
     ParallelFor(static_cast<int>(others.size()), [&](int i) {
-      if (fresh[i]) models[i] = Refit(base, screening, others[i]);
+      if (fresh[i]) models[i] = OnTrial(base, screening, others[i]);
     });
+    SettleBest(models, model.fit.rms);
     for (size_t i = 0; i < others.size(); ++i) {
       // What fits far worse is no rival, whatever cross-validation says.
       if (models[i].cv.energy.empty() && models[i].fit.rms < 2 * model.fit.rms)

@@ -72,7 +72,8 @@ TEST_P(EffectRecovery, FitFindsTheTrueParametersInDataOfAnIndependentIntegrator)
     return false;
   });
   ASSERT_FALSE(starts.empty());
-  const JointFit found = Minimise(problem, MinimiseAll(problem, starts, fit).best, fit);
+  const JointFit found =
+      Minimise(problem, Settle(problem, Try(problem, starts, fit), fit).best, fit);
 
   JointModel model = ModelAt(found.best, found.best.x);
   for (const auto& [name, share] : recovery.within) {

@@ -75,8 +75,9 @@ struct RecordedArmTest : public testing::Test {
     const auto model = DeclaredModel(rig, *plant, joint);
     const auto declared = DeclaredHypothesis(rig.joints[joint], *model, scales, 5);
     problem.LinearizeStarts(*model);
-    const JointFit found =
-        MinimiseAll(problem, WithEffect(*declared, **FindEffect(type), scales), problem.All());
+    const JointFit found = Settle(
+        problem, Try(problem, WithEffect(*declared, **FindEffect(type), scales), problem.All()),
+        problem.All());
     const JointFit fit = Minimise(problem, found.best, problem.All());
     return ModelAt(fit.best, fit.best.x).effects.back().values;
   }
