@@ -28,7 +28,7 @@ void UpdateAverage(double value, double& average) {
 }
 
 MonotonicTime After(MonotonicTime start, absl::Duration d) {
-  if (d >= absl::Hours(24 * 365)) return MonotonicTime::max();
+  if (start == MonotonicTime::max() || d >= absl::Hours(24 * 365)) return MonotonicTime::max();
   return start + absl::ToChronoNanoseconds(d);
 }
 

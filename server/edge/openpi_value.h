@@ -41,8 +41,10 @@ struct OpenpiLimits {
 
 // Decodes one message: a msgpack map and nothing after it. Trusts nothing; extension types and
 // NumPy's structured, object and complex kinds are refused, so nothing is ever executed or
-// converted on the client's word. INVALID_ARGUMENT names the key.
+// converted on the client's word. INVALID_ARGUMENT names the key. Text and arrays are views of
+// `message`, which outlives them.
 absl::StatusOr<OpenpiValue> DecodeOpenpi(std::string_view message);
+absl::StatusOr<OpenpiValue> DecodeOpenpi(std::string&& message) = delete;
 
 // Numbers of an array of any shape, a list or a scalar. INVALID_ARGUMENT names `field` where one is
 // not finite or none.

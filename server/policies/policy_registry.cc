@@ -63,8 +63,14 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
     if (random) return MakeNanoPolicy(RandomNanoModel(NanoConfig(), 1), "random", name_or_path);
     return LoadNano(name_or_path);
   }
-  if (IsEmbeddedPolicy(name_or_path))
-    return LoadNano(name_or_path);  // whose error says what is wrong
+  if (IsEmbeddedPolicy(name_or_path)) {
+    absl::StatusOr<std::unique_ptr<FlowPolicy>> policy = LoadNano(name_or_path);
+    if (policy.ok()) return policy;
+    return absl::Status(policy.status().code(),
+                        absl::StrCat(policy.status().message(),
+                                     "; ROBOSTRESS_WEIGHTS_DIR names the folder of the weights "
+                                     "that come with the source (server/models/weights)"));
+  }
   if (IsCheckpointPath(name_or_path)) return openpi::LoadOpenpiPolicy(name_or_path, options);
   return absl::NotFoundError(absl::StrCat(
       "policy '", name_or_path, "' is unknown; use ",

@@ -95,12 +95,20 @@ TEST(Deploy, TheContainerFileNamesFlagsAndFilesThatExist) {
   const std::regex flag("\"(--[a-z-]+)\"");
   for (std::sregex_iterator at(file.begin(), file.end(), flag), end; at != end; ++at)
     EXPECT_EQ(KnownFlags().count((*at)[1]), 1u) << (*at)[1];
-  for (const char* used : {"deploy/packages.txt", "LICENSE"}) {
+  for (const char* used : {"deploy/packages.txt", "LICENSE", "server/models/weights"}) {
     EXPECT_THAT(file, HasSubstr(used));
     EXPECT_TRUE(std::filesystem::exists(absl::StrCat(ROBOSTRESS_SOURCE_DIR, "/", used)));
   }
   EXPECT_THAT(file, HasSubstr("\nUSER 65532:65532\n"));
   EXPECT_THAT(file, HasSubstr("\nSTOPSIGNAL SIGTERM\n"));
+}
+
+TEST(Deploy, AnInstalledServerFindsTheWeightsThatComeWithIt) {
+  const std::string variable = "ROBOSTRESS_WEIGHTS_DIR=/usr/lib/robostress/weights\n";
+  const std::string file = Deploy("container/Containerfile");
+  EXPECT_THAT(file, HasSubstr(variable));
+  EXPECT_THAT(file, HasSubstr("\nCOPY server/models/weights /usr/lib/robostress/weights\n"));
+  EXPECT_THAT(Deploy("systemd/robostress-serve.service"), HasSubstr(variable));
 }
 
 class Kubernetes : public ::testing::Test {

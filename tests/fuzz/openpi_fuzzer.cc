@@ -8,7 +8,7 @@
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   using namespace robostress;
   const absl::StatusOr<OpenpiValue> message =
-      DecodeOpenpi({reinterpret_cast<const char*>(data), size});
+      DecodeOpenpi(std::string_view(reinterpret_cast<const char*>(data), size));
   if (!message.ok()) {
     FuzzCheck(message.status().code() == absl::StatusCode::kInvalidArgument &&
                   !message.status().message().empty(),

@@ -218,7 +218,8 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
   first.Text("suite").Text("tabletop_goal");
   first.Text("episode").Map(2).Text("task").Integer(2).Text("episode").Integer(1);
   client->SendFrame(first.bytes());
-  auto reply = DecodeOpenpi(client->Read().payload);
+  std::string payload = client->Read().payload;
+  auto reply = DecodeOpenpi(payload);
   ASSERT_TRUE(reply.ok()) << reply.status();
   const std::string token(
       std::get<std::string_view>(reply->Find("adapter")->Find("resume_token")->value));
@@ -239,7 +240,8 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
   OpenpiBytes second;
   second.Map(1);
   client->SendFrame(report(second, 1).bytes());  // a report alone: no observation, no actions
-  reply = DecodeOpenpi(client->Read().payload);
+  payload = client->Read().payload;
+  reply = DecodeOpenpi(payload);
   ASSERT_TRUE(reply.ok());
   EXPECT_EQ(reply->Find("actions"), nullptr);
   EXPECT_EQ(std::get<int64_t>(reply->Find("feedback")->Find("sequence")->value), 1);
@@ -270,7 +272,8 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
   repeated.Text("prediction_id").Integer(2);
   repeated.Text("q").Numbers<double>("<f8", {3, 7}, std::vector<double>(21, 0.25));
   again->SendFrame(repeated.bytes());
-  reply = DecodeOpenpi(again->Read().payload);
+  payload = again->Read().payload;
+  reply = DecodeOpenpi(payload);
   ASSERT_TRUE(reply.ok());
   EXPECT_TRUE(std::get<bool>(reply->Find("feedback")->Find("duplicate")->value));
   EXPECT_EQ(host_.taken.size(), 1u);

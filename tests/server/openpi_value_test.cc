@@ -67,7 +67,7 @@ TEST(DecodeOpenpi, TakesEveryNumericKindAndNumpyScalars) {
 TEST(DecodeOpenpi, RefusesWhatIsNoWholeMap) {
   const std::string whole = OpenpiBytes().Map(1).Text("a").Numbers<float>("<f4", {1}, {1}).bytes();
   for (size_t size = 0; size < whole.size(); ++size)
-    EXPECT_FALSE(DecodeOpenpi(whole.substr(0, size)).ok()) << size << " bytes";
+    EXPECT_FALSE(DecodeOpenpi(std::string_view(whole).substr(0, size)).ok()) << size << " bytes";
   EXPECT_THAT(Refusal(whole + "x"), HasSubstr("1 bytes follow the map"));
   EXPECT_THAT(Refusal(OpenpiBytes().Text("hello").bytes()), HasSubstr("is no map"));
   EXPECT_THAT(Refusal("\xc1"), HasSubstr("no msgpack at byte 0"));
