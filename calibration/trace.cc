@@ -16,7 +16,7 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr double kResolution = 0.02;   // of the declared excess: the kernel resolves no less
+constexpr double kResolution = 0.05;   // of the declared error: the kernel resolves no less
 constexpr double kAtFloor = 1.1;       // times the floor: little is left
 constexpr double kDetourGain = 0.85;   // error of a way that does not lead over the best model
 constexpr double kNotTestable = 0.02;  // surviving share

@@ -7,9 +7,10 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr double kAtFloor = 1.15;       // times the floor counts as noise
-constexpr double kExplained = 0.97;     // of the excess energy: hardly anything remains
-constexpr double kTransferLoss = 1.05;  // worse than declared by more than this: no mechanism
+constexpr double kAtFloor = 1.15;        // times the floor counts as noise
+constexpr double kInverseAtFloor = 1.5;  // where smoothed accelerations have a bias beside it
+constexpr double kExplained = 0.97;      // of the excess energy: hardly anything remains
+constexpr double kTransferLoss = 1.05;   // worse than declared by more than this: no mechanism
 constexpr int kMinWindows = 8;
 
 }  // namespace
@@ -44,7 +45,7 @@ Judgement Judge(const Evidence& e) {
             absl::StrFormat("the logs hold %d free runs, fewer than %d", e.windows, kMinWindows),
             0};
   if (e.effects == 0) {
-    if (e.declared <= kAtFloor * e.floor || e.declared_white)
+    if (e.declared <= (e.inverse ? kInverseAtFloor : kAtFloor) * e.floor || e.declared_white)
       return {Verdict::kDeclaredSufficient,
               absl::StrFormat("the declared model leaves %.2f times the noise of the readings",
                               e.floor > 0 ? e.declared / e.floor : 1.0),
