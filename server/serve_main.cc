@@ -10,6 +10,8 @@
 #include <memory>
 #include <thread>
 
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
@@ -113,6 +115,23 @@ bool IsLoopback(const std::string& listen) {
          listen.rfind("[::1]:", 0) == 0 || listen.rfind("unix:", 0) == 0;
 }
 
+// gRPC and the system's resolver take a port modulo 65536.
+absl::Status CheckPort(const char* flag, const std::string& listen) {
+  if (listen.empty() || absl::StartsWith(listen, "unix")) return absl::OkStatus();
+  const std::string port = listen.substr(listen.rfind(':') + 1);
+  int number = -1;
+  if (absl::SimpleAtoi(port, &number) && number >= 0 && number <= 65535) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(flag, " is ", listen, ", whose port '", port,
+                                                 "' must be 0..65535, as in 127.0.0.1:50051"));
+}
+
+absl::Status CheckPorts(const ServeOptions& options) {
+  RS_RETURN_IF_ERROR(CheckPort("--listen", options.listen));
+  RS_RETURN_IF_ERROR(CheckPort("--websocket-listen", options.websocket_listen));
+  RS_RETURN_IF_ERROR(CheckPort("--http-listen", options.http_listen));
+  return CheckPort("--admin-listen", options.admin_listen);
+}
+
 void WarnOfOpenPorts(const ServeOptions& options) {
   const bool closed = !options.tokens.empty() || !options.tls_client_ca.empty();
   for (const std::string& listen :
@@ -126,6 +145,7 @@ void WarnOfOpenPorts(const ServeOptions& options) {
 // Serves until a signal or Drain.
 absl::Status Serve(const ServeOptions& options, const sigset_t& stop_signals) {
   UseOneTorchThread();
+  RS_RETURN_IF_ERROR(CheckPorts(options));
   RS_ASSIGN_OR_RETURN(const PolicyServerOptions server_options, PolicyServerOptionsOf(options));
   RS_ASSIGN_OR_RETURN(const WebEndpointsOptions web_options, WebEndpointsOptionsOf(options));
   WarnOfOpenPorts(options);

@@ -114,6 +114,9 @@ TEST(ServeProgram, RefusesAnAddressItCannotListenOn) {
   const auto [output, code] = RunServe("--policy nano:random --listen 203.0.113.1:1");
   EXPECT_NE(code, 0);
   EXPECT_THAT(output, HasSubstr("cannot listen on 203.0.113.1:1"));
+  const auto [beyond, beyond_code] = RunProgram(SERVE_PROGRAM, "--listen 127.0.0.1:99999");
+  EXPECT_EQ(beyond_code, 1);
+  EXPECT_THAT(beyond, HasSubstr("'99999' must be 0..65535"));
 }
 
 TEST(ServeProgram, ServesUntilItIsTerminated) {
