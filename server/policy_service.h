@@ -32,7 +32,7 @@ struct PolicyServerOptions {
   absl::Duration batch_window = absl::ZeroDuration();  // BatcherOptions
   int queue_capacity = 256;  // predictions that wait; more are refused with a time to come back
   // Updates yield to predictions (server/update_pacer.h): cores that both share, 0: all; the share
-  // of its thread that an update keeps meanwhile; what is added to the nice value of the threads
+  // of one core that all updates keep meanwhile; what is added to the nice value of the threads
   // on which async sessions learn.
   int cores = 0;
   double update_share = 0.1;

@@ -54,8 +54,8 @@ struct ServeOptions {
     v.Field("queue_capacity", queue_capacity,
             "predictions that may wait; more are refused and told when to come back");
     v.Field("update_share", update_share,
-            "of its thread's time that an update keeps while predictions need the cores, above 0 "
-            "to 1 (updates never yield)");
+            "of one core's time that updates keep, all together, while predictions need the cores, "
+            "above 0 to 1 (updates never yield)");
     v.Field("cores", cores,
             "that predictions and updates share; updates yield beyond it. 1: whenever a "
             "prediction is under way; 0: all of this machine");

@@ -53,13 +53,16 @@ bool UpdatePacer::MustYield(Kind kind) const {
 UpdatePacer::Update::Update(UpdatePacer* pacer, Kind kind)
     : pacer_(pacer), kind_(kind), resumed_(std::chrono::steady_clock::now()) {
   CurrentUpdate() = this;
-  if (pacer_ != nullptr) ++pacer_->updates_;
+  if (pacer_ == nullptr) return;
+  ++pacer_->begun_;
+  ++pacer_->updates_;
 }
 
 UpdatePacer::Update::~Update() {
   CurrentUpdate() = nullptr;
   if (pacer_ == nullptr) return;
   --pacer_->updates_;
+  --pacer_->begun_;
   pacer_->Notify();
 }
 
@@ -83,7 +86,8 @@ void UpdatePacer::Yield(Update& update) {
   }
   update.credit_ -= computed;
   if (update.credit_.count() > 0) return;
-  const auto owed = std::chrono::duration_cast<nanoseconds>(-update.credit_ * (1 / share_ - 1));
+  const double share = share_ / begun_;
+  const auto owed = std::chrono::duration_cast<nanoseconds>(-update.credit_ * (1 / share - 1));
   bool resume = false;
   ++pausing_;
   {
@@ -97,7 +101,7 @@ void UpdatePacer::Yield(Update& update) {
   --pausing_;
   update.resumed_ = std::chrono::steady_clock::now();
   const auto paused = update.resumed_ - begin;
-  update.credit_ += std::chrono::duration_cast<nanoseconds>(paused * (share_ / (1 - share_)));
+  update.credit_ += std::chrono::duration_cast<nanoseconds>(paused * (share / (1 - share)));
   if (resume) update.credit_ = {};
   paused_ns_ += std::chrono::duration_cast<nanoseconds>(paused).count();
   if (paused_seconds_ != nullptr)

@@ -17,8 +17,8 @@ struct UpdatePacerOptions {
   // Cores that predictions and updates share. Updates yield while more of both are under way than
   // there are cores; 1: whenever a prediction is under way. 0: what the machine has.
   int cores = 0;
-  // Of an update thread's time, what it may compute while it would have to yield: in (0, 1]; 1: it
-  // never yields. It bounds how long a busy server can hold an update up.
+  // Of one core's time, what all updates together may compute while they would have to yield: in
+  // (0, 1]; 1: they never yield. It bounds how long a busy server can hold an update up.
   double share = 0.1;
 };
 
@@ -69,7 +69,8 @@ class UpdatePacer {
   const int cores_;
   const double share_;
   std::atomic<int> predictions_{0}, robots_{0};
-  std::atomic<int> updates_{0};  // that compute now
+  std::atomic<int> begun_{0};    // updates between construction and destruction
+  std::atomic<int> updates_{0};  // of these, that compute now
   std::atomic<int64_t> paused_ns_{0};
   std::shared_ptr<Counter> paused_seconds_;  // null without metrics
   // std: its timed waits follow the monotonic clock, absl's the time of day.

@@ -1,6 +1,6 @@
 // What the server costs with nano at its real size and random weights.
 //
-//   server_benchmark                     the tables below, in one run of some three minutes
+//   server_benchmark                     the tables below, in one run of some ten minutes
 //   server_benchmark --benchmark_filter=REGEX   single functions on one core (Google Benchmark)
 //
 // The tables: predictions with and without updates; throughput with batches beside batches of one.
@@ -13,7 +13,9 @@
 #include <chrono>
 #include <cstdio>
 #include <mutex>
+#include <random>
 #include <thread>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "server/operator_hook.h"
@@ -133,20 +135,25 @@ BENCHMARK(UpdateWithYieldPoints)->Unit(benchmark::kMillisecond);
 
 struct TableOptions {
   double seconds = 3;  // of a slice
-  int slices = 6;      // of each kind
+  int slices = 10;     // of each kind
   int threads = 2;
   int arms = 4;
   double rate_hz = 4;       // predictions of an arm per second: five steps at 20 Hz
-  int update_interval = 4;  // chunks per update: twice as often as in the paper. More than the
-                            // share of updates allows would hold feedback up, and with it the load
+  int update_interval = 8;  // chunks per update: the paper's. More than the share of updates allows
+                            // holds feedback up, and with it the load
   bool load = true, batches = true;
 };
 
+void OrDie(const absl::Status& status) {
+  if (status.ok()) return;
+  std::fprintf(stderr, "server_benchmark: %s\n", status.ToString().c_str());
+  std::exit(1);
+}
+
 template <class T>
 T OrDie(absl::StatusOr<T> value) {
-  if (value.ok()) return *std::move(value);
-  std::fprintf(stderr, "server_benchmark: %s\n", value.status().ToString().c_str());
-  std::exit(1);
+  OrDie(value.status());
+  return *std::move(value);
 }
 
 // One line of the first table: a way to serve, with two equal sets of arms; one set's chunks
@@ -155,7 +162,7 @@ struct Serving {
   std::string name;
   std::unique_ptr<PolicyServer> server;
   Clients without, with;
-  LoadResult sum_without, sum_with;
+  std::vector<LoadResult> slices_without, slices_with;
 };
 
 void Add(const LoadResult& slice, LoadResult& sum) {
@@ -163,6 +170,34 @@ void Add(const LoadResult& slice, LoadResult& sum) {
   sum.seconds += slice.seconds;
   sum.cpu_seconds += slice.cpu_seconds;
   sum.updates += slice.updates;
+}
+
+LoadResult Sum(const std::vector<LoadResult>& slices) {
+  LoadResult sum;
+  for (const LoadResult& slice : slices) Add(slice, sum);
+  return sum;
+}
+
+double P99Ratio(const std::vector<LoadResult>& with, const std::vector<LoadResult>& without) {
+  return Sum(with).latencies.Quantile(0.99) / Sum(without).latencies.Quantile(0.99);
+}
+
+// 95 % of the ratio of p99 over slices drawn again with replacement, in pairs of neighbours.
+std::pair<double, double> P99RatioInterval(const Serving& s) {
+  std::vector<double> ratios;
+  std::mt19937 random(1);
+  std::uniform_int_distribution<size_t> draw(0, s.slices_with.size() - 1);
+  for (int i = 0; i < 1000; ++i) {
+    std::vector<LoadResult> with, without;
+    for (size_t k = 0; k < s.slices_with.size(); ++k) {
+      const size_t slice = draw(random);
+      with.push_back(s.slices_with[slice]);
+      without.push_back(s.slices_without[slice]);
+    }
+    ratios.push_back(P99Ratio(with, without));
+  }
+  std::sort(ratios.begin(), ratios.end());
+  return {ratios[25], ratios[974]};
 }
 
 Serving Serve(const std::string& name, PolicyServerOptions options, const TableOptions& table,
@@ -182,12 +217,18 @@ Serving Serve(const std::string& name, PolicyServerOptions options, const TableO
   return serving;
 }
 
-void PrintServing(const char* name, const char* updates, const LoadResult& r, double p99_without) {
+void PrintLoad(const char* name, const char* updates, const LoadResult& r) {
   std::printf("%-28s %-8s %6zu %8.2f %8.2f %8.2f %9.1f %9.2f", name, updates, r.latencies.ms.size(),
               r.latencies.Quantile(0.5), r.latencies.Quantile(0.9), r.latencies.Quantile(0.99),
               static_cast<double>(r.updates) / r.seconds, r.cpu_seconds / r.seconds);
-  if (p99_without > 0) std::printf(" %9.2f", r.latencies.Quantile(0.99) / p99_without);
+}
+
+void PrintServing(const Serving& s) {
+  PrintLoad(s.name.c_str(), "none", Sum(s.slices_without));
   std::printf("\n");
+  PrintLoad("", "running", Sum(s.slices_with));
+  const auto [low, high] = P99RatioInterval(s);
+  std::printf(" %9.2f [%.2f, %.2f]\n", P99Ratio(s.slices_with, s.slices_without), low, high);
 }
 
 void PrintUpdatesTable(const TableOptions& table, const std::shared_ptr<const FlowPolicy>& policy) {
@@ -204,19 +245,20 @@ void PrintUpdatesTable(const TableOptions& table, const std::shared_ptr<const Fl
                 rate > 0 ? absl::StrCat(rate, " predictions/s each").c_str()
                          : "each asks as soon as it is answered",
                 table.threads, MachineNow().c_str());
-    std::printf("%-28s %-8s %6s %8s %8s %8s %9s %9s %9s\n", "", "updates", "n", "p50 ms", "p90 ms",
-                "p99 ms", "updates/s", "cores", "p99 ratio");
-    for (Serving& s : servings) s.sum_with = s.sum_without = {};
+    std::printf("%-28s %-8s %6s %8s %8s %8s %9s %9s   %s\n", "", "updates", "n", "p50 ms", "p90 ms",
+                "p99 ms", "updates/s", "cores", "p99 ratio and its 95 %");
+    for (Serving& s : servings) {
+      s.slices_with.clear();
+      s.slices_without.clear();
+    }
     for (int i = 0; i < table.slices; ++i) {
       for (Serving& s : servings) {
-        Add(OrDie(s.without.Run({table.seconds, rate, true})), s.sum_without);
-        Add(OrDie(s.with.Run({table.seconds, rate, true})), s.sum_with);
+        s.slices_without.push_back(OrDie(s.without.Run({table.seconds, rate, true})));
+        s.slices_with.push_back(OrDie(s.with.Run({table.seconds, rate, true})));
+        OrDie(s.with.Settle());
       }
     }
-    for (const Serving& s : servings) {
-      PrintServing(s.name.c_str(), "none", s.sum_without, 0);
-      PrintServing("", "running", s.sum_with, s.sum_without.latencies.Quantile(0.99));
-    }
+    for (const Serving& s : servings) PrintServing(s);
     std::printf("after: %s\n", MachineNow().c_str());
   }
 }

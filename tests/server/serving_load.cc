@@ -112,17 +112,27 @@ absl::StatusOr<Clients> Clients::Connect(const PolicyServer& server, const std::
   return clients;
 }
 
+absl::StatusOr<uint64_t> Clients::Updates() {
+  uint64_t sum = 0;
+  for (const auto& client : clients_) {
+    RS_ASSIGN_OR_RETURN(const SessionStats stats, client->endpoint->Stats());
+    sum += stats.updates_applied;
+  }
+  return sum;
+}
+
+absl::Status Clients::Settle() {
+  for (uint64_t before = ~uint64_t{0};;) {
+    RS_ASSIGN_OR_RETURN(const uint64_t now, Updates());
+    if (now == before) return absl::OkStatus();
+    before = now;
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+  }
+}
+
 absl::StatusOr<LoadResult> Clients::Run(const LoadOptions& options) {
-  const auto updates = [this]() -> absl::StatusOr<uint64_t> {
-    uint64_t sum = 0;
-    for (const auto& client : clients_) {
-      RS_ASSIGN_OR_RETURN(const SessionStats stats, client->endpoint->Stats());
-      sum += stats.updates_applied;
-    }
-    return sum;
-  };
   LoadResult result;
-  RS_ASSIGN_OR_RETURN(const uint64_t updates_before, updates());
+  RS_ASSIGN_OR_RETURN(const uint64_t updates_before, Updates());
   const double cpu_before = CpuSeconds();
   const auto begin = SteadyClock::now();
   std::vector<std::thread> threads;
@@ -137,7 +147,7 @@ absl::StatusOr<LoadResult> Clients::Run(const LoadOptions& options) {
     RS_RETURN_IF_ERROR(client->status);
     result.latencies.Append(client->latencies);
   }
-  RS_ASSIGN_OR_RETURN(const uint64_t updates_after, updates());
+  RS_ASSIGN_OR_RETURN(const uint64_t updates_after, Updates());
   result.updates = updates_after - updates_before;
   return result;
 }

@@ -46,8 +46,12 @@ class Clients {
                                          int count, const std::vector<std::string>& overrides);
   // Everything fails with the first error.
   absl::StatusOr<LoadResult> Run(const LoadOptions& options);
+  // Waits until nothing is learnt any more, so that it does not run on beside the next load.
+  absl::Status Settle();
 
  private:
+  absl::StatusOr<uint64_t> Updates();
+
   struct Client;
   std::vector<std::shared_ptr<Client>> clients_;
 };

@@ -64,6 +64,22 @@ TEST(UpdatePacer, WhilePredictionsNeverEndAnUpdateGetsItsShare) {
   EXPECT_EQ(PauseAfterWork(greedy, UpdatePacer::Kind::kAsync), absl::ZeroDuration());
 }
 
+TEST(UpdatePacer, UpdatesThatRunTogetherShareTheShare) {
+  UpdatePacer pacer({1, 0.25});
+  pacer.PredictionArrived(Priority::kSimulation);
+  absl::Notification begun, done;
+  std::thread other([&] {
+    const UpdatePacer::Update update(&pacer, UpdatePacer::Kind::kAsync);
+    begun.Notify();
+    done.WaitForNotification();
+  });
+  begun.WaitForNotification();
+  EXPECT_GE(PauseAfterWork(pacer, UpdatePacer::Kind::kAsync),
+            absl::Milliseconds(140));  // 20 ms of 160
+  done.Notify();
+  other.join();
+}
+
 TEST(UpdatePacer, UpdatesYieldOnlyWhenTheCoresAreTaken) {
   UpdatePacer pacer({2, 0.25});
   pacer.PredictionArrived(Priority::kSimulation);  // one prediction, one update, two cores
