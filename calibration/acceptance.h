@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "calibration/trace.h"
+#include "calibration/traced_model.h"
 
 namespace robostress::calibration {
 

@@ -5,9 +5,8 @@
 #include <vector>
 
 #include "calibration/calibration_report.h"
-#include "calibration/cross_validation.h"
 #include "calibration/signatures.h"
-#include "calibration/surrogates.h"
+#include "calibration/traced_model.h"
 
 namespace robostress::calibration {
 
@@ -21,14 +20,6 @@ struct TraceOptions {
   std::vector<std::string> joints;   // that are traced; empty: all
   // Says what is going on.
   std::function<void(const std::string&)> progress = [](const std::string&) {};
-};
-
-// One joint's model with effects that were added, fitted and cross-validated.
-struct TracedModel {
-  std::vector<std::string> added;  // while searching in the order in which they came
-  JointFit fit;
-  CrossValidation cv;
-  std::vector<double> p_values, cv_gains;  // of `added`
 };
 
 // What a forward search over the effect library found for one joint.
