@@ -58,7 +58,6 @@ double Acceptance::BicGain(const TracedModel& base, const TracedModel& model) co
   return 2 * n * std::log(base.fit.rms / std::max(model.fit.rms, 1e-300)) - more * std::log(n);
 }
 
-// The size of an effect: off its bounds and the same over folds.
 std::string Acceptance::SizeObjection(const TracedModel& model, const std::string& added) const {
   const Hypothesis& best = model.fit.best;
   const EffectInfo& effect = **FindEffect(added);

@@ -23,10 +23,12 @@ class Acceptance {
   // Why `model` is not accepted on top of `base`, whose effects are its first; empty: it is.
   // `p`: of the gain that its signature promised.
   std::string Objection(const TracedModel& base, const TracedModel& model, double p) const;
+  // What of it concerns the size of an effect: beyond its uncertainty, off its bounds and the same
+  // over folds.
+  std::string SizeObjection(const TracedModel& model, const std::string& added) const;
 
  private:
   double BicGain(const TracedModel& base, const TracedModel& model) const;
-  std::string SizeObjection(const TracedModel& model, const std::string& added) const;
 
   const JointProblem& problem_;
   const WindowSet fit_windows_;

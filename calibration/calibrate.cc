@@ -11,6 +11,7 @@
 #include "absl/strings/str_replace.h"
 #include "calibration/aided_motion.h"
 #include "calibration/local_polynomial.h"
+#include "calibration/metric_fit.h"
 #include "calibration/residual_tests.h"
 #include "calibration/verdict.h"
 #include "common/status_macros.h"
@@ -59,7 +60,8 @@ class JointCalibration {
         index_(joint),
         options_(options),
         tracks_(MakeTracks(plant, logs, joint)),
-        problem_(joint_.name, tracks_, WindowRows()) {
+        problem_(joint_.name, tracks_, WindowRows()),
+        metric_(rig.metric, problem_, WindowRows()) {
     std::tie(unit_, factor_) = ReportUnit(rig.metric, joint_.input, plant.hinge(joint));
   }
 
@@ -68,16 +70,17 @@ class JointCalibration {
   absl::Status Run(const std::vector<std::string>& leads, JointReport& report, RigJoint& after) {
     RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(rig_, plant_, index_));
     const SignalScales scales = MeasureScales(joint_, tracks_);
-    RS_ASSIGN_OR_RETURN(Hypothesis declared,
+    RS_ASSIGN_OR_RETURN(const Hypothesis start,
                         DeclaredHypothesis(joint_, model, scales, MeanInertia(tracks_)));
     problem_.LinearizeStarts(model);
-    declared = MinimiseFriction(problem_, declared, problem_.OfRole(LogRole::kFit)).best;
+    const Hypothesis declared =
+        MinimiseFriction(problem_, start, problem_.OfRole(LogRole::kFit)).best;
     problem_.LinearizeStarts(ModelAt(declared, declared.x));
     std::vector<int> others;
     for (int i = 0; i < static_cast<int>(rig_.joints.size()); ++i)
       if (i != index_) others.push_back(i);
-    Trace trace = TraceJoint(problem_, declared, scales, others, rig_.folds, options_);
-    PreferLeads(leads, declared, scales, others, trace);
+    Trace trace = TraceJoint(problem_, start, declared, scales, others, rig_.folds, options_);
+    PreferLeads(leads, start, declared, scales, others, trace);
     FitMetric(trace.declared.fit);
     FitMetric(trace.after.fit);
     Describe(trace, report);
@@ -89,8 +92,8 @@ class JointCalibration {
   int WindowRows() const {
     const bool motion =
         joint_.input == JointInput::kPositionTarget || joint_.input == JointInput::kTorque;
-    const double seconds = motion ? rig_.metric.window_s : kBlock;
-    return static_cast<int>(std::round(seconds / tracks_.front().log->dt));
+    return static_cast<int>(
+        std::round((motion ? rig_.metric.window_s : kBlock) / tracks_.front().log->dt));
   }
   void Describe(const Trace& trace, JointReport& report) const {
     const Hypothesis& before = trace.declared.fit.best;
@@ -102,7 +105,9 @@ class JointCalibration {
     report.rounds = trace.rounds;
     for (RoundReport& round : report.rounds) round.cv_error *= factor_;
     report.not_testable = trace.not_testable;
+    report.mean_absolute = rig_.metric.type == Metric::Type::kMeanAbsolute;
     report.fit = Errors(declared, after, LogRole::kFit);
+    report.left_out = LeftOut(before, later);
     report.held_out = Errors(declared, after, LogRole::kHeldOut);
     report.transfer = Errors(declared, after, LogRole::kTransfer);
     report.cross_validated = {factor_ * trace.declared.cv.Rms(), factor_ * trace.after.cv.Rms(),
@@ -120,8 +125,9 @@ class JointCalibration {
   }
 
   WindowSet Fit() const { return problem_.OfRole(LogRole::kFit); }
-  void PreferLeads(const std::vector<std::string>& leads, const Hypothesis& declared,
-                   const SignalScales& scales, const std::vector<int>& others, Trace& trace) const {
+  void PreferLeads(const std::vector<std::string>& leads, const Hypothesis& start,
+                   const Hypothesis& declared, const SignalScales& scales,
+                   const std::vector<int>& others, Trace& trace) const {
     const auto led = [&](const std::string& type) {
       return std::find(leads.begin(), leads.end(), type) != leads.end();
     };
@@ -131,7 +137,7 @@ class JointCalibration {
       if (led(found) || std::none_of(rivals.begin(), rivals.end(), led)) continue;
       TraceOptions options = options_;
       options.exclude.push_back(found);
-      Trace other = TraceJoint(problem_, declared, scales, others, rig_.folds, options);
+      Trace other = TraceJoint(problem_, start, declared, scales, others, rig_.folds, options);
       for (size_t k = 0; k < other.after.added.size(); ++k) {
         if (!led(other.after.added[k])) continue;
         other.rivals[k].push_back(found);
@@ -141,11 +147,14 @@ class JointCalibration {
     }
   }
 
-  // Where more than noise is left, the parameters that are best for free runs as they are, which is
-  // what errors are reported of, differ from those that are best for projected ones.
+  // Where more than noise is left, the parameters that are best for the metric, which is what
+  // errors are reported of, differ from those that are best for projected free runs.
   void FitMetric(JointFit& fit) const {
-    if (fit.rms < kNoiseLeft * problem_.ProjectedFloor(Fit())) return;
-    fit.best = Minimise(JointProblem(joint_.name, tracks_, WindowRows()), fit.best, Fit()).best;
+    const double error = metric_.Error(ModelAt(fit.best, fit.best.x), LogRole::kFit);
+    if (fit.rms < kNoiseLeft * problem_.ProjectedFloor(Fit()) ||
+        error < kNoiseLeft * metric_.Floor(LogRole::kFit))
+      return;
+    fit.best = metric_.Best(fit.best);
   }
 
   // Held out where there is something held out, else fitted.
@@ -154,11 +163,22 @@ class JointCalibration {
     return problem_.Rows(held_out) > 0 ? held_out : Fit();
   }
 
+  LogRole UnseenRole() const {
+    return metric_.Has(LogRole::kHeldOut) ? LogRole::kHeldOut : LogRole::kFit;
+  }
+
   ErrorReport Errors(const JointModel& declared, const JointModel& after, LogRole role) const {
-    const WindowSet windows = problem_.OfRole(role);
-    if (problem_.Rows(windows) == 0) return {};
-    return {factor_ * problem_.Rms(declared, windows), factor_ * problem_.Rms(after, windows),
-            factor_ * problem_.Floor(windows), true};
+    if (!metric_.Has(role)) return {};
+    return {factor_ * metric_.Error(declared, role), factor_ * metric_.Error(after, role),
+            factor_ * metric_.Floor(role), true};
+  }
+  // Of a metric of its own, which cross-validation in the search does not follow.
+  ErrorReport LeftOut(const Hypothesis& declared, const Hypothesis& after) const {
+    if (!metric_.own()) return {};
+    options_.progress("leaving folds out by the metric");
+    return {factor_ * metric_.LeftOut(declared, rig_.folds),
+            factor_ * metric_.LeftOut(after, rig_.folds), factor_ * metric_.Floor(LogRole::kFit),
+            true};
   }
   ErrorReport FullRun(const JointModel& declared, const JointModel& after) const {
     if (joint_.input == JointInput::kInverse || joint_.input == JointInput::kTransmission)
@@ -231,8 +251,8 @@ class JointCalibration {
       JointFit without = Minimise(problem_, WithoutEffect(later, type), Fit());
       FitMetric(without);
       effect.held_out_error_before =
-          factor_ * problem_.Rms(ModelAt(without.best, without.best.x), Unseen());
-      effect.held_out_error_after = factor_ * problem_.Rms(ModelAt(later, later.x), Unseen());
+          factor_ * metric_.Error(ModelAt(without.best, without.best.x), UnseenRole());
+      effect.held_out_error_after = factor_ * metric_.Error(ModelAt(later, later.x), UnseenRole());
       effect.p_value = trace.after.p_values[i];
       effect.cv_gain = trace.after.cv_gains[i];
       effect.ambiguous_with = trace.rivals[i];
@@ -355,6 +375,7 @@ class JointCalibration {
   const TraceOptions& options_;
   std::vector<JointTrack> tracks_;
   JointProblem problem_;
+  MetricFit metric_;
   std::string unit_;
   double factor_ = 1;
 };

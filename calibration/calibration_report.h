@@ -75,7 +75,8 @@ struct ExampleReport {
   std::vector<double> t, measured, declared, after;
 };
 
-// Errors are windowed free-run RMS (of input inverse and transmission: RMS) in `unit`.
+// Errors by the rig's metric, over free runs (of input inverse and transmission: of all rows), in
+// `unit`.
 struct ErrorReport {
   double declared = 0, after = 0, noise_floor = 0;
   bool present = false;  // the rig has logs of this role
@@ -87,6 +88,8 @@ struct JointReport {
   Verdict verdict = Verdict::kNotTestable;
   std::string because;  // the verdict in one sentence
   ErrorReport fit, cross_validated, held_out, transfer, full_run;
+  ErrorReport left_out;         // each fold by what is best for the others; of a metric of its own
+  bool mean_absolute = false;   // fit, held_out, transfer and left_out; else RMS
   double excess_explained = 0;  // share of the declared model's excess over noise, held out
   std::vector<ParameterReport> declared_parameters, after_parameters;
   std::vector<std::string> mimics_exposed;  // declared parameters that stood in for an added effect

@@ -1,6 +1,7 @@
 #pragma once
 
-#include <string>
+#include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "calibration/surrogates.h"
@@ -12,6 +13,8 @@ struct Contender {
   int candidate = 0;                     // of the screening
   std::vector<const Signature*> starts;  // best first
   double gain = 0, p = 1, own_p = 1, surviving = 0;
+  // What is left of `error` if the gain holds.
+  double Promised(double error) const { return error * std::sqrt(std::max(0.0, 1 - gain)); }
 };
 
 // The screening's candidates, best first.

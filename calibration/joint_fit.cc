@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "calibration/subplex.h"
+
 namespace robostress::calibration {
 namespace {
 
@@ -14,6 +16,7 @@ constexpr size_t kTrials = 2;        // starts that are followed
 constexpr int kTrialIterations = 3;  // of each, before the better goes on
 constexpr int kSettleIterations = 12;
 constexpr double kSearchTolerance = 3e-4;
+constexpr int kUnstickEvaluations = 500;
 constexpr double kStiction = 1.25;  // Fs / Fc of further starts
 
 class Cost : public ceres::CostFunction {
@@ -56,6 +59,13 @@ class Cost : public ceres::CostFunction {
   double unit_;
   int* evaluations_;
 };
+
+// Of a free parameter; -1: it is not free.
+int IndexOf(const Hypothesis& h, const std::string& path) {
+  for (size_t i = 0; i < h.free.size(); ++i)
+    if (h.free[i].path == path) return static_cast<int>(i);
+  return -1;
+}
 
 }  // namespace
 
@@ -116,16 +126,25 @@ JointFit Settle(const JointProblem& problem, const JointFit& trial, const Window
   return Minimise(problem, trial.best, chosen, kSettleIterations, kSearchTolerance);
 }
 
+JointFit Unstick(const JointProblem& problem, const JointFit& fit, const WindowSet& chosen) {
+  const auto error = [&](const Eigen::VectorXd& x) {
+    return problem.Projected(ModelAt(fit.best, x), chosen).cwiseAbs().mean();
+  };
+  Hypothesis start = fit.best;
+  start.x = Subplex(error, fit.best.free, fit.best.x, kUnstickEvaluations).x;
+  JointFit free = Minimise(problem, start, chosen, kSettleIterations, kSearchTolerance);
+  return free.rms < fit.rms ? free : fit;
+}
+
+bool HasFreeFriction(const Hypothesis& h) {
+  return IndexOf(h, "stribeck_friction.Fs") >= 0 || IndexOf(h, "stribeck_friction.vs") >= 0;
+}
+
 JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,
                           const WindowSet& chosen) {
   JointFit best = Minimise(problem, h, chosen);
-  const auto index_of = [&](const std::string& name) {
-    for (size_t i = 0; i < h.free.size(); ++i)
-      if (h.free[i].path == "stribeck_friction." + name) return static_cast<int>(i);
-    return -1;
-  };
-  const int Fs = index_of("Fs"), vs = index_of("vs");
-  if (Fs < 0 && vs < 0) return best;
+  if (!HasFreeFriction(h)) return best;
+  const int Fs = IndexOf(h, "stribeck_friction.Fs"), vs = IndexOf(h, "stribeck_friction.vs");
   JointModel model = ModelAt(h, h.x);
   const double Fc = **FindValue(model, "stribeck_friction.Fc");
   for (const double speed : {0.4, 1.0, 2.5}) {

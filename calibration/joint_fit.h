@@ -22,7 +22,12 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
 JointFit Try(const JointProblem& problem, const std::vector<Hypothesis>& starts,
              const WindowSet& chosen);
 JointFit Settle(const JointProblem& problem, const JointFit& trial, const WindowSet& chosen);
-// From h.x, and where Stribeck's vs or Fs are free also from several speeds with Fs above Fc,
+// For a fit that stays far above what its signature promised: least squares has got stuck, as where
+// a whole run sticks or slips. Searches without a gradient, then goes on by least squares.
+JointFit Unstick(const JointProblem& problem, const JointFit& fit, const WindowSet& chosen);
+// Whether Stribeck's vs or Fs are free, whose fits may end in a neighbouring minimum.
+bool HasFreeFriction(const Hypothesis& h);
+// From h.x, and where HasFreeFriction also from several speeds with Fs above Fc,
 // because nothing leads back from Fs below Fc.
 JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,
                           const WindowSet& chosen);

@@ -30,6 +30,7 @@ class JointProblem {
   // window [rows]; 0: a window is a whole track. Keeps `tracks`.
   JointProblem(std::string joint, std::vector<JointTrack> tracks, int window);
 
+  const std::string& joint() const { return joint_; }
   const std::vector<JointTrack>& tracks() const { return tracks_; }
   const std::vector<Window>& windows() const { return windows_; }
   WindowSet All() const { return WindowSet(windows_.size(), 1); }

@@ -12,7 +12,9 @@ constexpr int64_t kMaxWindows = 120;  // that a search simulates
 constexpr int kCrossValidated = 4;    // refitted candidates of a round, the lowest errors
 constexpr double kFarOff = 5;         // times the lowest error after the first iterations
 constexpr double kOutclassed = 3;     // times the lowest error of a round
+constexpr double kAtFloor = 1.1;      // times the floor: nothing is left to gain
 constexpr int kStartsPerCandidate = 2;
+constexpr double kStuck = 1.3;  // times the promised error
 
 std::string KeyOf(std::vector<std::string> added) {
   std::sort(added.begin(), added.end());
@@ -33,8 +35,9 @@ WindowSet Thinned(WindowSet windows) {
 
 }  // namespace
 
-Refits::Refits(const JointProblem& problem, Folds folds)
+Refits::Refits(const JointProblem& problem, const Hypothesis& start, Folds folds)
     : problem_(problem),
+      start_(start),
       windows_(Thinned(problem.OfRole(LogRole::kFit))),
       folds_(MakeFolds(problem, folds)) {
   for (WindowSet& fold : folds_)
@@ -62,7 +65,8 @@ TracedModel Refits::OnTrial(const TracedModel& base, const Screening& screening,
   return model;
 }
 
-void Refits::SettleBest(std::vector<TracedModel>& models, double error) const {
+void Refits::SettleBest(std::vector<TracedModel>& models, const std::vector<double>& promised,
+                        double error) const {
   for (const TracedModel& model : models) error = std::min(error, model.fit.rms);
   ParallelFor(static_cast<int>(models.size()), [&](int i) {
     TracedModel& model = models[i];
@@ -70,7 +74,29 @@ void Refits::SettleBest(std::vector<TracedModel>& models, double error) const {
     model.fit = Settle(problem_, model.fit, windows_);
     if (model.added.back() == "stribeck_friction")
       model.fit = MinimiseFriction(problem_, model.fit.best, windows_);
+    if (model.fit.rms > kStuck * promised[i]) model.fit = Unstick(problem_, model.fit, windows_);
   });
+}
+
+Hypothesis Refits::FromStart(Hypothesis h) const {
+  for (size_t i = 0; i < h.free.size(); ++i)
+    for (size_t k = 0; k < start_.free.size(); ++k)
+      if (h.free[i].path == start_.free[k].path) h.x[i] = start_.x[k];
+  return h;
+}
+
+void Refits::Restart(std::vector<TracedModel>& models) const {
+  const auto lowest = std::min_element(
+      models.begin(), models.end(),
+      [](const TracedModel& a, const TracedModel& b) { return a.fit.rms < b.fit.rms; });
+  if (lowest == models.end()) return;
+  const double enough = kAtFloor * problem_.ProjectedFloor(windows_);
+  if (lowest->fit.rms > enough) {
+    JointFit other = Minimise(problem_, FromStart(lowest->fit.best), windows_);
+    if (other.rms < lowest->fit.rms) lowest->fit = std::move(other);
+  }
+  if (lowest->fit.rms > enough && HasFreeFriction(lowest->fit.best))
+    lowest->fit = MinimiseFriction(problem_, lowest->fit.best, windows_);
 }
 
 void Refits::CrossValidateBest(std::vector<TracedModel>& models) const {

@@ -91,6 +91,7 @@ Json JointJson(const JointReport& joint) {
           {"errors",
            {{"fit", ErrorJson(joint.fit)},
             {"cross_validated", ErrorJson(joint.cross_validated)},
+            {"left_out", ErrorJson(joint.left_out)},
             {"held_out", ErrorJson(joint.held_out)},
             {"transfer", ErrorJson(joint.transfer)},
             {"full_run", ErrorJson(joint.full_run)}}},
@@ -121,12 +122,14 @@ Json TotalError(const CalibrationReport& report) {
   }
   const auto mean = [&](double sum) { return count > 0 ? std::sqrt(sum / count) : 0; };
   const bool inverse = !report.joints.empty() && report.joints.front().input == "inverse";
+  const bool absolute = !report.joints.empty() && report.joints.front().mean_absolute;
   const std::string unit = report.joints.empty() ? "" : report.joints.front().unit;
-  return {{"metric", std::string(held_out ? "held_out_" : "fit_") +
-                         (inverse ? "torque_rmse_" : "position_rmse_") + unit},
-          {"declared", mean(declared)},
-          {"after", mean(after)},
-          {"noise_floor", mean(floor)}};
+  return {
+      {"metric", std::string(held_out ? "held_out_" : "fit_") +
+                     (inverse ? "torque_" : "position_") + (absolute ? "mae_" : "rmse_") + unit},
+      {"declared", mean(declared)},
+      {"after", mean(after)},
+      {"noise_floor", mean(floor)}};
 }
 
 }  // namespace

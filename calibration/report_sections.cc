@@ -83,6 +83,7 @@ std::string DeclaredSection(const JointReport& joint) {
 std::string OffSection(const JointReport& joint, const DisplayUnit& unit) {
   const std::pair<const char*, const ErrorReport*> roles[] = {
       {"the logs it was fitted to", &joint.fit},
+      {"folds left out in turn", &joint.left_out},
       {"logs held out", &joint.held_out},
       {"an unseen regime", &joint.transfer},
       {"whole runs", &joint.full_run}};
@@ -92,12 +93,14 @@ std::string OffSection(const JointReport& joint, const DisplayUnit& unit) {
     if (!error->present) continue;
     parts.push_back(absl::StrCat(NumberText(unit.factor * error->declared), " ",
                                  EscapeXml(unit.name), " on ", name));
-    if (error == &joint.full_run || (floor > 0 && error != &joint.held_out)) continue;
+    if (error == &joint.full_run || error == &joint.left_out) continue;
+    if (floor > 0 && error != &joint.held_out) continue;
     floor = error->noise_floor, judged = error->declared;
   }
   if (parts.empty()) return "";
-  std::string html = absl::StrCat(Heading("How far it is off"),
-                                  "<p>RMS of its predictions: ", absl::StrJoin(parts, ", "), ".");
+  std::string html = absl::StrCat(Heading("How far it is off"), "<p>",
+                                  joint.mean_absolute ? "Mean absolute error" : "RMS",
+                                  " of its predictions: ", absl::StrJoin(parts, ", "), ".");
   if (floor > 0) {
     absl::StrAppend(&html, " Noise alone makes ", NumberText(unit.factor * floor), " ",
                     EscapeXml(unit.name), ": the model is off by ",
@@ -253,6 +256,12 @@ std::string BeforeAfterSection(const JointReport& joint, const DisplayUnit& unit
     absl::StrAppend(&html, "<p class=note>Left alone over whole runs: ",
                     NumberText(unit.factor * joint.full_run.declared), " \u2192 ",
                     NumberText(unit.factor * joint.full_run.after), " ", EscapeXml(unit.name),
+                    ".</p>\n");
+  }
+  if (joint.left_out.present) {
+    absl::StrAppend(&html, "<p class=note>Folds left out in turn, fitted to the others: ",
+                    NumberText(unit.factor * joint.left_out.declared), " \u2192 ",
+                    NumberText(unit.factor * joint.left_out.after), " ", EscapeXml(unit.name),
                     ".</p>\n");
   }
   for (const ExampleReport& example : joint.examples) html += ExamplePlot(example, true, unit);

@@ -109,6 +109,11 @@ const std::vector<std::pair<std::string, VelocitySide>> kVelocitySides = {
     {"reading", VelocitySide::kReading}, {"motor", VelocitySide::kMotor}};
 const std::vector<std::pair<std::string, LogRole>> kRoles = {
     {"fit", LogRole::kFit}, {"held_out", LogRole::kHeldOut}, {"transfer", LogRole::kTransfer}};
+const std::vector<std::pair<std::string, Metric::Type>> kMetrics = {
+    {"position_rmse", Metric::Type::kRms},
+    {"torque_rmse", Metric::Type::kRms},
+    {"position_mae", Metric::Type::kMeanAbsolute},
+    {"torque_mae", Metric::Type::kMeanAbsolute}};
 const std::vector<std::pair<std::string, Folds>> kFolds = {{"auto", Folds::kAuto},
                                                            {"condition", Folds::kCondition},
                                                            {"log", Folds::kLog},
@@ -289,9 +294,7 @@ absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file) {
   const Entry metric = root["metric"];
   if (metric.present()) {
     RS_RETURN_IF_ERROR(metric.CheckKeys({"type", "window_s", "unit"}));
-    std::string type = "position_rmse";
-    RS_RETURN_IF_ERROR(metric["type"].Choice<std::string>(
-        {{"position_rmse", "position_rmse"}, {"torque_rmse", "torque_rmse"}}, type));
+    RS_RETURN_IF_ERROR(metric["type"].Choice(kMetrics, rig.metric.type));
     RS_RETURN_IF_ERROR(metric["window_s"].Optional(0, rig.metric.window_s));
     if (metric["unit"].present()) {
       RS_ASSIGN_OR_RETURN(rig.metric.unit, metric["unit"].Text());
@@ -380,6 +383,8 @@ std::string WriteRig(const Rig& rig) {
   }
   out << YAML::EndSeq;
   out << YAML::Key << "metric" << YAML::Value << YAML::Flow << YAML::BeginMap;
+  if (rig.metric.type == Metric::Type::kMeanAbsolute)
+    out << YAML::Key << "type" << YAML::Value << "position_mae";
   out << YAML::Key << "window_s" << YAML::Value << rig.metric.window_s;
   if (!rig.metric.unit.empty()) out << YAML::Key << "unit" << YAML::Value << rig.metric.unit;
   out << YAML::EndMap;

@@ -74,7 +74,10 @@ struct RigLog {
 
 enum class Folds { kAuto, kCondition, kLog, kBlock };
 
+// The error that is reported.
 struct Metric {
+  enum class Type { kRms, kMeanAbsolute };
+  Type type = Type::kRms;
   double window_s = 0.5;  // free runs are restarted every so often; 0: the whole log
   std::string unit;       // "rad", "m", "mm", "mdeg" ...; empty: the joint's own
 };

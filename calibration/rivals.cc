@@ -60,15 +60,17 @@ std::vector<TracedModel> RivalSearch::FitInPlace(const TracedModel& model, const
   const int count = static_cast<int>(others.size());
   std::vector<TracedModel> models(count);
   std::vector<const TracedModel*> known(count);
+  std::vector<double> promised(count);
   for (int i = 0; i < count; ++i) {
     std::vector<std::string> added = base.added;
     added.push_back(TypeOf(screening, others[i].candidate));
     known[i] = refits_.Find(added);
+    promised[i] = others[i].Promised(base.fit.rms);
   }
   ParallelFor(count, [&](int i) {
     models[i] = known[i] != nullptr ? *known[i] : refits_.OnTrial(base, screening, others[i]);
   });
-  refits_.SettleBest(models, model.fit.rms);
+  refits_.SettleBest(models, promised, model.fit.rms);
   for (TracedModel& other : models)
     if (other.cv.energy.empty() && other.fit.rms < kFarWorse * model.fit.rms)
       refits_.CrossValidate(other);

@@ -34,13 +34,13 @@ std::vector<std::string> Sorted(std::vector<std::string> names) {
 
 class Search {
  public:
-  Search(const JointProblem& problem, const SignalScales& scales,
+  Search(const JointProblem& problem, const Hypothesis& start, const SignalScales& scales,
          const std::vector<int>& other_joints, Folds folds, const TraceOptions& options)
       : problem_(problem),
         scales_(scales),
         other_joints_(other_joints),
         options_(options),
-        refits_(problem, folds),
+        refits_(problem, start, folds),
         fit_windows_(refits_.windows()),
         floor_(problem.ProjectedFloor(fit_windows_)),
         acceptance_(problem, fit_windows_, floor_) {}
@@ -71,7 +71,7 @@ class Search {
       best = next.front();
       beam = std::move(next);
     }
-    trace.after = ByWeight(Trim(Simplest(beam, best), trace.declared));
+    trace.after = Confirmed(ByWeight(Trim(Simplest(beam, best), trace.declared)), trace.declared);
     RivalSearch rivals(
         refits_, scales_, [this](const TracedModel& base) { return Candidates(base); },
         options_.finalists);
@@ -79,10 +79,8 @@ class Search {
       options_.progress(absl::StrCat("rivals of ", effect));
       trace.rivals.push_back(rivals.RivalsOf(trace.after, effect));
     }
-    const WindowSet all = problem_.OfRole(LogRole::kFit);
-    trace.declared.fit = Minimise(problem_, trace.declared.fit.best, all);
-    trace.after.fit = trace.after.added.empty() ? trace.declared.fit
-                                                : Minimise(problem_, trace.after.fit.best, all);
+    trace.declared.fit = OnAllWindows(trace.declared);
+    trace.after.fit = trace.after.added.empty() ? trace.declared.fit : OnAllWindows(trace.after);
     return trace;
   }
 
@@ -114,9 +112,13 @@ class Search {
         base.added.empty() ? "declared model" : "with " + absl::StrJoin(base.added, "+"),
         report.cv_error, report.cv_error / std::max(floor_, 1e-300), contenders.size(), refits));
     std::vector<TracedModel> models(refits);
-    ParallelFor(refits,
-                [&](int i) { models[i] = refits_.OnTrial(base, screening, contenders[i]); });
-    refits_.SettleBest(models, base.fit.rms);
+    std::vector<double> promised(refits);
+    ParallelFor(refits, [&](int i) {
+      models[i] = refits_.OnTrial(base, screening, contenders[i]);
+      promised[i] = contenders[i].Promised(base.fit.rms);
+    });
+    refits_.SettleBest(models, promised, base.fit.rms);
+    refits_.Restart(models);
     refits_.CrossValidateBest(models);
     for (size_t i = 0; i < contenders.size(); ++i) {
       CandidateReport line;
@@ -264,6 +266,25 @@ class Search {
     return model.added.empty() ? declared : model;
   }
 
+  JointFit OnAllWindows(const TracedModel& model) const {
+    return Minimise(problem_, model.fit.best, problem_.OfRole(LogRole::kFit));
+  }
+
+  // Drops effects whose size a fit to all windows, to its end, does not bear out.
+  TracedModel Confirmed(TracedModel model, const TracedModel& declared) {
+    while (!model.added.empty()) {
+      TracedModel whole = model;
+      whole.fit = OnAllWindows(model);
+      const auto effect =
+          std::find_if(model.added.begin(), model.added.end(), [&](const std::string& added) {
+            return !acceptance_.SizeObjection(whole, added).empty();
+          });
+      if (effect == model.added.end()) return model;
+      model = refits_.Without(model, effect - model.added.begin());
+    }
+    return declared;
+  }
+
   // With the effect first whose absence costs most: a beam may have come by another way.
   TracedModel ByWeight(TracedModel model) {
     std::vector<std::pair<double, size_t>> order;
@@ -292,10 +313,10 @@ class Search {
 
 }  // namespace
 
-Trace TraceJoint(const JointProblem& problem, const Hypothesis& declared,
+Trace TraceJoint(const JointProblem& problem, const Hypothesis& start, const Hypothesis& declared,
                  const SignalScales& scales, const std::vector<int>& other_joints, Folds folds,
                  const TraceOptions& options) {
-  return Search(problem, scales, other_joints, folds, options).Run(declared);
+  return Search(problem, start, scales, other_joints, folds, options).Run(declared);
 }
 
 }  // namespace robostress::calibration

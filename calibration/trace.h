@@ -36,8 +36,8 @@ struct Trace {
 // refit lowers the cross-validated error by 2 % and the BIC by 10, most folds gain, and its size
 // agrees over the folds and lies within its bounds. Then earlier effects are tested again, and
 // every effect against its rivals. Where no single effect is accepted, pairs are tried in the same
-// way.
-Trace TraceJoint(const JointProblem& problem, const Hypothesis& declared,
+// way. `start`: the declared model before it was fitted, `declared`: after.
+Trace TraceJoint(const JointProblem& problem, const Hypothesis& start, const Hypothesis& declared,
                  const SignalScales& scales, const std::vector<int>& other_joints, Folds folds,
                  const TraceOptions& options);
 

@@ -1,0 +1,71 @@
+#include "calibration/metric_fit.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "calibration/parallel.h"
+#include "calibration/subplex.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr int kMaxEvaluations = 1500;
+
+}  // namespace
+
+MetricFit::MetricFit(const Metric& metric, const JointProblem& search, int window)
+    : type_(metric.type), problem_(search.joint(), search.tracks(), window), search_(search) {}
+
+bool MetricFit::Has(LogRole role) const { return problem_.Rows(problem_.OfRole(role)) > 0; }
+
+double MetricFit::Floor(LogRole role) const {
+  const double rms = search_.Floor(search_.OfRole(role));
+  return type_ == Metric::Type::kMeanAbsolute ? std::sqrt(2 / M_PI) * rms : rms;
+}
+
+double MetricFit::Error(const JointModel& model, LogRole role) const {
+  return Has(role) ? ErrorOn(model, problem_.OfRole(role)) : 0;
+}
+
+double MetricFit::ErrorOn(const JointModel& model, const WindowSet& windows) const {
+  if (type_ == Metric::Type::kRms) return problem_.Rms(model, windows);
+  return problem_.Residuals(model, windows).cwiseAbs().mean();
+}
+
+Hypothesis MetricFit::Best(const Hypothesis& from) const {
+  return BestOn(from, problem_.OfRole(LogRole::kFit));
+}
+
+Hypothesis MetricFit::BestOn(const Hypothesis& from, const WindowSet& windows) const {
+  Hypothesis best = Minimise(problem_, from, windows).best;
+  if (!own() || best.free.empty()) return best;
+  const auto error = [&](const Eigen::VectorXd& x) {
+    const double value = ErrorOn(ModelAt(best, x), windows);
+    return std::isfinite(value) ? value : HUGE_VAL;
+  };
+  // From where least squares ended and from where it began: of whole runs it may have got stuck.
+  const SubplexMinimum one = Subplex(error, best.free, best.x, kMaxEvaluations);
+  const SubplexMinimum other = Subplex(error, best.free, from.x, kMaxEvaluations);
+  best.x = other.value < one.value ? other.x : one.x;
+  return best;
+}
+
+double MetricFit::LeftOut(const Hypothesis& from, Folds folds) const {
+  const std::vector<WindowSet> sets = MakeFolds(problem_, folds);
+  const WindowSet fit = problem_.OfRole(LogRole::kFit);
+  std::vector<double> sums(sets.size(), 0);
+  ParallelFor(static_cast<int>(sets.size()), [&](int f) {
+    WindowSet others = fit;
+    for (size_t i = 0; i < others.size(); ++i)
+      if (sets[f][i]) others[i] = 0;
+    const Hypothesis best = BestOn(from, others);
+    const Eigen::VectorXd r = problem_.Residuals(ModelAt(best, best.x), sets[f]);
+    sums[f] = type_ == Metric::Type::kRms ? r.squaredNorm() : r.cwiseAbs().sum();
+  });
+  double sum = 0;
+  for (const double s : sums) sum += s;
+  const double mean = sum / std::max(1, problem_.Rows(fit));
+  return type_ == Metric::Type::kRms ? std::sqrt(mean) : mean;
+}
+
+}  // namespace robostress::calibration
