@@ -81,6 +81,10 @@ class JointCalibration {
       if (i != index_) others.push_back(i);
     Trace trace = TraceJoint(problem_, start, declared, scales, others, rig_.folds, options_);
     PreferLeads(leads, start, declared, scales, others, trace);
+    if (DeclaredPredictsTheHeldOut(trace)) {
+      trace.after = trace.declared;
+      trace.rivals.clear();
+    }
     FitMetric(trace.declared.fit);
     FitMetric(trace.after.fit);
     Describe(trace, report);
@@ -145,6 +149,21 @@ class JointCalibration {
         return;
       }
     }
+  }
+
+  // Held-out logs hold nothing but noise beside the declared model: what the search added follows
+  // the fit logs' own noise.
+  bool DeclaredPredictsTheHeldOut(const Trace& trace) const {
+    const WindowSet held_out = problem_.OfRole(LogRole::kHeldOut);
+    if (problem_.Rows(held_out) == 0) return false;
+    const Hypothesis& declared = trace.declared.fit.best;
+    return ProjectedRms(ModelAt(declared, declared.x), held_out) <
+           problem_.ProjectedFloor(held_out);
+  }
+
+  double ProjectedRms(const JointModel& model, const WindowSet& windows) const {
+    const Eigen::VectorXd r = problem_.Projected(model, windows);
+    return r.size() > 0 ? std::sqrt(r.squaredNorm() / static_cast<double>(r.size())) : 0;
   }
 
   // Where more than noise is left, the parameters that are best for the metric, which is what
@@ -327,19 +346,15 @@ class JointCalibration {
 
   Evidence EvidenceOf(const Trace& trace, const JointModel& declared, const JointModel& after,
                       const JointReport& report) const {
-    const auto rms = [&](const JointModel& model, const WindowSet& windows) {
-      const Eigen::VectorXd r = problem_.Projected(model, windows);
-      return r.size() > 0 ? std::sqrt(r.squaredNorm() / static_cast<double>(r.size())) : 0.0;
-    };
     Evidence evidence;
     const WindowSet unseen = Unseen(), transfer = problem_.OfRole(LogRole::kTransfer);
-    evidence.declared = rms(declared, unseen);
-    evidence.after = rms(after, unseen);
+    evidence.declared = ProjectedRms(declared, unseen);
+    evidence.after = ProjectedRms(after, unseen);
     evidence.floor = problem_.ProjectedFloor(unseen);
     evidence.inverse = joint_.input == JointInput::kInverse;
     evidence.declared_white = report.residual_declared.white;
-    evidence.transfer_declared = rms(declared, transfer);
-    evidence.transfer_after = rms(after, transfer);
+    evidence.transfer_declared = ProjectedRms(declared, transfer);
+    evidence.transfer_after = ProjectedRms(after, transfer);
     evidence.effects = static_cast<int>(trace.after.added.size());
     evidence.ambiguous = !report.groups.empty();
     for (const CandidateReport& line : trace.rounds.front().candidates)
