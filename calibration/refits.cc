@@ -14,6 +14,7 @@ constexpr double kFarOff = 5;         // times the lowest error after the first 
 constexpr double kOutclassed = 3;     // times the lowest error of a round
 constexpr double kAtFloor = 1.1;      // times the floor: nothing is left to gain
 constexpr int kStartsPerCandidate = 2;
+constexpr char kFriction[] = "stribeck_friction";
 constexpr double kStuck = 1.3;  // times the promised error
 
 std::string KeyOf(std::vector<std::string> added) {
@@ -72,7 +73,7 @@ void Refits::SettleBest(std::vector<TracedModel>& models, const std::vector<doub
     TracedModel& model = models[i];
     if (model.fit.rms > kFarOff * error || !model.cv.energy.empty()) return;
     model.fit = Settle(problem_, model.fit, windows_);
-    if (model.added.back() == "stribeck_friction")
+    if (model.added.back() == kFriction)
       model.fit = MinimiseFriction(problem_, model.fit.best, windows_);
     if (model.fit.rms > kStuck * promised[i]) model.fit = Unstick(problem_, model.fit, windows_);
   });
@@ -89,7 +90,8 @@ void Refits::Restart(std::vector<TracedModel>& models) const {
   const auto lowest = std::min_element(
       models.begin(), models.end(),
       [](const TracedModel& a, const TracedModel& b) { return a.fit.rms < b.fit.rms; });
-  if (lowest == models.end()) return;
+  // A curve that was added has been started several times.
+  if (lowest == models.end() || lowest->added.back() == kFriction) return;
   const double enough = kAtFloor * problem_.ProjectedFloor(windows_);
   if (lowest->fit.rms > enough) {
     JointFit other = Minimise(problem_, FromStart(lowest->fit.best), windows_);
