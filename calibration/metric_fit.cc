@@ -9,6 +9,7 @@
 namespace robostress::calibration {
 namespace {
 
+constexpr double kNoiseLeft = 1.5;  // times the floor
 constexpr int kMaxEvaluations = 1500;
 
 }  // namespace
@@ -33,24 +34,36 @@ double MetricFit::ErrorOn(const JointModel& model, const WindowSet& windows) con
 }
 
 Hypothesis MetricFit::Best(const Hypothesis& from) const {
-  return BestOn(from, problem_.OfRole(LogRole::kFit));
-}
-
-Hypothesis MetricFit::BestOn(const Hypothesis& from, const WindowSet& windows) const {
-  Hypothesis best = Minimise(problem_, from, windows).best;
+  const WindowSet fit = problem_.OfRole(LogRole::kFit);
+  Hypothesis best = Minimise(problem_, from, fit).best;
   if (!own() || best.free.empty()) return best;
-  const auto error = [&](const Eigen::VectorXd& x) {
-    const double value = ErrorOn(ModelAt(best, x), windows);
-    return std::isfinite(value) ? value : HUGE_VAL;
-  };
   // From where least squares ended and from where it began: of whole runs it may have got stuck.
-  const SubplexMinimum one = Subplex(error, best.free, best.x, kMaxEvaluations);
-  const SubplexMinimum other = Subplex(error, best.free, from.x, kMaxEvaluations);
+  const SubplexMinimum one = Descend(best, fit);
+  const SubplexMinimum other = Descend(from, fit);
   best.x = other.value < one.value ? other.x : one.x;
   return best;
 }
 
-double MetricFit::LeftOut(const Hypothesis& from, Folds folds) const {
+void MetricFit::Refit(JointFit& fit) const {
+  const double floor = search_.ProjectedFloor(search_.OfRole(LogRole::kFit));
+  const double error = Error(ModelAt(fit.best, fit.best.x), LogRole::kFit);
+  if (fit.rms < kNoiseLeft * floor || error < kNoiseLeft * Floor(LogRole::kFit)) return;
+  fit.best = Best(fit.best);
+}
+
+SubplexMinimum MetricFit::Descend(const Hypothesis& from, const WindowSet& windows) const {
+  const auto error = [&](const Eigen::VectorXd& x) { return ErrorOn(ModelAt(from, x), windows); };
+  return Subplex(error, from.free, from.x, kMaxEvaluations);
+}
+
+Hypothesis MetricFit::Again(Hypothesis best, const WindowSet& windows) const {
+  if (best.free.empty()) return best;
+  if (!own()) return Minimise(problem_, best, windows).best;
+  best.x = Descend(best, windows).x;
+  return best;
+}
+
+double MetricFit::LeftOut(const Hypothesis& best, Folds folds) const {
   const std::vector<WindowSet> sets = MakeFolds(problem_, folds);
   const WindowSet fit = problem_.OfRole(LogRole::kFit);
   std::vector<double> sums(sets.size(), 0);
@@ -58,8 +71,8 @@ double MetricFit::LeftOut(const Hypothesis& from, Folds folds) const {
     WindowSet others = fit;
     for (size_t i = 0; i < others.size(); ++i)
       if (sets[f][i]) others[i] = 0;
-    const Hypothesis best = BestOn(from, others);
-    const Eigen::VectorXd r = problem_.Residuals(ModelAt(best, best.x), sets[f]);
+    const Hypothesis again = Again(best, others);
+    const Eigen::VectorXd r = problem_.Residuals(ModelAt(again, again.x), sets[f]);
     sums[f] = type_ == Metric::Type::kRms ? r.squaredNorm() : r.cwiseAbs().sum();
   });
   double sum = 0;

@@ -5,6 +5,7 @@
 
 #include "calibration/cross_validation.h"
 #include "calibration/rig.h"
+#include "calibration/subplex.h"
 
 namespace robostress::calibration {
 
@@ -27,12 +28,17 @@ class MetricFit {
   // Refitted to the fit logs from `from`: least squares, and for a metric of its own subplex
   // (NLopt) on the metric itself.
   Hypothesis Best(const Hypothesis& from) const;
-  // Of all fit logs, each fold predicted by what is best for the others.
-  double LeftOut(const Hypothesis& from, Folds folds) const;
+  // Gives a search's fit the parameters that are best for the metric, where more than noise is left
+  // of it.
+  void Refit(JointFit& fit) const;
+  // Of all fit logs, each fold predicted by what is best for the others, from `best` for all.
+  double LeftOut(const Hypothesis& best, Folds folds) const;
 
  private:
   double ErrorOn(const JointModel& model, const WindowSet& windows) const;
-  Hypothesis BestOn(const Hypothesis& from, const WindowSet& windows) const;
+  SubplexMinimum Descend(const Hypothesis& from, const WindowSet& windows) const;
+  // From what is best for all windows to what is best for these.
+  Hypothesis Again(Hypothesis best, const WindowSet& windows) const;
 
   const Metric::Type type_;
   JointProblem problem_;  // residuals as they are

@@ -9,6 +9,7 @@
 #include "absl/strings/str_format.h"
 #include "calibration/sim_recordings.h"
 #include "common/atomic_file.h"
+#include "common/statistics.h"
 #include "common/status_macros.h"
 #include "eval/merged_sweep.h"
 #include "nlohmann/json.hpp"
@@ -23,6 +24,39 @@ using Json = nlohmann::ordered_json;
 
 constexpr char kCommand[] = "close-loop";
 constexpr int kDevSplit = 40;  // first initial state
+
+// Whether an episode succeeded, by (task, initial state).
+using Outcomes = std::map<std::pair<int, int>, bool>;
+
+Outcomes OutcomesOf(const RunData& run, const std::string& scenario) {
+  Outcomes outcomes;
+  for (const UnitResult& unit : run.units) {
+    if (ScenarioLabel(unit.config.scenario) != scenario) continue;
+    for (const EpisodeRow& row : unit.episodes)
+      outcomes[{row.task, row.initial_state}] = row.success;
+  }
+  return outcomes;
+}
+
+SuccessRate RateOf(const Outcomes& outcomes) {
+  SuccessRate rate;
+  for (const auto& [episode, success] : outcomes) {
+    rate.successes += success;
+    ++rate.episodes;
+  }
+  return rate;
+}
+
+Agreement Agree(const Outcomes& a, const Outcomes& b) {
+  Agreement agreement;
+  for (const auto& [episode, success] : a) {
+    const auto other = b.find(episode);
+    if (other == b.end()) continue;
+    agreement.same += other->second == success;
+    ++agreement.episodes;
+  }
+  return agreement;
+}
 
 class Circle {
  public:
@@ -144,17 +178,14 @@ class Circle {
     grid.policies = {options_.policy};
     grid.episodes = options_.evaluated_episodes;
     RS_ASSIGN_OR_RETURN(const RunData run, RunTasks("evaluation", grid, false));
-    for (const UnitResult& unit : run.units) {
-      const std::string label = ScenarioLabel(unit.config.scenario);
-      SuccessRate& rate = label == "clean"                          ? result_.clean
-                          : label == ScenarioLabel(options_.hidden) ? result_.under_hidden
-                                                                    : result_.under_found;
-      for (const EpisodeRow& row : unit.episodes) {
-        rate.successes += row.success;
-        ++rate.episodes;
-      }
-    }
-    if (result_.found.effects.empty()) result_.under_found = result_.clean;
+    const Outcomes clean = OutcomesOf(run, "clean");
+    const Outcomes hidden = OutcomesOf(run, ScenarioLabel(options_.hidden));
+    const Outcomes found = OutcomesOf(run, ScenarioLabel(Found()));
+    result_.clean = RateOf(clean);
+    result_.under_hidden = RateOf(hidden);
+    result_.under_found = RateOf(found);
+    result_.clean_agrees = Agree(clean, hidden);
+    result_.found_agrees = Agree(found, hidden);
     return absl::OkStatus();
   }
 
@@ -180,12 +211,21 @@ class Circle {
                       {"before", ReplayJson(result_.replay_before)},
                       {"after", ReplayJson(result_.replay_after)}};
     const auto rate = [](const SuccessRate& r) {
-      return Json{{"successes", r.successes}, {"episodes", r.episodes}};
+      const Interval wilson = WilsonInterval(r.successes, r.episodes);
+      return Json{{"successes", r.successes},
+                  {"episodes", r.episodes},
+                  {"wilson", {wilson.low, wilson.high}}};
     };
-    json["success"] = {{"policy", options_.policy},
-                       {"clean", rate(result_.clean)},
-                       {"hidden", rate(result_.under_hidden)},
-                       {"found", rate(result_.under_found)}};
+    const auto agreement = [](const Agreement& a) {
+      return Json{{"same", a.same}, {"episodes", a.episodes}};
+    };
+    json["success"] = {
+        {"policy", options_.policy},
+        {"clean", rate(result_.clean)},
+        {"hidden", rate(result_.under_hidden)},
+        {"found", rate(result_.under_found)},
+        {"same_as_hidden",
+         {{"clean", agreement(result_.clean_agrees)}, {"found", agreement(result_.found_agrees)}}}};
     return json;
   }
 
@@ -225,11 +265,19 @@ std::string CloseLoopTable(const CloseLoopResult& r) {
   line("tool, until first contact", 1e3 * b.free_motion.tool_m, 1e3 * a.free_motion.tool_m, "mm");
   line("joints, whole episodes", 1e3 * b.whole.joint_rad, 1e3 * a.whole.joint_rad, "mrad");
   line("tool, whole episodes", 1e3 * b.whole.tool_m, 1e3 * a.whole.tool_m, "mm");
-  const auto rate = [](const SuccessRate& s) {
-    return absl::StrFormat("%d/%d", s.successes, s.episodes);
+  absl::StrAppend(
+      &text, "\nsuccess                      95 %, Wilson       outcome as under the hidden\n");
+  const auto success = [&](const char* scenario, const SuccessRate& s, const std::string& same) {
+    const Interval wilson = WilsonInterval(s.successes, s.episodes);
+    absl::StrAppendFormat(&text, "  %-16s %3d of %-3d %5.1f to %5.1f %%    %s\n", scenario,
+                          s.successes, s.episodes, 100 * wilson.low, 100 * wilson.high, same);
   };
-  absl::StrAppendFormat(&text, "\nsuccess: Clean %s, hidden scenario %s, found scenario %s\n",
-                        rate(r.clean), rate(r.under_hidden), rate(r.under_found));
+  const auto same = [](const Agreement& a) {
+    return absl::StrFormat("%d of %d", a.same, a.episodes);
+  };
+  success("Clean", r.clean, same(r.clean_agrees));
+  success("hidden scenario", r.under_hidden, "");
+  success("found scenario", r.under_found, same(r.found_agrees));
   return text;
 }
 

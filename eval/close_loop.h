@@ -32,6 +32,12 @@ struct SuccessRate {
   int successes = 0, episodes = 0;
 };
 
+// Episodes, of those of the hidden scenario, that a scenario ends in the same way: the same task
+// and initial state succeeds in both or fails in both.
+struct Agreement {
+  int same = 0, episodes = 0;
+};
+
 struct CloseLoopResult {
   calibration::RecordedRigSummary rig;
   std::vector<ScenarioEffect> hidden;
@@ -40,6 +46,7 @@ struct CloseLoopResult {
   calibration::ReplayComparison replay_before, replay_after;
   int replayed_episodes = 0;
   SuccessRate clean, under_hidden, under_found;  // found: of Clean where nothing was found
+  Agreement clean_agrees, found_agrees;
 };
 
 // Leaves in out: recording/ (a sweep with joint logs), rig/, calibration/ (what `robostress
