@@ -35,6 +35,9 @@ std::string Acceptance::Objection(const TracedModel& base, const TracedModel& mo
   if (!ExplainsMore(base, model))
     return absl::StrFormat("it explains %.0f %% of what is above the noise",
                            100 * (1 - Excess(model) / std::max(Excess(base), 1e-300)));
+  const WindowSet bulk = base.cv.Bulk();
+  if (model.cv.Rms(bulk) > (1 - kMinCvGain) * base.cv.Rms(bulk))
+    return "it helps in the worst tenth of the free runs only";
   const size_t folds = model.cv.fold_rms.size();
   int gained = 0;
   for (size_t f = 0; f < folds; ++f) gained += model.cv.fold_rms[f] < base.cv.fold_rms[f];

@@ -11,6 +11,7 @@ namespace {
 
 constexpr int kBlocks = 5;
 constexpr int kRefitIterations = 4;
+constexpr double kTail = 0.1;  // of the windows
 
 bool Fits(const JointProblem& problem, const Window& window) {
   return problem.tracks()[window.track].log->role == LogRole::kFit;
@@ -51,11 +52,32 @@ std::vector<WindowSet> MakeFolds(const JointProblem& problem, Folds folds) {
   return result;
 }
 
+WindowSet WithoutLargest(const std::vector<double>& energy, const std::vector<int>& rows) {
+  std::vector<size_t> order;
+  for (size_t i = 0; i < energy.size(); ++i)
+    if (rows[i] > 0) order.push_back(i);
+  const auto tail = static_cast<size_t>(std::ceil(kTail * static_cast<double>(order.size())));
+  std::stable_sort(order.begin(), order.end(),
+                   [&](size_t a, size_t b) { return energy[a] * rows[b] < energy[b] * rows[a]; });
+  WindowSet bulk(energy.size(), 0);
+  for (size_t i = 0; i + tail < order.size(); ++i) bulk[order[i]] = 1;
+  return bulk;
+}
+
 double CrossValidation::Rms() const {
   double sum = 0, count = 0;
   for (size_t i = 0; i < energy.size(); ++i) sum += energy[i], count += rows[i];
   return count > 0 ? std::sqrt(sum / count) : 0;
 }
+
+double CrossValidation::Rms(const WindowSet& chosen) const {
+  double sum = 0, count = 0;
+  for (size_t i = 0; i < energy.size(); ++i)
+    if (chosen[i]) sum += energy[i], count += rows[i];
+  return count > 0 ? std::sqrt(sum / count) : 0;
+}
+
+WindowSet CrossValidation::Bulk() const { return WithoutLargest(energy, rows); }
 
 CrossValidation CrossValidate(const JointProblem& problem, const JointFit& fit,
                               const std::vector<WindowSet>& folds) {

@@ -10,6 +10,9 @@ namespace robostress::calibration {
 // logs. Automatic: conditions where there are two, else logs where there are three, else blocks.
 std::vector<WindowSet> MakeFolds(const JointProblem& problem, Folds folds);
 
+// Windows that have rows, but for the tenth of them with the largest mean energy.
+WindowSet WithoutLargest(const std::vector<double>& energy, const std::vector<int>& rows);
+
 // Errors of windows that a fit of the other folds predicts.
 struct CrossValidation {
   std::vector<double> energy;      // [windows] sum of squares of projected residuals; fit windows
@@ -17,6 +20,11 @@ struct CrossValidation {
   std::vector<double> fold_rms;    // [folds]
   std::vector<Eigen::VectorXd> x;  // [folds] parameters
   double Rms() const;
+  // Of the windows chosen.
+  double Rms(const WindowSet& chosen) const;
+  // WithoutLargest: where a joint nearly sticks, a model that is right may slip too late, and a few
+  // windows are far off.
+  WindowSet Bulk() const;
 };
 
 // Refits from fit.best on every fold.

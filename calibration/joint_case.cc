@@ -38,4 +38,21 @@ double JointCase::ProjectedRms(const JointModel& model, const WindowSet& windows
   return r.size() > 0 ? std::sqrt(r.squaredNorm() / static_cast<double>(r.size())) : 0;
 }
 
+double JointCase::ProjectedBulk(const JointModel& model, const WindowSet& windows) const {
+  const Eigen::VectorXd r = problem.Projected(model, windows);
+  std::vector<double> energy;
+  std::vector<int> rows;
+  Eigen::Index first = 0;
+  for (size_t i = 0; i < windows.size(); ++i) {
+    rows.push_back(windows[i] ? problem.Rows(problem.windows()[i]) : 0);
+    energy.push_back(r.segment(first, rows.back()).squaredNorm());
+    first += rows.back();
+  }
+  const WindowSet bulk = WithoutLargest(energy, rows);
+  double sum = 0, count = 0;
+  for (size_t i = 0; i < bulk.size(); ++i)
+    if (bulk[i]) sum += energy[i], count += rows[i];
+  return count > 0 ? std::sqrt(sum / count) : 0;
+}
+
 }  // namespace robostress::calibration

@@ -22,6 +22,8 @@ struct JointCase {
   LogRole UnseenRole() const;
   // Of residuals without what the windows' unknown starts explain.
   double ProjectedRms(const JointModel& model, const WindowSet& windows) const;
+  // The same without the tenth of the windows that is farthest off.
+  double ProjectedBulk(const JointModel& model, const WindowSet& windows) const;
 
   const Rig& rig;
   const Plant& plant;

@@ -245,6 +245,7 @@ class Description {
     Evidence evidence;
     const WindowSet unseen = joint_.Unseen(), transfer = joint_.problem.OfRole(LogRole::kTransfer);
     evidence.declared = joint_.ProjectedRms(before_, unseen);
+    evidence.declared_bulk = joint_.ProjectedBulk(before_, unseen);
     evidence.after = joint_.ProjectedRms(after_, unseen);
     evidence.floor = joint_.problem.ProjectedFloor(unseen);
     evidence.inverse = joint_.declared().input == JointInput::kInverse;

@@ -7,6 +7,9 @@
 namespace robostress::calibration {
 namespace {
 
+constexpr double kMinHeldOut = 0.25;  // of the held-out energy above the floor
+constexpr double kClear = 1.5;        // times the floor: what is less is not looked at by itself
+
 class Search {
  public:
   Search(const JointCase& joint, const SignalScales& scales, Hypothesis start, Hypothesis declared,
@@ -25,7 +28,7 @@ class Search {
     Trace& trace = finding.trace;
     trace = TraceWith(options_);
     PreferLeads(leads, trace);
-    if (DeclaredPredictsTheHeldOut(trace)) {
+    if (!HelpsOnHeldOut(trace)) {
       trace.after = trace.declared;
       trace.rivals.clear();
     }
@@ -61,14 +64,23 @@ class Search {
     }
   }
 
-  // Held-out logs hold nothing but noise beside the declared model: what the search added follows
-  // the fit logs' own noise.
-  bool DeclaredPredictsTheHeldOut(const Trace& trace) const {
+  // What was added may follow the fit logs' own noise. Of held-out logs the declared model must
+  // leave more than noise, and the added effects explain part of that; or of the free runs that are
+  // not far off, where those by themselves clearly hold more than noise.
+  bool HelpsOnHeldOut(const Trace& trace) const {
     const WindowSet held_out = joint_.problem.OfRole(LogRole::kHeldOut);
-    if (joint_.problem.Rows(held_out) == 0) return false;
-    const Hypothesis& declared = trace.declared.fit.best;
-    return joint_.ProjectedRms(ModelAt(declared, declared.x), held_out) <
-           joint_.problem.ProjectedFloor(held_out);
+    if (joint_.problem.Rows(held_out) == 0 || trace.after.added.empty()) return true;
+    const Hypothesis &declared = trace.declared.fit.best, &after = trace.after.fit.best;
+    const JointModel before = ModelAt(declared, declared.x), later = ModelAt(after, after.x);
+    const double floor = joint_.problem.ProjectedFloor(held_out);
+    const auto explained = [&](double rms_before, double rms_later) {
+      const double left = rms_before * rms_before - floor * floor;
+      return left > 0 && rms_later * rms_later - floor * floor < (1 - kMinHeldOut) * left;
+    };
+    if (explained(joint_.ProjectedRms(before, held_out), joint_.ProjectedRms(later, held_out)))
+      return true;
+    const double bulk = joint_.ProjectedBulk(before, held_out);
+    return bulk > kClear * floor && explained(bulk, joint_.ProjectedBulk(later, held_out));
   }
 
   // The search compares models by projected free runs. By a metric of its own a rig may predict

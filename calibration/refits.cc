@@ -147,4 +147,12 @@ const TracedModel* Refits::Find(const std::vector<std::string>& added) const {
   return known == known_.end() ? nullptr : &known->second;
 }
 
+const TracedModel* Refits::LowestWithOneEffect() const {
+  const TracedModel* lowest = nullptr;
+  for (const auto& [key, model] : known_)
+    if (model.added.size() == 1 && (lowest == nullptr || model.fit.rms < lowest->fit.rms))
+      lowest = &model;
+  return lowest;
+}
+
 }  // namespace robostress::calibration

@@ -40,6 +40,8 @@ class Refits {
   TracedModel Without(const TracedModel& model, size_t index);
 
   void Keep(TracedModel model);
+  // Of the models with one effect that were kept, the one with the lowest error; null: none.
+  const TracedModel* LowestWithOneEffect() const;
   // Null if no model with these effects, in any order, was kept.
   const TracedModel* Find(const std::vector<std::string>& added) const;
 

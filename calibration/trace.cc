@@ -23,6 +23,7 @@ constexpr double kNotTestable = 0.02;  // surviving share
 constexpr double kSimilarErrors = 2;   // standard errors of the difference over folds
 constexpr double kAsWell = 0.05;       // a simpler model's error may be larger by this share
 constexpr double kOutclassed = 3;      // times the lowest error of a round
+constexpr int kRestarts = 2;           // from a better declared model
 
 // Effects by name, with a partner where there is one.
 std::string NameOf(const Candidate& candidate) { return candidate.effect->type; }
@@ -46,9 +47,21 @@ class Search {
         acceptance_(problem, fit_windows_, floor_) {}
 
   Trace Run(const Hypothesis& declared) {
-    Trace trace;
     options_.progress("fitting the declared model");
-    trace.declared = refits_.Declared(declared);
+    Trace trace = From(refits_.Declared(declared));
+    for (int i = 0; i < kRestarts && GetsUnstuck(trace); ++i) {
+      options_.progress("the declared model fits better from where the search ended: again");
+      trace = From(trace.declared);
+    }
+    Finish(trace);
+    return trace;
+  }
+
+ private:
+  // Searches on top of a declared model that was fitted.
+  Trace From(const TracedModel& declared) {
+    Trace trace;
+    trace.declared = declared;
     std::vector<TracedModel> beam = {trace.declared};
     TracedModel best = trace.declared;
     while (!beam.empty() && static_cast<int>(beam.front().added.size()) < options_.max_effects) {
@@ -72,6 +85,31 @@ class Search {
       beam = std::move(next);
     }
     trace.after = Confirmed(ByWeight(Trim(Simplest(beam, best), trace.declared)), trace.declared);
+    return trace;
+  }
+
+  // The fit of the declared model may have got stuck, so that an effect that is not there helped it
+  // on. Gives `trace` the better one.
+  bool GetsUnstuck(Trace& trace) {
+    std::vector<TracedModel> helped;
+    if (!trace.after.added.empty()) helped.push_back(trace.after);
+    if (const TracedModel* const lowest = refits_.LowestWithOneEffect()) helped.push_back(*lowest);
+    const double declared = trace.declared.cv.Rms();
+    for (const TracedModel& model : helped) {
+      const TracedModel bare = Bare(model);
+      if (bare.cv.Rms() < (1 - Acceptance::kMinCvGain) * trace.declared.cv.Rms())
+        trace.declared = bare;
+    }
+    return trace.declared.cv.Rms() < declared;
+  }
+
+  TracedModel Bare(TracedModel model) {
+    while (!model.added.empty()) model = refits_.Without(model, model.added.size() - 1);
+    return model;
+  }
+
+  // Rivals, and fits to all windows.
+  void Finish(Trace& trace) {
     RivalSearch rivals(
         refits_, scales_, [this](const TracedModel& base) { return Candidates(base); },
         options_.finalists);
@@ -81,10 +119,8 @@ class Search {
     }
     trace.declared.fit = OnAllWindows(trace.declared);
     trace.after.fit = trace.after.added.empty() ? trace.declared.fit : OnAllWindows(trace.after);
-    return trace;
   }
 
- private:
   // Noise, or what the kernel's own integration leaves.
   bool LittleLeft(const TracedModel& declared, const TracedModel& model) const {
     return !model.added.empty() &&

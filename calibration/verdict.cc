@@ -1,17 +1,30 @@
 #include "calibration/verdict.h"
 
 #include <algorithm>
+#include <string>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 
 namespace robostress::calibration {
 namespace {
 
-constexpr double kAtFloor = 1.15;        // times the floor counts as noise
-constexpr double kInverseAtFloor = 1.5;  // where smoothed accelerations have a bias beside it
-constexpr double kExplained = 0.97;      // of the excess energy: hardly anything remains
-constexpr double kTransferLoss = 1.05;   // worse than declared by more than this: no mechanism
+constexpr double kAtFloor = 1.15;       // times the floor counts as noise
+constexpr double kUnnamed = 2.0;        // where nothing is found: less than this is not claimed
+constexpr double kExplained = 0.97;     // of the excess energy: hardly anything remains
+constexpr double kTransferLoss = 1.05;  // worse than declared by more than this: no mechanism
 constexpr int kMinWindows = 8;
+
+// Of a declared model to which nothing was added.
+std::string WhatIsLeft(const Evidence& e) {
+  const double floor = std::max(e.floor, 1e-300);
+  std::string text = absl::StrFormat(
+      "the declared model leaves %.2f times the noise of the readings", e.declared / floor);
+  if (e.declared > kUnnamed * floor)
+    absl::StrAppendFormat(&text, ", %.2f without the tenth of the free runs that is farthest off",
+                          e.declared_bulk / floor);
+  return text;
+}
 
 }  // namespace
 
@@ -45,15 +58,12 @@ Judgement Judge(const Evidence& e) {
             absl::StrFormat("the logs hold %d free runs, fewer than %d", e.windows, kMinWindows),
             0};
   if (e.effects == 0) {
-    if (e.declared <= (e.inverse ? kInverseAtFloor : kAtFloor) * e.floor || e.declared_white)
-      return {Verdict::kDeclaredSufficient,
-              absl::StrFormat("the declared model leaves %.2f times the noise of the readings",
-                              e.floor > 0 ? e.declared / e.floor : 1.0),
-              0};
+    if (e.declared_bulk <= kUnnamed * e.floor || e.declared_white)
+      return {Verdict::kDeclaredSufficient, WhatIsLeft(e), 0};
     return {Verdict::kUnattributed,
-            e.significant
-                ? "structure is left, and no candidate passes every test"
-                : "structure is left, and no candidate explains more of it than chance does",
+            absl::StrCat(WhatIsLeft(e),
+                         e.significant ? "; no candidate passes every test"
+                                       : "; no candidate explains more of it than chance does"),
             0};
   }
   if (e.transfer_declared > 0 && e.transfer_after > kTransferLoss * e.transfer_declared) {
