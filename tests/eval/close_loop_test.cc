@@ -54,6 +54,8 @@ joints:
             0.3 * replay["before"]["free_motion"]["joint_rad"].get<double>())
       << output;
   EXPECT_EQ(summary["success"]["found"]["episodes"], 2);
+  EXPECT_EQ(summary["success"]["same_as_hidden"]["found"]["episodes"], 2);
+  EXPECT_THAT(output, HasSubstr("outcome as under the hidden"));
   EXPECT_THAT(output, HasSubstr("until first contact"));
 
   // What is complete is not done again, and another circle does not mix with it.
