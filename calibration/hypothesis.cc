@@ -193,6 +193,16 @@ Hypothesis WithoutEffect(const Hypothesis& h, const std::string& type) {
   return result;
 }
 
+Hypothesis FixedAtZero(const Hypothesis& h, int free) {
+  Hypothesis result = h;
+  const std::string path = h.free[free].path;
+  const absl::StatusOr<double*> value = FindValue(result.model, path);
+  RS_CHECK(value.ok());
+  **value = 0;
+  Forget(result, path);
+  return result;
+}
+
 JointModel ModelAt(const Hypothesis& hypothesis, const Eigen::VectorXd& x) {
   JointModel model = hypothesis.model;
   for (size_t i = 0; i < hypothesis.free.size(); ++i) {

@@ -43,6 +43,8 @@ std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& eff
                                    const SignalScales& scales, int partner = -1);
 // Without an effect that was added; its free parameters leave with it.
 Hypothesis WithoutEffect(const Hypothesis& h, const std::string& type);
+// With a free parameter fixed at 0.
+Hypothesis FixedAtZero(const Hypothesis& h, int free);
 JointModel ModelAt(const Hypothesis& hypothesis, const Eigen::VectorXd& x);
 
 }  // namespace robostress::calibration

@@ -12,6 +12,7 @@ namespace robostress::calibration {
 namespace {
 
 constexpr double kRank = 1e-7;  // of QR decompositions
+constexpr double kIdle = 0.03;  // of the effect's largest column
 
 // Orthonormal basis of the columns' span [rows, rank]; nothing where one is not finite, because
 // a prediction diverged.
@@ -37,6 +38,21 @@ std::vector<int> AmplitudesIn(const Hypothesis& h, const EffectInfo& effect) {
     }
   }
   return indices;
+}
+
+// Fixes amplitudes at 0 that move next to nothing, as a tilt about an axis that gravity does not
+// know; a fit would run to a bound with them. `columns` [rows, amplitudes].
+void DropIdle(const EffectInfo& effect, Signature& signature, Eigen::MatrixXd& columns) {
+  const Eigen::VectorXd norms = columns.colwise().norm();
+  if (!norms.allFinite()) return;
+  std::vector<int> kept;
+  for (int k = 0; k < norms.size(); ++k)
+    if (norms[k] >= kIdle * norms.maxCoeff()) kept.push_back(k);
+  for (int k = static_cast<int>(norms.size()) - 1; k >= 0; --k)
+    if (std::find(kept.begin(), kept.end(), k) == kept.end())
+      signature.start = FixedAtZero(signature.start, signature.columns[k]);
+  columns = columns(Eigen::all, kept).eval();
+  signature.columns = AmplitudesIn(signature.start, effect);
 }
 
 }  // namespace
@@ -94,6 +110,7 @@ Screening::Screening(const JointProblem& problem, const JointFit& fit, const Sig
         columns.col(static_cast<int>(k)) =
             (problem.Projected(ModelAt(start, x), chosen) - at_base_) / x[signature.columns[k]];
       }
+      DropIdle(*candidate.effect, signature, columns);
       const double whole = columns.squaredNorm();
       Eigen::MatrixXd free = columns;
       RemoveImitated(free);

@@ -11,6 +11,7 @@ namespace {
 
 constexpr double kAtFloor = 1.15;       // times the floor counts as noise
 constexpr double kUnnamed = 2.0;        // where nothing is found: less than this is not claimed
+constexpr double kFewUnnamed = 20;      // the same of a few free runs that are far off
 constexpr double kExplained = 0.97;     // of the excess energy: hardly anything remains
 constexpr double kTransferLoss = 1.05;  // worse than declared by more than this: no mechanism
 constexpr int kMinWindows = 8;
@@ -58,8 +59,8 @@ Judgement Judge(const Evidence& e) {
             absl::StrFormat("the logs hold %d free runs, fewer than %d", e.windows, kMinWindows),
             0};
   if (e.effects == 0) {
-    if (e.declared_bulk <= kUnnamed * e.floor || e.declared_white)
-      return {Verdict::kDeclaredSufficient, WhatIsLeft(e), 0};
+    const bool noise = e.declared_bulk <= kUnnamed * e.floor && e.declared <= kFewUnnamed * e.floor;
+    if (noise || e.declared_white) return {Verdict::kDeclaredSufficient, WhatIsLeft(e), 0};
     return {Verdict::kUnattributed,
             absl::StrCat(WhatIsLeft(e),
                          e.significant ? "; no candidate passes every test"
