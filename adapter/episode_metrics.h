@@ -11,11 +11,12 @@ namespace robostress {
 // Residual sums of one episode (paper, sec:residual-magnitude), over executed steps and without the
 // gripper. They do not depend on a method's residual_scale, so methods can be compared:
 //
-//   residual           = sqrt(sum ||dx - a||^2     / sum ||a||^2)         dx = displacement / c
-//   (paper) residual_tracking  = sqrt(sum ||dx/g - a||^2   / sum ||a||^2)         g  =
-//   tracking_gain intent             = sqrt(sum ||dx - a_base||^2   / sum ||a_base||^2)    a_base:
-//   unadapted policy intent_tracking    = sqrt(sum ||dx/g - a_base||^2 / sum ||a_base||^2)
+//   residual           = sqrt(sum ||dx - a||^2        / sum ||a||^2)         (paper)
+//   residual_tracking  = sqrt(sum ||dx/g - a||^2      / sum ||a||^2)
+//   intent             = sqrt(sum ||dx - a_base||^2   / sum ||a_base||^2)
+//   intent_tracking    = sqrt(sum ||dx/g - a_base||^2 / sum ||a_base||^2)
 //
+// dx: displacement / c; g: tracking_gain; a_base: the unadapted policy's command.
 // a is the policy's command before a correction (direct, gain), clipped to +-1 where the options
 // say so.
 class EpisodeMetrics {

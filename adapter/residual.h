@@ -12,12 +12,13 @@
 //
 //   eta_i = dx_i - a_i,   dx_i = ((p_{i+1} - p_i) / c_p,  Log(R_{i+1} R_i^-1) / c_r,  g_cmd)
 //
-// symbol  name                  shape         unit
-// eta     residual              [action_dim]  normalised action (joint space: rad)
-// a       command               [action_dim]  normalised action (joint space: absolute joint
-// target, rad) dx      achieved delta        [6]           normalised action c_p translation_scale
-// scalar        m c_r     rotation_scale        scalar        rad g       tracking_gain scalar
-// achieved / commanded displacement of a nominal arm
+// symbol  name               shape         unit
+// eta     residual           [action_dim]  normalised action (joint space: rad)
+// a       command            [action_dim]  normalised action (joint space: absolute target, rad)
+// dx      achieved delta     [6]           normalised action
+// c_p     translation_scale  -             m
+// c_r     rotation_scale     -             rad
+// g       tracking_gain      -             achieved / commanded displacement of a nominal arm
 //
 // The gripper is the last entry of an action; its residual is exactly 0. Rotations are world-frame
 // differences along the short path.

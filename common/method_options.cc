@@ -15,6 +15,7 @@ constexpr double kLearningRateNominal = 3e-4;  // target: nominal
 constexpr double kGainControl = 1.15;
 
 constexpr double kIntegralRate = 0.01, kIntegralLimit = 0.5;
+constexpr double kFollowingGain = 0.6, kFollowingMemory = 10;
 
 struct Preset {
   const char* name;
@@ -46,12 +47,18 @@ void IntegrateTheDisturbance(MethodOptions& o) {
   o.integral_carry = true;
 }
 
+void FollowTheNominalArm(MethodOptions& o) {
+  o.following_gain = kFollowingGain;
+  o.following_memory = kFollowingMemory;
+}
+
 constexpr Preset kPresets[] = {
     {"base", [](MethodOptions&) {}},
     {"ours", Adapt},
     {"ours_intent", AdaptToIntent},
     {"ours_nominal", AdaptToNominal},
     {"ours_integral", IntegrateTheDisturbance},
+    {"ours_following", FollowTheNominalArm},
     {"gain", [](MethodOptions& o) { o.gain = kGainControl; }},
     {"null", [](MethodOptions& o) { o.noise_stream = "null"; }},
     {"direct", [](MethodOptions& o) { o.direct = true; }},

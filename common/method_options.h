@@ -37,6 +37,9 @@ struct MethodOptions {
   double integral_deadband = 0;      // smaller residuals count as none [command units]
   IntegralAxes integral_axes = IntegralAxes::kAll;
   bool integral_carry = false;       // the estimate outlives its episode
+  double following_gain = 0;         // K of ModelFollowing, command per shortfall; 0: none
+  double following_memory = 20;      // [control steps] that a shortfall counts
+  double following_limit = 0.5;      // bound of its correction on each axis [command units]
   double gain = 1.0;                 // commands (gripper excluded) scaled by this before they are sent
   TargetReference target = TargetReference::kExecuted;
   ResidualScale residual_scale = ResidualScale::kCommand;
@@ -51,7 +54,7 @@ struct MethodOptions {
 
   template <class V>
   void Visit(V& v) {
-    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, ours_integral, direct, no_residual, no_anchor, gain, null, shuffled_instruction, blank_images, frozen_state");
+    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, ours_integral, ours_following, direct, no_residual, no_anchor, gain, null, shuffled_instruction, blank_images, frozen_state");
     v.Field("adapt", adapt, "update the LoRA online");
     v.Choice("lora", lora, {{"per_head", LoraKind::kPerHead}, {"per_matrix", LoraKind::kPerMatrix}},
              "per_head: a pair of factors for each attention head (openpi, the paper); per_matrix: one for each matrix (PEFT)");
@@ -74,6 +77,9 @@ struct MethodOptions {
     v.Choice("integral_axes", integral_axes, {{"all", IntegralAxes::kAll}, {"translation", IntegralAxes::kTranslation}},
              "axes whose disturbance is estimated and subtracted");
     v.Field("integral_carry", integral_carry, "keep the estimate across episodes");
+    v.Field("following_gain", following_gain, "model following: command per distance that the arm is behind a nominal one [command units]; 0: none");
+    v.Field("following_memory", following_memory, "control steps after which a distance fallen behind is forgotten to 1/e");
+    v.Field("following_limit", following_limit, "bound of its correction on each axis [command units]");
     v.Field("gain", gain, "constant factor on every command, gripper excluded");
     v.Choice("target", target,
              {{"executed", TargetReference::kExecuted}, {"intent", TargetReference::kIntent}, {"nominal", TargetReference::kNominal}},

@@ -19,7 +19,7 @@ namespace {
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 bool Compensates(const MethodOptions& method) {
-  return method.adapt || method.direct || method.integral_rate > 0;
+  return method.adapt || method.direct || method.integral_rate > 0 || method.following_gain > 0;
 }
 
 Cell MakeCell(const Units& units) {

@@ -41,12 +41,10 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
       guard_(guard),
       key_(StreamKey("session").With(SessionIdentity(spec))),
       residual_options_(ScaledResidualOptions(spec)),
+      correction_(spec.method, residual_options_, ArmOptions(spec)),
       buffer_(spec.method.buffer_chunks),
       schedule_(spec.method.buffer_chunks, spec.method.update_interval),
-      arm_(ArmOptions(spec)) {
-  if (spec.method.integral_rate > 0)
-    integral_.emplace(spec.method, residual_options_, ArmOptions(spec));
-}
+      arm_(ArmOptions(spec)) {}
 
 Session::~Session() = default;
 
@@ -127,8 +125,7 @@ void Session::ApplyEpisode(int task, int episode, uint64_t last_sequence) {
     }
   }
   episode_ = {task, episode};
-  direct_correction_.resize(0);
-  if (integral_) integral_->StartEpisode();
+  correction_.StartEpisode();
 }
 
 absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, int task,
@@ -153,8 +150,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     if (cancelled_) return absl::CancelledError("the session was closed");
     RS_RETURN_IF_ERROR(failure_);
     result.prediction_id = next_prediction_++;
-    correction = direct_correction_;
-    if (integral_) correction = integral_->estimate();
+    correction = correction_.Value();
   }
   PredictionJob job;
   job.policy = resources_.policy;
@@ -189,7 +185,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     result.actions.leftCols(arm) *= static_cast<float>(spec_.method.gain);
   }
   if (correction.size() > 0) {
-    result.actions.leftCols(arm).rowwise() -= correction.head(arm).cast<float>().transpose();
+    result.actions.leftCols(arm).rowwise() += correction.head(arm).cast<float>().transpose();
   }
 
   Prediction prediction{result.prediction_id, task, episode, chunk};

@@ -15,8 +15,8 @@
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "adapter/command_correction.h"
 #include "adapter/feedback_buffer.h"
-#include "adapter/integral_action.h"
 #include "adapter/lora_adapter.h"
 #include "adapter/nominal_arm.h"
 #include "adapter/residual.h"
@@ -178,10 +178,9 @@ class Session : public std::enable_shared_from_this<Session> {
   // What feedback changes, ready to be applied.
   struct TakenChunk {
     uint64_t prediction_id = 0;
-    std::optional<BufferedChunk> training;      // where the method adapts
-    NominalArm arm;                             // after it
-    std::optional<Eigen::VectorXd> correction;  // of `direct`
-    std::optional<IntegralAction> integral;     // after it, where the method has one
+    std::optional<BufferedChunk> training;        // where the method adapts
+    NominalArm arm;                               // after it
+    std::optional<CommandCorrection> correction;  // after it, where its episode is still open
   };
 
   Session(const SessionSpec& spec, const SessionResources& resources, uint64_t owner,
@@ -268,9 +267,7 @@ class Session : public std::enable_shared_from_this<Session> {
   uint64_t predictions_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t predictions_dropped_ ABSL_GUARDED_BY(mu_) = 0;
   std::map<uint64_t, Prediction> outstanding_ ABSL_GUARDED_BY(mu_);
-  Eigen::VectorXd direct_correction_
-      ABSL_GUARDED_BY(mu_);  // [action_dim] or empty: none yet in this episode
-  std::optional<IntegralAction> integral_ ABSL_GUARDED_BY(mu_);  // where integral_rate > 0
+  CommandCorrection correction_ ABSL_GUARDED_BY(mu_);
   FeedbackBuffer<BufferedChunk> buffer_ ABSL_GUARDED_BY(mu_);
   UpdateSchedule schedule_ ABSL_GUARDED_BY(mu_);
   uint64_t triggers_ ABSL_GUARDED_BY(mu_) = 0;

@@ -90,7 +90,6 @@ absl::Status Session::ApplyAdaptation(const AdaptationState& state) {
   arm_.set_state(state.nominal);
   arm_episode_ = {static_cast<int>(state.nominal_task), static_cast<int>(state.nominal_episode)};
   last_loss_ = state.last_loss;
-  direct_correction_.resize(0);
   return absl::OkStatus();
 }
 

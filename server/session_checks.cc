@@ -27,6 +27,9 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
   if (m.direct && m.integral_rate > 0)
     return invalid(
         "direct and integral_rate exclude each other; set direct to false or integral_rate to 0");
+  if (m.direct && m.following_gain > 0)
+    return invalid(
+        "direct and following_gain exclude each other; set direct to false or following_gain to 0");
   if (m.buffer_chunks < 1 || m.buffer_chunks > 4096)
     return invalid("buffer_chunks is ", m.buffer_chunks, ", must be 1..4096");
   if (m.update_interval < 1)
@@ -57,6 +60,12 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
     return invalid("integral_limit is ", m.integral_limit, ", must be 0..10");
   if (!in_range(m.integral_deadband, 0, 10))
     return invalid("integral_deadband is ", m.integral_deadband, ", must be 0..10");
+  if (!in_range(m.following_gain, 0, 10))
+    return invalid("following_gain is ", m.following_gain, ", must be 0..10");
+  if (!in_range(m.following_memory, 1, 1e6))
+    return invalid("following_memory is ", m.following_memory, ", must be 1..1e6");
+  if (!in_range(m.following_limit, 0, 10))
+    return invalid("following_limit is ", m.following_limit, ", must be 0..10");
   if (!in_range(m.gain, -100, 100)) return invalid("gain is ", m.gain, ", must be in -100..100");
   if (!in_range(m.tracking_gain, 1e-3, 100))
     return invalid("tracking_gain is ", m.tracking_gain, ", must be 0.001..100");
@@ -79,11 +88,12 @@ absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy)
         absl::StrCat("method ", spec.method.method, ": gain ", spec.method.gain,
                      " would scale absolute joint targets; robot ", spec.robot, " needs gain 1"));
   }
-  if (ActsInJointSpace(spec) && spec.method.integral_rate > 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "method ", spec.method.method,
-        ": integral action compares with a nominal end-effector controller; robot ", spec.robot,
-        " acts in joint space: use the disturbance observer of its client"));
+  if (ActsInJointSpace(spec) && (spec.method.integral_rate > 0 || spec.method.following_gain > 0)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("method ", spec.method.method, ": ",
+                     spec.method.integral_rate > 0 ? "integral action" : "model following",
+                     " compares with a nominal end-effector controller; robot ", spec.robot,
+                     " acts in joint space: use the disturbance observer of its client"));
   }
   return absl::OkStatus();
 }

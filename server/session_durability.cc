@@ -37,6 +37,14 @@ absl::Status Damaged(const absl::Status& status) {
   return absl::DataLossError(absl::StrCat("state on disk: ", status.message()));
 }
 
+void Store(const Eigen::VectorXd& values, google::protobuf::RepeatedField<double>* into) {
+  into->Add(values.data(), values.data() + values.size());
+}
+
+Eigen::VectorXd Stored(const google::protobuf::RepeatedField<double>& values) {
+  return Eigen::Map<const Eigen::VectorXd>(values.data(), values.size());
+}
+
 absl::Status CheckChunkShape(const char* field, const torch::Tensor& tensor,
                              const FlowPolicy& policy) {
   if (tensor.dim() == 2 && tensor.size(0) == policy.horizon() &&
@@ -147,12 +155,10 @@ SessionSnapshot Session::Capture() {
   counters.set_task(episode_ ? episode_->first : -1);
   counters.set_episode(episode_ ? episode_->second : -1);
   for (const uint64_t boundary : boundaries_) counters.add_boundaries(boundary);
-  counters.mutable_direct_correction()->Add(direct_correction_.data(),
-                                            direct_correction_.data() + direct_correction_.size());
-  if (integral_) {
-    const Eigen::VectorXd state = integral_->State();
-    counters.mutable_integral_action()->Add(state.data(), state.data() + state.size());
-  }
+  const CommandCorrection::State correction = correction_.state();
+  Store(correction.direct, counters.mutable_direct_correction());
+  Store(correction.integral, counters.mutable_integral_action());
+  Store(correction.following, counters.mutable_model_following());
   if (adapter_ != nullptr) {
     snapshot.adaptation = CurrentAdaptation();
     snapshot.versions = adapter_->Versions();
@@ -239,14 +245,12 @@ absl::Status Session::Restore(const SessionSnapshot& snapshot) {
   if (counters.episode_started())
     episode_ = {static_cast<int>(counters.task()), static_cast<int>(counters.episode())};
   boundaries_.insert(counters.boundaries().begin(), counters.boundaries().end());
-  direct_correction_ = Eigen::Map<const Eigen::VectorXd>(counters.direct_correction().data(),
-                                                         counters.direct_correction_size());
-  if (integral_.has_value() != (counters.integral_action_size() == IntegralAction::kStateSize))
+  if (!correction_.set_state({Stored(counters.direct_correction()),
+                              Stored(counters.integral_action()),
+                              Stored(counters.model_following())})) {
     return absl::DataLossError(
-        "state on disk: an integral action where the method has none, or none");
-  if (integral_) {
-    integral_->SetState(Eigen::Map<const Eigen::VectorXd>(counters.integral_action().data(),
-                                                          counters.integral_action_size()));
+        "state on disk: a correction of the commands that the method does not make, or none where "
+        "it makes one");
   }
   return absl::OkStatus();
 }

@@ -15,19 +15,6 @@
 
 // What a session does with feedback: checks, training chunk, buffer, update.
 namespace robostress {
-namespace {
-
-// Mean residual of the unmasked steps [action_dim]; none: nothing.
-std::optional<Eigen::VectorXd> MeanResidual(const ExecutedChunk& executed,
-                                            const ResidualOptions& options) {
-  const auto masked = absl::c_count(executed.masked, true);
-  if (masked == static_cast<int64_t>(executed.steps.size())) return std::nullopt;
-  const Eigen::MatrixXd residual = ChunkResidual(executed, options);  // masked rows are 0
-  if (masked == 0) return residual.colwise().mean().transpose();
-  return residual.colwise().sum().transpose() / static_cast<double>(residual.rows() - masked);
-}
-
-}  // namespace
 
 absl::StatusOr<Prediction*> Session::PredictionOf(const ExecutedChunk& executed) {
   if (executed.sequence != feedback_sequence_ + 1) {
@@ -97,10 +84,9 @@ absl::StatusOr<Session::TakenChunk> Session::Prepare(const ExecutedChunk& execut
   if (adapter_ != nullptr) {
     RS_ASSIGN_OR_RETURN(taken.training, MakeTrainingChunk(executed, prediction, taken.arm));
   }
-  if (spec_.method.direct) taken.correction = MeanResidual(executed, residual_options_);
-  if (integral_ && episode_ == std::pair(executed.task, executed.episode)) {
-    taken.integral = integral_;
-    taken.integral->Observe(executed);
+  if (episode_ == std::pair(executed.task, executed.episode)) {
+    taken.correction = correction_;
+    taken.correction->Observe(executed);
   }
   return taken;
 }
@@ -115,9 +101,7 @@ void Session::Apply(const ExecutedChunk& executed, TakenChunk taken) {
     buffer_.Add(*std::move(taken.training));
     if (schedule_.Add()) TriggerUpdate();
   }
-  if (taken.correction && episode_ == std::pair(executed.task, executed.episode))
-    direct_correction_ = *taken.correction;
-  if (taken.integral) integral_ = std::move(taken.integral);
+  if (taken.correction) correction_ = *std::move(taken.correction);
   // A later prediction was made after this one: what is older will not be executed any more.
   outstanding_.erase(outstanding_.begin(), outstanding_.lower_bound(taken.prediction_id));
   if (boundaries_.erase(feedback_sequence_) > 0) ClearBuffer();

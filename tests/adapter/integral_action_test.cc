@@ -3,49 +3,12 @@
 #include <gtest/gtest.h>
 
 #include "common/method_options.h"
-#include "common/so3.h"
+#include "tests/adapter/disturbed_arm.h"
 
 namespace robostress {
 namespace {
 
 using Vector6 = NominalArm::Vector6;
-
-// A nominal arm whose commands are scaled by `gain` and shifted by `disturbance` on their way.
-class DisturbedArm {
- public:
-  DisturbedArm(double gain, const Vector6& disturbance) : gain_(gain), disturbance_(disturbance) {}
-
-  // Executes `command` minus `correction` for `steps` control steps, as one chunk.
-  ExecutedChunk Execute(const Vector6& command, const Vector6& correction, int steps = 5) {
-    ExecutedChunk chunk;
-    for (int i = 0; i < steps; ++i) {
-      ExecutedStep step;
-      step.before = state_;
-      step.policy_command = Eigen::VectorXf::Zero(7);
-      step.policy_command.head<6>() = command.cast<float>();
-      step.sent_command = step.policy_command;
-      step.sent_command.head<6>() = (command - correction).cast<float>();
-      Move(step.sent_command.head<6>().cast<double>());
-      chunk.steps.push_back(step);
-    }
-    chunk.final_state = state_;
-    return chunk;
-  }
-  const Vector6& last_motion() const { return motion_; }  // normalised
-
- private:
-  void Move(const Vector6& command) {
-    motion_ = arm_.Step(gain_ * command + disturbance_);
-    state_.tool.p_base_tool += 0.05 * motion_.head<3>();
-    state_.tool.q_base_tool =
-        (ExpSo3(0.5 * motion_.tail<3>()) * state_.tool.q_base_tool).normalized();
-  }
-
-  double gain_;
-  Vector6 disturbance_, motion_ = Vector6::Zero();
-  NominalArm arm_{NominalArmOptions()};
-  RobotState state_;
-};
 
 MethodOptions Method(const std::vector<std::string>& overrides = {}) {
   std::vector<std::string> all = {"integral_rate=0.1", "integral_axes=all"};

@@ -92,7 +92,7 @@ TEST(PaperPlan, FullIsThePapersProtocol) {
   const auto units = PaperUnits(*grids);
   ASSERT_TRUE(units.ok());
   // Eight columns, eight scenarios, four suites, three seeds; 20 episodes on each of ten tasks.
-  EXPECT_EQ(units->size(), 8u * 8 * 4 * 3);
+  EXPECT_EQ(units->size(), 9u * 8 * 4 * 3);
   for (const PlannedUnit& unit : *units) EXPECT_EQ(unit.EpisodeCount(), 200);
 }
 
@@ -118,8 +118,8 @@ TEST(PaperPlan, WeightsGoToLiberoAtThePapersRateAndMissingColumnsAreLeftOut) {
   ASSERT_TRUE(grids.ok()) << grids.status();
   const auto units = PaperUnits(*grids);
   ASSERT_TRUE(units.ok()) << units.status();
-  EXPECT_EQ(units->size(), 5u * 8 * 4 * 3)
-      << "base, ours, integral action and the two controls of one policy";
+  EXPECT_EQ(units->size(), 6u * 8 * 4 * 3)
+      << "base, ours, integral action, model following and the two controls of one policy";
   for (const PlannedUnit& unit : *units) {
     EXPECT_EQ(unit.config.suite.rfind("libero_", 0), 0u);
     EXPECT_EQ(unit.config.method.learning_rate, 1e-6);

@@ -288,7 +288,7 @@ TEST_F(DurableSession, KeepsAnImportedAdapterItsGuardAndTheDirectCorrection) {
             straight.session().Counters()->updates_guarded);
 
   guard_ = {};
-  for (const char* method : {"direct", "ours_integral"}) {
+  for (const char* method : {"direct", "ours_integral", "ours_following"}) {
     fs::remove_all(folder_);
     spec_ = Spec(method);
     Client straight(Make(rig)), kept(Begin(rig));

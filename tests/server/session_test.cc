@@ -61,7 +61,8 @@ TEST(Session, RefusesInJointSpaceWhatOnlyEndEffectorCommandsCanMean) {
   Rig rig;
   for (const auto& [method, word] :
        {std::pair{"ours_nominal", "end-effector"}, std::pair{"gain", "absolute joint targets"},
-        std::pair{"ours_integral", "disturbance observer"}}) {
+        std::pair{"ours_integral", "disturbance observer"},
+        std::pair{"ours_following", "model following"}}) {
     SessionSpec spec = Spec(method, {});
     spec.robot = "piper_new";
     const auto session = Session::Create(spec, {rig.policy, &rig.adaptation, &rig.inference}, 1);
@@ -520,6 +521,27 @@ TEST(Session, IntegralActionSubtractsWhatTheArmDidBeyondANominalOneAndKeepsItBet
   }
 }
 
+TEST(Session, ModelFollowingAddsWhatTheArmIsBehindAndForgetsItBetweenEpisodes) {
+  Rig rig;
+  const SessionSpec spec = Spec("ours_following");
+  Client client(rig.Open(spec), /*gain=*/0.5);
+  ModelFollowing expected(spec.method, ResidualOptionsOf(spec.method), {});
+  for (int episode = 0; episode < 2; ++episode) {
+    client.StartEpisode(0, episode);
+    expected.StartEpisode();
+    for (int chunk = 0; chunk < 4; ++chunk) {
+      const PredictedChunk prediction = client.Predict();
+      const Eigen::RowVectorXf added = expected.correction().cast<float>().transpose();
+      EXPECT_EQ(added.norm() > 0, chunk > 0);
+      EXPECT_EQ(prediction.actions.leftCols(6),
+                Eigen::MatrixXf(prediction.policy_actions.leftCols(6).rowwise() + added));
+      const ExecutedChunk executed = client.Execute(prediction);
+      client.Send(executed);
+      expected.Observe(executed);
+    }
+  }
+}
+
 TEST(Session, BaseActionsAreTheUnadaptedPolicys) {
   Rig rig;
   Client client(rig.Open(Spec("ours", {kRate})));
@@ -717,6 +739,9 @@ TEST(Session, RefusesMethodOptionsThatMakeNoSense) {
   EXPECT_THAT(refusal(Spec("ours_integral", {"direct=true"})), HasSubstr("exclude each other"));
   EXPECT_THAT(refusal(Spec("ours_integral", {"integral_rate=1.5"})),
               HasSubstr("integral_rate is 1.5, must be 0..1"));
+  EXPECT_THAT(refusal(Spec("ours_following", {"direct=true"})), HasSubstr("following_gain to 0"));
+  EXPECT_THAT(refusal(Spec("ours_following", {"following_memory=0.5"})),
+              HasSubstr("following_memory is 0.5, must be 1..1e6"));
   SessionSpec unknown = Spec("base");
   unknown.method.method = "magic";
   EXPECT_THAT(refusal(unknown), HasSubstr("unknown method 'magic'; known: base, ours"));

@@ -1,0 +1,65 @@
+#include "adapter/command_correction.h"
+
+#include "absl/algorithm/container.h"
+
+namespace robostress {
+namespace {
+
+// Mean residual of the unmasked steps [action_dim]; none: nothing.
+std::optional<Eigen::VectorXd> MeanResidual(const ExecutedChunk& executed,
+                                            const ResidualOptions& options) {
+  const auto masked = absl::c_count(executed.masked, true);
+  if (masked == static_cast<int64_t>(executed.steps.size())) return std::nullopt;
+  const Eigen::MatrixXd residual = ChunkResidual(executed, options);  // masked rows are 0
+  if (masked == 0) return residual.colwise().mean().transpose();
+  return residual.colwise().sum().transpose() / static_cast<double>(residual.rows() - masked);
+}
+
+}  // namespace
+
+CommandCorrection::CommandCorrection(const MethodOptions& method, const ResidualOptions& residual,
+                                     const NominalArmOptions& arm)
+    : has_direct_(method.direct), residual_(residual) {
+  if (method.integral_rate > 0) integral_.emplace(method, residual, arm);
+  if (method.following_gain > 0) following_.emplace(method, residual, arm);
+}
+
+void CommandCorrection::StartEpisode() {
+  direct_.resize(0);
+  if (integral_) integral_->StartEpisode();
+  if (following_) following_->StartEpisode();
+}
+
+void CommandCorrection::Observe(const ExecutedChunk& chunk) {
+  if (has_direct_) direct_ = MeanResidual(chunk, residual_).value_or(direct_);
+  if (integral_) integral_->Observe(chunk);
+  if (following_) following_->Observe(chunk);
+}
+
+Eigen::VectorXd CommandCorrection::Value() const {
+  if (!integral_ && !following_) return -direct_;
+  Eigen::VectorXd value = Eigen::VectorXd::Zero(6);
+  if (integral_) value -= integral_->estimate();
+  if (following_) value += following_->correction();
+  return value;
+}
+
+CommandCorrection::State CommandCorrection::state() const {
+  State state;
+  state.direct = direct_;
+  if (integral_) state.integral = integral_->State();
+  if (following_) state.following = following_->State();
+  return state;
+}
+
+bool CommandCorrection::set_state(const State& state) {
+  if (!has_direct_ && state.direct.size() > 0) return false;
+  if (state.integral.size() != (integral_ ? IntegralAction::kStateSize : 0)) return false;
+  if (state.following.size() != (following_ ? ModelFollowing::kStateSize : 0)) return false;
+  direct_ = state.direct;
+  if (integral_) integral_->SetState(state.integral);
+  if (following_) following_->SetState(state.following);
+  return true;
+}
+
+}  // namespace robostress
