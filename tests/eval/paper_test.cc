@@ -301,7 +301,7 @@ TEST_F(PaperProgram, ListsTheTables) {
   const auto [output, code] = Paper("--list");
   EXPECT_EQ(code, 0);
   for (const PublishedTable& table : PublishedTables()) EXPECT_THAT(output, HasSubstr(table.label));
-  EXPECT_THAT(output, HasSubstr("--full: 768 units, 153600 episodes"));
+  EXPECT_THAT(output, HasSubstr("--full: 864 units, 172800 episodes"));
 }
 
 TEST_F(PaperProgram, RunsATableAndTheNextOneOnlyWhatIsMissing) {
