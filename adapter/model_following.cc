@@ -9,6 +9,7 @@ ModelFollowing::ModelFollowing(const MethodOptions& method, const ResidualOption
     : gain_(method.following_gain),
       keep_(1 - 1 / method.following_memory),
       limit_(method.following_limit),
+      axes_(method.following_axes == FollowingAxes::kHorizontal ? 2 : 3),
       residual_(residual),
       arm_(arm) {
   residual_.scale = ResidualScale::kCommand;
@@ -32,7 +33,7 @@ void ModelFollowing::Observe(const ExecutedChunk& chunk) {
 
 ModelFollowing::Vector6 ModelFollowing::correction() const {
   Vector6 correction = Vector6::Zero();
-  correction.head<3>() = (gain_ * shortfall_).cwiseMax(-limit_).cwiseMin(limit_);
+  correction.head(axes_) = (gain_ * shortfall_.head(axes_)).cwiseMax(-limit_).cwiseMin(limit_);
   return correction;
 }
 

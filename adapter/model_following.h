@@ -48,6 +48,7 @@ class ModelFollowing {
 
  private:
   double gain_, keep_, limit_;
+  int axes_;  // the first so many
   ResidualOptions residual_;  // scale command: dx in normalised actions
   NominalArm arm_;
   Eigen::Vector3d shortfall_ = Eigen::Vector3d::Zero();

@@ -48,8 +48,10 @@ void IntegrateTheDisturbance(MethodOptions& o) {
 }
 
 void FollowTheNominalArm(MethodOptions& o) {
+  IntegrateTheDisturbance(o);
   o.following_gain = kFollowingGain;
   o.following_memory = kFollowingMemory;
+  o.following_axes = FollowingAxes::kHorizontal;
 }
 
 constexpr Preset kPresets[] = {

@@ -13,6 +13,7 @@ enum class TargetReference { kExecuted, kIntent, kNominal };
 enum class LoraKind { kPerHead, kPerMatrix };
 enum class ExecutionMode { kLockstep, kAsync };
 enum class IntegralAxes { kAll, kTranslation };
+enum class FollowingAxes { kTranslation, kHorizontal };
 enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozenState };
 
 // Everything that distinguishes one method from another; the defaults are the paper's (sec:supp_method,
@@ -40,6 +41,7 @@ struct MethodOptions {
   double following_gain = 0;         // K of ModelFollowing, command per shortfall; 0: none
   double following_memory = 20;      // [control steps] that a shortfall counts
   double following_limit = 0.5;      // bound of its correction on each axis [command units]
+  FollowingAxes following_axes = FollowingAxes::kTranslation;
   double gain = 1.0;                 // commands (gripper excluded) scaled by this before they are sent
   TargetReference target = TargetReference::kExecuted;
   ResidualScale residual_scale = ResidualScale::kCommand;
@@ -80,6 +82,8 @@ struct MethodOptions {
     v.Field("following_gain", following_gain, "model following: command per distance that the arm is behind a nominal one [command units]; 0: none");
     v.Field("following_memory", following_memory, "control steps after which a distance fallen behind is forgotten to 1/e");
     v.Field("following_limit", following_limit, "bound of its correction on each axis [command units]");
+    v.Choice("following_axes", following_axes, {{"translation", FollowingAxes::kTranslation}, {"horizontal", FollowingAxes::kHorizontal}},
+             "axes that follow; horizontal: x and y of the base frame");
     v.Field("gain", gain, "constant factor on every command, gripper excluded");
     v.Choice("target", target,
              {{"executed", TargetReference::kExecuted}, {"intent", TargetReference::kIntent}, {"nominal", TargetReference::kNominal}},

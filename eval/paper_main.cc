@@ -12,6 +12,7 @@
 #include "common/status_macros.h"
 #include "eval/grid_flags.h"
 #include "eval/merged_sweep.h"
+#include "eval/outcomes.h"
 #include "eval/paper_programs.h"
 #include "eval/paper_results.h"
 #include "eval/paper_table.h"
@@ -32,7 +33,8 @@ constexpr char kExamples[] =
     "--libero-root LIBERO \\\n"
     "      --robosuite-root robosuite --out runs/paper-libero\n"
     "  robostress paper main --full --weights pi0 --server 10.0.0.7:50051 --out "
-    "runs/paper-libero\n\n"
+    "runs/paper-libero\n"
+    "  robostress paper main --full --outcomes seed0.jsonl seed1.jsonl --out runs/again\n\n"
     "--quick is the default. Tables share their units in --out: what one ran, another only reads. "
     "Running a command\nagain completes what is missing and repeats nothing. Leaves "
     "OUT/tables/TABLE.html, .md, .csv and .json.\nExit code: 0 all done, 1 a unit or a program "
@@ -42,6 +44,7 @@ struct CommandLine {
   std::vector<std::string> tables;
   bool quick = false, full = false, list = false, dry_run = false;
   std::string out, weights, randomised, robust, cloning, tasks;
+  std::vector<std::string> outcomes;
   GridFlags grid;
   int videos = 0, bootstrap_replicates = 4000;
   LaunchOptions launch;
@@ -81,6 +84,8 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
   app.add_option("--bootstrap", line.bootstrap_replicates, "Bootstrap replicates")
       ->check(CLI::Range(1, 1000000))
       ->capture_default_str();
+  app.add_option("--outcomes", line.outcomes,
+                 "Run nothing: lay the tables out from these files of `robostress store outcomes`");
   DeclareLaunchFlags(app, line.launch);
   DeclareClusterFlags(app, line.launch);
   app.footer(kExamples);
@@ -215,6 +220,23 @@ absl::Status Publish(const CommandLine& line, const FilledTable& table, const Ru
   return absl::OkStatus();
 }
 
+// One table from kept outcomes.
+absl::Status LayOutKept(const CommandLine& line, const PaperProtocol& protocol, const Work& work,
+                        const Outcomes& outcomes) {
+  if (!work.table.program.empty() || work.table.measure != PaperMeasure::kSuccess) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "table ", work.table.name,
+        " is not one of success, which is all that --outcomes holds; run it without --outcomes"));
+  }
+  RunData chosen = UnitsOf(outcomes.run, work.units);
+  std::vector<std::string> notes = HoldAgainstPlan(work.units, chosen);
+  FilledTable table =
+      FillPaperTable(work.table, protocol, chosen, work.units, line.bootstrap_replicates);
+  for (const auto& more : {notes, outcomes.notes})
+    table.notes.insert(table.notes.end(), more.begin(), more.end());
+  return Publish(line, table, nullptr);
+}
+
 // Runs one table; its exit code.
 absl::StatusOr<int> RunTable(CommandLine& line, const PaperProtocol& protocol, const Work& work) {
   if (!work.table.program.empty()) {
@@ -260,8 +282,19 @@ int Run(const CLI::App& app, CommandLine& line) {
                             line.weights.empty() ? "" : "-libero");
   }
   if (line.dry_run) return PrintTables(line, *all);
+  Outcomes outcomes;
+  if (!line.outcomes.empty()) {
+    absl::StatusOr<Outcomes> read = ReadOutcomes(line.outcomes);
+    if (!read.ok()) return FailCommand(kCommand, read.status());
+    outcomes = *std::move(read);
+  }
   int code = 0;
   for (const Work& work : *all) {
+    if (!line.outcomes.empty()) {
+      const absl::Status kept = LayOutKept(line, *protocol, work, outcomes);
+      if (!kept.ok()) code = std::max(code, FailCommand(kCommand, kept));
+      continue;
+    }
     const absl::StatusOr<int> of_table = RunTable(line, *protocol, work);
     // A table that cannot be made does not keep the others from being made.
     code = std::max(code, of_table.ok() ? *of_table : FailCommand(kCommand, of_table.status()));

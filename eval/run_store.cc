@@ -196,14 +196,17 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
     return absl::NotFoundError(
         absl::StrCat(dir, " has no finished unit; run the sweep that made it again, it continues"));
   }
-  std::stable_sort(run.units.begin(), run.units.end(),
-                   [](const UnitResult& a, const UnitResult& b) {
-                     return CanonicalKey(a.config) < CanonicalKey(b.config);
-                   });
+  SortUnits(run.units);
   if (const auto text = ReadFile(dir + "/environment.json"); text.ok())
     run.environment = json::parse(*text, nullptr, false);
   run.sweep_wall_s = LaunchSeconds(dir + "/launches.jsonl");
   return run;
+}
+
+void SortUnits(std::vector<UnitResult>& units) {
+  std::stable_sort(units.begin(), units.end(), [](const UnitResult& a, const UnitResult& b) {
+    return CanonicalKey(a.config) < CanonicalKey(b.config);
+  });
 }
 
 std::string MixedMachinesNote(const RunData& run) {

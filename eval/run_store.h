@@ -65,6 +65,8 @@ absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::st
 // everything that is wrong listed: finished units whose files are damaged or contradict their
 // configuration or checksum, units of one policy with different weights, grids that cannot be read.
 absl::StatusOr<RunData> LoadRun(const std::string& dir);
+// Canonical order: suite, scenario, severity, policy, method, seed.
+void SortUnits(std::vector<UnitResult>& units);
 // The episode table: a header, then one row per episode in canonical order. Byte-equal for equal
 // results, however many workers produced them; no timing in it.
 std::string EpisodeTableCsv(const RunData& run);

@@ -6,8 +6,11 @@
 
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "common/status_macros.h"
 #include "eval/exit_code.h"
 #include "eval/merged_sweep.h"
+#include "eval/outcomes.h"
 #include "eval/report.h"
 #include "eval/store_check.h"
 #include "eval/store_index.h"
@@ -24,6 +27,7 @@ constexpr char kExamples[] =
     "  robostress store verify runs/main\n"
     "  robostress store merge runs/cluster_a runs/cluster_b --out runs/all\n"
     "  robostress store index --index runs/index.sqlite runs/main runs/levels\n"
+    "  robostress store outcomes runs/main --out outcomes.jsonl\n"
     "  sqlite3 runs/index.sqlite \"SELECT method, scenario, AVG(success) FROM episodes JOIN units "
     "USING(store, unit) GROUP BY 1, 2\"\n\n"
     "Exit code: 0 complete and sound; 1 units are unfinished or missing, or another error; 2 the "
@@ -96,11 +100,28 @@ int MakeIndex(const CommandLine& line) {
   return result->damaged.empty() ? kExitDone : kExitBadStore;
 }
 
+int WriteOutcomes(const CommandLine& line) {
+  const auto write = [&]() -> absl::StatusOr<size_t> {
+    RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(line.stores[0]));
+    RS_ASSIGN_OR_RETURN(const std::string text, OutcomesText(run));
+    RS_RETURN_IF_ERROR(WriteFileAtomically(line.out, text));
+    return run.units.size();
+  };
+  const absl::StatusOr<size_t> units = write();
+  if (absl::IsDataLoss(units.status())) {
+    FailCommand(kCommand, units.status());
+    return kExitBadStore;
+  }
+  if (!units.ok()) return FailCommand(kCommand, units.status());
+  std::printf("%s: outcomes of %zu units\n", line.out.c_str(), *units);
+  return kExitDone;
+}
+
 }  // namespace
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Checks, merges and indexes run directories.", "robostress store");
+  CLI::App app("Checks, merges, indexes and condenses run directories.", "robostress store");
   app.footer(robostress::kExamples);
   app.require_subcommand(1);
   robostress::CommandLine line;
@@ -115,12 +136,20 @@ int main(int argc, char** argv) {
   merge->add_option("--out", line.out, "Run directory to make or extend")->required();
   CLI::App* index = add("index", "Bring an SQLite index up to date, for questions");
   index->add_option("--index", line.index, "File (default: index.sqlite in the first RUN)");
+  CLI::App* outcomes = app.add_subcommand(
+      "outcomes", "Write what every finished episode ended in, one line per unit, small enough to "
+                  "keep; `robostress paper --outcomes` reads it");
+  outcomes->add_option("RUN", line.stores, "Run directory: the --out of a sweep")
+      ->required()
+      ->expected(1);
+  outcomes->add_option("--out", line.out, "File to write")->required();
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? robostress::kExitDone : robostress::kExitWrongCommand;
   }
   if (verify->parsed()) return robostress::Verify(line);
+  if (outcomes->parsed()) return robostress::WriteOutcomes(line);
   if (merge->parsed()) return robostress::Merge(line);
   return robostress::MakeIndex(line);
 }
