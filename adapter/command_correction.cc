@@ -39,7 +39,7 @@ void CommandCorrection::Observe(const ExecutedChunk& chunk) {
 Eigen::VectorXd CommandCorrection::Value() const {
   if (!integral_ && !following_) return -direct_;
   Eigen::VectorXd value = Eigen::VectorXd::Zero(6);
-  if (integral_) value -= integral_->estimate();
+  if (integral_) value += integral_->correction();
   if (following_) value += following_->correction();
   return value;
 }

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "adapter/shrinkage.h"
 #include "common/check.h"
 
 namespace robostress {
@@ -10,7 +11,7 @@ IntegralAction::IntegralAction(const MethodOptions& method, const ResidualOption
                                const NominalArmOptions& arm)
     : rate_(method.integral_rate),
       limit_(method.integral_limit),
-      deadband_(method.integral_deadband),
+      threshold_(method.integral_threshold),
       gain_(method.tracking_gain),
       axes_(method.integral_axes == IntegralAxes::kTranslation ? 3 : 6),
       carry_(method.integral_carry),
@@ -30,12 +31,16 @@ void IntegralAction::Observe(const ExecutedChunk& chunk) {
     if (chunk.IsMasked(i)) continue;
     const Vector6 achieved = AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), residual_);
     for (int axis = 0; axis < axes_; ++axis) {
-      double disturbance = (achieved[axis] - nominal[axis]) / gain_;
-      if (std::abs(disturbance) < deadband_) disturbance = 0;
+      const double disturbance = (achieved[axis] - nominal[axis]) / gain_;
       estimate_[axis] += rate_ * (disturbance - estimate_[axis]);
     }
     estimate_ = estimate_.cwiseMax(-limit_).cwiseMin(limit_);
   }
+}
+
+IntegralAction::Vector6 IntegralAction::correction() const {
+  return -estimate_.unaryExpr(
+      [&](double axis) { return KeptShare(std::abs(axis), threshold_) * axis; });
 }
 
 Eigen::VectorXd IntegralAction::State() const {

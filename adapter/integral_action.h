@@ -39,13 +39,15 @@ class IntegralAction {
   // Masked steps move the nominal arm and not the estimate.
   void Observe(const ExecutedChunk& chunk);
   const Vector6& estimate() const { return estimate_; }
+  // What is added to a policy's commands.
+  Vector6 correction() const;
 
   // Estimate, nominal goal, nominal velocity: all that it remembers.
   Eigen::VectorXd State() const;
   void SetState(const Eigen::VectorXd& state);
 
  private:
-  double rate_, limit_, deadband_, gain_;
+  double rate_, limit_, threshold_, gain_;
   int axes_;  // the first so many
   bool carry_;
   ResidualOptions residual_;  // scale command: dx in normalised actions

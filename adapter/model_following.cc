@@ -1,5 +1,6 @@
 #include "adapter/model_following.h"
 
+#include "adapter/shrinkage.h"
 #include "common/check.h"
 
 namespace robostress {
@@ -8,6 +9,7 @@ ModelFollowing::ModelFollowing(const MethodOptions& method, const ResidualOption
                                const NominalArmOptions& arm)
     : gain_(method.following_gain),
       keep_(1 - 1 / method.following_memory),
+      threshold_(method.following_threshold),
       limit_(method.following_limit),
       axes_(method.following_axes == FollowingAxes::kHorizontal ? 2 : 3),
       residual_(residual),
@@ -33,7 +35,9 @@ void ModelFollowing::Observe(const ExecutedChunk& chunk) {
 
 ModelFollowing::Vector6 ModelFollowing::correction() const {
   Vector6 correction = Vector6::Zero();
-  correction.head(axes_) = (gain_ * shortfall_.head(axes_)).cwiseMax(-limit_).cwiseMin(limit_);
+  const Eigen::VectorXd followed = shortfall_.head(axes_);
+  const double share = KeptShare(followed.norm(), threshold_);
+  correction.head(axes_) = (gain_ * share * followed).cwiseMax(-limit_).cwiseMin(limit_);
   return correction;
 }
 

@@ -47,7 +47,7 @@ class ModelFollowing {
   void SetState(const Eigen::VectorXd& state);
 
  private:
-  double gain_, keep_, limit_;
+  double gain_, keep_, threshold_, limit_;
   int axes_;  // the first so many
   ResidualOptions residual_;  // scale command: dx in normalised actions
   NominalArm arm_;

@@ -35,11 +35,12 @@ struct MethodOptions {
   bool direct = false;               // subtract the previous chunk's mean residual, no updates
   double integral_rate = 0;          // k of IntegralAction, per control step; 0: none
   double integral_limit = 0.2;       // bound of its estimate on each axis [command units]
-  double integral_deadband = 0;      // smaller residuals count as none [command units]
+  double integral_threshold = 0;     // smaller estimates correct nothing [command units]
   IntegralAxes integral_axes = IntegralAxes::kAll;
   bool integral_carry = false;       // the estimate outlives its episode
   double following_gain = 0;         // K of ModelFollowing, command per shortfall; 0: none
   double following_memory = 20;      // [control steps] that a shortfall counts
+  double following_threshold = 0;    // a smaller shortfall corrects nothing [command units]
   double following_limit = 0.5;      // bound of its correction on each axis [command units]
   FollowingAxes following_axes = FollowingAxes::kTranslation;
   double gain = 1.0;                 // commands (gripper excluded) scaled by this before they are sent
@@ -75,12 +76,13 @@ struct MethodOptions {
     v.Field("direct", direct, "subtract the previous chunk's mean residual from the next chunk");
     v.Field("integral_rate", integral_rate, "integral action: share of the newest disturbance in the estimate, per control step; 0: none");
     v.Field("integral_limit", integral_limit, "bound of the estimated disturbance on each axis [command units]");
-    v.Field("integral_deadband", integral_deadband, "smaller disturbances of a control step count as none [command units]");
+    v.Field("integral_threshold", integral_threshold, "estimates below it correct nothing, larger ones d by d - threshold^2 / d [command units]");
     v.Choice("integral_axes", integral_axes, {{"all", IntegralAxes::kAll}, {"translation", IntegralAxes::kTranslation}},
              "axes whose disturbance is estimated and subtracted");
     v.Field("integral_carry", integral_carry, "keep the estimate across episodes");
     v.Field("following_gain", following_gain, "model following: command per distance that the arm is behind a nominal one [command units]; 0: none");
     v.Field("following_memory", following_memory, "control steps after which a distance fallen behind is forgotten to 1/e");
+    v.Field("following_threshold", following_threshold, "a distance below it corrects nothing, a larger one e by e - threshold^2 / e [command units]");
     v.Field("following_limit", following_limit, "bound of its correction on each axis [command units]");
     v.Choice("following_axes", following_axes, {{"translation", FollowingAxes::kTranslation}, {"horizontal", FollowingAxes::kHorizontal}},
              "axes that follow; horizontal: x and y of the base frame");

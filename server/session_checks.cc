@@ -58,12 +58,14 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
     return invalid("integral_rate is ", m.integral_rate, ", must be 0..1");
   if (!in_range(m.integral_limit, 0, 10))
     return invalid("integral_limit is ", m.integral_limit, ", must be 0..10");
-  if (!in_range(m.integral_deadband, 0, 10))
-    return invalid("integral_deadband is ", m.integral_deadband, ", must be 0..10");
+  if (!in_range(m.integral_threshold, 0, 10))
+    return invalid("integral_threshold is ", m.integral_threshold, ", must be 0..10");
   if (!in_range(m.following_gain, 0, 10))
     return invalid("following_gain is ", m.following_gain, ", must be 0..10");
   if (!in_range(m.following_memory, 1, 1e6))
     return invalid("following_memory is ", m.following_memory, ", must be 1..1e6");
+  if (!in_range(m.following_threshold, 0, 10))
+    return invalid("following_threshold is ", m.following_threshold, ", must be 0..10");
   if (!in_range(m.following_limit, 0, 10))
     return invalid("following_limit is ", m.following_limit, ", must be 0..10");
   if (!in_range(m.gain, -100, 100)) return invalid("gain is ", m.gain, ", must be in -100..100");

@@ -65,12 +65,14 @@ TEST(IntegralAction, EstimatesTheAxesItIsAskedFor) {
   EXPECT_EQ(integral.estimate().tail<3>(), Eigen::Vector3d::Zero());
 }
 
-TEST(IntegralAction, TakesLittleForNothingWithADeadband) {
-  IntegralAction integral = Make(Method({"integral_deadband=0.1"}));
+TEST(IntegralAction, TakesLittleForNothingWithAThreshold) {
+  IntegralAction integral = Make(Method({"integral_threshold=0.1"}));
+  EXPECT_EQ(integral.correction(), Vector6::Zero());
   DisturbedArm arm(1, kDisturbance);
   Drive(integral, arm, kCommand, 40);
-  EXPECT_EQ(integral.estimate()[1], 0);
-  EXPECT_LT(integral.estimate()[2], -0.05);
+  EXPECT_NEAR(integral.estimate()[1], 0.05, 2e-3) << "what is estimated stays as it is";
+  EXPECT_EQ(integral.correction()[1], 0);
+  EXPECT_NEAR(integral.correction()[2], 0.3 - 0.01 / 0.3, 2e-3);
 }
 
 TEST(IntegralAction, MaskedStepsMoveTheNominalArmAndNotTheEstimate) {

@@ -16,7 +16,9 @@ using Vector6 = NominalArm::Vector6;
 constexpr double kSteadyGain = 0.267;  // of a nominal arm
 
 MethodOptions Method(const std::vector<std::string>& overrides = {}) {
-  std::vector<std::string> all = {"following_gain=0.3", "following_memory=20"};
+  std::vector<std::string> all = {"following_gain=0.3", "following_memory=20",
+                                  "following_axes=translation", "following_threshold=0",
+                                  "integral_rate=0"};
   all.insert(all.end(), overrides.begin(), overrides.end());
   return *MakeMethod("ours_following", all);
 }
@@ -81,6 +83,38 @@ TEST(ModelFollowing, LostMotionThatComesBackLeavesNothing) {
   EXPECT_NEAR(following.correction()[2], 0, 1e-6);
 }
 
+TEST(ModelFollowing, FollowsInThePlaneOrInSpace) {
+  for (const bool in_plane : {true, false}) {
+    ModelFollowing following =
+        Make(Method({in_plane ? "following_axes=horizontal" : "following_axes=translation"}));
+    DisturbedArm arm(1, kDisturbance);
+    Drive(following, arm, kCommand, 40);
+    EXPECT_LT(following.correction()[1], -0.005);
+    if (in_plane) {
+      EXPECT_EQ(following.correction()[2], 0);
+    } else {
+      EXPECT_GT(following.correction()[2], 0.1);
+    }
+  }
+}
+
+TEST(ModelFollowing, AShortfallBelowTheThresholdCorrectsNothing) {
+  ModelFollowing all = Make(Method()), some = Make(Method({"following_threshold=0.2"}));
+  DisturbedArm arm(1, kDisturbance);
+  bool below = false, above = false;
+  for (int i = 0; i < 20; ++i) {
+    const ExecutedChunk chunk = arm.Execute(kCommand, Vector6::Zero());
+    all.Observe(chunk);
+    some.Observe(chunk);
+    const double size = all.correction().norm() / 0.3;
+    below = below || size < 0.2;
+    above = above || size > 0.3;
+    const double share = size < 0.2 ? 0 : 1 - 0.04 / (size * size);
+    EXPECT_LT((some.correction() - share * all.correction()).norm(), 1e-12);
+  }
+  EXPECT_TRUE(below && above);
+}
+
 TEST(ModelFollowing, KeepsItsBoundAndLeavesRotationsAlone) {
   ModelFollowing following = Make(Method({"following_limit=0.1"}));
   DisturbedArm arm(1, kDisturbance);
@@ -134,7 +168,7 @@ TEST(CommandCorrection, IsTheSumOfWhatTheMethodHasAndRefusesTheStateOfAnother) {
     integral.Observe(chunk);
     following.Observe(chunk);
   }
-  EXPECT_EQ(correction.Value(), Vector6(following.correction() - integral.estimate()));
+  EXPECT_EQ(correction.Value(), Vector6(following.correction() + integral.correction()));
   EXPECT_GT(correction.Value().norm(), 0);
   EXPECT_EQ(nothing.Value().size(), 0);
   EXPECT_FALSE(nothing.set_state(correction.state()));
