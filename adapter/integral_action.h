@@ -14,14 +14,16 @@ namespace robostress {
 //
 //   w_i = (dx_i - dx_nominal(c)_i) / g
 //   d  <- clip(d + k (w_i - d), -d_max, d_max)      per executed step
-//   c   = a - d                                     for the next chunk
+//   c   = a - KeptShare(|d|, d_min) d               for the next chunk, each axis
 //
-// symbol  name            shape  unit
-// a       policy command  [6]    normalised action
-// c       sent command    [6]    normalised action, with whatever else changed it
-// d       estimate        [6]    normalised action
-// g       tracking_gain   -      achieved / commanded displacement of a nominal arm
-// k       integral_rate   -      per control step
+// symbol  name                shape  unit
+// a       policy command      [6]    normalised action
+// c       sent command        [6]    normalised action, with whatever else changed it
+// d       estimate            [6]    normalised action
+// g       tracking_gain       -      achieved / commanded displacement of a nominal arm
+// k       integral_rate       -      per control step
+// d_max   integral_limit      -      normalised action
+// d_min   integral_threshold  -      normalised action; 0: c = a - d
 //
 // Where dx = g c + g d_0, d goes to d_0 and the arm does g a; an arm that answers as the nominal
 // one leaves d at 0, so Clean is a fixed point for every command. Under a lower gain g' it goes to

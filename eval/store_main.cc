@@ -137,8 +137,9 @@ int main(int argc, char** argv) {
   CLI::App* index = add("index", "Bring an SQLite index up to date, for questions");
   index->add_option("--index", line.index, "File (default: index.sqlite in the first RUN)");
   CLI::App* outcomes = app.add_subcommand(
-      "outcomes", "Write what every finished episode ended in, one line per unit, small enough to "
-                  "keep; `robostress paper --outcomes` reads it");
+      "outcomes",
+      "Write what every finished episode ended in, one line per unit, small enough to "
+      "keep; `robostress paper --outcomes` reads it");
   outcomes->add_option("RUN", line.stores, "Run directory: the --out of a sweep")
       ->required()
       ->expected(1);

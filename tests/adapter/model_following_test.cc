@@ -100,7 +100,7 @@ TEST(ModelFollowing, FollowsInThePlaneOrInSpace) {
 
 TEST(ModelFollowing, AShortfallBelowTheThresholdCorrectsNothing) {
   ModelFollowing all = Make(Method()), some = Make(Method({"following_threshold=0.2"}));
-  DisturbedArm arm(1, kDisturbance);
+  DisturbedArm arm(1, 0.25 * kDisturbance);
   bool below = false, above = false;
   for (int i = 0; i < 20; ++i) {
     const ExecutedChunk chunk = arm.Execute(kCommand, Vector6::Zero());

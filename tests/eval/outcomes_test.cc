@@ -79,12 +79,13 @@ TEST(Outcomes, AUnitInTwoFilesCountsOnceAndOrderDoesNotMatter) {
 TEST(Outcomes, EverythingThatIsWrongIsListed) {
   const std::string text = *OutcomesText(Finished());
   const std::string good = Written("good.jsonl", text);
-  const std::string other =
-      Written("other.jsonl", absl::StrReplaceAll(text, {{"[\"1101\"]", "[\"1111\"]"},
-                                                        {"[\"0111\"]", "[\"01x1\"]"}}));
+  const std::string other = Written(
+      "other.jsonl",
+      absl::StrReplaceAll(text, {{"[\"1101\"]", "[\"1111\"]"}, {"[\"0111\"]", "[\"01x1\"]"}}));
   const std::string refusal = Refusal({good, other, ::testing::TempDir() + "none.jsonl"});
   EXPECT_THAT(refusal, HasSubstr("tabletop_goal-clean-L5-nano-base-s0 stands in"));
-  EXPECT_THAT(refusal, HasSubstr("other.jsonl:2: field outcomes holds '01x1', must be 4 of 0 and 1"));
+  EXPECT_THAT(refusal,
+              HasSubstr("other.jsonl:2: field outcomes holds '01x1', must be 4 of 0 and 1"));
   EXPECT_THAT(refusal, HasSubstr("none.jsonl"));
   EXPECT_THAT(Refusal({Written("text.jsonl", "hello\n")}), HasSubstr("text.jsonl:1: not a JSON"));
   EXPECT_THAT(Refusal({Written("field.jsonl", absl::StrReplaceAll(text, {{"seed", "sead"}}))}),
