@@ -24,12 +24,10 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
     return invalid("policy ", policy.name, " has no layers to adapt; use base");
   if (m.adapt && m.direct)
     return invalid("adapt and direct exclude each other; set one of them to false");
-  if (m.direct && m.integral_rate > 0)
+  if (m.direct && (m.integral_rate > 0 || m.following_gain > 0))
     return invalid(
-        "direct and integral_rate exclude each other; set direct to false or integral_rate to 0");
-  if (m.direct && m.following_gain > 0)
-    return invalid(
-        "direct and following_gain exclude each other; set direct to false or following_gain to 0");
+        "direct and integral_rate or following_gain exclude each other; set direct to false or "
+        "these to 0");
   if (m.buffer_chunks < 1 || m.buffer_chunks > 4096)
     return invalid("buffer_chunks is ", m.buffer_chunks, ", must be 1..4096");
   if (m.update_interval < 1)
@@ -93,7 +91,7 @@ absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy)
   if (ActsInJointSpace(spec) && (spec.method.integral_rate > 0 || spec.method.following_gain > 0)) {
     return absl::InvalidArgumentError(
         absl::StrCat("method ", spec.method.method, ": ",
-                     spec.method.integral_rate > 0 ? "integral action" : "model following",
+                     spec.method.following_gain > 0 ? "model following" : "integral action",
                      " compares with a nominal end-effector controller; robot ", spec.robot,
                      " acts in joint space: use the disturbance observer of its client"));
   }
