@@ -220,8 +220,8 @@ std::vector<std::string> Notes(const PaperTable& table, const PaperProtocol& pro
   const size_t unfinished = planned.size() - run.units.size();
   if (unfinished > 0) {
     notes.push_back(absl::StrCat(unfinished, " of ", planned.size(),
-                                 " planned units are not finished and enter no number; the same "
-                                 "command completes them."));
+                                 " planned units are not finished and enter no number; running the "
+                                 "plan completes them."));
   }
   if (!table.contrasts.empty()) {
     notes.push_back(
