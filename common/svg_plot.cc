@@ -46,7 +46,7 @@ std::string IntervalPlot(const std::vector<std::string>& categories,
                          const IntervalPlotOptions& options) {
   size_t longest = 0;  // bytes, which is what names of scenarios have as many of as columns
   for (const std::string& category : categories) longest = std::max(longest, category.size());
-  const int width = 860, left = std::max(190, 24 + static_cast<int>(7.3 * longest)), right = 24,
+  const int width = 860, left = std::max(190, 24 + static_cast<int>(7.9 * longest)), right = 24,
             top = 44, lane = 13;
   const int band = 14 + lane * static_cast<int>(std::max<size_t>(1, series.size()));
   const int plot_bottom = top + band * static_cast<int>(categories.size());
