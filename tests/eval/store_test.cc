@@ -151,13 +151,13 @@ TEST_F(Store, OutcomesMakeThePapersTableAgain) {
   const std::string tables = "anchor ablation --tasks 2 --episodes 3 --bootstrap 50 ";
   ASSERT_EQ(Run("paper", tables + Out("paper")), 0) << output_;
   EXPECT_EQ(StoreCommand("outcomes", {"paper"}, Out("kept.jsonl")), 0) << output_;
-  EXPECT_THAT(output_, HasSubstr("outcomes of 35 units"));
+  EXPECT_THAT(output_, HasSubstr("outcomes of 42 units"));
   const std::string kept = " --outcomes '" + folder_ + "/kept.jsonl'";
   ASSERT_EQ(Run("paper", tables + kept + Out("again")), 0) << output_;
   EXPECT_FALSE(fs::exists(folder_ + "/again/units")) << "nothing ran";
   for (const char* file : {"/tables/anchor.csv", "/tables/ablation.md"})
     EXPECT_EQ(Text("again" + std::string(file)), Text("paper" + std::string(file)));
-  EXPECT_EQ(Run("paper", "residual dob" + kept + Out("again")), 1);
+  EXPECT_EQ(Run("paper", "residual dob" + kept + Out("again")), 2);
   EXPECT_THAT(output_, AllOf(HasSubstr("table residual is not one of success"),
                              HasSubstr("table dob is not one of success")));
   EXPECT_EQ(StoreCommand("outcomes", {"nowhere"}, Out("none.jsonl")), 1);
