@@ -60,6 +60,10 @@ absl::StatusOr<UnitResult> ParseUnit(const json& fields) {
   config.first_initial_state = fields.at("first_initial_state").get<int>();
   config.tasks = fields.at("tasks").get<std::vector<int>>();
   RS_ASSIGN_OR_RETURN(config.method, MakeMethod(fields.at("method").get<std::string>()));
+  if (const std::string named = UnitId(config); named != unit.id) {
+    return absl::DataLossError(
+        absl::StrCat("field unit is '", unit.id, "', but its other fields are those of ", named));
+  }
   const auto outcomes = fields.at("outcomes").get<std::vector<std::string>>();
   if (outcomes.size() != config.tasks.size() || outcomes.empty()) {
     return absl::DataLossError(absl::StrCat("field outcomes has ", outcomes.size(),

@@ -285,14 +285,17 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   return grid;
 }
 
+std::string UnitId(const UnitConfig& config) {
+  return absl::StrCat(config.suite, "-", ScenarioLabel(config.scenario), "-L", config.severity, "-",
+                      PolicyLabel(config.policy), "-", config.method.method, "-s", config.seed);
+}
+
 absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
   std::vector<PlannedUnit> units;
   const auto add = [&](UnitConfig config, const std::string& method) -> absl::Status {
     RS_ASSIGN_OR_RETURN(config.method, MakeMethod(method));
+    const std::string id = UnitId(config);
     RS_RETURN_IF_ERROR(ApplyOverrides(grid.overrides, config));
-    const std::string id =
-        absl::StrCat(config.suite, "-", ScenarioLabel(config.scenario), "-L", config.severity, "-",
-                     PolicyLabel(config.policy), "-", method, "-s", config.seed);
     units.push_back({id, std::move(config)});
     return absl::OkStatus();
   };

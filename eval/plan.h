@@ -76,6 +76,8 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home = PolicyHo
 // adapt (expert, replay) gets the method base only; a scenario that is equal at all levels gets one
 // level.
 absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& resolved);
+// The id of the unit with these settings; method.method names the method.
+std::string UnitId(const UnitConfig& config);
 // True when every level of the scenario is the same (clean, nominal, dev_mixed).
 bool SameAtEveryLevel(const std::string& scenario);
 // True for policies that run inside the worker.

@@ -90,6 +90,9 @@ TEST(Outcomes, EverythingThatIsWrongIsListed) {
   EXPECT_THAT(Refusal({Written("text.jsonl", "hello\n")}), HasSubstr("text.jsonl:1: not a JSON"));
   EXPECT_THAT(Refusal({Written("field.jsonl", absl::StrReplaceAll(text, {{"seed", "sead"}}))}),
               HasSubstr("'seed' not found"));
+  EXPECT_THAT(Refusal({Written("name.jsonl", absl::StrReplaceAll(text, {{"-s0", "-s1"}}))}),
+              HasSubstr("name.jsonl:1: field unit is 'tabletop_goal-clean-L5-nano-base-s1', but its "
+                        "other fields are those of tabletop_goal-clean-L5-nano-base-s0"));
   EXPECT_THAT(
       Refusal({Written("method.jsonl", absl::StrReplaceAll(text, {{"\"ours\"", "\"hours\""}}))}),
       HasSubstr("unknown method 'hours'"));
