@@ -4,10 +4,10 @@
 #include <cstdio>
 #include <string>
 
-#include "eval/close_loop.h"
-#include "eval/close_piper_loop.h"
-#include "eval/merged_sweep.h"
-#include "eval/plan.h"
+#include "eval/close_loop/close_loop.h"
+#include "eval/close_loop/close_piper_loop.h"
+#include "eval/launch/merged_sweep.h"
+#include "eval/plan/plan.h"
 
 namespace {
 

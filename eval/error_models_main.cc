@@ -5,7 +5,7 @@
 
 #include "CLI/CLI.hpp"
 #include "common/atomic_file.h"
-#include "eval/error_model_plots.h"
+#include "eval/report/error_model_plots.h"
 
 int main(int argc, char** argv) {
   CLI::App app(

@@ -10,13 +10,13 @@
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
-#include "eval/grid_flags.h"
-#include "eval/merged_sweep.h"
-#include "eval/outcomes.h"
-#include "eval/paper_programs.h"
-#include "eval/paper_results.h"
-#include "eval/paper_table.h"
-#include "eval/report_appendix.h"
+#include "eval/launch/grid_flags.h"
+#include "eval/launch/merged_sweep.h"
+#include "eval/paper/paper_programs.h"
+#include "eval/paper/paper_results.h"
+#include "eval/paper/paper_table.h"
+#include "eval/report/report_appendix.h"
+#include "eval/store/outcomes.h"
 
 namespace robostress {
 namespace {

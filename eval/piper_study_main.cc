@@ -7,8 +7,8 @@
 
 #include "common/config.h"
 #include "common/status_macros.h"
-#include "eval/merged_sweep.h"
-#include "eval/piper_study.h"
+#include "eval/launch/merged_sweep.h"
+#include "eval/piper_study/piper_study.h"
 
 namespace {
 

@@ -8,10 +8,10 @@
 #include "CLI/CLI.hpp"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
-#include "eval/report.h"
-#include "eval/run_store.h"
-#include "eval/store_comparison.h"
-#include "eval/text_table.h"
+#include "eval/report/report.h"
+#include "eval/report/store_comparison.h"
+#include "eval/report/text_table.h"
+#include "eval/store/run_store.h"
 
 namespace robostress {
 namespace {

@@ -13,12 +13,12 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/status_macros.h"
-#include "eval/grid_flags.h"
-#include "eval/merged_sweep.h"
-#include "eval/plan.h"
-#include "eval/residual_table.h"
-#include "eval/run_store.h"
-#include "eval/text_table.h"
+#include "eval/launch/grid_flags.h"
+#include "eval/launch/merged_sweep.h"
+#include "eval/plan/plan.h"
+#include "eval/report/residual_table.h"
+#include "eval/report/text_table.h"
+#include "eval/store/run_store.h"
 
 namespace robostress {
 namespace {

@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "common/program_folder.h"
-#include "eval/build_info.h"
-#include "eval/process.h"
+#include "eval/plan/build_info.h"
+#include "eval/launch/process.h"
 
 namespace {
 

@@ -7,11 +7,11 @@
 
 #include "CLI/CLI.hpp"
 #include "common/status_macros.h"
-#include "eval/grid_flags.h"
-#include "eval/merged_sweep.h"
-#include "eval/plan.h"
-#include "eval/report.h"
-#include "eval/unit_filter.h"
+#include "eval/launch/grid_flags.h"
+#include "eval/launch/merged_sweep.h"
+#include "eval/plan/plan.h"
+#include "eval/plan/unit_filter.h"
+#include "eval/report/report.h"
 
 namespace robostress {
 namespace {

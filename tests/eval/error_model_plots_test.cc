@@ -1,4 +1,4 @@
-#include "eval/error_model_plots.h"
+#include "eval/report/error_model_plots.h"
 
 #include "common/atomic_file.h"
 #include "gmock/gmock.h"

@@ -14,11 +14,11 @@
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
-#include "eval/merged_sweep.h"
-#include "eval/report.h"
-#include "eval/store_check.h"
-#include "eval/store_index.h"
-#include "eval/unit_text.h"
+#include "eval/launch/merged_sweep.h"
+#include "eval/plan/unit_text.h"
+#include "eval/report/report.h"
+#include "eval/store/store_check.h"
+#include "eval/store/store_index.h"
 
 namespace robostress {
 namespace {

@@ -4,11 +4,12 @@
 #include <set>
 
 #include "common/config.h"
-#include "eval/cost_estimate.h"
-#include "eval/machine.h"
-#include "eval/progress.h"
-#include "eval/unit_filter.h"
-#include "eval/unit_text.h"
+#include "eval/launch/cost_estimate.h"
+#include "eval/launch/progress.h"
+#include "eval/plan/unit_filter.h"
+#include "eval/plan/unit_text.h"
+#include "eval/store/machine.h"
+#include "eval/store/run_directory.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/eval/grid_programs.h"

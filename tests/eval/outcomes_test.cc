@@ -1,9 +1,9 @@
-#include "eval/outcomes.h"
+#include "eval/store/outcomes.h"
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
-#include "eval/paper_results.h"
+#include "eval/paper/paper_results.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/eval/synthetic_run.h"
@@ -90,9 +90,10 @@ TEST(Outcomes, EverythingThatIsWrongIsListed) {
   EXPECT_THAT(Refusal({Written("text.jsonl", "hello\n")}), HasSubstr("text.jsonl:1: not a JSON"));
   EXPECT_THAT(Refusal({Written("field.jsonl", absl::StrReplaceAll(text, {{"seed", "sead"}}))}),
               HasSubstr("'seed' not found"));
-  EXPECT_THAT(Refusal({Written("name.jsonl", absl::StrReplaceAll(text, {{"-s0", "-s1"}}))}),
-              HasSubstr("name.jsonl:1: field unit is 'tabletop_goal-clean-L5-nano-base-s1', but its "
-                        "other fields are those of tabletop_goal-clean-L5-nano-base-s0"));
+  EXPECT_THAT(
+      Refusal({Written("name.jsonl", absl::StrReplaceAll(text, {{"-s0", "-s1"}}))}),
+      HasSubstr("name.jsonl:1: field unit is 'tabletop_goal-clean-L5-nano-base-s1', but its "
+                "other fields are those of tabletop_goal-clean-L5-nano-base-s0"));
   EXPECT_THAT(
       Refusal({Written("method.jsonl", absl::StrReplaceAll(text, {{"\"ours\"", "\"hours\""}}))}),
       HasSubstr("unknown method 'hours'"));

@@ -1,4 +1,4 @@
-#include "eval/paired_tests.h"
+#include "eval/statistics/paired_tests.h"
 
 #include <cmath>
 #include <limits>

@@ -1,4 +1,4 @@
-#include "eval/piper_study.h"
+#include "eval/piper_study/piper_study.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,8 +10,8 @@
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
-#include "eval/piper_study_live.h"
-#include "eval/piper_study_report.h"
+#include "eval/piper_study/piper_study_live.h"
+#include "eval/piper_study/piper_study_report.h"
 
 namespace robostress {
 namespace {

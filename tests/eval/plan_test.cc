@@ -1,4 +1,4 @@
-#include "eval/plan.h"
+#include "eval/plan/plan.h"
 
 #include <set>
 

@@ -13,7 +13,7 @@
 #include "common/atomic_file.h"
 #include "common/random.h"
 #include "common/status_macros.h"
-#include "eval/process.h"
+#include "eval/launch/process.h"
 
 namespace robostress {
 namespace {

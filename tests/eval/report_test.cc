@@ -1,4 +1,4 @@
-#include "eval/report.h"
+#include "eval/report/report.h"
 
 #include <cmath>
 #include <filesystem>
@@ -6,9 +6,9 @@
 
 #include "common/atomic_file.h"
 #include "common/svg_plot.h"
-#include "eval/report_page.h"
-#include "eval/severity_section.h"
-#include "eval/statistics_section.h"
+#include "eval/report/report_page.h"
+#include "eval/report/severity_section.h"
+#include "eval/report/statistics_section.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "nlohmann/json.hpp"

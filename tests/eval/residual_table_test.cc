@@ -1,4 +1,4 @@
-#include "eval/residual_table.h"
+#include "eval/report/residual_table.h"
 
 #include <cmath>
 

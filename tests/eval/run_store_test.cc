@@ -1,4 +1,4 @@
-#include "eval/run_store.h"
+#include "eval/store/run_store.h"
 
 #include <filesystem>
 

@@ -4,7 +4,7 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "eval/process.h"
+#include "eval/launch/process.h"
 
 namespace robostress {
 

@@ -9,7 +9,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
-#include "eval/progress.h"
+#include "eval/store/run_directory.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/eval/grid_programs.h"

@@ -1,10 +1,10 @@
-#include "eval/store_comparison.h"
+#include "eval/report/store_comparison.h"
 
 #include <algorithm>
 #include <cmath>
 
 #include "absl/strings/str_join.h"
-#include "eval/text_table.h"
+#include "eval/report/text_table.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "nlohmann/json.hpp"

@@ -4,7 +4,7 @@
 
 #include <filesystem>
 
-#include "eval/run_store.h"
+#include "eval/store/run_store.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/eval/grid_programs.h"

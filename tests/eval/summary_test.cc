@@ -1,4 +1,4 @@
-#include "eval/summary.h"
+#include "eval/statistics/summary.h"
 
 #include <cmath>
 

@@ -10,8 +10,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "eval/process.h"
-#include "eval/progress.h"
+#include "eval/launch/process.h"
+#include "eval/launch/progress.h"
+#include "eval/plan/titles.h"
+#include "eval/store/run_directory.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/eval/synthetic_run.h"

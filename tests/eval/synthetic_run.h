@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "eval/run_store.h"
+#include "eval/store/run_store.h"
 #include "gtest/gtest.h"
 
 namespace robostress {

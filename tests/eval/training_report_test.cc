@@ -1,4 +1,4 @@
-#include "eval/training_report.h"
+#include "eval/report/training_report.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -35,8 +35,10 @@ TEST(CheckFloors, RefusesAnIncludeThatClimbsOrGoesSideways) {
               ElementsAre(HasSubstr("server/ may not include sim_worker/")));
   EXPECT_THAT(CheckFloors({{"sim_worker/panda_sim.cc", {"server/policy.h"}}}),
               ElementsAre(HasSubstr("may not include server/")));
-  EXPECT_THAT(CheckFloors({{"eval/report.cc", {"tests/eval/synthetic_run.h"}}}),
+  EXPECT_THAT(CheckFloors({{"eval/report/report.cc", {"tests/eval/synthetic_run.h"}}}),
               ElementsAre(HasSubstr("may not include tests/")));
+  EXPECT_THAT(CheckFloors({{"eval/store/outcomes.cc", {"eval/report/report.h"}}}),
+              ElementsAre(HasSubstr("eval/store/ may not include eval/report/")));
   EXPECT_THAT(CheckFloors({{"calibration/fit.cc", {"common/rpc/convert.h"}}}),
               ElementsAre(HasSubstr("may not include common/rpc/")));
 }

@@ -1,0 +1,115 @@
+#include "eval/launch/grid_flags.h"
+
+#include "absl/strings/str_join.h"
+#include "common/config.h"
+#include "common/method_options.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+
+void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch) {
+  app.add_option("--workers", launch.workers, "Worker processes")
+      ->check(CLI::Range(1, 256))
+      ->capture_default_str();
+  app.add_option("--server", launch.server,
+                 "HOST:PORT of a policy server that runs already and holds the policies; absent: "
+                 "one is started for each");
+}
+
+void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch) {
+  ClusterOptions& cluster = launch.cluster;
+  app.add_option("--launcher", launch.launcher, absl::StrJoin(LauncherNames(), ", "))
+      ->check(CLI::IsMember(LauncherNames()))
+      ->capture_default_str()
+      ->group("Where it runs");
+  const auto option = [&app](const char* name, auto& value, const char* help) {
+    return app.add_option(name, value, help)->capture_default_str()->group("Where it runs");
+  };
+  option("--split-episodes", launch.part_episodes,
+         "Methods that carry nothing over run in parts of N episodes; 0: undivided")
+      ->check(CLI::Range(0, 1000000));
+  app.add_flag("--wait", cluster.wait, "Stay and show the progress until all jobs have left")
+      ->group("Where it runs");
+  app.add_flag("--quiet", launch.quiet, "No progress; failures and the result only")
+      ->group("Where it runs");
+  option("--servers", cluster.servers, "Server jobs per policy")->check(CLI::Range(1, 1000));
+  option("--server-threads", cluster.server_threads,
+         "Threads (and cores) of each; 0: one for each worker that uses it")
+      ->check(CLI::Range(0, 1024));
+  option("--server-host", cluster.server_host,
+         "Name or address that servers publish (default: of the machine they run on)");
+  option("--max-tasks", cluster.max_tasks, "Tasks of the worker array (Slurm: MaxArraySize - 1)")
+      ->check(CLI::Range(1, 1000000));
+  option("--workers-per-task", cluster.workers_per_task, "Worker processes of each task")
+      ->check(CLI::Range(1, 256));
+  option("--poll-interval", cluster.poll_s, "Seconds between questions to the queue, with --wait")
+      ->check(CLI::Range(1, 3600));
+  option("--slurm-server", cluster.slurm_server, "Further argument of sbatch for servers");
+  option("--slurm-worker", cluster.slurm_worker, "The same for workers, such as --partition=cpu");
+  option("--slurm-merge", cluster.slurm_merge, "The same for the merge");
+  option("--image", cluster.image, "Container image with every program (kubernetes)");
+  option("--claim", cluster.claim, "Volume claim that holds the run directory (kubernetes)");
+  option("--claim-mount", cluster.claim_mount,
+         "Where it is mounted, here and in pods (default: the run directory's parent)");
+  option("--namespace", cluster.k8s_namespace, "Namespace (kubernetes)");
+}
+
+PolicyHome PolicyHomeOf(const LaunchOptions& launch) {
+  return launch.server.empty() ? PolicyHome::kHere : PolicyHome::kElsewhere;
+}
+
+void DeclareGridFlags(CLI::App& app, GridFlags& flags) {
+  app.add_option("--grid", flags.grid_file,
+                 "YAML file of a grid, such as a run's sweep.yaml; flags override it");
+  app.add_option("--suites,--suite", flags.suites, "See `robostress suites`")->delimiter(',');
+  app.add_option("--tasks", flags.tasks, "2: the first two; 0,3,7 or 2-5: indices; all");
+  app.add_option("--episodes", flags.episodes, "Consecutive episodes per task");
+  app.add_option("--scenarios,--scenario", flags.scenarios,
+                 "See `robostress scenarios`, or scenario files: FILE.yaml (default: clean and the "
+                 "seven)")
+      ->delimiter(',');
+  app.add_option("--severities,--severity", flags.severities, "Levels 1 to 5")->delimiter(',');
+  app.add_option("--policies,--policy", flags.policies, "nano, expert, replay, or a weights file")
+      ->delimiter(',');
+  app.add_option("--methods,--method", flags.methods, absl::StrJoin(MethodNames(), ", "))
+      ->delimiter(',');
+  app.add_option("--seeds,--seed", flags.seeds, "Seeds of the sampling noise")->delimiter(',');
+  app.add_option("--first-initial-state", flags.first_initial_state,
+                 "0-19 reporting split, 40-49 dev split");
+  app.add_option("--set", flags.overrides, "sim.KEY=VALUE or method.KEY=VALUE, repeatable")
+      ->allow_extra_args(false);
+  app.add_option("--replay-file", flags.replay_file, "Actions for policy replay");
+  app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
+  app.add_option("--robosuite-root", flags.robosuite_root,
+                 "robosuite checkout, for suites libero_*");
+  app.add_option("--libero-fixtures", flags.libero_fixtures,
+                 "Where cabinets, stoves and racks of libero_* stand at each episode: centred "
+                 "(default), sampled, numpy[:SEED] (the originals' draw, seed 7), or a JSON table");
+}
+
+absl::Status ApplyGridFlags(const CLI::App& app, const GridFlags& flags, SweepGrid& grid) {
+  if (!flags.grid_file.empty()) {
+    RS_ASSIGN_OR_RETURN(grid, LoadConfig<SweepGrid>(flags.grid_file));
+  }
+  if (app.count("--suites")) grid.suites = flags.suites;
+  if (app.count("--scenarios")) grid.scenarios = flags.scenarios;
+  if (app.count("--severities")) grid.severities = flags.severities;
+  if (app.count("--policies")) grid.policies = flags.policies;
+  if (app.count("--methods")) grid.methods = flags.methods;
+  if (app.count("--seeds")) grid.seeds = flags.seeds;
+  if (app.count("--episodes")) grid.episodes = flags.episodes;
+  if (app.count("--first-initial-state")) grid.first_initial_state = flags.first_initial_state;
+  if (app.count("--set")) {
+    grid.overrides.insert(grid.overrides.end(), flags.overrides.begin(), flags.overrides.end());
+  }
+  if (app.count("--replay-file")) grid.replay_file = flags.replay_file;
+  if (app.count("--libero-root")) grid.libero_root = flags.libero_root;
+  if (app.count("--robosuite-root")) grid.robosuite_root = flags.robosuite_root;
+  if (app.count("--libero-fixtures")) grid.libero_fixtures = flags.libero_fixtures;
+  if (app.count("--tasks")) {
+    RS_ASSIGN_OR_RETURN(grid.tasks, ParseTasks(flags.tasks));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace robostress

@@ -1,0 +1,38 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "CLI/CLI.hpp"
+#include "absl/status/status.h"
+#include "eval/launch/sweep_runner.h"
+#include "eval/plan/plan.h"
+
+namespace robostress {
+
+// The command-line flags that describe a grid, shared by the commands that run one. A flag that is
+// absent means "as in the grid that the command starts from".
+struct GridFlags {
+  std::string grid_file;
+  std::vector<std::string> suites, scenarios, policies, methods, overrides;
+  std::vector<int> severities;
+  std::vector<int64_t> seeds;
+  std::string tasks;
+  int episodes = 0, first_initial_state = 0;
+  std::string replay_file, libero_root, robosuite_root, libero_fixtures;
+};
+
+// --workers and --server of the programs that run a grid.
+void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch);
+// --launcher and what belongs to it, --split-episodes, --quiet.
+void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch);
+// Where the policies of a launch are.
+PolicyHome PolicyHomeOf(const LaunchOptions& launch);
+
+// `flags` must outlive `app`'s parsing.
+void DeclareGridFlags(CLI::App& app, GridFlags& flags);
+// Applies --grid's file and then every flag that was given to `grid`; the result is not resolved.
+absl::Status ApplyGridFlags(const CLI::App& app, const GridFlags& flags, SweepGrid& grid);
+
+}  // namespace robostress

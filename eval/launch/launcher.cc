@@ -1,0 +1,50 @@
+#include "eval/launch/launcher.h"
+
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/status_macros.h"
+#include "eval/launch/kubernetes_launcher.h"
+#include "eval/launch/server_process.h"
+#include "eval/launch/slurm_launcher.h"
+
+namespace robostress {
+
+std::vector<std::string> LauncherNames() { return {"local", "slurm", "kubernetes"}; }
+
+absl::StatusOr<std::unique_ptr<Launcher>> MakeLauncher(const std::string& name) {
+  if (name == "local") return std::make_unique<LocalLauncher>();
+  if (name == "slurm") return std::make_unique<SlurmLauncher>();
+  if (name == "kubernetes") return std::make_unique<KubernetesLauncher>();
+  return absl::InvalidArgumentError(
+      absl::StrCat("unknown launcher '", name, "'; known: ", absl::StrJoin(LauncherNames(), ", ")));
+}
+
+absl::StatusOr<LaunchResult> LocalLauncher::Launch(const LaunchRequest& request) {
+  const LaunchOptions& options = request.options;
+  LocalServers servers(options.server);
+  std::set<std::string> policies;
+  for (const WorkItem& item : request.items) {
+    if (!RunsInWorker(item.unit->config.policy)) policies.insert(item.unit->config.policy);
+  }
+  if (!options.server.empty()) policies.clear();
+  for (const std::string& policy : policies) {
+    ServerStart start;
+    start.policy = policy;
+    start.label = PolicyLabel(policy);
+    start.log_folder = request.run.path() + "/logs";
+    start.threads = options.workers;
+    start.timeout_s = options.server_start_timeout_s;
+    RS_RETURN_IF_ERROR(servers.Start(start, request.signals));
+  }
+  const PoolOptions pool_options = {options.workers, options.measure_lag, options.record_joints};
+  LaunchResult result;
+  WorkerPool pool(request.run, pool_options, servers, request.signals, request.progress);
+  const absl::Status status = pool.Run(request.items, result.outcome);
+  servers.Stop();
+  RS_RETURN_IF_ERROR(status);
+  return result;
+}
+
+}  // namespace robostress

@@ -1,0 +1,56 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "eval/launch/process.h"
+#include "eval/launch/server_source.h"
+#include "eval/launch/signal_guard.h"
+
+namespace robostress {
+
+// One thread per process: a grid's parallelism is its processes, and results must not depend on
+// thread counts.
+const std::map<std::string, std::string>& ChildEnvironment();
+
+struct ServerStart {
+  std::string policy;
+  std::string label;  // names the files below
+  std::string log_folder;
+  std::string listen = "127.0.0.1:0";
+  int threads = 1;
+  int timeout_s = 180;
+};
+
+// A policy server that this process started.
+struct ServerProcess {
+  ChildProcess process;
+  int port = 0;
+  std::string log;
+};
+
+// Starts `robostress serve` and waits until it answers. Unavailable, with the end of its log, when
+// it ends before or takes longer than the timeout; Cancelled when a signal comes.
+absl::StatusOr<ServerProcess> StartServer(const ServerStart& start, SignalGuard& signals);
+
+// The servers of a sweep on this machine, one per policy; or one address for all of them, of a
+// server that runs already.
+class LocalServers : public ServerSource {
+ public:
+  explicit LocalServers(std::string elsewhere) : elsewhere_(std::move(elsewhere)) {}
+  absl::Status Start(const ServerStart& start, SignalGuard& signals);
+  void Stop();  // SIGTERM, then SIGKILL
+
+  absl::StatusOr<ServerPlace> Find(const std::string& policy) override;
+  absl::Status Check() override;
+  bool Lost(const std::string&, const ServerPlace&) override { return false; }  // Check says it
+  std::vector<int> wake_fds() const override;
+
+ private:
+  const std::string elsewhere_;  // HOST:PORT or empty
+  std::map<std::string, ServerProcess> servers_;
+};
+
+}  // namespace robostress

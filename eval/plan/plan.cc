@@ -1,0 +1,339 @@
+#include "eval/plan/plan.h"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <filesystem>
+#include <set>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "common/config.h"
+#include "common/embedded_policies.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/libero_fixtures.h"
+#include "common/status_macros.h"
+#include "common/suites.h"
+
+namespace robostress {
+namespace {
+
+// Collects complaints, so that a person corrects all of a command at once.
+class Complaints {
+ public:
+  void Add(std::string text) { texts_.push_back(std::move(text)); }
+
+  // Checks names against a known list.
+  void CheckNames(const std::string& what, const std::vector<std::string>& names,
+                  const std::vector<std::string>& known) {
+    std::vector<std::string> unknown;
+    for (const std::string& name : names) {
+      if (std::find(known.begin(), known.end(), name) == known.end())
+        unknown.push_back(absl::StrCat("'", name, "'"));
+    }
+    if (!unknown.empty()) {
+      Add(absl::StrCat("unknown ", what, " ", absl::StrJoin(unknown, ", "),
+                       "; known: ", absl::StrJoin(known, ", ")));
+    }
+    if (names.empty())
+      Add(absl::StrCat("no ", what, " given; known: ", absl::StrJoin(known, ", ")));
+  }
+
+  template <class T>
+  void CheckUnique(const std::string& what, const std::vector<T>& values) {
+    std::set<T> seen;
+    for (const T& value : values) {
+      if (!seen.insert(value).second)
+        Add(absl::StrCat(what, " ", value, " is given twice; remove one"));
+    }
+  }
+
+  absl::Status ToStatus() const {
+    if (texts_.empty()) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat("the sweep cannot be planned:\n  - ", absl::StrJoin(texts_, "\n  - ")));
+  }
+
+ private:
+  std::vector<std::string> texts_;
+};
+
+std::vector<std::string> SuiteNames() {
+  std::vector<std::string> names;
+  for (const SuiteInfo& suite : AllSuites()) names.push_back(suite.name);
+  return names;
+}
+
+// Clean and the seven, in the order of the tables.
+std::vector<std::string> DefaultScenarios() {
+  std::vector<std::string> names;
+  for (const std::string& name : ScenarioNames()) {
+    const absl::StatusOr<Scenario> scenario = MakeScenario(name, 5);
+    if (name == "clean" || (scenario.ok() && scenario->deployment)) names.push_back(name);
+  }
+  return names;
+}
+
+bool SameFactors(const std::vector<SeverityFactors>& a, const std::vector<SeverityFactors>& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                    [](const SeverityFactors& x, const SeverityFactors& y) {
+                      return x.friction == y.friction && x.gravity == y.gravity &&
+                             x.backlash == y.backlash && x.compliance == y.compliance;
+                    });
+}
+
+// Names in the order of `known`, so that the order of flags changes nothing.
+std::vector<std::string> InOrderOf(const std::vector<std::string>& known,
+                                   const std::vector<std::string>& names) {
+  std::vector<std::string> ordered;
+  for (const std::string& name : known) {
+    if (std::find(names.begin(), names.end(), name) != names.end()) ordered.push_back(name);
+  }
+  return ordered;
+}
+
+std::string PoliciesByName() {
+  std::vector<std::string> names(kEmbeddedPolicies.begin(), kEmbeddedPolicies.end());
+  names.insert(names.end(), {"expert", "replay"});
+  return absl::StrJoin(names, ", ");
+}
+
+void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaints) {
+  if (grid.policies.empty())
+    complaints.Add(
+        absl::StrCat("no policy given; known: ", PoliciesByName(), ", or a weights file"));
+  const bool has_base =
+      std::find(grid.methods.begin(), grid.methods.end(), "base") != grid.methods.end();
+  for (const std::string& policy : grid.policies) {
+    if (RunsInWorker(policy)) {
+      if (!has_base) {
+        complaints.Add(
+            absl::StrCat("policy ", policy,
+                         " does not adapt and runs with method base only; add it to --methods"));
+      }
+      if (policy == "replay" && grid.replay_file.empty()) {
+        complaints.Add("policy replay needs --replay-file FILE (safetensors with actions [T, 7])");
+      }
+    } else if (home == PolicyHome::kHere && !IsEmbeddedPolicy(policy) && policy != "nano:random" &&
+               access(policy.c_str(), R_OK) != 0) {
+      complaints.Add(absl::StrCat("unknown policy '", policy, "'; known: ", PoliciesByName(),
+                                  ", or the path of a readable weights file; "
+                                  "a policy that another server holds needs --server HOST:PORT"));
+    }
+  }
+}
+
+void CheckScenarios(const SweepGrid& grid, Complaints& complaints) {
+  std::vector<std::string> built_in, labels;
+  for (const std::string& scenario : grid.scenarios) {
+    labels.push_back(ScenarioLabel(scenario));
+    if (!IsScenarioFile(scenario)) {
+      built_in.push_back(scenario);
+    } else if (const auto file = ReadScenarioFile(scenario); !file.ok()) {
+      complaints.Add(std::string(file.status().message()));
+    }
+  }
+  if (!built_in.empty()) complaints.CheckNames("scenario", built_in, ScenarioNames());
+  complaints.CheckUnique("scenario", labels);
+}
+
+void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
+  for (const int severity : grid.severities) {
+    if (severity < 1 || severity > 5)
+      complaints.Add(absl::StrCat("severity ", severity, " is not a level 1 to 5"));
+  }
+  if (grid.severities.empty()) complaints.Add("no severity given; levels are 1 to 5");
+  if (grid.seeds.empty()) complaints.Add("no seed given");
+  if (grid.episodes < 1 || grid.episodes > 10000) {
+    complaints.Add(absl::StrCat("episodes is ", grid.episodes, ", must be 1 to 10000"));
+  }
+  if (grid.videos < 0)
+    complaints.Add(absl::StrCat("videos is ", grid.videos, ", must be 0 or more"));
+  for (const std::string& name : grid.suites) {
+    const SuiteInfo* suite = FindSuite(name);
+    if (suite == nullptr) continue;
+    for (const int task : grid.tasks) {
+      if (task < 0 || task >= suite->num_tasks) {
+        complaints.Add(absl::StrCat("task ", task, " of ", name,
+                                    " does not exist; it has tasks 0 to ", suite->num_tasks - 1));
+      }
+    }
+    if (grid.first_initial_state < 0 || grid.first_initial_state >= suite->num_initial_states) {
+      complaints.Add(absl::StrCat("first initial state ", grid.first_initial_state, " of ", name,
+                                  " does not exist; it has 0 to ", suite->num_initial_states - 1));
+    }
+    if (suite->needs_libero && (grid.libero_root.empty() || grid.robosuite_root.empty())) {
+      complaints.Add(absl::StrCat(
+          name,
+          " reads LIBERO's own files: give --libero-root DIR and --robosuite-root DIR, or set "
+          "LIBERO_ROOT and ROBOSUITE_ROOT"));
+    }
+  }
+  if (const auto fixtures = ParseLiberoFixtures(grid.libero_fixtures); !fixtures.ok())
+    complaints.Add(std::string(fixtures.status().message()));
+}
+
+bool NeedsLibero(const std::string& suite) {
+  const SuiteInfo* info = FindSuite(suite);
+  return info != nullptr && info->needs_libero;
+}
+
+void SetFromEnvironment(const char* variable, std::string& value) {
+  const char* set = std::getenv(variable);
+  if (value.empty() && set != nullptr) value = set;
+}
+
+}  // namespace
+
+int PlannedUnit::EpisodeCount() const {
+  return static_cast<int>(config.tasks.size()) * config.episodes;
+}
+
+bool SameAtEveryLevel(const std::string& scenario) {
+  const absl::StatusOr<Scenario> mild = MakeScenario(scenario, 1), full = MakeScenario(scenario, 5);
+  return mild.ok() && full.ok() && SameFactors(mild->end, full->end) &&
+         SameFactors(mild->start, full->start);
+}
+
+bool RunsInWorker(const std::string& policy) { return policy == "expert" || policy == "replay"; }
+
+std::string PolicyLabel(const std::string& policy) {
+  return std::filesystem::path(policy).stem().string();
+}
+
+SweepGrid QuickGrid() {
+  SweepGrid grid;
+  grid.suites = {"tabletop_object"};
+  grid.tasks = {0, 1};
+  grid.episodes = 10;
+  grid.videos = 1;
+  return grid;
+}
+
+SweepGrid FullGrid() {
+  SweepGrid grid;
+  grid.suites = {"tabletop_spatial", "tabletop_object", "tabletop_goal", "tabletop_long"};
+  return grid;
+}
+
+absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text) {
+  std::vector<int> tasks;
+  if (text.empty() || text == "all") return tasks;
+  const absl::Status error = absl::InvalidArgumentError(absl::StrCat(
+      "tasks '", text,
+      "' is neither a number of tasks (2), nor indices (0,3,7), nor a range (2-5), nor all"));
+  int count = 0;
+  if (absl::SimpleAtoi(text, &count)) {
+    if (count < 1) return error;
+    for (int task = 0; task < count; ++task) tasks.push_back(task);
+    return tasks;
+  }
+  for (absl::string_view part : absl::StrSplit(text, ',')) {
+    const std::vector<std::string> ends = absl::StrSplit(part, '-');
+    int first = 0, last = 0;
+    if (ends.size() > 2 || !absl::SimpleAtoi(ends.front(), &first) ||
+        !absl::SimpleAtoi(ends.back(), &last) || first < 0 || last < first || last > 9999) {
+      return error;
+    }
+    for (int task = first; task <= last; ++task) tasks.push_back(task);
+  }
+  return tasks;
+}
+
+absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
+  if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios();
+  if (std::any_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
+    SetFromEnvironment("LIBERO_ROOT", grid.libero_root);
+    SetFromEnvironment("ROBOSUITE_ROOT", grid.robosuite_root);
+  }
+  Complaints complaints;
+  complaints.CheckNames("suite", grid.suites, SuiteNames());
+  CheckScenarios(grid, complaints);
+  complaints.CheckNames("method", grid.methods, MethodNames());
+  CheckPolicies(grid, home, complaints);
+  CheckRanges(grid, complaints);
+  complaints.CheckUnique("suite", grid.suites);
+  complaints.CheckUnique("method", grid.methods);
+  complaints.CheckUnique("severity", grid.severities);
+  complaints.CheckUnique("seed", grid.seeds);
+  complaints.CheckUnique("task", grid.tasks);
+  std::vector<std::string> labels;
+  for (const std::string& policy : grid.policies) labels.push_back(PolicyLabel(policy));
+  complaints.CheckUnique("policy name", labels);
+  UnitConfig scratch;
+  for (const std::string& assignment : grid.overrides) {
+    if (!absl::StrContains(assignment, '=') ||
+        (assignment.rfind("sim.", 0) != 0 && assignment.rfind("method.", 0) != 0)) {
+      complaints.Add(
+          absl::StrCat("override '", assignment, "' must be sim.KEY=VALUE or method.KEY=VALUE"));
+    } else if (const absl::Status status = ApplyOverrides({assignment}, scratch); !status.ok()) {
+      complaints.Add(std::string(status.message()));
+    }
+  }
+  RS_RETURN_IF_ERROR(complaints.ToStatus());
+  grid.suites = InOrderOf(SuiteNames(), grid.suites);
+  std::vector<std::string> scenarios = InOrderOf(ScenarioNames(), grid.scenarios);
+  for (const std::string& scenario : grid.scenarios) {
+    if (IsScenarioFile(scenario))
+      scenarios.push_back(std::filesystem::absolute(scenario).lexically_normal().string());
+  }
+  grid.scenarios = scenarios;
+  grid.methods = InOrderOf(MethodNames(), grid.methods);
+  return grid;
+}
+
+std::string UnitId(const UnitConfig& config) {
+  return absl::StrCat(config.suite, "-", ScenarioLabel(config.scenario), "-L", config.severity, "-",
+                      PolicyLabel(config.policy), "-", config.method.method, "-s", config.seed);
+}
+
+absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
+  std::vector<PlannedUnit> units;
+  const auto add = [&](UnitConfig config, const std::string& method) -> absl::Status {
+    RS_ASSIGN_OR_RETURN(config.method, MakeMethod(method));
+    const std::string id = UnitId(config);
+    RS_RETURN_IF_ERROR(ApplyOverrides(grid.overrides, config));
+    units.push_back({id, std::move(config)});
+    return absl::OkStatus();
+  };
+  for (const std::string& suite_name : grid.suites) {
+    UnitConfig config;
+    config.suite = suite_name;
+    config.tasks = grid.tasks;
+    if (config.tasks.empty()) {
+      for (int task = 0; task < FindSuite(suite_name)->num_tasks; ++task)
+        config.tasks.push_back(task);
+    }
+    config.episodes = grid.episodes;
+    config.first_initial_state = grid.first_initial_state;
+    config.videos = grid.videos;
+    config.replay_file = grid.replay_file;
+    config.libero_root = grid.libero_root;
+    config.robosuite_root = grid.robosuite_root;
+    config.libero_fixtures = grid.libero_fixtures;
+    for (const std::string& scenario : grid.scenarios) {
+      config.scenario = scenario;
+      const std::vector<int> once = {
+          *std::max_element(grid.severities.begin(), grid.severities.end())};
+      for (const int severity : SameAtEveryLevel(scenario) ? once : grid.severities) {
+        config.severity = severity;
+        for (const std::string& policy : grid.policies) {
+          config.policy = policy;
+          for (const std::string& method : grid.methods) {
+            if (RunsInWorker(policy) && method != "base") continue;
+            for (const int64_t seed : grid.seeds) {
+              config.seed = seed;
+              RS_RETURN_IF_ERROR(add(config, method));
+            }
+          }
+        }
+      }
+    }
+  }
+  return units;
+}
+
+}  // namespace robostress

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <string>
+
+namespace robostress {
+
+// How names and numbers of a report are written, equal in tables, plots and pages.
+
+// "Heavy Payload" for heavy_payload; the name itself when unknown.
+std::string ScenarioTitle(const std::string& scenario);
+// "Base", "Ours", "Ours, target intent", "Gain control" ...
+std::string MethodTitle(const std::string& method);
+// Colour of a method, equal in every plot; other names get a neutral one.
+std::string MethodColor(const std::string& method);
+// A fraction in percentage points without a negative zero.
+double PercentagePoints(double fraction);
+// "12", "not adapted" (an adapting method without an update), or "-" (a method that does not
+// adapt).
+std::string UpdatesText(bool adapts, int updates);
+// "0.012", "< 0.001", "1"; "-" for NaN.
+std::string PValueText(double p_value);
+// "0:42", "12:05", "3:02:10".
+std::string FormatDuration(double seconds);
+
+}  // namespace robostress

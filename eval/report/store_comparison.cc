@@ -1,0 +1,333 @@
+#include "eval/report/store_comparison.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+#include <tuple>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "common/config.h"
+#include "common/html_page.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/svg_plot.h"
+#include "eval/plan/plan.h"
+#include "eval/plan/titles.h"
+#include "eval/report/html_numbers.h"
+#include "eval/statistics/episode_bootstrap.h"
+#include "eval/statistics/paired_tests.h"
+#include "nlohmann/json.hpp"
+
+namespace robostress {
+namespace {
+
+using nlohmann::json;
+
+constexpr int kMostNames = 6;  // in a note
+
+// policy, severity, method, scenario's label; a scenario that is equal at all levels has level 0.
+using CellKey = std::tuple<std::string, int, std::string, std::string>;
+
+CellKey KeyOf(const UnitConfig& config) {
+  return {PolicyLabel(config.policy), SameAtEveryLevel(config.scenario) ? 0 : config.severity,
+          config.method.method, ScenarioLabel(config.scenario)};
+}
+
+// Cells in the order of the store's units.
+std::vector<std::pair<CellKey, Units>> CellsOf(const RunData& run) {
+  std::vector<std::pair<CellKey, Units>> cells;
+  for (const UnitResult& unit : run.units) {
+    const CellKey key = KeyOf(unit.config);
+    auto cell = std::find_if(cells.begin(), cells.end(),
+                             [&](const auto& entry) { return entry.first == key; });
+    if (cell == cells.end()) cell = cells.insert(cells.end(), {key, {}});
+    cell->second.push_back(&unit);
+  }
+  return cells;
+}
+
+std::vector<EpisodeValue> Successes(const std::vector<Units>& strata) {
+  std::vector<EpisodeValue> values;
+  for (size_t stratum = 0; stratum < strata.size(); ++stratum) {
+    for (const UnitResult* unit : strata[stratum]) {
+      for (const EpisodeRow& row : unit->episodes)
+        values.push_back({unit->config.suite, row.task, row.initial_state,
+                          static_cast<int>(stratum), static_cast<double>(row.success)});
+    }
+  }
+  return values;
+}
+
+// One scenario, or several as the strata of an average.
+StoreRow MakeRow(const std::vector<PairedUnits>& strata, int replicates, const std::string& label) {
+  StoreRow row;
+  std::vector<Units> first, second;
+  for (const PairedUnits& stratum : strata) {
+    second.push_back(stratum.method);
+    first.push_back(stratum.reference);
+  }
+  const std::vector<EpisodeValue> a = Successes(first), b = Successes(second);
+  row.n_first = static_cast<int>(a.size());
+  row.n_second = static_cast<int>(b.size());
+  row.first = BootstrapEpisodes(a, 0, label).estimate;
+  row.second = BootstrapEpisodes(b, 0, label).estimate;
+  row.paired = CompareOnPairs(strata, replicates, label);
+  row.difference = row.paired ? row.paired->difference : BootstrapUnpaired(b, a, replicates, label);
+  return row;
+}
+
+// "a, b, c and 4 more".
+std::string Some(const std::vector<std::string>& names) {
+  const size_t shown = std::min<size_t>(names.size(), kMostNames);
+  std::string text = absl::StrJoin(names.begin(), names.begin() + shown, ", ");
+  if (names.size() > shown) absl::StrAppend(&text, " and ", names.size() - shown, " more");
+  return text;
+}
+
+std::map<std::string, const UnitResult*> ById(const RunData& run) {
+  std::map<std::string, const UnitResult*> units;
+  for (const UnitResult& unit : run.units) units.emplace(unit.id, &unit);
+  return units;
+}
+
+std::string ModelOf(const UnitResult& unit) {
+  if (!unit.provenance.is_object() || !unit.provenance.contains("model_hash")) return "";
+  const json& hash = unit.provenance["model_hash"];
+  return hash.is_string() ? hash.get<std::string>() : hash.dump();
+}
+
+// Lines of the configuration that differ: "method.gain: 1 -> 1.15" as "gain: 1 | gain: 1.15".
+std::vector<std::string> ChangedLines(const UnitConfig& first, const UnitConfig& second) {
+  const std::vector<std::string> a = absl::StrSplit(DumpConfig(first), '\n'),
+                                 b = absl::StrSplit(DumpConfig(second), '\n');
+  std::vector<std::string> changes;
+  for (size_t i = 0; i < std::min(a.size(), b.size()); ++i) {
+    if (a[i] != b[i]) changes.push_back(absl::StrCat("'", a[i], "' | '", b[i], "'"));
+  }
+  if (a.size() != b.size()) changes.push_back("lists of other lengths");
+  return changes;
+}
+
+std::vector<std::string> Notes(const RunData& first, const RunData& second) {
+  const auto a = ById(first), b = ById(second);
+  std::vector<std::string> notes, only_first, only_second;
+  std::set<std::string> models;
+  std::map<std::string, int> configurations;  // changed lines -> units
+  for (const auto& [id, unit] : a) {
+    const auto other = b.find(id);
+    if (other == b.end()) {
+      only_first.push_back(id);
+      continue;
+    }
+    const std::string model = ModelOf(*unit), other_model = ModelOf(*other->second);
+    if (model != other_model) {
+      models.insert(absl::StrCat(PolicyLabel(unit->config.policy), " (",
+                                 model.empty() ? "not recorded" : model.substr(0, 12), " | ",
+                                 other_model.empty() ? "not recorded" : other_model.substr(0, 12),
+                                 ")"));
+    }
+    const auto changes = ChangedLines(unit->config, other->second->config);
+    if (!changes.empty()) ++configurations[Some(changes)];
+  }
+  for (const auto& [id, unit] : b) {
+    if (!a.count(id)) only_second.push_back(id);
+  }
+  const auto only = [&](const char* which, const std::vector<std::string>& ids) {
+    if (!ids.empty())
+      notes.push_back(absl::StrCat("Only in the ", which, ", not compared unit by unit: ",
+                                   ids.size(), " units (", Some(ids), ")."));
+  };
+  only("first", only_first);
+  only("second", only_second);
+  if (!models.empty()) {
+    notes.push_back(absl::StrCat("Other weights under the same policy name (first | second): ",
+                                 absl::StrJoin(models, ", "), "."));
+  }
+  for (const auto& [changes, units] : configurations) {
+    notes.push_back(
+        absl::StrCat(units, " units have other configurations (first | second): ", changes, "."));
+  }
+  for (const auto& [which, run] : {std::pair("first", &first), std::pair("second", &second)}) {
+    if (!run->unfinished.empty())
+      notes.push_back(absl::StrCat("Unfinished in the ", which,
+                                   " and left out: ", run->unfinished.size(), " units."));
+  }
+  return notes;
+}
+
+void Correct(std::vector<StoreRow>& rows) {
+  for (const bool averages : {false, true}) {
+    std::vector<StoreRow*> family;
+    std::vector<double> p_values;
+    for (StoreRow& row : rows) {
+      if (!row.paired || row.scenario.empty() != averages) continue;
+      family.push_back(&row);
+      p_values.push_back(row.paired->p_value);
+    }
+    const std::vector<double> adjusted = HolmAdjust(p_values);
+    for (size_t i = 0; i < family.size(); ++i) family[i]->paired->p_holm = adjusted[i];
+  }
+}
+
+std::string DifferencePlot(const StoreComparison& comparison) {
+  std::vector<std::string> categories;
+  IntervalSeries series{"second - first", "#0072b2", {}};
+  double extent = 10;
+  for (const StoreRow& row : comparison.rows) {
+    categories.push_back(absl::StrCat(row.title, ", ", row.method, " (n = ",
+                                      row.paired ? row.paired->pairs : row.n_first + row.n_second,
+                                      row.paired ? " pairs)" : ", not paired)"));
+    const Interval& interval = row.difference.interval;
+    series.points.push_back(
+        IntervalPoint{100 * row.difference.estimate, {100 * interval.low, 100 * interval.high}});
+    for (const double end : {row.difference.estimate, interval.low, interval.high})
+      extent = std::isfinite(end) ? std::max(extent, 100 * std::abs(end)) : extent;
+  }
+  IntervalPlotOptions options;
+  options.x_max = 10 * std::ceil(extent / 10);
+  options.x_min = -options.x_max;
+  options.zero_line = true;
+  options.x_label = "success, second - first [percentage points], 95 % intervals";
+  return IntervalPlot(categories, {series}, options);
+}
+
+}  // namespace
+
+absl::StatusOr<StoreComparison> CompareStores(const RunData& first, const RunData& second,
+                                              int bootstrap_replicates) {
+  StoreComparison result;
+  result.first = first.dir;
+  result.second = second.dir;
+  const auto cells = CellsOf(first), others = CellsOf(second);
+  // policy, severity, method -> strata of the average
+  std::map<std::tuple<std::string, int, std::string>, std::vector<PairedUnits>> averages;
+  int without_partner = 0;
+  for (const auto& [key, units] : cells) {
+    const auto other = std::find_if(others.begin(), others.end(),
+                                    [&key = key](const auto& entry) { return entry.first == key; });
+    if (other == others.end()) continue;
+    const auto& [policy, severity, method, scenario] = key;
+    StoreRow row =
+        MakeRow({{other->second, units}}, bootstrap_replicates,
+                absl::StrCat("compare/", policy, "/L", severity, "/", method, "/", scenario));
+    row.policy = policy, row.severity = severity, row.method = method, row.scenario = scenario;
+    row.title = ScenarioTitle(units.front()->config.scenario);
+    if (row.paired) {
+      without_partner += row.n_first + row.n_second - 2 * row.paired->pairs;
+      if (scenario != "clean")
+        averages[{policy, severity, method}].push_back({other->second, units});
+    }
+    result.rows.push_back(std::move(row));
+  }
+  if (result.rows.empty()) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        first.dir, " and ", second.dir,
+        " have no cell in common (policy, severity, scenario, method); nothing can be compared"));
+  }
+  for (const auto& [key, strata] : averages) {
+    if (strata.size() < 2) continue;
+    const auto& [policy, severity, method] = key;
+    StoreRow row = MakeRow(strata, bootstrap_replicates,
+                           absl::StrCat("compare/", policy, "/L", severity, "/", method));
+    row.policy = policy, row.severity = severity, row.method = method;
+    row.title = absl::StrCat("Average of ", strata.size(), " scenarios without Clean");
+    result.rows.push_back(std::move(row));
+  }
+  Correct(result.rows);
+  result.notes = Notes(first, second);
+  if (without_partner > 0) {
+    result.notes.push_back(absl::StrCat(without_partner,
+                                        " episodes have no partner in the other store; paired "
+                                        "differences leave them out, success rates do not."));
+  }
+  return result;
+}
+
+TextRows StoreCells(const StoreComparison& comparison) {
+  TextRows rows = {{"Scenario", "policy", "level", "method", "n", "first", "second",
+                    "second - first", "won/lost", "p", "p, Holm"}};
+  for (const StoreRow& row : comparison.rows) {
+    const Interval& interval = row.difference.interval;
+    rows.push_back(
+        {row.title, row.policy, row.severity == 0 ? "-" : absl::StrCat("L", row.severity),
+         row.method, absl::StrCat(row.n_first, " | ", row.n_second),
+         absl::StrFormat("%.1f", 100 * row.first), absl::StrFormat("%.1f", 100 * row.second),
+         absl::StrCat(absl::StrFormat("%+.1f", PercentagePoints(row.difference.estimate)),
+                      std::isfinite(interval.low)
+                          ? absl::StrFormat(" [%+.1f, %+.1f]", PercentagePoints(interval.low),
+                                            PercentagePoints(interval.high))
+                          : ""),
+         row.paired ? absl::StrCat("+", row.paired->plus, "/-", row.paired->minus, " of ",
+                                   row.paired->pairs)
+                    : "not paired",
+         row.paired ? PValueText(row.paired->p_value) : "-",
+         row.paired ? PValueText(row.paired->p_holm) : "-"});
+  }
+  return rows;
+}
+
+std::string StoreJson(const StoreComparison& comparison) {
+  json rows = json::array();
+  const auto number = [](double value) {
+    return std::isfinite(value) ? json(value) : json(nullptr);
+  };
+  for (const StoreRow& row : comparison.rows) {
+    json entry = {
+        {"policy", row.policy},
+        {"severity", row.severity == 0 ? json(nullptr) : json(row.severity)},
+        {"method", row.method},
+        {"scenario", row.scenario.empty() ? "average_without_clean" : row.scenario},
+        {"n", {row.n_first, row.n_second}},
+        {"success", {number(row.first), number(row.second)}},
+        {"difference", number(row.difference.estimate)},
+        {"interval", {number(row.difference.interval.low), number(row.difference.interval.high)}},
+        {"paired", row.paired.has_value()}};
+    if (row.paired) {
+      entry["pairs"] = row.paired->pairs;
+      entry["plus"] = row.paired->plus;
+      entry["minus"] = row.paired->minus;
+      entry["p_value"] = row.paired->p_value;
+      entry["p_holm"] = number(row.paired->p_holm);
+    }
+    rows.push_back(entry);
+  }
+  const json report = {{"first", comparison.first},
+                       {"second", comparison.second},
+                       {"rows", rows},
+                       {"notes", comparison.notes}};
+  return report.dump(1) + "\n";
+}
+
+std::string StorePage(const StoreComparison& comparison) {
+  std::string html = PageHead("RoboStress: two stores");
+  absl::StrAppend(&html,
+                  "<style>.wrap{max-width:1400px}</style>\n<header><div class=wrap><h1>Two stores "
+                  "beside each other</h1><p>first: ",
+                  EscapeXml(comparison.first), " \u00b7 second: ", EscapeXml(comparison.second),
+                  "</p></div></header>\n<main class=wrap>\n<div class=scroll><table>");
+  const TextRows rows = StoreCells(comparison);
+  for (size_t r = 0; r < rows.size(); ++r) {
+    html += r == 0 ? "<tr>" : comparison.rows[r - 1].scenario.empty() ? "<tr class=avg>" : "<tr>";
+    for (size_t c = 0; c < rows[r].size(); ++c) {
+      const std::string text = c >= 7 ? Minus(rows[r][c]) : rows[r][c];
+      absl::StrAppend(&html, r == 0 ? "<th>" : "<td>", EscapeXml(text), r == 0 ? "</th>" : "</td>");
+    }
+    html += "</tr>\n";
+  }
+  absl::StrAppend(
+      &html, "</table></div>\n", DifferencePlot(comparison),
+      "<p class=note>Success in percent, differences in points with 95 % intervals: paired cluster "
+      "bootstrap over (task, initial state) where episodes pair (equal suite, seed, task, episode "
+      "and initial state), otherwise both stores resampled apart. n: episodes, first | second. p: "
+      "signs of a cluster's differences flipped together; Holm: over the paired scenarios, "
+      "averages "
+      "among themselves.</p>\n<ul>\n");
+  for (const std::string& note : comparison.notes)
+    absl::StrAppend(&html, "<li>", EscapeXml(note), "</li>\n");
+  return html + "</ul>\n</main></body></html>\n";
+}
+
+}  // namespace robostress

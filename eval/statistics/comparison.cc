@@ -1,0 +1,128 @@
+#include "eval/statistics/comparison.h"
+
+#include <cmath>
+#include <limits>
+#include <map>
+#include <tuple>
+
+#include "eval/statistics/episode_bootstrap.h"
+#include "eval/statistics/paired_tests.h"
+
+namespace robostress {
+namespace {
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+using EpisodeKey = std::tuple<std::string, int64_t, int, int>;  // suite, seed, task, episode
+
+std::map<EpisodeKey, const EpisodeRow*> RowsOf(const Units& units) {
+  std::map<EpisodeKey, const EpisodeRow*> rows;
+  for (const UnitResult* unit : units) {
+    for (const EpisodeRow& row : unit->episodes)
+      rows[{unit->config.suite, unit->config.seed, row.task, row.episode}] = &row;
+  }
+  return rows;
+}
+
+// Calls use(unit, method's row, reference's row, stratum) for every pair.
+template <class Use>
+void ForEachPair(const std::vector<PairedUnits>& strata, const Use& use) {
+  for (size_t stratum = 0; stratum < strata.size(); ++stratum) {
+    const std::map<EpisodeKey, const EpisodeRow*> reference = RowsOf(strata[stratum].reference);
+    for (const UnitResult* unit : strata[stratum].method) {
+      for (const EpisodeRow& row : unit->episodes) {
+        const auto pair =
+            reference.find({unit->config.suite, unit->config.seed, row.task, row.episode});
+        if (pair != reference.end() && pair->second->initial_state == row.initial_state)
+          use(*unit, row, *pair->second, static_cast<int>(stratum));
+      }
+    }
+  }
+}
+
+}  // namespace
+
+std::optional<Comparison> CompareOnPairs(const std::vector<PairedUnits>& strata, int replicates,
+                                         const std::string& label) {
+  Comparison comparison;
+  std::vector<EpisodeValue> differences;
+  ForEachPair(strata, [&](const UnitResult& unit, const EpisodeRow& row,
+                          const EpisodeRow& reference, int stratum) {
+    ++comparison.pairs;
+    comparison.plus += row.success && !reference.success;
+    comparison.minus += !row.success && reference.success;
+    differences.push_back({unit.config.suite, row.task, row.initial_state, stratum,
+                           static_cast<double>(row.success) - reference.success});
+  });
+  if (comparison.pairs == 0) return std::nullopt;
+  comparison.difference = BootstrapEpisodes(differences, replicates, label);
+  const std::vector<ClusteredValue> clustered = ClusterEpisodes(differences);
+  const SignFlipResult test =
+      ClusterSignFlipTest(clustered, StreamKey("eval/sign flips").With(label));
+  comparison.p_value = test.p_value;
+  comparison.p_exact = test.exact;
+  comparison.mcnemar_p = ExactMcNemar(comparison.plus, comparison.minus);
+  comparison.p_holm = kNaN;
+  comparison.design_effect = DesignEffect(clustered);
+  return comparison;
+}
+
+SeedSpread SpreadOverSeeds(const std::vector<Units>& strata) {
+  std::map<int64_t, std::map<size_t, std::pair<int, int>>> counts;  // seed -> stratum -> won, n
+  for (size_t stratum = 0; stratum < strata.size(); ++stratum) {
+    for (const UnitResult* unit : strata[stratum]) {
+      auto& [won, n] = counts[unit->config.seed][stratum];
+      for (const EpisodeRow& row : unit->episodes) {
+        won += row.success;
+        ++n;
+      }
+    }
+  }
+  SeedSpread spread;
+  for (const auto& [seed, by_stratum] : counts) {
+    double sum = 0;
+    int present = 0;
+    for (const auto& [stratum, count] : by_stratum) {
+      if (count.second == 0) continue;
+      sum += static_cast<double>(count.first) / count.second;
+      ++present;
+    }
+    if (present == 0) continue;
+    spread.seeds.push_back(seed);
+    spread.means.push_back(sum / present);
+  }
+  const double n = static_cast<double>(spread.means.size());
+  for (const double mean : spread.means) spread.mean += mean / n;
+  double squares = 0;
+  for (const double mean : spread.means) squares += (mean - spread.mean) * (mean - spread.mean);
+  if (spread.means.empty()) spread.mean = kNaN;
+  spread.deviation = n < 2 ? kNaN : std::sqrt(squares / (n - 1));
+  return spread;
+}
+
+std::optional<BeforeAfter> CompareBeforeAfter(const std::vector<PairedUnits>& strata,
+                                              AdaptationMeasure measure, int replicates,
+                                              const std::string& label) {
+  const auto field =
+      measure == AdaptationMeasure::kResidual ? &EpisodeRow::residual : &EpisodeRow::intent;
+  BeforeAfter result;
+  std::vector<EpisodeValue> changes;
+  ForEachPair(strata, [&](const UnitResult& unit, const EpisodeRow& row,
+                          const EpisodeRow& reference, int stratum) {
+    // `updates` counts up to an episode's end, so the episode before tells how this one began.
+    const bool began_adapted = &row != &unit.episodes.front() && (&row - 1)->updates > 0;
+    if (!(row.*field) || !(reference.*field) || !began_adapted) return;
+    ++result.pairs;
+    result.before += *(reference.*field);
+    result.after += *(row.*field);
+    changes.push_back({unit.config.suite, row.task, row.initial_state, stratum,
+                       *(row.*field) - *(reference.*field)});
+  });
+  if (result.pairs == 0) return std::nullopt;
+  result.before /= result.pairs;
+  result.after /= result.pairs;
+  result.change = BootstrapEpisodes(changes, replicates, label);
+  return result;
+}
+
+}  // namespace robostress

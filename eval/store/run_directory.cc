@@ -1,0 +1,152 @@
+#include "eval/store/run_directory.h"
+
+#include <fcntl.h>
+#include <string.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/atomic_file.h"
+#include "common/config.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/status_macros.h"
+#include "eval/plan/unit_text.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+bool Exists(const std::string& path) {
+  std::error_code error;
+  return fs::exists(path, error);
+}
+
+}  // namespace
+
+absl::StatusOr<FileLock> FileLock::Take(const std::string& file, const std::string& busy) {
+  const int fd = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+  if (fd < 0) return absl::InternalError(absl::StrCat("cannot open ", file, ": ", strerror(errno)));
+  FileLock lock(fd);
+  if (flock(fd, LOCK_EX | LOCK_NB) != 0) return absl::FailedPreconditionError(busy);
+  return lock;
+}
+
+FileLock::FileLock(FileLock&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+
+FileLock::~FileLock() {
+  if (fd_ >= 0) close(fd_);
+}
+
+bool RunDirectory::Done(const std::string& id) const { return Exists(Unit(id) + "/DONE"); }
+
+bool RunDirectory::Begun(const std::string& id) const {
+  return Exists(Unit(id) + "/config.yaml") || Exists(Unit(id) + "/DONE") || Exists(Parts(id));
+}
+
+std::unordered_set<std::string> RunDirectory::StartedIds() const {
+  std::unordered_set<std::string> ids;
+  std::error_code error;
+  for (const char* folder : {"/units", "/parts"}) {
+    for (const auto& entry : fs::directory_iterator(path_ + folder, error))
+      ids.insert(entry.path().filename().string());
+  }
+  return ids;
+}
+
+absl::StatusOr<FileLock> RunDirectory::Lock() const {
+  RS_RETURN_IF_ERROR(MakeDirectories(path_));
+  return FileLock::Take(path_ + "/.lock", absl::StrCat("another sweep is running in ", path_,
+                                                       "; wait for it or choose another --out"));
+}
+
+std::string RunDirectory::KeptScenario(const std::string& scenario) const {
+  return absl::StrCat(path_, "/scenarios/", ScenarioLabel(scenario), ".yaml");
+}
+
+absl::Status RunDirectory::CheckStarted(const SweepGrid& grid,
+                                        const std::vector<PlannedUnit>& units) const {
+  const std::unordered_set<std::string> started = StartedIds();
+  std::vector<std::string> complaints;
+  UnitTexts texts;
+  for (const PlannedUnit& unit : units) {
+    if (started.count(unit.id) == 0) continue;
+    const absl::StatusOr<std::string> present = ReadFile(PlanFile(unit.id));
+    if (!present.ok() || *present == texts.Of(unit) || !Begun(unit.id)) continue;
+    complaints.push_back(absl::StrCat(
+        PlanFile(unit.id), " plans this unit with another configuration, and it has been started"));
+  }
+  if (!complaints.empty()) {
+    complaints.push_back(absl::StrCat(
+        "results of different configurations cannot share a run directory. Choose another --out, "
+        "or repeat the options of ",
+        path_, "/sweep.yaml"));
+  }
+  // A scenario file may change; results of two versions of it cannot share a run directory.
+  for (const std::string& scenario : grid.scenarios) {
+    const std::string kept = KeptScenario(scenario);
+    if (!IsScenarioFile(scenario) || !Exists(kept)) continue;
+    if (ReadFile(kept).value_or("") == ReadFile(scenario).value_or("")) continue;
+    complaints.push_back(absl::StrCat(scenario,
+                                      " has changed since this run began, which kept it as ", kept,
+                                      "; choose another --out, or restore the file"));
+  }
+  if (complaints.empty()) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrJoin(complaints, "\n"));
+}
+
+absl::Status RunDirectory::Prepare(const SweepGrid& grid,
+                                   const std::vector<PlannedUnit>& units) const {
+  for (const char* folder : {"", "/plan", "/units", "/logs", "/grids"})
+    RS_RETURN_IF_ERROR(MakeDirectories(path_ + folder));
+  RS_RETURN_IF_ERROR(CheckStarted(grid, units));
+  for (const std::string& scenario : grid.scenarios) {
+    if (!IsScenarioFile(scenario) || Exists(KeptScenario(scenario))) continue;
+    RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(scenario));
+    RS_RETURN_IF_ERROR(MakeDirectories(path_ + "/scenarios"));
+    RS_RETURN_IF_ERROR(WriteFileAtomically(KeptScenario(scenario), text));
+  }
+  const std::string text = DumpConfig(grid);
+  const std::string kept = absl::StrCat(path_, "/grids/", Sha256Hex(text).substr(0, 12), ".yaml");
+  if (!Exists(kept)) RS_RETURN_IF_ERROR(WriteFileAtomically(kept, text));
+  return WriteFileAtomically(path_ + "/sweep.yaml", text);
+}
+
+absl::Status RunDirectory::WritePlan(const PlannedUnit& unit) const {
+  const std::string text = DumpConfig(unit.config);
+  if (ReadFile(PlanFile(unit.id)).value_or("") == text) return absl::OkStatus();
+  return WriteFileAtomically(PlanFile(unit.id), text);
+}
+
+absl::StatusOr<std::vector<SweepGrid>> RunDirectory::Grids() const {
+  std::vector<std::string> files;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(path_ + "/grids", error)) {
+    if (entry.path().extension() == ".yaml") files.push_back(entry.path().string());
+  }
+  std::sort(files.begin(), files.end());
+  if (files.empty() && Exists(path_ + "/sweep.yaml")) files.push_back(path_ + "/sweep.yaml");
+  std::vector<SweepGrid> grids;
+  for (const std::string& file : files) {
+    absl::StatusOr<SweepGrid> grid = LoadConfig<SweepGrid>(file);
+    if (!grid.ok()) return absl::DataLossError(grid.status().message());
+    grids.push_back(*std::move(grid));
+  }
+  return grids;
+}
+
+int CountLines(const std::string& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return static_cast<int>(
+      std::count(std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>(), '\n'));
+}
+
+}  // namespace robostress

@@ -1,0 +1,68 @@
+#pragma once
+
+#include <string>
+#include <unordered_set>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "eval/plan/plan.h"
+
+namespace robostress {
+
+// Keeps a file locked (flock) for as long as it lives.
+class FileLock {
+ public:
+  // FailedPrecondition with `busy` as its message when another process holds it.
+  static absl::StatusOr<FileLock> Take(const std::string& file, const std::string& busy);
+  FileLock(FileLock&& other) noexcept;
+  FileLock& operator=(FileLock&&) = delete;
+  ~FileLock();
+
+ private:
+  explicit FileLock(int fd) : fd_(fd) {}
+  int fd_;
+};
+
+// Complete lines in a file; 0 when it is not there.
+int CountLines(const std::string& file);
+
+// Where things lie in a run directory:
+//   sweep.yaml        the grid of the last call, resolved; grids/<hash>.yaml every grid so far
+//   plan/<id>.yaml    configuration of a unit that has been started
+//   units/<id>/       written by its worker, DONE last
+//   parts/<id>/       ranges of a unit's episodes while they are run apart (work_list.h)
+//   scenarios/        copies of scenario files
+//   logs/             one per process
+class RunDirectory {
+ public:
+  explicit RunDirectory(std::string path) : path_(std::move(path)) {}
+  const std::string& path() const { return path_; }
+  std::string Unit(const std::string& id) const { return path_ + "/units/" + id; }
+  std::string Parts(const std::string& id) const { return path_ + "/parts/" + id; }
+  std::string PlanFile(const std::string& id) const { return path_ + "/plan/" + id + ".yaml"; }
+  std::string Log(const std::string& name) const { return path_ + "/logs/" + name + ".log"; }
+  bool Done(const std::string& id) const;
+  // A worker has written something that belongs to one configuration.
+  bool Begun(const std::string& id) const;
+  // Names in units/ and parts/: asking them is cheaper than the disk when there are many units.
+  std::unordered_set<std::string> StartedIds() const;
+
+  // Only one sweep at a time.
+  absl::StatusOr<FileLock> Lock() const;
+  // FailedPrecondition, with every unit and file listed: units that were started with another
+  // configuration, scenario files that have changed.
+  absl::Status CheckStarted(const SweepGrid& grid, const std::vector<PlannedUnit>& units) const;
+  // Checks, makes the folders, keeps the grid and its scenario files.
+  absl::Status Prepare(const SweepGrid& grid, const std::vector<PlannedUnit>& units) const;
+  // Publishes a unit's configuration for its worker.
+  absl::Status WritePlan(const PlannedUnit& unit) const;
+  // Every grid that was planned here, oldest name first; DataLoss when a file is damaged.
+  absl::StatusOr<std::vector<SweepGrid>> Grids() const;
+
+ private:
+  std::string KeptScenario(const std::string& scenario) const;
+  const std::string path_;
+};
+
+}  // namespace robostress

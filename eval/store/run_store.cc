@@ -1,0 +1,286 @@
+#include "eval/store/run_store.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <limits>
+#include <set>
+#include <tuple>
+#include <unordered_set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "common/atomic_file.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/status_macros.h"
+#include "common/suites.h"
+#include "eval/store/run_directory.h"
+#include "eval/store/unit_files.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+// Columns of the table, in this order; other fields of the records follow in alphabetical order.
+const std::vector<std::string>& LeadingColumns() {
+  static const auto& columns = *new std::vector<std::string>{
+      "suite",   "scenario",      "severity", "policy", "method", "seed",   "task",
+      "episode", "initial_state", "success",  "steps",  "chunks", "updates"};
+  return columns;
+}
+
+template <class Names>
+int IndexOf(const Names& names, const std::string& name) {
+  return static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
+}
+
+auto CanonicalKey(const UnitConfig& config) {
+  static const auto& suites = *new std::vector<std::string>([] {
+    std::vector<std::string> names;
+    for (const SuiteInfo& suite : AllSuites()) names.push_back(suite.name);
+    return names;
+  }());
+  static const auto& scenarios = *new std::vector<std::string>(ScenarioNames());
+  static const auto& methods = *new std::vector<std::string>(MethodNames());
+  return std::tuple(IndexOf(suites, config.suite), IndexOf(scenarios, config.scenario),
+                    ScenarioLabel(config.scenario), config.severity, config.policy,
+                    IndexOf(methods, config.method.method), config.seed);
+}
+
+std::string CsvCell(const json& value) {
+  if (value.is_null()) return "";
+  if (value.is_boolean()) return value.get<bool>() ? "1" : "0";
+  if (!value.is_string()) return value.dump();
+  std::string text = value.get<std::string>();
+  if (text.find_first_of(",\"\n") == std::string::npos) return text;
+  std::string quoted = "\"";
+  for (const char c : text) absl::StrAppend(&quoted, c == '"' ? "\"\"" : std::string(1, c));
+  return quoted + "\"";
+}
+
+// Reads fields of one record and remembers the first that is wrong.
+class RecordReader {
+ public:
+  RecordReader(const std::string& source, const json& record) : source_(source), record_(record) {}
+
+  int Int(const char* key) {
+    const auto field = record_.find(key);
+    if (field == record_.end() || !field->is_number_integer()) return Fail(key, "an integer"), 0;
+    return field->get<int>();
+  }
+  bool Bool(const char* key) {
+    const auto field = record_.find(key);
+    if (field == record_.end() || !field->is_boolean()) return Fail(key, "true or false"), false;
+    return field->get<bool>();
+  }
+  std::optional<double> Number(const char* key) {
+    const auto field = record_.find(key);
+    if (field == record_.end() || field->is_null()) return std::nullopt;
+    if (!field->is_number()) return Fail(key, "a number"), std::nullopt;
+    return field->get<double>();
+  }
+  const absl::Status& status() const { return status_; }
+
+ private:
+  void Fail(const char* key, const char* expected) {
+    if (!status_.ok()) return;
+    const auto field = record_.find(key);
+    status_ = absl::DataLossError(absl::StrCat(
+        source_, ": field ", key,
+        field == record_.end() ? " is missing" : absl::StrCat(" is ", field->dump()), ", must be ",
+        expected, "; the file was not written by this version's worker"));
+  }
+  const std::string& source_;
+  const json& record_;
+  absl::Status status_;
+};
+
+// Seconds over all launches; lines that cannot be read are passed over.
+double LaunchSeconds(const std::string& file) {
+  double seconds = 0;
+  const std::string text = ReadFile(file).value_or("");
+  for (absl::string_view line : absl::StrSplit(text, '\n', absl::SkipEmpty())) {
+    const json launch = json::parse(line, nullptr, false);
+    if (launch.is_object() && launch.contains("wall_s") && launch["wall_s"].is_number())
+      seconds += launch["wall_s"].get<double>();
+  }
+  return seconds;
+}
+
+// Adds the units that the run's grids plan and that have no folder.
+absl::Status AddPlanned(const std::string& dir, const std::unordered_set<std::string>& present,
+                        std::vector<std::string>& unfinished) {
+  RS_ASSIGN_OR_RETURN(const std::vector<SweepGrid> grids, RunDirectory(dir).Grids());
+  for (const SweepGrid& grid : grids) {
+    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
+    for (const PlannedUnit& unit : units) {
+      if (present.count(unit.id) == 0) unfinished.push_back(unit.id);
+    }
+  }
+  std::sort(unfinished.begin(), unfinished.end());
+  unfinished.erase(std::unique(unfinished.begin(), unfinished.end()), unfinished.end());
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::string& line) {
+  EpisodeRow row;
+  const json fields = json::parse(line, nullptr, false);
+  if (!fields.is_object()) {
+    return absl::DataLossError(
+        absl::StrCat(source, ": not a JSON object: '", line.substr(0, 80), "'"));
+  }
+  RecordReader reader(source, fields);
+  row.record = line;
+  row.task = reader.Int("task");
+  row.episode = reader.Int("episode");
+  row.initial_state = reader.Int("initial_state");
+  row.success = reader.Bool("success");
+  row.steps = reader.Int("steps");
+  row.chunks = reader.Int("chunks");
+  row.updates = reader.Int("updates");
+  row.residual = reader.Number("residual");
+  row.eta_sq = reader.Number("eta_sq");
+  row.a_sq = reader.Number("a_sq");
+  row.intent = reader.Number("intent");
+  row.intent_eta_sq = reader.Number("intent_eta_sq");
+  row.intent_a_sq = reader.Number("intent_a_sq");
+  row.residual_tracking = reader.Number("residual_tracking");
+  row.lag_residual = reader.Number("lag_residual");
+  row.mean_abs_action = reader.Number("mean_abs_action");
+  row.clipped_share = reader.Number("clipped_share");
+  row.adapter_distance = reader.Number("adapter_distance");
+  RS_RETURN_IF_ERROR(reader.status());
+  return row;
+}
+
+absl::StatusOr<RunData> LoadRun(const std::string& dir) {
+  RunData run;
+  run.dir = dir;
+  const fs::path units = fs::path(dir) / "units";
+  std::error_code error;
+  if (!fs::is_directory(units, error)) {
+    return absl::NotFoundError(absl::StrCat(
+        dir, " is not a run directory: it has no folder units/. Give the --out of a sweep"));
+  }
+  std::vector<fs::path> folders;
+  for (const auto& entry : fs::directory_iterator(units, error)) folders.push_back(entry.path());
+  std::sort(folders.begin(), folders.end());
+  UnitTextReader texts;
+  std::vector<std::string> damage;
+  std::vector<ModelUse> models;
+  std::unordered_set<std::string> present;
+  for (const fs::path& folder : folders) {
+    UnitInspection inspection = InspectUnit(folder.string(), texts);
+    present.insert(inspection.unit.id);
+    if (!inspection.finished) {
+      run.unfinished.push_back(inspection.unit.id);
+      continue;
+    }
+    damage.insert(damage.end(), inspection.damage.begin(), inspection.damage.end());
+    UnitResult& unit = inspection.unit;
+    if (unit.provenance.is_object())
+      models.push_back({unit.config.policy, unit.provenance.value("model_hash", ""), unit.id});
+    for (const std::string& machine : unit.machines) ++run.machines[machine];
+    run.units.push_back(std::move(unit));
+  }
+  for (std::string& complaint : DifferentModels(models)) damage.push_back(std::move(complaint));
+  if (const absl::Status status = AddPlanned(dir, present, run.unfinished); !status.ok())
+    damage.emplace_back(status.message());
+  if (!damage.empty()) return absl::DataLossError(absl::StrJoin(damage, "\n"));
+  if (run.units.empty()) {
+    return absl::NotFoundError(
+        absl::StrCat(dir, " has no finished unit; run the sweep that made it again, it continues"));
+  }
+  SortUnits(run.units);
+  if (const auto text = ReadFile(dir + "/environment.json"); text.ok())
+    run.environment = json::parse(*text, nullptr, false);
+  run.sweep_wall_s = LaunchSeconds(dir + "/launches.jsonl");
+  return run;
+}
+
+void SortUnits(std::vector<UnitResult>& units) {
+  std::stable_sort(units.begin(), units.end(), [](const UnitResult& a, const UnitResult& b) {
+    return CanonicalKey(a.config) < CanonicalKey(b.config);
+  });
+}
+
+std::string MixedMachinesNote(const RunData& run) {
+  if (run.machines.size() < 2) return "";
+  std::vector<std::string> kinds;
+  for (const auto& [kind, units] : run.machines)
+    kinds.push_back(absl::StrCat(kind, " (", units, " units)"));
+  return absl::StrCat(
+      "This table mixes kinds of processors, whose floating-point kernels may differ in the last "
+      "bits and so in outcomes: ",
+      absl::StrJoin(kinds, "; "));
+}
+
+namespace {
+
+// Rows of the table with `columns`; false when a record has a field that is none of them.
+bool AppendRows(const RunData& run, const std::vector<std::string>& columns, std::string& csv) {
+  const std::set<std::string> known(columns.begin(), columns.end());
+  for (const UnitResult& unit : run.units) {
+    for (const EpisodeRow& row : unit.episodes) {
+      const json fields = json::parse(row.record, nullptr, false);
+      for (const auto& [name, value] : fields.items()) {
+        if (known.count(name) == 0) return false;
+      }
+      const char* separator = "";
+      for (const std::string& name : columns) {
+        const auto field = fields.find(name);
+        absl::StrAppend(&csv, separator, field == fields.end() ? "" : CsvCell(*field));
+        separator = ",";
+      }
+      csv += '\n';
+    }
+  }
+  return true;
+}
+
+// Leading columns, then all other fields of the first `limit` records.
+std::vector<std::string> Columns(const RunData& run, size_t limit) {
+  std::set<std::string> others;
+  size_t read = 0;
+  for (const UnitResult& unit : run.units) {
+    for (const EpisodeRow& row : unit.episodes) {
+      if (read++ >= limit) break;
+      const json fields = json::parse(row.record, nullptr, false);
+      for (const auto& [name, value] : fields.items()) others.insert(name);
+    }
+  }
+  std::vector<std::string> columns = LeadingColumns();
+  for (const std::string& name : columns) others.erase(name);
+  columns.insert(columns.end(), others.begin(), others.end());
+  return columns;
+}
+
+}  // namespace
+
+std::string EpisodeTableCsv(const RunData& run) {
+  // Records nearly always have the same fields; only when they do not is each parsed twice.
+  for (const size_t limit : {size_t{1}, std::numeric_limits<size_t>::max()}) {
+    const std::vector<std::string> columns = Columns(run, limit);
+    std::string csv = absl::StrJoin(columns, ",") + "\n";
+    if (AppendRows(run, columns, csv)) return csv;
+  }
+  return "";
+}
+
+std::string UnitTimingCsv(const RunData& run) {
+  std::string csv = "unit,episodes,wall_s,predict_s,step_s,observe_s,feedback_s\n";
+  for (const UnitResult& unit : run.units) {
+    const TimingSums& t = unit.timing;
+    absl::StrAppend(
+        &csv, absl::StrFormat("%s,%d,%.3f,%.3f,%.3f,%.3f,%.3f\n", unit.id, t.episodes, t.wall_s,
+                              t.predict_s, t.step_s, t.observe_s, t.feedback_s));
+  }
+  return csv;
+}
+
+}  // namespace robostress

@@ -1,0 +1,174 @@
+#include "eval/store/store_check.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <map>
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/atomic_file.h"
+#include "common/config.h"
+#include "common/status_macros.h"
+#include "eval/store/run_directory.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+void Report(const std::string& store, const std::string& unit, StoreFault fault, std::string text,
+            StoreContents& contents) {
+  contents.findings.push_back({fault, store, unit, std::move(text)});
+}
+
+void AddUnit(const std::string& store, UnitInspection inspection, StoreContents& contents) {
+  const std::string id = inspection.unit.id;
+  if (!inspection.finished) {
+    Report(store, id, StoreFault::kUnfinished,
+           absl::StrCat(inspection.unit.episodes.size(), " of ",
+                        inspection.unit.config.tasks.size() * inspection.unit.config.episodes,
+                        " episodes; the sweep's command completes it"),
+           contents);
+  } else {
+    if (inspection.without_checksum)
+      inspection.damage.push_back(store + "/units/" + id + "/DONE holds no checksum");
+    for (const std::string& damage : inspection.damage)
+      Report(store, id, StoreFault::kDamaged, damage, contents);
+    ++contents.finished;
+  }
+  inspection.unit.episodes = std::vector<EpisodeRow>();  // a store may hold millions
+  contents.units.push_back({store, std::move(inspection)});
+}
+
+// Parts of units that are not joined yet.
+void AddParts(const RunDirectory& run, std::set<std::string>& present, StoreContents& contents) {
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(run.path() + "/parts", error)) {
+    const std::string id = entry.path().filename().string();
+    if (!present.insert(id).second) continue;
+    int episodes = 0;
+    std::error_code none;
+    for (const auto& part : fs::directory_iterator(entry.path(), none))
+      episodes += CountLines(part.path().string() + "/episodes.jsonl");
+    Report(run.path(), id, StoreFault::kUnfinished,
+           absl::StrCat(episodes, " episodes in parts; the sweep's command completes it"),
+           contents);
+  }
+}
+
+absl::Status CompareWithGrids(const RunDirectory& run, const std::set<std::string>& present,
+                              StoreContents& contents) {
+  const absl::StatusOr<std::vector<SweepGrid>> grids = run.Grids();
+  if (!grids.ok()) {
+    Report(run.path(), "", StoreFault::kDamaged, std::string(grids.status().message()), contents);
+    return absl::OkStatus();
+  }
+  std::set<std::string> planned;
+  for (const SweepGrid& grid : *grids) {
+    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
+    for (const PlannedUnit& unit : units) planned.insert(unit.id);
+  }
+  for (const std::string& id : planned) {
+    if (present.count(id) > 0) continue;
+    Report(run.path(), id, StoreFault::kMissing, "planned and never begun", contents);
+  }
+  for (const std::string& id : present) {
+    if (planned.count(id) > 0 || grids->empty()) continue;
+    Report(run.path(), id, StoreFault::kUnplanned, "no grid of this store plans it", contents);
+  }
+  return absl::OkStatus();
+}
+
+void CompareStores(StoreContents& contents) {
+  std::map<std::string, const StoredUnit*> first;
+  std::vector<StoreFinding> found;
+  for (const StoredUnit& unit : contents.units) {
+    if (!unit.inspection.finished) continue;
+    const auto [other, added] = first.emplace(unit.inspection.unit.id, &unit);
+    if (added) continue;
+    const bool equal = other->second->Fingerprint() == unit.Fingerprint();
+    found.push_back({equal ? StoreFault::kDuplicate : StoreFault::kConflict, unit.store,
+                     unit.inspection.unit.id,
+                     equal ? absl::StrCat("equal in ", other->second->store, "; counted once")
+                           : absl::StrCat("has other results, configuration or weights in ",
+                                          other->second->store, "; remove the one that is wrong")});
+  }
+  contents.findings.insert(contents.findings.end(), found.begin(), found.end());
+}
+
+}  // namespace
+
+const char* StoreFaultName(StoreFault fault) {
+  switch (fault) {
+    case StoreFault::kDamaged:
+      return "damaged";
+    case StoreFault::kConflict:
+      return "conflict";
+    case StoreFault::kOtherModel:
+      return "other model";
+    case StoreFault::kUnfinished:
+      return "unfinished";
+    case StoreFault::kMissing:
+      return "missing";
+    case StoreFault::kUnplanned:
+      return "unplanned";
+    case StoreFault::kDuplicate:
+      return "duplicate";
+  }
+  return "";
+}
+
+bool IsBad(StoreFault fault) { return fault <= StoreFault::kOtherModel; }
+
+bool IsIncomplete(StoreFault fault) {
+  return fault == StoreFault::kUnfinished || fault == StoreFault::kMissing;
+}
+
+std::string StoredUnit::Fingerprint() const {
+  UnitConfig config = inspection.unit.config;
+  config.libero_root.clear();
+  config.robosuite_root.clear();
+  const nlohmann::json& provenance = inspection.unit.provenance;
+  const std::string model = provenance.is_object() ? provenance.value("model_hash", "") : "";
+  return absl::StrCat(Sha256Hex(DumpConfig(config)), " ", inspection.episodes_sha256, " ", model);
+}
+
+absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores) {
+  StoreContents contents;
+  UnitTextReader texts;
+  std::vector<ModelUse> models;
+  for (const std::string& store : stores) {
+    const RunDirectory run(store);
+    std::error_code error;
+    if (!fs::is_directory(store + "/units", error)) {
+      return absl::NotFoundError(absl::StrCat(
+          store, " is not a run directory: it has no folder units/. Give the --out of a sweep"));
+    }
+    std::vector<std::string> folders;
+    for (const auto& entry : fs::directory_iterator(store + "/units", error))
+      folders.push_back(entry.path().string());
+    std::sort(folders.begin(), folders.end());
+    std::set<std::string> present;
+    for (const std::string& folder : folders) {
+      UnitInspection inspection = InspectUnit(folder, texts);
+      const UnitResult& unit = inspection.unit;
+      present.insert(unit.id);
+      if (inspection.finished && unit.provenance.is_object()) {
+        models.push_back({PolicyLabel(unit.config.policy), unit.provenance.value("model_hash", ""),
+                          absl::StrCat(store, "/", unit.id)});
+      }
+      AddUnit(store, std::move(inspection), contents);
+    }
+    AddParts(run, present, contents);
+    RS_RETURN_IF_ERROR(CompareWithGrids(run, present, contents));
+  }
+  CompareStores(contents);
+  for (const std::string& complaint : DifferentModels(models))
+    Report("", "", StoreFault::kOtherModel, complaint, contents);
+  std::stable_sort(contents.findings.begin(), contents.findings.end(),
+                   [](const StoreFinding& a, const StoreFinding& b) { return a.fault < b.fault; });
+  return contents;
+}
+
+}  // namespace robostress

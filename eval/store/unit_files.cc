@@ -1,0 +1,195 @@
+#include "eval/store/unit_files.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <map>
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "common/atomic_file.h"
+#include "common/suites.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+class UnitReader {
+ public:
+  UnitReader(std::string folder, UnitTextReader& texts)
+      : folder_(std::move(folder)), texts_(texts) {}
+
+  UnitInspection Read() {
+    result_.unit.id = fs::path(folder_).filename().string();
+    std::error_code error;
+    result_.finished = fs::exists(folder_ + "/DONE", error);
+    const bool configured = ReadConfiguration();
+    ReadEpisodes();
+    if (result_.finished && configured) CheckCompleteness();
+    if (result_.finished) CheckSum();
+    ReadExtras();
+    if (!result_.finished) result_.damage.clear();
+    return std::move(result_);
+  }
+
+ private:
+  void Damage(std::string text) { result_.damage.push_back(std::move(text)); }
+
+  bool ReadConfiguration() {
+    const std::string file = folder_ + "/config.yaml";
+    const absl::StatusOr<std::string> text = ReadFile(file);
+    absl::StatusOr<UnitConfig> config = text.ok() ? texts_.Read(file, *text) : text.status();
+    if (!config.ok()) {
+      Damage(std::string(config.status().message()));
+      return false;
+    }
+    UnitResult& unit = result_.unit;
+    unit.config = *std::move(config);
+    const SuiteInfo* suite = FindSuite(unit.config.suite);
+    if (suite == nullptr) {
+      Damage(absl::StrCat(file, ": suite '", unit.config.suite, "' is unknown"));
+      return false;
+    }
+    if (unit.config.tasks.empty()) {
+      for (int task = 0; task < suite->num_tasks; ++task) unit.config.tasks.push_back(task);
+    }
+    return true;
+  }
+
+  void ReadEpisodes() {
+    const std::string file = folder_ + "/episodes.jsonl";
+    const absl::StatusOr<std::string> text = ReadFile(file);
+    if (!text.ok()) return Damage(std::string(text.status().message()));
+    result_.episodes_sha256 = Sha256Hex(*text);
+    if (!text->empty() && text->back() != '\n') Damage(absl::StrCat(file, " ends in a torn line"));
+    int line_number = 0;
+    for (absl::string_view line : absl::StrSplit(*text, '\n')) {
+      ++line_number;
+      if (line.empty()) continue;
+      absl::StatusOr<EpisodeRow> row =
+          ParseEpisode(absl::StrCat(file, ":", line_number), std::string(line));
+      if (row.ok()) {
+        result_.unit.episodes.push_back(*std::move(row));
+      } else {
+        Damage(std::string(row.status().message()));
+      }
+    }
+  }
+
+  void CheckCompleteness() {
+    const std::string file = folder_ + "/episodes.jsonl";
+    const UnitResult& unit = result_.unit;
+    const size_t expected = unit.config.tasks.size() * unit.config.episodes;
+    if (unit.episodes.size() != expected) {
+      Damage(absl::StrCat(file, " has ", unit.episodes.size(), " episodes, its configuration says ",
+                          expected, "; remove the unit's folder and run the sweep again"));
+    }
+    std::set<std::pair<int, int>> seen;
+    const std::set<int> tasks(unit.config.tasks.begin(), unit.config.tasks.end());
+    for (const EpisodeRow& row : unit.episodes) {
+      if (!seen.insert({row.task, row.episode}).second) {
+        Damage(absl::StrCat(file, ": task ", row.task, " episode ", row.episode,
+                            " is recorded twice"));
+      }
+      if (tasks.count(row.task) == 0 || row.episode < 0 || row.episode >= unit.config.episodes) {
+        Damage(absl::StrCat(file, ": task ", row.task, " episode ", row.episode,
+                            " is none of its configuration"));
+      }
+    }
+  }
+
+  void CheckSum() {
+    const std::string file = folder_ + "/DONE";
+    const std::string text = ReadFile(file).value_or("");
+    const json done = json::parse(text, nullptr, false);
+    if (!done.is_object() || !done.contains("episodes_sha256") ||
+        !done["episodes_sha256"].is_string()) {
+      result_.without_checksum = true;
+      return;
+    }
+    if (done["episodes_sha256"] == result_.episodes_sha256 || result_.episodes_sha256.empty())
+      return;
+    Damage(absl::StrCat(folder_, "/episodes.jsonl is not what DONE says: its SHA-256 begins ",
+                        result_.episodes_sha256.substr(0, 12), ", DONE has ",
+                        done["episodes_sha256"].get<std::string>().substr(0, 12)));
+  }
+
+  void ReadExtras() {
+    UnitResult& unit = result_.unit;
+    if (const auto text = ReadFile(folder_ + "/provenance.json"); text.ok()) {
+      unit.provenance = json::parse(*text, nullptr, false);
+      if (unit.provenance.is_discarded()) {
+        Damage(folder_ + "/provenance.json is not JSON");
+        unit.provenance = nullptr;
+      }
+    }
+    std::error_code none;
+    for (const auto& entry : fs::directory_iterator(folder_ + "/videos", none)) {
+      if (entry.path().extension() == ".webp") unit.videos.push_back(entry.path().string());
+    }
+    std::sort(unit.videos.begin(), unit.videos.end());
+    for (const json& record : Records("/timing.jsonl")) AddTiming(record);
+    std::set<std::string> machines;
+    for (const json& record : Records("/machines.jsonl")) {
+      for (const auto& [role, machine] : record.items()) {
+        if (machine.is_string() && machine != "unknown") machines.insert(machine);
+      }
+    }
+    unit.machines.assign(machines.begin(), machines.end());
+  }
+
+  // JSON objects, one a line; lines that are none are passed over: these files decide nothing.
+  std::vector<json> Records(const char* name) const {
+    std::vector<json> records;
+    const std::string text = ReadFile(folder_ + name).value_or("");
+    for (absl::string_view line : absl::StrSplit(text, '\n', absl::SkipEmpty())) {
+      json record = json::parse(line, nullptr, false);
+      if (record.is_object()) records.push_back(std::move(record));
+    }
+    return records;
+  }
+
+  void AddTiming(const json& record) {
+    const auto seconds = [&](const char* key) {
+      const auto field = record.find(key);
+      return field != record.end() && field->is_number() ? field->get<double>() : 0.0;
+    };
+    TimingSums& sums = result_.unit.timing;
+    ++sums.episodes;
+    sums.wall_s += seconds("wall_s");
+    sums.predict_s += seconds("predict_s");
+    sums.step_s += seconds("step_s");
+    sums.observe_s += seconds("observe_s");
+    sums.feedback_s += seconds("feedback_s");
+  }
+
+  const std::string folder_;
+  UnitTextReader& texts_;
+  UnitInspection result_;
+};
+
+}  // namespace
+
+UnitInspection InspectUnit(const std::string& folder, UnitTextReader& texts) {
+  return UnitReader(folder, texts).Read();
+}
+
+std::vector<std::string> DifferentModels(const std::vector<ModelUse>& uses) {
+  std::map<std::string, std::map<std::string, std::vector<std::string>>> models;
+  for (const ModelUse& use : uses) models[use.policy][use.model_hash].push_back(use.unit);
+  std::vector<std::string> complaints;
+  for (const auto& [policy, units_by_hash] : models) {
+    if (units_by_hash.size() < 2) continue;
+    for (const auto& [hash, units] : units_by_hash) {
+      complaints.push_back(
+          absl::StrCat("policy ", policy, " has weights ", hash.substr(0, 12), " in ", units.size(),
+                       " units and others elsewhere: ", absl::StrJoin(units, ", ")));
+    }
+  }
+  return complaints;
+}
+
+}  // namespace robostress
