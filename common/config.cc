@@ -1,6 +1,7 @@
 #include "common/config.h"
 
 #include <algorithm>
+#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -19,19 +20,25 @@ bool ConfigReader::Take(const char* key, YAML::Node& out) {
 }
 
 void ConfigReader::Fail(const std::string& key, const std::string& message) {
-  if (!status_.ok()) return;
-  status_ = absl::InvalidArgumentError(absl::StrCat(source_, ": ", path_, key, " ", message));
+  complaints_.push_back(absl::StrCat(source_, ": ", path_, key, " ", message));
+}
+
+void ConfigReader::CheckKeys() {
+  if (!node_.IsMap()) return;
+  std::set<std::string> seen;
+  for (const auto& entry : node_) {
+    const std::string key = entry.first.Scalar();
+    if (!seen.insert(key).second) Fail(key, "is given twice; remove one");
+    if (std::find(known_.begin(), known_.end(), key) != known_.end()) continue;
+    complaints_.push_back(absl::StrCat(source_, ": unknown key '", path_, key,
+                                       "'; known keys: ", absl::StrJoin(known_, ", ")));
+  }
 }
 
 absl::Status ConfigReader::Finish() {
-  if (!status_.ok() || !node_.IsMap()) return status_;
-  for (const auto& entry : node_) {
-    const std::string key = entry.first.Scalar();
-    if (std::find(known_.begin(), known_.end(), key) != known_.end()) continue;
-    return absl::InvalidArgumentError(absl::StrCat(source_, ": unknown key '", path_, key,
-                                                   "'; known keys: ", absl::StrJoin(known_, ", ")));
-  }
-  return absl::OkStatus();
+  CheckKeys();
+  if (complaints_.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrJoin(complaints_, "\n"));
 }
 
 std::string ConfigWriter::Text() const {

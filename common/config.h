@@ -13,7 +13,8 @@ namespace robostress {
 // A config struct is its own schema: it has
 //   template <class V> void Visit(V& v) { v.Field("rank", rank, "LoRA rank"); v.Section("osc", osc, "..."); }
 // where fields are bool, int, int64_t, uint64_t, double, std::string, std::vector of these (and enums through v.Choice).
-// Reading refuses unknown keys and wrong types, and names file, key path, value and the allowed keys.
+// Reading refuses unknown keys, keys that stand twice and wrong types, and names file, key path, value and the allowed keys
+// of everything that is wrong, a line each.
 class ConfigReader {
  public:
   ConfigReader(std::string source, YAML::Node root) : source_(std::move(source)), node_(std::move(root)) {}
@@ -23,15 +24,15 @@ class ConfigReader {
   void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices, const char* doc);
   template <class S>
   void Section(const char* key, S& section, const char* doc);
-  absl::Status Finish();  // unknown keys, first error
+  absl::Status Finish();  // everything that was wrong, with the keys that no field took
 
  private:
   bool Take(const char* key, YAML::Node& out);
   void Fail(const std::string& key, const std::string& message);
+  void CheckKeys();
   std::string source_, path_;
   YAML::Node node_;
-  std::vector<std::string> known_;
-  absl::Status status_;
+  std::vector<std::string> known_, complaints_;
 };
 
 // Writes a struct as YAML, fields in order.

@@ -36,9 +36,19 @@ template <>
 struct TypeName<std::string> {
   static constexpr const char* kValue = "a text";
 };
-template <class T>
-struct TypeName<std::vector<T>> {
-  static constexpr const char* kValue = "a list";
+template <>
+struct TypeName<std::vector<int>> {
+  static constexpr const char* kValue = "a list of integers";
+};
+template <>
+struct TypeName<std::vector<int64_t>> : TypeName<std::vector<int>> {};
+template <>
+struct TypeName<std::vector<double>> {
+  static constexpr const char* kValue = "a list of numbers";
+};
+template <>
+struct TypeName<std::vector<std::string>> {
+  static constexpr const char* kValue = "a list of texts";
 };
 
 template <class T>
@@ -101,7 +111,8 @@ void ConfigReader::Section(const char* key, S& section, const char* /*doc*/) {
   ConfigReader reader(source_, node);
   reader.path_ = absl::StrCat(path_, key, ".");
   section.Visit(reader);
-  if (absl::Status status = reader.Finish(); status_.ok()) status_ = status;
+  reader.CheckKeys();
+  complaints_.insert(complaints_.end(), reader.complaints_.begin(), reader.complaints_.end());
 }
 
 template <class T>

@@ -141,10 +141,10 @@ absl::StatusOr<std::vector<Work>> Plan(const CommandLine& line, const PaperProto
   if (names.empty()) {
     return absl::InvalidArgumentError("no TABLE given; `robostress paper --list` names them");
   }
+  RS_ASSIGN_OR_RETURN(const std::vector<PaperTable> tables, FindPaperTables(names));
   std::vector<Work> all;
-  for (const std::string& name : names) {
-    Work work;
-    RS_ASSIGN_OR_RETURN(work.table, FindPaperTable(name));
+  for (const PaperTable& table : tables) {
+    Work work{table, {}, {}};
     if (work.table.program.empty()) {
       RS_ASSIGN_OR_RETURN(work.grids, PaperGrids(work.table, protocol, PolicyHomeOf(line.launch)));
       RS_ASSIGN_OR_RETURN(work.units, PaperUnits(work.grids));

@@ -155,13 +155,29 @@ const std::vector<PaperTable>& PaperTables() {
 }
 
 absl::StatusOr<PaperTable> FindPaperTable(const std::string& name) {
-  std::vector<std::string> names;
-  for (const PaperTable& table : PaperTables()) {
-    if (table.name == name) return table;
-    names.push_back(table.name);
+  RS_ASSIGN_OR_RETURN(const std::vector<PaperTable> found, FindPaperTables({name}));
+  return found.front();
+}
+
+absl::StatusOr<std::vector<PaperTable>> FindPaperTables(const std::vector<std::string>& names) {
+  std::map<std::string, const PaperTable*> known;
+  for (const PaperTable& table : PaperTables()) known[table.name] = &table;
+  std::vector<PaperTable> found;
+  std::vector<std::string> unknown;
+  std::set<std::string> asked;
+  for (const std::string& name : names) {
+    if (!asked.insert(name).second) continue;
+    if (const auto table = known.find(name); table != known.end()) {
+      found.push_back(*table->second);
+    } else {
+      unknown.push_back(absl::StrCat("'", name, "'"));
+    }
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat("unknown table '", name, "'; known: ", absl::StrJoin(names, ", ")));
+  if (unknown.empty()) return found;
+  std::vector<std::string> all;
+  for (const PaperTable& table : PaperTables()) all.push_back(table.name);
+  return absl::InvalidArgumentError(absl::StrCat("unknown table ", absl::StrJoin(unknown, ", "),
+                                                 "; known: ", absl::StrJoin(all, ", ")));
 }
 
 PaperProtocol QuickProtocol() {

@@ -43,8 +43,10 @@ struct PaperTable {
 
 // In the order of the paper; every name of PublishedTables().
 const std::vector<PaperTable>& PaperTables();
-// NotFound lists the names.
 absl::StatusOr<PaperTable> FindPaperTable(const std::string& name);
+// In the order asked for, each once. InvalidArgument names every table that there is not, and those
+// that there are.
+absl::StatusOr<std::vector<PaperTable>> FindPaperTables(const std::vector<std::string>& names);
 
 // How much is run, and with what. Tables of equal protocol share their units in one run directory.
 struct PaperProtocol {

@@ -36,6 +36,19 @@ TEST(Config, WrongTypeNamesKeyAndValue) {
   EXPECT_THAT(Message(unit.status()), HasSubstr("episodes is 'many', must be an integer"));
 }
 
+TEST(Config, EverythingThatIsWrongIsListed) {
+  const auto unit = ParseConfig<UnitConfig>("u.yaml",
+                                            "episode: 3\nepisodes: many\ntasks: [0, a]\n"
+                                            "seed: 1\nseed: 2\nsim: {goal: 1, stepping: slow}\n");
+  ASSERT_FALSE(unit.ok());
+  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: episodes is 'many'"));
+  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: tasks is '[0, a]', must be a list of integers"));
+  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: seed is given twice; remove one"));
+  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: unknown key 'episode'"));
+  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: unknown key 'sim.goal'"));
+  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: sim.stepping is 'slow'"));
+}
+
 TEST(Config, UnknownChoiceListsTheChoices) {
   const auto unit = ParseConfig<UnitConfig>("u.yaml", "sim: {goal_reference: desire}\n");
   ASSERT_FALSE(unit.ok());

@@ -74,7 +74,9 @@ TEST(PaperTables, HaveEveryPublishedTableAndOnlyThose) {
       EXPECT_TRUE(table.only_average || published->RowOf(scenario) >= 0) << scenario;
     }
   }
-  EXPECT_THAT(std::string(FindPaperTable("mian").status().message()), HasSubstr("main, noise"));
+  EXPECT_THAT(std::string(FindPaperTables({"mian", "noise", "anchr"}).status().message()),
+              HasSubstr("unknown table 'mian', 'anchr'; known: main, noise"));
+  EXPECT_EQ(FindPaperTables({"noise", "main", "noise"})->size(), 2u);
 }
 
 std::vector<PlannedUnit> QuickUnits(const PaperTable& table) {
