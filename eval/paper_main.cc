@@ -58,7 +58,8 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
                "The paper's protocol: four suites, all tasks, 20 episodes, three seeds")
       ->excludes(quick);
   app.add_flag("--list", line.list, "List the tables with their size, and stop");
-  app.add_flag("--dry-run", line.dry_run, "Print the units, which of them are done, and stop");
+  app.add_flag("--dry-run", line.dry_run,
+               "Print the units, which are done, what the rest will take, and stop");
   app.add_option("--out", line.out,
                  "Run directory, shared by tables (default: runs/paper-quick or runs/paper-full)");
   app.add_option("--weights", line.weights,
@@ -185,13 +186,15 @@ bool IsDone(const std::string& out, const PlannedUnit& unit) {
   return std::filesystem::exists(absl::StrCat(out, "/units/", unit.id, "/DONE"));
 }
 
-int PrintTables(const CommandLine& line, const std::vector<Work>& all) {
+// Units with their cost, table by table; the exit code, 1 when a run would be refused.
+absl::StatusOr<int> PrintTables(const CommandLine& line, const std::vector<Work>& all) {
+  int code = 0;
   for (const Work& work : all) {
     if (!work.table.program.empty()) {
-      const auto command =
-          ProgramCommand({work.table, line.out, line.full, line.bootstrap_replicates});
-      if (!command.ok()) return FailCommand(kCommand, command.status());
-      std::printf("%s: %s\n", work.table.name.c_str(), absl::StrJoin(*command, " ").c_str());
+      RS_ASSIGN_OR_RETURN(
+          const std::vector<std::string> command,
+          ProgramCommand({work.table, line.out, line.full, line.bootstrap_replicates}));
+      std::printf("%s: %s\n", work.table.name.c_str(), absl::StrJoin(command, " ").c_str());
       continue;
     }
     std::vector<PlannedUnit> open;
@@ -201,10 +204,12 @@ int PrintTables(const CommandLine& line, const std::vector<Work>& all) {
     std::printf("%s: %zu units, %d episodes; %zu units done, %d episodes to run, in %s\n",
                 work.table.name.c_str(), work.units.size(), Episodes(work.units),
                 work.units.size() - open.size(), Episodes(open), line.out.c_str());
-    for (const PlannedUnit& unit : work.units)
-      std::printf("  %s %s\n", IsDone(line.out, unit) ? "done" : "open", unit.id.c_str());
+    for (const SweepGrid& grid : work.grids) {
+      RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
+      code = std::max(code, PrintPlan(grid, units, line.launch));
+    }
   }
-  return 0;
+  return code;
 }
 
 absl::Status Publish(const CommandLine& line, const FilledTable& table, const RunData* run) {
@@ -238,14 +243,14 @@ absl::Status LayOutKept(const CommandLine& line, const PaperProtocol& protocol, 
 }
 
 // Runs one table; its exit code.
-absl::StatusOr<int> RunTable(CommandLine& line, const PaperProtocol& protocol, const Work& work) {
+absl::StatusOr<int> RunTable(const CommandLine& line, const PaperProtocol& protocol,
+                             const Work& work) {
   if (!work.table.program.empty()) {
     RS_ASSIGN_OR_RETURN(const FilledTable table, RunPaperProgram({work.table, line.out, line.full,
                                                                   line.bootstrap_replicates}));
     RS_RETURN_IF_ERROR(Publish(line, table, nullptr));
     return 0;
   }
-  line.launch.run_dir = line.out;
   int code = 0;
   RunData run;
   for (const SweepGrid& grid : work.grids) {
@@ -281,7 +286,11 @@ int Run(const CLI::App& app, CommandLine& line) {
     line.out = absl::StrCat("runs/paper-", line.full ? "full" : "quick",
                             line.weights.empty() ? "" : "-libero");
   }
-  if (line.dry_run) return PrintTables(line, *all);
+  line.launch.run_dir = line.out;
+  if (line.dry_run) {
+    const absl::StatusOr<int> printed = PrintTables(line, *all);
+    return printed.ok() ? *printed : FailCommand(kCommand, printed.status());
+  }
   Outcomes outcomes;
   if (!line.outcomes.empty()) {
     absl::StatusOr<Outcomes> read = ReadOutcomes(line.outcomes);

@@ -312,6 +312,8 @@ TEST_F(PaperProgram, RunsATableAndTheNextOneOnlyWhatIsMissing) {
   const auto [planned, plan_code] = Paper("anchor --dry-run " + small);
   EXPECT_EQ(plan_code, 0);
   EXPECT_THAT(planned, HasSubstr("anchor: 14 units, 42 episodes; 0 units done"));
+  EXPECT_THAT(planned, HasSubstr("tabletop_object-heavy_payload-L5-nano-no_anchor-s0  3 episodes"));
+  EXPECT_THAT(planned, HasSubstr("14 pieces of work, 42 episodes, about"));
   const auto [first, first_code] = Paper("anchor " + small);
   ASSERT_EQ(first_code, 0) << first;
   EXPECT_THAT(first, HasSubstr("w/ anchor - w/o anchor"));
@@ -324,6 +326,9 @@ TEST_F(PaperProgram, RunsATableAndTheNextOneOnlyWhatIsMissing) {
   ASSERT_EQ(Paper("ablation " + small).second, 0);
   ASSERT_EQ(Paper("anchor " + small).second, 0);
   EXPECT_EQ(*ReadFile(folder_ + "/tables/anchor.csv"), table) << "other units do not enter it";
+  const auto [refused, refused_code] = Paper("anchor --dry-run --set method.rank=2 " + small);
+  EXPECT_EQ(refused_code, 1) << "what a run would refuse";
+  EXPECT_THAT(refused, HasSubstr("tabletop_object-heavy_payload-L5-nano-no_anchor-s0"));
   EXPECT_EQ(CountLines(folder_ + "/units/tabletop_object-heavy_payload-L5-nano-ours-s0/starts.txt"),
             1);
 }

@@ -1,0 +1,145 @@
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "eval/plan/titles.h"
+#include "eval/report/paper_values.h"
+#include "eval/report/report.h"
+#include "eval/report/text_table.h"
+
+namespace robostress {
+namespace {
+
+std::string Percent(double fraction) { return absl::StrFormat("%.1f", 100 * fraction); }
+std::string OptionalPercent(const std::optional<double>& fraction) {
+  return fraction ? Percent(*fraction) : "-";
+}
+
+std::string IntervalText(const Interval& interval) {
+  if (!std::isfinite(interval.low)) return "[n/a]";
+  return absl::StrFormat("[%.0f, %.0f]", 100 * interval.low, 100 * interval.high);
+}
+
+std::string DifferenceText(const Comparison& c) {
+  const Interval& interval = c.difference.interval;
+  const std::string ends = std::isfinite(interval.low)
+                               ? absl::StrFormat("[%+.0f, %+.0f]", PercentagePoints(interval.low),
+                                                 PercentagePoints(interval.high))
+                               : "[n/a]";
+  return absl::StrFormat("%+.1f %s +%d/-%d", PercentagePoints(c.difference.estimate), ends, c.plus,
+                         c.minus);
+}
+
+std::string TableHeading(const SuccessTable& table) {
+  return absl::StrCat("Success (%), policy ", table.policy, ", severity L", table.severity,
+                      ", suite", table.title.find(',') == std::string::npos ? " " : "s ",
+                      table.title);
+}
+
+std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
+  std::vector<std::vector<std::string>> rows = {{"Scenario", "n"}};
+  for (const std::string& method : table.methods) {
+    rows[0].push_back(method);
+    if (method != "base")
+      rows[0].insert(
+          rows[0].end(),
+          {method == "ours" ? "ours - base" : absl::StrCat(method, " - base"), "updates"});
+  }
+  for (const ScenarioRow& row : table.rows) {
+    int n = 0;
+    for (const auto& [method, cell] : row.cells) n = std::max(n, cell.n);
+    std::vector<std::string> cells = {row.title, absl::StrCat(n)};
+    for (const std::string& method : table.methods) {
+      const auto found = row.cells.find(method);
+      if (found == row.cells.end()) {
+        cells.push_back("-");
+        if (method != "base") cells.insert(cells.end(), {"-", "-"});
+        continue;
+      }
+      const Cell& cell = found->second;
+      cells.push_back(absl::StrCat(Percent(cell.rate()), " ", IntervalText(cell.wilson)));
+      if (method == "base") continue;
+      cells.push_back(cell.contrasts.versus_base ? DifferenceText(*cell.contrasts.versus_base)
+                                                 : "-");
+      cells.push_back(UpdatesText(cell.adapts, cell.updates));
+    }
+    rows.push_back(cells);
+  }
+  if (table.averages.empty()) return rows;
+  std::vector<std::string> cells = {"Average without Clean", ""};
+  for (const std::string& method : table.methods) {
+    const AverageCell& average = table.averages.at(method);
+    cells.push_back(std::isfinite(average.success.estimate)
+                        ? absl::StrCat(Percent(average.success.estimate), " ",
+                                       IntervalText(average.success.interval))
+                        : "-");
+    if (method == "base") continue;
+    cells.push_back(average.contrasts.versus_base ? DifferenceText(*average.contrasts.versus_base)
+                                                  : "-");
+    cells.push_back(UpdatesText(average.adapts, average.updates));
+  }
+  rows.push_back(cells);
+  return rows;
+}
+
+// The paper's measure per method, intent per method, and the tracking-scaled residual of the first
+// method.
+std::vector<std::vector<std::string>> ResidualRows(const SuccessTable& table) {
+  std::vector<std::vector<std::string>> rows = {{"Residual (%)"}};
+  for (const std::string& method : table.methods) rows[0].push_back(method);
+  for (const std::string& method : table.methods) rows[0].push_back(method + " intent");
+  rows[0].insert(rows[0].end(), {table.methods.front() + " tracking", "paper (pi0)"});
+  const auto measures_of = [](const ScenarioRow& row, const std::string& method) {
+    const auto cell = row.cells.find(method);
+    return cell == row.cells.end() ? Measures() : cell->second.measures;
+  };
+  for (const ScenarioRow& row : table.rows) {
+    std::vector<std::string> cells = {row.title};
+    for (const std::string& method : table.methods)
+      cells.push_back(OptionalPercent(measures_of(row, method).residual_mean));
+    for (const std::string& method : table.methods)
+      cells.push_back(OptionalPercent(measures_of(row, method).intent_mean));
+    cells.push_back(OptionalPercent(measures_of(row, table.methods.front()).tracking_mean));
+    const PaperRow* paper = FindPaperRow(row.scenario);
+    cells.push_back(paper == nullptr ? "-" : absl::StrFormat("%.1f", paper->residual));
+    rows.push_back(cells);
+  }
+  return rows;
+}
+
+}  // namespace
+
+std::string TerminalTable(const RunData& run, const Summary& summary) {
+  std::string text;
+  for (const SuccessTable& table : summary.tables) {
+    absl::StrAppend(&text, "\n", TableHeading(table), "\n", AlignedTable(SuccessRows(table)));
+    if (table.suite.empty()) absl::StrAppend(&text, "\n", AlignedTable(ResidualRows(table)));
+  }
+  absl::StrAppend(&text,
+                  "\n  [a, b]: 95 % intervals; Wilson for a success rate, paired bootstrap over "
+                  "(task, initial state) for a difference\n"
+                  "  and an average. +a/-b: episodes that only the method, only base, won.\n"
+                  "  Residual: ||eta|| / ||a||, mean over rollouts, no gripper; intent: against "
+                  "the unadapted policy's command; tracking: with\n"
+                  "  the controller's steady gain in the scale. The paper's column: another policy "
+                  "and other tasks.\n");
+  if (const std::string note = MixedMachinesNote(run); !note.empty())
+    absl::StrAppend(&text, "  ", note, "\n");
+  if (!run.unfinished.empty()) {
+    absl::StrAppend(&text, "  ", run.unfinished.size(),
+                    " unfinished units are left out; the same sweep command completes them.\n");
+  }
+  return text;
+}
+
+std::string TableMarkdown(const Summary& summary) {
+  std::string text;
+  for (const SuccessTable& table : summary.tables) {
+    if (!table.suite.empty()) continue;
+    absl::StrAppend(&text, TableHeading(table), "\n\n", MarkdownTable(SuccessRows(table)), "\n");
+  }
+  return text;
+}
+
+}  // namespace robostress
