@@ -35,6 +35,7 @@ int PrintPlan(const SweepGrid& grid, const std::vector<PlannedUnit>& units,
     std::printf("%s  %d episodes  %s\n", unit.id.c_str(), unit.EpisodeCount(),
                 cost == pending.end() ? "done" : FormatDuration(cost->second).c_str());
   }
+  std::fflush(stdout);  // both may go into one file
   std::fprintf(
       stderr,
       "%zu units are done, %zu are not: %zu pieces of work, %d episodes, about %s of one "
