@@ -273,6 +273,9 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
       complaints.Add(std::string(status.message()));
     }
   }
+  if (scratch.method.method != UnitConfig().method.method)
+    complaints.Add(
+        "override of method.method: a unit is named by its method; choose methods instead");
   RS_RETURN_IF_ERROR(complaints.ToStatus());
   grid.suites = InOrderOf(SuiteNames(), grid.suites);
   std::vector<std::string> scenarios = InOrderOf(ScenarioNames(), grid.scenarios);

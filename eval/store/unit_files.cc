@@ -41,6 +41,10 @@ class UnitReader {
   bool ReadConfiguration() {
     const std::string file = folder_ + "/config.yaml";
     const absl::StatusOr<std::string> text = ReadFile(file);
+    if (text.ok() && text->find_first_not_of(" \t\r\n") == std::string::npos) {
+      Damage(file + " is empty");  // and not a unit with every default
+      return false;
+    }
     absl::StatusOr<UnitConfig> config = text.ok() ? texts_.Read(file, *text) : text.status();
     if (!config.ok()) {
       Damage(std::string(config.status().message()));
@@ -52,6 +56,10 @@ class UnitReader {
     if (suite == nullptr) {
       Damage(absl::StrCat(file, ": suite '", unit.config.suite, "' is unknown"));
       return false;
+    }
+    if (const std::string named = UnitId(unit.config); named != unit.id) {
+      Damage(absl::StrCat(file, " is that of unit ", named, ", its folder is called ", unit.id,
+                          "; a unit lies under its own name, and once"));
     }
     if (unit.config.tasks.empty()) {
       for (int task = 0; task < suite->num_tasks; ++task) unit.config.tasks.push_back(task);

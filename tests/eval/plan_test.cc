@@ -118,7 +118,7 @@ TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
   grid.policies = {"pi0"};
   grid.severities = {6};
   grid.tasks = {11};
-  grid.overrides = {"sim.frixion=1", "learning_rate=1"};
+  grid.overrides = {"sim.frixion=1", "learning_rate=1", "method.method=gain"};
   const absl::Status status = ResolveGrid(grid).status();
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(
@@ -126,6 +126,7 @@ TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
       AllOf(HasSubstr("'tabletop_gaol'"), HasSubstr("tabletop_long"), HasSubstr("'heavy_load'"),
             HasSubstr("aged_joint_elbow"), HasSubstr("'our'"), HasSubstr("no_anchor"),
             HasSubstr("'pi0'"), HasSubstr("severity 6"), HasSubstr("task 11"), HasSubstr("frixion"),
+            HasSubstr("override of method.method"),
             HasSubstr("'learning_rate=1' must be sim.KEY=VALUE")));
 }
 

@@ -4,6 +4,7 @@
 
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "eval/plan/plan.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/eval/synthetic_run.h"
@@ -16,19 +17,21 @@ using ::testing::HasSubstr;
 constexpr char kLine[] =
     R"({"task":0,"episode":0,"initial_state":0,"success":true,"steps":10,"chunks":2,"updates":0,"residual":0.25,"intent":null})";
 
-// Writes a unit with `episodes` as its record.
-void WriteUnit(const std::string& run, const std::string& id, int episodes,
-               const std::string& record, bool done) {
-  const std::string dir = run + "/units/" + id;
+// Writes a unit with `record` as its episodes; its id.
+std::string WriteUnit(const std::string& run, int seed, int episodes, const std::string& record,
+                      bool done) {
   UnitConfig config;
+  config.seed = seed;
   config.tasks = {0};
   config.episodes = episodes;
-  ASSERT_TRUE(MakeDirectories(dir).ok());
-  ASSERT_TRUE(WriteFileAtomically(dir + "/config.yaml", DumpConfig(config)).ok());
-  ASSERT_TRUE(WriteFileAtomically(dir + "/episodes.jsonl", record).ok());
+  const std::string id = UnitId(config), dir = run + "/units/" + id;
+  EXPECT_TRUE(MakeDirectories(dir).ok());
+  EXPECT_TRUE(WriteFileAtomically(dir + "/config.yaml", DumpConfig(config)).ok());
+  EXPECT_TRUE(WriteFileAtomically(dir + "/episodes.jsonl", record).ok());
   if (done) {
-    ASSERT_TRUE(WriteFileAtomically(dir + "/DONE", "").ok());
+    EXPECT_TRUE(WriteFileAtomically(dir + "/DONE", "").ok());
   }
+  return id;
 }
 
 TEST(ParseEpisode, ReadsMeasuresAndLeavesAbsentOnesOut) {
@@ -53,21 +56,34 @@ TEST(ParseEpisode, NamesFileLineFieldAndValue) {
 
 TEST(LoadRun, LeavesUnfinishedUnitsOut) {
   const std::string run = TestFolder();
-  WriteUnit(run, "a", 1, std::string(kLine) + "\n", true);
-  WriteUnit(run, "b", 1, "", false);
+  WriteUnit(run, 0, 1, std::string(kLine) + "\n", true);
+  const std::string open = WriteUnit(run, 1, 1, "", false);
   const absl::StatusOr<RunData> data = LoadRun(run);
   ASSERT_TRUE(data.ok()) << data.status();
   EXPECT_EQ(data->units.size(), 1u);
-  EXPECT_THAT(data->unfinished, ::testing::ElementsAre("b"));
+  EXPECT_THAT(data->unfinished, ::testing::ElementsAre(open));
 }
 
 TEST(LoadRun, RefusesAFinishedUnitThatContradictsItsConfiguration) {
   const std::string run = TestFolder();
-  WriteUnit(run, "a", 2, std::string(kLine) + "\n", true);
+  WriteUnit(run, 0, 2, std::string(kLine) + "\n", true);
   EXPECT_THAT(std::string(LoadRun(run).status().message()),
               HasSubstr("has 1 episodes, its configuration says 2"));
-  WriteUnit(run, "a", 2, std::string(kLine) + "\n" + kLine + "\n", true);
+  WriteUnit(run, 0, 2, std::string(kLine) + "\n" + kLine + "\n", true);
   EXPECT_THAT(std::string(LoadRun(run).status().message()), HasSubstr("recorded twice"));
+}
+
+TEST(LoadRun, RefusesAUnitUnderAnotherName) {
+  const std::string run = TestFolder();
+  const std::string id = WriteUnit(run, 0, 1, std::string(kLine) + "\n", true);
+  std::filesystem::copy(run + "/units/" + id, run + "/units/" + id + ".bak",
+                        std::filesystem::copy_options::recursive);
+  EXPECT_THAT(std::string(LoadRun(run).status().message()),
+              HasSubstr("is that of unit " + id + ", its folder is called " + id + ".bak"));
+  std::filesystem::remove_all(run + "/units/" + id + ".bak");
+  EXPECT_TRUE(LoadRun(run).ok());
+  ASSERT_TRUE(WriteFileAtomically(run + "/units/" + id + "/config.yaml", "\n").ok());
+  EXPECT_THAT(std::string(LoadRun(run).status().message()), HasSubstr("config.yaml is empty"));
 }
 
 TEST(LoadRun, SaysWhenAFolderIsNoRun) {
