@@ -143,6 +143,29 @@ absl::StatusOr<std::vector<SweepGrid>> RunDirectory::Grids() const {
   return grids;
 }
 
+absl::Status CheckRunDirectories(const std::vector<std::string>& dirs) {
+  std::vector<std::string> complaints;
+  for (const std::string& dir : dirs) {
+    std::error_code error;
+    if (fs::is_directory(dir + "/units", error)) continue;
+    complaints.push_back(absl::StrCat(
+        dir, " is not a run directory: it has no folder units/. Give the --out of a sweep"));
+  }
+  if (complaints.empty()) return absl::OkStatus();
+  return absl::NotFoundError(absl::StrJoin(complaints, "\n"));
+}
+
+absl::StatusOr<std::vector<std::string>> UnitFolders(const std::string& dir) {
+  std::error_code error;
+  std::vector<std::string> folders;
+  for (const auto& entry : fs::directory_iterator(dir + "/units", error))
+    folders.push_back(entry.path().string());
+  if (error)
+    return absl::UnavailableError(absl::StrCat("cannot read ", dir, "/units: ", error.message()));
+  std::sort(folders.begin(), folders.end());
+  return folders;
+}
+
 int CountLines(const std::string& file) {
   std::ifstream stream(file, std::ios::binary);
   return static_cast<int>(

@@ -27,6 +27,11 @@ class FileLock {
 // Complete lines in a file; 0 when it is not there.
 int CountLines(const std::string& file);
 
+// NotFound lists the folders that are no run directories.
+absl::Status CheckRunDirectories(const std::vector<std::string>& dirs);
+// Paths of a run directory's unit folders, sorted.
+absl::StatusOr<std::vector<std::string>> UnitFolders(const std::string& dir);
+
 // Where things lie in a run directory:
 //   sweep.yaml        the grid of the last call, resolved; grids/<hash>.yaml every grid so far
 //   plan/<id>.yaml    configuration of a unit that has been started

@@ -1,7 +1,6 @@
 #include "eval/store/run_store.h"
 
 #include <algorithm>
-#include <filesystem>
 #include <limits>
 #include <set>
 #include <tuple>
@@ -21,7 +20,6 @@
 namespace robostress {
 namespace {
 
-namespace fs = std::filesystem;
 using nlohmann::json;
 
 // Columns of the table, in this order; other fields of the records follow in alphabetical order.
@@ -161,21 +159,14 @@ absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::st
 absl::StatusOr<RunData> LoadRun(const std::string& dir) {
   RunData run;
   run.dir = dir;
-  const fs::path units = fs::path(dir) / "units";
-  std::error_code error;
-  if (!fs::is_directory(units, error)) {
-    return absl::NotFoundError(absl::StrCat(
-        dir, " is not a run directory: it has no folder units/. Give the --out of a sweep"));
-  }
-  std::vector<fs::path> folders;
-  for (const auto& entry : fs::directory_iterator(units, error)) folders.push_back(entry.path());
-  std::sort(folders.begin(), folders.end());
+  RS_RETURN_IF_ERROR(CheckRunDirectories({dir}));
+  RS_ASSIGN_OR_RETURN(const std::vector<std::string> folders, UnitFolders(dir));
   UnitTextReader texts;
   std::vector<std::string> damage;
   std::vector<ModelUse> models;
   std::unordered_set<std::string> present;
-  for (const fs::path& folder : folders) {
-    UnitInspection inspection = InspectUnit(folder.string(), texts);
+  for (const std::string& folder : folders) {
+    UnitInspection inspection = InspectUnit(folder, texts);
     present.insert(inspection.unit.id);
     if (!inspection.finished) {
       run.unfinished.push_back(inspection.unit.id);

@@ -9,6 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
 #include "eval/store/run_directory.h"
 
@@ -97,6 +98,31 @@ void CompareStores(StoreContents& contents) {
   contents.findings.insert(contents.findings.end(), found.begin(), found.end());
 }
 
+// A table names a scenario file's units by the file's name.
+void CompareScenarioFiles(const std::vector<std::string>& stores, StoreContents& contents) {
+  struct Kept {
+    std::string store, text;
+  };
+  std::map<std::string, Kept> first;
+  for (const std::string& store : stores) {
+    std::error_code none;
+    for (const auto& entry : fs::directory_iterator(store + "/scenarios", none)) {
+      const std::string name = entry.path().filename().string();
+      const absl::StatusOr<std::string> text = ReadFile(entry.path().string());
+      if (!text.ok()) {
+        Report(store, "", StoreFault::kDamaged, std::string(text.status().message()), contents);
+        continue;
+      }
+      const auto [kept, fresh] = first.try_emplace(name, Kept{store, *text});
+      if (fresh || kept->second.text == *text) continue;
+      Report(store, "", StoreFault::kConflict,
+             absl::StrCat("scenarios/", name, " is another scenario in ", kept->second.store,
+                          "; run the units of one of them again under another file name"),
+             contents);
+    }
+  }
+}
+
 }  // namespace
 
 const char* StoreFaultName(StoreFault fault) {
@@ -129,6 +155,8 @@ std::string StoredUnit::Fingerprint() const {
   UnitConfig config = inspection.unit.config;
   config.libero_root.clear();
   config.robosuite_root.clear();
+  config.scenario = ScenarioLabel(config.scenario);
+  config.policy = PolicyLabel(config.policy);
   const nlohmann::json& provenance = inspection.unit.provenance;
   const std::string model = provenance.is_object() ? provenance.value("model_hash", "") : "";
   return absl::StrCat(Sha256Hex(DumpConfig(config)), " ", inspection.episodes_sha256, " ", model);
@@ -138,17 +166,10 @@ absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores
   StoreContents contents;
   UnitTextReader texts;
   std::vector<ModelUse> models;
+  RS_RETURN_IF_ERROR(CheckRunDirectories(stores));
   for (const std::string& store : stores) {
     const RunDirectory run(store);
-    std::error_code error;
-    if (!fs::is_directory(store + "/units", error)) {
-      return absl::NotFoundError(absl::StrCat(
-          store, " is not a run directory: it has no folder units/. Give the --out of a sweep"));
-    }
-    std::vector<std::string> folders;
-    for (const auto& entry : fs::directory_iterator(store + "/units", error))
-      folders.push_back(entry.path().string());
-    std::sort(folders.begin(), folders.end());
+    RS_ASSIGN_OR_RETURN(const std::vector<std::string> folders, UnitFolders(store));
     std::set<std::string> present;
     for (const std::string& folder : folders) {
       UnitInspection inspection = InspectUnit(folder, texts);
@@ -164,6 +185,7 @@ absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores
     RS_RETURN_IF_ERROR(CompareWithGrids(run, present, contents));
   }
   CompareStores(contents);
+  CompareScenarioFiles(stores, contents);
   for (const std::string& complaint : DifferentModels(models))
     Report("", "", StoreFault::kOtherModel, complaint, contents);
   std::stable_sort(contents.findings.begin(), contents.findings.end(),

@@ -11,7 +11,7 @@ namespace robostress {
 // What may be said of a unit of a store, worst first.
 enum class StoreFault {
   kDamaged,     // a finished unit whose files are torn, changed or contradict each other
-  kConflict,    // one unit with different results in two stores
+  kConflict,    // one unit with different results in two stores, or one name for two scenario files
   kOtherModel,  // units of one policy that ran on different weights
   kUnfinished,  // begun, without DONE
   kMissing,     // planned by a grid of the store, never begun
@@ -30,8 +30,8 @@ struct StoreFinding {
 struct StoredUnit {
   std::string store;
   UnitInspection inspection;  // its episodes were read and are not kept
-  // What must be equal in all stores: configuration (folders of LIBERO apart, which differ between
-  // clusters), episodes, weights.
+  // What must be equal in all stores: configuration (apart from where files lie, which differs
+  // between clusters), episodes, weights.
   std::string Fingerprint() const;
 };
 

@@ -14,6 +14,7 @@
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
 #include "eval/plan/plan.h"
+#include "eval/store/run_directory.h"
 #include "eval/store/unit_files.h"
 
 namespace robostress {
@@ -132,12 +133,9 @@ class Index {
       if (!row) break;
       known[query.Text(0)] = query.Text(1);
     }
-    std::vector<std::string> ids;
-    for (const auto& entry : fs::directory_iterator(store + "/units"))
-      ids.push_back(entry.path().filename().string());
-    std::sort(ids.begin(), ids.end());
-    for (const std::string& id : ids) {
-      const std::string folder = absl::StrCat(store, "/units/", id), stamp = Stamp(folder);
+    RS_ASSIGN_OR_RETURN(const std::vector<std::string> folders, UnitFolders(store));
+    for (const std::string& folder : folders) {
+      const std::string id = fs::path(folder).filename().string(), stamp = Stamp(folder);
       const auto before = known.find(id);
       const bool same = before != known.end() && before->second == stamp;
       if (before != known.end()) known.erase(before);
@@ -216,12 +214,7 @@ absl::Status OpenSchema(sqlite3* db) {
 
 absl::StatusOr<IndexResult> UpdateIndex(const std::string& index,
                                         const std::vector<std::string>& stores) {
-  for (const std::string& store : stores) {
-    std::error_code error;
-    if (fs::is_directory(store + "/units", error)) continue;
-    return absl::NotFoundError(absl::StrCat(
-        store, " is not a run directory: it has no folder units/. Give the --out of a sweep"));
-  }
+  RS_RETURN_IF_ERROR(CheckRunDirectories(stores));
   sqlite3* handle = nullptr;
   const int code = sqlite3_open(index.c_str(), &handle);
   const Database db(handle);

@@ -20,6 +20,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/image.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/random.h"
 #include "common/unit_config.h"
 #include "nlohmann/json.hpp"
@@ -36,7 +37,7 @@ nlohmann::json Episode(const UnitConfig& config, int task, int episode, int inde
   const int initial_state = config.first_initial_state + episode;
   const StreamKey key = StreamKey("fake").With(config.suite).With(task).With(initial_state);
   RandomStream difficulty(key),
-      chance(key.With(config.scenario).With(config.method.method).With(config.seed));
+      chance(key.With(ScenarioLabel(config.scenario)).With(config.method.method).With(config.seed));
   const bool clean = config.scenario == "clean";
   const int updates = config.method.adapt ? std::max(0, (index * 20 - 32) / 8) : 0;
   const double gain = config.method.adapt ? 0.1 * std::min(1.0, updates / 20.0) : 0;
@@ -45,7 +46,7 @@ nlohmann::json Episode(const UnitConfig& config, int task, int episode, int inde
   const double residual = (desired ? 2 : 1) * ((clean ? 0.21 : 0.45) + 0.03 * chance.Normal());
   const double a_sq = 20 + 5 * chance.Uniform();
   nlohmann::json row = {{"suite", config.suite},
-                        {"scenario", config.scenario},
+                        {"scenario", ScenarioLabel(config.scenario)},
                         {"severity", config.severity},
                         {"policy", config.policy},
                         {"method", config.method.method},

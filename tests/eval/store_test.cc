@@ -78,8 +78,9 @@ class Store : public ::testing::Test {
 TEST_F(Store, SoundStoreIsComplete) {
   EXPECT_EQ(StoreCommand("verify", {"a"}), 0) << output_;
   EXPECT_THAT(output_, HasSubstr("4 finished units, 0 findings"));
-  EXPECT_EQ(StoreCommand("verify", {"nowhere"}), 1);
-  EXPECT_THAT(output_, HasSubstr("not a run directory"));
+  EXPECT_EQ(StoreCommand("verify", {"nowhere", "a", "elsewhere"}), 1);
+  EXPECT_THAT(output_, AllOf(HasSubstr("nowhere is not a run directory"),
+                             HasSubstr("elsewhere is not a run directory")));
 }
 
 TEST_F(Store, EverythingWrongIsListedAtOnce) {
@@ -133,6 +134,31 @@ TEST_F(Store, ConflictingVersionsAreListedAndNothingIsMerged) {
     EXPECT_THAT(output_,
                 HasSubstr("conflict: " + folder_ + "/b/" + fs::path(unit).filename().string()));
   EXPECT_FALSE(fs::exists(folder_ + "/merged"));
+}
+
+TEST_F(Store, ScenarioFilesAreComparedByWhatTheyHold) {
+  const auto sweep = [this](const std::string& store, const std::string& method,
+                            const std::string& delay_s) {
+    const std::string file = "from_" + store + "/worn.yaml";
+    fs::create_directories(folder_ + "/from_" + store);
+    Write(file,
+          "joints: [{name: J4, effects: [{type: transport_delay, delay_s: " + delay_s + "}]}]");
+    return Run("sweep", "--suites tabletop_goal --tasks 1 --episodes 2 --methods " + method +
+                            " --scenarios '" + folder_ + "/" + file + "' --no-report" + Out(store));
+  };
+  ASSERT_EQ(sweep("b", "base", "0.02"), 0) << output_;
+  ASSERT_EQ(sweep("c", "base,ours", "0.02"), 0) << output_;
+  ASSERT_EQ(sweep("d", "ours", "0.04"), 0) << output_;
+  EXPECT_EQ(StoreCommand("merge", {"b", "c"}, Out("merged")), 0)
+      << "where the file lay is nothing\n"
+      << output_;
+  EXPECT_THAT(output_, HasSubstr("2 units merged"));
+  EXPECT_EQ(StoreCommand("merge", {"b", "d"}, Out("mixed")), 3);
+  EXPECT_THAT(output_, HasSubstr("conflict: " + folder_ +
+                                 "/d: scenarios/worn.yaml is another "
+                                 "scenario in " +
+                                 folder_ + "/b"));
+  EXPECT_FALSE(fs::exists(folder_ + "/mixed"));
 }
 
 TEST_F(Store, OtherWeightsUnderTheSamePolicyAreNamed) {
