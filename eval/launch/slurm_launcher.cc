@@ -27,8 +27,11 @@ std::string Quoted(const std::string& text) {
 
 // What every script begins with; arguments after --requeue come from the command line of sbatch.
 std::string Head(const Submission& submission, const std::string& kind) {
-  const std::string log = absl::StrCat(submission.run().path(), "/logs/slurm-", submission.name(),
-                                       "-", kind, kind == "merge" ? "" : "-%a", ".log");
+  // Slurm splits at spaces, and replaces %x, in what #SBATCH says.
+  const std::string folder =
+      absl::StrReplaceAll(submission.run().path(), {{"%", "%%"}, {"\\", "\\\\"}, {"\"", "\\\""}});
+  const std::string log = absl::StrCat("\"", folder, "/logs/slurm-", submission.name(), "-", kind,
+                                       kind == "merge" ? "" : "-%a", ".log\"");
   return absl::StrCat("#!/bin/bash\n#SBATCH --job-name=", SlurmJobName(submission.run()), "-", kind,
                       "\n#SBATCH --requeue\n#SBATCH --open-mode=append\n#SBATCH --output=", log,
                       "\nexport ROBOSTRESS_BIN=", Quoted(ProgramFolder()), "\ncd ",

@@ -43,7 +43,7 @@ void WaitUntil(const std::function<bool()>& condition) {
 TEST(Slurm, KilledAndPreemptedTasksLeaveTheTableOfALocalSweep) {
   if (const std::string reason = SlurmCluster::WhyNot(); !reason.empty())
     GTEST_SKIP() << "no Slurm here: " << reason;
-  const std::string folder = TestFolder(), run = folder + "/run", gate = folder + "/gate";
+  const std::string folder = TestFolder(), run = folder + "/a run, 50%", gate = folder + "/gate";
   const absl::StatusOr<std::unique_ptr<SlurmCluster>> cluster =
       SlurmCluster::Start(folder + "/slurm");
   if (!cluster.ok()) GTEST_SKIP() << "no Slurm here: " << cluster.status().message();
