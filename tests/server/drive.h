@@ -6,11 +6,15 @@
 #include <string>
 #include <vector>
 
+#include "adapter/adaptation_state.h"
 #include "server/session.h"
 #include "tests/adapter/fake_policy.h"
 #include "tests/adapter/toy_arm.h"
 
 namespace robostress {
+
+// learning_rate=0.01: large enough to show in float32 after one step.
+inline constexpr char kRate[] = "learning_rate=0.01";
 
 // A session on a fake policy with everything that it needs.
 struct Rig {
@@ -105,6 +109,12 @@ inline std::string ExportOf(Session& session) {
   auto state = session.Export();
   EXPECT_TRUE(state.ok()) << state.status();
   return state->safetensors;
+}
+
+inline AdaptationState StateOf(Rig& rig, Session& session) {
+  auto state = ParseAdaptationState("export", ExportOf(session), *rig.policy, "fake-hash");
+  EXPECT_TRUE(state.ok()) << state.status();
+  return *state;
 }
 
 }  // namespace robostress

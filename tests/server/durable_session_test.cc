@@ -19,8 +19,6 @@ namespace {
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
 
-constexpr char kRate[] = "learning_rate=0.01";
-
 // A session with a folder, and the end of its server at any moment.
 class DurableSession : public ::testing::Test {
  protected:
