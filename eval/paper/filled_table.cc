@@ -8,6 +8,7 @@
 #include "absl/strings/str_replace.h"
 #include "common/html_page.h"
 #include "common/svg_plot.h"
+#include "eval/plan/titles.h"
 #include "eval/report/html_numbers.h"
 #include "nlohmann/json.hpp"
 
@@ -25,16 +26,10 @@ std::string IntervalText(const FilledCell& cell, int decimals) {
              : "";
 }
 
-// "n = 160", where all cells of ours have one; "n = 80 to 160".
 std::string CountText(const FilledRow& row) {
-  int low = 0, high = 0;
-  for (const FilledCell& cell : row.cells) {
-    if (cell.n == 0) continue;
-    low = high == 0 ? cell.n : std::min(low, cell.n);
-    high = std::max(high, cell.n);
-  }
-  if (high == 0) return "-";
-  return low == high ? absl::StrCat(low) : absl::StrCat(low, " to ", high);
+  CountRange counts;
+  for (const FilledCell& cell : row.cells) counts.Add(cell.n);
+  return counts.Text();
 }
 
 TextRows Rows(const FilledTable& table, bool markdown) {

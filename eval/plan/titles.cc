@@ -63,6 +63,17 @@ std::string PValueText(double p_value) {
   return p_value >= 0.9995 ? "1" : absl::StrFormat("%.3f", p_value);
 }
 
+void CountRange::Add(int n) {
+  if (n == 0) return;
+  low_ = high_ == 0 ? n : std::min(low_, n);
+  high_ = std::max(high_, n);
+}
+
+std::string CountRange::Text() const {
+  if (high_ == 0) return "-";
+  return low_ == high_ ? absl::StrCat(low_) : absl::StrCat(low_, " to ", high_);
+}
+
 std::string FormatDuration(double seconds) {
   const int64_t total = static_cast<int64_t>(std::max(0.0, seconds) + 0.5);
   if (total < 3600) return absl::StrFormat("%d:%02d", total / 60, total % 60);

@@ -19,6 +19,16 @@ double PercentagePoints(double fraction);
 std::string UpdatesText(bool adapts, int updates);
 // "0.012", "< 0.001", "1"; "-" for NaN.
 std::string PValueText(double p_value);
+// What stands behind the cells of a row: "160", "80 to 160" where they differ, "-" where there is
+// nothing.
+class CountRange {
+ public:
+  void Add(int n);  // 0 is no cell
+  std::string Text() const;
+
+ private:
+  int low_ = 0, high_ = 0;
+};
 // "0:42", "12:05", "3:02:10".
 std::string FormatDuration(double seconds);
 

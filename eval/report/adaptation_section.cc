@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/svg_plot.h"
+#include "eval/plan/titles.h"
 #include "eval/report/html_numbers.h"
 #include "eval/report/paper_values.h"
 
@@ -79,9 +80,9 @@ std::vector<double> Smoothed(const std::vector<double>& values, int window) {
 
 // Units at each point: "12", or "8 to 12".
 std::string CountText(const std::vector<int>& episodes) {
-  if (episodes.empty()) return "0";
-  const auto [low, high] = std::minmax_element(episodes.begin(), episodes.end());
-  return *low == *high ? absl::StrCat(*low) : absl::StrCat(*low, " to ", *high);
+  CountRange counts;
+  for (const int n : episodes) counts.Add(n);
+  return counts.Text();
 }
 
 std::string CurvePlots(const CurveSet& set) {

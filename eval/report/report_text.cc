@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
@@ -47,9 +46,9 @@ std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
           {method == "ours" ? "ours - base" : absl::StrCat(method, " - base"), "updates"});
   }
   for (const ScenarioRow& row : table.rows) {
-    int n = 0;
-    for (const auto& [method, cell] : row.cells) n = std::max(n, cell.n);
-    std::vector<std::string> cells = {row.title, absl::StrCat(n)};
+    CountRange counts;
+    for (const auto& [method, cell] : row.cells) counts.Add(cell.n);
+    std::vector<std::string> cells = {row.title, counts.Text()};
     for (const std::string& method : table.methods) {
       const auto found = row.cells.find(method);
       if (found == row.cells.end()) {
@@ -67,7 +66,9 @@ std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
     rows.push_back(cells);
   }
   if (table.averages.empty()) return rows;
-  std::vector<std::string> cells = {"Average without Clean", ""};
+  CountRange counts;
+  for (const auto& [method, average] : table.averages) counts.Add(average.n);
+  std::vector<std::string> cells = {"Average without Clean", counts.Text()};
   for (const std::string& method : table.methods) {
     const AverageCell& average = table.averages.at(method);
     cells.push_back(std::isfinite(average.success.estimate)

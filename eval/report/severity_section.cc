@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/svg_plot.h"
 #include "eval/plan/plan.h"
+#include "eval/plan/titles.h"
 #include "eval/report/html_numbers.h"
 
 namespace robostress {
@@ -49,16 +50,12 @@ PanelGrid CollectPanels(const Summary& summary, const std::string& policy) {
   return grid;
 }
 
-// "n = 20", or "n = 20 to 40" where points differ.
 std::string CountText(const Panel& panel) {
-  int low = 0, high = 0;
+  CountRange counts;
   for (const auto& [method, levels] : panel.cells) {
-    for (const auto& [level, cell] : levels) {
-      low = high == 0 ? cell->n : std::min(low, cell->n);
-      high = std::max(high, cell->n);
-    }
+    for (const auto& [level, cell] : levels) counts.Add(cell->n);
   }
-  return low == high ? absl::StrCat("n = ", low) : absl::StrCat("n = ", low, " to ", high);
+  return counts.Text();
 }
 
 LinePlotOptions LevelAxis() {
@@ -86,7 +83,7 @@ std::string PanelPlot(const Panel& panel, const std::vector<std::string>& method
     series.push_back(std::move(line));
   }
   LinePlotOptions options = LevelAxis();
-  options.title = absl::StrCat(ScenarioTitle(scenario), " (", CountText(panel), ")");
+  options.title = absl::StrCat(ScenarioTitle(scenario), " (n = ", CountText(panel), ")");
   options.x_label = absl::StrCat(suite, ", severity level");
   options.width = kPanelWidth;
   options.height = kPanelHeight;
@@ -96,7 +93,7 @@ std::string PanelPlot(const Panel& panel, const std::vector<std::string>& method
 // Average success without Clean over the levels, one line per method.
 std::string AveragePlot(const Summary& summary, const std::string& policy) {
   std::map<std::string, LineSeries> lines;  // by method
-  int low = 0, high = 0;
+  CountRange counts;
   for (const SuccessTable& table : summary.tables) {
     if (table.policy != policy || !table.suite.empty()) continue;
     for (const auto& [method, average] : table.averages) {
@@ -108,16 +105,13 @@ std::string AveragePlot(const Summary& summary, const std::string& policy) {
       line.y.push_back(100 * average.success.estimate);
       line.low.push_back(100 * average.success.interval.low);
       line.high.push_back(100 * average.success.interval.high);
-      low = high == 0 ? average.n : std::min(low, average.n);
-      high = std::max(high, average.n);
+      counts.Add(average.n);
     }
   }
   std::vector<LineSeries> series;
   for (const auto& [method, line] : lines) series.push_back(line);
   LinePlotOptions options = LevelAxis();
-  options.title =
-      absl::StrCat("Average without Clean [%], n = ",
-                   low == high ? absl::StrCat(low) : absl::StrCat(low, " to ", high), " per point");
+  options.title = absl::StrCat("Average without Clean [%], n = ", counts.Text(), " per point");
   options.width = 560;
   options.height = 300;
   return LinePlot(series, options);

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/svg_plot.h"
+#include "eval/plan/titles.h"
 #include "eval/report/html_numbers.h"
 #include "eval/report/paper_values.h"
 
@@ -53,9 +54,9 @@ std::string SuccessTableHtml(const SuccessTable& table) {
       "<th class=paper>paper, \u03c0<sub>0</sub><br><small>base / ours</small></th><th "
       "class=paper>paper, \u03c0<sub>0.5</sub><br><small>base / ours</small></th></tr>\n";
   for (const ScenarioRow& row : table.rows) {
-    int n = 0;
-    for (const auto& [method, cell] : row.cells) n = std::max(n, cell.n);
-    absl::StrAppend(&html, "<tr><td>", EscapeXml(row.title), "</td><td>", n, "</td>");
+    CountRange counts;
+    for (const auto& [method, cell] : row.cells) counts.Add(cell.n);
+    absl::StrAppend(&html, "<tr><td>", EscapeXml(row.title), "</td><td>", counts.Text(), "</td>");
     for (const std::string& method : table.methods) {
       const auto found = row.cells.find(method);
       html += found == row.cells.end() ? "<td>\u2013</td>"
@@ -72,9 +73,10 @@ std::string SuccessTableHtml(const SuccessTable& table) {
     }
   }
   if (!table.averages.empty()) {
-    int n = 0;
-    for (const auto& [method, average] : table.averages) n = std::max(n, average.n);
-    absl::StrAppend(&html, "<tr class=avg><td>Average without Clean</td><td>", n, "</td>");
+    CountRange counts;
+    for (const auto& [method, average] : table.averages) counts.Add(average.n);
+    absl::StrAppend(&html, "<tr class=avg><td>Average without Clean</td><td>", counts.Text(),
+                    "</td>");
     for (const std::string& method : table.methods) {
       const AverageCell& average = table.averages.at(method);
       html += RateHtml(average.success.estimate, average.success.interval, average.adapts,
@@ -127,12 +129,12 @@ std::string PlotRows(const SuccessTable& table, const std::vector<std::string>& 
         {MethodTitle(method) + (difference ? " against base" : ""), MethodColor(method), {}});
   double extent = 0.1;
   for (const ScenarioRow& row : table.rows) {
-    int n = 0;
+    CountRange counts;
     for (const auto& [method, cell] : row.cells) {
       const auto& base = cell.contrasts.versus_base;
-      n = std::max(n, !difference ? cell.n : base ? base->pairs : 0);
+      counts.Add(!difference ? cell.n : base ? base->pairs : 0);
     }
-    categories.push_back(absl::StrCat(row.title, " (n = ", n, ")"));
+    categories.push_back(absl::StrCat(row.title, " (n = ", counts.Text(), ")"));
     for (size_t m = 0; m < methods.size(); ++m) {
       const auto cell = row.cells.find(methods[m]);
       std::optional<IntervalPoint> point;
@@ -151,12 +153,12 @@ std::string PlotRows(const SuccessTable& table, const std::vector<std::string>& 
   IntervalPlotOptions options;
   if (!table.averages.empty() && table.rows.size() > 1) {
     options.separator_after = static_cast<int>(categories.size()) - 1;
-    int n = 0;
+    CountRange counts;
     for (const auto& [method, average] : table.averages) {
       const auto& base = average.contrasts.versus_base;
-      n = std::max(n, !difference ? average.n : base ? base->pairs : 0);
+      counts.Add(!difference ? average.n : base ? base->pairs : 0);
     }
-    categories.push_back(absl::StrCat("Average without Clean (n = ", n, ")"));
+    categories.push_back(absl::StrCat("Average without Clean (n = ", counts.Text(), ")"));
     for (size_t m = 0; m < methods.size(); ++m) {
       const AverageCell& average = table.averages.at(methods[m]);
       const BootstrapResult* result =

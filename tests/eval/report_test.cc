@@ -30,6 +30,15 @@ RunData SmallRun() {
   return run;
 }
 
+TEST(TerminalTable, SaysHowManyEpisodesWhereMethodsDiffer) {
+  RunData run = SmallRun();
+  run.units.push_back(SyntheticUnit("heavy_payload", "base", {1, 0, 0}));
+  run.units.back().config.seed = 1;
+  const Summary summary = Summarise(run, 100);
+  EXPECT_THAT(TerminalTable(run, summary), HasSubstr("4 to 7"));
+  EXPECT_THAT(ReportPage(run, summary, {}), HasSubstr("Heavy Payload (n = 4 to 7)"));
+}
+
 TEST(TerminalTable, ShowsRatesDifferencesUpdatesAndTheOneThatDidNotAdapt) {
   const RunData run = SmallRun();
   const std::string text = TerminalTable(run, Summarise(run, 100));
