@@ -168,7 +168,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   grpc::Status CloseSession(grpc::ServerContext* context, const v1::CloseSessionRequest* request,
                             v1::CloseSessionResponse*) override {
     if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    return ToGrpc(host_->CloseSession(request->session_id()));
+    return ToGrpc(host_->CloseSession(Anybody(), request->session_id()));
   }
 
   grpc::Status StartEpisode(grpc::ServerContext* context, const v1::StartEpisodeRequest* request,
@@ -359,7 +359,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     options.cancelled = cancelled;
     RS_ASSIGN_OR_RETURN(
         const PredictedChunk prediction,
-        host_->Predict(request.session_id(), observation,
+        host_->Predict(Anybody(), request.session_id(), observation,
                        {static_cast<int>(request.task()), static_cast<int>(request.episode())},
                        static_cast<int>(request.chunk()), request.last_feedback_sequence(),
                        std::move(options), received));
@@ -371,7 +371,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     RS_RETURN_IF_ERROR(sessions_->Use(request.session_id()).status());
     RS_ASSIGN_OR_RETURN(const ExecutedChunk chunk, FromProto(request.chunk()));
     RS_ASSIGN_OR_RETURN(const SessionHost::Acknowledged taken,
-                        host_->Feedback(request.session_id(), chunk));
+                        host_->Feedback(Anybody(), request.session_id(), chunk));
     ack.set_sequence(taken.sequence);
     ack.set_updates_applied(taken.updates_applied);
     ack.set_durable(taken.durable);

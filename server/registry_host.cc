@@ -26,19 +26,21 @@ void TakeCounters(const SessionCounters& counters, SessionFigures& figures) {
 
 using Monotonic = std::chrono::steady_clock;
 
-absl::StatusOr<SessionHost::Opened> RegistryHost::OpenSession(const SessionSpec& spec) {
+absl::StatusOr<SessionHost::Opened> RegistryHost::OpenSession(const Caller&,
+                                                              const SessionSpec& spec) {
   RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Open({spec, guard_, {}}));
   return Opened{opened.id, opened.token, opened.session->policy_spec(), opened.session->durable()};
 }
 
-absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const std::string& id,
+absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const Caller&,
+                                                                 const std::string& id,
                                                                  const std::string& token) {
   RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Resume(id, token));
   return Resumed{opened.session->policy_spec(), opened.session->durable(),
-                 opened.session->Position().feedback_sequence};
+                 opened.session->Position().feedback_sequence, std::nullopt, 0};
 }
 
-absl::Status RegistryHost::CloseSession(const std::string& id) {
+absl::Status RegistryHost::CloseSession(const Caller&, const std::string& id) {
   SessionFigures last;
   bool known = false;
   if (const auto session = registry_->Use(id); session.ok()) {
@@ -50,20 +52,23 @@ absl::Status RegistryHost::CloseSession(const std::string& id) {
   return closed;
 }
 
-absl::Status RegistryHost::StartEpisode(const std::string& id, const EpisodeKey& key,
+void RegistryHost::Attach(const std::string&) {}
+void RegistryHost::Detach(const std::string&) {}
+
+absl::Status RegistryHost::StartEpisode(const Caller&, const std::string& id, const EpisodeKey& key,
                                         uint64_t last_sequence) {
   RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id));
   return session->StartEpisode(key.task, key.episode, last_sequence);
 }
 
-absl::StatusOr<PredictedChunk> RegistryHost::Predict(const std::string& id,
+absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller& caller, const std::string& id,
                                                      const Observation& observation,
                                                      const EpisodeKey& key, int chunk,
                                                      uint64_t last_sequence) {
-  return Predict(id, observation, key, chunk, last_sequence, {}, Monotonic::now());
+  return Predict(caller, id, observation, key, chunk, last_sequence, {}, Monotonic::now());
 }
 
-absl::StatusOr<PredictedChunk> RegistryHost::Predict(const std::string& id,
+absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller&, const std::string& id,
                                                      const Observation& observation,
                                                      const EpisodeKey& key, int chunk,
                                                      uint64_t last_sequence, PredictOptions options,
@@ -93,7 +98,8 @@ absl::StatusOr<PredictedChunk> RegistryHost::Predict(const std::string& id,
   return prediction;
 }
 
-absl::StatusOr<SessionHost::Acknowledged> RegistryHost::Feedback(const std::string& id,
+absl::StatusOr<SessionHost::Acknowledged> RegistryHost::Feedback(const Caller&,
+                                                                 const std::string& id,
                                                                  const ExecutedChunk& executed) {
   // For the log: no stage is timed.
   const TraceScope scope(

@@ -26,22 +26,25 @@ class RegistryHost : public SessionHost {
         traces_(traces) {}
 
   std::vector<PolicySpec> policies() const override { return policies_; }
-  absl::StatusOr<Opened> OpenSession(const SessionSpec& spec) override;
-  absl::StatusOr<Resumed> ResumeSession(const std::string& id, const std::string& token) override;
-  absl::Status CloseSession(const std::string& id) override;
-  absl::Status StartEpisode(const std::string& id, const EpisodeKey& key,
+  absl::StatusOr<Opened> OpenSession(const Caller& caller, const SessionSpec& spec) override;
+  absl::StatusOr<Resumed> ResumeSession(const Caller& caller, const std::string& id,
+                                        const std::string& token) override;
+  absl::Status CloseSession(const Caller& caller, const std::string& id) override;
+  void Attach(const std::string& id) override;
+  void Detach(const std::string& id) override;
+  absl::Status StartEpisode(const Caller& caller, const std::string& id, const EpisodeKey& key,
                             uint64_t last_sequence) override;
-  absl::StatusOr<PredictedChunk> Predict(const std::string& id, const Observation& observation,
-                                         const EpisodeKey& key, int chunk,
-                                         uint64_t last_sequence) override;
-  absl::StatusOr<Acknowledged> Feedback(const std::string& id,
+  absl::StatusOr<PredictedChunk> Predict(const Caller& caller, const std::string& id,
+                                         const Observation& observation, const EpisodeKey& key,
+                                         int chunk, uint64_t last_sequence) override;
+  absl::StatusOr<Acknowledged> Feedback(const Caller& caller, const std::string& id,
                                         const ExecutedChunk& executed) override;
 
   // With a priority and a deadline other than the session's. `received`: when the message came in;
   // what passed since then is the trace's stage "decode".
-  absl::StatusOr<PredictedChunk> Predict(const std::string& id, const Observation& observation,
-                                         const EpisodeKey& key, int chunk, uint64_t last_sequence,
-                                         PredictOptions options,
+  absl::StatusOr<PredictedChunk> Predict(const Caller& caller, const std::string& id,
+                                         const Observation& observation, const EpisodeKey& key,
+                                         int chunk, uint64_t last_sequence, PredictOptions options,
                                          std::chrono::steady_clock::time_point received);
   // Every session as it stands.
   std::vector<SessionFigures> Figures() const;

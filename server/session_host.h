@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -9,11 +10,13 @@
 #include "common/rollout/policy_endpoint.h"
 #include "common/rpc/session_spec.h"
 #include "common/types.h"
+#include "server/edge/access_tokens.h"
 
 namespace robostress {
 
 // The sessions of a policy server as an endpoint sees them: what PolicyService does, without gRPC
-// and without LibTorch. The same limits, order and errors. Any thread.
+// and without LibTorch. The same limits, order and errors. A session belongs to the caller that
+// opened it; another one's call is PERMISSION_DENIED. Scopes are the wire's to ask for. Any thread.
 class SessionHost {
  public:
   struct Opened {
@@ -25,7 +28,9 @@ class SessionHost {
   struct Resumed {
     PolicySpec policy;
     bool durable = false;
-    uint64_t feedback_sequence = 0;  // watermark
+    uint64_t feedback_sequence = 0;     // watermark
+    std::optional<EpisodeKey> episode;  // the one that is open
+    int next_chunk = 0;                 // after the last that was predicted in it
   };
   struct Acknowledged {
     uint64_t sequence = 0;  // watermark
@@ -36,17 +41,22 @@ class SessionHost {
 
   virtual ~SessionHost() = default;
   virtual std::vector<PolicySpec> policies() const = 0;
-  virtual absl::StatusOr<Opened> OpenSession(const SessionSpec& spec) = 0;
-  virtual absl::StatusOr<Resumed> ResumeSession(const std::string& id,
+  virtual absl::StatusOr<Opened> OpenSession(const Caller& caller, const SessionSpec& spec) = 0;
+  virtual absl::StatusOr<Resumed> ResumeSession(const Caller& caller, const std::string& id,
                                                 const std::string& token) = 0;
-  virtual absl::Status CloseSession(const std::string& id) = 0;
-  virtual absl::Status StartEpisode(const std::string& id, const EpisodeKey& key,
-                                    uint64_t last_sequence) = 0;
-  virtual absl::StatusOr<PredictedChunk> Predict(const std::string& id,
+  virtual absl::Status CloseSession(const Caller& caller, const std::string& id) = 0;
+  // A connection serves the session from now on; Detach says that it is gone. A session that no
+  // connection serves is the first to make room for a new one. Both may be called for a session
+  // that is gone.
+  virtual void Attach(const std::string& id) = 0;
+  virtual void Detach(const std::string& id) = 0;
+  virtual absl::Status StartEpisode(const Caller& caller, const std::string& id,
+                                    const EpisodeKey& key, uint64_t last_sequence) = 0;
+  virtual absl::StatusOr<PredictedChunk> Predict(const Caller& caller, const std::string& id,
                                                  const Observation& observation,
                                                  const EpisodeKey& key, int chunk,
                                                  uint64_t last_sequence) = 0;
-  virtual absl::StatusOr<Acknowledged> Feedback(const std::string& id,
+  virtual absl::StatusOr<Acknowledged> Feedback(const Caller& caller, const std::string& id,
                                                 const ExecutedChunk& executed) = 0;
 };
 

@@ -6,9 +6,11 @@
 
 #include <algorithm>
 #include <set>
+#include <utility>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
@@ -19,6 +21,7 @@ namespace {
 constexpr uint64_t kMaxFileBytes = 1 << 20;
 constexpr size_t kMaxTokens = 4096;
 constexpr size_t kMaxShownBytes = 4096;  // of an Authorization header
+constexpr int kMostLimit = 1 << 20;
 
 using Digest = std::array<uint8_t, SHA256_DIGEST_LENGTH>;
 
@@ -37,12 +40,23 @@ bool ParseDigest(const std::string& hex, Digest& digest) {
 }
 
 bool ParseScope(const std::string& name, uint8_t& scopes) {
-  for (const Scope scope : {Scope::kPredict, Scope::kFeedback, Scope::kAdmin}) {
+  for (const Scope scope : kScopes) {
     if (name != ScopeName(scope)) continue;
     scopes |= static_cast<uint8_t>(scope);
     return true;
   }
   return false;
+}
+
+// Null: there is no such limit.
+int* LimitOf(const std::string& key, CallerLimits& limits) {
+  for (const auto& [name, limit] : {std::pair<const char*, int*>{"sessions", &limits.sessions},
+                                    {"rank", &limits.rank},
+                                    {"batch", &limits.batch},
+                                    {"update_interval", &limits.update_interval},
+                                    {"buffer_chunks", &limits.buffer_chunks}})
+    if (key == name) return limit;
+  return nullptr;
 }
 
 // The token in a header; false: a form that is not known.
@@ -73,8 +87,17 @@ const char* ScopeName(Scope scope) {
       return "feedback";
     case Scope::kAdmin:
       return "admin";
+    case Scope::kMetrics:
+      return "metrics";
   }
   return "";
+}
+
+Caller Anybody() {
+  Caller caller;
+  caller.name = "anybody";
+  for (const Scope scope : kScopes) caller.scopes |= static_cast<uint8_t>(scope);
+  return caller;
 }
 
 absl::StatusOr<AccessTokens> AccessTokens::Load(const std::string& file) {
@@ -101,9 +124,9 @@ absl::StatusOr<AccessTokens> AccessTokens::Parse(const std::string& file, const 
       if (!node.IsMap()) return refuse(at, " must be {name, sha256, scopes}");
       for (const auto& pair : node) {
         const std::string key = pair.first.as<std::string>();
-        if (key != "name" && key != "sha256" && key != "scopes")
+        if (key != "name" && key != "sha256" && key != "scopes" && key != "limits")
           return refuse(at, " has an unknown key '", absl::CHexEscape(key),
-                        "'; known: name, sha256, scopes");
+                        "'; known: name, sha256, scopes, limits");
       }
       if (!node["name"] || !node["sha256"] || !node["scopes"] || !node["scopes"].IsSequence())
         return refuse(at, " must have name, sha256 and a list of scopes");
@@ -116,7 +139,22 @@ absl::StatusOr<AccessTokens> AccessTokens::Parse(const std::string& file, const 
       if (!digests.insert(entry.digest).second) return refuse(at, ".sha256 occurs twice");
       for (const YAML::Node& scope : node["scopes"]) {
         if (!ParseScope(scope.as<std::string>(), entry.caller.scopes))
-          return refuse(at, ".scopes: must be of predict, feedback, admin");
+          return refuse(at, ".scopes: must be of predict, feedback, admin, metrics");
+      }
+      entry.caller.owner = absl::StrCat("token:", entry.caller.name);
+      if (const YAML::Node limits = node["limits"]) {
+        if (!limits.IsMap()) return refuse(at, ".limits must be a map");
+        for (const auto& pair : limits) {
+          const std::string key = pair.first.as<std::string>();
+          int* const limit = LimitOf(key, entry.caller.limits);
+          if (limit == nullptr)
+            return refuse(at, ".limits has an unknown key '", absl::CHexEscape(key),
+                          "'; known: sessions, rank, batch, update_interval, buffer_chunks");
+          const std::string value = pair.second.as<std::string>();
+          if (!absl::SimpleAtoi(value, limit) || *limit < 1 || *limit > kMostLimit)
+            return refuse(at, ".limits.", key, " is '", absl::CHexEscape(value), "', must be 1..",
+                          kMostLimit);
+        }
       }
       tokens.entries_.push_back(std::move(entry));
     }
@@ -127,11 +165,7 @@ absl::StatusOr<AccessTokens> AccessTokens::Parse(const std::string& file, const 
 }
 
 absl::StatusOr<Caller> AccessTokens::Authenticate(std::string_view authorization) const {
-  if (!required_) {
-    return Caller{"anybody", static_cast<uint8_t>(Scope::kPredict) |
-                                 static_cast<uint8_t>(Scope::kFeedback) |
-                                 static_cast<uint8_t>(Scope::kAdmin)};
-  }
+  if (!required_) return Anybody();
   std::string token;
   const bool shown = TokenOf(authorization, token);
   const Digest digest = DigestOf(token);
@@ -157,6 +191,21 @@ absl::Status AccessTokens::Require(const Caller& caller, Scope scope) {
 absl::Status AccessTokens::Check(std::string_view authorization, Scope scope) const {
   RS_ASSIGN_OR_RETURN(const Caller caller, Authenticate(authorization));
   return Require(caller, scope);
+}
+
+TokenStore::TokenStore(AccessTokens tokens)
+    : tokens_(std::make_shared<const AccessTokens>(std::move(tokens))) {}
+
+std::shared_ptr<const AccessTokens> TokenStore::Get() const {
+  absl::MutexLock lock(&mu_);
+  return tokens_;
+}
+
+void TokenStore::Set(AccessTokens tokens) {
+  auto next = std::make_shared<const AccessTokens>(std::move(tokens));
+  absl::MutexLock lock(&mu_);
+  tokens_ = std::move(next);
+  ++generation_;
 }
 
 }  // namespace robostress

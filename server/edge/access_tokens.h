@@ -1,34 +1,59 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/synchronization/mutex.h"
 
 namespace robostress {
 
 // What a caller may do. `predict`: sessions, predictions, statistics. `feedback`: what changes an
-// adapter (executed chunks, import, roll-back) and its export. `admin`: AdminService, metrics and
-// the live page. None implies another.
-enum class Scope : uint8_t { kPredict = 1, kFeedback = 2, kAdmin = 4 };
+// adapter (executed chunks, import, roll-back) and its export. `metrics`: reads the figures for
+// Prometheus. `admin`: AdminService, figures and the live page. None implies another.
+enum class Scope : uint8_t { kPredict = 1, kFeedback = 2, kAdmin = 4, kMetrics = 8 };
+inline constexpr Scope kScopes[] = {Scope::kPredict, Scope::kFeedback, Scope::kAdmin,
+                                    Scope::kMetrics};
 const char* ScopeName(Scope scope);
 
-// Somebody who showed a token.
+// What one caller may hold and ask for; 0: as much as the server allows anybody.
+struct CallerLimits {
+  int sessions = 0;         // open at once
+  int rank = 0;             // of a method's LoRA
+  int batch = 0;            // chunks of an update
+  int update_interval = 0;  // at least so many chunks between two updates
+  int buffer_chunks = 0;
+};
+
+// Somebody who calls.
 struct Caller {
   std::string name;  // as in the file; may be logged, the token never
   uint8_t scopes = 0;
+  // Whose sessions they are: two calls are of one owner where this is equal. "token:NAME",
+  // "certificate:SHA-256 of it"; empty: nobody is asked who he is.
+  std::string owner;
+  // Who shares limits where `owner` is empty: the peer's address without its port.
+  std::string host;
+  CallerLimits limits;
+
   bool Has(Scope scope) const { return (scopes & static_cast<uint8_t>(scope)) != 0; }
+  const std::string& client() const { return owner.empty() ? host : owner; }
 };
+// Everybody, where nobody is asked: every scope.
+Caller Anybody();
 
 // The tokens that a server accepts. The file holds their SHA-256, so that who reads it cannot call:
 //   tokens:
-//     - {name: arm_1, sha256: <64 hex digits>, scopes: [predict, feedback]}
-// Make one with:  openssl rand -hex 32 | tee arm_1.token | tr -d '\n' | sha256sum
-// Immutable; any thread.
+//     - {name: arm_1, sha256: <64 hex digits>, scopes: [predict, feedback], limits: {sessions: 2}}
+// `limits` may be absent; its keys are CallerLimits' fields. Make one with:  openssl rand -hex 32 |
+// tee arm_1.token | tr -d '\n' | sha256sum Immutable; any thread.
 class AccessTokens {
  public:
   // Nobody is asked: every caller has every scope.
@@ -54,6 +79,23 @@ class AccessTokens {
   };
   bool required_ = false;
   std::vector<Entry> entries_;
+};
+
+// The tokens of a running server: replaced as a whole when their file changes. Any thread.
+class TokenStore {
+ public:
+  TokenStore() : TokenStore(AccessTokens()) {}
+  explicit TokenStore(AccessTokens tokens);
+
+  std::shared_ptr<const AccessTokens> Get() const ABSL_LOCKS_EXCLUDED(mu_);
+  void Set(AccessTokens tokens) ABSL_LOCKS_EXCLUDED(mu_);
+  // Another one after every Set: who was let in before may be asked again.
+  uint64_t generation() const { return generation_; }
+
+ private:
+  mutable absl::Mutex mu_;
+  std::shared_ptr<const AccessTokens> tokens_ ABSL_GUARDED_BY(mu_);
+  std::atomic<uint64_t> generation_{1};
 };
 
 }  // namespace robostress

@@ -36,9 +36,11 @@ OpenpiConversation::OpenpiConversation(const OpenpiOptions& options, SessionHost
                                      "Bytes of their replies.")) {}
 
 OpenpiConversation::~OpenpiConversation() {
-  if (session_id_.empty() || keep_) return;
+  if (session_id_.empty()) return;
+  host_->Detach(session_id_);
+  if (keep_) return;
   // A server that is being stopped, or expiry, may have been first.
-  host_->CloseSession(session_id_).IgnoreError();
+  host_->CloseSession(caller_, session_id_).IgnoreError();
 }
 
 std::string OpenpiConversation::Greeting() {
@@ -68,8 +70,9 @@ absl::Status OpenpiConversation::Open(const OpenpiValue* session) {
     RS_ASSIGN_OR_RETURN(spec, ReadOpenpiSession(*session, spec));
     keep_ = true;
   }
-  RS_ASSIGN_OR_RETURN(const SessionHost::Opened opened, host_->OpenSession(spec));
+  RS_ASSIGN_OR_RETURN(const SessionHost::Opened opened, host_->OpenSession(caller_, spec));
   session_id_ = opened.id;
+  host_->Attach(session_id_);
   resume_token_ = opened.resume_token;
   keep_ = keep_ && !resume_token_.empty();
   durable_ = opened.durable;
@@ -86,8 +89,10 @@ absl::Status OpenpiConversation::Resume(const OpenpiValue& resume) {
     return absl::InvalidArgumentError("session/resume: must be {id, token} of an earlier reply");
   RS_ASSIGN_OR_RETURN(const std::string name, OpenpiText("session/resume/id", *id, 256));
   RS_ASSIGN_OR_RETURN(const std::string secret, OpenpiText("session/resume/token", *token, 256));
-  RS_ASSIGN_OR_RETURN(const SessionHost::Resumed resumed, host_->ResumeSession(name, secret));
+  RS_ASSIGN_OR_RETURN(const SessionHost::Resumed resumed,
+                      host_->ResumeSession(caller_, name, secret));
   session_id_ = name;
+  host_->Attach(session_id_);
   resume_token_ = secret;
   keep_ = true;
   durable_ = resumed.durable;
@@ -118,7 +123,7 @@ absl::Status OpenpiConversation::EnterEpisode(const OpenpiValue& message) {
     }
   }
   if (!enter) return absl::OkStatus();
-  RS_RETURN_IF_ERROR(host_->StartEpisode(session_id_, key, feedback_sequence_));
+  RS_RETURN_IF_ERROR(host_->StartEpisode(caller_, session_id_, key, feedback_sequence_));
   episode_ = key;
   chunk_ = 0;
   return absl::OkStatus();
@@ -166,7 +171,7 @@ absl::StatusOr<SessionHost::Acknowledged> OpenpiConversation::Report(const Openp
   }
   chunk.final_state = executed.states.back();
   RS_ASSIGN_OR_RETURN(const SessionHost::Acknowledged acknowledged,
-                      host_->Feedback(session_id_, chunk));
+                      host_->Feedback(caller_, session_id_, chunk));
   feedback_sequence_ = acknowledged.sequence;
   return acknowledged;
 }
@@ -202,7 +207,7 @@ absl::StatusOr<std::string> OpenpiConversation::Answer(std::string_view message)
     const Clock::time_point start = Clock::now();
     RS_ASSIGN_OR_RETURN(
         PredictedChunk prediction,
-        host_->Predict(session_id_, observation, *episode_, chunk_, feedback_sequence_));
+        host_->Predict(caller_, session_id_, observation, *episode_, chunk_, feedback_sequence_));
     inferred = Clock::now();
     infer_ms = Milliseconds(inferred - start);
     infer_seconds_->Observe(infer_ms / 1e3);

@@ -25,29 +25,34 @@ class FakeSessionHost : public SessionHost {
   }
 
   std::vector<PolicySpec> policies() const override { return {spec}; }
-  absl::StatusOr<Opened> OpenSession(const SessionSpec& session) override {
+  absl::StatusOr<Opened> OpenSession(const Caller&, const SessionSpec& session) override {
     absl::MutexLock lock(&mu);
     const std::string id = absl::StrCat("session-", ++opened);
     sessions[id] = session;
     return Opened{id, "secret", spec, false};
   }
-  absl::StatusOr<Resumed> ResumeSession(const std::string& id, const std::string& token) override {
+  absl::StatusOr<Resumed> ResumeSession(const Caller&, const std::string& id,
+                                        const std::string& token) override {
     absl::MutexLock lock(&mu);
     if (sessions.count(id) == 0) return absl::NotFoundError("no such session");
     if (token != "secret") return absl::PermissionDeniedError("not its token");
-    return Resumed{spec, false, taken.size()};
+    return Resumed{spec, false, taken.size(), std::nullopt, 0};
   }
-  absl::Status CloseSession(const std::string& id) override {
+  absl::Status CloseSession(const Caller&, const std::string& id) override {
     absl::MutexLock lock(&mu);
     return sessions.erase(id) == 1 ? absl::OkStatus() : absl::NotFoundError("no such session");
   }
-  absl::Status StartEpisode(const std::string&, const EpisodeKey& key, uint64_t) override {
+  void Attach(const std::string&) override {}
+  void Detach(const std::string&) override {}
+  absl::Status StartEpisode(const Caller&, const std::string&, const EpisodeKey& key,
+                            uint64_t) override {
     absl::MutexLock lock(&mu);
     episodes.push_back(key);
     return absl::OkStatus();
   }
-  absl::StatusOr<PredictedChunk> Predict(const std::string&, const Observation& observation,
-                                         const EpisodeKey&, int chunk, uint64_t) override {
+  absl::StatusOr<PredictedChunk> Predict(const Caller&, const std::string&,
+                                         const Observation& observation, const EpisodeKey&,
+                                         int chunk, uint64_t) override {
     absl::MutexLock lock(&mu);
     observations.push_back(observation);
     chunks.push_back(chunk);
@@ -61,7 +66,8 @@ class FakeSessionHost : public SessionHost {
     prediction.adapter_version = 3;
     return prediction;
   }
-  absl::StatusOr<Acknowledged> Feedback(const std::string&, const ExecutedChunk& chunk) override {
+  absl::StatusOr<Acknowledged> Feedback(const Caller&, const std::string&,
+                                        const ExecutedChunk& chunk) override {
     absl::MutexLock lock(&mu);
     const bool duplicate = chunk.sequence <= taken.size();
     if (!duplicate) taken.push_back(chunk);
