@@ -16,6 +16,10 @@ class Server;
 
 namespace robostress {
 
+class FairExecutor;
+class GrpcService;
+class Metrics;
+
 struct AdminServerOptions {
   std::string listen = "127.0.0.1:0";  // HOST:PORT, apart from robots' and workers'
   TlsFiles tls;
@@ -27,10 +31,11 @@ struct AdminServerOptions {
 // AdminService (policy.proto) on a port of its own. Every call needs the scope `admin`.
 class AdminServer {
  public:
-  // `registry` and `tokens` must outlive it.
+  // `registry`, `tokens` and `metrics` must outlive it.
   static absl::StatusOr<std::unique_ptr<AdminServer>> Start(const AdminServerOptions& options,
                                                             SessionRegistry* registry,
-                                                            const AccessTokens* tokens);
+                                                            const TokenStore* tokens,
+                                                            Metrics* metrics);
   ~AdminServer();  // ends calls under way, joins
 
   int port() const { return port_; }
@@ -39,7 +44,9 @@ class AdminServer {
   class Service;
   AdminServer();
 
+  std::unique_ptr<FairExecutor> executor_;
   std::unique_ptr<Service> service_;
+  std::unique_ptr<GrpcService> grpc_;
   std::unique_ptr<grpc::Server> server_;
   int port_ = 0;
 };

@@ -2,20 +2,21 @@
 
 #include <grpcpp/security/server_credentials.h>
 
-#include <string_view>
-
-#include "common/rpc/grpc_status.h"
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
 #include "common/status_macros.h"
 
 namespace robostress {
 
-grpc::Status Authorize(const grpc::ServerContext& context, const AccessTokens& tokens,
-                       Scope scope) {
-  const auto found = context.client_metadata().find("authorization");
-  const std::string_view shown = found == context.client_metadata().end()
-                                     ? std::string_view()
-                                     : std::string_view(found->second.data(), found->second.size());
-  return ToGrpc(tokens.Check(shown, scope));
+std::string PeerCertificateOwner(const grpc::AuthContext& context) {
+  const auto pem = context.FindPropertyValues("x509_pem_cert");
+  if (!context.IsPeerAuthenticated() || pem.empty()) return "";
+  return absl::StrCat("certificate:", Sha256Hex(std::string(pem[0].data(), pem[0].size())));
+}
+
+std::string HostOfPeer(const std::string& peer) {
+  if (peer.rfind("unix", 0) == 0) return "unix";
+  return peer.substr(0, peer.rfind(':'));
 }
 
 absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(

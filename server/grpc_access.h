@@ -1,9 +1,9 @@
 #pragma once
 
-#include <grpcpp/server_context.h>
-#include <grpcpp/support/status.h>
+#include <grpcpp/security/auth_context.h>
 
 #include <memory>
+#include <string>
 
 #include "absl/status/statusor.h"
 #include "server/edge/access_tokens.h"
@@ -15,9 +15,10 @@ class ServerCredentials;
 
 namespace robostress {
 
-// The metadata entry "authorization" (AccessTokens::Authenticate) must carry a token with `scope`.
-// Asked first by every handler, so that an attempt without rights changes nothing.
-grpc::Status Authorize(const grpc::ServerContext& context, const AccessTokens& tokens, Scope scope);
+// "certificate:" and the SHA-256 of the PEM that the peer showed; empty: none.
+std::string PeerCertificateOwner(const grpc::AuthContext& context);
+// The address in a peer's name without its port: "ipv4:127.0.0.1".
+std::string HostOfPeer(const std::string& peer);
 
 // Plain where no file is named.
 absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(

@@ -3,7 +3,6 @@
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
-#include <grpcpp/resource_quota.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
@@ -16,11 +15,12 @@
 #include "common/rpc/convert.h"
 #include "common/rpc/grpc_status.h"
 #include "common/rpc/refusal.h"
+#include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/grpc_access.h"
-#include "server/predict_stream.h"
 #include "server/state/state_records.h"
+#include "server/wire/grpc_call.h"
 
 namespace robostress {
 namespace {
@@ -48,6 +48,22 @@ absl::Status CheckBatching(const PolicyServerOptions& options) {
     return invalid("--update-nice is ", options.update_nice, ", must be 0..19");
   return absl::OkStatus();
 }
+
+// What one observation needs on the wire [bytes]: views of the largest side that is taken, the
+// state, the instruction, and what frames them.
+size_t LargestObservationBytes(const PolicySpec& spec) {
+  const auto side =
+      static_cast<size_t>(std::max({kMaxViewSide, spec.image_width, spec.image_height}));
+  return spec.cameras.size() * (3 * side * side + 1024) + 4 * static_cast<size_t>(spec.state_dim) +
+         WireLimits::kInstruction + (size_t{64} << 10);
+}
+// What the report of a whole chunk needs [bytes].
+size_t LargestExecutedBytes(const PolicySpec& spec) {
+  const size_t state = 8 * (2 * WireLimits::kDof + 16),
+               commands = 3 * 4 * static_cast<size_t>(spec.action_dim);
+  return (static_cast<size_t>(spec.horizon) + 1) * (state + commands + 64) + (size_t{64} << 10);
+}
+size_t LargestAdapterBytes(const FlowPolicy&) { return kMaxMessageBytes; }
 
 absl::Status WarmUp(const FlowPolicy& policy) {
   const PolicySpec& spec = policy.spec();
@@ -82,8 +98,8 @@ BatcherOptions BatchingOf(const PolicyServerOptions& options) {
 
 }  // namespace
 
-// Handlers: convert, call, set the status.
-class PolicyServer::Service final : public v1::PolicyService::Service {
+// Handlers: convert, call, say what came out. gRPC itself is server/wire/grpc_call.h.
+class PolicyServer::Service {
  public:
   Service(const PolicyServerOptions& options,
           std::vector<std::shared_ptr<const FlowPolicy>> policies)
@@ -96,7 +112,9 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
         pacer_({options.cores, options.update_share}, &metrics_),
         async_updates_({options.threads, &pacer_, UpdatePacer::Kind::kAsync, options.update_nice}),
         lockstep_updates_({options.threads, &pacer_, UpdatePacer::Kind::kLockstep, 0}),
-        inference_(BatchingOf(options), &pacer_, &metrics_) {
+        inference_(BatchingOf(options), &pacer_, &metrics_),
+        calls_(ThreadsOf("call", options)),
+        feedback_calls_(ThreadsOf("feedback", options)) {
     for (auto& policy : policies) policies_[policy->spec().name] = std::move(policy);
   }
 
@@ -126,16 +144,101 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   Metrics& metrics() { return metrics_; }
   TraceLog& traces() { return traces_; }
   Telemetry& telemetry() { return telemetry_; }
-  const AccessTokens& tokens() const { return options_.tokens; }
+  const TokenStore& tokens() const { return *options_.tokens; }
   void StopThreads() {
+    calls_.Stop();
+    feedback_calls_.Stop();
     inference_.Stop();
     async_updates_.Stop();
     lockstep_updates_.Stop();
   }
 
-  grpc::Status GetServerInfo(grpc::ServerContext* context, const v1::GetServerInfoRequest*,
-                             v1::GetServerInfoResponse* response) override {
-    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
+  // After OpenRegistry; outlives the server that it is registered with.
+  std::unique_ptr<GrpcService> MakeGrpc() {
+    GrpcServiceOptions grpc;
+    grpc.wire = AccessRule::Wire::kPolicy;
+    grpc.calls_per_client =
+        options_.calls_per_client != 0 ? options_.calls_per_client : 4 * options_.max_sessions + 64;
+    grpc.idle_timeout = options_.stream_idle;
+    grpc.message_timeout = options_.message_timeout;
+    grpc.attach = [this](const std::string& id) { sessions_->Attach(id); };
+    grpc.detach = [this](const std::string& id) { sessions_->Detach(id); };
+    return std::make_unique<GrpcService>(kHealthName, Methods(), grpc, options_.tokens.get(),
+                                         &metrics_);
+  }
+
+ private:
+  static FairExecutorOptions ThreadsOf(const char* name, const PolicyServerOptions& options) {
+    FairExecutorOptions threads;
+    threads.name = name;
+    threads.threads = options.max_sessions + 32;
+    threads.per_client = threads.threads * 3 / 4;
+    return threads;
+  }
+
+  static absl::Status CheckIndex(const char* field, uint32_t value) {
+    if (value <= static_cast<uint32_t>(WireLimits::kIndex)) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, " is ", value, ", must be at most ", WireLimits::kIndex));
+  }
+
+  // What the policies served here need [bytes].
+  size_t LargestRequest(const std::string& method) const {
+    size_t most = size_t{256} << 10;  // a session's spec
+    for (const auto& [name, policy] : policies_) {
+      if (method == "Predict") most = std::max(most, LargestObservationBytes(policy->spec()));
+      if (method == "Feedback") most = std::max(most, LargestExecutedBytes(policy->spec()));
+      if (method == "ImportAdapter") most = std::max(most, LargestAdapterBytes(*policy));
+    }
+    return most;
+  }
+
+  template <class Request, class Response>
+  GrpcMethod Unary(const char* name,
+                   absl::Status (Service::*handler)(GrpcCallView&, const Request&, Response&)) {
+    GrpcMethod method;
+    method.name = name;
+    method.largest_request = LargestRequest(name);
+    method.executor = &calls_;
+    method.answer = TypedAnswer<Request, Response>(
+        [this, handler](GrpcCallView& view, const Request& request, Response& response) {
+          return (this->*handler)(view, request, response);
+        });
+    return method;
+  }
+
+  std::vector<GrpcMethod> Methods() {
+    GrpcMethod predict = Unary("Predict", &Service::Predict);
+    predict.streams = true;
+    predict.reads_ahead = [this](const std::string& id) { return sessions_->IsAsync(id); };
+    // A refusal is an answer, and the stream goes on; of a stream that is read ahead every error
+    // is.
+    predict.as_answer = [](const google::protobuf::Message& request, const absl::Status& status,
+                           bool read_ahead, google::protobuf::Message& response) {
+      if (!read_ahead && !IsRefusal(status)) return false;
+      auto& refused = static_cast<v1::PredictResponse&>(response);
+      refused.set_chunk(static_cast<const v1::PredictRequest&>(request).chunk());
+      *refused.mutable_refusal() = ToRefusal(status);
+      return true;
+    };
+    GrpcMethod feedback = Unary("Feedback", &Service::Feedback);
+    feedback.streams = true;
+    feedback.executor = &feedback_calls_;
+    return {Unary("GetServerInfo", &Service::GetServerInfo),
+            Unary("OpenSession", &Service::OpenSession),
+            Unary("ResumeSession", &Service::ResumeSession),
+            Unary("CloseSession", &Service::CloseSession),
+            Unary("StartEpisode", &Service::StartEpisode),
+            std::move(predict),
+            std::move(feedback),
+            Unary("GetStats", &Service::GetStats),
+            Unary("ExportAdapter", &Service::ExportAdapter),
+            Unary("ImportAdapter", &Service::ImportAdapter),
+            Unary("RollbackAdapter", &Service::RollbackAdapter)};
+  }
+
+  absl::Status GetServerInfo(GrpcCallView&, const v1::GetServerInfoRequest&,
+                             v1::GetServerInfoResponse& response) {
     ServerInfo info;
     info.version = kVersion;
     for (const auto& [name, policy] : policies_) info.policies.push_back(policy->spec());
@@ -145,135 +248,80 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     info.durable = sessions_->durable();
     info.instance = instance_;
     info.draining = sessions_->draining();
-    *response = ToProto(info);
-    return grpc::Status::OK;
+    response = ToProto(info);
+    return absl::OkStatus();
   }
 
-  grpc::Status OpenSession(grpc::ServerContext* context, const v1::OpenSessionRequest* request,
-                           v1::OpenSessionResponse* response) override {
-    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    const absl::Status status = Open(*request, *response);
-    if (IsRefusal(status)) {
-      context->AddTrailingMetadata(kRefusalMetadata, ToRefusal(status).SerializeAsString());
-    }
-    return ToGrpc(status);
+  absl::Status OpenSession(GrpcCallView& call, const v1::OpenSessionRequest& request,
+                           v1::OpenSessionResponse& response) {
+    const absl::Status status = Open(call.caller(), request, response);
+    if (IsRefusal(status))
+      call.AddTrailingMetadata(kRefusalMetadata, ToRefusal(status).SerializeAsString());
+    return status;
   }
 
-  grpc::Status ResumeSession(grpc::ServerContext* context, const v1::ResumeSessionRequest* request,
-                             v1::ResumeSessionResponse* response) override {
-    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    return ToGrpc(Resume(*request, *response));
+  absl::Status CloseSession(GrpcCallView& call, const v1::CloseSessionRequest& request,
+                            v1::CloseSessionResponse&) {
+    return host_->CloseSession(call.caller(), request.session_id());
   }
 
-  grpc::Status CloseSession(grpc::ServerContext* context, const v1::CloseSessionRequest* request,
-                            v1::CloseSessionResponse*) override {
-    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    return ToGrpc(host_->CloseSession(Anybody(), request->session_id()));
+  absl::Status StartEpisode(GrpcCallView& call, const v1::StartEpisodeRequest& request,
+                            v1::StartEpisodeResponse&) {
+    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
+    RS_RETURN_IF_ERROR(CheckIndex("task", request.task()));
+    RS_RETURN_IF_ERROR(CheckIndex("episode", request.episode()));
+    return session->StartEpisode(static_cast<int>(request.task()),
+                                 static_cast<int>(request.episode()),
+                                 request.last_feedback_sequence());
   }
 
-  grpc::Status StartEpisode(grpc::ServerContext* context, const v1::StartEpisodeRequest* request,
-                            v1::StartEpisodeResponse*) override {
-    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    return Serve(request->session_id(), [&](Session& session) -> absl::Status {
-      RS_RETURN_IF_ERROR(CheckIndex("task", request->task()));
-      RS_RETURN_IF_ERROR(CheckIndex("episode", request->episode()));
-      return session.StartEpisode(static_cast<int>(request->task()),
-                                  static_cast<int>(request->episode()),
-                                  request->last_feedback_sequence());
-    });
+  absl::Status GetStats(GrpcCallView& call, const v1::GetStatsRequest& request,
+                        v1::GetStatsResponse& response) {
+    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
+    RS_ASSIGN_OR_RETURN(const SessionCounters counters, session->Counters());
+    response = ToProto(counters.stats);
+    response.set_buffered_chunks(static_cast<uint32_t>(counters.buffered_chunks));
+    response.set_predictions(counters.predictions);
+    response.set_prefix_bytes(static_cast<uint64_t>(counters.prefixes.bytes));
+    response.set_prefix_evictions(counters.prefixes.evictions);
+    response.set_prefix_rebuilds(counters.prefixes.rebuilds);
+    response.set_duplicates(counters.duplicates);
+    response.set_updates_refused(counters.updates_refused);
+    response.set_updates_guarded(counters.updates_guarded);
+    response.set_predictions_dropped(counters.predictions_dropped);
+    response.set_resumes(counters.resumes);
+    response.set_rollbacks(counters.rollbacks);
+    response.set_steps_masked(counters.steps_masked);
+    response.set_journal_bytes(counters.journal_bytes);
+    response.set_durable(session->durable());
+    return absl::OkStatus();
   }
 
-  grpc::Status Predict(
-      grpc::ServerContext* context,
-      grpc::ServerReaderWriter<v1::PredictResponse, v1::PredictRequest>* stream) override {
-    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    return ServePredictStream(
-        context, stream,
-        {[this](const std::string& id) { return IsAsync(id); },
-         [this](const v1::PredictRequest& request, const std::function<bool()>& cancelled,
-                v1::PredictResponse& response) { return Predict(request, cancelled, response); }});
+  absl::Status ExportAdapter(GrpcCallView& call, const v1::ExportAdapterRequest& request,
+                             v1::ExportAdapterResponse& response) {
+    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
+    RS_ASSIGN_OR_RETURN(AdapterState state, session->Export());
+    response.set_safetensors(std::move(state.safetensors));
+    response.set_feedback_sequence(state.feedback_sequence);
+    response.set_updates_applied(state.updates_applied);
+    return absl::OkStatus();
   }
 
-  grpc::Status Feedback(
-      grpc::ServerContext* context,
-      grpc::ServerReaderWriter<v1::FeedbackAck, v1::FeedbackRequest>* stream) override {
-    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
-    v1::FeedbackRequest request;
-    while (stream->Read(&request)) {
-      v1::FeedbackAck ack;
-      if (const absl::Status status = Take(request, ack); !status.ok()) return ToGrpc(status);
-      if (!stream->Write(ack)) break;
-    }
-    return grpc::Status::OK;
+  absl::Status ImportAdapter(GrpcCallView& call, const v1::ImportAdapterRequest& request,
+                             v1::ImportAdapterResponse& response) {
+    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
+    RS_ASSIGN_OR_RETURN(const FeedbackResult result, session->Import(request.safetensors()));
+    response.set_feedback_sequence(result.sequence);
+    response.set_updates_applied(result.updates_applied);
+    return absl::OkStatus();
   }
 
-  grpc::Status GetStats(grpc::ServerContext* context, const v1::GetStatsRequest* request,
-                        v1::GetStatsResponse* response) override {
-    if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
-    return Serve(request->session_id(), [&](Session& session) -> absl::Status {
-      RS_ASSIGN_OR_RETURN(const SessionCounters counters, session.Counters());
-      *response = ToProto(counters.stats);
-      response->set_buffered_chunks(static_cast<uint32_t>(counters.buffered_chunks));
-      response->set_predictions(counters.predictions);
-      response->set_prefix_bytes(static_cast<uint64_t>(counters.prefixes.bytes));
-      response->set_prefix_evictions(counters.prefixes.evictions);
-      response->set_prefix_rebuilds(counters.prefixes.rebuilds);
-      response->set_duplicates(counters.duplicates);
-      response->set_updates_refused(counters.updates_refused);
-      response->set_updates_guarded(counters.updates_guarded);
-      response->set_predictions_dropped(counters.predictions_dropped);
-      response->set_resumes(counters.resumes);
-      response->set_rollbacks(counters.rollbacks);
-      response->set_steps_masked(counters.steps_masked);
-      response->set_journal_bytes(counters.journal_bytes);
-      response->set_durable(session.durable());
-      return absl::OkStatus();
-    });
-  }
-
-  grpc::Status ExportAdapter(grpc::ServerContext* context, const v1::ExportAdapterRequest* request,
-                             v1::ExportAdapterResponse* response) override {
-    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
-    return Serve(request->session_id(), [&](Session& session) -> absl::Status {
-      RS_ASSIGN_OR_RETURN(AdapterState state, session.Export());
-      response->set_safetensors(std::move(state.safetensors));
-      response->set_feedback_sequence(state.feedback_sequence);
-      response->set_updates_applied(state.updates_applied);
-      return absl::OkStatus();
-    });
-  }
-
-  grpc::Status ImportAdapter(grpc::ServerContext* context, const v1::ImportAdapterRequest* request,
-                             v1::ImportAdapterResponse* response) override {
-    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
-    return Serve(request->session_id(), [&](Session& session) -> absl::Status {
-      RS_ASSIGN_OR_RETURN(const FeedbackResult result, session.Import(request->safetensors()));
-      response->set_feedback_sequence(result.sequence);
-      response->set_updates_applied(result.updates_applied);
-      return absl::OkStatus();
-    });
-  }
-
-  grpc::Status RollbackAdapter(grpc::ServerContext* context,
-                               const v1::RollbackAdapterRequest* request,
-                               v1::RollbackAdapterResponse* response) override {
-    if (grpc::Status refused = Allow(context, Scope::kFeedback); !refused.ok()) return refused;
-    return Serve(request->session_id(), [&](Session& session) -> absl::Status {
-      RS_RETURN_IF_ERROR(session.Rollback(request->version()));
-      response->set_updates_applied(request->version());
-      return absl::OkStatus();
-    });
-  }
-
- private:
-  grpc::Status Allow(const grpc::ServerContext* context, Scope scope) const {
-    return Authorize(*context, options_.tokens, scope);
-  }
-
-  static absl::Status CheckIndex(const char* field, uint32_t value) {
-    if (value <= static_cast<uint32_t>(WireLimits::kIndex)) return absl::OkStatus();
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, " is ", value, ", must be at most ", WireLimits::kIndex));
+  absl::Status RollbackAdapter(GrpcCallView& call, const v1::RollbackAdapterRequest& request,
+                               v1::RollbackAdapterResponse& response) {
+    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
+    RS_RETURN_IF_ERROR(session->Rollback(request.version()));
+    response.set_updates_applied(request.version());
+    return absl::OkStatus();
   }
 
   absl::StatusOr<SessionResources> ResourcesOf(const std::string& name) {
@@ -300,7 +348,8 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
                : static_cast<uint64_t>(std::max(int64_t{1}, absl::ToInt64Seconds(after)));
   }
 
-  absl::Status Open(const v1::OpenSessionRequest& request, v1::OpenSessionResponse& response) {
+  absl::Status Open(const Caller& caller, const v1::OpenSessionRequest& request,
+                    v1::OpenSessionResponse& response) {
     SessionRequest wanted;
     RS_ASSIGN_OR_RETURN(wanted.spec, FromProto(request.spec()));
     wanted.guard = options_.guard;
@@ -310,7 +359,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     RS_ASSIGN_OR_RETURN(wanted.scheduling.priority, FromProto(request.priority()));
     RS_RETURN_IF_ERROR(CheckIndex("deadline_ms", request.deadline_ms()));
     wanted.scheduling.deadline_ms = static_cast<int>(request.deadline_ms());
-    RS_ASSIGN_OR_RETURN(const OpenedSession opened, sessions_->Open(wanted));
+    RS_ASSIGN_OR_RETURN(const OpenedSession opened, sessions_->Open(wanted, caller));
     response.set_session_id(opened.id);
     response.set_resume_token(opened.token);
     response.set_durable(opened.session->durable());
@@ -319,10 +368,11 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     return absl::OkStatus();
   }
 
-  absl::Status Resume(const v1::ResumeSessionRequest& request,
-                      v1::ResumeSessionResponse& response) {
-    RS_ASSIGN_OR_RETURN(const OpenedSession opened,
-                        sessions_->Resume(request.session_id(), request.resume_token()));
+  absl::Status ResumeSession(GrpcCallView& call, const v1::ResumeSessionRequest& request,
+                             v1::ResumeSessionResponse& response) {
+    RS_ASSIGN_OR_RETURN(
+        const OpenedSession opened,
+        sessions_->Resume(request.session_id(), request.resume_token(), call.caller()));
     const SessionPosition position = opened.session->Position();
     *response.mutable_policy() = ToProto(opened.session->policy_spec());
     response.set_durable(opened.session->durable());
@@ -338,15 +388,12 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     return absl::OkStatus();
   }
 
-  bool IsAsync(const std::string& id) {
-    const absl::StatusOr<SessionRegistry::Lease> session = sessions_->Use(id);
-    return session.ok() && (*session)->spec().mode == ExecutionMode::kAsync;
-  }
-
-  absl::Status Predict(const v1::PredictRequest& request, const std::function<bool()>& cancelled,
+  absl::Status Predict(GrpcCallView& call, const v1::PredictRequest& request,
                        v1::PredictResponse& response) {
     const auto received = std::chrono::steady_clock::now();
-    RS_RETURN_IF_ERROR(sessions_->Use(request.session_id()).status());  // before what it says
+    const std::string& id = request.session_id();
+    RS_RETURN_IF_ERROR(sessions_->Use(id, call.caller()).status());  // before what it says
+    call.Serves(id);
     for (const auto& [field, index] : {std::pair("task", request.task()),
                                        {"episode", request.episode()},
                                        {"chunk", request.chunk()},
@@ -356,10 +403,10 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     PredictOptions options;
     RS_ASSIGN_OR_RETURN(options.priority, FromProto(request.priority()));
     if (request.deadline_ms() > 0) options.deadline = absl::Milliseconds(request.deadline_ms());
-    options.cancelled = cancelled;
+    options.cancelled = [&call] { return call.cancelled(); };
     RS_ASSIGN_OR_RETURN(
         const PredictedChunk prediction,
-        host_->Predict(Anybody(), request.session_id(), observation,
+        host_->Predict(call.caller(), id, observation,
                        {static_cast<int>(request.task()), static_cast<int>(request.episode())},
                        static_cast<int>(request.chunk()), request.last_feedback_sequence(),
                        std::move(options), received));
@@ -367,24 +414,18 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     return absl::OkStatus();
   }
 
-  absl::Status Take(const v1::FeedbackRequest& request, v1::FeedbackAck& ack) {
-    RS_RETURN_IF_ERROR(sessions_->Use(request.session_id()).status());
+  absl::Status Feedback(GrpcCallView& call, const v1::FeedbackRequest& request,
+                        v1::FeedbackAck& ack) {
+    RS_RETURN_IF_ERROR(sessions_->Use(request.session_id(), call.caller()).status());
+    call.Serves(request.session_id());
     RS_ASSIGN_OR_RETURN(const ExecutedChunk chunk, FromProto(request.chunk()));
     RS_ASSIGN_OR_RETURN(const SessionHost::Acknowledged taken,
-                        host_->Feedback(Anybody(), request.session_id(), chunk));
+                        host_->Feedback(call.caller(), request.session_id(), chunk));
     ack.set_sequence(taken.sequence);
     ack.set_updates_applied(taken.updates_applied);
     ack.set_durable(taken.durable);
     ack.set_duplicate(taken.duplicate);
     return absl::OkStatus();
-  }
-
-  // Runs one message of a session.
-  template <class Function>
-  grpc::Status Serve(const std::string& id, Function&& function) {
-    const absl::StatusOr<SessionRegistry::Lease> session = sessions_->Use(id);
-    if (!session.ok()) return ToGrpc(session.status());
-    return ToGrpc(function(**session));
   }
 
   const PolicyServerOptions options_;
@@ -400,6 +441,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   UpdatePacer pacer_;
   AdaptationLoop async_updates_, lockstep_updates_;
   Batcher inference_;
+  FairExecutor calls_, feedback_calls_;  // apart: a lockstep prediction waits for feedback
   // Set by OpenRegistry.
   std::unique_ptr<SessionRegistry> sessions_;
   std::unique_ptr<RegistryHost> host_;
@@ -412,7 +454,7 @@ RegistryHost& PolicyServer::host() { return service_->host(); }
 Metrics& PolicyServer::metrics() { return service_->metrics(); }
 TraceLog& PolicyServer::traces() { return service_->traces(); }
 Telemetry& PolicyServer::telemetry() { return service_->telemetry(); }
-const AccessTokens& PolicyServer::tokens() const { return service_->tokens(); }
+const TokenStore& PolicyServer::tokens() const { return service_->tokens(); }
 
 absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
     const PolicyServerOptions& options, std::vector<std::shared_ptr<const FlowPolicy>> policies) {
@@ -435,20 +477,19 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   }
   server->service_ = std::make_unique<Service>(options, std::move(policies));
   RS_RETURN_IF_ERROR(server->service_->OpenRegistry());
+  server->grpc_ = server->service_->MakeGrpc();
 
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
-  grpc::ResourceQuota quota("policy_server");
-  quota.SetMaxThreads(2 * options.max_sessions + 32);  // two streams a session hold a thread each
-  builder.SetResourceQuota(quota);
-  builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
+  LimitConnections(builder, server->grpc_->calls_per_client());
+  builder.SetMaxReceiveMessageSize(static_cast<int>(server->grpc_->largest_request()));
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT,
                              0);  // a second server on the port must fail, not share it
   RS_ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
   builder.AddListeningPort(options.listen, credentials, &server->port_);
-  builder.RegisterService(server->service_.get());
+  builder.RegisterService(server->grpc_.get());
   server->server_ = builder.BuildAndStart();
   if (server->server_ == nullptr || server->port_ == 0) {
     return absl::UnavailableError(
@@ -482,6 +523,7 @@ void PolicyServer::Stop(absl::Duration grace) {
   server_->Wait();
   service_->StopThreads();
   server_.reset();
+  grpc_.reset();
 }
 
 }  // namespace robostress

@@ -25,6 +25,8 @@ class Server;
 
 namespace robostress {
 
+class GrpcService;
+
 struct PolicyServerOptions {
   std::string listen = "127.0.0.1:0";  // HOST:PORT; port 0: any free one
   int threads = 2;    // batches of predictions computed at once, and as many threads for updates
@@ -54,7 +56,12 @@ struct PolicyServerOptions {
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
   bool warm_up = true;  // predict once with every policy before health says SERVING
   TlsFiles tls;
-  AccessTokens tokens;  // asked by every call
+  std::shared_ptr<TokenStore> tokens = std::make_shared<TokenStore>();  // asked by every call
+  // gRPC calls that one client may have open; 0: 4 a session and 64 more.
+  int calls_per_client = 0;
+  absl::Duration stream_idle = absl::Minutes(15);  // then a stream on which nothing goes is ended
+  absl::Duration message_timeout =
+      absl::Seconds(30);  // for the message of a call that is no stream
 };
 
 // A policy service over gRPC with health and reflection. Start listens, health says NOT_SERVING,
@@ -73,7 +80,7 @@ class PolicyServer {
   Metrics& metrics();
   TraceLog& traces();
   Telemetry& telemetry();
-  const AccessTokens& tokens() const;
+  const TokenStore& tokens() const;
   // Warmed up and not draining.
   bool ready() const { return ready_; }
   // Refuses new sessions and messages; health says NOT_SERVING. Any thread; returns at once.
@@ -87,6 +94,7 @@ class PolicyServer {
   PolicyServer();
 
   std::unique_ptr<Service> service_;
+  std::unique_ptr<GrpcService> grpc_;
   std::unique_ptr<grpc::Server> server_;
   std::atomic<bool> ready_{false};
   int port_ = 0;

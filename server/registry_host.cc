@@ -26,38 +26,38 @@ void TakeCounters(const SessionCounters& counters, SessionFigures& figures) {
 
 using Monotonic = std::chrono::steady_clock;
 
-absl::StatusOr<SessionHost::Opened> RegistryHost::OpenSession(const Caller&,
+absl::StatusOr<SessionHost::Opened> RegistryHost::OpenSession(const Caller& caller,
                                                               const SessionSpec& spec) {
-  RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Open({spec, guard_, {}}));
+  RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Open({spec, guard_, {}}, caller));
   return Opened{opened.id, opened.token, opened.session->policy_spec(), opened.session->durable()};
 }
 
-absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const Caller&,
+absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const Caller& caller,
                                                                  const std::string& id,
                                                                  const std::string& token) {
-  RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Resume(id, token));
+  RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Resume(id, token, caller));
   return Resumed{opened.session->policy_spec(), opened.session->durable(),
                  opened.session->Position().feedback_sequence, std::nullopt, 0};
 }
 
-absl::Status RegistryHost::CloseSession(const Caller&, const std::string& id) {
+absl::Status RegistryHost::CloseSession(const Caller& caller, const std::string& id) {
   SessionFigures last;
   bool known = false;
-  if (const auto session = registry_->Use(id); session.ok()) {
+  if (const auto session = registry_->Use(id, caller); session.ok()) {
     TakeCounters((*session)->CountersNow(), last);
     known = true;
   }
-  const absl::Status closed = registry_->Close(id);
+  const absl::Status closed = registry_->Close(id, caller);
   if (closed.ok()) telemetry_->Forget(id, known ? &last : nullptr);
   return closed;
 }
 
-void RegistryHost::Attach(const std::string&) {}
-void RegistryHost::Detach(const std::string&) {}
+void RegistryHost::Attach(const std::string& id) { registry_->Attach(id); }
+void RegistryHost::Detach(const std::string& id) { registry_->Detach(id); }
 
-absl::Status RegistryHost::StartEpisode(const Caller&, const std::string& id, const EpisodeKey& key,
-                                        uint64_t last_sequence) {
-  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id));
+absl::Status RegistryHost::StartEpisode(const Caller& caller, const std::string& id,
+                                        const EpisodeKey& key, uint64_t last_sequence) {
+  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
   return session->StartEpisode(key.task, key.episode, last_sequence);
 }
 
@@ -68,7 +68,7 @@ absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller& caller, const
   return Predict(caller, id, observation, key, chunk, last_sequence, {}, Monotonic::now());
 }
 
-absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller&, const std::string& id,
+absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller& caller, const std::string& id,
                                                      const Observation& observation,
                                                      const EpisodeKey& key, int chunk,
                                                      uint64_t last_sequence, PredictOptions options,
@@ -77,7 +77,7 @@ absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller&, const std::s
   const auto trace = std::make_shared<PredictionTrace>(id, key.task, key.episode, chunk);
   trace->Add("decode", received, begin);
   const TraceScope scope(trace);
-  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id));
+  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
   RS_ASSIGN_OR_RETURN(const SessionScheduling scheduling, registry_->SchedulingOf(id));
   if (options.priority == Priority::kUnspecified) options.priority = scheduling.priority;
   if (options.deadline == absl::InfiniteDuration() && scheduling.deadline_ms > 0)
@@ -98,13 +98,13 @@ absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller&, const std::s
   return prediction;
 }
 
-absl::StatusOr<SessionHost::Acknowledged> RegistryHost::Feedback(const Caller&,
+absl::StatusOr<SessionHost::Acknowledged> RegistryHost::Feedback(const Caller& caller,
                                                                  const std::string& id,
                                                                  const ExecutedChunk& executed) {
   // For the log: no stage is timed.
   const TraceScope scope(
       std::make_shared<PredictionTrace>(id, executed.task, executed.episode, executed.chunk));
-  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id));
+  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
   const absl::StatusOr<FeedbackResult> result = session->Feedback(executed);
   if (!result.ok()) {
     spdlog::warn("feedback {} refused: {}", executed.sequence, result.status().ToString());

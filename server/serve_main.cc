@@ -84,7 +84,8 @@ absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& op
   result.guard.max_distance = options.guard_distance;
   result.tls = TlsOf(options);
   if (!options.tokens.empty()) {
-    RS_ASSIGN_OR_RETURN(result.tokens, AccessTokens::Load(options.tokens));
+    RS_ASSIGN_OR_RETURN(AccessTokens tokens, AccessTokens::Load(options.tokens));
+    result.tokens->Set(std::move(tokens));
   }
   return result;
 }
@@ -168,8 +169,8 @@ absl::Status Serve(const ServeOptions& options, const sigset_t& stop_signals) {
       drain_grace_s = absl::ToDoubleSeconds(grace);
       kill(getpid(), SIGTERM);  // the main thread waits for it and stops the server
     };
-    RS_ASSIGN_OR_RETURN(admin,
-                        AdminServer::Start(admin_options, &server->sessions(), &server->tokens()));
+    RS_ASSIGN_OR_RETURN(admin, AdminServer::Start(admin_options, &server->sessions(),
+                                                  &server->tokens(), &server->metrics()));
   }
   if (!options.port_file.empty()) {
     RS_RETURN_IF_ERROR(WriteFileAtomically(options.port_file, absl::StrCat(server->port(), "\n")));

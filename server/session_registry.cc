@@ -13,6 +13,7 @@
 #include "common/monotonic_wait.h"
 #include "common/rpc/refusal.h"
 #include "common/status_macros.h"
+#include "server/place_choice.h"
 
 namespace robostress {
 namespace {
@@ -65,6 +66,8 @@ void SessionRegistry::FindStored() {
     entry.request = std::move(stored.request);
     entry.token_sha256 = std::move(stored.token_sha256);
     entry.unreadable = std::move(stored.readable);
+    entry.owner = std::move(stored.owner);
+    entry.client = entry.owner;
     entry.last_used_ns = clock_->now_ns();
   }
   if (!entries_.empty())
@@ -89,60 +92,119 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::ReadFromDisk(
 
 // ----------------------------------------------------------------------------------------- places
 
-absl::Status SessionRegistry::TakePlace() {
-  while (true) {
-    std::string victim;
-    std::shared_ptr<Session> session;
-    {
-      absl::MutexLock lock(&mu_);
-      if (draining_) return absl::UnavailableError("the server is shutting down");
-      if (places_ < options_.max_sessions) {
-        ++places_;
-        return absl::OkStatus();
-      }
-      auto oldest = entries_.end();
-      for (auto at = entries_.begin(); at != entries_.end(); ++at) {
-        if (at->second.session == nullptr || at->second.in_flight > 0 || at->second.busy) continue;
-        if (oldest == entries_.end() || at->second.last_used_ns < oldest->second.last_used_ns)
-          oldest = at;
-      }
-      const absl::Duration unused =
-          oldest == entries_.end()
-              ? -absl::InfiniteDuration()
-              : absl::Nanoseconds(clock_->now_ns() - oldest->second.last_used_ns);
-      if (unused < options_.abandoned_after) {
-        // The one unused for longest makes room when it counts as abandoned.
-        const absl::Duration left =
-            oldest == entries_.end() ? options_.abandoned_after : options_.abandoned_after - unused;
-        return Refusal(
-            absl::ResourceExhaustedError(absl::StrCat(
-                places_, " sessions are open, which is the limit, and all were used within ",
-                absl::FormatDuration(options_.abandoned_after),
-                "; close one or start the server with more --max-sessions")),
-            left);
-      }
-      victim = oldest->first;
-      session = oldest->second.session;
-      oldest->second.busy = true;
-      spdlog::warn("{} was not used for {}: {} to make room", victim, absl::FormatDuration(unused),
-                   durable() ? "written to disk" : "closed");
+void SessionRegistry::CountPlace(const std::string& client, int change) {
+  places_ += change;
+  if ((clients_[client] += change) == 0) clients_.erase(client);
+}
+
+void SessionRegistry::LosePlace(Entry& entry) {
+  if (entry.session == nullptr) return;
+  entry.session = nullptr;
+  CountPlace(entry.client, -1);
+}
+
+absl::StatusOr<std::optional<SessionRegistry::Leaving>> SessionRegistry::TryTakePlace(
+    const std::string& client, int most) {
+  absl::MutexLock lock(&mu_);
+  if (draining_) return absl::UnavailableError("the server is shutting down");
+  const auto own = clients_.find(client);
+  const bool too_many = most > 0 && own != clients_.end() && own->second >= most;
+  if (!too_many && places_ < options_.max_sessions) {
+    CountPlace(client, 1);
+    return std::nullopt;
+  }
+  PlaceRules rules;
+  rules.places = too_many ? 0 : options_.max_sessions;  // 0: all of its own are beyond its share
+  rules.durable = durable();
+  rules.abandoned_after = options_.abandoned_after;
+  std::vector<HeldPlace> held;
+  for (const auto& [id, entry] : entries_) {
+    if (entry.session == nullptr || entry.in_flight > 0 || entry.busy) continue;
+    if (too_many && entry.client != client) continue;
+    held.push_back({id, entry.client, absl::Nanoseconds(clock_->now_ns() - entry.last_used_ns),
+                    entry.attached > 0, entry.was_attached,
+                    entry.session->Position().feedback_sequence > 0});
+  }
+  const PlaceChoice choice = ChoosePlace(rules, held, client);
+  if (choice.victim.empty()) {
+    const std::string who = too_many ? absl::StrCat("this client has ", own->second, " sessions")
+                                     : absl::StrCat(places_, " sessions are open");
+    return Refusal(absl::ResourceExhaustedError(
+                       absl::StrCat(who, ", which is the limit, and all are in use; close one, or ",
+                                    too_many ? "ask for a larger limits: {sessions} of the token"
+                                             : "start the server with more --max-sessions")),
+                   std::max(choice.wait, absl::Milliseconds(100)));
+  }
+  Entry& victim = entries_.at(choice.victim);
+  victim.busy = true;
+  return Leaving{choice.victim, victim.session};
+}
+
+void SessionRegistry::MakeLeave(const Leaving& leaving) {
+  const SessionPosition position = leaving.session->Position();
+  // Nothing was done with it: there is nothing to keep.
+  const bool unused = position.feedback_sequence == 0 && position.last_prediction_id == 0;
+  const bool keep = durable() && !unused;
+  spdlog::warn("{}: {} to make room", leaving.id, keep ? "written to disk" : "closed");
+  if (keep) {
+    if (const absl::Status flushed = leaving.session->Flush(); !flushed.ok()) {
+      spdlog::error("{}: no snapshot: {}; its journal stays", leaving.id, flushed.ToString());
     }
-    const absl::Status flushed = session->Flush();
-    if (!flushed.ok())
-      spdlog::error("{}: no snapshot: {}; its journal stays", victim, flushed.ToString());
-    session->Cancel();
+  }
+  leaving.session->Cancel();
+  {
     absl::MutexLock lock(&mu_);
-    const auto found = entries_.find(victim);
+    const auto found = entries_.find(leaving.id);
     found->second.busy = false;
-    found->second.session = nullptr;
-    --places_;
-    if (!durable()) entries_.erase(found);
+    found->second.made_room = true;
+    found->second.learned = position.feedback_sequence > 0;
+    LosePlace(found->second);
+    if (!keep) entries_.erase(found);
+  }
+  if (durable() && !keep) folders_->Remove(leaving.id);
+}
+
+absl::Status SessionRegistry::TakePlace(const std::string& client, int most) {
+  while (true) {
+    RS_ASSIGN_OR_RETURN(const std::optional<Leaving> leaving, TryTakePlace(client, most));
+    if (!leaving) return absl::OkStatus();
+    MakeLeave(*leaving);
   }
 }
 
-void SessionRegistry::GivePlaceBack() {
-  absl::MutexLock lock(&mu_);
-  --places_;
+absl::Status SessionRegistry::MakeStoredRoom(const std::string& client) {
+  std::string forgotten;
+  {
+    absl::MutexLock lock(&mu_);
+    int own = 0;
+    for (const auto& [id, entry] : entries_) own += entry.client == client ? 1 : 0;
+    const int most = std::max(1, options_.max_stored_sessions * 3 / 4);
+    const bool full = static_cast<int>(entries_.size()) >= options_.max_stored_sessions;
+    if (!full && own < most) return absl::OkStatus();
+    auto oldest = entries_.end();
+    for (auto at = entries_.begin(); at != entries_.end(); ++at) {
+      const Entry& entry = at->second;
+      const absl::Duration idle = absl::Nanoseconds(clock_->now_ns() - entry.last_used_ns);
+      if (entry.session != nullptr || entry.busy || entry.learned ||
+          idle < options_.abandoned_after || (!full && entry.client != client)) {
+        continue;
+      }
+      if (oldest == entries_.end() || entry.last_used_ns < oldest->second.last_used_ns) oldest = at;
+    }
+    if (oldest == entries_.end()) {
+      return absl::ResourceExhaustedError(
+          absl::StrCat(full ? entries_.size() : static_cast<size_t>(own), " sessions ",
+                       full ? "" : "of this client ",
+                       "are open or on disk, which is the limit; close some, let ",
+                       "them expire with --session-expiry, or start the server with more "
+                       "--max-stored-sessions"));
+    }
+    forgotten = oldest->first;
+    entries_.erase(oldest);
+  }
+  spdlog::warn("{}: forgotten to make room on disk: it has learned nothing", forgotten);
+  if (durable()) folders_->Remove(forgotten);
+  return absl::OkStatus();
 }
 
 // --------------------------------------------------------------------------------------- sessions
@@ -154,50 +216,58 @@ absl::Status SessionRegistry::UnknownSession(const std::string& id) const {
                              : "it was closed or the server was restarted: open a new one"));
 }
 
-absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& request) {
+absl::Status SessionRegistry::CheckOwner(const Entry& entry, const std::string& id,
+                                         const Caller& caller) {
+  if (caller.owner.empty() || caller.owner == entry.owner) return absl::OkStatus();
+  return absl::PermissionDeniedError(absl::StrCat(
+      id.substr(0, 64), " belongs to another caller than '", caller.name,
+      "'; use the token or certificate that opened it, or open a session of your own"));
+}
+
+absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& request,
+                                                    const Caller& caller) {
   RS_ASSIGN_OR_RETURN(const SessionResources resources, resources_of_(request.spec.policy));
   OpenedSession opened;
   RS_ASSIGN_OR_RETURN(const std::string name, RandomHex(8));
   RS_ASSIGN_OR_RETURN(opened.token, RandomHex(16));
   opened.id = SessionFolders::kPrefix + name;
-  RS_RETURN_IF_ERROR(TakePlace());
+  RS_RETURN_IF_ERROR(MakeStoredRoom(caller.client()));
+  RS_RETURN_IF_ERROR(TakePlace(caller.client(), caller.limits.sessions));
   uint64_t owner = 0;
   {
     absl::MutexLock lock(&mu_);
     owner = ++last_owner_;
-    if (static_cast<int>(entries_.size()) >= options_.max_stored_sessions) {
-      --places_;
-      return absl::ResourceExhaustedError(
-          absl::StrCat(entries_.size(),
-                       " sessions are open or on disk, which is the limit; close "
-                       "some, or let them expire with --session-expiry"));
-    }
   }
   const std::string token_sha256 = Sha256Hex(opened.token);
   const auto make = [&]() -> absl::Status {
     RS_ASSIGN_OR_RETURN(opened.session,
                         Session::Create(request.spec, resources, owner, request.guard));
     if (!durable()) return absl::OkStatus();
-    RS_ASSIGN_OR_RETURN(auto journal, folders_->Create(opened.id, token_sha256, request,
-                                                       resources.policy->spec().model_hash));
+    RS_ASSIGN_OR_RETURN(auto journal,
+                        folders_->Create(opened.id, token_sha256, caller.owner, request,
+                                         resources.policy->spec().model_hash));
     opened.session->SetJournal(std::move(journal));
     return absl::OkStatus();
   };
-  if (absl::Status status = make(); !status.ok()) {
-    GivePlaceBack();
+  const absl::Status status = make();
+  absl::MutexLock lock(&mu_);
+  if (!status.ok()) {
+    CountPlace(caller.client(), -1);
     return status;
   }
-  absl::MutexLock lock(&mu_);
   Entry& entry = entries_[opened.id];
   entry.session = opened.session;
   entry.request = request;
   entry.token_sha256 = token_sha256;
   entry.last_used_ns = clock_->now_ns();
+  entry.owner = caller.owner;
+  entry.client = caller.client();
   return opened;
 }
 
 absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::Acquire(const std::string& id,
-                                                                  const std::string* token) {
+                                                                  const std::string* token,
+                                                                  const Caller& caller) {
   SessionRequest request;
   {
     absl::MutexLock lock(&mu_);
@@ -213,13 +283,19 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::Acquire(const std::str
     Entry& entry = found->second;
     if (token != nullptr && !SameSecret(Sha256Hex(*token), entry.token_sha256))
       return absl::PermissionDeniedError(absl::StrCat("this is not the token of ", id));
+    if (token != nullptr && entry.owner.empty()) entry.owner = caller.owner;
+    RS_RETURN_IF_ERROR(CheckOwner(entry, id, caller));
     if (entry.session != nullptr && durable() && !entry.session->failure().ok() &&
         entry.in_flight == 0) {
       entry.session->Cancel();  // what is on the disk is right
-      entry.session = nullptr;
-      --places_;
+      LosePlace(entry);
     }
     if (entry.session != nullptr) {
+      if (token != nullptr) {  // the place is held by who came back
+        CountPlace(entry.client, -1);
+        CountPlace(caller.client(), 1);
+        entry.client = caller.client();
+      }
       ++entry.in_flight;
       ++in_flight_;
       return entry.session;
@@ -229,17 +305,20 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::Acquire(const std::str
     request = entry.request;
   }
   absl::StatusOr<std::shared_ptr<Session>> session = absl::UnknownError("not read");
-  absl::Status place = TakePlace();
+  absl::Status place = TakePlace(caller.client(), caller.limits.sessions);
   if (place.ok()) {
     session = ReadFromDisk(id, request);
-    if (!session.ok()) GivePlaceBack();
   } else {
     session = place;
   }
   absl::MutexLock lock(&mu_);
   Entry& entry = entries_.at(id);
   entry.busy = false;
-  if (!session.ok()) return session.status();
+  if (!session.ok()) {
+    if (place.ok()) CountPlace(caller.client(), -1);
+    return session.status();
+  }
+  entry.client = caller.client();
   entry.session = *session;
   ++entry.in_flight;
   ++in_flight_;
@@ -247,27 +326,55 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::Acquire(const std::str
 }
 
 absl::StatusOr<OpenedSession> SessionRegistry::Resume(const std::string& id,
-                                                      const std::string& token) {
-  RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session, Acquire(id, &token));
+                                                      const std::string& token,
+                                                      const Caller& caller) {
+  RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session, Acquire(id, &token, caller));
   const Lease lease(this, id, session);
   session->CountResume();
   return OpenedSession{id, "", std::move(session)};
 }
 
 absl::StatusOr<SessionRegistry::Lease> SessionRegistry::Load(const std::string& id) {
-  RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session, Acquire(id, nullptr));
+  Caller server = Anybody();
+  server.host = "operator";
+  RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session, Acquire(id, nullptr, server));
   return Lease(this, id, std::move(session));
 }
 
-absl::StatusOr<SessionRegistry::Lease> SessionRegistry::Use(const std::string& id) {
+absl::StatusOr<SessionRegistry::Lease> SessionRegistry::Use(const std::string& id,
+                                                            const Caller& caller) {
+  {
+    absl::MutexLock lock(&mu_);
+    if (draining_) return absl::UnavailableError("the server is shutting down");
+    const auto found = entries_.find(id);
+    if (found == entries_.end()) return UnknownSession(id);
+    Entry& entry = found->second;
+    RS_RETURN_IF_ERROR(CheckOwner(entry, id, caller));
+    const bool in_memory = entry.session != nullptr && !entry.busy;
+    if (in_memory) {
+      ++entry.in_flight;
+      ++in_flight_;
+      return Lease(this, id, entry.session);
+    }
+    const bool comes_back = entry.made_room || (entry.busy && entry.session != nullptr);
+    if (!comes_back || !durable()) return UnknownSession(id);
+  }
+  RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session, Acquire(id, nullptr, caller));
+  return Lease(this, id, std::move(session));
+}
+
+void SessionRegistry::Attach(const std::string& id) {
   absl::MutexLock lock(&mu_);
-  if (draining_) return absl::UnavailableError("the server is shutting down");
   const auto found = entries_.find(id);
-  if (found == entries_.end() || found->second.session == nullptr || found->second.busy)
-    return UnknownSession(id);
-  ++found->second.in_flight;
-  ++in_flight_;
-  return Lease(this, id, found->second.session);
+  if (found == entries_.end()) return;
+  ++found->second.attached;
+  found->second.was_attached = true;
+}
+
+void SessionRegistry::Detach(const std::string& id) {
+  absl::MutexLock lock(&mu_);
+  const auto found = entries_.find(id);
+  if (found != entries_.end() && found->second.attached > 0) --found->second.attached;
 }
 
 void SessionRegistry::Return(const std::string& id) {
@@ -279,7 +386,7 @@ void SessionRegistry::Return(const std::string& id) {
   found->second.last_used_ns = clock_->now_ns();
 }
 
-absl::Status SessionRegistry::Close(const std::string& id) {
+absl::Status SessionRegistry::Close(const std::string& id, const Caller& caller) {
   {
     absl::MutexLock lock(&mu_);
     const auto free = [&] {
@@ -290,10 +397,9 @@ absl::Status SessionRegistry::Close(const std::string& id) {
     mu_.Await(absl::Condition(&free));
     const auto found = entries_.find(id);
     if (found == entries_.end()) return UnknownSession(id);
-    if (found->second.session != nullptr) {
-      found->second.session->Cancel();
-      --places_;
-    }
+    RS_RETURN_IF_ERROR(CheckOwner(found->second, id, caller));
+    if (found->second.session != nullptr) found->second.session->Cancel();
+    LosePlace(found->second);
     entries_.erase(found);
   }
   if (durable()) folders_->Remove(id);
@@ -332,6 +438,12 @@ std::vector<SessionRow> SessionRegistry::List() {
     rows.push_back(std::move(row));
   }
   return rows;
+}
+
+bool SessionRegistry::IsAsync(const std::string& id) const {
+  absl::MutexLock lock(&mu_);
+  const auto found = entries_.find(id);
+  return found != entries_.end() && found->second.request.spec.mode == ExecutionMode::kAsync;
 }
 
 int SessionRegistry::open_sessions() const {
@@ -385,17 +497,15 @@ void SessionRegistry::ExpireUnused() {
     absl::MutexLock lock(&mu_);
     const int64_t now = clock_->now_ns();
     for (auto at = entries_.begin(); at != entries_.end();) {
-      const Entry& entry = at->second;
+      Entry& entry = at->second;
       if (entry.in_flight > 0 || entry.busy ||
           absl::Nanoseconds(now - entry.last_used_ns) < options_.expire_after) {
         ++at;
         continue;
       }
       expired.push_back(at->first);
-      if (entry.session != nullptr) {
-        entry.session->Cancel();
-        --places_;
-      }
+      if (entry.session != nullptr) entry.session->Cancel();
+      LosePlace(entry);
       at = entries_.erase(at);
     }
   }

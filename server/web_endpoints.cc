@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/status_macros.h"
+#include "server/edge/access_table.h"
 #include "server/edge/operations_pages.h"
 
 namespace robostress {
@@ -23,9 +24,9 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
     const auto upgrade =
         [server, openpi = options.openpi](
             const WebRequest& request) -> absl::StatusOr<std::unique_ptr<WebConversation>> {
-      RS_ASSIGN_OR_RETURN(const Caller caller,
-                          server->tokens().Authenticate(request.authorization));
-      RS_RETURN_IF_ERROR(AccessTokens::Require(caller, Scope::kPredict));
+      RS_ASSIGN_OR_RETURN(Caller caller, Allow(*server->tokens().Get(), request.authorization,
+                                               AccessRule::Wire::kWebSocket, "upgrade"));
+      caller.host = request.peer.substr(0, request.peer.rfind(':'));
       if (!server->ready()) return absl::UnavailableError("warming up or draining");
       return std::make_unique<OpenpiConversation>(openpi, &server->host(), &server->metrics(),
                                                   caller);

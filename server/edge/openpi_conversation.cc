@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/rpc/convert.h"
 #include "common/status_macros.h"
+#include "server/edge/access_table.h"
 
 namespace robostress {
 namespace {
@@ -130,7 +131,7 @@ absl::Status OpenpiConversation::EnterEpisode(const OpenpiValue& message) {
 }
 
 absl::StatusOr<SessionHost::Acknowledged> OpenpiConversation::Report(const OpenpiValue& value) {
-  RS_RETURN_IF_ERROR(AccessTokens::Require(caller_, Scope::kFeedback));
+  RS_RETURN_IF_ERROR(Allow(caller_, AccessRule::Wire::kWebSocket, "executed"));
   RS_ASSIGN_OR_RETURN(const OpenpiExecuted executed,
                       ReadOpenpiExecuted(value, policy_.action_dim, control_period_s_));
   const uint64_t id = executed.prediction_id;

@@ -6,6 +6,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_split.h"
 #include "common/image.h"
+#include "server/edge/access_table.h"
 
 namespace robostress {
 namespace {
@@ -62,22 +63,23 @@ WebReply ImagePage(const WebRequest& request, const Telemetry& telemetry) {
 
 WebReply OperationsPage(const WebRequest& request, const OperationsSources& sources) {
   const std::string& path = request.path;
+  const absl::StatusOr<Caller> caller =
+      Allow(*sources.tokens->Get(), request.authorization, AccessRule::Wire::kHttp, path);
+  if (absl::IsNotFound(caller.status())) {
+    const absl::Status admin = sources.tokens->Get()->Check(request.authorization, Scope::kAdmin);
+    if (!admin.ok()) return ErrorReply(admin);
+    return ErrorReply(
+        absl::NotFoundError("no such page; there are /, /metrics, /traces, /healthz and /readyz"));
+  }
+  if (!caller.ok()) return ErrorReply(caller.status());
   if (path == "/healthz") return {200, "text/plain; charset=utf-8", "OK\n"};
   if (path == "/readyz") {
     if (sources.ready()) return {200, "text/plain; charset=utf-8", "ready\n"};
     return ErrorReply(absl::UnavailableError("warming up or draining"));
   }
-  if (const absl::Status allowed = sources.tokens->Check(request.authorization, Scope::kAdmin);
-      !allowed.ok()) {
-    return ErrorReply(allowed);
-  }
   if (path == "/live.js") return {200, "text/javascript; charset=utf-8", LiveScript()};
   if (path == "/image") return ImagePage(request, *sources.telemetry);
   if (path == "/traces") return {200, "application/json", sources.traces->Json()};
-  if (path != "/" && path != "/main" && path != "/metrics") {
-    return ErrorReply(
-        absl::NotFoundError("no such page; there are /, /metrics, /traces, /healthz and /readyz"));
-  }
   sources.telemetry->Refresh(sources.figures());
   if (path == "/metrics")
     return {200, "text/plain; version=0.0.4; charset=utf-8", sources.metrics->Text()};

@@ -16,15 +16,15 @@ struct OperationsSources {
   Metrics* metrics = nullptr;
   TraceLog* traces = nullptr;
   Telemetry* telemetry = nullptr;
-  const AccessTokens* tokens = nullptr;
+  const TokenStore* tokens = nullptr;
   std::function<std::vector<SessionFigures>()> figures;  // asked before sessions are shown
   std::function<LiveServer()> server;
   std::function<bool()> ready;  // warmed up and not draining
 };
 
-// The answer to one request. /healthz: 200 while the process answers; /readyz: 200 or 503; both for
-// everybody. With the scope `admin`: / (the live page), /main, /image?session=S&camera=C (PNG),
-// /metrics (Prometheus), /traces (trace event JSON of the last predictions).
+// The answer to one request: /healthz (200 while the process answers), /readyz (200 or 503), / (the
+// live page), /main, /image?session=S&camera=C (PNG), /metrics (Prometheus), /traces (trace event
+// JSON of the last predictions). Who may read what stands in access_table.
 WebReply OperationsPage(const WebRequest& request, const OperationsSources& sources);
 
 }  // namespace robostress

@@ -26,10 +26,12 @@ namespace fs = std::filesystem;
 constexpr char kClosed[] = "closed-";  // folders on their way out
 
 v1::StateHeader HeaderOf(const std::string& id, const std::string& token_sha256,
-                         const SessionRequest& request, const std::string& model_hash) {
+                         const std::string& owner, const SessionRequest& request,
+                         const std::string& model_hash) {
   v1::StateHeader header;
   header.set_session_id(id);
   header.set_token_sha256(token_sha256);
+  header.set_owner(owner);
   *header.mutable_spec() = ToProto(request.spec);
   *header.mutable_guard() = ToRecord(request.guard);
   header.set_priority(ToProto(request.scheduling.priority));
@@ -70,10 +72,10 @@ std::string SessionFolders::PathOf(const std::string& id) const {
 }
 
 absl::StatusOr<std::unique_ptr<SessionJournal>> SessionFolders::Create(
-    const std::string& id, const std::string& token_sha256, const SessionRequest& request,
-    const std::string& model_hash) const {
+    const std::string& id, const std::string& token_sha256, const std::string& owner,
+    const SessionRequest& request, const std::string& model_hash) const {
   auto journal =
-      SessionJournal::Create(PathOf(id), HeaderOf(id, token_sha256, request, model_hash));
+      SessionJournal::Create(PathOf(id), HeaderOf(id, token_sha256, owner, request, model_hash));
   std::error_code ignored;
   if (!journal.ok()) fs::remove_all(PathOf(id), ignored);
   return journal;
@@ -105,6 +107,7 @@ std::vector<SessionFolders::Stored> SessionFolders::Find() const {
       stored.readable = request.status();
       if (request.ok()) stored.request = *request;
       stored.token_sha256 = header->token_sha256();
+      stored.owner = header->owner();
     }
     if (!stored.readable.ok()) spdlog::error("{}: {}", name, stored.readable.ToString());
   }

@@ -20,6 +20,7 @@ class SessionFolders {
     std::string id;
     SessionRequest request;
     std::string token_sha256;
+    std::string owner;      // Caller::owner
     absl::Status readable;  // otherwise only the id is known
   };
 
@@ -37,6 +38,7 @@ class SessionFolders {
   // error.
   absl::StatusOr<std::unique_ptr<SessionJournal>> Create(const std::string& id,
                                                          const std::string& token_sha256,
+                                                         const std::string& owner,
                                                          const SessionRequest& request,
                                                          const std::string& model_hash) const;
   // Errors are logged. Once it has begun the session is closed, whatever happens to this process.

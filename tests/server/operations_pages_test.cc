@@ -56,7 +56,7 @@ class OperationsPagesTest : public ::testing::Test {
   Metrics metrics_;
   Telemetry telemetry_;
   TraceLog traces_;
-  AccessTokens tokens_;
+  TokenStore tokens_;
   SessionFigures figures_;
   bool ready_ = true;
   OperationsSources sources_;
@@ -146,10 +146,10 @@ TEST_F(OperationsPagesTest, IsReadyOnlyWhileTheServerIs) {
 }
 
 TEST_F(OperationsPagesTest, ShowsNothingButHealthWithoutTheAdminScope) {
-  tokens_ = *AccessTokens::Parse(
+  tokens_.Set(*AccessTokens::Parse(
       "t", absl::StrCat("tokens: [{name: arm, sha256: ", Sha256Hex("arm"),
                         ", scopes: [predict]}, {name: op, sha256: ", Sha256Hex("op"),
-                        ", scopes: [admin]}]"));
+                        ", scopes: [admin]}]")));
   for (const char* path : {"/", "/main", "/metrics", "/traces", "/image", "/live.js", "/else"}) {
     EXPECT_EQ(Get(path).status, 401) << path;
     EXPECT_EQ(Get(path, "", "Bearer arm").status, 403) << path;

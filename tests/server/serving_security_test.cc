@@ -17,6 +17,7 @@
 #include "common/rpc/policy_client.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/admin_server.h"
+#include "server/edge/access_table.h"
 #include "server/policy_service.h"
 #include "server/web_endpoints.h"
 #include "tests/run_program.h"
@@ -61,6 +62,8 @@ AccessTokens Tokens() {
   for (const auto& [name, scopes] : {std::pair("predict", "predict"),
                                      {"feedback", "feedback"},
                                      {"arm", "predict, feedback"},
+                                     {"other", "predict, feedback"},
+                                     {"prometheus", "metrics"},
                                      {"operator", "admin"}})
     absl::StrAppend(&file, "  - {name: ", name, ", sha256: ", Sha256Hex(name), ", scopes: [",
                     scopes, "]}\n");
@@ -84,7 +87,8 @@ class ServingSecurityTest : public ::testing::Test {
       drained_ = grace;
       server_->Drain();
     };
-    auto admin = AdminServer::Start(options, &server_->sessions(), &server_->tokens());
+    auto admin =
+        AdminServer::Start(options, &server_->sessions(), &server_->tokens(), &server_->metrics());
     ASSERT_TRUE(admin.ok()) << admin.status();
     admin_ = *std::move(admin);
   }
@@ -110,7 +114,7 @@ class ServingSecurityTest : public ::testing::Test {
 // Every method that the schema has, now and later.
 TEST_F(ServingSecurityTest, NoMethodAnswersWithoutATokenOrWithOneOfNoUse) {
   PolicyServerOptions options;
-  options.tokens = Tokens();
+  options.tokens = std::make_shared<TokenStore>(Tokens());
   Start(options);
   StartAdmin();
   const std::string id = Open();
@@ -152,9 +156,143 @@ TEST_F(ServingSecurityTest, NoMethodAnswersWithoutATokenOrWithOneOfNoUse) {
   EXPECT_EQ(drained_, absl::InfiniteDuration());
 }
 
+// Every method of the schema and every page stands in the table, and nothing else.
+TEST(AccessTable, IsTheSchemasAndThePagesList) {
+  size_t rules = 0;
+  for (const auto& [service, wire] :
+       {std::pair("robostress.v1.PolicyService", AccessRule::Wire::kPolicy),
+        {"robostress.v1.AdminService", AccessRule::Wire::kAdmin}}) {
+    const auto* schema =
+        google::protobuf::DescriptorPool::generated_pool()->FindServiceByName(service);
+    for (int i = 0; i < schema->method_count(); ++i, ++rules)
+      EXPECT_NE(FindRule(wire, schema->method(i)->name()), nullptr) << schema->method(i)->name();
+  }
+  for (const AccessRule& rule : AccessTable()) {
+    const bool grpc =
+        rule.wire == AccessRule::Wire::kPolicy || rule.wire == AccessRule::Wire::kAdmin;
+    if (grpc) --rules;
+    EXPECT_TRUE(rule.scopes != 0 || rule.wire == AccessRule::Wire::kHttp) << rule.what;
+  }
+  EXPECT_EQ(rules, 0u);
+}
+
+// The table, walked over every wire: with no token, a wrong one, and one of each single scope.
+TEST_F(ServingSecurityTest, EveryScopeOpensWhatTheTableSaysOverEveryWireAndNothingElse) {
+  std::string file = "tokens:\n";
+  for (const Scope scope : kScopes)
+    absl::StrAppend(&file, "  - {name: ", ScopeName(scope),
+                    ", sha256: ", Sha256Hex(ScopeName(scope)), ", scopes: [", ScopeName(scope),
+                    "]}\n");
+  PolicyServerOptions options;
+  options.tokens = std::make_shared<TokenStore>(*AccessTokens::Parse("tokens.yaml", file));
+  Start(options);
+  StartAdmin();
+  WebEndpointsOptions web;
+  web.websocket_listen = web.http_listen = "127.0.0.1:0";
+  const auto endpoints = WebEndpoints::Start(web, server_.get());
+  ASSERT_TRUE(endpoints.ok()) << endpoints.status();
+
+  enum Outcome { kNoToken, kNoRight, kAllowed };
+  const auto of_grpc = [](const grpc::Status& status) {
+    if (status.error_code() == grpc::StatusCode::UNAUTHENTICATED) return kNoToken;
+    return status.error_code() == grpc::StatusCode::PERMISSION_DENIED ? kNoRight : kAllowed;
+  };
+  const auto of_http = [](int status) {
+    return status == 401 ? kNoToken : status == 403 ? kNoRight : kAllowed;
+  };
+  int walked = 0;
+  for (const AccessRule& rule : AccessTable()) {
+    if (rule.wire == AccessRule::Wire::kAdmin && std::string(rule.what) == "Drain") continue;
+    std::vector<std::pair<std::string, Outcome>> tokens = {
+        {"", rule.scopes == 0 ? kAllowed : kNoToken},
+        {"guess", rule.scopes == 0 ? kAllowed : kNoToken}};
+    for (const Scope scope : kScopes) {
+      const bool has = rule.scopes == 0 || (rule.scopes & static_cast<uint8_t>(scope)) != 0;
+      tokens.emplace_back(ScopeName(scope), has ? kAllowed : kNoRight);
+    }
+    for (const auto& [token, expected] : tokens) {
+      const std::string value = token.empty() ? "" : absl::StrCat("Bearer ", token);
+      const std::string header =
+          token.empty() ? "" : absl::StrCat("Authorization: ", value, "\r\n");
+      Outcome outcome = kAllowed;
+      switch (rule.wire) {
+        case AccessRule::Wire::kPolicy:
+          outcome =
+              of_grpc(Call(Plain(server_->port()),
+                           absl::StrCat("/robostress.v1.PolicyService/", rule.what), "", token)
+                          .status);
+          break;
+        case AccessRule::Wire::kAdmin:
+          outcome = of_grpc(Call(Plain(admin_->port()),
+                                 absl::StrCat("/robostress.v1.AdminService/", rule.what), "", token)
+                                .status);
+          break;
+        case AccessRule::Wire::kHttp:
+          outcome = of_http(WebClient((*endpoints)->http_port()).Get(rule.what, header).first);
+          break;
+        case AccessRule::Wire::kWebSocket:
+          // What is within a conversation is asked of its caller.
+          if (std::string(rule.what) == "upgrade") {
+            outcome = of_http(WebClient((*endpoints)->websocket_port()).Upgrade(header));
+          } else {
+            const auto allowed = Allow(*options.tokens->Get(), value, rule.wire, rule.what);
+            outcome = absl::IsUnauthenticated(allowed.status())    ? kNoToken
+                      : absl::IsPermissionDenied(allowed.status()) ? kNoRight
+                                                                   : kAllowed;
+          }
+          break;
+      }
+      EXPECT_EQ(outcome, expected) << rule.what << " with '" << token << "'";
+      ++walked;
+    }
+  }
+  EXPECT_GE(walked, 150);
+  EXPECT_EQ(
+      of_grpc(
+          Call(Plain(admin_->port()), "/robostress.v1.AdminService/Drain", "", "metrics").status),
+      kNoRight);
+  EXPECT_EQ(drained_, absl::InfiniteDuration());
+  EXPECT_EQ(server_->sessions().open_sessions(), 0);
+}
+
+// What a token that did not open a session can do with it: nothing, with any method.
+TEST_F(ServingSecurityTest, AnotherRobotsTokenCanDoNothingWithASession) {
+  PolicyServerOptions options;
+  options.tokens = std::make_shared<TokenStore>(Tokens());
+  Start(options);
+  const std::string id = Open();  // by "arm"
+  {
+    Client client(std::shared_ptr<Session>(&**server_->sessions().Use(id), [](Session*) {}));
+    client.StartEpisode(0, 0);
+    client.RunChunks(40);
+  }
+  const std::string before = ExportOf(**server_->sessions().Use(id));
+  int methods = 0;
+  for (const AccessRule& rule : AccessTable()) {
+    if (rule.wire != AccessRule::Wire::kPolicy || !rule.of_one_session) continue;
+    v1::CloseSessionRequest request;  // session_id is field 1 of them all
+    request.set_session_id(id);
+    for (const char* token : {"other", "predict", "feedback"}) {
+      const Answer answer =
+          Call(Plain(server_->port()), absl::StrCat("/robostress.v1.PolicyService/", rule.what),
+               request.SerializeAsString(), token);
+      EXPECT_EQ(answer.status.error_code(), grpc::StatusCode::PERMISSION_DENIED)
+          << rule.what << " by " << token << ": " << answer.status.error_message();
+    }
+    ++methods;
+  }
+  EXPECT_EQ(methods, 9);
+  EXPECT_EQ(ExportOf(**server_->sessions().Use(id)), before);
+  v1::CloseSessionRequest request;
+  request.set_session_id(id);
+  EXPECT_TRUE(Call(Plain(server_->port()), "/robostress.v1.PolicyService/CloseSession",
+                   request.SerializeAsString(), "arm")
+                  .status.ok());
+}
+
 TEST_F(ServingSecurityTest, PredictingAndTeachingAreScopesOfTheirOwn) {
   PolicyServerOptions options;
-  options.tokens = Tokens();
+  options.tokens = std::make_shared<TokenStore>(Tokens());
   Start(options);
   const auto channel = Plain(server_->port());
   const auto code = [&](const std::string& method, const std::string& token) {
@@ -176,7 +314,7 @@ TEST_F(ServingSecurityTest, PredictingAndTeachingAreScopesOfTheirOwn) {
 
 TEST_F(ServingSecurityTest, OperatorsListPinRollBackExportEndAndDrain) {
   PolicyServerOptions options;
-  options.tokens = Tokens();
+  options.tokens = std::make_shared<TokenStore>(Tokens());
   Start(options);
   StartAdmin();
   const std::string id = Open();
@@ -373,7 +511,7 @@ TEST_F(TlsTest, AsksForACertificateOfItsAuthority) {
 TEST_F(TlsTest, OurOwnClientTakesCertificateAndTokenFromTheEnvironment) {
   PolicyServerOptions options;
   options.tls = {File("server.crt"), File("server.key"), File("ca.crt")};
-  options.tokens = Tokens();
+  options.tokens = std::make_shared<TokenStore>(Tokens());
   Start(options);
   ASSERT_TRUE(WriteFileAtomically(File("token"), "arm\n").ok());
   PolicyClientOptions address;

@@ -7,6 +7,7 @@
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
+#include "common/rpc/refusal.h"
 #include "tests/server/drive.h"
 
 namespace robostress {
@@ -41,8 +42,8 @@ class RegistryTest : public ::testing::Test {
     ASSERT_TRUE(status.ok()) << status;
   }
   void Durable() { options_.state_dir = folder_; }
-  OpenedSession Open(const std::string& method = "ours") {
-    auto opened = registry_->Open({Spec(method, {"learning_rate=0.01"}), {}, {}});
+  OpenedSession Open(const std::string& method = "ours", const Caller& caller = Anybody()) {
+    auto opened = registry_->Open({Spec(method, {"learning_rate=0.01"}), {}, {}}, caller);
     EXPECT_TRUE(opened.ok()) << opened.status();
     return *std::move(opened);
   }
@@ -96,28 +97,130 @@ TEST_F(RegistryTest, ResumesInMemoryAfterADisconnectAndNotAfterARestart) {
   EXPECT_THAT(std::string(lost.message()), HasSubstr("open a new one"));
 }
 
-TEST_F(RegistryTest, WritesTheSessionUnusedForLongestToDiskToMakeRoom) {
+Caller Robot(const std::string& name, int sessions = 0) {
+  Caller caller = Anybody();
+  caller.name = name;
+  caller.owner = "token:" + name;
+  caller.limits.sessions = sessions;
+  return caller;
+}
+
+TEST_F(RegistryTest, WritesTheSessionUnusedForLongestToDiskAndBringsItBackWithItsNextMessage) {
   Durable();
   Start();
   const OpenedSession first = Open();
-  Client client(first.session);
-  client.StartEpisode(0, 0);
-  client.RunChunks(33);
-  const std::string before = ExportOf(*first.session);
-  clock_.Advance(absl::ToInt64Nanoseconds(absl::Minutes(1)));
-  Open();
-  Open();
-  EXPECT_EQ(registry_->Open({Spec("ours"), {}, {}}).status().code(),
-            absl::StatusCode::kResourceExhausted);
-  clock_.Advance(absl::ToInt64Nanoseconds(absl::Minutes(14)));
+  std::string before;
+  {
+    Client client(first.session);
+    client.StartEpisode(0, 0);
+    client.RunChunks(33);
+    before = ExportOf(*first.session);
+  }
+  clock_.Advance(absl::ToInt64Nanoseconds(absl::Seconds(5)));
+  const OpenedSession second = Open(), third = Open();
+  const absl::Status full = registry_->Open({Spec("ours"), {}, {}}).status();
+  EXPECT_EQ(full.code(), absl::StatusCode::kResourceExhausted);
+  EXPECT_EQ(RetryAfter(full), absl::Seconds(5));
+  clock_.Advance(absl::ToInt64Nanoseconds(absl::Seconds(5)));
   Open();
   EXPECT_EQ(registry_->open_sessions(), 3);
-  EXPECT_FALSE(registry_->Use(first.id).ok());
   EXPECT_EQ(Folders(), 4);
-  clock_.Advance(absl::ToInt64Nanoseconds(absl::Minutes(15)));
-  const auto resumed = registry_->Resume(first.id, first.token);
-  ASSERT_TRUE(resumed.ok()) << resumed.status();
-  EXPECT_EQ(ExportOf(*resumed->session), before);
+  clock_.Advance(absl::ToInt64Nanoseconds(absl::Seconds(10)));
+  const auto used = registry_->Use(first.id);
+  ASSERT_TRUE(used.ok()) << used.status();
+  EXPECT_EQ(ExportOf(**used), before);
+  EXPECT_EQ(registry_->open_sessions(), 3);
+  EXPECT_EQ(Folders(), 3) << "one of those that were never used is closed";
+  EXPECT_TRUE(registry_->Resume(first.id, first.token).ok());
+}
+
+TEST_F(RegistryTest, WhoNamesSessionsAndLeavesLocksNobodyOut) {
+  for (const bool durable : {false, true}) {
+    options_.state_dir = durable ? folder_ : "";
+    Start();
+    for (int i = 0; i < 20; ++i) {
+      const OpenedSession opened = Open("ours", Robot("hit and run"));
+      registry_->Attach(opened.id);
+      Client client(opened.session);
+      client.StartEpisode(0, 0);
+      client.Predict();
+      registry_->Detach(opened.id);
+    }
+    EXPECT_LE(registry_->open_sessions(), 3);
+    EXPECT_TRUE(registry_->Open({Spec("ours"), {}, {}}, Robot("new robot")).ok());
+  }
+}
+
+TEST_F(RegistryTest, ASessionIsItsOpenersAloneOnDiskToo) {
+  Durable();
+  Start();
+  const OpenedSession opened = Open("ours", Robot("arm_1"));
+  const auto refused = [&](const Caller& caller) {
+    for (const absl::Status& status :
+         {registry_->Use(opened.id, caller).status(), registry_->Close(opened.id, caller),
+          registry_->Resume(opened.id, opened.token, caller).status()}) {
+      EXPECT_EQ(status.code(), absl::StatusCode::kPermissionDenied) << status;
+      EXPECT_THAT(std::string(status.message()), ::testing::Not(HasSubstr("arm_1")));
+    }
+  };
+  refused(Robot("arm_2"));
+  Caller certificate = Robot("");
+  certificate.owner = "certificate:arm_1";
+  refused(certificate);
+  EXPECT_TRUE(registry_->Use(opened.id, Robot("arm_1")).ok());
+  Start();
+  refused(Robot("arm_2"));
+  EXPECT_TRUE(registry_->Load(opened.id).ok()) << "an operator's";
+  EXPECT_TRUE(registry_->Resume(opened.id, opened.token, Robot("arm_1")).ok());
+  EXPECT_TRUE(registry_->Close(opened.id, Robot("arm_1")).ok());
+}
+
+TEST_F(RegistryTest, ASessionOfTimesWithoutTokensGoesToWhoHasItsResumeToken) {
+  Durable();
+  Start();
+  const OpenedSession opened = Open();
+  Start();
+  EXPECT_TRUE(registry_->Resume(opened.id, opened.token, Robot("arm_1")).ok());
+  EXPECT_EQ(registry_->Use(opened.id, Robot("arm_2")).status().code(),
+            absl::StatusCode::kPermissionDenied);
+  EXPECT_EQ(registry_->Resume(opened.id, opened.token, Robot("arm_2")).status().code(),
+            absl::StatusCode::kPermissionDenied);
+}
+
+TEST_F(RegistryTest, ATokenHoldsSoManySessionsAndItsOwnMakeRoomForItsNext) {
+  Start();
+  const Caller arm = Robot("arm", 1);
+  const OpenedSession first = Open("ours", arm);
+  const absl::Status second = registry_->Open({Spec("ours"), {}, {}}, arm).status();
+  EXPECT_EQ(second.code(), absl::StatusCode::kResourceExhausted);
+  EXPECT_THAT(std::string(second.message()), HasSubstr("this client has 1 sessions"));
+  EXPECT_TRUE(registry_->Open({Spec("ours"), {}, {}}, Robot("other")).ok());
+  registry_->Attach(first.id);
+  registry_->Detach(first.id);
+  EXPECT_TRUE(registry_->Open({Spec("ours"), {}, {}}, arm).ok()) << "the first one was left";
+  EXPECT_EQ(registry_->Use(first.id, arm).status().code(), absl::StatusCode::kNotFound);
+  EXPECT_EQ(registry_->open_sessions(), 2);
+}
+
+TEST_F(RegistryTest, OneClientCannotFillTheDiskForTheOthers) {
+  Durable();
+  options_.max_stored_sessions = 8;
+  Start();
+  const auto open = [&](const std::string& name) {
+    auto opened = registry_->Open({Spec("ours"), {}, {}}, Robot(name));
+    if (!opened.ok()) return opened.status();
+    Client client(opened->session);
+    client.StartEpisode(0, 0);
+    client.RunChunk();
+    registry_->Attach(opened->id);
+    registry_->Detach(opened->id);
+    return absl::OkStatus();
+  };
+  for (int i = 0; i < 6; ++i) EXPECT_TRUE(open("many").ok());
+  EXPECT_EQ(open("many").code(), absl::StatusCode::kResourceExhausted);
+  EXPECT_TRUE(open("one").ok());
+  EXPECT_TRUE(open("two").ok());
+  EXPECT_EQ(open("three").code(), absl::StatusCode::kResourceExhausted) << "all have learned";
 }
 
 TEST_F(RegistryTest, ExpiresUnusedSessionsOnDiskTooButNotForAWallClockThatJumps) {
