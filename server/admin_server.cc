@@ -19,8 +19,9 @@ namespace robostress {
 // Handlers: ask for the scope, call, convert.
 class AdminServer::Service final : public v1::AdminService::Service {
  public:
-  Service(AdminServerOptions options, SessionRegistry* registry, const AccessTokens* tokens)
-      : options_(std::move(options)), registry_(registry), tokens_(*tokens) {}
+  Service(AdminServerOptions options, SessionRegistry* registry,
+          std::shared_ptr<const TokenStore> tokens)
+      : options_(std::move(options)), registry_(registry), tokens_(std::move(tokens)) {}
 
   grpc::Status ListSessions(grpc::ServerContext* context, const v1::ListSessionsRequest*,
                             v1::ListSessionsResponse* response) override {
@@ -124,7 +125,7 @@ class AdminServer::Service final : public v1::AdminService::Service {
   template <class Function>
   grpc::Status Guarded(const grpc::ServerContext& context, const std::string& what,
                        Function&& function) {
-    if (grpc::Status refused = Authorize(context, tokens_, Scope::kAdmin); !refused.ok()) {
+    if (grpc::Status refused = Authorize(context, *tokens_->Get(), Scope::kAdmin); !refused.ok()) {
       spdlog::warn("admin: refused {}: {}", context.peer(), refused.error_message());
       return refused;
     }
@@ -137,7 +138,7 @@ class AdminServer::Service final : public v1::AdminService::Service {
 
   const AdminServerOptions options_;
   SessionRegistry* const registry_;
-  const AccessTokens& tokens_;
+  const std::shared_ptr<const TokenStore> tokens_;
   std::atomic<bool> drained_{false};
 };
 
@@ -148,17 +149,17 @@ AdminServer::~AdminServer() {
   server_->Wait();
 }
 
-absl::StatusOr<std::unique_ptr<AdminServer>> AdminServer::Start(const AdminServerOptions& options,
-                                                                SessionRegistry* registry,
-                                                                const AccessTokens* tokens) {
+absl::StatusOr<std::unique_ptr<AdminServer>> AdminServer::Start(
+    const AdminServerOptions& options, SessionRegistry* registry,
+    std::shared_ptr<const TokenStore> tokens) {
   auto server = std::unique_ptr<AdminServer>(new AdminServer());
-  server->service_ = std::make_unique<Service>(options, registry, tokens);
-  RS_ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
+  server->service_ = std::make_unique<Service>(options, registry, std::move(tokens));
+  server->credentials_ = MakeServerCredentials(options.tls);
   grpc::ServerBuilder builder;
   builder.SetMaxReceiveMessageSize(1 << 20);
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
-  builder.AddListeningPort(options.listen, credentials, &server->port_);
+  builder.AddListeningPort(options.listen, server->credentials_, &server->port_);
   builder.RegisterService(server->service_.get());
   server->server_ = builder.BuildAndStart();
   if (server->server_ == nullptr || server->port_ == 0) {

@@ -20,12 +20,12 @@
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/grpc_access.h"
 #include "server/predict_stream.h"
+#include "server/process_metrics.h"
 #include "server/state/state_records.h"
 
 namespace robostress {
 namespace {
 
-constexpr char kVersion[] = "0.1.0";
 constexpr char kHealthName[] = "robostress.v1.PolicyService";
 
 absl::Status CheckBatching(const PolicyServerOptions& options) {
@@ -126,7 +126,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   Metrics& metrics() { return metrics_; }
   TraceLog& traces() { return traces_; }
   Telemetry& telemetry() { return telemetry_; }
-  const AccessTokens& tokens() const { return options_.tokens; }
+  std::shared_ptr<const TokenStore> tokens() const { return options_.tokens; }
   void StopThreads() {
     inference_.Stop();
     async_updates_.Stop();
@@ -137,7 +137,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
                              v1::GetServerInfoResponse* response) override {
     if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     ServerInfo info;
-    info.version = kVersion;
+    info.version = BuildVersion();
     for (const auto& [name, policy] : policies_) info.policies.push_back(policy->spec());
     info.max_sessions = options_.max_sessions;
     info.inference_threads = options_.threads;
@@ -267,7 +267,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
 
  private:
   grpc::Status Allow(const grpc::ServerContext* context, Scope scope) const {
-    return Authorize(*context, options_.tokens, scope);
+    return Authorize(*context, *options_.tokens->Get(), scope);
   }
 
   static absl::Status CheckIndex(const char* field, uint32_t value) {
@@ -412,7 +412,7 @@ RegistryHost& PolicyServer::host() { return service_->host(); }
 Metrics& PolicyServer::metrics() { return service_->metrics(); }
 TraceLog& PolicyServer::traces() { return service_->traces(); }
 Telemetry& PolicyServer::telemetry() { return service_->telemetry(); }
-const AccessTokens& PolicyServer::tokens() const { return service_->tokens(); }
+std::shared_ptr<const TokenStore> PolicyServer::tokens() const { return service_->tokens(); }
 
 absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
     const PolicyServerOptions& options, std::vector<std::shared_ptr<const FlowPolicy>> policies) {
@@ -446,8 +446,8 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT,
                              0);  // a second server on the port must fail, not share it
-  RS_ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
-  builder.AddListeningPort(options.listen, credentials, &server->port_);
+  server->credentials_ = MakeServerCredentials(options.tls);
+  builder.AddListeningPort(options.listen, server->credentials_, &server->port_);
   builder.RegisterService(server->service_.get());
   server->server_ = builder.BuildAndStart();
   if (server->server_ == nullptr || server->port_ == 0) {

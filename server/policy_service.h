@@ -21,7 +21,8 @@
 
 namespace grpc {
 class Server;
-}
+class ServerCredentials;
+}  // namespace grpc
 
 namespace robostress {
 
@@ -52,9 +53,10 @@ struct PolicyServerOptions {
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
-  bool warm_up = true;  // predict once with every policy before health says SERVING
-  TlsFiles tls;
-  AccessTokens tokens;  // asked by every call
+  bool warm_up = true;            // predict once with every policy before health says SERVING
+  std::shared_ptr<TlsStore> tls;  // null: plain
+  // Asked by every call; never null.
+  std::shared_ptr<TokenStore> tokens = std::make_shared<TokenStore>();
 };
 
 // A policy service over gRPC with health and reflection. Start listens, health says NOT_SERVING,
@@ -73,7 +75,7 @@ class PolicyServer {
   Metrics& metrics();
   TraceLog& traces();
   Telemetry& telemetry();
-  const AccessTokens& tokens() const;
+  std::shared_ptr<const TokenStore> tokens() const;
   // Warmed up and not draining.
   bool ready() const { return ready_; }
   // Refuses new sessions and messages; health says NOT_SERVING. Any thread; returns at once.
@@ -87,6 +89,7 @@ class PolicyServer {
   PolicyServer();
 
   std::unique_ptr<Service> service_;
+  std::shared_ptr<grpc::ServerCredentials> credentials_;  // outlives the server
   std::unique_ptr<grpc::Server> server_;
   std::atomic<bool> ready_{false};
   int port_ = 0;

@@ -6,6 +6,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_split.h"
 #include "common/image.h"
+#include "common/status_macros.h"
 
 namespace robostress {
 namespace {
@@ -58,16 +59,28 @@ WebReply ImagePage(const WebRequest& request, const Telemetry& telemetry) {
   return {200, "image/png", *std::move(png)};
 }
 
+// The figures need `metrics` or `admin`, everything else `admin`: it shows images and instructions.
+absl::Status MayRead(const std::string& path, const std::string& authorization,
+                     const AccessTokens& tokens) {
+  RS_ASSIGN_OR_RETURN(const Caller caller, tokens.Authenticate(authorization));
+  if (path == "/metrics" && caller.Has(Scope::kMetrics)) return absl::OkStatus();
+  return AccessTokens::Require(caller, Scope::kAdmin);
+}
+
 }  // namespace
+
+WebReply HealthPage(const WebRequest& request, const std::function<bool()>& ready) {
+  if (request.path == "/healthz") return {200, "text/plain; charset=utf-8", "OK\n"};
+  if (request.path != "/readyz")
+    return ErrorReply(absl::NotFoundError("no such page; there are /healthz and /readyz"));
+  if (ready()) return {200, "text/plain; charset=utf-8", "ready\n"};
+  return ErrorReply(absl::UnavailableError("warming up or draining"));
+}
 
 WebReply OperationsPage(const WebRequest& request, const OperationsSources& sources) {
   const std::string& path = request.path;
-  if (path == "/healthz") return {200, "text/plain; charset=utf-8", "OK\n"};
-  if (path == "/readyz") {
-    if (sources.ready()) return {200, "text/plain; charset=utf-8", "ready\n"};
-    return ErrorReply(absl::UnavailableError("warming up or draining"));
-  }
-  if (const absl::Status allowed = sources.tokens->Check(request.authorization, Scope::kAdmin);
+  if (path == "/healthz" || path == "/readyz") return HealthPage(request, sources.ready);
+  if (const absl::Status allowed = MayRead(path, request.authorization, *sources.tokens->Get());
       !allowed.ok()) {
     return ErrorReply(allowed);
   }
