@@ -175,10 +175,9 @@ AdminServer::~AdminServer() {
   executor_->Stop();
 }
 
-absl::StatusOr<std::unique_ptr<AdminServer>> AdminServer::Start(const AdminServerOptions& options,
-                                                                SessionRegistry* registry,
-                                                                const TokenStore* tokens,
-                                                                Metrics* metrics) {
+absl::StatusOr<std::unique_ptr<AdminServer>> AdminServer::Start(
+    const AdminServerOptions& options, SessionRegistry* registry,
+    std::shared_ptr<const TokenStore> tokens, Metrics* metrics) {
   auto server = std::unique_ptr<AdminServer>(new AdminServer());
   FairExecutorOptions threads;
   threads.name = "admin";
@@ -191,14 +190,14 @@ absl::StatusOr<std::unique_ptr<AdminServer>> AdminServer::Start(const AdminServe
   grpc.calls_per_client = kCallsPerClient;
   server->grpc_ = std::make_unique<GrpcService>("robostress.v1.AdminService",
                                                 server->service_->Methods(server->executor_.get()),
-                                                grpc, tokens, metrics);
-  RS_ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
+                                                grpc, std::move(tokens), metrics);
+  server->credentials_ = MakeServerCredentials(options.tls);
   grpc::ServerBuilder builder;
   LimitConnections(builder, kCallsPerClient);
   builder.SetMaxReceiveMessageSize(static_cast<int>(kLargestRequest));
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
-  builder.AddListeningPort(options.listen, credentials, &server->port_);
+  builder.AddListeningPort(options.listen, server->credentials_, &server->port_);
   builder.RegisterService(server->grpc_.get());
   server->server_ = builder.BuildAndStart();
   if (server->server_ == nullptr || server->port_ == 0) {

@@ -12,7 +12,8 @@
 
 namespace grpc {
 class Server;
-}
+class ServerCredentials;
+}  // namespace grpc
 
 namespace robostress {
 
@@ -22,7 +23,7 @@ class Metrics;
 
 struct AdminServerOptions {
   std::string listen = "127.0.0.1:0";  // HOST:PORT, apart from robots' and workers'
-  TlsFiles tls;
+  std::shared_ptr<TlsStore> tls;       // null: plain
   // Drain was asked for, with this grace (zero: the server's own). Called once, from a handler: it
   // must not wait.
   std::function<void(absl::Duration grace)> drain;
@@ -31,11 +32,10 @@ struct AdminServerOptions {
 // AdminService (policy.proto) on a port of its own. Every call needs the scope `admin`.
 class AdminServer {
  public:
-  // `registry`, `tokens` and `metrics` must outlive it.
-  static absl::StatusOr<std::unique_ptr<AdminServer>> Start(const AdminServerOptions& options,
-                                                            SessionRegistry* registry,
-                                                            const TokenStore* tokens,
-                                                            Metrics* metrics);
+  // `registry` and `metrics` must outlive it.
+  static absl::StatusOr<std::unique_ptr<AdminServer>> Start(
+      const AdminServerOptions& options, SessionRegistry* registry,
+      std::shared_ptr<const TokenStore> tokens, Metrics* metrics);
   ~AdminServer();  // ends calls under way, joins
 
   int port() const { return port_; }
@@ -47,6 +47,7 @@ class AdminServer {
   std::unique_ptr<FairExecutor> executor_;
   std::unique_ptr<Service> service_;
   std::unique_ptr<GrpcService> grpc_;
+  std::shared_ptr<grpc::ServerCredentials> credentials_;  // outlives the server
   std::unique_ptr<grpc::Server> server_;
   int port_ = 0;
 };

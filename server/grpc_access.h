@@ -5,7 +5,6 @@
 #include <memory>
 #include <string>
 
-#include "absl/status/statusor.h"
 #include "server/edge/access_tokens.h"
 #include "server/edge/tls_files.h"
 
@@ -15,13 +14,15 @@ class ServerCredentials;
 
 namespace robostress {
 
-// "certificate:" and the SHA-256 of the PEM that the peer showed; empty: none.
-std::string PeerCertificateOwner(const grpc::AuthContext& context);
-// The address in a peer's name without its port: "ipv4:127.0.0.1".
+// The address in a peer's name, as gRPC and the web ports write it, without its port: "127.0.0.1".
 std::string HostOfPeer(const std::string& peer);
 
-// Plain where no file is named.
-absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
-    const TlsFiles& files);
+// CertificateOwner of what the client showed; empty: nothing. The same string as a WebRequest's
+// certificate_owner for the same certificate.
+std::string PeerCertificateOwner(const grpc::AuthContext& context);
+
+// Every handshake uses what `tls` holds then; null: plain. Whether clients must show a certificate
+// is decided now. The caller keeps what is returned until its server is gone.
+std::shared_ptr<grpc::ServerCredentials> MakeServerCredentials(std::shared_ptr<const TlsStore> tls);
 
 }  // namespace robostress

@@ -17,6 +17,12 @@ namespace robostress {
 class Counter {
  public:
   void Add(double amount = 1) { value_.fetch_add(amount, std::memory_order_relaxed); }
+  // For a total that somebody else counts: never falls, and two threads count nothing twice.
+  void RaiseTo(double total) {
+    double seen = value();
+    while (seen < total && !value_.compare_exchange_weak(seen, total, std::memory_order_relaxed)) {
+    }
+  }
   double value() const { return value_.load(std::memory_order_relaxed); }
 
  private:

@@ -19,13 +19,13 @@
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/grpc_access.h"
+#include "server/process_metrics.h"
 #include "server/state/state_records.h"
 #include "server/wire/grpc_call.h"
 
 namespace robostress {
 namespace {
 
-constexpr char kVersion[] = "0.1.0";
 constexpr char kHealthName[] = "robostress.v1.PolicyService";
 
 absl::Status CheckBatching(const PolicyServerOptions& options) {
@@ -144,7 +144,7 @@ class PolicyServer::Service {
   Metrics& metrics() { return metrics_; }
   TraceLog& traces() { return traces_; }
   Telemetry& telemetry() { return telemetry_; }
-  const TokenStore& tokens() const { return *options_.tokens; }
+  std::shared_ptr<const TokenStore> tokens() const { return options_.tokens; }
   void StopThreads() {
     calls_.Stop();
     feedback_calls_.Stop();
@@ -163,8 +163,7 @@ class PolicyServer::Service {
     grpc.message_timeout = options_.message_timeout;
     grpc.attach = [this](const std::string& id) { sessions_->Attach(id); };
     grpc.detach = [this](const std::string& id) { sessions_->Detach(id); };
-    return std::make_unique<GrpcService>(kHealthName, Methods(), grpc, options_.tokens.get(),
-                                         &metrics_);
+    return std::make_unique<GrpcService>(kHealthName, Methods(), grpc, options_.tokens, &metrics_);
   }
 
  private:
@@ -240,7 +239,7 @@ class PolicyServer::Service {
   absl::Status GetServerInfo(GrpcCallView&, const v1::GetServerInfoRequest&,
                              v1::GetServerInfoResponse& response) {
     ServerInfo info;
-    info.version = kVersion;
+    info.version = BuildVersion();
     for (const auto& [name, policy] : policies_) info.policies.push_back(policy->spec());
     info.max_sessions = options_.max_sessions;
     info.inference_threads = options_.threads;
@@ -454,7 +453,7 @@ RegistryHost& PolicyServer::host() { return service_->host(); }
 Metrics& PolicyServer::metrics() { return service_->metrics(); }
 TraceLog& PolicyServer::traces() { return service_->traces(); }
 Telemetry& PolicyServer::telemetry() { return service_->telemetry(); }
-const TokenStore& PolicyServer::tokens() const { return service_->tokens(); }
+std::shared_ptr<const TokenStore> PolicyServer::tokens() const { return service_->tokens(); }
 
 absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
     const PolicyServerOptions& options, std::vector<std::shared_ptr<const FlowPolicy>> policies) {
@@ -487,8 +486,8 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT,
                              0);  // a second server on the port must fail, not share it
-  RS_ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
-  builder.AddListeningPort(options.listen, credentials, &server->port_);
+  server->credentials_ = MakeServerCredentials(options.tls);
+  builder.AddListeningPort(options.listen, server->credentials_, &server->port_);
   builder.RegisterService(server->grpc_.get());
   server->server_ = builder.BuildAndStart();
   if (server->server_ == nullptr || server->port_ == 0) {

@@ -21,7 +21,8 @@
 
 namespace grpc {
 class Server;
-}
+class ServerCredentials;
+}  // namespace grpc
 
 namespace robostress {
 
@@ -54,14 +55,15 @@ struct PolicyServerOptions {
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
-  bool warm_up = true;  // predict once with every policy before health says SERVING
-  TlsFiles tls;
-  std::shared_ptr<TokenStore> tokens = std::make_shared<TokenStore>();  // asked by every call
+  bool warm_up = true;            // predict once with every policy before health says SERVING
+  std::shared_ptr<TlsStore> tls;  // null: plain
+  // Asked by every call; never null.
+  std::shared_ptr<TokenStore> tokens = std::make_shared<TokenStore>();
   // gRPC calls that one client may have open; 0: 4 a session and 64 more.
   int calls_per_client = 0;
   absl::Duration stream_idle = absl::Minutes(15);  // then a stream on which nothing goes is ended
-  absl::Duration message_timeout =
-      absl::Seconds(30);  // for the message of a call that is no stream
+  // For the message of a call that is no stream.
+  absl::Duration message_timeout = absl::Seconds(30);
 };
 
 // A policy service over gRPC with health and reflection. Start listens, health says NOT_SERVING,
@@ -80,7 +82,7 @@ class PolicyServer {
   Metrics& metrics();
   TraceLog& traces();
   Telemetry& telemetry();
-  const TokenStore& tokens() const;
+  std::shared_ptr<const TokenStore> tokens() const;
   // Warmed up and not draining.
   bool ready() const { return ready_; }
   // Refuses new sessions and messages; health says NOT_SERVING. Any thread; returns at once.
@@ -95,6 +97,7 @@ class PolicyServer {
 
   std::unique_ptr<Service> service_;
   std::unique_ptr<GrpcService> grpc_;
+  std::shared_ptr<grpc::ServerCredentials> credentials_;  // outlives the server
   std::unique_ptr<grpc::Server> server_;
   std::atomic<bool> ready_{false};
   int port_ = 0;

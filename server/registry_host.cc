@@ -20,6 +20,9 @@ void TakeCounters(const SessionCounters& counters, SessionFigures& figures) {
   figures.adapter_distance = counters.stats.adapter_distance;
   figures.last_loss = counters.stats.last_loss;
   figures.buffered_chunks = counters.buffered_chunks;
+  figures.journal_bytes = counters.journal_bytes;
+  figures.snapshots_failed = counters.snapshots_failed;
+  figures.predictions_unkept = counters.predictions_unkept;
 }
 
 }  // namespace

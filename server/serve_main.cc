@@ -18,8 +18,11 @@
 #include "common/status_macros.h"
 #include "server/admin_server.h"
 #include "server/edge/json_log.h"
+#include "server/edge/operations_pages.h"
+#include "server/edge/reloader.h"
 #include "server/flag_visitor.h"
 #include "server/policy_service.h"
+#include "server/process_metrics.h"
 #include "server/serve_options.h"
 #include "server/torch_threads.h"
 #include "server/web_endpoints.h"
@@ -39,6 +42,7 @@ constexpr char kExamples[] = R"(Examples:
   robostress-worker --unit UNIT.yaml --out DIR --server 127.0.0.1:50051
 
 SIGTERM and SIGINT stop it: it refuses new messages, answers those under way (at most --grace seconds) and exits.
+SIGHUP reads certificates and tokens again; they are also read every --reload-seconds.
 Without --tls-certificate and --tokens nothing is encrypted and nobody is asked who they are: every port is loopback
 unless you say otherwise, and should stay there or on a trusted network.)";
 
@@ -47,8 +51,26 @@ int Fail(const absl::Status& status) {
   return 1;
 }
 
+// What may change while the server runs.
+struct Secrets {
+  std::shared_ptr<TlsStore> tls;  // null: plain
+  std::shared_ptr<TokenStore> tokens = std::make_shared<TokenStore>();
+};
+
 TlsFiles TlsOf(const ServeOptions& options) {
   return {options.tls_certificate, options.tls_key, options.tls_client_ca};
+}
+
+absl::StatusOr<Secrets> SecretsOf(const ServeOptions& options) {
+  Secrets secrets;
+  if (TlsOf(options).enabled()) {
+    RS_ASSIGN_OR_RETURN(secrets.tls, TlsStore::Load(TlsOf(options)));
+  }
+  if (!options.tokens.empty()) {
+    RS_ASSIGN_OR_RETURN(AccessTokens tokens, AccessTokens::Load(options.tokens));
+    secrets.tokens = std::make_shared<TokenStore>(std::move(tokens));
+  }
+  return secrets;
 }
 
 absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& options) {
@@ -82,11 +104,6 @@ absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& op
   result.guard.enabled = options.guard;
   result.guard.max_loss_ratio = options.guard_ratio;
   result.guard.max_distance = options.guard_distance;
-  result.tls = TlsOf(options);
-  if (!options.tokens.empty()) {
-    RS_ASSIGN_OR_RETURN(AccessTokens tokens, AccessTokens::Load(options.tokens));
-    result.tokens->Set(std::move(tokens));
-  }
   return result;
 }
 
@@ -98,7 +115,6 @@ absl::StatusOr<WebEndpointsOptions> WebEndpointsOptionsOf(const ServeOptions& op
   WebEndpointsOptions result;
   result.websocket_listen = options.websocket_listen;
   result.http_listen = options.http_listen;
-  result.tls = TlsOf(options);
   result.max_connections = options.max_connections;
   result.max_message_bytes = static_cast<uint64_t>(options.websocket_max_mib) << 20;
   result.openpi.input.camera_keys = options.websocket_cameras;
@@ -130,6 +146,7 @@ absl::Status CheckPorts(const ServeOptions& options) {
   RS_RETURN_IF_ERROR(CheckPort("--listen", options.listen));
   RS_RETURN_IF_ERROR(CheckPort("--websocket-listen", options.websocket_listen));
   RS_RETURN_IF_ERROR(CheckPort("--http-listen", options.http_listen));
+  RS_RETURN_IF_ERROR(CheckPort("--health-listen", options.health_listen));
   return CheckPort("--admin-listen", options.admin_listen);
 }
 
@@ -143,19 +160,55 @@ void WarnOfOpenPorts(const ServeOptions& options) {
   }
 }
 
+int AwaitSignal(const sigset_t& signals) {
+  int signal = 0;
+  sigwait(&signals, &signal);
+  return signal;
+}
+
+// Probes are answered from the start on, and by nobody else's places: what fills the other ports
+// does not look like a server that is gone. Null: not served.
+absl::StatusOr<std::unique_ptr<WebServer>> StartHealth(const std::string& listen,
+                                                       std::function<bool()> ready,
+                                                       Metrics* metrics) {
+  if (listen.empty()) return nullptr;
+  WebServerOptions options;
+  options.name = "health";
+  options.listen = listen;
+  options.max_connections = 32;
+  options.request_timeout = absl::Seconds(5);
+  return WebServer::Start(
+      options,
+      [ready = std::move(ready)](const WebRequest& request) { return HealthPage(request, ready); },
+      nullptr, metrics);
+}
+
 // Serves until a signal or Drain.
-absl::Status Serve(const ServeOptions& options, const sigset_t& stop_signals) {
+absl::Status Serve(const ServeOptions& options, const sigset_t& signals) {
   UseOneTorchThread();
   RS_RETURN_IF_ERROR(CheckPorts(options));
-  RS_ASSIGN_OR_RETURN(const PolicyServerOptions server_options, PolicyServerOptionsOf(options));
-  RS_ASSIGN_OR_RETURN(const WebEndpointsOptions web_options, WebEndpointsOptionsOf(options));
+  RS_ASSIGN_OR_RETURN(PolicyServerOptions server_options, PolicyServerOptionsOf(options));
+  RS_ASSIGN_OR_RETURN(WebEndpointsOptions web_options, WebEndpointsOptionsOf(options));
+  RS_ASSIGN_OR_RETURN(const Secrets secrets, SecretsOf(options));
+  server_options.tls = web_options.tls = secrets.tls;
+  server_options.tokens = secrets.tokens;
   WarnOfOpenPorts(options);
+  Metrics metrics;
+  AddProcessMetrics(&metrics);
+  server_options.metrics = &metrics;
+  std::unique_ptr<PolicyServer> server;
+  std::atomic<const PolicyServer*> started{nullptr};
+  RS_ASSIGN_OR_RETURN(
+      const std::unique_ptr<WebServer> health,
+      StartHealth(
+          options.health_listen,
+          [&started] { return started != nullptr && started.load()->ready(); }, &metrics));
   RS_ASSIGN_OR_RETURN(std::unique_ptr<FlowPolicy> policy,
                       LoadFlowPolicy(options.policy, options.policy_options));
   const PolicySpec spec = policy->spec();
   const bool exact_rows = policy->exact_rows();
-  RS_ASSIGN_OR_RETURN(const std::unique_ptr<PolicyServer> server,
-                      PolicyServer::Start(server_options, {std::move(policy)}));
+  RS_ASSIGN_OR_RETURN(server, PolicyServer::Start(server_options, {std::move(policy)}));
+  if (!options.state_dir.empty()) AddDiskMetrics(options.state_dir, &metrics);
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<WebEndpoints> web,
                       WebEndpoints::Start(web_options, server.get()));
   std::atomic<double> drain_grace_s{0};
@@ -163,15 +216,22 @@ absl::Status Serve(const ServeOptions& options, const sigset_t& stop_signals) {
   if (!options.admin_listen.empty()) {
     AdminServerOptions admin_options;
     admin_options.listen = options.admin_listen;
-    admin_options.tls = TlsOf(options);
+    admin_options.tls = secrets.tls;
     admin_options.drain = [&](absl::Duration grace) {
       server->Drain();
       drain_grace_s = absl::ToDoubleSeconds(grace);
       kill(getpid(), SIGTERM);  // the main thread waits for it and stops the server
     };
     RS_ASSIGN_OR_RETURN(admin, AdminServer::Start(admin_options, &server->sessions(),
-                                                  &server->tokens(), &server->metrics()));
+                                                  secrets.tokens, &server->metrics()));
   }
+  ReloaderOptions reload;
+  reload.tls_files = TlsOf(options);
+  reload.tokens_file = options.tokens;
+  reload.period = absl::Seconds(options.reload_seconds);
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Reloader> reloader,
+                      Reloader::Start(reload, secrets.tls, secrets.tokens, &metrics));
+  started = server.get();  // every port listens
   if (!options.port_file.empty()) {
     RS_RETURN_IF_ERROR(WriteFileAtomically(options.port_file, absl::StrCat(server->port(), "\n")));
   }
@@ -179,7 +239,8 @@ absl::Status Serve(const ServeOptions& options, const sigset_t& stop_signals) {
     RS_RETURN_IF_ERROR(WriteFileAtomically(
         options.ports_file,
         absl::StrCat("grpc: ", server->port(), "\nwebsocket: ", web->websocket_port(), "\nhttp: ",
-                     web->http_port(), "\nadmin: ", admin == nullptr ? 0 : admin->port(), "\n")));
+                     web->http_port(), "\nadmin: ", admin == nullptr ? 0 : admin->port(),
+                     "\nhealth: ", health == nullptr ? 0 : health->port(), "\n")));
   }
   const std::string host = options.listen.substr(0, options.listen.rfind(':'));
   std::printf("serving %s (%s) on %s:%d with %d threads\n", spec.name.c_str(),
@@ -190,13 +251,13 @@ absl::Status Serve(const ServeOptions& options, const sigset_t& stop_signals) {
   if (web->websocket_port() != 0) std::printf("openpi clients: port %d\n", web->websocket_port());
   if (web->http_port() != 0) {
     std::printf("live page and metrics: %s://localhost:%d/\n",
-                web_options.tls.enabled() ? "https" : "http", web->http_port());
+                secrets.tls != nullptr ? "https" : "http", web->http_port());
   }
   if (admin != nullptr) std::printf("operators: port %d\n", admin->port());
+  if (health != nullptr) std::printf("probes: port %d\n", health->port());
   std::fflush(stdout);
 
-  int signal = 0;
-  sigwait(&stop_signals, &signal);
+  while (AwaitSignal(signals) == SIGHUP) reloader->ReloadNow();
   std::printf("stopping\n");
   std::fflush(stdout);
   const absl::Duration grace =
@@ -248,14 +309,13 @@ int Main(int argc, char** argv) {
 
   // Blocked before any thread starts, so that every thread inherits it and sigwait is the only
   // receiver.
-  sigset_t stop_signals;
-  sigemptyset(&stop_signals);
-  sigaddset(&stop_signals, SIGTERM);
-  sigaddset(&stop_signals, SIGINT);
-  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
+  sigset_t signals;
+  sigemptyset(&signals);
+  for (const int signal : {SIGTERM, SIGINT, SIGHUP}) sigaddset(&signals, signal);
+  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
 
   absl::Status status = SetUpLog(options.log_format, options.log_level);
-  if (status.ok()) status = Serve(options, stop_signals);
+  if (status.ok()) status = Serve(options, signals);
   return status.ok() ? 0 : Fail(status);
 }
 

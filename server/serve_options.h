@@ -32,6 +32,8 @@ struct ServeOptions {
   int max_connections = 256;
   std::string http_listen, admin_listen, ports_file;
   std::string tls_certificate, tls_key, tls_client_ca, tokens;
+  double reload_seconds = 10;
+  std::string health_listen;
   std::string log_format = "text", log_level = "info";
   double grace = 10;
 
@@ -96,7 +98,7 @@ struct ServeOptions {
             "live page, /metrics, /traces, /healthz, /readyz on HOST:PORT; empty: not served");
     v.Field("admin_listen", admin_listen, "AdminService on HOST:PORT; empty: not served");
     v.Field("ports_file", ports_file,
-            "write every bound port to this file: grpc, websocket, http, admin");
+            "write every bound port to this file: grpc, websocket, http, admin, health");
     v.Field("tls_certificate", tls_certificate, "PEM file; with it every port speaks TLS only");
     v.Field("tls_key", tls_key, "PEM file, readable by this user only");
     v.Field("tls_client_ca", tls_client_ca,
@@ -104,6 +106,11 @@ struct ServeOptions {
     v.Field("tokens", tokens,
             "YAML file of SHA-256 of tokens with scopes (server/edge/README.md); empty: everybody "
             "may do everything");
+    v.Field("reload_seconds", reload_seconds,
+            "certificates and tokens are read again so often, and at SIGHUP; 0: at SIGHUP alone");
+    v.Field("health_listen", health_listen,
+            "/healthz and /readyz alone on HOST:PORT, for probes: no TLS, no token, connections of "
+            "their own; empty: not served");
     v.Field("log_format", log_format, "text, or json: one object per line");
     v.Field("log_level", log_level, "debug (every prediction), info, warn, error, off");
     v.Field("grace", grace, "seconds to answer what is under way when stopped");

@@ -8,8 +8,50 @@
 #include "common/status_macros.h"
 #include "server/edge/access_table.h"
 #include "server/edge/operations_pages.h"
+#include "server/grpc_access.h"
 
 namespace robostress {
+namespace {
+
+// A conversation that ends when its client's token is revoked or may do something else.
+class RevocableConversation : public WebConversation {
+ public:
+  RevocableConversation(std::unique_ptr<WebConversation> conversation,
+                        std::shared_ptr<const TokenStore> tokens, uint64_t generation,
+                        const WebRequest& request, const Caller& caller)
+      : conversation_(std::move(conversation)),
+        tokens_(std::move(tokens)),
+        authorization_(request.authorization),
+        scopes_(caller.scopes),
+        owner_(caller.owner),
+        asked_(generation) {}
+
+  std::string Greeting() override { return conversation_->Greeting(); }
+  absl::StatusOr<std::string> Answer(std::string_view message) override {
+    RS_RETURN_IF_ERROR(StillAllowed());
+    return conversation_->Answer(message);
+  }
+
+ private:
+  absl::Status StillAllowed() {
+    const uint64_t generation = tokens_->generation();
+    if (generation == asked_) return absl::OkStatus();
+    RS_ASSIGN_OR_RETURN(const Caller now, tokens_->Get()->Authenticate(authorization_));
+    if (now.scopes != scopes_ || now.owner != owner_)
+      return absl::PermissionDeniedError("what your token may do has changed; connect again");
+    asked_ = generation;
+    return absl::OkStatus();
+  }
+
+  const std::unique_ptr<WebConversation> conversation_;
+  const std::shared_ptr<const TokenStore> tokens_;
+  const std::string authorization_;
+  const uint8_t scopes_;
+  const std::string owner_;
+  uint64_t asked_;  // the tokens' generation when the client was let in or asked again
+};
+
+}  // namespace
 
 absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
     const WebEndpointsOptions& options, PolicyServer* server) {
@@ -24,12 +66,17 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
     const auto upgrade =
         [server, openpi = options.openpi](
             const WebRequest& request) -> absl::StatusOr<std::unique_ptr<WebConversation>> {
-      RS_ASSIGN_OR_RETURN(Caller caller, Allow(*server->tokens().Get(), request.authorization,
+      const std::shared_ptr<const TokenStore> tokens = server->tokens();
+      const uint64_t generation = tokens->generation();
+      RS_ASSIGN_OR_RETURN(Caller caller, Allow(*tokens->Get(), request.authorization,
                                                AccessRule::Wire::kWebSocket, "upgrade"));
-      caller.host = request.peer.substr(0, request.peer.rfind(':'));
+      caller.host = HostOfPeer(request.peer);
+      if (caller.owner.empty()) caller.owner = request.certificate_owner;
       if (!server->ready()) return absl::UnavailableError("warming up or draining");
-      return std::make_unique<OpenpiConversation>(openpi, &server->host(), &server->metrics(),
-                                                  caller);
+      auto conversation =
+          std::make_unique<OpenpiConversation>(openpi, &server->host(), &server->metrics(), caller);
+      return std::make_unique<RevocableConversation>(std::move(conversation), tokens, generation,
+                                                     request, caller);
     };
     const auto page = [](const WebRequest& request) -> WebReply {
       if (request.path == "/healthz") return {200, "text/plain; charset=utf-8", "OK\n"};
@@ -45,7 +92,7 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
     sources.metrics = &server->metrics();
     sources.traces = &server->traces();
     sources.telemetry = &server->telemetry();
-    sources.tokens = &server->tokens();
+    sources.tokens = server->tokens();
     sources.figures = [server] { return server->host().Figures(); };
     sources.ready = [server] { return server->ready(); };
     const auto begin = std::chrono::steady_clock::now();

@@ -13,7 +13,7 @@ namespace robostress {
 
 struct WebEndpointsOptions {
   std::string websocket_listen, http_listen;  // empty: not served
-  TlsFiles tls;
+  std::shared_ptr<TlsStore> tls;              // null: plain
   int max_connections = 256;
   uint64_t max_message_bytes = 64 << 20;
   OpenpiOptions openpi;

@@ -164,6 +164,12 @@ absl::StatusOr<AccessTokens> AccessTokens::Parse(const std::string& file, const 
   return tokens;
 }
 
+std::vector<std::string> AccessTokens::names() const {
+  std::vector<std::string> names;
+  for (const Entry& entry : entries_) names.push_back(entry.caller.name);
+  return names;
+}
+
 absl::StatusOr<Caller> AccessTokens::Authenticate(std::string_view authorization) const {
   if (!required_) return Anybody();
   std::string token;

@@ -30,6 +30,8 @@ struct CallerLimits {
   int batch = 0;            // chunks of an update
   int update_interval = 0;  // at least so many chunks between two updates
   int buffer_chunks = 0;
+
+  bool operator==(const CallerLimits&) const = default;
 };
 
 // Somebody who calls.
@@ -43,6 +45,7 @@ struct Caller {
   std::string host;
   CallerLimits limits;
 
+  bool operator==(const Caller&) const = default;
   bool Has(Scope scope) const { return (scopes & static_cast<uint8_t>(scope)) != 0; }
   const std::string& client() const { return owner.empty() ? host : owner; }
 };
@@ -63,6 +66,8 @@ class AccessTokens {
   static absl::StatusOr<AccessTokens> Load(const std::string& file);
 
   bool required() const { return required_; }
+  // In the order of the file.
+  std::vector<std::string> names() const;
   // `authorization` is the header's value: "Bearer TOKEN", "Api-Key TOKEN" (openpi) or "Basic ..."
   // with the token as password (browsers). UNAUTHENTICATED without a known token. What the caller
   // shows is hashed and compared with every entry, all bytes of each, whether or not one before it
@@ -72,10 +77,13 @@ class AccessTokens {
   static absl::Status Require(const Caller& caller, Scope scope);
   absl::Status Check(std::string_view authorization, Scope scope) const;
 
+  bool operator==(const AccessTokens&) const = default;
+
  private:
   struct Entry {
     std::array<uint8_t, 32> digest;
     Caller caller;
+    bool operator==(const Entry&) const = default;
   };
   bool required_ = false;
   std::vector<Entry> entries_;

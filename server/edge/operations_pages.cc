@@ -61,6 +61,14 @@ WebReply ImagePage(const WebRequest& request, const Telemetry& telemetry) {
 
 }  // namespace
 
+WebReply HealthPage(const WebRequest& request, const std::function<bool()>& ready) {
+  if (request.path == "/healthz") return {200, "text/plain; charset=utf-8", "OK\n"};
+  if (request.path != "/readyz")
+    return ErrorReply(absl::NotFoundError("no such page; there are /healthz and /readyz"));
+  if (ready()) return {200, "text/plain; charset=utf-8", "ready\n"};
+  return ErrorReply(absl::UnavailableError("warming up or draining"));
+}
+
 WebReply OperationsPage(const WebRequest& request, const OperationsSources& sources) {
   const std::string& path = request.path;
   const absl::StatusOr<Caller> caller =
@@ -72,11 +80,7 @@ WebReply OperationsPage(const WebRequest& request, const OperationsSources& sour
         absl::NotFoundError("no such page; there are /, /metrics, /traces, /healthz and /readyz"));
   }
   if (!caller.ok()) return ErrorReply(caller.status());
-  if (path == "/healthz") return {200, "text/plain; charset=utf-8", "OK\n"};
-  if (path == "/readyz") {
-    if (sources.ready()) return {200, "text/plain; charset=utf-8", "ready\n"};
-    return ErrorReply(absl::UnavailableError("warming up or draining"));
-  }
+  if (path == "/healthz" || path == "/readyz") return HealthPage(request, sources.ready);
   if (path == "/live.js") return {200, "text/javascript; charset=utf-8", LiveScript()};
   if (path == "/image") return ImagePage(request, *sources.telemetry);
   if (path == "/traces") return {200, "application/json", sources.traces->Json()};

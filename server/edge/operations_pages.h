@@ -16,11 +16,14 @@ struct OperationsSources {
   Metrics* metrics = nullptr;
   TraceLog* traces = nullptr;
   Telemetry* telemetry = nullptr;
-  const TokenStore* tokens = nullptr;
+  std::shared_ptr<const TokenStore> tokens;
   std::function<std::vector<SessionFigures>()> figures;  // asked before sessions are shown
   std::function<LiveServer()> server;
   std::function<bool()> ready;  // warmed up and not draining
 };
+
+// What a probe asks, and nothing else: /healthz and /readyz, for everybody.
+WebReply HealthPage(const WebRequest& request, const std::function<bool()>& ready);
 
 // The answer to one request: /healthz (200 while the process answers), /readyz (200 or 503), / (the
 // live page), /main, /image?session=S&camera=C (PNG), /metrics (Prometheus), /traces (trace event

@@ -142,16 +142,22 @@ void Telemetry::CountOutcomes(const Record& record, const SessionFigures& now) {
   count(&SessionFigures::duplicates, "robostress_feedback_duplicates_total",
         "Chunks that were in already.", {});
   count(&SessionFigures::rollbacks, "robostress_rollbacks_total", "Adapters rolled back.", {});
+  count(&SessionFigures::snapshots_failed, "robostress_snapshots_failed_total",
+        "Snapshots of sessions that could not be written; their journals go on.", {});
+  count(&SessionFigures::predictions_unkept, "robostress_predictions_unkept_total",
+        "Predictions that could not be written to the journal, e.g. because the disk was full.",
+        {});
 }
 
 void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {
-  double open = 0, stored = 0;
+  double open = 0, stored = 0, failed = 0, journal_bytes = 0;
   std::vector<std::string> gone;
   {
     absl::MutexLock lock(&mu_);
     for (auto& [id, record] : records_) record.listed = false;
     for (const SessionFigures& now : sessions) {
-      now.open ? ++open : ++stored;
+      ++(!now.error.empty() ? failed : now.open ? open : stored);
+      journal_bytes += static_cast<double>(now.journal_bytes);
       Record& record = records_[now.id];
       CountOutcomes(record, now);
       const MetricLabels labels = {{"session", now.id}};
@@ -182,8 +188,19 @@ void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {
     });
   }
   for (const std::string& id : gone) metrics_->Remove("session", id);
-  metrics_->AddGauge("robostress_sessions", "Sessions.", {{"state", "open"}})->Set(open);
-  metrics_->AddGauge("robostress_sessions", "Sessions.", {{"state", "stored"}})->Set(stored);
+  for (const auto& [state, count] :
+       {std::pair("open", open), {"stored", stored}, {"failed", failed}}) {
+    metrics_
+        ->AddGauge("robostress_sessions",
+                   "Sessions: open, in memory; stored, on disk alone; failed, set aside until "
+                   "somebody looks.",
+                   {{"state", state}})
+        ->Set(count);
+  }
+  metrics_
+      ->AddGauge("robostress_journal_bytes",
+                 "Journals of open sessions, all together, since their last snapshots.")
+      ->Set(journal_bytes);
 }
 
 std::vector<Telemetry::View> Telemetry::Views() const {

@@ -28,6 +28,9 @@ struct SessionFigures {
   double adapter_distance = 0;  // ||phi - phi_0||_2
   double last_loss = 0;
   int buffered_chunks = 0;
+  uint64_t journal_bytes = 0;       // since the last snapshot
+  uint64_t snapshots_failed = 0;    // that could not be written
+  uint64_t predictions_unkept = 0;  // that the disk had no room for
   std::string error;  // why it computes no further
 };
 

@@ -1,9 +1,17 @@
 #pragma once
 
+#include <openssl/ssl.h>
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
 #include <string>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
 
 namespace robostress {
 
@@ -20,10 +28,45 @@ struct TlsFiles {
 // Contents of the files.
 struct TlsContents {
   std::string certificate, key, client_ca;
+  bool operator==(const TlsContents&) const = default;
+};
+
+// What a server shows and asks for: contents that were checked.
+struct TlsSnapshot {
+  TlsContents contents;
+  absl::Time not_after;  // the server's own certificate is valid until then
+  // Of a server: TLS 1.2 or later, no session tickets, so that every connection shows its
+  // certificate to the authority of now.
+  std::shared_ptr<SSL_CTX> context;
 };
 
 // Reads and checks the files: INVALID_ARGUMENT names the file, and what is wrong: a certificate
-// without a key or one that does not belong to it, no PEM, a key that others may read.
-absl::StatusOr<TlsContents> ReadTlsFiles(const TlsFiles& files);
+// without a key or one that does not belong to it, no PEM or half of one, a key that others may
+// read, a strength that this system refuses.
+absl::StatusOr<TlsSnapshot> ReadTlsFiles(const TlsFiles& files);
+
+// Who shows this certificate: "certificate:" and the SHA-256 of its DER form in hex. Null and what
+// is no PEM: empty.
+std::string CertificateOwner(const X509* certificate);
+std::string CertificateOwnerOfPem(const std::string& pem);
+
+// The certificates of a running server, for all of its ports: replaced as a whole when the files
+// change. Connections that are open keep what they were opened with. Any thread.
+class TlsStore {
+ public:
+  // Of the files as they are now.
+  static absl::StatusOr<std::shared_ptr<TlsStore>> Load(const TlsFiles& files);
+  explicit TlsStore(TlsSnapshot snapshot);
+
+  std::shared_ptr<const TlsSnapshot> Get() const ABSL_LOCKS_EXCLUDED(mu_);
+  void Set(TlsSnapshot snapshot) ABSL_LOCKS_EXCLUDED(mu_);
+  // Another one after every Set.
+  uint64_t generation() const { return generation_; }
+
+ private:
+  mutable absl::Mutex mu_;
+  std::shared_ptr<const TlsSnapshot> snapshot_ ABSL_GUARDED_BY(mu_);
+  std::atomic<uint64_t> generation_{1};
+};
 
 }  // namespace robostress

@@ -80,11 +80,14 @@ void WebConnection::Serve(net::ip::tcp protocol, int descriptor) {
     go_away_ = nullptr;
     cut_stream_ = nullptr;
   };
-  if (tls_ == nullptr) {
+  if (options_.tls == nullptr) {
     ServeHttp(tcp);
     return;
   }
-  beast::ssl_stream<beast::tcp_stream> stream(std::move(tcp), *tls_);
+  const std::shared_ptr<const TlsSnapshot> tls = options_.tls->Get();
+  SSL_CTX_up_ref(tls->context.get());  // of which Asio's context takes one
+  net::ssl::context context(tls->context.get());
+  beast::ssl_stream<beast::tcp_stream> stream(std::move(tcp), context);
   cut_stream_ = [&stream] { beast::get_lowest_layer(stream).close(); };
   beast::get_lowest_layer(stream).expires_after(
       absl::ToChronoMilliseconds(options_.request_timeout));
@@ -93,6 +96,9 @@ void WebConnection::Serve(net::ip::tcp protocol, int descriptor) {
     spdlog::info("{}: {}: TLS handshake failed: {}", options_.name, peer_, error.message());
     return;
   }
+  X509* const shown = SSL_get1_peer_certificate(stream.native_handle());
+  certificate_owner_ = CertificateOwner(shown);
+  X509_free(shown);
   ServeHttp(stream);
 }
 
@@ -105,6 +111,7 @@ bool WebConnection::Asks(const Request& request, WebRequest& seen, WebReply& ref
   if (mark != std::string::npos) seen.query = target.substr(mark + 1);
   seen.authorization = View(request[http::field::authorization]);
   seen.peer = peer_;
+  seen.certificate_owner = certificate_owner_;
   if (request.method() != http::verb::get && request.method() != http::verb::head) {
     refusal = {405, "text/plain; charset=utf-8", "only GET is served here\n"};
     return false;

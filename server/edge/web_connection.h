@@ -2,7 +2,6 @@
 
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
-#include <boost/asio/ssl/context.hpp>
 #include <functional>
 
 #include "server/edge/web_server.h"
@@ -14,10 +13,10 @@ namespace robostress {
 // code stays in a line.
 class WebConnection {
  public:
-  // What is passed must outlive the connection; `tls` null: plain.
+  // What is passed must outlive the connection.
   WebConnection(const WebServerOptions& options, const WebServer::Page& page,
-                const WebServer::Upgrade& upgrade, boost::asio::ssl::context* tls)
-      : options_(options), page_(page), upgrade_(upgrade), tls_(tls) {}
+                const WebServer::Upgrade& upgrade)
+      : options_(options), page_(page), upgrade_(upgrade) {}
 
   // Until the connection ends. Takes `descriptor`.
   void Serve(boost::asio::ip::tcp protocol, int descriptor);
@@ -41,9 +40,8 @@ class WebConnection {
   const WebServerOptions& options_;
   const WebServer::Page& page_;
   const WebServer::Upgrade& upgrade_;
-  boost::asio::ssl::context* const tls_;
   boost::asio::io_context context_{1};
-  std::string peer_;
+  std::string peer_, certificate_owner_;
   // Of this connection's thread; GoAway and Cut post to it.
   bool going_away_ = false, cut_ = false;
   std::function<void()> go_away_;  // how the step under way is told

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <boost/asio/ip/tcp.hpp>
-#include <boost/asio/ssl/context.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
 #include <list>
@@ -52,26 +51,6 @@ absl::StatusOr<Tcp::acceptor> Listen(net::io_context& context, const std::string
   return acceptor;
 }
 
-absl::StatusOr<std::unique_ptr<net::ssl::context>> MakeTls(const TlsFiles& files) {
-  RS_ASSIGN_OR_RETURN(const TlsContents contents, ReadTlsFiles(files));
-  auto tls = std::make_unique<net::ssl::context>(net::ssl::context::tls_server);
-  error_code error;
-  tls->set_options(net::ssl::context::default_workarounds | net::ssl::context::no_sslv2 |
-                       net::ssl::context::no_sslv3 | net::ssl::context::no_tlsv1 |
-                       net::ssl::context::no_tlsv1_1,
-                   error);
-  if (!error) tls->use_certificate_chain(net::buffer(contents.certificate), error);
-  if (!error) tls->use_private_key(net::buffer(contents.key), net::ssl::context::pem, error);
-  if (!error && !contents.client_ca.empty()) {
-    tls->add_certificate_authority(net::buffer(contents.client_ca), error);
-    if (!error)
-      tls->set_verify_mode(net::ssl::verify_peer | net::ssl::verify_fail_if_no_peer_cert, error);
-  }
-  if (error)
-    return absl::InvalidArgumentError(absl::StrCat(files.certificate, ": ", error.message()));
-  return tls;
-}
-
 }  // namespace
 
 WebReply ErrorReply(const absl::Status& status) {
@@ -116,9 +95,6 @@ class WebServer::Impl {
     if (options_.max_connections < 1 || options_.max_connections > 65536) {
       return absl::InvalidArgumentError(absl::StrCat(
           options_.name, ": max_connections is ", options_.max_connections, ", must be 1..65536"));
-    }
-    if (options_.tls.enabled()) {
-      RS_ASSIGN_OR_RETURN(tls_, MakeTls(options_.tls));
     }
     RS_ASSIGN_OR_RETURN(Tcp::acceptor acceptor, Listen(context_, options_.listen));
     error_code error;
@@ -200,12 +176,12 @@ class WebServer::Impl {
       constexpr std::string_view kFull =
           "HTTP/1.1 503 Service Unavailable\r\nRetry-After: 1\r\nContent-Length: 0\r\n"
           "Connection: close\r\n\r\n";
-      if (tls_ == nullptr) socket.write_some(net::buffer(kFull), ignored);
+      if (options_.tls == nullptr) socket.write_some(net::buffer(kFull), ignored);
       return;
     }
     connections_->Add(1);
     const auto entry = entries_.emplace(entries_.end());
-    entry->connection = std::make_shared<WebConnection>(options_, page_, upgrade_, tls_.get());
+    entry->connection = std::make_shared<WebConnection>(options_, page_, upgrade_);
     // The descriptor moves to the connection's own context: one thread runs one connection.
     error_code error;
     const auto protocol = socket.local_endpoint(error).protocol();
@@ -233,7 +209,6 @@ class WebServer::Impl {
   const std::shared_ptr<Gauge> connections_;
   const std::shared_ptr<Counter> refused_;
   net::io_context context_{1};
-  std::unique_ptr<net::ssl::context> tls_;
   std::optional<Tcp::acceptor> acceptor_;
   std::thread thread_;
   int port_ = 0;

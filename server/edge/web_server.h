@@ -16,10 +16,11 @@ namespace robostress {
 
 // What a client asked for, as far as a page or an upgrade needs to know.
 struct WebRequest {
-  std::string path;           // "/healthz", without the query
-  std::string query;          // after the '?'
-  std::string authorization;  // the header's value; a secret, never to be logged
-  std::string peer;           // "127.0.0.1:51234"
+  std::string path;                    // "/healthz", without the query
+  std::string query;                   // after the '?'
+  std::string authorization;           // the header's value; a secret, never to be logged
+  std::string peer;                    // "127.0.0.1:51234"
+  std::string certificate_owner = "";  // CertificateOwner of what the client showed (mTLS)
 };
 
 struct WebReply {
@@ -45,7 +46,8 @@ class WebConversation {
 struct WebServerOptions {
   std::string name = "web";  // of its threads and of its metrics' label "listener"
   std::string listen = "127.0.0.1:0";
-  TlsFiles tls;
+  // What every new connection is opened with; null: plain.
+  std::shared_ptr<const TlsStore> tls;
   // Each holds a thread. One more is answered 503, or cut if it does not listen to that.
   int max_connections = 256;
   uint64_t max_message_bytes = 64 << 20;  // of a WebSocket message; longer ones close with 1009

@@ -199,8 +199,9 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
                                              service_.options_.wire, registered_.method.name));
     caller.host = HostOfPeer(context_->peer());
     if (caller.owner.empty()) caller.owner = PeerCertificateOwner(*context_->auth_context());
-    if (entered_) return absl::OkStatus();  // asked again: the caller's limits stay as they were
-    caller_ = std::move(caller);
+    if (entered_ && caller.owner != caller_.owner)
+      return absl::PermissionDeniedError("the token has another name now; open the call again");
+    if (!entered_) caller_ = std::move(caller);
     return absl::OkStatus();
   }
 
@@ -346,10 +347,10 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
 };
 
 GrpcService::GrpcService(const std::string& full_name, std::vector<GrpcMethod> methods,
-                         const GrpcServiceOptions& options, const TokenStore* tokens,
-                         Metrics* metrics)
+                         const GrpcServiceOptions& options,
+                         std::shared_ptr<const TokenStore> tokens, Metrics* metrics)
     : options_(options),
-      tokens_(tokens),
+      tokens_(std::move(tokens)),
       open_calls_(
           metrics->AddGauge("robostress_calls", "gRPC calls open now.", {{"service", full_name}})),
       refused_(

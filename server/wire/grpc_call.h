@@ -96,7 +96,8 @@ class GrpcService : public grpc::Service {
   // `full_name`: "robostress.v1.PolicyService", whose every method must be in `methods`;
   // RS_CHECKed. What is pointed to outlives the server that it is registered with.
   GrpcService(const std::string& full_name, std::vector<GrpcMethod> methods,
-              const GrpcServiceOptions& options, const TokenStore* tokens, Metrics* metrics);
+              const GrpcServiceOptions& options, std::shared_ptr<const TokenStore> tokens,
+              Metrics* metrics);
   ~GrpcService() override;
 
   int calls() const ABSL_LOCKS_EXCLUDED(mu_);
@@ -116,7 +117,7 @@ class GrpcService : public grpc::Service {
   void SweepIdle() ABSL_LOCKS_EXCLUDED(mu_);
 
   const GrpcServiceOptions options_;
-  const TokenStore* const tokens_;
+  const std::shared_ptr<const TokenStore> tokens_;
   const std::shared_ptr<Gauge> open_calls_;
   const std::shared_ptr<Counter> refused_, idled_;
   std::vector<std::unique_ptr<Registered>> methods_;

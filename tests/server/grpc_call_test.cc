@@ -64,7 +64,7 @@ class GrpcCallTest : public ::testing::Test {
       };
     }
     service_ = std::make_unique<GrpcService>("robostress.v1.PolicyService", std::move(methods),
-                                             options, &tokens_, &metrics_);
+                                             options, tokens_, &metrics_);
     grpc::ServerBuilder builder;
     builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port_);
     builder.SetMaxReceiveMessageSize(static_cast<int>(largest));
@@ -98,7 +98,7 @@ class GrpcCallTest : public ::testing::Test {
     response.set_chunk(request.chunk());
     return absl::OkStatus();
   };
-  TokenStore tokens_;
+  const std::shared_ptr<TokenStore> tokens_ = std::make_shared<TokenStore>();
   Metrics metrics_;
   FairExecutor executor_{{.threads = 8, .per_client = 6, .per_session = 2}};
   std::unique_ptr<GrpcService> service_;
@@ -295,7 +295,7 @@ TEST_F(GrpcCallTest, RightsAreAskedForBeforeAMessageIsRead) {
       "t",
       absl::StrCat("tokens: [{name: arm, sha256: ", Sha256Hex("arm"), ", scopes: [predict]}]"));
   ASSERT_TRUE(tokens.ok()) << tokens.status();
-  tokens_.Set(*tokens);
+  tokens_->Set(*tokens);
   for (const char* method : {"Predict", "OpenSession", "ImportAdapter", "GetServerInfo"}) {
     RawCall call(channel_, absl::StrCat("/robostress.v1.PolicyService/", method));
     EXPECT_EQ(call.Finish().error_code(), grpc::StatusCode::UNAUTHENTICATED)
@@ -310,11 +310,11 @@ TEST_F(GrpcCallTest, AStreamOfATokenThatIsTakenBackEndsAtItsNextMessage) {
     return *AccessTokens::Parse("t", absl::StrCat("tokens: [{name: ", name, ", sha256: ",
                                                   Sha256Hex(name), ", scopes: [predict]}]"));
   };
-  tokens_.Set(tokens("arm"));
+  tokens_->Set(tokens("arm"));
   RawCall call(channel_, kPredictPath, "arm");
   call.Write(Request("s", 1).SerializeAsString());
   EXPECT_FALSE(call.Read().empty());
-  tokens_.Set(tokens("other"));
+  tokens_->Set(tokens("other"));
   call.Write(Request("s", 2).SerializeAsString());
   EXPECT_EQ(call.Finish().error_code(), grpc::StatusCode::UNAUTHENTICATED);
 }

@@ -24,7 +24,7 @@ class OperationsPagesTest : public ::testing::Test {
     sources_.metrics = &metrics_;
     sources_.traces = &traces_;
     sources_.telemetry = &telemetry_;
-    sources_.tokens = &tokens_;
+    sources_.tokens = tokens_;
     sources_.figures = [this] { return std::vector<SessionFigures>{figures_}; };
     sources_.server = [] { return LiveServer{"nano 3f2a", "4m", false, true}; };
     sources_.ready = [this] { return ready_; };
@@ -56,7 +56,7 @@ class OperationsPagesTest : public ::testing::Test {
   Metrics metrics_;
   Telemetry telemetry_;
   TraceLog traces_;
-  TokenStore tokens_;
+  const std::shared_ptr<TokenStore> tokens_ = std::make_shared<TokenStore>();
   SessionFigures figures_;
   bool ready_ = true;
   OperationsSources sources_;
@@ -146,15 +146,20 @@ TEST_F(OperationsPagesTest, IsReadyOnlyWhileTheServerIs) {
 }
 
 TEST_F(OperationsPagesTest, ShowsNothingButHealthWithoutTheAdminScope) {
-  tokens_.Set(*AccessTokens::Parse(
+  tokens_->Set(*AccessTokens::Parse(
       "t", absl::StrCat("tokens: [{name: arm, sha256: ", Sha256Hex("arm"),
                         ", scopes: [predict]}, {name: op, sha256: ", Sha256Hex("op"),
-                        ", scopes: [admin]}]")));
+                        ", scopes: [admin]}, {name: prometheus, sha256: ", Sha256Hex("prometheus"),
+                        ", scopes: [metrics]}]")));
   for (const char* path : {"/", "/main", "/metrics", "/traces", "/image", "/live.js", "/else"}) {
     EXPECT_EQ(Get(path).status, 401) << path;
     EXPECT_EQ(Get(path, "", "Bearer arm").status, 403) << path;
   }
   EXPECT_EQ(Get("/metrics", "", "Bearer op").status, 200);
+  // Who reads figures sees no images, instructions or spans.
+  EXPECT_EQ(Get("/metrics", "", "Bearer prometheus").status, 200);
+  for (const char* path : {"/", "/main", "/traces", "/image", "/live.js", "/else"})
+    EXPECT_EQ(Get(path, "", "Bearer prometheus").status, 403) << path;
   EXPECT_EQ(Get("/healthz").status, 200);
   EXPECT_EQ(Get("/readyz").status, 200);
 }

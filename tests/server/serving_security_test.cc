@@ -1,6 +1,7 @@
 // Who may do what over gRPC, and when the server says that it is ready.
 #include <gmock/gmock.h>
 #include <google/protobuf/descriptor.h>
+#include <grpcpp/generic/async_generic_service.h>
 #include <grpcpp/generic/generic_stub.h>
 #include <grpcpp/grpcpp.h>
 #include <gtest/gtest.h>
@@ -18,16 +19,19 @@
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/admin_server.h"
 #include "server/edge/access_table.h"
+#include "server/grpc_access.h"
 #include "server/policy_service.h"
 #include "server/web_endpoints.h"
 #include "tests/run_program.h"
 #include "tests/server/drive.h"
+#include "tests/server/test_certificates.h"
 #include "tests/server/tls_web_client.h"
 
 namespace robostress {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 struct Answer {
   grpc::Status status;
@@ -88,7 +92,7 @@ class ServingSecurityTest : public ::testing::Test {
       server_->Drain();
     };
     auto admin =
-        AdminServer::Start(options, &server_->sessions(), &server_->tokens(), &server_->metrics());
+        AdminServer::Start(options, &server_->sessions(), server_->tokens(), &server_->metrics());
     ASSERT_TRUE(admin.ok()) << admin.status();
     admin_ = *std::move(admin);
   }
@@ -144,9 +148,11 @@ TEST_F(ServingSecurityTest, NoMethodAnswersWithoutATokenOrWithOneOfNoUse) {
       EXPECT_EQ(Call(channel, method, request, "guess").status.error_code(),
                 grpc::StatusCode::UNAUTHENTICATED)
           << method;
-      EXPECT_EQ(Call(channel, method, request, is_admin ? "arm" : "operator").status.error_code(),
-                grpc::StatusCode::PERMISSION_DENIED)
-          << method;
+      for (const char* token : {is_admin ? "arm" : "operator", "prometheus"}) {
+        EXPECT_EQ(Call(channel, method, request, token).status.error_code(),
+                  grpc::StatusCode::PERMISSION_DENIED)
+            << method << " " << token;
+      }
     }
   }
   EXPECT_GE(methods, 18);
@@ -448,32 +454,19 @@ TEST(Reflection, NamesTheServices) {
 
 class TlsTest : public ServingSecurityTest {
  protected:
-  static std::string File(const std::string& name) {
-    return (std::filesystem::path(::testing::TempDir()) / "tls" / name).string();
-  }
-  static std::string Read(const std::string& name) { return *ReadFile(File(name)); }
   // An authority, and certificates of a server (127.0.0.1), a client, and a client of another
   // authority.
   static void SetUpTestSuite() {
-    std::filesystem::create_directories(File(""));
-    const auto run = [](const std::string& arguments) {
-      const auto [output, code] = RunProgram("cd " + File("") + " && openssl", arguments);
-      ASSERT_EQ(code, 0) << output;
-    };
-    for (const std::string authority : {"ca", "other"}) {
-      run(absl::StrCat(
-          "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=",
-          authority, " -keyout ", authority, ".key -out ", authority, ".crt"));
-    }
-    ASSERT_TRUE(WriteFileAtomically(File("san"), "subjectAltName=IP:127.0.0.1\n").ok());
-    for (const auto& [name, authority] :
-         {std::pair("server", "ca"), {"client", "ca"}, {"stranger", "other"}}) {
-      run(absl::StrCat("req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj /CN=", name,
-                       " -keyout ", name, ".key -out ", name, ".csr"));
-      run(absl::StrCat("x509 -req -days 2 -CAcreateserial -extfile san -in ", name, ".csr -CA ",
-                       authority, ".crt -CAkey ", authority, ".key -out ", name, ".crt"));
-    }
-    for (const char* key : {"server.key", "client.key"}) chmod(File(key).c_str(), 0600);
+    certificates_ = new TestCertificates();
+    for (const char* authority : {"ca", "other"}) certificates_->MakeAuthority(authority);
+    for (const char* name : {"server", "client"}) certificates_->Make(name, "ca");
+    certificates_->Make("stranger", "other");
+  }
+  static void TearDownTestSuite() { delete certificates_; }
+  static std::string File(const std::string& name) { return certificates_->File(name); }
+  static std::string Read(const std::string& name) { return certificates_->Read(name); }
+  static std::shared_ptr<TlsStore> Tls(const std::string& authority = "") {
+    return *TlsStore::Load(certificates_->Files("server", authority));
   }
   grpc::StatusCode Info(const std::string& client) const {
     grpc::SslCredentialsOptions options;
@@ -487,11 +480,13 @@ class TlsTest : public ServingSecurityTest {
                 "/robostress.v1.PolicyService/GetServerInfo", "")
         .status.error_code();
   }
+
+  static inline TestCertificates* certificates_ = nullptr;
 };
 
 TEST_F(TlsTest, EncryptsAndRefusesPlainText) {
   PolicyServerOptions options;
-  options.tls = {File("server.crt"), File("server.key"), ""};
+  options.tls = Tls();
   Start(options);
   EXPECT_EQ(Info(""), grpc::StatusCode::OK);
   EXPECT_EQ(Call(Plain(server_->port()), "/robostress.v1.PolicyService/GetServerInfo", "")
@@ -501,7 +496,7 @@ TEST_F(TlsTest, EncryptsAndRefusesPlainText) {
 
 TEST_F(TlsTest, AsksForACertificateOfItsAuthority) {
   PolicyServerOptions options;
-  options.tls = {File("server.crt"), File("server.key"), File("ca.crt")};
+  options.tls = Tls("ca");
   Start(options);
   EXPECT_EQ(Info("client"), grpc::StatusCode::OK);
   EXPECT_EQ(Info(""), grpc::StatusCode::UNAVAILABLE);
@@ -510,7 +505,7 @@ TEST_F(TlsTest, AsksForACertificateOfItsAuthority) {
 
 TEST_F(TlsTest, OurOwnClientTakesCertificateAndTokenFromTheEnvironment) {
   PolicyServerOptions options;
-  options.tls = {File("server.crt"), File("server.key"), File("ca.crt")};
+  options.tls = Tls("ca");
   options.tokens = std::make_shared<TokenStore>(Tokens());
   Start(options);
   ASSERT_TRUE(WriteFileAtomically(File("token"), "arm\n").ok());
@@ -541,7 +536,7 @@ TEST_F(TlsTest, OurOwnClientTakesCertificateAndTokenFromTheEnvironment) {
 
 TEST_F(TlsTest, CoversTheWebPorts) {
   PolicyServerOptions options;
-  options.tls = {File("server.crt"), File("server.key"), ""};
+  options.tls = Tls();
   Start(options);
   WebEndpointsOptions web;
   web.websocket_listen = web.http_listen = "127.0.0.1:0";
@@ -559,7 +554,7 @@ TEST_F(TlsTest, CoversTheWebPorts) {
   EXPECT_EQ(client.Upgrade(), 101);
   EXPECT_EQ(client.Read().opcode, WebClient::kBinary);
 
-  web.tls.client_ca = File("ca.crt");
+  web.tls = Tls("ca");
   endpoints->reset();
   endpoints = WebEndpoints::Start(web, server_.get());
   ASSERT_TRUE(endpoints.ok()) << endpoints.status();
@@ -590,6 +585,174 @@ TEST_F(TlsTest, NamesTheFileThatIsWrong) {
   chmod(File("stranger.key").c_str(), 0644);
   EXPECT_THAT(refusal({File("stranger.crt"), File("stranger.key"), ""}),
               HasSubstr("everybody may open this key (mode 644); chmod 600 it"));
+  chmod(File("stranger.key").c_str(), 0600);
+}
+
+// Every port at once: new connections show the new certificate and ask the new authority.
+TEST_F(TlsTest, TakesNewCertificatesAndAuthoritiesWithoutARestart) {
+  PolicyServerOptions options;
+  options.tls = Tls("ca");
+  Start(options);
+  AdminServerOptions operators;
+  operators.tls = options.tls;
+  auto admin = AdminServer::Start(operators, &server_->sessions(), server_->tokens());
+  ASSERT_TRUE(admin.ok()) << admin.status();
+  WebEndpointsOptions web;
+  web.websocket_listen = web.http_listen = "127.0.0.1:0";
+  web.tls = options.tls;
+  auto endpoints = WebEndpoints::Start(web, server_.get());
+  ASSERT_TRUE(endpoints.ok()) << endpoints.status();
+  // Whether a client who trusts `authority` and shows `name` is served, on each port.
+  const auto served = [&](const std::string& authority, const std::string& name) {
+    std::vector<bool> answers;
+    grpc::SslCredentialsOptions ssl;
+    ssl.pem_root_certs = Read(authority + ".crt");
+    ssl.pem_private_key = Read(name + ".key");
+    ssl.pem_cert_chain = Read(name + ".crt");
+    grpc::ChannelArguments own;  // no connection of an earlier call
+    own.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+    for (const auto& [port, method] :
+         {std::pair(server_->port(), "/robostress.v1.PolicyService/GetServerInfo"),
+          {(*admin)->port(), "/robostress.v1.AdminService/ListSessions"}}) {
+      const auto channel = grpc::CreateCustomChannel(absl::StrCat("127.0.0.1:", port),
+                                                     grpc::SslCredentials(ssl), own);
+      answers.push_back(Call(channel, method, "").status.ok());
+    }
+    for (const int port : {(*endpoints)->http_port(), (*endpoints)->websocket_port()}) {
+      TlsWebClient client(port, File(authority + ".crt"), File(name + ".crt"), File(name + ".key"));
+      answers.push_back(client.connected() && client.Get("/healthz").first == 200);
+    }
+    return answers;
+  };
+  const std::vector<bool> all(4, true), none(4, false);
+  EXPECT_EQ(served("ca", "client"), all);
+  EXPECT_EQ(served("ca", "stranger"), none);
+
+  TlsFiles next = certificates_->Files("stranger", "other");  // for 127.0.0.1, by the other one
+  auto snapshot = ReadTlsFiles(next);
+  ASSERT_TRUE(snapshot.ok()) << snapshot.status();
+  options.tls->Set(*std::move(snapshot));
+  EXPECT_EQ(served("other", "stranger"), all);
+  EXPECT_EQ(served("ca", "client"), none);
+  EXPECT_EQ(served("other", "client"), none);
+}
+
+// A service that says who calls.
+std::string OwnerSeenByGrpc(const std::shared_ptr<TlsStore>& tls,
+                            const grpc::SslCredentialsOptions& client) {
+  const auto credentials = MakeServerCredentials(tls);
+  grpc::AsyncGenericService service;
+  grpc::ServerBuilder builder;
+  int port = 0;
+  builder.AddListeningPort("127.0.0.1:0", credentials, &port);
+  builder.RegisterAsyncGenericService(&service);
+  const auto queue = builder.AddCompletionQueue();
+  const auto server = builder.BuildAndStart();
+  grpc::GenericServerContext context;
+  grpc::GenericServerAsyncReaderWriter call(&context);
+  service.RequestCall(&context, &call, queue.get(), queue.get(), nullptr);
+  std::string owner;
+  std::thread serving([&] {
+    void* tag = nullptr;
+    bool ok = false;
+    if (!queue->Next(&tag, &ok) || !ok) return;
+    owner = PeerCertificateOwner(*context.auth_context());
+    call.Finish(grpc::Status::OK, nullptr);
+    queue->Next(&tag, &ok);
+  });
+  Call(grpc::CreateChannel(absl::StrCat("127.0.0.1:", port), grpc::SslCredentials(client)), "/a/b",
+       "");
+  server->Shutdown();
+  queue->Shutdown();
+  serving.join();
+  return owner;
+}
+
+TEST_F(TlsTest, ACertificateNamesTheSameOwnerOnBothWires) {
+  Metrics metrics;
+  const std::shared_ptr<TlsStore> asking = Tls("ca"), plain = Tls();
+  std::map<std::string, std::string> web_owners;
+  for (const auto& [tls, name] : {std::pair(asking, "client"), {asking, "server"}, {plain, ""}}) {
+    WebServerOptions options;
+    options.tls = tls;
+    auto web = WebServer::Start(
+        options,
+        [](const WebRequest& request) {
+          return WebReply{200, "text/plain", request.certificate_owner};
+        },
+        nullptr, &metrics);
+    ASSERT_TRUE(web.ok());
+    const std::string shown = name;
+    const std::string file = shown.empty() ? "" : File(shown + ".crt");
+    TlsWebClient client((*web)->port(), File("ca.crt"), file,
+                        shown.empty() ? "" : File(shown + ".key"));
+    const auto [status, owner] = client.Get("/");
+    EXPECT_EQ(status, 200);
+
+    grpc::SslCredentialsOptions ssl;
+    ssl.pem_root_certs = Read("ca.crt");
+    if (!shown.empty()) {
+      ssl.pem_private_key = Read(shown + ".key");
+      ssl.pem_cert_chain = Read(shown + ".crt");
+    }
+    EXPECT_EQ(OwnerSeenByGrpc(tls, ssl), owner) << shown;
+    if (!shown.empty()) {
+      const auto [digest, code] =
+          RunProgram("openssl", "x509 -in " + file + " -outform DER | sha256sum");
+      EXPECT_EQ(owner, "certificate:" + digest.substr(0, 64));
+    }
+    web_owners[shown] = owner;
+  }
+  EXPECT_EQ(web_owners[""], "");
+  EXPECT_NE(web_owners["client"], web_owners["server"]);
+}
+
+TEST_F(ServingSecurityTest,
+       ARevokedTokenIsRefusedOnTheNextCallAndEndsItsWebSocketAtTheNextMessage) {
+  PolicyServerOptions options;
+  options.tokens = std::make_shared<TokenStore>(Tokens());
+  Start(options);
+  StartAdmin();
+  WebEndpointsOptions web;
+  web.websocket_listen = web.http_listen = "127.0.0.1:0";
+  auto endpoints = WebEndpoints::Start(web, server_.get());
+  ASSERT_TRUE(endpoints.ok()) << endpoints.status();
+  const auto code = [&](int port, const char* method, const char* token) {
+    return Call(Plain(port), method, "", token).status.error_code();
+  };
+  const auto info = [&] {
+    return code(server_->port(), "/robostress.v1.PolicyService/GetServerInfo", "arm");
+  };
+  const auto list = [&] {
+    return code(admin_->port(), "/robostress.v1.AdminService/ListSessions", "operator");
+  };
+  const auto page = [&] {
+    return WebClient((*endpoints)->http_port())
+        .Get("/metrics", "Authorization: Bearer prometheus\r\n")
+        .first;
+  };
+  const auto talk = [&](WebClient& client) {  // what comes back for a message
+    client.SendFrame("\x80");                 // an empty map: an error of its own
+    return client.Read().payload;
+  };
+  WebClient arm((*endpoints)->websocket_port()), feeder((*endpoints)->websocket_port());
+  ASSERT_EQ(arm.Upgrade("Authorization: Bearer arm\r\n"), 101);
+  ASSERT_EQ(arm.Read().opcode, WebClient::kBinary);
+  ASSERT_EQ(feeder.Upgrade("Authorization: Bearer predict\r\n"), 101);
+  ASSERT_EQ(feeder.Read().opcode, WebClient::kBinary);
+  EXPECT_EQ(info(), grpc::StatusCode::OK);
+  EXPECT_EQ(list(), grpc::StatusCode::OK);
+  EXPECT_EQ(page(), 200);
+
+  // `arm` is revoked, `predict` stays as it was.
+  options.tokens->Set(*AccessTokens::Parse(
+      "tokens.yaml", absl::StrCat("tokens: [{name: predict, sha256: ", Sha256Hex("predict"),
+                                  ", scopes: [predict]}]")));
+  EXPECT_EQ(info(), grpc::StatusCode::UNAUTHENTICATED);
+  EXPECT_EQ(list(), grpc::StatusCode::UNAUTHENTICATED);
+  EXPECT_EQ(page(), 401);
+  EXPECT_THAT(talk(arm), HasSubstr("no valid token"));
+  EXPECT_THAT(talk(feeder), Not(HasSubstr("token")));
 }
 
 // A client that ends in the middle of a stream, at every place where it can.
