@@ -8,6 +8,7 @@
 #include <functional>
 #include <limits>
 
+#include "common/config.h"
 #include "common/random.h"
 #include "common/rpc/refusal.h"
 #include "common/rpc/spec_checks.h"
@@ -281,10 +282,29 @@ TEST(ConvertTest, RefusesHostileSessionSpecs) {
        {[](M& m) { m.clear_mode(); }, "spec.mode is 0, must be LOCKSTEP (1) or ASYNC (2)"},
        {[](M& m) { m.set_goal_reference(static_cast<v1::GoalReference>(9)); },
         "spec.goal_reference is 9"},
-       {[](M& m) { m.set_method_yaml("learning_rat: 1"); }, "unknown key 'learning_rat'"},
+       {[](M& m) { m.set_method_yaml("{method: ours, learning_rat: 1}"); },
+        "unknown key 'learning_rat'"},
+       {[](M& m) { m.clear_method_yaml(); }, "spec.method_yaml: names no method"},
+       {[](M& m) { m.set_method_yaml("adapt: true"); }, "spec.method_yaml: names no method"},
+       {[](M& m) { m.set_method_yaml("method: magic"); }, "unknown method 'magic'; known: base"},
        {[](M& m) { m.set_method_yaml("learning_rate: [1"); }, "spec.method_yaml"},
        {[](M& m) { m.set_control_period_s(0); }, "spec.control_period_s is 0, must be above 0"},
        {[](M& m) { m.set_translation_scale(kNan); }, "spec.translation_scale is nan"}});
+}
+
+TEST(ConvertTest, AMethodsNameAloneIsItsWholePreset) {
+  v1::SessionSpec message = ToProto(MakeSession());
+  message.set_method_yaml("method: ours");
+  const absl::StatusOr<SessionSpec> spec = FromProto(message);
+  ASSERT_TRUE(spec.ok()) << spec.status();
+  EXPECT_EQ(DumpConfig(spec->method), DumpConfig(*MakeMethod("ours")));
+  // What a server of an older version stored knew nothing of later options, and had none of them.
+  message.set_method_yaml("{method: ours_integral, integral_rate: 0.01}");
+  const absl::StatusOr<SessionSpec> stored = FromStored(message);
+  ASSERT_TRUE(stored.ok()) << stored.status();
+  EXPECT_EQ(stored->method.integral_rate, 0.01);
+  EXPECT_FALSE(stored->method.integral_carry);
+  EXPECT_TRUE(FromProto(message)->method.integral_carry);
 }
 
 TEST(ConvertTest, RefusesHostilePolicySpecsAndPredictions) {
