@@ -174,6 +174,8 @@ robostress::v1::PolicySpec ToProto(const PolicySpec& spec) {
   message.set_horizon(static_cast<uint32_t>(spec.horizon));
   message.set_execute_steps(static_cast<uint32_t>(spec.execute_steps));
   message.set_adaptable(spec.adaptable);
+  message.set_resizes_images(spec.resizes_images);
+  message.set_max_view_side(static_cast<uint32_t>(spec.max_view_side));
   return message;
 }
 
@@ -207,6 +209,10 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
   spec.horizon = static_cast<int>(message.horizon());
   spec.execute_steps = static_cast<int>(message.execute_steps());
   spec.adaptable = message.adaptable();
+  spec.resizes_images = message.resizes_images();
+  RS_RETURN_IF_ERROR(
+      CheckRange("policy.max_view_side", message.max_view_side(), 0, WireLimits::kImageSide));
+  if (message.max_view_side() != 0) spec.max_view_side = static_cast<int>(message.max_view_side());
   return spec;
 }
 
