@@ -111,7 +111,10 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
         SessionRegistry::Create(
             registry, [this](const std::string& name) { return ResourcesOf(name); }, &clock_));
     std::vector<PolicySpec> specs;
-    for (const auto& [name, policy] : policies_) specs.push_back(policy->spec());
+    for (const auto& [name, policy] : policies_) {
+      specs.push_back(policy->spec());
+      if (options_.max_view_side != 0) specs.back().max_view_side = options_.max_view_side;
+    }
     host_ = std::make_unique<RegistryHost>(sessions_.get(), std::move(specs), options_.guard,
                                            &telemetry_, &traces_);
     return absl::OkStatus();
@@ -138,7 +141,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     if (grpc::Status refused = Allow(context, Scope::kPredict); !refused.ok()) return refused;
     ServerInfo info;
     info.version = kVersion;
-    for (const auto& [name, policy] : policies_) info.policies.push_back(policy->spec());
+    info.policies = host_->policies();
     info.max_sessions = options_.max_sessions;
     info.inference_threads = options_.threads;
     info.open_sessions = sessions_->open_sessions();
@@ -287,6 +290,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     SessionResources resources{policy->second, &async_updates_, &inference_,
                                options_.lockstep_timeout, prefixes_};
     resources.lockstep_adaptation = &lockstep_updates_;
+    resources.max_view_side = options_.max_view_side;
     resources.snapshot_bytes = options_.snapshot_mib << 20;
     resources.snapshot_records = options_.snapshot_records;
     resources.sync_predictions = options_.sync_predictions;

@@ -52,7 +52,8 @@ struct PolicyServerOptions {
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
-  bool warm_up = true;  // predict once with every policy before health says SERVING
+  int max_view_side = 0;  // [px] of any view; 0: what each policy takes
+  bool warm_up = true;    // predict once with every policy before health says SERVING
   TlsFiles tls;
   AccessTokens tokens;  // asked by every call
 };

@@ -16,6 +16,8 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
   WebServerOptions web;
   web.tls = options.tls;
   web.max_connections = options.max_connections;
+  web.max_connections_per_client = options.max_connections_per_client;
+  web.allowed_hosts = options.allowed_hosts;
   web.max_message_bytes = options.max_message_bytes;
   if (!options.websocket_listen.empty()) {
     web.name = "websocket";
@@ -23,8 +25,8 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
     const auto upgrade =
         [server, openpi = options.openpi](
             const WebRequest& request) -> absl::StatusOr<std::unique_ptr<WebConversation>> {
-      RS_ASSIGN_OR_RETURN(const Caller caller,
-                          server->tokens().Authenticate(request.authorization));
+      RS_ASSIGN_OR_RETURN(Caller caller, server->tokens().Authenticate(request.authorization));
+      caller.host = request.peer.substr(0, request.peer.rfind(':'));
       RS_RETURN_IF_ERROR(AccessTokens::Require(caller, Scope::kPredict));
       if (!server->ready()) return absl::UnavailableError("warming up or draining");
       return std::make_unique<OpenpiConversation>(openpi, &server->host(), &server->metrics(),
