@@ -88,8 +88,8 @@ Image ResizeWithPad(const Image& image, int width, int height) {
   if (image.width == width && image.height == height) return image;
   const double ratio = std::max(static_cast<double>(image.width) / width,
                                 static_cast<double>(image.height) / height);
-  const int inner_width = static_cast<int>(image.width / ratio),
-            inner_height = static_cast<int>(image.height / ratio);
+  const int inner_width = std::max(1, static_cast<int>(image.width / ratio)),
+            inner_height = std::max(1, static_cast<int>(image.height / ratio));
   const Image inner = ResizeBilinear(image, inner_width, inner_height);
   Image padded{width, height, std::vector<uint8_t>(size_t{3} * width * height, 0)};
   const int left = std::max(0, (width - inner_width) / 2),

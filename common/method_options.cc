@@ -101,10 +101,31 @@ absl::StatusOr<MethodOptions> MakeMethod(const std::string& name,
     options.method = name;
     preset.apply(options);
     RS_RETURN_IF_ERROR(ApplyOverrides(overrides, options));
-    return options;
+    if (options.method == name) return options;
+    return absl::InvalidArgumentError(
+        absl::StrCat("override 'method=", options.method, "' of method '", name,
+                     "': it names another preset without its options; name it as the method"));
   }
   return absl::NotFoundError(
       absl::StrCat("unknown method '", name, "'; known: ", absl::StrJoin(MethodNames(), ", ")));
+}
+
+absl::StatusOr<MethodOptions> ParseMethod(const std::string& source, const std::string& yaml) {
+  const auto invalid = [&source](const auto&... parts) {
+    return absl::InvalidArgumentError(absl::StrCat(source, ": ", parts...));
+  };
+  RS_ASSIGN_OR_RETURN(const YAML::Node given, config_internal::ParseYaml(source, yaml));
+  const YAML::Node name = given["method"];
+  if (!name.IsDefined() || !name.IsScalar()) {
+    return invalid("names no method; set the key 'method' to one of: ",
+                   absl::StrJoin(MethodNames(), ", "));
+  }
+  absl::StatusOr<MethodOptions> options = MakeMethod(name.Scalar());
+  if (!options.ok()) return invalid(options.status().message());
+  ConfigReader reader(source, given);
+  options->Visit(reader);
+  RS_RETURN_IF_ERROR(reader.Finish());
+  return options;
 }
 
 }  // namespace robostress

@@ -106,7 +106,12 @@ struct MethodOptions {
 
 // Names in the order of the tables.
 std::vector<std::string> MethodNames();
-// A preset with "key=value" overrides applied; unknown names list the known ones.
+// A preset with "key=value" overrides applied; unknown names list the known ones. The preset's name itself is no
+// override: INVALID_ARGUMENT.
 absl::StatusOr<MethodOptions> MakeMethod(const std::string& name, const std::vector<std::string>& overrides = {});
+// A method as YAML text: the preset that its key `method` names, and over it every other key that is given. So
+// "method: ours" adapts, and a dump of all options reads back to the same bits. INVALID_ARGUMENT names `source` and
+// lists what is known: no map, no or an unknown `method`, an unknown key, a value of the wrong type.
+absl::StatusOr<MethodOptions> ParseMethod(const std::string& source, const std::string& yaml);
 
 }  // namespace robostress

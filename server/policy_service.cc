@@ -14,8 +14,8 @@
 #include "absl/time/clock.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/grpc_status.h"
+#include "common/rpc/message_limits.h"
 #include "common/rpc/refusal.h"
-#include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/grpc_access.h"
@@ -49,20 +49,6 @@ absl::Status CheckBatching(const PolicyServerOptions& options) {
   return absl::OkStatus();
 }
 
-// What one observation needs on the wire [bytes]: views of the largest side that is taken, the
-// state, the instruction, and what frames them.
-size_t LargestObservationBytes(const PolicySpec& spec) {
-  const auto side =
-      static_cast<size_t>(std::max({kMaxViewSide, spec.image_width, spec.image_height}));
-  return spec.cameras.size() * (3 * side * side + 1024) + 4 * static_cast<size_t>(spec.state_dim) +
-         WireLimits::kInstruction + (size_t{64} << 10);
-}
-// What the report of a whole chunk needs [bytes].
-size_t LargestExecutedBytes(const PolicySpec& spec) {
-  const size_t state = 8 * (2 * WireLimits::kDof + 16),
-               commands = 3 * 4 * static_cast<size_t>(spec.action_dim);
-  return (static_cast<size_t>(spec.horizon) + 1) * (state + commands + 64) + (size_t{64} << 10);
-}
 size_t LargestAdapterBytes(const FlowPolicy&) { return kMaxMessageBytes; }
 
 absl::Status WarmUp(const FlowPolicy& policy) {
@@ -129,7 +115,10 @@ class PolicyServer::Service {
         SessionRegistry::Create(
             registry, [this](const std::string& name) { return ResourcesOf(name); }, &clock_));
     std::vector<PolicySpec> specs;
-    for (const auto& [name, policy] : policies_) specs.push_back(policy->spec());
+    for (const auto& [name, policy] : policies_) {
+      specs.push_back(policy->spec());
+      if (options_.max_view_side != 0) specs.back().max_view_side = options_.max_view_side;
+    }
     host_ = std::make_unique<RegistryHost>(sessions_.get(), std::move(specs), options_.guard,
                                            &telemetry_, &traces_);
     return absl::OkStatus();
@@ -184,10 +173,12 @@ class PolicyServer::Service {
   // What the policies served here need [bytes].
   size_t LargestRequest(const std::string& method) const {
     size_t most = size_t{256} << 10;  // a session's spec
-    for (const auto& [name, policy] : policies_) {
-      if (method == "Predict") most = std::max(most, LargestObservationBytes(policy->spec()));
-      if (method == "Feedback") most = std::max(most, LargestExecutedBytes(policy->spec()));
-      if (method == "ImportAdapter") most = std::max(most, LargestAdapterBytes(*policy));
+    for (const PolicySpec& spec : host_->policies()) {
+      const int side = std::max({spec.max_view_side, spec.image_width, spec.image_height});
+      if (method == "Predict") most = std::max(most, LargestObservationBytes(spec, side));
+      if (method == "Feedback") most = std::max(most, LargestExecutedBytes(spec));
+      if (method == "ImportAdapter")
+        most = std::max(most, LargestAdapterBytes(*policies_.at(spec.name)));
     }
     return most;
   }
@@ -240,7 +231,7 @@ class PolicyServer::Service {
                              v1::GetServerInfoResponse& response) {
     ServerInfo info;
     info.version = BuildVersion();
-    for (const auto& [name, policy] : policies_) info.policies.push_back(policy->spec());
+    info.policies = host_->policies();
     info.max_sessions = options_.max_sessions;
     info.inference_threads = options_.threads;
     info.open_sessions = sessions_->open_sessions();
@@ -334,6 +325,7 @@ class PolicyServer::Service {
     SessionResources resources{policy->second, &async_updates_, &inference_,
                                options_.lockstep_timeout, prefixes_};
     resources.lockstep_adaptation = &lockstep_updates_;
+    resources.max_view_side = options_.max_view_side;
     resources.snapshot_bytes = options_.snapshot_mib << 20;
     resources.snapshot_records = options_.snapshot_records;
     resources.sync_predictions = options_.sync_predictions;

@@ -55,6 +55,7 @@ struct PolicyServerOptions {
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
+  int max_view_side = 0;          // [px] of any view; 0: what each policy takes
   bool warm_up = true;            // predict once with every policy before health says SERVING
   std::shared_ptr<TlsStore> tls;  // null: plain
   // Asked by every call; never null.

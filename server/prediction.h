@@ -25,7 +25,10 @@ struct Prediction {
   torch::Tensor state;  // PolicyContext::state
   std::shared_ptr<const Observation> observation;
   std::shared_ptr<const PrefixStore::Prefix> prefix;  // of `observation`
-  Eigen::MatrixXf base;    // [K, action_dim] of the unadapted policy; target: intent only
+  Eigen::MatrixXf base;  // [K, action_dim] of the unadapted policy; target: intent only
+  // What its client was answered, for a report that says no more than what was measured. Null: of a
+  // journal older than this field.
+  std::shared_ptr<const PredictedChunk> answered;
   bool journaled = false;  // its record is in the journal
 };
 

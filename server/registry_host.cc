@@ -4,6 +4,7 @@
 
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -39,8 +40,12 @@ absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const Caller& c
                                                                  const std::string& id,
                                                                  const std::string& token) {
   RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Resume(id, token, caller));
-  return Resumed{opened.session->policy_spec(), opened.session->durable(),
-                 opened.session->Position().feedback_sequence, std::nullopt, 0};
+  const SessionPosition at = opened.session->Position();
+  Resumed resumed{opened.session->policy_spec(), opened.session->durable(), at.feedback_sequence};
+  if (at.episode) resumed.episode = EpisodeKey{at.episode->first, at.episode->second};
+  resumed.next_chunk = at.next_chunk;
+  resumed.control_period_s = opened.session->spec().control_period_s;
+  return resumed;
 }
 
 absl::Status RegistryHost::CloseSession(const Caller& caller, const std::string& id) {
@@ -99,6 +104,27 @@ absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller& caller, const
   spdlog::debug("predicted in {:.1f} ms with adapter version {}, batch of {}", 1e3 * seconds,
                 prediction->adapter_version, prediction->batch_size);
   return prediction;
+}
+
+absl::StatusOr<SessionHost::Recalled> RegistryHost::Recall(const Caller& caller,
+                                                           const std::string& id,
+                                                           uint64_t prediction_id) {
+  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
+  RS_ASSIGN_OR_RETURN(const Prediction prediction, session->Recall(prediction_id));
+  if (prediction.answered == nullptr) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "prediction ", prediction.id,
+        " was made by an older server, which did not keep its actions; report the next one"));
+  }
+  return Recalled{{prediction.task, prediction.episode}, prediction.chunk, *prediction.answered};
+}
+
+absl::StatusOr<std::optional<SessionHost::Acknowledged>> RegistryHost::Repeated(
+    const Caller& caller, const std::string& id, uint64_t sequence) {
+  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
+  const std::optional<FeedbackResult> result = session->Repeated(sequence);
+  if (!result) return std::nullopt;
+  return Acknowledged{result->sequence, result->updates_applied, result->durable, true};
 }
 
 absl::StatusOr<SessionHost::Acknowledged> RegistryHost::Feedback(const Caller& caller,

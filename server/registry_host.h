@@ -37,6 +37,10 @@ class RegistryHost : public SessionHost {
   absl::StatusOr<PredictedChunk> Predict(const Caller& caller, const std::string& id,
                                          const Observation& observation, const EpisodeKey& key,
                                          int chunk, uint64_t last_sequence) override;
+  absl::StatusOr<Recalled> Recall(const Caller& caller, const std::string& id,
+                                  uint64_t prediction_id) override;
+  absl::StatusOr<std::optional<Acknowledged>> Repeated(const Caller& caller, const std::string& id,
+                                                       uint64_t sequence) override;
   absl::StatusOr<Acknowledged> Feedback(const Caller& caller, const std::string& id,
                                         const ExecutedChunk& executed) override;
 

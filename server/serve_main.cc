@@ -15,6 +15,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/rpc/convert.h"
 #include "common/status_macros.h"
 #include "server/admin_server.h"
 #include "server/edge/json_log.h"
@@ -88,6 +89,12 @@ absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& op
   result.max_sessions = options.max_sessions;
   result.prefix_budget_mib = options.prefix_budget_mib;
   result.warm_up = options.warm_up;
+  if (options.max_view_side < 0 || options.max_view_side > WireLimits::kImageSide) {
+    return absl::InvalidArgumentError(absl::StrCat("--max-view-side is ", options.max_view_side,
+                                                   ", must be 0 (what the policy takes) to ",
+                                                   WireLimits::kImageSide));
+  }
+  result.max_view_side = options.max_view_side;
   result.state_dir = options.state_dir;
   if (options.session_expiry > 0) result.expire_after = absl::Seconds(options.session_expiry);
   result.snapshot_mib = options.snapshot_mib;
@@ -108,15 +115,20 @@ absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& op
 }
 
 absl::StatusOr<WebEndpointsOptions> WebEndpointsOptionsOf(const ServeOptions& options) {
-  if (options.websocket_max_mib < 1 || options.websocket_max_mib > 1024) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--websocket-max-mib is ", options.websocket_max_mib, ", must be 1..1024"));
+  if (options.websocket_max_mib < 0 || options.websocket_max_mib > 1024) {
+    return absl::InvalidArgumentError(absl::StrCat("--websocket-max-mib is ",
+                                                   options.websocket_max_mib,
+                                                   ", must be 0 (what the policy needs) to 1024"));
   }
   WebEndpointsOptions result;
   result.websocket_listen = options.websocket_listen;
   result.http_listen = options.http_listen;
   result.max_connections = options.max_connections;
   result.max_message_bytes = static_cast<uint64_t>(options.websocket_max_mib) << 20;
+  result.max_connections_per_client = options.connections_per_client;
+  result.allowed_hosts = options.allowed_hosts;
+  result.openpi.input.resize = options.websocket_resize;
+  result.openpi.input.max_view_side = options.max_view_side;
   result.openpi.input.camera_keys = options.websocket_cameras;
   result.openpi.input.default_prompt = options.websocket_prompt;
   result.openpi.session.robot = "openpi";

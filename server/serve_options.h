@@ -28,8 +28,11 @@ struct ServeOptions {
   std::string websocket_listen, websocket_method = "base";
   std::vector<std::string> websocket_cameras;
   std::string websocket_prompt;
-  int64_t websocket_max_mib = 64;
-  int max_connections = 256;
+  int64_t websocket_max_mib = 0;
+  bool websocket_resize = false;
+  int max_view_side = 0;
+  int max_connections = 256, connections_per_client = 0;
+  std::vector<std::string> allowed_hosts;
   std::string http_listen, admin_listen, ports_file;
   std::string tls_certificate, tls_key, tls_client_ca, tokens;
   double reload_seconds = 10;
@@ -92,8 +95,23 @@ struct ServeOptions {
             "the clients' key of each of the policy's cameras, in its order; empty: those of "
             "LIBERO, DROID, ALOHA or the cameras' names");
     v.Field("websocket_prompt", websocket_prompt, "of clients that send none");
-    v.Field("websocket_max_mib", websocket_max_mib, "largest WebSocket message");
-    v.Field("max_connections", max_connections, "WebSocket and, apart from them, HTTP connections");
+    v.Field("websocket_max_mib", websocket_max_mib,
+            "largest WebSocket message; 0: what the largest observation and report of the policy "
+            "need");
+    v.Field("websocket_resize", websocket_resize,
+            "resize views of other sizes than the policy's, with padding as openpi's clients do; "
+            "without it only for clients that ask (session: {resize: true})");
+    v.Field("max_view_side", max_view_side,
+            "[px] greatest side of a view; 0: what the policy takes, 1280 where views are resized "
+            "(256 where only a client asks for it)");
+    v.Field("max_connections", max_connections,
+            "WebSocket and, apart from them, HTTP connections; 8 more answer only /healthz and "
+            "/readyz");
+    v.Field("connections_per_client", connections_per_client,
+            "of them, by address and then by token or certificate; 0: half of max_connections");
+    v.Field("allowed_hosts", allowed_hosts,
+            "NAME ... by which browsers may ask for pages, besides addresses, localhost and the "
+            "name listened on (DNS rebinding)");
     v.Field("http_listen", http_listen,
             "live page, /metrics, /traces, /healthz, /readyz on HOST:PORT; empty: not served");
     v.Field("admin_listen", admin_listen, "AdminService on HOST:PORT; empty: not served");

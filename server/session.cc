@@ -31,12 +31,19 @@ ResidualOptions ScaledResidualOptions(const SessionSpec& spec) {
   return options;
 }
 
+PolicySpec SpecOf(const SessionResources& resources) {
+  PolicySpec spec = resources.policy->spec();
+  if (resources.max_view_side != 0) spec.max_view_side = resources.max_view_side;
+  return spec;
+}
+
 }  // namespace
 
 Session::Session(const SessionSpec& spec, const SessionResources& resources, uint64_t owner,
                  const GuardOptions& guard)
     : spec_(spec),
       resources_(resources),
+      policy_spec_(SpecOf(resources)),
       owner_(owner),
       guard_(guard),
       key_(StreamKey("session").With(SessionIdentity(spec))),
@@ -125,6 +132,7 @@ void Session::ApplyEpisode(int task, int episode, uint64_t last_sequence) {
     }
   }
   episode_ = {task, episode};
+  next_chunk_ = 0;
   correction_.StartEpisode();
 }
 
@@ -189,6 +197,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
   }
 
   Prediction prediction{result.prediction_id, task, episode, chunk};
+  prediction.answered = std::make_shared<const PredictedChunk>(result);
   if (adapter_ != nullptr) {
     prediction.raw = computed->raw;
     prediction.state = computed->context.state;
@@ -211,6 +220,8 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
 
 void Session::Remember(Prediction prediction) {
   ++predictions_;
+  if (episode_ == std::pair(prediction.task, prediction.episode))
+    next_chunk_ = prediction.chunk + 1;
   const uint64_t id = prediction.id;
   outstanding_.emplace(id, std::move(prediction));
   while (outstanding_.size() > kMaxOutstanding) {
@@ -219,9 +230,27 @@ void Session::Remember(Prediction prediction) {
   }
 }
 
+absl::StatusOr<Prediction> Session::Recall(uint64_t prediction_id) {
+  absl::MutexLock lock(&mu_);
+  if (prediction_id == 0 && !outstanding_.empty()) return outstanding_.rbegin()->second;
+  const auto found = outstanding_.find(prediction_id);
+  if (found != outstanding_.end()) return found->second;
+  return absl::FailedPreconditionError(
+      absl::StrCat("prediction ", prediction_id, " is not one that this session holds; it made ",
+                   next_prediction_ - 1, ", keeps the last ", kMaxOutstanding,
+                   " and none that is older than one already reported"));
+}
+
+std::optional<FeedbackResult> Session::Repeated(uint64_t sequence) {
+  absl::MutexLock lock(&mu_);
+  if (sequence > feedback_sequence_) return std::nullopt;
+  ++duplicates_;
+  return FeedbackResult{feedback_sequence_, updates_applied(), durable(), true};
+}
+
 SessionPosition Session::Position() {
   absl::MutexLock lock(&mu_);
-  return {feedback_sequence_, next_prediction_ - 1, updates_applied(), episode_};
+  return {feedback_sequence_, next_prediction_ - 1, updates_applied(), episode_, next_chunk_};
 }
 
 void Session::CountResume() {

@@ -54,6 +54,7 @@ struct SessionResources {
   // they survive the server's end, not the machine's.
   bool sync_predictions = false;
   AdaptationLoop* lockstep_adaptation = nullptr;  // of lockstep sessions; null: `adaptation`
+  int max_view_side = 0;                          // [px] of any view; 0: the policy's own limit
 };
 
 // How one prediction is served; decides no result.
@@ -76,6 +77,7 @@ struct SessionPosition {
   uint64_t last_prediction_id = 0;  // 0: none yet
   uint64_t updates_applied = 0;
   std::optional<std::pair<int, int>> episode;  // (task, episode) of the last StartEpisode
+  int next_chunk = 0;                          // after the last that was predicted in it
 };
 
 struct SessionCounters {
@@ -127,7 +129,7 @@ class Session : public std::enable_shared_from_this<Session> {
   // The same with a journal that is new.
   void SetJournal(std::unique_ptr<SessionJournal> journal);
 
-  const PolicySpec& policy_spec() const { return resources_.policy->spec(); }
+  const PolicySpec& policy_spec() const { return policy_spec_; }
   const SessionSpec& spec() const { return spec_; }
   bool durable() const { return journal_ != nullptr; }
 
@@ -143,6 +145,12 @@ class Session : public std::enable_shared_from_this<Session> {
   // refused. RESOURCE_EXHAUSTED: the disk is full, nothing was taken.
   absl::StatusOr<FeedbackResult> Feedback(const ExecutedChunk& executed)
       ABSL_LOCKS_EXCLUDED(order_mu_, mu_);
+
+  // A prediction whose feedback may still come, with all that was answered; `prediction_id` 0: the
+  // newest. FAILED_PRECONDITION says which ones are kept.
+  absl::StatusOr<Prediction> Recall(uint64_t prediction_id) ABSL_LOCKS_EXCLUDED(mu_);
+  // Counts feedback that is in already and acknowledges it; nullopt: it is not in.
+  std::optional<FeedbackResult> Repeated(uint64_t sequence) ABSL_LOCKS_EXCLUDED(mu_);
 
   SessionPosition Position() ABSL_LOCKS_EXCLUDED(mu_);
   void CountResume() ABSL_LOCKS_EXCLUDED(mu_);
@@ -246,6 +254,7 @@ class Session : public std::enable_shared_from_this<Session> {
 
   const SessionSpec spec_;
   const SessionResources resources_;
+  const PolicySpec policy_spec_;
   const uint64_t owner_;
   const GuardOptions guard_;
   const StreamKey key_;
@@ -259,6 +268,7 @@ class Session : public std::enable_shared_from_this<Session> {
   bool cancelled_ ABSL_GUARDED_BY(mu_) = false;
   absl::Status failure_ ABSL_GUARDED_BY(mu_);  // an update threw: the session computes no further
   std::optional<std::pair<int, int>> episode_ ABSL_GUARDED_BY(mu_);  // (task, episode) now
+  int next_chunk_ ABSL_GUARDED_BY(mu_) = 0;  // after the last that was predicted in it
   std::set<uint64_t> boundaries_
       ABSL_GUARDED_BY(mu_);  // clear the buffer after these feedback numbers
   uint64_t feedback_sequence_ ABSL_GUARDED_BY(mu_) = 0;

@@ -154,6 +154,7 @@ SessionSnapshot Session::Capture() {
   counters.set_episode_started(episode_.has_value());
   counters.set_task(episode_ ? episode_->first : -1);
   counters.set_episode(episode_ ? episode_->second : -1);
+  counters.set_next_chunk(static_cast<uint32_t>(next_chunk_));
   for (const uint64_t boundary : boundaries_) counters.add_boundaries(boundary);
   const CommandCorrection::State correction = correction_.state();
   Store(correction.direct, counters.mutable_direct_correction());
@@ -244,6 +245,14 @@ absl::Status Session::Restore(const SessionSnapshot& snapshot) {
   episode_.reset();
   if (counters.episode_started())
     episode_ = {static_cast<int>(counters.task()), static_cast<int>(counters.episode())};
+  if (counters.next_chunk() > static_cast<uint32_t>(WireLimits::kIndex))
+    return absl::DataLossError(absl::StrCat("state on disk: next_chunk is ", counters.next_chunk(),
+                                            ", at most ", WireLimits::kIndex));
+  next_chunk_ = static_cast<int>(counters.next_chunk());
+  for (const Prediction& prediction : snapshot.outstanding) {
+    if (!counters.has_next_chunk() && episode_ == std::pair(prediction.task, prediction.episode))
+      next_chunk_ = std::max(next_chunk_, prediction.chunk + 1);
+  }
   boundaries_.insert(counters.boundaries().begin(), counters.boundaries().end());
   if (!correction_.set_state({Stored(counters.direct_correction()),
                               Stored(counters.integral_action()),

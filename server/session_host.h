@@ -31,6 +31,13 @@ class SessionHost {
     uint64_t feedback_sequence = 0;     // watermark
     std::optional<EpisodeKey> episode;  // the one that is open
     int next_chunk = 0;                 // after the last that was predicted in it
+    double control_period_s = 0.05;     // of the session's spec [s]
+  };
+  // A prediction that may still be reported, whichever connection it was made for.
+  struct Recalled {
+    EpisodeKey episode;
+    int chunk = 0;
+    PredictedChunk prediction;
   };
   struct Acknowledged {
     uint64_t sequence = 0;  // watermark
@@ -56,6 +63,14 @@ class SessionHost {
                                                  const Observation& observation,
                                                  const EpisodeKey& key, int chunk,
                                                  uint64_t last_sequence) = 0;
+  // `prediction_id` 0: the newest. FAILED_PRECONDITION: the session does not hold it.
+  virtual absl::StatusOr<Recalled> Recall(const Caller& caller, const std::string& id,
+                                          uint64_t prediction_id) = 0;
+  // The acknowledgement of feedback that is in already, which counts as a duplicate; nullopt: it is
+  // not in.
+  virtual absl::StatusOr<std::optional<Acknowledged>> Repeated(const Caller& caller,
+                                                               const std::string& id,
+                                                               uint64_t sequence) = 0;
   virtual absl::StatusOr<Acknowledged> Feedback(const Caller& caller, const std::string& id,
                                                 const ExecutedChunk& executed) = 0;
 };

@@ -59,6 +59,8 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
   WebServerOptions web;
   web.tls = options.tls;
   web.max_connections = options.max_connections;
+  web.max_connections_per_client = options.max_connections_per_client;
+  web.allowed_hosts = options.allowed_hosts;
   web.max_message_bytes = options.max_message_bytes;
   if (!options.websocket_listen.empty()) {
     web.name = "websocket";

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
@@ -15,7 +16,9 @@ struct WebEndpointsOptions {
   std::string websocket_listen, http_listen;  // empty: not served
   std::shared_ptr<TlsStore> tls;              // null: plain
   int max_connections = 256;
-  uint64_t max_message_bytes = 64 << 20;
+  int max_connections_per_client = 0;
+  std::vector<std::string> allowed_hosts;
+  uint64_t max_message_bytes = 0;  // of a WebSocket; 0: what the policies need
   OpenpiOptions openpi;
 };
 

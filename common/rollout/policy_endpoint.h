@@ -17,6 +17,8 @@ struct PolicySpec {
   std::vector<std::string> cameras;  // views it wants, in order; empty: no rendering
   int image_width = 224;             // [px] of the views it wants
   int image_height = 224;
+  bool resizes_images = false;       // takes views of other sizes too
+  int max_view_side = 1280;          // [px] of any view; wide enough for a camera's 1280 x 720
   int state_dim = 8;
   int action_dim = 7;                // environment action
   int horizon = 50;                  // K, steps per predicted chunk

@@ -100,7 +100,10 @@ robostress::v1::SessionSpec ToProto(const SessionSpec& spec) {
   return message;
 }
 
-absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message) {
+namespace {
+
+// All of a spec but its method.
+absl::StatusOr<SessionSpec> WithoutMethod(const robostress::v1::SessionSpec& message) {
   RS_RETURN_IF_ERROR(CheckName("spec.robot", message.robot()));
   RS_RETURN_IF_ERROR(CheckName("spec.suite", message.suite()));
   RS_RETURN_IF_ERROR(CheckName("spec.scenario", message.scenario()));
@@ -132,8 +135,6 @@ absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message
     return Invalid("spec.goal_reference is ", static_cast<int>(message.goal_reference()),
                    ", must be ACHIEVED (1) or DESIRED (2)");
   }
-  RS_ASSIGN_OR_RETURN(spec.method,
-                      ParseConfig<MethodOptions>("spec.method_yaml", message.method_yaml()));
   spec.robot = message.robot();
   spec.suite = message.suite();
   spec.scenario = message.scenario();
@@ -143,6 +144,21 @@ absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message
   spec.control_period_s = message.control_period_s();
   spec.translation_scale = message.translation_scale();
   spec.rotation_scale = message.rotation_scale();
+  return spec;
+}
+
+}  // namespace
+
+absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message) {
+  RS_ASSIGN_OR_RETURN(SessionSpec spec, WithoutMethod(message));
+  RS_ASSIGN_OR_RETURN(spec.method, ParseMethod("spec.method_yaml", message.method_yaml()));
+  return spec;
+}
+
+absl::StatusOr<SessionSpec> FromStored(const robostress::v1::SessionSpec& message) {
+  RS_ASSIGN_OR_RETURN(SessionSpec spec, WithoutMethod(message));
+  RS_ASSIGN_OR_RETURN(spec.method,
+                      ParseConfig<MethodOptions>("spec.method_yaml", message.method_yaml()));
   return spec;
 }
 
@@ -158,6 +174,8 @@ robostress::v1::PolicySpec ToProto(const PolicySpec& spec) {
   message.set_horizon(static_cast<uint32_t>(spec.horizon));
   message.set_execute_steps(static_cast<uint32_t>(spec.execute_steps));
   message.set_adaptable(spec.adaptable);
+  message.set_resizes_images(spec.resizes_images);
+  message.set_max_view_side(static_cast<uint32_t>(spec.max_view_side));
   return message;
 }
 
@@ -191,6 +209,10 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
   spec.horizon = static_cast<int>(message.horizon());
   spec.execute_steps = static_cast<int>(message.execute_steps());
   spec.adaptable = message.adaptable();
+  spec.resizes_images = message.resizes_images();
+  RS_RETURN_IF_ERROR(
+      CheckRange("policy.max_view_side", message.max_view_side(), 0, WireLimits::kImageSide));
+  if (message.max_view_side() != 0) spec.max_view_side = static_cast<int>(message.max_view_side());
   return spec;
 }
 

@@ -31,6 +31,9 @@ struct WireLimits {
 
 robostress::v1::SessionSpec ToProto(const SessionSpec& spec);
 absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message);
+// What a server wrote, whose dump of a method names every option that its version had: those that
+// came later are at their defaults, which change nothing, and not at the preset's.
+absl::StatusOr<SessionSpec> FromStored(const robostress::v1::SessionSpec& message);
 
 robostress::v1::PolicySpec ToProto(const PolicySpec& spec);
 absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message);

@@ -34,7 +34,7 @@ absl::Status CheckObservation(const Observation& observation, const PolicySpec& 
     return Invalid("observation has the views [", absl::StrJoin(cameras, ", "), "], policy '",
                    spec.name, "' wants [", absl::StrJoin(spec.cameras, ", "), "] in this order");
   }
-  const int limit = std::max({kMaxViewSide, spec.image_width, spec.image_height});
+  const int limit = std::max({spec.max_view_side, spec.image_width, spec.image_height});
   for (const CameraView& view : observation.views) {
     const int width = view.image.width, height = view.image.height;
     if (std::max(width, height) > limit) {

@@ -11,13 +11,9 @@
 // INVALID_ARGUMENT and name what differs.
 namespace robostress {
 
-// [px]; wide enough for a camera's 1280 x 720. A session keeps what its adapter may learn from as
-// it was sent.
-inline constexpr int kMaxViewSide = 1280;
-
 // Checks an observation against what the policy wants: the same cameras in the same order,
-// state_dim. The message names what differs. Sizes of images are left to the policy, up to
-// kMaxViewSide: one that resizes takes any, the others name their own.
+// state_dim. The message names what differs. Sizes of images are left to the policy, up to its
+// max_view_side: one that resizes takes any, the others name their own.
 absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec);
 // Checks a prediction: horizon x action_dim, all finite.
 absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec& spec);

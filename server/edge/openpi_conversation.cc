@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/rpc/convert.h"
+#include "common/rpc/message_limits.h"
 #include "common/status_macros.h"
 #include "server/edge/access_table.h"
 
@@ -17,6 +18,11 @@ using Clock = std::chrono::steady_clock;
 
 double Milliseconds(Clock::duration duration) {
   return std::chrono::duration<double, std::milli>(duration).count();
+}
+
+// `status` with the client's key that it is about.
+absl::Status Named(const char* key, const absl::Status& status) {
+  return absl::Status(status.code(), absl::StrCat(key, ": ", status.message()));
 }
 
 }  // namespace
@@ -44,6 +50,17 @@ OpenpiConversation::~OpenpiConversation() {
   host_->CloseSession(caller_, session_id_).IgnoreError();
 }
 
+uint64_t OpenpiConversation::LargestMessage() const {
+  const auto largest = [this](const PolicySpec& policy, bool asked) {
+    return LargestObservationBytes(policy, LargestViewSide(policy, options_.input, asked)) +
+           LargestExecutedBytes(policy);
+  };
+  if (!session_id_.empty()) return largest(policy_, resize_);
+  uint64_t bytes = 0;
+  for (const PolicySpec& policy : host_->policies()) bytes = std::max(bytes, largest(policy, true));
+  return bytes;
+}
+
 std::string OpenpiConversation::Greeting() {
   const std::vector<PolicySpec> policies = host_->policies();
   OpenpiWriter writer;
@@ -51,19 +68,28 @@ std::string OpenpiConversation::Greeting() {
   for (const char* key : {"session", "episode", "reset", "executed"}) writer.Text(key);
   writer.Text("policies").List(static_cast<uint32_t>(policies.size()));
   for (const PolicySpec& policy : policies) {
-    writer.Map(5).Text("name").Text(policy.name);
+    writer.Map(9).Text("name").Text(policy.name);
     writer.Text("cameras").List(static_cast<uint32_t>(policy.cameras.size()));
     for (const std::string& camera : policy.cameras) writer.Text(camera);
     writer.Text("state_dim").Integer(policy.state_dim);
     writer.Text("action_dim").Integer(policy.action_dim);
     writer.Text("action_horizon").Integer(policy.horizon);
+    writer.Text("image_width").Integer(policy.image_width);
+    writer.Text("image_height").Integer(policy.image_height);
+    // Whether views of other sizes are taken from a client that does not ask for it.
+    writer.Text("resizes_images").Boolean(policy.resizes_images || options_.input.resize);
+    writer.Text("max_view_side").Integer(LargestViewSide(policy, options_.input, true));
   }
   return writer.Take();
 }
 
 absl::Status OpenpiConversation::Open(const OpenpiValue* session) {
-  if (session != nullptr && session->Find("resume") != nullptr)
-    return Resume(*session->Find("resume"));
+  bool resize = false;
+  if (session != nullptr) {
+    RS_ASSIGN_OR_RETURN(resize, ReadOpenpiResize(*session, false));
+  }
+  resize_ = resize;
+  if (session != nullptr && session->Find("resume") != nullptr) return Resume(*session);
   SessionSpec spec = options_.session;
   const std::vector<PolicySpec> policies = host_->policies();
   if (spec.policy.empty() && !policies.empty()) spec.policy = policies.front().name;
@@ -71,7 +97,9 @@ absl::Status OpenpiConversation::Open(const OpenpiValue* session) {
     RS_ASSIGN_OR_RETURN(spec, ReadOpenpiSession(*session, spec));
     keep_ = true;
   }
-  RS_ASSIGN_OR_RETURN(const SessionHost::Opened opened, host_->OpenSession(caller_, spec));
+  absl::StatusOr<SessionHost::Opened> open = host_->OpenSession(caller_, spec);
+  if (!open.ok() && session != nullptr) return Named("session", open.status());
+  RS_ASSIGN_OR_RETURN(const SessionHost::Opened opened, std::move(open));
   session_id_ = opened.id;
   host_->Attach(session_id_);
   resume_token_ = opened.resume_token;
@@ -84,21 +112,20 @@ absl::Status OpenpiConversation::Open(const OpenpiValue* session) {
   return absl::OkStatus();
 }
 
-absl::Status OpenpiConversation::Resume(const OpenpiValue& resume) {
-  const OpenpiValue *id = resume.Find("id"), *token = resume.Find("token");
-  if (id == nullptr || token == nullptr)
-    return absl::InvalidArgumentError("session/resume: must be {id, token} of an earlier reply");
-  RS_ASSIGN_OR_RETURN(const std::string name, OpenpiText("session/resume/id", *id, 256));
-  RS_ASSIGN_OR_RETURN(const std::string secret, OpenpiText("session/resume/token", *token, 256));
+absl::Status OpenpiConversation::Resume(const OpenpiValue& session) {
+  RS_ASSIGN_OR_RETURN(const OpenpiResume resume, ReadOpenpiResume(session));
   RS_ASSIGN_OR_RETURN(const SessionHost::Resumed resumed,
-                      host_->ResumeSession(caller_, name, secret));
-  session_id_ = name;
+                      host_->ResumeSession(caller_, resume.id, resume.token));
+  session_id_ = resume.id;
   host_->Attach(session_id_);
-  resume_token_ = secret;
+  resume_token_ = resume.token;
   keep_ = true;
   durable_ = resumed.durable;
   policy_ = resumed.policy;
+  control_period_s_ = resumed.control_period_s;
   feedback_sequence_ = resumed.feedback_sequence;
+  episode_ = resumed.episode;
+  chunk_ = resumed.next_chunk;
   return absl::OkStatus();
 }
 
@@ -133,17 +160,19 @@ absl::Status OpenpiConversation::EnterEpisode(const OpenpiValue& message) {
 absl::StatusOr<SessionHost::Acknowledged> OpenpiConversation::Report(const OpenpiValue& value) {
   RS_RETURN_IF_ERROR(Allow(caller_, AccessRule::Wire::kWebSocket, "executed"));
   RS_ASSIGN_OR_RETURN(const OpenpiExecuted executed,
-                      ReadOpenpiExecuted(value, policy_.action_dim, control_period_s_));
-  const uint64_t id = executed.prediction_id;
-  const auto reply = std::find_if(replies_.rbegin(), replies_.rend(), [id](const Reply& r) {
-    return id == 0 || r.prediction.prediction_id == id;
-  });
-  const uint64_t sequence = executed.sequence == 0 ? feedback_sequence_ + 1 : executed.sequence;
-  if (reply == replies_.rend()) {
-    return absl::FailedPreconditionError(absl::StrCat("executed/prediction_id is ", id,
-                                                      ", not one of the last ", replies_.size(),
-                                                      " replies of this connection"));
+                      ReadOpenpiExecuted(value, policy_, control_period_s_));
+  if (executed.sequence != 0) {
+    RS_ASSIGN_OR_RETURN(const std::optional<SessionHost::Acknowledged> repeated,
+                        host_->Repeated(caller_, session_id_, executed.sequence));
+    if (repeated) {
+      feedback_sequence_ = repeated->sequence;
+      return *repeated;
+    }
   }
+  const absl::StatusOr<SessionHost::Recalled> reply =
+      host_->Recall(caller_, session_id_, executed.prediction_id);
+  if (!reply.ok()) return Named("executed/prediction_id", reply.status());
+  const uint64_t sequence = executed.sequence == 0 ? feedback_sequence_ + 1 : executed.sequence;
   const PredictedChunk& prediction = reply->prediction;
   const auto steps = static_cast<int>(executed.states.size()) - 1;
   if (executed.first_step + steps > prediction.actions.rows()) {
@@ -171,9 +200,10 @@ absl::StatusOr<SessionHost::Acknowledged> OpenpiConversation::Report(const Openp
     chunk.steps.push_back(std::move(step));
   }
   chunk.final_state = executed.states.back();
-  RS_ASSIGN_OR_RETURN(const SessionHost::Acknowledged acknowledged,
-                      host_->Feedback(caller_, session_id_, chunk));
-  feedback_sequence_ = acknowledged.sequence;
+  absl::StatusOr<SessionHost::Acknowledged> acknowledged =
+      host_->Feedback(caller_, session_id_, chunk);
+  if (!acknowledged.ok()) return Named("executed", acknowledged.status());
+  feedback_sequence_ = acknowledged->sequence;
   return acknowledged;
 }
 
@@ -203,11 +233,11 @@ absl::StatusOr<std::string> OpenpiConversation::Answer(std::string_view message)
   int64_t prediction_id = 0;
   if (predicts) {
     RS_ASSIGN_OR_RETURN(const Observation observation,
-                        ReadOpenpiObservation(request, policy_, options_.input));
+                        ReadOpenpiObservation(request, policy_, options_.input, resize_));
     RS_RETURN_IF_ERROR(EnterEpisode(request));
     const Clock::time_point start = Clock::now();
     RS_ASSIGN_OR_RETURN(
-        PredictedChunk prediction,
+        const PredictedChunk prediction,
         host_->Predict(caller_, session_id_, observation, *episode_, chunk_, feedback_sequence_));
     inferred = Clock::now();
     infer_ms = Milliseconds(inferred - start);
@@ -216,8 +246,7 @@ absl::StatusOr<std::string> OpenpiConversation::Answer(std::string_view message)
     prediction_id = static_cast<int64_t>(prediction.prediction_id);
     writer.Text("actions").Array(prediction.actions);
     writer.Text("policy_timing").Map(1).Text("infer_ms").Real(infer_ms);
-    replies_.push_back({*episode_, chunk_++, std::move(prediction)});
-    if (replies_.size() > kKeptReplies) replies_.pop_front();
+    ++chunk_;
   }
   if (acknowledged) {
     writer.Text("feedback").Map(4);

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <deque>
 #include <memory>
 #include <optional>
 #include <string>
@@ -21,7 +20,8 @@ struct OpenpiOptions {
 
 // openpi's protocol over one WebSocket: metadata first, then one reply per observation. An existing
 // client is served by an unadapted session of its own. A client of ours may add to an observation
-//   session   {..., or resume: {id, token}}   in its first message (openpi_extensions.h)
+//   session   {..., or resume: {id, token}}   in its first message (openpi_extensions.h); `resize`:
+//             true there: views of other sizes than the policy's are resized
 //   episode   {task, episode}                 a new episode; `reset`: true: the next one
 //   executed  {...}                           what it did with an earlier reply: feedback
 // and every reply says the adapter's version. A message with `executed` and no `prompt` only
@@ -35,19 +35,14 @@ class OpenpiConversation : public WebConversation {
   ~OpenpiConversation() override;
 
   std::string Greeting() override;
+  // Before a session is open of the greatest policy that is served, then of the session's own.
+  uint64_t LargestMessage() const override;
+  std::string client() const override { return caller_.client(); }
   absl::StatusOr<std::string> Answer(std::string_view message) override;
 
  private:
-  static constexpr size_t kKeptReplies = 16;  // whose execution may still be reported
-
-  struct Reply {
-    EpisodeKey episode;
-    int chunk = 0;
-    PredictedChunk prediction;
-  };
-
   absl::Status Open(const OpenpiValue* session);
-  absl::Status Resume(const OpenpiValue& resume);
+  absl::Status Resume(const OpenpiValue& session);
   absl::Status EnterEpisode(const OpenpiValue& message);
   absl::StatusOr<SessionHost::Acknowledged> Report(const OpenpiValue& executed);
 
@@ -58,13 +53,12 @@ class OpenpiConversation : public WebConversation {
   const std::shared_ptr<Counter> messages_, bytes_in_, bytes_out_;
 
   std::string session_id_, resume_token_;
-  bool durable_ = false, keep_ = false, announced_ = false;
+  bool durable_ = false, keep_ = false, announced_ = false, resize_ = false;
   PolicySpec policy_;
   double control_period_s_ = 0.05;
   std::optional<EpisodeKey> episode_;
   int chunk_ = 0;
   uint64_t feedback_sequence_ = 0;
-  std::deque<Reply> replies_;  // newest last
   double previous_total_ms_ = -1;
 };
 

@@ -6,6 +6,7 @@
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
 #include "common/method_options.h"
 #include "common/rpc/convert.h"
 #include "common/status_macros.h"
@@ -14,7 +15,7 @@ namespace robostress {
 namespace {
 
 absl::StatusOr<double> ReadPositive(const std::string& field, const OpenpiValue& value) {
-  RS_ASSIGN_OR_RETURN(const std::vector<double> numbers, OpenpiNumbers(field, value));
+  RS_ASSIGN_OR_RETURN(const std::vector<double> numbers, OpenpiNumbers(field, value, 1));
   if (numbers.size() != 1 || numbers[0] <= 0 || numbers[0] > 1e6)
     return absl::InvalidArgumentError(absl::StrCat(field, ": must be one number above 0"));
   return numbers[0];
@@ -37,10 +38,10 @@ absl::Status CheckKeys(const char* field, const OpenpiValue& value,
 
 absl::StatusOr<SessionSpec> ReadOpenpiSession(const OpenpiValue& session,
                                               const SessionSpec& defaults) {
-  RS_RETURN_IF_ERROR(CheckKeys(
-      "session", session,
-      {"robot", "suite", "scenario", "severity", "policy", "seed", "mode", "goal_reference",
-       "method", "method_options", "control_period_s", "translation_scale", "rotation_scale"}));
+  RS_RETURN_IF_ERROR(CheckKeys("session", session,
+                               {"robot", "suite", "scenario", "severity", "policy", "seed", "mode",
+                                "goal_reference", "method", "method_options", "control_period_s",
+                                "translation_scale", "rotation_scale", "resize"}));
   SessionSpec spec = defaults;
   for (const auto& [key, field] : {std::pair<const char*, std::string*>{"robot", &spec.robot},
                                    {"suite", &spec.suite},
@@ -78,29 +79,62 @@ absl::StatusOr<SessionSpec> ReadOpenpiSession(const OpenpiValue& session,
       RS_ASSIGN_OR_RETURN(*field, ReadPositive(absl::StrCat("session/", key), *value));
     }
   }
-  std::string method = spec.method.method;
-  if (const OpenpiValue* value = session.Find("method")) {
-    RS_ASSIGN_OR_RETURN(method, OpenpiText("session/method", *value, WireLimits::kName));
-  }
   std::vector<std::string> overrides;
   if (const OpenpiValue* value = session.Find("method_options")) {
     const auto* list = std::get_if<OpenpiValue::List>(&value->value);
     if (list == nullptr || list->size() > 64)
       return absl::InvalidArgumentError(
           "session/method_options: must be a list of at most 64 texts key=value");
-    for (const OpenpiValue& item : *list) {
-      RS_ASSIGN_OR_RETURN(overrides.emplace_back(),
-                          OpenpiText("session/method_options", item, 256));
+    for (size_t i = 0; i < list->size(); ++i) {
+      RS_ASSIGN_OR_RETURN(
+          overrides.emplace_back(),
+          OpenpiText(absl::StrCat("session/method_options[", i, "]"), (*list)[i], 256));
     }
   }
-  if (session.Find("method") != nullptr || !overrides.empty()) {
-    RS_ASSIGN_OR_RETURN(spec.method, MakeMethod(method, overrides));
+  if (const OpenpiValue* value = session.Find("method")) {
+    RS_ASSIGN_OR_RETURN(const std::string method,
+                        OpenpiText("session/method", *value, WireLimits::kName));
+    absl::StatusOr<MethodOptions> made = MakeMethod(method, overrides);
+    if (!made.ok()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("session/method, method_options: ", made.status().message()));
+    }
+    spec.method = *std::move(made);
+  } else if (!overrides.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("session/method_options: without session/method they change no known method; "
+                     "name one of: ",
+                     absl::StrJoin(MethodNames(), ", ")));
   }
-  // The same checks as of a session that comes over gRPC.
-  return FromProto(ToProto(spec));
+  // The same checks as of a session that comes over gRPC, under this wire's names.
+  absl::StatusOr<SessionSpec> checked = FromProto(ToProto(spec));
+  if (checked.ok()) return checked;
+  return absl::InvalidArgumentError(
+      absl::StrReplaceAll(checked.status().message(), {{"spec.", "session/"}}));
 }
 
-absl::StatusOr<OpenpiExecuted> ReadOpenpiExecuted(const OpenpiValue& value, int action_dim,
+absl::StatusOr<OpenpiResume> ReadOpenpiResume(const OpenpiValue& session) {
+  RS_RETURN_IF_ERROR(CheckKeys("session", session, {"resume", "resize"}));
+  const OpenpiValue& resume = *session.Find("resume");
+  const OpenpiValue *id = resume.Find("id"), *token = resume.Find("token");
+  if (id == nullptr || token == nullptr)
+    return absl::InvalidArgumentError("session/resume: must be {id, token} of an earlier reply");
+  OpenpiResume result;
+  RS_ASSIGN_OR_RETURN(result.id, OpenpiText("session/resume/id", *id, 256));
+  RS_ASSIGN_OR_RETURN(result.token, OpenpiText("session/resume/token", *token, 256));
+  return result;
+}
+
+absl::StatusOr<bool> ReadOpenpiResize(const OpenpiValue& session, bool fallback) {
+  const OpenpiValue* value = session.Find("resize");
+  if (value == nullptr) return fallback;
+  const bool* flag = std::get_if<bool>(&value->value);
+  if (flag == nullptr) return absl::InvalidArgumentError("session/resize: must be true or false");
+  return *flag;
+}
+
+absl::StatusOr<OpenpiExecuted> ReadOpenpiExecuted(const OpenpiValue& value,
+                                                  const PolicySpec& policy,
                                                   double control_period_s) {
   RS_RETURN_IF_ERROR(
       CheckKeys("executed", value,
@@ -127,12 +161,10 @@ absl::StatusOr<OpenpiExecuted> ReadOpenpiExecuted(const OpenpiValue& value, int 
   }
   const OpenpiValue* joints = value.Find("q");
   if (joints == nullptr) return absl::InvalidArgumentError("executed/q: is missing");
-  RS_ASSIGN_OR_RETURN(const Eigen::MatrixXd q, OpenpiMatrix("executed/q", *joints, -1, -1));
+  RS_ASSIGN_OR_RETURN(
+      const Eigen::MatrixXd q,
+      OpenpiMatrix("executed/q", *joints, {2, policy.horizon + 1}, {1, WireLimits::kDof}));
   const auto rows = static_cast<int>(q.rows());
-  if (rows < 2 || rows > WireLimits::kHorizon + 1 || q.cols() < 1 || q.cols() > WireLimits::kDof)
-    return absl::InvalidArgumentError(absl::StrCat(
-        "executed/q: is [", rows, ", ", q.cols(), "], must be [n + 1, dof] with n in 1..",
-        WireLimits::kHorizon, " and dof in 1..", WireLimits::kDof));
   const auto matrix = [&](const char* key, int r, int cols,
                           const Eigen::MatrixXd& fallback) -> absl::StatusOr<Eigen::MatrixXd> {
     const OpenpiValue* found = value.Find(key);
@@ -143,11 +175,12 @@ absl::StatusOr<OpenpiExecuted> ReadOpenpiExecuted(const OpenpiValue& value, int 
                           const Eigen::VectorXd& fallback) -> absl::StatusOr<Eigen::VectorXd> {
     const OpenpiValue* found = value.Find(key);
     if (found == nullptr) return fallback;
+    if (const size_t count = OpenpiCount(*found); count != static_cast<size_t>(rows)) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "executed/", key, ": holds ", count, " numbers, must be ", rows, ", as q has rows"));
+    }
     RS_ASSIGN_OR_RETURN(const std::vector<double> numbers,
-                        OpenpiNumbers(absl::StrCat("executed/", key), *found));
-    if (static_cast<int>(numbers.size()) != rows)
-      return absl::InvalidArgumentError(
-          absl::StrCat("executed/", key, ": holds ", numbers.size(), " numbers, must be ", rows));
+                        OpenpiNumbers(absl::StrCat("executed/", key), *found, rows));
     return Eigen::VectorXd(Eigen::Map<const Eigen::VectorXd>(numbers.data(), rows));
   };
   const auto dof = static_cast<int>(q.cols());
@@ -159,7 +192,7 @@ absl::StatusOr<OpenpiExecuted> ReadOpenpiExecuted(const OpenpiValue& value, int 
                       matrix("p_base_tool", rows, 3, Eigen::MatrixXd::Zero(rows, 3)));
   RS_ASSIGN_OR_RETURN(const Eigen::MatrixXd r, matrix("q_base_tool", rows, 4, upright));
   RS_ASSIGN_OR_RETURN(const Eigen::MatrixXd sent,
-                      matrix("sent_commands", rows - 1, action_dim, Eigen::MatrixXd()));
+                      matrix("sent_commands", rows - 1, policy.action_dim, Eigen::MatrixXd()));
   RS_ASSIGN_OR_RETURN(
       const Eigen::VectorXd stamps,
       column("stamp_s", Eigen::VectorXd::LinSpaced(rows, 0, (rows - 1) * control_period_s)));

@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "common/image_resize.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
@@ -25,6 +26,21 @@ const OpenpiValue* FindPath(const OpenpiValue& message, const std::string& path)
     if (at == nullptr) return nullptr;
   }
   return at;
+}
+
+// For an error: the names that a client used, of a map's too.
+std::string SentKeys(const OpenpiValue& message) {
+  std::vector<std::string> sent;
+  for (const auto& [key, value] : *message.map()) {
+    const std::string name = key.substr(0, 64);
+    const OpenpiValue::Map* nested = value.map();
+    if (nested == nullptr || nested->empty()) sent.push_back(name);
+    if (nested == nullptr) continue;
+    for (const auto& [inner, ignored] : *nested)
+      sent.push_back(absl::StrCat(name, "/", inner.substr(0, 64)));
+  }
+  sent.resize(std::min<size_t>(sent.size(), 16));
+  return absl::StrJoin(sent, ", ");
 }
 
 // Keys of the cameras, in the policy's order.
@@ -55,22 +71,54 @@ absl::StatusOr<std::vector<std::string>> CameraKeys(const OpenpiValue& message,
     if (absl::c_all_of(keys, [&](const auto& key) { return FindPath(message, key) != nullptr; }))
       return keys;
   }
-  std::vector<std::string> sent;
-  for (const auto& [key, value] : *message.map()) sent.push_back(key.substr(0, 64));
-  sent.resize(std::min<size_t>(sent.size(), 16));
-  return absl::InvalidArgumentError(
-      absl::StrCat("no views for the cameras ", absl::StrJoin(policy.cameras, ", "),
-                   " among the keys ", absl::StrJoin(sent, ", "),
-                   "; send observation/image and observation/wrist_image, or the "
-                   "cameras' names"));
+  return absl::InvalidArgumentError(absl::StrCat(
+      "no views for the cameras ", absl::StrJoin(policy.cameras, ", "), " among the keys ",
+      SentKeys(message),
+      "; send observation/image and observation/wrist_image, or the cameras' names, or "
+      "start the server with --websocket-cameras"));
 }
 
-absl::StatusOr<Image> ReadImage(const std::string& key, const OpenpiValue& value) {
+// Element `i` of a float array.
+double FloatAt(const OpenpiArray& array, size_t i) {
+  if (array.dtype == "<f4") {
+    float value;
+    std::memcpy(&value, array.data.data() + i * sizeof value, sizeof value);
+    return static_cast<double>(value);
+  }
+  double value;
+  std::memcpy(&value, array.data.data() + i * sizeof value, sizeof value);
+  return value;
+}
+
+// Whether a view of this size is taken, as it is or resized.
+absl::Status CheckViewSize(const std::string& key, int64_t width, int64_t height,
+                           const PolicySpec& policy, const OpenpiInputOptions& options,
+                           bool asked) {
+  const auto refuse = [&](const auto&... parts) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(key, ": is ", width, " x ", height, ", ", parts...));
+  };
+  if (width == policy.image_width && height == policy.image_height) return absl::OkStatus();
+  if (!policy.resizes_images && !options.resize && !asked) {
+    return refuse("policy ", policy.name, " takes ", policy.image_width, " x ", policy.image_height,
+                  "; add session: {resize: true} to the first message, or start the server with "
+                  "--websocket-resize");
+  }
+  const int largest = LargestViewSide(policy, options, asked);
+  if (height >= 1 && width >= 1 && height <= largest && width <= largest) return absl::OkStatus();
+  return refuse("a side must be 1..", largest,
+                "; send smaller images, or start the server with --max-view-side");
+}
+
+// A view as the policy takes it.
+absl::StatusOr<Image> ReadImage(const std::string& key, const OpenpiValue& value,
+                                const PolicySpec& policy, const OpenpiInputOptions& options,
+                                bool asked) {
   const auto refuse = [&key](const auto&... parts) {
     return absl::InvalidArgumentError(absl::StrCat(key, ": ", parts...));
   };
   const auto* array = std::get_if<OpenpiArray>(&value.value);
-  if (array == nullptr) return refuse("is no array");
+  if (array == nullptr) return refuse("is no array, must be an image [H, W, 3] or [3, H, W]");
   std::vector<int64_t> shape = array->shape;
   if (shape.size() == 4 && shape[0] == 1) shape.erase(shape.begin());
   const bool rows_first = shape.size() == 3 && shape[2] == 3;
@@ -78,85 +126,107 @@ absl::StatusOr<Image> ReadImage(const std::string& key, const OpenpiValue& value
   if (!rows_first && !planes_first)
     return refuse("has shape [", absl::StrJoin(array->shape, ", "),
                   "], must be [H, W, 3] or [3, H, W]");
-  Image image;
   const int64_t height = rows_first ? shape[0] : shape[1], width = rows_first ? shape[1] : shape[2];
-  if (height < 1 || width < 1 || height > kMaxViewSide || width > kMaxViewSide)
-    return refuse("is ", width, " x ", height, ", a side must be 1..", kMaxViewSide);
-  image.height = static_cast<int>(height);
-  image.width = static_cast<int>(width);
-  const size_t pixels = static_cast<size_t>(height * width);
-  std::vector<uint8_t> bytes(3 * pixels);
-  if (array->dtype == "|u1" || array->dtype == "<u1") {
-    std::memcpy(bytes.data(), array->data.data(), bytes.size());
-  } else if (array->dtype == "<f4" || array->dtype == "<f8") {
-    RS_ASSIGN_OR_RETURN(const std::vector<double> values, OpenpiNumbers(key, value));
-    for (size_t i = 0; i < bytes.size(); ++i) {
-      if (values[i] < 0 || values[i] > 1)
-        return refuse("[", i, "] is ", values[i], ", a float image must be within 0..1");
-      bytes[i] = static_cast<uint8_t>(255 * values[i]);
-    }
-  } else {
+  RS_RETURN_IF_ERROR(CheckViewSize(key, width, height, policy, options, asked));
+  const bool bytes = array->dtype == "|u1" || array->dtype == "<u1";
+  if (!bytes && array->dtype != "<f4" && array->dtype != "<f8")
     return refuse("has dtype ", array->dtype, ", must be |u1, <f4 or <f8");
-  }
-  if (rows_first) {
-    image.data = std::move(bytes);
-  } else {
-    image.data.resize(bytes.size());
-    for (size_t c = 0; c < 3; ++c) {
-      for (size_t i = 0; i < pixels; ++i) image.data[3 * i + c] = bytes[c * pixels + i];
+  Image image{static_cast<int>(width), static_cast<int>(height), {}};
+  const size_t pixels = static_cast<size_t>(height * width);
+  image.data.resize(3 * pixels);
+  for (size_t i = 0; i < image.data.size(); ++i) {
+    uint8_t& pixel = image.data[rows_first ? i : 3 * (i % pixels) + i / pixels];
+    if (bytes) {
+      pixel = static_cast<uint8_t>(array->data[i]);
+      continue;
     }
+    const double number = FloatAt(*array, i);
+    if (!(number >= 0 && number <= 1))  // NaN too
+      return refuse("[", i, "] is ", number, ", a float image must be within 0..1");
+    pixel = static_cast<uint8_t>(255 * number);
   }
-  return image;
+  return policy.resizes_images ? image
+                               : ResizeWithPad(image, policy.image_width, policy.image_height);
+}
+
+// The state from whichever keys the client uses.
+absl::StatusOr<Eigen::VectorXf> ReadState(const OpenpiValue& message, const PolicySpec& policy) {
+  const auto wanted = static_cast<size_t>(policy.state_dim);
+  for (const std::vector<std::string>& parts :
+       {std::vector<std::string>{"observation/state"},
+        {"state"},
+        {"observation/joint_position", "observation/gripper_position"}}) {
+    if (FindPath(message, parts[0]) == nullptr) continue;
+    size_t count = 0;
+    for (const std::string& part : parts) {
+      const OpenpiValue* value = FindPath(message, part);
+      if (value == nullptr) {
+        return absl::InvalidArgumentError(
+            absl::StrCat(part, ": is missing beside ", parts[0], ", send both"));
+      }
+      count += OpenpiCount(*value);
+    }
+    if (count != wanted) {
+      return absl::InvalidArgumentError(absl::StrCat(absl::StrJoin(parts, " + "), ": holds ", count,
+                                                     " numbers, policy ", policy.name, " wants ",
+                                                     wanted));
+    }
+    Eigen::VectorXf state(policy.state_dim);
+    Eigen::Index at = 0;
+    for (const std::string& part : parts) {
+      RS_ASSIGN_OR_RETURN(const std::vector<double> numbers,
+                          OpenpiNumbers(part, *FindPath(message, part), wanted));
+      for (size_t i = 0; i < numbers.size(); ++i) {
+        state[at] = static_cast<float>(numbers[i]);
+        if (!std::isfinite(state[at++])) {
+          return absl::InvalidArgumentError(
+              absl::StrCat(part, "[", i, "] is ", numbers[i], ", too large for a float32"));
+        }
+      }
+    }
+    return state;
+  }
+  if (wanted == 0) return Eigen::VectorXf();
+  return absl::InvalidArgumentError(
+      absl::StrCat("no state among the keys ", SentKeys(message),
+                   "; send observation/state, state, or "
+                   "observation/joint_position and observation/gripper_position, ",
+                   wanted, " numbers in all"));
 }
 
 }  // namespace
 
+int LargestViewSide(const PolicySpec& policy, const OpenpiInputOptions& options, bool asked) {
+  const int own = std::max(policy.image_width, policy.image_height);
+  if (!policy.resizes_images && !options.resize && !asked) return own;
+  if (options.max_view_side != 0) return std::max(own, options.max_view_side);
+  if (policy.resizes_images) return std::max(own, policy.max_view_side);
+  return std::max(own, options.resize ? kResizedViewSide : kResizedOnRequestSide);
+}
+
 absl::StatusOr<Observation> ReadOpenpiObservation(const OpenpiValue& message,
                                                   const PolicySpec& policy,
-                                                  const OpenpiInputOptions& options) {
+                                                  const OpenpiInputOptions& options, bool asked) {
   Observation observation;
   observation.instruction = options.default_prompt;
   if (const OpenpiValue* prompt = message.Find("prompt")) {
     RS_ASSIGN_OR_RETURN(observation.instruction,
                         OpenpiText("prompt", *prompt, WireLimits::kInstruction));
   } else if (options.default_prompt.empty()) {
-    return absl::InvalidArgumentError("prompt: is missing");
+    return absl::InvalidArgumentError(
+        "prompt: is missing; send it, or start the server with --websocket-prompt");
   }
   RS_ASSIGN_OR_RETURN(const std::vector<std::string> keys, CameraKeys(message, policy, options));
   for (size_t i = 0; i < keys.size(); ++i) {
     const OpenpiValue* view = FindPath(message, keys[i]);
-    if (view == nullptr) return absl::InvalidArgumentError(absl::StrCat(keys[i], ": is missing"));
-    RS_ASSIGN_OR_RETURN(Image image, ReadImage(keys[i], *view));
+    if (view == nullptr) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(keys[i], ": is missing among the keys ", SentKeys(message)));
+    }
+    RS_ASSIGN_OR_RETURN(Image image, ReadImage(keys[i], *view, policy, options, asked));
     observation.views.push_back({policy.cameras[i], std::move(image)});
   }
-  std::vector<double> state;
-  for (const std::vector<std::string>& parts :
-       {std::vector<std::string>{"observation/state"},
-        {"state"},
-        {"observation/joint_position", "observation/gripper_position"}}) {
-    if (message.Find(parts[0]) == nullptr) continue;
-    for (const std::string& part : parts) {
-      const OpenpiValue* value = message.Find(part);
-      if (value == nullptr) return absl::InvalidArgumentError(absl::StrCat(part, ": is missing"));
-      RS_ASSIGN_OR_RETURN(const std::vector<double> numbers, OpenpiNumbers(part, *value));
-      state.insert(state.end(), numbers.begin(), numbers.end());
-    }
-    if (static_cast<int>(state.size()) != policy.state_dim)
-      return absl::InvalidArgumentError(absl::StrCat(absl::StrJoin(parts, " + "), ": holds ",
-                                                     state.size(), " numbers, policy ", policy.name,
-                                                     " wants ", policy.state_dim));
-    break;
-  }
-  if (state.empty() && policy.state_dim > 0)
-    return absl::InvalidArgumentError("observation/state: is missing");
-  observation.proprioception.resize(static_cast<Eigen::Index>(state.size()));
-  for (size_t i = 0; i < state.size(); ++i) {
-    const auto value = static_cast<float>(state[i]);
-    if (!std::isfinite(value))
-      return absl::InvalidArgumentError(
-          absl::StrCat("observation/state[", i, "] is ", state[i], ", too large for a float32"));
-    observation.proprioception[static_cast<Eigen::Index>(i)] = value;
-  }
+  RS_ASSIGN_OR_RETURN(observation.proprioception, ReadState(message, policy));
   RS_RETURN_IF_ERROR(CheckObservation(observation, policy));
   return observation;
 }

@@ -278,15 +278,26 @@ absl::StatusOr<OpenpiValue> DecodeOpenpi(std::string_view message) {
   return std::move(builder.root);
 }
 
+size_t OpenpiCount(const OpenpiValue& value) {
+  if (const auto* array = std::get_if<OpenpiArray>(&value.value))
+    return array->data.size() / ItemSize(array->dtype);
+  const auto* list = std::get_if<OpenpiValue::List>(&value.value);
+  return list == nullptr ? 1 : list->size();
+}
+
 absl::StatusOr<std::vector<double>> OpenpiNumbers(const std::string& field,
-                                                  const OpenpiValue& value) {
+                                                  const OpenpiValue& value, size_t most) {
+  if (const size_t count = OpenpiCount(value); count > most) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ": holds ", count, " numbers, must hold at most ", most));
+  }
   std::vector<double> numbers;
   if (const auto* array = std::get_if<OpenpiArray>(&value.value)) {
     AppendNumbers(*array, numbers);
   } else if (const auto* list = std::get_if<OpenpiValue::List>(&value.value)) {
-    for (const OpenpiValue& item : *list) {
-      if (!AppendNumber(item, numbers))
-        return absl::InvalidArgumentError(absl::StrCat(field, ": an entry is no number"));
+    for (size_t i = 0; i < list->size(); ++i) {
+      if (!AppendNumber((*list)[i], numbers))
+        return absl::InvalidArgumentError(absl::StrCat(field, "[", i, "]: is no number"));
     }
   } else if (!AppendNumber(value, numbers)) {
     return absl::InvalidArgumentError(absl::StrCat(field, ": is neither an array nor a number"));
@@ -301,19 +312,26 @@ absl::StatusOr<std::vector<double>> OpenpiNumbers(const std::string& field,
 }
 
 absl::StatusOr<Eigen::MatrixXd> OpenpiMatrix(const std::string& field, const OpenpiValue& value,
-                                             int rows, int cols) {
-  RS_ASSIGN_OR_RETURN(const std::vector<double> numbers, OpenpiNumbers(field, value));
+                                             OpenpiSide rows, OpenpiSide cols) {
   const auto* array = std::get_if<OpenpiArray>(&value.value);
-  const auto refuse = [&] {
-    return absl::InvalidArgumentError(absl::StrCat(
-        field, ": has shape [", array == nullptr ? "" : absl::StrJoin(array->shape, ", "),
-        "], must be [", rows < 0 ? "n" : absl::StrCat(rows), ", ",
-        cols < 0 ? "n" : absl::StrCat(cols), "]"));
+  const auto shown = [](const OpenpiSide& side) {
+    return side.least == side.most ? absl::StrCat(side.least)
+                                   : absl::StrCat(side.least, "..", side.most);
   };
-  if (array == nullptr || array->shape.size() != 2) return refuse();
-  if ((rows >= 0 && array->shape[0] != rows) || (cols >= 0 && array->shape[1] != cols))
-    return refuse();
-  if (array->shape[0] > 65536 || array->shape[1] > 65536) return refuse();
+  const auto fits = [](int64_t size, const OpenpiSide& side) {
+    return size >= side.least && size <= side.most;
+  };
+  if (array == nullptr || array->shape.size() != 2 || !fits(array->shape[0], rows) ||
+      !fits(array->shape[1], cols)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        field, ": ",
+        array == nullptr ? "is no array"
+                         : absl::StrCat("has shape [", absl::StrJoin(array->shape, ", "), "]"),
+        ", must be an array of shape [", shown(rows), ", ", shown(cols), "]"));
+  }
+  RS_ASSIGN_OR_RETURN(
+      const std::vector<double> numbers,
+      OpenpiNumbers(field, value, static_cast<size_t>(array->shape[0] * array->shape[1])));
   Eigen::MatrixXd matrix(array->shape[0], array->shape[1]);
   for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
     for (Eigen::Index j = 0; j < matrix.cols(); ++j)
@@ -336,9 +354,11 @@ absl::StatusOr<int64_t> OpenpiInteger(const std::string& field, const OpenpiValu
 absl::StatusOr<std::string> OpenpiText(const std::string& field, const OpenpiValue& value,
                                        size_t most) {
   const auto* text = std::get_if<std::string_view>(&value.value);
-  if (text == nullptr || text->size() > most)
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": must be a text of at most ", most, " bytes"));
+  if (text == nullptr || text->size() > most) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        field, ": ", text == nullptr ? "is no text" : absl::StrCat("has ", text->size(), " bytes"),
+        ", must be a text of at most ", most, " bytes"));
+  }
   return std::string(*text);
 }
 

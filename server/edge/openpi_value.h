@@ -46,13 +46,25 @@ struct OpenpiLimits {
 absl::StatusOr<OpenpiValue> DecodeOpenpi(std::string_view message);
 absl::StatusOr<OpenpiValue> DecodeOpenpi(std::string&& message) = delete;
 
-// Numbers of an array of any shape, a list or a scalar. INVALID_ARGUMENT names `field` where one is
-// not finite or none.
+// The readers below look at how much a value holds before they convert or copy any of it: what they
+// allocate follows from what is expected, not from what came.
+
+// How many numbers an array of any shape, a list or a scalar holds.
+size_t OpenpiCount(const OpenpiValue& value);
+// Those numbers, at most `most`. INVALID_ARGUMENT names `field`, and the entry that is not finite
+// or no number.
 absl::StatusOr<std::vector<double>> OpenpiNumbers(const std::string& field,
-                                                  const OpenpiValue& value);
-// As above with exactly `rows` x `cols`, row by row; -1: any, as the array's shape says.
+                                                  const OpenpiValue& value, size_t most);
+
+// What a side of a matrix may measure.
+struct OpenpiSide {
+  OpenpiSide(int exactly) : least(exactly), most(exactly) {}  // NOLINT: a number is a side
+  OpenpiSide(int least, int most) : least(least), most(most) {}
+  int least, most;
+};
+// An array of two dimensions.
 absl::StatusOr<Eigen::MatrixXd> OpenpiMatrix(const std::string& field, const OpenpiValue& value,
-                                             int rows, int cols);
+                                             OpenpiSide rows, OpenpiSide cols);
 // Integer within [low, high].
 absl::StatusOr<int64_t> OpenpiInteger(const std::string& field, const OpenpiValue& value,
                                       int64_t low, int64_t high);

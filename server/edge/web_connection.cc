@@ -3,6 +3,7 @@
 #include <pthread.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <boost/asio/post.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
@@ -12,6 +13,7 @@
 #include <chrono>
 
 #include "absl/cleanup/cleanup.h"
+#include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 
@@ -35,6 +37,37 @@ bool FromElsewhere(const std::string& origin, const std::string& host) {
   const size_t scheme = origin.find("://");
   return scheme == std::string::npos || origin.substr(scheme + 3) != host;
 }
+
+// "name:80", "[::1]:80" -> "name", "::1".
+std::string WithoutPort(std::string host) {
+  if (!host.empty() && host.front() == '[') return host.substr(1, host.find(']') - 1);
+  const size_t colon = host.rfind(':');
+  if (colon != std::string::npos && host.find(':') == colon) host.resize(colon);
+  return host;
+}
+
+// By which a request may name this server. Addresses are safe: a rebound name is never one.
+bool IsKnownHost(const std::string& header, const WebServerOptions& options) {
+  const std::string host = WithoutPort(header);
+  error_code error;
+  net::ip::make_address(host, error);
+  if (!error) return true;
+  const auto same = [&host](const std::string& name) { return absl::EqualsIgnoreCase(name, host); };
+  return same("localhost") || (!host.empty() && same(WithoutPort(options.listen))) ||
+         std::any_of(options.allowed_hosts.begin(), options.allowed_hosts.end(), same);
+}
+
+WebReply UnknownHost(const std::string& header) {
+  return {
+      421, "text/plain; charset=utf-8",
+      absl::StrCat("this server does not go by the name '", absl::CHexEscape(header.substr(0, 256)),
+                   "'; ask by its address, or start it with --allowed-hosts and that name\n")};
+}
+
+bool IsProbe(const std::string& path) { return path == "/healthz" || path == "/readyz"; }
+
+// A buffer may hold this much beyond the message that is being read.
+constexpr size_t kReadAheadBytes = 4096;
 
 }  // namespace
 
@@ -67,7 +100,14 @@ void WebConnection::Cut() {
   });
 }
 
-void WebConnection::Serve(net::ip::tcp protocol, int descriptor) {
+// A probe asks at once; whoever only sits in its place must leave it soon.
+absl::Duration WebConnection::request_timeout() const {
+  return health_only_ ? std::min(options_.request_timeout, absl::Seconds(2))
+                      : options_.request_timeout;
+}
+
+void WebConnection::Serve(net::ip::tcp protocol, int descriptor, Claim claim) {
+  claim_ = std::move(claim);
   pthread_setname_np(pthread_self(), options_.name.substr(0, 15).c_str());
   error_code error;
   beast::tcp_stream tcp(context_);
@@ -89,8 +129,7 @@ void WebConnection::Serve(net::ip::tcp protocol, int descriptor) {
   net::ssl::context context(tls->context.get());
   beast::ssl_stream<beast::tcp_stream> stream(std::move(tcp), context);
   cut_stream_ = [&stream] { beast::get_lowest_layer(stream).close(); };
-  beast::get_lowest_layer(stream).expires_after(
-      absl::ToChronoMilliseconds(options_.request_timeout));
+  beast::get_lowest_layer(stream).expires_after(absl::ToChronoMilliseconds(request_timeout()));
   error = Run([&](auto done) { stream.async_handshake(net::ssl::stream_base::server, done); });
   if (error) {
     spdlog::info("{}: {}: TLS handshake failed: {}", options_.name, peer_, error.message());
@@ -131,7 +170,7 @@ void WebConnection::ServeHttp(Stream& stream) {
   while (!going_away_) {
     http::request_parser<http::string_body> parser;
     parser.body_limit(4096);
-    tcp.expires_after(absl::ToChronoMilliseconds(options_.request_timeout));
+    tcp.expires_after(absl::ToChronoMilliseconds(request_timeout()));
     reading = true;
     const error_code error =
         Run([&](auto done) { http::async_read(stream, buffer, parser, done); });
@@ -150,20 +189,32 @@ void WebConnection::ServeHttp(Stream& stream) {
     } else {
       const auto& request = parser.get();
       method = request.method();
-      keep_alive = request.keep_alive();
+      keep_alive = request.keep_alive() && !health_only_;
+      const std::string host = View(request[http::field::host]),
+                        origin = View(request[http::field::origin]);
       if (Asks(request, seen, reply)) {
         // openpi's server answers /healthz before it looks for an upgrade, and upgrades anything
         // else.
-        if (upgrade_ && websocket::is_upgrade(request) && seen.path != "/healthz") {
-          if (FromElsewhere(View(request[http::field::origin]), View(request[http::field::host]))) {
+        if (health_only_ && !IsProbe(seen.path)) {
+          reply = ErrorReply(absl::UnavailableError(
+              "every connection of this server, or of this client, is taken (--max-connections, "
+              "--connections-per-client), close one or try again"));
+        } else if (upgrade_ && websocket::is_upgrade(request) && seen.path != "/healthz") {
+          if (!origin.empty() && !IsKnownHost(host, options_)) {
+            reply = UnknownHost(host);
+          } else if (FromElsewhere(origin, host)) {
             reply = ErrorReply(absl::PermissionDeniedError(
                 "a browser's page from another origin may not open a WebSocket here"));
           } else if (auto conversation = upgrade_(seen); !conversation.ok()) {
             reply = ErrorReply(conversation.status());
+          } else if (absl::Status place = claim_((*conversation)->client()); !place.ok()) {
+            reply = ErrorReply(place);
           } else {
             ServeWebSocket(stream, request, *std::move(conversation));
             return;
           }
+        } else if (!IsProbe(seen.path) && !IsKnownHost(host, options_)) {
+          reply = UnknownHost(host);
         } else {
           reply = page_(seen);
         }
@@ -184,7 +235,7 @@ void WebConnection::ServeHttp(Stream& stream) {
     response.body() = std::move(reply.body);
     response.prepare_payload();
     if (method == http::verb::head) response.body().clear();
-    tcp.expires_after(absl::ToChronoMilliseconds(options_.request_timeout));
+    tcp.expires_after(absl::ToChronoMilliseconds(request_timeout()));
     if (Run([&](auto done) { http::async_write(stream, response, done); }) || !keep_alive) break;
   }
   error_code ignored;
@@ -201,7 +252,6 @@ void WebConnection::ServeWebSocket(Stream& stream, const Request& request,
   timeout.idle_timeout = absl::ToChronoMilliseconds(options_.idle_timeout);
   timeout.keep_alive_pings = true;
   socket.set_option(timeout);
-  socket.read_message_max(options_.max_message_bytes);
   socket.auto_fragment(false);
   socket.binary(true);
   if (Run([&](auto done) { socket.async_accept(request, done); })) return;
@@ -223,7 +273,13 @@ void WebConnection::ServeWebSocket(Stream& stream, const Request& request,
   if (send(conversation->Greeting())) return;
   beast::flat_buffer buffer;
   while (!going_away_) {
+    const uint64_t largest = options_.max_message_bytes != 0 ? options_.max_message_bytes
+                                                             : conversation->LargestMessage();
+    socket.read_message_max(largest);
+    // Without it the buffer would double past the limit; with a session's smaller limit it shrinks.
     buffer.clear();
+    buffer.max_size(largest + kReadAheadBytes);
+    if (buffer.capacity() > buffer.max_size()) buffer.shrink_to_fit();
     reading = true;
     const error_code error = Run([&](auto done) { socket.async_read(buffer, done); });
     reading = false;
@@ -235,9 +291,12 @@ void WebConnection::ServeWebSocket(Stream& stream, const Request& request,
     }
     const std::string_view message(static_cast<const char*>(buffer.data().data()), buffer.size());
     absl::StatusOr<std::string> answer =
-        socket.got_text() ? absl::InvalidArgumentError(
-                                "text frame: observations are binary frames with a msgpack map")
-                          : conversation->Answer(message);
+        absl::InvalidArgumentError("text frame: observations are binary frames with a msgpack map");
+    try {
+      if (!socket.got_text()) answer = conversation->Answer(message);
+    } catch (const std::exception& failed) {  // out of memory: this client's end, not the server's
+      answer = absl::InternalError(absl::StrCat("the message was not answered: ", failed.what()));
+    }
     if (!answer.ok()) {
       socket.text(true);
       send(std::string(answer.status().message()));

@@ -13,19 +13,24 @@ namespace robostress {
 // code stays in a line.
 class WebConnection {
  public:
-  // What is passed must outlive the connection.
+  // Whether one more connection of this client has a place; called when it says who it is.
+  using Claim = std::function<absl::Status(const std::string& client)>;
+
+  // What is passed must outlive the connection. `health_only`: it stands in one of the places for
+  // probes.
   WebConnection(const WebServerOptions& options, const WebServer::Page& page,
-                const WebServer::Upgrade& upgrade)
-      : options_(options), page_(page), upgrade_(upgrade) {}
+                const WebServer::Upgrade& upgrade, bool health_only)
+      : options_(options), page_(page), upgrade_(upgrade), health_only_(health_only) {}
 
   // Until the connection ends. Takes `descriptor`.
-  void Serve(boost::asio::ip::tcp protocol, int descriptor);
+  void Serve(boost::asio::ip::tcp protocol, int descriptor, Claim claim);
   // Any thread: end after the answer that is under way.
   void GoAway();
   // Any thread: end now; what is being computed is not sent.
   void Cut();
 
  private:
+  absl::Duration request_timeout() const;
   template <class Stream>
   void ServeHttp(Stream& stream);
   template <class Request>
@@ -40,7 +45,9 @@ class WebConnection {
   const WebServerOptions& options_;
   const WebServer::Page& page_;
   const WebServer::Upgrade& upgrade_;
+  const bool health_only_;
   boost::asio::io_context context_{1};
+  Claim claim_;
   std::string peer_, certificate_owner_;
   // Of this connection's thread; GoAway and Cut post to it.
   bool going_away_ = false, cut_ = false;

@@ -96,6 +96,12 @@ class WebServer::Impl {
       return absl::InvalidArgumentError(absl::StrCat(
           options_.name, ": max_connections is ", options_.max_connections, ", must be 1..65536"));
     }
+    if (options_.max_connections_per_client < 0 ||
+        options_.max_connections_per_client > options_.max_connections) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          options_.name, ": --connections-per-client is ", options_.max_connections_per_client,
+          ", must be 0 (half of them) to ", options_.max_connections, " (--max-connections)"));
+    }
     RS_ASSIGN_OR_RETURN(Tcp::acceptor acceptor, Listen(context_, options_.listen));
     error_code error;
     port_ = acceptor.local_endpoint(error).port();
@@ -136,11 +142,37 @@ class WebServer::Impl {
   struct Entry {
     std::shared_ptr<WebConnection> connection;
     std::thread thread;
+    std::string client;
+    bool health_only = false;
   };
 
   bool NoEntries() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     mu_.AssertHeld();
     return entries_.empty();
+  }
+
+  int PerClient() const {
+    return options_.max_connections_per_client != 0 ? options_.max_connections_per_client
+                                                    : std::max(1, options_.max_connections / 2);
+  }
+  bool HasPlace(const std::string& client) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    return std::count_if(entries_.begin(), entries_.end(), [&client](const Entry& entry) {
+             return !entry.health_only && entry.client == client;
+           }) < PerClient();
+  }
+  // A connection whose client has said who it is.
+  absl::Status Claim(Entry& entry, const std::string& client) ABSL_LOCKS_EXCLUDED(mu_) {
+    absl::MutexLock lock(&mu_);
+    if (client.empty() || client == entry.client) return absl::OkStatus();
+    if (!HasPlace(client)) {
+      refused_->Add();
+      return absl::ResourceExhaustedError(
+          absl::StrCat("this client holds ", PerClient(),
+                       " connections, which is as many as one may; close one, or start the server "
+                       "with more --connections-per-client"));
+    }
+    entry.client = client;
+    return absl::OkStatus();
   }
 
   void Accept() {
@@ -168,8 +200,14 @@ class WebServer::Impl {
   }
 
   void Add(Tcp::socket socket) ABSL_LOCKS_EXCLUDED(mu_) {
+    error_code error;
+    const std::string peer = socket.remote_endpoint(error).address().to_string(error);
     absl::MutexLock lock(&mu_);
-    if (static_cast<int>(entries_.size()) >= options_.max_connections) {
+    const auto probes = static_cast<int>(std::count_if(
+        entries_.begin(), entries_.end(), [](const Entry& entry) { return entry.health_only; }));
+    const auto open = static_cast<int>(entries_.size()) - probes;
+    const bool health_only = open >= options_.max_connections || !HasPlace(peer);
+    if (health_only && probes >= WebServerOptions::kHealthPlaces) {
       refused_->Add();
       error_code ignored;
       socket.non_blocking(true, ignored);
@@ -181,13 +219,16 @@ class WebServer::Impl {
     }
     connections_->Add(1);
     const auto entry = entries_.emplace(entries_.end());
-    entry->connection = std::make_shared<WebConnection>(options_, page_, upgrade_);
+    entry->client = peer;
+    entry->health_only = health_only;
+    entry->connection = std::make_shared<WebConnection>(options_, page_, upgrade_, health_only);
     // The descriptor moves to the connection's own context: one thread runs one connection.
-    error_code error;
     const auto protocol = socket.local_endpoint(error).protocol();
     const int descriptor = socket.release(error);
     entry->thread = std::thread([this, entry, protocol, descriptor] {
-      entry->connection->Serve(protocol, descriptor);
+      entry->connection->Serve(protocol, descriptor, [this, entry](const std::string& client) {
+        return Claim(*entry, client);
+      });
       connections_->Add(-1);
       absl::MutexLock lock(&mu_);
       leaving_.splice(leaving_.end(), entries_, entry);

@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -38,6 +39,10 @@ class WebConversation {
  public:
   virtual ~WebConversation() = default;
   virtual std::string Greeting() = 0;
+  // Bytes of the longest message that it takes now; asked before each.
+  virtual uint64_t LargestMessage() const = 0;
+  // Whose connection it is, for the bound on each client's; empty: its address says.
+  virtual std::string client() const { return {}; }
   // `message` is one binary message. An error is sent as a text frame with its message, and closes
   // the conversation with 1011.
   virtual absl::StatusOr<std::string> Answer(std::string_view message) = 0;
@@ -48,9 +53,20 @@ struct WebServerOptions {
   std::string listen = "127.0.0.1:0";
   // What every new connection is opened with; null: plain.
   std::shared_ptr<const TlsStore> tls;
-  // Each holds a thread. One more is answered 503, or cut if it does not listen to that.
+  // Each holds a thread. What comes beyond them, or beyond a client's share, gets one of
+  // kHealthPlaces, where only /healthz and /readyz are answered: a probe is served by a server that
+  // is full. Others are answered 503.
   int max_connections = 256;
-  uint64_t max_message_bytes = 64 << 20;  // of a WebSocket message; longer ones close with 1009
+  static constexpr int kHealthPlaces = 8;
+  // Of one client: by its address until it says who it is, then by WebConversation::client(). 0:
+  // half of max_connections, so that no client keeps all others out.
+  int max_connections_per_client = 0;
+  // Of a WebSocket message; longer ones close with 1009. 0: what the conversation takes.
+  uint64_t max_message_bytes = 0;
+  // Names by which browsers may ask for pages (but /healthz, /readyz) and WebSockets, besides
+  // addresses, localhost and the host of `listen`; others are answered 421. A page of another site
+  // whose name was made to resolve to this machine (DNS rebinding) bears that site's name.
+  std::vector<std::string> allowed_hosts;
   // For the TLS and WebSocket handshakes, a request's header, and an answer to a page.
   absl::Duration request_timeout = absl::Seconds(30);
   // A WebSocket peer that neither sends, nor answers a ping, nor takes what is sent to it for this

@@ -30,7 +30,7 @@ class NanoPolicy : public FlowPolicy {
     spec_.name = name;
     spec_.model_hash = model_hash;
     spec_.cameras = model_.config.cameras;
-    spec_.image_width = spec_.image_height = model_.config.image_size;
+    spec_.image_width = spec_.image_height = spec_.max_view_side = model_.config.image_size;
     spec_.state_dim = model_.config.state_dim;
     spec_.action_dim = model_.config.action_dim;
     spec_.horizon = model_.config.horizon;

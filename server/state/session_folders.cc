@@ -42,7 +42,7 @@ v1::StateHeader HeaderOf(const std::string& id, const std::string& token_sha256,
 
 absl::StatusOr<SessionRequest> RequestOf(const v1::StateHeader& header) {
   SessionRequest request;
-  RS_ASSIGN_OR_RETURN(request.spec, FromProto(header.spec()));
+  RS_ASSIGN_OR_RETURN(request.spec, FromStored(header.spec()));
   RS_ASSIGN_OR_RETURN(request.guard, FromRecord(header.guard()));
   RS_ASSIGN_OR_RETURN(request.scheduling.priority, FromProto(header.priority()));
   request.scheduling.deadline_ms = static_cast<int>(header.deadline_ms());

@@ -43,6 +43,32 @@ absl::StatusOr<std::shared_ptr<const Observation>> ReadObservation(const v1::Obs
   return std::make_shared<const Observation>(*std::move(observation));
 }
 
+absl::StatusOr<std::shared_ptr<const PredictedChunk>> ReadAnswered(
+    const v1::StatePrediction& record) {
+  auto answered = std::make_shared<PredictedChunk>();
+  answered->prediction_id = record.id();
+  answered->adapter_version = record.adapter_version();
+  const auto read = [](const char* field, const v1::FloatMatrix& from,
+                       Eigen::MatrixXf& into) -> absl::Status {
+    absl::StatusOr<Eigen::MatrixXf> matrix = FromProto(field, from);
+    if (!matrix.ok()) return Damaged(matrix.status());
+    into = *std::move(matrix);
+    return absl::OkStatus();
+  };
+  RS_RETURN_IF_ERROR(read("actions", record.actions(), answered->actions));
+  answered->policy_actions = answered->actions;
+  if (record.has_policy_actions())
+    RS_RETURN_IF_ERROR(read("policy_actions", record.policy_actions(), answered->policy_actions));
+  if (record.has_base_actions())
+    RS_RETURN_IF_ERROR(read("base_actions", record.base_actions(), answered->base_actions));
+  for (const Eigen::MatrixXf* rows : {&answered->policy_actions, &answered->base_actions}) {
+    if (rows->size() > 0 &&
+        (rows->rows() != answered->actions.rows() || rows->cols() != answered->actions.cols()))
+      return Damaged("prediction ", record.id(), " holds actions of two sizes");
+  }
+  return answered;
+}
+
 }  // namespace
 
 v1::StateTensor ToRecord(const torch::Tensor& tensor) {
@@ -115,6 +141,17 @@ v1::StatePrediction ToRecord(const Prediction& prediction) {
   record.set_task(static_cast<uint32_t>(prediction.task));
   record.set_episode(static_cast<uint32_t>(prediction.episode));
   record.set_chunk(static_cast<uint32_t>(prediction.chunk));
+  // A matrix that is not finite could not be read again: then the chunk is not kept.
+  const PredictedChunk* answered = prediction.answered.get();
+  if (answered != nullptr && answered->actions.allFinite() &&
+      answered->policy_actions.allFinite() && answered->base_actions.allFinite()) {
+    *record.mutable_actions() = ToProto(answered->actions);
+    if (answered->policy_actions != answered->actions)
+      *record.mutable_policy_actions() = ToProto(answered->policy_actions);
+    if (answered->base_actions.rows() > 0)
+      *record.mutable_base_actions() = ToProto(answered->base_actions);
+    record.set_adapter_version(answered->adapter_version);
+  }
   if (prediction.observation == nullptr) return record;
   *record.mutable_raw() = ToRecord(prediction.raw);
   *record.mutable_state() = ToRecord(prediction.state);
@@ -133,6 +170,9 @@ absl::StatusOr<Prediction> FromRecord(const v1::StatePrediction& record) {
   prediction.episode = static_cast<int>(record.episode());
   prediction.chunk = static_cast<int>(record.chunk());
   prediction.journaled = true;
+  if (record.has_actions()) {
+    RS_ASSIGN_OR_RETURN(prediction.answered, ReadAnswered(record));
+  }
   if (!record.has_observation()) return prediction;
   RS_ASSIGN_OR_RETURN(prediction.raw, FromRecord("raw", record.raw()));
   RS_ASSIGN_OR_RETURN(prediction.state, FromRecord("state", record.state()));

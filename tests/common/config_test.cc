@@ -108,6 +108,45 @@ TEST(MethodOptions, UnknownMethodListsTheKnownOnes) {
   EXPECT_THAT(Message(method.status()), HasSubstr("ours_intent"));
 }
 
+TEST(MethodOptions, TextNamesAPresetAndWhatStandsOverIt) {
+  const auto ours = ParseMethod("m", "method: ours");
+  ASSERT_TRUE(ours.ok()) << ours.status();
+  EXPECT_EQ(DumpConfig(*ours), DumpConfig(*MakeMethod("ours")));
+  EXPECT_TRUE(ours->adapt);
+  const auto changed = ParseMethod("m", "{learning_rate: 0.5, method: no_anchor}");
+  ASSERT_TRUE(changed.ok()) << changed.status();
+  EXPECT_EQ(DumpConfig(*changed), DumpConfig(*MakeMethod("no_anchor", {"learning_rate=0.5"})));
+}
+
+TEST(MethodOptions, ADumpReadsBackToEveryBitWhateverItsPreset) {
+  for (const std::string& name : MethodNames()) {
+    MethodOptions options = *MakeMethod(name);
+    EXPECT_EQ(DumpConfig(*ParseMethod("m", DumpConfig(options))), DumpConfig(options)) << name;
+    // As older servers stored it of "method: ours" over gRPC: the name, and nothing of the preset.
+    options = MethodOptions();
+    options.method = name;
+    options.learning_rate = 0.1 + 0.2;
+    EXPECT_EQ(DumpConfig(*ParseMethod("m", DumpConfig(options))), DumpConfig(options)) << name;
+  }
+}
+
+TEST(MethodOptions, TextWithoutAKnownMethodIsRefusedWithWhatIsKnown) {
+  for (const char* yaml : {"", "{}", "learning_rate: 1", "method:", "method: [ours]", "method: ''",
+                           "method: Ours", "adapt: true"}) {
+    const absl::Status status = ParseMethod("where", yaml).status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << yaml;
+    EXPECT_THAT(Message(status), HasSubstr("where: ")) << yaml;
+    EXPECT_THAT(Message(status), HasSubstr("base, ours, ours_intent")) << yaml;
+  }
+  EXPECT_THAT(Message(ParseMethod("where", "{method: ours, learning_rat: 1}").status()),
+              HasSubstr("where: unknown key 'learning_rat'"));
+  EXPECT_THAT(Message(ParseMethod("where", "{method: ours, method: base}").status()),
+              HasSubstr("given twice"));
+  EXPECT_FALSE(ParseMethod("where", "- ours").ok());
+  EXPECT_THAT(Message(MakeMethod("ours", {"method=base"}).status()),
+              HasSubstr("names another preset"));
+}
+
 TEST(MethodOptions, PaperDefaultsHold) {
   const auto ours = MakeMethod("ours");
   ASSERT_TRUE(ours.ok());

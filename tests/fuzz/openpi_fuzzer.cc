@@ -20,7 +20,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   policy.cameras = {"a", "b"};
   policy.state_dim = 3;
   policy.action_dim = 7;
-  if (const auto observation = ReadOpenpiObservation(*message, policy, {}); observation.ok()) {
+  if (const auto observation = ReadOpenpiObservation(*message, policy, {}, size % 2 == 0); observation.ok()) {
     FuzzCheck(observation->views.size() == 2, "a view is missing");
     for (const CameraView& view : observation->views)
       FuzzCheck(view.image.data.size() ==
@@ -32,7 +32,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   if (const OpenpiValue* session = message->Find("session"))
     ReadOpenpiSession(*session, {}).status().IgnoreError();
   if (const OpenpiValue* value = message->Find("executed")) {
-    const auto executed = ReadOpenpiExecuted(*value, policy.action_dim, 0.05);
+    const auto executed = ReadOpenpiExecuted(*value, policy, 0.05);
     if (!executed.ok()) return 0;
     FuzzCheck(executed->states.size() >= 2 && executed->first_step >= 0, "a report of nothing");
     for (const RobotState& state : executed->states) {

@@ -8,7 +8,9 @@
 #include <functional>
 #include <limits>
 
+#include "common/config.h"
 #include "common/random.h"
+#include "common/rpc/message_limits.h"
 #include "common/rpc/refusal.h"
 #include "common/rpc/spec_checks.h"
 #include "tests/rpc/fake_policy_server.h"
@@ -161,9 +163,13 @@ TEST(ConvertTest, PredictionSurvivesTheWireAndOmitsEqualPolicyActions) {
 TEST(ConvertTest, PolicySpecAndStatsSurviveTheWire) {
   PolicySpec spec = FakeSpec();
   spec.cameras = {"agentview", "robot0_eye_in_hand"};
+  spec.resizes_images = true;
+  spec.max_view_side = 640;
   const absl::StatusOr<PolicySpec> got = FromProto(Transmit(ToProto(spec)));
   ASSERT_TRUE(got.ok()) << got.status();
   EXPECT_EQ(ToProto(*got).SerializeAsString(), ToProto(spec).SerializeAsString());
+  EXPECT_TRUE(got->resizes_images);
+  EXPECT_EQ(got->max_view_side, 640);
   const SessionStats stats{12, 3, 0.5, 0.25};
   const absl::StatusOr<SessionStats> got_stats = FromProto(ToProto(stats));
   ASSERT_TRUE(got_stats.ok());
@@ -281,10 +287,49 @@ TEST(ConvertTest, RefusesHostileSessionSpecs) {
        {[](M& m) { m.clear_mode(); }, "spec.mode is 0, must be LOCKSTEP (1) or ASYNC (2)"},
        {[](M& m) { m.set_goal_reference(static_cast<v1::GoalReference>(9)); },
         "spec.goal_reference is 9"},
-       {[](M& m) { m.set_method_yaml("learning_rat: 1"); }, "unknown key 'learning_rat'"},
+       {[](M& m) { m.set_method_yaml("{method: ours, learning_rat: 1}"); },
+        "unknown key 'learning_rat'"},
+       {[](M& m) { m.clear_method_yaml(); }, "spec.method_yaml: names no method"},
+       {[](M& m) { m.set_method_yaml("adapt: true"); }, "spec.method_yaml: names no method"},
+       {[](M& m) { m.set_method_yaml("method: magic"); }, "unknown method 'magic'; known: base"},
        {[](M& m) { m.set_method_yaml("learning_rate: [1"); }, "spec.method_yaml"},
        {[](M& m) { m.set_control_period_s(0); }, "spec.control_period_s is 0, must be above 0"},
        {[](M& m) { m.set_translation_scale(kNan); }, "spec.translation_scale is nan"}});
+}
+
+TEST(ConvertTest, AMethodsNameAloneIsItsWholePreset) {
+  v1::SessionSpec message = ToProto(MakeSession());
+  message.set_method_yaml("method: ours");
+  const absl::StatusOr<SessionSpec> spec = FromProto(message);
+  ASSERT_TRUE(spec.ok()) << spec.status();
+  EXPECT_EQ(DumpConfig(spec->method), DumpConfig(*MakeMethod("ours")));
+  // What a server of an older version stored knew nothing of later options, and had none of them.
+  message.set_method_yaml("{method: ours_integral, integral_rate: 0.01}");
+  const absl::StatusOr<SessionSpec> stored = FromStored(message);
+  ASSERT_TRUE(stored.ok()) << stored.status();
+  EXPECT_EQ(stored->method.integral_rate, 0.01);
+  EXPECT_FALSE(stored->method.integral_carry);
+  EXPECT_TRUE(FromProto(message)->method.integral_carry);
+}
+
+TEST(ConvertTest, MessagesAreAsLargeAsWhatAPolicyTakes) {
+  PolicySpec nano;
+  nano.cameras = {"agentview", "wrist"};
+  nano.image_width = nano.image_height = nano.max_view_side = 64;
+  const size_t views = 2 * 64 * 64 * 3 * 8;
+  EXPECT_GT(LargestObservationBytes(nano, nano.max_view_side), views);
+  EXPECT_LT(LargestObservationBytes(nano, nano.max_view_side), views + (100 << 10));
+  EXPECT_GT(LargestObservationBytes(nano, 1280), 2u * 1280 * 1280 * 3 * 8);
+  // A whole horizon of the most joints fits as protobuf writes it.
+  ExecutedChunk chunk = MakeChunk(/*with_base=*/true);
+  ExecutedStep step = chunk.steps[0];
+  step.before.q = step.before.dq = Eigen::VectorXd::Constant(WireLimits::kDof, 0.1);
+  step.policy_command = step.sent_command = step.base_command =
+      Eigen::VectorXf::Constant(nano.action_dim, 0.1f);
+  chunk.final_state = step.before;
+  chunk.steps.assign(static_cast<size_t>(nano.horizon), step);
+  EXPECT_LT(ToProto(chunk).ByteSizeLong(), LargestExecutedBytes(nano));
+  EXPECT_LT(LargestExecutedBytes(nano), 100u << 10);
 }
 
 TEST(ConvertTest, RefusesHostilePolicySpecsAndPredictions) {
@@ -314,7 +359,7 @@ TEST(ConvertTest, ChecksNameWhatThePolicyWants) {
               HasSubstr("has the views [agentview], policy 'fake' wants []"));
   spec.cameras = {"agentview"};
   EXPECT_TRUE(CheckObservation(observation, spec).ok());  // 2 x 1 px: the policy's own affair
-  observation.views[0].image.width = kMaxViewSide + 1;
+  observation.views[0].image.width = spec.max_view_side + 1;
   EXPECT_THAT(
       std::string(CheckObservation(observation, spec).message()),
       HasSubstr("view 'agentview' is 1281 x 1 px, at most 1280 a side; policy 'fake' computes "

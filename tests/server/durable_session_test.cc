@@ -128,6 +128,43 @@ TEST_F(DurableSession, TakesFeedbackOfAPredictionThatItsPredecessorMade) {
   client.RunChunk();
 }
 
+TEST_F(DurableSession, RecallsWhatWasAnsweredAndWhereTheEpisodeStands) {
+  for (const char* method : {"base", "ours_integral", "ours_intent"}) {
+    for (const bool flushed : {false, true}) {
+      fs::remove_all(folder_);
+      spec_ = Spec(method);
+      Rig rig;
+      Client client(Begin(rig));
+      client.StartEpisode(2, 5);
+      client.RunChunks(3);
+      const PredictedChunk answered = client.Predict();
+      EXPECT_TRUE(!flushed || client.session().Flush().ok());
+      client.session().Cancel();
+      const auto again = Again(rig);
+      const auto recalled = again->Recall(answered.prediction_id);
+      ASSERT_TRUE(recalled.ok()) << recalled.status();
+      ASSERT_NE(recalled->answered, nullptr);
+      EXPECT_EQ(recalled->answered->actions, answered.actions);
+      EXPECT_EQ(recalled->answered->policy_actions, answered.policy_actions);
+      EXPECT_EQ(recalled->answered->base_actions, answered.base_actions);
+      EXPECT_EQ(recalled->answered->adapter_version, answered.adapter_version);
+      EXPECT_EQ(std::tuple(recalled->task, recalled->episode, recalled->chunk),
+                std::tuple(2, 5, 3));
+      EXPECT_EQ(again->Recall(0)->id, answered.prediction_id);
+      EXPECT_EQ(again->Position().episode, std::pair(2, 5));
+      EXPECT_EQ(again->Position().next_chunk, 4);
+      const absl::Status unknown = again->Recall(99).status();
+      EXPECT_EQ(unknown.code(), absl::StatusCode::kFailedPrecondition);
+      EXPECT_THAT(std::string(unknown.message()), HasSubstr("prediction 99 is not one"));
+      EXPECT_FALSE(again->Repeated(4).has_value());
+      ASSERT_TRUE(again->Repeated(3).has_value());
+      EXPECT_EQ(again->CountersNow().duplicates, 1u);
+      ASSERT_TRUE(again->StartEpisode(2, 6, 3).ok());
+      EXPECT_EQ(again->Position().next_chunk, 0);
+    }
+  }
+}
+
 TEST_F(DurableSession, AnUpdateUnderWayAtTheEndIsMadeAgain) {
   spec_.mode = ExecutionMode::kAsync;
   Rig rig;

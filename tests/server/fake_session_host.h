@@ -1,6 +1,7 @@
 #pragma once
 
 #include <map>
+#include <new>
 #include <string>
 #include <vector>
 
@@ -36,7 +37,11 @@ class FakeSessionHost : public SessionHost {
     absl::MutexLock lock(&mu);
     if (sessions.count(id) == 0) return absl::NotFoundError("no such session");
     if (token != "secret") return absl::PermissionDeniedError("not its token");
-    return Resumed{spec, false, taken.size(), std::nullopt, 0};
+    Resumed resumed{spec, false, taken.size()};
+    if (!episodes.empty()) resumed.episode = episodes.back();
+    resumed.next_chunk = chunks.empty() ? 0 : chunks.back() + 1;
+    resumed.control_period_s = sessions.at(id).control_period_s;
+    return resumed;
   }
   absl::Status CloseSession(const Caller&, const std::string& id) override {
     absl::MutexLock lock(&mu);
@@ -51,9 +56,10 @@ class FakeSessionHost : public SessionHost {
     return absl::OkStatus();
   }
   absl::StatusOr<PredictedChunk> Predict(const Caller&, const std::string&,
-                                         const Observation& observation, const EpisodeKey&,
+                                         const Observation& observation, const EpisodeKey& key,
                                          int chunk, uint64_t) override {
     absl::MutexLock lock(&mu);
+    if (out_of_memory) throw std::bad_alloc();
     observations.push_back(observation);
     chunks.push_back(chunk);
     PredictedChunk prediction;
@@ -64,7 +70,21 @@ class FakeSessionHost : public SessionHost {
                                             0.01f * static_cast<float>(i));
     prediction.policy_actions = prediction.actions;
     prediction.adapter_version = 3;
+    predictions.push_back({key, chunk, prediction});
     return prediction;
+  }
+  absl::StatusOr<Recalled> Recall(const Caller&, const std::string&, uint64_t id) override {
+    absl::MutexLock lock(&mu);
+    if (id == 0) id = predictions.size();
+    if (id == 0 || id > predictions.size())
+      return absl::FailedPreconditionError(absl::StrCat("prediction ", id, " is not held"));
+    return predictions[id - 1];
+  }
+  absl::StatusOr<std::optional<Acknowledged>> Repeated(const Caller&, const std::string&,
+                                                       uint64_t sequence) override {
+    absl::MutexLock lock(&mu);
+    if (sequence > taken.size()) return std::nullopt;
+    return Acknowledged{taken.size(), 2, false, true};
   }
   absl::StatusOr<Acknowledged> Feedback(const Caller&, const std::string&,
                                         const ExecutedChunk& chunk) override {
@@ -77,10 +97,12 @@ class FakeSessionHost : public SessionHost {
   PolicySpec spec;
   absl::Mutex mu;
   int opened = 0;
+  bool out_of_memory = false;
   std::map<std::string, SessionSpec> sessions;
   std::vector<EpisodeKey> episodes;
   std::vector<Observation> observations;
   std::vector<int> chunks;
+  std::vector<Recalled> predictions;
   std::vector<ExecutedChunk> taken;
 };
 

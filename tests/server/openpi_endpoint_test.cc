@@ -15,6 +15,7 @@
 namespace robostress {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 using Clock = std::chrono::steady_clock;
 
@@ -38,9 +39,11 @@ std::string LiberoObservation() {
 
 class OpenpiEndpointTest : public ::testing::Test {
  protected:
-  void Start(WebServerOptions options = {}, const AccessTokens& tokens = {}) {
+  void Start(WebServerOptions options = {}, const AccessTokens& tokens = {},
+             const OpenpiInputOptions& input = {}) {
     tokens_ = tokens;
     OpenpiOptions openpi;
+    openpi.input = input;
     openpi.session.suite = "openpi";
     openpi.session.scenario = "unknown";
     openpi.session.mode = ExecutionMode::kAsync;
@@ -53,8 +56,9 @@ class OpenpiEndpointTest : public ::testing::Test {
         },
         [this,
          openpi](const WebRequest& request) -> absl::StatusOr<std::unique_ptr<WebConversation>> {
-          const auto caller = tokens_.Authenticate(request.authorization);
+          auto caller = tokens_.Authenticate(request.authorization);
           if (!caller.ok()) return caller.status();
+          caller->host = request.peer.substr(0, request.peer.rfind(':'));
           return std::make_unique<OpenpiConversation>(openpi, &host_, &metrics_, *caller);
         },
         &metrics_);
@@ -104,7 +108,8 @@ TEST_F(OpenpiEndpointTest, ServesAnExistingClientUnchanged) {
     EXPECT_THAT(reply.payload, HasSubstr(actions.bytes()));
     const auto decoded = DecodeOpenpi(reply.payload);
     ASSERT_TRUE(decoded.ok());
-    EXPECT_GE(*OpenpiNumbers("t", *decoded->Find("policy_timing")->Find("infer_ms"))->begin(), 0);
+    EXPECT_GE(*OpenpiNumbers("t", *decoded->Find("policy_timing")->Find("infer_ms"), 1)->begin(),
+              0);
     EXPECT_EQ(decoded->Find("server_timing")->Find("prev_total_ms") != nullptr, i > 1);
     EXPECT_EQ(std::get<int64_t>(decoded->Find("adapter")->Find("version")->value), 3);
   }
@@ -267,9 +272,13 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
   resume.Text("id").Text("session-1").Text("token").Text(token);
   again->SendFrame(resume.bytes());
   ASSERT_EQ(again->Read().opcode, WebClient::kBinary);
+  // Where it was: no episode is begun, which would clear a buffer, and the next chunk follows.
+  EXPECT_EQ(host_.episodes.size(), 1u);
+  EXPECT_EQ(host_.predictions.back().episode.task, 2);
+  EXPECT_EQ(host_.chunks.back(), 1);
   OpenpiBytes repeated;
   repeated.Map(1).Text("executed").Map(3).Text("sequence").Integer(1);
-  repeated.Text("prediction_id").Integer(2);
+  repeated.Text("prediction_id").Integer(77);  // whatever it says that it was about
   repeated.Text("q").Numbers<double>("<f8", {3, 7}, std::vector<double>(21, 0.25));
   again->SendFrame(repeated.bytes());
   payload = again->Read().payload;
@@ -277,6 +286,17 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
   ASSERT_TRUE(reply.ok());
   EXPECT_TRUE(std::get<bool>(reply->Find("feedback")->Find("duplicate")->value));
   EXPECT_EQ(host_.taken.size(), 1u);
+  // The rest of the chunk that the first connection was given.
+  OpenpiBytes rest;
+  rest.Map(1);
+  again->SendFrame(report(rest, 2).bytes());
+  payload = again->Read().payload;
+  reply = DecodeOpenpi(payload);
+  ASSERT_TRUE(reply.ok()) << payload;
+  EXPECT_FALSE(std::get<bool>(reply->Find("feedback")->Find("duplicate")->value));
+  ASSERT_EQ(host_.taken.size(), 2u);
+  EXPECT_EQ(host_.taken[1].chunk, 0);
+  EXPECT_FLOAT_EQ(host_.taken[1].steps[0].sent_command[0], 1.02f);
 
   const auto thief = Connect();
   OpenpiBytes wrong;
@@ -325,6 +345,31 @@ TEST_F(OpenpiEndpointTest, GivesAPageOfAnotherOriginNoWebSocket) {
   EXPECT_EQ(WebClient(server_->port()).Upgrade("Origin: http://127.0.0.1\r\n"), 101);
 }
 
+TEST_F(OpenpiEndpointTest, AnswersNoBrowserThatNamesAForeignHost) {
+  WebServerOptions options;
+  options.allowed_hosts = {"robot.example"};
+  Start(options);
+  const auto get = [this](const std::string& path, const std::string& host) {
+    return WebClient(server_->port()).Get(path, "", "GET", host);
+  };
+  const auto [status, message] = get("/", "attacker.example:8000");
+  EXPECT_EQ(status, 421);
+  EXPECT_THAT(message, AllOf(HasSubstr("'attacker.example:8000'"), HasSubstr("--allowed-hosts")));
+  EXPECT_EQ(get("/", "").first, 421);
+  EXPECT_EQ(get("/", "127.0.0.1.attacker.example").first, 421);
+  for (const char* known : {"127.0.0.1", "127.0.0.1:8000", "[::1]:8000", "LOCALHOST:1",
+                            "Robot.example:8000", "192.0.2.7"})
+    EXPECT_EQ(get("/", known).first, 426) << known;
+  EXPECT_EQ(get("/healthz", "attacker.example").first, 200);
+  const auto upgrade = [this](const std::string& origin, const std::string& host) {
+    return WebClient(server_->port()).Upgrade(origin, host);
+  };
+  // The page's origin and the host agree: only the name gives it away.
+  EXPECT_EQ(upgrade("Origin: http://attacker.example\r\n", "attacker.example"), 421);
+  EXPECT_EQ(upgrade("Origin: http://robot.example\r\n", "robot.example"), 101);
+  EXPECT_EQ(upgrade("", "attacker.example"), 101);  // no browser
+}
+
 TEST_F(OpenpiEndpointTest, ClosesOnAMessageBeyondTheLimitBeforeItIsThere) {
   WebServerOptions options;
   options.max_message_bytes = 100000;
@@ -335,6 +380,185 @@ TEST_F(OpenpiEndpointTest, ClosesOnAMessageBeyondTheLimitBeforeItIsThere) {
   const WebClient::Frame close = client->Read();
   EXPECT_EQ(close.opcode, WebClient::kClose);
   EXPECT_EQ(close.close_code(), 1009);
+}
+
+TEST_F(OpenpiEndpointTest, TakesMessagesAsLargeAsItsPolicyNeeds) {
+  host_.spec.image_width = host_.spec.image_height = 64;
+  Start();
+  // Its own size in float64 is taken, which is 8 times what a client sends.
+  const auto floats = [](int side) {
+    OpenpiBytes message;
+    message.Map(4);
+    for (const char* key : {"observation/image", "observation/wrist_image"})
+      message.Text(key).Numbers<double>("<f8", {side, side, 3},
+                                        std::vector<double>(static_cast<size_t>(3 * side * side)));
+    message.Text("observation/state").Numbers<double>("<f8", {8}, std::vector<double>(8));
+    return message.Text("prompt").Text("p").bytes();
+  };
+  const auto client = Connect();
+  client->SendFrame(floats(64));
+  EXPECT_EQ(client->Read().opcode, WebClient::kBinary);
+  // From now on it is the session's own policy that says what is too large.
+  client->Send(WebClient::FrameBytes(std::string(400000, 'x')).substr(0, 200));
+  EXPECT_EQ(client->Read().close_code(), 1009);
+  // Before, a client may still ask for resizing; megabytes have no place in either.
+  const auto early = Connect();
+  early->SendFrame(std::string(400000, 'x'));
+  EXPECT_EQ(early->Read().opcode, WebClient::kText);
+  const auto large = Connect();
+  large->Send(WebClient::FrameBytes(std::string(8 << 20, 'x')).substr(0, 200));
+  EXPECT_EQ(large->Read().close_code(), 1009);
+}
+
+TEST_F(OpenpiEndpointTest, ResizesViewsForWhomItWasAskedFor) {
+  host_.spec.image_width = host_.spec.image_height = 64;
+  const auto observation = [](const std::string& session, int width = 224, int height = 168) {
+    OpenpiBytes message;
+    message.Map(session.empty() ? 4 : 5);
+    if (!session.empty()) message.Text("session").Map(1).Text(session).True();
+    for (const char* key : {"observation/image", "observation/wrist_image"})
+      message.Text(key).Array("|u1", {height, width, 3}, Pixels(9, width, height));
+    message.Text("observation/state").Numbers<double>("<f8", {8}, std::vector<double>(8));
+    return message.Text("prompt").Text("p").bytes();
+  };
+  Start();
+  const auto stock = Connect();
+  stock->SendFrame(observation(""));
+  EXPECT_THAT(stock->Read().payload,
+              AllOf(HasSubstr("observation/image: is 224 x 168, policy fake takes 64 x 64"),
+                    HasSubstr("session: {resize: true}"), HasSubstr("--websocket-resize")));
+  const auto asking = Connect();
+  asking->SendFrame(observation("resize"));
+  EXPECT_EQ(asking->Read().opcode, WebClient::kBinary);
+  asking->SendFrame(observation(""));
+  EXPECT_EQ(asking->Read().opcode, WebClient::kBinary);
+  const auto wide = Connect();
+  wide->SendFrame(observation("resize", 300, 2));
+  EXPECT_THAT(wide->Read().payload,
+              AllOf(HasSubstr("observation/image: is 300 x 2, a side must be 1..256"),
+                    HasSubstr("--max-view-side")));
+  // With padding, as openpi's clients do it: the picture in the middle, black above and below.
+  ASSERT_EQ(host_.observations.size(), 2u);
+  for (const Observation& seen : host_.observations) {
+    const Image& image = seen.views[1].image;
+    ASSERT_EQ(image.data.size(), 3u * 64 * 64);
+    EXPECT_EQ(image.data[3 * (7 * 64 + 30)], 0);
+    EXPECT_EQ(image.data[3 * (8 * 64 + 30)], 9);
+    EXPECT_EQ(image.data[3 * (55 * 64 + 30)], 9);
+    EXPECT_EQ(image.data[3 * (56 * 64 + 30)], 0);
+  }
+
+  OpenpiInputOptions input;
+  input.resize = true;
+  Start({}, {}, input);
+  WebClient client(server_->port());
+  ASSERT_EQ(client.Upgrade(), 101);
+  const std::string greeting = client.Read().payload;
+  const auto metadata = DecodeOpenpi(greeting);
+  ASSERT_TRUE(metadata.ok());
+  const OpenpiValue& policy =
+      std::get<OpenpiValue::List>(metadata->Find("policies")->value).front();
+  EXPECT_EQ(std::get<int64_t>(policy.Find("image_width")->value), 64);
+  EXPECT_EQ(std::get<int64_t>(policy.Find("image_height")->value), 64);
+  EXPECT_EQ(std::get<int64_t>(policy.Find("max_view_side")->value), 1280);
+  EXPECT_TRUE(std::get<bool>(policy.Find("resizes_images")->value));
+  client.SendFrame(observation("", 1280, 720));
+  EXPECT_EQ(client.Read().opcode, WebClient::kBinary);
+}
+
+TEST_F(OpenpiEndpointTest, NamesTheKeyThatTheClientUsed) {
+  Start();
+  const auto refusal = [this](const std::string& message) {
+    const auto client = Connect();
+    client->SendFrame(message);
+    return client->Read().payload;
+  };
+  const auto with_state = [](const std::string& key, const std::vector<double>& values) {
+    OpenpiBytes message;
+    message.Map(4).Text("observation/image").Array("|u1", {4, 4, 3}, Pixels(1));
+    message.Text("observation/wrist_image").Array("|u1", {4, 4, 3}, Pixels(1));
+    message.Text("prompt").Text("p");
+    const int size = static_cast<int>(values.size());
+    if (key.empty()) {
+      message.Text("observation").Map(2).Text("joint_position");
+      message.Numbers<double>("<f8", {size - 1}, {values.begin(), values.end() - 1});
+      return message.Text("gripper_position").Numbers<double>("<f8", {1}, {values.back()}).bytes();
+    }
+    return message.Text(key).Numbers<double>("<f8", {size}, values).bytes();
+  };
+  std::vector<double> values(8, 1.0);
+  values[7] = 1e300;
+  EXPECT_THAT(refusal(with_state("state", values)), HasSubstr("state[7] is 1e+300"));
+  EXPECT_THAT(refusal(with_state("", values)),
+              HasSubstr("observation/gripper_position[0] is 1e+300, too large for a float32"));
+  values[7] = 1;
+  values[2] = std::nan("");
+  EXPECT_THAT(refusal(with_state("", values)), HasSubstr("observation/joint_position[2] is nan"));
+  EXPECT_THAT(
+      refusal(with_state("", {1, 2})),
+      HasSubstr("observation/joint_position + observation/gripper_position: holds 2 numbers"));
+  EXPECT_THAT(refusal(with_state("robot_state", {1, 2})),
+              AllOf(HasSubstr("no state among the keys"), HasSubstr("robot_state"),
+                    HasSubstr("observation/joint_position")));
+  const auto with_session = [](const std::string& key, const std::string& value) {
+    OpenpiBytes message;
+    LiberoKeys(message.Map(5)).Text("session").Map(1);
+    return message.Text(key).Text(value).bytes();
+  };
+  EXPECT_THAT(refusal(with_session("suite", "two words")),
+              HasSubstr("session/suite contains byte"));
+  EXPECT_THAT(refusal(with_session("method", "magic")),
+              AllOf(HasSubstr("session/method"), HasSubstr("unknown method 'magic'; known: base")));
+  EXPECT_THAT(refusal(with_session("method", "")), HasSubstr("unknown method ''; known: base"));
+  OpenpiBytes options;
+  LiberoKeys(options.Map(5)).Text("session").Map(1).Text("method_options");
+  options.Byte(0x91).Text("learning_rate=0.1");
+  EXPECT_THAT(refusal(options.bytes()),
+              AllOf(HasSubstr("session/method_options"), HasSubstr("name one of: base, ours")));
+  options = {};
+  LiberoKeys(options.Map(5)).Text("session").Map(2).Text("method").Text("ours");
+  options.Text("method_options").Byte(0x91).Text("method=base");
+  EXPECT_THAT(refusal(options.bytes()), HasSubstr("names another preset"));
+}
+
+TEST_F(OpenpiEndpointTest, EndsTheClientAndNotTheServerWhenMemoryRunsOut) {
+  Start();
+  host_.out_of_memory = true;
+  const auto client = Connect();
+  client->SendFrame(LiberoObservation());
+  const WebClient::Frame text = client->Read();
+  EXPECT_EQ(text.opcode, WebClient::kText);
+  EXPECT_THAT(text.payload, HasSubstr("the message was not answered: std::bad_alloc"));
+  EXPECT_EQ(client->Read().close_code(), 1011);
+  host_.out_of_memory = false;
+  const auto next = Connect();
+  next->SendFrame(LiberoObservation());
+  EXPECT_EQ(next->Read().opcode, WebClient::kBinary);
+}
+
+TEST_F(OpenpiEndpointTest, EndsABrokenFrameWithItsCode) {
+  Start();
+  const std::string masked = WebClient::FrameBytes("hello");
+  std::string reserved_bit = masked, reserved_opcode = masked,
+              unmasked(
+                  "\x82\x03"
+                  "abc"),
+              fragmented_ping = WebClient::FrameBytes("x", WebClient::kPing), continuation = masked;
+  reserved_bit[0] = static_cast<char>(0xc2);
+  reserved_opcode[0] = static_cast<char>(0x83);
+  fragmented_ping[0] = 0x09;
+  continuation[0] = static_cast<char>(0x80);
+  for (const std::string& frame :
+       {reserved_bit, reserved_opcode, unmasked, fragmented_ping, continuation}) {
+    const auto client = Connect();
+    client->Send(frame);
+    const WebClient::Frame close = client->Read();
+    EXPECT_EQ(close.opcode, WebClient::kClose);
+    EXPECT_EQ(close.close_code(), 1002);
+  }
+  const auto text = Connect();
+  text->SendFrame("\xff", WebClient::kText);
+  EXPECT_EQ(text->Read().close_code(), 1007);
 }
 
 TEST_F(OpenpiEndpointTest, SurvivesAStreamCutAtEveryByteOfAMessage) {
@@ -407,15 +631,61 @@ TEST_F(OpenpiEndpointTest, CutsAReaderThatDoesNotRead) {
   EXPECT_LT(host_.observations.size(), 40u);  // one reply at a time: it waited for the reader
 }
 
-TEST_F(OpenpiEndpointTest, RefusesConnectionsBeyondTheLimit) {
+TEST_F(OpenpiEndpointTest, RefusesConnectionsBeyondTheLimitButAnswersProbes) {
   WebServerOptions options;
-  options.max_connections = 2;
+  options.max_connections = options.max_connections_per_client = 2;
   Start(options);
   const auto first = Connect(), second = Connect();
+  WebClient third(server_->port());
+  EXPECT_EQ(third.Upgrade(), 503);
+  EXPECT_EQ(WebClient(server_->port()).Get("/").first, 503);
+  EXPECT_EQ(WebClient(server_->port()).Get("/healthz"), std::pair(200, std::string("OK\n")));
+  // Whoever sits in the probes' places without a word leaves them soon.
+  std::vector<std::unique_ptr<WebClient>> silent;
+  AwaitConnections(2);
+  for (int i = 0; i < WebServerOptions::kHealthPlaces; ++i)
+    silent.push_back(std::make_unique<WebClient>(server_->port()));
+  AwaitConnections(2 + WebServerOptions::kHealthPlaces);
   EXPECT_THAT(WebClient(server_->port()).Receive(SIZE_MAX), HasSubstr("503"));
+  AwaitConnections(2);
+  EXPECT_EQ(WebClient(server_->port()).Get("/healthz").first, 200);
+  first->Close();
+  AwaitConnections(1);
+  const auto fourth = Connect();
+}
+
+TEST_F(OpenpiEndpointTest, GivesOneClientNoMoreThanItsShareOfTheConnections) {
+  WebServerOptions options;
+  options.max_connections = 4;
+  Start(options);
+  const auto first = Connect(), second = Connect();  // half of them
+  EXPECT_EQ(WebClient(server_->port()).Upgrade(), 503);
+  const auto [status, message] = WebClient(server_->port()).Get("/");
+  EXPECT_EQ(status, 503);
+  EXPECT_THAT(message, HasSubstr("--connections-per-client"));
+  EXPECT_EQ(WebClient(server_->port()).Get("/healthz").first, 200);
+  AwaitConnections(2);
   first->Close();
   AwaitConnections(1);
   const auto third = Connect();
+}
+
+TEST_F(OpenpiEndpointTest, CountsConnectionsByWhoeverTheirTokenNames) {
+  const auto tokens = AccessTokens::Parse(
+      "t", absl::StrCat("tokens: [{name: arm, sha256: ", Sha256Hex(kSecret),
+                        ", scopes: [predict]}, {name: other, sha256: ", Sha256Hex("another"),
+                        ", scopes: [predict]}]"));
+  ASSERT_TRUE(tokens.ok()) << tokens.status();
+  WebServerOptions options;
+  options.max_connections = 8;
+  options.max_connections_per_client = 2;
+  Start(options, *tokens);
+  const std::string arm = absl::StrCat("Authorization: Api-Key ", kSecret, "\r\n");
+  const auto first = Connect(arm), second = Connect(arm);
+  WebClient third(server_->port());
+  EXPECT_EQ(third.Upgrade(arm), 503);
+  EXPECT_THAT(third.Receive(40), HasSubstr("holds 2 connections"));
+  const auto other = Connect("Authorization: Api-Key another\r\n");  // from the same address
 }
 
 TEST_F(OpenpiEndpointTest, SaysGoodbyeWhenItIsStopped) {

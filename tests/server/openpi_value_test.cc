@@ -4,9 +4,11 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <fstream>
 #include <limits>
 
 #include "absl/strings/escaping.h"
+#include "server/edge/openpi_observation.h"
 #include "tests/server/openpi_bytes.h"
 
 namespace robostress {
@@ -44,7 +46,7 @@ TEST(DecodeOpenpi, ReadsTheDocumentedBytesWithKeysOfEitherKind) {
     }
     const auto decoded = DecodeOpenpi(message.bytes());
     ASSERT_TRUE(decoded.ok()) << decoded.status();
-    EXPECT_THAT(*OpenpiNumbers("a", *decoded->Find("a")), ElementsAre(1, 2)) << key;
+    EXPECT_THAT(*OpenpiNumbers("a", *decoded->Find("a"), 8), ElementsAre(1, 2)) << key;
   }
 }
 
@@ -58,9 +60,9 @@ TEST(DecodeOpenpi, TakesEveryNumericKindAndNumpyScalars) {
   message.Text("<i8");
   const auto decoded = DecodeOpenpi(message.bytes());
   ASSERT_TRUE(decoded.ok()) << decoded.status();
-  EXPECT_THAT(*OpenpiNumbers("i8", *decoded->Find("i8")), ElementsAre(-3, 4));
-  EXPECT_THAT(*OpenpiNumbers("u1", *decoded->Find("u1")), ElementsAre(7, 255));
-  EXPECT_THAT(*OpenpiNumbers("b1", *decoded->Find("b1")), ElementsAre(1));
+  EXPECT_THAT(*OpenpiNumbers("i8", *decoded->Find("i8"), 8), ElementsAre(-3, 4));
+  EXPECT_THAT(*OpenpiNumbers("u1", *decoded->Find("u1"), 8), ElementsAre(7, 255));
+  EXPECT_THAT(*OpenpiNumbers("b1", *decoded->Find("b1"), 8), ElementsAre(1));
   EXPECT_EQ(*OpenpiInteger("scalar", *decoded->Find("scalar"), 0, 10), 9);
 }
 
@@ -104,12 +106,52 @@ TEST(DecodeOpenpi, RefusesTwoEqualKeysExtensionsAndWhatGrows) {
   EXPECT_THAT(Refusal(wide.bytes()), HasSubstr("one value too many"));
 }
 
+// Most that this process held since the last call, [MiB].
+double PeakMib() {
+  std::ifstream status("/proc/self/status");
+  double kib = 0;
+  for (std::string line; std::getline(status, line);) {
+    if (line.rfind("VmHWM:", 0) == 0) kib = std::stod(line.substr(6));
+  }
+  std::ofstream("/proc/self/clear_refs") << "5";
+  return kib / 1024;
+}
+
+TEST(OpenpiReaders, RefuseByTheShapeBeforeTheyConvert) {
+  constexpr int kMib = 63;
+  OpenpiBytes message;
+  message.Map(3).Text("u1").Array("|u1", {kMib << 20}, std::string(size_t{kMib} << 20, 1));
+  message.Text("rows").Array("|u1", {1 << 10, 1 << 10}, std::string(1 << 20, 1));
+  message.Text("text").Bin(std::string(1 << 20, 'x'));
+  const auto decoded = DecodeOpenpi(message.bytes());
+  ASSERT_TRUE(decoded.ok()) << decoded.status();
+  const auto refused = [](const auto& result) { return std::string(result.status().message()); };
+  PeakMib();
+  const double before = PeakMib();
+  EXPECT_EQ(OpenpiCount(*decoded->Find("u1")), size_t{kMib} << 20);
+  EXPECT_THAT(refused(OpenpiNumbers("state", *decoded->Find("u1"), 8)),
+              HasSubstr("state: holds 66060288 numbers, must hold at most 8"));
+  EXPECT_THAT(refused(OpenpiMatrix("q", *decoded->Find("u1"), {2, 51}, {1, 64})),
+              HasSubstr("q: has shape [66060288], must be an array of shape [2..51, 1..64]"));
+  EXPECT_THAT(refused(OpenpiMatrix("q", *decoded->Find("rows"), {2, 51}, 7)),
+              HasSubstr("q: has shape [1024, 1024], must be an array of shape [2..51, 7]"));
+  EXPECT_THAT(refused(OpenpiText("id", *decoded->Find("text"), 256)),
+              HasSubstr("id: has 1048576 bytes, must be a text of at most 256 bytes"));
+  PolicySpec policy;
+  policy.horizon = 50;
+  policy.cameras = {"u1", "rows"};
+  for (const bool asked : {false, true}) {
+    EXPECT_FALSE(ReadOpenpiObservation(*decoded, policy, {.default_prompt = "p"}, asked).ok());
+  }
+  EXPECT_LT(PeakMib() - before, 1) << "something was allocated for what is refused";
+}
+
 TEST(OpenpiNumbers, RefusesWhatIsNotFiniteWithItsPlace) {
   const OpenpiBytes message =
       OpenpiBytes().Map(1).Text("state").Numbers<double>("<f8", {3}, {1, std::nan(""), 2});
   const auto decoded = DecodeOpenpi(message.bytes());
   ASSERT_TRUE(decoded.ok());
-  EXPECT_THAT(std::string(OpenpiNumbers("state", *decoded->Find("state")).status().message()),
+  EXPECT_THAT(std::string(OpenpiNumbers("state", *decoded->Find("state"), 8).status().message()),
               HasSubstr("state[1] is nan, must be finite"));
 }
 

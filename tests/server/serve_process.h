@@ -5,6 +5,7 @@
 #include <unistd.h>
 #include <yaml-cpp/yaml.h>
 
+#include <algorithm>
 #include <chrono>
 #include <csignal>
 #include <cstdio>
@@ -17,16 +18,17 @@
 
 namespace robostress {
 
-// `robostress serve` with nano's graph and random weights, in a folder of its own; terminated, and
-// its exit code checked, at the end.
+// `robostress serve` with nano's graph and random weights, where no policy is named, in a folder of
+// its own; terminated, and its exit code checked, at the end.
 class ServeProcess {
  public:
   ServeProcess(const std::string& program, std::vector<std::string> arguments)
       : folder_(std::filesystem::path(::testing::TempDir()) /
                 absl::StrCat("serve-", getpid(), "-", ++count_)) {
     std::filesystem::create_directories(folder_);
-    const std::vector<std::string> common{program, "--policy",     "nano:random", "--threads",
-                                          "1",           "--ports-file", Path("ports")};
+    std::vector<std::string> common{program, "--threads", "1", "--ports-file", Path("ports")};
+    if (std::find(arguments.begin(), arguments.end(), "--policy") == arguments.end())
+      common.insert(common.end(), {"--policy", "nano:random"});
     arguments.insert(arguments.begin(), common.begin(), common.end());
     child_ = fork();
     if (child_ == 0) {

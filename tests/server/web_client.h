@@ -59,9 +59,10 @@ class WebClient {
 
   // Status and body of a request; the connection is closed after it.
   std::pair<int, std::string> Get(const std::string& target, const std::string& headers = "",
-                                  const std::string& method = "GET") {
-    Send(method + " " + target + " HTTP/1.1\r\nHost: x\r\nConnection: close\r\n" + headers +
-         "\r\n");
+                                  const std::string& method = "GET",
+                                  const std::string& host = "127.0.0.1") {
+    Send(method + " " + target + " HTTP/1.1\r\nHost: " + host + "\r\nConnection: close\r\n" +
+         headers + "\r\n");
     const std::string answer = Receive(SIZE_MAX);
     const size_t body = answer.find("\r\n\r\n");
     if (answer.size() < 12 || body == std::string::npos) return {0, answer};
@@ -71,11 +72,11 @@ class WebClient {
   const std::string& head() const { return head_; }
 
   // The status line's number: 101 when the WebSocket is open.
-  int Upgrade(const std::string& headers = "") {
-    Send(
-        "GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n" +
-        headers + "\r\n");
+  int Upgrade(const std::string& headers = "", const std::string& host = "127.0.0.1") {
+    Send("GET / HTTP/1.1\r\nHost: " + host +
+         "\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+         "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n" +
+         headers + "\r\n");
     head_.clear();
     while (head_.find("\r\n\r\n") == std::string::npos) {
       const std::string byte = Receive(1);

@@ -50,6 +50,7 @@ class OpenpiPolicy : public FlowPolicy {
       if (!camera.empty()) spec_.cameras.push_back(camera);
     }
     spec_.image_width = spec_.image_height = static_cast<int>(model_.config.image);
+    spec_.resizes_images = true;
     spec_.state_dim = static_cast<int>(setup.robot.state_dim);
     spec_.action_dim = static_cast<int>(setup.robot.action_dim);
     spec_.horizon = static_cast<int>(model_.config.horizon);
