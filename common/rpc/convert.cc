@@ -158,6 +158,8 @@ robostress::v1::PolicySpec ToProto(const PolicySpec& spec) {
   message.set_horizon(static_cast<uint32_t>(spec.horizon));
   message.set_execute_steps(static_cast<uint32_t>(spec.execute_steps));
   message.set_adaptable(spec.adaptable);
+  message.mutable_action_low()->Add(spec.action_low.begin(), spec.action_low.end());
+  message.mutable_action_high()->Add(spec.action_high.begin(), spec.action_high.end());
   return message;
 }
 
@@ -191,6 +193,9 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
   spec.horizon = static_cast<int>(message.horizon());
   spec.execute_steps = static_cast<int>(message.execute_steps());
   spec.adaptable = message.adaptable();
+  spec.action_low.assign(message.action_low().begin(), message.action_low().end());
+  spec.action_high.assign(message.action_high().begin(), message.action_high().end());
+  RS_RETURN_IF_ERROR(CheckActionRange(spec));
   return spec;
 }
 
