@@ -103,6 +103,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
   absl::Status OpenRegistry() {
     SessionRegistryOptions registry;
     registry.max_sessions = options_.max_sessions;
+    registry.caps = options_.caps;
     registry.state_dir = options_.state_dir;
     registry.abandoned_after = options_.abandoned_after;
     registry.expire_after = options_.expire_after;

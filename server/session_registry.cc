@@ -162,6 +162,7 @@ absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& reques
   opened.id = SessionFolders::kPrefix + name;
   RS_RETURN_IF_ERROR(TakePlace());
   uint64_t owner = 0;
+  RS_RETURN_IF_ERROR(CheckMethodCaps(request.spec.method, options_.caps));
   {
     absl::MutexLock lock(&mu_);
     owner = ++last_owner_;

@@ -16,6 +16,7 @@
 #include "absl/time/time.h"
 #include "common/clock.h"
 #include "server/session.h"
+#include "server/session_checks.h"
 #include "server/session_request.h"
 #include "server/state/session_folders.h"
 
@@ -33,6 +34,7 @@ struct SessionRegistryOptions {
   // server runs, so a wall clock that jumps closes nothing.
   absl::Duration expire_after = absl::InfiniteDuration();
 };
+  MethodCaps caps;  // of sessions that are opened; those on disk go on
 
 struct OpenedSession {
   std::string id;
