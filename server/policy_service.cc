@@ -226,6 +226,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
       response->set_resumes(counters.resumes);
       response->set_rollbacks(counters.rollbacks);
       response->set_steps_masked(counters.steps_masked);
+      response->set_steps_impossible(counters.steps_impossible);
       response->set_journal_bytes(counters.journal_bytes);
       response->set_durable(session.durable());
       return absl::OkStatus();

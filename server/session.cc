@@ -9,6 +9,7 @@
 #include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
+#include "server/command_bounds.h"
 #include "server/session_checks.h"
 #include "server/state/session_journal.h"
 #include "server/torch_threads.h"
@@ -29,6 +30,23 @@ ResidualOptions ScaledResidualOptions(const SessionSpec& spec) {
   options.translation_scale = spec.translation_scale;
   options.rotation_scale = spec.rotation_scale;
   return options;
+}
+
+// What a policy may answer and a session may keep: numbers, and actions that are commands. (Keys
+// and values that are none show in the actions.)
+absl::Status CheckComputed(const ComputedPrediction& computed) {
+  // Written so that what is not a number is refused too.
+  const auto commands = [](const Eigen::MatrixXf& actions) {
+    return actions.size() == 0 || (actions.array().abs() <= kWidestCommand).all();
+  };
+  if (commands(computed.policy_actions) && commands(computed.base_actions) &&
+      torch::isfinite(computed.raw).all().item<bool>() &&
+      torch::isfinite(computed.context.state).all().item<bool>())
+    return absl::OkStatus();
+  return absl::InternalError(
+      absl::StrCat("the policy predicted a value that is not finite, or above ", kWidestCommand,
+                   ", with adapter version ", computed.adapter_version,
+                   "; check the observation, lower the learning rate or roll the adapter back"));
 }
 
 }  // namespace
@@ -173,20 +191,17 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
   result.batch_size = computed->batch_size;
   result.policy_actions = std::move(computed->policy_actions);
   result.base_actions = std::move(computed->base_actions);
-  if (!result.policy_actions.allFinite()) {
-    return absl::InternalError(
-        absl::StrCat("the policy predicted a value that is not finite with adapter version ",
-                     result.adapter_version, "; lower the learning rate or roll the adapter back"));
-  }
-
   result.actions = result.policy_actions;
   const Eigen::Index arm = result.actions.cols() - 1;
   if (spec_.method.gain != 1.0) {
     result.actions.leftCols(arm) *= static_cast<float>(spec_.method.gain);
   }
   if (correction.size() > 0) {
-    result.actions.leftCols(arm).rowwise() += correction.head(arm).cast<float>().transpose();
+    constexpr double kWidest = kWidestCommand;  // what does not fit in a float would be undefined
+    result.actions.leftCols(arm).rowwise() +=
+        correction.head(arm).cwiseMax(-kWidest).cwiseMin(kWidest).cast<float>().transpose();
   }
+  RS_RETURN_IF_ERROR(CheckComputed(*computed));
 
   Prediction prediction{result.prediction_id, task, episode, chunk};
   if (adapter_ != nullptr) {
@@ -197,6 +212,9 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
                                                  std::move(computed->context));
     if (spec_.method.target == TargetReference::kIntent) prediction.base = result.base_actions;
   }
+  // After the last stage, whatever it was.
+  if (spec_.method.gain != 1.0 || correction.size() > 0)
+    BoundCommands(policy_spec(), result.policy_actions, result.actions);
   const std::string record = PredictionRecord(prediction);
   std::shared_ptr<RecordWriter> writer;
   {
@@ -266,3 +284,4 @@ SessionCounters Session::CountersNow() {
 }
 
 }  // namespace robostress
+  counters.steps_impossible = steps_impossible_;

@@ -90,7 +90,8 @@ struct SessionCounters {
   uint64_t duplicates = 0;  // feedback that was in already
   uint64_t resumes = 0;     // since this server started
   uint64_t rollbacks = 0;
-  uint64_t steps_masked = 0;
+  uint64_t steps_masked = 0;        // by the client
+  uint64_t steps_impossible = 0;    // by the server (adapter/plausible_motion.h)
   uint64_t journal_bytes = 0;       // since the last snapshot
   uint64_t snapshots_failed = 0;    // e.g. the disk was full; the journal goes on
   uint64_t predictions_unkept = 0;  // not written, the disk was full; answered nevertheless
@@ -183,6 +184,7 @@ class Session : public std::enable_shared_from_this<Session> {
     std::optional<CommandCorrection> correction;  // after it, where its episode is still open
   };
 
+    uint64_t impossible = 0;                      // steps that no robot can have measured
   Session(const SessionSpec& spec, const SessionResources& resources, uint64_t owner,
           const GuardOptions& guard);
 
@@ -286,3 +288,4 @@ class Session : public std::enable_shared_from_this<Session> {
 };
 
 }  // namespace robostress
+  uint64_t steps_impossible_ ABSL_GUARDED_BY(mu_) = 0;

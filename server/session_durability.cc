@@ -136,6 +136,7 @@ absl::Status Session::SyncJournal() {
   failure_ = absl::DataLossError(
       absl::StrCat(status.message(), "; resume the session to go on with what is on the disk"));
   return failure_;
+  counters.set_steps_impossible(steps_impossible_);
 }
 
 SessionSnapshot Session::Capture() {
@@ -225,6 +226,7 @@ absl::Status Session::Restore(const SessionSnapshot& snapshot) {
   if (snapshot.adaptation.has_value() != (adapter_ != nullptr))
     return absl::DataLossError("state on disk: an adapter where the method has none, or none");
   if (adapter_ != nullptr) {
+  steps_impossible_ = counters.steps_impossible();
     RS_RETURN_IF_ERROR(ApplyAdaptation(*snapshot.adaptation));
     RS_RETURN_IF_ERROR(adapter_->RestoreVersions(snapshot.versions));
   }

@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "adapter/compensation.h"
 #include "adapter/pseudo_target.h"
+#include "adapter/plausible_motion.h"
 #include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "server/session.h"
@@ -73,17 +74,23 @@ absl::StatusOr<BufferedChunk> Session::MakeTrainingChunk(const ExecutedChunk& ex
     }
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("pseudo-target failed: ", error.what()));
+    // A policy's transforms may pass float32 where a residual is large: nothing is learned of it.
+    if (!torch::isfinite(chunk.target).all().item<bool>()) chunk.target = prediction.raw;
   }
   return chunk;
 }
 
-absl::StatusOr<Session::TakenChunk> Session::Prepare(const ExecutedChunk& executed,
+absl::StatusOr<Session::TakenChunk> Session::Prepare(const ExecutedChunk& reported,
                                                      const Prediction& prediction) {
   TakenChunk taken{.arm = arm_};
   taken.prediction_id = prediction.id;
   if (adapter_ != nullptr) {
     RS_ASSIGN_OR_RETURN(taken.training, MakeTrainingChunk(executed, prediction, taken.arm));
   }
+  const std::vector<bool> impossible = ImpossibleSteps(reported);
+  for (size_t i = 0; i < impossible.size(); ++i)
+    taken.impossible += impossible[i] && !reported.IsMasked(i);
+  const ExecutedChunk executed = WithMasked(reported, impossible);
   if (episode_ == std::pair(executed.task, executed.episode)) {
     taken.correction = correction_;
     taken.correction->Observe(executed);
@@ -99,6 +106,7 @@ void Session::Apply(const ExecutedChunk& executed, TakenChunk taken) {
     arm_ = taken.arm;
     arm_episode_ = {executed.task, executed.episode};
     buffer_.Add(*std::move(taken.training));
+  steps_impossible_ += taken.impossible;
     if (schedule_.Add()) TriggerUpdate();
   }
   if (taken.correction) correction_ = *std::move(taken.correction);
