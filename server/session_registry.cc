@@ -79,11 +79,18 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::ReadFromDisk(
     absl::MutexLock lock(&mu_);
     owner = ++last_owner_;
   }
-  RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session,
-                      Session::Create(request.spec, resources, owner, request.guard));
-  const absl::Status status = session->Recover(folders_->PathOf(id));
-  if (status.ok()) return session;
-  session->Cancel();
+  absl::StatusOr<std::shared_ptr<Session>> session =
+      Session::Create(request.spec, resources, owner, request.guard);
+  absl::Status status = session.status();
+  if (status.ok()) {
+    folders_->BeginReading(id);
+    status = (*session)->Recover(folders_->PathOf(id));
+    folders_->EndReading(id);
+    if (status.ok()) return session;
+    (*session)->Cancel();
+  }
+  // What its files hold will be no other at the next attempt.
+  if (absl::IsDataLoss(status) || absl::IsInvalidArgument(status)) folders_->SetAside(id, status);
   return status;
 }
 
@@ -155,6 +162,7 @@ absl::Status SessionRegistry::UnknownSession(const std::string& id) const {
 }
 
 absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& request) {
+  RS_RETURN_IF_ERROR(CheckMethodCaps(request.spec.method, options_.caps));
   RS_ASSIGN_OR_RETURN(const SessionResources resources, resources_of_(request.spec.policy));
   OpenedSession opened;
   RS_ASSIGN_OR_RETURN(const std::string name, RandomHex(8));
@@ -162,7 +170,6 @@ absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& reques
   opened.id = SessionFolders::kPrefix + name;
   RS_RETURN_IF_ERROR(TakePlace());
   uint64_t owner = 0;
-  RS_RETURN_IF_ERROR(CheckMethodCaps(request.spec.method, options_.caps));
   {
     absl::MutexLock lock(&mu_);
     owner = ++last_owner_;
@@ -240,7 +247,11 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::Acquire(const std::str
   absl::MutexLock lock(&mu_);
   Entry& entry = entries_.at(id);
   entry.busy = false;
-  if (!session.ok()) return session.status();
+  if (!session.ok()) {
+    const absl::Status& status = session.status();
+    if (absl::IsDataLoss(status) || absl::IsInvalidArgument(status)) entry.unreadable = status;
+    return status;
+  }
   entry.session = *session;
   ++entry.in_flight;
   ++in_flight_;

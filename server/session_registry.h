@@ -33,8 +33,8 @@ struct SessionRegistryOptions {
   // Unused for this long a session is closed, on disk too. Counted by the monotonic clock while the
   // server runs, so a wall clock that jumps closes nothing.
   absl::Duration expire_after = absl::InfiniteDuration();
-};
   MethodCaps caps;  // of sessions that are opened; those on disk go on
+};
 
 struct OpenedSession {
   std::string id;
