@@ -59,6 +59,7 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
       guard_(guard),
       key_(StreamKey("session").With(SessionIdentity(spec))),
       residual_options_(ScaledResidualOptions(spec)),
+      rules_(&spec_, resources_.policy.get()),
       correction_(spec.method, residual_options_, ArmOptions(spec)),
       buffer_(spec.method.buffer_chunks),
       schedule_(spec.method.buffer_chunks, spec.method.update_interval),
@@ -123,6 +124,11 @@ absl::Status Session::StartEpisode(int task, int episode, uint64_t last_sequence
     RS_RETURN_IF_ERROR(AwaitLearned(last_sequence));
   }
   absl::MutexLock order(&order_mu_);
+  RS_RETURN_IF_ERROR(StateRules::CheckEpisode(task, episode));
+  {
+    absl::MutexLock lock(&mu_);
+    RS_RETURN_IF_ERROR(CheckBoundary(last_sequence));
+  }
   v1::StateRecord record;
   record.mutable_episode()->set_task(static_cast<uint32_t>(task));
   record.mutable_episode()->set_episode(static_cast<uint32_t>(episode));
@@ -132,6 +138,15 @@ absl::Status Session::StartEpisode(int task, int episode, uint64_t last_sequence
   if (cancelled_) return absl::CancelledError("the session was closed");
   ApplyEpisode(task, episode, last_sequence);
   return absl::OkStatus();
+}
+
+absl::Status Session::CheckBoundary(uint64_t last_sequence) {
+  RS_RETURN_IF_ERROR(StateRules::CheckCount("last_feedback_sequence", last_sequence));
+  if (last_sequence <= feedback_sequence_ || boundaries_.size() < StateRules::kMaxBoundaries)
+    return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat("the last feedback of ", boundaries_.size(),
+                                                    " tasks is still missing; ", feedback_sequence_,
+                                                    " is in: send what comes after it"));
 }
 
 void Session::ApplyEpisode(int task, int episode, uint64_t last_sequence) {
@@ -167,6 +182,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     if (spec_.mode == ExecutionMode::kLockstep) RS_RETURN_IF_ERROR(AwaitLearned(last_sequence));
     if (cancelled_) return absl::CancelledError("the session was closed");
     RS_RETURN_IF_ERROR(failure_);
+    RS_RETURN_IF_ERROR(StateRules::CheckCount("prediction", next_prediction_ + 1));
     result.prediction_id = next_prediction_++;
     correction = correction_.Value();
   }
@@ -189,6 +205,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
   result.queue_ms = computed->queue_ms;
   result.compute_ms = computed->compute_ms;
   result.batch_size = computed->batch_size;
+  RS_RETURN_IF_ERROR(CheckComputed(*computed));
   result.policy_actions = std::move(computed->policy_actions);
   result.base_actions = std::move(computed->base_actions);
   result.actions = result.policy_actions;
@@ -201,7 +218,9 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     result.actions.leftCols(arm).rowwise() +=
         correction.head(arm).cwiseMax(-kWidest).cwiseMin(kWidest).cast<float>().transpose();
   }
-  RS_RETURN_IF_ERROR(CheckComputed(*computed));
+  // After the last stage, whatever it was.
+  if (spec_.method.gain != 1.0 || correction.size() > 0)
+    BoundCommands(policy_spec(), result.policy_actions, result.actions);
 
   Prediction prediction{result.prediction_id, task, episode, chunk};
   if (adapter_ != nullptr) {
@@ -212,9 +231,6 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
                                                  std::move(computed->context));
     if (spec_.method.target == TargetReference::kIntent) prediction.base = result.base_actions;
   }
-  // After the last stage, whatever it was.
-  if (spec_.method.gain != 1.0 || correction.size() > 0)
-    BoundCommands(policy_spec(), result.policy_actions, result.actions);
   const std::string record = PredictionRecord(prediction);
   std::shared_ptr<RecordWriter> writer;
   {
@@ -276,6 +292,7 @@ SessionCounters Session::CountersNow() {
   counters.resumes = resumes_;
   counters.rollbacks = rollbacks_;
   counters.steps_masked = steps_masked_;
+  counters.steps_impossible = steps_impossible_;
   counters.snapshots_failed = snapshots_failed_;
   counters.predictions_unkept = predictions_unkept_;
   if (journal_ != nullptr) counters.journal_bytes = journal_->bytes();
@@ -284,4 +301,3 @@ SessionCounters Session::CountersNow() {
 }
 
 }  // namespace robostress
-  counters.steps_impossible = steps_impossible_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/algorithm/container.h"
@@ -75,7 +76,6 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
 
 }  // namespace
 
-absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy) {
 MethodCaps Tightest(const MethodCaps& a, const MethodCaps& b) {
   return {std::min(a.max_rank, b.max_rank), std::min(a.max_batch, b.max_batch),
           std::max(a.min_update_interval, b.min_update_interval),
@@ -105,7 +105,16 @@ absl::Status CheckMethodCaps(const MethodOptions& method, const MethodCaps& caps
   return absl::OkStatus();
 }
 
+absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy) {
   RS_RETURN_IF_ERROR(CheckMethod(spec.method, policy));
+  // Motion is divided by these: below, what a robot can do would pass what a number can hold.
+  const std::pair<const char*, double> scales[] = {{"translation_scale", spec.translation_scale},
+                                                   {"rotation_scale", spec.rotation_scale},
+                                                   {"control_period_s", spec.control_period_s}};
+  for (const auto& [field, value] : scales) {
+    if (value >= 1e-6 && value <= 100) continue;
+    return absl::InvalidArgumentError(absl::StrCat(field, " is ", value, ", must be 1e-6..100"));
+  }
   if (ActsInJointSpace(spec) && spec.method.target == TargetReference::kNominal) {
     return absl::InvalidArgumentError(
         absl::StrCat("method ", spec.method.method,
