@@ -5,6 +5,7 @@
 #include <cstring>
 #include <utility>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -33,32 +34,26 @@ void AddTensor(SafetensorsWriter& writer, const std::string& name, const torch::
   }
 }
 
-absl::StatusOr<torch::Tensor> ReadTensor(const SafetensorsFile& file, const std::string& name) {
-  RS_ASSIGN_OR_RETURN(const TensorView view, file.Get(name));
-  for (const TypePair& type : kTypes) {
-    if (type.file != view.dtype) continue;
-    torch::Tensor tensor = torch::empty(view.shape, type.torch);
-    if (tensor.nbytes() > 0) std::memcpy(tensor.data_ptr(), view.bytes.data(), tensor.nbytes());
-    return tensor;
-  }
-  return absl::InvalidArgumentError(absl::StrCat(file.path(), ": ", name, " has type ",
-                                                 DTypeName(view.dtype),
-                                                 ", which no adapter state uses"));
-}
-
+// A tensor of this shape (-1: any extent of at least 1) and type. LibTorch sees no shape that was
+// not checked: it throws, or overflows, at those of a damaged file.
 absl::StatusOr<torch::Tensor> ReadShaped(const SafetensorsFile& file, const std::string& name,
                                          const std::vector<int64_t>& shape,
                                          torch::ScalarType type) {
-  RS_ASSIGN_OR_RETURN(torch::Tensor tensor, ReadTensor(file, name));
-  bool fits = tensor.scalar_type() == type && tensor.dim() == static_cast<int64_t>(shape.size());
+  RS_ASSIGN_OR_RETURN(const TensorView view, file.Get(name));
+  bool fits = view.shape.size() == shape.size();
   for (size_t i = 0; fits && i < shape.size(); ++i)
-    fits = shape[i] < 0 || tensor.size(i) == shape[i];
+    fits = shape[i] < 0 ? view.shape[i] > 0 : view.shape[i] == shape[i];
+  fits = fits && absl::c_any_of(kTypes, [&](const TypePair& pair) {
+           return pair.torch == type && pair.file == view.dtype;
+         });
   if (!fits) {
     return absl::InvalidArgumentError(
-        absl::StrCat(file.path(), ": ", name, " is ", torch::toString(tensor.scalar_type()), " [",
-                     absl::StrJoin(tensor.sizes(), ", "), "]; expected ", torch::toString(type),
-                     " [", absl::StrJoin(shape, ", "), "]"));
+        absl::StrCat(file.path(), ": ", name, " is ", DTypeName(view.dtype), " [",
+                     absl::StrJoin(view.shape, ", "), "]; expected ", torch::toString(type), " [",
+                     absl::StrJoin(shape, ", "), "]"));
   }
+  torch::Tensor tensor = torch::empty(view.shape, type);
+  std::memcpy(tensor.data_ptr(), view.bytes.data(), tensor.nbytes());
   if (tensor.is_floating_point() && !torch::isfinite(tensor).all().item<bool>()) {
     return absl::InvalidArgumentError(
         absl::StrCat(file.path(), ": ", name, " holds a value that is not finite"));
@@ -125,29 +120,27 @@ void AddRole(SafetensorsWriter& writer, const std::string& role,
 
 absl::StatusOr<std::shared_ptr<const TrainingChunk>> ReadChunk(const SafetensorsFile& file,
                                                                const std::string& prefix,
-                                                               int layers,
                                                                const VelocityField& field) {
+  const ContextShape shape = field.context_shape();
   auto chunk = std::make_shared<TrainingChunk>();
   RS_ASSIGN_OR_RETURN(chunk->target,
                       ReadShaped(file, prefix + "target",
                                  {field.horizon(), field.model_action_dim()}, torch::kFloat32));
   RS_ASSIGN_OR_RETURN(chunk->context.prefix_mask,
                       ReadShaped(file, prefix + "prefix_mask", {1, -1}, torch::kBool));
-  RS_ASSIGN_OR_RETURN(chunk->context.state, ReadTensor(file, prefix + "state"));
-  for (int layer = 0; layer < layers; ++layer) {
+  RS_ASSIGN_OR_RETURN(chunk->context.state,
+                      ReadShaped(file, prefix + "state", {1, shape.state_dim}, torch::kFloat32));
+  const std::vector<int64_t> of_layer{1, shape.kv_heads, chunk->context.prefix_mask.size(1),
+                                      shape.head_dim};
+  for (int64_t layer = 0; layer < shape.layers; ++layer) {
     for (auto* side : {&chunk->context.keys, &chunk->context.values}) {
       const std::string name =
           absl::StrCat(prefix, side == &chunk->context.keys ? "keys." : "values.", layer);
-      RS_ASSIGN_OR_RETURN(torch::Tensor tensor, ReadTensor(file, name));
-      if (tensor.dim() != 4 || tensor.size(0) != 1 ||
-          tensor.size(2) != chunk->context.prefix_mask.size(1)) {
-        return absl::InvalidArgumentError(absl::StrCat(file.path(), ": ", name, " has shape [",
-                                                       absl::StrJoin(tensor.sizes(), ", "),
-                                                       "]; expected [1, heads, prefix, head_dim]"));
-      }
-      side->push_back(std::move(tensor));
+      RS_ASSIGN_OR_RETURN(side->emplace_back(), ReadShaped(file, name, of_layer, shape.kv_type));
     }
   }
+  RS_RETURN_IF_ERROR(CheckContext(
+      absl::StrCat(file.path(), ": ", prefix.substr(0, prefix.size() - 1)), chunk->context, shape));
   return std::shared_ptr<const TrainingChunk>(std::move(chunk));
 }
 
@@ -259,14 +252,17 @@ absl::StatusOr<AdaptationState> ParseAdaptationState(const std::string& name, st
   int layers = 0, buffered = 0;
   RS_RETURN_IF_ERROR(ReadInt(file, "buffered", buffered));
   RS_RETURN_IF_ERROR(ReadInt(file, "layers", layers));
-  if (buffered < 0 || layers < 0 || static_cast<size_t>(buffered) > file.tensors().size()) {
-    return absl::InvalidArgumentError(absl::StrCat(name, ": metadata says ", buffered,
-                                                   " buffered chunks of ", layers,
-                                                   " layers; the file is damaged"));
+  if (buffered < 0 || static_cast<size_t>(buffered) > file.tensors().size()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(name, ": metadata says ", buffered, " buffered chunks; the file is damaged"));
+  }
+  if (buffered > 0 && layers != field.context_shape().layers) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(name, ": its buffered chunks have keys and values of ", layers,
+                     " layers; this policy has ", field.context_shape().layers));
   }
   for (int i = 0; i < buffered; ++i) {
-    RS_ASSIGN_OR_RETURN(auto chunk,
-                        ReadChunk(file, absl::StrFormat("buffer.%03d.", i), layers, field));
+    RS_ASSIGN_OR_RETURN(auto chunk, ReadChunk(file, absl::StrFormat("buffer.%03d.", i), field));
     state.buffer.push_back(std::move(chunk));
   }
   return state;

@@ -31,9 +31,11 @@ void CommandCorrection::StartEpisode() {
 }
 
 void CommandCorrection::Observe(const ExecutedChunk& chunk) {
+  const State before = state();
   if (has_direct_) direct_ = MeanResidual(chunk, residual_).value_or(direct_);
   if (integral_) integral_->Observe(chunk);
   if (following_) following_->Observe(chunk);
+  if (!Holds(state())) set_state(before);
 }
 
 Eigen::VectorXd CommandCorrection::Value() const {
@@ -52,10 +54,15 @@ CommandCorrection::State CommandCorrection::state() const {
   return state;
 }
 
-bool CommandCorrection::set_state(const State& state) {
+bool CommandCorrection::Holds(const State& state) const {
   if (!has_direct_ && state.direct.size() > 0) return false;
-  if (state.integral.size() != (integral_ ? IntegralAction::kStateSize : 0)) return false;
-  if (state.following.size() != (following_ ? ModelFollowing::kStateSize : 0)) return false;
+  if (!(state.direct.array().abs() <= kMaxDirect).all()) return false;
+  if (integral_ ? !integral_->Holds(state.integral) : state.integral.size() > 0) return false;
+  return following_ ? following_->Holds(state.following) : state.following.size() == 0;
+}
+
+bool CommandCorrection::set_state(const State& state) {
+  if (!Holds(state)) return false;
   direct_ = state.direct;
   if (integral_) integral_->SetState(state.integral);
   if (following_) following_->SetState(state.following);

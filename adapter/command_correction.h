@@ -22,15 +22,20 @@ class CommandCorrection {
                     const NominalArmOptions& arm);
 
   void StartEpisode();
+  // A chunk after which the state would not hold leaves it as it was.
   void Observe(const ExecutedChunk& chunk);
   // [n] added to the first n entries of every command; empty: nothing.
   Eigen::VectorXd Value() const;
 
   State state() const;
-  // False, and nothing changes, where the state is not of such a method.
+  // False, and nothing changes, where the state is not of such a method or does not hold.
   bool set_state(const State& state);
 
  private:
+  static constexpr double kMaxDirect = 1e12;  // a mean residual; plausible motion stays below
+  // Whether Observe can have left it: parts as the method has them, bounded numbers.
+  bool Holds(const State& state) const;
+
   bool has_direct_;
   ResidualOptions residual_;
   Eigen::VectorXd direct_;  // mean residual [action_dim] or empty: no chunk yet in this episode

@@ -49,6 +49,11 @@ Eigen::VectorXd IntegralAction::State() const {
   return state;
 }
 
+bool IntegralAction::Holds(const Eigen::VectorXd& state) const {
+  return state.size() == kStateSize && (state.head<6>().array().abs() <= limit_).all() &&
+         NominalArm::Holds({state.segment<6>(6), state.tail<6>()});
+}
+
 void IntegralAction::SetState(const Eigen::VectorXd& state) {
   RS_CHECK(state.size() == kStateSize);
   estimate_ = state.head<6>();

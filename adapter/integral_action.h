@@ -47,6 +47,8 @@ class IntegralAction {
   // Estimate, nominal goal, nominal velocity: all that it remembers.
   Eigen::VectorXd State() const;
   void SetState(const Eigen::VectorXd& state);
+  // Whether Observe can have left it: an estimate within its limit, an arm that holds.
+  bool Holds(const Eigen::VectorXd& state) const;
 
  private:
   double rate_, limit_, threshold_, gain_;

@@ -31,6 +31,12 @@ absl::Status SameShapes(const std::vector<torch::Tensor>& expected,
   return absl::OkStatus();
 }
 
+bool AllFinite(const std::vector<torch::Tensor>& tensors) {
+  return absl::c_all_of(tensors, [](const torch::Tensor& tensor) {
+    return torch::isfinite(tensor).all().item<bool>();
+  });
+}
+
 }  // namespace
 
 LoraAdapter::LoraAdapter(const VelocityField* field, const MethodOptions& options,
@@ -122,6 +128,9 @@ absl::StatusOr<UpdateReport> LoraAdapter::Update(
                                    candidate, phi_0_);
       if (!report.verdict->accepted) return report;
     }
+    // A gradient may be finite and its square in Adam's second moment not.
+    if (!AllFinite(Parameters(candidate)) || !AllFinite(next.m) || !AllFinite(next.v))
+      return report;
     adam_ = std::move(next);
     Publish(std::move(candidate), report.loss, context.feedback_sequence);
   } catch (const std::exception& error) {
@@ -228,8 +237,31 @@ absl::Status LoraAdapter::Pin(uint64_t version, bool pinned) {
 
 absl::Status LoraAdapter::RestoreVersions(std::vector<PublishedVersion> versions) {
   const std::vector<torch::Tensor> expected = Parameters(phi_0_);
-  for (const PublishedVersion& held : versions)
+  if (versions.size() > kHistory + kMaxPinned + 1) {
+    return absl::InvalidArgumentError(absl::StrCat(versions.size(), " versions are held, at most ",
+                                                   kHistory + kMaxPinned + 1, " can be"));
+  }
+  size_t pinned = 0;
+  for (size_t i = 0; i < versions.size(); ++i) {
+    const PublishedVersion& held = versions[i];
     RS_RETURN_IF_ERROR(SameShapes(expected, Parameters(*held.weights), "version"));
+    const uint64_t version = held.weights->version;
+    if (i > 0 && version <= versions[i - 1].weights->version) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("version ", version, " is held after ", versions[i - 1].weights->version));
+    }
+    pinned += held.pinned;
+    if (pinned > kMaxPinned || (held.pinned && version == 0)) {
+      return absl::InvalidArgumentError(absl::StrCat("version ", version,
+                                                     " is pinned; phi_0 needs no pin and at most ",
+                                                     kMaxPinned, " others have one"));
+    }
+    if (!(std::isfinite(held.loss) && held.distance >= 0 && std::isfinite(held.distance))) {
+      return absl::InvalidArgumentError(absl::StrCat("version ", version, " has loss ", held.loss,
+                                                     " and distance ", held.distance,
+                                                     "; both must be finite"));
+    }
+  }
   absl::MutexLock lock(&mu_);
   if (versions.empty() || versions.back().weights->version != published_->version) {
     return absl::InvalidArgumentError(

@@ -27,7 +27,7 @@ struct TrainingChunk {
 };
 
 struct UpdateReport {
-  bool applied = false;  // false: loss or gradient was not finite, or the guard refused the
+  bool applied = false;  // false: loss, gradient or step was not finite, or the guard refused the
                          // candidate; nothing changed
   std::optional<GuardVerdict> verdict;  // where a guard judged
   double loss = 0;                      // before the step

@@ -47,6 +47,11 @@ Eigen::VectorXd ModelFollowing::State() const {
   return state;
 }
 
+bool ModelFollowing::Holds(const Eigen::VectorXd& state) const {
+  return state.size() == kStateSize && (state.head<3>().array().abs() <= kMaxShortfall).all() &&
+         NominalArm::Holds({state.segment<6>(3), state.tail<6>()});
+}
+
 void ModelFollowing::SetState(const Eigen::VectorXd& state) {
   RS_CHECK(state.size() == kStateSize);
   shortfall_ = state.head<3>();

@@ -35,6 +35,8 @@ class ModelFollowing {
  public:
   using Vector6 = NominalArm::Vector6;
   static constexpr int kStateSize = 15;
+  // What plausible motion adds up to in the longest memory, with the smallest translation_scale.
+  static constexpr double kMaxShortfall = 1e15;
 
   ModelFollowing(const MethodOptions& method, const ResidualOptions& residual,
                  const NominalArmOptions& arm);
@@ -49,6 +51,8 @@ class ModelFollowing {
   // Shortfall, nominal goal, nominal velocity: all that it remembers.
   Eigen::VectorXd State() const;
   void SetState(const Eigen::VectorXd& state);
+  // Whether Observe can have left it: a shortfall up to kMaxShortfall, an arm that holds.
+  bool Holds(const Eigen::VectorXd& state) const;
 
  private:
   double gain_, keep_, threshold_, limit_;

@@ -5,6 +5,7 @@
 namespace robostress {
 
 NominalArm::Vector6 NominalArm::Step(const Vector6& command) {
+  const State before = state_;
   const Vector6 a = command.cwiseMax(-1.0).cwiseMin(1.0);
   Vector6 goal = options_.goal_reference == GoalReference::kAchieved ? a : Vector6(state_.goal + a);
   if (a.tail<3>().isZero(0)) goal.tail<3>() = state_.goal.tail<3>();
@@ -17,7 +18,15 @@ NominalArm::Vector6 NominalArm::Step(const Vector6& command) {
     x += h * state_.velocity;
   }
   state_.goal = goal - x;
-  return x;
+  if (Holds(state_)) return x;
+  state_ = before;
+  return Vector6::Zero();
+}
+
+bool NominalArm::Holds(const State& state) {
+  // Written so that what is not a number does not hold.
+  return (state.goal.array().abs() <= kMaxState).all() &&
+         (state.velocity.array().abs() <= kMaxState).all();
 }
 
 }  // namespace robostress

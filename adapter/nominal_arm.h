@@ -38,12 +38,18 @@ class NominalArm {
   explicit NominalArm(const NominalArmOptions& options) : options_(options) {}
 
   void Reset() { state_ = {}; }  // at rest, goal reached; start of an episode
+  // Above every state of an arm that settles (a control period of up to 1.6 s); the semi-implicit
+  // steps of a longer one do not, and their state is left as it was.
+  static constexpr double kMaxState = 1e6;
+
   // One control step; `command` is clipped to +-1 as the controller does. Returns the displacement
-  // [6].
+  // [6]; zero where the state would pass kMaxState, which then stays.
   Vector6 Step(const Vector6& command);
 
   const State& state() const { return state_; }
   void set_state(const State& state) { state_ = state; }
+  // Every entry is a number and at most kMaxState.
+  static bool Holds(const State& state);
 
  private:
   NominalArmOptions options_;

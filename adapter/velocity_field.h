@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/status.h"
+
 namespace robostress {
 
 // A linear layer of the action expert that a LoRA may adapt, e.g. {"layers.0.q_proj", 128, 128, 4}.
@@ -34,6 +36,20 @@ struct PolicyContext {
   torch::Tensor state;                // [B, state_dim] normalised
 };
 
+// What every context of a policy looks like, B = 1; one that was imported or read from a disk is
+// held to it.
+struct ContextShape {
+  int64_t layers = 0, kv_heads = 0, head_dim = 0;
+  torch::ScalarType kv_type = torch::kFloat32;  // of keys and values
+  int64_t max_prefix = 0;                       // slots, at least 1
+  int64_t state_dim = 0;                        // PolicyContext::state is [1, state_dim] float32
+};
+
+// INVALID_ARGUMENT names the tensor, what it is and what it must be: shapes, types, finite values,
+// a mask of zeros and ones with at least one slot that counts. `where` begins the message.
+absl::Status CheckContext(const std::string& where, const PolicyContext& context,
+                          const ContextShape& shape);
+
 // The adaptable part of a flow-matching policy (paper, Eq. flow-matching).
 class VelocityField {
  public:
@@ -41,6 +57,7 @@ class VelocityField {
   virtual int64_t horizon() const = 0;           // K
   virtual int64_t model_action_dim() const = 0;  // d, padding included
   virtual const std::vector<LoraTarget>& lora_targets() const = 0;
+  virtual ContextShape context_shape() const = 0;
   // v(s, x_u, u): x_u [B, K, d], u [B] in [0, 1] (1 is noise) -> [B, K, d]. Differentiable in the
   // LoRA parameters when they require gradients; lora may be null.
   virtual torch::Tensor Velocity(const PolicyContext& context, const torch::Tensor& x_u,

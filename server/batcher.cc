@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/rpc/refusal.h"
+#include "server/session_guard.h"
 #include "server/torch_threads.h"
 #include "server/trace.h"
 
@@ -239,7 +240,8 @@ void Batcher::Compute(const Batch& batch) {
     Pending& pending = *batch[i];
     const PredictionJob& job = *pending.job;
     const MonotonicTime encode_begin = SteadyClock::now();
-    absl::StatusOr<PolicyContext> context = policy.Encode(*job.observation);
+    absl::StatusOr<PolicyContext> context =
+        WithoutExceptions("encoding", [&] { return policy.Encode(*job.observation); });
     if (pending.trace != nullptr) {
       pending.trace->Add("queue", pending.arrival, begin);
       pending.trace->Add("encode", encode_begin, SteadyClock::now());

@@ -12,6 +12,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/time/clock.h"
+#include "adapter/lora.h"
 #include "common/rpc/convert.h"
 #include "common/rpc/grpc_status.h"
 #include "common/rpc/message_limits.h"
@@ -49,7 +50,26 @@ absl::Status CheckBatching(const PolicyServerOptions& options) {
   return absl::OkStatus();
 }
 
-size_t LargestAdapterBytes(const FlowPolicy&) { return kMaxMessageBytes; }
+// What an adapter of the widest kind that may be opened needs as a file [bytes]: phi, phi_0 and two
+// moments, and a full buffer with its prefixes.
+size_t LargestAdapterBytes(const FlowPolicy& policy, const MethodCaps& caps) {
+  const auto parameters = static_cast<size_t>(
+      std::max(NumLoraParameters(policy.lora_targets(), LoraKind::kPerHead, caps.max_rank),
+               NumLoraParameters(policy.lora_targets(), LoraKind::kPerMatrix, caps.max_rank)));
+  const ContextShape context = policy.context_shape();
+  const auto prefix = static_cast<size_t>(context.max_prefix);
+  const size_t chunk =
+      2 * static_cast<size_t>(context.layers * context.kv_heads * context.head_dim) * prefix *
+          c10::elementSize(context.kv_type) +
+      prefix + 4 * static_cast<size_t>(context.state_dim) +
+      4 * static_cast<size_t>(policy.horizon() * policy.model_action_dim());
+  const size_t tensors =
+      8 * policy.lora_targets().size() +
+      static_cast<size_t>(caps.max_buffer_chunks) * static_cast<size_t>(2 * context.layers + 3);
+  const size_t names = 256 * tensors + (size_t{64} << 10);  // the file's own header
+  const size_t bytes = 4 * 4 * parameters + static_cast<size_t>(caps.max_buffer_chunks) * chunk;
+  return std::min(bytes + names, size_t{kMaxMessageBytes});
+}
 
 absl::Status WarmUp(const FlowPolicy& policy) {
   const PolicySpec& spec = policy.spec();
@@ -107,6 +127,7 @@ class PolicyServer::Service {
   absl::Status OpenRegistry() {
     SessionRegistryOptions registry;
     registry.max_sessions = options_.max_sessions;
+    registry.caps = options_.caps;
     registry.state_dir = options_.state_dir;
     registry.abandoned_after = options_.abandoned_after;
     registry.expire_after = options_.expire_after;
@@ -178,7 +199,7 @@ class PolicyServer::Service {
       if (method == "Predict") most = std::max(most, LargestObservationBytes(spec, side));
       if (method == "Feedback") most = std::max(most, LargestExecutedBytes(spec));
       if (method == "ImportAdapter")
-        most = std::max(most, LargestAdapterBytes(*policies_.at(spec.name)));
+        most = std::max(most, LargestAdapterBytes(*policies_.at(spec.name), options_.caps));
     }
     return most;
   }

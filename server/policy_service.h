@@ -52,6 +52,7 @@ struct PolicyServerOptions {
   uint64_t snapshot_records = 1024;  // or so many records
   bool sync_predictions = false;     // predictions survive a loss of power
   GuardOptions guard;                // of sessions that ask for none
+  MethodCaps caps;                   // what a session's adaptation may cost
   absl::Duration lockstep_timeout = absl::Seconds(120);
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;

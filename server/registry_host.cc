@@ -14,6 +14,7 @@ namespace {
 void TakeCounters(const SessionCounters& counters, SessionFigures& figures) {
   figures.predictions = counters.predictions;
   figures.duplicates = counters.duplicates;
+  figures.steps_impossible = counters.steps_impossible;
   figures.rollbacks = counters.rollbacks;
   figures.updates_applied = counters.stats.updates_applied;
   figures.updates_refused = counters.updates_refused;

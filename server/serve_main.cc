@@ -87,6 +87,8 @@ absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& op
   result.update_share = options.update_share;
   result.update_nice = options.update_nice;
   result.max_sessions = options.max_sessions;
+  result.caps = {options.max_rank, options.max_update_batch, options.min_update_interval,
+                 options.max_buffer_chunks};
   result.prefix_budget_mib = options.prefix_budget_mib;
   result.warm_up = options.warm_up;
   if (options.max_view_side < 0 || options.max_view_side > WireLimits::kImageSide) {

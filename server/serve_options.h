@@ -18,6 +18,7 @@ struct ServeOptions {
   int queue_capacity = 256, cores = 0, update_nice = 5;
   double update_share = 0.1;
   int max_sessions = 64;
+  int max_rank = 16, max_update_batch = 8, min_update_interval = 4, max_buffer_chunks = 128;
   int64_t prefix_budget_mib = 512;
   bool warm_up = true;
   std::string state_dir;
@@ -67,6 +68,11 @@ struct ServeOptions {
     v.Field("update_nice", update_nice,
             "added to the nice value of the threads on which asynchronous sessions learn");
     v.Field("max_sessions", max_sessions, "sessions open at once");
+    v.Field("max_rank", max_rank, "largest LoRA rank that a session may open with");
+    v.Field("max_update_batch", max_update_batch, "most chunks of one update, likewise");
+    v.Field("min_update_interval", min_update_interval,
+            "fewest chunks between two updates, likewise");
+    v.Field("max_buffer_chunks", max_buffer_chunks, "longest feedback buffer, likewise");
     v.Field("prefix_budget_mib", prefix_budget_mib,
             "memory for the prefixes that adapters learn from, all sessions together; what exceeds "
             "it is dropped and encoded again when an update needs it");

@@ -9,6 +9,7 @@
 #include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
+#include "server/command_bounds.h"
 #include "server/session_checks.h"
 #include "server/state/session_journal.h"
 #include "server/torch_threads.h"
@@ -37,6 +38,23 @@ PolicySpec SpecOf(const SessionResources& resources) {
   return spec;
 }
 
+// What a policy may answer and a session may keep: numbers, and actions that are commands. (Keys
+// and values that are none show in the actions.)
+absl::Status CheckComputed(const ComputedPrediction& computed) {
+  // Written so that what is not a number is refused too.
+  const auto commands = [](const Eigen::MatrixXf& actions) {
+    return actions.size() == 0 || (actions.array().abs() <= kWidestCommand).all();
+  };
+  if (commands(computed.policy_actions) && commands(computed.base_actions) &&
+      torch::isfinite(computed.raw).all().item<bool>() &&
+      torch::isfinite(computed.context.state).all().item<bool>())
+    return absl::OkStatus();
+  return absl::InternalError(
+      absl::StrCat("the policy predicted a value that is not finite, or above ", kWidestCommand,
+                   ", with adapter version ", computed.adapter_version,
+                   "; check the observation, lower the learning rate or roll the adapter back"));
+}
+
 }  // namespace
 
 Session::Session(const SessionSpec& spec, const SessionResources& resources, uint64_t owner,
@@ -48,6 +66,7 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
       guard_(guard),
       key_(StreamKey("session").With(SessionIdentity(spec))),
       residual_options_(ScaledResidualOptions(spec)),
+      rules_(&spec_, resources_.policy.get()),
       correction_(spec.method, residual_options_, ArmOptions(spec)),
       buffer_(spec.method.buffer_chunks),
       schedule_(spec.method.buffer_chunks, spec.method.update_interval),
@@ -112,6 +131,11 @@ absl::Status Session::StartEpisode(int task, int episode, uint64_t last_sequence
     RS_RETURN_IF_ERROR(AwaitLearned(last_sequence));
   }
   absl::MutexLock order(&order_mu_);
+  RS_RETURN_IF_ERROR(StateRules::CheckEpisode(task, episode));
+  {
+    absl::MutexLock lock(&mu_);
+    RS_RETURN_IF_ERROR(CheckBoundary(last_sequence));
+  }
   v1::StateRecord record;
   record.mutable_episode()->set_task(static_cast<uint32_t>(task));
   record.mutable_episode()->set_episode(static_cast<uint32_t>(episode));
@@ -121,6 +145,15 @@ absl::Status Session::StartEpisode(int task, int episode, uint64_t last_sequence
   if (cancelled_) return absl::CancelledError("the session was closed");
   ApplyEpisode(task, episode, last_sequence);
   return absl::OkStatus();
+}
+
+absl::Status Session::CheckBoundary(uint64_t last_sequence) {
+  RS_RETURN_IF_ERROR(StateRules::CheckCount("last_feedback_sequence", last_sequence));
+  if (last_sequence <= feedback_sequence_ || boundaries_.size() < StateRules::kMaxBoundaries)
+    return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat("the last feedback of ", boundaries_.size(),
+                                                    " tasks is still missing; ", feedback_sequence_,
+                                                    " is in: send what comes after it"));
 }
 
 void Session::ApplyEpisode(int task, int episode, uint64_t last_sequence) {
@@ -157,6 +190,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     if (spec_.mode == ExecutionMode::kLockstep) RS_RETURN_IF_ERROR(AwaitLearned(last_sequence));
     if (cancelled_) return absl::CancelledError("the session was closed");
     RS_RETURN_IF_ERROR(failure_);
+    RS_RETURN_IF_ERROR(StateRules::CheckCount("prediction", next_prediction_ + 1));
     result.prediction_id = next_prediction_++;
     correction = correction_.Value();
   }
@@ -179,22 +213,22 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
   result.queue_ms = computed->queue_ms;
   result.compute_ms = computed->compute_ms;
   result.batch_size = computed->batch_size;
+  RS_RETURN_IF_ERROR(CheckComputed(*computed));
   result.policy_actions = std::move(computed->policy_actions);
   result.base_actions = std::move(computed->base_actions);
-  if (!result.policy_actions.allFinite()) {
-    return absl::InternalError(
-        absl::StrCat("the policy predicted a value that is not finite with adapter version ",
-                     result.adapter_version, "; lower the learning rate or roll the adapter back"));
-  }
-
   result.actions = result.policy_actions;
   const Eigen::Index arm = result.actions.cols() - 1;
   if (spec_.method.gain != 1.0) {
     result.actions.leftCols(arm) *= static_cast<float>(spec_.method.gain);
   }
   if (correction.size() > 0) {
-    result.actions.leftCols(arm).rowwise() += correction.head(arm).cast<float>().transpose();
+    constexpr double kWidest = kWidestCommand;  // what does not fit in a float would be undefined
+    result.actions.leftCols(arm).rowwise() +=
+        correction.head(arm).cwiseMax(-kWidest).cwiseMin(kWidest).cast<float>().transpose();
   }
+  // After the last stage, whatever it was.
+  if (spec_.method.gain != 1.0 || correction.size() > 0)
+    BoundCommands(policy_spec(), result.policy_actions, result.actions);
 
   Prediction prediction{result.prediction_id, task, episode, chunk};
   prediction.answered = std::make_shared<const PredictedChunk>(result);
@@ -287,6 +321,7 @@ SessionCounters Session::CountersNow() {
   counters.resumes = resumes_;
   counters.rollbacks = rollbacks_;
   counters.steps_masked = steps_masked_;
+  counters.steps_impossible = steps_impossible_;
   counters.snapshots_failed = snapshots_failed_;
   counters.predictions_unkept = predictions_unkept_;
   if (journal_ != nullptr) counters.journal_bytes = journal_->bytes();

@@ -29,10 +29,12 @@
 #include "server/policy.h"
 #include "server/prediction.h"
 #include "server/prefix_store.h"
+#include "server/state_rules.h"
 
 namespace robostress {
 
 namespace v1 {
+class StatePrediction;
 class StateRecord;
 }  // namespace v1
 class SessionJournal;
@@ -92,7 +94,8 @@ struct SessionCounters {
   uint64_t duplicates = 0;  // feedback that was in already
   uint64_t resumes = 0;     // since this server started
   uint64_t rollbacks = 0;
-  uint64_t steps_masked = 0;
+  uint64_t steps_masked = 0;        // by the client
+  uint64_t steps_impossible = 0;    // by the server (adapter/plausible_motion.h)
   uint64_t journal_bytes = 0;       // since the last snapshot
   uint64_t snapshots_failed = 0;    // e.g. the disk was full; the journal goes on
   uint64_t predictions_unkept = 0;  // not written, the disk was full; answered nevertheless
@@ -124,7 +127,7 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // Before the first call of another function: takes what the folder holds, if anything, and writes
   // there from now on (server/state/). FAILED_PRECONDITION: another base model or format;
-  // DATA_LOSS: damaged.
+  // DATA_LOSS: damaged, a state that breaks StateRules, or one whose replay fails.
   absl::Status Recover(const std::string& folder);
   // The same with a journal that is new.
   void SetJournal(std::unique_ptr<SessionJournal> journal);
@@ -189,6 +192,7 @@ class Session : public std::enable_shared_from_this<Session> {
     std::optional<BufferedChunk> training;        // where the method adapts
     NominalArm arm;                               // after it
     std::optional<CommandCorrection> correction;  // after it, where its episode is still open
+    uint64_t impossible = 0;                      // steps that no robot can have measured
   };
 
   Session(const SessionSpec& spec, const SessionResources& resources, uint64_t owner,
@@ -198,6 +202,7 @@ class Session : public std::enable_shared_from_this<Session> {
   // Waits until feedback `sequence` is in and nothing is pending.
   absl::Status AwaitLearned(uint64_t sequence) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ClearBuffer() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  absl::Status CheckBoundary(uint64_t last_sequence) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ApplyEpisode(int task, int episode, uint64_t last_sequence)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void Remember(Prediction prediction) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -213,6 +218,8 @@ class Session : public std::enable_shared_from_this<Session> {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   absl::StatusOr<TakenChunk> Prepare(const ExecutedChunk& executed, const Prediction& prediction)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  absl::StatusOr<FeedbackResult> TakeFeedback(const ExecutedChunk& executed)
+      ABSL_LOCKS_EXCLUDED(order_mu_, mu_);
   void Apply(const ExecutedChunk& executed, TakenChunk taken) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // With the keys and values, rebuilt where the store dropped them.
   absl::StatusOr<std::vector<std::shared_ptr<const TrainingChunk>>> WithPrefixes(
@@ -223,10 +230,12 @@ class Session : public std::enable_shared_from_this<Session> {
       ABSL_LOCKS_EXCLUDED(mu_);
 
   // session_adaptation.cc
+  absl::StatusOr<AdapterState> ExportAll() ABSL_LOCKS_EXCLUDED(mu_);
   AdaptationState CurrentAdaptation() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);  // without the buffer
   absl::Status ApplyAdaptation(const AdaptationState& state) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  absl::StatusOr<AdaptationState> CheckedImport(const std::string& name,
-                                                const std::string& safetensors) const;
+  // Read, and held to all but the rules that need the buffer's size.
+  absl::StatusOr<AdaptationState> ReadAdaptation(const std::string& name,
+                                                 const std::string& safetensors) const;
 
   // session_durability.cc
   // Appends to the journal, if there is one, and returns when it is on the disk.
@@ -242,6 +251,12 @@ class Session : public std::enable_shared_from_this<Session> {
   // What a snapshot holds of a folder that is recovered, applied to a new session.
   absl::Status Restore(const SessionSnapshot& snapshot) ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status Replay(const v1::StateRecord& record) ABSL_LOCKS_EXCLUDED(order_mu_, mu_);
+  absl::Status ReplayEpisode(int64_t task, int64_t episode, uint64_t last_sequence)
+      ABSL_LOCKS_EXCLUDED(mu_);
+  // One record of a snapshot; what it holds is checked by itself, the whole in Restore.
+  absl::Status ReadSnapshotRecord(const v1::StateRecord& record, SessionSnapshot& snapshot) const;
+  absl::StatusOr<Prediction> ReadPrediction(const v1::StatePrediction& record) const;
+  absl::Status RecoverUnguarded(const std::string& folder);
   void SnapshotIfDue() ABSL_EXCLUSIVE_LOCKS_REQUIRED(order_mu_) ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status TakeSnapshot() ABSL_EXCLUSIVE_LOCKS_REQUIRED(order_mu_) ABSL_LOCKS_EXCLUDED(mu_);
   SessionSnapshot Capture() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -259,6 +274,7 @@ class Session : public std::enable_shared_from_this<Session> {
   const GuardOptions guard_;
   const StreamKey key_;
   const ResidualOptions residual_options_;
+  const StateRules rules_;
   std::unique_ptr<LoraAdapter> adapter_;     // null where the method does not adapt
   std::unique_ptr<SessionJournal> journal_;  // null: in memory only; set before the first call
 
@@ -288,6 +304,7 @@ class Session : public std::enable_shared_from_this<Session> {
   uint64_t resumes_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t rollbacks_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t steps_masked_ ABSL_GUARDED_BY(mu_) = 0;
+  uint64_t steps_impossible_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t snapshots_failed_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t predictions_unkept_ ABSL_GUARDED_BY(mu_) = 0;
   double last_loss_ ABSL_GUARDED_BY(mu_) = 0;

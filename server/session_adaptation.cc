@@ -9,6 +9,7 @@
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/session.h"
+#include "server/session_guard.h"
 
 // A session's adaptation as a value: export, import, versions.
 namespace robostress {
@@ -34,6 +35,10 @@ AdaptationState Session::CurrentAdaptation() {
 
 absl::StatusOr<AdapterState> Session::Export() {
   RS_RETURN_IF_ERROR(RequireAdapter("export"));
+  return WithoutExceptions("export", [this] { return ExportAll(); });
+}
+
+absl::StatusOr<AdapterState> Session::ExportAll() {
   absl::MutexLock lock(&mu_);
   RS_RETURN_IF_ERROR(AwaitLearned(0));
   AdaptationState state = CurrentAdaptation();
@@ -48,8 +53,8 @@ absl::StatusOr<AdapterState> Session::Export() {
   return result;
 }
 
-absl::StatusOr<AdaptationState> Session::CheckedImport(const std::string& name,
-                                                       const std::string& safetensors) const {
+absl::StatusOr<AdaptationState> Session::ReadAdaptation(const std::string& name,
+                                                        const std::string& safetensors) const {
   RS_ASSIGN_OR_RETURN(
       AdaptationState state,
       ParseAdaptationState(name, safetensors, *resources_.policy, policy_spec().model_hash));
@@ -63,11 +68,6 @@ absl::StatusOr<AdaptationState> Session::CheckedImport(const std::string& name,
         absl::StrCat("the adapter's parameters are ", LoraKindName(state.lora_kind),
                      "; this session's method has lora: ", LoraKindName(spec_.method.lora),
                      "; open the session with the adapter's kind"));
-  }
-  if (static_cast<int>(state.buffer.size()) > spec_.method.buffer_chunks) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("the adapter's buffer holds ", state.buffer.size(),
-                     " chunks; this session's buffer_chunks is ", spec_.method.buffer_chunks));
   }
   return state;
 }
@@ -95,7 +95,14 @@ absl::Status Session::ApplyAdaptation(const AdaptationState& state) {
 
 absl::StatusOr<FeedbackResult> Session::Import(const std::string& safetensors) {
   RS_RETURN_IF_ERROR(RequireAdapter("import into"));
-  RS_ASSIGN_OR_RETURN(const AdaptationState state, CheckedImport("imported adapter", safetensors));
+  absl::StatusOr<AdaptationState> read =
+      WithoutExceptions("import", [&] { return ReadAdaptation("imported adapter", safetensors); });
+  if (absl::IsNotFound(read.status()))  // of a tensor
+    return absl::InvalidArgumentError(read.status().message());
+  RS_RETURN_IF_ERROR(read.status());
+  const AdaptationState& state = *read;
+  if (absl::Status valid = rules_.CheckAdaptation(state, state.buffer.size()); !valid.ok())
+    return absl::InvalidArgumentError(absl::StrCat("imported adapter: ", valid.message()));
   absl::MutexLock order(&order_mu_);
   {
     absl::MutexLock lock(&mu_);
@@ -106,7 +113,11 @@ absl::StatusOr<FeedbackResult> Session::Import(const std::string& safetensors) {
   if (durable()) record.mutable_imported()->set_safetensors(safetensors);
   RS_RETURN_IF_ERROR(Journal(record));
   absl::MutexLock lock(&mu_);
-  RS_RETURN_IF_ERROR(ApplyAdaptation(state));
+  const absl::Status applied = WithoutExceptions("import", [&] {
+    mu_.AssertHeld();
+    return ApplyAdaptation(state);
+  });
+  if (!applied.ok()) return failure_ = applied;
   return FeedbackResult{feedback_sequence_, updates_applied(), durable(), false};
 }
 

@@ -1,6 +1,8 @@
 #include "server/session_checks.h"
 
+#include <algorithm>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/algorithm/container.h"
@@ -74,8 +76,45 @@ absl::Status CheckMethod(const MethodOptions& m, const PolicySpec& policy) {
 
 }  // namespace
 
+MethodCaps Tightest(const MethodCaps& a, const MethodCaps& b) {
+  return {std::min(a.max_rank, b.max_rank), std::min(a.max_batch, b.max_batch),
+          std::max(a.min_update_interval, b.min_update_interval),
+          std::min(a.max_buffer_chunks, b.max_buffer_chunks)};
+}
+
+absl::Status CheckMethodCaps(const MethodOptions& method, const MethodCaps& caps) {
+  if (!method.adapt) return absl::OkStatus();
+  struct Cap {
+    const char *option, *flag;
+    int value, limit;
+    bool is_minimum;
+  };
+  const Cap limits[] = {{"rank", "--max-rank", method.rank, caps.max_rank, false},
+                        {"batch", "--max-update-batch", method.batch, caps.max_batch, false},
+                        {"update_interval", "--min-update-interval", method.update_interval,
+                         caps.min_update_interval, true},
+                        {"buffer_chunks", "--max-buffer-chunks", method.buffer_chunks,
+                         caps.max_buffer_chunks, false}};
+  for (const Cap& cap : limits) {
+    if (cap.is_minimum ? cap.value >= cap.limit : cap.value <= cap.limit) continue;
+    return absl::InvalidArgumentError(absl::StrCat(
+        "method ", method.method, ": ", cap.option, " is ", cap.value, ", at ",
+        cap.is_minimum ? "least " : "most ", cap.limit,
+        " is allowed here; the operator sets it with ", cap.flag, ", or for the token"));
+  }
+  return absl::OkStatus();
+}
+
 absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy) {
   RS_RETURN_IF_ERROR(CheckMethod(spec.method, policy));
+  // Motion is divided by these: below, what a robot can do would pass what a number can hold.
+  const std::pair<const char*, double> scales[] = {{"translation_scale", spec.translation_scale},
+                                                   {"rotation_scale", spec.rotation_scale},
+                                                   {"control_period_s", spec.control_period_s}};
+  for (const auto& [field, value] : scales) {
+    if (value >= 1e-6 && value <= 100) continue;
+    return absl::InvalidArgumentError(absl::StrCat(field, " is ", value, ", must be 1e-6..100"));
+  }
   if (ActsInJointSpace(spec) && spec.method.target == TargetReference::kNominal) {
     return absl::InvalidArgumentError(
         absl::StrCat("method ", spec.method.method,

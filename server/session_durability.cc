@@ -12,6 +12,8 @@
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/session.h"
+#include "server/session_guard.h"
+#include "server/session_snapshot.h"
 #include "server/state/session_journal.h"
 #include "server/state/state_records.h"
 #include "server/torch_threads.h"
@@ -19,21 +21,13 @@
 // A session on disk: what it writes to its journal, its snapshots, and how it is made from them.
 namespace robostress {
 
-// Everything that a session's future depends on, at one moment. Tensors and observations are shared
-// and immutable, so it is quick to make.
-struct SessionSnapshot {
-  v1::StateAdaptation counters;               // all but the adapter
-  std::optional<AdaptationState> adaptation;  // without its buffer
-  std::vector<BufferedChunk> buffer;
-  std::vector<Prediction> outstanding;
-  std::vector<PublishedVersion> versions;
-};
-
 namespace {
 
-// `status` as one of the disk.
+// `status` as one of the disk. What has nothing to do with what it holds stays as it is.
 absl::Status Damaged(const absl::Status& status) {
-  if (status.ok() || absl::IsFailedPrecondition(status) || absl::IsDataLoss(status)) return status;
+  if (status.ok() || absl::IsDataLoss(status) || absl::IsCancelled(status) ||
+      absl::IsDeadlineExceeded(status) || absl::IsResourceExhausted(status))
+    return status;
   return absl::DataLossError(absl::StrCat("state on disk: ", status.message()));
 }
 
@@ -43,15 +37,6 @@ void Store(const Eigen::VectorXd& values, google::protobuf::RepeatedField<double
 
 Eigen::VectorXd Stored(const google::protobuf::RepeatedField<double>& values) {
   return Eigen::Map<const Eigen::VectorXd>(values.data(), values.size());
-}
-
-absl::Status CheckChunkShape(const char* field, const torch::Tensor& tensor,
-                             const FlowPolicy& policy) {
-  if (tensor.dim() == 2 && tensor.size(0) == policy.horizon() &&
-      tensor.size(1) == policy.model_action_dim() && tensor.scalar_type() == torch::kFloat32)
-    return absl::OkStatus();
-  return absl::DataLossError(absl::StrCat("state on disk: ", field, " is not [", policy.horizon(),
-                                          ", ", policy.model_action_dim(), "] float32"));
 }
 
 absl::Status WriteSnapshot(const SessionSnapshot& snapshot, const std::vector<LoraTarget>& targets,
@@ -151,6 +136,7 @@ SessionSnapshot Session::Capture() {
   counters.set_duplicates(duplicates_);
   counters.set_rollbacks(rollbacks_);
   counters.set_steps_masked(steps_masked_);
+  counters.set_steps_impossible(steps_impossible_);
   counters.set_episode_started(episode_.has_value());
   counters.set_task(episode_ ? episode_->first : -1);
   counters.set_episode(episode_ ? episode_->second : -1);
@@ -223,8 +209,7 @@ std::shared_ptr<const PrefixStore::Prefix> Session::PrefixOf(
 absl::Status Session::Restore(const SessionSnapshot& snapshot) {
   const v1::StateAdaptation& counters = snapshot.counters;
   absl::MutexLock lock(&mu_);
-  if (snapshot.adaptation.has_value() != (adapter_ != nullptr))
-    return absl::DataLossError("state on disk: an adapter where the method has none, or none");
+  RS_RETURN_IF_ERROR(rules_.CheckSnapshot(snapshot, kMaxOutstanding));
   if (adapter_ != nullptr) {
     RS_RETURN_IF_ERROR(ApplyAdaptation(*snapshot.adaptation));
     RS_RETURN_IF_ERROR(adapter_->RestoreVersions(snapshot.versions));
@@ -242,6 +227,7 @@ absl::Status Session::Restore(const SessionSnapshot& snapshot) {
   duplicates_ = counters.duplicates();
   rollbacks_ = counters.rollbacks();
   steps_masked_ = counters.steps_masked();
+  steps_impossible_ = counters.steps_impossible();
   episode_.reset();
   if (counters.episode_started())
     episode_ = {static_cast<int>(counters.task()), static_cast<int>(counters.episode())};
@@ -258,21 +244,33 @@ absl::Status Session::Restore(const SessionSnapshot& snapshot) {
                               Stored(counters.integral_action()),
                               Stored(counters.model_following())})) {
     return absl::DataLossError(
-        "state on disk: a correction of the commands that the method does not make, or none where "
-        "it makes one");
+        "state on disk: a correction of the commands that the method does not make, none where it "
+        "makes one, or values that it cannot have");
   }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<Prediction> Session::ReadPrediction(const v1::StatePrediction& record) const {
+  RS_ASSIGN_OR_RETURN(Prediction prediction, FromRecord(record));
+  RS_RETURN_IF_ERROR(rules_.CheckPrediction(prediction));
+  if (prediction.observation != nullptr) prediction.prefix = PrefixOf(prediction.observation);
+  return prediction;
+}
+
+absl::Status Session::ReplayEpisode(int64_t task, int64_t episode, uint64_t last_sequence) {
+  RS_RETURN_IF_ERROR(StateRules::CheckEpisode(task, episode));
+  absl::MutexLock lock(&mu_);
+  RS_RETURN_IF_ERROR(CheckBoundary(last_sequence));
+  ApplyEpisode(static_cast<int>(task), static_cast<int>(episode), last_sequence);
   return absl::OkStatus();
 }
 
 absl::Status Session::Replay(const v1::StateRecord& record) {
   switch (record.record_case()) {
     case v1::StateRecord::kPrediction: {
-      RS_ASSIGN_OR_RETURN(Prediction prediction, FromRecord(record.prediction()));
-      if (prediction.observation != nullptr) {
-        RS_RETURN_IF_ERROR(CheckChunkShape("raw", prediction.raw, *resources_.policy));
-        prediction.prefix = PrefixOf(prediction.observation);
-      }
+      RS_ASSIGN_OR_RETURN(Prediction prediction, ReadPrediction(record.prediction()));
       absl::MutexLock lock(&mu_);
+      RS_RETURN_IF_ERROR(StateRules::CheckCount("prediction", prediction.id + 1));
       next_prediction_ = std::max(next_prediction_, prediction.id + 1);
       if (outstanding_.count(prediction.id) == 0) Remember(std::move(prediction));
       return absl::OkStatus();
@@ -283,13 +281,9 @@ absl::Status Session::Replay(const v1::StateRecord& record) {
       if (!result.duplicate) return absl::OkStatus();
       return absl::DataLossError(absl::StrCat("feedback ", chunk.sequence, " comes twice"));
     }
-    case v1::StateRecord::kEpisode: {
-      absl::MutexLock lock(&mu_);
-      ApplyEpisode(static_cast<int>(record.episode().task()),
-                   static_cast<int>(record.episode().episode()),
-                   record.episode().last_feedback_sequence());
-      return absl::OkStatus();
-    }
+    case v1::StateRecord::kEpisode:
+      return ReplayEpisode(record.episode().task(), record.episode().episode(),
+                           record.episode().last_feedback_sequence());
     case v1::StateRecord::kRollback:
       return Rollback(record.rollback().version());
     case v1::StateRecord::kPin:
@@ -302,8 +296,53 @@ absl::Status Session::Replay(const v1::StateRecord& record) {
   }
 }
 
+absl::Status Session::ReadSnapshotRecord(const v1::StateRecord& record,
+                                         SessionSnapshot& snapshot) const {
+  switch (record.record_case()) {
+    case v1::StateRecord::kAdaptation: {
+      snapshot.counters = record.adaptation();
+      if (record.adaptation().adapter().empty()) return absl::OkStatus();
+      RS_ASSIGN_OR_RETURN(snapshot.adaptation,
+                          ReadAdaptation("snapshot", record.adaptation().adapter()));
+      return absl::OkStatus();
+    }
+    case v1::StateRecord::kBuffered: {
+      if (static_cast<int>(snapshot.buffer.size()) >= spec_.method.buffer_chunks) {
+        return absl::DataLossError(absl::StrCat("more chunks are buffered than buffer_chunks, ",
+                                                spec_.method.buffer_chunks));
+      }
+      RS_ASSIGN_OR_RETURN(StoredChunk chunk, FromRecord(record.buffered()));
+      RS_RETURN_IF_ERROR(
+          rules_.CheckBuffered(chunk.target, chunk.observation.get(), chunk.context));
+      auto prefix = chunk.observation != nullptr
+                        ? PrefixOf(chunk.observation)
+                        : resources_.prefixes->Add(resources_.policy, nullptr, chunk.context);
+      snapshot.buffer.push_back({chunk.observation, std::move(prefix), chunk.target});
+      return absl::OkStatus();
+    }
+    case v1::StateRecord::kPrediction: {
+      if (snapshot.outstanding.size() >= kMaxOutstanding)
+        return absl::DataLossError(
+            absl::StrCat("more than ", kMaxOutstanding, " predictions wait for feedback"));
+      RS_ASSIGN_OR_RETURN(snapshot.outstanding.emplace_back(), ReadPrediction(record.prediction()));
+      return absl::OkStatus();
+    }
+    case v1::StateRecord::kVersion: {
+      RS_ASSIGN_OR_RETURN(snapshot.versions.emplace_back(), FromRecord(record.version()));
+      return absl::OkStatus();
+    }
+    default:
+      return absl::DataLossError(absl::StrCat("a record of kind ", record.record_case(),
+                                              " does not belong in a snapshot"));
+  }
+}
+
 absl::Status Session::Recover(const std::string& folder) {
   UseOneTorchThread();
+  return WithoutExceptions("recovery", [&] { return RecoverUnguarded(folder); });
+}
+
+absl::Status Session::RecoverUnguarded(const std::string& folder) {
   RS_ASSIGN_OR_RETURN(const v1::StateHeader header, SessionJournal::ReadHeader(folder));
   if (header.model_hash() != policy_spec().model_hash) {
     return absl::FailedPreconditionError(absl::StrCat(
@@ -313,29 +352,7 @@ absl::Status Session::Recover(const std::string& folder) {
   std::optional<SessionSnapshot> snapshot;
   const auto begin = [&](const v1::StateRecord& record) -> absl::Status {
     if (!snapshot) snapshot.emplace();
-    if (record.has_adaptation()) {
-      snapshot->counters = record.adaptation();
-      if (record.adaptation().adapter().empty()) return absl::OkStatus();
-      RS_ASSIGN_OR_RETURN(snapshot->adaptation,
-                          CheckedImport(folder, record.adaptation().adapter()));
-    } else if (record.has_buffered()) {
-      RS_ASSIGN_OR_RETURN(StoredChunk chunk, FromRecord(record.buffered()));
-      RS_RETURN_IF_ERROR(CheckChunkShape("target", chunk.target, *resources_.policy));
-      auto prefix = chunk.observation != nullptr
-                        ? PrefixOf(chunk.observation)
-                        : resources_.prefixes->Add(resources_.policy, nullptr, chunk.context);
-      snapshot->buffer.push_back({chunk.observation, std::move(prefix), chunk.target});
-    } else if (record.has_prediction()) {
-      RS_ASSIGN_OR_RETURN(Prediction prediction, FromRecord(record.prediction()));
-      if (prediction.observation != nullptr) {
-        RS_RETURN_IF_ERROR(CheckChunkShape("raw", prediction.raw, *resources_.policy));
-        prediction.prefix = PrefixOf(prediction.observation);
-      }
-      snapshot->outstanding.push_back(std::move(prediction));
-    } else if (record.has_version()) {
-      RS_ASSIGN_OR_RETURN(snapshot->versions.emplace_back(), FromRecord(record.version()));
-    }
-    return absl::OkStatus();
+    return Damaged(ReadSnapshotRecord(record, *snapshot));
   };
   bool restored = false;
   const auto restore = [&]() -> absl::Status {
@@ -346,9 +363,8 @@ absl::Status Session::Recover(const std::string& folder) {
     RS_RETURN_IF_ERROR(restore());
     return Damaged(Replay(record));
   };
-  absl::StatusOr<std::unique_ptr<SessionJournal>> journal = SessionJournal::Recover(
-      folder, [&](const v1::StateRecord& record) { return Damaged(begin(record)); }, replay,
-      [&] { snapshot.reset(); });
+  absl::StatusOr<std::unique_ptr<SessionJournal>> journal =
+      SessionJournal::Recover(folder, begin, replay, [&] { snapshot.reset(); });
   RS_RETURN_IF_ERROR(journal.status());
   RS_RETURN_IF_ERROR(restore());
   journal_ = *std::move(journal);
@@ -359,7 +375,7 @@ absl::Status Session::Recover(const std::string& folder) {
     return pending_updates_ == 0;
   };
   mu_.Await(absl::Condition(&learned));
-  return absl::OkStatus();
+  return Damaged(failure_);
 }
 
 }  // namespace robostress

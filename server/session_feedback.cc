@@ -2,15 +2,18 @@
 #include <torch/torch.h>
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "adapter/compensation.h"
+#include "adapter/plausible_motion.h"
 #include "adapter/pseudo_target.h"
 #include "common/rpc/spec_checks.h"
 #include "common/status_macros.h"
 #include "server/session.h"
+#include "server/session_guard.h"
 #include "server/torch_threads.h"
 
 // What a session does with feedback: checks, training chunk, buffer, update.
@@ -71,15 +74,21 @@ absl::StatusOr<BufferedChunk> Session::MakeTrainingChunk(const ExecutedChunk& ex
       const int64_t row = executed.first_step + static_cast<int64_t>(i);
       if (executed.masked[i]) chunk.target[row].copy_(prediction.raw[row]);
     }
+    // A policy's transforms may pass float32 where a residual is large: nothing is learned of it.
+    if (!torch::isfinite(chunk.target).all().item<bool>()) chunk.target = prediction.raw;
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("pseudo-target failed: ", error.what()));
   }
   return chunk;
 }
 
-absl::StatusOr<Session::TakenChunk> Session::Prepare(const ExecutedChunk& executed,
+absl::StatusOr<Session::TakenChunk> Session::Prepare(const ExecutedChunk& reported,
                                                      const Prediction& prediction) {
   TakenChunk taken{.arm = arm_};
+  const std::vector<bool> impossible = ImpossibleSteps(reported);
+  for (size_t i = 0; i < impossible.size(); ++i)
+    taken.impossible += impossible[i] && !reported.IsMasked(i);
+  const ExecutedChunk executed = WithMasked(reported, impossible);
   taken.prediction_id = prediction.id;
   if (adapter_ != nullptr) {
     RS_ASSIGN_OR_RETURN(taken.training, MakeTrainingChunk(executed, prediction, taken.arm));
@@ -95,6 +104,7 @@ void Session::Apply(const ExecutedChunk& executed, TakenChunk taken) {
   feedback_sequence_ = executed.sequence;
   ++feedback_chunks_;
   steps_masked_ += static_cast<uint64_t>(absl::c_count(executed.masked, true));
+  steps_impossible_ += taken.impossible;
   if (taken.training) {
     arm_ = taken.arm;
     arm_episode_ = {executed.task, executed.episode};
@@ -108,10 +118,15 @@ void Session::Apply(const ExecutedChunk& executed, TakenChunk taken) {
 }
 
 absl::StatusOr<FeedbackResult> Session::Feedback(const ExecutedChunk& executed) {
+  return WithoutExceptions("feedback", [&] { return TakeFeedback(executed); });
+}
+
+absl::StatusOr<FeedbackResult> Session::TakeFeedback(const ExecutedChunk& executed) {
   UseOneTorchThread();
   RS_RETURN_IF_ERROR(
       ValidateExecutedChunk(executed, policy_spec().action_dim, residual_options_.space));
   RS_RETURN_IF_ERROR(CheckExecutedChunk(executed, policy_spec()));
+  RS_RETURN_IF_ERROR(StateRules::CheckCount("sequence", executed.sequence));
 
   absl::MutexLock order(&order_mu_);
   SnapshotIfDue();
@@ -135,7 +150,13 @@ absl::StatusOr<FeedbackResult> Session::Feedback(const ExecutedChunk& executed) 
   }
   RS_RETURN_IF_ERROR(SyncJournal());
   absl::MutexLock lock(&mu_);
-  Apply(executed, *std::move(taken));
+  // Half applied is neither what the disk says nor what was before: it is read again.
+  const absl::Status applied = WithoutExceptions("feedback", [&] {
+    mu_.AssertHeld();
+    Apply(executed, *std::move(taken));
+    return absl::OkStatus();
+  });
+  if (!applied.ok()) return failure_ = applied;
   return FeedbackResult{feedback_sequence_, updates_applied(), durable(), false};
 }
 
@@ -181,12 +202,13 @@ void Session::RunUpdate(uint64_t index, const std::vector<BufferedChunk>& batch,
       return;
     }
   }
-  const absl::StatusOr<UpdateReport> report = [&]() -> absl::StatusOr<UpdateReport> {
-    RS_ASSIGN_OR_RETURN(const auto chunks, WithPrefixes(batch));
-    UpdateContext context{sequence, guard_, {}};
-    RS_ASSIGN_OR_RETURN(context.held_out, WithPrefixes(held_out));
-    return adapter_->Update(index, chunks, context);
-  }();
+  const absl::StatusOr<UpdateReport> report =
+      WithoutExceptions("update", [&]() -> absl::StatusOr<UpdateReport> {
+        RS_ASSIGN_OR_RETURN(const auto chunks, WithPrefixes(batch));
+        UpdateContext context{sequence, guard_, {}};
+        RS_ASSIGN_OR_RETURN(context.held_out, WithPrefixes(held_out));
+        return adapter_->Update(index, chunks, context);
+      });
   absl::MutexLock lock(&mu_);
   --pending_updates_;
   if (!report.ok()) {
@@ -194,7 +216,7 @@ void Session::RunUpdate(uint64_t index, const std::vector<BufferedChunk>& batch,
     spdlog::error("session {}: {}", SessionIdentity(spec_), report.status().ToString());
     return;
   }
-  last_loss_ = report->loss;
+  if (std::isfinite(report->loss)) last_loss_ = report->loss;
   if (report->applied) return;
   if (report->verdict) {
     ++updates_guarded_;

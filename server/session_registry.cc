@@ -6,6 +6,7 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <limits>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
@@ -23,6 +24,15 @@ absl::StatusOr<std::string> RandomHex(int bytes) {
   if (RAND_bytes(reinterpret_cast<unsigned char*>(random.data()), bytes) != 1)
     return absl::UnavailableError("the system has no random numbers for a token");
   return absl::BytesToHexString(random);
+}
+
+// What the caller's token may ask for; 0: as much as anybody.
+MethodCaps CapsOf(const Caller& caller) {
+  constexpr int kAny = std::numeric_limits<int>::max();
+  const auto most = [](int limit) { return limit == 0 ? kAny : limit; };
+  const CallerLimits& limits = caller.limits;
+  return {most(limits.rank), most(limits.batch), limits.update_interval,
+          most(limits.buffer_chunks)};
 }
 
 bool SameSecret(const std::string& a, const std::string& b) {
@@ -82,11 +92,18 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::ReadFromDisk(
     absl::MutexLock lock(&mu_);
     owner = ++last_owner_;
   }
-  RS_ASSIGN_OR_RETURN(std::shared_ptr<Session> session,
-                      Session::Create(request.spec, resources, owner, request.guard));
-  const absl::Status status = session->Recover(folders_->PathOf(id));
-  if (status.ok()) return session;
-  session->Cancel();
+  absl::StatusOr<std::shared_ptr<Session>> session =
+      Session::Create(request.spec, resources, owner, request.guard);
+  absl::Status status = session.status();
+  if (status.ok()) {
+    folders_->BeginReading(id);
+    status = (*session)->Recover(folders_->PathOf(id));
+    folders_->EndReading(id);
+    if (status.ok()) return session;
+    (*session)->Cancel();
+  }
+  // What its files hold will be no other at the next attempt.
+  if (absl::IsDataLoss(status) || absl::IsInvalidArgument(status)) folders_->SetAside(id, status);
   return status;
 }
 
@@ -226,6 +243,7 @@ absl::Status SessionRegistry::CheckOwner(const Entry& entry, const std::string& 
 
 absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& request,
                                                     const Caller& caller) {
+  RS_RETURN_IF_ERROR(CheckMethodCaps(request.spec.method, Tightest(options_.caps, CapsOf(caller))));
   RS_ASSIGN_OR_RETURN(const SessionResources resources, resources_of_(request.spec.policy));
   OpenedSession opened;
   RS_ASSIGN_OR_RETURN(const std::string name, RandomHex(8));
@@ -316,7 +334,9 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::Acquire(const std::str
   entry.busy = false;
   if (!session.ok()) {
     if (place.ok()) CountPlace(caller.client(), -1);
-    return session.status();
+    const absl::Status& status = session.status();
+    if (absl::IsDataLoss(status) || absl::IsInvalidArgument(status)) entry.unreadable = status;
+    return status;
   }
   entry.client = caller.client();
   entry.session = *session;

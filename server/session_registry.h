@@ -18,6 +18,7 @@
 #include "common/clock.h"
 #include "server/edge/access_tokens.h"
 #include "server/session.h"
+#include "server/session_checks.h"
 #include "server/session_request.h"
 #include "server/state/session_folders.h"
 
@@ -34,6 +35,7 @@ struct SessionRegistryOptions {
   // Unused for this long a session is closed, on disk too. Counted by the monotonic clock while the
   // server runs, so a wall clock that jumps closes nothing.
   absl::Duration expire_after = absl::InfiniteDuration();
+  MethodCaps caps;  // of sessions that are opened; those on disk go on
 };
 
 struct OpenedSession {

@@ -23,6 +23,9 @@ struct PolicySpec {
   int action_dim = 7;                // environment action
   int horizon = 50;                  // K, steps per predicted chunk
   int execute_steps = 5;             // n_exec
+  // [action_dim] what the policy's actions mean to lie in, environment units; empty: it declares none. A
+  // policy may pass them by a little; a correction is held to them (server/command_bounds.h).
+  std::vector<float> action_low, action_high;
   bool adaptable = false;            // has an action expert that LoRA can adapt
 };
 

@@ -176,6 +176,8 @@ robostress::v1::PolicySpec ToProto(const PolicySpec& spec) {
   message.set_adaptable(spec.adaptable);
   message.set_resizes_images(spec.resizes_images);
   message.set_max_view_side(static_cast<uint32_t>(spec.max_view_side));
+  message.mutable_action_low()->Add(spec.action_low.begin(), spec.action_low.end());
+  message.mutable_action_high()->Add(spec.action_high.begin(), spec.action_high.end());
   return message;
 }
 
@@ -213,6 +215,9 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
   RS_RETURN_IF_ERROR(
       CheckRange("policy.max_view_side", message.max_view_side(), 0, WireLimits::kImageSide));
   if (message.max_view_side() != 0) spec.max_view_side = static_cast<int>(message.max_view_side());
+  spec.action_low.assign(message.action_low().begin(), message.action_low().end());
+  spec.action_high.assign(message.action_high().begin(), message.action_high().end());
+  RS_RETURN_IF_ERROR(CheckActionRange(spec));
   return spec;
 }
 

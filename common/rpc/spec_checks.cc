@@ -1,6 +1,7 @@
 #include "common/rpc/spec_checks.h"
 
 #include <algorithm>
+#include <cmath>
 #include <string>
 #include <utility>
 #include <vector>
@@ -25,6 +26,22 @@ absl::Status CheckMatrixSize(const std::string& field, const Eigen::MatrixXf& ma
                              int cols) {
   if (matrix.rows() == rows && matrix.cols() == cols) return absl::OkStatus();
   return Invalid(field, " is ", MatrixSize(matrix), ", must be ", rows, " x ", cols);
+}
+
+absl::Status CheckActionRange(const PolicySpec& spec) {
+  if (spec.action_low.empty() && spec.action_high.empty()) return absl::OkStatus();
+  const auto dims = static_cast<size_t>(spec.action_dim);
+  if (spec.action_low.size() != dims || spec.action_high.size() != dims) {
+    return Invalid("policy.action_low has ", spec.action_low.size(), " and action_high ",
+                   spec.action_high.size(), " values; give ", spec.action_dim, " each or none");
+  }
+  for (size_t i = 0; i < dims; ++i) {
+    const float low = spec.action_low[i], high = spec.action_high[i];
+    if (std::isfinite(low) && std::isfinite(high) && low <= high) continue;
+    return Invalid("policy.action_low[", i, "] is ", low, " and action_high[", i, "] ", high,
+                   "; they must be finite and in this order");
+  }
+  return absl::OkStatus();
 }
 
 absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec) {

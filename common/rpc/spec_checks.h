@@ -20,6 +20,9 @@ absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec&
 // Checks an executed chunk: action_dim columns, steps within the predicted chunk.
 absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec);
 
+// Checks a declared action range: none, or action_dim finite bounds with low <= high.
+absl::Status CheckActionRange(const PolicySpec& spec);
+
 // `field` names the matrix in the error.
 absl::Status CheckMatrixSize(const std::string& field, const Eigen::MatrixXf& matrix, int rows,
                              int cols);

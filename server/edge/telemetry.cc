@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/plausible_motion.h"
 
 namespace robostress {
 namespace {
@@ -100,7 +101,9 @@ void Telemetry::Predicted(const std::string& session, const Observation& observa
 void Telemetry::Reported(const std::string& session, const SessionSpec& spec,
                          const ExecutedChunk& executed) {
   chunks_->Add();
-  const Eigen::MatrixXd residual = ChunkResidual(executed, OptionsOf(spec));
+  // As the session sees it: an impossible measurement is none.
+  const Eigen::MatrixXd residual =
+      ChunkResidual(WithMasked(executed, ImpossibleSteps(executed)), OptionsOf(spec));
   if (residual.rows() == 0 || residual.cols() < 2) return;
   ResidualPoint point;
   point.sequence = executed.sequence;
@@ -147,6 +150,8 @@ void Telemetry::CountOutcomes(const Record& record, const SessionFigures& now) {
   count(&SessionFigures::predictions_unkept, "robostress_predictions_unkept_total",
         "Predictions that could not be written to the journal, e.g. because the disk was full.",
         {});
+  count(&SessionFigures::steps_impossible, "robostress_steps_impossible_total",
+        "Control steps that count as not measured, since no robot can show what was reported.", {});
 }
 
 void Telemetry::Refresh(const std::vector<SessionFigures>& sessions) {

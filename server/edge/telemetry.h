@@ -24,6 +24,7 @@ struct SessionFigures {
   bool open = true;   // in memory
   double idle_s = 0;  // since its last message [s]
   uint64_t feedback_sequence = 0, predictions = 0, duplicates = 0, rollbacks = 0;
+  uint64_t steps_impossible = 0;  // masked by the server
   uint64_t updates_applied = 0, updates_refused = 0, updates_guarded = 0;
   double adapter_distance = 0;  // ||phi - phi_0||_2
   double last_loss = 0;

@@ -36,12 +36,26 @@ class NanoPolicy : public FlowPolicy {
     spec_.horizon = model_.config.horizon;
     spec_.execute_steps = model_.config.execute_steps;
     spec_.adaptable = true;
+    // What demonstrations hold, and what the controller takes. Absolute joint targets have other
+    // limits, the arm's, which weights do not know.
+    if (model_.config.displacement_channels == 0) {
+      spec_.action_low.assign(spec_.action_dim, -1.0f);
+      spec_.action_high.assign(spec_.action_dim, 1.0f);
+    }
   }
 
   const PolicySpec& spec() const override { return spec_; }
   int64_t horizon() const override { return model_.config.horizon; }
   int64_t model_action_dim() const override { return model_.config.model_action_dim; }
   const std::vector<LoraTarget>& lora_targets() const override { return network_.lora_targets(); }
+  ContextShape context_shape() const override {
+    const NanoConfig& c = model_.config;
+    return {.layers = c.layers,
+            .kv_heads = 1,
+            .head_dim = c.head_dim,
+            .max_prefix = c.prefix_tokens(),
+            .state_dim = c.state_dim};
+  }
 
   absl::StatusOr<PolicyContext> Encode(const Observation& observation) const override {
     try {

@@ -5,10 +5,14 @@
 #include <sys/file.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
+#include <limits>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
@@ -23,7 +27,17 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr uint32_t kMaxDeadlineMs = std::numeric_limits<int32_t>::max();
 constexpr char kClosed[] = "closed-";  // folders on their way out
+// In a session's folder. What is being read, with how often that was begun; why it is set aside.
+constexpr char kReading[] = "/READING", kFailed[] = "/FAILED";
+
+// Readings that were begun and not ended.
+int DeathsOf(const std::string& path) {
+  int deaths = 0;
+  std::ifstream(path) >> deaths;
+  return std::clamp(deaths, 0, 1000);
+}
 
 v1::StateHeader HeaderOf(const std::string& id, const std::string& token_sha256,
                          const std::string& owner, const SessionRequest& request,
@@ -45,6 +59,10 @@ absl::StatusOr<SessionRequest> RequestOf(const v1::StateHeader& header) {
   RS_ASSIGN_OR_RETURN(request.spec, FromStored(header.spec()));
   RS_ASSIGN_OR_RETURN(request.guard, FromRecord(header.guard()));
   RS_ASSIGN_OR_RETURN(request.scheduling.priority, FromProto(header.priority()));
+  if (header.deadline_ms() > kMaxDeadlineMs) {
+    return absl::DataLossError(absl::StrCat("header: deadline_ms is ", header.deadline_ms(),
+                                            ", at most ", kMaxDeadlineMs, " is possible"));
+  }
   request.scheduling.deadline_ms = static_cast<int>(header.deadline_ms());
   return request;
 }
@@ -91,6 +109,37 @@ void SessionFolders::Remove(const std::string& id) const {
   if (error) spdlog::error("{}: cannot remove its folder: {}", id, error.message());
 }
 
+void SessionFolders::BeginReading(const std::string& id) const {
+  const std::string path = PathOf(id) + kReading;
+  const int deaths = DeathsOf(path);
+  std::ofstream(path, std::ios::trunc) << deaths + 1 << "\n";  // no loss if the disk is full
+}
+
+void SessionFolders::EndReading(const std::string& id) const {
+  ::unlink((PathOf(id) + kReading).c_str());
+}
+
+void SessionFolders::SetAside(const std::string& id, const absl::Status& why) const {
+  spdlog::error("{}: set aside, its files stay: {}", id, why.ToString());
+  const absl::Status written =
+      WriteFileAtomically(PathOf(id) + kFailed, absl::StrCat(why.message(), "\n"));
+  if (!written.ok()) spdlog::error("{}: {}", id, written.ToString());
+}
+
+absl::Status SessionFolders::WhyAside(const std::string& id) const {
+  if (const absl::StatusOr<std::string> reason = ReadFile(PathOf(id) + kFailed); reason.ok()) {
+    return absl::DataLossError(
+        absl::StrCat("set aside: ", absl::StripAsciiWhitespace(*reason).substr(0, 4096)));
+  }
+  const int deaths = DeathsOf(PathOf(id) + kReading);
+  if (deaths < kMaxDeaths) return absl::OkStatus();
+  const absl::Status why = absl::DataLossError(
+      absl::StrCat("the server ended ", deaths, " times in a row while it read this session"));
+  SetAside(id, why);
+  EndReading(id);
+  return why;
+}
+
 std::vector<SessionFolders::Stored> SessionFolders::Find() const {
   std::error_code error;
   std::vector<Stored> found;
@@ -109,6 +158,7 @@ std::vector<SessionFolders::Stored> SessionFolders::Find() const {
       stored.token_sha256 = header->token_sha256();
       stored.owner = header->owner();
     }
+    if (const absl::Status aside = WhyAside(name); !aside.ok()) stored.readable = aside;
     if (!stored.readable.ok()) spdlog::error("{}: {}", name, stored.readable.ToString());
   }
   return found;

@@ -41,10 +41,21 @@ class SessionFolders {
                                                          const std::string& owner,
                                                          const SessionRequest& request,
                                                          const std::string& model_hash) const;
+  // Around the reading of a session. A session at which the process died kMaxDeaths times in a row
+  // is set aside by the Find of the next start; one death may be a kill or a loss of power that had
+  // nothing to do with it.
+  static constexpr int kMaxDeaths = 2;
+  void BeginReading(const std::string& id) const;
+  void EndReading(const std::string& id) const;
+  // Its files stay, and Find says that it cannot be read and why, until an operator closes it, or
+  // repairs it and removes the file FAILED from its folder.
+  void SetAside(const std::string& id, const absl::Status& why) const;
   // Errors are logged. Once it has begun the session is closed, whatever happens to this process.
   void Remove(const std::string& id) const;
 
  private:
+  // OK: it is not set aside.
+  absl::Status WhyAside(const std::string& id) const;
   SessionFolders(std::string state_dir, int lock) : state_dir_(std::move(state_dir)), lock_(lock) {}
 
   const std::string state_dir_;

@@ -20,6 +20,7 @@ namespace robostress {
 namespace {
 
 constexpr uint32_t kFormat = 1;
+constexpr uint64_t kMaxGeneration = uint64_t{1} << 48;  // a file of a higher one is not ours
 
 std::string FileName(const std::string& folder, const char* kind, uint64_t generation) {
   return absl::StrFormat("%s/%s-%06d", folder, kind, generation);
@@ -36,11 +37,10 @@ absl::StatusOr<Files> ListFiles(const std::string& folder) {
     const std::string name = entry.path().filename().string();
     absl::string_view digits = name;
     uint64_t generation = 0;
-    if (absl::ConsumePrefix(&digits, "journal-") && absl::SimpleAtoi(digits, &generation)) {
-      files.journals.insert(generation);
-    } else if (absl::ConsumePrefix(&digits, "snapshot-") && absl::SimpleAtoi(digits, &generation)) {
-      files.snapshots.insert(generation);
-    }
+    const bool journal = absl::ConsumePrefix(&digits, "journal-");
+    if (!journal && !absl::ConsumePrefix(&digits, "snapshot-")) continue;
+    if (!absl::SimpleAtoi(digits, &generation) || generation > kMaxGeneration) continue;
+    (journal ? files.journals : files.snapshots).insert(generation);
   }
   if (error)
     return absl::NotFoundError(absl::StrCat("cannot list '", folder, "': ", error.message()));

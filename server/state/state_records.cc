@@ -90,7 +90,7 @@ absl::StatusOr<torch::Tensor> FromRecord(const char* field, const v1::StateTenso
   const torch::ScalarType type = kTypes[record.type()];
   uint64_t bytes = c10::elementSize(type);
   for (const int64_t size : record.shape()) {
-    if (size < 0 || size > (int64_t{1} << 31)) return Damaged(field, " has a size of ", size);
+    if (size < 1 || size > (int64_t{1} << 31)) return Damaged(field, " has a size of ", size);
     bytes *= static_cast<uint64_t>(size);
     if (bytes > (uint64_t{1} << 31)) return Damaged(field, " is larger than 2 GiB");
   }
@@ -99,7 +99,7 @@ absl::StatusOr<torch::Tensor> FromRecord(const char* field, const v1::StateTenso
   }
   torch::Tensor tensor =
       torch::empty(std::vector<int64_t>(record.shape().begin(), record.shape().end()), type);
-  if (bytes > 0) std::memcpy(tensor.data_ptr(), record.data().data(), bytes);
+  std::memcpy(tensor.data_ptr(), record.data().data(), bytes);
   if (tensor.is_floating_point() && !torch::isfinite(tensor).all().item<bool>())
     return Damaged(field, " holds a value that is not finite");
   return tensor;

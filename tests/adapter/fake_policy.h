@@ -31,6 +31,8 @@ class FakePolicy : public FlowPolicy {
     spec_.horizon = kHorizon;
     spec_.execute_steps = 5;
     spec_.adaptable = true;
+    spec_.action_low.assign(7, -1.0f);
+    spec_.action_high.assign(7, 1.0f);
     targets_ = {{"in", kDim, kWidth, 3}, {"out", kWidth, kDim, 1, 2}};
     W1_ = Random("W1", {kWidth, kDim}, 0.3);
     W2_ = Random("W2", {kDim, kWidth}, 0.3);
@@ -42,6 +44,9 @@ class FakePolicy : public FlowPolicy {
   int64_t horizon() const override { return kHorizon; }
   int64_t model_action_dim() const override { return kDim; }
   const std::vector<LoraTarget>& lora_targets() const override { return targets_; }
+  ContextShape context_shape() const override {
+    return {.layers = 1, .kv_heads = 1, .head_dim = 4, .max_prefix = 8, .state_dim = kState};
+  }
   const PolicySpec& spec() const override { return spec_; }
 
   torch::Tensor Velocity(const PolicyContext& context, const torch::Tensor& x_u,

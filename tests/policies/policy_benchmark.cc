@@ -233,6 +233,15 @@ class OpenpiField : public VelocityField {
   int64_t horizon() const override { return model_.config.horizon; }
   int64_t model_action_dim() const override { return model_.config.action_dim; }
   const std::vector<LoraTarget>& lora_targets() const override { return targets_; }
+  ContextShape context_shape() const override {
+    const OpenpiConfig& c = model_.config;
+    return {.layers = c.depth,
+            .kv_heads = c.kv_heads,
+            .head_dim = c.head_dim,
+            .kv_type = torch::kFloat32,
+            .max_prefix = 3 * c.patches() + c.prompt_tokens,
+            .state_dim = c.action_dim};
+  }
   torch::Tensor Velocity(const PolicyContext& context, const torch::Tensor& x_u,
                          const torch::Tensor& u, const LoraWeights* lora) const override {
     const bool widen = context.keys[0].scalar_type() == torch::kBFloat16 &&

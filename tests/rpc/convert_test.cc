@@ -165,9 +165,13 @@ TEST(ConvertTest, PolicySpecAndStatsSurviveTheWire) {
   spec.cameras = {"agentview", "robot0_eye_in_hand"};
   spec.resizes_images = true;
   spec.max_view_side = 640;
+  spec.action_low = {-1, -2, 0};
+  spec.action_high = {1, 0.5f, 0};
   const absl::StatusOr<PolicySpec> got = FromProto(Transmit(ToProto(spec)));
   ASSERT_TRUE(got.ok()) << got.status();
   EXPECT_EQ(ToProto(*got).SerializeAsString(), ToProto(spec).SerializeAsString());
+  EXPECT_EQ(got->action_low, spec.action_low);
+  EXPECT_EQ(got->action_high, spec.action_high);
   EXPECT_TRUE(got->resizes_images);
   EXPECT_EQ(got->max_view_side, 640);
   const SessionStats stats{12, 3, 0.5, 0.25};
@@ -340,7 +344,16 @@ TEST(ConvertTest, RefusesHostilePolicySpecsAndPredictions) {
       ToProto(spec),
       {{[](S& m) { m.set_execute_steps(5); }, "policy.execute_steps is 5, must be 1 to 4"},
        {[](S& m) { m.set_horizon(0); }, "policy.horizon is 0"},
-       {[](S& m) { m.set_image_width(100000); }, "policy.image_width is 100000"}});
+       {[](S& m) { m.set_image_width(100000); }, "policy.image_width is 100000"},
+       {[](S& m) { m.add_action_low(-1); }, "policy.action_low has 1 and action_high 0 values"},
+       {[](S& m) {
+          for (int i = 0; i < 3; ++i) m.add_action_low(1), m.add_action_high(0);
+        },
+        "policy.action_low[0] is 1 and action_high[0] 0"},
+       {[](S& m) {
+          for (int i = 0; i < 3; ++i) m.add_action_low(0), m.add_action_high(std::nanf(""));
+        },
+        "they must be finite"}});
   PredictedChunk prediction;
   prediction.actions = prediction.policy_actions = Eigen::MatrixXf::Zero(4, 3);
   using P = v1::PredictResponse;

@@ -203,6 +203,7 @@ std::pair<double, double> P99RatioInterval(const Serving& s) {
 Serving Serve(const std::string& name, PolicyServerOptions options, const TableOptions& table,
               const std::shared_ptr<const FlowPolicy>& policy) {
   options.threads = table.threads;
+  options.caps.min_update_interval = 1;
   Serving serving{name, OrDie(PolicyServer::Start(options, {policy}))};
   const std::vector<std::string> common{"learning_rate=1e-6", "buffer_chunks=4", "batch=4"};
   std::vector<std::string> often = common, once = common;
@@ -295,6 +296,7 @@ void PrintBatchesTable(const TableOptions& table, const std::string& what,
     PolicyServerOptions options;
     options.threads = table.threads;
     options.max_batch = 1;
+    options.caps.min_update_interval = 1;
     const auto one = OrDie(PolicyServer::Start(options, {policy}));
     options.max_batch = 8;
     const auto batched = OrDie(PolicyServer::Start(options, {policy}));

@@ -132,9 +132,10 @@ struct StateFolder {
 
 int Run(const std::string& program, double minutes, int clients, double pause_s) {
   const StateFolder state;  // outlives the server
-  ServeProcess server(program, {"--websocket-listen", "127.0.0.1:0", "--max-sessions", "64",
-                                "--session-expiry", "30", "--snapshot-records", "64", "--log-level",
-                                "error", "--state-dir", state.path.string()});
+  ServeProcess server(
+      program, {"--websocket-listen", "127.0.0.1:0", "--max-sessions", "64",
+                "--min-update-interval", "1", "--session-expiry", "30", "--snapshot-records", "64",
+                "--log-level", "error", "--state-dir", state.path.string()});
   PolicyClientOptions options;
   options.address = server.Address("grpc");
   const auto info = GetServerInfo(options);

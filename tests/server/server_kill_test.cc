@@ -84,6 +84,7 @@ class ServerForge {
     options.threads = 1;
     options.state_dir = order.folder;
     options.snapshot_records = 23;
+    options.caps.min_update_interval = 1;
     const auto server = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
     const int port = server.ok() ? -(*server)->port() : 0;
     if (write(answers_[1], &port, sizeof port) != sizeof port) _exit(1);

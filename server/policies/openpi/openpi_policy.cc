@@ -22,6 +22,7 @@ using torch::Tensor;
 struct Compute {
   torch::Device device = torch::kCPU;
   int threads = 1;
+  torch::ScalarType kv_type = torch::kFloat32;  // of a prefix's keys and values
   bool widen_expert = false;  // for gradients: bfloat16 weights that the device multiplies slowly
 };
 
@@ -56,6 +57,7 @@ class OpenpiPolicy : public FlowPolicy {
     spec_.horizon = static_cast<int>(model_.config.horizon);
     spec_.execute_steps = static_cast<int>(setup.execute_steps);
     spec_.adaptable = true;
+    DeclareActionRange(setup);
     targets_ = ExpertLoraTargets(model_.config);
   }
 
@@ -63,6 +65,15 @@ class OpenpiPolicy : public FlowPolicy {
   int64_t horizon() const override { return model_.config.horizon; }
   int64_t model_action_dim() const override { return model_.config.action_dim; }
   const std::vector<LoraTarget>& lora_targets() const override { return targets_; }
+  ContextShape context_shape() const override {
+    const OpenpiConfig& c = model_.config;
+    return {.layers = c.depth,
+            .kv_heads = c.kv_heads,
+            .head_dim = c.head_dim,
+            .kv_type = compute_.kv_type,
+            .max_prefix = static_cast<int64_t>(kImageSlots.size()) * c.patches() + c.prompt_tokens,
+            .state_dim = c.action_dim};
+  }
 
   absl::StatusOr<PolicyContext> Encode(const Observation& observation) const override {
     try {
@@ -114,6 +125,18 @@ class OpenpiPolicy : public FlowPolicy {
   }
 
  private:
+  // From the 1st to the 99th percentile of the training data, where they are of what the robot is
+  // sent: statistics of delta actions are not, and a mean and a deviation bound nothing.
+  void DeclareActionRange(const PolicySetup& setup) {
+    const auto found = setup.stats.fields.find("actions");
+    if (setup.delta || found == setup.stats.fields.end() || !found->second.has_quantiles()) return;
+    const FieldStats& stats = found->second;
+    const auto dims = static_cast<size_t>(spec_.action_dim);
+    if (stats.q01.size() < dims) return;
+    spec_.action_low.assign(stats.q01.begin(), stats.q01.begin() + spec_.action_dim);
+    spec_.action_high.assign(stats.q99.begin(), stats.q99.begin() + spec_.action_dim);
+  }
+
   // The threads that compute are the server's, which limits each to one core at its first use.
   void UseThreads() const {
     if (compute_.threads > 1) SetComputeThreads(compute_.threads);
@@ -173,6 +196,7 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> MakeOpenpiPolicy(
   Compute compute;
   RS_ASSIGN_OR_RETURN(compute.device, FindDevice(options.device));
   compute.threads = static_cast<int>(options.threads);
+  compute.kv_type = bf16 ? torch::kBFloat16 : torch::kFloat32;
   compute.widen_expert = bf16 && !MultipliesBf16(compute.device);
   if (!compute.device.is_cpu()) {  // once, for the inference and for gradients
     const torch::Dtype dtype = bf16 ? torch::kBFloat16 : torch::kFloat32;
