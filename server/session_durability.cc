@@ -339,7 +339,9 @@ absl::Status Session::ReadSnapshotRecord(const v1::StateRecord& record,
 
 absl::Status Session::Recover(const std::string& folder) {
   UseOneTorchThread();
-  return WithoutExceptions("recovery", [&] { return RecoverUnguarded(folder); });
+  const absl::Status status =
+      WithoutExceptions("recovery", [&] { return RecoverUnguarded(folder); });
+  return absl::IsInternal(status) ? Damaged(status) : status;
 }
 
 absl::Status Session::RecoverUnguarded(const std::string& folder) {

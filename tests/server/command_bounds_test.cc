@@ -109,7 +109,7 @@ TEST(ImpossibleMeasurements, LeaveEveryMethodBoundedCommandsAndItsNextChunk) {
         const uint64_t masked = client.session().Counters()->steps_impossible - before;
         if (std::abs(value) > 1e3) {
           EXPECT_EQ(masked, field.masks ? 2u : 0u) << what;  // those before and after the state
-        } else if (std::abs(value) < 1e-300) {
+        } else if (std::abs(value) < 1e-300 && field.name != "everything") {
           EXPECT_EQ(masked, 0u) << what;
         }
         impossible += masked;

@@ -37,7 +37,7 @@ StateFile Exported(Rig& rig, int chunks, const std::string& method = "ours") {
 absl::Status Refusal(Session& session, const StateFile& file) {
   const std::string before = ExportOf(session);
   const absl::Status status = session.Import(file.Serialize()).status();
-  EXPECT_EQ(ExportOf(session), before);
+  EXPECT_TRUE(ExportOf(session) == before) << "changed by what it refused: " << status;
   return status;
 }
 
@@ -64,9 +64,9 @@ TEST(SessionState, ABufferThatIsTooSmallForTheNextBatchIsRefusedByTheImport) {
 TEST(SessionState, AcceptsExactlyTheBuffersThatFillEveryBatch) {
   Rig rig;
   const StateFile full = Exported(rig, 12);
+  int accepted = 0, refused = 0;
   for (const auto& [capacity, interval, batch] :
        std::vector<std::array<int, 3>>{{8, 8, 8}, {8, 3, 5}, {10, 4, 7}, {12, 1, 12}}) {
-    int accepted = 0, refused = 0;
     for (int chunks = 0; chunks <= 30; chunks += 3) {
       for (int held = 0; held <= 8; held += 2) {
         StateFile file = full;
@@ -93,9 +93,9 @@ TEST(SessionState, AcceptsExactlyTheBuffersThatFillEveryBatch) {
         client.RunChunks(next - chunks);
       }
     }
-    EXPECT_GT(accepted, 5);
-    EXPECT_GT(refused, 5);
   }
+  EXPECT_GT(accepted, 50);
+  EXPECT_GT(refused, 50);
 }
 
 TEST(SessionState, ImportNamesEveryFieldThatCannotBe) {
@@ -109,7 +109,7 @@ TEST(SessionState, ImportNamesEveryFieldThatCannotBe) {
   const std::string most = absl::StrCat(uint64_t{1} << 53);
   for (const Case& c : std::vector<Case>{
            {"feedback_sequence", "18446744073709551615", "at most " + most},
-           {"triggers", "18446744073709551615", "triggers is"},
+           {"triggers", "18446744073709551615", "triggers 18446744073709551615; neither can be"},
            {"triggers", "13", "triggers 13; neither can be above feedback_sequence, 12"},
            {"version", "18446744073709551615", "version is"},
            {"adam_steps", "-1", "adam_steps is -1"},
@@ -152,7 +152,9 @@ TEST(SessionState, ImportNamesEveryTensorOfAnotherShapeTypeOrValue) {
   for (const auto& [name, entry] : good.tensors) {
     EXPECT_NE(refused(name, [](StateFile::Entry& e) { e.shape.push_back(1); }), "") << name;
     EXPECT_NE(refused(name, [](StateFile::Entry& e) { e.shape[0] = 0, e.Resize(); }), "") << name;
-    EXPECT_NE(refused(name, [](StateFile::Entry& e) { e.dtype = DType::kI64, e.Resize(); }), "");
+    if (entry.dtype != DType::kF64) {  // those are read as numbers of any type
+      EXPECT_NE(refused(name, [](StateFile::Entry& e) { e.dtype = DType::kI64, e.Resize(); }), "");
+    }
     if (entry.dtype != DType::kF32) continue;
     for (const float value : {std::nanf(""), std::numeric_limits<float>::infinity()})
       EXPECT_THAT(refused(name, [value](StateFile::Entry& e) { e.Set(0, value); }),

@@ -160,6 +160,7 @@ void MutateFile(RandomStream& random, StateFile& file) {
 }
 
 std::string MutatedFile(RandomStream& random, const std::string& bytes) {
+  if (!SafetensorsFile::Parse("state", bytes).ok()) return bytes;  // changed before
   StateFile file = StateFile::Parse(bytes);
   for (int i = 1 + random.UniformInt(3); i > 0; --i) MutateFile(random, file);
   return file.Serialize();
@@ -425,7 +426,7 @@ class StateFuzz : public ::testing::Test {
     const std::string now = ExportOf(session);
     const absl::Status again = session.Import(now).status();
     ASSERT_TRUE(again.ok()) << what << ": " << again;
-    ASSERT_EQ(ExportOf(session), now) << what;
+    ASSERT_TRUE(ExportOf(session) == now) << what;
   }
 
   void ImportCase(RandomStream& random, const std::string& what) {
@@ -442,7 +443,7 @@ class StateFuzz : public ::testing::Test {
       ++refused_;
       ASSERT_TRUE(absl::IsInvalidArgument(imported.status())) << what << ": " << imported.status();
       ASSERT_GT(imported.status().message().size(), 20u);
-      ASSERT_EQ(ExportOf(session), before) << what;
+      ASSERT_TRUE(ExportOf(session) == before) << what;
       return;
     }
     ++accepted_;
