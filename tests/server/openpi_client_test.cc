@@ -21,7 +21,7 @@ using ::testing::HasSubstr;
 class OpenpiClient : public ::testing::Test {
  protected:
   // Once per build folder: later runs find it there.
-  void SetUp() override {
+  static void SetUpTestSuite() {
     const std::string venv = OPENPI_CLIENT_VENV, done = venv + "/DONE";
     python_ = venv + "/bin/python";
     if (std::filesystem::exists(done)) return;
@@ -29,24 +29,26 @@ class OpenpiClient : public ::testing::Test {
       const auto [output, code] = RunProgram(program, arguments);
       return code == 0 ? std::string() : absl::StrCat(program, " failed: ", output);
     };
-    std::string failure = attempt("python3 -m venv --clear", venv);
-    if (failure.empty()) {
-      failure = attempt(python_,
-                        "-m pip install --quiet --disable-pip-version-check --no-deps "
-                        "--only-binary=:all: --timeout 15 --retries 1 -r " OPENPI_CLIENT_TESTS
-                        "/openpi_client_requirements.txt");
+    failure_ = attempt("python3 -m venv --clear", venv);
+    if (failure_.empty()) {
+      failure_ = attempt(python_,
+                         "-m pip install --quiet --disable-pip-version-check --no-deps "
+                         "--only-binary=:all: --timeout 15 --retries 1 -r " OPENPI_CLIENT_TESTS
+                         "/openpi_client_requirements.txt");
     }
-    if (!failure.empty())
-      GTEST_SKIP() << "needs python3-venv and PyPI for openpi-client: " << failure;
-    std::ofstream(done) << "installed\n";
+    if (failure_.empty()) std::ofstream(done) << "installed\n";
+  }
+  void SetUp() override {
+    if (!failure_.empty())
+      GTEST_SKIP() << "needs python3-venv and PyPI for openpi-client: " << failure_;
   }
   // Output and exit code.
-  std::pair<std::string, int> Drive(int port, const std::string& env, int steps) const {
+  static std::pair<std::string, int> Drive(int port, const std::string& env, int steps) {
     return RunProgram(python_, absl::StrCat(OPENPI_CLIENT_TESTS "/openpi_client_driver.py ", port,
                                             " ", env, " ", steps));
   }
 
-  std::string python_;
+  static inline std::string python_, failure_;
 };
 
 TEST_F(OpenpiClient, RunsLiberoAndDroidOnNano) {
