@@ -77,6 +77,7 @@ BatcherOptions BatchingOf(const PolicyServerOptions& options) {
   batching.max_batch = options.max_batch;
   batching.window = options.batch_window;
   batching.queue.capacity = options.queue_capacity;
+  batching.queue.starvation_limit = options.starvation_limit;
   return batching;
 }
 
@@ -92,7 +93,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
         own_metrics_(options.metrics == nullptr ? std::make_unique<Metrics>() : nullptr),
         metrics_(options.metrics == nullptr ? *own_metrics_ : *options.metrics),
         telemetry_(&metrics_),
-        traces_(&metrics_),
+        traces_(&metrics_, static_cast<size_t>(options.kept_traces)),
         pacer_({options.cores, options.update_share}, &metrics_),
         async_updates_({options.threads, &pacer_, UpdatePacer::Kind::kAsync, options.update_nice}),
         lockstep_updates_({options.threads, &pacer_, UpdatePacer::Kind::kLockstep, 0}),
@@ -104,6 +105,7 @@ class PolicyServer::Service final : public v1::PolicyService::Service {
     SessionRegistryOptions registry;
     registry.max_sessions = options_.max_sessions;
     registry.state_dir = options_.state_dir;
+    registry.max_stored_sessions = options_.max_stored_sessions;
     registry.abandoned_after = options_.abandoned_after;
     registry.expire_after = options_.expire_after;
     RS_ASSIGN_OR_RETURN(
@@ -442,8 +444,8 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   grpc::ResourceQuota quota("policy_server");
   quota.SetMaxThreads(2 * options.max_sessions + 32);  // two streams a session hold a thread each
   builder.SetResourceQuota(quota);
-  builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
-  builder.SetMaxSendMessageSize(kMaxMessageBytes);
+  builder.SetMaxReceiveMessageSize(options.max_message_mib << 20);
+  builder.SetMaxSendMessageSize(options.max_message_mib << 20);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT,
                              0);  // a second server on the port must fail, not share it
   server->credentials_ = MakeServerCredentials(options.tls);

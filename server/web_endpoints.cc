@@ -58,6 +58,8 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
   web.tls = options.tls;
   web.max_connections = options.max_connections;
   web.max_message_bytes = options.max_message_bytes;
+  web.request_timeout = options.request_timeout;
+  web.idle_timeout = options.idle_timeout;
   if (!options.websocket_listen.empty()) {
     web.name = "websocket";
     web.listen = options.websocket_listen;

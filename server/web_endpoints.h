@@ -16,6 +16,8 @@ struct WebEndpointsOptions {
   std::shared_ptr<TlsStore> tls;              // null: plain
   int max_connections = 256;
   uint64_t max_message_bytes = 64 << 20;
+  // WebServerOptions
+  absl::Duration request_timeout = absl::Seconds(30), idle_timeout = absl::Seconds(60);
   OpenpiOptions openpi;
 };
 
