@@ -99,6 +99,7 @@ BatcherOptions BatchingOf(const PolicyServerOptions& options) {
   batching.max_batch = options.max_batch;
   batching.window = options.batch_window;
   batching.queue.capacity = options.queue_capacity;
+  batching.queue.starvation_limit = options.starvation_limit;
   return batching;
 }
 
@@ -114,7 +115,7 @@ class PolicyServer::Service {
         own_metrics_(options.metrics == nullptr ? std::make_unique<Metrics>() : nullptr),
         metrics_(options.metrics == nullptr ? *own_metrics_ : *options.metrics),
         telemetry_(&metrics_),
-        traces_(&metrics_),
+        traces_(&metrics_, static_cast<size_t>(options.kept_traces)),
         pacer_({options.cores, options.update_share}, &metrics_),
         async_updates_({options.threads, &pacer_, UpdatePacer::Kind::kAsync, options.update_nice}),
         lockstep_updates_({options.threads, &pacer_, UpdatePacer::Kind::kLockstep, 0}),
@@ -129,6 +130,7 @@ class PolicyServer::Service {
     registry.max_sessions = options_.max_sessions;
     registry.caps = options_.caps;
     registry.state_dir = options_.state_dir;
+    registry.max_stored_sessions = options_.max_stored_sessions;
     registry.abandoned_after = options_.abandoned_after;
     registry.expire_after = options_.expire_after;
     RS_ASSIGN_OR_RETURN(
@@ -495,8 +497,9 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
   LimitConnections(builder, server->grpc_->calls_per_client());
-  builder.SetMaxReceiveMessageSize(static_cast<int>(server->grpc_->largest_request()));
-  builder.SetMaxSendMessageSize(kMaxMessageBytes);
+  builder.SetMaxReceiveMessageSize(
+      std::min(static_cast<int>(server->grpc_->largest_request()), options.max_message_mib << 20));
+  builder.SetMaxSendMessageSize(options.max_message_mib << 20);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT,
                              0);  // a second server on the port must fail, not share it
   server->credentials_ = MakeServerCredentials(options.tls);

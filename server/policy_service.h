@@ -11,6 +11,7 @@
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "common/rpc/grpc_status.h"
 #include "server/adaptation.h"
 #include "server/edge/access_tokens.h"
 #include "server/edge/tls_files.h"
@@ -48,12 +49,17 @@ struct PolicyServerOptions {
   // Durable sessions (server/session_registry.h); empty: in memory only.
   std::string state_dir;
   absl::Duration expire_after = absl::InfiniteDuration();
+  int max_stored_sessions = 4096;    // in memory and on disk together
   uint64_t snapshot_mib = 64;        // a snapshot is due after so much of a session's journal
   uint64_t snapshot_records = 1024;  // or so many records
   bool sync_predictions = false;     // predictions survive a loss of power
   GuardOptions guard;                // of sessions that ask for none
   MethodCaps caps;                   // what a session's adaptation may cost
   absl::Duration lockstep_timeout = absl::Seconds(120);
+  // A simulation's prediction that has waited this long goes like a real arm's.
+  absl::Duration starvation_limit = absl::Seconds(2);
+  int max_message_mib = kMaxMessageBytes >> 20;  // of gRPC, in both directions
+  int kept_traces = 256;                         // predictions whose spans /traces shows
   // Of the prefix keys and values that all sessions keep for learning (server/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
   int max_view_side = 0;          // [px] of any view; 0: what each policy takes

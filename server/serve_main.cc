@@ -74,6 +74,27 @@ absl::StatusOr<Secrets> SecretsOf(const ServeOptions& options) {
   return secrets;
 }
 
+template <class T>
+absl::Status InRange(const char* flag, T value, T low, T high) {
+  if (value >= low && value <= high) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(flag, " is ", value, ", must be ", low, "..", high));
+}
+
+absl::Status CheckLimits(const ServeOptions& o) {
+  RS_RETURN_IF_ERROR(InRange("--max-stored-sessions", o.max_stored_sessions, 1, 1000000));
+  RS_RETURN_IF_ERROR(InRange("--abandoned-after", o.abandoned_after, 0.0, 1e7));
+  RS_RETURN_IF_ERROR(InRange("--lockstep-timeout", o.lockstep_timeout, 1.0, 86400.0));
+  RS_RETURN_IF_ERROR(InRange("--starvation-limit", o.starvation_limit, 0.0, 3600.0));
+  RS_RETURN_IF_ERROR(InRange("--max-message-mib", o.max_message_mib, 1, 1024));
+  RS_RETURN_IF_ERROR(InRange("--kept-traces", o.kept_traces, 1, 100000));
+  RS_RETURN_IF_ERROR(InRange("--request-timeout", o.request_timeout, 1.0, 3600.0));
+  RS_RETURN_IF_ERROR(InRange("--idle-timeout", o.idle_timeout, 1.0, 86400.0));
+  RS_RETURN_IF_ERROR(InRange("--health-connections", o.health_connections, 1, 1024));
+  RS_RETURN_IF_ERROR(InRange("--grace", o.grace, 0.0, 86400.0));
+  return InRange("--session-expiry", o.session_expiry, 0.0, 1e9);
+}
+
 absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& options) {
   PolicyServerOptions result;
   result.listen = options.listen;
@@ -98,6 +119,12 @@ absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& op
   }
   result.max_view_side = options.max_view_side;
   result.state_dir = options.state_dir;
+  result.max_stored_sessions = options.max_stored_sessions;
+  result.abandoned_after = absl::Seconds(options.abandoned_after);
+  result.lockstep_timeout = absl::Seconds(options.lockstep_timeout);
+  result.starvation_limit = absl::Seconds(options.starvation_limit);
+  result.max_message_mib = options.max_message_mib;
+  result.kept_traces = options.kept_traces;
   if (options.session_expiry > 0) result.expire_after = absl::Seconds(options.session_expiry);
   result.snapshot_mib = options.snapshot_mib;
   result.snapshot_records = options.snapshot_records;
@@ -126,6 +153,8 @@ absl::StatusOr<WebEndpointsOptions> WebEndpointsOptionsOf(const ServeOptions& op
   result.websocket_listen = options.websocket_listen;
   result.http_listen = options.http_listen;
   result.max_connections = options.max_connections;
+  result.request_timeout = absl::Seconds(options.request_timeout);
+  result.idle_timeout = absl::Seconds(options.idle_timeout);
   result.max_message_bytes = static_cast<uint64_t>(options.websocket_max_mib) << 20;
   result.max_connections_per_client = options.connections_per_client;
   result.allowed_hosts = options.allowed_hosts;
@@ -182,17 +211,17 @@ int AwaitSignal(const sigset_t& signals) {
 
 // Probes are answered from the start on, and by nobody else's places: what fills the other ports
 // does not look like a server that is gone. Null: not served.
-absl::StatusOr<std::unique_ptr<WebServer>> StartHealth(const std::string& listen,
+absl::StatusOr<std::unique_ptr<WebServer>> StartHealth(const ServeOptions& options,
                                                        std::function<bool()> ready,
                                                        Metrics* metrics) {
-  if (listen.empty()) return nullptr;
-  WebServerOptions options;
-  options.name = "health";
-  options.listen = listen;
-  options.max_connections = 32;
-  options.request_timeout = absl::Seconds(5);
+  if (options.health_listen.empty()) return nullptr;
+  WebServerOptions web;
+  web.name = "health";
+  web.listen = options.health_listen;
+  web.max_connections = options.health_connections;
+  web.request_timeout = absl::Seconds(5);  // a place is soon free again
   return WebServer::Start(
-      options,
+      web,
       [ready = std::move(ready)](const WebRequest& request) { return HealthPage(request, ready); },
       nullptr, metrics);
 }
@@ -201,6 +230,7 @@ absl::StatusOr<std::unique_ptr<WebServer>> StartHealth(const std::string& listen
 absl::Status Serve(const ServeOptions& options, const sigset_t& signals) {
   UseOneTorchThread();
   RS_RETURN_IF_ERROR(CheckPorts(options));
+  RS_RETURN_IF_ERROR(CheckLimits(options));
   RS_ASSIGN_OR_RETURN(PolicyServerOptions server_options, PolicyServerOptionsOf(options));
   RS_ASSIGN_OR_RETURN(WebEndpointsOptions web_options, WebEndpointsOptionsOf(options));
   RS_ASSIGN_OR_RETURN(const Secrets secrets, SecretsOf(options));
@@ -215,8 +245,7 @@ absl::Status Serve(const ServeOptions& options, const sigset_t& signals) {
   RS_ASSIGN_OR_RETURN(
       const std::unique_ptr<WebServer> health,
       StartHealth(
-          options.health_listen,
-          [&started] { return started != nullptr && started.load()->ready(); }, &metrics));
+          options, [&started] { return started != nullptr && started.load()->ready(); }, &metrics));
   RS_ASSIGN_OR_RETURN(std::unique_ptr<FlowPolicy> policy,
                       LoadFlowPolicy(options.policy, options.policy_options));
   const PolicySpec spec = policy->spec();

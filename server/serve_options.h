@@ -40,6 +40,12 @@ struct ServeOptions {
   std::string health_listen;
   std::string log_format = "text", log_level = "info";
   double grace = 10;
+  // Limits that few need to change.
+  int max_stored_sessions = 4096;
+  double abandoned_after = 900, lockstep_timeout = 120, starvation_limit = 2;
+  int max_message_mib = 256, kept_traces = 256;
+  double request_timeout = 30, idle_timeout = 60;
+  int health_connections = 32;
 
   template <class V>
   void Visit(V& v) {
@@ -138,6 +144,24 @@ struct ServeOptions {
     v.Field("log_format", log_format, "text, or json: one object per line");
     v.Field("log_level", log_level, "debug (every prediction), info, warn, error, off");
     v.Field("grace", grace, "seconds to answer what is under way when stopped");
+
+    v.Field("max_stored_sessions", max_stored_sessions,
+            "sessions in memory and on disk together; one more is refused");
+    v.Field("abandoned_after", abandoned_after,
+            "seconds after which an unused session makes room for a new one when --max-sessions "
+            "are open");
+    v.Field("lockstep_timeout", lockstep_timeout,
+            "seconds that a lockstep prediction waits for feedback that was announced");
+    v.Field("starvation_limit", starvation_limit,
+            "seconds after which a waiting simulation goes like a real arm");
+    v.Field("max_message_mib", max_message_mib, "largest gRPC message, in and out");
+    v.Field("kept_traces", kept_traces, "predictions whose spans /traces shows");
+    v.Field("request_timeout", request_timeout,
+            "seconds for a TLS or WebSocket handshake, an HTTP request and its answer");
+    v.Field("idle_timeout", idle_timeout,
+            "seconds after which a WebSocket is cut whose peer neither sends, nor answers a ping, "
+            "nor reads; it is pinged at half of them");
+    v.Field("health_connections", health_connections, "connections to --health-listen");
   }
 };
 

@@ -45,7 +45,7 @@ void TraceLog::Finish(std::shared_ptr<const PredictionTrace> trace) {
   }
   absl::MutexLock lock(&mu_);
   traces_.push_back(std::move(trace));
-  if (traces_.size() > kKept) traces_.pop_front();
+  if (traces_.size() > kept_) traces_.pop_front();
 }
 
 std::string TraceLog::Json() const {

@@ -78,15 +78,15 @@ class StageTimer {
 // The last predictions' traces, and robostress_stage_seconds{stage} of all. Any thread.
 class TraceLog {
  public:
-  static constexpr size_t kKept = 256;  // the oldest are dropped
-
-  explicit TraceLog(Metrics* metrics) : metrics_(metrics) {}
+  // Beyond `kept` the oldest are dropped.
+  explicit TraceLog(Metrics* metrics, size_t kept = 256) : metrics_(metrics), kept_(kept) {}
   void Finish(std::shared_ptr<const PredictionTrace> trace) ABSL_LOCKS_EXCLUDED(mu_);
   // Trace event JSON, as Perfetto and chrome://tracing open it: one process per session.
   std::string Json() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   Metrics* const metrics_;
+  const size_t kept_;
   mutable absl::Mutex mu_;
   std::deque<std::shared_ptr<const PredictionTrace>> traces_ ABSL_GUARDED_BY(mu_);
 };

@@ -62,6 +62,8 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
   web.max_connections_per_client = options.max_connections_per_client;
   web.allowed_hosts = options.allowed_hosts;
   web.max_message_bytes = options.max_message_bytes;
+  web.request_timeout = options.request_timeout;
+  web.idle_timeout = options.idle_timeout;
   if (!options.websocket_listen.empty()) {
     web.name = "websocket";
     web.listen = options.websocket_listen;

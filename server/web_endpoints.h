@@ -19,6 +19,8 @@ struct WebEndpointsOptions {
   int max_connections_per_client = 0;
   std::vector<std::string> allowed_hosts;
   uint64_t max_message_bytes = 0;  // of a WebSocket; 0: what the policies need
+  // WebServerOptions
+  absl::Duration request_timeout = absl::Seconds(30), idle_timeout = absl::Seconds(60);
   OpenpiOptions openpi;
 };
 

@@ -51,13 +51,20 @@ std::set<std::string> KnownFlags() {
 
 TEST(Deploy, TheSampleConfigurationIsWhatTheServerReads) {
   const ServeOptions options = Options("serve.yaml", Deploy("serve.yaml"));
-  for (const std::string& listen :
-       {options.listen, options.websocket_listen, options.http_listen, options.admin_listen})
+  for (const std::string& listen : {options.listen, options.websocket_listen, options.http_listen,
+                                    options.admin_listen, options.health_listen})
     EXPECT_EQ(listen.rfind("127.0.0.1:", 0), 0u) << listen << " is open to other machines";
-  // The keys that are commented out exist too.
-  const std::string all =
-      std::regex_replace(Deploy("serve.yaml"), std::regex("\n# (tls_|tokens)"), "\n$1");
-  EXPECT_FALSE(Options("serve.yaml", all).tokens.empty());
+  // The keys that are commented out exist too, and limits stand at their defaults.
+  const std::regex commented("\n# ([a-z_]+: \\S+)(?=\n)");
+  const std::string sample = Deploy("serve.yaml");
+  EXPECT_FALSE(Options("all", std::regex_replace(sample, commented, "\n$1")).tokens.empty());
+  std::string limits;
+  for (std::sregex_iterator at(sample.begin(), sample.end(), commented), end; at != end; ++at) {
+    if (!(*at)[1].str().starts_with("tls_") && !(*at)[1].str().starts_with("tokens"))
+      absl::StrAppend(&limits, (*at)[1].str(), "\n");
+  }
+  EXPECT_GT(std::count(limits.begin(), limits.end(), '\n'), 10);
+  EXPECT_EQ(DumpConfig(Options("limits", limits)), DumpConfig(ServeOptions()));
 }
 
 TEST(Deploy, TheSystemdUnitStartsTheServerAndWaitsForItsGrace) {
@@ -76,6 +83,7 @@ TEST(Deploy, TheSystemdUnitStartsTheServerAndWaitsForItsGrace) {
   EXPECT_GT(std::stod(stop[1]), 2 * Options("serve.yaml", Deploy("serve.yaml")).grace)
       << "the server may use `grace` for WebSockets and again for gRPC";
   EXPECT_THAT(unit, HasSubstr("\nStateDirectory=robostress\n"));
+  EXPECT_THAT(unit, HasSubstr("\nExecReload=/bin/kill -HUP $MAINPID\n"));
 
   if (std::system("command -v systemd-analyze > /dev/null") != 0) GTEST_SKIP() << "no systemd";
   const auto folder = std::filesystem::path(::testing::TempDir()) / "unit";
@@ -88,6 +96,108 @@ TEST(Deploy, TheSystemdUnitStartsTheServerAndWaitsForItsGrace) {
   const auto [output, code] = RunProgram("systemd-analyze", "verify --man=no " + file.string());
   EXPECT_EQ(code, 0);
   EXPECT_EQ(output.find("robostress-serve.service:"), std::string::npos) << output;
+}
+
+// DynamicUser= owns no file: what only root may read is handed over, or read as a group's member.
+TEST(Deploy, TheUnitsUserCanReadEverySecretThatItsFlagsName) {
+  const std::string unit = Deploy("systemd/robostress-serve.service");
+  ASSERT_THAT(unit, HasSubstr("\nDynamicUser=yes\n"));
+  const std::string folder = "systemd/robostress-serve.service.d/";
+  for (const std::string& drop_in : {std::string(), Deploy(folder + "mtls.conf.sample"),
+                                     Deploy(folder + "reload.conf.sample")}) {
+    std::set<std::string> given;
+    std::string command;
+    for (const std::string& line : std::vector<std::string>(absl::StrSplit(unit + drop_in, '\n'))) {
+      if (line == "LoadCredential=") given.clear();
+      std::smatch match;
+      if (std::regex_match(line, match, std::regex("LoadCredential=([^:]+):/etc/robostress/.*")))
+        given.insert(match[1]);
+      if (line.starts_with("ExecStart=")) command = line;
+    }
+    const std::regex secret(" --(tls-[a-z-]+|tokens) (\\S+)");
+    int secrets = 0;
+    for (std::sregex_iterator at(command.begin(), command.end(), secret), end; at != end; ++at) {
+      const std::string file = (*at)[2];
+      ++secrets;
+      EXPECT_EQ(KnownFlags().count("--" + (*at)[1].str()), 1u) << (*at)[1];
+      EXPECT_TRUE(given.empty() ? unit.size() < (unit + drop_in).size() &&
+                                      drop_in.find("SupplementaryGroups=") != std::string::npos
+                                : file.starts_with("%d/") && given.count(file.substr(3)) == 1)
+          << file << " is not readable";
+    }
+    EXPECT_GE(secrets, 3) << command;
+    EXPECT_EQ(given.count("tls.key") + (command.find("%d/") == std::string::npos), 1u);
+  }
+  // What is in the sample configuration is loopback and names none of them.
+  EXPECT_TRUE(Options("serve.yaml", Deploy("serve.yaml")).tls_key.empty());
+}
+
+// The stages of the container file, by name: what each copies to a place on the PATH or runs.
+std::map<std::string, std::string> Stages() {
+  std::map<std::string, std::string> stages;
+  const std::string file =
+      std::regex_replace(Deploy("container/Containerfile"), std::regex("\\\\\n"), " ");
+  std::string name;
+  for (const std::string& line : std::vector<std::string>(absl::StrSplit(file, '\n'))) {
+    std::smatch match;
+    if (std::regex_match(line, match, std::regex("FROM \\S+ AS (\\w+)"))) name = match[1];
+    if (!line.starts_with("#")) absl::StrAppend(&stages[name], line, "\n");
+  }
+  return stages;
+}
+
+// Programs that a manifest starts: the image's own, and what commands, probes and hooks name.
+void ProgramsOf(const YAML::Node& node, std::set<std::string>& programs) {
+  if (node.IsSequence()) {
+    for (const YAML::Node& item : node) ProgramsOf(item, programs);
+  }
+  if (!node.IsMap()) return;
+  for (const auto& pair : node) {
+    if (pair.first.as<std::string>() == "command" && pair.second.IsSequence())
+      programs.insert(pair.second[0].as<std::string>());
+    ProgramsOf(pair.second, programs);
+  }
+}
+
+TEST(Deploy, TheImagesHoldEveryProgramThatManifestsAndOperatorsRunInThem) {
+  std::map<std::string, std::string> stages = Stages();
+  ASSERT_EQ(stages.count("serve") + stages.count("grid"), 2u);
+  // The server's pod: its entry point, its probes, and what its comments tell an operator to run.
+  std::set<std::string> programs = {"robostress-serve"};
+  const std::string manifest = Deploy("kubernetes/policy-server.yaml");
+  for (const YAML::Node& document : YAML::LoadAll(manifest)) ProgramsOf(document, programs);
+  const std::regex exec("#[^\n]*[ ](robostress-[a-z-]+)(?= (list|drain))");
+  for (std::sregex_iterator at(manifest.begin(), manifest.end(), exec), end; at != end; ++at)
+    programs.insert((*at)[1]);
+  EXPECT_EQ(programs.count("robostress-sessions"), 1u) << "operators' port is the pod's own";
+  for (const std::string& program : programs) {
+    EXPECT_THAT(stages["serve"], HasSubstr("/build/release/bin/" + program + " ")) << program;
+    EXPECT_TRUE(program == "robostress-serve" ||
+                stages["serve"].find("/usr/lib/robostress/bin/" + program + " /usr/bin/") !=
+                    std::string::npos)
+        << program << " is not on the PATH";
+  }
+  // A checkpoint's prompts are tokenised by a program beside the server.
+  EXPECT_THAT(stages["serve"], HasSubstr("/build/release/bin/robostress-tokenize "));
+
+  // Sweeps: what the manifests that a launcher writes run, and what those programs start.
+  const std::string launch = absl::StrCat(ROBOSTRESS_SOURCE_DIR, "/eval/launch/");
+  std::set<std::string> swept;
+  for (const auto& file : std::filesystem::directory_iterator(launch)) {
+    const std::string text = *ReadFile(file.path().string());
+    for (const char* pattern :
+         {"command: \\[(robostress-[a-z-]+)", "FindProgram\\(\"([a-z-]+)\"\\)"}) {
+      const std::regex program(pattern);
+      for (std::sregex_iterator at(text.begin(), text.end(), program), end; at != end; ++at)
+        swept.insert((*at)[1]);
+    }
+  }
+  EXPECT_TRUE(swept.count("robostress-grid-job") && swept.count("worker") && swept.count("serve"));
+  // That image is built from every target and has all of them on its PATH.
+  EXPECT_THAT(stages["grid"], HasSubstr("cmake --build --preset release && ln -s "
+                                        "/src/build/release/bin/robostress* /usr/bin/ "));
+  EXPECT_EQ(stages["build"].find("ROBOSTRESS_MUJOCO=OFF"), std::string::npos)
+      << "robostress-worker needs MuJoCo";
 }
 
 TEST(Deploy, TheContainerFileNamesFlagsAndFilesThatExist) {
@@ -135,15 +245,19 @@ TEST_F(Kubernetes, EveryPortIsOneThatTheServerListensOn) {
   EXPECT_EQ(ports["grpc"], PortOf(config_.listen));
   EXPECT_EQ(ports["openpi"], PortOf(config_.websocket_listen));
   EXPECT_EQ(ports["http"], PortOf(config_.http_listen));
-  EXPECT_EQ(ports.size(), 3u) << "operators' port is not published";
+  EXPECT_EQ(ports["health"], PortOf(config_.health_listen));
+  EXPECT_EQ(ports.size(), 4u) << "operators' port is not published";
   EXPECT_EQ(config_.admin_listen.rfind("127.0.0.1:", 0), 0u);
   for (const YAML::Node& port : objects_["Service"]["spec"]["ports"])
     EXPECT_EQ(ports.count(port["targetPort"].as<std::string>()), 1u);
   for (const char* probe : {"startupProbe", "readinessProbe", "livenessProbe"}) {
     const YAML::Node get = container_[probe]["httpGet"];
-    EXPECT_EQ(get["port"].as<std::string>(), "http") << probe;
-    EXPECT_EQ(get["scheme"].as<std::string>(), config_.tls_key.empty() ? "HTTP" : "HTTPS");
+    EXPECT_EQ(get["port"].as<std::string>(), "health") << probe;
+    EXPECT_EQ(get["scheme"].as<std::string>(), "HTTP") << "kubelet shows no certificate";
   }
+  EXPECT_FALSE(config_.tls_client_ca.empty()) << "the sample is one with mTLS";
+  for (const YAML::Node& port : objects_["Service"]["spec"]["ports"])
+    EXPECT_NE(port["targetPort"].as<std::string>(), "health") << "for the node alone";
   EXPECT_EQ(container_["readinessProbe"]["httpGet"]["path"].as<std::string>(), "/readyz");
 }
 
@@ -169,8 +283,9 @@ TEST_F(Kubernetes, SelectorsFindThePodAndPathsAreMounted) {
     mounts.push_back(mount["mountPath"].as<std::string>());
   }
   EXPECT_TRUE(volumes.empty()) << "a volume is not mounted";
-  for (const std::string& path : {config_.state_dir, config_.tokens, config_.tls_certificate,
-                                  config_.tls_key, container_["args"][1].as<std::string>()}) {
+  for (const std::string& path :
+       {config_.state_dir, config_.tokens, config_.tls_certificate, config_.tls_key,
+        config_.tls_client_ca, container_["args"][1].as<std::string>()}) {
     EXPECT_TRUE(std::any_of(mounts.begin(), mounts.end(),
                             [&](const std::string& mount) { return path.rfind(mount, 0) == 0; }))
         << path << " is on no volume";

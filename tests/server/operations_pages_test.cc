@@ -145,6 +145,18 @@ TEST_F(OperationsPagesTest, IsReadyOnlyWhileTheServerIs) {
   EXPECT_EQ(Get("/healthz").status, 200);
 }
 
+TEST_F(OperationsPagesTest, AProbesPortShowsNothingElse) {
+  const auto ready = [this] { return ready_; };
+  const auto get = [&](const char* path) { return HealthPage({path, "", "", ""}, ready).status; };
+  EXPECT_EQ(get("/healthz"), 200);
+  EXPECT_EQ(get("/readyz"), 200);
+  ready_ = false;
+  EXPECT_EQ(get("/healthz"), 200);
+  EXPECT_EQ(get("/readyz"), 503);
+  for (const char* path : {"/", "/main", "/metrics", "/traces", "/image", "/live.js", "/healthz/"})
+    EXPECT_EQ(get(path), 404) << path;
+}
+
 TEST_F(OperationsPagesTest, ShowsNothingButHealthWithoutTheAdminScope) {
   tokens_->Set(*AccessTokens::Parse(
       "t", absl::StrCat("tokens: [{name: arm, sha256: ", Sha256Hex("arm"),

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/rpc/policy_client.h"
@@ -21,6 +22,8 @@
 #include "server/serve_options.h"
 #include "tests/run_program.h"
 #include "tests/server/serve_process.h"
+#include "tests/server/test_certificates.h"
+#include "tests/server/tls_web_client.h"
 #include "tests/server/web_client.h"
 
 namespace robostress {
@@ -119,6 +122,22 @@ TEST(ServeProgram, RefusesAnAddressItCannotListenOn) {
   EXPECT_THAT(beyond, HasSubstr("'99999' must be 0..65535"));
 }
 
+TEST(ServeProgram, RefusesALimitBeyondItsRangeByFlagValueAndRange) {
+  const std::pair<const char*, const char*> beyond[] = {
+      {"--max-stored-sessions 0", "1..1000000"}, {"--abandoned-after -1", "0..1e+07"},
+      {"--lockstep-timeout 0.5", "1..86400"},    {"--starvation-limit 1e9", "0..3600"},
+      {"--max-message-mib 2048", "1..1024"},     {"--kept-traces 0", "1..100000"},
+      {"--request-timeout nan", "1..3600"},      {"--idle-timeout 0", "1..86400"},
+      {"--health-connections 0", "1..1024"},     {"--grace -1", "0..86400"},
+      {"--session-expiry -1", "0..1e+09"}};
+  for (const auto& [arguments, range] : beyond) {
+    const auto [output, code] = RunServe(arguments);
+    EXPECT_EQ(code, 1) << arguments;
+    const std::vector<std::string> words = absl::StrSplit(arguments, ' ');
+    EXPECT_THAT(output, AllOf(HasSubstr(words[0] + " is "), HasSubstr(range))) << arguments;
+  }
+}
+
 TEST(ServeProgram, ServesUntilItIsTerminated) {
   const std::string state = absl::StrCat(::testing::TempDir(), "/state-of-", getpid());
   {
@@ -152,6 +171,64 @@ TEST(ServeProgram, ServesEveryPortAndLogsJson) {
   std::ifstream lines(server.Path("log"));
   for (std::string line; std::getline(lines, line);)
     EXPECT_TRUE(nlohmann::json::accept(line)) << line;
+}
+
+// Probes have places of their own: what fills the other ports does not end the pod.
+TEST(ServeProgram, AnswersProbesWhileEveryOtherPlaceIsTakenAndClientsMustShowCertificates) {
+  const TestCertificates certificates;
+  certificates.MakeAuthority("ca");
+  certificates.Make("server", "ca");
+  const ServeProcess server(
+      SERVE_PROGRAM,
+      {"--websocket-listen", "127.0.0.1:0", "--http-listen", "127.0.0.1:0", "--health-listen",
+       "127.0.0.1:0", "--max-connections", "2", "--tls-certificate",
+       certificates.File("server.crt"), "--tls-key", certificates.File("server.key"),
+       "--tls-client-ca", certificates.File("ca.crt")});
+  std::vector<std::unique_ptr<WebClient>> house;
+  for (int i = 0; i < 8; ++i) {
+    house.push_back(std::make_unique<WebClient>(server.port("http")));
+    house.push_back(std::make_unique<WebClient>(server.port("websocket")));
+  }
+  EXPECT_EQ(WebClient(server.port("health")).Get("/healthz"), std::pair(200, std::string("OK\n")));
+  EXPECT_EQ(WebClient(server.port("health")).Get("/readyz").first, 200);
+  EXPECT_EQ(WebClient(server.port("health")).Get("/metrics").first, 404);
+  EXPECT_EQ(WebClient(server.port("health")).Upgrade(), 404);
+}
+
+TEST(ServeProgram, TakesNewSecretsAtSighup) {
+  const TestCertificates certificates;
+  for (const char* name : {"ca", "next_ca"}) certificates.MakeAuthority(name);
+  certificates.Make("server", "ca");
+  certificates.Make("next", "next_ca");
+  const auto write_token = [&](const std::string& name) {
+    certificates.Write("tokens.yaml", absl::StrCat("tokens: [{name: op, sha256: ", Sha256Hex(name),
+                                                   ", scopes: [admin]}]\n"));
+  };
+  write_token("old_secret");
+  const ServeProcess server(
+      SERVE_PROGRAM, {"--http-listen", "127.0.0.1:0", "--tls-certificate",
+                      certificates.File("server.crt"), "--tls-key", certificates.File("server.key"),
+                      "--tokens", certificates.File("tokens.yaml"), "--reload-seconds", "0"});
+  const auto get = [&](const std::string& authority, const std::string& token) {
+    TlsWebClient client(server.port("http"), certificates.File(authority + ".crt"));
+    if (!client.connected()) return 0;
+    return client.Get("/metrics", "Authorization: Bearer " + token + "\r\n").first;
+  };
+  EXPECT_EQ(get("ca", "old_secret"), 200);
+  EXPECT_EQ(get("ca", "new_secret"), 401);
+  write_token("new_secret");
+  certificates.Write("server.crt", certificates.Read("next.crt"));
+  certificates.Write("server.key", certificates.Read("next.key"));
+  EXPECT_EQ(get("ca", "old_secret"), 200) << "nobody has asked";
+  kill(server.pid(), SIGHUP);
+  for (int i = 0; i < 200 && get("next_ca", "new_secret") != 200; ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  EXPECT_EQ(get("next_ca", "new_secret"), 200);
+  EXPECT_EQ(get("next_ca", "old_secret"), 401);
+  EXPECT_EQ(get("ca", "new_secret"), 0);
+  const std::string log = *ReadFile(server.Path("log"));
+  EXPECT_THAT(log, HasSubstr("tokens.yaml: op"));
+  EXPECT_THAT(log, ::testing::Not(HasSubstr("_secret")));
 }
 
 TEST(SessionsProgram, ListsExportsRollsBackAndEndsSessionsThenDrainsTheServer) {

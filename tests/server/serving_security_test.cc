@@ -156,6 +156,8 @@ TEST_F(ServingSecurityTest, NoMethodAnswersWithoutATokenOrWithOneOfNoUse) {
     }
   }
   EXPECT_GE(methods, 18);
+  // A probe has no token.
+  EXPECT_TRUE(Call(Plain(server_->port()), "/grpc.health.v1.Health/Check", "").status.ok());
   // Nothing has changed.
   EXPECT_EQ(server_->sessions().open_sessions(), 1);
   EXPECT_EQ(ExportOf(**server_->sessions().Use(id)), adapter);
