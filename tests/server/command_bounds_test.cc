@@ -122,6 +122,17 @@ TEST(ImpossibleMeasurements, LeaveEveryMethodBoundedCommandsAndItsNextChunk) {
   }
 }
 
+TEST(SessionPrediction, ACorrectionOfAJumpThatIsPossibleStopsASpanBeyondTheDeclaredRange) {
+  Rig rig;
+  Client client(rig.Open(Spec("direct")));
+  client.StartEpisode(0, 0);
+  ExecutedChunk executed = client.Execute(client.Predict());
+  executed.final_state.tool.p_base_tool[0] += 0.95;  // 19 in units of a command, over five steps
+  client.Send(executed);
+  EXPECT_EQ(client.session().Counters()->steps_impossible, 0u);
+  EXPECT_EQ(client.Predict().actions.col(0).minCoeff(), -3.0f);
+}
+
 TEST(ImpossibleMeasurements, CountLikeMaskedStepsBitForBit) {
   for (const std::string method : {"ours", "ours_intent", "ours_nominal"}) {
     std::vector<std::string> exports;
