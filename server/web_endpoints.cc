@@ -27,6 +27,8 @@ class RevocableConversation : public WebConversation {
         asked_(generation) {}
 
   std::string Greeting() override { return conversation_->Greeting(); }
+  uint64_t LargestMessage() const override { return conversation_->LargestMessage(); }
+  std::string client() const override { return conversation_->client(); }
   absl::StatusOr<std::string> Answer(std::string_view message) override {
     RS_RETURN_IF_ERROR(StillAllowed());
     return conversation_->Answer(message);
