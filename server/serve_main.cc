@@ -91,6 +91,12 @@ absl::Status CheckLimits(const ServeOptions& o) {
   RS_RETURN_IF_ERROR(InRange("--request-timeout", o.request_timeout, 1.0, 3600.0));
   RS_RETURN_IF_ERROR(InRange("--idle-timeout", o.idle_timeout, 1.0, 86400.0));
   RS_RETURN_IF_ERROR(InRange("--health-connections", o.health_connections, 1, 1024));
+  RS_RETURN_IF_ERROR(InRange("--max-rank", o.max_rank, 1, 256));
+  RS_RETURN_IF_ERROR(InRange("--max-update-batch", o.max_update_batch, 1, 4096));
+  RS_RETURN_IF_ERROR(InRange("--min-update-interval", o.min_update_interval, 1, 1 << 20));
+  RS_RETURN_IF_ERROR(InRange("--max-buffer-chunks", o.max_buffer_chunks, 1, 4096));
+  RS_RETURN_IF_ERROR(InRange("--calls-per-client", o.calls_per_client, 0, 1 << 20));
+  RS_RETURN_IF_ERROR(InRange("--stream-idle", o.stream_idle, 1.0, 1e7));
   RS_RETURN_IF_ERROR(InRange("--grace", o.grace, 0.0, 86400.0));
   return InRange("--session-expiry", o.session_expiry, 0.0, 1e9);
 }
@@ -125,6 +131,9 @@ absl::StatusOr<PolicyServerOptions> PolicyServerOptionsOf(const ServeOptions& op
   result.starvation_limit = absl::Seconds(options.starvation_limit);
   result.max_message_mib = options.max_message_mib;
   result.kept_traces = options.kept_traces;
+  result.calls_per_client = options.calls_per_client;
+  result.stream_idle = absl::Seconds(options.stream_idle);
+  result.message_timeout = absl::Seconds(options.request_timeout);
   if (options.session_expiry > 0) result.expire_after = absl::Seconds(options.session_expiry);
   result.snapshot_mib = options.snapshot_mib;
   result.snapshot_records = options.snapshot_records;

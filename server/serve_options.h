@@ -40,6 +40,9 @@ struct ServeOptions {
   std::string health_listen;
   std::string log_format = "text", log_level = "info";
   double grace = 10;
+  // gRPC calls.
+  int calls_per_client = 0;
+  double stream_idle = 900;
   // Limits that few need to change.
   int max_stored_sessions = 4096;
   double abandoned_after = 900, lockstep_timeout = 120, starvation_limit = 2;
@@ -143,6 +146,11 @@ struct ServeOptions {
             "their own; empty: not served");
     v.Field("log_format", log_format, "text, or json: one object per line");
     v.Field("log_level", log_level, "debug (every prediction), info, warn, error, off");
+    v.Field("calls_per_client", calls_per_client,
+            "gRPC calls and streams that one token, certificate or address may have open; 0: 4 for "
+            "each of --max-sessions and 64 more");
+    v.Field("stream_idle", stream_idle,
+            "seconds after which a gRPC stream is ended on which nothing comes or is taken");
     v.Field("grace", grace, "seconds to answer what is under way when stopped");
 
     v.Field("max_stored_sessions", max_stored_sessions,

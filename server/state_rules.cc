@@ -27,6 +27,12 @@ absl::Status CheckIndex(const char* field, int64_t value, int64_t low) {
   return Invalid(field, " is ", value, ", must be ", low, " to ", WireLimits::kIndex);
 }
 
+// What an operator lets views be (--max-view-side) may differ from one start to the next.
+PolicySpec AnySide(PolicySpec policy) {
+  policy.max_view_side = WireLimits::kImageSide;
+  return policy;
+}
+
 }  // namespace
 
 absl::Status StateRules::CheckCount(const char* field, uint64_t value) {
@@ -122,8 +128,10 @@ absl::Status StateRules::CheckPrediction(const Prediction& prediction) const {
                    "; method ", spec_->method.method, " adapts ",
                    spec_->method.adapt ? "from it" : "nothing");
   }
+  if (prediction.answered != nullptr)
+    RS_RETURN_IF_ERROR(within(robostress::CheckPrediction(*prediction.answered, policy_->spec())));
   if (prediction.observation == nullptr) return absl::OkStatus();
-  RS_RETURN_IF_ERROR(within(CheckObservation(*prediction.observation, policy_->spec())));
+  RS_RETURN_IF_ERROR(within(CheckObservation(*prediction.observation, AnySide(policy_->spec()))));
   RS_RETURN_IF_ERROR(within(CheckChunk("raw", prediction.raw)));
   const torch::Tensor& state = prediction.state;
   const int64_t state_dim = policy_->context_shape().state_dim;
@@ -144,7 +152,7 @@ absl::Status StateRules::CheckPrediction(const Prediction& prediction) const {
 absl::Status StateRules::CheckBuffered(const torch::Tensor& target, const Observation* observation,
                                        const PolicyContext& context) const {
   RS_RETURN_IF_ERROR(CheckChunk("target", target));
-  if (observation != nullptr) return CheckObservation(*observation, policy_->spec());
+  if (observation != nullptr) return CheckObservation(*observation, AnySide(policy_->spec()));
   return CheckContext("a buffered chunk", context, policy_->context_shape());
 }
 

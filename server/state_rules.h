@@ -25,8 +25,8 @@ struct SessionSnapshot;
 // messages are checked by common/rpc.
 class StateRules {
  public:
-  // Of every number that something depends on; counts for people may be any. At one chunk a millisecond it lasts 285,000 years; one
-  // more never overflows.
+  // Of every number that something depends on; counts for people may be any. At one chunk a
+  // millisecond it lasts 285,000 years; one more never overflows.
   static constexpr uint64_t kMaxCount = uint64_t{1} << 53;
   // Boundaries that wait for their feedback.
   static constexpr size_t kMaxBoundaries = 1024;

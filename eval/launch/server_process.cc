@@ -50,7 +50,10 @@ absl::StatusOr<ServerProcess> StartServer(const ServerStart& start, SignalGuard&
   RS_ASSIGN_OR_RETURN(
       ChildProcess process,
       ChildProcess::Start({program, "--policy", start.policy, "--listen", start.listen,
-                           "--port-file", port_file, "--threads", absl::StrCat(start.threads)},
+                           "--port-file", port_file, "--threads", absl::StrCat(start.threads),
+                           // It serves this run alone, whose methods may cost what they cost.
+                           "--max-rank", "256", "--max-update-batch", "4096",
+                           "--min-update-interval", "1", "--max-buffer-chunks", "4096"},
                           ChildEnvironment(), log));
   const auto deadline = SteadyClock::now() + std::chrono::seconds(start.timeout_s);
   while (!fs::exists(port_file)) {

@@ -503,7 +503,8 @@ class ServeProcess {
 };
 
 TEST_P(OpenpiPolicyTest, IsServedPredictsLearnsAndReports) {
-  ServeProcess server({"--policy", folder_.string(), "--policy-options", "execute_steps=4"});
+  ServeProcess server({"--policy", folder_.string(), "--policy-options", "execute_steps=4",
+                       "--min-update-interval", "1"});
   SessionSpec spec;
   spec.suite = "libero_goal";
   spec.scenario = "clean";

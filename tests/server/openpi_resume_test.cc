@@ -25,6 +25,7 @@ class Served {
     PolicyServerOptions options;
     options.threads = 1;
     options.state_dir = state_dir;
+    options.caps.min_update_interval = 1;
     auto started = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
     EXPECT_TRUE(started.ok()) << started.status();
     server_ = *std::move(started);

@@ -129,7 +129,8 @@ TEST(ServeProgram, RefusesALimitBeyondItsRangeByFlagValueAndRange) {
       {"--max-message-mib 2048", "1..1024"},     {"--kept-traces 0", "1..100000"},
       {"--request-timeout nan", "1..3600"},      {"--idle-timeout 0", "1..86400"},
       {"--health-connections 0", "1..1024"},     {"--grace -1", "0..86400"},
-      {"--session-expiry -1", "0..1e+09"}};
+      {"--session-expiry -1", "0..1e+09"},       {"--max-rank 0", "1..256"},
+      {"--calls-per-client -1", "0..1048576"},   {"--stream-idle 0", "1..1e+07"}};
   for (const auto& [arguments, range] : beyond) {
     const auto [output, code] = RunServe(arguments);
     EXPECT_EQ(code, 1) << arguments;

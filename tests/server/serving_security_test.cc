@@ -597,7 +597,8 @@ TEST_F(TlsTest, TakesNewCertificatesAndAuthoritiesWithoutARestart) {
   Start(options);
   AdminServerOptions operators;
   operators.tls = options.tls;
-  auto admin = AdminServer::Start(operators, &server_->sessions(), server_->tokens());
+  auto admin =
+      AdminServer::Start(operators, &server_->sessions(), server_->tokens(), &server_->metrics());
   ASSERT_TRUE(admin.ok()) << admin.status();
   WebEndpointsOptions web;
   web.websocket_listen = web.http_listen = "127.0.0.1:0";
