@@ -11,6 +11,7 @@
 #include <memory>
 #include <thread>
 
+#include "absl/strings/match.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
 #include "common/rpc/convert.h"
@@ -46,6 +47,8 @@ class Robot {
         overrides_(std::move(overrides)) {}
 
   absl::Status Open(const std::string& method = "ours") {
+    chunk_ = 0;
+    sequence_ = 0;
     v1::GetServerInfoResponse info;
     RS_RETURN_IF_ERROR(FromGrpc(stub_->GetServerInfo(Context().get(), {}, &info)));
     policy_ = *FromProto(info.policies(0));
@@ -417,7 +420,8 @@ RobotResult Drive(Robot& robot, double seconds) {
   return result;
 }
 
-int Run(const std::string& program, double minutes, const std::vector<std::string>& extra) {
+int Run(const std::string& program, double minutes, const std::string& only,
+        const std::vector<std::string>& extra) {
   const auto folder = std::filesystem::temp_directory_path() / absl::StrCat("siege-", getpid());
   std::filesystem::create_directories(folder);
   std::string tokens = "tokens:\n";
@@ -479,11 +483,14 @@ int Run(const std::string& program, double minutes, const std::vector<std::strin
       for (std::thread& thread : threads) thread.join();
     };
     attack("nothing", {}, alone);
-    for (Attack& one : attacks) attack(one.name, {&one}, alone);
     std::vector<Attack*> all;
-    for (Attack& one : attacks) all.push_back(&one);
+    for (Attack& one : attacks)
+      if (only.empty() || absl::StrContains(one.name, only)) all.push_back(&one);
+    if (all.size() > 1)
+      for (Attack* one : all) attack(one->name, {one}, alone);
     const int rounds = std::max(1, static_cast<int>(minutes * 2 / 3 / 5));
-    for (int i = 0; i < rounds; ++i) attack("all of them", all, 60 * minutes * 2 / 3 / rounds);
+    for (int i = 0; i < rounds; ++i)
+      attack(all.size() == 1 ? all[0]->name : "all of them", all, 60 * minutes * 2 / 3 / rounds);
     attack("nothing", {}, alone);
     std::printf("\n%-24s %12s %12s\n", "attack", "tried", "let in");
     for (const Attack& one : attacks)
@@ -501,10 +508,12 @@ int main(int argc, char** argv) {
   CLI::App app("A robot beside hostile clients of one server.", "server_siege");
   std::string program;
   double minutes = 60;
+  std::string only;
   std::vector<std::string> extra;
   app.add_option("PROGRAM", program, "robostress-serve")->required()->check(CLI::ExistingFile);
   app.add_option("--minutes", minutes)->capture_default_str();
+  app.add_option("--only", only, "attacks whose name contains this");
   app.add_option("--serve", extra, "further options of the server, as one argument each");
   CLI11_PARSE(app, argc, argv);
-  return robostress::Run(program, minutes, extra);
+  return robostress::Run(program, minutes, only, extra);
 }
