@@ -198,7 +198,7 @@ class PolicyServer::Service {
     size_t most = size_t{256} << 10;  // a session's spec
     for (const PolicySpec& spec : host_->policies()) {
       const int side = std::max({spec.max_view_side, spec.image_width, spec.image_height});
-      if (method == "Predict") most = std::max(most, LargestObservationBytes(spec, side));
+      if (method == "Predict") most = std::max(most, LargestObservationBytes(spec, side, 1));
       if (method == "Feedback") most = std::max(most, LargestExecutedBytes(spec));
       if (method == "ImportAdapter")
         most = std::max(most, LargestAdapterBytes(*policies_.at(spec.name), options_.caps));
@@ -237,6 +237,8 @@ class PolicyServer::Service {
     GrpcMethod feedback = Unary("Feedback", &Service::Feedback);
     feedback.streams = true;
     feedback.executor = &feedback_calls_;
+    GrpcMethod import = Unary("ImportAdapter", &Service::ImportAdapter);
+    import.at_once = 2;  // the largest messages there are
     return {Unary("GetServerInfo", &Service::GetServerInfo),
             Unary("OpenSession", &Service::OpenSession),
             Unary("ResumeSession", &Service::ResumeSession),
@@ -246,7 +248,7 @@ class PolicyServer::Service {
             std::move(feedback),
             Unary("GetStats", &Service::GetStats),
             Unary("ExportAdapter", &Service::ExportAdapter),
-            Unary("ImportAdapter", &Service::ImportAdapter),
+            std::move(import),
             Unary("RollbackAdapter", &Service::RollbackAdapter)};
   }
 

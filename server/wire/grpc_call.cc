@@ -70,7 +70,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
                                 public std::enable_shared_from_this<GrpcService::Call> {
  public:
   Call(GrpcService* service, const Registered* registered, grpc::CallbackServerContext* context)
-      : service_(*service), registered_(*registered), context_(context) {}
+      : service_(*service), registered_(*registered), context_(context), peer_(context->peer()) {}
 
   void Begin() {
     self_ = shared_from_this();
@@ -90,6 +90,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
     const std::shared_ptr<Call> self = self_;
     absl::MutexLock lock(&mu_);
     reading_ = false;
+    service_.meter_.End(peer_, registered_.method.largest_request, ok ? incoming_.Length() : 0);
     if (ended_) return;
     if (ok) {
       Take();
@@ -133,7 +134,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
     if (service_.options_.detach) {
       for (const std::string& session : served) service_.options_.detach(session);
     }
-    service_.Leave(this, entered_ ? caller_.client() : std::string());
+    service_.Leave(this, entered_ ? caller_.client() : std::string(), registered_.method);
     self_.reset();  // may end `this`
   }
 
@@ -155,9 +156,25 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
                                                  "; open the call again when there is something")));
   }
 
+  // Ends a call whose connection brings more than its messages may be long.
+  void EndIfOver(const std::set<std::string>& peers) {
+    if (peers.count(peer_) == 0) return;
+    const std::shared_ptr<Call> self = shared_from_this();
+    absl::MutexLock lock(&mu_);
+    if (ended_ || !reading_) return;
+    service_.refused_->Add();
+    if (busy_) {
+      context_->TryCancel();
+      return;
+    }
+    End(absl::ResourceExhaustedError(
+        absl::StrCat(registered_.method.name, ": more bytes came than the policies served here ",
+                     "need; a message may have at most ", registered_.method.largest_request)));
+  }
+
   // ---------------------------------------------------------------------------------- GrpcCallView
   const Caller& caller() const override { return caller_; }
-  std::string peer() const override { return context_->peer(); }
+  std::string peer() const override { return peer_; }
   bool cancelled() const override {
     if (cancelled_) return true;
     absl::MutexLock lock(&mu_);
@@ -188,7 +205,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
     if (const auto found = metadata.find("authorization"); found != metadata.end())
       authorization_.assign(found->second.data(), found->second.size());
     RS_RETURN_IF_ERROR(Authorize());
-    RS_RETURN_IF_ERROR(service_.Enter(shared_from_this(), caller_.client()));
+    RS_RETURN_IF_ERROR(service_.Enter(shared_from_this(), caller_.client(), registered_.method));
     entered_ = true;
     return absl::OkStatus();
   }
@@ -197,7 +214,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
     generation_ = service_.tokens_->generation();
     RS_ASSIGN_OR_RETURN(Caller caller, Allow(*service_.tokens_->Get(), authorization_,
                                              service_.options_.wire, registered_.method.name));
-    caller.host = HostOfPeer(context_->peer());
+    caller.host = HostOfPeer(peer_);
     if (caller.owner.empty()) caller.owner = PeerCertificateOwner(*context_->auth_context());
     if (entered_ && caller.owner != caller_.owner)
       return absl::PermissionDeniedError("the token has another name now; open the call again");
@@ -209,6 +226,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
 
   void Read() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     reading_ = true;
+    service_.meter_.Begin(peer_, registered_.method.largest_request);
     incoming_.Clear();
     StartRead(&incoming_);
   }
@@ -321,6 +339,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
   GrpcService& service_;
   const Registered& registered_;
   grpc::CallbackServerContext* const context_;
+  const std::string peer_;
   std::shared_ptr<Call> self_;  // until OnDone
   std::atomic<bool> cancelled_{false};
 
@@ -384,7 +403,7 @@ GrpcService::GrpcService(const std::string& full_name, std::vector<GrpcMethod> m
             [this, raw](grpc::CallbackServerContext* context) { return Begin(raw, context); }));
     methods_.push_back(std::move(registered));
   }
-  sweeper_ = std::thread([this] { SweepIdle(); });
+  watcher_ = std::thread([this] { Watch(); });
 }
 
 GrpcService::~GrpcService() {
@@ -392,7 +411,7 @@ GrpcService::~GrpcService() {
     absl::MutexLock lock(&mu_);
     stopped_ = true;
   }
-  sweeper_.join();
+  watcher_.join();
 }
 
 grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* GrpcService::Begin(
@@ -402,7 +421,8 @@ grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* GrpcService::Begin(
   return call.get();
 }
 
-absl::Status GrpcService::Enter(const std::shared_ptr<Call>& call, const std::string& client) {
+absl::Status GrpcService::Enter(const std::shared_ptr<Call>& call, const std::string& client,
+                                const GrpcMethod& method) {
   absl::MutexLock lock(&mu_);
   int& open = clients_[client];
   if (open >= options_.calls_per_client) {
@@ -410,18 +430,30 @@ absl::Status GrpcService::Enter(const std::shared_ptr<Call>& call, const std::st
         open, " calls of this client are open, which is the limit; end some, or start ",
         "the server with more --calls-per-client"));
   }
+  if (method.at_once > 0) {
+    int& same = methods_of_clients_[{client, method.name}];
+    if (same >= method.at_once) {
+      return absl::ResourceExhaustedError(
+          absl::StrCat(method.name, ": ", same, " of this client are under way, which is the ",
+                       "limit; wait for one of them"));
+    }
+    ++same;
+  }
   ++open;
   calls_.emplace(call.get(), call);
   open_calls_->Add(1);
   return absl::OkStatus();
 }
 
-void GrpcService::Leave(const Call* call, const std::string& client) {
+void GrpcService::Leave(const Call* call, const std::string& client, const GrpcMethod& method) {
   absl::MutexLock lock(&mu_);
   if (calls_.erase(call) == 0) return;
   open_calls_->Add(-1);
   const auto found = clients_.find(client);
   if (--found->second == 0) clients_.erase(found);
+  if (method.at_once == 0) return;
+  const auto same = methods_of_clients_.find({client, method.name});
+  if (--same->second == 0) methods_of_clients_.erase(same);
 }
 
 int GrpcService::calls() const {
@@ -446,25 +478,37 @@ void LimitConnections(grpc::ServerBuilder& builder, int calls_per_connection) {
   builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, calls_per_connection);
 }
 
-void GrpcService::SweepIdle() {
-  pthread_setname_np(pthread_self(), "idle-calls");
-  const absl::Duration period =
-      std::clamp(std::min(options_.idle_timeout, options_.message_timeout) / 8,
-                 absl::Milliseconds(10), absl::Seconds(1));
+void GrpcService::Watch() {
+  pthread_setname_np(pthread_self(), "calls");
+  constexpr absl::Duration kPeriod = absl::Milliseconds(50);  // what is too much is held so long
+  const absl::Duration idle_period =
+      std::min(std::min(options_.idle_timeout, options_.message_timeout) / 8, absl::Seconds(1));
+  Steady::time_point swept = Steady::now();
   while (true) {
+    const std::vector<std::string> peers = meter_.Over();
+    const std::set<std::string> over(peers.begin(), peers.end());
+    const Steady::time_point now = Steady::now();
+    const bool sweeps = absl::FromChrono(now - swept) >= idle_period;
     std::vector<std::shared_ptr<Call>> open;
+    if (sweeps) swept = now;
     {
       absl::MutexLock lock(&mu_);
-      const auto stopped = [this] {
-        mu_.AssertHeld();
-        return stopped_;
-      };
-      if (AwaitFor(mu_, stopped, period)) return;
-      for (const auto& [key, weak] : calls_)
-        if (auto call = weak.lock()) open.push_back(std::move(call));
+      if (sweeps || !over.empty()) {
+        for (const auto& [key, weak] : calls_)
+          if (auto call = weak.lock()) open.push_back(std::move(call));
+      }
     }
-    const Steady::time_point now = Steady::now();
-    for (const auto& call : open) call->EndIfIdle(now);
+    for (const auto& call : open) {
+      call->EndIfOver(over);
+      if (sweeps) call->EndIfIdle(now);
+    }
+    open.clear();
+    absl::MutexLock lock(&mu_);
+    const auto stopped = [this] {
+      mu_.AssertHeld();
+      return stopped_;
+    };
+    if (AwaitFor(mu_, stopped, std::min(kPeriod, idle_period))) return;
   }
 }
 

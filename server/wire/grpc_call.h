@@ -9,11 +9,13 @@
 #include <atomic>
 #include <deque>
 #include <functional>
+#include <map>
 #include <memory>
 #include <set>
 #include <string>
 #include <thread>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -23,6 +25,7 @@
 #include "server/edge/access_table.h"
 #include "server/metrics.h"
 #include "server/wire/fair_executor.h"
+#include "server/wire/read_meter.h"
 
 // gRPC calls in which waiting costs no thread, and nothing is read before its sender's rights.
 //
@@ -55,6 +58,7 @@ struct GrpcMethod {
   std::string name;  // "Predict"
   bool streams = false;
   size_t largest_request = 0;  // [bytes] longer ones are refused
+  int at_once = 0;             // calls of one client; 0: as many as it may have calls
   FairExecutor* executor = nullptr;
   // One request. An error ends the call with its status, unless `as_answer` makes it an answer.
   std::function<absl::Status(GrpcCallView&, const google::protobuf::Message&,
@@ -111,22 +115,26 @@ class GrpcService : public grpc::Service {
   grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* Begin(
       const Registered* method, grpc::CallbackServerContext* context);
   // Counts a call of a client.
-  absl::Status Enter(const std::shared_ptr<Call>& call, const std::string& client)
+  absl::Status Enter(const std::shared_ptr<Call>& call, const std::string& client,
+                     const GrpcMethod& method) ABSL_LOCKS_EXCLUDED(mu_);
+  void Leave(const Call* call, const std::string& client, const GrpcMethod& method)
       ABSL_LOCKS_EXCLUDED(mu_);
-  void Leave(const Call* call, const std::string& client) ABSL_LOCKS_EXCLUDED(mu_);
-  void SweepIdle() ABSL_LOCKS_EXCLUDED(mu_);
+  // Ends calls on which nothing happens, and those that bring too much.
+  void Watch() ABSL_LOCKS_EXCLUDED(mu_);
 
   const GrpcServiceOptions options_;
   const std::shared_ptr<const TokenStore> tokens_;
   const std::shared_ptr<Gauge> open_calls_;
   const std::shared_ptr<Counter> refused_, idled_;
   std::vector<std::unique_ptr<Registered>> methods_;
+  ReadMeter meter_;
 
   mutable absl::Mutex mu_;
   bool stopped_ ABSL_GUARDED_BY(mu_) = false;
   std::unordered_map<const Call*, std::weak_ptr<Call>> calls_ ABSL_GUARDED_BY(mu_);
   std::unordered_map<std::string, int> clients_ ABSL_GUARDED_BY(mu_);
-  std::thread sweeper_;
+  std::map<std::pair<std::string, std::string>, int> methods_of_clients_ ABSL_GUARDED_BY(mu_);
+  std::thread watcher_;
 };
 
 // Of every connection of a server: pings that find half-open ones, and an end for those that say

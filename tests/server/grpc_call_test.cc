@@ -289,6 +289,28 @@ TEST_F(GrpcCallTest, AClientHasSoManyCallsAndNoMore) {
   EXPECT_FALSE(again.Read().empty());
 }
 
+double PeakMib() {
+  std::ifstream status("/proc/self/status");
+  for (std::string line; std::getline(status, line);)
+    if (line.rfind("VmHWM:", 0) == 0) return std::stod(line.substr(7)) / 1024;
+  return -1;
+}
+
+// gRPC itself would hold all of it before it compared it with the limit.
+TEST_F(GrpcCallTest, AMessageThatIsTooLongIsNotHeldUntilItIsWhole) {
+  const std::string bytes(size_t{200} << 20, 'x');
+  const double before = PeakMib();
+  for (int i = 0; i < 2; ++i) {
+    RawCall call(channel_, kPredictPath);
+    call.Write(bytes);
+    EXPECT_EQ(call.Finish().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  }
+  EXPECT_LT(PeakMib(), before + 200 + 150) << "the client's copy of it, and 50 ms of the loopback";
+  RawCall well(channel_, kPredictPath);
+  well.Write(Request("lockstep", 7).SerializeAsString());
+  EXPECT_FALSE(well.Read().empty()) << "the connection goes on";
+}
+
 // What a caller without a token sends is not read: the transport's window is all it can fill.
 TEST_F(GrpcCallTest, RightsAreAskedForBeforeAMessageIsRead) {
   const auto tokens = AccessTokens::Parse(
