@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <exception>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -330,6 +331,15 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
     }
   }
 
+  // What a handler throws ends its call, and nothing else.
+  absl::Status Handle(const Message& request, Message& response) {
+    try {
+      return registered_.method.answer(*this, request, response);
+    } catch (const std::exception& error) {
+      return absl::InternalError(absl::StrCat(registered_.method.name, ": ", error.what()));
+    }
+  }
+
   void End(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     if (std::exchange(ended_, true)) return;
     waiting_.clear();
@@ -476,6 +486,9 @@ void LimitConnections(grpc::ServerBuilder& builder, int calls_per_connection) {
   builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, 900 * kSecond);
   builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, 20 * kSecond);
   builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, calls_per_connection);
+  // A compressed message is held to its limit before it is unpacked, and could become anything.
+  builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_DEFLATE, false);
+  builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_GZIP, false);
 }
 
 void GrpcService::Watch() {

@@ -67,6 +67,7 @@ class GrpcCallTest : public ::testing::Test {
                                              options, tokens_, &metrics_);
     grpc::ServerBuilder builder;
     builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port_);
+    LimitConnections(builder, 1000);
     builder.SetMaxReceiveMessageSize(static_cast<int>(largest));
     builder.RegisterService(service_.get());
     server_ = builder.BuildAndStart();
@@ -309,6 +310,29 @@ TEST_F(GrpcCallTest, AMessageThatIsTooLongIsNotHeldUntilItIsWhole) {
   RawCall well(channel_, kPredictPath);
   well.Write(Request("lockstep", 7).SerializeAsString());
   EXPECT_FALSE(well.Read().empty()) << "the connection goes on";
+}
+
+TEST_F(GrpcCallTest, APackedMessageIsRefusedBeforeItIsUnpacked) {
+  const std::string bomb(size_t{100} << 20, '\0');  // 100 KiB on the wire
+  const double before = PeakMib();
+  RawCall call(channel_, kPredictPath, "", GRPC_COMPRESS_GZIP);
+  call.Write(bomb);
+  EXPECT_EQ(call.Finish().error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  EXPECT_LT(PeakMib(), before + 130) << "the client's copy";
+}
+
+TEST_F(GrpcCallTest, WhatAHandlerThrowsEndsItsCallAlone) {
+  answer_ = [](const v1::PredictRequest& request, const std::function<bool()>&,
+               v1::PredictResponse& response) -> absl::Status {
+    if (request.chunk() == 1) throw std::bad_alloc();
+    response.set_chunk(request.chunk());
+    return absl::OkStatus();
+  };
+  RawCall thrown(channel_, kPredictPath), well(channel_, kPredictPath);
+  thrown.Write(Request("lockstep", 1).SerializeAsString());
+  EXPECT_EQ(thrown.Finish().error_code(), grpc::StatusCode::INTERNAL);
+  well.Write(Request("lockstep", 2).SerializeAsString());
+  EXPECT_FALSE(well.Read().empty());
 }
 
 // What a caller without a token sends is not read: the transport's window is all it can fill.

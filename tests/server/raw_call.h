@@ -16,8 +16,10 @@ namespace robostress {
 class RawCall {
  public:
   RawCall(const std::shared_ptr<grpc::Channel>& channel, const std::string& method,
-          const std::string& token = "")
+          const std::string& token = "",
+          grpc_compression_algorithm compression = GRPC_COMPRESS_NONE)
       : stub_(channel) {
+    context_.set_compression_algorithm(compression);
     if (!token.empty()) context_.AddMetadata("authorization", absl::StrCat("Bearer ", token));
     context_.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(60));
     call_ = stub_.PrepareCall(&context_, method, &queue_);
