@@ -301,8 +301,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
       if (!closed_ && !reading_ && read_ahead) Read();
     }
     const std::unique_ptr<Message> response(registered_.response->New());
-    absl::Status status =
-        replaced ? ReplacedError() : registered_.method.answer(*this, *request.message, *response);
+    absl::Status status = replaced ? ReplacedError() : Handle(*request.message, *response);
     absl::MutexLock lock(&mu_);
     answering_ = false;
     if (absl::IsCancelled(status) && !cancelled_ && read_ahead && HasNewer(request.session))
