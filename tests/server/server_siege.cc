@@ -405,8 +405,8 @@ struct RobotResult {
 RobotResult Drive(Robot& robot, double seconds) {
   RobotResult result;
   const Clock::time_point begin = Clock::now();
-  const int steps = std::max(1, static_cast<int>(4 * seconds));
-  for (int i = 0; i < steps; ++i) {
+  const auto end = begin + std::chrono::duration<double>(seconds);
+  for (int i = 0; i == 0 || Clock::now() < end; ++i) {
     std::this_thread::sleep_until(begin + i * std::chrono::milliseconds(250));
     const absl::StatusOr<double> ms = robot.Step();
     if (ms.ok()) {
