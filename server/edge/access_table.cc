@@ -61,7 +61,8 @@ std::string NamesOf(uint8_t scopes) {
 
 absl::StatusOr<const AccessRule*> RuleOf(Wire wire, std::string_view what) {
   if (const AccessRule* rule = FindRule(wire, what)) return rule;
-  return absl::NotFoundError(absl::StrCat("there is no ", std::string(what.substr(0, 64)), " here"));
+  return absl::NotFoundError(
+      absl::StrCat("there is no ", std::string(what.substr(0, 64)), " here"));
 }
 
 }  // namespace

@@ -32,7 +32,7 @@ struct SessionFigures {
   uint64_t journal_bytes = 0;       // since the last snapshot
   uint64_t snapshots_failed = 0;    // that could not be written
   uint64_t predictions_unkept = 0;  // that the disk had no room for
-  std::string error;  // why it computes no further
+  std::string error;                // why it computes no further
 };
 
 // What a server remembers of its sessions for people and dashboards: residuals over time, drift,

@@ -13,7 +13,8 @@ using ::testing::HasSubstr;
 std::string Message(const absl::Status& status) { return std::string(status.message()); }
 
 TEST(Config, DefaultsStandForAbsentKeys) {
-  const auto unit = ParseConfig<UnitConfig>("u.yaml", "suite: tabletop_goal\nsim:\n  joint_errors: {friction_law: stick}\n");
+  const auto unit = ParseConfig<UnitConfig>(
+      "u.yaml", "suite: tabletop_goal\nsim:\n  joint_errors: {friction_law: stick}\n");
   ASSERT_TRUE(unit.ok()) << unit.status();
   EXPECT_EQ(unit->suite, "tabletop_goal");
   EXPECT_EQ(unit->sim.joint_errors.friction_law, FrictionLaw::kStick);
@@ -23,7 +24,8 @@ TEST(Config, DefaultsStandForAbsentKeys) {
 TEST(Config, EmptyTextIsAllDefaults) { EXPECT_TRUE(ParseConfig<UnitConfig>("u.yaml", "").ok()); }
 
 TEST(Config, UnknownKeyIsNamedWithItsPathAndTheKnownOnes) {
-  const auto unit = ParseConfig<UnitConfig>("u.yaml", "sim:\n  joint_errors:\n    friction_laws: sgn\n");
+  const auto unit =
+      ParseConfig<UnitConfig>("u.yaml", "sim:\n  joint_errors:\n    friction_laws: sgn\n");
   ASSERT_FALSE(unit.ok());
   EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml"));
   EXPECT_THAT(Message(unit.status()), HasSubstr("sim.joint_errors.friction_laws"));
@@ -42,7 +44,8 @@ TEST(Config, EverythingThatIsWrongIsListed) {
                                             "seed: 1\nseed: 2\nsim: {goal: 1, stepping: slow}\n");
   ASSERT_FALSE(unit.ok());
   EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: episodes is 'many'"));
-  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: tasks is '[0, a]', must be a list of integers"));
+  EXPECT_THAT(Message(unit.status()),
+              HasSubstr("u.yaml: tasks is '[0, a]', must be a list of integers"));
   EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: seed is given twice; remove one"));
   EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: unknown key 'episode'"));
   EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: unknown key 'sim.goal'"));

@@ -20,7 +20,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   policy.cameras = {"a", "b"};
   policy.state_dim = 3;
   policy.action_dim = 7;
-  if (const auto observation = ReadOpenpiObservation(*message, policy, {}, size % 2 == 0); observation.ok()) {
+  if (const auto observation = ReadOpenpiObservation(*message, policy, {}, size % 2 == 0);
+      observation.ok()) {
     FuzzCheck(observation->views.size() == 2, "a view is missing");
     for (const CameraView& view : observation->views)
       FuzzCheck(view.image.data.size() ==

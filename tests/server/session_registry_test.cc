@@ -202,6 +202,21 @@ TEST_F(RegistryTest, ATokenHoldsSoManySessionsAndItsOwnMakeRoomForItsNext) {
   EXPECT_EQ(registry_->open_sessions(), 2);
 }
 
+TEST_F(RegistryTest, ATokensLimitsBoundWhatItsMethodsAskFor) {
+  Start();
+  Caller arm = Robot("arm");
+  const auto open = [&](const char* option) {
+    return registry_->Open({Spec("ours", {option}), {}, {}}, arm).status();
+  };
+  EXPECT_TRUE(open("rank=8").ok());
+  EXPECT_TRUE(open("update_interval=6").ok());
+  arm.limits.rank = 4;
+  arm.limits.update_interval = 8;
+  EXPECT_THAT(std::string(open("rank=8").message()), HasSubstr("rank is 8"));
+  EXPECT_THAT(std::string(open("update_interval=6").message()), HasSubstr("update_interval is 6"));
+  EXPECT_TRUE(open("rank=4").ok());
+}
+
 TEST_F(RegistryTest, OneClientCannotFillTheDiskForTheOthers) {
   Durable();
   options_.max_stored_sessions = 8;
