@@ -43,6 +43,13 @@ class GrpcCallTest : public ::testing::Test {
       method.largest_request = largest;
       method.executor = &executor_;
       method.answer = [](GrpcCallView&, const auto&, auto&) { return absl::OkStatus(); };
+      if (method.name == "ImportAdapter") {
+        method.at_once = 2;
+        method.answer = [this](GrpcCallView&, const auto&, auto&) {
+          imports_.WaitForNotification();
+          return absl::OkStatus();
+        };
+      }
       if (method.name != "Predict") continue;
       method.streams = true;
       method.reads_ahead = [](const std::string& id) { return id == "async"; };
@@ -99,6 +106,7 @@ class GrpcCallTest : public ::testing::Test {
     response.set_chunk(request.chunk());
     return absl::OkStatus();
   };
+  absl::Notification imports_;  // are answered from then on
   const std::shared_ptr<TokenStore> tokens_ = std::make_shared<TokenStore>();
   Metrics metrics_;
   FairExecutor executor_{{.threads = 8, .per_client = 6, .per_session = 2}};
@@ -363,6 +371,35 @@ TEST_F(GrpcCallTest, AStreamOfATokenThatIsTakenBackEndsAtItsNextMessage) {
   tokens_->Set(tokens("other"));
   call.Write(Request("s", 2).SerializeAsString());
   EXPECT_EQ(call.Finish().error_code(), grpc::StatusCode::UNAUTHENTICATED);
+}
+
+TEST_F(GrpcCallTest, AMethodIsAnsweredSoManyTimesAtOnceToOneClient) {
+  constexpr char kImport[] = "/robostress.v1.PolicyService/ImportAdapter";
+  tokens_->Set(*AccessTokens::Parse(
+      "t", absl::StrCat("tokens: [{name: a, sha256: ", Sha256Hex("a"), ", scopes: [feedback]}, ",
+                        "{name: b, sha256: ", Sha256Hex("b"), ", scopes: [feedback]}]")));
+  const auto entered = [&](int calls) {
+    for (int i = 0; i < 2000 && service_->calls() != calls; ++i)
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    return service_->calls() == calls;
+  };
+  RawCall first(channel_, kImport, "a"), second(channel_, kImport, "a");
+  ASSERT_TRUE(entered(2));
+  RawCall third(channel_, kImport, "a");
+  const grpc::Status refused = third.Finish();
+  EXPECT_EQ(refused.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_THAT(refused.error_message(), HasSubstr("ImportAdapter: 2 of this client are under way"));
+  RawCall neighbour(channel_, kImport, "b");
+  EXPECT_TRUE(entered(3)) << "another client has a count of its own";
+  imports_.Notify();
+  for (RawCall* call : {&first, &second, &neighbour}) {
+    call->Write("");
+    EXPECT_TRUE(call->Finish().ok());
+  }
+  ASSERT_TRUE(AwaitNoCalls());
+  RawCall again(channel_, kImport, "a");
+  again.Write("");
+  EXPECT_TRUE(again.Finish().ok());
 }
 
 TEST_F(GrpcCallTest, SaysWhichSessionsItsStreamsServe) {

@@ -2,9 +2,13 @@
 
 #include <thread>
 
+#include "absl/strings/str_cat.h"
+#include "common/rpc/policy_client.h"
+#include "server/policy_service.h"
 #include "server/session.h"
 #include "server/torch_threads.h"
 #include "tests/adapter/toy_arm.h"
+#include "tests/server/serving_load.h"
 
 namespace robostress {
 namespace {
@@ -101,6 +105,36 @@ TEST_F(NanoSession, ALockstepSessionHasTheSameBitsAloneAndInBatchesWithFifteenOt
 TEST_F(NanoSession, LoraSitsOnAllSevenProjectionsOfEveryExpertLayer) {
   EXPECT_GT(policy_->lora_targets().size(), 0u);
   EXPECT_EQ(policy_->lora_targets().size() % 7, 0u);
+}
+
+TEST(NanoServer, TakesTheGreatestAdapterThatItsCapsAllowAndNothingTwiceAsLong) {
+  const auto server = *PolicyServer::Start({}, {*LoadFlowPolicy("nano:random")});
+  PolicyClientOptions address;
+  address.address = absl::StrCat("127.0.0.1:", server->port());
+  SessionSpec spec;
+  spec.suite = spec.scenario = "greatest";
+  spec.policy = "nano:random";
+  spec.method =
+      *MakeMethod("ours", {"rank=16", "batch=8", "update_interval=128", "buffer_chunks=128"});
+  const auto client = *GrpcPolicyClient::Connect(address, spec);
+  ASSERT_TRUE(client->StartEpisode({0, 0}).ok());
+  Observation observation = BlankObservation(GetServerInfo(address)->policies[0]);
+  for (int word = 0; word < 40; ++word) observation.instruction += " bowl";
+  ToyArm arm(0.6);
+  for (int i = 0; i < 130; ++i) {
+    const auto prediction = client->Predict(observation, i);
+    ASSERT_TRUE(prediction.ok()) << prediction.status();
+    ExecutedChunk executed = arm.Execute(*prediction, 5);
+    executed.sequence = client->last_feedback_sequence() + 1;
+    executed.chunk = i;
+    ASSERT_TRUE(client->SendFeedback(executed).ok());
+  }
+  EXPECT_EQ(client->Stats()->updates_applied, 1u) << "with moments";
+  const std::string exported = client->ExportAdapter()->safetensors;
+  const auto taken = client->ImportAdapter(exported);
+  EXPECT_TRUE(taken.ok()) << exported.size() << " bytes: " << taken.status();
+  const absl::Status refused = client->ImportAdapter(exported + exported).status();
+  EXPECT_EQ(refused.code(), absl::StatusCode::kResourceExhausted) << refused;
 }
 
 }  // namespace

@@ -35,8 +35,8 @@ class RawCall {
     }
   }
 
-  bool Write(const std::string& bytes) {
-    const grpc::Slice slice(bytes);
+  bool Write(const std::string& bytes) { return Write(grpc::Slice(bytes)); }
+  bool Write(const grpc::Slice& slice) {
     call_->Write(grpc::ByteBuffer(&slice, 1), Tag(2));
     return Await(2);
   }

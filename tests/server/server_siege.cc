@@ -1,7 +1,11 @@
 // A robot that behaves well beside clients that do not, for as long as wanted: first alone, then
 // under every attack in turn and all at once. Prints the robot's latencies and errors, what each
-// attack got, and what the server holds.
+// attack got, and what the server holds. The attackers' threads run at the lowest priority: they
+// stand for other machines, whose processors are not the server's.
 //   server_siege build/release/bin/robostress-serve --minutes 60
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
@@ -199,7 +203,7 @@ void WaitingPredictions(const Target& target) {
 
 // Eight calls at a time of 250 MiB, with a token or without one.
 void HugeMessages(const Target& target, const std::string& token) {
-  const std::string bytes(size_t{250} << 20, 'x');
+  const grpc::Slice bytes(std::string(size_t{250} << 20, 'x'));
   do {
     std::vector<std::thread> threads;
     for (int i = 0; i < 8; ++i) {
@@ -478,6 +482,8 @@ int Run(const std::string& program, double minutes, const std::string& only,
       std::vector<std::thread> threads;
       for (Attack* one : chosen) {
         threads.emplace_back([&, one] {
+          // Of this thread and those that it starts.
+          setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), 19);
           one->run({server, robot.id(), stop, one->tried, one->let_in});
         });
       }

@@ -238,6 +238,38 @@ TEST_F(RegistryTest, OneClientCannotFillTheDiskForTheOthers) {
   EXPECT_EQ(open("three").code(), absl::StatusCode::kResourceExhausted) << "all have learned";
 }
 
+TEST_F(RegistryTest, AFullDiskForgetsTheOldestThatLearnedNothingAndOnlyWhenItWasLongLeft) {
+  Durable();
+  options_.max_sessions = 1;
+  options_.max_stored_sessions = 6;  // four of them one client's
+  Start();
+  const auto open = [&](bool learns) {
+    auto opened = registry_->Open({Spec("ours"), {}, {}}, Robot("arm"));
+    if (!opened.ok()) return absl::StatusOr<std::string>(opened.status());
+    Client client(opened->session);
+    client.StartEpisode(0, 0);
+    if (learns) {
+      client.RunChunk();
+    } else {
+      client.Predict();
+    }
+    registry_->Attach(opened->id);
+    registry_->Detach(opened->id);
+    clock_.Advance(absl::ToInt64Nanoseconds(absl::Seconds(10)));
+    return absl::StatusOr<std::string>(opened->id);
+  };
+  const std::string learned = *open(true), older = *open(false), newer = *open(false);
+  ASSERT_TRUE(open(false).ok());
+  EXPECT_EQ(open(false).status().code(), absl::StatusCode::kResourceExhausted)
+      << "none was left for long";
+  clock_.Advance(absl::ToInt64Nanoseconds(options_.abandoned_after - absl::Seconds(25)));
+  ASSERT_TRUE(open(false).ok());
+  EXPECT_EQ(Folders(), 4);
+  EXPECT_EQ(registry_->Use(older, Robot("arm")).status().code(), absl::StatusCode::kNotFound);
+  EXPECT_TRUE(registry_->Use(newer, Robot("arm")).ok()) << "it was left for less";
+  EXPECT_TRUE(registry_->Use(learned, Robot("arm")).ok()) << "it was left for longest, and learned";
+}
+
 TEST_F(RegistryTest, ExpiresUnusedSessionsOnDiskTooButNotForAWallClockThatJumps) {
   Durable();
   options_.expire_after = absl::Hours(1);
