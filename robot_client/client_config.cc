@@ -1,6 +1,8 @@
 #include "robot_client/client_config.h"
 
+#include <algorithm>
 #include <cmath>
+#include <random>
 #include <utility>
 
 #include "absl/strings/match.h"
@@ -16,6 +18,7 @@
 #include "robot_client/cameras/v4l2_source.h"
 #include "robot_client/can/bus_address.h"
 #include "robot_client/piper/piper_arm.h"
+#include "robot_client/piper/piper_model.h"
 #include "robot_client/rehearsal_arm.h"
 
 namespace robostress {
@@ -60,13 +63,44 @@ absl::StatusOr<std::unique_ptr<FrameSource>> MakeSource(const std::string& name,
 
 }  // namespace
 
+absl::Status CheckWorkspace(const WorkspaceOptions& o) {
+  const auto invalid = [](const auto&... parts) {
+    return absl::InvalidArgumentError(absl::StrCat("control.workspace.", parts...));
+  };
+  if (o.lower.size() != 3 || o.upper.size() != 3)
+    return invalid("lower has ", o.lower.size(), " numbers and upper ", o.upper.size(),
+                   "; both must have 3: x, y, z [m]");
+  for (int i = 0; i < 3; ++i) {
+    if (!(o.lower[i] < o.upper[i] && o.lower[i] >= -10 && o.upper[i] <= 10))
+      return invalid("lower[", i, "] is ", o.lower[i], " and upper[", i, "] ", o.upper[i],
+                     "; the first must be below the second, both within 10 m");
+  }
+  if (!(o.table_z >= -10 && o.table_z <= 10)) return invalid("table_z is ", o.table_z, " m");
+  if (!(o.margin >= 0 && o.margin <= 0.5))
+    return invalid("margin is ", o.margin, " m, must be 0 to 0.5");
+  return absl::OkStatus();
+}
+
 absl::Status CheckConfig(const ClientConfig& c) {
   const auto invalid = [](const auto&... parts) {
     return absl::InvalidArgumentError(absl::StrCat(parts...));
   };
-  if (c.policy.server.empty())
-    return invalid("policy.server is empty; give --server HOST:PORT of a policy server");
-  if (c.instruction.empty())
+  RS_RETURN_IF_ERROR(CheckWatchdogs(c.control.watchdogs, c.without));
+  RS_RETURN_IF_ERROR(CheckWorkspace(c.control.workspace));
+  const LimiterOptions& limits = c.control.limits;
+  if (!(limits.joint_velocity > 0 && limits.joint_velocity <= 3 && limits.joint_jerk > 0))
+    return invalid("control.limits.joint_velocity is ", limits.joint_velocity,
+                   " rad/s and joint_jerk ", limits.joint_jerk,
+                   " rad/s^3; the first must be above 0, at most 3, the second above 0");
+  for (const auto& [name, velocity] :
+       {std::pair("home_velocity", c.home_velocity), std::pair("jog_velocity", c.jog_velocity)}) {
+    if (!(velocity > 0 && velocity <= 1))
+      return invalid(name, " is ", velocity, " rad/s, must be above 0, at most 1");
+  }
+  if (c.collision_level < -1 || c.collision_level > piper::kMostCollisionLevel)
+    return invalid("collision_level is ", c.collision_level, ", must be 0 (off) to ",
+                   piper::kMostCollisionLevel, ", or -1: as the arm has it");
+  if (!c.policy.server.empty() && c.instruction.empty())
     return invalid("instruction is empty; give --instruction \"pick up the bowl ...\"");
   if (c.episodes < 1 || c.first_episode < 0 || c.task < 0)
     return invalid("task is ", c.task, ", first_episode ", c.first_episode, ", episodes ",
@@ -120,7 +154,22 @@ absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Cl
   if (config.bus == "rehearse")
     return std::unique_ptr<RobotArm>(std::make_unique<RehearsalArm>(RehearsalArmOptions{}, clock));
   RS_ASSIGN_OR_RETURN(std::unique_ptr<CanBus> bus, MakeCanBus(config.bus, *clock));
-  return std::unique_ptr<RobotArm>(std::make_unique<piper::PiperArm>(std::move(bus), *clock));
+  piper::PiperArmOptions options;
+  options.speed_percent = piper::PercentOf(
+      std::max({config.control.limits.joint_velocity, config.home_velocity, config.jog_velocity}));
+  std::random_device device;
+  // Of two clients whose enable is typed at once one listens longer, and hears the other.
+  options.enable_listen_ns +=
+      std::uniform_int_distribution<int64_t>(0, options.enable_listen_ns)(device);
+  return std::unique_ptr<RobotArm>(
+      std::make_unique<piper::PiperArm>(std::move(bus), *clock, options));
+}
+
+std::unique_ptr<ArmModel> MakeModel(const ClientConfig& config, const RobotArm& arm) {
+  const auto* piper = dynamic_cast<const piper::PiperArm*>(&arm);
+  const piper::Zero zero =
+      piper == nullptr ? piper::Zero::kSince_1_6_3 : piper::ZeroOf(piper->firmware());
+  return std::make_unique<piper::PiperModel>(zero, config.control.workspace);
 }
 
 }  // namespace robostress

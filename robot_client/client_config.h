@@ -22,8 +22,13 @@ struct ClientConfig {
   int task = 0;                      // index in the experiment; one run is one task, one session
   int first_episode = 0;
   int episodes = 25;
-  double episode_s = 60;     // [s] of RUN until an episode ends by itself
-  std::vector<double> home;  // seven: joints [rad], opening [m]; empty: there is no such pose
+  double episode_s = 60;        // [s] of RUN until an episode ends by itself
+  std::vector<double> home;     // seven: joints [rad], opening [m]; empty: there is no such pose
+  double home_velocity = 0.6;   // [rad/s] of the fastest joint on the way home
+  double jog_velocity = 0.2;    // [rad/s]
+  int collision_level = -1;     // of the arm's own protection, 0 (off) .. 8; -1: as it is
+  bool record_required = true;  // false: the arm may move on when the recording has failed
+  std::vector<std::string> without;  // watchdogs that are given up, by the names of their options
   PolicyConnectionOptions policy;
   ControlOptions control;
   FeedbackOptions feedback;
@@ -39,6 +44,13 @@ struct ClientConfig {
     v.Field("episodes", episodes, "consecutive episodes; adaptation is kept over them");
     v.Field("episode_s", episode_s, "most time of an episode [s]");
     v.Field("home", home, "pose of `home`: six joints [rad] and the opening [m]; empty: none");
+    v.Field("home_velocity", home_velocity, "most speed of a joint on the way home [rad/s]");
+    v.Field("jog_velocity", jog_velocity, "most speed of a joint that is jogged [rad/s]");
+    v.Field("collision_level", collision_level,
+            "the arm's own collision protection, 0 (off) to 8, written to it; -1: as it is");
+    v.Field("record_required", record_required,
+            "false: the arm may move on unrecorded, on a full disk for one");
+    v.Field("without", without, "watchdogs that are given up: they may have values out of range");
     v.Section("policy", policy, "the policy server and its session");
     v.Section("control", control, "the control loop");
     v.Section("feedback", feedback, "what is reported to the server");
@@ -49,6 +61,8 @@ struct ClientConfig {
 // Checks what can be checked without arm, server and cameras; names key, value and remedy.
 absl::Status CheckConfig(const ClientConfig& config);
 
+absl::Status CheckWorkspace(const WorkspaceOptions& options);
+
 // A camera from NAME=SOURCE[,fault=KIND[:AMOUNT][@SECONDS]], the fault from SECONDS on:
 //   base=v4l2:/dev/v4l/by-id/...[@640x480]   a camera
 //   wrist=files:DIR                          *.ppm of a folder, over and over
@@ -58,5 +72,7 @@ absl::StatusOr<std::unique_ptr<FrameSource>> MakeCamera(const std::string& text,
 
 // The arm of config.bus, not connected.
 absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Clock* clock);
+// What is known of its mechanics; after Connect.
+std::unique_ptr<ArmModel> MakeModel(const ClientConfig& config, const RobotArm& arm);
 
 }  // namespace robostress

@@ -34,7 +34,7 @@ Exit codes: 0 the run was recorded whole; 1 it failed on the way; 2 bad input or
 
 struct CommandLine {
   std::string config_file, out, server, policy, bus, instruction, method;
-  std::vector<std::string> cameras, overrides;
+  std::vector<std::string> cameras, overrides, without;
   bool automatic = false;
 };
 
@@ -55,6 +55,7 @@ absl::StatusOr<ClientConfig> Resolve(const CommandLine& line) {
     if (!from->empty()) *to = *from;
   }
   if (!line.cameras.empty()) config.cameras = line.cameras;
+  if (!line.without.empty()) config.without = line.without;
   RS_RETURN_IF_ERROR(ApplyOverrides(line.overrides, config));
   if (line.automatic && absl::StartsWith(config.bus, "can:") &&
       !absl::StartsWith(config.bus, "can:vcan")) {
@@ -67,6 +68,7 @@ absl::StatusOr<ClientConfig> Resolve(const CommandLine& line) {
 
 // What a person would type for a whole run without trouble; nothing is resumed or cleared.
 std::optional<OperatorCommand> AutomaticCommand(const ClientRun& run) {
+  if (run.busy()) return std::nullopt;
   if (run.done()) return OperatorCommand::kQuit;
   switch (run.state()) {
     case ClientState::kIdle:
@@ -82,31 +84,38 @@ std::optional<OperatorCommand> AutomaticCommand(const ClientRun& run) {
 
 absl::Status Run(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const ClientConfig config, Resolve(line));
+  OperatorConsole console;  // before anything can be stopped
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<ClientRun> run, ClientRun::Create(config, line.out));
-  std::printf("%s\n%s", run->description().c_str(), line.automatic ? "" : kOperatorHelp);
-  std::fflush(stdout);
-  OperatorConsole console;
+  run->Say(run->description());
+  if (!line.automatic) run->Say(kOperatorHelp);
   run->StartThreads();
-  std::optional<OperatorCommand> quit;
   absl::Status refused;  // without a person nobody reads why, so the exit code says it
-  while (!quit) {
-    std::optional<OperatorCommand> command = console.Next(50);
-    if (!command && line.automatic) command = AutomaticCommand(*run);
-    if (command == OperatorCommand::kQuit || command == OperatorCommand::kQuitLimp) {
-      quit = command;
-    } else if (command) {
-      const absl::StatusOr<std::string> answer = run->Act(*command);
-      std::printf("%s\n", answer.ok()
-                              ? answer->c_str()
-                              : absl::StrCat("refused: ", answer.status().message()).c_str());
-      if (line.automatic && !answer.ok()) {
-        refused = answer.status();
-        quit = OperatorCommand::kQuit;
-      }
+  const auto tell = [&](const absl::StatusOr<std::string>& answer) {
+    if (!answer.ok()) {
+      run->Say(absl::StrCat("refused: ", answer.status().message()));
+      if (refused.ok()) refused = answer.status();
+    } else if (!answer->empty()) {
+      run->Say(*answer);
     }
-    RS_RETURN_IF_ERROR(run->Watch());
-    std::fflush(stdout);
+  };
+  std::optional<OperatorCommand> quit;
+  while (!quit) {
+    std::optional<OperatorOrder> order = console.Next(20, run->busy());
+    if (const std::string complaint = console.TakeComplaint(); !complaint.empty())
+      run->Say(complaint);
+    if (!order && line.automatic) {
+      if (const auto command = AutomaticCommand(*run)) order = OperatorOrder{*command};
+    }
+    if (order && (order->command == OperatorCommand::kQuit ||
+                  order->command == OperatorCommand::kQuitLimp)) {
+      quit = order->command;
+    } else if (order) {
+      tell(run->Act(*order));
+    }
+    tell(run->Watch());
+    if (line.automatic && !refused.ok()) quit = OperatorCommand::kQuit;
   }
+  if (!line.automatic) refused = absl::OkStatus();  // a person has read it
   if (line.automatic && run->state() == ClientState::kFault && refused.ok())
     refused = absl::AbortedError("the run ended in FAULT; events.jsonl says why");
   RS_RETURN_IF_ERROR(run->Finish(quit == OperatorCommand::kQuitLimp));
@@ -146,6 +155,10 @@ int Main(int argc, char** argv) {
                  ",fault=KIND[:AMOUNT][@SECONDS]; in the policy's order, repeatable")
       ->allow_extra_args(false);
   app.add_option("--set", line.overrides, "key.key=value over the configuration, repeatable")
+      ->allow_extra_args(false);
+  app.add_option("--without", line.without,
+                 "a watchdog that is given up (the name of its option under control.watchdogs): it "
+                 "may have a value that guards nothing; repeatable")
       ->allow_extra_args(false);
   app.add_flag("--automatic", line.automatic,
                "enable, run every episode and quit without a person; not on a real bus");

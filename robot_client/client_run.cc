@@ -3,6 +3,7 @@
 #include <pthread.h>
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -12,19 +13,42 @@
 #include "common/config.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
-#include "robot_client/homing_endpoint.h"
+#include "robot_client/piper/piper_arm.h"
 
 namespace robostress {
 namespace {
 
 constexpr int64_t kPoll_ns = 5'000'000;
 constexpr char kEpisodes[] = "/episodes.jsonl";
-constexpr double kHomingMost_s = 15;
+constexpr double kDecides_s = 1;  // within which the loop decides a request
+constexpr double kEnables_s = 10;
+constexpr double kLastFeedback_s = 0.1;
 
 ArmVector HomeOf(const ClientConfig& config) {
   ArmVector home{};
   std::copy_n(config.home.begin(), home.size(), home.begin());
   return home;
+}
+
+const char* TextOf(Refusal refusal) {
+  switch (refusal) {
+    case Refusal::kNone:
+      return "";
+    case Refusal::kStale:
+      return "the newest sample of the arm is old: where it stands is not known; look at the bus, "
+             "then try again";
+    case Refusal::kMoving:
+      return "the arm moves; wait until it stands, then try again";
+    case Refusal::kApart:
+      return "the arm is more than 0.1 rad from where it is sent; clear its way, then type end "
+             "or hold";
+    case Refusal::kFaults:
+      return "the arm goes on reporting a fault";
+    case Refusal::kHeld:
+      return "a watchdog would hold the arm at once: arm, camera or recording is not well; see "
+             "events.jsonl";
+  }
+  return "";
 }
 
 }  // namespace
@@ -40,6 +64,13 @@ absl::StatusOr<std::unique_ptr<ClientRun>> ClientRun::Create(const ClientConfig&
 absl::Status ClientRun::Open() {
   RS_ASSIGN_OR_RETURN(arm_, MakeArm(config_, &clock_));
   RS_RETURN_IF_ERROR(arm_->Connect());
+  RS_RETURN_IF_ERROR(CheckCollisionProtection());
+  model_ = MakeModel(config_, *arm_);
+  if (!config_.home.empty()) {
+    const bool guarded = config_.control.workspace.guard;
+    RS_RETURN_IF_ERROR(
+        CheckPose("home", HomeOf(config_), arm_->limits(), guarded ? model_.get() : nullptr));
+  }
   std::vector<FrameSource*> sources;
   for (const std::string& text : config_.cameras) {
     RS_ASSIGN_OR_RETURN(std::unique_ptr<FrameSource> camera, MakeCamera(text, &clock_));
@@ -48,53 +79,80 @@ absl::Status ClientRun::Open() {
     cameras_.push_back(std::move(camera));
   }
   stamps_ = std::make_unique<FrameStamps>(sources);
-  RS_ASSIGN_OR_RETURN(loop_,
-                      ControlLoop::Create(config_.control, arm_.get(), &clock_, stamps_.get()));
-  loop_->ObeyStops(OperatorConsole::presses());
-  PolicyLinkOptions link;
-  link.instruction = config_.instruction;
-  link.max_frame_age_s = config_.control.watchdogs.camera_hold_s;
-  link.feedback = config_.feedback;
-  link_ = std::make_unique<PolicyLink>(link, loop_.get(), &clock_, sources, ConnectWithHome());
-  RS_RETURN_IF_ERROR(link_->Open());
+  RS_ASSIGN_OR_RETURN(loop_, ControlLoop::Create(config_.control, arm_.get(), &clock_,
+                                                 stamps_.get(), model_.get()));
+  loop_->ObeyStops(OperatorConsole::presses(), OperatorConsole::gentle_presses());
+  if (!config_.policy.server.empty()) {
+    PolicyLinkOptions link;
+    link.instruction = config_.instruction;
+    link.max_frame_age_s = config_.control.watchdogs.camera_hold_s;
+    link.feedback = config_.feedback;
+    link_ = std::make_unique<PolicyLink>(link, loop_.get(), &clock_, sources,
+                                         ConnectTo(config_.policy, 1 / config_.control.rate_hz));
+    RS_RETURN_IF_ERROR(link_->Open());
+  }
   RS_ASSIGN_OR_RETURN(recorder_, Recorder::Create(directory_));
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
   loop_->AddReader(&recorder_->ring());
   arm_->AddSampleReader(&recorder_->samples());
-  recorder_->OnChange([](const std::string& line) { std::printf("%s\n", line.c_str()); });
+  loop_->AddReader(&reporter_.ring());
   return absl::OkStatus();
 }
 
-// The server's policy, with the way home before it where there is one.
-PolicyLink::Connect ClientRun::ConnectWithHome() const {
-  const double period_s = 1 / config_.control.rate_hz;
-  PolicyLink::Connect connect = ConnectTo(config_.policy, period_s);
-  if (config_.home.empty()) return connect;
-  return [connect, period_s,
-          home = HomeOf(config_)]() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
-    RS_ASSIGN_OR_RETURN(std::unique_ptr<PolicyEndpoint> policy, connect());
-    return std::make_unique<HomingEndpoint>(std::move(policy), home, period_s);
-  };
+// The arm's own protection is another layer; without it a person must know.
+absl::Status ClientRun::CheckCollisionProtection() {
+  auto* arm = dynamic_cast<piper::PiperArm*>(arm_.get());
+  if (arm == nullptr) return absl::OkStatus();
+  if (config_.collision_level >= 0) {
+    RS_RETURN_IF_ERROR(arm->SetCollisionLevel(config_.collision_level));
+  } else {
+    RS_RETURN_IF_ERROR(arm->AskCollisionLevels());
+  }
+  const auto& levels = arm->collision_levels();
+  if (!levels) {
+    Say("the arm does not say how its collision protection is set");
+    return absl::OkStatus();
+  }
+  Say(absl::StrCat("the arm's collision protection, J1 to J6: ", absl::StrJoin(*levels, " ")));
+  if (std::count(levels->begin(), levels->end(), 0) > 0)
+    Say("WARNING: it is off where a 0 stands; collision_level 1 to 8 in the configuration sets it");
+  return absl::OkStatus();
 }
 
 ClientRun::~ClientRun() { StopThreads(); }
 
 std::string ClientRun::description() const {
-  return absl::StrCat(arm_->description(), "; policy ", link_->spec().name, " at ",
-                      config_.policy.server, "; cameras [",
-                      absl::StrJoin(link_->spec().cameras, ", "), "]");
+  const std::string policy =
+      link_ == nullptr
+          ? "no policy server: enable, jog and home only"
+          : absl::StrCat("policy ", link_->spec().name, " at ", config_.policy.server,
+                         "; cameras [", absl::StrJoin(link_->spec().cameras, ", "), "]");
+  const std::string without =
+      config_.without.empty()
+          ? ""
+          : absl::StrCat("\nWITHOUT the guards: ", absl::StrJoin(config_.without, ", "));
+  return absl::StrCat(arm_->description(), "; ", policy, without);
 }
 
 void ClientRun::StartThreads() {
   threads_ = true;
+  reporting_ = std::thread([this] {
+    pthread_setname_np(pthread_self(), "reporter");
+    reporter_.Run(stop_others_);
+  });
   recording_ = std::thread([this] {
     pthread_setname_np(pthread_self(), "recorder");
-    recording_status_ = recorder_->Run(stop_others_);
+    recording_status_ = recorder_->Run(stop_others_, [this](const absl::Status& error) {
+      Say(std::string(error.message()));
+      if (config_.record_required) loop_->NoteRecordFailed();
+    });
   });
-  policy_ = std::thread([this] {
-    pthread_setname_np(pthread_self(), "policy");
-    link_->Run(stop_others_);
-  });
+  if (link_ != nullptr) {
+    policy_ = std::thread([this] {
+      pthread_setname_np(pthread_self(), "policy");
+      link_->Run(stop_others_);
+    });
+  }
   control_ = std::thread([this] {
     pthread_setname_np(pthread_self(), "control");
     realtime_ = MakeRealtime(config_.realtime);
@@ -103,28 +161,78 @@ void ClientRun::StartThreads() {
     loop_->Run(stop_control_);
   });
   control_ready_.wait(false, std::memory_order_acquire);
-  std::printf("control thread: %s\n", realtime_.c_str());
+  Say("control thread: " + realtime_);
 }
 
 void ClientRun::StopThreads() {
   if (!threads_) return;
   threads_ = false;
   stop_control_ = true;
-  control_.join();  // the arm stays at its last target
+  if (control_.joinable()) control_.join();  // the arm stays at its last target
   stop_others_ = true;
-  link_->Wake();
-  policy_.join();
+  if (link_ != nullptr) {
+    link_->Wake();
+    policy_.join();
+  }
   recording_.join();
+  reporting_.join();
 }
 
-bool ClientRun::WaitForState(ClientState state, double seconds) {
-  const int64_t until = clock_.now_ns() + static_cast<int64_t>(seconds * 1e9);
-  while (loop_->state() != state && clock_.now_ns() < until)
-    clock_.SleepUntil(clock_.now_ns() + kPoll_ns);
-  return loop_->state() == state;
+absl::Status ClientRun::Refused(const std::string& what) const {
+  const std::string why = TextOf(loop_->refusal());
+  return absl::FailedPreconditionError(absl::StrCat(
+      what, ": the client is ", StateName(loop_->state()), why.empty() ? "" : "; ", why));
+}
+
+void ClientRun::Await(std::string what, double seconds, std::function<bool()> done,
+                      std::string answer) {
+  const uint64_t before = loop_->decided();
+  Pending pending;
+  pending.what = what;
+  pending.until_ns = clock_.now_ns() + static_cast<int64_t>(seconds * 1e9);
+  pending.late = absl::DeadlineExceededError(
+      absl::StrCat(what, " took longer than ", seconds, " s; the control thread is stuck"));
+  pending.answer = [this, before, what, done = std::move(done),
+                    answer = std::move(answer)]() -> std::optional<absl::StatusOr<std::string>> {
+    if (loop_->decided() == before) return std::nullopt;
+    if (done()) return answer;
+    return Refused(what);
+  };
+  pending_ = std::move(pending);
+}
+
+absl::StatusOr<std::string> ClientRun::Enable() {
+  if (loop_->state() != ClientState::kIdle)
+    return absl::FailedPreconditionError(absl::StrCat("the client is ", StateName(loop_->state()),
+                                                      "; only from IDLE the arm is enabled"));
+  const uint64_t before = loop_->decided();
+  pending_ = Pending{"enable", clock_.now_ns() + static_cast<int64_t>(kEnables_s * 1e9),
+                     [this, before]() -> std::optional<absl::StatusOr<std::string>> {
+                       if (loop_->decided() == before) return std::nullopt;
+                       if (const absl::Status status = loop_->enable_status(); !status.ok())
+                         return status;
+                       return "the arm has power and holds";
+                     },
+                     absl::DeadlineExceededError("the arm was not enabled within 10 s")};
+  loop_->Ask(kRequestEnable);
+  return "";
+}
+
+absl::StatusOr<std::string> ClientRun::Clear() {
+  if (loop_->state() != ClientState::kFault)
+    return absl::FailedPreconditionError("there is no fault to clear");
+  Await(
+      "clear", kDecides_s, [this] { return loop_->state() == ClientState::kIdle; },
+      "no fault any more; type enable when it is safe");
+  loop_->Ask(kRequestClear);
+  return "";
 }
 
 absl::StatusOr<std::string> ClientRun::StartEpisode() {
+  if (link_ == nullptr) {
+    return absl::FailedPreconditionError(
+        "no policy server is configured; quit, and start again with --server HOST:PORT");
+  }
   if (episode_running_) {
     return absl::FailedPreconditionError("an episode runs; end it first (success, failure or end)");
   }
@@ -138,56 +246,91 @@ absl::StatusOr<std::string> ClientRun::StartEpisode() {
   }
   const int episode = config_.first_episode + next_episode_;
   link_->StartEpisode({config_.task, episode});
+  Await(
+      "start", kDecides_s,
+      [this] {
+        // It may have been held in its first ticks.
+        episode_running_ =
+            loop_->state() == ClientState::kRun || loop_->state() == ClientState::kHold;
+        episode_start_ns_ = clock_.now_ns();
+        at_start_ = link_->counters();
+        return episode_running_;
+      },
+      absl::StrCat("episode ", episode, " of task ", config_.task, ": \"", config_.instruction,
+                   "\""));
   loop_->Ask(kRequestStart);
-  if (!WaitForState(ClientState::kRun, 1)) {
-    return absl::UnavailableError(
-        "the episode did not start: arm or camera are not fresh; see events.jsonl");
-  }
-  episode_running_ = true;
-  episode_start_ns_ = clock_.now_ns();
-  at_start_ = link_->counters();
-  return absl::StrCat("episode ", episode, " of task ", config_.task, ": \"", config_.instruction,
-                      "\"");
+  return "";
 }
 
-absl::StatusOr<std::string> ClientRun::GoHome() {
-  if (config_.home.empty()) {
-    return absl::FailedPreconditionError(
-        "no starting pose is configured; give home (six joints [rad] and the opening [m])");
-  }
+absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const ArmVector& to,
+                                            double velocity) {
   if (episode_running_ || loop_->state() != ClientState::kEnabled) {
     return absl::FailedPreconditionError(absl::StrCat(
         "the client is ", StateName(loop_->state()), episode_running_ ? " and an episode runs" : "",
-        "; home is reached from ENABLED"));
+        "; the arm is moved from ENABLED"));
   }
-  const ArmVector home = HomeOf(config_);
-  link_->StartEpisode({config_.task, kHomingEpisode});
-  loop_->Ask(kRequestStart);
-  if (!WaitForState(ClientState::kRun, 1)) {
-    return absl::UnavailableError(
-        "the way home did not begin: arm or camera are not fresh; see events.jsonl");
-  }
-  const int64_t until = clock_.now_ns() + static_cast<int64_t>(kHomingMost_s * 1e9);
-  bool there = false;
-  while (!there && loop_->state() == ClientState::kRun && clock_.now_ns() < until) {
-    clock_.SleepUntil(clock_.now_ns() + kPoll_ns);
-    there = IsHome(arm_->Latest().position, home);
-  }
-  loop_->Ask(kRequestEnd);
-  const bool enabled = WaitForState(ClientState::kEnabled, 2);
-  if (there && enabled) return "the arm is home";
-  return absl::DeadlineExceededError(absl::StrCat("the arm did not come home within ",
-                                                  kHomingMost_s, " s; the client is ",
-                                                  StateName(loop_->state()), ", see events.jsonl"));
+  PathLimits limits;
+  limits.joint_velocity = std::min(velocity, config_.control.limits.joint_velocity);
+  limits.joint_acceleration =
+      std::min(limits.joint_acceleration, 0.8 * config_.control.limits.joint_acceleration);
+  limits.joint_jerk = std::min(limits.joint_jerk, 0.8 * config_.control.limits.joint_jerk);
+  auto path = std::make_unique<ArmPath>(
+      StraightPath(loop_->seen().position, to, limits, 1 / config_.control.rate_hz));
+  if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, *path));
+  const double seconds = static_cast<double>(path->rows.size()) / config_.control.rate_hz;
+  paths_.push_back(std::move(path));
+  const uint64_t before = loop_->decided();
+  Pending pending;
+  pending.what = what;
+  pending.until_ns = clock_.now_ns() + static_cast<int64_t>((seconds + 5) * 1e9);
+  pending.late = absl::DeadlineExceededError(what + " has not arrived; type hold");
+  pending.answer = [this, before, what, to]() -> std::optional<absl::StatusOr<std::string>> {
+    if (loop_->decided() == before || loop_->state() == ClientState::kMove) return std::nullopt;
+    if (loop_->cause() != StateCause::kArrived) return Refused(what + " did not arrive");
+    double off = 0;
+    const ArmVector at = loop_->seen().position;
+    for (int j = 0; j < kArmJoints; ++j) off = std::max(off, std::abs(at[j] - to[j]));
+    return absl::StrFormat("%s: there, %.1f mrad off", what, 1000 * off);
+  };
+  pending_ = std::move(pending);
+  loop_->Play(paths_.back().get());
+  return absl::StrFormat("%s: %.1f s; Enter stops", what, seconds);
+}
+
+absl::StatusOr<std::string> ClientRun::Jog(const OperatorOrder& order) {
+  ArmVector to = loop_->seen().position;
+  to[order.axis] += order.amount;
+  if (order.axis < kArmJoints)
+    RS_RETURN_IF_ERROR(CheckPose("the way's end", to, arm_->limits(), nullptr));
+  to[kArmJoints] = std::clamp(to[kArmJoints], arm_->limits().lower[kArmJoints],
+                              arm_->limits().upper[kArmJoints]);
+  return Move("jog", to, config_.jog_velocity);
 }
 
 absl::StatusOr<std::string> ClientRun::EndEpisode(std::optional<bool> success) {
-  if (!episode_running_) return absl::FailedPreconditionError("no episode runs");
+  if (!episode_running_) {
+    if (loop_->state() != ClientState::kHold) {
+      return absl::FailedPreconditionError("no episode runs");
+    }
+    loop_->Ask(kRequestEnd);  // a way of the client's own was held
+    return "the arm stands; type home, jog or start";
+  }
   loop_->Ask(kRequestEnd);
-  // In FAULT the episode is over as it is.
-  WaitForState(ClientState::kEnabled, 0.5);
-  link_->Wake();
-  clock_.SleepUntil(clock_.now_ns() + 20 * kPoll_ns);  // the last chunk's feedback
+  if (link_ != nullptr) link_->Wake();
+  // Time for the last chunk's feedback; in FAULT the episode is over as it is.
+  const int64_t enough = clock_.now_ns() + static_cast<int64_t>(kLastFeedback_s * 1e9);
+  pending_ = Pending{"end", clock_.now_ns() + static_cast<int64_t>(kDecides_s * 1e9),
+                     [this, success, enough]() -> std::optional<absl::StatusOr<std::string>> {
+                       const ClientState state = loop_->state();
+                       const bool over = state != ClientState::kRun && state != ClientState::kHold;
+                       if (!over || clock_.now_ns() < enough) return std::nullopt;
+                       return CountEpisode(success);
+                     },
+                     absl::DeadlineExceededError("the episode does not end")};
+  return "";
+}
+
+absl::StatusOr<std::string> ClientRun::CountEpisode(std::optional<bool> success) {
   episode_running_ = false;
   const PolicyLinkCounters now = link_->counters();
   nlohmann::ordered_json row = {
@@ -211,31 +354,48 @@ absl::StatusOr<std::string> ClientRun::EndEpisode(std::optional<bool> success) {
                          now.adapter_version);
 }
 
-absl::StatusOr<std::string> ClientRun::Act(OperatorCommand command) {
-  switch (command) {
-    case OperatorCommand::kEnable: {
-      if (loop_->state() != ClientState::kIdle)
-        return absl::FailedPreconditionError(absl::StrCat(
-            "the client is ", StateName(loop_->state()), "; only from IDLE the arm is enabled"));
-      loop_->Ask(kRequestEnable);
-      if (WaitForState(ClientState::kEnabled, 10)) return "the arm has power and holds";
-      const absl::Status status = loop_->enable_status();
-      return status.ok() ? absl::DeadlineExceededError("the arm was not enabled within 10 s")
-                         : status;
-    }
-    case OperatorCommand::kHome:
-      return GoHome();
-    case OperatorCommand::kStart:
-      return StartEpisode();
+absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
+  switch (order.command) {  // what stops the arm comes first, whatever goes on
     case OperatorCommand::kHold:
       loop_->Ask(kRequestHold);
       return "hold";
+    case OperatorCommand::kQuickStop:
+      loop_->Ask(kRequestQuickStop);
+      return "damped stop: the arm sinks";
+    case OperatorCommand::kQuit:
+    case OperatorCommand::kQuitLimp:
+      return "quit";
+    default:
+      break;
+  }
+  if (busy())
+    return absl::FailedPreconditionError(
+        absl::StrCat(pending_->what, " goes on; Enter stops it, or wait for its end"));
+  switch (order.command) {
+    case OperatorCommand::kEnable:
+      return Enable();
+    case OperatorCommand::kHome:
+      if (config_.home.empty()) {
+        return absl::FailedPreconditionError(
+            "no starting pose is configured; give home (six joints [rad] and the opening [m])");
+      }
+      return Move("home", HomeOf(config_), config_.home_velocity);
+    case OperatorCommand::kJog:
+      return Jog(order);
+    case OperatorCommand::kStart:
+      return StartEpisode();
     case OperatorCommand::kResume:
+      if (loop_->state() != ClientState::kHold || !episode_running_)
+        return absl::FailedPreconditionError("no episode is held; type end, then start or home");
+      pending_ = Pending{"resume", clock_.now_ns() + static_cast<int64_t>(0.5e9),
+                         [this]() -> std::optional<absl::StatusOr<std::string>> {
+                           if (loop_->state() != ClientState::kRun) return std::nullopt;
+                           return "the episode goes on";
+                         },
+                         absl::FailedPreconditionError(
+                             "still HOLD: what holds the arm is still there; see events.jsonl")};
       loop_->Ask(kRequestResume);
-      if (WaitForState(ClientState::kRun, 0.5)) return "the episode goes on";
-      return absl::FailedPreconditionError(absl::StrCat(
-          "still ", StateName(loop_->state()),
-          ": what holds the arm is still there, or nothing was held; see events.jsonl"));
+      return "";
     case OperatorCommand::kSuccess:
       return EndEpisode(true);
     case OperatorCommand::kFailure:
@@ -243,33 +403,48 @@ absl::StatusOr<std::string> ClientRun::Act(OperatorCommand command) {
     case OperatorCommand::kEnd:
       return EndEpisode(std::nullopt);
     case OperatorCommand::kClear:
-      loop_->Ask(kRequestClear);
-      if (WaitForState(ClientState::kIdle, 0.5)) return "no fault any more; enable when it is safe";
-      return absl::FailedPreconditionError(
-          absl::StrCat("still ", StateName(loop_->state()), ": the arm goes on reporting a fault"));
-    case OperatorCommand::kQuickStop:
-      loop_->Ask(kRequestQuickStop);
-      return "damped stop: the arm sinks";
-    case OperatorCommand::kQuit:
-    case OperatorCommand::kQuitLimp:
-      return "quit";
+      return Clear();
+    default:
+      return absl::InternalError("unknown order");
   }
-  return absl::InternalError("unknown command");
 }
 
-absl::Status ClientRun::Watch() {
-  if (!episode_running_) return absl::OkStatus();
+absl::StatusOr<std::string> ClientRun::Watch() {
+  if (pending_) {
+    std::optional<absl::StatusOr<std::string>> answer = pending_->answer();
+    if (!answer && clock_.now_ns() < pending_->until_ns) return "";
+    if (!answer) answer = pending_->late;
+    pending_.reset();
+    return *std::move(answer);
+  }
+  if (!episode_running_) return "";
   const double seconds = static_cast<double>(clock_.now_ns() - episode_start_ns_) * 1e-9;
-  if (seconds < config_.episode_s) return absl::OkStatus();
-  return EndEpisode(std::nullopt).status();
+  if (seconds < config_.episode_s) return "";
+  return EndEpisode(std::nullopt);
 }
 
 absl::Status ClientRun::Finish(bool limp) {
-  if (episode_running_) RS_RETURN_IF_ERROR(EndEpisode(std::nullopt).status());
+  absl::Status first;
+  if (limp) {
+    stop_control_ = true;
+    if (threads_) control_.join();
+    first = arm_->Disable();
+    Say(first.ok() ? "the joints have no power" : std::string(first.message()));
+  }
+  pending_.reset();
+  if (episode_running_) {
+    if (!limp) {
+      loop_->Ask(kRequestEnd);
+      if (link_ != nullptr) link_->Wake();
+      const int64_t until = clock_.now_ns() + static_cast<int64_t>(kLastFeedback_s * 1e9);
+      while (clock_.now_ns() < until) clock_.SleepUntil(clock_.now_ns() + kPoll_ns);
+    }
+    first.Update(CountEpisode(std::nullopt).status());
+  }
   StopThreads();
-  if (limp) RS_RETURN_IF_ERROR(arm_->Disable());
-  RS_RETURN_IF_ERROR(recording_status_);
-  RS_RETURN_IF_ERROR(recorder_->Finish());
+  first.Update(recording_status_);
+  if (recording_status_.ok()) first.Update(recorder_->Finish());
+  RS_RETURN_IF_ERROR(first);
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/timing.json", loop_->timing().Json()));
   return WriteFileAtomically(directory_ + "/DONE", "");
 }

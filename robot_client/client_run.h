@@ -1,23 +1,28 @@
 #pragma once
 
 #include <atomic>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "robot_client/arm_path.h"
 #include "robot_client/client_config.h"
 #include "robot_client/operator_console.h"
 #include "robot_client/policy_link.h"
 #include "robot_client/recorder.h"
+#include "robot_client/state_reporter.h"
 
 namespace robostress {
 
 // One run of the client: an arm, its cameras, one task on one session of a policy server, recorded
-// in a directory. Owns every part and its threads: control, policy, recorder, and the cameras' own.
+// in a directory. Owns every part and its threads: control, policy, recorder, reporter, and the
+// cameras' own. Without a server the arm can be enabled, jogged and driven home.
 class ClientRun {
  public:
   // Connects to everything and opens the recording `directory`; nothing moves. The order is arm,
@@ -27,46 +32,69 @@ class ClientRun {
   ~ClientRun();  // stops the threads; the arm holds
 
   void StartThreads();
-  // Acts on a command; the answer for the person, or an error that says why it was refused.
-  absl::StatusOr<std::string> Act(OperatorCommand command);
-  // Once per round of the console: ends an episode whose time is up.
-  absl::Status Watch();
+  // Acts on an order at once, and never waits: what takes time goes on in Watch. The answer for the
+  // person, empty while it is not known, or an error that says why it was refused.
+  absl::StatusOr<std::string> Act(const OperatorOrder& order);
+  // Once per round of the console: answers what Act began, and ends an episode whose time is up.
+  // Empty: nothing to say.
+  absl::StatusOr<std::string> Watch();
+  // Something that Act began goes on.
+  bool busy() const { return pending_.has_value(); }
   // No episode runs and the configured ones are done.
   bool done() const { return !episode_running_ && next_episode_ >= config_.episodes; }
   ClientState state() const { return loop_->state(); }
   bool episode_running() const { return episode_running_; }
   std::string description() const;  // what it is connected to
+  void Say(std::string line) { reporter_.Say(std::move(line)); }
 
-  // Stops the threads, completes the recording and writes timing.json and DONE. With `limp` the arm
-  // loses its power.
+  // With `limp` the arm loses its power, first of all and whatever fails afterwards. Stops the
+  // threads, completes the recording and writes timing.json and DONE.
   absl::Status Finish(bool limp);
 
  private:
+  // What goes on: its answer once there is one, and what is said when there is none in time.
+  struct Pending {
+    std::string what;
+    int64_t until_ns = 0;
+    std::function<std::optional<absl::StatusOr<std::string>>()> answer;
+    absl::Status late;
+  };
+
   explicit ClientRun(const ClientConfig& config, std::string directory)
       : config_(config), directory_(std::move(directory)) {}
   absl::Status Open();
-  PolicyLink::Connect ConnectWithHome() const;
+  absl::Status CheckCollisionProtection();
   void StopThreads();
+  // `done` once the loop has decided what it is asked for now; its refusal is the answer else.
+  void Await(std::string what, double seconds, std::function<bool()> done, std::string answer);
+  absl::StatusOr<std::string> Enable();
+  absl::StatusOr<std::string> Clear();
   absl::StatusOr<std::string> StartEpisode();
-  absl::StatusOr<std::string> GoHome();
+  absl::StatusOr<std::string> Move(const std::string& what, const ArmVector& to, double velocity);
+  absl::StatusOr<std::string> Jog(const OperatorOrder& order);
   absl::StatusOr<std::string> EndEpisode(std::optional<bool> success);
-  bool WaitForState(ClientState state, double seconds);
+  absl::StatusOr<std::string> CountEpisode(std::optional<bool> success);
+  absl::Status Refused(const std::string& what) const;
 
   const ClientConfig config_;
   const std::string directory_;
   MonotonicClock clock_;
   std::unique_ptr<RobotArm> arm_;
+  std::unique_ptr<ArmModel> model_;
   std::vector<std::unique_ptr<FrameSource>> cameras_;
   std::unique_ptr<FrameStamps> stamps_;
   std::unique_ptr<ControlLoop> loop_;
-  std::unique_ptr<PolicyLink> link_;
+  std::unique_ptr<PolicyLink> link_;  // null: no policy server
   std::unique_ptr<Recorder> recorder_;
+  StateReporter reporter_{1};
   std::atomic<bool> stop_control_{false}, stop_others_{false}, control_ready_{false};
-  std::thread control_, policy_, recording_;
+  std::thread control_, policy_, recording_, reporting_;
   std::string realtime_;           // what the control thread was granted; written before it ticks
   absl::Status recording_status_;  // of the recorder's thread, read after it
   bool threads_ = false;
 
+  std::optional<Pending> pending_;
+  std::vector<std::unique_ptr<const ArmPath>> paths_;  // the loop may play the last one
   int next_episode_ = 0;
   bool episode_running_ = false;
   int64_t episode_start_ns_ = 0;

@@ -6,13 +6,17 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
+
+#include "absl/status/statusor.h"
 
 namespace robostress {
 
-// What a person tells the client, one word a line on standard input.
+// What a person tells the client, one order a line on standard input.
 enum class OperatorCommand {
   kEnable,
   kHome,  // drives to the configured starting pose
+  kJog,   // moves one joint
   kStart,
   kHold,  // also an empty line: the nearest key stops
   kResume,
@@ -24,32 +28,45 @@ enum class OperatorCommand {
   kQuit,      // the arm keeps its power and holds
   kQuitLimp,  // the arm loses its power and FALLS
 };
+struct OperatorOrder {
+  OperatorCommand command = OperatorCommand::kHold;
+  int axis = 0;       // kJog: 0 .. 5, 6 the gripper
+  double amount = 0;  // kJog: [rad], [m]
+};
 
-// The command of a line; absent: unknown.
-std::optional<OperatorCommand> ParseOperatorCommand(std::string_view line);
+// The order of a line. INVALID_ARGUMENT says what is wrong and what to type.
+absl::StatusOr<OperatorOrder> ParseOperatorOrder(std::string_view line);
 extern const char kOperatorHelp[];
 
-// Standard input and signals as commands. SIGINT and SIGTERM: one means hold, a second within three
-// seconds the quick stop, a third quit. One object at a time, one thread.
+// Standard input and signals as orders. SIGINT: one means hold, a second within three seconds the
+// quick stop, a third quit. SIGTERM and SIGHUP, which programs send and not people, hold and then
+// quit; they never make the arm sink. One object at a time, one thread.
 class OperatorConsole {
  public:
-  OperatorConsole();  // takes the signals over
+  OperatorConsole();  // takes the signals over, and ignores a closed output
   ~OperatorConsole();
 
-  // The next command, waiting for up to `timeout_ms`. Lines that are no command print the help.
-  // After the end of the input only signals come.
-  std::optional<OperatorCommand> Next(int timeout_ms);
+  // The next order, waiting for up to `timeout_ms`. Of lines that come from a program and not from
+  // a terminal those that stop nothing stay where they are while `busy`. A line that is no order
+  // holds, and its error is in `complaint` once.
+  std::optional<OperatorOrder> Next(int timeout_ms, bool busy = false);
+  std::string TakeComplaint() { return std::exchange(complaint_, ""); }
   bool input_ended() const { return ended_; }
   // Counts the signals as they come, for ControlLoop::ObeyStops.
   static const std::atomic<int>* presses();
+  static const std::atomic<int>* gentle_presses();
 
  private:
-  int signals_seen_ = 0;
+  void Read(int timeout_ms);
+  std::optional<OperatorCommand> OfSignals();
+
+  int signals_seen_ = 0, terminations_seen_ = 0;
   int stage_ = 0;  // presses in a row
   int64_t last_press_ns_ = 0;
+  const bool terminal_;
   bool ended_ = false;
-  std::string buffer_;
-  std::deque<OperatorCommand> commands_;
+  std::string buffer_, complaint_;
+  std::deque<OperatorOrder> orders_;
 };
 
 }  // namespace robostress

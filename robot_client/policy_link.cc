@@ -101,7 +101,7 @@ absl::StatusOr<Observation> PolicyLink::Observe(const PredictionRequest& request
     const double age = frame == nullptr
                            ? -1
                            : static_cast<double>(clock_->now_ns() - frame->stamp_ns) / kNsPerSecond;
-    if (frame == nullptr || age > options_.max_frame_age_s) {
+    if (frame == nullptr || age > options_.max_frame_age_s || age < -kMostAhead_s) {
       absl::MutexLock lock(&mu_);
       ++counters_.stale_frames;
       return absl::UnavailableError(absl::StrCat(
@@ -212,6 +212,7 @@ bool PolicyLink::Serve() {
     answer_.failed = true;
     answer_.rows = 0;
     const absl::Status status = Answer(request, answer_);
+    answer_.invalid = absl::IsInvalidArgument(status) || absl::IsInternal(status);
     if (status.ok()) {
       failures_ = 0;
     } else {

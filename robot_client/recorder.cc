@@ -4,6 +4,7 @@
 
 #include <cerrno>
 #include <chrono>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <thread>
@@ -14,6 +15,7 @@
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
+#include "robot_client/state_reporter.h"
 
 namespace robostress {
 namespace {
@@ -75,16 +77,16 @@ std::string Recorder::Header() {
       "t,tick,due,wake_us,sent_us,state,cause,flags,limiter,faults,episode,chunk,row,prediction,"
       "stamp,sequence";
   for (const char* group :
-       {"policy", "requested", "blended", "corrected", "sent", "q", "dq", "tau"}) {
+       {"policy", "requested", "blended", "corrected", "sent", "q", "dq", "tau", "excess"}) {
     for (const char* axis : kAxes) absl::StrAppend(&header, ",", group, "_", axis);
   }
-  return header;
+  return header + ",delay";
 }
 
 std::string Recorder::Row(const TickRecord& r, int64_t origin_ns) {
   const bool played = (r.flags & kTickPlayed) != 0, measured = r.sequence != 0;
   const bool streams = r.state == ClientState::kEnabled || r.state == ClientState::kRun ||
-                       r.state == ClientState::kHold;
+                       r.state == ClientState::kHold || r.state == ClientState::kMove;
   std::string row = absl::StrFormat(
       "%.9f,%d,%.9f,%.1f,%.1f,%s,%s,%d,%d,%d,%d,%d,%d,%d,%.9f,%d", Seconds(r.start_ns, origin_ns),
       r.tick, Seconds(r.due_ns, origin_ns), static_cast<double>(r.start_ns - r.due_ns) / 1e3,
@@ -100,6 +102,9 @@ std::string Recorder::Row(const TickRecord& r, int64_t origin_ns) {
   AppendVector(r.position, measured, &row);
   AppendVector(r.velocity, measured, &row);
   AppendVector(r.effort, measured, &row);
+  AppendVector(r.excess, measured && streams, &row);
+  row.push_back(',');
+  if (std::isfinite(r.delay_s)) absl::StrAppendFormat(&row, "%.4f", r.delay_s);
   return row;
 }
 
@@ -127,19 +132,14 @@ Recorder::~Recorder() {
 absl::Status Recorder::NoteChange(const TickRecord& r) {
   state_ = r.state;
   cause_ = r.cause;
-  std::string line = absl::StrFormat("%9.3f s  %s (%s)", Seconds(r.start_ns, origin_ns_),
-                                     StateName(r.state), CauseName(r.cause));
   nlohmann::ordered_json event = {{"t", Seconds(r.start_ns, origin_ns_)},
                                   {"tick", r.tick},
                                   {"event", "state"},
                                   {"state", StateName(r.state)},
                                   {"cause", CauseName(r.cause)},
                                   {"episode", r.episode}};
-  if (r.faults != 0) {
-    event["faults"] = ArmFaultNames(r.faults);
-    absl::StrAppend(&line, ": ", ArmFaultNames(r.faults));
-  }
-  if (on_change_) on_change_(line);
+  if (r.faults != 0) event["faults"] = ArmFaultNames(r.faults, r.fault_joints);
+  if (const std::string text = CauseText(r); !text.empty()) event["text"] = text;
   return Event(event.dump());
 }
 
@@ -179,11 +179,14 @@ absl::Status Recorder::DrainSamples() {
   return absl::OkStatus();
 }
 
-absl::Status Recorder::Run(const std::atomic<bool>& stop) {
+absl::Status Recorder::Run(const std::atomic<bool>& stop,
+                           const std::function<void(const absl::Status&)>& failed) {
   absl::Status first;
   while (!stop.load(std::memory_order_acquire)) {
-    // An error ends the recording, not the run: the arm goes on being watched.
-    if (first.ok()) first = Drain();
+    if (first.ok()) {
+      first = Drain();
+      if (!first.ok()) failed(first);
+    }
     std::this_thread::sleep_for(std::chrono::milliseconds(50));
   }
   return first;

@@ -32,13 +32,12 @@ class Recorder {
 
   SpscRing<TickRecord>& ring() { return ring_; }
   SpscRing<ArmSnapshot>& samples() { return samples_; }
-  // Called with a line for people at each change of state.
-  void OnChange(std::function<void(const std::string& line)> call) { on_change_ = std::move(call); }
-
   // Writes what has come. An error names the file; what was written before it stays.
   absl::Status Drain();
-  // Drain every 50 ms until `stop`.
-  absl::Status Run(const std::atomic<bool>& stop);
+  // Drain every 50 ms until `stop`; after the first error, which it returns and calls `failed`
+  // with, nothing is written any more.
+  absl::Status Run(const std::atomic<bool>& stop,
+                   const std::function<void(const absl::Status&)>& failed);
   // Appends an event; `json` is one object.
   absl::Status Event(const std::string& json);
   // The last rows, then the final name.
@@ -56,7 +55,6 @@ class Recorder {
   const std::string directory_;
   SpscRing<TickRecord> ring_{1 << 10};
   SpscRing<ArmSnapshot> samples_{1 << 11};  // 10 s of a Piper's
-  std::function<void(const std::string&)> on_change_;
   std::FILE* ticks_ = nullptr;
   std::FILE* samples_file_ = nullptr;
   int64_t origin_ns_ = 0;

@@ -17,7 +17,7 @@ absl::Status RehearsalArm::Connect() {
   return absl::OkStatus();
 }
 
-absl::Status RehearsalArm::Enable() {
+absl::Status RehearsalArm::Enable(const std::function<bool()>&) {
   target_ = sample_.position;
   sample_.enabled = true;
   return absl::OkStatus();

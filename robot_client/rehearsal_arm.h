@@ -27,7 +27,8 @@ class RehearsalArm : public RobotArm {
       : options_(options), clock_(clock) {}
 
   absl::Status Connect() override;
-  absl::Status Enable() override;
+  using RobotArm::Enable;
+  absl::Status Enable(const std::function<bool()>& cancelled) override;
   absl::Status Disable() override;
   void Poll() override;
   ArmSnapshot Latest() const override { return sample_; }  // one thread here

@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 
 namespace robostress {
@@ -28,17 +29,24 @@ constexpr NamedFault kNames[] = {
     {kFaultOther, "abnormal status"},
     {kFaultForeignCommand, "another sender commands this arm"},
     {kFaultBus, "bus error"},
+    {kFaultStatus, "the arm's status is missing or unknown"},
+    {kFaultMode, "the arm left the mode in which it takes commands"},
 };
 
 }  // namespace
 
-std::string ArmFaultNames(uint32_t faults) {
+std::string ArmFaultNames(uint32_t faults, uint8_t joints) {
   if (faults == 0) return "none";
   std::vector<std::string> names;
   for (const NamedFault& fault : kNames) {
     if (faults & fault.bit) names.emplace_back(fault.name);
   }
-  return absl::StrJoin(names, ", ");
+  std::vector<std::string> which;
+  for (int j = 0; j < kArmJoints; ++j) {
+    if (joints & (1 << j)) which.push_back(absl::StrCat("J", j + 1));
+  }
+  return absl::StrCat(absl::StrJoin(names, ", "),
+                      which.empty() ? "" : absl::StrCat(" (", absl::StrJoin(which, ", "), ")"));
 }
 
 }  // namespace robostress

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <string>
 
 #include "absl/status/status.h"
@@ -33,20 +34,25 @@ enum ArmFault : uint32_t {
   kFaultOther = 1u << 13,           // an abnormal status with no name here
   kFaultForeignCommand = 1u << 14,  // another sender commands this arm
   kFaultBus = 1u << 15,             // the bus itself: bus-off, error frames, interface down
+  kFaultStatus = 1u << 16,          // the arm's status has stopped coming, or is unknown
+  kFaultMode = 1u << 17,            // the arm left the mode in which it takes these commands
 };
 
-// "collision, stall"; "none" for 0.
-std::string ArmFaultNames(uint32_t faults);
+// "collision, stall"; "none" for 0. `joints`: bit j: joint j + 1's own driver reports one of
+// them, "stall (J2)".
+std::string ArmFaultNames(uint32_t faults, uint8_t joints = 0);
 
 // One complete, untorn sample. Before the first one sequence is 0 and nothing else holds.
 struct ArmSnapshot {
-  ArmVector position{};   // J1 .. J6 [rad], gripper opening between the fingers [m]
-  ArmVector velocity{};   // [rad/s], gripper 0 where unknown
-  ArmVector effort{};     // [Nm] from motor currents; gripper [Nm] as the bus gives it
-  int64_t stamp_ns = 0;   // of the oldest joint frame in it, on the client's clock
-  uint64_t sequence = 0;  // grows by one per complete sample
-  bool enabled = false;   // every joint's driver
-  uint32_t faults = 0;    // ArmFault
+  ArmVector position{};      // J1 .. J6 [rad], gripper opening between the fingers [m]
+  ArmVector velocity{};      // [rad/s], gripper 0 where unknown
+  ArmVector effort{};        // [Nm] from motor currents; gripper [Nm] as the bus gives it
+  int64_t stamp_ns = 0;      // of the oldest joint frame in it, on the client's clock
+  uint64_t sequence = 0;     // grows by one per complete sample
+  bool enabled = false;      // every joint's driver
+  bool has_effort = false;   // effort is measured
+  uint32_t faults = 0;       // ArmFault
+  uint8_t fault_joints = 0;  // bit j: joint j + 1's driver reports one of them
 };
 
 // Absolute targets: joints [rad], gripper opening [m].
@@ -74,14 +80,20 @@ class RobotArm {
   virtual absl::Status Connect() = 0;
   // Enables the joints' drivers (twice where the firmware needs it) and waits until they say so.
   // Only on a person's request. The arm must be told to hold its measured position before and
-  // after.
-  virtual absl::Status Enable() = 0;
+  // after. Refuses an arm that moves, whose samples are not fresh, or that somebody else commands.
+  // `cancelled`, where given, is asked while it waits; true ends it with CANCELLED, and the joints
+  // that have power hold.
+  virtual absl::Status Enable(const std::function<bool()>& cancelled) = 0;
+  absl::Status Enable() { return Enable({}); }
   // Takes power off the joints: the arm FALLS unless it is supported. Only on a person's request.
   virtual absl::Status Disable() = 0;
 
   // Takes in what has arrived; never blocks, never allocates. Once per control tick, before Latest.
   // A transport with a reader thread of its own has nothing to do here.
   virtual void Poll() = 0;
+  // A person has seen the faults and wants to go on. What is over is forgotten: another sender that
+  // has been silent for a second, a mode that the arm left. Never blocks.
+  virtual void Acknowledge() {}
   // Before the first tick: every complete sample goes to `ring` too, in order, in the thread that
   // polls. A full ring loses samples; their numbers tell. An arm without a bus has none to give.
   virtual void AddSampleReader(SpscRing<ArmSnapshot>*) {}

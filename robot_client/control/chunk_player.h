@@ -12,6 +12,7 @@ struct ArmChunk {
   static constexpr int kMaxRows = 64;
   uint64_t request = 0;        // PredictionRequest::id that it answers
   bool failed = false;         // there is no prediction; nothing below holds
+  bool invalid = false;        // ... because what came is no chunk of this arm
   uint64_t prediction_id = 0;  // the server's
   int32_t episode = 0;
   int32_t chunk = 0;        // index within the episode

@@ -11,6 +11,8 @@ namespace {
 
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 constexpr double kRest = 1e-9;
+// A target counts as followed when braking would end this close to it [rad].
+constexpr double kFollowed = 1e-10;
 // Rounding in sums of a few terms; far below the bus's resolution of 17 micro-radians.
 constexpr double kRounding = 1e-12;
 
@@ -43,6 +45,7 @@ absl::Status CommandLimiter::Configure(const LimiterOptions& options, const ArmL
         std::min(joint ? options.joint_velocity : options.gripper_velocity, arm.max_velocity[i]);
     axis.acceleration = std::min(joint ? options.joint_acceleration : options.gripper_acceleration,
                                  arm.max_acceleration[i]);
+    axis.jerk = joint ? options.joint_jerk : std::numeric_limits<double>::infinity();
     axis.step = joint ? options.joint_step : options.gripper_step;
     const std::string name = joint ? absl::StrCat("J", i + 1) : "gripper";
     if (!(axis.upper > axis.lower)) {
@@ -51,11 +54,11 @@ absl::Status CommandLimiter::Configure(const LimiterOptions& options, const ArmL
                                                         ": no room; check the limits stored in the "
                                                         "arm and limits.joint_margin"));
     }
-    if (!(axis.velocity > 0 && axis.acceleration > 0 && axis.step > 0 &&
+    if (!(axis.velocity > 0 && axis.acceleration > 0 && axis.step > 0 && axis.jerk > 0 &&
           std::isfinite(axis.velocity + axis.acceleration + axis.step))) {
       return absl::FailedPreconditionError(
           absl::StrCat(name, " has velocity limit ", axis.velocity, ", acceleration limit ",
-                       axis.acceleration, ", step limit ", axis.step,
+                       axis.acceleration, ", jerk limit ", axis.jerk, ", step limit ", axis.step,
                        "; all must be positive: check section limits and the "
                        "limits stored in the arm"));
     }
@@ -66,7 +69,9 @@ absl::Status CommandLimiter::Configure(const LimiterOptions& options, const ArmL
 void CommandLimiter::Reset(const ArmVector& position) {
   position_ = position;
   velocity_.fill(0);
+  acceleration_.fill(0);
   last_target_.fill(kNone);
+  last_drift_.fill(kNone);
   flags_ = 0;
 }
 
@@ -75,8 +80,136 @@ bool CommandLimiter::at_rest() const {
                      [](double v) { return std::abs(v) < kRest; });
 }
 
+CommandLimiter::Motion CommandLimiter::After(const Motion& now, double a) const {
+  const double v = now.v + a * dt_;
+  return {now.x + v * dt_, v, a};
+}
+
+// The next acceleration of coming to rest: of what is left of the velocity.
+double CommandLimiter::BrakingStep(const Axis& axis, double v, double a) const {
+  const double wanted =
+      -std::copysign(std::min(BrakingSpeed(std::abs(v), axis.jerk, dt_), axis.acceleration), v);
+  const double change = axis.jerk * dt_;
+  return std::clamp(wanted, a - change, a + change);
+}
+
+CommandLimiter::Way CommandLimiter::Brake(const Axis& axis, Motion motion) const {
+  constexpr int kMostTicks = 1000;
+  Way way{motion.x, motion.x, motion.x, std::abs(motion.v)};
+  for (int i = 0; i < kMostTicks; ++i) {
+    if (std::abs(motion.v) < kRest && std::abs(motion.a) < kRest) break;
+    motion = After(motion, BrakingStep(axis, motion.v, motion.a));
+    way.lowest = std::min(way.lowest, motion.x);
+    way.highest = std::max(way.highest, motion.x);
+    way.fastest = std::max(way.fastest, std::abs(motion.v));
+  }
+  way.end = motion.x;
+  return way;
+}
+
+// The acceleration after which braking ends on the target, seen from a target that goes on with
+// the velocity and the acceleration it has.
+double CommandLimiter::TowardsTarget(const Axis& axis, const Motion& now, int i, double target) {
+  const double drift = std::isfinite(last_target_[i]) ? std::clamp((target - last_target_[i]) / dt_,
+                                                                   -axis.velocity, axis.velocity)
+                                                      : 0;
+  const double bend =
+      std::isfinite(last_drift_[i])
+          ? std::clamp((drift - last_drift_[i]) / dt_, -axis.acceleration, axis.acceleration)
+          : 0;
+  last_target_[i] = target;
+  last_drift_[i] = drift;
+  const double change = axis.jerk * dt_;
+  double low = std::max(now.a - change, -axis.acceleration);
+  double high = std::min(now.a + change, axis.acceleration);
+  const auto end = [&](double a) {
+    Motion next = After(now, a);
+    next.x -= target;
+    next.v -= drift;
+    next.a -= bend;
+    return Brake(axis, next).end;
+  };
+  const double exact = ((target - now.x) / dt_ - now.v) / dt_;
+  if (exact >= low - kRounding && exact <= high + kRounding && std::abs(end(exact)) < kFollowed)
+    return exact;
+  if (end(high) <= 0) return high;
+  if (end(low) >= 0) return low;
+  for (int k = 0; k < 32; ++k) {
+    const double middle = 0.5 * (low + high);
+    (end(middle) <= 0 ? low : high) = middle;
+  }
+  return low;
+}
+
+// The acceleration nearest to the wanted one from which the axis can still brake within its bounds.
+double CommandLimiter::WithinBounds(const Axis& axis, const Motion& now, double wanted) {
+  const double speed = std::min(axis.velocity, axis.step / dt_);
+  const double upper = std::max(axis.upper, now.x), lower = std::min(axis.lower, now.x);
+  uint8_t why = 0;
+  const auto fits = [&](double a) {
+    const Way way = Brake(axis, After(now, a));
+    if (way.highest > upper + kRounding || way.lowest < lower - kRounding) {
+      why = kLimitedPosition;
+      return false;
+    }
+    if (way.fastest <= speed + kRounding) return true;
+    why = axis.velocity <= axis.step / dt_ ? kLimitedVelocity : kLimitedStep;
+    return false;
+  };
+  if (fits(wanted)) return wanted;
+  flags_ |= why;
+  double safe = BrakingStep(axis, now.v, now.a), beyond = wanted;
+  for (int k = 0; k < 24; ++k) {
+    const double middle = 0.5 * (safe + beyond);
+    (fits(middle) ? safe : beyond) = middle;
+  }
+  return safe;
+}
+
+double CommandLimiter::Accelerate(int i, double target) {
+  const Axis& axis = axes_[i];
+  const Motion now{position_[i], velocity_[i], acceleration_[i]};
+  if (!std::isfinite(target)) {
+    last_target_[i] = last_drift_[i] = kNone;
+    return BrakingStep(axis, now.v, now.a);
+  }
+  const double inside = std::clamp(target, axis.lower, axis.upper);
+  if (inside != target) flags_ |= kLimitedPosition;
+  const double wanted = TowardsTarget(axis, now, i, inside);
+  const double a = WithinBounds(axis, now, wanted);
+  if (a == wanted && std::abs(After(now, a).x - inside) > kRounding) {
+    const bool most = std::abs(a) >= axis.acceleration - kRounding;
+    flags_ |= most ? kLimitedAcceleration : kLimitedJerk;
+  }
+  return a;
+}
+
+ArmVector CommandLimiter::StoppingPosition() const {
+  ArmVector stop = position_;
+  for (int i = 0; i < kArmAxes; ++i) {
+    const Axis& axis = axes_[i];
+    if (std::isfinite(axis.jerk)) {
+      stop[i] = Brake(axis, {position_[i], velocity_[i], acceleration_[i]}).end;
+    } else {
+      double v = std::abs(velocity_[i]), way = 0;
+      for (v -= axis.acceleration * dt_; v > 0; v -= axis.acceleration * dt_) way += v * dt_;
+      stop[i] += std::copysign(way, velocity_[i]);
+    }
+  }
+  return stop;
+}
+
 void CommandLimiter::Advance(int i, double target) {
   const Axis& axis = axes_[i];
+  if (std::isfinite(axis.jerk)) {
+    const Motion next =
+        After({position_[i], velocity_[i], acceleration_[i]}, Accelerate(i, target));
+    const bool rests = std::abs(next.v) < kRest && std::abs(next.a) < kRest;
+    position_[i] = next.x;
+    velocity_[i] = rests ? 0 : next.v;
+    acceleration_[i] = rests ? 0 : next.a;
+    return;
+  }
   const double speed = std::min(axis.velocity, axis.step / dt_);
   const double change = axis.acceleration * dt_;
   double& x = position_[i];

@@ -10,6 +10,7 @@ namespace robostress {
 struct LimiterOptions {
   double joint_velocity = 1.0;      // [rad/s]
   double joint_acceleration = 5.0;  // [rad/s^2]
+  double joint_jerk = 50;           // [rad/s^3]; infinite: not limited
   double joint_step = 0.05;         // [rad], most between two commands
   double joint_margin = 0.02;       // [rad], kept from the arm's position limits
   double gripper_velocity = 0.2;    // [m/s]
@@ -20,6 +21,7 @@ struct LimiterOptions {
   void Visit(V& v) {
     v.Field("joint_velocity", joint_velocity, "most speed of a joint's command [rad/s]");
     v.Field("joint_acceleration", joint_acceleration, "[rad/s^2]");
+    v.Field("joint_jerk", joint_jerk, "[rad/s^3]; .inf: not limited");
     v.Field("joint_step", joint_step, "most change between two commands [rad]");
     v.Field("joint_margin", joint_margin, "distance kept from the arm's position limits [rad]");
     v.Field("gripper_velocity", gripper_velocity, "[m/s]");
@@ -34,21 +36,23 @@ enum LimiterFlag : uint8_t {
   kLimitedVelocity = 2,
   kLimitedAcceleration = 4,
   kLimitedStep = 8,
+  kLimitedJerk = 16,
 };
 
-// The last thing that happens to a command. Every command it returns keeps, against the one before,
+// The last thing that happens to a command. Every command it returns keeps, against those before,
 //
-//   lower + margin <= x <= upper - margin,  |v| <= v_max,  |v - v_before| <= a_max dt,  |v dt| <=
-//   step
+//   lower + margin <= x <= upper - margin,  |v| <= v_max,  |v dt| <= step,
+//   |v - v_before| <= a_max dt,  |a - a_before| <= j_max dt   (joints)
 //
-// where v = (x - x_before) / dt. A bound on position is approached with a speed that a_max can
-// still take away before it, so the four never contradict each other. A target is followed exactly
-// where it can be; where it jumps, the distance to the moving target is closed with the same
-// braking law, so that a step in the target makes no overshoot. A target that is not finite counts
-// as no target: the axis brakes.
+// where v = (x - x_before) / dt and a = (v - v_before) / dt. From every command that it returns the
+// axis can brake to rest inside the box under the same bounds, so they never contradict each other.
+// A target is followed exactly where it can be; where it jumps, the distance to the moving target
+// is closed so that a step in the target makes no overshoot. A target that is not finite counts as
+// no target: the axis brakes.
 //
-// Braking law: with w the speed of approach and g the gap, the largest w whose remaining ticks
-// w, w - a dt, w - 2 a dt, ... cover no more than g.
+// Braking law of a gap: with w the speed of approach, the largest w whose remaining ticks w, w - a
+// dt, w - 2 a dt, ... cover no more than the gap. Braking to rest under bounded jerk is that law
+// for the velocity as the gap and the acceleration as its speed.
 //
 // dt is the control period, not the time that passed: after a late tick the arm is moved less,
 // never more.
@@ -67,22 +71,39 @@ class CommandLimiter {
   ArmVector Limit(const ArmVector& target);
   // The next command of braking every axis to rest and staying there.
   ArmVector Decelerate();
+  // Where the axes come to rest when every command from now on brakes.
+  ArmVector StoppingPosition() const;
 
-  const ArmVector& position() const { return position_; }  // the last command
-  const ArmVector& velocity() const { return velocity_; }  // [rad/s], [m/s]
+  const ArmVector& position() const { return position_; }          // the last command
+  const ArmVector& velocity() const { return velocity_; }          // [rad/s], [m/s]
+  const ArmVector& acceleration() const { return acceleration_; }  // [rad/s^2], [m/s^2]
   bool at_rest() const;
   uint8_t flags() const { return flags_; }  // of the last Limit or Decelerate
 
  private:
   struct Axis {
-    double lower = 0, upper = 0, velocity = 0, acceleration = 0, step = 0;
+    double lower = 0, upper = 0, velocity = 0, acceleration = 0, jerk = 0, step = 0;
+  };
+  struct Motion {  // of an axis, in the base frame or in a target's
+    double x = 0, v = 0, a = 0;
+  };
+  struct Way {  // of braking to rest
+    double end = 0, lowest = 0, highest = 0, fastest = 0;
   };
   void Advance(int axis, double target);  // NaN: brake
+  // With bounded jerk: the next acceleration.
+  double Accelerate(int axis, double target);
+  double TowardsTarget(const Axis& axis, const Motion& now, int i, double target);
+  double WithinBounds(const Axis& axis, const Motion& now, double wanted);
+  double BrakingStep(const Axis& axis, double v, double a) const;
+  Way Brake(const Axis& axis, Motion motion) const;
+  Motion After(const Motion& now, double a) const;
 
   std::array<Axis, kArmAxes> axes_{};
   double dt_ = 0;  // [s]
-  ArmVector position_{}, velocity_{};
+  ArmVector position_{}, velocity_{}, acceleration_{};
   ArmVector last_target_{};  // NaN: none
+  ArmVector last_drift_{};   // velocity of the target before; NaN: none
   uint8_t flags_ = 0;
 };
 

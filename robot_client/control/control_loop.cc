@@ -3,6 +3,8 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "common/status_macros.h"
@@ -14,6 +16,32 @@ constexpr double kNsPerSecond = 1e9;
 // [rad], [m]. An arm without power hangs in its mechanical stops, up to 0.1 rad beyond J1, J3, J4,
 // J5.
 constexpr double kRestOutside = 0.12;
+constexpr uint32_t kGoing = kRequestClear | kRequestStart | kRequestMove;
+constexpr uint32_t kDecided = kGoing | kRequestEnable;
+constexpr double kStill = 0.05;     // [rad/s] a slower joint stands
+constexpr double kTogether = 0.1;   // [rad] an arm stands where it is sent
+constexpr double kRelax = 0.03;     // [rad] off its command, where it is held: it goes back
+constexpr double kArrived = 0.03;   // [rad] from the end of a way ...
+constexpr double kArrives_s = 1.5;  // ... within so long of its last row
+constexpr double kGuarded_s = 0.5;  // without a way out of the workspace's bounds: HOLD
+
+absl::Status CheckPress(const PressOptions& o) {
+  const std::pair<const char*, const std::vector<double>*> vectors[] = {
+      {"excess", &o.excess}, {"friction", &o.friction}, {"viscous", &o.viscous}};
+  for (const auto& [name, values] : vectors) {
+    if (values->size() != kArmJoints) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("press.", name, " has ", values->size(),
+                       " numbers, must have one per joint: ", kArmJoints));
+    }
+    for (const double value : *values) {
+      if (!(value >= 0 && value <= 100))
+        return absl::InvalidArgumentError(
+            absl::StrCat("press.", name, " holds ", value, ", must be 0 to 100"));
+    }
+  }
+  return absl::OkStatus();
+}
 
 absl::Status CheckOptions(const ControlOptions& o) {
   const auto invalid = [](const auto&... parts) {
@@ -40,7 +68,7 @@ absl::Status CheckOptions(const ControlOptions& o) {
   if (!(w.arm_hold_s > 0 && w.arm_fault_s >= w.arm_hold_s))
     return invalid("watchdogs.arm_hold_s is ", w.arm_hold_s, " and arm_fault_s ", w.arm_fault_s,
                    "; both must be positive and the fault not before the hold");
-  return absl::OkStatus();
+  return CheckPress(o.press);
 }
 
 // An arm at rest stands on its limits, and what it measures may lie a little beyond them: the first
@@ -59,6 +87,12 @@ absl::Status MoveInside(const ArmLimits& limits, ArmVector& position) {
   return absl::OkStatus();
 }
 
+ArmVector Between(const ArmVector& a, const ArmVector& b) {
+  ArmVector middle;
+  for (int i = 0; i < kArmAxes; ++i) middle[i] = 0.5 * (a[i] + b[i]);
+  return middle;
+}
+
 DisturbanceObserver::Joints JointsOf(const ArmVector& v) {
   return Eigen::Map<const Eigen::Matrix<double, kArmJoints, 1>>(v.data());
 }
@@ -66,20 +100,24 @@ DisturbanceObserver::Joints JointsOf(const ArmVector& v) {
 }  // namespace
 
 ControlLoop::ControlLoop(const ControlOptions& options, RobotArm* arm, Clock* clock,
-                         const CameraStamps* cameras)
+                         const CameraStamps* cameras, const ArmModel* model)
     : options_(options),
       arm_(arm),
       clock_(clock),
       cameras_(cameras),
+      model_(options.guards ? model : nullptr),
       player_(options.player),
       watchdogs_(options.watchdogs, 1 / options.rate_hz),
-      observer_(options.disturbance_observer) {}
+      observer_(options.disturbance_observer),
+      press_(options.press, 1 / options.rate_hz, model_),
+      delay_(1 / options.rate_hz) {}
 
 absl::StatusOr<std::unique_ptr<ControlLoop>> ControlLoop::Create(const ControlOptions& options,
                                                                  RobotArm* arm, Clock* clock,
-                                                                 const CameraStamps* cameras) {
+                                                                 const CameraStamps* cameras,
+                                                                 const ArmModel* model) {
   RS_RETURN_IF_ERROR(CheckOptions(options));
-  auto loop = std::unique_ptr<ControlLoop>(new ControlLoop(options, arm, clock, cameras));
+  auto loop = std::unique_ptr<ControlLoop>(new ControlLoop(options, arm, clock, cameras, model));
   RS_RETURN_IF_ERROR(loop->limiter_.Configure(options.limits, arm->limits(), 1 / options.rate_hz));
   return loop;
 }
@@ -89,15 +127,14 @@ absl::Status ControlLoop::enable_status() const {
   return enable_status_;
 }
 
-bool ControlLoop::streaming() const {
-  const ClientState state = machine_.state();
-  return state == ClientState::kEnabled || state == ClientState::kRun ||
-         state == ClientState::kHold;
-}
-
 uint32_t ControlLoop::StopRequests(int64_t now_ns) {
-  const int presses = stop_presses_ == nullptr ? 0 : stop_presses_->load(std::memory_order_acquire);
-  if (presses == seen_presses_) return 0;
+  const auto count = [](const std::atomic<int>* presses) {
+    return presses == nullptr ? 0 : presses->load(std::memory_order_acquire);
+  };
+  const int gentle = count(gentle_presses_);
+  const uint32_t hold = std::exchange(seen_gentle_, gentle) != gentle ? kRequestHold : 0u;
+  const int presses = count(stop_presses_);
+  if (presses == seen_presses_) return hold;
   const bool again = presses > seen_presses_ + 1 ||
                      (seen_presses_ > 0 &&
                       static_cast<double>(now_ns - last_press_ns_) < kStopWindow_s * kNsPerSecond);
@@ -106,15 +143,79 @@ uint32_t ControlLoop::StopRequests(int64_t now_ns) {
   return again ? kRequestQuickStop : kRequestHold;
 }
 
+bool ControlLoop::StopAsked() const {
+  if ((asked_.load(std::memory_order_acquire) & (kRequestHold | kRequestQuickStop)) != 0)
+    return true;
+  const auto pressed = [](const std::atomic<int>* presses, int seen) {
+    return presses != nullptr && presses->load(std::memory_order_acquire) != seen;
+  };
+  return pressed(stop_presses_, seen_presses_) || pressed(gentle_presses_, seen_gentle_);
+}
+
+Refusal ControlLoop::WhyNot(const ArmSnapshot& arm, int64_t now_ns) const {
+  const double age = static_cast<double>(now_ns - arm.stamp_ns) / kNsPerSecond;
+  if (arm.sequence == 0 || !(age <= options_.watchdogs.arm_hold_s && age >= -kMostAhead_s))
+    return Refusal::kStale;
+  for (int j = 0; j < kArmJoints; ++j) {
+    if (!(std::abs(arm.velocity[j]) < kStill)) return Refusal::kMoving;
+  }
+  return Refusal::kNone;
+}
+
+double ControlLoop::Apart(const ArmSnapshot& arm) const {
+  double apart = 0;
+  for (int j = 0; j < kArmJoints; ++j)
+    apart = std::max(apart, std::abs(limiter_.position()[j] - arm.position[j]));
+  return apart;
+}
+
+// What of the requests is obeyed: an arm is set going only where it is known to stand now.
+uint32_t ControlLoop::Granted(uint32_t requests, ArmSnapshot& arm, const WatchdogVerdict& verdict,
+                              int64_t now_ns) {
+  if ((requests & kGoing) == 0) return requests;
+  Refusal why = Refusal::kNone;
+  if ((requests & kRequestClear) && machine_.state() == ClientState::kFault) {
+    arm_->Acknowledge();
+    arm_->Poll();
+    arm = arm_->Latest();
+    if (arm.faults != 0) why = Refusal::kFaults;
+  }
+  if (options_.guards && why == Refusal::kNone) why = WhyNot(arm, now_ns);
+  if ((requests & (kRequestStart | kRequestMove)) && why == Refusal::kNone) {
+    if (options_.guards && Apart(arm) > kTogether) why = Refusal::kApart;
+    if (verdict.hold != StateCause::kNone) why = Refusal::kHeld;
+  }
+  refusal_.store(why, std::memory_order_release);
+  return why == Refusal::kNone ? requests : requests & ~kGoing;
+}
+
 void ControlLoop::EnableArm() {
   enabling_ = true;
   ArmSnapshot arm = arm_->Latest();
   ArmVector start = arm.position;
   absl::Status status = MoveInside(arm_->limits(), start);  // refused while it has no power yet
-  if (status.ok()) status = arm_->Enable();
+  const auto ready = [&] {
+    const int64_t now = clock_->now_ns();
+    switch (options_.guards ? WhyNot(arm, now) : Refusal::kNone) {
+      case Refusal::kStale:
+        return absl::UnavailableError(absl::StrCat(
+            "the newest sample of the arm is ",
+            arm.sequence == 0 ? "not there" : absl::StrCat((now - arm.stamp_ns) / 1'000'000, " ms"),
+            " old, at most ", 1000 * options_.watchdogs.arm_hold_s,
+            " ms are allowed: where it stands is not known; look at the bus, then type enable"));
+      case Refusal::kMoving:
+        return absl::FailedPreconditionError(
+            "the arm moves; wait until it stands, then type enable");
+      default:
+        return absl::OkStatus();
+    }
+  };
+  if (status.ok()) status = ready();
+  if (status.ok()) status = arm_->Enable([this] { return StopAsked(); });
   arm_->Poll();
   arm = arm_->Latest();
   start = arm.position;
+  if (status.ok()) status = ready();
   if (status.ok() && (arm.sequence == 0 || !arm.enabled)) {
     status = absl::UnavailableError(
         "the arm says that it is enabled, but no complete sample shows it; look at the bus");
@@ -122,6 +223,8 @@ void ControlLoop::EnableArm() {
   if (status.ok()) status = MoveInside(arm_->limits(), start);
   if (status.ok()) {
     limiter_.Reset(start);
+    press_.Reset();
+    relaxing_ = false;
     machine_.Enabled();
   }
   absl::MutexLock lock(&mu_);
@@ -133,12 +236,18 @@ void ControlLoop::TakeChunks(int64_t now_ns) {
     const bool answers = waiting_ && incoming_.request == request_id_;
     if (answers) waiting_ = false;
     if (incoming_.failed) {
+      policy_invalid_ = policy_invalid_ || (answers && incoming_.invalid);
       if (answers) retry_after_ns_ = now_ns + static_cast<int64_t>(options_.retry_s * kNsPerSecond);
       continue;
     }
-    if (!answers || machine_.state() != ClientState::kRun ||
-        player_.Offer(incoming_, now_ns, limiter_.position()) != ChunkVerdict::kTaken)
+    if (!answers || machine_.state() != ClientState::kRun) {
       record_.flags |= kTickRejected;
+      continue;
+    }
+    const ChunkVerdict verdict = player_.Offer(incoming_, now_ns, limiter_.position());
+    if (verdict != ChunkVerdict::kTaken) record_.flags |= kTickRejected;
+    if (verdict == ChunkVerdict::kNotFinite || verdict == ChunkVerdict::kWrongShape)
+      policy_invalid_ = true;
   }
 }
 
@@ -166,6 +275,16 @@ void ControlLoop::AskForPrediction(int64_t now_ns) {
 
 void ControlLoop::OnStateChange(ClientState before, int64_t now_ns) {
   const ClientState now = machine_.state();
+  relaxed_ = relaxing_ = false;
+  guarded_ticks_ = 0;
+  policy_invalid_ = false;
+  way_ = nullptr;
+  delay_.Reset();
+  if (now == ClientState::kMove) {
+    way_ = path_.load(std::memory_order_acquire);
+    way_row_ = 0;
+    watchdogs_.OnRunStart(now_ns);
+  }
   if (now == ClientState::kRun) {
     waiting_ = asked_before_ = false;
     retry_after_ns_ = 0;
@@ -184,32 +303,102 @@ void ControlLoop::OnStateChange(ClientState before, int64_t now_ns) {
   }
 }
 
+// The next command on the way to a target, unless braking from it would end in what the workspace
+// bounds: then it brakes now, which was seen to be free when the last command was.
+ArmVector ControlLoop::Advance(const ArmVector& target) {
+  if (model_ == nullptr || !options_.workspace.guard) return limiter_.Limit(target);
+  CommandLimiter next = limiter_;
+  const ArmVector command = next.Limit(target), stop = next.StoppingPosition();
+  const ArmVector middle = Between(command, stop);
+  const ArmModel::Clearance now = model_->ClearanceAt(limiter_.position());
+  for (const ArmVector* at : {&command, &middle, &stop}) {
+    const ArmModel::Bound bound = CrossedBound(now, model_->ClearanceAt(*at));
+    if (bound == ArmModel::kBounds) continue;
+    crossed_.store(bound, std::memory_order_release);
+    record_.flags |= kTickGuarded;
+    ++guarded_ticks_;
+    return limiter_.Decelerate();
+  }
+  guarded_ticks_ = 0;
+  limiter_ = next;
+  return command;
+}
+
+// Stands, or comes to stand. Where the arm was held off its command, or presses, the command goes
+// to where it is.
+ArmVector ControlLoop::Stand() {
+  const bool fresh = (record_.flags & kTickFresh) != 0;
+  if (options_.guards && fresh && limiter_.at_rest() && machine_.state() != ClientState::kRun) {
+    bool off = false;
+    for (int j = 0; j < kArmJoints; ++j)
+      off = off || std::abs(limiter_.position()[j] - record_.position[j]) > kRelax;
+    const bool held = machine_.state() == ClientState::kHold && !relaxed_;
+    if (off && (held || press_.strained())) {
+      relaxed_ = relaxing_ = true;
+      relax_to_ = limiter_.position();
+      std::copy_n(record_.position.begin(), kArmJoints, relax_to_.begin());
+    } else if (relaxing_ && limiter_.position() == relax_to_) {
+      relaxing_ = false;
+    }
+  }
+  if (!relaxing_) return limiter_.Decelerate();
+  record_.flags |= kTickRelaxed;
+  return Advance(relax_to_);
+}
+
+// A row of the policy's chunk; false: there is none.
+bool ControlLoop::PlayRow(int64_t now_ns) {
+  ChunkPlayer::Step step;
+  if (!player_.Next(step)) return false;
+  watchdogs_.OnRow(now_ns);
+  record_.flags |= kTickPlayed;
+  if (step.entered) record_.flags |= kTickEntered;
+  if (step.fading) record_.flags |= kTickFading;
+  if (step.overrun) record_.flags |= kTickOverrun;
+  record_.chunk = step.chunk;
+  record_.row = step.row;
+  record_.prediction_id = step.prediction_id;
+  record_.policy = step.policy;
+  record_.requested = step.requested;
+  record_.blended = record_.corrected = step.blended;
+  if (options_.observer) Correct();
+  return true;
+}
+
+// A row of the client's own way; false: there is none.
+bool ControlLoop::PlayPath() {
+  if (way_ == nullptr || way_->rows.empty()) return false;
+  const ArmVector& end = way_->rows.back();
+  record_.row = static_cast<int32_t>(way_row_);
+  const bool over = way_row_ >= way_->rows.size();
+  record_.blended = record_.corrected = over ? end : way_->rows[way_row_];
+  ++way_row_;
+  if (!over) return true;
+  double off = 0;
+  for (int j = 0; j < kArmJoints; ++j) off = std::max(off, std::abs(record_.position[j] - end[j]));
+  const double waited = static_cast<double>(way_row_ - way_->rows.size()) / options_.rate_hz;
+  if ((off < kArrived && limiter_.at_rest()) || waited > kArrives_s) {
+    machine_.Arrived();
+    way_ = nullptr;
+  }
+  return true;
+}
+
 void ControlLoop::PickTarget(int64_t now_ns) {
   record_.chunk = record_.row = -1;
   record_.prediction_id = 0;
-  if (!streaming()) return;
-  ChunkPlayer::Step step;
-  if (machine_.state() == ClientState::kRun && player_.Next(step)) {
-    watchdogs_.OnRow(now_ns);
-    record_.flags |= kTickPlayed;
-    if (step.entered) record_.flags |= kTickEntered;
-    if (step.fading) record_.flags |= kTickFading;
-    if (step.overrun) record_.flags |= kTickOverrun;
-    record_.chunk = step.chunk;
-    record_.row = step.row;
-    record_.prediction_id = step.prediction_id;
-    record_.policy = step.policy;
-    record_.requested = step.requested;
-    record_.blended = record_.corrected = step.blended;
-    if (options_.observer) Correct();
-    record_.sent = limiter_.Limit(record_.corrected);
+  if (!machine_.streaming()) return;
+  const bool runs = machine_.state() == ClientState::kRun;
+  const bool target = runs ? PlayRow(now_ns) : machine_.state() == ClientState::kMove && PlayPath();
+  if (target) {
+    record_.sent = Advance(record_.corrected);
     double moved = 0;
     for (int i = 0; i < kArmAxes; ++i)
       moved = std::max(moved, std::abs(record_.sent[i] - record_.corrected[i]));
     if (moved > 0) record_.flags |= kTickLimited;
   } else {
-    if (machine_.state() == ClientState::kRun) record_.flags |= kTickStarved;
-    record_.sent = limiter_.Decelerate();
+    if (runs) record_.flags |= kTickStarved;
+    record_.sent = Stand();
     record_.blended = record_.corrected = record_.sent;
   }
   record_.limiter = limiter_.flags();
@@ -234,11 +423,42 @@ void ControlLoop::SendCommand() {
     arm_->QuickStop().IgnoreError();  // repeated every tick, whatever becomes of it
     return;
   }
-  if (!streaming()) return;
+  if (!machine_.streaming()) return;
   const bool taken =
       arm_->Send({.position = record_.sent, .gripper_effort = options_.gripper_effort}).ok();
   watchdogs_.OnSend(taken);
   if (taken) record_.flags |= kTickSent;
+}
+
+// A fault sends nothing any more, and the arm would go on pressing towards its last target: that
+// becomes where it stands, once.
+void ControlLoop::LetGo(const ArmSnapshot& arm) {
+  const StateCause cause = machine_.cause();
+  const bool known = cause != StateCause::kArmSilent && cause != StateCause::kNotFinite &&
+                     cause != StateCause::kSendFailed;
+  if (!options_.guards || machine_.quick_stop() || !known || !arm.enabled ||
+      (arm.faults & kFaultForeignCommand) != 0 || Apart(arm) <= kRelax) {
+    return;
+  }
+  ArmVector stand = arm.position;
+  if (!MoveInside(arm_->limits(), stand).ok()) return;
+  record_.sent = stand;
+  if (arm_->Send({.position = stand, .gripper_effort = options_.gripper_effort}).ok())
+    record_.flags |= kTickSent | kTickRelaxed;
+}
+
+void ControlLoop::WatchContact(const ArmSnapshot& arm) {
+  record_.excess.fill(0);
+  record_.delay_s = std::numeric_limits<double>::quiet_NaN();
+  if (!options_.guards || !machine_.streaming()) return;
+  const bool moves =
+      machine_.state() == ClientState::kRun || machine_.state() == ClientState::kMove;
+  if ((record_.flags & kTickFresh) != 0) {
+    press_.Take(arm, limiter_.position());
+    if (moves) delay_.Take(limiter_.position(), arm.position);
+  }
+  record_.excess = press_.excess();
+  if (const auto delay = delay_.delay_s(); delay && moves) record_.delay_s = *delay;
 }
 
 void ControlLoop::Publish() {
@@ -257,7 +477,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   if ((requests & kRequestEnable) && machine_.state() == ClientState::kIdle &&
       !(requests & (kRequestHold | kRequestQuickStop)))
     EnableArm();
-  const ArmSnapshot arm = arm_->Latest();
+  ArmSnapshot arm = arm_->Latest();
 
   ++record_.tick;
   record_.due_ns = due_ns;
@@ -265,6 +485,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   record_.flags = 0;
   record_.limiter = 0;
   record_.faults = arm.faults;
+  record_.fault_joints = arm.fault_joints;
   record_.position = arm.position;
   record_.velocity = arm.velocity;
   record_.effort = arm.effort;
@@ -273,21 +494,40 @@ void ControlLoop::Tick(int64_t due_ns) {
   if (arm.sequence != last_sequence_) record_.flags |= kTickFresh;
   last_sequence_ = arm.sequence;
 
+  WatchContact(arm);
+  const bool moves =
+      machine_.state() == ClientState::kRun || machine_.state() == ClientState::kMove;
   Watchdogs::Inputs inputs;
   inputs.now_ns = record_.start_ns;
   inputs.arm = arm;
-  inputs.oldest_camera_ns = cameras_->Oldest();
-  inputs.streaming = streaming();
+  // A way of the client's own needs no eyes.
+  inputs.oldest_camera_ns = machine_.state() == ClientState::kMove
+                                ? std::numeric_limits<int64_t>::max()
+                                : cameras_->Oldest();
+  inputs.streaming = machine_.streaming();
   inputs.running = machine_.state() == ClientState::kRun;
   inputs.command = limiter_.position();
+  inputs.pressing = press_.pressing();
+  inputs.blocked = moves && press_.blocked();
+  inputs.guarded = guarded_ticks_ > kGuarded_s * options_.rate_hz;
+  inputs.record_failed = record_failed_.load(std::memory_order_acquire);
+  inputs.policy_invalid = std::exchange(policy_invalid_, false);
+  inputs.delay_s = std::isfinite(record_.delay_s) ? record_.delay_s : 0;
   const WatchdogVerdict verdict = watchdogs_.Check(inputs);
   if (verdict.camera_late) record_.flags |= kTickCameraLate;
 
   const ClientState before = machine_.state();
-  if (machine_.Advance(requests, verdict, arm.faults)) OnStateChange(before, record_.start_ns);
+  const uint32_t granted = Granted(requests, arm, verdict, record_.start_ns);
+  if (machine_.Advance(granted, verdict, arm.faults)) OnStateChange(before, record_.start_ns);
+  if (machine_.state() == ClientState::kFault && before != ClientState::kFault &&
+      before != ClientState::kIdle)
+    LetGo(arm);
   record_.state = machine_.state();
   record_.cause = machine_.cause();
+  cause_.store(record_.cause, std::memory_order_release);
   state_.store(record_.state, std::memory_order_release);
+  seen_.Store(arm);
+  if ((requests & kDecided) != 0) decided_.fetch_add(1, std::memory_order_acq_rel);
 
   TakeChunks(record_.start_ns);
   AskForPrediction(record_.start_ns);

@@ -13,14 +13,18 @@
 #include "absl/synchronization/mutex.h"
 #include "adapter/disturbance_observer.h"
 #include "common/clock.h"
+#include "robot_client/arm_model.h"
 #include "robot_client/control/chunk_player.h"
 #include "robot_client/control/command_limiter.h"
+#include "robot_client/control/delay_estimator.h"
+#include "robot_client/control/press_watch.h"
 #include "robot_client/control/spsc_ring.h"
 #include "robot_client/control/state_machine.h"
 #include "robot_client/control/tick_record.h"
 #include "robot_client/control/tick_timing.h"
 #include "robot_client/control/watchdogs.h"
 #include "robot_client/robot_arm.h"
+#include "robot_client/snapshot_cell.h"
 
 namespace robostress {
 
@@ -33,6 +37,11 @@ struct ControlOptions {
   PlayerOptions player;
   LimiterOptions limits;
   WatchdogOptions watchdogs;
+  PressOptions press;
+  WorkspaceOptions workspace;
+  // False in simulated studies, as they were recorded: nothing is asked of an arm that starts, and
+  // pressing, blocking, delay and workspace are not watched.
+  bool guards = true;
 
   template <class V>
   void Visit(V& v) {
@@ -44,6 +53,8 @@ struct ControlOptions {
     v.Section("player", player, "how chunks are played");
     v.Section("limits", limits, "bounds on what is sent");
     v.Section("watchdogs", watchdogs, "when the arm is held");
+    v.Section("press", press, "when the arm presses against something");
+    v.Section("workspace", workspace, "where the arm may be");
   }
 };
 
@@ -57,6 +68,21 @@ struct PredictionRequest {
   ArmVector position{};  // joints [rad], gripper [m]
 };
 
+// A way of the client's own: home, a jog, a demonstration.
+struct ArmPath {
+  std::vector<ArmVector> rows;  // one per tick, the first near where the arm stands
+};
+
+// Why a request was not obeyed.
+enum class Refusal : uint8_t {
+  kNone,
+  kStale,   // the newest sample is old: nobody knows where the arm is
+  kMoving,  // a joint moves
+  kApart,   // the arm is not where it is sent
+  kFaults,  // the arm still reports a fault
+  kHeld,    // a watchdog would hold it at once
+};
+
 // The control loop of one arm. A tick polls the arm, asks the watchdogs, decides the state, picks
 // the row that is due, corrects it (disturbance observer), limits it, sends it and records all of
 // that. It allocates nothing, takes no lock and never waits for a network, a camera or a disk:
@@ -68,24 +94,45 @@ class ControlLoop {
  public:
   // `arm`, `clock` and `cameras` outlive the loop; `arm` is connected. FAILED_PRECONDITION for
   // limits that leave no room, INVALID_ARGUMENT for options out of range.
+  // `model`: null, or outlives the loop; without one torques and workspace are not watched.
   static absl::StatusOr<std::unique_ptr<ControlLoop>> Create(const ControlOptions& options,
                                                              RobotArm* arm, Clock* clock,
-                                                             const CameraStamps* cameras);
+                                                             const CameraStamps* cameras,
+                                                             const ArmModel* model = nullptr);
 
   // Before the first tick: every record goes to `ring` too; a full ring loses records, and the next
   // one that fits says so (kTickLost).
   void AddReader(SpscRing<TickRecord>* ring) { readers_.push_back({ring, false}); }
   // Before the first tick: a count of presses on a stop key, raised by anyone, a signal handler for
   // one. A press holds; another one within kStopWindow_s is the quick stop. Read every tick, so
-  // that no other thread's trouble delays a stop.
+  // that no other thread's trouble delays a stop. `gentle`: presses that only ever hold.
   static constexpr double kStopWindow_s = 3;
-  void ObeyStops(const std::atomic<int>* presses) { stop_presses_ = presses; }
+  void ObeyStops(const std::atomic<int>* presses, const std::atomic<int>* gentle = nullptr) {
+    stop_presses_ = presses;
+    gentle_presses_ = gentle;
+  }
   // Before the first tick, in simulated time: called in the control thread where a prediction has
   // been asked for and before this tick's row is picked.
   void OnPredictionRequested(std::function<void()> call) { on_request_ = std::move(call); }
 
   void Ask(uint32_t requests) { asked_.fetch_or(requests, std::memory_order_acq_rel); }
+  // Asks for the way to be played from ENABLED; it outlives the loop. In the order of calls.
+  void Play(const ArmPath* path) {
+    path_.store(path, std::memory_order_release);
+    Ask(kRequestMove);
+  }
   ClientState state() const { return state_.load(std::memory_order_acquire); }
+  StateCause cause() const { return cause_.load(std::memory_order_acquire); }
+  // Why the last clear, start or move was not obeyed; kNone: it was.
+  Refusal refusal() const { return refusal_.load(std::memory_order_acquire); }
+  // Requests to clear, start or move, and to enable, that were decided so far, obeyed or not.
+  uint64_t decided() const { return decided_.load(std::memory_order_acquire); }
+  // The arm as the last tick saw it.
+  ArmSnapshot seen() const { return seen_.Load(); }
+  // The bound that stopped the last command that was stopped.
+  ArmModel::Bound crossed() const { return crossed_.load(std::memory_order_acquire); }
+  // The run can no longer be recorded: RUN and MOVE end in HOLD, and do not begin.
+  void NoteRecordFailed() { record_failed_.store(true, std::memory_order_release); }
   int episode() const { return episode_.load(std::memory_order_acquire); }
   absl::Status enable_status() const ABSL_LOCKS_EXCLUDED(mu_);  // of the last Enable
 
@@ -107,40 +154,61 @@ class ControlLoop {
   };
 
   ControlLoop(const ControlOptions& options, RobotArm* arm, Clock* clock,
-              const CameraStamps* cameras);
+              const CameraStamps* cameras, const ArmModel* model);
   uint32_t StopRequests(int64_t now_ns);
+  bool StopAsked() const;
   void EnableArm();
+  Refusal WhyNot(const ArmSnapshot& arm, int64_t now_ns) const;
+  uint32_t Granted(uint32_t requests, ArmSnapshot& arm, const WatchdogVerdict& verdict,
+                   int64_t now_ns);
+  void WatchContact(const ArmSnapshot& arm);
   void TakeChunks(int64_t now_ns);
   void AskForPrediction(int64_t now_ns);
   void OnStateChange(ClientState before, int64_t now_ns);
   void PickTarget(int64_t now_ns);
+  bool PlayRow(int64_t now_ns);
+  bool PlayPath();
+  ArmVector Advance(const ArmVector& target);
+  ArmVector Stand();
+  double Apart(const ArmSnapshot& arm) const;
+  void LetGo(const ArmSnapshot& arm);
   void Correct();
   void SendCommand();
   void Publish();
-  bool streaming() const;
 
   const ControlOptions options_;
   RobotArm* const arm_;
   Clock* const clock_;
   const CameraStamps* const cameras_;
+  const ArmModel* const model_;
   CommandLimiter limiter_;
   ChunkPlayer player_;
   Watchdogs watchdogs_;
   StateMachine machine_;
   DisturbanceObserver observer_;
+  PressWatch press_;
+  DelayEstimator delay_;
   std::vector<Reader> readers_;
   std::function<void()> on_request_;
 
   std::atomic<uint32_t> asked_{0};
   std::atomic<ClientState> state_{ClientState::kIdle};
   std::atomic<int> episode_{-1};
+  std::atomic<StateCause> cause_{StateCause::kNone};
+  std::atomic<Refusal> refusal_{Refusal::kNone};
+  std::atomic<uint64_t> decided_{0};
+  SnapshotCell<ArmSnapshot> seen_;
+  std::atomic<ArmModel::Bound> crossed_{ArmModel::kBounds};
+  std::atomic<const ArmPath*> path_{nullptr};
+  std::atomic<bool> record_failed_{false};
   SpscRing<PredictionRequest> prediction_requests_{4};
   SpscRing<ArmChunk> chunks_{4};
 
   const std::atomic<int>* stop_presses_ = nullptr;
+  const std::atomic<int>* gentle_presses_ = nullptr;
 
   // The control thread's own.
-  int seen_presses_ = 0;
+  int seen_presses_ = 0, seen_gentle_ = 0;
   int64_t last_press_ns_ = 0;
   TickRecord record_;
   ArmChunk incoming_;
@@ -151,8 +219,15 @@ class ControlLoop {
   bool asked_before_ = false;  // in this stretch of RUN
   int64_t retry_after_ns_ = 0;
   int32_t next_chunk_ = 0;
-  int64_t observed_ns_ = 0;  // time of the observer's last call
-  bool enabling_ = false;    // this tick blocked for a person's Enable
+  int64_t observed_ns_ = 0;       // time of the observer's last call
+  bool enabling_ = false;         // this tick blocked for a person's Enable
+  bool policy_invalid_ = false;   // since the last tick
+  const ArmPath* way_ = nullptr;  // in MOVE
+  size_t way_row_ = 0;
+  int guarded_ticks_ = 0;  // for which the workspace has stopped the command
+  bool relaxed_ = false;   // since the arm was held
+  bool relaxing_ = false;
+  ArmVector relax_to_{};
   TickTiming timing_;
 
   mutable absl::Mutex mu_;

@@ -12,16 +12,16 @@ void StateMachine::Enabled() {
   if (state_ == ClientState::kIdle) Go(ClientState::kEnabled, StateCause::kOperator);
 }
 
-void StateMachine::Fail(StateCause cause) { Go(ClientState::kFault, cause); }
+void StateMachine::Arrived() {
+  if (state_ == ClientState::kMove) Go(ClientState::kEnabled, StateCause::kArrived);
+}
 
 bool StateMachine::Advance(uint32_t requests, const WatchdogVerdict& verdict, uint32_t arm_faults) {
   if ((requests & kRequestQuickStop) && !quick_stop_) {
     quick_stop_ = true;
     return Go(ClientState::kFault, StateCause::kQuickStop);
   }
-  const bool streaming = state_ == ClientState::kEnabled || state_ == ClientState::kRun ||
-                         state_ == ClientState::kHold;
-  if (streaming && verdict.fault != StateCause::kNone)
+  if (streaming() && verdict.fault != StateCause::kNone)
     return Go(ClientState::kFault, verdict.fault);
 
   switch (state_) {
@@ -31,8 +31,17 @@ bool StateMachine::Advance(uint32_t requests, const WatchdogVerdict& verdict, ui
       if (requests & (kRequestHold | kRequestEnd)) return false;
       if ((requests & kRequestStart) && verdict.hold == StateCause::kNone)
         return Go(ClientState::kRun, StateCause::kOperator);
+      if ((requests & kRequestMove) && verdict.hold == StateCause::kNone)
+        return Go(ClientState::kMove, StateCause::kOperator);
+      return false;
+    case ClientState::kMove:
+      held_in_run_ = false;
+      if (requests & (kRequestHold | kRequestEnd))
+        return Go(ClientState::kEnabled, StateCause::kOperator);
+      if (verdict.hold != StateCause::kNone) return Go(ClientState::kHold, verdict.hold);
       return false;
     case ClientState::kRun:
+      held_in_run_ = true;
       if (requests & kRequestHold) return Go(ClientState::kHold, StateCause::kOperator);
       if (verdict.hold != StateCause::kNone) return Go(ClientState::kHold, verdict.hold);
       if (requests & kRequestEnd) return Go(ClientState::kEnabled, StateCause::kEpisodeEnd);
@@ -40,7 +49,7 @@ bool StateMachine::Advance(uint32_t requests, const WatchdogVerdict& verdict, ui
     case ClientState::kHold:
       if (requests & kRequestEnd) return Go(ClientState::kEnabled, StateCause::kEpisodeEnd);
       if (requests & kRequestHold) return false;
-      if ((requests & kRequestResume) && verdict.hold == StateCause::kNone)
+      if ((requests & kRequestResume) && held_in_run_ && verdict.hold == StateCause::kNone)
         return Go(ClientState::kRun, StateCause::kOperator);
       return false;
     case ClientState::kFault:

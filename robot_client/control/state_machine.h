@@ -17,6 +17,7 @@ enum Request : uint32_t {
   kRequestEnable = 1u << 4,     // IDLE -> ENABLED
   kRequestStart = 1u << 5,      // ENABLED -> RUN: a new episode
   kRequestResume = 1u << 6,     // HOLD -> RUN: the same episode goes on
+  kRequestMove = 1u << 7,       // ENABLED -> MOVE: the way that was given to the loop
 };
 
 // The states of the client.
@@ -24,12 +25,14 @@ enum Request : uint32_t {
 //   IDLE     nothing is sent
 //   ENABLED  the joints have power; the command stands
 //   RUN      chunks are played; with nothing to play the command decelerates and stands
+//   MOVE     a way of the client's own is played: home, a jog, a demonstration
 //   HOLD     the command decelerates and stands; only a person goes on
 //   FAULT    latched; nothing is sent: the arm stays at its last target by itself
 //
 //   IDLE --enable--> ENABLED --start--> RUN --end--> ENABLED
 //   RUN --hold request, watchdog--> HOLD --resume--> RUN, HOLD --end--> ENABLED
-//   ENABLED, RUN, HOLD --fault--> FAULT --clear--> IDLE
+//   ENABLED --move--> MOVE --arrival, hold request, end--> ENABLED, MOVE --watchdog--> HOLD
+//   ENABLED, RUN, MOVE, HOLD --fault--> FAULT --clear--> IDLE
 //   any --quick stop--> FAULT, the damped stop repeated every tick
 //
 // Nothing enables the arm but Enabled(), which the caller calls after a request and a person's
@@ -40,12 +43,20 @@ class StateMachine {
   StateCause cause() const { return cause_; }  // of the last change
   bool quick_stop() const { return quick_stop_; }
 
+  // Whether commands are sent.
+  bool streaming() const {
+    return state_ == ClientState::kEnabled || state_ == ClientState::kRun ||
+           state_ == ClientState::kMove || state_ == ClientState::kHold;
+  }
+  // The state in which an episode, or nothing, was held.
+  bool held_in_run() const { return held_in_run_; }
+
   // One tick. `arm_faults`: the arm's fault bits; a fault is only cleared once they are 0. Returns
   // true when the state changed. kRequestEnable is left to the caller, who enables the arm and
   // calls Enabled.
   bool Advance(uint32_t requests, const WatchdogVerdict& verdict, uint32_t arm_faults);
-  void Enabled();               // IDLE -> ENABLED
-  void Fail(StateCause cause);  // -> FAULT
+  void Enabled();  // IDLE -> ENABLED
+  void Arrived();  // MOVE -> ENABLED
 
  private:
   bool Go(ClientState state, StateCause cause);
@@ -53,6 +64,7 @@ class StateMachine {
   ClientState state_ = ClientState::kIdle;
   StateCause cause_ = StateCause::kNone;
   bool quick_stop_ = false;
+  bool held_in_run_ = false;
 };
 
 }  // namespace robostress

@@ -14,6 +14,8 @@ const char* StateName(ClientState state) {
       return "HOLD";
     case ClientState::kFault:
       return "FAULT";
+    case ClientState::kMove:
+      return "MOVE";
   }
   return "";
 }
@@ -46,6 +48,20 @@ const char* CauseName(StateCause cause) {
       return "quick_stop";
     case StateCause::kEnableFailed:
       return "enable_failed";
+    case StateCause::kArrived:
+      return "arrived";
+    case StateCause::kPressing:
+      return "pressing";
+    case StateCause::kBlocked:
+      return "blocked";
+    case StateCause::kWorkspace:
+      return "workspace";
+    case StateCause::kDelayed:
+      return "delayed";
+    case StateCause::kPolicyInvalid:
+      return "policy_invalid";
+    case StateCause::kRecordFailed:
+      return "record_failed";
   }
   return "";
 }

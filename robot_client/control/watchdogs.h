@@ -2,7 +2,10 @@
 
 #include <cstdint>
 #include <limits>
+#include <string>
+#include <vector>
 
+#include "absl/status/status.h"
 #include "robot_client/control/tick_record.h"
 #include "robot_client/robot_arm.h"
 
@@ -19,6 +22,7 @@ struct WatchdogOptions {
   double following_s = 0.5;       // ... for as long as this: HOLD
   int send_hold_ticks = 3;        // commands in a row that the bus did not take: HOLD
   int send_fault_ticks = 15;      // FAULT
+  double delay_hold_s = 0.25;     // from a command to its motion in the measurement: HOLD
 
   template <class V>
   void Visit(V& v) {
@@ -32,6 +36,7 @@ struct WatchdogOptions {
     v.Field("following_s", following_s, "... for longer than this [s]");
     v.Field("send_hold_ticks", send_hold_ticks, "commands the bus did not take until it is held");
     v.Field("send_fault_ticks", send_fault_ticks, "commands the bus did not take that are a fault");
+    v.Field("delay_hold_s", delay_hold_s, "from a command to its motion in the measurement [s]");
   }
 };
 
@@ -49,6 +54,15 @@ class NoCameras : public CameraStamps {
   int64_t Oldest() const override { return std::numeric_limits<int64_t>::max(); }
 };
 
+// INVALID_ARGUMENT names option, value and range where a value lies outside of what still guards
+// something and the option is not among `given_up`, which a person gives up by name.
+absl::Status CheckWatchdogs(const WatchdogOptions& options,
+                            const std::vector<std::string>& given_up);
+
+// A stamp may be this far ahead of the clock: rounding between a driver's time and ours. Further
+// ahead it says nothing about its age.
+inline constexpr double kMostAhead_s = 0.02;
+
 // What the watchdogs say of one tick. `fault` outranks `hold`.
 struct WatchdogVerdict {
   StateCause fault = StateCause::kNone;
@@ -65,10 +79,15 @@ class Watchdogs {
   struct Inputs {
     int64_t now_ns = 0;
     ArmSnapshot arm;
-    int64_t oldest_camera_ns = 0;  // CameraStamps::Oldest
-    bool streaming = false;        // commands are being sent (ENABLED, RUN, HOLD)
-    bool running = false;          // RUN: rows are expected
-    ArmVector command{};           // the last one sent; joints compared with arm.position
+    int64_t oldest_camera_ns = 0;            // CameraStamps::Oldest
+    bool streaming = false;                  // commands are being sent (ENABLED, RUN, HOLD)
+    bool running = false;                    // RUN: rows are expected
+    ArmVector command{};                     // the last one sent; joints compared with arm.position
+    bool pressing = false, blocked = false;  // PressWatch
+    bool guarded = false;                    // the workspace has stopped the command for long
+    bool record_failed = false;
+    bool policy_invalid = false;
+    double delay_s = 0;  // DelayEstimator; 0: unknown
   };
   WatchdogVerdict Check(const Inputs& inputs);
 

@@ -131,7 +131,7 @@ void ArmFirmware::TakeParameterQuery(int query) {
     // 0.5 m/s, 1.5 rad/s, 0.8 m/s^2, 2 rad/s^2, unit 0.001 each.
     reply = {kEndVelocity, 8, {0x01, 0xF4, 0x05, 0xDC, 0x03, 0x20, 0x07, 0xD0}};
   } else if (query == 2) {
-    reply = {kCollisionLevel, 8, {}};  // protection off at every joint, as delivered
+    reply = EncodeCollisionLevels(collision_levels_);
   } else {
     reply = EncodeGripperRange(options_.gripper_range);
   }
@@ -153,9 +153,11 @@ void ArmFirmware::TakeWrite(const CanFrame& frame) {
     if (given(3)) limit.lower = written.lower;
     if (given(5)) limit.max_speed = written.max_speed;
     replies_.push_back(EncodeWriteReply(frame.id, false));
+  } else if (const auto levels = DecodeCollisionWrite(frame)) {
+    collision_levels_ = *levels;
+    replies_.push_back(EncodeWriteReply(frame.id, false));
   } else if (frame.id == kJointConfig || frame.id == kEndVelocityWrite ||
-             frame.id == kCollisionWrite || frame.id == kGripperRangeWrite ||
-             frame.id == kParameterQuery) {
+             frame.id == kGripperRangeWrite || frame.id == kParameterQuery) {
     replies_.push_back(EncodeWriteReply(frame.id, false));
   }
 }

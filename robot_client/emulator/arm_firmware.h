@@ -84,6 +84,7 @@ class ArmFirmware {
   const FirmwareOptions options_;
   uint64_t step_ = 0;
   std::array<Power, kJoints> power_;
+  std::array<int, kJoints> collision_levels_{};  // protection off, as delivered
   std::array<JointLimit, kJoints> limits_;
   std::array<double, kJoints> accelerations_{};
   std::array<JointPlanner, kJoints> planners_;

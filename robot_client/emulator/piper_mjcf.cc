@@ -8,47 +8,10 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_replace.h"
 #include "robot_client/piper/kinematics.h"
+#include "robot_client/piper/link_inertia.h"
 
 namespace robostress::piper {
 namespace {
-
-// Inertial of a link in its own frame, which is that of kinematics.h: the vendor's description puts
-// its frames on the same Denavit-Hartenberg axes.
-struct Inertial {
-  double mass;                // [kg]
-  std::array<double, 3> com;  // [m]
-  // ixx iyy izz ixy ixz iyz [kg m^2]
-  std::array<double, 6> inertia;
-  bool about_origin;  // of the link's frame; else about the centre of mass
-};
-
-// The tensors of links 2, 3 and 5 fit their masses only about the joint's origin (link 2: Iyy is
-// 0.0676, of which m x^2 is 0.0554); their products of inertia, whose signs differ from link to
-// link, are taken as zero about the centre of mass. Link 6 has a placeholder in the description
-// (0.1 kg, 0.001 kg m^2); here it is a disc of 3 cm radius.
-constexpr std::array<Inertial, kJoints> kInertials = {{
-    {0.71,
-     {0.00032, -0.00041, -0.00348},
-     {0.00050027, 0.00040879, 0.00045802, 0.00000078, 0.00000626, 0.00000462},
-     false},
-    {1.16,
-     {0.21852, -0.00861, 0.00126},
-     {0.00111915, 0.06763251, 0.067559, 0.00182916, 0.00019233, 0.00000767},
-     true},
-    {0.50,
-     {-0.01999, -0.14808, -0.00053},
-     {0.01347608, 0.00046377, 0.01363321, 0.00161034, 0.00000066, 0.00000162},
-     true},
-    {0.38,
-     {0.00013, -0.00076, -0.00394},
-     {0.00017844, 0.00018914, 0.00014613, 0.00000062, 0.00000067, 0.00000408},
-     false},
-    {0.383,
-     {0.00018, -0.06104, -0.00227},
-     {0.00172318, 0.00017936, 0.00171172, 0.00000259, 0.0000001, 0.0000099},
-     true},
-    {0.1, {-0.00003, 0.00006, 0.04618}, {3e-5, 3e-5, 4.5e-5, 0, 0, 0}, false},
-}};
 
 constexpr std::array<const char*, kJoints> kShapes = {{
     R"(<geom class="shell" type="capsule" size="0.045" fromto="0 0 -0.05 0 0 0.01"/>)",
@@ -63,7 +26,7 @@ constexpr std::array<const char*, kJoints> kShapes = {{
 // their inertias are those of their boxes.
 constexpr char kGripper[] = R"(
 <body name="piper_gripper">
-  <inertial pos="-0.00018 0.00008 0.03214" mass="0.45" fullinertia="0.00092934 0.00071447 0.00039442 0.00000034 -0.00000738 0.00000005"/>
+  %inertial
   <geom class="shell" type="box" size="0.03 0.05 0.03" pos="0 0 0.035"/>
   <site name="piper_tool" size="0.002" group="4"/>
   <site name="piper_grip" pos="0 0 0.1358" size="0.002" group="4"/>
@@ -79,17 +42,9 @@ constexpr char kGripper[] = R"(
   %s
 </body>)";
 
-// ixx iyy izz ixy ixz iyz about the centre of mass:
-// I_com = I_origin - m (c.c 1 - c c^T), its diagonal.
-std::string FullInertia(const Inertial& link) {
-  const auto& i = link.inertia;
-  Eigen::Matrix3d I;
-  I << i[0], i[3], i[4], i[3], i[1], i[5], i[4], i[5], i[2];
-  if (link.about_origin) {
-    const Eigen::Vector3d c(link.com[0], link.com[1], link.com[2]);
-    I -= link.mass * (c.squaredNorm() * Eigen::Matrix3d::Identity() - c * c.transpose());
-    I = I.diagonal().eval().asDiagonal();
-  }
+// ixx iyy izz ixy ixz iyz about the centre of mass.
+std::string FullInertia(const RigidPart& part) {
+  const Eigen::Matrix3d& I = part.inertia;
   return absl::StrFormat("%.10g %.10g %.10g %.10g %.10g %.10g", I(0, 0), I(1, 1), I(2, 2), I(0, 1),
                          I(0, 2), I(1, 2));
 }
@@ -106,7 +61,7 @@ std::string Placement(const DhRow& row) {
 }
 
 std::string Link(int i, double payload_kg) {
-  const Inertial& inertial = kInertials[i];
+  const RigidPart& part = LinkParts()[i];
   std::string inner;
   if (i + 1 < kJoints) {
     inner = Link(i + 1, payload_kg);
@@ -117,7 +72,14 @@ std::string Link(int i, double payload_kg) {
                   R"(<body name="piper_payload" pos="0 0 0.1358"><geom class="payload" mass="%.9g"/></body>)",
                   payload_kg)
             : "";
-    inner = absl::StrReplaceAll(kGripper, {{"%s", payload}});
+    const RigidPart& gripper = GripperPart();
+    inner = absl::StrReplaceAll(
+        kGripper,
+        {{"%inertial",
+          absl::StrFormat(R"(<inertial pos="%.9g %.9g %.9g" mass="%.9g" fullinertia="%s"/>)",
+                          gripper.centre.x(), gripper.centre.y(), gripper.centre.z(), gripper.mass,
+                          FullInertia(gripper))},
+         {"%s", payload}});
   }
   return absl::StrFormat(
       R"(<body name="piper_link%d" %s>
@@ -127,8 +89,8 @@ std::string Link(int i, double payload_kg) {
   %s
 </body>)",
       i + 1, Placement(DhRows(Zero::kSince_1_6_3)[i]), i + 1, kJointStops[i].lower,
-      kJointStops[i].upper, inertial.com[0], inertial.com[1], inertial.com[2], inertial.mass,
-      FullInertia(inertial), kShapes[i], inner);
+      kJointStops[i].upper, part.centre.x(), part.centre.y(), part.centre.z(), part.mass,
+      FullInertia(part), kShapes[i], inner);
 }
 
 }  // namespace

@@ -65,6 +65,7 @@ bool ArmState::Take(const StampedFrame& received) {
   if (IsCommand(frame)) {
     ++foreign_commands_;
     last_foreign_id_ = frame.id;
+    last_foreign_ns_ = received.stamp_ns;
     return false;
   }
   ++frames_;
@@ -81,6 +82,7 @@ bool ArmState::Take(const StampedFrame& received) {
     drivers_[driver->joint] = Driver{*driver, received.stamp_ns};
   } else if (const auto status = DecodeArmStatus(frame)) {
     status_ = *status;
+    status_stamp_ns_ = received.stamp_ns;
   } else if (const auto gripper = DecodeGripperStatus(frame)) {
     gripper_ = *gripper;
   } else if (const auto limit = DecodeJointLimit(frame)) {
@@ -89,6 +91,8 @@ bool ArmState::Take(const StampedFrame& received) {
     accelerations_[acceleration->joint] = *acceleration;
   } else if (const auto range = DecodeGripperRange(frame)) {
     gripper_range_ = *range;
+  } else if (const auto levels = DecodeCollisionLevels(frame)) {
+    collision_levels_ = *levels;
   } else if (const auto text = DecodeFirmwareText(frame)) {
     if (firmware_text_.size() + text->size() <= kFirmwareText) firmware_text_ += *text;
   }
@@ -112,6 +116,14 @@ uint32_t ArmState::Faults() const {
   return faults;
 }
 
+uint8_t ArmState::FaultJoints() const {
+  uint8_t joints = status_ ? status_->joint_limit | status_->joint_bus : 0;
+  for (int j = 0; j < kJoints; ++j) {
+    if (drivers_[j] && FaultsOf(drivers_[j]->status) != 0) joints |= 1 << j;
+  }
+  return joints;
+}
+
 ArmSnapshot ArmState::Snapshot(int64_t now_ns) const {
   ArmSnapshot snapshot;
   snapshot.sequence = sequence_;
@@ -129,7 +141,9 @@ ArmSnapshot ArmState::Snapshot(int64_t now_ns) const {
     snapshot.position[kJoints] = gripper_->opening;
     snapshot.effort[kJoints] = gripper_->effort;
   }
+  snapshot.has_effort = true;
   snapshot.faults = Faults();
+  snapshot.fault_joints = FaultJoints();
   return snapshot;
 }
 

@@ -35,6 +35,13 @@ class ArmState {
   const std::string& firmware_text() const { return firmware_text_; }
   void ForgetLimits();
   void ForgetForeignCommands() { foreign_commands_ = 0; }
+  void ForgetCollisionLevels() { collision_levels_.reset(); }
+  const std::optional<std::array<int, kJoints>>& collision_levels() const {
+    return collision_levels_;
+  }
+  // When the last status that this client understands came; 0: none.
+  int64_t status_stamp_ns() const { return status_stamp_ns_; }
+  int64_t last_foreign_ns() const { return last_foreign_ns_; }
   const std::array<std::optional<JointLimit>, kJoints>& joint_limits() const { return limits_; }
   const std::array<std::optional<JointAcceleration>, kJoints>& accelerations() const {
     return accelerations_;
@@ -49,6 +56,7 @@ class ArmState {
 
  private:
   uint32_t Faults() const;
+  uint8_t FaultJoints() const;
 
   struct Driver {
     DriverStatus status;
@@ -62,6 +70,8 @@ class ArmState {
   std::array<std::optional<JointLimit>, kJoints> limits_;
   std::array<std::optional<JointAcceleration>, kJoints> accelerations_;
   std::optional<ArmStatus> status_;
+  int64_t status_stamp_ns_ = 0, last_foreign_ns_ = 0;
+  std::optional<std::array<int, kJoints>> collision_levels_;
   std::optional<GripperStatus> gripper_;
   std::optional<double> gripper_range_;
   JointVector torque_per_ampere_{};

@@ -1,5 +1,7 @@
 #include "robot_client/piper/command_guard.h"
 
+#include <algorithm>
+
 #include "robot_client/piper/protocol.h"
 
 namespace robostress::piper {
@@ -19,6 +21,11 @@ bool MaySend(const CanFrame& frame, Consent consent) {
   }
   if (const auto power = DecodeMotorPower(frame)) {
     return power->enable || consent == Consent::kPowerOff;
+  }
+  if (const auto levels = DecodeCollisionWrite(frame)) {
+    return consent == Consent::kSettings &&
+           std::all_of(levels->begin(), levels->end(),
+                       [](int level) { return level <= kMostCollisionLevel; });
   }
   return DecodeJointTargets(frame) || DecodeLimitQuery(frame) || DecodeParameterQuery(frame) ||
          IsFirmwareQuery(frame);

@@ -18,6 +18,10 @@ constexpr int kFramesPerPoll = 1600;
 
 }  // namespace
 
+int PercentOf(double joint_velocity) {
+  return std::clamp(static_cast<int>(std::ceil(110 * joint_velocity / kMaxJointSpeed)), 1, 100);
+}
+
 PiperArm::PiperArm(std::unique_ptr<CanBus> bus, Clock& clock, PiperArmOptions options)
     : bus_(std::move(bus)), clock_(clock), options_(options), state_(options.max_skew_ns) {}
 
@@ -36,7 +40,12 @@ void PiperArm::Poll() {
     if (state_.Take(received) && sample_reader_ != nullptr)
       sample_reader_->Push(state_.Snapshot(received.stamp_ns));
   }
-  ArmSnapshot snapshot = state_.Snapshot(clock_.now_ns());
+  const int64_t now_ns = clock_.now_ns();
+  ArmSnapshot snapshot = state_.Snapshot(now_ns);
+  if (connected_ && now_ns - state_.status_stamp_ns() > ArmState::kDriverAge_ns)
+    snapshot.faults |= kFaultStatus;
+  if (commanding_ && state_.status() && state_.status()->control != ControlMode::kCan)
+    snapshot.faults |= kFaultMode;
   const CanState bus = bus_->health().state;
   if (bus == CanState::kBusOff || bus == CanState::kDown) snapshot.faults |= kFaultBus;
   if (snapshot.sequence == published_.sequence && snapshot.faults == published_.faults &&
@@ -44,6 +53,12 @@ void PiperArm::Poll() {
     return;
   published_ = snapshot;
   snapshot_.Store(snapshot);
+}
+
+void PiperArm::Acknowledge() {
+  commanding_ = false;
+  if (clock_.now_ns() - state_.last_foreign_ns() >= options_.foreign_ns)
+    state_.ForgetForeignCommands();
 }
 
 template <class Done>
@@ -151,6 +166,31 @@ absl::Status PiperArm::AskLimits() {
   return absl::OkStatus();
 }
 
+// An arm of an older firmware may not answer: that is shown, not an error.
+absl::Status PiperArm::AskCollisionLevels() {
+  state_.ForgetCollisionLevels();
+  for (int attempt = 0; attempt < options_.attempts; ++attempt) {
+    RS_RETURN_IF_ERROR(SendAllowed(EncodeParameterQuery(kCollisionLevelQuery), Consent::kMotion));
+    if (WaitFor(options_.reply_ns, [&] { return state_.collision_levels().has_value(); })) break;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status PiperArm::SetCollisionLevel(int level) {
+  if (level < 0 || level > kMostCollisionLevel)
+    return absl::InvalidArgumentError(Named(
+        absl::StrCat("collision level ", level, ", must be 0 (off) to ", kMostCollisionLevel)));
+  std::array<int, kJoints> levels;
+  levels.fill(level);
+  RS_RETURN_IF_ERROR(SendAllowed(EncodeCollisionWrite(levels), Consent::kSettings));
+  RS_RETURN_IF_ERROR(AskCollisionLevels());
+  if (state_.collision_levels() != levels)
+    return absl::FailedPreconditionError(
+        Named(absl::StrCat("the arm did not take collision level ", level,
+                           "; power it off and on, or leave arm.collision_level out")));
+  return absl::OkStatus();
+}
+
 absl::Status PiperArm::SendTargets(const JointVector& q) {
   const ModeControl mode{ControlMode::kCan, MoveMode::kJ, options_.speed_percent, options_.follow};
   RS_RETURN_IF_ERROR(SendAllowed(Encode(mode), Consent::kMotion));
@@ -168,13 +208,42 @@ absl::Status PiperArm::HoldMeasuredPose() {
   return SendTargets(q);
 }
 
-absl::Status PiperArm::Enable() {
+// A pose may be commanded only while it is where the arm is.
+absl::Status PiperArm::CheckStands() {
+  const int64_t age_ns = clock_.now_ns() - published_.stamp_ns;
+  if (age_ns > options_.fresh_ns)
+    return absl::UnavailableError(Named(absl::StrCat(
+        "the newest joint sample is ", age_ns / 1'000'000, " ms old, at most ",
+        options_.fresh_ns / 1'000'000,
+        " are allowed: where the arm stands is not known; look at the bus, then type enable")));
+  for (int j = 0; j < kJoints; ++j) {
+    if (std::abs(published_.velocity[j]) > options_.still)
+      return absl::FailedPreconditionError(Named(absl::StrFormat(
+          "joint %d moves at %.2f rad/s; wait until the arm stands, then type enable", j + 1,
+          published_.velocity[j])));
+  }
+  if (state_.foreign_commands() > 0)
+    return absl::FailedPreconditionError(Named(absl::StrFormat(
+        "another sender commands this arm (last 0x%03X); stop it, then type clear and enable",
+        state_.last_foreign_id())));
+  return absl::OkStatus();
+}
+
+absl::Status PiperArm::Enable(const std::function<bool()>& cancelled) {
   if (!connected_) return absl::FailedPreconditionError(Named("Enable before Connect"));
   Poll();
   if (stopped_ || (published_.faults & kFaultEmergencyStop) != 0)
     return absl::FailedPreconditionError(
         Named("the arm is in an emergency stop; support it, then Disable, which lets it fall, and "
               "Enable again"));
+  RS_RETURN_IF_ERROR(CheckStands());
+  const auto stop = [&] { return cancelled && cancelled(); };
+  const auto told = absl::CancelledError(
+      Named("enable was cancelled; joints that have power hold where they are"));
+  if (options_.enable_listen_ns > 0) {
+    const auto heard = [&] { return stop() || state_.foreign_commands() > 0; };
+    if (WaitFor(options_.enable_listen_ns, heard) && stop()) return told;
+  }
   const int64_t end_ns = clock_.now_ns() + options_.enable_ns;
   // Two rounds at least: after a reset the firmware takes the first one without effect
   // (piper_sdk issue 66). Motors are enabled one by one, because "all" also moves the gripper.
@@ -183,12 +252,21 @@ absl::Status PiperArm::Enable() {
       return absl::DeadlineExceededError(
           Named(absl::StrCat("not every joint was enabled within ", options_.enable_ns / 1'000'000,
                              " ms; reported: ", ArmFaultNames(published_.faults))));
+    RS_RETURN_IF_ERROR(CheckStands());
     RS_RETURN_IF_ERROR(HoldMeasuredPose());
     for (int j = 0; j < kJoints; ++j)
       RS_RETURN_IF_ERROR(SendAllowed(Encode(MotorPower{j + 1, true}), Consent::kMotion));
-    WaitFor(100 * kPollInterval_ns, [] { return false; });
+    if (WaitFor(100 * kPollInterval_ns, stop)) return told;
   }
-  return HoldMeasuredPose();
+  RS_RETURN_IF_ERROR(CheckStands());
+  RS_RETURN_IF_ERROR(HoldMeasuredPose());
+  const auto in_mode = [&] { return state_.status()->control == ControlMode::kCan; };
+  if (!state_.status() || !WaitFor(options_.reply_ns, in_mode))
+    return absl::FailedPreconditionError(
+        Named("the arm does not enter the mode in which it takes commands over the bus; end "
+              "teaching with the button on the arm, then type enable"));
+  commanding_ = true;
+  return absl::OkStatus();
 }
 
 absl::Status PiperArm::Disable() {
@@ -197,7 +275,7 @@ absl::Status PiperArm::Disable() {
   if (stopped_ || (published_.faults & kFaultEmergencyStop) != 0)
     RS_RETURN_IF_ERROR(SendAllowed(EncodeStop(Stop::kReset), Consent::kPowerOff));
   RS_RETURN_IF_ERROR(SendAllowed(Encode(MotorPower{kAllMotors, false}), Consent::kPowerOff));
-  stopped_ = false;
+  stopped_ = commanding_ = false;
   const auto off = [&] {
     return !published_.enabled && (published_.faults & kFaultEmergencyStop) == 0;
   };

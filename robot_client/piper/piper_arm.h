@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -16,7 +17,9 @@
 namespace robostress::piper {
 
 struct PiperArmOptions {
-  int speed_percent = 100;           // of the joints' maximal speed, in every 0x151
+  // Of the joints' maximal speed, in every 0x151: the arm's own bound on how fast it goes to a
+  // target, which holds whatever the target is. PercentOf a limit.
+  int speed_percent = 100;
   Follow follow = Follow::kPlanned;  // kDirect is faster and weaker; see robot_client/README.md
   double limit_margin = 0.005;       // [rad] between limits() and what the arm allows
   Firmware oldest_firmware = kOldestFirmware;
@@ -25,7 +28,17 @@ struct PiperArmOptions {
   int64_t reply_ns = 300'000'000;     // waits this long for an answer, then asks again
   int attempts = 4;                   // questions per answer
   int64_t enable_ns = 4'000'000'000;  // Enable gives up after this
+  // Before Enable sends anything it listens this long for another sender. Where two clients could
+  // be enabled at once the time must differ between them, so that one hears the other.
+  int64_t enable_listen_ns = 150'000'000;
+  int64_t fresh_ns = 50'000'000;       // Enable takes no older pose
+  double still = 0.05;                 // [rad/s] nor one that moves faster
+  int64_t foreign_ns = 1'000'000'000;  // Acknowledge forgets a sender that was silent so long
 };
+
+// The speed percentage at which the arm can follow commands of this speed [rad/s] and catch up with
+// a tenth more, never more than 100.
+int PercentOf(double joint_velocity);
 
 // A Piper behind a CAN bus, driven by absolute joint targets in move mode J (follow as configured).
 // It has no thread: Poll takes in what the kernel stamped on arrival. Connect, Enable and Disable
@@ -40,11 +53,13 @@ class PiperArm : public RobotArm {
   absl::Status Connect() override;
   // Joints only: the gripper is enabled by the first Send. Holds the measured pose before and
   // after. Refuses an arm that reports an emergency stop.
-  absl::Status Enable() override;
+  using RobotArm::Enable;
+  absl::Status Enable(const std::function<bool()>& cancelled) override;
   // Lets the arm fall. Also ends an emergency stop, which the vendor's reset does by taking the
   // power off.
   absl::Status Disable() override;
   void Poll() override;
+  void Acknowledge() override;
   void AddSampleReader(SpscRing<ArmSnapshot>* ring) override { sample_reader_ = ring; }
   ArmSnapshot Latest() const override { return snapshot_.Load(); }
   absl::Status Send(const ArmCommand& command) override;
@@ -57,11 +72,22 @@ class PiperArm : public RobotArm {
   uint64_t torn_samples() const { return state_.torn_samples(); }
   uint64_t foreign_commands() const { return state_.foreign_commands(); }
   CanHealth bus_health() const { return bus_->health(); }
+  const ArmState& state() const { return state_; }
+  // Asks for collision_levels. An arm of an older firmware may not answer: no error.
+  absl::Status AskCollisionLevels();
+  // The arm's own collision protection of each joint, 0 (off) to 8; nothing: not asked, or no
+  // answer.
+  const std::optional<std::array<int, kJoints>>& collision_levels() const {
+    return state_.collision_levels();
+  }
+  // Writes it and reads it back.
+  absl::Status SetCollisionLevel(int level);
 
  private:
   absl::Status Listen();
   absl::Status AskFirmware();
   absl::Status AskLimits();
+  absl::Status CheckStands();
   absl::Status SendAllowed(const CanFrame& frame, Consent consent);
   absl::Status SendTargets(const JointVector& q);
   absl::Status HoldMeasuredPose();
@@ -80,7 +106,8 @@ class PiperArm : public RobotArm {
   Firmware firmware_;
   ArmLimits limits_;
   bool connected_ = false;
-  bool stopped_ = false;  // by QuickStop, until Disable
+  bool stopped_ = false;     // by QuickStop, until Disable
+  bool commanding_ = false;  // since Enable: the arm must stay in the mode it was put in
 };
 
 }  // namespace robostress::piper

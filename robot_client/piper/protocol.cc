@@ -303,6 +303,36 @@ std::optional<JointAcceleration> DecodeJointAcceleration(const CanFrame& frame) 
   return JointAcceleration{*MotorIndex(frame), Get<uint16_t>(frame, 1) / kCenti};
 }
 
+namespace {
+
+CanFrame PutLevels(int id, const std::array<int, kJoints>& levels) {
+  CanFrame frame = Frame(id);
+  for (int j = 0; j < kJoints; ++j) Put<uint8_t>(frame, j, levels[j]);
+  return frame;
+}
+
+std::optional<std::array<int, kJoints>> GetLevels(const CanFrame& frame, uint16_t id) {
+  if (!Is(frame, id)) return std::nullopt;
+  std::array<int, kJoints> levels;
+  std::copy_n(frame.data.begin(), kJoints, levels.begin());
+  return levels;
+}
+
+}  // namespace
+
+CanFrame EncodeCollisionWrite(const std::array<int, kJoints>& levels) {
+  return PutLevels(kCollisionWrite, levels);
+}
+std::optional<std::array<int, kJoints>> DecodeCollisionWrite(const CanFrame& frame) {
+  return GetLevels(frame, kCollisionWrite);
+}
+CanFrame EncodeCollisionLevels(const std::array<int, kJoints>& levels) {
+  return PutLevels(kCollisionLevel, levels);
+}
+std::optional<std::array<int, kJoints>> DecodeCollisionLevels(const CanFrame& frame) {
+  return GetLevels(frame, kCollisionLevel);
+}
+
 CanFrame EncodeGripperRange(double opening) {
   CanFrame frame = Frame(kGripperRange);
   frame.data[0] = 100;  // teaching range [%], as delivered

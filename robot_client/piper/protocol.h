@@ -129,14 +129,14 @@ CanFrame Encode(const LimitQuery& query);
 std::optional<LimitQuery> DecodeLimitQuery(const CanFrame& frame);
 
 // 0x477 with nothing but a query: 1 kEndVelocity, 2 kCollisionLevel, 4 kGripperRange.
-inline constexpr int kGripperRangeQuery = 4;
+inline constexpr int kCollisionLevelQuery = 2, kGripperRangeQuery = 4;
 CanFrame EncodeParameterQuery(int query);
 std::optional<int> DecodeParameterQuery(const CanFrame& frame);
 
 CanFrame EncodeFirmwareQuery();
 bool IsFirmwareQuery(const CanFrame& frame);
 
-// 0x2A1.
+// 0x2A1. A code or a mode that is not in these lists is no status that can be understood.
 enum class StatusCode : uint8_t {
   kNormal = 0,
   kEmergencyStop = 1,
@@ -241,6 +241,14 @@ struct JointAcceleration {
 };
 CanFrame Encode(const JointAcceleration& acceleration);
 std::optional<JointAcceleration> DecodeJointAcceleration(const CanFrame& frame);
+
+// 0x47B, and 0x47A that writes it: the sensitivity of each joint's collision protection, 0 (off) to
+// 8 in bytes 0 to 5.
+inline constexpr int kMostCollisionLevel = 8;
+CanFrame EncodeCollisionWrite(const std::array<int, kJoints>& levels);
+std::optional<std::array<int, kJoints>> DecodeCollisionWrite(const CanFrame& frame);
+CanFrame EncodeCollisionLevels(const std::array<int, kJoints>& levels);
+std::optional<std::array<int, kJoints>> DecodeCollisionLevels(const CanFrame& frame);
 
 // 0x47E: the widest opening that the gripper is configured for [m]: 0.07 or 0.1; 0 when it never
 // was, and then 0x2A8 reports no opening (the SDK's Q&A, 1).

@@ -10,9 +10,10 @@ class FakeArm : public RehearsalArm {
   explicit FakeArm(const Clock* clock, const RehearsalArmOptions& options = {})
       : RehearsalArm(options, clock) {}
 
-  absl::Status Enable() override {
+  using RobotArm::Enable;
+  absl::Status Enable(const std::function<bool()>& cancelled) override {
     ++enables;
-    return refuse_enable ? absl::UnavailableError("no power") : RehearsalArm::Enable();
+    return refuse_enable ? absl::UnavailableError("no power") : RehearsalArm::Enable(cancelled);
   }
   absl::Status Disable() override {
     ++disables;

@@ -119,7 +119,8 @@ TEST(NanoServer, TakesTheGreatestAdapterThatItsCapsAllowAndNothingTwiceAsLong) {
   const auto client = *GrpcPolicyClient::Connect(address, spec);
   ASSERT_TRUE(client->StartEpisode({0, 0}).ok());
   Observation observation = BlankObservation(GetServerInfo(address)->policies[0]);
-  for (int word = 0; word < 40; ++word) observation.instruction += " bowl";
+  for (int word = 0; word < 12; ++word)  // as many as it reads
+    observation.instruction += " bowl";
   ToyArm arm(0.6);
   for (int i = 0; i < 130; ++i) {
     const auto prediction = client->Predict(observation, i);

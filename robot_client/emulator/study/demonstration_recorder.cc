@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "absl/strings/str_cat.h"
 #include "common/random.h"
@@ -69,7 +70,9 @@ absl::StatusOr<std::unique_ptr<DemonstrationRecorder>> DemonstrationRecorder::Cr
   RS_ASSIGN_OR_RETURN(recorder->bench_, StudyBench::Create(bench));
   PiperArm& arm = recorder->bench_->arm();
   RS_RETURN_IF_ERROR(arm.Enable());
-  RS_RETURN_IF_ERROR(recorder->limiter_.Configure(LimiterOptions{}, arm.limits(), kPeriod_s));
+  LimiterOptions limits;
+  limits.joint_jerk = std::numeric_limits<double>::infinity();  // as the committed study was made
+  RS_RETURN_IF_ERROR(recorder->limiter_.Configure(limits, arm.limits(), kPeriod_s));
   recorder->limiter_.Reset(arm.Latest().position);
   return recorder;
 }

@@ -1,6 +1,7 @@
 #include "robot_client/emulator/study/study_bench.h"
 
 #include <algorithm>
+#include <limits>
 
 #include "common/status_macros.h"
 #include "robot_client/emulator/study/table_expert.h"
@@ -23,7 +24,11 @@ absl::StatusOr<std::unique_ptr<StudyBench>> StudyBench::Create(const StudyBenchO
                                          kTableTasks.at(static_cast<size_t>(options.task))));
   bench->scene_ = std::make_unique<TableScene>(std::move(scene));
   bench->scene_->Place(TableScene::kFirstTrainingState);
-  bench->arm_ = std::make_unique<PiperArm>(bench->bus_.Attach(), bench->time_);
+  // Nobody else is on this bus, and the study's committed figures were made without these waits.
+  PiperArmOptions arm;
+  arm.enable_listen_ns = 0;
+  arm.still = std::numeric_limits<double>::infinity();
+  bench->arm_ = std::make_unique<PiperArm>(bench->bus_.Attach(), bench->time_, arm);
   RS_RETURN_IF_ERROR(bench->arm_->Connect());
   RS_ASSIGN_OR_RETURN(bench->renderer_, ViewRenderer::Create(bench->emulator_->plant().model(),
                                                              options.image_size, options.image_size,

@@ -1,6 +1,7 @@
 #include "robot_client/emulator/study/study_unit.h"
 
 #include <filesystem>
+#include <limits>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -76,6 +77,8 @@ class UnitRun {
     RS_ASSIGN_OR_RETURN(bench_, StudyBench::Create(options));
     SimulatedClientOptions client;
     client.control.observer = unit_.observer;
+    client.control.guards = false;  // as the committed study was made
+    client.control.limits.joint_jerk = std::numeric_limits<double>::infinity();
     client.link.feedback.moved_bound = unit_.moved_bound;
     client.link.instruction = Instruction(options.variant);
     client.latency_ticks = unit_.latency_ticks;

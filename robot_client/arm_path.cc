@@ -1,0 +1,77 @@
+#include "robot_client/arm_path.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_format.h"
+
+namespace robostress {
+namespace {
+
+std::string Depth(ArmModel::Bound bound, double distance) {
+  return absl::StrFormat("%.0f mm into %s", -1000 * distance, BoundName(bound));
+}
+
+}  // namespace
+
+ArmPath StraightPath(const ArmVector& from, const ArmVector& to, const PathLimits& limits,
+                     double period_s) {
+  double longest = 0;
+  for (int j = 0; j < kArmJoints; ++j) longest = std::max(longest, std::abs(to[j] - from[j]));
+  const double opening = std::abs(to[kArmJoints] - from[kArmJoints]);
+  const double seconds = std::max({1.875 * longest / limits.joint_velocity,
+                                   std::sqrt(5.774 * longest / limits.joint_acceleration),
+                                   std::cbrt(60 * longest / limits.joint_jerk),
+                                   1.875 * opening / limits.gripper_velocity, period_s});
+  const int rows = static_cast<int>(std::ceil(seconds / period_s));
+  ArmPath path;
+  for (int i = 1; i <= rows; ++i) {
+    const double s = static_cast<double>(i) / rows;
+    const double share = s * s * s * (10 - 15 * s + 6 * s * s);
+    ArmVector row;
+    for (int axis = 0; axis < kArmAxes; ++axis)
+      row[axis] = from[axis] + share * (to[axis] - from[axis]);
+    path.rows.push_back(row);
+  }
+  path.rows.back() = to;
+  return path;
+}
+
+absl::Status CheckPath(const ArmModel& model, const ArmPath& path) {
+  if (path.rows.empty()) return absl::InvalidArgumentError("the way has no rows");
+  ArmModel::Clearance now = model.ClearanceAt(path.rows.front());
+  for (const ArmVector& row : path.rows) {
+    const ArmModel::Clearance next = model.ClearanceAt(row);
+    const ArmModel::Bound bound = CrossedBound(now, next);
+    if (bound != ArmModel::kBounds) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("the way leads ", Depth(bound, next[bound]),
+                       "; jog the arm clear of it first, or correct control.workspace"));
+    }
+    now = next;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckPose(const char* name, const ArmVector& pose, const ArmLimits& limits,
+                       const ArmModel* model) {
+  for (int i = 0; i < kArmAxes; ++i) {
+    if (!(pose[i] >= limits.lower[i] && pose[i] <= limits.upper[i])) {
+      return absl::InvalidArgumentError(
+          absl::StrFormat("%s: %s is %.4f, the arm allows %.4f to %.4f", name,
+                          i < kArmJoints ? absl::StrCat("J", i + 1) : "the opening", pose[i],
+                          limits.lower[i], limits.upper[i]));
+    }
+  }
+  if (model == nullptr) return absl::OkStatus();
+  const ArmModel::Clearance clearance = model->ClearanceAt(pose);
+  for (int b = 0; b < ArmModel::kBounds; ++b) {
+    if (!(clearance[b] >= 0))
+      return absl::InvalidArgumentError(
+          absl::StrCat(name, " lies ", Depth(static_cast<ArmModel::Bound>(b), clearance[b]),
+                       "; correct it, or control.workspace"));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace robostress
