@@ -10,6 +10,7 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
@@ -21,6 +22,10 @@ namespace {
 constexpr size_t kMaxFilters = 32;
 // Every error class; Receive sorts them.
 constexpr can_err_mask_t kErrors = CAN_ERR_MASK;
+
+// A controller that has left the bus has no carrier; one that was just brought up seems to have
+// none for up to a second, until the kernel has looked.
+constexpr int64_t kCarrierDelay_ns = 2'000'000'000;
 
 constexpr char kBringUp[] =
     "bring it up: `sudo ./deploy/can0.sh $0`, or by hand `sudo ip link set $0 up type can bitrate "
@@ -99,7 +104,11 @@ std::optional<SocketCanBus::Failure> SocketCanBus::TryOpen() {
   }
   health_.state = CanState::kActive;
   transmit_.Clear();
-  if ((flags & IFF_RUNNING) == 0) GoBusOff();  // a controller that has left the bus has no carrier
+  no_carrier_ = (flags & IFF_RUNNING) == 0;
+  if (no_carrier_) {
+    GoBusOff();
+    restart_due_ns_ = clock_.now_ns() + kCarrierDelay_ns;
+  }
   return std::nullopt;
 }
 
@@ -274,6 +283,10 @@ void SocketCanBus::TakeRestartResult() {
 void SocketCanBus::EndBusOffWhenDue() {
   if (health_.state != CanState::kBusOff || restart_asked_ || clock_.now_ns() < restart_due_ns_)
     return;
+  if (std::exchange(no_carrier_, false) && (InterfaceFlags() & IFF_RUNNING) != 0) {
+    LeaveBusOff();
+    return;
+  }
   restart_due_ns_ = clock_.now_ns() + options_.bus_off_wait_ns;
   restart_asked_ = true;
   restart_->Ask();

@@ -644,6 +644,18 @@ TEST_F(BusOff, IsSeenWhenTheInterfaceIsOpened) {
   EXPECT_EQ(bus.health().state, CanState::kActive);
 }
 
+TEST_F(BusOff, LeavesAnInterfaceAloneWhoseCarrierComesLate) {
+  sockets_.flags = IFF_UP;  // as for up to a second after `ip link set can0 up`
+  SocketCanBus bus(options_, clock_, sockets_);
+  ASSERT_TRUE(bus.Open().ok());
+  Run(bus, 1);
+  sockets_.flags = IFF_UP | IFF_RUNNING;
+  Run(bus, 1.5);
+  EXPECT_EQ(bus.health().state, CanState::kActive);
+  EXPECT_TRUE(sockets_.flags_set.empty());
+  EXPECT_TRUE(bus.Send(JointFrame()).ok());
+}
+
 TEST_F(SocketCan, ReopensAnInterfaceThatWentDownNotMoreOftenThanAllowed) {
   SocketCanBus bus(options_, clock_, sockets_);
   ASSERT_TRUE(bus.Open().ok());
