@@ -1,6 +1,6 @@
 #include "robot_client/can/socket_calls.h"
 
-#include <net/if.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 namespace robostress {
@@ -12,6 +12,12 @@ class SystemCalls : public SocketCalls {
   unsigned NameToIndex(const char* interface) override { return if_nametoindex(interface); }
   int SetOption(int socket, int level, int option, const void* value, socklen_t size) override {
     return setsockopt(socket, level, option, value, size);
+  }
+  int GetOption(int socket, int level, int option, void* value, socklen_t* size) override {
+    return getsockopt(socket, level, option, value, size);
+  }
+  int InterfaceCall(int socket, unsigned long request, ifreq* interface) override {
+    return ioctl(socket, request, interface);
   }
   int Bind(int socket, const sockaddr* address, socklen_t size) override {
     return bind(socket, address, size);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <net/if.h>
 #include <sys/socket.h>
 #include <sys/types.h>
 
@@ -16,6 +17,8 @@ class SocketCalls {
   virtual int Socket(int domain, int type, int protocol) = 0;
   virtual unsigned NameToIndex(const char* interface) = 0;  // 0 on failure
   virtual int SetOption(int socket, int level, int option, const void* value, socklen_t size) = 0;
+  virtual int GetOption(int socket, int level, int option, void* value, socklen_t* size) = 0;
+  virtual int InterfaceCall(int socket, unsigned long request, ifreq* interface) = 0;  // ioctl
   virtual int Bind(int socket, const sockaddr* address, socklen_t size) = 0;
   virtual ssize_t Send(int socket, const void* data, size_t size, int flags) = 0;
   virtual ssize_t Receive(int socket, msghdr* message, int flags) = 0;

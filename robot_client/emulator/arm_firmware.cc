@@ -28,6 +28,13 @@ constexpr double kIntegralTime_s = 0.3;
 constexpr double kIntegralShare = 0.3;  // of the torque limit, at most
 // The damped stop: the motors brake like a viscous damper and the arm sinks [Nm s/rad].
 constexpr JointVector kBrake = {40, 40, 40, 8, 8, 8};
+// While the controller leads the tool along a way its servos are stiffer, and it makes up for the
+// friction of an arm as delivered (wear_profile.cc): without both, every reversal of a joint bends
+// a line by 2 mm.
+constexpr double kPathStiffness = 3;
+constexpr JointVector kKnownFriction = {0.30, 0.30, 0.30, 0.15, 0.15, 0.15};  // [Nm]
+constexpr double kFrictionSpeed = 0.01;  // over which its sign changes [rad/s]
+constexpr double kLeaderDamping = 0.05;  // of kBrake, in leader mode
 
 // A motor that gives this share of its largest torque for this long without moving is stalled.
 constexpr double kStallTorque = 0.95, kStallTime_s = 0.5, kStallSpeed = 0.05;
@@ -40,19 +47,23 @@ constexpr Gains kFinger = {2000, 60};
 
 bool IsTarget(const CanFrame& frame) {
   return DecodeJointTargets(frame) || DecodeGripperTarget(frame) || DecodePoseTarget(frame) ||
-         DecodeMitTarget(frame);
+         DecodeMitTarget(frame) || DecodeArcPoint(frame);
 }
 
 }  // namespace
 
-ArmFirmware::ArmFirmware(const FirmwareOptions& options) : options_(options) {
-  for (int j = 0; j < kJoints; ++j) {
-    limits_[j] = {j, kJointRanges[j].lower, kJointRanges[j].upper, kMaxJointSpeed};
-    accelerations_[j] = kMaxJointAcceleration;
-  }
-}
+ArmFirmware::ArmFirmware(const FirmwareOptions& options)
+    : options_(options), settings_(options.gripper_range) {}
 
-void ArmFirmware::Take(const CanFrame& frame) {
+// Commands move to 0x16x or 0x17x with the arm's setting; 0x15x is then somebody else's.
+void ArmFirmware::Take(const CanFrame& received) {
+  CanFrame frame = received;
+  const uint16_t offset = settings_.command_offset();
+  if (frame.id >= kStopControl && frame.id < kStopControl + 0x30 && offset != 0) {
+    if ((frame.id & 0x7F0) != (kStopControl & 0x7F0) + offset) return;
+    frame.id = static_cast<uint16_t>(frame.id - offset);
+  }
+  if (settings_.leader() && frame.id >= kModeControl && frame.id <= kLastCommand) return;
   if (IsTarget(frame)) {
     if (delayed_.size() < kMaxDelayed) {
       const double lag_steps = std::round(options_.command_lag_s / kStep_s);
@@ -64,17 +75,18 @@ void ArmFirmware::Take(const CanFrame& frame) {
     mode_ = *mode;
   } else if (const auto power = DecodeMotorPower(frame)) {
     TakePower(*power);
+    replies_.push_back(EncodeWriteReply(frame.id, false));
   } else if (const auto limit_query = DecodeLimitQuery(frame)) {
     TakeLimitQuery(*limit_query);
-  } else if (const auto query = DecodeParameterQuery(frame)) {
-    TakeParameterQuery(*query);
   } else if (IsFirmwareQuery(frame)) {
     // Text over several frames, the version in the middle of it.
     const std::string text = absl::StrCat("H-V1.2-1", FirmwareName(options_.version));
     for (size_t at = 0; at < text.size(); at += 8)
       replies_.push_back(EncodeFirmwareText(std::string_view(text).substr(at, 8)));
+  } else if (frame.id == kJointConfig && frame.size == 8) {
+    TakeJointConfig(frame);
   } else {
-    TakeWrite(frame);
+    settings_.Take(frame, replies_);
   }
 }
 
@@ -95,6 +107,9 @@ void ArmFirmware::TakeStop(Stop stop) {
     pose_unreachable_ = false;
     mit_.fill(std::nullopt);
     delayed_.clear();
+    path_.Stop();
+    arc_waits_ = false;
+    line_goal_.reset();
   }
 }
 
@@ -121,50 +136,54 @@ void ArmFirmware::TakePower(const MotorPower& power) {
 void ArmFirmware::TakeLimitQuery(const LimitQuery& query) {
   const int joint = query.motor - 1;
   if (power_[joint].silent) return;
-  replies_.push_back(query.acceleration ? Encode(JointAcceleration{joint, accelerations_[joint]})
-                                        : Encode(limits_[joint]));
+  replies_.push_back(query.acceleration
+                         ? Encode(JointAcceleration{joint, settings_.acceleration(joint)})
+                         : Encode(settings_.limit(joint)));
 }
 
-void ArmFirmware::TakeParameterQuery(int query) {
-  CanFrame reply;
-  if (query == 1) {
-    // 0.5 m/s, 1.5 rad/s, 0.8 m/s^2, 2 rad/s^2, unit 0.001 each.
-    reply = {kEndVelocity, 8, {0x01, 0xF4, 0x05, 0xDC, 0x03, 0x20, 0x07, 0xD0}};
-  } else if (query == 2) {
-    reply = EncodeCollisionLevels(collision_levels_);
-  } else {
-    reply = EncodeGripperRange(options_.gripper_range);
+// Zero, acceleration and cleared errors of one motor, or of all.
+void ArmFirmware::TakeJointConfig(const CanFrame& frame) {
+  constexpr uint8_t kYes = 0xAE;
+  const int motor = frame.data[0];
+  if (motor < 1 || motor > kAllMotors) return;
+  if (frame.data[5] == kYes) {
+    for (int j = 0; j < kJoints; ++j) {
+      if (motor == kAllMotors || motor == j + 1) power_[j].fault_bits = 0;
+    }
   }
-  replies_.push_back(reply);
+  const bool zero_set = frame.data[1] == kYes && SetZero(motor);
+  std::vector<CanFrame> acknowledged;
+  settings_.Take(frame, acknowledged);
+  replies_.push_back(EncodeWriteReply(frame.id, zero_set));
 }
 
-// Configuration writes that change what this model has: angle and speed limits. Others are
-// acknowledged only. 0x7FFF leaves a field as it is.
-void ArmFirmware::TakeWrite(const CanFrame& frame) {
-  if (frame.id == kLimitWrite && frame.data[0] >= 1 && frame.data[0] <= kJoints) {
-    CanFrame as_reply = frame;
-    as_reply.id = kJointLimit;
-    const JointLimit written = *DecodeJointLimit(as_reply);
-    JointLimit& limit = limits_[written.joint];
-    const auto given = [&](int byte) {
-      return frame.data[byte] != 0x7F || frame.data[byte + 1] != 0xFF;
-    };
-    if (given(1)) limit.upper = written.upper;
-    if (given(3)) limit.lower = written.lower;
-    if (given(5)) limit.max_speed = written.max_speed;
-    replies_.push_back(EncodeWriteReply(frame.id, false));
-  } else if (const auto levels = DecodeCollisionWrite(frame)) {
-    collision_levels_ = *levels;
-    replies_.push_back(EncodeWriteReply(frame.id, false));
-  } else if (frame.id == kJointConfig || frame.id == kEndVelocityWrite ||
-             frame.id == kGripperRangeWrite || frame.id == kParameterQuery) {
-    replies_.push_back(EncodeWriteReply(frame.id, false));
+// Refused while a motor holds: its target would jump with its zero.
+bool ArmFirmware::SetZero(int motor) {
+  for (int j = 0; j < kJoints; ++j) {
+    if ((motor == kAllMotors || motor == j + 1) && power_[j].enabled) return false;
   }
+  for (int j = 0; j < kJoints; ++j) {
+    if (motor != kAllMotors && motor != j + 1) continue;
+    zero_[j] += last_.q[j];
+    last_.q[j] = 0;
+    planners_[j].Reset(0);
+  }
+  return true;
+}
+
+PlantReading ArmFirmware::InOwnZeros(PlantReading reading) const {
+  for (int j = 0; j < kJoints; ++j) reading.q[j] -= zero_[j];
+  reading.opening -= gripper_zero_;
+  return reading;
 }
 
 void ArmFirmware::ApplyTarget(const CanFrame& frame) {
   if (const auto gripper = DecodeGripperTarget(frame)) {
     gripper_enabled_ = gripper->enable;
+    if (gripper->set_zero && !gripper->enable) {
+      gripper_zero_ += last_.opening;
+      last_.opening = 0;
+    }
     gripper_target_ = *gripper;
     gripper_target_.opening = std::clamp(gripper->opening, 0.0, kGripperOpening);
   } else if (const auto pair = DecodeJointTargets(frame)) {
@@ -173,34 +192,121 @@ void ArmFirmware::ApplyTarget(const CanFrame& frame) {
     ApplyPoseTarget(*pose);
   } else if (const auto mit = DecodeMitTarget(frame)) {
     mit_[mit->joint] = *mit;
+  } else if (const auto point = DecodeArcPoint(frame)) {
+    ApplyArcPoint(*point);
   }
 }
 
-// A pose counts when its last frame is there. Both move modes P and L go there joint by joint here;
-// a real arm leads the tool along a line in mode L.
+std::array<Range, kJoints> ArmFirmware::Limits() const {
+  std::array<Range, kJoints> limits;
+  for (int j = 0; j < kJoints; ++j)
+    limits[j] = {settings_.limit(j).lower, settings_.limit(j).upper};
+  return limits;
+}
+
+ToolTarget ArmFirmware::PlannedTool() const {
+  JointVector q;
+  for (int j = 0; j < kJoints; ++j) q[j] = planners_[j].position();
+  const Eigen::Isometry3d T = ToolPose(q, ZeroOf(options_.version));
+  return {T.translation(), Eigen::Quaterniond(T.linear())};
+}
+
+// A pose counts when its last frame is there: mode P goes there joint by joint, mode L leads the
+// tool along a line, mode C keeps it until 0x158 says which point of the arc it is.
 void ArmFirmware::ApplyPoseTarget(const JointPair& pair) {
   pose_target_[2 * pair.pair] = pair.first;
   pose_target_[2 * pair.pair + 1] = pair.second;
-  const bool cartesian = mode_.move == MoveMode::kP || mode_.move == MoveMode::kL;
-  if (pair.pair != 2 || mode_.control != ControlMode::kCan || !cartesian) return;
-  std::array<Range, kJoints> limits;
-  for (int j = 0; j < kJoints; ++j) limits[j] = {limits_[j].lower, limits_[j].upper};
-  const auto q = SolvePose({pose_target_[0], pose_target_[1], pose_target_[2]},
-                           {pose_target_[3], pose_target_[4], pose_target_[5]}, last_.q, limits,
+  const bool moves = mode_.move == MoveMode::kP || mode_.move == MoveMode::kL;
+  if (pair.pair != 2 || mode_.control != ControlMode::kCan || !moves) return;
+  const ToolTarget goal = {
+      {pose_target_[0], pose_target_[1], pose_target_[2]},
+      Eigen::Quaterniond(FromFixedAngles({pose_target_[3], pose_target_[4], pose_target_[5]}))};
+  if (mode_.move == MoveMode::kL && line_goal_ && line_goal_->p == goal.p &&
+      line_goal_->R.coeffs() == goal.R.coeffs())
+    return;
+  arc_waits_ = false;
+  JointVector start;
+  for (int j = 0; j < kJoints; ++j)
+    start[j] = path_.active() ? planners_[j].position() : last_.q[j];
+  const auto q =
+      SolvePose(goal.p, goal.R.toRotationMatrix(), start, Limits(), ZeroOf(options_.version));
+  pose_unreachable_ = !q.has_value();
+  line_goal_.reset();
+  if (mode_.move == MoveMode::kL && q) {
+    path_.StartLine(PlannedTool(), goal, path_.velocity());
+    line_goal_ = goal;
+  } else {
+    path_.Stop();
+    for (int j = 0; j < kJoints && q; ++j) planners_[j].SetTarget((*q)[j]);
+  }
+}
+
+// With the third point the joints bring the tool to the first; FollowPath then leads it on.
+void ArmFirmware::ApplyArcPoint(int point) {
+  if (mode_.control != ControlMode::kCan || mode_.move != MoveMode::kC) return;
+  arc_points_[point - 1] = {
+      {pose_target_[0], pose_target_[1], pose_target_[2]},
+      Eigen::Quaterniond(FromFixedAngles({pose_target_[3], pose_target_[4], pose_target_[5]}))};
+  const bool complete = point == 3 && last_arc_point_ == 2;
+  last_arc_point_ = point == last_arc_point_ + 1 || point == 1 ? point : 0;
+  if (!complete) return;
+  last_arc_point_ = 0;
+  path_.Stop();
+  line_goal_.reset();
+  const auto q = SolvePose(arc_points_[0].p, arc_points_[0].R.toRotationMatrix(), last_.q, Limits(),
                            ZeroOf(options_.version));
   pose_unreachable_ = !q.has_value();
   for (int j = 0; j < kJoints && q; ++j) planners_[j].SetTarget((*q)[j]);
+  arc_waits_ = q.has_value();
+}
+
+// The joints' references from the tool's. Where they would have to be faster than they may, the
+// tool waits for them; where the way leaves what they reach, the arm stops and says so.
+void ArmFirmware::FollowPath() {
+  if (arc_waits_ && std::all_of(planners_.begin(), planners_.end(),
+                                [](const JointPlanner& p) { return p.at_target(); })) {
+    arc_waits_ = false;
+    pose_unreachable_ = !path_.StartArc(arc_points_[0], arc_points_[1], arc_points_[2]);
+  }
+  if (!path_.active()) return;
+  JointVector before;
+  for (int j = 0; j < kJoints; ++j) before[j] = planners_[j].position();
+  path_.Step(settings_.tool(), mode_.speed_percent, kStep_s);
+  std::optional<JointVector> q;
+  for (int attempt = 0; attempt < 2; ++attempt) {
+    const ToolTarget tool = path_.target();
+    q = SolvePose(tool.p, tool.R.toRotationMatrix(), before, Limits(), ZeroOf(options_.version),
+                  1e-9);
+    if (!q) break;
+    double excess = 1;
+    for (int j = 0; j < kJoints; ++j)
+      excess = std::max(excess, std::abs((*q)[j] - before[j]) / (MaxSpeed(j) * kStep_s));
+    if (excess <= 1) break;
+    path_.SlowDown(1 / excess);
+  }
+  if (!q) {
+    path_.Stop();
+    pose_unreachable_ = true;
+    return;
+  }
+  const bool ends = path_.at_end();
+  for (int j = 0; j < kJoints; ++j)
+    planners_[j].Follow((*q)[j], ends ? 0 : ((*q)[j] - before[j]) / kStep_s);
+  if (ends) path_.Stop();
 }
 
 // A target beyond a limit is not clamped: the arm reports it and no joint follows until the targets
 // are within the limits again (piper_sdk issue 94).
 void ArmFirmware::ApplyJointTargets(const JointPair& pair) {
   if (mode_.control != ControlMode::kCan || mode_.move != MoveMode::kJ) return;
+  path_.Stop();
+  arc_waits_ = false;
+  line_goal_.reset();
   constexpr double kResolution = 1e-5;  // [rad], half of the wire's
   for (const auto& [joint, target] :
        {std::pair{2 * pair.pair, pair.first}, std::pair{2 * pair.pair + 1, pair.second}}) {
-    beyond_limit_[joint] =
-        target < limits_[joint].lower - kResolution || target > limits_[joint].upper + kResolution;
+    beyond_limit_[joint] = target < settings_.limit(joint).lower - kResolution ||
+                           target > settings_.limit(joint).upper + kResolution;
     if (!beyond_limit_[joint]) planners_[joint].SetTarget(target);
   }
 }
@@ -209,6 +315,11 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
   Power& power = power_[joint];
   if (!power.enabled) return 0;
   if (stopped_) return -kBrake[joint] * reading.dq[joint];
+  if (settings_.leader()) {  // a person leads it
+    power.integral = 0;
+    return options_.gravity_feedforward[joint] * reading.gravity[joint] -
+           kLeaderDamping * kBrake[joint] * reading.dq[joint];
+  }
   if (mode_.move == MoveMode::kM && mit_[joint]) {
     const MitTarget& mit = *mit_[joint];
     power.integral = 0;
@@ -219,7 +330,8 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
   }
   const bool direct = mode_.follow == Follow::kDirect;
   const JointPlanner& planner = planners_[joint];
-  const Gains& gains = direct ? kImpedance[joint] : kServo[joint];
+  Gains gains = direct ? kImpedance[joint] : kServo[joint];
+  if (path_.active()) gains = {kPathStiffness * gains.kp, std::sqrt(kPathStiffness) * gains.kd};
   const double error = planner.position() - reading.q[joint];
   if (direct) {
     power.integral = 0;
@@ -228,8 +340,10 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
     power.integral =
         std::clamp(power.integral + gains.kp * error * kStep_s / kIntegralTime_s, -most, most);
   }
+  const double friction =
+      path_.active() ? kKnownFriction[joint] * std::tanh(planner.velocity() / kFrictionSpeed) : 0;
   const double torque = gains.kp * error + gains.kd * (planner.velocity() - reading.dq[joint]) +
-                        power.integral +
+                        power.integral + friction +
                         options_.gravity_feedforward[joint] * reading.gravity[joint];
   return std::clamp(torque, -PiperPlant::kTorqueLimit[joint], PiperPlant::kTorqueLimit[joint]);
 }
@@ -253,27 +367,42 @@ double ArmFirmware::FingerForce(const PlantReading& reading) const {
   return std::clamp(force, -most, most);
 }
 
-ArmFirmware::Torques ArmFirmware::Step(const PlantReading& reading) {
-  last_ = reading;
+double ArmFirmware::MaxSpeed(int joint) const {
+  return std::min(settings_.limit(joint).max_speed, kMaxJointSpeed);
+}
+
+ArmFirmware::Torques ArmFirmware::Step(const PlantReading& plant) {
+  last_ = InOwnZeros(plant);
   while (!delayed_.empty() && delayed_.front().due_step <= step_) {
     ApplyTarget(delayed_.front().frame);
     delayed_.pop_front();
   }
+  const PlantReading reading = last_;
   const bool refused = std::count(beyond_limit_.begin(), beyond_limit_.end(), true) > 0;
   // A latched fault freezes the arm where it is; it holds until the reset.
   const bool frozen = refused || pose_unreachable_ || latched_ != StatusCode::kNormal;
+  const bool powered =
+      std::all_of(power_.begin(), power_.end(), [](const Power& power) { return power.enabled; });
+  if (!powered || stopped_ || frozen) {
+    path_.Stop();
+    arc_waits_ = false;
+    line_goal_.reset();
+  }
+  FollowPath();
   Torques torques;
   for (int j = 0; j < kJoints; ++j) {
     JointPlanner& planner = planners_[j];
     const bool torque_mode = mode_.move == MoveMode::kM && mit_[j].has_value();
-    if (!power_[j].enabled || stopped_ || torque_mode) {
+    if (!power_[j].enabled || stopped_ || torque_mode || settings_.leader()) {
       planner.Reset(reading.q[j]);
     } else if (frozen) {
-      planner.Brake(accelerations_[j], kStep_s);
+      planner.Brake(settings_.acceleration(j), kStep_s);
+    } else if (path_.active()) {
+      // FollowPath has moved it.
     } else if (mode_.follow == Follow::kDirect) {
       planner.Jump();
     } else {
-      planner.Step(limits_[j].max_speed * mode_.speed_percent / 100, accelerations_[j], kStep_s);
+      planner.Step(MaxSpeed(j) * mode_.speed_percent / 100, settings_.acceleration(j), kStep_s);
     }
     torques.motor[j] = ServoTorque(j, reading);
     WatchStall(j, torques.motor[j], reading);
@@ -311,10 +440,18 @@ void ArmFirmware::UpdateStatus(const PlantReading& reading) {
   }
 }
 
-void ArmFirmware::TakeReports(const PlantReading& reading, std::vector<CanFrame>& frames) {
+void ArmFirmware::TakeReports(const PlantReading& plant, std::vector<CanFrame>& frames) {
   frames.clear();
   frames.swap(replies_);
-  if (step_ % kFastSteps == 0) ReportFast(reading, frames);
+  if (step_ % kFastSteps == 0) {
+    const PlantReading reading = InOwnZeros(plant);
+    ReportFast(reading, frames);
+    if (settings_.leader()) {
+      CommandFollower(reading, frames);
+    } else {
+      ReportState(reading, frames);
+    }
+  }
   if (step_ % kDriverSteps == 0) ReportDrivers(frames);
   if (silent_) frames.clear();
 }
@@ -326,6 +463,10 @@ void ArmFirmware::ReportFast(const PlantReading& reading, std::vector<CanFrame>&
         reading.torque[j] / (TorquePerAmpere(j) * CurrentScale(options_.version, j));
     frames.push_back(Encode(JointSpeed{j, reading.dq[j], current}));
   }
+}
+
+void ArmFirmware::ReportState(const PlantReading& reading, std::vector<CanFrame>& frames) const {
+  const size_t first = frames.size();
   frames.push_back(Encode(status_));
   JointVector q;
   for (int j = 0; j < kJoints; ++j) q[j] = RoundToWire(reading.q[j]);
@@ -337,11 +478,29 @@ void ArmFirmware::ReportFast(const PlantReading& reading, std::vector<CanFrame>&
   for (int pair = 0; pair < kJoints / 2; ++pair)
     frames.push_back(EncodeJointAngles({pair, q[2 * pair], q[2 * pair + 1]}));
   GripperStatus gripper;
-  gripper.opening = reading.opening;
+  // A gripper whose range was never set reports no opening (the SDK's Q&A, 1).
+  gripper.opening = settings_.gripper_range() > 0 ? reading.opening : 0;
   gripper.effort = reading.grip_force / kForcePerTorque;
   gripper.enabled = gripper_enabled_;
   gripper.homed = true;
   frames.push_back(Encode(gripper));
+  for (size_t i = first; i < frames.size(); ++i)
+    frames[i].id = static_cast<uint16_t>(frames[i].id + settings_.feedback_offset());
+}
+
+// A leader sends what its follower obeys, where it stands as the target.
+void ArmFirmware::CommandFollower(const PlantReading& reading,
+                                  std::vector<CanFrame>& frames) const {
+  const size_t first = frames.size();
+  frames.push_back(Encode(ModeControl{ControlMode::kCan, MoveMode::kJ, 100, Follow::kDirect}));
+  for (int pair = 0; pair < kJoints / 2; ++pair)
+    frames.push_back(EncodeJointTargets({pair, reading.q[2 * pair], reading.q[2 * pair + 1]}));
+  GripperTarget gripper;
+  gripper.opening = reading.opening;
+  gripper.effort = 1;
+  frames.push_back(Encode(gripper));
+  for (size_t i = first; i < frames.size(); ++i)
+    frames[i].id = static_cast<uint16_t>(frames[i].id + settings_.leader_offset());
 }
 
 void ArmFirmware::ReportDrivers(std::vector<CanFrame>& frames) const {

@@ -7,9 +7,11 @@
 #include <string>
 #include <vector>
 
+#include "robot_client/emulator/arm_settings.h"
 #include "robot_client/emulator/joint_planner.h"
 #include "robot_client/emulator/other_modes.h"
 #include "robot_client/emulator/piper_plant.h"
+#include "robot_client/emulator/tool_path.h"
 #include "robot_client/piper/firmware.h"
 #include "robot_client/piper/kinematics.h"
 #include "robot_client/piper/protocol.h"
@@ -38,9 +40,9 @@ class ArmFirmware {
 
   void Take(const CanFrame& frame);
   // One step: plans, servoes, and watches for stalls.
-  Torques Step(const PlantReading& reading);
+  Torques Step(const PlantReading& plant);
   // Frames that are due after the last step, replies first. Cleared by the call.
-  void TakeReports(const PlantReading& reading, std::vector<CanFrame>& frames);
+  void TakeReports(const PlantReading& plant, std::vector<CanFrame>& frames);
 
   // Faults from outside. joint 0 .. 5. They stay until Stop::kReset, silence and joint silence
   // until they are taken back.
@@ -48,7 +50,7 @@ class ArmFirmware {
   void RaiseStatus(StatusCode code);                 // latched arm status, for example kCollision
   void SetJointSilent(int joint, bool silent);       // the joint no longer answers the controller
   void SetSilent(bool silent) { silent_ = silent; }  // no frames at all
-  void SetLimit(const JointLimit& limit) { limits_[limit.joint] = limit; }
+  void SetLimit(const JointLimit& limit) { settings_.SetLimit(limit); }
 
   bool enabled(int joint) const { return power_[joint].enabled; }
   const ArmStatus& status() const { return status_; }
@@ -69,28 +71,42 @@ class ArmFirmware {
   void TakeStop(Stop stop);
   void TakePower(const MotorPower& power);
   void TakeLimitQuery(const LimitQuery& query);
-  void TakeParameterQuery(int query);
-  void TakeWrite(const CanFrame& frame);
+  void TakeJointConfig(const CanFrame& frame);
+  bool SetZero(int motor);
   void ApplyTarget(const CanFrame& frame);
   void ApplyJointTargets(const JointPair& pair);
   void ApplyPoseTarget(const JointPair& pair);
+  void ApplyArcPoint(int point);
+  std::array<Range, kJoints> Limits() const;
+  ToolTarget PlannedTool() const;
+  void FollowPath();
+  PlantReading InOwnZeros(PlantReading reading) const;
+  double MaxSpeed(int joint) const;  // [rad/s]
   double ServoTorque(int joint, const PlantReading& reading);
   void WatchStall(int joint, double torque, const PlantReading& reading);
   double FingerForce(const PlantReading& reading) const;
   void UpdateStatus(const PlantReading& reading);
   void ReportFast(const PlantReading& reading, std::vector<CanFrame>& frames) const;
+  void ReportState(const PlantReading& reading, std::vector<CanFrame>& frames) const;
+  void CommandFollower(const PlantReading& reading, std::vector<CanFrame>& frames) const;
   void ReportDrivers(std::vector<CanFrame>& frames) const;
 
   const FirmwareOptions options_;
   uint64_t step_ = 0;
   std::array<Power, kJoints> power_;
-  std::array<int, kJoints> collision_levels_{};  // protection off, as delivered
-  std::array<JointLimit, kJoints> limits_;
-  std::array<double, kJoints> accelerations_{};
+  ArmSettings settings_;
+  JointVector zero_{};       // of the joints, in the plant's angles [rad]
+  double gripper_zero_ = 0;  // [m]
   std::array<JointPlanner, kJoints> planners_;
   std::array<bool, kJoints> beyond_limit_{};
   std::array<double, 6> pose_target_{};  // x y z [m], roll pitch yaw [rad], as far as received
   bool pose_unreachable_ = false;
+  ToolPath path_;  // move modes L and C
+  // The arc waits until the joints have brought the tool to its start.
+  std::array<ToolTarget, 3> arc_points_;
+  bool arc_waits_ = false;
+  int last_arc_point_ = 0;
+  std::optional<ToolTarget> line_goal_;  // of the present line, sent again and again by a stream
   std::array<std::optional<MitTarget>, kJoints> mit_;
   std::deque<Delayed> delayed_;
   ModeControl mode_;

@@ -15,6 +15,16 @@ class JointPlanner {
     velocity_ = 0;
   }
   void SetTarget(double target) { target_ = target; }
+  // The reference is here and moves so; the target stays.
+  void Go(double position, double velocity) {
+    position_ = position;
+    velocity_ = velocity;
+  }
+  // The reference follows somebody else's plan; where it is becomes the target.
+  void Follow(double position, double velocity) {
+    position_ = target_ = position;
+    velocity_ = velocity;
+  }
   // One step of braking to a stop; where the reference then is becomes the target.
   void Brake(double max_acceleration, double h);
   // The reference becomes the target at once (follow mode kDirect).

@@ -7,11 +7,11 @@
 namespace robostress::piper {
 namespace {
 
-constexpr uint16_t kPoseTargets = 0x152;
+constexpr uint16_t kPoseTargets = 0x152, kArcPoint = 0x158;
 constexpr int kIterations = 200;
-constexpr double kDamping = 1e-4;     // added to J J^T [m^2], [rad^2]
-constexpr double kLargestStep = 0.2;  // [rad] per iteration
-constexpr double kPositionTolerance = 1e-4, kAngleTolerance = 1e-4;
+constexpr double kDamping = 1e-4;       // added to J J^T [m^2], [rad^2]
+constexpr double kLargestStep = 0.2;    // [rad] per iteration
+constexpr double kLargestError = 1e-4;  // [m], [rad] of a solution
 
 // An unsigned integer of `bits` bits, spread over [lowest, highest].
 double Spread(unsigned value, int bits, double lowest, double highest) {
@@ -43,21 +43,33 @@ std::optional<MitTarget> DecodeMitTarget(const CanFrame& frame) {
   return target;
 }
 
-std::optional<JointVector> SolvePose(const Eigen::Vector3d& p, const Eigen::Vector3d& rpy,
+std::optional<int> DecodeArcPoint(const CanFrame& frame) {
+  if (frame.size != 8 || frame.id != kArcPoint || frame.data[0] < 1 || frame.data[0] > 3)
+    return std::nullopt;
+  return frame.data[0];
+}
+
+Eigen::Matrix3d FromFixedAngles(const Eigen::Vector3d& rpy) {
+  return (Eigen::AngleAxisd(rpy[2], Eigen::Vector3d::UnitZ()) *
+          Eigen::AngleAxisd(rpy[1], Eigen::Vector3d::UnitY()) *
+          Eigen::AngleAxisd(rpy[0], Eigen::Vector3d::UnitX()))
+      .toRotationMatrix();
+}
+
+std::optional<JointVector> SolvePose(const Eigen::Vector3d& p, const Eigen::Matrix3d& R,
                                      const JointVector& start,
-                                     const std::array<Range, kJoints>& limits, Zero zero) {
-  const Eigen::Matrix3d R = (Eigen::AngleAxisd(rpy[2], Eigen::Vector3d::UnitZ()) *
-                             Eigen::AngleAxisd(rpy[1], Eigen::Vector3d::UnitY()) *
-                             Eigen::AngleAxisd(rpy[0], Eigen::Vector3d::UnitX()))
-                                .toRotationMatrix();
+                                     const std::array<Range, kJoints>& limits, Zero zero,
+                                     double tolerance) {
   JointVector q = start;
+  bool close = false;
   for (int i = 0; i < kIterations; ++i) {
     const Eigen::Isometry3d T = ToolPose(q, zero);
     const Eigen::AngleAxisd turn(R * T.linear().transpose());
     Eigen::Matrix<double, 6, 1> error;
     error << p - T.translation(), turn.angle() * turn.axis();
-    if (error.head<3>().norm() < kPositionTolerance && error.tail<3>().norm() < kAngleTolerance)
-      return q;
+    const double away = std::max(error.head<3>().norm(), error.tail<3>().norm());
+    if (away < tolerance) return q;
+    close = away < kLargestError;
     const Eigen::Matrix<double, 6, kJoints> J = ToolJacobian(q, zero);
     Eigen::Matrix<double, 6, 6> A = J * J.transpose();
     A.diagonal().array() += kDamping;
@@ -66,6 +78,7 @@ std::optional<JointVector> SolvePose(const Eigen::Vector3d& p, const Eigen::Vect
     for (int j = 0; j < kJoints; ++j)
       q[j] = std::clamp(q[j] + step[j], limits[j].lower, limits[j].upper);
   }
+  if (close) return q;
   return std::nullopt;
 }
 

@@ -28,10 +28,23 @@ struct MitTarget {
 // Nothing when the check nibble (XOR of the bytes before it) is wrong.
 std::optional<MitTarget> DecodeMitTarget(const CanFrame& frame);
 
-// Joint angles within `limits` that bring the tool to p [m] and rpy [rad] (FixedAngles), from
-// `start` by damped least squares; nothing when 0.1 mm and 0.1 mrad are not reached.
-std::optional<JointVector> SolvePose(const Eigen::Vector3d& p, const Eigen::Vector3d& rpy,
+// 0x158: the pose that was sent before it is point 1, 2 or 3 of an arc: start, middle, end.
+std::optional<int> DecodeArcPoint(const CanFrame& frame);
+
+Eigen::Matrix3d FromFixedAngles(const Eigen::Vector3d& rpy);
+
+// Joint angles within `limits` that bring the tool to p [m] and R, from `start` by damped least
+// squares to within `tolerance` [m], [rad]; nothing when 0.1 mm and 0.1 mrad are not reached.
+std::optional<JointVector> SolvePose(const Eigen::Vector3d& p, const Eigen::Matrix3d& R,
                                      const JointVector& start,
-                                     const std::array<Range, kJoints>& limits, Zero zero);
+                                     const std::array<Range, kJoints>& limits, Zero zero,
+                                     double tolerance = 1e-4);
+
+// The same with roll, pitch, yaw (FixedAngles).
+inline std::optional<JointVector> SolvePose(const Eigen::Vector3d& p, const Eigen::Vector3d& rpy,
+                                            const JointVector& start,
+                                            const std::array<Range, kJoints>& limits, Zero zero) {
+  return SolvePose(p, FromFixedAngles(rpy), start, limits, zero);
+}
 
 }  // namespace robostress::piper
