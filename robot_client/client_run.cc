@@ -161,7 +161,7 @@ void ClientRun::StartThreads() {
     loop_->Run(stop_control_);
   });
   control_ready_.wait(false, std::memory_order_acquire);
-  Say("control thread: " + realtime_);
+  if (!realtime_.empty()) Say("control thread: " + realtime_);
 }
 
 void ClientRun::StopThreads() {
@@ -211,6 +211,8 @@ absl::StatusOr<std::string> ClientRun::Enable() {
                        if (loop_->decided() == before) return std::nullopt;
                        if (const absl::Status status = loop_->enable_status(); !status.ok())
                          return status;
+                       if (loop_->state() == ClientState::kIdle)
+                         return absl::CancelledError("enable was stopped before it began");
                        return "the arm has power and holds";
                      },
                      absl::DeadlineExceededError("the arm was not enabled within 10 s")};

@@ -328,7 +328,10 @@ ArmVector ControlLoop::Advance(const ArmVector& target) {
 // to where it is.
 ArmVector ControlLoop::Stand() {
   const bool fresh = (record_.flags & kTickFresh) != 0;
-  if (options_.guards && fresh && limiter_.at_rest() && machine_.state() != ClientState::kRun) {
+  const bool stands = std::all_of(record_.velocity.begin(), record_.velocity.begin() + kArmJoints,
+                                  [](double v) { return std::abs(v) < kStill; });
+  if (options_.guards && fresh && stands && limiter_.at_rest() &&
+      machine_.state() != ClientState::kRun) {
     bool off = false;
     for (int j = 0; j < kArmJoints; ++j)
       off = off || std::abs(limiter_.position()[j] - record_.position[j]) > kRelax;
@@ -501,9 +504,9 @@ void ControlLoop::Tick(int64_t due_ns) {
   inputs.now_ns = record_.start_ns;
   inputs.arm = arm;
   // A way of the client's own needs no eyes.
-  inputs.oldest_camera_ns = machine_.state() == ClientState::kMove
-                                ? std::numeric_limits<int64_t>::max()
-                                : cameras_->Oldest();
+  const bool blind = machine_.state() == ClientState::kMove ||
+                     ((requests & kRequestMove) && !(requests & kRequestStart));
+  inputs.oldest_camera_ns = blind ? std::numeric_limits<int64_t>::max() : cameras_->Oldest();
   inputs.streaming = machine_.streaming();
   inputs.running = machine_.state() == ClientState::kRun;
   inputs.command = limiter_.position();

@@ -30,7 +30,7 @@ absl::Status CheckWatchdogs(const WatchdogOptions& o, const std::vector<std::str
     const char* name;
     double value, least, most;
   } ranges[] = {{"arm_hold_s", o.arm_hold_s, 0.01, 0.2},
-                {"arm_fault_s", o.arm_fault_s, o.arm_hold_s, 1},
+                {"arm_fault_s", o.arm_fault_s, std::min(o.arm_hold_s, 0.2), 1},
                 {"camera_mark_s", o.camera_mark_s, 0.01, 1},
                 {"camera_hold_s", o.camera_hold_s, 0.05, 2},
                 {"server_hold_s", o.server_hold_s, 0.1, 10},
@@ -39,7 +39,7 @@ absl::Status CheckWatchdogs(const WatchdogOptions& o, const std::vector<std::str
                 {"following_s", o.following_s, 0.05, 2},
                 {"send_hold_ticks", static_cast<double>(o.send_hold_ticks), 1, 30},
                 {"send_fault_ticks", static_cast<double>(o.send_fault_ticks),
-                 static_cast<double>(o.send_hold_ticks), 60},
+                 static_cast<double>(std::min(o.send_hold_ticks, 60)), 60},
                 {"delay_hold_s", o.delay_hold_s, 0.05, 0.5}};
   for (const auto& [name, value, least, most] : ranges) {
     if (value >= least && value <= most) continue;

@@ -209,7 +209,7 @@ absl::Status PiperArm::HoldMeasuredPose() {
 }
 
 // A pose may be commanded only while it is where the arm is.
-absl::Status PiperArm::CheckStands() {
+absl::Status PiperArm::CheckStands(double still) {
   const int64_t age_ns = clock_.now_ns() - published_.stamp_ns;
   if (age_ns > options_.fresh_ns)
     return absl::UnavailableError(Named(absl::StrCat(
@@ -217,7 +217,7 @@ absl::Status PiperArm::CheckStands() {
         options_.fresh_ns / 1'000'000,
         " are allowed: where the arm stands is not known; look at the bus, then type enable")));
   for (int j = 0; j < kJoints; ++j) {
-    if (std::abs(published_.velocity[j]) > options_.still)
+    if (std::abs(published_.velocity[j]) > still)
       return absl::FailedPreconditionError(Named(absl::StrFormat(
           "joint %d moves at %.2f rad/s; wait until the arm stands, then type enable", j + 1,
           published_.velocity[j])));
@@ -236,7 +236,7 @@ absl::Status PiperArm::Enable(const std::function<bool()>& cancelled) {
     return absl::FailedPreconditionError(
         Named("the arm is in an emergency stop; support it, then Disable, which lets it fall, and "
               "Enable again"));
-  RS_RETURN_IF_ERROR(CheckStands());
+  RS_RETURN_IF_ERROR(CheckStands(options_.still));
   const auto stop = [&] { return cancelled && cancelled(); };
   const auto told = absl::CancelledError(
       Named("enable was cancelled; joints that have power hold where they are"));
@@ -252,13 +252,15 @@ absl::Status PiperArm::Enable(const std::function<bool()>& cancelled) {
       return absl::DeadlineExceededError(
           Named(absl::StrCat("not every joint was enabled within ", options_.enable_ns / 1'000'000,
                              " ms; reported: ", ArmFaultNames(published_.faults))));
-    RS_RETURN_IF_ERROR(CheckStands());
+    // A joint that gets power may give way a little before it holds.
+    RS_RETURN_IF_ERROR(CheckStands(10 * options_.still));
     RS_RETURN_IF_ERROR(HoldMeasuredPose());
     for (int j = 0; j < kJoints; ++j)
       RS_RETURN_IF_ERROR(SendAllowed(Encode(MotorPower{j + 1, true}), Consent::kMotion));
     if (WaitFor(100 * kPollInterval_ns, stop)) return told;
   }
-  RS_RETURN_IF_ERROR(CheckStands());
+  WaitFor(options_.reply_ns, [&] { return stop() || CheckStands(options_.still).ok(); });
+  RS_RETURN_IF_ERROR(CheckStands(options_.still));
   RS_RETURN_IF_ERROR(HoldMeasuredPose());
   const auto in_mode = [&] { return state_.status()->control == ControlMode::kCan; };
   if (!state_.status() || !WaitFor(options_.reply_ns, in_mode))

@@ -87,7 +87,7 @@ class PiperArm : public RobotArm {
   absl::Status Listen();
   absl::Status AskFirmware();
   absl::Status AskLimits();
-  absl::Status CheckStands();
+  absl::Status CheckStands(double still);  // [rad/s]
   absl::Status SendAllowed(const CanFrame& frame, Consent consent);
   absl::Status SendTargets(const JointVector& q);
   absl::Status HoldMeasuredPose();

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <memory>
 #include <utility>
@@ -43,6 +45,12 @@ struct EmulatedArm {
   std::unique_ptr<PiperEmulator> emulator;
   std::unique_ptr<PiperArm> arm;
 };
+
+inline ::testing::AssertionResult Enabled(EmulatedArm& world) {
+  const absl::Status status = world.arm->Enable();
+  if (status.ok()) return ::testing::AssertionSuccess();
+  return ::testing::AssertionFailure() << status;
+}
 
 inline ArmCommand Command(const JointVector& q, double opening = 0.03) {
   ArmCommand command;

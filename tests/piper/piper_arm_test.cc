@@ -50,7 +50,7 @@ TEST(PiperArm, EnablesWithoutMovingAndFollowsTargets) {
   ASSERT_TRUE(world.arm->Connect().ok());
   EXPECT_EQ(world.arm->Send(Command({0, 0, 0, 0, 0, 9})).code(),
             absl::StatusCode::kInvalidArgument);
-  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(Enabled(world));
   EXPECT_TRUE(world.arm->Latest().enabled);
   for (int j = 0; j < kJoints; ++j) EXPECT_NEAR(world.arm->Latest().position[j], 0, 0.02);
   EXPECT_NEAR(world.arm->Latest().position[6], 0, 1e-3);  // the gripper was not asked
@@ -71,7 +71,7 @@ TEST(PiperArm, ReportsTheSameTorqueForOldFirmwareWithScaledCurrents) {
   old.version = {1, 8, 2};
   EmulatedArm world(old);
   ASSERT_TRUE(world.arm->Connect().ok());
-  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(Enabled(world));
   ASSERT_TRUE(world.Stream(Command(kPose), 3).ok());
   EXPECT_NEAR(world.arm->Latest().effort[1], world.emulator->plant().reading().gravity[1], 0.8);
 }
@@ -148,7 +148,7 @@ TEST(PiperArm, ShowsFaultsOfTheArmByName) {
   options.faults = {ParseFault("collision:J2@4").value(), ParseFault("motor-hot:J5@4.5").value()};
   EmulatedArm world(options);
   ASSERT_TRUE(world.arm->Connect().ok());
-  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(Enabled(world));
   ASSERT_TRUE(
       world.Stream(Command(kPose), 4.2 - 1e-9 * static_cast<double>(world.time.now_ns())).ok());
   world.Run(0.1);
@@ -163,7 +163,7 @@ TEST(PiperArm, SaysWhenEnableIsLost) {
   options.faults = {ParseFault("power-off:J3@3").value()};
   EmulatedArm world(options);
   ASSERT_TRUE(world.arm->Connect().ok());
-  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(Enabled(world));
   EXPECT_TRUE(world.arm->Latest().enabled);
   world.Run(3.1 - 1e-9 * static_cast<double>(world.time.now_ns()));
   EXPECT_FALSE(world.arm->Latest().enabled);
@@ -183,7 +183,7 @@ TEST(PiperArm, SnapshotGrowsOldWhenTheArmFallsSilent) {
 TEST(PiperArm, QuickStopSinksAndOnlyDisableAndEnableBringTheArmBack) {
   EmulatedArm world;
   ASSERT_TRUE(world.arm->Connect().ok());
-  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(Enabled(world));
   const JointVector stretched = {0.4, 1.6, -1.1, 0.2, 0.3, -0.5};
   ASSERT_TRUE(world.Stream(Command(stretched), 3).ok());
   for (int i = 0; i < 5; ++i) {
@@ -199,7 +199,7 @@ TEST(PiperArm, QuickStopSinksAndOnlyDisableAndEnableBringTheArmBack) {
   EXPECT_EQ(world.arm->Enable().code(), absl::StatusCode::kFailedPrecondition);
   ASSERT_TRUE(world.arm->Disable().ok());
   EXPECT_FALSE(world.arm->Latest().enabled);
-  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(Enabled(world));
   EXPECT_TRUE(world.arm->Latest().enabled);
   EXPECT_EQ(world.arm->Latest().faults, 0u);
 }
@@ -207,7 +207,7 @@ TEST(PiperArm, QuickStopSinksAndOnlyDisableAndEnableBringTheArmBack) {
 TEST(PiperArm, SendsOnlyFramesOfTheAllowedList) {
   EmulatedArm world;
   ASSERT_TRUE(world.arm->Connect().ok());
-  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(Enabled(world));
   ASSERT_TRUE(world.Stream(Command(kPose), 1).ok());
   ASSERT_TRUE(world.arm->QuickStop().ok());
   world.Run(0.1);
@@ -225,7 +225,7 @@ TEST(PiperArm, AllocatesNothingInTheLoop) {
   if (!CountsAllocations()) GTEST_SKIP() << "a sanitizer owns malloc";
   EmulatedArm world;
   ASSERT_TRUE(world.arm->Connect().ok());
-  ASSERT_TRUE(world.arm->Enable().ok());
+  ASSERT_TRUE(Enabled(world));
   const ArmCommand command = Command(kPose), refused = Command({0, 0, 0, 0, 0, 9});
   long counted = 0;
   for (int tick = 0; tick < 60; ++tick) {

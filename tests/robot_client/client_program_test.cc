@@ -30,8 +30,8 @@ std::pair<std::string, int> WithServer(const std::string& name, const std::strin
       "  [ -n \"$server\" ] && break; sleep 0.1; done\n",
       "common=\"--bus rehearse --server $server --policy sway --instruction sway --camera "
       "base=synthetic --camera wrist=synthetic --out $out/run --set realtime.priority=0 --set "
-      "realtime.lock_memory=false --set control.watchdogs.arm_fault_s=20 --set "
-      "control.watchdogs.arm_hold_s=10\"\n",
+      "realtime.lock_memory=false --without arm_fault_s --set control.watchdogs.arm_fault_s=20 "
+      "--without arm_hold_s --set control.watchdogs.arm_hold_s=10\"\n",
       body, "\ncode=$?\nkill $server_pid 2>/dev/null\nwait 2>/dev/null\nexit $code\n");
   EXPECT_TRUE(WriteFileAtomically(*out + "/script.sh", script).ok());
   return RunProgram("bash", *out + "/script.sh");
@@ -90,7 +90,7 @@ TEST(ClientProgramTest, DrivesHomeWhereAPersonHasConfiguredIt) {
                  "'home=[0.2, 1.0, -0.8, 0.0, 0.4, 0.0, 0.06]'",
                  &out);
   EXPECT_EQ(code, 0) << text;
-  EXPECT_THAT(text, AllOf(HasSubstr("the arm is home"), HasSubstr("episode 0 of task 0")));
+  EXPECT_THAT(text, AllOf(HasSubstr("home: there"), HasSubstr("episode 0 of task 0")));
   EXPECT_THAT(Text(out + "/run/episodes.jsonl"),
               AllOf(HasSubstr("\"episode\":0"), Not(HasSubstr("\"episode\":-1"))));
 }
@@ -118,6 +118,46 @@ TEST(ClientProgramTest, ASignalHolds) {
   EXPECT_THAT(text, HasSubstr("HOLD (operator)"));
 }
 
+TEST(ClientProgramTest, NeedsNoServerToEnableJogAndDriveHome) {
+  const std::string out = ::testing::TempDir() + "/client_program_alone";
+  std::filesystem::remove_all(out);
+  std::filesystem::create_directories(out);
+  const auto [text, code] = RunProgram(
+      "bash",
+      "-c \"printf 'enable\\njog J3 5deg\\nhome\\nstart\\nquit\\n' | " ROBOT_CLIENT
+      " --bus rehearse --set realtime.priority=0 --set realtime.lock_memory=false --without "
+      "arm_fault_s --set control.watchdogs.arm_fault_s=20 --without arm_hold_s --set "
+      "control.watchdogs.arm_hold_s=10 --set 'home=[0.1, 1.2, -1.0, 0.0, 0.5, 0.0, 0.06]' --out " +
+          out + "/run\"");
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, AllOf(HasSubstr("jog: there"), HasSubstr("home: there"),
+                          HasSubstr("no policy server is configured")));
+  EXPECT_THAT(Text(out + "/run/ticks.csv"), HasSubstr(",MOVE,"));
+}
+
+TEST(ClientProgramTest, ATerminationHoldsAndLeavesTheArmWithItsPower) {
+  std::string out;
+  const auto [text, code] = WithServer("terminated",
+                                       "$client $common --automatic --set episodes=1 --set "
+                                       "episode_s=30 & pid=$!; sleep 1.5; kill -TERM $pid; kill "
+                                       "-TERM $pid; wait $pid",
+                                       &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, AllOf(HasSubstr("HOLD (operator)"), Not(HasSubstr("quick_stop"))));
+  EXPECT_TRUE(std::filesystem::exists(out + "/run/DONE"));
+}
+
+TEST(ClientProgramTest, AClosedOutputEndsNothing) {
+  std::string out;
+  const auto [text, code] =
+      WithServer("closed",
+                 "{ $client $common --automatic --set episodes=1 --set episode_s=2; echo $? > "
+                 "$out/code; } | head -n 1",
+                 &out);
+  EXPECT_EQ(Text(out + "/code"), "0\n") << text;
+  EXPECT_TRUE(std::filesystem::exists(out + "/run/DONE"));
+}
+
 TEST(ClientProgramTest, RefusesBadInput) {
   const auto run = [](const std::string& arguments) {
     return RunProgram(ROBOT_CLIENT, arguments + " --out " + ::testing::TempDir() + "/refused");
@@ -125,9 +165,9 @@ TEST(ClientProgramTest, RefusesBadInput) {
   auto [text, code] = run("--bus can:can0 --automatic --server 127.0.0.1:1 --instruction x");
   EXPECT_EQ(code, 2);
   EXPECT_THAT(text, HasSubstr("started by a person"));
-  std::tie(text, code) = run("--instruction x");
+  std::tie(text, code) = run("--server 127.0.0.1:1");
   EXPECT_EQ(code, 2);
-  EXPECT_THAT(text, HasSubstr("--server"));
+  EXPECT_THAT(text, HasSubstr("--instruction"));
   std::tie(text, code) =
       run("--server 127.0.0.1:1 --instruction x --camera base=synthetic,fault=melt");
   EXPECT_EQ(code, 2);
@@ -135,6 +175,18 @@ TEST(ClientProgramTest, RefusesBadInput) {
   std::tie(text, code) = run("--set control.rate=30");
   EXPECT_EQ(code, 2);
   EXPECT_THAT(text, HasSubstr("rate_hz"));
+  for (const char* wrong : {"control.watchdogs.following_error=.inf", "home_velocity=3",
+                            "control.watchdogs.server_hold_s=1e9", "collision_level=9",
+                            "control.watchdogs.camera_hold_s=-1", "control.press.excess=[1]",
+                            "control.workspace.lower=[1,1,1]"}) {
+    std::tie(text, code) = run(absl::StrCat("--set ", wrong));
+    EXPECT_EQ(code, 2) << wrong;
+    const std::string key(absl::string_view(wrong).substr(0, std::string(wrong).find('=')));
+    EXPECT_THAT(text, HasSubstr(key.substr(key.rfind('.') + 1))) << text;
+  }
+  std::tie(text, code) = run("--set home=[0,2.2,-1.0,0,1.0,0,0]");
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text, HasSubstr("home lies")) << "below the table";
   EXPECT_EQ(RunProgram(ROBOT_CLIENT, "--help").second, 0);
 }
 

@@ -25,13 +25,23 @@ class FakeArm : public RehearsalArm {
     } else {
       RehearsalArm::Poll();
     }
+    for (int j = 0; j < kArmJoints && drift != 0; ++j) {  // carried by hand
+      sample_.position[j] += drift / 30;
+      sample_.velocity[j] = drift;
+    }
+    sample_.effort = effort;
+    sample_.has_effort = true;
     sample_.faults = faults;
     if (lost_enable) sample_.enabled = false;
-    if (blocked) sample_.position = blocked_at_;
+    if (blocked) {
+      sample_.position = blocked_at_;
+      sample_.velocity.fill(0);
+    }
     if (!blocked) blocked_at_ = sample_.position;
     for (int j = 0; j < kArmJoints; ++j) sample_.position[j] += bias;
     if (bias != 0) bias = 0;
   }
+  void Acknowledge() override { ++acknowledged; }
   absl::Status Send(const ArmCommand& command) override {
     if (refuse_send) return refused_;
     ++sends;
@@ -43,10 +53,15 @@ class FakeArm : public RehearsalArm {
     return RehearsalArm::QuickStop();
   }
 
+  void blocked_at(int joint, double position) { blocked_at_[joint] = position; }
+
   bool silent = false, refuse_send = false, refuse_enable = false, lost_enable = false;
   bool blocked = false;  // something holds the joints
   double bias = 0;       // [rad], added once to every joint: something pushed the arm
+  double drift = 0;      // [rad/s], somebody moves the arm, 30 polls a second
+  ArmVector effort{};
   uint32_t faults = 0;
+  int acknowledged = 0;
   int enables = 0, disables = 0, sends = 0, quick_stops = 0;
   ArmCommand last;
 

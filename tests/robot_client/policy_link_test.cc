@@ -3,6 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
+
 #include <cmath>
 
 #include "robot_client/cameras/faulty_source.h"
@@ -102,6 +105,11 @@ struct Bench {
   }
   void Start(const EpisodeKey& key = {2, 5}) {
     if (loop->state() == ClientState::kIdle) Tick(kRequestEnable);
+    const auto moves = [this] {
+      const ArmVector v = arm.Latest().velocity;
+      return std::any_of(v.begin(), v.end(), [](double x) { return std::abs(x) > 0.04; });
+    };
+    while (moves()) Tick();
     link->StartEpisode(key);
     Tick(kRequestStart);
     EXPECT_EQ(loop->state(), ClientState::kRun);

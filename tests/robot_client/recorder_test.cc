@@ -2,12 +2,18 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <csignal>
 #include <filesystem>
+#include <thread>
 
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "robot_client/state_reporter.h"
 
 namespace robostress {
 namespace {
@@ -64,12 +70,11 @@ TEST(RecorderTest, SaysWhyTheStateChanged) {
   const std::string directory = Fresh("events");
   auto recorder = Recorder::Create(directory);
   ASSERT_TRUE(recorder.ok());
-  std::string told;
-  (*recorder)->OnChange([&told](const std::string& line) { told += line; });
   (*recorder)->ring().Push(Record(0, ClientState::kRun));
   TickRecord fault = Record(1, ClientState::kFault);
   fault.cause = StateCause::kArmFault;
   fault.faults = kFaultCollision | kFaultStall;
+  fault.fault_joints = 1 << 1;
   (*recorder)->ring().Push(fault);
   (*recorder)->ring().Push(fault);
   ASSERT_TRUE((*recorder)->Drain().ok());
@@ -78,8 +83,72 @@ TEST(RecorderTest, SaysWhyTheStateChanged) {
   ASSERT_EQ(events.size(), 3u) << "once per change";
   EXPECT_THAT(events[0], HasSubstr("\"monotonic_ns\":1000000000"));
   EXPECT_THAT(events[2], HasSubstr("\"cause\":\"arm_fault\""));
-  EXPECT_THAT(events[2], HasSubstr("collision, stalled motor"));
-  EXPECT_THAT(told, HasSubstr("FAULT (arm_fault): collision, stalled motor"));
+  EXPECT_THAT(events[2], HasSubstr("collision, stalled motor (J2)"));
+}
+
+TEST(StateReporterTest, TellsStateCauseAndWhatToTypeNext) {
+  int ends[2];
+  ASSERT_EQ(pipe(ends), 0);
+  StateReporter reporter(ends[1]);
+  TickRecord fault = Record(30, ClientState::kFault);
+  fault.cause = StateCause::kArmFault;
+  fault.faults = kFaultDriver;
+  fault.fault_joints = 1 << 4;
+  TickRecord pressing = Record(31, ClientState::kHold);
+  pressing.cause = StateCause::kPressing;
+  pressing.excess[1] = -9.25;
+  reporter.ring().Push(Record(0, ClientState::kIdle));
+  reporter.ring().Push(fault);
+  reporter.ring().Push(fault);
+  reporter.ring().Push(pressing);
+  reporter.Say("said");
+  reporter.Drain();
+  char text[2000];
+  const ssize_t size = read(ends[0], text, sizeof text);
+  ASSERT_GT(size, 0);
+  const std::string told(text, static_cast<size_t>(size));
+  EXPECT_THAT(told, HasSubstr("1.000 s  FAULT (arm_fault): driver or sensor error (J5); remove the "
+                              "cause, then type clear, then enable\n"));
+  EXPECT_THAT(told, HasSubstr("HOLD (pressing): J2 presses with 9.2 Nm more than its motion needs; "
+                              "clear the arm's way, then type resume or end\n"));
+  EXPECT_THAT(told, HasSubstr("said\n"));
+  close(ends[0]);
+  close(ends[1]);
+}
+
+TEST(StateReporterTest, AnOutputThatIsStuckOrClosedCostsLinesAndNothingElse) {
+  std::signal(SIGPIPE, SIG_IGN);
+  int ends[2];
+  ASSERT_EQ(pipe(ends), 0);
+  StateReporter reporter(ends[1]);
+  const auto begin = std::chrono::steady_clock::now();
+  for (int i = 0; i < 3000; ++i) reporter.Say(std::string(100, 'x'));  // 300 kB into 64 KiB
+  for (int i = 0; i < 3; ++i) reporter.Drain();
+  close(ends[0]);
+  reporter.Say("to nobody");
+  reporter.Drain();
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(2));
+  close(ends[1]);
+}
+
+TEST(RecorderTest, AFailureIsToldAtOnceAndOnlyOnce) {
+  const std::string directory = Fresh("full");
+  auto recorder = Recorder::Create(directory);
+  ASSERT_TRUE(recorder.ok());
+  std::filesystem::remove_all(directory);  // events.jsonl has no place any more
+  std::atomic<bool> stop{false};
+  std::atomic<int> told{0};
+  absl::Status result;
+  std::thread thread(
+      [&] { result = (*recorder)->Run(stop, [&](const absl::Status&) { ++told; }); });
+  for (uint64_t i = 0; i < 10; ++i) {
+    (*recorder)->ring().Push(Record(i, i % 2 == 0 ? ClientState::kRun : ClientState::kHold));
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+  }
+  stop = true;
+  thread.join();
+  EXPECT_EQ(told, 1);
+  EXPECT_FALSE(result.ok());
 }
 
 TEST(RecorderTest, AnUnfinishedRecordingDoesNotLookWhole) {

@@ -53,9 +53,9 @@ struct Bench {
   double policy_speed = 0.3;
   double policy_offset = 0;  // [rad], where chunks start against the observation
 
-  explicit Bench(const ControlOptions& options = {}) {
+  explicit Bench(const ControlOptions& options = {}, const ArmModel* model = nullptr) {
     EXPECT_TRUE(arm.Connect().ok());
-    auto made = ControlLoop::Create(options, &arm, &clock, &cameras);
+    auto made = ControlLoop::Create(options, &arm, &clock, &cameras, model);
     EXPECT_TRUE(made.ok()) << made.status();
     loop = *std::move(made);
     loop->AddReader(&records);
@@ -245,7 +245,7 @@ TEST_P(MishapTest, TheArmHoldsInTime) {
   EXPECT_EQ(bench.seen.back().cause, mishap.cause);
   EXPECT_LE(ticks, mishap.within_ticks);
   const int sends = bench.arm.sends;
-  bench.Ticks(8);  // 1 rad/s is gone after 6
+  bench.Ticks(40);  // 1 rad/s is gone after 9; then the command goes back to where the arm stands
   const ArmVector rest = bench.arm.last.position;
   bench.Ticks(100);
   EXPECT_EQ(bench.arm.last.position, rest) << "it does not move any more";
@@ -278,7 +278,7 @@ INSTANTIATE_TEST_SUITE_P(
                                b.policy_speed = 2;
                                b.policy_offset = 0.4;
                              },
-                             ClientState::kHold, StateCause::kFollowingError, 60},
+                             ClientState::kHold, StateCause::kBlocked, 60},
                       Mishap{"operator", [](Bench& b) { b.loop->Ask(kRequestHold); },
                              ClientState::kHold, StateCause::kOperator, 0}),
     [](const auto& info) { return std::string(info.param.name); });
@@ -340,7 +340,9 @@ TEST(ControlLoopTest, AfterAFaultTheArmMustBeClearedAndEnabledAgain) {
   bench.Tick(kRequestClear);
   EXPECT_EQ(bench.loop->state(), ClientState::kFault);
   bench.arm.faults = 0;
-  bench.Ticks(5);
+  bench.Tick(kRequestClear);
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kMoving);
+  bench.Ticks(30);
   EXPECT_EQ(bench.loop->state(), ClientState::kFault) << "latched";
   bench.Tick(kRequestClear);
   EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
@@ -349,6 +351,332 @@ TEST(ControlLoopTest, AfterAFaultTheArmMustBeClearedAndEnabledAgain) {
   bench.Ticks(3);
   EXPECT_EQ(bench.loop->state(), ClientState::kRun);
   EXPECT_EQ(bench.loop->episode(), 1);
+}
+
+// ----------------------------------------------------------- set going only where it stands now
+
+TEST(ControlLoopTest, NothingIsEnabledOnAPoseThatIsOld) {
+  Bench bench;
+  bench.Ticks(10);
+  bench.arm.silent = true;
+  bench.Ticks(3);
+  bench.Tick(kRequestEnable);
+  EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
+  EXPECT_EQ(bench.arm.enables, 0) << "it got no power";
+  EXPECT_EQ(bench.arm.sends, 0);
+  EXPECT_THAT(std::string(bench.loop->enable_status().message()),
+              ::testing::AllOf(::testing::HasSubstr("old"), ::testing::HasSubstr("ms")));
+}
+
+TEST(ControlLoopTest, AnArmThatMovesIsNotEnabledClearedOrStarted) {
+  Bench bench;
+  bench.arm.drift = 0.06;
+  bench.Ticks(3);
+  bench.Tick(kRequestEnable);
+  EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
+  EXPECT_EQ(bench.arm.enables, 0);
+  EXPECT_THAT(std::string(bench.loop->enable_status().message()), ::testing::HasSubstr("moves"));
+  bench.arm.drift = 0;
+  bench.Ticks(5);
+  bench.Tick(kRequestEnable);
+  ASSERT_EQ(bench.loop->state(), ClientState::kEnabled);
+  bench.arm.drift = 0.06;
+  bench.Tick(kRequestStart);
+  EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kMoving);
+}
+
+// As it was found: a fault for silence, the arm moved by hand meanwhile, clear, enable.
+TEST(ControlLoopTest, AfterSilenceTheFirstCommandIsWhereTheArmIsNow) {
+  Bench bench;
+  bench.Start();
+  bench.Ticks(20);
+  bench.arm.silent = true;
+  bench.Ticks(12);
+  ASSERT_EQ(bench.loop->state(), ClientState::kFault);
+  bench.Tick(kRequestClear);
+  EXPECT_EQ(bench.loop->state(), ClientState::kFault) << "nobody knows where it is";
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kStale);
+  bench.arm.silent = false;
+  bench.arm.bias = 0.4;  // somewhere else
+  bench.arm.Send({bench.arm.Latest().position}).IgnoreError();
+  bench.Ticks(60);
+  bench.Tick(kRequestClear);
+  ASSERT_EQ(bench.loop->state(), ClientState::kIdle);
+  const ArmVector stands = bench.arm.Latest().position;
+  bench.Tick(kRequestEnable);
+  ASSERT_EQ(bench.loop->state(), ClientState::kEnabled);
+  for (int j = 0; j < kArmJoints; ++j)
+    EXPECT_NEAR(bench.arm.last.position[j], stands[j], 1e-3) << j;
+  bench.Ticks(10);
+  for (int j = 0; j < kArmJoints; ++j)
+    EXPECT_NEAR(bench.arm.last.position[j], stands[j], 1e-3) << j;
+}
+
+TEST(ControlLoopTest, AnEpisodeStartsOnlyWhereTheArmIsSent) {
+  Bench bench;
+  bench.Tick(kRequestEnable);
+  bench.Ticks(5);
+  bench.arm.blocked = true;
+  bench.arm.bias = 0;
+  bench.arm.blocked_at(0, bench.arm.Latest().position[0] + 0.2);
+  bench.Ticks(2);
+  bench.Tick(kRequestStart);
+  EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kApart);
+}
+
+TEST(ControlLoopTest, AnEnableThatIsUnderWayIsCancelledByAPress) {
+  struct SlowArm : FakeArm {
+    using FakeArm::FakeArm;
+    absl::Status Enable(const std::function<bool()>& cancelled) override {
+      during();
+      return cancelled() ? absl::CancelledError("cancelled") : FakeArm::Enable(cancelled);
+    }
+    std::function<void()> during;
+  };
+  for (int kind = 0; kind < 3; ++kind) {
+    ManualClock clock{1'000'000'000};
+    SlowArm arm(&clock);
+    ASSERT_TRUE(arm.Connect().ok());
+    NoCameras cameras;
+    auto loop = *ControlLoop::Create({}, &arm, &clock, &cameras);
+    std::atomic<int> presses{0}, gentle{0};
+    loop->ObeyStops(&presses, &gentle);
+    arm.during = [&] {
+      if (kind == 0) ++presses;
+      if (kind == 1) ++gentle;
+      if (kind == 2) loop->Ask(kRequestHold);
+    };
+    loop->Ask(kRequestEnable);
+    loop->Tick(clock.now_ns());
+    EXPECT_EQ(loop->state(), ClientState::kIdle) << kind;
+    EXPECT_EQ(arm.enables, 0) << kind;
+  }
+}
+
+TEST(ControlLoopTest, ATerminationHoldsHoweverOftenItComes) {
+  Bench bench;
+  std::atomic<int> presses{0}, gentle{0};
+  bench.loop->ObeyStops(&presses, &gentle);
+  bench.Start();
+  bench.Ticks(10);
+  gentle += 2;
+  bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
+  ++gentle;
+  bench.Ticks(10);
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
+  EXPECT_EQ(bench.arm.quick_stops, 0) << "the arm does not sink";
+}
+
+// ------------------------------------------------------------------------- pressing and bounds
+
+// Torques of nothing, and a wall at J1 = `wall`.
+struct WallModel : ArmModel {
+  ArmVector Torque(const ArmVector&, const ArmVector&, const ArmVector&,
+                   double payload_kg) const override {
+    ArmVector torque{};
+    torque[1] = 10 * payload_kg;
+    return torque;
+  }
+  Clearance ClearanceAt(const ArmVector& position) const override {
+    return {wall - position[0], 1, 1};
+  }
+  double wall = 10;
+};
+
+TEST(ControlLoopTest, TorqueBeyondTheModelIsHeldWithinTenthsAndTheCommandGoesBack) {
+  WallModel model;
+  Bench bench({}, &model);
+  bench.policy_speed = 0.9;
+  bench.Start();
+  bench.Ticks(10);
+  bench.arm.blocked = true;
+  bench.arm.effort[1] = 12.9;  // 5 Nm a payload explains, 8 are allowed
+  bench.Ticks(10);
+  EXPECT_EQ(bench.loop->state(), ClientState::kRun);
+  bench.arm.effort[1] = 13.1;
+  int ticks = 1;
+  for (; bench.Tick().state == ClientState::kRun; ++ticks) ASSERT_LT(ticks, 10);
+  EXPECT_EQ(bench.seen.back().cause, StateCause::kPressing);
+  EXPECT_LE(ticks, 3) << "0.1 s";
+  EXPECT_NEAR(bench.seen.back().excess[1], 8.1, 1e-9);
+  bench.Ticks(30);
+  for (int j = 0; j < kArmJoints; ++j)
+    EXPECT_NEAR(bench.arm.last.position[j], bench.seen.back().position[j], 1e-3);
+}
+
+TEST(ControlLoopTest, ABlockedJointIsHeldThoughEachChunkBeginsWhereItStands) {
+  Bench bench;  // no model: an arm without torques
+  bench.policy_speed = 0.6;
+  bench.Start();
+  bench.Ticks(25);
+  bench.arm.blocked = true;
+  int ticks = 0;
+  while (bench.Tick().state == ClientState::kRun && ticks < 100) ++ticks;
+  EXPECT_EQ(bench.seen.back().cause, StateCause::kBlocked);
+  EXPECT_LE(ticks, 40);
+  double worst = 0;
+  for (const TickRecord& r : bench.seen)
+    worst = std::max(worst, std::abs(r.sent[0] - r.position[0]));
+  EXPECT_LT(worst, 0.35) << "the following error alone would not have seen it";
+}
+
+TEST(ControlLoopTest, AFaultLetsGoOnceAndThenSendsNothing) {
+  Bench bench;
+  bench.policy_speed = 0.9;
+  bench.Start();
+  bench.Ticks(15);
+  bench.arm.blocked = true;
+  bench.Ticks(5);
+  ASSERT_GT(std::abs(bench.arm.last.position[0] - bench.arm.Latest().position[0]), 0.05);
+  bench.arm.faults = kFaultStall;
+  const int sends = bench.arm.sends;
+  bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kFault);
+  EXPECT_EQ(bench.arm.sends, sends + 1);
+  EXPECT_EQ(bench.arm.last.position[0], bench.arm.Latest().position[0]);
+  bench.Ticks(10);
+  EXPECT_EQ(bench.arm.sends, sends + 1);
+}
+
+TEST(ControlLoopTest, NoCommandAndNoBrakingCrossesABoundOfTheWorkspace) {
+  WallModel model;
+  model.wall = 0.45;
+  Bench bench({}, &model);
+  bench.policy_speed = 1.4;
+  bench.Start();
+  for (int i = 0; i < 120 && bench.loop->state() == ClientState::kRun; ++i) bench.Tick();
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
+  EXPECT_EQ(bench.seen.back().cause, StateCause::kWorkspace);
+  EXPECT_EQ(bench.loop->crossed(), ArmModel::kTable);
+  double furthest = 0;
+  for (const TickRecord& r : bench.seen) furthest = std::max(furthest, r.sent[0]);
+  EXPECT_LE(furthest, model.wall);
+  EXPECT_GT(furthest, model.wall - 0.1) << "it goes up to it";
+  bench.Ticks(20);
+  bench.policy_speed = -0.6;
+  bench.Tick(kRequestResume);
+  bench.Ticks(60);
+  EXPECT_EQ(bench.loop->state(), ClientState::kRun)
+      << CauseName(bench.loop->cause()) << ": away from it is free";
+  EXPECT_LT(bench.seen.back().sent[0], furthest - 0.2);
+}
+
+TEST(ControlLoopTest, ADelayThatIsConstantIsEstimatedAndHeld) {
+  struct LateArm : FakeArm {
+    using FakeArm::FakeArm;
+    absl::Status Send(const ArmCommand& command) override {
+      late.push_back(command);
+      if (static_cast<int>(late.size()) <= delay_ticks) return absl::OkStatus();
+      const ArmCommand due = late.front();
+      late.erase(late.begin());
+      return FakeArm::Send(due);
+    }
+    std::vector<ArmCommand> late;
+    int delay_ticks = 0;
+  };
+  for (const int delay_ticks : {0, 2, 8}) {
+    ManualClock clock{1'000'000'000};
+    RehearsalArmOptions quick;
+    quick.lag_s = 0.03;
+    LateArm arm(&clock, quick);
+    arm.delay_ticks = delay_ticks;
+    ASSERT_TRUE(arm.Connect().ok());
+    NoCameras cameras;
+    auto loop = *ControlLoop::Create({}, &arm, &clock, &cameras);
+    ArmPath path;
+    for (int i = 0; i < 150; ++i) {
+      path.rows.push_back(quick.start);
+      path.rows.back()[0] += 0.3 * (1 - std::cos(2 * M_PI * 0.4 * i / 30));
+    }
+    const auto tick = [&] {
+      clock.Advance(kPeriod_ns);
+      loop->Tick(clock.now_ns());
+      return loop->last_record();
+    };
+    loop->Ask(kRequestEnable);
+    tick();
+    ASSERT_EQ(loop->state(), ClientState::kEnabled);
+    loop->Play(&path);
+    double delay = 0;
+    for (int i = 0; i < 140; ++i) {
+      const TickRecord r = tick();
+      if (std::isfinite(r.delay_s)) delay = r.delay_s;
+      if (r.state != ClientState::kMove) break;
+    }
+    EXPECT_NEAR(delay, (delay_ticks + 1.5) / 30.0, 1.1 / 30) << delay_ticks;
+    EXPECT_EQ(loop->state(), delay_ticks == 8 ? ClientState::kHold : ClientState::kMove);
+    if (delay_ticks == 8) {
+      EXPECT_EQ(loop->cause(), StateCause::kDelayed);
+    }
+  }
+}
+
+TEST(ControlLoopTest, AWayOfItsOwnArrivesAndEnterStopsItAtOnce) {
+  Bench bench;
+  bench.server_alive = false;  // nobody else is needed
+  bench.camera_alive = false;
+  bench.Tick(kRequestEnable);
+  ArmPath path;
+  const ArmVector from = bench.arm.Latest().position;
+  for (int i = 1; i <= 60; ++i) {
+    path.rows.push_back(from);
+    path.rows.back()[2] += 0.3 * i / 60;
+  }
+  bench.loop->Play(&path);
+  int ticks = 0;
+  while (bench.Tick().state != ClientState::kEnabled || ticks == 0) ASSERT_LT(++ticks, 120);
+  EXPECT_EQ(bench.loop->cause(), StateCause::kArrived);
+  EXPECT_NEAR(bench.arm.Latest().position[2], from[2] + 0.3, 0.03);
+  EXPECT_EQ(bench.seen.back().episode, -1) << "no episode";
+  bench.Ticks(20);
+
+  ArmPath back;
+  for (int i = 1; i <= 60; ++i) {
+    back.rows.push_back(path.rows.back());
+    back.rows.back()[2] -= 0.3 * i / 60;
+  }
+  bench.loop->Play(&back);
+  bench.Ticks(20);
+  ASSERT_EQ(bench.loop->state(), ClientState::kMove);
+  EXPECT_EQ(bench.Tick(kRequestHold).state, ClientState::kEnabled) << "the very tick";
+  bench.Ticks(12);
+  const ArmVector rest = bench.arm.last.position;
+  bench.Ticks(20);
+  EXPECT_EQ(bench.arm.last.position, rest);
+}
+
+TEST(ControlLoopTest, AWayThatBeginsElsewhereIsReachedWithinTheLimits) {
+  Bench bench;
+  bench.Tick(kRequestEnable);
+  ArmPath path;
+  for (int i = 0; i < 30; ++i) {
+    path.rows.push_back(bench.arm.Latest().position);
+    path.rows.back()[0] += 0.5;
+  }
+  bench.loop->Play(&path);
+  bench.Ticks(60);
+  EXPECT_LE(LargestStep(bench.seen, 0), 1.0 / 30 + 1e-9);
+}
+
+TEST(ControlLoopTest, NonsenseFromThePolicyIsNotASilentServer) {
+  for (const bool invalid : {false, true}) {
+    Bench bench;
+    bench.Start();
+    bench.Ticks(15);
+    if (invalid) {
+      bench.policy_offset = std::numeric_limits<double>::quiet_NaN();
+    } else {
+      bench.loop->NoteRecordFailed();
+    }
+    int ticks = 0;
+    while (bench.Tick().state == ClientState::kRun && ticks < 100) ++ticks;
+    EXPECT_LE(ticks, 12) << "the next chunk and a tick";
+    EXPECT_EQ(bench.seen.back().cause,
+              invalid ? StateCause::kPolicyInvalid : StateCause::kRecordFailed);
+  }
 }
 
 TEST(ControlLoopTest, TheObserverCorrectsButThePolicysTargetStaysOnRecord) {

@@ -103,6 +103,101 @@ TEST(WatchdogsTest, ABusThatTakesNothingIsHeldThenAFault) {
   EXPECT_EQ(dogs.Check(Healthy()).fault, StateCause::kNone);
 }
 
+TEST(WatchdogsTest, AStampOfATimeToComeIsNoFreshOne) {
+  Watchdogs dogs = Started();
+  Watchdogs::Inputs in = Healthy();
+  in.oldest_camera_ns = in.now_ns + kSecond / 100;  // a driver's rounding
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kNone);
+  in.oldest_camera_ns = in.now_ns + kSecond;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kCameraStale);
+  EXPECT_TRUE(dogs.Check(in).camera_late);
+  in = Healthy();
+  in.arm.stamp_ns = in.now_ns + kSecond;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kArmSilent);
+  EXPECT_EQ(dogs.Check(in).fault, StateCause::kArmSilent);
+}
+
+TEST(WatchdogsTest, PressingBlockingDelayBoundsRecordAndNonsenseAreHeld) {
+  Watchdogs dogs = Started();
+  Watchdogs::Inputs in = Healthy();
+  in.pressing = true;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kPressing);
+  in = Healthy();
+  in.blocked = true;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kBlocked);
+  in = Healthy();
+  in.guarded = true;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kWorkspace);
+  in = Healthy();
+  in.record_failed = true;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kRecordFailed);
+  in = Healthy();
+  in.policy_invalid = true;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kPolicyInvalid);
+  in = Healthy();
+  in.delay_s = 0.24;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kNone);
+  in.delay_s = 0.26;
+  EXPECT_EQ(dogs.Check(in).hold, StateCause::kDelayed);
+}
+
+// Every option at both ends of its range, a little beyond, and at what is no number.
+TEST(WatchdogsTest, AValueThatGuardsNothingIsRefusedUnlessTheGuardIsGivenUpByName) {
+  constexpr double kInfinite = std::numeric_limits<double>::infinity();
+  const struct {
+    const char* name;
+    double WatchdogOptions::*value;
+    double least, most;
+  } options[] = {{"arm_hold_s", &WatchdogOptions::arm_hold_s, 0.01, 0.2},
+                 {"arm_fault_s", &WatchdogOptions::arm_fault_s, 0.05, 1},
+                 {"camera_mark_s", &WatchdogOptions::camera_mark_s, 0.01, 1},
+                 {"camera_hold_s", &WatchdogOptions::camera_hold_s, 0.05, 2},
+                 {"server_hold_s", &WatchdogOptions::server_hold_s, 0.1, 10},
+                 {"first_chunk_s", &WatchdogOptions::first_chunk_s, 0.1, 120},
+                 {"following_error", &WatchdogOptions::following_error, 0.01, 1},
+                 {"following_s", &WatchdogOptions::following_s, 0.05, 2},
+                 {"delay_hold_s", &WatchdogOptions::delay_hold_s, 0.05, 0.5}};
+  EXPECT_TRUE(CheckWatchdogs({}, {}).ok());
+  for (const auto& [name, value, least, most] : options) {
+    WatchdogOptions o;
+    for (const double good : {least, most}) {
+      o.*value = good;
+      EXPECT_TRUE(CheckWatchdogs(o, {}).ok()) << name << " " << good;
+    }
+    for (const double bad :
+         {0.9 * least, 1.1 * most, -1.0, kInfinite, std::numeric_limits<double>::quiet_NaN()}) {
+      o.*value = bad;
+      const absl::Status status = CheckWatchdogs(o, {});
+      EXPECT_TRUE(absl::IsInvalidArgument(status)) << name << " " << bad;
+      EXPECT_NE(status.message().find(name), absl::string_view::npos) << status;
+      EXPECT_EQ(CheckWatchdogs(o, {name}).ok(), bad > 0) << name << " " << bad;
+    }
+  }
+  WatchdogOptions ticks;
+  ticks.send_hold_ticks = 1'000'000;
+  EXPECT_FALSE(CheckWatchdogs(ticks, {}).ok());
+  EXPECT_FALSE(CheckWatchdogs({}, {"brakes"}).ok()) << "no such guard";
+}
+
+TEST(StateMachineTest, AMotionOfTheClientsOwnEndsWhereItIsStoppedAndIsNotResumed) {
+  const WatchdogVerdict fine;
+  StateMachine machine;
+  machine.Enabled();
+  EXPECT_TRUE(machine.Advance(kRequestMove, fine, 0));
+  EXPECT_EQ(machine.state(), ClientState::kMove);
+  EXPECT_TRUE(machine.Advance(kRequestHold, fine, 0));
+  EXPECT_EQ(machine.state(), ClientState::kEnabled);
+  machine.Advance(kRequestMove, fine, 0);
+  WatchdogVerdict pressing;
+  pressing.hold = StateCause::kPressing;
+  machine.Advance(0, pressing, 0);
+  EXPECT_EQ(machine.state(), ClientState::kHold);
+  EXPECT_FALSE(machine.Advance(kRequestResume, fine, 0)) << "there is no episode to go on with";
+  machine.Advance(kRequestEnd, fine, 0);
+  EXPECT_EQ(machine.state(), ClientState::kEnabled);
+  EXPECT_FALSE(machine.Advance(kRequestMove, pressing, 0));
+}
+
 TEST(StateMachineTest, OnlyRequestsLeaveHoldAndFault) {
   StateMachine machine;
   machine.Enabled();
