@@ -101,6 +101,12 @@ absl::StatusOr<Observation> PolicyLink::Observe(const PredictionRequest& request
     const double age = frame == nullptr
                            ? -1
                            : static_cast<double>(clock_->now_ns() - frame->stamp_ns) / kNsPerSecond;
+    const int64_t now = clock_->now_ns();
+    if (frame != nullptr && FromTheFuture(frame->stamp_ns, now)) {
+      absl::MutexLock lock(&mu_);
+      ++counters_.stale_frames;
+      return FutureStampError(camera->name(), frame->stamp_ns, now);
+    }
     if (frame == nullptr || age > options_.max_frame_age_s) {
       absl::MutexLock lock(&mu_);
       ++counters_.stale_frames;

@@ -198,12 +198,16 @@ absl::Status V4l2Source::TakePicture() {
       frame->stamp_ns = monotonic ? buffer.timestamp.tv_sec * int64_t{1'000'000'000} +
                                         buffer.timestamp.tv_usec * int64_t{1000}
                                   : now;
-      frame->sequence = ++taken_;
       const int64_t stamp = frame->stamp_ns;
       absl::MutexLock lock(&mu_);
-      newest_ = std::move(frame);
-      status_ = absl::OkStatus();
-      stamp_ns_.store(stamp, std::memory_order_release);
+      if (FromTheFuture(stamp, now)) {
+        status_ = FutureStampError(options_.name, stamp, now);
+      } else {
+        frame->sequence = ++taken_;
+        newest_ = std::move(frame);
+        status_ = absl::OkStatus();
+        stamp_ns_.store(stamp, std::memory_order_release);
+      }
     }
   }
   if (system_->Ioctl(fd_, VIDIOC_QBUF, &buffer) < 0) return SystemError("VIDIOC_QBUF");

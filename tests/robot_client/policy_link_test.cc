@@ -221,6 +221,18 @@ TEST(PolicyLinkTest, StalePicturesAreNotShownAndTheArmHolds) {
   EXPECT_EQ(bench.loop->state(), ClientState::kRun);
 }
 
+TEST(PolicyLinkTest, PicturesFromTheFutureAreNotShown) {
+  Bench bench;
+  bench.Start();
+  bench.Ticks(15);
+  bench.camera.Set(CameraFault::kFuture, 0.5);
+  const size_t before = bench.seen.observations.size();
+  bench.Ticks(60);
+  EXPECT_EQ(bench.seen.observations.size(), before);
+  EXPECT_GT(bench.link->counters().stale_frames, 0u);
+  EXPECT_THAT(std::string(bench.link->last_error().message()), HasSubstr("in the future"));
+}
+
 TEST(PolicyLinkTest, RefusesAPolicyThatDoesNotFit) {
   Bench bench;
   PolicyLinkOptions options;

@@ -22,6 +22,7 @@ struct Driver {
   std::mutex mutex;
   bool plugged = true, other_format = false, busy = false;
   int opens = 0, closes = 0, maps = 0, unmaps = 0, streaming = 0;
+  int ahead_s = 0;        // of the stamps: seconds that they are set to, where above 0
   int damaged_every = 0;  // n > 0: every n-th picture is marked as damaged
   int pictures = 0;
   std::vector<std::vector<uint8_t>> buffers{4, std::vector<uint8_t>(16)};
@@ -94,7 +95,7 @@ class FakeV4l2 : public V4l2System {
         buffer->flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
         if (d_->damaged_every > 0 && d_->pictures % d_->damaged_every == 0)
           buffer->flags |= V4L2_BUF_FLAG_ERROR;
-        buffer->timestamp = {3, d_->pictures};
+        buffer->timestamp = {d_->ahead_s > 0 ? d_->ahead_s : 3, d_->pictures};
         std::fill(d_->buffers[buffer->index].begin(), d_->buffers[buffer->index].end(), 128);
         return 0;
       }
@@ -176,6 +177,25 @@ TEST(V4l2SourceTest, ComesBackAfterItWasUnplugged) {
   ASSERT_TRUE(camera.Eventually([&] { return camera.source->newest_stamp_ns() > stamp; }));
   EXPECT_TRUE(camera.source->status().ok());
   EXPECT_EQ(camera.driver.opens, 2);
+}
+
+TEST(V4l2SourceTest, PassesOverStampsFromTheFutureAndSaysSo) {
+  Camera camera;
+  ASSERT_TRUE(camera.source->Start().ok());
+  ASSERT_TRUE(camera.Eventually([&] { return camera.source->Latest() != nullptr; }));
+  {
+    const std::lock_guard lock(camera.driver.mutex);
+    camera.driver.ahead_s = static_cast<int>(camera.clock.now_ns() / 1'000'000'000) + 1000;
+  }
+  ASSERT_TRUE(camera.Eventually([&] { return !camera.source->status().ok(); }));
+  EXPECT_THAT(std::string(camera.source->status().message()), HasSubstr("in the future"));
+  EXPECT_EQ(camera.source->newest_stamp_ns() / 1'000'000'000, 3) << "it grows old";
+  EXPECT_EQ(camera.source->Latest()->stamp_ns / 1'000'000'000, 3);
+  {
+    const std::lock_guard lock(camera.driver.mutex);
+    camera.driver.ahead_s = 0;
+  }
+  ASSERT_TRUE(camera.Eventually([&] { return camera.source->status().ok(); }));
 }
 
 TEST(V4l2SourceTest, PassesOverDamagedPictures) {
