@@ -47,7 +47,7 @@ absl::Status ClientRun::Open() {
     sources.push_back(camera.get());
     cameras_.push_back(std::move(camera));
   }
-  stamps_ = std::make_unique<FrameStamps>(sources);
+  stamps_ = std::make_unique<FrameStamps>(sources, &clock_);
   RS_ASSIGN_OR_RETURN(loop_,
                       ControlLoop::Create(config_.control, arm_.get(), &clock_, stamps_.get()));
   loop_->ObeyStops(OperatorConsole::presses());
@@ -61,6 +61,7 @@ absl::Status ClientRun::Open() {
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
   loop_->AddReader(&recorder_->ring());
   arm_->AddSampleReader(&recorder_->samples());
+  link_->RecordFrames(&recorder_->frames());
   recorder_->OnChange([](const std::string& line) { std::printf("%s\n", line.c_str()); });
   return absl::OkStatus();
 }
