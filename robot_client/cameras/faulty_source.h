@@ -34,6 +34,7 @@ class FaultySource : public FrameSource {
   std::shared_ptr<const Frame> Latest() override;
   int64_t newest_stamp_ns() const override;
   absl::Status status() const override;
+  uint64_t dropped() const override { return source_->dropped(); }
 
  private:
   CameraFault fault() const;  // now

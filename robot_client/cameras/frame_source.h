@@ -49,6 +49,8 @@ class FrameSource {
   virtual int64_t newest_stamp_ns() const = 0;
   // Why nothing comes, where the source knows.
   virtual absl::Status status() const = 0;
+  // Pictures that came damaged and were passed over. Any thread.
+  virtual uint64_t dropped() const { return 0; }
 };
 
 // What the control loop asks of a client's cameras; they outlive it.
