@@ -10,6 +10,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/status_macros.h"
+#include "robot_client/cameras_command.h"
 #include "robot_client/client_run.h"
 
 namespace robostress {
@@ -138,6 +139,7 @@ int ExitCode(const absl::Status& status) {
 }
 
 int Main(int argc, char** argv) {
+  if (argc > 1 && std::string(argv[1]) == "cameras") return CamerasMain(argc - 1, argv + 1);
   CLI::App app("Runs an AgileX Piper at 30 Hz against a policy server and records every tick.",
                "robot_client");
   app.footer(kExamples);

@@ -78,7 +78,7 @@ absl::Status ClientRun::Open() {
     sources.push_back(camera.get());
     cameras_.push_back(std::move(camera));
   }
-  stamps_ = std::make_unique<FrameStamps>(sources);
+  stamps_ = std::make_unique<FrameStamps>(sources, &clock_);
   RS_ASSIGN_OR_RETURN(loop_, ControlLoop::Create(config_.control, arm_.get(), &clock_,
                                                  stamps_.get(), model_.get()));
   loop_->ObeyStops(OperatorConsole::presses(), OperatorConsole::gentle_presses());
@@ -95,6 +95,7 @@ absl::Status ClientRun::Open() {
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
   loop_->AddReader(&recorder_->ring());
   arm_->AddSampleReader(&recorder_->samples());
+  if (link_ != nullptr) link_->RecordFrames(&recorder_->frames());
   loop_->AddReader(&reporter_.ring());
   return absl::OkStatus();
 }

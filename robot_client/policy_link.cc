@@ -93,27 +93,63 @@ void PolicyLink::Note(const absl::Status& error) {
   ++counters_.failed_predictions;
 }
 
+absl::Status PolicyLink::Look(FrameSource& camera, FrameRecord& record, Observation& observation) {
+  const std::shared_ptr<const Frame> frame = camera.Latest();
+  record.observed_ns = clock_->now_ns();
+  if (frame == nullptr) {
+    return absl::UnavailableError(absl::StrCat(
+        "camera '", camera.name(), "' has delivered nothing: ", camera.status().message()));
+  }
+  record.sequence = frame->sequence;
+  record.stamp_ns = frame->stamp_ns;
+  if (FromTheFuture(frame->stamp_ns, record.observed_ns)) {
+    record.use = FrameUse::kFuture;
+    return FutureStampError(camera.name(), frame->stamp_ns, record.observed_ns);
+  }
+  const double age = static_cast<double>(record.observed_ns - frame->stamp_ns) / kNsPerSecond;
+  if (age > options_.max_frame_age_s) {
+    record.use = FrameUse::kStale;
+    return absl::UnavailableError(absl::StrCat(
+        "camera '", camera.name(), "' is ", age,
+        " s behind: ", camera.status().ok() ? "its pictures stopped" : camera.status().message()));
+  }
+  record.use = FrameUse::kShown;
+  observation.views.push_back({camera.name(), frame->image});
+  return absl::OkStatus();
+}
+
+// Every camera is looked at, also after a stale one: the record says how old each was.
 absl::StatusOr<Observation> PolicyLink::Observe(const PredictionRequest& request) {
   Observation observation;
   observation.instruction = options_.instruction;
+  looked_.clear();
+  absl::Status first;
   for (FrameSource* camera : cameras_) {
-    const std::shared_ptr<const Frame> frame = camera->Latest();
-    const double age = frame == nullptr
-                           ? -1
-                           : static_cast<double>(clock_->now_ns() - frame->stamp_ns) / kNsPerSecond;
-    if (frame == nullptr || age > options_.max_frame_age_s || age < -kMostAhead_s) {
-      absl::MutexLock lock(&mu_);
-      ++counters_.stale_frames;
-      return absl::UnavailableError(absl::StrCat(
-          "camera '", camera->name(), "' ",
-          frame == nullptr ? "has delivered nothing" : absl::StrCat("is ", age, " s behind"), ": ",
-          camera->status().ok() ? "its pictures stopped" : camera->status().message()));
-    }
-    observation.views.push_back({camera->name(), frame->image});
+    FrameRecord record{request.id, 0, request.episode, request.chunk};
+    camera->name().copy(record.camera.data(), record.camera.size() - 1);
+    first.Update(Look(*camera, record, observation));
+    looked_.push_back(record);
+  }
+  if (!first.ok()) {
+    absl::MutexLock lock(&mu_);
+    ++counters_.stale_frames;
+    return first;
   }
   observation.proprioception =
       Eigen::Map<const Eigen::Matrix<double, kArmAxes, 1>>(request.position.data()).cast<float>();
   return observation;
+}
+
+void PolicyLink::PushFrames(uint64_t prediction_id) {
+  if (frames_ == nullptr) return;
+  uint64_t lost = 0;
+  for (FrameRecord& record : looked_) {
+    record.prediction_id = prediction_id;
+    lost += frames_->Push(record) ? 0 : 1;
+  }
+  looked_.clear();
+  absl::MutexLock lock(&mu_);
+  counters_.frame_records_lost += lost;
 }
 
 absl::Status PolicyLink::PrepareSession(int episode) {
@@ -223,6 +259,7 @@ bool PolicyLink::Serve() {
         endpoint_.reset();
     }
     deliver_(answer_);
+    PushFrames(status.ok() ? answer_.prediction_id : 0);
   }
   SendFeedback();
   return served;

@@ -16,6 +16,7 @@
 #include "absl/synchronization/mutex.h"
 #include "common/clock.h"
 #include "common/rollout/policy_endpoint.h"
+#include "robot_client/cameras/frame_record.h"
 #include "robot_client/cameras/frame_source.h"
 #include "robot_client/control/control_loop.h"
 #include "robot_client/feedback_assembler.h"
@@ -34,6 +35,7 @@ struct PolicyLinkCounters {
   uint64_t sessions = 0;       // opened; more than one: adaptation began anew
   uint64_t feedback_sent = 0;  // chunks
   uint64_t feedback_of_lost_sessions = 0;
+  uint64_t frame_records_lost = 0;  // the recorder was behind
   double longest_prediction_s = 0;
   uint64_t adapter_version = 0;  // of the last prediction
   FeedbackCounters feedback;
@@ -63,6 +65,10 @@ class PolicyLink {
     deliver_ = std::move(deliver);
   }
 
+  // Before the first round: every picture that a prediction was asked on, or refused for, goes to
+  // `frames`, which outlives the link.
+  void RecordFrames(SpscRing<FrameRecord>* frames) { frames_ = frames; }
+
   // Opens the session and checks that the policy fits this arm and these cameras. Its thread, or
   // before it starts.
   absl::Status Open();
@@ -85,6 +91,8 @@ class PolicyLink {
 
   absl::Status Answer(const PredictionRequest& request, ArmChunk& chunk);
   absl::StatusOr<Observation> Observe(const PredictionRequest& request);
+  absl::Status Look(FrameSource& camera, FrameRecord& record, Observation& observation);
+  void PushFrames(uint64_t prediction_id) ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status PrepareSession(int episode);
   void SendFeedback();
   void Note(const absl::Status& error) ABSL_LOCKS_EXCLUDED(mu_);
@@ -95,6 +103,7 @@ class PolicyLink {
   const std::vector<FrameSource*> cameras_;
   const Connect connect_;
   std::function<void(const ArmChunk&)> deliver_;
+  SpscRing<FrameRecord>* frames_ = nullptr;
   SpscRing<TickRecord> records_{1 << 10};
   std::counting_semaphore<> wake_{0};
 
@@ -107,6 +116,7 @@ class PolicyLink {
   int failures_ = 0;                           // predictions in a row
   uint64_t sequence_ = 0;                      // of the session's feedback
   ArmChunk answer_;
+  std::vector<FrameRecord> looked_;  // at for the prediction under way
 
   mutable absl::Mutex mu_;
   std::map<int, EpisodeKey> keys_ ABSL_GUARDED_BY(mu_);  // by the loop's episode

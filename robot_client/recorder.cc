@@ -22,6 +22,7 @@ namespace {
 
 constexpr char kTicks[] = "/ticks.csv";
 constexpr char kSamples[] = "/samples.csv";
+constexpr char kFrames[] = "/frames.csv";
 constexpr char kUnfinished[] = ".partial";
 constexpr char kEvents[] = "/events.jsonl";
 const char* const kAxes[kArmAxes] = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
@@ -70,6 +71,23 @@ std::string SampleRow(const ArmSnapshot& sample, int64_t origin_ns) {
   return row + "\n";
 }
 
+constexpr char kFrameHeader[] =
+    "t,request,prediction,episode,chunk,camera,use,sequence,stamp,age_ms\n";
+
+// A number that joins with the column of ticks.csv: without the session above it.
+uint64_t PredictionNumber(uint64_t id) { return id & ((uint64_t{1} << 48) - 1); }
+
+std::string FrameRow(const FrameRecord& r, int64_t origin_ns) {
+  std::string row = absl::StrFormat("%.9f,%d,", Seconds(r.observed_ns, origin_ns), r.request);
+  if (r.prediction_id != 0) absl::StrAppend(&row, PredictionNumber(r.prediction_id));
+  absl::StrAppendFormat(&row, ",%d,%d,%s,%s,", r.episode, r.chunk, r.camera.data(),
+                        FrameUseName(r.use));
+  if (r.use == FrameUse::kMissing) return row + ",,\n";
+  absl::StrAppendFormat(&row, "%d,%.9f,%.3f\n", r.sequence, Seconds(r.stamp_ns, origin_ns),
+                        static_cast<double>(r.observed_ns - r.stamp_ns) * 1e-6);
+  return row;
+}
+
 }  // namespace
 
 std::string Recorder::Header() {
@@ -91,9 +109,8 @@ std::string Recorder::Row(const TickRecord& r, int64_t origin_ns) {
       "%.9f,%d,%.9f,%.1f,%.1f,%s,%s,%d,%d,%d,%d,%d,%d,%d,%.9f,%d", Seconds(r.start_ns, origin_ns),
       r.tick, Seconds(r.due_ns, origin_ns), static_cast<double>(r.start_ns - r.due_ns) / 1e3,
       static_cast<double>(r.sent_ns - r.due_ns) / 1e3, StateName(r.state), CauseName(r.cause),
-      r.flags, r.limiter, r.faults, r.episode, r.chunk, r.row,
-      r.prediction_id & ((uint64_t{1} << 48) - 1), measured ? Seconds(r.stamp_ns, origin_ns) : 0,
-      r.sequence);
+      r.flags, r.limiter, r.faults, r.episode, r.chunk, r.row, PredictionNumber(r.prediction_id),
+      measured ? Seconds(r.stamp_ns, origin_ns) : 0, r.sequence);
   AppendVector(r.policy, played, &row);
   AppendVector(r.requested, played, &row);
   AppendVector(r.blended, streams, &row);
@@ -110,7 +127,7 @@ std::string Recorder::Row(const TickRecord& r, int64_t origin_ns) {
 
 absl::StatusOr<std::unique_ptr<Recorder>> Recorder::Create(const std::string& directory) {
   RS_RETURN_IF_ERROR(MakeDirectories(directory));
-  for (const char* name : {kTicks, kSamples}) {
+  for (const char* name : {kTicks, kSamples, kFrames}) {
     const std::string file = directory + name;
     for (const std::string& path : {file, file + kUnfinished}) {
       if (std::filesystem::exists(path))
@@ -124,7 +141,7 @@ absl::StatusOr<std::unique_ptr<Recorder>> Recorder::Create(const std::string& di
 }
 
 Recorder::~Recorder() {
-  for (std::FILE* file : {ticks_, samples_file_}) {
+  for (std::FILE* file : {ticks_, samples_file_, frames_file_}) {
     if (file != nullptr) std::fclose(file);
   }
 }
@@ -162,7 +179,9 @@ absl::Status Recorder::Drain() {
     if (record.state != state_ || record.cause != cause_) RS_RETURN_IF_ERROR(NoteChange(record));
   }
   if (std::fflush(ticks_) != 0) return FileError(directory_ + kTicks);
-  return rows_ > 0 ? DrainSamples() : absl::OkStatus();
+  if (rows_ == 0) return absl::OkStatus();
+  RS_RETURN_IF_ERROR(DrainSamples());
+  return DrainFrames();
 }
 
 absl::Status Recorder::DrainSamples() {
@@ -176,6 +195,20 @@ absl::Status Recorder::DrainSamples() {
   }
   if (samples_file_ != nullptr && std::fflush(samples_file_) != 0)
     return FileError(directory_ + kSamples);
+  return absl::OkStatus();
+}
+
+absl::Status Recorder::DrainFrames() {
+  FrameRecord frame;
+  while (frames_.Pop(frame)) {
+    if (frames_file_ == nullptr) {
+      RS_ASSIGN_OR_RETURN(frames_file_, BeginTable(directory_ + kFrames, kFrameHeader));
+    }
+    if (std::fputs(FrameRow(frame, origin_ns_).c_str(), frames_file_) < 0)
+      return FileError(directory_ + kFrames);
+  }
+  if (frames_file_ != nullptr && std::fflush(frames_file_) != 0)
+    return FileError(directory_ + kFrames);
   return absl::OkStatus();
 }
 
@@ -195,8 +228,11 @@ absl::Status Recorder::Run(const std::atomic<bool>& stop,
 absl::Status Recorder::Finish() {
   RS_RETURN_IF_ERROR(Drain());
   RS_RETURN_IF_ERROR(FinishTable(std::exchange(ticks_, nullptr), directory_ + kTicks));
-  if (samples_file_ == nullptr) return absl::OkStatus();
-  return FinishTable(std::exchange(samples_file_, nullptr), directory_ + kSamples);
+  if (samples_file_ != nullptr) {
+    RS_RETURN_IF_ERROR(FinishTable(std::exchange(samples_file_, nullptr), directory_ + kSamples));
+  }
+  if (frames_file_ == nullptr) return absl::OkStatus();
+  return FinishTable(std::exchange(frames_file_, nullptr), directory_ + kFrames);
 }
 
 }  // namespace robostress

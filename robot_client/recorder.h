@@ -8,6 +8,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "robot_client/cameras/frame_record.h"
 #include "robot_client/control/spsc_ring.h"
 #include "robot_client/control/tick_record.h"
 
@@ -19,6 +20,9 @@ namespace robostress {
 //   samples.csv    a row per complete sample of the arm (200 per second on a Piper), for
 //   calibration:
 //                  joints [rad, rad/s, Nm], gripper [m]; not there where the arm gave none
+//   frames.csv     a row per prediction and camera: which picture the policy was shown (or why none
+//                  was), its sequence, stamp [s] and age [ms]; `prediction` as in ticks.csv. Not
+//                  there where no prediction was asked for
 //   events.jsonl   changes of state with their cause, starts and ends of episodes, what the program
 //                  notes; flushed line by line
 //
@@ -32,6 +36,8 @@ class Recorder {
 
   SpscRing<TickRecord>& ring() { return ring_; }
   SpscRing<ArmSnapshot>& samples() { return samples_; }
+  SpscRing<FrameRecord>& frames() { return frames_; }
+
   // Writes what has come. An error names the file; what was written before it stays.
   absl::Status Drain();
   // Drain every 50 ms until `stop`; after the first error, which it returns and calls `failed`
@@ -51,12 +57,15 @@ class Recorder {
   explicit Recorder(std::string directory) : directory_(std::move(directory)) {}
   absl::Status NoteChange(const TickRecord& record);
   absl::Status DrainSamples();
+  absl::Status DrainFrames();
 
   const std::string directory_;
   SpscRing<TickRecord> ring_{1 << 10};
   SpscRing<ArmSnapshot> samples_{1 << 11};  // 10 s of a Piper's
+  SpscRing<FrameRecord> frames_{1 << 9};
   std::FILE* ticks_ = nullptr;
   std::FILE* samples_file_ = nullptr;
+  std::FILE* frames_file_ = nullptr;
   int64_t origin_ns_ = 0;
   uint64_t rows_ = 0;
   ClientState state_ = ClientState::kIdle;

@@ -36,6 +36,8 @@ int64_t FaultySource::newest_stamp_ns() const {
       break;
     case CameraFault::kDelay:
       return newest == 0 ? 0 : newest - static_cast<int64_t>(amount_.load() * 1e9);
+    case CameraFault::kFuture:
+      return newest == 0 ? 0 : newest + static_cast<int64_t>(amount_.load() * 1e9);
     default:
       break;
   }
@@ -70,6 +72,12 @@ std::shared_ptr<const Frame> FaultySource::Latest() {
       }
       return old;
     }
+    case CameraFault::kFuture: {
+      auto ahead = std::make_shared<Frame>(*frame);
+      ahead->stamp_ns += static_cast<int64_t>(amount_.load() * 1e9);
+      last_ = frame;
+      return ahead;
+    }
     case CameraFault::kCorrupt: {
       auto corrupt = std::make_shared<Frame>(*frame);
       RandomStream noise(StreamKey("camera_noise")
@@ -97,15 +105,18 @@ absl::Status ParseCameraFault(const std::string& text, CameraFault* fault) {
   const std::pair<const char*, CameraFault> names[] = {
       {"none", CameraFault::kNone},       {"drop", CameraFault::kDrop},
       {"freeze", CameraFault::kFreeze},   {"delay", CameraFault::kDelay},
-      {"corrupt", CameraFault::kCorrupt}, {"unplug", CameraFault::kUnplug}};
+      {"corrupt", CameraFault::kCorrupt}, {"unplug", CameraFault::kUnplug},
+      {"future", CameraFault::kFuture}};
   for (const auto& [name, value] : names) {
     if (text == name) {
       *fault = value;
       return absl::OkStatus();
     }
   }
-  return absl::InvalidArgumentError(absl::StrCat(
-      "camera fault '", text, "' is unknown; use none, drop, freeze, delay, corrupt or unplug"));
+  return absl::InvalidArgumentError(
+      absl::StrCat("camera fault '", text,
+                   "' is unknown; use none, drop, freeze, delay, corrupt, unplug or "
+                   "future"));
 }
 
 }  // namespace robostress

@@ -10,7 +10,7 @@
 
 namespace robostress {
 
-enum class CameraFault { kNone, kDrop, kFreeze, kDelay, kCorrupt, kUnplug };
+enum class CameraFault { kNone, kDrop, kFreeze, kDelay, kCorrupt, kUnplug, kFuture };
 
 // A camera with a fault that can be switched while it runs, for rehearsing what the client does:
 //
@@ -19,13 +19,14 @@ enum class CameraFault { kNone, kDrop, kFreeze, kDelay, kCorrupt, kUnplug };
 //   delay    every picture comes later
 //   corrupt  a band of every picture is noise
 //   unplug   nothing comes any more; status() says so
+//   future   every picture is stamped ahead of the clock, as by a source that trusts its driver
 class FaultySource : public FrameSource {
  public:
   FaultySource(std::unique_ptr<FrameSource> source, const Clock* clock, uint64_t seed = 0)
       : source_(std::move(source)), clock_(clock), seed_(seed) {}
 
-  // `amount`: drop, share of pictures 0..1; delay, seconds 0..1; otherwise unused. From `from_ns`
-  // of the clock on. Any thread.
+  // `amount`: drop, share of pictures 0..1; delay and future, seconds 0..1; otherwise unused. From
+  // `from_ns` of the clock on. Any thread.
   void Set(CameraFault fault, double amount = 0, int64_t from_ns = 0);
 
   const std::string& name() const override { return source_->name(); }
@@ -33,6 +34,7 @@ class FaultySource : public FrameSource {
   std::shared_ptr<const Frame> Latest() override;
   int64_t newest_stamp_ns() const override;
   absl::Status status() const override;
+  uint64_t dropped() const override { return source_->dropped(); }
 
  private:
   CameraFault fault() const;  // now

@@ -1,7 +1,6 @@
 #include "robot_client/cameras/mapped_frames.h"
 
 #include <fcntl.h>
-#include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -26,42 +25,48 @@ struct Header {
   int32_t width, height;
 };
 struct Slot {  // the picture follows
-  std::atomic<uint64_t> version;
-  std::atomic<int64_t> stamp_ns;
-  std::atomic<uint64_t> sequence;
+  uint64_t version;
+  int64_t stamp_ns;
+  uint64_t sequence;
 };
-static_assert(std::atomic<uint64_t>::is_always_lock_free);
 
-size_t PictureBytes(int width, int height) {
-  const size_t bytes = size_t{3} * width * height;
-  return (bytes + 7) / 8 * 8;
+size_t SlotBytes(int width, int height) {
+  return sizeof(Slot) + (size_t{3} * width * height + 7) / 8 * 8;
 }
-size_t SlotBytes(int width, int height) { return sizeof(Slot) + PictureBytes(width, height); }
 size_t FileBytes(int width, int height) { return sizeof(Header) + 2 * SlotBytes(width, height); }
-
-char* SlotAt(void* memory, int width, int height, uint64_t sequence) {
-  return static_cast<char*>(memory) + sizeof(Header) + (sequence % 2) * SlotBytes(width, height);
+off_t SlotAt(int width, int height, uint64_t index) {
+  return static_cast<off_t>(sizeof(Header) + (index % 2) * SlotBytes(width, height));
 }
 
-// Pictures travel in words that both processes may touch at once. A word that was stored after the
-// version became odd is seen with that version; on x86 and ARM these are plain moves.
-void StoreWords(const uint8_t* from, size_t bytes, char* to) {
-  auto* words = reinterpret_cast<uint64_t*>(to);
-  for (size_t at = 0; at < bytes; at += sizeof(uint64_t)) {
-    uint64_t word = 0;
-    std::memcpy(&word, from + at, std::min(bytes - at, sizeof(word)));
-    std::atomic_ref<uint64_t>(words[at / sizeof(word)]).store(word, std::memory_order_release);
-  }
+bool Valid(const Header& header) {
+  return std::memcmp(header.magic, kMagic, sizeof(kMagic)) == 0 && header.width >= 1 &&
+         header.height >= 1 && header.width <= kMaxSide && header.height <= kMaxSide;
 }
 
-void LoadWords(const char* from, size_t bytes, uint8_t* to) {
-  // Only read, from memory that may be mapped read-only.
-  auto* words = reinterpret_cast<uint64_t*>(const_cast<char*>(from));
-  for (size_t at = 0; at < bytes; at += sizeof(uint64_t)) {
-    const uint64_t word =
-        std::atomic_ref<uint64_t>(words[at / sizeof(word)]).load(std::memory_order_acquire);
-    std::memcpy(to + at, &word, std::min(bytes - at, sizeof(word)));
+bool ReadAt(int fd, void* to, size_t bytes, off_t at) {
+  auto* out = static_cast<char*>(to);
+  while (bytes > 0) {
+    const ssize_t read = pread(fd, out, bytes, at);
+    if (read < 0 && errno == EINTR) continue;
+    if (read <= 0) return false;  // the end: it was truncated meanwhile
+    out += read;
+    at += read;
+    bytes -= static_cast<size_t>(read);
   }
+  return true;
+}
+
+bool WriteAt(int fd, const void* from, size_t bytes, off_t at) {
+  const auto* in = static_cast<const char*>(from);
+  while (bytes > 0) {
+    const ssize_t written = pwrite(fd, in, bytes, at);
+    if (written < 0 && errno == EINTR) continue;
+    if (written <= 0) return false;
+    in += written;
+    at += written;
+    bytes -= static_cast<size_t>(written);
+  }
+  return true;
 }
 
 absl::Status FileError(const std::string& path, const char* what) {
@@ -77,28 +82,24 @@ absl::StatusOr<std::unique_ptr<MappedFrameWriter>> MappedFrameWriter::Create(
                                                    ", must be 1..", kMaxSide, " a side"));
   }
   const std::string temporary = absl::StrCat(path, ".", getpid());
-  const int fd = open(temporary.c_str(), O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
-  if (fd < 0) return FileError(temporary, "open");
   auto writer = std::unique_ptr<MappedFrameWriter>(new MappedFrameWriter());
-  writer->length_ = FileBytes(width, height);
+  writer->fd_ = open(temporary.c_str(), O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+  if (writer->fd_ < 0) return FileError(temporary, "open");
+  writer->path_ = path;
   writer->width_ = width;
   writer->height_ = height;
-  const bool sized = ftruncate(fd, static_cast<off_t>(writer->length_)) == 0;
-  void* memory = sized ? mmap(nullptr, writer->length_, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0)
-                       : MAP_FAILED;
-  close(fd);
-  if (memory == MAP_FAILED) return FileError(temporary, "mmap");
-  writer->memory_ = memory;
-  auto* header = static_cast<Header*>(memory);
-  header->width = width;
-  header->height = height;
-  std::memcpy(header->magic, kMagic, sizeof(kMagic));
+  writer->slot_.resize(SlotBytes(width, height));
+  Header header{{}, width, height};
+  std::memcpy(header.magic, kMagic, sizeof(kMagic));
+  if (ftruncate(writer->fd_, static_cast<off_t>(FileBytes(width, height))) != 0 ||
+      !WriteAt(writer->fd_, &header, sizeof(header), 0))
+    return FileError(temporary, "write");
   if (rename(temporary.c_str(), path.c_str()) != 0) return FileError(path, "rename");
   return writer;
 }
 
 MappedFrameWriter::~MappedFrameWriter() {
-  if (memory_ != nullptr) munmap(memory_, length_);
+  if (fd_ >= 0) close(fd_);
 }
 
 absl::Status MappedFrameWriter::Write(const Image& image, int64_t stamp_ns) {
@@ -107,117 +108,154 @@ absl::Status MappedFrameWriter::Write(const Image& image, int64_t stamp_ns) {
                                                    image.height, " for a file of ", width_, " x ",
                                                    height_));
   }
-  char* at = SlotAt(memory_, width_, height_, ++sequence_);
-  auto* slot = reinterpret_cast<Slot*>(at);
-  slot->version.fetch_add(1, std::memory_order_relaxed);
-  slot->stamp_ns.store(stamp_ns, std::memory_order_release);
-  slot->sequence.store(sequence_, std::memory_order_release);
-  StoreWords(image.data.data(), image.data.size(), at + sizeof(Slot));
-  slot->version.fetch_add(1, std::memory_order_release);
-  return absl::OkStatus();
+  ++sequence_;
+  const off_t at = SlotAt(width_, height_, sequence_);
+  Header header{{}, width_, height_};
+  std::memcpy(header.magic, kMagic, sizeof(kMagic));
+  const Slot slot{2 * sequence_ - 1, stamp_ns, sequence_};
+  std::memcpy(slot_.data(), &slot, sizeof(slot));
+  std::memcpy(slot_.data() + sizeof(slot), image.data.data(), image.data.size());
+  const uint64_t whole = 2 * sequence_;
+  // The fences keep the kernel's copies in this order on machines that reorder stores.
+  bool written = WriteAt(fd_, &header, sizeof(header), 0) &&
+                 WriteAt(fd_, &slot.version, sizeof(slot.version), at);
+  std::atomic_thread_fence(std::memory_order_seq_cst);
+  written = written && WriteAt(fd_, slot_.data(), slot_.size(), at);
+  std::atomic_thread_fence(std::memory_order_seq_cst);
+  written = written && WriteAt(fd_, &whole, sizeof(whole), at);
+  return written ? absl::OkStatus() : FileError(path_, "write");
 }
 
-struct MappedSource::Mapping {
-  void* memory = nullptr;
-  size_t length = 0;
-  int width = 0, height = 0;
-  ino_t inode = 0;
-  ~Mapping() { munmap(memory, length); }
-  // The slot with the newer whole picture; null before the first.
-  const char* Newest() const {
-    const char* best = nullptr;
-    uint64_t best_sequence = 0;
-    for (const uint64_t i : {0, 1}) {
-      const char* at = SlotAt(memory, width, height, i);
-      const auto* slot = reinterpret_cast<const Slot*>(at);
-      if (slot->version.load(std::memory_order_acquire) % 2 != 0) continue;
-      const uint64_t sequence = slot->sequence.load(std::memory_order_acquire);
-      if (sequence > best_sequence) {
-        best = at;
-        best_sequence = sequence;
-      }
-    }
-    return best;
-  }
+// The newer whole picture of the file, or why there is none.
+struct MappedSource::Found {
+  enum class Fault { kNone, kNoFile, kForeign, kTruncated, kEmpty, kFuture };
+  Fault fault = Fault::kNoFile;
+  off_t bytes = 0;  // of the file
+  Header header{};
+  off_t at = 0;  // of the slot
+  Slot slot{};
 };
+
+MappedSource::Found MappedSource::Find() const {
+  using Fault = Found::Fault;
+  Found found;
+  const int fd = fd_.load(std::memory_order_acquire);
+  struct stat info {};
+  if (fd < 0 || fstat(fd, &info) != 0) return found;
+  found.bytes = info.st_size;
+  found.fault = Fault::kTruncated;
+  if (!ReadAt(fd, &found.header, sizeof(Header), 0)) return found;
+  found.fault = Fault::kForeign;
+  const auto [magic, width, height] = found.header;
+  if (!Valid(found.header)) return found;
+  found.fault = Fault::kTruncated;
+  if (info.st_size < static_cast<off_t>(FileBytes(width, height))) return found;
+  found.fault = Fault::kEmpty;
+  for (const uint64_t i : {0, 1}) {
+    Slot slot{};
+    const off_t at = SlotAt(width, height, i);
+    if (!ReadAt(fd, &slot, sizeof(slot), at) || slot.version % 2 != 0) continue;
+    if (slot.sequence <= found.slot.sequence || slot.stamp_ns <= 0) continue;
+    found.fault = FromTheFuture(slot.stamp_ns, clock_->now_ns()) ? Fault::kFuture : Fault::kNone;
+    found.slot = slot;
+    found.at = at;
+  }
+  return found;
+}
 
 MappedSource::MappedSource(std::string name, std::string path, const Clock* clock)
     : name_(std::move(name)), path_(std::move(path)), clock_(clock) {}
 
-MappedSource::~MappedSource() = default;
+MappedSource::~MappedSource() {
+  if (const int fd = fd_.load(); fd >= 0) close(fd);
+}
 
 absl::Status MappedSource::Open() {
   opened_ns_ = clock_->now_ns();
-  const int fd = open(path_.c_str(), O_RDONLY | O_CLOEXEC);
+  // A pipe without a writer would wait here for ever.
+  const int fd = open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (fd < 0) return FileError(path_, "open; is the emulator running with --views?");
-  struct stat info {};
   Header header{};
-  const bool read =
-      fstat(fd, &info) == 0 && pread(fd, &header, sizeof(header), 0) == sizeof(header);
-  const bool whole = read && std::memcmp(header.magic, kMagic, sizeof(kMagic)) == 0 &&
-                     header.width >= 1 && header.height >= 1 && header.width <= kMaxSide &&
-                     header.height <= kMaxSide &&
-                     info.st_size == static_cast<off_t>(FileBytes(header.width, header.height));
-  const Mapping* current = current_.load(std::memory_order_acquire);
-  if (whole && current != nullptr && current->inode == info.st_ino) {
+  struct stat info {};
+  if (fstat(fd, &info) != 0 || !S_ISREG(info.st_mode) || !ReadAt(fd, &header, sizeof(header), 0) ||
+      !Valid(header) ||
+      info.st_size != static_cast<off_t>(FileBytes(header.width, header.height))) {
     close(fd);
-    return absl::OkStatus();  // the same file, silent
-  }
-  void* memory =
-      whole ? mmap(nullptr, static_cast<size_t>(info.st_size), PROT_READ, MAP_SHARED, fd, 0)
-            : MAP_FAILED;
-  close(fd);
-  if (!whole)
     return absl::DataLossError(absl::StrCat(path_, " does not hold pictures of this version"));
-  if (memory == MAP_FAILED) return FileError(path_, "mmap");
-  auto mapping = std::make_unique<Mapping>();
-  mapping->memory = memory;
-  mapping->length = static_cast<size_t>(info.st_size);
-  mapping->width = header.width;
-  mapping->height = header.height;
-  mapping->inode = info.st_ino;
-  current_.store(mapping.get(), std::memory_order_release);
-  mappings_.push_back(std::move(mapping));
-  return absl::OkStatus();
+  }
+  const int held = fd_.load(std::memory_order_acquire);
+  if (held < 0) {
+    fd_.store(fd, std::memory_order_release);
+    return absl::OkStatus();
+  }
+  const bool taken = dup3(fd, held, O_CLOEXEC) >= 0;
+  close(fd);
+  return taken ? absl::OkStatus() : FileError(path_, "dup3");
 }
 
 absl::Status MappedSource::Start() { return Open(); }
 
 int64_t MappedSource::newest_stamp_ns() const {
-  const Mapping* mapping = current_.load(std::memory_order_acquire);
-  const char* at = mapping == nullptr ? nullptr : mapping->Newest();
-  return at == nullptr
-             ? 0
-             : reinterpret_cast<const Slot*>(at)->stamp_ns.load(std::memory_order_acquire);
+  const Found found = Find();
+  if (found.fault == Found::Fault::kNone) stamp_ns_.store(found.slot.stamp_ns);
+  return stamp_ns_.load();
 }
 
 std::shared_ptr<const Frame> MappedSource::Latest() {
   const int64_t now = clock_->now_ns();
   if (now - newest_stamp_ns() > kReopen_ns && now - opened_ns_ > kReopen_ns) Open().IgnoreError();
-  const Mapping* mapping = current_.load(std::memory_order_acquire);
-  if (mapping == nullptr) return newest_;
   // A writer that laps the copy is rare: two pictures in the time of one memcpy.
   for (int attempt = 0; attempt < 4; ++attempt) {
-    const char* at = mapping->Newest();
-    if (at == nullptr) return newest_;
-    const auto* slot = reinterpret_cast<const Slot*>(at);
-    const uint64_t version = slot->version.load(std::memory_order_acquire);
+    const Found found = Find();
+    if (found.fault != Found::Fault::kNone) return newest_;
+    if (newest_ != nullptr && newest_->sequence == found.slot.sequence &&
+        newest_->stamp_ns == found.slot.stamp_ns)
+      return newest_;
     auto frame = std::make_shared<Frame>();
-    frame->stamp_ns = slot->stamp_ns.load(std::memory_order_acquire);
-    frame->sequence = slot->sequence.load(std::memory_order_acquire);
-    frame->image.width = mapping->width;
-    frame->image.height = mapping->height;
-    frame->image.data.resize(size_t{3} * mapping->width * mapping->height);
-    LoadWords(at + sizeof(Slot), frame->image.data.size(), frame->image.data.data());
-    if (version % 2 == 0 && slot->version.load(std::memory_order_relaxed) == version)
-      return newest_ = std::move(frame);
+    frame->stamp_ns = found.slot.stamp_ns;
+    frame->sequence = found.slot.sequence;
+    frame->image.width = found.header.width;
+    frame->image.height = found.header.height;
+    frame->image.data.resize(size_t{3} * found.header.width * found.header.height);
+    const int fd = fd_.load(std::memory_order_acquire);
+    uint64_t version = 0;
+    std::atomic_thread_fence(std::memory_order_seq_cst);
+    bool read = ReadAt(fd, frame->image.data.data(), frame->image.data.size(),
+                       found.at + static_cast<off_t>(sizeof(Slot)));
+    std::atomic_thread_fence(std::memory_order_seq_cst);
+    read = read && ReadAt(fd, &version, sizeof(version), found.at);
+    if (read && version == found.slot.version) return newest_ = std::move(frame);
   }
   return newest_;
 }
 
 absl::Status MappedSource::status() const {
-  const int64_t stamp = newest_stamp_ns();
-  if (stamp != 0 && clock_->now_ns() - stamp < kReopen_ns) return absl::OkStatus();
+  using Fault = Found::Fault;
+  const Found found = Find();
+  const int64_t now = clock_->now_ns();
+  const std::string camera = absl::StrCat("camera '", name_, "': ", path_);
+  switch (found.fault) {
+    case Fault::kForeign:
+      return absl::DataLossError(
+          absl::StrCat(camera,
+                       " no longer holds pictures of this version; something else wrote "
+                       "over it: start what writes the pictures anew"));
+    case Fault::kTruncated:
+      return absl::DataLossError(absl::StrCat(
+          camera, " is truncated: ", found.bytes, " bytes",
+          Valid(found.header)
+              ? absl::StrCat(" of ", FileBytes(found.header.width, found.header.height))
+              : "",
+          "; start what writes the pictures anew, or see that its disk is not full"));
+    case Fault::kFuture:
+      return FutureStampError(name_, found.slot.stamp_ns, now);
+    case Fault::kNone:
+      if (now - found.slot.stamp_ns < kReopen_ns) return absl::OkStatus();
+      break;
+    case Fault::kNoFile:
+    case Fault::kEmpty:
+      break;
+  }
   return absl::UnavailableError(
       absl::StrCat("camera '", name_, "': nobody writes pictures to ", path_));
 }

@@ -16,6 +16,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/status_macros.h"
+#include "robot_client/cameras/jpeg.h"
 #include "robot_client/cameras/pixel_formats.h"
 
 namespace robostress {
@@ -88,31 +89,45 @@ absl::Status V4l2Source::SetFormat() {
                      ") does not stream pictures; a camera often has several nodes, take the one "
                      "with index 0"));
   }
+  const double enough = 0.9 * options_.rate_hz;
+  absl::StatusOr<double> yuyv = absl::NotFoundError("not asked for"), mjpeg = yuyv;
+  if (options_.format != V4l2Format::kMjpeg) yuyv = TryFormat(V4L2_PIX_FMT_YUYV);
+  if (yuyv.ok() && (options_.format == V4l2Format::kYuyv || *yuyv == 0 || *yuyv >= enough))
+    return absl::OkStatus();
+  if (options_.format != V4l2Format::kYuyv) mjpeg = TryFormat(V4L2_PIX_FMT_MJPEG);
+  if (mjpeg.ok() && (!yuyv.ok() || *mjpeg == 0 || *mjpeg > *yuyv)) return absl::OkStatus();
+  // The faster one of two slow ones; the age of its pictures is watched anyway.
+  if (yuyv.ok()) return TryFormat(V4L2_PIX_FMT_YUYV).status();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "camera '", options_.name, "' (", options_.device, ") gives neither YUYV (",
+      yuyv.status().message(), ") nor MJPEG (", mjpeg.status().message(), ") of ", options_.width,
+      " x ", options_.height, "; `robot_client cameras` lists what it gives: choose NODE@WxH"));
+}
+
+absl::StatusOr<double> V4l2Source::TryFormat(uint32_t pixel_format) {
   v4l2_format format{};
   format.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   format.fmt.pix.width = static_cast<uint32_t>(options_.width);
   format.fmt.pix.height = static_cast<uint32_t>(options_.height);
-  format.fmt.pix.pixelformat = V4L2_PIX_FMT_YUYV;
+  format.fmt.pix.pixelformat = pixel_format;
   format.fmt.pix.field = V4L2_FIELD_NONE;
   if (system_->Ioctl(fd_, VIDIOC_S_FMT, &format) < 0) return SystemError("VIDIOC_S_FMT");
-  if (format.fmt.pix.pixelformat != V4L2_PIX_FMT_YUYV ||
-      format.fmt.pix.width != static_cast<uint32_t>(options_.width) ||
-      format.fmt.pix.height != static_cast<uint32_t>(options_.height)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "camera '", options_.name, "' gives ", format.fmt.pix.width, " x ", format.fmt.pix.height,
-        format.fmt.pix.pixelformat == V4L2_PIX_FMT_YUYV ? " YUYV" : " in another format", ", not ",
-        options_.width, " x ", options_.height,
-        " YUYV; choose one of `v4l2-ctl --list-formats-ext`"));
-  }
-  stride_ = static_cast<int>(format.fmt.pix.bytesperline);
+  const v4l2_pix_format& pix = format.fmt.pix;
+  if (pix.pixelformat != pixel_format) return absl::NotFoundError("another format");
+  if (pix.width != static_cast<uint32_t>(options_.width) ||
+      pix.height != static_cast<uint32_t>(options_.height))
+    return absl::NotFoundError(absl::StrCat("only ", pix.width, " x ", pix.height));
+  mjpeg_ = pixel_format == V4L2_PIX_FMT_MJPEG;
+  stride_ = static_cast<int>(pix.bytesperline);
   if (stride_ == 0) stride_ = 2 * options_.width;
   v4l2_streamparm rate{};
   rate.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
   rate.parm.capture.timeperframe = {1000,
                                     static_cast<uint32_t>(std::lround(options_.rate_hz * 1000))};
-  // Not every camera can choose; the age of its pictures is watched anyway.
-  static_cast<void>(system_->Ioctl(fd_, VIDIOC_S_PARM, &rate));
-  return absl::OkStatus();
+  // Not every camera can choose.
+  if (system_->Ioctl(fd_, VIDIOC_S_PARM, &rate) < 0) return 0.0;
+  const v4l2_fract& period = rate.parm.capture.timeperframe;
+  return period.numerator == 0 ? 0.0 : static_cast<double>(period.denominator) / period.numerator;
 }
 
 absl::Status V4l2Source::MapBuffers() {
@@ -184,30 +199,49 @@ absl::Status V4l2Source::TakePicture() {
   if (buffer.index >= mappings_.size() || buffer.bytesused > mappings_[buffer.index].length)
     return absl::DataLossError(absl::StrCat("camera '", options_.name, "' gave buffer ",
                                             buffer.index, " with ", buffer.bytesused, " bytes"));
-  // A picture that the driver marks as damaged, or that is short, is passed over.
-  if (!(buffer.flags & V4L2_BUF_FLAG_ERROR)) {
-    const Mapping& mapping = mappings_[buffer.index];
-    absl::StatusOr<Image> image =
-        RgbFromYuyv({static_cast<const char*>(mapping.memory), buffer.bytesused}, options_.width,
-                    options_.height, stride_);
-    if (image.ok()) {
-      auto frame = std::make_shared<Frame>();
-      frame->image = *std::move(image);
-      const bool monotonic =
-          (buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK) == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
-      frame->stamp_ns = monotonic ? buffer.timestamp.tv_sec * int64_t{1'000'000'000} +
+  const bool monotonic =
+      (buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK) == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
+  const int64_t stamp = monotonic ? buffer.timestamp.tv_sec * int64_t{1'000'000'000} +
                                         buffer.timestamp.tv_usec * int64_t{1000}
                                   : now;
-      frame->sequence = ++taken_;
-      const int64_t stamp = frame->stamp_ns;
-      absl::MutexLock lock(&mu_);
-      newest_ = std::move(frame);
-      status_ = absl::OkStatus();
-      stamp_ns_.store(stamp, std::memory_order_release);
-    }
-  }
+  TakeOver({static_cast<const char*>(mappings_[buffer.index].memory), buffer.bytesused},
+           (buffer.flags & V4L2_BUF_FLAG_ERROR) != 0, stamp, now);
   if (system_->Ioctl(fd_, VIDIOC_QBUF, &buffer) < 0) return SystemError("VIDIOC_QBUF");
   return absl::OkStatus();
+}
+
+absl::StatusOr<Image> V4l2Source::Decode(std::string_view bytes) const {
+  if (!mjpeg_) return RgbFromYuyv(bytes, options_.width, options_.height, stride_);
+  RS_ASSIGN_OR_RETURN(Image image, RgbFromJpeg(bytes));
+  if (image.width != options_.width || image.height != options_.height) {
+    return absl::DataLossError(absl::StrCat("a JPEG picture is ", image.width, " x ", image.height,
+                                            ", asked for were ", options_.width, " x ",
+                                            options_.height));
+  }
+  return image;
+}
+
+void V4l2Source::TakeOver(std::string_view bytes, bool damaged, int64_t stamp_ns, int64_t now_ns) {
+  absl::StatusOr<Image> image =
+      damaged ? absl::DataLossError("the driver marks pictures as damaged") : Decode(bytes);
+  auto frame = std::make_shared<Frame>();
+  frame->stamp_ns = stamp_ns;
+  absl::Status fault;
+  if (!image.ok()) {
+    const uint64_t dropped = dropped_.fetch_add(1, std::memory_order_relaxed) + 1;
+    fault = absl::DataLossError(
+        absl::StrCat("camera '", options_.name, "': ", dropped,
+                     " damaged pictures, the last: ", image.status().message(), "; see its cable"));
+  } else if (FromTheFuture(stamp_ns, now_ns)) {
+    fault = FutureStampError(options_.name, stamp_ns, now_ns);
+  }
+  absl::MutexLock lock(&mu_);
+  status_ = fault;
+  if (!fault.ok()) return;
+  frame->image = *std::move(image);
+  frame->sequence = ++taken_;
+  newest_ = std::move(frame);
+  stamp_ns_.store(stamp_ns, std::memory_order_release);
 }
 
 void V4l2Source::Run() {

@@ -49,6 +49,7 @@ TEST(ClientProgramTest, RehearsesWholeEpisodesAndLeavesAWholeRecording) {
       "rehearsal", "$client $common --automatic --set episodes=2 --set episode_s=1", &out);
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(Text(out + "/run/ticks.csv"), AllOf(HasSubstr("policy_J1"), HasSubstr(",RUN,")));
+  EXPECT_THAT(Text(out + "/run/frames.csv"), AllOf(HasSubstr("age_ms"), HasSubstr(",shown,")));
   EXPECT_THAT(Text(out + "/run/episodes.jsonl"),
               AllOf(HasSubstr("\"episode\":1"), HasSubstr("\"sessions\":1")));
   EXPECT_THAT(Text(out + "/run/timing.json"), HasSubstr("wake_histogram"));

@@ -229,6 +229,46 @@ TEST(PolicyLinkTest, StalePicturesAreNotShownAndTheArmHolds) {
   EXPECT_EQ(bench.loop->state(), ClientState::kRun);
 }
 
+TEST(PolicyLinkTest, PicturesFromTheFutureAreNotShown) {
+  Bench bench;
+  bench.Start();
+  bench.Ticks(15);
+  bench.camera.Set(CameraFault::kFuture, 0.5);
+  const size_t before = bench.seen.observations.size();
+  bench.Ticks(60);
+  EXPECT_EQ(bench.seen.observations.size(), before);
+  EXPECT_GT(bench.link->counters().stale_frames, 0u);
+  EXPECT_THAT(std::string(bench.link->last_error().message()), HasSubstr("in the future"));
+}
+
+TEST(PolicyLinkTest, RecordsTheAgeOfEveryPictureThatAPredictionSaw) {
+  Bench bench;
+  SpscRing<FrameRecord> frames{100};
+  bench.link->RecordFrames(&frames);
+  bench.Start();
+  bench.Ticks(15);
+  std::vector<FrameRecord> shown;
+  for (FrameRecord record; frames.Pop(record);) shown.push_back(record);
+  ASSERT_EQ(shown.size(), bench.seen.observations.size());
+  for (size_t i = 0; i < shown.size(); ++i) {
+    EXPECT_EQ(shown[i].use, FrameUse::kShown);
+    EXPECT_STREQ(shown[i].camera.data(), "base");
+    EXPECT_EQ(shown[i].sequence, *SequenceIn(bench.seen.observations[i].views[0].image));
+    EXPECT_EQ(shown[i].prediction_id & 0xffff, i + 1);
+    EXPECT_EQ(shown[i].request, i + 1);
+    const int64_t age_ns = shown[i].observed_ns - shown[i].stamp_ns;
+    EXPECT_GE(age_ns, 10'000'000) << "a synthetic picture arrives 10 ms after its exposure";
+    EXPECT_LE(age_ns, 10'000'000 + kPeriod_ns);
+  }
+  bench.camera.Set(CameraFault::kFuture, 0.5);
+  bench.Ticks(5);
+  FrameRecord refused;
+  for (FrameRecord record; frames.Pop(record);) refused = record;
+  EXPECT_EQ(refused.use, FrameUse::kFuture);
+  EXPECT_EQ(refused.prediction_id, 0u);
+  EXPECT_LT(refused.observed_ns, refused.stamp_ns);
+}
+
 TEST(PolicyLinkTest, RefusesAPolicyThatDoesNotFit) {
   Bench bench;
   PolicyLinkOptions options;

@@ -66,6 +66,29 @@ TEST(RecorderTest, WritesARowPerTickUnderAHeaderThatNamesEveryColumn) {
   EXPECT_EQ(column(lines[1], "sent_J1"), "") << "nothing was sent in IDLE";
 }
 
+TEST(RecorderTest, WritesWhichPictureEachPredictionSawAndItsAge) {
+  const std::string directory = Fresh("frames");
+  auto recorder = Recorder::Create(directory);
+  ASSERT_TRUE(recorder.ok()) << recorder.status();
+  (*recorder)->ring().Push(Record(0, ClientState::kRun));  // begins at 1 s
+  FrameRecord frame{7, (uint64_t{2} << 48) | 5, 1, 3};
+  std::string("wrist").copy(frame.camera.data(), 31);
+  frame.use = FrameUse::kShown;
+  frame.sequence = 41;
+  frame.stamp_ns = 1'990'000'000;
+  frame.observed_ns = 2'031'500'000;
+  (*recorder)->frames().Push(frame);
+  frame.prediction_id = 0;
+  frame.use = FrameUse::kMissing;
+  (*recorder)->frames().Push(frame);
+  ASSERT_TRUE((*recorder)->Finish().ok());
+  EXPECT_EQ(*ReadFile(directory + "/frames.csv"),
+            "t,request,prediction,episode,chunk,camera,use,sequence,stamp,age_ms\n"
+            "1.031500000,7,5,1,3,wrist,shown,41,0.990000000,41.500\n"
+            "1.031500000,7,,1,3,wrist,missing,,,\n");
+  EXPECT_FALSE(std::filesystem::exists(directory + "/frames.csv.partial"));
+}
+
 TEST(RecorderTest, SaysWhyTheStateChanged) {
   const std::string directory = Fresh("events");
   auto recorder = Recorder::Create(directory);

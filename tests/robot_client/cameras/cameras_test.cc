@@ -1,5 +1,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <atomic>
 #include <filesystem>
@@ -188,6 +189,105 @@ TEST(MappedFramesTest, AWriterThatStartsAnewIsFoundAgainAndDamageIsRefused) {
   ASSERT_TRUE(WriteFileAtomically(path, "RSFRAME1 and nothing else").ok());
   MappedSource damaged("base", path, &clock);
   EXPECT_EQ(damaged.Start().code(), absl::StatusCode::kDataLoss);
+}
+
+// Any moment is a moment of truncation: a reader that mapped the file would die of SIGBUS here.
+TEST(MappedFramesTest, AFileThatIsTruncatedStopsTheCameraSaysWhyAndComesBack) {
+  const std::string path = ::testing::TempDir() + "/mapped_truncated";
+  ManualClock clock(10'000'000'000);
+  auto writer = MappedFrameWriter::Create(path, 64, 48);
+  ASSERT_TRUE(writer.ok());
+  const auto write = [&](uint8_t colour) {
+    clock.Advance(33 * kMs);
+    const Image image{64, 48, std::vector<uint8_t>(size_t{3} * 64 * 48, colour)};
+    ASSERT_TRUE((*writer)->Write(image, clock.now_ns()).ok());
+  };
+  write(1);
+  MappedSource source("wrist", path, &clock);
+  ASSERT_TRUE(source.Start().ok());
+  write(2);
+  const auto whole = std::filesystem::file_size(path);
+  for (const off_t length : {off_t{0}, off_t{8}, off_t{16}, off_t{30}, off_t{4096},
+                             static_cast<off_t>(whole / 2), static_cast<off_t>(whole) - 1}) {
+    const int64_t stamp = source.newest_stamp_ns();
+    const auto before = source.Latest();
+    ASSERT_EQ(truncate(path.c_str(), length), 0);
+    clock.Advance(600 * kMs);
+    EXPECT_EQ(source.newest_stamp_ns(), stamp) << length << ": it grows old";
+    EXPECT_EQ(source.Latest(), before);
+    EXPECT_THAT(std::string(source.status().message()),
+                HasSubstr("camera 'wrist': " + path + " is truncated: " + std::to_string(length)));
+    write(3);
+    write(4);
+    EXPECT_EQ(std::filesystem::file_size(path), whole);
+    EXPECT_TRUE(source.status().ok()) << source.status();
+    EXPECT_EQ(source.newest_stamp_ns(), clock.now_ns());
+    EXPECT_EQ(source.Latest()->image.data[0], 4);
+  }
+}
+
+TEST(MappedFramesTest, SurvivesAFileThatIsTruncatedWhileItIsRead) {
+  const std::string path = ::testing::TempDir() + "/mapped_shaken";
+  ManualClock clock(1'000'000'000);
+  auto writer = MappedFrameWriter::Create(path, 64, 48);
+  ASSERT_TRUE(writer.ok());
+  MappedSource source("base", path, &clock);
+  ASSERT_TRUE(source.Start().ok());
+  std::atomic<bool> stop{false};
+  std::thread shake([&] {
+    for (int i = 1; !stop; ++i) {
+      const Image image{64, 48, std::vector<uint8_t>(size_t{3} * 64 * 48, static_cast<uint8_t>(i))};
+      ASSERT_TRUE((*writer)->Write(image, i).ok());
+      if (i % 3 == 0) {
+        ASSERT_EQ(truncate(path.c_str(), (i * 997) % 18000), 0);
+      }
+    }
+  });
+  std::thread control([&] {
+    while (!stop) EXPECT_GE(source.newest_stamp_ns(), 0);
+  });
+  uint64_t last = 0;
+  for (int changed = 0; changed < 300;) {
+    const auto frame = source.Latest();
+    if (frame == nullptr || frame->sequence == last) continue;
+    ++changed;
+    last = frame->sequence;
+    ASSERT_EQ(frame->image.data.size(), size_t{3} * 64 * 48);
+  }
+  stop = true;
+  shake.join();
+  control.join();
+}
+
+TEST(MappedFramesTest, AStampFromTheFutureIsStaleNotFreshForEver) {
+  const std::string path = ::testing::TempDir() + "/mapped_future";
+  ManualClock clock(10'000'000'000);
+  auto writer = MappedFrameWriter::Create(path, 8, 8);
+  const Image image{8, 8, std::vector<uint8_t>(192, 5)};
+  ASSERT_TRUE(writer.ok() && (*writer)->Write(image, clock.now_ns()).ok());
+  MappedSource source("base", path, &clock);
+  ASSERT_TRUE(source.Start().ok());
+  const int64_t good = source.newest_stamp_ns();
+  ASSERT_TRUE((*writer)->Write(image, clock.now_ns() + 3'600'000'000'000).ok());
+  clock.Advance(600 * kMs);
+  EXPECT_EQ(source.newest_stamp_ns(), good);
+  EXPECT_EQ(source.Latest(), nullptr) << "only the picture from the future was asked for";
+  EXPECT_THAT(std::string(source.status().message()), HasSubstr("3599.400 s in the future"));
+  ASSERT_TRUE((*writer)->Write(image, clock.now_ns()).ok());
+  EXPECT_EQ(source.newest_stamp_ns(), clock.now_ns());
+  EXPECT_TRUE(source.status().ok());
+}
+
+TEST(FrameStampsTest, ACameraFromTheFutureCountsAsOneThatDeliveredNothing) {
+  Faulty ahead, sound;
+  sound.After(200);
+  ahead.After(200);
+  ahead.source.Set(CameraFault::kFuture, 0.5);
+  EXPECT_GT(ahead.source.newest_stamp_ns(), ahead.clock.now_ns());
+  const FrameStamps stamps({&sound.source, &ahead.source}, &ahead.clock);
+  EXPECT_EQ(stamps.Oldest(), 0);
+  ahead.source.Set(CameraFault::kFuture, 0.01);
+  EXPECT_EQ(stamps.Oldest(), sound.source.newest_stamp_ns()) << "a driver's rounding is none";
 }
 
 TEST(PixelFormatsTest, YuyvBecomesRgbAsBt601Says) {

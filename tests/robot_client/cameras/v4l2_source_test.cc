@@ -12,19 +12,28 @@
 #include <mutex>
 #include <thread>
 
+#include "robot_client/cameras/jpeg.h"
+
 namespace robostress {
 namespace {
 
 using ::testing::HasSubstr;
 
-// A camera behind the system calls: 4 x 2 YUYV, a picture every 2 ms of real time.
+constexpr uint32_t kBufferBytes = 4096;
+
+// A camera behind the system calls: 4 x 2 YUYV or MJPEG, a picture every 2 ms of real time.
 struct Driver {
   std::mutex mutex;
   bool plugged = true, other_format = false, busy = false;
+  bool yuyv = true, mjpeg = true;  // what it gives ...
+  uint32_t yuyv_hz = 30;           // ... and how fast; MJPEG at what is asked for
+  uint32_t format = 0;
+  int corrupt_every = 0;  // n > 0: every n-th JPEG is cut off
   int opens = 0, closes = 0, maps = 0, unmaps = 0, streaming = 0;
+  int ahead_s = 0;        // of the stamps: seconds that they are set to, where above 0
   int damaged_every = 0;  // n > 0: every n-th picture is marked as damaged
   int pictures = 0;
-  std::vector<std::vector<uint8_t>> buffers{4, std::vector<uint8_t>(16)};
+  std::vector<std::vector<uint8_t>> buffers{4, std::vector<uint8_t>(kBufferBytes)};
   std::deque<uint32_t> queued;
 };
 
@@ -47,7 +56,7 @@ class FakeV4l2 : public V4l2System {
   void* Map(int, size_t, off_t offset) override {
     const std::lock_guard lock(d_->mutex);
     ++d_->maps;
-    return d_->buffers[static_cast<size_t>(offset) / 16].data();
+    return d_->buffers[static_cast<size_t>(offset) / kBufferBytes].data();
   }
   int Unmap(void*, size_t) override {
     const std::lock_guard lock(d_->mutex);
@@ -71,16 +80,23 @@ class FakeV4l2 : public V4l2System {
         return 0;
       case VIDIOC_S_FMT: {
         auto& pix = static_cast<v4l2_format*>(argument)->fmt.pix;
-        if (d_->other_format) pix.pixelformat = V4L2_PIX_FMT_MJPEG;
+        if (d_->other_format || (pix.pixelformat == V4L2_PIX_FMT_YUYV && !d_->yuyv) ||
+            (pix.pixelformat == V4L2_PIX_FMT_MJPEG && !d_->mjpeg))
+          pix.pixelformat = V4L2_PIX_FMT_H264;
+        d_->format = pix.pixelformat;
         pix.bytesperline = 8;
         return 0;
       }
+      case VIDIOC_S_PARM:
+        if (d_->format == V4L2_PIX_FMT_YUYV)
+          static_cast<v4l2_streamparm*>(argument)->parm.capture.timeperframe = {1, d_->yuyv_hz};
+        return 0;
       case VIDIOC_REQBUFS:
         static_cast<v4l2_requestbuffers*>(argument)->count = 4;
         return 0;
       case VIDIOC_QUERYBUF:
-        buffer->length = 16;
-        buffer->m.offset = buffer->index * 16;
+        buffer->length = kBufferBytes;
+        buffer->m.offset = buffer->index * kBufferBytes;
         return 0;
       case VIDIOC_QBUF:
         d_->queued.push_back(buffer->index);
@@ -94,8 +110,14 @@ class FakeV4l2 : public V4l2System {
         buffer->flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
         if (d_->damaged_every > 0 && d_->pictures % d_->damaged_every == 0)
           buffer->flags |= V4L2_BUF_FLAG_ERROR;
-        buffer->timestamp = {3, d_->pictures};
+        buffer->timestamp = {d_->ahead_s > 0 ? d_->ahead_s : 3, d_->pictures};
         std::fill(d_->buffers[buffer->index].begin(), d_->buffers[buffer->index].end(), 128);
+        if (d_->format == V4L2_PIX_FMT_MJPEG) {
+          const std::string jpeg = *JpegFromRgb({4, 2, std::vector<uint8_t>(24, 200)});
+          std::memcpy(d_->buffers[buffer->index].data(), jpeg.data(), jpeg.size());
+          const bool cut = d_->corrupt_every > 0 && d_->pictures % d_->corrupt_every == 0;
+          buffer->bytesused = static_cast<uint32_t>(cut ? jpeg.size() / 2 : jpeg.size());
+        }
         return 0;
       }
       case VIDIOC_STREAMON:
@@ -178,6 +200,25 @@ TEST(V4l2SourceTest, ComesBackAfterItWasUnplugged) {
   EXPECT_EQ(camera.driver.opens, 2);
 }
 
+TEST(V4l2SourceTest, PassesOverStampsFromTheFutureAndSaysSo) {
+  Camera camera;
+  ASSERT_TRUE(camera.source->Start().ok());
+  ASSERT_TRUE(camera.Eventually([&] { return camera.source->Latest() != nullptr; }));
+  {
+    const std::lock_guard lock(camera.driver.mutex);
+    camera.driver.ahead_s = static_cast<int>(camera.clock.now_ns() / 1'000'000'000) + 1000;
+  }
+  ASSERT_TRUE(camera.Eventually([&] { return !camera.source->status().ok(); }));
+  EXPECT_THAT(std::string(camera.source->status().message()), HasSubstr("in the future"));
+  EXPECT_EQ(camera.source->newest_stamp_ns() / 1'000'000'000, 3) << "it grows old";
+  EXPECT_EQ(camera.source->Latest()->stamp_ns / 1'000'000'000, 3);
+  {
+    const std::lock_guard lock(camera.driver.mutex);
+    camera.driver.ahead_s = 0;
+  }
+  ASSERT_TRUE(camera.Eventually([&] { return camera.source->status().ok(); }));
+}
+
 TEST(V4l2SourceTest, PassesOverDamagedPictures) {
   Camera camera;
   camera.driver.damaged_every = 2;
@@ -189,10 +230,49 @@ TEST(V4l2SourceTest, PassesOverDamagedPictures) {
   EXPECT_EQ(camera.source->Latest()->stamp_ns / 1000 % 2, 1) << "every second one";
 }
 
+TEST(V4l2SourceTest, TakesMjpegWhereYuyvIsMissingOrSlow) {
+  for (const bool slow : {true, false}) {
+    Camera camera;
+    camera.driver.yuyv = slow;
+    camera.driver.yuyv_hz = 10;
+    ASSERT_TRUE(camera.source->Start().ok());
+    ASSERT_TRUE(camera.Eventually([&] { return camera.source->Latest() != nullptr; }));
+    EXPECT_NEAR(camera.source->Latest()->image.data[0], 200, 3);
+    EXPECT_EQ(camera.source->Latest()->image.data.size(), 24u);
+  }
+  Camera only_yuyv;
+  only_yuyv.driver.mjpeg = false;
+  only_yuyv.driver.yuyv_hz = 10;
+  ASSERT_TRUE(only_yuyv.source->Start().ok()) << "slow is better than none";
+  EXPECT_EQ(only_yuyv.driver.format, V4L2_PIX_FMT_YUYV);
+  Camera both;
+  ASSERT_TRUE(both.source->Start().ok());
+  EXPECT_EQ(both.driver.format, V4L2_PIX_FMT_YUYV) << "needs no decoder";
+}
+
+TEST(V4l2SourceTest, CountsCorruptJpegsAndGoesOn) {
+  Camera camera;
+  camera.driver.yuyv = false;
+  camera.driver.corrupt_every = 3;
+  ASSERT_TRUE(camera.source->Start().ok());
+  ASSERT_TRUE(camera.Eventually([&] {
+    const auto frame = camera.source->Latest();
+    return frame != nullptr && frame->sequence >= 10;
+  }));
+  EXPECT_GE(camera.source->dropped(), 4u);
+  EXPECT_NE(camera.source->Latest()->stamp_ns / 1000 % 3, 0) << "every third one is passed over";
+  {
+    const std::lock_guard lock(camera.driver.mutex);
+    camera.driver.corrupt_every = 1;
+  }
+  ASSERT_TRUE(camera.Eventually([&] { return !camera.source->status().ok(); }));
+  EXPECT_THAT(std::string(camera.source->status().message()), HasSubstr("see its cable"));
+}
+
 TEST(V4l2SourceTest, RefusesWhatItCannotReadAndSaysWhatToDo) {
   Camera format;
   format.driver.other_format = true;
-  EXPECT_THAT(std::string(format.source->Start().message()), HasSubstr("v4l2-ctl"));
+  EXPECT_THAT(std::string(format.source->Start().message()), HasSubstr("`robot_client cameras`"));
   Camera busy;
   busy.driver.busy = true;
   EXPECT_THAT(std::string(busy.source->Start().message()), HasSubstr("another program"));
