@@ -16,7 +16,7 @@ struct Kind {
   const char* name;
   bool has_joint;
 };
-constexpr std::array<Kind, 13> kKinds = {{{FaultKind::kCollision, "collision", true},
+constexpr std::array<Kind, 18> kKinds = {{{FaultKind::kCollision, "collision", true},
                                           {FaultKind::kStall, "stall", true},
                                           {FaultKind::kMotorHot, "motor-hot", true},
                                           {FaultKind::kOverCurrent, "over-current", true},
@@ -28,7 +28,12 @@ constexpr std::array<Kind, 13> kKinds = {{{FaultKind::kCollision, "collision", t
                                           {FaultKind::kJointSilent, "joint-silent", true},
                                           {FaultKind::kSilent, "silent", false},
                                           {FaultKind::kTear, "tear", false},
-                                          {FaultKind::kForeign, "foreign", false}}};
+                                          {FaultKind::kForeign, "foreign", false},
+                                          {FaultKind::kStatusSilent, "status-silent", false},
+                                          {FaultKind::kStatusUnknown, "status-unknown", false},
+                                          {FaultKind::kStandby, "standby", false},
+                                          {FaultKind::kTeach, "teach", false},
+                                          {FaultKind::kLate, "late", false}}};
 
 absl::Status Malformed(const std::string& text, const std::string& why) {
   return absl::InvalidArgumentError(absl::StrCat(
@@ -142,11 +147,32 @@ void FaultSchedule::Apply(double now_s, ArmFirmware& firmware) {
       case FaultKind::kForeign:
         foreign_ = on;
         break;
+      case FaultKind::kStatusSilent:
+        status_silent_ = on;
+        break;
+      case FaultKind::kStatusUnknown:
+        status_unknown_ = on;
+        break;
+      case FaultKind::kStandby:
+        standby_ = on;
+        break;
+      case FaultKind::kTeach:
+        teach_ = on;
+        break;
+      case FaultKind::kLate:
+        late_ = on;
+        break;
     }
   }
 }
 
-bool FaultSchedule::Passes(const CanFrame& frame) {
+bool FaultSchedule::Passes(CanFrame& frame) {
+  if (frame.id == kArmStatus) {
+    if (status_silent_) return false;
+    if (status_unknown_) frame.data[1] = 0x2A;
+    if (standby_) frame.data[0] = static_cast<uint8_t>(ControlMode::kStandby);
+    if (teach_) frame.data[0] = static_cast<uint8_t>(ControlMode::kTeach);
+  }
   if (!tearing_ || frame.id != kJointAngles + 1) return true;
   return ++torn_frames_ % 2 != 0;
 }

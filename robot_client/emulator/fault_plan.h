@@ -24,10 +24,15 @@ enum class FaultKind {
   kSilent,         // no frames at all: unplugged, or turned into a leader
   kTear,           // every second frame with J3 and J4 is lost
   kForeign,        // another sender's 0x155 frames on the bus
+  kStatusSilent,   // the arm's status, 0x2A1, stops; everything else goes on
+  kStatusUnknown,  // the status carries a code that no list has
+  kStandby,        // the status says that the arm takes no commands
+  kTeach,          // ... that it is being taught
+  kLate,           // every frame of the arm comes 0.2 s late
 };
 
 // At `at_s` of the arm's time; `joint` 0 .. 5 where the kind has one; over after `for_s` where it
-// can end by itself (silence, tearing, foreign frames), 0: never.
+// can end by itself (silence, tearing, foreign frames, status, lateness), 0: never.
 struct PlannedFault {
   FaultKind kind = FaultKind::kCollision;
   double at_s = 0;
@@ -45,15 +50,17 @@ class FaultSchedule {
   explicit FaultSchedule(std::vector<PlannedFault> faults = {}) : faults_(std::move(faults)) {}
   // At the arm's time `now_s`, once per step.
   void Apply(double now_s, ArmFirmware& firmware);
-  // False for a frame that is lost on its way.
-  bool Passes(const CanFrame& frame);
+  // False for a frame that is lost on its way; may change it.
+  bool Passes(CanFrame& frame);
+  double late_s() const { return late_ ? 0.2 : 0; }  // of every frame
   // Whether another sender is active; it commands J1 and J2 to zero at 40 Hz.
   bool foreign_sender() const { return foreign_; }
 
  private:
   std::vector<PlannedFault> faults_;
   std::vector<bool> raised_, ended_;
-  bool tearing_ = false, foreign_ = false;
+  bool tearing_ = false, foreign_ = false, late_ = false;
+  bool status_silent_ = false, status_unknown_ = false, standby_ = false, teach_ = false;
   uint64_t torn_frames_ = 0;
 };
 

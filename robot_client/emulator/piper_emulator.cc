@@ -1,6 +1,7 @@
 #include "robot_client/emulator/piper_emulator.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "common/status_macros.h"
 
@@ -63,8 +64,13 @@ void PiperEmulator::SendReports() {
   firmware_->TakeReports(plant_->reading(), reports_);
   if (faults_.foreign_sender() && steps_ % kForeignSteps == 0)
     reports_.push_back(EncodeJointTargets({0, 0, 0}));
-  for (const CanFrame& frame : reports_) {
-    if (!faults_.Passes(frame)) continue;
+  const auto late = static_cast<uint64_t>(std::lround(faults_.late_s() / PiperPlant::kStep_s));
+  for (CanFrame& frame : reports_) {
+    if (faults_.Passes(frame)) on_the_way_.emplace_back(steps_ + late, frame);
+  }
+  while (!on_the_way_.empty() && on_the_way_.front().first <= steps_) {
+    const CanFrame frame = on_the_way_.front().second;
+    on_the_way_.pop_front();
     if (bus_->Send(frame).ok()) {
       ++frames_sent_;
     } else {

@@ -2,9 +2,11 @@
 
 #include <array>
 #include <cstdint>
+#include <deque>
 #include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -63,6 +65,7 @@ class PiperEmulator {
   std::unique_ptr<ArmFirmware> firmware_;
   FaultSchedule faults_;
   bool parked_ = true;  // on its rest until a joint is enabled for the first time
+  std::deque<std::pair<uint64_t, CanFrame>> on_the_way_;  // the step at which each is sent
   std::vector<CanFrame> reports_;
   int64_t next_step_ns_ = 0;
   uint64_t steps_ = 0, skipped_steps_ = 0, frames_sent_ = 0, send_failures_ = 0;

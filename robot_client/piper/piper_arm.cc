@@ -191,8 +191,8 @@ absl::Status PiperArm::SetCollisionLevel(int level) {
   return absl::OkStatus();
 }
 
-absl::Status PiperArm::SendTargets(const JointVector& q) {
-  const ModeControl mode{ControlMode::kCan, MoveMode::kJ, options_.speed_percent, options_.follow};
+absl::Status PiperArm::SendTargets(const JointVector& q, int speed_percent) {
+  const ModeControl mode{ControlMode::kCan, MoveMode::kJ, speed_percent, options_.follow};
   RS_RETURN_IF_ERROR(SendAllowed(Encode(mode), Consent::kMotion));
   for (int pair = 0; pair < kJoints / 2; ++pair) {
     RS_RETURN_IF_ERROR(
@@ -205,11 +205,15 @@ absl::Status PiperArm::HoldMeasuredPose() {
   JointVector q;
   for (int j = 0; j < kJoints; ++j)
     q[j] = std::clamp(published_.position[j], limits_.lower[j], limits_.upper[j]);
-  return SendTargets(q);
+  return SendTargets(q, std::min(options_.enable_percent, options_.speed_percent));
 }
 
 // A pose may be commanded only while it is where the arm is.
 absl::Status PiperArm::CheckStands(double still) {
+  if (state_.foreign_commands() > 0)
+    return absl::FailedPreconditionError(Named(absl::StrFormat(
+        "another sender commands this arm (last 0x%03X); stop it, then type clear and enable",
+        state_.last_foreign_id())));
   const int64_t age_ns = clock_.now_ns() - published_.stamp_ns;
   if (age_ns > options_.fresh_ns)
     return absl::UnavailableError(Named(absl::StrCat(
@@ -222,10 +226,6 @@ absl::Status PiperArm::CheckStands(double still) {
           "joint %d moves at %.2f rad/s; wait until the arm stands, then type enable", j + 1,
           published_.velocity[j])));
   }
-  if (state_.foreign_commands() > 0)
-    return absl::FailedPreconditionError(Named(absl::StrFormat(
-        "another sender commands this arm (last 0x%03X); stop it, then type clear and enable",
-        state_.last_foreign_id())));
   return absl::OkStatus();
 }
 
@@ -259,7 +259,8 @@ absl::Status PiperArm::Enable(const std::function<bool()>& cancelled) {
       RS_RETURN_IF_ERROR(SendAllowed(Encode(MotorPower{j + 1, true}), Consent::kMotion));
     if (WaitFor(100 * kPollInterval_ns, stop)) return told;
   }
-  WaitFor(options_.reply_ns, [&] { return stop() || CheckStands(options_.still).ok(); });
+  WaitFor(end_ns - clock_.now_ns(), [&] { return stop() || CheckStands(options_.still).ok(); });
+  if (stop()) return told;
   RS_RETURN_IF_ERROR(CheckStands(options_.still));
   RS_RETURN_IF_ERROR(HoldMeasuredPose());
   const auto in_mode = [&] { return state_.status()->control == ControlMode::kCan; };
@@ -298,7 +299,7 @@ absl::Status PiperArm::Send(const ArmCommand& command) {
   }
   JointVector q;
   std::copy_n(command.position.begin(), kJoints, q.begin());
-  RS_RETURN_IF_ERROR(SendTargets(q));
+  RS_RETURN_IF_ERROR(SendTargets(q, options_.speed_percent));
   GripperTarget gripper;
   gripper.opening = command.position[kJoints];
   gripper.effort = command.gripper_effort;

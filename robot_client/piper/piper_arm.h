@@ -20,6 +20,8 @@ struct PiperArmOptions {
   // Of the joints' maximal speed, in every 0x151: the arm's own bound on how fast it goes to a
   // target, which holds whatever the target is. PercentOf a limit.
   int speed_percent = 100;
+  // The same while it is enabled: an arm that lies beyond its limits is led back slowly.
+  int enable_percent = 5;
   Follow follow = Follow::kPlanned;  // kDirect is faster and weaker; see robot_client/README.md
   double limit_margin = 0.005;       // [rad] between limits() and what the arm allows
   Firmware oldest_firmware = kOldestFirmware;
@@ -89,7 +91,7 @@ class PiperArm : public RobotArm {
   absl::Status AskLimits();
   absl::Status CheckStands(double still);  // [rad/s]
   absl::Status SendAllowed(const CanFrame& frame, Consent consent);
-  absl::Status SendTargets(const JointVector& q);
+  absl::Status SendTargets(const JointVector& q, int speed_percent);
   absl::Status HoldMeasuredPose();
   // Polls until `done` or for `duration_ns`; what `done` said last.
   template <class Done>

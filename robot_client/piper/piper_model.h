@@ -7,8 +7,7 @@ namespace robostress::piper {
 
 // A Piper with its gripper, standing upright. Masses are those of link_inertia.h; a recursive
 // Newton-Euler scheme in the base frame (Craig, Introduction to Robotics, sec. 6.5). The arm's
-// shape for distances is a capsule per link: one that covers the part up to a few millimetres at
-// its edges.
+// shape for distances is a capsule per link: one that covers the part up to 8 mm at its edges.
 class PiperModel : public ArmModel {
  public:
   PiperModel(Zero zero, const WorkspaceOptions& workspace);

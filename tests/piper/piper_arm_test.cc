@@ -199,9 +199,151 @@ TEST(PiperArm, QuickStopSinksAndOnlyDisableAndEnableBringTheArmBack) {
   EXPECT_EQ(world.arm->Enable().code(), absl::StatusCode::kFailedPrecondition);
   ASSERT_TRUE(world.arm->Disable().ok());
   EXPECT_FALSE(world.arm->Latest().enabled);
+  EXPECT_THAT(Said(world.arm->Enable()), HasSubstr("moves at")) << "it falls";
+  world.Run(3);
   ASSERT_TRUE(Enabled(world));
   EXPECT_TRUE(world.arm->Latest().enabled);
   EXPECT_EQ(world.arm->Latest().faults, 0u);
+}
+
+// Frames that command or configure an arm, of everybody on the bus since the last call.
+int Commands(EmulatedArm& world) {
+  int commands = 0;
+  for (StampedFrame received; world.third->Receive(received);)
+    commands += IsCommand(received.frame) ? 1 : 0;
+  return commands;
+}
+
+TEST(PiperArm, IsNotEnabledOnAnOldPoseAndHearsNothingOfIt) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  world.emulator->firmware().SetSilent(true);
+  world.Run(0.1);
+  Commands(world);
+  const absl::Status refused = world.arm->Enable();
+  EXPECT_TRUE(absl::IsUnavailable(refused)) << refused;
+  EXPECT_THAT(Said(refused), HasSubstr("the newest joint sample is 1"));
+  EXPECT_EQ(Commands(world), 0);
+}
+
+TEST(PiperArm, ASecondClientSendsNotOneTarget) {
+  EmulatedArm world;
+  PiperArm second(world.bus.Attach(), world.time);
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(second.Connect().ok());
+  ASSERT_TRUE(Enabled(world));
+  ASSERT_TRUE(world.Stream(Command(kPose), 0.2).ok());
+  Commands(world);
+  const absl::Status refused = second.Enable();
+  EXPECT_TRUE(absl::IsFailedPrecondition(refused)) << refused;
+  EXPECT_THAT(Said(refused), HasSubstr("another sender commands this arm"));
+  EXPECT_EQ(Commands(world), 0);
+}
+
+TEST(PiperArm, ASenderThatBeginsWhileEnableListensIsHeard) {
+  EmulatorOptions options;
+  options.faults = {ParseFault("foreign@0.6+0.3").value()};
+  EmulatedArm world(options);
+  ASSERT_TRUE(world.arm->Connect().ok());  // 0.5 s
+  Commands(world);
+  const int64_t began = world.time.now_ns();
+  const absl::Status refused = world.arm->Enable();
+  EXPECT_THAT(Said(refused), HasSubstr("another sender")) << refused;
+  EXPECT_LT(world.time.now_ns() - began, 160'000'000);
+  int own = 0;
+  for (StampedFrame received; world.third->Receive(received);)
+    own += received.frame.id == kModeControl || received.frame.id == kMotorPower ? 1 : 0;
+  EXPECT_EQ(own, 0);
+}
+
+TEST(PiperArm, ASenderThatIsGoneForASecondIsForgottenWhenAPersonHasSeenIt) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(world.third->Send(EncodeJointTargets({0, 0, 0})).ok());
+  world.Run(0.9);
+  EXPECT_EQ(world.arm->Latest().faults, kFaultForeignCommand);
+  world.arm->Acknowledge();
+  world.Run(0.05);
+  EXPECT_EQ(world.arm->Latest().faults, kFaultForeignCommand) << "not for long enough";
+  world.Run(0.1);
+  EXPECT_EQ(world.arm->Latest().faults, kFaultForeignCommand) << "nobody has seen it";
+  world.arm->Acknowledge();
+  world.Run(0.05);
+  EXPECT_EQ(world.arm->Latest().faults, 0u);
+  EXPECT_TRUE(Enabled(world));
+}
+
+TEST(PiperArm, AStatusThatStopsIsUnknownOrOfAnotherModeIsAFault) {
+  const std::pair<const char*, uint32_t> cases[] = {{"status-silent", kFaultStatus},
+                                                    {"status-unknown", kFaultStatus},
+                                                    {"standby", kFaultMode},
+                                                    {"teach", kFaultMode}};
+  for (const auto& [kind, fault] : cases) {
+    EmulatorOptions options;
+    options.faults = {ParseFault(std::string(kind) + "@3+0.6").value()};
+    EmulatedArm world(options);
+    ASSERT_TRUE(world.arm->Connect().ok());
+    ASSERT_TRUE(Enabled(world));
+    world.Run(2.95 - 1e-9 * static_cast<double>(world.time.now_ns()));
+    EXPECT_EQ(world.arm->Latest().faults, 0u) << kind;
+    world.Run(0.35);
+    EXPECT_EQ(world.arm->Latest().faults, fault) << kind;
+    world.Run(0.5);
+    EXPECT_EQ(world.arm->Latest().faults, 0u) << kind << ": the arm itself is well again";
+  }
+}
+
+TEST(PiperArm, NamesTheJointWhoseDriverHasAFault) {
+  EmulatorOptions options;
+  options.faults = {ParseFault("driver-error:J4@3").value()};
+  EmulatedArm world(options);
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(Enabled(world));
+  world.Run(3.1 - 1e-9 * static_cast<double>(world.time.now_ns()));
+  const ArmSnapshot arm = world.arm->Latest();
+  EXPECT_THAT(ArmFaultNames(arm.faults, arm.fault_joints), HasSubstr("driver or sensor error"));
+  EXPECT_THAT(ArmFaultNames(arm.faults, arm.fault_joints), HasSubstr("(J4)"));
+}
+
+TEST(PiperArm, ReadsAndWritesTheArmsOwnCollisionProtection) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  EXPECT_FALSE(world.arm->collision_levels().has_value()) << "not asked";
+  ASSERT_TRUE(world.arm->AskCollisionLevels().ok());
+  EXPECT_EQ(world.arm->collision_levels(), (std::array<int, kJoints>{})) << "off, as delivered";
+  ASSERT_TRUE(world.arm->SetCollisionLevel(5).ok());
+  EXPECT_EQ(world.arm->collision_levels(), (std::array<int, kJoints>{5, 5, 5, 5, 5, 5}));
+  EXPECT_TRUE(absl::IsInvalidArgument(world.arm->SetCollisionLevel(9)));
+  const CanFrame write = EncodeCollisionWrite({5, 5, 5, 5, 5, 5});
+  for (const Consent consent : {Consent::kMotion, Consent::kPowerOff})
+    EXPECT_FALSE(CheckMaySend(write, consent).ok()) << "only on a person's word";
+  EXPECT_FALSE(CheckMaySend(EncodeCollisionWrite({9, 0, 0, 0, 0, 0}), Consent::kSettings).ok());
+}
+
+TEST(PiperArm, TheArmsOwnSpeedFollowsTheLimitThatIsConfigured) {
+  EXPECT_EQ(PercentOf(3), 100);
+  EXPECT_EQ(PercentOf(1), 37);
+  EXPECT_EQ(PercentOf(0.2), 8);
+  EXPECT_EQ(PercentOf(1e-6), 1);
+  EmulatedArm world({}, {.speed_percent = PercentOf(0.2)});
+  ASSERT_TRUE(world.arm->Connect().ok());
+  ASSERT_TRUE(Enabled(world));
+  const double before = world.arm->Latest().position[0];
+  ASSERT_TRUE(world.Stream(Command({before + 1, 0.9, -0.7, 0.2, 0.3, -0.5}), 1).ok());
+  EXPECT_LT(world.arm->Latest().position[0] - before, 0.25) << "whatever is sent";
+  EXPECT_GT(world.arm->Latest().position[0] - before, 0.15);
+}
+
+TEST(PiperArm, AnEnableThatIsCancelledEndsAtOnce) {
+  EmulatedArm world;
+  ASSERT_TRUE(world.arm->Connect().ok());
+  for (const int64_t after_ns : {50'000'000LL, 250'000'000LL}) {
+    const int64_t began = world.time.now_ns();
+    const absl::Status cancelled =
+        world.arm->Enable([&] { return world.time.now_ns() - began >= after_ns; });
+    EXPECT_TRUE(absl::IsCancelled(cancelled)) << cancelled;
+    EXPECT_LE(world.time.now_ns() - began, after_ns + 2'000'000);
+  }
 }
 
 TEST(PiperArm, SendsOnlyFramesOfTheAllowedList) {

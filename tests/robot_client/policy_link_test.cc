@@ -6,8 +6,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <cmath>
-
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/synthetic_source.h"
 #include "tests/robot_client/fake_arm.h"
@@ -81,10 +79,14 @@ struct Bench {
   std::unique_ptr<ControlLoop> loop;
   std::unique_ptr<PolicyLink> link;
 
-  Bench() {
+  NoCameras nothing;
+
+  // `watched`: the loop looks at the camera's stamps too, and holds the arm first.
+  explicit Bench(bool watched = true) {
     EXPECT_TRUE(arm.Connect().ok());
     EXPECT_TRUE(camera.Start().ok());
-    auto made = ControlLoop::Create({}, &arm, &clock, &stamps);
+    auto made = ControlLoop::Create({}, &arm, &clock,
+                                    watched ? static_cast<CameraStamps*>(&stamps) : &nothing);
     EXPECT_TRUE(made.ok()) << made.status();
     loop = *std::move(made);
     PolicyLinkOptions options;
@@ -230,7 +232,7 @@ TEST(PolicyLinkTest, StalePicturesAreNotShownAndTheArmHolds) {
 }
 
 TEST(PolicyLinkTest, PicturesFromTheFutureAreNotShown) {
-  Bench bench;
+  Bench bench(false);
   bench.Start();
   bench.Ticks(15);
   bench.camera.Set(CameraFault::kFuture, 0.5);
@@ -242,7 +244,7 @@ TEST(PolicyLinkTest, PicturesFromTheFutureAreNotShown) {
 }
 
 TEST(PolicyLinkTest, RecordsTheAgeOfEveryPictureThatAPredictionSaw) {
-  Bench bench;
+  Bench bench(false);
   SpscRing<FrameRecord> frames{100};
   bench.link->RecordFrames(&frames);
   bench.Start();

@@ -27,6 +27,7 @@ absl::StatusOr<std::unique_ptr<StudyBench>> StudyBench::Create(const StudyBenchO
   // Nobody else is on this bus, and the study's committed figures were made without these waits.
   PiperArmOptions arm;
   arm.enable_listen_ns = 0;
+  arm.enable_percent = 100;
   arm.still = std::numeric_limits<double>::infinity();
   bench->arm_ = std::make_unique<PiperArm>(bench->bus_.Attach(), bench->time_, arm);
   RS_RETURN_IF_ERROR(bench->arm_->Connect());

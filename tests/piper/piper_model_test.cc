@@ -1,0 +1,170 @@
+#include "robot_client/piper/piper_model.h"
+
+#include <gtest/gtest.h>
+#include <mujoco/mujoco.h>
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+#include "robot_client/arm_path.h"
+#include "robot_client/emulator/piper_mjcf.h"
+#include "robot_client/emulator/piper_plant.h"
+
+namespace robostress::piper {
+namespace {
+
+ArmVector Random(std::mt19937& random, double scale = 1) {
+  ArmVector v{};
+  for (int j = 0; j < kJoints; ++j) {
+    const double middle = 0.5 * (kJointRanges[j].lower + kJointRanges[j].upper);
+    const double half = 0.5 * scale * (kJointRanges[j].upper - kJointRanges[j].lower);
+    v[j] = std::uniform_real_distribution<double>(middle - half, middle + half)(random);
+  }
+  v[kJoints] = std::uniform_real_distribution<double>(0, 0.07)(random);
+  return v;
+}
+
+// MuJoCo's inverse dynamics of our MJCF, without contacts, limits and the fingers' coupling.
+TEST(PiperModel, GivesTheTorquesOfMuJoCosInverseDynamics) {
+  for (const double payload : {0.0, 0.5}) {
+    PiperScene scene;
+    scene.payload_kg = payload;
+    auto plant = *PiperPlant::Create(ComposePiperScene(scene), {});
+    mjModel* model = const_cast<mjModel*>(&plant->model());
+    model->opt.disableflags |= mjDSBL_CONSTRAINT;
+    mjData* data = &plant->data();
+    const PiperModel ours(Zero::kSince_1_6_3, {});
+    std::mt19937 random(11);
+    std::normal_distribution<double> rate(0, 2);
+    double worst = 0, largest = 0;
+    for (int i = 0; i < 500; ++i) {
+      const ArmVector q = Random(random);
+      ArmVector dq{}, ddq{};
+      mj_resetData(model, data);
+      for (int j = 0; j < kJoints; ++j) {
+        dq[j] = rate(random);
+        ddq[j] = rate(random);
+        const int joint =
+            mj_name2id(model, mjOBJ_JOINT, ("piper_joint" + std::to_string(j + 1)).c_str());
+        data->qpos[model->jnt_qposadr[joint]] = q[j];
+        data->qvel[model->jnt_dofadr[joint]] = dq[j];
+        data->qacc[model->jnt_dofadr[joint]] = ddq[j];
+      }
+      for (const char* finger : {"piper_finger1", "piper_finger2"})
+        data->qpos[model->jnt_qposadr[mj_name2id(model, mjOBJ_JOINT, finger)]] = 0.5 * q[kJoints];
+      mj_inverse(model, data);
+      const ArmVector torque = ours.Torque(q, dq, ddq, payload);
+      for (int j = 0; j < kJoints; ++j) {
+        const int joint =
+            mj_name2id(model, mjOBJ_JOINT, ("piper_joint" + std::to_string(j + 1)).c_str());
+        const double expected = data->qfrc_inverse[model->jnt_dofadr[joint]];
+        worst = std::max(worst, std::abs(torque[j] - expected));
+        largest = std::max(largest, std::abs(expected));
+      }
+    }
+    // The payload is a point here and a ball of 3 cm there: 2/5 m r^2 = 2e-4 kg m^2.
+    EXPECT_LT(worst, payload > 0 ? 0.01 : 1e-6);
+    EXPECT_GT(largest, 10);
+  }
+}
+
+TEST(PiperModel, DistancesAreThoseOfThePartsItCovers) {
+  WorkspaceOptions workspace;
+  const PiperModel model(Zero::kSince_1_6_3, workspace);
+  auto plant = *PiperPlant::Create(ComposePiperScene({}), {});
+  std::mt19937 random(3);
+  const mjModel& m = plant->model();
+  for (int i = 0; i < 300; ++i) {
+    const ArmVector q = Random(random);
+    JointVector joints;
+    std::copy_n(q.begin(), kJoints, joints.begin());
+    plant->Reset(joints, q[kJoints]);
+    // The lowest point of the gripper's and the pads' boxes, corner by corner.
+    double lowest = 10;
+    for (int g = 0; g < m.ngeom; ++g) {
+      if (m.geom_type[g] != mjGEOM_BOX) continue;
+      for (int corner = 0; corner < 8; ++corner) {
+        double z = plant->data().geom_xpos[3 * g + 2];
+        for (int k = 0; k < 3; ++k)
+          z += plant->data().geom_xmat[9 * g + 6 + k] * m.geom_size[3 * g + k] *
+               ((corner >> k & 1) != 0 ? 1 : -1);
+        lowest = std::min(lowest, z);
+      }
+    }
+    EXPECT_LT(model.ClearanceAt(q)[ArmModel::kTable], lowest + 0.008) << "some millimetres";
+  }
+}
+
+TEST(PiperModel, KnowsTableBoxAndItself) {
+  const PiperModel model(Zero::kSince_1_6_3, {});
+  const ArmVector rest{}, raised{0, 1.2, -1.0, 0, 0.5, 0, 0.05}, into_table{0, 2.2, -1, 0, 1, 0, 0};
+  EXPECT_GT(model.ClearanceAt(raised)[ArmModel::kTable], 0.05);
+  EXPECT_GT(model.ClearanceAt(raised)[ArmModel::kBox], 0.1);
+  EXPECT_GT(model.ClearanceAt(raised)[ArmModel::kItself], 0.05);
+  EXPECT_LT(model.ClearanceAt(into_table)[ArmModel::kTable], -0.05);
+  EXPECT_GT(model.ClearanceAt(rest)[ArmModel::kItself], -0.02) << "folded on its rest";
+  WorkspaceOptions narrow;
+  narrow.upper = {0.2, 0.2, 1};
+  EXPECT_LT(PiperModel(Zero::kSince_1_6_3, narrow).ClearanceAt(raised)[ArmModel::kBox], 0);
+  WorkspaceOptions wide;
+  wide.margin = 0.04;
+  EXPECT_NEAR(PiperModel(Zero::kSince_1_6_3, wide).ClearanceAt(raised)[ArmModel::kTable],
+              model.ClearanceAt(raised)[ArmModel::kTable] - 0.04, 1e-12);
+  // J5 as far as it goes with the elbow folded: the gripper against the upper arm.
+  double least = 1;
+  std::mt19937 random(5);
+  for (int i = 0; i < 20000; ++i)
+    least = std::min(least, model.ClearanceAt(Random(random))[ArmModel::kItself]);
+  EXPECT_LT(least, -0.02) << "some poses within the joints' limits are impossible";
+}
+
+TEST(ArmPath, IsStraightAndNeverFasterThanItsLimits) {
+  const ArmVector from{0, 1.2, -1.0, 0, 0.5, 0, 0.05}, to{0.9, 0.6, -0.4, 0.2, 0.1, -0.3, 0};
+  const PathLimits limits;
+  constexpr double kPeriod = 1.0 / 30;
+  const ArmPath path = StraightPath(from, to, limits, kPeriod);
+  EXPECT_EQ(path.rows.back(), to);
+  double fastest = 0, hardest = 0;
+  ArmVector before = from, speed{};
+  for (const ArmVector& row : path.rows) {
+    const double share = (row[0] - from[0]) / (to[0] - from[0]);
+    for (int j = 0; j < kJoints; ++j) {
+      EXPECT_NEAR(row[j], from[j] + share * (to[j] - from[j]), 1e-12);
+      const double v = (row[j] - before[j]) / kPeriod;
+      fastest = std::max(fastest, std::abs(v));
+      hardest = std::max(hardest, std::abs(v - speed[j]) / kPeriod);
+      speed[j] = v;
+    }
+    before = row;
+  }
+  EXPECT_LE(fastest, limits.joint_velocity);
+  EXPECT_GT(fastest, 0.9 * limits.joint_velocity);
+  EXPECT_LE(hardest, limits.joint_acceleration);
+}
+
+TEST(ArmPath, ThatLeadsIntoTheTableIsRefusedAndSaysHowDeep) {
+  const PiperModel model(Zero::kSince_1_6_3, {});
+  const ArmVector raised{0, 1.2, -1.0, 0, 0.5, 0, 0.05}, into_table{0, 2.2, -1, 0, 1, 0, 0};
+  ArmLimits limits;
+  for (int j = 0; j < kJoints; ++j) {
+    limits.lower[j] = kJointRanges[j].lower;
+    limits.upper[j] = kJointRanges[j].upper;
+  }
+  limits.upper[kJoints] = 0.07;
+  EXPECT_TRUE(CheckPose("home", raised, limits, &model).ok());
+  const absl::Status pose = CheckPose("home", into_table, limits, &model);
+  EXPECT_NE(pose.message().find("home lies 8"), absl::string_view::npos) << pose;
+  const ArmPath path = StraightPath(raised, into_table, {}, 1.0 / 30);
+  EXPECT_TRUE(absl::IsFailedPrecondition(CheckPath(model, path)));
+  ArmPath out = path;
+  std::reverse(out.rows.begin(), out.rows.end());
+  EXPECT_TRUE(CheckPath(model, out).ok()) << "out of it is free";
+  ArmVector beyond = raised;
+  beyond[4] = 2;
+  EXPECT_NE(CheckPose("home", beyond, limits, &model).message().find("J5 is 2.0000"),
+            absl::string_view::npos);
+}
+
+}  // namespace
+}  // namespace robostress::piper
