@@ -21,6 +21,9 @@ constexpr uint32_t kDecided = kGoing | kRequestEnable;
 constexpr double kStill = 0.05;     // [rad/s] a slower joint stands
 constexpr double kTogether = 0.1;   // [rad] an arm stands where it is sent
 constexpr double kRelax = 0.03;     // [rad] off its command, where it is held: it goes back
+constexpr double kStrained = 0.5;   // of its limit: a joint that stands gives way to the torque ...
+constexpr double kGiveWay = 0.02;   // [rad] ... by this much at a time ...
+constexpr double kMostWay = 0.1;    // [rad] ... and no further in all
 constexpr double kArrived = 0.03;   // [rad] from the end of a way ...
 constexpr double kArrives_s = 1.5;  // ... within so long of its last row
 constexpr double kGuarded_s = 0.5;  // without a way out of the workspace's bounds: HOLD
@@ -173,14 +176,14 @@ double ControlLoop::Apart(const ArmSnapshot& arm) const {
 uint32_t ControlLoop::Granted(uint32_t requests, ArmSnapshot& arm, const WatchdogVerdict& verdict,
                               int64_t now_ns) {
   if ((requests & kGoing) == 0) return requests;
-  Refusal why = Refusal::kNone;
-  if ((requests & kRequestClear) && machine_.state() == ClientState::kFault) {
+  const bool clears = (requests & kRequestClear) && machine_.state() == ClientState::kFault;
+  if (clears) {
     arm_->Acknowledge();
     arm_->Poll();
     arm = arm_->Latest();
-    if (arm.faults != 0) why = Refusal::kFaults;
   }
-  if (options_.guards && why == Refusal::kNone) why = WhyNot(arm, now_ns);
+  Refusal why = options_.guards ? WhyNot(arm, now_ns) : Refusal::kNone;
+  if (clears && why == Refusal::kNone && arm.faults != 0) why = Refusal::kFaults;
   if ((requests & (kRequestStart | kRequestMove)) && why == Refusal::kNone) {
     if (options_.guards && Apart(arm) > kTogether) why = Refusal::kApart;
     if (verdict.hold != StateCause::kNone) why = Refusal::kHeld;
@@ -225,6 +228,7 @@ void ControlLoop::EnableArm() {
     limiter_.Reset(start);
     press_.Reset();
     relaxing_ = false;
+    stood_at_ = start;
     machine_.Enabled();
   }
   absl::MutexLock lock(&mu_);
@@ -276,6 +280,7 @@ void ControlLoop::AskForPrediction(int64_t now_ns) {
 void ControlLoop::OnStateChange(ClientState before, int64_t now_ns) {
   const ClientState now = machine_.state();
   relaxed_ = relaxing_ = false;
+  stood_at_ = record_.position;
   guarded_ticks_ = 0;
   policy_invalid_ = false;
   way_ = nullptr;
@@ -324,25 +329,39 @@ ArmVector ControlLoop::Advance(const ArmVector& target) {
   return command;
 }
 
-// Stands, or comes to stand. Where the arm was held off its command, or presses, the command goes
-// to where it is.
+// Stands, or comes to stand. Where the arm was held off its command the command goes to where it
+// is; where it presses, away from what it presses against, because a servo's integral part goes on
+// pressing on the spot.
 ArmVector ControlLoop::Stand() {
   const bool fresh = (record_.flags & kTickFresh) != 0;
   const bool stands = std::all_of(record_.velocity.begin(), record_.velocity.begin() + kArmJoints,
                                   [](double v) { return std::abs(v) < kStill; });
-  if (options_.guards && fresh && stands && limiter_.at_rest() &&
-      machine_.state() != ClientState::kRun) {
-    bool off = false;
-    for (int j = 0; j < kArmJoints; ++j)
-      off = off || std::abs(limiter_.position()[j] - record_.position[j]) > kRelax;
-    const bool held = machine_.state() == ClientState::kHold && !relaxed_;
-    if (off && (held || press_.strained())) {
-      relaxed_ = relaxing_ = true;
-      relax_to_ = limiter_.position();
-      std::copy_n(record_.position.begin(), kArmJoints, relax_to_.begin());
-    } else if (relaxing_ && limiter_.position() == relax_to_) {
+  if (options_.guards && fresh && machine_.state() != ClientState::kRun) {
+    const bool settled = stands && limiter_.at_rest();
+    const bool held = machine_.state() == ClientState::kHold && !relaxed_ && settled;
+    ArmVector to = relaxing_ ? relax_to_ : limiter_.position();
+    bool gives_way = false;
+    for (int j = 0; j < kArmJoints; ++j) {
+      const double share = press_.share(j);
+      if (std::abs(share) > kStrained && (settled || press_.pressing())) {
+        const double away = record_.position[j] - std::copysign(kGiveWay, share);
+        to[j] = std::clamp(away, stood_at_[j] - kMostWay, stood_at_[j] + kMostWay);
+        gives_way = true;
+      } else if (held && std::abs(to[j] - record_.position[j]) > kRelax) {
+        const StateCause cause = machine_.cause();
+        const bool pushed = cause == StateCause::kBlocked || cause == StateCause::kFollowingError;
+        const double away = std::copysign(pushed ? kGiveWay : 0, to[j] - record_.position[j]);
+        to[j] = record_.position[j] - away;
+        gives_way = true;
+      }
+    }
+    if (gives_way) {
+      relaxing_ = true;
+      relax_to_ = to;
+    } else if (relaxing_ && settled) {
       relaxing_ = false;
     }
+    relaxed_ = relaxed_ || (held && stands);
   }
   if (!relaxing_) return limiter_.Decelerate();
   record_.flags |= kTickRelaxed;

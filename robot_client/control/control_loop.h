@@ -228,6 +228,7 @@ class ControlLoop {
   bool relaxed_ = false;   // since the arm was held
   bool relaxing_ = false;
   ArmVector relax_to_{};
+  ArmVector stood_at_{};  // measured when the state began
   TickTiming timing_;
 
   mutable absl::Mutex mu_;

@@ -28,13 +28,6 @@ void PressWatch::Reset() {
   seen_ = next_ = 0;
 }
 
-bool PressWatch::strained() const {
-  for (int j = 0; j < kArmJoints; ++j) {
-    if (std::abs(excess_[j]) > options_.excess[j]) return true;
-  }
-  return false;
-}
-
 void PressWatch::Take(const ArmSnapshot& arm, const ArmVector& command) {
   WatchTorque(arm);
   WatchTravel(arm, command);
@@ -61,8 +54,10 @@ void PressWatch::WatchTorque(const ArmSnapshot& arm) {
     const double most = std::max(empty[j], loaded[j]) + friction;
     excess_[j] = arm.effort[j] - std::clamp(arm.effort[j], least, most);
   }
-  strained_s_ = strained() ? strained_s_ + period_s_ : 0;
-  pressing_ = strained_s_ >= options_.excess_s;
+  double most = 0;
+  for (int j = 0; j < kArmJoints; ++j) most = std::max(most, std::abs(share(j)));
+  strained_s_ = most > 1 ? strained_s_ + period_s_ : 0;
+  pressing_ = strained_s_ >= options_.excess_s || most > 2;
 }
 
 // Where a policy predicts from what it sees, each chunk begins at the joint that does not move, and

@@ -10,10 +10,10 @@ namespace robostress {
 
 // When an arm presses against something.
 struct PressOptions {
-  std::vector<double> excess = {8, 8, 8,
-                                3, 3, 3};  // [Nm] per joint, beyond what the model explains
-  double excess_s = 0.1;                   // for as long as this: the arm presses
-  double payload_kg = 0.5;                 // the heaviest thing that it may carry
+  // [Nm] per joint, beyond what the model explains
+  std::vector<double> excess = {6, 6, 6, 2.5, 2.5, 2.5};
+  double excess_s = 0.1;    // for as long as this, or twice as much at once: the arm presses
+  double payload_kg = 0.5;  // the heaviest thing that it may carry
   std::vector<double> friction = {0, 0, 0, 0, 0, 0};  // [Nm] of `robostress calibrate`
   std::vector<double> viscous = {0, 0, 0, 0, 0, 0};   // [Nm s/rad]
   double blocked_error = 0.06;   // [rad] a joint that is this far off its command ...
@@ -23,7 +23,7 @@ struct PressOptions {
   template <class V>
   void Visit(V& v) {
     v.Field("excess", excess, "torque per joint beyond model and friction that is pressing [Nm]");
-    v.Field("excess_s", excess_s, "for as long as this [s]");
+    v.Field("excess_s", excess_s, "for as long as this; twice the torque at once [s]");
     v.Field("payload_kg", payload_kg, "the heaviest thing that the gripper may carry [kg]");
     v.Field("friction", friction, "Coulomb friction per joint, from a calibration [Nm]");
     v.Field("viscous", viscous, "viscous friction per joint, from a calibration [Nm s/rad]");
@@ -48,7 +48,8 @@ class PressWatch {
   // Torque [Nm] beyond what model, payload and friction explain, of the last sample; 0 where it
   // explains all.
   const ArmVector& excess() const { return excess_; }
-  bool strained() const;                       // beyond its limit now
+  // By how much of its limit a joint's torque is beyond the model now, with its sign.
+  double share(int joint) const { return excess_[joint] / options_.excess[joint]; }
   bool pressing() const { return pressing_; }  // for long enough
   bool blocked() const { return blocked_; }
 

@@ -29,7 +29,7 @@ constexpr Capsule kCapsules[] = {
     {6, {0, -0.02, 0.035}, {0, 0.02, 0.035}, 0.042},
 };
 constexpr double kPadRadius = 0.0134;  // of the capsules of the two pads [m]
-constexpr int kParts = static_cast<int>(std::size(kCapsules)) + 2;
+constexpr int kParts = static_cast<int>(std::size(kCapsules)) + 4;
 
 struct Placed {
   int link;
@@ -58,6 +58,9 @@ std::array<Placed, kParts> Place(const JointVector& q, double opening, Zero zero
     const double y = side * (kPadHalf[1] + 0.5 * std::clamp(opening, 0.0, 0.1));
     parts[n++] = {kJoints, in_base(kJoints, {0, y, kPadHeight - kPadHalf[2]}),
                   in_base(kJoints, {0, y, kPadHeight + kPadHalf[2] - kPadRadius}), kPadRadius};
+    const double tip = kPadHeight + kPadHalf[2] - kPadHalf[1], x = kPadHalf[0] - kPadHalf[1];
+    parts[n++] = {kJoints, in_base(kJoints, {-x, y, tip}), in_base(kJoints, {x, y, tip}),
+                  kPadHalf[1]};
   }
   return parts;
 }

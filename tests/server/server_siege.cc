@@ -51,6 +51,8 @@ class Robot {
         overrides_(std::move(overrides)) {}
 
   absl::Status Open(const std::string& method = "ours") {
+    predict_.reset();
+    feedback_.reset();
     chunk_ = 0;
     sequence_ = 0;
     v1::GetServerInfoResponse info;
@@ -76,14 +78,14 @@ class Robot {
   }
   // One chunk there and back; the time to the prediction [ms].
   absl::StatusOr<double> Step() {
+    if (predict_ == nullptr) return absl::UnavailableError("no session is open");
     v1::PredictRequest request;
     request.set_session_id(session_.session_id());
     request.set_chunk(static_cast<uint32_t>(chunk_));
     *request.mutable_observation() = ToProto(BlankObservation(policy_));
     const Clock::time_point begin = Clock::now();
     v1::PredictResponse response;
-    if (!predict_->Write(request) || !predict_->Read(&response))
-      return absl::UnavailableError("Predict: " + predict_->Finish().error_message());
+    if (!predict_->Write(request) || !predict_->Read(&response)) return Ended("Predict", predict_);
     const double ms = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
     if (response.has_refusal()) return ToStatus(response.refusal());
     ExecutedChunk executed = arm_.Execute(*FromProto(response), 5);
@@ -93,8 +95,7 @@ class Robot {
     feedback.set_session_id(session_.session_id());
     *feedback.mutable_chunk() = ToProto(executed);
     v1::FeedbackAck ack;
-    if (!feedback_->Write(feedback) || !feedback_->Read(&ack))
-      return absl::UnavailableError("Feedback: " + feedback_->Finish().error_message());
+    if (!feedback_->Write(feedback) || !feedback_->Read(&ack)) return Ended("Feedback", feedback_);
     if (ack.sequence() != sequence_) return absl::DataLossError("an acknowledgement is missing");
     return ms;
   }
@@ -109,6 +110,14 @@ class Robot {
   const std::shared_ptr<grpc::Channel>& channel() const { return channel_; }
 
  private:
+  // A stream can be finished once.
+  template <class Stream>
+  absl::Status Ended(const char* what, Stream& stream) {
+    const std::string why = stream->Finish().error_message();
+    predict_.reset();
+    feedback_.reset();
+    return absl::UnavailableError(absl::StrCat(what, ": ", why));
+  }
   std::unique_ptr<grpc::ClientContext> Context() const {
     auto context = std::make_unique<grpc::ClientContext>();
     context->AddMetadata("authorization", "Bearer " + token_);
@@ -336,7 +345,10 @@ void Neighbours(const Target& target, const std::vector<std::string>& overrides)
     threads.emplace_back([&] {
       while (!target.stop) {
         Robot robot(target.address(), "attacker", overrides);
-        if (!robot.Open().ok() && !target.Rest(1)) return;
+        if (!robot.Open().ok()) {
+          if (!target.Rest(1)) return;
+          continue;
+        }
         while (!target.stop) {
           ++target.tried;
           if (!robot.Step().ok()) break;
@@ -423,7 +435,7 @@ RobotResult Drive(Robot& robot, double seconds) {
   return result;
 }
 
-int Run(const std::string& program, double minutes, const std::string& only,
+int Run(const std::string& program, double minutes, const std::string& only, bool together,
         const std::vector<std::string>& extra) {
   const auto folder = std::filesystem::temp_directory_path() / absl::StrCat("siege-", getpid());
   std::filesystem::create_directories(folder);
@@ -495,11 +507,12 @@ int Run(const std::string& program, double minutes, const std::string& only,
     std::vector<Attack*> all;
     for (Attack& one : attacks)
       if (only.empty() || absl::StrContains(one.name, only)) all.push_back(&one);
-    if (all.size() > 1)
+    if (all.size() > 1 && !together)
       for (Attack* one : all) attack(one->name, {one}, alone);
-    const int rounds = std::max(1, static_cast<int>(minutes * 2 / 3 / 5));
+    const double rest = together ? minutes : minutes * 2 / 3;
+    const int rounds = std::max(1, static_cast<int>(rest / 5));
     for (int i = 0; i < rounds; ++i)
-      attack(all.size() == 1 ? all[0]->name : "all of them", all, 60 * minutes * 2 / 3 / rounds);
+      attack(all.size() == 1 ? all[0]->name : "all of them", all, 60 * rest / rounds);
     attack("nothing", {}, alone);
     std::printf("\n%-24s %12s %12s\n", "attack", "tried", "let in");
     for (const Attack& one : attacks)
@@ -518,11 +531,13 @@ int main(int argc, char** argv) {
   std::string program;
   double minutes = 60;
   std::string only;
+  bool together = false;
   std::vector<std::string> extra;
   app.add_option("PROGRAM", program, "robostress-serve")->required()->check(CLI::ExistingFile);
   app.add_option("--minutes", minutes)->capture_default_str();
   app.add_option("--only", only, "attacks whose name contains this");
+  app.add_flag("--together", together, "all of them for the whole time, none alone");
   app.add_option("--serve", extra, "further options of the server, as one argument each");
   CLI11_PARSE(app, argc, argv);
-  return robostress::Run(program, minutes, only, extra);
+  return robostress::Run(program, minutes, only, together, extra);
 }
