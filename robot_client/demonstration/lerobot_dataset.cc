@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
@@ -245,11 +246,20 @@ absl::StatusOr<LerobotDataset> LerobotDataset::Open(const std::string& directory
   return set;
 }
 
-// What a process left behind that was killed between its first file and info.json: one episode.
+// What a process left behind that was killed between its first file and info.json: one episode,
+// and the temporary file that it was writing.
 void LerobotDataset::RemoveUnfinished() const {
   std::error_code ignored;
-  fs::remove(FileOf(directory_, "data", episodes()), ignored);
-  fs::remove(FileOf(directory_, "meta/episodes", episodes()), ignored);
+  for (const char* folder : {"data", "meta/episodes"}) {
+    const fs::path file = FileOf(directory_, folder, episodes());
+    fs::remove(file, ignored);
+    for (const fs::path& parent : {file.parent_path(), fs::path(directory_ + "/meta")}) {
+      for (const auto& entry : fs::directory_iterator(parent, ignored)) {
+        if (absl::StrContains(entry.path().filename().string(), ".tmp."))
+          fs::remove(entry.path(), ignored);
+      }
+    }
+  }
 }
 
 absl::Status LerobotDataset::WriteTables(const Json& info) const {
