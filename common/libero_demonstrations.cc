@@ -75,7 +75,7 @@ absl::StatusOr<LiberoDemonstrationWriter> LiberoDemonstrationWriter::Create(cons
                                    {"env_name", task.suite},
                                    {"problem_name", task.suite},
                                    {"bddl_file", task.task + ".bddl"},
-                                   {"env_kwargs", {{"control_freq", 20}}}};
+                                   {"env_kwargs", {{"control_freq", task.control_hz}}}};
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "tag", std::string("robostress")));
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "env_name", task.suite));
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "env_args", env_args.dump()));

@@ -46,6 +46,7 @@ class LiberoDemonstrationWriter {
  public:
   struct Task {
     std::string suite, task, instruction;
+    int control_hz = 20;
   };
   static absl::StatusOr<LiberoDemonstrationWriter> Create(const std::string& path,
                                                           const Task& task);

@@ -100,12 +100,16 @@ int CamerasMain(int argc, char** argv) {
       ->check(CLI::Range(1, 1000000));
   try {
     app.parse(argc, argv);
-    if (line.preview.empty() && !line.cameras.empty())
-      throw CLI::RequiredError("--camera is for a preview: --preview 127.0.0.1:8090");
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
   }
-  const absl::Status status = line.preview.empty() ? List() : Preview(line);
+  absl::Status status;
+  if (line.preview.empty() && !line.cameras.empty()) {
+    status = absl::InvalidArgumentError(
+        "--camera is for a preview; add --preview 127.0.0.1:8090, or leave it out for the list");
+  } else {
+    status = line.preview.empty() ? List() : Preview(line);
+  }
   if (status.ok()) return 0;
   std::fprintf(stderr, "robot_client cameras: %s\n", std::string(status.message()).c_str());
   return 2;

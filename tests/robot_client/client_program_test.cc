@@ -57,6 +57,22 @@ TEST(ClientProgramTest, RehearsesWholeEpisodesAndLeavesAWholeRecording) {
   EXPECT_FALSE(std::filesystem::exists(out + "/run/ticks.csv.partial"));
 }
 
+TEST(ClientProgramTest, ShowsCamerasInABrowserAndRefusesWhatMakesNoSense) {
+  const auto [shown, code] = RunProgram(
+      "timeout 20 " ROBOT_CLIENT,
+      "cameras --preview 127.0.0.1:0 --camera base=synthetic --camera wrist=synthetic --seconds 1");
+  EXPECT_EQ(code, 0) << shown;
+  EXPECT_THAT(shown, HasSubstr("2 cameras on http://127.0.0.1:"));
+  for (const auto& [arguments, remedy] :
+       {std::pair{"cameras --camera base=synthetic", "add --preview 127.0.0.1:8090"},
+        std::pair{"cameras --preview 0.0.0.0:0 --camera base=synthetic", "--anywhere"},
+        std::pair{"cameras --preview 127.0.0.1:0 --camera base=v4l2:/dev/none", "by-id"}}) {
+    const auto [output, refused] = RunProgram("timeout 20 " ROBOT_CLIENT, arguments);
+    EXPECT_EQ(refused, 2) << arguments;
+    EXPECT_THAT(output, HasSubstr(remedy));
+  }
+}
+
 TEST(ClientProgramTest, HoldsWhenTheServerIsKilledAndSaysWhy) {
   std::string out;
   const auto [text, code] =

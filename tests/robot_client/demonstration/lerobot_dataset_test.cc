@@ -1,0 +1,202 @@
+#include "robot_client/demonstration/lerobot_dataset.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <filesystem>
+
+#include "common/atomic_file.h"
+#include "robot_client/cameras/jpeg.h"
+#include "robot_client/demonstration/feature_statistics.h"
+#include "robot_client/demonstration/parquet_table.h"
+#include "tests/robot_client/demonstration/read_back.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+namespace fs = std::filesystem;
+
+std::string Fresh(const std::string& name) {
+  const std::string path = ::testing::TempDir() + "/lerobot_" + name;
+  fs::remove_all(path);
+  return path;
+}
+
+DemonstrationEpisode Episode(const std::string& instruction, int ticks, double offset = 0) {
+  DemonstrationEpisode episode;
+  episode.instruction = instruction;
+  episode.success = true;
+  episode.cameras = {"base", "wrist"};
+  episode.width = {64, 32};
+  episode.height = {48, 32};
+  episode.jpegs.resize(2);
+  episode.small.resize(2);
+  for (int i = 0; i < ticks; ++i) {
+    DemonstrationTick tick;
+    tick.state.fill(offset + 0.01 * i);
+    tick.action.fill(offset + 0.01 * (i + 1));
+    episode.ticks.push_back(tick);
+    for (size_t c = 0; c < 2; ++c) {
+      Image image{episode.width[c], episode.height[c], {}};
+      image.data.assign(size_t{3} * image.width * image.height, static_cast<uint8_t>(40 + 5 * i));
+      episode.jpegs[c].push_back(*JpegFromRgb(image, 95));
+      image.width = image.height = 16;
+      image.data.resize(size_t{3} * 16 * 16);
+      episode.small[c].push_back(image);
+    }
+  }
+  return episode;
+}
+
+absl::StatusOr<LerobotDataset> OpenAt(const std::string& path) {
+  return LerobotDataset::Open(path, "piper", 30, {"base", "wrist"});
+}
+
+TEST(LerobotDatasetTest, LerobotsOwnLibrariesReadWhatIsWritten) {
+  if (!ReaderFailure().empty())
+    GTEST_SKIP() << "needs python3-venv and PyPI for datasets: " << ReaderFailure();
+  const std::string path = Fresh("read");
+  {
+    auto set = OpenAt(path);
+    ASSERT_TRUE(set.ok()) << set.status();
+    ASSERT_TRUE(set->Append(Episode("open the drawer", 20)).ok());
+    ASSERT_TRUE(set->Append(Episode("close the drawer", 33, -1)).ok());
+  }
+  auto again = OpenAt(path);
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(again->episodes(), 2);
+  DemonstrationEpisode failed = Episode("open the drawer", 7, 3);
+  failed.success = false;
+  ASSERT_TRUE(again->Append(failed).ok());
+  const auto [output, code] = ReadBack(path);
+  EXPECT_EQ(code, 0) << output;
+  EXPECT_THAT(output, HasSubstr("episode 0: 'open the drawer' length 20 success True state 0.190 "
+                                "action 0.200"));
+  EXPECT_THAT(output, HasSubstr("episode 1: 'close the drawer' length 33 success True state -0.680 "
+                                "action -0.670"));
+  EXPECT_THAT(output, HasSubstr("episode 2: 'open the drawer' length 7 success False state 3.060"));
+}
+
+TEST(LerobotDatasetTest, AKilledProcessLosesTheEpisodeUnderWayAndNoOther) {
+  const std::string path = Fresh("killed");
+  const DemonstrationEpisode episode = Episode("open the drawer", 60);
+  int64_t before = 0;
+  int killed_in_append = 0;
+  for (int round = 0; round < 25; ++round) {
+    int pipe_ends[2];
+    ASSERT_EQ(pipe(pipe_ends), 0);
+    const pid_t child = fork();
+    if (child == 0) {
+      auto set = OpenAt(path);
+      if (!set.ok()) _exit(3);
+      for (;;) {
+        if (!set->Append(episode).ok()) _exit(4);
+        if (write(pipe_ends[1], "x", 1) != 1) _exit(5);
+      }
+    }
+    close(pipe_ends[1]);
+    usleep(static_cast<useconds_t>(20'000 + 3'700 * round));
+    kill(child, SIGKILL);
+    int status = 0;
+    waitpid(child, &status, 0);
+    ASSERT_TRUE(WIFSIGNALED(status)) << "exit code " << WEXITSTATUS(status);
+    int64_t acknowledged = 0;
+    for (char byte; read(pipe_ends[0], &byte, 1) == 1;) ++acknowledged;
+    close(pipe_ends[0]);
+    if (fs::exists(path + absl::StrCat("/data/chunk-000/file-",
+                                       absl::Dec(before + acknowledged, absl::kZeroPad3),
+                                       ".parquet")))
+      ++killed_in_append;
+    auto set = OpenAt(path);
+    ASSERT_TRUE(set.ok()) << set.status();
+    EXPECT_GE(set->episodes(), before + acknowledged) << "what was acknowledged is there";
+    EXPECT_LE(set->episodes(), before + acknowledged + 1);
+    EXPECT_EQ(set->frames(), 60 * set->episodes());
+    before = set->episodes();
+    for (const char* folder : {"/data", "/meta/episodes"}) {
+      int64_t files = 0;
+      if (fs::exists(path + folder + "/chunk-000")) {
+        for ([[maybe_unused]] const auto& entry :
+             fs::directory_iterator(path + folder + "/chunk-000"))
+          ++files;
+      }
+      EXPECT_EQ(files, before) << folder << ": nothing half written stays";
+    }
+  }
+  EXPECT_GT(before, 0);
+  std::cout << before << " episodes, killed in mid-append " << killed_in_append << " of 25 times\n";
+  if (!ReaderFailure().empty()) GTEST_SKIP() << "not read back: " << ReaderFailure();
+  const auto [output, code] = ReadBack(path);
+  EXPECT_EQ(code, 0) << output;
+}
+
+TEST(LerobotDatasetTest, AnEpisodeThatWasLeftHalfIsRemoved) {
+  const std::string path = Fresh("half");
+  auto set = OpenAt(path);
+  ASSERT_TRUE(set.ok() && set->Append(Episode("a", 3)).ok());
+  const std::string left = path + "/data/chunk-000/file-001.parquet";
+  ASSERT_TRUE(WriteFileAtomically(left, "half").ok());
+  ASSERT_TRUE(OpenAt(path).ok());
+  EXPECT_FALSE(fs::exists(left));
+}
+
+TEST(LerobotDatasetTest, RefusesAnotherSchemaAndNamesTheValues) {
+  const std::string path = Fresh("schema");
+  auto set = OpenAt(path);
+  ASSERT_TRUE(set.ok() && set->Append(Episode("a", 3)).ok());
+  const auto fails = [&](const absl::Status& status, const std::string& text) {
+    EXPECT_THAT(std::string(status.message()), HasSubstr(text));
+  };
+  fails(LerobotDataset::Open(path, "piper", 20, {"base", "wrist"}).status(),
+        "info.json: fps is 30, this recording has 20");
+  fails(LerobotDataset::Open(path, "piper", 30, {"base"}).status(), "info.json: features is");
+  fails(LerobotDataset::Open(path, "panda", 30, {"base", "wrist"}).status(), "robot_type");
+  fails(LerobotDataset::Open(Fresh("name"), "piper", 30, {"a/b"}).status(), "camera 'a/b'");
+  fails(LerobotDataset::Open(Fresh("rate"), "piper", 29.97, {"a"}).status(), "whole number");
+  DemonstrationEpisode larger = Episode("a", 3);
+  larger.width[0] = 128;
+  fails(set->Append(larger), "observation.images.base is [48,64,3], this recording has [48,128,3]");
+  EXPECT_EQ(set->episodes(), 1);
+  ASSERT_TRUE(WriteFileAtomically(path + "/meta/info.json", "{\"fps\": 30}").ok());
+  fails(OpenAt(path).status(), "is not a data set that robot_client recorded");
+}
+
+TEST(LerobotDatasetTest, AFailedAppendLeavesTheSetAsItWas) {
+  const std::string path = Fresh("failed");
+  auto set = OpenAt(path);
+  ASSERT_TRUE(set.ok() && set->Append(Episode("a", 3)).ok());
+  const std::string info = *ReadFile(path + "/meta/info.json");
+  // Where the file of the second episode's row should be is a folder.
+  fs::create_directories(path + "/meta/episodes/chunk-000/file-001.parquet/x");
+  EXPECT_FALSE(set->Append(Episode("b", 3)).ok());
+  EXPECT_EQ(*ReadFile(path + "/meta/info.json"), info);
+  EXPECT_FALSE(fs::exists(path + "/data/chunk-000/file-001.parquet"));
+  fs::remove_all(path + "/meta/episodes/chunk-000/file-001.parquet");
+  EXPECT_TRUE(set->Append(Episode("b", 3)).ok());
+}
+
+TEST(ParquetTableTest, RefusesColumnsOfDifferentLength) {
+  const auto table = ParquetTable({{"a", "", std::vector<int64_t>{1, 2}},
+                                   {"b", "", std::vector<float>{1, 2, 3, 4, 5}, false, 2}});
+  EXPECT_THAT(std::string(table.status().message()), HasSubstr("column b has 5 values for 2 rows"));
+}
+
+TEST(FeatureStatisticsTest, JoinedAreThoseOfAllRows) {
+  const std::vector<double> a = {1, 10, 2, 20, 4, 10}, b = {-3, 5, 8, 6};
+  std::vector<double> both = a;
+  both.insert(both.end(), b.begin(), b.end());
+  const auto joined = JoinStatistics(VectorStatistics(a, 2), VectorStatistics(b, 2));
+  const auto whole = VectorStatistics(both, 2);
+  for (const char* key : {"min", "max", "mean", "std"}) {
+    for (int i = 0; i < 2; ++i)
+      EXPECT_NEAR(joined[key][i].get<double>(), whole[key][i].get<double>(), 1e-12) << key;
+  }
+  EXPECT_EQ(joined["count"][0], 5);
+}
+
+}  // namespace
+}  // namespace robostress
