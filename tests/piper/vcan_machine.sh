@@ -83,7 +83,7 @@ printf '%s' "$only" >"$root/only"
 
 accel=${ACCEL:-tcg}
 : >"$work/rows"
-# The SJA1000 controllers of two PCI cards on one emulated bus: can0 for the client, can1 for the arm.
+# The SJA1000 controllers of two PCI cards on one emulated bus: can0 for the client, the other for the arm.
 timeout 1800 nice -n "${NICE:-5}" qemu-system-x86_64 -accel "$accel" -cpu "${CPU:-max}" -smp 2 -m 2048 -nic none -display none -no-reboot \
   -kernel "$kernel" -initrd "$work/initramfs.gz" -append "console=ttyS0 quiet panic=-1" \
   -object can-bus,id=bus0 -device kvaser_pci,canbus=bus0 -device kvaser_pci,canbus=bus0 \

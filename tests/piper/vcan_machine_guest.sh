@@ -12,6 +12,8 @@ rm -f /bin/sudo
 ip link set lo up
 for module in can can-raw can-dev vcan vxcan slcan kvaser_pci sch_netem; do modprobe "$module" || echo "no module $module"; done
 rows=/dev/ttyS1
+# The emulator runs on names of virtual interfaces only.
+ip link set can1 name vcanpci
 
 # row NAME PATTERN TEXT: right where the text matches.
 row() {
@@ -43,15 +45,15 @@ mission() {
   until_said /tmp/log.policy joint_policy_server:
   until_said /tmp/log.arm piper_emulator:
   sleep 1
-  ${as:-} robot_client --bus "can:$2" --server "$(sed -n 's/^joint_policy_server: //p' /tmp/log.policy)" --policy sway \
+  timeout 60 robot_client --bus "can:$2" --server "$(sed -n 's/^joint_policy_server: //p' /tmp/log.policy)" --policy sway \
     --instruction sway --camera base=synthetic --camera wrist=synthetic --set episodes=1 --set "episode_s=$3" --out /tmp/out \
     <>/tmp/typed >/tmp/log.client 2>&1 &
   client=$!
   exec 4<>/tmp/typed
-  if until_said /tmp/log.client ' IDLE'; then
+  if until_said /tmp/out/events.jsonl origin; then
     echo enable >&4
-    until_said /tmp/log.client ' ENABLED' && echo start >&4
-    until_said /tmp/log.client ' RUN' && sleep 2
+    until_said /tmp/out/events.jsonl ENABLED && echo start >&4
+    until_said /tmp/out/events.jsonl '"RUN"' && sleep 2
     at=$(now)
     eval "$4"
     sleep $(($3 - 1))
@@ -110,12 +112,12 @@ if wanted "can0.sh on vcan"; then
   row "can0.sh on vcan" "takes no bit rate.*does not restart.*[<,]UP.*qlen 14" "$(echo "$text" | grep -E '^can0.sh|qlen' | cut -c1-150)"
 fi
 if wanted "can0.sh on a PCI card"; then
-  text=$(bash /deploy/can0.sh can0 2>&1; bash /deploy/can0.sh can1 >/dev/null 2>&1)
+  text=$(bash /deploy/can0.sh can0 2>&1; bash /deploy/can0.sh vcanpci >/dev/null 2>&1)
   row "can0.sh on a PCI card (SJA1000)" "[<,]UP.*qlen 14.*restart-ms 100.*bitrate 1000000" \
     "$(echo "$text" | grep -E '^can0.sh|qlen|restart-ms|bitrate 1' | sed 's/^ *//' | cut -c1-150)"
 fi
 bash /deploy/can0.sh can0 >/dev/null 2>&1
-bash /deploy/can0.sh can1 >/dev/null 2>&1
+bash /deploy/can0.sh vcanpci >/dev/null 2>&1
 
 finished() {
   if [ -e /tmp/out/DONE ]; then
@@ -130,7 +132,7 @@ if wanted "a run over vcan"; then
   row "a run over vcan0" "an episode.*exit 0" "$(finished)"
 fi
 if wanted "a run over two PCI cards"; then
-  mission can1 can0 5 ''
+  mission vcanpci can0 5 ''
   row "a run over two PCI cards (SJA1000)" "an episode.*exit 0" "$(finished)"
 fi
 if wanted "second sender before"; then
@@ -159,7 +161,7 @@ fi
 
 stall="tc qdisc replace dev can0 root netem limit 200 delay 1000s"
 if wanted "stalled in mid-run"; then
-  mission can1 can0 7 "$stall"
+  mission vcanpci can0 7 "$stall"
   tc qdisc del dev can0 root
   row "sending stalls in mid-run, samples go on (PCI card)" "HOLD \(send_failed\) after 0.1" "$(changes 2)"
 fi
@@ -183,7 +185,7 @@ stalled() {
   row "$1" "refuses commands after 0.[01]" "$(noticed)"
 }
 if wanted "stalled with echo"; then
-  stalled "a stall on a device with echo (SJA1000)" can0 can1
+  stalled "a stall on a device with echo (SJA1000)" can0 vcanpci
 fi
 if wanted "stalled without echo"; then
   ip link add vxcan0 type vxcan peer name vxcan1; ip link set vxcan0 txqueuelen 14 up; ip link set vxcan1 up
