@@ -11,6 +11,7 @@ namespace {
 
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 constexpr double kRest = 1e-9;
+constexpr double kAtRest = 1e-6;  // [rad/s] a target is approached ever more slowly
 // A target counts as followed when braking would end this close to it [rad].
 constexpr double kFollowed = 1e-10;
 // Rounding in sums of a few terms; far below the bus's resolution of 17 micro-radians.
@@ -77,7 +78,7 @@ void CommandLimiter::Reset(const ArmVector& position) {
 
 bool CommandLimiter::at_rest() const {
   return std::all_of(velocity_.begin(), velocity_.end(),
-                     [](double v) { return std::abs(v) < kRest; });
+                     [](double v) { return std::abs(v) < kAtRest; });
 }
 
 CommandLimiter::Motion CommandLimiter::After(const Motion& now, double a) const {

@@ -140,7 +140,7 @@ TEST(CommandLimiterTest, KnowsWhereBrakingEnds) {
       CommandLimiter stopping = limiter;
       while (!stopping.at_rest()) stopping.Decelerate();
       for (int a = 0; a < kArmAxes; ++a)
-        ASSERT_NEAR(stopping.position()[a], expected[a], 1e-9) << "axis " << a;
+        ASSERT_NEAR(stopping.position()[a], expected[a], 1e-7) << "axis " << a;
     }
   }
 }

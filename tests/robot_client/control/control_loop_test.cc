@@ -502,7 +502,7 @@ TEST(ControlLoopTest, TorqueBeyondTheModelIsHeldWithinTenthsAndTheCommandGoesBac
   EXPECT_EQ(bench.seen.back().cause, StateCause::kPressing);
   EXPECT_LE(ticks, 3) << "0.1 s";
   EXPECT_NEAR(bench.seen.back().excess[1], 6.1, 1e-9);
-  bench.Ticks(30);
+  bench.Ticks(90);
   for (int j = 0; j < kArmJoints; ++j) {
     EXPECT_NEAR(bench.arm.last.position[j], bench.seen.back().position[j] - (j == 1 ? 0.02 : 0),
                 1e-3)
