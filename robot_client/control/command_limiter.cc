@@ -185,21 +185,6 @@ double CommandLimiter::Accelerate(int i, double target) {
   return a;
 }
 
-ArmVector CommandLimiter::StoppingPosition() const {
-  ArmVector stop = position_;
-  for (int i = 0; i < kArmAxes; ++i) {
-    const Axis& axis = axes_[i];
-    if (std::isfinite(axis.jerk)) {
-      stop[i] = Brake(axis, {position_[i], velocity_[i], acceleration_[i]}).end;
-    } else {
-      double v = std::abs(velocity_[i]), way = 0;
-      for (v -= axis.acceleration * dt_; v > 0; v -= axis.acceleration * dt_) way += v * dt_;
-      stop[i] += std::copysign(way, velocity_[i]);
-    }
-  }
-  return stop;
-}
-
 void CommandLimiter::Advance(int i, double target) {
   const Axis& axis = axes_[i];
   if (std::isfinite(axis.jerk)) {

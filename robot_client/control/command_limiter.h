@@ -71,8 +71,6 @@ class CommandLimiter {
   ArmVector Limit(const ArmVector& target);
   // The next command of braking every axis to rest and staying there.
   ArmVector Decelerate();
-  // Where the axes come to rest when every command from now on brakes.
-  ArmVector StoppingPosition() const;
 
   const ArmVector& position() const { return position_; }          // the last command
   const ArmVector& velocity() const { return velocity_; }          // [rad/s], [m/s]

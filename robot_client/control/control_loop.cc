@@ -90,12 +90,6 @@ absl::Status MoveInside(const ArmLimits& limits, ArmVector& position) {
   return absl::OkStatus();
 }
 
-ArmVector Between(const ArmVector& a, const ArmVector& b) {
-  ArmVector middle;
-  for (int i = 0; i < kArmAxes; ++i) middle[i] = 0.5 * (a[i] + b[i]);
-  return middle;
-}
-
 DisturbanceObserver::Joints JointsOf(const ArmVector& v) {
   return Eigen::Map<const Eigen::Matrix<double, kArmJoints, 1>>(v.data());
 }
@@ -280,6 +274,7 @@ void ControlLoop::AskForPrediction(int64_t now_ns) {
 void ControlLoop::OnStateChange(ClientState before, int64_t now_ns) {
   const ClientState now = machine_.state();
   relaxed_ = relaxing_ = false;
+  pushed_.fill(0);
   stood_at_ = record_.position;
   guarded_ticks_ = 0;
   policy_invalid_ = false;
@@ -308,21 +303,26 @@ void ControlLoop::OnStateChange(ClientState before, int64_t now_ns) {
   }
 }
 
-// The next command on the way to a target, unless braking from it would end in what the workspace
-// bounds: then it brakes now, which was seen to be free when the last command was.
+// The next command on the way to a target, unless it, or a command of braking from it, crosses a
+// bound of the workspace: then it brakes now, which was seen to be free when the last command was.
 ArmVector ControlLoop::Advance(const ArmVector& target) {
   if (model_ == nullptr || !options_.workspace.guard) return limiter_.Limit(target);
+  constexpr int kMostTicks = 100;
   CommandLimiter next = limiter_;
-  const ArmVector command = next.Limit(target), stop = next.StoppingPosition();
-  const ArmVector middle = Between(command, stop);
-  const ArmModel::Clearance now = model_->ClearanceAt(limiter_.position());
-  for (const ArmVector* at : {&command, &middle, &stop}) {
-    const ArmModel::Bound bound = CrossedBound(now, model_->ClearanceAt(*at));
-    if (bound == ArmModel::kBounds) continue;
-    crossed_.store(bound, std::memory_order_release);
-    record_.flags |= kTickGuarded;
-    ++guarded_ticks_;
-    return limiter_.Decelerate();
+  ArmModel::Clearance before = model_->ClearanceAt(limiter_.position());
+  const ArmVector command = next.Limit(target);
+  CommandLimiter braking = next;
+  for (int i = 0; i < kMostTicks; ++i) {
+    const ArmModel::Clearance now = model_->ClearanceAt(braking.position());
+    if (const ArmModel::Bound bound = CrossedBound(before, now); bound != ArmModel::kBounds) {
+      crossed_.store(bound, std::memory_order_release);
+      record_.flags |= kTickGuarded;
+      ++guarded_ticks_;
+      return limiter_.Decelerate();
+    }
+    if (braking.at_rest()) break;
+    before = now;
+    braking.Decelerate();
   }
   guarded_ticks_ = 0;
   limiter_ = next;
@@ -347,11 +347,8 @@ ArmVector ControlLoop::Stand() {
         const double away = record_.position[j] - std::copysign(kGiveWay, share);
         to[j] = std::clamp(away, stood_at_[j] - kMostWay, stood_at_[j] + kMostWay);
         gives_way = true;
-      } else if (held && std::abs(to[j] - record_.position[j]) > kRelax) {
-        const StateCause cause = machine_.cause();
-        const bool pushed = cause == StateCause::kBlocked || cause == StateCause::kFollowingError;
-        const double away = std::copysign(pushed ? kGiveWay : 0, to[j] - record_.position[j]);
-        to[j] = record_.position[j] - away;
+      } else if (held && (pushed_[j] != 0 || std::abs(to[j] - record_.position[j]) > kRelax)) {
+        to[j] = record_.position[j] - kGiveWay * pushed_[j];
         gives_way = true;
       }
     }
@@ -452,6 +449,25 @@ void ControlLoop::SendCommand() {
   if (taken) record_.flags |= kTickSent;
 }
 
+// The command is ahead of an arm that presses, by what the arm lags and by all that it was held
+// back since; led back under the limits it would go on pressing for as long as that takes. So it
+// becomes where the arm stands, which is no motion that anybody could ask for.
+void ControlLoop::StopPressing(const ArmSnapshot& arm) {
+  const StateCause cause = machine_.cause();
+  const bool pressed = cause == StateCause::kPressing || cause == StateCause::kBlocked ||
+                       cause == StateCause::kFollowingError;
+  ArmVector stand = arm.position;
+  if (!options_.guards || !pressed || (record_.flags & kTickFresh) == 0 ||
+      !MoveInside(arm_->limits(), stand).ok())
+    return;
+  for (int j = 0; j < kArmJoints; ++j) {
+    const double ahead = limiter_.position()[j] - stand[j];
+    pushed_[j] = std::abs(ahead) > kRelax ? std::copysign(1.0, ahead) : 0;
+  }
+  limiter_.Reset(stand);
+  record_.flags |= kTickRelaxed;
+}
+
 // A fault sends nothing any more, and the arm would go on pressing towards its last target: that
 // becomes where it stands, once.
 void ControlLoop::LetGo(const ArmSnapshot& arm) {
@@ -544,6 +560,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   if (machine_.state() == ClientState::kFault && before != ClientState::kFault &&
       before != ClientState::kIdle)
     LetGo(arm);
+  if (machine_.state() == ClientState::kHold && before != ClientState::kHold) StopPressing(arm);
   record_.state = machine_.state();
   record_.cause = machine_.cause();
   cause_.store(record_.cause, std::memory_order_release);

@@ -171,6 +171,7 @@ class ControlLoop {
   ArmVector Advance(const ArmVector& target);
   ArmVector Stand();
   double Apart(const ArmSnapshot& arm) const;
+  void StopPressing(const ArmSnapshot& arm);
   void LetGo(const ArmSnapshot& arm);
   void Correct();
   void SendCommand();
@@ -229,6 +230,7 @@ class ControlLoop {
   bool relaxing_ = false;
   ArmVector relax_to_{};
   ArmVector stood_at_{};  // measured when the state began
+  ArmVector pushed_{};    // which way joints pressed when the arm was held: -1, 0, 1
   TickTiming timing_;
 
   mutable absl::Mutex mu_;

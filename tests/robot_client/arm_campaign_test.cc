@@ -87,6 +87,16 @@ class Judge {
           Violate("the last command of a fault is not where the arm stands");
       }
     }
+    // A command that presses becomes where the arm stands, at once.
+    const bool lets_go = record.state == ClientState::kHold && last_state_ != record.state &&
+                         (record.flags & kTickRelaxed) != 0;
+    if (lets_go) {
+      Reset();
+      for (int j = 0; j < kArmJoints; ++j) {
+        if (std::abs(record.sent[j] - record.position[j]) > 0.13)
+          Violate("a command that lets go is not where the arm stands");
+      }
+    }
     if (!silent_state && sent) {
       Motion(record);
       Freshness(record);
@@ -288,6 +298,18 @@ Outcome RunEpisode(int number) {
     const TickRecord record = world.Tick(requests);
     const bool enabling = world.time.now_ns() - before > static_cast<int64_t>(1.5e9 * kPeriod);
     judge.Tick(record, enabling);
+    if (std::getenv("ROBOSTRESS_ARM_TRACE") != nullptr) {
+      const auto& reading = world.emulator->plant().reading();
+      std::printf(
+          "%7.3f %-7s %-14s excess %5.1f %5.1f %5.1f %4.1f %4.1f %4.1f  off %6.3f %6.3f %6.3f  "
+          "torque "
+          "%5.1f %5.1f %5.1f  flags %x requests %x\n",
+          1e-9 * static_cast<double>(record.start_ns), StateName(record.state),
+          CauseName(record.cause), record.excess[0], record.excess[1], record.excess[2],
+          record.excess[3], record.excess[4], record.excess[5], record.sent[0] - record.position[0],
+          record.sent[1] - record.position[1], record.sent[2] - record.position[2],
+          reading.torque[0], reading.torque[1], reading.torque[2], record.flags, requests);
+    }
     if (record.state != last)
       ++outcome.causes[absl::StrCat(StateName(record.state), " (", CauseName(record.cause), ")")];
     last = record.state;

@@ -127,24 +127,6 @@ TEST(CommandLimiterTest, DeceleratesToRestAtTheAccelerationLimit) {
   EXPECT_LT(limiter.position()[0] - from, 0.8 * 0.8 / (2 * 5) + 0.8 * 0.1);
 }
 
-TEST(CommandLimiterTest, KnowsWhereBrakingEnds) {
-  for (const double jerk : {50.0, std::numeric_limits<double>::infinity()}) {
-    CommandLimiter limiter = Limiter({.joint_jerk = jerk});
-    std::mt19937 random(3);
-    std::uniform_real_distribution<double> anywhere(-1, 1);
-    for (int i = 0; i < 200; ++i) {
-      ArmVector target{};
-      for (double& x : target) x = anywhere(random);
-      for (int k = 0; k < 1 + i % 20; ++k) limiter.Limit(target);
-      const ArmVector expected = limiter.StoppingPosition();
-      CommandLimiter stopping = limiter;
-      while (!stopping.at_rest()) stopping.Decelerate();
-      for (int a = 0; a < kArmAxes; ++a)
-        ASSERT_NEAR(stopping.position()[a], expected[a], 1e-7) << "axis " << a;
-    }
-  }
-}
-
 TEST(CommandLimiterTest, WithoutABoundOnJerkItBrakesAtOnce) {
   CommandLimiter limiter = Limiter({.joint_jerk = std::numeric_limits<double>::infinity()});
   double target = 0;
