@@ -1,7 +1,10 @@
 #include "robot_client/can/socket_calls.h"
 
+#include <fcntl.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
+
+#include <string>
 
 namespace robostress {
 namespace {
@@ -18,6 +21,15 @@ class SystemCalls : public SocketCalls {
   }
   int InterfaceCall(int socket, unsigned long request, ifreq* interface) override {
     return ioctl(socket, request, interface);
+  }
+  int Carrier(const char* interface) override {
+    char digit = '1';
+    const std::string path = std::string("/sys/class/net/") + interface + "/carrier";
+    if (const int file = open(path.c_str(), O_RDONLY | O_CLOEXEC); file >= 0) {
+      if (read(file, &digit, 1) != 1) digit = '1';
+      close(file);
+    }
+    return digit == '0' ? 0 : 1;
   }
   int Bind(int socket, const sockaddr* address, socklen_t size) override {
     return bind(socket, address, size);

@@ -10,7 +10,6 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
-#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
@@ -22,10 +21,6 @@ namespace {
 constexpr size_t kMaxFilters = 32;
 // Every error class; Receive sorts them.
 constexpr can_err_mask_t kErrors = CAN_ERR_MASK;
-
-// A controller that has left the bus has no carrier; one that was just brought up seems to have
-// none for up to a second, until the kernel has looked.
-constexpr int64_t kCarrierDelay_ns = 2'000'000'000;
 
 constexpr char kBringUp[] =
     "bring it up: `sudo ./deploy/can0.sh $0`, or by hand `sudo ip link set $0 up type can bitrate "
@@ -45,12 +40,12 @@ bool SocketCanBus::Set(int level, int option, const T& value) {
   return calls_.SetOption(socket_, level, option, &value, sizeof value) == 0;
 }
 
-// The interface's flags (IFF_UP, IFF_RUNNING); both where the kernel does not tell.
-int SocketCanBus::InterfaceFlags() {
+// False where the kernel does not tell.
+bool SocketCanBus::IsDown() {
   ifreq request{};
   options_.interface.copy(request.ifr_name, IFNAMSIZ - 1);
-  if (calls_.InterfaceCall(socket_, SIOCGIFFLAGS, &request) != 0) return IFF_UP | IFF_RUNNING;
-  return request.ifr_flags;
+  return calls_.InterfaceCall(socket_, SIOCGIFFLAGS, &request) == 0 &&
+         (request.ifr_flags & IFF_UP) == 0;
 }
 
 bool SocketCanBus::SetFilters() {
@@ -97,18 +92,12 @@ std::optional<SocketCanBus::Failure> SocketCanBus::TryOpen() {
   }
   // Binding to an interface that is down succeeds, and the first Receive says so; whoever starts a
   // program should be told at once.
-  const int flags = InterfaceFlags();
-  if ((flags & IFF_UP) == 0) {
+  if (IsDown()) {
     errno = ENETDOWN;
     return Failure{"interface $0 is down", kBringUp};
   }
   health_.state = CanState::kActive;
   transmit_.Clear();
-  no_carrier_ = (flags & IFF_RUNNING) == 0;
-  if (no_carrier_) {
-    GoBusOff();
-    restart_due_ns_ = clock_.now_ns() + kCarrierDelay_ns;
-  }
   return std::nullopt;
 }
 
@@ -132,6 +121,7 @@ absl::Status SocketCanBus::Open() {
                      std::strerror(error), ")", *failure->remedy == '\0' ? "" : "; ",
                      filled(failure->remedy)));
   }
+  if (calls_.Carrier(options_.interface.c_str()) == 0) GoBusOff();
   if (restart_ == nullptr)
     restart_ = std::make_unique<InterfaceRestart>(options_.interface, calls_);
   return absl::OkStatus();
@@ -283,10 +273,6 @@ void SocketCanBus::TakeRestartResult() {
 void SocketCanBus::EndBusOffWhenDue() {
   if (health_.state != CanState::kBusOff || restart_asked_ || clock_.now_ns() < restart_due_ns_)
     return;
-  if (std::exchange(no_carrier_, false) && (InterfaceFlags() & IFF_RUNNING) != 0) {
-    LeaveBusOff();
-    return;
-  }
   restart_due_ns_ = clock_.now_ns() + options_.bus_off_wait_ns;
   restart_asked_ = true;
   restart_->Ask();

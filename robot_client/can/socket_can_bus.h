@@ -63,7 +63,7 @@ class SocketCanBus : public CanBus {
     const char* remedy;  // $0: the interface
   };
   std::optional<Failure> TryOpen();
-  int InterfaceFlags();
+  bool IsDown();
   bool SetFilters();
   bool ComesBack(const CanFrame& frame) const;
   int64_t QueuedBytes();
@@ -84,7 +84,6 @@ class SocketCanBus : public CanBus {
   int socket_ = -1;  // file descriptor
   int64_t next_attempt_ns_ = 0;
   uint64_t overflows_before_ = 0;  // of sockets that were closed
-  bool no_carrier_ = false;        // all that tells of this bus-off, and not for sure
   int64_t restart_due_ns_ = 0;     // while bus-off
   bool restart_asked_ = false;     // its result is not taken yet
   int64_t next_probe_ns_ = 0;      // while stalled

@@ -48,10 +48,11 @@ int Watch(const std::string& address, double seconds) {
     before = now;
   }
   const CanHealth health = (*bus)->health();
-  std::printf("sent %llu, echoes %llu, refused %llu, reopened %llu, bus-offs %llu\n",
+  std::printf("sent %llu, echoes %llu, refused %llu (stalled %llu), reopened %llu, bus-offs %llu\n",
               static_cast<unsigned long long>(health.sent),
               static_cast<unsigned long long>(health.own_echoes),
               static_cast<unsigned long long>(health.send_failures),
+              static_cast<unsigned long long>(health.stalled_sends),
               static_cast<unsigned long long>(health.reopened),
               static_cast<unsigned long long>(health.bus_offs));
   return 0;

@@ -69,21 +69,36 @@ std::string Print(const CanFrame& frame) {
   return std::string(text, static_cast<size_t>(size)) + "\r";
 }
 
-void Write(int master, const std::string& text) {
-  if (write(master, text.data(), text.size()) < 0) std::perror("serial_adapter: write");
-}
+// What the terminal does not take at once waits; frames beyond that are lost, as in an adapter.
+class Output {
+ public:
+  explicit Output(int master) : master_(master) {}
+  void Add(const std::string& text, bool may_be_lost) {
+    if (!may_be_lost || waiting_.size() < 2048) waiting_ += text;
+    Flush();
+  }
+  void Flush() {
+    const ssize_t size = write(master_, waiting_.data(), waiting_.size());
+    if (size > 0) waiting_.erase(0, static_cast<size_t>(size));
+  }
+
+ private:
+  const int master_;
+  std::string waiting_;
+};
 
 // "sb255255\r": state (a, w, p, b) and the counts of errors received and sent.
-void Obey(int master, const std::string& word, bool& reading) {
-  if (word == "off") Write(master, "sb255255\r");
-  if (word == "passive") Write(master, "sp128128\r");
-  if (word == "active") Write(master, "sa000000\r");
+void Obey(Output& output, const std::string& word, bool& reading) {
+  if (word == "off") output.Add("sb255255\r", false);
+  if (word == "passive") output.Add("sp128128\r", false);
+  if (word == "active") output.Add("sa000000\r", false);
   if (word == "stall") reading = false;
   if (word == "read") reading = true;
 }
 
 void Serve(int master, CanBus* bus) {
   bool reading = true;
+  Output output(master);
   std::string from_driver, typed;
   char bytes[4096];
   while (true) {
@@ -94,7 +109,7 @@ void Serve(int master, CanBus* bus) {
       if (size <= 0) return;
       typed.append(bytes, static_cast<size_t>(size));
       for (size_t end; (end = typed.find('\n')) != std::string::npos; typed.erase(0, end + 1))
-        Obey(master, typed.substr(0, end), reading);
+        Obey(output, typed.substr(0, end), reading);
     }
     for (ssize_t size; reading && (size = read(master, bytes, sizeof bytes)) > 0;)
       from_driver.append(bytes, static_cast<size_t>(size));
@@ -105,7 +120,9 @@ void Serve(int master, CanBus* bus) {
         bus->Send(frame).IgnoreError();
     }
     StampedFrame arrived;
-    while (bus != nullptr && bus->Receive(arrived)) Write(master, Print(arrived.frame));
+    for (int i = 0; i < 64 && bus != nullptr && bus->Receive(arrived); ++i)
+      output.Add(Print(arrived.frame), true);
+    output.Flush();
   }
 }
 

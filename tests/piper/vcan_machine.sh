@@ -57,7 +57,7 @@ kernel=$(ls "$work"/kernel/boot/vmlinuz-*)
 version=${kernel##*/vmlinuz-}
 modules=$work/kernel/lib/modules/$version/kernel
 for part in net/can drivers/net/can/dev drivers/net/can/slcan drivers/net/can/vcan.ko drivers/net/can/vxcan.ko \
-  drivers/net/can/sja1000 net/sched/sch_netem.ko; do
+  drivers/net/can/sja1000 net/sched/sch_tbf.ko; do
   mkdir -p "$root/lib/modules/$version/kernel/$(dirname "$part")"
   cp -r "$modules/$part" "$root/lib/modules/$version/kernel/$part" || fail "the kernel $version has no $part"
 done

@@ -1,4 +1,5 @@
-#!/bin/busybox sh
+#!/bin/bash
+# bash, since the shell of busybox prefers its own ip, tc and setpriv.
 # /init of the machine that vcan_machine.sh boots: every case, a row of the table each on the second serial port.
 /bin/busybox --install -s /bin
 export PATH=/bin HOME=/tmp
@@ -10,7 +11,7 @@ mount -t devpts devpts /dev/pts
 mount -t tmpfs shm /dev/shm
 rm -f /bin/sudo
 ip link set lo up
-for module in can can-raw can-dev vcan vxcan slcan kvaser_pci sch_netem; do modprobe "$module" || echo "no module $module"; done
+for module in can can-raw can-dev vcan vxcan slcan kvaser_pci sch_tbf; do modprobe "$module" || echo "no module $module"; done
 rows=/dev/ttyS1
 # The emulator runs on names of virtual interfaces only.
 ip link set can1 name vcanpci
@@ -26,7 +27,7 @@ row() {
 wanted() { echo "$1" | grep -Eq "$(cat /only)"; }
 now() { cut -d' ' -f1 /proc/uptime; }
 until_said() { # FILE PATTERN; gives up with the client
-  for _ in $(seq 200); do
+  for _ in $(seq 150); do
     grep -q "$2" "$1" 2>/dev/null && return 0
     [ -n "${client:-}" ] && [ ! -d "/proc/$client" ] && return 1
     sleep 0.1
@@ -34,9 +35,17 @@ until_said() { # FILE PATTERN; gives up with the client
   return 1
 }
 
-# An arm on $1, a policy, a client on $2 for $3 seconds; $4 is done 2 s after it runs.
+# A machine in software that others slow down may not reach the run, or hold at once: four times more.
 mission() {
+  for _ in 1 2 3 4 5; do
+    mission_once "$@"
+    if [ -n "$at" ] || [ "${retry:-yes}" = no ]; then return; fi
+  done
+}
+# An arm on $1, a policy, a client on $2 for $3 seconds; $4 is done 2 s after it runs.
+mission_once() {
   rm -rf /tmp/out /tmp/log.* /tmp/typed
+  at=""
   mkfifo /tmp/typed
   joint_policy_server >/tmp/log.policy 2>&1 &
   policy=$!
@@ -47,6 +56,7 @@ mission() {
   sleep 1
   timeout 60 robot_client --bus "can:$2" --server "$(sed -n 's/^joint_policy_server: //p' /tmp/log.policy)" --policy sway \
     --instruction sway --camera base=synthetic --camera wrist=synthetic --set episodes=1 --set "episode_s=$3" --out /tmp/out \
+    --set control.watchdogs.arm_hold_s=0.3 --set control.watchdogs.arm_fault_s=1 \
     <>/tmp/typed >/tmp/log.client 2>&1 &
   client=$!
   exec 4<>/tmp/typed
@@ -54,9 +64,11 @@ mission() {
     echo enable >&4
     until_said /tmp/out/events.jsonl ENABLED && echo start >&4
     until_said /tmp/out/events.jsonl '"RUN"' && sleep 2
-    at=$(now)
-    eval "$4"
-    sleep $(($3 - 1))
+    if tail -n 1 /tmp/out/events.jsonl | grep -q '"RUN"'; then
+      at=$(now)
+      eval "$4"
+      sleep $(($3 - 1))
+    fi
     echo success >&4
     sleep 1
     echo quit >&4
@@ -75,7 +87,14 @@ changes() {
 }
 said() { sed -n 's/^robot_client: //p' /tmp/log.client | tail -1 | cut -c1-330; }
 # What can_watch on $1 noticed after $at, with its times.
-noticed() { awk -v at="$at" '$1 + 0 > at - 0.02 && /;/ { split($0, p, ";"); t = $1 - at; sub(/^[0-9.]* /, "", p[1]); printf "%s after %.2f s\n", p[1], t }' /tmp/log.watch; }
+# What lasted less than 70 ms, two ticks, is left out: a machine in software is late now and then.
+noticed() {
+  awk -v at="$at" '
+    / / && /;/ { split($0, p, ";"); t = $1 - at; sub(/^[0-9.]* /, "", p[1]); time[++n] = t; what[n] = p[1] }
+    END { for (i = 1; i <= n; ++i) {
+      if (time[i] < -0.02 || (i < n && time[i + 1] - time[i] < 0.07) || what[i] == last) continue
+      last = what[i]; printf "%s after %.2f s\n", what[i], time[i] } }' /tmp/log.watch
+}
 adapter() { # a serial adapter, bridged to bus $1; its interface in $serial
   rm -f /tmp/adapter && mkfifo /tmp/adapter
   serial_adapter ${1:+"$1"} </tmp/adapter >/tmp/log.adapter 2>&1 &
@@ -139,7 +158,7 @@ if wanted "second sender before"; then
   fresh_vcan; ip link set vcan0 up
   (while true; do cansend vcan0 155#0000000000000000; sleep 0.1; done) &
   other=$!
-  mission vcan0 vcan0 3 ''
+  retry=no mission vcan0 vcan0 3 ''
   kill $other
   row "second sender before the start" "another sender commands this arm.*0x155" "$(said)"
 fi
@@ -159,37 +178,35 @@ if wanted "interface deleted in mid-run"; then
   row "interface deleted in mid-run" "FAULT \(arm_fault\) after 0.0" "$(changes 1)"
 fi
 
-stall="tc qdisc replace dev can0 root netem limit 200 delay 1000s"
+# A device that takes nothing: a queue that lets one frame of 16 bytes go in 16 s.
+hold="root tbf rate 8bit burst 16b limit 3200b"
 if wanted "stalled in mid-run"; then
-  mission vcanpci can0 7 "$stall"
-  tc qdisc del dev can0 root
-  row "sending stalls in mid-run, samples go on (PCI card)" "HOLD \(send_failed\) after 0.1" "$(changes 2)"
+  ip link add vxcan0 type vxcan peer name vcanpeer
+  ip link set vxcan0 txqueuelen 14 up; ip link set vcanpeer up
+  mission vcanpeer vxcan0 7 'tc qdisc replace dev vxcan0 $hold'
+  ip link del vxcan0
+  row "sending stalls in mid-run, samples go on (vxcan)" "HOLD \(send_failed\) after 0.[01].*FAULT \(send_failed\) after 0.[56]" "$(changes 2)"
 fi
-# stalled NAME INTERFACE PEER: how soon commands are refused, and how many old ones are obeyed afterwards.
+# stalled NAME INTERFACE: how soon commands are refused, how many frames wait after 2 s, and that it goes on.
 stalled() {
-  can_watch "can:$2" --seconds 6 >/tmp/log.watch 2>&1 &
+  can_watch "can:$2" --seconds 8 >/tmp/log.watch 2>&1 &
   watch=$!
-  sleep 2
-  tc qdisc replace dev "$2" root netem limit 200 delay 1000s
+  sleep 3
+  # shellcheck disable=SC2086  # several words
+  tc qdisc replace dev "$2" $hold
   at=$(now)
   sleep 2
-  candump -n 10000 -T 600 "$3" >/tmp/log.late 2>/dev/null &
-  dump=$!
-  sleep 0.2
-  tc qdisc change dev "$2" root netem limit 200 delay 0
-  sleep 0.02
-  freed=$(now)
+  waiting=$(tc -s qdisc show dev "$2" | sed -n 's/.*backlog [0-9]*b \([0-9]*\)p.*/\1/p')
+  tc qdisc del dev "$2" root # what waited is lost, echoes with it
   wait $watch
-  kill $dump 2>/dev/null; wait $dump 2>/dev/null
-  tc qdisc del dev "$2" root
-  row "$1" "refuses commands after 0.[01]" "$(noticed)"
+  row "$1" "^active, refuses commands after 0.0.* after 2.*; [1-9] frames" "$(noticed; echo "$waiting frames waited after 2 s")"
 }
 if wanted "stalled with echo"; then
-  stalled "a stall on a device with echo (SJA1000)" can0 vcanpci
+  stalled "a stall on a device with echo (SJA1000)" can0
 fi
 if wanted "stalled without echo"; then
   ip link add vxcan0 type vxcan peer name vxcan1; ip link set vxcan0 txqueuelen 14 up; ip link set vxcan1 up
-  stalled "a stall on a device without echo (vxcan)" vxcan0 vxcan1
+  stalled "a stall on a device without echo (vxcan)" vxcan0
   ip link del vxcan0
 fi
 
@@ -202,9 +219,9 @@ fi
 bus_off() { # NAME PATTERN [PREFIX]
   adapter
   bash /deploy/can0.sh "$serial" >/tmp/log.setup 2>&1
-  $3 can_watch "can:$serial" --seconds 5 >/tmp/log.watch 2>&1 &
+  $3 can_watch "can:$serial" --seconds 6 >/tmp/log.watch 2>&1 &
   watch=$!
-  sleep 2
+  sleep 3
   at=$(now)
   echo off >&3
   wait $watch
@@ -212,10 +229,10 @@ bus_off() { # NAME PATTERN [PREFIX]
   no_adapter
 }
 if wanted "bus-off with the right"; then
-  bus_off "bus-off on slcan, with CAP_NET_ADMIN" "bus-off, refuses commands after 0.0.*active, takes commands.* after 0\.[5-9]"
+  bus_off "bus-off on slcan, with CAP_NET_ADMIN" "bus-off, refuses commands after 0\.0.*active, takes commands.* after (0\.[5-9]|1\.)"
 fi
 if wanted "bus-off without the right"; then
-  bus_off "bus-off on slcan, without" "no right to restart after 0.5.*type .sudo ip link set [a-z0-9]* down && sudo ip link set" "$as_nobody"
+  bus_off "bus-off on slcan, without" "no right to restart after 0\.[56].*type .sudo ip link set [a-z0-9]* down && sudo ip link set" "$as_nobody"
 fi
 if wanted "bus-off in mid-run"; then
   fresh_vcan; ip link set vcan0 up
@@ -234,7 +251,7 @@ if wanted "serial adapter stalls"; then
   at=$(now)
   echo stall >&3
   wait $watch
-  row "nobody reads the terminal of slcan" "refuses commands after" "$(noticed | head -2)"
+  row "nobody reads the terminal of slcan" "refuses commands after 0\.[01]" "$(noticed | head -2)"
   no_adapter
 fi
 sync
