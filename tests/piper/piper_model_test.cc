@@ -160,6 +160,12 @@ TEST(ArmPath, ThatLeadsIntoTheTableIsRefusedAndSaysHowDeep) {
   ArmPath out = path;
   std::reverse(out.rows.begin(), out.rows.end());
   EXPECT_TRUE(CheckPath(model, out).ok()) << "out of it is free";
+  const ArmPath half = StraightPath(into_table, raised, {}, 1.0 / 30);
+  ArmPath back_in = half;
+  back_in.rows.resize(half.rows.size() / 2);
+  for (size_t i = back_in.rows.size(); i-- > back_in.rows.size() / 2;)
+    back_in.rows.push_back(half.rows[i]);
+  EXPECT_FALSE(CheckPath(model, back_in).ok()) << "half out, and in again";
   ArmVector beyond = raised;
   beyond[4] = 2;
   EXPECT_NE(CheckPose("home", beyond, limits, &model).message().find("J5 is 2.0000"),

@@ -170,8 +170,13 @@ class Judge {
     q[kArmJoints] = reading.opening;
     const ArmVector needed = world_.model->Torque(q, dq, {}, 0);
     bool presses = false;
-    for (int j = 0; j < kArmJoints; ++j)
-      presses = presses || std::abs(reading.torque[j] - needed[j]) > 2 * options_.press.excess[j];
+    const ArmLimits limits = world_.arm->limits();
+    for (int j = 0; j < kArmJoints; ++j) {
+      // Pushed beyond its limit, where no command may lead, a joint can only be led back.
+      const bool beyond = q[j] < limits.lower[j] || q[j] > limits.upper[j];
+      presses = presses ||
+                (!beyond && std::abs(reading.torque[j] - needed[j]) > 2 * options_.press.excess[j]);
+    }
     const bool streams = record.state != ClientState::kIdle && record.state != ClientState::kFault;
     pressed_s_ = presses && streams && record.sequence != last_sequence_ ? pressed_s_ + kPeriod : 0;
     last_sequence_ = record.sequence;

@@ -339,10 +339,12 @@ TEST(ControlLoopTest, AfterAFaultTheArmMustBeClearedAndEnabledAgain) {
   ASSERT_EQ(bench.loop->state(), ClientState::kFault);
   bench.Tick(kRequestClear);
   EXPECT_EQ(bench.loop->state(), ClientState::kFault);
-  bench.arm.faults = 0;
-  bench.Tick(kRequestClear);
   EXPECT_EQ(bench.loop->refusal(), Refusal::kMoving);
   bench.Ticks(30);
+  bench.Tick(kRequestClear);
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kFaults);
+  bench.arm.faults = 0;
+  bench.Ticks(5);
   EXPECT_EQ(bench.loop->state(), ClientState::kFault) << "latched";
   bench.Tick(kRequestClear);
   EXPECT_EQ(bench.loop->state(), ClientState::kIdle);
@@ -523,7 +525,7 @@ TEST(ControlLoopTest, AnArmThatGivesWayDoesNotDoSoForEver) {
   const double stood = bench.arm.Latest().position[1];
   bench.arm.effort[1] = 30;  // a weight that nobody declared
   bench.Ticks(300);
-  EXPECT_NEAR(bench.arm.last.position[1], stood - 0.1, 1e-6);
+  EXPECT_NEAR(bench.arm.last.position[1], stood - 0.2, 1e-6);
 }
 
 TEST(ControlLoopTest, ABlockedJointIsHeldThoughEachChunkBeginsWhereItStands) {
