@@ -85,8 +85,8 @@ std::optional<OperatorCommand> AutomaticCommand(const ClientRun& run) {
 
 absl::Status Run(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const ClientConfig config, Resolve(line));
-  OperatorConsole console;  // before anything can be stopped
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<ClientRun> run, ClientRun::Create(config, line.out));
+  OperatorConsole console;
   run->Say(run->description());
   if (!line.automatic) run->Say(kOperatorHelp);
   run->StartThreads();

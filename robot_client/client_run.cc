@@ -22,6 +22,7 @@ constexpr int64_t kPoll_ns = 5'000'000;
 constexpr char kEpisodes[] = "/episodes.jsonl";
 constexpr double kDecides_s = 1;  // within which the loop decides a request
 constexpr double kEnables_s = 10;
+constexpr double kStands = 0.04;  // [rad/s] below what the next order asks for
 constexpr double kLastFeedback_s = 0.1;
 
 ArmVector HomeOf(const ClientConfig& config) {
@@ -162,7 +163,7 @@ void ClientRun::StartThreads() {
     loop_->Run(stop_control_);
   });
   control_ready_.wait(false, std::memory_order_acquire);
-  if (!realtime_.empty()) Say("control thread: " + realtime_);
+  Say("control thread: " + realtime_);
 }
 
 void ClientRun::StopThreads() {
@@ -265,8 +266,8 @@ absl::StatusOr<std::string> ClientRun::StartEpisode() {
   return "";
 }
 
-absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const ArmVector& to,
-                                            double velocity) {
+absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const std::string& there,
+                                            const ArmVector& to, double velocity) {
   if (episode_running_ || loop_->state() != ClientState::kEnabled) {
     return absl::FailedPreconditionError(absl::StrCat(
         "the client is ", StateName(loop_->state()), episode_running_ ? " and an episode runs" : "",
@@ -287,13 +288,17 @@ absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const ArmVe
   pending.what = what;
   pending.until_ns = clock_.now_ns() + static_cast<int64_t>((seconds + 5) * 1e9);
   pending.late = absl::DeadlineExceededError(what + " has not arrived; type hold");
-  pending.answer = [this, before, what, to]() -> std::optional<absl::StatusOr<std::string>> {
+  pending.answer = [this, before, what, there, to]() -> std::optional<absl::StatusOr<std::string>> {
     if (loop_->decided() == before || loop_->state() == ClientState::kMove) return std::nullopt;
     if (loop_->cause() != StateCause::kArrived) return Refused(what + " did not arrive");
-    double off = 0;
-    const ArmVector at = loop_->seen().position;
-    for (int j = 0; j < kArmJoints; ++j) off = std::max(off, std::abs(at[j] - to[j]));
-    return absl::StrFormat("%s: there, %.1f mrad off", what, 1000 * off);
+    const ArmSnapshot arm = loop_->seen();
+    double off = 0, fastest = 0;
+    for (int j = 0; j < kArmJoints; ++j) {
+      off = std::max(off, std::abs(arm.position[j] - to[j]));
+      fastest = std::max(fastest, std::abs(arm.velocity[j]));
+    }
+    if (fastest > kStands) return std::nullopt;
+    return absl::StrFormat("the arm is %s, %.1f mrad off", there, 1000 * off);
   };
   pending_ = std::move(pending);
   loop_->Play(paths_.back().get());
@@ -307,7 +312,7 @@ absl::StatusOr<std::string> ClientRun::Jog(const OperatorOrder& order) {
     RS_RETURN_IF_ERROR(CheckPose("the way's end", to, arm_->limits(), nullptr));
   to[kArmJoints] = std::clamp(to[kArmJoints], arm_->limits().lower[kArmJoints],
                               arm_->limits().upper[kArmJoints]);
-  return Move("jog", to, config_.jog_velocity);
+  return Move("jog", "there", to, config_.jog_velocity);
 }
 
 absl::StatusOr<std::string> ClientRun::EndEpisode(std::optional<bool> success) {
@@ -382,7 +387,7 @@ absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
         return absl::FailedPreconditionError(
             "no starting pose is configured; give home (six joints [rad] and the opening [m])");
       }
-      return Move("home", HomeOf(config_), config_.home_velocity);
+      return Move("home", "home", HomeOf(config_), config_.home_velocity);
     case OperatorCommand::kJog:
       return Jog(order);
     case OperatorCommand::kStart:

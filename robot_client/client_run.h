@@ -70,7 +70,9 @@ class ClientRun {
   absl::StatusOr<std::string> Enable();
   absl::StatusOr<std::string> Clear();
   absl::StatusOr<std::string> StartEpisode();
-  absl::StatusOr<std::string> Move(const std::string& what, const ArmVector& to, double velocity);
+  // "the arm is `there`" once it stands at `to`.
+  absl::StatusOr<std::string> Move(const std::string& what, const std::string& there,
+                                   const ArmVector& to, double velocity);
   absl::StatusOr<std::string> Jog(const OperatorOrder& order);
   absl::StatusOr<std::string> EndEpisode(std::optional<bool> success);
   absl::StatusOr<std::string> CountEpisode(std::optional<bool> success);

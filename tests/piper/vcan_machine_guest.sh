@@ -56,7 +56,7 @@ mission_once() {
   sleep 1
   timeout 60 robot_client --bus "can:$2" --server "$(sed -n 's/^joint_policy_server: //p' /tmp/log.policy)" --policy sway \
     --instruction sway --camera base=synthetic --camera wrist=synthetic --set episodes=1 --set "episode_s=$3" --out /tmp/out \
-    --set control.watchdogs.arm_hold_s=0.3 --set control.watchdogs.arm_fault_s=1 \
+    --without arm_hold_s --set control.watchdogs.arm_hold_s=0.3 --set control.watchdogs.arm_fault_s=1 \
     <>/tmp/typed >/tmp/log.client 2>&1 &
   client=$!
   exec 4<>/tmp/typed

@@ -107,7 +107,7 @@ TEST(ClientProgramTest, DrivesHomeWhereAPersonHasConfiguredIt) {
                  "'home=[0.2, 1.0, -0.8, 0.0, 0.4, 0.0, 0.06]'",
                  &out);
   EXPECT_EQ(code, 0) << text;
-  EXPECT_THAT(text, AllOf(HasSubstr("home: there"), HasSubstr("episode 0 of task 0")));
+  EXPECT_THAT(text, AllOf(HasSubstr("the arm is home"), HasSubstr("episode 0 of task 0")));
   EXPECT_THAT(Text(out + "/run/episodes.jsonl"),
               AllOf(HasSubstr("\"episode\":0"), Not(HasSubstr("\"episode\":-1"))));
 }
@@ -147,7 +147,7 @@ TEST(ClientProgramTest, NeedsNoServerToEnableJogAndDriveHome) {
       "control.watchdogs.arm_hold_s=10 --set 'home=[0.1, 1.2, -1.0, 0.0, 0.5, 0.0, 0.06]' --out " +
           out + "/run\"");
   EXPECT_EQ(code, 0) << text;
-  EXPECT_THAT(text, AllOf(HasSubstr("jog: there"), HasSubstr("home: there"),
+  EXPECT_THAT(text, AllOf(HasSubstr("the arm is there"), HasSubstr("the arm is home"),
                           HasSubstr("no policy server is configured")));
   EXPECT_THAT(Text(out + "/run/ticks.csv"), HasSubstr(",MOVE,"));
 }
