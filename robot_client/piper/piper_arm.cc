@@ -42,7 +42,8 @@ void PiperArm::Poll() {
   }
   const int64_t now_ns = clock_.now_ns();
   ArmSnapshot snapshot = state_.Snapshot(now_ns);
-  if (connected_ && now_ns - state_.status_stamp_ns() > ArmState::kDriverAge_ns)
+  // Beside samples that go on coming: an arm that says nothing at all is silent.
+  if (connected_ && snapshot.stamp_ns - state_.status_stamp_ns() > ArmState::kDriverAge_ns)
     snapshot.faults |= kFaultStatus;
   if (commanding_ && state_.status() && state_.status()->control != ControlMode::kCan)
     snapshot.faults |= kFaultMode;

@@ -177,6 +177,7 @@ TEST(PiperArm, SnapshotGrowsOldWhenTheArmFallsSilent) {
   world.Run(0.25);
   EXPECT_LE(world.arm->Latest().sequence, before + 1);
   EXPECT_GE(world.time.now_ns() - world.arm->Latest().stamp_ns, 245'000'000);
+  EXPECT_EQ(world.arm->Latest().faults, 0u) << "silence is no missing status";
   EXPECT_FALSE(world.arm->Latest().enabled);
 }
 
