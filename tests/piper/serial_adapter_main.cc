@@ -88,7 +88,8 @@ class Output {
 };
 
 // "sb255255\r": state (a, w, p, b) and the counts of errors received and sent.
-void Obey(Output& output, const std::string& word, bool& reading) {
+void Obey(Output& output, const std::string& word, bool& reading, bool& on_bus) {
+  if (word == "off") on_bus = false;  // hears nothing either, until it is opened again
   if (word == "off") output.Add("sb255255\r", false);
   if (word == "passive") output.Add("sp128128\r", false);
   if (word == "active") output.Add("sa000000\r", false);
@@ -97,7 +98,7 @@ void Obey(Output& output, const std::string& word, bool& reading) {
 }
 
 void Serve(int master, CanBus* bus) {
-  bool reading = true;
+  bool reading = true, on_bus = true;
   Output output(master);
   std::string from_driver, typed;
   char bytes[4096];
@@ -109,19 +110,20 @@ void Serve(int master, CanBus* bus) {
       if (size <= 0) return;
       typed.append(bytes, static_cast<size_t>(size));
       for (size_t end; (end = typed.find('\n')) != std::string::npos; typed.erase(0, end + 1))
-        Obey(output, typed.substr(0, end), reading);
+        Obey(output, typed.substr(0, end), reading, on_bus);
     }
     for (ssize_t size; reading && (size = read(master, bytes, sizeof bytes)) > 0;)
       from_driver.append(bytes, static_cast<size_t>(size));
     for (size_t end; (end = from_driver.find('\r')) != std::string::npos;
          from_driver.erase(0, end + 1)) {
       CanFrame frame;
-      if (Parse(from_driver.substr(0, end), frame) && bus != nullptr)
+      if (from_driver[0] == 'O') on_bus = true;
+      if (on_bus && Parse(from_driver.substr(0, end), frame) && bus != nullptr)
         bus->Send(frame).IgnoreError();
     }
     StampedFrame arrived;
     for (int i = 0; i < 64 && bus != nullptr && bus->Receive(arrived); ++i)
-      output.Add(Print(arrived.frame), true);
+      if (on_bus) output.Add(Print(arrived.frame), true);
     output.Flush();
   }
 }
