@@ -79,7 +79,21 @@ absl::Status PiperArm::SendAllowed(const CanFrame& frame, Consent consent) {
   return bus_->Send(frame);
 }
 
-absl::Status PiperArm::Connect() {
+// Errors of the bus carry no text where they may come up in the control loop.
+absl::Status PiperArm::Explained(const absl::Status& status) const {
+  if (status.ok() || !status.message().empty()) return status;
+  const std::string advice = BusAdvice(bus_->description(), bus_->health());
+  return absl::Status(status.code(),
+                      Named(advice.empty() ? "the bus does not take a frame" : advice));
+}
+
+absl::Status PiperArm::Connect() { return Explained(TryConnect()); }
+
+absl::Status PiperArm::Enable(const std::function<bool()>& cancelled) {
+  return Explained(TryEnable(cancelled));
+}
+
+absl::Status PiperArm::TryConnect() {
   RS_RETURN_IF_ERROR(bus_->Open());
   RS_RETURN_IF_ERROR(Listen());
   RS_RETURN_IF_ERROR(AskFirmware());
@@ -230,7 +244,7 @@ absl::Status PiperArm::CheckStands(double still) {
   return absl::OkStatus();
 }
 
-absl::Status PiperArm::Enable(const std::function<bool()>& cancelled) {
+absl::Status PiperArm::TryEnable(const std::function<bool()>& cancelled) {
   if (!connected_) return absl::FailedPreconditionError(Named("Enable before Connect"));
   Poll();
   if (stopped_ || (published_.faults & kFaultEmergencyStop) != 0)

@@ -86,6 +86,9 @@ class PiperArm : public RobotArm {
   absl::Status SetCollisionLevel(int level);
 
  private:
+  absl::Status TryConnect();
+  absl::Status TryEnable(const std::function<bool()>& cancelled);
+  absl::Status Explained(const absl::Status& status) const;
   absl::Status Listen();
   absl::Status AskFirmware();
   absl::Status AskLimits();

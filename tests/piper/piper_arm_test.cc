@@ -335,6 +335,33 @@ TEST(PiperArm, TheArmsOwnSpeedFollowsTheLimitThatIsConfigured) {
   EXPECT_GT(world.arm->Latest().position[0] - before, 0.15);
 }
 
+// A bus that takes nothing from some moment on, and says so by a code alone.
+class StuckBus : public CanBus {
+ public:
+  StuckBus(std::unique_ptr<CanBus> bus, const bool* stuck) : bus_(std::move(bus)), stuck_(stuck) {}
+  absl::Status Open() override { return bus_->Open(); }
+  absl::Status Send(const CanFrame& frame) override {
+    return *stuck_ ? absl::UnavailableError("") : bus_->Send(frame);
+  }
+  bool Receive(StampedFrame& frame) override { return bus_->Receive(frame); }
+  CanHealth health() const override { return bus_->health(); }
+  std::string description() const override { return bus_->description(); }
+
+ private:
+  const std::unique_ptr<CanBus> bus_;
+  const bool* const stuck_;
+};
+
+TEST(PiperArm, SaysWhatIsWrongWithABusThatTakesNothing) {
+  EmulatedArm world;
+  bool stuck = false;
+  PiperArm arm(std::make_unique<StuckBus>(world.bus.Attach(), &stuck), world.time);
+  ASSERT_TRUE(arm.Connect().ok());
+  stuck = true;
+  EXPECT_THAT(Said(arm.Enable()), HasSubstr("the bus does not take a frame"));
+  EXPECT_THAT(Said(arm.Connect()), HasSubstr("in-process"));
+}
+
 TEST(PiperArm, AnEnableThatIsCancelledEndsAtOnce) {
   EmulatedArm world;
   ASSERT_TRUE(world.arm->Connect().ok());
