@@ -13,82 +13,12 @@ namespace robostress {
 namespace {
 
 constexpr double kNsPerSecond = 1e9;
-// [rad], [m]. An arm without power hangs in its mechanical stops, up to 0.1 rad beyond J1, J3, J4,
-// J5.
-constexpr double kRestOutside = 0.12;
 constexpr uint32_t kGoing = kRequestClear | kRequestStart | kRequestMove;
 constexpr uint32_t kDecided = kGoing | kRequestEnable;
-constexpr double kStill = 0.05;     // [rad/s] a slower joint stands
 constexpr double kTogether = 0.1;   // [rad] an arm stands where it is sent
-constexpr double kRelax = 0.03;     // [rad] off its command, where it is held: it goes back
-constexpr double kStrained = 0.5;   // of its limit: a joint that stands gives way to the torque ...
-constexpr double kGiveWay = 0.02;   // [rad] ... by this much at a time ...
-constexpr double kMostWay = 0.2;    // [rad] ... and no further in all
 constexpr double kArrived = 0.03;   // [rad] from the end of a way ...
 constexpr double kArrives_s = 1.5;  // ... within so long of its last row
 constexpr double kGuarded_s = 0.5;  // without a way out of the workspace's bounds: HOLD
-
-absl::Status CheckPress(const PressOptions& o) {
-  const std::pair<const char*, const std::vector<double>*> vectors[] = {
-      {"excess", &o.excess}, {"friction", &o.friction}, {"viscous", &o.viscous}};
-  for (const auto& [name, values] : vectors) {
-    if (values->size() != kArmJoints) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("press.", name, " has ", values->size(),
-                       " numbers, must have one per joint: ", kArmJoints));
-    }
-    for (const double value : *values) {
-      if (!(value >= 0 && value <= 100))
-        return absl::InvalidArgumentError(
-            absl::StrCat("press.", name, " holds ", value, ", must be 0 to 100"));
-    }
-  }
-  return absl::OkStatus();
-}
-
-absl::Status CheckOptions(const ControlOptions& o) {
-  const auto invalid = [](const auto&... parts) {
-    return absl::InvalidArgumentError(absl::StrCat(parts...));
-  };
-  if (!(o.rate_hz >= 1 && o.rate_hz <= 1000))
-    return invalid("rate_hz is ", o.rate_hz, ", must be 1..1000");
-  if (o.player.execute_steps < 1 || o.player.late_steps < 0 ||
-      o.player.execute_steps + o.player.late_steps > ArmChunk::kMaxRows) {
-    return invalid("player.execute_steps is ", o.player.execute_steps, " and player.late_steps ",
-                   o.player.late_steps, "; they must be at least 1 and 0, and together at most ",
-                   ArmChunk::kMaxRows);
-  }
-  if (o.player.fade_steps < 0 || o.player.fade_steps > ArmChunk::kMaxRows)
-    return invalid("player.fade_steps is ", o.player.fade_steps, ", must be 0..64");
-  const DisturbanceObserverOptions& dob = o.disturbance_observer;
-  if (!(dob.bandwidth > 0 && dob.max_correction > 0 && dob.min_dt_s > 0 &&
-        dob.max_dt_s >= dob.min_dt_s && std::isfinite(dob.bandwidth + dob.max_dt_s))) {
-    return invalid("disturbance_observer: bandwidth ", dob.bandwidth, ", max_correction ",
-                   dob.max_correction, ", min_dt_s ", dob.min_dt_s, ", max_dt_s ", dob.max_dt_s,
-                   "; all must be positive and max_dt_s at least min_dt_s");
-  }
-  const WatchdogOptions& w = o.watchdogs;
-  if (!(w.arm_hold_s > 0 && w.arm_fault_s >= w.arm_hold_s))
-    return invalid("watchdogs.arm_hold_s is ", w.arm_hold_s, " and arm_fault_s ", w.arm_fault_s,
-                   "; both must be positive and the fault not before the hold");
-  return CheckPress(o.press);
-}
-
-// An arm at rest stands on its limits, and what it measures may lie a little beyond them: the first
-// command is the nearest one that it takes.
-absl::Status MoveInside(const ArmLimits& limits, ArmVector& position) {
-  for (int i = 0; i < kArmAxes; ++i) {
-    const double inside = std::clamp(position[i], limits.lower[i], limits.upper[i]);
-    if (std::abs(inside - position[i]) > kRestOutside) {
-      return absl::FailedPreconditionError(absl::StrCat(
-          i < kArmJoints ? absl::StrCat("J", i + 1) : "the gripper", " stands at ", position[i],
-          ", outside ", limits.lower[i], " to ", limits.upper[i], " by more than ", kRestOutside,
-          ": take its power off, move it by hand, enable again"));
-    }
-    position[i] = inside;
-  }
-  return absl::OkStatus();
-}
 
 DisturbanceObserver::Joints JointsOf(const ArmVector& v) {
   return Eigen::Map<const Eigen::Matrix<double, kArmJoints, 1>>(v.data());
@@ -113,7 +43,7 @@ absl::StatusOr<std::unique_ptr<ControlLoop>> ControlLoop::Create(const ControlOp
                                                                  RobotArm* arm, Clock* clock,
                                                                  const CameraStamps* cameras,
                                                                  const ArmModel* model) {
-  RS_RETURN_IF_ERROR(CheckOptions(options));
+  RS_RETURN_IF_ERROR(CheckControlOptions(options));
   auto loop = std::unique_ptr<ControlLoop>(new ControlLoop(options, arm, clock, cameras, model));
   RS_RETURN_IF_ERROR(loop->limiter_.Configure(options.limits, arm->limits(), 1 / options.rate_hz));
   return loop;
@@ -221,8 +151,7 @@ void ControlLoop::EnableArm() {
   if (status.ok()) {
     limiter_.Reset(start);
     press_.Reset();
-    relaxing_ = false;
-    stood_at_ = start;
+    held_.Begin(start);
     machine_.Enabled();
   }
   absl::MutexLock lock(&mu_);
@@ -273,9 +202,7 @@ void ControlLoop::AskForPrediction(int64_t now_ns) {
 
 void ControlLoop::OnStateChange(ClientState before, int64_t now_ns) {
   const ClientState now = machine_.state();
-  relaxed_ = relaxing_ = false;
-  pushed_.fill(0);
-  stood_at_ = record_.position;
+  held_.Begin(record_.position);
   guarded_ticks_ = 0;
   policy_invalid_ = false;
   way_ = nullptr;
@@ -329,40 +256,16 @@ ArmVector ControlLoop::Advance(const ArmVector& target) {
   return command;
 }
 
-// Stands, or comes to stand. Where the arm was held off its command the command goes to where it
-// is; where it presses, away from what it presses against, because a servo's integral part goes on
-// pressing on the spot.
+// Stands, or comes to stand, or gives way.
 ArmVector ControlLoop::Stand() {
   const bool fresh = (record_.flags & kTickFresh) != 0;
-  const bool stands = std::all_of(record_.velocity.begin(), record_.velocity.begin() + kArmJoints,
-                                  [](double v) { return std::abs(v) < kStill; });
   if (options_.guards && fresh && machine_.state() != ClientState::kRun) {
-    const bool settled = stands && limiter_.at_rest();
-    const bool held = machine_.state() == ClientState::kHold && !relaxed_ && settled;
-    ArmVector to = relaxing_ ? relax_to_ : limiter_.position();
-    bool gives_way = false;
-    for (int j = 0; j < kArmJoints; ++j) {
-      const double share = press_.share(j);
-      if (std::abs(share) > kStrained && (settled || press_.pressing())) {
-        const double away = record_.position[j] - std::copysign(kGiveWay, share);
-        to[j] = std::clamp(away, stood_at_[j] - kMostWay, stood_at_[j] + kMostWay);
-        gives_way = true;
-      } else if (held && (pushed_[j] != 0 || std::abs(to[j] - record_.position[j]) > kRelax)) {
-        to[j] = record_.position[j] - kGiveWay * pushed_[j];
-        gives_way = true;
-      }
-    }
-    if (gives_way) {
-      relaxing_ = true;
-      relax_to_ = to;
-    } else if (relaxing_ && settled) {
-      relaxing_ = false;
-    }
-    relaxed_ = relaxed_ || (held && stands);
+    held_.Take(record_, press_, machine_.state() == ClientState::kHold, limiter_.position(),
+               limiter_.at_rest());
   }
-  if (!relaxing_) return limiter_.Decelerate();
+  if (!held_.target()) return limiter_.Decelerate();
   record_.flags |= kTickRelaxed;
-  return Advance(relax_to_);
+  return Advance(*held_.target());
 }
 
 // A row of the policy's chunk; false: there is none.
@@ -449,22 +352,15 @@ void ControlLoop::SendCommand() {
   if (taken) record_.flags |= kTickSent;
 }
 
-// The command is ahead of an arm that presses, by what the arm lags and by all that it was held
-// back since; led back under the limits it would go on pressing for as long as that takes. So it
-// becomes where the arm stands, which is no motion that anybody could ask for.
 void ControlLoop::StopPressing(const ArmSnapshot& arm) {
   const StateCause cause = machine_.cause();
   const bool pressed = cause == StateCause::kPressing || cause == StateCause::kBlocked ||
                        cause == StateCause::kFollowingError;
-  ArmVector stand = arm.position;
-  if (!options_.guards || !pressed || (record_.flags & kTickFresh) == 0 ||
-      !MoveInside(arm_->limits(), stand).ok())
-    return;
-  for (int j = 0; j < kArmJoints; ++j) {
-    const double ahead = limiter_.position()[j] - stand[j];
-    pushed_[j] = std::abs(ahead) > kRelax ? std::copysign(1.0, ahead) : 0;
-  }
-  limiter_.Reset(stand);
+  if (!options_.guards || !pressed || (record_.flags & kTickFresh) == 0) return;
+  const std::optional<ArmVector> stand =
+      held_.LetGo(arm_->limits(), arm.position, limiter_.position());
+  if (!stand) return;
+  limiter_.Reset(*stand);
   record_.flags |= kTickRelaxed;
 }
 

@@ -16,7 +16,9 @@
 #include "robot_client/arm_model.h"
 #include "robot_client/control/chunk_player.h"
 #include "robot_client/control/command_limiter.h"
+#include "robot_client/control/control_options.h"
 #include "robot_client/control/delay_estimator.h"
+#include "robot_client/control/held_arm.h"
 #include "robot_client/control/press_watch.h"
 #include "robot_client/control/spsc_ring.h"
 #include "robot_client/control/state_machine.h"
@@ -27,36 +29,6 @@
 #include "robot_client/snapshot_cell.h"
 
 namespace robostress {
-
-struct ControlOptions {
-  double rate_hz = 30;          // control ticks per second
-  double gripper_effort = 1.0;  // [Nm]
-  double retry_s = 0.2;         // after a failed prediction, until the next is asked for
-  bool observer = false;        // disturbance observer
-  DisturbanceObserverOptions disturbance_observer;
-  PlayerOptions player;
-  LimiterOptions limits;
-  WatchdogOptions watchdogs;
-  PressOptions press;
-  WorkspaceOptions workspace;
-  // False in simulated studies, as they were recorded: nothing is asked of an arm that starts, and
-  // pressing, blocking, delay and workspace are not watched.
-  bool guards = true;
-
-  template <class V>
-  void Visit(V& v) {
-    v.Field("rate_hz", rate_hz, "control ticks per second");
-    v.Field("gripper_effort", gripper_effort, "most torque of the gripper [Nm]");
-    v.Field("retry_s", retry_s, "after a failed prediction, until the next is asked for [s]");
-    v.Field("observer", observer, "correct commands by the disturbance observer");
-    v.Section("disturbance_observer", disturbance_observer, "the DOB baseline");
-    v.Section("player", player, "how chunks are played");
-    v.Section("limits", limits, "bounds on what is sent");
-    v.Section("watchdogs", watchdogs, "when the arm is held");
-    v.Section("press", press, "when the arm presses against something");
-    v.Section("workspace", workspace, "where the arm may be");
-  }
-};
 
 // What a prediction is asked about: the measurement at the start of a tick.
 struct PredictionRequest {
@@ -188,6 +160,7 @@ class ControlLoop {
   StateMachine machine_;
   DisturbanceObserver observer_;
   PressWatch press_;
+  HeldArm held_;
   DelayEstimator delay_;
   std::vector<Reader> readers_;
   std::function<void()> on_request_;
@@ -226,11 +199,6 @@ class ControlLoop {
   const ArmPath* way_ = nullptr;  // in MOVE
   size_t way_row_ = 0;
   int guarded_ticks_ = 0;  // for which the workspace has stopped the command
-  bool relaxed_ = false;   // since the arm was held
-  bool relaxing_ = false;
-  ArmVector relax_to_{};
-  ArmVector stood_at_{};  // measured when the state began
-  ArmVector pushed_{};    // which way joints pressed when the arm was held: -1, 0, 1
   TickTiming timing_;
 
   mutable absl::Mutex mu_;
