@@ -5,10 +5,8 @@
 #include <filesystem>
 #include <utility>
 
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_split.h"
-#include "common/atomic_file.h"
+#include "common/csv_table.h"
 #include "common/status_macros.h"
 #include "robot_client/emulator/piper_mjcf.h"
 
@@ -20,76 +18,24 @@ constexpr char kSamples[] = "samples.csv";
 constexpr int kJoints = 6;
 constexpr double kShortest_s = 1;  // of an episode
 
-// A table of a run, read cell by cell.
-class RunTable {
- public:
-  static absl::StatusOr<RunTable> Read(const std::string& run, const std::string& name) {
-    RunTable table;
-    table.file_ = (std::filesystem::path(run) / name).string();
-    const auto text = ReadFile(table.file_);
-    if (!text.ok()) {
-      const bool unfinished = std::filesystem::exists(table.file_ + ".partial");
-      return absl::NotFoundError(absl::StrCat(
-          table.file_, ": is not there",
-          unfinished ? "; the recording was cut off: rename the file ending in .partial without it"
-          : name == kSamples ? "; the run is older than this table, or of an arm that is not there"
-                             : ""));
-    }
-    for (const absl::string_view line : absl::StrSplit(*text, '\n', absl::SkipEmpty()))
-      table.rows_.push_back(absl::StrSplit(line, ','));
-    if (table.rows_.size() < 2)
-      return absl::InvalidArgumentError(absl::StrCat(table.file_, ": has no rows"));
-    table.names_ = std::move(table.rows_.front());
-    table.rows_.erase(table.rows_.begin());
-    // The line on which a disk became full.
-    if (table.rows_.back().size() < table.names_.size()) table.rows_.pop_back();
-    for (size_t i = 0; i < table.rows_.size(); ++i) {
-      if (table.rows_[i].size() != table.names_.size())
-        return absl::InvalidArgumentError(absl::StrCat(table.file_, ":", i + 2, ": has ",
-                                                       table.rows_[i].size(), " columns, not ",
-                                                       table.names_.size()));
-    }
-    return table;
-  }
-
-  size_t rows() const { return rows_.size(); }
-  absl::StatusOr<size_t> Column(const std::string& name) const {
-    const auto at = std::find(names_.begin(), names_.end(), name);
-    if (at == names_.end())
-      return absl::InvalidArgumentError(
-          absl::StrCat(file_, ": has no column '", name, "'; robot_client writes one"));
-    return static_cast<size_t>(at - names_.begin());
-  }
-  const std::string& Text(size_t row, size_t column) const { return rows_[row][column]; }
-  absl::StatusOr<double> Number(size_t row, size_t column) const {
-    double value = 0;
-    if (!absl::SimpleAtod(rows_[row][column], &value) || !std::isfinite(value))
-      return absl::InvalidArgumentError(absl::StrCat(file_, ":", row + 2, ": ", names_[column],
-                                                     " is '", rows_[row][column],
-                                                     "', must be a finite number"));
-    return value;
-  }
-  absl::StatusOr<std::vector<double>> Numbers(const std::string& name) const {
-    RS_ASSIGN_OR_RETURN(const size_t column, Column(name));
-    std::vector<double> values(rows());
-    for (size_t row = 0; row < rows(); ++row) {
-      RS_ASSIGN_OR_RETURN(values[row], Number(row, column));
-    }
-    return values;
-  }
-
- private:
-  std::string file_;
-  std::vector<std::string> names_;
-  std::vector<std::vector<std::string>> rows_;
-};
+// A table of a run; the error where there is none says what may have become of it.
+absl::StatusOr<CsvTable> ReadRunTable(const std::string& run, const std::string& name) {
+  const std::string file = (std::filesystem::path(run) / name).string();
+  if (std::filesystem::exists(file)) return CsvTable::Read(file);
+  const bool unfinished = std::filesystem::exists(file + ".partial");
+  return absl::NotFoundError(absl::StrCat(
+      file, ": is not there",
+      unfinished ? "; the recording was cut off: rename the file ending in .partial without it"
+      : name == kSamples ? "; the run is older than this table, or of an arm that is not there"
+                         : ""));
+}
 
 struct Interval {
   double begin = 0, end = 0;  // [s]
 };
 
-// When the arm followed a policy or held.
-absl::StatusOr<std::vector<Interval>> Driven(const RunTable& ticks) {
+// When the arm followed a policy, or a way of the client's own, or held.
+absl::StatusOr<std::vector<Interval>> Driven(const CsvTable& ticks) {
   RS_ASSIGN_OR_RETURN(const std::vector<double> t, ticks.Numbers("t"));
   RS_ASSIGN_OR_RETURN(const size_t state, ticks.Column("state"));
   RS_ASSIGN_OR_RETURN(const size_t episode, ticks.Column("episode"));
@@ -97,7 +43,7 @@ absl::StatusOr<std::vector<Interval>> Driven(const RunTable& ticks) {
   std::string current;
   for (size_t row = 0; row < ticks.rows(); ++row) {
     const std::string& name = ticks.Text(row, state);
-    const bool driven = name == "RUN" || name == "HOLD";
+    const bool driven = name == "RUN" || name == "MOVE" || name == "HOLD";
     if (!driven) {
       current.clear();
       continue;
@@ -114,7 +60,7 @@ struct Samples {
   std::vector<double> t, sequence;
   std::vector<std::vector<double>> q, dq, tau;  // [6][rows]
 
-  static absl::StatusOr<Samples> Read(const RunTable& table) {
+  static absl::StatusOr<Samples> Read(const CsvTable& table) {
     Samples samples;
     RS_ASSIGN_OR_RETURN(samples.t, table.Numbers("t"));
     RS_ASSIGN_OR_RETURN(samples.sequence, table.Numbers("sequence"));
@@ -164,8 +110,8 @@ bool IsClientRun(const std::string& run) {
 
 absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::string& run,
                                                                  int at_least) {
-  RS_ASSIGN_OR_RETURN(const RunTable ticks, RunTable::Read(run, kTicks));
-  RS_ASSIGN_OR_RETURN(const RunTable table, RunTable::Read(run, kSamples));
+  RS_ASSIGN_OR_RETURN(const CsvTable ticks, ReadRunTable(run, kTicks));
+  RS_ASSIGN_OR_RETURN(const CsvTable table, ReadRunTable(run, kSamples));
   RS_ASSIGN_OR_RETURN(const std::vector<Interval> driven, Driven(ticks));
   RS_ASSIGN_OR_RETURN(const Samples samples, Samples::Read(table));
   const double rate_hz = RateOf(samples.t);
@@ -188,9 +134,10 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
     }
   }
   if (stretches.empty())
-    return absl::FailedPreconditionError(absl::StrCat(
-        run, ": no stretch of ", kShortest_s,
-        " s in which the arm ran and every sample was recorded; record an episode on an arm"));
+    return absl::FailedPreconditionError(
+        absl::StrCat(run, ": no stretch of ", kShortest_s,
+                     " s in which the arm ran and every sample was recorded; record an episode or "
+                     "a motion on an arm"));
   const double part = static_cast<int>(stretches.size()) >= at_least ? rows : rows / at_least;
   std::vector<RecordedEpisode> episodes;
   for (const auto& [first, last] : stretches) {

@@ -26,6 +26,7 @@ struct ClientConfig {
   std::vector<double> home;     // seven: joints [rad], opening [m]; empty: there is no such pose
   double home_velocity = 0.6;   // [rad/s] of the fastest joint on the way home
   double jog_velocity = 0.2;    // [rad/s]
+  bool slow_first = true;       // a motion is played at a quarter of its speed first
   int collision_level = -1;     // of the arm's own protection, 0 (off) .. 8; -1: as it is
   bool record_required = true;  // false: the arm may move on when the recording has failed
   std::vector<std::string> without;  // watchdogs that are given up, by the names of their options
@@ -46,6 +47,8 @@ struct ClientConfig {
     v.Field("home", home, "pose of `home`: six joints [rad] and the opening [m]; empty: none");
     v.Field("home_velocity", home_velocity, "most speed of a joint on the way home [rad/s]");
     v.Field("jog_velocity", jog_velocity, "most speed of a joint that is jogged [rad/s]");
+    v.Field("slow_first", slow_first,
+            "a motion must have been played slowly in this run before it is played");
     v.Field("collision_level", collision_level,
             "the arm's own collision protection, 0 (off) to 8, written to it; -1: as it is");
     v.Field("record_required", record_required,

@@ -55,14 +55,15 @@ const char* TextOf(Refusal refusal) {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<ClientRun>> ClientRun::Create(const ClientConfig& config,
-                                                             const std::string& directory) {
+                                                             const std::string& directory,
+                                                             const MotionMaker& motion) {
   RS_RETURN_IF_ERROR(CheckConfig(config));
   auto run = std::unique_ptr<ClientRun>(new ClientRun(config, directory));
-  RS_RETURN_IF_ERROR(run->Open());
+  RS_RETURN_IF_ERROR(run->Open(motion));
   return run;
 }
 
-absl::Status ClientRun::Open() {
+absl::Status ClientRun::Open(const MotionMaker& motion) {
   RS_ASSIGN_OR_RETURN(arm_, MakeArm(config_, &clock_));
   RS_RETURN_IF_ERROR(arm_->Connect());
   RS_RETURN_IF_ERROR(CheckCollisionProtection());
@@ -71,6 +72,10 @@ absl::Status ClientRun::Open() {
     const bool guarded = config_.control.workspace.guard;
     RS_RETURN_IF_ERROR(
         CheckPose("home", HomeOf(config_), arm_->limits(), guarded ? model_.get() : nullptr));
+  }
+  if (motion) {
+    RS_ASSIGN_OR_RETURN(motion_, motion(arm_->limits(), model_.get()));
+    RS_RETURN_IF_ERROR(CheckMotion(*motion_, arm_->limits()));
   }
   std::vector<FrameSource*> sources;
   for (const std::string& text : config_.cameras) {
@@ -94,6 +99,8 @@ absl::Status ClientRun::Open() {
   }
   RS_ASSIGN_OR_RETURN(recorder_, Recorder::Create(directory_));
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
+  if (motion_)
+    RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/motion.csv", MotionCsv(*motion_)));
   loop_->AddReader(&recorder_->ring());
   arm_->AddSampleReader(&recorder_->samples());
   if (link_ != nullptr) link_->RecordFrames(&recorder_->frames());
@@ -125,7 +132,9 @@ ClientRun::~ClientRun() { StopThreads(); }
 
 std::string ClientRun::description() const {
   const std::string policy =
-      link_ == nullptr
+      motion_ ? absl::StrFormat("motion %s, %.1f s: enable, then play slow", motion_->source,
+                                motion_->duration_s())
+      : link_ == nullptr
           ? "no policy server: enable, jog and home only"
           : absl::StrCat("policy ", link_->spec().name, " at ", config_.policy.server,
                          "; cameras [", absl::StrJoin(link_->spec().cameras, ", "), "]");
@@ -266,29 +275,35 @@ absl::StatusOr<std::string> ClientRun::StartEpisode() {
   return "";
 }
 
-absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const std::string& there,
-                                            const ArmVector& to, double velocity) {
-  if (episode_running_ || loop_->state() != ClientState::kEnabled) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        "the client is ", StateName(loop_->state()), episode_running_ ? " and an episode runs" : "",
-        "; the arm is moved from ENABLED"));
-  }
+absl::Status ClientRun::MayMove() const {
+  if (!episode_running_ && loop_->state() == ClientState::kEnabled) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat("the client is ", StateName(loop_->state()),
+                                                    episode_running_ ? " and an episode runs" : "",
+                                                    "; the arm is moved from ENABLED"));
+}
+
+PathLimits ClientRun::WayLimits(double velocity) const {
+  const LimiterOptions& most = config_.control.limits;
   PathLimits limits;
-  limits.joint_velocity = std::min(velocity, config_.control.limits.joint_velocity);
-  limits.joint_acceleration =
-      std::min(limits.joint_acceleration, 0.8 * config_.control.limits.joint_acceleration);
-  limits.joint_jerk = std::min(limits.joint_jerk, 0.8 * config_.control.limits.joint_jerk);
-  auto path = std::make_unique<ArmPath>(
-      StraightPath(loop_->seen().position, to, limits, 1 / config_.control.rate_hz));
-  if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, *path));
-  const double seconds = static_cast<double>(path->rows.size()) / config_.control.rate_hz;
-  paths_.push_back(std::move(path));
+  limits.joint_velocity = std::min(velocity, most.joint_velocity);
+  limits.joint_acceleration = std::min(limits.joint_acceleration, 0.8 * most.joint_acceleration);
+  limits.joint_jerk = std::min(limits.joint_jerk, 0.8 * most.joint_jerk);
+  return limits;
+}
+
+absl::StatusOr<std::string> ClientRun::Follow(const std::string& what, ArmPath path,
+                                              std::function<std::string(double)> arrived) {
+  if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, path));
+  const double seconds = static_cast<double>(path.rows.size()) / config_.control.rate_hz;
+  const ArmVector to = path.rows.back();
+  paths_.push_back(std::make_unique<const ArmPath>(std::move(path)));
   const uint64_t before = loop_->decided();
   Pending pending;
   pending.what = what;
   pending.until_ns = clock_.now_ns() + static_cast<int64_t>((seconds + 5) * 1e9);
   pending.late = absl::DeadlineExceededError(what + " has not arrived; type hold");
-  pending.answer = [this, before, what, there, to]() -> std::optional<absl::StatusOr<std::string>> {
+  pending.answer = [this, before, what, arrived = std::move(arrived),
+                    to]() -> std::optional<absl::StatusOr<std::string>> {
     if (loop_->decided() == before || loop_->state() == ClientState::kMove) return std::nullopt;
     if (loop_->cause() != StateCause::kArrived) return Refused(what + " did not arrive");
     const ArmSnapshot arm = loop_->seen();
@@ -298,11 +313,40 @@ absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const std::
       fastest = std::max(fastest, std::abs(arm.velocity[j]));
     }
     if (fastest > kStands) return std::nullopt;
-    return absl::StrFormat("the arm is %s, %.1f mrad off", there, 1000 * off);
+    return arrived(1000 * off);
   };
   pending_ = std::move(pending);
   loop_->Play(paths_.back().get());
   return absl::StrFormat("%s: %.1f s; Enter stops", what, seconds);
+}
+
+absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const std::string& there,
+                                            const ArmVector& to, double velocity) {
+  RS_RETURN_IF_ERROR(MayMove());
+  return Follow(
+      what,
+      StraightPath(loop_->seen().position, to, WayLimits(velocity), 1 / config_.control.rate_hz),
+      [there](double off) { return absl::StrFormat("the arm is %s, %.1f mrad off", there, off); });
+}
+
+absl::StatusOr<std::string> ClientRun::Play(double speed) {
+  if (!motion_)
+    return absl::FailedPreconditionError(
+        "this run has no motion; quit, and start `robot_client replay` or `robot_client excite`");
+  RS_RETURN_IF_ERROR(MayMove());
+  if (config_.slow_first && speed > kSlowly && fastest_played_ == 0)
+    return absl::FailedPreconditionError(
+        "the motion was not played slowly yet; type play slow and watch its way, then play");
+  const double period_s = 1 / config_.control.rate_hz;
+  PlayedMotion played = PlayMotion(*motion_, speed, loop_->seen().position,
+                                   WayLimits(config_.home_velocity), period_s);
+  RS_RETURN_IF_ERROR(CheckSpeed(played, speed, config_.control.limits.joint_velocity, period_s));
+  return Follow(absl::StrFormat("play %.2g", speed), std::move(played.path),
+                [this, speed](double off) {
+                  fastest_played_ = std::max(fastest_played_, speed);
+                  return absl::StrFormat("the motion is over, %.1f mrad off its end; %s", off,
+                                         speed < 1 ? "type play, or quit" : "type quit");
+                });
 }
 
 absl::StatusOr<std::string> ClientRun::Jog(const OperatorOrder& order) {
@@ -390,6 +434,8 @@ absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
       return Move("home", "home", HomeOf(config_), config_.home_velocity);
     case OperatorCommand::kJog:
       return Jog(order);
+    case OperatorCommand::kPlay:
+      return Play(order.amount);
     case OperatorCommand::kStart:
       return StartEpisode();
     case OperatorCommand::kResume:

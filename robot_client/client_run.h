@@ -13,6 +13,7 @@
 #include "absl/status/statusor.h"
 #include "robot_client/arm_path.h"
 #include "robot_client/client_config.h"
+#include "robot_client/motion/motion.h"
 #include "robot_client/operator_console.h"
 #include "robot_client/policy_link.h"
 #include "robot_client/recorder.h"
@@ -27,8 +28,11 @@ class ClientRun {
  public:
   // Connects to everything and opens the recording `directory`; nothing moves. The order is arm,
   // cameras, server: what a person must repair first fails first.
+  // `motion`, where given, makes the motion that `play` plays, once the arm's limits are known.
+  using MotionMaker = std::function<absl::StatusOr<Motion>(const ArmLimits&, const ArmModel*)>;
   static absl::StatusOr<std::unique_ptr<ClientRun>> Create(const ClientConfig& config,
-                                                           const std::string& directory);
+                                                           const std::string& directory,
+                                                           const MotionMaker& motion = nullptr);
   ~ClientRun();  // stops the threads; the arm holds
 
   void StartThreads();
@@ -44,6 +48,8 @@ class ClientRun {
   bool done() const { return !episode_running_ && next_episode_ >= config_.episodes; }
   ClientState state() const { return loop_->state(); }
   bool episode_running() const { return episode_running_; }
+  // The fastest that the motion was played to its end in this run; 0: not yet.
+  double fastest_played() const { return fastest_played_; }
   std::string description() const;  // what it is connected to
   void Say(std::string line) { reporter_.Say(std::move(line)); }
 
@@ -62,7 +68,7 @@ class ClientRun {
 
   explicit ClientRun(const ClientConfig& config, std::string directory)
       : config_(config), directory_(std::move(directory)) {}
-  absl::Status Open();
+  absl::Status Open(const MotionMaker& motion);
   absl::Status CheckCollisionProtection();
   void StopThreads();
   // `done` once the loop has decided what it is asked for now; its refusal is the answer else.
@@ -73,6 +79,12 @@ class ClientRun {
   // "the arm is `there`" once it stands at `to`.
   absl::StatusOr<std::string> Move(const std::string& what, const std::string& there,
                                    const ArmVector& to, double velocity);
+  absl::StatusOr<std::string> Play(double speed);
+  absl::Status MayMove() const;
+  PathLimits WayLimits(double velocity) const;
+  // Plays a way that was checked; `arrived` is the answer once the arm stands at its end.
+  absl::StatusOr<std::string> Follow(const std::string& what, ArmPath path,
+                                     std::function<std::string(double off_mrad)> arrived);
   absl::StatusOr<std::string> Jog(const OperatorOrder& order);
   absl::StatusOr<std::string> EndEpisode(std::optional<bool> success);
   absl::StatusOr<std::string> CountEpisode(std::optional<bool> success);
@@ -97,6 +109,8 @@ class ClientRun {
 
   std::optional<Pending> pending_;
   std::vector<std::unique_ptr<const ArmPath>> paths_;  // the loop may play the last one
+  std::optional<Motion> motion_;
+  double fastest_played_ = 0;
   int next_episode_ = 0;
   bool episode_running_ = false;
   int64_t episode_start_ns_ = 0;

@@ -77,6 +77,20 @@ absl::StatusOr<OperatorOrder> ParseJog(const std::vector<std::string>& words) {
   return order;
 }
 
+absl::StatusOr<OperatorOrder> ParsePlay(const std::vector<std::string>& words) {
+  OperatorOrder order{OperatorCommand::kPlay};
+  order.amount = 1;
+  const bool fine =
+      words.size() == 1 ||
+      (words.size() == 2 && (words[1] == "slow" || (absl::SimpleAtod(words[1], &order.amount) &&
+                                                    order.amount >= 0.01 && order.amount <= 1)));
+  if (!fine)
+    return absl::InvalidArgumentError(
+        "a motion is played by 'play slow', 'play 0.5' (of its speed, 0.01 to 1) or 'play'");
+  if (words.size() == 2 && words[1] == "slow") order.amount = kSlowly;
+  return order;
+}
+
 }  // namespace
 
 const char kOperatorHelp[] =
@@ -84,6 +98,7 @@ const char kOperatorHelp[] =
     "  enable      give the joints power; the arm holds where it is\n"
     "  jog J2 5deg move one joint that far, slowly (rad, deg; jog gripper 10mm)\n"
     "  home        drive to the configured starting pose, slowly: clear the way first\n"
+    "  play slow   play the motion of replay or excite at a quarter of its speed; then play\n"
     "  start       begin an episode\n"
     "  hold        or just Enter, or Ctrl-C: brake and hold\n"
     "  resume      go on with the episode that was held\n"
@@ -102,6 +117,7 @@ absl::StatusOr<OperatorOrder> ParseOperatorOrder(std::string_view line) {
   }
   const std::vector<std::string> words = absl::StrSplit(text, ' ', absl::SkipEmpty());
   if (!words.empty() && words[0] == "jog") return ParseJog(words);
+  if (!words.empty() && words[0] == "play") return ParsePlay(words);
   return absl::InvalidArgumentError(
       absl::StrCat("'", text.substr(0, 64), "' is no order; the arm holds\n", kOperatorHelp));
 }

@@ -17,6 +17,7 @@ enum class OperatorCommand {
   kEnable,
   kHome,  // drives to the configured starting pose
   kJog,   // moves one joint
+  kPlay,  // plays the run's motion
   kStart,
   kHold,  // also an empty line: the nearest key stops
   kResume,
@@ -31,8 +32,11 @@ enum class OperatorCommand {
 struct OperatorOrder {
   OperatorCommand command = OperatorCommand::kHold;
   int axis = 0;       // kJog: 0 .. 5, 6 the gripper
-  double amount = 0;  // kJog: [rad], [m]
+  double amount = 0;  // kJog: [rad], [m]; kPlay: of the motion's own speed
 };
+
+// The speed of `play slow`.
+inline constexpr double kSlowly = 0.25;
 
 // The order of a line. INVALID_ARGUMENT says what is wrong and what to type.
 absl::StatusOr<OperatorOrder> ParseOperatorOrder(std::string_view line);

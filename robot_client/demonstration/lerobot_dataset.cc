@@ -24,11 +24,6 @@ constexpr char kOurs[] = "robostress";  // in info.json; LeRobot passes over wha
 constexpr int kFilesPerChunk = 1000;
 constexpr uint64_t kMostInfoBytes = 64 << 20;
 
-std::string FileOf(const std::string& directory, const char* folder, int64_t episode) {
-  return absl::StrFormat("%s/%s/chunk-%03d/file-%03d.parquet", directory, folder,
-                         episode / kFilesPerChunk, episode % kFilesPerChunk);
-}
-
 Json Feature(const char* type, Json shape, Json names) {
   return {{"dtype", type}, {"shape", std::move(shape)}, {"names", std::move(names)}};
 }
@@ -210,6 +205,11 @@ absl::Status WriteInFolder(const std::string& path, const std::string& bytes) {
 
 }  // namespace
 
+std::string LerobotEpisodeFile(const std::string& directory, const char* folder, int64_t episode) {
+  return absl::StrFormat("%s/%s/chunk-%03d/file-%03d.parquet", directory, folder,
+                         episode / kFilesPerChunk, episode % kFilesPerChunk);
+}
+
 absl::StatusOr<LerobotDataset> LerobotDataset::Open(const std::string& directory,
                                                     const std::string& robot, double rate_hz,
                                                     const std::vector<std::string>& cameras) {
@@ -235,7 +235,7 @@ absl::StatusOr<LerobotDataset> LerobotDataset::Open(const std::string& directory
     info = std::move(there);
   } else if (fs::exists(directory + "/data") || fs::exists(directory + "/meta/episodes")) {
     // Of a first episode that was never finished, or of somebody else's set without its heart.
-    if (fs::exists(FileOf(directory, "data", 1))) {
+    if (fs::exists(LerobotEpisodeFile(directory, "data", 1))) {
       return absl::FailedPreconditionError(absl::StrCat(directory, " holds episodes without ", path,
                                                         "; record into another folder"));
     }
@@ -251,7 +251,7 @@ absl::StatusOr<LerobotDataset> LerobotDataset::Open(const std::string& directory
 void LerobotDataset::RemoveUnfinished() const {
   std::error_code ignored;
   for (const char* folder : {"data", "meta/episodes"}) {
-    const fs::path file = FileOf(directory_, folder, episodes());
+    const fs::path file = LerobotEpisodeFile(directory_, folder, episodes());
     fs::remove(file, ignored);
     for (const fs::path& parent : {file.parent_path(), fs::path(directory_ + "/meta")}) {
       for (const auto& entry : fs::directory_iterator(parent, ignored)) {
@@ -290,8 +290,9 @@ absl::Status LerobotDataset::Append(const DemonstrationEpisode& episode) {
 
   RS_ASSIGN_OR_RETURN(const std::string data, ParquetTable(table.columns));
   RS_ASSIGN_OR_RETURN(const std::string row, EpisodeRow(episode, index, first));
-  absl::Status written = WriteInFolder(FileOf(directory_, "data", index), data);
-  if (written.ok()) written = WriteInFolder(FileOf(directory_, "meta/episodes", index), row);
+  absl::Status written = WriteInFolder(LerobotEpisodeFile(directory_, "data", index), data);
+  if (written.ok())
+    written = WriteInFolder(LerobotEpisodeFile(directory_, "meta/episodes", index), row);
   if (written.ok()) written = WriteTables(info);
   if (written.ok()) written = WriteInFolder(directory_ + kInfo, info.dump(1));
   if (!written.ok()) {

@@ -11,6 +11,9 @@
 
 namespace robostress {
 
+// Where a set keeps its table of an episode: folder "data" or "meta/episodes".
+std::string LerobotEpisodeFile(const std::string& directory, const char* folder, int64_t episode);
+
 // A data set in LeRobot's form, v3.0, that grows by whole episodes:
 //
 //   meta/info.json                            schema and counts; written last, so it alone says

@@ -1,0 +1,141 @@
+#include "robot_client/motion/motion_file.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <set>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/csv_table.h"
+#include "common/status_macros.h"
+#include "robot_client/demonstration/lerobot_reader.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+// The motion of some rows of a table, their axes under `prefix`.
+absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& prefix,
+                                    const std::vector<size_t>& rows, std::string source) {
+  Motion motion;
+  motion.source = std::move(source);
+  RS_ASSIGN_OR_RETURN(const size_t time, table.Column("t"));
+  for (const size_t row : rows) {
+    RS_ASSIGN_OR_RETURN(const double t, table.Number(row, time));
+    motion.t.push_back(t);
+  }
+  const double origin = motion.t.empty() ? 0 : motion.t.front();
+  for (double& t : motion.t) t -= origin;
+  motion.poses.resize(rows.size());
+  for (int axis = 0; axis < kArmAxes; ++axis) {
+    const std::string name = absl::StrCat(prefix, AxisName(axis));
+    motion.moves[axis] = table.Has(name);
+    if (!motion.moves[axis]) continue;
+    RS_ASSIGN_OR_RETURN(const size_t column, table.Column(name));
+    for (size_t i = 0; i < rows.size(); ++i) {
+      RS_ASSIGN_OR_RETURN(motion.poses[i][axis], table.Number(rows[i], column));
+    }
+  }
+  return motion;
+}
+
+absl::StatusOr<Motion> ReadTable(const std::string& path) {
+  RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path));
+  std::vector<size_t> rows(table.rows());
+  for (size_t i = 0; i < rows.size(); ++i) rows[i] = i;
+  for (const std::string& name : table.names()) {
+    bool known = name == "t";
+    for (int axis = 0; axis < kArmAxes; ++axis)
+      known = known || name == absl::StrCat("q_cmd_", AxisName(axis));
+    if (!known)
+      return absl::InvalidArgumentError(
+          absl::StrCat(path, ": column '", name,
+                       "' is none of t, q_cmd_J1 to q_cmd_J6, q_cmd_gripper; rename it or take it "
+                       "out, so that nothing is played that was meant otherwise"));
+  }
+  return MotionOfRows(table, "q_cmd_", rows, path);
+}
+
+std::string Listed(const std::set<std::string>& episodes) {
+  return absl::StrJoin(episodes, ", ").substr(0, 200);
+}
+
+absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> episode) {
+  const std::string path = folder + "/ticks.csv";
+  RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path));
+  RS_ASSIGN_OR_RETURN(const size_t state, table.Column("state"));
+  RS_ASSIGN_OR_RETURN(const size_t number, table.Column("episode"));
+  std::set<std::string> episodes;
+  std::vector<size_t> longest, way;
+  for (size_t row = 0; row < table.rows(); ++row) {
+    if (table.Text(row, state) == "RUN") episodes.insert(table.Text(row, number));
+    if (table.Text(row, state) == "MOVE") {
+      way.push_back(row);
+    } else {
+      way.clear();
+    }
+    if (way.size() > longest.size()) longest = way;
+  }
+  if (episodes.empty() && !episode) {
+    if (longest.empty())
+      return absl::InvalidArgumentError(
+          absl::StrCat(path, ": the arm was never moved in this run"));
+    return MotionOfRows(table, "sent_", longest, path);
+  }
+  if (!episode && episodes.size() > 1)
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": holds episodes ", Listed(episodes), "; say which with --episode N"));
+  const std::string wanted = episode ? absl::StrCat(*episode) : *episodes.begin();
+  if (episodes.count(wanted) == 0)
+    return absl::NotFoundError(
+        absl::StrCat(path, ": has no episode ", wanted,
+                     episodes.empty() ? "" : absl::StrCat("; it holds ", Listed(episodes))));
+  std::vector<size_t> rows;
+  for (size_t row = 0; row < table.rows(); ++row) {
+    const std::string& name = table.Text(row, state);
+    if (table.Text(row, number) == wanted && (name == "RUN" || name == "HOLD")) rows.push_back(row);
+  }
+  return MotionOfRows(table, "sent_", rows, absl::StrCat(path, " episode ", wanted));
+}
+
+absl::StatusOr<Motion> ReadDataset(const std::string& folder, std::optional<int> episode) {
+  RS_ASSIGN_OR_RETURN(const LerobotReader set, LerobotReader::Open(folder));
+  if (!episode && set.episodes() != 1)
+    return absl::InvalidArgumentError(absl::StrCat(
+        folder, ": holds episodes 0 to ", set.episodes() - 1, "; say which with --episode N"));
+  RS_ASSIGN_OR_RETURN(std::vector<ArmVector> actions, set.ReadActions(episode.value_or(0)));
+  Motion motion;
+  motion.source = absl::StrCat(folder, " episode ", episode.value_or(0));
+  for (size_t i = 0; i < actions.size(); ++i)
+    motion.t.push_back(static_cast<double>(i) / set.rate_hz());
+  motion.poses = std::move(actions);
+  motion.moves.fill(true);
+  return motion;
+}
+
+}  // namespace
+
+absl::StatusOr<Motion> ReadMotion(const std::string& path, std::optional<int> episode) {
+  std::error_code ignored;
+  if (!fs::exists(path, ignored)) return absl::NotFoundError(absl::StrCat(path, ": is not there"));
+  if (fs::is_directory(path, ignored)) {
+    for (const std::string& folder : {path, path + "/lerobot"}) {
+      if (fs::exists(folder + "/meta/info.json", ignored)) return ReadDataset(folder, episode);
+    }
+    if (fs::exists(path + "/ticks.csv", ignored)) return ReadRun(path, episode);
+    return absl::InvalidArgumentError(absl::StrCat(
+        path, ": is neither a run (ticks.csv) nor a data set (meta/info.json, or lerobot/ in it)"));
+  }
+  if (episode)
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": a file is one motion; leave --episode out"));
+  if (fs::path(path).extension() != ".csv")
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": a motion is a .csv, a run's folder or a data set's folder"));
+  return ReadTable(path);
+}
+
+}  // namespace robostress

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "robot_client/motion/motion.h"
+
+namespace robostress {
+
+// A motion from
+//
+//   FILE.csv         columns t [s] and q_cmd_J1 .. q_cmd_J6 [rad], q_cmd_gripper [m], of which
+//   those
+//                    that are missing stay where they are; times are counted from the first row
+//   a run's folder   what robot_client sent in an episode of it (ticks.csv, columns sent_*); a run
+//                    without episodes: its longest way of the client's own
+//   a data set       the actions of an episode that robot_client recorded (lerobot/, or the folder
+//                    above it)
+//
+// `episode`: which one; nothing: the only one there is. NOT_FOUND, INVALID_ARGUMENT: file, line or
+// column, value, remedy. Whether an arm can follow it is CheckMotion's to say.
+absl::StatusOr<Motion> ReadMotion(const std::string& path, std::optional<int> episode);
+
+}  // namespace robostress

@@ -1,0 +1,138 @@
+#include "robot_client/motion_command.h"
+
+#include <algorithm>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "CLI/CLI.hpp"
+#include "absl/strings/str_cat.h"
+#include "common/status_macros.h"
+#include "robot_client/client_program.h"
+#include "robot_client/motion/excitation.h"
+#include "robot_client/motion/motion_file.h"
+
+namespace robostress {
+namespace {
+
+constexpr char kReplayExamples[] = R"(Examples:
+  robot_client replay runs/tuesday --episode 3 --config lab.yaml --bus can:can0 --out runs/replayed
+  robot_client replay data/drawer --episode 0 --config lab.yaml --bus can:can0 --out runs/replayed
+  robot_client replay motion.csv --bus rehearse --out runs/rehearsed --automatic
+
+SOURCE is a run's folder (what was sent), a data set that robot_client recorded (its actions), or a CSV with
+columns t [s], q_cmd_J1 to q_cmd_J6 [rad], q_cmd_gripper [m]. Type `enable`, then `play slow`: the arm goes to the
+first pose, no faster than home_velocity, and plays a quarter as fast. Then `play`, or `play 0.5`.
+)";
+
+constexpr char kExciteExamples[] = R"(Examples:
+  robot_client excite --config lab.yaml --bus can:can0 --out runs/tuesday
+  robot_client excite --motion motion.csv --config lab.yaml --bus can:can0 --out runs/tuesday
+  robostress record-to-rig runs/tuesday --out rigs/tuesday
+  robostress calibrate --rig rigs/tuesday/rig.yaml --out found --map own
+
+Without --motion one is designed around `home` of the configuration, as large as joints' limits and workspace allow:
+every joint alone at three speeds, then all together. Type `enable`, then `play slow`, then `play`, then `quit`.
+Nothing may be in the gripper that `record-to-rig --payload-kg` is not told of, and nothing in the arm's way.
+)";
+
+// Around which the arm moves where no home is configured: above the table, elbow bent.
+constexpr ArmVector kCentre = {0, 1.0, -0.9, 0, 0.4, 0, 0.03};
+
+struct CommandLine {
+  ClientFlags client;
+  std::string source;
+  std::optional<int> episode;
+  ExcitationOptions excitation;
+};
+
+// enable, play slow, play, quit.
+std::optional<OperatorOrder> NextOrder(const ClientRun& run) {
+  if (run.fastest_played() == 1) return OperatorOrder{OperatorCommand::kQuit};
+  if (run.state() == ClientState::kIdle) return OperatorOrder{OperatorCommand::kEnable};
+  if (run.state() != ClientState::kEnabled) return std::nullopt;
+  OperatorOrder order{OperatorCommand::kPlay};
+  order.amount = run.fastest_played() == 0 ? kSlowly : 1;
+  return order;
+}
+
+absl::Status PlayInRun(const CommandLine& line, const ClientConfig& config,
+                       const ClientRun::MotionMaker& motion) {
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<ClientRun> run,
+                      ClientRun::Create(config, line.client.out, motion));
+  return RunConsole(*run, line.client.automatic ? NextOrder : AutomaticOrder());
+}
+
+// No policy, no pictures: what is played was decided before.
+absl::Status WithoutPolicy(ClientConfig& config) {
+  config.policy.server.clear();
+  config.cameras.clear();
+  return absl::OkStatus();
+}
+
+absl::Status Replay(const CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const ClientConfig config, ResolveConfig(line.client, WithoutPolicy));
+  RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, line.episode));
+  return PlayInRun(line, config, [&](const ArmLimits&, const ArmModel*) { return motion; });
+}
+
+absl::Status Excite(const CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const ClientConfig config, ResolveConfig(line.client, WithoutPolicy));
+  if (!line.source.empty()) {
+    RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, std::nullopt));
+    return PlayInRun(line, config, [&](const ArmLimits&, const ArmModel*) { return motion; });
+  }
+  ExcitationOptions options = line.excitation;
+  options.centre = kCentre;
+  if (!config.home.empty()) std::copy_n(config.home.begin(), kArmAxes, options.centre.begin());
+  const LimiterOptions& most = config.control.limits;
+  options.joint_velocity = std::min(options.joint_velocity, 0.95 * most.joint_velocity);
+  options.joint_acceleration = std::min(options.joint_acceleration, 0.8 * most.joint_acceleration);
+  return PlayInRun(line, config, [&](const ArmLimits& limits, const ArmModel* model) {
+    return DesignExcitation(options, limits, config.control.workspace.guard ? model : nullptr);
+  });
+}
+
+int Parse(CLI::App& app, int argc, char** argv, CommandLine& line,
+          absl::Status (*run)(const CommandLine&)) {
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  return ExitWith(run(line), app.get_name().c_str());
+}
+
+}  // namespace
+
+int ReplayMain(int argc, char** argv) {
+  CLI::App app("Plays a recorded motion within the limits of every run.", "robot_client replay");
+  app.footer(kReplayExamples);
+  CommandLine line;
+  app.add_option("SOURCE", line.source, "a run's folder, a data set's folder, or a CSV")
+      ->required();
+  app.add_option("--episode", line.episode, "which episode; may be left out where there is one")
+      ->check(CLI::NonNegativeNumber);
+  AddClientFlags(app, line.client);
+  return Parse(app, argc, argv, line, Replay);
+}
+
+int ExciteMain(int argc, char** argv) {
+  CLI::App app("Moves an arm so that `robostress calibrate` can find its joints' errors.",
+               "robot_client excite");
+  app.footer(kExciteExamples);
+  CommandLine line;
+  app.add_option("--motion", line.source, "the motion (CSV); without it one is designed");
+  app.add_option("--swing", line.excitation.most_swing, "most way of a joint to each side [rad]")
+      ->check(CLI::Range(0.05, 1.5))
+      ->capture_default_str();
+  app.add_option("--velocity", line.excitation.joint_velocity, "of the fastest part [rad/s]")
+      ->check(CLI::Range(0.05, 3.0))
+      ->capture_default_str();
+  app.add_option("--seed", line.excitation.seed, "of the part in which all joints move")
+      ->capture_default_str();
+  AddClientFlags(app, line.client);
+  return Parse(app, argc, argv, line, Excite);
+}
+
+}  // namespace robostress
