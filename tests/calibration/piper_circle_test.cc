@@ -11,8 +11,10 @@
 #include "calibration/client_recordings.h"
 #include "common/atomic_file.h"
 #include "nlohmann/json.hpp"
+#include "robot_client/motion/excitation.h"
 #include "robot_client/recorder.h"
 #include "tests/piper/emulated_arm.h"
+#include "tests/robot_client/arm_world.h"
 #include "tests/run_program.h"
 
 namespace robostress::calibration {
@@ -122,6 +124,58 @@ TEST_F(PiperCircleTest, FindsWhatWasHiddenAndBringsAnArmToTheRecording) {
   EXPECT_LT(left, 0.2 * apart) << output;
   RecordProperty("before_mrad", std::to_string(1e3 * apart));
   RecordProperty("after_mrad", std::to_string(1e3 * left));
+}
+
+// What `robot_client excite` plays where it is given no motion, through the client's own loop.
+TEST_F(PiperCircleTest, TheDesignedMotionShowsWhatWasHidden) {
+  const std::string hidden = root + "/worn.yaml";
+  ASSERT_TRUE(
+      WriteFileAtomically(hidden,
+                          "joints: [{name: J2, effects: [{type: stribeck_friction, Fc: 0.9, Fs: "
+                          "1.2, vs: 0.1, sigma_v: 0.5}]}]\n")
+          .ok());
+  ArmWorld::Options options;
+  options.profile = hidden;
+  ArmWorld world(options);
+  ASSERT_TRUE(world.connected.ok()) << world.connected;
+  auto recorder = Recorder::Create(root + "/run");
+  ASSERT_TRUE(recorder.ok()) << recorder.status();
+  world.loop->AddReader(&(*recorder)->ring());
+  world.arm->AddSampleReader(&(*recorder)->samples());
+  const auto tick = [&](uint32_t requests = 0) {
+    world.Tick(requests);
+    EXPECT_TRUE((*recorder)->Drain().ok());
+  };
+  tick(kRequestEnable);
+  ASSERT_EQ(world.loop->state(), ClientState::kEnabled) << world.loop->enable_status();
+  ExcitationOptions design;
+  design.centre = {0, 1.2, -1.0, 0, 0.5, 0, 0.03};
+  design.together_s = 20;
+  const auto motion = DesignExcitation(design, world.arm->limits(), world.model.get());
+  ASSERT_TRUE(motion.ok()) << motion.status();
+  const PlayedMotion played =
+      PlayMotion(*motion, 1, world.loop->seen().position, PathLimits{}, ArmWorld::kPeriod_s);
+  world.loop->Play(&played.path);
+  for (size_t i = 0; i < played.path.rows.size() + 60; ++i) tick();
+  EXPECT_EQ(world.loop->cause(), StateCause::kArrived) << "nothing held it";
+  ASSERT_TRUE((*recorder)->Finish().ok());
+  const auto [made, made_code] =
+      RunProgram(RECORD_TO_RIG, absl::StrCat(root, "/run --out ", root, "/rig"));
+  ASSERT_EQ(made_code, 0) << made;
+  const auto [output, code] = RunProgram(
+      CALIBRATE,
+      absl::StrCat(
+          "--rig ", root, "/rig/rig.yaml --out ", root,
+          "/found --map own --surrogates 99 --joints piper_joint2 --max-effects 1 --beam 1"));
+  ASSERT_EQ(code, 0) << output;
+  const auto text = ReadFile(root + "/found/report.json");
+  ASSERT_TRUE(text.ok()) << text.status();
+  const auto report = nlohmann::json::parse(*text);
+  ASSERT_FALSE(report["effects_added"].empty()) << output;
+  const auto& found = report["effects_added"][0];
+  EXPECT_EQ(found["type"], "stribeck_friction") << output;
+  EXPECT_NEAR(found["parameters"]["Fc"].get<double>(), 0.9, 0.15) << output;
+  EXPECT_NEAR(found["parameters"]["sigma_v"].get<double>(), 0.5, 0.25) << output;
 }
 
 TEST_F(PiperCircleTest, SaysWhatARunLacks) {

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
@@ -205,6 +206,71 @@ TEST(ClientProgramTest, RefusesBadInput) {
   EXPECT_EQ(code, 2);
   EXPECT_THAT(text, HasSubstr("home lies")) << "below the table";
   EXPECT_EQ(RunProgram(ROBOT_CLIENT, "--help").second, 0);
+}
+
+// No server, no arm: replay and excite on the arm that is not there.
+TEST(ClientProgramTest, PlaysAMotionSlowlyFirstAndRecordsIt) {
+  const std::string out = ::testing::TempDir() + "/client_program_replay";
+  std::filesystem::remove_all(out);
+  std::filesystem::create_directories(out);
+  std::string motion = "t,q_cmd_J1,q_cmd_J3\n";
+  for (int i = 0; i <= 40; ++i)
+    absl::StrAppend(&motion, 0.05 * i, ",", 0.1 * std::sin(M_PI * i / 20), ",-0.8\n");
+  ASSERT_TRUE(WriteFileAtomically(out + "/motion.csv", motion).ok());
+  const std::string common = absl::StrCat(
+      "replay ", out,
+      "/motion.csv --bus rehearse --set realtime.priority=0 --set "
+      "realtime.lock_memory=false --without arm_fault_s --set control.watchdogs.arm_fault_s=20 "
+      "--without arm_hold_s --set control.watchdogs.arm_hold_s=10 ");
+  const auto [played, code] =
+      RunProgram(ROBOT_CLIENT, absl::StrCat(common, "--automatic --out ", out, "/run"));
+  EXPECT_EQ(code, 0) << played;
+  EXPECT_THAT(played, AllOf(HasSubstr("play 0.25:"), HasSubstr("the motion is over"),
+                            HasSubstr("play 1:")));
+  EXPECT_TRUE(std::filesystem::exists(out + "/run/DONE"));
+  EXPECT_THAT(Text(out + "/run/motion.csv"), HasSubstr("t,q_cmd_J1,q_cmd_J3\n0,0,-0.8\n"));
+  EXPECT_THAT(Text(out + "/run/ticks.csv"), HasSubstr(",MOVE,"));
+
+  const std::string orders = out + "/orders.sh";
+  ASSERT_TRUE(
+      WriteFileAtomically(
+          orders, absl::StrCat("printf 'play slow\\nenable\\nplay\\nplay 2\\nstart\\nquit\\n' | ",
+                               ROBOT_CLIENT, " ", common, "--out ", out, "/refused\n"))
+          .ok());
+  const auto [refused, refused_code] = RunProgram("bash", orders);
+  EXPECT_EQ(refused_code, 0) << refused;
+  EXPECT_THAT(refused, AllOf(HasSubstr("the client is IDLE; the arm is moved from ENABLED"),
+                             HasSubstr("was not played slowly yet; type play slow"),
+                             HasSubstr("'play 0.5' (of its speed, 0.01 to 1)"),
+                             HasSubstr("no policy server is configured")));
+
+  const auto [again, again_code] = RunProgram(
+      ROBOT_CLIENT,
+      absl::StrCat("replay ", out, "/run --bus rehearse --episode 3 --out ", out, "/again"));
+  EXPECT_EQ(again_code, 2);
+  EXPECT_THAT(again, HasSubstr("ticks.csv: has no episode 3"));
+}
+
+TEST(ClientProgramTest, DesignsAMotionThatShowsWhatJointsHide) {
+  const std::string out = ::testing::TempDir() + "/client_program_excite";
+  std::filesystem::remove_all(out);
+  std::filesystem::create_directories(out);
+  const std::string orders = out + "/orders.sh";
+  ASSERT_TRUE(
+      WriteFileAtomically(orders, absl::StrCat("printf 'quit\\n' | ", ROBOT_CLIENT,
+                                               " excite --bus rehearse --out ", out, "/run\n"))
+          .ok());
+  const auto [text, code] = RunProgram("bash", orders);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, HasSubstr("motion designed, seed 1, "));
+  EXPECT_THAT(Text(out + "/run/motion.csv"),
+              HasSubstr("t,q_cmd_J1,q_cmd_J2,q_cmd_J3,q_cmd_J4,q_cmd_J5,q_cmd_J6\n"));
+  const auto [refused, refused_code] = RunProgram(
+      ROBOT_CLIENT, absl::StrCat("excite --bus rehearse --set control.workspace.table_z=0.5 "
+                                 "--out ",
+                                 out, "/none"));
+  EXPECT_EQ(refused_code, 2);
+  EXPECT_THAT(refused, HasSubstr("(the table); move home away from it"));
 }
 
 }  // namespace
