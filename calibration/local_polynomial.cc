@@ -13,7 +13,8 @@ constexpr int kOrders = 6;  // of differences
 
 // Differences of order k of white noise have variance (2k over k) sigma^2. A motion adds to them,
 // the less the higher the order, so the least is the best; their median hardly sees corners.
-double NoiseOf(const std::vector<double>& signal) {
+// `moving`: only of rows among which the reading changes.
+double NoiseOf(const std::vector<double>& signal, bool moving) {
   std::vector<double> differences = signal;
   double least = std::numeric_limits<double>::infinity(), variance = 1;
   for (int order = 1; order <= kOrders && differences.size() > 1; ++order) {
@@ -22,8 +23,14 @@ double NoiseOf(const std::vector<double>& signal) {
     differences.pop_back();
     variance *= 2.0 * (2 * order - 1) / order;
     if (order < 3) continue;
-    std::vector<double> sizes = differences;
-    for (double& size : sizes) size = std::abs(size);
+    std::vector<double> sizes;
+    for (size_t i = 0; i < differences.size(); ++i) {
+      const auto first = signal.begin() + static_cast<int64_t>(i);
+      if (!moving ||
+          std::any_of(first + 1, first + order + 1, [&](double v) { return v != *first; }))
+        sizes.push_back(std::abs(differences[i]));
+    }
+    if (sizes.empty()) return 0;
     const auto middle = sizes.begin() + static_cast<int>(sizes.size() / 2);
     std::nth_element(sizes.begin(), middle, sizes.end());
     least = std::min(least, *middle / 0.6745 / std::sqrt(variance));
@@ -85,7 +92,9 @@ void AddBias(const SmoothSignal& higher, SmoothSignal& fit) {
 
 double NoiseOfReading(const std::vector<double>& signal) {
   // Of a reading in steps, at least that of the steps.
-  return std::max(NoiseOf(signal), ResolutionOf(signal) / std::sqrt(12.0));
+  const double noise = std::max(NoiseOf(signal, false), ResolutionOf(signal) / std::sqrt(12.0));
+  // A joint that stands for most of a log repeats its reading, which hides the noise.
+  return noise > 0 ? noise : NoiseOf(signal, true);
 }
 
 SmoothSignal FitLocalPolynomials(const std::vector<double>& signal, double dt, int half, int order,

@@ -55,7 +55,10 @@ class Designer {
             blocked_by_.empty() ? "" : absl::StrCat(" (", blocked_by_, ")")));
       }
       swing_[j] = {c - down, c + up};
-      for (const Pass& pass : kPasses) AddSwing(j, pass);
+    }
+    // Pass by pass, so that every part of a recording has every joint's motion in it.
+    for (const Pass& pass : kPasses) {
+      for (int j = 0; j < kArmJoints; ++j) AddSwing(j, pass);
     }
     if (!AddTogether())
       return absl::FailedPreconditionError(absl::StrCat("joints that are free one by one meet ",

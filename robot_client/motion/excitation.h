@@ -21,11 +21,11 @@ struct ExcitationOptions {
   uint64_t seed = 1;              // of that part's phases
 };
 
-// A motion of two minutes in two parts. First every joint alone, the others still: there and back
-// to both sides, by a fifth, a half and all of its swing, with peaks of 1/8, 1/2 and all of the
-// velocity; slow ways show friction over speed, turns show backlash. Then all joints at once, each
-// a Fourier series of five harmonics of its own, which shows inertia and gravity (Swevers et al.,
-// IEEE Trans. Robotics and Automation 13, 1997), faded in and out over 2 s.
+// A motion of two minutes in two parts. First, three times, every joint alone, the others still:
+// there and back to both sides, by a fifth, a half and all of its swing, with peaks of 1/8, 1/2 and
+// all of the velocity; slow ways show friction over speed, turns show backlash. Then all joints at
+// once, each a Fourier series of five harmonics of its own, which shows inertia and gravity
+// (Swevers et al., IEEE Trans. Robotics and Automation 13, 1997), faded in and out over 2 s.
 //
 // Every swing is as large as limits and workspace allow. FAILED_PRECONDITION
 // where a joint has less than 0.05 rad: names joint and bound. `model` may be null: limits alone.

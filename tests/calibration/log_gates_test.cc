@@ -7,6 +7,7 @@
 #include <functional>
 
 #include "absl/strings/str_cat.h"
+#include "calibration/local_polynomial.h"
 #include "calibration/measured_log.h"
 #include "calibration/plant.h"
 #include "common/atomic_file.h"
@@ -316,6 +317,22 @@ TEST_F(RigGates, RefusesAModelThatIsAbsentOrDoesNotLoadOrLacksTheJoint) {
                                   "<geom size=\"1\"/></body></worldbody></mujoco>")
                   .ok());
   EXPECT_THAT(std::string(Plant::Load(*rig).status().message()), HasSubstr("ball or free"));
+}
+
+// A reading in steps of `step` (0: none) of a joint that stands for most of a log, then sways.
+std::vector<double> MostlyStanding(double noise, double step) {
+  RandomStream random(StreamKey("standing"));
+  std::vector<double> q(4000, 0.3);
+  for (size_t i = 3000; i < q.size(); ++i) {
+    q[i] += 0.2 * std::sin(0.01 * static_cast<double>(i - 3000)) + noise * random.Normal();
+    if (step > 0) q[i] = step * std::round(q[i] / step);
+  }
+  return q;
+}
+
+TEST(NoiseTest, IsNotZeroWhereAJointStandsForMostOfALog) {
+  EXPECT_NEAR(NoiseOfReading(MostlyStanding(1e-4, 0)), 1e-4, 2e-5);
+  EXPECT_NEAR(NoiseOfReading(MostlyStanding(0, 1e-4)), 1e-4 / std::sqrt(12.0), 1e-5);
 }
 
 }  // namespace

@@ -232,11 +232,12 @@ TEST(ClientProgramTest, PlaysAMotionSlowlyFirstAndRecordsIt) {
   EXPECT_THAT(Text(out + "/run/ticks.csv"), HasSubstr(",MOVE,"));
 
   const std::string orders = out + "/orders.sh";
-  ASSERT_TRUE(
-      WriteFileAtomically(
-          orders, absl::StrCat("printf 'play slow\\nenable\\nplay\\nplay 2\\nstart\\nquit\\n' | ",
-                               ROBOT_CLIENT, " ", common, "--out ", out, "/refused\n"))
-          .ok());
+  ASSERT_TRUE(WriteFileAtomically(
+                  orders, absl::StrCat("printf 'play slow\\nenable\\nplay\\nstart\\nquit\\n' | ",
+                                       ROBOT_CLIENT, " ", common, "--out ", out,
+                                       "/refused; printf 'play 2\\nquit\\n' | ", ROBOT_CLIENT, " ",
+                                       common, "--out ", out, "/wrong\n"))
+                  .ok());
   const auto [refused, refused_code] = RunProgram("bash", orders);
   EXPECT_EQ(refused_code, 0) << refused;
   EXPECT_THAT(refused, AllOf(HasSubstr("the client is IDLE; the arm is moved from ENABLED"),
