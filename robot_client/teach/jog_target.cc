@@ -8,8 +8,8 @@ namespace robostress {
 namespace {
 
 constexpr double kTurnLength = 0.1;  // [m/rad], weighs turns against ways
-constexpr double kNear = 0.04;       // singular value [m] below which a direction is damped ...
-constexpr double kMost = 0.04;       // ... by this much in the singularity
+constexpr double kNear = 0.012;      // singular value [m] below which a direction is damped ...
+constexpr double kMost = 0.02;       // ... by this much in the singularity
 constexpr double kLead = 0.1;        // [rad] at most between the target and the command
 
 double Damped(double s) {

@@ -13,7 +13,7 @@ namespace {
 
 constexpr int64_t kPoll_ns = 2'000'000;
 constexpr int64_t kConnect_ns = 1'000'000'000;
-constexpr int kFramesPerPoll = 512;
+constexpr int kFramesPerPoll = 4096;  // more than a second of a leader
 
 }  // namespace
 

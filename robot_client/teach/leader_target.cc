@@ -7,6 +7,7 @@ namespace robostress {
 
 void LeaderTarget::Begin(const ArmVector& command) {
   at_ = command;
+  speed_ = 0;
   joined_ = false;
 }
 
@@ -29,12 +30,14 @@ LiveRow LeaderTarget::Next(int64_t, const ArmVector& command) {
   };
   if (joined_ && farthest(command) > options_.lost) Begin(command);
   if (!joined_) {
-    const double step = options_.joint_velocity * options_.period_s;
     const double opening = options_.gripper_velocity * options_.period_s;
     const double gap = farthest(at_);
+    speed_ = std::min({speed_ + options_.acceleration * options_.period_s, options_.joint_velocity,
+                       std::sqrt(2 * options_.acceleration * gap)});
+    const double share = std::min(1.0, speed_ * options_.period_s / std::max(gap, 1e-9));
     const double gripper_gap = std::abs(goal[kArmJoints] - at_[kArmJoints]);
-    joined_ = gap <= step && gripper_gap <= opening;
-    for (int j = 0; j < kArmJoints; ++j) at_[j] += (goal[j] - at_[j]) * std::min(1.0, step / std::max(gap, 1e-9));
+    joined_ = gap <= options_.joined && gripper_gap <= opening;
+    for (int j = 0; j < kArmJoints; ++j) at_[j] += share * (goal[j] - at_[j]);
     at_[kArmJoints] += std::clamp(goal[kArmJoints] - at_[kArmJoints], -opening, opening);
   }
   if (joined_) at_ = goal;

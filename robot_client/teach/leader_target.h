@@ -15,7 +15,9 @@ struct LeaderSample {
 struct LeaderOptions {
   double silent_s = 0.1;           // a leader that was not heard for so long is gone
   double joint_velocity = 0.6;     // [rad/s] of the fastest joint on the way to the leader
+  double acceleration = 1.5;       // [rad/s^2] the same
   double gripper_velocity = 0.05;  // [m/s] the same
+  double joined = 0.03;            // [rad] of the fastest joint from the leader: it is reached
   double lost = 0.4;               // [rad] a command further from the leader joins it anew
   double period_s = 1.0 / 30;
 };
@@ -40,6 +42,7 @@ class LeaderTarget : public LiveTarget {
   const ArmLimits limits_;
   const LeaderOptions options_;
   ArmVector at_{};  // the target on its way to the leader
+  double speed_ = 0;
   bool joined_ = false;
 };
 

@@ -37,15 +37,19 @@ ArmLimits Limits() {
 // A person in time; the command follows the target at once.
 struct Bench {
   SnapshotCell<JogInput> cell;
-  JogOptions options;
+  const JogOptions options;
   JogTarget target{&cell,
                    [](const ArmVector& q) { return piper::ToolJacobian(JointsOf(q), kZero); },
                    Limits(), options};
-  ArmVector command{0.2, 1.2, -1.0, 0.1, 0.5, 0.2, 0.03};
+  ArmVector command;
   int64_t now_ns = 1'000'000'000;
 
-  Bench() { target.Begin(command); }
-  explicit Bench(const ArmVector& start) : command(start) { target.Begin(command); }
+  explicit Bench(const ArmVector& start = {0.2, 1.2, -1.0, 0.1, 0.5, 0.2, 0.03},
+                 double tool_velocity = 0.1)
+      : options{.tool_velocity = tool_velocity, .turn_velocity = 5 * tool_velocity},
+        command(start) {
+    target.Begin(command);
+  }
   // `held`: how long the key is confirmed.
   void Hold(JogInput input, double seconds, double held = 1e9) {
     const int64_t start = now_ns;
@@ -75,27 +79,40 @@ JogInput Axis(int axis, double share) {
 
 TEST(JogTargetTest, TheToolGoesStraightAtItsSpeedWithoutTurning) {
   for (int axis = 0; axis < 3; ++axis) {
-    Bench bench;
+    Bench bench({0.2, 1.2, -1.0, 0.1, 0.5, 0.2, 0.03}, 0.04);
     const Eigen::Isometry3d before = ToolOf(bench.command);
-    bench.Hold(Axis(axis, -1), 0.5);
+    bench.Hold(Axis(axis, -1), 1);
     const Eigen::Isometry3d after = ToolOf(bench.command);
     Eigen::Vector3d expected = Eigen::Vector3d::Zero();
-    expected[axis] = -0.1 * 0.5;
-    // Euler steps of 3.3 mm bend a line by their square over the arm's size: about 50 um each way.
-    EXPECT_LT((after.translation() - before.translation() - expected).norm(), 1e-3) << axis;
+    expected[axis] = -0.04;
+    EXPECT_LT(bench.fastest, bench.options.fastest_joint) << "nothing is slowed down";
+    // 30 Euler steps of 1.3 mm, each off by its square over the arm's size: 6 um.
+    EXPECT_LT((after.translation() - before.translation() - expected).norm(), 5e-4) << axis;
     EXPECT_LT(Eigen::AngleAxisd(after.linear() * before.linear().transpose()).angle(), 5e-3);
   }
 }
 
 TEST(JogTargetTest, TheToolTurnsAboutItsOwnPlace) {
-  Bench bench;
+  Bench bench({0.2, 1.2, -1.0, 0.1, 0.5, 0.2, 0.03}, 0.03);
   const Eigen::Isometry3d before = ToolOf(bench.command);
-  bench.Hold(Axis(5, 1), 0.4);
+  bench.Hold(Axis(5, 1), 1);
   const Eigen::Isometry3d after = ToolOf(bench.command);
   EXPECT_LT((after.translation() - before.translation()).norm(), 2e-3);
   const Eigen::AngleAxisd turn(after.linear() * before.linear().transpose());
-  EXPECT_NEAR(turn.angle(), 0.5 * 0.4, 4e-3);
+  EXPECT_NEAR(turn.angle(), 0.15, 2e-3);
   EXPECT_GT(turn.axis().z(), 0.99);
+}
+
+// Sideways at 0.1 m/s would take J6 to 1.1 rad/s here.
+TEST(JogTargetTest, AMotionThatIsTooFastForAJointIsSlowedDownAndStaysStraight) {
+  Bench bench;
+  const Eigen::Vector3d before = ToolOf(bench.command).translation();
+  bench.Hold(Axis(1, -1), 0.5);
+  const Eigen::Vector3d way = ToolOf(bench.command).translation() - before;
+  EXPECT_NEAR(bench.fastest, bench.options.fastest_joint, 1e-9);
+  EXPECT_LT(way.y(), -0.02);
+  EXPECT_GT(way.y(), -0.035);
+  EXPECT_LT(std::hypot(way.x(), way.z()), 1e-3);
 }
 
 TEST(JogTargetTest, AJointAloneMovesAtItsSpeedAndTheGripperAtIts) {
