@@ -66,7 +66,7 @@ until_text() {
 }
 until_ticks() {
   for i in $(seq 600); do
-    run=$(ls -d $out/set/runs/* | tail -n 1)
+    run=$(ls -d $out/set/runs/* 2>/dev/null | tail -n 1)
     [ $(cat $run/ticks.csv.partial 2>/dev/null | wc -l) -ge $1 ] && return 0
     sleep 0.05
   done
@@ -215,11 +215,11 @@ until_ticks 20; say record; until_text "recording demonstration 0"; more_ticks 1
 until_text "demonstration 0 saved"
 say record; until_text "recording demonstration 1"; more_ticks 120; say success
 until_text "nothing was saved"
-say quit; wait $pid; cat $out/log; ls -R $out/set; cp -r $out/set $out/copy
+say quit; wait $pid; code=$?; cat $out/log; cp -r $out/set $out/copy; (exit $code)
 )",
                                "unshare -rnm");
-  ASSERT_EQ(r.code, 0) << r.text;
-  EXPECT_THAT(r.text, HasSubstr("No space left"));
+  EXPECT_LE(r.code, 1) << "the disk may have been full for the run's record too: " << r.text;
+  EXPECT_THAT(r.text, AllOf(HasSubstr("free some space"), Not(HasSubstr("Segmentation"))));
   EXPECT_GE(ColumnsOf(r.out + "/copy/libero/episode_000000.hdf5").steps, 10);
   EXPECT_FALSE(fs::exists(r.out + "/copy/libero/episode_000001.hdf5"));
 }
@@ -340,7 +340,7 @@ TEST(TeachProgramTest, AClosedTerminalHoldsTheArmAndEndsTheRun) {
       Script("hangup", std::string("trap '' HUP\n") +
                            R"(arm --bus $bus --start-deg $start_deg
 bash -c 'trap - HUP; exec "$@"' x $client $teach --by keyboard --instruction "open the drawer"
-echo $? > $out/code
+echo $? > $out/code.part; mv $out/code.part $out/code
 )",
              &out);
   Person person("unshare -rn bash " + script);
@@ -354,7 +354,7 @@ echo $? > $out/code
   ASSERT_TRUE(person.Sees("recording demonstration 0")) << person.shown();
   person.Hold("w", 20);
   person.HangUp();
-  person.Wait();
+  for (int i = 0; i < 600 && !fs::exists(out + "/code"); ++i) usleep(50'000);
   EXPECT_EQ(ReadFile(out + "/code").value_or("none"), "0\n");
   EXPECT_TRUE(fs::exists(out + "/set/runs/000/DONE"));
   EXPECT_FALSE(fs::exists(out + "/set/lerobot/meta/info.json")) << "nobody said success";
