@@ -75,17 +75,27 @@ HandPoint GuidingHand::At(double t, ArmVector* velocity) const {
                                  [&](const HandPoint& point) { return point.t > t; });
   if (next == points_.begin()) return points_.front();
   if (next == points_.end()) return points_.back();
-  const HandPoint& before = *(next - 1);
-  const double duration = next->t - before.t, s = (t - before.t) / duration;
-  const double share = s * s * s * (10 + s * (6 * s - 15));
-  const double slope = 30 * s * s * (1 - s) * (1 - s) / duration;
-  HandPoint now{t, before.position};
+  const auto after = static_cast<size_t>(next - points_.begin()), before = after - 1;
+  const double h = next->t - points_[before].t, s = (t - points_[before].t) / h;
+  HandPoint now{t, {}};
   for (int i = 0; i < kArmAxes; ++i) {
-    const double way = next->position[i] - before.position[i];
-    now.position[i] += share * way;
-    if (velocity != nullptr) (*velocity)[i] = slope * way;
+    const double x0 = points_[before].position[i], x1 = next->position[i];
+    const double v0 = h * Slope(before, i), v1 = h * Slope(after, i);
+    const double a = 2 * (x0 - x1) + v0 + v1, b = 3 * (x1 - x0) - 2 * v0 - v1;
+    now.position[i] = x0 + s * (v0 + s * (b + s * a));
+    if (velocity != nullptr) (*velocity)[i] = (v0 + s * (2 * b + 3 * s * a)) / h;
   }
   return now;
+}
+
+double GuidingHand::Slope(size_t point, int axis) const {
+  if (point == 0 || point + 1 == points_.size()) return 0;
+  const auto slope = [&](size_t i) {
+    return (points_[i + 1].position[axis] - points_[i].position[axis]) /
+           (points_[i + 1].t - points_[i].t);
+  };
+  const double left = slope(point - 1), right = slope(point);
+  return left * right <= 0 ? 0 : 2 * left * right / (left + right);
 }
 
 GuidingHand::Push GuidingHand::PushAt(double t, const PlantReading& reading) const {

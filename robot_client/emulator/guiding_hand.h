@@ -16,8 +16,10 @@ struct HandPoint {
 };
 
 // A person's hand that moves a limp arm, an arm that is taught or a leader, along a path: smoothly
-// from point to point (quintic, at rest in each), held before the first and after the last. Its
-// force is a spring's, so it yields to what is in the way.
+// through the points, held before the first and after the last. Between two points a cubic whose
+// slopes are the harmonic means of the neighbours' and 0 where a joint turns (Fritsch and Butland,
+// SIAM J. Sci. Stat. Comput. 5, 1984): nowhere beyond the points. Its force is a spring's, so it
+// yields to what is in the way.
 class GuidingHand {
  public:
   // INVALID_ARGUMENT for times that do not grow, and numbers that are none.
@@ -38,6 +40,8 @@ class GuidingHand {
   Push PushAt(double t, const PlantReading& reading) const;
 
  private:
+  double Slope(size_t point, int axis) const;
+
   std::vector<HandPoint> points_;
 };
 

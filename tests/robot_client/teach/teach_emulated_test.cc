@@ -378,7 +378,12 @@ TEST(GuidingHandTest, GoesSmoothlyThroughItsPointsAndNamesWhatIsWrong) {
   EXPECT_NEAR(hand.At(2).position[0], 0.2, 1e-12) << "half way at half time";
   ArmVector velocity;
   hand.At(2, &velocity);
-  EXPECT_NEAR(velocity[0], 1.875 * 0.4 / 2, 1e-12) << "the quintic's peak";
+  EXPECT_NEAR(velocity[0], 1.5 * 0.4 / 2, 1e-12) << "the cubic's peak";
+  // Through points of one speed it goes at that speed, and nowhere beyond a turn.
+  const piper::GuidingHand line = Hand({{0, {0.0}}, {1, {0.1}}, {2, {0.2}}, {3, {0.3}}, {4, {0.2}}});
+  line.At(1.5, &velocity);
+  EXPECT_NEAR(velocity[0], 0.1, 1e-12);
+  for (double t = 0; t < 4; t += 0.01) EXPECT_LE(line.At(t).position[0], 0.3 + 1e-12) << t;
   EXPECT_EQ(hand.At(9).position, kThere);
   EXPECT_FALSE(piper::GuidingHand::Create({{1, kStart}, {1, kThere}}).ok());
   const std::string path = ::testing::TempDir() + "/hand.csv";
