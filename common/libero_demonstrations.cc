@@ -83,10 +83,10 @@ absl::StatusOr<LiberoDemonstrationWriter> LiberoDemonstrationWriter::Create(cons
                                   {"domain_name", "robosuite"},
                                   {"language_instruction", task.instruction}};
   nlohmann::json env_args = {{"type", 1},
-                                   {"env_name", task.suite},
-                                   {"problem_name", task.suite},
-                                   {"bddl_file", task.task + ".bddl"},
-                                   {"env_kwargs", {{"control_freq", task.control_hz}}}};
+                             {"env_name", task.suite},
+                             {"problem_name", task.suite},
+                             {"bddl_file", task.task + ".bddl"},
+                             {"env_kwargs", {{"control_freq", task.control_hz}}}};
   if (task.absolute_actions)
     env_args["env_kwargs"]["controller_configs"] = {{"type", "JOINT_POSITION"},
                                                     {"control_delta", false}};

@@ -24,10 +24,10 @@ namespace robostress {
 // Added by this project where a demonstration has them, ignored by LIBERO's readers:
 //     obs/proprioception [T,8]  what the policy is given, where that is not ee_pos, ee_ori, fingers
 //     obs/aux            [T,8]  targets of nano's auxiliary head
-// env_args, env_kwargs, controller_configs, control_delta says, as robosuite has it, whether actions
-// are displacements (true, or nothing said: LIBERO's) or absolute targets (false).
-// In LIBERO's own files row t of obs was taken after action t; here it is before, as a policy sees
-// it. Images in memory have the top row first.
+// env_args, env_kwargs, controller_configs, control_delta says, as robosuite has it, whether
+// actions are displacements (true, or nothing said: LIBERO's) or absolute targets (false). In
+// LIBERO's own files row t of obs was taken after action t; here it is before, as a policy sees it.
+// Images in memory have the top row first.
 
 // A demonstration's numbers, row-major [T, .] columns of the table above.
 struct LiberoColumns {

@@ -46,7 +46,8 @@ const char* TextOf(Refusal refusal) {
     case Refusal::kFaults:
       return "the arm goes on reporting a fault";
     case Refusal::kHeld:
-      return "a watchdog would hold the arm at once: arm, camera, leader or recording is not well; see "
+      return "a watchdog would hold the arm at once: arm, camera, leader or recording is not well; "
+             "see "
              "events.jsonl";
   }
   return "";

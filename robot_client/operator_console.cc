@@ -30,22 +30,14 @@ constexpr double kMostJog = 0.5;          // [rad]
 constexpr double kMostOpeningJog = 0.05;  // [m]
 
 constexpr std::pair<const char*, OperatorCommand> kCommands[] = {
-    {"enable", OperatorCommand::kEnable},
-    {"start", OperatorCommand::kStart},
-    {"home", OperatorCommand::kHome},
-    {"", OperatorCommand::kHold},
-    {"hold", OperatorCommand::kHold},
-    {"resume", OperatorCommand::kResume},
-    {"success", OperatorCommand::kSuccess},
-    {"failure", OperatorCommand::kFailure},
-    {"end", OperatorCommand::kEnd},
-    {"clear", OperatorCommand::kClear},
-    {"stop", OperatorCommand::kQuickStop},
-    {"follow", OperatorCommand::kFollow},
-    {"record", OperatorCommand::kRecord},
-    {"discard", OperatorCommand::kDiscard},
-    {"quit", OperatorCommand::kQuit},
-    {"quit limp", OperatorCommand::kQuitLimp},
+    {"enable", OperatorCommand::kEnable},   {"start", OperatorCommand::kStart},
+    {"home", OperatorCommand::kHome},       {"", OperatorCommand::kHold},
+    {"hold", OperatorCommand::kHold},       {"resume", OperatorCommand::kResume},
+    {"success", OperatorCommand::kSuccess}, {"failure", OperatorCommand::kFailure},
+    {"end", OperatorCommand::kEnd},         {"clear", OperatorCommand::kClear},
+    {"stop", OperatorCommand::kQuickStop},  {"follow", OperatorCommand::kFollow},
+    {"record", OperatorCommand::kRecord},   {"discard", OperatorCommand::kDiscard},
+    {"quit", OperatorCommand::kQuit},       {"quit limp", OperatorCommand::kQuitLimp},
 };
 
 bool Stops(OperatorCommand command) {

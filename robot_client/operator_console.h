@@ -15,9 +15,9 @@ namespace robostress {
 // What a person tells the client, one order a line on standard input.
 enum class OperatorCommand {
   kEnable,
-  kHome,  // drives to the configured starting pose
-  kJog,   // moves one joint
-  kPlay,  // plays the run's motion
+  kHome,     // drives to the configured starting pose
+  kJog,      // moves one joint
+  kPlay,     // plays the run's motion
   kFollow,   // teach: the arm follows leader, keyboard or gamepad
   kRecord,   // teach: a demonstration begins
   kDiscard,  // teach: ... and is dropped

@@ -324,9 +324,9 @@ void ControlLoop::PickTarget(int64_t now_ns) {
   record_.prediction_id = 0;
   if (!machine_.streaming()) return;
   const bool runs = machine_.state() == ClientState::kRun;
-  const bool target = runs ? PlayRow(now_ns)
-                           : machine_.state() == ClientState::kMove &&
-                                 (PlayLive(now_ns) || PlayPath());
+  const bool target =
+      runs ? PlayRow(now_ns)
+           : machine_.state() == ClientState::kMove && (PlayLive(now_ns) || PlayPath());
   if (target) {
     record_.sent = Advance(record_.corrected);
     double moved = 0;

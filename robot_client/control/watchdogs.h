@@ -88,7 +88,7 @@ class Watchdogs {
     bool record_failed = false;
     bool policy_invalid = false;
     bool input_silent = false;  // LiveTarget::Silent
-    double delay_s = 0;  // DelayEstimator; 0: unknown
+    double delay_s = 0;         // DelayEstimator; 0: unknown
   };
   WatchdogVerdict Check(const Inputs& inputs);
 

@@ -220,10 +220,10 @@ absl::StatusOr<DemonstrationSummary> DemonstrationWriter::Save(bool success) {
   summary.text = absl::StrFormat("demonstration %d saved (%s): %d ticks, %.1f s", summary.episode,
                                  success ? "success" : "failure", summary.ticks,
                                  static_cast<double>(summary.ticks) / options_.rate_hz);
-  absl::StrAppend(&summary.text,
-                  cameras_.empty() ? ", no pictures"
-                                   : absl::StrFormat(", %.1f MB, pictures at most %.0f ms old",
-                                                     bytes_ / 1e6, summary.oldest_frame_ms));
+  absl::StrAppend(&summary.text, cameras_.empty()
+                                     ? ", no pictures"
+                                     : absl::StrFormat(", %.1f MB, pictures at most %.0f ms old",
+                                                       bytes_ / 1e6, summary.oldest_frame_ms));
   return summary;
 }
 

@@ -118,10 +118,10 @@ GuidingHand::Push GuidingHand::PushAt(double t, const PlantReading& reading) con
 absl::StatusOr<TeachPlan> ParseTeachPlan(const std::string& text) {
   const std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('+', 1));
   TeachPlan plan;
-  const bool good = absl::SimpleAtod(parts[0], &plan.from_s) && plan.from_s >= 0 &&
-                    plan.from_s < 1e9 &&
-                    (parts.size() == 1 || (absl::SimpleAtod(parts[1], &plan.for_s) &&
-                                           plan.for_s > 0 && plan.for_s < 1e9));
+  const bool good =
+      absl::SimpleAtod(parts[0], &plan.from_s) && plan.from_s >= 0 && plan.from_s < 1e9 &&
+      (parts.size() == 1 ||
+       (absl::SimpleAtod(parts[1], &plan.for_s) && plan.for_s > 0 && plan.for_s < 1e9));
   if (good) return plan;
   return absl::InvalidArgumentError(absl::StrCat(
       "--teach '", text, "': expected FROM[+DURATION] in seconds of the arm's time, as 0 or 2+20"));

@@ -15,9 +15,9 @@ namespace robostress {
 class EpisodeTap {
  public:
   struct Options {
-    bool by_hand = false;      // of an arm in teaching mode, else of live targets
+    bool by_hand = false;  // of an arm in teaching mode, else of live targets
     double period_s = 1.0 / 30;
-    double stale_s = 0.05;     // an older sample spoils the episode
+    double stale_s = 0.05;       // an older sample spoils the episode
     double longest_gap_s = 0.2;  // between two ticks
   };
 

@@ -35,8 +35,8 @@ JogTarget::Vector6 JogTarget::JointVelocity(const JogInput& input) const {
         J, Eigen::ComputeFullU | Eigen::ComputeFullV);
     dq.setZero();
     for (int i = 0; i < kArmJoints; ++i) {
-      dq += Damped(svd.singularValues()[i]) * svd.matrixU().col(i).dot(wanted) *
-            svd.matrixV().col(i);
+      dq +=
+          Damped(svd.singularValues()[i]) * svd.matrixU().col(i).dot(wanted) * svd.matrixV().col(i);
     }
     int blocked = -1;
     for (int j = 0; j < kArmJoints; ++j) {

@@ -10,12 +10,12 @@ namespace robostress {
 
 // What a person holds down now, as shares of the configured speeds, -1 .. 1.
 struct JogInput {
-  int64_t stamp_ns = 0;    // of the last sign that it is still held, on the client's clock
-  bool gone = false;       // the device was unplugged, the terminal closed
-  bool by_joint = false;   // `joint` moves at tool[0] of its speed, and the tool as it follows
-  int joint = 0;           // 0 .. 5
-  double tool[6] = {};     // base frame: x, y, z, then turns about the axes x, y, z
-  double gripper = 0;      // positive opens
+  int64_t stamp_ns = 0;   // of the last sign that it is still held, on the client's clock
+  bool gone = false;      // the device was unplugged, the terminal closed
+  bool by_joint = false;  // `joint` moves at tool[0] of its speed, and the tool as it follows
+  int joint = 0;          // 0 .. 5
+  double tool[6] = {};    // base frame: x, y, z, then turns about the axes x, y, z
+  double gripper = 0;     // positive opens
 };
 
 struct JogOptions {

@@ -42,8 +42,9 @@ absl::Status LeaderArm::Connect() {
                      "switch it off and on"));
   }
   return absl::UnavailableError(absl::StrCat(
-      what, "no whole sample (0x155, 0x156, 0x157) within 1 s; check power, wiring, bit rate (1 "
-            "Mbit/s), and that the arm is in leader mode"));
+      what,
+      "no whole sample (0x155, 0x156, 0x157) within 1 s; check power, wiring, bit rate (1 "
+      "Mbit/s), and that the arm is in leader mode"));
 }
 
 void LeaderArm::Poll() {

@@ -50,8 +50,7 @@ struct CommandLine {
 };
 
 absl::Status Run(const CommandLine& line) {
-  RS_ASSIGN_OR_RETURN(ClientConfig config,
-                      ResolveConfig(line.client, [&](ClientConfig& changed) {
+  RS_ASSIGN_OR_RETURN(ClientConfig config, ResolveConfig(line.client, [&](ClientConfig& changed) {
                         if (!line.instruction.empty()) changed.instruction = line.instruction;
                         return absl::OkStatus();
                       }));

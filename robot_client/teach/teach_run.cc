@@ -71,14 +71,15 @@ absl::StatusOr<std::unique_ptr<TeachRun>> TeachRun::Create(ClientConfig config,
     return absl::InvalidArgumentError(
         "instruction is empty; give --instruction \"open the top drawer\"");
   if (!(options.tool_velocity > 0 && options.tool_velocity <= 0.25))
-    return absl::InvalidArgumentError(absl::StrCat("--speed is ", options.tool_velocity,
-                                                   " m/s, must be above 0, at most 0.25"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("--speed is ", options.tool_velocity, " m/s, must be above 0, at most 0.25"));
   if (options.by == TeachOptions::By::kLeader && options.source == config.bus)
     return absl::InvalidArgumentError(
         absl::StrCat("--by leader:", options.source,
                      " is the follower's own bus, where the leader would command it past every "
                      "limit; give the leader a bus of its own"));
   config.policy.server.clear();
+  if (options.by == TeachOptions::By::kHand) config.collision_level = -1;  // asked for, not written
   std::unique_ptr<TeachRun> teach(new TeachRun(config, options, console));
   RS_RETURN_IF_ERROR(teach->Open());
   return teach;
@@ -133,9 +134,7 @@ absl::Status TeachRun::OpenSource() {
   const piper::Zero zero = ZeroOf(run_->arm());
   live_ = std::make_unique<JogTarget>(
       input,
-      [zero](const ArmVector& position) {
-        return piper::ToolJacobian(JointsOf(position), zero);
-      },
+      [zero](const ArmVector& position) { return piper::ToolJacobian(JointsOf(position), zero); },
       limits, jog);
   return absl::OkStatus();
 }
@@ -188,12 +187,11 @@ std::string TeachRun::description() const {
       break;
   }
   const size_t cameras = config_.cameras.size();
-  return absl::StrCat(
-      run_->description(), "\ndemonstrations into ", options_.directory, " (", writer_->episodes(),
-      " there), ", guide, "\n",
-      cameras == 0   ? "no camera: states and actions in lerobot/ alone\n"
-      : cameras != 2 ? "libero/ is left out: its form has two cameras\n"
-                     : "");
+  return absl::StrCat(run_->description(), "\ndemonstrations into ", options_.directory, " (",
+                      writer_->episodes(), " there), ", guide, "\n",
+                      cameras == 0   ? "no camera: states and actions in lerobot/ alone\n"
+                      : cameras != 2 ? "libero/ is left out: its form has two cameras\n"
+                                     : "");
 }
 
 void TeachRun::StartThreads() {
@@ -285,8 +283,7 @@ absl::StatusOr<std::string> TeachRun::Act(const OperatorOrder& order) {
 
 // The terminal gives single keys while the arm follows them.
 void TeachRun::WatchKeys() {
-  const bool wanted =
-      keys_ != nullptr && following_ && run_->loop().state() == ClientState::kMove;
+  const bool wanted = keys_ != nullptr && following_ && run_->loop().state() == ClientState::kMove;
   if (wanted == (raw_ != nullptr)) return;
   if (!wanted) {
     console_->GiveKeysTo(nullptr);

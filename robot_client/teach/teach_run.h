@@ -21,8 +21,8 @@ namespace robostress {
 struct TeachOptions {
   enum class By { kHand, kLeader, kKeyboard, kGamepad };
   By by = By::kHand;
-  std::string source;         // the leader's bus, the gamepad's file
-  std::string directory;      // of the data set; runs/NNN in it holds what the client records
+  std::string source;          // the leader's bus, the gamepad's file
+  std::string directory;       // of the data set; runs/NNN in it holds what the client records
   double tool_velocity = 0.1;  // [m/s] of a jog
   bool keep_failures = false;
 };

@@ -5,8 +5,23 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
+#include <new>
 
 #include "robot_client/piper/kinematics.h"
+
+namespace {
+bool count_allocations = false;
+int allocations = 0;
+}  // namespace
+
+void* operator new(size_t size) {
+  if (count_allocations) ++allocations;
+  if (void* memory = std::malloc(size)) return memory;
+  throw std::bad_alloc();
+}
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, size_t) noexcept { std::free(memory); }
 
 namespace robostress {
 namespace {
@@ -170,6 +185,14 @@ TEST(JogTargetTest, TheArmComesOutOfASingularityAgain) {
   const Eigen::Isometry3d before = ToolOf(bench.command);
   bench.Hold(Axis(2, -1), 1);
   EXPECT_NEAR(ToolOf(bench.command).translation().z() - before.translation().z(), -0.1, 0.01);
+}
+
+TEST(JogTargetTest, AllocatesNothing) {
+  Bench bench;
+  count_allocations = true;
+  bench.Hold(Axis(2, 1), 2);
+  count_allocations = false;
+  EXPECT_EQ(allocations, 0);
 }
 
 TEST(JogTargetTest, WaitsForACommandThatIsKeptBackAndIsSilentWhenTheDeviceIsGone) {

@@ -380,7 +380,8 @@ TEST(GuidingHandTest, GoesSmoothlyThroughItsPointsAndNamesWhatIsWrong) {
   hand.At(2, &velocity);
   EXPECT_NEAR(velocity[0], 1.5 * 0.4 / 2, 1e-12) << "the cubic's peak";
   // Through points of one speed it goes at that speed, and nowhere beyond a turn.
-  const piper::GuidingHand line = Hand({{0, {0.0}}, {1, {0.1}}, {2, {0.2}}, {3, {0.3}}, {4, {0.2}}});
+  const piper::GuidingHand line =
+      Hand({{0, {0.0}}, {1, {0.1}}, {2, {0.2}}, {3, {0.3}}, {4, {0.2}}});
   line.At(1.5, &velocity);
   EXPECT_NEAR(velocity[0], 0.1, 1e-12);
   for (double t = 0; t < 4; t += 0.01) EXPECT_LE(line.At(t).position[0], 0.3 + 1e-12) << t;

@@ -89,13 +89,13 @@ std::string Script(const std::string& name, const std::string& body, std::string
   fs::remove_all(*out);
   fs::create_directories(*out);
   EXPECT_TRUE(WriteFileAtomically(*out + "/hand.csv", kHand).ok());
-  EXPECT_TRUE(WriteFileAtomically(
-                  *out + "/script.sh",
-                  absl::StrCat("out=", *out, "; client=" ROBOT_CLIENT, "; emulator=" PIPER_EMULATOR,
-                               "\n", kHarness, body,
-                               "\ncode=$?\nkill $emulators 2>/dev/null\nwait 2>/dev/null\n"
-                               "exit $code\n"))
-                  .ok());
+  EXPECT_TRUE(
+      WriteFileAtomically(*out + "/script.sh",
+                          absl::StrCat("out=", *out, "; client=" ROBOT_CLIENT,
+                                       "; emulator=" PIPER_EMULATOR, "\n", kHarness, body,
+                                       "\ncode=$?\nkill $emulators 2>/dev/null\nwait 2>/dev/null\n"
+                                       "exit $code\n"))
+          .ok());
   return *out + "/script.sh";
 }
 
@@ -336,13 +336,13 @@ TEST(TeachProgramTest, AClosedTerminalHoldsTheArmAndEndsTheRun) {
   NEED_NAMESPACES();
   std::string out;
   // The client's parent ignores the hang-up, so that it can say how the client ended.
-  const std::string script =
-      Script("hangup", std::string("trap '' HUP\n") +
-                           R"(arm --bus $bus --start-deg $start_deg
+  const std::string script = Script("hangup",
+                                    std::string("trap '' HUP\n") +
+                                        R"(arm --bus $bus --start-deg $start_deg
 bash -c 'trap - HUP; exec "$@"' x $client $teach --by keyboard --instruction "open the drawer"
 echo $? > $out/code.part; mv $out/code.part $out/code
 )",
-             &out);
+                                    &out);
   Person person("unshare -rn bash " + script);
   ASSERT_TRUE(person.Sees("0 there")) << person.shown();
   person.Type("enable\r");
@@ -379,12 +379,14 @@ TEST(TeachProgramTest, RefusesWhatMakesNoSenseWithARemedy) {
         std::pair{std::string("--instruction x --by gamepad:/dev/none --bus rehearse"),
                   "plug it in"},
         std::pair{std::string("--instruction x --speed 3"), "at most 0.25"}}) {
-    const auto [text, code] = RunProgram(std::string("timeout 20 ") + ROBOT_CLIENT, base + arguments);
+    const auto [text, code] =
+        RunProgram(std::string("timeout 20 ") + ROBOT_CLIENT, base + arguments);
     EXPECT_EQ(code, 2) << text;
     EXPECT_THAT(text, HasSubstr(remedy)) << arguments;
   }
   const auto [text, code] =
-      RunProgram("bash", "-c \"" ROBOT_CLIENT " --bus rehearse --set "
+      RunProgram("bash", "-c \"" ROBOT_CLIENT
+                         " --bus rehearse --set "
                          "realtime.priority=0 --set realtime.lock_memory=false --out " +
                              out + "/run < <(printf 'record\\nquit\\n')\"");
   EXPECT_THAT(text, HasSubstr("robot_client teach"));
