@@ -40,8 +40,10 @@ class Handle {
   herr_t (*close_)(hid_t);
 };
 
-// The library prints its own errors and loads filters from anywhere unless told not to.
+// The library prints its own errors and loads filters from anywhere unless told not to. At the
+// process's end it would close once more what it could not write on a full disk, and crash.
 void QuietLibrary() {
+  H5dont_atexit();
   H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
   H5PLset_loading_state(0);
 }

@@ -40,6 +40,17 @@ absl::Status WriteViews(Hdf5File& file, const std::string& name, const std::vect
       name, {static_cast<int64_t>(views.size()), views[0].height, views[0].width, 3}, bytes);
 }
 
+// Whether robosuite's controller was told that actions are targets.
+bool SaysAbsolute(const std::string& env_args) {
+  const nlohmann::json args = nlohmann::json::parse(env_args, nullptr, /*allow_exceptions=*/false);
+  const nlohmann::json* value = &args;
+  for (const char* key : {"env_kwargs", "controller_configs", "control_delta"}) {
+    if (!value->is_object() || !value->contains(key)) return false;
+    value = &(*value)[key];
+  }
+  return value->is_boolean() && !value->get<bool>();
+}
+
 // LIBERO writes the instruction as a text or as a list of texts, sometimes in quotes.
 absl::StatusOr<std::string> InstructionOf(const std::string& path, const std::string& text) {
   const nlohmann::json info = nlohmann::json::parse(text, nullptr, /*allow_exceptions=*/false);
@@ -71,11 +82,14 @@ absl::StatusOr<LiberoDemonstrationWriter> LiberoDemonstrationWriter::Create(cons
   const nlohmann::json problem = {{"problem_name", task.suite},
                                   {"domain_name", "robosuite"},
                                   {"language_instruction", task.instruction}};
-  const nlohmann::json env_args = {{"type", 1},
-                                   {"env_name", task.suite},
-                                   {"problem_name", task.suite},
-                                   {"bddl_file", task.task + ".bddl"},
-                                   {"env_kwargs", {{"control_freq", task.control_hz}}}};
+  nlohmann::json env_args = {{"type", 1},
+                             {"env_name", task.suite},
+                             {"problem_name", task.suite},
+                             {"bddl_file", task.task + ".bddl"},
+                             {"env_kwargs", {{"control_freq", task.control_hz}}}};
+  if (task.absolute_actions)
+    env_args["env_kwargs"]["controller_configs"] = {{"type", "JOINT_POSITION"},
+                                                    {"control_delta", false}};
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "tag", std::string("robostress")));
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "env_name", task.suite));
   RS_RETURN_IF_ERROR(file.SetAttribute("data", "env_args", env_args.dump()));
@@ -174,6 +188,8 @@ absl::StatusOr<LiberoDemonstrationFile> LiberoDemonstrationFile::Open(const std:
 absl::Status LiberoDemonstrationFile::ReadTask() {
   RS_ASSIGN_OR_RETURN(const std::string problem, file_.StringAttribute("data", "problem_info"));
   RS_ASSIGN_OR_RETURN(instruction_, InstructionOf(path(), problem));
+  if (const auto env_args = file_.StringAttribute("data", "env_args"); env_args.ok())
+    absolute_actions_ = SaysAbsolute(*env_args);
   const absl::StatusOr<std::string> convention =
       file_.StringAttribute("data", "macros_image_convention");
   if (absl::IsNotFound(convention.status()))

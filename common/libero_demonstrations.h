@@ -24,8 +24,10 @@ namespace robostress {
 // Added by this project where a demonstration has them, ignored by LIBERO's readers:
 //     obs/proprioception [T,8]  what the policy is given, where that is not ee_pos, ee_ori, fingers
 //     obs/aux            [T,8]  targets of nano's auxiliary head
-// In LIBERO's own files row t of obs was taken after action t; here it is before, as a policy sees
-// it. Images in memory have the top row first.
+// env_args, env_kwargs, controller_configs, control_delta says, as robosuite has it, whether
+// actions are displacements (true, or nothing said: LIBERO's) or absolute targets (false). In
+// LIBERO's own files row t of obs was taken after action t; here it is before, as a policy sees it.
+// Images in memory have the top row first.
 
 // A demonstration's numbers, row-major [T, .] columns of the table above.
 struct LiberoColumns {
@@ -47,6 +49,7 @@ class LiberoDemonstrationWriter {
   struct Task {
     std::string suite, task, instruction;
     int control_hz = 20;
+    bool absolute_actions = false;  // targets, not displacements
   };
   static absl::StatusOr<LiberoDemonstrationWriter> Create(const std::string& path,
                                                           const Task& task);
@@ -73,6 +76,7 @@ class LiberoDemonstrationFile {
   // Whether all demonstrations carry what this project adds.
   bool has_proprioception() const { return has_proprioception_; }
   bool has_aux() const { return has_aux_; }
+  bool absolute_actions() const { return absolute_actions_; }  // see control_delta above
 
   absl::StatusOr<LiberoColumns> ReadColumns(int64_t demonstration) const;
   // The view before action `step`, top row first.
@@ -92,6 +96,7 @@ class LiberoDemonstrationFile {
   std::string instruction_;
   std::vector<Entry> entries_;  // in the order of their numbers
   bool bottom_row_first_ = true, has_proprioception_ = false, has_aux_ = false;
+  bool absolute_actions_ = false;
 };
 
 }  // namespace robostress

@@ -10,6 +10,7 @@
 #include "robot_client/cameras_command.h"
 #include "robot_client/client_program.h"
 #include "robot_client/motion_command.h"
+#include "robot_client/teach/teach_command.h"
 
 namespace robostress {
 namespace {
@@ -73,6 +74,7 @@ int Main(int argc, char** argv) {
   if (command == "cameras") return CamerasMain(argc - 1, argv + 1);
   if (command == "replay") return ReplayMain(argc - 1, argv + 1);
   if (command == "excite") return ExciteMain(argc - 1, argv + 1);
+  if (command == "teach") return TeachMain(argc - 1, argv + 1);
   CLI::App app("Runs an AgileX Piper at 30 Hz against a policy server and records every tick.",
                "robot_client");
   app.footer(kExamples);

@@ -46,7 +46,8 @@ const char* TextOf(Refusal refusal) {
     case Refusal::kFaults:
       return "the arm goes on reporting a fault";
     case Refusal::kHeld:
-      return "a watchdog would hold the arm at once: arm, camera or recording is not well; see "
+      return "a watchdog would hold the arm at once: arm, camera, leader or recording is not well; "
+             "see "
              "events.jsonl";
   }
   return "";
@@ -349,6 +350,26 @@ absl::StatusOr<std::string> ClientRun::Play(double speed) {
                 });
 }
 
+std::vector<FrameSource*> ClientRun::cameras() const {
+  std::vector<FrameSource*> sources;
+  for (const auto& camera : cameras_) sources.push_back(camera.get());
+  return sources;
+}
+
+absl::StatusOr<std::string> ClientRun::FollowLive(LiveTarget* live) {
+  if (busy())
+    return absl::FailedPreconditionError(absl::StrCat(pending_->what, " goes on; Enter stops it"));
+  if (loop_->state() != ClientState::kEnabled) {
+    return absl::FailedPreconditionError(absl::StrCat("the client is ", StateName(loop_->state()),
+                                                      "; the arm follows from ENABLED"));
+  }
+  Await(
+      "follow", kDecides_s, [this] { return loop_->state() == ClientState::kMove; },
+      "the arm follows; Enter stops");
+  loop_->Follow(live);
+  return "";
+}
+
 absl::StatusOr<std::string> ClientRun::Jog(const OperatorOrder& order) {
   ArmVector to = loop_->seen().position;
   to[order.axis] += order.amount;
@@ -458,6 +479,11 @@ absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
       return EndEpisode(std::nullopt);
     case OperatorCommand::kClear:
       return Clear();
+    case OperatorCommand::kFollow:
+    case OperatorCommand::kRecord:
+    case OperatorCommand::kDiscard:
+      return absl::FailedPreconditionError(
+          "demonstrations are recorded by robot_client teach; see robot_client teach --help");
     default:
       return absl::InternalError("unknown order");
   }

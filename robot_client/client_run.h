@@ -50,12 +50,20 @@ class ClientRun {
   bool episode_running() const { return episode_running_; }
   // The fastest that the motion was played to its end in this run; 0: not yet.
   double fastest_played() const { return fastest_played_; }
+  // The arm follows what comes in live, from ENABLED until it is held. `live` outlives the run.
+  absl::StatusOr<std::string> FollowLive(LiveTarget* live);
   std::string description() const;  // what it is connected to
+  // Before StartThreads, for what is put on top of a run.
+  ControlLoop& loop() { return *loop_; }
+  const RobotArm& arm() const { return *arm_; }
+  Clock& clock() { return clock_; }
+  std::vector<FrameSource*> cameras() const;
   void Say(std::string line) { reporter_.Say(std::move(line)); }
 
   // With `limp` the arm loses its power, first of all and whatever fails afterwards. Stops the
   // threads, completes the recording and writes timing.json and DONE.
   absl::Status Finish(bool limp);
+  void StopThreads();  // the arm stays at its last target; nothing is completed
 
  private:
   // What goes on: its answer once there is one, and what is said when there is none in time.
@@ -70,7 +78,6 @@ class ClientRun {
       : config_(config), directory_(std::move(directory)) {}
   absl::Status Open(const MotionMaker& motion);
   absl::Status CheckCollisionProtection();
-  void StopThreads();
   // `done` once the loop has decided what it is asked for now; its refusal is the answer else.
   void Await(std::string what, double seconds, std::function<bool()> done, std::string answer);
   absl::StatusOr<std::string> Enable();

@@ -30,19 +30,14 @@ constexpr double kMostJog = 0.5;          // [rad]
 constexpr double kMostOpeningJog = 0.05;  // [m]
 
 constexpr std::pair<const char*, OperatorCommand> kCommands[] = {
-    {"enable", OperatorCommand::kEnable},
-    {"start", OperatorCommand::kStart},
-    {"home", OperatorCommand::kHome},
-    {"", OperatorCommand::kHold},
-    {"hold", OperatorCommand::kHold},
-    {"resume", OperatorCommand::kResume},
-    {"success", OperatorCommand::kSuccess},
-    {"failure", OperatorCommand::kFailure},
-    {"end", OperatorCommand::kEnd},
-    {"clear", OperatorCommand::kClear},
-    {"stop", OperatorCommand::kQuickStop},
-    {"quit", OperatorCommand::kQuit},
-    {"quit limp", OperatorCommand::kQuitLimp},
+    {"enable", OperatorCommand::kEnable},   {"start", OperatorCommand::kStart},
+    {"home", OperatorCommand::kHome},       {"", OperatorCommand::kHold},
+    {"hold", OperatorCommand::kHold},       {"resume", OperatorCommand::kResume},
+    {"success", OperatorCommand::kSuccess}, {"failure", OperatorCommand::kFailure},
+    {"end", OperatorCommand::kEnd},         {"clear", OperatorCommand::kClear},
+    {"stop", OperatorCommand::kQuickStop},  {"follow", OperatorCommand::kFollow},
+    {"record", OperatorCommand::kRecord},   {"discard", OperatorCommand::kDiscard},
+    {"quit", OperatorCommand::kQuit},       {"quit limp", OperatorCommand::kQuitLimp},
 };
 
 bool Stops(OperatorCommand command) {
@@ -147,7 +142,12 @@ void OperatorConsole::Read(int timeout_ms) {
     char bytes[256];
     const ssize_t count = read(STDIN_FILENO, bytes, sizeof(bytes));
     if (count <= 0) ended_ = true;
-    if (count > 0) buffer_.append(bytes, static_cast<size_t>(count));
+    if (keys_ != nullptr) {
+      if (count > 0) keys_->Take({bytes, static_cast<size_t>(count)}, &orders_);
+      if (count <= 0) keys_->End();
+    } else if (count > 0) {
+      buffer_.append(bytes, static_cast<size_t>(count));
+    }
   }
   for (size_t end; (end = buffer_.find('\n')) != std::string::npos; buffer_.erase(0, end + 1)) {
     const absl::StatusOr<OperatorOrder> order =

@@ -15,9 +15,12 @@ namespace robostress {
 // What a person tells the client, one order a line on standard input.
 enum class OperatorCommand {
   kEnable,
-  kHome,  // drives to the configured starting pose
-  kJog,   // moves one joint
-  kPlay,  // plays the run's motion
+  kHome,     // drives to the configured starting pose
+  kJog,      // moves one joint
+  kPlay,     // plays the run's motion
+  kFollow,   // teach: the arm follows leader, keyboard or gamepad
+  kRecord,   // teach: a demonstration begins
+  kDiscard,  // teach: ... and is dropped
   kStart,
   kHold,  // also an empty line: the nearest key stops
   kResume,
@@ -42,6 +45,14 @@ inline constexpr double kSlowly = 0.25;
 absl::StatusOr<OperatorOrder> ParseOperatorOrder(std::string_view line);
 extern const char kOperatorHelp[];
 
+// Takes single keys instead of lines.
+class KeySink {
+ public:
+  virtual ~KeySink() = default;
+  virtual void Take(std::string_view bytes, std::deque<OperatorOrder>* orders) = 0;
+  virtual void End() = 0;  // no more will come
+};
+
 // Standard input and signals as orders. SIGINT: one means hold, a second within three seconds the
 // quick stop, a third quit. SIGTERM and SIGHUP, which programs send and not people, hold and then
 // quit; they never make the arm sink. One object at a time, one thread.
@@ -54,6 +65,8 @@ class OperatorConsole {
   // a terminal those that stop nothing stay where they are while `busy`. A line that is no order
   // holds, and its error is in `complaint` once.
   std::optional<OperatorOrder> Next(int timeout_ms, bool busy = false);
+  // Bytes go to `keys` as they come, until it is null again. It outlives that.
+  void GiveKeysTo(KeySink* keys) { keys_ = keys; }
   std::string TakeComplaint() { return std::exchange(complaint_, ""); }
   bool input_ended() const { return ended_; }
   // Counts the signals as they come, for ControlLoop::ObeyStops.
@@ -69,6 +82,7 @@ class OperatorConsole {
   int64_t last_press_ns_ = 0;
   const bool terminal_;
   bool ended_ = false;
+  KeySink* keys_ = nullptr;
   std::string buffer_, complaint_;
   std::deque<OperatorOrder> orders_;
 };

@@ -102,7 +102,7 @@ std::string Recorder::Header() {
 }
 
 std::string Recorder::Row(const TickRecord& r, int64_t origin_ns) {
-  const bool played = (r.flags & kTickPlayed) != 0, measured = r.sequence != 0;
+  const bool played = (r.flags & (kTickPlayed | kTickLive)) != 0, measured = r.sequence != 0;
   const bool streams = r.state == ClientState::kEnabled || r.state == ClientState::kRun ||
                        r.state == ClientState::kHold || r.state == ClientState::kMove;
   std::string row = absl::StrFormat(

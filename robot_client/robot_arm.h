@@ -51,6 +51,7 @@ struct ArmSnapshot {
   uint64_t sequence = 0;     // grows by one per complete sample
   bool enabled = false;      // every joint's driver
   bool has_effort = false;   // effort is measured
+  bool taught = false;       // the arm is limp, its weight carried, and a person guides it
   uint32_t faults = 0;       // ArmFault
   uint8_t fault_joints = 0;  // bit j: joint j + 1's driver reports one of them
 };

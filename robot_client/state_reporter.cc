@@ -56,6 +56,8 @@ std::string CauseText(const TickRecord& r) {
       return "no fresh sample of the arm";
     case StateCause::kServerSilent:
       return "no usable chunk from the policy server";
+    case StateCause::kInputSilent:
+      return "the leader arm, keyboard or gamepad is not heard any more";
     case StateCause::kCameraStale:
       return "a camera's newest picture is old, or of a time to come";
     default:
@@ -79,6 +81,8 @@ const char* NextStep(ClientState state, StateCause cause) {
       return "clear the arm's way, then type resume or end";
     case StateCause::kWorkspace:
       return "type end, then home or jog";
+    case StateCause::kInputSilent:
+      return "look at its cable, then type end, then follow";
     case StateCause::kRecordFailed:
       return "type end and quit; free space before the next run";
     case StateCause::kPolicyInvalid:

@@ -206,9 +206,12 @@ void ControlLoop::OnStateChange(ClientState before, int64_t now_ns) {
   guarded_ticks_ = 0;
   policy_invalid_ = false;
   way_ = nullptr;
+  live_ = nullptr;
   delay_.Reset();
   if (now == ClientState::kMove) {
-    way_ = path_.load(std::memory_order_acquire);
+    live_ = next_live_.load(std::memory_order_acquire);
+    if (live_ != nullptr) live_->Begin(limiter_.position());
+    if (live_ == nullptr) way_ = path_.load(std::memory_order_acquire);
     way_row_ = 0;
     watchdogs_.OnRunStart(now_ns);
   }
@@ -306,12 +309,24 @@ bool ControlLoop::PlayPath() {
   return true;
 }
 
+// What somebody wants live; false: nobody does.
+bool ControlLoop::PlayLive(int64_t now_ns) {
+  if (live_ == nullptr) return false;
+  const LiveRow row = live_->Next(now_ns, limiter_.position());
+  record_.policy = record_.requested = row.wanted;
+  record_.blended = record_.corrected = row.target;
+  record_.flags |= kTickLive | (row.joining ? kTickJoining : 0u);
+  return true;
+}
+
 void ControlLoop::PickTarget(int64_t now_ns) {
   record_.chunk = record_.row = -1;
   record_.prediction_id = 0;
   if (!machine_.streaming()) return;
   const bool runs = machine_.state() == ClientState::kRun;
-  const bool target = runs ? PlayRow(now_ns) : machine_.state() == ClientState::kMove && PlayPath();
+  const bool target =
+      runs ? PlayRow(now_ns)
+           : machine_.state() == ClientState::kMove && (PlayLive(now_ns) || PlayPath());
   if (target) {
     record_.sent = Advance(record_.corrected);
     double moved = 0;
@@ -426,6 +441,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   record_.stamp_ns = arm.stamp_ns;
   record_.sequence = arm.sequence;
   if (arm.sequence != last_sequence_) record_.flags |= kTickFresh;
+  if (arm.taught) record_.flags |= kTickTaught;
   last_sequence_ = arm.sequence;
 
   WatchContact(arm);
@@ -446,6 +462,10 @@ void ControlLoop::Tick(int64_t due_ns) {
   inputs.guarded = guarded_ticks_ > kGuarded_s * options_.rate_hz;
   inputs.record_failed = record_failed_.load(std::memory_order_acquire);
   inputs.policy_invalid = std::exchange(policy_invalid_, false);
+  const LiveTarget* live = (requests & kRequestMove) && live_ == nullptr
+                               ? next_live_.load(std::memory_order_acquire)
+                               : live_;
+  inputs.input_silent = live != nullptr && live->Silent(record_.start_ns);
   inputs.delay_s = std::isfinite(record_.delay_s) ? record_.delay_s : 0;
   const WatchdogVerdict verdict = watchdogs_.Check(inputs);
   if (verdict.camera_late) record_.flags |= kTickCameraLate;
@@ -470,6 +490,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   PickTarget(record_.start_ns);
   SendCommand();
   record_.sent_ns = clock_->now_ns();
+  if (on_tick_) on_tick_(record_);
   Publish();
 }
 

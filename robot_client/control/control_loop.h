@@ -19,6 +19,7 @@
 #include "robot_client/control/control_options.h"
 #include "robot_client/control/delay_estimator.h"
 #include "robot_client/control/held_arm.h"
+#include "robot_client/control/live_target.h"
 #include "robot_client/control/press_watch.h"
 #include "robot_client/control/spsc_ring.h"
 #include "robot_client/control/state_machine.h"
@@ -87,10 +88,20 @@ class ControlLoop {
   // been asked for and before this tick's row is picked.
   void OnPredictionRequested(std::function<void()> call) { on_request_ = std::move(call); }
 
+  // Before the first tick: called in the control thread at the end of every tick; it must neither
+  // wait nor allocate.
+  void OnTick(std::function<void(const TickRecord&)> call) { on_tick_ = std::move(call); }
+
   void Ask(uint32_t requests) { asked_.fetch_or(requests, std::memory_order_acq_rel); }
   // Asks for the way to be played from ENABLED; it outlives the loop. In the order of calls.
   void Play(const ArmPath* path) {
+    next_live_.store(nullptr, std::memory_order_release);
     path_.store(path, std::memory_order_release);
+    Ask(kRequestMove);
+  }
+  // The same for targets that come in live, until the arm is held or stopped.
+  void Follow(LiveTarget* live) {
+    next_live_.store(live, std::memory_order_release);
     Ask(kRequestMove);
   }
   ClientState state() const { return state_.load(std::memory_order_acquire); }
@@ -140,6 +151,7 @@ class ControlLoop {
   void PickTarget(int64_t now_ns);
   bool PlayRow(int64_t now_ns);
   bool PlayPath();
+  bool PlayLive(int64_t now_ns);
   ArmVector Advance(const ArmVector& target);
   ArmVector Stand();
   double Apart(const ArmSnapshot& arm) const;
@@ -164,6 +176,7 @@ class ControlLoop {
   DelayEstimator delay_;
   std::vector<Reader> readers_;
   std::function<void()> on_request_;
+  std::function<void(const TickRecord&)> on_tick_;
 
   std::atomic<uint32_t> asked_{0};
   std::atomic<ClientState> state_{ClientState::kIdle};
@@ -174,6 +187,7 @@ class ControlLoop {
   SnapshotCell<ArmSnapshot> seen_;
   std::atomic<ArmModel::Bound> crossed_{ArmModel::kBounds};
   std::atomic<const ArmPath*> path_{nullptr};
+  std::atomic<LiveTarget*> next_live_{nullptr};
   std::atomic<bool> record_failed_{false};
   SpscRing<PredictionRequest> prediction_requests_{4};
   SpscRing<ArmChunk> chunks_{4};
@@ -196,7 +210,8 @@ class ControlLoop {
   int64_t observed_ns_ = 0;       // time of the observer's last call
   bool enabling_ = false;         // this tick blocked for a person's Enable
   bool policy_invalid_ = false;   // since the last tick
-  const ArmPath* way_ = nullptr;  // in MOVE
+  const ArmPath* way_ = nullptr;  // in MOVE; or
+  LiveTarget* live_ = nullptr;    // in MOVE
   size_t way_row_ = 0;
   int guarded_ticks_ = 0;  // for which the workspace has stopped the command
   TickTiming timing_;

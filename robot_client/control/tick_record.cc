@@ -62,6 +62,8 @@ const char* CauseName(StateCause cause) {
       return "policy_invalid";
     case StateCause::kRecordFailed:
       return "record_failed";
+    case StateCause::kInputSilent:
+      return "input_silent";
   }
   return "";
 }

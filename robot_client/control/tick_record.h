@@ -31,6 +31,7 @@ enum class StateCause : uint8_t {
   kDelayed,        // commands reach the arm, or its measurements the client, too late
   kPolicyInvalid,  // the policy's actions are not finite or not of its shape
   kRecordFailed,   // the run can no longer be recorded
+  kInputSilent,    // a leader arm, keyboard or gamepad that is not heard any more
 };
 
 const char* StateName(ClientState state);
@@ -53,6 +54,9 @@ enum TickFlag : uint32_t {
   kTickLost = 1u << 12,        // records before this one were dropped: a reader was too slow
   kTickRelaxed = 1u << 13,     // the command goes back to where the arm stands
   kTickGuarded = 1u << 14,     // the workspace stopped the command
+  kTickLive = 1u << 15,        // a live target was followed: policy and requested hold it
+  kTickJoining = 1u << 16,     // ... on the way to it, since the motion began
+  kTickTaught = 1u << 17,      // a person guides the arm: ArmSnapshot::taught
 };
 
 // Everything of one control tick. Fixed size: it is passed between threads without allocation.
@@ -71,7 +75,7 @@ struct TickRecord {
   int32_t chunk = -1;        // index within the episode of the chunk played, -1: none
   int32_t row = -1;          // row of it
   uint64_t prediction_id = 0;
-  ArmVector policy{};     // the policy's target before any correction (with kTickPlayed)
+  ArmVector policy{};     // the policy's target before any correction (with kTickPlayed or Live)
   ArmVector requested{};  // the server's: with its own gain or direct correction (with kTickPlayed)
   ArmVector blended{};    // after the cross-fade, or what is held
   ArmVector corrected{};  // after the disturbance observer

@@ -90,6 +90,7 @@ WatchdogVerdict Watchdogs::Check(const Inputs& in) {
   for (int j = 0; j < kArmJoints; ++j)
     error = std::max(error, std::abs(in.command[j] - in.arm.position[j]));
   following_s_ = error > options_.following_error ? following_s_ + period_s_ : 0;
+  if (in.input_silent) verdict.hold = StateCause::kInputSilent;
   if (in.policy_invalid) verdict.hold = StateCause::kPolicyInvalid;
   if (in.record_failed) verdict.hold = StateCause::kRecordFailed;
   if (in.delay_s > options_.delay_hold_s) verdict.hold = StateCause::kDelayed;

@@ -87,7 +87,8 @@ class Watchdogs {
     bool guarded = false;                    // the workspace has stopped the command for long
     bool record_failed = false;
     bool policy_invalid = false;
-    double delay_s = 0;  // DelayEstimator; 0: unknown
+    bool input_silent = false;  // LiveTarget::Silent
+    double delay_s = 0;         // DelayEstimator; 0: unknown
   };
   WatchdogVerdict Check(const Inputs& inputs);
 

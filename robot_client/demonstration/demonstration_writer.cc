@@ -29,6 +29,7 @@ bool Finite(const ArmVector& values) {
 
 absl::StatusOr<std::unique_ptr<DemonstrationWriter>> DemonstrationWriter::Create(
     DemonstrationOptions options, std::vector<FrameSource*> cameras, const Clock* clock) {
+  options.shards = options.shards && !cameras.empty();
   std::vector<std::string> names;
   for (const FrameSource* camera : cameras) names.push_back(camera->name());
   if (options.libero_tool && names.size() != 2) {
@@ -197,6 +198,10 @@ absl::StatusOr<DemonstrationSummary> DemonstrationWriter::Save(bool success) {
   }
   if (episode_.ticks.empty())
     return absl::FailedPreconditionError("the demonstration has no ticks: nothing was saved");
+  if (options_.actions_are_next_states) {
+    for (size_t i = 0; i < episode_.ticks.size(); ++i)
+      episode_.ticks[i].action = episode_.ticks[std::min(i + 1, episode_.ticks.size() - 1)].state;
+  }
   episode_.success = success;
   DemonstrationSummary summary;
   summary.episode = dataset_.episodes();
@@ -212,10 +217,13 @@ absl::StatusOr<DemonstrationSummary> DemonstrationWriter::Save(bool success) {
   }
   saved_ = dataset_.episodes();
   summary.saved = true;
-  summary.text = absl::StrFormat(
-      "demonstration %d saved (%s): %d ticks, %.1f s, %.1f MB, pictures at most %.0f ms old",
-      summary.episode, success ? "success" : "failure", summary.ticks,
-      static_cast<double>(summary.ticks) / options_.rate_hz, bytes_ / 1e6, summary.oldest_frame_ms);
+  summary.text = absl::StrFormat("demonstration %d saved (%s): %d ticks, %.1f s", summary.episode,
+                                 success ? "success" : "failure", summary.ticks,
+                                 static_cast<double>(summary.ticks) / options_.rate_hz);
+  absl::StrAppend(&summary.text, cameras_.empty()
+                                     ? ", no pictures"
+                                     : absl::StrFormat(", %.1f MB, pictures at most %.0f ms old",
+                                                       bytes_ / 1e6, summary.oldest_frame_ms));
   return summary;
 }
 

@@ -25,10 +25,13 @@ struct DemonstrationOptions {
   std::string directory;  // gets lerobot/, shards/ and libero/
   std::string robot = "piper";
   double rate_hz = 30;     // of the ticks; a whole number
-  bool shards = true;      // for `robostress train`
+  bool shards = true;      // for `robostress train`; not without a camera
   ToolPoseOf libero_tool;  // with a forward kinematics, LIBERO's HDF5 too; needs two cameras
   bool keep_failures =
       false;  // in lerobot/, with next.success false; the others hold successes only
+  // The action of a tick is the state of the next one, of the last its own: demonstrations without
+  // a command. Add's actions are passed over.
+  bool actions_are_next_states = false;
   double max_frame_age_s = 0.5;  // an older picture spoils the episode
   double most_s = 600;           // of an episode
   double most_gb = 2;            // of an episode in memory
@@ -56,7 +59,7 @@ struct DemonstrationSummary {
 class DemonstrationWriter {
  public:
   // Opens or makes the data set; the error names file, field and values. The cameras are started;
-  // they and the clock outlive the writer.
+  // they and the clock outlive the writer. Without any the set holds states and actions alone.
   static absl::StatusOr<std::unique_ptr<DemonstrationWriter>> Create(
       DemonstrationOptions options, std::vector<FrameSource*> cameras, const Clock* clock);
   ~DemonstrationWriter();  // drops an episode under way

@@ -29,7 +29,7 @@ absl::Status WriteLiberoEpisode(const DemonstrationEpisode& episode, const ToolP
   RS_ASSIGN_OR_RETURN(LiberoDemonstrationWriter writer,
                       LiberoDemonstrationWriter::Create(
                           path, {"piper_joint_targets", "demonstration", episode.instruction,
-                                 static_cast<int>(episode.rate_hz)}));
+                                 static_cast<int>(episode.rate_hz), /*absolute_actions=*/true}));
   LiberoDemonstration demonstration;
   demonstration.agentview = episode.small[0];
   demonstration.eye_in_hand = episode.small[1];

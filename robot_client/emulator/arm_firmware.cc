@@ -63,7 +63,7 @@ void ArmFirmware::Take(const CanFrame& received) {
     if ((frame.id & 0x7F0) != (kStopControl & 0x7F0) + offset) return;
     frame.id = static_cast<uint16_t>(frame.id - offset);
   }
-  if (settings_.leader() && frame.id >= kModeControl && frame.id <= kLastCommand) return;
+  if (limp() && frame.id >= kModeControl && frame.id <= kLastCommand) return;
   if (IsTarget(frame)) {
     if (delayed_.size() < kMaxDelayed) {
       const double lag_steps = std::round(options_.command_lag_s / kStep_s);
@@ -315,7 +315,7 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
   Power& power = power_[joint];
   if (!power.enabled) return 0;
   if (stopped_) return -kBrake[joint] * reading.dq[joint];
-  if (settings_.leader()) {  // a person leads it
+  if (limp()) {  // a person leads it
     power.integral = 0;
     return options_.gravity_feedforward[joint] * reading.gravity[joint] -
            kLeaderDamping * kBrake[joint] * reading.dq[joint];
@@ -360,7 +360,7 @@ void ArmFirmware::WatchStall(int joint, double torque, const PlantReading& readi
 }
 
 double ArmFirmware::FingerForce(const PlantReading& reading) const {
-  if (!gripper_enabled_) return 0;
+  if (!gripper_enabled_ || limp()) return 0;
   const double most = kForcePerTorque * gripper_target_.effort;
   const double force = kFinger.kp * 0.5 * (gripper_target_.opening - reading.opening) -
                        kFinger.kd * 0.5 * reading.opening_speed;
@@ -393,7 +393,7 @@ ArmFirmware::Torques ArmFirmware::Step(const PlantReading& plant) {
   for (int j = 0; j < kJoints; ++j) {
     JointPlanner& planner = planners_[j];
     const bool torque_mode = mode_.move == MoveMode::kM && mit_[j].has_value();
-    if (!power_[j].enabled || stopped_ || torque_mode || settings_.leader()) {
+    if (!power_[j].enabled || stopped_ || torque_mode || limp()) {
       planner.Reset(reading.q[j]);
     } else if (frozen) {
       planner.Brake(settings_.acceleration(j), kStep_s);
@@ -414,7 +414,7 @@ ArmFirmware::Torques ArmFirmware::Step(const PlantReading& plant) {
 }
 
 void ArmFirmware::UpdateStatus(const PlantReading& reading) {
-  status_.control = mode_.control;
+  status_.control = teaching_ ? ControlMode::kTeach : mode_.control;
   status_.move = mode_.move;
   status_.joint_limit = status_.joint_bus = 0;
   status_.moving = false;
@@ -519,6 +519,27 @@ void ArmFirmware::ReportDrivers(std::vector<CanFrame>& frames) const {
 }
 
 void ArmFirmware::RaiseDriverFault(int joint, DriverBit bit) { power_[joint].fault_bits |= bit; }
+
+void ArmFirmware::SetTeaching(bool teaching) {
+  if (teaching == teaching_) return;
+  teaching_ = teaching;
+  mode_ = {};
+  mit_.fill(std::nullopt);
+  delayed_.clear();
+  path_.Stop();
+  for (int j = 0; j < kJoints; ++j) {
+    power_[j].enabled = power_[j].fault_bits == 0;
+    power_[j].integral = 0;
+    planners_[j].Reset(last_.q[j]);
+  }
+  gripper_target_ = {last_.opening, 1.0, true};
+  gripper_enabled_ = true;
+}
+
+void ArmFirmware::SetLeader() {
+  settings_.SetLeader(true);
+  for (Power& power : power_) power.enabled = true;
+}
 
 void ArmFirmware::RaiseStatus(StatusCode code) {
   if (latched_ == StatusCode::kNormal) latched_ = code;

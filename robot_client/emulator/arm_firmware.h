@@ -50,6 +50,13 @@ class ArmFirmware {
   void RaiseStatus(StatusCode code);                 // latched arm status, for example kCollision
   void SetJointSilent(int joint, bool silent);       // the joint no longer answers the controller
   void SetSilent(bool silent) { silent_ = silent; }  // no frames at all
+  // The button on the arm: in teaching mode the joints have power, carry the arm's weight and take
+  // no motion commands; afterwards they hold where they are, in standby.
+  void SetTeaching(bool teaching);
+  // As 0x470 does it: see ArmSettings::leader.
+  void SetLeader();
+  // Nothing holds the arm: a person may guide it.
+  bool limp() const { return teaching_ || settings_.leader(); }
   void SetLimit(const JointLimit& limit) { settings_.SetLimit(limit); }
 
   bool enabled(int joint) const { return power_[joint].enabled; }
@@ -114,6 +121,7 @@ class ArmFirmware {
   StatusCode latched_ = StatusCode::kNormal;
   bool stopped_ = false;  // quick stop
   bool silent_ = false;
+  bool teaching_ = false;
   GripperTarget gripper_target_;
   bool gripper_enabled_ = false;
   std::vector<CanFrame> replies_;

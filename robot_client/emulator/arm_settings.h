@@ -34,6 +34,7 @@ class ArmSettings {
 
   // Leader ("teaching input arm"): the arm commands others and falls silent itself.
   bool leader() const { return leader_; }
+  void SetLeader(bool leader) { leader_ = leader; }
   // What is added to the identifiers of its feedback (0x2Ax), of the commands that it obeys (0x15x)
   // and of those that it sends as a leader: 0, 0x10 or 0x20.
   uint16_t feedback_offset() const { return offsets_[0]; }

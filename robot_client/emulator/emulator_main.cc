@@ -32,6 +32,8 @@ constexpr char kExamples[] =
     "  piper_emulator --bus udp:239.74.163.2:43113 --profile used_one_year --payload-kg 1.0\n"
     "  piper_emulator --bus udp:239.74.163.2:43114 --fault collision:J2@20 --fault silent@30+0.5\n"
     "  piper_emulator --bus can:vcan0 --firmware S-V1.8-2 --command-lag-ms 100\n"
+    "  piper_emulator --teach 0 --hand path.csv\n"
+    "  piper_emulator --bus udp:239.74.163.2:43114 --leader --hand path.csv\n"
     "  piper_emulator --task bowl_on_box --views /dev/shm/piper --view-size 64\n\n"
     "One port per arm. Frames stay on this machine unless the bus names an interface\n"
     "(udp:239.74.163.2:43113%eth1). The arm starts on its rest, disabled; Ctrl-C ends it.\n"
@@ -46,6 +48,7 @@ struct CommandLine {
   std::vector<std::string> faults;
   std::vector<double> start_deg;
   double duration_s = 0;
+  std::string teach, hand;
   std::string views, task, variant = kObjectVariants[0].name;
   int view_size = 0;
   EmulatorOptions options;
@@ -87,6 +90,12 @@ absl::StatusOr<EmulatorOptions> Resolve(const CommandLine& line) {
   for (const std::string& text : line.faults) {
     RS_ASSIGN_OR_RETURN(const PlannedFault fault, ParseFault(text));
     options.faults.push_back(fault);
+  }
+  if (!line.teach.empty()) {
+    RS_ASSIGN_OR_RETURN(options.teach, ParseTeachPlan(line.teach));
+  }
+  if (!line.hand.empty()) {
+    RS_ASSIGN_OR_RETURN(options.hand, GuidingHand::Load(line.hand));
   }
   // An arm in software beside a real one on the same wires would answer for it.
   if (absl::StartsWith(line.bus, "can:") && !absl::StartsWith(line.bus, "can:vcan"))
@@ -219,6 +228,12 @@ int main(int argc, char** argv) {
           names += (names.empty() ? "" : ", ") + name;
         return names;
       }());
+  app.add_option("--teach", line.teach,
+                 "FROM[+DURATION]: the arm's teaching mode, from that second on");
+  app.add_flag("--leader", line.options.leader, "a leader arm: limp, it commands its follower");
+  app.add_option("--hand", line.hand,
+                 "a hand that guides the arm while it is taught or leads: CSV t,J1,J2,J3,J4,J5,J6,"
+                 "opening [s, rad, m]");
   app.add_option("--start-deg", line.start_deg, "Joint angles at power-on [degrees]")
       ->expected(6)
       ->delimiter(',');

@@ -32,6 +32,9 @@ absl::StatusOr<std::unique_ptr<PiperEmulator>> PiperEmulator::Create(const Emula
   firmware.gravity_feedforward = emulator->profile_.gravity_feedforward;
   emulator->firmware_ = std::make_unique<ArmFirmware>(firmware);
   emulator->faults_ = FaultSchedule(options.faults);
+  emulator->teach_ = options.teach;
+  emulator->hand_ = options.hand;
+  if (options.leader) emulator->firmware_->SetLeader();
   emulator->bus_ = std::move(bus);
   RS_RETURN_IF_ERROR(emulator->bus_->Open());
   emulator->next_step_ns_ = clock.now_ns() + kStep_ns;
@@ -51,13 +54,27 @@ void PiperEmulator::Step() {
   StampedFrame received;
   for (int i = 0; i < kCommandsPerStep && bus_->Receive(received); ++i)
     firmware_->Take(received.frame);
-  faults_.Apply(PiperPlant::kStep_s * static_cast<double>(steps_), *firmware_);
+  const double now_s = PiperPlant::kStep_s * static_cast<double>(steps_);
+  faults_.Apply(now_s, *firmware_);
+  Guide(now_s);
   const ArmFirmware::Torques torques = firmware_->Step(plant_->reading());
   for (int j = 0; j < kJoints; ++j) parked_ = parked_ && !firmware_->enabled(j);
   plant_->SetParked(parked_);
   plant_->Step(torques.motor, torques.finger_force);
   ++steps_;
   SendReports();
+}
+
+// What a person does: the arm's button, and the hand on a limp arm.
+void PiperEmulator::Guide(double now_s) {
+  if (teach_.from_s >= 0) {
+    firmware_->SetTeaching(now_s >= teach_.from_s &&
+                           (teach_.for_s == 0 || now_s < teach_.from_s + teach_.for_s));
+  }
+  if (hand_.empty()) return;
+  const GuidingHand::Push push =
+      firmware_->limp() ? hand_.PushAt(now_s, plant_->reading()) : GuidingHand::Push{};
+  plant_->Push(push.torque, push.finger_force);
 }
 
 void PiperEmulator::SendReports() {

@@ -14,6 +14,7 @@
 #include "robot_client/can/can_bus.h"
 #include "robot_client/emulator/arm_firmware.h"
 #include "robot_client/emulator/fault_plan.h"
+#include "robot_client/emulator/guiding_hand.h"
 #include "robot_client/emulator/piper_mjcf.h"
 #include "robot_client/emulator/piper_plant.h"
 
@@ -29,6 +30,9 @@ struct EmulatorOptions {
   JointVector start{};                     // [rad], joints at power-on: the arm lies on its rest
   double opening = 0;                      // [m], of the gripper at power-on
   std::vector<PlannedFault> faults;
+  TeachPlan teach;      // when it is in teaching mode
+  bool leader = false;  // a leader from the start, as after 0x470 0xFA
+  GuidingHand hand;     // moves it while it is taught or leads
 };
 
 // A Piper in software: its frames on a bus, its firmware, its mechanics with a profile's execution
@@ -57,6 +61,7 @@ class PiperEmulator {
  private:
   PiperEmulator() = default;
   void Step();
+  void Guide(double now_s);
   void SendReports();
 
   std::unique_ptr<CanBus> bus_;
@@ -64,6 +69,8 @@ class PiperEmulator {
   std::unique_ptr<PiperPlant> plant_;
   std::unique_ptr<ArmFirmware> firmware_;
   FaultSchedule faults_;
+  TeachPlan teach_;
+  GuidingHand hand_;
   bool parked_ = true;  // on its rest until a joint is enabled for the first time
   std::deque<std::pair<uint64_t, CanFrame>> on_the_way_;  // the step at which each is sent
   std::vector<CanFrame> reports_;

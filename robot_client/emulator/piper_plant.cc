@@ -165,9 +165,10 @@ void PiperPlant::Step(const JointVector& motor_torque, double finger_force) {
   wide.head<kJoints>() = asked;
   const Vector6 drive = effects_.Drive(wide, moments).head<kJoints>();
   const EffectStack::JointTorques joints = effects_.Torques(moments);
-  const Vector6 torque = WithFriction(drive + joints.torque.head<kJoints>(), joints);
+  const Eigen::Map<const Vector6> push(push_.data());
+  const Vector6 torque = WithFriction(drive + joints.torque.head<kJoints>() + push, joints);
   for (int i = 0; i < kJoints; ++i) data_->qfrc_applied[dof_[i]] = torque[i];
-  for (int i = 0; i < 2; ++i) data_->qfrc_applied[finger_dof_[i]] = finger_force;
+  for (int i = 0; i < 2; ++i) data_->qfrc_applied[finger_dof_[i]] = finger_force + finger_push_;
   mj_step2(model_.get(), data_.get());
   const EffectStack::Vector before = effects_.offset();
   for (int i = 0; i < kJoints; ++i) moments[i].q = data_->qpos[qpos_[i]] - before[i];

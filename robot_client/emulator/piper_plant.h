@@ -42,6 +42,11 @@ class PiperPlant {
   void Reset(const JointVector& q, double opening);
   // Lying on its rest, as an arm does at power-on: the joints resist as if supported.
   void SetParked(bool parked) { parked_ = parked; }
+  // What somebody does to the joints from outside [Nm] and to each finger [N], from now on.
+  void Push(const JointVector& torque, double finger_force) {
+    push_ = torque;
+    finger_push_ = finger_force;
+  }
   // One step under the motors' torques [Nm] and the fingers' force [N].
   void Step(const JointVector& motor_torque, double finger_force);
 
@@ -71,6 +76,8 @@ class PiperPlant {
   std::array<int, 2> finger_qpos_{}, finger_dof_{};
   int payload_ = -1;  // body, -1 without one
   bool parked_ = false, motor_encoders_ = false;
+  JointVector push_{};  // from outside
+  double finger_push_ = 0;
   EffectStack effects_;
   PlantReading reading_;
 };

@@ -142,6 +142,7 @@ ArmSnapshot ArmState::Snapshot(int64_t now_ns) const {
     snapshot.effort[kJoints] = gripper_->effort;
   }
   snapshot.has_effort = true;
+  snapshot.taught = status_ && status_->control == ControlMode::kTeach;
   snapshot.faults = Faults();
   snapshot.fault_joints = FaultJoints();
   return snapshot;

@@ -50,7 +50,7 @@ void PiperArm::Poll() {
   const CanState bus = bus_->health().state;
   if (bus == CanState::kBusOff || bus == CanState::kDown) snapshot.faults |= kFaultBus;
   if (snapshot.sequence == published_.sequence && snapshot.faults == published_.faults &&
-      snapshot.enabled == published_.enabled)
+      snapshot.enabled == published_.enabled && snapshot.taught == published_.taught)
     return;
   published_ = snapshot;
   snapshot_.Store(snapshot);

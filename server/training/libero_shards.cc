@@ -42,10 +42,10 @@ void AppendState(const LiberoColumns& columns, int64_t t, std::vector<float>& st
   add(columns.gripper_states, 2);
 }
 
-void AppendLabel(const LiberoColumns& columns, int64_t first, int64_t horizon,
+void AppendLabel(const LiberoColumns& columns, bool absolute, int64_t first, int64_t horizon,
                  std::vector<float>& label) {
   for (int64_t k = 0; k < horizon; ++k) {
-    const bool over = first + k >= columns.steps;
+    const bool over = first + k >= columns.steps && !absolute;
     const double* row = &columns.actions[7 * std::min(first + k, columns.steps - 1)];
     for (int j = 0; j < 7; ++j) label.push_back(over && j < 6 ? 0.0f : static_cast<float>(row[j]));
   }
@@ -63,7 +63,7 @@ absl::Status AppendDemonstration(const LiberoDemonstrationFile& file, int64_t in
       frames.images.insert(frames.images.end(), image.data.begin(), image.data.end());
     }
     AppendState(columns, t, frames.state);
-    AppendLabel(columns, t, config.horizon, frames.actions);
+    AppendLabel(columns, file.absolute_actions(), t, config.horizon, frames.actions);
     for (int i = 0; i < 8 && file.has_aux(); ++i)
       frames.aux.push_back(static_cast<float>(columns.aux[8 * t + i]));
     frames.episode.push_back(index);

@@ -11,7 +11,7 @@ namespace robostress {
 
 // Writes the demonstrations of a file in LIBERO's form (common/libero_demonstrations.h) as one
 // shard: every `stride`-th step is a frame; its label is the actions from there on, after the end
-// zero motion with the last gripper command.
+// zero motion with the last gripper command, or the last target of a file of absolute actions.
 //
 // What the policy will be given when it is served decides how a frame looks. A file of this
 // project's recorder carries it (obs/proprioception, upright views). LIBERO's own files do not:

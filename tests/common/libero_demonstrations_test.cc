@@ -106,6 +106,17 @@ TEST(LiberoDemonstrations, StoreTheBottomRowFirst) {
   EXPECT_EQ(file.IntAttribute("data", "total").value(), 11 * 8);
 }
 
+TEST(LiberoDemonstrations, SayWhetherActionsAreTargets) {
+  for (const bool absolute : {false, true}) {
+    const std::string path = TempPath("absolute.hdf5");
+    std::filesystem::remove(path);
+    auto writer = LiberoDemonstrationWriter::Create(path, {"piper", "task", "do", 30, absolute});
+    ASSERT_TRUE(writer.ok() && writer->Add(MakeDemonstration(3)).ok() && writer->Publish().ok());
+    EXPECT_EQ(LiberoDemonstrationFile::Open(path)->absolute_actions(), absolute);
+  }
+  EXPECT_FALSE(LiberoDemonstrationFile::Open(WriteFile("delta.hdf5"))->absolute_actions());
+}
+
 TEST(LiberoDemonstrations, DoWithoutWhatThisProjectAdds) {
   const auto file = LiberoDemonstrationFile::Open(WriteFile("libero_plain.hdf5", false));
   ASSERT_TRUE(file.ok()) << file.status();

@@ -31,10 +31,11 @@ struct ArmWorld {
     piper::JointVector start{0, 1.2, -1.0, 0, 0.5, 0};
     bool guards_torque_and_space = true;  // the loop knows the arm's model
     std::string world_xml;                // beside the table
+    piper::EmulatorOptions emulated;      // for what is not above: teaching, a hand
   };
 
   explicit ArmWorld(const Options& options) : bus(time) {
-    piper::EmulatorOptions emulated;
+    piper::EmulatorOptions emulated = options.emulated;
     emulated.profile = options.profile;
     emulated.start = options.start;
     emulated.opening = 0.03;

@@ -477,8 +477,9 @@ TEST_F(Training, RefusesWhatIsNotAShardOrDoesNotFit) {
 }
 
 // A file of two demonstrations of 60 and 61 steps whose left image half is dark.
-void WriteLibero(const std::string& path, bool ours) {
-  auto writer = LiberoDemonstrationWriter::Create(path, {"toy", "push", "push the block"});
+void WriteLibero(const std::string& path, bool ours, bool absolute = false) {
+  auto writer =
+      LiberoDemonstrationWriter::Create(path, {"toy", "push", "push the block", 20, absolute});
   ASSERT_TRUE(writer.ok()) << writer.status();
   for (const int64_t steps : {60, 61}) {
     LiberoDemonstration demonstration;
@@ -509,6 +510,18 @@ void WriteLibero(const std::string& path, bool ours) {
     ASSERT_TRUE(writer->Add(demonstration).ok());
   }
   ASSERT_TRUE(writer->Publish().ok());
+}
+
+TEST_F(Training, AnArmThatHoldsTargetsStaysAtTheLastOne) {
+  const std::string path = Path("absolute.hdf5"), shard_path = Path("absolute.safetensors");
+  WriteLibero(path, true, true);
+  ASSERT_TRUE(ConvertLiberoFile(path, TrainOptions().network, 2, shard_path).ok());
+  const std::vector<float> actions =
+      SafetensorsFile::Open(shard_path)->ReadFloats("actions", {61, 50, 7}).value();
+  const float* last = &actions[29 * 350];  // of step 58 of 60
+  for (int row = 1; row < 50; ++row) {
+    for (int axis = 0; axis < 7; ++axis) EXPECT_FLOAT_EQ(last[7 * row + axis], 0.159f) << row;
+  }
 }
 
 TEST_F(Training, ReadsDemonstrationsInLiberosForm) {

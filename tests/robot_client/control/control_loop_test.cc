@@ -733,6 +733,66 @@ TEST(ControlLoopTest, AReaderThatIsTooSlowIsToldSo) {
   EXPECT_TRUE(record.flags & kTickLost);
 }
 
+// Somebody who wants J1 elsewhere.
+struct LiveFake : LiveTarget {
+  void Begin(const ArmVector& command) override { target = command; }
+  bool Silent(int64_t) const override { return silent; }
+  LiveRow Next(int64_t, const ArmVector&) override {
+    LiveRow row{target, target, joining};
+    row.wanted[0] += 0.2;
+    row.target[0] += 0.1;
+    return row;
+  }
+  ArmVector target{};
+  bool silent = false, joining = false;
+};
+
+TEST(ControlLoopTest, FollowsALiveTargetUnderItsLimitsUntilAPersonHolds) {
+  Bench bench;
+  LiveFake live;
+  int heard = 0;
+  bench.loop->OnTick([&](const TickRecord&) { ++heard; });
+  bench.Tick(kRequestEnable);
+  bench.loop->Follow(&live);
+  TickRecord record = bench.Tick();
+  EXPECT_EQ(record.state, ClientState::kMove);
+  EXPECT_TRUE(record.flags & kTickLive);
+  EXPECT_NEAR(record.requested[0] - live.target[0], 0.2, 1e-12) << "what is wanted";
+  EXPECT_NEAR(record.blended[0] - live.target[0], 0.1, 1e-12) << "where it goes now";
+  EXPECT_LT(record.sent[0] - live.target[0], 0.01) << "the limiter is last";
+  live.joining = true;
+  EXPECT_TRUE(bench.Tick().flags & kTickJoining);
+  bench.Ticks(60);
+  EXPECT_NEAR(bench.arm.last.position[0] - live.target[0], 0.1, 1e-3);
+  record = bench.Tick(kRequestHold);
+  EXPECT_EQ(record.state, ClientState::kEnabled);
+  EXPECT_FALSE(record.flags & kTickLive);
+  EXPECT_EQ(heard, 64);
+}
+
+TEST(ControlLoopTest, ASilentSourceHoldsTheArmAndDoesNotBegin) {
+  Bench bench;
+  LiveFake live;
+  live.silent = true;
+  bench.Tick(kRequestEnable);
+  bench.loop->Follow(&live);
+  EXPECT_EQ(bench.Tick().state, ClientState::kEnabled);
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kHeld);
+  live.silent = false;
+  bench.loop->Follow(&live);
+  EXPECT_EQ(bench.Tick().state, ClientState::kMove);
+  live.silent = true;
+  const TickRecord record = bench.Tick();
+  EXPECT_EQ(record.state, ClientState::kHold);
+  EXPECT_EQ(record.cause, StateCause::kInputSilent);
+  EXPECT_FALSE(record.flags & kTickLive);
+  // A way of the client's own after it is not judged by the source.
+  bench.Tick(kRequestEnd);
+  const ArmPath path{{bench.loop->seen().position}};
+  bench.loop->Play(&path);
+  EXPECT_EQ(bench.Tick().state, ClientState::kMove);
+}
+
 TEST(ControlLoopTest, AllocatesNothingOnceItRuns) {
   Bench bench({.observer = true});
   bench.latency_ticks = 2;
