@@ -9,6 +9,7 @@
 #include "common/status_macros.h"
 #include "robot_client/cameras_command.h"
 #include "robot_client/client_program.h"
+#include "robot_client/monitor_command.h"
 #include "robot_client/motion_command.h"
 
 namespace robostress {
@@ -71,6 +72,7 @@ absl::Status Run(const CommandLine& line) {
 int Main(int argc, char** argv) {
   const std::string command = argc > 1 ? argv[1] : "";
   if (command == "cameras") return CamerasMain(argc - 1, argv + 1);
+  if (command == "monitor") return MonitorMain(argc - 1, argv + 1);
   if (command == "replay") return ReplayMain(argc - 1, argv + 1);
   if (command == "excite") return ExciteMain(argc - 1, argv + 1);
   CLI::App app("Runs an AgileX Piper at 30 Hz against a policy server and records every tick.",
