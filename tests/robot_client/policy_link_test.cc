@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/synthetic_source.h"
@@ -25,6 +26,7 @@ struct Seen {
   int sessions = 0;
   absl::Status predict_status;  // the next predictions fail with it
   absl::Status feedback_status;
+  std::function<void(PolicySpec&)> alter;  // what the server's policy is
 };
 
 class FakeEndpoint : public PolicyEndpoint {
@@ -34,6 +36,7 @@ class FakeEndpoint : public PolicyEndpoint {
     spec_.cameras = {"base"};
     spec_.state_dim = spec_.action_dim = 7;
     spec_.horizon = 50;
+    if (seen_->alter) seen_->alter(spec_);
     ++seen_->sessions;
   }
   const PolicySpec& spec() const override { return spec_; }
@@ -120,6 +123,23 @@ struct Bench {
     for (int i = 0; i < n; ++i) Tick();
   }
 };
+
+TEST(PolicyLinkTest, SaysWhatToTypeForAPolicyThatDoesNotFit) {
+  Bench bench;
+  bench.seen.alter = [](PolicySpec& spec) { spec.cameras = {"agentview", "wrist"}; };
+  EXPECT_THAT(std::string(bench.link->Open().message()),
+              testing::AllOf(HasSubstr("wants the cameras [agentview, wrist]"),
+                             HasSubstr("the client has [base]"),
+                             HasSubstr("--camera agentview=SOURCE --camera wrist=SOURCE")));
+  // Another robot's policy: no camera helps.
+  bench.seen.alter = [](PolicySpec& spec) {
+    spec.cameras = {"agentview", "wrist"};
+    spec.state_dim = 8;
+  };
+  EXPECT_THAT(std::string(bench.link->Open().message()),
+              testing::AllOf(HasSubstr("for another robot: it has 8 states and 7 actions"),
+                             HasSubstr("robostress piper-study record train --quick")));
+}
 
 TEST(PolicyLinkTest, ShowsThePolicyTheNewestPictureTheJointsAndTheInstruction) {
   Bench bench;
