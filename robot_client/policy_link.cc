@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "common/image.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -122,7 +123,12 @@ absl::Status PolicyLink::Look(FrameSource& camera, FrameRecord& record, Observat
         " s behind: ", camera.status().ok() ? "its pictures stopped" : camera.status().message()));
   }
   record.use = FrameUse::kShown;
-  observation.views.push_back({camera.name(), frame->image});
+  const Image& image = frame->image;
+  const bool fits = spec_.resizes_images ||
+                    (image.width == spec_.image_width && image.height == spec_.image_height);
+  // As demonstration/training_files makes the pictures that such a policy is trained on.
+  observation.views.push_back(
+      {camera.name(), fits ? image : ResizeArea(image, spec_.image_width, spec_.image_height)});
   return absl::OkStatus();
 }
 

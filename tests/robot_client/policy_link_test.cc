@@ -36,6 +36,7 @@ class FakeEndpoint : public PolicyEndpoint {
     spec_.cameras = {"base"};
     spec_.state_dim = spec_.action_dim = 7;
     spec_.horizon = 50;
+    spec_.resizes_images = true;
     if (seen_->alter) seen_->alter(spec_);
     ++seen_->sessions;
   }
@@ -139,6 +140,24 @@ TEST(PolicyLinkTest, SaysWhatToTypeForAPolicyThatDoesNotFit) {
   EXPECT_THAT(std::string(bench.link->Open().message()),
               testing::AllOf(HasSubstr("for another robot: it has 8 states and 7 actions"),
                              HasSubstr("robostress piper-study record train --quick")));
+}
+
+// A camera has 640 x 480, nano takes 64 x 64 and resizes nothing.
+TEST(PolicyLinkTest, GivesPicturesTheSizeThatThePolicyTakes) {
+  Bench bench;
+  bench.seen.alter = [](PolicySpec& spec) {
+    spec.resizes_images = false;
+    spec.image_width = 64;
+    spec.image_height = 48;
+  };
+  ASSERT_TRUE(bench.link->Open().ok());
+  bench.Start();
+  bench.Ticks(5);
+  ASSERT_FALSE(bench.seen.observations.empty());
+  const Image& image = bench.seen.observations[0].views[0].image;
+  EXPECT_EQ(image.width, 64);
+  EXPECT_EQ(image.height, 48);
+  EXPECT_EQ(image.data.size(), 3u * 64 * 48);
 }
 
 TEST(PolicyLinkTest, ShowsThePolicyTheNewestPictureTheJointsAndTheInstruction) {
