@@ -94,17 +94,14 @@ class Program:
 
 def readable(lines):
     """Without the list of orders, which every start prints, and without what depends on the machine."""
-    text, skips = [], False
+    if not any(line.startswith("Orders, one a line") for line in lines):
+        return lines
+    text = []
     for line in lines:
         if line.startswith("Orders, one a line"):
-            skips = True
             text.append("Orders, one a line ...")
-        elif skips and (line.startswith("  ") or not line):
-            continue
-        else:
-            skips = False
-            if not line.startswith("control thread:"):
-                text.append(line)
+        elif line and not line.startswith("control thread:") and not re.match("  [a-z]", line):
+            text.append(line)
     return text
 
 
@@ -147,6 +144,12 @@ class Day:
                 arm.wait()
 
 
+def ready(program, line):
+    """It has started, as `line` says, and listed its orders."""
+    program.wait_for(line)
+    program.wait_for("^  quit limp")
+
+
 def look(day):
     program = Program(day, "robot_client monitor --config lab.yaml --once")
     for line in ("firmware S-V1.8-9, control standby, status normal", "of 3040 frames per second",
@@ -160,7 +163,7 @@ def moves(day):
     program = Program(
         day, "robot_client --config lab.yaml --set cameras=[] --out runs/moves")
     program.wait_for("collision protection, J1 to J6: 5 5 5 5 5 5")
-    program.wait_for("firmware S-V1.8-9; no policy server")
+    ready(program, "firmware S-V1.8-9; no policy server")
     for order, answer in (("enable", "the arm has power and holds"),
                           ("jog J3 -5deg", "the arm is there, "),
                           ("jog J1 5deg", "the arm is there, "),
@@ -175,7 +178,7 @@ def moves(day):
 def drills(day):
     program = Program(
         day, "robot_client --config lab.yaml --set cameras=[] --out runs/drills")
-    program.wait_for("no policy server")
+    ready(program, "no policy server")
     program.type("enable")
     program.wait_for("the arm has power and holds")
     program.type("home")
@@ -207,7 +210,7 @@ def drills(day):
 def rehearsal(day):
     program = Program(day, "robot_client --config lab.yaml --bus rehearse --server 127.0.0.1:50051 "
                            "--out runs/rehearsal")
-    program.wait_for(r"cameras \[base, wrist\]")
+    ready(program, r"cameras \[base, wrist\]")
     for order, answer in (("enable", "^the arm has power and holds"), ("start", r"RUN \(operator\)")):
         program.type(order)
         program.wait_for(answer)
@@ -221,7 +224,7 @@ def rehearsal(day):
 def motion(day):
     program = Program(day, "robot_client --config lab.yaml --server 127.0.0.1:50051 "
                            "--set episode_s=5 --out runs/motion")
-    program.wait_for(r"cameras \[base, wrist\]")
+    ready(program, r"cameras \[base, wrist\]")
     for order, answer in (("enable", "^the arm has power and holds"), ("home", "the arm is home"),
                           ("start", r"RUN \(operator\)")):
         program.type(order)
