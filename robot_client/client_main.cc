@@ -9,6 +9,7 @@
 #include "common/status_macros.h"
 #include "robot_client/cameras_command.h"
 #include "robot_client/client_program.h"
+#include "robot_client/monitor_command.h"
 #include "robot_client/motion_command.h"
 #include "robot_client/teach/teach_command.h"
 
@@ -16,18 +17,28 @@ namespace robostress {
 namespace {
 
 constexpr char kExamples[] = R"(Examples:
-  # a rehearsal: no arm, no camera, everything else as it will be
-  robostress serve --policy CHECKPOINT --listen 127.0.0.1:50051 &
-  robot_client --server 127.0.0.1:50051 --policy CHECKPOINT --instruction "open the top drawer" \
-    --camera base=synthetic --camera wrist=synthetic --out runs/rehearsal
+  # a rehearsal: no arm, no camera, everything else as it will be. The policies of the source are
+  # for another robot; the first line makes one for a Piper in half a minute. It moves without sense.
+  robostress piper-study record train --quick --out runs/first
+  robostress serve --policy runs/first/train/base/nano.safetensors --listen 127.0.0.1:50051 &
+  robot_client --server 127.0.0.1:50051 --policy runs/first/train/base/nano.safetensors \
+    --instruction "open the top drawer" --camera base=synthetic --camera wrist=synthetic \
+    --out runs/rehearsal
 
   # an arm in software, then a real one: only --bus and the cameras change
   piper_emulator --bus udp:239.74.163.2:43113 --profile used_one_year &
-  robot_client --bus udp:239.74.163.2:43113 --config lab.yaml --out runs/emulated
-  robot_client --bus can:can0 --config lab.yaml --method ours --set control.observer=true --out runs/real
+  robot_client --config robot_client/lab.yaml --bus udp:239.74.163.2:43113 --set cameras=[] --out runs/emulated
+  robot_client --config robot_client/lab.yaml --method ours --out runs/real
+
+  robot_client monitor --bus can:can0     # looks at an arm without commanding it; monitor --help
+  robot_client cameras                    # lists cameras, or shows them; cameras --help
+  robot_client teach --help               # demonstrations by hand, leader arm, keyboard, gamepad
+  robot_client replay --help              # plays what was recorded or demonstrated
+  robot_client excite --help              # moves the arm so that it can be calibrated
 
 The client starts in IDLE and moves nothing. Type `enable`, then `start`; Enter or Ctrl-C brakes and
-holds, Ctrl-C again is the damped stop. robot_client/README.md says what each stop does: read it first.
+holds, Ctrl-C again is the damped stop. docs/drive-an-arm.md is the first day step by step,
+robot_client/README.md says what each stop does: read them first.
 
 Exit codes: 0 the run was recorded whole; 1 it failed on the way; 2 bad input or nothing to connect to.
 )";
@@ -72,6 +83,7 @@ absl::Status Run(const CommandLine& line) {
 int Main(int argc, char** argv) {
   const std::string command = argc > 1 ? argv[1] : "";
   if (command == "cameras") return CamerasMain(argc - 1, argv + 1);
+  if (command == "monitor") return MonitorMain(argc - 1, argv + 1);
   if (command == "replay") return ReplayMain(argc - 1, argv + 1);
   if (command == "excite") return ExciteMain(argc - 1, argv + 1);
   if (command == "teach") return TeachMain(argc - 1, argv + 1);

@@ -24,6 +24,7 @@ constexpr double kDecides_s = 1;  // within which the loop decides a request
 constexpr double kEnables_s = 10;
 constexpr double kStands = 0.04;  // [rad/s] below what the next order asks for
 constexpr double kLastFeedback_s = 0.1;
+constexpr double kRests = 0.04;  // [rad] that a joint on its rest may be led inside its limits
 
 ArmVector HomeOf(const ClientConfig& config) {
   ArmVector home{};
@@ -373,6 +374,13 @@ absl::StatusOr<std::string> ClientRun::FollowLive(LiveTarget* live) {
 absl::StatusOr<std::string> ClientRun::Jog(const OperatorOrder& order) {
   ArmVector to = loop_->seen().position;
   to[order.axis] += order.amount;
+  // An arm on its rest has joints at the end of what it allows, where the limiter lets none stay.
+  const ArmLimits limits = arm_->limits();
+  const double margin = config_.control.limits.joint_margin;
+  for (int j = 0; j < kArmJoints; ++j) {
+    const double inside = std::clamp(to[j], limits.lower[j] + margin, limits.upper[j] - margin);
+    if (j != order.axis && std::abs(to[j] - inside) <= kRests) to[j] = inside;
+  }
   if (order.axis < kArmJoints)
     RS_RETURN_IF_ERROR(CheckPose("the way's end", to, arm_->limits(), nullptr));
   to[kArmJoints] = std::clamp(to[kArmJoints], arm_->limits().lower[kArmJoints],

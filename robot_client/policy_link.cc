@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "common/image.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -48,19 +49,27 @@ absl::Status PolicyLink::Open() {
   started_episode_ = -1;
   sequence_ = 0;
   failures_ = 0;
+  if (spec_.action_dim != kArmAxes || spec_.state_dim != kArmAxes) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "policy '", spec_.name, "' is for another robot: it has ", spec_.state_dim, " states and ",
+        spec_.action_dim, " actions, this arm ", kArmAxes,
+        " of each (six joints [rad] and the gripper [m]). Serve a policy that was trained in joint "
+        "space; a first one comes from `robostress piper-study record train --quick --out "
+        "runs/first` and is served by `robostress serve --policy "
+        "runs/first/train/base/nano.safetensors`"));
+  }
   std::vector<std::string> names;
   for (const FrameSource* camera : cameras_) names.push_back(camera->name());
   if (names != spec_.cameras) {
     return absl::InvalidArgumentError(absl::StrCat(
         "policy '", spec_.name, "' wants the cameras [", absl::StrJoin(spec_.cameras, ", "),
-        "] in this order, the client has [", absl::StrJoin(names, ", "), "]; correct --camera"));
-  }
-  if (spec_.action_dim != kArmAxes || spec_.state_dim != kArmAxes) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("policy '", spec_.name, "' has ", spec_.state_dim, " states and ",
-                     spec_.action_dim, " actions; this arm has ", kArmAxes,
-                     " of each (six joints [rad] and the gripper [m]): serve a policy fine-tuned "
-                     "in joint space"));
+        "] in this order, the client has [", absl::StrJoin(names, ", "), "]; type ",
+        absl::StrJoin(spec_.cameras, " ",
+                      [](std::string* out, const std::string& name) {
+                        absl::StrAppend(out, "--camera ", name, "=SOURCE");
+                      }),
+        ", or the same under cameras: in the configuration (SOURCE as v4l2:/dev/v4l/by-id/..., "
+        "or synthetic for a rehearsal)"));
   }
   if (spec_.horizon > ArmChunk::kMaxRows) {
     return absl::InvalidArgumentError(absl::StrCat("policy '", spec_.name, "' predicts ",
@@ -114,7 +123,12 @@ absl::Status PolicyLink::Look(FrameSource& camera, FrameRecord& record, Observat
         " s behind: ", camera.status().ok() ? "its pictures stopped" : camera.status().message()));
   }
   record.use = FrameUse::kShown;
-  observation.views.push_back({camera.name(), frame->image});
+  const Image& image = frame->image;
+  const bool fits = spec_.resizes_images ||
+                    (image.width == spec_.image_width && image.height == spec_.image_height);
+  // As demonstration/training_files makes the pictures that such a policy is trained on.
+  observation.views.push_back(
+      {camera.name(), fits ? image : ResizeArea(image, spec_.image_width, spec_.image_height)});
   return absl::OkStatus();
 }
 

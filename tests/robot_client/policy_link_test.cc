@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/synthetic_source.h"
@@ -25,6 +26,7 @@ struct Seen {
   int sessions = 0;
   absl::Status predict_status;  // the next predictions fail with it
   absl::Status feedback_status;
+  std::function<void(PolicySpec&)> alter;  // what the server's policy is
 };
 
 class FakeEndpoint : public PolicyEndpoint {
@@ -34,6 +36,8 @@ class FakeEndpoint : public PolicyEndpoint {
     spec_.cameras = {"base"};
     spec_.state_dim = spec_.action_dim = 7;
     spec_.horizon = 50;
+    spec_.resizes_images = true;
+    if (seen_->alter) seen_->alter(spec_);
     ++seen_->sessions;
   }
   const PolicySpec& spec() const override { return spec_; }
@@ -120,6 +124,41 @@ struct Bench {
     for (int i = 0; i < n; ++i) Tick();
   }
 };
+
+TEST(PolicyLinkTest, SaysWhatToTypeForAPolicyThatDoesNotFit) {
+  Bench bench;
+  bench.seen.alter = [](PolicySpec& spec) { spec.cameras = {"agentview", "wrist"}; };
+  EXPECT_THAT(std::string(bench.link->Open().message()),
+              testing::AllOf(HasSubstr("wants the cameras [agentview, wrist]"),
+                             HasSubstr("the client has [base]"),
+                             HasSubstr("--camera agentview=SOURCE --camera wrist=SOURCE")));
+  // Another robot's policy: no camera helps.
+  bench.seen.alter = [](PolicySpec& spec) {
+    spec.cameras = {"agentview", "wrist"};
+    spec.state_dim = 8;
+  };
+  EXPECT_THAT(std::string(bench.link->Open().message()),
+              testing::AllOf(HasSubstr("for another robot: it has 8 states and 7 actions"),
+                             HasSubstr("robostress piper-study record train --quick")));
+}
+
+// A camera has 640 x 480, nano takes 64 x 64 and resizes nothing.
+TEST(PolicyLinkTest, GivesPicturesTheSizeThatThePolicyTakes) {
+  Bench bench;
+  bench.seen.alter = [](PolicySpec& spec) {
+    spec.resizes_images = false;
+    spec.image_width = 64;
+    spec.image_height = 48;
+  };
+  ASSERT_TRUE(bench.link->Open().ok());
+  bench.Start();
+  bench.Ticks(5);
+  ASSERT_FALSE(bench.seen.observations.empty());
+  const Image& image = bench.seen.observations[0].views[0].image;
+  EXPECT_EQ(image.width, 64);
+  EXPECT_EQ(image.height, 48);
+  EXPECT_EQ(image.data.size(), 3u * 64 * 48);
+}
 
 TEST(PolicyLinkTest, ShowsThePolicyTheNewestPictureTheJointsAndTheInstruction) {
   Bench bench;
