@@ -1,12 +1,18 @@
 #include "robot_client/motion_command.h"
 
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cstdio>
 #include <memory>
 #include <optional>
 #include <string>
 
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
+#include "common/program_folder.h"
 #include "common/status_macros.h"
 #include "robot_client/client_program.h"
 #include "robot_client/motion/excitation.h"
@@ -28,12 +34,12 @@ first pose, no faster than home_velocity, and plays a quarter as fast. Then `pla
 constexpr char kExciteExamples[] = R"(Examples:
   robot_client excite --config lab.yaml --bus can:can0 --out runs/tuesday
   robot_client excite --motion motion.csv --config lab.yaml --bus can:can0 --out runs/tuesday
-  robostress record-to-rig runs/tuesday --out rigs/tuesday
-  robostress calibrate --rig rigs/tuesday/rig.yaml --out found --map own
+  robostress calibrate --rig runs/tuesday/rig/rig.yaml --out found --map own
 
 Without --motion one is designed around `home` of the configuration, as large as joints' limits and workspace allow:
-every joint alone at three speeds, then all together. Type `enable`, then `play slow`, then `play`, then `quit`.
-Nothing may be in the gripper that `record-to-rig --payload-kg` is not told of, and nothing in the arm's way.
+every joint alone at three speeds, then all together. Type `enable`, then `play slow`, then `play`, then `quit`:
+OUT/rig is what `robostress calibrate` reads. Nothing may be in the gripper that --payload-kg is not told of, and
+nothing in the arm's way.
 )";
 
 // Around which the arm moves where no home is configured: above the table, elbow bent.
@@ -44,6 +50,7 @@ struct CommandLine {
   std::string source;
   std::optional<int> episode;
   ExcitationOptions excitation;
+  double payload_kg = 0;
 };
 
 // enable, play slow, play, quit.
@@ -56,11 +63,15 @@ std::optional<OperatorOrder> NextOrder(const ClientRun& run) {
   return order;
 }
 
+// `played`: whether the motion was played to its end, at whatever speed.
 absl::Status PlayInRun(const CommandLine& line, const ClientConfig& config,
-                       const ClientRun::MotionMaker& motion) {
+                       const ClientRun::MotionMaker& motion, bool* played) {
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<ClientRun> run,
                       ClientRun::Create(config, line.client.out, motion));
-  return RunConsole(*run, line.client.automatic ? NextOrder : AutomaticOrder());
+  const absl::Status status =
+      RunConsole(*run, line.client.automatic ? NextOrder : AutomaticOrder());
+  *played = run->fastest_played() > 0;
+  return status;
 }
 
 // No policy, no pictures: what is played was decided before.
@@ -73,14 +84,49 @@ absl::Status WithoutPolicy(ClientConfig& config) {
 absl::Status Replay(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const ClientConfig config, ResolveConfig(line.client, WithoutPolicy));
   RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, line.episode));
-  return PlayInRun(line, config, [&](const ArmLimits&, const ArmModel*) { return motion; });
+  bool played = false;
+  return PlayInRun(
+      line, config, [&](const ArmLimits&, const ArmModel*) { return motion; }, &played);
+}
+
+// Turns the run into OUT/rig by the program that does so, where it is installed.
+absl::Status MakeRig(const CommandLine& line) {
+  const absl::StatusOr<std::string> program = FindProgram("record-to-rig");
+  if (!program.ok()) {
+    std::printf("next: robostress record-to-rig %s --out %s/rig\n", line.client.out.c_str(),
+                line.client.out.c_str());
+    return absl::OkStatus();
+  }
+  std::fflush(stdout);
+  const std::string payload = absl::StrCat(line.payload_kg), rig = line.client.out + "/rig";
+  const char* arguments[] = {program->c_str(), line.client.out.c_str(), "--out", rig.c_str(),
+                             "--payload-kg",   payload.c_str(),         nullptr};
+  pid_t child = 0;
+  int status = 0;
+  if (posix_spawn(&child, program->c_str(), nullptr, nullptr, const_cast<char**>(arguments),
+                  environ) != 0 ||
+      waitpid(child, &status, 0) != child || status != 0) {
+    return absl::InternalError(
+        absl::StrCat(*program, " did not make a rig of ", line.client.out, "; run it by hand"));
+  }
+  std::printf("next: robostress calibrate --rig %s/rig.yaml --out FOUND --map own\n", rig.c_str());
+  return absl::OkStatus();
+}
+
+absl::Status PlayForCalibration(const CommandLine& line, const ClientConfig& config,
+                                const ClientRun::MotionMaker& motion) {
+  bool played = false;
+  RS_RETURN_IF_ERROR(PlayInRun(line, config, motion, &played));
+  // An arm that is not there has no samples.
+  return played && config.bus != "rehearse" ? MakeRig(line) : absl::OkStatus();
 }
 
 absl::Status Excite(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const ClientConfig config, ResolveConfig(line.client, WithoutPolicy));
   if (!line.source.empty()) {
     RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, std::nullopt));
-    return PlayInRun(line, config, [&](const ArmLimits&, const ArmModel*) { return motion; });
+    return PlayForCalibration(line, config,
+                              [&](const ArmLimits&, const ArmModel*) { return motion; });
   }
   ExcitationOptions options = line.excitation;
   options.centre = kCentre;
@@ -88,7 +134,7 @@ absl::Status Excite(const CommandLine& line) {
   const LimiterOptions& most = config.control.limits;
   options.joint_velocity = std::min(options.joint_velocity, 0.95 * most.joint_velocity);
   options.joint_acceleration = std::min(options.joint_acceleration, 0.8 * most.joint_acceleration);
-  return PlayInRun(line, config, [&](const ArmLimits& limits, const ArmModel* model) {
+  return PlayForCalibration(line, config, [&](const ArmLimits& limits, const ArmModel* model) {
     return DesignExcitation(options, limits, config.control.workspace.guard ? model : nullptr);
   });
 }
@@ -128,6 +174,9 @@ int ExciteMain(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--velocity", line.excitation.joint_velocity, "of the fastest part [rad/s]")
       ->check(CLI::Range(0.05, 3.0))
+      ->capture_default_str();
+  app.add_option("--payload-kg", line.payload_kg, "in the gripper, for the rig")
+      ->check(CLI::Range(0.0, 5.0))
       ->capture_default_str();
   app.add_option("--seed", line.excitation.seed, "of the part in which all joints move")
       ->capture_default_str();
