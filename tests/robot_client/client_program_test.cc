@@ -74,6 +74,24 @@ TEST(ClientProgramTest, ShowsCamerasInABrowserAndRefusesWhatMakesNoSense) {
   }
 }
 
+TEST(ClientProgramTest, MonitorSaysWhatItCannotLookAt) {
+  const std::string config = ::testing::TempDir() + "/client_program_rehearse.yaml";
+  ASSERT_TRUE(WriteFileAtomically(config, "bus: rehearse\n").ok());
+  for (const auto& [arguments, remedy] :
+       {std::pair{std::string("--bus can:no_such_if --once"), "can:no_such_if"},
+        std::pair{std::string("--bus uart:1"), "expected can:INTERFACE or udp:GROUP:PORT"},
+        std::pair{"--config " + config, "bus is rehearse, where there is no arm to look at"},
+        std::pair{"--bus can:can0 --config " + config, "--config"},
+        std::pair{std::string("--seconds 0"), "--seconds"}}) {
+    const auto [output, code] = RunProgram("timeout 20 " ROBOT_CLIENT, "monitor " + arguments);
+    EXPECT_EQ(code, 2) << arguments << output;
+    EXPECT_THAT(output, HasSubstr(remedy));
+  }
+  const auto [help, code] = RunProgram(ROBOT_CLIENT, "monitor --help");
+  EXPECT_EQ(code, 0);
+  EXPECT_THAT(help, HasSubstr("It never commands"));
+}
+
 TEST(ClientProgramTest, HoldsWhenTheServerIsKilledAndSaysWhy) {
   std::string out;
   const auto [text, code] =

@@ -10,6 +10,7 @@ other commands. --write puts what came out between the page's marks (<!-- step N
 Exit codes: 0 all steps went well; 1 one did not; 77 there is no such namespace.
 """
 
+import json
 import os
 import queue
 import re
@@ -222,6 +223,10 @@ def rehearsal(day):
 
 
 def motion(day):
+    # In a second terminal, as the page has it: the client must not mind.
+    with open(os.path.join(day.out, "monitor.jsonl"), "w", encoding="utf-8") as reports:
+        monitor = subprocess.Popen("robot_client monitor --config lab.yaml --json".split(),
+                                   cwd=day.out, env=day.environment, stdout=reports)
     program = Program(day, "robot_client --config lab.yaml --server 127.0.0.1:50051 "
                            "--set episode_s=5 --out runs/motion")
     ready(program, r"cameras \[base, wrist\]")
@@ -236,7 +241,16 @@ def motion(day):
     program.wait_for(r"RUN \(operator\)")
     program.wait_for("episode ended")
     program.type("quit")
-    return program.end()
+    lines = program.end()
+    monitor.send_signal(signal.SIGINT)
+    code = monitor.wait(PATIENCE_S)
+    with open(os.path.join(day.out, "monitor.jsonl"), encoding="utf-8") as file:
+        reports = [json.loads(line) for line in file]
+    moving = [report for report in reports if report["other_commands_now"]]
+    if code != 0 or len(moving) < 10 or any(report["asking"] for report in moving):
+        raise Failed(f"monitor ended with {code}, saw {len(moving)} of {len(reports)} reports with "
+                     f"commands, the last: {reports[-1:]}")
+    return lines
 
 
 def policy(day):
