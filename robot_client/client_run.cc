@@ -3,6 +3,7 @@
 #include <pthread.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <utility>
 
@@ -22,6 +23,7 @@ constexpr int64_t kPoll_ns = 5'000'000;
 constexpr char kEpisodes[] = "/episodes.jsonl";
 constexpr double kDecides_s = 1;  // within which the loop decides a request
 constexpr double kEnables_s = 10;
+constexpr double kMakes_s = 60;
 constexpr double kStands = 0.04;  // [rad/s] below what the next order asks for
 constexpr double kLastFeedback_s = 0.1;
 constexpr double kRests = 0.04;  // [rad] that a joint on its rest may be led inside its limits
@@ -293,9 +295,8 @@ PathLimits ClientRun::WayLimits(double velocity) const {
   return limits;
 }
 
-absl::StatusOr<std::string> ClientRun::Follow(const std::string& what, ArmPath path,
-                                              std::function<std::string(double)> arrived) {
-  if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, path));
+ClientRun::Pending ClientRun::Begin(const std::string& what, ArmPath path,
+                                    std::function<std::string(double)> arrived) {
   const double seconds = static_cast<double>(path.rows.size()) / config_.control.rate_hz;
   const ArmVector to = path.rows.back();
   paths_.push_back(std::make_unique<const ArmPath>(std::move(path)));
@@ -317,9 +318,16 @@ absl::StatusOr<std::string> ClientRun::Follow(const std::string& what, ArmPath p
     if (fastest > kStands) return std::nullopt;
     return arrived(1000 * off);
   };
-  pending_ = std::move(pending);
   loop_->Play(paths_.back().get());
-  return absl::StrFormat("%s: %.1f s; Enter stops", what, seconds);
+  Say(absl::StrFormat("%s: %.1f s; Enter stops", what, seconds));
+  return pending;
+}
+
+absl::StatusOr<std::string> ClientRun::Follow(const std::string& what, ArmPath path,
+                                              std::function<std::string(double)> arrived) {
+  if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, path));
+  pending_ = Begin(what, std::move(path), std::move(arrived));
+  return "";
 }
 
 absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const std::string& there,
@@ -339,16 +347,35 @@ absl::StatusOr<std::string> ClientRun::Play(double speed) {
   if (config_.slow_first && speed > kSlowly && fastest_played_ == 0)
     return absl::FailedPreconditionError(
         "the motion was not played slowly yet; type play slow and watch its way, then play");
-  const double period_s = 1 / config_.control.rate_hz;
-  PlayedMotion played = PlayMotion(*motion_, speed, loop_->seen().position,
-                                   WayLimits(config_.home_velocity), period_s);
-  RS_RETURN_IF_ERROR(CheckSpeed(played, speed, config_.control.limits.joint_velocity, period_s));
-  return Follow(absl::StrFormat("play %.2g", speed), std::move(played.path),
-                [this, speed](double off) {
+  const ArmVector from = loop_->seen().position;
+  making_ = std::async(std::launch::async, [this, speed, from]() -> absl::StatusOr<ArmPath> {
+    pthread_setname_np(pthread_self(), "motion");
+    const double period_s = 1 / config_.control.rate_hz;
+    PlayedMotion played =
+        PlayMotion(*motion_, speed, from, WayLimits(config_.home_velocity), period_s);
+    RS_RETURN_IF_ERROR(CheckSpeed(played, speed, config_.control.limits.joint_velocity, period_s));
+    if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, played.path));
+    return std::move(played.path);
+  });
+  stopped_ = false;
+  const std::string what = absl::StrFormat("play %.2g", speed);
+  pending_ =
+      Pending{what, clock_.now_ns() + static_cast<int64_t>(kMakes_s * 1e9),
+              [this, speed, what]() -> std::optional<absl::StatusOr<std::string>> {
+                if (making_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
+                  return std::nullopt;
+                absl::StatusOr<ArmPath> path = making_.get();
+                if (stopped_) return absl::CancelledError(what + " was stopped before it began");
+                if (!path.ok()) return path.status();
+                next_pending_ = Begin(what, *std::move(path), [this, speed](double off) {
                   fastest_played_ = std::max(fastest_played_, speed);
                   return absl::StrFormat("the motion is over, %.1f mrad off its end; %s", off,
                                          speed < 1 ? "type play, or quit" : "type quit");
                 });
+                return "";
+              },
+              absl::DeadlineExceededError(what + " could not be made in time")};
+  return "";
 }
 
 std::vector<FrameSource*> ClientRun::cameras() const {
@@ -438,9 +465,11 @@ absl::StatusOr<std::string> ClientRun::CountEpisode(std::optional<bool> success)
 absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
   switch (order.command) {  // what stops the arm comes first, whatever goes on
     case OperatorCommand::kHold:
+      stopped_ = true;
       loop_->Ask(kRequestHold);
       return "hold";
     case OperatorCommand::kQuickStop:
+      stopped_ = true;
       loop_->Ask(kRequestQuickStop);
       return "damped stop: the arm sinks";
     case OperatorCommand::kQuit:
@@ -497,12 +526,22 @@ absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
   }
 }
 
+// What a server answers that refuses an observation: the loop knows only that no chunk came.
+void ClientRun::TellServersError() {
+  if (link_ == nullptr || loop_->state() != ClientState::kHold) return;
+  const std::string error(link_->last_error().message());
+  if (error.empty() || error == told_error_) return;
+  told_error_ = error;
+  Say("the server's last error: " + error);
+}
+
 absl::StatusOr<std::string> ClientRun::Watch() {
+  TellServersError();
   if (pending_) {
     std::optional<absl::StatusOr<std::string>> answer = pending_->answer();
     if (!answer && clock_.now_ns() < pending_->until_ns) return "";
     if (!answer) answer = pending_->late;
-    pending_.reset();
+    pending_ = std::exchange(next_pending_, std::nullopt);
     return *std::move(answer);
   }
   if (!episode_running_) return "";

@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <functional>
+#include <future>
 #include <memory>
 #include <optional>
 #include <string>
@@ -89,13 +90,16 @@ class ClientRun {
   absl::StatusOr<std::string> Play(double speed);
   absl::Status MayMove() const;
   PathLimits WayLimits(double velocity) const;
-  // Plays a way that was checked; `arrived` is the answer once the arm stands at its end.
+  // Plays a way if it is free; `arrived` is the answer once the arm stands at its end.
   absl::StatusOr<std::string> Follow(const std::string& what, ArmPath path,
                                      std::function<std::string(double off_mrad)> arrived);
+  Pending Begin(const std::string& what, ArmPath path,
+                std::function<std::string(double off_mrad)> arrived);
   absl::StatusOr<std::string> Jog(const OperatorOrder& order);
   absl::StatusOr<std::string> EndEpisode(std::optional<bool> success);
   absl::StatusOr<std::string> CountEpisode(std::optional<bool> success);
   absl::Status Refused(const std::string& what) const;
+  void TellServersError();
 
   const ClientConfig config_;
   const std::string directory_;
@@ -114,10 +118,14 @@ class ClientRun {
   absl::Status recording_status_;  // of the recorder's thread, read after it
   bool threads_ = false;
 
-  std::optional<Pending> pending_;
+  std::optional<Pending> pending_, next_pending_;      // the second follows the first's answer
   std::vector<std::unique_ptr<const ArmPath>> paths_;  // the loop may play the last one
   std::optional<Motion> motion_;
   double fastest_played_ = 0;
+  // The way of a motion, made and checked in a thread of its own: the console goes on obeying.
+  std::future<absl::StatusOr<ArmPath>> making_;
+  std::string told_error_;
+  bool stopped_ = false;  // by a person, since it was asked for
   int next_episode_ = 0;
   bool episode_running_ = false;
   int64_t episode_start_ns_ = 0;

@@ -22,8 +22,8 @@ struct Motion {
 };
 
 // The longest that is played [s], and the most poses.
-inline constexpr double kLongestMotion_s = 1800;
-inline constexpr size_t kMostPoses = 1'000'000;
+inline constexpr double kLongestMotion_s = 600;
+inline constexpr size_t kMostPoses = 600'000;
 
 // INVALID_ARGUMENT names source, time, axis and value: times that do not increase from 0, numbers
 // that are none, a pose outside of what the arm allows, a motion that is too short or too long.

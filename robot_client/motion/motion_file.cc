@@ -17,6 +17,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr uint64_t kMostBytes = uint64_t{512} << 20;  // of a table: five hours of a run
+
 // The motion of some rows of a table, their axes under `prefix`.
 absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& prefix,
                                     const std::vector<size_t>& rows, std::string source) {
@@ -43,7 +45,7 @@ absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& pr
 }
 
 absl::StatusOr<Motion> ReadTable(const std::string& path) {
-  RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path));
+  RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path, kMostBytes));
   std::vector<size_t> rows(table.rows());
   for (size_t i = 0; i < rows.size(); ++i) rows[i] = i;
   for (const std::string& name : table.names()) {
@@ -65,7 +67,7 @@ std::string Listed(const std::set<std::string>& episodes) {
 
 absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> episode) {
   const std::string path = folder + "/ticks.csv";
-  RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path));
+  RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path, kMostBytes));
   RS_ASSIGN_OR_RETURN(const size_t state, table.Column("state"));
   RS_ASSIGN_OR_RETURN(const size_t number, table.Column("episode"));
   std::set<std::string> episodes;

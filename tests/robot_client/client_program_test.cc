@@ -102,6 +102,7 @@ TEST(ClientProgramTest, HoldsWhenTheServerIsKilledAndSaysWhy) {
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(Text(out + "/run/events.jsonl"), HasSubstr("\"cause\":\"server_silent\""));
   EXPECT_THAT(text, HasSubstr("HOLD (server_silent)"));
+  EXPECT_THAT(text, HasSubstr("the server's last error: "));
 }
 
 TEST(ClientProgramTest, ObeysAPerson) {
