@@ -15,6 +15,8 @@ namespace {
 
 constexpr double kStands_s = 0.5;  // before the motion's first row
 // Boost's cubics want four points at least; a motion of fewer is none.
+// Beyond the arm's limits that a pose may be measured: joints [rad], gripper [m].
+constexpr double kMeasuredBeyond = 0.01, kMeasuredOpening = 0.002;
 constexpr size_t kFewestPoses = 4;
 
 // Values of one axis over the motion's time.
@@ -63,8 +65,10 @@ absl::Status CheckMotion(const Motion& motion, const ArmLimits& limits) {
                      "; times begin at 0, increase, and end by ", kLongestMotion_s, " s");
     for (int axis = 0; axis < kArmAxes; ++axis) {
       const double value = motion.poses[i][axis];
+      const double beyond = axis < kArmJoints ? kMeasuredBeyond : kMeasuredOpening;
       // Written so that a NaN is refused.
-      if (motion.moves[axis] && !(value >= limits.lower[axis] && value <= limits.upper[axis]))
+      if (motion.moves[axis] &&
+          !(value >= limits.lower[axis] - beyond && value <= limits.upper[axis] + beyond))
         return invalid(absl::StrFormat("at t = %.3f s %s is %.4f, the arm allows %.4f to %.4f", t,
                                        AxisName(axis), value, limits.lower[axis],
                                        limits.upper[axis]));

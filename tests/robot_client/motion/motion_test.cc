@@ -125,6 +125,12 @@ TEST(MotionTest, RefusesWhatNoArmCouldPlay) {
   motion = Swing(0.3);
   motion.poses[0][3] = std::nan("");  // of an axis that it does not give
   EXPECT_TRUE(CheckMotion(motion, limits).ok());
+  motion = Swing(0.3);
+  motion.moves.fill(true);
+  motion.poses[7][kArmJoints] = limits.upper[kArmJoints] + 0.0001;  // a hand at the gripper's end
+  EXPECT_TRUE(CheckMotion(motion, limits).ok()) << CheckMotion(motion, limits);
+  motion.poses[7][kArmJoints] = limits.upper[kArmJoints] + 0.003;
+  refused(motion, "gripper is");
 }
 
 TEST(ExcitationTest, MovesEveryJointWithinLimitsAndWorkspaceAndReturns) {
