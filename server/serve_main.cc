@@ -162,6 +162,7 @@ absl::StatusOr<WebEndpointsOptions> WebEndpointsOptionsOf(const ServeOptions& op
   result.websocket_listen = options.websocket_listen;
   result.http_listen = options.http_listen;
   result.max_connections = options.max_connections;
+  result.websocket_workers = options.max_sessions + 32;  // as gRPC has for its calls
   result.request_timeout = absl::Seconds(options.request_timeout);
   result.idle_timeout = absl::Seconds(options.idle_timeout);
   result.max_message_bytes = static_cast<uint64_t>(options.websocket_max_mib) << 20;
