@@ -65,7 +65,7 @@ TlsFiles TlsOf(const ServeOptions& options) {
 absl::StatusOr<Secrets> SecretsOf(const ServeOptions& options) {
   Secrets secrets;
   if (TlsOf(options).enabled()) {
-    RS_ASSIGN_OR_RETURN(secrets.tls, TlsStore::Load(TlsOf(options)));
+    RS_ASSIGN_OR_RETURN(secrets.tls, LoadTls(TlsOf(options)));
   }
   if (!options.tokens.empty()) {
     RS_ASSIGN_OR_RETURN(AccessTokens tokens, AccessTokens::Load(options.tokens));

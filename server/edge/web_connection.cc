@@ -213,9 +213,9 @@ void WebConnection::Upgrade(WebRequest seen) {
     }
     return upgraded;
   };
-  WorkThen(
-      services_, place_.address, open,
-      [this, self = shared_from_this()](Upgraded upgraded) { OnUpgraded(std::move(upgraded)); });
+  WorkThen(services_, place_.address, open, [this, self = shared_from_this()](Upgraded upgraded) {
+    OnUpgraded(std::move(upgraded));
+  });
 }
 
 void WebConnection::OnUpgraded(Upgraded upgraded) {
@@ -224,8 +224,8 @@ void WebConnection::OnUpgraded(Upgraded upgraded) {
     Reply(ErrorReply(upgraded.status));
     return;
   }
-  socket_ = std::make_unique<WebSocketSession>(services_, stream_, std::move(upgraded.opened), peer_,
-                                               weak_from_this());
+  socket_ = std::make_unique<WebSocketSession>(services_, stream_, std::move(upgraded.opened),
+                                               peer_, weak_from_this());
   if (going_away_) socket_->GoAway();
   Request request = parser_->release();
   parser_.reset();

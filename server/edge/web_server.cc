@@ -257,8 +257,8 @@ class WebServer::Impl {
     const std::shared_ptr<SSL_CTX> tls =
         options_.tls == nullptr ? nullptr : options_.tls->Get()->context;
     const auto connection = std::make_shared<WebConnection>(
-        services_, WebStream::Of(std::move(socket), tls),
-        absl::StrCat(address, ":", remote.port()), std::move(place));
+        services_, WebStream::Of(std::move(socket), tls), absl::StrCat(address, ":", remote.port()),
+        std::move(place));
     entry->connection = connection;
     connection->Start();
   }

@@ -53,9 +53,9 @@ struct WebServerOptions {
   std::string listen = "127.0.0.1:0";
   // What every new connection is opened with; null: plain.
   std::shared_ptr<const TlsStore> tls;
-  // Each holds memory, and a worker while it is answered. What comes beyond them, or beyond a client's share, gets one of
-  // kHealthPlaces, where only /healthz and /readyz are answered: a probe is served by a server that
-  // is full. Others are answered 503.
+  // Each holds memory, and a worker while it is answered. What comes beyond them, or beyond a
+  // client's share, gets one of kHealthPlaces, where only /healthz and /readyz are answered: a
+  // probe is served by a server that is full. Others are answered 503.
   int max_connections = 256;
   static constexpr int kHealthPlaces = 8;
   // Of one client: by its address until it says who it is, then by WebConversation::client(). 0:
@@ -78,7 +78,8 @@ struct WebServerOptions {
 };
 
 // HTTP/1.1 pages (GET and HEAD) and WebSockets on one port, with or without TLS. One thread reads,
-// writes, encrypts and watches the time for all connections; workers answer. A browser's page from elsewhere (Origin other than Host) gets no WebSocket.
+// writes, encrypts and watches the time for all connections; workers answer. A browser's page from
+// elsewhere (Origin other than Host) gets no WebSocket.
 class WebServer {
  public:
   using Page = std::function<WebReply(const WebRequest&)>;

@@ -52,8 +52,7 @@ void WebSocketSession::LimitIdle(bool limit) {
   socket_->set_option(timeout);
 }
 
-void WebSocketSession::Start(
-    boost::beast::http::request<boost::beast::http::string_body> request) {
+void WebSocketSession::Start(boost::beast::http::request<boost::beast::http::string_body> request) {
   stream_.ExpireAfter(absl::InfiniteDuration());  // the WebSocket has limits of its own
   LimitIdle(false);
   socket_->auto_fragment(false);
@@ -120,8 +119,9 @@ void WebSocketSession::OnAnswered(Answered answered) {
     return;
   }
   socket_->text(true);
-  Send(std::string(answered.answer.status().message()),
-       [this] { Close({websocket::close_code::internal_error, kErrorReason}); });
+  Send(std::string(answered.answer.status().message()), [this] {
+    Close({websocket::close_code::internal_error, kErrorReason});
+  });
 }
 
 void WebSocketSession::Send(std::string message, absl::AnyInvocable<void()> then) {
@@ -135,17 +135,16 @@ void WebSocketSession::Send(std::string message, absl::AnyInvocable<void()> then
     spdlog::info("{}: {}: takes no answer", services_.options.name, peer_);
     stream_.Close();
   });
-  socket_->async_write(
-      net::buffer(sending_),
-      [this, then = std::move(then), hold = Hold()](Error error, size_t) mutable {
-        send_limit_.expires_at(std::chrono::steady_clock::time_point::max());
-        if (error) {
-          spdlog::info("{}: {}: cut while it was answered: {}", services_.options.name, peer_,
-                       error.message());
-          return;
-        }
-        then();
-      });
+  socket_->async_write(net::buffer(sending_),
+                       [this, then = std::move(then), hold = Hold()](Error error, size_t) mutable {
+                         send_limit_.expires_at(std::chrono::steady_clock::time_point::max());
+                         if (error) {
+                           spdlog::info("{}: {}: cut while it was answered: {}",
+                                        services_.options.name, peer_, error.message());
+                           return;
+                         }
+                         then();
+                       });
 }
 
 void WebSocketSession::Close(const websocket::close_reason& reason) {

@@ -18,10 +18,10 @@
 
 namespace robostress {
 
-// A WebSocket from its handshake to its end: greeting, then a message, its answer, the next message.
-// Nothing is read while a message is answered, so that a client has one message here at a time, and
-// only the answer takes a worker. Of the I/O thread, but for the conversation, which is the
-// workers'.
+// A WebSocket from its handshake to its end: greeting, then a message, its answer, the next
+// message. Nothing is read while a message is answered, so that a client has one message here at a
+// time, and only the answer takes a worker. Of the I/O thread, but for the conversation, which is
+// the workers'.
 class WebSocketSession {
  public:
   // An opened conversation with what a worker asked it.

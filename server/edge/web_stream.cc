@@ -50,9 +50,8 @@ class WebStream::LayerOf : public Layer, public std::enable_shared_from_this<Lay
                                       Error error, size_t bytes) mutable { moved(error, bytes); });
   }
   void Write(const Pieces& from, Moved moved) override {
-    stream_.async_write_some(
-        from, [moved = std::move(moved), self = this->shared_from_this()](
-                  Error error, size_t bytes) mutable { moved(error, bytes); });
+    stream_.async_write_some(from, [moved = std::move(moved), self = this->shared_from_this()](
+                                       Error error, size_t bytes) mutable { moved(error, bytes); });
   }
   void Teardown(Done done) override {
     using beast::websocket::async_teardown;

@@ -24,8 +24,7 @@ struct WebServices {
 template <class Work, class Then>
 void WorkThen(const WebServices& services, const std::string& client, Work work, Then then) {
   services.workers.Post(
-      client, "",
-      [&io = services.io, work = std::move(work), then = std::move(then)]() mutable {
+      client, "", [&io = services.io, work = std::move(work), then = std::move(then)]() mutable {
         auto result = work();
         // Nothing that `then` holds may end on this thread.
         boost::asio::post(io, [then = std::move(then), result = std::move(result)]() mutable {

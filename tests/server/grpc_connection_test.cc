@@ -1,7 +1,7 @@
 // Limits of a gRPC connection, seen by a client that knows HTTP/2's frames (RFC 9113) by their
 // bytes, with shortened times.
+#include <grpcpp/generic/async_generic_service.h>
 #include <grpcpp/grpcpp.h>
-#include <grpcpp/health_check_service_interface.h>
 #include <gtest/gtest.h>
 
 #include <chrono>
@@ -27,11 +27,11 @@ class GrpcConnectionTest : public ::testing::Test {
   };
 
   void Start(const GrpcConnectionLimits& limits) {
-    grpc::EnableDefaultHealthCheckService(true);
     grpc::ServerBuilder builder;
     int port = 0;
     builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port);
     LimitConnections(builder, limits);
+    builder.RegisterCallbackGenericService(&service_);
     server_ = builder.BuildAndStart();
     ASSERT_NE(server_, nullptr);
     begin_ = Clock::now();
@@ -60,10 +60,9 @@ class GrpcConnectionTest : public ::testing::Test {
                         static_cast<size_t>(byte(2));
     return {byte(3), head[4], client_->Receive(size)};
   }
-  double Elapsed() const {
-    return std::chrono::duration<double>(Clock::now() - begin_).count();
-  }
+  double Elapsed() const { return std::chrono::duration<double>(Clock::now() - begin_).count(); }
 
+  grpc::CallbackGenericService service_;  // answers that nothing is implemented
   std::unique_ptr<grpc::Server> server_;
   std::unique_ptr<WebClient> client_;
   Clock::time_point begin_;

@@ -136,9 +136,11 @@ TEST_F(WebServerTest, AReaderThatDoesNotReadHoldsNoWorker) {
   Start(options);
   const auto silent = Connect();
   for (int i = 0; i < 40; ++i) silent->SendFrame("big");
-  // More than the sockets hold: its last answer waits to be taken, and the next message is not read.
+  // More than the sockets hold: its last answer waits to be taken, and the next message is not
+  // read.
   int answered = -1;
-  Await([this, &answered] { return std::exchange(answered, answered_) == answered && answered > 2; });
+  Await(
+      [this, &answered] { return std::exchange(answered, answered_) == answered && answered > 2; });
   EXPECT_LT(answered_, 40);
   const auto other = Connect("other");
   EXPECT_EQ(Ask(*other, "a"), "a");
@@ -219,6 +221,8 @@ TEST_F(WebServerTest, StopSendsTheAnswerThatIsUnderWay) {
   const WebClient::Frame close = client->Read();
   EXPECT_EQ(close.close_code(), 1001);
   client->SendFrame(close.payload, WebClient::kClose);
+  EXPECT_EQ(client->Read().opcode, -1);
+  client->Close();
   stopping.join();
   EXPECT_EQ(conversations_, 0);
 }
