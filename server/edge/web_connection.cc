@@ -24,6 +24,9 @@ using boost::system::error_code;
 
 constexpr char kPlainText[] = "text/plain; charset=utf-8";
 
+// What hundreds may ask for at once, and what is done in no time: it takes few workers of a client.
+constexpr char kOpening[] = "opening ", kEnding[] = "ending ";
+
 std::string View(beast::string_view text) { return {text.data(), text.size()}; }
 
 // A page of another site, opened in a browser that reaches this port, must not talk to a robot.
@@ -185,7 +188,7 @@ void WebConnection::AnswerPage(WebRequest seen) {
     Reply(answer());
     return;
   }
-  WorkThen(services_, place_.address, answer,
+  WorkThen(services_, place_.address, "", answer,
            [this, self = shared_from_this()](WebReply reply) { Reply(std::move(reply)); });
 }
 
@@ -202,10 +205,11 @@ void WebConnection::Upgrade(WebRequest seen) {
       }
       opened.client = (*made)->client().empty() ? address : (*made)->client();
       // Its end may wait too, for a disk: it is a worker's, whoever lets go of it last.
-      opened.conversation = {made->release(), [&workers = services.workers, lease,
-                                               client = opened.client](WebConversation* ended) {
-                               workers.Post(client, "", [ended, lease] { delete ended; });
-                             }};
+      opened.conversation = {
+          made->release(),
+          [&workers = services.workers, lease, client = opened.client](WebConversation* ended) {
+            workers.Post(client, absl::StrCat(kEnding, client), [ended, lease] { delete ended; });
+          }};
       opened.greeting = opened.conversation->Greeting();
       opened.largest_message = opened.conversation->LargestMessage();
     } catch (const std::exception& failed) {
@@ -213,9 +217,9 @@ void WebConnection::Upgrade(WebRequest seen) {
     }
     return upgraded;
   };
-  WorkThen(services_, place_.address, open, [this, self = shared_from_this()](Upgraded upgraded) {
-    OnUpgraded(std::move(upgraded));
-  });
+  WorkThen(
+      services_, place_.address, absl::StrCat(kOpening, place_.address), open,
+      [this, self = shared_from_this()](Upgraded upgraded) { OnUpgraded(std::move(upgraded)); });
 }
 
 void WebConnection::OnUpgraded(Upgraded upgraded) {

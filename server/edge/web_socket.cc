@@ -108,7 +108,7 @@ void WebSocketSession::OnRead(Error error) {
     }
     return answered;
   };
-  WorkThen(services_, opened_.client, answer,
+  WorkThen(services_, opened_.client, "", answer,
            [this, hold = Hold()](Answered answered) { OnAnswered(std::move(answered)); });
 }
 

@@ -19,12 +19,13 @@ struct WebServices {
   FairExecutor& workers;        // for what may wait
 };
 
-// `work()` on a worker, one of `client`'s; then `then(what it returned)` on the I/O thread. `then`
-// holds what `work` uses. Neither may throw.
+// `work()` on a worker of `client`, then `then(what it returned)` on the I/O thread. `then` holds
+// what `work` uses. Neither may throw. Of one `few` that is not empty, two are at work at most.
 template <class Work, class Then>
-void WorkThen(const WebServices& services, const std::string& client, Work work, Then then) {
+void WorkThen(const WebServices& services, const std::string& client, const std::string& few,
+              Work work, Then then) {
   services.workers.Post(
-      client, "", [&io = services.io, work = std::move(work), then = std::move(then)]() mutable {
+      client, few, [&io = services.io, work = std::move(work), then = std::move(then)]() mutable {
         auto result = work();
         // Nothing that `then` holds may end on this thread.
         boost::asio::post(io, [then = std::move(then), result = std::move(result)]() mutable {
