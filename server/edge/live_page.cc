@@ -32,7 +32,9 @@ std::string Tile(const std::string& value, const std::string& label) {
 constexpr char kNothing[] = "\u2013";  // where there is no number yet
 
 std::string Latency(const Histogram& histogram, double quantile, bool any) {
-  return any ? absl::StrFormat("%.3g ms", 1e3 * histogram.Quantile(quantile)) : kNothing;
+  if (!any) return kNothing;
+  const double ms = 1e3 * histogram.Quantile(quantile);
+  return ms < 1000 ? absl::StrFormat("%.3g ms", ms) : absl::StrFormat("%.0f ms", ms);
 }
 
 double Percentile(std::vector<double> values, double q) {
@@ -80,10 +82,10 @@ std::string ResidualPlot(const Telemetry::View& view) {
     series.push_back(std::move(line));
   }
   LinePlotOptions options;
-  const std::string of = together > 1 ? absl::StrCat(" of ", together, " chunks") : "";
-  options.title = absl::StrCat("mean |residual|", of,
-                               ActsInJointSpace(view.figures.spec) ? " [rad]" : " [action units]");
+  options.title = ActsInJointSpace(view.figures.spec) ? "mean |residual| [rad]"
+                                                      : "mean |residual| [action units]";
   options.x_label = "executed chunk";
+  if (together > 1) absl::StrAppend(&options.x_label, ", a point is the mean of ", together);
   options.y_min = 0;
   options.width = kPlotWidth;
   return LinePlot(series, options);

@@ -118,6 +118,15 @@ TEST_F(OperationsPagesTest, ShowsNoNumberWhereThereIsNone) {
   EXPECT_THAT(Get("/").body, HasSubstr("<td>0.25</td><td>0.5</td>"));
 }
 
+TEST_F(OperationsPagesTest, LatenciesAreReadable) {
+  telemetry_.Predicted("session-1", Seen(), 1.7);
+  metrics_.AddCounter("robostress_predictions_answered_total", "")->Add();
+  metrics_.AddHistogram("robostress_predict_seconds", "", LatencyBounds())->Observe(1.7);
+  const std::string page = Get("/").body;
+  EXPECT_THAT(page, HasSubstr(" ms</b>"));
+  EXPECT_THAT(page, Not(HasSubstr("e+03 ms")));
+}
+
 TEST_F(OperationsPagesTest, SessionsInUseKeepTheirPlaces) {
   const auto order = [this](double first_s, double second_s) {
     std::vector<SessionFigures> both = {figures_, figures_};
@@ -135,9 +144,9 @@ TEST_F(OperationsPagesTest, SessionsInUseKeepTheirPlaces) {
 
 TEST_F(OperationsPagesTest, ALongHistoryIsDrawnAsMeansOfChunks) {
   for (uint64_t i = 1; i <= 60; ++i) telemetry_.Reported("session-1", figures_.spec, Executed(i));
-  EXPECT_THAT(Get("/").body, HasSubstr("mean |residual| [action units]"));
+  EXPECT_THAT(Get("/").body, HasSubstr("executed chunk<"));
   telemetry_.Reported("session-1", figures_.spec, Executed(61));
-  EXPECT_THAT(Get("/").body, HasSubstr("mean |residual| of 2 chunks [action units]"));
+  EXPECT_THAT(Get("/").body, HasSubstr("executed chunk, a point is the mean of 2<"));
 }
 
 TEST_F(OperationsPagesTest, ThePageIsRefreshedUnderAnAddressWithAPasswordToo) {
