@@ -13,7 +13,7 @@
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/grpc_access.h"
-#include "server/wire/fair_executor.h"
+#include "server/fair_executor.h"
 #include "server/wire/grpc_call.h"
 
 namespace robostress {
@@ -193,7 +193,7 @@ absl::StatusOr<std::unique_ptr<AdminServer>> AdminServer::Start(
                                                 grpc, std::move(tokens), metrics);
   server->credentials_ = MakeServerCredentials(options.tls);
   grpc::ServerBuilder builder;
-  LimitConnections(builder, kCallsPerClient);
+  LimitConnections(builder, {.calls = kCallsPerClient});
   builder.SetMaxReceiveMessageSize(static_cast<int>(kLargestRequest));
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);

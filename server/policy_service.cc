@@ -498,7 +498,7 @@ absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
-  LimitConnections(builder, server->grpc_->calls_per_client());
+  LimitConnections(builder, {.calls = server->grpc_->calls_per_client()});
   builder.SetMaxReceiveMessageSize(
       std::min(static_cast<int>(server->grpc_->largest_request()), options.max_message_mib << 20));
   builder.SetMaxSendMessageSize(options.max_message_mib << 20);

@@ -65,7 +65,7 @@ TlsFiles TlsOf(const ServeOptions& options) {
 absl::StatusOr<Secrets> SecretsOf(const ServeOptions& options) {
   Secrets secrets;
   if (TlsOf(options).enabled()) {
-    RS_ASSIGN_OR_RETURN(secrets.tls, TlsStore::Load(TlsOf(options)));
+    RS_ASSIGN_OR_RETURN(secrets.tls, LoadTls(TlsOf(options)));
   }
   if (!options.tokens.empty()) {
     RS_ASSIGN_OR_RETURN(AccessTokens tokens, AccessTokens::Load(options.tokens));
@@ -162,6 +162,7 @@ absl::StatusOr<WebEndpointsOptions> WebEndpointsOptionsOf(const ServeOptions& op
   result.websocket_listen = options.websocket_listen;
   result.http_listen = options.http_listen;
   result.max_connections = options.max_connections;
+  result.websocket_workers = options.max_sessions + 32;  // as gRPC has for its calls
   result.request_timeout = absl::Seconds(options.request_timeout);
   result.idle_timeout = absl::Seconds(options.idle_timeout);
   result.max_message_bytes = static_cast<uint64_t>(options.websocket_max_mib) << 20;

@@ -69,6 +69,7 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
   if (!options.websocket_listen.empty()) {
     web.name = "websocket";
     web.listen = options.websocket_listen;
+    web.workers = options.websocket_workers;
     const auto upgrade =
         [server, openpi = options.openpi](
             const WebRequest& request) -> absl::StatusOr<std::unique_ptr<WebConversation>> {
@@ -94,6 +95,7 @@ absl::StatusOr<std::unique_ptr<WebEndpoints>> WebEndpoints::Start(
   if (!options.http_listen.empty()) {
     web.name = "http";
     web.listen = options.http_listen;
+    web.workers = WebServerOptions().workers;
     OperationsSources sources;
     sources.metrics = &server->metrics();
     sources.traces = &server->traces();

@@ -16,6 +16,7 @@ struct WebEndpointsOptions {
   std::string websocket_listen, http_listen;  // empty: not served
   std::shared_ptr<TlsStore> tls;              // null: plain
   int max_connections = 256;
+  int websocket_workers = 96;  // messages answered at a time, WebServerOptions::workers
   int max_connections_per_client = 0;
   std::vector<std::string> allowed_hosts;
   uint64_t max_message_bytes = 0;  // of a WebSocket; 0: what the policies need

@@ -199,19 +199,4 @@ absl::Status AccessTokens::Check(std::string_view authorization, Scope scope) co
   return Require(caller, scope);
 }
 
-TokenStore::TokenStore(AccessTokens tokens)
-    : tokens_(std::make_shared<const AccessTokens>(std::move(tokens))) {}
-
-std::shared_ptr<const AccessTokens> TokenStore::Get() const {
-  absl::MutexLock lock(&mu_);
-  return tokens_;
-}
-
-void TokenStore::Set(AccessTokens tokens) {
-  auto next = std::make_shared<const AccessTokens>(std::move(tokens));
-  absl::MutexLock lock(&mu_);
-  tokens_ = std::move(next);
-  ++generation_;
-}
-
 }  // namespace robostress

@@ -1,17 +1,15 @@
 #pragma once
 
 #include <array>
-#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
-#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/synchronization/mutex.h"
+#include "server/edge/published.h"
 
 namespace robostress {
 
@@ -89,21 +87,8 @@ class AccessTokens {
   std::vector<Entry> entries_;
 };
 
-// The tokens of a running server: replaced as a whole when their file changes. Any thread.
-class TokenStore {
- public:
-  TokenStore() : TokenStore(AccessTokens()) {}
-  explicit TokenStore(AccessTokens tokens);
-
-  std::shared_ptr<const AccessTokens> Get() const ABSL_LOCKS_EXCLUDED(mu_);
-  void Set(AccessTokens tokens) ABSL_LOCKS_EXCLUDED(mu_);
-  // Another one after every Set: who was let in before may be asked again.
-  uint64_t generation() const { return generation_; }
-
- private:
-  mutable absl::Mutex mu_;
-  std::shared_ptr<const AccessTokens> tokens_ ABSL_GUARDED_BY(mu_);
-  std::atomic<uint64_t> generation_{1};
-};
+// The tokens of a running server: replaced when their file changes. After another generation, who
+// was let in before may be asked again.
+using TokenStore = Published<AccessTokens>;
 
 }  // namespace robostress

@@ -1,6 +1,7 @@
 #include "server/edge/live_page.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -14,7 +15,10 @@ namespace {
 // Sessions with plots and images; the others are rows of the table.
 constexpr size_t kShownInFull = 12;
 
-constexpr int kPlotWidth = 340;  // three beside each other
+constexpr double kInUse_s = 60;  // since a session's last message
+
+constexpr int kPlotWidth = 340;     // three beside each other
+constexpr size_t kMostPoints = 60;  // of one line of residuals; more cannot be told apart
 
 // Okabe and Ito's colours: told apart by colour-blind eyes.
 constexpr const char* kColours[] = {"#0072b2", "#e69f00", "#009e73", "#d55e00",
@@ -25,8 +29,12 @@ std::string Tile(const std::string& value, const std::string& label) {
                       "</span></div>");
 }
 
-std::string Latency(const Histogram& histogram, double quantile) {
-  return absl::StrFormat("%.3g ms", 1e3 * histogram.Quantile(quantile));
+constexpr char kNothing[] = "\u2013";  // where there is no number yet
+
+std::string Latency(const Histogram& histogram, double quantile, bool any) {
+  if (!any) return kNothing;
+  const double ms = 1e3 * histogram.Quantile(quantile);
+  return ms < 1000 ? absl::StrFormat("%.3g ms", ms) : absl::StrFormat("%.0f ms", ms);
 }
 
 double Percentile(std::vector<double> values, double q) {
@@ -50,17 +58,26 @@ std::string Name(const SessionSpec& spec) {
                       " · ", spec.policy, " · ", spec.method.method, " · seed ", spec.seed);
 }
 
+// One line an axis; a point is the mean of `together` chunks.
 std::string ResidualPlot(const Telemetry::View& view) {
   std::vector<LineSeries> series;
   const Eigen::Index axes = view.residuals.empty() ? 0 : view.residuals.back().mean_abs.size();
+  const size_t together = (view.residuals.size() + kMostPoints - 1) / kMostPoints;
   for (Eigen::Index i = 0; i < axes; ++i) {
     LineSeries line;
     line.name = ResidualAxis(view.figures.spec, static_cast<int>(i));
     line.color = kColours[static_cast<size_t>(i) % std::size(kColours)];
+    double sum = 0;
+    size_t summed = 0;
     for (const auto& point : view.residuals) {
       if (point.mean_abs.size() != axes) continue;
+      sum += point.mean_abs[i];
+      const bool last = &point == &view.residuals.back();
+      if (++summed < together && !last) continue;
       line.x.push_back(static_cast<double>(point.sequence));
-      line.y.push_back(point.mean_abs[i]);
+      line.y.push_back(sum / static_cast<double>(summed));
+      sum = 0;
+      summed = 0;
     }
     series.push_back(std::move(line));
   }
@@ -68,6 +85,7 @@ std::string ResidualPlot(const Telemetry::View& view) {
   options.title = ActsInJointSpace(view.figures.spec) ? "mean |residual| [rad]"
                                                       : "mean |residual| [action units]";
   options.x_label = "executed chunk";
+  if (together > 1) absl::StrAppend(&options.x_label, ", a point is the mean of ", together);
   options.y_min = 0;
   options.width = kPlotWidth;
   return LinePlot(series, options);
@@ -119,16 +137,22 @@ std::string Legend(const Telemetry::View& view) {
 
 std::string Row(const Telemetry::View& view) {
   const SessionFigures& f = view.figures;
+  const auto if_learned = [&f](double value) {
+    return f.updates_applied > 0 ? absl::StrFormat("%.3g", value) : kNothing;
+  };
   return absl::StrCat(
       "<tr><td style=\"white-space:normal\">", EscapeXml(f.id), "<br><small>",
       EscapeXml(Name(f.spec)), "</small>",
       f.error.empty() ? "" : absl::StrCat("<br><span class=tag>", EscapeXml(f.error), "</span>"),
       "</td><td>", f.open ? "open" : "on disk", absl::StrFormat(", %.0f s", f.idle_s), "</td><td>",
       f.predictions, "</td><td>", f.feedback_sequence, "</td><td>", f.updates_applied, "</td><td>",
-      f.updates_refused + f.updates_guarded, "</td><td>", f.duplicates,
-      absl::StrFormat("</td><td>%.4g</td><td>%.3g</td><td>%.1f / %.1f</td></tr>\n",
-                      f.adapter_distance, f.last_loss, 1e3 * Percentile(view.latencies_s, 0.5),
-                      1e3 * Percentile(view.latencies_s, 0.99)));
+      f.updates_refused + f.updates_guarded, "</td><td>", f.duplicates, "</td><td>",
+      if_learned(f.adapter_distance), "</td><td>", if_learned(f.last_loss), "</td><td>",
+      view.latencies_s.empty()
+          ? kNothing
+          : absl::StrFormat("%.1f / %.1f", 1e3 * Percentile(view.latencies_s, 0.5),
+                            1e3 * Percentile(view.latencies_s, 0.99)),
+      "</td></tr>\n");
 }
 
 std::string Session(const Telemetry::View& view) {
@@ -157,19 +181,24 @@ std::string Session(const Telemetry::View& view) {
 std::string LiveMain(const LiveServer& server, const std::vector<Telemetry::View>& sessions,
                      Metrics& metrics) {
   std::vector<Telemetry::View> sorted = sessions;
-  std::stable_sort(sorted.begin(), sorted.end(), [](const auto& a, const auto& b) {
-    return a.figures.idle_s < b.figures.idle_s;
-  });
+  // Those in use keep their places while one looks at them.
+  const auto place = [](const Telemetry::View& view) {
+    const double idle_s = view.figures.idle_s < kInUse_s ? 0 : view.figures.idle_s;
+    return std::pair<double, const std::string&>(idle_s, view.figures.id);
+  };
+  std::sort(sorted.begin(), sorted.end(),
+            [&place](const auto& a, const auto& b) { return place(a) < place(b); });
   const auto open = std::count_if(sorted.begin(), sorted.end(),
                                   [](const auto& view) { return view.figures.open; });
   const auto predict = metrics.AddHistogram("robostress_predict_seconds", "", LatencyBounds());
   const auto answered = metrics.AddCounter("robostress_predictions_answered_total", "");
   const auto chunks = metrics.AddCounter("robostress_feedback_chunks_total", "");
   const auto applied = metrics.AddCounter("robostress_updates_total", "", {{"outcome", "applied"}});
+  const bool any = answered->value() > 0;
   std::string html =
       absl::StrCat("<main class=wrap><div class=tiles>", Tile(absl::StrCat(open), "open sessions"),
-                   Tile(Latency(*predict, 0.5), "prediction, p50"),
-                   Tile(Latency(*predict, 0.99), "prediction, p99"),
+                   Tile(Latency(*predict, 0.5, any), "prediction, p50"),
+                   Tile(Latency(*predict, 0.99, any), "prediction, p99"),
                    Tile(absl::StrFormat("%.0f", answered->value()), "predictions"),
                    Tile(absl::StrFormat("%.0f", chunks->value()), "executed chunks"),
                    Tile(absl::StrFormat("%.0f", applied->value()), "updates applied"),
@@ -215,7 +244,8 @@ std::string LiveScript() {
 async function refresh() {
   const state = document.getElementById('state');
   try {
-    const answer = await fetch('/main');
+    // Not relative to the page's own address, which may hold a password.
+    const answer = await fetch(location.origin + '/main');
     if (!answer.ok) throw new Error('status ' + answer.status);
     const parsed = new DOMParser().parseFromString(await answer.text(), 'text/html');
     document.querySelector('main').replaceWith(parsed.querySelector('main'));

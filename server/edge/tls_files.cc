@@ -158,24 +158,9 @@ std::string CertificateOwnerOfPem(const std::string& pem) {
   return CertificateOwner(certificate.get());
 }
 
-absl::StatusOr<std::shared_ptr<TlsStore>> TlsStore::Load(const TlsFiles& files) {
+absl::StatusOr<std::shared_ptr<TlsStore>> LoadTls(const TlsFiles& files) {
   RS_ASSIGN_OR_RETURN(TlsSnapshot snapshot, ReadTlsFiles(files));
   return std::make_shared<TlsStore>(std::move(snapshot));
-}
-
-TlsStore::TlsStore(TlsSnapshot snapshot)
-    : snapshot_(std::make_shared<const TlsSnapshot>(std::move(snapshot))) {}
-
-std::shared_ptr<const TlsSnapshot> TlsStore::Get() const {
-  absl::MutexLock lock(&mu_);
-  return snapshot_;
-}
-
-void TlsStore::Set(TlsSnapshot snapshot) {
-  auto next = std::make_shared<const TlsSnapshot>(std::move(snapshot));
-  absl::MutexLock lock(&mu_);
-  snapshot_ = std::move(next);
-  ++generation_;
 }
 
 }  // namespace robostress

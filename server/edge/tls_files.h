@@ -2,16 +2,12 @@
 
 #include <openssl/ssl.h>
 
-#include <atomic>
-#include <cstdint>
 #include <memory>
 #include <string>
 
-#include "absl/base/thread_annotations.h"
-#include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "server/edge/published.h"
 
 namespace robostress {
 
@@ -50,23 +46,10 @@ absl::StatusOr<TlsSnapshot> ReadTlsFiles(const TlsFiles& files);
 std::string CertificateOwner(const X509* certificate);
 std::string CertificateOwnerOfPem(const std::string& pem);
 
-// The certificates of a running server, for all of its ports: replaced as a whole when the files
-// change. Connections that are open keep what they were opened with. Any thread.
-class TlsStore {
- public:
-  // Of the files as they are now.
-  static absl::StatusOr<std::shared_ptr<TlsStore>> Load(const TlsFiles& files);
-  explicit TlsStore(TlsSnapshot snapshot);
-
-  std::shared_ptr<const TlsSnapshot> Get() const ABSL_LOCKS_EXCLUDED(mu_);
-  void Set(TlsSnapshot snapshot) ABSL_LOCKS_EXCLUDED(mu_);
-  // Another one after every Set.
-  uint64_t generation() const { return generation_; }
-
- private:
-  mutable absl::Mutex mu_;
-  std::shared_ptr<const TlsSnapshot> snapshot_ ABSL_GUARDED_BY(mu_);
-  std::atomic<uint64_t> generation_{1};
-};
+// The certificates of a running server, for all of its ports: replaced when the files change.
+// Connections that are open keep what they were opened with.
+using TlsStore = Published<TlsSnapshot>;
+// Of the files as they are now.
+absl::StatusOr<std::shared_ptr<TlsStore>> LoadTls(const TlsFiles& files);
 
 }  // namespace robostress

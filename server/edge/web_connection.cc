@@ -1,18 +1,15 @@
 #include "server/edge/web_connection.h"
 
-#include <pthread.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <boost/asio/post.hpp>
-#include <boost/beast/core.hpp>
-#include <boost/beast/http.hpp>
-#include <boost/beast/ssl.hpp>
-#include <boost/beast/websocket.hpp>
-#include <boost/beast/websocket/ssl.hpp>
-#include <chrono>
+#include <boost/asio/ip/address.hpp>
+#include <boost/beast/http/read.hpp>
+#include <boost/beast/http/write.hpp>
+#include <boost/beast/websocket/rfc6455.hpp>
+#include <exception>
+#include <utility>
 
-#include "absl/cleanup/cleanup.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -23,11 +20,12 @@ namespace {
 namespace net = boost::asio;
 namespace beast = boost::beast;
 namespace http = beast::http;
-namespace websocket = beast::websocket;
 using boost::system::error_code;
 
-// The reason that openpi's server closes with; its clients only look at the text frame before it.
-constexpr char kErrorReason[] = "Internal server error. Traceback included in previous frame.";
+constexpr char kPlainText[] = "text/plain; charset=utf-8";
+
+// What hundreds may ask for at once, and what is done in no time: it takes few workers of a client.
+constexpr char kOpening[] = "opening ", kEnding[] = "ending ";
 
 std::string View(beast::string_view text) { return {text.data(), text.size()}; }
 
@@ -59,91 +57,95 @@ bool IsKnownHost(const std::string& header, const WebServerOptions& options) {
 
 WebReply UnknownHost(const std::string& header) {
   return {
-      421, "text/plain; charset=utf-8",
+      421, kPlainText,
       absl::StrCat("this server does not go by the name '", absl::CHexEscape(header.substr(0, 256)),
                    "'; ask by its address, or start it with --allowed-hosts and that name\n")};
 }
 
 bool IsProbe(const std::string& path) { return path == "/healthz" || path == "/readyz"; }
 
-// A buffer may hold this much beyond the message that is being read.
-constexpr size_t kReadAheadBytes = 4096;
-
 }  // namespace
 
-template <class Start>
-error_code WebConnection::Run(Start&& start) {
-  error_code result;
-  bool done = false;
-  start([&result, &done](error_code error, auto&&...) {
-    result = error;
-    done = true;
-  });
-  while (!done) {
-    context_.restart();
-    context_.run_one();
-  }
-  return cut_ ? error_code(net::error::operation_aborted) : result;
-}
+// A conversation that a worker opened, or why not.
+struct WebConnection::Upgraded {
+  absl::Status status;
+  WebSocketSession::Opened opened;
+};
 
-void WebConnection::GoAway() {
-  net::post(context_, [this] {
-    going_away_ = true;
-    if (go_away_) go_away_();
-  });
-}
-
-void WebConnection::Cut() {
-  net::post(context_, [this] {
-    cut_ = true;
-    if (cut_stream_) cut_stream_();
-  });
-}
+WebConnection::WebConnection(const WebServices& services, WebStream stream, std::string peer,
+                             Place place)
+    : place_(std::move(place)),
+      services_(services),
+      stream_(std::move(stream)),
+      peer_(std::move(peer)) {}
 
 // A probe asks at once; whoever only sits in its place must leave it soon.
 absl::Duration WebConnection::request_timeout() const {
-  return health_only_ ? std::min(options_.request_timeout, absl::Seconds(2))
-                      : options_.request_timeout;
+  const absl::Duration limit = services_.options.request_timeout;
+  return place_.health_only ? std::min(limit, absl::Seconds(2)) : limit;
 }
 
-void WebConnection::Serve(net::ip::tcp protocol, int descriptor, Claim claim) {
-  claim_ = std::move(claim);
-  pthread_setname_np(pthread_self(), options_.name.substr(0, 15).c_str());
-  error_code error;
-  beast::tcp_stream tcp(context_);
-  tcp.socket().assign(protocol, descriptor, error);
-  if (error) return;
-  tcp.socket().set_option(net::ip::tcp::no_delay(true), error);
-  const auto endpoint = tcp.socket().remote_endpoint(error);
-  if (!error) peer_ = absl::StrCat(endpoint.address().to_string(), ":", endpoint.port());
-  const absl::Cleanup forget = [this] {
-    go_away_ = nullptr;
-    cut_stream_ = nullptr;
-  };
-  if (options_.tls == nullptr) {
-    ServeHttp(tcp);
+void WebConnection::Start() {
+  stream_.ExpireAfter(request_timeout());
+  waiting_ = true;
+  stream_.Handshake([this, self = shared_from_this()](Error error) {
+    if (error) {
+      spdlog::info("{}: {}: TLS handshake failed: {}", services_.options.name, peer_,
+                   error.message());
+      return;
+    }
+    certificate_owner_ = stream_.certificate_owner();
+    Read();
+  });
+}
+
+void WebConnection::GoAway() {
+  going_away_ = true;
+  if (socket_ != nullptr) {
+    socket_->GoAway();
+  } else if (waiting_) {
+    stream_.Close();
+  }
+}
+
+void WebConnection::Read() {
+  if (going_away_) return;
+  parser_.emplace();
+  parser_->body_limit(4096);
+  stream_.ExpireAfter(request_timeout());
+  waiting_ = true;
+  http::async_read(stream_, buffer_, *parser_,
+                   [this, self = shared_from_this()](Error error, size_t) { OnRequest(error); });
+}
+
+void WebConnection::OnRequest(Error error) {
+  waiting_ = false;
+  if (error == http::error::end_of_stream || error == beast::error::timeout ||
+      error == net::error::operation_aborted || error == net::error::connection_reset) {
+    stream_.ShutdownSend();
     return;
   }
-  const std::shared_ptr<const TlsSnapshot> tls = options_.tls->Get();
-  SSL_CTX_up_ref(tls->context.get());  // of which Asio's context takes one
-  net::ssl::context context(tls->context.get());
-  beast::ssl_stream<beast::tcp_stream> stream(std::move(tcp), context);
-  cut_stream_ = [&stream] { beast::get_lowest_layer(stream).close(); };
-  beast::get_lowest_layer(stream).expires_after(absl::ToChronoMilliseconds(request_timeout()));
-  error = Run([&](auto done) { stream.async_handshake(net::ssl::stream_base::server, done); });
+  keep_alive_ = head_only_ = false;
   if (error) {
-    spdlog::info("{}: {}: TLS handshake failed: {}", options_.name, peer_, error.message());
+    Reply({400, kPlainText, absl::StrCat("not an HTTP request: ", error.message(), "\n")});
     return;
   }
-  X509* const shown = SSL_get1_peer_certificate(stream.native_handle());
-  certificate_owner_ = CertificateOwner(shown);
-  X509_free(shown);
-  ServeHttp(stream);
+  const Request& request = parser_->get();
+  head_only_ = request.method() == http::verb::head;
+  keep_alive_ = request.keep_alive() && !place_.health_only;
+  WebRequest seen;
+  bool upgrades = false;
+  if (std::optional<WebReply> refusal = Refuse(request, seen, upgrades)) {
+    Reply(*std::move(refusal));
+  } else if (upgrades) {
+    Upgrade(std::move(seen));
+  } else {
+    AnswerPage(std::move(seen));
+  }
 }
 
-// False: answered with `refusal`.
-template <class Request>
-bool WebConnection::Asks(const Request& request, WebRequest& seen, WebReply& refusal) {
+std::optional<WebReply> WebConnection::Refuse(const Request& request, WebRequest& seen,
+                                              bool& upgrades) const {
   const std::string target = View(request.target());
   const size_t mark = target.find('?');
   seen.path = target.substr(0, mark);
@@ -151,164 +153,115 @@ bool WebConnection::Asks(const Request& request, WebRequest& seen, WebReply& ref
   seen.authorization = View(request[http::field::authorization]);
   seen.peer = peer_;
   seen.certificate_owner = certificate_owner_;
-  if (request.method() != http::verb::get && request.method() != http::verb::head) {
-    refusal = {405, "text/plain; charset=utf-8", "only GET is served here\n"};
-    return false;
+  if (request.method() != http::verb::get && request.method() != http::verb::head)
+    return WebReply{405, kPlainText, "only GET is served here\n"};
+  const bool probe = IsProbe(seen.path);
+  if (place_.health_only && !probe) {
+    return ErrorReply(absl::UnavailableError(
+        "every connection of this server, or of this client, is taken (--max-connections, "
+        "--connections-per-client), close one or try again"));
   }
-  return true;
+  const std::string host = View(request[http::field::host]),
+                    origin = View(request[http::field::origin]);
+  const bool known = IsKnownHost(host, services_.options);
+  // openpi's server answers /healthz before it looks for an upgrade, and upgrades anything else.
+  upgrades = services_.upgrade && beast::websocket::is_upgrade(request) && seen.path != "/healthz";
+  if (!upgrades) return probe || known ? std::nullopt : std::optional(UnknownHost(host));
+  if (!origin.empty() && !known) return UnknownHost(host);
+  if (FromElsewhere(origin, host)) {
+    return ErrorReply(absl::PermissionDeniedError(
+        "a browser's page from another origin may not open a WebSocket here"));
+  }
+  return std::nullopt;
 }
 
-template <class Stream>
-void WebConnection::ServeHttp(Stream& stream) {
-  beast::tcp_stream& tcp = beast::get_lowest_layer(stream);
-  bool reading = false;
-  cut_stream_ = [&tcp] { tcp.close(); };
-  go_away_ = [&tcp, &reading] {
-    if (reading) tcp.cancel();  // no request is under way
-  };
-  beast::flat_buffer buffer;
-  while (!going_away_) {
-    http::request_parser<http::string_body> parser;
-    parser.body_limit(4096);
-    tcp.expires_after(absl::ToChronoMilliseconds(request_timeout()));
-    reading = true;
-    const error_code error =
-        Run([&](auto done) { http::async_read(stream, buffer, parser, done); });
-    reading = false;
-    if (error == http::error::end_of_stream || error == beast::error::timeout ||
-        error == net::error::operation_aborted || error == net::error::connection_reset) {
-      break;
-    }
-    WebReply reply;
-    WebRequest seen;
-    bool keep_alive = false;
-    http::verb method = http::verb::get;
-    if (error) {
-      reply = {400, "text/plain; charset=utf-8",
-               absl::StrCat("not an HTTP request: ", error.message(), "\n")};
-    } else {
-      const auto& request = parser.get();
-      method = request.method();
-      keep_alive = request.keep_alive() && !health_only_;
-      const std::string host = View(request[http::field::host]),
-                        origin = View(request[http::field::origin]);
-      if (Asks(request, seen, reply)) {
-        // openpi's server answers /healthz before it looks for an upgrade, and upgrades anything
-        // else.
-        if (health_only_ && !IsProbe(seen.path)) {
-          reply = ErrorReply(absl::UnavailableError(
-              "every connection of this server, or of this client, is taken (--max-connections, "
-              "--connections-per-client), close one or try again"));
-        } else if (upgrade_ && websocket::is_upgrade(request) && seen.path != "/healthz") {
-          if (!origin.empty() && !IsKnownHost(host, options_)) {
-            reply = UnknownHost(host);
-          } else if (FromElsewhere(origin, host)) {
-            reply = ErrorReply(absl::PermissionDeniedError(
-                "a browser's page from another origin may not open a WebSocket here"));
-          } else if (auto conversation = upgrade_(seen); !conversation.ok()) {
-            reply = ErrorReply(conversation.status());
-          } else if (absl::Status place = claim_((*conversation)->client()); !place.ok()) {
-            reply = ErrorReply(place);
-          } else {
-            ServeWebSocket(stream, request, *std::move(conversation));
-            return;
-          }
-        } else if (!IsProbe(seen.path) && !IsKnownHost(host, options_)) {
-          reply = UnknownHost(host);
-        } else {
-          reply = page_(seen);
-        }
-      }
-    }
-    http::response<http::string_body> response(static_cast<http::status>(reply.status), 11);
-    response.set(http::field::content_type, reply.content_type);
-    response.set(http::field::cache_control, "no-store");
-    response.set("X-Content-Type-Options", "nosniff");
-    response.set("Content-Security-Policy",
-                 "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; "
-                 "connect-src 'self'; img-src 'self' data:");
-    if (reply.status == 401)
-      response.set(http::field::www_authenticate, "Basic realm=\"token as password\"");
-    if (reply.status == 503) response.set(http::field::retry_after, "1");
-    keep_alive = keep_alive && !going_away_;
-    response.keep_alive(keep_alive);
-    response.body() = std::move(reply.body);
-    response.prepare_payload();
-    if (method == http::verb::head) response.body().clear();
-    tcp.expires_after(absl::ToChronoMilliseconds(request_timeout()));
-    if (Run([&](auto done) { http::async_write(stream, response, done); }) || !keep_alive) break;
-  }
-  error_code ignored;
-  tcp.socket().shutdown(net::ip::tcp::socket::shutdown_send, ignored);
-}
-
-template <class Stream, class Request>
-void WebConnection::ServeWebSocket(Stream& stream, const Request& request,
-                                   std::unique_ptr<WebConversation> conversation) {
-  beast::get_lowest_layer(stream).expires_never();  // the WebSocket has timeouts of its own
-  websocket::stream<Stream&> socket(stream);
-  websocket::stream_base::timeout timeout{};
-  timeout.handshake_timeout = absl::ToChronoMilliseconds(options_.request_timeout);
-  timeout.idle_timeout = absl::ToChronoMilliseconds(options_.idle_timeout);
-  timeout.keep_alive_pings = true;
-  socket.set_option(timeout);
-  socket.auto_fragment(false);
-  socket.binary(true);
-  if (Run([&](auto done) { socket.async_accept(request, done); })) return;
-
-  bool reading = false, closed = false;
-  go_away_ = [&] {
-    if (!reading) return;  // the answer under way goes out first
-    closed = true;
-    socket.async_close(websocket::close_code::going_away, [](error_code) {});
-  };
-  const auto send = [&](const std::string& message) {
-    return Run([&](auto done) { socket.async_write(net::buffer(message), done); });
-  };
-  const auto close = [&](const websocket::close_reason& reason) {
-    if (closed) return;
-    closed = true;
-    Run([&](auto done) { socket.async_close(reason, done); });
-  };
-  if (send(conversation->Greeting())) return;
-  beast::flat_buffer buffer;
-  while (!going_away_) {
-    const uint64_t largest = options_.max_message_bytes != 0 ? options_.max_message_bytes
-                                                             : conversation->LargestMessage();
-    socket.read_message_max(largest);
-    // Without it the buffer would double past the limit; with a session's smaller limit it shrinks.
-    buffer.clear();
-    buffer.max_size(largest + kReadAheadBytes);
-    if (buffer.capacity() > buffer.max_size()) buffer.shrink_to_fit();
-    reading = true;
-    const error_code error = Run([&](auto done) { socket.async_read(buffer, done); });
-    reading = false;
-    if (error) {
-      if (error != websocket::error::closed && !going_away_) {
-        spdlog::info("{}: {}: cut: {}", options_.name, peer_, error.message());
-      }
-      return;
-    }
-    const std::string_view message(static_cast<const char*>(buffer.data().data()), buffer.size());
-    absl::StatusOr<std::string> answer =
-        absl::InvalidArgumentError("text frame: observations are binary frames with a msgpack map");
+void WebConnection::AnswerPage(WebRequest seen) {
+  const bool probe = IsProbe(seen.path);
+  const auto answer = [&page = services_.page, seen = std::move(seen)]() -> WebReply {
     try {
-      if (!socket.got_text()) answer = conversation->Answer(message);
-    } catch (const std::exception& failed) {  // out of memory: this client's end, not the server's
-      answer = absl::InternalError(absl::StrCat("the message was not answered: ", failed.what()));
+      return page(seen);
+    } catch (const std::exception& failed) {
+      return ErrorReply(absl::InternalError(failed.what()));
     }
-    if (!answer.ok()) {
-      socket.text(true);
-      send(std::string(answer.status().message()));
-      close({websocket::close_code::internal_error, kErrorReason});
-      return;
-    }
-    if (const error_code failed = send(*answer)) {
-      spdlog::info("{}: {}: cut while it was answered: {}", options_.name, peer_, failed.message());
-      return;
-    }
+  };
+  if (probe) {  // it waits for nobody, and is answered when all workers are taken
+    Reply(answer());
+    return;
   }
-  close(websocket::close_code::going_away);
+  WorkThen(services_, place_.address, "", answer,
+           [this, self = shared_from_this()](WebReply reply) { Reply(std::move(reply)); });
+}
+
+void WebConnection::Upgrade(WebRequest seen) {
+  const auto open = [&services = services_, lease = place_.lease, address = place_.address,
+                     seen = std::move(seen)]() -> Upgraded {
+    Upgraded upgraded;
+    WebSocketSession::Opened& opened = upgraded.opened;
+    try {
+      absl::StatusOr<std::unique_ptr<WebConversation>> made = services.upgrade(seen);
+      if (!made.ok()) {
+        upgraded.status = made.status();
+        return upgraded;
+      }
+      opened.client = (*made)->client().empty() ? address : (*made)->client();
+      // Its end may wait too, for a disk: it is a worker's, whoever lets go of it last.
+      opened.conversation = {
+          made->release(),
+          [&workers = services.workers, lease, client = opened.client](WebConversation* ended) {
+            workers.Post(client, absl::StrCat(kEnding, client), [ended, lease] { delete ended; });
+          }};
+      opened.greeting = opened.conversation->Greeting();
+      opened.largest_message = opened.conversation->LargestMessage();
+    } catch (const std::exception& failed) {
+      upgraded.status = absl::InternalError(failed.what());
+    }
+    return upgraded;
+  };
+  WorkThen(
+      services_, place_.address, absl::StrCat(kOpening, place_.address), open,
+      [this, self = shared_from_this()](Upgraded upgraded) { OnUpgraded(std::move(upgraded)); });
+}
+
+void WebConnection::OnUpgraded(Upgraded upgraded) {
+  if (upgraded.status.ok()) upgraded.status = place_.claim(upgraded.opened.client);
+  if (!upgraded.status.ok()) {
+    Reply(ErrorReply(upgraded.status));
+    return;
+  }
+  socket_ = std::make_unique<WebSocketSession>(services_, stream_, std::move(upgraded.opened),
+                                               peer_, weak_from_this());
+  if (going_away_) socket_->GoAway();
+  Request request = parser_->release();
+  parser_.reset();
+  buffer_ = {};
+  socket_->Start(std::move(request));
+}
+
+void WebConnection::Reply(WebReply reply) {
+  keep_alive_ = keep_alive_ && !going_away_;
+  Response& response = response_.emplace(static_cast<http::status>(reply.status), 11);
+  response.set(http::field::content_type, reply.content_type);
+  response.set(http::field::cache_control, "no-store");
+  response.set("X-Content-Type-Options", "nosniff");
+  response.set("Content-Security-Policy",
+               "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; "
+               "connect-src 'self'; img-src 'self' data:");
+  if (reply.status == 401)
+    response.set(http::field::www_authenticate, "Basic realm=\"token as password\"");
+  if (reply.status == 503) response.set(http::field::retry_after, "1");
+  response.keep_alive(keep_alive_);
+  response.body() = std::move(reply.body);
+  response.prepare_payload();
+  if (head_only_) response.body().clear();
+  stream_.ExpireAfter(request_timeout());
+  http::async_write(stream_, response, [this, self = shared_from_this()](Error error, size_t) {
+    response_.reset();
+    if (!error && keep_alive_) {
+      Read();
+    } else {
+      stream_.ShutdownSend();
+    }
+  });
 }
 
 }  // namespace robostress

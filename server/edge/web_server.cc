@@ -4,9 +4,13 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <boost/asio/executor_work_guard.hpp>
+#include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
-#include <boost/beast/core.hpp>
-#include <boost/beast/http.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <chrono>
+#include <exception>
 #include <list>
 #include <optional>
 #include <thread>
@@ -15,10 +19,12 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
-#include "absl/time/clock.h"
 #include "common/monotonic_wait.h"
 #include "common/status_macros.h"
 #include "server/edge/web_connection.h"
+#include "server/edge/web_stream.h"
+#include "server/edge/web_work.h"
+#include "server/fair_executor.h"
 
 namespace robostress {
 namespace {
@@ -89,7 +95,10 @@ class WebServer::Impl {
                                        {{"listener", options.name}})),
         refused_(metrics->AddCounter("robostress_connections_refused_total",
                                      "Connections beyond the limit.",
-                                     {{"listener", options.name}})) {}
+                                     {{"listener", options.name}})),
+        workers_({.name = absl::StrCat(options.name.substr(0, 10), "-work"),
+                  .threads = options.workers,
+                  .per_client = std::max(1, options.workers * 3 / 4)}) {}
 
   absl::Status Start() {
     if (options_.max_connections < 1 || options_.max_connections > 65536) {
@@ -102,68 +111,98 @@ class WebServer::Impl {
           options_.name, ": --connections-per-client is ", options_.max_connections_per_client,
           ", must be 0 (half of them) to ", options_.max_connections, " (--max-connections)"));
     }
-    RS_ASSIGN_OR_RETURN(Tcp::acceptor acceptor, Listen(context_, options_.listen));
+    if (options_.workers < 1) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(options_.name, ": workers is ", options_.workers, ", must be at least 1"));
+    }
+    RS_ASSIGN_OR_RETURN(Tcp::acceptor acceptor, Listen(io_, options_.listen));
     error_code error;
     port_ = acceptor.local_endpoint(error).port();
     acceptor_.emplace(std::move(acceptor));
-    thread_ = std::thread([this] { Accept(); });
+    Accept();
+    thread_ = std::thread([this] { Run(); });
     return absl::OkStatus();
   }
 
   void Stop(absl::Duration grace) {
     if (!thread_.joinable()) return;
-    net::post(context_, [this] {
+    net::post(io_, [this] {
       error_code ignored;
       acceptor_->close(ignored);
+      accept_again_.cancel();
+      ForEach([](WebConnection& connection) { connection.GoAway(); });
+      absl::MutexLock lock(&mu_);
+      closed_ = true;
     });
-    thread_.join();
     {
       absl::MutexLock lock(&mu_);
-      for (Entry& entry : entries_) entry.connection->GoAway();
       const auto gone = [this] {
         mu_.AssertHeld();
-        return NoEntries();
+        return Gone();
       };
       if (!AwaitFor(mu_, gone, grace)) {
-        for (Entry& entry : entries_) entry.connection->Cut();
-        mu_.Await(absl::Condition(this, &Impl::NoEntries));
+        net::post(io_, [this] { ForEach([](WebConnection& connection) { connection.Cut(); }); });
+        mu_.Await(absl::Condition(this, &Impl::Gone));
       }
     }
-    JoinLeaving();
+    workers_.Stop();
+    keep_running_.reset();
+    thread_.join();
   }
 
   int port() const { return port_; }
   int connections() {
     absl::MutexLock lock(&mu_);
-    return static_cast<int>(entries_.size());
+    return open_;
   }
 
  private:
   struct Entry {
-    std::shared_ptr<WebConnection> connection;
-    std::thread thread;
+    std::weak_ptr<WebConnection> connection;
     std::string client;
     bool health_only = false;
   };
+  using Entries = std::list<Entry>;
 
-  bool NoEntries() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+  bool Gone() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     mu_.AssertHeld();
-    return entries_.empty();
+    return closed_ && open_ == 0;
+  }
+
+  // The I/O thread. What throws (memory that is not there) ends the connection that it was about.
+  void Run() {
+    pthread_setname_np(pthread_self(), options_.name.substr(0, 15).c_str());
+    while (true) {
+      try {
+        io_.run();
+        return;
+      } catch (const std::exception& failed) {
+        spdlog::error("{}: a connection ends: {}", options_.name, failed.what());
+      }
+    }
+  }
+
+  // All below: of the I/O thread.
+  template <class Action>
+  void ForEach(Action action) {
+    for (Entry& entry : entries_) {
+      if (const std::shared_ptr<WebConnection> connection = entry.connection.lock())
+        action(*connection);
+    }
   }
 
   int PerClient() const {
     return options_.max_connections_per_client != 0 ? options_.max_connections_per_client
                                                     : std::max(1, options_.max_connections / 2);
   }
-  bool HasPlace(const std::string& client) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+  bool HasPlace(const std::string& client) const {
     return std::count_if(entries_.begin(), entries_.end(), [&client](const Entry& entry) {
              return !entry.health_only && entry.client == client;
            }) < PerClient();
   }
   // A connection whose client has said who it is.
-  absl::Status Claim(Entry& entry, const std::string& client) ABSL_LOCKS_EXCLUDED(mu_) {
-    absl::MutexLock lock(&mu_);
-    if (client.empty() || client == entry.client) return absl::OkStatus();
+  absl::Status Claim(Entry& entry, const std::string& client) {
+    if (client == entry.client) return absl::OkStatus();
     if (!HasPlace(client)) {
       refused_->Add();
       return absl::ResourceExhaustedError(
@@ -176,37 +215,30 @@ class WebServer::Impl {
   }
 
   void Accept() {
-    pthread_setname_np(pthread_self(),
-                       absl::StrCat(options_.name, "-accept").substr(0, 15).c_str());
-    while (true) {
-      Tcp::socket socket(context_);
-      error_code error;
-      bool done = false;
-      acceptor_->async_accept(socket, [&](error_code e) {
-        error = e;
-        done = true;
-      });
-      context_.restart();
-      while (!done) context_.run_one();
-      JoinLeaving();
-      if (error == net::error::operation_aborted || error == net::error::bad_descriptor) return;
+    acceptor_->async_accept([this](error_code error, Tcp::socket socket) {
+      if (!acceptor_->is_open()) return;
       if (error) {  // out of descriptors: those open must end first
         spdlog::warn("{}: accept failed: {}", options_.name, error.message());
-        absl::SleepFor(absl::Milliseconds(50));  // there is nothing to wait for but time
-        continue;
+        accept_again_.expires_after(std::chrono::milliseconds(50));
+        accept_again_.async_wait([this](error_code cancelled) {
+          if (!cancelled && acceptor_->is_open()) Accept();
+        });
+        return;
       }
+      Accept();
       Add(std::move(socket));
-    }
+    });
   }
 
   void Add(Tcp::socket socket) ABSL_LOCKS_EXCLUDED(mu_) {
     error_code error;
-    const std::string peer = socket.remote_endpoint(error).address().to_string(error);
-    absl::MutexLock lock(&mu_);
+    const Tcp::endpoint remote = socket.remote_endpoint(error);
+    if (error) return;  // it is gone already
+    const std::string address = remote.address().to_string();
     const auto probes = static_cast<int>(std::count_if(
         entries_.begin(), entries_.end(), [](const Entry& entry) { return entry.health_only; }));
     const auto open = static_cast<int>(entries_.size()) - probes;
-    const bool health_only = open >= options_.max_connections || !HasPlace(peer);
+    const bool health_only = open >= options_.max_connections || !HasPlace(address);
     if (health_only && probes >= WebServerOptions::kHealthPlaces) {
       refused_->Add();
       error_code ignored;
@@ -217,31 +249,35 @@ class WebServer::Impl {
       if (options_.tls == nullptr) socket.write_some(net::buffer(kFull), ignored);
       return;
     }
-    connections_->Add(1);
-    const auto entry = entries_.emplace(entries_.end());
-    entry->client = peer;
-    entry->health_only = health_only;
-    entry->connection = std::make_shared<WebConnection>(options_, page_, upgrade_, health_only);
-    // The descriptor moves to the connection's own context: one thread runs one connection.
-    const auto protocol = socket.local_endpoint(error).protocol();
-    const int descriptor = socket.release(error);
-    entry->thread = std::thread([this, entry, protocol, descriptor] {
-      entry->connection->Serve(protocol, descriptor, [this, entry](const std::string& client) {
-        return Claim(*entry, client);
-      });
-      connections_->Add(-1);
-      absl::MutexLock lock(&mu_);
-      leaving_.splice(leaving_.end(), entries_, entry);
-    });
+    socket.set_option(Tcp::no_delay(true), error);
+    const auto entry = entries_.insert(entries_.end(), Entry{{}, address, health_only});
+    WebConnection::Place place = {
+        address, health_only,
+        [this, entry](const std::string& client) { return Claim(*entry, client); }, Lease(entry)};
+    const std::shared_ptr<SSL_CTX> tls =
+        options_.tls == nullptr ? nullptr : options_.tls->Get()->context;
+    const auto connection = std::make_shared<WebConnection>(
+        services_, WebStream::Of(std::move(socket), tls), absl::StrCat(address, ":", remote.port()),
+        std::move(place));
+    entry->connection = connection;
+    connection->Start();
   }
 
-  void JoinLeaving() ABSL_LOCKS_EXCLUDED(mu_) {
-    std::list<Entry> left;
+  // Its end, on any thread, frees the place.
+  std::shared_ptr<void> Lease(Entries::iterator entry) ABSL_LOCKS_EXCLUDED(mu_) {
+    connections_->Add(1);
     {
       absl::MutexLock lock(&mu_);
-      left.swap(leaving_);
+      ++open_;
     }
-    for (Entry& entry : left) entry.thread.join();
+    return {nullptr, [this, entry](std::nullptr_t) {
+              net::post(io_, [this, entry] {
+                entries_.erase(entry);
+                connections_->Add(-1);
+                absl::MutexLock lock(&mu_);
+                --open_;
+              });
+            }};
   }
 
   const WebServerOptions options_;
@@ -249,14 +285,19 @@ class WebServer::Impl {
   const Upgrade upgrade_;
   const std::shared_ptr<Gauge> connections_;
   const std::shared_ptr<Counter> refused_;
-  net::io_context context_{1};
+  FairExecutor workers_;
+  net::io_context io_{1};
+  net::executor_work_guard<net::io_context::executor_type> keep_running_{io_.get_executor()};
+  const WebServices services_{options_, page_, upgrade_, io_, workers_};
   std::optional<Tcp::acceptor> acceptor_;
+  net::steady_timer accept_again_{io_};
+  Entries entries_;
   std::thread thread_;
   int port_ = 0;
 
   absl::Mutex mu_;
-  std::list<Entry> entries_ ABSL_GUARDED_BY(mu_);
-  std::list<Entry> leaving_ ABSL_GUARDED_BY(mu_);  // served; their threads are to be joined
+  int open_ ABSL_GUARDED_BY(mu_) = 0;         // entries, as other threads may know them
+  bool closed_ ABSL_GUARDED_BY(mu_) = false;  // no entry will come
 };
 
 WebServer::WebServer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}

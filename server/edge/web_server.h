@@ -34,7 +34,7 @@ struct WebReply {
 WebReply ErrorReply(const absl::Status& status);
 
 // One WebSocket client: greeted, then answered message by message, strictly in turn. Used by one
-// thread, which may block in Answer.
+// thread at a time, each time perhaps by another one; all of it, its end included, may block.
 class WebConversation {
  public:
   virtual ~WebConversation() = default;
@@ -53,14 +53,17 @@ struct WebServerOptions {
   std::string listen = "127.0.0.1:0";
   // What every new connection is opened with; null: plain.
   std::shared_ptr<const TlsStore> tls;
-  // Each holds a thread. What comes beyond them, or beyond a client's share, gets one of
-  // kHealthPlaces, where only /healthz and /readyz are answered: a probe is served by a server that
-  // is full. Others are answered 503.
+  // Each holds memory, and a worker while it is answered. What comes beyond them, or beyond a
+  // client's share, gets one of kHealthPlaces, where only /healthz and /readyz are answered: a
+  // probe is served by a server that is full. Others are answered 503.
   int max_connections = 256;
   static constexpr int kHealthPlaces = 8;
   // Of one client: by its address until it says who it is, then by WebConversation::client(). 0:
   // half of max_connections, so that no client keeps all others out.
   int max_connections_per_client = 0;
+  // Threads that answer pages and messages, made when they are needed; one client gets three
+  // quarters of them at most. What comes beyond waits, and nothing more is read of who sent it.
+  int workers = 16;
   // Of a WebSocket message; longer ones close with 1009. 0: what the conversation takes.
   uint64_t max_message_bytes = 0;
   // Names by which browsers may ask for pages (but /healthz, /readyz) and WebSockets, besides
@@ -74,8 +77,9 @@ struct WebServerOptions {
   absl::Duration idle_timeout = absl::Seconds(60);
 };
 
-// HTTP/1.1 pages (GET and HEAD) and WebSockets on one port, with or without TLS; a thread per
-// connection. A browser's page from elsewhere (Origin other than Host) gets no WebSocket.
+// HTTP/1.1 pages (GET and HEAD) and WebSockets on one port, with or without TLS. One thread reads,
+// writes, encrypts and watches the time for all connections; workers answer. A browser's page from
+// elsewhere (Origin other than Host) gets no WebSocket.
 class WebServer {
  public:
   using Page = std::function<WebReply(const WebRequest&)>;
@@ -83,7 +87,8 @@ class WebServer {
   using Upgrade =
       std::function<absl::StatusOr<std::unique_ptr<WebConversation>>(const WebRequest&)>;
 
-  // Both functions are called from several threads at once. `metrics` must outlive the server.
+  // Both functions are called from several threads at once, and may block but for /healthz and
+  // /readyz. `metrics` must outlive the server.
   static absl::StatusOr<std::unique_ptr<WebServer>> Start(const WebServerOptions& options,
                                                           Page page, Upgrade upgrade,
                                                           Metrics* metrics);

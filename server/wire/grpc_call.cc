@@ -476,15 +476,17 @@ size_t GrpcService::largest_request() const {
   return most;
 }
 
-void LimitConnections(grpc::ServerBuilder& builder, int calls_per_connection) {
-  constexpr int kSecond = 1000;
-  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 30 * kSecond);
-  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 20 * kSecond);
+void LimitConnections(grpc::ServerBuilder& builder, const GrpcConnectionLimits& limits) {
+  const auto milliseconds = [&builder](const char* key, absl::Duration duration) {
+    builder.AddChannelArgument(key, static_cast<int>(absl::ToInt64Milliseconds(duration)));
+  };
+  milliseconds(GRPC_ARG_KEEPALIVE_TIME_MS, limits.ping_after);
+  milliseconds(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, limits.ping_timeout);
+  milliseconds(GRPC_ARG_MAX_CONNECTION_IDLE_MS, limits.idle);
+  milliseconds(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, limits.handshake);
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
   builder.AddChannelArgument(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
-  builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, 900 * kSecond);
-  builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, 20 * kSecond);
-  builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, calls_per_connection);
+  builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, limits.calls);
   // A compressed message is held to its limit before it is unpacked, and could become anything.
   builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_DEFLATE, false);
   builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_GZIP, false);

@@ -23,8 +23,8 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "server/edge/access_table.h"
+#include "server/fair_executor.h"
 #include "server/metrics.h"
-#include "server/wire/fair_executor.h"
 #include "server/wire/read_meter.h"
 
 // gRPC calls in which waiting costs no thread, and nothing is read before its sender's rights.
@@ -137,8 +137,15 @@ class GrpcService : public grpc::Service {
   std::thread watcher_;
 };
 
-// Of every connection of a server: pings that find half-open ones, and an end for those that say
-// nothing or open too many calls.
-void LimitConnections(grpc::ServerBuilder& builder, int calls_per_connection);
+// Of every connection of a server.
+struct GrpcConnectionLimits {
+  int calls = 1024;  // open at a time
+  // A peer that sent nothing for `ping_after` is pinged, and cut when it does not answer for
+  // `ping_timeout`: that finds half-open connections.
+  absl::Duration ping_after = absl::Seconds(30), ping_timeout = absl::Seconds(20);
+  absl::Duration idle = absl::Minutes(15);       // without a call
+  absl::Duration handshake = absl::Seconds(20);  // until it speaks HTTP/2
+};
+void LimitConnections(grpc::ServerBuilder& builder, const GrpcConnectionLimits& limits);
 
 }  // namespace robostress

@@ -1,4 +1,4 @@
-#include "server/wire/fair_executor.h"
+#include "server/fair_executor.h"
 
 #include <gtest/gtest.h>
 

@@ -74,7 +74,7 @@ class GrpcCallTest : public ::testing::Test {
                                              options, tokens_, &metrics_);
     grpc::ServerBuilder builder;
     builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port_);
-    LimitConnections(builder, 1000);
+    LimitConnections(builder, {.calls = 1000});
     builder.SetMaxReceiveMessageSize(static_cast<int>(largest));
     builder.RegisterService(service_.get());
     server_ = builder.BuildAndStart();

@@ -107,6 +107,53 @@ TEST_F(OperationsPagesTest, ShowsSessionsWithPlotsAndImagesAndEscapesTheirNames)
   EXPECT_EQ(Get("/else").status, 404);
 }
 
+TEST_F(OperationsPagesTest, ShowsNoNumberWhereThereIsNone) {
+  const std::string page = Get("/").body;
+  EXPECT_THAT(page, Not(HasSubstr("0 ms")));
+  EXPECT_THAT(page, Not(HasSubstr("0.0 / 0.0")));
+  EXPECT_THAT(page, HasSubstr("<td>\u2013</td><td>\u2013</td><td>\u2013</td></tr>"));
+  figures_.updates_applied = 1;
+  figures_.adapter_distance = 0.25;
+  figures_.last_loss = 0.5;
+  EXPECT_THAT(Get("/").body, HasSubstr("<td>0.25</td><td>0.5</td>"));
+}
+
+TEST_F(OperationsPagesTest, LatenciesAreReadable) {
+  telemetry_.Predicted("session-1", Seen(), 1.7);
+  metrics_.AddCounter("robostress_predictions_answered_total", "")->Add();
+  metrics_.AddHistogram("robostress_predict_seconds", "", LatencyBounds())->Observe(1.7);
+  const std::string page = Get("/").body;
+  EXPECT_THAT(page, HasSubstr(" ms</b>"));
+  EXPECT_THAT(page, Not(HasSubstr("e+03 ms")));
+}
+
+TEST_F(OperationsPagesTest, SessionsInUseKeepTheirPlaces) {
+  const auto order = [this](double first_s, double second_s) {
+    std::vector<SessionFigures> both = {figures_, figures_};
+    both[1].id = "session-2";
+    both[0].idle_s = first_s;
+    both[1].idle_s = second_s;
+    sources_.figures = [both] { return both; };
+    const std::string body = Get("/main").body;
+    return body.find("session-1") < body.find("session-2");
+  };
+  EXPECT_TRUE(order(0.1, 0.2));
+  EXPECT_TRUE(order(0.2, 0.1));
+  EXPECT_FALSE(order(300, 200));  // others: the one used last first
+}
+
+TEST_F(OperationsPagesTest, ALongHistoryIsDrawnAsMeansOfChunks) {
+  for (uint64_t i = 1; i <= 60; ++i) telemetry_.Reported("session-1", figures_.spec, Executed(i));
+  EXPECT_THAT(Get("/").body, HasSubstr("executed chunk<"));
+  telemetry_.Reported("session-1", figures_.spec, Executed(61));
+  EXPECT_THAT(Get("/").body, HasSubstr("executed chunk, a point is the mean of 2<"));
+}
+
+TEST_F(OperationsPagesTest, ThePageIsRefreshedUnderAnAddressWithAPasswordToo) {
+  // A browser refuses to fetch relative to such an address.
+  EXPECT_THAT(Get("/live.js").body, HasSubstr("fetch(location.origin + '/main')"));
+}
+
 TEST_F(OperationsPagesTest, RemembersABoundedNumberOfSessionsWhereNobodyAsks) {
   for (int i = 0; i < 1000; ++i) telemetry_.Predicted(absl::StrCat("session-", i), Seen(), 0.02);
   std::vector<SessionFigures> all;

@@ -34,7 +34,7 @@ class ReloaderTest : public ::testing::Test {
     options.tls_files = certificates_->Files("served", "served_ca");
     options.tokens_file = certificates_->File("tokens.yaml");
     options.period = period;
-    auto tls = TlsStore::Load(options.tls_files);
+    auto tls = LoadTls(options.tls_files);
     ASSERT_TRUE(tls.ok()) << tls.status();
     tls_ = *tls;
     tokens_ = std::make_shared<TokenStore>(*AccessTokens::Load(options.tokens_file));

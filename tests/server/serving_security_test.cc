@@ -468,7 +468,7 @@ class TlsTest : public ServingSecurityTest {
   static std::string File(const std::string& name) { return certificates_->File(name); }
   static std::string Read(const std::string& name) { return certificates_->Read(name); }
   static std::shared_ptr<TlsStore> Tls(const std::string& authority = "") {
-    return *TlsStore::Load(certificates_->Files("server", authority));
+    return *LoadTls(certificates_->Files("server", authority));
   }
   grpc::StatusCode Info(const std::string& client) const {
     grpc::SslCredentialsOptions options;
