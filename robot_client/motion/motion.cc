@@ -14,9 +14,9 @@ namespace robostress {
 namespace {
 
 constexpr double kStands_s = 0.5;  // before the motion's first row
-// Boost's cubics want four points at least; a motion of fewer is none.
 // Beyond the arm's limits that a pose may be measured: joints [rad], gripper [m].
 constexpr double kMeasuredBeyond = 0.01, kMeasuredOpening = 0.002;
+// Boost's cubics want four points at least; a motion of fewer is none.
 constexpr size_t kFewestPoses = 4;
 
 // Values of one axis over the motion's time.

@@ -84,14 +84,16 @@ TEST(MotionTest, PlayedSlowlyNoJointIsFasterThanThatShareOfTheTopSpeed) {
 
 TEST(MotionTest, RefusesASpeedThatTheLimitsDoNotAllowAndSaysWhichTheyDo) {
   const Motion motion = Swing(0.6);  // 0.94 rad/s
-  const auto check = [&](double speed) {
-    return CheckSpeed(PlayMotion(motion, speed, {}, PathLimits{}, kPeriod), speed, 0.5, kPeriod);
+  const auto check = [&](double speed, double limit = 0.5) {
+    return CheckSpeed(PlayMotion(motion, speed, {}, PathLimits{}, kPeriod), speed, limit, kPeriod);
   };
   const absl::Status refused = check(1);
   EXPECT_EQ(refused.code(), absl::StatusCode::kFailedPrecondition);
   EXPECT_THAT(std::string(refused.message()), HasSubstr("J1 would reach 0.9"));
   EXPECT_THAT(std::string(refused.message()), HasSubstr("type play 0.52"));
   EXPECT_TRUE(check(0.52).ok()) << "what it says must be true";
+  EXPECT_FALSE(check(1, 0.93).ok());
+  EXPECT_TRUE(check(1, 0.95).ok());
 }
 
 TEST(MotionTest, RefusesWhatNoArmCouldPlay) {
