@@ -17,6 +17,7 @@ constexpr char kTicks[] = "ticks.csv";
 constexpr char kSamples[] = "samples.csv";
 constexpr int kJoints = 6;
 constexpr double kShortest_s = 1;  // of an episode
+constexpr double kGap = 4;         // periods between two samples at which another one begins
 
 // A table of a run; the error where there is none says what may have become of it.
 absl::StatusOr<CsvTable> ReadRunTable(const std::string& run, const std::string& name) {
@@ -124,7 +125,8 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
     while (i < samples.t.size() && samples.t[i] <= interval.end) {
       size_t end = i + 1;
       while (end < samples.t.size() && samples.t[end] <= interval.end &&
-             samples.sequence[end] == samples.sequence[end - 1] + 1)
+             samples.sequence[end] == samples.sequence[end - 1] + 1 &&
+             samples.t[end] - samples.t[end - 1] < kGap / rate_hz)
         ++end;
       if (end - i >= shortest) {
         stretches.emplace_back(i, end);

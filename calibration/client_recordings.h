@@ -11,11 +11,11 @@ namespace robostress::calibration {
 // Whether `run` is a directory that robot_client left (robot_client/README.md).
 bool IsClientRun(const std::string& run);
 
-// The free motion in a run of robot_client: what samples.csv holds while ticks.csv says RUN,
-// MOVE or HOLD, one episode or way each; a sample that was lost begins another. Fewer than
-// `at_least` of them are cut into equal parts, so that some can be held out. A row's torque is the
-// mean over it of the arm's readings at both ends; contacts are not known. Errors name file, line,
-// column and remedy.
+// The free motion in a run of robot_client: what samples.csv holds while ticks.csv says RUN, MOVE
+// or HOLD, one episode or way each; a sample that was lost, or came four periods late, begins
+// another. Fewer than `at_least` of them are cut into equal parts, so that some can be held out. A
+// row's torque is the mean over it of the arm's readings at both ends; contacts are not known.
+// Errors name file, line, column and remedy.
 absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::string& run,
                                                                  int at_least);
 

@@ -15,7 +15,7 @@ namespace {
 
 constexpr double kStands_s = 0.5;  // before the motion's first row
 // Beyond the arm's limits that a pose may be measured: joints [rad], gripper [m].
-constexpr double kMeasuredBeyond = 0.01, kMeasuredOpening = 0.01;
+constexpr double kMeasuredBeyond = 0.01, kMeasuredOpening = 0.05;
 // Boost's cubics want four points at least; a motion of fewer is none.
 constexpr size_t kFewestPoses = 4;
 

@@ -27,7 +27,7 @@ inline constexpr size_t kMostPoses = 600'000;
 
 // INVALID_ARGUMENT names source, time, axis and value: times that do not increase from 0, numbers
 // that are none, a pose outside of what the arm allows, a motion that is too short or too long. An
-// arm that a hand pushed against its end measures a little beyond it: 0.01 rad and 10 mm are let
+// arm that a hand pushed against its end measures a little beyond it: 0.01 rad and 50 mm are let
 // pass, and the limiter keeps the command inside.
 absl::Status CheckMotion(const Motion& motion, const ArmLimits& limits);
 

@@ -179,6 +179,27 @@ TEST_F(PiperCircleTest, TheDesignedMotionShowsWhatWasHidden) {
   EXPECT_NEAR(found["parameters"]["sigma_v"].get<double>(), 0.5, 0.25) << output;
 }
 
+TEST_F(PiperCircleTest, PartsARecordingWhereSamplesWereLostOrCameLate) {
+  std::string samples = "t,sequence";
+  for (const char* group : {"q", "dq", "tau"})
+    for (int j = 1; j <= 6; ++j) absl::StrAppend(&samples, ",", group, "_J", j);
+  double t = 0;
+  for (int i = 0, number = 0; i < 900; ++i) {
+    t += i == 300 ? 0.03 : 0.005;  // late, though none was lost
+    number += i == 600 ? 2 : 1;    // lost, though none was late
+    absl::StrAppend(&samples, "\n", t, ",", number);
+    for (int k = 0; k < 18; ++k) absl::StrAppend(&samples, ",", 0.001 * i);
+  }
+  ASSERT_TRUE(WriteFileAtomically(root + "/samples.csv", samples + "\n").ok());
+  ASSERT_TRUE(
+      WriteFileAtomically(root + "/ticks.csv", "t,state,episode\n0,MOVE,-1\n2,MOVE,-1\n9,MOVE,-1\n")
+          .ok());
+  const auto episodes = EpisodesOfClientRun(root, 1);
+  ASSERT_TRUE(episodes.ok()) << episodes.status();
+  ASSERT_EQ(episodes->size(), 3u);
+  for (const RecordedEpisode& episode : *episodes) EXPECT_EQ(episode.t.size(), 300u);
+}
+
 TEST_F(PiperCircleTest, SaysWhatARunLacks) {
   const auto refusal = [&] {
     const auto [output, code] =

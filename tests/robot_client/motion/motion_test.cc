@@ -129,9 +129,9 @@ TEST(MotionTest, RefusesWhatNoArmCouldPlay) {
   EXPECT_TRUE(CheckMotion(motion, limits).ok());
   motion = Swing(0.3);
   motion.moves.fill(true);
-  motion.poses[7][kArmJoints] = limits.upper[kArmJoints] + 0.005;  // a hand at the gripper's end
+  motion.poses[7][kArmJoints] = limits.upper[kArmJoints] + 0.03;  // a hand at the gripper's end
   EXPECT_TRUE(CheckMotion(motion, limits).ok()) << CheckMotion(motion, limits);
-  motion.poses[7][kArmJoints] = limits.upper[kArmJoints] + 0.011;
+  motion.poses[7][kArmJoints] = limits.upper[kArmJoints] + 0.06;
   refused(motion, "gripper is");
 }
 
