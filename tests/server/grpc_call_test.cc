@@ -308,13 +308,15 @@ double PeakMib() {
 // gRPC itself would hold all of it before it compared it with the limit.
 TEST_F(GrpcCallTest, AMessageThatIsTooLongIsNotHeldUntilItIsWhole) {
   const std::string bytes(size_t{200} << 20, 'x');
-  const double before = PeakMib();
+  [[maybe_unused]] const double before = PeakMib();
   for (int i = 0; i < 2; ++i) {
     RawCall call(channel_, kPredictPath);
     call.Write(bytes);
     EXPECT_EQ(call.Finish().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
   }
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // which keep what was freed
   EXPECT_LT(PeakMib(), before + 200 + 150) << "the client's copy of it, and 50 ms of the loopback";
+#endif
   RawCall well(channel_, kPredictPath);
   well.Write(Request("lockstep", 7).SerializeAsString());
   EXPECT_FALSE(well.Read().empty()) << "the connection goes on";
