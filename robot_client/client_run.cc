@@ -308,6 +308,9 @@ ClientRun::Pending ClientRun::Begin(const std::string& what, ArmPath path,
   pending.answer = [this, before, what, arrived = std::move(arrived),
                     to]() -> std::optional<absl::StatusOr<std::string>> {
     if (loop_->decided() == before || loop_->state() == ClientState::kMove) return std::nullopt;
+    if (loop_->refusal() == Refusal::kNone && loop_->cause() == StateCause::kOperator &&
+        loop_->state() == ClientState::kEnabled)
+      return what + " was stopped";
     if (loop_->cause() != StateCause::kArrived) return Refused(what + " did not arrive");
     const ArmSnapshot arm = loop_->seen();
     double off = 0, fastest = 0;
