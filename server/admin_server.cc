@@ -12,8 +12,8 @@
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
-#include "server/grpc_access.h"
 #include "server/fair_executor.h"
+#include "server/grpc_access.h"
 #include "server/wire/grpc_call.h"
 
 namespace robostress {
