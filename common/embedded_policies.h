@@ -6,16 +6,22 @@
 
 namespace robostress {
 
-// Policies whose weights come with the source, server/models/weights/NAME.safetensors: the embedded
-// policy in pi0's architecture; the same trained on with plain behaviour cloning (the control),
-// with domain randomisation and with RobustVLA's objective; one in pi0.5's architecture
-// (server/training/README.md).
-inline constexpr std::array<std::string_view, 5> kEmbeddedPolicies = {"nano", "nano-bc", "nano-dr",
-                                                                      "nano-robust", "nano-pi05"};
+// Policies whose weights come with the source, server/models/weights/NAME.safetensors
+// (server/training/README.md). Those of the suites' Panda: the embedded policy in pi0's
+// architecture; the same trained on with plain behaviour cloning (the control), with domain
+// randomisation and with RobustVLA's objective; one in pi0.5's architecture.
+inline constexpr std::array<std::string_view, 5> kSuitePolicies = {"nano", "nano-bc", "nano-dr",
+                                                                   "nano-robust", "nano-pi05"};
+
+// A Piper's: joint targets from two cameras, for the four tasks of the Piper study.
+inline constexpr char kPiperPolicy[] = "nano-piper";
+
+inline bool IsSuitePolicy(std::string_view name) {
+  return std::find(kSuitePolicies.begin(), kSuitePolicies.end(), name) != kSuitePolicies.end();
+}
 
 inline bool IsEmbeddedPolicy(std::string_view name) {
-  return std::find(kEmbeddedPolicies.begin(), kEmbeddedPolicies.end(), name) !=
-         kEmbeddedPolicies.end();
+  return IsSuitePolicy(name) || name == kPiperPolicy;
 }
 
 }  // namespace robostress

@@ -17,13 +17,11 @@ namespace robostress {
 namespace {
 
 constexpr char kExamples[] = R"(Examples:
-  # a rehearsal: no arm, no camera, everything else as it will be. The policies of the source are
-  # for another robot; the first line makes one for a Piper in half a minute. It moves without sense.
-  robostress piper-study record train --quick --out runs/first
-  robostress serve --policy runs/first/train/base/nano.safetensors --listen 127.0.0.1:50051 &
-  robot_client --server 127.0.0.1:50051 --policy runs/first/train/base/nano.safetensors \
-    --instruction "open the top drawer" --camera base=synthetic --camera wrist=synthetic \
-    --out runs/rehearsal
+  # a rehearsal: no arm, no camera, everything else as it will be
+  robostress serve --policy nano-piper --listen 127.0.0.1:50051 &
+  robot_client --server 127.0.0.1:50051 --policy nano-piper \
+    --instruction "open the top drawer of the cabinet" \
+    --camera base=synthetic --camera wrist=synthetic --out runs/rehearsal
 
   # an arm in software, then a real one: only --bus and the cameras change
   piper_emulator --bus udp:239.74.163.2:43113 --profile used_one_year &

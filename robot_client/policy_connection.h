@@ -9,14 +9,14 @@
 namespace robostress {
 
 struct PolicyConnectionOptions {
-  std::string server;             // HOST:PORT
-  std::string policy = "nano";    // one that the server holds
-  std::string robot = "piper";    // "piper...": the server takes the residual in joint space
-  std::string suite = "piper";    // names the experiment; part of the noise key
-  std::string scenario = "real";  // names the arm
-  int64_t seed = 0;               // of the sampling noise
-  double connect_timeout_s = 5;   // [s] until the server must accept
-  double call_timeout_s = 2;      // [s] for any answer; the arm holds long before
+  std::string server;                 // HOST:PORT
+  std::string policy = "nano-piper";  // one that the server holds
+  std::string robot = "piper";        // "piper...": the server takes the residual in joint space
+  std::string suite = "piper";        // names the experiment; part of the noise key
+  std::string scenario = "real";      // names the arm
+  int64_t seed = 0;                   // of the sampling noise
+  double connect_timeout_s = 5;       // [s] until the server must accept
+  double call_timeout_s = 2;          // [s] for any answer; the arm holds long before
   MethodOptions method;
   // Lockstep is for simulated time; it is no field of a configuration, because an arm in real time
   // must never wait for an update.

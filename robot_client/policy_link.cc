@@ -54,9 +54,7 @@ absl::Status PolicyLink::Open() {
         "policy '", spec_.name, "' is for another robot: it has ", spec_.state_dim, " states and ",
         spec_.action_dim, " actions, this arm ", kArmAxes,
         " of each (six joints [rad] and the gripper [m]). Serve a policy that was trained in joint "
-        "space; a first one comes from `robostress piper-study record train --quick --out "
-        "runs/first` and is served by `robostress serve --policy "
-        "runs/first/train/base/nano.safetensors`"));
+        "space: `robostress serve --policy nano-piper` comes with the source"));
   }
   std::vector<std::string> names;
   for (const FrameSource* camera : cameras_) names.push_back(camera->name());

@@ -96,7 +96,7 @@ std::vector<std::string> InOrderOf(const std::vector<std::string>& known,
 }
 
 std::string PoliciesByName() {
-  std::vector<std::string> names(kEmbeddedPolicies.begin(), kEmbeddedPolicies.end());
+  std::vector<std::string> names(kSuitePolicies.begin(), kSuitePolicies.end());
   names.insert(names.end(), {"expert", "replay"});
   return absl::StrJoin(names, ", ");
 }
@@ -117,7 +117,11 @@ void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaint
       if (policy == "replay" && grid.replay_file.empty()) {
         complaints.Add("policy replay needs --replay-file FILE (safetensors with actions [T, 7])");
       }
-    } else if (home == PolicyHome::kHere && !IsEmbeddedPolicy(policy) && policy != "nano:random" &&
+    } else if (policy == kPiperPolicy) {
+      complaints.Add(absl::StrCat("policy '", policy,
+                                  "' moves a Piper's joints, the suites' arm is a Panda; known: ",
+                                  PoliciesByName(), "; robot_client and piper-study run it"));
+    } else if (home == PolicyHome::kHere && !IsSuitePolicy(policy) && policy != "nano:random" &&
                access(policy.c_str(), R_OK) != 0) {
       complaints.Add(absl::StrCat("unknown policy '", policy, "'; known: ", PoliciesByName(),
                                   ", or the path of a readable weights file; "

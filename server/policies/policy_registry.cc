@@ -48,7 +48,7 @@ bool IsNanoFile(const std::string& path) {
   return format != file->metadata().end() && format->second == kNanoFormat;
 }
 
-// One line per policy, served under the name it was asked for: kEmbeddedPolicies are files of
+// One line per policy, served under the name it was asked for: embedded policies are files of
 // the source, "nano:random" has random weights (tests, timing), and a path is a nano file or a
 // checkpoint of pi0 or pi0.5.
 absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
@@ -74,8 +74,9 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
   if (IsCheckpointPath(name_or_path)) return openpi::LoadOpenpiPolicy(name_or_path, options);
   return absl::NotFoundError(absl::StrCat(
       "policy '", name_or_path, "' is unknown; use ",
-      absl::StrJoin(kEmbeddedPolicies, ", ",
+      absl::StrJoin(kSuitePolicies, ", ",
                     [](std::string* out, std::string_view name) { out->append(name); }),
+      ", ", kPiperPolicy,
       ", nano:random, a path that ends in .safetensors, or the "
       "folder of a pi0 or pi0.5 checkpoint"));
 }

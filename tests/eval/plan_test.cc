@@ -115,7 +115,7 @@ TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
   grid.suites = {"tabletop_gaol", "tabletop_goal"};
   grid.scenarios = {"heavy_load"};
   grid.methods = {"our"};
-  grid.policies = {"pi0"};
+  grid.policies = {"pi0", "nano-piper"};
   grid.severities = {6};
   grid.tasks = {11};
   grid.overrides = {"sim.frixion=1", "learning_rate=1", "method.method=gain"};
@@ -125,7 +125,8 @@ TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
       std::string(status.message()),
       AllOf(HasSubstr("'tabletop_gaol'"), HasSubstr("tabletop_long"), HasSubstr("'heavy_load'"),
             HasSubstr("aged_joint_elbow"), HasSubstr("'our'"), HasSubstr("no_anchor"),
-            HasSubstr("'pi0'"), HasSubstr("severity 6"), HasSubstr("task 11"), HasSubstr("frixion"),
+            HasSubstr("'pi0'"), HasSubstr("'nano-piper' moves a Piper's joints"),
+            HasSubstr("severity 6"), HasSubstr("task 11"), HasSubstr("frixion"),
             HasSubstr("override of method.method"),
             HasSubstr("'learning_rate=1' must be sim.KEY=VALUE")));
 }

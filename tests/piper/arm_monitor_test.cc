@@ -329,6 +329,21 @@ INSTANTIATE_TEST_SUITE_P(
               "no complete joint sample comes: they have stopped")),
     [](const auto& info) { return std::string(info.param.name); });
 
+TEST(ArmMonitor, NamesWhatNoEmulatedArmHas) {
+  MonitoredArm world{EmulatorOptions()};
+  const ArmReport well = world.Report(1);
+  ASSERT_FALSE(HasError(Diagnose(well))) << Said(well);
+  ArmReport report = well;
+  report.joints[3].driver->supply_V -= 4;
+  EXPECT_THAT(Said(report), HasSubstr("WRONG J4 has 20.0 V where the others have 24.0 V"));
+  report = well;
+  report.age.p99_s = report.age.worst_s = 0.06;
+  EXPECT_THAT(Said(report), HasSubstr("WRONG the newest joint sample is often old (99 %: 60 ms)"));
+  report.age.p99_s = 0.04;
+  EXPECT_FALSE(HasError(Diagnose(report)));
+  EXPECT_THAT(Said(report), HasSubstr("once no joint sample came for 60 ms"));
+}
+
 TEST(ArmMonitor, SaysWhatSilenceMayMean) {
   EmulatedTime time;
   InProcessBus bus(time);

@@ -89,8 +89,10 @@ TEST(NanoWeights, RefuseTruncatedForeignAndAbsentFiles) {
 }
 
 TEST(NanoWeights, OfTheRepositoryLoadAndKnowTheirWords) {
-  for (const std::string_view embedded : kEmbeddedPolicies) {
-    const std::string name(embedded);
+  std::vector<std::string> names(kSuitePolicies.begin(), kSuitePolicies.end());
+  names.emplace_back(kPiperPolicy);
+  for (const std::string& name : names) {
+    const bool piper = name == kPiperPolicy;
     const std::string path =  // tests run in the source folder
         absl::StrCat("server/models/weights/", name, ".safetensors");
     if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
@@ -98,7 +100,10 @@ TEST(NanoWeights, OfTheRepositoryLoadAndKnowTheirWords) {
     const auto policy = LoadFlowPolicy(name);
     ASSERT_TRUE(policy.ok()) << policy.status();
     EXPECT_EQ((*policy)->spec().horizon, 50);
-    EXPECT_EQ((*policy)->spec().execute_steps, 5);
+    EXPECT_EQ((*policy)->spec().execute_steps, piper ? 10 : 5);
+    // A Panda's eight states, or six joints and a gripper, as robot_client asks for.
+    EXPECT_EQ((*policy)->spec().state_dim, piper ? 7 : 8);
+    EXPECT_EQ((*policy)->spec().cameras.front(), piper ? "base" : "agentview");
     const auto model = LoadNanoModel(path);
     EXPECT_GT(model->vocabulary.words().size(), 10u);
     EXPECT_EQ(model->config.pi05(), name == "nano-pi05") << name;

@@ -254,14 +254,10 @@ def motion(day):
 
 
 def policy(day):
-    """Makes the first policy and serves it; the server stays until the end."""
-    program = Program(day, "robostress piper-study record train --quick --out runs/first")
-    program.wait_for("train_base done")
-    lines = program.end()
-    day.server = Program(day, "robostress serve --policy runs/first/train/base/nano.safetensors "
-                              "--listen 127.0.0.1:50051")
-    day.server.wait_for("serving runs/first/train/base/nano.safetensors")
-    return lines + day.server.lines[:2]
+    """Serves the repository's policy; the server stays until the end."""
+    day.server = Program(day, "robostress serve --policy nano-piper --listen 127.0.0.1:50051")
+    day.server.wait_for("serving nano-piper")
+    return day.server.lines[:2]
 
 
 def commands(lines):

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the first example of `robot_client --help` as it is written: it makes a policy, serves it and rehearses.
+# Runs the first example of `robot_client --help` as it is written: it serves a policy of the source and rehearses.
 # A person's orders come on standard input.
 #   help_example.sh BIN_DIR OUT_DIR
 set -euo pipefail
@@ -16,14 +16,14 @@ grep -q 'robostress serve' example.txt
   echo 'server=$!; trap "kill $server" EXIT'
   # The command's last line without a \ ends it; what a person types comes before it.
   echo '{ echo enable; echo start; sleep 4; echo success; echo quit; } |'
-  sed -e '1,/robostress serve/d' example.txt
+  sed -e '0,/robostress serve/d' example.txt
 } >script.sh
 bash -e script.sh
 test -e runs/rehearsal/DONE
 grep -q '"success":true' runs/rehearsal/episodes.jsonl
 grep -qE '"predictions":[1-9]' runs/rehearsal/episodes.jsonl
 grep -q '"failed_predictions":0,' runs/rehearsal/episodes.jsonl
-# A policy of the source is refused with what to do instead.
+# A policy of another robot is refused with what to do instead.
 robostress-serve --policy nano --port-file port >serve.txt 2>&1 &
 server=$!
 trap 'kill $server' EXIT
@@ -35,4 +35,4 @@ code=0
 robot_client --server "127.0.0.1:$(cat port)" --policy nano --instruction "open the top drawer" \
   --camera base=synthetic --camera wrist=synthetic --out runs/nano </dev/null >nano.txt 2>&1 || code=$?
 cat nano.txt
-[[ $code == 2 ]] && grep -q 'for another robot: it has 8 states' nano.txt && grep -q 'piper-study record train' nano.txt
+[[ $code == 2 ]] && grep -q 'for another robot: it has 8 states' nano.txt && grep -q 'serve --policy nano-piper' nano.txt

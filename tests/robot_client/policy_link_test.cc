@@ -139,7 +139,7 @@ TEST(PolicyLinkTest, SaysWhatToTypeForAPolicyThatDoesNotFit) {
   };
   EXPECT_THAT(std::string(bench.link->Open().message()),
               testing::AllOf(HasSubstr("for another robot: it has 8 states and 7 actions"),
-                             HasSubstr("robostress piper-study record train --quick")));
+                             HasSubstr("robostress serve --policy nano-piper")));
 }
 
 // A camera has 640 x 480, nano takes 64 x 64 and resizes nothing.

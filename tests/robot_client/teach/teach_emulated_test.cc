@@ -9,6 +9,7 @@
 #include <fstream>
 
 #include "nlohmann/json.hpp"
+#include "robot_client/demonstration/lerobot_reader.h"
 #include "robot_client/emulator/guiding_hand.h"
 #include "robot_client/teach/episode_tap.h"
 #include "robot_client/teach/gamepad.h"
@@ -246,6 +247,13 @@ TEST(TeachEmulatedTest, AFollowerJoinsItsLeaderSlowlyAndIsRecordedBehindIt) {
   const auto saved = pair.studio->writer->End(true);
   ASSERT_TRUE(saved.ok()) << saved.status();
   EXPECT_EQ(saved->ticks, static_cast<int64_t>(ticks.size()));
+  const auto actions = LerobotReader::Open(pair.studio->directory + "/lerobot")->ReadActions(0);
+  ASSERT_TRUE(actions.ok()) << actions.status();
+  ASSERT_EQ(actions->size(), ticks.size());
+  for (size_t i = 0; i < ticks.size(); ++i) {
+    for (int j = 0; j < kArmAxes; ++j)
+      ASSERT_NEAR((*actions)[i][j], ticks[i].requested[j], 1e-6) << i << " " << j;
+  }
 }
 
 TEST(TeachEmulatedTest, LimitsHoldWhenTheLeaderJumps) {
