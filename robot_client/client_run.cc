@@ -12,8 +12,8 @@
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/records/arm_episode.h"
 #include "common/status_macros.h"
-#include "nlohmann/json.hpp"
 #include "robot_client/piper/piper_arm.h"
 
 namespace robostress {
@@ -444,22 +444,22 @@ absl::StatusOr<std::string> ClientRun::EndEpisode(std::optional<bool> success) {
 absl::StatusOr<std::string> ClientRun::CountEpisode(std::optional<bool> success) {
   episode_running_ = false;
   const PolicyLinkCounters now = link_->counters();
-  nlohmann::ordered_json row = {
-      {"task", config_.task},
-      {"episode", config_.first_episode + next_episode_},
-      {"success", success ? nlohmann::ordered_json(*success) : nlohmann::ordered_json(nullptr)},
-      {"seconds", static_cast<double>(clock_.now_ns() - episode_start_ns_) * 1e-9},
-      {"predictions", now.predictions - at_start_.predictions},
-      {"failed_predictions", now.failed_predictions - at_start_.failed_predictions},
-      {"feedback_chunks", now.feedback_sent - at_start_.feedback_sent},
-      {"steps", now.feedback.steps - at_start_.feedback.steps},
-      {"steps_masked", now.feedback.steps_masked - at_start_.feedback.steps_masked},
-      {"residual", now.residual.value()},
-      {"adapter_version", now.adapter_version},
-      {"sessions", now.sessions},
-      {"state", StateName(loop_->state())}};
+  ArmEpisode row;
+  row.task = config_.task;
+  row.episode = config_.first_episode + next_episode_;
+  row.success = success;
+  row.seconds = static_cast<double>(clock_.now_ns() - episode_start_ns_) * 1e-9;
+  row.predictions = now.predictions - at_start_.predictions;
+  row.failed_predictions = now.failed_predictions - at_start_.failed_predictions;
+  row.feedback_chunks = now.feedback_sent - at_start_.feedback_sent;
+  row.steps = now.feedback.steps - at_start_.feedback.steps;
+  row.steps_masked = now.feedback.steps_masked - at_start_.feedback.steps_masked;
+  row.residual = now.residual.value();
+  row.adapter_version = now.adapter_version;
+  row.sessions = now.sessions;
+  row.state = StateName(loop_->state());
   ++next_episode_;
-  RS_RETURN_IF_ERROR(AppendLine(directory_ + kEpisodes, row.dump()));
+  RS_RETURN_IF_ERROR(AppendLine(directory_ + kEpisodes, ArmEpisodeLine(row)));
   return absl::StrFormat("episode ended; %d of %d done; residual %.1f %%, adapter version %d",
                          next_episode_, config_.episodes, 100 * now.residual.value(),
                          now.adapter_version);

@@ -5,8 +5,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/records/episode_row.h"
 #include "common/suites.h"
-#include "nlohmann/json.hpp"
 
 namespace robostress {
 namespace {
@@ -35,10 +35,9 @@ CostModel CostModel::FromRun(const RunDirectory& run, const std::vector<PlannedU
     double wall_s = 0;
     int episodes = 0;
     for (absl::string_view line : absl::StrSplit(text, '\n', absl::SkipEmpty())) {
-      const nlohmann::json record = nlohmann::json::parse(line, nullptr, false);
-      if (!record.is_object() || !record.contains("wall_s") || !record["wall_s"].is_number())
-        continue;
-      wall_s += record["wall_s"].get<double>();
+      const std::optional<TimingRow> row = ParseTiming(std::string(line));
+      if (!row || !row->wall_s) continue;
+      wall_s += *row->wall_s;
       ++episodes;
     }
     model.Add(done[i]->config, episodes, wall_s);

@@ -18,9 +18,9 @@
 #include "common/config.h"
 #include "common/method_options.h"
 #include "common/program_folder.h"
+#include "common/records/arm_episode.h"
 #include "common/status_macros.h"
 #include "eval/launch/process.h"
-#include "nlohmann/json.hpp"
 
 namespace robostress {
 namespace {
@@ -161,17 +161,12 @@ absl::StatusOr<std::string> Row(const std::string& client_rows, const TaskFacts&
     return absl::DataLossError(
         absl::StrCat(client_rows, " has ", lines.size(), " rows after ", episode + 1, " episodes"));
   }
-  const auto row = nlohmann::ordered_json::parse(lines.back(), nullptr, false);
-  if (!row.is_object())
-    return absl::DataLossError(absl::StrCat(client_rows, ": its last line is no object"));
-  nlohmann::ordered_json out = {{"episode", episode},
-                                {"variant", kPiperVariants[0]},
-                                {"instruction", facts.instruction},
-                                {"success", success}};
-  for (const char* key : {"seconds", "residual", "feedback_chunks", "steps", "steps_masked",
-                          "adapter_version", "state"})
-    if (row.contains(key)) out[key] = row[key];
-  return out.dump();
+  RS_ASSIGN_OR_RETURN(ArmEpisode row, ParseArmEpisode(client_rows, lines.back()));
+  row.episode = episode;
+  row.variant = kPiperVariants[0];
+  row.instruction = facts.instruction;
+  row.success = success;
+  return ArmEpisodeLine(row);
 }
 
 }  // namespace

@@ -17,6 +17,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/records/arm_episode.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "eval/report/text_table.h"
@@ -40,39 +41,31 @@ Episodes Where(const Episodes& all, const std::function<bool(const PiperStudyEpi
 
 absl::StatusOr<PiperStudyEpisode> ParseRow(const PiperUnit& unit, const std::string& where,
                                            const std::string& line) {
-  const auto row = nlohmann::json::parse(line, nullptr, false);
+  RS_ASSIGN_OR_RETURN(const ArmEpisode row, ParseArmEpisode(where, line));
   const auto damaged = [&](const char* field) {
-    return absl::DataLossError(
-        absl::StrCat(where, ": ", field,
-                     " is missing or of a wrong type; remove the unit's folder "
-                     "and run the stage again"));
+    return absl::DataLossError(absl::StrCat(where, ": ", field,
+                                            " is missing; remove the unit's folder and run the "
+                                            "stage again"));
   };
-  if (!row.is_object()) return damaged("an object");
+  if (!row.variant) return damaged("variant");
+  if (!row.success) return damaged("success");
+  if (!row.instruction) return damaged("instruction");
+  const auto at = std::find(std::begin(kPiperVariants), std::end(kPiperVariants), *row.variant);
+  if (at == std::end(kPiperVariants)) return damaged("a known variant");
   PiperStudyEpisode episode;
   episode.unit = unit;
-  const auto variant = row.find("variant"), success = row.find("success");
-  if (variant == row.end() || !variant->is_string()) return damaged("variant");
-  if (success == row.end() || !success->is_boolean()) return damaged("success");
-  const auto at =
-      std::find(std::begin(kPiperVariants), std::end(kPiperVariants), variant->get<std::string>());
-  if (at == std::end(kPiperVariants)) return damaged("a known variant");
   episode.variant = static_cast<int>(at - std::begin(kPiperVariants));
-  episode.success = success->get<bool>();
-  const auto instruction = row.find("instruction");
-  if (instruction == row.end() || !instruction->is_string()) return damaged("instruction");
-  episode.instruction = instruction->get<std::string>();
-  for (const char* field : {"episode", "residual", "adapter_version", "steps", "steps_masked"}) {
-    if (!row.contains(field) || !row[field].is_number()) return damaged(field);
-  }
-  episode.episode = row["episode"].get<int>();
-  episode.residual = row["residual"].get<double>();
-  episode.eta_sq = row.value("eta_sq", 0.0);
-  episode.displacement_sq = row.value("displacement_sq", 0.0);
-  episode.updates = row["adapter_version"].get<int64_t>();
-  episode.steps = row["steps"].get<int64_t>();
-  episode.steps_masked = row["steps_masked"].get<int64_t>();
-  episode.power_cycles = row.value("power_cycles", 0);
-  episode.seconds = row.value("seconds", 0.0);
+  episode.success = *row.success;
+  episode.instruction = *row.instruction;
+  episode.episode = row.episode;
+  episode.residual = row.residual;
+  episode.eta_sq = row.eta_sq.value_or(0);
+  episode.displacement_sq = row.displacement_sq.value_or(0);
+  episode.updates = static_cast<int64_t>(row.adapter_version);
+  episode.steps = static_cast<int64_t>(row.steps);
+  episode.steps_masked = static_cast<int64_t>(row.steps_masked);
+  episode.power_cycles = row.power_cycles.value_or(0);
+  episode.seconds = row.seconds;
   return episode;
 }
 

@@ -59,43 +59,6 @@ std::string CsvCell(const json& value) {
   return quoted + "\"";
 }
 
-// Reads fields of one record and remembers the first that is wrong.
-class RecordReader {
- public:
-  RecordReader(const std::string& source, const json& record) : source_(source), record_(record) {}
-
-  int Int(const char* key) {
-    const auto field = record_.find(key);
-    if (field == record_.end() || !field->is_number_integer()) return Fail(key, "an integer"), 0;
-    return field->get<int>();
-  }
-  bool Bool(const char* key) {
-    const auto field = record_.find(key);
-    if (field == record_.end() || !field->is_boolean()) return Fail(key, "true or false"), false;
-    return field->get<bool>();
-  }
-  std::optional<double> Number(const char* key) {
-    const auto field = record_.find(key);
-    if (field == record_.end() || field->is_null()) return std::nullopt;
-    if (!field->is_number()) return Fail(key, "a number"), std::nullopt;
-    return field->get<double>();
-  }
-  const absl::Status& status() const { return status_; }
-
- private:
-  void Fail(const char* key, const char* expected) {
-    if (!status_.ok()) return;
-    const auto field = record_.find(key);
-    status_ = absl::DataLossError(absl::StrCat(
-        source_, ": field ", key,
-        field == record_.end() ? " is missing" : absl::StrCat(" is ", field->dump()), ", must be ",
-        expected, "; the file was not written by this version's worker"));
-  }
-  const std::string& source_;
-  const json& record_;
-  absl::Status status_;
-};
-
 // Seconds over all launches; lines that cannot be read are passed over.
 double LaunchSeconds(const std::string& file) {
   double seconds = 0;
@@ -124,37 +87,6 @@ absl::Status AddPlanned(const std::string& dir, const std::unordered_set<std::st
 }
 
 }  // namespace
-
-absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::string& line) {
-  EpisodeRow row;
-  const json fields = json::parse(line, nullptr, false);
-  if (!fields.is_object()) {
-    return absl::DataLossError(
-        absl::StrCat(source, ": not a JSON object: '", line.substr(0, 80), "'"));
-  }
-  RecordReader reader(source, fields);
-  row.record = line;
-  row.task = reader.Int("task");
-  row.episode = reader.Int("episode");
-  row.initial_state = reader.Int("initial_state");
-  row.success = reader.Bool("success");
-  row.steps = reader.Int("steps");
-  row.chunks = reader.Int("chunks");
-  row.updates = reader.Int("updates");
-  row.residual = reader.Number("residual");
-  row.eta_sq = reader.Number("eta_sq");
-  row.a_sq = reader.Number("a_sq");
-  row.intent = reader.Number("intent");
-  row.intent_eta_sq = reader.Number("intent_eta_sq");
-  row.intent_a_sq = reader.Number("intent_a_sq");
-  row.residual_tracking = reader.Number("residual_tracking");
-  row.lag_residual = reader.Number("lag_residual");
-  row.mean_abs_action = reader.Number("mean_abs_action");
-  row.clipped_share = reader.Number("clipped_share");
-  row.adapter_distance = reader.Number("adapter_distance");
-  RS_RETURN_IF_ERROR(reader.status());
-  return row;
-}
 
 absl::StatusOr<RunData> LoadRun(const std::string& dir) {
   RunData run;

@@ -8,29 +8,11 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "common/records/episode_row.h"
 #include "common/unit_config.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
-
-// One line of episodes.jsonl. Measures that an episode does not have (no unadapted prediction, no
-// motion) are absent.
-struct EpisodeRow {
-  int task = 0;
-  int episode = 0;  // within the task
-  int initial_state = 0;
-  bool success = false;
-  int steps = 0, chunks = 0;
-  int updates = 0;                     // applied in this unit so far
-  std::optional<double> residual;      // ||eta|| / ||a||, paper
-  std::optional<double> eta_sq, a_sq;  // its squared sums
-  std::optional<double> intent;        // ||dx - a_base|| / ||a_base||
-  std::optional<double> intent_eta_sq, intent_a_sq;
-  std::optional<double> residual_tracking;  // with the controller's steady gain in the scale
-  std::optional<double> lag_residual;  // of the same commands without joint errors (worker --lag)
-  std::optional<double> mean_abs_action, clipped_share, adapter_distance;
-  std::string record;  // the line as it was read, for episodes.csv
-};
 
 // Wall time of a unit's episodes, summed [s]; kept out of every table that is compared.
 struct TimingSums {
@@ -59,8 +41,6 @@ struct RunData {
   double sweep_wall_s = 0;              // over all calls, from launches.jsonl
 };
 
-// Parses one line; the error names the field. `source` is "file:line".
-absl::StatusOr<EpisodeRow> ParseEpisode(const std::string& source, const std::string& line);
 // Reads every finished unit; NotFound when `dir` is no run directory or has none. DataLoss, with
 // everything that is wrong listed: finished units whose files are damaged or contradict their
 // configuration or checksum, units of one policy with different weights, grids that cannot be read.

@@ -139,7 +139,7 @@ class UnitReader {
       if (entry.path().extension() == ".webp") unit.videos.push_back(entry.path().string());
     }
     std::sort(unit.videos.begin(), unit.videos.end());
-    for (const json& record : Records("/timing.jsonl")) AddTiming(record);
+    AddTimings();
     std::set<std::string> machines;
     for (const json& record : Records("/machines.jsonl")) {
       for (const auto& [role, machine] : record.items()) {
@@ -160,18 +160,19 @@ class UnitReader {
     return records;
   }
 
-  void AddTiming(const json& record) {
-    const auto seconds = [&](const char* key) {
-      const auto field = record.find(key);
-      return field != record.end() && field->is_number() ? field->get<double>() : 0.0;
-    };
+  void AddTimings() {
+    const std::string text = ReadFile(folder_ + "/timing.jsonl").value_or("");
     TimingSums& sums = result_.unit.timing;
-    ++sums.episodes;
-    sums.wall_s += seconds("wall_s");
-    sums.predict_s += seconds("predict_s");
-    sums.step_s += seconds("step_s");
-    sums.observe_s += seconds("observe_s");
-    sums.feedback_s += seconds("feedback_s");
+    for (absl::string_view line : absl::StrSplit(text, '\n', absl::SkipEmpty())) {
+      const std::optional<TimingRow> row = ParseTiming(std::string(line));
+      if (!row) continue;  // they decide nothing
+      ++sums.episodes;
+      sums.wall_s += row->wall_s.value_or(0);
+      sums.predict_s += row->predict_s.value_or(0);
+      sums.step_s += row->step_s.value_or(0);
+      sums.observe_s += row->observe_s.value_or(0);
+      sums.feedback_s += row->feedback_s.value_or(0);
+    }
   }
 
   const std::string folder_;

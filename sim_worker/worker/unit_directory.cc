@@ -63,15 +63,6 @@ std::string FirstDifference(const std::string& present, const std::string& wante
   return "it differs";
 }
 
-bool IsPlanned(const std::string& line, const json& identity) {
-  const json row = json::parse(line, nullptr, false);
-  if (!row.is_object()) return false;
-  for (const auto& [key, value] : identity.items()) {
-    if (!row.contains(key) || row[key] != value) return false;
-  }
-  return true;
-}
-
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<UnitDirectory>> UnitDirectory::Open(
@@ -135,7 +126,7 @@ absl::Status UnitDirectory::LoadRows(const UnitConfig& resolved,
                                             "' and run again"));
   }
   for (size_t i = 0; i < lines.size(); ++i) {
-    if (IsPlanned(lines[i], EpisodeIdentity(resolved, plan[i]))) continue;
+    if (IsRowOf(IdentityOf(resolved, plan[i]), lines[i])) continue;
     return absl::DataLossError(absl::StrCat(file, ":", i + 1, " is not the row of task ",
                                             plan[i].task, ", episode ", plan[i].episode,
                                             "; remove '", path_, "' and run again"));
@@ -150,16 +141,14 @@ absl::Status UnitDirectory::TrimTimings() {
   RS_ASSIGN_OR_RETURN(const std::string text, ReadIfPresent(file));
   std::set<std::pair<int, int>> finished;
   for (const std::string& line : rows_) {
-    const json row = json::parse(line);
-    finished.insert({row["task"].get<int>(), row["episode"].get<int>()});
+    RS_ASSIGN_OR_RETURN(const EpisodeRow row, ParseEpisode(File("episodes.jsonl"), line));
+    finished.insert({row.task, row.episode});
   }
   bool torn = false;
   std::string kept;
   for (const std::string& line : CompleteLines(text, torn)) {
-    const json timing = json::parse(line, nullptr, false);
-    if (!timing.is_object() || !timing.contains("task") || !timing.contains("episode")) continue;
-    if (!timing["task"].is_number_integer() || !timing["episode"].is_number_integer()) continue;
-    if (finished.erase({timing["task"].get<int>(), timing["episode"].get<int>()}) == 0) continue;
+    const std::optional<TimingRow> timing = ParseTiming(line);
+    if (!timing || finished.erase({timing->task, timing->episode}) == 0) continue;
     absl::StrAppend(&kept, line, "\n");
   }
   return kept == text ? absl::OkStatus() : WriteFileAtomically(file, kept);

@@ -202,10 +202,11 @@ class UnitRun {
       RS_ASSIGN_OR_RETURN(in_clean,
                           ReplayChunks(record.chunks, planned.initial_state, *clean_task_.robot));
     }
-    RS_RETURN_IF_ERROR(directory_->Append(EpisodeLine(unit_, planned, record, stats, in_clean),
-                                          TimingLine(planned, record, wall_s),
+    const EpisodeRow row = MakeEpisodeRow(unit_, planned, record, stats, in_clean);
+    RS_RETURN_IF_ERROR(directory_->Append(EpisodeLine(IdentityOf(unit_, planned), row),
+                                          TimingLine(MakeTimingRow(planned, record, wall_s)),
                                           adapter ? &adapter->safetensors : nullptr));
-    Say(ProgressLine(index, plan_.size(), planned, record, stats, wall_s));
+    Say(ProgressLine(index, plan_.size(), row, wall_s));
     return absl::OkStatus();
   }
 

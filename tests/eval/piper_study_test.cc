@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/records/arm_episode.h"
 #include "common/safetensors.h"
 #include "eval/piper_study/piper_study_live.h"
 #include "eval/piper_study/piper_study_report.h"
@@ -88,14 +89,16 @@ void WriteUnit(const std::string& out, const std::string& id, const std::string&
   const std::string folder = out + "/units/" + id;
   ASSERT_TRUE(MakeDirectories(folder).ok());
   for (size_t i = 0; i < successes.size(); ++i) {
-    ASSERT_TRUE(AppendLine(folder + "/episodes.jsonl",
-                           absl::StrCat("{\"episode\":", i, ",\"variant\":\"", variant,
-                                        "\",\"instruction\":\"pick up the wooden bowl\","
-                                        "\"success\":",
-                                        successes[i] == '1' ? "true" : "false",
-                                        ",\"residual\":0.25,\"adapter_version\":", updates,
-                                        ",\"steps\":100,\"steps_masked\":3}"))
-                    .ok());
+    ArmEpisode row;
+    row.episode = static_cast<int>(i);
+    row.variant = variant;
+    row.instruction = "pick up the wooden bowl";
+    row.success = successes[i] == '1';
+    row.residual = 0.25;
+    row.adapter_version = static_cast<uint64_t>(updates);
+    row.steps = 100;
+    row.steps_masked = 3;
+    ASSERT_TRUE(AppendLine(folder + "/episodes.jsonl", ArmEpisodeLine(row)).ok());
   }
   ASSERT_TRUE(WriteFileAtomically(folder + "/DONE", "").ok());
 }

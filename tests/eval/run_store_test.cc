@@ -34,26 +34,6 @@ std::string WriteUnit(const std::string& run, int seed, int episodes, const std:
   return id;
 }
 
-TEST(ParseEpisode, ReadsMeasuresAndLeavesAbsentOnesOut) {
-  const absl::StatusOr<EpisodeRow> row = ParseEpisode("e:1", kLine);
-  ASSERT_TRUE(row.ok()) << row.status();
-  EXPECT_TRUE(row->success);
-  EXPECT_EQ(row->residual, 0.25);
-  EXPECT_FALSE(row->intent.has_value());
-  EXPECT_FALSE(row->eta_sq.has_value());
-}
-
-TEST(ParseEpisode, NamesFileLineFieldAndValue) {
-  std::string wrong = kLine;
-  wrong.replace(wrong.find("true"), 4, "\"yes\"");
-  EXPECT_THAT(
-      std::string(ParseEpisode("episodes.jsonl:7", wrong).status().message()),
-      ::testing::AllOf(HasSubstr("episodes.jsonl:7"), HasSubstr("success"), HasSubstr("\"yes\"")));
-  EXPECT_THAT(std::string(ParseEpisode("f:1", R"({"task":0})").status().message()),
-              HasSubstr("episode is missing"));
-  EXPECT_FALSE(ParseEpisode("f:1", R"({"task":0,"epis)").ok());
-}
-
 TEST(LoadRun, LeavesUnfinishedUnitsOut) {
   const std::string run = TestFolder();
   WriteUnit(run, 0, 1, std::string(kLine) + "\n", true);

@@ -81,8 +81,8 @@ TEST(JointAdaptation, UpdatesAfter32ChunksAndEveryEightFromThenOn) {
   StudyUnit unit;
   unit.episodes = 5;
   unit.episode_s = 3.7;  // eleven chunks, the last one short
-  std::vector<StudyEpisode> episodes;
-  const absl::Status played = RunStudyUnit(unit, &watched, [&](const StudyEpisode& episode) {
+  std::vector<ArmEpisode> episodes;
+  const absl::Status played = RunStudyUnit(unit, &watched, [&](const ArmEpisode& episode) {
     episodes.push_back(episode);
     return absl::OkStatus();
   });
@@ -97,8 +97,8 @@ TEST(JointAdaptation, UpdatesAfter32ChunksAndEveryEightFromThenOn) {
   EXPECT_EQ(stats->feedback_chunks, watched.sent);
   EXPECT_EQ(stats->updates_applied, 1 + (watched.sent - 32) / 8);
   EXPECT_GT(stats->adapter_distance, 0);
-  for (const StudyEpisode& episode : episodes) {
-    EXPECT_GT(episode.residual.value(), 0) << "episode " << episode.episode;
+  for (const ArmEpisode& episode : episodes) {
+    EXPECT_GT(episode.residual, 0) << "episode " << episode.episode;
     EXPECT_EQ(episode.power_cycles, 0);
   }
 }

@@ -185,8 +185,8 @@ StudyUnit ShortUnit() {
 
 std::vector<std::string> Play(const StudyUnit& unit, StandingPolicy& policy, absl::Status& status) {
   std::vector<std::string> rows;
-  status = RunStudyUnit(unit, &policy, [&](const StudyEpisode& episode) {
-    rows.push_back(StudyEpisodeJson(episode));
+  status = RunStudyUnit(unit, &policy, [&](const ArmEpisode& episode) {
+    rows.push_back(ArmEpisodeLine(episode));
     return absl::OkStatus();
   });
   return rows;

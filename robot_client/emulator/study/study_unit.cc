@@ -48,7 +48,7 @@ class UnitRun {
  public:
   UnitRun(const StudyUnit& unit, PolicyEndpoint* policy) : unit_(unit), policy_(policy) {}
 
-  absl::Status Run(const std::function<absl::Status(const StudyEpisode&)>& report) {
+  absl::Status Run(const std::function<absl::Status(const ArmEpisode&)>& report) {
     RS_ASSIGN_OR_RETURN(task_, FindTableTask(unit_.task));
     RS_ASSIGN_OR_RETURN(home_, TableExpert::Home());
     const int each = unit_.episodes / static_cast<int>(unit_.variants.size());
@@ -59,8 +59,8 @@ class UnitRun {
         RS_RETURN_IF_ERROR(SetUp());
       }
       RS_RETURN_IF_ERROR(GoHome());
-      RS_ASSIGN_OR_RETURN(const StudyEpisode result, RunEpisode(episode));
-      RS_RETURN_IF_ERROR(report(result));
+      RS_ASSIGN_OR_RETURN(const ArmEpisode row, RunEpisode(episode));
+      RS_RETURN_IF_ERROR(report(row));
     }
     return absl::OkStatus();
   }
@@ -117,7 +117,7 @@ class UnitRun {
     return SetUp();
   }
 
-  absl::StatusOr<StudyEpisode> RunEpisode(int episode) {
+  absl::StatusOr<ArmEpisode> RunEpisode(int episode) {
     bench_->scene().Place(episode);
     client_->Wait(kSettle_s);
     int done_ticks = 0;
@@ -128,25 +128,27 @@ class UnitRun {
           done_ticks = done ? done_ticks + 1 : 0;
           return done_ticks >= kDoneTicks;
         }));
-    StudyEpisode result;
-    result.episode = episode;
-    result.variant = variant_;
+    ArmEpisode row;
+    row.episode = episode;
+    row.variant = variant_;
     RS_ASSIGN_OR_RETURN(const int variant, FindObjectVariant(variant_));
-    result.instruction = Instruction(variant);
-    result.success = played.ended_by_caller;
-    result.seconds = played.ticks * client_->loop().period_s();
-    result.state = played.state;
-    result.cause = played.cause;
-    result.residual = played.link.residual;
+    row.instruction = Instruction(variant);
+    row.success = played.ended_by_caller;
+    row.seconds = played.ticks * client_->loop().period_s();
+    row.state = StateName(played.state);
+    row.cause = CauseName(played.cause);
+    row.residual = played.link.residual.value();
+    row.eta_sq = played.link.residual.eta_sq;
+    row.displacement_sq = played.link.residual.displacement_sq;
     const uint64_t sent = sequence_;
-    result.feedback_chunks = sent - sent_before_;
+    row.feedback_chunks = sent - sent_before_;
     sent_before_ = sent;
-    result.steps = played.link.feedback.steps - counted_.steps;
-    result.steps_masked = played.link.feedback.steps_masked - counted_.steps_masked;
+    row.steps = played.link.feedback.steps - counted_.steps;
+    row.steps_masked = played.link.feedback.steps_masked - counted_.steps_masked;
     counted_ = played.link.feedback;
-    result.adapter_version = played.link.adapter_version;
-    result.power_cycles = power_cycles_;
-    return result;
+    row.adapter_version = played.link.adapter_version;
+    row.power_cycles = power_cycles_;
+    return row;
   }
 
   const StudyUnit& unit_;
@@ -195,28 +197,9 @@ absl::Status CheckStudyUnit(const StudyUnit& unit) {
 }
 
 absl::Status RunStudyUnit(const StudyUnit& unit, PolicyEndpoint* policy,
-                          const std::function<absl::Status(const StudyEpisode&)>& report) {
+                          const std::function<absl::Status(const ArmEpisode&)>& report) {
   RS_RETURN_IF_ERROR(CheckStudyUnit(unit));
   return UnitRun(unit, policy).Run(report);
-}
-
-std::string StudyEpisodeJson(const StudyEpisode& episode) {
-  const nlohmann::ordered_json row = {{"episode", episode.episode},
-                                      {"variant", episode.variant},
-                                      {"instruction", episode.instruction},
-                                      {"success", episode.success},
-                                      {"seconds", episode.seconds},
-                                      {"residual", episode.residual.value()},
-                                      {"eta_sq", episode.residual.eta_sq},
-                                      {"displacement_sq", episode.residual.displacement_sq},
-                                      {"feedback_chunks", episode.feedback_chunks},
-                                      {"steps", episode.steps},
-                                      {"steps_masked", episode.steps_masked},
-                                      {"adapter_version", episode.adapter_version},
-                                      {"state", StateName(episode.state)},
-                                      {"cause", CauseName(episode.cause)},
-                                      {"power_cycles", episode.power_cycles}};
-  return row.dump();
 }
 
 absl::Status RunStudyUnitTo(const StudyUnit& unit, const std::string& server,
@@ -243,8 +226,8 @@ absl::Status RunStudyUnitTo(const StudyUnit& unit, const std::string& server,
   const nlohmann::ordered_json held = {{"policy", policy->spec().name},
                                        {"model_hash", policy->spec().model_hash}};
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory + "/policy.json", held.dump(2) + "\n"));
-  RS_RETURN_IF_ERROR(RunStudyUnit(unit, policy.get(), [&](const StudyEpisode& episode) {
-    return AppendLine(rows, StudyEpisodeJson(episode));
+  RS_RETURN_IF_ERROR(RunStudyUnit(unit, policy.get(), [&](const ArmEpisode& episode) {
+    return AppendLine(rows, ArmEpisodeLine(episode));
   }));
   return WriteFileAtomically(directory + "/DONE", "");
 }

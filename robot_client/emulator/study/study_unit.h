@@ -8,6 +8,7 @@
 
 #include "absl/status/statusor.h"
 #include "common/method_options.h"
+#include "common/records/arm_episode.h"
 #include "common/rollout/policy_endpoint.h"
 #include "robot_client/emulator/study/table_tasks.h"
 #include "robot_client/simulated_client.h"
@@ -51,20 +52,6 @@ struct StudyUnit {
 // The error names field, value and what there is.
 absl::Status CheckStudyUnit(const StudyUnit& unit);
 
-struct StudyEpisode {
-  int episode = 0;
-  std::string variant, instruction;
-  bool success = false;
-  double seconds = 0;
-  ClientState state = ClientState::kIdle;  // when it ended
-  StateCause cause = StateCause::kNone;
-  JointResidual residual;
-  uint64_t feedback_chunks = 0;  // of this episode
-  uint64_t steps = 0, steps_masked = 0;
-  uint64_t adapter_version = 0;  // of its last prediction: updates applied
-  int power_cycles = 0;          // of the arm so far: faults, or a way home that was blocked
-};
-
 // Plays the unit in simulated time: the classes of robot_client against an emulated arm. Between
 // episodes the arm drives home and the objects are put back. LoRA, Adam and buffer begin with the
 // session and are kept over episodes and object variants (paper, sec:supp_real). What happens is a
@@ -72,10 +59,7 @@ struct StudyEpisode {
 //
 // `policy`: an open session. `report` gets every episode as it ends; its error ends the unit.
 absl::Status RunStudyUnit(const StudyUnit& unit, PolicyEndpoint* policy,
-                          const std::function<absl::Status(const StudyEpisode&)>& report);
-
-// One line of episodes.jsonl.
-std::string StudyEpisodeJson(const StudyEpisode& episode);
+                          const std::function<absl::Status(const ArmEpisode&)>& report);
 
 // Plays the unit against the server and writes directory/config.yaml, policy.json, episodes.jsonl
 // and DONE last. A directory without DONE is begun anew: a session ends with its client.
