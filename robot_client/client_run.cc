@@ -3,8 +3,6 @@
 #include <pthread.h>
 
 #include <algorithm>
-#include <chrono>
-#include <cmath>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -21,40 +19,8 @@ namespace {
 
 constexpr int64_t kPoll_ns = 5'000'000;
 constexpr char kEpisodes[] = "/episodes.jsonl";
-constexpr double kDecides_s = 1;  // within which the loop decides a request
 constexpr double kEnables_s = 10;
-constexpr double kMakes_s = 60;
-constexpr double kStands = 0.04;  // [rad/s] below what the next order asks for
 constexpr double kLastFeedback_s = 0.1;
-constexpr double kRests = 0.04;  // [rad] that a joint on its rest may be led inside its limits
-
-ArmVector HomeOf(const ClientConfig& config) {
-  ArmVector home{};
-  std::copy_n(config.home.begin(), home.size(), home.begin());
-  return home;
-}
-
-const char* TextOf(Refusal refusal) {
-  switch (refusal) {
-    case Refusal::kNone:
-      return "";
-    case Refusal::kStale:
-      return "the newest sample of the arm is old: where it stands is not known; look at the bus, "
-             "then try again";
-    case Refusal::kMoving:
-      return "the arm moves; wait until it stands, then try again";
-    case Refusal::kApart:
-      return "the arm is more than 0.1 rad from where it is sent; clear its way, then type end "
-             "or hold";
-    case Refusal::kFaults:
-      return "the arm goes on reporting a fault";
-    case Refusal::kHeld:
-      return "a watchdog would hold the arm at once: arm, camera, leader or recording is not well; "
-             "see "
-             "events.jsonl";
-  }
-  return "";
-}
 
 }  // namespace
 
@@ -77,10 +43,6 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
     RS_RETURN_IF_ERROR(
         CheckPose("home", HomeOf(config_), arm_->limits(), guarded ? model_.get() : nullptr));
   }
-  if (motion) {
-    RS_ASSIGN_OR_RETURN(motion_, motion(arm_->limits(), model_.get()));
-    RS_RETURN_IF_ERROR(CheckMotion(*motion_, arm_->limits()));
-  }
   std::vector<FrameSource*> sources;
   for (const std::string& text : config_.cameras) {
     RS_ASSIGN_OR_RETURN(std::unique_ptr<FrameSource> camera, MakeCamera(text, &clock_));
@@ -91,6 +53,12 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
   stamps_ = std::make_unique<FrameStamps>(sources, &clock_);
   RS_ASSIGN_OR_RETURN(loop_, ControlLoop::Create(config_.control, arm_.get(), &clock_,
                                                  stamps_.get(), model_.get()));
+  ways_ = std::make_unique<OwnWays>(config_, *arm_, model_.get(), loop_.get(), &clock_,
+                                    [this](std::string line) { Say(std::move(line)); });
+  if (motion) {
+    RS_ASSIGN_OR_RETURN(Motion played, motion(arm_->limits(), model_.get()));
+    RS_RETURN_IF_ERROR(ways_->Take(std::move(played)));
+  }
   loop_->ObeyStops(OperatorConsole::presses(), OperatorConsole::gentle_presses());
   if (!config_.policy.server.empty()) {
     PolicyLinkOptions link;
@@ -103,8 +71,8 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
   }
   RS_ASSIGN_OR_RETURN(recorder_, Recorder::Create(directory_));
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
-  if (motion_)
-    RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/motion.csv", MotionCsv(*motion_)));
+  if (const auto& motion_played = ways_->motion())
+    RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/motion.csv", MotionCsv(*motion_played)));
   loop_->AddReader(&recorder_->ring());
   arm_->AddSampleReader(&recorder_->samples());
   if (link_ != nullptr) link_->RecordFrames(&recorder_->frames());
@@ -135,9 +103,10 @@ absl::Status ClientRun::CheckCollisionProtection() {
 ClientRun::~ClientRun() { StopThreads(); }
 
 std::string ClientRun::description() const {
+  const std::optional<Motion>& motion = ways_->motion();
   const std::string policy =
-      motion_ ? absl::StrFormat("motion %s, %.1f s: enable, then play slow", motion_->source,
-                                motion_->duration_s())
+      motion ? absl::StrFormat("motion %s, %.1f s: enable, then play slow", motion->source,
+                               motion->duration_s())
       : link_ == nullptr
           ? "no policy server: enable, jog and home only"
           : absl::StrCat("policy ", link_->spec().name, " at ", config_.policy.server,
@@ -193,44 +162,21 @@ void ClientRun::StopThreads() {
   reporting_.join();
 }
 
-absl::Status ClientRun::Refused(const std::string& what) const {
-  const std::string why = TextOf(loop_->refusal());
-  return absl::FailedPreconditionError(absl::StrCat(
-      what, ": the client is ", StateName(loop_->state()), why.empty() ? "" : "; ", why));
-}
-
-void ClientRun::Await(std::string what, double seconds, std::function<bool()> done,
-                      std::string answer) {
-  const uint64_t before = loop_->decided();
-  Pending pending;
-  pending.what = what;
-  pending.until_ns = clock_.now_ns() + static_cast<int64_t>(seconds * 1e9);
-  pending.late = absl::DeadlineExceededError(
-      absl::StrCat(what, " took longer than ", seconds, " s; the control thread is stuck"));
-  pending.answer = [this, before, what, done = std::move(done),
-                    answer = std::move(answer)]() -> std::optional<absl::StatusOr<std::string>> {
-    if (loop_->decided() == before) return std::nullopt;
-    if (done()) return answer;
-    return Refused(what);
-  };
-  pending_ = std::move(pending);
-}
-
 absl::StatusOr<std::string> ClientRun::Enable() {
   if (loop_->state() != ClientState::kIdle)
     return absl::FailedPreconditionError(absl::StrCat("the client is ", StateName(loop_->state()),
                                                       "; only from IDLE the arm is enabled"));
   const uint64_t before = loop_->decided();
-  pending_ = Pending{"enable", clock_.now_ns() + static_cast<int64_t>(kEnables_s * 1e9),
-                     [this, before]() -> std::optional<absl::StatusOr<std::string>> {
-                       if (loop_->decided() == before) return std::nullopt;
-                       if (const absl::Status status = loop_->enable_status(); !status.ok())
-                         return status;
-                       if (loop_->state() == ClientState::kIdle)
-                         return absl::CancelledError("enable was stopped before it began");
-                       return "the arm has power and holds";
-                     },
-                     absl::DeadlineExceededError("the arm was not enabled within 10 s")};
+  pending_ = PendingAnswer{"enable", clock_.now_ns() + static_cast<int64_t>(kEnables_s * 1e9),
+                           [this, before]() -> std::optional<absl::StatusOr<std::string>> {
+                             if (loop_->decided() == before) return std::nullopt;
+                             if (const absl::Status status = loop_->enable_status(); !status.ok())
+                               return status;
+                             if (loop_->state() == ClientState::kIdle)
+                               return absl::CancelledError("enable was stopped before it began");
+                             return "the arm has power and holds";
+                           },
+                           absl::DeadlineExceededError("the arm was not enabled within 10 s")};
   loop_->Ask(kRequestEnable);
   return "";
 }
@@ -238,8 +184,9 @@ absl::StatusOr<std::string> ClientRun::Enable() {
 absl::StatusOr<std::string> ClientRun::Clear() {
   if (loop_->state() != ClientState::kFault)
     return absl::FailedPreconditionError("there is no fault to clear");
-  Await(
-      "clear", kDecides_s, [this] { return loop_->state() == ClientState::kIdle; },
+  pending_ = AwaitDecision(
+      loop_.get(), clock_, "clear", kDecides_s,
+      [this] { return loop_->state() == ClientState::kIdle; },
       "no fault any more; type enable when it is safe");
   loop_->Ask(kRequestClear);
   return "";
@@ -263,8 +210,8 @@ absl::StatusOr<std::string> ClientRun::StartEpisode() {
   }
   const int episode = config_.first_episode + next_episode_;
   link_->StartEpisode({config_.task, episode});
-  Await(
-      "start", kDecides_s,
+  pending_ = AwaitDecision(
+      loop_.get(), clock_, "start", kDecides_s,
       [this] {
         // It may have been held in its first ticks.
         episode_running_ =
@@ -279,105 +226,16 @@ absl::StatusOr<std::string> ClientRun::StartEpisode() {
   return "";
 }
 
-absl::Status ClientRun::MayMove() const {
-  if (!episode_running_ && loop_->state() == ClientState::kEnabled) return absl::OkStatus();
-  return absl::FailedPreconditionError(absl::StrCat("the client is ", StateName(loop_->state()),
-                                                    episode_running_ ? " and an episode runs" : "",
-                                                    "; the arm is moved from ENABLED"));
-}
-
-PathLimits ClientRun::WayLimits(double velocity) const {
-  const LimiterOptions& most = config_.control.limits;
-  PathLimits limits;
-  limits.joint_velocity = std::min(velocity, most.joint_velocity);
-  limits.joint_acceleration = std::min(limits.joint_acceleration, 0.8 * most.joint_acceleration);
-  limits.joint_jerk = std::min(limits.joint_jerk, 0.8 * most.joint_jerk);
-  return limits;
-}
-
-ClientRun::Pending ClientRun::Begin(const std::string& what, ArmPath path,
-                                    std::function<std::string(double)> arrived) {
-  const double seconds = static_cast<double>(path.rows.size()) / config_.control.rate_hz;
-  const ArmVector to = path.rows.back();
-  paths_.push_back(std::make_unique<const ArmPath>(std::move(path)));
-  const uint64_t before = loop_->decided();
-  Pending pending;
-  pending.what = what;
-  pending.until_ns = clock_.now_ns() + static_cast<int64_t>((seconds + 5) * 1e9);
-  pending.late = absl::DeadlineExceededError(what + " has not arrived; type hold");
-  pending.answer = [this, before, what, arrived = std::move(arrived),
-                    to]() -> std::optional<absl::StatusOr<std::string>> {
-    if (loop_->decided() == before || loop_->state() == ClientState::kMove) return std::nullopt;
-    if (loop_->refusal() == Refusal::kNone && loop_->cause() == StateCause::kOperator &&
-        loop_->state() == ClientState::kEnabled)
-      return what + " was stopped";
-    if (loop_->cause() != StateCause::kArrived) return Refused(what + " did not arrive");
-    const ArmSnapshot arm = loop_->seen();
-    double off = 0, fastest = 0;
-    for (int j = 0; j < kArmJoints; ++j) {
-      off = std::max(off, std::abs(arm.position[j] - to[j]));
-      fastest = std::max(fastest, std::abs(arm.velocity[j]));
-    }
-    if (fastest > kStands) return std::nullopt;
-    return arrived(1000 * off);
-  };
-  loop_->Play(paths_.back().get());
-  Say(absl::StrFormat("%s: %.1f s; Enter stops", what, seconds));
-  return pending;
-}
-
-absl::StatusOr<std::string> ClientRun::Follow(const std::string& what, ArmPath path,
-                                              std::function<std::string(double)> arrived) {
-  if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, path));
-  pending_ = Begin(what, std::move(path), std::move(arrived));
-  return "";
-}
-
-absl::StatusOr<std::string> ClientRun::Move(const std::string& what, const std::string& there,
-                                            const ArmVector& to, double velocity) {
-  RS_RETURN_IF_ERROR(MayMove());
-  return Follow(
-      what,
-      StraightPath(loop_->seen().position, to, WayLimits(velocity), 1 / config_.control.rate_hz),
-      [there](double off) { return absl::StrFormat("the arm is %s, %.1f mrad off", there, off); });
-}
-
-absl::StatusOr<std::string> ClientRun::Play(double speed) {
-  if (!motion_)
+absl::StatusOr<std::string> ClientRun::StartWay(const OperatorOrder& order) {
+  if (episode_running_) {
     return absl::FailedPreconditionError(
-        "this run has no motion; quit, and start `robot_client replay` or `robot_client excite`");
-  RS_RETURN_IF_ERROR(MayMove());
-  if (config_.slow_first && speed > kSlowly && fastest_played_ == 0)
-    return absl::FailedPreconditionError(
-        "the motion was not played slowly yet; type play slow and watch its way, then play");
-  const ArmVector from = loop_->seen().position;
-  making_ = std::async(std::launch::async, [this, speed, from]() -> absl::StatusOr<ArmPath> {
-    pthread_setname_np(pthread_self(), "motion");
-    const double period_s = 1 / config_.control.rate_hz;
-    PlayedMotion played =
-        PlayMotion(*motion_, speed, from, WayLimits(config_.home_velocity), period_s);
-    RS_RETURN_IF_ERROR(CheckSpeed(played, speed, config_.control.limits.joint_velocity, period_s));
-    if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, played.path));
-    return std::move(played.path);
-  });
-  stopped_ = false;
-  const std::string what = absl::StrFormat("play %.2g", speed);
-  pending_ =
-      Pending{what, clock_.now_ns() + static_cast<int64_t>(kMakes_s * 1e9),
-              [this, speed, what]() -> std::optional<absl::StatusOr<std::string>> {
-                if (making_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
-                  return std::nullopt;
-                absl::StatusOr<ArmPath> path = making_.get();
-                if (stopped_) return absl::CancelledError(what + " was stopped before it began");
-                if (!path.ok()) return path.status();
-                next_pending_ = Begin(what, *std::move(path), [this, speed](double off) {
-                  fastest_played_ = std::max(fastest_played_, speed);
-                  return absl::StrFormat("the motion is over, %.1f mrad off its end; %s", off,
-                                         speed < 1 ? "type play, or quit" : "type quit");
-                });
-                return "";
-              },
-              absl::DeadlineExceededError(what + " could not be made in time")};
+        absl::StrCat("the client is ", StateName(loop_->state()),
+                     " and an episode runs; end it first (success, failure or end)"));
+  }
+  RS_ASSIGN_OR_RETURN(pending_, order.command == OperatorCommand::kHome ? ways_->Home()
+                                : order.command == OperatorCommand::kJog
+                                    ? ways_->Jog(order.axis, order.amount)
+                                    : ways_->Play(order.amount));
   return "";
 }
 
@@ -394,28 +252,11 @@ absl::StatusOr<std::string> ClientRun::FollowLive(LiveTarget* live) {
     return absl::FailedPreconditionError(absl::StrCat("the client is ", StateName(loop_->state()),
                                                       "; the arm follows from ENABLED"));
   }
-  Await(
-      "follow", kDecides_s, [this] { return loop_->state() == ClientState::kMove; },
-      "the arm follows; Enter stops");
+  pending_ = AwaitDecision(
+      loop_.get(), clock_, "follow", kDecides_s,
+      [this] { return loop_->state() == ClientState::kMove; }, "the arm follows; Enter stops");
   loop_->Follow(live);
   return "";
-}
-
-absl::StatusOr<std::string> ClientRun::Jog(const OperatorOrder& order) {
-  ArmVector to = loop_->seen().position;
-  to[order.axis] += order.amount;
-  // An arm on its rest has joints at the end of what it allows, where the limiter lets none stay.
-  const ArmLimits limits = arm_->limits();
-  const double margin = config_.control.limits.joint_margin;
-  for (int j = 0; j < kArmJoints; ++j) {
-    const double inside = std::clamp(to[j], limits.lower[j] + margin, limits.upper[j] - margin);
-    if (j != order.axis && std::abs(to[j] - inside) <= kRests) to[j] = inside;
-  }
-  if (order.axis < kArmJoints)
-    RS_RETURN_IF_ERROR(CheckPose("the way's end", to, arm_->limits(), nullptr));
-  to[kArmJoints] = std::clamp(to[kArmJoints], arm_->limits().lower[kArmJoints],
-                              arm_->limits().upper[kArmJoints]);
-  return Move("jog", "there", to, config_.jog_velocity);
 }
 
 absl::StatusOr<std::string> ClientRun::EndEpisode(std::optional<bool> success) {
@@ -430,14 +271,15 @@ absl::StatusOr<std::string> ClientRun::EndEpisode(std::optional<bool> success) {
   if (link_ != nullptr) link_->Wake();
   // Time for the last chunk's feedback; in FAULT the episode is over as it is.
   const int64_t enough = clock_.now_ns() + static_cast<int64_t>(kLastFeedback_s * 1e9);
-  pending_ = Pending{"end", clock_.now_ns() + static_cast<int64_t>(kDecides_s * 1e9),
-                     [this, success, enough]() -> std::optional<absl::StatusOr<std::string>> {
-                       const ClientState state = loop_->state();
-                       const bool over = state != ClientState::kRun && state != ClientState::kHold;
-                       if (!over || clock_.now_ns() < enough) return std::nullopt;
-                       return CountEpisode(success);
-                     },
-                     absl::DeadlineExceededError("the episode does not end")};
+  pending_ = PendingAnswer{"end", clock_.now_ns() + static_cast<int64_t>(kDecides_s * 1e9),
+                           [this, success, enough]() -> std::optional<absl::StatusOr<std::string>> {
+                             const ClientState state = loop_->state();
+                             const bool over =
+                                 state != ClientState::kRun && state != ClientState::kHold;
+                             if (!over || clock_.now_ns() < enough) return std::nullopt;
+                             return CountEpisode(success);
+                           },
+                           absl::DeadlineExceededError("the episode does not end")};
   return "";
 }
 
@@ -468,11 +310,11 @@ absl::StatusOr<std::string> ClientRun::CountEpisode(std::optional<bool> success)
 absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
   switch (order.command) {  // what stops the arm comes first, whatever goes on
     case OperatorCommand::kHold:
-      stopped_ = true;
+      ways_->Stop();
       loop_->Ask(kRequestHold);
       return "hold";
     case OperatorCommand::kQuickStop:
-      stopped_ = true;
+      ways_->Stop();
       loop_->Ask(kRequestQuickStop);
       return "damped stop: the arm sinks";
     case OperatorCommand::kQuit:
@@ -488,27 +330,22 @@ absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
     case OperatorCommand::kEnable:
       return Enable();
     case OperatorCommand::kHome:
-      if (config_.home.empty()) {
-        return absl::FailedPreconditionError(
-            "no starting pose is configured; give home (six joints [rad] and the opening [m])");
-      }
-      return Move("home", "home", HomeOf(config_), config_.home_velocity);
     case OperatorCommand::kJog:
-      return Jog(order);
     case OperatorCommand::kPlay:
-      return Play(order.amount);
+      return StartWay(order);
     case OperatorCommand::kStart:
       return StartEpisode();
     case OperatorCommand::kResume:
       if (loop_->state() != ClientState::kHold || !episode_running_)
         return absl::FailedPreconditionError("no episode is held; type end, then start or home");
-      pending_ = Pending{"resume", clock_.now_ns() + static_cast<int64_t>(0.5e9),
-                         [this]() -> std::optional<absl::StatusOr<std::string>> {
-                           if (loop_->state() != ClientState::kRun) return std::nullopt;
-                           return "the episode goes on";
-                         },
-                         absl::FailedPreconditionError(
-                             "still HOLD: what holds the arm is still there; see events.jsonl")};
+      pending_ =
+          PendingAnswer{"resume", clock_.now_ns() + static_cast<int64_t>(0.5e9),
+                        [this]() -> std::optional<absl::StatusOr<std::string>> {
+                          if (loop_->state() != ClientState::kRun) return std::nullopt;
+                          return "the episode goes on";
+                        },
+                        absl::FailedPreconditionError(
+                            "still HOLD: what holds the arm is still there; see events.jsonl")};
       loop_->Ask(kRequestResume);
       return "";
     case OperatorCommand::kSuccess:
@@ -544,7 +381,7 @@ absl::StatusOr<std::string> ClientRun::Watch() {
     std::optional<absl::StatusOr<std::string>> answer = pending_->answer();
     if (!answer && clock_.now_ns() < pending_->until_ns) return "";
     if (!answer) answer = pending_->late;
-    pending_ = std::exchange(next_pending_, std::nullopt);
+    pending_ = ways_->TakeNext();
     return *std::move(answer);
   }
   if (!episode_running_) return "";

@@ -2,7 +2,6 @@
 
 #include <atomic>
 #include <functional>
-#include <future>
 #include <memory>
 #include <optional>
 #include <string>
@@ -12,10 +11,10 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "robot_client/arm_path.h"
 #include "robot_client/client_config.h"
 #include "robot_client/motion/motion.h"
 #include "robot_client/operator_console.h"
+#include "robot_client/own_ways.h"
 #include "robot_client/policy_link.h"
 #include "robot_client/recorder.h"
 #include "robot_client/state_reporter.h"
@@ -50,7 +49,7 @@ class ClientRun {
   ClientState state() const { return loop_->state(); }
   bool episode_running() const { return episode_running_; }
   // The fastest that the motion was played to its end in this run; 0: not yet.
-  double fastest_played() const { return fastest_played_; }
+  double fastest_played() const { return ways_->fastest_played(); }
   // The arm follows what comes in live, from ENABLED until it is held. `live` outlives the run.
   absl::StatusOr<std::string> FollowLive(LiveTarget* live);
   std::string description() const;  // what it is connected to
@@ -67,38 +66,16 @@ class ClientRun {
   void StopThreads();  // the arm stays at its last target; nothing is completed
 
  private:
-  // What goes on: its answer once there is one, and what is said when there is none in time.
-  struct Pending {
-    std::string what;
-    int64_t until_ns = 0;
-    std::function<std::optional<absl::StatusOr<std::string>>()> answer;
-    absl::Status late;
-  };
-
   explicit ClientRun(const ClientConfig& config, std::string directory)
       : config_(config), directory_(std::move(directory)) {}
   absl::Status Open(const MotionMaker& motion);
   absl::Status CheckCollisionProtection();
-  // `done` once the loop has decided what it is asked for now; its refusal is the answer else.
-  void Await(std::string what, double seconds, std::function<bool()> done, std::string answer);
   absl::StatusOr<std::string> Enable();
   absl::StatusOr<std::string> Clear();
   absl::StatusOr<std::string> StartEpisode();
-  // "the arm is `there`" once it stands at `to`.
-  absl::StatusOr<std::string> Move(const std::string& what, const std::string& there,
-                                   const ArmVector& to, double velocity);
-  absl::StatusOr<std::string> Play(double speed);
-  absl::Status MayMove() const;
-  PathLimits WayLimits(double velocity) const;
-  // Plays a way if it is free; `arrived` is the answer once the arm stands at its end.
-  absl::StatusOr<std::string> Follow(const std::string& what, ArmPath path,
-                                     std::function<std::string(double off_mrad)> arrived);
-  Pending Begin(const std::string& what, ArmPath path,
-                std::function<std::string(double off_mrad)> arrived);
-  absl::StatusOr<std::string> Jog(const OperatorOrder& order);
+  absl::StatusOr<std::string> StartWay(const OperatorOrder& order);  // home, jog, play
   absl::StatusOr<std::string> EndEpisode(std::optional<bool> success);
   absl::StatusOr<std::string> CountEpisode(std::optional<bool> success);
-  absl::Status Refused(const std::string& what) const;
   void TellServersError();
 
   const ClientConfig config_;
@@ -118,14 +95,9 @@ class ClientRun {
   absl::Status recording_status_;  // of the recorder's thread, read after it
   bool threads_ = false;
 
-  std::optional<Pending> pending_, next_pending_;      // the second follows the first's answer
-  std::vector<std::unique_ptr<const ArmPath>> paths_;  // the loop may play the last one
-  std::optional<Motion> motion_;
-  double fastest_played_ = 0;
-  // The way of a motion, made and checked in a thread of its own: the console goes on obeying.
-  std::future<absl::StatusOr<ArmPath>> making_;
+  std::unique_ptr<OwnWays> ways_;
+  std::optional<PendingAnswer> pending_;
   std::string told_error_;
-  bool stopped_ = false;  // by a person, since it was asked for
   int next_episode_ = 0;
   bool episode_running_ = false;
   int64_t episode_start_ns_ = 0;

@@ -121,13 +121,14 @@ TEST(ClientProgramTest, ObeysAPerson) {
 // Every command is answered before the next line is read, so nothing here depends on time.
 TEST(ClientProgramTest, DrivesHomeWhereAPersonHasConfiguredIt) {
   std::string out;
-  const auto [text, code] =
-      WithServer("home",
-                 "printf 'enable\\nhome\\nstart\\nsuccess\\nquit\\n' | $client $common --set "
-                 "'home=[0.2, 1.0, -0.8, 0.0, 0.4, 0.0, 0.06]'",
-                 &out);
+  const auto [text, code] = WithServer(
+      "home",
+      "printf 'enable\\nhome\\nstart\\njog J1 2deg\\nsuccess\\nquit\\n' | $client $common --set "
+      "'home=[0.2, 1.0, -0.8, 0.0, 0.4, 0.0, 0.06]'",
+      &out);
   EXPECT_EQ(code, 0) << text;
-  EXPECT_THAT(text, AllOf(HasSubstr("the arm is home"), HasSubstr("episode 0 of task 0")));
+  EXPECT_THAT(text, AllOf(HasSubstr("the arm is home"), HasSubstr("episode 0 of task 0"),
+                          HasSubstr("the client is RUN and an episode runs; end it first")));
   EXPECT_THAT(Text(out + "/run/episodes.jsonl"),
               AllOf(HasSubstr("\"episode\":0"), Not(HasSubstr("\"episode\":-1"))));
 }
