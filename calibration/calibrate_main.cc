@@ -4,13 +4,13 @@
 #include <filesystem>
 #include <string>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "calibration/calibrate.h"
 #include "calibration/effect_table.h"
 #include "calibration/scenario_output.h"
 #include "common/atomic_file.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
@@ -140,15 +140,7 @@ int Main(int argc, char** argv) {
       },
       "Print the effect library and do nothing else");
   app.footer(kExamples);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  const absl::Status status = Run(line);
-  if (status.ok()) return 0;
-  std::fprintf(stderr, "robostress calibrate: %s\n", std::string(status.message()).c_str());
-  return 1;
+  return RunMain(app, argc, argv, [&] { return Run(line); });
 }
 
 }  // namespace

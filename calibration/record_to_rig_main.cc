@@ -7,6 +7,7 @@
 #include "calibration/client_recordings.h"
 #include "calibration/recorded_rig.h"
 #include "calibration/sim_recordings.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
@@ -86,25 +87,23 @@ int Main(int argc, char** argv) {
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   app.add_flag("--no-transfer", no_transfer, "no task is a transfer regime");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  line.rig.transfer = !no_transfer;
-  const auto summary = Convert(line);
-  if (!summary.ok()) {
-    std::fprintf(stderr, "robostress record-to-rig: %s\n",
-                 std::string(summary.status().message()).c_str());
-    return summary.status().code() == absl::StatusCode::kUnavailable ? 1 : 2;
-  }
-  std::printf(
-      "%s: %d episodes, %d pieces of free motion, %.1f s (%.1f s near contacts or too short left "
-      "out)\nlogs: %d fit, %d held_out, %d transfer\n",
-      summary->rig_file.c_str(), summary->episodes, summary->pieces, summary->seconds,
-      summary->seconds_left_out, summary->logs_of_role[0], summary->logs_of_role[1],
-      summary->logs_of_role[2]);
-  return 0;
+  return RunMain(
+      app, argc, argv,
+      [&]() -> absl::Status {
+        line.rig.transfer = !no_transfer;
+        RS_ASSIGN_OR_RETURN(const auto summary, Convert(line));
+        std::printf(
+            "%s: %d episodes, %d pieces of free motion, %.1f s (%.1f s near contacts or too short "
+            "left "
+            "out)\nlogs: %d fit, %d held_out, %d transfer\n",
+            summary.rig_file.c_str(), summary.episodes, summary.pieces, summary.seconds,
+            summary.seconds_left_out, summary.logs_of_role[0], summary.logs_of_role[1],
+            summary.logs_of_role[2]);
+        return absl::OkStatus();
+      },
+      [](const absl::Status& status) {
+        return absl::IsUnavailable(status) ? kFailed : kWrongCommand;
+      });
 }
 
 }  // namespace

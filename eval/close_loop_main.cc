@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <string>
 
+#include "common/run_main.h"
 #include "eval/close_loop/close_loop.h"
 #include "eval/close_loop/close_piper_loop.h"
 #include "eval/launch/merged_sweep.h"
@@ -62,27 +63,24 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(99, 100000))
       ->capture_default_str();
   app.add_option("--seed", options.seed, "Of encoder noise and surrogates")->capture_default_str();
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  if (arm == "piper") {
-    const auto piper = robostress::ClosePiperLoop(
-        {options.hidden, options.out, options.episodes, options.surrogates, options.seed});
-    if (!piper.ok()) return robostress::FailCommand("close-loop", piper.status());
-    std::fputs(robostress::ClosePiperLoopTable(*piper).c_str(), stdout);
+  return robostress::RunMain(app, argc, argv, [&]() -> int {
+    if (arm == "piper") {
+      const auto piper = robostress::ClosePiperLoop(
+          {options.hidden, options.out, options.episodes, options.surrogates, options.seed});
+      if (!piper.ok()) return robostress::FailCommand("close-loop", piper.status());
+      std::fputs(robostress::ClosePiperLoopTable(*piper).c_str(), stdout);
+      std::printf("%s/summary.json\n", options.out.c_str());
+      return 0;
+    }
+    if (!tasks.empty()) {
+      const auto parsed = robostress::ParseTasks(tasks);
+      if (!parsed.ok()) return robostress::FailCommand("close-loop", parsed.status());
+      options.tasks = *parsed;
+    }
+    const auto result = robostress::CloseLoop(options);
+    if (!result.ok()) return robostress::FailCommand("close-loop", result.status());
+    std::fputs(robostress::CloseLoopTable(*result).c_str(), stdout);
     std::printf("%s/summary.json\n", options.out.c_str());
     return 0;
-  }
-  if (!tasks.empty()) {
-    const auto parsed = robostress::ParseTasks(tasks);
-    if (!parsed.ok()) return robostress::FailCommand("close-loop", parsed.status());
-    options.tasks = *parsed;
-  }
-  const auto result = robostress::CloseLoop(options);
-  if (!result.ok()) return robostress::FailCommand("close-loop", result.status());
-  std::fputs(robostress::CloseLoopTable(*result).c_str(), stdout);
-  std::printf("%s/summary.json\n", options.out.c_str());
-  return 0;
+  });
 }

@@ -3,8 +3,9 @@
 #include <cstdio>
 #include <string>
 
-#include "CLI/CLI.hpp"
 #include "common/atomic_file.h"
+#include "common/run_main.h"
+#include "common/status_macros.h"
 #include "eval/report/error_model_plots.h"
 
 int main(int argc, char** argv) {
@@ -15,20 +16,13 @@ int main(int argc, char** argv) {
   std::string out;
   app.add_option("--out", out, "Folder of the pictures")->required();
   app.footer("\nExample\n  robostress error-models --out common/joint_errors/docs\n");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  absl::Status status = robostress::MakeDirectories(out);
-  for (const robostress::ErrorModelPicture& picture : robostress::DrawErrorModels()) {
-    const std::string path = out + "/" + picture.name + ".svg";
-    if (status.ok()) status = robostress::WriteFileAtomically(path, picture.svg);
-    if (status.ok()) std::printf("%s\n", path.c_str());
-  }
-  if (!status.ok()) {
-    std::fprintf(stderr, "robostress error-models: %s\n", std::string(status.message()).c_str());
-    return 1;
-  }
-  return 0;
+  return robostress::RunMain(app, argc, argv, [&]() -> absl::Status {
+    RS_RETURN_IF_ERROR(robostress::MakeDirectories(out));
+    for (const robostress::ErrorModelPicture& picture : robostress::DrawErrorModels()) {
+      const std::string path = out + "/" + picture.name + ".svg";
+      RS_RETURN_IF_ERROR(robostress::WriteFileAtomically(path, picture.svg));
+      std::printf("%s\n", path.c_str());
+    }
+    return absl::OkStatus();
+  });
 }

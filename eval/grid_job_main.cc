@@ -8,8 +8,8 @@
 #include <filesystem>
 #include <string>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/launch/exit_code.h"
 #include "eval/launch/merged_sweep.h"
@@ -161,17 +161,15 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   CLI::App* merge = add("merge", "Merge the tables and write the report");
   merge->add_flag("--wait", line.wait, "First wait until every worker task has left");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? kExitDone : kExitWrongCommand;
-  }
-  ChooseOpenMpBlas();
-  const absl::StatusOr<std::unique_ptr<Submission>> submission = Submission::Open(line.submission);
-  if (!submission.ok()) return FailCommand("grid-job", submission.status());
-  if (serve->parsed()) return Finish(Serve(**submission, line));
-  if (work->parsed()) return Finish(Work(**submission, line));
-  return Finish(Merge(**submission, line));
+  return RunMain(app, argc, argv, [&] {
+    ChooseOpenMpBlas();
+    const absl::StatusOr<std::unique_ptr<Submission>> submission =
+        Submission::Open(line.submission);
+    if (!submission.ok()) return FailCommand("grid-job", submission.status());
+    if (serve->parsed()) return Finish(Serve(**submission, line));
+    if (work->parsed()) return Finish(Work(**submission, line));
+    return Finish(Merge(**submission, line));
+  });
 }
 
 }  // namespace

@@ -5,10 +5,10 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/launch/grid_flags.h"
 #include "eval/launch/merged_sweep.h"
@@ -321,10 +321,5 @@ int main(int argc, char** argv) {
       "robostress paper");
   robostress::CommandLine line;
   robostress::DeclareFlags(app, line);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  return robostress::Run(app, line);
+  return robostress::RunMain(app, argc, argv, [&] { return robostress::Run(app, line); });
 }

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "common/config.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/launch/merged_sweep.h"
 #include "eval/piper_study/piper_study.h"
@@ -84,27 +85,24 @@ int main(int argc, char** argv) {
   app.add_option("--robust-weights", line.robust_weights, "Its counterpart of RobustVLA");
   app.add_option("--set", line.settings, "KEY=VALUE of study.yaml, repeatable")
       ->allow_extra_args(false);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  if (!line.stages.empty()) launch.stages = line.stages;
-  const auto options = Resolve(line);
-  if (!options.ok()) return robostress::FailCommand("piper-study", options.status());
-  if (line.dry_run) {
-    const auto units = robostress::PlanPiperStudy(*options);
-    if (!units.ok()) return robostress::FailCommand("piper-study", units.status());
-    size_t done = 0;
-    for (const robostress::PiperUnit& unit : *units) {
-      const bool is_done = std::filesystem::exists(
-          launch.out + (launch.real_time ? "/live/" : "/units/") + unit.id + "/DONE");
-      done += is_done;
-      std::printf("%-28s %s\n", unit.id.c_str(), is_done ? "done" : "");
+  return robostress::RunMain(app, argc, argv, [&]() -> int {
+    if (!line.stages.empty()) launch.stages = line.stages;
+    const auto options = Resolve(line);
+    if (!options.ok()) return robostress::FailCommand("piper-study", options.status());
+    if (line.dry_run) {
+      const auto units = robostress::PlanPiperStudy(*options);
+      if (!units.ok()) return robostress::FailCommand("piper-study", units.status());
+      size_t done = 0;
+      for (const robostress::PiperUnit& unit : *units) {
+        const bool is_done = std::filesystem::exists(
+            launch.out + (launch.real_time ? "/live/" : "/units/") + unit.id + "/DONE");
+        done += is_done;
+        std::printf("%-28s %s\n", unit.id.c_str(), is_done ? "done" : "");
+      }
+      std::printf("%zu units of %d episodes, %zu done\n", units->size(), options->episodes, done);
+      return 0;
     }
-    std::printf("%zu units of %d episodes, %zu done\n", units->size(), options->episodes, done);
-    return 0;
-  }
-  const absl::Status status = robostress::RunPiperStudy(*options, launch);
-  return status.ok() ? 0 : robostress::FailCommand("piper-study", status);
+    const absl::Status status = robostress::RunPiperStudy(*options, launch);
+    return status.ok() ? 0 : robostress::FailCommand("piper-study", status);
+  });
 }

@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "common/atomic_file.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/report/report.h"
 #include "eval/report/store_comparison.h"
@@ -96,16 +96,8 @@ int main(int argc, char** argv) {
       "report --compare runs/before runs/after --out runs/compare\n  robostress report "
       "runs/main --bootstrap 20000 "
       "--max-videos 0\n");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  const absl::Status status = compare.empty() ? robostress::Report(dir, training, out, options)
-                                              : robostress::Compare(compare, out, options);
-  if (!status.ok()) {
-    std::fprintf(stderr, "robostress report: %s\n", std::string(status.message()).c_str());
-    return 1;
-  }
-  return 0;
+  return robostress::RunMain(app, argc, argv, [&] {
+    return compare.empty() ? robostress::Report(dir, training, out, options)
+                           : robostress::Compare(compare, out, options);
+  });
 }

@@ -7,11 +7,11 @@
 #include <utility>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/launch/grid_flags.h"
 #include "eval/launch/merged_sweep.h"
@@ -177,10 +177,5 @@ int main(int argc, char** argv) {
       "robostress residual");
   robostress::CommandLine line;
   robostress::DeclareFlags(app, line);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  return robostress::Run(app, line);
+  return robostress::RunMain(app, argc, argv, [&] { return robostress::Run(app, line); });
 }

@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/launch/exit_code.h"
 #include "eval/launch/merged_sweep.h"
@@ -144,13 +144,10 @@ int main(int argc, char** argv) {
       ->required()
       ->expected(1);
   outcomes->add_option("--out", line.out, "File to write")->required();
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? robostress::kExitDone : robostress::kExitWrongCommand;
-  }
-  if (verify->parsed()) return robostress::Verify(line);
-  if (outcomes->parsed()) return robostress::WriteOutcomes(line);
-  if (merge->parsed()) return robostress::Merge(line);
-  return robostress::MakeIndex(line);
+  return robostress::RunMain(app, argc, argv, [&] {
+    if (verify->parsed()) return robostress::Verify(line);
+    if (outcomes->parsed()) return robostress::WriteOutcomes(line);
+    if (merge->parsed()) return robostress::Merge(line);
+    return robostress::MakeIndex(line);
+  });
 }

@@ -1,11 +1,10 @@
 // robostress-sweep: plans a grid of units, runs what is missing, merges the tables and writes the
 // report.
 
-#include <cstdio>
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/launch/grid_flags.h"
 #include "eval/launch/merged_sweep.h"
@@ -106,10 +105,5 @@ int main(int argc, char** argv) {
       "robostress sweep");
   robostress::CommandLine line;
   robostress::DeclareFlags(app, line);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  return robostress::Run(app, line);
+  return robostress::RunMain(app, argc, argv, [&] { return robostress::Run(app, line); });
 }

@@ -6,9 +6,9 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "common/clock.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/cameras/preview_server.h"
 #include "robot_client/cameras/v4l2_devices.h"
@@ -98,21 +98,17 @@ int CamerasMain(int argc, char** argv) {
                "let --preview listen on an address that other machines reach");
   app.add_option("--seconds", line.seconds, "end the preview by itself")
       ->check(CLI::Range(1, 1000000));
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  absl::Status status;
-  if (line.preview.empty() && !line.cameras.empty()) {
-    status = absl::InvalidArgumentError(
-        "--camera is for a preview; add --preview 127.0.0.1:8090, or leave it out for the list");
-  } else {
-    status = line.preview.empty() ? List() : Preview(line);
-  }
-  if (status.ok()) return 0;
-  std::fprintf(stderr, "robot_client cameras: %s\n", std::string(status.message()).c_str());
-  return 2;
+  return RunMain(
+      app, argc, argv,
+      [&] {
+        if (line.preview.empty() && !line.cameras.empty()) {
+          return absl::InvalidArgumentError(
+              "--camera is for a preview; add --preview 127.0.0.1:8090, or leave it out for the "
+              "list");
+        }
+        return line.preview.empty() ? List() : Preview(line);
+      },
+      [](const absl::Status&) { return kWrongCommand; });
 }
 
 }  // namespace robostress

@@ -107,11 +107,6 @@ absl::Status CheckConfig(const ClientConfig& c) {
                    c.episodes, "; they must be at least 0, 0 and 1");
   if (!(c.episode_s > 0 && c.episode_s <= 3600))
     return invalid("episode_s is ", c.episode_s, ", must be above 0, at most 3600");
-  if (!absl::StartsWith(c.policy.robot, "piper")) {
-    return invalid("policy.robot is '", c.policy.robot,
-                   "'; the residual of this arm is in joint space, so its name must begin with "
-                   "'piper'");
-  }
   if (!c.home.empty() && c.home.size() != kArmAxes) {
     return invalid("home has ", c.home.size(), " numbers, must have ", kArmAxes,
                    ": six joints [rad] and the opening [m]");

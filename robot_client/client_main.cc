@@ -5,7 +5,7 @@
 #include <string>
 #include <utility>
 
-#include "CLI/CLI.hpp"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/cameras_command.h"
 #include "robot_client/client_program.h"
@@ -94,12 +94,8 @@ int Main(int argc, char** argv) {
   app.add_option("--policy", line.policy, "policy that the server holds");
   app.add_option("--method", line.method, "base, ours, ... as in a sweep");
   app.add_option("--instruction", line.instruction, "what the policy is told");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  return ExitWith(Run(line), "robot_client");
+  return RunMain(
+      app, argc, argv, [&] { return Run(line); }, ClientExitCode);
 }
 
 }  // namespace

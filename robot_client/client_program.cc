@@ -1,7 +1,5 @@
 #include "robot_client/client_program.h"
 
-#include <cstdio>
-
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/config.h"
@@ -87,9 +85,7 @@ absl::Status RunConsole(ClientRun& run, const AutomaticOrder& automatic) {
   return refused;
 }
 
-int ExitWith(const absl::Status& status, const char* program) {
-  if (status.ok()) return 0;
-  std::fprintf(stderr, "%s: %s\n", program, std::string(status.message()).c_str());
+int ClientExitCode(const absl::Status& status) {
   switch (status.code()) {
     case absl::StatusCode::kInvalidArgument:
     case absl::StatusCode::kNotFound:

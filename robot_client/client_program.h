@@ -34,8 +34,7 @@ using AutomaticOrder = std::function<std::optional<OperatorOrder>(const ClientRu
 // first order that is refused, or a FAULT, ends the run and is its error.
 absl::Status RunConsole(ClientRun& run, const AutomaticOrder& automatic);
 
-// The exit code of a status: 0 fine, 2 bad input or nothing to connect to, 1 all else; an error is
-// printed behind `program`.
-int ExitWith(const absl::Status& status, const char* program);
+// The exit code of an error, for RunMain: 2 bad input or nothing to connect to, 1 all else.
+int ClientExitCode(const absl::Status& status);
 
 }  // namespace robostress

@@ -9,11 +9,11 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
 #include "common/clock.h"
 #include "common/config.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/can/bus_address.h"
 #include "robot_client/client_config.h"
@@ -175,16 +175,14 @@ int MonitorMain(int argc, char** argv) {
   app.add_flag("--once", line.once, "one report, then end");
   app.add_flag("--json", line.json, "reports as JSON, one a line");
   app.add_flag("--silent", line.silent, "send nothing, not even questions");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, [](int) { stop_asked = 1; });
-  const absl::StatusOr<bool> well = Run(line);
-  if (well.ok()) return *well ? 0 : 1;
-  std::fprintf(stderr, "robot_client monitor: %s\n", std::string(well.status().message()).c_str());
-  return 2;
+  return RunMain(
+      app, argc, argv,
+      [&]() -> absl::StatusOr<int> {
+        for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, [](int) { stop_asked = 1; });
+        RS_ASSIGN_OR_RETURN(const bool well, Run(line));
+        return well ? 0 : kFailed;
+      },
+      [](const absl::Status&) { return kWrongCommand; });
 }
 
 }  // namespace robostress

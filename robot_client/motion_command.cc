@@ -10,9 +10,9 @@
 #include <optional>
 #include <string>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "common/program_folder.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/client_program.h"
 #include "robot_client/motion/excitation.h"
@@ -141,12 +141,8 @@ absl::Status Excite(const CommandLine& line) {
 
 int Parse(CLI::App& app, int argc, char** argv, CommandLine& line,
           absl::Status (*run)(const CommandLine&)) {
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  return ExitWith(run(line), app.get_name().c_str());
+  return RunMain(
+      app, argc, argv, [&] { return run(line); }, ClientExitCode);
 }
 
 }  // namespace

@@ -20,6 +20,7 @@ PolicyLink::Connect ConnectTo(const PolicyConnectionOptions& options, double con
     client.reconnect_timeout_s = 0;  // the arm holds and asks again; each call tries to resume
     SessionSpec session;
     session.robot = options.robot;
+    session.control_space = ControlSpace::kJoint;
     session.suite = options.suite;
     session.scenario = options.scenario;
     session.policy = options.policy;

@@ -11,7 +11,7 @@ namespace robostress {
 struct PolicyConnectionOptions {
   std::string server;                 // HOST:PORT
   std::string policy = "nano-piper";  // one that the server holds
-  std::string robot = "piper";        // "piper...": the server takes the residual in joint space
+  std::string robot = "piper";        // names the arm, decides nothing
   std::string suite = "piper";        // names the experiment; part of the noise key
   std::string scenario = "real";      // names the arm
   int64_t seed = 0;                   // of the sampling noise
@@ -26,7 +26,7 @@ struct PolicyConnectionOptions {
   void Visit(V& v) {
     v.Field("server", server, "HOST:PORT of the policy server");
     v.Field("policy", policy, "one that the server holds");
-    v.Field("robot", robot, "piper...: residual in joint space");
+    v.Field("robot", robot, "names the arm");
     v.Field("suite", suite, "names the experiment, part of the noise key");
     v.Field("scenario", scenario, "names the arm");
     v.Field("seed", seed, "of the policy's sampling noise");

@@ -49,10 +49,13 @@ absl::Status PolicyLink::Open() {
   started_episode_ = -1;
   sequence_ = 0;
   failures_ = 0;
-  if (spec_.action_dim != kArmAxes || spec_.state_dim != kArmAxes) {
+  if (spec_.action_dim != kArmAxes || spec_.state_dim != kArmAxes ||
+      spec_.control_space == ControlSpace::kEndEffector) {
     return absl::InvalidArgumentError(absl::StrCat(
         "policy '", spec_.name, "' is for another robot: it has ", spec_.state_dim, " states and ",
-        spec_.action_dim, " actions, this arm ", kArmAxes,
+        spec_.action_dim, " actions",
+        spec_.control_space == ControlSpace::kEndEffector ? " that move an end effector" : "",
+        ", this arm ", kArmAxes,
         " of each (six joints [rad] and the gripper [m]). Serve a policy that was trained in joint "
         "space: `robostress serve --policy nano-piper` comes with the source"));
   }

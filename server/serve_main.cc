@@ -16,6 +16,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/rpc/convert.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "server/admin_server.h"
 #include "server/edge/json_log.h"
@@ -354,22 +355,20 @@ int Main(int argc, char** argv) {
   app.add_flag("--print-config", print_config, "print the resolved configuration and exit");
   FlagVisitor flags(&app);
   options.Visit(flags);
-  CLI11_PARSE(app, argc, argv);
-  if (print_config) {
-    std::printf("%s", DumpConfig(options).c_str());
-    return 0;
-  }
-
-  // Blocked before any thread starts, so that every thread inherits it and sigwait is the only
-  // receiver.
-  sigset_t signals;
-  sigemptyset(&signals);
-  for (const int signal : {SIGTERM, SIGINT, SIGHUP}) sigaddset(&signals, signal);
-  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
-
-  absl::Status status = SetUpLog(options.log_format, options.log_level);
-  if (status.ok()) status = Serve(options, signals);
-  return status.ok() ? 0 : Fail(status);
+  return RunMain(app, argc, argv, [&]() -> absl::Status {
+    if (print_config) {
+      std::printf("%s", DumpConfig(options).c_str());
+      return absl::OkStatus();
+    }
+    // Blocked before any thread starts, so that every thread inherits it and sigwait is the only
+    // receiver.
+    sigset_t signals;
+    sigemptyset(&signals);
+    for (const int signal : {SIGTERM, SIGINT, SIGHUP}) sigaddset(&signals, signal);
+    pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+    RS_RETURN_IF_ERROR(SetUpLog(options.log_format, options.log_level));
+    return Serve(options, signals);
+  });
 }
 
 }  // namespace

@@ -74,11 +74,12 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
 
 Session::~Session() = default;
 
-absl::StatusOr<std::shared_ptr<Session>> Session::Create(const SessionSpec& spec,
+absl::StatusOr<std::shared_ptr<Session>> Session::Create(SessionSpec spec,
                                                          const SessionResources& resources,
                                                          uint64_t owner,
                                                          const GuardOptions& guard) {
   UseOneTorchThread();
+  RS_ASSIGN_OR_RETURN(spec.control_space, ControlSpaceOf(spec, resources.policy->spec()));
   RS_RETURN_IF_ERROR(CheckSessionSpec(spec, resources.policy->spec()));
   auto session = std::shared_ptr<Session>(new Session(spec, resources, owner, guard));
   if (spec.method.adapt) {

@@ -119,7 +119,7 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // In memory only. Refuses method options that make no sense together. `owner` is unique among the
   // sessions of an AdaptationLoop.
-  static absl::StatusOr<std::shared_ptr<Session>> Create(const SessionSpec& spec,
+  static absl::StatusOr<std::shared_ptr<Session>> Create(SessionSpec spec,
                                                          const SessionResources& resources,
                                                          uint64_t owner,
                                                          const GuardOptions& guard = {});

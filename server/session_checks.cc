@@ -8,6 +8,7 @@
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "common/embedded_policies.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -103,6 +104,37 @@ absl::Status CheckMethodCaps(const MethodOptions& method, const MethodCaps& caps
         " is allowed here; the operator sets it with ", cap.flag, ", or for the token"));
   }
   return absl::OkStatus();
+}
+
+namespace {
+
+bool NeedsControlSpace(const MethodOptions& method) {
+  return method.adapt || method.direct || method.integral_rate > 0 || method.following_gain > 0 ||
+         method.gain != 1.0;
+}
+
+}  // namespace
+
+absl::StatusOr<ControlSpace> ControlSpaceOf(const SessionSpec& spec, const PolicySpec& policy) {
+  const ControlSpace robot = spec.control_space, said = policy.control_space;
+  const auto name = [](ControlSpace space) {
+    return space == ControlSpace::kJoint ? "joint targets" : "end-effector displacements";
+  };
+  if (robot == ControlSpace::kUnspecified && said == ControlSpace::kUnspecified) {
+    if (!NeedsControlSpace(spec.method)) return ControlSpace::kEndEffector;
+    return absl::InvalidArgumentError(absl::StrCat(
+        "method ", spec.method.method, " learns from motion or changes commands, and policy '",
+        policy.name,
+        "' does not say what its actions are: give control_space, end_effector or joint"));
+  }
+  if (robot == ControlSpace::kUnspecified) return said;
+  if (said != ControlSpace::kUnspecified && said != robot) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "policy '", policy.name, "' commands ", name(said), ", robot '", spec.robot, "' takes ",
+        name(robot), ": serve one that does, as `robostress serve --policy ",
+        robot == ControlSpace::kJoint ? kPiperPolicy : kSuitePolicies[0].data(), "`"));
+  }
+  return robot;
 }
 
 absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy) {

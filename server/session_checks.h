@@ -1,6 +1,6 @@
 #pragma once
 
-#include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/rpc/session_spec.h"
 
@@ -10,6 +10,11 @@ namespace robostress {
 // consistent with each other and with the robot's action space. INVALID_ARGUMENT names option,
 // value and remedy; NOT_FOUND for an unknown method lists the known ones.
 absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy);
+
+// What the session's actions are: what the policy says, or the session where the policy does not.
+// INVALID_ARGUMENT where they say different things, and where neither says anything and the method
+// learns from motion or corrects commands.
+absl::StatusOr<ControlSpace> ControlSpaceOf(const SessionSpec& spec, const PolicySpec& policy);
 
 // What a session's adaptation may cost the server at most, whoever opens it. The paper's methods
 // need rank 4, batch 4, an update every 8 chunks and a buffer of 32.

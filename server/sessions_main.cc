@@ -13,6 +13,7 @@
 #include "common/atomic_file.h"
 #include "common/rpc/channel_credentials.h"
 #include "common/rpc/grpc_status.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
 #include "robostress/v1/policy.grpc.pb.h"
@@ -238,15 +239,7 @@ int Main(int argc, char** argv) {
           false)
       ->add_option("--grace", request.grace_s, "for what is under way [s]; 0: the server's own")
       ->check(CLI::Range(0.0, 3600.0));
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  const absl::Status status = Run(app, request);
-  if (status.ok()) return 0;
-  std::fprintf(stderr, "robostress sessions: %s\n", std::string(status.message()).c_str());
-  return 1;
+  return RunMain(app, argc, argv, [&] { return Run(app, request); });
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // robostress-scenarios: the table of scenarios with the parameters that they inject.
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -9,6 +10,8 @@
 #include "absl/strings/str_join.h"
 #include "common/joint_errors/effects/effect_library.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/run_main.h"
+#include "common/status_macros.h"
 #include "nlohmann/json.hpp"
 #include "sim_worker/scenario_markdown.h"
 
@@ -176,7 +179,8 @@ int Main(int argc, char** argv) {
       "Examples:\n  robostress scenarios\n  robostress scenarios --level 3 --parameters "
       "aged_joint_elbow\n"
       "  robostress scenarios --json\n  robostress scenarios --markdown\n"
-      "  robostress scenarios --effects");
+      "  robostress scenarios --effects",
+      "robostress scenarios");
   int level = 5;
   std::string parameters;
   bool json = false, markdown = false, effects = false;
@@ -188,48 +192,38 @@ int Main(int argc, char** argv) {
                "compliance becomes at 2 ms");
   app.add_flag("--effects", effects,
                "the effects that a scenario file may list, with parameters, units and ranges");
-  CLI11_PARSE(app, argc, argv);
-  if (effects) {
-    PrintEffects();
-    return 0;
-  }
-
-  std::vector<Scenario> scenarios;
-  for (const std::string& name : ScenarioNames()) {
-    absl::StatusOr<Scenario> scenario = MakeScenario(name, level);
-    if (!scenario.ok()) {
-      std::fprintf(stderr, "robostress-scenarios: %s\n",
-                   std::string(scenario.status().message()).c_str());
-      return 2;
+  const auto print = [&]() -> absl::StatusOr<int> {
+    if (effects) {
+      PrintEffects();
+      return 0;
     }
-    scenarios.push_back(*std::move(scenario));
-  }
-  if (!parameters.empty()) {
-    const absl::StatusOr<Scenario> chosen = MakeScenario(parameters, level);
-    if (!chosen.ok()) {
-      std::fprintf(stderr, "robostress-scenarios: %s\n",
-                   std::string(chosen.status().message()).c_str());
-      return 2;
+    std::vector<Scenario> scenarios;
+    for (const std::string& name : ScenarioNames()) {
+      RS_ASSIGN_OR_RETURN(Scenario scenario, MakeScenario(name, level));
+      scenarios.push_back(std::move(scenario));
     }
-  }
-  if (json) {
-    Json root = {{"level", level}, {"scenarios", Json::array()}};
-    for (const Scenario& scenario : scenarios) root["scenarios"].push_back(ScenarioJson(scenario));
-    std::printf("%s\n", root.dump(2).c_str());
+    std::optional<Scenario> chosen;
+    if (!parameters.empty()) {
+      RS_ASSIGN_OR_RETURN(chosen, MakeScenario(parameters, level));
+    }
+    if (json) {
+      Json root = {{"level", level}, {"scenarios", Json::array()}};
+      for (const Scenario& scenario : scenarios)
+        root["scenarios"].push_back(ScenarioJson(scenario));
+      std::printf("%s\n", root.dump(2).c_str());
+    } else if (markdown) {
+      std::printf("%s\n%s\n%s", ParameterMarkdown(scenarios).c_str(),
+                  SeverityLevelMarkdown().c_str(), ComplianceMarkdown().c_str());
+    } else {
+      PrintTable(scenarios, level);
+      if (chosen) {
+        PrintParameters(*chosen);
+        PrintEffectsOf(*chosen);
+      }
+    }
     return 0;
-  }
-  if (markdown) {
-    std::printf("%s\n%s\n%s", ParameterMarkdown(scenarios).c_str(), SeverityLevelMarkdown().c_str(),
-                ComplianceMarkdown().c_str());
-    return 0;
-  }
-  PrintTable(scenarios, level);
-  if (!parameters.empty()) {
-    const absl::StatusOr<Scenario> chosen = MakeScenario(parameters, level);
-    PrintParameters(*chosen);
-    PrintEffectsOf(*chosen);
-  }
-  return 0;
+  };
+  return RunMain(app, argc, argv, print, [](const absl::Status&) { return kWrongCommand; });
 }
 
 }  // namespace

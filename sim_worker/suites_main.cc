@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "nlohmann/json.hpp"
@@ -117,6 +117,5 @@ int main(int argc, char** argv) {
   app.add_option("--libero-root", line.libero_root, "LIBERO checkout, for suites libero_*");
   app.add_option("--robosuite-root", line.robosuite_root,
                  "robosuite checkout, for suites libero_*");
-  CLI11_PARSE(app, argc, argv);
-  return robostress::Run(line);
+  return robostress::RunMain(app, argc, argv, [&] { return robostress::Run(line); });
 }

@@ -5,9 +5,9 @@
 #include <string>
 #include <thread>
 
-#include "CLI/CLI.hpp"
 #include "calibration/fidelity/fidelity_output.h"
 #include "calibration/fidelity/fidelity_study.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
@@ -99,15 +99,7 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   app.add_flag("--quiet", line.quiet, "No progress");
   app.footer(kFooter);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  const absl::Status status = Run(line);
-  if (status.ok()) return 0;
-  std::fprintf(stderr, "robostress fidelity: %s\n", std::string(status.message()).c_str());
-  return 1;
+  return RunMain(app, argc, argv, [&] { return Run(line); });
 }
 
 }  // namespace

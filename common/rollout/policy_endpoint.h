@@ -10,6 +10,14 @@
 
 namespace robostress {
 
+// What the entries of an action are, and so in which space commanded and executed motion are compared.
+enum class ControlSpace {
+  kUnspecified,  // it does not say
+  kEndEffector,  // displacements of the end effector in units of translation_scale and rotation_scale
+                 // (common/rpc/session_spec.h), and a gripper
+  kJoint,        // absolute joint targets [rad] and a gripper; residual as in the paper, sec:supp_real
+};
+
 // What a policy expects and delivers. Filled by the server (or a local policy) before the first rollout.
 struct PolicySpec {
   std::string name;                  // "nano", "expert", "replay"
@@ -23,6 +31,7 @@ struct PolicySpec {
   int action_dim = 7;                // environment action
   int horizon = 50;                  // K, steps per predicted chunk
   int execute_steps = 5;             // n_exec
+  ControlSpace control_space = ControlSpace::kUnspecified;  // of its actions
   // [action_dim] what the policy's actions mean to lie in, environment units; empty: it declares none. A
   // policy may pass them by a little; a correction is held to them (server/command_bounds.h).
   std::vector<float> action_low, action_high;

@@ -78,6 +78,31 @@ Eigen::MatrixXf CommandRows(const ExecutedChunk& chunk, Eigen::VectorXf Executed
   return rows;
 }
 
+v1::ControlSpace ToProto(ControlSpace space) {
+  switch (space) {
+    case ControlSpace::kEndEffector:
+      return v1::CONTROL_SPACE_END_EFFECTOR;
+    case ControlSpace::kJoint:
+      return v1::CONTROL_SPACE_JOINT;
+    default:
+      return v1::CONTROL_SPACE_UNSPECIFIED;
+  }
+}
+
+absl::StatusOr<ControlSpace> FromProto(const char* field, v1::ControlSpace space) {
+  switch (space) {
+    case v1::CONTROL_SPACE_UNSPECIFIED:
+      return ControlSpace::kUnspecified;
+    case v1::CONTROL_SPACE_END_EFFECTOR:
+      return ControlSpace::kEndEffector;
+    case v1::CONTROL_SPACE_JOINT:
+      return ControlSpace::kJoint;
+    default:
+      return Invalid(field, " is ", static_cast<int>(space),
+                     ", must be END_EFFECTOR (1), JOINT (2), or absent");
+  }
+}
+
 }  // namespace
 
 robostress::v1::SessionSpec ToProto(const SessionSpec& spec) {
@@ -93,6 +118,7 @@ robostress::v1::SessionSpec ToProto(const SessionSpec& spec) {
   message.set_goal_reference(spec.goal_reference == GoalReference::kAchieved
                                  ? v1::GOAL_REFERENCE_ACHIEVED
                                  : v1::GOAL_REFERENCE_DESIRED);
+  message.set_control_space(ToProto(spec.control_space));
   message.set_method_yaml(DumpConfig(spec.method));
   message.set_control_period_s(spec.control_period_s);
   message.set_translation_scale(spec.translation_scale);
@@ -135,6 +161,7 @@ absl::StatusOr<SessionSpec> WithoutMethod(const robostress::v1::SessionSpec& mes
     return Invalid("spec.goal_reference is ", static_cast<int>(message.goal_reference()),
                    ", must be ACHIEVED (1) or DESIRED (2)");
   }
+  RS_ASSIGN_OR_RETURN(spec.control_space, FromProto("spec.control_space", message.control_space()));
   spec.robot = message.robot();
   spec.suite = message.suite();
   spec.scenario = message.scenario();
@@ -176,6 +203,7 @@ robostress::v1::PolicySpec ToProto(const PolicySpec& spec) {
   message.set_adaptable(spec.adaptable);
   message.set_resizes_images(spec.resizes_images);
   message.set_max_view_side(static_cast<uint32_t>(spec.max_view_side));
+  message.set_control_space(ToProto(spec.control_space));
   message.mutable_action_low()->Add(spec.action_low.begin(), spec.action_low.end());
   message.mutable_action_high()->Add(spec.action_high.begin(), spec.action_high.end());
   return message;
@@ -215,6 +243,8 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
   RS_RETURN_IF_ERROR(
       CheckRange("policy.max_view_side", message.max_view_side(), 0, WireLimits::kImageSide));
   if (message.max_view_side() != 0) spec.max_view_side = static_cast<int>(message.max_view_side());
+  RS_ASSIGN_OR_RETURN(spec.control_space,
+                      FromProto("policy.control_space", message.control_space()));
   spec.action_low.assign(message.action_low().begin(), message.action_low().end());
   spec.action_high.assign(message.action_high().begin(), message.action_high().end());
   RS_RETURN_IF_ERROR(CheckActionRange(spec));

@@ -13,13 +13,14 @@ namespace robostress {
 // Everything that decides what a session computes: equal specs, observations and feedback give
 // equal bits.
 struct SessionSpec {
-  std::string robot = "panda_sim";  // "piper...": joint space
+  std::string robot = "panda_sim";  // a name, decides nothing
   std::string suite;                // part of the noise key
   std::string scenario;             // names the session, part of no noise key
   int severity = 5;                 // 1..5; names the session, part of no noise key
   std::string policy;               // "nano"
   int64_t seed = 0;                 // of the sampling noise; part of the noise key
   ExecutionMode mode = ExecutionMode::kLockstep;
+  ControlSpace control_space = ControlSpace::kUnspecified;  // of the robot; unspecified: the policy's
   GoalReference goal_reference = GoalReference::kAchieved;
   MethodOptions method;
   double control_period_s = 0.05;   // [s]
@@ -36,9 +37,10 @@ struct SessionScheduling {
   int deadline_ms = 0;  // of a prediction, from its arrival; 0: none. Async only
 };
 
-// Robots whose actions are absolute joint targets [rad] and a gripper; their residual is in joint
-// space (paper, sec:supp_real). Others command end-effector displacements.
-inline bool ActsInJointSpace(const SessionSpec& spec) { return spec.robot.rfind("piper", 0) == 0; }
+// Of an open session, whose space is specified.
+inline bool ActsInJointSpace(const SessionSpec& spec) {
+  return spec.control_space == ControlSpace::kJoint;
+}
 
 // What a server holds.
 struct ServerInfo {

@@ -11,12 +11,12 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "common/clock.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/can/bus_address.h"
 #include "robot_client/emulator/piper_emulator.h"
@@ -249,12 +249,12 @@ int main(int argc, char** argv) {
   app.add_option("--variant", line.variant, "what bowl and plate look like")->capture_default_str();
   app.add_option("--seconds", line.duration_s, "End after this long (default: on a signal)")
       ->check(CLI::NonNegativeNumber);
-  CLI11_PARSE(app, argc, argv);
-  std::signal(SIGINT, [](int) { robostress::piper::stop_asked = 1; });
-  std::signal(SIGTERM, [](int) { robostress::piper::stop_asked = 1; });
-  if (const absl::Status status = robostress::piper::Run(line); !status.ok()) {
-    std::fprintf(stderr, "piper_emulator: %s\n", std::string(status.message()).c_str());
-    return 2;
-  }
-  return 0;
+  return robostress::RunMain(
+      app, argc, argv,
+      [&] {
+        std::signal(SIGINT, [](int) { robostress::piper::stop_asked = 1; });
+        std::signal(SIGTERM, [](int) { robostress::piper::stop_asked = 1; });
+        return robostress::piper::Run(line);
+      },
+      [](const absl::Status&) { return robostress::kWrongCommand; });
 }

@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "common/random.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/can/in_process_bus.h"
 #include "robot_client/emulator/piper_emulator.h"
@@ -224,16 +224,12 @@ int main(int argc, char** argv) {
   app.add_option("--record", line.record,
                  "Directory for ticks.csv and samples.csv, as robot_client leaves them; with one "
                  "profile and one payload");
-  CLI11_PARSE(app, argc, argv);
-  if (!line.record.empty() && line.profiles.size() * line.payloads_kg.size() != 1) {
-    std::fprintf(stderr, "piper_residual: --record takes one profile and one payload\n");
-    return 2;
-  }
-  if (const absl::Status status = robostress::piper::Run(line); !status.ok()) {
-    std::fprintf(stderr, "piper_residual: %s\n",
-                 status.message().empty() ? status.ToString().c_str()
-                                          : std::string(status.message()).c_str());
-    return 2;
-  }
-  return 0;
+  return robostress::RunMain(
+      app, argc, argv,
+      [&]() -> absl::Status {
+        if (!line.record.empty() && line.profiles.size() * line.payloads_kg.size() != 1)
+          return absl::InvalidArgumentError("--record takes one profile and one payload");
+        return robostress::piper::Run(line);
+      },
+      [](const absl::Status&) { return robostress::kWrongCommand; });
 }

@@ -4,8 +4,8 @@
 #include <string>
 #include <utility>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/client_program.h"
 #include "robot_client/teach/teach_run.h"
@@ -99,12 +99,8 @@ int TeachMain(int argc, char** argv) {
   app.add_option("--speed", line.speed, "of the tool by keyboard or gamepad [m/s]")
       ->capture_default_str();
   app.add_flag("--keep-failures", line.keep_failures, "keep failures too, in lerobot/ alone");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  return ExitWith(Run(line), "robot_client teach");
+  return RunMain(
+      app, argc, argv, [&] { return Run(line); }, ClientExitCode);
 }
 
 }  // namespace robostress

@@ -38,10 +38,11 @@ absl::Status CheckKeys(const char* field, const OpenpiValue& value,
 
 absl::StatusOr<SessionSpec> ReadOpenpiSession(const OpenpiValue& session,
                                               const SessionSpec& defaults) {
-  RS_RETURN_IF_ERROR(CheckKeys("session", session,
-                               {"robot", "suite", "scenario", "severity", "policy", "seed", "mode",
-                                "goal_reference", "method", "method_options", "control_period_s",
-                                "translation_scale", "rotation_scale", "resize"}));
+  RS_RETURN_IF_ERROR(
+      CheckKeys("session", session,
+                {"robot", "suite", "scenario", "severity", "policy", "seed", "mode",
+                 "control_space", "goal_reference", "method", "method_options", "control_period_s",
+                 "translation_scale", "rotation_scale", "resize"}));
   SessionSpec spec = defaults;
   for (const auto& [key, field] : {std::pair<const char*, std::string*>{"robot", &spec.robot},
                                    {"suite", &spec.suite},
@@ -64,6 +65,12 @@ absl::StatusOr<SessionSpec> ReadOpenpiSession(const OpenpiValue& session,
     if (mode != "lockstep" && mode != "async")
       return absl::InvalidArgumentError("session/mode: must be lockstep or async");
     spec.mode = mode == "async" ? ExecutionMode::kAsync : ExecutionMode::kLockstep;
+  }
+  if (const OpenpiValue* value = session.Find("control_space")) {
+    RS_ASSIGN_OR_RETURN(const std::string space, OpenpiText("session/control_space", *value, 16));
+    if (space != "end_effector" && space != "joint")
+      return absl::InvalidArgumentError("session/control_space: must be end_effector or joint");
+    spec.control_space = space == "joint" ? ControlSpace::kJoint : ControlSpace::kEndEffector;
   }
   if (const OpenpiValue* value = session.Find("goal_reference")) {
     RS_ASSIGN_OR_RETURN(const std::string goal, OpenpiText("session/goal_reference", *value, 16));

@@ -36,6 +36,8 @@ class NanoPolicy : public FlowPolicy {
     spec_.horizon = model_.config.horizon;
     spec_.execute_steps = model_.config.execute_steps;
     spec_.adaptable = true;
+    spec_.control_space =
+        model_.config.displacement_channels > 0 ? ControlSpace::kJoint : ControlSpace::kEndEffector;
     // What demonstrations hold, and what the controller takes. Absolute joint targets have other
     // limits, the arm's, which weights do not know.
     if (model_.config.displacement_channels == 0) {

@@ -1,11 +1,10 @@
 #include <malloc.h>
 
-#include <cstdio>
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "common/config.h"
+#include "common/run_main.h"
 #include "server/training/trainer.h"
 
 namespace {
@@ -42,7 +41,8 @@ int main(int argc, char** argv) {
   mallopt(M_TRIM_THRESHOLD, 2000 << 20);
 
   CLI::App app{
-      "Trains the embedded policy nano from demonstrations that robostress-record has written."};
+      "Trains the embedded policy nano from demonstrations that robostress-record has written.",
+      "robostress train"};
   app.footer(kExamples);
   std::string recipe;
   std::vector<std::string> data, overrides;
@@ -68,15 +68,12 @@ int main(int argc, char** argv) {
   app.add_option("--evaluate", evaluate,
                  "command that measures success; {weights}, {out}, {step} are replaced");
   app.add_option("--evaluate-every", evaluate_every, "steps between evaluations");
-  CLI11_PARSE(app, argc, argv);
-  for (size_t i = 0; i < fields.size(); ++i) {
-    if (!values[i].empty()) overrides.push_back(fields[i].first + "=" + values[i]);
-  }
-  if (!evaluate.empty()) overrides.push_back("evaluate_command=" + evaluate);
-  if (!evaluate_every.empty()) overrides.push_back("evaluate_every=" + evaluate_every);
-  if (absl::Status status = Train(recipe, overrides, data, resume); !status.ok()) {
-    std::fprintf(stderr, "robostress-train: %s\n", std::string(status.message()).c_str());
-    return 1;
-  }
-  return 0;
+  return RunMain(app, argc, argv, [&] {
+    for (size_t i = 0; i < fields.size(); ++i) {
+      if (!values[i].empty()) overrides.push_back(fields[i].first + "=" + values[i]);
+    }
+    if (!evaluate.empty()) overrides.push_back("evaluate_command=" + evaluate);
+    if (!evaluate_every.empty()) overrides.push_back("evaluate_every=" + evaluate_every);
+    return Train(recipe, overrides, data, resume);
+  });
 }

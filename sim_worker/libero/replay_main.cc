@@ -5,9 +5,9 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "common/config.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "sim_worker/libero/compare.h"
@@ -137,25 +137,23 @@ int Main(int argc, char** argv) {
       ->expected(2);
   app.add_option("--keys", line.keys, "Compare only these");
   app.add_option("--tolerance", line.tolerance, "Exit with 1 when a difference is larger");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  const auto fail = [](const absl::Status& status) {
-    std::fprintf(stderr, "robostress replay: %s\n", std::string(status.message()).c_str());
-    return absl::IsUnavailable(status) || absl::IsInternal(status) ? 1 : 2;
-  };
-  if (!line.compare.empty()) {
-    const absl::StatusOr<bool> within = RunCompare(line);
-    return within.ok() ? (*within ? 0 : 1) : fail(within.status());
-  }
-  if (line.unit.suite.empty() || line.task < 0 || line.in.empty() || line.out.empty()) {
-    return fail(absl::InvalidArgumentError(
-        "give --suite, --task, --in and --out, or --compare A B; --help has examples"));
-  }
-  const absl::Status status = RunReplay(line);
-  return status.ok() ? 0 : fail(status);
+  return RunMain(
+      app, argc, argv,
+      [&]() -> absl::StatusOr<int> {
+        if (!line.compare.empty()) {
+          RS_ASSIGN_OR_RETURN(const bool within, RunCompare(line));
+          return within ? 0 : 1;
+        }
+        if (line.unit.suite.empty() || line.task < 0 || line.in.empty() || line.out.empty()) {
+          return absl::InvalidArgumentError(
+              "give --suite, --task, --in and --out, or --compare A B; --help has examples");
+        }
+        RS_RETURN_IF_ERROR(RunReplay(line));
+        return 0;
+      },
+      [](const absl::Status& status) {
+        return absl::IsUnavailable(status) || absl::IsInternal(status) ? kFailed : kWrongCommand;
+      });
 }
 
 }  // namespace

@@ -11,11 +11,11 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "common/rpc/policy_client.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "sim_worker/record/demonstration.h"
@@ -304,15 +304,19 @@ int main(int argc, char** argv) {
                  "control step, views of 128 pixels unless given")
       ->check(CLI::IsMember({"shards", "hdf5"}))
       ->capture_default_str();
-  CLI11_PARSE(app, argc, argv);
-  if (line.format == "hdf5") {
-    if (image_size->count() == 0) line.record.image_size = 128;
-    if (stride->count() == 0) line.record.stride = 1;
-    if (line.record.stride != 1) {
-      std::fprintf(stderr, "record: --stride %d: --format hdf5 holds every control step; use 1\n",
-                   line.record.stride);
-      return 2;
-    }
-  }
-  return robostress::Run(line);
+  return RunMain(
+      app, argc, argv,
+      [&]() -> absl::StatusOr<int> {
+        if (line.format == "hdf5") {
+          if (image_size->count() == 0) line.record.image_size = 128;
+          if (stride->count() == 0) line.record.stride = 1;
+          if (line.record.stride != 1) {
+            return absl::InvalidArgumentError(
+                absl::StrCat("--stride ", line.record.stride,
+                             ": --format hdf5 holds every control step; use 1"));
+          }
+        }
+        return robostress::Run(line);
+      },
+      [](const absl::Status&) { return kWrongCommand; });
 }

@@ -141,6 +141,7 @@ SessionSpec SessionSpecOf(const UnitConfig& resolved) {
   spec.policy = resolved.policy;
   spec.seed = resolved.seed;
   spec.mode = ExecutionMode::kLockstep;
+  spec.control_space = ControlSpace::kEndEffector;
   spec.goal_reference = resolved.sim.goal_reference;
   spec.method = resolved.method;
   return spec;

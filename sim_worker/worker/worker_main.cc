@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "common/atomic_file.h"
+#include "common/run_main.h"
 #include "sim_worker/sim_task.h"
 #include "sim_worker/worker/observation_control.h"
 #include "sim_worker/worker/unit_plan.h"
@@ -115,22 +115,18 @@ int Main(int argc, char** argv) {
                "also write joint angles, torques and contacts of every sub-step (500 Hz) to "
                "DIR/joints; see `robostress record-to-rig`");
   app.add_flag("--quiet", quiet, "no progress lines");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  if (!quiet) {
-    options.progress = [](std::string_view line) {
-      std::printf("%.*s\n", static_cast<int>(line.size()), line.data());
-      std::fflush(stdout);
-    };
-  }
-  const absl::Status status = Run(unit_file, overrides, options);
-  if (!status.ok()) {
-    std::fprintf(stderr, "robostress worker: %s\n", std::string(status.message()).c_str());
-  }
-  return ExitCode(status);
+  return RunMain(
+      app, argc, argv,
+      [&] {
+        if (!quiet) {
+          options.progress = [](std::string_view line) {
+            std::printf("%.*s\n", static_cast<int>(line.size()), line.data());
+            std::fflush(stdout);
+          };
+        }
+        return Run(unit_file, overrides, options);
+      },
+      ExitCode);
 }
 
 }  // namespace

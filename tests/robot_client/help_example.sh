@@ -35,4 +35,4 @@ code=0
 robot_client --server "127.0.0.1:$(cat port)" --policy nano --instruction "open the top drawer" \
   --camera base=synthetic --camera wrist=synthetic --out runs/nano </dev/null >nano.txt 2>&1 || code=$?
 cat nano.txt
-[[ $code == 2 ]] && grep -q 'for another robot: it has 8 states' nano.txt && grep -q 'serve --policy nano-piper' nano.txt
+[[ $code == 2 ]] && grep -q "'nano' commands end-effector displacements, robot 'piper' takes joint targets" nano.txt && grep -q 'serve --policy nano-piper' nano.txt

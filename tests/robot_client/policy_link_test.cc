@@ -132,7 +132,10 @@ TEST(PolicyLinkTest, SaysWhatToTypeForAPolicyThatDoesNotFit) {
               testing::AllOf(HasSubstr("wants the cameras [agentview, wrist]"),
                              HasSubstr("the client has [base]"),
                              HasSubstr("--camera agentview=SOURCE --camera wrist=SOURCE")));
-  // Another robot's policy: no camera helps.
+  // Another robot's policy: no camera helps, nor that the numbers are as many.
+  bench.seen.alter = [](PolicySpec& spec) { spec.control_space = ControlSpace::kEndEffector; };
+  EXPECT_THAT(std::string(bench.link->Open().message()),
+              HasSubstr("7 actions that move an end effector, this arm 7 of each"));
   bench.seen.alter = [](PolicySpec& spec) {
     spec.cameras = {"agentview", "wrist"};
     spec.state_dim = 8;

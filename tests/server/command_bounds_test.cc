@@ -188,7 +188,7 @@ TEST(ImpossibleMeasurements, AJumpWithinWhatIsReachableMasksItsStepsToo) {
 TEST(ImpossibleMeasurements, LeaveJointCommandsBounded) {
   Rig rig;
   SessionSpec spec = Spec("direct");
-  spec.robot = "piper_right";
+  spec.control_space = ControlSpace::kJoint;
   const auto session = rig.Open(spec);
   ASSERT_TRUE(session->StartEpisode(0, 0, 0).ok());
   uint64_t sequence = 0;

@@ -38,6 +38,7 @@ inline SessionSpec Spec(const std::string& method, const std::vector<std::string
   spec.suite = "tabletop_goal";
   spec.scenario = "heavy_payload";
   spec.policy = "fake";
+  spec.control_space = ControlSpace::kEndEffector;
   spec.seed = 3;
   spec.method = *MakeMethod(method, overrides);
   return spec;

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include "server/session.h"
+#include "server/session_checks.h"
 #include "tests/server/drive.h"
 
 // What a session learns from: residuals, targets, masks.
@@ -16,7 +17,7 @@ using ::testing::HasSubstr;
 TEST(Session, ARobotOfJointTargetsIsCorrectedInJointSpace) {
   Rig rig;
   SessionSpec spec = Spec("ours", {kRate});
-  spec.robot = "piper_new";
+  spec.control_space = ControlSpace::kJoint;
   Client client(rig.Open(spec));
   client.StartEpisode(0, 0);
   const PredictedChunk prediction = client.Predict();
@@ -53,11 +54,37 @@ TEST(Session, RefusesInJointSpaceWhatOnlyEndEffectorCommandsCanMean) {
         std::pair{"ours_integral", "disturbance observer"},
         std::pair{"ours_following", "model following"}}) {
     SessionSpec spec = Spec(method, {});
-    spec.robot = "piper_new";
+    spec.control_space = ControlSpace::kJoint;
     const auto session = Session::Create(spec, {rig.policy, &rig.adaptation, &rig.inference}, 1);
     EXPECT_EQ(session.status().code(), absl::StatusCode::kInvalidArgument) << method;
     EXPECT_THAT(std::string(session.status().message()), HasSubstr(word));
   }
+}
+
+TEST(Session, WhatActionsAreIsSaidByThePolicyAndNeverByAName) {
+  using enum ControlSpace;
+  const auto space = [](ControlSpace robot, ControlSpace said, const char* method) {
+    SessionSpec spec = Spec(method, {});
+    spec.robot = "so101";
+    spec.control_space = robot;
+    PolicySpec policy;
+    policy.name = "six_joints";
+    policy.control_space = said;
+    return ControlSpaceOf(spec, policy);
+  };
+  EXPECT_EQ(space(kUnspecified, kJoint, "ours").value(), kJoint);
+  EXPECT_EQ(space(kUnspecified, kEndEffector, "ours").value(), kEndEffector);
+  EXPECT_EQ(space(kJoint, kUnspecified, "ours").value(), kJoint);
+  EXPECT_EQ(space(kJoint, kJoint, "ours").value(), kJoint);
+  EXPECT_EQ(space(kUnspecified, kUnspecified, "base").value(), kEndEffector);
+  for (const char* method : {"ours", "direct", "gain", "ours_integral", "ours_following"}) {
+    EXPECT_THAT(std::string(space(kUnspecified, kUnspecified, method).status().message()),
+                HasSubstr("'six_joints' does not say what its actions are: give control_space"));
+  }
+  EXPECT_THAT(std::string(space(kEndEffector, kJoint, "ours").status().message()),
+              HasSubstr("'six_joints' commands joint targets, robot 'so101' takes end-effector"));
+  EXPECT_THAT(std::string(space(kJoint, kEndEffector, "base").status().message()),
+              HasSubstr("robot 'so101' takes joint targets"));
 }
 
 // -------------------------------------------------------------------------------- what is learned

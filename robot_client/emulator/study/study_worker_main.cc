@@ -4,10 +4,10 @@
 #include <cstdio>
 #include <string>
 
-#include "CLI/CLI.hpp"
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/emulator/study/demonstration_recorder.h"
 #include "robot_client/emulator/study/study_unit.h"
@@ -74,17 +74,15 @@ int Main(int argc, char** argv) {
   evaluate->add_option("--unit", line.unit, "Its configuration (YAML)")->required();
   evaluate->add_option("--server", line.server, "HOST:PORT")->required();
   evaluate->add_option("--out", line.out, "Directory of its results")->required();
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
-  const absl::Status status = list->parsed()     ? List()
-                              : record->parsed() ? Record(line)
-                                                 : Evaluate(line);
-  if (status.ok()) return 0;
-  std::fprintf(stderr, "piper_study_worker: %s\n", std::string(status.message()).c_str());
-  return absl::IsInvalidArgument(status) || absl::IsNotFound(status) ? 2 : 1;
+  return RunMain(
+      app, argc, argv,
+      [&] { return list->parsed()     ? List()
+                   : record->parsed() ? Record(line)
+                                      : Evaluate(line); },
+      [](const absl::Status& status) {
+        return absl::IsInvalidArgument(status) || absl::IsNotFound(status) ? kWrongCommand
+                                                                           : kFailed;
+      });
 }
 
 }  // namespace

@@ -57,6 +57,7 @@ class OpenpiPolicy : public FlowPolicy {
     spec_.horizon = static_cast<int>(model_.config.horizon);
     spec_.execute_steps = static_cast<int>(setup.execute_steps);
     spec_.adaptable = true;
+    spec_.control_space = setup.robot.control_space;
     DeclareActionRange(setup);
     targets_ = ExpertLoraTargets(model_.config);
   }

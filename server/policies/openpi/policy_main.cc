@@ -3,7 +3,7 @@
 #include <cstdio>
 #include <string>
 
-#include "CLI/CLI.hpp"
+#include "common/run_main.h"
 #include "nlohmann/json.hpp"
 #include "server/policies/adapters/adapter_command.h"
 #include "server/policies/inspect_command.h"
@@ -53,7 +53,8 @@ int main(int argc, char** argv) {
   CLI::App app{
       "Inspects policies; checks, loads and generates pi0 and pi0.5 checkpoints; shows, exports, "
       "imports "
-      "and merges adapters."};
+      "and merges adapters.",
+      "robostress policy"};
   app.require_subcommand(1);
   CLI::App* check = app.add_subcommand(
       "check", "Compare every intermediate of a network with expected values from a file");
@@ -72,14 +73,11 @@ int main(int argc, char** argv) {
                          robostress::openpi::AddGenerateCommand(app),
                          robostress::AddInspectCommand(app)};
   const robostress::AdapterCommand adapter(app);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kBadInput;
-  }
-  for (const auto& command : commands) {
-    if (command.app->parsed()) return command.run();
-  }
-  if (adapter.chosen()) return adapter.Run();
-  return RunCheck(options, json);
+  return RunMain(app, argc, argv, [&] {
+    for (const auto& command : commands) {
+      if (command.app->parsed()) return command.run();
+    }
+    if (adapter.chosen()) return adapter.Run();
+    return RunCheck(options, json);
+  });
 }

@@ -22,6 +22,7 @@ const std::vector<RobotTransform>& RobotTransforms() {
        .delta_dims = 6,
        .pi0_delta = true,
        .pi05_state_in_prompt = false,
+       .control_space = ControlSpace::kEndEffector,
        .cameras = {"agentview", "robot0_eye_in_hand", ""}},
       {.name = "piper",
        .meaning = "state: six joint angles [rad], gripper 0..1; actions: the same, absolute",
@@ -30,6 +31,7 @@ const std::vector<RobotTransform>& RobotTransforms() {
        .delta_dims = 6,
        .pi0_delta = true,
        .pi05_delta = true,
+       .control_space = ControlSpace::kJoint,
        .cameras = {"base", "wrist", ""}},
   };
   return transforms;

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "common/rollout/policy_endpoint.h"
 
 namespace robostress::openpi {
 
@@ -32,6 +33,7 @@ struct RobotTransform {
                            // the last. The others (gripper) are absolute
   bool pi0_delta = false, pi05_delta = false;  // as openpi's checkpoints for it were trained
   bool pi05_state_in_prompt = true;            // likewise
+  ControlSpace control_space = ControlSpace::kUnspecified;  // of an environment action
   std::array<std::string, 3> cameras;  // the environment's camera per slot; empty: absent, masked
 };
 
