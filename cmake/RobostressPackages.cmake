@@ -34,5 +34,7 @@ endif()
 
 if(ROBOSTRESS_TORCH)
   find_package(Torch REQUIRED)
-  pkg_check_modules(SENTENCEPIECE REQUIRED IMPORTED_TARGET sentencepiece)
+  if(ROBOSTRESS_OPENPI)
+    pkg_check_modules(SENTENCEPIECE REQUIRED IMPORTED_TARGET sentencepiece)
+  endif()
 endif()
