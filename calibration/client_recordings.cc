@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/csv_table.h"
+#include "common/statistics.h"
 #include "common/status_macros.h"
 #include "robot_client/emulator/piper_mjcf.h"
 
@@ -78,8 +79,7 @@ struct Samples {
 double RateOf(const std::vector<double>& t) {
   std::vector<double> steps;
   for (size_t i = 1; i < t.size(); ++i) steps.push_back(t[i] - t[i - 1]);
-  std::nth_element(steps.begin(), steps.begin() + steps.size() / 2, steps.end());
-  return std::round(1 / std::max(steps[steps.size() / 2], 1e-4));
+  return std::round(1 / std::max(UpperMedian(std::move(steps)), 1e-4));
 }
 
 RecordedEpisode Cut(const Samples& samples, size_t begin, size_t end, double rate_hz) {

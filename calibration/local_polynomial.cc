@@ -6,6 +6,8 @@
 #include <limits>
 #include <map>
 
+#include "common/statistics.h"
+
 namespace robostress::calibration {
 namespace {
 
@@ -31,9 +33,7 @@ double NoiseOf(const std::vector<double>& signal, bool moving) {
         sizes.push_back(std::abs(differences[i]));
     }
     if (sizes.empty()) return 0;
-    const auto middle = sizes.begin() + static_cast<int>(sizes.size() / 2);
-    std::nth_element(sizes.begin(), middle, sizes.end());
-    least = std::min(least, *middle / 0.6745 / std::sqrt(variance));
+    least = std::min(least, UpperMedian(std::move(sizes)) / 0.6745 / std::sqrt(variance));
   }
   return std::isfinite(least) ? least : 0;
 }

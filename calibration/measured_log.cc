@@ -11,6 +11,7 @@
 #include "absl/strings/str_split.h"
 #include "calibration/local_polynomial.h"
 #include "common/atomic_file.h"
+#include "common/statistics.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
@@ -80,9 +81,7 @@ absl::StatusOr<double> CheckClock(const std::string& file, const std::vector<dou
                                                      "; the clock must increase"));
     steps.push_back(t[i] - t[i - 1]);
   }
-  std::vector<double> sorted = steps;
-  std::nth_element(sorted.begin(), sorted.begin() + sorted.size() / 2, sorted.end());
-  const double dt = sorted[sorted.size() / 2];
+  const double dt = UpperMedian(steps);
   if (std::abs(dt * rate_hz - 1) > kRateError)
     return absl::InvalidArgumentError(absl::StrCat(file, ": t runs at ", 1 / dt,
                                                    " rows per second, the rig's rate_hz is ",

@@ -6,6 +6,7 @@
 #include <map>
 
 #include "common/bootstrap_replicates.h"
+#include "common/check.h"
 
 namespace robostress {
 namespace {
@@ -109,6 +110,13 @@ double Quantile(const std::vector<double>& sorted, double q) {
   const size_t below = static_cast<size_t>(position);
   const size_t above = std::min(below + 1, sorted.size() - 1);
   return sorted[below] + (position - below) * (sorted[above] - sorted[below]);
+}
+
+double UpperMedian(std::vector<double> values) {
+  RS_CHECK(!values.empty());
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
 }
 
 std::vector<double> ClusterReplicates(const std::vector<ClusteredValue>& values, int replicates,

@@ -42,4 +42,7 @@ BootstrapResult ClusterBootstrap(const std::vector<ClusteredValue>& values, int 
 // empty, q in [0, 1].
 double Quantile(const std::vector<double>& sorted, double q);
 
+// The middle value, of an even number the upper of the two; not empty.
+double UpperMedian(std::vector<double> values);
+
 }  // namespace robostress

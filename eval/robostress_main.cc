@@ -7,15 +7,18 @@
 #include <string>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "common/program_folder.h"
-#include "eval/plan/build_info.h"
 #include "eval/launch/process.h"
+#include "eval/plan/build_info.h"
 
 namespace {
 
 struct Command {
   const char* name;
   const char* summary;
+  const char* needs = "";  // options of CMake that leave it out when one is off
 };
 
 // What the help lists; a program robostress-X that is not here runs too.
@@ -23,27 +26,45 @@ constexpr Command kCommands[] = {
     {"sweep", "Evaluate policies and methods over suites and scenarios, then report"},
     {"report", "Write the report page and tables of a run directory"},
     {"store", "Check, merge and index run directories"},
-    {"grid-job", "Run one job of a grid that a scheduler distributes"},
+    {"grid-job", "Run one job of a grid that a scheduler distributes", "ROBOSTRESS_CLUSTER"},
     {"residual", "Measure residual magnitudes for both goal references, and their controller lag"},
     {"paper", "One table of the paper: planned, run and laid out beside the published numbers"},
-    {"calibrate", "Find what a model of a measured robot lacks, add it, report before and after"},
-    {"fidelity", "Compare Heavy Payload and Gaussian action noise with a real payload"},
-    {"suites", "List suites, their tasks and instructions; draw their first frames"},
+    {"calibrate", "Find what a model of a measured robot lacks, add it, report before and after",
+     "ROBOSTRESS_MUJOCO"},
+    {"fidelity", "Compare Heavy Payload and Gaussian action noise with a real payload",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
+    {"suites", "List suites, their tasks and instructions; draw their first frames",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"scenarios", "List scenarios with their severity factors"},
     {"error-models", "Draw the four joint error models over time"},
-    {"serve", "Serve a policy, with online adaptation, over gRPC"},
+    {"serve", "Serve a policy, with online adaptation, over gRPC", "ROBOSTRESS_TORCH"},
     {"sessions", "List a running server's sessions; export, pin, roll back their adapters"},
-    {"policy", "Inspect a policy; check a pi0 or pi0.5 checkpoint against expected values"},
-    {"tokenize", "Tokenise text with a SentencePiece model"},
-    {"worker", "Run one unit of a sweep: the simulator's side"},
-    {"record", "Record demonstrations of the scripted experts"},
-    {"train", "Train the embedded policy from demonstrations"},
-    {"record-to-rig", "Turn a recorded run into a rig with logs for calibrate"},
-    {"close-loop", "Hide errors in the simulated arm, find them from its logs, compare"},
-    {"piper-study",
-     "The paper's real-arm experiments on emulated Pipers, from recording to report"},
-    {"replay", "Play recorded commands in a LIBERO task, compare two recordings"},
+    {"policy", "Inspect a policy; check a pi0 or pi0.5 checkpoint against expected values",
+     "ROBOSTRESS_TORCH"},
+    {"tokenize", "Tokenise text with a SentencePiece model", "ROBOSTRESS_TORCH ROBOSTRESS_OPENPI"},
+    {"worker", "Run one unit of a sweep: the simulator's side",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
+    {"record", "Record demonstrations of the scripted experts",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
+    {"train", "Train the embedded policy from demonstrations", "ROBOSTRESS_TORCH"},
+    {"record-to-rig", "Turn a recorded run into a rig with logs for calibrate",
+     "ROBOSTRESS_MUJOCO"},
+    {"close-loop", "Hide errors in the simulated arm, find them from its logs, compare",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
+    {"piper-study", "The paper's real-arm experiments on emulated Pipers, from recording to report",
+     "ROBOSTRESS_ROBOT_CLIENT"},
+    {"replay", "Play recorded commands in a LIBERO task, compare two recordings",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_LIBERO"},
 };
+
+// "ROBOSTRESS_LIBERO=OFF": why this build has no such program; empty where its options are on.
+std::string WhyLeftOut(const Command& command) {
+  const std::vector<std::string> off = absl::StrSplit(robostress::kLeftOut, ' ', absl::SkipEmpty());
+  for (const auto option : absl::StrSplit(command.needs, ' ', absl::SkipEmpty())) {
+    if (std::find(off.begin(), off.end(), option) != off.end()) return absl::StrCat(option, "=OFF");
+  }
+  return "";
+}
 
 void PrintHelp() {
   std::printf(
@@ -55,8 +76,10 @@ void PrintHelp() {
   for (const Command& command : kCommands) {
     const bool here =
         std::find(installed.begin(), installed.end(), command.name) != installed.end();
-    std::printf("  %-13s %s%s\n", command.name, command.summary,
-                here ? "" : "  (not in this build)");
+    const std::string why = WhyLeftOut(command);
+    const std::string missing =
+        here ? "" : absl::StrCat("  (not in this build", why.empty() ? "" : ": ", why, ")");
+    std::printf("  %-13s %s%s\n", command.name, command.summary, missing.c_str());
   }
   for (const std::string& name : installed) {
     const bool listed = std::any_of(std::begin(kCommands), std::end(kCommands),
@@ -89,8 +112,13 @@ int main(int argc, char** argv) {
   }
   const absl::StatusOr<std::string> program = robostress::FindProgram(command);
   if (!program.ok()) {
-    std::fprintf(stderr, "robostress: %s\nSee `robostress --help`.\n",
-                 std::string(program.status().message()).c_str());
+    std::string message(program.status().message());
+    for (const Command& known : kCommands) {
+      if (const std::string why = WhyLeftOut(known); command == known.name && !why.empty())
+        message = absl::StrCat("this build has no command ", command, ": it was configured with ",
+                               why, "; configure it with that option ON and build again");
+    }
+    std::fprintf(stderr, "robostress: %s\nSee `robostress --help`.\n", message.c_str());
     return 2;
   }
   robostress::ChooseOpenMpBlas();

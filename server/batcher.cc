@@ -110,7 +110,7 @@ Batcher::Counters Batcher::counters() const {
 void Batcher::Finish(Pending& pending, absl::Status status) {
   const auto count = [](uint64_t& own, const std::shared_ptr<Counter>& shown) {
     ++own;
-    if (shown != nullptr) shown->Add();
+    if (shown != nullptr) shown->Increment();
   };
   if (absl::IsResourceExhausted(status)) count(counters_.overloaded, shown_.overloaded);
   if (absl::IsDeadlineExceeded(status)) count(counters_.late, shown_.late);
@@ -220,7 +220,7 @@ void Batcher::Run(int index) {
     counters_.predictions += batch.size();
     if (shown_.batch_size != nullptr) {
       shown_.batch_size->Observe(size);
-      shown_.predictions->Add(size);
+      shown_.predictions->Increment(size);
     }
     for (const auto& pending : batch) {
       pending->result.queued = absl::FromChrono(begin - pending->arrival);

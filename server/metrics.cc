@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <map>
 #include <variant>
 
@@ -13,38 +12,21 @@
 
 namespace robostress {
 
-Histogram::Histogram(std::vector<double> bounds)
-    : bounds_(std::move(bounds)), counts_(bounds_.size() + 1) {}
-
-void Histogram::Observe(double value) {
-  if (!std::isfinite(value)) return;
-  const auto at = std::lower_bound(bounds_.begin(), bounds_.end(), value);
-  counts_[static_cast<size_t>(at - bounds_.begin())].fetch_add(1, std::memory_order_relaxed);
-  sum_.fetch_add(value, std::memory_order_relaxed);
-}
-
-std::vector<uint64_t> Histogram::counts() const {
-  std::vector<uint64_t> counts;
-  for (const auto& count : counts_) counts.push_back(count.load(std::memory_order_relaxed));
-  return counts;
-}
-
-double Histogram::Quantile(double q) const {
-  const std::vector<uint64_t> counts = this->counts();
-  uint64_t total = 0;
-  for (const uint64_t count : counts) total += count;
-  if (total == 0) return 0;
-  const double rank = q * static_cast<double>(total);
-  double below = 0;
-  for (size_t i = 0; i < bounds_.size(); ++i) {
-    const auto inside = static_cast<double>(counts[i]);
-    if (inside > 0 && below + inside >= rank) {
-      const double low = i == 0 ? 0 : bounds_[i - 1];
-      return low + (bounds_[i] - low) * std::clamp((rank - below) / inside, 0.0, 1.0);
-    }
-    below += inside;
+double QuantileOf(const Histogram& histogram, double q) {
+  const prometheus::ClientMetric::Histogram now = histogram.Collect().histogram;
+  if (now.sample_count == 0) return 0;
+  const double rank = q * static_cast<double>(now.sample_count);
+  double low = 0, below = 0;
+  for (const prometheus::ClientMetric::Bucket& bucket : now.bucket) {
+    if (std::isinf(bucket.upper_bound)) break;
+    const auto up_to = static_cast<double>(bucket.cumulative_count);
+    if (up_to > below && up_to >= rank)
+      return low +
+             (bucket.upper_bound - low) * std::clamp((rank - below) / (up_to - below), 0., 1.);
+    low = bucket.upper_bound;
+    below = up_to;
   }
-  return bounds_.back();
+  return low;
 }
 
 std::vector<double> LatencyBounds() {
@@ -64,34 +46,6 @@ struct Metrics::Family {
   std::map<MetricLabels, Series> series;
 };
 
-namespace {
-
-template <class T>
-constexpr prometheus::MetricType kTypeOf = prometheus::MetricType::Untyped;
-template <>
-constexpr prometheus::MetricType kTypeOf<Counter> = prometheus::MetricType::Counter;
-template <>
-constexpr prometheus::MetricType kTypeOf<Gauge> = prometheus::MetricType::Gauge;
-template <>
-constexpr prometheus::MetricType kTypeOf<Histogram> = prometheus::MetricType::Histogram;
-
-prometheus::ClientMetric::Histogram ToPrometheus(const Histogram& histogram) {
-  prometheus::ClientMetric::Histogram result;
-  uint64_t cumulative = 0;
-  const std::vector<uint64_t> counts = histogram.counts();
-  for (size_t i = 0; i < counts.size(); ++i) {
-    cumulative += counts[i];
-    result.bucket.push_back({cumulative, i < histogram.bounds().size()
-                                             ? histogram.bounds()[i]
-                                             : std::numeric_limits<double>::infinity()});
-  }
-  result.sample_count = cumulative;
-  result.sample_sum = histogram.sum();
-  return result;
-}
-
-}  // namespace
-
 Metrics::Metrics() = default;
 Metrics::~Metrics() = default;
 
@@ -104,9 +58,9 @@ std::shared_ptr<T> Metrics::Add(const std::string& name, const std::string& help
       families_.begin(), families_.end(), name,
       [](const std::unique_ptr<Family>& family, const std::string& n) { return family->name < n; });
   if (at == families_.end() || (*at)->name != name) {
-    at = families_.insert(at, std::make_unique<Family>(Family{name, help, kTypeOf<T>, {}}));
+    at = families_.insert(at, std::make_unique<Family>(Family{name, help, T::metric_type, {}}));
   }
-  RS_CHECK((*at)->type == kTypeOf<T>);  // one name, two kinds
+  RS_CHECK((*at)->type == T::metric_type);  // one name, two kinds
   auto& series = (*at)->series;
   const auto found = series.find(labels);
   if (found != series.end()) return std::get<std::shared_ptr<T>>(found->second);
@@ -160,7 +114,10 @@ std::string Metrics::Text() const {
     absl::MutexLock lock(&mu_);
     collectors = collectors_;
   }
-  for (const auto& collect : collectors) collect();
+  {
+    absl::MutexLock lock(&collecting_);
+    for (const auto& collect : collectors) collect();
+  }
   std::vector<prometheus::MetricFamily> families;
   absl::MutexLock lock(&mu_);
   for (const auto& family : families_) {
@@ -170,14 +127,8 @@ std::string Metrics::Text() const {
     shown.help = family->help;
     shown.type = family->type;
     for (const auto& [labels, series] : family->series) {
-      prometheus::ClientMetric& metric = shown.metric.emplace_back();
-      for (const auto& [name, value] : labels) metric.label.push_back({name, value});
-      if (const auto* counter = std::get_if<std::shared_ptr<Counter>>(&series))
-        metric.counter.value = (*counter)->value();
-      if (const auto* gauge = std::get_if<std::shared_ptr<Gauge>>(&series))
-        metric.gauge.value = (*gauge)->value();
-      if (const auto* histogram = std::get_if<std::shared_ptr<Histogram>>(&series))
-        metric.histogram = ToPrometheus(**histogram);
+      shown.metric.push_back(std::visit([](const auto& one) { return one->Collect(); }, series));
+      for (const auto& [label, value] : labels) shown.metric.back().label.push_back({label, value});
     }
   }
   return prometheus::TextSerializer().Serialize(families);

@@ -94,7 +94,7 @@ void AddProcessMetrics(Metrics* metrics) {
   const auto most = gauge("process_max_fds", "File descriptors that may be open.");
   metrics->AddCollector([=] {
     const ProcessStat stat;
-    cpu->RaiseTo((stat[14] + stat[15]) / ticks);
+    cpu->Increment((stat[14] + stat[15]) / ticks - cpu->Value());  // ignores what is negative
     threads->Set(stat[20]);
     virtual_memory->Set(stat[23]);
     resident->Set(stat[24] * page);

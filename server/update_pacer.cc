@@ -105,7 +105,7 @@ void UpdatePacer::Yield(Update& update) {
   if (resume) update.credit_ = {};
   paused_ns_ += std::chrono::duration_cast<nanoseconds>(paused).count();
   if (paused_seconds_ != nullptr)
-    paused_seconds_->Add(std::chrono::duration<double>(paused).count());
+    paused_seconds_->Increment(std::chrono::duration<double>(paused).count());
 }
 
 }  // namespace robostress

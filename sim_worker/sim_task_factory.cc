@@ -1,25 +1,15 @@
-#include "absl/strings/str_cat.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
-#include "sim_worker/sim_task.h"
-#include "sim_worker/suites/embedded_task.h"
-#ifdef ROBOSTRESS_HAVE_LIBERO
 #include "sim_worker/libero/catalog.h"
 #include "sim_worker/libero/libero_task.h"
-#endif
+#include "sim_worker/sim_task.h"
+#include "sim_worker/suites/embedded_task.h"
 
 namespace robostress {
 
 absl::StatusOr<std::unique_ptr<SimTask>> MakeSimTask(const UnitConfig& unit, int task) {
   const SuiteInfo* info = FindSuite(unit.suite);
-  if (info != nullptr && info->needs_libero) {
-#ifdef ROBOSTRESS_HAVE_LIBERO
-    return MakeLiberoTask(unit, task);
-#else
-    return absl::UnimplementedError(absl::StrCat(
-        "suite '", unit.suite, "' needs LIBERO's files, and this build has ROBOSTRESS_LIBERO=OFF"));
-#endif
-  }
+  if (info != nullptr && info->needs_libero) return MakeLiberoTask(unit, task);
   RS_ASSIGN_OR_RETURN(std::unique_ptr<EmbeddedTask> embedded, EmbeddedTask::Create(unit, task));
   return embedded;
 }
@@ -30,13 +20,9 @@ absl::StatusOr<std::vector<std::string>> SuiteInstructions(const std::string& su
     for (const TaskSpec& task : spec->tasks) instructions.push_back(task.instruction);
     return instructions;
   }
-#ifdef ROBOSTRESS_HAVE_LIBERO
   RS_ASSIGN_OR_RETURN(const std::vector<std::string> names, libero::LiberoTaskNames(suite));
   for (const std::string& name : names) instructions.push_back(libero::LiberoInstruction(name));
   return instructions;
-#else
-  return absl::NotFoundError(absl::StrCat("suite '", suite, "' is unknown"));
-#endif
 }
 
 }  // namespace robostress

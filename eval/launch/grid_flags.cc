@@ -19,7 +19,9 @@ void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch) {
 void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch) {
   ClusterOptions& cluster = launch.cluster;
   app.add_option("--launcher", launch.launcher, absl::StrJoin(LauncherNames(), ", "))
-      ->check(CLI::IsMember(LauncherNames()))
+      ->check([](const std::string& name) {
+        return std::string(MakeLauncher(name).status().message());
+      })
       ->capture_default_str()
       ->group("Where it runs");
   const auto option = [&app](const char* name, auto& value, const char* help) {

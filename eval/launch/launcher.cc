@@ -5,20 +5,25 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/status_macros.h"
-#include "eval/launch/kubernetes_launcher.h"
+#include "eval/launch/cluster_launchers.h"
 #include "eval/launch/server_process.h"
-#include "eval/launch/slurm_launcher.h"
 
 namespace robostress {
 
-std::vector<std::string> LauncherNames() { return {"local", "slurm", "kubernetes"}; }
+std::vector<std::string> LauncherNames() {
+  std::vector<std::string> names = {"local"};
+  for (const ClusterLauncher& cluster : ClusterLaunchers()) names.emplace_back(cluster.name);
+  return names;
+}
 
 absl::StatusOr<std::unique_ptr<Launcher>> MakeLauncher(const std::string& name) {
   if (name == "local") return std::make_unique<LocalLauncher>();
-  if (name == "slurm") return std::make_unique<SlurmLauncher>();
-  if (name == "kubernetes") return std::make_unique<KubernetesLauncher>();
-  return absl::InvalidArgumentError(
-      absl::StrCat("unknown launcher '", name, "'; known: ", absl::StrJoin(LauncherNames(), ", ")));
+  for (const ClusterLauncher& cluster : ClusterLaunchers()) {
+    if (name == cluster.name) return cluster.make();
+  }
+  return absl::InvalidArgumentError(absl::StrCat("unknown launcher '", name,
+                                                 "'; known: ", absl::StrJoin(LauncherNames(), ", "),
+                                                 LaunchersLeftOut()));
 }
 
 absl::StatusOr<LaunchResult> LocalLauncher::Launch(const LaunchRequest& request) {

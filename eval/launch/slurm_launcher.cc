@@ -121,7 +121,7 @@ absl::Status WaitForQueue(const LaunchRequest& request, LaunchResult& result) {
       break;
     }
     // A controller that does not answer for a while knows the jobs again later.
-    const absl::StatusOr<std::string> jobs = JobsInQueue(request.run);
+    const absl::StatusOr<std::string> jobs = SlurmJobsInQueue(request.run);
     in_queue = !jobs.ok() || !jobs->empty();
     for (size_t looks = in_queue ? std::min(kLooks, open.size()) : open.size(); looks > 0;
          --looks) {
@@ -151,7 +151,7 @@ std::string SlurmJobName(const RunDirectory& run) {
   return absl::StrCat("robostress-", Sha256Hex(path).substr(0, 10));
 }
 
-absl::StatusOr<std::string> JobsInQueue(const RunDirectory& run) {
+absl::StatusOr<std::string> SlurmJobsInQueue(const RunDirectory& run) {
   const std::string name = SlurmJobName(run);
   const absl::StatusOr<std::string> jobs =
       Ask(run, {"squeue", "--noheader", "--format=%i",

@@ -30,6 +30,6 @@ std::string MergeScript(const Submission& submission);
 std::string SlurmJobName(const RunDirectory& run);
 // Ids of the jobs of a run directory that are in the queue; empty where there is no Slurm, and
 // Unavailable where it does not answer.
-absl::StatusOr<std::string> JobsInQueue(const RunDirectory& run);
+absl::StatusOr<std::string> SlurmJobsInQueue(const RunDirectory& run);
 
 }  // namespace robostress

@@ -8,7 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
-#include "eval/launch/slurm_launcher.h"
+#include "eval/launch/cluster_launchers.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {

@@ -1,6 +1,8 @@
 #include "eval/statistics/paired_tests.h"
 
 #include <algorithm>
+#include <boost/math/distributions/binomial.hpp>
+#include <boost/math/distributions/normal.hpp>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -105,13 +107,8 @@ double DrawnTail(const std::vector<double>& contributions, const StreamKey& key)
 }  // namespace
 
 double ExactMcNemar(int plus, int minus) {
-  const int n = plus + minus, k = std::min(plus, minus);
-  double tail = 0;
-  for (int i = 0; i <= k; ++i) {
-    tail += std::exp(std::lgamma(n + 1.0) - std::lgamma(i + 1.0) - std::lgamma(n - i + 1.0) -
-                     n * std::log(2.0));
-  }
-  return std::min(1.0, 2 * tail);
+  const boost::math::binomial wins(plus + minus, 0.5);
+  return std::min(1.0, 2 * boost::math::cdf(wins, std::min(plus, minus)));
 }
 
 SignFlipResult ClusterSignFlipTest(const std::vector<ClusteredValue>& differences,
@@ -178,22 +175,15 @@ double DesignEffect(const std::vector<ClusteredValue>& differences) {
   return strata == 0 ? 1 : sum / strata;
 }
 
-double NormalQuantile(double p) {
-  double low = -40, high = 40;
-  for (int i = 0; i < 200; ++i) {
-    const double middle = 0.5 * (low + high);
-    (0.5 * std::erfc(-middle / std::sqrt(2.0)) < p ? low : high) = middle;
-  }
-  return 0.5 * (low + high);
-}
-
 std::optional<double> PairsNeeded(double difference, double discordant_share, double alpha,
                                   double power) {
   const double d = std::abs(difference), psi = discordant_share;
   if (!(d > 0 && d <= psi && psi <= 1 && alpha > 0 && alpha < 1 && power > 0 && power < 1))
     return std::nullopt;
-  const double root = NormalQuantile(1 - alpha / 2) * std::sqrt(psi) +
-                      NormalQuantile(power) * std::sqrt(psi - d * d);
+  const boost::math::normal normal;
+  const double z = boost::math::quantile(boost::math::complement(normal, alpha / 2));
+  const double root =
+      z * std::sqrt(psi) + boost::math::quantile(normal, power) * std::sqrt(psi - d * d);
   return root * root / (d * d);
 }
 

@@ -47,7 +47,4 @@ double DesignEffect(const std::vector<ClusteredValue>& differences);
 std::optional<double> PairsNeeded(double difference, double discordant_share, double alpha = 0.05,
                                   double power = 0.8);
 
-// Quantile of the standard normal distribution, 0 < p < 1.
-double NormalQuantile(double p);
-
 }  // namespace robostress

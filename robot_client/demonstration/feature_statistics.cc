@@ -4,6 +4,8 @@
 #include <array>
 #include <cmath>
 
+#include "common/statistics.h"
+
 namespace robostress {
 namespace {
 
@@ -11,13 +13,6 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::pair<const char*, double> kQuantiles[] = {
     {"q01", 0.01}, {"q10", 0.1}, {"q50", 0.5}, {"q90", 0.9}, {"q99", 0.99}};
-
-double Quantile(const std::vector<double>& sorted, double q) {
-  const double at = q * static_cast<double>(sorted.size() - 1);
-  const auto below = static_cast<size_t>(at);
-  const size_t above = std::min(below + 1, sorted.size() - 1);
-  return sorted[below] + (at - static_cast<double>(below)) * (sorted[above] - sorted[below]);
-}
 
 // Of one dimension, appended to the lists of `out`.
 void AppendTo(Json* out, const char* key, double value) { (*out)[key].push_back(value); }

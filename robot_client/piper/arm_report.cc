@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "common/statistics.h"
 #include "robot_client/piper/limit_check.h"
 #include "robot_client/piper/status_words.h"
 
@@ -183,8 +184,7 @@ class Diagnosis {
 
   void Supplies(std::vector<double> supplies) {
     if (supplies.size() < 3) return;
-    std::nth_element(supplies.begin(), supplies.begin() + supplies.size() / 2, supplies.end());
-    const double median = supplies[supplies.size() / 2];
+    const double median = UpperMedian(std::move(supplies));
     for (int j = 0; j < kJoints; ++j) {
       const std::optional<DriverStatus>& driver = r_.joints[j].driver;
       if (driver && std::abs(driver->supply_V - median) > kSupplyDifference_V)

@@ -33,7 +33,7 @@ constexpr char kNothing[] = "\u2013";  // where there is no number yet
 
 std::string Latency(const Histogram& histogram, double quantile, bool any) {
   if (!any) return kNothing;
-  const double ms = 1e3 * histogram.Quantile(quantile);
+  const double ms = 1e3 * QuantileOf(histogram, quantile);
   return ms < 1000 ? absl::StrFormat("%.3g ms", ms) : absl::StrFormat("%.0f ms", ms);
 }
 
@@ -194,14 +194,14 @@ std::string LiveMain(const LiveServer& server, const std::vector<Telemetry::View
   const auto answered = metrics.AddCounter("robostress_predictions_answered_total", "");
   const auto chunks = metrics.AddCounter("robostress_feedback_chunks_total", "");
   const auto applied = metrics.AddCounter("robostress_updates_total", "", {{"outcome", "applied"}});
-  const bool any = answered->value() > 0;
+  const bool any = answered->Value() > 0;
   std::string html =
       absl::StrCat("<main class=wrap><div class=tiles>", Tile(absl::StrCat(open), "open sessions"),
                    Tile(Latency(*predict, 0.5, any), "prediction, p50"),
                    Tile(Latency(*predict, 0.99, any), "prediction, p99"),
-                   Tile(absl::StrFormat("%.0f", answered->value()), "predictions"),
-                   Tile(absl::StrFormat("%.0f", chunks->value()), "executed chunks"),
-                   Tile(absl::StrFormat("%.0f", applied->value()), "updates applied"),
+                   Tile(absl::StrFormat("%.0f", answered->Value()), "predictions"),
+                   Tile(absl::StrFormat("%.0f", chunks->Value()), "executed chunks"),
+                   Tile(absl::StrFormat("%.0f", applied->Value()), "updates applied"),
                    Tile(server.uptime, "since the start"), "</div>");
   if (server.draining)
     absl::StrAppend(&html,

@@ -209,8 +209,8 @@ absl::StatusOr<SessionHost::Acknowledged> OpenpiConversation::Report(const Openp
 
 absl::StatusOr<std::string> OpenpiConversation::Answer(std::string_view message) {
   const Clock::time_point begin = Clock::now();
-  messages_->Add();
-  bytes_in_->Add(static_cast<double>(message.size()));
+  messages_->Increment();
+  bytes_in_->Increment(static_cast<double>(message.size()));
   RS_ASSIGN_OR_RETURN(const OpenpiValue request, DecodeOpenpi(message));
   if (session_id_.empty()) {
     RS_RETURN_IF_ERROR(Open(request.Find("session")));
@@ -269,7 +269,7 @@ absl::StatusOr<std::string> OpenpiConversation::Answer(std::string_view message)
   writer.Text("infer_ms").Real(predicts ? Milliseconds(inferred - begin) : 0);
   if (previous_total_ms_ >= 0) writer.Text("prev_total_ms").Real(previous_total_ms_);
   previous_total_ms_ = Milliseconds(Clock::now() - begin);
-  bytes_out_->Add(static_cast<double>(writer.bytes().size()));
+  bytes_out_->Increment(static_cast<double>(writer.bytes().size()));
   return writer.Take();
 }
 

@@ -112,10 +112,10 @@ absl::StatusOr<bool> Reloader::ReloadTokens() {
 
 void Reloader::Tell(const absl::StatusOr<bool>& changed, bool asked, Watched& watched) {
   if (changed.ok()) {
-    if (*changed) watched.reloads->Add();
+    if (*changed) watched.reloads->Increment();
     if (asked && !*changed) spdlog::info("{}: unchanged", watched.what);
   } else {
-    watched.failures->Add();
+    watched.failures->Increment();
     if (asked || changed.status() != watched.last) {
       spdlog::error("{} not reloaded, the old stay in use: {}", watched.what,
                     std::string(changed.status().message()));

@@ -77,7 +77,7 @@ void Telemetry::Forget(const std::string& session, const SessionFigures* last) {
 void Telemetry::Predicted(const std::string& session, const Observation& observation,
                           double seconds) {
   predict_seconds_->Observe(seconds);
-  predictions_->Add();
+  predictions_->Increment();
   const Clock::time_point now = Clock::now();
   bool wants_images = false;
   {
@@ -100,7 +100,7 @@ void Telemetry::Predicted(const std::string& session, const Observation& observa
 
 void Telemetry::Reported(const std::string& session, const SessionSpec& spec,
                          const ExecutedChunk& executed) {
-  chunks_->Add();
+  chunks_->Increment();
   // As the session sees it: an impossible measurement is none.
   const Eigen::MatrixXd residual =
       ChunkResidual(WithMasked(executed, ImpossibleSteps(executed)), OptionsOf(spec));
@@ -134,7 +134,7 @@ void Telemetry::CountOutcomes(const Record& record, const SessionFigures& now) {
     // A session that a rollback put back has fewer than before: what it applied stays counted.
     const uint64_t before = record.figures.*field;
     const auto counter = metrics_->AddCounter(name, help, labels);
-    if (now.*field > before) counter->Add(static_cast<double>(now.*field - before));
+    if (now.*field > before) counter->Increment(static_cast<double>(now.*field - before));
   };
   for (const Outcome& outcome : kOutcomes) {
     count(

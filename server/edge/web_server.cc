@@ -204,7 +204,7 @@ class WebServer::Impl {
   absl::Status Claim(Entry& entry, const std::string& client) {
     if (client == entry.client) return absl::OkStatus();
     if (!HasPlace(client)) {
-      refused_->Add();
+      refused_->Increment();
       return absl::ResourceExhaustedError(
           absl::StrCat("this client holds ", PerClient(),
                        " connections, which is as many as one may; close one, or start the server "
@@ -240,7 +240,7 @@ class WebServer::Impl {
     const auto open = static_cast<int>(entries_.size()) - probes;
     const bool health_only = open >= options_.max_connections || !HasPlace(address);
     if (health_only && probes >= WebServerOptions::kHealthPlaces) {
-      refused_->Add();
+      refused_->Increment();
       error_code ignored;
       socket.non_blocking(true, ignored);
       constexpr std::string_view kFull =
@@ -265,7 +265,7 @@ class WebServer::Impl {
 
   // Its end, on any thread, frees the place.
   std::shared_ptr<void> Lease(Entries::iterator entry) ABSL_LOCKS_EXCLUDED(mu_) {
-    connections_->Add(1);
+    connections_->Increment();
     {
       absl::MutexLock lock(&mu_);
       ++open_;
@@ -273,7 +273,7 @@ class WebServer::Impl {
     return {nullptr, [this, entry](std::nullptr_t) {
               net::post(io_, [this, entry] {
                 entries_.erase(entry);
-                connections_->Add(-1);
+                connections_->Decrement();
                 absl::MutexLock lock(&mu_);
                 --open_;
               });

@@ -1,11 +1,10 @@
 #pragma once
 
-#include "CLI/CLI.hpp"
-#include "server/policies/openpi/checkpoint_commands.h"
+#include "server/policies/policy_command.h"
 
 namespace robostress {
 
 // policy inspect: what a policy is, what it expects, and everything that is wrong with it.
-openpi::PolicyCommand AddInspectCommand(CLI::App& policy);
+PolicyCommand AddInspectCommand(CLI::App& policy);
 
 }  // namespace robostress

@@ -10,8 +10,8 @@
 #include "common/embedded_policies.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
+#include "server/policies/checkpoint_policies.h"
 #include "server/policies/nano_policy.h"
-#include "server/policies/openpi/openpi_policy.h"
 #include "server/policy.h"
 
 namespace robostress {
@@ -71,7 +71,7 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
                                      "; ROBOSTRESS_WEIGHTS_DIR names the folder of the weights "
                                      "that come with the source (server/models/weights)"));
   }
-  if (IsCheckpointPath(name_or_path)) return openpi::LoadOpenpiPolicy(name_or_path, options);
+  if (IsCheckpointPath(name_or_path)) return LoadCheckpointPolicy(name_or_path, options);
   return absl::NotFoundError(absl::StrCat(
       "policy '", name_or_path, "' is unknown; use ",
       absl::StrJoin(kSuitePolicies, ", ",

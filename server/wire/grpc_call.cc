@@ -79,7 +79,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
     const std::shared_ptr<Call> self = self_;
     absl::MutexLock lock(&mu_);
     if (!status.ok()) {
-      service_.refused_->Add();
+      service_.refused_->Increment();
       End(status);
       return;
     }
@@ -147,7 +147,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
     const GrpcServiceOptions& options = service_.options_;
     const absl::Duration limit = streams() ? options.idle_timeout : options.message_timeout;
     if (absl::FromChrono(now - touched_) < limit) return;
-    service_.idled_->Add();
+    service_.idled_->Increment();
     if (busy_) {  // a response that the client does not take
       context_->TryCancel();
       return;
@@ -163,7 +163,7 @@ class GrpcService::Call final : public grpc::ServerBidiReactor<grpc::ByteBuffer,
     const std::shared_ptr<Call> self = shared_from_this();
     absl::MutexLock lock(&mu_);
     if (ended_ || !reading_) return;
-    service_.refused_->Add();
+    service_.refused_->Increment();
     if (busy_) {
       context_->TryCancel();
       return;
@@ -450,14 +450,14 @@ absl::Status GrpcService::Enter(const std::shared_ptr<Call>& call, const std::st
   }
   ++open;
   calls_.emplace(call.get(), call);
-  open_calls_->Add(1);
+  open_calls_->Increment();
   return absl::OkStatus();
 }
 
 void GrpcService::Leave(const Call* call, const std::string& client, const GrpcMethod& method) {
   absl::MutexLock lock(&mu_);
   if (calls_.erase(call) == 0) return;
-  open_calls_->Add(-1);
+  open_calls_->Decrement();
   const auto found = clients_.find(client);
   if (--found->second == 0) clients_.erase(found);
   if (method.at_once == 0) return;

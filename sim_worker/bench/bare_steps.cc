@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "common/check.h"
+#include "common/statistics.h"
 #include "sim_worker/bench/timing.h"
 
 namespace robostress {
@@ -72,8 +73,8 @@ StepCost MeasureSteps(const TimedEpisode& episode, int steps, int repeats) {
     }
   }
   for (int t = 0; t < steps; ++t) {
-    cost.ours_s += Median(ours[t]) / steps;
-    cost.bare_s += Median(theirs[t]) / steps;
+    cost.ours_s += UpperMedian(ours[t]) / steps;
+    cost.bare_s += UpperMedian(theirs[t]) / steps;
   }
   return cost;
 }

@@ -1,10 +1,9 @@
 #pragma once
 
-#include <algorithm>
 #include <ctime>
 #include <vector>
 
-#include "common/check.h"
+#include "common/statistics.h"
 
 namespace robostress {
 
@@ -13,13 +12,6 @@ inline double CpuSeconds() {
   timespec t;
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
   return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
-}
-
-inline double Median(std::vector<double> values) {
-  RS_CHECK(!values.empty());
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 // CPU time of one call [s].
@@ -41,7 +33,7 @@ double TimeOfShort(const F& call) {
                       }) /
                       kCalls);
   }
-  return Median(std::move(batches));
+  return UpperMedian(std::move(batches));
 }
 
 }  // namespace robostress

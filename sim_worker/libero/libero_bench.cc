@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "common/check.h"
+#include "common/statistics.h"
 #include "common/status_macros.h"
 #include "sim_worker/bench/arm_parts.h"
 #include "sim_worker/bench/bare_steps.h"
@@ -111,9 +112,9 @@ void PrintResets(LiberoSimTask& task, int repeats, Figures& figures) {
         TimeOf([&] { RS_CHECK(task.ResetTo(qpos, rest, LiberoSimTask::HomePosture()).ok()); }));
     settles.push_back(TimeOf([&] { RS_CHECK(task.sim().Settle(task.settle_steps()).ok()); }));
   }
-  figures.reset_s = Median(resets);
+  figures.reset_s = UpperMedian(resets);
   std::printf("\nReset with the cached model: %.2f ms, and %.0f ms for %d settle steps.\n",
-              1e3 * figures.reset_s, 1e3 * Median(settles), task.settle_steps());
+              1e3 * figures.reset_s, 1e3 * UpperMedian(settles), task.settle_steps());
 }
 
 struct ViewSettings {
@@ -150,10 +151,11 @@ absl::Status PrintViews(LiberoSimTask& task, int repeats, Figures& figures) {
           TimeOf([&] { RS_CHECK(renderer->Render(task.sim().data(), kCamera, options).ok()); }));
       bare.push_back(bare_view.TimeOfDrawing(task.sim().data()));
     }
-    const double ratio = Median(ours) / Median(bare);
+    const double ratio = UpperMedian(ours) / UpperMedian(bare);
     const char* averaged = view.supersample == 1 ? "1" : "4 (supersampled; bare: multisampled)";
     std::printf("| %d | %s | %s | %.2f | %.2f | %.3f |\n", view.size, averaged,
-                view.shadows ? "yes" : "no", 1e3 * Median(ours), 1e3 * Median(bare), ratio);
+                view.shadows ? "yes" : "no", 1e3 * UpperMedian(ours), 1e3 * UpperMedian(bare),
+                ratio);
     if (view.size == 256 && view.supersample == 1 && !view.shadows) figures.views_of_bare = ratio;
   }
   PolicySpec spec;
@@ -162,7 +164,7 @@ absl::Status PrintViews(LiberoSimTask& task, int repeats, Figures& figures) {
   for (int i = 0; i < 3 * repeats; ++i)
     observations.push_back(TimeOf([&] { RS_CHECK(task.Observe(spec).ok()); }));
   std::printf("Observation of two views of 256 px, mirrored and resized to %d px: %.2f ms.\n",
-              spec.image_width, 1e3 * Median(observations));
+              spec.image_width, 1e3 * UpperMedian(observations));
   return absl::OkStatus();
 }
 
@@ -235,7 +237,7 @@ absl::StatusOr<Figures> MeasureSuite(const Options& options, const std::string& 
   std::vector<double> steps;
   for (int t = 0; t < options.steps; ++t)
     steps.push_back(TimeOf([&] { RS_CHECK(task->Step(CircleCommand(t)).ok()); }));
-  PrintParts(*task, Median(steps), figures);
+  PrintParts(*task, UpperMedian(steps), figures);
   PrintResets(*task, options.repeats, figures);
   RS_RETURN_IF_ERROR(PrintViews(*task, options.repeats, figures));
   return figures;

@@ -67,6 +67,12 @@ TEST(Quantile, InterpolatesBetweenOrderStatistics) {
   EXPECT_DOUBLE_EQ(Quantile({5}, 0.3), 5);
 }
 
+TEST(UpperMedian, IsOneOfTheValues) {
+  EXPECT_EQ(UpperMedian({3, 1, 2}), 2);
+  EXPECT_EQ(UpperMedian({4, 1, 3, 2}), 3);
+  EXPECT_EQ(UpperMedian({7}), 7);
+}
+
 TEST(ClusterBootstrap, IntervalOfAMeanIsThatOfItsNormalLimit) {
   // 400 clusters of one value each: the interval is mean -+ 1.96 s / sqrt(n). Monte-Carlo error of
   // a 2.5 % quantile over 20000 replicates is about 2 % of the half width, and the normal limit

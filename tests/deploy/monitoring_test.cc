@@ -292,7 +292,7 @@ TEST(Monitoring, EveryCommandOfTheRunbooksExists) {
         }
       } else if (words[0] == "robostress") {
         EXPECT_TRUE(
-            fs::exists(fs::path(ROBOSTRESS_SOURCE_DIR) / "server/policies/openpi/policy_main.cc") &&
+            fs::exists(fs::path(ROBOSTRESS_SOURCE_DIR) / "server/policies/policy_main.cc") &&
             words.at(1) == "policy")
             << line;
       } else if (!words[0].starts_with("--")) {

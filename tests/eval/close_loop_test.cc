@@ -76,17 +76,5 @@ TEST_F(CloseLoopTest, SaysWhatIsWrongWithAHiddenScenario) {
   EXPECT_THAT(output, HasSubstr("'rust'"));
 }
 
-TEST_F(CloseLoopTest, SaysWhatAPiperCannotHide) {
-  const std::string hidden = root + "/seventh.yaml";
-  ASSERT_TRUE(
-      WriteFileAtomically(hidden, "joints: [{name: J7, effects: [{type: backlash, B: 0.01}]}]\n")
-          .ok());
-  const auto [output, code] = RunProgram(
-      CLOSE_LOOP, absl::StrCat("--arm piper --hidden ", hidden, " --out ", root, "/circle"));
-  EXPECT_NE(code, 0);
-  EXPECT_THAT(output, HasSubstr("J7"));
-  EXPECT_FALSE(fs::exists(root + "/circle/summary.json"));
-}
-
 }  // namespace
 }  // namespace robostress

@@ -59,7 +59,7 @@ TEST(ExactMcNemar, AgreesWithSciPy) {
   SKIP_WITHOUT_SCIPY(expected, 6);
   const int pairs[][2] = {{0, 0}, {1, 0}, {3, 1}, {7, 7}, {12, 30}, {120, 90}};
   for (size_t i = 0; i < 6; ++i) {
-    EXPECT_NEAR(ExactMcNemar(pairs[i][0], pairs[i][1]), expected[i], 1e-10) << i;
+    EXPECT_NEAR(ExactMcNemar(pairs[i][0], pairs[i][1]), expected[i], 1e-12 * expected[i]) << i;
     EXPECT_EQ(ExactMcNemar(pairs[i][0], pairs[i][1]), ExactMcNemar(pairs[i][1], pairs[i][0]));
   }
 }
@@ -166,13 +166,15 @@ TEST(DesignEffect, IsTheClusterSizeForCopiesAndOneForSinglePairs) {
   EXPECT_EQ(DesignEffect({{0, 0, 1}, {1, 0, 1}}), 1);
 }
 
-TEST(NormalQuantile, AgreesWithSciPy) {
+TEST(PairsNeeded, IsConnorsFormulaWithSciPysNormalQuantiles) {
   const std::vector<double> expected = SciPy(
-      "from scipy.stats import norm\nfor p in (1e-6,0.025,0.5,0.8,0.999): "
-      "print(repr(norm.ppf(p)))");
-  SKIP_WITHOUT_SCIPY(expected, 5);
-  const double p[] = {1e-6, 0.025, 0.5, 0.8, 0.999};
-  for (int i = 0; i < 5; ++i) EXPECT_NEAR(NormalQuantile(p[i]), expected[i], 1e-9);
+      "from scipy.stats import norm\nfrom math import sqrt\n"
+      "for d,psi,a,b in ((0.05,0.3,0.05,0.8),(0.2,0.2,0.01,0.95),(0.1,0.9,1e-20,0.3)): "
+      "print(repr((norm.isf(a/2)*sqrt(psi)+norm.ppf(b)*sqrt(psi-d*d))**2/(d*d)))");
+  SKIP_WITHOUT_SCIPY(expected, 3);
+  EXPECT_NEAR(*PairsNeeded(0.05, 0.3), expected[0], 1e-9 * expected[0]);
+  EXPECT_NEAR(*PairsNeeded(0.2, 0.2, 0.01, 0.95), expected[1], 1e-9 * expected[1]);
+  EXPECT_NEAR(*PairsNeeded(0.1, 0.9, 1e-20, 0.3), expected[2], 1e-9 * expected[2]);
 }
 
 TEST(PairsNeeded, GivesThePowerThatTheExactTestHas) {

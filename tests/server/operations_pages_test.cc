@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <limits>
+
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "nlohmann/json.hpp"
@@ -107,6 +109,13 @@ TEST_F(OperationsPagesTest, ShowsSessionsWithPlotsAndImagesAndEscapesTheirNames)
   EXPECT_EQ(Get("/else").status, 404);
 }
 
+TEST_F(OperationsPagesTest, SumsNoResidualOfAnImpossibleMeasurement) {
+  ExecutedChunk executed = Executed(1);
+  executed.final_state.tool.p_base_tool.x() = std::numeric_limits<double>::quiet_NaN();
+  telemetry_.Reported("session-1", figures_.spec, executed);
+  EXPECT_THAT(Get("/metrics").body, HasSubstr("robostress_residual_sum{axis=\"x\"} 0\n"));
+}
+
 TEST_F(OperationsPagesTest, ShowsNoNumberWhereThereIsNone) {
   const std::string page = Get("/").body;
   EXPECT_THAT(page, Not(HasSubstr("0 ms")));
@@ -120,7 +129,7 @@ TEST_F(OperationsPagesTest, ShowsNoNumberWhereThereIsNone) {
 
 TEST_F(OperationsPagesTest, LatenciesAreReadable) {
   telemetry_.Predicted("session-1", Seen(), 1.7);
-  metrics_.AddCounter("robostress_predictions_answered_total", "")->Add();
+  metrics_.AddCounter("robostress_predictions_answered_total", "")->Increment();
   metrics_.AddHistogram("robostress_predict_seconds", "", LatencyBounds())->Observe(1.7);
   const std::string page = Get("/").body;
   EXPECT_THAT(page, HasSubstr(" ms</b>"));

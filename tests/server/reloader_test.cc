@@ -54,7 +54,7 @@ class ReloaderTest : public ::testing::Test {
                                       ", scopes: [", scopes, "]}]\n"));
   }
   double Count(const char* name, const char* what) {
-    return metrics_.AddCounter(name, "", {{"what", what}})->value();
+    return metrics_.AddCounter(name, "", {{"what", what}})->Value();
   }
   // Until `done`, or 10 s.
   static bool Await(const std::function<bool()>& done) {
@@ -124,7 +124,7 @@ TEST_F(ReloaderTest, TakesAChangedCertificateWholeOrNotAtAll) {
   EXPECT_EQ(tls_->generation(), 2u);
   EXPECT_EQ(tls_->Get()->contents.certificate, whole);
   EXPECT_EQ(tls_->Get()->contents.client_ca, authorities);
-  EXPECT_GT(metrics_.AddGauge("robostress_certificate_expiry_timestamp_seconds", "")->value(),
+  EXPECT_GT(metrics_.AddGauge("robostress_certificate_expiry_timestamp_seconds", "")->Value(),
             absl::ToDoubleSeconds(absl::Now() - absl::UnixEpoch()));
 }
 

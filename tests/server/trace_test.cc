@@ -35,7 +35,7 @@ TEST(TraceLog, KeepsTheLastPredictionsAndTimesEveryStage) {
   }
   const auto histogram =
       metrics.AddHistogram("robostress_stage_seconds", "", {}, {{"stage", "sample"}});
-  EXPECT_NEAR(histogram->sum(), 300 * 0.004, 1e-9);
+  EXPECT_NEAR(histogram->Collect().histogram.sample_sum, 300 * 0.004, 1e-9);
   const auto json = nlohmann::json::parse(log.Json());
   size_t spans = 0, sessions = 0;
   for (const auto& event : json["traceEvents"]) {

@@ -10,10 +10,9 @@
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
+#include "server/policies/checkpoint_policies.h"
 #include "server/policies/nano_network.h"
 #include "server/policies/nano_weights.h"
-#include "server/policies/openpi/checkpoint.h"
-#include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/tensor_io.h"
 
 namespace robostress {
@@ -62,10 +61,7 @@ absl::StatusOr<AdapterBase> OpenAdapterBase(const std::string& path) {
     for (const LoraTarget& target : base.targets)
       base.weights.push_back(NanoRows(model.config, target.name));
   } else {
-    RS_ASSIGN_OR_RETURN(const openpi::Checkpoint checkpoint, openpi::OpenCheckpoint(path));
-    base.targets = openpi::ExpertLoraTargets(checkpoint.config);
-    for (const LoraTarget& target : base.targets)
-      base.weights.push_back({checkpoint.tensors.at(target.name + ".weight").stored_name});
+    RS_RETURN_IF_ERROR(OpenCheckpointBase(path, base));
   }
   return base;
 }

@@ -176,8 +176,6 @@ AdapterCommand::AdapterCommand(CLI::App& app)
     sub->add_option("--out", out_, "file to write")->required();
 }
 
-bool AdapterCommand::chosen() const { return command_->parsed(); }
-
 int AdapterCommand::Run() const {
   absl::Status status;
   try {

@@ -13,7 +13,6 @@ namespace robostress {
 class AdapterCommand {
  public:
   explicit AdapterCommand(CLI::App& app);  // adds itself
-  bool chosen() const;
   // Exit code: 0, or 2 with a message on stderr.
   int Run() const;
 

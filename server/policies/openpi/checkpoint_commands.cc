@@ -13,11 +13,12 @@
 #include "nlohmann/json.hpp"
 #include "server/policies/openpi/checkpoint_generator.h"
 #include "server/policies/openpi/checkpoint_load.h"
+#include "server/policies/openpi/policy_check.h"
 
 namespace robostress::openpi {
 namespace {
 
-constexpr int kBadInput = 2;
+constexpr int kFailed = 1, kBadInput = 2;
 
 int Refuse(const absl::Status& status) {
   std::fprintf(stderr, "robostress-policy: %s\n", std::string(status.message()).c_str());
@@ -42,6 +43,29 @@ void ResetPeak() { std::ofstream("/proc/self/clear_refs") << "5"; }
 
 double SecondsSince(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+struct CheckArguments {
+  CheckOptions options;
+  bool json = false;
+};
+
+int RunCheck(const CheckArguments& arguments) {
+  const auto report = CheckPolicy(arguments.options);
+  if (!report.ok()) {
+    if (arguments.json) {
+      const nlohmann::ordered_json error = {{"passed", false},
+                                            {"error", std::string(report.status().message())}};
+      std::printf(
+          "%s\n",
+          error.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
+    }
+    return Refuse(report.status());
+  }
+  const std::string text =
+      arguments.json ? ReportJson(arguments.options, *report) : ReportText(*report);
+  std::fputs(text.c_str(), stdout);
+  return report->num_failed() == 0 ? 0 : kFailed;
 }
 
 struct LoadArguments {
@@ -80,6 +104,14 @@ int RunLoad(LoadArguments arguments) {
   return 0;
 }
 
+constexpr char kCheckExamples[] = R"(Examples:
+  robostress policy check --weights pi0.weights.safetensors --io pi0.io.safetensors
+  robostress policy check --weights pi0.weights.safetensors --io pi0.io.safetensors --lora pi0.lora.safetensors
+  robostress policy check --weights pi0.weights_bf16.safetensors --io pi0.io_bf16w.safetensors --json
+
+With --lora, the expected values of the adapter's file are checked instead of those of --io.
+Exit code 0: all quantities within tolerance, 1: one is not or is unknown, 2: bad usage or files.)";
+
 constexpr char kGenerateExamples[] = R"(Examples:
   robostress policy generate --network pi0 --size full --out pi0_random          # 7.0 GB
   robostress policy generate --network pi0.5 --size tiny --layout lerobot --shards 3 --out tiny
@@ -93,6 +125,23 @@ constexpr char kLoadExamples[] = R"(Examples:
 Exit code 0: loaded, 2: bad usage or files.)";
 
 }  // namespace
+
+PolicyCommand AddCheckCommand(CLI::App& policy) {
+  const auto arguments = std::make_shared<CheckArguments>();
+  CLI::App* app = policy.add_subcommand(
+      "check", "Compare every intermediate of a network with expected values from a file");
+  app->footer(kCheckExamples);
+  CheckOptions& options = arguments->options;
+  app->add_option("--weights", options.weights, "safetensors file with openpi's tensor names")
+      ->required();
+  app->add_option("--io", options.io, "file with inputs/* and expected/*")->required();
+  app->add_option("--inputs", options.inputs,
+                  "file with inputs/* where --io has none (default: CASE.io.safetensors beside "
+                  "CASE.io_*.safetensors)");
+  app->add_option("--lora", options.lora, "file with lora/* and the expected values with it");
+  app->add_flag("--json", arguments->json, "print one JSON object");
+  return {app, [arguments] { return RunCheck(*arguments); }};
+}
 
 PolicyCommand AddGenerateCommand(CLI::App& policy) {
   struct Arguments {

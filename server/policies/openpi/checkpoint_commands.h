@@ -1,17 +1,11 @@
 #pragma once
 
-#include <functional>
-
-#include "CLI/CLI.hpp"
+#include "server/policies/policy_command.h"
 
 namespace robostress::openpi {
 
-// A subcommand of robostress-policy: what the parser knows and what runs when it was given; returns
-// the exit code.
-struct PolicyCommand {
-  CLI::App* app;
-  std::function<int()> run;
-};
+// policy check: compares every intermediate of a network with expected values.
+PolicyCommand AddCheckCommand(CLI::App& policy);
 
 // policy generate: writes a checkpoint of random weights.
 PolicyCommand AddGenerateCommand(CLI::App& policy);

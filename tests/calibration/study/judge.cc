@@ -1,24 +1,11 @@
 #include "tests/calibration/study/judge.h"
 
 #include <algorithm>
-#include <cmath>
+#include <boost/math/distributions/binomial.hpp>
 #include <set>
 
 namespace robostress::generator {
-namespace {
-
 using Json = nlohmann::json;
-
-// P(X <= count) of a binomial.
-double Binomial(int count, int n, double p) {
-  double sum = 0;
-  for (int k = 0; k <= count; ++k)
-    sum += std::exp(std::lgamma(n + 1) - std::lgamma(k + 1) - std::lgamma(n - k + 1) +
-                    k * std::log(p) + (n - k) * std::log1p(-p));
-  return sum;
-}
-
-}  // namespace
 
 const char* OutcomeName(Outcome outcome) {
   constexpr const char* kNames[] = {"named", "in group",    "listed",  "hedged",      "missed",
@@ -79,17 +66,10 @@ Judged Judge(const Json& report, const Json& truth) {
 
 std::pair<double, double> ClopperPearson(int count, int n, double confidence) {
   if (n == 0) return {0, 1};
+  using Binomial = boost::math::binomial;
   const double tail = (1 - confidence) / 2;
-  const auto solve = [](auto below) {
-    double low = 0, high = 1;
-    for (int i = 0; i < 60; ++i) (below((low + high) / 2) ? low : high) = (low + high) / 2;
-    return low;
-  };
-  const double lower =
-      count == 0 ? 0 : solve([&](double p) { return 1 - Binomial(count - 1, n, p) < tail; });
-  const double upper =
-      count == n ? 1 : solve([&](double p) { return Binomial(count, n, p) > tail; });
-  return {lower, upper};
+  return {Binomial::find_lower_bound_on_p(n, count, tail),
+          Binomial::find_upper_bound_on_p(n, count, tail)};
 }
 
 }  // namespace robostress::generator
