@@ -179,5 +179,37 @@ TEST(LoraAdapter, RollsBackToAVersionItStillHolds) {
   EXPECT_EQ(adapter->distance(), 0);
 }
 
+TEST(LoraAdapter, FirstMomentsAreTheBetasShareOfTheGradient) {
+  // From rest m = (1 - beta1) g and v = (1 - beta2) g^2, so v (1 - beta1)^2 = m^2 (1 - beta2).
+  const FakePolicy policy;
+  MethodOptions method = Ours(1e-3);
+  method.beta1 = 0.8;
+  method.beta2 = 0.99;
+  const auto adapter = Make(policy, method);
+  ASSERT_TRUE(adapter->Update(0, Batch(policy, 0)).ok());
+  const AdamState adam = adapter->Export().adam;
+  double largest = 0;
+  for (size_t i = 0; i < adam.m.size(); ++i) {
+    const torch::Tensor m = adam.m[i].to(torch::kFloat64), v = adam.v[i].to(torch::kFloat64);
+    const torch::Tensor g2 = m.square() / (0.2 * 0.2);
+    largest = std::max(largest, g2.max().item<double>());
+    EXPECT_TRUE(torch::allclose(v / 0.01, g2, 1e-4, 1e-12)) << i;
+  }
+  EXPECT_GT(largest, 1e-8) << "a gradient that is not zero";
+}
+
+TEST(LoraAdapter, ClipsTheGradientsNormToTheMethods) {
+  // Adam's first moment after a step is a tenth of what is left of the gradient.
+  const FakePolicy policy;
+  MethodOptions method = Ours(1e-3);
+  method.clip_norm = 1e-4;
+  const auto adapter = Make(policy, method);
+  ASSERT_TRUE(adapter->Update(0, Batch(policy, 0)).ok());
+  double squares = 0;
+  for (const torch::Tensor& m : adapter->Export().adam.m)
+    squares += m.square().sum().item<double>();
+  EXPECT_NEAR(std::sqrt(squares), 0.1 * 1e-4, 1e-9);
+}
+
 }  // namespace
 }  // namespace robostress

@@ -91,5 +91,17 @@ TEST(AccessTokens, NamesFileAndEntryThatAreWrong) {
   EXPECT_THAT(refusal("tokens: [{name: a\n  b: ["), HasSubstr("tokens.yaml: line"));
 }
 
+TEST(AccessTokens, ComparesTheWholeDigest) {
+  // Two secrets whose SHA-256 begin with the same five bytes.
+  const std::string known = "arm-secret-0477918", other = "arm-secret-0876648";
+  ASSERT_EQ(Sha256Hex(known).substr(0, 10), Sha256Hex(other).substr(0, 10));
+  const auto tokens = AccessTokens::Parse(
+      "tokens.yaml",
+      absl::StrCat("tokens: [{name: arm, sha256: ", Sha256Hex(known), ", scopes: [predict]}]"));
+  ASSERT_TRUE(tokens.ok()) << tokens.status();
+  EXPECT_TRUE(tokens->Authenticate(absl::StrCat("Bearer ", known)).ok());
+  EXPECT_FALSE(tokens->Authenticate(absl::StrCat("Bearer ", other)).ok());
+}
+
 }  // namespace
 }  // namespace robostress

@@ -2,6 +2,7 @@
 
 #include <set>
 
+#include "common/joint_errors/joint_error_stack.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "sim_worker/suites/embedded_task.h"
@@ -266,6 +267,23 @@ TEST(Observation, TasksOfASceneLookAlike) {
   for (size_t i = 0; i < image_a->data.size(); ++i)
     different += std::abs(image_a->data[i] - image_b->data[i]) > 12;
   EXPECT_LT(different, 60) << "of " << image_a->data.size();
+}
+
+TEST(EmbeddedTask, ARampRunsOverTheSuitesHorizon) {
+  // The k-th control step is at progress (k - 1) / horizon; friction ramps from 1.5 to 2.
+  UnitConfig unit;
+  unit.suite = "tabletop_goal";
+  unit.scenario = "thermal_drift_stribeck";
+  unit.severity = 5;
+  auto made = EmbeddedTask::Create(unit, 0);
+  ASSERT_TRUE(made.ok()) << made.status();
+  EmbeddedTask& task = **made;
+  ASSERT_TRUE(task.Reset(0).ok());
+  constexpr int kSteps = 21;
+  for (int i = 0; i < kSteps; ++i) ASSERT_TRUE(task.sim().Step(Eigen::VectorXf::Zero(7)).ok());
+  const double progress = (kSteps - 1.0) / FindSuite(unit.suite)->horizon;
+  for (const SeverityFactors& factors : task.sim().errors().factors())
+    EXPECT_NEAR(factors.friction, 1.5 + 0.5 * progress, 1e-12);
 }
 
 }  // namespace
