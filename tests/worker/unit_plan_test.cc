@@ -109,5 +109,17 @@ TEST(UnitPlanTest, ResolvedUnitNamesEveryTask) {
   EXPECT_EQ(resolved->tasks.size(), 10u);
 }
 
+TEST(ReadUnit, TheMethodNullIsNotTakenForNoMethod) {
+  const auto quoted = ReadUnit("unit.yaml", "method: {method: \"null\"}");
+  ASSERT_TRUE(quoted.ok()) << quoted.status();
+  EXPECT_EQ(quoted->method.noise_stream, "null");
+  const auto override = ReadUnit("", "", {"method.method=null"});
+  ASSERT_TRUE(override.ok()) << override.status();
+  EXPECT_EQ(override->method.noise_stream, "null");
+  EXPECT_EQ(override->method.method, "null");
+  EXPECT_THAT(std::string(ReadUnit("unit.yaml", "method: {method: null}").status().message()),
+              testing::HasSubstr("unit.yaml: method.method is YAML's null"));
+}
+
 }  // namespace
 }  // namespace robostress
