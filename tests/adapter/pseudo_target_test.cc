@@ -100,5 +100,12 @@ TEST(PseudoTarget, AgainstTheNominalArmGoesByWhatWasSentNotByWhatThePolicyAsked)
   for (int i = 0; i < 5; ++i) EXPECT_LT((target.row(i).transpose() - Command()).norm(), 1e-5) << i;
 }
 
+TEST(PseudoTarget, TakesTheGripperFromThePolicyWhateverStandsInTheResidual) {
+  const ExecutedChunk chunk = ToyArm(1).Execute(ConstantPrediction(Command(), 2), 2);
+  const Eigen::MatrixXf target = PseudoTarget(chunk, Eigen::MatrixXd::Constant(2, 7, 0.25));
+  EXPECT_EQ(target(1, 6), -0.9f);
+  EXPECT_NEAR(target(1, 0), 0.25, 1e-6);
+}
+
 }  // namespace
 }  // namespace robostress
