@@ -211,5 +211,30 @@ TEST(LoraAdapter, ClipsTheGradientsNormToTheMethods) {
   EXPECT_NEAR(std::sqrt(squares), 0.1 * 1e-4, 1e-9);
 }
 
+TEST(UpdateGuard, RefusesWhatRaisesTheLossOrGoesTooFarAndTheAdapterObeys) {
+  const FakePolicy policy;
+  const StreamKey session("guard");
+  const auto adapter = Make(policy, Ours(0.3));  // a step that does harm elsewhere
+  UpdateContext context;
+  context.guard.enabled = true;
+  context.guard.max_loss_ratio = 1e9;
+  context.held_out = Batch(policy, 20);
+  const auto report = adapter->Update(0, Batch(policy, 0), context);
+  ASSERT_TRUE(report.ok() && report->applied && report->verdict);
+  const double ratio = report->verdict->candidate_loss / report->verdict->published_loss;
+  const double distance = report->verdict->candidate_distance;
+  EXPECT_NEAR(distance, adapter->distance(), 1e-9);
+  for (const double factor : {0.99, 1.01}) {
+    const auto by_loss = Make(policy, Ours(0.3)), by_distance = Make(policy, Ours(0.3));
+    UpdateContext other = context;
+    other.guard.max_loss_ratio = factor * ratio;
+    EXPECT_EQ(by_loss->Update(0, Batch(policy, 0), other)->applied, factor > 1) << ratio;
+    other = context;
+    other.guard.max_distance = factor * distance;
+    EXPECT_EQ(by_distance->Update(0, Batch(policy, 0), other)->applied, factor > 1);
+    EXPECT_EQ(by_distance->snapshot()->version, factor > 1 ? 1u : 0u);
+  }
+}
+
 }  // namespace
 }  // namespace robostress

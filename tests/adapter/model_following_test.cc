@@ -189,5 +189,17 @@ TEST(CommandCorrection, IsTheSumOfWhatTheMethodHasAndRefusesTheStateOfAnother) {
   EXPECT_TRUE(correction.set_state(correction.state()));
 }
 
+TEST(CommandCorrection, DirectTakesTheMeanOfTheStepsThatCount) {
+  const MethodOptions direct = *MakeMethod("direct");
+  CommandCorrection correction(direct, ResidualOptionsOf(direct), {});
+  DisturbedArm arm(0.8, kDisturbance);
+  ExecutedChunk chunk = arm.Execute(kCommand, Vector6::Zero());
+  chunk.masked = {true, false, true, false, true};
+  correction.Observe(chunk);
+  const Eigen::MatrixXd eta = ChunkResidual(chunk, ResidualOptionsOf(direct));
+  EXPECT_LT((correction.Value() + (eta.row(1) + eta.row(3)).transpose() / 2).norm(), 1e-12);
+  EXPECT_GT(correction.Value().norm(), 0.1);
+}
+
 }  // namespace
 }  // namespace robostress

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <vector>
 
+#include "eval/statistics/episode_bootstrap.h"
+#include "eval/statistics/measures.h"
 #include "gtest/gtest.h"
 #include "tests/eval/synthetic_run.h"
 
@@ -92,6 +94,30 @@ TEST(BeforeAfter, CountsEpisodesThatBeganAfterTheFirstUpdate) {
   EXPECT_NEAR(change->before, 0.5, 1e-12);
   EXPECT_NEAR(change->after, 0.35, 1e-12);
   EXPECT_NEAR(change->change.estimate, -0.15, 1e-12);
+}
+
+TEST(BootstrapUnpaired, IsTheDifferenceOfTwoSamplesThatAreDrawnApart) {
+  // Two samples of 200 states, half of them won in the first and a fifth in the second.
+  std::vector<EpisodeValue> first, second;
+  for (int i = 0; i < 200; ++i) {
+    first.push_back({"tabletop_goal", 0, i, 0, i % 2 == 0 ? 1.0 : 0.0});
+    second.push_back({"tabletop_goal", 0, i, 0, i % 5 == 0 ? 1.0 : 0.0});
+  }
+  const BootstrapResult difference = BootstrapUnpaired(first, second, 4000, "test");
+  EXPECT_NEAR(difference.estimate, 0.3, 1e-12);
+  const double half = 1.96 * std::sqrt((0.25 + 0.16) / 200);
+  EXPECT_NEAR(difference.interval.low, 0.3 - half, 0.1 * half);
+  EXPECT_NEAR(difference.interval.high, 0.3 + half, 0.1 * half);
+  // A sample against itself: no difference, and still two samples.
+  const BootstrapResult none = BootstrapUnpaired(first, first, 4000, "test");
+  EXPECT_EQ(none.estimate, 0);
+  EXPECT_NEAR(none.interval.high, 1.96 * std::sqrt(0.5 / 200), 0.01);
+}
+
+TEST(Measures, TellTheDistanceAtTheEndOfAUnit) {
+  UnitResult unit = SyntheticUnit("heavy_payload", "ours", {0, 0, 0});
+  for (int i = 0; i < 3; ++i) unit.episodes[i].adapter_distance = 0.1 * (i + 1);
+  EXPECT_NEAR(*MeasuresOf({&unit}).adapter_distance, 0.3, 1e-12);
 }
 
 }  // namespace

@@ -163,9 +163,10 @@ def main():
         for number, mutant in enumerate(due, 1):
             began = time.monotonic()
             verdict = known[identity(mutant)] = tree.verdict(mutant)
-            results.write(json.dumps({**mutant, "verdict": verdict}) + "\n")
+            seconds = round(time.monotonic() - began, 1)
+            results.write(json.dumps({**mutant, "verdict": verdict, "seconds": seconds}) + "\n")
             results.flush()
-            print(f"{number:3}/{len(due)} {verdict:9} {time.monotonic() - began:5.1f} s  "
+            print(f"{number:3}/{len(due)} {verdict:9} {seconds:5.1f} s  "
                   f"{mutant['file']}: {mutant['from']}  ->  {mutant['to']}", flush=True)
 
     counts = collections.defaultdict(collections.Counter)

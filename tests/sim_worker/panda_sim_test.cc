@@ -162,6 +162,18 @@ TEST(PandaSim, GraspNeedsBothPadsOnOneFreeBody) {
   EXPECT_EQ(sim->held_body(), -1);
 }
 
+TEST(PandaSim, ContactForcesOfASampleAreTheArmsAlone) {
+  auto sim = MakeTestSim();
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  double force = 0;
+  sim->OnJointSample([&](const JointSample& sample) { force = sample.contact_N; });
+  for (int i = 0; i < 5; ++i) ASSERT_TRUE(sim->Step(Command(0, 0, 0)).ok());
+  ASSERT_GT(sim->data().ncon, 0) << "the cube lies on the table";
+  EXPECT_EQ(force, 0);
+  ASSERT_TRUE(GraspCube(*sim));
+  EXPECT_GT(force, 1);
+}
+
 TEST(PandaSim, OnePadAloneIsNoGrasp) {
   auto sim = MakeTestSim();
   ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
