@@ -30,7 +30,7 @@ import sys
 import time
 
 EXAMPLES = """examples:
-  tests/mutants/mutants.py tests/mutants/*.txt            every list; call it again to go on
+  tests/mutants/mutants.py                                   every list; call it again to go on
   tests/mutants/mutants.py tests/mutants/eval.txt --again alive
   tests/mutants/mutants.py tests/mutants/arm.txt --only watchdogs --again
 """
@@ -124,9 +124,14 @@ class Tree:
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("lists", nargs="+", type=pathlib.Path, metavar="LIST")
+    here = pathlib.Path(__file__).parent
+    parser.add_argument("lists", nargs="*", type=pathlib.Path, metavar="LIST",
+                        default=sorted(p for p in here.glob("*.txt") if p.stem != "CMakeLists"),
+                        help="files of mutants (default: all beside this script)")
     parser.add_argument("--only", default="", metavar="TEXT",
                         help="mutants whose file or line holds TEXT")
+    parser.add_argument("--check", action="store_true",
+                        help="only see whether the lists fit the sources")
     parser.add_argument("--again", nargs="?", const="all", choices=["all", "alive"],
                         help="run also what the results hold: everything, or what was not killed")
     parser.add_argument("--copy", default="build/mutants", type=pathlib.Path, metavar="DIR",
@@ -142,6 +147,9 @@ def main():
 
     mutants = [m for path in options.lists for m in read_list(path)
                if options.only in m["file"] + m["from"] + m["to"]]
+    if options.check:
+        print(f"{len(mutants)} mutants fit the sources")
+        return 0
     known = {}
     if options.results.exists():
         for line in options.results.read_text().splitlines():
