@@ -120,7 +120,8 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   e.steps = 0;
   Vector7d q;
   for (int i = 0; i < 7; ++i) q[i] = d->qpos[s.panda.qpos[i]];
-  e.errors.Reset(q, GravityTorque(*m, *d, s.panda));
+  const Vector7d holding = GravityTorque(*m, *d, s.panda);
+  e.errors.Reset(q, holding);
   e.clock = 0;
   if (e.effects.any()) {
     EffectStack::Moments moments = s.DescribeJoints();
@@ -129,6 +130,8 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
       moments[i].drive = moments[i].gravity;
     }
     e.effects.Reset(moments);
+    // What the effects turn lies between the paper's gap and the joint coordinate.
+    if (e.effects.has(EffectStage::kTransmission)) e.errors.Reset(q - e.effects.offset(), holding);
   }
   s.position_stage_stale = false;
   s.late.pose_qpos.assign(d->qpos, d->qpos + m->nq);

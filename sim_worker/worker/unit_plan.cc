@@ -14,6 +14,8 @@
 namespace robostress {
 namespace {
 
+constexpr std::string_view kPresetOverride = "method.method=";
+
 absl::Status CheckRange(const char* key, int64_t value, int64_t low, int64_t high,
                         const char* hint) {
   if (value >= low && value <= high) return absl::OkStatus();
@@ -38,7 +40,7 @@ std::vector<std::string> PresetsFirst(const std::vector<std::string>& overrides)
   std::vector<std::string> ordered;
   for (const bool preset : {true, false}) {
     for (const std::string& assignment : overrides) {
-      if (assignment.starts_with("method.method=") == preset) ordered.push_back(assignment);
+      if (assignment.starts_with(kPresetOverride) == preset) ordered.push_back(assignment);
     }
   }
   return ordered;
@@ -51,12 +53,19 @@ absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string
   RS_ASSIGN_OR_RETURN(UnitConfig unit, ParseConfig<UnitConfig>(source, yaml));
   const YAML::Node root = YAML::Load(yaml);  // parsed once already
   if (root.IsMap() && root["method"].IsDefined() && root["method"].IsMap()) {
+    const YAML::Node name = root["method"]["method"];
+    if (name.IsDefined() && name.IsNull()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          source, ": method.method is YAML's null; for the method of that name write \"null\""));
+    }
     RS_ASSIGN_OR_RETURN(unit.method, PresetOf(unit.method, root["method"]));
   }
   for (const std::string& assignment : PresetsFirst(overrides)) {
     RS_RETURN_IF_ERROR(ApplyOverrides({assignment}, unit));
-    if (assignment.starts_with("method.method=")) {
-      RS_ASSIGN_OR_RETURN(unit.method, MakeMethod(unit.method.method));
+    if (assignment.starts_with(kPresetOverride)) {
+      // The text itself: to YAML the name of the method null is no text.
+      const std::string text = assignment.substr(kPresetOverride.size());
+      RS_ASSIGN_OR_RETURN(unit.method, MakeMethod(text == "null" ? text : unit.method.method));
     }
   }
   return unit;

@@ -179,5 +179,62 @@ TEST(LoraAdapter, RollsBackToAVersionItStillHolds) {
   EXPECT_EQ(adapter->distance(), 0);
 }
 
+TEST(LoraAdapter, FirstMomentsAreTheBetasShareOfTheGradient) {
+  // From rest m = (1 - beta1) g and v = (1 - beta2) g^2, so v (1 - beta1)^2 = m^2 (1 - beta2).
+  const FakePolicy policy;
+  MethodOptions method = Ours(1e-3);
+  method.beta1 = 0.8;
+  method.beta2 = 0.99;
+  const auto adapter = Make(policy, method);
+  ASSERT_TRUE(adapter->Update(0, Batch(policy, 0)).ok());
+  const AdamState adam = adapter->Export().adam;
+  double largest = 0;
+  for (size_t i = 0; i < adam.m.size(); ++i) {
+    const torch::Tensor m = adam.m[i].to(torch::kFloat64), v = adam.v[i].to(torch::kFloat64);
+    const torch::Tensor g2 = m.square() / (0.2 * 0.2);
+    largest = std::max(largest, g2.max().item<double>());
+    EXPECT_TRUE(torch::allclose(v / 0.01, g2, 1e-4, 1e-12)) << i;
+  }
+  EXPECT_GT(largest, 1e-8) << "a gradient that is not zero";
+}
+
+TEST(LoraAdapter, ClipsTheGradientsNormToTheMethods) {
+  // Adam's first moment after a step is a tenth of what is left of the gradient.
+  const FakePolicy policy;
+  MethodOptions method = Ours(1e-3);
+  method.clip_norm = 1e-4;
+  const auto adapter = Make(policy, method);
+  ASSERT_TRUE(adapter->Update(0, Batch(policy, 0)).ok());
+  double squares = 0;
+  for (const torch::Tensor& m : adapter->Export().adam.m)
+    squares += m.square().sum().item<double>();
+  EXPECT_NEAR(std::sqrt(squares), 0.1 * 1e-4, 1e-9);
+}
+
+TEST(UpdateGuard, RefusesWhatRaisesTheLossOrGoesTooFarAndTheAdapterObeys) {
+  const FakePolicy policy;
+  const StreamKey session("guard");
+  const auto adapter = Make(policy, Ours(0.3));  // a step that does harm elsewhere
+  UpdateContext context;
+  context.guard.enabled = true;
+  context.guard.max_loss_ratio = 1e9;
+  context.held_out = Batch(policy, 20);
+  const auto report = adapter->Update(0, Batch(policy, 0), context);
+  ASSERT_TRUE(report.ok() && report->applied && report->verdict);
+  const double ratio = report->verdict->candidate_loss / report->verdict->published_loss;
+  const double distance = report->verdict->candidate_distance;
+  EXPECT_NEAR(distance, adapter->distance(), 1e-9);
+  for (const double factor : {0.99, 1.01}) {
+    const auto by_loss = Make(policy, Ours(0.3)), by_distance = Make(policy, Ours(0.3));
+    UpdateContext other = context;
+    other.guard.max_loss_ratio = factor * ratio;
+    EXPECT_EQ(by_loss->Update(0, Batch(policy, 0), other)->applied, factor > 1) << ratio;
+    other = context;
+    other.guard.max_distance = factor * distance;
+    EXPECT_EQ(by_distance->Update(0, Batch(policy, 0), other)->applied, factor > 1);
+    EXPECT_EQ(by_distance->snapshot()->version, factor > 1 ? 1u : 0u);
+  }
+}
+
 }  // namespace
 }  // namespace robostress

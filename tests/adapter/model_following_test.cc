@@ -154,6 +154,19 @@ TEST(ModelFollowing, GoesOnFromItsStateBitForBit) {
   EXPECT_EQ(kept.State(), straight.State());
 }
 
+TEST(ModelFollowing, WhatIsLostOnAnAxisThatDoesNotFollowOpensNoThreshold) {
+  ModelFollowing in_space = Make(Method({"following_threshold=0.2", "following_axes=translation"}));
+  ModelFollowing in_plane = Make(Method({"following_threshold=0.2", "following_axes=horizontal"}));
+  // Behind by 0.1 along x and by 1 along z: |e| is 1.005 in space, 0.1 in the plane.
+  Eigen::VectorXd state = Eigen::VectorXd::Zero(ModelFollowing::kStateSize);
+  state[0] = 0.1;
+  state[2] = 1;
+  in_space.SetState(state);
+  in_plane.SetState(state);
+  EXPECT_NEAR(in_space.correction()[0], 0.3 * 0.1 * (1 - 0.04 / 1.01), 1e-12);
+  EXPECT_EQ(in_plane.correction(), Vector6::Zero());
+}
+
 TEST(CommandCorrection, IsTheSumOfWhatTheMethodHasAndRefusesTheStateOfAnother) {
   const MethodOptions both = Method({"integral_rate=0.1"}), none = *MakeMethod("base");
   CommandCorrection correction(both, ResidualOptionsOf(both), {});
@@ -174,6 +187,18 @@ TEST(CommandCorrection, IsTheSumOfWhatTheMethodHasAndRefusesTheStateOfAnother) {
   EXPECT_FALSE(nothing.set_state(correction.state()));
   EXPECT_FALSE(correction.set_state(nothing.state()));
   EXPECT_TRUE(correction.set_state(correction.state()));
+}
+
+TEST(CommandCorrection, DirectTakesTheMeanOfTheStepsThatCount) {
+  const MethodOptions direct = *MakeMethod("direct");
+  CommandCorrection correction(direct, ResidualOptionsOf(direct), {});
+  DisturbedArm arm(0.8, kDisturbance);
+  ExecutedChunk chunk = arm.Execute(kCommand, Vector6::Zero());
+  chunk.masked = {true, false, true, false, true};
+  correction.Observe(chunk);
+  const Eigen::MatrixXd eta = ChunkResidual(chunk, ResidualOptionsOf(direct));
+  EXPECT_LT((correction.Value() + (eta.row(1) + eta.row(3)).transpose() / 2).norm(), 1e-12);
+  EXPECT_GT(correction.Value().norm(), 0.1);
 }
 
 }  // namespace

@@ -79,5 +79,33 @@ TEST(PseudoTarget, AgainstTheNominalArmIsTheCommandItselfForANominalArm) {
   }
 }
 
+TEST(PseudoTarget, AgainstTheNominalArmGoesByWhatWasSentNotByWhatThePolicyAsked) {
+  // The arm is nominal and gets half of the policy's command: it did what it was told, so nothing
+  // is left to learn, and the target is the policy's own command.
+  NominalArm truth({}), model({});
+  RobotState state = ToyArm(1).state();
+  ExecutedChunk chunk;
+  for (int i = 0; i < 5; ++i) {
+    ExecutedStep step;
+    step.before = state;
+    step.policy_command = Command();
+    step.sent_command = 0.5f * Command();
+    const NominalArm::Vector6 delta = truth.Step(step.sent_command.head<6>().cast<double>());
+    state.tool.p_base_tool += 0.05 * delta.head<3>();
+    state.tool.q_base_tool = ExpSo3(0.5 * delta.tail<3>()) * state.tool.q_base_tool;
+    chunk.steps.push_back(step);
+  }
+  chunk.final_state = state;
+  const Eigen::MatrixXf target = Target(chunk, TargetReference::kNominal, {}, &model);
+  for (int i = 0; i < 5; ++i) EXPECT_LT((target.row(i).transpose() - Command()).norm(), 1e-5) << i;
+}
+
+TEST(PseudoTarget, TakesTheGripperFromThePolicyWhateverStandsInTheResidual) {
+  const ExecutedChunk chunk = ToyArm(1).Execute(ConstantPrediction(Command(), 2), 2);
+  const Eigen::MatrixXf target = PseudoTarget(chunk, Eigen::MatrixXd::Constant(2, 7, 0.25));
+  EXPECT_EQ(target(1, 6), -0.9f);
+  EXPECT_NEAR(target(1, 0), 0.25, 1e-6);
+}
+
 }  // namespace
 }  // namespace robostress

@@ -141,5 +141,15 @@ TEST_F(Validation, RefusesAnEmptyChunkAndShortCommands) {
   EXPECT_THAT(Message(), HasSubstr("has no steps"));
 }
 
+TEST(Residual, OfAChunkIsAgainstThePolicysCommandNotAgainstWhatACorrectionMadeOfIt) {
+  // The arm does exactly what was sent: twice what the policy asked for.
+  PredictedChunk prediction = ConstantPrediction(Action({0.2f, 0, 0.1f, 0, 0.1f, 0, 1}), 3);
+  prediction.actions = 2 * prediction.policy_actions;
+  const Eigen::MatrixXd eta = ChunkResidual(ToyArm(1).Execute(prediction, 3), {});
+  for (int i = 0; i < 3; ++i)
+    EXPECT_LT((eta.row(i).head(6) - prediction.policy_actions.row(i).head(6).cast<double>()).norm(),
+              1e-6);
+}
+
 }  // namespace
 }  // namespace robostress

@@ -1,7 +1,9 @@
 #include "common/atomic_file.h"
 
+#include <sys/resource.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <filesystem>
 
 #include "gmock/gmock.h"
@@ -19,7 +21,9 @@ class AtomicFile : public ::testing::Test {
     fs::create_directories(directory_);
   }
   ~AtomicFile() override { fs::remove_all(directory_); }
-  size_t Files() const { return std::distance(fs::directory_iterator(directory_), fs::directory_iterator()); }
+  size_t Files() const {
+    return std::distance(fs::directory_iterator(directory_), fs::directory_iterator());
+  }
   const std::string directory_;
 };
 
@@ -55,6 +59,22 @@ TEST_F(AtomicFile, AppendedLinesFollowEachOther) {
   EXPECT_EQ(*ReadFile(path), "one\ntwo\n");
 }
 
+TEST_F(AtomicFile, ALineForWhichThereIsNoRoomLeavesNoPartOfItself) {
+  const std::string path = directory_ + "/log";
+  ASSERT_TRUE(AppendLine(path, "one").ok());
+  // A file may grow to 1000 bytes: the first write is short, the second fails.
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
+  const auto handler = std::signal(SIGXFSZ, SIG_IGN);
+  const rlimit small{1000, before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &small), 0);
+  const absl::Status status = AppendLine(path, std::string(5000, 'x'));
+  setrlimit(RLIMIT_FSIZE, &before);
+  std::signal(SIGXFSZ, handler);
+  EXPECT_FALSE(status.ok());
+  EXPECT_EQ(*ReadFile(path), "one\n");
+}
+
 TEST(Sha256, MatchesTheStandardsExample) {
   EXPECT_EQ(Sha256Hex("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
 }
@@ -63,8 +83,10 @@ TEST(ReadFileUpTo, RefusesLargeFilesFoldersAndPipesBeforeItReads) {
   const std::string path = ::testing::TempDir() + "read_up_to." + std::to_string(::getpid());
   ASSERT_TRUE(WriteFileAtomically(path, "12345").ok());
   EXPECT_EQ(*ReadFileUpTo(path, 5), "12345");
-  EXPECT_THAT(ReadFileUpTo(path, 4).status().message(), ::testing::HasSubstr("has 5 bytes, the limit is 4"));
-  EXPECT_THAT(ReadFileUpTo("/dev/zero", 4).status().message(), ::testing::HasSubstr("not a regular file"));
+  EXPECT_THAT(ReadFileUpTo(path, 4).status().message(),
+              ::testing::HasSubstr("has 5 bytes, the limit is 4"));
+  EXPECT_THAT(ReadFileUpTo("/dev/zero", 4).status().message(),
+              ::testing::HasSubstr("not a regular file"));
   EXPECT_EQ(ReadFileUpTo(path + ".absent", 4).status().code(), absl::StatusCode::kNotFound);
   std::filesystem::remove(path);
 }

@@ -24,8 +24,9 @@ TEST(RandomStream, DependsOnTheKeyAndNotOnOtherStreams) {
 TEST(StreamKey, DistinguishesOrderTypeAndBoundaries) {
   const StreamKey root("k");
   std::set<std::pair<uint64_t, uint64_t>> keys;
-  for (const StreamKey& key : {root, root.With(1), root.With(2), root.With(1).With(2), root.With(2).With(1),
-                               root.With("1"), root.With("12"), root.With("1").With("2"), root.With(""), root.With(-1)}) {
+  for (const StreamKey& key :
+       {root, root.With(1), root.With(2), root.With(1).With(2), root.With(2).With(1),
+        root.With("1"), root.With("12"), root.With("1").With("2"), root.With(""), root.With(-1)}) {
     keys.emplace(key.lo(), key.hi());
   }
   EXPECT_EQ(keys.size(), 10u);
@@ -64,6 +65,45 @@ TEST(Philox, GivesTheKnownAnswers) {
             (std::array<uint32_t, 4>{0x6627e8d5, 0xe169c58d, 0xbc57ac4c, 0x9b00dbd8}));
   EXPECT_EQ(Philox4x32({~0u, ~0u, ~0u, ~0u}, {~0u, ~0u}),
             (std::array<uint32_t, 4>{0x408f276d, 0x41c83b0e, 0xa20bc7c6, 0x6d5451fd}));
+}
+
+TEST(StreamKey, KeepsEveryBitOfANumber) {
+  std::set<std::pair<uint64_t, uint64_t>> keys;
+  std::set<uint64_t> low, high;
+  const StreamKey root("k");
+  for (int64_t part = 0; part < 1024; ++part) {
+    const StreamKey key = root.With(part);
+    low.insert(key.lo());
+    high.insert(key.hi());
+  }
+  for (int bit = 0; bit < 63; ++bit) {
+    const StreamKey key = root.With(int64_t{1} << bit);
+    low.insert(key.lo());
+    high.insert(key.hi());
+  }
+  EXPECT_EQ(low.size(), 1024u + 53u);  // 2^0 to 2^9 are among the first
+  EXPECT_EQ(high.size(), 1024u + 53u);
+}
+
+TEST(RandomStream, EveryBitOfAUniformNumberIsSetHalfTheTime) {
+  RandomStream stream{StreamKey("bits")};
+  constexpr int kDraws = 10000;
+  std::vector<int> set(53);
+  for (int i = 0; i < kDraws; ++i) {
+    const auto bits = static_cast<uint64_t>(stream.Uniform() * 0x1.0p53);
+    for (int bit = 0; bit < 53; ++bit) set[bit] += bits >> bit & 1;
+  }
+  for (int bit = 0; bit < 53; ++bit)  // five standard errors
+    EXPECT_NEAR(set[bit], kDraws / 2, 5 * 0.5 * std::sqrt(kDraws)) << bit;
+}
+
+TEST(RandomStream, LargeRangesAreFlatToo) {
+  // 3 * 2^29 does not divide 2^32: without rejection its lower two thirds come three times in four.
+  constexpr int kRange = 3 << 29, kDraws = 20000;
+  RandomStream stream{StreamKey("range")};
+  int lower = 0;
+  for (int i = 0; i < kDraws; ++i) lower += stream.UniformInt(kRange) < (1 << 30);
+  EXPECT_NEAR(lower, kDraws * 2.0 / 3, 5 * std::sqrt(kDraws * 2.0 / 9));
 }
 
 }  // namespace

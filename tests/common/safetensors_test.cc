@@ -75,6 +75,8 @@ TEST(Safetensors, HostileHeadersAreNamed) {
               HasSubstr("two tensors"));
   EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]},"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]}})", "1")),
               HasSubstr("occurs twice"));
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"U8","shape":[1],"data_offsets":[1,2]}})", "12")),
+              HasSubstr("data bytes 0 to 1 belong to no tensor"));
   EXPECT_THAT(ErrorOf(File(R"({"__metadata__":{"k":1}})", "")), HasSubstr("'k'"));
   EXPECT_THAT(ErrorOf(File(R"({"__metadata__":"k"})", "")), HasSubstr("__metadata__ \"k\" is not an object"));
 }

@@ -142,6 +142,15 @@ TEST(ClusterBootstrap, PercentileIntervalAgreesWithSciPy) {
   EXPECT_NEAR(ours.interval.high, expected[1], tolerance);
 }
 
+TEST(ClusterSignFlipTest, ADrawnPValueIsNeverZero) {
+  // 64 clusters that all say the same: 2^-63, far below what draws can see.
+  std::vector<ClusteredValue> values;
+  for (int i = 0; i < 64; ++i) values.push_back({i, 0, 0.3});
+  const SignFlipResult result = ClusterSignFlipTest(values, kKey);
+  EXPECT_FALSE(result.exact);
+  EXPECT_EQ(result.p_value, 1.0 / (1.0 + kSignFlipDraws));
+}
+
 TEST(HolmAdjust, StepsDownAndIsMonotone) {
   EXPECT_THAT(HolmAdjust({0.01, 0.04, 0.03, 0.005}),
               ::testing::Pointwise(::testing::DoubleNear(1e-12), {0.03, 0.06, 0.06, 0.02}));
@@ -164,6 +173,14 @@ TEST(DesignEffect, IsTheClusterSizeForCopiesAndOneForSinglePairs) {
   EXPECT_NEAR(DesignEffect(single), 1, 1e-12);
   EXPECT_NEAR(DesignEffect(copies), 3, 1e-12);
   EXPECT_EQ(DesignEffect({{0, 0, 1}, {1, 0, 1}}), 1);
+}
+
+TEST(DesignEffect, CountsDeviationsFromTheMeanAndNotTheMeanItself) {
+  // Three copies of each of 20 values whose mean is 0.25.
+  std::vector<ClusteredValue> copies;
+  for (int i = 0; i < 20; ++i)
+    for (int copy = 0; copy < 3; ++copy) copies.push_back({i, 0, i % 4 == 0 ? 1.0 : 0.0});
+  EXPECT_NEAR(DesignEffect(copies), 3, 1e-12);
 }
 
 TEST(PairsNeeded, IsConnorsFormulaWithSciPysNormalQuantiles) {

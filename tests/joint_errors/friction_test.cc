@@ -94,6 +94,24 @@ TEST(Friction, StickTorquesOfCoupledJointsSatisfyComplementarity) {
   EXPECT_LT(std::abs(f[1]), 5);
 }
 
+TEST(Friction, ASlidingJointMeetsTheLimitOfItsDirection) {
+  const std::array<double, 1> A = {1e-3}, forward = {3}, backward = {2};
+  std::array<double, 1> f;
+  StickTorques(std::array{0.1}, A, forward, backward, absl::MakeSpan(f));
+  EXPECT_DOUBLE_EQ(f[0], -3);
+  StickTorques(std::array{-0.1}, A, forward, backward, absl::MakeSpan(f));
+  EXPECT_DOUBLE_EQ(f[0], 2);
+}
+
+TEST(Friction, StuckJointsThatDragOnEachOtherStandStill) {
+  // The exact holding torques of two strongly coupled joints: A f = -v.
+  const std::array<double, 4> A = {1e-3, -7e-4, -7e-4, 1e-3};
+  const std::array<double, 2> v_free = {1e-3, 1e-3}, limit = {50, 50};
+  std::array<double, 2> f;
+  StickTorques(v_free, A, limit, absl::MakeSpan(f));
+  for (int i = 0; i < 2; ++i) EXPECT_NEAR(f[i], -10.0 / 3, 1e-6);
+}
+
 TEST(GravityResidual, LiteralSignAddsToTheHoldingTorqueAndPayloadTakesFromIt) {
   const JointErrorParameters joint = {.beta = 0.1};
   EXPECT_DOUBLE_EQ(GravityResidual(joint, 20, GravitySign::kLiteral), 2);

@@ -172,5 +172,28 @@ TEST(JointErrorStack, EquilibriumStartCarriesTheStaticDeflectionFromTheBeginning
   EXPECT_LT(stack.OffsetChange(Vector::Zero(), holding).cwiseAbs().maxCoeff(), 1e-16);
 }
 
+TEST(JointErrorStack, AnEquilibriumStartIsInTheMiddleOfTheGap) {
+  JointErrorOptions options;
+  options.offset_start = OffsetStart::kEquilibrium;
+  JointErrorStack stack(options);
+  stack.SetScenario(MakeScenario("aged_joint_uniform", 5).value(), 100);
+  const Vector holding = Vector::Constant(60), q = Vector::Constant(0.4);
+  stack.Reset(q, holding);
+  stack.BeginControlStep(0, false);
+  stack.BeginSubStep(kStep);
+  for (int j = 0; j < 7; ++j) EXPECT_EQ(stack.backlash_offset(j), 0);
+  EXPECT_LT(stack.OffsetChange(q, holding).cwiseAbs().maxCoeff(), 1e-16);
+}
+
+TEST(JointErrorStack, StickFrictionDoesNotMakeTheMotorStronger) {
+  JointErrorStack stack = Make("isolated_stribeck");
+  const JointErrorStack::Matrix free = 1e-3 * JointErrorStack::Matrix::Identity();
+  for (const double sign : {1.0, -1.0}) {
+    // A joint that is pushed backwards is held by friction, beyond what the motor has left.
+    const Vector torque = sign * kLimit, v_free = Vector::Constant(-sign);
+    EXPECT_EQ(stack.AddStickFriction(torque, Vector::Zero(), v_free, free, kLimit), sign * kLimit);
+  }
+}
+
 }  // namespace
 }  // namespace robostress

@@ -3,9 +3,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <set>
+#include <string>
+
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "server/edge/access_table.h"
 
 namespace robostress {
 namespace {
@@ -88,7 +92,57 @@ TEST(AccessTokens, NamesFileAndEntryThatAreWrong) {
   EXPECT_THAT(refusal(absl::StrCat("tokens: [{name: a, sha256: ", digest,
                                    ", scopes: []}, {name: b, sha256: ", digest, ", scopes: []}]")),
               HasSubstr("tokens[1].sha256 occurs twice"));
+  for (const char* limit : {"0", "-1", "1048577", "many"}) {
+    EXPECT_THAT(refusal(absl::StrCat("tokens: [{name: a, sha256: ", digest,
+                                     ", scopes: [], limits: {sessions: ", limit, "}}]")),
+                HasSubstr(absl::StrCat("tokens[0].limits.sessions is '", limit, "', must be 1..")));
+  }
   EXPECT_THAT(refusal("tokens: [{name: a\n  b: ["), HasSubstr("tokens.yaml: line"));
+}
+
+TEST(AccessTokens, ComparesTheWholeDigest) {
+  // Two secrets whose SHA-256 begin with the same five bytes.
+  const std::string known = "arm-secret-0477918", other = "arm-secret-0876648";
+  ASSERT_EQ(Sha256Hex(known).substr(0, 10), Sha256Hex(other).substr(0, 10));
+  const auto tokens = AccessTokens::Parse(
+      "tokens.yaml",
+      absl::StrCat("tokens: [{name: arm, sha256: ", Sha256Hex(known), ", scopes: [predict]}]"));
+  ASSERT_TRUE(tokens.ok()) << tokens.status();
+  EXPECT_TRUE(tokens->Authenticate(absl::StrCat("Bearer ", known)).ok());
+  EXPECT_FALSE(tokens->Authenticate(absl::StrCat("Bearer ", other)).ok());
+}
+
+// Who may do what, said a second time.
+TEST(AccessTable, OpensTeachingToFeedbackOperationToAdminAndTheRestToPredict) {
+  const auto of = [](Scope scope) { return static_cast<uint8_t>(scope); };
+  const std::set<std::string> teaching = {"Feedback", "ExportAdapter", "ImportAdapter",
+                                          "RollbackAdapter", "executed"};
+  const std::set<std::string> probes = {"/healthz", "/readyz"};
+  const std::set<std::string> nobodys = {"GetServerInfo", "OpenSession", "upgrade"};
+  for (const AccessRule& rule : AccessTable()) {
+    const std::string what(rule.what);
+    const bool robots =
+        rule.wire == AccessRule::Wire::kPolicy || rule.wire == AccessRule::Wire::kWebSocket;
+    int expected = of(teaching.count(what) > 0 ? Scope::kFeedback : Scope::kPredict);
+    if (!robots) expected = probes.count(what) > 0 ? 0 : of(Scope::kAdmin);
+    if (what == "/metrics") expected |= of(Scope::kMetrics);
+    EXPECT_EQ(rule.scopes, expected) << what;
+    EXPECT_EQ(rule.of_one_session, robots && nobodys.count(what) == 0) << what;
+  }
+}
+
+TEST(AccessTable, AllowsWhoHasTheScopeAndNobodyElse) {
+  Caller caller;
+  caller.name = "arm_1";
+  caller.scopes = static_cast<uint8_t>(Scope::kPredict);
+  EXPECT_TRUE(Allow(caller, AccessRule::Wire::kPolicy, "Predict").ok());
+  EXPECT_EQ(Allow(caller, AccessRule::Wire::kPolicy, "Feedback").code(),
+            absl::StatusCode::kPermissionDenied);
+  EXPECT_EQ(Allow(caller, AccessRule::Wire::kAdmin, "EndSession").code(),
+            absl::StatusCode::kPermissionDenied);
+  EXPECT_EQ(Allow(caller, AccessRule::Wire::kHttp, "/metrics").code(),
+            absl::StatusCode::kPermissionDenied);
+  EXPECT_TRUE(Allow(caller, AccessRule::Wire::kHttp, "/healthz").ok());
 }
 
 }  // namespace

@@ -151,6 +151,59 @@ TEST(EffectsInSim, APayloadSagsAndIsHeavyToMove) {
   EXPECT_GT(LargestDistance(clean, heavy), 0.01);
 }
 
+TEST(EffectsInSim, AnEffectOfSizeZeroChangesNothingOfThePapersErrors) {
+  const Scenario paper = MakeScenario("aged_joint_uniform", 5).value();
+  Scenario beside = paper;
+  beside.effects.push_back({3, "gravity_error", {0}});
+  for (const FrictionLaw law : {FrictionLaw::kSgn, FrictionLaw::kTanh, FrictionLaw::kStick}) {
+    SimOptions options;
+    options.joint_errors.friction_law = law;
+    EXPECT_LT(LargestDistance(Record(paper, 20, options), Record(beside, 20, options)), 1e-9);
+  }
+}
+
+TEST(EffectsInSim, APayloadTakesTheTorqueThatAcceleratesIt) {
+  // Of 2 kg at J2 the joint has asked - 2 g1 - 2 |r|^2 ddq, g1 and r from the tool's place.
+  auto sim = MakeTestSim();
+  sim->SetScenario(With(1, "payload", {2}), 220);
+  const int site = mj_name2id(&sim->model(), mjOBJ_SITE, "gripper0_grip_site");
+  double largest = 0, error = 0;
+  sim->OnJointSample([&](const JointSample& sample) {
+    const mjData& d = sim->data();
+    const Eigen::Vector3d axis(d.xaxis + 3), anchor(d.xanchor + 3), tool(d.site_xpos + 3 * site);
+    const Eigen::Vector3d column = axis.cross(tool - anchor);
+    const double gravity = column.z() * 9.81;
+    const double inertial = 2 * column.squaredNorm() * (d.qvel[1] - sample.dq[1]) / kSubStep;
+    largest = std::max(largest, std::abs(inertial));
+    error = std::max(error, std::abs(sample.tau[1] - 2 * gravity - inertial - d.ctrl[1]));
+  });
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  for (int i = 0; i < 6; ++i) ASSERT_TRUE(sim->Step(Command(1, 0, i % 2 ? 1 : -1)).ok());
+  EXPECT_GT(largest, 2);
+  EXPECT_LT(error, 0.2 * largest);
+}
+
+TEST(EffectsInSim, TransmissionsInARowBeginAtRestAndEachSeesItsOwnMotor) {
+  // An effect that turns the link by 0.1 rad wherever it stands, beside the paper's gap of 0.013
+  // rad: nothing moves, so the gap stays in its middle, and later within its bounds.
+  Scenario scenario = MakeScenario("isolated_backlash", 5).value();
+  scenario.effects.push_back({3, "transmission_error", {0.1, 0, 1e6}});
+  auto sim = MakeTestSim();
+  sim->SetScenario(scenario, 220);
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  ASSERT_TRUE(sim->Step(Command(0, 0, 0)).ok());
+  EXPECT_NEAR(sim->effects().offset()[3], 0.1, 1e-9);
+  EXPECT_LT(std::abs(sim->errors().backlash_offset(3)), 2e-3);
+  // An effect that depends on the motor's angle sees the motor's angle.
+  const double wave = 2 * M_PI / 0.5, a = 0.03;
+  sim->SetScenario(With(3, "transmission_error", {a, 0, 0.5}), 220);
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  for (int i = 0; i < 20; ++i) ASSERT_TRUE(sim->Step(Command(0, 0, 0)).ok());
+  const double offset = sim->effects().offset()[3], link = sim->data().qpos[3];
+  EXPECT_NEAR(offset, a * std::cos(wave * (link - offset)), 1e-3);
+  EXPECT_GT(std::abs(offset - a * std::cos(wave * link)), 5e-3) << "a place where it matters";
+}
+
 TEST(EffectsInSim, AnEncodersOffsetIsSeenByTheControllerAndTheLogAlone) {
   const double offset = 0.05;
   auto sim = MakeTestSim();

@@ -117,6 +117,27 @@ TEST(PandaSim, ClipsCommandsAndRefusesWhatIsNotOne) {
   EXPECT_EQ(a->steps_taken(), 5);
 }
 
+TEST(PandaSim, MotorsGiveNoMoreThanTheyCanBothWays) {
+  for (const double away : {1.0, -1.0}) {
+    auto sim = MakeTestSim();
+    ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+    double highest = 0, lowest = 0;
+    sim->OnJointSample([&](const JointSample&) {
+      for (int j = 0; j < 7; ++j) {
+        const double share = sim->data().ctrl[j] / (j < 4 ? 80 : 12);
+        highest = std::max(highest, share);
+        lowest = std::min(lowest, share);
+      }
+    });
+    // Thrown far from its goal, the controller asks for hundreds of Nm.
+    for (int j = 0; j < 3; ++j) sim->mutable_data().qpos[j] += away;
+    ASSERT_TRUE(sim->Step(Command(0, 0, 0)).ok());
+    EXPECT_LE(highest, 1);
+    EXPECT_GE(lowest, -1);
+    EXPECT_EQ(away > 0 ? lowest : highest, away > 0 ? -1 : 1);
+  }
+}
+
 TEST(PandaSim, GripperTakesFourControlStepsFromTheMiddleAndHoldsAtZero) {
   auto sim = MakeTestSim();
   ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
@@ -160,6 +181,18 @@ TEST(PandaSim, GraspNeedsBothPadsOnOneFreeBody) {
   for (int i = 0; i < 12; ++i) ASSERT_TRUE(sim->Step(Command(0, 0, 0, -1)).ok());
   EXPECT_FALSE(sim->GraspDetected());
   EXPECT_EQ(sim->held_body(), -1);
+}
+
+TEST(PandaSim, ContactForcesOfASampleAreTheArmsAlone) {
+  auto sim = MakeTestSim();
+  ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+  double force = 0;
+  sim->OnJointSample([&](const JointSample& sample) { force = sample.contact_N; });
+  for (int i = 0; i < 5; ++i) ASSERT_TRUE(sim->Step(Command(0, 0, 0)).ok());
+  ASSERT_GT(sim->data().ncon, 0) << "the cube lies on the table";
+  EXPECT_EQ(force, 0);
+  ASSERT_TRUE(GraspCube(*sim));
+  EXPECT_GT(force, 1);
 }
 
 TEST(PandaSim, OnePadAloneIsNoGrasp) {

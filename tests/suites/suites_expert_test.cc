@@ -79,6 +79,29 @@ TEST(Expert, AnObjectInTheGripperIsNotPlaced) {
   EXPECT_TRUE(task->Success());
 }
 
+TEST(Expert, AnObjectThatIsHeldWhereItBelongsIsNotPlacedYet) {
+  const auto task = MakeTask("tabletop_goal", 1);  // pot on plate
+  ASSERT_TRUE(task->Reset(0).ok());
+  const int pot = task->model().BodyId("pot");
+  for (int i = 0; i < task->horizon() && task->sim().held_body() != pot; ++i)
+    ASSERT_TRUE(task->Step(task->Decide().command).ok());
+  ASSERT_EQ(task->sim().held_body(), pot);
+  // The plate comes to the pot.
+  mjData& data = task->sim().mutable_data();
+  const Goal& goal = task->model().task().goals[0];
+  const Eigen::Vector3d way =
+      task->model().Position(data, "pot") - task->model().RegionCenter(data, goal);
+  const int plate = task->sim().model().body_mocapid[task->model().BodyId("plate")];
+  ASSERT_GE(plate, 0);
+  for (int k = 0; k < 3; ++k) data.mocap_pos[3 * plate + k] += way[k];
+  mj_forward(&task->sim().model(), &data);
+  ASSERT_EQ(task->sim().held_body(), pot);
+  ASSERT_LT((task->model().Position(data, "pot") - task->model().RegionCenter(data, goal)).norm(),
+            1e-6);
+  ASSERT_GT(task->model().Upright(data, "pot"), 0.95);
+  EXPECT_FALSE(GoalHolds(task->model(), task->sim(), goal));
+}
+
 TEST(Expert, GraspsAgainAfterTheObjectIsLost) {
   const auto task = MakeTask("tabletop_spatial", 0);
   ASSERT_TRUE(task->Reset(1).ok());

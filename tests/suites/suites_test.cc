@@ -1,7 +1,9 @@
 #include "common/suites.h"
 
+#include <cmath>
 #include <set>
 
+#include "common/joint_errors/joint_error_stack.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "sim_worker/suites/embedded_task.h"
@@ -173,6 +175,32 @@ TEST(Goals, PlaceNeedsTheSurfaceNotTheAirAboveIt) {
   EXPECT_FALSE(task->Success());
 }
 
+TEST(Goals, PlaceNeedsAnObjectThatStandsWithinTheRegion) {
+  const auto task = MakeTask("tabletop_goal", 1);
+  const InitialState state = SampleInitialState(task->model().suite(), 1, 0);
+  PlaceAt(*task, "pot", state.positions[PropIndex(*task, "plate")] + Eigen::Vector3d(0, 0, 0.012));
+  ASSERT_TRUE(task->Success());
+  mjData& data = task->sim().mutable_data();
+  const mjModel& model = task->sim().model();
+  const int joint = model.body_jntadr[task->model().BodyId("pot")];
+  double* pose = data.qpos + model.jnt_qposadr[joint];
+  const double x = pose[0], y = pose[1];
+  const Goal& goal = task->model().task().goals[0];
+  const Region& region = task->model().RegionOf(goal);
+  const Eigen::Vector3d centre = task->model().RegionCenter(data, goal);
+  for (const double share : {0.95, 1.05}) {
+    pose[0] = centre.x() + share * region.half.x();
+    pose[1] = centre.y();
+    mj_forward(&model, &data);
+    EXPECT_EQ(task->Success(), share < 1) << share;
+  }
+  pose[0] = x;
+  pose[1] = y;
+  pose[3] = pose[4] = std::sqrt(0.5);  // on its side, about where it stood
+  mj_forward(&model, &data);
+  EXPECT_FALSE(task->Success());
+}
+
 TEST(Goals, AnotherDestinationDoesNotCount) {
   const auto task = MakeTask("tabletop_goal", 7);  // pot on stove
   const InitialState state = SampleInitialState(task->model().suite(), 7, 0);
@@ -266,6 +294,43 @@ TEST(Observation, TasksOfASceneLookAlike) {
   for (size_t i = 0; i < image_a->data.size(); ++i)
     different += std::abs(image_a->data[i] - image_b->data[i]) > 12;
   EXPECT_LT(different, 60) << "of " << image_a->data.size();
+}
+
+TEST(EmbeddedTask, ARampRunsOverTheSuitesHorizon) {
+  // The k-th control step is at progress (k - 1) / horizon; friction ramps from 1.5 to 2.
+  UnitConfig unit;
+  unit.suite = "tabletop_goal";
+  unit.scenario = "thermal_drift_stribeck";
+  unit.severity = 5;
+  auto made = EmbeddedTask::Create(unit, 0);
+  ASSERT_TRUE(made.ok()) << made.status();
+  EmbeddedTask& task = **made;
+  ASSERT_TRUE(task.Reset(0).ok());
+  constexpr int kSteps = 21;
+  for (int i = 0; i < kSteps; ++i) ASSERT_TRUE(task.sim().Step(Eigen::VectorXf::Zero(7)).ok());
+  const double progress = (kSteps - 1.0) / FindSuite(unit.suite)->horizon;
+  for (const SeverityFactors& factors : task.sim().errors().factors())
+    EXPECT_NEAR(factors.friction, 1.5 + 0.5 * progress, 1e-12);
+}
+
+TEST(EmbeddedTask, SettlesForTheUnitsSteps) {
+  UnitConfig unit;
+  unit.suite = "tabletop_goal";
+  unit.sim.settle_steps = 7;
+  auto made = EmbeddedTask::Create(unit, 0);
+  ASSERT_TRUE(made.ok()) << made.status();
+  ASSERT_TRUE((*made)->Reset(0).ok());
+  EXPECT_NEAR((*made)->sim().data().time, 7 * 0.05, 0.003);
+  EXPECT_EQ((*made)->sim().steps_taken(), 0);
+}
+
+TEST(EmbeddedTask, StatesBetweenTheReproducibleOnesAndTheDrawsDoNotExist) {
+  const auto task = MakeTask("tabletop_goal", 0);
+  const int states = FindSuite("tabletop_goal")->num_initial_states;
+  EXPECT_TRUE(task->Reset(states - 1).ok());
+  EXPECT_FALSE(task->Reset(states).ok());
+  EXPECT_FALSE(task->Reset(kFirstTrainingDraw - 1).ok());
+  EXPECT_TRUE(task->Reset(kFirstTrainingDraw).ok());
 }
 
 }  // namespace

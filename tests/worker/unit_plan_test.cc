@@ -109,5 +109,48 @@ TEST(UnitPlanTest, ResolvedUnitNamesEveryTask) {
   EXPECT_EQ(resolved->tasks.size(), 10u);
 }
 
+TEST(UnitPlanTest, EpisodesOfAnEstimateThatIsCarriedAreNotTornApart) {
+  UnitConfig unit;
+  unit.episodes = 2;
+  for (const std::string& method : MethodNames()) {
+    unit.method = *MakeMethod(method);
+    const bool carries =
+        unit.method.adapt || method == "ours_integral" || method == "ours_following";
+    EXPECT_EQ(PlanRange(*ResolveUnit(unit), "0-1").ok(), !carries) << method;
+  }
+}
+
+TEST(UnitPlanTest, ASessionIsOfTheUnit) {
+  UnitConfig unit;
+  unit.suite = "tabletop_long";
+  unit.scenario = "aged_joint_elbow";
+  unit.severity = 2;
+  unit.policy = "nano-pi05";
+  unit.seed = 7;
+  unit.sim.goal_reference = GoalReference::kDesired;
+  unit.method = *MakeMethod("ours_intent");
+  const SessionSpec spec = SessionSpecOf(unit);
+  EXPECT_EQ(spec.suite, "tabletop_long");
+  EXPECT_EQ(spec.scenario, "aged_joint_elbow");
+  EXPECT_EQ(spec.severity, 2);
+  EXPECT_EQ(spec.policy, "nano-pi05");
+  EXPECT_EQ(spec.seed, 7);
+  EXPECT_EQ(spec.goal_reference, GoalReference::kDesired);
+  EXPECT_EQ(spec.mode, ExecutionMode::kLockstep);
+  EXPECT_EQ(DumpConfig(spec.method), DumpConfig(unit.method));
+}
+
+TEST(ReadUnit, TheMethodNullIsNotTakenForNoMethod) {
+  const auto quoted = ReadUnit("unit.yaml", "method: {method: \"null\"}");
+  ASSERT_TRUE(quoted.ok()) << quoted.status();
+  EXPECT_EQ(quoted->method.noise_stream, "null");
+  const auto override = ReadUnit("", "", {"method.method=null"});
+  ASSERT_TRUE(override.ok()) << override.status();
+  EXPECT_EQ(override->method.noise_stream, "null");
+  EXPECT_EQ(override->method.method, "null");
+  EXPECT_THAT(std::string(ReadUnit("unit.yaml", "method: {method: null}").status().message()),
+              testing::HasSubstr("unit.yaml: method.method is YAML's null"));
+}
+
 }  // namespace
 }  // namespace robostress
