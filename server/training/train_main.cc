@@ -68,7 +68,7 @@ int main(int argc, char** argv) {
   app.add_option("--evaluate", evaluate,
                  "command that measures success; {weights}, {out}, {step} are replaced");
   app.add_option("--evaluate-every", evaluate_every, "steps between evaluations");
-  return RunMain(app, argc, argv, [&] {
+  return robostress::RunMain(app, argc, argv, [&] {
     for (size_t i = 0; i < fields.size(); ++i) {
       if (!values[i].empty()) overrides.push_back(fields[i].first + "=" + values[i]);
     }

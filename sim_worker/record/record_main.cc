@@ -304,7 +304,7 @@ int main(int argc, char** argv) {
                  "control step, views of 128 pixels unless given")
       ->check(CLI::IsMember({"shards", "hdf5"}))
       ->capture_default_str();
-  return RunMain(
+  return robostress::RunMain(
       app, argc, argv,
       [&]() -> absl::StatusOr<int> {
         if (line.format == "hdf5") {
@@ -318,5 +318,5 @@ int main(int argc, char** argv) {
         }
         return robostress::Run(line);
       },
-      [](const absl::Status&) { return kWrongCommand; });
+      [](const absl::Status&) { return robostress::kWrongCommand; });
 }
