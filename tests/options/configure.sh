@@ -27,7 +27,7 @@ has() { grep -qE "^$2: phony$" "$scratch/$1.targets"; }
 
 mkdir -p "$scratch"
 all_off=()
-configure with "$@" || complain "all parts ON do not configure"
+configure with "$@" || { echo "FAILED: all parts ON do not configure"; exit 1; }
 while read -r part program test stays; do
   [ -n "$part" ] || continue
   all_off+=("-DROBOSTRESS_$part=OFF")
@@ -38,13 +38,16 @@ while read -r part program test stays; do
   done
   has "without-$part" "$stays" || complain "ROBOSTRESS_$part=OFF loses $stays"
 done <<< "$parts"
-configure without-all "$@" "${all_off[@]}" || complain "all parts OFF do not configure"
-while read -r part program test stays; do
-  [ -n "$part" ] || continue
-  for target in "$program" "$test"; do
-    if has without-all "$target"; then complain "all parts OFF still build $target"; fi
-  done
-  has without-all "$stays" || complain "all parts OFF lose $stays"
-done <<< "$parts"
+if configure without-all "$@" "${all_off[@]}"; then
+  while read -r part program test stays; do
+    [ -n "$part" ] || continue
+    for target in "$program" "$test"; do
+      if has without-all "$target"; then complain "all parts OFF still build $target"; fi
+    done
+    has without-all "$stays" || complain "all parts OFF lose $stays"
+  done <<< "$parts"
+else
+  complain "all parts OFF do not configure"
+fi
 [ "$failed" -ne 0 ] || echo "every part can be left out, and all together"
 exit "$failed"
