@@ -6,6 +6,7 @@
 
 #include "common/joint_errors/effect_stack.h"
 #include "common/joint_errors/effects/effect_library.h"
+#include "common/joint_errors/joint_error_stack.h"
 #include "tests/sim_worker/test_scene.h"
 
 namespace robostress {
