@@ -22,6 +22,7 @@
 #include "common/image.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/random.h"
+#include "common/records/episode_row.h"
 #include "common/unit_config.h"
 #include "nlohmann/json.hpp"
 
@@ -33,7 +34,7 @@ struct WorkerArguments {
   bool lag = false;
 };
 
-nlohmann::json Episode(const UnitConfig& config, int task, int episode, int index, bool lag) {
+std::string Episode(const UnitConfig& config, int task, int episode, int index, bool lag) {
   const int initial_state = config.first_initial_state + episode;
   const StreamKey key = StreamKey("fake").With(config.suite).With(task).With(initial_state);
   RandomStream difficulty(key),
@@ -45,31 +46,30 @@ nlohmann::json Episode(const UnitConfig& config, int task, int episode, int inde
   const bool desired = config.sim.goal_reference == GoalReference::kDesired;
   const double residual = (desired ? 2 : 1) * ((clean ? 0.21 : 0.45) + 0.03 * chance.Normal());
   const double a_sq = 20 + 5 * chance.Uniform();
-  nlohmann::json row = {{"suite", config.suite},
-                        {"scenario", ScenarioLabel(config.scenario)},
-                        {"severity", config.severity},
-                        {"policy", config.policy},
-                        {"method", config.method.method},
-                        {"seed", config.seed},
-                        {"task", task},
-                        {"episode", episode},
-                        {"initial_state", initial_state},
-                        {"success", success},
-                        {"steps", success ? 110 : 300},
-                        {"chunks", success ? 22 : 60},
-                        {"updates", updates},
-                        {"residual", residual},
-                        {"eta_sq", residual * residual * a_sq},
-                        {"a_sq", a_sq},
-                        {"intent", residual * 1.02},
-                        {"intent_eta_sq", residual * residual * a_sq},
-                        {"intent_a_sq", a_sq},
-                        {"residual_tracking", residual * 0.6},
-                        {"mean_abs_action", 0.21},
-                        {"clipped_share", 0.01},
-                        {"adapter_distance", 0.01 * std::sqrt(updates)}};
-  if (lag) row["lag_residual"] = (clean ? 1 : 0.5) * residual;
-  return row;
+  EpisodeRow row;
+  row.success = success;
+  row.steps = success ? 110 : 300;
+  row.chunks = success ? 22 : 60;
+  row.updates = updates;
+  row.residual = residual;
+  row.eta_sq = row.intent_eta_sq = residual * residual * a_sq;
+  row.a_sq = row.intent_a_sq = a_sq;
+  row.intent = residual * 1.02;
+  row.residual_tracking = residual * 0.6;
+  row.mean_abs_action = 0.21;
+  row.clipped_share = 0.01;
+  row.adapter_distance = 0.01 * std::sqrt(updates);
+  if (lag) row.lag_residual = (clean ? 1 : 0.5) * residual;
+  return EpisodeLine({.suite = config.suite,
+                      .scenario = ScenarioLabel(config.scenario),
+                      .policy = config.policy,
+                      .method = config.method.method,
+                      .severity = config.severity,
+                      .seed = config.seed,
+                      .task = task,
+                      .episode = episode,
+                      .initial_state = initial_state},
+                     row);
 }
 
 absl::Status Film(const std::string& out, int task, int episode) {
@@ -128,10 +128,10 @@ int Run(const WorkerArguments& options) {
       if (index < first || index > last) continue;
       if (index > first) WaitForGate();
       if (episode_ms != nullptr) poll(nullptr, 0, std::atoi(episode_ms));
-      const std::string row = Episode(*config, task, episode, index, options.lag).dump();
+      const std::string row = Episode(*config, task, episode, index, options.lag);
       rows += row + "\n";
       status = AppendLine(out + "/episodes.jsonl", row);
-      if (status.ok()) status = AppendLine(out + "/timing.jsonl", R"({"wall_s": 0.5})");
+      if (status.ok()) status = AppendLine(out + "/timing.jsonl", TimingLine({task, episode, 0.5}));
       if (status.ok() && episode < config->videos) status = Film(out, task, episode);
     }
   }

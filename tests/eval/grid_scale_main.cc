@@ -14,6 +14,7 @@
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
+#include "common/records/episode_row.h"
 #include "eval/launch/merged_sweep.h"
 #include "eval/plan/unit_text.h"
 #include "eval/report/report.h"
@@ -69,33 +70,35 @@ void MakeUnit(const RunDirectory& run, const PlannedUnit& unit, const std::strin
   for (const int task : unit.config.tasks) {
     for (int episode = 0; episode < unit.config.episodes; ++episode) {
       const double residual = 0.4 + 0.05 * random.Normal();
-      const nlohmann::json row = {{"suite", unit.config.suite},
-                                  {"scenario", unit.config.scenario},
-                                  {"severity", unit.config.severity},
-                                  {"policy", unit.config.policy},
-                                  {"method", unit.config.method.method},
-                                  {"seed", unit.config.seed},
-                                  {"task", task},
-                                  {"episode", episode},
-                                  {"initial_state", episode},
-                                  {"success", random.Uniform() < 0.6},
-                                  {"steps", 120},
-                                  {"chunks", 24},
-                                  {"updates", unit.config.method.adapt ? 2 : 0},
-                                  {"residual", residual},
-                                  {"eta_sq", residual * residual * 20},
-                                  {"a_sq", 20.0},
-                                  {"intent", nullptr},
-                                  {"residual_tracking", residual},
-                                  {"mean_abs_action", 0.2},
-                                  {"clipped_share", 0.01},
-                                  {"adapter_distance", 0.0}};
-      absl::StrAppend(&rows, row.dump(), "\n");
+      EpisodeRow row;
+      row.success = random.Uniform() < 0.6;
+      row.steps = 120;
+      row.chunks = 24;
+      row.updates = unit.config.method.adapt ? 2 : 0;
+      row.residual = row.residual_tracking = residual;
+      row.eta_sq = residual * residual * 20;
+      row.a_sq = 20.0;
+      row.mean_abs_action = 0.2;
+      row.clipped_share = 0.01;
+      row.adapter_distance = 0.0;
+      absl::StrAppend(&rows,
+                      EpisodeLine({.suite = unit.config.suite,
+                                   .scenario = unit.config.scenario,
+                                   .policy = unit.config.policy,
+                                   .method = unit.config.method.method,
+                                   .severity = unit.config.severity,
+                                   .seed = unit.config.seed,
+                                   .task = task,
+                                   .episode = episode,
+                                   .initial_state = episode},
+                                  row),
+                      "\n");
     }
   }
   WriteFast(folder + "/config.yaml", config);
   WriteFast(folder + "/episodes.jsonl", rows);
-  WriteFast(folder + "/timing.jsonl", "{\"wall_s\":1.0}\n{\"wall_s\":1.0}\n");
+  const std::string timing = TimingLine({0, 0, 1.0}) + "\n";
+  WriteFast(folder + "/timing.jsonl", timing + timing);
   WriteFast(folder + "/machines.jsonl", "{\"server\":\"CPU\",\"worker\":\"CPU\"}\n");
   WriteFast(folder + "/provenance.json", R"({"model_hash":"m","policy":"nano","version":"0"})");
   WriteFast(folder + "/DONE", absl::StrCat(R"({"episodes":)", unit.EpisodeCount(),

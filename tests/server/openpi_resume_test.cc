@@ -35,6 +35,7 @@ class Served {
     web.openpi.session.scenario = "unknown";
     web.openpi.session.mode = ExecutionMode::kAsync;
     web.openpi.session.method = *MakeMethod("base");
+    web.openpi.session.control_space = ControlSpace::kEndEffector;
     auto endpoints = WebEndpoints::Start(web, server_.get());
     EXPECT_TRUE(endpoints.ok()) << endpoints.status();
     web_ = *std::move(endpoints);

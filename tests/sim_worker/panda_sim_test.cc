@@ -124,7 +124,7 @@ TEST(PandaSim, MotorsGiveNoMoreThanTheyCanBothWays) {
     double highest = 0, lowest = 0;
     sim->OnJointSample([&](const JointSample&) {
       for (int j = 0; j < 7; ++j) {
-        const double share = sim->data().ctrl[j] / (j < 4 ? 80 : 12);
+        const double share = sim->data().ctrl[j] / (j < 5 ? 80 : 12);
         highest = std::max(highest, share);
         lowest = std::min(lowest, share);
       }
