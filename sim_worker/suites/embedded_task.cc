@@ -49,11 +49,7 @@ class ExpertPolicy : public PolicyEndpoint {
   uint64_t predictions_ = 0;
 };
 
-std::string KnownSuites() {
-  std::vector<std::string> names;
-  for (const SuiteInfo& info : AllSuites()) names.push_back(info.name);
-  return absl::StrJoin(names, ", ");
-}
+std::string KnownSuites() { return absl::StrJoin(SuitesOf("panda"), ", "); }
 
 }  // namespace
 

@@ -40,6 +40,11 @@ const std::vector<Floor>& Floors() {
       {"robot_client/emulator/",
        {"robot_client/", "robot_client/emulator/", "adapter/", "common/", "common/rpc/"},
        kMujoco | kRpc},
+      // Stands on the emulator, which knows nothing of it.
+      {"robot_client/study/",
+       {"robot_client/", "robot_client/emulator/", "robot_client/study/", "adapter/", "common/",
+        "common/rpc/"},
+       kMujoco | kRpc},
       // The service's base class is generated; its handlers convert and call.
       {"server/", {"server/", "adapter/", "common/", "common/rpc/", "proto/"}, kTorch | kRpc},
       // The emulator for the Piper's model.
@@ -58,7 +63,8 @@ const std::vector<Floor>& Floors() {
        {"eval/paper/", "eval/report/", "eval/statistics/", "eval/store/", "eval/plan/", "common/"},
        0},
       {"eval/piper_study/",
-       {"eval/piper_study/", "eval/launch/", "eval/report/", "eval/statistics/", "common/"},
+       {"eval/piper_study/", "eval/paper/", "eval/launch/", "eval/report/", "eval/store/",
+        "eval/plan/", "common/"},
        0},
       {"eval/close_loop/",
        {"eval/close_loop/", "eval/launch/", "eval/plan/", "calibration/", "common/"},
@@ -82,6 +88,7 @@ const std::vector<Floor>& Floors() {
         "server/",
         "robot_client/",
         "robot_client/emulator/",
+        "robot_client/study/",
         "sim_worker/",
         "sim_worker/worker/",
         "sim_worker/record/",
