@@ -7,7 +7,7 @@
 
 #include "absl/status/statusor.h"
 #include "common/rpc/policy_client.h"
-#include "server/policy_service.h"
+#include "server/wire/grpc/policy_service.h"
 
 // Load on a policy server over the loopback, for measurements.
 namespace robostress {
