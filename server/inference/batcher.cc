@@ -1,7 +1,7 @@
 #include "server/inference/batcher.h"
 
 #include <pthread.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <chrono>

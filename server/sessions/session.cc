@@ -1,6 +1,6 @@
 #include "server/sessions/session.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <utility>
 

@@ -1,6 +1,6 @@
 #include "server/sessions/state_rules.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <cmath>

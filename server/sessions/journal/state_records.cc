@@ -1,6 +1,6 @@
 #include "server/sessions/journal/state_records.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cstring>
 #include <utility>
