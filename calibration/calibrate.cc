@@ -7,10 +7,10 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "calibration/aided_motion.h"
-#include "calibration/joint_description.h"
-#include "calibration/local_polynomial.h"
-#include "calibration/verdict.h"
+#include "calibration/data/local_polynomial.h"
+#include "calibration/report/joint_description.h"
+#include "calibration/search/aided_motion.h"
+#include "calibration/search/verdict.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {

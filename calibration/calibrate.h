@@ -3,9 +3,9 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "calibration/calibration_report.h"
-#include "calibration/rig.h"
-#include "calibration/trace.h"
+#include "calibration/data/rig.h"
+#include "calibration/search/calibration_report.h"
+#include "calibration/search/effect_trace.h"
 
 namespace robostress::calibration {
 

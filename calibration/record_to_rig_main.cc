@@ -4,9 +4,9 @@
 #include <cstdio>
 #include <string>
 
-#include "calibration/client_recordings.h"
-#include "calibration/recorded_rig.h"
-#include "calibration/sim_recordings.h"
+#include "calibration/data/client_recordings.h"
+#include "calibration/data/recorded_rig.h"
+#include "calibration/data/sim_recordings.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
 

@@ -6,9 +6,9 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/status_macros.h"
-#include "server/edge/access_table.h"
-#include "server/edge/operations_pages.h"
-#include "server/grpc_access.h"
+#include "server/operations/access_table.h"
+#include "server/pages/operations_pages.h"
+#include "server/wire/grpc/grpc_access.h"
 
 namespace robostress {
 namespace {

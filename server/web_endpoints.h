@@ -6,9 +6,9 @@
 
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
-#include "server/edge/openpi_conversation.h"
-#include "server/edge/web_server.h"
-#include "server/policy_service.h"
+#include "server/wire/grpc/policy_service.h"
+#include "server/wire/openpi/openpi_conversation.h"
+#include "server/wire/web/web_server.h"
 
 namespace robostress {
 

@@ -5,7 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "calibration/report_numbers.h"
+#include "calibration/report/report_numbers.h"
 #include "common/atomic_file.h"
 #include "common/html_page.h"
 #include "common/status_macros.h"

@@ -7,7 +7,7 @@
 
 #include "absl/status/statusor.h"
 #include "calibration/fidelity/measured_replays.h"
-#include "calibration/fidelity/replay.h"
+#include "calibration/fidelity/payload_replay.h"
 #include "calibration/fidelity/replay_arm.h"
 #include "common/statistics.h"
 

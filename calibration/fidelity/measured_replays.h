@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "calibration/fidelity/replay.h"
+#include "calibration/fidelity/payload_replay.h"
 #include "calibration/fidelity/replay_arm.h"
 
 namespace robostress::calibration {

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "calibration/fidelity/replay.h"
+#include "calibration/fidelity/payload_replay.h"
 #include "common/random.h"
 #include "sim_worker/panda_sim.h"
 #include "sim_worker/suites/task_model.h"

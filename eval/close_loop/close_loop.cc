@@ -7,7 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "calibration/sim_recordings.h"
+#include "calibration/data/sim_recordings.h"
 #include "common/atomic_file.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"

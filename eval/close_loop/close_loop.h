@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "calibration/recorded_rig.h"
-#include "calibration/replay_comparison.h"
+#include "calibration/data/recorded_rig.h"
+#include "calibration/fidelity/replay_comparison.h"
 #include "common/joint_errors/scenario_file.h"
 #include "eval/close_loop/found_effects.h"
 

@@ -7,7 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "calibration/client_recordings.h"
+#include "calibration/data/client_recordings.h"
 #include "common/atomic_file.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"

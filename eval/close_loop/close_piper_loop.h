@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "calibration/recorded_rig.h"
+#include "calibration/data/recorded_rig.h"
 #include "common/joint_errors/scenario_file.h"
 #include "eval/close_loop/found_effects.h"
 

@@ -8,7 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "calibration/scenario_output.h"
+#include "calibration/model/scenario_output.h"
 #include "common/atomic_file.h"
 #include "common/joint_errors/effects/effect_library.h"
 #include "common/program_folder.h"

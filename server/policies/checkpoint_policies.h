@@ -5,10 +5,10 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "server/policies/policy.h"
 #include "server/policies/adapters/adapter_base.h"
 #include "server/policies/policy_command.h"
 #include "server/policies/policy_inspect.h"
-#include "server/policy.h"
 
 // Checkpoints of pi0 and pi0.5, as the rest of policies/ sees them: openpi/checkpoint_policies.cc.
 // With ROBOSTRESS_OPENPI=OFF checkpoint_policies_left_out.cc stands in for openpi/, and every

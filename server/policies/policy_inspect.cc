@@ -6,7 +6,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "server/policies/checkpoint_policies.h"
-#include "server/policies/nano_weights.h"
+#include "server/policies/nano/nano_weights.h"
 #include "server/policies/policy_registry.h"
 
 namespace robostress {

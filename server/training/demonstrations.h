@@ -10,7 +10,7 @@
 #include "absl/types/span.h"
 #include "common/random.h"
 #include "common/safetensors.h"
-#include "server/policies/nano_weights.h"
+#include "server/policies/nano/nano_weights.h"
 
 namespace robostress {
 

@@ -4,7 +4,7 @@
 
 #include <cstdint>
 
-#include "server/policies/nano_network.h"
+#include "server/policies/nano/nano_network.h"
 
 namespace robostress {
 

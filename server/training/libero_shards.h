@@ -5,7 +5,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "server/policies/nano_config.h"
+#include "server/policies/nano/nano_config.h"
 
 namespace robostress {
 

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "server/policies/nano_config.h"
+#include "server/policies/nano/nano_config.h"
 #include "server/training/worst_case_actions.h"
 
 namespace robostress {

@@ -9,8 +9,8 @@
 #include "absl/strings/str_cat.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
-#include "server/policies/nano_policy.h"
-#include "server/torch_threads.h"
+#include "server/inference/torch_threads.h"
+#include "server/policies/nano/nano_policy.h"
 #include "server/training/flow_objective.h"
 #include "server/training/worst_case_actions.h"
 

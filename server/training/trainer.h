@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "server/policies/nano_network.h"
+#include "server/policies/nano/nano_network.h"
 #include "server/training/demonstrations.h"
 #include "server/training/train_options.h"
 

@@ -11,7 +11,7 @@
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "sim_worker/libero/compare.h"
-#include "sim_worker/libero/replay.h"
+#include "sim_worker/libero/demonstration_replay.h"
 
 namespace robostress::libero {
 namespace {

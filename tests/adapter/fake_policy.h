@@ -10,7 +10,7 @@
 
 #include "adapter/lora.h"
 #include "common/random.h"
-#include "server/policy.h"
+#include "server/policies/policy.h"
 
 namespace robostress {
 

@@ -8,13 +8,13 @@
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
-#include "calibration/client_recordings.h"
+#include "calibration/data/client_recordings.h"
 #include "common/atomic_file.h"
 #include "nlohmann/json.hpp"
 #include "robot_client/motion/excitation.h"
 #include "robot_client/recorder.h"
-#include "tests/piper/emulated_arm.h"
 #include "tests/robot_client/arm_world.h"
+#include "tests/robot_client/piper/emulated_arm.h"
 #include "tests/run_program.h"
 
 namespace robostress::calibration {

@@ -8,9 +8,9 @@
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
-#include "calibration/joint_fit.h"
-#include "calibration/measured_log.h"
-#include "calibration/sim_recordings.h"
+#include "calibration/data/measured_log.h"
+#include "calibration/data/sim_recordings.h"
+#include "calibration/search/joint_fit.h"
 #include "sim_worker/suites/embedded_task.h"
 
 namespace robostress::calibration {

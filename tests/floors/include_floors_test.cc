@@ -19,21 +19,21 @@ TEST(IncludeFloors, NothingInTheTreeClimbs) {
 TEST(CheckFloors, AcceptsWhatGoesDown) {
   EXPECT_THAT(
       CheckFloors(
-          {{"server/session.cc",
-            {"server/session.h", "<memory>", "torch/torch.h", "adapter/lora.h",
+          {{"server/sessions/session.cc",
+            {"server/sessions/session.h", "<memory>", "torch/torch.h", "adapter/lora.h",
              "common/rpc/convert.h"}},
            {"sim_worker/panda_sim.cc", {"mujoco/mujoco.h", "adapter/residual.h", "Eigen/Core"}},
            {"adapter/residual.h", {"common/types.h"}},
-           {"tests/sim_worker/a_test.cc", {"sim_worker/panda_sim.h", "server/session.h"}}}),
+           {"tests/sim_worker/a_test.cc", {"sim_worker/panda_sim.h", "server/sessions/session.h"}}}),
       IsEmpty());
 }
 
 TEST(CheckFloors, RefusesAnIncludeThatClimbsOrGoesSideways) {
   EXPECT_THAT(CheckFloors({{"common/types.h", {"adapter/residual.h"}}}),
               ElementsAre(HasSubstr("common/ may not include adapter/")));
-  EXPECT_THAT(CheckFloors({{"server/session.cc", {"sim_worker/panda_sim.h"}}}),
-              ElementsAre(HasSubstr("server/ may not include sim_worker/")));
-  EXPECT_THAT(CheckFloors({{"sim_worker/panda_sim.cc", {"server/policy.h"}}}),
+  EXPECT_THAT(CheckFloors({{"server/sessions/session.cc", {"sim_worker/panda_sim.h"}}}),
+              ElementsAre(HasSubstr("server/sessions/ may not include sim_worker/")));
+  EXPECT_THAT(CheckFloors({{"sim_worker/panda_sim.cc", {"server/policies/policy.h"}}}),
               ElementsAre(HasSubstr("may not include server/")));
   EXPECT_THAT(CheckFloors({{"eval/report/report.cc", {"tests/eval/synthetic_run.h"}}}),
               ElementsAre(HasSubstr("may not include tests/")));

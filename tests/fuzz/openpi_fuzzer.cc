@@ -1,8 +1,8 @@
 // The reader of openpi's messages, and what becomes of an observation, a session and a report.
 #include <cmath>
 
-#include "server/edge/openpi_extensions.h"
-#include "server/edge/openpi_observation.h"
+#include "server/wire/openpi/openpi_extensions.h"
+#include "server/wire/openpi/openpi_observation.h"
 #include "tests/fuzz/fuzz_check.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {

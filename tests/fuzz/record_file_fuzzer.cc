@@ -1,5 +1,5 @@
 // The reader of a session's files, as a crash or a bad disk may have left them.
-#include "server/state/record_file.h"
+#include "server/sessions/journal/record_file.h"
 #include "tests/fuzz/fuzz_check.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {

@@ -1,7 +1,7 @@
 // The reader of token files and of what callers show. The first line is the header, the rest the
 // file.
 #include "common/atomic_file.h"
-#include "server/edge/access_tokens.h"
+#include "server/operations/access_tokens.h"
 #include "tests/fuzz/fuzz_check.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {

@@ -6,7 +6,7 @@
 #include <cstdio>
 
 #include "CLI/CLI.hpp"
-#include "tests/rpc/fake_policy_server.h"
+#include "tests/common/rpc/fake_policy_server.h"
 
 int main(int argc, char** argv) {
   CLI::App app("Answers with joint targets that sway about the arm's.", "joint_policy_server");

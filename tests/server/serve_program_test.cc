@@ -21,10 +21,10 @@
 #include "nlohmann/json.hpp"
 #include "server/serve_options.h"
 #include "tests/run_program.h"
+#include "tests/server/operations/test_certificates.h"
 #include "tests/server/serve_process.h"
-#include "tests/server/test_certificates.h"
-#include "tests/server/tls_web_client.h"
-#include "tests/server/web_client.h"
+#include "tests/server/wire/tls_web_client.h"
+#include "tests/server/wire/web_client.h"
 
 namespace robostress {
 namespace {

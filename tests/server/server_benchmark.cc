@@ -18,10 +18,10 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "server/operator_hook.h"
-#include "server/policy_service.h"
-#include "server/session.h"
-#include "server/torch_threads.h"
+#include "server/inference/operator_hook.h"
+#include "server/inference/torch_threads.h"
+#include "server/sessions/session.h"
+#include "server/wire/grpc/policy_service.h"
 #include "tests/adapter/fake_policy.h"
 #include "tests/adapter/toy_arm.h"
 #include "tests/server/serving_load.h"

@@ -12,10 +12,10 @@
 #include "common/random.h"
 #include "common/rpc/policy_client.h"
 #include "tests/adapter/toy_arm.h"
-#include "tests/server/openpi_bytes.h"
 #include "tests/server/serve_process.h"
 #include "tests/server/serving_load.h"
-#include "tests/server/web_client.h"
+#include "tests/server/wire/openpi_bytes.h"
+#include "tests/server/wire/web_client.h"
 
 namespace robostress {
 namespace {

@@ -23,8 +23,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/rpc/policy_client.h"
-#include "server/policy_service.h"
-#include "tests/server/drive.h"
+#include "server/wire/grpc/policy_service.h"
+#include "tests/server/sessions/drive.h"
 
 namespace robostress {
 namespace {

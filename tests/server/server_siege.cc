@@ -23,11 +23,11 @@
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "tests/adapter/toy_arm.h"
-#include "tests/server/openpi_bytes.h"
-#include "tests/server/raw_call.h"
 #include "tests/server/serve_process.h"
 #include "tests/server/serving_load.h"
-#include "tests/server/web_client.h"
+#include "tests/server/wire/openpi_bytes.h"
+#include "tests/server/wire/raw_call.h"
+#include "tests/server/wire/web_client.h"
 
 namespace robostress {
 namespace {

@@ -7,7 +7,7 @@
 
 #include "absl/status/statusor.h"
 #include "common/rpc/policy_client.h"
-#include "server/policy_service.h"
+#include "server/wire/grpc/policy_service.h"
 
 // Load on a policy server over the loopback, for measurements.
 namespace robostress {
@@ -18,7 +18,7 @@ Observation BlankObservation(const PolicySpec& spec);
 // Of predictions, as their client sees them: from the request to the answer.
 struct Latencies {
   std::vector<double> ms;
-  double Quantile(double q) const;  // nearest rank; 0 without values
+  double Quantile(double q) const;  // 0 without values
   void Append(const Latencies& other) { ms.insert(ms.end(), other.ms.begin(), other.ms.end()); }
 };
 

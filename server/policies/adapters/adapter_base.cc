@@ -11,9 +11,9 @@
 #include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "server/policies/checkpoint_policies.h"
-#include "server/policies/nano_network.h"
-#include "server/policies/nano_weights.h"
-#include "server/policies/openpi/tensor_io.h"
+#include "server/policies/nano/nano_network.h"
+#include "server/policies/nano/nano_weights.h"
+#include "server/policies/tensor_io.h"
 
 namespace robostress {
 namespace {

@@ -17,7 +17,7 @@
 #include "server/policies/openpi/checkpoint_stats.h"
 #include "server/policies/openpi/openpi_weights.h"
 #include "server/policies/openpi/problem_list.h"
-#include "server/policies/openpi/tensor_io.h"
+#include "server/policies/tensor_io.h"
 
 namespace robostress::openpi {
 namespace {

@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "server/policies/fused_kernels.h"
+#include "server/policies/kernels/fused_kernels.h"
 
 namespace robostress::openpi {
 namespace {

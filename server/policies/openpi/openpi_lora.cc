@@ -11,7 +11,7 @@
 #include "common/check.h"
 #include "common/status_macros.h"
 #include "server/policies/openpi/problem_list.h"
-#include "server/policies/openpi/tensor_io.h"
+#include "server/policies/tensor_io.h"
 
 namespace robostress::openpi {
 namespace {

@@ -8,7 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "server/policies/openpi/problem_list.h"
-#include "server/policies/openpi/tensor_io.h"
+#include "server/policies/tensor_io.h"
 
 namespace robostress::openpi {
 namespace {

@@ -17,7 +17,7 @@
 #include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/oracle_inputs.h"
 #include "server/policies/openpi/quantities.h"
-#include "server/policies/openpi/tensor_io.h"
+#include "server/policies/tensor_io.h"
 
 namespace robostress::openpi {
 namespace {

@@ -6,7 +6,7 @@
 
 #include "adapter/lora.h"
 #include "common/check.h"
-#include "server/policies/fused_kernels.h"
+#include "server/policies/kernels/fused_kernels.h"
 
 namespace robostress::openpi {
 namespace {

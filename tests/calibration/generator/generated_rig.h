@@ -6,7 +6,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "tests/calibration/generator/machine.h"
+#include "tests/calibration/generator/hidden_machine.h"
 
 namespace robostress::generator {
 

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "calibration/calibration_report.h"
+#include "calibration/search/calibration_report.h"
 
 namespace robostress::calibration {
 

@@ -2,7 +2,7 @@
 #include <utility>
 
 #include "absl/strings/str_replace.h"
-#include "calibration/calibration_report.h"
+#include "calibration/search/calibration_report.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/calibration/report/report_fixture.h"

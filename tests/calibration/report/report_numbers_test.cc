@@ -1,4 +1,4 @@
-#include "calibration/report_numbers.h"
+#include "calibration/report/report_numbers.h"
 
 #include <limits>
 

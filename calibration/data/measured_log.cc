@@ -1,0 +1,286 @@
+#include "calibration/data/measured_log.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "calibration/data/local_polynomial.h"
+#include "common/csv_table.h"
+#include "common/statistics.h"
+#include "common/status_macros.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr uint64_t kMaxBytes = uint64_t{4} << 30;
+constexpr int kMinRows = 50;
+constexpr int kSmoothing = 12;       // rows each side, at most
+constexpr double kJitter = 0.02;     // of dt; more is resampled
+constexpr double kGap = 5;           // in dt; more is refused
+constexpr double kRateError = 0.02;  // of the declared rate
+constexpr double kSaturated = 0.02;  // share of rows at the largest torque
+
+// Steps of the clock; refuses one that does not run.
+absl::StatusOr<double> CheckClock(const CsvTable& table, const std::vector<double>& t,
+                                  double rate_hz, std::vector<std::string>& notes) {
+  if (t.size() < kMinRows)
+    return absl::InvalidArgumentError(absl::StrCat(table.path(), ": has ", t.size(),
+                                                   " rows, at least ", kMinRows, " are needed"));
+  std::vector<double> steps;
+  for (size_t i = 1; i < t.size(); ++i) {
+    if (t[i] <= t[i - 1])
+      return absl::InvalidArgumentError(absl::StrCat(table.Place(i), ": t is ", t[i], " after ",
+                                                     t[i - 1], "; the clock must increase"));
+    steps.push_back(t[i] - t[i - 1]);
+  }
+  const double dt = UpperMedian(steps);
+  if (std::abs(dt * rate_hz - 1) > kRateError)
+    return absl::InvalidArgumentError(absl::StrCat(table.path(), ": t runs at ", 1 / dt,
+                                                   " rows per second, the rig's rate_hz is ",
+                                                   rate_hz, "; is t in seconds?"));
+  double jitter = 0;
+  for (size_t i = 0; i < steps.size(); ++i) {
+    if (steps[i] > kGap * dt)
+      return absl::InvalidArgumentError(absl::StrCat(table.Place(i + 1), ": a gap of ", steps[i],
+                                                     " s (", steps[i] / dt,
+                                                     " rows); split the log there"));
+    jitter = std::max(jitter, std::abs(steps[i] / dt - 1));
+  }
+  if (jitter > kJitter)
+    notes.push_back(absl::StrCat("the clock jitters by up to ", std::round(jitter * 100),
+                                 " % of a row; channels were resampled to ", rate_hz,
+                                 " rows per second, linearly"));
+  return jitter > kJitter ? -1 / rate_hz
+                          : (t.back() - t.front()) / static_cast<double>(steps.size());
+}
+
+std::vector<double> Resample(const std::vector<double>& t, const std::vector<double>& values,
+                             double dt) {
+  std::vector<double> result;
+  size_t i = 0;
+  for (int k = 0;; ++k) {
+    const double at = t.front() + k * dt;
+    if (at > t.back()) return result;
+    while (i + 2 < t.size() && t[i + 1] < at) ++i;
+    const double share = (at - t[i]) / (t[i + 1] - t[i]);
+    result.push_back(values[i] + share * (values[i + 1] - values[i]));
+  }
+}
+
+// Takes jumps by a whole turn out of an angle.
+int Unwrap(std::vector<double>& angle) {
+  int wraps = 0;
+  double turn = 0;
+  for (size_t i = 1; i < angle.size(); ++i) {
+    angle[i] += turn;
+    const double jump = angle[i] - angle[i - 1];
+    if (std::abs(std::abs(jump) - 2 * M_PI) < 0.5) {
+      const double back = jump > 0 ? -2 * M_PI : 2 * M_PI;
+      turn += back;
+      angle[i] += back;
+      ++wraps;
+    }
+  }
+  return wraps;
+}
+
+double RangeOf(const std::vector<double>& values) {
+  const auto [low, high] = std::minmax_element(values.begin(), values.end());
+  return *high - *low;
+}
+
+// The table's columns; what the input needs must be there.
+class Channels {
+ public:
+  // Every cell must be a number, also of a column that nobody asks for.
+  static absl::StatusOr<Channels> Read(const CsvTable& table) {
+    Channels channels(table);
+    for (const std::string& name : table.names()) {
+      RS_ASSIGN_OR_RETURN(channels.columns_[name], table.Numbers(name));
+    }
+    return channels;
+  }
+
+  absl::StatusOr<std::vector<double>> Need(const std::string& name, const std::string& why) const {
+    const auto found = columns_.find(name);
+    if (found != columns_.end()) return found->second;
+    return absl::InvalidArgumentError(absl::StrCat(table_.path(), ": no column '", name, "'", why,
+                                                   "; the file has ",
+                                                   absl::StrJoin(table_.names(), ", ")));
+  }
+  std::vector<double> Optional(const std::string& name) const {
+    const auto found = columns_.find(name);
+    return found == columns_.end() ? std::vector<double>() : found->second;
+  }
+
+ private:
+  explicit Channels(const CsvTable& table) : table_(table) {}
+
+  const CsvTable& table_;
+  std::map<std::string, std::vector<double>> columns_;
+};
+
+absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& joint) {
+  JointRecord record;
+  const std::string& name = joint.name;
+  const std::string why = absl::StrCat(", which input of joint '", name, "' needs");
+  if (joint.input == JointInput::kTransmission) {
+    RS_ASSIGN_OR_RETURN(record.q_motor, channels.Need("q_motor_" + name, why));
+    RS_ASSIGN_OR_RETURN(record.q, channels.Need("q_link_" + name, why));
+  } else {
+    RS_ASSIGN_OR_RETURN(record.q, channels.Need("q_" + name, why));
+  }
+  record.command = channels.Optional("q_cmd_" + name);
+  record.tau = channels.Optional("tau_" + name);
+  record.temperature = channels.Optional("temp_" + name);
+  if (!joint.enable.empty()) {
+    RS_ASSIGN_OR_RETURN(record.enable, channels.Need(joint.enable, why));
+  }
+  if (joint.input == JointInput::kPositionTarget) {
+    RS_RETURN_IF_ERROR(channels.Need("q_cmd_" + name, why).status());
+  }
+  if (joint.input == JointInput::kTorque || joint.input == JointInput::kInverse) {
+    RS_RETURN_IF_ERROR(channels.Need("tau_" + name, why).status());
+  }
+  if (joint.velocity == VelocitySide::kMotor) {
+    RS_RETURN_IF_ERROR(channels.Need("dq_" + name, why).status());
+  }
+  return record;
+}
+
+void TakeVelocity(const std::vector<double>& logged, double dt, JointRecord& record) {
+  record.dq = logged;
+  record.velocity_logged = true;
+  record.start_noise_dq = NoiseOfReading(logged);
+  record.ddq = SmoothMotion(logged, dt, kSmoothing).first;
+}
+
+// Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
+// step leaves; from where a free run starts the rounding grows with time. Only where it is the
+// derivative: no other gain, no lag (a filter's would pose as an effect), no more noise.
+void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, double dt,
+                   JointRecord& record, std::vector<std::string>& notes) {
+  double speed = 0, both = 0, bend = 0, ahead = 0;
+  for (size_t i = 0; i < logged.size(); ++i) {
+    speed += record.dq[i] * record.dq[i];
+    both += record.dq[i] * logged[i];
+    bend += record.ddq[i] * record.ddq[i];
+    ahead += record.ddq[i] * (logged[i] - record.dq[i]);
+  }
+  const double gain = both / std::max(speed, 1e-30), lag = -ahead / std::max(bend, 1e-30);
+  if (std::abs(gain - 1) > 0.03 || std::abs(lag) > 0.5 * dt) {
+    notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", gain,
+                                 " times the derivative of the position, ", lag,
+                                 " s behind it; it is not used"));
+  } else if (NoiseOfReading(logged) <= record.start_noise_dq) {
+    TakeVelocity(logged, dt, record);
+  }
+}
+
+absl::Status GateJoint(const std::string& file, const RigJoint& joint,
+                       const std::vector<double>& logged_velocity, JointRecord& record, double dt,
+                       std::vector<std::string>& notes) {
+  int wraps = 0;
+  for (auto* angle : {&record.q, &record.q_motor, &record.command}) wraps += Unwrap(*angle);
+  if (wraps > 0) {
+    // Both may have begun on another turn.
+    for (auto* angle : {&record.q_motor, &record.command}) {
+      if (angle->empty()) continue;
+      const double turns = std::round((record.q.front() - angle->front()) / (2 * M_PI));
+      for (double& value : *angle) value += 2 * M_PI * turns;
+    }
+    notes.push_back(absl::StrCat(joint.name, ": ", wraps, " jumps by a whole turn taken out"));
+  }
+  const std::vector<double>& motion =
+      joint.input == JointInput::kTransmission ? record.q_motor : record.q;
+  const SmoothSignal fit = SmoothMotion(motion, dt, kSmoothing);
+  record.start_noise_q = fit.value_noise;
+  record.start_noise_dq = fit.first_noise;
+  record.acceleration_noise = fit.second_noise;
+  record.q_smooth = fit.value;
+  record.dq = fit.first;
+  record.ddq = fit.second;
+  if (joint.velocity == VelocitySide::kMotor) {
+    TakeVelocity(logged_velocity, dt, record);
+    record.velocity_of_motor = true;
+  } else if (!logged_velocity.empty()) {
+    AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
+  }
+  record.motion = {record.q_smooth, record.dq, UntilNextRow(record.ddq)};
+  record.noise = NoiseOfReading(record.q);
+  if (joint.input == JointInput::kTransmission)
+    record.noise = std::hypot(record.noise, NoiseOfReading(record.q_motor));
+  const double range = RangeOf(record.q);
+  if (range == 0)
+    return absl::InvalidArgumentError(
+        absl::StrCat(file, ": position of joint '", joint.name, "' is constant, ", record.q.front(),
+                     "; the channel is dead or the joint never moved, leave it out of the rig"));
+  if (range < 20 * record.noise)
+    return absl::FailedPreconditionError(
+        absl::StrCat(file, ": joint '", joint.name, "' moves by ", range, " over noise of ",
+                     record.noise, "; too little excitation, at least 20 times the noise"));
+  if (joint.input == JointInput::kPositionTarget) {
+    const double asked = RangeOf(record.command);
+    if (asked == 0)
+      return absl::InvalidArgumentError(
+          absl::StrCat(file, ": q_cmd_", joint.name, " is constant, ", record.command.front(),
+                       "; the channel is dead, or nothing was asked of the joint"));
+    if (asked > 20 * range || range > 20 * asked)
+      return absl::InvalidArgumentError(absl::StrCat(file, ": q_cmd_", joint.name, " spans ", asked,
+                                                     ", q_", joint.name, " spans ", range,
+                                                     "; are both in radians (or metres)?"));
+  }
+  const bool driven = joint.input == JointInput::kTorque || joint.input == JointInput::kInverse;
+  if (driven && RangeOf(record.tau) == 0)
+    return absl::InvalidArgumentError(absl::StrCat(file, ": tau_", joint.name, " is constant, ",
+                                                   record.tau.front(), "; the channel is dead"));
+  if (!record.tau.empty()) {
+    double peak = 0;
+    for (const double tau : record.tau) peak = std::max(peak, std::abs(tau));
+    const auto at_peak = std::count_if(record.tau.begin(), record.tau.end(),
+                                       [&](double tau) { return std::abs(tau) > 0.9999 * peak; });
+    const double share = static_cast<double>(at_peak) / static_cast<double>(record.tau.size());
+    if (peak > 0 && share > kSaturated)
+      notes.push_back(absl::StrCat(joint.name, ": torque stands at ", peak, " in ",
+                                   std::round(share * 100), " % of rows: saturated"));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+std::vector<double> UntilNextRow(std::vector<double> at_rows) {
+  for (size_t i = 0; i + 1 < at_rows.size(); ++i) at_rows[i] = 0.5 * (at_rows[i] + at_rows[i + 1]);
+  return at_rows;
+}
+
+absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& declared) {
+  RS_ASSIGN_OR_RETURN(const CsvTable table,
+                      CsvTable::Read(declared.file, kMaxBytes, CsvTable::ShortLastLine::kError));
+  RS_ASSIGN_OR_RETURN(const Channels channels, Channels::Read(table));
+  MeasuredLog log;
+  log.file = declared.file;
+  log.condition = declared.condition;
+  log.role = declared.role;
+  log.overrides = declared.overrides;
+  RS_ASSIGN_OR_RETURN(const std::vector<double> t, channels.Need("t", " [s]"));
+  RS_ASSIGN_OR_RETURN(const double clock, CheckClock(table, t, rig.rate_hz, log.notes));
+  log.dt = std::abs(clock);
+  for (const RigJoint& joint : rig.joints) {
+    RS_ASSIGN_OR_RETURN(JointRecord record, ReadJoint(channels, joint));
+    for (auto* channel : {&record.command, &record.q, &record.q_motor, &record.tau,
+                          &record.temperature, &record.enable}) {
+      if (clock < 0 && !channel->empty()) *channel = Resample(t, *channel, log.dt);
+    }
+    std::vector<double> velocity = channels.Optional("dq_" + joint.name);
+    if (clock < 0 && !velocity.empty()) velocity = Resample(t, velocity, log.dt);
+    RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, velocity, record, log.dt, log.notes));
+    log.joints.push_back(std::move(record));
+  }
+  log.rows = static_cast<int>(log.joints.front().q.size());
+  return log;
+}
+
+}  // namespace robostress::calibration

@@ -1,0 +1,396 @@
+#include "calibration/data/rig.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <optional>
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/atomic_file.h"
+#include "common/joint_errors/effects/effect_library.h"
+#include "common/status_macros.h"
+#include "yaml-cpp/yaml.h"
+
+namespace robostress::calibration {
+namespace {
+
+// A place in the file, for reading and for messages.
+class Entry {
+ public:
+  Entry(YAML::Node node, std::string path) : node_(std::move(node)), path_(std::move(path)) {}
+
+  template <class... Parts>
+  absl::Status Error(const Parts&... parts) const {
+    return absl::InvalidArgumentError(absl::StrCat(path_, ": ", parts...));
+  }
+  Entry operator[](const std::string& key) const {
+    return Entry(node_.IsMap() ? node_[key] : YAML::Node(YAML::NodeType::Undefined),
+                 absl::StrCat(path_, path_.back() == ':' ? " " : ".", key));
+  }
+  Entry operator[](size_t index) const {
+    return Entry(node_[index], absl::StrCat(path_, "[", index, "]"));
+  }
+  bool present() const { return node_.IsDefined() && !node_.IsNull(); }
+  const YAML::Node& node() const { return node_; }
+  const std::string& path() const { return path_; }
+
+  absl::Status CheckKeys(const std::vector<std::string>& allowed) const {
+    if (!node_.IsMap()) return Error("must be a map with ", absl::StrJoin(allowed, ", "));
+    for (const auto& pair : node_) {
+      const std::string key = pair.first.Scalar();
+      if (std::find(allowed.begin(), allowed.end(), key) == allowed.end())
+        return Error("unknown key '", key, "'; known: ", absl::StrJoin(allowed, ", "));
+    }
+    return absl::OkStatus();
+  }
+  absl::StatusOr<std::string> Text() const {
+    if (!present()) return Error("is missing");
+    if (!node_.IsScalar() || node_.Scalar().empty()) return Error("must be a text");
+    return node_.Scalar();
+  }
+  absl::StatusOr<double> Number() const {
+    if (!present()) return Error("is missing");
+    double value = 0;
+    if (!node_.IsScalar() || !YAML::convert<double>::decode(node_, value) || !std::isfinite(value))
+      return Error("is '", node_.IsScalar() ? node_.Scalar() : "not a scalar",
+                   "', must be a finite number");
+    return value;
+  }
+  absl::StatusOr<std::vector<std::string>> Texts() const {
+    std::vector<std::string> texts;
+    if (!present()) return texts;
+    if (!node_.IsSequence()) return Error("must be a list of names");
+    for (size_t i = 0; i < node_.size(); ++i) {
+      RS_ASSIGN_OR_RETURN(std::string text, (*this)[i].Text());
+      texts.push_back(std::move(text));
+    }
+    return texts;
+  }
+  template <class E>
+  absl::Status Choice(const std::vector<std::pair<std::string, E>>& choices, E& value) const {
+    if (!present()) return absl::OkStatus();
+    RS_ASSIGN_OR_RETURN(const std::string text, Text());
+    std::vector<std::string> names;
+    for (const auto& [name, choice] : choices) {
+      if (name == text) {
+        value = choice;
+        return absl::OkStatus();
+      }
+      names.push_back(name);
+    }
+    return Error("is '", text, "', must be one of ", absl::StrJoin(names, ", "));
+  }
+  // Leaves `value` where the key is absent.
+  absl::Status Optional(double low, double& value) const {
+    if (!present()) return absl::OkStatus();
+    RS_ASSIGN_OR_RETURN(value, Number());
+    if (value < low) return Error("is ", value, ", must be at least ", low);
+    return absl::OkStatus();
+  }
+
+ private:
+  YAML::Node node_;
+  std::string path_;
+};
+
+const std::vector<std::pair<std::string, JointInput>> kInputs = {
+    {"position_target", JointInput::kPositionTarget},
+    {"torque", JointInput::kTorque},
+    {"inverse", JointInput::kInverse},
+    {"transmission", JointInput::kTransmission}};
+const std::vector<std::pair<std::string, Servo::Type>> kServoTypes = {
+    {"pd", Servo::Type::kPd}, {"dc_motor", Servo::Type::kDcMotor}};
+const std::vector<std::pair<std::string, ServoFeedback>> kFeedbacks = {
+    {"link", ServoFeedback::kLink}, {"motor", ServoFeedback::kMotor}};
+const std::vector<std::pair<std::string, VelocitySide>> kVelocitySides = {
+    {"reading", VelocitySide::kReading}, {"motor", VelocitySide::kMotor}};
+const std::vector<std::pair<std::string, LogRole>> kRoles = {
+    {"fit", LogRole::kFit}, {"held_out", LogRole::kHeldOut}, {"transfer", LogRole::kTransfer}};
+const std::vector<std::pair<std::string, Metric::Type>> kMetrics = {
+    {"position_rmse", Metric::Type::kRms},
+    {"torque_rmse", Metric::Type::kRms},
+    {"position_mae", Metric::Type::kMeanAbsolute},
+    {"torque_mae", Metric::Type::kMeanAbsolute}};
+const std::vector<std::pair<std::string, Folds>> kFolds = {{"auto", Folds::kAuto},
+                                                           {"condition", Folds::kCondition},
+                                                           {"log", Folds::kLog},
+                                                           {"block", Folds::kBlock}};
+
+template <class E>
+std::string NameOf(const std::vector<std::pair<std::string, E>>& choices, E value) {
+  for (const auto& [name, choice] : choices) {
+    if (choice == value) return name;
+  }
+  return "";
+}
+
+absl::StatusOr<Servo> ReadServo(const Entry& entry) {
+  Servo servo;
+  RS_RETURN_IF_ERROR(
+      entry.CheckKeys({"type", "kp", "kd", "torque_limit", "kt", "R", "vin", "feedback"}));
+  RS_RETURN_IF_ERROR(entry["type"].Choice(kServoTypes, servo.type));
+  RS_RETURN_IF_ERROR(entry["feedback"].Choice(kFeedbacks, servo.feedback));
+  RS_RETURN_IF_ERROR(entry["kp"].Optional(0, servo.kp));
+  RS_RETURN_IF_ERROR(entry["kd"].Optional(0, servo.kd));
+  RS_RETURN_IF_ERROR(entry["torque_limit"].Optional(0, servo.torque_limit));
+  RS_RETURN_IF_ERROR(entry["kt"].Optional(0, servo.kt));
+  RS_RETURN_IF_ERROR(entry["R"].Optional(0, servo.R));
+  RS_RETURN_IF_ERROR(entry["vin"].Optional(0, servo.vin));
+  if (servo.kp == 0) return entry["kp"].Error("is missing or 0; a servo without it does not move");
+  if (servo.type == Servo::Type::kDcMotor && (servo.kt == 0 || servo.R == 0 || servo.vin == 0))
+    return entry.Error("a dc_motor needs kt [Nm/A], R [ohm] and vin [V] above 0");
+  return servo;
+}
+
+absl::StatusOr<DeclaredEffect> ReadEffect(const Entry& entry) {
+  DeclaredEffect effect;
+  RS_ASSIGN_OR_RETURN(effect.type, entry["type"].Text());
+  const auto info = FindEffect(effect.type);
+  if (!info.ok()) return entry["type"].Error(info.status().message());
+  std::vector<std::string> keys = {"type", "fit", "partner"};
+  for (const EffectParameter& parameter : (*info)->parameters) keys.push_back(parameter.name);
+  RS_RETURN_IF_ERROR(entry.CheckKeys(keys));
+  for (const EffectParameter& parameter : (*info)->parameters) {
+    if (!entry[parameter.name].present()) continue;
+    RS_ASSIGN_OR_RETURN(effect.parameters[parameter.name], entry[parameter.name].Number());
+  }
+  if (entry["partner"].present()) {
+    RS_ASSIGN_OR_RETURN(effect.partner, entry["partner"].Text());
+  }
+  RS_ASSIGN_OR_RETURN(effect.fit, entry["fit"].Texts());
+  for (const std::string& name : effect.fit) {
+    if (const auto index = FindParameter(**info, name); !index.ok())
+      return entry["fit"].Error(index.status().message());
+  }
+  return effect;
+}
+
+absl::StatusOr<RigJoint> ReadJoint(const Entry& entry) {
+  RigJoint joint;
+  RS_RETURN_IF_ERROR(entry.CheckKeys(
+      {"name", "input", "velocity", "servo", "enable", "parameters", "fit", "effects"}));
+  RS_ASSIGN_OR_RETURN(joint.name, entry["name"].Text());
+  if (!entry["input"].present()) return entry["input"].Error("is missing");
+  RS_RETURN_IF_ERROR(entry["input"].Choice(kInputs, joint.input));
+  RS_RETURN_IF_ERROR(entry["velocity"].Choice(kVelocitySides, joint.velocity));
+  if (entry["servo"].present()) {
+    RS_ASSIGN_OR_RETURN(joint.servo, ReadServo(entry["servo"]));
+  } else if (joint.input == JointInput::kPositionTarget) {
+    return entry["servo"].Error("is missing; input position_target drives a servo");
+  }
+  const auto& known = ModelParameterNames();
+  const Entry parameters = entry["parameters"];
+  if (parameters.present()) {
+    RS_RETURN_IF_ERROR(parameters.CheckKeys(known));
+    for (const auto& pair : parameters.node()) {
+      RS_ASSIGN_OR_RETURN(joint.parameters[pair.first.Scalar()],
+                          parameters[pair.first.Scalar()].Number());
+    }
+  }
+  if (entry["enable"].present()) {
+    RS_ASSIGN_OR_RETURN(joint.enable, entry["enable"].Text());
+  }
+  RS_ASSIGN_OR_RETURN(joint.fit, entry["fit"].Texts());
+  for (const std::string& name : joint.fit) {
+    if (std::find(known.begin(), known.end(), name) == known.end())
+      return entry["fit"].Error("unknown parameter '", name,
+                                "'; known: ", absl::StrJoin(known, ", "));
+  }
+  const Entry effects = entry["effects"];
+  if (effects.present() && !effects.node().IsSequence())
+    return effects.Error("must be a list of effects");
+  for (size_t i = 0; effects.present() && i < effects.node().size(); ++i) {
+    RS_ASSIGN_OR_RETURN(DeclaredEffect effect, ReadEffect(effects[i]));
+    joint.effects.push_back(std::move(effect));
+  }
+  return joint;
+}
+
+// Replaces every ${NAME} by that environment variable.
+absl::StatusOr<std::string> Expand(const Entry& entry, std::string text) {
+  for (size_t begin = text.find("${"); begin != std::string::npos; begin = text.find("${")) {
+    const size_t end = text.find('}', begin);
+    if (end == std::string::npos) return entry.Error("is '", text, "': '${' without '}'");
+    const std::string name = text.substr(begin + 2, end - begin - 2);
+    const char* value = std::getenv(name.c_str());
+    if (value == nullptr || *value == 0)
+      return entry.Error("is '", text, "', and the environment variable ", name,
+                         " is not set; set it to the folder of the recordings");
+    text.replace(begin, end + 1 - begin, value);
+  }
+  return text;
+}
+
+absl::StatusOr<RigLog> ReadLogEntry(const Entry& entry, const std::filesystem::path& folder,
+                                    const std::vector<RigJoint>& joints) {
+  RigLog log;
+  RS_RETURN_IF_ERROR(entry.CheckKeys({"file", "role", "condition", "overrides"}));
+  RS_ASSIGN_OR_RETURN(std::string file, entry["file"].Text());
+  RS_ASSIGN_OR_RETURN(file, Expand(entry["file"], file));
+  log.file = (folder / file).string();
+  RS_RETURN_IF_ERROR(entry["role"].Choice(kRoles, log.role));
+  if (entry["condition"].present()) {
+    RS_ASSIGN_OR_RETURN(log.condition, entry["condition"].Text());
+  }
+  const Entry overrides = entry["overrides"];
+  if (!overrides.present()) return log;
+  if (!overrides.node().IsMap()) return overrides.Error("must be a map of numbers");
+  for (const auto& pair : overrides.node()) {
+    const std::string key = pair.first.Scalar();
+    const bool known = std::any_of(joints.begin(), joints.end(), [&](const RigJoint& joint) {
+      return key.rfind(joint.name + ".", 0) == 0;
+    });
+    if (!known) return overrides.Error("'", key, "' begins with no joint of this rig");
+    RS_ASSIGN_OR_RETURN(log.overrides[key], overrides[key].Number());
+  }
+  return log;
+}
+
+absl::Status CheckWhole(const Entry& root, const Rig& rig) {
+  std::set<std::string> names;
+  for (const RigJoint& joint : rig.joints) {
+    if (!names.insert(joint.name).second)
+      return root["joints"].Error("joint '", joint.name, "' is listed twice");
+  }
+  std::set<std::string> files;
+  bool any_fit = false;
+  for (const RigLog& log : rig.logs) {
+    if (!files.insert(log.file).second)
+      return root["logs"].Error("file '", log.file, "' is listed twice");
+    any_fit |= log.role == LogRole::kFit;
+  }
+  if (!any_fit) return root["logs"].Error("no log has role fit; nothing could be fitted");
+  return absl::OkStatus();
+}
+
+absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file) {
+  Rig rig;
+  rig.file = file;
+  const std::filesystem::path folder = std::filesystem::path(file).parent_path();
+  RS_RETURN_IF_ERROR(
+      root.CheckKeys({"name", "model", "rate_hz", "joints", "logs", "metric", "folds"}));
+  RS_ASSIGN_OR_RETURN(rig.name, root["name"].Text());
+  RS_ASSIGN_OR_RETURN(const std::string model, root["model"].Text());
+  rig.model = (folder / model).string();
+  RS_ASSIGN_OR_RETURN(rig.rate_hz, root["rate_hz"].Number());
+  if (rig.rate_hz < 1 || rig.rate_hz > 1e5)
+    return root["rate_hz"].Error("is ", rig.rate_hz, ", must be 1 to 100000 rows per second");
+  const Entry joints = root["joints"], logs = root["logs"];
+  if (!joints.present() || !joints.node().IsSequence() || joints.node().size() == 0)
+    return joints.Error("must be a list with at least one joint");
+  for (size_t i = 0; i < joints.node().size(); ++i) {
+    RS_ASSIGN_OR_RETURN(RigJoint joint, ReadJoint(joints[i]));
+    rig.joints.push_back(std::move(joint));
+  }
+  if (!logs.present() || !logs.node().IsSequence() || logs.node().size() == 0)
+    return logs.Error("must be a list with at least one log");
+  for (size_t i = 0; i < logs.node().size(); ++i) {
+    RS_ASSIGN_OR_RETURN(RigLog log, ReadLogEntry(logs[i], folder, rig.joints));
+    rig.logs.push_back(std::move(log));
+  }
+  const Entry metric = root["metric"];
+  if (metric.present()) {
+    RS_RETURN_IF_ERROR(metric.CheckKeys({"type", "window_s", "unit"}));
+    RS_RETURN_IF_ERROR(metric["type"].Choice(kMetrics, rig.metric.type));
+    RS_RETURN_IF_ERROR(metric["window_s"].Optional(0, rig.metric.window_s));
+    if (metric["unit"].present()) {
+      RS_ASSIGN_OR_RETURN(rig.metric.unit, metric["unit"].Text());
+    }
+  }
+  RS_RETURN_IF_ERROR(root["folds"].Choice(kFolds, rig.folds));
+  RS_RETURN_IF_ERROR(CheckWhole(root, rig));
+  return rig;
+}
+
+}  // namespace
+
+const std::vector<std::string>& ModelParameterNames() {
+  static const auto& names = *new std::vector<std::string>{
+      "armature",      "mass_scale",      "damping",     "frictionloss",  "servo.kp", "servo.kd",
+      "torque_offset", "position_offset", "torque_gain", "command_shift", "force_lag"};
+  return names;
+}
+
+absl::StatusOr<Rig> ReadRig(const std::string& file) {
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  try {
+    return ReadRoot(Entry(YAML::Load(text), file + ":"), file);
+  } catch (const YAML::Exception& error) {
+    return absl::InvalidArgumentError(absl::StrCat(file, ": not YAML: ", error.what()));
+  }
+}
+
+std::string WriteRig(const Rig& rig) {
+  const std::filesystem::path folder = std::filesystem::path(rig.file).parent_path();
+  const auto relative = [&](const std::string& path) {
+    return std::filesystem::absolute(path)
+        .lexically_normal()
+        .lexically_relative(std::filesystem::absolute(folder).lexically_normal())
+        .string();
+  };
+  YAML::Emitter out;
+  out.SetDoublePrecision(12);
+  out << YAML::BeginMap;
+  out << YAML::Key << "name" << YAML::Value << rig.name;
+  out << YAML::Key << "model" << YAML::Value << relative(rig.model);
+  out << YAML::Key << "rate_hz" << YAML::Value << rig.rate_hz;
+  out << YAML::Key << "joints" << YAML::Value << YAML::BeginSeq;
+  for (const RigJoint& joint : rig.joints) {
+    out << YAML::BeginMap << YAML::Key << "name" << YAML::Value << joint.name;
+    out << YAML::Key << "input" << YAML::Value << NameOf(kInputs, joint.input);
+    if (joint.velocity != VelocitySide::kReading)
+      out << YAML::Key << "velocity" << YAML::Value << NameOf(kVelocitySides, joint.velocity);
+    if (joint.servo.kp > 0) {
+      const Servo& s = joint.servo;
+      out << YAML::Key << "servo" << YAML::Value << YAML::Flow << YAML::BeginMap;
+      out << YAML::Key << "type" << YAML::Value << NameOf(kServoTypes, s.type);
+      out << YAML::Key << "kp" << YAML::Value << s.kp << YAML::Key << "kd" << YAML::Value << s.kd;
+      if (std::isfinite(s.torque_limit))
+        out << YAML::Key << "torque_limit" << YAML::Value << s.torque_limit;
+      if (s.type == Servo::Type::kDcMotor)
+        out << YAML::Key << "kt" << YAML::Value << s.kt << YAML::Key << "R" << YAML::Value << s.R
+            << YAML::Key << "vin" << YAML::Value << s.vin;
+      out << YAML::Key << "feedback" << YAML::Value << NameOf(kFeedbacks, s.feedback);
+      out << YAML::EndMap;
+    }
+    if (!joint.parameters.empty())
+      out << YAML::Key << "parameters" << YAML::Value << YAML::Flow << joint.parameters;
+    if (!joint.enable.empty()) out << YAML::Key << "enable" << YAML::Value << joint.enable;
+    if (!joint.fit.empty()) out << YAML::Key << "fit" << YAML::Value << YAML::Flow << joint.fit;
+    out << YAML::Key << "effects" << YAML::Value << YAML::BeginSeq;
+    for (const DeclaredEffect& effect : joint.effects) {
+      out << YAML::Flow << YAML::BeginMap << YAML::Key << "type" << YAML::Value << effect.type;
+      for (const auto& [name, value] : effect.parameters)
+        out << YAML::Key << name << YAML::Value << value;
+      if (!effect.partner.empty()) out << YAML::Key << "partner" << YAML::Value << effect.partner;
+      if (!effect.fit.empty()) out << YAML::Key << "fit" << YAML::Value << effect.fit;
+      out << YAML::EndMap;
+    }
+    out << YAML::EndSeq << YAML::EndMap;
+  }
+  out << YAML::EndSeq;
+  out << YAML::Key << "logs" << YAML::Value << YAML::BeginSeq;
+  for (const RigLog& log : rig.logs) {
+    out << YAML::Flow << YAML::BeginMap;
+    out << YAML::Key << "file" << YAML::Value << relative(log.file);
+    out << YAML::Key << "role" << YAML::Value << NameOf(kRoles, log.role);
+    if (!log.condition.empty()) out << YAML::Key << "condition" << YAML::Value << log.condition;
+    if (!log.overrides.empty()) out << YAML::Key << "overrides" << YAML::Value << log.overrides;
+    out << YAML::EndMap;
+  }
+  out << YAML::EndSeq;
+  out << YAML::Key << "metric" << YAML::Value << YAML::Flow << YAML::BeginMap;
+  if (rig.metric.type == Metric::Type::kMeanAbsolute)
+    out << YAML::Key << "type" << YAML::Value << "position_mae";
+  out << YAML::Key << "window_s" << YAML::Value << rig.metric.window_s;
+  if (!rig.metric.unit.empty()) out << YAML::Key << "unit" << YAML::Value << rig.metric.unit;
+  out << YAML::EndMap;
+  out << YAML::Key << "folds" << YAML::Value << NameOf(kFolds, rig.folds);
+  out << YAML::EndMap;
+  return std::string(out.c_str()) + "\n";
+}
+
+}  // namespace robostress::calibration

@@ -1,0 +1,57 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "calibration/model/joint_model.h"
+
+namespace robostress::calibration {
+
+// The effects of one model with their hidden states, by stage. `model` outlives it.
+class EffectChain {
+ public:
+  explicit EffectChain(const JointModel& model);
+  // With the same hidden states.
+  EffectChain Copy() const;
+
+  const std::vector<JointEffect*>& stage(EffectStage s) const {
+    return by_stage_[static_cast<int>(s)];
+  }
+  bool empty() const { return objects_.empty(); }
+  // Drive, joint and transmission stage.
+  void Reset(const JointMoment& moment);
+  double Drive(double torque, const JointMoment& moment) const;
+  // Link angle minus motor angle [rad].
+  double Offset(const JointMoment& moment);
+  double Reading(double q_link) const;
+  // The link angle of a reading, which is affine in it.
+  double LinkOf(double reading) const;
+
+  bool has_gap() const { return !gaps_.empty(); }
+  // Whether a state depends on a way that was gone long ago.
+  bool remembers_way() const { return has_gap() || !with_memory.empty(); }
+  // Whether a motor that moves with `dq` from where it was at the last Offset does not move the
+  // link: it is within a backlash or turns away from the side that it pushed.
+  bool MovesAlone(double dq) const { return has_gap() && side_ * dq <= 0; }
+
+  std::vector<JointEffect*> with_memory, memoryless;  // of the joint stage
+  bool needs_payload = false, needs_tilt = false, has_state = false, oscillates = false;
+  int partner = -1;
+
+ private:
+  struct Gap {
+    const JointEffect* effect;
+    double half_width;  // [rad]
+  };
+  // [model.effects]
+  EffectChain(const JointModel& model, std::vector<std::unique_ptr<JointEffect>> objects);
+
+  const JointModel& model_;
+  std::vector<std::unique_ptr<JointEffect>> objects_;
+  std::vector<JointEffect*> by_stage_[5];
+  std::vector<Gap> gaps_;
+  double position_offset_ = 0;
+  int side_ = 0;  // that the motor pushes: forwards 1, backwards -1; 0: within the gap
+};
+
+}  // namespace robostress::calibration

@@ -1,0 +1,381 @@
+#include "calibration/model/joint_simulation.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace robostress::calibration {
+
+namespace {
+constexpr double kRunaway = 1e4;  // [rad]
+}  // namespace
+
+struct JointSimulation::State {
+  double t = 0, q = 0, dq = 0, offset = 0;
+};
+
+namespace {
+
+// Torque asked of the motor, and how it falls with the velocity [Nm s/rad] where it is not at a
+// limit.
+struct Asked {
+  double torque = 0, slope = 0;
+};
+
+Asked ServoTorque(const Servo& servo, double command, double q, double dq) {
+  if (servo.type == Servo::Type::kDcMotor) {
+    const double voltage = std::clamp(servo.kp * (command - q), -servo.vin, servo.vin);
+    const double back = servo.kt * servo.kt / servo.R;
+    return {servo.kt / servo.R * voltage - back * dq, back};
+  }
+  const double torque = servo.kp * (command - q) - servo.kd * dq;
+  if (std::abs(torque) > servo.torque_limit) return {std::copysign(servo.torque_limit, torque), 0};
+  return {torque, servo.kd};
+}
+
+}  // namespace
+
+std::vector<JointTrack> MakeTracks(const Plant& plant, const std::vector<MeasuredLog>& logs,
+                                   int joint) {
+  std::vector<JointTrack> tracks;
+  for (const MeasuredLog& log : logs)
+    tracks.push_back({&log, joint, plant.single(), plant.Rows(joint, log)});
+  return tracks;
+}
+
+double MeanInertia(const std::vector<JointTrack>& tracks) {
+  double sum = 0, count = 0;
+  for (const JointTrack& track : tracks)
+    for (const PlantRow& row : track.rows) sum += row.inertia, count += 1;
+  return count > 0 ? sum / count : 0;
+}
+
+JointSimulation::JointSimulation(const JointTrack& track) : track_(track) {
+  sub_steps_ = std::max(1, static_cast<int>(std::ceil(track.log->dt / kMaxSubStep - 1e-6)));
+  h_ = track.log->dt / sub_steps_;
+}
+
+JointSimulation::~JointSimulation() = default;
+
+// The command of every sub-step: held from `command_shift` rows after its row on, averaged over the
+// sub-step, through the effects of the command stage.
+void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain) {
+  const JointRecord& record = track_.record();
+  const std::vector<double>& given = model.input == JointInput::kPositionTarget ? record.command
+                                     : model.input == JointInput::kTransmission ? record.q_motor
+                                                                                : record.tau;
+  const std::vector<JointEffect*>& command_stage = chain.stage(EffectStage::kCommand);
+  const int steps = model.input == JointInput::kTransmission ? 1 : sub_steps_;
+  const size_t count = static_cast<size_t>(track_.log->rows) * steps;
+  commands_.resize(count);
+  JointMoment moment;
+  moment.h = track_.log->dt / steps;
+  for (JointEffect* effect : command_stage) effect->Reset(moment);
+  const auto integral = [&](double at) {  // of the held commands from row 0 [rows]
+    at = std::clamp(at, 0.0, static_cast<double>(given.size()));
+    const size_t row = std::min(static_cast<size_t>(at), given.size() - 1);
+    return sums_[row] + (at - static_cast<double>(row)) * given[row];
+  };
+  const bool shifted = model.command_shift != 0 && model.input != JointInput::kTransmission;
+  if (shifted) {
+    sums_.assign(given.size() + 1, 0);
+    for (size_t i = 0; i < given.size(); ++i) sums_[i + 1] = sums_[i] + given[i];
+  }
+  double high = -model.command_shift, sum = shifted ? integral(high) : 0;
+  for (size_t row = 0; row < given.size(); ++row) {
+    for (int i = 0; i < steps; ++i) {
+      double command = given[row];
+      if (shifted) {
+        const double low = high, before = sum;
+        high = static_cast<double>(row) + static_cast<double>(i + 1) / steps - model.command_shift;
+        sum = integral(high);
+        const double within = std::clamp(high, 0.0, static_cast<double>(given.size())) -
+                              std::clamp(low, 0.0, static_cast<double>(given.size()));
+        if (within > 0) command = (sum - before) / within;
+      }
+      const size_t at = row * steps + i;
+      moment.t = static_cast<double>(at) * moment.h;
+      for (JointEffect* effect : command_stage) command = effect->Command(command, moment);
+      commands_[at] = command;
+    }
+  }
+}
+
+void JointSimulation::Predict(const JointModel& model, int window, const std::vector<char>& chosen,
+                              StartOffset offset, absl::Span<double> predicted) {
+  EffectChain chain(model);
+  ShapeCommands(model, chain);
+  switch (model.input) {
+    case JointInput::kPositionTarget:
+    case JointInput::kTorque:
+      return FreeRun(model, chain, window, chosen, offset, 0, predicted, {});
+    case JointInput::kTransmission:
+      return Transmission(chain, predicted);
+    case JointInput::kInverse:
+      return Inverse(model, chain, predicted);
+  }
+}
+
+void JointSimulation::PredictMotion(const JointModel& model, int window, int shift,
+                                    StartOffset offset, absl::Span<double> readings,
+                                    absl::Span<double> velocities) {
+  EffectChain chain(model);
+  ShapeCommands(model, chain);
+  FreeRun(model, chain, window, {}, offset, shift, readings, velocities);
+}
+
+// Fills what depends on posture and time alone.
+void JointSimulation::Describe(const EffectChain& chain, int row, double q, JointMoment& moment) {
+  const PlantRow& p = plant(row);
+  if (track_.single &&
+      (p.gravity.a != 0 || p.gravity.b != 0 || chain.needs_payload || chain.needs_tilt))
+    posture_.Turn(q);
+  const auto value = [&](const PlantTerm& term) {
+    return Evaluate(term, track_.single, posture_.cosine, posture_.sine, q, p.q_ref);
+  };
+  moment.gravity = value(p.gravity);
+  if (chain.needs_payload) {
+    moment.payload_gravity = value(p.payload_gravity);
+    moment.payload_inertia = p.payload_inertia;
+  }
+  if (chain.needs_tilt) {
+    for (int i = 0; i < 2; ++i) moment.tilt_gravity[i] = value(p.tilt_gravity[i]);
+  }
+  if (chain.partner >= 0) moment.coupled_q = track_.log->joints[chain.partner].q_smooth[row];
+}
+
+namespace {
+
+// Velocity after a time under a constant torque and dry friction, which turns with the motion, and
+// the way gone. per_torque [1 / (kg m^2)].
+struct Stroke {
+  double dq = 0, way = 0;
+};
+
+Stroke Advance(double dq, double torque, const DryFriction& dry, double per_torque, double time) {
+  const double forward = std::max(0.0, dry.forward), backward = std::max(0.0, dry.backward);
+  double way = 0;
+  if (dq != 0) {
+    const double a = per_torque * (dq > 0 ? torque - forward : torque + backward);
+    const double next = dq + a * time;
+    if (next * dq >= 0) return {next, 0.5 * time * (dq + next)};
+    way = -0.5 * dq * dq / a;
+    time += dq / a;  // what is left after the stop
+  }
+  const double free = torque > forward ? torque - forward : std::min(0.0, torque + backward);
+  return {per_torque * free * time, way + 0.5 * per_torque * free * time * time};
+}
+
+}  // namespace
+
+void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int row, double command,
+                              State& s) {
+  const PlantRow& p = plant(row);
+  const double lead = 0.5 * h_ - model.force_lag;
+  const double middle = s.q + lead * s.dq;
+  JointMoment moment;
+  moment.t = s.t;
+  moment.h = h_;
+  moment.q = middle;
+  moment.dq = s.dq;
+  Describe(chain, row, middle, moment);
+
+  Asked asked{command, 0};
+  if (model.input == JointInput::kPositionTarget) {
+    const double side = model.servo.feedback == ServoFeedback::kMotor ? middle : middle + s.offset;
+    asked = ServoTorque(model.servo, command, chain.Reading(side), s.dq);
+  }
+  if (!Enabled(row)) asked = {};
+  moment.drive = model.torque_gain * chain.Drive(asked.torque, moment);
+  DryFriction lasting{model.frictionloss, model.frictionloss};
+  double held = moment.drive + model.torque_offset -
+                model.mass_scale * (moment.gravity + p.coupling) -
+                model.stiffness * (middle - model.spring_rest) - model.damping * s.dq;
+  double inertia = model.armature + model.mass_scale * p.inertia;
+  for (JointEffect* effect : chain.with_memory) held += effect->Torque(moment, lasting);
+  if (chain.needs_payload)
+    for (JointEffect* effect : chain.stage(EffectStage::kJoint)) inertia += effect->Inertia(moment);
+  // Exact for damping and kd while the other torques hold, up to x^3 of x = h d / M:
+  // h / M (1 - e^-x) / x; positive and without overshoot for every x.
+  const double x = h_ * (model.damping + model.torque_gain * asked.slope) / inertia;
+  const double kick = h_ / (inertia * (1 + x * (1.0 / 2 + x / 12)));
+  const auto stroke_at = [&](double dq) {
+    moment.dq = dq;
+    DryFriction dry = lasting;
+    double torque = held;
+    for (JointEffect* effect : chain.memoryless) torque += effect->Torque(moment, dry);
+    return Advance(s.dq, torque, dry, kick / h_, h_);
+  };
+  Stroke stroke = stroke_at(s.dq);
+  // Friction that falls with the velocity drives itself: taken at the middle of the sub-step.
+  const double mean = 0.5 * (s.dq + stroke.dq);
+  if (!chain.memoryless.empty() && mean * s.dq > 0) stroke = stroke_at(mean);
+  s.q += stroke.way;
+  s.dq = stroke.dq;
+  s.t += h_;
+  moment.q = s.q;
+  moment.dq = s.dq;
+  s.offset = chain.Offset(moment);
+}
+
+// The moment at the beginning of a step of a row, as measured; the velocity is the step's. The
+// motor's angle is the link's less the offset; inside a gap, where the link says nothing of it, it
+// follows the motor's velocity where that was logged, else the model's own motion.
+JointMoment JointSimulation::MeasuredMoment(const JointModel& model, const EffectChain& chain,
+                                            int row, int step, const State& s) {
+  const JointRecord& record = track_.record();
+  const int steps = LeadSteps(chain);
+  const double share = static_cast<double>(step) / steps;
+  const int next = std::min(row + 1, track_.log->rows - 1);
+  const double link =
+      chain.LinkOf(record.q_smooth[row] + share * (record.q_smooth[next] - record.q_smooth[row]));
+  JointMoment moment;
+  moment.h = track_.log->dt / steps;
+  moment.t = (row + share) * track_.log->dt;
+  const double middle = (step + 0.5) / steps;
+  moment.dq = record.dq[row] + middle * (record.dq[next] - record.dq[row]);
+  moment.q = chain.MovesAlone(moment.dq) ? s.q : link - s.offset;
+  Describe(chain, row, moment.q, moment);
+  const double command =
+      commands_[static_cast<size_t>(row) * sub_steps_ + step * sub_steps_ / steps];
+  double asked = command;
+  if (model.input == JointInput::kPositionTarget) {
+    const double side = model.servo.feedback == ServoFeedback::kMotor ? moment.q : link;
+    asked = ServoTorque(model.servo, command, chain.Reading(side), moment.dq).torque;
+  }
+  if (!Enabled(row)) asked = 0;
+  moment.drive = model.torque_gain * chain.Drive(asked, moment);
+  return moment;
+}
+
+// The row from which the state of row `start` is led. Where memory is long it is the same for all
+// windows of a span, whichever are chosen: they are led one after the other.
+int JointSimulation::LeadFrom(int start, const EffectChain& chain) const {
+  const double dt = track_.log->dt;
+  if (!chain.has_state) return std::max(0, start - 1);
+  if (!chain.remembers_way()) return std::max(0, start - static_cast<int>(kWarmUp / dt));
+  const int span = std::max(1, static_cast<int>(kLeadSpan / dt));
+  return std::max(0, start / span * span - static_cast<int>(kLongWarmUp / dt));
+}
+
+void JointSimulation::BeginLead(const JointModel& model, EffectChain& chain, int first, State& s) {
+  const JointRecord& record = track_.record();
+  s = {.q = chain.LinkOf(record.q_smooth[first]), .dq = record.dq[first]};
+  const JointMoment moment = MeasuredMoment(model, chain, first, 0, s);
+  chain.Reset(moment);
+  s.offset = chain.Offset(moment);
+}
+
+// Along the measured motion, rows first ... last - 1; leaves the state at row `last`.
+void JointSimulation::Lead(const JointModel& model, EffectChain& chain, int first, int last,
+                           State& s) {
+  const JointRecord& record = track_.record();
+  for (int row = first; row < last; ++row) {
+    s.t = row * track_.log->dt;
+    if (!record.velocity_of_motor && chain.MovesAlone(record.dq[row])) {
+      for (int i = 0; i < sub_steps_; ++i)
+        SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
+      continue;
+    }
+    for (int i = 0; i < LeadSteps(chain); ++i) {
+      const JointMoment moment = MeasuredMoment(model, chain, row, i, s);
+      DryFriction ignored;
+      for (JointEffect* effect : chain.with_memory) effect->Torque(moment, ignored);
+      s.offset = chain.Offset(moment);
+      s.q = moment.q + moment.h * moment.dq;
+      s.dq = moment.dq;
+    }
+  }
+  s.t = last * track_.log->dt;
+  const bool alone = chain.MovesAlone(record.dq[last]);
+  if (!alone) s.q = chain.LinkOf(record.q_smooth[last]) - s.offset;
+  if (!alone || record.velocity_of_motor) s.dq = record.dq[last];
+}
+
+void JointSimulation::FreeRun(const JointModel& model, EffectChain& chain, int window,
+                              const std::vector<char>& chosen, StartOffset offset, int shift,
+                              absl::Span<double> readings, absl::Span<double> velocities) {
+  const int rows = track_.log->rows;
+  if (window <= 0) window = rows;
+  State led;
+  int led_from = -1, led_to = 0;
+  for (int start = 0, end = 0; start < rows; start = end) {
+    end = std::min(rows, start == 0 && shift > 0 ? shift : start + window);
+    if (!chosen.empty() && chosen[start / window] == 0) continue;
+    if (const int from = LeadFrom(start, chain); from != led_from) {
+      BeginLead(model, chain, from, led);
+      led_from = led_to = from;
+    }
+    Lead(model, chain, led_to, start, led);
+    led_to = start;
+    if (chain.has_state) {
+      EffectChain own = chain.Copy();
+      Run(model, own, start, end, led, offset, readings, velocities);
+    } else {
+      Run(model, chain, start, end, led, offset, readings, velocities);
+    }
+  }
+}
+
+void JointSimulation::Run(const JointModel& model, EffectChain& chain, int start, int end, State s,
+                          StartOffset offset, absl::Span<double> readings,
+                          absl::Span<double> velocities) {
+  s.q += offset.q;
+  s.dq += offset.dq;
+  for (int row = start; row < end; ++row) {
+    // A model that runs away is far off, but a number: fits then turn back.
+    if (!(std::abs(s.q) < kRunaway)) s = {s.t, std::copysign(kRunaway, s.q)};
+    readings[row] = chain.Reading(s.q + s.offset);
+    if (!velocities.empty()) velocities[row] = s.dq;
+    for (int i = 0; i < sub_steps_; ++i)
+      SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
+  }
+}
+
+void JointSimulation::Transmission(EffectChain& chain, absl::Span<double> predicted) {
+  const JointRecord& record = track_.record();
+  JointMoment moment;
+  moment.h = track_.log->dt;
+  moment.q = commands_[0];
+  moment.drive = record.tau.empty() ? 0 : record.tau[0];
+  chain.Reset(moment);
+  for (int row = 0; row < track_.log->rows; ++row) {
+    moment.t = row * moment.h;
+    moment.q = commands_[row];
+    moment.dq = record.dq[row];
+    moment.drive = record.tau.empty() ? 0 : record.tau[row];
+    predicted[row] = chain.Reading(moment.q + chain.Offset(moment));
+  }
+}
+
+void JointSimulation::Inverse(const JointModel& model, EffectChain& chain,
+                              absl::Span<double> predicted) {
+  const JointRecord& record = track_.record();
+  JointMoment moment;
+  moment.h = track_.log->dt;
+  for (int row = 0; row < track_.log->rows; ++row) {
+    const PlantRow& p = plant(row);
+    moment.t = row * moment.h;
+    moment.q = chain.LinkOf(record.q_smooth[row]);
+    moment.dq = record.dq[row];
+    Describe(chain, row, moment.q, moment);
+    const double given = commands_[static_cast<size_t>(row) * sub_steps_];
+    moment.drive = model.torque_gain * chain.Drive(given, moment);
+    if (row == 0) chain.Reset(moment);
+    DryFriction dry{model.frictionloss, model.frictionloss};
+    double inertia = model.armature + model.mass_scale * p.inertia;
+    double torque = model.mass_scale * (moment.gravity + p.coupling) - model.torque_offset +
+                    model.stiffness * (moment.q - model.spring_rest) + model.damping * moment.dq;
+    for (JointEffect* effect : chain.stage(EffectStage::kJoint)) {
+      torque -= effect->Torque(moment, dry);
+      inertia += effect->Inertia(moment);
+    }
+    torque += inertia * record.ddq[row];
+    // Smooth through rest, where the direction is noise.
+    const double speed = 2 * record.start_noise_dq;
+    const double direction = std::tanh(moment.dq / std::max(speed, 1e-9));
+    torque += direction * std::max(0.0, direction > 0 ? dry.forward : dry.backward);
+    predicted[row] = torque - (moment.drive - given);
+  }
+}
+
+}  // namespace robostress::calibration

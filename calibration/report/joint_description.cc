@@ -1,0 +1,277 @@
+#include "calibration/report/joint_description.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_replace.h"
+#include "calibration/search/residual_tests.h"
+#include "calibration/search/verdict.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr double kExample = 4.0;  // [s] of a log that the report shows
+
+const char* InputName(JointInput input) {
+  switch (input) {
+    case JointInput::kPositionTarget:
+      return "position_target";
+    case JointInput::kTorque:
+      return "torque";
+    case JointInput::kInverse:
+      return "inverse";
+    case JointInput::kTransmission:
+      return "transmission";
+  }
+  return "";
+}
+
+// Unit of the report and how many of it one SI unit is.
+std::pair<std::string, double> ReportUnit(const Metric& metric, JointInput input, bool hinge) {
+  static const std::vector<std::pair<std::string, double>> known = {
+      {"rad", 1}, {"mrad", 1e3}, {"deg", 180 / M_PI}, {"mdeg", 180e3 / M_PI},
+      {"m", 1},   {"mm", 1e3},   {"um", 1e6},         {"Nm", 1},
+      {"N", 1}};
+  for (const auto& [unit, factor] : known)
+    if (unit == metric.unit) return {unit, factor};
+  if (input == JointInput::kInverse) return {hinge ? "Nm" : "N", 1};
+  return {hinge ? "rad" : "m", 1};
+}
+
+class Description {
+ public:
+  Description(const JointCase& joint, const Finding& finding)
+      : joint_(joint),
+        finding_(finding),
+        trace_(finding.trace),
+        before_(Model(trace_.declared.fit.best)),
+        after_(Model(trace_.after.fit.best)) {
+    std::tie(unit_, factor_) =
+        ReportUnit(joint.rig.metric, joint.declared().input, joint.plant.hinge(joint.index));
+  }
+
+  JointReport Tell() const {
+    JointReport report;
+    report.joint = joint_.declared().name;
+    report.input = InputName(joint_.declared().input);
+    report.unit = unit_;
+    report.rounds = trace_.rounds;
+    for (RoundReport& round : report.rounds) round.cv_error *= factor_;
+    report.not_testable = trace_.not_testable;
+    DescribeErrors(report);
+    report.declared_parameters = Parameters(trace_.declared.fit, "");
+    report.after_parameters = Parameters(trace_.after.fit, "");
+    report.mimics_exposed = MimicsExposed(report);
+    DescribeEffects(report);
+    DescribeResidual(report);
+    const Judgement judgement = Judge(EvidenceOf(report));
+    report.verdict = judgement.verdict;
+    report.because = judgement.because;
+    report.excess_explained = judgement.excess_explained;
+    return report;
+  }
+
+ private:
+  static JointModel Model(const Hypothesis& h) { return ModelAt(h, h.x); }
+
+  void DescribeErrors(JointReport& report) const {
+    report.mean_absolute = joint_.rig.metric.type == Metric::Type::kMeanAbsolute;
+    report.fit = Errors(LogRole::kFit);
+    report.held_out = Errors(LogRole::kHeldOut);
+    report.transfer = Errors(LogRole::kTransfer);
+    if (joint_.metric.own())
+      report.left_out = {factor_ * finding_.left_out_declared, factor_ * finding_.left_out_after,
+                         factor_ * joint_.metric.Floor(LogRole::kFit), true};
+    report.cross_validated = {factor_ * trace_.declared.cv.Rms(), factor_ * trace_.after.cv.Rms(),
+                              factor_ * joint_.problem.ProjectedFloor(joint_.Fit()), true};
+    report.full_run = FullRun();
+  }
+
+  ErrorReport Errors(LogRole role) const {
+    if (!joint_.metric.Has(role)) return {};
+    return {factor_ * joint_.metric.Error(before_, role),
+            factor_ * joint_.metric.Error(after_, role), factor_ * joint_.metric.Floor(role), true};
+  }
+  ErrorReport FullRun() const {
+    if (joint_.declared().input == JointInput::kInverse ||
+        joint_.declared().input == JointInput::kTransmission)
+      return {};
+    const JointProblem whole(joint_.declared().name, joint_.problem.tracks(), 0);
+    WindowSet windows = whole.OfRole(LogRole::kHeldOut);
+    if (whole.Rows(windows) == 0) windows = whole.OfRole(LogRole::kFit);
+    return {factor_ * whole.Rms(before_, windows), factor_ * whole.Rms(after_, windows), 0, true};
+  }
+
+  // Free parameters whose path begins with `prefix`, without it.
+  std::vector<ParameterReport> Parameters(const JointFit& fit, const std::string& prefix) const {
+    const std::vector<double> std = StandardDeviations(joint_.problem, fit, joint_.Fit());
+    std::vector<ParameterReport> parameters;
+    for (size_t i = 0; i < fit.best.free.size(); ++i) {
+      const FreeParameter& free = fit.best.free[i];
+      if (!absl::StartsWith(free.path, prefix)) continue;
+      parameters.push_back({free.path.substr(prefix.size()), UnitOf(free.path),
+                            free.ToValue(fit.best.x[static_cast<int>(i)]), std[i],
+                            fit.at_bound[i] != 0});
+    }
+    return parameters;
+  }
+  std::string UnitOf(const std::string& path) const {
+    std::string unit;
+    for (const EffectInfo& effect : EffectLibrary())
+      for (const EffectParameter& parameter : effect.parameters)
+        if (path == effect.type + "." + parameter.name) unit = parameter.unit;
+    static const std::vector<std::pair<std::string, std::string>> model = {
+        {"armature", "kg m^2"},    {"mass_scale", "1"},    {"damping", "Nm s/rad"},
+        {"frictionloss", "Nm"},    {"servo.kp", "Nm/rad"}, {"servo.kd", "Nm s/rad"},
+        {"torque_offset", "Nm"},   {"torque_gain", "1"},   {"position_offset", "rad"},
+        {"command_shift", "rows"}, {"force_lag", "s"}};
+    for (const auto& [name, its_unit] : model)
+      if (path == name) unit = its_unit;
+    return OfJoint(unit);
+  }
+  // The unit of a hinge, or what stands for it on a slide.
+  std::string OfJoint(const std::string& unit) const {
+    if (joint_.plant.hinge(joint_.index)) return unit;
+    return absl::StrReplaceAll(unit, {{"kg m^2", "kg"}, {"Nm", "N"}, {"rad", "m"}});
+  }
+
+  // Declared parameters that fell by half or more, beyond their own uncertainty, when an effect
+  // came in.
+  std::vector<std::string> MimicsExposed(const JointReport& report) const {
+    std::vector<std::string> exposed;
+    if (trace_.after.added.empty()) return exposed;
+    for (const ParameterReport& before : report.declared_parameters) {
+      if (before.name != "torque_offset" && before.name != "position_offset") continue;
+      for (const ParameterReport& later : report.after_parameters) {
+        if (later.name != before.name || std::abs(before.value) < 3 * before.std ||
+            std::abs(later.value) > 0.5 * std::abs(before.value))
+          continue;
+        exposed.push_back(absl::StrFormat("%s falls from %.4g to %.4g %s: it stood in for %s",
+                                          before.name, before.value, later.value, before.unit,
+                                          trace_.after.added.front()));
+      }
+    }
+    return exposed;
+  }
+
+  void DescribeEffects(JointReport& report) const {
+    const Hypothesis& later = trace_.after.fit.best;
+    for (size_t i = 0; i < trace_.after.added.size(); ++i) {
+      const std::string& type = trace_.after.added[i];
+      AddedEffectReport effect;
+      effect.type = type;
+      effect.parameters = Parameters(trace_.after.fit, type + ".");
+      JointFit without = Minimise(joint_.problem, WithoutEffect(later, type), joint_.Fit());
+      joint_.metric.Refit(without);
+      effect.held_out_error_before =
+          factor_ * joint_.metric.Error(Model(without.best), joint_.UnseenRole());
+      effect.held_out_error_after = factor_ * joint_.metric.Error(after_, joint_.UnseenRole());
+      effect.p_value = trace_.after.p_values[i];
+      effect.cv_gain = trace_.after.cv_gains[i];
+      effect.ambiguous_with = trace_.rivals[i];
+      if (!effect.ambiguous_with.empty()) {
+        std::vector<std::string> group = {type};
+        group.insert(group.end(), effect.ambiguous_with.begin(), effect.ambiguous_with.end());
+        report.groups.push_back(std::move(group));
+        effect.separating_experiment = (*FindEffect(type))->separated_by;
+      }
+      report.effects.push_back(std::move(effect));
+    }
+  }
+
+  void DescribeResidual(JointReport& report) const {
+    const WindowSet windows = joint_.Unseen();
+    report.residual_declared = Whiteness(before_, windows);
+    report.residual_after = Whiteness(after_, windows);
+    report.structure = MeasureStructure(joint_.problem, before_, after_, windows, factor_);
+    for (StructureCurve& curve : report.structure) curve.unit = OfJoint(curve.unit);
+    NameStrongest(report.structure, false, report.residual_declared);
+    NameStrongest(report.structure, true, report.residual_after);
+    report.examples.push_back(Example());
+  }
+  WhitenessReport Whiteness(const JointModel& model, const WindowSet& windows) const {
+    return TestWhiteness(joint_.problem, joint_.problem.Projected(model, windows), windows);
+  }
+  static void NameStrongest(const std::vector<StructureCurve>& curves, bool after,
+                            WhitenessReport& report) {
+    double most = 0;
+    for (const StructureCurve& curve : curves) {
+      const double share = after ? curve.explained_after : curve.explained_declared;
+      if (share <= std::max(most, curve.limit) || curve.limit == 0) continue;
+      most = share;
+      report.strongest =
+          absl::StrFormat("%s holds %.0f %% of the variance", curve.against, 100 * share);
+    }
+    if (most == 0)
+      report.strongest = report.white ? "nothing"
+                                      : "correlated in time, with none of position, "
+                                        "velocity, load and time";
+  }
+
+  // The stretch where the declared model is worst.
+  ExampleReport Example() const {
+    const WindowSet windows = joint_.Unseen();
+    size_t track = 0;
+    for (size_t i = 0; i < windows.size(); ++i)
+      if (windows[i]) track = joint_.problem.windows()[i].track;
+    const MeasuredLog& log = *joint_.problem.tracks()[track].log;
+    const std::vector<double> before = joint_.problem.TrackResidual(before_, track);
+    const std::vector<double> later = joint_.problem.TrackResidual(after_, track);
+    const int rows = std::min(log.rows, static_cast<int>(kExample / log.dt));
+    int worst = 0;
+    double energy = 0, most = -1;
+    for (int i = 0; i < log.rows; ++i) {
+      energy += before[i] * before[i] - (i >= rows ? before[i - rows] * before[i - rows] : 0);
+      if (i >= rows - 1 && energy > most) most = energy, worst = i - rows + 1;
+    }
+    ExampleReport example;
+    example.log = log.file;
+    const std::vector<double>& measured =
+        joint_.problem.tracks()[track].measured(joint_.declared().input);
+    const int step = std::max(1, rows / 800);
+    for (int i = worst; i < worst + rows; i += step) {
+      example.t.push_back(i * log.dt);
+      example.measured.push_back(factor_ * measured[i]);
+      example.declared.push_back(factor_ * (measured[i] + before[i]));
+      example.after.push_back(factor_ * (measured[i] + later[i]));
+    }
+    return example;
+  }
+
+  Evidence EvidenceOf(const JointReport& report) const {
+    Evidence evidence;
+    const WindowSet unseen = joint_.Unseen(), transfer = joint_.problem.OfRole(LogRole::kTransfer);
+    evidence.declared = joint_.ProjectedRms(before_, unseen);
+    evidence.declared_bulk = joint_.ProjectedBulk(before_, unseen);
+    evidence.after = joint_.ProjectedRms(after_, unseen);
+    evidence.floor = joint_.problem.ProjectedFloor(unseen);
+    evidence.inverse = joint_.declared().input == JointInput::kInverse;
+    evidence.declared_white = report.residual_declared.white;
+    evidence.transfer_declared = joint_.ProjectedRms(before_, transfer);
+    evidence.transfer_after = joint_.ProjectedRms(after_, transfer);
+    evidence.effects = static_cast<int>(trace_.after.added.size());
+    evidence.ambiguous = !report.groups.empty();
+    for (const CandidateReport& line : trace_.rounds.front().candidates)
+      evidence.significant |= line.p_value <= 0.01;
+    for (const char fits : joint_.Fit()) evidence.windows += fits;
+    return evidence;
+  }
+
+  const JointCase& joint_;
+  const Finding& finding_;
+  const Trace& trace_;
+  const JointModel before_, after_;
+  std::string unit_;
+  double factor_ = 1;
+};
+
+}  // namespace
+
+JointReport DescribeJoint(const JointCase& joint, const Finding& finding) {
+  return Description(joint, finding).Tell();
+}
+
+}  // namespace robostress::calibration

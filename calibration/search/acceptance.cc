@@ -1,0 +1,94 @@
+#include "calibration/search/acceptance.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr double kMinBicGain = 10;
+constexpr double kMinFolds = 0.75;       // share of folds that must gain
+constexpr double kMinExcessGain = 0.25;  // of the energy above the floor
+constexpr double kMinSigmas = 3;         // of the size
+constexpr double kMaxSpread = 0.5;       // of the size over folds, relative
+
+}  // namespace
+
+double Acceptance::Excess(const TracedModel& model) const {
+  return std::max(0.0, model.cv.Rms() * model.cv.Rms() - floor_ * floor_);
+}
+
+bool Acceptance::ExplainsMore(const TracedModel& base, const TracedModel& model) const {
+  return Excess(model) <= (1 - kMinExcessGain) * Excess(base);
+}
+
+std::string Acceptance::Objection(const TracedModel& base, const TracedModel& model,
+                                  double p) const {
+  if (model.cv.energy.empty()) return "others fit better";
+  if (p > kMaxPValue) return absl::StrFormat("chance explains as much (p = %.3f)", p);
+  const double gain = 1 - model.cv.Rms() / base.cv.Rms();
+  if (gain < kMinCvGain)
+    return absl::StrFormat("the cross-validated error falls by %.1f %% only", 100 * gain);
+  if (!ExplainsMore(base, model))
+    return absl::StrFormat("it explains %.0f %% of what is above the noise",
+                           100 * (1 - Excess(model) / std::max(Excess(base), 1e-300)));
+  const WindowSet bulk = base.cv.Bulk();
+  if (model.cv.Rms(bulk) > (1 - kMinCvGain) * base.cv.Rms(bulk))
+    return "it helps in the worst tenth of the free runs only";
+  const size_t folds = model.cv.fold_rms.size();
+  int gained = 0;
+  for (size_t f = 0; f < folds; ++f) gained += model.cv.fold_rms[f] < base.cv.fold_rms[f];
+  if (gained < kMinFolds * static_cast<double>(folds))
+    return absl::StrFormat("only %d of %d folds gain", gained, folds);
+  if (BicGain(base, model) < kMinBicGain)
+    return absl::StrFormat("BIC falls by %.0f only", BicGain(base, model));
+  for (size_t i = base.added.size(); i < model.added.size(); ++i) {
+    std::string objection = SizeObjection(model, model.added[i]);
+    if (!objection.empty()) return objection;
+  }
+  return "";
+}
+
+double Acceptance::BicGain(const TracedModel& base, const TracedModel& model) const {
+  const Eigen::VectorXd r =
+      problem_.Projected(ModelAt(model.fit.best, model.fit.best.x), fit_windows_);
+  const double n = static_cast<double>(r.size()) / CorrelationRows(r);
+  const double more = static_cast<double>(model.fit.best.free.size()) -
+                      static_cast<double>(base.fit.best.free.size());
+  return 2 * n * std::log(base.fit.rms / std::max(model.fit.rms, 1e-300)) - more * std::log(n);
+}
+
+std::string Acceptance::SizeObjection(const TracedModel& model, const std::string& added) const {
+  const Hypothesis& best = model.fit.best;
+  const EffectInfo& effect = **FindEffect(added);
+  int largest = -1;
+  for (const int amplitude : effect.amplitudes) {
+    const std::string path = effect.type + "." + effect.parameters[amplitude].name;
+    for (size_t i = 0; i < best.free.size(); ++i) {
+      if (best.free[i].path != path) continue;
+      const int k = static_cast<int>(i);
+      if (largest < 0 || std::abs(best.x[k]) > std::abs(best.x[largest])) largest = k;
+    }
+  }
+  if (largest < 0) return "";
+  const FreeParameter& free = best.free[largest];
+  const std::vector<double> std = StandardDeviations(problem_, model.fit, fit_windows_);
+  const double size = free.inverse ? free.ToValue(best.x[largest]) : free.scale * best.x[largest];
+  if (std::abs(size) < kMinSigmas * std[largest])
+    return absl::StrFormat("%s is %.3g +- %.2g", free.path, size, std[largest]);
+  if (model.fit.at_bound[largest]) return absl::StrCat(free.path, " is on a bound");
+  double low = best.x[largest], high = low;
+  for (const Eigen::VectorXd& x : model.cv.x) {
+    low = std::min(low, x[largest]);
+    high = std::max(high, x[largest]);
+  }
+  if (low * high < 0 || high - low > 2 * kMaxSpread * std::abs(best.x[largest]))
+    return absl::StrFormat("%s differs over the folds, %.3g to %.3g", free.path, free.ToValue(low),
+                           free.ToValue(high));
+  return "";
+}
+
+}  // namespace robostress::calibration

@@ -1,0 +1,196 @@
+#include "calibration/search/joint_fit.h"
+
+#include <ceres/ceres.h>
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+#include "calibration/search/subplex.h"
+
+namespace robostress::calibration {
+namespace {
+
+// Ceres' view of a problem: one block of residuals, one of parameters.
+constexpr size_t kTrials = 2;        // starts that are followed
+constexpr int kTrialIterations = 3;  // of each, before the better goes on
+constexpr int kSettleIterations = 12;
+constexpr double kSearchTolerance = 3e-4;
+constexpr int kUnstickEvaluations = 500;
+constexpr double kStiction = 1.25;  // Fs / Fc of further starts
+
+class Cost : public ceres::CostFunction {
+ public:
+  Cost(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen, double unit,
+       int* evaluations)
+      : problem_(problem), h_(h), chosen_(chosen), unit_(unit), evaluations_(evaluations) {
+    mutable_parameter_block_sizes()->push_back(static_cast<int>(h.free.size()));
+    set_num_residuals(problem.Rows(chosen));
+  }
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    const Eigen::VectorXd x =
+        Eigen::Map<const Eigen::VectorXd>(parameters[0], static_cast<int>(h_.free.size()));
+    const Eigen::VectorXd r = problem_.Projected(ModelAt(h_, x), chosen_) / unit_;
+    ++*evaluations_;
+    if (!r.allFinite()) return false;
+    // Pseudo-Huber at three units, so that a window that bifurcates does not decide.
+    const Eigen::ArrayXd a = r.array() / 3, root = (1 + a.square()).sqrt();
+    const Eigen::ArrayXd robust = 3 * r.array().sign() * (2 * (root - 1)).max(0).sqrt();
+    Eigen::Map<Eigen::VectorXd>(residuals, r.size()) = robust.matrix();
+    if (jacobians == nullptr || jacobians[0] == nullptr) return true;
+    const Eigen::MatrixXd J = problem_.Jacobian(h_, x, r * unit_, chosen_) / unit_;
+    if (!J.allFinite()) return false;
+    *evaluations_ += static_cast<int>(h_.free.size());
+    // d robust / d r = (r / 3) / root / (robust / 3), 1 at zero.
+    const Eigen::ArrayXd slope =
+        (robust.abs() < 1e-9)
+            .select(Eigen::ArrayXd::Ones(r.size()),
+                    r.array() / (root * (robust.abs() < 1e-9).select(1.0, robust)));
+    Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
+        jacobians[0], r.size(), x.size()) = slope.matrix().asDiagonal() * J;
+    return true;
+  }
+
+ private:
+  const JointProblem& problem_;
+  const Hypothesis& h_;
+  const WindowSet& chosen_;
+  double unit_;
+  int* evaluations_;
+};
+
+// Of a free parameter; -1: it is not free.
+int IndexOf(const Hypothesis& h, const std::string& path) {
+  for (size_t i = 0; i < h.free.size(); ++i)
+    if (h.free[i].path == path) return static_cast<int>(i);
+  return -1;
+}
+
+}  // namespace
+
+JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen,
+                  int max_iterations, double tolerance) {
+  JointFit fit;
+  fit.best = h;
+  const auto rms_at = [&](const Eigen::VectorXd& x) {
+    const Eigen::VectorXd r = problem.Projected(ModelAt(h, x), chosen);
+    return r.size() == 0 ? 0 : std::sqrt(r.squaredNorm() / static_cast<double>(r.size()));
+  };
+  Eigen::VectorXd x = h.x;
+  for (size_t i = 0; i < h.free.size(); ++i)
+    x[static_cast<int>(i)] = std::clamp(x[static_cast<int>(i)], h.free[i].lower, h.free[i].upper);
+  fit.rms = rms_at(x);
+  fit.at_bound.assign(h.free.size(), 0);
+  fit.best.x = x;
+  if (h.free.empty() || problem.Rows(chosen) == 0 || max_iterations == 0) return fit;
+  const double unit = std::max(fit.rms, 1e-12);
+  ceres::Problem solver;
+  solver.AddResidualBlock(new Cost(problem, h, chosen, unit, &fit.evaluations), nullptr, x.data());
+  for (size_t i = 0; i < h.free.size(); ++i) {
+    solver.SetParameterLowerBound(x.data(), static_cast<int>(i), h.free[i].lower);
+    solver.SetParameterUpperBound(x.data(), static_cast<int>(i), h.free[i].upper);
+  }
+  ceres::Solver::Options options;
+  options.max_num_iterations = max_iterations;
+  options.linear_solver_type = ceres::DENSE_QR;
+  options.function_tolerance = tolerance;
+  options.parameter_tolerance = 1e-7;
+  options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &solver, &summary);
+  fit.best.x = x;
+  fit.rms = rms_at(x);
+  for (size_t i = 0; i < h.free.size(); ++i) {
+    const double span = h.free[i].upper - h.free[i].lower, value = x[static_cast<int>(i)];
+    fit.at_bound[i] =
+        value - h.free[i].lower < 1e-6 * span || h.free[i].upper - value < 1e-6 * span;
+  }
+  return fit;
+}
+
+JointFit Try(const JointProblem& problem, const std::vector<Hypothesis>& starts,
+             const WindowSet& chosen) {
+  std::vector<JointFit> trials;
+  for (const Hypothesis& start : starts) trials.push_back(Minimise(problem, start, chosen, 0));
+  const auto lower = [](const JointFit& a, const JointFit& b) { return a.rms < b.rms; };
+  std::stable_sort(trials.begin(), trials.end(), lower);
+  if (trials.empty()) return {};
+  if (trials.size() > kTrials) trials.resize(kTrials);
+  for (JointFit& trial : trials)
+    trial = Minimise(problem, trial.best, chosen, kTrialIterations, kSearchTolerance);
+  return *std::min_element(trials.begin(), trials.end(), lower);
+}
+
+JointFit Settle(const JointProblem& problem, const JointFit& trial, const WindowSet& chosen) {
+  return Minimise(problem, trial.best, chosen, kSettleIterations, kSearchTolerance);
+}
+
+JointFit Unstick(const JointProblem& problem, const JointFit& fit, const WindowSet& chosen) {
+  const auto error = [&](const Eigen::VectorXd& x) {
+    return problem.Projected(ModelAt(fit.best, x), chosen).cwiseAbs().mean();
+  };
+  Hypothesis start = fit.best;
+  start.x = Subplex(error, fit.best.free, fit.best.x, kUnstickEvaluations).x;
+  JointFit free = Minimise(problem, start, chosen, kSettleIterations, kSearchTolerance);
+  return free.rms < fit.rms ? free : fit;
+}
+
+bool HasFreeFriction(const Hypothesis& h) {
+  return IndexOf(h, "stribeck_friction.Fs") >= 0 || IndexOf(h, "stribeck_friction.vs") >= 0;
+}
+
+JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,
+                          const WindowSet& chosen) {
+  JointFit best = Minimise(problem, h, chosen);
+  if (!HasFreeFriction(h)) return best;
+  const int Fs = IndexOf(h, "stribeck_friction.Fs"), vs = IndexOf(h, "stribeck_friction.vs");
+  JointModel model = ModelAt(h, h.x);
+  const double Fc = **FindValue(model, "stribeck_friction.Fc");
+  for (const double speed : {0.4, 1.0, 2.5}) {
+    if (vs < 0 && speed != 1) continue;
+    Hypothesis other = h;
+    if (vs >= 0) other.x[vs] *= speed;
+    if (Fs >= 0) other.x[Fs] = std::max(h.x[Fs], kStiction * h.free[Fs].FromValue(Fc));
+    JointFit fit = Minimise(problem, other, chosen);
+    if (fit.rms < best.rms) best = std::move(fit);
+  }
+  return best;
+}
+
+double CorrelationRows(const Eigen::VectorXd& r) {
+  double rows = 1;
+  for (int lag = 1; lag < r.size() / 4; ++lag) {
+    const double rho =
+        r.head(r.size() - lag).dot(r.tail(r.size() - lag)) / std::max(r.squaredNorm(), 1e-300);
+    if (!(rho > 0.05)) break;
+    rows += 2 * rho;
+  }
+  return rows;
+}
+
+std::vector<double> StandardDeviations(const JointProblem& problem, const JointFit& fit,
+                                       const WindowSet& chosen) {
+  const Hypothesis& h = fit.best;
+  std::vector<double> result(h.free.size(), 0);
+  if (h.free.empty()) return result;
+  const Eigen::VectorXd r = problem.Projected(ModelAt(h, h.x), chosen);
+  Eigen::MatrixXd J = problem.Jacobian(h, h.x, r, chosen);
+  // What stands on a bound is held there.
+  for (size_t i = 0; i < h.free.size(); ++i)
+    if (fit.at_bound[i]) J.col(static_cast<int>(i)).setZero();
+  const double variance = r.squaredNorm() / static_cast<double>(r.size());
+  const Eigen::MatrixXd covariance =
+      (J.transpose() * J).completeOrthogonalDecomposition().pseudoInverse() * variance *
+      CorrelationRows(r);
+  for (size_t i = 0; i < h.free.size(); ++i) {
+    const int k = static_cast<int>(i);
+    // d value / d x
+    const double slope =
+        h.free[i].inverse ? h.free[i].ToValue(h.x[k]) / std::max(h.x[k], 1e-12) : h.free[i].scale;
+    result[i] = std::abs(slope) * std::sqrt(std::max(0.0, covariance(k, k)));
+  }
+  return result;
+}
+
+}  // namespace robostress::calibration

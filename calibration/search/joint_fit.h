@@ -1,0 +1,44 @@
+#pragma once
+
+#include <vector>
+
+#include "calibration/search/joint_problem.h"
+
+namespace robostress::calibration {
+
+struct JointFit {
+  Hypothesis best;             // x at the minimum
+  double rms = 0;              // projected, over the windows fitted
+  std::vector<char> at_bound;  // [free]
+  int evaluations = 0;
+};
+
+// Bounded Levenberg-Marquardt (Ceres) on a pseudo-Huber loss of projected residuals, from h.x.
+// Ends when an iteration gains less than `tolerance` of the loss.
+JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen,
+                  int max_iterations = 15, double tolerance = 1e-6);
+// A few iterations from the two lowest starts, the lower end of them; `Settle` goes on from there,
+// as exactly as a search needs.
+JointFit Try(const JointProblem& problem, const std::vector<Hypothesis>& starts,
+             const WindowSet& chosen);
+JointFit Settle(const JointProblem& problem, const JointFit& trial, const WindowSet& chosen);
+// For a fit that stays far above what its signature promised: least squares has got stuck, as where
+// a whole run sticks or slips. Searches without a gradient, then goes on by least squares.
+JointFit Unstick(const JointProblem& problem, const JointFit& fit, const WindowSet& chosen);
+// Whether Stribeck's vs or Fs are free, whose fits may end in a neighbouring minimum.
+bool HasFreeFriction(const Hypothesis& h);
+// From h.x, and where HasFreeFriction also from several speeds with Fs above Fc,
+// because nothing leads back from Fs below Fc.
+JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,
+                          const WindowSet& chosen);
+
+// Rows that count as one observation, from a residual's autocorrelation.
+double CorrelationRows(const Eigen::VectorXd& r);
+
+// Standard deviations of the free parameters' values at a minimum: residual variance times the
+// inverse Gauss-Newton matrix, widened by the residual's own correlation time; 0 for what
+// stands on a bound.
+std::vector<double> StandardDeviations(const JointProblem& problem, const JointFit& fit,
+                                       const WindowSet& chosen);
+
+}  // namespace robostress::calibration

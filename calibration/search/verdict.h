@@ -1,0 +1,34 @@
+#pragma once
+
+#include <string>
+
+#include "calibration/search/calibration_report.h"
+
+namespace robostress::calibration {
+
+// What a verdict on one joint rests on. Errors are projected residuals (joint_problem.h) on logs
+// that were not fitted, or cross-validated ones where there are none.
+struct Evidence {
+  double declared = 0, after = 0, floor = 0;
+  double declared_bulk = 0;  // without the tenth of the free runs that is farthest off
+  bool declared_white = false;
+  bool inverse = false;  // accelerations are smoothed, and the floor does not count their bias
+  double transfer_declared = 0, transfer_after = 0;  // 0: no log of that role
+  int effects = 0;
+  bool ambiguous = false;    // some effect has rivals
+  bool significant = false;  // some candidate explains more than chance
+  int windows = 0;           // fitted
+};
+
+struct Judgement {
+  Verdict verdict = Verdict::kNotTestable;
+  std::string because;
+  double excess_explained = 0;
+};
+
+Judgement Judge(const Evidence& evidence);
+
+// Of a whole rig from its joints.
+Verdict Combine(const std::vector<JointReport>& joints);
+
+}  // namespace robostress::calibration

@@ -1,0 +1,26 @@
+#include "server/inference/operator_hook.h"
+
+#include <ATen/record_function.h>
+
+#include <memory>
+
+namespace robostress {
+namespace {
+
+thread_local void (*hooked)() = nullptr;
+
+std::unique_ptr<at::ObserverContext> Call(const at::RecordFunction&) {
+  hooked();
+  return nullptr;
+}
+
+}  // namespace
+
+OperatorHook::OperatorHook(void (*function)())
+    : handle_((hooked = function,
+               at::addThreadLocalCallback(at::RecordFunctionCallback(Call).scopes(
+                   {at::RecordScope::FUNCTION, at::RecordScope::BACKWARD_FUNCTION})))) {}
+
+OperatorHook::~OperatorHook() { at::removeCallback(handle_); }
+
+}  // namespace robostress

@@ -1,0 +1,72 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "common/random.h"
+#include "common/rpc/session_spec.h"
+#include "common/types.h"
+#include "server/inference/batcher.h"
+#include "server/policies/policy.h"
+#include "server/inference/prefix_store.h"
+
+namespace robostress {
+
+// What is remembered of a prediction until its feedback arrives. Immutable tensors and snapshots,
+// so a copy is cheap.
+struct Prediction {
+  uint64_t id = 0;
+  int task = 0, episode = 0, chunk = 0;
+  // Undefined and null where the method does not adapt.
+  torch::Tensor raw;    // [K, d] model space
+  torch::Tensor state;  // PolicyContext::state
+  std::shared_ptr<const Observation> observation;
+  std::shared_ptr<const PrefixStore::Prefix> prefix;  // of `observation`
+  Eigen::MatrixXf base;  // [K, action_dim] of the unadapted policy; target: intent only
+  // What its client was answered, for a report that says no more than what was measured. Null: of a
+  // journal older than this field.
+  std::shared_ptr<const PredictedChunk> answered;
+  bool journaled = false;  // its record is in the journal
+};
+
+// A training chunk while nothing computes with it.
+struct BufferedChunk {
+  std::shared_ptr<const Observation> observation;  // null: imported, the prefix is all there is
+  std::shared_ptr<const PrefixStore::Prefix> prefix;
+  torch::Tensor target;  // [K, d] model space
+};
+
+// What a policy computes for one observation, and how it was served.
+struct ComputedPrediction {
+  PolicyContext context;
+  torch::Tensor raw;               // [K, d] model space
+  Eigen::MatrixXf policy_actions;  // [K, action_dim]
+  Eigen::MatrixXf base_actions;    // [K, action_dim] without LoRA, or 0 x 0: not asked for
+  uint64_t adapter_version = 0;
+  double queue_ms = 0, compute_ms = 0;  // waited for a batch, computed with it [ms]
+  int batch_size = 0;
+};
+
+// The identity that keys phi_0 and every draw of an update. The sampling noise has a key of its
+// own.
+std::string SessionIdentity(const SessionSpec& spec);
+// Key of the noise of one prediction: (noise stream, seed, suite, task, episode, chunk) and nothing
+// else, so it is equal for every method and scenario.
+StreamKey NoiseKey(const SessionSpec& spec, int task, int episode, int chunk);
+
+// Standard normal noise [1, K, d] of `key`.
+torch::Tensor DrawNoise(const StreamKey& key, int64_t horizon, int64_t dim);
+
+// Encodes and samples in a batch with others, from the noise of (task, episode, chunk): with the
+// job's adapter, and without it where the method wants the unadapted actions: those of version 0
+// are its own. `job` says all but observation and noise. A refusal (common/rpc/refusal.h) where the
+// batcher gives one; INTERNAL where the policy throws.
+absl::StatusOr<ComputedPrediction> ComputePrediction(Batcher& batcher, PredictionJob job,
+                                                     const SessionSpec& spec,
+                                                     const Observation& observation, int task,
+                                                     int episode, int chunk);
+
+}  // namespace robostress

@@ -1,0 +1,193 @@
+#include "calibration/data/recorded_rig.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <filesystem>
+
+#include "absl/strings/str_cat.h"
+#include "calibration/data/measured_log.h"
+#include "calibration/data/sim_recordings.h"
+
+namespace robostress::calibration {
+namespace {
+
+using ::testing::HasSubstr;
+namespace fs = std::filesystem;
+
+// A pendulum that swings for 2 s.
+RecordedEpisode Episode(const std::string& name, const std::string& group) {
+  RecordedEpisode episode;
+  episode.name = name;
+  episode.group = group;
+  episode.rate_hz = 250;
+  episode.q.resize(1), episode.dq.resize(1), episode.tau.resize(1);
+  for (int i = 0; i < 500; ++i) {
+    const double t = i / 250.0;
+    episode.t.push_back(t);
+    episode.q[0].push_back(std::sin(3 * t));
+    episode.dq[0].push_back(3 * std::cos(3 * t));
+    episode.tau[0].push_back(std::cos(t));
+    episode.contact_N.push_back(0);
+  }
+  return episode;
+}
+
+RecordedArm Pendulum() {
+  RecordedArm arm;
+  arm.name = "pendulum";
+  arm.model_file = "pendulum.xml";
+  arm.mjcf = R"(<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/>
+      <geom type="sphere" size="0.1" pos="0 0 0.3"/></body></worldbody></mujoco>)";
+  arm.joints = {"hinge"};
+  return arm;
+}
+
+struct RecordedRigTest : public testing::Test {
+  RecordedRigTest()
+      : out((fs::path(testing::TempDir()) / absl::StrCat("recorded_rig_", getpid())).string()) {}
+  ~RecordedRigTest() override { fs::remove_all(out); }
+  std::string out;
+};
+
+TEST_F(RecordedRigTest, NoEpisodeIsBothFittedAndHeldOut) {
+  std::vector<RecordedEpisode> episodes;
+  for (int task = 0; task < 3; ++task)
+    for (int i = 0; i < 4; ++i)
+      episodes.push_back(
+          Episode(absl::StrCat("task", task, "_episode", i), absl::StrCat("task ", task)));
+  const auto summary = WriteRecordedRig(Pendulum(), episodes, {}, out);
+  ASSERT_TRUE(summary.ok()) << summary.status();
+  EXPECT_EQ(summary->logs_of_role, (std::array<int, 3>{6, 2, 4}));
+  const auto rig = ReadRig(summary->rig_file);
+  ASSERT_TRUE(rig.ok()) << rig.status();
+  EXPECT_EQ(rig->folds, Folds::kCondition);
+  for (const RigLog& log : rig->logs) {
+    const LogRole expected = log.condition.rfind("task2", 0) == 0 ? LogRole::kTransfer
+                             : log.condition.back() == '2'        ? LogRole::kHeldOut
+                                                                  : LogRole::kFit;
+    EXPECT_EQ(log.role, expected) << log.condition;
+  }
+}
+
+TEST_F(RecordedRigTest, LeavesOutWhatIsNearContacts) {
+  std::vector<RecordedEpisode> episodes;
+  for (int i = 0; i < 3; ++i) {
+    episodes.push_back(Episode(absl::StrCat("task0_episode", i), "task 0"));
+    for (int k = 300; k < 320; ++k) episodes.back().contact_N[k] = 5;
+    episodes.back().contact_N[100] = 0.5;  // below the limit
+  }
+  RecordedRigOptions options;
+  options.encoder_noise = 0;
+  const auto summary = WriteRecordedRig(Pendulum(), episodes, options, out);
+  ASSERT_TRUE(summary.ok()) << summary.status();
+  EXPECT_EQ(summary->pieces, 6);
+  const auto rig = ReadRig(summary->rig_file);
+  ASSERT_TRUE(rig.ok());
+  const auto before = ReadMeasuredLog(*rig, rig->logs[0]),
+             after = ReadMeasuredLog(*rig, rig->logs[1]);
+  ASSERT_TRUE(before.ok()) << before.status();
+  ASSERT_TRUE(after.ok()) << after.status();
+  // 0.05 s margin on both sides: 13 rows, rounded.
+  EXPECT_EQ(before->rows, 300 - 13);
+  EXPECT_EQ(after->rows, 500 - 320 - 13);
+  EXPECT_EQ(before->condition, after->condition);
+  EXPECT_NEAR(before->joints[0].dq[10], 3 * std::cos(3 * 10 / 250.0), 1e-7);
+}
+
+TEST_F(RecordedRigTest, AddsTheSameNoiseForTheSameSeed) {
+  std::vector<RecordedEpisode> episodes;
+  for (int i = 0; i < 3; ++i)
+    episodes.push_back(Episode(absl::StrCat("task0_episode", i), "task 0"));
+  std::vector<std::vector<double>> readings;
+  for (const uint64_t seed : {1, 1, 2}) {
+    RecordedRigOptions options;
+    options.encoder_noise = 1e-4;
+    options.seed = seed;
+    const auto summary = WriteRecordedRig(Pendulum(), episodes, options, out);
+    ASSERT_TRUE(summary.ok()) << summary.status();
+    const auto rig = ReadRig(summary->rig_file);
+    const auto log = ReadMeasuredLog(*rig, rig->logs[0]);
+    ASSERT_TRUE(log.ok()) << log.status();
+    EXPECT_NEAR(log->joints[0].noise, 1e-4, 2e-5);
+    readings.push_back(log->joints[0].q);
+  }
+  EXPECT_EQ(readings[0], readings[1]);
+  EXPECT_NE(readings[0], readings[2]);
+}
+
+TEST_F(RecordedRigTest, RefusesARunThatIsAllContact) {
+  std::vector<RecordedEpisode> episodes = {Episode("task0_episode0", "task 0")};
+  for (double& force : episodes[0].contact_N) force = 3;
+  const auto summary = WriteRecordedRig(Pendulum(), episodes, {}, out);
+  EXPECT_EQ(summary.status().code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_THAT(std::string(summary.status().message()), HasSubstr("without contact"));
+  EXPECT_FALSE(fs::exists(out + "/rig.yaml"));
+}
+
+JointLog SmallLog() {
+  JointLog log;
+  log.suite = "tabletop_goal";
+  log.scenario = "worn";
+  log.policy = "expert";
+  log.task = 2;
+  log.episode = 1;
+  log.initial_state = 41;
+  for (int i = 0; i < 9; ++i) {
+    JointSample sample;
+    sample.t = 0.002 * i;
+    sample.q.setConstant(i);
+    sample.dq.setConstant(500);
+    sample.tau.setConstant(i * i);
+    sample.contact_N = i == 3 ? 7 : 0;
+    log.samples.push_back(sample);
+  }
+  log.actions.push_back(Eigen::VectorXf::LinSpaced(7, 0, 1));
+  for (int i = 0; i < 2; ++i) {
+    RobotState state;
+    state.q = Eigen::VectorXd::Constant(7, i);
+    state.tool.p_base_tool = {0.1, 0.2, 0.3 + i};
+    log.states.push_back(state);
+  }
+  return log;
+}
+
+TEST_F(RecordedRigTest, ARowsTorqueIsTheTrapezoidalMeanOverIt) {
+  const auto episode = EpisodeOfJointLog(SmallLog(), 125);  // 4 sub-steps a row
+  ASSERT_TRUE(episode.ok()) << episode.status();
+  ASSERT_EQ(episode->t.size(), 2u);
+  EXPECT_DOUBLE_EQ(episode->tau[3][0], (0.0 / 2 + 1 + 4 + 9 + 16.0 / 2) / 4);
+  EXPECT_DOUBLE_EQ(episode->q[3][1], 4);
+  EXPECT_EQ(episode->contact_N[0], 7);
+  EXPECT_EQ(episode->contact_N[1], 0);
+  EXPECT_THAT(std::string(EpisodeOfJointLog(SmallLog(), 300).status().message()),
+              HasSubstr("does not divide"));
+}
+
+TEST_F(RecordedRigTest, AJointLogIsReadBackAsItWasWritten) {
+  fs::create_directories(out + "/joints");
+  const JointLog log = SmallLog();
+  const std::string file = out + "/joints/task2_episode1.safetensors";
+  ASSERT_TRUE(WriteJointLog(log, file).ok());
+  const auto files = FindJointLogs(out, "");
+  ASSERT_TRUE(files.ok()) << files.status();
+  ASSERT_EQ(files->size(), 1u);
+  const auto read = ReadJointLog(files->front());
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->suite, log.suite);
+  EXPECT_EQ(read->initial_state, 41);
+  ASSERT_EQ(read->samples.size(), log.samples.size());
+  EXPECT_EQ(read->samples[3].tau, log.samples[3].tau);
+  EXPECT_EQ(read->samples[3].contact_N, 7);
+  EXPECT_EQ(read->actions[0], log.actions[0]);
+  EXPECT_EQ(read->states[1].tool.p_base_tool, log.states[1].tool.p_base_tool);
+  fs::remove_all(out);
+  EXPECT_THAT(std::string(FindJointLogs(out, "").status().message()), HasSubstr("no such"));
+  fs::create_directories(out);
+  EXPECT_THAT(std::string(FindJointLogs(out, "").status().message()), HasSubstr("--record-joints"));
+}
+
+}  // namespace
+}  // namespace robostress::calibration

@@ -1,0 +1,108 @@
+#include "calibration/search/acceptance.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+#include <optional>
+
+#include "tests/calibration/search/brief_servo.h"
+
+namespace robostress::calibration {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr double kFloor = 0.01;  // [rad]
+
+// Twenty free runs in four folds with the given error, each of 100 rows.
+CrossValidation Errors(double rms) {
+  CrossValidation cv;
+  cv.energy.assign(20, 100 * rms * rms);
+  cv.rows.assign(20, 100);
+  cv.fold_rms.assign(4, rms);
+  return cv;
+}
+
+class AcceptanceTest : public BriefServo {
+ protected:
+  void SetUp() override {
+    BriefServo::SetUp();
+    if (HasFatalFailure()) return;
+    problem_.emplace(rig_.Problem(0));
+    base_.fit.best = *rig_.Declared(0);
+    base_.fit.rms = 1;
+    base_.cv = Errors(0.04);
+    // Explains 15/16 of the energy at a hundredth of the fit's error.
+    good_ = base_;
+    good_.fit.rms = 0.01;
+    good_.cv = Errors(0.0141);
+  }
+
+  std::string Objection(const TracedModel& model, double p = 0.001) {
+    return Acceptance(*problem_, problem_->OfRole(LogRole::kFit), kFloor)
+        .Objection(base_, model, p);
+  }
+
+  std::optional<JointProblem> problem_;
+  TracedModel base_, good_;
+};
+
+TEST_F(AcceptanceTest, TakesWhatPassesEveryGate) { EXPECT_EQ(Objection(good_), ""); }
+
+TEST_F(AcceptanceTest, ExcessIsTheEnergyAboveTheNoise) {
+  const Acceptance acceptance(*problem_, problem_->All(), kFloor);
+  EXPECT_NEAR(acceptance.Excess(base_), 0.04 * 0.04 - 0.01 * 0.01, 1e-15);
+  TracedModel noise = base_;
+  noise.cv = Errors(0.009);
+  EXPECT_EQ(acceptance.Excess(noise), 0);
+}
+
+TEST_F(AcceptanceTest, RefusesWhatChanceExplainsAsWell) {
+  EXPECT_EQ(Objection(good_, 0.0099), "");
+  EXPECT_THAT(Objection(good_, 0.0101), HasSubstr("chance explains as much (p = 0.010)"));
+}
+
+TEST_F(AcceptanceTest, RefusesWhatIsNoBetterOnRunsThatWereNotFitted) {
+  TracedModel model = good_;
+  model.cv = Errors(0.04 * 0.985);
+  EXPECT_THAT(Objection(model), HasSubstr("the cross-validated error falls by 1.5 % only"));
+}
+
+TEST_F(AcceptanceTest, RefusesWhatLeavesThreeQuartersOfTheExcess) {
+  // (1 - share) of the excess remains: 24 % and 26 % explained.
+  const double excess = 0.04 * 0.04 - kFloor * kFloor;
+  TracedModel model = good_;
+  model.cv = Errors(std::sqrt(kFloor * kFloor + 0.76 * excess));
+  EXPECT_THAT(Objection(model), HasSubstr("it explains 24 % of what is above the noise"));
+  model.cv = Errors(std::sqrt(kFloor * kFloor + 0.74 * excess));
+  EXPECT_EQ(Objection(model), "");
+}
+
+TEST_F(AcceptanceTest, RefusesWhatHelpsInTheWorstTenthOnly) {
+  base_.cv.energy[3] *= 40;
+  base_.cv.energy[7] *= 40;
+  TracedModel model = good_;
+  model.cv = base_.cv;
+  model.cv.energy[3] = model.cv.energy[7] = model.cv.energy[0];
+  model.cv.fold_rms.assign(4, 0.01);
+  EXPECT_THAT(Objection(model), HasSubstr("worst tenth of the free runs only"));
+}
+
+TEST_F(AcceptanceTest, RefusesWhatHalfOfTheFoldsDoWithout) {
+  TracedModel model = good_;
+  model.cv.fold_rms = {0.01, 0.01, 0.05, 0.05};
+  EXPECT_THAT(Objection(model), HasSubstr("only 2 of 4 folds gain"));
+  model.cv.fold_rms = {0.01, 0.01, 0.01, 0.05};
+  EXPECT_EQ(Objection(model), "");
+}
+
+TEST_F(AcceptanceTest, RefusesAFitThatIsHardlyBetterForItsParameters) {
+  TracedModel model = good_;
+  model.fit.rms = 1;
+  EXPECT_THAT(Objection(model), HasSubstr("BIC falls by"));
+}
+
+}  // namespace
+}  // namespace robostress::calibration

@@ -1,0 +1,155 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <optional>
+#include <vector>
+
+#include "calibration/data/local_polynomial.h"
+#include "calibration/search/cross_validation.h"
+#include "calibration/search/residual_tests.h"
+#include "common/random.h"
+#include "tests/calibration/search/brief_servo.h"
+
+namespace robostress::calibration {
+namespace {
+
+// Noise whose neighbours are correlated by `rho`.
+Eigen::VectorXd Correlated(int n, double rho) {
+  RandomStream random(StreamKey("fit rules").With(n));
+  Eigen::VectorXd x(n);
+  double last = random.Normal();
+  for (int i = 0; i < n; ++i) {
+    x[i] = last;
+    last = rho * last + std::sqrt(1 - rho * rho) * random.Normal();
+  }
+  return x;
+}
+
+TEST(CorrelationRows, CountBothSidesOfTheAutocorrelation) {
+  EXPECT_EQ(CorrelationRows(Correlated(20000, 0)), 1);
+  // 1 + 2 (rho + rho^2 + ...) as far as 0.05.
+  double rows = 1;
+  for (double rho = 0.8; rho > 0.05; rho *= 0.8) rows += 2 * rho;
+  EXPECT_NEAR(CorrelationRows(Correlated(20000, 0.8)), rows, 0.15 * rows);
+}
+
+TEST(WithoutLargest, LeavesOutTheTenthWithTheLargestEnergyPerRow) {
+  std::vector<double> energy;
+  std::vector<int> rows;
+  for (int i = 0; i < 20; ++i) {
+    energy.push_back(i + 1);
+    rows.push_back(10);
+  }
+  rows[19] = 1000;  // much energy, spread over many rows
+  const WindowSet bulk = WithoutLargest(energy, rows);
+  for (int i = 0; i < 20; ++i) EXPECT_EQ(bulk[i] != 0, i != 17 && i != 18) << i;
+  rows.assign(20, 0);
+  const WindowSet none = WithoutLargest(energy, rows);
+  EXPECT_EQ(std::count(none.begin(), none.end(), 1), 0);
+}
+
+TEST(Compare, IsTheMeanDifferenceAndItsStandardErrorOverWindows) {
+  CrossValidation a, b;
+  a.rows = b.rows = {10, 10, 10, 10, 0};
+  a.energy = {1, 2, 3, 4, 100};
+  b.energy = {2, 4, 6, 8, 0};
+  const PairedDifference difference = Compare(a, b);
+  // Differences 1, 2, 3, 4: their sum has the deviation sqrt(1.25) * 2.
+  EXPECT_NEAR(difference.mean, 10.0 / 40, 1e-12);
+  EXPECT_NEAR(difference.standard_error, std::sqrt(1.25) * 2 / 40, 1e-12);
+}
+
+TEST(LocalPolynomials, AreExactOnAParabolaUpToTheEnds) {
+  const double dt = 0.01;
+  std::vector<double> signal;
+  for (int i = 0; i < 50; ++i) signal.push_back(1 + 2 * i * dt + 3 * i * dt * i * dt);
+  const SmoothSignal fit = FitLocalPolynomials(signal, dt, 5, 2, 0, {0, 50});
+  for (int i = 0; i < 50; ++i) {
+    EXPECT_NEAR(fit.value[i], signal[i], 1e-9);
+    EXPECT_NEAR(fit.first[i], 2 + 6 * i * dt, 1e-7);
+    EXPECT_NEAR(fit.second[i], 6, 1e-5);
+  }
+}
+
+TEST(NoiseOfReading, IsTheNoiseBesideAMotion) {
+  const Eigen::VectorXd noise = Correlated(4000, 0);
+  std::vector<double> signal;
+  for (int i = 0; i < 4000; ++i) signal.push_back(std::sin(0.01 * i) + 1e-3 * noise[i]);
+  EXPECT_NEAR(NoiseOfReading(signal), 1e-3, 1e-4);
+}
+
+class FitRules : public BriefServo {
+ protected:
+  void SetUp() override {
+    BriefServo::SetUp();
+    if (HasFatalFailure()) return;
+    problem_.emplace(rig_.Problem(0));
+    declared_ = *rig_.Declared(0);
+  }
+
+  std::optional<JointProblem> problem_;
+  Hypothesis declared_;
+};
+
+TEST_F(FitRules, AFoldIsPredictedByAFitOfTheOthers) {
+  const JointFit fit = Minimise(*problem_, declared_, problem_->OfRole(LogRole::kFit));
+  const std::vector<WindowSet> folds = MakeFolds(*problem_, Folds::kBlock);
+  ASSERT_EQ(folds.size(), 5u);
+  const CrossValidation cv = CrossValidate(*problem_, fit, folds);
+  for (size_t f = 0; f < folds.size(); ++f) {
+    WindowSet others(problem_->windows().size(), 0);
+    for (size_t g = 0; g < folds.size(); ++g)
+      for (size_t i = 0; i < others.size(); ++i) others[i] |= g != f && folds[g][i];
+    const Eigen::VectorXd x = Minimise(*problem_, fit.best, others, 4, 1e-3).best.x;
+    EXPECT_EQ(cv.x[f], x) << f;
+  }
+  EXPECT_NE(cv.x[0], cv.x[1]);
+}
+
+TEST_F(FitRules, NoiseIsWhiteAndWhatGoesOnIsNot) {
+  const WindowSet all = problem_->All();
+  const int rows = problem_->Rows(all);
+  ASSERT_GT(rows, 500);
+  EXPECT_TRUE(TestWhiteness(*problem_, Correlated(rows, 0), all).white);
+  const WhitenessReport report = TestWhiteness(*problem_, Correlated(rows, 0.5), all);
+  EXPECT_FALSE(report.white);
+  EXPECT_NEAR(report.autocorrelation, 0.5, 0.1);
+}
+
+TEST_F(FitRules, WhatStandsOnABoundHasNoDeviation) {
+  const WindowSet fitted = problem_->OfRole(LogRole::kFit);
+  JointFit fit = Minimise(*problem_, declared_, fitted);
+  ASSERT_FALSE(fit.best.free.empty());
+  fit.at_bound.assign(fit.best.free.size(), 0);
+  EXPECT_GT(StandardDeviations(*problem_, fit, fitted)[0], 0);
+  fit.at_bound[0] = 1;
+  EXPECT_EQ(StandardDeviations(*problem_, fit, fitted)[0], 0);
+}
+
+TEST_F(FitRules, ADelayTakesThePlaceOfTheFreeShift) {
+  const auto is_shift = [](const FreeParameter& p) { return p.path == "command_shift"; };
+  ASSERT_TRUE(std::any_of(declared_.free.begin(), declared_.free.end(), is_shift));
+  const auto delayed =
+      WithEffect(declared_, **FindEffect("transport_delay"), rig_.Scales(0)).front();
+  EXPECT_FALSE(std::any_of(delayed.free.begin(), delayed.free.end(), is_shift));
+  EXPECT_EQ(delayed.x.size(), static_cast<int>(delayed.free.size()));
+  const auto other = WithEffect(declared_, **FindEffect("backlash"), rig_.Scales(0)).front();
+  EXPECT_TRUE(std::any_of(other.free.begin(), other.free.end(), is_shift));
+}
+
+TEST(ScaleOf, GivesEveryParameterItsUnit) {
+  SignalScales s;
+  s.torque = 6;
+  s.position = 2;
+  s.velocity = 3;
+  EXPECT_EQ(ScaleOf(EffectScale::kTorquePerVelocity, s), 2);
+  EXPECT_EQ(ScaleOf(EffectScale::kTorquePerVelocity2, s), 6.0 / 9);
+  EXPECT_EQ(ScaleOf(EffectScale::kTorquePerPosition, s), 3);
+  EXPECT_EQ(ScaleOf(EffectScale::kTorquePerPosition3, s), 6.0 / 8);
+  EXPECT_EQ(ScaleOf(EffectScale::kOne, s), 1);
+}
+
+}  // namespace
+}  // namespace robostress::calibration

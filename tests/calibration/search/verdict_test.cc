@@ -1,0 +1,110 @@
+#include "calibration/search/verdict.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <vector>
+
+namespace robostress::calibration {
+namespace {
+
+using testing::HasSubstr;
+
+// One added effect that explains all but the noise.
+Evidence Explained() {
+  Evidence e;
+  e.declared = e.declared_bulk = 0.1;
+  e.after = 0.01;
+  e.floor = 0.01;
+  e.effects = 1;
+  e.windows = 20;
+  return e;
+}
+
+Verdict VerdictOf(const Evidence& e) { return Judge(e).verdict; }
+
+TEST(Verdict, NamesWhatExplainsAllButTheNoise) {
+  const Judgement judgement = Judge(Explained());
+  EXPECT_EQ(judgement.verdict, Verdict::kAttributed);
+  EXPECT_NEAR(judgement.excess_explained, 1, 1e-12);
+  Evidence rivals = Explained();
+  rivals.ambiguous = true;
+  EXPECT_EQ(VerdictOf(rivals), Verdict::kAmbiguous);
+}
+
+TEST(Verdict, NamesNoMechanismThatMakesTheTransferLogsMoreThanATwentiethWorse) {
+  Evidence e = Explained();
+  e.transfer_declared = 0.1;
+  e.transfer_after = 0.1049;
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
+  e.transfer_after = 0.1051;
+  EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
+  EXPECT_THAT(Judge(e).because, HasSubstr("makes the transfer logs worse"));
+  e.transfer_declared = 0;  // there is no such log
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
+}
+
+TEST(Verdict, NamesNoMechanismThatLeavesAThirtiethOfTheExcess) {
+  // Excess before: 0.1^2 - 0.01^2; `share` of it remains. 1.15 times the floor is noise.
+  const auto with = [](double share) {
+    Evidence e = Explained();
+    e.after = std::sqrt(1e-4 + share * (1e-2 - 1e-4));
+    return e;
+  };
+  EXPECT_EQ(VerdictOf(with(0.029)), Verdict::kAttributed);
+  EXPECT_EQ(VerdictOf(with(0.031)), Verdict::kReducedNotAttributed);
+  EXPECT_NEAR(Judge(with(0.031)).excess_explained, 0.969, 1e-9);
+  // Where the declared model is near the noise already, what is left is measured against the noise.
+  Evidence small = Explained();
+  small.declared = 0.013;
+  small.after = 0.0114;
+  EXPECT_EQ(VerdictOf(small), Verdict::kAttributed);
+  small.after = 0.0116;
+  EXPECT_EQ(VerdictOf(small), Verdict::kReducedNotAttributed);
+  small.after = 0.0114;
+  small.inverse = true;  // whose floor says too little
+  EXPECT_EQ(VerdictOf(small), Verdict::kReducedNotAttributed);
+}
+
+TEST(Verdict, ClaimsNothingOfLessThanTwiceTheNoise) {
+  Evidence e = Explained();
+  e.effects = 0;
+  e.declared = 0.1;
+  e.declared_bulk = 0.0199;
+  EXPECT_EQ(VerdictOf(e), Verdict::kDeclaredSufficient);
+  e.declared_bulk = 0.0201;
+  EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+  e.declared_white = true;
+  EXPECT_EQ(VerdictOf(e), Verdict::kDeclaredSufficient);
+  e.declared_white = false;
+  e.declared_bulk = 0.0199;
+  e.declared = 0.201;  // a few runs are far off
+  EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+}
+
+TEST(Verdict, SaysNothingOfFewerThanEightRuns) {
+  Evidence e = Explained();
+  e.windows = 8;
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
+  e.windows = 7;
+  EXPECT_EQ(VerdictOf(e), Verdict::kNotTestable);
+}
+
+TEST(Verdict, OfARigIsThatOfItsLeastExplainedJoint) {
+  const auto combine = [](std::vector<Verdict> verdicts) {
+    std::vector<JointReport> joints(verdicts.size());
+    for (size_t i = 0; i < joints.size(); ++i) joints[i].verdict = verdicts[i];
+    return Combine(joints);
+  };
+  using enum Verdict;
+  EXPECT_EQ(combine({kAttributed, kDeclaredSufficient}), kAttributed);
+  EXPECT_EQ(combine({kAttributed, kAmbiguous}), kAmbiguous);
+  EXPECT_EQ(combine({kAttributed, kUnattributed}), kReducedNotAttributed);
+  EXPECT_EQ(combine({kDeclaredSufficient, kUnattributed}), kUnattributed);
+  EXPECT_EQ(combine({kDeclaredSufficient, kNotTestable}), kDeclaredSufficient);
+  EXPECT_EQ(combine({kNotTestable, kNotTestable}), kNotTestable);
+}
+
+}  // namespace
+}  // namespace robostress::calibration

@@ -1,0 +1,131 @@
+// What a prediction costs beside its computation, over gRPC and over openpi's WebSocket, for one
+// observation of openpi's LIBERO client: two 224 x 224 views, 8 numbers, a prompt (301 kB).
+//   wire_benchmark [--rounds 1000]
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "common/rpc/convert.h"
+#include "common/rpc/policy_client.h"
+#include "server/web_endpoints.h"
+#include "tests/server/sessions/drive.h"
+#include "tests/server/wire/openpi_bytes.h"
+#include "tests/server/wire/web_client.h"
+
+namespace robostress {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+// The fake policy with two cameras: what it computes takes about a tenth of a millisecond.
+class SeeingPolicy : public FakePolicy {
+ public:
+  SeeingPolicy() : spec_(FakePolicy::spec()) {
+    spec_.cameras = {"agentview", "wrist"};
+    spec_.image_width = spec_.image_height = 224;
+    spec_.state_dim = 8;
+    spec_.horizon = kHorizon;
+  }
+  const PolicySpec& spec() const override { return spec_; }
+  absl::StatusOr<PolicyContext> Encode(const Observation& observation) const override {
+    Observation state = observation;
+    state.proprioception = observation.proprioception.head(kState);
+    state.views.clear();
+    return FakePolicy::Encode(state);
+  }
+
+ private:
+  PolicySpec spec_;
+};
+
+void Print(const char* wire, std::vector<double> ms, size_t bytes_out, size_t bytes_in) {
+  std::sort(ms.begin(), ms.end());
+  const auto at = [&ms](double q) {
+    return ms[static_cast<size_t>(q * static_cast<double>(ms.size() - 1))];
+  };
+  std::printf("%-22s %8zu %8zu %8.3f %8.3f %8.3f\n", wire, bytes_out, bytes_in, at(0.5), at(0.9),
+              at(0.99));
+}
+
+double Milliseconds(Clock::time_point begin) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
+}
+
+int Run(int rounds) {
+  const auto policy = std::make_shared<SeeingPolicy>();
+  auto server = PolicyServer::Start({}, {policy});
+  if (!server.ok()) return std::fprintf(stderr, "%s\n", server.status().ToString().c_str()), 1;
+  WebEndpointsOptions web_options;
+  web_options.websocket_listen = "127.0.0.1:0";
+  web_options.openpi.session = Spec("base");
+  web_options.openpi.session.mode = ExecutionMode::kAsync;
+  auto web = WebEndpoints::Start(web_options, server->get());
+  if (!web.ok()) return std::fprintf(stderr, "%s\n", web.status().ToString().c_str()), 1;
+
+  Observation observation;
+  observation.instruction = "put the bowl on the plate";
+  for (const char* camera : {"agentview", "wrist"}) {
+    Image image{224, 224, std::vector<uint8_t>(3 * 224 * 224)};
+    for (size_t i = 0; i < image.data.size(); ++i) image.data[i] = static_cast<uint8_t>(i * 7 / 3);
+    observation.views.push_back({camera, image});
+  }
+  observation.proprioception = Eigen::VectorXf::LinSpaced(8, 0, 1);
+  std::printf("%-22s %8s %8s %8s %8s %8s\n", "wire", "B out", "B in", "p50 ms", "p90 ms", "p99 ms");
+
+  // The session itself, without a wire.
+  std::vector<double> direct, grpc_ms, websocket_ms;
+  const auto opened = (*server)->host().OpenSession(Anybody(), web_options.openpi.session);
+  if (!opened.ok() || !(*server)->host().StartEpisode(Anybody(), opened->id, {0, 0}, 0).ok())
+    return 1;
+  PolicyClientOptions address;
+  address.address = absl::StrCat("127.0.0.1:", (*server)->port());
+  auto client = GrpcPolicyClient::Connect(address, web_options.openpi.session);
+  if (!client.ok() || !(*client)->StartEpisode({0, 0}).ok()) return 1;
+  WebClient socket((*web)->websocket_port());
+  if (socket.Upgrade() != 101) return 1;
+  socket.Read();
+  const auto bytes_of = [](const Image& image) {
+    return std::string(image.data.begin(), image.data.end());
+  };
+  OpenpiBytes message;
+  message.Map(4);
+  message.Text("observation/image")
+      .Array("|u1", {224, 224, 3}, bytes_of(observation.views[0].image));
+  message.Text("observation/wrist_image")
+      .Array("|u1", {224, 224, 3}, bytes_of(observation.views[1].image));
+  message.Text("observation/state").Numbers<double>("<f8", {8}, std::vector<double>(8, 0.5));
+  message.Text("prompt").Text(observation.instruction);
+  size_t reply_bytes = 0;
+  // In turn, so that what else the machine does falls on all three alike.
+  for (int i = 0; i < rounds; ++i) {
+    Clock::time_point begin = Clock::now();
+    if (!(*server)->host().Predict(Anybody(), opened->id, observation, {0, 0}, i, 0).ok()) return 1;
+    direct.push_back(Milliseconds(begin));
+    begin = Clock::now();
+    if (!(*client)->Predict(observation, i).ok()) return 1;
+    grpc_ms.push_back(Milliseconds(begin));
+    const std::string frame = WebClient::FrameBytes(message.bytes());  // Python's client masks in C
+    begin = Clock::now();
+    socket.Send(frame);
+    const WebClient::Frame reply = socket.Read();
+    websocket_ms.push_back(Milliseconds(begin));
+    if (reply.opcode != WebClient::kBinary)
+      return std::fprintf(stderr, "%s\n", reply.payload.c_str()), 1;
+    reply_bytes = reply.payload.size();
+  }
+  v1::PredictRequest request;
+  *request.mutable_observation() = ToProto(observation);
+  PredictedChunk shape;
+  shape.actions = shape.policy_actions = Eigen::MatrixXf::Zero(FakePolicy::kHorizon, 7);
+  Print("none (session alone)", direct, 0, 0);
+  Print("gRPC", grpc_ms, request.ByteSizeLong(), ToProto(shape, 0).ByteSizeLong());
+  Print("openpi WebSocket", websocket_ms, message.bytes().size(), reply_bytes);
+  return 0;
+}
+
+}  // namespace
+}  // namespace robostress
+
+int main(int argc, char** argv) { return robostress::Run(argc > 2 ? std::atoi(argv[2]) : 1000); }

@@ -1,0 +1,81 @@
+#include "tests/sim_worker/libero/init_file.h"
+
+#include <zlib.h>
+
+#include <cstdint>
+
+namespace robostress::libero {
+namespace {
+
+using namespace std::string_literals;
+
+template <class T>
+void Put(std::string& out, T value) {
+  out.append(reinterpret_cast<const char*>(&value), sizeof(T));
+}
+
+}  // namespace
+
+std::string Zip(const std::string& name, const std::string& data, uint16_t method) {
+  const uint32_t crc =
+      crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(data.size()));
+  auto header = [&](std::string& out) {
+    Put<uint16_t>(out, method);
+    Put<uint32_t>(out, 0);
+    Put<uint32_t>(out, crc);
+    Put<uint32_t>(out, static_cast<uint32_t>(data.size()));
+    Put<uint32_t>(out, static_cast<uint32_t>(data.size()));
+    Put<uint16_t>(out, static_cast<uint16_t>(name.size()));
+    Put<uint16_t>(out, 0);
+  };
+  std::string zip = "PK\x03\x04";
+  Put<uint16_t>(zip, 20);
+  Put<uint16_t>(zip, 0);
+  header(zip);
+  zip += name + data;
+  const uint32_t directory = static_cast<uint32_t>(zip.size());
+  zip += "PK\x01\x02";
+  Put<uint16_t>(zip, 20);
+  Put<uint16_t>(zip, 20);
+  Put<uint16_t>(zip, 0);
+  header(zip);
+  zip.append(2 + 2 + 2 + 4, '\0');
+  Put<uint32_t>(zip, 0);
+  zip += name;
+  const uint32_t size = static_cast<uint32_t>(zip.size()) - directory;
+  zip += std::string("PK\x05\x06\0\0\0\0\x01\0\x01\0", 12);
+  Put<uint32_t>(zip, size);
+  Put<uint32_t>(zip, directory);
+  Put<uint16_t>(zip, 0);
+  return zip;
+}
+
+std::string Unicode(const std::string& utf8) {
+  std::string out = "X";
+  Put<uint32_t>(out, static_cast<uint32_t>(utf8.size()));
+  return out + utf8;
+}
+
+std::string Pickle(const std::vector<double>& values, int rows, int columns) {
+  std::string utf8;
+  for (size_t i = 0; i < values.size() * sizeof(double); ++i) {
+    const uint8_t byte = reinterpret_cast<const uint8_t*>(values.data())[i];
+    if (byte < 0x80) {
+      utf8.push_back(static_cast<char>(byte));
+    } else {
+      utf8.push_back(static_cast<char>(0xc0 | (byte >> 6)));
+      utf8.push_back(static_cast<char>(0x80 | (byte & 0x3f)));
+    }
+  }
+  std::string p("\x80\x02", 2);
+  p += "cnumpy.core.multiarray\n_reconstruct\nq\0cnumpy\nndarray\nq\1K\0\x85q\2"s;
+  p += "c_codecs\nencode\nq\3" + Unicode("b") + Unicode("latin1") + "\x86R\x87R";
+  p += "(K\1K" + std::string(1, static_cast<char>(rows)) + "K" +
+       std::string(1, static_cast<char>(columns)) + "\x86";
+  p += "cnumpy\ndtype\n" + Unicode("f8") + "\x89\x88\x87R(K\3" + Unicode("<") + "NNNJ" +
+       std::string(4, '\xff') + "J" + std::string(4, '\xff') + "K\0tb\x89"s;
+  p += "h\3" + Unicode(utf8) + Unicode("latin1") + "\x86Rtb.";
+  return p;
+}
+
+}  // namespace robostress::libero

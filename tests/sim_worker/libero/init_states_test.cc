@@ -1,0 +1,133 @@
+#include "sim_worker/libero/init_states.h"
+
+#include <gmock/gmock.h>
+
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+
+#include "absl/strings/str_replace.h"
+#include "common/atomic_file.h"
+#include "common/random.h"
+#include "tests/sim_worker/libero/init_file.h"
+#include "tests/sim_worker/libero/shared_data.h"
+
+namespace robostress::libero {
+namespace {
+
+using namespace std::string_literals;
+using ::testing::HasSubstr;
+
+const std::vector<double> kValues = {0, 1.5, -2.25, 1e-300, 3.141592653589793, -0.0};
+
+std::string ErrorOf(const std::string& bytes) {
+  const absl::StatusOr<InitStates> states = ParseInitStates("task.pruned_init", bytes);
+  return states.ok() ? "read" : std::string(states.status().message());
+}
+
+TEST(InitStatesTest, ReadsAMatrixBitForBit) {
+  const absl::StatusOr<InitStates> states =
+      ParseInitStates("a", Zip("archive/data.pkl", Pickle(kValues, 2, 3)));
+  ASSERT_TRUE(states.ok()) << states.status();
+  EXPECT_EQ(states->rows, 2);
+  EXPECT_EQ(states->columns, 3);
+  EXPECT_EQ(std::memcmp(states->values.data(), kValues.data(), sizeof(double) * 6), 0);
+  EXPECT_EQ(states->row(1)[0], 1e-300);
+}
+
+TEST(InitStatesTest, RefusesWhatCouldExecute) {
+  const std::string good = Pickle(kValues, 2, 3);
+  // A name that Python would import and call.
+  const std::string system =
+      std::string("\x80\x02", 2) + "cos\nsystem\n" + Unicode("id") + "\x85R.";
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", system)),
+              HasSubstr("the name 'os.system' is not on the list"));
+  for (const char opcode : std::string("oi\x81\x82\x93]}luseaQP0")) {
+    const std::string pickle = good.substr(0, 2) + opcode + good.substr(2);
+    EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", pickle)), HasSubstr("is not on the list"))
+        << static_cast<int>(opcode);
+  }
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", absl::StrReplaceAll(good, {{"f8", "O8"}}))),
+              HasSubstr("type 'O8'"));
+}
+
+// Found by fuzzing: tuples nested this deep overflowed the stack when they were released.
+TEST(InitStatesTest, RefusesTuplesThatNestWithoutEnd) {
+  const std::string nested =
+      std::string("\x80\x02K\0", 4) + std::string(300000, '\x85') + "." + std::string(4, ' ');
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", nested)),
+              HasSubstr("byte 259 of data.pkl: more than 256 opcodes"));
+}
+
+// Each encoding of a remembered text copies it: a small file could ask for any amount of memory.
+TEST(InitStatesTest, RefusesToEncodeOneTextManyTimes) {
+  std::string pickle = std::string("\x80\x02", 2) + "c_codecs\nencode\nq" + '\1';
+  pickle += Unicode(std::string(1000, 'a')) + "q" + '\2' + Unicode("latin1") + "q" + '\3';
+  for (int i = 0; i < 20; ++i)
+    pickle += std::string("h") + '\1' + "h" + '\2' + "h" + '\3' + "\x86R";
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", pickle)),
+              HasSubstr("encodes more text than the pickle holds"));
+}
+
+TEST(InitStatesTest, ErrorsNameFileAndPlace) {
+  const std::string good = Pickle(kValues, 2, 3);
+  EXPECT_THAT(ErrorOf("hello"), HasSubstr("task.pruned_init: 5 bytes are too few"));
+  EXPECT_THAT(ErrorOf(std::string(100, 'x')), HasSubstr("not a zip file"));
+  EXPECT_THAT(ErrorOf(Zip("archive/other", good)), HasSubstr("no entry ends in '/data.pkl'"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good, 8)), HasSubstr("compressed (method 8)"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle(kValues, 3, 3))),
+              HasSubstr("shape [3, 3] needs 72 bytes, got 48"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good.substr(0, good.size() - 1))),
+              HasSubstr("without STOP"));
+  std::string flipped = Zip("archive/data.pkl", good);
+  flipped[100] ^= 1;
+  EXPECT_THAT(ErrorOf(flipped), HasSubstr("checksum"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle({0, NAN, 0, 0, 0, 0}, 2, 3))),
+              HasSubstr("row 0, column 1 is not finite"));
+}
+
+TEST(InitStatesTest, ARowOfTheWrongLengthNamesFileAndSizes) {
+  const absl::StatusOr<InitStates> states =
+      ParseInitStates("task.pruned_init", Zip("archive/data.pkl", Pickle(kValues, 2, 3)));
+  ASSERT_TRUE(states.ok());
+  EXPECT_TRUE(CheckInitStates(*states, 1, 1).ok());
+  EXPECT_THAT(CheckInitStates(*states, 41, 37).message(),
+              HasSubstr("task.pruned_init: rows have 3 values, the composed model needs 1 + nq + "
+                        "nv = 1 + 41 + 37 = 79"));
+}
+
+TEST(InitStatesTest, SurvivesDamagedFiles) {
+  const std::string pickle = Pickle(kValues, 2, 3);
+  RandomStream random(StreamKey("init states damage"));
+  for (int i = 0; i < 5000; ++i) {
+    // Damage inside the pickle under a correct checksum, and damage to the container.
+    std::string inner = pickle;
+    for (int k = 0; k <= i % 3; ++k)
+      inner[random.UniformInt(static_cast<int>(inner.size()))] =
+          static_cast<char>(random.UniformInt(256));
+    (void)ParseInitStates("a", Zip("archive/data.pkl", inner));
+    std::string outer = Zip("archive/data.pkl", pickle);
+    outer[random.UniformInt(static_cast<int>(outer.size()))] =
+        static_cast<char>(random.UniformInt(256));
+    if (i % 2 == 0) outer.resize(random.UniformInt(static_cast<int>(outer.size())));
+    (void)ParseInitStates("a", outer);
+  }
+}
+
+TEST(InitStatesTest, ReadsEveryTaskOfTheFourSuites) {
+  SKIP_WITHOUT_SHARED_DATA();
+  int files = 0;
+  for (const auto& entry :
+       std::filesystem::recursive_directory_iterator(LiberoTree() + "/libero/libero/init_files")) {
+    if (entry.path().extension() != ".pruned_init") continue;
+    const absl::StatusOr<InitStates> states = ReadInitStates(entry.path());
+    ASSERT_TRUE(states.ok()) << states.status();
+    EXPECT_EQ(states->rows, 50);
+    EXPECT_EQ(states->row(0)[0], 0) << "time";
+    ++files;
+  }
+  EXPECT_EQ(files, 40);
+}
+
+}  // namespace
+}  // namespace robostress::libero
