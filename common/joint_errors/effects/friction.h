@@ -1,6 +1,5 @@
 #pragma once
 
-#include "absl/types/span.h"
 #include "common/joint_errors/options.h"
 #include "common/joint_errors/scenarios.h"
 
@@ -21,18 +20,5 @@ double StribeckMagnitude(const JointErrorParameters& p, double dq);
 
 // Laws sgn and tanh for one joint [Nm].
 double StribeckTorque(const JointErrorParameters& p, double dq, FrictionLaw law, double tanh_width);
-
-// Law stick: the dry torques f [Nm], |f_j| <= limit_j, that bring the velocities after the sub-step
-// to rest where they can: v = v_free + A f, with f_j = -limit_j sgn(v_j) where v_j stays non-zero.
-// v_free [n]: velocity after the sub-step without dry friction [rad/s]; A [n x n, row-major,
-// symmetric positive definite]: velocity per torque, h M^-1. Projected Gauss-Seidel from zero, at
-// most kStickSweeps sweeps. Allocates nothing.
-inline constexpr int kStickSweeps = 50;
-void StickTorques(absl::Span<const double> v_free, absl::Span<const double> A,
-                  absl::Span<const double> limit, absl::Span<double> f);
-// The same with limits that depend on the direction: -forward_j <= f_j <= backward_j, both >= 0.
-void StickTorques(absl::Span<const double> v_free, absl::Span<const double> A,
-                  absl::Span<const double> forward, absl::Span<const double> backward,
-                  absl::Span<double> f);
 
 }  // namespace robostress
