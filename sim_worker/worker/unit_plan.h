@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 #include "common/unit_config.h"
 
 namespace robostress {
