@@ -8,7 +8,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/refusal.h"
+#include "common/rollout/refusal.h"
 #include "server/inference/torch_threads.h"
 #include "server/inference/without_exceptions.h"
 #include "server/operations/span_trace.h"

@@ -6,7 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/monotonic_wait.h"
-#include "common/rpc/spec_checks.h"
+#include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/inference/torch_threads.h"

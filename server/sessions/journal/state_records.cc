@@ -7,7 +7,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "adapter/lora.h"
-#include "common/rpc/convert.h"
+#include "common/rollout/message_limits.h"
+#include "common/rpc/convert_chunks.h"
+#include "common/rpc/convert_observations.h"
 #include "common/status_macros.h"
 
 namespace robostress {

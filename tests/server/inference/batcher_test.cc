@@ -9,7 +9,7 @@
 
 #include "absl/synchronization/mutex.h"
 #include "absl/synchronization/notification.h"
-#include "common/rpc/refusal.h"
+#include "common/rollout/refusal.h"
 #include "tests/adapter/fake_policy.h"
 
 namespace robostress {
