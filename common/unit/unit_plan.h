@@ -5,6 +5,7 @@
 
 #include "absl/status/statusor.h"
 #include "common/records/episode_row.h"
+#include "common/rollout/session_spec.h"
 #include "common/unit_config.h"
 
 namespace robostress {

@@ -8,7 +8,7 @@
 #include "absl/status/statusor.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/rollout/robot.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 #include "common/types.h"
 #include "common/unit/unit_runner.h"
 #include "common/unit_config.h"

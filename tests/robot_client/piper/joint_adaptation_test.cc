@@ -2,7 +2,7 @@
 // control loop, the feedback stream over gRPC, and a server that learns in joint space.
 
 #include <gtest/gtest.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <filesystem>
 
