@@ -136,7 +136,7 @@ void CheckScenarios(const SweepGrid& grid, Complaints& complaints) {
     labels.push_back(ScenarioLabel(scenario));
     if (!IsScenarioFile(scenario)) {
       built_in.push_back(scenario);
-    } else if (const auto file = ReadScenarioFile(scenario); !file.ok()) {
+    } else if (const auto file = ReadScenarioFile(scenario, kPanda); !file.ok()) {
       complaints.Add(std::string(file.status().message()));
     }
   }

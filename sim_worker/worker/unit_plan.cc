@@ -8,6 +8,7 @@
 #include "absl/strings/str_split.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/robot_description.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 
@@ -150,7 +151,8 @@ SessionSpec SessionSpecOf(const UnitConfig& resolved) {
   spec.policy = resolved.policy;
   spec.seed = resolved.seed;
   spec.mode = ExecutionMode::kLockstep;
-  spec.control_space = ControlSpace::kEndEffector;
+  spec.control_space = kPanda.control_space;
+  spec.control_period_s = kPanda.control_period_s;
   spec.goal_reference = resolved.sim.goal_reference;
   spec.method = resolved.method;
   return spec;
