@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "common/robot_description.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -20,7 +21,7 @@ PolicyLink::Connect ConnectTo(const PolicyConnectionOptions& options, double con
     client.reconnect_timeout_s = 0;  // the arm holds and asks again; each call tries to resume
     SessionSpec session;
     session.robot = options.robot;
-    session.control_space = ControlSpace::kJoint;
+    session.control_space = kPiper.control_space;
     session.suite = options.suite;
     session.scenario = options.scenario;
     session.policy = options.policy;
