@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <utility>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/numbers.h"
@@ -13,30 +15,43 @@
 
 namespace robostress {
 
-absl::StatusOr<CsvTable> CsvTable::Read(const std::string& path, uint64_t max_bytes) {
-  RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, max_bytes));
+absl::StatusOr<CsvTable> CsvTable::Read(const std::string& path, uint64_t max_bytes,
+                                        ShortLastLine last) {
+  RS_ASSIGN_OR_RETURN(std::string text, ReadFileUpTo(path, max_bytes));
   CsvTable table;
   table.path_ = path;
-  for (absl::string_view line : absl::StrSplit(text, '\n')) {
-    if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
-    if (line.empty()) continue;
-    std::vector<std::string> cells;
-    for (const absl::string_view cell : absl::StrSplit(line, ','))
-      cells.emplace_back(absl::StripAsciiWhitespace(cell));
-    table.rows_.push_back(std::move(cells));
+  table.text_ = std::make_shared<const std::string>(std::move(text));
+  int line_number = 0;
+  std::optional<absl::Status> short_line;
+  for (absl::string_view line : absl::StrSplit(*table.text_, '\n')) {
+    ++line_number;
+    if (absl::StripAsciiWhitespace(line).empty()) continue;
+    if (short_line.has_value()) return *short_line;
+    const std::vector<absl::string_view> cells = absl::StrSplit(line, ',');
+    if (table.names_.empty()) {
+      for (const absl::string_view cell : cells) {
+        const std::string name(absl::StripAsciiWhitespace(cell));
+        if (table.Has(name))
+          return absl::InvalidArgumentError(
+              absl::StrCat(path, ":1: column '", name, "' stands twice"));
+        table.names_.push_back(name);
+      }
+      continue;
+    }
+    if (cells.size() != table.names_.size()) {
+      const absl::Status wrong = absl::InvalidArgumentError(absl::StrCat(
+          path, ":", line_number, ": has ", cells.size(), " columns, not ", table.names_.size()));
+      if (cells.size() > table.names_.size() || last == ShortLastLine::kError) return wrong;
+      short_line = wrong;
+      continue;
+    }
+    for (const absl::string_view cell : cells)
+      table.cells_.push_back(absl::StripAsciiWhitespace(cell));
+    table.lines_.push_back(line_number);
   }
-  if (table.rows_.size() < 2)
+  if (table.lines_.empty())
     return absl::InvalidArgumentError(
         absl::StrCat(path, ": has no rows; a line of names and rows of numbers are wanted"));
-  table.names_ = std::move(table.rows_.front());
-  table.rows_.erase(table.rows_.begin());
-  if (table.rows_.back().size() < table.names_.size()) table.rows_.pop_back();
-  for (size_t i = 0; i < table.rows_.size(); ++i) {
-    if (table.rows_[i].size() != table.names_.size())
-      return absl::InvalidArgumentError(absl::StrCat(path, ":", i + 2, ": has ",
-                                                     table.rows_[i].size(), " columns, not ",
-                                                     table.names_.size()));
-  }
   return table;
 }
 
@@ -53,15 +68,17 @@ absl::StatusOr<size_t> CsvTable::Column(const std::string& name) const {
   return static_cast<size_t>(at - names_.begin());
 }
 
+std::string CsvTable::Place(size_t row) const { return absl::StrCat(path_, ":", lines_[row]); }
+
 std::string CsvTable::Place(size_t row, size_t column) const {
-  return absl::StrCat(path_, ":", row + 2, ": ", names_[column]);
+  return absl::StrCat(Place(row), ": ", names_[column]);
 }
 
 absl::StatusOr<double> CsvTable::Number(size_t row, size_t column) const {
   double value = 0;
-  if (!absl::SimpleAtod(rows_[row][column], &value) || !std::isfinite(value))
-    return absl::InvalidArgumentError(absl::StrCat(Place(row, column), " is '", rows_[row][column],
-                                                   "', must be a finite number"));
+  if (!absl::SimpleAtod(Text(row, column), &value) || !std::isfinite(value))
+    return absl::InvalidArgumentError(
+        absl::StrCat(Place(row, column), " is '", Text(row, column), "', must be a finite number"));
   return value;
 }
 

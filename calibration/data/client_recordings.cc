@@ -44,7 +44,7 @@ absl::StatusOr<std::vector<Interval>> Driven(const CsvTable& ticks) {
   std::vector<Interval> intervals;
   std::string current;
   for (size_t row = 0; row < ticks.rows(); ++row) {
-    const std::string& name = ticks.Text(row, state);
+    const absl::string_view name = ticks.Text(row, state);
     const bool driven = name == "RUN" || name == "MOVE" || name == "HOLD";
     if (!driven) {
       current.clear();

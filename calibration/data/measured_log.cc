@@ -1,22 +1,20 @@
 #include "calibration/data/measured_log.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
-#include <set>
+#include <map>
 
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "absl/strings/str_split.h"
 #include "calibration/data/local_polynomial.h"
-#include "common/atomic_file.h"
+#include "common/csv_table.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
 namespace {
 
+constexpr uint64_t kMaxBytes = uint64_t{4} << 30;
 constexpr int kMinRows = 50;
 constexpr int kSmoothing = 12;       // rows each side, at most
 constexpr double kJitter = 0.02;     // of dt; more is resampled
@@ -24,73 +22,29 @@ constexpr double kGap = 5;           // in dt; more is refused
 constexpr double kRateError = 0.02;  // of the declared rate
 constexpr double kSaturated = 0.02;  // share of rows at the largest torque
 
-struct Table {
-  std::vector<std::string> names;
-  std::vector<std::vector<double>> columns;
-};
-
-absl::StatusOr<Table> ReadCsv(const std::string& file) {
-  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
-  Table table;
-  int line_number = 0;
-  for (absl::string_view line : absl::StrSplit(text, '\n')) {
-    ++line_number;
-    line = absl::StripAsciiWhitespace(line);
-    if (line.empty()) continue;
-    const std::vector<absl::string_view> cells = absl::StrSplit(line, ',');
-    if (table.names.empty()) {
-      std::set<std::string> seen;
-      for (absl::string_view cell : cells) {
-        const std::string name(absl::StripAsciiWhitespace(cell));
-        if (!seen.insert(name).second)
-          return absl::InvalidArgumentError(
-              absl::StrCat(file, ": line 1: column '", name, "' stands twice"));
-        table.names.push_back(name);
-      }
-      table.columns.resize(table.names.size());
-      continue;
-    }
-    if (cells.size() != table.names.size())
-      return absl::InvalidArgumentError(absl::StrCat(file, ": line ", line_number, ": has ",
-                                                     cells.size(), " values, the header ",
-                                                     table.names.size()));
-    for (size_t i = 0; i < cells.size(); ++i) {
-      double value = 0;
-      if (!absl::SimpleAtod(cells[i], &value) || !std::isfinite(value))
-        return absl::InvalidArgumentError(absl::StrCat(file, ": line ", line_number, ": column '",
-                                                       table.names[i], "' is '", cells[i],
-                                                       "', must be a finite number"));
-      table.columns[i].push_back(value);
-    }
-  }
-  if (table.names.empty()) return absl::InvalidArgumentError(absl::StrCat(file, ": is empty"));
-  return table;
-}
-
 // Steps of the clock; refuses one that does not run.
-absl::StatusOr<double> CheckClock(const std::string& file, const std::vector<double>& t,
+absl::StatusOr<double> CheckClock(const CsvTable& table, const std::vector<double>& t,
                                   double rate_hz, std::vector<std::string>& notes) {
   if (t.size() < kMinRows)
-    return absl::InvalidArgumentError(
-        absl::StrCat(file, ": has ", t.size(), " rows, at least ", kMinRows, " are needed"));
+    return absl::InvalidArgumentError(absl::StrCat(table.path(), ": has ", t.size(),
+                                                   " rows, at least ", kMinRows, " are needed"));
   std::vector<double> steps;
   for (size_t i = 1; i < t.size(); ++i) {
     if (t[i] <= t[i - 1])
-      return absl::InvalidArgumentError(absl::StrCat(file, ": line ", i + 2, ": t is ", t[i],
-                                                     " after ", t[i - 1],
-                                                     "; the clock must increase"));
+      return absl::InvalidArgumentError(absl::StrCat(table.Place(i), ": t is ", t[i], " after ",
+                                                     t[i - 1], "; the clock must increase"));
     steps.push_back(t[i] - t[i - 1]);
   }
   const double dt = UpperMedian(steps);
   if (std::abs(dt * rate_hz - 1) > kRateError)
-    return absl::InvalidArgumentError(absl::StrCat(file, ": t runs at ", 1 / dt,
+    return absl::InvalidArgumentError(absl::StrCat(table.path(), ": t runs at ", 1 / dt,
                                                    " rows per second, the rig's rate_hz is ",
                                                    rate_hz, "; is t in seconds?"));
   double jitter = 0;
   for (size_t i = 0; i < steps.size(); ++i) {
     if (steps[i] > kGap * dt)
-      return absl::InvalidArgumentError(absl::StrCat(file, ": line ", i + 3, ": a gap of ",
-                                                     steps[i], " s (", steps[i] / dt,
+      return absl::InvalidArgumentError(absl::StrCat(table.Place(i + 1), ": a gap of ", steps[i],
+                                                     " s (", steps[i] / dt,
                                                      " rows); split the log there"));
     jitter = std::max(jitter, std::abs(steps[i] / dt - 1));
   }
@@ -137,55 +91,61 @@ double RangeOf(const std::vector<double>& values) {
   return *high - *low;
 }
 
-// One channel of the table; what the input needs must be there.
+// The table's columns; what the input needs must be there.
 class Channels {
  public:
-  Channels(const std::string& file, const Table& table) : file_(file), table_(table) {}
-
-  const std::vector<double>* Find(const std::string& name) const {
-    const auto found = std::find(table_.names.begin(), table_.names.end(), name);
-    if (found == table_.names.end()) return nullptr;
-    return &table_.columns[found - table_.names.begin()];
+  // Every cell must be a number, also of a column that nobody asks for.
+  static absl::StatusOr<Channels> Read(const CsvTable& table) {
+    Channels channels(table);
+    for (const std::string& name : table.names()) {
+      RS_ASSIGN_OR_RETURN(channels.columns_[name], table.Numbers(name));
+    }
+    return channels;
   }
-  absl::StatusOr<std::vector<double>> Need(const std::string& name, const RigJoint& joint) const {
-    if (const std::vector<double>* column = Find(name)) return *column;
-    return absl::InvalidArgumentError(
-        absl::StrCat(file_, ": no column '", name, "', which input of joint '", joint.name,
-                     "' needs; the file has ", absl::StrJoin(table_.names, ", ")));
+
+  absl::StatusOr<std::vector<double>> Need(const std::string& name, const std::string& why) const {
+    const auto found = columns_.find(name);
+    if (found != columns_.end()) return found->second;
+    return absl::InvalidArgumentError(absl::StrCat(table_.path(), ": no column '", name, "'", why,
+                                                   "; the file has ",
+                                                   absl::StrJoin(table_.names(), ", ")));
   }
   std::vector<double> Optional(const std::string& name) const {
-    const std::vector<double>* column = Find(name);
-    return column == nullptr ? std::vector<double>() : *column;
+    const auto found = columns_.find(name);
+    return found == columns_.end() ? std::vector<double>() : found->second;
   }
 
  private:
-  const std::string& file_;
-  const Table& table_;
+  explicit Channels(const CsvTable& table) : table_(table) {}
+
+  const CsvTable& table_;
+  std::map<std::string, std::vector<double>> columns_;
 };
 
 absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& joint) {
   JointRecord record;
   const std::string& name = joint.name;
+  const std::string why = absl::StrCat(", which input of joint '", name, "' needs");
   if (joint.input == JointInput::kTransmission) {
-    RS_ASSIGN_OR_RETURN(record.q_motor, channels.Need("q_motor_" + name, joint));
-    RS_ASSIGN_OR_RETURN(record.q, channels.Need("q_link_" + name, joint));
+    RS_ASSIGN_OR_RETURN(record.q_motor, channels.Need("q_motor_" + name, why));
+    RS_ASSIGN_OR_RETURN(record.q, channels.Need("q_link_" + name, why));
   } else {
-    RS_ASSIGN_OR_RETURN(record.q, channels.Need("q_" + name, joint));
+    RS_ASSIGN_OR_RETURN(record.q, channels.Need("q_" + name, why));
   }
   record.command = channels.Optional("q_cmd_" + name);
   record.tau = channels.Optional("tau_" + name);
   record.temperature = channels.Optional("temp_" + name);
   if (!joint.enable.empty()) {
-    RS_ASSIGN_OR_RETURN(record.enable, channels.Need(joint.enable, joint));
+    RS_ASSIGN_OR_RETURN(record.enable, channels.Need(joint.enable, why));
   }
   if (joint.input == JointInput::kPositionTarget) {
-    RS_RETURN_IF_ERROR(channels.Need("q_cmd_" + name, joint).status());
+    RS_RETURN_IF_ERROR(channels.Need("q_cmd_" + name, why).status());
   }
   if (joint.input == JointInput::kTorque || joint.input == JointInput::kInverse) {
-    RS_RETURN_IF_ERROR(channels.Need("tau_" + name, joint).status());
+    RS_RETURN_IF_ERROR(channels.Need("tau_" + name, why).status());
   }
   if (joint.velocity == VelocitySide::kMotor) {
-    RS_RETURN_IF_ERROR(channels.Need("dq_" + name, joint).status());
+    RS_RETURN_IF_ERROR(channels.Need("dq_" + name, why).status());
   }
   return record;
 }
@@ -297,27 +257,25 @@ std::vector<double> UntilNextRow(std::vector<double> at_rows) {
 }
 
 absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& declared) {
-  RS_ASSIGN_OR_RETURN(const Table table, ReadCsv(declared.file));
-  const Channels channels(declared.file, table);
+  RS_ASSIGN_OR_RETURN(const CsvTable table,
+                      CsvTable::Read(declared.file, kMaxBytes, CsvTable::ShortLastLine::kError));
+  RS_ASSIGN_OR_RETURN(const Channels channels, Channels::Read(table));
   MeasuredLog log;
   log.file = declared.file;
   log.condition = declared.condition;
   log.role = declared.role;
   log.overrides = declared.overrides;
-  const std::vector<double>* t = channels.Find("t");
-  if (t == nullptr)
-    return absl::InvalidArgumentError(absl::StrCat(
-        declared.file, ": no column 't' [s]; the file has ", absl::StrJoin(table.names, ", ")));
-  RS_ASSIGN_OR_RETURN(const double clock, CheckClock(declared.file, *t, rig.rate_hz, log.notes));
+  RS_ASSIGN_OR_RETURN(const std::vector<double> t, channels.Need("t", " [s]"));
+  RS_ASSIGN_OR_RETURN(const double clock, CheckClock(table, t, rig.rate_hz, log.notes));
   log.dt = std::abs(clock);
   for (const RigJoint& joint : rig.joints) {
     RS_ASSIGN_OR_RETURN(JointRecord record, ReadJoint(channels, joint));
     for (auto* channel : {&record.command, &record.q, &record.q_motor, &record.tau,
                           &record.temperature, &record.enable}) {
-      if (clock < 0 && !channel->empty()) *channel = Resample(*t, *channel, log.dt);
+      if (clock < 0 && !channel->empty()) *channel = Resample(t, *channel, log.dt);
     }
     std::vector<double> velocity = channels.Optional("dq_" + joint.name);
-    if (clock < 0 && !velocity.empty()) velocity = Resample(*t, velocity, log.dt);
+    if (clock < 0 && !velocity.empty()) velocity = Resample(t, velocity, log.dt);
     RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, velocity, record, log.dt, log.notes));
     log.joints.push_back(std::move(record));
   }

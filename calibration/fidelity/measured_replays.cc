@@ -5,12 +5,10 @@
 #include <map>
 #include <utility>
 
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "absl/strings/str_split.h"
-#include "common/atomic_file.h"
+#include "common/csv_table.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
@@ -19,30 +17,6 @@ namespace {
 constexpr std::array<const char*, 7> kColumns = {"t", "x", "y", "z", "held", "loaded", "replay"};
 enum Column { kT, kX, kY, kZ, kHeld, kLoaded, kReplay };
 constexpr uint64_t kMaxBytes = 200u << 20;
-
-absl::Status BadLine(const std::string& path, int line, const std::string& what) {
-  return absl::InvalidArgumentError(absl::StrCat(path, ":", line, ": ", what));
-}
-
-// Where each of kColumns stands.
-absl::StatusOr<std::array<int, 7>> ReadHeader(const std::string& path, const std::string& header) {
-  const std::vector<std::string> names = absl::StrSplit(header, ',');
-  std::array<int, 7> place;
-  place.fill(-1);
-  for (size_t i = 0; i < names.size(); ++i) {
-    for (size_t c = 0; c < kColumns.size(); ++c) {
-      if (names[i] == kColumns[c]) place[c] = static_cast<int>(i);
-    }
-  }
-  for (size_t c = 0; c < kColumns.size(); ++c) {
-    if (place[c] < 0) {
-      return BadLine(path, 1,
-                     absl::StrCat("column '", kColumns[c], "' is missing; the header must name ",
-                                  absl::StrJoin(kColumns, ", ")));
-    }
-  }
-  return place;
-}
 
 absl::Status CheckReplay(const std::string& path, bool loaded, int number, const Replay& replay) {
   const absl::StatusOr<GraspSpan> span = FindGrasp(replay);
@@ -65,39 +39,33 @@ Scenario OwnErrors() {
 
 absl::StatusOr<MeasuredReplays> ReadMeasuredReplays(const std::string& dir) {
   const std::string path = dir + "/replays.csv";
-  RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, kMaxBytes));
-  std::vector<std::string> lines = absl::StrSplit(text, '\n');
-  for (std::string& line : lines) {
-    if (!line.empty() && line.back() == '\r') line.pop_back();
+  RS_ASSIGN_OR_RETURN(const CsvTable table,
+                      CsvTable::Read(path, kMaxBytes, CsvTable::ShortLastLine::kError));
+  std::array<size_t, kColumns.size()> place{};
+  for (size_t c = 0; c < kColumns.size(); ++c) {
+    RS_ASSIGN_OR_RETURN(place[c], table.Column(kColumns[c]));
   }
-  RS_ASSIGN_OR_RETURN(const auto place, ReadHeader(path, lines[0]));
   std::map<std::pair<bool, int>, Replay> replays;  // by (loaded, number)
-  for (size_t i = 1; i < lines.size(); ++i) {
-    if (lines[i].empty()) continue;
-    const int line = static_cast<int>(i) + 1;
-    const std::vector<std::string> cells = absl::StrSplit(lines[i], ',');
-    std::array<double, 7> row;
+  for (size_t i = 0; i < table.rows(); ++i) {
+    std::array<double, kColumns.size()> row{};
     for (size_t c = 0; c < kColumns.size(); ++c) {
-      if (place[c] >= static_cast<int>(cells.size()) ||
-          !absl::SimpleAtod(cells[place[c]], &row[c]) || !std::isfinite(row[c])) {
-        return BadLine(
-            path, line,
-            absl::StrCat("column '", kColumns[c], "': '",
-                         place[c] < static_cast<int>(cells.size()) ? cells[place[c]] : "",
-                         "' is not a finite number"));
-      }
+      RS_ASSIGN_OR_RETURN(row[c], table.Number(i, place[c]));
     }
     for (const Column c : {kHeld, kLoaded}) {
       if (row[c] != 0 && row[c] != 1)
-        return BadLine(path, line,
-                       absl::StrCat("column '", kColumns[c], "': ", row[c], " must be 0 or 1"));
+        return absl::InvalidArgumentError(
+            absl::StrCat(table.Place(i, place[c]), " is ", row[c], ", must be 0 or 1"));
     }
+    if (!(row[kReplay] >= 0 && row[kReplay] <= 1e6) || row[kReplay] != std::floor(row[kReplay]))
+      return absl::InvalidArgumentError(absl::StrCat(table.Place(i, place[kReplay]), " is ",
+                                                     row[kReplay],
+                                                     ", must be a whole number from 0 to 1000000"));
     Replay& replay = replays[{row[kLoaded] == 1, static_cast<int>(row[kReplay])}];
     if (!replay.t.empty() && row[kT] <= replay.t.back()) {
-      return BadLine(path, line,
-                     absl::StrFormat("column 't': %g s does not follow %g s of the same replay; "
-                                     "rows of a replay must be in the order of time",
-                                     row[kT], replay.t.back()));
+      return absl::InvalidArgumentError(
+          absl::StrFormat("%s: %g s does not follow %g s of the same replay; rows of a replay must "
+                          "be in the order of time",
+                          table.Place(i, place[kT]), row[kT], replay.t.back()));
     }
     replay.t.push_back(row[kT]);
     replay.p.emplace_back(row[kX], row[kY], row[kZ]);

@@ -7,6 +7,7 @@
 
 #include "calibration/search/parallel.h"
 #include "common/random.h"
+#include "common/statistics.h"
 
 namespace robostress::calibration {
 namespace {
@@ -118,9 +119,7 @@ NullDistribution DrawNull(const JointProblem& problem, const Screening& screenin
 double NullDistribution::Quantile(double share) const {
   std::vector<double> sorted = largest;
   std::sort(sorted.begin(), sorted.end());
-  if (sorted.empty()) return 0;
-  return sorted[std::min(sorted.size() - 1,
-                         static_cast<size_t>(share * static_cast<double>(sorted.size())))];
+  return sorted.empty() ? 0 : robostress::Quantile(sorted, share);
 }
 
 namespace {

@@ -4,6 +4,7 @@
 #include "common/config.h"
 #include "common/method_options.h"
 #include "common/status_macros.h"
+#include "eval/launch/cluster_launchers.h"
 
 namespace robostress {
 
@@ -30,9 +31,10 @@ void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch) {
   option("--split-episodes", launch.part_episodes,
          "Methods that carry nothing over run in parts of N episodes; 0: undivided")
       ->check(CLI::Range(0, 1000000));
-  app.add_flag("--wait", cluster.wait, "Stay and show the progress until all jobs have left")
-      ->group("Where it runs");
   app.add_flag("--quiet", launch.quiet, "No progress; failures and the result only")
+      ->group("Where it runs");
+  if (ClusterLaunchers().empty()) return;  // what follows asks for one
+  app.add_flag("--wait", cluster.wait, "Stay and show the progress until all jobs have left")
       ->group("Where it runs");
   option("--servers", cluster.servers, "Server jobs per policy")->check(CLI::Range(1, 1000));
   option("--server-threads", cluster.server_threads,

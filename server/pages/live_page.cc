@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/html_page.h"
+#include "common/statistics.h"
 #include "common/svg_elements.h"
 #include "common/svg_plot.h"
 
@@ -35,12 +36,6 @@ std::string Latency(const Histogram& histogram, double quantile, bool any) {
   if (!any) return kNothing;
   const double ms = 1e3 * QuantileOf(histogram, quantile);
   return ms < 1000 ? absl::StrFormat("%.3g ms", ms) : absl::StrFormat("%.0f ms", ms);
-}
-
-double Percentile(std::vector<double> values, double q) {
-  if (values.empty()) return 0;
-  std::sort(values.begin(), values.end());
-  return values[static_cast<size_t>(q * static_cast<double>(values.size() - 1))];
 }
 
 std::string UrlEscape(const std::string& text) {
@@ -140,6 +135,8 @@ std::string Row(const Telemetry::View& view) {
   const auto if_learned = [&f](double value) {
     return f.updates_applied > 0 ? absl::StrFormat("%.3g", value) : kNothing;
   };
+  std::vector<double> latencies = view.latencies_s;
+  std::sort(latencies.begin(), latencies.end());
   return absl::StrCat(
       "<tr><td style=\"white-space:normal\">", EscapeXml(f.id), "<br><small>",
       EscapeXml(Name(f.spec)), "</small>",
@@ -148,10 +145,9 @@ std::string Row(const Telemetry::View& view) {
       f.predictions, "</td><td>", f.feedback_sequence, "</td><td>", f.updates_applied, "</td><td>",
       f.updates_refused + f.updates_guarded, "</td><td>", f.duplicates, "</td><td>",
       if_learned(f.adapter_distance), "</td><td>", if_learned(f.last_loss), "</td><td>",
-      view.latencies_s.empty()
-          ? kNothing
-          : absl::StrFormat("%.1f / %.1f", 1e3 * Percentile(view.latencies_s, 0.5),
-                            1e3 * Percentile(view.latencies_s, 0.99)),
+      latencies.empty() ? kNothing
+                        : absl::StrFormat("%.1f / %.1f", 1e3 * Quantile(latencies, 0.5),
+                                          1e3 * Quantile(latencies, 0.99)),
       "</td></tr>\n");
 }
 

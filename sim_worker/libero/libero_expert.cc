@@ -5,12 +5,14 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <memory>
 #include <string_view>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "common/rollout/expert_policy.h"
 #include "common/so3.h"
 #include "common/status_macros.h"
 #include "sim_worker/libero/libero_sim_task.h"
@@ -296,42 +298,6 @@ class PullDrawer : public Skill {
   int steps_ = 0;
 };
 
-class ExpertPolicy : public PolicyEndpoint {
- public:
-  ExpertPolicy(const LiberoSimTask& task, std::unique_ptr<Skill> skill)
-      : task_(task), skill_(std::move(skill)) {
-    spec_.name = "expert";
-    spec_.horizon = 1;
-    spec_.execute_steps = 1;
-    skill_->Start();
-  }
-  const PolicySpec& spec() const override { return spec_; }
-  absl::Status StartEpisode(const EpisodeKey&) override {
-    skill_->Start();
-    return absl::OkStatus();
-  }
-  absl::StatusOr<PredictedChunk> Predict(const Observation&, int) override {
-    const View view(task_);
-    PredictedChunk chunk;
-    chunk.prediction_id = ++predictions_;
-    chunk.actions = CommandTowards(skill_->Decide(view), view).transpose();
-    chunk.policy_actions = chunk.base_actions = chunk.actions;
-    return chunk;
-  }
-  absl::Status SendFeedback(ExecutedChunk) override {
-    ++stats_.feedback_chunks;
-    return absl::OkStatus();
-  }
-  absl::StatusOr<SessionStats> Stats() override { return stats_; }
-
- private:
-  const LiberoSimTask& task_;
-  std::unique_ptr<Skill> skill_;
-  PolicySpec spec_;
-  SessionStats stats_;
-  uint64_t predictions_ = 0;
-};
-
 // Grasps that were tried on the stored initial states; a bowl is held by its rim.
 const GraspSpec* FindGrasp(const std::string& category) {
   static const GraspSpec kGrasps[] = {
@@ -398,7 +364,13 @@ absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeLiberoExpert(const LiberoSim
                      "'; there is one for goals that put a bowl on something or open a "
                      "drawer of a cabinet. Use --policy replay or a policy server"));
   }
-  return std::make_unique<ExpertPolicy>(task, std::move(skill));
+  const std::shared_ptr<Skill> shared = std::move(skill);
+  shared->Start();
+  const auto decide = [&task, shared]() -> Eigen::VectorXf {
+    const View view(task);
+    return CommandTowards(shared->Decide(view), view);
+  };
+  return std::make_unique<ExpertPolicy>(decide, [shared] { shared->Start(); });
 }
 
 }  // namespace robostress::libero

@@ -7,6 +7,7 @@
 #include "absl/strings/str_replace.h"
 #include "common/image.h"
 #include "common/joint_errors/scenarios.h"
+#include "common/rollout/expert_policy.h"
 #include "common/so3.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
@@ -18,36 +19,6 @@ namespace {
 constexpr char kAgentView[] = "agentview";
 constexpr char kWristView[] = "robot0_eye_in_hand";
 constexpr int kSupersampleUpTo = 112;  // [px]
-
-// The expert as a policy: reads the task's true state, sees no image.
-class ExpertPolicy : public PolicyEndpoint {
- public:
-  explicit ExpertPolicy(const EmbeddedTask& task) : task_(task) {
-    spec_.name = "expert";
-    spec_.horizon = 1;
-    spec_.execute_steps = 1;
-  }
-  const PolicySpec& spec() const override { return spec_; }
-  absl::Status StartEpisode(const EpisodeKey&) override { return absl::OkStatus(); }
-  absl::StatusOr<PredictedChunk> Predict(const Observation&, int) override {
-    PredictedChunk chunk;
-    chunk.prediction_id = ++predictions_;
-    chunk.actions = task_.Decide().command.transpose();
-    chunk.policy_actions = chunk.base_actions = chunk.actions;
-    return chunk;
-  }
-  absl::Status SendFeedback(ExecutedChunk) override {
-    ++stats_.feedback_chunks;
-    return absl::OkStatus();
-  }
-  absl::StatusOr<SessionStats> Stats() override { return stats_; }
-
- private:
-  const EmbeddedTask& task_;
-  PolicySpec spec_;
-  SessionStats stats_;
-  uint64_t predictions_ = 0;
-};
 
 std::string KnownSuites() {
   std::vector<std::string> names;
@@ -145,7 +116,7 @@ absl::StatusOr<Observation> EmbeddedTask::Observe(const PolicySpec& spec) {
 bool EmbeddedTask::Success() const { return TaskSucceeds(*model_, *sim_); }
 
 absl::StatusOr<std::unique_ptr<PolicyEndpoint>> EmbeddedTask::MakeExpert() {
-  return std::make_unique<ExpertPolicy>(*this);
+  return std::make_unique<ExpertPolicy>([this] { return Decide().command; });
 }
 
 absl::StatusOr<Image> EmbeddedTask::Film(int height) {

@@ -37,6 +37,30 @@ TEST(CsvTableTest, PassesOverALastLineThatADiskCutShortAndNoOther) {
   EXPECT_THAT(std::string(Table("t,q\n0,1,2\n").status().message()), HasSubstr("has 3 columns"));
 }
 
+TEST(CsvTableTest, RefusesAShortLastLineWhereEveryRowCounts) {
+  const std::string path = ::testing::TempDir() + "/table.csv";
+  ASSERT_TRUE(WriteFileAtomically(path, "t,q\n0,1\n2\n").ok());
+  EXPECT_THAT(
+      std::string(CsvTable::Read(path, 1000, CsvTable::ShortLastLine::kError).status().message()),
+      HasSubstr("table.csv:3: has 1 columns, not 2"));
+}
+
+TEST(CsvTableTest, RefusesANameThatStandsTwice) {
+  EXPECT_THAT(std::string(Table("t,q,t\n0,1,2\n").status().message()),
+              HasSubstr("column 't' stands twice"));
+}
+
+TEST(CsvTableTest, CountsEmptyLinesAndOutlivesAMove) {
+  auto table = Table("t,q\n\n0,1\n\n1,x\n");
+  ASSERT_TRUE(table.ok()) << table.status();
+  const CsvTable moved = *std::move(table);
+  EXPECT_EQ(moved.rows(), 2u);
+  EXPECT_EQ(moved.Text(1, 1), "x");
+  EXPECT_THAT(moved.Place(0), HasSubstr("table.csv:3"));
+  EXPECT_THAT(std::string(moved.Numbers("q").status().message()),
+              HasSubstr("table.csv:5: q is 'x'"));
+}
+
 TEST(CsvTableTest, NamesLineColumnAndValueOfWhatIsNoNumber) {
   for (const char* value : {"x", "", "nan", "inf", "1e999", "1 2"}) {
     const auto table = Table(std::string("t,q\n0,1\n1,") + value + "\n2,3\n");

@@ -15,6 +15,7 @@ namespace robostress {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 // A command that is there only with the option.
 const std::map<std::string, std::string> kCommandOf = {{"ROBOSTRESS_TORCH", "serve"},
@@ -49,6 +50,10 @@ TEST(LeftOut, LaunchersNameTheOption) {
   EXPECT_EQ(LauncherNames(), std::vector<std::string>{"local"});
   for (const char* name : {"slurm", "kubernetes"})
     EXPECT_THAT(MakeLauncher(name).status().message(), HasSubstr("ROBOSTRESS_CLUSTER=OFF"));
+  const std::string help = RunProgram(absl::StrCat(BIN_DIR, "/robostress-sweep"), "--help").first;
+  EXPECT_THAT(help, HasSubstr("--launcher"));
+  for (const char* flag : {"--slurm-server", "--image", "--servers", "--wait"})
+    EXPECT_THAT(help, Not(HasSubstr(flag)));
   const auto jobs = JobsInQueue(RunDirectory("runs/somewhere"));
   EXPECT_EQ(jobs.status().code(), absl::StatusCode::kUnimplemented);
   EXPECT_THAT(jobs.status().message(), HasSubstr("runs/somewhere/submissions"));

@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "absl/strings/str_cat.h"
+#include "common/statistics.h"
 #include "common/status_macros.h"
 #include "tests/adapter/toy_arm.h"
 
@@ -44,8 +45,7 @@ double Latencies::Quantile(double q) const {
   if (ms.empty()) return 0;
   std::vector<double> sorted = ms;
   std::sort(sorted.begin(), sorted.end());
-  const auto rank = static_cast<size_t>(std::ceil(q * static_cast<double>(sorted.size())));
-  return sorted[std::clamp<size_t>(rank, 1, sorted.size()) - 1];
+  return robostress::Quantile(sorted, q);
 }
 
 struct Clients::Client {

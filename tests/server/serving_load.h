@@ -18,7 +18,7 @@ Observation BlankObservation(const PolicySpec& spec);
 // Of predictions, as their client sees them: from the request to the answer.
 struct Latencies {
   std::vector<double> ms;
-  double Quantile(double q) const;  // nearest rank; 0 without values
+  double Quantile(double q) const;  // 0 without values
   void Append(const Latencies& other) { ms.insert(ms.end(), other.ms.begin(), other.ms.end()); }
 };
 

@@ -112,23 +112,23 @@ TEST_F(LogGates, RefusesWhatIsNoFiniteNumberWithLineAndColumn) {
   EXPECT_THAT(Refusal([](int k, Row& row) {
                 if (k == 17) row.q = NAN;
               }),
-              AllOf(HasSubstr("line 19"), HasSubstr("'q_hinge'"), HasSubstr("nan")));
+              AllOf(HasSubstr("log.csv:19: q_hinge"), HasSubstr("nan")));
   EXPECT_THAT(Refusal([](int k, Row& row) {
                 if (k == 0) row.tau = INFINITY;
               }),
-              AllOf(HasSubstr("line 2"), HasSubstr("'tau_hinge'")));
+              AllOf(HasSubstr("log.csv:2: tau_hinge")));
   std::string words = LogText([](int, Row&) {});
   words.replace(words.find("\n0.005,") + 1, 5, "soon!");
-  EXPECT_THAT(Refusal(words), AllOf(HasSubstr("line 3"), HasSubstr("soon!")));
+  EXPECT_THAT(Refusal(words), AllOf(HasSubstr("log.csv:3"), HasSubstr("soon!")));
 }
 
 TEST_F(LogGates, RefusesARowThatIsTooShort) {
   EXPECT_THAT(Refusal(LogText([](int, Row&) {}) + "2.1,0.5\n"),
-              AllOf(HasSubstr(absl::StrCat("line ", kRows + 2)), HasSubstr("has 2 values")));
+              AllOf(HasSubstr(absl::StrCat("log.csv:", kRows + 2)), HasSubstr("has 2 columns")));
 }
 
 TEST_F(LogGates, RefusesAFileThatIsEmptyShortOrAbsent) {
-  EXPECT_THAT(Refusal(std::string()), HasSubstr("is empty"));
+  EXPECT_THAT(Refusal(std::string()), HasSubstr("has no rows"));
   std::string text = LogText([](int, Row&) {});
   EXPECT_THAT(Refusal(text.substr(0, text.find("\n0.05,") + 1)), HasSubstr("has 10 rows"));
   RigLog log;
@@ -140,11 +140,11 @@ TEST_F(LogGates, RefusesAClockThatStandsGoesBackOrLeavesAGap) {
   EXPECT_THAT(Refusal([](int k, Row& row) {
                 if (k == 100) row.t = 99 * kDt;
               }),
-              AllOf(HasSubstr("line 102"), HasSubstr("must increase")));
+              AllOf(HasSubstr("log.csv:102"), HasSubstr("must increase")));
   EXPECT_THAT(Refusal([](int k, Row& row) {
                 if (k >= 100) row.t += 0.2;
               }),
-              AllOf(HasSubstr("line 102"), HasSubstr("a gap of 0.205 s"), HasSubstr("split")));
+              AllOf(HasSubstr("log.csv:102"), HasSubstr("a gap of 0.205 s"), HasSubstr("split")));
 }
 
 TEST_F(LogGates, RefusesAClockInMillisecondsOrOfAnotherRate) {

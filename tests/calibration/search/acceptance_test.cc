@@ -7,8 +7,7 @@
 #include <filesystem>
 #include <optional>
 
-#include "tests/calibration/generator/generated_rig.h"
-#include "tests/calibration/search/rig_problem.h"
+#include "tests/calibration/search/brief_servo.h"
 
 namespace robostress::calibration {
 namespace {
@@ -26,20 +25,11 @@ CrossValidation Errors(double rms) {
   return cv;
 }
 
-class AcceptanceTest : public testing::Test {
+class AcceptanceTest : public BriefServo {
  protected:
   void SetUp() override {
-    generator::RigOptions options;
-    options.family = generator::Family::kServo;
-    options.richness = generator::Richness::kBrief;
-    options.seed = 12;
-    const auto machine = generator::GenerateRig(options);
-    ASSERT_TRUE(machine.ok()) << machine.status();
-    folder_ = testing::TempDir() + "/acceptance";
-    ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder_).ok());
-    auto rig = LoadRig(folder_ + "/rig.yaml");
-    ASSERT_TRUE(rig.ok()) << rig.status();
-    rig_ = *std::move(rig);
+    BriefServo::SetUp();
+    if (HasFatalFailure()) return;
     problem_.emplace(rig_.Problem(0));
     base_.fit.best = *rig_.Declared(0);
     base_.fit.rms = 1;
@@ -49,15 +39,12 @@ class AcceptanceTest : public testing::Test {
     good_.fit.rms = 0.01;
     good_.cv = Errors(0.0141);
   }
-  void TearDown() override { std::filesystem::remove_all(folder_); }
 
   std::string Objection(const TracedModel& model, double p = 0.001) {
     return Acceptance(*problem_, problem_->OfRole(LogRole::kFit), kFloor)
         .Objection(base_, model, p);
   }
 
-  std::string folder_;
-  LoadedRig rig_;
   std::optional<JointProblem> problem_;
   TracedModel base_, good_;
 };

@@ -10,8 +10,7 @@
 #include "calibration/search/cross_validation.h"
 #include "calibration/search/residual_tests.h"
 #include "common/random.h"
-#include "tests/calibration/generator/generated_rig.h"
-#include "tests/calibration/search/rig_problem.h"
+#include "tests/calibration/search/brief_servo.h"
 
 namespace robostress::calibration {
 namespace {
@@ -81,27 +80,15 @@ TEST(NoiseOfReading, IsTheNoiseBesideAMotion) {
   EXPECT_NEAR(NoiseOfReading(signal), 1e-3, 1e-4);
 }
 
-class FitRules : public testing::Test {
+class FitRules : public BriefServo {
  protected:
   void SetUp() override {
-    generator::RigOptions options;
-    options.family = generator::Family::kServo;
-    options.richness = generator::Richness::kBrief;
-    options.seed = 12;
-    const auto machine = generator::GenerateRig(options);
-    ASSERT_TRUE(machine.ok()) << machine.status();
-    folder_ = testing::TempDir() + "/fit_rules";
-    ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder_).ok());
-    auto rig = LoadRig(folder_ + "/rig.yaml");
-    ASSERT_TRUE(rig.ok()) << rig.status();
-    rig_ = *std::move(rig);
+    BriefServo::SetUp();
+    if (HasFatalFailure()) return;
     problem_.emplace(rig_.Problem(0));
     declared_ = *rig_.Declared(0);
   }
-  void TearDown() override { std::filesystem::remove_all(folder_); }
 
-  std::string folder_;
-  LoadedRig rig_;
   std::optional<JointProblem> problem_;
   Hypothesis declared_;
 };

@@ -6,8 +6,7 @@
 
 #include "calibration/search/subplex.h"
 #include "common/atomic_file.h"
-#include "tests/calibration/generator/generated_rig.h"
-#include "tests/calibration/search/rig_problem.h"
+#include "tests/calibration/search/brief_servo.h"
 
 namespace robostress::calibration {
 namespace {
@@ -26,25 +25,9 @@ TEST(Subplex, FindsAMinimumThatHasNoGradientAndStaysWithinBounds) {
   EXPECT_NEAR(found.value, error(found.x), 1e-12);
 }
 
-class MetricFitTest : public testing::Test {
+class MetricFitTest : public BriefServo {
  protected:
-  void SetUp() override {
-    generator::RigOptions options;
-    options.family = generator::Family::kServo;
-    options.richness = generator::Richness::kBrief;
-    options.seed = 12;
-    const auto machine = generator::GenerateRig(options);
-    ASSERT_TRUE(machine.ok()) << machine.status();
-    folder_ = testing::TempDir() + "/metric_fit";
-    ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder_).ok());
-    auto rig = LoadRig(folder_ + "/rig.yaml");
-    ASSERT_TRUE(rig.ok()) << rig.status();
-    rig_ = *std::move(rig);
-  }
-  void TearDown() override { std::filesystem::remove_all(folder_); }
 
-  std::string folder_;
-  LoadedRig rig_;
 };
 
 TEST_F(MetricFitTest, WhatIsBestForTheMeanAbsoluteErrorIsNoWorseThanWhatLeastSquaresFinds) {

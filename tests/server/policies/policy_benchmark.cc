@@ -15,6 +15,7 @@
 #include <iostream>
 
 #include "adapter/lora_adapter.h"
+#include "common/statistics.h"
 #include "server/policies/kernels/fused_kernels.h"
 #include "server/policies/nano/nano_policy.h"
 #include "server/policies/openpi/compute_threads.h"
@@ -407,11 +408,6 @@ std::unique_ptr<Subject> MakeSubject(const Options& options) {
       options.cameras, options.words);
 }
 
-double Quantile(std::vector<double> values, double q) {
-  std::sort(values.begin(), values.end());
-  return values[static_cast<size_t>(q * static_cast<double>(values.size() - 1) + 0.5)];
-}
-
 // One line of a round: name=cpu,wall ...
 void PrintRound(const Timings& timings) {
   for (size_t i = 0; i < timings.runs.size(); ++i) {
@@ -434,6 +430,8 @@ void PrintTable(const Timings& timings, int64_t rounds) {
   std::printf("%-22s %12s %12s %12s %12s   [ms]\n", "", "cpu min", "cpu p50", "cpu p99",
               "wall p50");
   for (size_t i = 0; i < timings.runs.size(); ++i) {
+    std::sort(cpu[i].begin(), cpu[i].end());
+    std::sort(wall[i].begin(), wall[i].end());
     std::printf("%-22s %12.3f %12.3f %12.3f %12.3f\n", timings.names[i].c_str(),
                 Quantile(cpu[i], 0), Quantile(cpu[i], 0.5), Quantile(cpu[i], 0.99),
                 Quantile(wall[i], 0.5));
