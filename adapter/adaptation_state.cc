@@ -1,6 +1,6 @@
 #include "adapter/adaptation_state.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cstring>
 #include <utility>

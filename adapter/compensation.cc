@@ -1,6 +1,6 @@
 #include "adapter/compensation.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include "common/check.h"
 

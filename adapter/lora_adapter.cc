@@ -1,6 +1,7 @@
 #include "adapter/lora_adapter.h"
 
-#include <torch/torch.h>
+#include <torch/autograd.h>
+#include <torch/types.h>
 
 #include <cmath>
 #include <utility>

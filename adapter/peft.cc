@@ -1,6 +1,6 @@
 #include "adapter/peft.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cmath>
 #include <set>

@@ -1,6 +1,6 @@
 #include "adapter/update_guard.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cmath>
 

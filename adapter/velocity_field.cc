@@ -1,6 +1,6 @@
 #include "adapter/velocity_field.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 

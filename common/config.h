@@ -12,7 +12,9 @@ namespace robostress {
 
 // A config struct is its own schema: it has
 //   template <class V> void Visit(V& v) { v.Field("rank", rank, "LoRA rank"); v.Section("osc", osc, "..."); }
-// where fields are bool, int, int64_t, uint64_t, double, std::string, std::vector of these (and enums through v.Choice).
+// Late and LateSection are for what came after texts were kept and hashed: read like the others, and written only where
+// the value is not the usual one, or the section is used, so that a text of one who does not use it stays as it was.
+// Fields are bool, int, int64_t, uint64_t, double, std::string, std::vector of these (and enums through v.Choice).
 // Reading refuses unknown keys, keys that stand twice and wrong types, and names file, key path, value and the allowed keys
 // of everything that is wrong, a line each.
 class ConfigReader {
@@ -24,6 +26,10 @@ class ConfigReader {
   void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices, const char* doc);
   template <class S>
   void Section(const char* key, S& section, const char* doc);
+  template <class T>
+  void Late(const char* key, T& value, const T& usual, const char* doc);
+  template <class S>
+  void LateSection(const char* key, S& section, bool used, const char* doc);
   absl::Status Finish();  // everything that was wrong, with the keys that no field took
 
  private:
@@ -44,6 +50,10 @@ class ConfigWriter {
   void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices, const char* doc);
   template <class S>
   void Section(const char* key, S& section, const char* doc);
+  template <class T>
+  void Late(const char* key, T& value, const T& usual, const char* doc);
+  template <class S>
+  void LateSection(const char* key, S& section, bool used, const char* doc);
   std::string Text() const;
 
  private:

@@ -116,6 +116,16 @@ void ConfigReader::Section(const char* key, S& section, const char* /*doc*/) {
 }
 
 template <class T>
+void ConfigReader::Late(const char* key, T& value, const T& /*usual*/, const char* doc) {
+  Field(key, value, doc);
+}
+
+template <class S>
+void ConfigReader::LateSection(const char* key, S& section, bool /*used*/, const char* doc) {
+  Section(key, section, doc);
+}
+
+template <class T>
 void ConfigWriter::Field(const char* key, T& value, const char* /*doc*/) {
   if constexpr (std::is_same_v<T, double>) {
     // Shortest text that reads back to the same number.
@@ -146,6 +156,16 @@ void ConfigWriter::Section(const char* key, S& section, const char* /*doc*/) {
   ConfigWriter writer;
   section.Visit(writer);
   root_[key] = writer.root_;
+}
+
+template <class T>
+void ConfigWriter::Late(const char* key, T& value, const T& usual, const char* doc) {
+  if (!(value == usual)) Field(key, value, doc);
+}
+
+template <class S>
+void ConfigWriter::LateSection(const char* key, S& section, bool used, const char* doc) {
+  if (used) Section(key, section, doc);
 }
 
 template <class Options>

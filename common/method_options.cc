@@ -83,6 +83,12 @@ constexpr Preset kPresets[] = {
      [](MethodOptions& o) { o.observation = ObservationInput::kShuffledInstruction; }},
     {"blank_images", [](MethodOptions& o) { o.observation = ObservationInput::kBlankImages; }},
     {"frozen_state", [](MethodOptions& o) { o.observation = ObservationInput::kFrozenState; }},
+    {"dob", [](MethodOptions& o) { o.observer = true; }},
+    {"dob_ours",
+     [](MethodOptions& o) {
+       Adapt(o);
+       o.observer = true;
+     }},
 };
 
 }  // namespace

@@ -51,13 +51,14 @@ struct MethodOptions {
   std::string noise_stream = "policy";  // null control: another name, other sampling noise
   bool track_intent = true;          // also predict with the unadapted policy
   ObservationInput observation = ObservationInput::kFull;  // what the policy is shown
+  bool observer = false;  // the robot's client corrects by its disturbance observer; the server does nothing
 
   // Episodes depend on those before them.
   bool CarriesOver() const { return adapt || (integral_rate > 0 && integral_carry); }
 
   template <class V>
   void Visit(V& v) {
-    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, ours_integral, ours_following, direct, no_residual, no_anchor, gain, null, shuffled_instruction, blank_images, frozen_state");
+    v.Field("method", method, "preset: base, ours, ours_intent, ours_nominal, ours_integral, ours_following, direct, no_residual, no_anchor, gain, null, shuffled_instruction, blank_images, frozen_state, dob, dob_ours");
     v.Field("adapt", adapt, "update the LoRA online");
     v.Choice("lora", lora, {{"per_head", LoraKind::kPerHead}, {"per_matrix", LoraKind::kPerMatrix}},
              "per_head: a pair of factors for each attention head (openpi, the paper); per_matrix: one for each matrix (PEFT)");
@@ -101,6 +102,7 @@ struct MethodOptions {
              {{"full", ObservationInput::kFull}, {"shuffled_instruction", ObservationInput::kShuffledInstruction},
               {"blank_images", ObservationInput::kBlankImages}, {"frozen_state", ObservationInput::kFrozenState}},
              "controls: another task's instruction, grey images, or the first proprioception for the whole episode");
+    v.Late("observer", observer, false, "the robot's client corrects commands by its disturbance observer");
   }
 };
 

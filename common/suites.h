@@ -13,10 +13,14 @@ struct SuiteInfo {
   int horizon = 0;       // control steps after the settle steps
   int num_initial_states = 50;  // reproducible states per task; 0-19 report, 40-49 dev
   bool needs_libero = false;    // reads LIBERO's own files
+  std::string robot = "panda";  // common/unit/robots.h
+  bool states_go_on = false;    // the states of a task begin where those of the task before it end
 };
 
-// The four embedded suites, then LIBERO's four, in the order of the tables.
+// The four embedded suites, LIBERO's four, then those of other robots, in the order of the tables.
 const std::vector<SuiteInfo>& AllSuites();
+// Names of the suites of a robot.
+std::vector<std::string> SuitesOf(const std::string& robot);
 const SuiteInfo* FindSuite(const std::string& name);
 
 }  // namespace robostress

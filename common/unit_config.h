@@ -69,6 +69,27 @@ struct SimOptions {
   }
 };
 
+// How a robot of robot_client plays a unit.
+struct ClientOptions {
+  double episode_s = 15;  // of RUN until an episode has failed [s]
+  int latency_ticks = 0;  // control steps from an observation to its chunk
+  // [rad] steps that limiter or cross-fade moved by more are masked in feedback. The paper's client had no
+  // limiter, and ours allows what the arm's own planner does; a real arm's bound is tighter.
+  double moved_bound = 0.1;
+  bool real_time = false;  // the programs of a real arm as processes over UDP, one second for a second
+  int udp_port = 43120;    // of the emulated arm's bus in real time; decides nothing
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("episode_s", episode_s, "until an episode has failed [s]");
+    v.Field("latency_ticks", latency_ticks, "control steps from an observation to its chunk");
+    v.Field("moved_bound", moved_bound,
+            "steps that limiter or cross-fade moved by more are masked in feedback [rad]");
+    v.Field("real_time", real_time, "play with piper_emulator and robot_client over UDP");
+    v.Field("udp_port", udp_port, "of the emulated arm's bus in real time");
+  }
+};
+
 // One unit of a sweep: sequential episodes of one session. This struct is units/<id>/config.yaml.
 struct UnitConfig {
   std::string suite = "tabletop_spatial";
@@ -85,6 +106,8 @@ struct UnitConfig {
   std::string libero_fixtures = "centred";  // ParseLiberoFixtures reads it
   SimOptions sim;
   MethodOptions method;
+  std::string robot = "panda";  // of the suite; its program runs the unit (common/unit/robots.h)
+  ClientOptions client;         // of robots other than the simulated Panda
 
   template <class V>
   void Visit(V& v) {
@@ -104,6 +127,8 @@ struct UnitConfig {
             "where fixtures stand per episode: centred, sampled, numpy[:SEED] or a table's file");
     v.Section("sim", sim, "simulator");
     v.Section("method", method, "method");
+    v.Late("robot", robot, std::string("panda"), "whose program runs the unit");
+    v.LateSection("client", client, robot != "panda", "how robot_client plays it");
   }
 };
 

@@ -19,7 +19,7 @@
 #include "eval/launch/submission.h"
 #include "eval/report/report.h"
 #include "eval/store/environment.h"
-#include "eval/store/machine.h"
+#include "eval/store/processor_kind.h"
 
 namespace robostress {
 namespace {

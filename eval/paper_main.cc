@@ -7,7 +7,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "common/atomic_file.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/launch/grid_flags.h"
@@ -213,15 +212,11 @@ absl::StatusOr<int> PrintTables(const CommandLine& line, const std::vector<Work>
 }
 
 absl::Status Publish(const CommandLine& line, const FilledTable& table, const RunData* run) {
-  const std::string stem = absl::StrCat(line.out, "/tables/", table.name);
+  const std::string folder = line.out + "/tables";
   ReportOptions options;
-  const std::string videos = run == nullptr ? "" : VideoSection(*run, options);
-  RS_RETURN_IF_ERROR(MakeDirectories(line.out + "/tables"));
-  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".csv", FilledCsv(table)));
-  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".md", FilledMarkdown(table)));
-  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".json", FilledJson(table)));
-  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".html", FilledPage(table, videos)));
-  std::printf("%s\n%s.html\n", FilledText(table).c_str(), stem.c_str());
+  RS_RETURN_IF_ERROR(
+      WriteFilledTable(table, folder, run == nullptr ? "" : VideoSection(*run, options)));
+  std::printf("%s\n%s/%s.html\n", FilledText(table).c_str(), folder.c_str(), table.name.c_str());
   return absl::OkStatus();
 }
 

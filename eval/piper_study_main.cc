@@ -2,7 +2,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
-#include <filesystem>
+#include <set>
 #include <string>
 
 #include "common/config.h"
@@ -10,6 +10,7 @@
 #include "common/status_macros.h"
 #include "eval/launch/merged_sweep.h"
 #include "eval/piper_study/piper_study.h"
+#include "eval/store/run_directory.h"
 
 namespace {
 
@@ -55,6 +56,26 @@ absl::StatusOr<robostress::PiperStudyOptions> Resolve(const CommandLine& line) {
   return options;
 }
 
+int DryRun(const robostress::PiperStudyOptions& options,
+           const robostress::PiperStudyLaunch& launch) {
+  const auto plans = PlanOf(options, launch, robostress::PolicyHome::kElsewhere);
+  if (!plans.ok()) return robostress::FailCommand("piper-study", plans.status());
+  const robostress::RunDirectory run(launch.RunFolder());
+  std::set<std::string> planned;
+  int done = 0;
+  for (const robostress::PiperTablePlan& plan : *plans) {
+    const auto units = robostress::PaperUnits(plan.grids);
+    if (!units.ok()) return robostress::FailCommand("piper-study", units.status());
+    for (const robostress::PlannedUnit& unit : *units) {
+      if (!planned.insert(unit.id).second) continue;
+      done += run.Done(unit.id);
+      std::printf("%-60s %s\n", unit.id.c_str(), run.Done(unit.id) ? "done" : "");
+    }
+  }
+  std::printf("%zu units of %d episodes, %d done\n", planned.size(), options.episodes, done);
+  return 0;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -89,20 +110,8 @@ int main(int argc, char** argv) {
     if (!line.stages.empty()) launch.stages = line.stages;
     const auto options = Resolve(line);
     if (!options.ok()) return robostress::FailCommand("piper-study", options.status());
-    if (line.dry_run) {
-      const auto units = robostress::PlanPiperStudy(*options);
-      if (!units.ok()) return robostress::FailCommand("piper-study", units.status());
-      size_t done = 0;
-      for (const robostress::PiperUnit& unit : *units) {
-        const bool is_done = std::filesystem::exists(
-            launch.out + (launch.real_time ? "/live/" : "/units/") + unit.id + "/DONE");
-        done += is_done;
-        std::printf("%-28s %s\n", unit.id.c_str(), is_done ? "done" : "");
-      }
-      std::printf("%zu units of %d episodes, %zu done\n", units->size(), options->episodes, done);
-      return 0;
-    }
-    const absl::Status status = robostress::RunPiperStudy(*options, launch);
-    return status.ok() ? 0 : robostress::FailCommand("piper-study", status);
+    if (line.dry_run) return DryRun(*options, launch);
+    const absl::StatusOr<int> code = robostress::RunPiperStudy(*options, launch);
+    return code.ok() ? *code : robostress::FailCommand("piper-study", code.status());
   });
 }

@@ -10,7 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "common/program_folder.h"
-#include "eval/launch/process.h"
+#include "eval/launch/server_process.h"
 #include "eval/plan/build_info.h"
 
 namespace {
@@ -44,6 +44,8 @@ constexpr Command kCommands[] = {
     {"tokenize", "Tokenise text with a SentencePiece model", "ROBOSTRESS_TORCH ROBOSTRESS_OPENPI"},
     {"worker", "Run one unit of a sweep: the simulator's side",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
+    {"piper-worker", "Run one unit of a sweep of robot piper; record its demonstrations",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_ROBOT_CLIENT"},
     {"record", "Record demonstrations of the scripted experts",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"train", "Train the embedded policy from demonstrations", "ROBOSTRESS_TORCH"},

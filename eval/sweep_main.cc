@@ -24,6 +24,7 @@ constexpr char kExamples[] =
     "  robostress sweep --suites tabletop_goal --tasks 0,3 --scenarios clean,heavy_payload "
     "--severities 1,3,5 --out runs/levels\n"
     "  robostress sweep --scenarios clean,worn_elbow.yaml --policies nano --out runs/worn\n"
+    "  robostress sweep --robot piper --methods base,dob,ours --out runs/piper\n"
     "  robostress sweep --grid runs/main/sweep.yaml --out runs/again\n"
     "  robostress sweep --suites libero_goal --tasks 8-8 --policies expert --methods base "
     "--libero-root LIBERO \\\n"

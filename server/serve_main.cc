@@ -15,7 +15,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
-#include "common/rpc/convert.h"
+#include "common/rollout/message_limits.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "server/flag_visitor.h"
@@ -25,9 +25,9 @@
 #include "server/operations/reloader.h"
 #include "server/pages/operations_pages.h"
 #include "server/serve_options.h"
+#include "server/web_endpoints.h"
 #include "server/wire/grpc/admin_server.h"
 #include "server/wire/grpc/policy_service.h"
-#include "server/web_endpoints.h"
 
 namespace robostress {
 namespace {

@@ -80,10 +80,9 @@ PandaSim::~PandaSim() = default;
 
 void PandaSim::SetScenario(const Scenario& scenario, int horizon) {
   Impl& s = *impl_;
-  s.episode.errors.SetScenario(scenario, horizon);
-  s.episode.effects.SetScenario(scenario);
-  s.believed.reset(s.episode.effects.has(EffectStage::kSensor) ? mj_makeData(s.model.get())
-                                                               : nullptr);
+  s.episode.chain.SetScenario(scenario, horizon);
+  s.believed.reset(s.episode.chain.has(EffectStage::kSensor) ? mj_makeData(s.model.get())
+                                                             : nullptr);
 }
 
 absl::Status PandaSim::Reset(absl::Span<const double> qpos,
@@ -118,21 +117,14 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   e.first_sub_step = s.options.robosuite.stale_reset_pose;
   e.gripper = {};
   e.steps = 0;
-  Vector7d q;
-  for (int i = 0; i < 7; ++i) q[i] = d->qpos[s.panda.qpos[i]];
-  const Vector7d holding = GravityTorque(*m, *d, s.panda);
-  e.errors.Reset(q, holding);
   e.clock = 0;
-  if (e.effects.any()) {
-    EffectStack::Moments moments = s.DescribeJoints();
-    for (int i = 0; i < 7; ++i) {
-      moments[i].q = q[i] - e.errors.offset()[i];
-      moments[i].drive = moments[i].gravity;
-    }
-    e.effects.Reset(moments);
-    // What the effects turn lies between the paper's gap and the joint coordinate.
-    if (e.effects.has(EffectStage::kTransmission)) e.errors.Reset(q - e.effects.offset(), holding);
+  const Vector7d holding = GravityTorque(*m, *d, s.panda);
+  JointMoments moments = s.DescribeJoints();
+  for (int i = 0; i < 7; ++i) {
+    moments[i].q = d->qpos[s.panda.qpos[i]];
+    moments[i].drive = holding[i];
   }
+  e.chain.Reset(moments);
   s.position_stage_stale = false;
   s.late.pose_qpos.assign(d->qpos, d->qpos + m->nq);
   s.late.qpos = s.late.pose_qpos;
@@ -193,8 +185,7 @@ const mjModel& PandaSim::model() const { return *impl_->model; }
 const mjData& PandaSim::data() const { return *impl_->data; }
 const mjData& PandaSim::observed() const { return impl_->Observed(); }
 const OscController& PandaSim::controller() const { return impl_->episode.controller; }
-const JointErrorStack& PandaSim::errors() const { return impl_->episode.errors; }
-const EffectStack& PandaSim::effects() const { return impl_->episode.effects; }
+const JointChain& PandaSim::joint_chain() const { return impl_->episode.chain; }
 void PandaSim::OnSubStep(std::function<void()> call) { impl_->on_sub_step = std::move(call); }
 void PandaSim::OnJointSample(std::function<void(const JointSample&)> call) {
   impl_->on_sample = std::move(call);

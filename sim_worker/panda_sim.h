@@ -16,8 +16,7 @@
 
 namespace robostress {
 
-class EffectStack;
-class JointErrorStack;
+class JointChain;
 class OscController;
 
 // Compiled models are immutable and shared between simulators.
@@ -60,8 +59,7 @@ class PandaSim {
   // data(), unless observations are late.
   const mjData& observed() const;
   const OscController& controller() const;
-  const JointErrorStack& errors() const;
-  const EffectStack& effects() const;
+  const JointChain& joint_chain() const;
   // Called after every sub-step, before the next one's forward passes.
   void OnSubStep(std::function<void()> call);
   // Called for every sub-step, those of settling too.

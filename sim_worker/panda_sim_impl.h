@@ -1,7 +1,7 @@
 #pragma once
 
 // The inside of PandaSim, shared by its sources: panda_sim.cc (an episode and what is asked of it),
-// panda_sub_step.cc (time), panda_torques.cc (what the joint errors and effects make of a torque).
+// panda_sub_step.cc (time), panda_torques.cc (what the joint errors make of a torque).
 
 #include <array>
 #include <functional>
@@ -9,8 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "common/joint_errors/effect_stack.h"
-#include "common/joint_errors/joint_error_stack.h"
+#include "common/joint_errors/joint_chain.h"
 #include "sim_worker/osc_controller.h"
 #include "sim_worker/panda_model.h"
 #include "sim_worker/panda_sim.h"
@@ -25,15 +24,16 @@ using DataPtr = std::unique_ptr<mjData, DataDeleter>;
 // Not OK after warnings that leave a state which is not that of the task any more.
 absl::Status CheckWarnings(const mjData& data);
 
+using JointMoments = std::array<JointMoment, 7>;
+
 // The state of an episode beside mjData: everything that a continuation depends on.
 struct EpisodeState {
   EpisodeState(const SimOptions& options)
       : controller(options.goal_reference, options.SinglePrecisionRotation()),
-        errors(options.joint_errors) {}
+        chain(7, options.joint_errors) {}
 
   OscController controller;
-  JointErrorStack errors;
-  EffectStack effects;
+  JointChain chain;
   ArmState arm;                      // what the controller saw last
   Vector7d bias = Vector7d::Zero();  // its model of Coriolis, centrifugal and gravity torque [Nm]
   double clock = 0;                  // [s] since Reset
@@ -68,11 +68,12 @@ struct PandaSim::Impl {
   const mjData& Observed();
   absl::Status ControlStep(const Vector7d& command, int progress_steps);
   Vector7d Saturated(const Vector7d& torque) const;
-  Vector7d PerturbedTorque(const Vector7d& controller_torque);
-  Vector7d TorqueWithEffects(const Vector7d& controller_torque, EffectStack::Moments& moments);
-  EffectStack::Moments DescribeJoints() const;
+  template <bool kEffects>
+  struct ChainPlant;
+  Vector7d LoadTorque(const Vector7d& asked, JointMoments& moments);
+  JointMoments DescribeJoints() const;
   Vector7d NetTorque(const Vector7d& applied) const;
-  Vector7d OffsetChange(const Vector7d& tau_load, EffectStack::Moments& moments);
+  Vector7d OffsetChange(const Vector7d& tau_load, JointMoments& moments);
   double ContactForce() const;
   void DriveGripper(double direction);
   void Integrate(const Vector7d& offset_change);

@@ -59,8 +59,7 @@ void PandaSim::Impl::DriveGripper(double direction) {
 }
 
 void PandaSim::Impl::Integrate(const Vector7d& offset_change) {
-  const bool moved =
-      episode.errors.position_stage() || episode.effects.has(EffectStage::kTransmission);
+  const bool moved = episode.chain.has(EffectStage::kTransmission);
   // The offset travels as a velocity of one sub-step, seen by contacts, damping and Coriolis terms.
   const bool as_velocity = moved && options.joint_errors.offset_mode == OffsetMode::kVelocity;
   const Vector7d velocity = offset_change / model->opt.timestep;
@@ -104,13 +103,13 @@ void PandaSim::Impl::LookAtArm() {
 
 Vector7d PandaSim::Impl::Readings() const {
   Vector7d q;
-  for (int i = 0; i < 7; ++i) q[i] = episode.effects.Reading(i, data->qpos[panda.qpos[i]]);
+  for (int i = 0; i < 7; ++i) q[i] = episode.chain.Reading(i, data->qpos[panda.qpos[i]]);
   return q;
 }
 
 Vector7d PandaSim::Impl::ReadingRates() const {
   Vector7d dq;
-  for (int i = 0; i < 7; ++i) dq[i] = episode.effects.ReadingSlope(i) * data->qvel[panda.dof[i]];
+  for (int i = 0; i < 7; ++i) dq[i] = episode.chain.ReadingSlope(i) * data->qvel[panda.dof[i]];
   return dq;
 }
 
@@ -133,12 +132,10 @@ void PandaSim::Impl::Believe() {
 
 void PandaSim::Impl::SubStep() {
   EpisodeState& e = episode;
-  e.errors.BeginSubStep(model->opt.timestep);
+  e.chain.BeginSubStep(model->opt.timestep);
   const Vector7d asked = e.controller.Torque(e.arm, e.bias);
-  EffectStack::Moments moments;
-  if (e.effects.any()) moments = DescribeJoints();
-  const Vector7d tau_load =
-      e.effects.any() ? TorqueWithEffects(asked, moments) : PerturbedTorque(asked);
+  JointMoments moments = DescribeJoints();
+  const Vector7d tau_load = LoadTorque(asked, moments);
   for (int i = 0; i < 7; ++i) data->ctrl[panda.motor[i]] = tau_load[i];
   JointSample sample;
   if (on_sample) sample = {e.clock, Readings(), ReadingRates(), Saturated(asked), 0};
@@ -158,12 +155,12 @@ absl::Status PandaSim::Impl::ControlStep(const Vector7d& command, int progress_s
   const double gripper = (command[6] > 0) - (command[6] < 0);
   if (position_stage_stale && !parity()) mj_step1(model.get(), data.get());
   position_stage_stale = false;
-  const bool gated = episode.errors.scenario().profile == SeverityProfile::kWhileGrasping;
+  const bool gated = episode.chain.severity().scenario().profile == SeverityProfile::kWhileGrasping;
   for (int i = 0; i < kSubSteps; ++i) {
     LookAtArm();
     if (i == 0) {
       episode.controller.SetGoal(delta, episode.arm);
-      episode.errors.BeginControlStep(progress_steps, gated && HeldBody() >= 0);
+      episode.chain.BeginControlStep(progress_steps, gated && HeldBody() >= 0);
     }
     DriveGripper(gripper);
     late.keep = late.data != nullptr && i == kLateSubStep;

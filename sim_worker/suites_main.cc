@@ -25,9 +25,10 @@ struct CommandLine {
 void PrintText(const CommandLine& line) {
   for (const SuiteInfo& info : AllSuites()) {
     if (!line.suite.empty() && line.suite != info.name) continue;
-    std::printf("%s  (%s, %d tasks, horizon %d, %d initial states%s)\n", info.name.c_str(),
+    std::printf("%s  (%s, %d tasks, horizon %d, %d initial states%s%s)\n", info.name.c_str(),
                 info.title.c_str(), info.num_tasks, info.horizon, info.num_initial_states,
-                info.needs_libero ? ", needs --libero-root" : "");
+                info.needs_libero ? ", needs --libero-root" : "",
+                info.robot == "panda" ? "" : absl::StrCat(", --robot ", info.robot).c_str());
     const SuiteSpec* spec = FindSuiteSpec(info.name);
     if (spec == nullptr) continue;
     for (size_t i = 0; i < spec->tasks.size(); ++i)
@@ -44,7 +45,8 @@ void PrintJson(const CommandLine& line) {
                             {"num_tasks", info.num_tasks},
                             {"horizon", info.horizon},
                             {"num_initial_states", info.num_initial_states},
-                            {"needs_libero", info.needs_libero}};
+                            {"needs_libero", info.needs_libero},
+                            {"robot", info.robot}};
     if (const SuiteSpec* spec = FindSuiteSpec(info.name)) {
       for (const TaskSpec& task : spec->tasks) {
         suite["tasks"].push_back(
@@ -59,6 +61,7 @@ void PrintJson(const CommandLine& line) {
 // FOLDER/SUITE.svg of the suite that was asked for, or of every embedded one.
 absl::Status WriteSheets(const CommandLine& line) {
   for (const SuiteInfo& info : AllSuites()) {
+    if (info.robot != "panda") continue;
     if (line.suite.empty() ? info.needs_libero : line.suite != info.name) continue;
     UnitConfig unit;
     unit.suite = info.name;

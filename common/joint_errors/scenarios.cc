@@ -139,6 +139,7 @@ absl::StatusOr<Scenario> MakeScenario(const std::string& name, int level) {
   scenario.compliance_on = row->active & kComp;
   scenario.profile = row->profile;
   scenario.deployment = row->deployment;
+  scenario.nominal = NominalPandaErrors();
   const SeverityFactors w_end = Between(kMild, kFull, (level - 1) / double{kLevels - 1});
   for (int j = 0; j < kJoints; ++j) {
     SeverityFactors end = Raise(*row, j, w_end);

@@ -49,8 +49,9 @@ struct Scenario {
   std::string title;        // "Heavy Payload"
   bool friction_on = false, gravity_on = false, backlash_on = false, compliance_on = false;
   SeverityProfile profile = SeverityProfile::kFixed;
-  std::vector<SeverityFactors> start;  // [7], ramp onset (equal to `end` without a ramp)
-  std::vector<SeverityFactors> end;    // [7], at the chosen severity level
+  std::vector<JointErrorParameters> nominal;  // [joints] of the arm; with the next two, or empty
+  std::vector<SeverityFactors> start;  // [joints], ramp onset (equal to `end` without a ramp)
+  std::vector<SeverityFactors> end;    // [joints], at the chosen severity level
   bool deployment = false;             // one of the seven
   std::vector<ScenarioEffect> effects;  // of scenario files only; beside the paper's four errors
 };

@@ -8,12 +8,10 @@
 
 namespace robostress {
 
-// One line of an arm's episodes.jsonl, as robot_client and the study on emulated arms write it.
-// Who does not know a value leaves it out.
+// One line of an arm's episodes.jsonl, as robot_client writes it. What is not known is left out.
 struct ArmEpisode {
   std::optional<int> task;
   int episode = 0;
-  std::optional<std::string> variant, instruction;  // of the study: objects, words
   std::optional<bool> success;                      // null: nobody said
   double seconds = 0;
   std::optional<uint64_t> predictions, failed_predictions;
@@ -25,14 +23,11 @@ struct ArmEpisode {
   std::optional<uint64_t> sessions;
   std::string state;                 // of the client when it ended
   std::optional<std::string> cause;  // of that state
-  std::optional<int> power_cycles;   // of the arm so far
 
   template <class Self, class V>
   static void Visit(Self& r, V& v) {
     v.Extra("task", r.task);
     v.Field("episode", r.episode);
-    v.Extra("variant", r.variant);
-    v.Extra("instruction", r.instruction);
     v.Measure("success", r.success);
     v.Field("seconds", r.seconds);
     v.Extra("predictions", r.predictions);
@@ -47,7 +42,6 @@ struct ArmEpisode {
     v.Extra("sessions", r.sessions);
     v.Field("state", r.state);
     v.Extra("cause", r.cause);
-    v.Extra("power_cycles", r.power_cycles);
   }
 };
 

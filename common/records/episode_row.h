@@ -51,6 +51,12 @@ struct EpisodeRow {
   std::optional<double> intent_eta_sq, intent_tracking_eta_sq, intent_a_sq;
   std::optional<double> mean_abs_action, clipped_share;
   std::optional<double> lag_residual, lag_eta_sq;  // same commands, no joint errors (worker --lag)
+  // Of robots of robot_client, whose residual is in joint space: eta_sq / a_sq over the steps that
+  // feedback held, without those masked.
+  std::optional<double> seconds;                         // in RUN [s]
+  std::optional<uint64_t> measured_steps, masked_steps;  // of those in feedback
+  std::optional<int> power_cycles;                       // of the arm so far
+  std::optional<std::string> state, cause, instruction;  // of the client at the end; words
   std::string record;                              // the line as it was read, for episodes.csv
 
   template <class Self, class V>
@@ -77,6 +83,13 @@ struct EpisodeRow {
     v.Measure("clipped_share", r.clipped_share);
     v.Extra("lag_residual", r.lag_residual);
     v.Extra("lag_eta_sq", r.lag_eta_sq);
+    v.Extra("seconds", r.seconds);
+    v.Extra("measured_steps", r.measured_steps);
+    v.Extra("masked_steps", r.masked_steps);
+    v.Extra("power_cycles", r.power_cycles);
+    v.Extra("state", r.state);
+    v.Extra("cause", r.cause);
+    v.Extra("instruction", r.instruction);
   }
 };
 

@@ -13,9 +13,9 @@ namespace robostress {
 // What the entries of an action are, and so in which space commanded and executed motion are compared.
 enum class ControlSpace {
   kUnspecified,  // it does not say
-  kEndEffector,  // displacements of the end effector in units of translation_scale and rotation_scale
-                 // (common/rpc/session_spec.h), and a gripper
-  kJoint,        // absolute joint targets [rad] and a gripper; residual as in the paper, sec:supp_real
+  kEndEffector,  // displacements of the end effector in units of translation_scale and
+                 // rotation_scale (common/rollout/session_spec.h), and a gripper
+  kJoint,  // absolute joint targets [rad] and a gripper; residual as in the paper, sec:supp_real
 };
 
 // What a policy expects and delivers. Filled by the server (or a local policy) before the first rollout.

@@ -2,32 +2,16 @@
 
 #include <grpcpp/security/credentials.h>
 
-#include <cstdlib>
 #include <map>
 #include <string>
 #include <utility>
 
-#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
-#include "common/atomic_file.h"
+#include "common/client_secrets.h"
 #include "common/status_macros.h"
 
 namespace robostress {
 namespace {
-
-constexpr uint64_t kMaxBytes = 1 << 20;
-
-// Contents of the file that a variable names; empty where it is not set.
-absl::StatusOr<std::string> FileOf(const char* variable) {
-  const char* file = std::getenv(variable);
-  if (file == nullptr || *file == '\0') return std::string();
-  absl::StatusOr<std::string> contents = ReadFileUpTo(file, kMaxBytes);
-  if (!contents.ok() || contents->empty()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        variable, "=", file, ": ", contents.ok() ? "is empty" : contents.status().message()));
-  }
-  return contents;
-}
 
 // Shows the token in every call.
 class TokenPlugin : public grpc::MetadataCredentialsPlugin {
@@ -48,29 +32,21 @@ class TokenPlugin : public grpc::MetadataCredentialsPlugin {
 }  // namespace
 
 absl::StatusOr<std::shared_ptr<grpc::ChannelCredentials>> ChannelCredentialsFromEnvironment() {
-  grpc::SslCredentialsOptions options;
-  RS_ASSIGN_OR_RETURN(options.pem_root_certs, FileOf("ROBOSTRESS_TLS_CA"));
-  RS_ASSIGN_OR_RETURN(options.pem_cert_chain, FileOf("ROBOSTRESS_TLS_CERTIFICATE"));
-  RS_ASSIGN_OR_RETURN(options.pem_private_key, FileOf("ROBOSTRESS_TLS_KEY"));
-  RS_ASSIGN_OR_RETURN(std::string token, FileOf("ROBOSTRESS_TOKEN_FILE"));
-  if (options.pem_root_certs.empty()) {
-    if (!options.pem_cert_chain.empty() || !options.pem_private_key.empty() || !token.empty()) {
+  RS_ASSIGN_OR_RETURN(ClientSecrets secrets, ClientSecretsFromEnvironment());
+  if (secrets.authority.empty()) {
+    if (!secrets.certificate.empty() || !secrets.token.empty()) {
       return absl::InvalidArgumentError(
           "ROBOSTRESS_TLS_CERTIFICATE, ROBOSTRESS_TLS_KEY and ROBOSTRESS_TOKEN_FILE need "
           "ROBOSTRESS_TLS_CA: without TLS a token is readable on the way");
     }
     return grpc::InsecureChannelCredentials();
   }
-  if (options.pem_cert_chain.empty() != options.pem_private_key.empty()) {
-    return absl::InvalidArgumentError(
-        "ROBOSTRESS_TLS_CERTIFICATE and ROBOSTRESS_TLS_KEY belong together; one is not set");
-  }
+  const grpc::SslCredentialsOptions options{secrets.authority, secrets.key, secrets.certificate};
   std::shared_ptr<grpc::ChannelCredentials> channel = grpc::SslCredentials(options);
-  absl::StripAsciiWhitespace(&token);
-  if (token.empty()) return channel;
+  if (secrets.token.empty()) return channel;
   return grpc::CompositeChannelCredentials(
       channel,
-      grpc::MetadataCredentialsFromPlugin(std::make_unique<TokenPlugin>(std::move(token))));
+      grpc::MetadataCredentialsFromPlugin(std::make_unique<TokenPlugin>(std::move(secrets.token))));
 }
 
 }  // namespace robostress

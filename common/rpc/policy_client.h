@@ -7,7 +7,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "common/rollout/policy_endpoint.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 
 namespace robostress {
 
@@ -51,8 +51,8 @@ class GrpcPolicyClient : public PolicyEndpoint {
 
   const PolicySpec& spec() const override;
   absl::Status StartEpisode(const EpisodeKey& key) override;
-  // A refusal (common/rpc/refusal.h) leaves the stream as it is. Lockstep comes back on overload as
-  // long as call_timeout_s allows; async returns it.
+  // A refusal (common/rollout/refusal.h) leaves the stream as it is. Lockstep comes back on
+  // overload as long as call_timeout_s allows; async returns it.
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
   // FAILED_PRECONDITION unless executed.sequence follows the last one. UNAVAILABLE,
   // DEADLINE_EXCEEDED, CANCELLED and RESOURCE_EXHAUSTED (the server's disk is full): the chunk is

@@ -9,9 +9,9 @@
 #include "absl/strings/str_format.h"
 #include "calibration/data/client_recordings.h"
 #include "common/atomic_file.h"
+#include "common/child_process.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
-#include "eval/launch/process.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {

@@ -10,10 +10,10 @@
 #include "absl/strings/str_join.h"
 #include "calibration/model/scenario_output.h"
 #include "common/atomic_file.h"
+#include "common/child_process.h"
 #include "common/joint_errors/effects/effect_library.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
-#include "eval/launch/process.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {

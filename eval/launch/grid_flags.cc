@@ -65,6 +65,7 @@ PolicyHome PolicyHomeOf(const LaunchOptions& launch) {
 void DeclareGridFlags(CLI::App& app, GridFlags& flags) {
   app.add_option("--grid", flags.grid_file,
                  "YAML file of a grid, such as a run's sweep.yaml; flags override it");
+  app.add_option("--robot", flags.robot, "panda (default), piper");
   app.add_option("--suites,--suite", flags.suites, "See `robostress suites`")->delimiter(',');
   app.add_option("--tasks", flags.tasks, "2: the first two; 0,3,7 or 2-5: indices; all");
   app.add_option("--episodes", flags.episodes, "Consecutive episodes per task");
@@ -80,7 +81,8 @@ void DeclareGridFlags(CLI::App& app, GridFlags& flags) {
   app.add_option("--seeds,--seed", flags.seeds, "Seeds of the sampling noise")->delimiter(',');
   app.add_option("--first-initial-state", flags.first_initial_state,
                  "0-19 reporting split, 40-49 dev split");
-  app.add_option("--set", flags.overrides, "sim.KEY=VALUE or method.KEY=VALUE, repeatable")
+  app.add_option("--set", flags.overrides,
+                 "sim.KEY=VALUE, method.KEY=VALUE or client.KEY=VALUE, repeatable")
       ->allow_extra_args(false);
   app.add_option("--replay-file", flags.replay_file, "Actions for policy replay");
   app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
@@ -95,6 +97,7 @@ absl::Status ApplyGridFlags(const CLI::App& app, const GridFlags& flags, SweepGr
   if (!flags.grid_file.empty()) {
     RS_ASSIGN_OR_RETURN(grid, LoadConfig<SweepGrid>(flags.grid_file));
   }
+  if (app.count("--robot")) grid.robot = flags.robot;
   if (app.count("--suites")) grid.suites = flags.suites;
   if (app.count("--scenarios")) grid.scenarios = flags.scenarios;
   if (app.count("--severities")) grid.severities = flags.severities;

@@ -14,7 +14,7 @@ namespace robostress {
 // The command-line flags that describe a grid, shared by the commands that run one. A flag that is
 // absent means "as in the grid that the command starts from".
 struct GridFlags {
-  std::string grid_file;
+  std::string grid_file, robot;
   std::vector<std::string> suites, scenarios, policies, methods, overrides;
   std::vector<int> severities;
   std::vector<int64_t> seeds;

@@ -9,7 +9,7 @@
 #include "common/status_macros.h"
 #include "eval/launch/cost_estimate.h"
 #include "eval/launch/exit_code.h"
-#include "eval/launch/process.h"
+#include "eval/launch/server_process.h"
 #include "eval/plan/titles.h"
 #include "eval/report/report.h"
 #include "eval/store/environment.h"

@@ -1,18 +1,22 @@
 #include "eval/launch/server_process.h"
 
 #include <poll.h>
+#include <stdlib.h>
+#include <unistd.h>
 
 #include <chrono>
 #include <filesystem>
 
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
+#include "eval/plan/build_info.h"
 #include "eval/plan/plan.h"
-#include "eval/store/machine.h"
+#include "eval/store/processor_kind.h"
 
 namespace robostress {
 namespace {
@@ -31,6 +35,16 @@ absl::StatusOr<int> PortIn(const std::string& file) {
 }
 
 }  // namespace
+
+void ChooseOpenMpBlas() {
+  if (access(absl::StrCat(kOpenMpBlasDir, "/libblas.so.3").c_str(), R_OK) != 0) return;
+  const char* current = std::getenv("LD_LIBRARY_PATH");
+  if (current != nullptr && absl::StrContains(current, kOpenMpBlasDir)) return;
+  const std::string path = current == nullptr || *current == '\0'
+                               ? std::string(kOpenMpBlasDir)
+                               : absl::StrCat(kOpenMpBlasDir, ":", current);
+  setenv("LD_LIBRARY_PATH", path.c_str(), 1);
+}
 
 const std::map<std::string, std::string>& ChildEnvironment() {
   static const auto& environment =

@@ -5,11 +5,16 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "eval/launch/process.h"
+#include "common/child_process.h"
 #include "eval/launch/server_source.h"
 #include "eval/launch/signal_guard.h"
 
 namespace robostress {
+
+// Prepends the OpenMP build of OpenBLAS to LD_LIBRARY_PATH of this process's children, where it is
+// installed: the pthread build, Debian's default alternative, ignores the thread counts that
+// LibTorch sets.
+void ChooseOpenMpBlas();
 
 // One thread per process: a grid's parallelism is its processes, and results must not depend on
 // thread counts.

@@ -12,9 +12,9 @@
 #include "absl/strings/str_replace.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/child_process.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
-#include "eval/launch/process.h"
 
 namespace robostress {
 namespace {

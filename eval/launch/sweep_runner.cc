@@ -67,6 +67,13 @@ absl::StatusOr<SweepOutcome> RunSweep(const SweepGrid& grid, const std::vector<P
                                       const LaunchOptions& options) {
   const auto start = SteadyClock::now();
   const std::string started = UtcNow();
+  for (const PlannedUnit& unit : units) {
+    if (unit.config.robot == UnitConfig().robot || !(options.measure_lag || options.record_joints))
+      continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit ", unit.id, " is of robot ", unit.config.robot,
+                     ": only the Panda's worker measures lag and records joints; leave it out"));
+  }
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<Launcher> launcher, MakeLauncher(options.launcher));
   const RunDirectory run(options.run_dir);
   RS_ASSIGN_OR_RETURN(const FileLock lock, run.Lock());

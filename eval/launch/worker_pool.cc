@@ -5,13 +5,15 @@
 #include "absl/strings/str_cat.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
+#include "common/unit/robots.h"
 #include "eval/launch/server_process.h"
-#include "eval/store/machine.h"
+#include "eval/store/processor_kind.h"
 
 namespace robostress {
 
 absl::Status WorkerPool::Start(const WorkItem& item) {
-  RS_ASSIGN_OR_RETURN(const std::string program, FindProgram("worker"));
+  RS_ASSIGN_OR_RETURN(const RobotInfo robot, FindRobot(item.unit->config.robot));
+  RS_ASSIGN_OR_RETURN(const std::string program, FindProgram(robot.worker));
   RS_RETURN_IF_ERROR(PublishItem(run_, item));
   const std::string folder = item.Folder(run_);
   std::vector<std::string> command = {program, "--unit", run_.PlanFile(item.unit->id), "--out",

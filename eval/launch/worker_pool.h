@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "eval/launch/process.h"
+#include "common/child_process.h"
 #include "eval/launch/progress.h"
 #include "eval/launch/server_source.h"
 #include "eval/launch/signal_guard.h"

@@ -6,7 +6,9 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "common/atomic_file.h"
 #include "common/html_page.h"
+#include "common/status_macros.h"
 #include "common/svg_plot.h"
 #include "eval/plan/titles.h"
 #include "eval/report/html_numbers.h"
@@ -210,6 +212,16 @@ std::string FilledPage(const FilledTable& table, const std::string& videos) {
   for (const std::string& note : table.notes)
     absl::StrAppend(&html, "<li>", EscapeXml(note), "</li>\n");
   return html + "</ul>\n</main></body></html>\n";
+}
+
+absl::Status WriteFilledTable(const FilledTable& table, const std::string& folder,
+                              const std::string& videos) {
+  const std::string stem = absl::StrCat(folder, "/", table.name);
+  RS_RETURN_IF_ERROR(MakeDirectories(folder));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".csv", FilledCsv(table)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".md", FilledMarkdown(table)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(stem + ".json", FilledJson(table)));
+  return WriteFileAtomically(stem + ".html", FilledPage(table, videos));
 }
 
 }  // namespace robostress

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "common/statistics.h"
 #include "eval/report/text_table.h"
 
@@ -58,5 +59,8 @@ std::string FilledMarkdown(const FilledTable& table);
 std::string FilledCsv(const FilledTable& table);
 std::string FilledJson(const FilledTable& table);
 std::string FilledPage(const FilledTable& table, const std::string& videos);
+// Publishes folder/NAME.csv, .md, .json and .html.
+absl::Status WriteFilledTable(const FilledTable& table, const std::string& folder,
+                              const std::string& videos = "");
 
 }  // namespace robostress

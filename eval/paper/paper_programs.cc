@@ -17,8 +17,10 @@
 #include "common/program_folder.h"
 #include "common/status_macros.h"
 #include "eval/paper/paper_results.h"
-#include "eval/paper/piper_results.h"
+#include "eval/paper/piper_tables.h"
 #include "eval/report/paper_values.h"
+#include "eval/store/run_directory.h"
+#include "eval/store/run_store.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -144,9 +146,11 @@ absl::StatusOr<FilledTable> RunPaperProgram(const ProgramRequest& request) {
     }
   }
   if (payload) return PayloadTable(result);
-  RS_ASSIGN_OR_RETURN(const std::vector<PiperEpisode> episodes,
-                      ReadPiperEpisodes(folder + "/episodes.csv"));
-  return PiperTable(request.table.name, episodes, request.bootstrap_replicates);
+  RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(folder));
+  RS_ASSIGN_OR_RETURN(const std::vector<SweepGrid> grids, RunDirectory(folder).Grids());
+  RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, PaperUnits(grids));
+  return FillPaperTable(request.table, PiperProtocol(folder), run, units,
+                        request.bootstrap_replicates);
 }
 
 absl::StatusOr<FilledTable> PayloadTable(const std::string& json_file) {

@@ -25,6 +25,11 @@ std::optional<double> ValueOf(const EpisodeRow& row, PaperMeasure measure) {
   return row.residual;
 }
 
+// With its group where a table has the same columns for several.
+std::string TitleOf(const PaperColumn& column) {
+  return column.group.empty() ? column.title : absl::StrCat(column.group, ": ", column.title);
+}
+
 class Filler {
  public:
   Filler(const PaperTable& table, const PaperProtocol& protocol, const RunData& run, int replicates)
@@ -34,19 +39,21 @@ class Filler {
     return protocol_.PolicyOf(column.role).empty();
   }
 
-  Units UnitsIn(const std::string& scenario, const PaperColumn& column) const {
+  // `part` of a row: a scenario, or a suite.
+  Units UnitsIn(const std::string& part, const PaperColumn& column) const {
+    const std::string& scenario = table_.suites.empty() ? part : column.scenario;
     Units units;
     for (const UnitResult& unit : run_.units) {
       const UnitConfig& c = unit.config;
-      if (c.scenario == scenario && c.method.method == column.method &&
-          c.policy == protocol_.PolicyOf(column.role) &&
+      if (c.scenario == scenario && (table_.suites.empty() || c.suite == part) &&
+          c.method.method == column.method && c.policy == protocol_.PolicyOf(column.role) &&
           (c.severity == column.severity || SameAtEveryLevel(scenario)))
         units.push_back(&unit);
     }
     return units;
   }
 
-  // One stratum per scenario; empty when one of them has no unit yet.
+  // One stratum per scenario or suite; empty when one of them has no unit yet.
   FilledCell Cell(const std::vector<std::string>& scenarios, const PaperColumn& column) const {
     FilledCell cell;
     std::vector<EpisodeValue> values;
@@ -71,9 +78,10 @@ class Filler {
     cell.n = static_cast<int>(values.size());
     if (values.empty()) return cell;
     const bool wilson = scenarios.size() == 1 && table_.measure == PaperMeasure::kSuccess;
-    const BootstrapResult result = BootstrapEpisodes(
-        values, wilson ? 0 : replicates_,
-        absl::StrCat("paper/", table_.name, "/", absl::StrJoin(scenarios, "+"), "/", column.title));
+    const BootstrapResult result =
+        BootstrapEpisodes(values, wilson ? 0 : replicates_,
+                          absl::StrCat("paper/", table_.name, "/", absl::StrJoin(scenarios, "+"),
+                                       "/", TitleOf(column)));
     cell.value = 100 * result.estimate;
     cell.interval = Percent(wilson ? WilsonInterval(successes, cell.n) : result.interval);
     if (adapts) cell.note = updates == 0 ? "not adapted" : absl::StrCat(updates, " updates");
@@ -92,7 +100,7 @@ class Filler {
     }
     return CompareOnPairs(strata, replicates_,
                           absl::StrCat("paper/", table_.name, "/", absl::StrJoin(scenarios, "+"),
-                                       "/", method.title, " - ", reference.title));
+                                       "/", TitleOf(method), " - ", reference.title));
   }
 
  private:
@@ -110,6 +118,14 @@ std::vector<std::string> WithoutClean(std::vector<std::string> scenarios) {
 // Title and scenarios of each row.
 std::vector<std::pair<std::string, std::vector<std::string>>> RowsOf(const PaperTable& table) {
   std::vector<std::pair<std::string, std::vector<std::string>>> rows;
+  for (const std::string& suite : table.suites) {
+    const SuiteInfo* info = FindSuite(suite);
+    rows.push_back({info == nullptr ? suite : info->title, {suite}});
+  }
+  if (!table.suites.empty()) {
+    if (table.with_average) rows.push_back({"Average", table.suites});
+    return rows;
+  }
   if (!table.only_average) {
     for (const std::string& scenario : table.scenarios)
       rows.push_back({ScenarioTitle(scenario), {scenario}});
@@ -159,7 +175,7 @@ TextRows Differences(const PaperTable& table, const Filler& filler) {
   TextRows text = {{"Points [95 %] won/lost"}};
   for (const auto& [title, scenarios] : rows) text[0].push_back(title);
   for (size_t c = 0; c < table.contrasts.size(); ++c) {
-    text.push_back({absl::StrCat(table.columns[table.contrasts[c].column].title, " - ",
+    text.push_back({absl::StrCat(TitleOf(table.columns[table.contrasts[c].column]), " - ",
                                  table.columns[table.contrasts[c].reference].title)});
     bool any = false;
     for (size_t r = 0; r < rows.size(); ++r) {
@@ -198,9 +214,16 @@ std::string OurProtocol(const PaperProtocol& protocol) {
 std::vector<std::string> Notes(const PaperTable& table, const PaperProtocol& protocol,
                                const PublishedTable& published, const RunData& run,
                                const std::vector<PlannedUnit>& planned) {
-  std::vector<std::string> notes = {absl::StrCat("Paper: ", published.protocol, "."),
-                                    absl::StrCat("Ours: policy ", PolicyLabel(protocol.base),
-                                                 " on ", OurProtocol(protocol), ", MuJoCo 2.2.")};
+  std::vector<std::string> notes = {absl::StrCat("Paper: ", published.protocol, ".")};
+  if (protocol.grid.robot == "piper") {
+    notes.push_back(absl::StrCat(
+        "Ours: Pipers emulated in MuJoCo with wear profiles; a scripted expert instead of "
+        "teleoperation; policy ",
+        PolicyLabel(protocol.base), " in joint space. No real arm was used."));
+  } else {
+    notes.push_back(absl::StrCat("Ours: policy ", PolicyLabel(protocol.base), " on ",
+                                 OurProtocol(protocol), ", MuJoCo 2.2."));
+  }
   if (protocol.base == "nano") {
     notes.push_back(
         "nano has the graph of pi0 at a small fraction of its size and was trained on the embedded "
@@ -281,12 +304,19 @@ FilledTable FillPaperTable(const PaperTable& table, const PaperProtocol& protoco
   for (const auto& [title, scenarios] : RowsOf(table)) {
     const bool average = title == "Average";
     filled.rows.push_back({title, average, {}});
-    keys.push_back(average ? "average" : scenarios.front());
+    keys.push_back(average                ? "average"
+                   : table.suites.empty() ? scenarios.front()
+                                          : table.row_keys[filled.rows.size() - 1]);
   }
+  if (!table.suites.empty()) filled.row_heading = "Task";
   for (const bool control : {false, true}) {
     FilledGroup group{control ? "beside the paper" : PolicyLabel(protocol.base), false, {}};
     for (const PaperColumn& column : table.columns) {
       if (column.control != control || filler.IsMissing(column)) continue;
+      if (!column.group.empty() && column.group != group.title) {
+        if (!group.columns.empty()) filled.groups.push_back(group);
+        group = {column.group, false, {}};
+      }
       group.columns.push_back(column.title);
       const auto rows = RowsOf(table);
       for (size_t r = 0; r < rows.size(); ++r)

@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <map>
 #include <set>
+#include <tuple>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
+#include "eval/paper/piper_tables.h"
 
 namespace robostress {
 namespace {
@@ -103,7 +105,7 @@ std::vector<PaperTable> MakeTables() {
        true,
        {{"w/o anchor", kBase, "no_anchor"}, {"w/ anchor", kBase, "ours"}},
        {{1, 0}}},
-      External("dob", "piper-study"),
+      ObserverTable(PiperArms({"new"})[0], 1),
       SeverityTable(),
       {"residual",
        WithClean(),
@@ -113,8 +115,8 @@ std::vector<PaperTable> MakeTables() {
        {},
        PaperMeasure::kResidual},
       External("payload", "fidelity"),
-      External("real-arm", "piper-study"),
-      External("unseen", "piper-study"),
+      RealArmTable(PiperArms({"new", "used_one_year"}), {1, 2, 3, 4}),
+      UnseenTable(PiperArms({"new"})[0]),
   };
 }
 
@@ -205,28 +207,51 @@ PaperProtocol OnLibero(PaperProtocol protocol, const std::string& checkpoint) {
 
 absl::StatusOr<std::vector<SweepGrid>> PaperGrids(const PaperTable& table,
                                                   const PaperProtocol& protocol, PolicyHome home) {
-  // Methods of each policy at each level; policies of equal methods and levels share a grid.
-  std::map<std::pair<std::string, int>, std::vector<std::string>> methods;
+  // Methods of each policy at each level in each of the columns' scenarios; equal ones share a
+  // grid.
+  struct Block {
+    std::string policy;
+    int severity;
+    std::vector<std::string> scenarios, methods;
+  };
+  std::map<std::tuple<std::string, int, std::string>, std::vector<std::string>> methods;
   for (const PaperColumn& column : table.columns) {
     const std::string& policy = protocol.PolicyOf(column.role);
-    if (!policy.empty()) AddOnce(methods[{policy, column.severity}], column.method);
+    if (!policy.empty())
+      AddOnce(methods[{policy, column.severity, column.scenario}], column.method);
+  }
+  std::vector<Block> blocks;
+  for (const auto& [key, names] : methods) {
+    const auto& [policy, severity, scenario] = key;
+    if (!blocks.empty() && blocks.back().policy == policy && blocks.back().severity == severity &&
+        blocks.back().methods == names) {
+      AddOnce(blocks.back().scenarios, scenario);
+    } else {
+      blocks.push_back({policy, severity, {scenario}, names});
+    }
   }
   std::vector<SweepGrid> grids;
-  for (const auto& [key, names] : methods) {
-    const auto& [policy, severity] = key;
-    const auto same = std::find_if(grids.begin(), grids.end(), [&, &names = names](auto& grid) {
-      return grid.methods == names;
+  for (const Block& block : blocks) {
+    const std::vector<std::string>& scenarios =
+        table.suites.empty() ? table.scenarios : block.scenarios;
+    const auto same = std::find_if(grids.begin(), grids.end(), [&](const SweepGrid& grid) {
+      return grid.methods == block.methods && grid.scenarios == scenarios;
     });
     if (same != grids.end()) {
-      AddOnce(same->policies, policy);
-      AddOnce(same->severities, severity);
+      AddOnce(same->policies, block.policy);
+      AddOnce(same->severities, block.severity);
       continue;
     }
     SweepGrid grid = protocol.grid;
-    grid.scenarios = table.scenarios;
-    grid.policies = {policy};
-    grid.severities = {severity};
-    grid.methods = names;
+    grid.scenarios = scenarios;
+    grid.policies = {block.policy};
+    grid.severities = {block.severity};
+    grid.methods = block.methods;
+    if (!table.suites.empty()) {
+      grid.suites = table.suites;
+      const SuiteInfo* suite = FindSuite(table.suites.front());
+      if (suite != nullptr && suite->states_go_on) grid.episodes /= suite->num_tasks;
+    }
     grids.push_back(grid);
   }
   for (SweepGrid& grid : grids) {

@@ -17,6 +17,7 @@ struct PaperColumn {
   std::string method;
   int severity = 5;
   bool control = false;  // ours beside the paper's columns
+  std::string scenario, group;  // of tables whose rows are suites: the arm, and its title
 };
 
 // Two columns whose difference the table shows.
@@ -26,8 +27,8 @@ struct PaperContrast {
 
 enum class PaperMeasure { kSuccess, kResidual };
 
-// A table of the paper: which units it needs and how they are laid out. Rows are scenarios;
-// published numbers are FindPublished(name).
+// A table of the paper: which units it needs and how they are laid out. Rows are scenarios, or
+// suites whose columns name their scenario; published numbers are FindPublished(name).
 struct PaperTable {
   std::string name;
   std::vector<std::string> scenarios;
@@ -36,9 +37,10 @@ struct PaperTable {
   std::vector<PaperColumn> columns;
   std::vector<PaperContrast> contrasts;
   PaperMeasure measure = PaperMeasure::kSuccess;
-  // The command of another program that measures it: "fidelity", "piper-study"; it has no units
-  // then.
+  // The command of another program that measures it: "fidelity", which has no units, or
+  // "piper-study", which trains what its units evaluate.
   std::string program;
+  std::vector<std::string> suites, row_keys;  // rows, and what the published table calls them
 };
 
 // In the order of the paper; every name of PublishedTables().
@@ -50,7 +52,7 @@ absl::StatusOr<std::vector<PaperTable>> FindPaperTables(const std::vector<std::s
 
 // How much is run, and with what. Tables of equal protocol share their units in one run directory.
 struct PaperProtocol {
-  SweepGrid grid;  // suites, tasks, episodes, seeds, overrides, videos, LIBERO's folders
+  SweepGrid grid;  // robot, suites, tasks, episodes, seeds, overrides, videos, LIBERO's folders
   std::string base = "nano", cloning = "nano-bc", randomised = "nano-dr", robust = "nano-robust";
 
   // Empty when there are no such weights: the column is left out and named.
@@ -65,7 +67,8 @@ PaperProtocol FullProtocol();
 // columns of other weights are left out until they are given.
 PaperProtocol OnLibero(PaperProtocol protocol, const std::string& checkpoint);
 
-// The grids that hold the table's units, resolved; together they name no unit twice.
+// The grids that hold the table's units, resolved; together they name no unit twice. The
+// protocol's episodes are a unit's where the states of its tasks go on (common/suites.h).
 absl::StatusOr<std::vector<SweepGrid>> PaperGrids(const PaperTable& table,
                                                   const PaperProtocol& protocol, PolicyHome home);
 // Their units, each once.

@@ -1,15 +1,12 @@
 #include "eval/piper_study/piper_study.h"
 
 #include <algorithm>
-#include <set>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
-#include "absl/strings/str_replace.h"
-#include "absl/strings/str_split.h"
-#include "common/config.h"
 #include "common/method_options.h"
 #include "common/status_macros.h"
+#include "eval/paper/piper_tables.h"
 
 namespace robostress {
 namespace {
@@ -19,6 +16,11 @@ constexpr char kExperiments[] = "main, dob, unseen";
 absl::Status OutOfRange(const char* field, int64_t value, int64_t low, int64_t high) {
   return absl::InvalidArgumentError(
       absl::StrCat(field, " is ", value, ", must be ", low, " to ", high));
+}
+
+bool Wants(const PiperStudyOptions& options, const char* experiment) {
+  return std::find(options.experiments.begin(), options.experiments.end(), experiment) !=
+         options.experiments.end();
 }
 
 absl::Status CheckOptions(const PiperStudyOptions& options) {
@@ -39,6 +41,11 @@ absl::Status CheckOptions(const PiperStudyOptions& options) {
     return OutOfRange("episodes", options.episodes, 1, 1000);
   if (options.train_steps < 1) return OutOfRange("train_steps", options.train_steps, 1, 1 << 30);
   if (options.tune_steps < 1) return OutOfRange("tune_steps", options.tune_steps, 1, 1 << 30);
+  if (Wants(options, "unseen") && options.episodes % 5 != 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("episodes is ", options.episodes,
+                     ", the five object variants of 'unseen' need a multiple of 5"));
+  }
   if (options.base_weights.empty() != options.robust_weights.empty()) {
     return absl::InvalidArgumentError(
         "base_weights and robust_weights go together: give both, or neither and both are trained");
@@ -46,17 +53,27 @@ absl::Status CheckOptions(const PiperStudyOptions& options) {
   return absl::OkStatus();
 }
 
-bool Wants(const PiperStudyOptions& options, const char* experiment) {
-  return std::find(options.experiments.begin(), options.experiments.end(), experiment) !=
-         options.experiments.end();
+// The grid with those of its methods that adapt, or that do not.
+absl::StatusOr<SweepGrid> WithMethods(SweepGrid grid, bool adapts,
+                                      const std::vector<std::string>& overrides, PolicyHome home) {
+  std::vector<std::string> methods;
+  for (const std::string& name : grid.methods) {
+    RS_ASSIGN_OR_RETURN(const MethodOptions method, MakeMethod(name));
+    if (method.adapt == adapts) methods.push_back(name);
+  }
+  grid.methods = methods;
+  if (methods.empty()) return grid;
+  if (adapts) {
+    for (const std::string& assignment : overrides)
+      grid.overrides.push_back("method." + assignment);
+  }
+  return ResolveGrid(std::move(grid), home);
 }
 
 }  // namespace
 
 const char* const kPiperTasks[4] = {"bowl_next_to_plate", "bowl_on_cabinet", "bowl_on_box",
                                     "open_drawer"};
-const char* const kPiperVariants[6] = {"gray",       "wooden",       "plum",
-                                       "light_blue", "yellow_plate", "green_plate"};
 
 PiperStudyOptions QuickPiperStudy() {
   PiperStudyOptions options;
@@ -70,60 +87,55 @@ PiperStudyOptions QuickPiperStudy() {
   return options;
 }
 
-absl::StatusOr<std::vector<PiperUnit>> PlanPiperStudy(const PiperStudyOptions& options) {
-  RS_RETURN_IF_ERROR(CheckOptions(options));
-  RS_RETURN_IF_ERROR(MakeMethod("ours", options.overrides).status());
-  std::vector<PiperUnit> units;
-  std::set<std::string> planned;
-  const auto add = [&](const char* experiment, const std::string& arm, int task,
-                       const char* method) {
-    PiperUnit unit{absl::StrCat(experiment, "_", arm, "_", task, "_", method), experiment, arm,
-                   task, method};
-    if (planned.insert(unit.id).second) units.push_back(std::move(unit));
-  };
-  const std::string& first_arm = options.arms[0];
-  const int first_task = options.tasks[0];
-  // What the observer and the variants are compared with comes first.
-  if (Wants(options, "dob")) {
-    for (const char* method : {"base", "ours"}) add("main", first_arm, first_task, method);
-    for (const char* method : {"dob", "dob_ours"}) add("dob", first_arm, first_task, method);
+PaperProtocol ProtocolOf(const PiperStudyOptions& options, const std::string& out) {
+  PaperProtocol protocol = PiperProtocol(out);
+  if (!options.base_weights.empty()) {
+    protocol.base = options.base_weights;
+    protocol.robust = options.robust_weights;
   }
-  if (Wants(options, "main")) {
-    for (const std::string& arm : options.arms) {
-      for (const int task : options.tasks) {
-        for (const char* method : {"base", "robust", "ours"}) add("main", arm, task, method);
-      }
-    }
-  }
-  if (Wants(options, "unseen")) {
-    if (options.episodes % 5 != 0) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("episodes is ", options.episodes,
-                       ", the five object variants of 'unseen' need a multiple of 5"));
-    }
-    for (const char* method : {"base", "robust", "ours"}) add("unseen", first_arm, 1, method);
-  }
-  return units;
+  protocol.grid.episodes = options.episodes;
+  protocol.grid.seeds = {options.seed};
+  protocol.grid.overrides = {absl::StrCat("client.episode_s=", options.episode_s),
+                             absl::StrCat("client.moved_bound=", options.moved_bound)};
+  return protocol;
 }
 
-absl::StatusOr<std::string> PiperUnitYaml(const PiperStudyOptions& options, const PiperUnit& unit,
-                                          const std::string& policy) {
-  const bool adapts = unit.method == "ours" || unit.method == "dob_ours";
-  RS_ASSIGN_OR_RETURN(MethodOptions method,
-                      MakeMethod(adapts ? "ours" : "base",
-                                 adapts ? options.overrides : std::vector<std::string>()));
-  std::string variants = kPiperVariants[0];
-  if (unit.experiment == "unseen")
-    variants = absl::StrJoin(std::begin(kPiperVariants) + 1, std::end(kPiperVariants), ", ");
-  const bool observer = unit.method == "dob" || unit.method == "dob_ours";
-  std::string section = absl::StrCat("\n", DumpConfig(method));
-  while (!section.empty() && section.back() == '\n') section.pop_back();
-  return absl::StrCat("arm: ", unit.arm, "\ntask: ", kPiperTasks[unit.task - 1], "\nvariants: [",
-                      variants, "]\nepisodes: ", options.episodes,
-                      "\nepisode_s: ", options.episode_s,
-                      "\nobserver: ", observer ? "true" : "false", "\nseed: ", options.seed,
-                      "\nmoved_bound: ", options.moved_bound, "\npolicy: \"", policy,
-                      "\"\nmethod:", absl::StrReplaceAll(section, {{"\n", "\n  "}}), "\n");
+absl::StatusOr<std::vector<PiperTablePlan>> PlanPiperStudy(const PiperStudyOptions& options,
+                                                           const PaperProtocol& protocol,
+                                                           PolicyHome home) {
+  RS_RETURN_IF_ERROR(CheckOptions(options));
+  RS_RETURN_IF_ERROR(MakeMethod("ours", options.overrides).status());
+  const std::vector<PiperArmColumn> arms = PiperArms(options.arms);
+  std::vector<PaperTable> tables;
+  // What the observer and the variants are compared with comes first.
+  if (Wants(options, "dob")) tables.push_back(ObserverTable(arms[0], options.tasks[0]));
+  if (Wants(options, "main")) tables.push_back(RealArmTable(arms, options.tasks));
+  if (Wants(options, "unseen")) tables.push_back(UnseenTable(arms[0]));
+  std::vector<PiperTablePlan> plans;
+  for (const PaperTable& table : tables) {
+    PiperTablePlan plan{table, {}};
+    RS_ASSIGN_OR_RETURN(const std::vector<SweepGrid> grids, PaperGrids(table, protocol, home));
+    for (const SweepGrid& grid : grids) {
+      for (const bool adapts : {false, true}) {
+        RS_ASSIGN_OR_RETURN(const SweepGrid part,
+                            WithMethods(grid, adapts, options.overrides, home));
+        if (!part.methods.empty()) plan.grids.push_back(part);
+      }
+    }
+    plans.push_back(std::move(plan));
+  }
+  return plans;
+}
+
+absl::StatusOr<std::vector<PiperTablePlan>> PlanOf(const PiperStudyOptions& options,
+                                                   const PiperStudyLaunch& launch,
+                                                   PolicyHome home) {
+  PaperProtocol protocol = ProtocolOf(options, launch.out);
+  if (launch.real_time) {
+    protocol.grid.overrides.push_back("client.real_time=true");
+    protocol.grid.overrides.push_back(absl::StrCat("client.udp_port=", launch.udp_port));
+  }
+  return PlanPiperStudy(options, protocol, home);
 }
 
 }  // namespace robostress

@@ -1,12 +1,13 @@
 #pragma once
 
 #include <cstdint>
-#include <map>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "eval/paper/paper_table.h"
+#include "eval/plan/plan.h"
 
 namespace robostress {
 
@@ -50,41 +51,41 @@ struct PiperStudyOptions {
 // Thin enough for a test: one arm, one task, two demonstrations, a few steps of training.
 PiperStudyOptions QuickPiperStudy();
 
-// One cell: consecutive episodes of one method on one session.
-struct PiperUnit {
-  std::string id;          // main_new_1_ours
-  std::string experiment;  // main, dob, unseen
-  std::string arm;
-  int task = 1;        // 1 to 4
-  std::string method;  // base, robust, ours, dob, dob_ours
+// A table of the paper with the grids that hold its units.
+struct PiperTablePlan {
+  PaperTable table;
+  std::vector<SweepGrid> grids;  // resolved
 };
 
-// Tables need: main base, robust and ours on every arm and task; dob the two with the disturbance
-// observer on the first arm's first task (base and ours are main's); unseen base, robust and ours
-// there, five episodes of each object variant. Errors name field, value and remedy.
-absl::StatusOr<std::vector<PiperUnit>> PlanPiperStudy(const PiperStudyOptions& options);
-// What piper_study_worker is given; `policy` as the server names it.
-absl::StatusOr<std::string> PiperUnitYaml(const PiperStudyOptions& options, const PiperUnit& unit,
-                                          const std::string& policy);
+// What the study evaluates: the real-arm table (experiment main), the observer's (dob) and the one
+// of unseen objects (unseen) of the study's arms and tasks. `overrides` change units that adapt,
+// and no others. Errors name field, value and remedy.
+absl::StatusOr<std::vector<PiperTablePlan>> PlanPiperStudy(const PiperStudyOptions& options,
+                                                           const PaperProtocol& protocol,
+                                                           PolicyHome home);
+// The study's protocol over the weights in `out`, or those that are given.
+PaperProtocol ProtocolOf(const PiperStudyOptions& options, const std::string& out);
 
-// Tasks and object variants as the worker knows them, by the paper's number and from 0 (as
-// demonstrated).
+// Names of the four tasks as the worker knows them, by the paper's number less one.
 extern const char* const kPiperTasks[4];
-extern const char* const kPiperVariants[6];
 
 // How it is carried out; none of it changes a result.
 struct PiperStudyLaunch {
   std::string out;
   std::vector<std::string> stages = {"record", "train", "evaluate", "report"};
   int workers = 1;
-  bool real_time = false;  // processes over UDP in real time, in a folder of their own
+  bool real_time = false;  // processes over UDP in real time, in a run directory of their own
   int udp_port = 43120;    // of the emulated arm's bus
+
+  std::string RunFolder() const { return real_time ? out + "/live" : out; }
 };
 
-// Runs the stages. Layout of `out`:
-//   study.yaml demos/<arm>_<task>.safetensors train/{start,base,robust}/ units/<id>/ live/<id>/
-//   logs/ episodes.csv report.json report.md
-// FAILED_PRECONDITION when it holds a study with other options.
-absl::Status RunPiperStudy(const PiperStudyOptions& options, const PiperStudyLaunch& launch);
+// Runs the stages; the exit code of the units. `out` is a run directory (eval/README.md), beside
+//   study.yaml demos/<arm>_<task>.safetensors train/{start,base,robust}/ live/ tables/ report.md
+// where live/ is another one. FAILED_PRECONDITION when it holds a study with other options.
+absl::StatusOr<int> RunPiperStudy(const PiperStudyOptions& options, const PiperStudyLaunch& launch);
+// The plan of a launch: in real time its units say so.
+absl::StatusOr<std::vector<PiperTablePlan>> PlanOf(const PiperStudyOptions& options,
+                                                   const PiperStudyLaunch& launch, PolicyHome home);
 
 }  // namespace robostress

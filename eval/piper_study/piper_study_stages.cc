@@ -1,20 +1,21 @@
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <deque>
 #include <filesystem>
 #include <thread>
 
-#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
+#include "common/child_process.h"
 #include "common/config.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
-#include "eval/launch/process.h"
+#include "eval/launch/merged_sweep.h"
+#include "eval/launch/server_process.h"
 #include "eval/piper_study/piper_study.h"
-#include "eval/piper_study/piper_study_live.h"
-#include "eval/piper_study/piper_study_report.h"
+#include "eval/piper_study/piper_study_page.h"
 
 namespace robostress {
 namespace {
@@ -22,16 +23,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kPoll_ms = 100;
-constexpr int kServerStart_s = 180;
-
-const std::map<std::string, std::string>& OneThread() {
-  static const auto& environment =
-      *new std::map<std::string, std::string>{{"OMP_NUM_THREADS", "1"},
-                                              {"OPENBLAS_NUM_THREADS", "1"},
-                                              {"MKL_NUM_THREADS", "1"},
-                                              {"LP_NUM_THREADS", "0"}};
-  return environment;
-}
 
 // A process that a stage waits for, and the file that says it is done.
 struct Job {
@@ -42,12 +33,14 @@ struct Job {
 
 class Study {
  public:
-  Study(const PiperStudyOptions& options, const PiperStudyLaunch& launch,
-        std::vector<PiperUnit> units)
-      : options_(options), launch_(launch), units_(std::move(units)) {}
+  Study(const PiperStudyOptions& options, const PiperStudyLaunch& launch)
+      : options_(options), launch_(launch), protocol_(ProtocolOf(options, launch.out)) {}
 
-  absl::Status Run() {
-    for (const char* folder : {"/demos", "/train", "/units", "/plan", "/logs"})
+  // The exit code of the units.
+  absl::StatusOr<int> Run() {
+    // Names what is wrong before anything is recorded; the weights may not be there yet.
+    RS_RETURN_IF_ERROR(PlanOf(options_, launch_, PolicyHome::kElsewhere).status());
+    for (const char* folder : {"/demos", "/train", "/logs"})
       RS_RETURN_IF_ERROR(MakeDirectories(launch_.out + folder));
     RS_RETURN_IF_ERROR(KeepOptions());
     for (const std::string& stage : launch_.stages) {
@@ -56,7 +49,8 @@ class Study {
       } else if (stage == "train") {
         RS_RETURN_IF_ERROR(Train());
       } else if (stage == "evaluate") {
-        RS_RETURN_IF_ERROR(Evaluate());
+        RS_ASSIGN_OR_RETURN(const int code, Evaluate());
+        if (code != 0) return code;
       } else if (stage == "report") {
         RS_RETURN_IF_ERROR(Report());
       } else {
@@ -64,22 +58,12 @@ class Study {
             "stage '", stage, "' is unknown; there are record, train, evaluate, report"));
       }
     }
-    return absl::OkStatus();
+    return 0;
   }
 
  private:
   std::string Out(const std::string& name) const { return absl::StrCat(launch_.out, "/", name); }
-  std::string Program(const std::string& name) const {
-    return (fs::path(ProgramFolder()) / name).string();
-  }
   bool given_weights() const { return !options_.base_weights.empty(); }
-  std::string Weights(bool robust) const {
-    if (given_weights()) return robust ? options_.robust_weights : options_.base_weights;
-    return fs::absolute(
-               Out(robust ? "train/robust/nano.safetensors" : "train/base/nano.safetensors"))
-        .lexically_normal()
-        .string();
-  }
 
   // Results of different options cannot share a folder.
   absl::Status KeepOptions() {
@@ -112,7 +96,7 @@ class Study {
         const Job* const job = waiting.front();
         waiting.pop_front();
         RS_ASSIGN_OR_RETURN(ChildProcess process,
-                            ChildProcess::Start(job->command, OneThread(), Log(job->name)));
+                            ChildProcess::Start(job->command, ChildEnvironment(), Log(job->name)));
         running.push_back({job, std::move(process)});
       }
       for (auto it = running.begin(); it != running.end();) {
@@ -147,15 +131,15 @@ class Study {
 
   absl::Status Record() {
     if (given_weights()) return absl::OkStatus();
+    RS_ASSIGN_OR_RETURN(const std::string program, FindProgram("piper-worker"));
     std::vector<Job> jobs;
     for (const std::string& arm : options_.arms) {
       for (const int task : options_.tasks) {
         const std::string name = absl::StrCat(arm, "_", kPiperTasks[task - 1]);
         const std::string shard = Out(absl::StrCat("demos/", name, ".safetensors"));
         jobs.push_back({"record_" + name,
-                        {Program("piper_study_worker"), "record", "--arm", arm, "--task",
-                         kPiperTasks[task - 1], "--episodes", absl::StrCat(options_.demonstrations),
-                         "--out", shard},
+                        {program, "record", "--arm", arm, "--task", kPiperTasks[task - 1],
+                         "--episodes", absl::StrCat(options_.demonstrations), "--out", shard},
                         shard});
       }
     }
@@ -192,74 +176,47 @@ class Study {
     std::vector<std::string> worst = go_on;
     worst.push_back("objective=robust");
     RS_ASSIGN_OR_RETURN(const Job robust, TrainJob("robust", options_.tune_steps, worst));
-    return RunJobs({base, robust}, launch_.workers);
+    RS_RETURN_IF_ERROR(RunJobs({base, robust}, launch_.workers));
+    RS_RETURN_IF_ERROR(Name(Out("train/base/nano.safetensors"), protocol_.base));
+    return Name(Out("train/robust/nano.safetensors"), protocol_.robust);
   }
 
-  absl::StatusOr<std::pair<ChildProcess, std::string>> StartServer(const std::string& name,
-                                                                   const std::string& weights) {
-    RS_ASSIGN_OR_RETURN(const std::string program, FindProgram("serve"));
-    const std::string port_file = Out("logs/server_" + name + ".port");
-    std::error_code ignored;
-    fs::remove(port_file, ignored);
-    RS_ASSIGN_OR_RETURN(
-        ChildProcess process,
-        ChildProcess::Start({program, "--policy", weights, "--listen", "127.0.0.1:0", "--port-file",
-                             port_file, "--threads", absl::StrCat(launch_.workers)},
-                            OneThread(), Log("server_" + name)));
-    for (int i = 0; !fs::exists(port_file); ++i) {
-      if (const auto exit = process.Poll()) {
-        return absl::UnavailableError(absl::StrCat("the policy server ended (", exit->text, "); ",
-                                                   Log("server_" + name), " ends:\n",
-                                                   LastLines(Log("server_" + name), 12)));
-      }
-      if (i * kPoll_ms > kServerStart_s * 1000)
-        return absl::UnavailableError(
-            absl::StrCat("no port after ", kServerStart_s, " s; see ", Log("server_" + name)));
-      std::this_thread::sleep_for(std::chrono::milliseconds(kPoll_ms));
-    }
-    RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(port_file));
-    const std::string port(absl::StripAsciiWhitespace(text));
-    return std::make_pair(std::move(process),
-                          port.find(':') == std::string::npos ? "127.0.0.1:" + port : port);
+  // A policy is called by its file's name.
+  static absl::Status Name(const std::string& weights, const std::string& as) {
+    if (fs::exists(as)) return absl::OkStatus();
+    RS_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(weights));
+    return WriteFileAtomically(as, bytes);
   }
 
-  absl::Status Evaluate() {
-    for (const bool robust : {false, true}) {
-      std::vector<const PiperUnit*> units;
-      const char* const folder = launch_.real_time ? "live/" : "units/";
-      for (const PiperUnit& unit : units_) {
-        if ((unit.method == "robust") == robust && !fs::exists(Out(folder + unit.id + "/DONE")))
-          units.push_back(&unit);
-      }
-      if (units.empty()) continue;
-      const std::string weights = Weights(robust);
-      if (!fs::exists(weights)) {
-        return absl::NotFoundError(absl::StrCat(
-            weights, " is missing: run the stages record and train first, or give weights"));
-      }
-      RS_ASSIGN_OR_RETURN(const auto server, StartServer(robust ? "robust" : "base", weights));
-      std::vector<Job> jobs;
-      for (const PiperUnit* unit : units) {
-        if (launch_.real_time) {
-          RS_RETURN_IF_ERROR(RunLiveUnit(options_, *unit, weights, server.second, launch_));
-          continue;
-        }
-        RS_ASSIGN_OR_RETURN(const std::string yaml, PiperUnitYaml(options_, *unit, weights));
-        const std::string plan = Out("plan/" + unit->id + ".yaml");
-        RS_RETURN_IF_ERROR(WriteFileAtomically(plan, yaml));
-        jobs.push_back({unit->id,
-                        {Program("piper_study_worker"), "evaluate", "--unit", plan, "--server",
-                         server.second, "--out", Out("units/" + unit->id)},
-                        Out("units/" + unit->id + "/DONE")});
-      }
-      RS_RETURN_IF_ERROR(RunJobs(jobs, launch_.workers));
+  absl::StatusOr<int> Evaluate() {
+    for (const std::string& weights : {protocol_.base, protocol_.robust}) {
+      if (fs::exists(weights)) continue;
+      return absl::NotFoundError(absl::StrCat(
+          weights, " is missing: run the stages record and train first, or give weights"));
     }
-    return absl::OkStatus();
+    RS_ASSIGN_OR_RETURN(const std::vector<PiperTablePlan> plans,
+                        PlanOf(options_, launch_, PolicyHome::kHere));
+    LaunchOptions sweep;
+    sweep.run_dir = launch_.RunFolder();
+    sweep.workers = launch_.real_time ? 1 : launch_.workers;
+    int code = 0;
+    for (const PiperTablePlan& plan : plans) {
+      for (const SweepGrid& grid : plan.grids) {
+        RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
+        RS_ASSIGN_OR_RETURN(const MergedSweep merged,
+                            RunAndMerge("piper-study", grid, units, sweep));
+        code = std::max(code, ExitCodeOf(merged.outcome));
+        if (code > 128) return code;  // interrupted
+      }
+    }
+    return code;
   }
 
   absl::Status Report() {
-    return WritePiperReport(options_, units_, launch_.out, launch_.real_time ? "live" : "units",
-                            Weights(false));
+    RS_ASSIGN_OR_RETURN(const std::vector<PiperTablePlan> plans,
+                        PlanOf(options_, launch_, PolicyHome::kElsewhere));
+    RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(launch_.RunFolder()));
+    return WritePiperPage(plans, protocol_, run);
   }
 
   static const char* PiperRecipe() {
@@ -271,14 +228,14 @@ class Study {
 
   const PiperStudyOptions& options_;
   const PiperStudyLaunch& launch_;
-  const std::vector<PiperUnit> units_;
+  const PaperProtocol protocol_;
 };
 
 }  // namespace
 
-absl::Status RunPiperStudy(const PiperStudyOptions& options, const PiperStudyLaunch& launch) {
-  RS_ASSIGN_OR_RETURN(std::vector<PiperUnit> units, PlanPiperStudy(options));
-  return Study(options, launch, std::move(units)).Run();
+absl::StatusOr<int> RunPiperStudy(const PiperStudyOptions& options,
+                                  const PiperStudyLaunch& launch) {
+  return Study(options, launch).Run();
 }
 
 }  // namespace robostress

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <set>
 
+#include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -17,6 +18,7 @@
 #include "common/libero_fixtures.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
+#include "common/unit/robots.h"
 
 namespace robostress {
 namespace {
@@ -61,14 +63,9 @@ class Complaints {
   std::vector<std::string> texts_;
 };
 
-std::vector<std::string> SuiteNames() {
-  std::vector<std::string> names;
-  for (const SuiteInfo& suite : AllSuites()) names.push_back(suite.name);
-  return names;
-}
-
-// Clean and the seven, in the order of the tables.
-std::vector<std::string> DefaultScenarios() {
+// The robot's arms; or clean and the seven, in the order of the tables.
+std::vector<std::string> DefaultScenarios(const RobotInfo& robot) {
+  if (!robot.arms.empty()) return ScenariosOf(robot);
   std::vector<std::string> names;
   for (const std::string& name : ScenarioNames()) {
     const absl::StatusOr<Scenario> scenario = MakeScenario(name, 5);
@@ -95,20 +92,24 @@ std::vector<std::string> InOrderOf(const std::vector<std::string>& known,
   return ordered;
 }
 
-std::string PoliciesByName() {
-  std::vector<std::string> names(kSuitePolicies.begin(), kSuitePolicies.end());
-  names.insert(names.end(), {"expert", "replay"});
+// Of which embedded policies move the robot.
+bool Moves(const RobotInfo& robot, const std::string& policy) {
+  return std::find(robot.policies.begin(), robot.policies.end(), policy) != robot.policies.end();
+}
+
+std::string PoliciesByName(const RobotInfo& robot) {
+  std::vector<std::string> names = robot.policies;
+  if (robot.name == "panda") names.insert(names.end(), {"expert", "replay"});
   return absl::StrJoin(names, ", ");
 }
 
-void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaints) {
-  if (grid.policies.empty())
-    complaints.Add(
-        absl::StrCat("no policy given; known: ", PoliciesByName(), ", or a weights file"));
+void CheckPolicies(const SweepGrid& grid, const RobotInfo& robot, PolicyHome home,
+                   Complaints& complaints) {
   const bool has_base =
       std::find(grid.methods.begin(), grid.methods.end(), "base") != grid.methods.end();
+  const std::string known = PoliciesByName(robot);
   for (const std::string& policy : grid.policies) {
-    if (RunsInWorker(policy)) {
+    if (RunsInWorker(policy) && robot.name == "panda") {
       if (!has_base) {
         complaints.Add(
             absl::StrCat("policy ", policy,
@@ -117,20 +118,23 @@ void CheckPolicies(const SweepGrid& grid, PolicyHome home, Complaints& complaint
       if (policy == "replay" && grid.replay_file.empty()) {
         complaints.Add("policy replay needs --replay-file FILE (safetensors with actions [T, 7])");
       }
-    } else if (policy == kPiperPolicy) {
+    } else if (policy == kPiperPolicy && !Moves(robot, policy)) {
       complaints.Add(absl::StrCat("policy '", policy,
                                   "' moves a Piper's joints, the suites' arm is a Panda; known: ",
-                                  PoliciesByName(), "; robot_client and piper-study run it"));
-    } else if (home == PolicyHome::kHere && !IsSuitePolicy(policy) && policy != "nano:random" &&
+                                  known, "; give --robot piper"));
+    } else if (IsSuitePolicy(policy) && !Moves(robot, policy)) {
+      complaints.Add(absl::StrCat("policy '", policy, "' moves a Panda's hand, the robot is a ",
+                                  robot.name, "; known: ", known));
+    } else if (home == PolicyHome::kHere && !Moves(robot, policy) && policy != "nano:random" &&
                access(policy.c_str(), R_OK) != 0) {
-      complaints.Add(absl::StrCat("unknown policy '", policy, "'; known: ", PoliciesByName(),
+      complaints.Add(absl::StrCat("unknown policy '", policy, "'; known: ", known,
                                   ", or the path of a readable weights file; "
                                   "a policy that another server holds needs --server HOST:PORT"));
     }
   }
 }
 
-void CheckScenarios(const SweepGrid& grid, Complaints& complaints) {
+void CheckScenarios(const SweepGrid& grid, const RobotInfo& robot, Complaints& complaints) {
   std::vector<std::string> built_in, labels;
   for (const std::string& scenario : grid.scenarios) {
     labels.push_back(ScenarioLabel(scenario));
@@ -140,7 +144,7 @@ void CheckScenarios(const SweepGrid& grid, Complaints& complaints) {
       complaints.Add(std::string(file.status().message()));
     }
   }
-  if (!built_in.empty()) complaints.CheckNames("scenario", built_in, ScenarioNames());
+  if (!built_in.empty()) complaints.CheckNames("scenario", built_in, ScenariosOf(robot));
   complaints.CheckUnique("scenario", labels);
 }
 
@@ -180,6 +184,15 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
     complaints.Add(std::string(fixtures.status().message()));
 }
 
+absl::Status CheckOverride(const std::string& assignment, UnitConfig& scratch) {
+  for (const char* section : {"sim.", "method.", "client."}) {
+    if (absl::StartsWith(assignment, section) && absl::StrContains(assignment, '='))
+      return ApplyOverrides({assignment}, scratch);
+  }
+  return absl::InvalidArgumentError(absl::StrCat(
+      "override '", assignment, "' must be sim.KEY=VALUE, method.KEY=VALUE or client.KEY=VALUE"));
+}
+
 bool NeedsLibero(const std::string& suite) {
   const SuiteInfo* info = FindSuite(suite);
   return info != nullptr && info->needs_libero;
@@ -197,12 +210,11 @@ int PlannedUnit::EpisodeCount() const {
 }
 
 bool SameAtEveryLevel(const std::string& scenario) {
+  if (!ArmTitle(scenario).empty()) return true;
   const absl::StatusOr<Scenario> mild = MakeScenario(scenario, 1), full = MakeScenario(scenario, 5);
   return mild.ok() && full.ok() && SameFactors(mild->end, full->end) &&
          SameFactors(mild->start, full->start);
 }
-
-bool RunsInWorker(const std::string& policy) { return policy == "expert" || policy == "replay"; }
 
 std::string PolicyLabel(const std::string& policy) {
   return std::filesystem::path(policy).stem().string();
@@ -248,16 +260,22 @@ absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text) {
 }
 
 absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
-  if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios();
+  const absl::StatusOr<RobotInfo> found = FindRobot(grid.robot);
+  if (!found.ok()) return absl::InvalidArgumentError(found.status().message());
+  const RobotInfo& robot = *found;
+  if (grid.suites.empty()) grid.suites = robot.suites;
+  if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios(robot);
+  if (grid.policies.empty()) grid.policies = {robot.policy};
   if (std::any_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
     SetFromEnvironment("LIBERO_ROOT", grid.libero_root);
     SetFromEnvironment("ROBOSUITE_ROOT", grid.robosuite_root);
   }
   Complaints complaints;
-  complaints.CheckNames("suite", grid.suites, SuiteNames());
-  CheckScenarios(grid, complaints);
-  complaints.CheckNames("method", grid.methods, MethodNames());
-  CheckPolicies(grid, home, complaints);
+  const std::vector<std::string> suites = SuitesOf(robot.name);
+  complaints.CheckNames("suite", grid.suites, suites);
+  CheckScenarios(grid, robot, complaints);
+  complaints.CheckNames("method", grid.methods, robot.methods);
+  CheckPolicies(grid, robot, home, complaints);
   CheckRanges(grid, complaints);
   complaints.CheckUnique("suite", grid.suites);
   complaints.CheckUnique("method", grid.methods);
@@ -269,26 +287,21 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   complaints.CheckUnique("policy name", labels);
   UnitConfig scratch;
   for (const std::string& assignment : grid.overrides) {
-    if (!absl::StrContains(assignment, '=') ||
-        (assignment.rfind("sim.", 0) != 0 && assignment.rfind("method.", 0) != 0)) {
-      complaints.Add(
-          absl::StrCat("override '", assignment, "' must be sim.KEY=VALUE or method.KEY=VALUE"));
-    } else if (const absl::Status status = ApplyOverrides({assignment}, scratch); !status.ok()) {
+    if (const absl::Status status = CheckOverride(assignment, scratch); !status.ok())
       complaints.Add(std::string(status.message()));
-    }
   }
   if (scratch.method.method != UnitConfig().method.method)
     complaints.Add(
         "override of method.method: a unit is named by its method; choose methods instead");
   RS_RETURN_IF_ERROR(complaints.ToStatus());
-  grid.suites = InOrderOf(SuiteNames(), grid.suites);
-  std::vector<std::string> scenarios = InOrderOf(ScenarioNames(), grid.scenarios);
+  grid.suites = InOrderOf(suites, grid.suites);
+  std::vector<std::string> scenarios = InOrderOf(ScenariosOf(robot), grid.scenarios);
   for (const std::string& scenario : grid.scenarios) {
     if (IsScenarioFile(scenario))
       scenarios.push_back(std::filesystem::absolute(scenario).lexically_normal().string());
   }
   grid.scenarios = scenarios;
-  grid.methods = InOrderOf(MethodNames(), grid.methods);
+  grid.methods = InOrderOf(robot.methods, grid.methods);
   return grid;
 }
 
@@ -308,6 +321,7 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
   };
   for (const std::string& suite_name : grid.suites) {
     UnitConfig config;
+    config.robot = grid.robot;
     config.suite = suite_name;
     config.tasks = grid.tasks;
     if (config.tasks.empty()) {

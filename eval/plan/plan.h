@@ -6,6 +6,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "common/unit/unit_plan.h"
 #include "common/unit_config.h"
 
 namespace robostress {
@@ -13,35 +14,39 @@ namespace robostress {
 // What a sweep evaluates: the product of the lists. This struct is RUN_DIR/sweep.yaml and the
 // schema of a grid file.
 struct SweepGrid {
-  std::vector<std::string> suites = {"tabletop_goal"};
-  std::vector<std::string> scenarios;  // empty: clean and the seven deployment scenarios
+  std::string robot = "panda";         // of common/unit/robots.h
+  std::vector<std::string> suites;     // empty: tabletop_goal, or the robot's own
+  std::vector<std::string> scenarios;  // empty: clean and the seven, or the robot's arms
   std::vector<int> severities = {5};
-  std::vector<std::string> policies = {"nano"};
+  std::vector<std::string> policies;  // empty: the robot's embedded one
   std::vector<std::string> methods = {"base", "ours"};
   std::vector<int64_t> seeds = {0};
   std::vector<int> tasks;  // empty: all
   int episodes = 20;
   int first_initial_state = 0;
   int videos = 0;
-  std::vector<std::string> overrides;  // "sim.x=y", "method.x=y"
+  std::vector<std::string> overrides;  // "sim.x=y", "method.x=y", "client.x=y"
   std::string replay_file, libero_root, robosuite_root;
   std::string libero_fixtures = "centred";
 
   template <class V>
   void Visit(V& v) {
-    v.Field("suites", suites, "see `robostress suites`");
+    v.Field("robot", robot, "panda, piper");
+    v.Field("suites", suites, "see `robostress suites`; empty: tabletop_goal, or the robot's own");
     v.Field("scenarios", scenarios,
             "see `robostress scenarios`, or scenario files; empty: clean and the seven deployment "
-            "scenarios");
+            "scenarios, or the robot's arms");
     v.Field("severities", severities, "levels 1 (mild) to 5 (full)");
-    v.Field("policies", policies, "nano, expert, replay, or a weights file");
+    v.Field("policies", policies,
+            "nano, expert, replay, or a weights file; empty: nano, or the robot's own");
     v.Field("methods", methods, "base, ours, controls and ablations");
     v.Field("seeds", seeds, "of the policy's sampling noise");
     v.Field("tasks", tasks, "task indices within each suite; empty: all");
     v.Field("episodes", episodes, "consecutive episodes per task");
     v.Field("first_initial_state", first_initial_state, "0-19 reporting, 40-49 dev");
     v.Field("videos", videos, "film the first N episodes of each task");
-    v.Field("overrides", overrides, "sim.KEY=VALUE and method.KEY=VALUE, in order");
+    v.Field("overrides", overrides,
+            "sim.KEY=VALUE, method.KEY=VALUE and client.KEY=VALUE, in order");
     v.Field("replay_file", replay_file, "actions for policy replay");
     v.Field("libero_root", libero_root, "LIBERO checkout, for suites libero_*");
     v.Field("robosuite_root", robosuite_root, "robosuite checkout, for suites libero_*");
@@ -68,9 +73,9 @@ absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text);
 // by one that runs already.
 enum class PolicyHome { kHere, kElsewhere };
 
-// Fills defaults (the scenario list; LIBERO's and robosuite's folders from the environment) and
-// checks every name and range. The error lists everything that is wrong, with the names that are
-// known. Policies served elsewhere may have any name.
+// Fills defaults (the robot's suites, scenarios and policy; LIBERO's and robosuite's folders from
+// the environment) and checks every name and range. The error lists everything that is wrong, with
+// the names that are known. Policies served elsewhere may have any name.
 absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home = PolicyHome::kHere);
 // Units in canonical order: suite, scenario, severity, policy, method, seed. A policy that does not
 // adapt (expert, replay) gets the method base only; a scenario that is equal at all levels gets one
@@ -78,10 +83,8 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home = PolicyHo
 absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& resolved);
 // The id of the unit with these settings; method.method names the method.
 std::string UnitId(const UnitConfig& config);
-// True when every level of the scenario is the same (clean, nominal, dev_mixed).
+// True when every level of the scenario is the same (clean, nominal, dev_mixed; an arm).
 bool SameAtEveryLevel(const std::string& scenario);
-// True for policies that run inside the worker.
-bool RunsInWorker(const std::string& policy);
 // The policy's name as it stands in ids and tables: a weights file is named by its stem.
 std::string PolicyLabel(const std::string& policy);
 

@@ -7,10 +7,12 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/unit/robots.h"
 
 namespace robostress {
 
 std::string ScenarioTitle(const std::string& scenario) {
+  if (std::string arm = ArmTitle(scenario); !arm.empty()) return arm;
   const absl::StatusOr<Scenario> row = MakeScenario(scenario, 5);
   return row.ok() ? row->title : ScenarioLabel(scenario);
 }
@@ -23,7 +25,8 @@ std::string MethodColor(const std::string& method) {
       {"gain", "#e69f00"},          {"null", "#cc79a7"},
       {"direct", "#56b4e9"},        {"no_residual", "#8b5cf6"},
       {"no_anchor", "#a16207"},     {"shuffled_instruction", "#be123c"},
-      {"blank_images", "#0f766e"},  {"frozen_state", "#4d7c0f"}};
+      {"blank_images", "#0f766e"},  {"frozen_state", "#4d7c0f"},
+      {"dob", "#56b4e9"},           {"dob_ours", "#d55e00"}};
   const auto color = colors.find(method);
   return color == colors.end() ? "#334155" : color->second;
 }
@@ -43,7 +46,9 @@ std::string MethodTitle(const std::string& method) {
                                               {"no_anchor", "Ours w/o anchor"},
                                               {"shuffled_instruction", "Shuffled instruction"},
                                               {"blank_images", "Blank images"},
-                                              {"frozen_state", "Frozen state"}};
+                                              {"frozen_state", "Frozen state"},
+                                              {"dob", "Disturbance observer"},
+                                              {"dob_ours", "Observer and ours"}};
   const auto title = titles.find(method);
   return title == titles.end() ? method : title->second;
 }

@@ -4,10 +4,11 @@
 #include <array>
 #include <cmath>
 
-#include "common/joint_errors/backlash.h"
-#include "common/joint_errors/compliance.h"
-#include "common/joint_errors/friction.h"
-#include "common/joint_errors/joint_error_stack.h"
+#include "common/joint_errors/effects/backlash.h"
+#include "common/joint_errors/effects/compliance.h"
+#include "common/joint_errors/effects/friction.h"
+#include "common/joint_errors/joint_chain.h"
+#include "common/joint_errors/stick_friction.h"
 #include "common/svg_plot.h"
 
 namespace robostress {
@@ -117,8 +118,9 @@ std::array<Panel, 3> FrictionOfAPushedJoint() {
     for (int i = 0; i <= 1300; ++i) {
       const double A = kStep / kInertia, viscous = -v.p.sigma_v * dq;
       std::array<double, 1> dry;
-      StickTorques(std::array{dq + A * (drive(i) + viscous)}, std::array{A},
-                   std::array{StribeckMagnitude(v.p, dq)}, absl::MakeSpan(dry));
+      const std::array limit = {StribeckMagnitude(v.p, dq)};
+      StickTorques(std::array{dq + A * (drive(i) + viscous)}, std::array{A}, limit, limit,
+                   absl::MakeSpan(dry));
       dq += A * (drive(i) + viscous + dry[0]);
       Append(velocity, i, dq);
       Append(torque, i, viscous + dry[0]);
@@ -148,24 +150,24 @@ std::string DrawGravityResidual() {
       {"Input: object held (grasp check)", "held", {Line("held", kInputColor)}},
       {"Hidden state: severity behind the grasp gate", "factor w_g", {}},
       {"Output: gravity residual", "torque [Nm]", {}}};
-  const JointErrorStack::Vector none = JointErrorStack::Vector::Zero(),
-                                no_limit = JointErrorStack::Vector::Constant(1e9);
   for (const char* name : {"nominal", "heavy_payload"}) {
     const bool full = std::string(name) != "nominal";
-    JointErrorStack stack{JointErrorOptions()};
-    stack.SetScenario(MakeScenario(name, kFullLevel).value(), kControlSteps);
-    stack.Reset(none, none);
+    JointChain chain(7);
+    chain.SetScenario(MakeScenario(name, kFullLevel).value(), kControlSteps);
+    std::vector<JointMoment> moments(7);
+    chain.Reset(moments);
     LineSeries factor = Line(name, full ? kFullColor : kNominalColor), residual = factor;
     for (int i = 0; i < kControlSteps * kSubSteps; ++i) {
       const int control_step = i / kSubSteps;
       const bool held = control_step >= kGrasp && control_step < kRelease;
       const double g = -25 + 12 * std::sin(2 * M_PI * kStep * i / 1.5);
-      if (i % kSubSteps == 0) stack.BeginControlStep(control_step, held);
-      stack.BeginSubStep(kStep);
-      Append(factor, i, stack.factors()[kJoint].gravity);
-      Append(
-          residual, i,
-          stack.PerturbTorque(none, none, JointErrorStack::Vector::Constant(g), no_limit)[kJoint]);
+      if (i % kSubSteps == 0) chain.BeginControlStep(control_step, held);
+      chain.BeginSubStep(kStep);
+      Append(factor, i, chain.severity().factors()[kJoint].gravity);
+      std::vector<double> torque(7);
+      moments[kJoint].gravity = g;
+      chain.AddTorques(moments, absl::MakeSpan(torque));
+      Append(residual, i, torque[kJoint]);
       if (full) continue;
       Append(panels[0].lines[0], i, g);
       Append(panels[1].lines[0], i, held);

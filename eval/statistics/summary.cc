@@ -164,10 +164,11 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
     if (methods_present.count(method)) table.methods.push_back(method);
   }
   const std::string label = absl::StrCat(policy, "/L", severity, "/", suite);
-  // The built-in ones in their order, then scenario files.
+  // The built-in ones in their order, then arms and scenario files.
   std::vector<std::string> scenarios = ScenarioNames();
+  const std::set<std::string> built_in(scenarios.begin(), scenarios.end());
   for (const auto& [scenario, by_method] : grid) {
-    if (IsScenarioFile(scenario)) scenarios.push_back(scenario);
+    if (built_in.count(scenario) == 0) scenarios.push_back(scenario);
   }
   for (const std::string& scenario : scenarios) {
     const auto by_method = grid.find(scenario);

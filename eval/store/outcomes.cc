@@ -11,6 +11,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
 #include "eval/store/unit_files.h"
 #include "nlohmann/json.hpp"
 
@@ -23,7 +24,9 @@ using nlohmann::ordered_json;
 constexpr int kHashDigits = 12;
 
 std::string OptionsHash(const UnitConfig& config) {
-  return Sha256Hex(DumpConfig(config.sim) + DumpConfig(config.method)).substr(0, kHashDigits);
+  std::string options = DumpConfig(config.sim) + DumpConfig(config.method);
+  if (config.robot != UnitConfig().robot) options += DumpConfig(config.client);
+  return Sha256Hex(options).substr(0, kHashDigits);
 }
 
 std::string ProvenanceOf(const UnitResult& unit, const char* key) {
@@ -60,6 +63,7 @@ absl::StatusOr<UnitResult> ParseUnit(const json& fields) {
   config.first_initial_state = fields.at("first_initial_state").get<int>();
   config.tasks = fields.at("tasks").get<std::vector<int>>();
   RS_ASSIGN_OR_RETURN(config.method, MakeMethod(fields.at("method").get<std::string>()));
+  if (const SuiteInfo* suite = FindSuite(config.suite)) config.robot = suite->robot;
   if (const std::string named = UnitId(config); named != unit.id) {
     return absl::DataLossError(
         absl::StrCat("field unit is '", unit.id, "', but its other fields are those of ", named));
@@ -78,15 +82,15 @@ absl::StatusOr<UnitResult> ParseUnit(const json& fields) {
       return absl::DataLossError(absl::StrCat("field outcomes holds '", outcomes[t], "', must be ",
                                               config.episodes, " of 0 and 1"));
     }
-    for (int i = 0; i < config.episodes; ++i) {
-      EpisodeRow row;
-      row.task = config.tasks[t];
-      row.episode = i;
-      row.initial_state = config.first_initial_state + i;
-      row.success = outcomes[t][i] == '1';
-      row.updates = updates;
-      unit.episodes.push_back(row);
-    }
+  }
+  for (const PlannedEpisode& planned : PlanEpisodes(config)) {
+    EpisodeRow row;
+    row.task = planned.task;
+    row.episode = planned.episode;
+    row.initial_state = planned.initial_state;
+    row.success = outcomes[unit.episodes.size() / config.episodes][planned.episode] == '1';
+    row.updates = updates;
+    unit.episodes.push_back(row);
   }
   unit.provenance = {{"model_hash", fields.at("model").get<std::string>()},
                      {"version", fields.at("version").get<std::string>()},

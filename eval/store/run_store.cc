@@ -41,7 +41,7 @@ auto CanonicalKey(const UnitConfig& config) {
     for (const SuiteInfo& suite : AllSuites()) names.push_back(suite.name);
     return names;
   }());
-  static const auto& scenarios = *new std::vector<std::string>(ScenarioNames());
+  static const auto& scenarios = *new std::vector<std::string>(ScenarioNames());  // then arms
   static const auto& methods = *new std::vector<std::string>(MethodNames());
   return std::tuple(IndexOf(suites, config.suite), IndexOf(scenarios, config.scenario),
                     ScenarioLabel(config.scenario), config.severity, config.policy,

@@ -28,7 +28,7 @@ struct UnitResult {
   std::vector<std::string> videos;   // paths, sorted
   nlohmann::json provenance;  // provenance.json: policy, model_hash, version; null when absent
   TimingSums timing;
-  std::vector<std::string> machines;  // kinds of processors that worked on it, sorted (machine.h)
+  std::vector<std::string> machines;  // kinds of processor at work, sorted (processor_kind.h)
 };
 
 // A run directory as far as it is finished.

@@ -149,7 +149,7 @@ bool WorkItem::Done(const RunDirectory& run) const {
   return run.Done(unit->id) || fs::exists(Folder(run) + "/DONE", error);
 }
 
-bool MaySplit(const PlannedUnit& unit) { return !unit.config.method.CarriesOver(); }
+bool MaySplit(const PlannedUnit& unit) { return MayBeDivided(unit.config); }
 
 std::vector<WorkItem> PendingItems(const RunDirectory& run, const std::vector<PlannedUnit>& units,
                                    int part_episodes) {

@@ -1,11 +1,10 @@
 #include "robot_client/emulator/piper_plant.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
-#include "common/joint_errors/friction.h"
+#include "common/joint_errors/sub_step.h"
 #include "common/status_macros.h"
 
 namespace robostress::piper {
@@ -44,7 +43,7 @@ absl::StatusOr<std::unique_ptr<PiperPlant>> PiperPlant::Create(const std::string
   Scenario scenario;
   scenario.name = profile.name;
   scenario.effects = profile.effects;
-  plant->effects_.SetScenario(scenario);
+  plant->chain_.SetScenario(scenario, /*horizon=*/1);
   plant->motor_encoders_ = profile.motor_encoders;
   plant->Reset({}, 0);
   return plant;
@@ -91,21 +90,21 @@ PiperPlant::Vector6 PiperPlant::HoldingTorque(bool with_payload) const {
   return torque;
 }
 
-EffectStack::Moments PiperPlant::Moments(const Vector6& drive) const {
-  EffectStack::Moments moments;
-  const Vector6 gravity = HoldingTorque(true);
+// At the start of a step, as far as the chain reads them.
+std::array<JointMoment, kJoints> PiperPlant::DescribeJoints() const {
+  std::array<JointMoment, kJoints> moments;
+  Vector6 gravity = Vector6::Zero();
+  if (chain_.reads() & kGravityField) gravity = HoldingTorque(true);
   for (int i = 0; i < kJoints; ++i) {
     moments[i].t = data_->time;
     moments[i].h = kStep_s;
-    moments[i].q = data_->qpos[qpos_[i]] - effects_.offset()[i];
+    moments[i].q = chain_.MotorAngle(i, data_->qpos[qpos_[i]]);
     moments[i].dq = data_->qvel[dof_[i]];
-    moments[i].drive = drive[i];
     moments[i].gravity = gravity[i];
   }
   for (int i = 0; i < kJoints; ++i) {
-    if (effects_.coupled(i) >= 0) moments[i].coupled_q = moments[effects_.coupled(i)].q;
+    if (chain_.coupled(i) >= 0) moments[i].coupled_q = moments[chain_.coupled(i)].q;
   }
-  moments[kJoints].h = kStep_s;  // the stack's seventh joint does not exist here
   return moments;
 }
 
@@ -114,68 +113,72 @@ void PiperPlant::Reset(const JointVector& q, double opening) {
   for (int i = 0; i < kJoints; ++i) data_->qpos[qpos_[i]] = q[i];
   for (int i = 0; i < 2; ++i) data_->qpos[finger_qpos_[i]] = 0.5 * opening;
   mj_forward(model_.get(), data_.get());
-  EffectStack::Moments moments = Moments(HoldingTorque(true));
-  // The joint coordinate carries the transmission's offset already.
-  for (int i = 0; i < kJoints; ++i) moments[i].q = q[i];
-  effects_.Reset(moments);
+  std::array<JointMoment, kJoints> moments = DescribeJoints();
+  const Vector6 holding = HoldingTorque(true);
+  for (int i = 0; i < kJoints; ++i) {
+    moments[i].q = q[i];
+    moments[i].drive = holding[i];
+  }
+  chain_.Reset(moments);
   reading_ = {};
   mj_step1(model_.get(), data_.get());
   Read();
 }
 
-// Dry friction as the torques that bring the joints to rest within the step where they can. Forces
-// of contacts and joint limits are the previous step's.
-PiperPlant::Vector6 PiperPlant::WithFriction(const Vector6& torque,
-                                             const EffectStack::JointTorques& joints) const {
-  Matrix6 M = Matrix6::Zero();
-  Vector6 net, dq, forward, backward;
-  for (int i = 0; i < kJoints; ++i) {
+// Forces of contacts and joint limits are the previous step's.
+struct PiperPlant::ChainPlant {
+  using Inverse = Matrix6;
+  const PiperPlant& arm;
+  double rest = arm.parked_ ? kRestFriction : 0, h = kStep_s;
+
+  Vector6 Limited(const Vector6& torque) const { return torque; }  // asked for within the limits
+  Vector6 Net(const Vector6& torque) const {
+    Vector6 net;
+    for (int i = 0; i < kJoints; ++i) {
+      const int dof = arm.dof_[i];
+      net[i] = torque[i] + arm.data_->qfrc_passive[dof] + arm.data_->qfrc_constraint[dof] -
+               arm.data_->qfrc_bias[dof];
+    }
+    return net;
+  }
+  Matrix6 MassMatrix() const {
+    Matrix6 M = Matrix6::Zero();
     // Row i of MuJoCo's sparse mass matrix holds dof i and then its ancestors.
-    int address = model_->dof_Madr[dof_[i]];
-    for (int dof = dof_[i]; dof >= 0; dof = model_->dof_parentid[dof], ++address) {
-      for (int j = 0; j <= i; ++j) {
-        if (dof_[j] == dof) M(i, j) = M(j, i) = data_->qM[address];
+    for (int i = 0; i < kJoints; ++i) {
+      int address = arm.model_->dof_Madr[arm.dof_[i]];
+      for (int dof = arm.dof_[i]; dof >= 0; dof = arm.model_->dof_parentid[dof], ++address) {
+        for (int j = 0; j <= i; ++j) {
+          if (arm.dof_[j] == dof) M(i, j) = M(j, i) = arm.data_->qM[address];
+        }
       }
     }
-    M(i, i) += joints.inertia[i];
-    dq[i] = data_->qvel[dof_[i]];
-    net[i] = torque[i] + data_->qfrc_passive[dof_[i]] + data_->qfrc_constraint[dof_[i]] -
-             data_->qfrc_bias[dof_[i]];
-    const double rest = parked_ ? kRestFriction : 0;
-    forward[i] = std::max(0.0, joints.dry[i].forward) + rest;
-    backward[i] = std::max(0.0, joints.dry[i].backward) + rest;
+    return M;
   }
-  const Matrix6 M_inverse = Eigen::LLT<Matrix6>(M).solve(Matrix6::Identity());
-  const Matrix6 velocity_per_torque = kStep_s * M_inverse;
-  const Vector6 v_free = dq + velocity_per_torque * net;
-  Vector6 friction;
-  StickTorques({v_free.data(), kJoints}, {velocity_per_torque.data(), kJoints * kJoints},
-               {forward.data(), kJoints}, {backward.data(), kJoints}, {friction.data(), kJoints});
-  const Vector6 acceleration = M_inverse * (net + friction);
-  return torque + friction - joints.inertia.head<kJoints>().cwiseProduct(acceleration);
-}
+  Vector6 Velocities() const {
+    Vector6 dq;
+    for (int i = 0; i < kJoints; ++i) dq[i] = arm.data_->qvel[arm.dof_[i]];
+    return dq;
+  }
+};
 
 void PiperPlant::Step(const JointVector& motor_torque, double finger_force) {
   // The position stage of the step on the way is done: Read left kinematics up to date.
   Vector6 asked;
   for (int i = 0; i < kJoints; ++i)
     asked[i] = std::clamp(motor_torque[i], -kTorqueLimit[i], kTorqueLimit[i]);
-  EffectStack::Moments moments = Moments(asked);
-  EffectStack::Vector wide = EffectStack::Vector::Zero();
-  wide.head<kJoints>() = asked;
-  const Vector6 drive = effects_.Drive(wide, moments).head<kJoints>();
-  const EffectStack::JointTorques joints = effects_.Torques(moments);
-  const Eigen::Map<const Vector6> push(push_.data());
-  const Vector6 torque = WithFriction(drive + joints.torque.head<kJoints>() + push, joints);
+  std::array<JointMoment, kJoints> moments = DescribeJoints();
+  const Vector6 push = Eigen::Map<const Vector6>(push_.data());
+  const Vector6 torque =
+      SubStepTorque(chain_, absl::MakeSpan(moments), asked, push, ChainPlant{*this});
   for (int i = 0; i < kJoints; ++i) data_->qfrc_applied[dof_[i]] = torque[i];
   for (int i = 0; i < 2; ++i) data_->qfrc_applied[finger_dof_[i]] = finger_force + finger_push_;
   mj_step2(model_.get(), data_.get());
-  const EffectStack::Vector before = effects_.offset();
-  for (int i = 0; i < kJoints; ++i) moments[i].q = data_->qpos[qpos_[i]] - before[i];
-  const EffectStack::Vector change = effects_.OffsetChange(moments);
+  for (int i = 0; i < kJoints; ++i) moments[i].q = chain_.MotorAngle(i, data_->qpos[qpos_[i]]);
+  Vector6 change = Vector6::Zero();
+  chain_.MoveEffects(moments, {change.data(), kJoints});
   for (int i = 0; i < kJoints; ++i) {
     data_->qpos[qpos_[i]] += change[i];
-    reading_.torque[i] = drive[i];
+    reading_.torque[i] = moments[i].drive;
   }
   reading_.grip_force = finger_force;
   mj_step1(model_.get(), data_.get());
@@ -185,9 +188,9 @@ void PiperPlant::Step(const JointVector& motor_torque, double finger_force) {
 void PiperPlant::Read() {
   const Vector6 gravity = HoldingTorque(false);
   for (int i = 0; i < kJoints; ++i) {
-    const double before_encoder = motor_encoders_ ? effects_.offset()[i] : 0;
-    reading_.q[i] = effects_.Reading(i, data_->qpos[qpos_[i]] - before_encoder);
-    reading_.dq[i] = effects_.ReadingSlope(i) * data_->qvel[dof_[i]];
+    const double before_encoder = motor_encoders_ ? chain_.offset(i) : 0;
+    reading_.q[i] = chain_.Reading(i, data_->qpos[qpos_[i]] - before_encoder);
+    reading_.dq[i] = chain_.ReadingSlope(i) * data_->qvel[dof_[i]];
     reading_.gravity[i] = gravity[i];
   }
   reading_.opening = data_->qpos[finger_qpos_[0]] + data_->qpos[finger_qpos_[1]];

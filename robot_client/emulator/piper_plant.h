@@ -8,7 +8,7 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "common/joint_errors/effect_stack.h"
+#include "common/joint_errors/joint_chain.h"
 #include "robot_client/emulator/wear_profile.h"
 #include "robot_client/piper/protocol.h"
 
@@ -66,8 +66,8 @@ class PiperPlant {
   PiperPlant() = default;
   absl::Status FindNames();
   Vector6 HoldingTorque(bool with_payload) const;
-  EffectStack::Moments Moments(const Vector6& drive) const;
-  Vector6 WithFriction(const Vector6& torque, const EffectStack::JointTorques& joints) const;
+  std::array<JointMoment, kJoints> DescribeJoints() const;
+  struct ChainPlant;
   void Read();
 
   std::unique_ptr<mjModel, Free> model_;
@@ -78,7 +78,7 @@ class PiperPlant {
   bool parked_ = false, motor_encoders_ = false;
   JointVector push_{};  // from outside
   double finger_push_ = 0;
-  EffectStack effects_;
+  JointChain chain_{kJoints};
   PlantReading reading_;
 };
 

@@ -1,14 +1,14 @@
 #include "server/inference/batcher.h"
 
 #include <pthread.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <chrono>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/refusal.h"
+#include "common/rollout/refusal.h"
 #include "server/inference/torch_threads.h"
 #include "server/inference/without_exceptions.h"
 #include "server/operations/span_trace.h"

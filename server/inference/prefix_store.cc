@@ -1,6 +1,6 @@
 #include "server/inference/prefix_store.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <utility>
 

@@ -4,7 +4,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/refusal.h"
+#include "common/rollout/refusal.h"
 
 namespace robostress {
 bool RequestQueue::Before(const QueuedRequest& a, const QueuedRequest& b, MonotonicTime now) const {

@@ -10,7 +10,7 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 
 namespace robostress {
 

@@ -11,7 +11,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
 #include "adapter/residual.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 #include "common/types.h"
 #include "server/operations/metrics.h"
 

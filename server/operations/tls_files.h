@@ -41,11 +41,6 @@ struct TlsSnapshot {
 // read, a strength that this system refuses.
 absl::StatusOr<TlsSnapshot> ReadTlsFiles(const TlsFiles& files);
 
-// Who shows this certificate: "certificate:" and the SHA-256 of its DER form in hex. Null and what
-// is no PEM: empty.
-std::string CertificateOwner(const X509* certificate);
-std::string CertificateOwnerOfPem(const std::string& pem);
-
 // The certificates of a running server, for all of its ports: replaced when the files change.
 // Connections that are open keep what they were opened with.
 using TlsStore = Published<TlsSnapshot>;

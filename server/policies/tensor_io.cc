@@ -1,6 +1,6 @@
 #include "server/policies/tensor_io.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cstring>
 

@@ -1,6 +1,6 @@
 #include "server/sessions/prediction.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"

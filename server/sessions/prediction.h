@@ -7,11 +7,11 @@
 
 #include "absl/status/statusor.h"
 #include "common/random.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 #include "common/types.h"
 #include "server/inference/batcher.h"
-#include "server/policies/policy.h"
 #include "server/inference/prefix_store.h"
+#include "server/policies/policy.h"
 
 namespace robostress {
 
@@ -62,8 +62,8 @@ torch::Tensor DrawNoise(const StreamKey& key, int64_t horizon, int64_t dim);
 
 // Encodes and samples in a batch with others, from the noise of (task, episode, chunk): with the
 // job's adapter, and without it where the method wants the unadapted actions: those of version 0
-// are its own. `job` says all but observation and noise. A refusal (common/rpc/refusal.h) where the
-// batcher gives one; INTERNAL where the policy throws.
+// are its own. `job` says all but observation and noise. A refusal (common/rollout/refusal.h) where
+// the batcher gives one; INTERNAL where the policy throws.
 absl::StatusOr<ComputedPrediction> ComputePrediction(Batcher& batcher, PredictionJob job,
                                                      const SessionSpec& spec,
                                                      const Observation& observation, int task,

@@ -1,12 +1,12 @@
 #include "server/sessions/session.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "common/monotonic_wait.h"
-#include "common/rpc/spec_checks.h"
+#include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/inference/torch_threads.h"

@@ -2,7 +2,7 @@
 
 #include "absl/status/statusor.h"
 #include "common/rollout/policy_endpoint.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 
 namespace robostress {
 

@@ -1,5 +1,5 @@
 #include <spdlog/spdlog.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <optional>
@@ -8,7 +8,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "adapter/adaptation_state.h"
-#include "common/rpc/convert.h"
+#include "common/rollout/message_limits.h"
+#include "common/rpc/convert_chunks.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/inference/torch_threads.h"

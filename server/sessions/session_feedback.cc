@@ -1,5 +1,5 @@
 #include <spdlog/spdlog.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +10,7 @@
 #include "adapter/compensation.h"
 #include "adapter/plausible_motion.h"
 #include "adapter/pseudo_target.h"
-#include "common/rpc/spec_checks.h"
+#include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
 #include "server/inference/torch_threads.h"
 #include "server/inference/without_exceptions.h"

@@ -8,7 +8,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "common/rollout/policy_endpoint.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 #include "common/types.h"
 #include "server/operations/access_tokens.h"
 

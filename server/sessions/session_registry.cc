@@ -12,7 +12,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
 #include "common/monotonic_wait.h"
-#include "common/rpc/refusal.h"
+#include "common/rollout/refusal.h"
 #include "common/status_macros.h"
 #include "server/sessions/place_choice.h"
 

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "adapter/update_guard.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 
 namespace robostress {
 

@@ -1,6 +1,6 @@
 #include "server/sessions/state_rules.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <cmath>
@@ -9,8 +9,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "common/rpc/convert.h"
-#include "common/rpc/spec_checks.h"
+#include "common/rollout/message_limits.h"
+#include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
 #include "server/sessions/session_snapshot.h"
 

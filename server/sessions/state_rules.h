@@ -4,7 +4,7 @@
 
 #include "absl/status/status.h"
 #include "adapter/adaptation_state.h"
-#include "common/rpc/session_spec.h"
+#include "common/rollout/session_spec.h"
 #include "common/types.h"
 #include "server/policies/policy.h"
 #include "server/sessions/prediction.h"

@@ -1,7 +1,7 @@
 #include "server/training/demonstrations.h"
 
 #include <sys/mman.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 #include <unistd.h>
 
 #include <algorithm>

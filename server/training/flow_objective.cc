@@ -1,6 +1,6 @@
 #include "server/training/flow_objective.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 namespace robostress {
 

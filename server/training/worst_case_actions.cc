@@ -1,6 +1,7 @@
 #include "server/training/worst_case_actions.h"
 
-#include <torch/torch.h>
+#include <torch/autograd.h>
+#include <torch/types.h>
 
 #include "absl/strings/str_cat.h"
 

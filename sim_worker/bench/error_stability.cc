@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "absl/strings/str_format.h"
-#include "common/joint_errors/joint_error_stack.h"
+#include "common/joint_errors/joint_chain.h"
 #include "common/random.h"
 #include "sim_worker/panda_model.h"
 #include "sim_worker/suites/embedded_task.h"
@@ -95,19 +95,20 @@ class Watch {
   }
 
   void LookAtBounds(const mjData& d) {
-    const JointErrorStack& errors = sim_.errors();
+    const JointChain& errors = sim_.joint_chain();
     Extremes& e = *extremes_;
     for (int j = 0; j < 7; ++j) {
-      const JointErrorParameters& p = errors.parameters()[j];
+      const JointErrorParameters& p = errors.severity().parameters()[j];
       const double limit = panda_.torque_limit[j];
       // Stiffness returns at once when an object is let go; a deflection then decays from what the
       // softest spring of the episode allowed.
       softest_[j] = std::min(softest_[j], p.K);
       e.torque_share = std::max(e.torque_share, std::abs(d.ctrl[panda_.motor[j]]) / limit);
-      e.backlash_share = std::max(e.backlash_share, std::abs(errors.backlash_offset(j)) / p.B);
+      e.backlash_share =
+          std::max(e.backlash_share, std::abs(errors.error_offset(kPaperBacklash, j)) / p.B);
       e.deflection_share =
-          std::max(e.deflection_share, std::abs(errors.compliance_deflection(j)) * softest_[j] /
-                                           (DeflectionGain() * limit));
+          std::max(e.deflection_share, std::abs(errors.error_offset(kPaperCompliance, j)) *
+                                           softest_[j] / (DeflectionGain() * limit));
     }
   }
 

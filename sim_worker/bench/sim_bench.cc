@@ -191,7 +191,7 @@ BENCHMARK(BM_GravityTorque);
 
 void BM_JointErrors(benchmark::State& state, const char* scenario) {
   Parts parts;
-  JointErrorStack errors = parts.arm.Errors(scenario);
+  JointChain errors = parts.arm.Errors(scenario);
   for (auto _ : state) benchmark::DoNotOptimize(parts.arm.OffsetChange(errors));
 }
 BENCHMARK_CAPTURE(BM_JointErrors, all_four, "nominal");

@@ -94,7 +94,7 @@ void PrintParts(LiberoSimTask& task, double step_s, Figures& figures) {
   print("gravity torque", gravity);
   for (const char* scenario : {"isolated_stribeck", "isolated_gravity", "isolated_backlash",
                                "isolated_compliance", "nominal"}) {
-    JointErrorStack errors = parts.Errors(scenario);
+    JointChain errors = parts.Errors(scenario);
     const double seconds =
         print(scenario, TimeOfShort([&] { sink = parts.OffsetChange(errors)[0]; }));
     figures.errors_share = kSubSteps * (seconds + gravity) / step_s;  // the last one has all four

@@ -2,7 +2,7 @@
 
 #include "absl/status/statusor.h"
 #include "common/libero_demonstrations.h"
-#include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/expert_demonstration.h"
 
 namespace robostress {
 

@@ -18,7 +18,7 @@
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
-#include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/expert_demonstration.h"
 #include "sim_worker/record/libero_recorder.h"
 #include "sim_worker/record/shard.h"
 
@@ -71,7 +71,9 @@ double CpuSeconds() {
 absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
   std::vector<Job> jobs;
   for (const SuiteInfo& info : AllSuites()) {
-    if (info.needs_libero || (line.suite != "all" && line.suite != info.name)) continue;
+    if (info.needs_libero || info.robot != "panda" ||
+        (line.suite != "all" && line.suite != info.name))
+      continue;
     for (int task = 0; task < info.num_tasks; ++task) {
       const bool wanted = line.tasks.empty() ||
                           std::find(line.tasks.begin(), line.tasks.end(), task) != line.tasks.end();

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/expert_demonstration.h"
 
 namespace robostress {
 

@@ -20,11 +20,7 @@ constexpr char kAgentView[] = "agentview";
 constexpr char kWristView[] = "robot0_eye_in_hand";
 constexpr int kSupersampleUpTo = 112;  // [px]
 
-std::string KnownSuites() {
-  std::vector<std::string> names;
-  for (const SuiteInfo& info : AllSuites()) names.push_back(info.name);
-  return absl::StrJoin(names, ", ");
-}
+std::string KnownSuites() { return absl::StrJoin(SuitesOf("panda"), ", "); }
 
 }  // namespace
 

@@ -11,8 +11,7 @@
 #include "common/run_main.h"
 #include "sim_worker/sim_task.h"
 #include "sim_worker/worker/observation_control.h"
-#include "sim_worker/worker/unit_plan.h"
-#include "sim_worker/worker/unit_runner.h"
+#include "sim_worker/worker/sim_unit.h"
 
 namespace robostress {
 namespace {
@@ -67,7 +66,7 @@ int ExitCode(const absl::Status& status) {
 }
 
 absl::Status Run(const std::string& unit_file, const std::vector<std::string>& overrides,
-                 const UnitRunOptions& options) {
+                 const SimUnitOptions& options) {
   std::string yaml;
   if (!unit_file.empty()) {
     absl::StatusOr<std::string> text = ReadFile(unit_file);
@@ -76,7 +75,7 @@ absl::Status Run(const std::string& unit_file, const std::vector<std::string>& o
   }
   const absl::StatusOr<UnitConfig> unit = ReadUnit(unit_file, yaml, overrides);
   if (!unit.ok()) return unit.status();
-  return RunUnit(*unit, options, MakeTask);
+  return RunSimUnit(*unit, options, MakeTask);
 }
 
 int Main(int argc, char** argv) {
@@ -91,16 +90,16 @@ int Main(int argc, char** argv) {
   app.footer(kExamples);
   std::string unit_file;
   std::vector<std::string> overrides;
-  UnitRunOptions options;
+  SimUnitOptions options;
   bool quiet = false;
   app.add_option("--unit", unit_file, "unit configuration (YAML); absent: defaults");
   app.add_option("--set", overrides, "key.key=value over the unit's configuration, repeatable")
       ->allow_extra_args(false);
-  app.add_option("--out", options.out, "directory to write")->required();
+  app.add_option("--out", options.run.out, "directory to write")->required();
   app.add_option("--server", options.server,
                  "HOST:PORT of a policy server; not for expert and replay");
   app.add_option(
-      "--episodes", options.episodes,
+      "--episodes", options.run.episodes,
       "FIRST-LAST: only this range of the unit's episodes, in the order of execution; for "
       "methods without adaptation");
   app.add_option("--connect-timeout", options.connect_timeout_s,
@@ -119,7 +118,7 @@ int Main(int argc, char** argv) {
       app, argc, argv,
       [&] {
         if (!quiet) {
-          options.progress = [](std::string_view line) {
+          options.run.progress = [](std::string_view line) {
             std::printf("%.*s\n", static_cast<int>(line.size()), line.data());
             std::fflush(stdout);
           };

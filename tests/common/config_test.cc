@@ -121,6 +121,24 @@ TEST(MethodOptions, TextNamesAPresetAndWhatStandsOverIt) {
   EXPECT_EQ(DumpConfig(*changed), DumpConfig(*MakeMethod("no_anchor", {"learning_rate=0.5"})));
 }
 
+// Texts that are kept and hashed hold only what they held before the field came.
+TEST(ConfigTexts, ALateFieldStandsThereWhereItIsUsed) {
+  EXPECT_THAT(DumpConfig(*MakeMethod("ours")), testing::Not(HasSubstr("observer")));
+  EXPECT_THAT(DumpConfig(*MakeMethod("dob")), HasSubstr("observer: true"));
+  UnitConfig unit;
+  EXPECT_THAT(DumpConfig(unit),
+              testing::Not(testing::AnyOf(HasSubstr("robot:"), HasSubstr("client:"))));
+  unit.robot = "piper";
+  unit.client.episode_s = 4;
+  EXPECT_THAT(DumpConfig(unit),
+              testing::AllOf(HasSubstr("robot: piper"), HasSubstr("episode_s: 4")));
+  const auto read = ParseConfig<UnitConfig>("u.yaml", DumpConfig(unit));
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(DumpConfig(*read), DumpConfig(unit));
+  EXPECT_THAT(Message(ParseConfig<UnitConfig>("u.yaml", "client: {episode: 1}").status()),
+              HasSubstr("client.episode"));
+}
+
 TEST(MethodOptions, ADumpReadsBackToEveryBitWhateverItsPreset) {
   for (const std::string& name : MethodNames()) {
     MethodOptions options = *MakeMethod(name);

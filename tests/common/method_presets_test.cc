@@ -21,7 +21,8 @@ std::string Over(const MethodOptions& options) {
   std::vector<std::string> changes;
   for (const auto& entry : given) {
     const std::string key = entry.first.Scalar();
-    if (key != "method" && entry.second.Scalar() != defaults[key].Scalar())
+    const YAML::Node usual = defaults[key];  // not defined: written only where it is another
+    if (key != "method" && (!usual.IsDefined() || entry.second.Scalar() != usual.Scalar()))
       changes.push_back(absl::StrCat("`", key, ": ", entry.second.Scalar(), "`"));
   }
   return absl::StrJoin(changes, ", ");

@@ -30,7 +30,7 @@ namespace robostress {
 namespace {
 
 struct WorkerArguments {
-  std::string unit, out, server, episodes;
+  std::string program, unit, out, server, episodes;
   bool lag = false;
 };
 
@@ -119,7 +119,7 @@ int Run(const WorkerArguments& options) {
   for (const char* file : {"/episodes.jsonl", "/timing.jsonl"}) {
     if (status.ok()) status = WriteFileAtomically(out + file, "");
   }
-  if (status.ok()) status = AppendLine(out + "/starts.txt", "started");
+  if (status.ok()) status = AppendLine(out + "/starts.txt", options.program);
   if (status.ok()) status = AppendLine(out + "/server.txt", options.server);
   int index = 0;
   std::string rows;
@@ -149,6 +149,7 @@ int Run(const WorkerArguments& options) {
 
 int main(int argc, char** argv) {
   robostress::WorkerArguments options;
+  options.program = argv[0];
   for (int i = 1; i < argc; ++i) {
     const std::string flag = argv[i];
     if (flag == "--lag") options.lag = true;

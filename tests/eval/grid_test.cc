@@ -8,7 +8,7 @@
 #include "eval/launch/progress.h"
 #include "eval/plan/unit_filter.h"
 #include "eval/plan/unit_text.h"
-#include "eval/store/machine.h"
+#include "eval/store/processor_kind.h"
 #include "eval/store/run_directory.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"

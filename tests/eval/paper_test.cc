@@ -11,7 +11,7 @@
 #include "eval/paper/paper_programs.h"
 #include "eval/paper/paper_results.h"
 #include "eval/paper/paper_table.h"
-#include "eval/paper/piper_results.h"
+#include "eval/paper/piper_tables.h"
 #include "eval/report/paper_values.h"
 #include "eval/store/run_directory.h"
 #include "gmock/gmock.h"
@@ -215,57 +215,73 @@ TEST(PiperResidual, IsReadFromWhatTheProgramPrints) {
   EXPECT_EQ(PiperResidualOf(output, "used_one_year"), std::nullopt);
 }
 
-// Five episodes of a method as `robostress piper-study` tables them.
-std::string StudyRows(const std::string& arm, const std::string& method, int task, int variant,
-                      int successes) {
-  std::string rows;
+// Five episodes of a unit of the study, the first `successes` of them won.
+UnitResult StudyUnit(const std::string& suite, const std::string& arm, const std::string& policy,
+                     const std::string& method, int successes) {
+  std::vector<int> outcomes, updates;
   for (int e = 0; e < 5; ++e) {
-    absl::StrAppend(&rows, arm, ",nano,", method, ",", task, ",", variant, ",", e, ",",
-                    e < successes ? 1 : 0, ",0.31,", method.find("ours") == 0 ? e : 0, "\n");
+    outcomes.push_back(e < successes);
+    updates.push_back(method.find("ours") == std::string::npos ? 0 : e);
   }
-  return rows;
+  UnitResult unit = SyntheticUnit(arm, method, outcomes, updates, suite);
+  unit.config.robot = "piper";
+  unit.config.policy = policy;
+  return unit;
 }
 
-constexpr char kStudyHeader[] = "arm,policy,method,task,variant,episode,success,residual,updates\n";
-
 TEST(PiperStudy, BecomesTheRealArmTables) {
-  const std::string file = TestFolder() + "/episodes.csv";
-  ASSERT_TRUE(
-      WriteFileAtomically(
-          file,
-          absl::StrCat(kStudyHeader, StudyRows("new", "base", 1, 0, 2),
-                       StudyRows("new", "robust", 1, 0, 3), StudyRows("new", "ours", 1, 0, 4),
-                       StudyRows("new", "dob_ours", 1, 0, 5), StudyRows("new", "ours", 1, 3, 1)))
-          .ok());
-  const auto episodes = ReadPiperEpisodes(file);
-  ASSERT_TRUE(episodes.ok()) << episodes.status();
-  EXPECT_EQ(episodes->size(), 25u);
-  const FilledTable arms = PiperTable("real-arm", *episodes, 100);
+  const PaperProtocol protocol = PiperProtocol("s");
+  const std::string &base = protocol.base, &robust = protocol.robust;
+  RunData run;
+  run.units = {StudyUnit("piper_1_next_to_plate", "new", base, "base", 2),
+               StudyUnit("piper_1_next_to_plate", "new", robust, "base", 3),
+               StudyUnit("piper_1_next_to_plate", "new", base, "ours", 4),
+               StudyUnit("piper_1_next_to_plate", "new", base, "dob_ours", 5),
+               StudyUnit("piper_unseen", "new", base, "ours", 1)};
+  const std::vector<PlannedUnit> planned(run.units.size());
+  const FilledTable arms = FillPaperTable(*FindPaperTable("real-arm"), protocol, run, planned, 100);
+  ASSERT_EQ(arms.rows.size(), 5u);
+  EXPECT_EQ(arms.rows[0].title, "1 bowl next to the plate");
   EXPECT_EQ(*arms.rows[0].cells[0].value, 40);
   EXPECT_EQ(*arms.rows[0].cells[1].value, 60);
   EXPECT_EQ(*arms.rows[0].cells[2].value, 80);
   EXPECT_EQ(arms.rows[0].cells[2].note, "4 updates");
+  EXPECT_FALSE(arms.rows[0].cells[3].value.has_value()) << "Robot B was not played";
   EXPECT_FALSE(arms.rows[1].cells[0].value.has_value());
   EXPECT_EQ(*arms.rows[0].cells[6].value, 48) << "the paper's Robot A, pi0.5, base";
-  const FilledTable dob = PiperTable("dob", *episodes, 100);
+  EXPECT_EQ(arms.groups[1].title, "emulated Robot B");
+  EXPECT_THAT(arms.differences[0][2], HasSubstr("Robot A: Ours - Base"));
+  EXPECT_THAT(arms.differences[1][2], HasSubstr("+40.0"));
+  const FilledTable dob = FillPaperTable(*FindPaperTable("dob"), protocol, run, planned, 100);
   EXPECT_EQ(*dob.rows[0].cells[3].value, 100);
   EXPECT_FALSE(dob.rows[0].cells[1].value.has_value()) << "no DOB alone was run";
-  EXPECT_EQ(*PiperTable("unseen", *episodes, 100).rows[0].cells[2].value, 20);
+  EXPECT_EQ(*FillPaperTable(*FindPaperTable("unseen"), protocol, run, planned, 100)
+                 .rows[0]
+                 .cells[2]
+                 .value,
+            20);
   EXPECT_THAT(FilledText(arms), HasSubstr("No real arm was used"));
 }
 
-TEST(PiperStudy, DamagedRecordIsNamed) {
-  const std::string file = TestFolder() + "/episodes.csv";
-  const auto message = [&](const std::string& text) {
-    EXPECT_TRUE(WriteFileAtomically(file, text).ok());
-    return std::string(ReadPiperEpisodes(file).status().message());
-  };
-  EXPECT_THAT(message(kStudyHeader), HasSubstr("no episode"));
-  EXPECT_THAT(message(absl::StrCat(kStudyHeader, "new,nano,base,7,0,0,1,0.3,0\n")),
-              HasSubstr("episodes.csv:2: column task is '7', must be 1 to 4"));
-  EXPECT_THAT(message(absl::StrCat(kStudyHeader, "new,nano,base\n")),
-              HasSubstr("is missing in this row"));
-  EXPECT_THAT(message("arm,policy\nnew,nano\n"), HasSubstr("column method is missing"));
+TEST(PiperStudy, ItsTablesArePlannedAsUnitsOfAGrid) {
+  PaperProtocol protocol = PiperProtocol("s");
+  std::set<std::string> ids;
+  for (const char* name : {"real-arm", "dob", "unseen"}) {
+    const auto grids = PaperGrids(*FindPaperTable(name), protocol, PolicyHome::kElsewhere);
+    ASSERT_TRUE(grids.ok()) << grids.status();
+    const auto units = PaperUnits(*grids);
+    ASSERT_TRUE(units.ok()) << units.status();
+    for (const PlannedUnit& unit : *units) {
+      ids.insert(unit.id);
+      EXPECT_EQ(unit.EpisodeCount(), 25) << unit.id;
+    }
+  }
+  EXPECT_EQ(ids.size(), 2u * 4 * 3 + 2 + 3) << "base and ours of the observer's table are main's";
+  for (const char* id : {"piper_1_next_to_plate-new-L5-piper-base-base-s0",
+                         "piper_4_open_drawer-used_one_year-L5-piper-robust-base-s0",
+                         "piper_1_next_to_plate-new-L5-piper-base-dob_ours-s0",
+                         "piper_unseen-new-L5-piper-base-ours-s0"})
+    EXPECT_EQ(ids.count(id), 1u) << id;
 }
 
 TEST(PayloadTable, ReadsContendersAndNamesWhatIsMissing) {

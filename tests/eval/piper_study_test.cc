@@ -3,16 +3,17 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <cmath>
 #include <filesystem>
+#include <functional>
 #include <set>
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/records/arm_episode.h"
 #include "common/safetensors.h"
-#include "eval/piper_study/piper_study_live.h"
-#include "eval/piper_study/piper_study_report.h"
+#include "common/status_macros.h"
+#include "common/unit/unit_directory.h"
+#include "eval/piper_study/piper_study_page.h"
+#include "eval/store/run_store.h"
 
 namespace robostress {
 namespace {
@@ -20,6 +21,7 @@ namespace {
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::UnorderedElementsAre;
 
 std::string Folder(const std::string& name) {
   const std::string folder = ::testing::TempDir() + "/piper_study_" + name;
@@ -28,52 +30,80 @@ std::string Folder(const std::string& name) {
   return folder;
 }
 
-TEST(PiperStudyPlan, HoldsEveryCellOfThePapersTablesOnce) {
-  const auto units = PlanPiperStudy({});
-  ASSERT_TRUE(units.ok()) << units.status();
+absl::StatusOr<std::vector<PlannedUnit>> UnitsOf(const PiperStudyOptions& options) {
+  RS_ASSIGN_OR_RETURN(const std::vector<PiperTablePlan> plans,
+                      PlanPiperStudy(options, ProtocolOf(options, "s"), PolicyHome::kElsewhere));
+  std::vector<PlannedUnit> all;
   std::set<std::string> ids;
-  for (const PiperUnit& unit : *units) ids.insert(unit.id);
-  EXPECT_EQ(ids.size(), units->size());
+  for (const PiperTablePlan& plan : plans) {
+    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, PaperUnits(plan.grids));
+    for (const PlannedUnit& unit : units) {
+      if (ids.insert(unit.id).second) all.push_back(unit);
+    }
+  }
+  return all;
+}
+
+TEST(PiperStudyPlan, HoldsEveryCellOfThePapersTablesOnce) {
+  const auto units = UnitsOf({});
+  ASSERT_TRUE(units.ok()) << units.status();
   EXPECT_EQ(units->size(), 2u * 4 * 3 + 2 + 3);
-  for (const char* id : {"main_new_1_base", "main_used_one_year_4_robust", "dob_new_1_dob",
-                         "dob_new_1_dob_ours", "unseen_new_1_ours"})
-    EXPECT_TRUE(ids.count(id)) << id;
+  for (const PlannedUnit& unit : *units) EXPECT_EQ(unit.EpisodeCount(), 25) << unit.id;
 }
 
 TEST(PiperStudyPlan, TheObserverAloneBringsWhatItIsComparedWith) {
   PiperStudyOptions options;
   options.experiments = {"dob"};
-  const auto units = PlanPiperStudy(options);
+  const auto units = UnitsOf(options);
   ASSERT_TRUE(units.ok()) << units.status();
-  std::vector<std::string> ids;
-  for (const PiperUnit& unit : *units) ids.push_back(unit.id);
-  EXPECT_THAT(ids, ElementsAre("main_new_1_base", "main_new_1_ours", "dob_new_1_dob",
-                               "dob_new_1_dob_ours"));
+  std::vector<std::string> methods;
+  for (const PlannedUnit& unit : *units) {
+    EXPECT_EQ(unit.config.suite, "piper_1_next_to_plate");
+    EXPECT_EQ(unit.config.scenario, "new");
+    methods.push_back(unit.config.method.method);
+  }
+  EXPECT_THAT(methods, UnorderedElementsAre("base", "ours", "dob", "dob_ours"));
 }
 
 TEST(PiperStudyPlan, AUnitSaysEverythingThatDecidesIt) {
   PiperStudyOptions options;
   options.overrides = {"learning_rate=3e-5"};
-  const PiperUnit unit{"unseen_new_1_ours", "unseen", "new", 1, "ours"};
-  const auto yaml = PiperUnitYaml(options, unit, "w.safetensors");
-  ASSERT_TRUE(yaml.ok()) << yaml.status();
-  EXPECT_THAT(*yaml, AllOf(HasSubstr("task: bowl_next_to_plate\n"),
-                           HasSubstr("variants: [wooden, plum, light_blue, yellow_plate, "
-                                     "green_plate]\n"),
-                           HasSubstr("episodes: 25\n"), HasSubstr("observer: false\n"),
-                           HasSubstr("policy: \"w.safetensors\"\n"), HasSubstr("\n  adapt: true\n"),
-                           HasSubstr("learning_rate: 3")));
-  const auto dob = PiperUnitYaml(options, {"dob_new_1_dob", "dob", "new", 1, "dob"}, "w");
-  ASSERT_TRUE(dob.ok()) << dob.status();
-  EXPECT_THAT(*dob, AllOf(HasSubstr("observer: true\n"), HasSubstr("\n  adapt: false\n"),
-                          HasSubstr("variants: [gray]\n")));
+  options.episode_s = 4;
+  options.moved_bound = 0.2;
+  options.seed = 7;
+  const auto units = UnitsOf(options);
+  ASSERT_TRUE(units.ok()) << units.status();
+  for (const PlannedUnit& unit : *units) {
+    const UnitConfig& config = unit.config;
+    EXPECT_EQ(config.client.episode_s, 4) << unit.id;
+    EXPECT_EQ(config.client.moved_bound, 0.2) << unit.id;
+    EXPECT_EQ(config.seed, 7) << unit.id;
+    EXPECT_FALSE(config.client.real_time) << unit.id;
+    EXPECT_EQ(config.method.learning_rate,
+              config.method.adapt ? 3e-5 : MethodOptions().learning_rate)
+        << unit.id << ": overrides change what adapts, and nothing else";
+  }
+}
+
+TEST(PiperStudyPlan, RealTimeStandsInItsUnits) {
+  PiperStudyLaunch launch;
+  launch.out = "s";
+  launch.real_time = true;
+  launch.udp_port = 43999;
+  const auto plans = PlanOf({}, launch, PolicyHome::kElsewhere);
+  ASSERT_TRUE(plans.ok()) << plans.status();
+  const auto units = PaperUnits(plans->front().grids);
+  ASSERT_TRUE(units.ok()) << units.status();
+  EXPECT_TRUE(units->front().config.client.real_time);
+  EXPECT_EQ(units->front().config.client.udp_port, 43999);
+  EXPECT_EQ(launch.RunFolder(), "s/live");
 }
 
 TEST(PiperStudyPlan, NamesFieldValueAndRemedyOfWhatIsWrong) {
   const auto refused = [](const std::function<void(PiperStudyOptions&)>& change) {
     PiperStudyOptions options;
     change(options);
-    return std::string(PlanPiperStudy(options).status().message());
+    return std::string(UnitsOf(options).status().message());
   };
   EXPECT_THAT(refused([](auto& o) { o.tasks = {5}; }), AllOf(HasSubstr("5"), HasSubstr("1 to 4")));
   EXPECT_THAT(refused([](auto& o) { o.experiments = {"sabotage"}; }), HasSubstr("unseen"));
@@ -81,26 +111,28 @@ TEST(PiperStudyPlan, NamesFieldValueAndRemedyOfWhatIsWrong) {
   EXPECT_THAT(refused([](auto& o) { o.base_weights = "b"; }), HasSubstr("robust_weights"));
   EXPECT_THAT(refused([](auto& o) { o.overrides = {"learning=1"}; }), HasSubstr("learning_rate"));
   EXPECT_THAT(refused([](auto& o) { o.arms = {}; }), HasSubstr("arms"));
+  EXPECT_THAT(refused([](auto& o) { o.arms = {"rusty"}; }), HasSubstr("used_one_year"));
 }
 
-// A finished unit whose episode i succeeded where `successes` has a 1.
-void WriteUnit(const std::string& out, const std::string& id, const std::string& successes,
-               int updates, const std::string& variant = "gray") {
-  const std::string folder = out + "/units/" + id;
-  ASSERT_TRUE(MakeDirectories(folder).ok());
-  for (size_t i = 0; i < successes.size(); ++i) {
-    ArmEpisode row;
-    row.episode = static_cast<int>(i);
-    row.variant = variant;
-    row.instruction = "pick up the wooden bowl";
-    row.success = successes[i] == '1';
+// A finished unit of a study, as the runner leaves it: episode i succeeded where `successes` has a
+// 1.
+void WriteUnit(const std::string& out, const PlannedUnit& unit, const std::string& successes) {
+  const auto directory = UnitDirectory::Open(absl::StrCat(out, "/units/", unit.id),
+                                             *ResolveUnit(unit.config), PlanEpisodes(unit.config));
+  ASSERT_TRUE(directory.ok()) << directory.status();
+  ASSERT_TRUE((*directory)->CheckModel(unit.config.policy, unit.config.policy).ok());
+  for (const PlannedEpisode& planned : PlanEpisodes(unit.config)) {
+    EpisodeRow row;
+    row.success = successes[static_cast<size_t>(planned.episode)] == '1';
+    row.updates = unit.config.method.adapt ? 9 : 0;
     row.residual = 0.25;
-    row.adapter_version = static_cast<uint64_t>(updates);
     row.steps = 100;
-    row.steps_masked = 3;
-    ASSERT_TRUE(AppendLine(folder + "/episodes.jsonl", ArmEpisodeLine(row)).ok());
+    ASSERT_TRUE((*directory)
+                    ->Append(EpisodeLine(IdentityOf(unit.config, planned), row),
+                             TimingLine({planned.task, planned.episode}), nullptr)
+                    .ok());
   }
-  ASSERT_TRUE(WriteFileAtomically(folder + "/DONE", "").ok());
+  ASSERT_TRUE((*directory)->Finish(nullptr).ok());
 }
 
 TEST(PiperStudyReport, ComparesMethodsOnTheSameInitialStates) {
@@ -108,31 +140,26 @@ TEST(PiperStudyReport, ComparesMethodsOnTheSameInitialStates) {
   PiperStudyOptions options;
   options.arms = {"new"};
   options.tasks = {1};
-  const auto units = PlanPiperStudy(options);
-  ASSERT_TRUE(units.ok()) << units.status();
-  WriteUnit(out, "main_new_1_base", "1100010000", 0);
-  WriteUnit(out, "main_new_1_ours", "1110110000", 9);
-  const auto episodes = ReadPiperStudy(*units, out + "/units");
-  ASSERT_TRUE(episodes.ok()) << episodes.status();
-  const PiperCell ours = MakePiperCell(*episodes, "ours", "x");
-  EXPECT_EQ(ours.n, 10);
-  EXPECT_EQ(ours.successes, 5);
-  EXPECT_EQ(ours.updates, 9);
-  EXPECT_EQ(ours.plus, 2);
-  EXPECT_EQ(ours.minus, 0);
-  EXPECT_NEAR(ours.versus_base.estimate, 0.2, 1e-12);
-  EXPECT_NEAR(ours.wilson.low, WilsonInterval(5, 10).low, 1e-12);
-  EXPECT_FALSE(MakePiperCell(*episodes, "base", "x").paired);
-  EXPECT_EQ(MakePiperCell(*episodes, "robust", "x").n, 0);
-
-  ASSERT_TRUE(WritePiperReport(options, *units, out, "units", out + "/none").ok());
-  const auto csv = ReadFile(out + "/episodes.csv"), page = ReadFile(out + "/report.md");
-  ASSERT_TRUE(csv.ok() && page.ok());
-  EXPECT_THAT(*csv, HasSubstr("new,nano,ours,1,0,2,1,0.250000,9,100,3,0,main\n"));
-  EXPECT_THAT(*page, AllOf(HasSubstr("2 of 8 units"), HasSubstr("5/10"), HasSubstr("+20")));
-  const std::string first = *csv;
-  ASSERT_TRUE(WritePiperReport(options, *units, out, "units", out + "/none").ok());
-  EXPECT_EQ(*ReadFile(out + "/episodes.csv"), first);
+  options.experiments = {"main"};
+  options.episodes = 10;
+  const PaperProtocol protocol = ProtocolOf(options, out);
+  const auto plans = PlanPiperStudy(options, protocol, PolicyHome::kElsewhere);
+  ASSERT_TRUE(plans.ok()) << plans.status();
+  for (const PlannedUnit& unit : *PaperUnits(plans->front().grids)) {
+    if (unit.config.policy == protocol.robust) continue;
+    WriteUnit(out, unit, unit.config.method.adapt ? "1110110000" : "1100010000");
+  }
+  const auto run = LoadRun(out);
+  ASSERT_TRUE(run.ok()) << run.status();
+  ASSERT_TRUE(WritePiperPage(*plans, protocol, *run).ok());
+  const auto page = ReadFile(out + "/report.md"), table = ReadFile(out + "/tables/real-arm.csv");
+  ASSERT_TRUE(page.ok() && table.ok());
+  EXPECT_THAT(*page, AllOf(HasSubstr("+20.0"), HasSubstr("+2/-0"), HasSubstr("9 updates"),
+                           HasSubstr("1 of 3 planned units are not finished")));
+  EXPECT_TRUE(std::filesystem::exists(out + "/report.html"));
+  const std::string first = *page;
+  ASSERT_TRUE(WritePiperPage(*plans, protocol, *run).ok());
+  EXPECT_EQ(*ReadFile(out + "/report.md"), first);
 }
 
 TEST(PiperStudyReport, SaysWhichWordsThePolicyDoesNotKnow) {
@@ -146,40 +173,23 @@ TEST(PiperStudyReport, SaysWhichWordsThePolicyDoesNotKnow) {
   EXPECT_THAT(*words, ElementsAre("plum-colored", "one"));
 }
 
-TEST(PiperStudyReport, RefusesDamagedRows) {
-  const std::string out = Folder("damaged");
-  const auto units = PlanPiperStudy({});
-  ASSERT_TRUE(units.ok());
-  EXPECT_EQ(WritePiperReport({}, *units, out, "units", "").code(), absl::StatusCode::kNotFound);
-  WriteUnit(out, "main_new_1_base", "1", 0);
-  ASSERT_TRUE(AppendLine(out + "/units/main_new_1_base/episodes.jsonl", "{\"episode\":1").ok());
-  EXPECT_THAT(std::string(ReadPiperStudy(*units, out + "/units").status().message()),
-              HasSubstr("episodes.jsonl:2"));
-}
-
 TEST(PiperStudy, KeepsResultsOfOtherOptionsApart) {
   const std::string out = Folder("options");
   PiperStudyLaunch launch;
   launch.out = out;
   launch.stages = {};
   PiperStudyOptions options = QuickPiperStudy();
-  EXPECT_TRUE(RunPiperStudy(options, launch).ok());
-  EXPECT_TRUE(RunPiperStudy(options, launch).ok());
+  EXPECT_EQ(*RunPiperStudy(options, launch), 0);
+  EXPECT_EQ(*RunPiperStudy(options, launch), 0);
   options.episodes = 10;
-  EXPECT_EQ(RunPiperStudy(options, launch).code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_EQ(RunPiperStudy(options, launch).status().code(), absl::StatusCode::kFailedPrecondition);
   launch.stages = {"celebrate"};
   options.episodes = QuickPiperStudy().episodes;
-  EXPECT_THAT(std::string(RunPiperStudy(options, launch).message()), HasSubstr("evaluate"));
+  EXPECT_THAT(std::string(RunPiperStudy(options, launch).status().message()),
+              HasSubstr("evaluate"));
   launch.stages = {"evaluate"};
-  EXPECT_THAT(std::string(RunPiperStudy(options, launch).message()), HasSubstr("record and train"));
-}
-
-TEST(PiperStudy, LeavesTheObjectVariantsToSimulatedTime) {
-  PiperStudyLaunch launch;
-  launch.out = Folder("live");
-  EXPECT_EQ(
-      RunLiveUnit({}, {"unseen_new_1_ours", "unseen", "new", 1, "ours"}, "w", "s", launch).code(),
-      absl::StatusCode::kUnimplemented);
+  EXPECT_THAT(std::string(RunPiperStudy(options, launch).status().message()),
+              HasSubstr("record and train"));
 }
 
 }  // namespace

@@ -131,6 +131,39 @@ TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
             HasSubstr("'learning_rate=1' must be sim.KEY=VALUE")));
 }
 
+TEST(Plan, AnotherRobotBringsItsSuitesArmsAndPolicy) {
+  SweepGrid grid;
+  grid.robot = "piper";
+  grid.methods = {"dob_ours", "base"};
+  grid.severities = {3, 5};
+  grid.overrides = {"client.episode_s=4"};
+  const std::vector<PlannedUnit> units = Plan(grid);
+  ASSERT_EQ(units.size(), 4u * 2 * 2) << "an arm has one level";
+  EXPECT_EQ(units.front().id, "piper_1_next_to_plate-new-L5-nano-piper-base-s0");
+  EXPECT_EQ(units.back().id, "piper_4_open_drawer-used_one_year-L5-nano-piper-dob_ours-s0");
+  EXPECT_EQ(units.back().config.robot, "piper");
+  EXPECT_EQ(units.back().config.client.episode_s, 4);
+  EXPECT_TRUE(units.back().config.method.observer);
+  for (const PlannedUnit& unit : units) EXPECT_TRUE(ResolveUnit(unit.config).ok()) << unit.id;
+}
+
+TEST(Plan, NamesOfAnotherRobotAreUnknown) {
+  SweepGrid grid;
+  grid.suites = {"piper_unseen"};
+  grid.scenarios = {"used_one_year"};
+  grid.methods = {"dob"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              AllOf(HasSubstr("'piper_unseen'"), HasSubstr("'used_one_year'"), HasSubstr("'dob'")));
+  grid.robot = "piper";
+  EXPECT_TRUE(ResolveGrid(grid).ok());
+  grid.policies = {"nano", "expert"};
+  EXPECT_THAT(
+      std::string(ResolveGrid(grid).status().message()),
+      AllOf(HasSubstr("'nano' moves a Panda's hand"), HasSubstr("unknown policy 'expert'")));
+  grid.robot = "puma";
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("known: panda, piper"));
+}
+
 TEST(Plan, NothingAndDoublesAreRefused) {
   SweepGrid grid;
   grid.methods = {};

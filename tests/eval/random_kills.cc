@@ -11,9 +11,9 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/child_process.h"
 #include "common/random.h"
 #include "common/status_macros.h"
-#include "eval/launch/process.h"
 
 namespace robostress {
 namespace {

@@ -4,7 +4,7 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "eval/launch/process.h"
+#include "common/child_process.h"
 
 namespace robostress {
 

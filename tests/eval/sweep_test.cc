@@ -10,7 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "eval/launch/process.h"
+#include "common/child_process.h"
 #include "eval/launch/progress.h"
 #include "eval/plan/titles.h"
 #include "eval/store/run_directory.h"
@@ -67,6 +67,31 @@ TEST_F(SweepProgram, SecondRunRepeatsNothing) {
   EXPECT_THAT(output(), HasSubstr("4 of 4 units were already done"));
   EXPECT_EQ(Starts("run", "tabletop_goal-clean-L5-nano-base-s0"), 1);
   EXPECT_EQ(*ReadFile(folder_ + "/run/episodes.csv"), table);
+}
+
+TEST_F(SweepProgram, AnotherRobotsUnitsAreRunByItsProgramInTheSameEngine) {
+  const std::string grid = folder_ + "/piper.yaml";
+  ASSERT_TRUE(WriteFileAtomically(grid,
+                                  "robot: piper\nsuites: [piper_3_on_box, piper_4_open_drawer]\n"
+                                  "methods: [base, dob, ours]\nepisodes: 4\n")
+                  .ok());
+  const std::string command =
+      absl::StrCat("--grid '", grid, "' --split-episodes 2 --out '", folder_, "/run'");
+  ASSERT_EQ(Sweep(command), 0) << output();
+  EXPECT_THAT(output(), HasSubstr("Robot B, used for a year"));
+  EXPECT_THAT(output(), HasSubstr("dob - base"));
+  const std::string id = "piper_4_open_drawer-used_one_year-L5-nano-piper-base-s0";
+  EXPECT_THAT(*ReadFile(absl::StrCat(folder_, "/run/units/", id, "/starts.txt")),
+              ::testing::EndsWith("/robostress-piper-worker\n"));
+  EXPECT_EQ(Starts("run", id), 1) << "its episodes depend on each other: it is not divided";
+  const std::string table = *ReadFile(folder_ + "/run/episodes.csv");
+  EXPECT_EQ(std::count(table.begin(), table.end(), '\n'), 1 + 2 * 2 * 3 * 4);
+  std::filesystem::remove(absl::StrCat(folder_, "/run/units/", id, "/DONE"));
+  ASSERT_EQ(Sweep(command), 0) << output();
+  EXPECT_THAT(output(), HasSubstr("11 of 12 units were already done"));
+  EXPECT_EQ(*ReadFile(folder_ + "/run/episodes.csv"), table);
+  EXPECT_EQ(Sweep(absl::StrCat(command, " --record-joints")), 2) << output();
+  EXPECT_THAT(output(), HasSubstr("only the Panda's worker"));
 }
 
 TEST_F(SweepProgram, CompletesWhatIsMissing) {

@@ -7,7 +7,7 @@
 namespace robostress {
 
 // A source tree as the checker sees it: path from the root -> the included names, in order. System
-// headers keep their brackets ("<torch/torch.h>"), ours do not ("common/types.h").
+// headers keep their brackets ("<torch/types.h>"), ours do not ("common/types.h").
 using IncludeGraph = std::map<std::string, std::vector<std::string>>;
 
 // Includes of one file's text.

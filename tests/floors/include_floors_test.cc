@@ -17,15 +17,15 @@ TEST(IncludeFloors, NothingInTheTreeClimbs) {
 }
 
 TEST(CheckFloors, AcceptsWhatGoesDown) {
-  EXPECT_THAT(
-      CheckFloors(
-          {{"server/sessions/session.cc",
-            {"server/sessions/session.h", "<memory>", "torch/torch.h", "adapter/lora.h",
-             "common/rpc/convert.h"}},
-           {"sim_worker/panda_sim.cc", {"mujoco/mujoco.h", "adapter/residual.h", "Eigen/Core"}},
-           {"adapter/residual.h", {"common/types.h"}},
-           {"tests/sim_worker/a_test.cc", {"sim_worker/panda_sim.h", "server/sessions/session.h"}}}),
-      IsEmpty());
+  EXPECT_THAT(CheckFloors({{"server/sessions/session.cc",
+                            {"server/sessions/session.h", "<memory>", "torch/torch.h",
+                             "adapter/lora.h", "common/rpc/policy_client.h"}},
+                           {"sim_worker/panda_sim.cc",
+                            {"mujoco/mujoco.h", "adapter/residual.h", "Eigen/Core"}},
+                           {"adapter/residual.h", {"common/types.h"}},
+                           {"tests/sim_worker/a_test.cc",
+                            {"sim_worker/panda_sim.h", "server/sessions/session.h"}}}),
+              IsEmpty());
 }
 
 TEST(CheckFloors, RefusesAnIncludeThatClimbsOrGoesSideways) {
@@ -39,17 +39,36 @@ TEST(CheckFloors, RefusesAnIncludeThatClimbsOrGoesSideways) {
               ElementsAre(HasSubstr("may not include tests/")));
   EXPECT_THAT(CheckFloors({{"eval/store/outcomes.cc", {"eval/report/report.h"}}}),
               ElementsAre(HasSubstr("eval/store/ may not include eval/report/")));
-  EXPECT_THAT(CheckFloors({{"calibration/fit.cc", {"common/rpc/convert.h"}}}),
+  EXPECT_THAT(CheckFloors({{"calibration/fit.cc", {"common/rpc/policy_client.h"}}}),
               ElementsAre(HasSubstr("may not include common/rpc/")));
 }
 
 TEST(CheckFloors, RefusesRpcOutsideTheFoldersThatOpenStreams) {
-  EXPECT_THAT(CheckFloors({{"common/types.cc", {"common/rpc/convert.h"}}}),
+  EXPECT_THAT(CheckFloors({{"common/types.cc", {"common/rpc/policy_client.h"}}}),
               ElementsAre(HasSubstr("common/ may not include common/rpc/")));
   EXPECT_THAT(CheckFloors({{"sim_worker/panda_sim.cc", {"common/rpc/policy_client.h"}}}),
               ElementsAre(HasSubstr("may not include common/rpc/")));
   EXPECT_THAT(CheckFloors({{"sim_worker/worker/unit_runner.cc", {"common/rpc/policy_client.h"}}}),
               IsEmpty());
+}
+
+TEST(CheckFloors, KeepsTheWebSocketWireFromProtobufAndTorch) {
+  EXPECT_THAT(CheckFloors({{"common/wire/a.cc", {"common/types.h", "boost/asio.hpp"}},
+                           {"server/wire/web/b.cc", {"common/wire/a.h"}}}),
+              IsEmpty());
+  EXPECT_THAT(CheckFloors({{"common/wire/a.cc", {"common/rpc/policy_client.h"}}}),
+              ElementsAre(HasSubstr("common/wire/ may not include common/rpc/")));
+  EXPECT_THAT(CheckFloors({{"common/rpc/a.cc", {"common/wire/a.h"}}}),
+              ElementsAre(HasSubstr("common/rpc/ may not include common/wire/")));
+  for (const char* room : {"common/wire/", "server/wire/openpi/", "server/pages/",
+                           "server/operations/", "server/inference/"}) {
+    EXPECT_THAT(CheckFloors({{std::string(room) + "a.cc", {"google/protobuf/message.h"}}}),
+                ElementsAre(HasSubstr("must not know gRPC or protobuf")));
+  }
+  for (const char* room : {"common/wire/", "server/wire/openpi/", "server/pages/"}) {
+    EXPECT_THAT(CheckFloors({{std::string(room) + "a.cc", {"torch/torch.h"}}}),
+                ElementsAre(HasSubstr("must not know LibTorch")));
+  }
 }
 
 TEST(CheckFloors, FollowsIncludesToALibraryThatMustNotBeKnown) {

@@ -1,14 +1,22 @@
-// The reader of openpi's messages, and what becomes of an observation, a session and a report.
+// The reader of openpi's messages, and what becomes of an observation, a session, a report, and a
+// server's answer.
 #include <cmath>
 
-#include "server/wire/openpi/openpi_extensions.h"
-#include "server/wire/openpi/openpi_observation.h"
+#include "common/wire/openpi_answer.h"
+#include "common/wire/openpi_extensions.h"
+#include "common/wire/openpi_observation.h"
 #include "tests/fuzz/fuzz_check.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   using namespace robostress;
-  const absl::StatusOr<OpenpiValue> message =
-      DecodeOpenpi(std::string_view(reinterpret_cast<const char*>(data), size));
+  const std::string_view bytes(reinterpret_cast<const char*>(data), size);
+  if (const absl::StatusOr<OpenpiValue> value = DecodeOpenpiValue(bytes); value.ok()) {
+    const auto answer = ReadOpenpiAnswer(*value, {1, 50}, {1, 32});
+    FuzzCheck(!answer.ok() || (answer->actions.allFinite() && answer->actions.rows() <= 50 &&
+                               answer->actions.cols() <= 32),
+              "impossible actions");
+  }
+  const absl::StatusOr<OpenpiValue> message = DecodeOpenpi(bytes);
   if (!message.ok()) {
     FuzzCheck(message.status().code() == absl::StatusCode::kInvalidArgument &&
                   !message.status().message().empty(),

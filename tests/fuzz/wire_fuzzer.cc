@@ -1,5 +1,8 @@
 // Messages of the gRPC wire as they become ours. The first byte chooses the message.
-#include "common/rpc/convert.h"
+#include "common/rpc/convert_chunks.h"
+#include "common/rpc/convert_observations.h"
+#include "common/rpc/convert_sessions.h"
+#include "common/rpc/convert_specs.h"
 #include "tests/fuzz/fuzz_check.h"
 
 namespace robostress {

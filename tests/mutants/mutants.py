@@ -49,10 +49,18 @@ def read_list(path):
         missing, unknown = set(FIELDS[:4]) - mutant.keys(), mutant.keys() - {"list", *FIELDS}
         if missing or unknown:
             refuse(f"{path}: a block lacks {sorted(missing)} and has unknown {sorted(unknown)}: {block}")
-        found = pathlib.Path(mutant["file"]).read_text().count(mutant["from"])
-        if found != 1:
-            refuse(f"{path}: '{mutant['from']}' stands {found} times in {mutant['file']}, must be once")
         yield mutant
+
+
+def misfits(mutants):
+    """What no longer fits the sources, a line each."""
+    for mutant in mutants:
+        file = pathlib.Path(mutant["file"])
+        found = file.read_text().count(mutant["from"]) if file.is_file() else None
+        if found is None:
+            yield f"{mutant['list']}.txt: no file {file}"
+        elif found != 1:
+            yield f"{mutant['list']}.txt: '{mutant['from']}' stands {found} times in {file}, must be once"
 
 
 def refuse(why):
@@ -147,6 +155,8 @@ def main():
 
     mutants = [m for path in options.lists for m in read_list(path)
                if options.only in m["file"] + m["from"] + m["to"]]
+    if wrong := list(misfits(mutants)):
+        refuse("\n".join(wrong))
     if options.check:
         print(f"{len(mutants)} mutants fit the sources")
         return 0

@@ -5,15 +5,23 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <filesystem>
+#include <functional>
 #include <set>
 
+#include "absl/strings/str_split.h"
+#include "common/atomic_file.h"
+#include "common/config.h"
 #include "common/safetensors.h"
-#include "robot_client/emulator/study/demonstration_recorder.h"
-#include "robot_client/emulator/study/study_unit.h"
+#include "common/suites.h"
+#include "robot_client/study/demonstration_recorder.h"
+#include "robot_client/study/live_player.h"
+#include "robot_client/study/piper_player.h"
 
 namespace robostress::piper {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 // Without EGL there are no pictures and so no demonstrations.
@@ -175,67 +183,142 @@ class StandingPolicy : public PolicyEndpoint {
   uint64_t predictions_ = 0;
 };
 
-StudyUnit ShortUnit() {
-  StudyUnit unit;
-  unit.variants = {"wooden", "plum"};
-  unit.episodes = 4;
-  unit.episode_s = 0.7;
+UnitConfig ShortUnit() {
+  UnitConfig unit;
+  unit.robot = "piper";
+  unit.suite = "piper_unseen";
+  unit.scenario = "new";
+  unit.policy = "standing";
+  unit.tasks = {0, 1};  // wooden, plum
+  unit.episodes = 2;
+  unit.client.episode_s = 0.7;
   return unit;
 }
 
-std::vector<std::string> Play(const StudyUnit& unit, StandingPolicy& policy, absl::Status& status) {
-  std::vector<std::string> rows;
-  status = RunStudyUnit(unit, &policy, [&](const ArmEpisode& episode) {
-    rows.push_back(ArmEpisodeLine(episode));
-    return absl::OkStatus();
-  });
-  return rows;
-}
-
-TEST(StudyUnit, KeepsOneSessionOverEpisodesAndObjectVariants) {
-  StandingPolicy policy;
+// What a unit leaves, and the policy that played it, which lives as long as the player.
+struct Played {
   absl::Status status;
-  const std::vector<std::string> rows = Play(ShortUnit(), policy, status);
-  SKIP_WITHOUT_EGL(absl::StatusOr<int>(status.ok() ? absl::StatusOr<int>(0) : status));
-  ASSERT_TRUE(status.ok()) << status;
-  ASSERT_EQ(rows.size(), 4u);
-  EXPECT_EQ(policy.episodes, (std::vector<int>{0, 1, 2, 3})) << "the way home is none of them";
-  EXPECT_EQ(policy.instructions, (std::set<std::string>{kObjectVariants[1].instruction,
-                                                        kObjectVariants[2].instruction}));
-  ASSERT_GE(policy.sequences.size(), 8u);
-  for (size_t i = 0; i < policy.sequences.size(); ++i) EXPECT_EQ(policy.sequences[i], i + 1);
-  EXPECT_THAT(rows[0], HasSubstr("\"variant\":\"wooden\""));
-  EXPECT_THAT(rows[3], HasSubstr("\"variant\":\"plum\""));
-  EXPECT_THAT(rows[3], HasSubstr("\"success\":false"));
-  EXPECT_THAT(rows[3], HasSubstr("\"power_cycles\":0"));
+  std::string rows, config, done;
+  std::vector<std::string> said;
+};
 
-  StandingPolicy again;
-  EXPECT_EQ(Play(ShortUnit(), again, status), rows) << "the same bits every time";
-  EXPECT_EQ(again.pictures, policy.pictures);
+class PiperUnit : public ::testing::Test {
+ protected:
+  Played Play(const UnitConfig& unit, const std::function<void(StandingPolicy&)>& look = {}) {
+    Played played;
+    const auto resolved = ResolvePiperUnit(unit);
+    EXPECT_TRUE(resolved.ok()) << resolved.status();
+    StandingPolicy* policy = nullptr;
+    PiperPlayer player(*resolved, [&]() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
+      auto made = std::make_unique<StandingPolicy>();
+      policy = made.get();
+      return made;
+    });
+    UnitRunOptions options;
+    options.out = folder_;
+    options.progress = [&](std::string_view line) { played.said.emplace_back(line); };
+    played.status = RunUnit(*resolved, options, player);
+    played.rows = ReadFile(folder_ + "/episodes.jsonl").value_or("");
+    played.config = ReadFile(folder_ + "/config.yaml").value_or("");
+    played.done = ReadFile(folder_ + "/DONE").value_or("");
+    if (look && policy != nullptr) look(*policy);
+    return played;
+  }
+  void SetUp() override {
+    folder_ = ::testing::TempDir() + "/piper_unit_" +
+              ::testing::UnitTest::GetInstance()->current_test_info()->name();
+    std::filesystem::remove_all(folder_);
+  }
+  std::string folder_;
+};
+
+TEST_F(PiperUnit, KeepsOneSessionOverEpisodesAndObjectVariants) {
+  std::set<std::vector<uint8_t>> pictures;
+  const Played played = Play(ShortUnit(), [&](StandingPolicy& policy) {
+    EXPECT_EQ(policy.episodes, (std::vector<int>{0, 1, 2, 3})) << "the way home is none of them";
+    EXPECT_EQ(policy.instructions, (std::set<std::string>{kObjectVariants[1].instruction,
+                                                          kObjectVariants[2].instruction}));
+    ASSERT_GE(policy.sequences.size(), 8u);
+    for (size_t i = 0; i < policy.sequences.size(); ++i) EXPECT_EQ(policy.sequences[i], i + 1);
+    pictures = policy.pictures;
+  });
+  SKIP_WITHOUT_EGL(
+      absl::StatusOr<int>(played.status.ok() ? absl::StatusOr<int>(0) : played.status));
+  ASSERT_TRUE(played.status.ok()) << played.status;
+  const std::vector<std::string> rows = absl::StrSplit(played.rows, '\n', absl::SkipEmpty());
+  ASSERT_EQ(rows.size(), 4u);
+  EXPECT_THAT(rows[0], AllOf(HasSubstr("the wooden bowl"), HasSubstr("\"task\":0")));
+  EXPECT_THAT(rows[3], AllOf(HasSubstr("the plum-colored bowl"), HasSubstr("\"task\":1"),
+                             HasSubstr("\"initial_state\":3"), HasSubstr("\"success\":false"),
+                             HasSubstr("\"power_cycles\":0"), HasSubstr("\"scenario\":\"new\"")));
+  EXPECT_THAT(played.done, HasSubstr("episodes_sha256"));
+  EXPECT_THAT(played.config, AllOf(HasSubstr("robot: piper"), HasSubstr("episode_s: 0.7")));
+
+  // A finished unit is left alone; the same unit elsewhere gives the same bits.
+  EXPECT_THAT(Play(ShortUnit()).said.at(0), HasSubstr("already complete"));
+  std::filesystem::remove_all(folder_);
+  EXPECT_EQ(
+      Play(ShortUnit(), [&](StandingPolicy& again) { EXPECT_EQ(again.pictures, pictures); }).rows,
+      played.rows);
 }
 
-TEST(StudyUnit, RefusesWhatDoesNotFit) {
-  const auto refused = [](const std::function<void(StudyUnit&)>& change) {
-    StudyUnit unit;
+TEST_F(PiperUnit, BeginsAnewWhereItWasStopped) {
+  const Played whole = Play(ShortUnit());
+  SKIP_WITHOUT_EGL(absl::StatusOr<int>(whole.status.ok() ? absl::StatusOr<int>(0) : whole.status));
+  std::filesystem::remove(folder_ + "/DONE");
+  const std::string first = whole.rows.substr(0, whole.rows.find('\n') + 1);
+  ASSERT_TRUE(WriteFileAtomically(folder_ + "/episodes.jsonl", first).ok());
+  const Played again = Play(ShortUnit(), [](StandingPolicy& policy) {
+    EXPECT_EQ(policy.episodes, (std::vector<int>{0, 1, 2, 3})) << "the arm stands elsewhere";
+  });
+  EXPECT_THAT(again.said.at(0), HasSubstr("starting over: an episode of this robot depends"));
+  EXPECT_EQ(again.rows, whole.rows);
+  EXPECT_EQ(again.done, whole.done);
+}
+
+TEST(PiperUnitConfig, RefusesWhatDoesNotFit) {
+  const auto refused = [](const std::function<void(UnitConfig&)>& change) {
+    UnitConfig unit = ShortUnit();
     change(unit);
-    return std::string(CheckStudyUnit(unit).message());
+    return std::string(ResolvePiperUnit(unit).status().message());
   };
-  EXPECT_THAT(refused([](StudyUnit& u) { u.task = "juggle"; }), HasSubstr("open_drawer"));
-  EXPECT_THAT(refused([](StudyUnit& u) { u.arm = "rusty"; }), HasSubstr("used_one_year"));
-  EXPECT_THAT(refused([](StudyUnit& u) { u.episodes = 0; }), HasSubstr("episodes"));
-  EXPECT_THAT(refused([](StudyUnit& u) { u.episode_s = -1; }), HasSubstr("episode_s"));
-  EXPECT_THAT(refused([](StudyUnit& u) { u.moved_bound = 0; }), HasSubstr("moved_bound"));
-  EXPECT_THAT(refused([](StudyUnit& u) { u.latency_ticks = 31; }), HasSubstr("latency_ticks"));
-  EXPECT_THAT(refused([](StudyUnit& u) {
-                u.variants = {"wooden"};
-                u.task = "open_drawer";
-              }),
-              HasSubstr("bowl_next_to_plate"));
-  EXPECT_THAT(refused([](StudyUnit& u) {
-                u.variants = {"wooden", "plum"};
-                u.episodes = 25;
-              }),
-              HasSubstr("equally"));
+  EXPECT_EQ(refused([](UnitConfig&) {}), "");
+  EXPECT_THAT(refused([](UnitConfig& u) { u.suite = "juggle"; }), HasSubstr("piper_4_open_drawer"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.robot = "panda"; }), HasSubstr("tabletop_spatial"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.scenario = "rusty"; }), HasSubstr("used_one_year"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.episodes = 0; }), HasSubstr("episodes"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.policy = "expert"; }), HasSubstr("expert"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.videos = 1; }), HasSubstr("videos"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.client.episode_s = -1; }), HasSubstr("episode_s"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.client.moved_bound = 0; }), HasSubstr("moved_bound"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.client.latency_ticks = 31; }),
+              HasSubstr("latency_ticks"));
+}
+
+TEST(PiperUnitConfig, EverySuiteOfThePiperIsOnTheTable) {
+  for (const std::string& suite : SuitesOf("piper")) {
+    const auto table = FindTableSuite(suite);
+    ASSERT_TRUE(table.ok()) << table.status();
+    EXPECT_EQ(static_cast<int>(table->variants.size()), FindSuite(suite)->num_tasks) << suite;
+  }
+  EXPECT_THAT(std::string(FindTableSuite("tabletop_goal").status().message()),
+              HasSubstr("piper_unseen"));
+}
+
+TEST(PiperUnitConfig, TheObserverIsTheClientsAndTheSessionThatOfTheMethodWithoutIt) {
+  UnitConfig unit = ShortUnit();
+  unit.method = *MakeMethod("dob_ours", {"learning_rate=3e-5"});
+  PolicyConnectionOptions session = SessionOf(unit, "host:1");
+  EXPECT_EQ(DumpConfig(session.method), DumpConfig(*MakeMethod("ours", {"learning_rate=3e-5"})));
+  EXPECT_EQ(session.suite, "piper_table") << "one noise for all suites";
+  EXPECT_EQ(session.robot, "piper_new");
+  unit.method = *MakeMethod("dob");
+  EXPECT_EQ(DumpConfig(SessionOf(unit, "host:1").method), DumpConfig(*MakeMethod("base")));
+}
+
+TEST(LivePlayer, LeavesTheObjectVariantsToSimulatedTime) {
+  EXPECT_EQ(LivePlayer::Create(ShortUnit(), "s", ::testing::TempDir()).status().code(),
+            absl::StatusCode::kUnimplemented);
 }
 
 }  // namespace

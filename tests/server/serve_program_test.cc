@@ -18,6 +18,8 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/rpc/policy_client.h"
+#include "common/wire/openpi_connection.h"
+#include "common/wire/openpi_readers.h"
 #include "nlohmann/json.hpp"
 #include "server/serve_options.h"
 #include "tests/run_program.h"
@@ -163,11 +165,12 @@ TEST(ServeProgram, ServesEveryPortAndLogsJson) {
   EXPECT_EQ(WebClient(server.port("http")).Get("/readyz").first, 200);
   EXPECT_THAT(WebClient(server.port("http")).Get("/metrics").second,
               HasSubstr("robostress_batch_size"));
-  WebClient client(server.port("websocket"));
-  EXPECT_EQ(client.Upgrade(), 101);
-  EXPECT_EQ(client.Read().opcode, WebClient::kBinary);
-  client.SendFrame("nonsense");
-  EXPECT_EQ(client.Read().opcode, WebClient::kText);
+  auto client =
+      OpenpiConnection::Connect(absl::StrCat("ws://127.0.0.1:", server.port("websocket")));
+  ASSERT_TRUE(client.ok()) << client.status();
+  EXPECT_EQ(*OpenpiText("server", *(*client)->metadata().Find("server"), 20), "robostress");
+  EXPECT_THAT(std::string((*client)->Ask("nonsense").status().message()),
+              HasSubstr("the policy server failed: message"));
   server.End(SIGTERM);
   std::ifstream lines(server.Path("log"));
   for (std::string line; std::getline(lines, line);)

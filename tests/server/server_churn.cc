@@ -12,9 +12,9 @@
 #include "common/random.h"
 #include "common/rpc/policy_client.h"
 #include "tests/adapter/toy_arm.h"
+#include "tests/common/wire/openpi_bytes.h"
 #include "tests/server/serve_process.h"
 #include "tests/server/serving_load.h"
-#include "tests/server/wire/openpi_bytes.h"
 #include "tests/server/wire/web_client.h"
 
 namespace robostress {

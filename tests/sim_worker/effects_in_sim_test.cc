@@ -4,9 +4,8 @@
 
 #include <cmath>
 
-#include "common/joint_errors/effect_stack.h"
 #include "common/joint_errors/effects/effect_library.h"
-#include "common/joint_errors/joint_error_stack.h"
+#include "common/joint_errors/joint_chain.h"
 #include "tests/sim_worker/test_scene.h"
 
 namespace robostress {
@@ -133,7 +132,7 @@ TEST(EffectsInSim, BacklashLeavesTheLinkWithinItsGap) {
   auto sim = MakeTestSim();
   sim->SetScenario(With(1, "backlash", {B}), 220);
   double largest = 0;
-  sim->OnSubStep([&] { largest = std::max(largest, std::abs(sim->effects().offset()[1])); });
+  sim->OnSubStep([&] { largest = std::max(largest, std::abs(sim->joint_chain().offset(1))); });
   ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
   for (int i = 0; i < 60; ++i) ASSERT_TRUE(sim->Step(Wander(3 * i)).ok());
   EXPECT_NEAR(largest, B, 1e-9);
@@ -194,14 +193,15 @@ TEST(EffectsInSim, TransmissionsInARowBeginAtRestAndEachSeesItsOwnMotor) {
   sim->SetScenario(scenario, 220);
   ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
   ASSERT_TRUE(sim->Step(Command(0, 0, 0)).ok());
-  EXPECT_NEAR(sim->effects().offset()[3], 0.1, 1e-9);
-  EXPECT_LT(std::abs(sim->errors().backlash_offset(3)), 2e-3);
+  const double gap = sim->joint_chain().error_offset(kPaperBacklash, 3);
+  EXPECT_NEAR(sim->joint_chain().offset(3) - gap, 0.1, 1e-9);
+  EXPECT_LT(std::abs(gap), 2e-3);
   // An effect that depends on the motor's angle sees the motor's angle.
   const double wave = 2 * M_PI / 0.5, a = 0.03;
   sim->SetScenario(With(3, "transmission_error", {a, 0, 0.5}), 220);
   ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
   for (int i = 0; i < 20; ++i) ASSERT_TRUE(sim->Step(Command(0, 0, 0)).ok());
-  const double offset = sim->effects().offset()[3], link = sim->data().qpos[3];
+  const double offset = sim->joint_chain().offset(3), link = sim->data().qpos[3];
   EXPECT_NEAR(offset, a * std::cos(wave * (link - offset)), 1e-3);
   EXPECT_GT(std::abs(offset - a * std::cos(wave * link)), 5e-3) << "a place where it matters";
 }

@@ -6,7 +6,7 @@
 #include <Eigen/Geometry>
 #include <vector>
 
-#include "common/joint_errors/joint_error_stack.h"
+#include "common/joint_errors/joint_chain.h"
 #include "common/random.h"
 #include "sim_worker/panda_model.h"
 #include "tests/sim_worker/test_scene.h"
@@ -99,12 +99,10 @@ class GravityResidualInSim : public ::testing::Test {
 TEST_F(GravityResidualInSim, IsBetaTimesTheHoldingTorqueOverRandomPosesAtEveryLevel) {
   const double nominal_beta[7] = {0.05, 0.10, 0.06, 0.10, 0.08, 0.08, 0.05};
   const double factor[5] = {2, 2.5, 3, 3.5, 4};
-  const Vector7d zero = Vector7d::Zero(), no_limit = Vector7d::Constant(1e9);
-  std::vector<JointErrorStack> stacks;
+  std::vector<JointChain> chains;
   for (int level = 1; level <= 5; ++level) {
-    stacks.emplace_back(JointErrorOptions());
-    stacks.back().SetScenario(MakeScenario("isolated_gravity", level).value(), 1);
-    stacks.back().Reset(zero, zero);
+    chains.emplace_back(7);
+    chains.back().SetScenario(MakeScenario("isolated_gravity", level).value(), 1);
   }
   RandomStream random(StreamKey("gravity poses"));
   for (int k = 0; k < 500; ++k) {
@@ -112,7 +110,10 @@ TEST_F(GravityResidualInSim, IsBetaTimesTheHoldingTorqueOverRandomPosesAtEveryLe
     const Vector7d g = Computed(qpos);
     const Vector7d own = HoldingTorque(sim_->model(), panda_, qpos.data(), sim_->model().nbody);
     for (int level = 1; level <= 5; ++level) {
-      const Vector7d residual = stacks[level - 1].PerturbTorque(zero, zero, g, no_limit);
+      std::array<JointMoment, 7> moments;
+      for (int j = 0; j < 7; ++j) moments[j].gravity = g[j];
+      Vector7d residual = Vector7d::Zero();
+      chains[level - 1].AddTorques(moments, {residual.data(), 7});
       for (int j = 0; j < 7; ++j) {
         EXPECT_NEAR(residual[j], factor[level - 1] * nominal_beta[j] * own[j], 1e-10)
             << "pose " << k << " level " << level << " joint " << j + 1;

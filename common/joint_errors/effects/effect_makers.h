@@ -3,6 +3,7 @@
 #include <memory>
 
 #include "common/joint_errors/effects/joint_effect.h"
+#include "common/joint_errors/options.h"
 
 // The forward models, one function per row of effect_library.cc, grouped by stage in a file each.
 namespace robostress::effects {
@@ -18,5 +19,10 @@ Maker GravityError, Payload, PositionPeriodicTorque, PositionDependentTorque, Ca
     CrossJointCoupling, BaseTilt;                              // load_effects.cc
 Maker TransmissionError, BacklashGap, TransmissionCompliance;  // transmission_effects.cc
 Maker EncoderGain, EncoderOffset;                              // sensor_effects.cc
+
+// Forms that only the paper's errors take (paper_errors.cc): Stribeck friction without true
+// stiction, and a deflection given by K [Nm/rad], M_eff [kg m^2] and D [Nm s/rad].
+std::unique_ptr<JointEffect> StribeckFrictionOf(FrictionLaw law, double tanh_width);
+Maker ComplianceOfMass;
 
 }  // namespace robostress::effects

@@ -2,14 +2,16 @@
 #include <cmath>
 
 #include "common/joint_errors/effects/effect_makers.h"
-#include "common/joint_errors/friction.h"
+#include "common/joint_errors/effects/friction.h"
 
 namespace robostress::effects {
 namespace {
 
-// The law of friction.h: its dry part bounds stiction, its viscous part is a torque.
+// The law of friction.h. Under `stick` its dry part bounds stiction and its viscous part is a
+// torque; under the others all of it is a torque.
 class StribeckEffect : public CopyableEffect<StribeckEffect> {
  public:
+  StribeckEffect(FrictionLaw law, double tanh_width) : form_(law), tanh_width_(tanh_width) {}
   void SetParameters(absl::Span<const double> p) override {
     law_.Fc = p[0];
     law_.Fs = std::max(p[0], p[1]);
@@ -17,6 +19,7 @@ class StribeckEffect : public CopyableEffect<StribeckEffect> {
     law_.sigma_v = p[3];
   }
   double Torque(const JointMoment& m, DryFriction& dry) override {
+    if (form_ != FrictionLaw::kStick) return StribeckTorque(law_, m.dq, form_, tanh_width_);
     const double magnitude = StribeckMagnitude(law_, m.dq);
     dry.forward += magnitude;
     dry.backward += magnitude;
@@ -24,6 +27,8 @@ class StribeckEffect : public CopyableEffect<StribeckEffect> {
   }
 
  private:
+  FrictionLaw form_;
+  double tanh_width_;  // [rad/s]
   JointErrorParameters law_;
 };
 
@@ -130,7 +135,12 @@ class PositionDependentEffect : public CopyableEffect<PositionDependentEffect> {
 
 }  // namespace
 
-std::unique_ptr<JointEffect> StribeckFriction() { return std::make_unique<StribeckEffect>(); }
+std::unique_ptr<JointEffect> StribeckFrictionOf(FrictionLaw law, double tanh_width) {
+  return std::make_unique<StribeckEffect>(law, tanh_width);
+}
+std::unique_ptr<JointEffect> StribeckFriction() {
+  return StribeckFrictionOf(FrictionLaw::kStick, 0);
+}
 std::unique_ptr<JointEffect> AsymmetricCoulomb() {
   return std::make_unique<AsymmetricCoulombEffect>();
 }

@@ -32,6 +32,9 @@ struct JointMoment {
   double coupled_q = 0;             // [rad] of the joint that this one is coupled to
 };
 
+// Fields of a moment that cost something to fill, as bits.
+enum MomentField : unsigned { kGravityField = 1, kPayloadFields = 2, kTiltField = 4 };
+
 // The largest torques [Nm] with which dry friction resists motion forwards (dq > 0) and backwards.
 // Sums may be negative; the simulation clips them at zero.
 struct DryFriction {
@@ -50,6 +53,8 @@ class JointEffect {
   virtual void Reset(const JointMoment&) {}
   // Whether what it does depends on what happened before.
   virtual bool HasState() const { return false; }
+  // Which MomentFields it reads.
+  virtual unsigned Reads() const { return 0; }
 
   // kCommand: the command that arrives; `command` is the one given over this sub-step.
   virtual double Command(double command, const JointMoment&) { return command; }

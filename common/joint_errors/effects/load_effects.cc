@@ -1,7 +1,7 @@
 #include <cmath>
 
 #include "common/joint_errors/effects/effect_makers.h"
-#include "common/joint_errors/gravity_residual.h"
+#include "common/joint_errors/effects/gravity_residual.h"
 
 namespace robostress::effects {
 namespace {
@@ -9,6 +9,7 @@ namespace {
 class GravityErrorEffect : public CopyableEffect<GravityErrorEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { law_.beta = p[0]; }
+  unsigned Reads() const override { return kGravityField; }
   double Torque(const JointMoment& m, DryFriction&) override {
     return GravityResidual(law_, m.gravity, GravitySign::kLiteral);
   }
@@ -20,6 +21,7 @@ class GravityErrorEffect : public CopyableEffect<GravityErrorEffect> {
 class PayloadEffect : public CopyableEffect<PayloadEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { mass_ = p[0]; }
+  unsigned Reads() const override { return kPayloadFields; }
   double Torque(const JointMoment& m, DryFriction&) override { return -mass_ * m.payload_gravity; }
   double Inertia(const JointMoment& m) override { return mass_ * m.payload_inertia; }
 
@@ -84,6 +86,7 @@ class BaseTiltEffect : public CopyableEffect<BaseTiltEffect> {
     x_ = p[0];
     y_ = p[1];
   }
+  unsigned Reads() const override { return kTiltField; }
   double Torque(const JointMoment& m, DryFriction&) override {
     return -(x_ * m.tilt_gravity[0] + y_ * m.tilt_gravity[1]);
   }

@@ -1,7 +1,7 @@
 #include <cmath>
 
-#include "common/joint_errors/backlash.h"
-#include "common/joint_errors/compliance.h"
+#include "common/joint_errors/effects/backlash.h"
+#include "common/joint_errors/effects/compliance.h"
 #include "common/joint_errors/effects/effect_makers.h"
 
 namespace robostress::effects {
@@ -35,15 +35,16 @@ class BacklashEffect : public CopyableEffect<BacklashEffect> {
   Backlash gap_;
 };
 
-// The deflection of compliance.h, given by stiffness, natural frequency and damping ratio:
-// M_eff = K / (2 pi f)^2, D = 2 zeta sqrt(K M_eff).
-class ComplianceEffect : public CopyableEffect<ComplianceEffect> {
+// The deflection of compliance.h. Numbers of the library: stiffness, natural frequency and damping
+// ratio, M_eff = K / (2 pi f)^2, D = 2 zeta sqrt(K M_eff); else K, M_eff and D themselves.
+template <bool kByFrequency>
+class ComplianceEffect : public CopyableEffect<ComplianceEffect<kByFrequency>> {
  public:
   void SetParameters(absl::Span<const double> p) override {
     const double omega = 2 * M_PI * p[1];
     law_.K = p[0];
-    law_.M_eff = p[0] / (omega * omega);
-    law_.D = 2 * p[2] * p[0] / omega;
+    law_.M_eff = kByFrequency ? p[0] / (omega * omega) : p[1];
+    law_.D = kByFrequency ? 2 * p[2] * p[0] / omega : p[2];
   }
   void Reset(const JointMoment& m) override {
     deflection_.Reset(Compliance::Equilibrium(law_, m.drive));
@@ -63,7 +64,10 @@ std::unique_ptr<JointEffect> TransmissionError() {
 }
 std::unique_ptr<JointEffect> BacklashGap() { return std::make_unique<BacklashEffect>(); }
 std::unique_ptr<JointEffect> TransmissionCompliance() {
-  return std::make_unique<ComplianceEffect>();
+  return std::make_unique<ComplianceEffect<true>>();
+}
+std::unique_ptr<JointEffect> ComplianceOfMass() {
+  return std::make_unique<ComplianceEffect<false>>();
 }
 
 }  // namespace robostress::effects

@@ -1,6 +1,6 @@
 #include "server/policies/adapters/adapter_base.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <map>
 #include <utility>

@@ -1,6 +1,6 @@
 #include "server/policies/adapters/adapter_command.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <CLI/CLI.hpp>
 #include <cmath>

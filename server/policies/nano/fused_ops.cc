@@ -1,6 +1,7 @@
 #include "server/policies/nano/fused_ops.h"
 
-#include <torch/torch.h>
+#include <torch/autograd.h>
+#include <torch/types.h>
 
 #include "common/check.h"
 #include "server/policies/kernels/fused_kernels.h"

@@ -1,6 +1,6 @@
 #include "server/policies/nano/nano_sampler.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <cmath>

@@ -1,6 +1,6 @@
 #include "server/policies/nano/nano_weights.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cmath>
 #include <cstring>

@@ -1,6 +1,8 @@
 #include "server/policies/openpi/cached_attention.h"
 
-#include <torch/torch.h>
+#include <ATen/Parallel.h>
+#include <torch/autograd.h>
+#include <torch/types.h>
 
 #include <cmath>
 

@@ -1,7 +1,7 @@
 #include "server/policies/openpi/checkpoint_load.h"
 
 #include <ATen/Parallel.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <atomic>

@@ -1,7 +1,8 @@
 #include "server/policies/openpi/compute_threads.h"
 
 #include <dlfcn.h>
-#include <torch/torch.h>
+#include <ATen/Parallel.h>
+#include <torch/types.h>
 
 #include "common/check.h"
 

@@ -1,6 +1,6 @@
 #include "server/policies/openpi/euler_steps.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include "server/policies/openpi/masks.h"
 

@@ -1,6 +1,6 @@
 #include "server/policies/openpi/gemma.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cmath>
 

@@ -1,6 +1,6 @@
 #include "server/policies/openpi/inference_weights.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include "server/policies/openpi/flow.h"
 

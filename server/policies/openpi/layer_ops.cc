@@ -1,6 +1,7 @@
 #include "server/policies/openpi/layer_ops.h"
 
-#include <torch/torch.h>
+#include <ATen/Parallel.h>
+#include <torch/types.h>
 
 #include <cmath>
 

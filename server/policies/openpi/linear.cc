@@ -1,6 +1,6 @@
 #include "server/policies/openpi/linear.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include "adapter/lora.h"
 

@@ -1,6 +1,6 @@
 #include "server/policies/openpi/masks.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 namespace robostress::openpi {
 

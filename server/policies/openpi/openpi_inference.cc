@@ -1,6 +1,6 @@
 #include "server/policies/openpi/openpi_inference.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <limits>
 #include <map>

@@ -1,6 +1,6 @@
 #include "server/policies/openpi/openpi_policy.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"

@@ -1,6 +1,6 @@
 #include "server/policies/openpi/oracle_inputs.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <iterator>

@@ -1,6 +1,6 @@
 #include "server/policies/openpi/policy_check.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <filesystem>

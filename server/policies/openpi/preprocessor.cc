@@ -1,7 +1,7 @@
 #include "server/policies/openpi/preprocessor.h"
 
 #include <spdlog/spdlog.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cmath>
 #include <vector>

@@ -1,6 +1,6 @@
 #include "server/policies/openpi/siglip.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cmath>
 

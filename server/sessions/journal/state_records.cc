@@ -1,13 +1,15 @@
 #include "server/sessions/journal/state_records.h"
 
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <cstring>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "adapter/lora.h"
-#include "common/rpc/convert.h"
+#include "common/rollout/message_limits.h"
+#include "common/rpc/convert_chunks.h"
+#include "common/rpc/convert_observations.h"
 #include "common/status_macros.h"
 
 namespace robostress {

@@ -8,7 +8,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/convert.h"
+#include "common/rpc/convert_sessions.h"
+#include "common/rpc/convert_specs.h"
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"

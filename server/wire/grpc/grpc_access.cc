@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_replace.h"
 #include "common/check.h"
+#include "common/wire/tls_pem.h"
 
 namespace robostress {
 namespace {

@@ -13,8 +13,8 @@
 #include "absl/strings/str_cat.h"
 #include "common/check.h"
 #include "common/monotonic_wait.h"
+#include "common/rollout/refusal.h"
 #include "common/rpc/grpc_status.h"
-#include "common/rpc/refusal.h"
 #include "common/status_macros.h"
 #include "server/wire/grpc/grpc_access.h"
 

@@ -6,9 +6,10 @@
 #include <chrono>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/convert.h"
-#include "common/rpc/message_limits.h"
+#include "common/rollout/message_limits.h"
 #include "common/status_macros.h"
+#include "common/wire/openpi_readers.h"
+#include "common/wire/openpi_writer.h"
 #include "server/operations/access_table.h"
 
 namespace robostress {

@@ -9,9 +9,9 @@
 #include <optional>
 #include <string>
 
+#include "common/wire/web_stream.h"
 #include "server/wire/web/web_server.h"
 #include "server/wire/web/web_socket.h"
-#include "server/wire/web/web_stream.h"
 #include "server/wire/web/web_work.h"
 
 namespace robostress {

@@ -21,9 +21,9 @@
 #include "absl/synchronization/mutex.h"
 #include "common/monotonic_wait.h"
 #include "common/status_macros.h"
+#include "common/wire/web_stream.h"
 #include "server/wire/fair_executor.h"
 #include "server/wire/web/web_connection.h"
-#include "server/wire/web/web_stream.h"
 #include "server/wire/web/web_work.h"
 
 namespace robostress {

@@ -12,8 +12,8 @@
 
 #include "absl/functional/any_invocable.h"
 #include "absl/status/statusor.h"
+#include "common/wire/web_stream.h"
 #include "server/wire/web/web_server.h"
-#include "server/wire/web/web_stream.h"
 #include "server/wire/web/web_work.h"
 
 namespace robostress {

@@ -1,4 +1,4 @@
-#include "common/joint_errors/backlash.h"
+#include "common/joint_errors/effects/backlash.h"
 
 #include <gtest/gtest.h>
 

@@ -5,53 +5,44 @@
 
 #include <cmath>
 
-#include "common/joint_errors/joint_error_stack.h"
+#include "tests/common/joint_errors/free_joints.h"
 
 namespace robostress {
 namespace {
 
-using Vector = JointErrorStack::Vector;
+using Vector = Vector7;
 constexpr double kStep = 0.002;  // [s]
 constexpr double kInertia = 2;   // [kg m^2], between the armatures of the Panda's joints
-const Vector kNoLimit = Vector::Constant(1e9);
 
-JointErrorStack Stribeck(int level, FrictionLaw law) {
+JointChain Stribeck(int level, FrictionLaw law) {
   JointErrorOptions options;
   options.friction_law = law;
-  JointErrorStack stack(options);
+  JointChain stack(7, options);
   stack.SetScenario(MakeScenario("isolated_stribeck", level).value(), 1);
-  stack.Reset(Vector::Zero(), Vector::Zero());
+  ResetAt(stack, Vector::Zero(), Vector::Zero());
   return stack;
 }
 
 // One semi-implicit Euler step of the velocities [rad/s] under the driving torque [Nm].
-void Advance(const JointErrorStack& stack, FrictionLaw law, const Vector& drive, Vector& v) {
-  constexpr double kVelocityPerTorque = kStep / kInertia;
-  const Vector none = Vector::Zero();
-  if (law != FrictionLaw::kStick) {
-    v += kVelocityPerTorque * stack.PerturbTorque(drive, v, none, kNoLimit);
-    return;
-  }
-  const Vector torque = stack.TorqueWithoutDryFriction(drive, v, none);
-  const JointErrorStack::Matrix A = kVelocityPerTorque * JointErrorStack::Matrix::Identity();
-  v += kVelocityPerTorque *
-       stack.AddStickFriction(torque, v, v + kVelocityPerTorque * torque, A, kNoLimit);
+void Advance(JointChain& stack, const Vector& drive, Vector& v) {
+  const FreeJoints joints{.dq = v, .inertia = kInertia, .h = kStep};
+  v += kStep / kInertia * TorqueOf(stack, drive, Vector::Zero(), joints);
 }
 
 TEST(Breakaway, AStuckJointMovesAtItsStaticTorque) {
   constexpr double kRamp = 0.5 * kStep;  // [Nm] per step
   for (const int level : {1, 3, 5}) {
     for (const double sign : {1.0, -1.0}) {
-      const JointErrorStack stack = Stribeck(level, FrictionLaw::kStick);
+      JointChain stack = Stribeck(level, FrictionLaw::kStick);
       Vector v = Vector::Zero(), breakaway = Vector::Zero();
       for (double tau = kRamp; breakaway.minCoeff() == 0 && tau < 10; tau += kRamp) {
-        Advance(stack, FrictionLaw::kStick, Vector::Constant(sign * tau), v);
+        Advance(stack, Vector::Constant(sign * tau), v);
         for (int j = 0; j < 7; ++j) {
           if (breakaway[j] == 0 && sign * v[j] > 1e-12) breakaway[j] = tau;
         }
       }
       for (int j = 0; j < 7; ++j) {
-        const double Fs = stack.parameters()[j].Fs;
+        const double Fs = stack.severity().parameters()[j].Fs;
         EXPECT_GE(breakaway[j], Fs) << "joint " << j + 1 << " level " << level;
         EXPECT_LE(breakaway[j], Fs + 1.001 * kRamp) << "joint " << j + 1 << " level " << level;
       }
@@ -62,16 +53,16 @@ TEST(Breakaway, AStuckJointMovesAtItsStaticTorque) {
 TEST(Breakaway, TheLiteralLawStaysInItsChatterBandBelowTheStaticTorqueAndLeavesItAbove) {
   // From v <= 0 one step adds at most h (tau + Fs) / I: below Fs this is how fast a joint chatters.
   // In that band the law has lost at most 1.5 % of Fs - Fc, less than the 2 % on either side.
-  const JointErrorStack stack = Stribeck(5, FrictionLaw::kSgn);
+  JointChain stack = Stribeck(5, FrictionLaw::kSgn);
   for (const double share : {0.98, 1.02}) {
     Vector v = Vector::Zero(), drive, fastest = Vector::Zero();
-    for (int j = 0; j < 7; ++j) drive[j] = share * stack.parameters()[j].Fs;
+    for (int j = 0; j < 7; ++j) drive[j] = share * stack.severity().parameters()[j].Fs;
     for (int i = 0; i < 2000; ++i) {
-      Advance(stack, FrictionLaw::kSgn, drive, v);
+      Advance(stack, drive, v);
       fastest = fastest.cwiseMax(v.cwiseAbs());
     }
     for (int j = 0; j < 7; ++j) {
-      const double band = kStep * (drive[j] + stack.parameters()[j].Fs) / kInertia;
+      const double band = kStep * (drive[j] + stack.severity().parameters()[j].Fs) / kInertia;
       if (share < 1) {
         EXPECT_LE(fastest[j], band) << "joint " << j + 1;
       } else {
@@ -95,12 +86,12 @@ double RungeKutta4(const JointErrorParameters& p, double v, double h) {
 
 TEST(Breakaway, ACoastingJointFollowsTheIntegratedLawAndComesToRest) {
   for (const FrictionLaw law : {FrictionLaw::kSgn, FrictionLaw::kStick}) {
-    const JointErrorStack stack = Stribeck(5, law);
+    JointChain stack = Stribeck(5, law);
     Vector v = Vector::Constant(-1), exact = v;
     for (int i = 0; i < 2500; ++i) {
-      Advance(stack, law, Vector::Zero(), v);
+      Advance(stack, Vector::Zero(), v);
       for (int j = 0; j < 7; ++j) {
-        const JointErrorParameters& p = stack.parameters()[j];
+        const JointErrorParameters& p = stack.severity().parameters()[j];
         const double band = kStep * p.Fs / kInertia;
         if (exact[j] < -5 * band) {
           for (int k = 0; k < 20; ++k) exact[j] = RungeKutta4(p, exact[j], kStep / 20);
@@ -110,7 +101,7 @@ TEST(Breakaway, ACoastingJointFollowsTheIntegratedLawAndComesToRest) {
       }
     }
     for (int j = 0; j < 7; ++j) {
-      const double band = kStep * stack.parameters()[j].Fs / kInertia;
+      const double band = kStep * stack.severity().parameters()[j].Fs / kInertia;
       EXPECT_LE(std::abs(v[j]), law == FrictionLaw::kStick ? 1e-12 : band) << "joint " << j + 1;
     }
   }

@@ -1,4 +1,4 @@
-#include "common/joint_errors/compliance.h"
+#include "common/joint_errors/effects/compliance.h"
 
 #include <gtest/gtest.h>
 

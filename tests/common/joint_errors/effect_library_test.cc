@@ -6,8 +6,6 @@
 #include <memory>
 #include <vector>
 
-#include "common/joint_errors/effect_stack.h"
-
 namespace robostress {
 namespace {
 
@@ -171,49 +169,6 @@ TEST(EffectLibrary, ComplianceRingsWithTheStatedFrequencyAndDamping) {
   }
   EXPECT_NEAR(lowest, -5 / K * (1 + std::exp(-M_PI * zeta / std::sqrt(1 - zeta * zeta))), 1e-7);
   EXPECT_NEAR(at, 0.5 / damped, 2e-4);
-}
-
-// Effects of J4.
-Scenario AtJ4(const std::vector<std::pair<std::string, std::vector<double>>>& effects) {
-  Scenario scenario;
-  for (const auto& [type, values] : effects) {
-    ScenarioEffect effect;
-    effect.type = type;
-    effect.joint = 3;
-    effect.values = values;
-    scenario.effects.push_back(effect);
-  }
-  return scenario;
-}
-
-TEST(EffectStack, AddsUpWhatTheEffectsOfAJointDo) {
-  EffectStack stack;
-  stack.SetScenario(AtJ4({{"payload", {2}},
-                          {"gravity_error", {0.1}},
-                          {"payload", {0.5}},
-                          {"asymmetric_coulomb", {0.3}},
-                          {"load_dependent_friction", {0.1}}}));
-  EffectStack::Moments moments;
-  moments.fill(Moment());
-  stack.Reset(moments);
-  const auto sum = stack.Torques(moments);
-  EXPECT_NEAR(sum.torque[3], -6 + 0.8 - 1.5, 1e-12);
-  EXPECT_NEAR(sum.inertia[3], 0.5 + 0.125, 1e-12);
-  EXPECT_NEAR(sum.dry[3].forward, 0.3 + 0.5, 1e-12);
-  EXPECT_NEAR(sum.dry[3].backward, -0.3 + 0.5, 1e-12);
-  EXPECT_EQ(sum.torque[2], 0);
-}
-
-TEST(EffectStack, AnEpisodeBeginsAtTheStaticDeflectionAndInTheMiddleOfTheGap) {
-  // q is the link's angle; the motor stands 5/500 on. Nothing moves, so nothing changes.
-  EffectStack stack;
-  stack.SetScenario(AtJ4({{"compliance", {500, 15, 0.7}}, {"backlash", {0.001}}}));
-  EffectStack::Moments moments;
-  moments.fill(Moment());
-  stack.Reset(moments);
-  EXPECT_NEAR(stack.offset()[3], 5.0 / 500, 1e-12);
-  moments[3].q -= stack.offset()[3];
-  EXPECT_NEAR(stack.OffsetChange(moments).norm(), 0, 1e-12);
 }
 
 }  // namespace

@@ -1,11 +1,12 @@
-#include "common/joint_errors/friction.h"
+#include "common/joint_errors/effects/friction.h"
 
 #include <gtest/gtest.h>
 
 #include <array>
 #include <cmath>
 
-#include "common/joint_errors/gravity_residual.h"
+#include "common/joint_errors/effects/gravity_residual.h"
+#include "common/joint_errors/stick_friction.h"
 
 namespace robostress {
 namespace {
@@ -68,10 +69,10 @@ TEST(Friction, StickHoldsAJointBelowTheStaticTorqueAndLetsItGoAbove) {
   const double inertia = 2, h = 0.002;
   const std::array<double, 1> A = {h / inertia}, limit = {3};
   std::array<double, 1> f;
-  StickTorques(std::array{h / inertia * 2.9}, A, limit,
+  StickTorques(std::array{h / inertia * 2.9}, A, limit, limit,
                absl::MakeSpan(f));  // pushed from rest with 2.9 Nm
   EXPECT_NEAR(f[0], -2.9, 1e-12);
-  StickTorques(std::array{h / inertia * 3.5}, A, limit, absl::MakeSpan(f));
+  StickTorques(std::array{h / inertia * 3.5}, A, limit, limit, absl::MakeSpan(f));
   EXPECT_DOUBLE_EQ(f[0], -3);
 }
 
@@ -81,7 +82,7 @@ TEST(Friction, StickTorquesOfCoupledJointsSatisfyComplementarity) {
   const std::array<double, 4> A = {1e-3, -4e-4, -4e-4, 2e-3};
   const std::array<double, 2> v_free = {0.02, -0.002}, limit = {3, 5};
   std::array<double, 2> f;
-  StickTorques(v_free, A, limit, absl::MakeSpan(f));
+  StickTorques(v_free, A, limit, limit, absl::MakeSpan(f));
   for (int i = 0; i < 2; ++i) {
     const double v = v_free[i] + A[2 * i] * f[0] + A[2 * i + 1] * f[1];
     if (std::abs(f[i]) < limit[i] - 1e-9) {
@@ -108,7 +109,7 @@ TEST(Friction, StuckJointsThatDragOnEachOtherStandStill) {
   const std::array<double, 4> A = {1e-3, -7e-4, -7e-4, 1e-3};
   const std::array<double, 2> v_free = {1e-3, 1e-3}, limit = {50, 50};
   std::array<double, 2> f;
-  StickTorques(v_free, A, limit, absl::MakeSpan(f));
+  StickTorques(v_free, A, limit, limit, absl::MakeSpan(f));
   for (int i = 0; i < 2; ++i) EXPECT_NEAR(f[i], -10.0 / 3, 1e-6);
 }
 

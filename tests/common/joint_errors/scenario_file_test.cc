@@ -8,7 +8,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/joint_errors/effect_stack.h"
 #include "common/joint_errors/effects/effect_library.h"
 
 namespace robostress {
@@ -127,30 +126,6 @@ TEST(ScenarioFile, LetsEveryEffectOfTheLibraryStandAtEveryJoint) {
       EXPECT_TRUE(file.ok()) << file.status();
     }
   }
-}
-
-TEST(EffectStack, ACopyGoesOnAloneFromTheSameHiddenState) {
-  const auto file =
-      ParseScenarioFile("x.yaml", Effect("type: presliding_hysteresis, F: 2, x_s: 0.05"));
-  ASSERT_TRUE(file.ok());
-  Scenario scenario;
-  scenario.effects = file->effects;
-  EffectStack stack;
-  stack.SetScenario(scenario);
-  EffectStack::Moments moments;
-  for (JointMoment& moment : moments) moment.h = 0.002;
-  stack.Reset(moments);
-  moments[0].dq = 1;
-  for (int i = 0; i < 10; ++i) stack.Torques(moments);
-  EffectStack copy = stack;
-  const double ahead = stack.Torques(moments).torque[0];
-  EXPECT_LT(ahead, -0.5);
-  EXPECT_EQ(copy.Torques(moments).torque[0], ahead);
-  moments[0].dq = -1;
-  for (int i = 0; i < 20; ++i) stack.Torques(moments);
-  moments[0].dq = 0;
-  EXPECT_EQ(copy.Torques(moments).torque[0], ahead);
-  EXPECT_GT(stack.Torques(moments).torque[0], 0);
 }
 
 }  // namespace

@@ -68,9 +68,16 @@ TEST(EpisodeRow, EveryMeasureComesBack) {
                                                &r.mean_abs_action,
                                                &r.clipped_share,
                                                &r.lag_residual,
-                                               &r.lag_eta_sq};
+                                               &r.lag_eta_sq,
+                                               &r.seconds};
   };
   for (std::optional<double>* field : fields(row)) *field = value += 0.1;
+  row.measured_steps = 40;
+  row.masked_steps = 2;
+  row.power_cycles = 1;
+  row.state = "FAULT";
+  row.cause = "pressing";
+  row.instruction = "open the \"top\" drawer";
   const std::string line = EpisodeLine(Identity(), row);
   EpisodeRow read = ParseEpisode("f:1", line).value();
   EXPECT_EQ(read.task, 7);
@@ -80,6 +87,7 @@ TEST(EpisodeRow, EveryMeasureComesBack) {
   EXPECT_EQ(read.record, line);
   const auto wanted = fields(row), got = fields(read);
   for (size_t i = 0; i < wanted.size(); ++i) EXPECT_EQ(*got[i], *wanted[i]) << i;
+  EXPECT_EQ(EpisodeLine(Identity(), read), line);
 }
 
 TEST(EpisodeRow, BelongsToItsIdentityAlone) {

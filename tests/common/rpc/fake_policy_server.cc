@@ -11,9 +11,12 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/convert.h"
+#include "common/rollout/spec_checks.h"
+#include "common/rpc/convert_chunks.h"
+#include "common/rpc/convert_observations.h"
+#include "common/rpc/convert_sessions.h"
+#include "common/rpc/convert_specs.h"
 #include "common/rpc/grpc_status.h"
-#include "common/rpc/spec_checks.h"
 #include "common/safetensors.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 

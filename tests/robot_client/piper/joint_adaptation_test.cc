@@ -2,11 +2,15 @@
 // control loop, the feedback stream over gRPC, and a server that learns in joint space.
 
 #include <gtest/gtest.h>
-#include <torch/torch.h>
+#include <torch/types.h>
+
+#include <filesystem>
 
 #include "absl/strings/str_cat.h"
-#include "robot_client/emulator/study/study_unit.h"
+#include "absl/strings/str_split.h"
+#include "common/atomic_file.h"
 #include "robot_client/policy_connection.h"
+#include "robot_client/study/piper_player.h"
 #include "server/policies/nano/nano_policy.h"
 #include "server/wire/grpc/policy_service.h"
 
@@ -77,15 +81,21 @@ TEST(JointAdaptation, UpdatesAfter32ChunksAndEveryEightFromThenOn) {
   connection.mode = ExecutionMode::kLockstep;
   auto policy = ConnectTo(connection, 1.0 / 30)();
   ASSERT_TRUE(policy.ok()) << policy.status();
-  Watched watched(policy->get());
-  StudyUnit unit;
+  auto lent = std::make_unique<Watched>(policy->get());
+  Watched& watched = *lent;
+  UnitConfig unit;
+  unit.robot = "piper";
+  unit.suite = "piper_1_next_to_plate";
+  unit.scenario = "new";
   unit.episodes = 5;
-  unit.episode_s = 3.7;  // eleven chunks, the last one short
-  std::vector<ArmEpisode> episodes;
-  const absl::Status played = RunStudyUnit(unit, &watched, [&](const ArmEpisode& episode) {
-    episodes.push_back(episode);
-    return absl::OkStatus();
-  });
+  unit.client.episode_s = 3.7;  // eleven chunks, the last one short
+  unit = *ResolvePiperUnit(unit);
+  PiperPlayer player(
+      unit, [&]() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> { return std::move(lent); });
+  UnitRunOptions run;
+  run.out = ::testing::TempDir() + "/joint_adaptation_unit";
+  std::filesystem::remove_all(run.out);
+  const absl::Status played = RunUnit(unit, run, player);
   if (absl::IsUnavailable(played)) GTEST_SKIP() << played.message();
   ASSERT_TRUE(played.ok()) << played;
   ASSERT_GE(watched.sent, 48u);
@@ -97,10 +107,16 @@ TEST(JointAdaptation, UpdatesAfter32ChunksAndEveryEightFromThenOn) {
   EXPECT_EQ(stats->feedback_chunks, watched.sent);
   EXPECT_EQ(stats->updates_applied, 1 + (watched.sent - 32) / 8);
   EXPECT_GT(stats->adapter_distance, 0);
-  for (const ArmEpisode& episode : episodes) {
-    EXPECT_GT(episode.residual, 0) << "episode " << episode.episode;
-    EXPECT_EQ(episode.power_cycles, 0);
+  const std::string rows = *ReadFile(run.out + "/episodes.jsonl");
+  int episodes = 0;
+  for (const std::string& line :
+       std::vector<std::string>(absl::StrSplit(rows, '\n', absl::SkipEmpty()))) {
+    const EpisodeRow row = *ParseEpisode("rows", line);
+    EXPECT_GT(*row.residual, 0) << line;
+    EXPECT_EQ(row.power_cycles, 0) << line;
+    ++episodes;
   }
+  EXPECT_EQ(episodes, 5);
 }
 
 }  // namespace

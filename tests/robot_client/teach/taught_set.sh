@@ -9,7 +9,7 @@ bus=udp:239.74.163.2:43113
 ip link set lo up
 ip route add 224.0.0.0/4 dev lo
 mkdir -p "$out"
-"$bin/piper_study_worker" record --arm new --task open_drawer --episodes "$episodes" --out "$out/expert.safetensors"
+"$bin/robostress-piper-worker" record --arm new --task open_drawer --episodes "$episodes" --out "$out/expert.safetensors"
 
 # Four targets of every frame are the expert's path at 30 Hz. Prints each episode's initial state.
 python3 - "$out" >"$out/states" <<'PYTHON'

@@ -3,7 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/rpc/refusal.h"
+#include "common/rollout/refusal.h"
 
 namespace robostress {
 namespace {

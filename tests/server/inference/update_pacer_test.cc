@@ -1,7 +1,7 @@
 #include "server/inference/update_pacer.h"
 
 #include <gtest/gtest.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <atomic>
 #include <thread>

@@ -1,7 +1,8 @@
 #include "server/policies/nano/fused_ops.h"
 
 #include <gtest/gtest.h>
-#include <torch/torch.h>
+#include <torch/autograd.h>
+#include <torch/types.h>
 
 #include "server/policies/kernels/fused_kernels.h"
 

@@ -1,5 +1,6 @@
 #include <benchmark/benchmark.h>
-#include <torch/torch.h>
+#include <ATen/Parallel.h>
+#include <torch/types.h>
 
 #include "server/policies/policy.h"
 

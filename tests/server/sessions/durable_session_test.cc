@@ -8,7 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/rpc/convert.h"
+#include "common/rpc/convert_specs.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/session_journal.h"
 #include "tests/server/sessions/drive.h"

@@ -1,7 +1,7 @@
 // What a session draws: noise that pairs episodes of two methods, batches that differ.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <torch/torch.h>
+#include <torch/types.h>
 
 #include <algorithm>
 #include <memory>

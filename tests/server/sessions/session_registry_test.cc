@@ -7,7 +7,7 @@
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/refusal.h"
+#include "common/rollout/refusal.h"
 #include "tests/server/sessions/drive.h"
 
 namespace robostress {

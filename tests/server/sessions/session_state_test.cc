@@ -11,7 +11,6 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
-#include "common/rpc/convert.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/record_file.h"
 #include "server/sessions/session_registry.h"

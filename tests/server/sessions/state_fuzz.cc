@@ -17,7 +17,6 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "adapter/update_schedule.h"
-#include "common/rpc/convert.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/command_bounds.h"

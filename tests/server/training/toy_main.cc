@@ -1,4 +1,5 @@
-#include <torch/torch.h>
+#include <ATen/Parallel.h>
+#include <torch/types.h>
 
 #include <cstdio>
 #include <cstdlib>

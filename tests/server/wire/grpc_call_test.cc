@@ -13,8 +13,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/notification.h"
 #include "common/atomic_file.h"
-#include "common/rpc/convert.h"
-#include "common/rpc/refusal.h"
+#include "common/rollout/refusal.h"
+#include "common/rpc/convert_sessions.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "tests/server/wire/raw_call.h"
 

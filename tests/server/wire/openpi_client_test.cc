@@ -3,12 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <filesystem>
-#include <fstream>
-
 #include "absl/strings/str_cat.h"
 #include "server/wire/openpi/openpi_conversation.h"
-#include "tests/run_program.h"
+#include "tests/common/wire/openpi_venv.h"
 #include "tests/server/serve_process.h"
 #include "tests/server/sessions/fake_session_host.h"
 
@@ -20,35 +17,15 @@ using ::testing::HasSubstr;
 
 class OpenpiClient : public ::testing::Test {
  protected:
-  // Once per build folder: later runs find it there.
-  static void SetUpTestSuite() {
-    const std::string venv = OPENPI_CLIENT_VENV, done = venv + "/DONE";
-    python_ = venv + "/bin/python";
-    if (std::filesystem::exists(done)) return;
-    const auto attempt = [](const std::string& program, const std::string& arguments) {
-      const auto [output, code] = RunProgram(program, arguments);
-      return code == 0 ? std::string() : absl::StrCat(program, " failed: ", output);
-    };
-    failure_ = attempt("python3 -m venv --clear", venv);
-    if (failure_.empty()) {
-      failure_ = attempt(python_,
-                         "-m pip install --quiet --disable-pip-version-check --no-deps "
-                         "--only-binary=:all: --timeout 15 --retries 1 -r " OPENPI_CLIENT_TESTS
-                         "/openpi_client_requirements.txt");
-    }
-    if (failure_.empty()) std::ofstream(done) << "installed\n";
-  }
   void SetUp() override {
-    if (!failure_.empty())
-      GTEST_SKIP() << "needs python3-venv and PyPI for openpi-client: " << failure_;
+    if (!OpenpiVenv::Get().failure.empty()) GTEST_SKIP() << OpenpiVenv::Get().failure;
   }
   // Output and exit code.
   static std::pair<std::string, int> Drive(int port, const std::string& env, int steps) {
-    return RunProgram(python_, absl::StrCat(OPENPI_CLIENT_TESTS "/openpi_client_driver.py ", port,
-                                            " ", env, " ", steps));
+    return RunProgram(
+        OpenpiVenv::Get().python,
+        absl::StrCat(OPENPI_CLIENT_TESTS "/openpi_client_driver.py ", port, " ", env, " ", steps));
   }
-
-  static inline std::string python_, failure_;
 };
 
 TEST_F(OpenpiClient, RunsLiberoAndDroidOnNano) {

@@ -6,12 +6,12 @@
 #include <filesystem>
 #include <optional>
 
-#include "server/wire/grpc/policy_service.h"
-#include "server/wire/openpi/openpi_value.h"
+#include "common/wire/openpi_connection.h"
+#include "common/wire/openpi_readers.h"
 #include "server/web_endpoints.h"
+#include "server/wire/grpc/policy_service.h"
+#include "tests/common/wire/openpi_bytes.h"
 #include "tests/server/sessions/drive.h"
-#include "tests/server/wire/openpi_bytes.h"
-#include "tests/server/wire/web_client.h"
 
 namespace robostress {
 namespace {
@@ -58,9 +58,10 @@ class Robot {
   explicit Robot(int port) { Connect(port); }
 
   void Connect(int port) {
-    client_ = std::make_unique<WebClient>(port);
-    ASSERT_EQ(client_->Upgrade(), 101);
-    ASSERT_EQ(client_->Read().opcode, WebClient::kBinary);
+    client_.reset();
+    auto connected = OpenpiConnection::Connect(absl::StrCat("ws://127.0.0.1:", port));
+    ASSERT_TRUE(connected.ok()) << connected.status();
+    client_ = *std::move(connected);
     first_ = true;
   }
   void Predict() {
@@ -117,9 +118,9 @@ class Robot {
 
  private:
   std::string Exchange(const OpenpiBytes& message) {
-    client_->SendFrame(message.bytes());
     first_ = false;
-    return client_->Read().payload;
+    const auto answer = client_->Ask(message.bytes());
+    return answer.ok() ? *answer : std::string(answer.status().message());
   }
   void Session(OpenpiBytes& message) const {
     message.Text("session");
@@ -134,7 +135,7 @@ class Robot {
     message.Text("episode").Map(2).Text("task").Integer(3).Text("episode").Integer(2);
   }
 
-  std::unique_ptr<WebClient> client_;
+  std::unique_ptr<OpenpiConnection> client_;
   bool first_ = true;
   std::string id_, token_;
   int64_t prediction_ = 0;

@@ -11,9 +11,10 @@
 #include <thread>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/convert.h"
+#include "common/rollout/refusal.h"
+#include "common/rpc/convert_observations.h"
+#include "common/rpc/convert_specs.h"
 #include "common/rpc/policy_client.h"
-#include "common/rpc/refusal.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "tests/server/sessions/drive.h"
 

@@ -14,14 +14,17 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/notification.h"
 #include "common/atomic_file.h"
-#include "common/rpc/convert.h"
+#include "common/rpc/convert_chunks.h"
+#include "common/rpc/convert_observations.h"
+#include "common/rpc/convert_specs.h"
 #include "common/rpc/policy_client.h"
+#include "common/wire/openpi_connection.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/operations/access_table.h"
+#include "server/web_endpoints.h"
 #include "server/wire/grpc/admin_server.h"
 #include "server/wire/grpc/grpc_access.h"
 #include "server/wire/grpc/policy_service.h"
-#include "server/web_endpoints.h"
 #include "tests/run_program.h"
 #include "tests/server/operations/test_certificates.h"
 #include "tests/server/sessions/drive.h"
@@ -552,9 +555,11 @@ TEST_F(TlsTest, CoversTheWebPorts) {
     EXPECT_EQ(WebClient(port).Get("/healthz").first, 0);
     EXPECT_FALSE(TlsWebClient(port, File("other.crt")).connected());
   }
-  TlsWebClient client((*endpoints)->websocket_port(), File("ca.crt"));
-  EXPECT_EQ(client.Upgrade(), 101);
-  EXPECT_EQ(client.Read().opcode, WebClient::kBinary);
+  OpenpiConnectionOptions trusting;
+  trusting.socket.secrets.authority = *ReadFile(File("ca.crt"));
+  const std::string websocket = absl::StrCat("wss://127.0.0.1:", (*endpoints)->websocket_port());
+  const auto client = OpenpiConnection::Connect(websocket, trusting);
+  EXPECT_TRUE(client.ok()) << client.status();
 
   web.tls = Tls("ca");
   endpoints->reset();
@@ -734,15 +739,19 @@ TEST_F(ServingSecurityTest,
         .Get("/metrics", "Authorization: Bearer prometheus\r\n")
         .first;
   };
-  const auto talk = [&](WebClient& client) {  // what comes back for a message
-    client.SendFrame("\x80");                 // an empty map: an error of its own
-    return client.Read().payload;
+  const auto connect = [&](const std::string& token) {
+    OpenpiConnectionOptions showing;
+    showing.socket.secrets.token = token;
+    showing.socket.token_scheme = "Bearer";
+    return OpenpiConnection::Connect(
+        absl::StrCat("ws://127.0.0.1:", (*endpoints)->websocket_port()), showing);
   };
-  WebClient arm((*endpoints)->websocket_port()), feeder((*endpoints)->websocket_port());
-  ASSERT_EQ(arm.Upgrade("Authorization: Bearer arm\r\n"), 101);
-  ASSERT_EQ(arm.Read().opcode, WebClient::kBinary);
-  ASSERT_EQ(feeder.Upgrade("Authorization: Bearer predict\r\n"), 101);
-  ASSERT_EQ(feeder.Read().opcode, WebClient::kBinary);
+  const auto talk = [&](OpenpiConnection& client) {             // what comes back for a message
+    return std::string(client.Ask("\x80").status().message());  // an empty map: an error of its own
+  };
+  const auto arm = connect("arm"), feeder = connect("predict");
+  ASSERT_TRUE(arm.ok()) << arm.status();
+  ASSERT_TRUE(feeder.ok()) << feeder.status();
   EXPECT_EQ(info(), grpc::StatusCode::OK);
   EXPECT_EQ(list(), grpc::StatusCode::OK);
   EXPECT_EQ(page(), 200);
@@ -754,8 +763,8 @@ TEST_F(ServingSecurityTest,
   EXPECT_EQ(info(), grpc::StatusCode::UNAUTHENTICATED);
   EXPECT_EQ(list(), grpc::StatusCode::UNAUTHENTICATED);
   EXPECT_EQ(page(), 401);
-  EXPECT_THAT(talk(arm), HasSubstr("no valid token"));
-  EXPECT_THAT(talk(feeder), Not(HasSubstr("token")));
+  EXPECT_THAT(talk(**arm), HasSubstr("no valid token"));
+  EXPECT_THAT(talk(**feeder), Not(HasSubstr("token")));
 }
 
 // A client that ends in the middle of a stream, at every place where it can.

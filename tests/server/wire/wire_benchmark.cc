@@ -7,12 +7,13 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "common/rpc/convert.h"
+#include "common/rpc/convert_chunks.h"
+#include "common/rpc/convert_observations.h"
 #include "common/rpc/policy_client.h"
+#include "common/wire/openpi_connection.h"
+#include "common/wire/openpi_dialect.h"
 #include "server/web_endpoints.h"
 #include "tests/server/sessions/drive.h"
-#include "tests/server/wire/openpi_bytes.h"
-#include "tests/server/wire/web_client.h"
 
 namespace robostress {
 namespace {
@@ -83,20 +84,10 @@ int Run(int rounds) {
   address.address = absl::StrCat("127.0.0.1:", (*server)->port());
   auto client = GrpcPolicyClient::Connect(address, web_options.openpi.session);
   if (!client.ok() || !(*client)->StartEpisode({0, 0}).ok()) return 1;
-  WebClient socket((*web)->websocket_port());
-  if (socket.Upgrade() != 101) return 1;
-  socket.Read();
-  const auto bytes_of = [](const Image& image) {
-    return std::string(image.data.begin(), image.data.end());
-  };
-  OpenpiBytes message;
-  message.Map(4);
-  message.Text("observation/image")
-      .Array("|u1", {224, 224, 3}, bytes_of(observation.views[0].image));
-  message.Text("observation/wrist_image")
-      .Array("|u1", {224, 224, 3}, bytes_of(observation.views[1].image));
-  message.Text("observation/state").Numbers<double>("<f8", {8}, std::vector<double>(8, 0.5));
-  message.Text("prompt").Text(observation.instruction);
+  auto socket =
+      OpenpiConnection::Connect(absl::StrCat("ws://127.0.0.1:", (*web)->websocket_port()));
+  const auto message = WriteOpenpiObservation(observation, *OpenpiDialectNamed("libero"));
+  if (!socket.ok() || !message.ok()) return 1;
   size_t reply_bytes = 0;
   // In turn, so that what else the machine does falls on all three alike.
   for (int i = 0; i < rounds; ++i) {
@@ -106,14 +97,11 @@ int Run(int rounds) {
     begin = Clock::now();
     if (!(*client)->Predict(observation, i).ok()) return 1;
     grpc_ms.push_back(Milliseconds(begin));
-    const std::string frame = WebClient::FrameBytes(message.bytes());  // Python's client masks in C
     begin = Clock::now();
-    socket.Send(frame);
-    const WebClient::Frame reply = socket.Read();
+    const auto reply = (*socket)->Ask(*message);
     websocket_ms.push_back(Milliseconds(begin));
-    if (reply.opcode != WebClient::kBinary)
-      return std::fprintf(stderr, "%s\n", reply.payload.c_str()), 1;
-    reply_bytes = reply.payload.size();
+    if (!reply.ok()) return std::fprintf(stderr, "%s\n", reply.status().ToString().c_str()), 1;
+    reply_bytes = reply->size();
   }
   v1::PredictRequest request;
   *request.mutable_observation() = ToProto(observation);
@@ -121,7 +109,7 @@ int Run(int rounds) {
   shape.actions = shape.policy_actions = Eigen::MatrixXf::Zero(FakePolicy::kHorizon, 7);
   Print("none (session alone)", direct, 0, 0);
   Print("gRPC", grpc_ms, request.ByteSizeLong(), ToProto(shape, 0).ByteSizeLong());
-  Print("openpi WebSocket", websocket_ms, message.bytes().size(), reply_bytes);
+  Print("openpi WebSocket", websocket_ms, message->size(), reply_bytes);
   return 0;
 }
 

@@ -4,7 +4,7 @@
 #include "common/safetensors.h"
 #include "common/so3.h"
 #include "gtest/gtest.h"
-#include "sim_worker/record/demonstration.h"
+#include "sim_worker/record/expert_demonstration.h"
 #include "sim_worker/record/libero_recorder.h"
 #include "sim_worker/record/shard.h"
 

@@ -3,7 +3,7 @@
 #include <cmath>
 #include <set>
 
-#include "common/joint_errors/joint_error_stack.h"
+#include "common/joint_errors/joint_chain.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "sim_worker/suites/embedded_task.h"
@@ -309,7 +309,7 @@ TEST(EmbeddedTask, ARampRunsOverTheSuitesHorizon) {
   constexpr int kSteps = 21;
   for (int i = 0; i < kSteps; ++i) ASSERT_TRUE(task.sim().Step(Eigen::VectorXf::Zero(7)).ok());
   const double progress = (kSteps - 1.0) / FindSuite(unit.suite)->horizon;
-  for (const SeverityFactors& factors : task.sim().errors().factors())
+  for (const SeverityFactors& factors : task.sim().joint_chain().severity().factors())
     EXPECT_NEAR(factors.friction, 1.5 + 0.5 * progress, 1e-12);
 }
 

@@ -17,6 +17,7 @@
 #include "common/config.h"
 #include "common/method_options.h"
 #include "common/safetensors.h"
+#include "common/unit/robots.h"
 #include "common/unit_config.h"
 #include "nlohmann/json.hpp"
 #include "tests/run_program.h"
@@ -48,7 +49,8 @@ class Presets : public testing::Test {
     fs::create_directories(*root_);
     serve_ = new ServeProcess(SERVE_PROGRAM, {"--policy", "nano"});
     episodes_ = new std::map<std::string, Episode>();
-    for (const std::string& method : MethodNames()) (*episodes_)[method] = Run(method);
+    for (const std::string& method : FindRobot("panda")->methods)
+      (*episodes_)[method] = Run(method);
   }
   static void TearDownTestSuite() {
     delete serve_;
@@ -109,7 +111,7 @@ ServeProcess* Presets::serve_ = nullptr;
 std::map<std::string, Episode>* Presets::episodes_ = nullptr;
 
 TEST_F(Presets, RunAnEpisodeAsWhatTheyAre) {
-  for (const std::string& method : MethodNames()) {
+  for (const std::string& method : FindRobot("panda")->methods) {
     const Episode& episode = Of(method);
     EXPECT_EQ(DumpConfig(episode.method), DumpConfig(*MakeMethod(method)));
     EXPECT_EQ(episode.row["method"], method);
@@ -123,7 +125,7 @@ TEST_F(Presets, RunAnEpisodeAsWhatTheyAre) {
 }
 
 TEST_F(Presets, UpdateAtChunk32And40AndSoOnOrNever) {
-  for (const std::string& method : MethodNames()) {
+  for (const std::string& method : FindRobot("panda")->methods) {
     const json& row = Of(method).row;
     const int chunks = row["chunks"], due = chunks < 32 ? 0 : 1 + (chunks - 32) / 8;
     EXPECT_EQ(row["updates"], Of(method).method.adapt ? due : 0) << method;
@@ -132,7 +134,7 @@ TEST_F(Presets, UpdateAtChunk32And40AndSoOnOrNever) {
 }
 
 TEST_F(Presets, EqualBaseBitForBitUntilTheirFirstUpdate) {
-  for (const std::string& method : MethodNames()) {
+  for (const std::string& method : FindRobot("panda")->methods) {
     if (Of(method).method.adapt) {
       EXPECT_EQ(FirstDifference(method), 32 * kExecuted) << method;
     }
@@ -140,7 +142,7 @@ TEST_F(Presets, EqualBaseBitForBitUntilTheirFirstUpdate) {
 }
 
 TEST_F(Presets, AStepOfAdamIsAboutTheLearningRateForEveryParameter) {
-  for (const std::string& method : MethodNames()) {
+  for (const std::string& method : FindRobot("panda")->methods) {
     const Episode& episode = Of(method);
     if (!episode.method.adapt) continue;
     const double steps = episode.row["updates"].get<double>() * std::sqrt(kParameters);

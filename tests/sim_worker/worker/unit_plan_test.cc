@@ -1,9 +1,11 @@
-#include "sim_worker/worker/unit_plan.h"
+#include "common/unit/unit_plan.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "common/config.h"
+#include "common/unit/robots.h"
+#include "sim_worker/worker/sim_unit.h"
 
 namespace robostress {
 namespace {
@@ -112,7 +114,7 @@ TEST(UnitPlanTest, ResolvedUnitNamesEveryTask) {
 TEST(UnitPlanTest, EpisodesOfAnEstimateThatIsCarriedAreNotTornApart) {
   UnitConfig unit;
   unit.episodes = 2;
-  for (const std::string& method : MethodNames()) {
+  for (const std::string& method : FindRobot("panda")->methods) {
     unit.method = *MakeMethod(method);
     const bool carries =
         unit.method.adapt || method == "ours_integral" || method == "ours_following";
@@ -138,6 +140,42 @@ TEST(UnitPlanTest, ASessionIsOfTheUnit) {
   EXPECT_EQ(spec.goal_reference, GoalReference::kDesired);
   EXPECT_EQ(spec.mode, ExecutionMode::kLockstep);
   EXPECT_EQ(DumpConfig(spec.method), DumpConfig(unit.method));
+}
+
+TEST(UnitPlanTest, AnotherRobotHasItsOwnSuitesArmsAndMethods) {
+  const auto message = [](const char* yaml) {
+    const absl::StatusOr<UnitConfig> read = ReadUnit("unit.yaml", yaml);
+    return std::string((read.ok() ? ResolveUnit(*read).status() : read.status()).message());
+  };
+  EXPECT_EQ(message("{robot: piper, suite: piper_4_open_drawer, scenario: new, policy: nano-piper, "
+                    "method: {method: dob_ours}}"),
+            "");
+  EXPECT_THAT(message("robot: puma"), HasSubstr("unknown robot 'puma'; known: panda, piper"));
+  EXPECT_THAT(message("{robot: piper, suite: tabletop_goal, scenario: new}"),
+              HasSubstr("unknown suite 'tabletop_goal'; known: piper_1_next_to_plate"));
+  EXPECT_THAT(message("suite: piper_unseen"), HasSubstr("known: tabletop_spatial"));
+  EXPECT_THAT(message("{robot: piper, suite: piper_unseen, scenario: heavy_payload}"),
+              HasSubstr("known: new, used_one_year"));
+  EXPECT_THAT(message("method: {method: dob}"), HasSubstr("unknown method 'dob'; known: base"));
+  EXPECT_THAT(message("{robot: piper, suite: piper_unseen, scenario: new, episodes: 201}"),
+              HasSubstr("episodes is 201, must be 1 to 200"));
+}
+
+TEST(UnitPlanTest, StatesGoOnFromTaskToTaskWhereTheSuiteSaysSo) {
+  UnitConfig unit;
+  unit.robot = "piper";
+  unit.suite = "piper_unseen";
+  unit.scenario = "new";
+  unit.episodes = 2;
+  const std::vector<PlannedEpisode> plan = PlanEpisodes(*ResolveUnit(unit));
+  ASSERT_EQ(plan.size(), 10u);
+  for (int i = 0; i < 10; ++i) {
+    EXPECT_EQ(plan[i].task, i / 2);
+    EXPECT_EQ(plan[i].episode, i % 2);
+    EXPECT_EQ(plan[i].initial_state, i);
+  }
+  EXPECT_THAT(std::string(PlanRange(*ResolveUnit(unit), "0-1").status().message()),
+              HasSubstr("robot 'piper' carries where its arm stands"));
 }
 
 TEST(ReadUnit, TheMethodNullIsNotTakenForNoMethod) {

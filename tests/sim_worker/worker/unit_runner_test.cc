@@ -1,5 +1,3 @@
-#include "sim_worker/worker/unit_runner.h"
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/resource.h>
@@ -13,6 +11,7 @@
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "nlohmann/json.hpp"
+#include "sim_worker/worker/sim_unit.h"
 #include "tests/common/rollout/fake_robot.h"
 #include "tests/common/rpc/fake_policy_server.h"
 
@@ -69,14 +68,14 @@ struct UnitRunnerTest : public testing::Test {
 
   // steps_before_failure < 0: the robot never fails.
   absl::Status Run(const std::string& name, int steps_before_failure = -1) {
-    UnitRunOptions options;
-    options.out = Dir(name);
+    SimUnitOptions options;
+    options.run.out = Dir(name);
     options.server = server == nullptr ? "" : server->address();
     options.connect_timeout_s = 60;
     options.measure_lag = measure_lag;
-    options.episodes = range;
-    options.progress = [this](std::string_view line) { lines.emplace_back(line); };
-    return RunUnit(
+    options.run.episodes = range;
+    options.run.progress = [this](std::string_view line) { lines.emplace_back(line); };
+    return RunSimUnit(
         unit, options, [&](const UnitConfig& made, int task) -> absl::StatusOr<UnitTask> {
           auto robot = std::make_shared<FakeRobot>(0.012 + 0.004 * task, 15);
           if (made.scenario != "clean") robot->follow = 0.2;
@@ -200,12 +199,12 @@ TEST_F(UnitRunnerTest, FinishedUnitReturnsAtOnce) {
   server.reset();
   unit.method.method = "ours";
   lines.clear();
-  UnitRunOptions options;
-  options.out = Dir("a");
+  SimUnitOptions options;
+  options.run.out = Dir("a");
   options.server = "127.0.0.1:1";  // nobody is asked
-  options.progress = [this](std::string_view line) { lines.emplace_back(line); };
+  options.run.progress = [this](std::string_view line) { lines.emplace_back(line); };
   const absl::Status status =
-      RunUnit(unit, options, [](const UnitConfig&, int) -> absl::StatusOr<UnitTask> {
+      RunSimUnit(unit, options, [](const UnitConfig&, int) -> absl::StatusOr<UnitTask> {
         return absl::InternalError("no task may be made");
       });
   EXPECT_TRUE(status.ok()) << status;
@@ -332,11 +331,11 @@ TEST_F(UnitRunnerTest, RefusesToContinueWithOtherWeights) {
 
 TEST_F(UnitRunnerTest, SecondWorkerOnTheSameDirectoryIsRefused) {
   absl::Status inner;
-  UnitRunOptions options;
-  options.out = Dir("a");
+  SimUnitOptions options;
+  options.run.out = Dir("a");
   options.server = server->address();
   const absl::Status outer =
-      RunUnit(unit, options, [&](const UnitConfig&, int) -> absl::StatusOr<UnitTask> {
+      RunSimUnit(unit, options, [&](const UnitConfig&, int) -> absl::StatusOr<UnitTask> {
         inner = Run("a");
         return absl::InternalError("enough");
       });
@@ -385,11 +384,11 @@ TEST_F(UnitRunnerTest, MissingServerIsNamedWithTheRemedy) {
   EXPECT_THAT(std::string(Run("a").message()),
               HasSubstr("start one with `robostress serve --policy fake`"));
   EXPECT_FALSE(fs::exists(Dir("a"))) << "nothing is written before the server is known";
-  UnitRunOptions options;
-  options.out = Dir("b");
+  SimUnitOptions options;
+  options.run.out = Dir("b");
   options.server = address;
   options.connect_timeout_s = 0.2;
-  const absl::Status status = RunUnit(unit, options, nullptr);
+  const absl::Status status = RunSimUnit(unit, options, nullptr);
   EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable);
   EXPECT_THAT(std::string(status.message()), HasSubstr(address));
   EXPECT_FALSE(Has("b", "DONE"));

@@ -1,0 +1,35 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+
+#include "absl/status/status.h"
+#include "common/rollout/policy_endpoint.h"
+#include "common/rollout/session_spec.h"
+#include "common/types.h"
+
+// What passes between a client and a policy, against the policy's declaration. Errors are
+// INVALID_ARGUMENT and name what differs.
+namespace robostress {
+
+// Checks an observation against what the policy wants: the same cameras in the same order,
+// state_dim. The message names what differs. Sizes of images are left to the policy, up to its
+// max_view_side: one that resizes takes any, the others name their own.
+absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec);
+// Checks a prediction: horizon x action_dim, all finite.
+absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec& spec);
+// Checks an executed chunk: action_dim columns, steps within the predicted chunk.
+absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec);
+
+// Checks a session's names ("spec.robot"), its severity of 1..5 and its scales, above 0 and at most
+// 100. Its method is checked where it is read.
+absl::Status CheckSessionSpec(const SessionSpec& spec);
+
+// Checks a declared action range: none, or action_dim finite bounds with low <= high.
+absl::Status CheckActionRange(const PolicySpec& spec);
+
+// `field` names the matrix in the error.
+absl::Status CheckMatrixSize(const std::string& field, const Eigen::MatrixXf& matrix, int rows,
+                             int cols);
+
+}  // namespace robostress

@@ -1,0 +1,181 @@
+#include "common/unit/unit_plan.h"
+
+#include <algorithm>
+#include <set>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "common/config.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/status_macros.h"
+#include "common/suites.h"
+#include "common/unit/robots.h"
+
+namespace robostress {
+namespace {
+
+constexpr std::string_view kPresetOverride = "method.method=";
+
+absl::Status CheckRange(const char* key, int64_t value, int64_t low, int64_t high,
+                        const char* hint) {
+  if (value >= low && value <= high) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("unit: ", key, " is ", value, ", must be ", low, " to ", high, hint));
+}
+
+absl::Status CheckKnown(const char* what, const std::string& name,
+                        const std::vector<std::string>& known) {
+  if (std::find(known.begin(), known.end(), name) != known.end()) return absl::OkStatus();
+  return absl::NotFoundError(
+      absl::StrCat("unit: unknown ", what, " '", name, "'; known: ", absl::StrJoin(known, ", ")));
+}
+
+// A scenario of the Panda's has levels and joints; an arm is checked by who builds it.
+absl::Status CheckScenario(const UnitConfig& unit, const RobotInfo& robot) {
+  if (robot.arms.empty()) return MakeScenario(unit.scenario, unit.severity).status();
+  if (IsScenarioFile(unit.scenario)) return ReadScenarioFile(unit.scenario).status();
+  return CheckKnown("scenario", unit.scenario, ScenariosOf(robot));
+}
+
+// The preset that a method section starts from: base, unless it names one.
+absl::StatusOr<MethodOptions> PresetOf(const MethodOptions& read, const YAML::Node& section) {
+  RS_ASSIGN_OR_RETURN(MethodOptions method, MakeMethod(read.method));
+  for (const auto& entry : section) {
+    YAML::Emitter value;
+    value << YAML::Flow << entry.second;
+    RS_RETURN_IF_ERROR(
+        ApplyOverrides({absl::StrCat(entry.first.Scalar(), "=", value.c_str())}, method));
+  }
+  return method;
+}
+
+// "method.method=ours" selects the preset before the other overrides change it.
+std::vector<std::string> PresetsFirst(const std::vector<std::string>& overrides) {
+  std::vector<std::string> ordered;
+  for (const bool preset : {true, false}) {
+    for (const std::string& assignment : overrides) {
+      if (assignment.starts_with(kPresetOverride) == preset) ordered.push_back(assignment);
+    }
+  }
+  return ordered;
+}
+
+}  // namespace
+
+absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string& yaml,
+                                    const std::vector<std::string>& overrides) {
+  RS_ASSIGN_OR_RETURN(UnitConfig unit, ParseConfig<UnitConfig>(source, yaml));
+  const YAML::Node root = YAML::Load(yaml);  // parsed once already
+  if (root.IsMap() && root["method"].IsDefined() && root["method"].IsMap()) {
+    const YAML::Node name = root["method"]["method"];
+    if (name.IsDefined() && name.IsNull()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          source, ": method.method is YAML's null; for the method of that name write \"null\""));
+    }
+    RS_ASSIGN_OR_RETURN(unit.method, PresetOf(unit.method, root["method"]));
+  }
+  for (const std::string& assignment : PresetsFirst(overrides)) {
+    RS_RETURN_IF_ERROR(ApplyOverrides({assignment}, unit));
+    if (assignment.starts_with(kPresetOverride)) {
+      // The text itself: to YAML the name of the method null is no text.
+      const std::string text = assignment.substr(kPresetOverride.size());
+      RS_ASSIGN_OR_RETURN(unit.method, MakeMethod(text == "null" ? text : unit.method.method));
+    }
+  }
+  return unit;
+}
+
+absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
+  const SuiteInfo* suite = FindSuite(unit.suite);
+  RS_ASSIGN_OR_RETURN(const RobotInfo robot, FindRobot(unit.robot));
+  RS_RETURN_IF_ERROR(CheckKnown("suite", unit.suite, SuitesOf(unit.robot)));
+  RS_RETURN_IF_ERROR(CheckRange("severity", unit.severity, 1, 5, ""));
+  RS_RETURN_IF_ERROR(CheckScenario(unit, robot));
+  RS_RETURN_IF_ERROR(CheckKnown("method", unit.method.method, robot.methods));
+  UnitConfig resolved = unit;
+  if (resolved.tasks.empty()) {
+    for (int task = 0; task < suite->num_tasks; ++task) resolved.tasks.push_back(task);
+  }
+  std::set<int> seen;
+  for (const int task : resolved.tasks) {
+    RS_RETURN_IF_ERROR(
+        CheckRange("tasks", task, 0, suite->num_tasks - 1, "; see `robostress suites`"));
+    if (!seen.insert(task).second) {
+      return absl::InvalidArgumentError(absl::StrCat("unit: tasks lists task ", task, " twice"));
+    }
+  }
+  const int states = suite->num_initial_states;
+  RS_RETURN_IF_ERROR(
+      CheckRange("first_initial_state", unit.first_initial_state, 0, states - 1, ""));
+  const int sharing = suite->states_go_on ? static_cast<int>(resolved.tasks.size()) : 1;
+  RS_RETURN_IF_ERROR(CheckRange("episodes", unit.episodes, 1,
+                                (states - unit.first_initial_state) / sharing,
+                                ": every episode of a task has an initial state of its own"));
+  RS_RETURN_IF_ERROR(CheckRange("videos", unit.videos, 0, states, ""));
+  RS_RETURN_IF_ERROR(CheckRange("sim.settle_steps", unit.sim.settle_steps, 0, 1000, ""));
+  if (unit.policy.empty()) return absl::InvalidArgumentError("unit: policy is empty");
+  if (RunsInWorker(unit.policy) && unit.method.method != "base") {
+    return absl::InvalidArgumentError(absl::StrCat("unit: policy '", unit.policy,
+                                                   "' has nothing to adapt, method is '",
+                                                   unit.method.method, "', must be 'base'"));
+  }
+  return resolved;
+}
+
+std::vector<PlannedEpisode> PlanEpisodes(const UnitConfig& resolved) {
+  std::vector<PlannedEpisode> plan;
+  const SuiteInfo* suite = FindSuite(resolved.suite);
+  const bool go_on = suite != nullptr && suite->states_go_on;
+  int first = resolved.first_initial_state;
+  for (const int task : resolved.tasks) {
+    for (int episode = 0; episode < resolved.episodes; ++episode)
+      plan.push_back({task, episode, first + episode, episode < resolved.videos});
+    if (go_on) first += resolved.episodes;
+  }
+  return plan;
+}
+
+absl::StatusOr<std::vector<PlannedEpisode>> PlanRange(const UnitConfig& resolved,
+                                                      const std::string& range) {
+  std::vector<PlannedEpisode> plan = PlanEpisodes(resolved);
+  if (range.empty()) return plan;
+  const std::vector<std::string> ends = absl::StrSplit(range, '-');
+  size_t first = 0, last = 0;
+  if (ends.size() != 2 || !absl::SimpleAtoi(ends[0], &first) || !absl::SimpleAtoi(ends[1], &last) ||
+      first > last || last >= plan.size()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("episodes '", range, "' is no range FIRST-LAST within 0-", plan.size() - 1));
+  }
+  if (!MayBeDivided(resolved)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "episodes '", range, "': ",
+        resolved.method.CarriesOver()
+            ? absl::StrCat("method '", resolved.method.method, "' carries what it learned")
+            : absl::StrCat("robot '", resolved.robot, "' carries where its arm stands"),
+        " from episode to episode; run the whole unit"));
+  }
+  return std::vector<PlannedEpisode>(plan.begin() + first, plan.begin() + last + 1);
+}
+
+bool MayBeDivided(const UnitConfig& unit) {
+  const absl::StatusOr<RobotInfo> robot = FindRobot(unit.robot);
+  return robot.ok() && robot->episodes_stand_alone && !unit.method.CarriesOver();
+}
+
+EpisodeIdentity IdentityOf(const UnitConfig& resolved, const PlannedEpisode& planned) {
+  return {.suite = resolved.suite,
+          .scenario = ScenarioLabel(resolved.scenario),
+          .policy = resolved.policy,
+          .method = resolved.method.method,
+          .severity = resolved.severity,
+          .seed = resolved.seed,
+          .task = planned.task,
+          .episode = planned.episode,
+          .initial_state = planned.initial_state};
+}
+
+bool RunsInWorker(const std::string& policy) { return policy == "expert" || policy == "replay"; }
+
+}  // namespace robostress

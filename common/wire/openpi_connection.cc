@@ -1,0 +1,43 @@
+#include "common/wire/openpi_connection.h"
+
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "common/status_macros.h"
+#include "common/wire/openpi_answer.h"
+
+namespace robostress {
+
+absl::StatusOr<std::unique_ptr<OpenpiConnection>> OpenpiConnection::Connect(
+    const std::string& url, const OpenpiConnectionOptions& options) {
+  RS_ASSIGN_OR_RETURN(std::unique_ptr<WebSocketClient> socket,
+                      WebSocketClient::Connect(url, options.socket));
+  std::unique_ptr<OpenpiConnection> connection(new OpenpiConnection(std::move(socket), options));
+  RS_ASSIGN_OR_RETURN(connection->metadata_bytes_, connection->Receive(options.metadata_timeout));
+  absl::StatusOr<OpenpiValue> metadata =
+      DecodeOpenpi(std::string_view(connection->metadata_bytes_));
+  if (!metadata.ok()) {
+    return absl::UnavailableError(absl::StrCat(
+        connection->address(), " greets without openpi's metadata: ", metadata.status().message(),
+        "; is it a policy server's port?"));
+  }
+  connection->metadata_ = *std::move(metadata);
+  return connection;
+}
+
+absl::StatusOr<std::string> OpenpiConnection::Ask(std::string message) {
+  RS_RETURN_IF_ERROR(socket_->Send(std::move(message)));
+  RS_ASSIGN_OR_RETURN(std::string answer,
+                      Receive(answered_ ? options_.answer_timeout : options_.first_answer_timeout));
+  answered_ = true;
+  return answer;
+}
+
+absl::StatusOr<std::string> OpenpiConnection::Receive(absl::Duration limit) {
+  RS_ASSIGN_OR_RETURN(WebSocketMessage message, socket_->Receive(limit));
+  if (!message.text) return std::move(message.bytes);
+  const absl::Status failed = OpenpiErrorText(message.bytes);
+  return absl::Status(failed.code(), absl::StrCat(address(), ": ", failed.message()));
+}
+
+}  // namespace robostress

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "common/wire/openpi_value.h"
+#include "common/wire/web_socket_client.h"
+
+namespace robostress {
+
+struct OpenpiConnectionOptions {
+  WebSocketOptions socket;
+  absl::Duration metadata_timeout = absl::Seconds(30);
+  // A server may compile its network when it is first asked: tens of seconds.
+  absl::Duration first_answer_timeout = absl::Minutes(5);
+  absl::Duration answer_timeout = absl::Seconds(30);
+};
+
+// A client's side of openpi's wire: the server's metadata, then an answer for each message. One
+// thread. After an error the connection is finished; connect again.
+class OpenpiConnection {
+ public:
+  // Returns with the metadata. Errors as WebSocketClient::Connect's; INTERNAL with the server's
+  // words where it sends text.
+  static absl::StatusOr<std::unique_ptr<OpenpiConnection>> Connect(
+      const std::string& url, const OpenpiConnectionOptions& options = {});
+
+  // A map; empty from most servers. Valid as long as the connection.
+  const OpenpiValue& metadata() const { return metadata_; }
+  const std::string& address() const { return socket_->address(); }
+  // The bytes that answer a message (WriteOpenpiObservation); DecodeOpenpiValue reads them.
+  absl::StatusOr<std::string> Ask(std::string message);
+
+ private:
+  OpenpiConnection(std::unique_ptr<WebSocketClient> socket, const OpenpiConnectionOptions& options)
+      : options_(options), socket_(std::move(socket)) {}
+  absl::StatusOr<std::string> Receive(absl::Duration limit);
+
+  const OpenpiConnectionOptions options_;
+  const std::unique_ptr<WebSocketClient> socket_;
+  std::string metadata_bytes_;
+  OpenpiValue metadata_;  // of those bytes
+  bool answered_ = false;
+};
+
+}  // namespace robostress

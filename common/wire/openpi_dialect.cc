@@ -1,0 +1,101 @@
+#include "common/wire/openpi_dialect.h"
+
+#include <cstddef>
+#include <numeric>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/wire/openpi_writer.h"
+
+namespace robostress {
+namespace {
+
+// Beside the pixels: keys, shapes, state, prompt.
+constexpr size_t kRestBytes = 4096;
+
+}  // namespace
+
+std::vector<std::string> OpenpiDialect::CameraPaths() const {
+  if (images_in.empty()) return cameras;
+  std::vector<std::string> paths;
+  for (const std::string& camera : cameras) paths.push_back(absl::StrCat(images_in, "/", camera));
+  return paths;
+}
+
+const std::vector<OpenpiDialect>& OpenpiDialects() {
+  static const auto& dialects = *new std::vector<OpenpiDialect>{
+      {.name = "libero",
+       .cameras = {"observation/image", "observation/wrist_image"},
+       .images_in = "",
+       .state = {"observation/state"},
+       .state_sizes = {}},
+      {.name = "aloha",
+       .cameras = {"cam_high", "cam_left_wrist", "cam_right_wrist"},
+       .images_in = "images",
+       .planes_first = true,
+       .state = {"state"},
+       .state_sizes = {}},
+      {.name = "droid",
+       .cameras = {"observation/exterior_image_1_left", "observation/wrist_image_left"},
+       .images_in = "",
+       .state = {"observation/joint_position", "observation/gripper_position"},
+       .state_sizes = {7}}};
+  return dialects;
+}
+
+absl::StatusOr<OpenpiDialect> OpenpiDialectNamed(const std::string& name) {
+  std::vector<std::string> known;
+  for (const OpenpiDialect& dialect : OpenpiDialects()) {
+    if (dialect.name == name) return dialect;
+    known.push_back(dialect.name);
+  }
+  return absl::NotFoundError(
+      absl::StrCat("no dialect '", name, "'; known: ", absl::StrJoin(known, ", ")));
+}
+
+absl::StatusOr<std::string> WriteOpenpiObservation(
+    const Observation& observation, const OpenpiDialect& dialect,
+    const std::vector<std::pair<std::string, std::string>>& extras) {
+  const size_t views = observation.views.size(), parts = dialect.state.size();
+  if (!dialect.cameras.empty() && dialect.cameras.size() < views) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("dialect ", dialect.name, " has keys for ", dialect.cameras.size(),
+                     " cameras, the observation has ", views, " views"));
+  }
+  const int first_parts =
+      std::accumulate(dialect.state_sizes.begin(), dialect.state_sizes.end(), 0);
+  const auto numbers = static_cast<int>(observation.proprioception.size());
+  if (dialect.state_sizes.size() + 1 != parts || numbers < first_parts) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "dialect ", dialect.name, " parts the state into ", absl::StrJoin(dialect.state, " + "),
+        " of ", absl::StrJoin(dialect.state_sizes, " + "), " and the rest; the state has ", numbers,
+        " numbers"));
+  }
+  OpenpiWriter writer;
+  size_t bytes = kRestBytes;
+  for (const CameraView& view : observation.views) bytes += view.image.data.size();
+  for (const auto& [key, value] : extras) bytes += key.size() + value.size();
+  writer.Reserve(bytes);
+
+  const bool nested = !dialect.images_in.empty();
+  writer.Map(static_cast<uint32_t>((nested ? 1 : views) + parts + 1 + extras.size()));
+  if (nested) writer.Text(dialect.images_in).Map(static_cast<uint32_t>(views));
+  for (size_t i = 0; i < views; ++i) {
+    const CameraView& view = observation.views[i];
+    writer.Text(dialect.cameras.empty() ? view.camera : dialect.cameras[i]);
+    writer.Pixels(view.image, dialect.planes_first);
+  }
+  const std::vector<double> state(observation.proprioception.begin(),
+                                  observation.proprioception.end());
+  auto at = state.begin();
+  for (size_t i = 0; i < parts; ++i) {
+    const auto end = i + 1 < parts ? at + dialect.state_sizes[i] : state.end();
+    writer.Text(dialect.state[i]).Numbers({at, end});
+    at = end;
+  }
+  writer.Text(dialect.prompt).Text(observation.instruction);
+  for (const auto& [key, value] : extras) writer.Text(key).Value(value);
+  return writer.Take();
+}
+
+}  // namespace robostress

@@ -1,0 +1,160 @@
+#include "sim_worker/record/expert_demonstration.h"
+
+#include <algorithm>
+#include <chrono>
+
+#include "common/status_macros.h"
+#include "sim_worker/record/libero_recorder.h"
+
+namespace robostress {
+namespace {
+
+constexpr char kAgentView[] = "agentview";
+constexpr char kWristView[] = "robot0_eye_in_hand";
+
+// A constant offset on the command that lasts a few control steps, again and again.
+class NoiseBursts {
+ public:
+  NoiseBursts(const RecordOptions& options, RandomStream& random)
+      : options_(options), random_(random), active_(random.Uniform() < options.noisy_share) {}
+
+  Eigen::VectorXf Disturb(Eigen::VectorXf command) {
+    if (!active_) return command;
+    if (left_ == 0 && random_.Uniform() < options_.burst_chance) {
+      left_ = 3 + random_.UniformInt(6);
+      const double size = random_.Uniform(0.3, 1);
+      for (int i = 0; i < 6; ++i) {
+        offset_[i] = size * (i < 3 ? options_.translation_noise : options_.rotation_noise) *
+                     random_.Normal();
+      }
+    }
+    if (left_ == 0) return command;
+    --left_;
+    for (int i = 0; i < 6; ++i)
+      command[i] = std::clamp(command[i] + static_cast<float>(offset_[i]), -1.0f, 1.0f);
+    return command;
+  }
+
+ private:
+  const RecordOptions& options_;
+  RandomStream& random_;
+  bool active_;
+  int left_ = 0;
+  double offset_[6] = {};
+};
+
+// Adds N(0, sigma^2) to the motion channels of what is executed; the simulator takes [-1, 1].
+void AddExecutionNoise(double sigma, RandomStream& random, Eigen::VectorXf& command) {
+  for (int i = 0; i < 6; ++i) {
+    command[i] = std::clamp(command[i] + static_cast<float>(sigma * random.Normal()), -1.0f, 1.0f);
+  }
+}
+
+Eigen::Matrix<float, 8, 1> AuxOf(const ExpertDecision& decision) {
+  Eigen::Matrix<float, 8, 1> aux;
+  aux << decision.target.cast<float>(), decision.destination.cast<float>(),
+      decision.holding ? 1.0f : 0.0f, static_cast<float>(decision.progress);
+  return aux;
+}
+
+// Rows first .. first + kLabelSteps of a path; after its end zero motion with the last gripper
+// command.
+Eigen::MatrixXf LabelFrom(const std::vector<Eigen::VectorXf>& path, size_t first) {
+  Eigen::MatrixXf label = Eigen::MatrixXf::Zero(kLabelSteps, 7);
+  for (int i = 0; i < kLabelSteps; ++i) {
+    if (first + i < path.size()) {
+      label.row(i) = path[first + i].transpose();
+    } else {
+      label(i, 6) = path.empty() ? -1.0f : path.back()[6];
+    }
+  }
+  return label;
+}
+
+}  // namespace
+
+absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
+                                           const RecordOptions& options, const StreamKey& key) {
+  RS_RETURN_IF_ERROR(task.Reset(initial_state));
+  RandomStream random(key), execution(key.With("execution noise"));
+  NoiseBursts noise(options, random);
+  Demonstration result;
+  if (options.execution_noise > 0)
+    result.execution_sigma = execution.Uniform(0, options.execution_noise);
+  std::vector<Eigen::VectorXf> path;
+  while (result.steps < task.horizon() && !result.success) {
+    const ExpertDecision decision = task.Decide();
+    if (options.render && result.steps % options.stride == 0) {
+      DemonstrationFrame frame;
+      frame.step = result.steps;
+      frame.proprioception = task.Proprioception();
+      frame.aux = AuxOf(decision);
+      if (options.simulator_state) {
+        RS_ASSIGN_OR_RETURN(frame.simulator, ReadSimulator(task));
+      }
+      const auto drawing = std::chrono::steady_clock::now();
+      for (const char* camera : {kAgentView, kWristView}) {
+        RS_ASSIGN_OR_RETURN(Image image,
+                            task.RenderView(camera, options.image_size, options.image_size));
+        frame.views.push_back(std::move(image));
+      }
+      result.render_seconds +=
+          std::chrono::duration<double>(std::chrono::steady_clock::now() - drawing).count();
+      result.frames.push_back(std::move(frame));
+    }
+    path.push_back(decision.command);
+    Eigen::VectorXf executed = noise.Disturb(decision.command);
+    if (result.execution_sigma > 0) AddExecutionNoise(result.execution_sigma, execution, executed);
+    RS_RETURN_IF_ERROR(task.Step(executed));
+    ++result.steps;
+    result.success = task.Success();
+  }
+  for (DemonstrationFrame& frame : result.frames) frame.actions = LabelFrom(path, frame.step);
+  return result;
+}
+
+absl::StatusOr<Eigen::MatrixXf> BranchLabel(EmbeddedTask& task) {
+  const auto snapshot = task.sim().Save();
+  std::vector<Eigen::VectorXf> path;
+  absl::Status status;
+  for (int i = 0; i < kLabelSteps && status.ok() && !task.Success(); ++i) {
+    path.push_back(task.Decide().command);
+    status = task.Step(path.back());
+  }
+  task.sim().Restore(*snapshot);
+  RS_RETURN_IF_ERROR(status);
+  return LabelFrom(path, 0);
+}
+
+absl::StatusOr<Demonstration> RecordDagger(EmbeddedTask& task, int initial_state,
+                                           const EpisodeKey& key, double mix,
+                                           PolicyEndpoint& policy, RandomStream random) {
+  RS_RETURN_IF_ERROR(task.Reset(initial_state));
+  RS_RETURN_IF_ERROR(policy.StartEpisode(key));
+  Demonstration result;
+  for (int chunk = 0; result.steps < task.horizon() && !result.success; ++chunk) {
+    RS_ASSIGN_OR_RETURN(Observation observation, task.Observe(policy.spec()));
+    DemonstrationFrame frame;
+    frame.step = result.steps;
+    frame.proprioception = observation.proprioception;
+    frame.aux = AuxOf(task.Decide());
+    RS_ASSIGN_OR_RETURN(frame.actions, BranchLabel(task));
+    const bool expert_drives = random.Uniform() < mix;
+    Eigen::MatrixXf actions = frame.actions;
+    if (!expert_drives) {
+      RS_ASSIGN_OR_RETURN(PredictedChunk predicted, policy.Predict(observation, chunk));
+      actions = std::move(predicted.actions);
+    }
+    for (CameraView& view : observation.views) frame.views.push_back(std::move(view.image));
+    result.frames.push_back(std::move(frame));
+    const int rows = std::min<int>(policy.spec().execute_steps, static_cast<int>(actions.rows()));
+    for (int i = 0; i < rows && result.steps < task.horizon() && !result.success; ++i) {
+      RS_RETURN_IF_ERROR(task.Step(actions.row(i).transpose()));
+      ++result.steps;
+      result.success = task.Success();
+    }
+  }
+  return result;
+}
+
+}  // namespace robostress

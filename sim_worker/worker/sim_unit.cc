@@ -1,0 +1,210 @@
+#include "sim_worker/worker/sim_unit.h"
+
+#include <chrono>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "common/image.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/rollout/replay_chunks.h"
+#include "common/rollout/replay_policy.h"
+#include "common/rollout/rollout.h"
+#include "common/rpc/policy_client.h"
+#include "common/status_macros.h"
+#include "sim_worker/worker/sim_episode_row.h"
+
+namespace robostress {
+namespace {
+
+constexpr int kFilmEvery = 2;     // control steps: 10 frames per second
+constexpr double kFrameS = 0.1;   // [s]
+constexpr int kFilmHeight = 160;  // [px]
+constexpr float kFilmQuality = 60;
+
+// Collects the frames of one episode.
+class Film {
+ public:
+  explicit Film(const UnitTask& task) : task_(task) {}
+
+  void OnStep(int step) {
+    last_step_ = step;
+    if (step % kFilmEvery == 0) Take();
+  }
+
+  absl::StatusOr<std::string> Encode() {
+    if (last_step_ % kFilmEvery != 0) Take();  // how it ended
+    RS_RETURN_IF_ERROR(status_);
+    return EncodeAnimatedWebp(frames_, kFrameS, kFilmQuality);
+  }
+
+ private:
+  void Take() {
+    if (!status_.ok()) return;
+    absl::StatusOr<Image> frame = task_.film(kFilmHeight);
+    status_ = frame.status();
+    if (frame.ok()) frames_.push_back(*std::move(frame));
+  }
+
+  const UnitTask& task_;
+  int last_step_ = 0;
+  std::vector<Image> frames_;
+  absl::Status status_;
+};
+
+class SimPlayer : public UnitPlayer {
+ public:
+  SimPlayer(const UnitConfig& unit, const SimUnitOptions& options, const TaskFactory& make_task)
+      : unit_(unit), options_(options), make_task_(make_task) {}
+
+  // Opens what outlives a task: the session, or the replay. The expert is made with its task.
+  absl::StatusOr<std::string> Open() override {
+    if (unit_.policy == "expert") return "";
+    if (unit_.policy == "replay") {
+      RS_ASSIGN_OR_RETURN(local_, MakeReplayPolicy(unit_.replay_file));
+      return local_->spec().model_hash;
+    }
+    PolicyClientOptions client;
+    client.address = options_.server;
+    client.connect_timeout_s = options_.connect_timeout_s;
+    client.call_timeout_s = options_.call_timeout_s;
+    RS_ASSIGN_OR_RETURN(client_, GrpcPolicyClient::Connect(client, SessionSpecOf(unit_)));
+    if (unit_.method.adapt && !client_->spec().adaptable) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("policy '", unit_.policy, "' cannot be adapted, method '",
+                       unit_.method.method, "' needs that; use method base"));
+    }
+    return client_->spec().model_hash;
+  }
+
+  absl::StatusOr<std::optional<std::string>> Export() override {
+    RS_ASSIGN_OR_RETURN(AdapterState adapter, client_->ExportAdapter());
+    return std::move(adapter.safetensors);
+  }
+
+  absl::Status Import(const std::string& state) override {
+    RS_ASSIGN_OR_RETURN(sequence_, client_->ImportAdapter(state));
+    return absl::OkStatus();
+  }
+
+  absl::StatusOr<PlayedEpisode> Play(const PlannedEpisode& planned,
+                                     UnitDirectory& directory) override {
+    const auto start = std::chrono::steady_clock::now();
+    RS_RETURN_IF_ERROR(OpenTask(planned.task));
+    PolicyEndpoint& policy = client_ != nullptr ? static_cast<PolicyEndpoint&>(*client_) : *local_;
+    Film film(task_);
+    RolloutOptions rollout;
+    rollout.initial_state = planned.initial_state;
+    if (planned.film) rollout.on_step = [&](int step) { film.OnStep(step); };
+    JointLog joints;
+    if (options_.record_joints)
+      task_.listen_to_joints([&](const JointSample& sample) { joints.samples.push_back(sample); });
+    RS_ASSIGN_OR_RETURN(
+        const EpisodeRecord record,
+        RunEpisode({planned.task, planned.episode}, rollout, *task_.robot, policy, sequence_));
+    if (options_.record_joints) {
+      task_.listen_to_joints(nullptr);
+      DescribeEpisode(planned, record, joints);
+      RS_ASSIGN_OR_RETURN(const std::string file,
+                          directory.EpisodeFile("joints", planned, ".safetensors"));
+      RS_RETURN_IF_ERROR(WriteJointLog(joints, file));
+    }
+    RS_ASSIGN_OR_RETURN(const SessionStats stats, policy.Stats());
+    if (planned.film) {
+      RS_ASSIGN_OR_RETURN(const std::string webp, film.Encode());
+      RS_ASSIGN_OR_RETURN(const std::string file,
+                          directory.EpisodeFile("videos", planned, ".webp"));
+      RS_RETURN_IF_ERROR(WriteFileAtomically(file, webp));
+    }
+    const double wall_s =
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    std::optional<std::vector<ExecutedChunk>> in_clean;
+    if (options_.measure_lag) {
+      RS_ASSIGN_OR_RETURN(in_clean,
+                          ReplayChunks(record.chunks, planned.initial_state, *clean_task_.robot));
+    }
+    return PlayedEpisode{MakeEpisodeRow(unit_, record, stats, in_clean),
+                         MakeTimingRow(record, wall_s)};
+  }
+
+ private:
+  absl::Status OpenTask(int task) {
+    if (task_index_ == task) return absl::OkStatus();
+    if (unit_.policy == "expert") local_.reset();  // it reads the task that goes
+    RS_ASSIGN_OR_RETURN(task_, make_task_(unit_, task));
+    if (options_.measure_lag) {
+      UnitConfig clean = unit_;
+      clean.scenario = "clean";
+      RS_ASSIGN_OR_RETURN(clean_task_, make_task_(clean, task));
+    }
+    task_index_ = task;
+    if (options_.record_joints && !task_.listen_to_joints)
+      return absl::UnimplementedError("this robot keeps no record of its joints");
+    if (unit_.policy == "expert") {
+      RS_ASSIGN_OR_RETURN(local_, task_.make_expert());
+    }
+    return absl::OkStatus();
+  }
+
+  void DescribeEpisode(const PlannedEpisode& planned, const EpisodeRecord& record,
+                       JointLog& log) const {
+    log.suite = unit_.suite;
+    log.scenario = ScenarioLabel(unit_.scenario);
+    log.policy = unit_.policy;
+    log.severity = unit_.severity;
+    log.task = planned.task;
+    log.episode = planned.episode;
+    log.initial_state = planned.initial_state;
+    log.success = record.success;
+    for (const ExecutedChunk& chunk : record.chunks) {
+      for (const ExecutedStep& step : chunk.steps) {
+        log.states.push_back(step.before);
+        log.actions.push_back(step.sent_command);
+      }
+    }
+    if (!record.chunks.empty()) log.states.push_back(record.chunks.back().final_state);
+  }
+
+  const UnitConfig& unit_;  // resolved
+  const SimUnitOptions& options_;
+  const TaskFactory& make_task_;
+  int task_index_ = -1;
+  UnitTask task_;
+  UnitTask clean_task_;  // the same task without joint errors; with measure_lag only
+  std::unique_ptr<PolicyEndpoint> local_;  // expert (reads task_), replay
+  std::unique_ptr<GrpcPolicyClient> client_;
+  uint64_t sequence_ = 0;  // of the last feedback sent
+};
+
+}  // namespace
+
+absl::Status RunSimUnit(const UnitConfig& unit, const SimUnitOptions& options,
+                        const TaskFactory& make_task) {
+  RS_ASSIGN_OR_RETURN(const UnitConfig resolved, ResolveUnit(unit));
+  if (!RunsInWorker(resolved.policy) && options.server.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("policy '", resolved.policy,
+                     "' runs in a policy server; start one with `robostress serve --policy ",
+                     resolved.policy, "` and pass its address with --server HOST:PORT"));
+  }
+  SimPlayer player(resolved, options, make_task);
+  return RunUnit(resolved, options.run, player);
+}
+
+SessionSpec SessionSpecOf(const UnitConfig& resolved) {
+  SessionSpec spec;
+  spec.suite = resolved.suite;
+  spec.scenario = ScenarioLabel(resolved.scenario);
+  spec.severity = resolved.severity;
+  spec.policy = resolved.policy;
+  spec.seed = resolved.seed;
+  spec.mode = ExecutionMode::kLockstep;
+  spec.control_space = ControlSpace::kEndEffector;
+  spec.goal_reference = resolved.sim.goal_reference;
+  spec.method = resolved.method;
+  return spec;
+}
+
+}  // namespace robostress

@@ -1,0 +1,120 @@
+// Our client against a server made of openpi's own packages, from PyPI. It is skipped, with the
+// reason, where they cannot be installed.
+#include <fcntl.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "common/wire/openpi_answer.h"
+#include "common/wire/openpi_connection.h"
+#include "common/wire/openpi_dialect.h"
+#include "tests/common/wire/openpi_venv.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+// openpi_peer_server.py, ended with this.
+class PeerServer {
+ public:
+  explicit PeerServer(const char* dialect) {
+    int ends[2];
+    EXPECT_EQ(pipe(ends), 0);
+    child_ = fork();
+    if (child_ == 0) {
+      dup2(ends[1], STDOUT_FILENO);
+      dup2(open("/dev/null", O_WRONLY), STDERR_FILENO);
+      execl(OpenpiVenv::Get().python.c_str(), "python", OPENPI_PEER_SERVER, dialect, nullptr);
+      _exit(127);
+    }
+    close(ends[1]);
+    for (char c; read(ends[0], &c, 1) == 1 && c != '\n';) port_ += c;
+    close(ends[0]);
+  }
+  ~PeerServer() {
+    kill(child_, SIGKILL);
+    waitpid(child_, nullptr, 0);
+  }
+  std::string url() const { return absl::StrCat("ws://127.0.0.1:", port_); }
+
+ private:
+  pid_t child_ = 0;
+  std::string port_;
+};
+
+class OpenpiPeer : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    if (!OpenpiVenv::Get().failure.empty()) GTEST_SKIP() << OpenpiVenv::Get().failure;
+  }
+  static Observation Seen(int views, int state) {
+    Observation observation;
+    observation.instruction = "do something";
+    for (int i = 0; i < views; ++i) {
+      Image image{224, 224, std::vector<uint8_t>(3 * 224 * 224)};
+      for (size_t k = 0; k < image.data.size(); ++k)
+        image.data[k] = static_cast<uint8_t>(200 + i + k % 50);
+      observation.views.push_back({absl::StrCat("camera", i), std::move(image)});
+    }
+    observation.proprioception = Eigen::VectorXf::LinSpaced(state, 0.5f, 8.5f);
+    return observation;
+  }
+};
+
+TEST_F(OpenpiPeer, AnswersWhatWeSendInEveryDialect) {
+  struct Case {
+    const char* dialect;
+    int views, state, actions;
+  };
+  for (const Case& c : {Case{"libero", 2, 8, 7}, {"aloha", 3, 14, 14}, {"droid", 2, 8, 8}}) {
+    const PeerServer server(c.dialect);
+    const auto connection = OpenpiConnection::Connect(server.url());
+    ASSERT_TRUE(connection.ok()) << c.dialect << connection.status();
+    EXPECT_NE((*connection)->metadata().Find("reset_pose"), nullptr);
+    const Observation seen = Seen(c.views, c.state);
+    for (int i = 0; i < 3; ++i) {
+      const auto bytes =
+          (*connection)->Ask(*WriteOpenpiObservation(seen, *OpenpiDialectNamed(c.dialect)));
+      ASSERT_TRUE(bytes.ok()) << c.dialect << bytes.status();
+      const auto answer = ReadOpenpiAnswer(*DecodeOpenpiValue(*bytes), {1, 50}, c.actions);
+      ASSERT_TRUE(answer.ok()) << c.dialect << answer.status();
+      ASSERT_EQ(answer->actions.rows(), 10);
+      EXPECT_EQ(answer->actions(3, 1), seen.proprioception[1] + 3);  // float64 there
+      EXPECT_EQ(answer->actions(0, c.actions - 1), 200) << "the first pixel of the first view";
+      EXPECT_EQ(answer->infer_ms, 1.5);
+    }
+  }
+}
+
+TEST_F(OpenpiPeer, KeepsUsWhileWeSimulate) {
+  const PeerServer server("libero");
+  const auto connection = OpenpiConnection::Connect(server.url());
+  ASSERT_TRUE(connection.ok()) << connection.status();
+  absl::SleepFor(absl::Seconds(1));  // it would cut us after 0.4 s
+  const auto message = WriteOpenpiObservation(Seen(2, 8), *OpenpiDialectNamed("libero"));
+  const auto answer = (*connection)->Ask(*message);
+  EXPECT_TRUE(answer.ok()) << answer.status();
+}
+
+TEST_F(OpenpiPeer, TellsUsTheLastLineOfItsTraceback) {
+  const PeerServer server("aloha");
+  const auto connection = OpenpiConnection::Connect(server.url());
+  ASSERT_TRUE(connection.ok()) << connection.status();
+  const absl::Status failed =
+      (*connection)
+          ->Ask(*WriteOpenpiObservation(Seen(2, 8), *OpenpiDialectNamed("libero")))
+          .status();
+  EXPECT_EQ(failed.code(), absl::StatusCode::kInternal);
+  EXPECT_THAT(std::string(failed.message()),
+              HasSubstr("/: the policy server failed: KeyError: 'images'"));
+}
+
+}  // namespace
+}  // namespace robostress
