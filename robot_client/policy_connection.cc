@@ -4,6 +4,7 @@
 
 #include "adapter/method_options.h"
 #include "common/config.h"
+#include "common/robot_description.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -22,7 +23,7 @@ PolicyLink::Connect ConnectTo(const PolicyConnectionOptions& options, double con
     client.reconnect_timeout_s = 0;  // the arm holds and asks again; each call tries to resume
     RequestedSession session;
     session.robot = options.robot;
-    session.control_space = ControlSpace::kJoint;
+    session.control_space = kPiper.control_space;
     session.suite = options.suite;
     session.scenario = options.scenario;
     session.policy = options.policy;

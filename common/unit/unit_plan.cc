@@ -37,7 +37,8 @@ absl::Status CheckKnown(const char* what, const std::string& name,
 // A scenario of the Panda's has levels and joints; an arm is checked by who builds it.
 absl::Status CheckScenario(const UnitConfig& unit, const RobotInfo& robot) {
   if (robot.arms.empty()) return MakeScenario(unit.scenario, unit.severity).status();
-  if (IsScenarioFile(unit.scenario)) return ReadScenarioFile(unit.scenario).status();
+  if (IsScenarioFile(unit.scenario))
+    return ReadScenarioFile(unit.scenario, robot.description).status();
   return CheckKnown("scenario", unit.scenario, ScenariosOf(robot));
 }
 

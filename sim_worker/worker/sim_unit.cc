@@ -11,6 +11,7 @@
 #include "common/config.h"
 #include "common/image.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/robot_description.h"
 #include "common/rollout/replay_chunks.h"
 #include "common/rollout/replay_policy.h"
 #include "common/rollout/rollout.h"
@@ -203,7 +204,8 @@ RequestedSession SessionOf(const UnitConfig& resolved) {
   spec.policy = resolved.policy;
   spec.seed = resolved.seed;
   spec.mode = ExecutionMode::kLockstep;
-  spec.control_space = ControlSpace::kEndEffector;
+  spec.control_space = kPanda.control_space;
+  spec.control_period_s = kPanda.control_period_s;
   spec.goal_reference = resolved.sim.goal_reference;
   spec.method_yaml = DumpConfig(*resolved.method);
   return spec;

@@ -163,6 +163,21 @@ TEST(PiperStudyReport, ComparesMethodsOnTheSameInitialStates) {
   EXPECT_EQ(*ReadFile(out + "/report.md"), first);
 }
 
+TEST(PiperStudyReport, TellsTheObjectVariantsApart) {
+  const std::string out = Folder("variants");
+  PiperStudyOptions options;
+  options.experiments = {"unseen"};
+  options.episodes = 10;  // two of each
+  const PaperProtocol protocol = ProtocolOf(options, out);
+  const auto plans = PlanPiperStudy(options, protocol, PolicyHome::kElsewhere);
+  ASSERT_TRUE(plans.ok()) << plans.status();
+  for (const PlannedUnit& unit : *PaperUnits(plans->front().grids)) WriteUnit(out, unit, "10");
+  const auto run = LoadRun(out);
+  ASSERT_TRUE(run.ok()) << run.status();
+  ASSERT_TRUE(WritePiperPage(*plans, protocol, *run).ok());
+  EXPECT_THAT(*ReadFile(out + "/report.md"), HasSubstr("| task 4 | 1/2 | 1/2 | 1/2 |"));
+}
+
 TEST(PiperStudyReport, SaysWhichWordsThePolicyDoesNotKnow) {
   const std::string weights = Folder("words") + "/nano.safetensors";
   SafetensorsWriter writer;
