@@ -2,9 +2,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/embedded_policies.h"
 #include "common/joint_errors/scenarios.h"
-#include "common/method_options.h"
 
 namespace robostress {
 namespace {
