@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
@@ -50,7 +51,7 @@ std::string VariantsText(const RunData& run) {
     const SuiteInfo* suite = FindSuite(unit.config.suite);
     if (suite == nullptr || !suite->states_go_on) continue;
     const std::string column =
-        absl::StrCat(PolicyLabel(unit.config.policy), " ", unit.config.method.method);
+        absl::StrCat(PolicyLabel(unit.config.policy), " ", unit.config.method->method);
     columns.insert(column);
     for (const EpisodeRow& row : unit.episodes) {
       auto& [won, n] = rows[row.instruction.value_or(absl::StrCat("task ", row.task))][column];

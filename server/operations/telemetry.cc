@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "adapter/plausible_motion.h"
 
 namespace robostress {
@@ -10,7 +11,7 @@ namespace {
 
 ResidualOptions OptionsOf(const SessionSpec& spec) {
   ResidualOptions options = ResidualOptionsOf(
-      spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
+      *spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
   options.translation_scale = spec.translation_scale;
   options.rotation_scale = spec.rotation_scale;
   return options;

@@ -4,19 +4,20 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 
 namespace robostress {
 
 std::string SessionIdentity(const SessionSpec& spec) {
   return absl::StrJoin({spec.suite, spec.scenario, absl::StrCat(spec.severity), spec.policy,
-                        spec.method.method, absl::StrCat(spec.seed)},
+                        spec.method->method, absl::StrCat(spec.seed)},
                        "/");
 }
 
 StreamKey NoiseKey(const SessionSpec& spec, int task, int episode, int chunk) {
   return StreamKey("prediction_noise")
-      .With(spec.method.noise_stream)
+      .With(spec.method->noise_stream)
       .With(spec.seed)
       .With(spec.suite)
       .With(int64_t{task})
@@ -38,7 +39,7 @@ absl::StatusOr<ComputedPrediction> ComputePrediction(Batcher& batcher, Predictio
                                                      int episode, int chunk) {
   const FlowPolicy& policy = *job.policy;
   job.observation = &observation;
-  job.with_base = spec.method.track_intent || spec.method.target == TargetReference::kIntent;
+  job.with_base = spec.method->track_intent || spec.method->target == TargetReference::kIntent;
   ComputedPrediction result;
   try {
     torch::NoGradGuard no_grad;

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/monotonic_wait.h"
 #include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
@@ -26,10 +27,16 @@ NominalArmOptions ArmOptions(const SessionSpec& spec) {
 
 ResidualOptions ScaledResidualOptions(const SessionSpec& spec) {
   ResidualOptions options = ResidualOptionsOf(
-      spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
+      *spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
   options.translation_scale = spec.translation_scale;
   options.rotation_scale = spec.rotation_scale;
   return options;
+}
+
+// Of a method that does not adapt, the defaults: nothing comes into its buffer.
+LoraOptions LoraOf(const SessionSpec& spec) {
+  const LoraOptions* lora = spec.method->Find<LoraOptions>();
+  return lora == nullptr ? LoraOptions() : *lora;
 }
 
 PolicySpec SpecOf(const SessionResources& resources) {
@@ -67,9 +74,9 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
       key_(StreamKey("session").With(SessionIdentity(spec))),
       residual_options_(ScaledResidualOptions(spec)),
       rules_(&spec_, resources_.policy.get()),
-      correction_(spec.method, residual_options_, ArmOptions(spec)),
-      buffer_(spec.method.buffer_chunks),
-      schedule_(spec.method.buffer_chunks, spec.method.update_interval),
+      correction_(*spec.method, residual_options_, ArmOptions(spec)),
+      buffer_(LoraOf(spec).buffer_chunks),
+      schedule_(LoraOf(spec).buffer_chunks, LoraOf(spec).update_interval),
       arm_(ArmOptions(spec)) {}
 
 Session::~Session() = default;
@@ -82,9 +89,9 @@ absl::StatusOr<std::shared_ptr<Session>> Session::Create(SessionSpec spec,
   RS_ASSIGN_OR_RETURN(spec.control_space, ControlSpaceOf(spec, resources.policy->spec()));
   RS_RETURN_IF_ERROR(CheckSessionSpec(spec, resources.policy->spec()));
   auto session = std::shared_ptr<Session>(new Session(spec, resources, owner, guard));
-  if (spec.method.adapt) {
+  if (const LoraOptions* lora = spec.method->Find<LoraOptions>()) {
     RS_ASSIGN_OR_RETURN(session->adapter_,
-                        LoraAdapter::Create(resources.policy.get(), spec.method, session->key_));
+                        LoraAdapter::Create(resources.policy.get(), *lora, session->key_));
   }
   return session;
 }
@@ -123,7 +130,7 @@ void Session::ClearBuffer() {
 absl::Status Session::RequireAdapter(const char* purpose) const {
   if (adapter_ != nullptr) return absl::OkStatus();
   return absl::FailedPreconditionError(
-      absl::StrCat("method ", spec_.method.method, " has no adapter to ", purpose));
+      absl::StrCat("method ", spec_.method->method, " has no adapter to ", purpose));
 }
 
 absl::Status Session::StartEpisode(int task, int episode, uint64_t last_sequence) {
@@ -219,8 +226,8 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
   result.base_actions = std::move(computed->base_actions);
   result.actions = result.policy_actions;
   const Eigen::Index arm = result.actions.cols() - 1;
-  if (spec_.method.gain != 1.0) {
-    result.actions.leftCols(arm) *= static_cast<float>(spec_.method.gain);
+  if (spec_.method->gain != 1.0) {
+    result.actions.leftCols(arm) *= static_cast<float>(spec_.method->gain);
   }
   if (correction.size() > 0) {
     constexpr double kWidest = kWidestCommand;  // what does not fit in a float would be undefined
@@ -228,7 +235,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
         correction.head(arm).cwiseMax(-kWidest).cwiseMin(kWidest).cast<float>().transpose();
   }
   // After the last stage, whatever it was.
-  if (spec_.method.gain != 1.0 || correction.size() > 0)
+  if (spec_.method->gain != 1.0 || correction.size() > 0)
     BoundCommands(policy_spec(), result.policy_actions, result.actions);
 
   Prediction prediction{result.prediction_id, task, episode, chunk};
@@ -239,7 +246,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(const Observation& observation, 
     prediction.observation = std::make_shared<const Observation>(observation);
     prediction.prefix = resources_.prefixes->Add(resources_.policy, prediction.observation,
                                                  std::move(computed->context));
-    if (spec_.method.target == TargetReference::kIntent) prediction.base = result.base_actions;
+    if (spec_.method->target == TargetReference::kIntent) prediction.base = result.base_actions;
   }
   const std::string record = PredictionRecord(prediction);
   std::shared_ptr<RecordWriter> writer;

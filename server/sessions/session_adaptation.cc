@@ -6,6 +6,7 @@
 #include "adapter/adam.h"
 #include "adapter/adaptation_state.h"
 #include "adapter/lora.h"
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/inference/without_exceptions.h"
@@ -18,8 +19,8 @@ AdaptationState Session::CurrentAdaptation() {
   AdaptationState state;
   state.policy = policy_spec().name;
   state.model_hash = policy_spec().model_hash;
-  state.method = spec_.method.method;
-  state.lora_kind = spec_.method.lora;
+  state.method = spec_.method->method;
+  state.lora_kind = spec_.method->Find<LoraOptions>()->kind;
   state.session = SessionIdentity(spec_);
   state.lora = adapter_->Export();
   state.triggers = triggers_;
@@ -58,15 +59,16 @@ absl::StatusOr<AdaptationState> Session::ReadAdaptation(const std::string& name,
   RS_ASSIGN_OR_RETURN(
       AdaptationState state,
       ParseAdaptationState(name, safetensors, *resources_.policy, policy_spec().model_hash));
-  if (state.method != spec_.method.method || state.policy != policy_spec().name) {
+  if (state.method != spec_.method->method || state.policy != policy_spec().name) {
     return absl::InvalidArgumentError(absl::StrCat(
         "the adapter was learned by method ", state.method, " on policy ", state.policy,
-        "; this session runs method ", spec_.method.method, " on policy ", policy_spec().name));
+        "; this session runs method ", spec_.method->method, " on policy ", policy_spec().name));
   }
-  if (state.lora_kind != spec_.method.lora) {
+  const LoraOptions* lora = spec_.method->Find<LoraOptions>();
+  if (lora != nullptr && state.lora_kind != lora->kind) {
     return absl::InvalidArgumentError(
         absl::StrCat("the adapter's parameters are ", LoraKindName(state.lora_kind),
-                     "; this session's method has lora: ", LoraKindName(spec_.method.lora),
+                     "; this session's method has lora: ", LoraKindName(lora->kind),
                      "; open the session with the adapter's kind"));
   }
   return state;

@@ -3,11 +3,14 @@
 
 #include <algorithm>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "adapter/adaptation_state.h"
+#include "adapter/method_options.h"
+#include "common/check.h"
 #include "common/rollout/message_limits.h"
 #include "common/rpc/convert_chunks.h"
 #include "common/status_macros.h"
@@ -32,12 +35,28 @@ absl::Status Damaged(const absl::Status& status) {
   return absl::DataLossError(absl::StrCat("state on disk: ", status.message()));
 }
 
-void Store(const Eigen::VectorXd& values, google::protobuf::RepeatedField<double>* into) {
-  into->Add(values.data(), values.data() + values.size());
+// A corrector's state is the field of numbers with the name of its way.
+void StoreCorrection(const CommandCorrection::State& state, v1::StateAdaptation& counters) {
+  for (const auto& [name, values] : state) {
+    const auto* field = counters.GetDescriptor()->FindFieldByName(name);
+    RS_CHECK(field != nullptr);  // a way whose state has no field in state.proto
+    auto into = counters.GetReflection()->GetMutableRepeatedFieldRef<double>(&counters, field);
+    for (const double value : values) into.Add(value);
+  }
 }
 
-Eigen::VectorXd Stored(const google::protobuf::RepeatedField<double>& values) {
-  return Eigen::Map<const Eigen::VectorXd>(values.data(), values.size());
+CommandCorrection::State StoredCorrection(const v1::StateAdaptation& counters) {
+  CommandCorrection::State state;
+  std::vector<const google::protobuf::FieldDescriptor*> fields;
+  counters.GetReflection()->ListFields(counters, &fields);
+  for (const auto* field : fields) {
+    if (!field->is_repeated() || field->cpp_type() != field->CPPTYPE_DOUBLE) continue;
+    const auto values = counters.GetReflection()->GetRepeatedFieldRef<double>(counters, field);
+    Eigen::VectorXd& into = state[std::string(field->name())];
+    into.resize(values.size());
+    std::copy(values.begin(), values.end(), into.begin());
+  }
+  return state;
 }
 
 absl::Status WriteSnapshot(const SessionSnapshot& snapshot, const std::vector<LoraTarget>& targets,
@@ -143,10 +162,7 @@ SessionSnapshot Session::Capture() {
   counters.set_episode(episode_ ? episode_->second : -1);
   counters.set_next_chunk(static_cast<uint32_t>(next_chunk_));
   for (const uint64_t boundary : boundaries_) counters.add_boundaries(boundary);
-  const CommandCorrection::State correction = correction_.state();
-  Store(correction.direct, counters.mutable_direct_correction());
-  Store(correction.integral, counters.mutable_integral_action());
-  Store(correction.following, counters.mutable_model_following());
+  StoreCorrection(correction_.state(), counters);
   if (adapter_ != nullptr) {
     snapshot.adaptation = CurrentAdaptation();
     snapshot.versions = adapter_->Versions();
@@ -241,9 +257,7 @@ absl::Status Session::Restore(const SessionSnapshot& snapshot) {
       next_chunk_ = std::max(next_chunk_, prediction.chunk + 1);
   }
   boundaries_.insert(counters.boundaries().begin(), counters.boundaries().end());
-  if (!correction_.set_state({Stored(counters.direct_correction()),
-                              Stored(counters.integral_action()),
-                              Stored(counters.model_following())})) {
+  if (!correction_.set_state(StoredCorrection(counters))) {
     return absl::DataLossError(
         "state on disk: a correction of the commands that the method does not make, none where it "
         "makes one, or values that it cannot have");
@@ -308,9 +322,11 @@ absl::Status Session::ReadSnapshotRecord(const v1::StateRecord& record,
       return absl::OkStatus();
     }
     case v1::StateRecord::kBuffered: {
-      if (static_cast<int>(snapshot.buffer.size()) >= spec_.method.buffer_chunks) {
-        return absl::DataLossError(absl::StrCat("more chunks are buffered than buffer_chunks, ",
-                                                spec_.method.buffer_chunks));
+      const LoraOptions* lora = spec_.method->Find<LoraOptions>();
+      const size_t room = lora == nullptr ? 0 : lora->buffer_chunks;
+      if (snapshot.buffer.size() >= room) {
+        return absl::DataLossError(
+            absl::StrCat("more chunks are buffered than buffer_chunks, ", room));
       }
       RS_ASSIGN_OR_RETURN(StoredChunk chunk, FromRecord(record.buffered()));
       RS_RETURN_IF_ERROR(

@@ -8,6 +8,7 @@
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "adapter/compensation.h"
+#include "adapter/method_options.h"
 #include "adapter/plausible_motion.h"
 #include "adapter/pseudo_target.h"
 #include "common/rollout/spec_checks.h"
@@ -53,8 +54,8 @@ absl::StatusOr<BufferedChunk> Session::MakeTrainingChunk(const ExecutedChunk& ex
   if (executed.chunk == 0 || arm_episode_ != episode) {
     arm.Reset();
   }
-  if (!spec_.method.use_residual) {  // eta = 0: the raw prediction itself, without a round trip
-                                     // through ToEnvironment
+  // eta = 0: the raw prediction itself, without a round trip through ToEnvironment.
+  if (!spec_.method->Find<LoraOptions>()->use_residual) {
     chunk.target = prediction.raw;
     return chunk;
   }
@@ -64,7 +65,7 @@ absl::StatusOr<BufferedChunk> Session::MakeTrainingChunk(const ExecutedChunk& ex
   }
   RS_ASSIGN_OR_RETURN(
       const Eigen::MatrixXd residual,
-      ReferencedResidual(executed, spec_.method.target, residual_options_, base, &arm));
+      ReferencedResidual(executed, spec_.method->target, residual_options_, base, &arm));
   try {
     torch::NoGradGuard no_grad;
     chunk.target =
@@ -164,12 +165,11 @@ void Session::TriggerUpdate() {
   const uint64_t index = triggers_++;
   const StreamKey key = key_.With("update").With(static_cast<int64_t>(index));
   // The batch, and for the guard what follows it in the same permutation.
-  const int held_out =
-      guard_.enabled ? std::min(guard_.chunks, buffer_.size() - spec_.method.batch) : 0;
+  const int size = spec_.method->Find<LoraOptions>()->batch;
+  const int held_out = guard_.enabled ? std::min(guard_.chunks, buffer_.size() - size) : 0;
   std::vector<BufferedChunk> batch, rest;
-  for (const int i :
-       SampleWithoutReplacement(key.With("batch"), buffer_.size(), spec_.method.batch + held_out)) {
-    auto& into = static_cast<int>(batch.size()) < spec_.method.batch ? batch : rest;
+  for (const int i : SampleWithoutReplacement(key.With("batch"), buffer_.size(), size + held_out)) {
+    auto& into = static_cast<int>(batch.size()) < size ? batch : rest;
     into.push_back(buffer_[i]);
   }
   ++pending_updates_;

@@ -25,6 +25,7 @@
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/sessions/read_spec.h"
 #include "tests/adapter/toy_arm.h"
 #include "tests/common/wire/openpi_bytes.h"
 #include "tests/server/serve_process.h"

@@ -1,6 +1,7 @@
 #include "server/sessions/journal/record_file.h"
 
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <sys/uio.h>
 #include <unistd.h>
 #include <zlib.h>
@@ -9,17 +10,18 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <optional>
 
+#include "absl/cleanup/cleanup.h"
 #include "absl/strings/str_cat.h"
-#include "common/atomic_file.h"
 #include "common/status_macros.h"
 
 namespace robostress {
 namespace {
 
-constexpr uint32_t kMagic = 0x31525352;  // "RSR1"
-constexpr size_t kFrame = 20;            // bytes before the payload
-constexpr uint64_t kMaxFileBytes = uint64_t{16} << 30;
+constexpr uint32_t kMagic = 0x31525352;        // "RSR1"
+constexpr size_t kFrame = 20;                  // bytes before the payload
+constexpr size_t kWindow = size_t{256} << 10;  // [bytes] of a file looked through at once
 
 uint32_t Load32(const char* bytes) {
   uint32_t value = 0;
@@ -33,13 +35,14 @@ uint64_t Load64(const char* bytes) {
   return value;
 }
 
-// Over the frame's length and number, which lie together, and the payload.
-uint32_t Crc(const char* length_and_number, std::string_view payload) {
-  uLong crc = crc32(0, reinterpret_cast<const Bytef*>(length_and_number), 12);
-  crc =
-      crc32(crc, reinterpret_cast<const Bytef*>(payload.data()), static_cast<uInt>(payload.size()));
-  return static_cast<uint32_t>(crc);
+// CRC-32 that goes on from `crc`: 0, then a frame's length and number, then the payload.
+uint32_t Crc(uint32_t crc, std::string_view bytes) {
+  return static_cast<uint32_t>(
+      crc32(crc, reinterpret_cast<const Bytef*>(bytes.data()), static_cast<uInt>(bytes.size())));
 }
+
+// Of a frame's length and number, which lie together.
+uint32_t CrcOfFrame(const char* frame) { return Crc(0, {frame + 4, 12}); }
 
 std::array<char, kFrame> Frame(uint64_t number, std::string_view payload) {
   std::array<char, kFrame> frame;
@@ -47,31 +50,9 @@ std::array<char, kFrame> Frame(uint64_t number, std::string_view payload) {
   std::memcpy(&frame[0], &kMagic, 4);
   std::memcpy(&frame[4], &length, 4);
   std::memcpy(&frame[8], &number, 8);
-  const uint32_t crc = Crc(&frame[4], payload);
+  const uint32_t crc = Crc(CrcOfFrame(frame.data()), payload);
   std::memcpy(&frame[16], &crc, 4);
   return frame;
-}
-
-// The payload of a whole record at `offset`; null data: there is none.
-std::string_view RecordAt(std::string_view bytes, size_t offset, uint64_t& number) {
-  if (bytes.size() - offset < kFrame || Load32(&bytes[offset]) != kMagic) return {};
-  const uint32_t length = Load32(&bytes[offset + 4]);
-  if (length > kMaxRecordBytes || length > bytes.size() - offset - kFrame) return {};
-  const std::string_view payload(bytes.data() + offset + kFrame, length);
-  if (Crc(&bytes[offset + 4], payload) != Load32(&bytes[offset + 16])) return {};
-  number = Load64(&bytes[offset + 8]);
-  return payload;
-}
-
-// Whether a whole record with a number above `after` starts anywhere from `offset` on.
-bool WholeRecordFollows(std::string_view bytes, size_t offset, uint64_t after) {
-  const std::string_view magic(reinterpret_cast<const char*>(&kMagic), 4);
-  while ((offset = bytes.find(magic, offset)) != std::string_view::npos) {
-    uint64_t number = 0;
-    if (RecordAt(bytes, offset, number).data() != nullptr && number > after) return true;
-    ++offset;
-  }
-  return false;
 }
 
 absl::Status Errno(const char* action, const std::string& path, int error) {
@@ -148,21 +129,83 @@ absl::Status RecordWriter::Sync() {
   return Errno("cannot sync", path_, errno);
 }
 
-absl::StatusOr<RecordExtent> ReadRecordBytes(
-    const std::string& name, std::string_view bytes, bool may_be_torn,
-    absl::FunctionRef<absl::Status(std::string_view)> take) {
+namespace {
+
+// Bytes that are read where they are asked for.
+struct Source {
+  const std::string& name;
+  uint64_t size = 0;
+  absl::FunctionRef<absl::Status(uint64_t offset, char* into, size_t size)> read;
+};
+
+struct Framed {
+  uint64_t offset = 0, number = 0;
+  uint32_t length = 0;
+  uint32_t crc_of_frame = 0, crc = 0;
+};
+
+// What says that it is a record at `offset` and ends within the source.
+absl::StatusOr<std::optional<Framed>> FrameAt(const Source& source, uint64_t offset) {
+  if (source.size - offset < kFrame) return std::nullopt;
+  char frame[kFrame];
+  RS_RETURN_IF_ERROR(source.read(offset, frame, kFrame));
+  const uint32_t length = Load32(&frame[4]);
+  if (Load32(frame) != kMagic || length > kMaxRecordBytes || length > source.size - offset - kFrame)
+    return std::nullopt;
+  return Framed{offset, Load64(&frame[8]), length, CrcOfFrame(frame), Load32(&frame[16])};
+}
+
+// Whether its payload is what was written; a window of it in memory at a time.
+absl::StatusOr<bool> IsWhole(const Source& source, const Framed& framed) {
+  uint32_t crc = framed.crc_of_frame;
+  std::string window;
+  for (uint64_t done = 0; done < framed.length; done += window.size()) {
+    window.resize(std::min<uint64_t>(kWindow, framed.length - done));
+    RS_RETURN_IF_ERROR(source.read(framed.offset + kFrame + done, window.data(), window.size()));
+    crc = Crc(crc, window);
+  }
+  return crc == framed.crc;
+}
+
+// Whether a whole record with a number above `after` starts anywhere from `offset` on.
+absl::StatusOr<bool> WholeRecordFollows(const Source& source, uint64_t offset, uint64_t after) {
+  const std::string_view magic(reinterpret_cast<const char*>(&kMagic), 4);
+  std::string window;
+  while (source.size - offset >= kFrame) {
+    window.resize(std::min<uint64_t>(kWindow, source.size - offset));
+    RS_RETURN_IF_ERROR(source.read(offset, window.data(), window.size()));
+    for (size_t at = window.find(magic); at != std::string::npos; at = window.find(magic, at + 1)) {
+      RS_ASSIGN_OR_RETURN(const std::optional<Framed> framed, FrameAt(source, offset + at));
+      if (!framed || framed->number <= after) continue;
+      RS_ASSIGN_OR_RETURN(const bool whole, IsWhole(source, *framed));
+      if (whole) return true;
+    }
+    offset += window.size() - (magic.size() - 1);  // one may lie across the window's end
+  }
+  return false;
+}
+
+absl::StatusOr<RecordExtent> ReadFrom(const Source& source, bool may_be_torn,
+                                      absl::FunctionRef<absl::Status(std::string_view)> take) {
   RecordExtent extent;
-  while (extent.bytes < bytes.size()) {
-    uint64_t number = 0;
-    const std::string_view payload = RecordAt(bytes, extent.bytes, number);
-    if (payload.data() == nullptr || number != extent.records + 1) {
-      if (may_be_torn && payload.data() == nullptr &&
-          !WholeRecordFollows(bytes, extent.bytes + 1, extent.records)) {
-        extent.torn = true;
-        return extent;
+  std::string payload;  // one record at a time
+  while (extent.bytes < source.size) {
+    RS_ASSIGN_OR_RETURN(const std::optional<Framed> framed, FrameAt(source, extent.bytes));
+    bool whole = false;
+    if (framed) {
+      payload.resize(framed->length);
+      RS_RETURN_IF_ERROR(source.read(extent.bytes + kFrame, payload.data(), payload.size()));
+      whole = Crc(framed->crc_of_frame, payload) == framed->crc;
+    }
+    if (!whole || framed->number != extent.records + 1) {
+      if (may_be_torn && !whole) {
+        RS_ASSIGN_OR_RETURN(const bool follows,
+                            WholeRecordFollows(source, extent.bytes + 1, extent.records));
+        extent.torn = !follows;
+        if (extent.torn) return extent;
       }
       return absl::DataLossError(
-          absl::StrCat(name, ": record ", extent.records + 1, " at byte ", extent.bytes,
+          absl::StrCat(source.name, ": record ", extent.records + 1, " at byte ", extent.bytes,
                        " is damaged; restore the file, or remove the session's folder to start it "
                        "anew"));
     }
@@ -173,10 +216,37 @@ absl::StatusOr<RecordExtent> ReadRecordBytes(
   return extent;
 }
 
+}  // namespace
+
+absl::StatusOr<RecordExtent> ReadRecordBytes(
+    const std::string& name, std::string_view bytes, bool may_be_torn,
+    absl::FunctionRef<absl::Status(std::string_view)> take) {
+  const auto copy = [bytes](uint64_t offset, char* into, size_t size) {
+    if (size > 0) std::memcpy(into, bytes.data() + offset, size);
+    return absl::OkStatus();
+  };
+  return ReadFrom({name, bytes.size(), copy}, may_be_torn, take);
+}
+
 absl::StatusOr<RecordExtent> ReadRecords(const std::string& path, bool may_be_torn,
                                          absl::FunctionRef<absl::Status(std::string_view)> take) {
-  RS_ASSIGN_OR_RETURN(const std::string bytes, ReadFileUpTo(path, kMaxFileBytes));
-  return ReadRecordBytes(path, bytes, may_be_torn, take);
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return Errno("cannot open", path, errno);
+  const absl::Cleanup close = [fd] { ::close(fd); };
+  struct stat file;
+  if (::fstat(fd, &file) != 0) return Errno("cannot read", path, errno);
+  const auto read = [&path, fd](uint64_t offset, char* into, size_t size) -> absl::Status {
+    while (size > 0) {
+      const ssize_t count = ::pread(fd, into, size, static_cast<off_t>(offset));
+      if (count < 0 && errno == EINTR) continue;
+      if (count <= 0) return Errno("cannot read", path, count == 0 ? EIO : errno);
+      into += count;
+      offset += static_cast<uint64_t>(count);
+      size -= static_cast<size_t>(count);
+    }
+    return absl::OkStatus();
+  };
+  return ReadFrom({path, static_cast<uint64_t>(file.st_size), read}, may_be_torn, take);
 }
 
 absl::Status SyncDirectory(const std::string& directory) {

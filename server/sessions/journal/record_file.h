@@ -56,9 +56,9 @@ struct RecordExtent {
   bool torn = false;     // followed by the beginning of one that was never finished
 };
 
-// Hands the payloads to `take` in order; its error ends the reading. Trusts nothing. A damaged
-// record is DATA_LOSS, naming file and offset, unless `may_be_torn` and no whole record follows it:
-// then it is the end of a write that a crash cut off.
+// Hands the payloads to `take` in order, one in memory at a time; its error ends the reading.
+// Trusts nothing. A damaged record is DATA_LOSS, naming file and offset, unless `may_be_torn` and
+// no whole record follows it: then it is the end of a write that a crash cut off.
 absl::StatusOr<RecordExtent> ReadRecords(const std::string& path, bool may_be_torn,
                                          absl::FunctionRef<absl::Status(std::string_view)> take);
 // The same on bytes in memory; `name` is for messages.

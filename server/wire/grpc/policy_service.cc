@@ -24,6 +24,7 @@
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/operations/process_metrics.h"
 #include "server/sessions/journal/state_records.h"
+#include "server/sessions/read_spec.h"
 #include "server/wire/grpc/grpc_access.h"
 #include "server/wire/grpc/grpc_call.h"
 
@@ -370,7 +371,8 @@ class PolicyServer::Service {
   absl::Status Open(const Caller& caller, const v1::OpenSessionRequest& request,
                     v1::OpenSessionResponse& response) {
     SessionRequest wanted;
-    RS_ASSIGN_OR_RETURN(wanted.spec, FromProto(request.spec()));
+    RS_ASSIGN_OR_RETURN(const RequestedSession asked, FromProto(request.spec()));
+    RS_ASSIGN_OR_RETURN(wanted.spec, ReadSpec(asked));
     wanted.guard = options_.guard;
     if (request.has_guard()) {
       RS_ASSIGN_OR_RETURN(wanted.guard, FromRecord(request.guard()));

@@ -6,6 +6,7 @@
 #include <chrono>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/rollout/message_limits.h"
 #include "common/status_macros.h"
 #include "common/wire/openpi_readers.h"
@@ -109,7 +110,7 @@ absl::Status OpenpiConversation::Open(const OpenpiValue* session) {
   policy_ = opened.policy;
   control_period_s_ = spec.control_period_s;
   spdlog::info("{}: opened over WebSocket by {}, method {}", session_id_, caller_.name,
-               spec.method.method);
+               spec.method->method);
   return absl::OkStatus();
 }
 

@@ -234,8 +234,8 @@ TEST(NominalArmState, StaysWhereItIsWhenTheStepsOfALongControlPeriodDiverge) {
 
 TEST(CommandCorrectionState, IsKeptWhereAChunkWouldMakeItNoNumber) {
   const SessionSpec spec = Spec("direct");
-  const ResidualOptions residual = ResidualOptionsOf(spec.method);
-  CommandCorrection correction(spec.method, residual, {});
+  const ResidualOptions residual = ResidualOptionsOf(*spec.method);
+  CommandCorrection correction(*spec.method, residual, {});
   ExecutedChunk chunk =
       ToyArm(0.6).Execute(ConstantPrediction(Eigen::VectorXf::Constant(7, 0.3f), 5), 5);
   correction.Observe(chunk);

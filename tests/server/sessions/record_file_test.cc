@@ -88,6 +88,33 @@ TEST_F(RecordFileTest, ADamagedRecordBeforeAWholeOneIsDataLossAndNamed) {
   }
 }
 
+// The search for what follows damage goes over the file in windows of 256 KiB.
+TEST_F(RecordFileTest, AWholeRecordIsFoundBehindDamageWhereverItBegins) {
+  for (const size_t size : {262121, 262122, 262123, 262124, 262125, 262126, 900000}) {
+    std::filesystem::remove(path_);
+    Write({std::string(size, 'x'), "second"});
+    std::string damaged = *ReadFile(path_);
+    damaged[100] ^= 1;
+    ASSERT_TRUE(WriteFileAtomically(path_, damaged).ok());
+    EXPECT_EQ(Read().status().code(), absl::StatusCode::kDataLoss) << size;
+  }
+}
+
+TEST_F(RecordFileTest, BytesThatOnlyLookLikeARecordDoNotMakeATornOneDamaged) {
+  Write({"a", "b", "third"});
+  const std::string like = ReadFile(path_)->substr(42);  // "third", whose sum will be another
+  std::filesystem::remove(path_);
+  std::string inside = like;
+  inside.back() ^= 1;
+  Write({"first", inside + std::string(50, 'x')});
+  const std::string whole = *ReadFile(path_);
+  ASSERT_TRUE(WriteFileAtomically(path_, whole.substr(0, whole.size() - 10)).ok());
+  const auto extent = Read();
+  ASSERT_TRUE(extent.ok()) << extent.status();
+  EXPECT_TRUE(extent->torn);
+  EXPECT_EQ(extent->records, 1u);
+}
+
 TEST_F(RecordFileTest, ARecordThatWasMovedIsDataLoss) {
   Write({"first", "other"});
   const std::string whole = *ReadFile(path_);
