@@ -151,7 +151,8 @@ TEST(PiperStudyReport, ComparesMethodsOnTheSameInitialStates) {
   const PaperProtocol protocol = ProtocolOf(options, out);
   const auto plans = PlanPiperStudy(options, protocol, PolicyHome::kElsewhere);
   ASSERT_TRUE(plans.ok()) << plans.status();
-  for (const PlannedUnit& unit : *PaperUnits(plans->front().grids)) {
+  const std::vector<PlannedUnit> units = PaperUnits(plans->front().grids).value();
+  for (const PlannedUnit& unit : units) {
     if (unit.config.policy == protocol.robust) continue;
     WriteUnit(out, unit, unit.config.method->adapts() ? "1110110000" : "1100010000");
   }
@@ -176,7 +177,8 @@ TEST(PiperStudyReport, TellsTheObjectVariantsApart) {
   const PaperProtocol protocol = ProtocolOf(options, out);
   const auto plans = PlanPiperStudy(options, protocol, PolicyHome::kElsewhere);
   ASSERT_TRUE(plans.ok()) << plans.status();
-  for (const PlannedUnit& unit : *PaperUnits(plans->front().grids)) WriteUnit(out, unit, "10");
+  const std::vector<PlannedUnit> units = PaperUnits(plans->front().grids).value();
+  for (const PlannedUnit& unit : units) WriteUnit(out, unit, "10");
   const auto run = LoadRun(out);
   ASSERT_TRUE(run.ok()) << run.status();
   ASSERT_TRUE(WritePiperPage(*plans, protocol, *run).ok());
