@@ -145,7 +145,7 @@ void CheckScenarios(const SweepGrid& grid, const RobotInfo& robot, Complaints& c
     labels.push_back(ScenarioLabel(scenario));
     if (!IsScenarioFile(scenario)) {
       built_in.push_back(scenario);
-    } else if (const auto file = ReadScenarioFile(scenario, kPanda); !file.ok()) {
+    } else if (const auto file = ReadScenarioFile(scenario, robot.description); !file.ok()) {
       complaints.Add(std::string(file.status().message()));
     }
   }

@@ -231,6 +231,7 @@ class SecuredServer : public ::testing::Test {
  protected:
   void Start(std::shared_ptr<const TlsStore> tls, const std::string& authorization) {
     WebServerOptions options;
+    options.listen = "0.0.0.0:0";
     options.tls = std::move(tls);
     auto server = WebServer::Start(
         options, [](const WebRequest&) { return WebReply(); },
@@ -290,6 +291,8 @@ TEST_F(SecuredServer, TrustsTheAuthorityItWasGivenAndTheNameInTheCertificate) {
               AllOf(HasSubstr("TLS: "), HasSubstr("ROBOSTRESS_TLS_CA")));
   // Its certificate is 127.0.0.1's.
   EXPECT_THAT(Refusal(absl::StatusCode::kUnavailable, url("wss", "localhost"), options),
+              HasSubstr("mismatch"));
+  EXPECT_THAT(Refusal(absl::StatusCode::kUnavailable, url("wss", "127.0.0.2"), options),
               HasSubstr("mismatch"));
   EXPECT_THAT(Refusal(absl::StatusCode::kUnavailable, url("ws")), HasSubstr("127.0.0.1"));
   WebSocketOptions anonymous = options;
