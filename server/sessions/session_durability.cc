@@ -1,3 +1,4 @@
+#include <google/protobuf/reflection.h>
 #include <spdlog/spdlog.h>
 #include <torch/types.h>
 
