@@ -5,12 +5,11 @@
 namespace robostress {
 namespace {
 
-// Mean residual of the unmasked steps [action_dim]; none: nothing.
+// Mean of the unmasked rows [action_dim]; none: nothing. Masked rows are 0.
 std::optional<Eigen::VectorXd> MeanResidual(const ExecutedChunk& executed,
-                                            const ResidualOptions& options) {
+                                            const Eigen::MatrixXd& residual) {
   const auto masked = absl::c_count(executed.masked, true);
   if (masked == static_cast<int64_t>(executed.steps.size())) return std::nullopt;
-  const Eigen::MatrixXd residual = ChunkResidual(executed, options);  // masked rows are 0
   if (masked == 0) return residual.colwise().mean().transpose();
   return residual.colwise().sum().transpose() / static_cast<double>(residual.rows() - masked);
 }
@@ -19,7 +18,7 @@ std::optional<Eigen::VectorXd> MeanResidual(const ExecutedChunk& executed,
 
 CommandCorrection::CommandCorrection(const MethodOptions& method, const ResidualOptions& residual,
                                      const NominalArmOptions& arm)
-    : has_direct_(method.direct), residual_(residual) {
+    : has_direct_(method.direct) {
   if (method.integral_rate > 0) integral_.emplace(method, residual, arm);
   if (method.following_gain > 0) following_.emplace(method, residual, arm);
 }
@@ -30,9 +29,9 @@ void CommandCorrection::StartEpisode() {
   if (following_) following_->StartEpisode();
 }
 
-void CommandCorrection::Observe(const ExecutedChunk& chunk) {
+void CommandCorrection::Observe(const ExecutedChunk& chunk, const Eigen::MatrixXd& residual) {
   const State before = state();
-  if (has_direct_) direct_ = MeanResidual(chunk, residual_).value_or(direct_);
+  if (has_direct_) direct_ = MeanResidual(chunk, residual).value_or(direct_);
   if (integral_) integral_->Observe(chunk);
   if (following_) following_->Observe(chunk);
   if (!Holds(state())) set_state(before);

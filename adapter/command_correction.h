@@ -22,8 +22,9 @@ class CommandCorrection {
                     const NominalArmOptions& arm);
 
   void StartEpisode();
-  // A chunk after which the state would not hold leaves it as it was.
-  void Observe(const ExecutedChunk& chunk);
+  // `residual`: ChunkResidual of the chunk with these options. A chunk after which the state would
+  // not hold leaves it as it was.
+  void Observe(const ExecutedChunk& chunk, const Eigen::MatrixXd& residual);
   // [n] added to the first n entries of every command; empty: nothing.
   Eigen::VectorXd Value() const;
 
@@ -37,7 +38,6 @@ class CommandCorrection {
   bool Holds(const State& state) const;
 
   bool has_direct_;
-  ResidualOptions residual_;
   Eigen::VectorXd direct_;  // mean residual [action_dim] or empty: no chunk yet in this episode
   std::optional<IntegralAction> integral_;
   std::optional<ModelFollowing> following_;

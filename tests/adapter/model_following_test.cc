@@ -176,8 +176,8 @@ TEST(CommandCorrection, IsTheSumOfWhatTheMethodHasAndRefusesTheStateOfAnother) {
   DisturbedArm arm(1, kDisturbance);
   for (int i = 0; i < 4; ++i) {
     const ExecutedChunk chunk = arm.Execute(kCommand, -correction.Value());
-    correction.Observe(chunk);
-    nothing.Observe(chunk);
+    correction.Observe(chunk, ChunkResidual(chunk, ResidualOptionsOf(both)));
+    nothing.Observe(chunk, ChunkResidual(chunk, ResidualOptionsOf(none)));
     integral.Observe(chunk);
     following.Observe(chunk);
   }
@@ -195,8 +195,8 @@ TEST(CommandCorrection, DirectTakesTheMeanOfTheStepsThatCount) {
   DisturbedArm arm(0.8, kDisturbance);
   ExecutedChunk chunk = arm.Execute(kCommand, Vector6::Zero());
   chunk.masked = {true, false, true, false, true};
-  correction.Observe(chunk);
   const Eigen::MatrixXd eta = ChunkResidual(chunk, ResidualOptionsOf(direct));
+  correction.Observe(chunk, eta);
   EXPECT_LT((correction.Value() + (eta.row(1) + eta.row(3)).transpose() / 2).norm(), 1e-12);
   EXPECT_GT(correction.Value().norm(), 0.1);
 }

@@ -148,10 +148,9 @@ TEST_F(DurableSession, RecallsWhatWasAnsweredAndWhereTheEpisodeStands) {
       EXPECT_EQ(recalled->answered->policy_actions, answered.policy_actions);
       EXPECT_EQ(recalled->answered->base_actions, answered.base_actions);
       EXPECT_EQ(recalled->answered->adapter_version, answered.adapter_version);
-      EXPECT_EQ(std::tuple(recalled->task, recalled->episode, recalled->chunk),
-                std::tuple(2, 5, 3));
+      EXPECT_EQ(recalled->key, (ChunkKey{{2, 5}, 3}));
       EXPECT_EQ(again->Recall(0)->id, answered.prediction_id);
-      EXPECT_EQ(again->Position().episode, std::pair(2, 5));
+      EXPECT_EQ(again->Position().episode, (EpisodeKey{2, 5}));
       EXPECT_EQ(again->Position().next_chunk, 4);
       const absl::Status unknown = again->Recall(99).status();
       EXPECT_EQ(unknown.code(), absl::StatusCode::kFailedPrecondition);
@@ -159,7 +158,7 @@ TEST_F(DurableSession, RecallsWhatWasAnsweredAndWhereTheEpisodeStands) {
       EXPECT_FALSE(again->Repeated(4).has_value());
       ASSERT_TRUE(again->Repeated(3).has_value());
       EXPECT_EQ(again->CountersNow().duplicates, 1u);
-      ASSERT_TRUE(again->StartEpisode(2, 6, 3).ok());
+      ASSERT_TRUE(again->StartEpisode({2, 6}, 3).ok());
       EXPECT_EQ(again->Position().next_chunk, 0);
     }
   }
@@ -266,7 +265,7 @@ TEST_F(DurableSession, AFullDiskRefusesFeedbackTakesNothingAndStopsNoPrediction)
   const ExecutedChunk chunk = client.Execute(client.Predict());
   const auto refused = client.session().Feedback(chunk);
   const SessionCounters counters = *client.session().Counters();
-  const absl::Status episode = client.session().StartEpisode(1, 0, 40);
+  const absl::Status episode = client.session().StartEpisode({1, 0}, 40);
   setrlimit(RLIMIT_FSIZE, &before);
   EXPECT_EQ(refused.status().code(), absl::StatusCode::kResourceExhausted) << refused.status();
   EXPECT_FALSE(episode.ok());

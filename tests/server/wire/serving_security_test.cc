@@ -846,7 +846,7 @@ TEST_F(ServingSecurityTest, MalformedObservationsAndNaNChangeNothing) {
             .bytes);
     return response.session_id();
   }();
-  ASSERT_TRUE(server_->host().StartEpisode(Anybody(), id, {0, 0}, 0).ok());
+  ASSERT_TRUE((*server_->host().Use(Anybody(), id))->StartEpisode({0, 0}, 0).ok());
   const auto predict = [&](const Observation& observation) {
     v1::PredictRequest request;
     request.set_session_id(id);
