@@ -17,7 +17,7 @@ struct AdaptationState {
   std::string policy;                       // PolicySpec::name
   std::string model_hash;                   // SHA-256 of the weights it belongs to
   std::string method;                       // MethodOptions::method
-  LoraKind lora_kind = LoraKind::kPerHead;  // MethodOptions::lora
+  LoraKind lora_kind = LoraKind::kPerHead;  // LoraOptions::kind
   std::string session;                      // identity that keyed phi_0, for people
   LoraState lora;
   uint64_t triggers = 0;           // updates triggered, keys the next update's draws

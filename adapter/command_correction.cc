@@ -1,70 +1,79 @@
 #include "adapter/command_correction.h"
 
+#include <utility>
+
 #include "absl/algorithm/container.h"
+#include "adapter/method_options.h"
 
 namespace robostress {
 namespace {
 
-// Mean of the unmasked rows [action_dim]; none: nothing. Masked rows are 0.
-std::optional<Eigen::VectorXd> MeanResidual(const ExecutedChunk& executed,
-                                            const Eigen::MatrixXd& residual) {
-  const auto masked = absl::c_count(executed.masked, true);
-  if (masked == static_cast<int64_t>(executed.steps.size())) return std::nullopt;
-  if (masked == 0) return residual.colwise().mean().transpose();
-  return residual.colwise().sum().transpose() / static_cast<double>(residual.rows() - masked);
+Eigen::VectorXd Of(const CommandCorrection::State& state, const std::string& name) {
+  const auto found = state.find(name);
+  return found == state.end() ? Eigen::VectorXd() : found->second;
 }
 
 }  // namespace
 
 CommandCorrection::CommandCorrection(const MethodOptions& method, const ResidualOptions& residual,
-                                     const NominalArmOptions& arm)
-    : has_direct_(method.direct) {
-  if (method.integral_rate > 0) integral_.emplace(method, residual, arm);
-  if (method.following_gain > 0) following_.emplace(method, residual, arm);
+                                     const NominalArmOptions& arm) {
+  method.ForEachWay([&]<class Way>(const Way& way) {
+    if constexpr (requires { typename Way::Corrector; })
+      parts_.push_back(
+          {Way::kWay.name, std::make_unique<typename Way::Corrector>(way, residual, arm)});
+  });
+}
+
+CommandCorrection::CommandCorrection(const CommandCorrection& other) {
+  for (const Part& part : other.parts_) parts_.push_back({part.name, part.corrector->Clone()});
+}
+
+CommandCorrection& CommandCorrection::operator=(CommandCorrection other) {
+  parts_ = std::move(other.parts_);
+  return *this;
 }
 
 void CommandCorrection::StartEpisode() {
-  direct_.resize(0);
-  if (integral_) integral_->StartEpisode();
-  if (following_) following_->StartEpisode();
+  for (const Part& part : parts_) part.corrector->StartEpisode();
 }
 
-void CommandCorrection::Observe(const ExecutedChunk& chunk, const Eigen::MatrixXd& residual) {
+void CommandCorrection::Observe(const ExecutedChunk& chunk) {
   const State before = state();
-  if (has_direct_) direct_ = MeanResidual(chunk, residual).value_or(direct_);
-  if (integral_) integral_->Observe(chunk);
-  if (following_) following_->Observe(chunk);
+  for (const Part& part : parts_) part.corrector->Observe(chunk);
   if (!Holds(state())) set_state(before);
 }
 
 Eigen::VectorXd CommandCorrection::Value() const {
-  if (!integral_ && !following_) return -direct_;
-  Eigen::VectorXd value = Eigen::VectorXd::Zero(6);
-  if (integral_) value += integral_->correction();
-  if (following_) value += following_->correction();
+  Eigen::VectorXd value;
+  for (const Part& part : parts_) {
+    const Eigen::VectorXd correction = part.corrector->correction();
+    if (value.size() == 0) value = Eigen::VectorXd::Zero(correction.size());
+    if (correction.size() > 0) value += correction;
+  }
   return value;
 }
 
 CommandCorrection::State CommandCorrection::state() const {
   State state;
-  state.direct = direct_;
-  if (integral_) state.integral = integral_->State();
-  if (following_) state.following = following_->State();
+  for (const Part& part : parts_) {
+    Eigen::VectorXd values = part.corrector->State();
+    if (values.size() > 0) state.emplace(part.name, std::move(values));
+  }
   return state;
 }
 
 bool CommandCorrection::Holds(const State& state) const {
-  if (!has_direct_ && state.direct.size() > 0) return false;
-  if (!(state.direct.array().abs() <= kMaxDirect).all()) return false;
-  if (integral_ ? !integral_->Holds(state.integral) : state.integral.size() > 0) return false;
-  return following_ ? following_->Holds(state.following) : state.following.size() == 0;
+  for (const auto& [name, values] : state) {
+    const auto is_it = [&name](const Part& part) { return part.name == name; };
+    if (values.size() > 0 && absl::c_none_of(parts_, is_it)) return false;
+  }
+  return absl::c_all_of(
+      parts_, [&state](const Part& part) { return part.corrector->Holds(Of(state, part.name)); });
 }
 
 bool CommandCorrection::set_state(const State& state) {
   if (!Holds(state)) return false;
-  direct_ = state.direct;
-  if (integral_) integral_->SetState(state.integral);
-  if (following_) following_->SetState(state.following);
+  for (const Part& part : parts_) part.corrector->SetState(Of(state, part.name));
   return true;
 }
 

@@ -1,30 +1,35 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <optional>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
 
-#include "adapter/integral_action.h"
-#include "adapter/model_following.h"
+#include "adapter/corrector.h"
+#include "adapter/nominal_arm.h"
+#include "adapter/residual.h"
 
 namespace robostress {
 
-// What a method adds to a policy's commands and leaves the policy as it is: the sum of `direct`
-// (paper, the ablation without learning), integral action and model following, as far as the method
-// has them.
+struct MethodOptions;  // adapter/method_options.h
+
+// What a method adds to a policy's commands and leaves the policy as it is: the sum of its
+// correctors. Copies are independent of each other.
 class CommandCorrection {
  public:
-  // What it remembers; a part is empty where the method does not have it, or has no value yet.
-  struct State {
-    Eigen::VectorXd direct, integral, following;
-  };
+  // What it remembers, by the name of the way; nothing where a way has no value yet.
+  using State = std::map<std::string, Eigen::VectorXd>;
 
   CommandCorrection(const MethodOptions& method, const ResidualOptions& residual,
                     const NominalArmOptions& arm);
+  CommandCorrection(const CommandCorrection& other);
+  CommandCorrection(CommandCorrection&&) = default;
+  CommandCorrection& operator=(CommandCorrection other);
 
   void StartEpisode();
-  // `residual`: ChunkResidual of the chunk with these options. A chunk after which the state would
-  // not hold leaves it as it was.
-  void Observe(const ExecutedChunk& chunk, const Eigen::MatrixXd& residual);
+  // A chunk after which the state would not hold leaves it as it was.
+  void Observe(const ExecutedChunk& chunk);
   // [n] added to the first n entries of every command; empty: nothing.
   Eigen::VectorXd Value() const;
 
@@ -33,14 +38,14 @@ class CommandCorrection {
   bool set_state(const State& state);
 
  private:
-  static constexpr double kMaxDirect = 1e12;  // a mean residual; plausible motion stays below
-  // Whether Observe can have left it: parts as the method has them, bounded numbers.
+  struct Part {
+    std::string name;  // of the way
+    std::unique_ptr<Corrector> corrector;
+  };
+  // Whether Observe can have left it.
   bool Holds(const State& state) const;
 
-  bool has_direct_;
-  Eigen::VectorXd direct_;  // mean residual [action_dim] or empty: no chunk yet in this episode
-  std::optional<IntegralAction> integral_;
-  std::optional<ModelFollowing> following_;
+  std::vector<Part> parts_;
 };
 
 }  // namespace robostress

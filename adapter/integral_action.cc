@@ -4,17 +4,20 @@
 
 #include "adapter/shrinkage.h"
 #include "common/check.h"
+#include "common/status_macros.h"
 
 namespace robostress {
 
-IntegralAction::IntegralAction(const MethodOptions& method, const ResidualOptions& residual,
+absl::Status IntegralOptions::Check() const {
+  RS_RETURN_IF_ERROR(CheckOption("integral_rate", rate, 0, 1));
+  RS_RETURN_IF_ERROR(CheckOption("integral_limit", limit, 0, 10));
+  return CheckOption("integral_threshold", threshold, 0, 10);
+}
+
+IntegralAction::IntegralAction(const IntegralOptions& options, const ResidualOptions& residual,
                                const NominalArmOptions& arm)
-    : rate_(method.integral_rate),
-      limit_(method.integral_limit),
-      threshold_(method.integral_threshold),
-      gain_(method.tracking_gain),
-      axes_(method.integral_axes == IntegralAxes::kTranslation ? 3 : 6),
-      carry_(method.integral_carry),
+    : options_(options),
+      axes_(options.axes == IntegralAxes::kTranslation ? 3 : 6),
       residual_(residual),
       arm_(arm) {
   residual_.scale = ResidualScale::kCommand;
@@ -22,7 +25,7 @@ IntegralAction::IntegralAction(const MethodOptions& method, const ResidualOption
 
 void IntegralAction::StartEpisode() {
   arm_.Reset();
-  if (!carry_) estimate_.setZero();
+  if (!options_.carry) estimate_.setZero();
 }
 
 void IntegralAction::Observe(const ExecutedChunk& chunk) {
@@ -31,16 +34,16 @@ void IntegralAction::Observe(const ExecutedChunk& chunk) {
     if (chunk.IsMasked(i)) continue;
     const Vector6 achieved = AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), residual_);
     for (int axis = 0; axis < axes_; ++axis) {
-      const double disturbance = (achieved[axis] - nominal[axis]) / gain_;
-      estimate_[axis] += rate_ * (disturbance - estimate_[axis]);
+      const double disturbance = (achieved[axis] - nominal[axis]) / residual_.tracking_gain;
+      estimate_[axis] += options_.rate * (disturbance - estimate_[axis]);
     }
-    estimate_ = estimate_.cwiseMax(-limit_).cwiseMin(limit_);
+    estimate_ = estimate_.cwiseMax(-options_.limit).cwiseMin(options_.limit);
   }
 }
 
-IntegralAction::Vector6 IntegralAction::correction() const {
+Eigen::VectorXd IntegralAction::correction() const {
   return -estimate_.unaryExpr(
-      [&](double axis) { return KeptShare(std::abs(axis), threshold_) * axis; });
+      [&](double axis) { return KeptShare(std::abs(axis), options_.threshold) * axis; });
 }
 
 Eigen::VectorXd IntegralAction::State() const {
@@ -50,7 +53,7 @@ Eigen::VectorXd IntegralAction::State() const {
 }
 
 bool IntegralAction::Holds(const Eigen::VectorXd& state) const {
-  return state.size() == kStateSize && (state.head<6>().array().abs() <= limit_).all() &&
+  return state.size() == kStateSize && (state.head<6>().array().abs() <= options_.limit).all() &&
          NominalArm::Holds({state.segment<6>(6), state.tail<6>()});
 }
 

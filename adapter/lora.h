@@ -3,8 +3,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "adapter/lora_options.h"
 #include "adapter/velocity_field.h"
-#include "common/method_options.h"
 #include "common/random.h"
 
 // Low-rank updates of linear layers, scale 1, in two ways:

@@ -40,29 +40,26 @@ bool AllFinite(const std::vector<torch::Tensor>& tensors) {
 
 }  // namespace
 
-LoraAdapter::LoraAdapter(const VelocityField* field, const MethodOptions& options,
+LoraAdapter::LoraAdapter(const VelocityField* field, const LoraOptions& options,
                          const StreamKey& session)
     : field_(field),
       options_(options),
       session_(session),
-      phi_0_(InitialLora(field->lora_targets(), options.lora, options.rank, options.lora_init_std,
+      phi_0_(InitialLora(field->lora_targets(), options.kind, options.rank, options.init_std,
                          session)),
       adam_(InitialAdamState(Parameters(phi_0_))) {
   Publish(phi_0_, 0, 0);
 }
 
 absl::StatusOr<std::unique_ptr<LoraAdapter>> LoraAdapter::Create(const VelocityField* field,
-                                                                 const MethodOptions& options,
+                                                                 const LoraOptions& options,
                                                                  const StreamKey& session) {
   if (field->lora_targets().empty()) {
     return absl::FailedPreconditionError(
         "this policy has no layers that LoRA can adapt; use a method without adaptation, e.g. "
         "base");
   }
-  if (options.rank < 1 || options.rank > 256) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("rank is ", options.rank, "; it must be in 1..256"));
-  }
+  RS_RETURN_IF_ERROR(options.Check());
   return std::unique_ptr<LoraAdapter>(new LoraAdapter(field, options, session));
 }
 

@@ -11,9 +11,9 @@
 #include "absl/synchronization/mutex.h"
 #include "adapter/adam.h"
 #include "adapter/lora.h"
+#include "adapter/lora_options.h"
 #include "adapter/update_guard.h"
 #include "adapter/velocity_field.h"
-#include "common/method_options.h"
 #include "common/random.h"
 
 namespace robostress {
@@ -67,7 +67,7 @@ class LoraAdapter {
 
   // `field` must outlive the adapter. `session` keys phi_0 and every draw of an update.
   static absl::StatusOr<std::unique_ptr<LoraAdapter>> Create(const VelocityField* field,
-                                                             const MethodOptions& options,
+                                                             const LoraOptions& options,
                                                              const StreamKey& session);
 
   // The last published weights.
@@ -101,13 +101,13 @@ class LoraAdapter {
   const LoraWeights& phi_0() const { return phi_0_; }
 
  private:
-  LoraAdapter(const VelocityField* field, const MethodOptions& options, const StreamKey& session);
+  LoraAdapter(const VelocityField* field, const LoraOptions& options, const StreamKey& session);
   void Publish(LoraWeights phi, double loss, uint64_t feedback_sequence) ABSL_LOCKS_EXCLUDED(mu_);
 
   void TrimHistory() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const VelocityField* field_;
-  const MethodOptions options_;
+  const LoraOptions options_;
   const StreamKey session_;
   LoraWeights phi_0_;
   AdamState adam_;

@@ -2,16 +2,21 @@
 
 #include "adapter/shrinkage.h"
 #include "common/check.h"
+#include "common/status_macros.h"
 
 namespace robostress {
 
-ModelFollowing::ModelFollowing(const MethodOptions& method, const ResidualOptions& residual,
+absl::Status FollowingOptions::Check() const {
+  RS_RETURN_IF_ERROR(CheckOption("following_gain", gain, 0, 10));
+  RS_RETURN_IF_ERROR(CheckOption("following_memory", memory, 1, 1e6));
+  RS_RETURN_IF_ERROR(CheckOption("following_threshold", threshold, 0, 10));
+  return CheckOption("following_limit", limit, 0, 10);
+}
+
+ModelFollowing::ModelFollowing(const FollowingOptions& options, const ResidualOptions& residual,
                                const NominalArmOptions& arm)
-    : gain_(method.following_gain),
-      keep_(1 - 1 / method.following_memory),
-      threshold_(method.following_threshold),
-      limit_(method.following_limit),
-      axes_(method.following_axes == FollowingAxes::kHorizontal ? 2 : 3),
+    : options_(options),
+      axes_(options.axes == FollowingAxes::kHorizontal ? 2 : 3),
       residual_(residual),
       arm_(arm) {
   residual_.scale = ResidualScale::kCommand;
@@ -26,18 +31,19 @@ void ModelFollowing::Observe(const ExecutedChunk& chunk) {
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     const ExecutedStep& step = chunk.steps[i];
     const Vector6 nominal = arm_.Step(step.policy_command.head<6>().cast<double>());
-    shortfall_ *= keep_;
+    shortfall_ *= 1 - 1 / options_.memory;
     if (chunk.IsMasked(i)) continue;
     shortfall_ +=
         nominal.head<3>() - AchievedDelta(step.before, StateAfter(chunk, i), residual_).head<3>();
   }
 }
 
-ModelFollowing::Vector6 ModelFollowing::correction() const {
-  Vector6 correction = Vector6::Zero();
+Eigen::VectorXd ModelFollowing::correction() const {
+  Eigen::VectorXd correction = Eigen::VectorXd::Zero(6);
   const Eigen::VectorXd followed = shortfall_.head(axes_);
-  const double share = KeptShare(followed.norm(), threshold_);
-  correction.head(axes_) = (gain_ * share * followed).cwiseMax(-limit_).cwiseMin(limit_);
+  const double share = KeptShare(followed.norm(), options_.threshold);
+  correction.head(axes_) =
+      (options_.gain * share * followed).cwiseMax(-options_.limit).cwiseMin(options_.limit);
   return correction;
 }
 

@@ -5,7 +5,6 @@
 #include "absl/status/statusor.h"
 #include "adapter/nominal_arm.h"
 #include "adapter/residual.h"
-#include "common/method_options.h"
 #include "common/types.h"
 
 // Pseudo-target of the executed steps (paper, Eq. corrected):
@@ -21,6 +20,8 @@
 //   dx_nominal.
 //             Clean is a fixed point for every command.
 namespace robostress {
+
+enum class TargetReference { kExecuted, kIntent, kNominal };
 
 // eta of every executed step [steps, action_dim], gripper 0, for the method's reference. `base`
 // holds the unadapted policy's actions of the same rows [steps, action_dim] (intent only; may be

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/check.h"
 #include "common/so3.h"
 #include "common/status_macros.h"

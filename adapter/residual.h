@@ -5,7 +5,6 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "common/method_options.h"
 #include "common/types.h"
 
 // The compensation signal (paper, Eq. eta-obs and sec:supp_actspace):
@@ -24,6 +23,9 @@
 // differences along the short path.
 namespace robostress {
 
+struct MethodOptions;  // adapter/method_options.h
+
+enum class ResidualScale { kCommand, kTracking };
 enum class ResidualSpace {
   kEndEffector,  // 7-D delta poses; simulation
   kJoint,        // absolute joint targets, eta = q_{i+1} - q_ref (paper, sec:supp_real); Piper

@@ -31,6 +31,7 @@ constexpr char kExamples[] =
 struct CommandLine {
   std::string rig, out;
   std::vector<std::string> map;
+  RobotDescription arm = kPanda;  // of the scenario
   TraceOptions trace;
   bool quiet = false;
 };
@@ -49,9 +50,10 @@ absl::Status PrepareFolder(const std::filesystem::path& out) {
 
 // scenario.yaml of what was added, for `robostress sweep --scenarios`; none where nothing was.
 absl::Status WriteScenario(const Rig& declared, const Rig& after, const JointMap& map,
-                           const std::filesystem::path& out, std::string& scenario_out) {
+                           const RobotDescription& arm, const std::filesystem::path& out,
+                           std::string& scenario_out) {
   const absl::StatusOr<ScenarioOutput> output =
-      ScenarioOfRig(declared, after, map, absl::StrCat("As ", declared.name));
+      ScenarioOfRig(declared, after, map, absl::StrCat("As ", declared.name), arm);
   if (absl::IsFailedPrecondition(output.status())) {
     std::printf("  %s\n", std::string(output.status().message()).c_str());
     return absl::OkStatus();
@@ -59,13 +61,14 @@ absl::Status WriteScenario(const Rig& declared, const Rig& after, const JointMap
   RS_RETURN_IF_ERROR(output.status());
   for (const std::string& note : output->notes) std::printf("  scenario.yaml: %s\n", note.c_str());
   scenario_out = "scenario.yaml";
-  return WriteFileAtomically((out / scenario_out).string(), WriteScenarioFile(output->scenario));
+  return WriteFileAtomically((out / scenario_out).string(),
+                             WriteScenarioFile(output->scenario, arm));
 }
 
 absl::Status Run(CommandLine line) {
   const std::filesystem::path out = line.out;
   RS_ASSIGN_OR_RETURN(const Rig rig, ReadRig(line.rig));
-  RS_ASSIGN_OR_RETURN(const JointMap map, ParseJointMap(line.map, rig));
+  RS_ASSIGN_OR_RETURN(const JointMap map, ParseJointMap(line.map, rig, line.arm));
   RS_RETURN_IF_ERROR(PrepareFolder(out));
   if (!line.quiet) {
     line.trace.progress = [](const std::string& text) {
@@ -78,7 +81,8 @@ absl::Status Run(CommandLine line) {
   report.model_out = "rig_after.yaml";
   RS_RETURN_IF_ERROR(WriteFileAtomically(calibration.after.file, WriteRig(calibration.after)));
   if (!map.empty()) {
-    RS_RETURN_IF_ERROR(WriteScenario(rig, calibration.after, map, out, report.scenario_out));
+    RS_RETURN_IF_ERROR(
+        WriteScenario(rig, calibration.after, map, line.arm, out, report.scenario_out));
   }
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.html").string(), ReportHtml(report)));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.json").string(), ReportJson(report)));
@@ -116,6 +120,10 @@ int Main(int argc, char** argv) {
                  "hinge=J4, hinge=J2+J4, hinge=J4:2.5 (torques times 2.5; else values are kept), "
                  "or own for an arm's own joints; repeatable")
       ->allow_extra_args(false);
+  app.add_option_function<std::string>(
+         "--arm", [&](const std::string& arm) { line.arm = arm == "piper" ? kPiper : kPanda; },
+         "The simulated arm of --map: panda, or piper for a profile of piper_emulator")
+      ->check(CLI::IsMember({"panda", "piper"}));
   app.add_option(
          "--joints", line.trace.joints,
          "Joints to trace, with commas between them (default: all); the others move as they "

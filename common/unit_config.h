@@ -4,10 +4,12 @@
 #include <string>
 #include <vector>
 
+#include "common/deferred.h"
 #include "common/joint_errors/options.h"
-#include "common/method_options.h"
 
 namespace robostress {
+
+struct MethodOptions;  // adapter/method_options.h
 
 enum class GoalReference { kAchieved, kDesired };
 enum class Stepping { kFast, kReference, kParity };
@@ -91,6 +93,7 @@ struct ClientOptions {
 };
 
 // One unit of a sweep: sequential episodes of one session. This struct is units/<id>/config.yaml.
+// Who reads or writes one as YAML, or looks at its method, includes adapter/method_options.h.
 struct UnitConfig {
   std::string suite = "tabletop_spatial";
   std::string scenario = "clean";
@@ -105,7 +108,7 @@ struct UnitConfig {
   std::string libero_root, robosuite_root;
   std::string libero_fixtures = "centred";  // ParseLiberoFixtures reads it
   SimOptions sim;
-  MethodOptions method;
+  Deferred<MethodOptions> method;
   std::string robot = "panda";  // of the suite; its program runs the unit (common/unit/robots.h)
   ClientOptions client;         // of robots other than the simulated Panda
 

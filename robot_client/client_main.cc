@@ -5,6 +5,8 @@
 #include <string>
 #include <utility>
 
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/cameras_command.h"

@@ -2,6 +2,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/config.h"
 #include "common/status_macros.h"
 

@@ -11,6 +11,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "adapter/method_options.h"
 #include "common/clock.h"
 #include "common/config.h"
 #include "common/run_main.h"

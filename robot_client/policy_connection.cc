@@ -2,6 +2,9 @@
 
 #include <utility>
 
+#include "adapter/method_options.h"
+#include "common/config.h"
+#include "common/robot_description.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -18,15 +21,15 @@ PolicyLink::Connect ConnectTo(const PolicyConnectionOptions& options, double con
     client.call_timeout_s = options.call_timeout_s;
     client.max_unacknowledged = kMaxUnacknowledged;
     client.reconnect_timeout_s = 0;  // the arm holds and asks again; each call tries to resume
-    SessionSpec session;
+    RequestedSession session;
     session.robot = options.robot;
-    session.control_space = ControlSpace::kJoint;
+    session.control_space = kPiper.control_space;
     session.suite = options.suite;
     session.scenario = options.scenario;
     session.policy = options.policy;
     session.seed = options.seed;
     session.mode = options.mode;
-    session.method = options.method;
+    session.method_yaml = DumpConfig(*options.method);
     session.control_period_s = control_period_s;
     RS_ASSIGN_OR_RETURN(std::unique_ptr<GrpcPolicyClient> connected,
                         GrpcPolicyClient::Connect(client, session));

@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "common/method_options.h"
+#include "common/deferred.h"
 #include "common/rpc/policy_client.h"
 #include "robot_client/policy_link.h"
 
@@ -17,7 +17,7 @@ struct PolicyConnectionOptions {
   int64_t seed = 0;                   // of the sampling noise
   double connect_timeout_s = 5;       // [s] until the server must accept
   double call_timeout_s = 2;          // [s] for any answer; the arm holds long before
-  MethodOptions method;
+  Deferred<MethodOptions> method;
   // Lockstep is for simulated time; it is no field of a configuration, because an arm in real time
   // must never wait for an update.
   ExecutionMode mode = ExecutionMode::kAsync;

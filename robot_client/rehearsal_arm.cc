@@ -9,6 +9,21 @@ namespace {
 constexpr int64_t kSample_ns = 5'000'000;
 }  // namespace
 
+ArmLimits PiperLimits() {
+  ArmLimits limits;
+  for (int j = 0; j < kArmJoints; ++j) {
+    const JointDescription& joint = kPiper.joints[j];
+    limits.lower[j] = joint.lower;
+    limits.upper[j] = joint.upper;
+    limits.max_velocity[j] = joint.max_velocity;
+    limits.max_acceleration[j] = joint.max_acceleration;
+  }
+  limits.upper[kArmJoints] = 0.07;
+  limits.max_velocity[kArmJoints] = 0.5;
+  limits.max_acceleration[kArmJoints] = 10;
+  return limits;
+}
+
 absl::Status RehearsalArm::Connect() {
   sample_ = {};
   sample_.position = target_ = options_.start;

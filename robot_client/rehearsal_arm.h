@@ -4,18 +4,19 @@
 #include <string>
 
 #include "common/clock.h"
+#include "common/robot_description.h"
 #include "robot_client/robot_arm.h"
 
 namespace robostress {
 
+static_assert(kArmJoints == kPiper.joints.size());
+// As its description says; the gripper opens 70 mm, at 0.5 m/s and 10 m/s^2.
+ArmLimits PiperLimits();
+
 struct RehearsalArmOptions {
   double lag_s = 0.1;                                    // first-order lag of every axis [s]
   ArmVector start{0.0, 1.2, -1.0, 0.0, 0.5, 0.0, 0.05};  // joints [rad], gripper [m]
-  // As a Piper's: positions of its published description, 3 rad/s, 5 rad/s^2, a 70 mm gripper.
-  ArmLimits limits{{-2.6179, 0, -2.967, -1.745, -1.22, -2.0944, 0},
-                   {2.6179, 3.14, 0, 1.745, 1.22, 2.0944, 0.07},
-                   {3, 3, 3, 3, 3, 3, 0.5},
-                   {5, 5, 5, 5, 5, 5, 10}};
+  ArmLimits limits = PiperLimits();
 };
 
 // An arm that is not there: every axis follows its target with a first-order lag, samples come

@@ -4,55 +4,50 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "common/robot_description.h"
 
 namespace robostress {
 namespace {
 
-// One link of the arm: its frame in the parent's, its inertial and its joint (none for link 0).
+// One link of the arm: its frame in the parent's, its inertial and its joint (none for link 0),
+// whose limits are the description's.
 struct Link {
   const char* pos;
   const char* quat;
   const char* com;
   double mass, inertia;      // [kg], diagonal [kg m^2]
-  double low, high;          // joint range [rad]
   double damping, armature;  // [Nm s/rad], [kg m^2]
-  double torque_limit;       // [Nm]
   const char* shape_xml;     // what is seen, and what collides
 };
 
 // Public Denavit-Hartenberg data of the Panda; inertials and joint constants as in robosuite 1.4.0.
 constexpr std::array<Link, 8> kLinks = {{
-    {"0 0 0", "1 0 0 0", "0 0 0.05", 4, 0.4, 0, 0, 0, 0, 0,
+    {"0 0 0", "1 0 0 0", "0 0 0.05", 4, 0.4, 0, 0,
      R"(<geom class="shell" type="cylinder" size="0.072 0.022" pos="-0.01 0 0.022"/>
         <geom class="shell" type="capsule" size="0.058" fromto="-0.04 0 0.06 0 0 0.13"/>
         <geom class="trim" type="cylinder" size="0.06 0.012" pos="0 0 0.188"/>)"},
-    {"0 0 0.333", "1 0 0 0", "0 0 -0.07", 3, 0.3, -2.8973, 2.8973, 0.1, 5.0, 80,
+    {"0 0 0.333", "1 0 0 0", "0 0 -0.07", 3, 0.3, 0.1, 5.0,
      R"(<geom class="shell" type="capsule" size="0.058" fromto="0 0 -0.13 0 0 -0.04"/>
         <geom class="shell" type="capsule" size="0.056" fromto="0 -0.045 0 0 0.045 0"/>)"},
-    {"0 0 0", "0.7071067811865476 -0.7071067811865476 0 0", "0 -0.1 0", 3, 0.3, -1.7628, 1.7628,
-     0.1, 2.5, 80,
+    {"0 0 0", "0.7071067811865476 -0.7071067811865476 0 0", "0 -0.1 0", 3, 0.3, 0.1, 2.5,
      R"(<geom class="trim" type="cylinder" size="0.057 0.062"/>
         <geom class="shell" type="capsule" size="0.054" fromto="0 -0.05 0 0 -0.15 0"/>)"},
-    {"0 -0.316 0", "0.7071067811865476 0.7071067811865476 0 0", "0.04 0 -0.05", 2, 0.2, -2.8973,
-     2.8973, 0.1, 5.0 / 3, 80,
+    {"0 -0.316 0", "0.7071067811865476 0.7071067811865476 0 0", "0.04 0 -0.05", 2, 0.2, 0.1,
+     5.0 / 3,
      R"(<geom class="shell" type="capsule" size="0.053" fromto="0 0 -0.12 0 0 -0.06"/>
         <geom class="shell" type="capsule" size="0.05" fromto="0.02 0 -0.02 0.0825 -0.03 0"/>)"},
-    {"0.0825 0 0", "0.7071067811865476 0.7071067811865476 0 0", "-0.04 0.05 0", 2, 0.2, -3.0718,
-     -0.0698, 0.1, 1.25, 80,
+    {"0.0825 0 0", "0.7071067811865476 0.7071067811865476 0 0", "-0.04 0.05 0", 2, 0.2, 0.1, 1.25,
      R"(<geom class="trim" type="cylinder" size="0.05 0.055"/>
         <geom class="shell" type="capsule" size="0.05" fromto="-0.02 0.02 0 -0.0825 0.09 0"/>)"},
-    {"-0.0825 0.384 0", "0.7071067811865476 -0.7071067811865476 0 0", "0 0 -0.15", 2, 0.2, -2.8973,
-     2.8973, 0.1, 1.0, 80,
+    {"-0.0825 0.384 0", "0.7071067811865476 -0.7071067811865476 0 0", "0 0 -0.15", 2, 0.2, 0.1, 1.0,
      R"(<geom class="shell" type="capsule" size="0.05" fromto="0 0 -0.28 0 0.05 -0.19"/>
         <geom class="shell" type="capsule" size="0.042" fromto="0 0.06 -0.17 0 0.06 -0.02"/>
         <geom class="collision" type="capsule" size="0.055" fromto="0 0.03 -0.25 0 0.04 -0.02"/>)"},
-    {"0 0 0", "0.7071067811865476 0.7071067811865476 0 0", "0.06 0 0", 1.5, 0.1, -0.0175, 3.7525,
-     0.01, 5.0 / 6, 12,
+    {"0 0 0", "0.7071067811865476 0.7071067811865476 0 0", "0.06 0 0", 1.5, 0.1, 0.01, 5.0 / 6,
      R"(<geom class="trim" type="cylinder" size="0.045 0.06"/>
         <geom class="shell" type="capsule" size="0.045" fromto="0.02 0 0 0.088 0 0"/>
         <geom class="collision" type="capsule" size="0.05" fromto="0 0 0 0.088 0 0"/>)"},
-    {"0.088 0 0", "0.7071067811865476 0.7071067811865476 0 0", "0 0 0.08", 0.5, 0.05, -2.8973,
-     2.8973, 0.01, 5.0 / 7, 12,
+    {"0.088 0 0", "0.7071067811865476 0.7071067811865476 0 0", "0 0 0.08", 0.5, 0.05, 0.01, 5.0 / 7,
      R"(<geom class="shell" type="cylinder" size="0.044 0.035" pos="0 0 0.06"/>
         <geom class="trim" type="cylinder" size="0.04 0.006" pos="0 0 0.1"/>
         <geom class="collision" type="capsule" size="0.045" fromto="0 0 0.02 0 0 0.06"/>)"},
@@ -120,7 +115,7 @@ std::string ArmXml(bool fingers_slide) {
           &open,
           "<joint name=\"robot0_joint%d\" type=\"hinge\" axis=\"0 0 1\" limited=\"true\" "
           "range=\"%.17g %.17g\" damping=\"%.17g\" armature=\"%.17g\" frictionloss=\"0.1\"/>\n",
-          i, link.low, link.high, link.damping, link.armature);
+          i, kPanda.joints[i - 1].lower, kPanda.joints[i - 1].upper, link.damping, link.armature);
     }
     absl::StrAppend(&open, link.shape_xml, "\n");
     absl::StrAppend(&close, "</body>");
@@ -134,7 +129,7 @@ std::string ArmXml(bool fingers_slide) {
 std::string ActuatorXml() {
   std::string xml;
   for (size_t i = 1; i < kLinks.size(); ++i) {
-    const double limit = kLinks[i].torque_limit;
+    const double limit = kPanda.joints[i - 1].torque_limit;
     absl::StrAppendFormat(
         &xml,
         "<motor name=\"robot0_torq_j%d\" joint=\"robot0_joint%d\" ctrllimited=\"true\" "

@@ -5,13 +5,12 @@
 
 #include "absl/strings/str_format.h"
 #include "common/check.h"
+#include "common/robot_description.h"
 #include "common/status_macros.h"
 #include "sim_worker/panda_sim_impl.h"
 
 namespace robostress {
 namespace {
-
-constexpr double kControlPeriod = 0.05;  // [s]
 
 // MuJoCo's default writes MUJOCO_LOG.TXT into the working directory. What matters is counted in
 // mjData::warning, which Step turns into a status.
@@ -162,7 +161,7 @@ RobotState PandaSim::Measure() const {
   const Impl& s = *impl_;
   const mjData& d = observed();
   RobotState state;
-  state.stamp_s = s.episode.steps * kControlPeriod;
+  state.stamp_s = s.episode.steps * kPanda.control_period_s;
   state.q.resize(7);
   state.dq.resize(7);
   for (int i = 0; i < 7; ++i) {

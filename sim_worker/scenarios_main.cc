@@ -162,7 +162,7 @@ void PrintEffects() {
                 effect.stage == EffectStage::kSensor ? "  (outside the paper)" : "");
     for (size_t i = 0; i < effect.parameters.size(); ++i) {
       const EffectParameter& parameter = effect.parameters[i];
-      const EffectRange range = RangeInScenario(effect, i, 0);
+      const EffectRange range = RangeInScenario(effect, i, kPanda, 0);
       std::printf(
           "    %-12s [%s] %s %.4g to %.4g%s\n", parameter.name.c_str(), parameter.unit.c_str(),
           range.lower_open ? "above" : "", range.lower, range.upper,

@@ -4,20 +4,18 @@
 #include <vector>
 
 #include "calibration/model/joint_model.h"
+#include "common/joint_errors/joint_chain.h"
 
 namespace robostress::calibration {
 
-// The effects of one model with their hidden states, by stage. `model` outlives it.
+// The chain of one joint as its model has it, with what fits ask of one. `model` outlives it.
 class EffectChain {
  public:
   explicit EffectChain(const JointModel& model);
   // With the same hidden states.
   EffectChain Copy() const;
 
-  const std::vector<JointEffect*>& stage(EffectStage s) const {
-    return by_stage_[static_cast<int>(s)];
-  }
-  bool empty() const { return objects_.empty(); }
+  absl::Span<const JointChain::Link> stage(EffectStage s) const { return chain_.effects(s); }
   // Drive, joint and transmission stage.
   void Reset(const JointMoment& moment);
   double Drive(double torque, const JointMoment& moment) const;
@@ -43,12 +41,10 @@ class EffectChain {
     const JointEffect* effect;
     double half_width;  // [rad]
   };
-  // [model.effects]
-  EffectChain(const JointModel& model, std::vector<std::unique_ptr<JointEffect>> objects);
+  EffectChain(const JointModel& model, JointChain chain);
 
   const JointModel& model_;
-  std::vector<std::unique_ptr<JointEffect>> objects_;
-  std::vector<JointEffect*> by_stage_[5];
+  JointChain chain_;
   std::vector<Gap> gaps_;
   double position_offset_ = 0;
   int side_ = 0;  // that the motor pushes: forwards 1, backwards -1; 0: within the gap

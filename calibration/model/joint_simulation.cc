@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/joint_errors/stick_friction.h"
+
 namespace robostress::calibration {
 
 namespace {
@@ -63,13 +65,13 @@ void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain)
   const std::vector<double>& given = model.input == JointInput::kPositionTarget ? record.command
                                      : model.input == JointInput::kTransmission ? record.q_motor
                                                                                 : record.tau;
-  const std::vector<JointEffect*>& command_stage = chain.stage(EffectStage::kCommand);
+  const absl::Span<const JointChain::Link> command_stage = chain.stage(EffectStage::kCommand);
   const int steps = model.input == JointInput::kTransmission ? 1 : sub_steps_;
   const size_t count = static_cast<size_t>(track_.log->rows) * steps;
   commands_.resize(count);
   JointMoment moment;
   moment.h = track_.log->dt / steps;
-  for (JointEffect* effect : command_stage) effect->Reset(moment);
+  for (const JointChain::Link& link : command_stage) link.effect->Reset(moment);
   const auto integral = [&](double at) {  // of the held commands from row 0 [rows]
     at = std::clamp(at, 0.0, static_cast<double>(given.size()));
     const size_t row = std::min(static_cast<size_t>(at), given.size() - 1);
@@ -94,7 +96,8 @@ void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain)
       }
       const size_t at = row * steps + i;
       moment.t = static_cast<double>(at) * moment.h;
-      for (JointEffect* effect : command_stage) command = effect->Command(command, moment);
+      for (const JointChain::Link& link : command_stage)
+        command = link.effect->Command(command, moment);
       commands_[at] = command;
     }
   }
@@ -143,30 +146,6 @@ void JointSimulation::Describe(const EffectChain& chain, int row, double q, Join
   if (chain.partner >= 0) moment.coupled_q = track_.log->joints[chain.partner].q_smooth[row];
 }
 
-namespace {
-
-// Velocity after a time under a constant torque and dry friction, which turns with the motion, and
-// the way gone. per_torque [1 / (kg m^2)].
-struct Stroke {
-  double dq = 0, way = 0;
-};
-
-Stroke Advance(double dq, double torque, const DryFriction& dry, double per_torque, double time) {
-  const double forward = std::max(0.0, dry.forward), backward = std::max(0.0, dry.backward);
-  double way = 0;
-  if (dq != 0) {
-    const double a = per_torque * (dq > 0 ? torque - forward : torque + backward);
-    const double next = dq + a * time;
-    if (next * dq >= 0) return {next, 0.5 * time * (dq + next)};
-    way = -0.5 * dq * dq / a;
-    time += dq / a;  // what is left after the stop
-  }
-  const double free = torque > forward ? torque - forward : std::min(0.0, torque + backward);
-  return {per_torque * free * time, way + 0.5 * per_torque * free * time * time};
-}
-
-}  // namespace
-
 void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int row, double command,
                               State& s) {
   const PlantRow& p = plant(row);
@@ -193,7 +172,8 @@ void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int r
   double inertia = model.armature + model.mass_scale * p.inertia;
   for (JointEffect* effect : chain.with_memory) held += effect->Torque(moment, lasting);
   if (chain.needs_payload)
-    for (JointEffect* effect : chain.stage(EffectStage::kJoint)) inertia += effect->Inertia(moment);
+    for (const JointChain::Link& link : chain.stage(EffectStage::kJoint))
+      inertia += link.effect->Inertia(moment);
   // Exact for damping and kd while the other torques hold, up to x^3 of x = h d / M:
   // h / M (1 - e^-x) / x; positive and without overshoot for every x.
   const double x = h_ * (model.damping + model.torque_gain * asked.slope) / inertia;
@@ -203,9 +183,9 @@ void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int r
     DryFriction dry = lasting;
     double torque = held;
     for (JointEffect* effect : chain.memoryless) torque += effect->Torque(moment, dry);
-    return Advance(s.dq, torque, dry, kick / h_, h_);
+    return AdvanceDry(s.dq, torque, dry, kick / h_, h_);
   };
-  Stroke stroke = stroke_at(s.dq);
+  DryStroke stroke = stroke_at(s.dq);
   // Friction that falls with the velocity drives itself: taken at the middle of the sub-step.
   const double mean = 0.5 * (s.dq + stroke.dq);
   if (!chain.memoryless.empty() && mean * s.dq > 0) stroke = stroke_at(mean);
@@ -365,9 +345,9 @@ void JointSimulation::Inverse(const JointModel& model, EffectChain& chain,
     double inertia = model.armature + model.mass_scale * p.inertia;
     double torque = model.mass_scale * (moment.gravity + p.coupling) - model.torque_offset +
                     model.stiffness * (moment.q - model.spring_rest) + model.damping * moment.dq;
-    for (JointEffect* effect : chain.stage(EffectStage::kJoint)) {
-      torque -= effect->Torque(moment, dry);
-      inertia += effect->Inertia(moment);
+    for (const JointChain::Link& link : chain.stage(EffectStage::kJoint)) {
+      torque -= link.effect->Torque(moment, dry);
+      inertia += link.effect->Inertia(moment);
     }
     torque += inertia * record.ddq[row];
     // Smooth through rest, where the direction is noise.

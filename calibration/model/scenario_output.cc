@@ -14,21 +14,12 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr int kArmJoints = 7;
 constexpr char kOwn[] = "own";
 
-// "J4": 3; -1 for anything else.
-int ArmJoint(absl::string_view text) {
-  int number = 0;
-  if (!absl::ConsumePrefix(&text, "J") || !absl::SimpleAtoi(text, &number)) return -1;
-  return number >= 1 && number <= kArmJoints ? number - 1 : -1;
-}
-
 // The arm's joint that a joint's own name tells, or -1.
-int OwnJoint(const std::string& name) {
-  if (ArmJoint(name) >= 0) return ArmJoint(name);
+int OwnJoint(const RobotDescription& arm, const std::string& name) {
   const size_t at = name.rfind("joint");
-  return at == std::string::npos ? -1 : ArmJoint(absl::StrCat("J", name.substr(at + 5)));
+  return FindJoint(arm, at == std::string::npos ? name : absl::StrCat("J", name.substr(at + 5)));
 }
 
 std::string JointNames(const Rig& rig) {
@@ -37,7 +28,8 @@ std::string JointNames(const Rig& rig) {
   });
 }
 
-absl::Status ReadEntry(const std::string& entry, const Rig& rig, JointMap& map) {
+absl::Status ReadEntry(const std::string& entry, const Rig& rig, const RobotDescription& arm,
+                       JointMap& map) {
   const auto error = [&](const std::string& what) {
     return absl::InvalidArgumentError(absl::StrCat("--map '", entry, "': ", what,
                                                    "; give JOINT=J4, JOINT=J2+J4, JOINT=J4:RATIO "
@@ -55,8 +47,8 @@ absl::Status ReadEntry(const std::string& entry, const Rig& rig, JointMap& map) 
                             !(mapped.torque_ratio > 0 && mapped.torque_ratio < 1e6)))
     return error(absl::StrCat("'", parts[1], "' is no ratio above 0"));
   for (const absl::string_view name : absl::StrSplit(parts[0], '+')) {
-    const int joint = ArmJoint(name);
-    if (joint < 0) return error(absl::StrCat("'", name, "' is not one of J1 to J7"));
+    const int joint = FindJoint(arm, name);
+    if (joint < 0) return error(absl::StrCat("'", name, "' is not one of ", KnownJoints(arm)));
     mapped.arm_joints.push_back(joint);
   }
   if (!map.emplace(sides[0], mapped).second)
@@ -93,11 +85,11 @@ bool WasDeclared(const RigJoint& declared, const DeclaredEffect& effect) {
 }
 
 // What a scenario file may hold is said in one place.
-absl::Status FitsScenario(const ScenarioEffect& effect) {
+absl::Status FitsScenario(const ScenarioEffect& effect, const RobotDescription& arm) {
   ScenarioFile alone;
   alone.title = "scenario";
   alone.effects = {effect};
-  const auto checked = ParseScenarioFile("scenario", WriteScenarioFile(alone));
+  const auto checked = ParseScenarioFile("scenario", WriteScenarioFile(alone, arm), arm);
   if (checked.ok()) return absl::OkStatus();
   return absl::OutOfRangeError(
       absl::StrCat(checked.status().message(),
@@ -106,30 +98,31 @@ absl::Status FitsScenario(const ScenarioEffect& effect) {
 
 }  // namespace
 
-absl::StatusOr<JointMap> ParseJointMap(const std::vector<std::string>& arguments, const Rig& rig) {
+absl::StatusOr<JointMap> ParseJointMap(const std::vector<std::string>& arguments, const Rig& rig,
+                                       const RobotDescription& arm) {
   JointMap map;
   for (const std::string& argument : arguments) {
     for (const absl::string_view piece : absl::StrSplit(argument, ',')) {
       const std::string entry(piece);
       if (entry != kOwn) {
-        RS_RETURN_IF_ERROR(ReadEntry(entry, rig, map));
+        RS_RETURN_IF_ERROR(ReadEntry(entry, rig, arm, map));
         continue;
       }
       for (const RigJoint& joint : rig.joints) {
-        if (const int own = OwnJoint(joint.name); own >= 0) map[joint.name] = {{own}, 1};
+        if (const int own = OwnJoint(arm, joint.name); own >= 0) map[joint.name] = {{own}, 1};
       }
       if (map.empty())
         return absl::InvalidArgumentError(absl::StrCat(
-            "--map own: no joint of the rig is called J1 to J7 or joint1 to joint7; its joints "
-            "are ",
-            JointNames(rig)));
+            "--map own: no joint of the rig is called ", KnownJoints(arm), " or joint1 to joint",
+            arm.joints.size(), "; its joints are ", JointNames(rig)));
     }
   }
   return map;
 }
 
 absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& after,
-                                             const JointMap& map, const std::string& title) {
+                                             const JointMap& map, const std::string& title,
+                                             const RobotDescription& arm) {
   ScenarioOutput output;
   output.scenario.title = title;
   int added = 0;
@@ -170,7 +163,7 @@ absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& aft
       }
       for (const int arm_joint : mapped->second.arm_joints) {
         found.joint = arm_joint;
-        if (absl::Status fits = FitsScenario(found); fits.ok()) {
+        if (absl::Status fits = FitsScenario(found, arm); fits.ok()) {
           output.scenario.effects.push_back(found);
         } else {
           output.notes.push_back(absl::StrCat(what, " is left out: ", fits.message()));

@@ -10,7 +10,7 @@
 
 namespace robostress::calibration {
 
-// Which joints of the simulated arm show what a joint of a rig was found to have.
+// Which joints of a simulated arm show what a joint of a rig was found to have.
 struct MappedJoint {
   std::vector<int> arm_joints;  // 0: J1
   // Of torques, stiffnesses and payloads: 1 keeps the physical values. The arm's joint may be
@@ -22,7 +22,8 @@ using JointMap = std::map<std::string, MappedJoint>;  // by name of the rig's jo
 // Arguments of --map: "hinge=J4", "hinge=J2+J4", "hinge=J4:2.5" (torque_ratio 2.5), several
 // separated by commas; "own" maps joints that are called J4, joint4 or anything that ends in
 // joint4 to J4. Errors list the rig's joints.
-absl::StatusOr<JointMap> ParseJointMap(const std::vector<std::string>& arguments, const Rig& rig);
+absl::StatusOr<JointMap> ParseJointMap(const std::vector<std::string>& arguments, const Rig& rig,
+                                       const RobotDescription& arm);
 
 struct ScenarioOutput {
   ScenarioFile scenario;
@@ -37,6 +38,7 @@ struct ScenarioOutput {
 // scenario may give the arm's joint, with the remedy. FailedPrecondition where nothing was added or
 // nothing is left.
 absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& after,
-                                             const JointMap& map, const std::string& title);
+                                             const JointMap& map, const std::string& title,
+                                             const RobotDescription& arm);
 
 }  // namespace robostress::calibration

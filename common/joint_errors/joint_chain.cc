@@ -14,7 +14,8 @@ JointChain::JointChain(int joints, const JointErrorOptions& options)
       coupled_(joints, -1),
       sum_(joints),
       inertia_(joints),
-      dry_(joints) {
+      dry_(joints),
+      at_errors_(joints) {
   RS_CHECK(joints >= 1);
   errors_.offset.resize(joints);
   effects_.offset.resize(joints);
@@ -55,8 +56,13 @@ void JointChain::Place(Part& part, EffectStage stage, Link link) {
 
 void JointChain::SetErrorParameters() {
   for (const EffectStage stage : {kJoint, kTransmission}) {
-    for (Link& link : errors_.of(stage))
-      PaperErrors()[link.error].set(severity_.parameters()[link.joint], options_, *link.effect);
+    for (Link& link : errors_.of(stage)) {
+      const PaperError& error = PaperErrors()[link.error];
+      const double factor = severity_.factors()[link.joint].*error.factor;
+      if (factor == link.factor) continue;
+      link.factor = factor;
+      error.set(severity_.parameters()[link.joint], options_, *link.effect);
+    }
   }
 }
 
@@ -128,15 +134,16 @@ void JointChain::AddTorques(absl::Span<const JointMoment> moments, absl::Span<do
 void JointChain::MoveErrors(absl::Span<const double> q, absl::Span<const double> load, double h,
                             absl::Span<double> change) {
   if (!has_errors(kTransmission)) return;
-  std::fill(sum_.begin(), sum_.end(), 0.0);
-  for (Link& link : errors_.of(kTransmission)) {
-    const int j = link.joint;
-    JointMoment moment;
+  for (int j = 0; j < joints(); ++j) {
+    JointMoment& moment = at_errors_[j];
     moment.h = h;
     moment.q = q[j] - effects_.offset[j] - errors_.offset[j];
     moment.drive = load[j];
-    link.offset = link.effect->Offset(moment);
-    sum_[j] += link.offset;
+    sum_[j] = 0;
+  }
+  for (Link& link : errors_.of(kTransmission)) {
+    link.offset = link.effect->Offset(at_errors_[link.joint]);
+    sum_[link.joint] += link.offset;
   }
   for (size_t j = 0; j < change.size(); ++j) change[j] += sum_[j] - errors_.offset[j];
   errors_.offset = sum_;

@@ -32,6 +32,7 @@ class JointChain {
     Link(const Link& other)
         : joint(other.joint),
           error(other.error),
+          factor(other.factor),
           offset(other.offset),
           effect(other.effect->Clone()) {}
     Link(Link&&) = default;
@@ -39,8 +40,9 @@ class JointChain {
     Link& operator=(Link&&) = default;
 
     int joint;
-    int error;          // PaperErrorKind; -1: an effect
-    double offset = 0;  // transmission: at the last sub-step [rad]
+    int error;           // PaperErrorKind; -1: an effect
+    double factor = -1;  // error: of its parameters
+    double offset = 0;   // transmission: at the last sub-step [rad]
     std::unique_ptr<JointEffect> effect;
   };
 
@@ -118,6 +120,7 @@ class JointChain {
   bool sticks_ = false;
   std::vector<double> sum_, inertia_;
   std::vector<DryFriction> dry_;
+  std::vector<JointMoment> at_errors_;
 };
 
 }  // namespace robostress

@@ -9,20 +9,20 @@ using Options = JointErrorOptions;
 using Parameters = JointErrorParameters;
 
 constexpr PaperError kErrors[] = {
-    {&Scenario::friction_on, EffectStage::kJoint,
+    {&Scenario::friction_on, &SeverityFactors::friction, EffectStage::kJoint,
      [](const Options& o) { return effects::StribeckFrictionOf(o.friction_law, o.tanh_width); },
      [](const Parameters& p, const Options&, JointEffect& effect) {
        effect.SetParameters({p.Fc, p.Fs, p.vs, p.sigma_v});
      }},
-    {&Scenario::gravity_on, EffectStage::kJoint,
+    {&Scenario::gravity_on, &SeverityFactors::gravity, EffectStage::kJoint,
      [](const Options&) { return effects::GravityError(); },
      [](const Parameters& p, const Options& o, JointEffect& effect) {
        effect.SetParameters({o.gravity_sign == GravitySign::kLiteral ? p.beta : -p.beta});
      }},
-    {&Scenario::backlash_on, EffectStage::kTransmission,
+    {&Scenario::backlash_on, &SeverityFactors::backlash, EffectStage::kTransmission,
      [](const Options&) { return effects::BacklashGap(); },
      [](const Parameters& p, const Options&, JointEffect& effect) { effect.SetParameters({p.B}); }},
-    {&Scenario::compliance_on, EffectStage::kTransmission,
+    {&Scenario::compliance_on, &SeverityFactors::compliance, EffectStage::kTransmission,
      [](const Options&) { return effects::ComplianceOfMass(); },
      [](const Parameters& p, const Options&, JointEffect& effect) {
        effect.SetParameters({p.K, p.M_eff, p.D});

@@ -17,15 +17,15 @@
 namespace robostress {
 namespace {
 
-constexpr int kJoints = 7;
 constexpr char kEnding[] = ".yaml";
 constexpr char kCoupling[] = "cross_joint_coupling";
 constexpr char kCoupledKey[] = "joint";
 
 // Sizes of the arm, of which the library's bounds are multiples.
-double ArmScale(EffectScale scale, int joint) {
-  const double torque = joint < 5 ? 80 : 12;  // [Nm]
-  constexpr double kPosition = M_PI, kVelocity = 2.2, kSample = 0.05, kReach = 0.85;
+double ArmScale(EffectScale scale, const RobotDescription& robot, int joint) {
+  const double torque = robot.joints[joint].torque_limit;
+  const double velocity = robot.joints[joint].max_velocity;
+  constexpr double kPosition = M_PI;
   switch (scale) {
     case EffectScale::kOne:
       return 1;
@@ -35,9 +35,9 @@ double ArmScale(EffectScale scale, int joint) {
     case EffectScale::kPosition:
       return kPosition;
     case EffectScale::kVelocity:
-      return kVelocity;
+      return velocity;
     case EffectScale::kSample:
-      return kSample;
+      return robot.control_period_s;
     case EffectScale::kTorquePerPosition:
       return torque / kPosition;
     case EffectScale::kTorquePerPosition2:
@@ -45,18 +45,18 @@ double ArmScale(EffectScale scale, int joint) {
     case EffectScale::kTorquePerPosition3:
       return torque / std::pow(kPosition, 3);
     case EffectScale::kTorquePerVelocity:
-      return torque / kVelocity;
+      return torque / velocity;
     case EffectScale::kTorquePerVelocity2:
-      return torque / std::pow(kVelocity, 2);
+      return torque / std::pow(velocity, 2);
     case EffectScale::kPayload:
-      return torque / (9.81 * kReach);
+      return torque / (9.81 * robot.reach);
   }
   return 1;
 }
 
 class Parser {
  public:
-  explicit Parser(std::string file) : file_(std::move(file)) {}
+  Parser(std::string file, const RobotDescription& robot) : file_(std::move(file)), robot_(robot) {}
 
   absl::StatusOr<ScenarioFile> Parse(const YAML::Node& root) const {
     ScenarioFile scenario;
@@ -110,10 +110,9 @@ class Parser {
   }
   absl::StatusOr<int> Joint(const YAML::Node& node, const std::string& path) const {
     RS_ASSIGN_OR_RETURN(const std::string name, Text(node, path));
-    for (int j = 0; j < kJoints; ++j) {
-      if (name == absl::StrCat("J", j + 1)) return j;
-    }
-    return Error(path, absl::StrCat("is '", name, "', must be one of J1 to J7"));
+    if (const int joint = FindJoint(robot_, name); joint >= 0) return joint;
+    return Error(path, absl::StrCat("is '", name, "', must be one of ", KnownJoints(robot_),
+                                    ", the joints of a ", robot_.name));
   }
 
   absl::Status ReadJoint(const YAML::Node& node, const std::string& path,
@@ -128,7 +127,8 @@ class Parser {
       RS_ASSIGN_OR_RETURN(ScenarioEffect effect, ReadEffect(effects[i], place, joint));
       for (const ScenarioEffect& other : scenario.effects) {
         if (other.joint == joint && other.type == effect.type)
-          return Error(place, absl::StrCat("'", effect.type, "' stands twice at J", joint + 1));
+          return Error(place, absl::StrCat("'", effect.type, "' stands twice at ",
+                                           robot_.joints[joint].name));
       }
       scenario.effects.push_back(std::move(effect));
     }
@@ -156,7 +156,8 @@ class Parser {
       const std::string place = absl::StrCat(path, ".", kCoupledKey);
       RS_ASSIGN_OR_RETURN(effect.coupled, Joint(node[kCoupledKey], place));
       if (effect.coupled == joint)
-        return Error(place, absl::StrCat("is J", joint + 1, " itself, must be another joint"));
+        return Error(place, absl::StrCat("is ", robot_.joints[joint].name,
+                                         " itself, must be another joint"));
     }
     return effect;
   }
@@ -172,7 +173,7 @@ class Parser {
                                        "]: ", info.equation));
     }
     RS_ASSIGN_OR_RETURN(const double value, Number(node, place));
-    const EffectRange range = RangeInScenario(info, index, joint);
+    const EffectRange range = RangeInScenario(info, index, robot_, joint);
     const bool below = range.lower_open ? value <= range.lower : value < range.lower;
     if (below || value > range.upper) {
       const std::string low = range.lower_open ? absl::StrFormat("above %g", range.lower)
@@ -180,20 +181,33 @@ class Parser {
       const std::string high = std::isfinite(range.upper)
                                    ? absl::StrFormat(" and at most %g", range.upper)
                                    : std::string();
-      return Error(place, absl::StrFormat("is %g %s at J%d, must be %s%s", value, parameter.unit,
-                                          joint + 1, low, high));
+      return Error(place, absl::StrFormat("is %g %s at %s, must be %s%s", value, parameter.unit,
+                                          robot_.joints[joint].name, low, high));
     }
     return value;
   }
 
   std::string file_;
+  const RobotDescription& robot_;
 };
 
 }  // namespace
 
-EffectRange RangeInScenario(const EffectInfo& effect, size_t index, int joint) {
+int FindJoint(const RobotDescription& robot, absl::string_view name) {
+  for (size_t j = 0; j < robot.joints.size(); ++j) {
+    if (name == robot.joints[j].name) return static_cast<int>(j);
+  }
+  return -1;
+}
+
+std::string KnownJoints(const RobotDescription& robot) {
+  return absl::StrCat(robot.joints.front().name, " to ", robot.joints.back().name);
+}
+
+EffectRange RangeInScenario(const EffectInfo& effect, size_t index, const RobotDescription& robot,
+                            int joint) {
   const EffectParameter& parameter = effect.parameters[index];
-  const double scale = ArmScale(parameter.scale, joint);
+  const double scale = ArmScale(parameter.scale, robot, joint);
   if (parameter.inverse)
     return {scale / parameter.upper, std::numeric_limits<double>::infinity(), false};
   // What is no amplitude is divided by.
@@ -206,15 +220,17 @@ EffectRange RangeInScenario(const EffectInfo& effect, size_t index, int joint) {
   return {scale * parameter.lower, scale * parameter.upper, !amplitude && parameter.lower == 0};
 }
 
-absl::StatusOr<ScenarioFile> ParseScenarioFile(const std::string& file, const std::string& yaml) {
+absl::StatusOr<ScenarioFile> ParseScenarioFile(const std::string& file, const std::string& yaml,
+                                               const RobotDescription& robot) {
   try {
-    return Parser(file).Parse(YAML::Load(yaml));
+    return Parser(file, robot).Parse(YAML::Load(yaml));
   } catch (const YAML::Exception& error) {
     return absl::InvalidArgumentError(absl::StrCat(file, ": not YAML: ", error.what()));
   }
 }
 
-absl::StatusOr<ScenarioFile> ReadScenarioFile(const std::string& file) {
+absl::StatusOr<ScenarioFile> ReadScenarioFile(const std::string& file,
+                                              const RobotDescription& robot) {
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   const std::string label = ScenarioLabel(file);
   const std::vector<std::string> known = ScenarioNames();
@@ -228,23 +244,23 @@ absl::StatusOr<ScenarioFile> ReadScenarioFile(const std::string& file) {
     return absl::InvalidArgumentError(
         absl::StrCat(file, ": a scenario is called by its file's name, and '", label,
                      "' has other characters than letters, digits and _; rename the file"));
-  return ParseScenarioFile(file, text);
+  return ParseScenarioFile(file, text, robot);
 }
 
-std::string WriteScenarioFile(const ScenarioFile& scenario) {
+std::string WriteScenarioFile(const ScenarioFile& scenario, const RobotDescription& robot) {
   YAML::Emitter out;
   out.SetDoublePrecision(12);
   out << YAML::BeginMap;
   if (!scenario.title.empty()) out << YAML::Key << "title" << YAML::Value << scenario.title;
   out << YAML::Key << "base" << YAML::Value << scenario.base;
   out << YAML::Key << "joints" << YAML::Value << YAML::BeginSeq;
-  for (int joint = 0; joint < kJoints; ++joint) {
+  for (int joint = 0; joint < static_cast<int>(robot.joints.size()); ++joint) {
     bool open = false;
     for (const ScenarioEffect& effect : scenario.effects) {
       const auto info = FindEffect(effect.type);
       if (effect.joint != joint || !info.ok()) continue;
       if (!open) {
-        out << YAML::BeginMap << YAML::Key << "name" << YAML::Value << absl::StrCat("J", joint + 1)
+        out << YAML::BeginMap << YAML::Key << "name" << YAML::Value << robot.joints[joint].name
             << YAML::Key << "effects" << YAML::Value << YAML::BeginSeq;
         open = true;
       }
@@ -252,7 +268,7 @@ std::string WriteScenarioFile(const ScenarioFile& scenario) {
       for (size_t i = 0; i < effect.values.size(); ++i)
         out << YAML::Key << (*info)->parameters[i].name << YAML::Value << effect.values[i];
       if (effect.coupled >= 0)
-        out << YAML::Key << kCoupledKey << YAML::Value << absl::StrCat("J", effect.coupled + 1);
+        out << YAML::Key << kCoupledKey << YAML::Value << robot.joints[effect.coupled].name;
       out << YAML::EndMap;
     }
     if (open) out << YAML::EndSeq << YAML::EndMap;

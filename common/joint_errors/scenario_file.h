@@ -4,7 +4,9 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "common/joint_errors/scenarios.h"
+#include "common/robot_description.h"
 
 namespace robostress {
 
@@ -13,7 +15,7 @@ namespace robostress {
 //   title: Worn elbow          # optional; else the file's name
 //   base: clean                # optional: a built-in scenario, at the unit's severity level
 //   joints:
-//     - name: J4               # J1 .. J7
+//     - name: J4               # one of the arm's
 //       effects:
 //         - {type: transport_delay, delay_s: 0.02}
 //         - {type: cross_joint_coupling, k: 3, joint: J2}   # reads the position of J2
@@ -27,10 +29,15 @@ struct ScenarioFile {
   std::vector<ScenarioEffect> effects;
 };
 
-// Errors name file, key, value and what is allowed.
-absl::StatusOr<ScenarioFile> ReadScenarioFile(const std::string& file);
-absl::StatusOr<ScenarioFile> ParseScenarioFile(const std::string& file, const std::string& yaml);
-std::string WriteScenarioFile(const ScenarioFile& scenario);
+// A file is for one arm: `robot`. Errors name file, key, value and what is allowed.
+absl::StatusOr<ScenarioFile> ReadScenarioFile(const std::string& file,
+                                              const RobotDescription& robot);
+absl::StatusOr<ScenarioFile> ParseScenarioFile(const std::string& file, const std::string& yaml,
+                                               const RobotDescription& robot);
+std::string WriteScenarioFile(const ScenarioFile& scenario, const RobotDescription& robot);
+// Index of the joint of that name, or -1; "J1 to J7" of a robot's joints.
+int FindJoint(const RobotDescription& robot, absl::string_view name);
+std::string KnownJoints(const RobotDescription& robot);
 
 // True for names of scenarios that are paths of scenario files: they end in .yaml.
 bool IsScenarioFile(const std::string& scenario);
@@ -42,8 +49,9 @@ struct EffectRange {
   bool lower_open = false;  // the lower bound itself is refused
 };
 // What a scenario may give parameter `index` of an effect at `joint`: the library's bounds at the
-// arm's scales (motor limit 80 or 12 Nm, half a turn, 2.2 rad/s, control step 0.05 s).
+// arm's scales (motor limit, half a turn, largest velocity, control period, reach).
 struct EffectInfo;
-EffectRange RangeInScenario(const EffectInfo& effect, size_t index, int joint);
+EffectRange RangeInScenario(const EffectInfo& effect, size_t index, const RobotDescription& robot,
+                            int joint);
 
 }  // namespace robostress

@@ -111,7 +111,7 @@ const std::vector<JointErrorParameters>& NominalPandaErrors() {
 
 absl::StatusOr<Scenario> MakeScenario(const std::string& name, int level) {
   if (IsScenarioFile(name)) {
-    RS_ASSIGN_OR_RETURN(ScenarioFile file, ReadScenarioFile(name));
+    RS_ASSIGN_OR_RETURN(ScenarioFile file, ReadScenarioFile(name, kPanda));
     RS_ASSIGN_OR_RETURN(Scenario scenario, MakeScenario(file.base, level));
     scenario.name = ScenarioLabel(name);
     scenario.title = file.title.empty() ? scenario.name : file.title;

@@ -60,8 +60,9 @@ struct Scenario {
 // names as printed by `robostress scenarios`.
 std::vector<std::string> ScenarioNames();
 const std::vector<JointErrorParameters>& NominalPandaErrors();  // [7]
-// level: 1 (mild) .. 5 (full; the paper's main tables). Unknown names list the known ones. A name that
-// ends in .yaml is the path of a scenario file (scenario_file.h), which is read at every call.
+// level: 1 (mild) .. 5 (full; the paper's main tables). Unknown names list the known ones. A name
+// that ends in .yaml is the path of a scenario file of the Panda (scenario_file.h), which is read
+// at every call.
 absl::StatusOr<Scenario> MakeScenario(const std::string& name, int level);
 // Factors at `progress` in [0, 1] of the horizon and `grasp` in [0, 1] of the grasp gate.
 std::vector<SeverityFactors> FactorsAt(const Scenario& scenario, double progress, double grasp);

@@ -50,4 +50,26 @@ Vector WithDryFriction(Mass M, const Vector& torque, const Vector& net, const Ve
   return torque + (friction - added.cwiseProduct(acceleration));
 }
 
+// One joint alone, exactly: its velocity after a time under a constant torque and dry friction,
+// which turns with the motion, and the way gone. Where StickTorques holds a joint for the rest of a
+// sub-step, this goes on after the stop. per_torque [1 / (kg m^2)].
+struct DryStroke {
+  double dq = 0, way = 0;  // [rad/s], [rad]
+};
+
+inline DryStroke AdvanceDry(double dq, double torque, const DryFriction& dry, double per_torque,
+                            double time) {
+  const double forward = std::max(0.0, dry.forward), backward = std::max(0.0, dry.backward);
+  double way = 0;
+  if (dq != 0) {
+    const double a = per_torque * (dq > 0 ? torque - forward : torque + backward);
+    const double next = dq + a * time;
+    if (next * dq >= 0) return {next, 0.5 * time * (dq + next)};
+    way = -0.5 * dq * dq / a;
+    time += dq / a;  // what is left after the stop
+  }
+  const double free = torque > forward ? torque - forward : std::min(0.0, torque + backward);
+  return {per_torque * free * time, way + 0.5 * per_torque * free * time * time};
+}
+
 }  // namespace robostress

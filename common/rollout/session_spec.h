@@ -4,15 +4,18 @@
 #include <string>
 #include <vector>
 
-#include "common/method_options.h"
+#include "common/deferred.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/unit_config.h"
 
 namespace robostress {
 
-// Everything that decides what a session computes: equal specs, observations and feedback give
-// equal bits.
-struct SessionSpec {
+struct MethodOptions;  // adapter/method_options.h
+
+enum class ExecutionMode { kLockstep, kAsync };
+
+// Everything that decides what a session computes but its method.
+struct SessionSetting {
   std::string robot = "panda_sim";  // a name, decides nothing
   std::string suite;                // part of the noise key
   std::string scenario;             // names the session, part of no noise key
@@ -23,10 +26,19 @@ struct SessionSpec {
   ControlSpace control_space =
       ControlSpace::kUnspecified;  // of the robot; unspecified: the policy's
   GoalReference goal_reference = GoalReference::kAchieved;
-  MethodOptions method;
   double control_period_s = 0.05;   // [s]
   double translation_scale = 0.05;  // of action entries 0..2 [m]
   double rotation_scale = 0.5;      // of action entries 3..5 [rad]
+};
+
+// What a client asks for: equal requests, observations and feedback give equal bits.
+struct RequestedSession : SessionSetting {
+  std::string method_yaml = "method: base\n";  // adapter/methods.h reads it
+};
+
+// The same with its method read: what a server computes from (server/sessions/read_spec.h).
+struct SessionSpec : SessionSetting {
+  Deferred<MethodOptions> method;
 };
 
 // Whose predictions go first when several wait.
@@ -39,8 +51,8 @@ struct SessionScheduling {
 };
 
 // Of an open session, whose space is specified.
-inline bool ActsInJointSpace(const SessionSpec& spec) {
-  return spec.control_space == ControlSpace::kJoint;
+inline bool ActsInJointSpace(const SessionSetting& setting) {
+  return setting.control_space == ControlSpace::kJoint;
 }
 
 // What a server holds.

@@ -24,7 +24,7 @@ absl::Status CheckMatrixSize(const std::string& field, const Eigen::MatrixXf& ma
   return Invalid(field, " is ", MatrixSize(matrix), ", must be ", rows, " x ", cols);
 }
 
-absl::Status CheckSessionSpec(const SessionSpec& spec) {
+absl::Status CheckSessionSpec(const SessionSetting& spec) {
   RS_RETURN_IF_ERROR(CheckName("spec.robot", spec.robot));
   RS_RETURN_IF_ERROR(CheckName("spec.suite", spec.suite));
   RS_RETURN_IF_ERROR(CheckName("spec.scenario", spec.scenario));

@@ -23,7 +23,7 @@ absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& sp
 
 // Checks a session's names ("spec.robot"), its severity of 1..5 and its scales, above 0 and at most
 // 100. Its method is checked where it is read.
-absl::Status CheckSessionSpec(const SessionSpec& spec);
+absl::Status CheckSessionSpec(const SessionSetting& spec);
 
 // Checks a declared action range: none, or action_dim finite bounds with low <= high.
 absl::Status CheckActionRange(const PolicySpec& spec);

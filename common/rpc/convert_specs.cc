@@ -3,7 +3,6 @@
 #include <string>
 #include <utility>
 
-#include "common/config.h"
 #include "common/rollout/field_checks.h"
 #include "common/rollout/message_limits.h"
 #include "common/rollout/spec_checks.h"
@@ -37,10 +36,12 @@ absl::StatusOr<ControlSpace> FromProto(const char* field, v1::ControlSpace space
   }
 }
 
-absl::StatusOr<SessionSpec> WithoutMethod(const robostress::v1::SessionSpec& message) {
+}  // namespace
+
+absl::StatusOr<RequestedSession> FromProto(const robostress::v1::SessionSpec& message) {
   RS_RETURN_IF_ERROR(CheckRange("spec.severity", message.severity(), 1, 5));
   RS_RETURN_IF_ERROR(CheckText("spec.method_yaml", message.method_yaml(), WireLimits::kMethodYaml));
-  SessionSpec spec;
+  RequestedSession spec;
   if (message.mode() == v1::EXECUTION_MODE_LOCKSTEP) {
     spec.mode = ExecutionMode::kLockstep;
   } else if (message.mode() == v1::EXECUTION_MODE_ASYNC) {
@@ -67,13 +68,12 @@ absl::StatusOr<SessionSpec> WithoutMethod(const robostress::v1::SessionSpec& mes
   spec.control_period_s = message.control_period_s();
   spec.translation_scale = message.translation_scale();
   spec.rotation_scale = message.rotation_scale();
+  spec.method_yaml = message.method_yaml();
   RS_RETURN_IF_ERROR(CheckSessionSpec(spec));
   return spec;
 }
 
-}  // namespace
-
-robostress::v1::SessionSpec ToProto(const SessionSpec& spec) {
+robostress::v1::SessionSpec ToProto(const RequestedSession& spec) {
   v1::SessionSpec message;
   message.set_robot(spec.robot);
   message.set_suite(spec.suite);
@@ -87,24 +87,11 @@ robostress::v1::SessionSpec ToProto(const SessionSpec& spec) {
                                  ? v1::GOAL_REFERENCE_ACHIEVED
                                  : v1::GOAL_REFERENCE_DESIRED);
   message.set_control_space(ToProto(spec.control_space));
-  message.set_method_yaml(DumpConfig(spec.method));
+  message.set_method_yaml(spec.method_yaml);
   message.set_control_period_s(spec.control_period_s);
   message.set_translation_scale(spec.translation_scale);
   message.set_rotation_scale(spec.rotation_scale);
   return message;
-}
-
-absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message) {
-  RS_ASSIGN_OR_RETURN(SessionSpec spec, WithoutMethod(message));
-  RS_ASSIGN_OR_RETURN(spec.method, ParseMethod("spec.method_yaml", message.method_yaml()));
-  return spec;
-}
-
-absl::StatusOr<SessionSpec> FromStored(const robostress::v1::SessionSpec& message) {
-  RS_ASSIGN_OR_RETURN(SessionSpec spec, WithoutMethod(message));
-  RS_ASSIGN_OR_RETURN(spec.method,
-                      ParseConfig<MethodOptions>("spec.method_yaml", message.method_yaml()));
-  return spec;
 }
 
 robostress::v1::PolicySpec ToProto(const PolicySpec& spec) {

@@ -10,11 +10,9 @@
 // rounded or normalised.
 namespace robostress {
 
-robostress::v1::SessionSpec ToProto(const SessionSpec& spec);
-absl::StatusOr<SessionSpec> FromProto(const robostress::v1::SessionSpec& message);
-// What a server wrote, whose dump of a method names every option that its version had: those that
-// came later are at their defaults, which change nothing, and not at the preset's.
-absl::StatusOr<SessionSpec> FromStored(const robostress::v1::SessionSpec& message);
+robostress::v1::SessionSpec ToProto(const RequestedSession& spec);
+// Its method is text still.
+absl::StatusOr<RequestedSession> FromProto(const robostress::v1::SessionSpec& message);
 
 robostress::v1::PolicySpec ToProto(const PolicySpec& spec);
 absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message);

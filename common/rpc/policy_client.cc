@@ -247,7 +247,7 @@ absl::StatusOr<ServerInfo> GetServerInfo(const PolicyClientOptions& options) {
 GrpcPolicyClient::GrpcPolicyClient(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 
 absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> GrpcPolicyClient::Connect(
-    const PolicyClientOptions& options, const SessionSpec& session) {
+    const PolicyClientOptions& options, const RequestedSession& session) {
   RS_ASSIGN_OR_RETURN(const std::shared_ptr<grpc::Channel> channel, OpenChannel(options));
   auto impl = std::make_unique<Impl>();
   impl->options = options;

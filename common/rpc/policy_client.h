@@ -41,7 +41,7 @@ class GrpcPolicyClient : public PolicyEndpoint {
  public:
   // Connects and opens a session.
   static absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> Connect(
-      const PolicyClientOptions& options, const SessionSpec& session);
+      const PolicyClientOptions& options, const RequestedSession& session);
   // Goes on with a session that another client, or an earlier run, has left. Feedback goes on after
   // last_feedback_sequence(); an episode is started before the next prediction.
   static absl::StatusOr<std::unique_ptr<GrpcPolicyClient>> Resume(

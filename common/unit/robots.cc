@@ -2,9 +2,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/embedded_policies.h"
 #include "common/joint_errors/scenarios.h"
-#include "common/method_options.h"
 
 namespace robostress {
 namespace {
@@ -24,6 +25,7 @@ std::vector<std::string> WithoutObserver() {
 const std::vector<RobotInfo>& AllRobots() {
   static const auto& robots = *new std::vector<RobotInfo>{
       {.name = "panda",
+       .description = kPanda,
        .worker = "worker",
        .policy = "nano",
        .suites = {"tabletop_goal"},
@@ -31,6 +33,7 @@ const std::vector<RobotInfo>& AllRobots() {
        .methods = WithoutObserver(),
        .policies = {kSuitePolicies.begin(), kSuitePolicies.end()}},
       {.name = "piper",
+       .description = kPiper,
        .worker = "piper-worker",
        .policy = kPiperPolicy,
        .suites = {"piper_1_next_to_plate", "piper_2_on_cabinet", "piper_3_on_box",

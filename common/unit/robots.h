@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "common/robot_description.h"
 
 namespace robostress {
 
@@ -12,6 +13,7 @@ namespace robostress {
 // those of common/suites.h that name it.
 struct RobotInfo {
   std::string name;    // "panda", "piper"
+  RobotDescription description;
   std::string worker;  // robostress-<worker> --unit FILE --out DIR [--server HOST:PORT]
   std::string policy;  // what a grid that names none evaluates
   std::vector<std::string> suites;  // what a grid that names none plays

@@ -13,6 +13,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/check.h"
 #include "common/config.h"

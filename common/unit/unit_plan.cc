@@ -7,6 +7,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
@@ -16,7 +18,7 @@
 namespace robostress {
 namespace {
 
-constexpr std::string_view kPresetOverride = "method.method=";
+constexpr std::string_view kMethod = "method.", kPreset = "method.method=";
 
 absl::Status CheckRange(const char* key, int64_t value, int64_t low, int64_t high,
                         const char* hint) {
@@ -35,31 +37,20 @@ absl::Status CheckKnown(const char* what, const std::string& name,
 // A scenario of the Panda's has levels and joints; an arm is checked by who builds it.
 absl::Status CheckScenario(const UnitConfig& unit, const RobotInfo& robot) {
   if (robot.arms.empty()) return MakeScenario(unit.scenario, unit.severity).status();
-  if (IsScenarioFile(unit.scenario)) return ReadScenarioFile(unit.scenario).status();
+  if (IsScenarioFile(unit.scenario))
+    return ReadScenarioFile(unit.scenario, robot.description).status();
   return CheckKnown("scenario", unit.scenario, ScenariosOf(robot));
 }
 
-// The preset that a method section starts from: base, unless it names one.
-absl::StatusOr<MethodOptions> PresetOf(const MethodOptions& read, const YAML::Node& section) {
-  RS_ASSIGN_OR_RETURN(MethodOptions method, MakeMethod(read.method));
-  for (const auto& entry : section) {
-    YAML::Emitter value;
-    value << YAML::Flow << entry.second;
-    RS_RETURN_IF_ERROR(
-        ApplyOverrides({absl::StrCat(entry.first.Scalar(), "=", value.c_str())}, method));
+// A method section: the preset that it names, base unless it does, and its other keys over that.
+absl::StatusOr<MethodOptions> ReadSection(const std::string& source, YAML::Node section) {
+  const YAML::Node name = std::as_const(section)["method"];
+  if (name.IsDefined() && name.IsNull()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        source, ": method.method is YAML's null; for the method of that name write \"null\""));
   }
-  return method;
-}
-
-// "method.method=ours" selects the preset before the other overrides change it.
-std::vector<std::string> PresetsFirst(const std::vector<std::string>& overrides) {
-  std::vector<std::string> ordered;
-  for (const bool preset : {true, false}) {
-    for (const std::string& assignment : overrides) {
-      if (assignment.starts_with(kPresetOverride) == preset) ordered.push_back(assignment);
-    }
-  }
-  return ordered;
+  if (!name.IsDefined()) section["method"] = "base";
+  return ReadMethod(source + ": method", section);
 }
 
 }  // namespace
@@ -69,21 +60,20 @@ absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string
   RS_ASSIGN_OR_RETURN(UnitConfig unit, ParseConfig<UnitConfig>(source, yaml));
   const YAML::Node root = YAML::Load(yaml);  // parsed once already
   if (root.IsMap() && root["method"].IsDefined() && root["method"].IsMap()) {
-    const YAML::Node name = root["method"]["method"];
-    if (name.IsDefined() && name.IsNull()) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          source, ": method.method is YAML's null; for the method of that name write \"null\""));
-    }
-    RS_ASSIGN_OR_RETURN(unit.method, PresetOf(unit.method, root["method"]));
+    RS_ASSIGN_OR_RETURN(unit.method, ReadSection(source, root["method"]));
   }
-  for (const std::string& assignment : PresetsFirst(overrides)) {
-    RS_RETURN_IF_ERROR(ApplyOverrides({assignment}, unit));
-    if (assignment.starts_with(kPresetOverride)) {
-      // The text itself: to YAML the name of the method null is no text.
-      const std::string text = assignment.substr(kPresetOverride.size());
-      RS_ASSIGN_OR_RETURN(unit.method, MakeMethod(text == "null" ? text : unit.method.method));
+  // "method.method=ours" selects the preset before the other overrides change it.
+  std::vector<std::string> of_method;
+  for (const std::string& assignment : overrides) {
+    if (assignment.starts_with(kPreset)) {
+      RS_ASSIGN_OR_RETURN(unit.method, MakeMethod(assignment.substr(kPreset.size())));
+    } else if (assignment.starts_with(kMethod)) {
+      of_method.push_back(assignment.substr(kMethod.size()));
+    } else {
+      RS_RETURN_IF_ERROR(ApplyOverrides({assignment}, unit));
     }
   }
+  RS_RETURN_IF_ERROR(OverrideMethod(of_method, unit.method.Edit()));
   return unit;
 }
 
@@ -93,7 +83,7 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
   RS_RETURN_IF_ERROR(CheckKnown("suite", unit.suite, SuitesOf(unit.robot)));
   RS_RETURN_IF_ERROR(CheckRange("severity", unit.severity, 1, 5, ""));
   RS_RETURN_IF_ERROR(CheckScenario(unit, robot));
-  RS_RETURN_IF_ERROR(CheckKnown("method", unit.method.method, robot.methods));
+  RS_RETURN_IF_ERROR(CheckKnown("method", unit.method->method, robot.methods));
   UnitConfig resolved = unit;
   if (resolved.tasks.empty()) {
     for (int task = 0; task < suite->num_tasks; ++task) resolved.tasks.push_back(task);
@@ -116,10 +106,10 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
   RS_RETURN_IF_ERROR(CheckRange("videos", unit.videos, 0, states, ""));
   RS_RETURN_IF_ERROR(CheckRange("sim.settle_steps", unit.sim.settle_steps, 0, 1000, ""));
   if (unit.policy.empty()) return absl::InvalidArgumentError("unit: policy is empty");
-  if (RunsInWorker(unit.policy) && unit.method.method != "base") {
+  if (RunsInWorker(unit.policy) && unit.method->method != "base") {
     return absl::InvalidArgumentError(absl::StrCat("unit: policy '", unit.policy,
                                                    "' has nothing to adapt, method is '",
-                                                   unit.method.method, "', must be 'base'"));
+                                                   unit.method->method, "', must be 'base'"));
   }
   return resolved;
 }
@@ -151,8 +141,8 @@ absl::StatusOr<std::vector<PlannedEpisode>> PlanRange(const UnitConfig& resolved
   if (!MayBeDivided(resolved)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "episodes '", range, "': ",
-        resolved.method.CarriesOver()
-            ? absl::StrCat("method '", resolved.method.method, "' carries what it learned")
+        resolved.method->CarriesOver()
+            ? absl::StrCat("method '", resolved.method->method, "' carries what it learned")
             : absl::StrCat("robot '", resolved.robot, "' carries where its arm stands"),
         " from episode to episode; run the whole unit"));
   }
@@ -161,14 +151,14 @@ absl::StatusOr<std::vector<PlannedEpisode>> PlanRange(const UnitConfig& resolved
 
 bool MayBeDivided(const UnitConfig& unit) {
   const absl::StatusOr<RobotInfo> robot = FindRobot(unit.robot);
-  return robot.ok() && robot->episodes_stand_alone && !unit.method.CarriesOver();
+  return robot.ok() && robot->episodes_stand_alone && !unit.method->CarriesOver();
 }
 
 EpisodeIdentity IdentityOf(const UnitConfig& resolved, const PlannedEpisode& planned) {
   return {.suite = resolved.suite,
           .scenario = ScenarioLabel(resolved.scenario),
           .policy = resolved.policy,
-          .method = resolved.method.method,
+          .method = resolved.method->method,
           .severity = resolved.severity,
           .seed = resolved.seed,
           .task = planned.task,

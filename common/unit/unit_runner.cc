@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 #include "common/unit/robots.h"
 
@@ -43,7 +44,7 @@ class UnitRun {
 
  private:
   absl::StatusOr<std::optional<std::string>> Export() {
-    if (!unit_.method.adapt) return std::nullopt;
+    if (!unit_.method->adapts()) return std::nullopt;
     return player_.Export();
   }
 
@@ -53,7 +54,7 @@ class UnitRun {
       if (directory_->episodes() == 0) return absl::OkStatus();
       return StartOver("an episode of this robot depends on those before it");
     }
-    if (unit_.method.adapt) {
+    if (unit_.method->adapts()) {
       const absl::StatusOr<std::string> state = directory_->LoadAdapterState();
       if (state.ok()) {
         RS_RETURN_IF_ERROR(player_.Import(*state));

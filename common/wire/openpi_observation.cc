@@ -136,16 +136,19 @@ absl::StatusOr<Image> ReadImage(const std::string& key, const OpenpiValue& value
     image.data.assign(first, first + array->data.size());
   } else {
     image.data.resize(3 * pixels);
-    for (size_t i = 0; i < image.data.size(); ++i) {
-      uint8_t& pixel = image.data[rows_first ? i : 3 * (i % pixels) + i / pixels];
-      if (bytes) {
-        pixel = static_cast<uint8_t>(array->data[i]);
-        continue;
+    const size_t planes = rows_first ? 1 : 3;  // of which each goes to every third byte
+    size_t source = 0;
+    for (size_t plane = 0; plane < planes; ++plane) {
+      for (size_t at = plane; at < image.data.size(); at += planes, ++source) {
+        if (bytes) {
+          image.data[at] = static_cast<uint8_t>(array->data[source]);
+          continue;
+        }
+        const double number = FloatAt(*array, source);
+        if (!(number >= 0 && number <= 1))  // NaN too
+          return refuse("[", source, "] is ", number, ", a float image must be within 0..1");
+        image.data[at] = static_cast<uint8_t>(255 * number);
       }
-      const double number = FloatAt(*array, i);
-      if (!(number >= 0 && number <= 1))  // NaN too
-        return refuse("[", i, "] is ", number, ", a float image must be within 0..1");
-      pixel = static_cast<uint8_t>(255 * number);
     }
   }
   const bool fits = width == policy.image_width && height == policy.image_height;

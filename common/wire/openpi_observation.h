@@ -19,7 +19,7 @@ inline constexpr int kResizedViewSide = 1280, kResizedOnRequestSide = 256;
 struct OpenpiInputOptions {
   // The client's key of each of the policy's cameras, in their order, "a/b" within nested maps.
   // Empty: the first of these that has them all: the cameras' own names, bare or under "images/" or
-  // "observation/"; openpi's for LIBERO, DROID and ALOHA.
+  // "observation/"; those of OpenpiDialects (openpi_dialect.h).
   std::vector<std::string> camera_keys;
   std::string default_prompt;  // where a client sends none; empty: it must
   // Views of other sizes than the policy's are resized as openpi's resize_with_pad does, where the

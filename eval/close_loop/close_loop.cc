@@ -63,7 +63,7 @@ class Circle {
   explicit Circle(const CloseLoopOptions& options) : options_(options) {}
 
   absl::StatusOr<CloseLoopResult> Run() {
-    RS_ASSIGN_OR_RETURN(const ScenarioFile hidden, ReadScenarioFile(options_.hidden));
+    RS_ASSIGN_OR_RETURN(const ScenarioFile hidden, ReadScenarioFile(options_.hidden, kPanda));
     result_.hidden = hidden.effects;
     RS_RETURN_IF_ERROR(KeepOptions());
     RS_RETURN_IF_ERROR(Record());
@@ -148,7 +148,7 @@ class Circle {
     RS_RETURN_IF_ERROR(RunCalibration(Out("rig/rig.yaml"), Out("calibration"),
                                       Out("calibration.log"), options_.surrogates, options_.seed));
     RS_ASSIGN_OR_RETURN(result_.found, ReadFoundEffects(Out("rig/rig.yaml"), Out("calibration"),
-                                                        Out("found.yaml")));
+                                                        Out("found.yaml"), kPanda));
     RS_ASSIGN_OR_RETURN(const calibration::Rig declared, calibration::ReadRig(Out("rig/rig.yaml")));
     for (const calibration::RigLog& log : declared.logs) {
       if (log.role != calibration::LogRole::kFit) unseen_.insert(log.condition);

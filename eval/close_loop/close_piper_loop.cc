@@ -29,7 +29,7 @@ class PiperCircle {
   explicit PiperCircle(const ClosePiperLoopOptions& options) : options_(options) {}
 
   absl::StatusOr<ClosePiperLoopResult> Run() {
-    RS_ASSIGN_OR_RETURN(const ScenarioFile hidden, ReadScenarioFile(options_.hidden));
+    RS_ASSIGN_OR_RETURN(const ScenarioFile hidden, ReadScenarioFile(options_.hidden, kPiper));
     result_.hidden = hidden.effects;
     RS_RETURN_IF_ERROR(KeepOptions());
     RS_RETURN_IF_ERROR(Play(options_.hidden, "recording"));
@@ -91,7 +91,7 @@ class PiperCircle {
     RS_RETURN_IF_ERROR(RunCalibration(Out("rig/rig.yaml"), Out("calibration"),
                                       Out("calibration.log"), options_.surrogates, options_.seed));
     RS_ASSIGN_OR_RETURN(result_.found, ReadFoundEffects(Out("rig/rig.yaml"), Out("calibration"),
-                                                        Out("found.yaml")));
+                                                        Out("found.yaml"), kPiper));
     return absl::OkStatus();
   }
 

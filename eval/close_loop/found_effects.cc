@@ -55,7 +55,8 @@ absl::Status RunCalibration(const std::string& rig_file, const std::string& out,
 
 absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
                                               const std::string& folder,
-                                              const std::string& scenario_file) {
+                                              const std::string& scenario_file,
+                                              const RobotDescription& arm) {
   RS_ASSIGN_OR_RETURN(const calibration::Rig declared, calibration::ReadRig(rig_file));
   RS_ASSIGN_OR_RETURN(const calibration::Rig after,
                       calibration::ReadRig((fs::path(folder) / "rig_after.yaml").string()));
@@ -67,8 +68,8 @@ absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
   FoundEffects found;
   found.verdict = report.value("verdict", "");
   RS_ASSIGN_OR_RETURN(const calibration::JointMap map,
-                      calibration::ParseJointMap({"own"}, declared));
-  const auto output = calibration::ScenarioOfRig(declared, after, map, "Found");
+                      calibration::ParseJointMap({"own"}, declared, arm));
+  const auto output = calibration::ScenarioOfRig(declared, after, map, "Found", arm);
   if (absl::IsFailedPrecondition(output.status())) {
     found.notes.push_back(std::string(output.status().message()));
     return found;
@@ -79,7 +80,7 @@ absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
     found.effects.push_back({effect.joint, effect.type, "", effect.values, {}});
     TakeVerdict(report, found.effects.back());
   }
-  RS_RETURN_IF_ERROR(WriteFileAtomically(scenario_file, WriteScenarioFile(output->scenario)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(scenario_file, WriteScenarioFile(output->scenario, arm)));
   return found;
 }
 

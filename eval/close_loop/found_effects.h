@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "common/robot_description.h"
 #include "nlohmann/json_fwd.hpp"
 
 namespace robostress {
@@ -31,7 +32,8 @@ absl::Status RunCalibration(const std::string& rig_file, const std::string& out,
 // scenario in `scenario_file`, which is written only where something was added.
 absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
                                               const std::string& folder,
-                                              const std::string& scenario_file);
+                                              const std::string& scenario_file,
+                                              const RobotDescription& arm);
 
 // A directory belongs to one circle, so that steps of two are not mixed: writes `options` to
 // `file`, or refuses where it holds others.

@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/records/episode_row.h"
 #include "common/suites.h"
@@ -14,7 +15,7 @@ namespace {
 // From the most to the least specific.
 std::vector<std::string> Keys(const UnitConfig& config) {
   const std::string policy =
-      absl::StrCat(PolicyLabel(config.policy), config.method.adapt ? "\tadapts" : "\t");
+      absl::StrCat(PolicyLabel(config.policy), config.method->adapts() ? "\tadapts" : "\t");
   const std::string suite = absl::StrCat(config.suite, "\t", policy);
   return {absl::StrCat(config.scenario, "\t", suite), suite, policy};
 }
@@ -62,7 +63,7 @@ double CostModel::EpisodeSeconds(const UnitConfig& config) const {
   const SuiteInfo* suite = FindSuite(config.suite);
   const int horizon = suite == nullptr || suite->horizon == 0 ? 300 : suite->horizon;
   if (RunsInWorker(config.policy)) return horizon * kExpertStep_s;
-  return horizon * kServedStep_s * (config.method.adapt ? kUpdateFactor : 1);
+  return horizon * kServedStep_s * (config.method->adapts() ? kUpdateFactor : 1);
 }
 
 double CostModel::Seconds(const WorkItem& item) const {

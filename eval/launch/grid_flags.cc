@@ -1,8 +1,8 @@
 #include "eval/launch/grid_flags.h"
 
 #include "absl/strings/str_join.h"
+#include "adapter/methods.h"
 #include "common/config.h"
-#include "common/method_options.h"
 #include "common/status_macros.h"
 #include "eval/launch/cluster_launchers.h"
 

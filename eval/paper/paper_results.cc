@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/suites.h"
 #include "eval/report/severity_section.h"
 #include "eval/statistics/comparison.h"
@@ -46,7 +47,7 @@ class Filler {
     for (const UnitResult& unit : run_.units) {
       const UnitConfig& c = unit.config;
       if (c.scenario == scenario && (table_.suites.empty() || c.suite == part) &&
-          c.method.method == column.method && c.policy == protocol_.PolicyOf(column.role) &&
+          c.method->method == column.method && c.policy == protocol_.PolicyOf(column.role) &&
           (c.severity == column.severity || SameAtEveryLevel(scenario)))
         units.push_back(&unit);
     }
@@ -64,7 +65,7 @@ class Filler {
       // An average over other scenarios than its neighbours' would mislead.
       if (units.empty()) return FilledCell();
       for (const UnitResult* unit : units) {
-        adapts = adapts || unit->config.method.adapt;
+        adapts = adapts || unit->config.method->adapts();
         if (!unit->episodes.empty()) updates += unit->episodes.back().updates;
         for (const EpisodeRow& row : unit->episodes) {
           const std::optional<double> value = ValueOf(row, table_.measure);

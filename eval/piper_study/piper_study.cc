@@ -4,7 +4,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "common/method_options.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/status_macros.h"
 #include "eval/paper/piper_tables.h"
 
@@ -59,7 +60,7 @@ absl::StatusOr<SweepGrid> WithMethods(SweepGrid grid, bool adapts,
   std::vector<std::string> methods;
   for (const std::string& name : grid.methods) {
     RS_ASSIGN_OR_RETURN(const MethodOptions method, MakeMethod(name));
-    if (method.adapt == adapts) methods.push_back(name);
+    if (method.adapts() == adapts) methods.push_back(name);
   }
   grid.methods = methods;
   if (methods.empty()) return grid;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <filesystem>
+#include <map>
 #include <set>
 #include <utility>
 
@@ -10,12 +11,15 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
 #include "eval/paper/filled_table.h"
 #include "eval/paper/paper_results.h"
 #include "eval/report/report.h"
+#include "eval/report/text_table.h"
 
 namespace robostress {
 namespace {
@@ -37,6 +41,36 @@ absl::StatusOr<std::string> WordsText(const std::string& weights, const RunData&
     }
   }
   return text;
+}
+
+// What each object variant came to: successes of its episodes by policy and method.
+std::string VariantsText(const RunData& run) {
+  std::map<std::string, std::map<std::string, std::pair<int, int>>> rows;  // words, column: won, n
+  std::set<std::string> columns;
+  for (const UnitResult& unit : run.units) {
+    const SuiteInfo* suite = FindSuite(unit.config.suite);
+    if (suite == nullptr || !suite->states_go_on) continue;
+    const std::string column =
+        absl::StrCat(PolicyLabel(unit.config.policy), " ", unit.config.method->method);
+    columns.insert(column);
+    for (const EpisodeRow& row : unit.episodes) {
+      auto& [won, n] = rows[row.instruction.value_or(absl::StrCat("task ", row.task))][column];
+      won += row.success;
+      ++n;
+    }
+  }
+  if (rows.empty()) return "";
+  TextRows text = {{"Unseen objects"}};
+  text[0].insert(text[0].end(), columns.begin(), columns.end());
+  for (const auto& [words, cells] : rows) {
+    text.push_back({words});
+    for (const std::string& column : columns) {
+      const auto cell = cells.find(column);
+      text.back().push_back(
+          cell == cells.end() ? "-" : absl::StrCat(cell->second.first, "/", cell->second.second));
+    }
+  }
+  return absl::StrCat(MarkdownTable(text), "\n");
 }
 
 }  // namespace
@@ -86,6 +120,7 @@ absl::Status WritePiperPage(const std::vector<PiperTablePlan>& plans, const Pape
     RS_ASSIGN_OR_RETURN(const std::string words, WordsText(protocol.base, run));
     page += words;
   }
+  page += VariantsText(run);
   RS_RETURN_IF_ERROR(WriteFileAtomically(run.dir + "/report.md", page));
   std::printf("%s\n%s/report.md, report.html, tables/, episodes.csv\n", page.c_str(),
               run.dir.c_str());

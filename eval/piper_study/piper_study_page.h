@@ -15,7 +15,7 @@ absl::StatusOr<std::vector<std::string>> UnknownWords(const std::string& weights
                                                       const std::string& instruction);
 
 // Writes run.dir/tables/, report.html and its kin (eval/report) and report.md: the study's tables,
-// and which words of the instructions the policy does not know. Prints the page.
+// what each object variant came to, and which words the policy does not know. Prints the page.
 absl::Status WritePiperPage(const std::vector<PiperTablePlan>& plans, const PaperProtocol& protocol,
                             const RunData& run);
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <map>
 #include <set>
 
 #include "absl/strings/match.h"
@@ -12,6 +13,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/config.h"
 #include "common/embedded_policies.h"
 #include "common/joint_errors/scenario_file.h"
@@ -22,6 +25,8 @@
 
 namespace robostress {
 namespace {
+
+constexpr absl::string_view kMethod = "method.";
 
 // Collects complaints, so that a person corrects all of a command at once.
 class Complaints {
@@ -140,7 +145,7 @@ void CheckScenarios(const SweepGrid& grid, const RobotInfo& robot, Complaints& c
     labels.push_back(ScenarioLabel(scenario));
     if (!IsScenarioFile(scenario)) {
       built_in.push_back(scenario);
-    } else if (const auto file = ReadScenarioFile(scenario); !file.ok()) {
+    } else if (const auto file = ReadScenarioFile(scenario, robot.description); !file.ok()) {
       complaints.Add(std::string(file.status().message()));
     }
   }
@@ -259,6 +264,55 @@ absl::StatusOr<std::vector<int>> ParseTasks(const std::string& text) {
   return tasks;
 }
 
+namespace {
+
+// "method.x=y" without its section, the others as they are.
+struct Overrides {
+  std::vector<std::string> others, method;
+};
+
+Overrides Part(const std::vector<std::string>& overrides) {
+  Overrides parts;
+  for (const std::string& assignment : overrides) {
+    if (absl::StartsWith(assignment, kMethod)) {
+      parts.method.push_back(assignment.substr(kMethod.size()));
+    } else {
+      parts.others.push_back(assignment);
+    }
+  }
+  return parts;
+}
+
+absl::StatusOr<MethodOptions> MethodOf(const SweepGrid& grid, const std::string& name) {
+  RS_ASSIGN_OR_RETURN(MethodOptions method,
+                      MakeMethodOf(grid.methods, name, Part(grid.overrides).method));
+  RS_RETURN_IF_ERROR(method.Check());
+  return method;
+}
+
+void CheckOverrides(const SweepGrid& grid, Complaints& complaints) {
+  bool readable = true;
+  for (const std::string& assignment : grid.overrides) {
+    UnitConfig scratch;
+    absl::Status status = CheckOverride(assignment, scratch);
+    if (absl::StartsWith(assignment, "method.method=")) {
+      status = absl::InvalidArgumentError(
+          "override of method.method: a unit is named by its method; choose methods instead");
+    }
+    if (status.ok()) continue;
+    readable = false;
+    complaints.Add(std::string(status.message()));
+  }
+  if (!readable) return;
+  for (const std::string& name : grid.methods) {
+    absl::Status status = MethodOf(grid, name).status();
+    if (absl::IsNotFound(status)) return;  // complained of already
+    if (!status.ok()) complaints.Add(std::string(status.message()));
+  }
+}
+
+}  // namespace
+
 absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   const absl::StatusOr<RobotInfo> found = FindRobot(grid.robot);
   if (!found.ok()) return absl::InvalidArgumentError(found.status().message());
@@ -285,14 +339,7 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   std::vector<std::string> labels;
   for (const std::string& policy : grid.policies) labels.push_back(PolicyLabel(policy));
   complaints.CheckUnique("policy name", labels);
-  UnitConfig scratch;
-  for (const std::string& assignment : grid.overrides) {
-    if (const absl::Status status = CheckOverride(assignment, scratch); !status.ok())
-      complaints.Add(std::string(status.message()));
-  }
-  if (scratch.method.method != UnitConfig().method.method)
-    complaints.Add(
-        "override of method.method: a unit is named by its method; choose methods instead");
+  CheckOverrides(grid, complaints);
   RS_RETURN_IF_ERROR(complaints.ToStatus());
   grid.suites = InOrderOf(suites, grid.suites);
   std::vector<std::string> scenarios = InOrderOf(ScenariosOf(robot), grid.scenarios);
@@ -307,20 +354,19 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
 
 std::string UnitId(const UnitConfig& config) {
   return absl::StrCat(config.suite, "-", ScenarioLabel(config.scenario), "-L", config.severity, "-",
-                      PolicyLabel(config.policy), "-", config.method.method, "-s", config.seed);
+                      PolicyLabel(config.policy), "-", config.method->method, "-s", config.seed);
 }
 
 absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
   std::vector<PlannedUnit> units;
-  const auto add = [&](UnitConfig config, const std::string& method) -> absl::Status {
-    RS_ASSIGN_OR_RETURN(config.method, MakeMethod(method));
-    const std::string id = UnitId(config);
-    RS_RETURN_IF_ERROR(ApplyOverrides(grid.overrides, config));
-    units.push_back({id, std::move(config)});
-    return absl::OkStatus();
-  };
+  std::map<std::string, Deferred<MethodOptions>> methods;
+  for (const std::string& name : grid.methods) {
+    RS_ASSIGN_OR_RETURN(methods[name], MethodOf(grid, name));
+  }
+  UnitConfig common;
+  RS_RETURN_IF_ERROR(ApplyOverrides(Part(grid.overrides).others, common));
   for (const std::string& suite_name : grid.suites) {
-    UnitConfig config;
+    UnitConfig config = common;
     config.robot = grid.robot;
     config.suite = suite_name;
     config.tasks = grid.tasks;
@@ -345,9 +391,10 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
           config.policy = policy;
           for (const std::string& method : grid.methods) {
             if (RunsInWorker(policy) && method != "base") continue;
+            config.method = methods.at(method);
             for (const int64_t seed : grid.seeds) {
               config.seed = seed;
-              RS_RETURN_IF_ERROR(add(config, method));
+              units.push_back({UnitId(config), config});
             }
           }
         }

@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/joint_errors/scenario_file.h"
 
 namespace robostress {
@@ -22,7 +23,7 @@ std::string ValueOf(const PlannedUnit& unit, const std::string& key) {
   if (key == "scenario") return ScenarioLabel(config.scenario);
   if (key == "severity") return absl::StrCat(config.severity);
   if (key == "policy") return PolicyLabel(config.policy);
-  if (key == "method") return config.method.method;
+  if (key == "method") return config.method->method;
   if (key == "seed") return absl::StrCat(config.seed);
   return unit.id;
 }

@@ -2,6 +2,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/config.h"
 #include "common/status_macros.h"
 
@@ -38,7 +39,7 @@ bool HasPlainHead(const std::string& text) {
 
 std::string UnitTexts::Of(const PlannedUnit& unit) {
   const UnitConfig& config = unit.config;
-  std::string& tail = tails_[absl::StrCat(config.suite, "\n", config.method.method)];
+  std::string& tail = tails_[absl::StrCat(config.suite, "\n", config.method->method)];
   if (tail.empty()) {
     const std::string text = DumpConfig(config);
     if (!HasPlainHead(text)) return text;  // a name that YAML writes over several lines

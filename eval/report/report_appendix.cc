@@ -10,6 +10,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/suites.h"
@@ -112,7 +114,7 @@ std::vector<const FilmGroup*> ByInterest(const std::vector<FilmGroup>& groups) {
 // "success after 143 steps, 21 updates so far"
 std::string OutcomeText(const Film& film) {
   if (film.episode == nullptr) return "";
-  const std::string updates = film.unit->config.method.adapt
+  const std::string updates = film.unit->config.method->adapts()
                                   ? absl::StrCat(", ", film.episode->updates, " updates so far")
                                   : "";
   return absl::StrCat(film.episode->success ? "success" : "failure", " after ", film.episode->steps,
@@ -120,7 +122,7 @@ std::string OutcomeText(const Film& film) {
 }
 
 std::string Figure(const Film& film, const std::string& bytes) {
-  const std::string method = film.unit->config.method.method;
+  const std::string method = film.unit->config.method->method;
   return absl::StrCat("<figure><img alt=\"rollout\" src=\"data:image/webp;base64,",
                       absl::Base64Escape(bytes),
                       "\"><figcaption><span class=dot style=\"background:", MethodColor(method),
@@ -144,7 +146,7 @@ std::string TimingTable(const RunData& run) {
   std::map<std::string, Row> rows;
   for (const UnitResult& unit : run.units) {
     if (unit.timing.episodes != static_cast<int>(unit.episodes.size())) continue;
-    Row& row = rows[unit.config.method.method];
+    Row& row = rows[unit.config.method->method];
     row.sums.episodes += unit.timing.episodes;
     row.sums.wall_s += unit.timing.wall_s;
     row.sums.predict_s += unit.timing.predict_s;
@@ -267,7 +269,7 @@ std::string SetupSection(const RunData& run) {
   }
   std::set<std::string> shown;
   for (const UnitResult& unit : run.units) {
-    if (!shown.insert(unit.config.method.method).second) continue;
+    if (!shown.insert(unit.config.method->method).second) continue;
     absl::StrAppend(&html, "<details><summary>Resolved configuration of ", EscapeXml(unit.id),
                     "</summary><pre>", EscapeXml(DumpConfig(unit.config)), "</pre></details>\n");
   }
@@ -286,7 +288,8 @@ std::string LimitsSection(const RunData& run, const Summary& summary, const Succ
     const SuiteInfo* suite = FindSuite(unit.config.suite);
     embedded = embedded || (suite != nullptr && !suite->needs_libero);
     dev_states = dev_states || unit.config.first_initial_state + unit.config.episodes > 20;
-    if (unit.config.method.adapt && (unit.episodes.empty() || unit.episodes.back().updates == 0))
+    if (unit.config.method->adapts() &&
+        (unit.episodes.empty() || unit.episodes.back().updates == 0))
       not_adapted.insert(unit.id);
   }
   std::string html = "<h2 id=limits>Limits</h2>\n<ul>\n";

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "eval/plan/plan.h"
@@ -119,7 +120,7 @@ std::string SuiteTitles(const Units& units) {
 
 ResidualTable MakeTable(const Units& units, const std::string& label, int replicates) {
   const UnitConfig& first = units.front()->config;
-  ResidualTable table{first.sim.goal_reference, PolicyLabel(first.policy), first.method.method,
+  ResidualTable table{first.sim.goal_reference, PolicyLabel(first.policy), first.method->method,
                       SuiteTitles(units)};
   Rollouts worn;
   std::vector<ScenarioLevel> worn_levels;
@@ -192,7 +193,7 @@ absl::StatusOr<std::vector<ResidualTable>> MakeResidualTables(const RunData& run
   }
   const auto label_of = [](const UnitResult& unit) {
     return absl::StrCat("residual/", GoalReferenceName(unit.config.sim.goal_reference), "/",
-                        PolicyLabel(unit.config.policy), "/", unit.config.method.method);
+                        PolicyLabel(unit.config.policy), "/", unit.config.method->method);
   };
   const auto suite_of = [](const UnitResult& unit) { return unit.config.suite; };
   std::vector<ResidualTable> tables;

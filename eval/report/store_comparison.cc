@@ -10,6 +10,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
 #include "common/config.h"
 #include "common/html_page.h"
 #include "common/joint_errors/scenario_file.h"
@@ -33,7 +34,7 @@ using CellKey = std::tuple<std::string, int, std::string, std::string>;
 
 CellKey KeyOf(const UnitConfig& config) {
   return {PolicyLabel(config.policy), SameAtEveryLevel(config.scenario) ? 0 : config.severity,
-          config.method.method, ScenarioLabel(config.scenario)};
+          config.method->method, ScenarioLabel(config.scenario)};
 }
 
 // Cells in the order of the store's units.

@@ -7,6 +7,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/suites.h"
 #include "eval/plan/plan.h"
@@ -17,10 +19,6 @@ namespace robostress {
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-
-bool Compensates(const MethodOptions& method) {
-  return method.adapt || method.direct || method.integral_rate > 0 || method.following_gain > 0;
-}
 
 Cell MakeCell(const Units& units) {
   Cell cell;
@@ -33,8 +31,8 @@ Cell MakeCell(const Units& units) {
       updates = std::max(updates, row.updates);
     }
     cell.updates += updates;
-    cell.adapts = cell.adapts || unit->config.method.adapt;
-    cell.compensates = cell.compensates || Compensates(unit->config.method);
+    cell.adapts = cell.adapts || unit->config.method->adapts();
+    cell.compensates = cell.compensates || unit->config.method->Compensates();
   }
   cell.wilson = WilsonInterval(cell.successes, cell.n);
   cell.seeds = SpreadOverSeeds({units});
@@ -153,8 +151,8 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
   std::set<std::string> methods_present;
   std::vector<std::string> suites;
   for (const UnitResult* unit : units) {
-    grid[unit->config.scenario][unit->config.method.method].push_back(unit);
-    methods_present.insert(unit->config.method.method);
+    grid[unit->config.scenario][unit->config.method->method].push_back(unit);
+    methods_present.insert(unit->config.method->method);
     const SuiteInfo* info = FindSuite(unit->config.suite);
     const std::string title = info == nullptr ? unit->config.suite : info->title;
     if (std::find(suites.begin(), suites.end(), title) == suites.end()) suites.push_back(title);
@@ -200,7 +198,7 @@ CurveSet MakeCurves(const Units& units, const std::string& policy, int severity)
     Units chosen;
     size_t length = 0;
     for (const UnitResult* unit : units) {
-      if (unit->config.method.method != method || unit->config.scenario == "clean") continue;
+      if (unit->config.method->method != method || unit->config.scenario == "clean") continue;
       chosen.push_back(unit);
       length = std::max(length, unit->episodes.size());
       set.episodes_per_task = unit->config.episodes;

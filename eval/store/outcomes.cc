@@ -8,6 +8,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/status_macros.h"
@@ -24,7 +26,7 @@ using nlohmann::ordered_json;
 constexpr int kHashDigits = 12;
 
 std::string OptionsHash(const UnitConfig& config) {
-  std::string options = DumpConfig(config.sim) + DumpConfig(config.method);
+  std::string options = DumpConfig(config.sim) + DumpConfig(*config.method);
   if (config.robot != UnitConfig().robot) options += DumpConfig(config.client);
   return Sha256Hex(options).substr(0, kHashDigits);
 }
@@ -186,7 +188,7 @@ absl::StatusOr<std::string> OutcomesText(const RunData& run) {
         {"scenario", config.scenario},
         {"severity", config.severity},
         {"policy", config.policy},
-        {"method", config.method.method},
+        {"method", config.method->method},
         {"seed", config.seed},
         {"first_initial_state", config.first_initial_state},
         {"tasks", config.tasks},
@@ -221,7 +223,7 @@ std::vector<std::string> HoldAgainstPlan(const std::vector<PlannedUnit>& planned
     if (found == plan.end()) return false;
     const UnitConfig &asked = *found->second, &had = unit.config;
     if (OptionsHash(asked) != ProvenanceOf(unit, "options"))
-      other_options.insert(had.method.method);
+      other_options.insert(had.method->method);
     if (asked.tasks == had.tasks && asked.episodes == had.episodes &&
         asked.first_initial_state == had.first_initial_state)
       return false;

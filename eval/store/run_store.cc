@@ -10,6 +10,8 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
@@ -45,7 +47,7 @@ auto CanonicalKey(const UnitConfig& config) {
   static const auto& methods = *new std::vector<std::string>(MethodNames());
   return std::tuple(IndexOf(suites, config.suite), IndexOf(scenarios, config.scenario),
                     ScenarioLabel(config.scenario), config.severity, config.policy,
-                    IndexOf(methods, config.method.method), config.seed);
+                    IndexOf(methods, config.method->method), config.seed);
 }
 
 std::string CsvCell(const json& value) {

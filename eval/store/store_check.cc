@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"

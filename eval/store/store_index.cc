@@ -11,6 +11,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
 #include "eval/plan/plan.h"
@@ -174,7 +175,7 @@ class Index {
     }
     const UnitConfig& config = unit.config;
     unit_ << store << unit.id << config.suite << ScenarioLabel(config.scenario)
-          << int64_t{config.severity} << PolicyLabel(config.policy) << config.method.method
+          << int64_t{config.severity} << PolicyLabel(config.policy) << config.method->method
           << config.seed
           << std::string(damaged               ? "damaged"
                          : inspection.finished ? "finished"

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
@@ -26,7 +27,7 @@ double ExpectedCost(const WorkItem& item) {
   const SuiteInfo* suite = FindSuite(config.suite);
   const double horizon = suite == nullptr ? 300 : suite->horizon;
   return item.count * horizon * (config.scenario == "clean" ? 0.5 : 1) *
-         (config.method.adapt ? 1.5 : 1);
+         (config.method->adapts() ? 1.5 : 1);
 }
 
 // As a unit was begun; 0 when it was not begun in parts.

@@ -326,7 +326,7 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
     const double torque = mit.kp * (mit.position - reading.q[joint]) +
                           mit.kd * (mit.velocity - reading.dq[joint]) +
                           CurrentScale(options_.version, joint) * mit.feedforward;
-    return std::clamp(torque, -PiperPlant::kTorqueLimit[joint], PiperPlant::kTorqueLimit[joint]);
+    return std::clamp(torque, -TorqueLimit(joint), TorqueLimit(joint));
   }
   const bool direct = mode_.follow == Follow::kDirect;
   const JointPlanner& planner = planners_[joint];
@@ -336,7 +336,7 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
   if (direct) {
     power.integral = 0;
   } else {
-    const double most = kIntegralShare * PiperPlant::kTorqueLimit[joint];
+    const double most = kIntegralShare * TorqueLimit(joint);
     power.integral =
         std::clamp(power.integral + gains.kp * error * kStep_s / kIntegralTime_s, -most, most);
   }
@@ -345,12 +345,12 @@ double ArmFirmware::ServoTorque(int joint, const PlantReading& reading) {
   const double torque = gains.kp * error + gains.kd * (planner.velocity() - reading.dq[joint]) +
                         power.integral + friction +
                         options_.gravity_feedforward[joint] * reading.gravity[joint];
-  return std::clamp(torque, -PiperPlant::kTorqueLimit[joint], PiperPlant::kTorqueLimit[joint]);
+  return std::clamp(torque, -TorqueLimit(joint), TorqueLimit(joint));
 }
 
 void ArmFirmware::WatchStall(int joint, double torque, const PlantReading& reading) {
   Power& power = power_[joint];
-  const bool strained = std::abs(torque) >= kStallTorque * PiperPlant::kTorqueLimit[joint] &&
+  const bool strained = std::abs(torque) >= kStallTorque * TorqueLimit(joint) &&
                         std::abs(reading.dq[joint]) < kStallSpeed;
   power.stalled_s = strained ? power.stalled_s + kStep_s : 0;
   if (power.stalled_s >= kStallTime_s) {

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/joint_errors/sub_step.h"
 #include "common/status_macros.h"
+#include "robot_client/piper/kinematics.h"
 
 namespace robostress::piper {
 namespace {
@@ -165,7 +166,7 @@ void PiperPlant::Step(const JointVector& motor_torque, double finger_force) {
   // The position stage of the step on the way is done: Read left kinematics up to date.
   Vector6 asked;
   for (int i = 0; i < kJoints; ++i)
-    asked[i] = std::clamp(motor_torque[i], -kTorqueLimit[i], kTorqueLimit[i]);
+    asked[i] = std::clamp(motor_torque[i], -TorqueLimit(i), TorqueLimit(i));
   std::array<JointMoment, kJoints> moments = DescribeJoints();
   const Vector6 push = Eigen::Map<const Vector6>(push_.data());
   const Vector6 torque =

@@ -32,8 +32,6 @@ struct PlantReading {
 class PiperPlant {
  public:
   static constexpr double kStep_s = 0.001;
-  // Largest torque of a motor [Nm] (pyAgxArm pull request 59: the range of torque commands).
-  static constexpr JointVector kTorqueLimit = {32, 32, 32, 8, 8, 8};
 
   // `scene_xml` holds the names of piper_mjcf.h.
   static absl::StatusOr<std::unique_ptr<PiperPlant>> Create(const std::string& scene_xml,
@@ -47,7 +45,7 @@ class PiperPlant {
     push_ = torque;
     finger_push_ = finger_force;
   }
-  // One step under the motors' torques [Nm] and the fingers' force [N].
+  // One step under the motors' torques [Nm], within their limits, and the fingers' force [N].
   void Step(const JointVector& motor_torque, double finger_force);
 
   const PlantReading& reading() const { return reading_; }

@@ -15,8 +15,8 @@ struct Joint {
 };
 // Coulomb friction: MuJoCo Menagerie's agilex_piper has 0.3 Nm at every joint; a Piper of firmware
 // S-V1.8-6 draws 0.5 to 0.6 A at rest between moves (piper_sdk issue 119), 0.5 to 0.7 Nm, which
-// bounds it from above. The wrist's drives have a quarter of the shoulder's torque (pyAgxArm pull
-// request 59: 32 and 8 Nm), and are given half its friction. Viscous friction: a tenth of the
+// bounds it from above. The wrist's drives have a quarter of the shoulder's torque, and are given
+// half its friction. Viscous friction: a tenth of the
 // Coulomb friction per rad/s, the ratio of the paper's arm (2.175 to 0.348 Nm, 0.48 to 0.048 Nm).
 // Backlash: the paper's nominal values for proximal and distal joints.
 constexpr std::array<Joint, kJoints> kNew = {{{0.30, 0.030, 0.00087},
@@ -60,18 +60,13 @@ WearProfile Profile(const std::string& name, double friction, double backlash, d
 }
 
 absl::StatusOr<WearProfile> FromFile(const std::string& path) {
-  RS_ASSIGN_OR_RETURN(const ScenarioFile file, ReadScenarioFile(path));
+  RS_ASSIGN_OR_RETURN(const ScenarioFile file, ReadScenarioFile(path, kPiper));
   if (file.base != "clean")
     return absl::InvalidArgumentError(
         absl::StrCat(path, ": base: ", file.base,
                      " is a scenario of the Panda; a Piper's profile has base: clean"));
   WearProfile profile = Profile(ScenarioLabel(path), 1, 1, 1);
   profile.effects = file.effects;
-  for (const ScenarioEffect& effect : profile.effects) {
-    if (effect.joint >= kJoints || effect.coupled >= kJoints)
-      return absl::InvalidArgumentError(
-          absl::StrCat(path, ": effect ", effect.type, " names J7; a Piper has J1 to J6"));
-  }
   return profile;
 }
 

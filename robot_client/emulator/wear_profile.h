@@ -24,8 +24,8 @@ struct WearProfile {
 // "new" and "used_one_year"; every number with its source in wear_profile.cc. No Piper's friction,
 // backlash or lag has been published: the profiles are built from published values of like drives
 // and of the Piper's behaviour, not fitted to the residuals that the paper measured. A name that
-// ends in .yaml is a scenario file of one's own (common/joint_errors/scenario_file.h, joints J1 to
-// J6) over the arm of "new" without its effects.
+// ends in .yaml is a scenario file of one's own (common/joint_errors/scenario_file.h) over the arm
+// of "new" without its effects.
 absl::StatusOr<WearProfile> MakeWearProfile(const std::string& name);
 
 }  // namespace robostress::piper

@@ -4,6 +4,7 @@
 #include <Eigen/Geometry>
 #include <array>
 
+#include "common/robot_description.h"
 #include "robot_client/piper/protocol.h"
 
 namespace robostress::piper {
@@ -32,19 +33,22 @@ Eigen::Matrix<double, 6, kJoints> ToolJacobian(const JointVector& q, Zero zero);
 // R = Rot_z(yaw) Rot_y(pitch) Rot_x(roll), pitch in [-pi/2, pi/2]; at its ends yaw is zero.
 Eigen::Vector3d FixedAngles(const Eigen::Matrix3d& R);
 
-// Joint limits [rad] of the SDK and of the 2025 robot description, what a sound arm answers up to
-// its 0.1 degrees.
+// Of what it may be told [rad], as its description says.
 struct Range {
   double lower, upper;
 };
-inline constexpr std::array<Range, kJoints> kJointRanges = {
-    {{-2.6179, 2.6179}, {0, 3.14}, {-2.967, 0}, {-1.745, 1.745}, {-1.22, 1.22}, {-2.0944, 2.0944}}};
+inline constexpr std::array<Range, kJoints> kJointRanges = [] {
+  std::array<Range, kJoints> ranges{};
+  for (int j = 0; j < kJoints; ++j) ranges[j] = {kPiper.joints[j].lower, kPiper.joints[j].upper};
+  return ranges;
+}();
 // Mechanical stops [rad], beyond the limits (github.com/Reimagine-Robotics/piper_control, pull
 // requests 76 and 78).
 inline constexpr std::array<Range, kJoints> kJointStops = {
     {{-2.687, 2.687}, {0, 3.403}, {-3.054, 0}, {-1.85, 1.85}, {-1.309, 1.309}, {-2.967, 2.967}}};
-inline constexpr double kMaxJointSpeed = 3.0;         // [rad/s], of the firmware
-inline constexpr double kMaxJointAcceleration = 5.0;  // [rad/s^2], as delivered
+inline constexpr double kMaxJointSpeed = kPiper.joints[0].max_velocity;                // [rad/s]
+inline constexpr double kMaxJointAcceleration = kPiper.joints[0].max_acceleration;     // [rad/s^2]
+constexpr double TorqueLimit(int joint) { return kPiper.joints[joint].torque_limit; }  // [Nm]
 inline constexpr double kGripperOpening = 0.07;       // [m], the 70 mm gripper
 
 }  // namespace robostress::piper

@@ -16,6 +16,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/child_process.h"
 #include "common/config.h"
@@ -119,7 +120,7 @@ absl::StatusOr<std::string> ClientYaml(const UnitConfig& unit, const TableSuite&
                       "\"\ncameras: [\"base=mapped:", views, ".base\", \"wrist=mapped:", views,
                       ".wrist\"]\ntask: ", suite.task, "\nepisodes: ", unit.episodes,
                       "\nepisode_s: 600\nhome: [", absl::StrJoin(home, ", "),
-                      "]\ncontrol:\n  observer: ", unit.method.observer ? "true" : "false",
+                      "]\ncontrol:\n  observer: ", unit.method->observer ? "true" : "false",
                       "\nfeedback:\n  moved_bound: ", unit.client.moved_bound,
                       "\nrealtime:\n  priority: 0\n  lock_memory: false\npolicy:",
                       Section(SessionOf(unit, server)), "\n");

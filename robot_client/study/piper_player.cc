@@ -4,6 +4,7 @@
 #include <limits>
 #include <utility>
 
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 #include "robot_client/homing_endpoint.h"
 #include "robot_client/simulated_client.h"
@@ -77,7 +78,7 @@ class PiperPlayer::Table {
     options.image_size = policy_->spec().image_width;
     RS_ASSIGN_OR_RETURN(bench_, StudyBench::Create(options));
     SimulatedClientOptions client;
-    client.control.observer = unit_.method.observer;
+    client.control.observer = unit_.method->observer;
     client.control.guards = false;  // as the committed study was made
     client.control.limits.joint_jerk = std::numeric_limits<double>::infinity();
     client.link.feedback.moved_bound = unit_.client.moved_bound;

@@ -2,6 +2,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
 #include "common/unit/unit_plan.h"
@@ -76,9 +77,9 @@ PolicyConnectionOptions SessionOf(const UnitConfig& unit, const std::string& ser
   session.suite = "piper_table";
   session.seed = unit.seed;
   session.method = unit.method;
-  if (unit.method.observer) {
-    session.method.observer = false;
-    session.method.method = unit.method.adapt ? "ours" : "base";
+  if (unit.method->observer) {
+    session.method.Edit().observer = false;
+    session.method.Edit().method = unit.method->adapts() ? "ours" : "base";
   }
   return session;
 }

@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "adapter/method_options.h"
 #include "common/html_page.h"
 #include "common/statistics.h"
 #include "common/svg_elements.h"
@@ -50,7 +51,7 @@ std::string UrlEscape(const std::string& text) {
 
 std::string Name(const SessionSpec& spec) {
   return absl::StrCat(spec.robot, " · ", spec.suite, " · ", spec.scenario, " L", spec.severity,
-                      " · ", spec.policy, " · ", spec.method.method, " · seed ", spec.seed);
+                      " · ", spec.policy, " · ", spec.method->method, " · seed ", spec.seed);
 }
 
 // One line an axis; a point is the mean of `together` chunks.

@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "adapter/compensation.h"
+#include "adapter/method_options.h"
 #include "adapter/pseudo_target.h"
 #include "common/status_macros.h"
 #include "server/sessions/state_rules.h"
@@ -24,11 +25,21 @@ NominalArmOptions NominalArmOf(const SessionSpec& spec) {
 
 ResidualOptions ResidualOf(const SessionSpec& spec) {
   ResidualOptions options = ResidualOptionsOf(
-      spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
+      *spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
   options.translation_scale = spec.translation_scale;
   options.rotation_scale = spec.rotation_scale;
   return options;
 }
+
+namespace {
+
+// Of a method that does not adapt, the defaults: nothing comes into its buffer.
+LoraOptions LoraOf(const SessionSpec& spec) {
+  const LoraOptions* lora = spec.method->Find<LoraOptions>();
+  return lora == nullptr ? LoraOptions() : *lora;
+}
+
+}  // namespace
 
 Learner::Learner(const SessionSpec* spec, std::shared_ptr<const FlowPolicy> policy,
                  std::shared_ptr<PrefixStore> prefixes, const GuardOptions& guard)
@@ -38,8 +49,9 @@ Learner::Learner(const SessionSpec* spec, std::shared_ptr<const FlowPolicy> poli
       guard_(guard),
       key_(StreamKey("session").With(SessionIdentity(*spec))),
       residual_(ResidualOf(*spec)),
-      buffer_(spec->method.buffer_chunks),
-      schedule_(spec->method.buffer_chunks, spec->method.update_interval),
+      lora_(LoraOf(*spec)),
+      buffer_(lora_.buffer_chunks),
+      schedule_(lora_.buffer_chunks, lora_.update_interval),
       arm_(NominalArmOf(*spec)) {}
 
 absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const SessionSpec* spec,
@@ -48,9 +60,9 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const SessionSpec* spec
                                                          const GuardOptions& guard) {
   auto learner =
       std::unique_ptr<Learner>(new Learner(spec, std::move(policy), std::move(prefixes), guard));
-  if (spec->method.adapt) {
+  if (spec->method->adapts()) {
     RS_ASSIGN_OR_RETURN(learner->adapter_,
-                        LoraAdapter::Create(learner->policy_.get(), spec->method, learner->key_));
+                        LoraAdapter::Create(learner->policy_.get(), learner->lora_, learner->key_));
   }
   return learner;
 }
@@ -58,7 +70,7 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const SessionSpec* spec
 absl::Status Learner::RequireAdapter(const char* purpose) const {
   if (adapts()) return absl::OkStatus();
   return absl::FailedPreconditionError(
-      absl::StrCat("method ", spec_->method.method, " has no adapter to ", purpose));
+      absl::StrCat("method ", spec_->method->method, " has no adapter to ", purpose));
 }
 
 // --------------------------------------------------------------------------------------- feedback
@@ -74,22 +86,22 @@ absl::StatusOr<BufferedChunk> Learner::MakeTraining(const MeasuredChunk& measure
   if (executed.chunk == 0 || arm_episode_ != episode) {
     arm.Reset();
   }
-  if (!spec_->method.use_residual) {  // eta = 0: the raw prediction itself, without a round trip
-                                      // through ToEnvironment
+  if (!lora_.use_residual) {  // eta = 0: the raw prediction itself, without a round trip
+                              // through ToEnvironment
     chunk.target = prediction.raw;
     return chunk;
   }
   Eigen::MatrixXd other;  // against what is not the policy's own command
-  if (spec_->method.target != TargetReference::kExecuted) {
+  if (spec_->method->target != TargetReference::kExecuted) {
     Eigen::MatrixXf base;
     if (prediction.base.rows() > 0) {
       base = prediction.base.middleRows(executed.first_step, executed.steps.size());
     }
     RS_ASSIGN_OR_RETURN(other,
-                        ReferencedResidual(executed, spec_->method.target, residual_, base, &arm));
+                        ReferencedResidual(executed, spec_->method->target, residual_, base, &arm));
   }
   const Eigen::MatrixXd& residual =
-      spec_->method.target == TargetReference::kExecuted ? measured.residual() : other;
+      spec_->method->target == TargetReference::kExecuted ? measured.residual() : other;
   try {
     torch::NoGradGuard no_grad;
     chunk.target =
@@ -157,7 +169,7 @@ Learner::Update Learner::MakeUpdate(uint64_t sequence) {
   Update update{index, sequence, {}, {}};
   const StreamKey key = key_.With("update").With(static_cast<int64_t>(index));
   // The batch, and for the guard what follows it in the same permutation.
-  const int size = spec_->method.batch;
+  const int size = lora_.batch;
   const int held_out = guard_.enabled ? std::min(guard_.chunks, buffer_.size() - size) : 0;
   for (const int i : SampleWithoutReplacement(key.With("batch"), buffer_.size(), size + held_out)) {
     auto& into = static_cast<int>(update.batch.size()) < size ? update.batch : update.held_out;

@@ -11,6 +11,7 @@
 #include "absl/status/statusor.h"
 #include "adapter/adaptation_state.h"
 #include "adapter/feedback_buffer.h"
+#include "adapter/lora_options.h"
 #include "adapter/lora_adapter.h"
 #include "adapter/nominal_arm.h"
 #include "adapter/residual.h"
@@ -125,6 +126,7 @@ class Learner {
   const GuardOptions guard_;
   const StreamKey key_;
   const ResidualOptions residual_;
+  const LoraOptions lora_;
   std::unique_ptr<LoraAdapter> adapter_;  // null where the method does not adapt
 
   FeedbackBuffer<BufferedChunk> buffer_;

@@ -3,6 +3,7 @@
 #include "absl/strings/str_cat.h"
 #include "adapter/adaptation_state.h"
 #include "adapter/lora.h"
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 #include "server/sessions/learner.h"
 
@@ -14,8 +15,8 @@ AdaptationState Learner::State() const {
   AdaptationState state;
   state.policy = policy.name;
   state.model_hash = policy.model_hash;
-  state.method = spec_->method.method;
-  state.lora_kind = spec_->method.lora;
+  state.method = spec_->method->method;
+  state.lora_kind = lora_.kind;
   state.session = SessionIdentity(*spec_);
   state.lora = adapter_->Export();
   state.triggers = triggers_;
@@ -38,15 +39,15 @@ absl::StatusOr<AdaptationState> Learner::Read(const std::string& name,
   const PolicySpec& policy = policy_->spec();
   RS_ASSIGN_OR_RETURN(AdaptationState state,
                       ParseAdaptationState(name, safetensors, *policy_, policy.model_hash));
-  if (state.method != spec_->method.method || state.policy != policy.name) {
+  if (state.method != spec_->method->method || state.policy != policy.name) {
     return absl::InvalidArgumentError(absl::StrCat(
         "the adapter was learned by method ", state.method, " on policy ", state.policy,
-        "; this session runs method ", spec_->method.method, " on policy ", policy.name));
+        "; this session runs method ", spec_->method->method, " on policy ", policy.name));
   }
-  if (state.lora_kind != spec_->method.lora) {
+  if (adapts() && state.lora_kind != lora_.kind) {
     return absl::InvalidArgumentError(
         absl::StrCat("the adapter's parameters are ", LoraKindName(state.lora_kind),
-                     "; this session's method has lora: ", LoraKindName(spec_->method.lora),
+                     "; this session's method has lora: ", LoraKindName(lora_.kind),
                      "; open the session with the adapter's kind"));
   }
   return state;

@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 #include "server/sessions/command_bounds.h"
 
@@ -33,13 +34,13 @@ absl::Status CheckComputed(const SampledPrediction& sampled, const PredictedChun
 
 std::string SessionIdentity(const SessionSpec& spec) {
   return absl::StrJoin({spec.suite, spec.scenario, absl::StrCat(spec.severity), spec.policy,
-                        spec.method.method, absl::StrCat(spec.seed)},
+                        spec.method->method, absl::StrCat(spec.seed)},
                        "/");
 }
 
 StreamKey NoiseKey(const SessionSpec& spec, const ChunkKey& key) {
   return StreamKey("prediction_noise")
-      .With(spec.method.noise_stream)
+      .With(spec.method->noise_stream)
       .With(spec.seed)
       .With(spec.suite)
       .With(int64_t{key.episode.task})
@@ -59,7 +60,7 @@ absl::StatusOr<SampledPrediction> ComputePrediction(Batcher& batcher, Prediction
                                                     const SessionSpec& spec, const ChunkKey& key,
                                                     PredictedChunk& answer) {
   const FlowPolicy& policy = *job.policy;
-  job.with_base = spec.method.track_intent || spec.method.target == TargetReference::kIntent;
+  job.with_base = spec.method->track_intent || spec.method->target == TargetReference::kIntent;
   try {
     torch::NoGradGuard no_grad;
     job.noise = DrawNoise(NoiseKey(spec, key), policy.horizon(), policy.model_action_dim());
@@ -85,8 +86,8 @@ void CorrectCommands(const SessionSpec& spec, const PolicySpec& policy,
                      const Eigen::VectorXd& correction, PredictedChunk& answer) {
   answer.actions = answer.policy_actions;
   const Eigen::Index arm = answer.actions.cols() - 1;
-  if (spec.method.gain != 1.0) {
-    answer.actions.leftCols(arm) *= static_cast<float>(spec.method.gain);
+  if (spec.method->gain != 1.0) {
+    answer.actions.leftCols(arm) *= static_cast<float>(spec.method->gain);
   }
   if (correction.size() > 0) {
     constexpr double kWidest = kWidestCommand;  // what does not fit in a float would be undefined
@@ -94,7 +95,7 @@ void CorrectCommands(const SessionSpec& spec, const PolicySpec& policy,
         correction.head(arm).cwiseMax(-kWidest).cwiseMin(kWidest).cast<float>().transpose();
   }
   // After the last stage, whatever it was.
-  if (spec.method.gain != 1.0 || correction.size() > 0)
+  if (spec.method->gain != 1.0 || correction.size() > 0)
     BoundCommands(policy, answer.policy_actions, answer.actions);
 }
 

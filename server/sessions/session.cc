@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/monotonic_wait.h"
 #include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
@@ -31,7 +32,7 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
       owner_(owner),
       residual_options_(ResidualOf(spec)),
       rules_(&spec_, resources_.policy.get()),
-      correction_(spec.method, residual_options_, NominalArmOf(spec)) {}
+      correction_(*spec.method, residual_options_, NominalArmOf(spec)) {}
 
 Session::~Session() = default;
 
@@ -163,7 +164,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(std::shared_ptr<const Observatio
     prediction.observation = std::move(observation);
     prediction.prefix = resources_.prefixes->Add(resources_.policy, prediction.observation,
                                                  std::move(sampled.context));
-    if (spec_.method.target == TargetReference::kIntent) prediction.base = answer->base_actions;
+    if (spec_.method->target == TargetReference::kIntent) prediction.base = answer->base_actions;
   }
   const std::string record = durable() ? EncodeEvent(prediction) : std::string();
   std::shared_ptr<RecordWriter> writer;

@@ -6,6 +6,7 @@
 #include "adapter/adam.h"
 #include "adapter/adaptation_state.h"
 #include "adapter/lora.h"
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 #include "server/inference/without_exceptions.h"
 #include "server/sessions/journal/session_events.h"

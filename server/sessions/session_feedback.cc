@@ -48,7 +48,7 @@ absl::StatusOr<FeedbackResult> Session::TakeFeedback(const ExecutedChunk& execut
     RS_ASSIGN_OR_RETURN(lesson, learner_->Prepare(measured, *prediction));
     if (episode_ == prediction->key.episode) {
       correction = correction_;
-      correction->Observe(measured.usable(), measured.residual());
+      correction->Observe(measured.usable());
     }
     if (durable()) RS_RETURN_IF_ERROR(AppendFeedback(record, *prediction));
   }

@@ -8,6 +8,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/monotonic_wait.h"
 #include "common/status_macros.h"
@@ -122,7 +123,8 @@ absl::Status SessionRegistry::CheckOwner(const Entry& entry, const std::string& 
 
 absl::StatusOr<OpenedSession> SessionRegistry::Open(const SessionRequest& request,
                                                     const Caller& caller) {
-  RS_RETURN_IF_ERROR(CheckMethodCaps(request.spec.method, Tightest(options_.caps, CapsOf(caller))));
+  RS_RETURN_IF_ERROR(
+      CheckMethodCaps(*request.spec.method, Tightest(options_.caps, CapsOf(caller))));
   RS_ASSIGN_OR_RETURN(const SessionResources resources, resources_of_(request.spec.policy));
   OpenedSession opened;
   RS_ASSIGN_OR_RETURN(const std::string name, RandomHex(8));

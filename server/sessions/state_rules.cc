@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "common/rollout/message_limits.h"
 #include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
@@ -56,7 +57,7 @@ absl::Status StateRules::CheckChunk(const char* field, const torch::Tensor& tens
 }
 
 absl::Status StateRules::CheckSchedule(int64_t chunks_since_clear, size_t buffered) const {
-  const MethodOptions& method = spec_->method;
+  const LoraOptions& method = *spec_->method->Find<LoraOptions>();
   if (chunks_since_clear < 0) {
     return Invalid("chunks_since_clear is ", chunks_since_clear, ", must be 0 or above");
   }
@@ -124,10 +125,10 @@ absl::Status StateRules::CheckPrediction(const Prediction& prediction) const {
   RS_RETURN_IF_ERROR(
       within(CheckEpisode(prediction.key.episode.task, prediction.key.episode.episode)));
   RS_RETURN_IF_ERROR(within(CheckIndex("chunk", prediction.key.chunk, 0)));
-  if ((prediction.observation != nullptr) != spec_->method.adapt) {
-    return Invalid(where, spec_->method.adapt ? " lacks its observation" : " has an observation",
-                   "; method ", spec_->method.method, " adapts ",
-                   spec_->method.adapt ? "from it" : "nothing");
+  const bool adapts = spec_->method->adapts();
+  if ((prediction.observation != nullptr) != adapts) {
+    return Invalid(where, adapts ? " lacks its observation" : " has an observation", "; method ",
+                   spec_->method->method, " adapts ", adapts ? "from it" : "nothing");
   }
   if (prediction.answered != nullptr)
     RS_RETURN_IF_ERROR(within(robostress::CheckPrediction(*prediction.answered, policy_->spec())));
@@ -142,7 +143,7 @@ absl::Status StateRules::CheckPrediction(const Prediction& prediction) const {
   }
   if (!torch::isfinite(state).all().item<bool>())
     return Invalid(where, ": state holds a value that is not finite");
-  if (spec_->method.target == TargetReference::kIntent) {
+  if (spec_->method->target == TargetReference::kIntent) {
     const PolicySpec& policy = policy_->spec();
     return within(CheckMatrixSize("base", prediction.base, policy.horizon, policy.action_dim));
   }
@@ -175,7 +176,8 @@ absl::Status StateRules::CheckSnapshot(const SessionSnapshot& snapshot,
     if (boundary <= snapshot.feedback_sequence)
       return Invalid("a boundary waits for feedback ", boundary, ", which is in");
   }
-  const Eigen::Index direct = snapshot.correction.direct.size();
+  const auto found = snapshot.correction.find(DirectOptions::kWay.name);
+  const Eigen::Index direct = found == snapshot.correction.end() ? 0 : found->second.size();
   if (direct != 0 && direct != policy_->spec().action_dim) {
     return Invalid("direct_correction has ", direct, " values, must have ",
                    policy_->spec().action_dim, " or none");
@@ -193,13 +195,13 @@ absl::Status StateRules::CheckSnapshot(const SessionSnapshot& snapshot,
     }
     last = prediction.id;
   }
-  if (snapshot.adaptation.has_value() != spec_->method.adapt) {
+  if (snapshot.adaptation.has_value() != spec_->method->adapts()) {
     return Invalid("an adapter ", snapshot.adaptation ? "where method " : "is missing; method ",
-                   spec_->method.method, spec_->method.adapt ? " has one" : " has none");
+                   spec_->method->method, spec_->method->adapts() ? " has one" : " has none");
   }
   if (!snapshot.adaptation) {
     if (snapshot.buffer.empty() && snapshot.versions.empty()) return absl::OkStatus();
-    return Invalid("buffered chunks or versions where method ", spec_->method.method, " has none");
+    return Invalid("buffered chunks or versions where method ", spec_->method->method, " has none");
   }
   if (!snapshot.adaptation->buffer.empty())
     return Invalid("the adapter of a snapshot has a buffer of its own");

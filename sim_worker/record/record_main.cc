@@ -151,12 +151,12 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
                       EmbeddedTask::Create(unit, job.task));
   std::unique_ptr<GrpcPolicyClient> policy;
   if (!line.server.empty()) {
-    SessionSpec session;
+    RequestedSession session;
     session.suite = job.suite;
     session.scenario = line.scenario;
     session.policy = line.policy;
     session.seed = line.seed;
-    session.method.track_intent = false;
+    session.method_yaml = "{method: base, track_intent: false}";
     RS_ASSIGN_OR_RETURN(policy, GrpcPolicyClient::Connect({line.server}, session));
     if (policy->spec().cameras.size() != 2) {
       return absl::InvalidArgumentError(

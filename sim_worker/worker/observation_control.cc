@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "adapter/method_options.h"
 #include "common/status_macros.h"
 
 namespace robostress {

@@ -4,10 +4,11 @@
 #include <string>
 #include <vector>
 
-#include "common/method_options.h"
 #include "common/rollout/robot.h"
 
 namespace robostress {
+
+enum class ObservationInput;  // adapter/method_options.h
 
 // A robot whose policy is denied one of its inputs, to measure how much the policy depends on it:
 //   shuffled_instruction  another task's instruction, the others of the suite in turn by episode

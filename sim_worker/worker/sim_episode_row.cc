@@ -1,6 +1,7 @@
 #include "sim_worker/worker/sim_episode_row.h"
 
 #include "adapter/episode_metrics.h"
+#include "adapter/method_options.h"
 
 namespace robostress {
 namespace {
@@ -16,7 +17,7 @@ EpisodeMetrics MetricsOf(const std::vector<ExecutedChunk>& chunks, const Residua
 EpisodeRow MakeEpisodeRow(const UnitConfig& resolved, const EpisodeRecord& record,
                           const SessionStats& stats,
                           const std::optional<std::vector<ExecutedChunk>>& in_clean) {
-  const ResidualOptions options = ResidualOptionsOf(resolved.method);
+  const ResidualOptions options = ResidualOptionsOf(*resolved.method);
   const EpisodeMetrics metrics = MetricsOf(record.chunks, options);
   EpisodeRow row;
   row.success = record.success;

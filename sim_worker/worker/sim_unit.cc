@@ -6,9 +6,12 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
+#include "common/config.h"
 #include "common/image.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/robot_description.h"
 #include "common/rollout/replay_chunks.h"
 #include "common/rollout/replay_policy.h"
 #include "common/rollout/rollout.h"
@@ -70,11 +73,11 @@ class SimPlayer : public UnitPlayer {
     client.address = options_.server;
     client.connect_timeout_s = options_.connect_timeout_s;
     client.call_timeout_s = options_.call_timeout_s;
-    RS_ASSIGN_OR_RETURN(client_, GrpcPolicyClient::Connect(client, SessionSpecOf(unit_)));
-    if (unit_.method.adapt && !client_->spec().adaptable) {
+    RS_ASSIGN_OR_RETURN(client_, GrpcPolicyClient::Connect(client, SessionOf(unit_)));
+    if (unit_.method->adapts() && !client_->spec().adaptable) {
       return absl::InvalidArgumentError(
           absl::StrCat("policy '", unit_.policy, "' cannot be adapted, method '",
-                       unit_.method.method, "' needs that; use method base"));
+                       unit_.method->method, "' needs that; use method base"));
     }
     return client_->spec().model_hash;
   }
@@ -193,17 +196,18 @@ absl::Status RunSimUnit(const UnitConfig& unit, const SimUnitOptions& options,
   return RunUnit(resolved, options.run, player);
 }
 
-SessionSpec SessionSpecOf(const UnitConfig& resolved) {
-  SessionSpec spec;
+RequestedSession SessionOf(const UnitConfig& resolved) {
+  RequestedSession spec;
   spec.suite = resolved.suite;
   spec.scenario = ScenarioLabel(resolved.scenario);
   spec.severity = resolved.severity;
   spec.policy = resolved.policy;
   spec.seed = resolved.seed;
   spec.mode = ExecutionMode::kLockstep;
-  spec.control_space = ControlSpace::kEndEffector;
+  spec.control_space = kPanda.control_space;
+  spec.control_period_s = kPanda.control_period_s;
   spec.goal_reference = resolved.sim.goal_reference;
-  spec.method = resolved.method;
+  spec.method_yaml = DumpConfig(*resolved.method);
   return spec;
 }
 

@@ -42,6 +42,6 @@ struct SimUnitOptions {
 absl::Status RunSimUnit(const UnitConfig& unit, const SimUnitOptions& options,
                         const TaskFactory& make_task);
 
-SessionSpec SessionSpecOf(const UnitConfig& resolved);
+RequestedSession SessionOf(const UnitConfig& resolved);
 
 }  // namespace robostress

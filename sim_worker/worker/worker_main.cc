@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/run_main.h"
 #include "sim_worker/sim_task.h"
@@ -42,7 +43,7 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   const absl::StatusOr<std::vector<std::string>> instructions = SuiteInstructions(unit.suite);
   if (!instructions.ok()) return instructions.status();
   UnitTask out;
-  out.robot = ControlObservations(sim_task, unit.method.observation, *instructions, task);
+  out.robot = ControlObservations(sim_task, unit.method->observation, *instructions, task);
   out.make_expert = [sim_task] { return sim_task->MakeExpert(); };
   out.listen_to_joints = [sim_task](std::function<void(const JointSample&)> call) {
     sim_task->sim().OnJointSample(std::move(call));

@@ -14,7 +14,7 @@ using ::testing::HasSubstr;
 class AdaptationStateTest : public ::testing::Test {
  protected:
   AdaptationStateTest() {
-    MethodOptions options;
+    LoraOptions options;
     options.learning_rate = 1e-2;
     adapter_ = *LoraAdapter::Create(&policy_, options, StreamKey("s"));
     for (int i = 0; i < 3; ++i) {
@@ -77,8 +77,8 @@ TEST_F(AdaptationStateTest, SurvivesTheFileBitForBit) {
 
 TEST_F(AdaptationStateTest, SaysItsKindAndIsPerMatrixWhereAnOldFileDoesNot) {
   EXPECT_EQ(Parse(Bytes())->lora_kind, LoraKind::kPerHead);
-  MethodOptions options;
-  options.lora = LoraKind::kPerMatrix;
+  LoraOptions options;
+  options.kind = LoraKind::kPerMatrix;
   state_.lora = (*LoraAdapter::Create(&policy_, options, StreamKey("s")))->Export();
   state_.lora_kind = LoraKind::kPerMatrix;
   const auto file = SafetensorsFile::Parse("new", Bytes());

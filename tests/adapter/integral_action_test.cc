@@ -2,7 +2,8 @@
 
 #include <gtest/gtest.h>
 
-#include "common/method_options.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "tests/adapter/disturbed_arm.h"
 
 namespace robostress {
@@ -17,7 +18,7 @@ MethodOptions Method(const std::vector<std::string>& overrides = {}) {
 }
 
 IntegralAction Make(const MethodOptions& method) {
-  return IntegralAction(method, ResidualOptionsOf(method), {});
+  return IntegralAction(*method.Find<IntegralOptions>(), ResidualOptionsOf(method), {});
 }
 
 void Drive(IntegralAction& integral, DisturbedArm& arm, const Vector6& command, int chunks) {

@@ -10,12 +10,7 @@
 namespace robostress {
 namespace {
 
-MethodOptions Ours(double learning_rate = 1e-3) {
-  MethodOptions options;
-  options.adapt = true;
-  options.learning_rate = learning_rate;
-  return options;
-}
+LoraOptions Ours(double learning_rate = 1e-3) { return LoraOptions::At(learning_rate); }
 
 std::shared_ptr<const TrainingChunk> Chunk(const FakePolicy& policy, int index) {
   auto chunk = std::make_shared<TrainingChunk>();
@@ -31,7 +26,7 @@ std::vector<std::shared_ptr<const TrainingChunk>> Batch(const FakePolicy& policy
   return batch;
 }
 
-std::unique_ptr<LoraAdapter> Make(const FakePolicy& policy, const MethodOptions& options,
+std::unique_ptr<LoraAdapter> Make(const FakePolicy& policy, const LoraOptions& options,
                                   const std::string& session = "s") {
   return *LoraAdapter::Create(&policy, options, StreamKey("session").With(session));
 }
@@ -109,7 +104,7 @@ TEST(LoraAdapter, IsAPureFunctionOfItsBatchesAndIndices) {
 
 TEST(LoraAdapter, ReducesTheLossOnItsOwnTargets) {
   const FakePolicy policy;
-  MethodOptions options = Ours(1e-2);
+  LoraOptions options = Ours(1e-2);
   const auto adapter = Make(policy, options);
   const auto batch = Batch(policy, 0);
   const auto mean_loss = [&] {
@@ -136,7 +131,7 @@ TEST(LoraAdapter, ReducesTheLossOnItsOwnTargets) {
 
 TEST(LoraAdapter, AnchorHoldsTheWeightsNearTheirStart) {
   const FakePolicy policy;
-  MethodOptions held = Ours(1e-2), loose = Ours(1e-2);
+  LoraOptions held = Ours(1e-2), loose = Ours(1e-2);
   held.anchor_weight = 1.0;
   loose.anchor_weight = 0;
   const auto a = Make(policy, held), b = Make(policy, loose);
@@ -182,7 +177,7 @@ TEST(LoraAdapter, RollsBackToAVersionItStillHolds) {
 TEST(LoraAdapter, FirstMomentsAreTheBetasShareOfTheGradient) {
   // From rest m = (1 - beta1) g and v = (1 - beta2) g^2, so v (1 - beta1)^2 = m^2 (1 - beta2).
   const FakePolicy policy;
-  MethodOptions method = Ours(1e-3);
+  LoraOptions method = Ours(1e-3);
   method.beta1 = 0.8;
   method.beta2 = 0.99;
   const auto adapter = Make(policy, method);
@@ -201,7 +196,7 @@ TEST(LoraAdapter, FirstMomentsAreTheBetasShareOfTheGradient) {
 TEST(LoraAdapter, ClipsTheGradientsNormToTheMethods) {
   // Adam's first moment after a step is a tenth of what is left of the gradient.
   const FakePolicy policy;
-  MethodOptions method = Ours(1e-3);
+  LoraOptions method = Ours(1e-3);
   method.clip_norm = 1e-4;
   const auto adapter = Make(policy, method);
   ASSERT_TRUE(adapter->Update(0, Batch(policy, 0)).ok());

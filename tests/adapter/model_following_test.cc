@@ -6,7 +6,8 @@
 #include <string>
 
 #include "adapter/command_correction.h"
-#include "common/method_options.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "tests/adapter/disturbed_arm.h"
 
 namespace robostress {
@@ -24,7 +25,7 @@ MethodOptions Method(const std::vector<std::string>& overrides = {}) {
 }
 
 ModelFollowing Make(const MethodOptions& method) {
-  return ModelFollowing(method, ResidualOptionsOf(method), {});
+  return ModelFollowing(*method.Find<FollowingOptions>(), ResidualOptionsOf(method), {});
 }
 
 // The displacement of the tool over `chunks` chunks, normalised.
@@ -171,13 +172,13 @@ TEST(CommandCorrection, IsTheSumOfWhatTheMethodHasAndRefusesTheStateOfAnother) {
   const MethodOptions both = Method({"integral_rate=0.1"}), none = *MakeMethod("base");
   CommandCorrection correction(both, ResidualOptionsOf(both), {});
   CommandCorrection nothing(none, ResidualOptionsOf(none), {});
-  IntegralAction integral(both, ResidualOptionsOf(both), {});
+  IntegralAction integral(*both.Find<IntegralOptions>(), ResidualOptionsOf(both), {});
   ModelFollowing following = Make(both);
   DisturbedArm arm(1, kDisturbance);
   for (int i = 0; i < 4; ++i) {
     const ExecutedChunk chunk = arm.Execute(kCommand, -correction.Value());
-    correction.Observe(chunk, ChunkResidual(chunk, ResidualOptionsOf(both)));
-    nothing.Observe(chunk, ChunkResidual(chunk, ResidualOptionsOf(none)));
+    correction.Observe(chunk);
+    nothing.Observe(chunk);
     integral.Observe(chunk);
     following.Observe(chunk);
   }
@@ -195,8 +196,8 @@ TEST(CommandCorrection, DirectTakesTheMeanOfTheStepsThatCount) {
   DisturbedArm arm(0.8, kDisturbance);
   ExecutedChunk chunk = arm.Execute(kCommand, Vector6::Zero());
   chunk.masked = {true, false, true, false, true};
+  correction.Observe(chunk);
   const Eigen::MatrixXd eta = ChunkResidual(chunk, ResidualOptionsOf(direct));
-  correction.Observe(chunk, eta);
   EXPECT_LT((correction.Value() + (eta.row(1) + eta.row(3)).transpose() / 2).norm(), 1e-12);
   EXPECT_GT(correction.Value().norm(), 0.1);
 }

@@ -1,6 +1,6 @@
 #include "common/config.h"
 
-#include "common/method_options.h"
+#include "adapter/method_options.h"
 #include "common/unit_config.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -68,13 +68,13 @@ TEST(Config, BrokenYamlIsAnErrorAndNotACrash) {
 TEST(Config, DumpReadsBackToTheSameValues) {
   UnitConfig unit;
   unit.tasks = {3, 1};
-  unit.method.learning_rate = 0.1 + 0.2;
+  unit.method.Edit().tracking_gain = 0.1 + 0.2;
   unit.sim.joint_errors.offset_mode = OffsetMode::kVelocity;
   const std::string text = DumpConfig(unit);
   const auto again = ParseConfig<UnitConfig>("dump", text);
   ASSERT_TRUE(again.ok()) << again.status();
   EXPECT_EQ(again->tasks, unit.tasks);
-  EXPECT_EQ(again->method.learning_rate, unit.method.learning_rate);
+  EXPECT_EQ(again->method->tracking_gain, 0.1 + 0.2);
   EXPECT_EQ(again->sim.joint_errors.offset_mode, OffsetMode::kVelocity);
   EXPECT_EQ(DumpConfig(*again), text);
 }
@@ -104,23 +104,6 @@ TEST(Config, AnOverrideWithNothingAfterItsSignIsTheEmptyString) {
   EXPECT_THAT(Message(ApplyOverrides({"episodes="}, unit)), HasSubstr("episodes is ''"));
 }
 
-TEST(MethodOptions, UnknownMethodListsTheKnownOnes) {
-  const auto method = MakeMethod("our");
-  ASSERT_FALSE(method.ok());
-  EXPECT_THAT(Message(method.status()), HasSubstr("'our'"));
-  EXPECT_THAT(Message(method.status()), HasSubstr("ours_intent"));
-}
-
-TEST(MethodOptions, TextNamesAPresetAndWhatStandsOverIt) {
-  const auto ours = ParseMethod("m", "method: ours");
-  ASSERT_TRUE(ours.ok()) << ours.status();
-  EXPECT_EQ(DumpConfig(*ours), DumpConfig(*MakeMethod("ours")));
-  EXPECT_TRUE(ours->adapt);
-  const auto changed = ParseMethod("m", "{learning_rate: 0.5, method: no_anchor}");
-  ASSERT_TRUE(changed.ok()) << changed.status();
-  EXPECT_EQ(DumpConfig(*changed), DumpConfig(*MakeMethod("no_anchor", {"learning_rate=0.5"})));
-}
-
 // Texts that are kept and hashed hold only what they held before the field came.
 TEST(ConfigTexts, ALateFieldStandsThereWhereItIsUsed) {
   EXPECT_THAT(DumpConfig(*MakeMethod("ours")), testing::Not(HasSubstr("observer")));
@@ -137,48 +120,6 @@ TEST(ConfigTexts, ALateFieldStandsThereWhereItIsUsed) {
   EXPECT_EQ(DumpConfig(*read), DumpConfig(unit));
   EXPECT_THAT(Message(ParseConfig<UnitConfig>("u.yaml", "client: {episode: 1}").status()),
               HasSubstr("client.episode"));
-}
-
-TEST(MethodOptions, ADumpReadsBackToEveryBitWhateverItsPreset) {
-  for (const std::string& name : MethodNames()) {
-    MethodOptions options = *MakeMethod(name);
-    EXPECT_EQ(DumpConfig(*ParseMethod("m", DumpConfig(options))), DumpConfig(options)) << name;
-    // As older servers stored it of "method: ours" over gRPC: the name, and nothing of the preset.
-    options = MethodOptions();
-    options.method = name;
-    options.learning_rate = 0.1 + 0.2;
-    EXPECT_EQ(DumpConfig(*ParseMethod("m", DumpConfig(options))), DumpConfig(options)) << name;
-  }
-}
-
-TEST(MethodOptions, TextWithoutAKnownMethodIsRefusedWithWhatIsKnown) {
-  for (const char* yaml : {"", "{}", "learning_rate: 1", "method:", "method: [ours]", "method: ''",
-                           "method: Ours", "adapt: true"}) {
-    const absl::Status status = ParseMethod("where", yaml).status();
-    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << yaml;
-    EXPECT_THAT(Message(status), HasSubstr("where: ")) << yaml;
-    EXPECT_THAT(Message(status), HasSubstr("base, ours, ours_intent")) << yaml;
-  }
-  EXPECT_THAT(Message(ParseMethod("where", "{method: ours, learning_rat: 1}").status()),
-              HasSubstr("where: unknown key 'learning_rat'"));
-  EXPECT_THAT(Message(ParseMethod("where", "{method: ours, method: base}").status()),
-              HasSubstr("given twice"));
-  EXPECT_FALSE(ParseMethod("where", "- ours").ok());
-  EXPECT_THAT(Message(MakeMethod("ours", {"method=base"}).status()),
-              HasSubstr("names another preset"));
-}
-
-TEST(MethodOptions, PaperDefaultsHold) {
-  const auto ours = MakeMethod("ours");
-  ASSERT_TRUE(ours.ok());
-  EXPECT_TRUE(ours->adapt);
-  EXPECT_EQ(ours->rank, 4);
-  EXPECT_EQ(ours->buffer_chunks, 32);
-  EXPECT_EQ(ours->update_interval, 8);
-  EXPECT_EQ(ours->batch, 4);
-  EXPECT_EQ(ours->anchor_weight, 1e-4);
-  EXPECT_EQ(ours->target, TargetReference::kExecuted);
-  EXPECT_EQ(ours->residual_scale, ResidualScale::kCommand);
 }
 
 }  // namespace

@@ -15,6 +15,7 @@
 #include "common/rpc/policy_client.h"
 #include "nlohmann/json.hpp"
 #include "server/serve_options.h"
+#include "server/sessions/read_spec.h"
 #include "tests/adapter/toy_arm.h"
 #include "tests/run_program.h"
 #include "tests/server/operations/test_certificates.h"
@@ -116,7 +117,7 @@ class LiveFigures : public ::testing::Test {
     spec.scenario = "clean";
     spec.policy = "nano:random";
     spec.method = *MakeMethod("ours");
-    auto client = GrpcPolicyClient::Connect(options, spec);
+    auto client = GrpcPolicyClient::Connect(options, RequestOf(spec));
     ASSERT_TRUE(client.ok()) << client.status();
     client_ = *std::move(client);
     ASSERT_TRUE(client_->StartEpisode({0, 0}).ok());

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <vector>
 
+#include "adapter/method_options.h"
 #include "eval/statistics/episode_bootstrap.h"
 #include "eval/statistics/measures.h"
 #include "gtest/gtest.h"
@@ -21,7 +22,7 @@ UnitResult Seeded(int64_t seed, const std::string& method, const std::vector<int
 Comparison Compare(const std::vector<UnitResult>& units) {
   PairedUnits pairs;
   for (const UnitResult& unit : units)
-    (unit.config.method.method == "base" ? pairs.reference : pairs.method).push_back(&unit);
+    (unit.config.method->method == "base" ? pairs.reference : pairs.method).push_back(&unit);
   const auto comparison = CompareOnPairs({pairs}, 500, "test");
   EXPECT_TRUE(comparison.has_value());
   return *comparison;

@@ -17,6 +17,7 @@
 #include <cstdlib>
 #include <string>
 
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/image.h"
@@ -38,10 +39,11 @@ std::string Episode(const UnitConfig& config, int task, int episode, int index, 
   const int initial_state = config.first_initial_state + episode;
   const StreamKey key = StreamKey("fake").With(config.suite).With(task).With(initial_state);
   RandomStream difficulty(key),
-      chance(key.With(ScenarioLabel(config.scenario)).With(config.method.method).With(config.seed));
+      chance(
+          key.With(ScenarioLabel(config.scenario)).With(config.method->method).With(config.seed));
   const bool clean = config.scenario == "clean";
-  const int updates = config.method.adapt ? std::max(0, (index * 20 - 32) / 8) : 0;
-  const double gain = config.method.adapt ? 0.1 * std::min(1.0, updates / 20.0) : 0;
+  const int updates = config.method->adapts() ? std::max(0, (index * 20 - 32) / 8) : 0;
+  const double gain = config.method->adapts() ? 0.1 * std::min(1.0, updates / 20.0) : 0;
   const bool success = difficulty.Uniform() + 0.2 * chance.Normal() < (clean ? 0.92 : 0.5 + gain);
   const bool desired = config.sim.goal_reference == GoalReference::kDesired;
   const double residual = (desired ? 2 : 1) * ((clean ? 0.21 : 0.45) + 0.03 * chance.Normal());
@@ -63,7 +65,7 @@ std::string Episode(const UnitConfig& config, int task, int episode, int index, 
   return EpisodeLine({.suite = config.suite,
                       .scenario = ScenarioLabel(config.scenario),
                       .policy = config.policy,
-                      .method = config.method.method,
+                      .method = config.method->method,
                       .severity = config.severity,
                       .seed = config.seed,
                       .task = task,

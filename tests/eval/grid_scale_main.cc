@@ -12,6 +12,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
 #include "common/records/episode_row.h"
@@ -74,7 +75,7 @@ void MakeUnit(const RunDirectory& run, const PlannedUnit& unit, const std::strin
       row.success = random.Uniform() < 0.6;
       row.steps = 120;
       row.chunks = 24;
-      row.updates = unit.config.method.adapt ? 2 : 0;
+      row.updates = unit.config.method->adapts() ? 2 : 0;
       row.residual = row.residual_tracking = residual;
       row.eta_sq = residual * residual * 20;
       row.a_sq = 20.0;
@@ -85,7 +86,7 @@ void MakeUnit(const RunDirectory& run, const PlannedUnit& unit, const std::strin
                       EpisodeLine({.suite = unit.config.suite,
                                    .scenario = unit.config.scenario,
                                    .policy = unit.config.policy,
-                                   .method = unit.config.method.method,
+                                   .method = unit.config.method->method,
                                    .severity = unit.config.severity,
                                    .seed = unit.config.seed,
                                    .task = task,

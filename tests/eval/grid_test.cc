@@ -3,6 +3,8 @@
 #include <filesystem>
 #include <set>
 
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/config.h"
 #include "eval/launch/cost_estimate.h"
 #include "eval/launch/progress.h"
@@ -172,13 +174,13 @@ TEST_F(GridProgram, DryRunSaysWhatIsDoneAndWhatTheRestCosts) {
   EXPECT_THAT(output_,
               AllOf(HasSubstr("tabletop_goal-clean-L5-nano-base-s0  6 episodes  done"),
                     HasSubstr("2 units are done, 2 are not"), HasSubstr("from 12 recorded")));
-  EXPECT_EQ(Sweep(SmallGrid() + In("run") + "--dry-run --set method.rank=2"), 1)
+  EXPECT_EQ(Sweep(SmallGrid() + In("run") + "--dry-run --set method.tracking_gain=0.3"), 1)
       << "what a run would refuse";
 }
 
 TEST_F(GridProgram, EveryUnitOfAnotherConfigurationIsListed) {
   ASSERT_EQ(Sweep(SmallGrid() + In("run")), 0) << output_;
-  EXPECT_EQ(Sweep(SmallGrid() + In("run") + "--set method.rank=2"), 1);
+  EXPECT_EQ(Sweep(SmallGrid() + In("run") + "--set method.tracking_gain=0.3"), 1);
   for (const char* id : {"clean-L5-nano-base", "clean-L5-nano-ours", "heavy_payload-L5-nano-base",
                          "heavy_payload-L5-nano-ours"})
     EXPECT_THAT(output_, HasSubstr(id));

@@ -2,6 +2,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "eval/paper/paper_results.h"
 #include "gmock/gmock.h"
@@ -49,7 +50,7 @@ TEST(Outcomes, ComeBackAsTheyWere) {
   ASSERT_EQ(read->run.units.size(), 3u);
   const UnitResult& ours = read->run.units[1];
   EXPECT_EQ(ours.id, "tabletop_goal-clean-L5-nano-ours-s0");
-  EXPECT_TRUE(ours.config.method.adapt) << "a preset's options come with its name";
+  EXPECT_TRUE(ours.config.method->adapts()) << "a preset's options come with its name";
   EXPECT_EQ(ours.episodes.back().updates, 7);
   ASSERT_EQ(ours.episodes.size(), 4u);
   EXPECT_FALSE(ours.episodes[0].success);
@@ -159,12 +160,12 @@ TEST(Outcomes, FillAPapersTableLikeTheRunItself) {
 TEST(Outcomes, OtherOptionsAreSaidAndOtherEpisodesLeftOut) {
   std::vector<PlannedUnit> planned = QuickUnits(*FindPaperTable("anchor"));
   const std::string file = Written("anchor.jsonl", *OutcomesText(Played(planned)));
-  planned[0].config.method.learning_rate *= 2;
+  planned[0].config.method.Edit().tracking_gain *= 2;
   planned[1].config.first_initial_state = 40;
   RunData run = ReadOutcomes({file})->run;
   const std::vector<std::string> notes = HoldAgainstPlan(planned, run);
   ASSERT_EQ(notes.size(), 2u);
-  EXPECT_THAT(notes[0], HasSubstr("in units of: " + planned[0].config.method.method));
+  EXPECT_THAT(notes[0], HasSubstr("in units of: " + planned[0].config.method->method));
   EXPECT_THAT(notes[1], HasSubstr("1 units cover other episodes"));
   EXPECT_EQ(run.units.size(), planned.size() - 1);
 }

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "eval/paper/paper_programs.h"
 #include "eval/paper/paper_results.h"
@@ -124,7 +125,8 @@ TEST(PaperPlan, WeightsGoToLiberoAtThePapersRateAndMissingColumnsAreLeftOut) {
       << "base, ours, integral action, model following and the two controls of one policy";
   for (const PlannedUnit& unit : *units) {
     EXPECT_EQ(unit.config.suite.rfind("libero_", 0), 0u);
-    EXPECT_EQ(unit.config.method.learning_rate, 1e-6);
+    if (const auto* lora = unit.config.method->Find<LoraOptions>())
+      EXPECT_EQ(lora->learning_rate, 1e-6);
   }
 }
 
@@ -132,9 +134,9 @@ TEST(PaperPlan, WeightsGoToLiberoAtThePapersRateAndMissingColumnsAreLeftOut) {
 RunData Played(const std::vector<PlannedUnit>& units) {
   RunData run;
   for (const PlannedUnit& planned : units) {
-    const bool ours = planned.config.method.method == "ours";
+    const bool ours = planned.config.method->method == "ours";
     UnitResult unit =
-        SyntheticUnit(planned.config.scenario, planned.config.method.method,
+        SyntheticUnit(planned.config.scenario, planned.config.method->method,
                       ours ? std::vector<int>{1, 1, 1, 0} : std::vector<int>{1, 0, 0, 0},
                       ours ? std::vector<int>{0, 1, 2, 3} : std::vector<int>{});
     unit.id = planned.id;

@@ -8,6 +8,7 @@
 #include <set>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
@@ -60,7 +61,7 @@ TEST(PiperStudyPlan, TheObserverAloneBringsWhatItIsComparedWith) {
   for (const PlannedUnit& unit : *units) {
     EXPECT_EQ(unit.config.suite, "piper_1_next_to_plate");
     EXPECT_EQ(unit.config.scenario, "new");
-    methods.push_back(unit.config.method.method);
+    methods.push_back(unit.config.method->method);
   }
   EXPECT_THAT(methods, UnorderedElementsAre("base", "ours", "dob", "dob_ours"));
 }
@@ -79,8 +80,8 @@ TEST(PiperStudyPlan, AUnitSaysEverythingThatDecidesIt) {
     EXPECT_EQ(config.client.moved_bound, 0.2) << unit.id;
     EXPECT_EQ(config.seed, 7) << unit.id;
     EXPECT_FALSE(config.client.real_time) << unit.id;
-    EXPECT_EQ(config.method.learning_rate,
-              config.method.adapt ? 3e-5 : MethodOptions().learning_rate)
+    const LoraOptions* lora = config.method->Find<LoraOptions>();
+    EXPECT_TRUE(lora == nullptr || lora->learning_rate == 3e-5)
         << unit.id << ": overrides change what adapts, and nothing else";
   }
 }
@@ -124,7 +125,7 @@ void WriteUnit(const std::string& out, const PlannedUnit& unit, const std::strin
   for (const PlannedEpisode& planned : PlanEpisodes(unit.config)) {
     EpisodeRow row;
     row.success = successes[static_cast<size_t>(planned.episode)] == '1';
-    row.updates = unit.config.method.adapt ? 9 : 0;
+    row.updates = unit.config.method->adapts() ? 9 : 0;
     row.residual = 0.25;
     row.steps = 100;
     ASSERT_TRUE((*directory)
@@ -147,7 +148,7 @@ TEST(PiperStudyReport, ComparesMethodsOnTheSameInitialStates) {
   ASSERT_TRUE(plans.ok()) << plans.status();
   for (const PlannedUnit& unit : *PaperUnits(plans->front().grids)) {
     if (unit.config.policy == protocol.robust) continue;
-    WriteUnit(out, unit, unit.config.method.adapt ? "1110110000" : "1100010000");
+    WriteUnit(out, unit, unit.config.method->adapts() ? "1110110000" : "1100010000");
   }
   const auto run = LoadRun(out);
   ASSERT_TRUE(run.ok()) << run.status();
@@ -160,6 +161,21 @@ TEST(PiperStudyReport, ComparesMethodsOnTheSameInitialStates) {
   const std::string first = *page;
   ASSERT_TRUE(WritePiperPage(*plans, protocol, *run).ok());
   EXPECT_EQ(*ReadFile(out + "/report.md"), first);
+}
+
+TEST(PiperStudyReport, TellsTheObjectVariantsApart) {
+  const std::string out = Folder("variants");
+  PiperStudyOptions options;
+  options.experiments = {"unseen"};
+  options.episodes = 10;  // two of each
+  const PaperProtocol protocol = ProtocolOf(options, out);
+  const auto plans = PlanPiperStudy(options, protocol, PolicyHome::kElsewhere);
+  ASSERT_TRUE(plans.ok()) << plans.status();
+  for (const PlannedUnit& unit : *PaperUnits(plans->front().grids)) WriteUnit(out, unit, "10");
+  const auto run = LoadRun(out);
+  ASSERT_TRUE(run.ok()) << run.status();
+  ASSERT_TRUE(WritePiperPage(*plans, protocol, *run).ok());
+  EXPECT_THAT(*ReadFile(out + "/report.md"), HasSubstr("| task 4 | 1/2 | 1/2 | 1/2 |"));
 }
 
 TEST(PiperStudyReport, SaysWhichWordsThePolicyDoesNotKnow) {

@@ -2,6 +2,7 @@
 
 #include <set>
 
+#include "adapter/method_options.h"
 #include "common/config.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -106,7 +107,8 @@ TEST(Plan, OverridesReachSimulatorAndMethod) {
   for (const PlannedUnit& unit : Plan(grid)) {
     EXPECT_EQ(unit.config.sim.goal_reference, GoalReference::kDesired);
     EXPECT_EQ(unit.config.sim.joint_errors.friction_law, FrictionLaw::kStick);
-    EXPECT_EQ(unit.config.method.learning_rate, 0.5);
+    const LoraOptions* lora = unit.config.method->Find<LoraOptions>();
+    EXPECT_EQ(lora == nullptr ? 0 : lora->learning_rate, unit.config.method->adapts() ? 0.5 : 0);
   }
 }
 
@@ -143,7 +145,7 @@ TEST(Plan, AnotherRobotBringsItsSuitesArmsAndPolicy) {
   EXPECT_EQ(units.back().id, "piper_4_open_drawer-used_one_year-L5-nano-piper-dob_ours-s0");
   EXPECT_EQ(units.back().config.robot, "piper");
   EXPECT_EQ(units.back().config.client.episode_s, 4);
-  EXPECT_TRUE(units.back().config.method.observer);
+  EXPECT_TRUE(units.back().config.method->observer);
   for (const PlannedUnit& unit : units) EXPECT_TRUE(ResolveUnit(unit.config).ok()) << unit.id;
 }
 
@@ -162,6 +164,19 @@ TEST(Plan, NamesOfAnotherRobotAreUnknown) {
       AllOf(HasSubstr("'nano' moves a Panda's hand"), HasSubstr("unknown policy 'expert'")));
   grid.robot = "puma";
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("known: panda, piper"));
+}
+
+TEST(Plan, AnOptionThatChangesNoMethodOfTheGridIsRefusedWithThoseThatDo) {
+  SweepGrid grid;
+  grid.methods = {"base", "ours"};
+  grid.overrides = {"method.integral_limit=0.3"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              AllOf(HasSubstr("method ours has no integral_action"), HasSubstr("learning_rate")));
+  grid.overrides = {"method.learning_rate=2"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("learning_rate is 2, must be 0..1"));
+  grid.overrides = {"method.learning_rate=0.5"};
+  EXPECT_TRUE(ResolveGrid(grid).ok()) << "base goes on without";
 }
 
 TEST(Plan, NothingAndDoublesAreRefused) {

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "eval/plan/plan.h"

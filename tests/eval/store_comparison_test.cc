@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
 #include "eval/report/text_table.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -89,7 +90,7 @@ TEST(CompareStores, SaysWhatIsInOneStoreAloneAndWhatIsOtherwiseDifferent) {
   first.units.push_back(SyntheticUnit("heavy_payload", "ours", {1, 1}));
   first.units[0].provenance = {{"model_hash", "aaaa"}};
   second.units[0].provenance = {{"model_hash", "bbbb"}};
-  second.units[1].config.method.gain = 1.5;
+  second.units[1].config.method.Edit().gain = 1.5;
   const auto comparison = CompareStores(first, second, 100);
   ASSERT_TRUE(comparison.ok());
   const std::string notes = NotesOf(*comparison);

@@ -128,7 +128,7 @@ TEST_F(Store, MergeOfPartialStoresIsTheWholeRun) {
 }
 
 TEST_F(Store, ConflictingVersionsAreListedAndNothingIsMerged) {
-  ASSERT_EQ(Sweep("b", "--set method.rank=2"), 0) << output_;
+  ASSERT_EQ(Sweep("b", "--set method.tracking_gain=0.3"), 0) << output_;
   EXPECT_EQ(StoreCommand("merge", {"a", "b"}, Out("merged")), 3);
   for (const char* unit : {kCleanBase, kCleanOurs, kHeavyBase, kHeavyOurs})
     EXPECT_THAT(output_,

@@ -4,6 +4,8 @@
 #include <string>
 #include <vector>
 
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "eval/store/run_store.h"
 #include "gtest/gtest.h"
 

@@ -49,7 +49,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
       });
       break;
     case 2:
-      Read<v1::SessionSpec>(bytes, [](const SessionSpec& spec) {
+      Read<v1::SessionSpec>(bytes, [](const RequestedSession& spec) {
         FuzzCheck(spec.severity >= 1 && spec.severity <= 5, "an impossible severity");
       });
       break;

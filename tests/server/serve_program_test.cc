@@ -22,6 +22,7 @@
 #include "common/wire/openpi_readers.h"
 #include "nlohmann/json.hpp"
 #include "server/serve_options.h"
+#include "server/sessions/read_spec.h"
 #include "tests/run_program.h"
 #include "tests/server/operations/test_certificates.h"
 #include "tests/server/serve_process.h"
@@ -244,7 +245,7 @@ TEST(SessionsProgram, ListsExportsRollsBackAndEndsSessionsThenDrainsTheServer) {
   spec.scenario = "heavy_payload";
   spec.policy = "nano:random";
   spec.method = *MakeMethod("ours");
-  const auto client = GrpcPolicyClient::Connect(options, spec);
+  const auto client = GrpcPolicyClient::Connect(options, RequestOf(spec));
   ASSERT_TRUE(client.ok()) << client.status();
   const std::string& id = (*client)->session_id();
   const auto sessions = [&](const std::string& arguments) {

@@ -18,6 +18,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "server/inference/operator_hook.h"
 #include "server/inference/torch_threads.h"
 #include "server/sessions/session.h"
@@ -38,8 +40,9 @@ struct Bench {
     spec.suite = "tabletop_goal";
     spec.scenario = "clean";
     spec.policy = "nano";
-    spec.method = *MakeMethod(method);
-    spec.method.learning_rate = 1e-6;
+    MethodOptions options = *MakeMethod(method);
+    if (auto* lora = options.Find<LoraOptions>()) lora->learning_rate = 1e-6;
+    spec.method = options;
     session = *Session::Create(spec, {policy, &adaptation, &inference}, 1);
     session->StartEpisode({0, 0}, 0).IgnoreError();
   }
@@ -86,8 +89,8 @@ BENCHMARK(PredictAdaptedAndBase)->Unit(benchmark::kMillisecond);
 void Update(benchmark::State& state) {
   UseOneTorchThread();
   Bench bench("ours");
-  MethodOptions options = *MakeMethod("ours");
-  const auto adapter = *LoraAdapter::Create(bench.policy.get(), options, StreamKey("bench"));
+  const auto adapter =
+      *LoraAdapter::Create(bench.policy.get(), LoraOptions::At(1e-4), StreamKey("bench"));
   auto chunk = std::make_shared<TrainingChunk>();
   chunk->context = *bench.policy->Encode(bench.observation);
   chunk->target = torch::zeros({bench.policy->horizon(), bench.policy->model_action_dim()});

@@ -11,6 +11,7 @@
 
 #include "common/random.h"
 #include "common/rpc/policy_client.h"
+#include "server/sessions/read_spec.h"
 #include "tests/adapter/toy_arm.h"
 #include "tests/common/wire/openpi_bytes.h"
 #include "tests/server/serve_process.h"
@@ -39,7 +40,7 @@ absl::Status LiveOnce(const PolicyClientOptions& options, const PolicySpec& poli
   spec.mode = random.UniformInt(2) == 0 ? ExecutionMode::kLockstep : ExecutionMode::kAsync;
   spec.method = *MakeMethod(random.UniformInt(4) == 0 ? "base" : "ours",
                             {"buffer_chunks=4", "update_interval=2", "batch=4"});
-  auto client = GrpcPolicyClient::Connect(options, spec);
+  auto client = GrpcPolicyClient::Connect(options, RequestOf(spec));
   if (!client.ok()) return client.status();
   ++counts.sessions;
   ToyArm arm(0.6);

@@ -23,6 +23,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/rpc/policy_client.h"
+#include "server/sessions/read_spec.h"
 #include "server/wire/grpc/policy_service.h"
 #include "tests/server/sessions/drive.h"
 
@@ -144,7 +145,7 @@ TEST(ServerKill, ContinuesBitForBitAfterBeingKilledAtAnyMoment) {
   PolicyClientOptions options;
   options.address = absl::StrCat("127.0.0.1:", port);
   options.reconnect_timeout_s = 60;
-  auto client = GrpcPolicyClient::Connect(options, LearningSession());
+  auto client = GrpcPolicyClient::Connect(options, RequestOf(LearningSession()));
   ASSERT_TRUE(client.ok()) << client.status();
 
   std::atomic<int> chunks{0};

@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"
+#include "server/sessions/read_spec.h"
 #include "tests/adapter/toy_arm.h"
 
 namespace robostress {
@@ -104,7 +105,7 @@ absl::StatusOr<Clients> Clients::Connect(const PolicyServer& server, const std::
     PolicyClientOptions options;
     options.address = absl::StrCat("127.0.0.1:", server.port());
     auto client = std::make_shared<Client>();
-    RS_ASSIGN_OR_RETURN(client->endpoint, GrpcPolicyClient::Connect(options, spec));
+    RS_ASSIGN_OR_RETURN(client->endpoint, GrpcPolicyClient::Connect(options, RequestOf(spec)));
     RS_RETURN_IF_ERROR(client->endpoint->StartEpisode({0, 0}));
     client->observation = BlankObservation(client->endpoint->spec());
     clients.clients_.push_back(std::move(client));

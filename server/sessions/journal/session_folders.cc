@@ -22,6 +22,7 @@
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/record_file.h"
 #include "server/sessions/journal/state_records.h"
+#include "server/sessions/read_spec.h"
 
 namespace robostress {
 namespace {
@@ -47,7 +48,7 @@ v1::StateHeader HeaderOf(const std::string& id, const std::string& token_sha256,
   header.set_session_id(id);
   header.set_token_sha256(token_sha256);
   header.set_owner(owner);
-  *header.mutable_spec() = ToProto(request.spec);
+  *header.mutable_spec() = ToProto(RequestOf(request.spec));
   *header.mutable_guard() = ToRecord(request.guard);
   header.set_priority(ToProto(request.scheduling.priority));
   header.set_deadline_ms(static_cast<uint32_t>(request.scheduling.deadline_ms));
@@ -57,7 +58,8 @@ v1::StateHeader HeaderOf(const std::string& id, const std::string& token_sha256,
 
 absl::StatusOr<SessionRequest> RequestOf(const v1::StateHeader& header) {
   SessionRequest request;
-  RS_ASSIGN_OR_RETURN(request.spec, FromStored(header.spec()));
+  RS_ASSIGN_OR_RETURN(const RequestedSession stored, FromProto(header.spec()));
+  RS_ASSIGN_OR_RETURN(request.spec, ReadStoredSpec(stored));
   RS_ASSIGN_OR_RETURN(request.guard, FromRecord(header.guard()));
   RS_ASSIGN_OR_RETURN(request.scheduling.priority, FromProto(header.priority()));
   if (header.deadline_ms() > kMaxDeadlineMs) {

@@ -1,9 +1,13 @@
 #include "server/sessions/journal/snapshot_records.h"
 
+#include <algorithm>
+#include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "adapter/adaptation_state.h"
+#include "adapter/method_options.h"
+#include "common/check.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/state_records.h"
@@ -12,12 +16,28 @@
 namespace robostress {
 namespace {
 
-void Store(const Eigen::VectorXd& values, google::protobuf::RepeatedField<double>* into) {
-  into->Add(values.data(), values.data() + values.size());
+// A corrector's state is the field of numbers with the name of its way.
+void StoreCorrection(const CommandCorrection::State& state, v1::StateAdaptation& counters) {
+  for (const auto& [name, values] : state) {
+    const auto* field = counters.GetDescriptor()->FindFieldByName(name);
+    RS_CHECK(field != nullptr);  // a way whose state has no field in state.proto
+    auto into = counters.GetReflection()->GetMutableRepeatedFieldRef<double>(&counters, field);
+    for (const double value : values) into.Add(value);
+  }
 }
 
-Eigen::VectorXd Stored(const google::protobuf::RepeatedField<double>& values) {
-  return Eigen::Map<const Eigen::VectorXd>(values.data(), values.size());
+CommandCorrection::State StoredCorrection(const v1::StateAdaptation& counters) {
+  CommandCorrection::State state;
+  std::vector<const google::protobuf::FieldDescriptor*> fields;
+  counters.GetReflection()->ListFields(counters, &fields);
+  for (const auto* field : fields) {
+    if (!field->is_repeated() || field->cpp_type() != field->CPPTYPE_DOUBLE) continue;
+    const auto values = counters.GetReflection()->GetRepeatedFieldRef<double>(counters, field);
+    Eigen::VectorXd& into = state[std::string(field->name())];
+    into.resize(values.size());
+    std::copy(values.begin(), values.end(), into.begin());
+  }
+  return state;
 }
 
 // All but the adapter.
@@ -39,9 +59,7 @@ v1::StateAdaptation CountersOf(const SessionSnapshot& snapshot) {
   record.set_episode(snapshot.episode);
   if (snapshot.next_chunk) record.set_next_chunk(*snapshot.next_chunk);
   record.mutable_boundaries()->Add(snapshot.boundaries.begin(), snapshot.boundaries.end());
-  Store(snapshot.correction.direct, record.mutable_direct_correction());
-  Store(snapshot.correction.integral, record.mutable_integral_action());
-  Store(snapshot.correction.following, record.mutable_model_following());
+  StoreCorrection(snapshot.correction, record);
   return record;
 }
 
@@ -61,8 +79,7 @@ void TakeCounters(const v1::StateAdaptation& record, SessionSnapshot& snapshot) 
   snapshot.next_chunk.reset();
   if (record.has_next_chunk()) snapshot.next_chunk = record.next_chunk();
   snapshot.boundaries.assign(record.boundaries().begin(), record.boundaries().end());
-  snapshot.correction = {Stored(record.direct_correction()), Stored(record.integral_action()),
-                         Stored(record.model_following())};
+  snapshot.correction = StoredCorrection(record);
 }
 
 absl::Status WriteSnapshot(const SessionSnapshot& snapshot, const std::vector<LoraTarget>& targets,
@@ -96,9 +113,10 @@ absl::Status WriteSnapshot(const SessionSnapshot& snapshot, const std::vector<Lo
 
 absl::Status ReadBuffered(const v1::StateTrainingChunk& record, const SnapshotSources& sources,
                           std::vector<BufferedChunk>& buffer) {
-  if (static_cast<int>(buffer.size()) >= sources.spec->method.buffer_chunks) {
-    return absl::DataLossError(absl::StrCat("more chunks are buffered than buffer_chunks, ",
-                                            sources.spec->method.buffer_chunks));
+  const LoraOptions* lora = sources.spec->method->Find<LoraOptions>();
+  const size_t room = lora == nullptr ? 0 : static_cast<size_t>(lora->buffer_chunks);
+  if (buffer.size() >= room) {
+    return absl::DataLossError(absl::StrCat("more chunks are buffered than buffer_chunks, ", room));
   }
   RS_ASSIGN_OR_RETURN(StoredChunk chunk, FromRecord(record));
   RS_RETURN_IF_ERROR(

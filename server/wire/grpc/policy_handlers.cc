@@ -8,17 +8,18 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "adapter/lora.h"
+#include "common/rollout/message_limits.h"
+#include "common/rollout/refusal.h"
 #include "common/rpc/convert_chunks.h"
 #include "common/rpc/convert_observations.h"
 #include "common/rpc/convert_sessions.h"
 #include "common/rpc/convert_specs.h"
 #include "common/rpc/grpc_status.h"
-#include "common/rollout/message_limits.h"
-#include "common/rollout/refusal.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/operations/process_metrics.h"
 #include "server/sessions/journal/state_records.h"
+#include "server/sessions/read_spec.h"
 
 namespace robostress {
 namespace {
@@ -147,7 +148,8 @@ uint64_t PolicyHandlers::ExpiresAfter() const {
 
 absl::StatusOr<SessionHost::Opened> PolicyHandlers::Open(const Caller& caller,
                                                          const v1::OpenSessionRequest& request) {
-  RS_ASSIGN_OR_RETURN(const SessionSpec spec, FromProto(request.spec()));
+  RS_ASSIGN_OR_RETURN(const RequestedSession asked, FromProto(request.spec()));
+  RS_ASSIGN_OR_RETURN(const SessionSpec spec, ReadSpec(asked));
   std::optional<GuardOptions> guard;
   if (request.has_guard()) {
     RS_ASSIGN_OR_RETURN(guard, FromRecord(request.guard()));

@@ -6,6 +6,7 @@
 #include <chrono>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "common/rollout/message_limits.h"
 #include "common/status_macros.h"
 #include "common/wire/openpi_readers.h"
@@ -95,7 +96,7 @@ absl::StatusOr<SessionHost::Opened> OpenpiConversation::Open(const OpenpiValue* 
   if (!opened.ok()) return session == nullptr ? opened.status() : Named("session", opened.status());
   keep_ = session != nullptr && !opened->resume_token.empty();
   spdlog::info("{}: opened over WebSocket by {}, method {}", opened->id, caller_.name,
-               spec.method.method);
+               spec.method->method);
   return opened;
 }
 

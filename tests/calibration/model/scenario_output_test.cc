@@ -28,9 +28,9 @@ struct ScenarioOutputTest : public testing::Test {
     after.joints[joint].effects.push_back({.type = type, .parameters = std::move(parameters)});
   }
   absl::StatusOr<ScenarioOutput> Make(const std::vector<std::string>& map) const {
-    const auto parsed = ParseJointMap(map, declared);
+    const auto parsed = ParseJointMap(map, declared, kPanda);
     if (!parsed.ok()) return parsed.status();
-    return ScenarioOfRig(declared, after, *parsed, "Bench");
+    return ScenarioOfRig(declared, after, *parsed, "Bench", kPanda);
   }
   Rig declared, after;
 };
@@ -101,7 +101,7 @@ TEST_F(ScenarioOutputTest, IsAbsentWhereNothingWasAdded) {
 
 TEST_F(ScenarioOutputTest, MapsTheArmsOwnJointsByName) {
   declared.joints = {Joint("robot0_joint4"), Joint("J2"), Joint("joint7"), Joint("gripper")};
-  const auto map = ParseJointMap({"own"}, declared);
+  const auto map = ParseJointMap({"own"}, declared, kPanda);
   ASSERT_TRUE(map.ok()) << map.status();
   EXPECT_EQ(map->size(), 3u);
   EXPECT_THAT(map->at("robot0_joint4").arm_joints, ElementsAre(3));
@@ -111,7 +111,7 @@ TEST_F(ScenarioOutputTest, MapsTheArmsOwnJointsByName) {
 
 TEST_F(ScenarioOutputTest, NamesTheRigsJointsInErrors) {
   for (const char* bad : {"hinge", "elbow=J4", "hinge=J8", "hinge=J4:0", "hinge=J1,hinge=J2"}) {
-    const auto map = ParseJointMap({bad}, declared);
+    const auto map = ParseJointMap({bad}, declared, kPanda);
     ASSERT_FALSE(map.ok()) << bad;
     EXPECT_THAT(std::string(map.status().message()), HasSubstr("hinge, wrist")) << bad;
   }

@@ -33,7 +33,7 @@ std::string Effect(const std::string& effect) {
 }
 
 TEST(ScenarioFile, HoldsEffectsPerJointBesideTheErrorsOfABuiltInScenario) {
-  const auto file = ParseScenarioFile("worn.yaml", kWorn);
+  const auto file = ParseScenarioFile("worn.yaml", kWorn, kPanda);
   ASSERT_TRUE(file.ok()) << file.status();
   EXPECT_EQ(file->base, "isolated_stribeck");
   ASSERT_EQ(file->effects.size(), 3u);
@@ -62,12 +62,12 @@ TEST(ScenarioFile, IsReadWhereverAScenarioIsNamed) {
 }
 
 TEST(ScenarioFile, IsReadBackAsItWasWritten) {
-  const auto file = ParseScenarioFile("worn.yaml", kWorn);
+  const auto file = ParseScenarioFile("worn.yaml", kWorn, kPanda);
   ASSERT_TRUE(file.ok());
-  const std::string text = WriteScenarioFile(*file);
-  const auto again = ParseScenarioFile("again.yaml", text);
+  const std::string text = WriteScenarioFile(*file, kPanda);
+  const auto again = ParseScenarioFile("again.yaml", text, kPanda);
   ASSERT_TRUE(again.ok()) << again.status();
-  EXPECT_EQ(WriteScenarioFile(*again), text);
+  EXPECT_EQ(WriteScenarioFile(*again, kPanda), text);
 }
 
 TEST(ScenarioFile, NamesFileKeyValueAndWhatIsAllowed) {
@@ -92,7 +92,7 @@ TEST(ScenarioFile, NamesFileKeyValueAndWhatIsAllowed) {
        {"'deadzone' stands twice at J1"}},
       {"joints: {\n", {"x.yaml: not YAML"}}};
   for (const auto& c : cases) {
-    const auto file = ParseScenarioFile("x.yaml", c.yaml);
+    const auto file = ParseScenarioFile("x.yaml", c.yaml, kPanda);
     ASSERT_FALSE(file.ok()) << c.yaml;
     for (const char* words : c.says)
       EXPECT_THAT(std::string(file.status().message()), HasSubstr(words)) << c.yaml;
@@ -108,24 +108,41 @@ TEST(ScenarioFile, MayNotBeCalledLikeABuiltInScenario) {
   fs::remove_all(folder);
 }
 
-TEST(ScenarioFile, LetsEveryEffectOfTheLibraryStandAtEveryJoint) {
-  for (const EffectInfo& info : EffectLibrary()) {
-    for (int joint = 0; joint < 7; ++joint) {
-      std::string effect = absl::StrCat("type: ", info.type);
-      for (size_t i = 0; i < info.parameters.size(); ++i) {
-        const EffectRange range = RangeInScenario(info, i, joint);
-        EXPECT_LT(range.lower, range.upper) << info.type << " " << info.parameters[i].name;
-        const double value = range.upper > 1e9 ? 2 * range.lower : 0.9 * range.upper;
-        absl::StrAppend(&effect, ", ", info.parameters[i].name, ": ", value);
+TEST(ScenarioFile, LetsEveryEffectOfTheLibraryStandAtEveryJointOfItsArm) {
+  for (const RobotDescription& robot : {kPanda, kPiper}) {
+    for (const EffectInfo& info : EffectLibrary()) {
+      for (size_t joint = 0; joint < robot.joints.size(); ++joint) {
+        ScenarioEffect effect{static_cast<int>(joint), info.type, {}};
+        for (size_t i = 0; i < info.parameters.size(); ++i) {
+          const EffectRange range = RangeInScenario(info, i, robot, effect.joint);
+          EXPECT_LT(range.lower, range.upper) << info.type << " " << info.parameters[i].name;
+          effect.values.push_back(range.upper > 1e9 ? 2 * range.lower : 0.9 * range.upper);
+        }
+        if (info.type == "cross_joint_coupling") effect.coupled = joint == 0 ? 1 : 0;
+        ScenarioFile alone;
+        alone.effects = {effect};
+        const auto file = ParseScenarioFile("x.yaml", WriteScenarioFile(alone, robot), robot);
+        EXPECT_TRUE(file.ok()) << file.status();
       }
-      if (info.type == "cross_joint_coupling")
-        absl::StrAppend(&effect, ", joint: J", joint == 0 ? 2 : 1);
-      const auto file = ParseScenarioFile(
-          "x.yaml",
-          absl::StrCat("joints: [{name: J", joint + 1, ", effects: [{", effect, "}]}]\n"));
-      EXPECT_TRUE(file.ok()) << file.status();
     }
   }
+}
+
+TEST(ScenarioFile, IsForOneArmWithItsJointsAndSizes) {
+  const std::string seventh = "joints: [{name: J7, effects: [{type: deadzone, width: 1}]}]\n";
+  EXPECT_TRUE(ParseScenarioFile("x.yaml", seventh, kPanda).ok());
+  EXPECT_THAT(std::string(ParseScenarioFile("x.yaml", seventh, kPiper).status().message()),
+              HasSubstr("joints[0].name: is 'J7', must be one of J1 to J6, the joints of a Piper"));
+  // Of 8 Nm, where the Panda has 80.
+  const std::string strong = "joints: [{name: J4, effects: [{type: deadzone, width: 20}]}]\n";
+  EXPECT_TRUE(ParseScenarioFile("x.yaml", strong, kPanda).ok());
+  EXPECT_THAT(std::string(ParseScenarioFile("x.yaml", strong, kPiper).status().message()),
+              HasSubstr("width: is 20 Nm at J4, must be at least 0 and at most 8"));
+  // An arm is what its description says, whatever it is called.
+  RobotDescription named = kPiper;
+  named.name = "panda_like";
+  EXPECT_THAT(std::string(ParseScenarioFile("x.yaml", seventh, named).status().message()),
+              HasSubstr("J1 to J6"));
 }
 
 }  // namespace

@@ -43,17 +43,17 @@ TEST(SpecChecks, NameWhatThePolicyWants) {
 
 TEST(SpecChecks, NameTheFieldOfASessionThatIsWrong) {
   const auto refusal = [](auto damage) {
-    SessionSpec spec = MakeSession();
+    RequestedSession spec = MakeSession();
     damage(spec);
     return std::string(CheckSessionSpec(spec).message());
   };
-  EXPECT_EQ(refusal([](SessionSpec&) {}), "");
-  EXPECT_THAT(refusal([](SessionSpec& s) { s.suite = ""; }), HasSubstr("spec.suite is empty"));
-  EXPECT_THAT(refusal([](SessionSpec& s) { s.scenario = "a b"; }),
+  EXPECT_EQ(refusal([](RequestedSession&) {}), "");
+  EXPECT_THAT(refusal([](RequestedSession& s) { s.suite = ""; }), HasSubstr("spec.suite is empty"));
+  EXPECT_THAT(refusal([](RequestedSession& s) { s.scenario = "a b"; }),
               HasSubstr("spec.scenario contains byte 32"));
-  EXPECT_THAT(refusal([](SessionSpec& s) { s.severity = 6; }),
+  EXPECT_THAT(refusal([](RequestedSession& s) { s.severity = 6; }),
               HasSubstr("spec.severity is 6, must be 1 to 5"));
-  EXPECT_THAT(refusal([](SessionSpec& s) { s.rotation_scale = 101; }),
+  EXPECT_THAT(refusal([](RequestedSession& s) { s.rotation_scale = 101; }),
               HasSubstr("spec.rotation_scale is 101, must be above 0 and at most 100"));
 }
 

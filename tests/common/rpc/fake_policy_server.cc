@@ -11,6 +11,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/rollout/spec_checks.h"
 #include "common/rpc/convert_chunks.h"
 #include "common/rpc/convert_observations.h"
@@ -27,7 +29,7 @@ constexpr char kToken[] = "00112233445566778899aabbccddeeff";
 constexpr size_t kFull = 4, kEvery = 2;
 
 struct Session {
-  SessionSpec spec;
+  MethodOptions method;
   EpisodeKey episode;
   int task = -1;
   uint64_t sequence = 0, updates = 0, predictions = 0;
@@ -47,17 +49,17 @@ struct Session {
     sequence = chunk.sequence;
     buffer.push_back(
         (chunk.final_state.tool.p_base_tool - chunk.steps[0].before.tool.p_base_tool).sum());
-    if (!spec.method.adapt || buffer.size() < kFull || (buffer.size() - kFull) % kEvery != 0)
-      return;
+    const LoraOptions* lora = method.Find<LoraOptions>();
+    if (lora == nullptr || buffer.size() < kFull || (buffer.size() - kFull) % kEvery != 0) return;
     double sum = 0;
     for (size_t i = buffer.size() - kFull; i < buffer.size(); ++i) sum += buffer[i];
-    bias += spec.method.learning_rate * (1 + sum);
+    bias += lora->learning_rate * (1 + sum);
     ++updates;
   }
 
   std::string Export() const {
     SafetensorsWriter writer;
-    writer.SetMetadata("method", spec.method.method);
+    writer.SetMetadata("method", method.method);
     const std::vector<double> scalars = {static_cast<double>(task), static_cast<double>(sequence),
                                          static_cast<double>(updates), bias};
     writer.AddDoubles("scalars", {4}, scalars);
@@ -128,8 +130,10 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status OpenSession(grpc::ServerContext*, const v1::OpenSessionRequest* request,
                            v1::OpenSessionResponse* response) override {
-    absl::StatusOr<SessionSpec> spec = FromProto(request->spec());
+    const absl::StatusOr<RequestedSession> spec = FromProto(request->spec());
     if (!spec.ok()) return ToGrpc(spec.status());
+    const absl::StatusOr<MethodOptions> method = ParseMethod("spec.method_yaml", spec->method_yaml);
+    if (!method.ok()) return ToGrpc(method.status());
     if (spec->policy != options.spec.name) {
       return grpc::Status(
           grpc::StatusCode::NOT_FOUND,
@@ -137,7 +141,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
     }
     const std::lock_guard lock(mutex);
     const std::string id = absl::StrCat("session-", ++opened);
-    sessions[id].spec = *spec;
+    sessions[id].method = *method;
     response->set_session_id(id);
     response->set_resume_token(kToken);
     *response->mutable_policy() = ToProto(options.spec);
@@ -225,8 +229,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
         }
         prediction.policy_actions =
             prediction.base_actions.array() + static_cast<float>(session->bias);
-        prediction.actions =
-            static_cast<float>(session->spec.method.gain) * prediction.policy_actions;
+        prediction.actions = static_cast<float>(session->method.gain) * prediction.policy_actions;
       }
       stream->Write(ToProto(prediction, static_cast<int>(request.chunk())));
     }

@@ -18,15 +18,14 @@ PolicyClientOptions Options(const std::string& address) {
   return options;
 }
 
-SessionSpec Session(ExecutionMode mode = ExecutionMode::kLockstep) {
-  SessionSpec session;
+RequestedSession Session(ExecutionMode mode = ExecutionMode::kLockstep) {
+  RequestedSession session;
   session.suite = "tabletop_goal";
   session.scenario = "clean";
   session.policy = "fake";
   session.seed = 3;
   session.mode = mode;
-  session.method.adapt = true;
-  session.method.learning_rate = 0.125;
+  session.method_yaml = "{method: ours, learning_rate: 0.125}";
   return session;
 }
 
@@ -215,7 +214,7 @@ TEST(PolicyClientTest, MalformedAddressIsRefused) {
 
 TEST(PolicyClientTest, UnknownPolicyListsTheKnownOnes) {
   FakePolicyServer server({.spec = FakeSpec()});
-  SessionSpec session = Session();
+  RequestedSession session = Session();
   session.policy = "pi9";
   const auto client = GrpcPolicyClient::Connect(Options(server.address()), session);
   EXPECT_EQ(client.status().code(), absl::StatusCode::kNotFound);

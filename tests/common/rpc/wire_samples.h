@@ -56,8 +56,8 @@ inline Observation MakeObservation() {
   return observation;
 }
 
-inline SessionSpec MakeSession() {
-  SessionSpec spec;
+inline RequestedSession MakeSession() {
+  RequestedSession spec;
   spec.suite = "tabletop_goal";
   spec.scenario = "heavy_payload";
   spec.policy = "nano";
@@ -65,10 +65,7 @@ inline SessionSpec MakeSession() {
   spec.seed = -5;
   spec.mode = ExecutionMode::kAsync;
   spec.goal_reference = GoalReference::kDesired;
-  spec.method.adapt = true;
-  spec.method.learning_rate = 1.0 / 3e4;
-  spec.method.target = TargetReference::kNominal;
-  spec.method.noise_stream = "null";
+  spec.method_yaml = "{method: ours_nominal, noise_stream: \"null\"}";
   return spec;
 }
 

@@ -31,7 +31,9 @@ class PeerServer {
     if (child_ == 0) {
       dup2(ends[1], STDOUT_FILENO);
       dup2(open("/dev/null", O_WRONLY), STDERR_FILENO);
-      execl(OpenpiVenv::Get().python.c_str(), "python", OPENPI_PEER_SERVER, dialect, nullptr);
+      const char* const python =
+          OpenpiVenv::Get().python.c_str();  // by which it knows its packages
+      execl(python, python, OPENPI_PEER_SERVER, dialect, nullptr);
       _exit(127);
     }
     close(ends[1]);

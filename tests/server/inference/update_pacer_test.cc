@@ -129,7 +129,7 @@ TEST(OperatorHook, IsCalledBetweenTheOperatorsOfForwardAndBackward) {
 
 TEST(OperatorHook, AnUpdateThatIsInterruptedHasTheBitsOfOneThatIsNot) {
   const FakePolicy policy;
-  const MethodOptions options = *MakeMethod("ours", {"learning_rate=0.01"});
+  const LoraOptions options = LoraOptions::At(0.01);
   const auto batch = SomeBatch(policy);
   const auto alone = *LoraAdapter::Create(&policy, options, StreamKey("pacer"));
   const auto paced = *LoraAdapter::Create(&policy, options, StreamKey("pacer"));

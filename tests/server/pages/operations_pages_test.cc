@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "nlohmann/json.hpp"
 

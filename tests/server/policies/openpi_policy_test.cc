@@ -2,11 +2,11 @@
 
 #include "server/policies/openpi/openpi_policy.h"
 
+#include <ATen/Parallel.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
 #include <sys/wait.h>
-#include <ATen/Parallel.h>
 #include <torch/types.h>
 #include <unistd.h>
 
@@ -19,6 +19,7 @@
 #include "server/policies/openpi/checkpoint_generator.h"
 #include "server/policies/openpi/images.h"
 #include "server/policies/tensor_io.h"
+#include "server/sessions/read_spec.h"
 #include "tests/adapter/toy_arm.h"
 #include "tests/oracle_file.h"
 #include "tests/run_program.h"
@@ -512,7 +513,7 @@ TEST_P(OpenpiPolicyTest, IsServedPredictsLearnsAndReports) {
   spec.policy = folder_.string();
   spec.method = *MakeMethod(
       "ours", {"buffer_chunks=2", "batch=2", "update_interval=1", "learning_rate=0.01"});
-  auto client = GrpcPolicyClient::Connect(server.options(), spec);
+  auto client = GrpcPolicyClient::Connect(server.options(), RequestOf(spec));
   ASSERT_TRUE(client.ok()) << client.status();
   EXPECT_EQ((*client)->spec().execute_steps, 4);
   ASSERT_TRUE((*client)->StartEpisode({0, 0}).ok());

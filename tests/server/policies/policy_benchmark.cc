@@ -346,8 +346,8 @@ class OpenpiSubject : public Subject {
 class Updates {
  public:
   Updates(const Subject& subject, LoraKind kind) {
-    MethodOptions options = MakeMethod("ours").value();
-    options.lora = kind;
+    LoraOptions options = LoraOptions::At(1e-4);
+    options.kind = kind;
     adapter_ = LoraAdapter::Create(&subject.field(), options, StreamKey("benchmark")).value();
     for (int i = 0; i < kBatch; ++i) {
       batch_.push_back(std::make_shared<const TrainingChunk>(TrainingChunk{

@@ -234,16 +234,16 @@ TEST(NominalArmState, StaysWhereItIsWhenTheStepsOfALongControlPeriodDiverge) {
 
 TEST(CommandCorrectionState, IsKeptWhereAChunkWouldMakeItNoNumber) {
   const SessionSpec spec = Spec("direct");
-  const ResidualOptions residual = ResidualOptionsOf(spec.method);
-  CommandCorrection correction(spec.method, residual, {});
+  const ResidualOptions residual = ResidualOptionsOf(*spec.method);
+  CommandCorrection correction(*spec.method, residual, {});
   ExecutedChunk chunk =
       ToyArm(0.6).Execute(ConstantPrediction(Eigen::VectorXf::Constant(7, 0.3f), 5), 5);
-  correction.Observe(chunk, ChunkResidual(chunk, residual));
+  correction.Observe(chunk);
   const Eigen::VectorXd before = correction.Value();
   ASSERT_EQ(before.size(), 7);
   chunk.steps[2].before.tool.p_base_tool[0] = 1e308;
   chunk.steps[3].before.tool.p_base_tool[0] = -1e308;
-  correction.Observe(chunk, ChunkResidual(chunk, residual));
+  correction.Observe(chunk);
   EXPECT_EQ(correction.Value(), before);
 }
 

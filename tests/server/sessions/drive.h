@@ -7,6 +7,8 @@
 #include <vector>
 
 #include "adapter/adaptation_state.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "server/sessions/session.h"
 #include "tests/adapter/fake_policy.h"
 #include "tests/adapter/toy_arm.h"

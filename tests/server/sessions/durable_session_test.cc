@@ -11,6 +11,7 @@
 #include "common/rpc/convert_specs.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/session_journal.h"
+#include "server/sessions/read_spec.h"
 #include "tests/server/sessions/drive.h"
 
 namespace robostress {
@@ -43,7 +44,7 @@ class DurableSession : public ::testing::Test {
   std::shared_ptr<Session> Begin(Rig& rig) const {
     v1::StateHeader header;
     header.set_session_id("session");
-    *header.mutable_spec() = ToProto(spec_);
+    *header.mutable_spec() = ToProto(RequestOf(spec_));
     header.set_model_hash("fake-hash");
     auto journal = SessionJournal::Create(folder_, header);
     EXPECT_TRUE(journal.ok()) << journal.status();

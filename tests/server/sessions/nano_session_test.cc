@@ -5,6 +5,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/rpc/policy_client.h"
 #include "server/inference/torch_threads.h"
+#include "server/sessions/read_spec.h"
 #include "server/sessions/session.h"
 #include "server/wire/grpc/policy_service.h"
 #include "tests/adapter/toy_arm.h"
@@ -117,7 +118,7 @@ TEST(NanoServer, TakesTheGreatestAdapterThatItsCapsAllowAndNothingTwiceAsLong) {
   spec.policy = "nano:random";
   spec.method =
       *MakeMethod("ours", {"rank=16", "batch=8", "update_interval=128", "buffer_chunks=128"});
-  const auto client = *GrpcPolicyClient::Connect(address, spec);
+  const auto client = *GrpcPolicyClient::Connect(address, RequestOf(spec));
   ASSERT_TRUE(client->StartEpisode({0, 0}).ok());
   Observation observation = BlankObservation(GetServerInfo(address)->policies[0]);
   for (int word = 0; word < 12; ++word)  // as many as it reads

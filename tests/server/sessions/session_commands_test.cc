@@ -58,7 +58,8 @@ TEST(Session, IntegralActionSubtractsWhatTheArmDidBeyondANominalOneAndKeepsItBet
   Rig rig;
   const SessionSpec spec = Spec("ours_integral", {"integral_rate=0.1"});
   Client client(rig.Open(spec), /*gain=*/0.5);
-  IntegralAction expected(spec.method, ResidualOptionsOf(spec.method), {});
+  IntegralAction expected(*spec.method->Find<IntegralOptions>(), ResidualOptionsOf(*spec.method),
+                          {});
   for (int episode = 0; episode < 2; ++episode) {
     client.StartEpisode(0, episode);
     expected.StartEpisode();
@@ -80,7 +81,8 @@ TEST(Session, ModelFollowingAddsWhatTheArmIsBehindAndForgetsItBetweenEpisodes) {
   Rig rig;
   const SessionSpec spec = Spec("ours_following", {"integral_rate=0", "following_threshold=0"});
   Client client(rig.Open(spec), /*gain=*/0.5);
-  ModelFollowing expected(spec.method, ResidualOptionsOf(spec.method), {});
+  ModelFollowing expected(*spec.method->Find<FollowingOptions>(), ResidualOptionsOf(*spec.method),
+                          {});
   for (int episode = 0; episode < 2; ++episode) {
     client.StartEpisode(0, episode);
     expected.StartEpisode();

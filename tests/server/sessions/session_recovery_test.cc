@@ -13,6 +13,7 @@
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/session_events.h"
 #include "server/sessions/journal/session_journal.h"
+#include "server/sessions/read_spec.h"
 #include "tests/server/sessions/drive.h"
 
 namespace robostress {
@@ -74,7 +75,7 @@ TEST_F(SessionRecovery, ReadsAJournalOfAnySizeInTheMemoryOfItsState) {
   const int mib = asked == nullptr ? 192 : std::atoi(asked);
   v1::StateHeader header;
   header.set_session_id("session");
-  *header.mutable_spec() = ToProto(spec_);
+  *header.mutable_spec() = ToProto(RequestOf(spec_));
   header.set_model_hash("fake-hash");
   auto journal = SessionJournal::Create(folder_, header);
   ASSERT_TRUE(journal.ok()) << journal.status();

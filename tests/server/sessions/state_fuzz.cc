@@ -517,7 +517,7 @@ class StateFuzz : public ::testing::Test {
       return;
     }
     ++accepted_;
-    if (session.spec().method.adapt) {
+    if (session.spec().method->adapts()) {
       CheckWorks(session, random, what);
     } else {
       ASSERT_TRUE(Drive(session, random, 2).ok()) << what;

@@ -19,15 +19,16 @@
 #include "adapter/plausible_motion.h"
 #include "adapter/pseudo_target.h"
 #include "adapter/residual.h"
+#include "common/rollout/spec_checks.h"
 #include "common/rpc/convert_chunks.h"
 #include "common/rpc/convert_observations.h"
 #include "common/rpc/convert_specs.h"
-#include "common/rollout/spec_checks.h"
-#include "proto/robostress/v1/policy.grpc.pb.h"
-#include "server/web_endpoints.h"
 #include "common/wire/openpi_value.h"
+#include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/sessions/read_spec.h"
+#include "server/web_endpoints.h"
+#include "tests/common/wire/openpi_bytes.h"
 #include "tests/server/sessions/drive.h"
-#include "tests/server/wire/openpi_bytes.h"
 #include "tests/server/wire/web_client.h"
 
 namespace {
@@ -152,7 +153,7 @@ class GrpcDriver : public Driver {
       : stub_(v1::PolicyService::NewStub(grpc::CreateChannel(absl::StrCat("127.0.0.1:", port),
                                                              grpc::InsecureChannelCredentials()))) {
     v1::OpenSessionRequest open;
-    *open.mutable_spec() = ToProto(Adapting());
+    *open.mutable_spec() = ToProto(RequestOf(Adapting()));
     v1::OpenSessionResponse opened;
     grpc::ClientContext context, start;
     Must(stub_->OpenSession(&context, open, &opened));

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <thread>
 
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/wire/openpi_readers.h"
 #include "common/wire/web_socket_client.h"
@@ -244,7 +245,7 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
       std::get<std::string_view>(reply->Find("adapter")->Find("resume_token")->value));
   EXPECT_EQ(token, "secret");
   const SessionSpec& spec = host_.sessions.begin()->second;
-  EXPECT_EQ(spec.method.method, "ours");
+  EXPECT_EQ(spec.method->method, "ours");
   EXPECT_EQ(spec.seed, 5);
   EXPECT_EQ(spec.suite, "tabletop_goal");
   EXPECT_EQ(spec.scenario, "unknown");

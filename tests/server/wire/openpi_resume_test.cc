@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <optional>
 
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/wire/openpi_connection.h"
 #include "common/wire/openpi_readers.h"
 #include "server/web_endpoints.h"

@@ -16,6 +16,7 @@
 #include "common/rpc/convert_specs.h"
 #include "common/rpc/policy_client.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/sessions/read_spec.h"
 #include "tests/server/sessions/drive.h"
 
 namespace robostress {
@@ -42,7 +43,7 @@ class PolicyServiceTest : public ::testing::Test {
     return options;
   }
   std::unique_ptr<GrpcPolicyClient> Connect(const SessionSpec& spec) const {
-    auto client = GrpcPolicyClient::Connect(Address(), spec);
+    auto client = GrpcPolicyClient::Connect(Address(), RequestOf(spec));
     EXPECT_TRUE(client.ok()) << client.status();
     return *std::move(client);
   }
@@ -126,10 +127,10 @@ TEST_F(PolicyServiceTest, SaysWhatItServes) {
 TEST_F(PolicyServiceTest, RefusesAnUnknownPolicyAndOneSessionTooMany) {
   SessionSpec spec = Spec("base");
   spec.policy = "pi9";
-  EXPECT_THAT(std::string(GrpcPolicyClient::Connect(Address(), spec).status().message()),
+  EXPECT_THAT(std::string(GrpcPolicyClient::Connect(Address(), RequestOf(spec)).status().message()),
               HasSubstr("policy 'pi9' is not served here; served: fake"));
   const auto a = Connect(Spec("base")), b = Connect(Spec("base")), c = Connect(Spec("base"));
-  const absl::Status full = GrpcPolicyClient::Connect(Address(), Spec("base")).status();
+  const absl::Status full = GrpcPolicyClient::Connect(Address(), RequestOf(Spec("base"))).status();
   EXPECT_TRUE(absl::IsResourceExhausted(full)) << full;
   EXPECT_GT(RetryAfter(full), absl::Seconds(1));  // the first one, never served, makes room then
   EXPECT_LE(RetryAfter(full), absl::Seconds(30));
@@ -213,7 +214,7 @@ TEST_F(PolicyServiceTest, AnAsynchronousStreamSurvivesAnErrorAndSaysHowPredictio
   const auto channel = grpc::CreateChannel(Address().address, grpc::InsecureChannelCredentials());
   const auto stub = v1::PolicyService::NewStub(channel);
   v1::OpenSessionRequest open;
-  *open.mutable_spec() = ToProto(spec);
+  *open.mutable_spec() = ToProto(RequestOf(spec));
   v1::OpenSessionResponse opened;
   grpc::ClientContext open_context, episode_context, predict_context;
   ASSERT_TRUE(stub->OpenSession(&open_context, open, &opened).ok());

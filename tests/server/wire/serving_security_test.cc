@@ -21,6 +21,7 @@
 #include "common/wire/openpi_connection.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/operations/access_table.h"
+#include "server/sessions/read_spec.h"
 #include "server/web_endpoints.h"
 #include "server/wire/grpc/admin_server.h"
 #include "server/wire/grpc/grpc_access.h"
@@ -101,7 +102,7 @@ class ServingSecurityTest : public ::testing::Test {
   }
   std::string OpenRequest() const {
     v1::OpenSessionRequest request;
-    *request.mutable_spec() = ToProto(Spec("ours"));
+    *request.mutable_spec() = ToProto(RequestOf(Spec("ours")));
     return request.SerializeAsString();
   }
   std::string Open() {
@@ -523,19 +524,20 @@ TEST_F(TlsTest, OurOwnClientTakesCertificateAndTokenFromTheEnvironment) {
       {"ROBOSTRESS_TLS_KEY", "client.key"},
       {"ROBOSTRESS_TOKEN_FILE", "token"}};
   for (const auto& [variable, file] : variables) setenv(variable, File(file).c_str(), 1);
-  auto client = GrpcPolicyClient::Connect(address, Spec("base"));
+  auto client = GrpcPolicyClient::Connect(address, RequestOf(Spec("base")));
   EXPECT_TRUE(client.ok()) << client.status();
   if (client.ok()) {
     EXPECT_TRUE((*client)->StartEpisode({0, 0}).ok());
     EXPECT_TRUE((*client)->Predict(FakePolicy::MakeObservation(0), 0).ok());
   }
   unsetenv("ROBOSTRESS_TOKEN_FILE");
-  EXPECT_EQ(GrpcPolicyClient::Connect(address, Spec("base")).status().code(),
+  EXPECT_EQ(GrpcPolicyClient::Connect(address, RequestOf(Spec("base"))).status().code(),
             absl::StatusCode::kUnauthenticated);
   setenv("ROBOSTRESS_TOKEN_FILE", File("token").c_str(), 1);
   unsetenv("ROBOSTRESS_TLS_CA");
-  EXPECT_THAT(std::string(GrpcPolicyClient::Connect(address, Spec("base")).status().message()),
-              HasSubstr("need ROBOSTRESS_TLS_CA"));
+  EXPECT_THAT(
+      std::string(GrpcPolicyClient::Connect(address, RequestOf(Spec("base"))).status().message()),
+      HasSubstr("need ROBOSTRESS_TLS_CA"));
   for (const auto& [variable, file] : variables) unsetenv(variable);
 }
 
@@ -772,7 +774,7 @@ TEST_F(ServingSecurityTest, StreamsCutAtEveryMessageLeaveTheSessionAsItWas) {
   Start({});
   const auto stub = v1::PolicyService::NewStub(Plain(server_->port()));
   v1::OpenSessionRequest open;
-  *open.mutable_spec() = ToProto(Spec("ours"));
+  *open.mutable_spec() = ToProto(RequestOf(Spec("ours")));
   v1::OpenSessionResponse session;
   {
     grpc::ClientContext context;

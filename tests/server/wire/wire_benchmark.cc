@@ -12,6 +12,7 @@
 #include "common/rpc/policy_client.h"
 #include "common/wire/openpi_connection.h"
 #include "common/wire/openpi_dialect.h"
+#include "server/sessions/read_spec.h"
 #include "server/web_endpoints.h"
 #include "tests/server/sessions/drive.h"
 
@@ -84,7 +85,7 @@ int Run(int rounds) {
   const auto shared = std::make_shared<const Observation>(observation);
   PolicyClientOptions address;
   address.address = absl::StrCat("127.0.0.1:", (*server)->port());
-  auto client = GrpcPolicyClient::Connect(address, web_options.openpi.session);
+  auto client = GrpcPolicyClient::Connect(address, RequestOf(web_options.openpi.session));
   if (!client.ok() || !(*client)->StartEpisode({0, 0}).ok()) return 1;
   auto socket =
       OpenpiConnection::Connect(absl::StrCat("ws://127.0.0.1:", (*web)->websocket_port()));

@@ -13,9 +13,10 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
-#include "common/method_options.h"
 #include "common/safetensors.h"
 #include "common/unit/robots.h"
 #include "common/unit_config.h"
@@ -71,7 +72,7 @@ class Presets : public testing::Test {
     Episode episode;
     if (code != 0) return episode;
     episode.row = json::parse(*ReadFile(out + "/episodes.jsonl"));
-    episode.method = ParseConfig<UnitConfig>("config", *ReadFile(out + "/config.yaml"))->method;
+    episode.method = *ParseConfig<UnitConfig>("config", *ReadFile(out + "/config.yaml"))->method;
     episode.actions = *SafetensorsFile::Open(out + "/joints/task0_episode0.safetensors")
                            ->ReadDoubles("actions", {-1, kDof});
     return episode;
@@ -128,14 +129,14 @@ TEST_F(Presets, UpdateAtChunk32And40AndSoOnOrNever) {
   for (const std::string& method : FindRobot("panda")->methods) {
     const json& row = Of(method).row;
     const int chunks = row["chunks"], due = chunks < 32 ? 0 : 1 + (chunks - 32) / 8;
-    EXPECT_EQ(row["updates"], Of(method).method.adapt ? due : 0) << method;
-    EXPECT_EQ(row["adapter_distance"] > 0, Of(method).method.adapt) << method;
+    EXPECT_EQ(row["updates"], Of(method).method.adapts() ? due : 0) << method;
+    EXPECT_EQ(row["adapter_distance"] > 0, Of(method).method.adapts()) << method;
   }
 }
 
 TEST_F(Presets, EqualBaseBitForBitUntilTheirFirstUpdate) {
   for (const std::string& method : FindRobot("panda")->methods) {
-    if (Of(method).method.adapt) {
+    if (Of(method).method.adapts()) {
       EXPECT_EQ(FirstDifference(method), 32 * kExecuted) << method;
     }
   }
@@ -144,11 +145,11 @@ TEST_F(Presets, EqualBaseBitForBitUntilTheirFirstUpdate) {
 TEST_F(Presets, AStepOfAdamIsAboutTheLearningRateForEveryParameter) {
   for (const std::string& method : FindRobot("panda")->methods) {
     const Episode& episode = Of(method);
-    if (!episode.method.adapt) continue;
+    if (!episode.method.adapts()) continue;
     const double steps = episode.row["updates"].get<double>() * std::sqrt(kParameters);
     const double rate = episode.row["adapter_distance"].get<double>() / steps;
-    EXPECT_LT(rate, episode.method.learning_rate) << method;
-    EXPECT_GT(rate, 0.35 * episode.method.learning_rate) << method;
+    EXPECT_LT(rate, episode.method.Find<LoraOptions>()->learning_rate) << method;
+    EXPECT_GT(rate, 0.35 * episode.method.Find<LoraOptions>()->learning_rate) << method;
   }
 }
 

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/config.h"
 #include "common/unit/robots.h"
 #include "sim_worker/worker/sim_unit.h"
@@ -16,17 +18,17 @@ TEST(UnitPlanTest, MethodSectionStartsFromThePresetItNames) {
   const absl::StatusOr<UnitConfig> unit = ReadUnit(
       "unit.yaml", "method: {method: ours_intent, learning_rate: 0.5, tracking_gain: 0.25}");
   ASSERT_TRUE(unit.ok()) << unit.status();
-  EXPECT_TRUE(unit->method.adapt);
-  EXPECT_EQ(unit->method.target, TargetReference::kIntent);
-  EXPECT_EQ(unit->method.learning_rate, 0.5);
-  EXPECT_EQ(unit->method.tracking_gain, 0.25);
+  EXPECT_TRUE(unit->method->adapts());
+  EXPECT_EQ(unit->method->target, TargetReference::kIntent);
+  EXPECT_EQ(unit->method->Find<LoraOptions>()->learning_rate, 0.5);
+  EXPECT_EQ(unit->method->tracking_gain, 0.25);
 }
 
 TEST(UnitPlanTest, DumpedUnitReadsBackEqual) {
   const absl::StatusOr<UnitConfig> unit =
       ReadUnit("", "method: {method: ours, adapt: false}\ntasks: [3, 1]");
   ASSERT_TRUE(unit.ok()) << unit.status();
-  EXPECT_FALSE(unit->method.adapt) << "given keys win over the preset";
+  EXPECT_FALSE(unit->method->adapts()) << "given keys win over the preset";
   const absl::StatusOr<UnitConfig> again = ReadUnit("", DumpConfig(*unit));
   ASSERT_TRUE(again.ok()) << again.status();
   EXPECT_EQ(DumpConfig(*again), DumpConfig(*unit));
@@ -36,9 +38,9 @@ TEST(UnitPlanTest, OverridesSelectThePresetFirst) {
   const absl::StatusOr<UnitConfig> unit =
       ReadUnit("", "", {"method.learning_rate=0.25", "method.method=no_anchor", "tasks=[2]"});
   ASSERT_TRUE(unit.ok()) << unit.status();
-  EXPECT_EQ(unit->method.learning_rate, 0.25);
-  EXPECT_EQ(unit->method.anchor_weight, 0);
-  EXPECT_TRUE(unit->method.adapt);
+  EXPECT_EQ(unit->method->Find<LoraOptions>()->learning_rate, 0.25);
+  EXPECT_EQ(unit->method->Find<LoraOptions>()->anchor_weight, 0);
+  EXPECT_TRUE(unit->method->adapts());
   EXPECT_EQ(unit->tasks, std::vector<int>{2});
 }
 
@@ -117,7 +119,7 @@ TEST(UnitPlanTest, EpisodesOfAnEstimateThatIsCarriedAreNotTornApart) {
   for (const std::string& method : FindRobot("panda")->methods) {
     unit.method = *MakeMethod(method);
     const bool carries =
-        unit.method.adapt || method == "ours_integral" || method == "ours_following";
+        unit.method->adapts() || method == "ours_integral" || method == "ours_following";
     EXPECT_EQ(PlanRange(*ResolveUnit(unit), "0-1").ok(), !carries) << method;
   }
 }
@@ -131,7 +133,7 @@ TEST(UnitPlanTest, ASessionIsOfTheUnit) {
   unit.seed = 7;
   unit.sim.goal_reference = GoalReference::kDesired;
   unit.method = *MakeMethod("ours_intent");
-  const SessionSpec spec = SessionSpecOf(unit);
+  const RequestedSession spec = SessionOf(unit);
   EXPECT_EQ(spec.suite, "tabletop_long");
   EXPECT_EQ(spec.scenario, "aged_joint_elbow");
   EXPECT_EQ(spec.severity, 2);
@@ -139,7 +141,7 @@ TEST(UnitPlanTest, ASessionIsOfTheUnit) {
   EXPECT_EQ(spec.seed, 7);
   EXPECT_EQ(spec.goal_reference, GoalReference::kDesired);
   EXPECT_EQ(spec.mode, ExecutionMode::kLockstep);
-  EXPECT_EQ(DumpConfig(spec.method), DumpConfig(unit.method));
+  EXPECT_EQ(spec.method_yaml, DumpConfig(*unit.method));
 }
 
 TEST(UnitPlanTest, AnotherRobotHasItsOwnSuitesArmsAndMethods) {
@@ -181,11 +183,11 @@ TEST(UnitPlanTest, StatesGoOnFromTaskToTaskWhereTheSuiteSaysSo) {
 TEST(ReadUnit, TheMethodNullIsNotTakenForNoMethod) {
   const auto quoted = ReadUnit("unit.yaml", "method: {method: \"null\"}");
   ASSERT_TRUE(quoted.ok()) << quoted.status();
-  EXPECT_EQ(quoted->method.noise_stream, "null");
+  EXPECT_EQ(quoted->method->noise_stream, "null");
   const auto override = ReadUnit("", "", {"method.method=null"});
   ASSERT_TRUE(override.ok()) << override.status();
-  EXPECT_EQ(override->method.noise_stream, "null");
-  EXPECT_EQ(override->method.method, "null");
+  EXPECT_EQ(override->method->noise_stream, "null");
+  EXPECT_EQ(override->method->method, "null");
   EXPECT_THAT(std::string(ReadUnit("unit.yaml", "method: {method: null}").status().message()),
               testing::HasSubstr("unit.yaml: method.method is YAML's null"));
 }

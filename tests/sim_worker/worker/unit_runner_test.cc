@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/safetensors.h"
 #include "nlohmann/json.hpp"
@@ -197,7 +198,7 @@ TEST_F(UnitRunnerTest, FinishedUnitReturnsAtOnce) {
   ASSERT_TRUE(Run("a").ok());
   const int predictions = server->predictions();
   server.reset();
-  unit.method.method = "ours";
+  unit.method.Edit().method = "ours";
   lines.clear();
   SimUnitOptions options;
   options.run.out = Dir("a");

@@ -1,0 +1,62 @@
+#include "adapter/method_options.h"
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+
+template <class... Parts>
+absl::Status Invalid(const MethodOptions& m, const Parts&... parts) {
+  return absl::InvalidArgumentError(absl::StrCat("method ", m.method, ": ", parts...));
+}
+
+}  // namespace
+
+bool MethodOptions::Compensates() const {
+  bool any = false;
+  ForEachWay([&any](const auto&) { any = true; });
+  return any;
+}
+
+bool MethodOptions::CarriesOver() const {
+  bool carries = false;
+  ForEachWay([&carries](const auto& way) { carries = carries || way.carries_over(); });
+  return carries;
+}
+
+absl::Status MethodOptions::Check() const {
+  absl::Status first;
+  const char *alone = nullptr, *other = nullptr;
+  ForEachWay([&](const auto& way) {
+    first.Update(way.Check());
+    (way.kWay.alone ? alone : other) = way.kWay.key;
+  });
+  first.Update(CheckOption("gain", gain, -100, 100));
+  first.Update(CheckOption("tracking_gain", tracking_gain, 1e-3, 100));
+  if (!first.ok()) return Invalid(*this, first.message());
+  if (alone == nullptr || other == nullptr) return absl::OkStatus();
+  return Invalid(*this, alone, " and ", other, " exclude each other; turn one of them off");
+}
+
+absl::Status MethodOptions::CheckJointSpace(const std::string& robot) const {
+  if (target == TargetReference::kNominal) {
+    return Invalid(*this, "target nominal models an end-effector controller; robot ", robot,
+                   " acts in joint space: use target executed or intent");
+  }
+  if (gain != 1.0) {
+    return Invalid(*this, "gain ", gain, " would scale absolute joint targets; robot ", robot,
+                   " needs gain 1");
+  }
+  absl::Status status;
+  ForEachWay([&](const auto& way) {
+    if (way.kWay.in_joint_space) return;
+    status = Invalid(*this, absl::StrReplaceAll(way.kWay.name, {{"_", " "}}),
+                     " compares with a nominal end-effector controller; robot ", robot,
+                     " acts in joint space: use the disturbance observer of its client");
+  });
+  return status;
+}
+
+}  // namespace robostress

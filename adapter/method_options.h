@@ -1,0 +1,116 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <tuple>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "adapter/direct_subtraction.h"
+#include "adapter/integral_action.h"
+#include "adapter/lora_options.h"
+#include "adapter/model_following.h"
+#include "adapter/pseudo_target.h"
+#include "adapter/residual.h"
+
+namespace robostress {
+
+// The ways of compensating (method_way.h), in the order of their keys. A method has any set of
+// them: `ours_following` is integral action and model following at once.
+template <class... Options>
+using WaysOf = std::tuple<std::optional<Options>...>;
+using MethodWays = WaysOf<LoraOptions, DirectOptions, IntegralOptions, FollowingOptions>;
+
+enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozenState };
+
+// Everything that distinguishes one method from another: its ways, each with options of its own,
+// and what every method has. As YAML it is one map of all keys; the keys of a way that it does not
+// have stand there at their defaults, with the way off.
+struct MethodOptions {
+  std::string method = "base";  // the preset it started from (methods.h)
+  MethodWays ways;
+  double gain = 1.0;  // commands (gripper excluded) scaled by this before they are sent
+  TargetReference target = TargetReference::kExecuted;
+  ResidualScale residual_scale = ResidualScale::kCommand;
+  double tracking_gain = 0.267;  // steady achieved/commanded displacement of the controller
+  bool clip_command = true;      // residual against the command as the controller clips it, +-1
+  std::string noise_stream = "policy";  // null control: another name, other sampling noise
+  bool track_intent = true;             // also predict with the unadapted policy
+  ObservationInput observation = ObservationInput::kFull;  // what the policy is shown
+  bool observer = false;  // the robot's client corrects by its disturbance observer, not the server
+
+  // Null: the method does not have this way.
+  template <class Way>
+  const Way* Find() const {
+    const auto& way = std::get<std::optional<Way>>(ways);
+    return way.has_value() ? &*way : nullptr;
+  }
+  template <class Way>
+  Way* Find() {
+    return const_cast<Way*>(std::as_const(*this).Find<Way>());
+  }
+  template <class Way>
+  void Add(Way way) {
+    std::get<std::optional<Way>>(ways) = std::move(way);
+  }
+  // Calls f(options) of every way that the method has.
+  template <class F>
+  void ForEachWay(const F& f) const {
+    std::apply([&f](const auto&... way) { ((way.has_value() ? f(*way) : void()), ...); }, ways);
+  }
+  bool adapts() const { return Find<LoraOptions>() != nullptr; }
+  // Learns from motion, or corrects commands by it.
+  bool Compensates() const;
+  // Episodes depend on those before them.
+  bool CarriesOver() const;
+
+  // INVALID_ARGUMENT names method, option, value and range: options outside theirs, ways that
+  // exclude each other.
+  absl::Status Check() const;
+  // INVALID_ARGUMENT where the method models an end-effector controller, or scales commands, and
+  // `robot` takes joint targets.
+  absl::Status CheckJointSpace(const std::string& robot) const;
+
+  template <class V>
+  void Visit(V& v) {
+    v.Field("method", method, "the preset it starts from");
+    std::apply([&v](auto&... way) { (VisitWay(v, way), ...); }, ways);
+    v.Field("gain", gain, "constant factor on every command, gripper excluded");
+    v.Choice("target", target,
+             {{"executed", TargetReference::kExecuted},
+              {"intent", TargetReference::kIntent},
+              {"nominal", TargetReference::kNominal}},
+             "what the residual is taken against: the executed command (paper), the unadapted "
+             "policy's, a nominal arm's response");
+    v.Choice("residual_scale", residual_scale,
+             {{"command", ResidualScale::kCommand}, {"tracking", ResidualScale::kTracking}},
+             "command: divide by the controller's scale (paper); tracking: also by tracking_gain");
+    v.Field("tracking_gain", tracking_gain,
+            "achieved/commanded displacement of a nominal arm at steady state");
+    v.Field("clip_command", clip_command,
+            "residual against the command clipped to +-1, as executed");
+    v.Field("noise_stream", noise_stream, "name of the sampling noise stream");
+    v.Field("track_intent", track_intent,
+            "also predict with the unadapted policy, for the tracking of intent");
+    v.Choice("observation", observation,
+             {{"full", ObservationInput::kFull},
+              {"shuffled_instruction", ObservationInput::kShuffledInstruction},
+              {"blank_images", ObservationInput::kBlankImages},
+              {"frozen_state", ObservationInput::kFrozenState}},
+             "controls: another task's instruction, grey images, or the first proprioception for "
+             "the whole episode");
+    v.Late("observer", observer, false,
+           "the robot's client corrects commands by its disturbance observer");
+  }
+
+ private:
+  template <class V, class Way>
+  static void VisitWay(V& v, std::optional<Way>& way) {
+    Way options = way.value_or(Way());
+    options.Visit(v);
+    way.reset();
+    if (options.on()) way = std::move(options);
+  }
+};
+
+}  // namespace robostress
