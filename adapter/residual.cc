@@ -14,34 +14,39 @@ namespace {
 
 constexpr double kUnitQuaternionTolerance = 1e-3;
 
-absl::Status CheckFinite(const Eigen::VectorXd& values, const std::string& what) {
+// `what` says whose values they are; asked for an error only.
+template <class Values, class What>
+absl::Status CheckFinite(const Values& values, const What& what) {
   for (Eigen::Index i = 0; i < values.size(); ++i) {
     if (!std::isfinite(values[i])) {
       return absl::InvalidArgumentError(
-          absl::StrCat(what, "[", i, "] is ", values[i], "; it must be finite"));
+          absl::StrCat(what(), "[", i, "] is ", values[i], "; it must be finite"));
     }
   }
   return absl::OkStatus();
 }
 
-absl::Status CheckState(const RobotState& state, const std::string& what) {
-  RS_RETURN_IF_ERROR(CheckFinite(state.q, what + ".q"));
-  RS_RETURN_IF_ERROR(CheckFinite(state.dq, what + ".dq"));
-  RS_RETURN_IF_ERROR(CheckFinite(state.tool.p_base_tool, what + ".tool.p_base_tool"));
+template <class What>
+absl::Status CheckState(const RobotState& state, const What& what) {
+  RS_RETURN_IF_ERROR(CheckFinite(state.q, [&] { return what() + ".q"; }));
+  RS_RETURN_IF_ERROR(CheckFinite(state.dq, [&] { return what() + ".dq"; }));
+  RS_RETURN_IF_ERROR(
+      CheckFinite(state.tool.p_base_tool, [&] { return what() + ".tool.p_base_tool"; }));
   const double norm = state.tool.q_base_tool.norm();
   if (!(std::abs(norm - 1) <= kUnitQuaternionTolerance)) {
-    return absl::InvalidArgumentError(absl::StrCat(what, ".tool.q_base_tool has length ", norm,
+    return absl::InvalidArgumentError(absl::StrCat(what(), ".tool.q_base_tool has length ", norm,
                                                    "; send a unit quaternion (w, x, y, z)"));
   }
   return absl::OkStatus();
 }
 
-absl::Status CheckCommand(const Eigen::VectorXf& command, int action_dim, const std::string& what) {
+template <class What>
+absl::Status CheckCommand(const Eigen::VectorXf& command, int action_dim, const What& what) {
   if (command.size() != action_dim) {
     return absl::InvalidArgumentError(absl::StrCat(
-        what, " has ", command.size(), " entries; the policy's actions have ", action_dim));
+        what(), " has ", command.size(), " entries; the policy's actions have ", action_dim));
   }
-  return CheckFinite(command.cast<double>(), what);
+  return CheckFinite(command, what);
 }
 
 }  // namespace
@@ -105,19 +110,29 @@ absl::Status ValidateExecutedChunk(const ExecutedChunk& chunk, int action_dim,
     return absl::InvalidArgumentError(
         absl::StrCat("first_step is ", chunk.first_step, "; it must be >= 0"));
   }
+  if (!chunk.masked.empty() && chunk.masked.size() != chunk.steps.size()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("executed chunk ", chunk.sequence, " has ", chunk.masked.size(),
+                     " mask values for ", chunk.steps.size(), " steps; give one per step or none"));
+  }
+  const bool has_base = chunk.steps[0].base_command.size() > 0;
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     const ExecutedStep& step = chunk.steps[i];
-    const std::string what = absl::StrCat("executed chunk ", chunk.sequence, ", step ", i);
-    RS_RETURN_IF_ERROR(CheckState(step.before, what + ": before"));
-    RS_RETURN_IF_ERROR(CheckCommand(step.policy_command, action_dim, what + ": policy_command"));
-    RS_RETURN_IF_ERROR(CheckCommand(step.sent_command, action_dim, what + ": sent_command"));
-    if (step.base_command.size() > 0) {
-      RS_RETURN_IF_ERROR(CheckCommand(step.base_command, action_dim, what + ": base_command"));
+    const auto named = [&chunk, i](const char* part) {
+      return [&chunk, i, part] {
+        return absl::StrCat("executed chunk ", chunk.sequence, ", step ", i, ": ", part);
+      };
+    };
+    if (i == 0) RS_RETURN_IF_ERROR(CheckState(step.before, named("before")));
+    RS_RETURN_IF_ERROR(CheckCommand(step.policy_command, action_dim, named("policy_command")));
+    RS_RETURN_IF_ERROR(CheckCommand(step.sent_command, action_dim, named("sent_command")));
+    if (has_base || step.base_command.size() > 0) {
+      RS_RETURN_IF_ERROR(CheckCommand(step.base_command, action_dim, named("base_command")));
     }
     const RobotState& after = StateAfter(chunk, i);
-    RS_RETURN_IF_ERROR(CheckState(after, what + ": after"));
+    RS_RETURN_IF_ERROR(CheckState(after, named("after")));
     if (space == ResidualSpace::kJoint && after.q.size() != action_dim - 1) {
-      return absl::InvalidArgumentError(absl::StrCat(what, ": ", after.q.size(),
+      return absl::InvalidArgumentError(absl::StrCat(named("")(), after.q.size(),
                                                      " joints measured; the action has ",
                                                      action_dim - 1, " and a gripper"));
     }

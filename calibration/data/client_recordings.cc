@@ -42,12 +42,12 @@ absl::StatusOr<std::vector<Interval>> Driven(const CsvTable& ticks) {
   RS_ASSIGN_OR_RETURN(const size_t state, ticks.Column("state"));
   RS_ASSIGN_OR_RETURN(const size_t episode, ticks.Column("episode"));
   std::vector<Interval> intervals;
-  std::string current;
+  absl::string_view current;  // episode; empty: not driven
   for (size_t row = 0; row < ticks.rows(); ++row) {
     const absl::string_view name = ticks.Text(row, state);
     const bool driven = name == "RUN" || name == "MOVE" || name == "HOLD";
     if (!driven) {
-      current.clear();
+      current = {};
       continue;
     }
     if (current != ticks.Text(row, episode)) intervals.push_back({t[row], t[row]});

@@ -51,6 +51,12 @@ absl::Status CheckOptions(const PiperStudyOptions& options) {
     return absl::InvalidArgumentError(
         "base_weights and robust_weights go together: give both, or neither and both are trained");
   }
+  const std::string base = PolicyLabel(options.base_weights);
+  if (!base.empty() && base == PolicyLabel(options.robust_weights)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("base_weights and robust_weights are both called '", base,
+                     "', and units are called by it: give one file another name"));
+  }
   return absl::OkStatus();
 }
 

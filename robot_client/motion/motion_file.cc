@@ -73,7 +73,7 @@ absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> epi
   std::set<std::string> episodes;
   std::vector<size_t> longest, way;
   for (size_t row = 0; row < table.rows(); ++row) {
-    if (table.Text(row, state) == "RUN") episodes.insert(table.Text(row, number));
+    if (table.Text(row, state) == "RUN") episodes.emplace(table.Text(row, number));
     if (table.Text(row, state) == "MOVE") {
       way.push_back(row);
     } else {
@@ -97,7 +97,7 @@ absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> epi
                      episodes.empty() ? "" : absl::StrCat("; it holds ", Listed(episodes))));
   std::vector<size_t> rows;
   for (size_t row = 0; row < table.rows(); ++row) {
-    const std::string& name = table.Text(row, state);
+    const absl::string_view name = table.Text(row, state);
     if (table.Text(row, number) == wanted && (name == "RUN" || name == "HOLD")) rows.push_back(row);
   }
   return MotionOfRows(table, "sent_", rows, absl::StrCat(path, " episode ", wanted));

@@ -29,7 +29,7 @@ struct BatcherOptions {
 // One prediction to compute.
 struct PredictionJob {
   std::shared_ptr<const FlowPolicy> policy;
-  const Observation* observation = nullptr;
+  std::shared_ptr<const Observation> observation;
   torch::Tensor noise;  // [1, K, d]
   // The adapter, asked for when the batch is put together, so that it is the last published one;
   // may be empty or return null.

@@ -3,19 +3,9 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
-#include "adapter/method_options.h"
-#include "adapter/plausible_motion.h"
 
 namespace robostress {
 namespace {
-
-ResidualOptions OptionsOf(const SessionSpec& spec) {
-  ResidualOptions options = ResidualOptionsOf(
-      *spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
-  options.translation_scale = spec.translation_scale;
-  options.rotation_scale = spec.rotation_scale;
-  return options;
-}
 
 template <class T>
 void Push(std::deque<T>& history, T value) {
@@ -75,8 +65,8 @@ void Telemetry::Forget(const std::string& session, const SessionFigures* last) {
   metrics_->Remove("session", session);
 }
 
-void Telemetry::Predicted(const std::string& session, const Observation& observation,
-                          double seconds) {
+void Telemetry::Predicted(const std::string& session,
+                          std::shared_ptr<const Observation> observation, double seconds) {
   predict_seconds_->Observe(seconds);
   predictions_->Increment();
   const Clock::time_point now = Clock::now();
@@ -85,13 +75,13 @@ void Telemetry::Predicted(const std::string& session, const Observation& observa
     absl::MutexLock lock(&mu_);
     Record& record = Used(session);
     Push(record.latencies_s, seconds);
-    wants_images = !observation.views.empty() &&
+    wants_images = !observation->views.empty() &&
                    (record.image_count == 0 || now - record.image_time >= kImagePeriod);
   }
   if (!wants_images) return;
   std::map<std::string, std::shared_ptr<const Image>> images;
-  for (const CameraView& view : observation.views)
-    images[view.camera] = std::make_shared<const Image>(view.image);
+  for (const CameraView& view : observation->views)
+    images[view.camera] = std::shared_ptr<const Image>(observation, &view.image);
   absl::MutexLock lock(&mu_);
   Record& record = Used(session);
   record.images = std::move(images);
@@ -99,15 +89,12 @@ void Telemetry::Predicted(const std::string& session, const Observation& observa
   ++record.image_count;
 }
 
-void Telemetry::Reported(const std::string& session, const SessionSpec& spec,
-                         const ExecutedChunk& executed) {
+void Telemetry::Reported(const std::string& session, const SessionSpec& spec, uint64_t sequence,
+                         const Eigen::MatrixXd& residual) {
   chunks_->Increment();
-  // As the session sees it: an impossible measurement is none.
-  const Eigen::MatrixXd residual =
-      ChunkResidual(WithMasked(executed, ImpossibleSteps(executed)), OptionsOf(spec));
   if (residual.rows() == 0 || residual.cols() < 2) return;
   ResidualPoint point;
-  point.sequence = executed.sequence;
+  point.sequence = sequence;
   point.mean_abs =
       residual.leftCols(residual.cols() - 1).cwiseAbs().colwise().mean().transpose();  // no gripper
   for (int i = 0; i < point.mean_abs.size(); ++i) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <chrono>
 #include <cstdint>
 #include <deque>
@@ -10,7 +11,6 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
-#include "adapter/residual.h"
 #include "common/rollout/session_spec.h"
 #include "common/types.h"
 #include "server/operations/metrics.h"
@@ -43,7 +43,7 @@ class Telemetry {
   // Sessions that are remembered though no Refresh has named them: where nobody asks, those used
   // last.
   static constexpr size_t kUnlisted = 64;
-  // Of a session's images, so that copying them costs next to nothing.
+  // Of a session's images; the last ones keep their observation alive.
   static constexpr std::chrono::milliseconds kImagePeriod{500};
 
   // One executed chunk.
@@ -69,11 +69,11 @@ class Telemetry {
   explicit Telemetry(Metrics* metrics);
 
   // A prediction of a session was answered, `seconds` after it came in.
-  void Predicted(const std::string& session, const Observation& observation, double seconds)
-      ABSL_LOCKS_EXCLUDED(mu_);
-  // An executed chunk was taken.
-  void Reported(const std::string& session, const SessionSpec& spec, const ExecutedChunk& executed)
-      ABSL_LOCKS_EXCLUDED(mu_);
+  void Predicted(const std::string& session, std::shared_ptr<const Observation> observation,
+                 double seconds) ABSL_LOCKS_EXCLUDED(mu_);
+  // An executed chunk was taken; `residual` [steps, action_dim] as the session sees it.
+  void Reported(const std::string& session, const SessionSpec& spec, uint64_t sequence,
+                const Eigen::MatrixXd& residual) ABSL_LOCKS_EXCLUDED(mu_);
   // Where its adapter stands; the same version again is no new point.
   void Adapted(const std::string& session, const DriftPoint& point) ABSL_LOCKS_EXCLUDED(mu_);
   // It was closed, and stood at `last`: what it did since Refresh is counted. Null: nobody knows.

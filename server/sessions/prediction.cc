@@ -2,12 +2,35 @@
 
 #include <torch/types.h>
 
+#include <utility>
+
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "adapter/method_options.h"
 #include "common/status_macros.h"
+#include "server/sessions/command_bounds.h"
 
 namespace robostress {
+namespace {
+
+// What a policy may answer and a session may keep: numbers, and actions that are commands. (Keys
+// and values that are none show in the actions.)
+absl::Status CheckComputed(const SampledPrediction& sampled, const PredictedChunk& answer) {
+  // Written so that what is not a number is refused too.
+  const auto commands = [](const Eigen::MatrixXf& actions) {
+    return actions.size() == 0 || (actions.array().abs() <= kWidestCommand).all();
+  };
+  if (commands(answer.policy_actions) && commands(answer.base_actions) &&
+      torch::isfinite(sampled.raw).all().item<bool>() &&
+      torch::isfinite(sampled.context.state).all().item<bool>())
+    return absl::OkStatus();
+  return absl::InternalError(
+      absl::StrCat("the policy predicted a value that is not finite, or above ", kWidestCommand,
+                   ", with adapter version ", answer.adapter_version,
+                   "; check the observation, lower the learning rate or roll the adapter back"));
+}
+
+}  // namespace
 
 std::string SessionIdentity(const SessionSpec& spec) {
   return absl::StrJoin({spec.suite, spec.scenario, absl::StrCat(spec.severity), spec.policy,
@@ -15,14 +38,14 @@ std::string SessionIdentity(const SessionSpec& spec) {
                        "/");
 }
 
-StreamKey NoiseKey(const SessionSpec& spec, int task, int episode, int chunk) {
+StreamKey NoiseKey(const SessionSpec& spec, const ChunkKey& key) {
   return StreamKey("prediction_noise")
       .With(spec.method->noise_stream)
       .With(spec.seed)
       .With(spec.suite)
-      .With(int64_t{task})
-      .With(int64_t{episode})
-      .With(int64_t{chunk});
+      .With(int64_t{key.episode.task})
+      .With(int64_t{key.episode.episode})
+      .With(int64_t{key.chunk});
 }
 
 torch::Tensor DrawNoise(const StreamKey& key, int64_t horizon, int64_t dim) {
@@ -33,35 +56,47 @@ torch::Tensor DrawNoise(const StreamKey& key, int64_t horizon, int64_t dim) {
   return noise;
 }
 
-absl::StatusOr<ComputedPrediction> ComputePrediction(Batcher& batcher, PredictionJob job,
-                                                     const SessionSpec& spec,
-                                                     const Observation& observation, int task,
-                                                     int episode, int chunk) {
+absl::StatusOr<SampledPrediction> ComputePrediction(Batcher& batcher, PredictionJob job,
+                                                    const SessionSpec& spec, const ChunkKey& key,
+                                                    PredictedChunk& answer) {
   const FlowPolicy& policy = *job.policy;
-  job.observation = &observation;
   job.with_base = spec.method->track_intent || spec.method->target == TargetReference::kIntent;
-  ComputedPrediction result;
   try {
     torch::NoGradGuard no_grad;
-    job.noise = DrawNoise(NoiseKey(spec, task, episode, chunk), policy.horizon(),
-                          policy.model_action_dim());
+    job.noise = DrawNoise(NoiseKey(spec, key), policy.horizon(), policy.model_action_dim());
     RS_ASSIGN_OR_RETURN(SampledPrediction sampled, batcher.Predict(job));
-    result.context = std::move(sampled.context);
-    result.raw = std::move(sampled.raw);
-    const torch::Tensor& state = result.context.state;
-    result.policy_actions = policy.ToEnvironment(result.raw, state);
+    const torch::Tensor& state = sampled.context.state;
+    answer.policy_actions = policy.ToEnvironment(sampled.raw, state);
     if (job.with_base) {
-      result.base_actions = sampled.base.defined() ? policy.ToEnvironment(sampled.base, state)
-                                                   : result.policy_actions;
+      answer.base_actions = sampled.base.defined() ? policy.ToEnvironment(sampled.base, state)
+                                                   : answer.policy_actions;
     }
-    result.adapter_version = sampled.adapter == nullptr ? 0 : sampled.adapter->version;
-    result.queue_ms = absl::ToDoubleMilliseconds(sampled.queued);
-    result.compute_ms = absl::ToDoubleMilliseconds(sampled.computed);
-    result.batch_size = sampled.batch_size;
+    answer.adapter_version = sampled.adapter == nullptr ? 0 : sampled.adapter->version;
+    answer.queue_ms = absl::ToDoubleMilliseconds(sampled.queued);
+    answer.compute_ms = absl::ToDoubleMilliseconds(sampled.computed);
+    answer.batch_size = sampled.batch_size;
+    RS_RETURN_IF_ERROR(CheckComputed(sampled, answer));
+    return sampled;
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("prediction failed: ", error.what()));
   }
-  return result;
+}
+
+void CorrectCommands(const SessionSpec& spec, const PolicySpec& policy,
+                     const Eigen::VectorXd& correction, PredictedChunk& answer) {
+  answer.actions = answer.policy_actions;
+  const Eigen::Index arm = answer.actions.cols() - 1;
+  if (spec.method->gain != 1.0) {
+    answer.actions.leftCols(arm) *= static_cast<float>(spec.method->gain);
+  }
+  if (correction.size() > 0) {
+    constexpr double kWidest = kWidestCommand;  // what does not fit in a float would be undefined
+    answer.actions.leftCols(arm).rowwise() +=
+        correction.head(arm).cwiseMax(-kWidest).cwiseMin(kWidest).cast<float>().transpose();
+  }
+  // After the last stage, whatever it was.
+  if (spec.method->gain != 1.0 || correction.size() > 0)
+    BoundCommands(policy, answer.policy_actions, answer.actions);
 }
 
 }  // namespace robostress

@@ -7,6 +7,7 @@
 
 #include "absl/status/statusor.h"
 #include "common/random.h"
+#include "common/rollout/chunk_key.h"
 #include "common/rollout/session_spec.h"
 #include "common/types.h"
 #include "server/inference/batcher.h"
@@ -19,7 +20,7 @@ namespace robostress {
 // so a copy is cheap.
 struct Prediction {
   uint64_t id = 0;
-  int task = 0, episode = 0, chunk = 0;
+  ChunkKey key;
   // Undefined and null where the method does not adapt.
   torch::Tensor raw;    // [K, d] model space
   torch::Tensor state;  // PolicyContext::state
@@ -39,34 +40,28 @@ struct BufferedChunk {
   torch::Tensor target;  // [K, d] model space
 };
 
-// What a policy computes for one observation, and how it was served.
-struct ComputedPrediction {
-  PolicyContext context;
-  torch::Tensor raw;               // [K, d] model space
-  Eigen::MatrixXf policy_actions;  // [K, action_dim]
-  Eigen::MatrixXf base_actions;    // [K, action_dim] without LoRA, or 0 x 0: not asked for
-  uint64_t adapter_version = 0;
-  double queue_ms = 0, compute_ms = 0;  // waited for a batch, computed with it [ms]
-  int batch_size = 0;
-};
-
 // The identity that keys phi_0 and every draw of an update. The sampling noise has a key of its
 // own.
 std::string SessionIdentity(const SessionSpec& spec);
 // Key of the noise of one prediction: (noise stream, seed, suite, task, episode, chunk) and nothing
 // else, so it is equal for every method and scenario.
-StreamKey NoiseKey(const SessionSpec& spec, int task, int episode, int chunk);
+StreamKey NoiseKey(const SessionSpec& spec, const ChunkKey& key);
 
 // Standard normal noise [1, K, d] of `key`.
 torch::Tensor DrawNoise(const StreamKey& key, int64_t horizon, int64_t dim);
 
-// Encodes and samples in a batch with others, from the noise of (task, episode, chunk): with the
-// job's adapter, and without it where the method wants the unadapted actions: those of version 0
-// are its own. `job` says all but observation and noise. A refusal (common/rollout/refusal.h) where
-// the batcher gives one; INTERNAL where the policy throws.
-absl::StatusOr<ComputedPrediction> ComputePrediction(Batcher& batcher, PredictionJob job,
-                                                     const SessionSpec& spec,
-                                                     const Observation& observation, int task,
-                                                     int episode, int chunk);
+// Encodes and samples in a batch with others, from the noise of `key`: with the job's adapter, and
+// without it where the method wants the unadapted actions: those of version 0 are its own. `job`
+// says all but noise and base. Fills `answer`, all but its number and the corrections of a method.
+// A refusal (common/rollout/refusal.h) where the batcher gives one; INTERNAL where the policy throws,
+// or predicts what is no command.
+absl::StatusOr<SampledPrediction> ComputePrediction(Batcher& batcher, PredictionJob job,
+                                                    const SessionSpec& spec, const ChunkKey& key,
+                                                    PredictedChunk& answer);
+
+// The chunk that is sent: the policy's with the method's gain, `correction` (of the arm's entries;
+// empty: none) and the bounds of `policy` after both.
+void CorrectCommands(const SessionSpec& spec, const PolicySpec& policy,
+                     const Eigen::VectorXd& correction, PredictedChunk& answer);
 
 }  // namespace robostress

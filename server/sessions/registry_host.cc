@@ -27,29 +27,114 @@ void TakeCounters(const SessionCounters& counters, SessionFigures& figures) {
   figures.predictions_unkept = counters.predictions_unkept;
 }
 
-}  // namespace
-
 using Monotonic = std::chrono::steady_clock;
 
-absl::StatusOr<SessionHost::Opened> RegistryHost::OpenSession(const Caller& caller,
-                                                              const SessionSpec& spec) {
-  RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Open({spec, guard_, {}}, caller));
-  return Opened{opened.id, opened.token, opened.session->policy_spec(), opened.session->durable()};
+class ShownUse : public SessionUse {
+ public:
+  ShownUse(std::string id, SessionRegistry::Lease session, Telemetry* telemetry, TraceLog* traces)
+      : id_(std::move(id)), session_(std::move(session)), telemetry_(telemetry), traces_(traces) {}
+
+  absl::Status StartEpisode(const EpisodeKey& key, uint64_t last_sequence) override {
+    return session_->StartEpisode(key, last_sequence);
+  }
+
+  absl::StatusOr<PredictedChunk> Predict(std::shared_ptr<const Observation> observation,
+                                         const ChunkKey& key, uint64_t last_sequence,
+                                         PredictOptions options,
+                                         Monotonic::time_point received) override {
+    const Monotonic::time_point begin = Monotonic::now();
+    const auto trace =
+        std::make_shared<PredictionTrace>(id_, key.episode.task, key.episode.episode, key.chunk);
+    trace->Add("decode", received, begin);
+    const TraceScope scope(trace);
+    const SessionScheduling& scheduling = session_.scheduling();
+    if (options.priority == Priority::kUnspecified) options.priority = scheduling.priority;
+    if (options.deadline == absl::InfiniteDuration() && scheduling.deadline_ms > 0)
+      options.deadline = absl::Milliseconds(scheduling.deadline_ms);
+    absl::StatusOr<PredictedChunk> prediction =
+        session_->Predict(observation, key, last_sequence, options);
+    const Monotonic::time_point end = Monotonic::now();
+    trace->Add("predict", begin, end);
+    traces_->Finish(trace);
+    if (!prediction.ok()) {
+      spdlog::info("prediction refused: {}", prediction.status().ToString());
+      return prediction;
+    }
+    const double seconds = std::chrono::duration<double>(end - begin).count();
+    telemetry_->Predicted(id_, std::move(observation), seconds);
+    spdlog::debug("predicted in {:.1f} ms with adapter version {}, batch of {}", 1e3 * seconds,
+                  prediction->adapter_version, prediction->batch_size);
+    return prediction;
+  }
+
+  absl::StatusOr<Recalled> Recall(uint64_t prediction_id) override {
+    RS_ASSIGN_OR_RETURN(const Prediction prediction, session_->Recall(prediction_id));
+    if (prediction.answered != nullptr) return Recalled{prediction.key, *prediction.answered};
+    return absl::FailedPreconditionError(absl::StrCat(
+        "prediction ", prediction.id,
+        " was made by an older server, which did not keep its actions; report the next one"));
+  }
+
+  std::optional<FeedbackResult> Repeated(uint64_t sequence) override {
+    return session_->Repeated(sequence);
+  }
+
+  absl::StatusOr<FeedbackResult> Feedback(const ExecutedChunk& executed) override {
+    // For the log: no stage is timed.
+    const TraceScope scope(
+        std::make_shared<PredictionTrace>(id_, executed.task, executed.episode, executed.chunk));
+    absl::StatusOr<FeedbackResult> result = session_->Feedback(executed);
+    if (!result.ok()) {
+      spdlog::warn("feedback {} refused: {}", executed.sequence, result.status().ToString());
+      return result;
+    }
+    if (!result->duplicate) {
+      telemetry_->Reported(id_, session_->spec(), result->sequence, result->residual);
+      telemetry_->Adapted(id_,
+                          {result->updates_applied, result->adapter_distance, result->last_loss});
+    }
+    spdlog::debug("feedback {} taken, {} updates applied", result->sequence,
+                  result->updates_applied);
+    return result;
+  }
+
+ private:
+  const std::string id_;
+  const SessionRegistry::Lease session_;
+  Telemetry* const telemetry_;
+  TraceLog* const traces_;
+};
+
+SessionHost::Opened Describe(const OpenedSession& opened) {
+  const Session& session = *opened.session;
+  return {opened.id,
+          opened.token,
+          session.policy_spec(),
+          session.durable(),
+          session.spec().control_period_s,
+          opened.session->Position()};
 }
 
-absl::StatusOr<SessionHost::Resumed> RegistryHost::ResumeSession(const Caller& caller,
-                                                                 const std::string& id,
-                                                                 const std::string& token) {
+}  // namespace
+
+absl::StatusOr<SessionHost::Opened> RegistryHost::Open(const Caller& caller,
+                                                       const SessionSpec& spec,
+                                                       const SessionScheduling& scheduling,
+                                                       const GuardOptions* guard) {
+  RS_ASSIGN_OR_RETURN(
+      const OpenedSession opened,
+      registry_->Open({spec, guard == nullptr ? guard_ : *guard, scheduling}, caller));
+  return Describe(opened);
+}
+
+absl::StatusOr<SessionHost::Opened> RegistryHost::Resume(const Caller& caller,
+                                                         const std::string& id,
+                                                         const std::string& token) {
   RS_ASSIGN_OR_RETURN(const OpenedSession opened, registry_->Resume(id, token, caller));
-  const SessionPosition at = opened.session->Position();
-  Resumed resumed{opened.session->policy_spec(), opened.session->durable(), at.feedback_sequence};
-  if (at.episode) resumed.episode = EpisodeKey{at.episode->first, at.episode->second};
-  resumed.next_chunk = at.next_chunk;
-  resumed.control_period_s = opened.session->spec().control_period_s;
-  return resumed;
+  return Describe(opened);
 }
 
-absl::Status RegistryHost::CloseSession(const Caller& caller, const std::string& id) {
+absl::Status RegistryHost::Close(const Caller& caller, const std::string& id) {
   SessionFigures last;
   bool known = false;
   if (const auto session = registry_->Use(id, caller); session.ok()) {
@@ -61,93 +146,10 @@ absl::Status RegistryHost::CloseSession(const Caller& caller, const std::string&
   return closed;
 }
 
-void RegistryHost::Attach(const std::string& id) { registry_->Attach(id); }
-void RegistryHost::Detach(const std::string& id) { registry_->Detach(id); }
-
-absl::Status RegistryHost::StartEpisode(const Caller& caller, const std::string& id,
-                                        const EpisodeKey& key, uint64_t last_sequence) {
-  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
-  return session->StartEpisode(key.task, key.episode, last_sequence);
-}
-
-absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller& caller, const std::string& id,
-                                                     const Observation& observation,
-                                                     const EpisodeKey& key, int chunk,
-                                                     uint64_t last_sequence) {
-  return Predict(caller, id, observation, key, chunk, last_sequence, {}, Monotonic::now());
-}
-
-absl::StatusOr<PredictedChunk> RegistryHost::Predict(const Caller& caller, const std::string& id,
-                                                     const Observation& observation,
-                                                     const EpisodeKey& key, int chunk,
-                                                     uint64_t last_sequence, PredictOptions options,
-                                                     Monotonic::time_point received) {
-  const Monotonic::time_point begin = Monotonic::now();
-  const auto trace = std::make_shared<PredictionTrace>(id, key.task, key.episode, chunk);
-  trace->Add("decode", received, begin);
-  const TraceScope scope(trace);
-  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
-  RS_ASSIGN_OR_RETURN(const SessionScheduling scheduling, registry_->SchedulingOf(id));
-  if (options.priority == Priority::kUnspecified) options.priority = scheduling.priority;
-  if (options.deadline == absl::InfiniteDuration() && scheduling.deadline_ms > 0)
-    options.deadline = absl::Milliseconds(scheduling.deadline_ms);
-  absl::StatusOr<PredictedChunk> prediction =
-      session->Predict(observation, key.task, key.episode, chunk, last_sequence, options);
-  const Monotonic::time_point end = Monotonic::now();
-  trace->Add("predict", begin, end);
-  traces_->Finish(trace);
-  if (!prediction.ok()) {
-    spdlog::info("prediction refused: {}", prediction.status().ToString());
-    return prediction;
-  }
-  const double seconds = std::chrono::duration<double>(end - begin).count();
-  telemetry_->Predicted(id, observation, seconds);
-  spdlog::debug("predicted in {:.1f} ms with adapter version {}, batch of {}", 1e3 * seconds,
-                prediction->adapter_version, prediction->batch_size);
-  return prediction;
-}
-
-absl::StatusOr<SessionHost::Recalled> RegistryHost::Recall(const Caller& caller,
-                                                           const std::string& id,
-                                                           uint64_t prediction_id) {
-  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
-  RS_ASSIGN_OR_RETURN(const Prediction prediction, session->Recall(prediction_id));
-  if (prediction.answered == nullptr) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        "prediction ", prediction.id,
-        " was made by an older server, which did not keep its actions; report the next one"));
-  }
-  return Recalled{{prediction.task, prediction.episode}, prediction.chunk, *prediction.answered};
-}
-
-absl::StatusOr<std::optional<SessionHost::Acknowledged>> RegistryHost::Repeated(
-    const Caller& caller, const std::string& id, uint64_t sequence) {
-  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
-  const std::optional<FeedbackResult> result = session->Repeated(sequence);
-  if (!result) return std::nullopt;
-  return Acknowledged{result->sequence, result->updates_applied, result->durable, true};
-}
-
-absl::StatusOr<SessionHost::Acknowledged> RegistryHost::Feedback(const Caller& caller,
-                                                                 const std::string& id,
-                                                                 const ExecutedChunk& executed) {
-  // For the log: no stage is timed.
-  const TraceScope scope(
-      std::make_shared<PredictionTrace>(id, executed.task, executed.episode, executed.chunk));
-  RS_ASSIGN_OR_RETURN(const SessionRegistry::Lease session, registry_->Use(id, caller));
-  const absl::StatusOr<FeedbackResult> result = session->Feedback(executed);
-  if (!result.ok()) {
-    spdlog::warn("feedback {} refused: {}", executed.sequence, result.status().ToString());
-    return result.status();
-  }
-  if (!result->duplicate) {
-    telemetry_->Reported(id, session->spec(), executed);
-    const SessionStats now = session->CountersNow().stats;
-    telemetry_->Adapted(id, {now.updates_applied, now.adapter_distance, now.last_loss});
-  }
-  spdlog::debug("feedback {} taken, {} updates applied", result->sequence, result->updates_applied);
-  return Acknowledged{result->sequence, result->updates_applied, result->durable,
-                      result->duplicate};
+absl::StatusOr<std::unique_ptr<SessionUse>> RegistryHost::Use(const Caller& caller,
+                                                              const std::string& id) {
+  RS_ASSIGN_OR_RETURN(SessionRegistry::Lease session, registry_->Use(id, caller));
+  return std::make_unique<ShownUse>(id, std::move(session), telemetry_, traces_);
 }
 
 std::vector<SessionFigures> RegistryHost::Figures() const {

@@ -1,8 +1,8 @@
 #pragma once
 
-#include <chrono>
-#include <functional>
+#include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "server/operations/span_trace.h"
@@ -26,30 +26,17 @@ class RegistryHost : public SessionHost {
         traces_(traces) {}
 
   std::vector<PolicySpec> policies() const override { return policies_; }
-  absl::StatusOr<Opened> OpenSession(const Caller& caller, const SessionSpec& spec) override;
-  absl::StatusOr<Resumed> ResumeSession(const Caller& caller, const std::string& id,
-                                        const std::string& token) override;
-  absl::Status CloseSession(const Caller& caller, const std::string& id) override;
-  void Attach(const std::string& id) override;
-  void Detach(const std::string& id) override;
-  absl::Status StartEpisode(const Caller& caller, const std::string& id, const EpisodeKey& key,
-                            uint64_t last_sequence) override;
-  absl::StatusOr<PredictedChunk> Predict(const Caller& caller, const std::string& id,
-                                         const Observation& observation, const EpisodeKey& key,
-                                         int chunk, uint64_t last_sequence) override;
-  absl::StatusOr<Recalled> Recall(const Caller& caller, const std::string& id,
-                                  uint64_t prediction_id) override;
-  absl::StatusOr<std::optional<Acknowledged>> Repeated(const Caller& caller, const std::string& id,
-                                                       uint64_t sequence) override;
-  absl::StatusOr<Acknowledged> Feedback(const Caller& caller, const std::string& id,
-                                        const ExecutedChunk& executed) override;
+  absl::StatusOr<Opened> Open(const Caller& caller, const SessionSpec& spec,
+                              const SessionScheduling& scheduling = {},
+                              const GuardOptions* guard = nullptr) override;
+  absl::StatusOr<Opened> Resume(const Caller& caller, const std::string& id,
+                                const std::string& token) override;
+  absl::Status Close(const Caller& caller, const std::string& id) override;
+  void Attach(const std::string& id) override { registry_->Attach(id); }
+  void Detach(const std::string& id) override { registry_->Detach(id); }
+  absl::StatusOr<std::unique_ptr<SessionUse>> Use(const Caller& caller,
+                                                  const std::string& id) override;
 
-  // With a priority and a deadline other than the session's. `received`: when the message came in;
-  // what passed since then is the trace's stage "decode".
-  absl::StatusOr<PredictedChunk> Predict(const Caller& caller, const std::string& id,
-                                         const Observation& observation, const EpisodeKey& key,
-                                         int chunk, uint64_t last_sequence, PredictOptions options,
-                                         std::chrono::steady_clock::time_point received);
   // Every session as it stands.
   std::vector<SessionFigures> Figures() const;
 

@@ -8,34 +8,22 @@
 #include "adapter/lora.h"
 #include "adapter/method_options.h"
 #include "common/status_macros.h"
-#include "proto/robostress/v1/state.pb.h"
 #include "server/inference/without_exceptions.h"
+#include "server/sessions/journal/session_events.h"
 #include "server/sessions/session.h"
 
 // A session's adaptation as a value: export, import, versions.
 namespace robostress {
 
 AdaptationState Session::CurrentAdaptation() {
-  AdaptationState state;
-  state.policy = policy_spec().name;
-  state.model_hash = policy_spec().model_hash;
-  state.method = spec_.method->method;
-  state.lora_kind = spec_.method->Find<LoraOptions>()->kind;
-  state.session = SessionIdentity(spec_);
-  state.lora = adapter_->Export();
-  state.triggers = triggers_;
+  AdaptationState state = learner_->State();
   state.feedback_sequence = feedback_sequence_;
-  state.chunks_since_clear = schedule_.chunks();
-  state.task = episode_ ? episode_->first : -1;
-  state.nominal_task = arm_episode_.first;
-  state.nominal_episode = arm_episode_.second;
-  state.nominal = arm_.state();
-  state.last_loss = last_loss_;
+  state.task = episode_ ? episode_->task : -1;
   return state;
 }
 
 absl::StatusOr<AdapterState> Session::Export() {
-  RS_RETURN_IF_ERROR(RequireAdapter("export"));
+  RS_RETURN_IF_ERROR(learner_->RequireAdapter("export"));
   return WithoutExceptions("export", [this] { return ExportAll(); });
 }
 
@@ -43,9 +31,7 @@ absl::StatusOr<AdapterState> Session::ExportAll() {
   absl::MutexLock lock(&mu_);
   RS_RETURN_IF_ERROR(AwaitLearned(0));
   AdaptationState state = CurrentAdaptation();
-  std::vector<BufferedChunk> chunks;
-  for (int i = 0; i < buffer_.size(); ++i) chunks.push_back(buffer_[i]);
-  RS_ASSIGN_OR_RETURN(state.buffer, WithPrefixes(chunks));
+  RS_ASSIGN_OR_RETURN(state.buffer, learner_->WithPrefixes(learner_->Buffer()));
   AdapterState result;
   RS_ASSIGN_OR_RETURN(result.safetensors,
                       SerializeAdaptationState(state, resources_.policy->lora_targets()));
@@ -54,51 +40,20 @@ absl::StatusOr<AdapterState> Session::ExportAll() {
   return result;
 }
 
-absl::StatusOr<AdaptationState> Session::ReadAdaptation(const std::string& name,
-                                                        const std::string& safetensors) const {
-  RS_ASSIGN_OR_RETURN(
-      AdaptationState state,
-      ParseAdaptationState(name, safetensors, *resources_.policy, policy_spec().model_hash));
-  if (state.method != spec_.method->method || state.policy != policy_spec().name) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "the adapter was learned by method ", state.method, " on policy ", state.policy,
-        "; this session runs method ", spec_.method->method, " on policy ", policy_spec().name));
-  }
-  const LoraOptions* lora = spec_.method->Find<LoraOptions>();
-  if (lora != nullptr && state.lora_kind != lora->kind) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("the adapter's parameters are ", LoraKindName(state.lora_kind),
-                     "; this session's method has lora: ", LoraKindName(lora->kind),
-                     "; open the session with the adapter's kind"));
-  }
-  return state;
-}
-
 absl::Status Session::ApplyAdaptation(const AdaptationState& state) {
-  RS_RETURN_IF_ERROR(adapter_->Import(state.lora));
-  triggers_ = state.triggers;
+  RS_RETURN_IF_ERROR(learner_->Apply(state));
   feedback_sequence_ = state.feedback_sequence;
-  schedule_.set_chunks(state.chunks_since_clear);
-  buffer_.Clear();
-  for (const auto& chunk : state.buffer) {  // the file has no observations to rebuild from
-    buffer_.Add({nullptr, resources_.prefixes->Add(resources_.policy, nullptr, chunk->context),
-                 chunk->target});
-  }
-  boundaries_.clear();
-  outstanding_.clear();
+  outstanding_.Clear();
   episode_.reset();
-  if (state.task >= 0)
-    episode_ = {static_cast<int>(state.task), -1};  // StartEpisode decides whether it is a boundary
-  arm_.set_state(state.nominal);
-  arm_episode_ = {static_cast<int>(state.nominal_task), static_cast<int>(state.nominal_episode)};
-  last_loss_ = state.last_loss;
+  if (state.task >= 0)  // StartEpisode decides whether it is a boundary
+    episode_ = EpisodeKey{static_cast<int>(state.task), -1};
   return absl::OkStatus();
 }
 
 absl::StatusOr<FeedbackResult> Session::Import(const std::string& safetensors) {
-  RS_RETURN_IF_ERROR(RequireAdapter("import into"));
+  RS_RETURN_IF_ERROR(learner_->RequireAdapter("import into"));
   absl::StatusOr<AdaptationState> read =
-      WithoutExceptions("import", [&] { return ReadAdaptation("imported adapter", safetensors); });
+      WithoutExceptions("import", [&] { return learner_->Read("imported adapter", safetensors); });
   if (absl::IsNotFound(read.status()))  // of a tensor
     return absl::InvalidArgumentError(read.status().message());
   RS_RETURN_IF_ERROR(read.status());
@@ -109,56 +64,46 @@ absl::StatusOr<FeedbackResult> Session::Import(const std::string& safetensors) {
   {
     absl::MutexLock lock(&mu_);
     RS_RETURN_IF_ERROR(AwaitLearned(0));
-    RS_RETURN_IF_ERROR(adapter_->CheckShapes(state.lora));
+    RS_RETURN_IF_ERROR(learner_->CheckShapes(state));
   }
-  v1::StateRecord record;
-  if (durable()) record.mutable_imported()->set_safetensors(safetensors);
-  RS_RETURN_IF_ERROR(Journal(record));
+  if (durable()) RS_RETURN_IF_ERROR(Journal(EncodeEvent(AdapterImported{safetensors})));
   absl::MutexLock lock(&mu_);
   const absl::Status applied = WithoutExceptions("import", [&] {
     mu_.AssertHeld();
     return ApplyAdaptation(state);
   });
   if (!applied.ok()) return failure_ = applied;
-  return FeedbackResult{feedback_sequence_, updates_applied(), durable(), false};
+  return Acknowledge(false);
 }
 
 absl::Status Session::Rollback(uint64_t version) {
-  RS_RETURN_IF_ERROR(RequireAdapter("roll back"));
+  RS_RETURN_IF_ERROR(learner_->RequireAdapter("roll back"));
   absl::MutexLock order(&order_mu_);
   {
     absl::MutexLock lock(&mu_);
     RS_RETURN_IF_ERROR(AwaitLearned(0));
-    RS_RETURN_IF_ERROR(adapter_->CheckRollback(version));
+    RS_RETURN_IF_ERROR(learner_->CheckRollback(version));
   }
-  v1::StateRecord record;
-  record.mutable_rollback()->set_version(version);
-  RS_RETURN_IF_ERROR(Journal(record));
+  RS_RETURN_IF_ERROR(Journal(EncodeEvent(AdapterRolledBack{version})));
   absl::MutexLock lock(&mu_);
-  RS_RETURN_IF_ERROR(adapter_->Rollback(version));
-  ClearBuffer();
-  ++rollbacks_;
-  return absl::OkStatus();
+  return learner_->Rollback(version);
 }
 
 absl::Status Session::Pin(uint64_t version, bool pinned) {
-  RS_RETURN_IF_ERROR(RequireAdapter("pin"));
+  RS_RETURN_IF_ERROR(learner_->RequireAdapter("pin"));
   absl::MutexLock order(&order_mu_);
   {
     absl::MutexLock lock(&mu_);
     RS_RETURN_IF_ERROR(AwaitLearned(0));
-    RS_RETURN_IF_ERROR(adapter_->CheckPin(version, pinned));
+    RS_RETURN_IF_ERROR(learner_->CheckPin(version, pinned));
   }
-  v1::StateRecord record;
-  record.mutable_pin()->set_version(version);
-  record.mutable_pin()->set_pinned(pinned);
-  RS_RETURN_IF_ERROR(Journal(record));
-  return adapter_->Pin(version, pinned);
+  RS_RETURN_IF_ERROR(Journal(EncodeEvent(VersionPinned{version, pinned})));
+  return learner_->Pin(version, pinned);
 }
 
 absl::StatusOr<std::vector<PublishedVersion>> Session::Versions() const {
-  RS_RETURN_IF_ERROR(RequireAdapter("list"));
-  return adapter_->Versions();
+  RS_RETURN_IF_ERROR(learner_->RequireAdapter("list"));
+  return learner_->Versions();
 }
 
 absl::StatusOr<std::string> Session::ExportVersion(uint64_t version) {

@@ -29,8 +29,9 @@ struct SessionRegistryOptions {
   // Where sessions live on disk (server/sessions/journal/README.md); empty: in memory only.
   std::string state_dir;
   int max_stored_sessions = 4096;  // in memory and on disk together
-  // When max_sessions are open, who makes room is chosen by server/sessions/place_choice.h: a durable
-  // session is written to disk, from where its next message brings it back; another one is closed.
+  // When max_sessions are open, who makes room is chosen by server/sessions/place_choice.h: a
+  // durable session is written to disk, from where its next message brings it back; another one is
+  // closed.
   absl::Duration abandoned_after = absl::Minutes(15);
   // Unused for this long a session is closed, on disk too. Counted by the monotonic clock while the
   // server runs, so a wall clock that jumps closes nothing.
@@ -70,8 +71,12 @@ class SessionRegistry {
   // A use of a session; while one is held the session is not idle.
   class Lease {
    public:
-    Lease(SessionRegistry* registry, std::string id, std::shared_ptr<Session> session)
-        : registry_(registry), id_(std::move(id)), session_(std::move(session)) {}
+    Lease(SessionRegistry* registry, std::string id, std::shared_ptr<Session> session,
+          const SessionScheduling& scheduling)
+        : registry_(registry),
+          id_(std::move(id)),
+          session_(std::move(session)),
+          scheduling_(scheduling) {}
     Lease(Lease&& other) noexcept = default;
     Lease& operator=(Lease&&) = delete;
     ~Lease() {
@@ -79,11 +84,15 @@ class SessionRegistry {
     }
     Session& operator*() const { return *session_; }
     Session* operator->() const { return session_.get(); }
+    const std::shared_ptr<Session>& session() const { return session_; }
+    // Priority and deadline that it was opened with.
+    const SessionScheduling& scheduling() const { return scheduling_; }
 
    private:
     SessionRegistry* registry_;
     std::string id_;
     std::shared_ptr<Session> session_;
+    SessionScheduling scheduling_;
   };
 
   // The session belongs to `caller`; one without an owner may do everything with every session.
@@ -109,8 +118,6 @@ class SessionRegistry {
   absl::StatusOr<Lease> Load(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
 
   std::vector<SessionRow> List() ABSL_LOCKS_EXCLUDED(mu_);
-  // Priority and deadline that a session was opened with.
-  absl::StatusOr<SessionScheduling> SchedulingOf(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
   // In async mode; false of one that is unknown.
   bool IsAsync(const std::string& id) const ABSL_LOCKS_EXCLUDED(mu_);
   int open_sessions() const ABSL_LOCKS_EXCLUDED(mu_);
@@ -166,9 +173,11 @@ class SessionRegistry {
   // Forgets one on disk that has learned nothing, where all that may be are stored.
   absl::Status MakeStoredRoom(const std::string& client) ABSL_LOCKS_EXCLUDED(mu_);
   static absl::Status CheckOwner(const Entry& entry, const std::string& id, const Caller& caller);
-  // In memory, and one use counted. `token`: null where it was shown before.
-  absl::StatusOr<std::shared_ptr<Session>> Acquire(const std::string& id, const std::string* token,
-                                                   const Caller& caller) ABSL_LOCKS_EXCLUDED(mu_);
+  // Counts one use of a session in memory.
+  Lease Lend(const std::string& id, Entry& entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // A use, of what was on disk too. `token`: null where it was shown before.
+  absl::StatusOr<Lease> Acquire(const std::string& id, const std::string* token,
+                                const Caller& caller) ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<std::shared_ptr<Session>> ReadFromDisk(const std::string& id,
                                                         const SessionRequest& request)
       ABSL_LOCKS_EXCLUDED(mu_);

@@ -122,13 +122,13 @@ absl::Status StateRules::CheckPrediction(const Prediction& prediction) const {
   const auto within = [&where](const absl::Status& status) {
     return status.ok() ? status : Invalid(where, ": ", status.message());
   };
-  RS_RETURN_IF_ERROR(within(CheckEpisode(prediction.task, prediction.episode)));
-  RS_RETURN_IF_ERROR(within(CheckIndex("chunk", prediction.chunk, 0)));
-  if ((prediction.observation != nullptr) != spec_->method->adapts()) {
-    return Invalid(where,
-                   spec_->method->adapts() ? " lacks its observation" : " has an observation",
-                   "; method ", spec_->method->method, " adapts ",
-                   spec_->method->adapts() ? "from it" : "nothing");
+  RS_RETURN_IF_ERROR(
+      within(CheckEpisode(prediction.key.episode.task, prediction.key.episode.episode)));
+  RS_RETURN_IF_ERROR(within(CheckIndex("chunk", prediction.key.chunk, 0)));
+  const bool adapts = spec_->method->adapts();
+  if ((prediction.observation != nullptr) != adapts) {
+    return Invalid(where, adapts ? " lacks its observation" : " has an observation", "; method ",
+                   spec_->method->method, " adapts ", adapts ? "from it" : "nothing");
   }
   if (prediction.answered != nullptr)
     RS_RETURN_IF_ERROR(within(robostress::CheckPrediction(*prediction.answered, policy_->spec())));
@@ -160,23 +160,24 @@ absl::Status StateRules::CheckBuffered(const torch::Tensor& target, const Observ
 
 absl::Status StateRules::CheckSnapshot(const SessionSnapshot& snapshot,
                                        size_t max_outstanding) const {
-  const v1::StateAdaptation& counters = snapshot.counters;
-  RS_RETURN_IF_ERROR(CheckCount("feedback_sequence", counters.feedback_sequence()));
-  RS_RETURN_IF_ERROR(CheckCount("next_prediction", counters.next_prediction()));
-  if (counters.next_prediction() == 0)
+  RS_RETURN_IF_ERROR(CheckCount("feedback_sequence", snapshot.feedback_sequence));
+  RS_RETURN_IF_ERROR(CheckCount("next_prediction", snapshot.next_prediction));
+  if (snapshot.next_prediction == 0)
     return Invalid("next_prediction is 0; the first one has number 1");
-  if (counters.episode_started())
-    RS_RETURN_IF_ERROR(CheckEpisode(counters.task(), counters.episode(), -1));
-  if (static_cast<size_t>(counters.boundaries_size()) > kMaxBoundaries) {
-    return Invalid(counters.boundaries_size(), " boundaries wait for feedback, at most ",
+  if (snapshot.episode_started)
+    RS_RETURN_IF_ERROR(CheckEpisode(snapshot.task, snapshot.episode, -1));
+  RS_RETURN_IF_ERROR(CheckIndex("next_chunk", snapshot.next_chunk.value_or(0), 0));
+  if (snapshot.boundaries.size() > kMaxBoundaries) {
+    return Invalid(snapshot.boundaries.size(), " boundaries wait for feedback, at most ",
                    kMaxBoundaries, " can");
   }
-  for (const uint64_t boundary : counters.boundaries()) {
+  for (const uint64_t boundary : snapshot.boundaries) {
     RS_RETURN_IF_ERROR(CheckCount("boundaries", boundary));
-    if (boundary <= counters.feedback_sequence())
+    if (boundary <= snapshot.feedback_sequence)
       return Invalid("a boundary waits for feedback ", boundary, ", which is in");
   }
-  const int direct = counters.direct_correction_size();
+  const auto found = snapshot.correction.find(DirectOptions::kWay.name);
+  const Eigen::Index direct = found == snapshot.correction.end() ? 0 : found->second.size();
   if (direct != 0 && direct != policy_->spec().action_dim) {
     return Invalid("direct_correction has ", direct, " values, must have ",
                    policy_->spec().action_dim, " or none");
@@ -188,9 +189,9 @@ absl::Status StateRules::CheckSnapshot(const SessionSnapshot& snapshot,
   uint64_t last = 0;
   for (const Prediction& prediction : snapshot.outstanding) {
     RS_RETURN_IF_ERROR(CheckPrediction(prediction));
-    if (prediction.id <= last || prediction.id >= counters.next_prediction()) {
+    if (prediction.id <= last || prediction.id >= snapshot.next_prediction) {
       return Invalid("prediction ", prediction.id, " comes after ", last, ", and the next is ",
-                     counters.next_prediction());
+                     snapshot.next_prediction);
     }
     last = prediction.id;
   }
@@ -204,15 +205,15 @@ absl::Status StateRules::CheckSnapshot(const SessionSnapshot& snapshot,
   }
   if (!snapshot.adaptation->buffer.empty())
     return Invalid("the adapter of a snapshot has a buffer of its own");
-  if (snapshot.adaptation->feedback_sequence != counters.feedback_sequence()) {
+  if (snapshot.adaptation->feedback_sequence != snapshot.feedback_sequence) {
     return Invalid("the adapter stands at feedback ", snapshot.adaptation->feedback_sequence,
-                   ", the session at ", counters.feedback_sequence());
+                   ", the session at ", snapshot.feedback_sequence);
   }
   for (const PublishedVersion& version : snapshot.versions) {
-    if (version.feedback_sequence > counters.feedback_sequence()) {
+    if (version.feedback_sequence > snapshot.feedback_sequence) {
       return Invalid("version ", version.weights->version, " was made after feedback ",
                      version.feedback_sequence, "; the session stands at ",
-                     counters.feedback_sequence());
+                     snapshot.feedback_sequence);
     }
   }
   return CheckAdaptation(*snapshot.adaptation, snapshot.buffer.size());

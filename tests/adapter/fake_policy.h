@@ -6,6 +6,7 @@
 #include <cstring>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "adapter/lora.h"
@@ -130,6 +131,10 @@ class FakePolicy : public FlowPolicy {
   std::vector<LoraTarget> targets_;
   torch::Tensor W1_, W2_, U_, S_, t_;
 };
+
+inline std::shared_ptr<const Observation> Shared(Observation observation) {
+  return std::make_shared<const Observation>(std::move(observation));
+}
 
 // Equal in every bit, not just close.
 inline bool BitEqual(const torch::Tensor& a, const torch::Tensor& b) {

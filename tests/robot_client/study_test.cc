@@ -214,7 +214,7 @@ class PiperUnit : public ::testing::Test {
     PiperPlayer player(*resolved, [&]() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
       auto made = std::make_unique<StandingPolicy>();
       policy = made.get();
-      return made;
+      return std::unique_ptr<PolicyEndpoint>(std::move(made));
     });
     UnitRunOptions options;
     options.out = folder_;

@@ -44,9 +44,11 @@ struct Bench {
     if (auto* lora = options.Find<LoraOptions>()) lora->learning_rate = 1e-6;
     spec.method = options;
     session = *Session::Create(spec, {policy, &adaptation, &inference}, 1);
-    session->StartEpisode(0, 0, 0).IgnoreError();
+    session->StartEpisode({0, 0}, 0).IgnoreError();
   }
-  PredictedChunk Predict() { return *session->Predict(observation, 0, 0, chunk++, sequence); }
+  PredictedChunk Predict() {
+    return *session->Predict(Shared(observation), {{0, 0}, chunk++}, sequence);
+  }
   void Feedback(const PredictedChunk& prediction) {
     ExecutedChunk executed = ToyArm(0.6).Execute(prediction, 5);
     executed.chunk = chunk - 1;

@@ -190,9 +190,11 @@ TEST(ServerKill, ContinuesBitForBitAfterBeingKilledAtAnyMoment) {
     const auto sequence = static_cast<uint64_t>(i);
     const absl::Status ran = RunChunk(
         twin, i,
-        [&](int task, int episode) { return session->StartEpisode(task, episode, sequence); },
+        [&](int task, int episode) {
+          return session->StartEpisode({task, episode}, sequence);
+        },
         [&](const Observation& observation, int task, int episode, int chunk) {
-          return session->Predict(observation, task, episode, chunk, sequence);
+          return session->Predict(Shared(observation), {{task, episode}, chunk}, sequence);
         },
         [&](const ExecutedChunk& executed) { return session->Feedback(executed).status(); });
     ASSERT_TRUE(ran.ok()) << ran;

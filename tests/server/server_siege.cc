@@ -68,7 +68,7 @@ class Robot {
     spec.mode = ExecutionMode::kAsync;
     spec.method = *MakeMethod(method, overrides_);
     v1::OpenSessionRequest request;
-    *request.mutable_spec() = ToProto(spec);
+    *request.mutable_spec() = ToProto(RequestOf(spec));
     RS_RETURN_IF_ERROR(FromGrpc(stub_->OpenSession(Context().get(), request, &session_)));
     v1::StartEpisodeRequest start;
     start.set_session_id(session_.session_id());
@@ -192,7 +192,7 @@ void WaitingPredictions(const Target& target) {
   v1::GetServerInfoResponse info;
   if (!stub->GetServerInfo(context().get(), {}, &info).ok()) return;
   spec.policy = info.policies(0).name();
-  *open.mutable_spec() = ToProto(spec);
+  *open.mutable_spec() = ToProto(RequestOf(spec));
   v1::OpenSessionResponse session;
   while (!stub->OpenSession(context().get(), open, &session).ok())
     if (!target.Rest(1)) return;

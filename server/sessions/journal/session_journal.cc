@@ -209,10 +209,6 @@ absl::StatusOr<std::unique_ptr<SessionJournal>> SessionJournal::Recover(
   return journal;
 }
 
-absl::Status SessionJournal::Append(const v1::StateRecord& record) {
-  return writer_->Append(record.SerializeAsString());
-}
-
 absl::Status SessionJournal::PrepareGeneration() {
   RS_ASSIGN_OR_RETURN(next_, NewJournal(generation_ + 1));
   return absl::OkStatus();

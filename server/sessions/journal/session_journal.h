@@ -52,9 +52,8 @@ class SessionJournal {
   uint64_t bytes() const { return older_bytes_ + writer_->bytes(); }
   uint64_t records() const { return older_records_ + writer_->records(); }
 
-  // In the order of events. As RecordWriter::Append.
-  absl::Status Append(const v1::StateRecord& record);
-  absl::Status AppendSerialized(const std::string& record) { return writer_->Append(record); }
+  // One event (journal/session_events.h), in their order. As RecordWriter::Append.
+  absl::Status Append(const std::string& event) { return writer_->Append(event); }
   // Survives the next generation: sync on another thread.
   std::shared_ptr<RecordWriter> writer() const { return writer_; }
 

@@ -137,12 +137,12 @@ absl::StatusOr<GuardOptions> FromRecord(const v1::UpdateGuard& record) {
   return guard;
 }
 
-v1::StatePrediction ToRecord(const Prediction& prediction) {
+v1::StatePrediction ToRecord(const Prediction& prediction, bool with_views) {
   v1::StatePrediction record;
   record.set_id(prediction.id);
-  record.set_task(static_cast<uint32_t>(prediction.task));
-  record.set_episode(static_cast<uint32_t>(prediction.episode));
-  record.set_chunk(static_cast<uint32_t>(prediction.chunk));
+  record.set_task(static_cast<uint32_t>(prediction.key.episode.task));
+  record.set_episode(static_cast<uint32_t>(prediction.key.episode.episode));
+  record.set_chunk(static_cast<uint32_t>(prediction.key.chunk));
   // A matrix that is not finite could not be read again: then the chunk is not kept.
   const PredictedChunk* answered = prediction.answered.get();
   if (answered != nullptr && answered->actions.allFinite() &&
@@ -157,7 +157,12 @@ v1::StatePrediction ToRecord(const Prediction& prediction) {
   if (prediction.observation == nullptr) return record;
   *record.mutable_raw() = ToRecord(prediction.raw);
   *record.mutable_state() = ToRecord(prediction.state);
-  *record.mutable_observation() = ToProto(*prediction.observation);
+  if (with_views) {
+    *record.mutable_observation() = ToProto(*prediction.observation);
+  } else {
+    const Observation& seen = *prediction.observation;
+    *record.mutable_observation() = ToProto(Observation{seen.instruction, {}, seen.proprioception});
+  }
   if (prediction.base.rows() > 0) *record.mutable_base() = ToProto(prediction.base);
   return record;
 }
@@ -168,9 +173,8 @@ absl::StatusOr<Prediction> FromRecord(const v1::StatePrediction& record) {
   constexpr auto kLimit = static_cast<uint32_t>(WireLimits::kIndex);
   if (record.task() > kLimit || record.episode() > kLimit || record.chunk() > kLimit)
     return Damaged("prediction ", record.id(), " is of a task, episode or chunk above ", kLimit);
-  prediction.task = static_cast<int>(record.task());
-  prediction.episode = static_cast<int>(record.episode());
-  prediction.chunk = static_cast<int>(record.chunk());
+  prediction.key = {{static_cast<int>(record.task()), static_cast<int>(record.episode())},
+                    static_cast<int>(record.chunk())};
   prediction.journaled = true;
   if (record.has_actions()) {
     RS_ASSIGN_OR_RETURN(prediction.answered, ReadAnswered(record));

@@ -22,7 +22,8 @@ v1::UpdateGuard ToRecord(const GuardOptions& guard);
 // Zeros stand for defaults (policy.proto); INVALID_ARGUMENT out of range.
 absl::StatusOr<GuardOptions> FromRecord(const v1::UpdateGuard& record);
 
-v1::StatePrediction ToRecord(const Prediction& prediction);
+// `with_views` false: without the images of its observation.
+v1::StatePrediction ToRecord(const Prediction& prediction, bool with_views = true);
 // Without `prefix`, which the caller makes of the observation.
 absl::StatusOr<Prediction> FromRecord(const v1::StatePrediction& record);
 

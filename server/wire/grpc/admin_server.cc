@@ -13,6 +13,7 @@
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/sessions/read_spec.h"
 #include "server/wire/fair_executor.h"
 #include "server/wire/grpc/grpc_access.h"
 #include "server/wire/grpc/grpc_call.h"
@@ -63,7 +64,7 @@ class AdminServer::Service {
       for (const SessionRow& row : registry_->List()) {
         v1::SessionSummary& summary = *response.add_sessions();
         summary.set_session_id(row.id);
-        *summary.mutable_spec() = ToProto(row.request.spec);
+        *summary.mutable_spec() = ToProto(RequestOf(row.request.spec));
         summary.set_open(row.open);
         summary.set_priority(ToProto(row.request.scheduling.priority));
         summary.set_idle_s(absl::ToDoubleSeconds(row.idle));

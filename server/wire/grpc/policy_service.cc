@@ -11,32 +11,30 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "absl/time/clock.h"
-#include "adapter/lora.h"
-#include "common/rollout/message_limits.h"
-#include "common/rollout/refusal.h"
-#include "common/rpc/convert_chunks.h"
-#include "common/rpc/convert_observations.h"
-#include "common/rpc/convert_sessions.h"
-#include "common/rpc/convert_specs.h"
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
-#include "proto/robostress/v1/policy.grpc.pb.h"
-#include "server/operations/process_metrics.h"
-#include "server/sessions/journal/state_records.h"
-#include "server/sessions/read_spec.h"
 #include "server/wire/grpc/grpc_access.h"
 #include "server/wire/grpc/grpc_call.h"
+#include "server/wire/grpc/policy_handlers.h"
 
 namespace robostress {
 namespace {
 
 constexpr char kHealthName[] = "robostress.v1.PolicyService";
 
-absl::Status CheckBatching(const PolicyServerOptions& options) {
+absl::Status CheckOptions(const PolicyServerOptions& options) {
   const auto invalid = [](const auto&... parts) {
     return absl::InvalidArgumentError(absl::StrCat(parts...));
   };
+  if (options.threads < 1 || options.threads > 1024)
+    return invalid("--threads is ", options.threads, ", must be 1..1024");
+  if (options.prefix_budget_mib < 0 || options.prefix_budget_mib > (int64_t{1} << 30)) {
+    return invalid("--prefix-budget-mib is ", options.prefix_budget_mib, ", must be 0..1073741824");
+  }
+  if (options.max_sessions < 1 || options.max_sessions > 4096)
+    return invalid("--max-sessions is ", options.max_sessions, ", must be 1..4096");
+  if (options.snapshot_mib < 1 || options.snapshot_records < 1)
+    return invalid("a snapshot is due after at least 1 MiB and 1 record");
   if (options.max_batch < 1 || options.max_batch > 1024)
     return invalid("--max-batch is ", options.max_batch, ", must be 1..1024");
   if (options.batch_window < absl::ZeroDuration() || options.batch_window > absl::Seconds(10)) {
@@ -52,27 +50,6 @@ absl::Status CheckBatching(const PolicyServerOptions& options) {
   if (options.update_nice < 0 || options.update_nice > 19)
     return invalid("--update-nice is ", options.update_nice, ", must be 0..19");
   return absl::OkStatus();
-}
-
-// What an adapter of the widest kind that may be opened needs as a file [bytes]: phi, phi_0 and two
-// moments, and a full buffer with its prefixes.
-size_t LargestAdapterBytes(const FlowPolicy& policy, const MethodCaps& caps) {
-  const auto parameters = static_cast<size_t>(
-      std::max(NumLoraParameters(policy.lora_targets(), LoraKind::kPerHead, caps.max_rank),
-               NumLoraParameters(policy.lora_targets(), LoraKind::kPerMatrix, caps.max_rank)));
-  const ContextShape context = policy.context_shape();
-  const auto prefix = static_cast<size_t>(context.max_prefix);
-  const size_t chunk =
-      2 * static_cast<size_t>(context.layers * context.kv_heads * context.head_dim) * prefix *
-          c10::elementSize(context.kv_type) +
-      prefix + 4 * static_cast<size_t>(context.state_dim) +
-      4 * static_cast<size_t>(policy.horizon() * policy.model_action_dim());
-  const size_t tensors =
-      8 * policy.lora_targets().size() +
-      static_cast<size_t>(caps.max_buffer_chunks) * static_cast<size_t>(2 * context.layers + 3);
-  const size_t names = 256 * tensors + (size_t{64} << 10);  // the file's own header
-  const size_t bytes = 4 * 4 * parameters + static_cast<size_t>(caps.max_buffer_chunks) * chunk;
-  return std::min(bytes + names, size_t{kMaxMessageBytes});
 }
 
 absl::Status WarmUp(const FlowPolicy& policy) {
@@ -109,7 +86,7 @@ BatcherOptions BatchingOf(const PolicyServerOptions& options) {
 
 }  // namespace
 
-// Handlers: convert, call, say what came out. gRPC itself is server/wire/grpc/grpc_call.h.
+// What the service stands on: threads, policies, sessions and what shows them.
 class PolicyServer::Service {
  public:
   Service(const PolicyServerOptions& options,
@@ -148,6 +125,10 @@ class PolicyServer::Service {
     }
     host_ = std::make_unique<RegistryHost>(sessions_.get(), std::move(specs), options_.guard,
                                            &telemetry_, &traces_);
+    const PolicyHandlers::Options handlers{options_.threads, options_.max_sessions,
+                                           options_.expire_after, options_.caps};
+    handlers_ = std::make_unique<PolicyHandlers>(handlers, &policies_, sessions_.get(), host_.get(),
+                                                 &calls_, &feedback_calls_);
     return absl::OkStatus();
   }
   // The first prediction of a policy allocates and touches everything that later ones use.
@@ -179,7 +160,8 @@ class PolicyServer::Service {
     grpc.message_timeout = options_.message_timeout;
     grpc.attach = [this](const std::string& id) { sessions_->Attach(id); };
     grpc.detach = [this](const std::string& id) { sessions_->Detach(id); };
-    return std::make_unique<GrpcService>(kHealthName, Methods(), grpc, options_.tokens, &metrics_);
+    return std::make_unique<GrpcService>(kHealthName, handlers_->Methods(), grpc, options_.tokens,
+                                         &metrics_);
   }
 
  private:
@@ -189,158 +171,6 @@ class PolicyServer::Service {
     threads.threads = options.max_sessions + 32;
     threads.per_client = threads.threads * 3 / 4;
     return threads;
-  }
-
-  static absl::Status CheckIndex(const char* field, uint32_t value) {
-    if (value <= static_cast<uint32_t>(WireLimits::kIndex)) return absl::OkStatus();
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, " is ", value, ", must be at most ", WireLimits::kIndex));
-  }
-
-  // What the policies served here need [bytes].
-  size_t LargestRequest(const std::string& method) const {
-    size_t most = size_t{256} << 10;  // a session's spec
-    for (const PolicySpec& spec : host_->policies()) {
-      const int side = std::max({spec.max_view_side, spec.image_width, spec.image_height});
-      if (method == "Predict") most = std::max(most, LargestObservationBytes(spec, side, 1));
-      if (method == "Feedback") most = std::max(most, LargestExecutedBytes(spec));
-      if (method == "ImportAdapter")
-        most = std::max(most, LargestAdapterBytes(*policies_.at(spec.name), options_.caps));
-    }
-    return most;
-  }
-
-  template <class Request, class Response>
-  GrpcMethod Unary(const char* name,
-                   absl::Status (Service::*handler)(GrpcCallView&, const Request&, Response&)) {
-    GrpcMethod method;
-    method.name = name;
-    method.largest_request = LargestRequest(name);
-    method.executor = &calls_;
-    method.answer = TypedAnswer<Request, Response>(
-        [this, handler](GrpcCallView& view, const Request& request, Response& response) {
-          return (this->*handler)(view, request, response);
-        });
-    return method;
-  }
-
-  std::vector<GrpcMethod> Methods() {
-    GrpcMethod predict = Unary("Predict", &Service::Predict);
-    predict.streams = true;
-    predict.reads_ahead = [this](const std::string& id) { return sessions_->IsAsync(id); };
-    // A refusal is an answer, and the stream goes on; of a stream that is read ahead every error
-    // is.
-    predict.as_answer = [](const google::protobuf::Message& request, const absl::Status& status,
-                           bool read_ahead, google::protobuf::Message& response) {
-      if (!read_ahead && !IsRefusal(status)) return false;
-      auto& refused = static_cast<v1::PredictResponse&>(response);
-      refused.set_chunk(static_cast<const v1::PredictRequest&>(request).chunk());
-      *refused.mutable_refusal() = ToRefusal(status);
-      return true;
-    };
-    GrpcMethod feedback = Unary("Feedback", &Service::Feedback);
-    feedback.streams = true;
-    feedback.executor = &feedback_calls_;
-    GrpcMethod import = Unary("ImportAdapter", &Service::ImportAdapter);
-    import.at_once = 2;  // the largest messages there are
-    return {Unary("GetServerInfo", &Service::GetServerInfo),
-            Unary("OpenSession", &Service::OpenSession),
-            Unary("ResumeSession", &Service::ResumeSession),
-            Unary("CloseSession", &Service::CloseSession),
-            Unary("StartEpisode", &Service::StartEpisode),
-            std::move(predict),
-            std::move(feedback),
-            Unary("GetStats", &Service::GetStats),
-            Unary("ExportAdapter", &Service::ExportAdapter),
-            std::move(import),
-            Unary("RollbackAdapter", &Service::RollbackAdapter)};
-  }
-
-  absl::Status GetServerInfo(GrpcCallView&, const v1::GetServerInfoRequest&,
-                             v1::GetServerInfoResponse& response) {
-    ServerInfo info;
-    info.version = BuildVersion();
-    info.policies = host_->policies();
-    info.max_sessions = options_.max_sessions;
-    info.inference_threads = options_.threads;
-    info.open_sessions = sessions_->open_sessions();
-    info.durable = sessions_->durable();
-    info.instance = instance_;
-    info.draining = sessions_->draining();
-    response = ToProto(info);
-    return absl::OkStatus();
-  }
-
-  absl::Status OpenSession(GrpcCallView& call, const v1::OpenSessionRequest& request,
-                           v1::OpenSessionResponse& response) {
-    const absl::Status status = Open(call.caller(), request, response);
-    if (IsRefusal(status))
-      call.AddTrailingMetadata(kRefusalMetadata, ToRefusal(status).SerializeAsString());
-    return status;
-  }
-
-  absl::Status CloseSession(GrpcCallView& call, const v1::CloseSessionRequest& request,
-                            v1::CloseSessionResponse&) {
-    return host_->CloseSession(call.caller(), request.session_id());
-  }
-
-  absl::Status StartEpisode(GrpcCallView& call, const v1::StartEpisodeRequest& request,
-                            v1::StartEpisodeResponse&) {
-    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
-    RS_RETURN_IF_ERROR(CheckIndex("task", request.task()));
-    RS_RETURN_IF_ERROR(CheckIndex("episode", request.episode()));
-    return session->StartEpisode(static_cast<int>(request.task()),
-                                 static_cast<int>(request.episode()),
-                                 request.last_feedback_sequence());
-  }
-
-  absl::Status GetStats(GrpcCallView& call, const v1::GetStatsRequest& request,
-                        v1::GetStatsResponse& response) {
-    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
-    RS_ASSIGN_OR_RETURN(const SessionCounters counters, session->Counters());
-    response = ToProto(counters.stats);
-    response.set_buffered_chunks(static_cast<uint32_t>(counters.buffered_chunks));
-    response.set_predictions(counters.predictions);
-    response.set_prefix_bytes(static_cast<uint64_t>(counters.prefixes.bytes));
-    response.set_prefix_evictions(counters.prefixes.evictions);
-    response.set_prefix_rebuilds(counters.prefixes.rebuilds);
-    response.set_duplicates(counters.duplicates);
-    response.set_updates_refused(counters.updates_refused);
-    response.set_updates_guarded(counters.updates_guarded);
-    response.set_predictions_dropped(counters.predictions_dropped);
-    response.set_resumes(counters.resumes);
-    response.set_rollbacks(counters.rollbacks);
-    response.set_steps_masked(counters.steps_masked);
-    response.set_journal_bytes(counters.journal_bytes);
-    response.set_durable(session->durable());
-    return absl::OkStatus();
-  }
-
-  absl::Status ExportAdapter(GrpcCallView& call, const v1::ExportAdapterRequest& request,
-                             v1::ExportAdapterResponse& response) {
-    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
-    RS_ASSIGN_OR_RETURN(AdapterState state, session->Export());
-    response.set_safetensors(std::move(state.safetensors));
-    response.set_feedback_sequence(state.feedback_sequence);
-    response.set_updates_applied(state.updates_applied);
-    return absl::OkStatus();
-  }
-
-  absl::Status ImportAdapter(GrpcCallView& call, const v1::ImportAdapterRequest& request,
-                             v1::ImportAdapterResponse& response) {
-    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
-    RS_ASSIGN_OR_RETURN(const FeedbackResult result, session->Import(request.safetensors()));
-    response.set_feedback_sequence(result.sequence);
-    response.set_updates_applied(result.updates_applied);
-    return absl::OkStatus();
-  }
-
-  absl::Status RollbackAdapter(GrpcCallView& call, const v1::RollbackAdapterRequest& request,
-                               v1::RollbackAdapterResponse& response) {
-    RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
-    RS_RETURN_IF_ERROR(session->Rollback(request.version()));
-    response.set_updates_applied(request.version());
-    return absl::OkStatus();
   }
 
   absl::StatusOr<SessionResources> ResourcesOf(const std::string& name) {
@@ -361,99 +191,9 @@ class PolicyServer::Service {
     return resources;
   }
 
-  uint64_t ExpiresAfter() const {
-    const absl::Duration after = options_.expire_after;
-    return after == absl::InfiniteDuration()
-               ? 0
-               : static_cast<uint64_t>(std::max(int64_t{1}, absl::ToInt64Seconds(after)));
-  }
-
-  absl::Status Open(const Caller& caller, const v1::OpenSessionRequest& request,
-                    v1::OpenSessionResponse& response) {
-    SessionRequest wanted;
-    RS_ASSIGN_OR_RETURN(const RequestedSession asked, FromProto(request.spec()));
-    RS_ASSIGN_OR_RETURN(wanted.spec, ReadSpec(asked));
-    wanted.guard = options_.guard;
-    if (request.has_guard()) {
-      RS_ASSIGN_OR_RETURN(wanted.guard, FromRecord(request.guard()));
-    }
-    RS_ASSIGN_OR_RETURN(wanted.scheduling.priority, FromProto(request.priority()));
-    RS_RETURN_IF_ERROR(CheckIndex("deadline_ms", request.deadline_ms()));
-    wanted.scheduling.deadline_ms = static_cast<int>(request.deadline_ms());
-    RS_ASSIGN_OR_RETURN(const OpenedSession opened, sessions_->Open(wanted, caller));
-    response.set_session_id(opened.id);
-    response.set_resume_token(opened.token);
-    response.set_durable(opened.session->durable());
-    response.set_expires_after_s(ExpiresAfter());
-    *response.mutable_policy() = ToProto(opened.session->policy_spec());
-    return absl::OkStatus();
-  }
-
-  absl::Status ResumeSession(GrpcCallView& call, const v1::ResumeSessionRequest& request,
-                             v1::ResumeSessionResponse& response) {
-    RS_ASSIGN_OR_RETURN(
-        const OpenedSession opened,
-        sessions_->Resume(request.session_id(), request.resume_token(), call.caller()));
-    const SessionPosition position = opened.session->Position();
-    *response.mutable_policy() = ToProto(opened.session->policy_spec());
-    response.set_durable(opened.session->durable());
-    response.set_feedback_sequence(position.feedback_sequence);
-    response.set_last_prediction_id(position.last_prediction_id);
-    response.set_updates_applied(position.updates_applied);
-    response.set_episode_started(position.episode && position.episode->second >= 0);
-    if (response.episode_started()) {
-      response.set_task(static_cast<uint32_t>(position.episode->first));
-      response.set_episode(static_cast<uint32_t>(position.episode->second));
-    }
-    response.set_expires_after_s(ExpiresAfter());
-    return absl::OkStatus();
-  }
-
-  absl::Status Predict(GrpcCallView& call, const v1::PredictRequest& request,
-                       v1::PredictResponse& response) {
-    const auto received = std::chrono::steady_clock::now();
-    const std::string& id = request.session_id();
-    RS_RETURN_IF_ERROR(sessions_->Use(id, call.caller()).status());  // before what it says
-    call.Serves(id);
-    for (const auto& [field, index] : {std::pair("task", request.task()),
-                                       {"episode", request.episode()},
-                                       {"chunk", request.chunk()},
-                                       {"deadline_ms", request.deadline_ms()}})
-      RS_RETURN_IF_ERROR(CheckIndex(field, index));
-    RS_ASSIGN_OR_RETURN(const Observation observation, FromProto(request.observation()));
-    PredictOptions options;
-    RS_ASSIGN_OR_RETURN(options.priority, FromProto(request.priority()));
-    if (request.deadline_ms() > 0) options.deadline = absl::Milliseconds(request.deadline_ms());
-    options.cancelled = [&call] { return call.cancelled(); };
-    RS_ASSIGN_OR_RETURN(
-        const PredictedChunk prediction,
-        host_->Predict(call.caller(), id, observation,
-                       {static_cast<int>(request.task()), static_cast<int>(request.episode())},
-                       static_cast<int>(request.chunk()), request.last_feedback_sequence(),
-                       std::move(options), received));
-    response = ToProto(prediction, static_cast<int>(request.chunk()));
-    return absl::OkStatus();
-  }
-
-  absl::Status Feedback(GrpcCallView& call, const v1::FeedbackRequest& request,
-                        v1::FeedbackAck& ack) {
-    RS_RETURN_IF_ERROR(sessions_->Use(request.session_id(), call.caller()).status());
-    call.Serves(request.session_id());
-    RS_ASSIGN_OR_RETURN(const ExecutedChunk chunk, FromProto(request.chunk()));
-    RS_ASSIGN_OR_RETURN(const SessionHost::Acknowledged taken,
-                        host_->Feedback(call.caller(), request.session_id(), chunk));
-    ack.set_sequence(taken.sequence);
-    ack.set_updates_applied(taken.updates_applied);
-    ack.set_durable(taken.durable);
-    ack.set_duplicate(taken.duplicate);
-    return absl::OkStatus();
-  }
-
   const PolicyServerOptions options_;
-  const std::string instance_ = absl::StrCat(absl::Hex(absl::ToUnixNanos(absl::Now())));
   MonotonicClock clock_;
-  std::map<std::string, std::shared_ptr<const FlowPolicy>>
-      policies_;  // by name; fixed after construction
+  ServedPolicies policies_;  // fixed after construction
   const std::shared_ptr<PrefixStore> prefixes_;
   const std::unique_ptr<Metrics> own_metrics_;
   Metrics& metrics_;
@@ -466,6 +206,7 @@ class PolicyServer::Service {
   // Set by OpenRegistry.
   std::unique_ptr<SessionRegistry> sessions_;
   std::unique_ptr<RegistryHost> host_;
+  std::unique_ptr<PolicyHandlers> handlers_;
 };
 
 PolicyServer::PolicyServer() = default;
@@ -479,23 +220,8 @@ std::shared_ptr<const TokenStore> PolicyServer::tokens() const { return service_
 
 absl::StatusOr<std::unique_ptr<PolicyServer>> PolicyServer::Start(
     const PolicyServerOptions& options, std::vector<std::shared_ptr<const FlowPolicy>> policies) {
-  if (options.threads < 1 || options.threads > 1024) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--threads is ", options.threads, ", must be 1..1024"));
-  }
-  if (options.prefix_budget_mib < 0 || options.prefix_budget_mib > (int64_t{1} << 30)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--prefix-budget-mib is ", options.prefix_budget_mib, ", must be 0..1073741824"));
-  }
-  RS_RETURN_IF_ERROR(CheckBatching(options));
-  if (options.max_sessions < 1 || options.max_sessions > 4096) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--max-sessions is ", options.max_sessions, ", must be 1..4096"));
-  }
+  RS_RETURN_IF_ERROR(CheckOptions(options));
   auto server = std::unique_ptr<PolicyServer>(new PolicyServer());
-  if (options.snapshot_mib < 1 || options.snapshot_records < 1) {
-    return absl::InvalidArgumentError("a snapshot is due after at least 1 MiB and 1 record");
-  }
   server->service_ = std::make_unique<Service>(options, std::move(policies));
   RS_RETURN_IF_ERROR(server->service_->OpenRegistry());
   server->grpc_ = server->service_->MakeGrpc();

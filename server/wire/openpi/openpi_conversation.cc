@@ -49,7 +49,7 @@ OpenpiConversation::~OpenpiConversation() {
   host_->Detach(session_id_);
   if (keep_) return;
   // A server that is being stopped, or expiry, may have been first.
-  host_->CloseSession(caller_, session_id_).IgnoreError();
+  host_->Close(caller_, session_id_).IgnoreError();
 }
 
 uint64_t OpenpiConversation::LargestMessage() const {
@@ -85,53 +85,49 @@ std::string OpenpiConversation::Greeting() {
   return writer.Take();
 }
 
-absl::Status OpenpiConversation::Open(const OpenpiValue* session) {
-  bool resize = false;
-  if (session != nullptr) {
-    RS_ASSIGN_OR_RETURN(resize, ReadOpenpiResize(*session, false));
-  }
-  resize_ = resize;
-  if (session != nullptr && session->Find("resume") != nullptr) return Resume(*session);
+absl::StatusOr<SessionHost::Opened> OpenpiConversation::Open(const OpenpiValue* session) {
   SessionSpec spec = options_.session;
   const std::vector<PolicySpec> policies = host_->policies();
   if (spec.policy.empty() && !policies.empty()) spec.policy = policies.front().name;
   if (session != nullptr) {
     RS_ASSIGN_OR_RETURN(spec, ReadOpenpiSession(*session, spec));
-    keep_ = true;
   }
-  absl::StatusOr<SessionHost::Opened> open = host_->OpenSession(caller_, spec);
-  if (!open.ok() && session != nullptr) return Named("session", open.status());
-  RS_ASSIGN_OR_RETURN(const SessionHost::Opened opened, std::move(open));
-  session_id_ = opened.id;
-  host_->Attach(session_id_);
-  resume_token_ = opened.resume_token;
-  keep_ = keep_ && !resume_token_.empty();
-  durable_ = opened.durable;
-  policy_ = opened.policy;
-  control_period_s_ = spec.control_period_s;
-  spdlog::info("{}: opened over WebSocket by {}, method {}", session_id_, caller_.name,
+  absl::StatusOr<SessionHost::Opened> opened = host_->Open(caller_, spec);
+  if (!opened.ok()) return session == nullptr ? opened.status() : Named("session", opened.status());
+  keep_ = session != nullptr && !opened->resume_token.empty();
+  spdlog::info("{}: opened over WebSocket by {}, method {}", opened->id, caller_.name,
                spec.method->method);
-  return absl::OkStatus();
+  return opened;
 }
 
-absl::Status OpenpiConversation::Resume(const OpenpiValue& session) {
-  RS_ASSIGN_OR_RETURN(const OpenpiResume resume, ReadOpenpiResume(session));
-  RS_ASSIGN_OR_RETURN(const SessionHost::Resumed resumed,
-                      host_->ResumeSession(caller_, resume.id, resume.token));
-  session_id_ = resume.id;
+absl::Status OpenpiConversation::Begin(const OpenpiValue* session) {
+  resize_ = false;
+  if (session != nullptr) {
+    RS_ASSIGN_OR_RETURN(resize_, ReadOpenpiResize(*session, false));
+  }
+  absl::StatusOr<SessionHost::Opened> opened;
+  if (session != nullptr && session->Find("resume") != nullptr) {
+    RS_ASSIGN_OR_RETURN(const OpenpiResume resume, ReadOpenpiResume(*session));
+    opened = host_->Resume(caller_, resume.id, resume.token);
+    if (opened.ok()) opened->resume_token = resume.token;
+    keep_ = true;
+  } else {
+    opened = Open(session);
+  }
+  RS_RETURN_IF_ERROR(opened.status());
+  session_id_ = opened->id;
   host_->Attach(session_id_);
-  resume_token_ = resume.token;
-  keep_ = true;
-  durable_ = resumed.durable;
-  policy_ = resumed.policy;
-  control_period_s_ = resumed.control_period_s;
-  feedback_sequence_ = resumed.feedback_sequence;
-  episode_ = resumed.episode;
-  chunk_ = resumed.next_chunk;
+  resume_token_ = opened->resume_token;
+  durable_ = opened->durable;
+  policy_ = opened->policy;
+  control_period_s_ = opened->control_period_s;
+  feedback_sequence_ = opened->at.feedback_sequence;
+  episode_ = opened->at.episode;
+  chunk_ = opened->at.next_chunk;
   return absl::OkStatus();
 }
 
-absl::Status OpenpiConversation::EnterEpisode(const OpenpiValue& message) {
+absl::Status OpenpiConversation::EnterEpisode(SessionUse& session, const OpenpiValue& message) {
   EpisodeKey key = episode_.value_or(EpisodeKey{0, 0});
   bool enter = !episode_;
   if (const OpenpiValue* episode = message.Find("episode")) {
@@ -143,7 +139,7 @@ absl::Status OpenpiConversation::EnterEpisode(const OpenpiValue& message) {
     RS_ASSIGN_OR_RETURN(const int64_t e,
                         OpenpiInteger("episode/episode", *index, 0, WireLimits::kIndex));
     key = {static_cast<int>(t), static_cast<int>(e)};
-    enter = enter || key.task != episode_->task || key.episode != episode_->episode;
+    enter = enter || key != *episode_;
   } else if (const OpenpiValue* reset = message.Find("reset")) {
     const bool* flag = std::get_if<bool>(&reset->value);
     if (flag == nullptr) return absl::InvalidArgumentError("reset: must be true or false");
@@ -153,26 +149,24 @@ absl::Status OpenpiConversation::EnterEpisode(const OpenpiValue& message) {
     }
   }
   if (!enter) return absl::OkStatus();
-  RS_RETURN_IF_ERROR(host_->StartEpisode(caller_, session_id_, key, feedback_sequence_));
+  RS_RETURN_IF_ERROR(session.StartEpisode(key, feedback_sequence_));
   episode_ = key;
   chunk_ = 0;
   return absl::OkStatus();
 }
 
-absl::StatusOr<SessionHost::Acknowledged> OpenpiConversation::Report(const OpenpiValue& value) {
+absl::StatusOr<FeedbackResult> OpenpiConversation::Report(SessionUse& session,
+                                                          const OpenpiValue& value) {
   RS_RETURN_IF_ERROR(Allow(caller_, AccessRule::Wire::kWebSocket, "executed"));
   RS_ASSIGN_OR_RETURN(const OpenpiExecuted executed,
                       ReadOpenpiExecuted(value, policy_, control_period_s_));
   if (executed.sequence != 0) {
-    RS_ASSIGN_OR_RETURN(const std::optional<SessionHost::Acknowledged> repeated,
-                        host_->Repeated(caller_, session_id_, executed.sequence));
-    if (repeated) {
+    if (std::optional<FeedbackResult> repeated = session.Repeated(executed.sequence)) {
       feedback_sequence_ = repeated->sequence;
-      return *repeated;
+      return *std::move(repeated);
     }
   }
-  const absl::StatusOr<SessionHost::Recalled> reply =
-      host_->Recall(caller_, session_id_, executed.prediction_id);
+  const absl::StatusOr<SessionUse::Recalled> reply = session.Recall(executed.prediction_id);
   if (!reply.ok()) return Named("executed/prediction_id", reply.status());
   const uint64_t sequence = executed.sequence == 0 ? feedback_sequence_ + 1 : executed.sequence;
   const PredictedChunk& prediction = reply->prediction;
@@ -184,9 +178,9 @@ absl::StatusOr<SessionHost::Acknowledged> OpenpiConversation::Report(const Openp
   }
   ExecutedChunk chunk;
   chunk.sequence = sequence;
-  chunk.task = reply->episode.task;
-  chunk.episode = reply->episode.episode;
-  chunk.chunk = reply->chunk;
+  chunk.task = reply->key.episode.task;
+  chunk.episode = reply->key.episode.episode;
+  chunk.chunk = reply->key.chunk;
   chunk.prediction_id = prediction.prediction_id;
   chunk.first_step = executed.first_step;
   chunk.last_of_episode = executed.last_of_episode;
@@ -202,8 +196,7 @@ absl::StatusOr<SessionHost::Acknowledged> OpenpiConversation::Report(const Openp
     chunk.steps.push_back(std::move(step));
   }
   chunk.final_state = executed.states.back();
-  absl::StatusOr<SessionHost::Acknowledged> acknowledged =
-      host_->Feedback(caller_, session_id_, chunk);
+  absl::StatusOr<FeedbackResult> acknowledged = session.Feedback(chunk);
   if (!acknowledged.ok()) return Named("executed", acknowledged.status());
   feedback_sequence_ = acknowledged->sequence;
   return acknowledged;
@@ -215,15 +208,16 @@ absl::StatusOr<std::string> OpenpiConversation::Answer(std::string_view message)
   bytes_in_->Increment(static_cast<double>(message.size()));
   RS_ASSIGN_OR_RETURN(const OpenpiValue request, DecodeOpenpi(message));
   if (session_id_.empty()) {
-    RS_RETURN_IF_ERROR(Open(request.Find("session")));
+    RS_RETURN_IF_ERROR(Begin(request.Find("session")));
   } else if (request.Find("session") != nullptr) {
     return absl::FailedPreconditionError(
         "session: only a connection's first message may name it; open another connection");
   }
-  std::optional<SessionHost::Acknowledged> acknowledged;
+  RS_ASSIGN_OR_RETURN(const auto session, host_->Use(caller_, session_id_));
+  std::optional<FeedbackResult> acknowledged;
   const OpenpiValue* executed = request.Find("executed");
   if (executed != nullptr) {
-    RS_ASSIGN_OR_RETURN(acknowledged, Report(*executed));
+    RS_ASSIGN_OR_RETURN(acknowledged, Report(*session, *executed));
   }
   const bool predicts = executed == nullptr || request.Find("prompt") != nullptr;
 
@@ -234,13 +228,14 @@ absl::StatusOr<std::string> OpenpiConversation::Answer(std::string_view message)
   int64_t version = acknowledged ? static_cast<int64_t>(acknowledged->updates_applied) : 0;
   int64_t prediction_id = 0;
   if (predicts) {
-    RS_ASSIGN_OR_RETURN(const Observation observation,
+    RS_ASSIGN_OR_RETURN(Observation observation,
                         ReadOpenpiObservation(request, policy_, options_.input, resize_));
-    RS_RETURN_IF_ERROR(EnterEpisode(request));
+    RS_RETURN_IF_ERROR(EnterEpisode(*session, request));
     const Clock::time_point start = Clock::now();
     RS_ASSIGN_OR_RETURN(
         const PredictedChunk prediction,
-        host_->Predict(caller_, session_id_, observation, *episode_, chunk_, feedback_sequence_));
+        session->Predict(std::make_shared<const Observation>(std::move(observation)),
+                         {*episode_, chunk_}, feedback_sequence_, {}, start));
     inferred = Clock::now();
     infer_ms = Milliseconds(inferred - start);
     infer_seconds_->Observe(infer_ms / 1e3);

@@ -41,10 +41,11 @@ class OpenpiConversation : public WebConversation {
   absl::StatusOr<std::string> Answer(std::string_view message) override;
 
  private:
-  absl::Status Open(const OpenpiValue* session);
-  absl::Status Resume(const OpenpiValue& session);
-  absl::Status EnterEpisode(const OpenpiValue& message);
-  absl::StatusOr<SessionHost::Acknowledged> Report(const OpenpiValue& executed);
+  // Opens or resumes the session that the first message asks for.
+  absl::Status Begin(const OpenpiValue* session);
+  absl::StatusOr<SessionHost::Opened> Open(const OpenpiValue* session);
+  absl::Status EnterEpisode(SessionUse& session, const OpenpiValue& message);
+  absl::StatusOr<FeedbackResult> Report(SessionUse& session, const OpenpiValue& executed);
 
   const OpenpiOptions options_;
   SessionHost* const host_;

@@ -101,7 +101,7 @@ class BatcherTest : public ::testing::Test {
         FakePolicy::MakeObservation(static_cast<int>(job.session), instruction));
     Asked asked{observation, {}};
     asked.answer = std::async(std::launch::async, [&batcher, job, observation]() mutable {
-      job.observation = observation.get();
+      job.observation = observation;
       return batcher.Predict(job);
     });
     return asked;

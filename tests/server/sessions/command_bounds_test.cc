@@ -190,11 +190,11 @@ TEST(ImpossibleMeasurements, LeaveJointCommandsBounded) {
   SessionSpec spec = Spec("direct");
   spec.control_space = ControlSpace::kJoint;
   const auto session = rig.Open(spec);
-  ASSERT_TRUE(session->StartEpisode(0, 0, 0).ok());
+  ASSERT_TRUE(session->StartEpisode({0, 0}, 0).ok());
   uint64_t sequence = 0;
   for (const double value : {1e30, -1e308, 99.0, 0.0}) {
-    const auto prediction = session->Predict(FakePolicy::MakeObservation(0), 0, 0,
-                                             static_cast<int>(sequence), sequence);
+    const auto prediction = session->Predict(Shared(FakePolicy::MakeObservation(0)),
+                                             {{0, 0}, static_cast<int>(sequence)}, sequence);
     ASSERT_TRUE(prediction.ok()) << prediction.status();
     ExpectBounded(*prediction, absl::StrCat("after ", sequence));
     ExecutedChunk executed = ToyArm(0.6).Execute(*prediction, 5);
@@ -258,8 +258,8 @@ TEST(SessionPrediction, ACommandThatIsNoneIsRefusedAndNotAnswered) {
   Rig rig;
   rig.policy = std::make_shared<Absurd>();
   const auto session = rig.Open(Spec("base"));
-  ASSERT_TRUE(session->StartEpisode(0, 0, 0).ok());
-  const auto prediction = session->Predict(FakePolicy::MakeObservation(0), 0, 0, 0, 0);
+  ASSERT_TRUE(session->StartEpisode({0, 0}, 0).ok());
+  const auto prediction = session->Predict(Shared(FakePolicy::MakeObservation(0)), {{0, 0}, 0}, 0);
   EXPECT_EQ(prediction.status().code(), absl::StatusCode::kInternal);
   EXPECT_THAT(std::string(prediction.status().message()), HasSubstr("not finite, or above 1000"));
 }

@@ -57,14 +57,15 @@ class Client {
     task_ = task;
     episode_ = episode;
     chunk_ = 0;
-    const absl::Status status = session_->StartEpisode(task, episode, sequence_);
+    const absl::Status status = session_->StartEpisode({task, episode}, sequence_);
     ASSERT_TRUE(status.ok()) << status;
   }
 
   PredictedChunk Predict() {
     Observation observation = FakePolicy::MakeObservation(chunk_);
     observation.proprioception = arm_.state().tool.p_base_tool.cast<float>();
-    auto prediction = session_->Predict(observation, task_, episode_, chunk_++, sequence_);
+    auto prediction =
+        session_->Predict(Shared(observation), {{task_, episode_}, chunk_++}, sequence_);
     EXPECT_TRUE(prediction.ok()) << prediction.status();
     return *prediction;
   }

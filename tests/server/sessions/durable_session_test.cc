@@ -11,6 +11,7 @@
 #include "common/rpc/convert_specs.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/session_journal.h"
+#include "server/sessions/read_spec.h"
 #include "tests/server/sessions/drive.h"
 
 namespace robostress {
@@ -43,7 +44,7 @@ class DurableSession : public ::testing::Test {
   std::shared_ptr<Session> Begin(Rig& rig) const {
     v1::StateHeader header;
     header.set_session_id("session");
-    *header.mutable_spec() = ToProto(spec_);
+    *header.mutable_spec() = ToProto(RequestOf(spec_));
     header.set_model_hash("fake-hash");
     auto journal = SessionJournal::Create(folder_, header);
     EXPECT_TRUE(journal.ok()) << journal.status();
@@ -148,10 +149,9 @@ TEST_F(DurableSession, RecallsWhatWasAnsweredAndWhereTheEpisodeStands) {
       EXPECT_EQ(recalled->answered->policy_actions, answered.policy_actions);
       EXPECT_EQ(recalled->answered->base_actions, answered.base_actions);
       EXPECT_EQ(recalled->answered->adapter_version, answered.adapter_version);
-      EXPECT_EQ(std::tuple(recalled->task, recalled->episode, recalled->chunk),
-                std::tuple(2, 5, 3));
+      EXPECT_EQ(recalled->key, (ChunkKey{{2, 5}, 3}));
       EXPECT_EQ(again->Recall(0)->id, answered.prediction_id);
-      EXPECT_EQ(again->Position().episode, std::pair(2, 5));
+      EXPECT_EQ(again->Position().episode, (EpisodeKey{2, 5}));
       EXPECT_EQ(again->Position().next_chunk, 4);
       const absl::Status unknown = again->Recall(99).status();
       EXPECT_EQ(unknown.code(), absl::StatusCode::kFailedPrecondition);
@@ -159,7 +159,7 @@ TEST_F(DurableSession, RecallsWhatWasAnsweredAndWhereTheEpisodeStands) {
       EXPECT_FALSE(again->Repeated(4).has_value());
       ASSERT_TRUE(again->Repeated(3).has_value());
       EXPECT_EQ(again->CountersNow().duplicates, 1u);
-      ASSERT_TRUE(again->StartEpisode(2, 6, 3).ok());
+      ASSERT_TRUE(again->StartEpisode({2, 6}, 3).ok());
       EXPECT_EQ(again->Position().next_chunk, 0);
     }
   }
@@ -266,7 +266,7 @@ TEST_F(DurableSession, AFullDiskRefusesFeedbackTakesNothingAndStopsNoPrediction)
   const ExecutedChunk chunk = client.Execute(client.Predict());
   const auto refused = client.session().Feedback(chunk);
   const SessionCounters counters = *client.session().Counters();
-  const absl::Status episode = client.session().StartEpisode(1, 0, 40);
+  const absl::Status episode = client.session().StartEpisode({1, 0}, 40);
   setrlimit(RLIMIT_FSIZE, &before);
   EXPECT_EQ(refused.status().code(), absl::StatusCode::kResourceExhausted) << refused.status();
   EXPECT_FALSE(episode.ok());

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <map>
+#include <memory>
 #include <new>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -26,83 +28,96 @@ class FakeSessionHost : public SessionHost {
   }
 
   std::vector<PolicySpec> policies() const override { return {spec}; }
-  absl::StatusOr<Opened> OpenSession(const Caller&, const SessionSpec& session) override {
+  absl::StatusOr<Opened> Open(const Caller&, const SessionSpec& session, const SessionScheduling&,
+                              const GuardOptions*) override {
     absl::MutexLock lock(&mu);
     const std::string id = absl::StrCat("session-", ++opened);
     sessions[id] = session;
-    return Opened{id, "secret", spec, false};
+    return Opened{id, "secret", spec, false, session.control_period_s, {}};
   }
-  absl::StatusOr<Resumed> ResumeSession(const Caller&, const std::string& id,
-                                        const std::string& token) override {
+  absl::StatusOr<Opened> Resume(const Caller&, const std::string& id,
+                                const std::string& token) override {
     absl::MutexLock lock(&mu);
     if (sessions.count(id) == 0) return absl::NotFoundError("no such session");
     if (token != "secret") return absl::PermissionDeniedError("not its token");
-    Resumed resumed{spec, false, taken.size()};
-    if (!episodes.empty()) resumed.episode = episodes.back();
-    resumed.next_chunk = chunks.empty() ? 0 : chunks.back() + 1;
-    resumed.control_period_s = sessions.at(id).control_period_s;
+    Opened resumed{id, "", spec, false, sessions.at(id).control_period_s, {}};
+    resumed.at.feedback_sequence = taken.size();
+    if (!episodes.empty()) resumed.at.episode = episodes.back();
+    resumed.at.next_chunk = chunks.empty() ? 0 : chunks.back() + 1;
     return resumed;
   }
-  absl::Status CloseSession(const Caller&, const std::string& id) override {
+  absl::Status Close(const Caller&, const std::string& id) override {
     absl::MutexLock lock(&mu);
     return sessions.erase(id) == 1 ? absl::OkStatus() : absl::NotFoundError("no such session");
   }
   void Attach(const std::string&) override {}
   void Detach(const std::string&) override {}
-  absl::Status StartEpisode(const Caller&, const std::string&, const EpisodeKey& key,
-                            uint64_t) override {
+  absl::StatusOr<std::unique_ptr<SessionUse>> Use(const Caller&, const std::string&) override {
     absl::MutexLock lock(&mu);
-    episodes.push_back(key);
-    return absl::OkStatus();
+    ++uses;
+    return std::make_unique<FakeUse>(this);
   }
-  absl::StatusOr<PredictedChunk> Predict(const Caller&, const std::string&,
-                                         const Observation& observation, const EpisodeKey& key,
-                                         int chunk, uint64_t) override {
-    absl::MutexLock lock(&mu);
-    if (out_of_memory) throw std::bad_alloc();
-    observations.push_back(observation);
-    chunks.push_back(chunk);
-    PredictedChunk prediction;
-    prediction.prediction_id = observations.size();
-    prediction.actions = Eigen::MatrixXf(spec.horizon, spec.action_dim);
-    for (int i = 0; i < spec.horizon; ++i)
-      prediction.actions.row(i).setConstant(static_cast<float>(prediction.prediction_id) +
-                                            0.01f * static_cast<float>(i));
-    prediction.policy_actions = prediction.actions;
-    prediction.adapter_version = 3;
-    predictions.push_back({key, chunk, prediction});
-    return prediction;
-  }
-  absl::StatusOr<Recalled> Recall(const Caller&, const std::string&, uint64_t id) override {
-    absl::MutexLock lock(&mu);
-    if (id == 0) id = predictions.size();
-    if (id == 0 || id > predictions.size())
-      return absl::FailedPreconditionError(absl::StrCat("prediction ", id, " is not held"));
-    return predictions[id - 1];
-  }
-  absl::StatusOr<std::optional<Acknowledged>> Repeated(const Caller&, const std::string&,
-                                                       uint64_t sequence) override {
-    absl::MutexLock lock(&mu);
-    if (sequence > taken.size()) return std::nullopt;
-    return Acknowledged{taken.size(), 2, false, true};
-  }
-  absl::StatusOr<Acknowledged> Feedback(const Caller&, const std::string&,
-                                        const ExecutedChunk& chunk) override {
-    absl::MutexLock lock(&mu);
-    const bool duplicate = chunk.sequence <= taken.size();
-    if (!duplicate) taken.push_back(chunk);
-    return Acknowledged{taken.size(), 2, false, duplicate};
-  }
+
+  class FakeUse : public SessionUse {
+   public:
+    explicit FakeUse(FakeSessionHost* host) : host_(*host) {}
+    absl::Status StartEpisode(const EpisodeKey& key, uint64_t) override {
+      absl::MutexLock lock(&host_.mu);
+      host_.episodes.push_back(key);
+      return absl::OkStatus();
+    }
+    absl::StatusOr<PredictedChunk> Predict(std::shared_ptr<const Observation> observation,
+                                           const ChunkKey& key, uint64_t, PredictOptions,
+                                           std::chrono::steady_clock::time_point) override {
+      absl::MutexLock lock(&host_.mu);
+      if (host_.out_of_memory) throw std::bad_alloc();
+      host_.observations.push_back(*observation);
+      host_.chunks.push_back(key.chunk);
+      PredictedChunk prediction;
+      prediction.prediction_id = host_.observations.size();
+      prediction.actions = Eigen::MatrixXf(host_.spec.horizon, host_.spec.action_dim);
+      for (int i = 0; i < host_.spec.horizon; ++i)
+        prediction.actions.row(i).setConstant(static_cast<float>(prediction.prediction_id) +
+                                              0.01f * static_cast<float>(i));
+      prediction.policy_actions = prediction.actions;
+      prediction.adapter_version = 3;
+      host_.predictions.push_back({key, prediction});
+      return prediction;
+    }
+    absl::StatusOr<Recalled> Recall(uint64_t id) override {
+      absl::MutexLock lock(&host_.mu);
+      if (id == 0) id = host_.predictions.size();
+      if (id == 0 || id > host_.predictions.size())
+        return absl::FailedPreconditionError(absl::StrCat("prediction ", id, " is not held"));
+      return host_.predictions[id - 1];
+    }
+    std::optional<FeedbackResult> Repeated(uint64_t sequence) override {
+      absl::MutexLock lock(&host_.mu);
+      if (sequence > host_.taken.size()) return std::nullopt;
+      return FeedbackResult{
+          .sequence = host_.taken.size(), .updates_applied = 2, .duplicate = true};
+    }
+    absl::StatusOr<FeedbackResult> Feedback(const ExecutedChunk& chunk) override {
+      absl::MutexLock lock(&host_.mu);
+      const bool duplicate = chunk.sequence <= host_.taken.size();
+      if (!duplicate) host_.taken.push_back(chunk);
+      return FeedbackResult{
+          .sequence = host_.taken.size(), .updates_applied = 2, .duplicate = duplicate};
+    }
+
+   private:
+    FakeSessionHost& host_;
+  };
 
   PolicySpec spec;
   absl::Mutex mu;
-  int opened = 0;
+  int opened = 0, uses = 0;
   bool out_of_memory = false;
   std::map<std::string, SessionSpec> sessions;
   std::vector<EpisodeKey> episodes;
   std::vector<Observation> observations;
   std::vector<int> chunks;
-  std::vector<Recalled> predictions;
+  std::vector<SessionUse::Recalled> predictions;
   std::vector<ExecutedChunk> taken;
 };
 

@@ -40,7 +40,7 @@ class NanoSession : public ::testing::Test {
     const PolicySpec& spec = policy_->spec();
     ToyArm arm(0.4);
     Eigen::MatrixXf actions(chunks * spec.horizon, spec.action_dim);
-    EXPECT_TRUE(session.StartEpisode(0, 0, 0).ok());
+    EXPECT_TRUE(session.StartEpisode({0, 0}, 0).ok());
     for (int i = 0; i < chunks; ++i) {
       Observation observation;
       observation.instruction = "put the bowl on the plate";
@@ -50,7 +50,8 @@ class NanoSession : public ::testing::Test {
         observation.views.push_back({camera, image});
       }
       observation.proprioception = Eigen::VectorXf::Constant(spec.state_dim, 0.01f * i);
-      const auto prediction = session.Predict(observation, 0, 0, i, i);
+      const auto prediction = session.Predict(
+          std::make_shared<const Observation>(std::move(observation)), {{0, 0}, i}, i);
       EXPECT_TRUE(prediction.ok()) << prediction.status();
       actions.middleRows(spec.horizon * i, spec.horizon) = prediction->actions;
       ExecutedChunk executed = arm.Execute(*prediction, spec.execute_steps);

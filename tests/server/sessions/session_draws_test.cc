@@ -19,7 +19,7 @@ namespace {
 
 std::pair<uint64_t, uint64_t> Key(const SessionSpec& spec, int task = 1, int episode = 2,
                                   int chunk = 3) {
-  const StreamKey key = NoiseKey(spec, task, episode, chunk);
+  const StreamKey key = NoiseKey(spec, {{task, episode}, chunk});
   return {key.lo(), key.hi()};
 }
 

@@ -1,4 +1,5 @@
-// A state that breaks server/sessions/state_rules.h, from the wire and from the disk: it fails alone.
+// A state that breaks server/sessions/state_rules.h, from the wire and from the disk: it fails
+// alone.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/wait.h>
@@ -206,11 +207,12 @@ TEST(SessionState, AnEncoderThatThrowsFailsItsPredictionAlone) {
   Rig rig;
   rig.policy = std::make_shared<Throwing>();
   const auto session = rig.Open(Spec("ours", kOften));
-  ASSERT_TRUE(session->StartEpisode(0, 0, 0).ok());
-  const auto thrown = session->Predict(FakePolicy::MakeObservation(0, "throw"), 0, 0, 0, 0);
+  ASSERT_TRUE(session->StartEpisode({0, 0}, 0).ok());
+  const auto thrown =
+      session->Predict(Shared(FakePolicy::MakeObservation(0, "throw")), {{0, 0}, 0}, 0);
   EXPECT_EQ(thrown.status().code(), absl::StatusCode::kInternal);
   EXPECT_THAT(std::string(thrown.status().message()), HasSubstr("no such layer"));
-  EXPECT_TRUE(session->Predict(FakePolicy::MakeObservation(0), 0, 0, 0, 0).ok());
+  EXPECT_TRUE(session->Predict(Shared(FakePolicy::MakeObservation(0)), {{0, 0}, 0}, 0).ok());
 }
 
 // A prefix that was dropped is encoded again by the update: what is thrown there fails its session.
@@ -230,8 +232,9 @@ TEST(SessionState, AnUpdateThatThrowsFailsItsSessionAndNoOther) {
   tight.prefixes = std::make_shared<PrefixStore>(0);
   const SessionSpec spec = Spec("ours", {kRate, "buffer_chunks=1", "update_interval=1", "batch=1"});
   const auto session = *Session::Create(spec, tight, 77);
-  ASSERT_TRUE(session->StartEpisode(0, 0, 0).ok());
-  const auto prediction = session->Predict(FakePolicy::MakeObservation(0, "throw"), 0, 0, 0, 0);
+  ASSERT_TRUE(session->StartEpisode({0, 0}, 0).ok());
+  const auto prediction =
+      session->Predict(Shared(FakePolicy::MakeObservation(0, "throw")), {{0, 0}, 0}, 0);
   ASSERT_TRUE(prediction.ok());
   policy->armed = true;
   ToyArm arm(0.6);

@@ -120,7 +120,7 @@ TEST(Session, NoResidualTrainsOnTheRawPredictionItself) {
   client.RunChunk();
   const torch::Tensor noise = [&] {
     torch::Tensor n = torch::empty({1, 10, 8});
-    RandomStream stream(NoiseKey(Spec("no_residual"), 0, 0, 0));
+    RandomStream stream(NoiseKey(Spec("no_residual"), {}));
     for (int i = 0; i < 80; ++i) n.data_ptr<float>()[i] = static_cast<float>(stream.Normal());
     return n;
   }();

@@ -152,7 +152,7 @@ TEST(Session, TheSameFeedbackGivesTheSameAdapterInLockstepAndAsync) {
     Observation observation = FakePolicy::MakeObservation(0);
     for (int i = 0; i < 40; ++i) {
       observation = FakePolicy::MakeObservation(i);
-      predictions.push_back(*client.session().Predict(observation, 0, 0, i, 0));
+      predictions.push_back(*client.session().Predict(Shared(observation), {{0, 0}, i}, 0));
     }
     for (int i = 0; i < 40; ++i) {
       ExecutedChunk executed = client.Execute(predictions[i]);
@@ -166,7 +166,7 @@ TEST(Session, TheSameFeedbackGivesTheSameAdapterInLockstepAndAsync) {
 
 TEST(Session, NoiseDependsOnSeedSuiteTaskEpisodeAndChunkOnly) {
   const auto draw = [](const SessionSpec& spec, int task, int episode, int chunk) {
-    return RandomStream(NoiseKey(spec, task, episode, chunk)).Normal();
+    return RandomStream(NoiseKey(spec, {{task, episode}, chunk})).Normal();
   };
   const SessionSpec reference = Spec("base");
   SessionSpec other = Spec("ours");
@@ -254,8 +254,8 @@ TEST(Session, LockstepPredictionWaitsForTheFeedbackItAnnounces) {
   absl::Notification answered;
   PredictedChunk prediction;
   std::thread waiting([&] {
-    prediction =
-        *client.session().Predict(FakePolicy::MakeObservation(1), 0, 0, 1, /*last_sequence=*/1);
+    prediction = *client.session().Predict(Shared(FakePolicy::MakeObservation(1)), {{0, 0}, 1},
+                                           /*last_sequence=*/1);
     answered.Notify();
   });
   EXPECT_FALSE(answered.WaitForNotificationWithTimeout(absl::Milliseconds(50)));
@@ -268,7 +268,8 @@ TEST(Session, LockstepSaysWhichFeedbackIsMissing) {
   Rig rig;
   Client client(rig.Open(Spec("ours", {kRate}), absl::Milliseconds(20)));
   client.StartEpisode(0, 0);
-  const auto prediction = client.session().Predict(FakePolicy::MakeObservation(0), 0, 0, 0, 4);
+  const auto prediction =
+      client.session().Predict(Shared(FakePolicy::MakeObservation(0)), {{0, 0}, 0}, 4);
   EXPECT_EQ(prediction.status().code(), absl::StatusCode::kDeadlineExceeded);
   EXPECT_THAT(std::string(prediction.status().message()), HasSubstr("feedback 4"));
 }
@@ -284,7 +285,8 @@ TEST(Session, AsyncPredictionNeverWaitsForFeedbackOrLearning) {
   client.StartEpisode(0, 0);
   client.RunChunk();
   EXPECT_EQ(client.Predict().adapter_version, 0u);  // due, not published, not waited for
-  ASSERT_TRUE(client.session().Predict(FakePolicy::MakeObservation(0), 0, 0, 9, 1000).ok());
+  ASSERT_TRUE(
+      client.session().Predict(Shared(FakePolicy::MakeObservation(0)), {{0, 0}, 9}, 1000).ok());
   release.Notify();
   EXPECT_EQ(StateOf(rig, client.session()).lora.phi.version, 1u);
 }
@@ -294,7 +296,10 @@ TEST(Session, CancelEndsAWait) {
   Client client(rig.Open(Spec("ours", {kRate})));
   client.StartEpisode(0, 0);
   std::thread waiting([&] {
-    EXPECT_EQ(client.session().Predict(FakePolicy::MakeObservation(0), 0, 0, 0, 9).status().code(),
+    EXPECT_EQ(client.session()
+                  .Predict(Shared(FakePolicy::MakeObservation(0)), {{0, 0}, 0}, 9)
+                  .status()
+                  .code(),
               absl::StatusCode::kCancelled);
   });
   client.session().Cancel();
@@ -304,13 +309,15 @@ TEST(Session, CancelEndsAWait) {
 TEST(Session, PredictionNeedsTheEpisodeThatIsOpen) {
   Rig rig;
   const auto session = rig.Open(Spec("base"));
-  EXPECT_THAT(
-      std::string(session->Predict(FakePolicy::MakeObservation(0), 0, 0, 0, 0).status().message()),
-      HasSubstr("no episode is open"));
-  ASSERT_TRUE(session->StartEpisode(0, 0, 0).ok());
-  EXPECT_THAT(
-      std::string(session->Predict(FakePolicy::MakeObservation(0), 0, 1, 0, 0).status().message()),
-      HasSubstr("task 0 episode 0 is open"));
+  EXPECT_THAT(std::string(session->Predict(Shared(FakePolicy::MakeObservation(0)), {{0, 0}, 0}, 0)
+                              .status()
+                              .message()),
+              HasSubstr("no episode is open"));
+  ASSERT_TRUE(session->StartEpisode({0, 0}, 0).ok());
+  EXPECT_THAT(std::string(session->Predict(Shared(FakePolicy::MakeObservation(0)), {{0, 1}, 0}, 0)
+                              .status()
+                              .message()),
+              HasSubstr("task 0 episode 0 is open"));
 }
 
 // --------------------------------------------------------------------------------------- bad input
@@ -339,10 +346,10 @@ TEST(Session, RefusesMethodOptionsThatMakeNoSense) {
 TEST(Session, RefusesAnObservationOfAnotherShape) {
   Rig rig;
   const auto session = rig.Open(Spec("base"));
-  ASSERT_TRUE(session->StartEpisode(0, 0, 0).ok());
+  ASSERT_TRUE(session->StartEpisode({0, 0}, 0).ok());
   Observation observation = FakePolicy::MakeObservation(0);
   observation.proprioception.resize(5);
-  EXPECT_EQ(session->Predict(observation, 0, 0, 0, 0).status().code(),
+  EXPECT_EQ(session->Predict(Shared(observation), {{0, 0}, 0}, 0).status().code(),
             absl::StatusCode::kInvalidArgument);
 }
 

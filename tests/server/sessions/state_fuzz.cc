@@ -275,15 +275,15 @@ absl::Status Drive(Session& session, RandomStream& random, int chunks) {
   ToyArm arm(0.6);
   const SessionPosition position = session.Position();
   uint64_t sequence = position.feedback_sequence;
-  const int task = random.UniformInt(3) == 0 && position.episode ? position.episode->first : 1;
-  RS_RETURN_IF_ERROR(session.StartEpisode(task, 3, sequence));
+  const int task = random.UniformInt(3) == 0 && position.episode ? position.episode->task : 1;
+  RS_RETURN_IF_ERROR(session.StartEpisode({task, 3}, sequence));
   for (int chunk = 0; chunk < chunks; ++chunk) {
     if (sequence + 1 >= StateRules::kMaxCount ||
         session.Position().last_prediction_id + 2 >= StateRules::kMaxCount)
       return absl::CancelledError("at its end");
     Observation observation = FakePolicy::MakeObservation(chunk);
     RS_ASSIGN_OR_RETURN(const PredictedChunk prediction,
-                        session.Predict(observation, task, 3, chunk, sequence));
+                        session.Predict(Shared(observation), {{task, 3}, chunk}, sequence));
     if (!prediction.actions.allFinite() ||
         prediction.actions.cwiseAbs().maxCoeff() > kWidestCommand)
       return absl::UnknownError("actions are out of range");
@@ -378,8 +378,9 @@ class StateFuzz : public ::testing::Test {
       ASSERT_TRUE(session.Flush().ok());
       ASSERT_TRUE(Drive(session, random, chunks / 2).ok());
       ASSERT_TRUE(session
-                      .Predict(FakePolicy::MakeObservation(1), session.Position().episode->first, 3,
-                               99, session.Position().feedback_sequence)
+                      .Predict(Shared(FakePolicy::MakeObservation(1)),
+                               {{session.Position().episode->task, 3}, 99},
+                               session.Position().feedback_sequence)
                       .ok());
       Seed seed;
       seed.file = ExportOf(session);

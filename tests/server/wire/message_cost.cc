@@ -25,6 +25,7 @@
 #include "common/rpc/convert_specs.h"
 #include "common/wire/openpi_value.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
+#include "server/sessions/read_spec.h"
 #include "server/web_endpoints.h"
 #include "tests/common/wire/openpi_bytes.h"
 #include "tests/server/sessions/drive.h"
@@ -152,7 +153,7 @@ class GrpcDriver : public Driver {
       : stub_(v1::PolicyService::NewStub(grpc::CreateChannel(absl::StrCat("127.0.0.1:", port),
                                                              grpc::InsecureChannelCredentials()))) {
     v1::OpenSessionRequest open;
-    *open.mutable_spec() = ToProto(Adapting());
+    *open.mutable_spec() = ToProto(RequestOf(Adapting()));
     v1::OpenSessionResponse opened;
     grpc::ClientContext context, start;
     Must(stub_->OpenSession(&context, open, &opened));

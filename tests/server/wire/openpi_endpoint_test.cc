@@ -289,7 +289,7 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
   ASSERT_FALSE(Ask(*again, resume.bytes()).text);
   // Where it was: no episode is begun, which would clear a buffer, and the next chunk follows.
   EXPECT_EQ(host_.episodes.size(), 1u);
-  EXPECT_EQ(host_.predictions.back().episode.task, 2);
+  EXPECT_EQ(host_.predictions.back().key.episode.task, 2);
   EXPECT_EQ(host_.chunks.back(), 1);
   OpenpiBytes repeated;
   repeated.Map(1).Text("executed").Map(3).Text("sequence").Integer(1);
@@ -310,6 +310,17 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
   ASSERT_EQ(host_.taken.size(), 2u);
   EXPECT_EQ(host_.taken[1].chunk, 0);
   EXPECT_FLOAT_EQ(host_.taken[1].steps[0].sent_command[0], 1.02f);
+  // A message that reports, begins an episode and predicts finds its session once.
+  const int uses = host_.uses;
+  OpenpiBytes all;
+  all.Map(6);
+  report(LiberoKeys(all), 3).Text("episode").Map(2);
+  all.Text("task").Integer(4).Text("episode").Integer(0);
+  again->SendFrame(all.bytes());
+  ASSERT_TRUE(DecodeOpenpi(again->Read().payload).ok());
+  EXPECT_EQ(host_.taken.size(), 3u);
+  EXPECT_EQ(host_.chunks.back(), 0);
+  EXPECT_EQ(host_.uses, uses + 1);
 
   const auto thief = Connect();
   OpenpiBytes wrong;

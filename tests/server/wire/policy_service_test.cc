@@ -214,7 +214,7 @@ TEST_F(PolicyServiceTest, AnAsynchronousStreamSurvivesAnErrorAndSaysHowPredictio
   const auto channel = grpc::CreateChannel(Address().address, grpc::InsecureChannelCredentials());
   const auto stub = v1::PolicyService::NewStub(channel);
   v1::OpenSessionRequest open;
-  *open.mutable_spec() = ToProto(spec);
+  *open.mutable_spec() = ToProto(RequestOf(spec));
   v1::OpenSessionResponse opened;
   grpc::ClientContext open_context, episode_context, predict_context;
   ASSERT_TRUE(stub->OpenSession(&open_context, open, &opened).ok());

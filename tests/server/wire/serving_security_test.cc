@@ -102,7 +102,7 @@ class ServingSecurityTest : public ::testing::Test {
   }
   std::string OpenRequest() const {
     v1::OpenSessionRequest request;
-    *request.mutable_spec() = ToProto(Spec("ours"));
+    *request.mutable_spec() = ToProto(RequestOf(Spec("ours")));
     return request.SerializeAsString();
   }
   std::string Open() {
@@ -774,7 +774,7 @@ TEST_F(ServingSecurityTest, StreamsCutAtEveryMessageLeaveTheSessionAsItWas) {
   Start({});
   const auto stub = v1::PolicyService::NewStub(Plain(server_->port()));
   v1::OpenSessionRequest open;
-  *open.mutable_spec() = ToProto(Spec("ours"));
+  *open.mutable_spec() = ToProto(RequestOf(Spec("ours")));
   v1::OpenSessionResponse session;
   {
     grpc::ClientContext context;
@@ -848,7 +848,7 @@ TEST_F(ServingSecurityTest, MalformedObservationsAndNaNChangeNothing) {
             .bytes);
     return response.session_id();
   }();
-  ASSERT_TRUE(server_->host().StartEpisode(Anybody(), id, {0, 0}, 0).ok());
+  ASSERT_TRUE((*server_->host().Use(Anybody(), id))->StartEpisode({0, 0}, 0).ok());
   const auto predict = [&](const Observation& observation) {
     v1::PredictRequest request;
     request.set_session_id(id);

@@ -78,9 +78,11 @@ int Run(int rounds) {
 
   // The session itself, without a wire.
   std::vector<double> direct, grpc_ms, websocket_ms;
-  const auto opened = (*server)->host().OpenSession(Anybody(), web_options.openpi.session);
-  if (!opened.ok() || !(*server)->host().StartEpisode(Anybody(), opened->id, {0, 0}, 0).ok())
-    return 1;
+  const auto opened = (*server)->host().Open(Anybody(), web_options.openpi.session);
+  if (!opened.ok()) return 1;
+  const auto session = (*server)->host().Use(Anybody(), opened->id);
+  if (!session.ok() || !(*session)->StartEpisode({0, 0}, 0).ok()) return 1;
+  const auto shared = std::make_shared<const Observation>(observation);
   PolicyClientOptions address;
   address.address = absl::StrCat("127.0.0.1:", (*server)->port());
   auto client = GrpcPolicyClient::Connect(address, RequestOf(web_options.openpi.session));
@@ -93,7 +95,7 @@ int Run(int rounds) {
   // In turn, so that what else the machine does falls on all three alike.
   for (int i = 0; i < rounds; ++i) {
     Clock::time_point begin = Clock::now();
-    if (!(*server)->host().Predict(Anybody(), opened->id, observation, {0, 0}, i, 0).ok()) return 1;
+    if (!(*session)->Predict(shared, {{0, 0}, i}, 0, {}, begin).ok()) return 1;
     direct.push_back(Milliseconds(begin));
     begin = Clock::now();
     if (!(*client)->Predict(observation, i).ok()) return 1;

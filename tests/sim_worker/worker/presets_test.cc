@@ -27,6 +27,8 @@
 namespace robostress {
 namespace {
 
+std::vector<std::string> PandasMethods() { return FindRobot("panda")->methods; }
+
 namespace fs = std::filesystem;
 using nlohmann::json;
 
@@ -50,7 +52,7 @@ class Presets : public testing::Test {
     fs::create_directories(*root_);
     serve_ = new ServeProcess(SERVE_PROGRAM, {"--policy", "nano"});
     episodes_ = new std::map<std::string, Episode>();
-    for (const std::string& method : FindRobot("panda")->methods)
+    for (const std::string& method : PandasMethods())
       (*episodes_)[method] = Run(method);
   }
   static void TearDownTestSuite() {
@@ -112,7 +114,7 @@ ServeProcess* Presets::serve_ = nullptr;
 std::map<std::string, Episode>* Presets::episodes_ = nullptr;
 
 TEST_F(Presets, RunAnEpisodeAsWhatTheyAre) {
-  for (const std::string& method : FindRobot("panda")->methods) {
+  for (const std::string& method : PandasMethods()) {
     const Episode& episode = Of(method);
     EXPECT_EQ(DumpConfig(episode.method), DumpConfig(*MakeMethod(method)));
     EXPECT_EQ(episode.row["method"], method);
@@ -126,7 +128,7 @@ TEST_F(Presets, RunAnEpisodeAsWhatTheyAre) {
 }
 
 TEST_F(Presets, UpdateAtChunk32And40AndSoOnOrNever) {
-  for (const std::string& method : FindRobot("panda")->methods) {
+  for (const std::string& method : PandasMethods()) {
     const json& row = Of(method).row;
     const int chunks = row["chunks"], due = chunks < 32 ? 0 : 1 + (chunks - 32) / 8;
     EXPECT_EQ(row["updates"], Of(method).method.adapts() ? due : 0) << method;
@@ -135,7 +137,7 @@ TEST_F(Presets, UpdateAtChunk32And40AndSoOnOrNever) {
 }
 
 TEST_F(Presets, EqualBaseBitForBitUntilTheirFirstUpdate) {
-  for (const std::string& method : FindRobot("panda")->methods) {
+  for (const std::string& method : PandasMethods()) {
     if (Of(method).method.adapts()) {
       EXPECT_EQ(FirstDifference(method), 32 * kExecuted) << method;
     }
@@ -143,7 +145,7 @@ TEST_F(Presets, EqualBaseBitForBitUntilTheirFirstUpdate) {
 }
 
 TEST_F(Presets, AStepOfAdamIsAboutTheLearningRateForEveryParameter) {
-  for (const std::string& method : FindRobot("panda")->methods) {
+  for (const std::string& method : PandasMethods()) {
     const Episode& episode = Of(method);
     if (!episode.method.adapts()) continue;
     const double steps = episode.row["updates"].get<double>() * std::sqrt(kParameters);

@@ -12,6 +12,8 @@
 namespace robostress {
 namespace {
 
+std::vector<std::string> PandasMethods() { return FindRobot("panda")->methods; }
+
 using ::testing::HasSubstr;
 
 TEST(UnitPlanTest, MethodSectionStartsFromThePresetItNames) {
@@ -116,7 +118,7 @@ TEST(UnitPlanTest, ResolvedUnitNamesEveryTask) {
 TEST(UnitPlanTest, EpisodesOfAnEstimateThatIsCarriedAreNotTornApart) {
   UnitConfig unit;
   unit.episodes = 2;
-  for (const std::string& method : FindRobot("panda")->methods) {
+  for (const std::string& method : PandasMethods()) {
     unit.method = *MakeMethod(method);
     const bool carries =
         unit.method->adapts() || method == "ours_integral" || method == "ours_following";
