@@ -1,4 +1,3 @@
-#include <google/protobuf/reflection.h>
 #include <spdlog/spdlog.h>
 #include <torch/types.h>
 

@@ -1,6 +1,7 @@
 #include "common/config.h"
 
 #include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/unit_config.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"

@@ -10,6 +10,8 @@
 #include <set>
 
 #include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/safetensors.h"

@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/wire/openpi_readers.h"
 #include "common/wire/web_socket_client.h"
