@@ -1,5 +1,7 @@
 #include "server/sessions/journal/snapshot_records.h"
 
+#include <google/protobuf/reflection.h>
+
 #include <algorithm>
 #include <string>
 #include <utility>
