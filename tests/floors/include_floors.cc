@@ -28,7 +28,7 @@ const std::vector<Floor>& Floors() {
       {"common/", {"common/"}, 0},
       {"common/rpc/", {"common/", "common/rpc/", "proto/"}, kRpc},
       // openpi's "session" names a method.
-      {"common/wire/", {"common/", "common/wire/", "adapter/"}, 0},
+      {"common/wire/", {"common/", "common/wire/"}, 0},
       // A unit names a method; the programs that play units stand above.
       {"common/unit/", {"common/", "common/unit/", "adapter/"}, 0},
       {"adapter/", {"adapter/", "common/"}, kTorch},

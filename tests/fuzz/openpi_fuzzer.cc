@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "common/wire/openpi_answer.h"
-#include "common/wire/openpi_extensions.h"
+#include "server/wire/openpi/openpi_extensions.h"
 #include "common/wire/openpi_observation.h"
 #include "tests/fuzz/fuzz_check.h"
 

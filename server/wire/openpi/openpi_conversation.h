@@ -4,7 +4,7 @@
 #include <optional>
 #include <string>
 
-#include "common/wire/openpi_extensions.h"
+#include "server/wire/openpi/openpi_extensions.h"
 #include "common/wire/openpi_observation.h"
 #include "server/operations/access_tokens.h"
 #include "server/sessions/session_host.h"

@@ -29,6 +29,7 @@ constexpr char kToken[] = "00112233445566778899aabbccddeeff";
 constexpr size_t kFull = 4, kEvery = 2;
 
 struct Session {
+  SessionSetting setting;
   MethodOptions method;
   EpisodeKey episode;
   int task = -1;
@@ -142,6 +143,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
     const std::lock_guard lock(mutex);
     const std::string id = absl::StrCat("session-", ++opened);
     sessions[id].method = *method;
+    sessions[id].setting = *spec;
     response->set_session_id(id);
     response->set_resume_token(kToken);
     *response->mutable_policy() = ToProto(options.spec);
@@ -204,7 +206,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
         grpc::Status status;
         Session* session = Find(request.session_id(), status);
         if (session == nullptr) return status;
-        if (session->spec.mode == ExecutionMode::kLockstep) {
+        if (session->setting.mode == ExecutionMode::kLockstep) {
           changed.wait(lock, [&] { return session->sequence >= request.last_feedback_sequence(); });
         }
         if (++total_predictions == options.fail_predict_at) {
@@ -220,7 +222,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
                 options.joint_targets
                     ? Session::JointTarget(*observation, static_cast<int>(request.chunk()), r, c)
                     : 0.01f * static_cast<float>(
-                                  (session->spec.seed * 31 + session->episode.task * 17 +
+                                  (session->setting.seed * 31 + session->episode.task * 17 +
                                    session->episode.episode * 7 +
                                    static_cast<int>(request.chunk()) * 3 + r * 5 + c) %
                                   23) +

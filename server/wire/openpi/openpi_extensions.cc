@@ -1,4 +1,4 @@
-#include "common/wire/openpi_extensions.h"
+#include "server/wire/openpi/openpi_extensions.h"
 
 #include <cmath>
 #include <utility>
