@@ -13,7 +13,7 @@
 #include "robot_client/client_program.h"
 #include "robot_client/monitor_command.h"
 #include "robot_client/motion_command.h"
-#include "robot_client/teach/teach_command.h"
+#include "robot_client/teach_command.h"
 
 namespace robostress {
 namespace {

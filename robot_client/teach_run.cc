@@ -1,4 +1,4 @@
-#include "robot_client/teach/teach_run.h"
+#include "robot_client/teach_run.h"
 
 #include <unistd.h>
 

@@ -1,4 +1,4 @@
-#include "tests/eval/slurm_cluster.h"
+#include "tests/eval/launch/slurm_cluster.h"
 
 #include <netinet/in.h>
 #include <poll.h>

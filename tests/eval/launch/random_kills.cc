@@ -1,4 +1,4 @@
-#include "tests/eval/random_kills.h"
+#include "tests/eval/launch/random_kills.h"
 
 #include <poll.h>
 #include <signal.h>

@@ -4,7 +4,7 @@
 #include <cstdio>
 #include <cstdlib>
 
-#include "tests/eval/random_kills.h"
+#include "tests/eval/launch/random_kills.h"
 
 int main(int argc, char** argv) {
   if (argc < 9 || std::string(argv[7]) != "--") {

@@ -30,11 +30,11 @@ TEST(PiperStudyProgram, GoesFromDemonstrationsToTheTableAndRepeatsNothing) {
   const auto [text, code] = RunProgram(PIPER_STUDY, arguments);
   if (text.find("EGL") != std::string::npos) GTEST_SKIP() << text;
   ASSERT_EQ(code, 0) << text;
-  for (const char* file :
-       {"study.yaml", "demos/new_bowl_next_to_plate.safetensors", "train/base/nano.safetensors",
-        "train/robust/nano.safetensors", "train/piper-robust.safetensors", kOurs + "/DONE",
-        "report.json", "report.md", "report.html", "tables/real-arm.csv", "sweep.yaml",
-        "timings.csv"})
+  for (const std::string& file : std::vector<std::string>{
+           "study.yaml", "demos/new_bowl_next_to_plate.safetensors", "train/base/nano.safetensors",
+           "train/robust/nano.safetensors", "train/piper-robust.safetensors", kOurs + "/DONE",
+           "report.json", "report.md", "report.html", "tables/real-arm.csv", "sweep.yaml",
+           "timings.csv"})
     EXPECT_TRUE(fs::exists(out + "/" + file)) << file;
   const auto csv = ReadFile(out + "/episodes.csv");
   ASSERT_TRUE(csv.ok()) << csv.status();

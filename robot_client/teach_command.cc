@@ -1,4 +1,4 @@
-#include "robot_client/teach/teach_command.h"
+#include "robot_client/teach_command.h"
 
 #include <optional>
 #include <string>
@@ -8,7 +8,7 @@
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/client_program.h"
-#include "robot_client/teach/teach_run.h"
+#include "robot_client/teach_run.h"
 
 namespace robostress {
 namespace {

@@ -13,7 +13,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/eval/grid_programs.h"
-#include "tests/eval/slurm_cluster.h"
+#include "tests/eval/launch/slurm_cluster.h"
 #include "tests/eval/synthetic_run.h"
 
 namespace robostress {

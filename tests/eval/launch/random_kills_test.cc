@@ -1,6 +1,6 @@
 // A short version of grid_kills with stand-ins; the long one is run by hand (eval/README.md).
 
-#include "tests/eval/random_kills.h"
+#include "tests/eval/launch/random_kills.h"
 
 #include "gtest/gtest.h"
 #include "tests/eval/synthetic_run.h"
