@@ -116,7 +116,7 @@ void UpdateWithYieldPoints(benchmark::State& state) {
   UseOneTorchThread();
   Bench bench("ours");
   const auto adapter =
-      *LoraAdapter::Create(bench.policy.get(), *MakeMethod("ours"), StreamKey("bench"));
+      *LoraAdapter::Create(bench.policy.get(), LoraOptions::At(1e-4), StreamKey("bench"));
   auto chunk = std::make_shared<TrainingChunk>();
   chunk->context = *bench.policy->Encode(bench.observation);
   chunk->target = torch::zeros({bench.policy->horizon(), bench.policy->model_action_dim()});

@@ -125,8 +125,8 @@ TEST(PaperPlan, WeightsGoToLiberoAtThePapersRateAndMissingColumnsAreLeftOut) {
       << "base, ours, integral action, model following and the two controls of one policy";
   for (const PlannedUnit& unit : *units) {
     EXPECT_EQ(unit.config.suite.rfind("libero_", 0), 0u);
-    if (const auto* lora = unit.config.method->Find<LoraOptions>())
-      EXPECT_EQ(lora->learning_rate, 1e-6);
+    const auto* lora = unit.config.method->Find<LoraOptions>();
+    EXPECT_EQ(lora == nullptr ? 1e-6 : lora->learning_rate, 1e-6);
   }
 }
 

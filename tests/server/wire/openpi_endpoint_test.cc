@@ -316,8 +316,8 @@ TEST_F(OpenpiEndpointTest, LearnsFromAClientThatReportsWhatItExecuted) {
   all.Map(6);
   report(LiberoKeys(all), 3).Text("episode").Map(2);
   all.Text("task").Integer(4).Text("episode").Integer(0);
-  again->SendFrame(all.bytes());
-  ASSERT_TRUE(DecodeOpenpi(again->Read().payload).ok());
+  payload = Ask(*again, all.bytes()).bytes;
+  ASSERT_TRUE(DecodeOpenpi(payload).ok()) << payload;
   EXPECT_EQ(host_.taken.size(), 3u);
   EXPECT_EQ(host_.chunks.back(), 0);
   EXPECT_EQ(host_.uses, uses + 1);

@@ -5,6 +5,8 @@
 
 #include <set>
 
+#include "adapter/method_options.h"
+
 namespace robostress {
 namespace {
 
