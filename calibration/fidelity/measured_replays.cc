@@ -31,7 +31,8 @@ Scenario OwnErrors() {
   scenario.name = "measured_arm";
   scenario.title = "Measured arm";
   scenario.friction_on = scenario.backlash_on = scenario.compliance_on = true;
-  scenario.start = scenario.end = std::vector<SeverityFactors>(7);
+  scenario.nominal = NominalPandaErrors();
+  scenario.start = scenario.end = std::vector<SeverityFactors>(scenario.nominal.size());
   return scenario;
 }
 

@@ -79,7 +79,11 @@ TEST_F(SessionRecovery, ReadsAJournalOfAnySizeInTheMemoryOfItsState) {
   header.set_model_hash("fake-hash");
   auto journal = SessionJournal::Create(folder_, header);
   ASSERT_TRUE(journal.ok()) << journal.status();
-  auto session = rig_.Open(spec_);
+  SessionResources resources{rig_.policy, &rig_.adaptation, &rig_.inference, absl::Seconds(20)};
+  resources.snapshot_bytes = resources.snapshot_records = UINT64_MAX;  // one journal grows on
+  const auto made = Session::Create(spec_, resources, 1);
+  ASSERT_TRUE(made.ok()) << made.status();
+  Session* const session = made->get();
   session->SetJournal(*std::move(journal));
   ASSERT_TRUE(session->StartEpisode({0, 0}, 0).ok());
   ToyArm arm(0.6);

@@ -43,7 +43,9 @@ class RegistryTest : public ::testing::Test {
   }
   void Durable() { options_.state_dir = folder_; }
   OpenedSession Open(const std::string& method = "ours", const Caller& caller = Anybody()) {
-    auto opened = registry_->Open({Spec(method, {"learning_rate=0.01"}), {}, {}}, caller);
+    SessionSpec spec = Spec(method);
+    spec.method = *MakeMethodOf({"ours"}, method, {kRate});
+    auto opened = registry_->Open({std::move(spec), {}, {}}, caller);
     EXPECT_TRUE(opened.ok()) << opened.status();
     return *std::move(opened);
   }

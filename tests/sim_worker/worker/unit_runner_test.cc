@@ -219,7 +219,7 @@ TEST_F(UnitRunnerTest, FinishedUnitReturnsAtOnce) {
 // where.
 TEST_F(UnitRunnerTest, InterruptedUnitContinuesToTheSameBytes) {
   for (const char* method : {"ours", "base"}) {
-    unit.method = *MakeMethod(method, {"learning_rate=0.01"});
+    unit.method = *MakeMethodOf({"ours"}, method, {"learning_rate=0.01"});
     const std::string straight = absl::StrCat(method, "_straight");
     ASSERT_TRUE(Run(straight).ok());
     int interrupted = 0;
