@@ -5,9 +5,10 @@
 #include <string>
 
 #include "common/run_main.h"
+#include "common/status_macros.h"
 #include "eval/close_loop/close_loop.h"
 #include "eval/close_loop/close_piper_loop.h"
-#include "eval/launch/merged_sweep.h"
+#include "eval/launch/exit_code.h"
 #include "eval/plan/plan.h"
 
 namespace {
@@ -63,24 +64,22 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(99, 100000))
       ->capture_default_str();
   app.add_option("--seed", options.seed, "Of encoder noise and surrogates")->capture_default_str();
-  return robostress::RunMain(app, argc, argv, [&]() -> int {
+  const auto run = [&]() -> absl::Status {
     if (arm == "piper") {
-      const auto piper = robostress::ClosePiperLoop(
-          {options.hidden, options.out, options.episodes, options.surrogates, options.seed});
-      if (!piper.ok()) return robostress::FailCommand("close-loop", piper.status());
-      std::fputs(robostress::ClosePiperLoopTable(*piper).c_str(), stdout);
+      RS_ASSIGN_OR_RETURN(const auto piper,
+                          robostress::ClosePiperLoop({options.hidden, options.out, options.episodes,
+                                                      options.surrogates, options.seed}));
+      std::fputs(robostress::ClosePiperLoopTable(piper).c_str(), stdout);
       std::printf("%s/summary.json\n", options.out.c_str());
-      return 0;
+      return absl::OkStatus();
     }
     if (!tasks.empty()) {
-      const auto parsed = robostress::ParseTasks(tasks);
-      if (!parsed.ok()) return robostress::FailCommand("close-loop", parsed.status());
-      options.tasks = *parsed;
+      RS_ASSIGN_OR_RETURN(options.tasks, robostress::ParseTasks(tasks));
     }
-    const auto result = robostress::CloseLoop(options);
-    if (!result.ok()) return robostress::FailCommand("close-loop", result.status());
-    std::fputs(robostress::CloseLoopTable(*result).c_str(), stdout);
+    RS_ASSIGN_OR_RETURN(const auto result, robostress::CloseLoop(options));
+    std::fputs(robostress::CloseLoopTable(result).c_str(), stdout);
     std::printf("%s/summary.json\n", options.out.c_str());
-    return 0;
-  });
+    return absl::OkStatus();
+  };
+  return robostress::RunMain(app, argc, argv, run, robostress::ExitCodeOfError);
 }

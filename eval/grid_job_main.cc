@@ -137,10 +137,6 @@ absl::StatusOr<int> Merge(const Submission& submission, const CommandLine& line)
   return missing == 0 ? kExitDone : kExitUnitFailed;
 }
 
-int Finish(const absl::StatusOr<int>& code) {
-  return code.ok() ? *code : FailCommand("grid-job", code.status());
-}
-
 int Main(int argc, char** argv) {
   CLI::App app("Runs one job of a grid that a scheduler distributes.", "robostress grid-job");
   app.footer(kExamples);
@@ -161,15 +157,15 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   CLI::App* merge = add("merge", "Merge the tables and write the report");
   merge->add_flag("--wait", line.wait, "First wait until every worker task has left");
-  return RunMain(app, argc, argv, [&] {
+  const auto run = [&]() -> absl::StatusOr<int> {
     ChooseOpenMpBlas();
-    const absl::StatusOr<std::unique_ptr<Submission>> submission =
-        Submission::Open(line.submission);
-    if (!submission.ok()) return FailCommand("grid-job", submission.status());
-    if (serve->parsed()) return Finish(Serve(**submission, line));
-    if (work->parsed()) return Finish(Work(**submission, line));
-    return Finish(Merge(**submission, line));
-  });
+    RS_ASSIGN_OR_RETURN(const std::unique_ptr<Submission> submission,
+                        Submission::Open(line.submission));
+    if (serve->parsed()) return Serve(*submission, line);
+    if (work->parsed()) return Work(*submission, line);
+    return Merge(*submission, line);
+  };
+  return RunMain(app, argc, argv, run, ExitCodeOfError);
 }
 
 }  // namespace

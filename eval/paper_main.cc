@@ -9,6 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
+#include "eval/launch/exit_code.h"
 #include "eval/launch/grid_flags.h"
 #include "eval/launch/merged_sweep.h"
 #include "eval/paper/paper_programs.h"
@@ -266,42 +267,39 @@ absl::StatusOr<int> RunTable(const CommandLine& line, const PaperProtocol& proto
   return code;
 }
 
-int Run(const CLI::App& app, CommandLine& line) {
+// A table that cannot be made does not keep the others from being made.
+int Fail(const absl::Status& status) {
+  std::fprintf(stderr, "robostress %s: %s\n", kCommand, std::string(status.message()).c_str());
+  return ExitCodeOfError(status);
+}
+
+absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
   if (line.list) {
     PrintList();
     return 0;
   }
-  if (const absl::Status status = CheckLauncher(line.launch); !status.ok())
-    return FailCommand(kCommand, status);
-  const absl::StatusOr<PaperProtocol> protocol = ProtocolFrom(app, line);
-  if (!protocol.ok()) return FailCommand(kCommand, protocol.status());
-  const absl::StatusOr<std::vector<Work>> all = Plan(line, *protocol);
-  if (!all.ok()) return FailCommand(kCommand, all.status());
+  RS_RETURN_IF_ERROR(CheckLauncher(line.launch));
+  RS_ASSIGN_OR_RETURN(const PaperProtocol protocol, ProtocolFrom(app, line));
+  RS_ASSIGN_OR_RETURN(const std::vector<Work> all, Plan(line, protocol));
   if (line.out.empty()) {
     line.out = absl::StrCat("runs/paper-", line.full ? "full" : "quick",
                             line.weights.empty() ? "" : "-libero");
   }
   line.launch.run_dir = line.out;
-  if (line.dry_run) {
-    const absl::StatusOr<int> printed = PrintTables(line, *all);
-    return printed.ok() ? *printed : FailCommand(kCommand, printed.status());
-  }
+  if (line.dry_run) return PrintTables(line, all);
   Outcomes outcomes;
   if (!line.outcomes.empty()) {
-    absl::StatusOr<Outcomes> read = ReadOutcomes(line.outcomes);
-    if (!read.ok()) return FailCommand(kCommand, read.status());
-    outcomes = *std::move(read);
+    RS_ASSIGN_OR_RETURN(outcomes, ReadOutcomes(line.outcomes));
   }
   int code = 0;
-  for (const Work& work : *all) {
+  for (const Work& work : all) {
     if (!line.outcomes.empty()) {
-      const absl::Status kept = LayOutKept(line, *protocol, work, outcomes);
-      if (!kept.ok()) code = std::max(code, FailCommand(kCommand, kept));
+      const absl::Status kept = LayOutKept(line, protocol, work, outcomes);
+      if (!kept.ok()) code = std::max(code, Fail(kept));
       continue;
     }
-    const absl::StatusOr<int> of_table = RunTable(line, *protocol, work);
-    // A table that cannot be made does not keep the others from being made.
-    code = std::max(code, of_table.ok() ? *of_table : FailCommand(kCommand, of_table.status()));
+    const absl::StatusOr<int> of_table = RunTable(line, protocol, work);
+    code = std::max(code, of_table.ok() ? *of_table : Fail(of_table.status()));
     if (code > 128) break;  // interrupted
   }
   return code;
@@ -316,5 +314,6 @@ int main(int argc, char** argv) {
       "robostress paper");
   robostress::CommandLine line;
   robostress::DeclareFlags(app, line);
-  return robostress::RunMain(app, argc, argv, [&] { return robostress::Run(app, line); });
+  return robostress::RunMain(
+      app, argc, argv, [&] { return robostress::Run(app, line); }, robostress::ExitCodeOfError);
 }

@@ -8,7 +8,7 @@
 #include "common/config.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
-#include "eval/launch/merged_sweep.h"
+#include "eval/launch/exit_code.h"
 #include "eval/piper_study/piper_study.h"
 #include "eval/store/run_directory.h"
 
@@ -56,17 +56,16 @@ absl::StatusOr<robostress::PiperStudyOptions> Resolve(const CommandLine& line) {
   return options;
 }
 
-int DryRun(const robostress::PiperStudyOptions& options,
-           const robostress::PiperStudyLaunch& launch) {
-  const auto plans = PlanOf(options, launch, robostress::PolicyHome::kElsewhere);
-  if (!plans.ok()) return robostress::FailCommand("piper-study", plans.status());
+absl::StatusOr<int> DryRun(const robostress::PiperStudyOptions& options,
+                           const robostress::PiperStudyLaunch& launch) {
+  RS_ASSIGN_OR_RETURN(const auto plans,
+                      PlanOf(options, launch, robostress::PolicyHome::kElsewhere));
   const robostress::RunDirectory run(launch.RunFolder());
   std::set<std::string> planned;
   int done = 0;
-  for (const robostress::PiperTablePlan& plan : *plans) {
-    const auto units = robostress::PaperUnits(plan.grids);
-    if (!units.ok()) return robostress::FailCommand("piper-study", units.status());
-    for (const robostress::PlannedUnit& unit : *units) {
+  for (const robostress::PiperTablePlan& plan : plans) {
+    RS_ASSIGN_OR_RETURN(const auto units, robostress::PaperUnits(plan.grids));
+    for (const robostress::PlannedUnit& unit : units) {
       if (!planned.insert(unit.id).second) continue;
       done += run.Done(unit.id);
       std::printf("%-60s %s\n", unit.id.c_str(), run.Done(unit.id) ? "done" : "");
@@ -106,12 +105,11 @@ int main(int argc, char** argv) {
   app.add_option("--robust-weights", line.robust_weights, "Its counterpart of RobustVLA");
   app.add_option("--set", line.settings, "KEY=VALUE of study.yaml, repeatable")
       ->allow_extra_args(false);
-  return robostress::RunMain(app, argc, argv, [&]() -> int {
+  const auto run = [&]() -> absl::StatusOr<int> {
     if (!line.stages.empty()) launch.stages = line.stages;
-    const auto options = Resolve(line);
-    if (!options.ok()) return robostress::FailCommand("piper-study", options.status());
-    if (line.dry_run) return DryRun(*options, launch);
-    const absl::StatusOr<int> code = robostress::RunPiperStudy(*options, launch);
-    return code.ok() ? *code : robostress::FailCommand("piper-study", code.status());
-  });
+    RS_ASSIGN_OR_RETURN(const robostress::PiperStudyOptions options, Resolve(line));
+    if (line.dry_run) return DryRun(options, launch);
+    return robostress::RunPiperStudy(options, launch);
+  };
+  return robostress::RunMain(app, argc, argv, run, robostress::ExitCodeOfError);
 }

@@ -9,7 +9,6 @@
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/launch/exit_code.h"
-#include "eval/launch/merged_sweep.h"
 #include "eval/report/report.h"
 #include "eval/store/outcomes.h"
 #include "eval/store/store_check.h"
@@ -19,8 +18,6 @@
 
 namespace robostress {
 namespace {
-
-constexpr char kCommand[] = "store";
 
 constexpr char kExamples[] =
     "\nExamples\n"
@@ -61,60 +58,48 @@ int ExitCodeOfFindings(const std::vector<StoreFinding>& findings) {
   return code;
 }
 
-int Verify(const CommandLine& line) {
-  const absl::StatusOr<StoreContents> contents = CheckStores(line.stores);
-  if (!contents.ok()) return FailCommand(kCommand, contents.status());
+absl::StatusOr<int> Verify(const CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const StoreContents contents, CheckStores(line.stores));
   if (line.json) {
-    PrintJson(*contents);
+    PrintJson(contents);
   } else {
-    std::printf("%s%d finished units, %zu findings\n", FindingsText(contents->findings).c_str(),
-                contents->finished, contents->findings.size());
+    std::printf("%s%d finished units, %zu findings\n", FindingsText(contents.findings).c_str(),
+                contents.finished, contents.findings.size());
   }
-  return ExitCodeOfFindings(contents->findings);
+  return ExitCodeOfFindings(contents.findings);
 }
 
-int Merge(const CommandLine& line) {
-  const absl::StatusOr<MergeResult> merged = MergeStores(line.stores, line.out);
-  if (absl::IsFailedPrecondition(merged.status())) {
-    FailCommand(kCommand, merged.status());
-    return kExitBadStore;
-  }
-  if (!merged.ok()) return FailCommand(kCommand, merged.status());
-  std::printf("%s%d units merged into %s, %d were there\n", FindingsText(merged->findings).c_str(),
-              merged->copied, line.out.c_str(), merged->present);
-  const absl::StatusOr<RunData> run = LoadRun(line.out);
-  if (!run.ok()) return FailCommand(kCommand, run.status());
-  if (const absl::Status status = WriteTables(*run); !status.ok())
-    return FailCommand(kCommand, status);
-  return run->unfinished.empty() ? kExitDone : kExitUnitFailed;
+absl::StatusOr<int> Merge(const CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const MergeResult merged, MergeStores(line.stores, line.out));
+  std::printf("%s%d units merged into %s, %d were there\n", FindingsText(merged.findings).c_str(),
+              merged.copied, line.out.c_str(), merged.present);
+  RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(line.out));
+  RS_RETURN_IF_ERROR(WriteTables(run));
+  return run.unfinished.empty() ? kExitDone : kExitUnitFailed;
 }
 
-int MakeIndex(const CommandLine& line) {
+absl::StatusOr<int> MakeIndex(const CommandLine& line) {
   const std::string file = line.index.empty() ? line.stores[0] + "/index.sqlite" : line.index;
-  const absl::StatusOr<IndexResult> result = UpdateIndex(file, line.stores);
-  if (!result.ok()) return FailCommand(kCommand, result.status());
-  for (const std::string& damage : result->damaged)
+  RS_ASSIGN_OR_RETURN(const IndexResult result, UpdateIndex(file, line.stores));
+  for (const std::string& damage : result.damaged)
     std::fprintf(stderr, "damaged: %s\n", damage.c_str());
-  std::printf("%s: %d units read, %d unchanged, %d removed\n", file.c_str(), result->read,
-              result->unchanged, result->removed);
-  return result->damaged.empty() ? kExitDone : kExitBadStore;
+  std::printf("%s: %d units read, %d unchanged, %d removed\n", file.c_str(), result.read,
+              result.unchanged, result.removed);
+  return result.damaged.empty() ? kExitDone : kExitBadStore;
 }
 
-int WriteOutcomes(const CommandLine& line) {
-  const auto write = [&]() -> absl::StatusOr<size_t> {
-    RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(line.stores[0]));
-    RS_ASSIGN_OR_RETURN(const std::string text, OutcomesText(run));
-    RS_RETURN_IF_ERROR(WriteFileAtomically(line.out, text));
-    return run.units.size();
-  };
-  const absl::StatusOr<size_t> units = write();
-  if (absl::IsDataLoss(units.status())) {
-    FailCommand(kCommand, units.status());
-    return kExitBadStore;
-  }
-  if (!units.ok()) return FailCommand(kCommand, units.status());
-  std::printf("%s: outcomes of %zu units\n", line.out.c_str(), *units);
+absl::StatusOr<int> WriteOutcomes(const CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(line.stores[0]));
+  RS_ASSIGN_OR_RETURN(const std::string text, OutcomesText(run));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(line.out, text));
+  std::printf("%s: outcomes of %zu units\n", line.out.c_str(), run.units.size());
   return kExitDone;
+}
+
+// Stores that contradict each other, a store that is damaged, anything else.
+int ExitCodeOfStores(const absl::Status& status) {
+  const bool bad = absl::IsFailedPrecondition(status) || absl::IsDataLoss(status);
+  return bad ? kExitBadStore : ExitCodeOfError(status);
 }
 
 }  // namespace
@@ -144,10 +129,11 @@ int main(int argc, char** argv) {
       ->required()
       ->expected(1);
   outcomes->add_option("--out", line.out, "File to write")->required();
-  return robostress::RunMain(app, argc, argv, [&] {
+  const auto run = [&] {
     if (verify->parsed()) return robostress::Verify(line);
     if (outcomes->parsed()) return robostress::WriteOutcomes(line);
     if (merge->parsed()) return robostress::Merge(line);
     return robostress::MakeIndex(line);
-  });
+  };
+  return robostress::RunMain(app, argc, argv, run, robostress::ExitCodeOfStores);
 }

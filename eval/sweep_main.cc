@@ -6,6 +6,7 @@
 
 #include "common/run_main.h"
 #include "common/status_macros.h"
+#include "eval/launch/exit_code.h"
 #include "eval/launch/grid_flags.h"
 #include "eval/launch/merged_sweep.h"
 #include "eval/plan/plan.h"
@@ -76,25 +77,19 @@ absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line)
   return ResolveGrid(std::move(grid), PolicyHomeOf(line.launch));
 }
 
-int Run(const CLI::App& app, CommandLine& line) {
-  const absl::StatusOr<SweepGrid> grid = GridFrom(app, line);
-  if (!grid.ok()) return FailCommand(kCommand, grid.status());
-  absl::StatusOr<std::vector<PlannedUnit>> units = ExpandUnits(*grid);
-  if (units.ok()) units = FilterUnits(*std::move(units), line.only);
-  if (!units.ok()) return FailCommand(kCommand, units.status());
+absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const SweepGrid grid, GridFrom(app, line));
+  RS_ASSIGN_OR_RETURN(std::vector<PlannedUnit> units, ExpandUnits(grid));
+  RS_ASSIGN_OR_RETURN(units, FilterUnits(std::move(units), line.only));
   line.launch.run_dir = !line.out.empty() ? line.out
                         : line.full       ? "runs/full"
                         : line.quick      ? "runs/quick"
                                           : "runs/sweep";
-  AnnouncePlan(kCommand, *units, line.launch);
-  if (line.dry_run) return PrintPlan(*grid, *units, line.launch);
-  const absl::StatusOr<MergedSweep> merged = RunAndMerge(kCommand, *grid, *units, line.launch);
-  if (!merged.ok()) return FailCommand(kCommand, merged.status());
-  if (merged->run && !line.no_report) {
-    if (const absl::Status status = WriteReport(*merged->run, ReportOptions()); !status.ok())
-      return FailCommand(kCommand, status);
-  }
-  return ExitCodeOf(merged->outcome);
+  AnnouncePlan(kCommand, units, line.launch);
+  if (line.dry_run) return PrintPlan(grid, units, line.launch);
+  RS_ASSIGN_OR_RETURN(const MergedSweep merged, RunAndMerge(kCommand, grid, units, line.launch));
+  if (merged.run && !line.no_report) RS_RETURN_IF_ERROR(WriteReport(*merged.run, ReportOptions()));
+  return ExitCodeOf(merged.outcome);
 }
 
 }  // namespace
@@ -106,5 +101,6 @@ int main(int argc, char** argv) {
       "robostress sweep");
   robostress::CommandLine line;
   robostress::DeclareFlags(app, line);
-  return robostress::RunMain(app, argc, argv, [&] { return robostress::Run(app, line); });
+  return robostress::RunMain(
+      app, argc, argv, [&] { return robostress::Run(app, line); }, robostress::ExitCodeOfError);
 }

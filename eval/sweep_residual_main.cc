@@ -13,6 +13,7 @@
 #include "common/config.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
+#include "eval/launch/exit_code.h"
 #include "eval/launch/grid_flags.h"
 #include "eval/launch/merged_sweep.h"
 #include "eval/plan/plan.h"
@@ -140,13 +141,12 @@ absl::Status WriteResults(const RunData& run, const CommandLine& line) {
   return absl::OkStatus();
 }
 
-int Run(const CLI::App& app, CommandLine& line) {
-  const absl::StatusOr<std::vector<ReferenceRun>> runs = PlanRuns(app, line);
-  if (!runs.ok()) return FailCommand(kCommand, runs.status());
+absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
+  RS_ASSIGN_OR_RETURN(const std::vector<ReferenceRun> runs, PlanRuns(app, line));
   line.launch.measure_lag = true;
   RunData all;
   int exit_code = 0;
-  for (const ReferenceRun& run : *runs) {
+  for (const ReferenceRun& run : runs) {
     line.launch.run_dir = run.dir;
     AnnouncePlan(kCommand, run.units, line.launch);
     if (line.dry_run) {
@@ -154,15 +154,14 @@ int Run(const CLI::App& app, CommandLine& line) {
         std::printf("%s/%s\n", run.dir.c_str(), unit.id.c_str());
       continue;
     }
-    absl::StatusOr<MergedSweep> merged = RunAndMerge(kCommand, run.grid, run.units, line.launch);
-    if (!merged.ok()) return FailCommand(kCommand, merged.status());
-    if (merged->outcome.signal != 0) return ExitCodeOf(merged->outcome);
-    exit_code = std::max(exit_code, ExitCodeOf(merged->outcome));
-    if (merged->run) Append(*std::move(merged->run), all);
+    RS_ASSIGN_OR_RETURN(MergedSweep merged,
+                        RunAndMerge(kCommand, run.grid, run.units, line.launch));
+    if (merged.outcome.signal != 0) return ExitCodeOf(merged.outcome);
+    exit_code = std::max(exit_code, ExitCodeOf(merged.outcome));
+    if (merged.run) Append(*std::move(merged.run), all);
   }
   if (all.units.empty()) return exit_code;
-  if (const absl::Status status = WriteResults(all, line); !status.ok())
-    return FailCommand(kCommand, status);
+  RS_RETURN_IF_ERROR(WriteResults(all, line));
   return exit_code;
 }
 
@@ -177,5 +176,6 @@ int main(int argc, char** argv) {
       "robostress residual");
   robostress::CommandLine line;
   robostress::DeclareFlags(app, line);
-  return robostress::RunMain(app, argc, argv, [&] { return robostress::Run(app, line); });
+  return robostress::RunMain(
+      app, argc, argv, [&] { return robostress::Run(app, line); }, robostress::ExitCodeOfError);
 }

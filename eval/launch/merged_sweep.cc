@@ -99,10 +99,4 @@ int ExitCodeOf(const SweepOutcome& outcome) {
   return outcome.failed.empty() ? kExitDone : kExitUnitFailed;
 }
 
-int FailCommand(const std::string& command, const absl::Status& status) {
-  std::fprintf(stderr, "robostress %s: %s\n", command.c_str(),
-               std::string(status.message()).c_str());
-  return status.code() == absl::StatusCode::kInvalidArgument ? kExitWrongCommand : kExitUnitFailed;
-}
-
 }  // namespace robostress

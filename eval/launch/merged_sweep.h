@@ -35,7 +35,5 @@ int PrintPlan(const SweepGrid& grid, const std::vector<PlannedUnit>& units,
 // Of a sweep's programs: 0 all units done or handed to a scheduler, 1 a unit failed, 128 + signal
 // interrupted.
 int ExitCodeOf(const SweepOutcome& outcome);
-// Prints the error as `command`; 2 when the command is wrong, else 1.
-int FailCommand(const std::string& command, const absl::Status& status);
 
 }  // namespace robostress

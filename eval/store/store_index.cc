@@ -43,7 +43,7 @@ struct Finalize {
 using Database = std::unique_ptr<sqlite3, CloseDatabase>;
 
 absl::Status Error(sqlite3* db, const std::string& what) {
-  return absl::DataLossError(absl::StrCat(what, ": ", sqlite3_errmsg(db),
+  return absl::InternalError(absl::StrCat(what, ": ", sqlite3_errmsg(db),
                                           "; the index holds nothing of its own: delete it and run "
                                           "again"));
 }

@@ -20,7 +20,7 @@ struct IndexResult {
 //         unfinished | damaged
 //   episodes(store, unit, task, episode, initial_state, success, steps, chunks, updates, residual,
 //            intent), of finished units
-// An index of another version of this schema is rebuilt. DataLoss when SQLite cannot use the file.
+// An index of another version of this schema is rebuilt. Internal when SQLite cannot use the file.
 absl::StatusOr<IndexResult> UpdateIndex(const std::string& index,
                                         const std::vector<std::string>& stores);
 
