@@ -1,6 +1,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "server/sessions/session.h"
 #include "server/sessions/session_checks.h"
 #include "tests/server/sessions/drive.h"
@@ -45,6 +47,25 @@ TEST(Session, ARobotOfJointTargetsIsCorrectedInJointSpace) {
 
   ExecutedChunk wrong = client.Execute(client.Predict());  // the toy arm measures no joints
   EXPECT_EQ(client.session().Feedback(wrong).status().code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(Session, RefusesScalesByWhichNoMotionCanBeDivided) {
+  Rig rig;
+  for (double SessionSpec::*scale : {&SessionSpec::translation_scale, &SessionSpec::rotation_scale,
+                                     &SessionSpec::control_period_s}) {
+    for (const double wrong : {0.0, -0.05, 9e-7, 100.5, std::nan(""), HUGE_VAL}) {
+      SessionSpec spec = Spec("ours");
+      spec.*scale = wrong;
+      const absl::Status status = CheckSessionSpec(spec, rig.policy->spec());
+      EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << wrong;
+      EXPECT_THAT(std::string(status.message()), HasSubstr("must be 1e-6..100")) << wrong;
+    }
+    for (const double right : {1e-6, 100.0}) {
+      SessionSpec spec = Spec("ours");
+      spec.*scale = right;
+      EXPECT_TRUE(CheckSessionSpec(spec, rig.policy->spec()).ok()) << right;
+    }
+  }
 }
 
 TEST(Session, RefusesInJointSpaceWhatOnlyEndEffectorCommandsCanMean) {
