@@ -277,6 +277,26 @@ TEST_F(Training, FlowTimesFollowOpenpisBeta) {
               std::pow((0.5 - 0.001) / 0.999, 1.5), 5e-3);
 }
 
+// t = 1 is the noise, t = 0 the demonstrated chunk (openpi's direction of time).
+TEST_F(Training, FlowBeginsInTheNoiseAndEndsInTheDemonstratedChunk) {
+  const Scene scene = MakeScene(SmallOptions(Path("toy"), ""), 2);
+  const NanoNetwork network(scene.model.config,
+                            AssembleNano(scene.model.config, scene.model.tensors));
+  const NanoNetwork::Prefix prefix =
+      network.EncodePrefix(scene.batch.images, scene.batch.words, scene.batch.state, false);
+  const torch::Tensor weights = torch::ones({50, 1});
+  const torch::Tensor& a = scene.batch.actions;
+  for (const double t : {0.0, 0.25, 1.0}) {
+    FlowDraw draw = DrawFlow(a.size(0), 1, scene.model.config, 3);
+    draw.t.fill_(t);
+    const torch::Tensor v =
+        network.Velocity(prefix.context, a + t * (draw.noise - a), draw.t, nullptr);
+    EXPECT_NEAR(FlowLoss(network, prefix.context, a, draw, weights).item<double>(),
+                (v - (draw.noise - a)).square().mean().item<double>(), 1e-5)
+        << t;
+  }
+}
+
 TEST_F(Training, WorstCaseStaysInTheBallAndRaisesTheLoss) {
   const TrainOptions options = SmallOptions(Path("toy"), "");
   const Scene scene = MakeScene(options, 6);

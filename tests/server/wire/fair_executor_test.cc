@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/blocking_counter.h"
 #include "absl/synchronization/notification.h"
+#include "absl/time/clock.h"
 
 namespace robostress {
 namespace {
@@ -32,6 +33,22 @@ TEST(FairExecutor, ASessionWhoseJobsAllWaitLeavesThreadsToItsClientsOthers) {
   executor.Post("client", "well", [&] { other.Notify(); });
   EXPECT_TRUE(other.WaitForNotificationWithTimeout(absl::Seconds(20)));
   release.Notify();
+}
+
+TEST(FairExecutor, OfASessionNoMoreThanItsShareRunAtOnce) {
+  constexpr int kMost = 2;
+  FairExecutor executor({.threads = 4, .per_client = 4, .per_session = kMost});
+  std::atomic<int> running{0}, most{0};
+  for (int i = 0; i < 60; ++i) {
+    executor.Post("client", "s", [&] {
+      const int now = ++running;
+      for (int seen = most; seen < now && !most.compare_exchange_weak(seen, now);) continue;
+      absl::SleepFor(absl::Milliseconds(1));  // others have the time to begin
+      --running;
+    });
+  }
+  executor.Stop();
+  EXPECT_EQ(most, kMost);
 }
 
 TEST(FairExecutor, JobsOfASessionBeginInTheOrderTheyCame) {
