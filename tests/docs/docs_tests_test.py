@@ -57,10 +57,10 @@ class Links(unittest.TestCase):
     def test_files_and_headings_must_be_there(self):
         write("links/b.md", "# One, two & three\n## Same\n## Same\n")
         write("links/a.md", "[b](b.md) [x](b.md#one-two--three) [y](b.md#same-1) [z](https://nowhere.example)\n"
-                            "[gone](c.md)\n[gone](b.md#four)\n[own](#none)\n```\n[code](c.md)\n```\n`[code](c.md)`\n")
+                            "[gone](c.md)\n[long\ntext](b.md#four)\n[own](#none)\n```\n[code](c.md)\n```\n`[code](c.md)`\n")
         code, output = run("links.py", os.path.join(FOLDER, "links"))
         self.assertEqual(code, 1)
-        self.assertEqual([line.split(": ")[0] for line in output.split("\n") if line], ["a.md:2", "a.md:3", "a.md:4"],
+        self.assertEqual([line.split(": ")[0] for line in output.split("\n") if line], ["a.md:2", "a.md:4", "a.md:5"],
                          output)
 
 

@@ -30,21 +30,21 @@ def pages(root):
         return sorted(found)
 
 
-def text_lines(path):
-    """(number, line) outside of fenced blocks, without `code`."""
-    fenced = False
+def text_of(path):
+    """The page without what stands in fenced blocks, with its line numbers."""
+    fenced, lines = False, []
     with open(path, encoding="utf-8") as file:
-        for number, line in enumerate(file, 1):
-            if line.lstrip().startswith("```"):
-                fenced = not fenced
-            elif not fenced:
-                yield number, line
+        for line in file:
+            fence = line.lstrip().startswith("```")
+            lines.append("\n" if fence or fenced else line)
+            fenced ^= fence
+    return "".join(lines)
 
 
 def anchors(path, known={}):  # noqa: B006, a cache
     if path not in known:
         known[path], times = set(), {}
-        for _, line in text_lines(path):
+        for line in text_of(path).split("\n"):
             heading = re.match(r"#{1,6}\s+(.*?)\s*#*\s*$", line)
             if heading is None:
                 continue
@@ -58,17 +58,17 @@ def anchors(path, known={}):  # noqa: B006, a cache
 def faults(root):
     for name in pages(root):
         path = os.path.join(root, name)
-        for number, line in text_lines(path):
-            for match in LINK.finditer(re.sub(r"`[^`]*`", "", line)):
-                link = match.group(1) or match.group(2)
-                if ELSEWHERE.match(link):
-                    continue
-                file, _, anchor = link.partition("#")
-                target = os.path.normpath(os.path.join(os.path.dirname(path), file)) if file else path
-                if not os.path.exists(target):
-                    yield f"{name}:{number}: {link}: no such file"
-                elif anchor and (not target.endswith(".md") or anchor not in anchors(target)):
-                    yield f"{name}:{number}: {link}: no such heading"
+        text = re.sub(r"`[^`\n]*`", lambda code: " " * len(code.group()), text_of(path))
+        for match in LINK.finditer(text):
+            link, number = match.group(1) or match.group(2), text.count("\n", 0, match.end()) + 1
+            if ELSEWHERE.match(link):
+                continue
+            file, _, anchor = link.partition("#")
+            target = os.path.normpath(os.path.join(os.path.dirname(path), file)) if file else path
+            if not os.path.exists(target):
+                yield f"{name}:{number}: {link}: no such file"
+            elif anchor and (not target.endswith(".md") or anchor not in anchors(target)):
+                yield f"{name}:{number}: {link}: no such heading"
 
 
 def main():
