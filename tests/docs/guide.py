@@ -4,7 +4,7 @@
   tests/docs/guide.py PAGE.md BIN_DIR FOLDER
 
 Every block that is fenced as ```sh runs, in the order of the page, in one bash and one empty FOLDER, which
-shows the source tree by links. The programs of BIN_DIR are first on PATH. Where the system lets it, the page
+shows the source tree by links, and the build that is tested as build/release. The programs of BIN_DIR are first on PATH. Where the system lets it, the page
 has a network of its own, so that a port of the page is free. Exit codes: 0 every command ended with 0;
 1 one did not: its line of the page and the last output follow.
 """
@@ -43,10 +43,11 @@ def script_of(page):
     return "\n".join(lines) + "\n", blocks
 
 
-def reader_folder(folder):
-    """Empty but for links to the source tree, so that a path of the page is the reader's."""
+def reader_folder(folder, programs):
+    """Empty but for links to the source tree and the build, so that a path of the page is the reader's."""
     shutil.rmtree(folder, ignore_errors=True)
-    os.makedirs(folder)
+    os.makedirs(folder + "/build")
+    os.symlink(os.path.dirname(programs), folder + "/build/release")
     for entry in os.listdir(ROOT):
         if not entry.startswith(".") and entry not in ("build", "runs"):
             os.symlink(os.path.join(ROOT, entry), os.path.join(folder, entry))
@@ -69,7 +70,7 @@ def main():
     print(f"{os.path.relpath(page, ROOT)}: {blocks} blocks")
     if blocks == 0:
         return 0
-    reader_folder(folder)
+    reader_folder(folder, programs)
     file = folder + ".sh"
     with open(file, "w", encoding="utf-8") as text:
         text.write(script)
