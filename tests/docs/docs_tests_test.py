@@ -19,8 +19,8 @@ def write(name, text):
 
 
 def run(program, *arguments):
-    done = subprocess.run([sys.executable, os.path.join(HERE, program), *arguments], capture_output=True, text=True,
-                          check=False)
+    done = subprocess.run([sys.executable, os.path.join(HERE, program), *arguments],
+                          capture_output=True, text=True, check=False)
     return done.returncode, done.stdout + done.stderr
 
 
@@ -30,11 +30,13 @@ def guide(text):
 
 class Guide(unittest.TestCase):
     def test_blocks_share_a_folder_and_a_shell(self):
-        code, output = guide("# a\n```sh\nx=3; echo $x > x\n```\ntext\n```sh\ntest $x = $(cat x) && test -f README.md\n```\n")
+        code, output = guide("# a\n```sh\nx=3; echo $x > x\n```\ntext\n"
+                             "```sh\ntest $x = $(cat x) && test -f README.md\n```\n")
         self.assertEqual(code, 0, output)
 
     def test_only_sh_runs(self):
-        self.assertEqual(guide("# a\n```text\nfalse\n```\n```\nfalse\n```\n```sh\ntrue\n```\n")[0], 0)
+        page = "# a\n```text\nfalse\n```\n```\nfalse\n```\n```sh\ntrue\n```\n"
+        self.assertEqual(guide(page)[0], 0)
 
     def test_a_failure_has_its_line_and_output(self):
         code, output = guide("# a\n\n```sh\necho before\ntrue\nls /no/such/file\necho after\n```\n")
@@ -56,12 +58,14 @@ class Guide(unittest.TestCase):
 class Links(unittest.TestCase):
     def test_files_and_headings_must_be_there(self):
         write("links/b.md", "# One, two & three\n## Same\n## Same\n")
-        write("links/a.md", "[b](b.md) [x](b.md#one-two--three) [y](b.md#same-1) [z](https://nowhere.example)\n"
-                            "[gone](c.md)\n[long\ntext](b.md#four)\n[own](#none)\n```\n[code](c.md)\n```\n`[code](c.md)`\n")
+        write("links/a.md",
+              "[b](b.md) [x](b.md#one-two--three) [y](b.md#same-1) [z](https://nowhere.example)\n"
+              "[gone](c.md)\n[long\ntext](b.md#four)\n[own](#none)\n"
+              "```\n[code](c.md)\n```\n`[code](c.md)`\n")
         code, output = run("links.py", os.path.join(FOLDER, "links"))
         self.assertEqual(code, 1)
-        self.assertEqual([line.split(": ")[0] for line in output.split("\n") if line], ["a.md:2", "a.md:4", "a.md:5"],
-                         output)
+        places = [line.split(": ")[0] for line in output.split("\n") if line]
+        self.assertEqual(places, ["a.md:2", "a.md:4", "a.md:5"], output)
 
 
 if __name__ == "__main__":

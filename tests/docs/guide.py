@@ -3,10 +3,11 @@
 
   tests/docs/guide.py PAGE.md BIN_DIR FOLDER
 
-Every block that is fenced as ```sh runs, in the order of the page, in one bash and one empty FOLDER, which
-shows the source tree by links, and the build that is tested as build/release. The programs of BIN_DIR are first on PATH. Where the system lets it, the page
-has a network of its own, so that a port of the page is free. Exit codes: 0 every command ended with 0;
-1 one did not: its line of the page and the last output follow.
+Every block that is fenced as ```sh runs, in the order of the page, in one bash and one empty FOLDER,
+which shows the source tree by links, and the build that is tested as build/release. The programs of
+BIN_DIR are first on PATH. Where the system lets it, the page has a network of its own, so that a port
+of the page is free. Exit codes: 0 every command ended with 0; 1 one did not: its line of the page and
+the last output follow.
 """
 
 import os
@@ -22,7 +23,7 @@ OWN_NETWORK = ["unshare", "-rn", "bash", "-c", 'ip link set lo up && exec "$@"',
 
 
 def script_of(page):
-    """The page's ```sh blocks as a script whose line numbers are the page's, and how many blocks."""
+    """The ```sh blocks as a script whose line numbers are the page's, and how many they are."""
     lines, inside, fence, blocks = [], False, None, 0
     with open(page, encoding="utf-8") as file:
         for line in file:
@@ -44,7 +45,7 @@ def script_of(page):
 
 
 def reader_folder(folder, programs):
-    """Empty but for links to the source tree and the build, so that a path of the page is the reader's."""
+    """Only links to the source tree and the build, so that a path of the page is the reader's."""
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(folder + "/build")
     os.symlink(os.path.dirname(programs), folder + "/build/release")
@@ -79,8 +80,9 @@ def main():
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")
     log = folder + ".log"
     with open(log, "w", encoding="utf-8") as output:
-        bash = subprocess.Popen(own_network() + ["bash", file], cwd=folder, env=environment, stdin=subprocess.DEVNULL,
-                                stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
+        bash = subprocess.Popen(own_network() + ["bash", file], cwd=folder, env=environment,
+                                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+                                start_new_session=True)
         try:
             code = bash.wait(TIMEOUT_S)
         except subprocess.TimeoutExpired:

@@ -3,8 +3,8 @@
 
   tests/docs/links.py [ROOT]
 
-A link to a file needs the file, one to a heading (#anchor, as GitHub names it) the heading. Addresses of other
-sites are not asked. Exit codes: 0 all are there; 1 the others follow, one a line, as FILE:LINE.
+A link to a file needs the file, one to a heading (#anchor, as GitHub names it) the heading. Addresses
+of other sites are not asked. Exit codes: 0 all are there; 1 the others follow, one a line, as FILE:LINE.
 """
 
 import os
@@ -12,7 +12,8 @@ import re
 import subprocess
 import sys
 
-LINK = re.compile(r"""!?\[(?:[^\]\[]|\[[^\]]*\])*\]\(<?([^)\s>]+)>?(?:\s+"[^"]*")?\)|(?:src|href)="([^"]+)\"""")
+LINK = re.compile(r"""!?\[(?:[^\]\[]|\[[^\]]*\])*\]\(<?([^)\s>]+)>?(?:\s+"[^"]*")?\)"""
+                  r"""|(?:src|href)="([^"]+)\"""")
 ELSEWHERE = re.compile(r"^[a-z][a-z0-9+.-]*:")
 
 
@@ -20,13 +21,16 @@ def pages(root):
     """What git knows or would add; every .md where there is no git."""
     command = ["git", "ls-files", "-co", "--exclude-standard", "*.md"]
     try:
-        listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout.split("\n")
-        return sorted(name for name in set(listed) if name and os.path.exists(os.path.join(root, name)))
+        listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+        return sorted(name for name in set(listed.stdout.split("\n"))
+                      if name and os.path.exists(os.path.join(root, name)))
     except (subprocess.CalledProcessError, FileNotFoundError):
         found = []
         for folder, folders, names in os.walk(root):
-            folders[:] = [name for name in folders if not name.startswith(".") and name not in ("build", "runs")]
-            found += [os.path.relpath(os.path.join(folder, name), root) for name in names if name.endswith(".md")]
+            folders[:] = [name for name in folders
+                          if not name.startswith(".") and name not in ("build", "runs")]
+            found += [os.path.relpath(os.path.join(folder, name), root)
+                      for name in names if name.endswith(".md")]
         return sorted(found)
 
 
