@@ -11,7 +11,8 @@
 
 namespace robostress {
 
-// Everything that online adaptation remembers, as a safetensors file; README.md lists its tensors.
+// Everything that online adaptation remembers, as a safetensors file; its tensors are listed in
+// docs/results/adapter-format.md.
 // An adapter restored from it continues bit for bit.
 struct AdaptationState {
   std::string policy;                       // PolicySpec::name

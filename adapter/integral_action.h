@@ -25,7 +25,7 @@ struct IntegralOptions {
   IntegralAxes axes = IntegralAxes::kAll;
   bool carry = false;  // the estimate outlives its episode
 
-  // Chosen on the dev split (adapter/README.md).
+  // Chosen on the dev split (docs/results/integral-action.md).
   static IntegralOptions Tuned(double threshold = 0) {
     return {.rate = 0.01,
             .limit = 0.5,

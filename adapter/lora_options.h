@@ -8,13 +8,13 @@ namespace robostress {
 enum class LoraKind { kPerHead, kPerMatrix };
 
 // Online LoRA updates, the method of the paper. The defaults are the paper's (sec:supp_method,
-// sec:supp_lora) except learning_rate, which is nano's first; adapter/README.md has those that were
-// chosen on the dev split.
+// sec:supp_lora) except learning_rate, which is nano's first; docs/results/learning-rates.md has
+// those that were chosen on the dev split.
 struct LoraOptions {
   static constexpr MethodWay kWay{.name = "online_adaptation", .key = "adapt"};
 
   bool adapt = false;
-  LoraKind kind = LoraKind::kPerHead;  // how q and o are factored (adapter/README.md)
+  LoraKind kind = LoraKind::kPerHead;  // how q and o are factored (docs/results/adapter-format.md)
   int rank = 4;
   double init_std = 0.01;
   double learning_rate = 1e-6;

@@ -14,7 +14,7 @@ namespace robostress {
 namespace {
 
 // Learning rates and the gain were chosen on the dev split (initial states 40-49, scenario
-// dev_mixed); see adapter/README.md. What a way needs beside is with its options.
+// dev_mixed); see docs/results/learning-rates.md. What a way needs beside is with its options.
 constexpr double kRate = 1e-4;  // the paper's target, and its ablations
 
 struct Preset {

@@ -25,8 +25,8 @@ struct FollowingOptions {
   double limit = 0.5;    // bound of the correction on each axis [command units]
   FollowingAxes axes = FollowingAxes::kTranslation;
 
-  // Chosen on the dev split (adapter/README.md). The threshold lies above what the nominal arm is
-  // wrong by in Clean: 9 of 10 shortfalls there are below 0.2 to 0.3.
+  // Chosen on the dev split (docs/results/model-following-search.md). The threshold lies above what
+  // the nominal arm is wrong by in Clean: 9 of 10 shortfalls there are below 0.2 to 0.3.
   static FollowingOptions Tuned() {
     return {.gain = 1, .memory = 10, .threshold = 0.2, .axes = FollowingAxes::kHorizontal};
   }

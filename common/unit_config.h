@@ -16,8 +16,8 @@ enum class Stepping { kFast, kReference, kParity };
 enum class Switch { kAuto, kOn, kOff };
 
 // Behaviours of robosuite 1.4.0 and LIBERO that a clean implementation would not have; trajectories equal
-// theirs only with all of them (sim_worker/README.md). The fifth, the forward passes of a sub-step and what
-// they leave as the solver's warm start, is stepping: parity.
+// theirs only with all of them (docs/results/stepping-and-controller.md). The fifth, the forward passes of a
+// sub-step and what they leave as the solver's warm start, is stepping: parity.
 struct RobosuiteOptions {
   bool stale_reset_pose = true;
   bool home_goal = true;

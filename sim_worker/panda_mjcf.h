@@ -28,8 +28,8 @@ struct PandaScene {
   std::string contact_xml;  // children of <contact>
   Eigen::Vector3d base_position = Eigen::Vector3d(-0.66, 0, 0.912);  // of robot0_base [m]
 
-  // Solver. The defaults are those of the embedded suites (sim_worker/README.md says what they
-  // cost).
+  // Solver. The defaults are those of the embedded suites (what they cost:
+  // docs/results/simulator-speed.md).
   bool elliptic_cone = true;
   double impratio = 10;  // frictional to normal impedance: higher slips less
   int iterations = 20;   // Newton iterations, at most

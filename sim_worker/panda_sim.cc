@@ -99,7 +99,8 @@ absl::Status PandaSim::Reset(absl::Span<const double> qpos,
   std::copy(qpos.begin(), qpos.end(), d->qpos);
   // robosuite's controller starts from the home posture: its first goal is the pose there, the goal
   // of the orientation stays there until a command rotates, and the first sub-step still acts on
-  // the pose, Jacobian and masses of home (facts of LIBERO's reset, sim_worker/README.md).
+  // the pose, Jacobian and masses of home (facts of LIBERO's reset,
+  // docs/results/stepping-and-controller.md).
   for (int i = 0; i < 7; ++i) d->qpos[s.panda.qpos[i]] = home[i];
   mj_step1(m, d);
   s.Believe();

@@ -105,7 +105,7 @@ class Session : public std::enable_shared_from_this<Session> {
   // As they are now, for operators; does not wait.
   SessionCounters CountersNow() ABSL_LOCKS_EXCLUDED(mu_);
 
-  // The adaptation with every update due as a safetensors file (adapter/README.md).
+  // The adaptation with every update due as a safetensors file (docs/adapter-files.md).
   absl::StatusOr<AdapterState> Export() ABSL_LOCKS_EXCLUDED(mu_);
   // Replaces the adaptation; feedback goes on after its sequence number. INVALID_ARGUMENT if it is
   // damaged or belongs to another policy or method.

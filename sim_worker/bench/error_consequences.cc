@@ -1,5 +1,5 @@
 // What the error laws do at 2 ms sub-steps, as a Markdown table: the figures of
-// sim_worker/README.md.
+// docs/results/literal-laws.md.
 #include <cmath>
 #include <cstdio>
 #include <string>

@@ -1,6 +1,6 @@
 // Random episodes under every scenario on the embedded suites' scenes: is every state finite, does
 // MuJoCo warn, do the error laws keep their bounds, how fast does the arm get? Prints the table of
-// common/joint_errors/README.md; exits with 1 if anything is violated.
+// docs/results/joint-error-stability.md; exits with 1 if anything is violated.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>

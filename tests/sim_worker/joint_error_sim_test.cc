@@ -302,7 +302,7 @@ TEST(JointErrorsInSim, FastSteppingStaysWithinAMillimetreOfThePapersOrder) {
   EXPECT_LT(SteppingDifference("clean"), 1e-9);
   EXPECT_LT(SteppingDifference("isolated_gravity"), 1e-9);
   // With them, the fast order takes mass matrix and bias from before the offset's change (at most
-  // 7e-5 rad a sub-step), which moves the tool by up to 0.5 mm in 10 s (README); the free backlash
+  // 7e-5 rad a sub-step), which moves the tool by up to 0.5 mm in 10 s; the free backlash
   // gap amplifies rounding.
   for (const char* name : {"nominal", "aged_transmission", "aged_joint_uniform"}) {
     EXPECT_LT(SteppingDifference(name), 1e-3) << name;

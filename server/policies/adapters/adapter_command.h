@@ -9,7 +9,7 @@ class App;
 namespace robostress {
 
 // robostress policy adapter SUBCOMMAND: shows, exports, imports and merges adapter files (those
-// that a session exports, adapter/README.md).
+// that a session exports, docs/adapter-files.md).
 class AdapterCommand {
  public:
   explicit AdapterCommand(CLI::App& app);  // adds itself

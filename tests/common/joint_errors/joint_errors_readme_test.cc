@@ -1,4 +1,4 @@
-// The tables of common/joint_errors/README.md are what `robostress scenarios --markdown` prints.
+// The tables of docs/results/scenario-parameters.md are what `robostress scenarios --markdown` prints.
 #include <gtest/gtest.h>
 
 #include <cstdio>
@@ -22,14 +22,14 @@ std::string OutputOf(const std::string& command) {
 TEST(JointErrorReadme, ItsTablesAreWhatTheProgramPrints) {
   const std::string begin = "<!-- robostress scenarios --markdown -->\n", end = "<!-- end -->";
   const absl::StatusOr<std::string> readme =
-      ReadFile(ROBOSTRESS_SOURCE_DIR "/common/joint_errors/README.md");
+      ReadFile(ROBOSTRESS_SOURCE_DIR "/docs/results/scenario-parameters.md");
   ASSERT_TRUE(readme.ok()) << readme.status();
   const size_t from = readme->find(begin), to = readme->find(end, from);
   ASSERT_NE(from, std::string::npos);
   ASSERT_NE(to, std::string::npos);
   EXPECT_EQ(readme->substr(from + begin.size(), to - from - begin.size()),
             OutputOf(BIN_DIR "/robostress-scenarios --markdown"))
-      << "write the program's output between the two marks of the README";
+      << "write the program's output between the two marks of that page";
 }
 
 }  // namespace

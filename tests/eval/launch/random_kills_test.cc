@@ -1,4 +1,5 @@
-// A short version of grid_kills with stand-ins; the long one is run by hand (eval/README.md).
+// A short version of grid_kills with stand-ins; the long one is run by hand
+// (docs/results/sweeps-at-scale.md).
 
 #include "tests/eval/launch/random_kills.h"
 

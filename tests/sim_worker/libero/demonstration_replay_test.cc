@@ -64,8 +64,9 @@ Differences ReplayAgainst(const Reference& reference, const UnitConfig& unit) {
   if (!std::filesystem::exists(OracleFile(reference))) \
   GTEST_SKIP() << OracleFile(reference) << " is absent"
 
-// Tasks of each suite in which nothing bifurcates; the README has all 24. libero_object 2 needs the
-// bounds of visual meshes, which double contacts with the floor (visual_bounds.h).
+// Tasks of each suite in which nothing bifurcates; docs/results/libero-parity.md has all 24.
+// libero_object 2 needs the bounds of visual meshes, which double contacts with the floor
+// (visual_bounds.h).
 TEST(ReplayTest, ParityFollowsTheOriginals) {
   for (const Reference& reference : {Reference{"libero_goal", 0},
                                      {"libero_object", 2},
