@@ -38,7 +38,7 @@ constexpr char kExamples[] = R"(Examples:
 
 The client starts in IDLE and moves nothing. Type `enable`, then `start`; Enter or Ctrl-C brakes and
 holds, Ctrl-C again is the damped stop. docs/drive-an-arm.md is the first day step by step,
-robot_client/README.md says what each stop does: read them first.
+docs/results/arm-safety.md says what each stop does: read them first.
 
 Exit codes: 0 the run was recorded whole; 1 it failed on the way; 2 bad input or nothing to connect to.
 )";

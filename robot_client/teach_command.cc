@@ -37,7 +37,7 @@ constexpr char kExamples[] = R"(Examples:
     --instruction "open the top drawer"
 
 --out gets lerobot/, shards/ and libero/, and goes on where it was; runs/NNN in it holds every tick.
-Then: robostress train --data data/drawer/shards ... (robot_client/demonstration/README.md).
+Then: robostress train --data data/drawer/shards ... (docs/teach-and-record.md).
 
 Exit codes: 0 the run ended well; 1 it failed on the way; 2 bad input or nothing to connect to.
 )";

@@ -19,7 +19,7 @@ constexpr char kFooter[] =
     "Gaussian action noise with it on\nother layouts. The measured side is simulated (a true mass "
     "in the gripper) unless --measured names a folder\nwith replays.csv: "
     "t,x,y,z,held,loaded,replay "
-    "(calibration/README.md).\n\nExamples\n"
+    "(docs/results/calibration-fidelity.md).\n\nExamples\n"
     "  robostress fidelity --out runs/fidelity\n"
     "  robostress fidelity --out runs/fidelity --measured lab/piper_bowl\n\n"
     "Exit code: 0 done; 1 input is refused or a replay fails; 2 the command is wrong.\n";

@@ -26,7 +26,7 @@ struct FirmwareOptions {
 };
 
 // The main controller and the joints' drivers of a Piper: frames in, motor torques and frames out.
-// What is public of the arm's behaviour is followed (see README.md beside this file for the
+// What is public of the arm's behaviour is followed (docs/results/arm-emulator.md has the
 // sources); what is not is marked there as assumed. Holds no MuJoCo and no clock: time is counted
 // in steps of PiperPlant::kStep_s.
 class ArmFirmware {

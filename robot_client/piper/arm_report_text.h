@@ -15,7 +15,7 @@ std::string ReportPage(const ArmReport& report, const std::vector<Finding>& find
 std::string ReportLine(const ArmReport& report, const std::vector<Finding>& findings);
 
 // One line of JSON, schema "robostress.arm_report.v1"; every key is always there, null where the
-// arm has not said it. README.md beside this file documents the keys.
+// arm has not said it. docs/results/arm-monitor.md documents the keys.
 std::string ReportJson(const ArmReport& report, const std::vector<Finding>& findings);
 
 }  // namespace robostress::piper

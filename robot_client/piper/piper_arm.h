@@ -22,7 +22,7 @@ struct PiperArmOptions {
   int speed_percent = 100;
   // The same while it is enabled: an arm that lies beyond its limits is led back slowly.
   int enable_percent = 5;
-  Follow follow = Follow::kPlanned;  // kDirect is faster and weaker; see robot_client/README.md
+  Follow follow = Follow::kPlanned;  // kDirect is faster and weaker
   double limit_margin = 0.005;       // [rad] between limits() and what the arm allows
   Firmware oldest_firmware = kOldestFirmware;
   int64_t max_skew_ns = 3'000'000;    // between the frames of a joint sample

@@ -1,5 +1,5 @@
 // What an arm in software does under the client's guards, in simulated time: the figures of the
-// safety table in robot_client/README.md.
+// tables in docs/results/arm-safety.md.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -106,6 +106,13 @@ def readable(lines):
     return text
 
 
+def shortened(lines):
+    """A page of the monitor without its limits and rates."""
+    gripper = next(i for i, line in enumerate(lines) if line.startswith("gripper "))
+    warning = next(i for i, line in enumerate(lines) if line.startswith("WARNING "))
+    return lines[:gripper + 1] + ["..."] + lines[warning:]
+
+
 class Day:
     def __init__(self, build, out):
         self.out, self.steps, self.server = out, {}, None
@@ -157,7 +164,7 @@ def look(day):
                  "15 of 15 answered", "^J6 ", "WARNING .*collision protection is off",
                  "well: nothing is wrong"):
         program.wait_for(line)
-    return program.end()
+    return shortened(program.end())
 
 
 def moves(day):

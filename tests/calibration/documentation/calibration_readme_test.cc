@@ -11,27 +11,27 @@ namespace {
 
 using ::testing::HasSubstr;
 
-std::string Readme() {
-  return ReadFile(std::string(ROBOSTRESS_SOURCE_DIR) + "/calibration/README.md").value();
+std::string Page(const std::string& path) {
+  return ReadFile(std::string(ROBOSTRESS_SOURCE_DIR) + "/docs/" + path).value();
 }
 
-TEST(CalibrationReadme, HoldsTheEffectLibraryAsItIs) {
+TEST(CalibrationPages, HoldTheEffectLibraryAsItIs) {
   const std::string begin = "<!-- robostress calibrate --effects -->\n";
-  const std::string readme = Readme();
-  const size_t start = readme.find(begin);
+  const std::string page = Page("results/calibration-effects.md");
+  const size_t start = page.find(begin);
   ASSERT_NE(start, std::string::npos);
-  const size_t end = readme.find("\n\n", start);
-  EXPECT_EQ(readme.substr(start + begin.size(), end + 1 - start - begin.size()),
+  const size_t end = page.find("\n\n", start);
+  EXPECT_EQ(page.substr(start + begin.size(), end + 1 - start - begin.size()),
             EffectTableMarkdown())
-      << "put the output of `robostress calibrate --effects` into calibration/README.md";
+      << "put the output of `robostress calibrate --effects` between the page's mark and its text";
 }
 
-TEST(CalibrationReadme, ExplainsEveryVerdict) {
-  const std::string readme = Readme();
+TEST(CalibrationPages, ExplainEveryVerdict) {
+  const std::string page = Page("calibrate-my-arm.md");
   for (const Verdict verdict :
        {Verdict::kAttributed, Verdict::kAmbiguous, Verdict::kReducedNotAttributed,
         Verdict::kUnattributed, Verdict::kDeclaredSufficient, Verdict::kNotTestable}) {
-    EXPECT_THAT(readme, HasSubstr(std::string("\n| `") + VerdictName(verdict) + "` |"));
+    EXPECT_THAT(page, HasSubstr(std::string("\n| `") + VerdictName(verdict) + "` |"));
   }
 }
 
