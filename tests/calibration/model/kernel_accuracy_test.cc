@@ -80,6 +80,33 @@ TEST(KernelAccuracy, AModelThatRunsAwayStaysANumber) {
   for (const double q : joint.Predict()) EXPECT_TRUE(std::isfinite(q));
 }
 
+// Far from its target a servo gives its limit, and the joint what that accelerates it by.
+TEST(KernelAccuracy, AServoGivesNoMoreThanItsLimit) {
+  Coasting joint(1e-3);
+  joint.log.joints[0].command.assign(joint.log.rows, 1e3);
+  joint.model.input = JointInput::kPositionTarget;
+  joint.model.servo.kp = 50;
+  joint.model.servo.torque_limit = 2;
+  const std::vector<double> q = joint.Predict();
+  const double t = (joint.log.rows - 1) * joint.log.dt;
+  EXPECT_NEAR(q.back(), 0.5 * (2 / 0.1) * t * t, 1e-3);
+}
+
+// At full voltage V a motor ends at the speed whose back EMF is V: dq = V / kt (1 - e^-rt),
+// r = kt^2 / (R M).
+TEST(KernelAccuracy, AMotorAtFullVoltageEndsAtItsNoLoadSpeed) {
+  Coasting joint(1e-3);
+  joint.log.joints[0].command.assign(joint.log.rows, 1e3);
+  joint.model.input = JointInput::kPositionTarget;
+  Servo& servo = joint.model.servo;
+  servo.type = Servo::Type::kDcMotor;
+  servo.kp = 100, servo.vin = 12, servo.kt = 1.5, servo.R = 2;
+  const std::vector<double> q = joint.Predict();
+  const double t = (joint.log.rows - 1) * joint.log.dt;
+  const double r = servo.kt * servo.kt / (servo.R * 0.1);
+  EXPECT_NEAR(q.back(), servo.vin / servo.kt * (t - (1 - std::exp(-r * t)) / r), 1e-3);
+}
+
 TEST(KernelAccuracy, ADriveThatIsOffGivesNothing) {
   Coasting joint(1e-3);
   joint.log.joints[0].enable.assign(joint.log.rows, 1.0);

@@ -171,6 +171,14 @@ TEST_F(UnitRunnerTest, ResidualOfARobotThatFollowsThirtyPercentIsSeventyPercent)
     // The point follows 0.3 of the translation and none of the rotation.
     EXPECT_GT(row["residual"], 0.7);
     EXPECT_LT(row["residual"], 1.0);
+    for (const auto& [ratio, above, below] :
+         {std::tuple{"residual", "eta_sq", "a_sq"},
+          std::tuple{"residual_tracking", "tracking_eta_sq", "a_sq"},
+          std::tuple{"intent", "intent_eta_sq", "intent_a_sq"},
+          std::tuple{"intent_tracking", "intent_tracking_eta_sq", "intent_a_sq"}}) {
+      const double squared = row[above].get<double>() / row[below].get<double>();
+      EXPECT_NEAR(row[ratio].get<double>(), std::sqrt(squared), 1e-9) << ratio;
+    }
   }
 }
 
