@@ -18,7 +18,7 @@
 namespace robostress {
 namespace {
 
-constexpr std::string_view kMethod = "method.", kPreset = "method.method=";
+constexpr std::string_view kMethod = "method.", kPreset = "method.method=", kSection = "method=";
 
 absl::Status CheckRange(const char* key, int64_t value, int64_t low, int64_t high,
                         const char* hint) {
@@ -44,6 +44,10 @@ absl::Status CheckScenario(const UnitConfig& unit, const RobotInfo& robot) {
 
 // A method section: the preset that it names, base unless it does, and its other keys over that.
 absl::StatusOr<MethodOptions> ReadSection(const std::string& source, YAML::Node section) {
+  if (!section.IsMap()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        source, ": method must be a section such as {method: ours}; a preset is method.method"));
+  }
   const YAML::Node name = std::as_const(section)["method"];
   if (name.IsDefined() && name.IsNull()) {
     return absl::InvalidArgumentError(absl::StrCat(
@@ -59,7 +63,7 @@ absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string
                                     const std::vector<std::string>& overrides) {
   RS_ASSIGN_OR_RETURN(UnitConfig unit, ParseConfig<UnitConfig>(source, yaml));
   const YAML::Node root = YAML::Load(yaml);  // parsed once already
-  if (root.IsMap() && root["method"].IsDefined() && root["method"].IsMap()) {
+  if (root.IsMap() && root["method"].IsDefined()) {
     RS_ASSIGN_OR_RETURN(unit.method, ReadSection(source, root["method"]));
   }
   // "method.method=ours" selects the preset before the other overrides change it.
@@ -67,6 +71,10 @@ absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string
   for (const std::string& assignment : overrides) {
     if (assignment.starts_with(kPreset)) {
       RS_ASSIGN_OR_RETURN(unit.method, MakeMethod(assignment.substr(kPreset.size())));
+    } else if (assignment.starts_with(kSection)) {
+      RS_ASSIGN_OR_RETURN(const YAML::Node tree, config_internal::OverrideTree(assignment));
+      RS_ASSIGN_OR_RETURN(unit.method,
+                          ReadSection(absl::StrCat("override '", assignment, "'"), tree["method"]));
     } else if (assignment.starts_with(kMethod)) {
       of_method.push_back(assignment.substr(kMethod.size()));
     } else {

@@ -204,6 +204,7 @@ TEST(Session, MaskedStepsKeepThePredictionItselfAndTheRestOfTheChunkIsLearned) {
     ExecutedChunk masked = whole;
     masked.masked = {false, true, true, false, false};
     masked.steps[2].before.tool.p_base_tool.array() += 1.0;  // seen by masked steps alone
+    masked.steps[1].policy_command.array() += 0.1f;
     client.Send(masked);
     const torch::Tensor target = StateOf(rig, client.session()).buffer[0]->target;
     const torch::Tensor raw = rig.policy->ToModel(prediction.policy_actions, {});

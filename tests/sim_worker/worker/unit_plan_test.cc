@@ -182,6 +182,20 @@ TEST(UnitPlanTest, StatesGoOnFromTaskToTaskWhereTheSuiteSaysSo) {
               HasSubstr("robot 'piper' carries where its arm stands"));
 }
 
+TEST(ReadUnit, AMethodSectionBeginsWithItsPresetInAFileAndInAnOverride) {
+  const std::string wanted = DumpConfig(*MakeMethod("ours", {"rank=4"}));
+  for (const auto& unit :
+       {ReadUnit("unit.yaml", "method: {method: ours, rank: 4}"),
+        ReadUnit("", "", {"method={method: ours, rank: 4}"}),
+        ReadUnit("", "", {"method={method: ours}", "method.rank=4"}),
+        ReadUnit("unit.yaml", "method: {method: gain}", {"method={method: ours, rank: 4}"})}) {
+    ASSERT_TRUE(unit.ok()) << unit.status();
+    EXPECT_EQ(DumpConfig(*unit->method), wanted);
+  }
+  EXPECT_THAT(std::string(ReadUnit("", "", {"method=ours"}).status().message()),
+              testing::HasSubstr("override 'method=ours': method must be a section"));
+}
+
 TEST(ReadUnit, TheMethodNullIsNotTakenForNoMethod) {
   const auto quoted = ReadUnit("unit.yaml", "method: {method: \"null\"}");
   ASSERT_TRUE(quoted.ok()) << quoted.status();
