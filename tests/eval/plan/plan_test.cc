@@ -54,6 +54,12 @@ TEST(Plan, QuickIsCleanAndSevenScenariosWithTwoMethods) {
   }
 }
 
+TEST(Plan, EveryUnitBeginsAtTheGridsFirstInitialState) {
+  SweepGrid grid = QuickGrid();
+  grid.first_initial_state = 40;  // the dev split
+  for (const PlannedUnit& unit : Plan(grid)) EXPECT_EQ(unit.config.first_initial_state, 40);
+}
+
 TEST(Plan, FullIsFourSuitesTenTasksTwentyEpisodes) {
   const std::vector<PlannedUnit> units = Plan(FullGrid());
   EXPECT_EQ(units.size(), 4u * 8 * 2);
@@ -118,7 +124,7 @@ TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
   grid.scenarios = {"heavy_load"};
   grid.methods = {"our"};
   grid.policies = {"pi0", "nano-piper"};
-  grid.severities = {6};
+  grid.severities = {0, 6};
   grid.tasks = {11};
   grid.overrides = {"sim.frixion=1", "learning_rate=1", "method.method=gain"};
   const absl::Status status = ResolveGrid(grid).status();
@@ -128,8 +134,8 @@ TEST(Plan, EverythingUnknownIsListedAtOnceWithTheKnownNames) {
       AllOf(HasSubstr("'tabletop_gaol'"), HasSubstr("tabletop_long"), HasSubstr("'heavy_load'"),
             HasSubstr("aged_joint_elbow"), HasSubstr("'our'"), HasSubstr("no_anchor"),
             HasSubstr("'pi0'"), HasSubstr("'nano-piper' moves a Piper's joints"),
-            HasSubstr("severity 6"), HasSubstr("task 11"), HasSubstr("frixion"),
-            HasSubstr("override of method.method"),
+            HasSubstr("severity 0"), HasSubstr("severity 6"), HasSubstr("task 11"),
+            HasSubstr("frixion"), HasSubstr("override of method.method"),
             HasSubstr("'learning_rate=1' must be sim.KEY=VALUE")));
 }
 

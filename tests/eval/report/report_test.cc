@@ -1,9 +1,11 @@
 #include "eval/report/report.h"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <limits>
 
+#include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "common/svg_plot.h"
 #include "eval/report/report_page.h"
@@ -168,6 +170,34 @@ TEST(TableCsv, HasOneWidth) {
     EXPECT_EQ(commas, columns) << csv.substr(start, end - start);
     start = end + 1;
   }
+}
+
+TEST(TableCsv, EachPValueStandsInItsColumn) {
+  Summary summary = Summarise(SmallRun(), 100);
+  int written = 0;
+  for (ScenarioRow& row : summary.tables[0].rows) {
+    auto& base = row.cells.at("ours").contrasts.versus_base;
+    if (!base) continue;
+    base->p_value = 0.01, base->p_holm = 0.07, base->mcnemar_p = 0.02;
+    ++written;
+  }
+  ASSERT_GT(written, 0);
+  const std::vector<std::string> lines = absl::StrSplit(TableCsv(summary), '\n');
+  const std::vector<std::string> names = absl::StrSplit(lines[0], ',');
+  const auto cell = [&](const std::vector<std::string>& cells, const char* name) {
+    return cells[static_cast<size_t>(std::find(names.begin(), names.end(), name) - names.begin())];
+  };
+  for (const std::string& line : lines) {
+    const std::vector<std::string> cells = absl::StrSplit(line, ',');
+    if (cells.size() < names.size() || cell(cells, "method") != "ours" ||
+        cell(cells, "scenario") == "average_without_clean")
+      continue;
+    EXPECT_EQ(cell(cells, "p_value"), "0.01");
+    EXPECT_EQ(cell(cells, "p_holm"), "0.07");
+    EXPECT_EQ(cell(cells, "mcnemar_p"), "0.02");
+    --written;
+  }
+  EXPECT_EQ(written, 0);
 }
 
 TEST(NiceTicks, StayInsideAndAreRound) {

@@ -59,6 +59,17 @@ TEST(Outcomes, ComeBackAsTheyWere) {
   EXPECT_FALSE(ours.episodes[3].residual.has_value());
 }
 
+TEST(Outcomes, EpisodesAreOfTheInitialStatesThatTheirUnitBeganAt) {
+  RunData run = Finished();
+  run.units.resize(1);
+  run.units[0].config.first_initial_state = 40;
+  const auto read = ReadOutcomes({Written("dev.jsonl", *OutcomesText(run))});
+  ASSERT_TRUE(read.ok()) << read.status();
+  const std::vector<EpisodeRow>& episodes = read->run.units[0].episodes;
+  ASSERT_EQ(episodes.size(), 4u);
+  for (int i = 0; i < 4; ++i) EXPECT_EQ(episodes[static_cast<size_t>(i)].initial_state, 40 + i);
+}
+
 TEST(Outcomes, AUnitInTwoFilesCountsOnceAndOrderDoesNotMatter) {
   RunData first = Finished(), second = Finished();
   first.units.pop_back();

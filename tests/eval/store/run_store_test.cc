@@ -3,16 +3,20 @@
 #include <filesystem>
 
 #include "adapter/method_options.h"
+#include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "eval/plan/plan.h"
+#include "eval/store/work_list.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "nlohmann/json.hpp"
 #include "tests/eval/synthetic_run.h"
 
 namespace robostress {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 constexpr char kLine[] =
@@ -52,6 +56,42 @@ TEST(LoadRun, RefusesAFinishedUnitThatContradictsItsConfiguration) {
               HasSubstr("has 1 episodes, its configuration says 2"));
   WriteUnit(run, 0, 2, std::string(kLine) + "\n" + kLine + "\n", true);
   EXPECT_THAT(std::string(LoadRun(run).status().message()), HasSubstr("recorded twice"));
+}
+
+TEST(LoadRun, RefusesARecordThatIsNotTheOneThatWasFinished) {
+  const std::string run = TestFolder(), record = std::string(kLine) + "\n";
+  const std::string done = run + "/units/" + WriteUnit(run, 0, 1, record, true) + "/DONE";
+  const auto stamped = [](const std::string& sum) {
+    return nlohmann::json{{"episodes_sha256", sum}}.dump();
+  };
+  ASSERT_TRUE(WriteFileAtomically(done, stamped(Sha256Hex(record))).ok());
+  EXPECT_TRUE(LoadRun(run).ok()) << LoadRun(run).status();
+  ASSERT_TRUE(WriteFileAtomically(done, stamped(Sha256Hex("another record\n"))).ok());
+  const absl::Status refused = LoadRun(run).status();
+  EXPECT_EQ(refused.code(), absl::StatusCode::kDataLoss);
+  EXPECT_THAT(std::string(refused.message()), HasSubstr(Sha256Hex(record).substr(0, 12)));
+}
+
+TEST(LoadRun, RefusesOnePolicyWithTwoWeights) {
+  const std::string run = TestFolder();
+  for (const auto& [seed, hash] : {std::pair{0, "0123456789ab"}, std::pair{1, "fedcba987654"}}) {
+    const std::string id = WriteUnit(run, seed, 1, std::string(kLine) + "\n", true);
+    ASSERT_TRUE(WriteFileAtomically(run + "/units/" + id + "/provenance.json",
+                                    nlohmann::json{{"model_hash", hash}}.dump())
+                    .ok());
+  }
+  EXPECT_THAT(std::string(LoadRun(run).status().message()),
+              AllOf(HasSubstr("has weights 0123456789ab"), HasSubstr("fedcba987654")));
+}
+
+TEST(WorkList, OnlyEpisodesThatCarryNothingOverAreDivided) {
+  for (const auto& [method, divided] :
+       {std::pair{"base", true}, std::pair{"gain", true}, std::pair{"ours", false},
+        std::pair{"ours_integral", false}, std::pair{"ours_following", false}}) {
+    PlannedUnit unit;
+    unit.config.method = *MakeMethod(method);
+    EXPECT_EQ(MaySplit(unit), divided) << method;
+  }
 }
 
 TEST(LoadRun, RefusesAUnitUnderAnotherName) {
