@@ -18,20 +18,19 @@ ELSEWHERE = re.compile(r"^[a-z][a-z0-9+.-]*:")
 
 
 def pages(root):
-    """What git knows or would add; every .md where there is no git."""
-    command = ["git", "ls-files", "-co", "--exclude-standard", "*.md"]
-    try:
+    """What git knows or would add; every .md of a folder that is no checkout."""
+    if os.path.exists(os.path.join(root, ".git")):
+        command = ["git", "ls-files", "-co", "--exclude-standard", "*.md"]
         listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
         return sorted(name for name in set(listed.stdout.split("\n"))
                       if name and os.path.exists(os.path.join(root, name)))
-    except (subprocess.CalledProcessError, FileNotFoundError):
-        found = []
-        for folder, folders, names in os.walk(root):
-            folders[:] = [name for name in folders
-                          if not name.startswith(".") and name not in ("build", "runs")]
-            found += [os.path.relpath(os.path.join(folder, name), root)
-                      for name in names if name.endswith(".md")]
-        return sorted(found)
+    found = []
+    for folder, folders, names in os.walk(root):
+        folders[:] = [name for name in folders
+                      if not name.startswith(".") and name not in ("build", "runs")]
+        found += [os.path.relpath(os.path.join(folder, name), root)
+                  for name in names if name.endswith(".md")]
+    return sorted(found)
 
 
 def text_of(path):
