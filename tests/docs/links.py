@@ -19,11 +19,14 @@ ELSEWHERE = re.compile(r"^[a-z][a-z0-9+.-]*:")
 
 def pages(root):
     """What git knows or would add; every .md of a folder that is no checkout."""
-    if os.path.exists(os.path.join(root, ".git")):
-        command = ["git", "ls-files", "-co", "--exclude-standard", "*.md"]
-        listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
-        return sorted(name for name in set(listed.stdout.split("\n"))
-                      if name and os.path.exists(os.path.join(root, name)))
+    command = ["git", "ls-files", "-co", "--exclude-standard", "*.md"]
+    try:
+        if os.path.exists(os.path.join(root, ".git")):
+            listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+            return sorted(name for name in set(listed.stdout.split("\n"))
+                          if name and os.path.exists(os.path.join(root, name)))
+    except (subprocess.CalledProcessError, FileNotFoundError):
+        pass  # no git here, or it does not trust the folder
     found = []
     for folder, folders, names in os.walk(root):
         folders[:] = [name for name in folders
