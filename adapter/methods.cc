@@ -19,53 +19,63 @@ constexpr double kRate = 1e-4;  // the paper's target, and its ablations
 
 struct Preset {
   const char* name;
+  const char *title, *color;  // in tables and plots
   void (*apply)(MethodOptions&);
 };
 
 constexpr Preset kPresets[] = {
-    {"base", [](MethodOptions&) {}},
-    {"ours", [](MethodOptions& m) { m.Add(LoraOptions::At(kRate)); }},
-    {"ours_intent",
+    {"base", "Base", "#6b7280", [](MethodOptions&) {}},
+    {"ours", "Ours", "#0072b2", [](MethodOptions& m) { m.Add(LoraOptions::At(kRate)); }},
+    {"ours_intent", "Ours, target intent", "#d55e00",
      [](MethodOptions& m) {
        m.Add(LoraOptions::At(3e-5));
        m.target = TargetReference::kIntent;
        m.residual_scale = ResidualScale::kTracking;
      }},
-    {"ours_nominal",
+    {"ours_nominal", "Ours, target nominal", "#009e73",
      [](MethodOptions& m) {
        m.Add(LoraOptions::At(3e-4));
        m.target = TargetReference::kNominal;
      }},
-    {"ours_integral", [](MethodOptions& m) { m.Add(IntegralOptions::Tuned()); }},
-    {"ours_following",
+    {"ours_integral", "Ours, integral action", "#111827",
+     [](MethodOptions& m) { m.Add(IntegralOptions::Tuned()); }},
+    {"ours_following", "Ours, model following", "#dc2626",
      [](MethodOptions& m) {
        m.Add(FollowingOptions::Tuned());
        m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
      }},
-    {"gain", [](MethodOptions& m) { m.gain = 1.15; }},
-    {"null", [](MethodOptions& m) { m.noise_stream = "null"; }},
-    {"direct", [](MethodOptions& m) { m.Add(DirectOptions{.direct = true}); }},
-    {"no_residual",
+    {"gain", "Gain control", "#e69f00", [](MethodOptions& m) { m.gain = 1.15; }},
+    {"null", "Null control", "#cc79a7", [](MethodOptions& m) { m.noise_stream = "null"; }},
+    {"direct", "Direct subtraction", "#56b4e9",
+     [](MethodOptions& m) { m.Add(DirectOptions{.direct = true}); }},
+    {"no_residual", "Ours w/o residual", "#8b5cf6",
      [](MethodOptions& m) {
        m.Add(LoraOptions::At(kRate));
        m.Find<LoraOptions>()->use_residual = false;
      }},
-    {"no_anchor",
+    {"no_anchor", "Ours w/o anchor", "#a16207",
      [](MethodOptions& m) {
        m.Add(LoraOptions::At(kRate));
        m.Find<LoraOptions>()->anchor_weight = 0;
      }},
-    {"shuffled_instruction",
+    {"shuffled_instruction", "Shuffled instruction", "#be123c",
      [](MethodOptions& m) { m.observation = ObservationInput::kShuffledInstruction; }},
-    {"blank_images", [](MethodOptions& m) { m.observation = ObservationInput::kBlankImages; }},
-    {"frozen_state", [](MethodOptions& m) { m.observation = ObservationInput::kFrozenState; }},
-    {"dob", [](MethodOptions& m) { m.observer = true; }},
-    {"dob_ours",
+    {"blank_images", "Blank images", "#0f766e",
+     [](MethodOptions& m) { m.observation = ObservationInput::kBlankImages; }},
+    {"frozen_state", "Frozen state", "#4d7c0f",
+     [](MethodOptions& m) { m.observation = ObservationInput::kFrozenState; }},
+    {"dob", "Disturbance observer", "#56b4e9", [](MethodOptions& m) { m.observer = true; }},
+    {"dob_ours", "Observer and ours", "#d55e00",
      [](MethodOptions& m) {
        m.Add(LoraOptions::At(kRate));
        m.observer = true;
      }},
 };
+
+const Preset* FindPreset(const std::string& name) {
+  const Preset* found = absl::c_find_if(kPresets, [&](const Preset& p) { return name == p.name; });
+  return found == std::end(kPresets) ? nullptr : found;
+}
 
 std::string KnownMethods() { return absl::StrJoin(MethodNames(), ", "); }
 
@@ -155,6 +165,16 @@ std::vector<std::string> MethodNames() {
   return names;
 }
 
+std::string MethodTitle(const std::string& name) {
+  const Preset* preset = FindPreset(name);
+  return preset == nullptr ? name : preset->title;
+}
+
+std::string MethodColor(const std::string& name) {
+  const Preset* preset = FindPreset(name);
+  return preset == nullptr ? "#334155" : preset->color;
+}
+
 absl::Status OverrideMethod(const std::vector<std::string>& overrides, MethodOptions& options) {
   YAML::Node given(YAML::NodeType::Map);
   for (const std::string& assignment : overrides) {
@@ -168,18 +188,19 @@ absl::Status OverrideMethod(const std::vector<std::string>& overrides, MethodOpt
 
 absl::StatusOr<MethodOptions> MakeMethod(const std::string& name,
                                          const std::vector<std::string>& overrides) {
-  for (const Preset& preset : kPresets) {
-    if (name != preset.name) continue;
-    MethodOptions options;
-    options.method = name;
-    preset.apply(options);
-    RS_RETURN_IF_ERROR(OverrideMethod(overrides, options));
-    if (options.method == name) return options;
-    return absl::InvalidArgumentError(
-        absl::StrCat("override 'method=", options.method, "' of method '", name,
-                     "': it names another preset without its options; name it as the method"));
+  const Preset* preset = FindPreset(name);
+  if (preset == nullptr) {
+    return absl::NotFoundError(
+        absl::StrCat("unknown method '", name, "'; known: ", KnownMethods()));
   }
-  return absl::NotFoundError(absl::StrCat("unknown method '", name, "'; known: ", KnownMethods()));
+  MethodOptions options;
+  options.method = name;
+  preset->apply(options);
+  RS_RETURN_IF_ERROR(OverrideMethod(overrides, options));
+  if (options.method == name) return options;
+  return absl::InvalidArgumentError(
+      absl::StrCat("override 'method=", options.method, "' of method '", name,
+                   "': it names another preset without its options; name it as the method"));
 }
 
 absl::StatusOr<MethodOptions> MakeMethodOf(const std::vector<std::string>& methods,

@@ -19,6 +19,10 @@ struct MethodOptions;  // adapter/method_options.h
 
 // Names in the order of the tables.
 std::vector<std::string> MethodNames();
+// How tables and plots call and draw a method ("Ours, model following", "#dc2626"); of a name that
+// is none, the name itself and grey.
+std::string MethodTitle(const std::string& name);
+std::string MethodColor(const std::string& name);
 
 // A preset with "key=value" overrides applied, all at once: NOT_FOUND lists the known methods. The
 // preset's name itself is no override: INVALID_ARGUMENT.

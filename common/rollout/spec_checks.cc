@@ -24,21 +24,25 @@ absl::Status CheckMatrixSize(const std::string& field, const Eigen::MatrixXf& ma
   return Invalid(field, " is ", MatrixSize(matrix), ", must be ", rows, " x ", cols);
 }
 
+absl::Status CheckScales(const SessionSetting& spec) {
+  const std::pair<const char*, double> scales[] = {
+      {"spec.control_period_s", spec.control_period_s},
+      {"spec.translation_scale", spec.translation_scale},
+      {"spec.rotation_scale", spec.rotation_scale}};
+  for (const auto& [field, value] : scales) {
+    if (value >= 1e-6 && value <= 100) continue;
+    return Invalid(field, " is ", value, ", must be 1e-6..100");
+  }
+  return absl::OkStatus();
+}
+
 absl::Status CheckSessionSpec(const SessionSetting& spec) {
   RS_RETURN_IF_ERROR(CheckName("spec.robot", spec.robot));
   RS_RETURN_IF_ERROR(CheckName("spec.suite", spec.suite));
   RS_RETURN_IF_ERROR(CheckName("spec.scenario", spec.scenario));
   RS_RETURN_IF_ERROR(CheckName("spec.policy", spec.policy));
   RS_RETURN_IF_ERROR(CheckRange("spec.severity", static_cast<uint64_t>(spec.severity), 1, 5));
-  const std::pair<const char*, double> scales[] = {
-      {"spec.control_period_s", spec.control_period_s},
-      {"spec.translation_scale", spec.translation_scale},
-      {"spec.rotation_scale", spec.rotation_scale}};
-  for (const auto& [field, value] : scales) {
-    if (!(value > 0 && value <= 100))
-      return Invalid(field, " is ", value, ", must be above 0 and at most 100");
-  }
-  return absl::OkStatus();
+  return CheckScales(spec);
 }
 
 absl::Status CheckActionRange(const PolicySpec& spec) {

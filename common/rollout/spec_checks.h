@@ -21,8 +21,11 @@ absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec&
 // Checks an executed chunk: action_dim columns, steps within the predicted chunk.
 absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec);
 
-// Checks a session's names ("spec.robot"), its severity of 1..5 and its scales, above 0 and at most
-// 100. Its method is checked where it is read.
+// What motion is divided by: control period and scales of 1e-6..100. Below, what a robot can do
+// would pass what a number can hold.
+absl::Status CheckScales(const SessionSetting& spec);
+// Checks a session's names ("spec.robot"), its severity of 1..5 and its scales. Its method is
+// checked where it is read.
 absl::Status CheckSessionSpec(const SessionSetting& spec);
 
 // Checks a declared action range: none, or action_dim finite bounds with low <= high.

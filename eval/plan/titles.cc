@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -15,42 +14,6 @@ std::string ScenarioTitle(const std::string& scenario) {
   if (std::string arm = ArmTitle(scenario); !arm.empty()) return arm;
   const absl::StatusOr<Scenario> row = MakeScenario(scenario, 5);
   return row.ok() ? row->title : ScenarioLabel(scenario);
-}
-
-std::string MethodColor(const std::string& method) {
-  static const auto& colors = *new std::map<std::string, std::string>{
-      {"base", "#6b7280"},          {"ours", "#0072b2"},
-      {"ours_intent", "#d55e00"},   {"ours_nominal", "#009e73"},
-      {"ours_integral", "#111827"}, {"ours_following", "#dc2626"},
-      {"gain", "#e69f00"},          {"null", "#cc79a7"},
-      {"direct", "#56b4e9"},        {"no_residual", "#8b5cf6"},
-      {"no_anchor", "#a16207"},     {"shuffled_instruction", "#be123c"},
-      {"blank_images", "#0f766e"},  {"frozen_state", "#4d7c0f"},
-      {"dob", "#56b4e9"},           {"dob_ours", "#d55e00"}};
-  const auto color = colors.find(method);
-  return color == colors.end() ? "#334155" : color->second;
-}
-
-std::string MethodTitle(const std::string& method) {
-  static const auto& titles =
-      *new std::map<std::string, std::string>{{"base", "Base"},
-                                              {"ours", "Ours"},
-                                              {"ours_intent", "Ours, target intent"},
-                                              {"ours_nominal", "Ours, target nominal"},
-                                              {"ours_integral", "Ours, integral action"},
-                                              {"ours_following", "Ours, model following"},
-                                              {"gain", "Gain control"},
-                                              {"null", "Null control"},
-                                              {"direct", "Direct subtraction"},
-                                              {"no_residual", "Ours w/o residual"},
-                                              {"no_anchor", "Ours w/o anchor"},
-                                              {"shuffled_instruction", "Shuffled instruction"},
-                                              {"blank_images", "Blank images"},
-                                              {"frozen_state", "Frozen state"},
-                                              {"dob", "Disturbance observer"},
-                                              {"dob_ours", "Observer and ours"}};
-  const auto title = titles.find(method);
-  return title == titles.end() ? method : title->second;
 }
 
 double PercentagePoints(double fraction) {

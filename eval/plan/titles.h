@@ -4,14 +4,11 @@
 
 namespace robostress {
 
-// How names and numbers of a report are written, equal in tables, plots and pages.
+// How names and numbers of a report are written, equal in tables, plots and pages. Methods:
+// adapter/methods.h.
 
 // "Heavy Payload" for heavy_payload; the name itself when unknown.
 std::string ScenarioTitle(const std::string& scenario);
-// "Base", "Ours", "Ours, target intent", "Gain control" ...
-std::string MethodTitle(const std::string& method);
-// Colour of a method, equal in every plot; other names get a neutral one.
-std::string MethodColor(const std::string& method);
 // A fraction in percentage points without a negative zero.
 double PercentagePoints(double fraction);
 // "12", "not adapted" (an adapting method without an update), or "-" (a method that does not

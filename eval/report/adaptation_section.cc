@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "adapter/methods.h"
 #include "common/svg_plot.h"
 #include "eval/plan/titles.h"
 #include "eval/report/html_numbers.h"

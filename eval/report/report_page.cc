@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/methods.h"
 #include "common/html_page.h"
 #include "common/svg_plot.h"
 #include "eval/plan/titles.h"

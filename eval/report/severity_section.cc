@@ -5,6 +5,7 @@
 #include <set>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/methods.h"
 #include "common/svg_plot.h"
 #include "eval/plan/plan.h"
 #include "eval/plan/titles.h"

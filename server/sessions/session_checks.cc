@@ -11,6 +11,7 @@
 #include "adapter/method_options.h"
 #include "adapter/methods.h"
 #include "common/embedded_policies.h"
+#include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -85,14 +86,7 @@ absl::StatusOr<ControlSpace> ControlSpaceOf(const SessionSpec& spec, const Polic
 
 absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy) {
   RS_RETURN_IF_ERROR(CheckMethod(*spec.method, policy));
-  // Motion is divided by these: below, what a robot can do would pass what a number can hold.
-  const std::pair<const char*, double> scales[] = {{"translation_scale", spec.translation_scale},
-                                                   {"rotation_scale", spec.rotation_scale},
-                                                   {"control_period_s", spec.control_period_s}};
-  for (const auto& [field, value] : scales) {
-    if (value >= 1e-6 && value <= 100) continue;
-    return absl::InvalidArgumentError(absl::StrCat(field, " is ", value, ", must be 1e-6..100"));
-  }
+  RS_RETURN_IF_ERROR(CheckScales(spec));
   if (ActsInJointSpace(spec)) return spec.method->CheckJointSpace(spec.robot);
   return absl::OkStatus();
 }

@@ -54,7 +54,16 @@ TEST(SpecChecks, NameTheFieldOfASessionThatIsWrong) {
   EXPECT_THAT(refusal([](RequestedSession& s) { s.severity = 6; }),
               HasSubstr("spec.severity is 6, must be 1 to 5"));
   EXPECT_THAT(refusal([](RequestedSession& s) { s.rotation_scale = 101; }),
-              HasSubstr("spec.rotation_scale is 101, must be above 0 and at most 100"));
+              HasSubstr("spec.rotation_scale is 101, must be 1e-6..100"));
+  for (double SessionSetting::*scale :
+       {&SessionSetting::control_period_s, &SessionSetting::translation_scale,
+        &SessionSetting::rotation_scale}) {
+    for (const double wrong : {0.0, -1.0, 9e-7, std::nan("")}) {
+      EXPECT_THAT(refusal([&](RequestedSession& s) { s.*scale = wrong; }),
+                  HasSubstr("must be 1e-6..100"))
+          << wrong;
+    }
+  }
 }
 
 }  // namespace

@@ -51,8 +51,9 @@ TEST(Session, ARobotOfJointTargetsIsCorrectedInJointSpace) {
 
 TEST(Session, RefusesScalesByWhichNoMotionCanBeDivided) {
   Rig rig;
-  for (double SessionSpec::*scale : {&SessionSpec::translation_scale, &SessionSpec::rotation_scale,
-                                     &SessionSpec::control_period_s}) {
+  for (double SessionSetting::*scale :
+       {&SessionSetting::translation_scale, &SessionSetting::rotation_scale,
+        &SessionSetting::control_period_s}) {
     for (const double wrong : {0.0, -0.05, 9e-7, 100.5, std::nan(""), HUGE_VAL}) {
       SessionSpec spec = Spec("ours");
       spec.*scale = wrong;
