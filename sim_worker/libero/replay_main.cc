@@ -18,8 +18,10 @@ namespace {
 
 constexpr char kExamples[] = R"(
 FILE.safetensors holds actions [T, 7], init_state [1 + nq + nv] (time, qpos, qvel), reset_qpos [nq] and, for
-the fixtures, body_pos [nbody, 3] and body_quat [nbody, 4]. The file written holds the trajectory and the
-compiled model's arrays (model.*); sim_worker/libero/README.md describes every key.
+the fixtures, body_pos [nbody, 3] and body_quat [nbody, 4]. The file written holds these, the
+trajectory, row 0 before the first command, row t after command t (time, qpos, qvel, ctrl, torque [T+1, 7] in Nm,
+ncon, success, reward, eef_pos, eef_quat as x y z w, gripper_qpos, goal_pos, goal_ori [T+1, 9]; goal_pos0, goal_ori0),
+sub_torque_first10 [min(T, 10), 25, nu], and the compiled model's arrays under MuJoCo's names (model.*).
 
 Examples
   robostress replay --suite libero_goal --task 0 --in recorded.safetensors --out ours.safetensors \
