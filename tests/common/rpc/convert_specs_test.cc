@@ -34,7 +34,7 @@ TEST(ConvertTest, RefusesHostileSessionSpecs) {
         "spec.goal_reference is 9"},
        {[](M& m) { m.set_method_yaml(std::string(1 << 17, ' ')); },
         "spec.method_yaml has 131072 bytes, at most 65536"},
-       {[](M& m) { m.set_control_period_s(0); }, "spec.control_period_s is 0, must be above 0"},
+       {[](M& m) { m.set_control_period_s(0); }, "spec.control_period_s is 0, must be 1e-6..100"},
        {[](M& m) { m.set_translation_scale(kNan); }, "spec.translation_scale is nan"}});
 }
 
