@@ -231,6 +231,7 @@ SweepGrid QuickGrid() {
   grid.tasks = {0, 1};
   grid.episodes = 10;
   grid.videos = 1;
+  grid.methods = {"base", "ours", "ours_following"};
   return grid;
 }
 

@@ -1,7 +1,10 @@
+#include <algorithm>
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "adapter/methods.h"
 #include "eval/plan/titles.h"
 #include "eval/report/paper_values.h"
 #include "eval/report/report.h"
@@ -109,7 +112,39 @@ std::vector<std::vector<std::string>> ResidualRows(const SuccessTable& table) {
   return rows;
 }
 
+std::string PointsText(const Comparison& c) {
+  const Interval& interval = c.difference.interval;
+  if (!std::isfinite(interval.low)) return "one cluster: no interval";
+  const bool chance = interval.low <= 0 && interval.high >= 0;
+  return absl::StrFormat("%+.1f points [%+.1f, %+.1f]%s", PercentagePoints(c.difference.estimate),
+                         PercentagePoints(interval.low), PercentagePoints(interval.high),
+                         chance ? ", which may be chance" : "");
+}
+
 }  // namespace
+
+std::string Conclusion(const SuccessTable& table) {
+  const auto base = table.averages.find("base");
+  if (base == table.averages.end() || !std::isfinite(base->second.success.estimate)) return "";
+  const auto scenarios = std::count_if(table.rows.begin(), table.rows.end(),
+                                       [](const auto& row) { return row.scenario != "clean"; });
+  std::vector<std::string> others;
+  for (const std::string& method : table.methods) {
+    const auto found = table.averages.find(method);
+    if (method == "base" || found == table.averages.end() || !found->second.contrasts.versus_base)
+      continue;
+    const AverageCell& average = found->second;
+    others.push_back(
+        absl::StrCat(MethodTitle(method), " ", Percent(average.success.estimate), " % (",
+                     PointsText(*average.contrasts.versus_base),
+                     average.adapts && average.updates == 0 ? "; it never adapted" : "", ")"));
+  }
+  if (others.empty()) return "";
+  return absl::StrCat("Over ", scenarios, scenarios == 1 ? " scenario" : " scenarios",
+                      " with errors, ", base->second.n, " episodes a method, Base succeeds in ",
+                      Percent(base->second.success.estimate), " %, ", absl::StrJoin(others, ", "),
+                      ".");
+}
 
 std::string TerminalTable(const RunData& run, const Summary& summary) {
   std::string text;
@@ -131,6 +166,9 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
     absl::StrAppend(&text, "  ", run.unfinished.size(),
                     " unfinished units are left out; the same sweep command completes them.\n");
   }
+  if (summary.tables.empty()) return text;
+  if (const std::string came_out = Conclusion(summary.tables.front()); !came_out.empty())
+    absl::StrAppend(&text, "\n", came_out, "\n");
   return text;
 }
 

@@ -44,9 +44,9 @@ TEST(Plan, LiberosFoldersComeFromTheEnvironmentWhereTheyAreNeeded) {
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("LIBERO_ROOT"));
 }
 
-TEST(Plan, QuickIsCleanAndSevenScenariosWithTwoMethods) {
+TEST(Plan, QuickIsCleanAndSevenScenariosWithBaseThePapersFormAndOurBest) {
   const std::vector<PlannedUnit> units = Plan(QuickGrid());
-  EXPECT_EQ(units.size(), 16u);
+  EXPECT_EQ(units.size(), 24u);
   EXPECT_EQ(units.front().id, "tabletop_object-clean-L5-nano-base-s0");
   for (const PlannedUnit& unit : units) {
     EXPECT_GE(unit.config.episodes, 10) << "a method that never fills its buffer never adapts";

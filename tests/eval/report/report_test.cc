@@ -52,6 +52,17 @@ TEST(TerminalTable, ShowsRatesDifferencesUpdatesAndTheOneThatDidNotAdapt) {
   EXPECT_THAT(text, HasSubstr("Average without Clean"));
 }
 
+TEST(Conclusion, SaysInOneSentenceWhatEachMethodIsWorth) {
+  const RunData run = SmallRun();
+  const Summary summary = Summarise(run, 100);
+  const std::string text = Conclusion(summary.tables[0]);
+  EXPECT_THAT(text, ::testing::StartsWith("Over 1 scenario with errors, 4 episodes a method, Base "
+                                          "succeeds in 25.0 %, Ours 50.0 % (+25.0 points ["));
+  EXPECT_THAT(text, HasSubstr("which may be chance)."));
+  EXPECT_THAT(TerminalTable(run, summary), ::testing::EndsWith(text + "\n"));
+  EXPECT_EQ(Conclusion({}), "");
+}
+
 TEST(ReportPage, RefersToNothingOutsideItself) {
   const RunData run = SmallRun();
   const std::string page = ReportPage(run, Summarise(run, 100), {});
