@@ -5,6 +5,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "adapter/methods.h"
+#include "common/unit/robots.h"
 #include "eval/plan/titles.h"
 #include "eval/report/paper_values.h"
 #include "eval/report/report.h"
@@ -140,10 +141,11 @@ std::string Conclusion(const SuccessTable& table) {
                      average.adapts && average.updates == 0 ? "; it never adapted" : "", ")"));
   }
   if (others.empty()) return "";
-  return absl::StrCat("Over ", scenarios, scenarios == 1 ? " scenario" : " scenarios",
-                      " with errors, ", base->second.n, " episodes a method, Base succeeds in ",
-                      Percent(base->second.success.estimate), " %, ", absl::StrJoin(others, ", "),
-                      ".");
+  const bool arms = !ArmTitle(table.rows.front().scenario).empty();
+  return absl::StrCat(
+      "Over ", scenarios, arms ? " arm" : " scenario", scenarios == 1 ? "" : "s",
+      arms ? ", " : " with errors, ", base->second.n, " episodes a method, Base succeeds in ",
+      Percent(base->second.success.estimate), " %, ", absl::StrJoin(others, ", "), ".");
 }
 
 std::string TerminalTable(const RunData& run, const Summary& summary) {
