@@ -15,9 +15,9 @@ enum class GoalReference { kAchieved, kDesired };
 enum class Stepping { kFast, kReference, kParity };
 enum class Switch { kAuto, kOn, kOff };
 
-// Behaviours of robosuite 1.4.0 and LIBERO that a clean implementation would not have; trajectories equal
-// theirs only with all of them (docs/results/stepping-and-controller.md). The fifth, the forward passes of a
-// sub-step and what they leave as the solver's warm start, is stepping: parity.
+// Behaviours of robosuite 1.4.0 and LIBERO that a clean implementation would not have; trajectories
+// equal theirs only with all of them (docs/results/stepping-and-controller.md). The fifth, the
+// forward passes of a sub-step and what they leave as the solver's warm start, is stepping: parity.
 struct RobosuiteOptions {
   bool stale_reset_pose = true;
   bool home_goal = true;
@@ -27,16 +27,20 @@ struct RobosuiteOptions {
   template <class V>
   void Visit(V& v) {
     const auto add = [&v](const char* name, Switch& field, const char* help) {
-      v.Choice(name, field, {{"auto", Switch::kAuto}, {"on", Switch::kOn}, {"off", Switch::kOff}}, help);
+      v.Choice(name, field, {{"auto", Switch::kAuto}, {"on", Switch::kOn}, {"off", Switch::kOff}},
+               help);
     };
     v.Field("stale_reset_pose", stale_reset_pose,
-            "the first sub-step and the first goal act on pose, Jacobian and masses of the home posture");
+            "the first sub-step and the first goal act on pose, Jacobian and masses of the home "
+            "posture");
     v.Field("home_goal", home_goal,
-            "the orientation's goal and the null-space posture are those of home, not of the initial state");
+            "the orientation's goal and the null-space posture are those of home, not of the "
+            "initial state");
     add("single_precision_rotation", single_precision_rotation,
         "a commanded rotation becomes a matrix in single precision; auto: on with stepping parity");
     add("late_observation", late_observation,
-        "measurements and views are of sub-step 24 of 25, poses from its start; auto: on with stepping parity");
+        "measurements and views are of sub-step 24 of 25, poses from its start; auto: on with "
+        "stepping parity");
   }
 };
 
@@ -53,12 +57,16 @@ struct SimOptions {
 
   template <class V>
   void Visit(V& v) {
-    v.Choice("goal_reference", goal_reference,
-             {{"achieved", GoalReference::kAchieved}, {"desired", GoalReference::kDesired}},
-             "goal of the delta command: achieved pose + delta (robosuite) or previous goal + delta");
+    v.Choice(
+        "goal_reference", goal_reference,
+        {{"achieved", GoalReference::kAchieved}, {"desired", GoalReference::kDesired}},
+        "goal of the delta command: achieved pose + delta (robosuite) or previous goal + delta");
     v.Choice("stepping", stepping,
-             {{"fast", Stepping::kFast}, {"reference", Stepping::kReference}, {"parity", Stepping::kParity}},
-             "fast: one forward per sub-step; reference: the paper's order with a forward after the offset; "
+             {{"fast", Stepping::kFast},
+              {"reference", Stepping::kReference},
+              {"parity", Stepping::kParity}},
+             "fast: one forward per sub-step; reference: the paper's order with a forward after "
+             "the offset; "
              "parity: robosuite's three forwards");
     v.Field("settle_steps", settle_steps, "control steps with a zero command before the episode");
     v.Section("joint_errors", joint_errors, "discretisation of the error laws");
@@ -75,11 +83,12 @@ struct SimOptions {
 struct ClientOptions {
   double episode_s = 15;  // of RUN until an episode has failed [s]
   int latency_ticks = 0;  // control steps from an observation to its chunk
-  // [rad] steps that limiter or cross-fade moved by more are masked in feedback. The paper's client had no
-  // limiter, and ours allows what the arm's own planner does; a real arm's bound is tighter.
+  // [rad] steps that limiter or cross-fade moved by more are masked in feedback. The paper's client
+  // had no limiter, and ours allows what the arm's own planner does; a real arm's bound is tighter.
   double moved_bound = 0.1;
-  bool real_time = false;  // the programs of a real arm as processes over UDP, one second for a second
-  int udp_port = 43120;    // of the emulated arm's bus in real time; decides nothing
+  // The programs of a real arm as processes over UDP, one second for a second.
+  bool real_time = false;
+  int udp_port = 43120;  // of the emulated arm's bus in real time; decides nothing
 
   template <class V>
   void Visit(V& v) {
@@ -97,14 +106,14 @@ struct ClientOptions {
 struct UnitConfig {
   std::string suite = "tabletop_spatial";
   std::string scenario = "clean";
-  int severity = 5;                    // level 1..5
-  std::string policy = "nano";         // nano, expert, replay, or another model the server holds
-  int64_t seed = 0;                    // sampling noise; changes nothing else
-  std::vector<int> tasks;              // indices in order; empty: all
-  int episodes = 20;                   // consecutive episodes per task
-  int first_initial_state = 0;         // 0: reporting split, 40: dev split
-  int videos = 0;                      // first N episodes of each task are filmed
-  std::string replay_file;             // policy replay: safetensors with actions [T, 7]
+  int severity = 5;             // level 1..5
+  std::string policy = "nano";  // nano, expert, replay, or another model the server holds
+  int64_t seed = 0;             // sampling noise; changes nothing else
+  std::vector<int> tasks;       // indices in order; empty: all
+  int episodes = 20;            // consecutive episodes per task
+  int first_initial_state = 0;  // 0: reporting split, 40: dev split
+  int videos = 0;               // first N episodes of each task are filmed
+  std::string replay_file;      // policy replay: safetensors with actions [T, 7]
   std::string libero_root, robosuite_root;
   std::string libero_fixtures = "centred";  // ParseLiberoFixtures reads it
   SimOptions sim;

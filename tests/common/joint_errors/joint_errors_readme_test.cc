@@ -1,4 +1,5 @@
-// The tables of docs/results/scenario-parameters.md are what `robostress scenarios --markdown` prints.
+// The tables of docs/results/scenario-parameters.md are what `robostress scenarios --markdown`
+// prints.
 #include <gtest/gtest.h>
 
 #include <cstdio>
