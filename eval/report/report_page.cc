@@ -11,6 +11,7 @@
 #include "eval/plan/titles.h"
 #include "eval/report/adaptation_section.h"
 #include "eval/report/html_numbers.h"
+#include "eval/report/report.h"
 #include "eval/report/report_appendix.h"
 #include "eval/report/severity_section.h"
 #include "eval/report/statistics_section.h"
@@ -140,7 +141,12 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
                   options.training.empty() ? "" : "<a href=\"#training\">Training</a>",
                   "<a href=\"#setup\">Setup</a><a href=\"#limits\">Limits</a></div></nav>\n<main "
                   "class=wrap>\n");
-  absl::StrAppend(&html, Headline(main), Tiles(run, summary, main));
+  // The headline is of `ours`; a run with more methods begins with what came out of each.
+  const std::string came_out = main.methods.size() > 2 ? Conclusion(main) : "";
+  absl::StrAppend(&html,
+                  came_out.empty() ? Headline(main)
+                                   : absl::StrCat("<p class=lead>", EscapeXml(came_out), "</p>\n"),
+                  Tiles(run, summary, main));
   if (const std::string note = MixedMachinesNote(run); !note.empty())
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), ".</p>\n");
   if (!run.unfinished.empty()) {
