@@ -169,9 +169,9 @@ absl::Status LoraAdapter::CheckRollback(uint64_t version) const {
     const uint64_t other = candidate.weights->version;
     if (other != 0) held.push_back(other);
     if (other > version && candidate.pinned) {
-      return absl::FailedPreconditionError(absl::StrCat(
-          "version ", other, " is pinned and would be forgotten by going back to ", version,
-          "; take its pin away first"));
+      return absl::FailedPreconditionError(
+          absl::StrCat("version ", other, " is pinned and would be forgotten by going back to ",
+                       version, "; take its pin away first"));
     }
   }
   if (absl::c_linear_search(held, version)) return absl::OkStatus();

@@ -60,8 +60,8 @@ Eigen::VectorXd StepResidual(const RobotState& before, const RobotState& after,
 const RobotState& StateAfter(const ExecutedChunk& chunk, size_t step);
 
 // Checks that an executed chunk is usable as feedback: at least one step, masks and the unadapted
-// policy's commands for all steps or none, commands of `action_dim` entries, everything finite, unit
-// quaternions, in joint space action_dim - 1 joints. The error names step, field and value.
+// policy's commands for all steps or none, commands of `action_dim` entries, everything finite,
+// unit quaternions, in joint space action_dim - 1 joints. The error names step, field and value.
 absl::Status ValidateExecutedChunk(const ExecutedChunk& chunk, int action_dim, ResidualSpace space);
 
 // eta against the policy's own (adapted) command, one row per executed step [steps, action_dim];

@@ -26,7 +26,8 @@ absl::Status ErrnoStatus(const std::string& action, const std::string& path, int
     return absl::ResourceExhaustedError(absl::StrCat(message, "; free some space and run again"));
   }
   if (error == ENOENT) return absl::NotFoundError(message);
-  if (error == EACCES || error == EPERM || error == EROFS) return absl::PermissionDeniedError(message);
+  if (error == EACCES || error == EPERM || error == EROFS)
+    return absl::PermissionDeniedError(message);
   return absl::UnavailableError(message);
 }
 
@@ -120,9 +121,11 @@ absl::StatusOr<std::string> ReadFile(const std::string& path) {
 absl::StatusOr<std::string> ReadFileUpTo(const std::string& path, uint64_t max_bytes) {
   struct stat info {};
   if (::stat(path.c_str(), &info) != 0) return ErrnoStatus("cannot open", path, errno);
-  if (!S_ISREG(info.st_mode)) return absl::InvalidArgumentError(absl::StrCat(path, ": is not a regular file"));
+  if (!S_ISREG(info.st_mode))
+    return absl::InvalidArgumentError(absl::StrCat(path, ": is not a regular file"));
   if (static_cast<uint64_t>(info.st_size) > max_bytes) {
-    return absl::InvalidArgumentError(absl::StrCat(path, ": has ", info.st_size, " bytes, the limit is ", max_bytes));
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": has ", info.st_size, " bytes, the limit is ", max_bytes));
   }
   return ReadFile(path);
 }

@@ -11,19 +11,23 @@
 namespace robostress {
 
 // A config struct is its own schema: it has
-//   template <class V> void Visit(V& v) { v.Field("rank", rank, "LoRA rank"); v.Section("osc", osc, "..."); }
-// Late and LateSection are for what came after texts were kept and hashed: read like the others, and written only where
-// the value is not the usual one, or the section is used, so that a text of one who does not use it stays as it was.
-// Fields are bool, int, int64_t, uint64_t, double, std::string, std::vector of these (and enums through v.Choice).
-// Reading refuses unknown keys, keys that stand twice and wrong types, and names file, key path, value and the allowed keys
-// of everything that is wrong, a line each.
+//   template <class V> void Visit(V& v) { v.Field("rank", rank, "LoRA rank"); v.Section("osc", osc,
+//   "..."); }
+// Late and LateSection are for what came after texts were kept and hashed: read like the others,
+// and written only where the value is not the usual one, or the section is used, so that a text of
+// one who does not use it stays as it was. Fields are bool, int, int64_t, uint64_t, double,
+// std::string, std::vector of these (and enums through v.Choice). Reading refuses unknown keys,
+// keys that stand twice and wrong types, and names file, key path, value and the allowed keys of
+// everything that is wrong, a line each.
 class ConfigReader {
  public:
-  ConfigReader(std::string source, YAML::Node root) : source_(std::move(source)), node_(std::move(root)) {}
+  ConfigReader(std::string source, YAML::Node root)
+      : source_(std::move(source)), node_(std::move(root)) {}
   template <class T>
   void Field(const char* key, T& value, const char* doc);
   template <class E>
-  void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices, const char* doc);
+  void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices,
+              const char* doc);
   template <class S>
   void Section(const char* key, S& section, const char* doc);
   template <class T>
@@ -47,7 +51,8 @@ class ConfigWriter {
   template <class T>
   void Field(const char* key, T& value, const char* doc);
   template <class E>
-  void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices, const char* doc);
+  void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices,
+              const char* doc);
   template <class S>
   void Section(const char* key, S& section, const char* doc);
   template <class T>

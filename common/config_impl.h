@@ -82,12 +82,14 @@ void ConfigReader::Field(const char* key, T& value, const char* /*doc*/) {
   YAML::Node node;
   if (!Take(key, node)) return;
   if (!config_internal::Decode(node, value)) {
-    Fail(key, absl::StrCat("is '", config_internal::Render(node), "', must be ", config_internal::TypeName<T>::kValue));
+    Fail(key, absl::StrCat("is '", config_internal::Render(node), "', must be ",
+                           config_internal::TypeName<T>::kValue));
   }
 }
 
 template <class E>
-void ConfigReader::Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices,
+void ConfigReader::Choice(const char* key, E& value,
+                          const std::vector<std::pair<const char*, E>>& choices,
                           const char* /*doc*/) {
   YAML::Node node;
   if (!Take(key, node)) return;
@@ -107,7 +109,8 @@ template <class S>
 void ConfigReader::Section(const char* key, S& section, const char* /*doc*/) {
   YAML::Node node;
   if (!Take(key, node)) return;
-  if (!node.IsMap()) return Fail(key, absl::StrCat("is '", config_internal::Render(node), "', must be a section"));
+  if (!node.IsMap())
+    return Fail(key, absl::StrCat("is '", config_internal::Render(node), "', must be a section"));
   ConfigReader reader(source_, node);
   reader.path_ = absl::StrCat(path_, key, ".");
   section.Visit(reader);
@@ -137,14 +140,16 @@ void ConfigWriter::Field(const char* key, T& value, const char* /*doc*/) {
     root_[key] = std::string(text);
   } else {
     root_[key] = value;
-    if constexpr (!std::is_same_v<T, bool> && !std::is_arithmetic_v<T> && !std::is_same_v<T, std::string>) {
+    if constexpr (!std::is_same_v<T, bool> && !std::is_arithmetic_v<T> &&
+                  !std::is_same_v<T, std::string>) {
       root_[key].SetStyle(YAML::EmitterStyle::Flow);
     }
   }
 }
 
 template <class E>
-void ConfigWriter::Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices,
+void ConfigWriter::Choice(const char* key, E& value,
+                          const std::vector<std::pair<const char*, E>>& choices,
                           const char* /*doc*/) {
   for (const auto& [name, choice] : choices) {
     if (choice == value) root_[key] = std::string(name);

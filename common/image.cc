@@ -28,7 +28,8 @@ std::vector<Overlap> Overlaps(int in, int out) {
     Overlap& o = result[i];
     o.first = static_cast<int>(low);
     for (int j = o.first; j < in && j < high; ++j) {
-      o.weights.push_back(static_cast<float>((std::min<double>(j + 1, high) - std::max<double>(j, low)) / ratio));
+      o.weights.push_back(
+          static_cast<float>((std::min<double>(j + 1, high) - std::max<double>(j, low)) / ratio));
     }
   }
   return result;
@@ -47,7 +48,8 @@ Image ResizeArea(const Image& image, int width, int height) {
       for (int c = 0; c < 3; ++c) {
         float sum = 0;
         for (size_t k = 0; k < columns[x].weights.size(); ++k) {
-          sum += columns[x].weights[k] * image.data[3 * (y * image.width + columns[x].first + k) + c];
+          sum +=
+              columns[x].weights[k] * image.data[3 * (y * image.width + columns[x].first + k) + c];
         }
         wide[3 * (y * width + x) + c] = sum;
       }
@@ -60,7 +62,8 @@ Image ResizeArea(const Image& image, int width, int height) {
       for (size_t k = 0; k < rows[y].weights.size(); ++k) {
         sum += rows[y].weights[k] * wide[3 * width * (rows[y].first + k) + i];
       }
-      result.data[3 * width * y + i] = static_cast<uint8_t>(std::lround(std::clamp(sum, 0.0f, 255.0f)));
+      result.data[3 * width * y + i] =
+          static_cast<uint8_t>(std::lround(std::clamp(sum, 0.0f, 255.0f)));
     }
   }
   return result;
@@ -76,7 +79,8 @@ Image HStack(const std::vector<Image>& images, int gap_px) {
   int left = 0;
   for (const Image& image : images) {
     for (int y = 0; y < image.height; ++y) {
-      std::memcpy(&result.data[3 * (y * result.width + left)], &image.data[3 * y * image.width], 3 * image.width);
+      std::memcpy(&result.data[3 * (y * result.width + left)], &image.data[3 * y * image.width],
+                  3 * image.width);
     }
     left += image.width + gap_px;
   }
@@ -86,8 +90,9 @@ Image HStack(const std::vector<Image>& images, int gap_px) {
 absl::StatusOr<std::string> EncodePng(const Image& image) {
   if (image.width <= 0 || image.height <= 0 ||
       image.data.size() != static_cast<size_t>(image.width) * image.height * 3) {
-    return absl::InvalidArgumentError(absl::StrCat("image of ", image.width, " x ", image.height, " has ",
-                                                   image.data.size(), " bytes, not 3 per pixel"));
+    return absl::InvalidArgumentError(absl::StrCat("image of ", image.width, " x ", image.height,
+                                                   " has ", image.data.size(),
+                                                   " bytes, not 3 per pixel"));
   }
   png_image png{};
   png.version = PNG_IMAGE_VERSION;
@@ -103,7 +108,8 @@ absl::StatusOr<std::string> EncodePng(const Image& image) {
   return bytes;
 }
 
-absl::StatusOr<std::string> EncodeAnimatedWebp(const std::vector<Image>& frames, double frame_s, float quality) {
+absl::StatusOr<std::string> EncodeAnimatedWebp(const std::vector<Image>& frames, double frame_s,
+                                               float quality) {
   if (frames.empty()) return absl::InvalidArgumentError("a video needs at least one frame");
   WebPAnimEncoderOptions options;
   WebPAnimEncoderOptionsInit(&options);
@@ -123,11 +129,13 @@ absl::StatusOr<std::string> EncodeAnimatedWebp(const std::vector<Image>& frames,
     picture.width = frame.width;
     picture.height = frame.height;
     picture.use_argb = 1;
-    const bool added = frame.width == frames[0].width && frame.height == frames[0].height &&
-                       WebPPictureImportRGB(&picture, frame.data.data(), 3 * frame.width) &&
-                       WebPAnimEncoderAdd(encoder.get(), &picture, static_cast<int>(stamp_ms), &config);
+    const bool added =
+        frame.width == frames[0].width && frame.height == frames[0].height &&
+        WebPPictureImportRGB(&picture, frame.data.data(), 3 * frame.width) &&
+        WebPAnimEncoderAdd(encoder.get(), &picture, static_cast<int>(stamp_ms), &config);
     WebPPictureFree(&picture);
-    if (!added) return absl::InternalError(absl::StrCat("WebP: ", WebPAnimEncoderGetError(encoder.get())));
+    if (!added)
+      return absl::InternalError(absl::StrCat("WebP: ", WebPAnimEncoderGetError(encoder.get())));
     stamp_ms += std::lround(1000 * frame_s);
   }
   WebPAnimEncoderAdd(encoder.get(), nullptr, static_cast<int>(stamp_ms), nullptr);

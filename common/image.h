@@ -14,6 +14,7 @@ Image ResizeArea(const Image& image, int width, int height);
 Image HStack(const std::vector<Image>& images, int gap_px);
 absl::StatusOr<std::string> EncodePng(const Image& image);
 // Animated lossy WebP, endless loop; frames of one size.
-absl::StatusOr<std::string> EncodeAnimatedWebp(const std::vector<Image>& frames, double frame_s, float quality);
+absl::StatusOr<std::string> EncodeAnimatedWebp(const std::vector<Image>& frames, double frame_s,
+                                               float quality);
 
 }  // namespace robostress

@@ -11,7 +11,8 @@
 namespace robostress {
 namespace {
 
-// Deepest nesting of brackets outside of strings; the parser would take memory for each before it fails.
+// Deepest nesting of brackets outside of strings; the parser would take memory for each before it
+// fails.
 int DepthOf(std::string_view text) {
   int depth = 0, deepest = 0;
   bool in_string = false;
@@ -56,13 +57,16 @@ class DuplicateKeyDetector {
 
 absl::StatusOr<nlohmann::json> ParseJsonObject(std::string_view text, int max_depth) {
   if (const int depth = DepthOf(text); depth > max_depth) {
-    return absl::InvalidArgumentError(absl::StrCat("it is nested ", depth, " deep, the limit is ", max_depth));
+    return absl::InvalidArgumentError(
+        absl::StrCat("it is nested ", depth, " deep, the limit is ", max_depth));
   }
   DuplicateKeyDetector detector;
-  nlohmann::json json = nlohmann::json::parse(text.begin(), text.end(), std::ref(detector), /*allow_exceptions=*/false);
+  nlohmann::json json = nlohmann::json::parse(text.begin(), text.end(), std::ref(detector),
+                                              /*allow_exceptions=*/false);
   if (!json.is_object()) return absl::InvalidArgumentError("it is not a JSON object");
   if (detector.found()) {
-    return absl::InvalidArgumentError(absl::StrCat("key '", detector.duplicate(), "' occurs twice in one object"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("key '", detector.duplicate(), "' occurs twice in one object"));
   }
   return json;
 }

@@ -7,9 +7,9 @@
 
 namespace robostress {
 
-// Parses a JSON object that someone else wrote. Refuses other text, nesting deeper than `max_depth` and a key that
-// occurs twice in one object (which nlohmann's parser would merge silently). The message names key or depth, the
-// caller adds the file.
+// Parses a JSON object that someone else wrote. Refuses other text, nesting deeper than `max_depth`
+// and a key that occurs twice in one object (which nlohmann's parser would merge silently). The
+// message names key or depth, the caller adds the file.
 absl::StatusOr<nlohmann::json> ParseJsonObject(std::string_view text, int max_depth = 16);
 
 }  // namespace robostress

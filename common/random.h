@@ -6,8 +6,8 @@
 
 namespace robostress {
 
-// The identity of a random stream, built from named parts: a draw depends on the key and on its index,
-// never on the order in which streams are used. Equal parts in equal order give equal keys.
+// The identity of a random stream, built from named parts: a draw depends on the key and on its
+// index, never on the order in which streams are used. Equal parts in equal order give equal keys.
 class StreamKey {
  public:
   explicit StreamKey(std::string_view purpose);
@@ -28,10 +28,10 @@ class RandomStream {
  public:
   explicit RandomStream(const StreamKey& key);
   uint32_t NextUint32();
-  double Uniform();                        // [0, 1), 53 bits
+  double Uniform();  // [0, 1), 53 bits
   double Uniform(double low, double high);
-  double Normal();                         // Box-Muller, N(0, 1)
-  int UniformInt(int n);                   // 0 .. n-1, unbiased; n >= 1
+  double Normal();        // Box-Muller, N(0, 1)
+  int UniformInt(int n);  // 0 .. n-1, unbiased; n >= 1
 
  private:
   void Refill();

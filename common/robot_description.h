@@ -24,9 +24,9 @@ struct RobotDescription {
 
 // The simulated arm: limits of joints and motors as in robosuite 1.4.0.
 inline constexpr JointDescription kPandaJoints[] = {
-    {"J1", -2.8973, 2.8973, 2.2, 0, 80},  {"J2", -1.7628, 1.7628, 2.2, 0, 80},
-    {"J3", -2.8973, 2.8973, 2.2, 0, 80},  {"J4", -3.0718, -0.0698, 2.2, 0, 80},
-    {"J5", -2.8973, 2.8973, 2.2, 0, 80},  {"J6", -0.0175, 3.7525, 2.2, 0, 12},
+    {"J1", -2.8973, 2.8973, 2.2, 0, 80}, {"J2", -1.7628, 1.7628, 2.2, 0, 80},
+    {"J3", -2.8973, 2.8973, 2.2, 0, 80}, {"J4", -3.0718, -0.0698, 2.2, 0, 80},
+    {"J5", -2.8973, 2.8973, 2.2, 0, 80}, {"J6", -0.0175, 3.7525, 2.2, 0, 12},
     {"J7", -2.8973, 2.8973, 2.2, 0, 12},
 };
 inline constexpr RobotDescription kPanda = {"Panda", kPandaJoints, ControlSpace::kEndEffector, 0.05,

@@ -25,7 +25,8 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little, "safetensors data is little-endian");
 
-// The reference implementation allows 100 MB; JSON costs ten times its length in memory, and pi0.5's has 0.12 MB.
+// The reference implementation allows 100 MB; JSON costs ten times its length in memory, and
+// pi0.5's has 0.12 MB.
 constexpr uint64_t kMaxHeaderBytes = 16'000'000;
 constexpr size_t kMaxRank = 8;
 
@@ -34,10 +35,11 @@ struct DTypeInfo {
   const char* name;
   int size;
 };
-constexpr DTypeInfo kDTypes[] = {
-    {DType::kBool, "BOOL", 1}, {DType::kU8, "U8", 1},   {DType::kI8, "I8", 1},   {DType::kI16, "I16", 2},
-    {DType::kI32, "I32", 4},   {DType::kI64, "I64", 8}, {DType::kF16, "F16", 2}, {DType::kBF16, "BF16", 2},
-    {DType::kF32, "F32", 4},   {DType::kF64, "F64", 8}};
+constexpr DTypeInfo kDTypes[] = {{DType::kBool, "BOOL", 1}, {DType::kU8, "U8", 1},
+                                 {DType::kI8, "I8", 1},     {DType::kI16, "I16", 2},
+                                 {DType::kI32, "I32", 4},   {DType::kI64, "I64", 8},
+                                 {DType::kF16, "F16", 2},   {DType::kBF16, "BF16", 2},
+                                 {DType::kF32, "F32", 4},   {DType::kF64, "F64", 8}};
 
 const DTypeInfo& Info(DType dtype) {
   for (const DTypeInfo& info : kDTypes) {
@@ -74,15 +76,24 @@ T LoadAs(const uint8_t* bytes) {
 double ElementAsDouble(DType dtype, const uint8_t* bytes) {
   switch (dtype) {
     case DType::kBool:
-    case DType::kU8: return *bytes;
-    case DType::kI8: return LoadAs<int8_t>(bytes);
-    case DType::kI16: return LoadAs<int16_t>(bytes);
-    case DType::kI32: return LoadAs<int32_t>(bytes);
-    case DType::kI64: return static_cast<double>(LoadAs<int64_t>(bytes));
-    case DType::kF16: return HalfToDouble(LoadAs<uint16_t>(bytes));
-    case DType::kBF16: return std::bit_cast<float>(uint32_t{LoadAs<uint16_t>(bytes)} << 16);
-    case DType::kF32: return LoadAs<float>(bytes);
-    case DType::kF64: return LoadAs<double>(bytes);
+    case DType::kU8:
+      return *bytes;
+    case DType::kI8:
+      return LoadAs<int8_t>(bytes);
+    case DType::kI16:
+      return LoadAs<int16_t>(bytes);
+    case DType::kI32:
+      return LoadAs<int32_t>(bytes);
+    case DType::kI64:
+      return static_cast<double>(LoadAs<int64_t>(bytes));
+    case DType::kF16:
+      return HalfToDouble(LoadAs<uint16_t>(bytes));
+    case DType::kBF16:
+      return std::bit_cast<float>(uint32_t{LoadAs<uint16_t>(bytes)} << 16);
+    case DType::kF32:
+      return LoadAs<float>(bytes);
+    case DType::kF64:
+      return LoadAs<double>(bytes);
   }
   return 0;
 }
@@ -95,8 +106,8 @@ absl::Status BadFile(const std::string& path, const std::string& what) {
   return absl::InvalidArgumentError(absl::StrCat(path, ": not a usable safetensors file: ", what));
 }
 
-absl::StatusOr<TensorView> ParseEntry(const std::string& path, const std::string& name, const nlohmann::json& entry,
-                                      absl::Span<const uint8_t> data) {
+absl::StatusOr<TensorView> ParseEntry(const std::string& path, const std::string& name,
+                                      const nlohmann::json& entry, absl::Span<const uint8_t> data) {
   const std::string where = absl::StrCat("tensor '", name, "': ");
   if (!entry.is_object()) return BadFile(path, absl::StrCat(where, "is not an object"));
   for (const char* key : {"dtype", "shape", "data_offsets"}) {
@@ -108,11 +119,13 @@ absl::StatusOr<TensorView> ParseEntry(const std::string& path, const std::string
   for (const DTypeInfo& candidate : kDTypes) {
     if (dtype.is_string() && dtype.get<std::string>() == candidate.name) info = &candidate;
   }
-  if (info == nullptr) return BadFile(path, absl::StrCat(where, "dtype ", dtype.dump(), " is not known"));
+  if (info == nullptr)
+    return BadFile(path, absl::StrCat(where, "dtype ", dtype.dump(), " is not known"));
   view.dtype = info->dtype;
   const nlohmann::json& shape = entry["shape"];
   if (!shape.is_array() || shape.size() > kMaxRank) {
-    return BadFile(path, absl::StrCat(where, "shape ", shape.dump(), " is not a list of at most ", kMaxRank, " extents"));
+    return BadFile(path, absl::StrCat(where, "shape ", shape.dump(), " is not a list of at most ",
+                                      kMaxRank, " extents"));
   }
   for (const nlohmann::json& extent : shape) {
     if (!extent.is_number_unsigned() || extent.get<uint64_t>() > uint64_t{1} << 48) {
@@ -121,18 +134,20 @@ absl::StatusOr<TensorView> ParseEntry(const std::string& path, const std::string
     view.shape.push_back(extent.get<int64_t>());
   }
   const nlohmann::json& offsets = entry["data_offsets"];
-  if (!offsets.is_array() || offsets.size() != 2 || !offsets[0].is_number_unsigned() || !offsets[1].is_number_unsigned()) {
-    return BadFile(path, absl::StrCat(where, "data_offsets ", offsets.dump(), " is not [begin, end]"));
+  if (!offsets.is_array() || offsets.size() != 2 || !offsets[0].is_number_unsigned() ||
+      !offsets[1].is_number_unsigned()) {
+    return BadFile(path,
+                   absl::StrCat(where, "data_offsets ", offsets.dump(), " is not [begin, end]"));
   }
   const uint64_t begin = offsets[0].get<uint64_t>(), end = offsets[1].get<uint64_t>();
   if (begin > end || end > data.size()) {
-    return BadFile(path, absl::StrCat(where, "data_offsets [", begin, ", ", end, "] leave the ", data.size(),
-                                      " data bytes; the file may be truncated"));
+    return BadFile(path, absl::StrCat(where, "data_offsets [", begin, ", ", end, "] leave the ",
+                                      data.size(), " data bytes; the file may be truncated"));
   }
   uint64_t bytes = 0;
   if (!BytesOfShape(view.shape, info->size, bytes) || bytes != end - begin) {
-    return BadFile(path, absl::StrCat(where, "shape ", ShapeText(view.shape), " of ", info->name, " does not fill its ",
-                                      end - begin, " bytes"));
+    return BadFile(path, absl::StrCat(where, "shape ", ShapeText(view.shape), " of ", info->name,
+                                      " does not fill its ", end - begin, " bytes"));
   }
   view.bytes = data.subspan(begin, end - begin);
   return view;
@@ -151,13 +166,16 @@ absl::Status CheckCover(const std::string& path, const std::map<std::string, Ten
   size_t position = 0;
   for (const auto& [begin, end] : ranges) {
     if (begin != position) {
-      return BadFile(path, absl::StrCat("data bytes ", std::min(begin, position), " to ", std::max(begin, position),
-                                        begin < position ? " belong to two tensors" : " belong to no tensor"));
+      return BadFile(
+          path,
+          absl::StrCat("data bytes ", std::min(begin, position), " to ", std::max(begin, position),
+                       begin < position ? " belong to two tensors" : " belong to no tensor"));
     }
     position = end;
   }
   if (position != data.size()) {
-    return BadFile(path, absl::StrCat(data.size() - position, " bytes at its end belong to no tensor"));
+    return BadFile(path,
+                   absl::StrCat(data.size() - position, " bytes at its end belong to no tensor"));
   }
   return absl::OkStatus();
 }
@@ -167,7 +185,9 @@ absl::Status CheckCover(const std::string& path, const std::map<std::string, Ten
 int DTypeSize(DType dtype) { return Info(dtype).size; }
 const char* DTypeName(DType dtype) { return Info(dtype).name; }
 
-int64_t TensorView::num_elements() const { return static_cast<int64_t>(bytes.size()) / DTypeSize(dtype); }
+int64_t TensorView::num_elements() const {
+  return static_cast<int64_t>(bytes.size()) / DTypeSize(dtype);
+}
 
 struct SafetensorsFile::Storage {
   ~Storage() {
@@ -188,8 +208,10 @@ SafetensorsFile& SafetensorsFile::operator=(SafetensorsFile&&) noexcept = defaul
 SafetensorsFile::~SafetensorsFile() = default;
 
 absl::StatusOr<SafetensorsFile> SafetensorsFile::Open(const std::string& path) {
-  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);  // a pipe must not hang us
-  if (fd < 0) return absl::NotFoundError(absl::StrCat("cannot open '", path, "': ", std::strerror(errno)));
+  const int fd =
+      ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);  // a pipe must not hang us
+  if (fd < 0)
+    return absl::NotFoundError(absl::StrCat("cannot open '", path, "': ", std::strerror(errno)));
   struct stat info {};
   auto storage = std::make_unique<Storage>();
   void* mapping = MAP_FAILED;
@@ -209,13 +231,16 @@ absl::StatusOr<SafetensorsFile> SafetensorsFile::Parse(const std::string& name, 
   return ParseStorage(name, std::move(storage));
 }
 
-absl::StatusOr<SafetensorsFile> SafetensorsFile::ParseStorage(const std::string& path, std::unique_ptr<Storage> storage) {
+absl::StatusOr<SafetensorsFile> SafetensorsFile::ParseStorage(const std::string& path,
+                                                              std::unique_ptr<Storage> storage) {
   const absl::Span<const uint8_t> all = storage->all();
-  if (all.size() < 8) return BadFile(path, absl::StrCat("it has ", all.size(), " bytes, fewer than the 8 of its header length"));
+  if (all.size() < 8)
+    return BadFile(
+        path, absl::StrCat("it has ", all.size(), " bytes, fewer than the 8 of its header length"));
   const uint64_t header_size = LoadAs<uint64_t>(all.data());
   if (header_size > kMaxHeaderBytes || header_size > all.size() - 8) {
-    return BadFile(path, absl::StrCat("its header length ", header_size, " exceeds the file's ", all.size(),
-                                      " bytes or the limit of ", kMaxHeaderBytes));
+    return BadFile(path, absl::StrCat("its header length ", header_size, " exceeds the file's ",
+                                      all.size(), " bytes or the limit of ", kMaxHeaderBytes));
   }
   const auto* header_begin = reinterpret_cast<const char*>(all.data() + 8);
   const absl::StatusOr<nlohmann::json> header = ParseJsonObject({header_begin, header_size});
@@ -225,9 +250,11 @@ absl::StatusOr<SafetensorsFile> SafetensorsFile::ParseStorage(const std::string&
   const absl::Span<const uint8_t> data = all.subspan(8 + header_size);
   for (const auto& [name, entry] : header->items()) {
     if (name == "__metadata__") {
-      if (!entry.is_object()) return BadFile(path, absl::StrCat("__metadata__ ", entry.dump(), " is not an object"));
+      if (!entry.is_object())
+        return BadFile(path, absl::StrCat("__metadata__ ", entry.dump(), " is not an object"));
       for (const auto& [key, value] : entry.items()) {
-        if (!value.is_string()) return BadFile(path, absl::StrCat("metadata '", key, "' is not a text"));
+        if (!value.is_string())
+          return BadFile(path, absl::StrCat("metadata '", key, "' is not a text"));
         file.metadata_[key] = value.get<std::string>();
       }
       continue;
@@ -251,20 +278,23 @@ void SafetensorsFile::ReleasePages(absl::Span<const uint8_t> bytes) const {
 
 absl::StatusOr<TensorView> SafetensorsFile::Get(const std::string& name) const {
   const auto found = tensors_.find(name);
-  if (found == tensors_.end()) return absl::NotFoundError(absl::StrCat(path_, ": has no tensor '", name, "'"));
+  if (found == tensors_.end())
+    return absl::NotFoundError(absl::StrCat(path_, ": has no tensor '", name, "'"));
   return found->second;
 }
 
 namespace {
 
 template <class T>
-absl::StatusOr<std::vector<T>> ReadAs(const std::string& path, const std::string& name, const TensorView& view,
-                                      const std::vector<int64_t>& shape) {
+absl::StatusOr<std::vector<T>> ReadAs(const std::string& path, const std::string& name,
+                                      const TensorView& view, const std::vector<int64_t>& shape) {
   bool match = shape.empty() || shape.size() == view.shape.size();
-  for (size_t i = 0; match && i < shape.size(); ++i) match = shape[i] == -1 || shape[i] == view.shape[i];
+  for (size_t i = 0; match && i < shape.size(); ++i)
+    match = shape[i] == -1 || shape[i] == view.shape[i];
   if (!match) {
-    return absl::InvalidArgumentError(absl::StrCat(path, ": tensor '", name, "' has shape ", ShapeText(view.shape),
-                                                   ", expected ", ShapeText(shape)));
+    return absl::InvalidArgumentError(absl::StrCat(path, ": tensor '", name, "' has shape ",
+                                                   ShapeText(view.shape), ", expected ",
+                                                   ShapeText(shape)));
   }
   const int size = DTypeSize(view.dtype);
   std::vector<T> values(view.num_elements());
@@ -276,34 +306,37 @@ absl::StatusOr<std::vector<T>> ReadAs(const std::string& path, const std::string
 
 }  // namespace
 
-absl::StatusOr<std::vector<double>> SafetensorsFile::ReadDoubles(const std::string& name,
-                                                                 const std::vector<int64_t>& shape) const {
+absl::StatusOr<std::vector<double>> SafetensorsFile::ReadDoubles(
+    const std::string& name, const std::vector<int64_t>& shape) const {
   RS_ASSIGN_OR_RETURN(const TensorView view, Get(name));
   return ReadAs<double>(path_, name, view, shape);
 }
 
-absl::StatusOr<std::vector<float>> SafetensorsFile::ReadFloats(const std::string& name,
-                                                               const std::vector<int64_t>& shape) const {
+absl::StatusOr<std::vector<float>> SafetensorsFile::ReadFloats(
+    const std::string& name, const std::vector<int64_t>& shape) const {
   RS_ASSIGN_OR_RETURN(const TensorView view, Get(name));
   return ReadAs<float>(path_, name, view, shape);
 }
 
-void SafetensorsWriter::Add(const std::string& name, DType dtype, std::vector<int64_t> shape, const void* bytes,
-                            size_t size) {
+void SafetensorsWriter::Add(const std::string& name, DType dtype, std::vector<int64_t> shape,
+                            const void* bytes, size_t size) {
   uint64_t expected = 0;
   RS_CHECK(BytesOfShape(shape, DTypeSize(dtype), expected) && expected == size);
   entries_[name] = {dtype, std::move(shape), std::string(static_cast<const char*>(bytes), size)};
 }
 
-void SafetensorsWriter::AddFloats(const std::string& name, std::vector<int64_t> shape, absl::Span<const float> values) {
+void SafetensorsWriter::AddFloats(const std::string& name, std::vector<int64_t> shape,
+                                  absl::Span<const float> values) {
   Add(name, DType::kF32, std::move(shape), values.data(), values.size() * sizeof(float));
 }
 
-void SafetensorsWriter::AddDoubles(const std::string& name, std::vector<int64_t> shape, absl::Span<const double> values) {
+void SafetensorsWriter::AddDoubles(const std::string& name, std::vector<int64_t> shape,
+                                   absl::Span<const double> values) {
   Add(name, DType::kF64, std::move(shape), values.data(), values.size() * sizeof(double));
 }
 
-void SafetensorsWriter::AddInts(const std::string& name, std::vector<int64_t> shape, absl::Span<const int64_t> values) {
+void SafetensorsWriter::AddInts(const std::string& name, std::vector<int64_t> shape,
+                                absl::Span<const int64_t> values) {
   Add(name, DType::kI64, std::move(shape), values.data(), values.size() * sizeof(int64_t));
 }
 
@@ -328,7 +361,8 @@ absl::StatusOr<std::string> SafetensorsWriter::Serialize() const {
   try {
     text = header.dump();
   } catch (const nlohmann::json::exception& error) {
-    return absl::InvalidArgumentError(absl::StrCat("a tensor name or metadata text is not UTF-8: ", error.what()));
+    return absl::InvalidArgumentError(
+        absl::StrCat("a tensor name or metadata text is not UTF-8: ", error.what()));
   }
   text.append((8 - text.size() % 8) % 8, ' ');
   const uint64_t header_size = text.size();

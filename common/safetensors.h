@@ -24,8 +24,8 @@ struct TensorView {
   int64_t num_elements() const;
 };
 
-// A memory-mapped safetensors file. Open trusts nothing: header length, JSON, dtypes, shapes, overflow,
-// overlaps, holes, length of the file; an error names file, tensor and value.
+// A memory-mapped safetensors file. Open trusts nothing: header length, JSON, dtypes, shapes,
+// overflow, overlaps, holes, length of the file; an error names file, tensor and value.
 class SafetensorsFile {
  public:
   static absl::StatusOr<SafetensorsFile> Open(const std::string& path);
@@ -36,8 +36,8 @@ class SafetensorsFile {
 
   const std::string& path() const { return path_; }
   uint64_t file_bytes() const;
-  // Gives the pages that lie wholly in `bytes`, a part of a tensor, back to the system; the next read brings
-  // them from the file again. Keeps a large tensor's conversion from holding it twice.
+  // Gives the pages that lie wholly in `bytes`, a part of a tensor, back to the system; the next
+  // read brings them from the file again. Keeps a large tensor's conversion from holding it twice.
   void ReleasePages(absl::Span<const uint8_t> bytes) const;
   const std::map<std::string, std::string>& metadata() const { return metadata_; }
   const std::map<std::string, TensorView>& tensors() const { return tensors_; }
@@ -51,7 +51,8 @@ class SafetensorsFile {
  private:
   struct Storage;
   SafetensorsFile();
-  static absl::StatusOr<SafetensorsFile> ParseStorage(const std::string& path, std::unique_ptr<Storage> storage);
+  static absl::StatusOr<SafetensorsFile> ParseStorage(const std::string& path,
+                                                      std::unique_ptr<Storage> storage);
   std::string path_;
   std::unique_ptr<Storage> storage_;
   std::map<std::string, std::string> metadata_;
@@ -63,10 +64,14 @@ class SafetensorsWriter {
  public:
   void SetMetadata(const std::string& key, const std::string& value) { metadata_[key] = value; }
   // Copies `bytes`; its size must be product(shape) * size of dtype (checked).
-  void Add(const std::string& name, DType dtype, std::vector<int64_t> shape, const void* bytes, size_t size);
-  void AddFloats(const std::string& name, std::vector<int64_t> shape, absl::Span<const float> values);
-  void AddDoubles(const std::string& name, std::vector<int64_t> shape, absl::Span<const double> values);
-  void AddInts(const std::string& name, std::vector<int64_t> shape, absl::Span<const int64_t> values);
+  void Add(const std::string& name, DType dtype, std::vector<int64_t> shape, const void* bytes,
+           size_t size);
+  void AddFloats(const std::string& name, std::vector<int64_t> shape,
+                 absl::Span<const float> values);
+  void AddDoubles(const std::string& name, std::vector<int64_t> shape,
+                  absl::Span<const double> values);
+  void AddInts(const std::string& name, std::vector<int64_t> shape,
+               absl::Span<const int64_t> values);
   absl::StatusOr<std::string> Serialize() const;
   absl::Status Write(const std::string& path) const;
 

@@ -15,7 +15,8 @@ namespace robostress {
 namespace {
 
 absl::Status Failed(const char* action, const std::string& path, int error) {
-  const std::string message = absl::StrCat("cannot ", action, " '", path, "': ", std::strerror(error));
+  const std::string message =
+      absl::StrCat("cannot ", action, " '", path, "': ", std::strerror(error));
   if (error == ENOSPC || error == EDQUOT) {
     return absl::ResourceExhaustedError(absl::StrCat(message, "; free some space and run again"));
   }
@@ -33,7 +34,8 @@ absl::StatusOr<std::string> Header(const std::map<std::string, std::string>& met
       return absl::InvalidArgumentError(absl::StrCat("tensor '", entry.name, "' is listed twice"));
     }
     const uint64_t end = offset + entry.bytes();
-    header[entry.name] = {{"dtype", DTypeName(entry.dtype)}, {"shape", entry.shape}, {"data_offsets", {offset, end}}};
+    header[entry.name] = {
+        {"dtype", DTypeName(entry.dtype)}, {"shape", entry.shape}, {"data_offsets", {offset, end}}};
     offset = end;
   }
   std::string text = header.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
@@ -50,9 +52,9 @@ uint64_t SafetensorsStream::Entry::bytes() const {
   return bytes;
 }
 
-absl::StatusOr<SafetensorsStream> SafetensorsStream::Create(const std::string& path,
-                                                            const std::map<std::string, std::string>& metadata,
-                                                            const std::vector<Entry>& entries) {
+absl::StatusOr<SafetensorsStream> SafetensorsStream::Create(
+    const std::string& path, const std::map<std::string, std::string>& metadata,
+    const std::vector<Entry>& entries) {
   RS_ASSIGN_OR_RETURN(const std::string header, Header(metadata, entries));
   const std::string temporary = absl::StrCat(path, ".tmp.", ::getpid());
   const int fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
@@ -60,12 +62,15 @@ absl::StatusOr<SafetensorsStream> SafetensorsStream::Create(const std::string& p
   uint64_t data = 0;
   for (const Entry& entry : entries) data += entry.bytes();
   SafetensorsStream stream(path, temporary, fd, data);
-  RS_RETURN_IF_ERROR(stream.Write({reinterpret_cast<const uint8_t*>(header.data()), header.size()}));
+  RS_RETURN_IF_ERROR(
+      stream.Write({reinterpret_cast<const uint8_t*>(header.data()), header.size()}));
   return stream;
 }
 
 SafetensorsStream::SafetensorsStream(SafetensorsStream&& other) noexcept
-    : path_(std::move(other.path_)), temporary_(std::move(other.temporary_)), fd_(std::exchange(other.fd_, -1)),
+    : path_(std::move(other.path_)),
+      temporary_(std::move(other.temporary_)),
+      fd_(std::exchange(other.fd_, -1)),
       remaining_(other.remaining_) {}
 
 SafetensorsStream::~SafetensorsStream() {
@@ -86,8 +91,8 @@ absl::Status SafetensorsStream::Write(absl::Span<const uint8_t> bytes) {
 
 absl::Status SafetensorsStream::Append(absl::Span<const uint8_t> bytes) {
   if (bytes.size() > remaining_) {
-    return absl::FailedPreconditionError(
-        absl::StrCat(path_, ": ", bytes.size(), " bytes to write, its header has room for ", remaining_));
+    return absl::FailedPreconditionError(absl::StrCat(
+        path_, ": ", bytes.size(), " bytes to write, its header has room for ", remaining_));
   }
   remaining_ -= bytes.size();
   return Write(bytes);
@@ -95,7 +100,8 @@ absl::Status SafetensorsStream::Append(absl::Span<const uint8_t> bytes) {
 
 absl::Status SafetensorsStream::Finish() {
   if (remaining_ != 0) {
-    return absl::FailedPreconditionError(absl::StrCat(path_, ": ", remaining_, " bytes of its header's are missing"));
+    return absl::FailedPreconditionError(
+        absl::StrCat(path_, ": ", remaining_, " bytes of its header's are missing"));
   }
   if (::fsync(fd_) != 0) return Failed("sync", temporary_, errno);
   if (::rename(temporary_.c_str(), path_.c_str()) != 0) return Failed("publish", path_, errno);

@@ -12,9 +12,9 @@
 
 namespace robostress {
 
-// Writes a safetensors file that need not fit in memory: the header first, then the bytes of each entry in order.
-// The file appears at `path` only when Finish succeeds (temporary file, fsync, rename); one that was not finished
-// leaves nothing behind.
+// Writes a safetensors file that need not fit in memory: the header first, then the bytes of each
+// entry in order. The file appears at `path` only when Finish succeeds (temporary file, fsync,
+// rename); one that was not finished leaves nothing behind.
 class SafetensorsStream {
  public:
   struct Entry {
@@ -25,9 +25,9 @@ class SafetensorsStream {
   };
 
   // Entries lie in the given order; larger element types first keep all of them aligned.
-  static absl::StatusOr<SafetensorsStream> Create(const std::string& path,
-                                                  const std::map<std::string, std::string>& metadata,
-                                                  const std::vector<Entry>& entries);
+  static absl::StatusOr<SafetensorsStream> Create(
+      const std::string& path, const std::map<std::string, std::string>& metadata,
+      const std::vector<Entry>& entries);
   SafetensorsStream(SafetensorsStream&& other) noexcept;
   SafetensorsStream& operator=(SafetensorsStream&&) = delete;
   ~SafetensorsStream();

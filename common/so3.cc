@@ -8,8 +8,8 @@ namespace {
 // Below this the series of sin(x)/x and its inverse are exact to double precision.
 constexpr double kSmallAngle = 1e-6;
 
-// At a half turn +axis and -axis are the same rotation; the first component that is clearly non-zero is
-// made positive so that the answer is one of the two.
+// At a half turn +axis and -axis are the same rotation; the first component that is clearly
+// non-zero is made positive so that the answer is one of the two.
 Eigen::Vector3d CanonicalAxis(const Eigen::Vector3d& axis) {
   for (int i = 0; i < 3; ++i) {
     if (std::abs(axis[i]) > 1e-9) return axis[i] > 0 ? axis : -axis;

@@ -9,8 +9,8 @@
 #define RS_CONCAT(a, b) RS_CONCAT_INNER(a, b)
 
 // Returns from the enclosing function when `expr`, an absl::Status, is not OK.
-#define RS_RETURN_IF_ERROR(expr)                     \
-  do {                                               \
+#define RS_RETURN_IF_ERROR(expr)                                            \
+  do {                                                                      \
     if (absl::Status rs_status = (expr); !rs_status.ok()) return rs_status; \
   } while (false)
 

@@ -7,10 +7,10 @@ namespace robostress {
 
 // What a sweep must know of a suite before a simulator starts.
 struct SuiteInfo {
-  std::string name;      // "tabletop_goal", "libero_goal"
-  std::string title;     // "Goal"
+  std::string name;   // "tabletop_goal", "libero_goal"
+  std::string title;  // "Goal"
   int num_tasks = 10;
-  int horizon = 0;       // control steps after the settle steps
+  int horizon = 0;              // control steps after the settle steps
   int num_initial_states = 50;  // reproducible states per task; 0-19 report, 40-49 dev
   bool needs_libero = false;    // reads LIBERO's own files
   std::string robot = "panda";  // common/unit/robots.h

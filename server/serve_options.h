@@ -137,7 +137,8 @@ struct ServeOptions {
     v.Field("tls_client_ca", tls_client_ca,
             "PEM file; clients must show a certificate that it signed (mTLS)");
     v.Field("tokens", tokens,
-            "YAML file of SHA-256 of tokens with scopes (server/operations/README.md); empty: everybody "
+            "YAML file of SHA-256 of tokens with scopes (server/operations/README.md); empty: "
+            "everybody "
             "may do everything");
     v.Field("reload_seconds", reload_seconds,
             "certificates and tokens are read again so often, and at SIGHUP; 0: at SIGHUP alone");

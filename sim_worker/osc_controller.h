@@ -21,8 +21,8 @@ class OscController {
   static constexpr double kKp = 150;              // [1/s^2]
   static constexpr double kNullspaceKp = 10;      // [1/s^2]
 
-  // single_precision_rotation: a command's rotation becomes a matrix by robosuite's quat2mat, in single
-  // precision.
+  // single_precision_rotation: a command's rotation becomes a matrix by robosuite's quat2mat, in
+  // single precision.
   explicit OscController(GoalReference reference, bool single_precision_rotation = false)
       : reference_(reference), single_precision_rotation_(single_precision_rotation) {}
 

@@ -1,9 +1,9 @@
 #pragma once
 
+#include <mujoco/mujoco.h>
+
 #include <memory>
 #include <string>
-
-#include <mujoco/mujoco.h>
 
 #include "absl/status/statusor.h"
 #include "common/types.h"
@@ -17,13 +17,14 @@ struct RenderOptions {
   bool shadows = false;
 };
 
-// Renders a model's cameras off-screen through EGL (surfaceless Mesa or a GPU), without a display. One context per
-// object, used on the thread that created it.
+// Renders a model's cameras off-screen through EGL (surfaceless Mesa or a GPU), without a display.
+// One context per object, used on the thread that created it.
 class Renderer {
  public:
   static absl::StatusOr<std::unique_ptr<Renderer>> Create(SharedModel model);
   ~Renderer();
-  absl::StatusOr<Image> Render(const mjData& data, const std::string& camera, const RenderOptions& options);
+  absl::StatusOr<Image> Render(const mjData& data, const std::string& camera,
+                               const RenderOptions& options);
 
  private:
   struct Impl;

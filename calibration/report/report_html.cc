@@ -4,10 +4,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "calibration/search/calibration_report.h"
 #include "calibration/report/report_numbers.h"
 #include "calibration/report/report_plots.h"
 #include "calibration/report/report_sections.h"
+#include "calibration/search/calibration_report.h"
 #include "common/html_page.h"
 #include "common/svg_elements.h"
 

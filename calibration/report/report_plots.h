@@ -2,8 +2,8 @@
 
 #include <string>
 
-#include "calibration/search/calibration_report.h"
 #include "calibration/report/report_numbers.h"
+#include "calibration/search/calibration_report.h"
 
 namespace robostress::calibration {
 

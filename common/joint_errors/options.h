@@ -17,13 +17,16 @@ struct JointErrorOptions {
 
   template <class V>
   void Visit(V& v) {
-    v.Choice("friction_law", friction_law,
-             {{"sgn", FrictionLaw::kSgn}, {"tanh", FrictionLaw::kTanh}, {"stick", FrictionLaw::kStick}},
-             "sgn: the paper's law; tanh: smoothed over tanh_width; stick: true stiction within a sub-step");
+    v.Choice(
+        "friction_law", friction_law,
+        {{"sgn", FrictionLaw::kSgn}, {"tanh", FrictionLaw::kTanh}, {"stick", FrictionLaw::kStick}},
+        "sgn: the paper's law; tanh: smoothed over tanh_width; stick: true stiction within a "
+        "sub-step");
     v.Field("tanh_width", tanh_width, "velocity scale of the tanh law [rad/s]");
     v.Choice("offset_mode", offset_mode,
              {{"teleport", OffsetMode::kTeleport}, {"velocity", OffsetMode::kVelocity}},
-             "teleport: add the offset's change to the joint position; velocity: as a one-sub-step velocity, "
+             "teleport: add the offset's change to the joint position; velocity: as a one-sub-step "
+             "velocity, "
              "which contact friction sees");
     v.Choice("offset_start", offset_start,
              {{"zero", OffsetStart::kZero}, {"equilibrium", OffsetStart::kEquilibrium}},

@@ -122,8 +122,9 @@ absl::StatusOr<Scenario> MakeScenario(const std::string& name, int level) {
   const Row* row = std::find_if(std::begin(kRows), std::end(kRows),
                                 [&](const Row& r) { return name == r.name; });
   if (row == std::end(kRows)) {
-    return absl::NotFoundError(absl::StrFormat("unknown scenario '%s'; known: %s, or the path of a scenario file (.yaml)", name,
-                                               absl::StrJoin(ScenarioNames(), ", ")));
+    return absl::NotFoundError(
+        absl::StrFormat("unknown scenario '%s'; known: %s, or the path of a scenario file (.yaml)",
+                        name, absl::StrJoin(ScenarioNames(), ", ")));
   }
   if (level < 1 || level > kLevels) {
     return absl::InvalidArgumentError(

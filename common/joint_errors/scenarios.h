@@ -1,9 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <string>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "absl/status/statusor.h"
 
@@ -28,13 +27,13 @@ struct SeverityFactors {
 };
 
 enum class SeverityProfile {
-  kFixed,           // w_end throughout
-  kRampOverEpisode, // w_start -> w_end linearly over the suite's horizon
-  kWhileGrasping,   // nominal, w_end while an object is held
+  kFixed,            // w_end throughout
+  kRampOverEpisode,  // w_start -> w_end linearly over the suite's horizon
+  kWhileGrasping,    // nominal, w_end while an object is held
 };
 
-// An effect of the effect library at one joint, with a value for each of its parameters in the order
-// of EffectInfo::parameters. Physical values: severity levels do not scale them.
+// An effect of the effect library at one joint, with a value for each of its parameters in the
+// order of EffectInfo::parameters. Physical values: severity levels do not scale them.
 struct ScenarioEffect {
   int joint = 0;  // 0: J1
   std::string type;
@@ -45,19 +44,19 @@ struct ScenarioEffect {
 // One row of the scenario table, or a scenario file: everything that distinguishes a scenario from
 // Clean.
 struct Scenario {
-  std::string name;         // "clean", "heavy_payload", "thermal_drift_stribeck", ...
-  std::string title;        // "Heavy Payload"
+  std::string name;   // "clean", "heavy_payload", "thermal_drift_stribeck", ...
+  std::string title;  // "Heavy Payload"
   bool friction_on = false, gravity_on = false, backlash_on = false, compliance_on = false;
   SeverityProfile profile = SeverityProfile::kFixed;
   std::vector<JointErrorParameters> nominal;  // [joints] of the arm; with the next two, or empty
-  std::vector<SeverityFactors> start;  // [joints], ramp onset (equal to `end` without a ramp)
-  std::vector<SeverityFactors> end;    // [joints], at the chosen severity level
-  bool deployment = false;             // one of the seven
+  std::vector<SeverityFactors> start;   // [joints], ramp onset (equal to `end` without a ramp)
+  std::vector<SeverityFactors> end;     // [joints], at the chosen severity level
+  bool deployment = false;              // one of the seven
   std::vector<ScenarioEffect> effects;  // of scenario files only; beside the paper's four errors
 };
 
-// clean, the seven deployment scenarios, nominal, four isolated settings, dev_mixed (private, for tuning);
-// names as printed by `robostress scenarios`.
+// clean, the seven deployment scenarios, nominal, four isolated settings, dev_mixed (private, for
+// tuning); names as printed by `robostress scenarios`.
 std::vector<std::string> ScenarioNames();
 const std::vector<JointErrorParameters>& NominalPandaErrors();  // [7]
 // level: 1 (mild) .. 5 (full; the paper's main tables). Unknown names list the known ones. A name

@@ -12,7 +12,7 @@ namespace robostress {
 struct ArmEpisode {
   std::optional<int> task;
   int episode = 0;
-  std::optional<bool> success;                      // null: nobody said
+  std::optional<bool> success;  // null: nobody said
   double seconds = 0;
   std::optional<uint64_t> predictions, failed_predictions;
   uint64_t feedback_chunks = 0;

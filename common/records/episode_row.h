@@ -57,7 +57,7 @@ struct EpisodeRow {
   std::optional<uint64_t> measured_steps, masked_steps;  // of those in feedback
   std::optional<int> power_cycles;                       // of the arm so far
   std::optional<std::string> state, cause, instruction;  // of the client at the end; words
-  std::string record;                              // the line as it was read, for episodes.csv
+  std::string record;  // the line as it was read, for episodes.csv
 
   template <class Self, class V>
   static void Visit(Self& r, V& v) {

@@ -10,7 +10,8 @@
 
 namespace robostress {
 
-// What the entries of an action are, and so in which space commanded and executed motion are compared.
+// What the entries of an action are, and so in which space commanded and executed motion are
+// compared.
 enum class ControlSpace {
   kUnspecified,  // it does not say
   kEndEffector,  // displacements of the end effector in units of translation_scale and
@@ -18,24 +19,26 @@ enum class ControlSpace {
   kJoint,  // absolute joint targets [rad] and a gripper; residual as in the paper, sec:supp_real
 };
 
-// What a policy expects and delivers. Filled by the server (or a local policy) before the first rollout.
+// What a policy expects and delivers. Filled by the server (or a local policy) before the first
+// rollout.
 struct PolicySpec {
   std::string name;                  // "nano", "expert", "replay"
   std::string model_hash;            // SHA-256 of the weights file, hex; empty without weights
   std::vector<std::string> cameras;  // views it wants, in order; empty: no rendering
   int image_width = 224;             // [px] of the views it wants
   int image_height = 224;
-  bool resizes_images = false;       // takes views of other sizes too
-  int max_view_side = 1280;          // [px] of any view; wide enough for a camera's 1280 x 720
+  bool resizes_images = false;  // takes views of other sizes too
+  int max_view_side = 1280;     // [px] of any view; wide enough for a camera's 1280 x 720
   int state_dim = 8;
-  int action_dim = 7;                // environment action
-  int horizon = 50;                  // K, steps per predicted chunk
-  int execute_steps = 5;             // n_exec
+  int action_dim = 7;                                       // environment action
+  int horizon = 50;                                         // K, steps per predicted chunk
+  int execute_steps = 5;                                    // n_exec
   ControlSpace control_space = ControlSpace::kUnspecified;  // of its actions
-  // [action_dim] what the policy's actions mean to lie in, environment units; empty: it declares none. A
-  // policy may pass them by a little; a correction is held to them (server/sessions/command_bounds.h).
+  // [action_dim] what the policy's actions mean to lie in, environment units; empty: it declares
+  // none. A policy may pass them by a little; a correction is held to them
+  // (server/sessions/command_bounds.h).
   std::vector<float> action_low, action_high;
-  bool adaptable = false;            // has an action expert that LoRA can adapt
+  bool adaptable = false;  // has an action expert that LoRA can adapt
 };
 
 // Where in a sweep a prediction stands. The sampling noise is a function of
@@ -53,14 +56,14 @@ struct SessionStats {
   double last_loss = 0;
 };
 
-// A policy as the rollout loop sees it: local (expert, replay) or behind gRPC. One object, one session,
-// one thread.
+// A policy as the rollout loop sees it: local (expert, replay) or behind gRPC. One object, one
+// session, one thread.
 class PolicyEndpoint {
  public:
   virtual ~PolicyEndpoint() = default;
   virtual const PolicySpec& spec() const = 0;
-  // Start of an episode: per-episode state (e.g. the direct correction) is reset. A change of task is a
-  // boundary: the feedback buffer is cleared.
+  // Start of an episode: per-episode state (e.g. the direct correction) is reset. A change of task
+  // is a boundary: the feedback buffer is cleared.
   virtual absl::Status StartEpisode(const EpisodeKey& key) = 0;
   // Lockstep: returns when all feedback sent before is in and every due update is published.
   virtual absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) = 0;

@@ -11,7 +11,8 @@ namespace robostress {
 class Robot {
  public:
   virtual ~Robot() = default;
-  // Puts the task into reproducible state `initial_state` and settles. Hidden error states start anew.
+  // Puts the task into reproducible state `initial_state` and settles. Hidden error states start
+  // anew.
   virtual absl::Status Reset(int initial_state) = 0;
   // Renders only the views that the spec asks for.
   virtual absl::StatusOr<Observation> Observe(const PolicySpec& spec) = 0;

@@ -14,7 +14,8 @@ struct EpisodeRecord {
   bool success = false;
   int steps = 0;
   std::vector<ExecutedChunk> chunks;
-  double predict_s = 0, step_s = 0, observe_s = 0, feedback_s = 0;  // wall time, kept out of the tables
+  double predict_s = 0, step_s = 0, observe_s = 0,
+         feedback_s = 0;  // wall time, kept out of the tables
 };
 
 struct RolloutOptions {
@@ -22,9 +23,9 @@ struct RolloutOptions {
   std::function<void(int step)> on_step;  // e.g. to film; called after Reset (0) and each step
 };
 
-// One episode: observe, predict, execute the first spec().execute_steps, send feedback; ends at success or
-// horizon. Feedback sequence numbers continue from `sequence`.
-absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOptions& options, Robot& robot,
-                                         PolicyEndpoint& policy, uint64_t& sequence);
+// One episode: observe, predict, execute the first spec().execute_steps, send feedback; ends at
+// success or horizon. Feedback sequence numbers continue from `sequence`.
+absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOptions& options,
+                                         Robot& robot, PolicyEndpoint& policy, uint64_t& sequence);
 
 }  // namespace robostress

@@ -39,7 +39,8 @@ const std::vector<RobotInfo>& AllRobots() {
        .suites = {"piper_1_next_to_plate", "piper_2_on_cabinet", "piper_3_on_box",
                   "piper_4_open_drawer"},
        .arms = {{"new", "Robot A, new"}, {"used_one_year", "Robot B, used for a year"}},
-       // A server corrects joint targets by what it learned only (server/sessions/session_checks.cc).
+       // A server corrects joint targets by what it learned only
+       // (server/sessions/session_checks.cc).
        .methods = {"base", "ours", "null", "no_residual", "no_anchor", "dob", "dob_ours"},
        .policies = {kPiperPolicy},
        .episodes_stand_alone = false}};

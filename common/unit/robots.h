@@ -12,7 +12,7 @@ namespace robostress {
 // What a sweep must know of a robot: whose suites it plays and who runs its units. Its suites are
 // those of common/suites.h that name it.
 struct RobotInfo {
-  std::string name;    // "panda", "piper"
+  std::string name;  // "panda", "piper"
   RobotDescription description;
   std::string worker;  // robostress-<worker> --unit FILE --out DIR [--server HOST:PORT]
   std::string policy;  // what a grid that names none evaluates

@@ -16,7 +16,7 @@ struct PaperColumn {
   PolicyRole role = PolicyRole::kBase;
   std::string method;
   int severity = 5;
-  bool control = false;  // ours beside the paper's columns
+  bool control = false;         // ours beside the paper's columns
   std::string scenario, group;  // of tables whose rows are suites: the arm, and its title
 };
 

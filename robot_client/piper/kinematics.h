@@ -49,6 +49,6 @@ inline constexpr std::array<Range, kJoints> kJointStops = {
 inline constexpr double kMaxJointSpeed = kPiper.joints[0].max_velocity;                // [rad/s]
 inline constexpr double kMaxJointAcceleration = kPiper.joints[0].max_acceleration;     // [rad/s^2]
 constexpr double TorqueLimit(int joint) { return kPiper.joints[joint].torque_limit; }  // [Nm]
-inline constexpr double kGripperOpening = 0.07;       // [m], the 70 mm gripper
+inline constexpr double kGripperOpening = 0.07;  // [m], the 70 mm gripper
 
 }  // namespace robostress::piper

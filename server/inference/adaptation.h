@@ -22,7 +22,8 @@ class AdaptationLoop {
  public:
   struct Options {
     int threads = 1;
-    // What its jobs yield to, between any two operators (server/inference/update_pacer.h); null: nothing.
+    // What its jobs yield to, between any two operators (server/inference/update_pacer.h); null:
+    // nothing.
     UpdatePacer* pacer = nullptr;
     UpdatePacer::Kind kind = UpdatePacer::Kind::kAsync;
     int nice = 0;  // added to its threads' nice value: the kernel prefers those that predict

@@ -10,10 +10,10 @@
 
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
-#include "server/policies/policy.h"
 #include "server/inference/request_queue.h"
 #include "server/inference/update_pacer.h"
 #include "server/operations/metrics.h"
+#include "server/policies/policy.h"
 
 namespace robostress {
 

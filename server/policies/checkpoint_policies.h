@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "server/policies/policy.h"
 #include "server/policies/adapters/adapter_base.h"
+#include "server/policies/policy.h"
 #include "server/policies/policy_command.h"
 #include "server/policies/policy_inspect.h"
 

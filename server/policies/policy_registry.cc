@@ -10,9 +10,9 @@
 #include "common/embedded_policies.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
-#include "server/policies/policy.h"
 #include "server/policies/checkpoint_policies.h"
 #include "server/policies/nano/nano_policy.h"
+#include "server/policies/policy.h"
 
 namespace robostress {
 namespace {

@@ -53,8 +53,8 @@ torch::Tensor DrawNoise(const StreamKey& key, int64_t horizon, int64_t dim);
 // Encodes and samples in a batch with others, from the noise of `key`: with the job's adapter, and
 // without it where the method wants the unadapted actions: those of version 0 are its own. `job`
 // says all but noise and base. Fills `answer`, all but its number and the corrections of a method.
-// A refusal (common/rollout/refusal.h) where the batcher gives one; INTERNAL where the policy throws,
-// or predicts what is no command.
+// A refusal (common/rollout/refusal.h) where the batcher gives one; INTERNAL where the policy
+// throws, or predicts what is no command.
 absl::StatusOr<SampledPrediction> ComputePrediction(Batcher& batcher, PredictionJob job,
                                                     const SessionSpec& spec, const ChunkKey& key,
                                                     PredictedChunk& answer);

@@ -1,5 +1,5 @@
-// What a control step, a decision and a pair of views of an embedded scene cost, beside the bare physics of the
-// same 25 sub-steps.
+// What a control step, a decision and a pair of views of an embedded scene cost, beside the bare
+// physics of the same 25 sub-steps.
 
 #include "benchmark/benchmark.h"
 #include "sim_worker/suites/embedded_task.h"
@@ -36,7 +36,8 @@ void ControlStep(benchmark::State& state) {
 }
 BENCHMARK(ControlStep)->DenseRange(0, 3)->Unit(benchmark::kMicrosecond);
 
-// The same episodes; only the bare mj_step calls count: a copy of the state takes 25 of them per control step.
+// The same episodes; only the bare mj_step calls count: a copy of the state takes 25 of them per
+// control step.
 void BarePhysics(benchmark::State& state) {
   const auto task = TaskOf(state);
   const mjModel& model = task->sim().model();

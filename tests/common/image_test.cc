@@ -16,7 +16,7 @@ Image Gradient(int width, int height) {
 }
 
 TEST(Image, IntegerShrinkIsTheBoxAverage) {
-  const Image image{4, 2, {0, 0, 0, 10, 10, 10, 100, 0, 0, 200, 0, 0,  //
+  const Image image{4, 2, {0,  0,  0,  10, 10, 10, 100, 0, 0, 200, 0, 0,  //
                            20, 20, 20, 30, 30, 30, 100, 0, 0, 200, 0, 0}};
   const Image small = ResizeArea(image, 2, 1);
   EXPECT_EQ(small.data, (std::vector<uint8_t>{15, 15, 15, 150, 0, 0}));

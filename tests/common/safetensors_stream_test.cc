@@ -17,10 +17,14 @@ class SafetensorsStreamTest : public ::testing::Test {
  protected:
   void SetUp() override { fs::create_directories(folder_); }
   void TearDown() override { fs::remove_all(folder_); }
-  size_t NumFiles() const { return std::distance(fs::directory_iterator(folder_), fs::directory_iterator()); }
-  const fs::path folder_ = fs::path(::testing::TempDir()) / ("stream." + std::to_string(::getpid()));
+  size_t NumFiles() const {
+    return std::distance(fs::directory_iterator(folder_), fs::directory_iterator());
+  }
+  const fs::path folder_ =
+      fs::path(::testing::TempDir()) / ("stream." + std::to_string(::getpid()));
   const std::string path_ = (folder_ / "x.safetensors").string();
-  const std::vector<SafetensorsStream::Entry> entries_ = {{"b", DType::kF32, {2}}, {"a", DType::kU8, {3}}};
+  const std::vector<SafetensorsStream::Entry> entries_ = {{"b", DType::kF32, {2}},
+                                                          {"a", DType::kU8, {3}}};
 };
 
 TEST_F(SafetensorsStreamTest, PiecesMakeAFile) {

@@ -62,23 +62,40 @@ TEST(Safetensors, HostileHeadersAreNamed) {
   EXPECT_THAT(ErrorOf(File("[]", "")), HasSubstr("not a JSON object"));
   EXPECT_THAT(ErrorOf(File("{\"a\":", "")), HasSubstr("not a JSON object"));
   EXPECT_THAT(ErrorOf(File(R"({"a":3})", "")), HasSubstr("'a'"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[1]}})", "")), HasSubstr("no data_offsets"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F99","shape":[1],"data_offsets":[0,4]}})", "1234")), HasSubstr("F99"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}})", "1234")), HasSubstr("truncated"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,4]}})", "1234")), HasSubstr("does not fill"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[-1],"data_offsets":[0,4]}})", "1234")), HasSubstr("-1"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"U8","shape":[281474976710656,281474976710656],"data_offsets":[0,4]}})", "1234")),
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[1]}})", "")),
+              HasSubstr("no data_offsets"));
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F99","shape":[1],"data_offsets":[0,4]}})", "1234")),
+              HasSubstr("F99"));
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}})", "1234")),
+              HasSubstr("truncated"));
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,4]}})", "1234")),
               HasSubstr("does not fill"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[1],"data_offsets":[4,0]}})", "1234")), HasSubstr("[4, 0]"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[1],"data_offsets":[0,4]}})", "12345")), HasSubstr("no tensor"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"U8","shape":[2],"data_offsets":[0,2]},"b":{"dtype":"U8","shape":[2],"data_offsets":[1,3]}})", "123")),
-              HasSubstr("two tensors"));
-  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]},"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]}})", "1")),
-              HasSubstr("occurs twice"));
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[-1],"data_offsets":[0,4]}})", "1234")),
+              HasSubstr("-1"));
+  EXPECT_THAT(
+      ErrorOf(File(
+          R"({"a":{"dtype":"U8","shape":[281474976710656,281474976710656],"data_offsets":[0,4]}})",
+          "1234")),
+      HasSubstr("does not fill"));
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[1],"data_offsets":[4,0]}})", "1234")),
+              HasSubstr("[4, 0]"));
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[1],"data_offsets":[0,4]}})", "12345")),
+              HasSubstr("no tensor"));
+  EXPECT_THAT(
+      ErrorOf(File(
+          R"({"a":{"dtype":"U8","shape":[2],"data_offsets":[0,2]},"b":{"dtype":"U8","shape":[2],"data_offsets":[1,3]}})",
+          "123")),
+      HasSubstr("two tensors"));
+  EXPECT_THAT(
+      ErrorOf(File(
+          R"({"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]},"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]}})",
+          "1")),
+      HasSubstr("occurs twice"));
   EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"U8","shape":[1],"data_offsets":[1,2]}})", "12")),
               HasSubstr("data bytes 0 to 1 belong to no tensor"));
   EXPECT_THAT(ErrorOf(File(R"({"__metadata__":{"k":1}})", "")), HasSubstr("'k'"));
-  EXPECT_THAT(ErrorOf(File(R"({"__metadata__":"k"})", "")), HasSubstr("__metadata__ \"k\" is not an object"));
+  EXPECT_THAT(ErrorOf(File(R"({"__metadata__":"k"})", "")),
+              HasSubstr("__metadata__ \"k\" is not an object"));
 }
 
 TEST(Safetensors, EveryTruncationIsRefused) {
@@ -86,7 +103,8 @@ TEST(Safetensors, EveryTruncationIsRefused) {
   const std::vector<float> values(16, 1.0f);
   writer.AddFloats("w", {16}, values);
   const std::string bytes = *writer.Serialize();
-  for (size_t size = 0; size < bytes.size(); ++size) EXPECT_NE(ErrorOf(bytes.substr(0, size)), "") << size;
+  for (size_t size = 0; size < bytes.size(); ++size)
+    EXPECT_NE(ErrorOf(bytes.substr(0, size)), "") << size;
 }
 
 TEST(Safetensors, RandomDamageNeverCrashes) {
@@ -98,7 +116,8 @@ TEST(Safetensors, RandomDamageNeverCrashes) {
   for (int i = 0; i < 5000; ++i) {
     std::string damaged = bytes;
     for (int k = stream.UniformInt(4); k >= 0; --k) {
-      damaged[stream.UniformInt(static_cast<int>(damaged.size()))] = static_cast<char>(stream.UniformInt(256));
+      damaged[stream.UniformInt(static_cast<int>(damaged.size()))] =
+          static_cast<char>(stream.UniformInt(256));
     }
     const auto file = SafetensorsFile::Parse("damaged", damaged);
     if (file.ok()) {

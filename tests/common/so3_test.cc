@@ -33,7 +33,8 @@ TEST(So3, ExpAgreesWithRodrigues) {
 
 TEST(So3, LogInvertsExpForEveryMagnitudeBelowAHalfTurn) {
   RandomStream stream{StreamKey("so3 log")};
-  for (const double angle : {0.0, 1e-12, 1e-8, 9.9e-7, 1.1e-6, 1e-3, 1.0, 3.0, 3.14, std::numbers::pi - 1e-6}) {
+  for (const double angle :
+       {0.0, 1e-12, 1e-8, 9.9e-7, 1.1e-6, 1e-3, 1.0, 3.0, 3.14, std::numbers::pi - 1e-6}) {
     const Vector3d omega = angle * RandomAxis(stream);
     EXPECT_LT((LogSo3(ExpSo3(omega)) - omega).norm(), 1e-9) << angle;
   }
@@ -52,7 +53,8 @@ TEST(So3, LogIsTheSameForBothSignsOfAQuaternion) {
 }
 
 TEST(So3, LogAtExactlyAHalfTurnPicksTheCanonicalAxis) {
-  for (const Vector3d& axis : {Vector3d(1, 0, 0), Vector3d(0, 1, 0), Vector3d(0, 0, 1), Vector3d(0, 0.6, -0.8)}) {
+  for (const Vector3d& axis :
+       {Vector3d(1, 0, 0), Vector3d(0, 1, 0), Vector3d(0, 0, 1), Vector3d(0, 0.6, -0.8)}) {
     for (const double sign : {1.0, -1.0}) {
       const Eigen::Quaterniond q(0, sign * axis.x(), sign * axis.y(), sign * axis.z());
       EXPECT_LT((LogSo3(q) - std::numbers::pi * axis).norm(), 1e-12);
@@ -62,7 +64,8 @@ TEST(So3, LogAtExactlyAHalfTurnPicksTheCanonicalAxis) {
 
 TEST(So3, LogOfAMatrixNearAHalfTurnKeepsTheAngle) {
   const Vector3d axis = Vector3d(1, 2, -2).normalized();
-  EXPECT_NEAR(LogSo3(Rodrigues(axis, std::numbers::pi - 1e-7)).norm(), std::numbers::pi - 1e-7, 1e-9);
+  EXPECT_NEAR(LogSo3(Rodrigues(axis, std::numbers::pi - 1e-7)).norm(), std::numbers::pi - 1e-7,
+              1e-9);
 }
 
 TEST(So3, RotationBetweenIsInTheWorldFrame) {

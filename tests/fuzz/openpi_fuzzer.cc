@@ -3,8 +3,8 @@
 #include <cmath>
 
 #include "common/wire/openpi_answer.h"
-#include "server/wire/openpi/openpi_extensions.h"
 #include "common/wire/openpi_observation.h"
+#include "server/wire/openpi/openpi_extensions.h"
 #include "tests/fuzz/fuzz_check.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {

@@ -4,8 +4,8 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "server/policies/policy.h"
 #include "server/policies/nano/nano_weights.h"
+#include "server/policies/policy.h"
 
 namespace robostress {
 

@@ -1,7 +1,7 @@
 #include "server/policies/openpi/compute_threads.h"
 
-#include <dlfcn.h>
 #include <ATen/Parallel.h>
+#include <dlfcn.h>
 #include <torch/types.h>
 
 #include "common/check.h"

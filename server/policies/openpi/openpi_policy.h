@@ -5,9 +5,9 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "server/policies/policy.h"
 #include "server/policies/openpi/openpi_weights.h"
 #include "server/policies/openpi/preprocessor.h"
+#include "server/policies/policy.h"
 
 namespace robostress::openpi {
 

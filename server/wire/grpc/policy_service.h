@@ -13,10 +13,10 @@
 #include "absl/time/time.h"
 #include "common/rpc/grpc_status.h"
 #include "server/inference/adaptation.h"
-#include "server/policies/policy.h"
 #include "server/operations/access_tokens.h"
 #include "server/operations/metrics.h"
 #include "server/operations/tls_files.h"
+#include "server/policies/policy.h"
 #include "server/sessions/registry_host.h"
 #include "server/sessions/session_registry.h"
 
@@ -35,9 +35,9 @@ struct PolicyServerOptions {
   int max_batch = 8;  // predictions of one batch; 1: none is batched
   absl::Duration batch_window = absl::ZeroDuration();  // BatcherOptions
   int queue_capacity = 256;  // predictions that wait; more are refused with a time to come back
-  // Updates yield to predictions (server/inference/update_pacer.h): cores that both share, 0: all; the share
-  // of one core that all updates keep meanwhile; what is added to the nice value of the threads
-  // on which async sessions learn.
+  // Updates yield to predictions (server/inference/update_pacer.h): cores that both share, 0: all;
+  // the share of one core that all updates keep meanwhile; what is added to the nice value of the
+  // threads on which async sessions learn.
   int cores = 0;
   double update_share = 0.1;
   int update_nice = 5;
@@ -60,7 +60,8 @@ struct PolicyServerOptions {
   absl::Duration starvation_limit = absl::Seconds(2);
   int max_message_mib = kMaxMessageBytes >> 20;  // of gRPC, in both directions
   int kept_traces = 256;                         // predictions whose spans /traces shows
-  // Of the prefix keys and values that all sessions keep for learning (server/inference/prefix_store.h).
+  // Of the prefix keys and values that all sessions keep for learning
+  // (server/inference/prefix_store.h).
   int64_t prefix_budget_mib = PrefixStore::kDefaultBudgetBytes >> 20;
   int max_view_side = 0;          // [px] of any view; 0: what each policy takes
   bool warm_up = true;            // predict once with every policy before health says SERVING

@@ -4,10 +4,10 @@
 #include <optional>
 #include <string>
 
-#include "server/wire/openpi/openpi_extensions.h"
 #include "common/wire/openpi_observation.h"
 #include "server/operations/access_tokens.h"
 #include "server/sessions/session_host.h"
+#include "server/wire/openpi/openpi_extensions.h"
 #include "server/wire/web/web_server.h"
 
 namespace robostress {

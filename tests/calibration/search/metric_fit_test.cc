@@ -27,7 +27,6 @@ TEST(Subplex, FindsAMinimumThatHasNoGradientAndStaysWithinBounds) {
 
 class MetricFitTest : public BriefServo {
  protected:
-
 };
 
 TEST_F(MetricFitTest, WhatIsBestForTheMeanAbsoluteErrorIsNoWorseThanWhatLeastSquaresFinds) {

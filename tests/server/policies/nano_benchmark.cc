@@ -1,5 +1,5 @@
-#include <benchmark/benchmark.h>
 #include <ATen/Parallel.h>
+#include <benchmark/benchmark.h>
 #include <torch/types.h>
 
 #include "server/policies/policy.h"

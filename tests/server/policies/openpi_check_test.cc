@@ -44,8 +44,7 @@ TEST_P(Oracle, EveryQuantityIsWithinItsTolerance) {
   const auto file = [](const std::string& kind) {
     return kind.empty() ? "" : OracleFile(GetParam().name + "." + kind + ".safetensors");
   };
-  if (file(GetParam().weights).empty())
-    GTEST_SKIP() << kNoOracle;
+  if (file(GetParam().weights).empty()) GTEST_SKIP() << kNoOracle;
   const auto report = CheckPolicy({.weights = file(GetParam().weights),
                                    .io = file(GetParam().io),
                                    .lora = file(GetParam().lora)});

@@ -2,10 +2,10 @@
 
 #include "server/policies/openpi/openpi_inference.h"
 
+#include <ATen/Parallel.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <malloc.h>
-#include <ATen/Parallel.h>
 #include <torch/types.h>
 
 #include <cmath>

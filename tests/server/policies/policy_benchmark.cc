@@ -1,7 +1,7 @@
 // Times predictions of nano, pi0 and pi0.5, and their matrix products alone. With --files it writes
-// weights, inputs and actions for the eager networks of tests/server/policies/eager, whose compare.sh runs
-// both in turn. With --update it times an update of batch 4 on stored prefixes beside predictions
-// that carry its adapter.
+// weights, inputs and actions for the eager networks of tests/server/policies/eager, whose
+// compare.sh runs both in turn. With --update it times an update of batch 4 on stored prefixes
+// beside predictions that carry its adapter.
 
 #include <gtest/gtest.h>
 #include <torch/types.h>

@@ -1,7 +1,7 @@
 #pragma once
 
-#include "server/policies/policy.h"
 #include "server/policies/nano/nano_weights.h"
+#include "server/policies/policy.h"
 
 namespace robostress {
 

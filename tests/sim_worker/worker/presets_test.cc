@@ -52,8 +52,7 @@ class Presets : public testing::Test {
     fs::create_directories(*root_);
     serve_ = new ServeProcess(SERVE_PROGRAM, {"--policy", "nano"});
     episodes_ = new std::map<std::string, Episode>();
-    for (const std::string& method : PandasMethods())
-      (*episodes_)[method] = Run(method);
+    for (const std::string& method : PandasMethods()) (*episodes_)[method] = Run(method);
   }
   static void TearDownTestSuite() {
     delete serve_;

@@ -153,16 +153,16 @@ TEST_F(WorkerProgramTest, LagOfACleanEpisodeIsItsResidual) {
 }
 
 // Rows of the version before scenario files could list effects (2026-11-21, MuJoCo 2.2.2, x86-64).
-TEST_F(WorkerProgramTest, ScenariosWithoutEffectsPlayAsBeforeThereWereAnyAlsoWhenJointsAreRecorded) {
+TEST_F(WorkerProgramTest,
+       ScenariosWithoutEffectsPlayAsBeforeThereWereAnyAlsoWhenJointsAreRecorded) {
   const std::pair<std::string, const char*> kRows[] = {
       {"nominal", "a6e17e517c1314cc39d68fb3e72ac5c7e91e3a9acc8f21fc36839f149b3491fb"},
       {"aged_joint_uniform", "45b7cbd7c62c64384b1a80aafeb3bee603986bb25884726b7c604ca0128c45df"}};
   for (const auto& [scenario, hash] : kRows) {
     const std::string out = Path(scenario);
-    const Outcome outcome =
-        Worker({"--set", "suite=tabletop_goal", "--set", "policy=expert", "--set", "tasks=[1]",
-                "--set", "episodes=2", "--set", "scenario=" + scenario, "--out", out,
-                "--record-joints"});
+    const Outcome outcome = Worker({"--set", "suite=tabletop_goal", "--set", "policy=expert",
+                                    "--set", "tasks=[1]", "--set", "episodes=2", "--set",
+                                    "scenario=" + scenario, "--out", out, "--record-joints"});
     ASSERT_EQ(outcome.code, 0) << outcome.output;
     EXPECT_EQ(Sha256Hex(*ReadFile(out + "/episodes.jsonl")), hash) << scenario;
     EXPECT_TRUE(fs::exists(out + "/joints/task1_episode1.safetensors"));
@@ -171,9 +171,9 @@ TEST_F(WorkerProgramTest, ScenariosWithoutEffectsPlayAsBeforeThereWereAnyAlsoWhe
 
 TEST_F(WorkerProgramTest, PlaysAScenarioFileAndCallsItByItsName) {
   const std::string file = Path("stiff_wrist.yaml");
-  ASSERT_TRUE(WriteFileAtomically(
-                  file, "joints: [{name: J6, effects: [{type: deadzone, width: 0.5}]}]\n")
-                  .ok());
+  ASSERT_TRUE(
+      WriteFileAtomically(file, "joints: [{name: J6, effects: [{type: deadzone, width: 0.5}]}]\n")
+          .ok());
   const std::string unit = WriteUnit();
   const auto row = [&](const std::string& scenario, const std::string& out) {
     const Outcome outcome = Worker({"--unit", unit, "--set", "tasks=[0]", "--set", "episodes=1",
@@ -184,8 +184,8 @@ TEST_F(WorkerProgramTest, PlaysAScenarioFileAndCallsItByItsName) {
   const nlohmann::json worn = row(file, Path("worn")), clean = row("clean", Path("clean"));
   EXPECT_EQ(worn["scenario"], "stiff_wrist");
   EXPECT_NE(worn["residual"], clean["residual"]);
-  const Outcome absent = Worker({"--unit", unit, "--set", "scenario=" + Path("absent.yaml"),
-                                 "--out", Path("out")});
+  const Outcome absent =
+      Worker({"--unit", unit, "--set", "scenario=" + Path("absent.yaml"), "--out", Path("out")});
   EXPECT_EQ(absent.code, 2);
   EXPECT_THAT(absent.output, HasSubstr("absent.yaml"));
 }
