@@ -10,20 +10,33 @@ endif()
 # -O2 without -march=native: the same binary gives the same bits on every x86-64 machine of a cluster.
 set(CMAKE_CXX_FLAGS_RELEASE "-O2 -DNDEBUG")
 
-find_program(CCACHE_PROGRAM ccache)
+option(ROBOSTRESS_CCACHE "Compile through ccache where it is installed" ON)
+if(ROBOSTRESS_CCACHE)
+  find_program(CCACHE_PROGRAM ccache)
+endif()
 if(CCACHE_PROGRAM)
   set(CMAKE_CXX_COMPILER_LAUNCHER
       ${CMAKE_COMMAND} -E env CCACHE_SLOPPINESS=pch_defines,time_macros,include_file_mtime,include_file_ctime
       ${CCACHE_PROGRAM})
 endif()
 
-add_library(robostress_warnings INTERFACE)
-target_compile_options(robostress_warnings INTERFACE -Wall -Wextra -Wno-missing-field-initializers)
+# What every unit is compiled with, so that units of different libraries share a precompiled header.
+add_library(robostress_options INTERFACE)
+target_compile_options(robostress_options INTERFACE -Wall -Wextra -Wno-missing-field-initializers -pthread)
+if(ROBOSTRESS_UNITY)
+  # In a unity unit every source is an included file, where the compiler thinks of anonymous types as a header's.
+  target_compile_options(robostress_options INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
+endif()
 if(ROBOSTRESS_WERROR)
-  target_compile_options(robostress_warnings INTERFACE -Werror)
+  target_compile_options(robostress_options INTERFACE -Werror)
 endif()
 if(CMAKE_CXX_COMPILER_ID MATCHES Clang)
-  target_compile_options(robostress_warnings INTERFACE -Wthread-safety)
+  target_compile_options(robostress_options INTERFACE -Wthread-safety)
+endif()
+
+find_program(MOLD_PROGRAM mold)
+if(MOLD_PROGRAM)
+  add_link_options(-fuse-ld=mold)  # a fifth of the time of GNU ld
 endif()
 
 if(ROBOSTRESS_SANITIZE)

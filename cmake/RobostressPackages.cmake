@@ -19,6 +19,9 @@ find_package(Protobuf REQUIRED)
 find_package(gRPC CONFIG REQUIRED)
 find_package(prometheus-cpp CONFIG REQUIRED)
 
+target_link_libraries(robostress_options INTERFACE
+  Eigen3::Eigen spdlog::spdlog absl::statusor absl::strings absl::str_format absl::synchronization nlohmann_json::nlohmann_json)
+
 if(ROBOSTRESS_TESTS)
   find_package(GTest REQUIRED)
 endif()

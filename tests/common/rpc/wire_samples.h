@@ -10,6 +10,10 @@
 
 #include "absl/status/status.h"
 #include "common/rollout/session_spec.h"
+#include "common/rpc/convert_chunks.h"
+#include "common/rpc/convert_observations.h"
+#include "common/rpc/convert_sessions.h"
+#include "common/rpc/convert_specs.h"
 #include "common/types.h"
 
 // What the tests of the conversions send, and how they damage it.
