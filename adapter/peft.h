@@ -10,8 +10,7 @@ namespace robostress {
 
 // An adapter in the form of Hugging Face's PEFT: the two files of its folder.
 struct PeftFiles {
-  std::string
-      safetensors;  // adapter_model.safetensors: base_model.model.<module>.lora_{A,B}.weight
+  std::string safetensors;  // adapter_model.safetensors: base_model.model.MODULE.lora_{A,B}.weight
   std::string config_json;  // adapter_config.json
 };
 inline constexpr char kPeftTensors[] = "adapter_model.safetensors";

@@ -101,7 +101,7 @@ struct ClientOptions {
   }
 };
 
-// One unit of a sweep: sequential episodes of one session. This struct is units/<id>/config.yaml.
+// One unit of a sweep: sequential episodes of one session. This struct is units/ID/config.yaml.
 // Who reads or writes one as YAML, or looks at its method, includes adapter/method_options.h.
 struct UnitConfig {
   std::string suite = "tabletop_spatial";

@@ -66,7 +66,7 @@ absl::Status CheckConfig(const ClientConfig& config);
 
 absl::Status CheckWorkspace(const WorkspaceOptions& options);
 
-// A camera from NAME=SOURCE[,fault=KIND[:AMOUNT][@SECONDS]], the fault from SECONDS on:
+// A camera from `NAME=SOURCE[,fault=KIND[:AMOUNT][@SECONDS]]`, the fault from SECONDS on:
 //   base=v4l2:/dev/v4l/by-id/...[@640x480]   a camera
 //   wrist=files:DIR                          *.ppm of a folder, over and over
 //   base=mapped:FILE                         pictures of an emulator on this machine

@@ -22,10 +22,10 @@ namespace robostress {
 // its contype (the MJCF default). Links 0 to 4 do not collide at all.
 struct PandaScene {
   std::string name = "panda";
-  std::string assets_xml;    // children of <asset>
-  std::string defaults_xml;  // <default class=...> elements, children of the main default
-  std::string world_xml;    // children of <worldbody>: tables, objects, cameras (agentview), lights
-  std::string contact_xml;  // children of <contact>
+  std::string assets_xml;    // children of `<asset>`
+  std::string defaults_xml;  // `<default class=...>` elements, children of the main default
+  std::string world_xml;     // children of `<worldbody>`: tables, objects, lights, camera agentview
+  std::string contact_xml;   // children of `<contact>`
   Eigen::Vector3d base_position = Eigen::Vector3d(-0.66, 0, 0.912);  // of robot0_base [m]
 
   // Solver. The defaults are those of the embedded suites (what they cost:

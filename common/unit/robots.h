@@ -14,8 +14,8 @@ namespace robostress {
 struct RobotInfo {
   std::string name;  // "panda", "piper"
   RobotDescription description;
-  std::string worker;  // robostress-<worker> --unit FILE --out DIR [--server HOST:PORT]
-  std::string policy;  // what a grid that names none evaluates
+  std::string worker;               // robostress-WORKER --unit FILE --out DIR [--server HOST:PORT]
+  std::string policy;               // what a grid that names none evaluates
   std::vector<std::string> suites;  // what a grid that names none plays
   // Arms with a name and a title, which are its scenarios and have one level; empty: the scenarios
   // are those of `robostress scenarios`.

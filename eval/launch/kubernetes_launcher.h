@@ -8,7 +8,7 @@
 
 namespace robostress {
 
-// Writes RUN/submissions/<number>/kubernetes.yaml and leaves applying it to the person: an indexed
+// Writes RUN/submissions/NUMBER/kubernetes.yaml and leaves applying it to the person: an indexed
 // Job of server pods per policy, an indexed Job of worker pods, and a Job that merges. All mount
 // the persistent volume claim that holds the run directory, and find each other through it. A
 // pod that is evicted or preempted is replaced and goes on where its files end; that does not count

@@ -11,11 +11,11 @@
 
 namespace robostress {
 
-// What one call handed to a scheduler: RUN/submissions/<number>/, written before any job is
+// What one call handed to a scheduler: RUN/submissions/NUMBER/, written before any job is
 // submitted and never changed, so that a job that is requeued finds what it found before.
 //   grid.yaml items.txt settings.json
-//   servers/<policy>-<index>.json  where a server job answers, while it does
-//   left/<index>                   a worker task that has nothing more to do: its exit code
+//   servers/POLICY-INDEX.json  where a server job answers, while it does
+//   left/INDEX                   a worker task that has nothing more to do: its exit code
 // Item i belongs to worker task i modulo the number of tasks; the longest come first, so shares
 // differ by little, and no task needs to talk to another.
 class Submission {

@@ -33,10 +33,10 @@ absl::Status CheckRunDirectories(const std::vector<std::string>& dirs);
 absl::StatusOr<std::vector<std::string>> UnitFolders(const std::string& dir);
 
 // Where things lie in a run directory:
-//   sweep.yaml        the grid of the last call, resolved; grids/<hash>.yaml every grid so far
-//   plan/<id>.yaml    configuration of a unit that has been started
-//   units/<id>/       written by its worker, DONE last
-//   parts/<id>/       ranges of a unit's episodes while they are run apart (work_list.h)
+//   sweep.yaml        the grid of the last call, resolved; grids/HASH.yaml every grid so far
+//   plan/ID.yaml    configuration of a unit that has been started
+//   units/ID/       written by its worker, DONE last
+//   parts/ID/       ranges of a unit's episodes while they are run apart (work_list.h)
 //   scenarios/        copies of scenario files
 //   logs/             one per process
 class RunDirectory {

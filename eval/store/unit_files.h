@@ -19,7 +19,7 @@ struct UnitInspection {
   std::vector<std::string> damage;
 };
 
-// Reads and checks units/<id>/. Never fails: what is wrong is part of the result.
+// Reads and checks units/ID/. Never fails: what is wrong is part of the result.
 UnitInspection InspectUnit(const std::string& folder, UnitTextReader& texts);
 
 // Refuses units of one policy name that ran on different weights, with all of them listed.

@@ -13,8 +13,8 @@ namespace robostress {
 //
 // Episodes of a method that adapts are sequential, because the adapter is carried from one to the
 // next. A method that carries nothing may be run in parts, ranges of its episodes in the order of
-// execution; each part is written to parts/<id>/<first>-<last>/ and, once all are there, they are
-// joined to units/<id>/, which is then the same as of the undivided unit, byte by byte (timings
+// execution; each part is written to parts/ID/FIRST-LAST/ and, once all are there, they are
+// joined to units/ID/, which is then the same as of the undivided unit, byte by byte (timings
 // apart).
 struct WorkItem {
   const PlannedUnit* unit = nullptr;
@@ -23,7 +23,7 @@ struct WorkItem {
 
   bool IsPart() const { return part_episodes > 0; }
   std::string Range() const;  // "40-59"
-  std::string Name() const;   // "<id>", or "<id>.40-59": unique, a file name
+  std::string Name() const;   // "ID", or "ID.40-59": unique, a file name
   std::string Folder(const RunDirectory& run) const;
   bool Done(const RunDirectory& run) const;
 };

@@ -16,8 +16,8 @@ namespace robostress::piper {
 // other.
 struct PiperScene {
   std::string name = "piper";
-  std::string assets_xml;  // children of <asset>
-  std::string world_xml;   // children of <worldbody> beside the arm, its floor and a light
+  std::string assets_xml;  // children of `<asset>`
+  std::string world_xml;   // children of `<worldbody>` beside the arm, its floor and a light
   double payload_kg = 0;   // held between the finger tips, part of the gripper
 };
 std::string ComposePiperScene(const PiperScene& scene);

@@ -18,10 +18,10 @@ struct LiveServer {
 
 // The page of a running server: its sessions with the residual over time, the adapter's drift,
 // latencies and the last images. It needs nothing but what this server answers, reads without
-// scripts, and where they run replaces its <main> every second.
+// scripts, and where they run replaces its `<main>` every second.
 std::string LivePage(const LiveServer& server, const std::vector<Telemetry::View>& sessions,
                      Metrics& metrics);
-// The <main> element alone.
+// The `<main>` element alone.
 std::string LiveMain(const LiveServer& server, const std::vector<Telemetry::View>& sessions,
                      Metrics& metrics);
 // The page's script.

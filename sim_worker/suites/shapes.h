@@ -46,11 +46,11 @@ const Handle& KnobHandle();    // of kStove: turns about z, from -x towards +y
 // How a prop is attached to the world. Only what a task moves has joints.
 enum class Mobility {
   kStatic,  // a mocap body: placed per episode, never moves, touches nothing but what lies on it
-  kFree,    // free joint <name>_joint
-  kPlanar,  // slides <name>_x, <name>_y with dry friction: a plate that is pushed
+  kFree,    // free joint NAME_joint
+  kPlanar,  // slides NAME_x, NAME_y with dry friction: a plate that is pushed
 };
 
-// The prop's <body> element.
+// The prop's `<body>` element.
 std::string PropMjcf(const Prop& prop, Mobility mobility);
 
 // "r g b 1" of a colour's name.

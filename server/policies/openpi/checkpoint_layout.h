@@ -11,7 +11,7 @@ struct OpenpiName {
   CheckpointLayout layout;  // that the stored name shows
 };
 
-// Maps every generation of names to openpi's: `model.` is stripped, and the old LeRobot's
+// Maps every generation of names to openpi's: "model." is stripped, and the old LeRobot's
 // language_model.model.*, vision_tower.* and multi_modal_projector.* move below paligemma.model.
 // Names that are none of the network's come back as they are.
 OpenpiName ToOpenpiName(const std::string& stored);
