@@ -94,7 +94,7 @@ class Tree:
 
     def __init__(self, root, build, timeout):
         self.root, self.build, self.timeout = root, build, timeout
-        self.passing = {}
+        self.passing, self.entries = {}, {}
 
     def run(self, *command, timeout=None):
         try:
@@ -103,15 +103,24 @@ class Tree:
         except subprocess.TimeoutExpired:
             return False
 
+    def commands(self, test):
+        """Program and arguments of each of ctest's entries in `test`; arguments there replace the entry's own filter."""
+        if not self.entries:
+            listed = subprocess.run(["ctest", "--test-dir", self.build, "--show-only=json-v1"], cwd=self.root,
+                                    check=True, capture_output=True, text=True).stdout
+            self.entries = {entry["name"]: entry.get("command", []) for entry in json.loads(listed)["tests"]}
+        for part in test.split(","):
+            name, *arguments = part.split()
+            if not self.entries.get(name):
+                refuse(f"ctest has no program for {name}: build {self.root / self.build} first")
+            program, *own = self.entries[name]
+            yield program, arguments or own
+
     def builds(self, test):
-        return self.run("ninja", "-C", self.build, *(part.split()[0] for part in test.split(",")))
+        return self.run("ninja", "-C", self.build, *(pathlib.Path(program).name for program, _ in self.commands(test)))
 
     def passes(self, test):
-        for part in test.split(","):
-            program, *arguments = part.split()
-            if not self.run(f"{self.build}/test_bin/{program}", *arguments, timeout=self.timeout):
-                return False
-        return True
+        return all(self.run(program, *arguments, timeout=self.timeout) for program, arguments in self.commands(test))
 
     def verdict(self, mutant):
         test, path = mutant["test"], self.root / mutant["file"]

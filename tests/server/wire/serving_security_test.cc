@@ -169,7 +169,7 @@ TEST_F(ServingSecurityTest, NoMethodAnswersWithoutATokenOrWithOneOfNoUse) {
 }
 
 // Every method of the schema and every page stands in the table, and nothing else.
-TEST(AccessTable, IsTheSchemasAndThePagesList) {
+TEST(AccessOfService, IsTheSchemasAndThePagesList) {
   size_t rules = 0;
   for (const auto& [service, wire] :
        {std::pair("robostress.v1.PolicyService", AccessRule::Wire::kPolicy),
