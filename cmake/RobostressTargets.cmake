@@ -13,7 +13,7 @@ endfunction()
 function(robostress_program name)
   cmake_parse_arguments(ARG "" "" "DEPS" ${ARGN})
   add_executable(${name} ${ARG_UNPARSED_ARGUMENTS})
-  target_link_libraries(${name} PRIVATE ${ARG_DEPS} robostress_options)
+  target_link_libraries(${name} PRIVATE ${ARG_DEPS} rs_run_main robostress_options)
   set_property(GLOBAL APPEND PROPERTY robostress_targets ${name})
 endfunction()
 
