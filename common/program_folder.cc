@@ -49,11 +49,14 @@ std::string ProgramFolder() {
 
 std::string SourceFolderOfBuild() { return SourceFolder(OwnFolder()).string(); }
 
+std::string PathInPrefix(const std::string& path) {
+  return (OwnFolder().parent_path() / path).string();
+}
+
 std::string DataPath(const std::string& path_in_source) {
-  const fs::path own = OwnFolder();
-  const fs::path source = SourceFolder(own);
-  return ((source.empty() ? own.parent_path() / "share/robostress" : source) / path_in_source)
-      .string();
+  const std::string source = SourceFolderOfBuild();
+  return source.empty() ? PathInPrefix("share/robostress/" + path_in_source)
+                        : (fs::path(source) / path_in_source).string();
 }
 
 std::vector<std::string> InstalledCommands() {

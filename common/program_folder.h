@@ -11,6 +11,8 @@ namespace robostress {
 std::string ProgramFolder();
 // The source tree, for a program that lies in a build folder; empty for one that was installed.
 std::string SourceFolderOfBuild();
+// A file or folder beside the program's own: "lib/dri" is PREFIX/lib/dri of PREFIX/bin/PROGRAM.
+std::string PathInPrefix(const std::string& path);
 // A file or folder that comes with the programs, by its path in the source: "server/models/weights".
 // Of a program that was built: that in the source tree. Of one that was installed: that in
 // ../share/robostress beside the program's folder.
