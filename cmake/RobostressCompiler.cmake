@@ -39,6 +39,9 @@ if(MOLD_PROGRAM)
   add_link_options(-fuse-ld=mold)  # a fifth of the time of GNU ld
 endif()
 
+# No program names the folder that it was built in: __FILE__ begins at the source's root.
+add_compile_options(-fmacro-prefix-map=${CMAKE_BINARY_DIR}/= -fmacro-prefix-map=${PROJECT_SOURCE_DIR}/=)
+
 if(ROBOSTRESS_SANITIZE)
   add_compile_options(-fsanitize=${ROBOSTRESS_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
   add_link_options(-fsanitize=${ROBOSTRESS_SANITIZE})

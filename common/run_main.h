@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdio>
+#include <optional>
 #include <string>
 #include <type_traits>
 
@@ -12,20 +13,23 @@ namespace robostress {
 inline constexpr int kFailed = 1;
 inline constexpr int kWrongCommand = 2;
 
+// Alone on a command line, it makes a program print its options as data (common/option_table.h).
+inline constexpr char kOptionTableFlag[] = "--option-table";
+
+// Adds what every program understands (--version, kOptionTableFlag) and parses; the exit code where
+// the program shall end: help or the like was asked for, or the command line is wrong.
+std::optional<int> ParseCommandLine(CLI::App& app, int argc, char** argv);
+
 // How a program's main ends. Parses the command line and runs; `run` returns an exit code, an
 // absl::Status or an absl::StatusOr of an exit code. An error is said on standard error as
 // "NAME: message", NAME being the app's.
-// Exit codes: 0 done, or help was asked for; 2 the command line is wrong; after an error
-// `code_of(status)`, which is 1 unless given.
+// Exit codes: 0 done, or help or the version was asked for; 2 the command line is wrong; after an
+// error `code_of(status)`, which is 1 unless given.
 template <class Run>
 int RunMain(
     CLI::App& app, int argc, char** argv, Run run,
     int (*code_of)(const absl::Status&) = [](const absl::Status&) { return kFailed; }) {
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kWrongCommand;
-  }
+  if (const std::optional<int> code = ParseCommandLine(app, argc, argv)) return *code;
   using Result = std::invoke_result_t<Run>;
   absl::StatusOr<int> code = 0;
   if constexpr (std::is_same_v<Result, absl::Status>) {

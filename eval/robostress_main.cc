@@ -9,7 +9,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "common/option_table.h"
 #include "common/program_folder.h"
+#include "common/run_main.h"
+#include "common/version.h"
 #include "eval/launch/server_process.h"
 #include "eval/plan/build_info.h"
 
@@ -68,12 +71,32 @@ std::string WhyLeftOut(const Command& command) {
   return "";
 }
 
+constexpr char kPurpose[] =
+    "Stress-tests vision-language-action policies under joint-level execution errors and "
+    "measures what\n"
+    "online self-compensation wins back.";
+
+constexpr char kExamples[] =
+    "Examples\n"
+    "  robostress sweep --quick --out runs/quick        one suite, base and self-compensating, "
+    "two workers\n"
+    "  robostress report runs/quick                     the report again, from the recorded "
+    "episodes\n"
+    "  robostress scenarios                             what each scenario does to each joint\n"
+    "  robostress COMMAND --help                        every option of a command\n\n"
+    "Programs are looked for beside this one, or in ROBOSTRESS_BIN.";
+
+// Commands as those of a command line, for the manual page and completion.
+void PrintOptionTable() {
+  CLI::App app(kPurpose, "robostress");
+  app.footer(kExamples);
+  app.add_flag("--version", "Print the version and exit");
+  for (const Command& command : kCommands) app.add_subcommand(command.name, command.summary);
+  std::printf("%s\n", robostress::OptionTableText(app).c_str());
+}
+
 void PrintHelp() {
-  std::printf(
-      "Usage: robostress COMMAND [options]\n\n"
-      "Stress-tests vision-language-action policies under joint-level execution errors and "
-      "measures what\n"
-      "online self-compensation wins back.\n\nCommands\n");
+  std::printf("Usage: robostress COMMAND [options]\n\n%s\n\nCommands\n", kPurpose);
   const std::vector<std::string> installed = robostress::InstalledCommands();
   for (const Command& command : kCommands) {
     const bool here =
@@ -88,16 +111,7 @@ void PrintHelp() {
                                     [&](const Command& command) { return name == command.name; });
     if (!listed) std::printf("  %-13s see `robostress %s --help`\n", name.c_str(), name.c_str());
   }
-  std::printf(
-      "\nExamples\n"
-      "  robostress sweep --quick --out runs/quick        one suite, base and self-compensating, "
-      "two workers\n"
-      "  robostress report runs/quick                     the report again, from the recorded "
-      "episodes\n"
-      "  robostress scenarios                             what each scenario does to each joint\n"
-      "  robostress COMMAND --help                        every option of a command\n\n"
-      "Programs are looked for beside this one, or in ROBOSTRESS_BIN. Version %s.\n",
-      robostress::kVersion);
+  std::printf("\n%s Version %s.\n", kExamples, robostress::BuildVersion());
 }
 
 }  // namespace
@@ -109,7 +123,11 @@ int main(int argc, char** argv) {
     return 0;
   }
   if (command == "--version") {
-    std::printf("robostress %s\n", robostress::kVersion);
+    std::printf("robostress %s\n", robostress::VersionText().c_str());
+    return 0;
+  }
+  if (command == robostress::kOptionTableFlag) {
+    PrintOptionTable();
     return 0;
   }
   const absl::StatusOr<std::string> program = robostress::FindProgram(command);

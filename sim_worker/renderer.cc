@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <filesystem>
 #include <mutex>
 #include <string>
 #include <utility>
@@ -14,6 +15,7 @@
 #include "absl/strings/str_join.h"
 #include "common/check.h"
 #include "common/image.h"
+#include "common/program_folder.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -31,6 +33,17 @@ absl::Status EglError(const char* call) {
                       call, eglGetError()));
 }
 
+// An archive for people without root brings its own EGL (cmake/make_archive.sh). What the caller's
+// environment says is stronger.
+void UseOwnDrivers() {
+  const std::string vendors = PathInPrefix("share/glvnd/egl_vendor.d");
+  const std::string drivers = PathInPrefix("lib/dri");
+  std::error_code error;
+  if (!std::filesystem::exists(drivers, error)) return;
+  setenv("__EGL_VENDOR_LIBRARY_DIRS", vendors.c_str(), /*overwrite=*/0);
+  setenv("LIBGL_DRIVERS_PATH", drivers.c_str(), /*overwrite=*/0);
+}
+
 // The process' display. It is initialised once and stays: EGL counts no users of a display.
 absl::StatusOr<EGLDisplay> OpenDisplay() {
   static std::once_flag once;
@@ -39,6 +52,7 @@ absl::StatusOr<EGLDisplay> OpenDisplay() {
     // Mesa's software rasteriser would start a thread per core in every worker; 0 renders in the
     // caller.
     setenv("LP_NUM_THREADS", "0", /*overwrite=*/0);
+    UseOwnDrivers();
     const auto get_display = reinterpret_cast<PFNEGLGETPLATFORMDISPLAYEXTPROC>(
         eglGetProcAddress("eglGetPlatformDisplayEXT"));
     if (get_display == nullptr) return;

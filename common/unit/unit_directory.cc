@@ -19,6 +19,7 @@
 #include "common/config.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
+#include "common/version.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -176,7 +177,7 @@ std::string UnitDirectory::RowsText() const {
 absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::string& model_hash) {
   const std::string file = File("provenance.json");
   const json wanted = {
-      {"policy", policy}, {"model_hash", model_hash}, {"version", ROBOSTRESS_VERSION}};
+      {"policy", policy}, {"model_hash", model_hash}, {"version", BuildVersion()}};
   RS_ASSIGN_OR_RETURN(const std::string text, ReadIfPresent(file));
   if (text.empty() || rows_.empty()) return WriteFileAtomically(file, wanted.dump() + "\n");
   const json present = json::parse(text, nullptr, false);

@@ -219,12 +219,8 @@ class Study {
     return WritePiperPage(plans, protocol_, run);
   }
 
-  static const char* PiperRecipe() {
-    return ROBOSTRESS_SOURCE_DIR "/server/training/nano_piper.yaml";
-  }
-  static const char* PiperGraft() {
-    return ROBOSTRESS_SOURCE_DIR "/server/models/weights/nano.safetensors";
-  }
+  static std::string PiperRecipe() { return DataPath("server/training/nano_piper.yaml"); }
+  static std::string PiperGraft() { return DataPath("server/models/weights/nano.safetensors"); }
 
   const PiperStudyOptions& options_;
   const PiperStudyLaunch& launch_;

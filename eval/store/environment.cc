@@ -10,6 +10,8 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/program_folder.h"
+#include "common/version.h"
 #include "eval/plan/build_info.h"
 #include "nlohmann/json.hpp"
 
@@ -25,11 +27,13 @@ std::string FirstLineOf(const std::string& command) {
   return std::string(absl::StripAsciiWhitespace(line));
 }
 
-// The git revision, with "-dirty" when tracked files differ; empty outside a checkout.
+// Of a build in its checkout git's revision now, with "-dirty" when tracked files differ; else that
+// which was compiled in.
 std::string SourceRevision() {
-  if (!fs::exists(fs::path(kSourceDir) / ".git")) return "";
+  const std::string source = SourceFolderOfBuild();
+  if (source.empty() || !fs::exists(fs::path(source) / ".git")) return BuildRevision();
   return FirstLineOf(
-      absl::StrCat("git -C '", kSourceDir, "' describe --always --dirty --abbrev=12 2>/dev/null"));
+      absl::StrCat("git -C '", source, "' describe --always --dirty --abbrev=12 2>/dev/null"));
 }
 
 std::string Processor() {
@@ -45,11 +49,11 @@ std::string Processor() {
 
 absl::Status WriteEnvironment(const std::string& run_dir) {
   const nlohmann::json record = {
-      {"robostress", kVersion},    {"revision", SourceRevision()},
-      {"compiler", kCompiler},     {"build_type", kBuildType},
-      {"sanitizers", kSanitizers}, {"mujoco", kMujocoVersion},
-      {"torch", kTorchVersion},    {"grpc", kGrpcVersion},
-      {"processor", Processor()},  {"cores", std::thread::hardware_concurrency()}};
+      {"robostress", BuildVersion()}, {"revision", SourceRevision()},
+      {"compiler", kCompiler},        {"build_type", kBuildType},
+      {"sanitizers", kSanitizers},    {"mujoco", kMujocoVersion},
+      {"torch", kTorchVersion},       {"grpc", kGrpcVersion},
+      {"processor", Processor()},     {"cores", std::thread::hardware_concurrency()}};
   return WriteFileAtomically(run_dir + "/environment.json", record.dump(2) + "\n");
 }
 

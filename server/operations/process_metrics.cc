@@ -11,6 +11,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/string_view.h"
+#include "common/version.h"
 
 namespace robostress {
 namespace {
@@ -68,9 +69,6 @@ double MostDescriptors() {
 }
 
 }  // namespace
-
-const char* BuildVersion() { return ROBOSTRESS_VERSION; }
-const char* BuildRevision() { return ROBOSTRESS_REVISION; }
 
 void AddProcessMetrics(Metrics* metrics) {
   metrics

@@ -6,11 +6,6 @@
 
 namespace robostress {
 
-// The version of this program (CMake's PROJECT_VERSION) and the revision of its sources when it was
-// configured ("unknown" outside a repository).
-const char* BuildVersion();
-const char* BuildRevision();
-
 // What Prometheus's clients say of every process (process_*, from /proc and getrlimit), and
 // robostress_build_info. Values are read when the figures are.
 void AddProcessMetrics(Metrics* metrics);

@@ -8,6 +8,7 @@
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/embedded_policies.h"
+#include "common/program_folder.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "server/policies/checkpoint_policies.h"
@@ -35,7 +36,7 @@ bool IsCheckpointPath(const std::string& path) {
 std::string WeightsPath(const std::string& name_or_path) {
   if (!IsEmbeddedPolicy(name_or_path)) return name_or_path;
   const char* directory = std::getenv("ROBOSTRESS_WEIGHTS_DIR");
-  return absl::StrCat(directory != nullptr ? directory : ROBOSTRESS_SOURCE_WEIGHTS_DIR, "/",
+  return absl::StrCat(directory != nullptr ? directory : DataPath("server/models/weights"), "/",
                       name_or_path, ".safetensors");
 }
 
@@ -69,7 +70,7 @@ absl::StatusOr<std::unique_ptr<FlowPolicy>> LoadFlowPolicy(
     return absl::Status(policy.status().code(),
                         absl::StrCat(policy.status().message(),
                                      "; ROBOSTRESS_WEIGHTS_DIR names the folder of the weights "
-                                     "that come with the source (server/models/weights)"));
+                                     "that come with the programs (server/models/weights)"));
   }
   if (IsCheckpointPath(name_or_path)) return LoadCheckpointPolicy(name_or_path, options);
   return absl::NotFoundError(absl::StrCat(

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
+#include "common/run_main.h"
 #include "nlohmann/json.hpp"
 
 namespace {
@@ -34,20 +34,12 @@ json Encode(const sentencepiece::SentencePieceProcessor& processor, const std::s
   return ids;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
-  CLI::App app{"Tokenises text with a SentencePiece model.", "robostress tokenize"};
-  app.footer(kExamples);
-  std::string model;
-  app.add_option("model", model, "SentencePiece model file")->required();
-  CLI11_PARSE(app, argc, argv);
-
+int Tokenize(const std::string& model) {
   sentencepiece::SentencePieceProcessor processor;
   const auto loaded = processor.Load(model);
   if (!loaded.ok()) {
     Print({{"error", "is no SentencePiece model: " + loaded.ToString()}});
-    return 1;
+    return robostress::kFailed;
   }
   Print({{"pieces", processor.GetPieceSize()},
          {"bos", processor.bos_id()},
@@ -56,4 +48,14 @@ int main(int argc, char** argv) {
          {"pad", processor.pad_id()}});
   for (std::string line; std::getline(std::cin, line);) Print(Encode(processor, line));
   return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Tokenises text with a SentencePiece model.", "robostress tokenize"};
+  app.footer(kExamples);
+  std::string model;
+  app.add_option("model", model, "SentencePiece model file")->required();
+  return robostress::RunMain(app, argc, argv, [&] { return Tokenize(model); });
 }

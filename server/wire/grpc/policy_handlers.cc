@@ -16,8 +16,8 @@
 #include "common/rpc/convert_specs.h"
 #include "common/rpc/grpc_status.h"
 #include "common/status_macros.h"
+#include "common/version.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
-#include "server/operations/process_metrics.h"
 #include "server/sessions/journal/state_records.h"
 #include "server/sessions/read_spec.h"
 

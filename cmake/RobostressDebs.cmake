@@ -1,0 +1,72 @@
+# Debian packages by CPack: one for each component, so that only the server's brings LibTorch.
+set(CPACK_GENERATOR DEB)
+set(CPACK_PACKAGE_NAME robostress)
+set(CPACK_PACKAGE_VENDOR RoboStress)
+set(CPACK_PACKAGE_CONTACT "RoboStress maintainers <maintainers@robostress.invalid>")
+set(CPACK_PACKAGE_VERSION ${PROJECT_VERSION})
+set(CPACK_PACKAGE_DIRECTORY ${CMAKE_BINARY_DIR}/packages)
+set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_RESOURCE_FILE_LICENSE ${PROJECT_SOURCE_DIR}/LICENSE)
+set(CPACK_COMPONENTS_ALL ${ROBOSTRESS_COMPONENTS})
+set(CPACK_COMPONENTS_GROUPING IGNORE)
+set(CPACK_DEB_COMPONENT_INSTALL ON)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_SECTION science)
+set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
+set(CPACK_DEBIAN_COMPRESSION_TYPE xz)
+set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
+
+# robostress_deb(component package summary text [KEY value...]): KEY is what CPack calls CPACK_DEBIAN_<component>_KEY.
+function(robostress_deb component package summary text)
+  string(TOUPPER ${component} upper)
+  set(prefix CPACK_DEBIAN_${upper}_)
+  set(${prefix}PACKAGE_NAME ${package} PARENT_SCOPE)
+  # The first line of a description is the package's summary.
+  set(CPACK_COMPONENT_${upper}_DESCRIPTION "${summary}\n${text}" PARENT_SCOPE)
+  while(ARGN)
+    list(POP_FRONT ARGN key value)
+    set(${prefix}PACKAGE_${key} "${value}" PARENT_SCOPE)
+  endwhile()
+  set(folder ${CMAKE_INSTALL_DATADIR}/doc/${package})
+  install(FILES ${CMAKE_BINARY_DIR}/packages/copyright ${CMAKE_BINARY_DIR}/packages/changelog.gz DESTINATION ${folder}
+    COMPONENT ${component})
+endfunction()
+
+set(subject "RoboStress measures how joint errors of an arm hurt a vision-language-action policy, and what the policy wins back \
+when it corrects itself by what the arm did.")
+robostress_deb(evaluation robostress-evaluation "sweeps of robot policies under joint errors, and reports"
+  "${subject}\nThis package has the front door, the sweep, its report and its stores. A sweep here needs the worker and the server, too."
+  RECOMMENDS "robostress-worker, robostress-server")
+robostress_deb(worker robostress-worker "simulated arms with joint errors, for RoboStress"
+  "${subject}\nThis package plays the episodes in MuJoCo and draws them without a display: a Panda, and a Piper behind its CAN frames."
+  DEPENDS "libegl-mesa0, libgl1-mesa-dri" SUGGESTS "robostress-evaluation")
+robostress_deb(robot-client robostress-robot-client "drives an AgileX Piper by a policy server"
+  "${subject}\nThis package commands the arm 30 times a second within limits and watchdogs, records, and teaches by hand."
+  SUGGESTS "robostress-server, can-utils")
+robostress_deb(calibration robostress-calibration "finds what a robot's model lacks, from its logs"
+  "${subject}\nThis package fits friction, backlash, compliance and gravity to recordings of joints."
+  SUGGESTS "robostress-evaluation")
+robostress_deb(server robostress-server "policy server with online self-compensation"
+  "${subject}\nThis package serves policies over gRPC and WebSocket, trains and inspects them, and has the small policies' weights."
+  DEPENDS "libopenblas0-openmp" SUGGESTS "robostress-evaluation")
+robostress_deb(dev librobostress-dev "C++ libraries of RoboStress"
+  "${subject}\nThis package has the joint errors, the corrections without LibTorch and the client of the policy server as static libraries."
+  SECTION libdevel
+  DEPENDS "libabsl-dev, libeigen3-dev, libgrpc++-dev, libpng-dev, libprotobuf-dev, libspdlog-dev, libssl-dev, libwebp-dev, libyaml-cpp-dev, nlohmann-json3-dev, pkg-config")
+set(CPACK_DEBIAN_DEV_PACKAGE_SHLIBDEPS OFF)
+
+file(WRITE ${CMAKE_BINARY_DIR}/packages/copyright
+"Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/
+Upstream-Name: RoboStress
+
+Files: *
+Copyright: the RoboStress authors
+License: Apache-2.0
+ On Debian systems the text is in /usr/share/common-licenses/Apache-2.0.
+")
+execute_process(COMMAND ${GZIP_PROGRAM} -9nc ${PROJECT_SOURCE_DIR}/CHANGELOG.md
+  OUTPUT_FILE ${CMAKE_BINARY_DIR}/packages/changelog.gz COMMAND_ERROR_IS_FATAL ANY)
+set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/CHANGELOG.md)
+
+include(CPack)
