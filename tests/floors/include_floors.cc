@@ -117,6 +117,7 @@ const std::vector<Floor>& Floors() {
        {"eval/launch/", "eval/report/", "eval/store/", "eval/plan/", "adapter/", "common/",
         "common/unit/"},
        0},
+      {"eval/manual/", {"eval/manual/", "eval/launch/", "adapter/", "common/", "common/unit/"}, 0},
       {"eval/paper/",
        {"eval/paper/", "eval/report/", "eval/statistics/", "eval/store/", "eval/plan/", "adapter/",
         "common/", "common/unit/"},
