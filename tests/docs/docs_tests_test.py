@@ -67,6 +67,38 @@ class Links(unittest.TestCase):
         places = [line.split(": ")[0] for line in output.split("\n") if line]
         self.assertEqual(places, ["a.md:2", "a.md:4", "a.md:5"], output)
 
+    def test_a_file_that_a_page_names_must_be_there(self):
+        write("names/core/one_thing.h", "")
+        write("names/core/tests/one_test.cc", "")
+        write("names/README.md",
+              "`core/one_thing` `core/one_thing.{h,cc}` `one_test.cc` `core/NAME.h` `runs/out.csv`\n"
+              "`core/gone.h`\n`gone.py`\n```\ncore/gone.h\n```\n")
+        write("names/core/README.md",
+              "| file | concept |\n|---|---|\n| `one_thing` | `anything` |\n| `lost` | b |\n\n"
+              "| choice | what |\n|---|---|\n| `lost` | b |\n")
+        code, output = run("links.py", os.path.join(FOLDER, "names"))
+        self.assertEqual(code, 1)
+        self.assertEqual(output.rstrip().split("\n"), [
+            "README.md:2: `core/gone.h`: no such file", "README.md:3: `gone.py`: no such file",
+            "core/README.md:4: `lost`: no such file"])
+
+
+TESTS = ["a_fast_test", "other_test"]
+
+
+class TestNames(unittest.TestCase):
+    def test_every_part_of_a_pattern_must_match_a_test(self):
+        build = os.path.join(FOLDER, "build")
+        write("build/CTestTestfile.cmake", "".join(f"add_test({name} true)\n" for name in TESTS))
+        write("build/test_bin/tool", "")
+        write("patterns/a.md", "`ctest -R '^(a_fast|other)_test$'` and `ctest -R \"fast|gone\"`\n"
+              "`build/release/test_bin/tool` and `test_bin/lost`\n")
+        code, output = run("test_names.py", os.path.join(FOLDER, "patterns"), build)
+        self.assertEqual(code, 1)
+        self.assertEqual(output.rstrip().split("\n"), [
+            "a.md:1: ctest -R 'fast|gone': no test's name matches 'gone'",
+            "a.md:2: test_bin/lost: the build has no such program"])
+
 
 if __name__ == "__main__":
     unittest.main()

@@ -1,0 +1,70 @@
+#!/usr/bin/env python3
+"""Whether the tests that the pages name are there: test_names.py ROOT BUILD.
+
+Each alternative of a pattern behind -R must match a test of the build folder BUILD, each test_bin/NAME
+a program of it. Exit codes: 0 all do; 1 the others follow, one a line, as FILE:LINE.
+"""
+
+import os
+import re
+import subprocess
+import sys
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+import links  # noqa: E402, beside this file
+
+PATTERN = re.compile(r"""-R\s+(?:'([^']+)'|"([^"]+)"|([\w^$.|-]+))""")
+ELSEWHERE = ("fuzzer",)  # tests of another preset
+
+
+def tests_of(build):
+    listed = subprocess.run(["ctest", "--test-dir", build, "-N"], capture_output=True, text=True,
+                            check=True)
+    return re.findall(r"^ *Test +#\d+: (\S+)", listed.stdout, re.M)
+
+
+def programs_of(build):
+    """What the build makes or has made in test_bin/."""
+    names = set(os.listdir(os.path.join(build, "test_bin"))
+                if os.path.isdir(os.path.join(build, "test_bin")) else [])
+    if os.path.exists(os.path.join(build, "build.ninja")):
+        with open(os.path.join(build, "build.ninja"), encoding="utf-8") as file:
+            names |= set(re.findall(r"^build test_bin/(\w+):", file.read(), re.M))
+    return names
+
+
+def alternatives(pattern):
+    """`^(a|b)_test$` as `^a_test$`, `^b_test$`; `a|b` as `a`, `b`."""
+    group = re.fullmatch(r"([^()|]*)\(([^()]*)\)([^()|]*)", pattern)
+    before, middle, after = group.groups() if group else ("", pattern, "")
+    return [(part, before + part + after) for part in middle.split("|")]
+
+
+def faults(root, build):
+    tests, programs = tests_of(build), programs_of(build)
+    for page in links.files_of(root):
+        if not page.endswith(".md"):
+            continue
+        with open(os.path.join(root, page), encoding="utf-8") as file:
+            text = file.read()
+        for match in PATTERN.finditer(text):
+            pattern, line = next(filter(None, match.groups())), text.count("\n", 0, match.start()) + 1
+            for part, expression in alternatives(pattern):
+                if part not in ELSEWHERE and not any(re.search(expression, test) for test in tests):
+                    yield f"{page}:{line}: ctest -R '{pattern}': no test's name matches '{part}'"
+        for match in re.finditer(r"test_bin/(\w+)", text):
+            if match.group(1) not in programs:
+                line = text.count("\n", 0, match.start()) + 1
+                yield f"{page}:{line}: {match.group()}: the build has no such program"
+
+
+def main():
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
+    found = list(faults(*map(os.path.abspath, sys.argv[1:])))
+    print("\n".join(found))
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
