@@ -63,6 +63,28 @@ def filtered(lines):
     return out
 
 
+SCHEMA = [(r"^package (\w+)\.(\w+);", r"namespace \1 { namespace \2 {"),
+          (r"^(\s*)(?:message|service) (\w+) \{", r"\1struct \2 {"), (r"^(\s*)oneof (\w+) \{", r"\1union {"),
+          (r"^(\s*)rpc (\w+)\((.*?)\) returns \((.*?)\)", r"\1\4 \2(\3)"),
+          (r"\b(stream|repeated|optional) ([\w.]+)", r"\1<\2>"), (r"^(\s*[^/]*\w) = \d+;", r"\1;"),
+          (r"\}$", "};"), (r"^(syntax|import|option).*", "")]
+
+
+def as_cpp(lines):
+    """The lines of a .proto file as C++."""
+    out, in_enum = [], False
+    for line in lines:
+        in_enum = (in_enum or line.lstrip().startswith("enum ")) and "}" not in line
+        if in_enum:
+            line = re.sub(r"(= \d+);", r"\1,", line)
+        elif not line.lstrip().startswith("//"):
+            for pattern, cpp in SCHEMA:
+                line = re.sub(pattern, cpp, line)
+        out.append(line)
+    return out + ["} }"]
+
+
 if __name__ == "__main__":
     with open(sys.argv[1], encoding="utf-8") as file:
-        print("\n".join(filtered(file.read().split("\n"))))
+        text = file.read().rstrip("\n").split("\n")
+    print("\n".join(filtered(as_cpp(text) if sys.argv[1].endswith(".proto") else text)))
