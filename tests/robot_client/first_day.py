@@ -107,10 +107,11 @@ def readable(lines):
 
 
 def shortened(lines):
-    """A page of the monitor without its limits and rates."""
+    """A page of the monitor without its inner joints, limits and rates."""
+    second = next(i for i, line in enumerate(lines) if line.startswith("J2 "))
     gripper = next(i for i, line in enumerate(lines) if line.startswith("gripper "))
     warning = next(i for i, line in enumerate(lines) if line.startswith("WARNING "))
-    return lines[:gripper + 1] + ["..."] + lines[warning:]
+    return lines[:second] + ["..."] + lines[gripper - 1:gripper + 1] + ["..."] + lines[warning:]
 
 
 class Day:
