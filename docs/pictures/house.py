@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""Draws the pictures of docs/architecture.md: docs/pictures/house.py writes house.svg and processes.svg
-beside itself. Plain SVG; colours follow the reader's choice of light or dark."""
+"""Draws the pictures of docs/architecture.md: docs/pictures/house.py [FOLDER] writes house.svg and processes.svg
+into FOLDER, else beside itself. Plain SVG; colours follow the reader's choice of light or dark."""
 
 import html
 import os
+import sys
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 STYLE = """<style>
@@ -60,13 +61,36 @@ class Picture:
                           f'marker-end="url(#{head})"{start}/>')
 
     def write(self, name):
-        with open(os.path.join(HERE, name), "w", encoding="utf-8") as file:
+        with open(os.path.join(sys.argv[1] if len(sys.argv) > 1 else HERE, name), "w", encoding="utf-8") as file:
             file.write("\n".join(self.parts) + "\n</svg>\n")
 
 
+# Who stands on whom: tests/docs/house_test.py holds it against the includes. LORA and CORE: adapter's halves.
+STANDS_ON = [
+    ("server", "common/wire", ((110, 274), (110, 580))),
+    ("server", "LORA", ((270, 274), (270, 580))),
+    ("server", "common/rpc", ((350, 274), (350, 553), (700, 553), (700, 580))),
+    ("eval", "common/unit", ((398, 144), (398, 498), (420, 498))),
+    ("eval", "calibration", ((660, 144), (660, 170))),
+    ("calibration", "sim_worker", ((530, 274), (530, 300))),
+    ("calibration", "robot_client", ((780, 274), (780, 300))),
+    ("sim_worker", "common/unit", ((500, 428), (500, 470))),
+    ("sim_worker", "common/rpc", ((630, 428), (630, 458), (740, 458), (740, 580))),
+    ("robot_client", "common/unit", ((690, 428), (690, 444), (590, 444), (590, 470))),
+    ("robot_client", "common/rpc", ((830, 428), (830, 580))),
+    ("common/unit", "CORE", ((525, 526), (525, 580))),
+    ("LORA", "CORE", ((380, 608), (420, 608))),
+    ("common/wire", "common", ((110, 636), (110, 670))),
+    ("CORE", "common", ((525, 636), (525, 670))),
+    ("common/rpc", "common", ((700, 636), (700, 710), (645, 710))),
+    ("common/rpc", "proto", ((800, 636), (800, 770))),
+]
+LIBTORCH = ("policy", "serve", "train")  # the programs that link it
+
+
 def house():
-    p = Picture(940, 780, "The floors of the source: each room stands on those below it")
-    for floor, y in ((6, 34), (5, 110), (4, 226), (3, 360), (2, 536), (1, 628), (0, 716)):
+    p = Picture(940, 850, "The floors of the source: each room stands on those below it")
+    for floor, y in enumerate((796, 708, 614, 502, 360, 226, 110, 34)):
         p.text(16, y, str(floor), 15, "quiet", "bold")
     p.room(40, 12, 860, 34, "tests/", ())
     p.text(104, 33, "mirrors every room and may use what is public in any of them", 12, "quiet")
@@ -80,34 +104,20 @@ def house():
            ("suites", "libero", "record", "worker"))
     p.room(665, 300, 235, 128, "robot_client/", ("a Piper; MuJoCo in its emulator",),
            ("control", "can", "piper", "teach", "cameras", "motion", "study", "emulator", "demonstration"))
-    p.room(40, 500, 140, 56, "common/wire/", ("openpi's WebSocket",))
-    p.room(200, 500, 180, 56, "adapter/: LoRA", ("loss, Adam, updates",), (), "torch")
-    p.room(420, 500, 225, 56, "adapter/: core", ("residuals, corrections, methods",))
-    p.room(665, 500, 235, 56, "common/rpc/", ("gRPC to and from our own types",))
-    p.room(40, 590, 605, 80, "common/", ("types, files, statistics, and what every robot shares",),
-           ("joint_errors", "rollout", "records", "unit"))
-    p.room(665, 690, 235, 56, "proto/", ("the schema, robostress.v1",))
-    # Who stands on whom, as the CMake targets link.
-    p.arrow((110, 274), (110, 500))                          # server -> common/wire
-    p.arrow((270, 274), (270, 500))                          # server -> LoRA
-    p.arrow((350, 274), (350, 482), (700, 482), (700, 500))  # server -> common/rpc
-    p.arrow((398, 144), (398, 542), (420, 542))              # eval -> core
-    p.arrow((660, 144), (660, 170))                          # eval -> calibration, for close_loop
-    p.arrow((530, 274), (530, 300))                          # calibration -> sim_worker
-    p.arrow((780, 274), (780, 300))                          # calibration -> robot_client
-    p.arrow((500, 428), (500, 500))                          # sim_worker -> core
-    p.arrow((630, 428), (630, 464), (740, 464), (740, 500))  # sim_worker -> rpc
-    p.arrow((690, 428), (690, 446), (590, 446), (590, 500))  # robot_client -> core
-    p.arrow((830, 428), (830, 500))                          # robot_client -> rpc
-    p.arrow((380, 518), (420, 518))                          # LoRA -> core
-    p.arrow((110, 556), (110, 590))
-    p.arrow((525, 556), (525, 590))
-    p.arrow((700, 556), (700, 630), (645, 630))              # rpc -> common
-    p.arrow((800, 556), (800, 690))                          # rpc -> proto
-    p.box(40, 700, 16, 16, "torch")
-    p.text(64, 713, "needs LibTorch: the programs serve, train and policy. No other links it.", 13)
-    p.arrow((40, 738), (60, 738))
-    p.text(68, 743, "includes and links: never up, never sideways. Longer ways down are left out.", 13)
+    p.room(420, 470, 225, 56, "common/unit/", ("a unit of a sweep, any robot's",))
+    p.room(40, 580, 140, 56, "common/wire/", ("openpi's WebSocket",))
+    p.room(200, 580, 180, 56, "adapter/: LoRA", ("loss, Adam, updates",), (), "torch")
+    p.room(420, 580, 225, 56, "adapter/: core", ("residuals, corrections, methods",))
+    p.room(665, 580, 235, 56, "common/rpc/", ("gRPC to and from our own types",))
+    p.room(40, 670, 605, 80, "common/", ("types, files, statistics, and what every robot shares",),
+           ("joint_errors", "rollout", "records"))
+    p.room(665, 770, 235, 56, "proto/", ("the schema, robostress.v1",))
+    for _, _, points in STANDS_ON:
+        p.arrow(*points)
+    p.box(40, 780, 16, 16, "torch")
+    p.text(64, 793, "needs LibTorch: the programs " + ", ".join(LIBTORCH) + ". No other links it.", 13)
+    p.arrow((40, 818), (60, 818))
+    p.text(68, 823, "includes and links: never up, never sideways. Longer ways down are left out.", 13)
     p.write("house.svg")
 
 
