@@ -92,12 +92,13 @@ class TestNames(unittest.TestCase):
         write("build/CTestTestfile.cmake", "".join(f"add_test({name} true)\n" for name in TESTS))
         write("build/test_bin/tool", "")
         write("patterns/a.md", "`ctest -R '^(a_fast|other)_test$'` and `ctest -R \"fast|gone\"`\n"
-              "`build/release/test_bin/tool` and `test_bin/lost`\n")
+              "`build/release/test_bin/tool` and `test_bin/lost`\n`ninja -C build/tsan tools`\n")
         code, output = run("test_names.py", os.path.join(FOLDER, "patterns"), build)
         self.assertEqual(code, 1)
         self.assertEqual(output.rstrip().split("\n"), [
             "a.md:1: ctest -R 'fast|gone': no test's name matches 'gone'",
-            "a.md:2: test_bin/lost: the build has no such program"])
+            "a.md:2: test_bin/lost: the build does not make it",
+            "a.md:3: tools: the build does not make it"])
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Whether the tests that the pages name are there: test_names.py ROOT BUILD.
 
-Each alternative of a pattern behind -R must match a test of the build folder BUILD, each test_bin/NAME
-a program of it. Exit codes: 0 all do; 1 the others follow, one a line, as FILE:LINE.
+Each alternative of a pattern behind -R must match a test of the build folder BUILD, each
+build/PRESET/bin/NAME, test_bin/NAME and target behind `ninja -C` be made by it. Exit codes: 0 all do; 1 the others follow, one a line, as FILE:LINE.
 """
 
 import os
@@ -24,14 +24,25 @@ def tests_of(build):
     return re.findall(r"^ *Test +#\d+: (\S+)", listed.stdout, re.M)
 
 
-def programs_of(build):
-    """What the build makes or has made in test_bin/."""
-    names = set(os.listdir(os.path.join(build, "test_bin"))
-                if os.path.isdir(os.path.join(build, "test_bin")) else [])
+def made_by(build):
+    """What the build makes, as bin/NAME, test_bin/NAME and TARGET."""
+    names = set()
+    for folder in ("bin", "test_bin"):
+        if os.path.isdir(os.path.join(build, folder)):
+            names |= {f"{folder}/{name}" for name in os.listdir(os.path.join(build, folder))}
     if os.path.exists(os.path.join(build, "build.ninja")):
         with open(os.path.join(build, "build.ninja"), encoding="utf-8") as file:
-            names |= set(re.findall(r"^build test_bin/(\w+):", file.read(), re.M))
+            names |= set(re.findall(r"^build ([\w./-]+)(?= |:)", file.read(), re.M))
     return names
+
+
+def programs_in(text):
+    """(where it stands, name) of what a page takes from a build."""
+    for match in re.finditer(r"\b(?:build/(?:release|asan|tsan)/(bin/[\w-]+)|(test_bin/\w+))", text):
+        yield match.start(), match.group(1) or match.group(2)
+    for match in re.finditer(r"ninja -C \S+((?: \w+)+)", text):
+        for target in match.group(1).split():
+            yield match.start(), target
 
 
 def alternatives(pattern):
@@ -42,7 +53,7 @@ def alternatives(pattern):
 
 
 def faults(root, build):
-    tests, programs = tests_of(build), programs_of(build)
+    tests, made = tests_of(build), made_by(build)
     for page in links.files_of(root):
         if not page.endswith(".md"):
             continue
@@ -53,10 +64,9 @@ def faults(root, build):
             for part, expression in alternatives(pattern):
                 if part not in ELSEWHERE and not any(re.search(expression, test) for test in tests):
                     yield f"{page}:{line}: ctest -R '{pattern}': no test's name matches '{part}'"
-        for match in re.finditer(r"test_bin/(\w+)", text):
-            if match.group(1) not in programs:
-                line = text.count("\n", 0, match.start()) + 1
-                yield f"{page}:{line}: {match.group()}: the build has no such program"
+        for start, name in programs_in(text):
+            if name not in made:
+                yield f"{page}:{text.count(chr(10), 0, start) + 1}: {name}: the build does not make it"
 
 
 def main():
