@@ -90,7 +90,7 @@ constexpr char kExamples[] =
 void PrintOptionTable() {
   CLI::App app(kPurpose, "robostress");
   app.footer(kExamples);
-  app.add_flag("--version", "Print the version and exit");
+  app.set_version_flag("--version", robostress::VersionText(), "Print the version and exit");
   for (const Command& command : kCommands) app.add_subcommand(command.name, command.summary);
   std::printf("%s\n", robostress::OptionTableText(app).c_str());
 }

@@ -96,7 +96,7 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--threads", o.threads, "Replays at once")
       ->check(CLI::Range(1, 256))
-      ->capture_default_str();
+      ->default_str("one for each core");
   app.add_flag("--quiet", line.quiet, "No progress");
   app.footer(kFooter);
   return RunMain(app, argc, argv, [&] { return Run(line); });

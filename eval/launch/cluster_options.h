@@ -3,6 +3,8 @@
 #include <string>
 #include <vector>
 
+#include "common/version.h"
+
 namespace robostress {
 
 // What launchers need to know of a cluster. Every job sees the run directory under one path, on a
@@ -18,9 +20,10 @@ struct ClusterOptions {
   int poll_s = 5;     // between questions to the queue
   // Further arguments of sbatch, such as --partition=gpu, for servers, workers and the merge.
   std::vector<std::string> slurm_server, slurm_worker, slurm_merge;
-  std::string image = "robostress:0.1.0";  // container image with every program
-  std::string claim = "robostress-runs";   // persistent volume claim that holds the run directory
-  std::string claim_mount;                 // where it is mounted; empty: the run directory's parent
+  // Container image with every program.
+  std::string image = std::string("robostress:") + BuildVersion();
+  std::string claim = "robostress-runs";  // persistent volume claim that holds the run directory
+  std::string claim_mount;                // where it is mounted; empty: the run directory's parent
   std::string k8s_namespace = "default";
 };
 

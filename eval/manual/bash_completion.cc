@@ -16,7 +16,7 @@ namespace {
 constexpr char kFunction[] = R"(
 _robostress_complete() {
   local word=${COMP_WORDS[COMP_CWORD]} before=${COMP_WORDS[COMP_CWORD - 1]} table=${COMP_WORDS[0]##*/}
-  local i candidates known head=
+  local i candidates known head='' hidden=''
   for ((i = 1; i < COMP_CWORD; ++i)); do
     if [[ ${COMP_WORDS[i]} == [a-z]* && -n ${_robostress_words[$table-${COMP_WORDS[i]}]-} ]]; then
       table=$table-${COMP_WORDS[i]}
@@ -31,8 +31,9 @@ _robostress_complete() {
       word=${word##*,}
     fi
   fi
+  if [[ $word != -* ]]; then hidden='-*'; fi # commands and values, else names of files
   # shellcheck disable=SC2207  # no candidate holds a space
-  COMPREPLY=($(compgen -P "$head" -W "$candidates" -- "$word"))
+  COMPREPLY=($(compgen -P "$head" -X "$hidden" -W "$candidates" -- "$word"))
 }
 )";
 

@@ -1,6 +1,8 @@
 #include "eval/manual/manual_page.h"
 
+#include <algorithm>
 #include <cstdint>
+#include <utility>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
@@ -82,7 +84,11 @@ std::string Head(const OptionEntry& option) {
 
 std::string Help(const OptionEntry& option) {
   std::string help = option.help;
-  if (!help.empty()) help[0] = absl::ascii_toupper(help[0]);
+  const size_t word =
+      help.find(' ');  // a list of values begins as it is: "base, ours", "panda (default)"
+  const bool values =
+      word != std::string::npos && word > 0 && (help[word - 1] == ',' || help[word + 1] == '(');
+  if (!help.empty() && !values) help[0] = absl::ascii_toupper(help[0]);
   if (!help.empty() && !absl::EndsWith(help, ".")) help += '.';
   if (!option.constraint.empty()) absl::StrAppend(&help, " Value: ", option.constraint, ".");
   if (option.list) help += " Several with commas between them.";
@@ -93,15 +99,19 @@ std::string Help(const OptionEntry& option) {
   return Breakable(Roff(help));
 }
 
+// Those of no group first, then each group under its title.
 std::string Options(const std::vector<OptionEntry>& options) {
-  std::string text, group = "Options";
+  std::vector<std::pair<std::string, std::string>> groups = {{"Options", ""}};
   for (const OptionEntry& option : options) {
-    if (option.group != group && option.group != "Positionals") {
-      group = option.group;
-      absl::StrAppend(&text, ".SS ", Roff(group), "\n");
-    }
-    absl::StrAppend(&text, ".TP\n", Head(option), "\n", Help(option), "\n");
+    const std::string name = option.group == "Positionals" ? "Options" : option.group;
+    auto group = std::find_if(groups.begin(), groups.end(),
+                              [&](const auto& present) { return present.first == name; });
+    if (group == groups.end()) group = groups.insert(group, {name, ""});
+    absl::StrAppend(&group->second, ".TP\n", Head(option), "\n", Help(option), "\n");
   }
+  std::string text = groups[0].second;
+  for (size_t i = 1; i < groups.size(); ++i)
+    absl::StrAppend(&text, ".SS ", Roff(groups[i].first), "\n", groups[i].second);
   return text;
 }
 
