@@ -14,7 +14,7 @@ endif()
 pkg_check_modules(HDF5 REQUIRED IMPORTED_TARGET hdf5-serial)
 pkg_check_modules(SQLITE REQUIRED IMPORTED_TARGET sqlite3)
 find_package(OpenSSL REQUIRED)
-find_package(Boost 1.74 REQUIRED)  # headers only (Beast, Asio, Math), among the system's
+find_package(Boost 1.74 CONFIG REQUIRED)  # headers only (Beast, Asio, Math), among the system's
 find_package(Protobuf REQUIRED)
 find_package(gRPC CONFIG REQUIRED)
 find_package(prometheus-cpp CONFIG REQUIRED)
