@@ -14,10 +14,19 @@ endif()
 pkg_check_modules(HDF5 REQUIRED IMPORTED_TARGET hdf5-serial)
 pkg_check_modules(SQLITE REQUIRED IMPORTED_TARGET sqlite3)
 find_package(OpenSSL REQUIRED)
-find_package(Boost 1.74 REQUIRED)  # headers only (Beast, Asio, Math), among the system's
+find_package(Boost 1.74 CONFIG REQUIRED)  # headers only (Beast, Asio, Math), among the system's
 find_package(Protobuf REQUIRED)
 find_package(gRPC CONFIG REQUIRED)
 find_package(prometheus-cpp CONFIG REQUIRED)
+if(TARGET re2::re2)
+  # Debian 13's re2 passes absl's -DNOMINMAX on to all users of gRPC: it says nothing outside Windows, but a precompiled header
+  # is refused where it was made without.
+  get_target_property(re2_options re2::re2 INTERFACE_COMPILE_OPTIONS)
+  if(re2_options)
+    list(FILTER re2_options EXCLUDE REGEX "NOMINMAX")
+    set_target_properties(re2::re2 PROPERTIES INTERFACE_COMPILE_OPTIONS "${re2_options}")
+  endif()
+endif()
 
 target_link_libraries(robostress_options INTERFACE
   Eigen3::Eigen spdlog::spdlog absl::statusor absl::strings absl::str_format absl::synchronization nlohmann_json::nlohmann_json)

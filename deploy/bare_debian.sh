@@ -121,15 +121,19 @@ choose_root() {
     [[ -z $(ls -A "$root") ]] || fail "--root $folder is neither empty nor a root that this script made"
     parent=$root
   fi
-  local needed=9 free
+  local needed=12 free
   if ((${#debs[@]} > 0)); then needed=4; fi
   free=$(df --output=avail -BG "$parent" | tail -1 | tr -dc 0-9)
   ((free >= needed)) || fail "$parent has ${free} GB free, and the root may take $needed: choose another with --root or TMPDIR"
-  if [[ ! $folder ]]; then root=$(mktemp -d "$parent/bare-$suite.XXXXXX"); fi
+  if [[ ! $folder ]]; then
+    root=$(mktemp -d "$parent/bare-$suite.XXXXXX")
+    began=yes
+  fi
 }
 
+# Only what this run began to make, and then only what nobody asked to keep.
 remove_root() {
-  if [[ ${root:-} ]] && { [[ $keep == no ]] || ! is_made "$root"; }; then
+  if [[ ${began:-} ]] && { [[ $keep == no ]] || ! is_made "$root"; }; then
     rm -rf --one-file-system "$root" || say "$root could not be removed wholly"
   fi
 }
@@ -137,12 +141,14 @@ remove_root() {
 # Its own mounts, since debootstrap leaves some when it fails.
 make_root() {
   local log=$root.log start=$SECONDS
+  began=yes
   say "making $suite in $root; log in $log"
   unshare --mount --propagation private \
     debootstrap --variant=minbase "$suite" "$root" ${mirror:+"$mirror"} >"$log" 2>&1 </dev/null \
     || fail "debootstrap failed; the end of its log: $(tail -3 "$log" | tr '\n' ' ')"
   rm -f "$log"
   printf '127.0.0.1 localhost\n::1 localhost ip6-localhost\n' >"$root/etc/hosts"
+  echo force-unsafe-io >"$root/etc/dpkg/dpkg.cfg.d/bare_debian" # nobody mourns a root that a power cut broke
   printf '%s\n' "$suite" >"$root/etc/bare_debian"
   say "made $suite in $((SECONDS - start)) s"
 }
@@ -169,8 +175,10 @@ copy_tree() {
 # enter ROOT FOLDER COMMAND...: the mounts of a running system, then the command. Runs as the first process of its
 # own process and mount namespaces.
 enter() {
-  local root=$1 folder=$2 device
+  local root=$1 folder=$2 device me
   shift 2
+  read -r me _ </proc/self/stat # still the outer /proc: the number that the outer script can kill
+  printf '%s\n' "$me" >"$root/run/bare_debian.pid"
   mount --rbind "$root" "$root" # "df /" needs a mount point
   mount -t proc proc "$root/proc"
   mount -t sysfs -o ro sysfs "$root/sys"
@@ -200,6 +208,7 @@ enter() {
 
 # run_inside FOLDER COMMAND...
 run_inside() {
+  rm -f "$root/run/bare_debian.pid"
   unshare --mount --propagation private --pid --fork --kill-child \
     bash -euo pipefail -c "$(declare -f enter); enter \"\$@\"" bare_debian "$root" "$@" <&0 &
   inside=$!
@@ -228,9 +237,10 @@ install_debs() {
 leave() {
   local status=$?
   if [[ ${inside:-} ]]; then
-    kill "$inside" 2>/dev/null || true
-    wait "$inside" 2>/dev/null || true
-  fi
+    # unshare ignores signals; with its first process a namespace ends as a whole.
+    kill -KILL "$(<"$root/run/bare_debian.pid")" || kill -KILL "$inside"
+    wait "$inside" || true
+  fi 2>/dev/null
   remove_root
   exit "$status"
 }

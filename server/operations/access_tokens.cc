@@ -5,6 +5,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
+#include <charconv>
 #include <set>
 #include <utility>
 
@@ -34,8 +35,8 @@ Digest DigestOf(std::string_view token) {
 bool ParseDigest(const std::string& hex, Digest& digest) {
   const auto is_hex = [](char c) { return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f'); };
   if (hex.size() != 2 * digest.size() || !std::all_of(hex.begin(), hex.end(), is_hex)) return false;
-  const std::string bytes = absl::HexStringToBytes(hex);
-  std::copy(bytes.begin(), bytes.end(), digest.begin());
+  for (size_t i = 0; i < digest.size(); ++i)
+    std::from_chars(hex.data() + 2 * i, hex.data() + 2 * i + 2, digest[i], 16);
   return true;
 }
 

@@ -10,12 +10,13 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <charconv>
 #include <cstring>
 #include <deque>
 #include <string>
+#include <string_view>
 #include <vector>
 
-#include "absl/strings/escaping.h"
 #include "robot_client/can/bus_address.h"
 #include "robot_client/can/in_process_bus.h"
 #include "robot_client/can/socket_can_bus.h"
@@ -29,6 +30,16 @@ using ::testing::HasSubstr;
 
 CanFrame JointFrame() { return {0x2A5, 8, {0, 0, 0x30, 0x39, 0xFF, 0xFF, 0xE5, 0x7B}}; }
 
+std::string FromHex(std::string_view hex) {
+  std::string bytes(hex.size() / 2, '\0');
+  for (size_t i = 0; i < bytes.size(); ++i) {
+    uint8_t byte = 0;
+    std::from_chars(hex.data() + 2 * i, hex.data() + 2 * i + 2, byte, 16);
+    bytes[i] = static_cast<char>(byte);
+  }
+  return bytes;
+}
+
 absl::Span<const uint8_t> Bytes(const std::string& text) {
   return {reinterpret_cast<const uint8_t*>(text.data()), text.size()};
 }
@@ -37,25 +48,25 @@ absl::Span<const uint8_t> Bytes(const std::string& text) {
 // msgpack 1.0.3.
 const std::string& PythonDatagram() {
   static const auto& datagram =
-      *new std::string(absl::HexStringToBytes("8ba974696d657374616d70cb3ff8000000000000ae6172626974"
-                                              "726174696f6e5f6964cd02a5ae69735f657874656e"
-                                              "6465645f6964c2af69735f72656d6f74655f6672616d65c2ae69"
-                                              "735f6572726f725f6672616d65c2a76368616e6e65"
-                                              "6cc0a3646c6308a464617461c40800003039ffffe57ba569735f"
-                                              "6664c2ae626974726174655f737769746368c2b565"
-                                              "72726f725f73746174655f696e64696361746f72c2"));
+      *new std::string(FromHex("8ba974696d657374616d70cb3ff8000000000000ae6172626974"
+                               "726174696f6e5f6964cd02a5ae69735f657874656e"
+                               "6465645f6964c2af69735f72656d6f74655f6672616d65c2ae69"
+                               "735f6572726f725f6672616d65c2a76368616e6e65"
+                               "6cc0a3646c6308a464617461c40800003039ffffe57ba569735f"
+                               "6664c2ae626974726174655f737769746368c2b565"
+                               "72726f725f73746174655f696e64696361746f72c2"));
   return datagram;
 }
 // The same library, with the channel that the vendor's SDK fills in.
 const std::string& PythonDatagramWithChannel() {
   static const auto& datagram = *new std::string(
-      absl::HexStringToBytes("8ba974696d657374616d70cb3ff8000000000000ae6172626974726174696f6e5f696"
-                             "4cd0155ae69735f657874656e"
-                             "6465645f6964c2af69735f72656d6f74655f6672616d65c2ae69735f6572726f725f6"
-                             "672616d65c2a76368616e6e65"
-                             "6cac3233392e37342e3136332e32a3646c6308a464617461c4080001020304050607a"
-                             "569735f6664c2ae6269747261"
-                             "74655f737769746368c2b56572726f725f73746174655f696e64696361746f72c2"));
+      FromHex("8ba974696d657374616d70cb3ff8000000000000ae6172626974726174696f6e5f696"
+              "4cd0155ae69735f657874656e"
+              "6465645f6964c2af69735f72656d6f74655f6672616d65c2ae69735f6572726f725f6"
+              "672616d65c2a76368616e6e65"
+              "6cac3233392e37342e3136332e32a3646c6308a464617461c4080001020304050607a"
+              "569735f6664c2ae6269747261"
+              "74655f737769746368c2b56572726f725f73746174655f696e64696361746f72c2"));
   return datagram;
 }
 std::string Replaced(std::string text, const std::string& from, const std::string& to) {
