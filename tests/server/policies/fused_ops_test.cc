@@ -31,7 +31,7 @@ void ExpectSameValueAndGradients(std::vector<Tensor> leaves, Fused fused, Plain 
     EXPECT_LT(Difference(grad_a[i], grad_b[i]), 2e-5) << "leaf " << i;
 }
 
-Tensor PlainNorm(const Tensor& x, const Tensor& weight) {
+Tensor RmsNorm(const Tensor& x, const Tensor& weight) {
   return x * torch::rsqrt(x.square().mean(-1, true) + 1e-6) * (1.0 + weight);
 }
 
@@ -45,11 +45,11 @@ TEST(FusedOps, AddRmsNormEqualsItsFormulaAndGradients) {
         return torch::cat({sum * 2.0, y});
       },
       [&] {
-        return torch::cat({(x + delta) * 2.0, PlainNorm(x + delta, weight)});
+        return torch::cat({(x + delta) * 2.0, RmsNorm(x + delta, weight)});
       });
   ExpectSameValueAndGradients(
       {x, weight}, [&] { return AddRmsNorm(x, Tensor(), weight).second; },
-      [&] { return PlainNorm(x, weight); });
+      [&] { return RmsNorm(x, weight); });
 }
 
 TEST(FusedOps, GeGluEqualsItsFormulaAndGradients) {

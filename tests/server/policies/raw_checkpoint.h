@@ -16,6 +16,7 @@
 #include "common/safetensors.h"
 #include "server/policies/openpi/checkpoint_generator.h"
 #include "server/policies/openpi/generated_files.h"
+#include "tests/server/policies/tiny_checkpoint.h"
 
 // Generated checkpoints, and ways to damage them.
 namespace robostress::openpi {
@@ -83,11 +84,6 @@ inline void EditJson(const fs::path& path, const std::function<void(nlohmann::js
   nlohmann::json json = nlohmann::json::parse(std::ifstream(path));
   change(json);
   std::ofstream(path) << json;
-}
-
-inline void WriteText(const fs::path& path, const std::string& text) {
-  fs::create_directories(path.parent_path());
-  std::ofstream(path) << text;
 }
 
 // A file with a whole header whose data is a hole: any size, no disk.

@@ -14,7 +14,7 @@
 namespace robostress {
 namespace {
 
-using Clock = std::chrono::steady_clock;
+using SteadyClock = std::chrono::steady_clock;
 
 class GrpcConnectionTest : public ::testing::Test {
  protected:
@@ -34,7 +34,7 @@ class GrpcConnectionTest : public ::testing::Test {
     builder.RegisterCallbackGenericService(&service_);
     server_ = builder.BuildAndStart();
     ASSERT_NE(server_, nullptr);
-    begin_ = Clock::now();
+    begin_ = SteadyClock::now();
     client_ = std::make_unique<WebClient>(port);
   }
   ~GrpcConnectionTest() override {
@@ -60,12 +60,14 @@ class GrpcConnectionTest : public ::testing::Test {
                         static_cast<size_t>(byte(2));
     return {byte(3), head[4], client_->Receive(size)};
   }
-  double Elapsed() const { return std::chrono::duration<double>(Clock::now() - begin_).count(); }
+  double Elapsed() const {
+    return std::chrono::duration<double>(SteadyClock::now() - begin_).count();
+  }
 
   grpc::CallbackGenericService service_;  // answers that nothing is implemented
   std::unique_ptr<grpc::Server> server_;
   std::unique_ptr<WebClient> client_;
-  Clock::time_point begin_;
+  SteadyClock::time_point begin_;
 };
 
 constexpr absl::Duration kShort = absl::Milliseconds(300);
