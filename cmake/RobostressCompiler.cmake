@@ -36,6 +36,10 @@ endif()
 
 find_program(MOLD_PROGRAM mold)
 if(MOLD_PROGRAM)
+  include(CheckLinkerFlag)
+  check_linker_flag(CXX -fuse-ld=mold LINKS_WITH_MOLD)  # GCC knows the name since 12
+endif()
+if(LINKS_WITH_MOLD)
   add_link_options(-fuse-ld=mold)  # a fifth of the time of GNU ld
 endif()
 
