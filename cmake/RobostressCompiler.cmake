@@ -36,6 +36,10 @@ endif()
 
 find_program(MOLD_PROGRAM mold)
 if(MOLD_PROGRAM)
+  include(CheckLinkerFlag)
+  check_linker_flag(CXX -fuse-ld=mold LINKS_WITH_MOLD)  # GCC knows the name since 12
+endif()
+if(LINKS_WITH_MOLD)
   add_link_options(-fuse-ld=mold)  # a fifth of the time of GNU ld
 endif()
 
@@ -47,20 +51,29 @@ if(ROBOSTRESS_SANITIZE)
   add_link_options(-fsanitize=${ROBOSTRESS_SANITIZE})
 endif()
 if(ROBOSTRESS_SANITIZE MATCHES thread)
-  # Debian's absl is not instrumented: what its locks do is told by common/tsan_mutex.cc.
+  # Debian's absl is not instrumented: what its locks do is told by common/tsan_mutex.cc. Its symbols hold the name of an inline
+  # namespace that each version of Debian chooses; @ stands for it.
+  find_path(ABSL_INCLUDE_DIR absl/base/options.h REQUIRED)
+  file(STRINGS ${ABSL_INCLUDE_DIR}/absl/base/options.h absl_namespace REGEX "^#define ABSL_OPTION_INLINE_NAMESPACE_NAME ")
+  string(REGEX REPLACE ".* " "" absl_namespace "${absl_namespace}")
+  string(LENGTH "${absl_namespace}" length)
+  set(absl_namespace 4absl${length}${absl_namespace})
   set(wrapped
-    _ZN4absl7debian35Mutex4LockEv
-    _ZN4absl7debian35Mutex6UnlockEv
-    _ZNK4absl7debian35Mutex10AssertHeldEv
-    _ZN4absl7debian35Mutex5AwaitERKNS0_9ConditionE
-    _ZN4absl7debian35Mutex16AwaitWithTimeoutERKNS0_9ConditionENS0_8DurationE
-    _ZN4absl7debian312Notification6NotifyEv
-    _ZNK4absl7debian312Notification19WaitForNotificationEv
-    _ZNK4absl7debian312Notification30WaitForNotificationWithTimeoutENS0_8DurationE
-    _ZN4absl7debian315BlockingCounter14DecrementCountEv
-    _ZN4absl7debian315BlockingCounter4WaitEv)
-  list(TRANSFORM wrapped PREPEND "LINKER:--wrap=")
+    N@5Mutex4LockEv
+    N@5Mutex6UnlockEv
+    NK@5Mutex10AssertHeldEv
+    N@5Mutex5AwaitERKNS0_9ConditionE
+    N@5Mutex16AwaitWithTimeoutERKNS0_9ConditionENS0_8DurationE
+    N@5Mutex11AwaitCommonERKNS0_9ConditionENS0_24synchronization_internal13KernelTimeoutE
+    N@12Notification6NotifyEv
+    NK@12Notification19WaitForNotificationEv
+    NK@12Notification30WaitForNotificationWithTimeoutENS0_8DurationE
+    N@15BlockingCounter14DecrementCountEv
+    N@15BlockingCounter4WaitEv)
+  list(TRANSFORM wrapped REPLACE "@" ${absl_namespace})
+  list(TRANSFORM wrapped PREPEND "LINKER:--wrap=_Z")
   add_link_options(${wrapped})
   add_library(robostress_tsan_mutex STATIC ${PROJECT_SOURCE_DIR}/common/tsan_mutex.cc)
+  target_compile_definitions(robostress_tsan_mutex PRIVATE ROBOSTRESS_ABSL=${absl_namespace})
   link_libraries(robostress_tsan_mutex)
 endif()

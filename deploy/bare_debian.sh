@@ -153,22 +153,22 @@ make_root() {
   say "made $suite in $((SECONDS - start)) s"
 }
 
-# A file that did not change keeps its time, so that a build in /src/build goes on where it was.
+# In a root that is used again only what changed since is written, so that a build in /src/build goes on where it was.
 copy_tree() {
-  local new=$root/src.new old=$root/src kept file
-  rm -rf "$new"
-  mkdir "$new"
-  git -C "$source_tree" archive HEAD | tar -x --no-same-owner -C "$new"
-  if [[ -d $old ]]; then
-    while IFS= read -r -d '' file; do
-      if cmp -s "$new/$file" "$old/$file"; then touch -r "$old/$file" "$new/$file"; else touch "$new/$file"; fi
-    done < <(cd "$new" && find . -type f -print0)
-    for kept in build runs; do
-      if [[ -d $old/$kept ]]; then mv "$old/$kept" "$new/$kept"; fi
-    done
-    rm -rf "$old"
+  local to=$root/src noted=$root/etc/bare_debian.commit old='' changed=() removed=()
+  if [[ -f $noted ]] && git -C "$source_tree" cat-file -e "$(<"$noted")^{commit}" 2>/dev/null; then
+    old=$(<"$noted")
+    mapfile -d '' -t removed < <(git -C "$source_tree" diff -z --name-only --no-renames --diff-filter=D "$old" HEAD)
+    mapfile -d '' -t changed < <(git -C "$source_tree" diff -z --name-only --no-renames --diff-filter=d "$old" HEAD)
+    (cd "$to" && rm -f -- "${removed[@]}")
+  else
+    rm -rf "$to"
+    mkdir "$to"
   fi
-  mv "$new" "$old"
+  if [[ ! $old ]] || ((${#changed[@]} > 0)); then
+    git -C "$source_tree" archive HEAD -- "${changed[@]}" | tar -x --no-same-owner --touch -C "$to"
+  fi
+  git -C "$source_tree" rev-parse HEAD >"$noted"
   say "copied $(git -C "$source_tree" rev-parse --short HEAD) to /src"
 }
 
