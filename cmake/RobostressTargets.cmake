@@ -118,7 +118,7 @@ set(common_headers
   <algorithm> <array> <atomic> <chrono> <cmath> <cstdint> <filesystem> <fstream> <functional> <map> <memory> <optional> <set>
   <string> <thread> <utility> <vector> <absl/status/statusor.h> <absl/strings/match.h> <absl/strings/numbers.h>
   <absl/strings/str_cat.h> <absl/strings/str_format.h> <absl/strings/str_join.h> <absl/strings/str_split.h>
-  <absl/synchronization/mutex.h> <Eigen/Core> <Eigen/Geometry> <nlohmann/json.hpp> <spdlog/spdlog.h>)
+  <absl/synchronization/mutex.h> <Eigen/Dense> <nlohmann/json.hpp> <spdlog/spdlog.h> <yaml-cpp/yaml.h>)
 robostress_headers(common_headers ${common_headers})
 if(ROBOSTRESS_TESTS)
   robostress_headers(test_headers ${common_headers} <gmock/gmock.h> <gtest/gtest.h> DEPS GTest::gmock)
