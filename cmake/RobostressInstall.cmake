@@ -70,6 +70,7 @@ add_custom_command(OUTPUT ${manual}/made
   COMMAND ${CMAKE_COMMAND} -E touch ${manual}/made
   DEPENDS write_manual ${tables} COMMENT "Write manual pages and completions" VERBATIM)
 add_custom_target(manual ALL DEPENDS ${manual}/made)
+add_dependencies(tests manual)
 
 # What `./run package` builds: no test.
 add_custom_target(package_files DEPENDS manual rs_rpc rs_adapter_core rs_joint_errors rs_rollout)

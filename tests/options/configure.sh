@@ -22,8 +22,9 @@ configure() {  # FOLDER options...
   rm -rf "$folder"
   cmake -G Ninja -S "$source_dir" -B "$folder" "$@" > "$folder.log" 2>&1 || { tail -30 "$folder.log"; return 1; }
   ninja -C "$folder" -t targets all > "$folder.targets"
+  ctest --test-dir "$folder" -N >> "$folder.targets"
 }
-has() { grep -qE "^$2: phony$" "$scratch/$1.targets"; }
+has() { grep -qE "^$2: phony$|^ *Test +#[0-9]+: $2\$" "$scratch/$1.targets"; }  # a target or a test
 
 mkdir -p "$scratch"
 all_off=()
@@ -33,7 +34,7 @@ while read -r part program test stays; do
   all_off+=("-DROBOSTRESS_$part=OFF")
   configure "without-$part" "$@" "-DROBOSTRESS_$part=OFF" || { complain "ROBOSTRESS_$part=OFF does not configure"; continue; }
   for target in "$program" "$test"; do
-    has with "$target" || complain "$target is no target even with every part"
+    has with "$target" || complain "$target is neither a target nor a test even with every part"
     if has "without-$part" "$target"; then complain "ROBOSTRESS_$part=OFF still builds $target"; fi
   done
   has "without-$part" "$stays" || complain "ROBOSTRESS_$part=OFF loses $stays"
