@@ -54,7 +54,8 @@ endfunction()
 
 # robostress_test(NAME sources... [IN program] DEPS libraries... [LABELS labels...] [TIMEOUT s]): one ctest entry of GoogleTest
 # suites. IN names a program that several entries share: it compiles and links in a fraction of their time; each entry runs its
-# own suites in a process of its own. LABELS: fast (the default), program (starts programs), slow (more than 10 s).
+# own suites in a process of its own. LABELS: fast (the default), program (starts programs), slow (more than 10 s); asan, tsan
+# (./run check runs it with that sanitizer; target asan_tests or tsan_tests builds what these tests need).
 function(robostress_test name)
   if(NOT ROBOSTRESS_TESTS)
     return()
@@ -81,6 +82,14 @@ function(robostress_test name)
   if(NOT "program" IN_LIST ARG_LABELS AND NOT "slow" IN_LIST ARG_LABELS)
     list(APPEND ARG_LABELS fast)
   endif()
+  foreach(sanitizer asan tsan)
+    if(sanitizer IN_LIST ARG_LABELS)
+      if(NOT TARGET ${sanitizer}_tests)
+        add_custom_target(${sanitizer}_tests)
+      endif()
+      add_dependencies(${sanitizer}_tests ${ARG_IN})
+    endif()
+  endforeach()
   set_tests_properties(${name} PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}"
     ENVIRONMENT "OMP_NUM_THREADS=1;OPENBLAS_NUM_THREADS=1;LP_NUM_THREADS=0")
 endfunction()

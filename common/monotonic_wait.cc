@@ -7,8 +7,9 @@
 #include <chrono>
 #include <condition_variable>
 #include <map>
-#include <mutex>
 #include <thread>
+
+#include "common/std_mutex.h"
 
 namespace robostress {
 namespace {
@@ -33,13 +34,13 @@ class Alarms {
 
   std::multimap<Monotonic::time_point, Alarm*>::iterator Set(Monotonic::time_point due,
                                                              Alarm* alarm) {
-    const std::lock_guard lock(mu_);
+    const StdLock lock(mu_);
     const auto at = due_.emplace(due, alarm);
     if (at == due_.begin()) changed_.notify_one();
     return at;
   }
   void Stop(std::multimap<Monotonic::time_point, Alarm*>::iterator at, const Alarm& alarm) {
-    const std::lock_guard lock(mu_);
+    const StdLock lock(mu_);
     if (!alarm.rung) due_.erase(at);
   }
 
@@ -50,7 +51,7 @@ class Alarms {
 
   void Run() {
     pthread_setname_np(pthread_self(), "alarms");
-    std::unique_lock lock(mu_);
+    StdLock lock(mu_);
     while (true) {
       const Monotonic::time_point now = Monotonic::now();
       Monotonic::time_point next = Monotonic::time_point::max();
@@ -67,22 +68,22 @@ class Alarms {
         }
       }
       if (next == Monotonic::time_point::max()) {
-        changed_.wait(lock);
+        changed_.wait(lock.waiting());
       } else {
-        changed_.wait_until(lock, next);
+        changed_.wait_until(lock.waiting(), next);
       }
     }
   }
-  static bool Ring(Alarm& alarm) ABSL_NO_THREAD_SAFETY_ANALYSIS {
+  static bool Ring(Alarm& alarm) {
     if (!alarm.mu->TryLock()) return false;
     alarm.rung = true;
     alarm.mu->Unlock();
     return true;
   }
 
-  std::mutex mu_;
+  StdMutex mu_;
   std::condition_variable changed_;
-  std::multimap<Monotonic::time_point, Alarm*> due_;
+  std::multimap<Monotonic::time_point, Alarm*> due_ ABSL_GUARDED_BY(mu_);
 };
 
 }  // namespace

@@ -94,7 +94,6 @@ Screening::Screening(const JointProblem& problem, const JointFit& fit, const Sig
   RemoveImitated(r);
   residual_ = r.col(0);
   std::vector<std::vector<Signature>> found(candidates_.size());
-  std::mutex mutex;
   ParallelFor(static_cast<int>(candidates_.size()), [&](int i) {
     const Candidate& candidate = candidates_[i];
     for (const Hypothesis& start : WithEffect(base, *candidate.effect, scales, candidate.partner)) {

@@ -68,10 +68,10 @@ DemonstrationWriter::~DemonstrationWriter() {
 }
 
 absl::StatusOr<DemonstrationSummary> DemonstrationWriter::Ask(Order order) {
-  std::unique_lock lock(mu_);
+  StdLock lock(mu_);
   order_ = order;
   changed_.notify_all();
-  changed_.wait(lock, [this] { return order_ == Order::kNone; });
+  while (order_ != Order::kNone) changed_.wait(lock.waiting());
   return answer_;
 }
 
@@ -80,14 +80,15 @@ absl::Status DemonstrationWriter::Begin(const std::string& instruction) {
     return absl::FailedPreconditionError("a demonstration is under way; end or discard it first");
   if (instruction.empty())
     return absl::InvalidArgumentError("a demonstration needs an instruction: what is being done");
+  uint64_t episode = 0;
   {
-    const std::lock_guard lock(mu_);
+    const StdLock lock(mu_);
     instruction_ = instruction;
-    ++begun_;
+    episode = ++begun_;
   }
   RS_RETURN_IF_ERROR(Ask(Order::kBegin).status());
   lost_ = 0;
-  open_ = begun_;
+  open_ = episode;
   return absl::OkStatus();
 }
 
@@ -103,7 +104,7 @@ absl::StatusOr<DemonstrationSummary> DemonstrationWriter::End(bool success) {
   if (open_.exchange(0) == 0)
     return absl::FailedPreconditionError("no demonstration is under way; begin one");
   {
-    const std::lock_guard lock(mu_);
+    const StdLock lock(mu_);
     success_ = success;
   }
   return Ask(Order::kEnd);
@@ -254,19 +255,20 @@ void DemonstrationWriter::RemoveUnfinished() const {
 }
 
 void DemonstrationWriter::Run() {
-  std::unique_lock lock(mu_);
+  StdLock lock(mu_);
   for (bool quit = false; !quit;) {
-    const auto ordered = [this] { return order_ != Order::kNone; };
+    const auto ordered = [this]()
+                             ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return order_ != Order::kNone; };
     if (current_ == 0) {
-      changed_.wait(lock, ordered);
+      changed_.wait(lock.waiting(), ordered);
     } else {
-      changed_.wait_for(lock, kPoll, ordered);
+      changed_.wait_for(lock.waiting(), kPoll, ordered);
     }
     const Order order = order_;
     const std::string instruction = instruction_;
     const bool success = success_;
     const uint64_t begun = begun_;
-    lock.unlock();
+    lock.Unlock();
     absl::StatusOr<DemonstrationSummary> answer = DemonstrationSummary{};
     if (order != Order::kDiscard && order != Order::kQuit) {
       for (Item item; ring_.Pop(item);) Take(item);
@@ -284,7 +286,7 @@ void DemonstrationWriter::Run() {
       Clear(0, "");
       quit = order == Order::kQuit;
     }
-    lock.lock();
+    lock.Lock();
     if (order == Order::kNone) continue;
     answer_ = std::move(answer);
     order_ = Order::kNone;

@@ -4,15 +4,16 @@
 #include <condition_variable>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "common/clock.h"
+#include "common/std_mutex.h"
 #include "robot_client/cameras/frame_source.h"
 #include "robot_client/control/spsc_ring.h"
 #include "robot_client/demonstration/demonstration.h"
@@ -100,13 +101,14 @@ class DemonstrationWriter {
   std::atomic<int64_t> saved_{0};
 
   // The console's orders to the writer's thread.
-  std::mutex mu_;
+  StdMutex mu_;
   std::condition_variable changed_;
-  enum class Order { kNone, kBegin, kEnd, kDiscard, kQuit } order_ = Order::kNone;
-  std::string instruction_;
-  bool success_ = false;
-  uint64_t begun_ = 0;
-  absl::StatusOr<DemonstrationSummary> answer_ = DemonstrationSummary{};
+  enum class Order { kNone, kBegin, kEnd, kDiscard, kQuit };
+  Order order_ ABSL_GUARDED_BY(mu_) = Order::kNone;
+  std::string instruction_ ABSL_GUARDED_BY(mu_);
+  bool success_ ABSL_GUARDED_BY(mu_) = false;
+  uint64_t begun_ ABSL_GUARDED_BY(mu_) = 0;
+  absl::StatusOr<DemonstrationSummary> answer_ ABSL_GUARDED_BY(mu_) = DemonstrationSummary{};
   absl::StatusOr<DemonstrationSummary> Ask(Order order);
 
   // The writer's thread.

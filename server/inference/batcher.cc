@@ -82,7 +82,7 @@ Batcher::Batcher(const BatcherOptions& options, UpdatePacer* pacer, Metrics* met
 
 void Batcher::Stop() {
   {
-    const std::lock_guard lock(mu_);
+    const StdLock lock(mu_);
     stopped_ = true;
     for (const RequestQueue::Request& request : queue_.RemoveSession(0)) {
       Finish(static_cast<Pending&>(*request), absl::CancelledError("the server stops"));
@@ -94,14 +94,14 @@ void Batcher::Stop() {
 }
 
 void Batcher::Cancel(uint64_t session) {
-  const std::lock_guard lock(mu_);
+  const StdLock lock(mu_);
   for (const RequestQueue::Request& request : queue_.RemoveSession(session)) {
     Finish(static_cast<Pending&>(*request), absl::CancelledError("the session was closed"));
   }
 }
 
 Batcher::Counters Batcher::counters() const {
-  const std::lock_guard lock(mu_);
+  const StdLock lock(mu_);
   Counters counters = counters_;
   counters.waiting = queue_.size();
   return counters;
@@ -144,7 +144,7 @@ absl::StatusOr<SampledPrediction> Batcher::Predict(const PredictionJob& job) {
   pending->deadline = After(pending->arrival, job.deadline);
   if (pacer_ != nullptr) pacer_->PredictionArrived(job.priority);
   {
-    std::unique_lock lock(mu_);
+    StdLock lock(mu_);
     if (stopped_) {
       Finish(*pending, absl::CancelledError("the server stops"));
     } else {
@@ -156,7 +156,8 @@ absl::StatusOr<SampledPrediction> Batcher::Predict(const PredictionJob& job) {
       // Wakes up for the deadline or to ask whether the client is still there.
       const MonotonicTime now = SteadyClock::now(), poll = now + kCancelPoll;
       const bool in_time = now < pending->deadline;  // otherwise it is being computed
-      pending->answered.wait_until(lock, in_time ? std::min(poll, pending->deadline) : poll);
+      pending->answered.wait_until(lock.waiting(),
+                                   in_time ? std::min(poll, pending->deadline) : poll);
       if (pending->done) break;
       if (job.cancelled && job.cancelled() && queue_.Remove(pending.get())) {
         Finish(*pending, absl::CancelledError(kGivenUp));
@@ -173,15 +174,16 @@ absl::StatusOr<SampledPrediction> Batcher::Predict(const PredictionJob& job) {
 }
 
 Batcher::Batch Batcher::TakeBatch() {
-  std::unique_lock lock(mu_);
+  StdLock lock(mu_);
   Batch batch;
   while (batch.empty()) {
     ++idle_;
-    work_.wait(lock, [this] { return stopped_ || queue_.size() > 0; });
+    while (!stopped_ && queue_.size() == 0) work_.wait(lock.waiting());
     if (options_.window > absl::ZeroDuration()) {
-      work_.wait_until(lock, After(queue_.oldest_arrival(), options_.window), [this] {
+      const auto enough = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
         return stopped_ || queue_.size() == 0 || queue_.size() >= options_.max_batch;
-      });
+      };
+      work_.wait_until(lock.waiting(), After(queue_.oldest_arrival(), options_.window), enough);
     }
     const int idle = idle_--;  // this thread included
     if (stopped_) return {};
@@ -212,7 +214,7 @@ void Batcher::Run(int index) {
     const MonotonicTime begin = SteadyClock::now();
     Compute(batch);
     const MonotonicTime end = SteadyClock::now();
-    const std::lock_guard lock(mu_);
+    const StdLock lock(mu_);
     const auto size = static_cast<double>(batch.size());
     UpdateAverage(Seconds(end - begin), batch_seconds_);
     UpdateAverage(Seconds(end - begin) / size, prediction_seconds_);

@@ -4,12 +4,13 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <thread>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
+#include "common/std_mutex.h"
 #include "server/inference/request_queue.h"
 #include "server/inference/update_pacer.h"
 #include "server/operations/metrics.h"
@@ -100,22 +101,21 @@ class Batcher {
   // Waits for work; empty: stopped.
   Batch TakeBatch();
   void Compute(const Batch& batch);
-  void Answer(const RequestQueue::Refused& refused);   // mu_ held
-  void Finish(Pending& pending, absl::Status status);  // mu_ held
-  absl::Duration RetryAfterNow() const;                // mu_ held
+  void Answer(const RequestQueue::Refused& refused) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void Finish(Pending& pending, absl::Status status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  absl::Duration RetryAfterNow() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const BatcherOptions options_;
   UpdatePacer* const pacer_;
   const Shown shown_;
-  // std: its timed waits follow the monotonic clock, absl's the time of day. Guards what follows.
-  mutable std::mutex mu_;
+  mutable StdMutex mu_;
   std::condition_variable work_;
-  bool stopped_ = false;
-  RequestQueue queue_;
-  int idle_ = 0;                   // threads that wait for work
-  double batch_seconds_ = 0;       // of a pass, moving average
-  double prediction_seconds_ = 0;  // the same, per prediction
-  Counters counters_;
+  bool stopped_ ABSL_GUARDED_BY(mu_) = false;
+  RequestQueue queue_ ABSL_GUARDED_BY(mu_);
+  int idle_ ABSL_GUARDED_BY(mu_) = 0;                   // threads that wait for work
+  double batch_seconds_ ABSL_GUARDED_BY(mu_) = 0;       // of a pass, moving average
+  double prediction_seconds_ ABSL_GUARDED_BY(mu_) = 0;  // the same, per prediction
+  Counters counters_ ABSL_GUARDED_BY(mu_);
 
   std::vector<std::thread> threads_;
 };

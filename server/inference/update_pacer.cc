@@ -41,7 +41,7 @@ void UpdatePacer::PredictionAnswered(Priority priority) {
 
 void UpdatePacer::Notify() {
   if (pausing_ == 0) return;
-  { const std::lock_guard lock(mu_); }  // who is about to wait has looked at the counts before
+  { const StdLock lock(mu_); }  // who is about to wait has looked at the counts before
   answered_.notify_all();
 }
 
@@ -91,10 +91,10 @@ void UpdatePacer::Yield(Update& update) {
   bool resume = false;
   ++pausing_;
   {
-    std::unique_lock lock(mu_);
+    StdLock lock(mu_);
     --updates_;
     answered_.notify_all();  // another update may have the core
-    resume = answered_.wait_for(lock, std::max<nanoseconds>(owed, kShortestPause),
+    resume = answered_.wait_for(lock.waiting(), std::max<nanoseconds>(owed, kShortestPause),
                                 [&] { return MayResume(update.kind_); });
     ++updates_;  // still locked: of two updates that wait for one core only one gets it
   }

@@ -9,6 +9,7 @@ if [[ $# -ne 2 ]]; then
 fi
 bin=$1 out=$2 recipe=$(dirname "$0")/nano.yaml
 mkdir -p "$out"
+# shellcheck source-path=SCRIPTDIR source=stages.sh
 source "$(dirname "$0")/stages.sh"
 
 train() {  # NAME ARGUMENTS...

@@ -9,6 +9,7 @@ if [[ $# -ne 2 ]]; then
 fi
 bin=$1 out=$2 recipe=$(dirname "$0")/nano_pi05.yaml
 mkdir -p "$out"
+# shellcheck source-path=SCRIPTDIR source=stages.sh
 source "$(dirname "$0")/stages.sh"
 
 record demos --episodes 30 --first-draw 1000 --seed 1

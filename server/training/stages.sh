@@ -1,3 +1,4 @@
+# shellcheck shell=bash disable=SC2154  # bin and out: see the next line
 # What nano.sh and nano_pi05.sh share; sourced with $bin and $out set. Every stage leaves a mark and is not repeated.
 server=
 trap '[[ -z $server ]] || kill "$server" 2>/dev/null || true' EXIT

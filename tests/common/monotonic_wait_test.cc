@@ -13,12 +13,12 @@ using Monotonic = std::chrono::steady_clock;
 
 struct Guarded {
   absl::Mutex mu;
-  bool ready = false;
+  bool ready ABSL_GUARDED_BY(mu) = false;
 
   bool Await(absl::Duration timeout) {
     const absl::MutexLock lock(&mu);
-    return AwaitFor(
-        mu, [this] { return ready; }, timeout);
+    const auto is_ready = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) { return ready; };
+    return AwaitFor(mu, is_ready, timeout);
   }
   void MakeReady() {
     const absl::MutexLock lock(&mu);

@@ -13,6 +13,7 @@ robot_client --help | awk '/# a rehearsal/ {on = 1} on && /^ *$/ {exit} on && !/
 grep -q 'robostress serve' example.txt
 {
   sed -e '/robostress serve/q' example.txt
+  # shellcheck disable=SC2016  # the script that is written expands it
   echo 'server=$!; trap "kill $server" EXIT'
   # The command's last line without a \ ends it; what a person types comes before it.
   echo '{ echo enable; echo start; sleep 4; echo success; echo quit; } |'

@@ -23,6 +23,7 @@ run() {
   # shellcheck disable=SC2086  # several options
   ${server_in:-} "$policy" ${server_options:-} >"$out/$name.server" &
   server_pid=$!
+  # shellcheck disable=SC2086  # several options
   "$emulator" --bus udp:239.74.163.2:43113 --profile used_one_year --seconds 60 ${emulator_options:-} \
     >"$out/$name.emulator" 2>&1 &
   emulator_pid=$!

@@ -4,10 +4,10 @@
 
 #include <limits>
 #include <map>
-#include <mutex>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/synchronization/mutex.h"
 #include "adapter/lora.h"
 #include "common/status_macros.h"
 #include "server/policies/openpi/openpi_lora.h"
@@ -118,8 +118,8 @@ struct OpenpiInference::Graphs {
     StepBuffers buffers;
     std::unique_ptr<StepGraph> graph;
   };
-  std::mutex mutex;
-  std::map<StepShape, Entry> entries;
+  absl::Mutex mu;
+  std::map<StepShape, Entry> entries ABSL_GUARDED_BY(mu);
 };
 
 OpenpiInference::~OpenpiInference() = default;
@@ -222,7 +222,7 @@ torch::Tensor OpenpiInference::PredictByGraph(const PolicyContext& context,
   const int64_t prefix =
       (context.prefix_mask.size(1) + kGraphSlots - 1) / kGraphSlots * kGraphSlots;
   const StepShape shape = ShapeOfPrediction(context, adapters, prefix);
-  const std::lock_guard lock(graphs_->mutex);
+  const absl::MutexLock lock(&graphs_->mu);
   auto found = graphs_->entries.find(shape);
   if (found == graphs_->entries.end()) {
     if (graphs_->entries.size() == kMaxGraphs) graphs_->entries.erase(graphs_->entries.begin());

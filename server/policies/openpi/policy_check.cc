@@ -34,8 +34,9 @@ bool HasPrefix(const SafetensorsFile& file, absl::string_view prefix) {
 // Only tensors under the given folders may be there.
 absl::Status CheckFolders(const SafetensorsFile& file, const std::vector<std::string>& folders) {
   for (const auto& [name, view] : file.tensors()) {
-    if (std::none_of(folders.begin(), folders.end(),
-                     [&](const std::string& folder) { return name.starts_with(folder); })) {
+    if (std::none_of(folders.begin(), folders.end(), [&name = name](const std::string& folder) {
+          return name.starts_with(folder);
+        })) {
       return absl::InvalidArgumentError(absl::StrCat(
           file.path(), ": tensor '", name, "' is not under ", absl::StrJoin(folders, " or "),
           "; give a file with expected values, not one with weights"));

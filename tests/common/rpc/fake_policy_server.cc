@@ -6,10 +6,10 @@
 #include <cmath>
 #include <condition_variable>
 #include <map>
-#include <mutex>
 #include <thread>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/strings/str_cat.h"
 #include "adapter/method_options.h"
 #include "adapter/methods.h"
@@ -20,6 +20,7 @@
 #include "common/rpc/convert_specs.h"
 #include "common/rpc/grpc_status.h"
 #include "common/safetensors.h"
+#include "common/std_mutex.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 
 namespace robostress {
@@ -100,16 +101,16 @@ PolicySpec FakeSpec() {
 
 struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
   FakeServerOptions options;
-  mutable std::mutex mutex;
+  mutable StdMutex mu;
   std::condition_variable changed;
-  std::map<std::string, Session> sessions;                    // guarded by mutex
-  int resumed = 0;                                            // guarded by mutex
-  int opened = 0, total_predictions = 0, total_feedback = 0;  // guarded by mutex
+  std::map<std::string, Session> sessions ABSL_GUARDED_BY(mu);
+  int resumed ABSL_GUARDED_BY(mu) = 0, opened ABSL_GUARDED_BY(mu) = 0;
+  int total_predictions ABSL_GUARDED_BY(mu) = 0, total_feedback ABSL_GUARDED_BY(mu) = 0;
   int port = 0;
   std::unique_ptr<grpc::Server> server;
 
   // Null and `status` set when unknown.
-  Session* Find(const std::string& id, grpc::Status& status) {
+  Session* Find(const std::string& id, grpc::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) {
     const auto found = sessions.find(id);
     if (found != sessions.end()) return &found->second;
     status = grpc::Status(grpc::StatusCode::NOT_FOUND, absl::StrCat("unknown session '", id, "'"));
@@ -118,7 +119,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status GetServerInfo(grpc::ServerContext*, const v1::GetServerInfoRequest*,
                              v1::GetServerInfoResponse* response) override {
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     ServerInfo info;
     info.version = "fake";
     info.policies = {options.spec};
@@ -140,7 +141,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
           grpc::StatusCode::NOT_FOUND,
           absl::StrCat("unknown policy '", spec->policy, "'; known: ", options.spec.name));
     }
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     const std::string id = absl::StrCat("session-", ++opened);
     sessions[id].method = *method;
     sessions[id].setting = *spec;
@@ -152,7 +153,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status ResumeSession(grpc::ServerContext*, const v1::ResumeSessionRequest* request,
                              v1::ResumeSessionResponse* response) override {
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     grpc::Status status;
     const Session* session = Find(request->session_id(), status);
     if (session == nullptr) return status;
@@ -171,7 +172,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status CloseSession(grpc::ServerContext*, const v1::CloseSessionRequest* request,
                             v1::CloseSessionResponse*) override {
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     return sessions.erase(request->session_id()) == 1
                ? grpc::Status::OK
                : grpc::Status(grpc::StatusCode::NOT_FOUND, "unknown session");
@@ -179,7 +180,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status StartEpisode(grpc::ServerContext*, const v1::StartEpisodeRequest* request,
                             v1::StartEpisodeResponse*) override {
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     grpc::Status status;
     Session* session = Find(request->session_id(), status);
     if (session == nullptr) return status;
@@ -202,12 +203,12 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
       std::this_thread::sleep_for(std::chrono::duration<double>(options.predict_s));
       PredictedChunk prediction;
       {
-        std::unique_lock lock(mutex);
+        StdLock lock(mu);
         grpc::Status status;
         Session* session = Find(request.session_id(), status);
         if (session == nullptr) return status;
         if (session->setting.mode == ExecutionMode::kLockstep) {
-          changed.wait(lock, [&] { return session->sequence >= request.last_feedback_sequence(); });
+          while (session->sequence < request.last_feedback_sequence()) changed.wait(lock.waiting());
         }
         if (++total_predictions == options.fail_predict_at) {
           return grpc::Status(grpc::StatusCode::INTERNAL, "the fake was told to fail");
@@ -247,7 +248,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
       if (!chunk.ok()) return ToGrpc(chunk.status());
       v1::FeedbackAck ack;
       {
-        const std::lock_guard lock(mutex);
+        const StdLock lock(mu);
         grpc::Status status;
         Session* session = Find(request.session_id(), status);
         if (session == nullptr) return status;
@@ -276,7 +277,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status GetStats(grpc::ServerContext*, const v1::GetStatsRequest* request,
                         v1::GetStatsResponse* response) override {
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     grpc::Status status;
     const Session* session = Find(request->session_id(), status);
     if (session == nullptr) return status;
@@ -290,7 +291,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status ExportAdapter(grpc::ServerContext*, const v1::ExportAdapterRequest* request,
                              v1::ExportAdapterResponse* response) override {
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     grpc::Status status;
     const Session* session = Find(request->session_id(), status);
     if (session == nullptr) return status;
@@ -302,7 +303,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status ImportAdapter(grpc::ServerContext*, const v1::ImportAdapterRequest* request,
                              v1::ImportAdapterResponse* response) override {
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     grpc::Status status;
     Session* session = Find(request->session_id(), status);
     if (session == nullptr) return status;
@@ -315,7 +316,7 @@ struct FakePolicyServer::Impl final : public v1::PolicyService::Service {
 
   grpc::Status RollbackAdapter(grpc::ServerContext*, const v1::RollbackAdapterRequest* request,
                                v1::RollbackAdapterResponse* response) override {
-    const std::lock_guard lock(mutex);
+    const StdLock lock(mu);
     grpc::Status status;
     Session* session = Find(request->session_id(), status);
     if (session == nullptr) return status;
@@ -351,17 +352,17 @@ std::string FakePolicyServer::address() const {
 }
 
 int FakePolicyServer::open_sessions() const {
-  const std::lock_guard lock(impl_->mutex);
+  const StdLock lock(impl_->mu);
   return static_cast<int>(impl_->sessions.size());
 }
 
 int FakePolicyServer::predictions() const {
-  const std::lock_guard lock(impl_->mutex);
+  const StdLock lock(impl_->mu);
   return impl_->total_predictions;
 }
 
 int FakePolicyServer::feedback_chunks() const {
-  const std::lock_guard lock(impl_->mutex);
+  const StdLock lock(impl_->mu);
   return impl_->total_feedback;
 }
 

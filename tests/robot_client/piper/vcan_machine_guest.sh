@@ -184,6 +184,7 @@ hold="root tbf rate 8bit burst 16b limit 3200b"
 if wanted "stalled in mid-run"; then
   ip link add vxcan0 type vxcan peer name vcanpeer
   ip link set vxcan0 txqueuelen 14 up; ip link set vcanpeer up
+  # shellcheck disable=SC2016  # mission expands it, later
   mission vcanpeer vxcan0 7 'tc qdisc replace dev vxcan0 $hold; at=$(now)' # tc itself takes 0.1 s here
   ip link del vxcan0
   row "sending stalls in mid-run, samples go on (vxcan)" "HOLD \(send_failed\) after 0\.[12].*FAULT \(send_failed\) after 0\.[5-7]" "$(changes 2)"
@@ -226,6 +227,7 @@ bus_off() { # NAME PATTERN [PREFIX]
   at=$(now)
   echo off >&3
   wait $watch
+  # shellcheck disable=SC2016  # the backticks are in the text
   row "$1" "$2" "$(noticed; grep -o 'type `[^`]*`' /tmp/log.watch | sort -u)"
   no_adapter
 }

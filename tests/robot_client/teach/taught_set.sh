@@ -61,5 +61,5 @@ while read -r state rows; do
   wait $client
   kill $emulator
   wait $emulator || true
-  grep done "$out/emulator.txt" || echo "the drawer did not open in state $state"
+  grep "done" "$out/emulator.txt" || echo "the drawer did not open in state $state"
 done <"$out/states"

@@ -80,7 +80,7 @@ class WatchedPolicy : public FakePolicy {
 
  private:
   mutable absl::Mutex mu_;
-  mutable std::vector<std::vector<float>> batches_;
+  mutable std::vector<std::vector<float>> batches_ ABSL_GUARDED_BY(mu_);
 };
 
 TEST(Session, EveryUpdateDrawsPlacesOfItsOwnFromTheBuffer) {
