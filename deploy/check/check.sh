@@ -4,7 +4,7 @@ set -euo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 logs=$root/build/check
-gates=(format shell links thread-safety warnings commands tidy asan tsan)
+gates=(format shell links doxygen thread-safety warnings commands tidy asan tsan)
 clang_format_major=14 # Debian 12's; another one breaks lines elsewhere
 
 help() {
@@ -14,7 +14,8 @@ Usage: ./run check [GATE...] [--base REF | --all]
   Without a GATE all of them run, in this order:
   format          clang-format 14 has nothing to change
   shell           shellcheck finds nothing in any script
-  links           every link of a page leads to a file or a heading
+  links           every link of a page leads to a file or a heading, every file that a page names is there
+  doxygen         the comments of the headers become pages in build/doxygen/html without a warning
   thread-safety   Clang's analysis of the mutexes and of what they guard; every mutex is named by an annotation
   warnings        everything builds with warnings as errors (preset ci)
   commands        the commands of the pages run (preset ci)
@@ -23,7 +24,7 @@ Usage: ./run check [GATE...] [--base REF | --all]
   tsan            the tests labelled tsan, with the thread sanitizer (preset tsan)
 
   Each gate writes build/check/GATE.log. Exit status: 0 none failed; 1 some did; 2 wrong usage.
-  The first three take seconds, thread-safety minutes, the others an hour and more on two cores.
+  The first three take seconds, doxygen and thread-safety minutes, the others an hour and more on two cores.
 TEXT
 }
 
@@ -66,6 +67,8 @@ gate_format() {
 gate_shell() { scripts | xargs -0 -r shellcheck -x; }
 
 gate_links() { tests/docs/links.py .; }
+
+gate_doxygen() { doxygen docs/Doxyfile; }
 
 # Of the build only its commands and its generated headers.
 gate_thread_safety() {
