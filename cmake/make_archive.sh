@@ -51,7 +51,9 @@ done <"$work/needs"
 # Who made the libraries, and under which terms they go on.
 mkdir -p "$stage/share/doc/libraries"
 { awk '{print $2}' "$work/needs"; printf '%s\n' "$egl" "$renderer"; } | xargs -r readlink -f | sort -u >"$work/files"
-sed 's,^/usr,,' "$work/files" | cat - "$work/files" | xargs -r dpkg-query -S 2>/dev/null | cut -d: -f1 | sort -u >"$work/packages"
+# A library is listed under /lib or /usr/lib; dpkg-query fails for the other.
+sed 's,^/usr,,' "$work/files" | cat - "$work/files" | { xargs -r dpkg-query -S 2>/dev/null || true; } | cut -d: -f1 | sort -u \
+  >"$work/packages"
 while read -r package; do
   if [[ -e /usr/share/doc/$package/copyright ]]; then cp -L "/usr/share/doc/$package/copyright" "$stage/share/doc/libraries/$package"; fi
 done <"$work/packages"
