@@ -155,21 +155,22 @@ make_root() {
 
 # In a root that is used again only what changed since is written, so that a build in /src/build goes on where it was.
 copy_tree() {
-  local to=$root/src noted=$root/etc/bare_debian.commit old='' changed=() removed=()
+  local to=$root/src noted=$root/etc/bare_debian.commit old='' changed=() removed=() head
+  head=$(git -C "$source_tree" rev-parse HEAD) # asked once: HEAD may move meanwhile
   if [[ -f $noted ]] && git -C "$source_tree" cat-file -e "$(<"$noted")^{commit}" 2>/dev/null; then
     old=$(<"$noted")
-    mapfile -d '' -t removed < <(git -C "$source_tree" diff -z --name-only --no-renames --diff-filter=D "$old" HEAD)
-    mapfile -d '' -t changed < <(git -C "$source_tree" diff -z --name-only --no-renames --diff-filter=d "$old" HEAD)
+    mapfile -d '' -t removed < <(git -C "$source_tree" diff -z --name-only --no-renames --diff-filter=D "$old" "$head")
+    mapfile -d '' -t changed < <(git -C "$source_tree" diff -z --name-only --no-renames --diff-filter=d "$old" "$head")
     (cd "$to" && rm -f -- "${removed[@]}")
   else
     rm -rf "$to"
     mkdir "$to"
   fi
   if [[ ! $old ]] || ((${#changed[@]} > 0)); then
-    git -C "$source_tree" archive HEAD -- "${changed[@]}" | tar -x --no-same-owner --touch -C "$to"
+    git -C "$source_tree" archive "$head" -- "${changed[@]}" | tar -x --no-same-owner --touch -C "$to"
   fi
-  git -C "$source_tree" rev-parse HEAD >"$noted"
-  say "copied $(git -C "$source_tree" rev-parse --short HEAD) to /src"
+  printf '%s\n' "$head" >"$noted"
+  say "copied ${head:0:10} to /src"
 }
 
 # enter ROOT FOLDER COMMAND...: the mounts of a running system, then the command. Runs as the first process of its
