@@ -21,7 +21,7 @@ export PATH="$prefix/bin:$PATH"
 while IFS= read -r -d '' program; do
   name=$(basename "$program")
   for folder in "$source_dir" "$build" "$scratch/first"; do
-    if strings -a "$program" | grep -F -m1 "$folder/"; then complain "$name names $folder"; fi
+    if strings -a "$program" | grep -F "$folder/"; then complain "$name names $folder"; fi
   done
   said=$("$program" --version) || complain "$name --version ends with $?"
   [[ $said == *"$version ("*")" ]] || complain "$name --version says '$said'"
@@ -54,9 +54,10 @@ completes() {
     printf "%s\n" "${COMPREPLY[@]}"' "$prefix" "$@"
 }
 expect() {
-  local wanted=$1
+  local wanted=$1 offered
   shift
-  completes "$@" | grep -qxF -- "$wanted" || complain "'$*<TAB>' does not offer $wanted but: $(completes "$@" | tr '\n' ' ')"
+  offered=$(completes "$@")
+  [[ $'\n'$offered$'\n' == *$'\n'"$wanted"$'\n'* ]] || complain "'$*<TAB>' does not offer $wanted but: $offered"
 }
 expect sweep robostress sw
 expect --scenarios robostress sweep --sce
