@@ -122,7 +122,9 @@ endfunction()
 # robostress_headers(NAME headers... DEPS libraries...): a precompiled header.
 function(robostress_headers name)
   cmake_parse_arguments(ARG "" "" "DEPS" ${ARGN})
-  file(WRITE ${CMAKE_BINARY_DIR}/${name}.cc "")
+  if(NOT EXISTS ${CMAKE_BINARY_DIR}/${name}.cc)  # writing it again would link every program again
+    file(WRITE ${CMAKE_BINARY_DIR}/${name}.cc "")
+  endif()
   add_library(${name} STATIC ${CMAKE_BINARY_DIR}/${name}.cc)
   target_link_libraries(${name} PUBLIC ${ARG_DEPS} PRIVATE robostress_options)
   if(ROBOSTRESS_PCH)
