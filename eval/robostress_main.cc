@@ -91,7 +91,8 @@ void PrintOptionTable() {
   CLI::App app(kPurpose, "robostress");
   app.footer(kExamples);
   app.set_version_flag("--version", robostress::VersionText(), "Print the version and exit");
-  for (const Command& command : kCommands) app.add_subcommand(command.name, command.summary);
+  for (const Command& command : kCommands)
+    app.add_subcommand(command.name, command.summary)->set_help_flag();  // its own table has it
   std::printf("%s\n", robostress::OptionTableText(app).c_str());
 }
 

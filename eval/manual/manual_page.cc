@@ -118,6 +118,10 @@ std::string Options(const std::vector<OptionEntry>& options) {
 std::string Commands(const std::vector<CommandTable>& commands) {
   std::string text;
   for (const CommandTable& command : commands) {
+    if (command.options.empty() && command.commands.empty()) {  // has a page of its own
+      absl::StrAppend(&text, ".TP\n", Bold(command.name), "\n", Roff(command.description), "\n");
+      continue;
+    }
     absl::StrAppend(&text, ".SS ", Roff(command.name), "\n", Roff(command.description), "\n",
                     Options(command.options), Commands(command.commands));
   }
