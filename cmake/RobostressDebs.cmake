@@ -12,6 +12,7 @@ set(CPACK_COMPONENTS_ALL ${ROBOSTRESS_COMPONENTS})
 set(CPACK_COMPONENTS_GROUPING IGNORE)
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_RELEASE 1)
 set(CPACK_DEBIAN_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_COMPRESSION_TYPE xz)
@@ -29,29 +30,31 @@ function(robostress_deb component package summary text)
     set(${prefix}PACKAGE_${key} "${value}" PARENT_SCOPE)
   endwhile()
   set(folder ${CMAKE_INSTALL_DATADIR}/doc/${package})
-  install(FILES ${CMAKE_BINARY_DIR}/packages/copyright ${CMAKE_BINARY_DIR}/packages/changelog.gz DESTINATION ${folder}
+  install(FILES ${CMAKE_BINARY_DIR}/packages/copyright ${CMAKE_BINARY_DIR}/packages/changelog.gz
+    ${CMAKE_BINARY_DIR}/packages/changelog.Debian.gz DESTINATION ${folder}
     COMPONENT ${component})
 endfunction()
 
-set(subject "RoboStress measures how joint errors of an arm hurt a vision-language-action policy, and what the policy wins back \
-when it corrects itself by what the arm did.")
+set(subject "RoboStress measures how joint errors of an arm hurt a
+vision-language-action policy, and what the policy wins back when it
+corrects itself by what the arm did.")
 robostress_deb(evaluation robostress-evaluation "sweeps of robot policies under joint errors, and reports"
-  "${subject}\nThis package has the front door, the sweep, its report and its stores. A sweep here needs the worker and the server, too."
+  "${subject}\nThis package has the front door, the sweep, its report and its stores.\nA sweep here needs the worker and the server, too."
   RECOMMENDS "robostress-worker, robostress-server")
 robostress_deb(worker robostress-worker "simulated arms with joint errors, for RoboStress"
-  "${subject}\nThis package plays the episodes in MuJoCo and draws them without a display: a Panda, and a Piper behind its CAN frames."
+  "${subject}\nThis package plays the episodes in MuJoCo and draws them without\na display: a Panda, and a Piper behind its CAN frames."
   DEPENDS "libegl-mesa0, libgl1-mesa-dri" SUGGESTS "robostress-evaluation")
 robostress_deb(robot-client robostress-robot-client "drives an AgileX Piper by a policy server"
-  "${subject}\nThis package commands the arm 30 times a second within limits and watchdogs, records, and teaches by hand."
+  "${subject}\nThis package commands the arm 30 times a second within limits and\nwatchdogs, records, and teaches by hand."
   SUGGESTS "robostress-server, can-utils")
 robostress_deb(calibration robostress-calibration "finds what a robot's model lacks, from its logs"
-  "${subject}\nThis package fits friction, backlash, compliance and gravity to recordings of joints."
+  "${subject}\nThis package fits friction, backlash, compliance and gravity to\nrecordings of joints."
   SUGGESTS "robostress-evaluation")
 robostress_deb(server robostress-server "policy server with online self-compensation"
-  "${subject}\nThis package serves policies over gRPC and WebSocket, trains and inspects them, and has the small policies' weights."
+  "${subject}\nThis package serves policies over gRPC and WebSocket, trains and\ninspects them, and has the small policies' weights."
   DEPENDS "libopenblas0-openmp" SUGGESTS "robostress-evaluation")
 robostress_deb(dev librobostress-dev "C++ libraries of RoboStress"
-  "${subject}\nThis package has the joint errors, the corrections without LibTorch and the client of the policy server as static libraries."
+  "${subject}\nThis package has the joint errors, the corrections without LibTorch and\nthe client of the policy server as static libraries."
   SECTION libdevel
   DEPENDS "libabsl-dev, libeigen3-dev, libgrpc++-dev, libpng-dev, libprotobuf-dev, libspdlog-dev, libssl-dev, libwebp-dev, libyaml-cpp-dev, nlohmann-json3-dev, pkg-config")
 set(CPACK_DEBIAN_DEV_PACKAGE_SHLIBDEPS OFF)
@@ -61,12 +64,30 @@ file(WRITE ${CMAKE_BINARY_DIR}/packages/copyright
 Upstream-Name: RoboStress
 
 Files: *
-Copyright: the RoboStress authors
+Copyright: 2026 the RoboStress authors
 License: Apache-2.0
  On Debian systems the text is in /usr/share/common-licenses/Apache-2.0.
 ")
 execute_process(COMMAND ${GZIP_PROGRAM} -9nc ${PROJECT_SOURCE_DIR}/CHANGELOG.md
   OUTPUT_FILE ${CMAKE_BINARY_DIR}/packages/changelog.gz COMMAND_ERROR_IS_FATAL ANY)
+execute_process(COMMAND git log -1 --format=%cD WORKING_DIRECTORY ${PROJECT_SOURCE_DIR}
+  OUTPUT_VARIABLE date OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET)
+if(NOT date)
+  string(TIMESTAMP date "%a, %d %b %Y %H:%M:%S +0000" UTC)
+endif()
+file(WRITE ${CMAKE_BINARY_DIR}/packages/changelog.Debian
+"robostress (${PROJECT_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE}) unstable; urgency=medium
+
+  * What changed stands in changelog.gz.
+
+ -- ${CPACK_PACKAGE_CONTACT}  ${date}
+")
+execute_process(COMMAND ${GZIP_PROGRAM} -9nkf ${CMAKE_BINARY_DIR}/packages/changelog.Debian COMMAND_ERROR_IS_FATAL ANY)
+# The search path is on purpose (RobostressInstall.cmake): libtorch's BLAS must be the one with OpenMP.
+file(WRITE ${CMAKE_BINARY_DIR}/packages/overrides/robostress-server
+  "robostress-server: custom-library-search-path RPATH */openblas-openmp *\n")
+install(FILES ${CMAKE_BINARY_DIR}/packages/overrides/robostress-server
+  DESTINATION ${CMAKE_INSTALL_DATADIR}/lintian/overrides COMPONENT server)
 set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/CHANGELOG.md)
 
 include(CPack)
