@@ -7,7 +7,8 @@
 namespace robostress {
 namespace {
 
-thread_local void (*hooked)() = nullptr;
+using Hook = void (*)();
+thread_local Hook hooked = nullptr;
 
 std::unique_ptr<at::ObserverContext> Call(const at::RecordFunction&) {
   hooked();

@@ -16,8 +16,6 @@ namespace {
 using torch::Tensor;
 
 constexpr double kRopeBase = 10000.0;
-constexpr float kMasked =
-    -2.3819763e38f;  // finite, so that a row with nothing to see stays a number (as in pi0)
 constexpr int kTargetsPerLayer = 7;  // q, k, v, o, gate, up, down
 
 // The one list of parameters: calls f(name, shape, init_std, decays, tensor) in the order of the
@@ -253,7 +251,7 @@ NanoNetwork::Prefix NanoNetwork::EncodePrefix(const std::vector<Tensor>& images,
   prefix.context.prefix_mask =
       torch::cat({torch::ones({batch, length - words.size(1)}, torch::kBool), words.ne(0)}, 1);
   const Tensor bias =
-      torch::where(prefix.context.prefix_mask, 0.0f, kMasked).unsqueeze(1);  // [B, 1, P]
+      torch::where(prefix.context.prefix_mask, 0.0f, kMaskedBias).unsqueeze(1);  // [B, 1, P]
   // Padding comes last, so a token's position is its index.
   const Tensor position = torch::arange(length).repeat({batch});
   const double scale = 1.0 / std::sqrt(static_cast<double>(h));
@@ -321,8 +319,8 @@ Tensor NanoNetwork::Velocity(const PolicyContext& context, const Tensor& x_u, co
                               .flatten();  // [batch T]
   const double scale = 1.0 / std::sqrt(static_cast<double>(h));
   Tensor suffix_bias = torch::zeros({length, length});
-  if (!config_.pi05()) suffix_bias[0].narrow(0, 1, actions).fill_(kMasked);
-  const Tensor prefix_bias = torch::where(context.prefix_mask, 0.0f, kMasked);  // [rows, P]
+  if (!config_.pi05()) suffix_bias[0].narrow(0, 1, actions).fill_(kMaskedBias);
+  const Tensor prefix_bias = torch::where(context.prefix_mask, 0.0f, kMaskedBias);  // [rows, P]
   const Tensor bias =
       torch::cat({prefix_bias.view({rows, 1, prefix}).expand({rows, length, prefix}),
                   suffix_bias.unsqueeze(0).expand({rows, length, length})},

@@ -11,6 +11,10 @@
 
 namespace robostress {
 
+// Bias of what may not be attended to; finite, so that a row with nothing to see stays a number (as
+// in pi0).
+inline constexpr float kMaskedBias = -2.3819763e38f;
+
 // y = x / rms(x) * (1 + weight), or, where `dense` is defined, adaptive as in pi0.5: scale, shift,
 // gate = split(dense cond + bias), y = x / rms(x) * (1 + scale) + shift, and `gate` multiplies the
 // branch that follows.

@@ -13,7 +13,6 @@
 namespace robostress {
 namespace {
 
-constexpr float kMasked = -2.3819763e38f;
 constexpr size_t kTargetsPerLayer = 7;
 // Predictions computed together: each matrix is read once for all of them. More gain nothing (the
 // activations leave the cache).
@@ -298,7 +297,7 @@ NanoSampler::Item NanoSampler::PutPrefix(const PolicyContext& context, int64_t r
   // The state sees prefix and itself, an action sees everything but the filling.
   const torch::Tensor mask = context.prefix_mask[row].contiguous();
   Item item;
-  item.state_bias.assign(w.slots, kMasked);
+  item.state_bias.assign(w.slots, kMaskedBias);
   for (int64_t slot = 0; slot < prefix; ++slot) {
     if (!mask.data_ptr<bool>()[slot]) continue;
     item.state_bias[slot] = 0.0f;

@@ -10,7 +10,7 @@
 namespace robostress::openpi {
 namespace {
 
-constexpr double kEpsilon = 1e-6;
+constexpr double kRmsEpsilon = 1e-6;
 constexpr double kRopeBase = 10000;
 
 // y [B, T, w]; gate [B, 1, w], undefined for a plain norm.
@@ -18,9 +18,10 @@ struct Normed {
   torch::Tensor y, gate;
 };
 
-Normed Normalise(const GemmaNorm& norm, const torch::Tensor& x, const torch::Tensor& cond) {
+Normed RmsNorm(const GemmaNorm& norm, const torch::Tensor& x, const torch::Tensor& cond) {
   const torch::Tensor wide = x.to(torch::kFloat32);
-  const torch::Tensor unit = wide * at::rsqrt(wide.square().mean(-1, /*keepdim=*/true) + kEpsilon);
+  const torch::Tensor unit =
+      wide * at::rsqrt(wide.square().mean(-1, /*keepdim=*/true) + kRmsEpsilon);
   if (!norm.dense.weight.defined())
     return {(unit * (1 + norm.weight.to(torch::kFloat32))).to(x.dtype()), {}};
   const auto modulation =
@@ -71,7 +72,7 @@ struct Projected {
 
 Projected Project(const GemmaLayer& layer, const AttentionShape& shape, const torch::Tensor& x,
                   const torch::Tensor& cond, const Rotation& rotation) {
-  const Normed normed = Normalise(layer.input_norm, x, cond);
+  const Normed normed = RmsNorm(layer.input_norm, x, cond);
   const auto split = [&](const Linear& projection, int64_t heads) {
     return Apply(projection, normed.y)
         .view({x.size(0), x.size(1), heads, shape.head_dim})
@@ -108,10 +109,11 @@ torch::Tensor AttendOverCache(const Projected& p, const torch::Tensor& prefix_k,
 }
 
 // The rest of a layer after attention: both residuals.
-torch::Tensor Finish(const GemmaLayer& layer, const torch::Tensor& x, const torch::Tensor& attended,
-                     const torch::Tensor& gate, const torch::Tensor& cond) {
+torch::Tensor FinishLayer(const GemmaLayer& layer, const torch::Tensor& x,
+                          const torch::Tensor& attended, const torch::Tensor& gate,
+                          const torch::Tensor& cond) {
   const torch::Tensor middle = Residual(x, Apply(layer.o, attended), gate);
-  const Normed normed = Normalise(layer.post_norm, middle, cond);
+  const Normed normed = RmsNorm(layer.post_norm, middle, cond);
   const torch::Tensor hidden =
       at::gelu(Apply(layer.gate, normed.y), "tanh") * Apply(layer.up, normed.y);
   return Residual(middle, Apply(layer.down, hidden), normed.gate);
@@ -130,9 +132,9 @@ PrefixPass RunPrefix(const GemmaStack& stack, const AttentionShape& shape,
     const Projected p = Project(layer, shape, x, {}, rotation);
     pass.cache.keys.push_back(p.k);
     pass.cache.values.push_back(p.v);
-    x = Finish(layer, x, Attend(p.q, p.k, p.v, additive), p.gate, {});
+    x = FinishLayer(layer, x, Attend(p.q, p.k, p.v, additive), p.gate, {});
   }
-  pass.out_normed = Normalise(stack.norm, x, {}).y;
+  pass.out_normed = RmsNorm(stack.norm, x, {}).y;
   return pass;
 }
 
@@ -148,9 +150,9 @@ torch::Tensor RunSuffix(const GemmaStack& stack, const AttentionShape& shape,
     const Projected p = Project(layer, shape, x, cond, rotation);
     const torch::Tensor attended = AttendOverCache(p, prefix.keys[i].to(p.k.dtype()),
                                                    prefix.values[i].to(p.v.dtype()), additive);
-    x = Finish(layer, x, attended, p.gate, cond);
+    x = FinishLayer(layer, x, attended, p.gate, cond);
   }
-  return Normalise(stack.norm, x, cond).y;
+  return RmsNorm(stack.norm, x, cond).y;
 }
 
 torch::Tensor RunJoint(const GemmaStack& prefix, const GemmaStack& expert,
@@ -169,10 +171,10 @@ torch::Tensor RunJoint(const GemmaStack& prefix, const GemmaStack& expert,
     const torch::Tensor attended =
         Attend(at::cat({pa.q, pb.q}, 2), at::cat({pa.k, pb.k}, 2), at::cat({pa.v, pb.v}, 2),
                additive);  // [B, P + S, heads h]
-    a = Finish(prefix.layers[i], a, attended.narrow(1, 0, split), pa.gate, {});
-    b = Finish(expert.layers[i], b, attended.narrow(1, split, total - split), pb.gate, cond);
+    a = FinishLayer(prefix.layers[i], a, attended.narrow(1, 0, split), pa.gate, {});
+    b = FinishLayer(expert.layers[i], b, attended.narrow(1, split, total - split), pb.gate, cond);
   }
-  return Normalise(expert.norm, b, cond).y;
+  return RmsNorm(expert.norm, b, cond).y;
 }
 
 }  // namespace robostress::openpi

@@ -9,7 +9,7 @@
 namespace robostress::openpi {
 namespace {
 
-torch::Tensor ToTensor(const Image& image) {
+torch::Tensor PixelTensor(const Image& image) {
   const torch::Tensor bytes = at::from_blob(const_cast<uint8_t*>(image.data.data()),
                                             {1, image.height, image.width, 3}, torch::kUInt8);
   // The order of openpi's operations, for its bits: x / 255 * 2 - 1.
@@ -33,9 +33,9 @@ torch::Tensor Interpolate(const torch::Tensor& image, int64_t size) {
 }  // namespace
 
 torch::Tensor ImageTensor(const Image& image, int64_t size, ResizeFilter filter) {
-  if (image.width == size && image.height == size) return ToTensor(image);
-  if (filter == ResizeFilter::kInterpolate) return Interpolate(ToTensor(image), size);
-  return ToTensor(ResizeWithPad(image, static_cast<int>(size), static_cast<int>(size)));
+  if (image.width == size && image.height == size) return PixelTensor(image);
+  if (filter == ResizeFilter::kInterpolate) return Interpolate(PixelTensor(image), size);
+  return PixelTensor(ResizeWithPad(image, static_cast<int>(size), static_cast<int>(size)));
 }
 
 }  // namespace robostress::openpi

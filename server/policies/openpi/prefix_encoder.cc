@@ -11,7 +11,7 @@ namespace {
 
 constexpr double kLayerNormEpsilon = 1e-6;
 
-torch::Tensor Normalise(const LayerNorm& norm, const torch::Tensor& x) {
+torch::Tensor LayerNormed(const LayerNorm& norm, const torch::Tensor& x) {
   return at::layer_norm(x, {x.size(-1)}, norm.weight, norm.bias, kLayerNormEpsilon);
 }
 
@@ -27,14 +27,14 @@ torch::Tensor EncodeImages(const InferenceSetup& setup, const InferenceWeights& 
                         .to(setup.activations)
                         .reshape({-1, c.vision_width});  // [N patches, vision_width]
   for (const VisionLayer& layer : w.vision) {
-    const Heads heads = SplitHeads(Project(layer.qkv, Normalise(layer.norm1, x)), count, shape,
+    const Heads heads = SplitHeads(Project(layer.qkv, LayerNormed(layer.norm1, x)), count, shape,
                                    shape.heads, nullptr);
     x.add_(Project(layer.out, Attend(heads.q, heads.k, heads.v, {}, count, shape)));
-    torch::Tensor hidden = Project(layer.fc1, Normalise(layer.norm2, x));
+    torch::Tensor hidden = Project(layer.fc1, LayerNormed(layer.norm2, x));
     Gelu(hidden);
     x.add_(Project(layer.fc2, hidden));
   }
-  return Project(w.projector, Normalise(w.vision_norm, x))
+  return Project(w.projector, LayerNormed(w.vision_norm, x))
       .view({count, c.patches(), c.prefix_width});
 }
 
