@@ -60,6 +60,27 @@ class Cost : public ceres::CostFunction {
   int* evaluations_;
 };
 
+// [rad/s] Exceeded by a twentieth of the rows; robust to single wrong readings.
+double HighSpeed(const JointProblem& problem) {
+  std::vector<double> speeds;
+  for (const JointTrack& track : problem.tracks())
+    for (const double dq : track.record().dq) speeds.push_back(std::abs(dq));
+  if (speeds.empty()) return 0;
+  const auto at = speeds.begin() + static_cast<std::ptrdiff_t>(speeds.size() * 19 / 20);
+  std::nth_element(speeds.begin(), at, speeds.end());
+  return *at;
+}
+
+// Where x of a Stribeck speed begins again. A curve that has left the speeds at which the joint was
+// moved is plain friction, and nothing leads back: then these speeds are begun from.
+std::vector<double> StribeckStarts(const FreeParameter& vs, double x, double high_speed) {
+  const double value = vs.ToValue(x);
+  if (high_speed == 0 || (value > 0.01 * high_speed && value < high_speed))
+    return {0.4 * x, x, 2.5 * x};
+  return {vs.FromValue(0.02 * high_speed), vs.FromValue(0.08 * high_speed),
+          vs.FromValue(0.3 * high_speed)};
+}
+
 // Of a free parameter; -1: it is not free.
 int IndexOf(const Hypothesis& h, const std::string& path) {
   for (size_t i = 0; i < h.free.size(); ++i)
@@ -147,10 +168,11 @@ JointFit MinimiseFriction(const JointProblem& problem, const Hypothesis& h,
   const int Fs = IndexOf(h, "stribeck_friction.Fs"), vs = IndexOf(h, "stribeck_friction.vs");
   JointModel model = ModelAt(h, h.x);
   const double Fc = **FindValue(model, "stribeck_friction.Fc");
-  for (const double speed : {0.4, 1.0, 2.5}) {
-    if (vs < 0 && speed != 1) continue;
+  std::vector<double> starts{0};
+  if (vs >= 0) starts = StribeckStarts(h.free[vs], h.x[vs], HighSpeed(problem));
+  for (const double start : starts) {
     Hypothesis other = h;
-    if (vs >= 0) other.x[vs] *= speed;
+    if (vs >= 0) other.x[vs] = start;
     if (Fs >= 0) other.x[Fs] = std::max(h.x[Fs], kStiction * h.free[Fs].FromValue(Fc));
     JointFit fit = Minimise(problem, other, chosen);
     if (fit.rms < best.rms) best = std::move(fit);
