@@ -1,8 +1,8 @@
 // The paper's loop on a real arm, end to end: an emulated Piper over its CAN frames, the client's
-// control loop, the feedback stream over gRPC, and a server that learns in joint space.
+// control loop, the feedback stream over gRPC, and a server that learns in joint space. The server is a process of its
+// own, as always: Debian 13's LibTorch exports the LLVM that Mesa must not find (a crash in its first shader).
 
 #include <gtest/gtest.h>
-#include <torch/types.h>
 
 #include <filesystem>
 
@@ -11,35 +11,13 @@
 #include "adapter/method_options.h"
 #include "adapter/methods.h"
 #include "common/atomic_file.h"
+#include "common/embedded_policies.h"
 #include "robot_client/policy_connection.h"
 #include "robot_client/study/piper_player.h"
-#include "server/policies/nano/nano_policy.h"
-#include "server/wire/grpc/policy_service.h"
+#include "tests/server/serve_process.h"
 
 namespace robostress::piper {
 namespace {
-
-// nano with its Piper's interface and random weights, in small; its actions are small too.
-std::shared_ptr<const FlowPolicy> TinyPiperPolicy() {
-  NanoConfig config;
-  config.cameras = {"base", "wrist"};
-  config.image_size = 16;
-  config.conv_channels = {4, 8};
-  config.state_dim = 7;
-  config.displacement_channels = 6;
-  config.execute_steps = 10;
-  config.layers = 2;
-  config.heads = 2;
-  config.head_dim = 8;
-  config.prefix_width = config.expert_width = 16;
-  config.prefix_mlp = config.expert_mlp = 24;
-  NanoModel model = RandomNanoModel(config, 4);
-  std::fill(model.actions.std.begin(), model.actions.std.end(), 0.02f);
-  model.actions.mean[6] = 0.05f;
-  auto policy = MakeNanoPolicy(std::move(model), "tiny", "tiny");
-  EXPECT_TRUE(policy.ok()) << policy.status();
-  return *std::move(policy);
-}
 
 // The session as the arm has it, with a note of what had been reported when a version answered.
 class Watched : public PolicyEndpoint {
@@ -72,11 +50,10 @@ class Watched : public PolicyEndpoint {
 };
 
 TEST(JointAdaptation, UpdatesAfter32ChunksAndEveryEightFromThenOn) {
-  auto server = PolicyServer::Start({}, {TinyPiperPolicy()});
-  ASSERT_TRUE(server.ok()) << server.status();
+  const ServeProcess server(SERVE_PROGRAM, {"--policy", kPiperPolicy});
   PolicyConnectionOptions connection;
-  connection.server = absl::StrCat("127.0.0.1:", (*server)->port());
-  connection.policy = "tiny";
+  connection.server = server.Address("grpc");
+  connection.policy = kPiperPolicy;
   connection.robot = "piper_new";
   connection.connect_timeout_s = connection.call_timeout_s = 120;
   connection.method = *MakeMethod("ours", {"learning_rate=1e-3"});

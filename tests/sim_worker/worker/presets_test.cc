@@ -82,7 +82,8 @@ class Presets : public testing::Test {
 
   // The first step whose command is not base's.
   static int FirstDifference(const std::string& method) {
-    const Episode &ours = Of(method), &base = Of("base");
+    const Episode& ours = Of(method);
+    const Episode& base = Of("base");
     const auto end = std::min(ours.actions.size(), base.actions.size());
     const auto [a, b] =
         std::mismatch(ours.actions.begin(), ours.actions.begin() + end, base.actions.begin());
