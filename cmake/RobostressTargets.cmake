@@ -98,6 +98,9 @@ function(robostress_test name)
       add_dependencies(${sanitizer}_tests ${ARG_IN})
     endif()
   endforeach()
+  if("slow" IN_LIST ARG_LABELS)
+    set_tests_properties(${name} PROPERTIES COST 60)  # begins first where nothing has been timed yet
+  endif()
   set_tests_properties(${name} PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS "${ARG_LABELS}"
     ENVIRONMENT "OMP_NUM_THREADS=1;OPENBLAS_NUM_THREADS=1;LP_NUM_THREADS=0")
 endfunction()
