@@ -1,6 +1,7 @@
 // The paper's loop on a real arm, end to end: an emulated Piper over its CAN frames, the client's
-// control loop, the feedback stream over gRPC, and a server that learns in joint space. The server is a process of its
-// own, as always: Debian 13's LibTorch exports the LLVM that Mesa must not find (a crash in its first shader).
+// control loop, the feedback stream over gRPC, and a server that learns in joint space. The server
+// is a process of its own, as always: Debian 13's LibTorch exports the LLVM that Mesa must not find
+// (a crash in its first shader).
 
 #include <gtest/gtest.h>
 
