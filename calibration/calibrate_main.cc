@@ -111,7 +111,7 @@ absl::Status Run(CommandLine line) {
 
 int Main(int argc, char** argv) {
   CommandLine line;
-  CLI::App app("Finds what a declared model of a measured robot lacks", "robostress calibrate");
+  cli::App app("Finds what a declared model of a measured robot lacks", "robostress calibrate");
   app.add_option("--rig", line.rig, "Rig file: model, what is known of its joints, logs")
       ->required();
   app.add_option("--out", line.out, "Directory to write")->required();
@@ -120,32 +120,28 @@ int Main(int argc, char** argv) {
                  "hinge=J4, hinge=J2+J4, hinge=J4:2.5 (torques times 2.5; else values are kept), "
                  "or own for an arm's own joints; repeatable")
       ->allow_extra_args(false);
-  app.add_option_function<std::string>(
+  app.add_option_function(
          "--arm", [&](const std::string& arm) { line.arm = arm == "piper" ? kPiper : kPanda; },
          "The simulated arm of --map: panda, or piper for a profile of piper_emulator")
-      ->check(CLI::IsMember({"panda", "piper"}));
+      ->check(cli::IsMember({"panda", "piper"}));
   app.add_option(
          "--joints", line.trace.joints,
          "Joints to trace, with commas between them (default: all); the others move as they "
          "were measured")
       ->delimiter(',');
   app.add_option("--surrogates", line.trace.surrogates, "Surrogates of a null distribution")
-      ->check(CLI::Range(99, 100000))
+      ->check(cli::Range(99, 100000))
       ->capture_default_str();
   app.add_option("--seed", line.trace.seed, "Of the surrogates")->capture_default_str();
   app.add_option("--max-effects", line.trace.max_effects, "Added to a joint at most")
-      ->check(CLI::Range(1, 6))
+      ->check(cli::Range(1, 6))
       ->capture_default_str();
   app.add_option("--beam", line.trace.beam, "Models that the search follows at once")
-      ->check(CLI::Range(1, 10))
+      ->check(cli::Range(1, 10))
       ->capture_default_str();
   app.add_flag("--quiet", line.quiet, "No progress");
-  app.add_flag_callback(
-      "--effects",
-      [] {
-        std::printf("%s", EffectTableMarkdown().c_str());
-        throw CLI::Success();
-      },
+  app.add_last_flag(
+      "--effects", [] { std::printf("%s", EffectTableMarkdown().c_str()); },
       "Print the effect library and do nothing else");
   app.footer(kExamples);
   return RunMain(app, argc, argv, [&] { return Run(line); });

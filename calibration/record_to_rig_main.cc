@@ -1,12 +1,12 @@
 // robostress-record-to-rig: turns recorded runs of an arm into a rig with logs.
 
-#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <string>
 
 #include "calibration/data/client_recordings.h"
 #include "calibration/data/recorded_rig.h"
 #include "calibration/data/sim_recordings.h"
+#include "common/command_line.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
 
@@ -58,7 +58,7 @@ absl::StatusOr<RecordedRigSummary> Convert(const CommandLine& line) {
 }
 
 int Main(int argc, char** argv) {
-  CLI::App app("Turns recorded runs of an arm into a rig with logs, for `robostress calibrate`.",
+  cli::App app("Turns recorded runs of an arm into a rig with logs, for `robostress calibrate`.",
                "robostress record-to-rig");
   app.footer(kExamples);
   CommandLine line;
@@ -71,7 +71,7 @@ int Main(int argc, char** argv) {
   app.add_option("--unit", line.unit, "id of the unit, where the sweep has several");
   app.add_option("--name", line.name, "of the rig; panda or piper if not given");
   app.add_option("--payload-kg", line.payload_kg, "in the Piper's gripper while it was recorded")
-      ->check(CLI::Range(0.0, 5.0))
+      ->check(cli::Range(0.0, 5.0))
       ->capture_default_str();
   app.add_option("--rate-hz", line.rate_hz, "rows per second: 500, 250, 125 or 100")
       ->capture_default_str();
@@ -80,11 +80,11 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--encoder-noise", line.rig.encoder_noise,
                  "noise to add to the angles, which a simulator reads exactly [rad]")
-      ->check(CLI::NonNegativeNumber)
+      ->check(cli::NonNegativeNumber())
       ->capture_default_str();
   app.add_option("--seed", line.rig.seed, "of that noise")->capture_default_str();
   app.add_option("--window", line.rig.window_s, "length of the free runs that are compared [s]")
-      ->check(CLI::PositiveNumber)
+      ->check(cli::PositiveNumber())
       ->capture_default_str();
   app.add_flag("--no-transfer", no_transfer, "no task is a transfer regime");
   return RunMain(

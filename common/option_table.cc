@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "CLI/CLI.hpp"
 #include "common/version.h"
 #include "nlohmann/json.hpp"
 
@@ -44,8 +45,8 @@ json AppJson(const CLI::App& app) {
 
 }  // namespace
 
-std::string OptionTableText(const CLI::App& app) {
-  return AppJson(app).dump(-1, ' ', false, json::error_handler_t::replace);
+std::string OptionTableText(cli::App& app) {
+  return AppJson(app.underlying()).dump(-1, ' ', false, json::error_handler_t::replace);
 }
 
 }  // namespace robostress

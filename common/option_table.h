@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "CLI/CLI.hpp"
+#include "common/command_line.h"
 
 namespace robostress {
 
@@ -11,6 +11,6 @@ namespace robostress {
 //    "options": [{"names": ["--out"], "positional": "" or its name, "value": type text or "" for a
 //                 flag, "default", "help", "group", "required", "many", "list"}],
 //    "commands": [the same for each subcommand]}
-std::string OptionTableText(const CLI::App& app);
+std::string OptionTableText(cli::App& app);
 
 }  // namespace robostress

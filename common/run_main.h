@@ -5,8 +5,8 @@
 #include <string>
 #include <type_traits>
 
-#include "CLI/CLI.hpp"
 #include "absl/status/statusor.h"
+#include "common/command_line.h"
 
 namespace robostress {
 
@@ -18,7 +18,7 @@ inline constexpr char kOptionTableFlag[] = "--option-table";
 
 // Adds what every program understands (--version, kOptionTableFlag) and parses; the exit code where
 // the program shall end: help or the like was asked for, or the command line is wrong.
-std::optional<int> ParseCommandLine(CLI::App& app, int argc, char** argv);
+std::optional<int> ParseCommandLine(cli::App& app, int argc, char** argv);
 
 // How a program's main ends. Parses the command line and runs; `run` returns an exit code, an
 // absl::Status or an absl::StatusOr of an exit code. An error is said on standard error as
@@ -27,7 +27,7 @@ std::optional<int> ParseCommandLine(CLI::App& app, int argc, char** argv);
 // error `code_of(status)`, which is 1 unless given.
 template <class Run>
 int RunMain(
-    CLI::App& app, int argc, char** argv, Run run,
+    cli::App& app, int argc, char** argv, Run run,
     int (*code_of)(const absl::Status&) = [](const absl::Status&) { return kFailed; }) {
   if (const std::optional<int> code = ParseCommandLine(app, argc, argv)) return *code;
   using Result = std::invoke_result_t<Run>;
@@ -39,7 +39,7 @@ int RunMain(
   }
   if (code.ok()) return *code;
   const std::string message(code.status().message());
-  std::fprintf(stderr, "%s: %s\n", app.get_name().c_str(),
+  std::fprintf(stderr, "%s: %s\n", app.name().c_str(),
                message.empty() ? code.status().ToString().c_str() : message.c_str());
   return code_of(code.status());
 }

@@ -1,9 +1,9 @@
 // robostress-close-loop: hides errors in the simulated arm, finds them from its logs, compares.
 
-#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <string>
 
+#include "common/command_line.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/close_loop/close_loop.h"
@@ -31,8 +31,8 @@ Exit code: 0 the circle is complete, whatever was found; 1 a step failed; 2 the 
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app("Hides errors in the simulated arm, finds them from its logs, compares.",
-               "robostress close-loop");
+  robostress::cli::App app("Hides errors in the simulated arm, finds them from its logs, compares.",
+                           "robostress close-loop");
   app.footer(kExamples);
   robostress::CloseLoopOptions options;
   std::string tasks;
@@ -40,28 +40,28 @@ int main(int argc, char** argv) {
   app.add_option("--out", options.out, "Directory to write")->required();
   std::string arm = "panda";
   app.add_option("--arm", arm, "panda (simulated, in a suite) or piper (emulated, on its bus)")
-      ->check(CLI::IsMember({"panda", "piper"}))
+      ->check(robostress::cli::IsMember({"panda", "piper"}))
       ->capture_default_str();
   app.add_option("--suite", options.suite, "See `robostress suites`")->capture_default_str();
   app.add_option("--tasks", tasks, "Task indices (default 0,1,3); the last is the transfer regime");
   app.add_option("--episodes", options.episodes, "Recorded of each task, from the dev split")
-      ->check(CLI::Range(1, 10))
+      ->check(robostress::cli::Range(1, 10))
       ->capture_default_str();
   app.add_option("--policy", options.policy, "Policy to evaluate")->capture_default_str();
   app.add_option("--evaluated-episodes", options.evaluated_episodes,
                  "Of each task and scenario, from the reporting split")
-      ->check(CLI::Range(1, 20))
+      ->check(robostress::cli::Range(1, 20))
       ->capture_default_str();
   app.add_option("--severity", options.severity, "Level of the hidden scenario's base")
-      ->check(CLI::Range(1, 5))
+      ->check(robostress::cli::Range(1, 5))
       ->capture_default_str();
   app.add_option("--workers", options.workers, "Worker processes")
-      ->check(CLI::Range(1, 256))
+      ->check(robostress::cli::Range(1, 256))
       ->capture_default_str();
   app.add_option("--rate-hz", options.rate_hz, "Rows per second of the rig's logs")
       ->capture_default_str();
   app.add_option("--surrogates", options.surrogates, "Of calibrate's null distributions")
-      ->check(CLI::Range(99, 100000))
+      ->check(robostress::cli::Range(99, 100000))
       ->capture_default_str();
   app.add_option("--seed", options.seed, "Of encoder noise and surrogates")->capture_default_str();
   const auto run = [&]() -> absl::Status {

@@ -9,7 +9,7 @@
 #include "eval/report/error_model_plots.h"
 
 int main(int argc, char** argv) {
-  CLI::App app(
+  robostress::cli::App app(
       "Draws friction, gravity residual, backlash and compliance of one joint over time: input, "
       "hidden state and output at nominal and at full severity, one SVG each.",
       "robostress error-models");

@@ -138,24 +138,24 @@ absl::StatusOr<int> Merge(const Submission& submission, const CommandLine& line)
 }
 
 int Main(int argc, char** argv) {
-  CLI::App app("Runs one job of a grid that a scheduler distributes.", "robostress grid-job");
+  cli::App app("Runs one job of a grid that a scheduler distributes.", "robostress grid-job");
   app.footer(kExamples);
   app.require_subcommand(1);
   CommandLine line;
   const auto add = [&](const char* name, const char* help) {
-    CLI::App* command = app.add_subcommand(name, help);
+    cli::App* command = app.add_subcommand(name, help);
     command->add_option("--submission", line.submission, "Folder of the submission")->required();
     return command;
   };
-  CLI::App* serve = add("serve", "Serve a policy until every worker task has left");
+  cli::App* serve = add("serve", "Serve a policy until every worker task has left");
   serve->add_option("--policy", line.policy, "Policy to serve")->required();
   serve->add_option("--index", line.index, "Which of the policy's servers");
   serve->add_option("--host", line.host, "Name or address to publish (default: this machine's)");
-  CLI::App* work = add("work", "Run one task's share of the units");
+  cli::App* work = add("work", "Run one task's share of the units");
   work->add_option("--index", line.index, "Which worker task")->required();
   work->add_option("--patience", line.patience_s, "Seconds to wait for a server")
       ->capture_default_str();
-  CLI::App* merge = add("merge", "Merge the tables and write the report");
+  cli::App* merge = add("merge", "Merge the tables and write the report");
   merge->add_flag("--wait", line.wait, "First wait until every worker task has left");
   const auto run = [&]() -> absl::StatusOr<int> {
     ChooseOpenMpBlas();

@@ -50,7 +50,7 @@ struct CommandLine {
   LaunchOptions launch;
 };
 
-void DeclareFlags(CLI::App& app, CommandLine& line) {
+void DeclareFlags(cli::App& app, CommandLine& line) {
   app.add_option("TABLE", line.tables, "See --list; several, or all");
   auto* quick = app.add_flag("--quick", line.quick,
                              "One embedded suite, two tasks, ten episodes, one seed, films");
@@ -83,7 +83,7 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
                  "centred (default), sampled, numpy[:SEED], or a JSON table");
   app.add_option("--videos", line.videos, "Film the first N episodes of each task");
   app.add_option("--bootstrap", line.bootstrap_replicates, "Bootstrap replicates")
-      ->check(CLI::Range(1, 1000000))
+      ->check(cli::Range(1, 1000000))
       ->capture_default_str();
   app.add_option("--outcomes", line.outcomes,
                  "Run nothing: lay the tables out from these files of `robostress store outcomes`");
@@ -92,7 +92,7 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
   app.footer(kExamples);
 }
 
-absl::StatusOr<PaperProtocol> ProtocolFrom(const CLI::App& app, const CommandLine& line) {
+absl::StatusOr<PaperProtocol> ProtocolFrom(const cli::App& app, const CommandLine& line) {
   PaperProtocol protocol = line.full ? FullProtocol() : QuickProtocol();
   if (!line.weights.empty()) protocol = OnLibero(protocol, line.weights);
   if (app.count("--dr-weights")) protocol.randomised = line.randomised;
@@ -273,7 +273,7 @@ int Fail(const absl::Status& status) {
   return ExitCodeOfError(status);
 }
 
-absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
+absl::StatusOr<int> Run(const cli::App& app, CommandLine& line) {
   if (line.list) {
     PrintList();
     return 0;
@@ -309,7 +309,7 @@ absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app(
+  robostress::cli::App app(
       "Plans, runs and lays out tables of the paper, our numbers beside the published ones.",
       "robostress paper");
   robostress::CommandLine line;

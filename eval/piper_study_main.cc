@@ -1,10 +1,10 @@
 // robostress-piper-study: the paper's real-arm experiments on emulated Pipers.
 
-#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <set>
 #include <string>
 
+#include "common/command_line.h"
 #include "common/config.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
@@ -78,7 +78,8 @@ absl::StatusOr<int> DryRun(const robostress::PiperStudyOptions& options,
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app("The paper's real-arm experiments on emulated Pipers.", "robostress piper-study");
+  robostress::cli::App app("The paper's real-arm experiments on emulated Pipers.",
+                           "robostress piper-study");
   app.footer(kExamples);
   CommandLine line;
   robostress::PiperStudyLaunch launch;
@@ -89,18 +90,18 @@ int main(int argc, char** argv) {
   app.add_flag("--dry-run", line.dry_run, "Print the units only");
   app.add_flag("--real-time", launch.real_time, "Evaluate over UDP in real time");
   app.add_option("--udp-port", launch.udp_port, "Of the emulated arm in real time")
-      ->check(CLI::Range(1024, 65535))
+      ->check(robostress::cli::Range(1024, 65535))
       ->capture_default_str();
   app.add_option("--workers", launch.workers, "Processes at once")
-      ->check(CLI::Range(1, 256))
+      ->check(robostress::cli::Range(1, 256))
       ->capture_default_str();
   app.add_option("--arms", line.arms, "Wear profiles")->delimiter(',');
   app.add_option("--tasks", line.tasks, "1 to 4")->delimiter(',');
   app.add_option("--experiments", line.experiments, "main, dob, unseen")->delimiter(',');
   app.add_option("--episodes", line.episodes, "Of each arm, task and method")
-      ->check(CLI::Range(1, 1000));
+      ->check(robostress::cli::Range(1, 1000));
   app.add_option("--demonstrations", line.demonstrations, "Of each arm and task")
-      ->check(CLI::Range(1, 1000));
+      ->check(robostress::cli::Range(1, 1000));
   app.add_option("--base-weights", line.base_weights, "A trained policy (.safetensors)");
   app.add_option("--robust-weights", line.robust_weights, "Its counterpart of RobustVLA");
   app.add_option("--set", line.settings, "KEY=VALUE of study.yaml, repeatable")

@@ -63,7 +63,7 @@ absl::Status Report(const std::string& dir, const std::vector<std::string>& trai
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app(
+  robostress::cli::App app(
       "Writes report.html, report.json, table.csv, episodes.csv and figures/ of a run directory "
       "and prints the table.",
       "robostress report");
@@ -82,13 +82,13 @@ int main(int argc, char** argv) {
                  "Of --training: that page (default: training.html in the first of them); of "
                  "--compare: a folder (default: runs/compare)");
   app.add_option("--bootstrap", options.bootstrap_replicates, "Bootstrap replicates")
-      ->check(CLI::Range(1, 1000000))
+      ->check(robostress::cli::Range(1, 1000000))
       ->capture_default_str();
   app.add_option("--max-videos", options.max_videos, "Videos in the page")
-      ->check(CLI::Range(0, 10000))
+      ->check(robostress::cli::Range(0, 10000))
       ->capture_default_str();
   app.add_option("--max-video-mb", options.max_video_mb, "Video data in the page [MB]")
-      ->check(CLI::Range(0.0, 2000.0))
+      ->check(robostress::cli::Range(0.0, 2000.0))
       ->capture_default_str();
   app.footer(
       "\nExamples\n  robostress report runs/quick\n  robostress report --training runs/base "

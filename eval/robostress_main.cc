@@ -88,7 +88,7 @@ constexpr char kExamples[] =
 
 // Commands as those of a command line, for the manual page and completion.
 void PrintOptionTable() {
-  CLI::App app(kPurpose, "robostress");
+  robostress::cli::App app(kPurpose, "robostress");
   app.footer(kExamples);
   app.set_version_flag("--version", robostress::VersionText(), "Print the version and exit");
   for (const Command& command : kCommands)

@@ -106,22 +106,24 @@ int ExitCodeOfStores(const absl::Status& status) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Checks, merges, indexes and condenses run directories.", "robostress store");
+  robostress::cli::App app("Checks, merges, indexes and condenses run directories.",
+                           "robostress store");
   app.footer(robostress::kExamples);
   app.require_subcommand(1);
   robostress::CommandLine line;
   const auto add = [&](const char* name, const char* help) {
-    CLI::App* command = app.add_subcommand(name, help);
+    robostress::cli::App* command = app.add_subcommand(name, help);
     command->add_option("RUN", line.stores, "Run directories: the --out of sweeps")->required();
     return command;
   };
-  CLI::App* verify = add("verify", "Read everything and list all that is wrong or missing");
+  robostress::cli::App* verify =
+      add("verify", "Read everything and list all that is wrong or missing");
   verify->add_flag("--json", line.json, "As JSON");
-  CLI::App* merge = add("merge", "Bring the finished units of several stores into one");
+  robostress::cli::App* merge = add("merge", "Bring the finished units of several stores into one");
   merge->add_option("--out", line.out, "Run directory to make or extend")->required();
-  CLI::App* index = add("index", "Bring an SQLite index up to date, for questions");
+  robostress::cli::App* index = add("index", "Bring an SQLite index up to date, for questions");
   index->add_option("--index", line.index, "File (default: index.sqlite in the first RUN)");
-  CLI::App* outcomes = app.add_subcommand(
+  robostress::cli::App* outcomes = app.add_subcommand(
       "outcomes",
       "Write what every finished episode ended in, one line per unit, small enough to "
       "keep; `robostress paper --outcomes` reads it");

@@ -47,7 +47,7 @@ struct CommandLine {
   int videos = 0;
 };
 
-void DeclareFlags(CLI::App& app, CommandLine& line) {
+void DeclareFlags(cli::App& app, CommandLine& line) {
   app.add_flag("--quick", line.quick, "One suite, two tasks, ten episodes, videos: a first look");
   app.add_flag("--full", line.full,
                "The four embedded suites, all tasks, 20 episodes (wins over --quick)");
@@ -68,7 +68,7 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
   app.footer(kExamples);
 }
 
-absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line) {
+absl::StatusOr<SweepGrid> GridFrom(const cli::App& app, const CommandLine& line) {
   SweepGrid grid;
   if (line.quick) grid = QuickGrid();
   if (line.full) grid = FullGrid();
@@ -77,7 +77,7 @@ absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line)
   return ResolveGrid(std::move(grid), PolicyHomeOf(line.launch));
 }
 
-absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
+absl::StatusOr<int> Run(const cli::App& app, CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const SweepGrid grid, GridFrom(app, line));
   RS_ASSIGN_OR_RETURN(std::vector<PlannedUnit> units, ExpandUnits(grid));
   RS_ASSIGN_OR_RETURN(units, FilterUnits(std::move(units), line.only));
@@ -96,7 +96,7 @@ absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app(
+  robostress::cli::App app(
       "Evaluates policies and methods over suites and scenarios on worker processes, then reports.",
       "robostress sweep");
   robostress::CommandLine line;

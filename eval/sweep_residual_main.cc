@@ -59,7 +59,7 @@ struct CommandLine {
   GridFlags grid;
 };
 
-void DeclareFlags(CLI::App& app, CommandLine& line) {
+void DeclareFlags(cli::App& app, CommandLine& line) {
   app.add_option("--out", line.out, "Directory to write")->capture_default_str();
   app.add_option("--goal-references,--goal-reference", line.goal_references,
                  "What a command is relative to: achieved, desired")
@@ -67,7 +67,7 @@ void DeclareFlags(CLI::App& app, CommandLine& line) {
       ->capture_default_str();
   DeclareLaunchFlags(app, line.launch);
   app.add_option("--bootstrap", line.bootstrap_replicates, "Bootstrap replicates")
-      ->check(CLI::Range(1, 1000000))
+      ->check(cli::Range(1, 1000000))
       ->capture_default_str();
   app.add_flag("--dry-run", line.dry_run, "Print the units and stop");
   DeclareGridFlags(app, line.grid);
@@ -81,7 +81,7 @@ struct ReferenceRun {
   std::vector<PlannedUnit> units;
 };
 
-absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line) {
+absl::StatusOr<SweepGrid> GridFrom(const cli::App& app, const CommandLine& line) {
   SweepGrid grid;
   grid.methods = {"base"};
   grid.episodes = 5;
@@ -96,7 +96,7 @@ absl::StatusOr<SweepGrid> GridFrom(const CLI::App& app, const CommandLine& line)
   return ResolveGrid(std::move(grid), PolicyHomeOf(line.launch));
 }
 
-absl::StatusOr<std::vector<ReferenceRun>> PlanRuns(const CLI::App& app, const CommandLine& line) {
+absl::StatusOr<std::vector<ReferenceRun>> PlanRuns(const cli::App& app, const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const SweepGrid grid, GridFrom(app, line));
   std::vector<ReferenceRun> runs;
   for (const std::string& reference : line.goal_references) {
@@ -141,7 +141,7 @@ absl::Status WriteResults(const RunData& run, const CommandLine& line) {
   return absl::OkStatus();
 }
 
-absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
+absl::StatusOr<int> Run(const cli::App& app, CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const std::vector<ReferenceRun> runs, PlanRuns(app, line));
   line.launch.measure_lag = true;
   RunData all;
@@ -169,7 +169,7 @@ absl::StatusOr<int> Run(const CLI::App& app, CommandLine& line) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app(
+  robostress::cli::App app(
       "Measures a policy's residual across scenarios, for both goal references, and the share of "
       "it "
       "that is controller lag.",

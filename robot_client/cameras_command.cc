@@ -86,7 +86,7 @@ absl::Status Preview(const CommandLine& line) {
 }  // namespace
 
 int CamerasMain(int argc, char** argv) {
-  CLI::App app("Lists the cameras of this machine, or shows them in a browser with their ages.",
+  cli::App app("Lists the cameras of this machine, or shows them in a browser with their ages.",
                "robot_client cameras");
   app.footer(kExamples);
   CommandLine line;
@@ -97,7 +97,7 @@ int CamerasMain(int argc, char** argv) {
   app.add_flag("--anywhere", line.anywhere,
                "let --preview listen on an address that other machines reach");
   app.add_option("--seconds", line.seconds, "end the preview by itself")
-      ->check(CLI::Range(1, 1000000));
+      ->check(cli::Range(1, 1000000));
   return RunMain(
       app, argc, argv,
       [&] {

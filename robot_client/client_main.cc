@@ -87,7 +87,7 @@ int Main(int argc, char** argv) {
   if (command == "replay") return ReplayMain(argc - 1, argv + 1);
   if (command == "excite") return ExciteMain(argc - 1, argv + 1);
   if (command == "teach") return TeachMain(argc - 1, argv + 1);
-  CLI::App app("Runs an AgileX Piper at 30 Hz against a policy server and records every tick.",
+  cli::App app("Runs an AgileX Piper at 30 Hz against a policy server and records every tick.",
                "robot_client");
   app.footer(kExamples);
   CommandLine line;

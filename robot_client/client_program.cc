@@ -8,7 +8,7 @@
 
 namespace robostress {
 
-void AddClientFlags(CLI::App& app, ClientFlags& flags) {
+void AddClientFlags(cli::App& app, ClientFlags& flags) {
   app.add_option("--config", flags.config_file, "configuration (YAML), as a run writes it");
   app.add_option("--out", flags.out, "directory of the recording; must not hold one")->required();
   app.add_option("--bus", flags.bus, "can:can0, udp:GROUP:PORT, or rehearse (no arm; default)");

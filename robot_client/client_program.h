@@ -5,9 +5,9 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "common/command_line.h"
 #include "robot_client/client_config.h"
 #include "robot_client/client_run.h"
 #include "robot_client/operator_console.h"
@@ -20,7 +20,7 @@ struct ClientFlags {
   std::vector<std::string> cameras, overrides, without;
   bool automatic = false;
 };
-void AddClientFlags(CLI::App& app, ClientFlags& flags);
+void AddClientFlags(cli::App& app, ClientFlags& flags);
 
 // The configuration file with the flags over it; `change` comes between them and --set.
 absl::StatusOr<ClientConfig> ResolveConfig(

@@ -159,7 +159,7 @@ absl::StatusOr<bool> Run(const CommandLine& line) {
 }  // namespace
 
 int MonitorMain(int argc, char** argv) {
-  CLI::App app(
+  cli::App app(
       "Shows the state of an arm without commanding it: joints, power, temperatures, faults, "
       "limits, delays, other senders, and what to do about what is wrong.",
       "robot_client monitor");
@@ -169,9 +169,9 @@ int MonitorMain(int argc, char** argv) {
   app.add_option("--config", line.config_file, "take the bus from this configuration (YAML)")
       ->excludes(bus);
   app.add_option("--seconds", line.seconds, "end after this long (default: on Ctrl-C)")
-      ->check(CLI::Range(0.1, 1e6));
+      ->check(cli::Range(0.1, 1e6));
   app.add_option("--every", line.every_s, "time between two reports [s]")
-      ->check(CLI::Range(0.1, 3600.0))
+      ->check(cli::Range(0.1, 3600.0))
       ->capture_default_str();
   app.add_flag("--once", line.once, "one report, then end");
   app.add_flag("--json", line.json, "reports as JSON, one a line");

@@ -139,7 +139,7 @@ absl::Status Excite(const CommandLine& line) {
   });
 }
 
-int Parse(CLI::App& app, int argc, char** argv, CommandLine& line,
+int Parse(cli::App& app, int argc, char** argv, CommandLine& line,
           absl::Status (*run)(const CommandLine&)) {
   return RunMain(
       app, argc, argv, [&] { return run(line); }, ClientExitCode);
@@ -148,31 +148,31 @@ int Parse(CLI::App& app, int argc, char** argv, CommandLine& line,
 }  // namespace
 
 int ReplayMain(int argc, char** argv) {
-  CLI::App app("Plays a recorded motion within the limits of every run.", "robot_client replay");
+  cli::App app("Plays a recorded motion within the limits of every run.", "robot_client replay");
   app.footer(kReplayExamples);
   CommandLine line;
   app.add_option("SOURCE", line.source, "a run's folder, a data set's folder, or a CSV")
       ->required();
   app.add_option("--episode", line.episode, "which episode; may be left out where there is one")
-      ->check(CLI::NonNegativeNumber);
+      ->check(cli::NonNegativeNumber());
   AddClientFlags(app, line.client);
   return Parse(app, argc, argv, line, Replay);
 }
 
 int ExciteMain(int argc, char** argv) {
-  CLI::App app("Moves an arm so that `robostress calibrate` can find its joints' errors.",
+  cli::App app("Moves an arm so that `robostress calibrate` can find its joints' errors.",
                "robot_client excite");
   app.footer(kExciteExamples);
   CommandLine line;
   app.add_option("--motion", line.source, "the motion (CSV); without it one is designed");
   app.add_option("--swing", line.excitation.most_swing, "most way of a joint to each side [rad]")
-      ->check(CLI::Range(0.05, 1.5))
+      ->check(cli::Range(0.05, 1.5))
       ->capture_default_str();
   app.add_option("--velocity", line.excitation.joint_velocity, "of the fastest part [rad/s]")
-      ->check(CLI::Range(0.05, 3.0))
+      ->check(cli::Range(0.05, 3.0))
       ->capture_default_str();
   app.add_option("--payload-kg", line.payload_kg, "in the gripper, for the rig")
-      ->check(CLI::Range(0.0, 5.0))
+      ->check(cli::Range(0.0, 5.0))
       ->capture_default_str();
   app.add_option("--seed", line.excitation.seed, "of the part in which all joints move")
       ->capture_default_str();

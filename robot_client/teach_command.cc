@@ -88,7 +88,7 @@ absl::Status Run(const CommandLine& line) {
 }  // namespace
 
 int TeachMain(int argc, char** argv) {
-  CLI::App app("Records demonstrations of a person: by hand, leader arm, keyboard or gamepad.",
+  cli::App app("Records demonstrations of a person: by hand, leader arm, keyboard or gamepad.",
                "robot_client teach");
   app.footer(kExamples);
   CommandLine line;

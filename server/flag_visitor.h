@@ -1,9 +1,10 @@
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <string>
 #include <type_traits>
+
+#include "common/command_line.h"
 
 namespace robostress {
 
@@ -11,7 +12,7 @@ namespace robostress {
 // field's present value as default; a bool also gets --no-a-b.
 class FlagVisitor {
  public:
-  explicit FlagVisitor(CLI::App* app) : app_(app) {}
+  explicit FlagVisitor(cli::App* app) : app_(app) {}
 
   template <class T>
   void Field(const char* key, T& value, const char* doc) {
@@ -19,7 +20,11 @@ class FlagVisitor {
     if constexpr (std::is_same_v<T, bool>) {
       app_->add_flag("--" + name + ",!--no-" + name, value, doc)->capture_default_str();
     } else {
-      app_->add_option("--" + name, value, doc)->capture_default_str();
+      cli::Option* const option = app_->add_option("--" + name, value, doc);
+      if constexpr (requires { value.empty(); }) {
+        if (value.empty()) return;  // "=[]" would be its default in the help
+      }
+      option->capture_default_str();
     }
   }
 
@@ -29,7 +34,7 @@ class FlagVisitor {
   }
 
  private:
-  CLI::App* const app_;
+  cli::App* const app_;
 };
 
 }  // namespace robostress

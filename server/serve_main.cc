@@ -2,7 +2,6 @@
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
 #include <csignal>
@@ -16,6 +15,7 @@
 #include "adapter/method_options.h"
 #include "adapter/methods.h"
 #include "common/atomic_file.h"
+#include "common/command_line.h"
 #include "common/config.h"
 #include "common/rollout/message_limits.h"
 #include "common/run_main.h"
@@ -327,17 +327,12 @@ absl::Status Serve(const ServeOptions& options, const sigset_t& signals) {
 
 // A first pass finds the file, whose values are the defaults of the second.
 std::string ConfigFileOf(int argc, char** argv) {
-  CLI::App app;
+  cli::App app;
   std::string file;
   app.add_option("--config", file);
   app.set_help_flag();
   app.allow_extras();
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError&) {
-    return "";  // the second pass says what is wrong
-  }
-  return file;
+  return app.ParseQuietly(argc, argv) ? file : "";  // the second pass says what is wrong
 }
 
 int Main(int argc, char** argv) {
@@ -347,7 +342,7 @@ int Main(int argc, char** argv) {
     if (!loaded.ok()) return Fail(loaded.status());
     options = *std::move(loaded);
   }
-  CLI::App app{"Serves a policy with online self-compensation over gRPC and openpi's WebSocket.",
+  cli::App app{"Serves a policy with online self-compensation over gRPC and openpi's WebSocket.",
                "robostress serve"};
   app.footer(kExamples);
   std::string config_file;

@@ -2,7 +2,6 @@
 
 #include <grpcpp/create_channel.h>
 
-#include <CLI/CLI.hpp>
 #include <chrono>
 #include <cstdio>
 #include <memory>
@@ -11,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
+#include "common/command_line.h"
 #include "common/rpc/channel_credentials.h"
 #include "common/rpc/grpc_status.h"
 #include "common/run_main.h"
@@ -191,7 +191,7 @@ class Operator {
   std::unique_ptr<v1::AdminService::Stub> stub_;
 };
 
-absl::Status Run(const CLI::App& app, const Request& request) {
+absl::Status Run(const cli::App& app, const Request& request) {
   RS_ASSIGN_OR_RETURN(const Operator server, Operator::Connect(request));
   if (app.got_subcommand("list")) return server.List();
   if (app.got_subcommand("versions")) return server.Versions();
@@ -205,7 +205,7 @@ absl::Status Run(const CLI::App& app, const Request& request) {
 
 int Main(int argc, char** argv) {
   Request request;
-  CLI::App app(
+  cli::App app(
       "Lists a server's sessions and the adapters they published; exports, pins, rolls back.",
       "robostress sessions");
   app.footer(kExamples);
@@ -215,10 +215,10 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--timeout", request.timeout_s, "for the answer [s]")
       ->capture_default_str()
-      ->check(CLI::Range(0.1, 3600.0));
+      ->check(cli::Range(0.1, 3600.0));
   app.add_flag("--json", request.json, "list and versions as JSON");
   const auto command = [&](const char* name, const char* help, bool session, bool version) {
-    CLI::App* result = app.add_subcommand(name, help);
+    cli::App* result = app.add_subcommand(name, help);
     if (session) result->add_option("SESSION", request.session, "as list prints it")->required();
     if (version)
       result->add_option("VERSION", request.version, "as versions prints it; 0: unadapted")
@@ -238,7 +238,7 @@ int Main(int argc, char** argv) {
   command("drain", "Refuse what is new, answer what is under way, write sessions, stop", false,
           false)
       ->add_option("--grace", request.grace_s, "for what is under way [s]; 0: the server's own")
-      ->check(CLI::Range(0.0, 3600.0));
+      ->check(cli::Range(0.0, 3600.0));
   return RunMain(app, argc, argv, [&] { return Run(app, request); });
 }
 

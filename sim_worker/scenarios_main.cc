@@ -1,5 +1,4 @@
 // robostress-scenarios: the table of scenarios with the parameters that they inject.
-#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <optional>
 #include <string>
@@ -8,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "common/command_line.h"
 #include "common/joint_errors/effects/effect_library.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/run_main.h"
@@ -174,7 +174,7 @@ void PrintEffects() {
 }
 
 int Main(int argc, char** argv) {
-  CLI::App app(
+  cli::App app(
       "Prints the deployment scenarios and the joint error parameters that they inject.\n"
       "Examples:\n  robostress scenarios\n  robostress scenarios --level 3 --parameters "
       "aged_joint_elbow\n"

@@ -98,8 +98,9 @@ int Run(const CommandLine& line) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Lists suites, tasks and instructions; draws contact sheets of their first frames.",
-               "robostress suites");
+  robostress::cli::App app(
+      "Lists suites, tasks and instructions; draws contact sheets of their first frames.",
+      "robostress suites");
   app.footer(
       "\nExamples\n  robostress suites\n  robostress suites --suite tabletop_goal --json\n  "
       "robostress suites --sheet sheets\n  robostress suites --sheet sheets --suite libero_goal "
@@ -113,7 +114,7 @@ int main(int argc, char** argv) {
          "or of --suite")
       ->type_name("FOLDER");
   app.add_option("--size", line.size, "Of a view on the sheet [px]")
-      ->check(CLI::Range(16, 512))
+      ->check(robostress::cli::Range(16, 512))
       ->capture_default_str();
   app.add_option("--initial-state", line.initial_state, "Shown on the sheet")
       ->capture_default_str();

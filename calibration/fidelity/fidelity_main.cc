@@ -52,15 +52,15 @@ int Main(int argc, char** argv) {
   CommandLine line;
   FidelityOptions& o = line.options;
   o.threads = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
-  CLI::App app("Compares Heavy Payload and Gaussian action noise with a real payload",
+  cli::App app("Compares Heavy Payload and Gaussian action noise with a real payload",
                "robostress fidelity");
   app.add_option("--out", line.out, "Directory to write")->required();
   app.add_option("--measured", o.measured_dir, "Folder with replays.csv of a real arm");
   app.add_option("--payload", o.payload_kg, "True mass added to the carried object [kg]")
-      ->check(CLI::Range(0.0, 100.0))
+      ->check(cli::Range(0.0, 100.0))
       ->capture_default_str();
   app.add_option("--replays", o.replays, "Loaded, and unloaded, replays of the simulated arm")
-      ->check(CLI::Range(1, 100))
+      ->check(cli::Range(1, 100))
       ->capture_default_str();
   app.add_option("--suite", o.task.suite, "Embedded suite")->capture_default_str();
   app.add_option("--task", o.task.task, "Pick-and-place task of it")->capture_default_str();
@@ -72,30 +72,30 @@ int Main(int argc, char** argv) {
   app.add_option("--layouts", o.layouts, "Number of the other initial states")
       ->capture_default_str();
   app.add_option("--noise-sigma", o.noise_sigma, "Of Gaussian noise on the normalised command")
-      ->check(CLI::Range(0.0, 1.0))
+      ->check(cli::Range(0.0, 1.0))
       ->capture_default_str();
   app.add_option("--noise-draws", o.noise_draws, "Replays with noise per layout")
-      ->check(CLI::Range(1, 1000))
+      ->check(cli::Range(1, 1000))
       ->capture_default_str();
   app.add_option("--reference", line.reference,
                  "Deviations of the model are from its replay without the payload, or without any "
                  "error")
-      ->check(CLI::IsMember({"payload_free", "clean"}))
+      ->check(cli::IsMember({"payload_free", "clean"}))
       ->capture_default_str();
   app.add_option("--goal-reference", line.goal_reference,
                  "desired: absolute targets are replayed; achieved: deltas to the achieved pose")
-      ->check(CLI::IsMember({"desired", "achieved"}))
+      ->check(cli::IsMember({"desired", "achieved"}))
       ->capture_default_str();
   app.add_option("--gravity-sign", line.gravity_sign,
                  "payload: the gravity residual lets the arm sag; literal: the paper's sign")
-      ->check(CLI::IsMember({"payload", "literal"}))
+      ->check(cli::IsMember({"payload", "literal"}))
       ->capture_default_str();
   app.add_option("--seed", o.seed, "Of scatter, noise and bootstrap")->capture_default_str();
   app.add_option("--replicates", o.replicates, "Of the bootstrap")
-      ->check(CLI::Range(100, 100000))
+      ->check(cli::Range(100, 100000))
       ->capture_default_str();
   app.add_option("--threads", o.threads, "Replays at once")
-      ->check(CLI::Range(1, 256))
+      ->check(cli::Range(1, 256))
       ->default_str("one for each core");
   app.add_flag("--quiet", line.quiet, "No progress");
   app.footer(kFooter);

@@ -8,16 +8,16 @@
 
 namespace robostress {
 
-void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch) {
+void DeclareLaunchFlags(cli::App& app, LaunchOptions& launch) {
   app.add_option("--workers", launch.workers, "Worker processes")
-      ->check(CLI::Range(1, 256))
+      ->check(cli::Range(1, 256))
       ->capture_default_str();
   app.add_option("--server", launch.server,
                  "HOST:PORT of a policy server that runs already and holds the policies; absent: "
                  "one is started for each");
 }
 
-void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch) {
+void DeclareClusterFlags(cli::App& app, LaunchOptions& launch) {
   ClusterOptions& cluster = launch.cluster;
   app.add_option("--launcher", launch.launcher, absl::StrJoin(LauncherNames(), ", "))
       ->check([](const std::string& name) {
@@ -30,24 +30,24 @@ void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch) {
   };
   option("--split-episodes", launch.part_episodes,
          "Methods that carry nothing over run in parts of N episodes; 0: undivided")
-      ->check(CLI::Range(0, 1000000));
+      ->check(cli::Range(0, 1000000));
   app.add_flag("--quiet", launch.quiet, "No progress; failures and the result only")
       ->group("Where it runs");
   if (ClusterLaunchers().empty()) return;  // what follows asks for one
   app.add_flag("--wait", cluster.wait, "Stay and show the progress until all jobs have left")
       ->group("Where it runs");
-  option("--servers", cluster.servers, "Server jobs per policy")->check(CLI::Range(1, 1000));
+  option("--servers", cluster.servers, "Server jobs per policy")->check(cli::Range(1, 1000));
   option("--server-threads", cluster.server_threads,
          "Threads (and cores) of each; 0: one for each worker that uses it")
-      ->check(CLI::Range(0, 1024));
+      ->check(cli::Range(0, 1024));
   option("--server-host", cluster.server_host,
          "Name or address that servers publish (default: of the machine they run on)");
   option("--max-tasks", cluster.max_tasks, "Tasks of the worker array (Slurm: MaxArraySize - 1)")
-      ->check(CLI::Range(1, 1000000));
+      ->check(cli::Range(1, 1000000));
   option("--workers-per-task", cluster.workers_per_task, "Worker processes of each task")
-      ->check(CLI::Range(1, 256));
+      ->check(cli::Range(1, 256));
   option("--poll-interval", cluster.poll_s, "Seconds between questions to the queue, with --wait")
-      ->check(CLI::Range(1, 3600));
+      ->check(cli::Range(1, 3600));
   option("--slurm-server", cluster.slurm_server, "Further argument of sbatch for servers");
   option("--slurm-worker", cluster.slurm_worker, "The same for workers, such as --partition=cpu");
   option("--slurm-merge", cluster.slurm_merge, "The same for the merge");
@@ -62,7 +62,7 @@ PolicyHome PolicyHomeOf(const LaunchOptions& launch) {
   return launch.server.empty() ? PolicyHome::kHere : PolicyHome::kElsewhere;
 }
 
-void DeclareGridFlags(CLI::App& app, GridFlags& flags) {
+void DeclareGridFlags(cli::App& app, GridFlags& flags) {
   app.add_option("--grid", flags.grid_file,
                  "YAML file of a grid, such as a run's sweep.yaml; flags override it");
   app.add_option("--robot", flags.robot, "panda (default), piper");
@@ -93,7 +93,7 @@ void DeclareGridFlags(CLI::App& app, GridFlags& flags) {
                  "(default), sampled, numpy[:SEED] (the originals' draw, seed 7), or a JSON table");
 }
 
-absl::Status ApplyGridFlags(const CLI::App& app, const GridFlags& flags, SweepGrid& grid) {
+absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGrid& grid) {
   if (!flags.grid_file.empty()) {
     RS_ASSIGN_OR_RETURN(grid, LoadConfig<SweepGrid>(flags.grid_file));
   }

@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "CLI/CLI.hpp"
 #include "absl/status/status.h"
+#include "common/command_line.h"
 #include "eval/launch/sweep_runner.h"
 #include "eval/plan/plan.h"
 
@@ -24,15 +24,15 @@ struct GridFlags {
 };
 
 // --workers and --server of the programs that run a grid.
-void DeclareLaunchFlags(CLI::App& app, LaunchOptions& launch);
+void DeclareLaunchFlags(cli::App& app, LaunchOptions& launch);
 // --launcher and what belongs to it, --split-episodes, --quiet.
-void DeclareClusterFlags(CLI::App& app, LaunchOptions& launch);
+void DeclareClusterFlags(cli::App& app, LaunchOptions& launch);
 // Where the policies of a launch are.
 PolicyHome PolicyHomeOf(const LaunchOptions& launch);
 
 // `flags` must outlive `app`'s parsing.
-void DeclareGridFlags(CLI::App& app, GridFlags& flags);
+void DeclareGridFlags(cli::App& app, GridFlags& flags);
 // Applies --grid's file and then every flag that was given to `grid`; the result is not resolved.
-absl::Status ApplyGridFlags(const CLI::App& app, const GridFlags& flags, SweepGrid& grid);
+absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGrid& grid);
 
 }  // namespace robostress

@@ -78,7 +78,8 @@ absl::Status WriteManual(const std::vector<std::string>& files, const std::strin
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Writes manual pages and bash completions from option tables.", "write_manual");
+  robostress::cli::App app("Writes manual pages and bash completions from option tables.",
+                           "write_manual");
   std::vector<std::string> files;
   std::string out;
   app.add_option("--out", out, "Folder: man1/ and completions/ are made in it")->required();

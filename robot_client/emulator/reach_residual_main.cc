@@ -195,8 +195,8 @@ absl::Status Run(const CommandLine& line) {
 }  // namespace robostress::piper
 
 int main(int argc, char** argv) {
-  CLI::App app("Measures the joint-space residual of emulated Pipers, in simulated time.",
-               "piper_residual");
+  robostress::cli::App app(
+      "Measures the joint-space residual of emulated Pipers, in simulated time.", "piper_residual");
   robostress::piper::CommandLine line;
   app.footer(
       "\nExamples\n"
@@ -209,17 +209,17 @@ int main(int argc, char** argv) {
   app.add_option("--profile", line.profiles, "Profiles")->delimiter(',')->capture_default_str();
   app.add_option("--payload-kg", line.payloads_kg, "Payloads")
       ->delimiter(',')
-      ->check(CLI::Range(0.0, 3.0))
+      ->check(robostress::cli::Range(0.0, 3.0))
       ->capture_default_str();
   app.add_option("--command-lag-ms", line.command_lag_ms, "Default: the profile's")
-      ->check(CLI::Range(0.0, 1000.0));
+      ->check(robostress::cli::Range(0.0, 1000.0));
   app.add_flag("--motor-encoders", line.motor_encoders,
                "Encoders before backlash and compliance (default: at the joints)");
   app.add_option("--motion-s", line.motion_s, "Duration of a reach")
-      ->check(CLI::Range(0.2, 20.0))
+      ->check(robostress::cli::Range(0.2, 20.0))
       ->capture_default_str();
   app.add_option("--episodes", line.episodes, "Per row")
-      ->check(CLI::Range(1, 1000))
+      ->check(robostress::cli::Range(1, 1000))
       ->capture_default_str();
   app.add_option("--record", line.record,
                  "Directory for ticks.csv and samples.csv, as robot_client leaves them; with one "

@@ -201,8 +201,9 @@ absl::Status Run(const CommandLine& line) {
 }  // namespace robostress::piper
 
 int main(int argc, char** argv) {
-  CLI::App app("An AgileX Piper in software: mechanics, firmware and frames on a CAN bus.",
-               "piper_emulator");
+  robostress::cli::App app(
+      "An AgileX Piper in software: mechanics, firmware and frames on a CAN bus.",
+      "piper_emulator");
   robostress::piper::CommandLine line;
   app.footer(robostress::piper::kExamples);
   app.add_option("--bus", line.bus, "udp:GROUP:PORT[%INTERFACE] or can:VCAN")
@@ -212,13 +213,13 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--payload-kg", line.options.scene.payload_kg,
                  "Mass between the finger tips, unknown to the arm's controller")
-      ->check(CLI::Range(0.0, 3.0))
+      ->check(robostress::cli::Range(0.0, 3.0))
       ->capture_default_str();
   app.add_option("--firmware", line.firmware, "Version that the arm reports")
       ->capture_default_str();
   app.add_option("--command-lag-ms", line.command_lag_ms,
                  "From a target's frame to its effect (default: the profile's)")
-      ->check(CLI::Range(0.0, 1000.0));
+      ->check(robostress::cli::Range(0.0, 1000.0));
   app.add_flag("--motor-encoders", line.options.motor_encoders,
                "Encoders before backlash and compliance (default: at the joints)");
   app.add_option(
@@ -242,13 +243,13 @@ int main(int argc, char** argv) {
                  "/dev/shm/piper, for robot_client --camera base=mapped:PREFIX.base");
   app.add_option("--view-size", line.view_size,
                  "square views of so many pixels (default: 320 x 240)")
-      ->check(CLI::Range(16, 1024));
+      ->check(robostress::cli::Range(16, 1024));
   app.add_option("--task", line.task,
                  "a table with objects: bowl_next_to_plate, bowl_on_cabinet, bowl_on_box or "
                  "open_drawer");
   app.add_option("--variant", line.variant, "what bowl and plate look like")->capture_default_str();
   app.add_option("--seconds", line.duration_s, "End after this long (default: on a signal)")
-      ->check(CLI::NonNegativeNumber);
+      ->check(robostress::cli::NonNegativeNumber());
   return robostress::RunMain(
       app, argc, argv,
       [&] {

@@ -77,17 +77,17 @@ absl::Status List() {
 }
 
 int Main(int argc, char** argv) {
-  CLI::App app("Runs one unit of a sweep on an emulated Piper, or records demonstrations.",
+  cli::App app("Runs one unit of a sweep on an emulated Piper, or records demonstrations.",
                "robostress piper-worker");
   app.footer(kExamples);
   app.require_subcommand(0, 1);
   CommandLine line;
-  CLI::App* const list = app.add_subcommand("list", "Tasks and object variants");
-  CLI::App* const record = app.add_subcommand("record", "Demonstrations of the scripted expert");
+  cli::App* const list = app.add_subcommand("list", "Tasks and object variants");
+  cli::App* const record = app.add_subcommand("record", "Demonstrations of the scripted expert");
   record->add_option("--arm", line.arm, "Wear profile")->capture_default_str();
   record->add_option("--task", line.task, "One of the four")->capture_default_str();
   record->add_option("--episodes", line.recorder.episodes, "Successful ones")
-      ->check(CLI::Range(1, 1000))
+      ->check(cli::Range(1, 1000))
       ->capture_default_str();
   record->add_option("--out", line.out, "Shard (.safetensors)")->required();
   app.add_option("--unit", line.unit, "unit configuration (YAML)");

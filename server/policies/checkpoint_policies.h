@@ -31,6 +31,6 @@ absl::Status OpenCheckpointBase(const std::string& path, AdapterBase& base);
 std::string CheckpointOptionsText();
 
 // check, load and generate.
-std::vector<PolicyCommand> AddCheckpointCommands(CLI::App& policy);
+std::vector<PolicyCommand> AddCheckpointCommands(cli::App& policy);
 
 }  // namespace robostress

@@ -29,10 +29,10 @@ absl::Status OpenCheckpointBase(const std::string& path, AdapterBase&) { return 
 
 std::string CheckpointOptionsText() { return absl::StrCat("  none: ", kLeftOut, "\n"); }
 
-std::vector<PolicyCommand> AddCheckpointCommands(CLI::App& policy) {
+std::vector<PolicyCommand> AddCheckpointCommands(cli::App& policy) {
   std::vector<PolicyCommand> commands;
   for (const char* name : {"check", "load", "generate"}) {
-    CLI::App* app = policy.add_subcommand(name, "(not in this build: ROBOSTRESS_OPENPI=OFF)");
+    cli::App* app = policy.add_subcommand(name, "(not in this build: ROBOSTRESS_OPENPI=OFF)");
     app->prefix_command();  // whatever follows
     commands.push_back({app, [name] {
                           std::fprintf(stderr, "robostress-policy: no command %s: %s\n", name,

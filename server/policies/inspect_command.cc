@@ -22,14 +22,14 @@ Exit code 0: it can be served, 1: something is wrong, all of which is listed, 2:
 
 }  // namespace
 
-PolicyCommand AddInspectCommand(CLI::App& policy) {
+PolicyCommand AddInspectCommand(cli::App& policy) {
   struct Arguments {
     std::string path;
     std::vector<std::string> options;
     bool json = false;
   };
   const auto arguments = std::make_shared<Arguments>();
-  CLI::App* app = policy.add_subcommand(
+  cli::App* app = policy.add_subcommand(
       "inspect", "Say what a policy is, what it expects, and everything that is wrong with it");
   app->footer("Policy options (robostress_policy.yaml beside the checkpoint, or KEY=VALUE):\n" +
               CheckpointOptionsText() + "\n" + kExamples);

@@ -5,6 +5,6 @@
 namespace robostress {
 
 // policy inspect: what a policy is, what it expects, and everything that is wrong with it.
-PolicyCommand AddInspectCommand(CLI::App& policy);
+PolicyCommand AddInspectCommand(cli::App& policy);
 
 }  // namespace robostress

@@ -2,14 +2,14 @@
 
 #include <functional>
 
-#include "CLI/CLI.hpp"
+#include "common/command_line.h"
 
 namespace robostress {
 
 // A subcommand of robostress-policy: what the parser knows and what runs when it was given; returns
 // the exit code.
 struct PolicyCommand {
-  CLI::App* app;
+  cli::App* app;
   std::function<int()> run;
 };
 

@@ -6,7 +6,7 @@
 #include "server/policies/inspect_command.h"
 
 int main(int argc, char** argv) {
-  CLI::App app{
+  robostress::cli::App app{
       "Inspects policies; checks, loads and generates pi0 and pi0.5 checkpoints; shows, exports, "
       "imports "
       "and merges adapters.",

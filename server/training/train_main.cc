@@ -40,7 +40,7 @@ int main(int argc, char** argv) {
   mallopt(M_MMAP_THRESHOLD, 1 << 30);
   mallopt(M_TRIM_THRESHOLD, 2000 << 20);
 
-  CLI::App app{
+  robostress::cli::App app{
       "Trains the embedded policy nano from demonstrations that robostress-record has written.",
       "robostress train"};
   app.footer(kExamples);

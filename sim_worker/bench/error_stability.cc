@@ -1,7 +1,6 @@
 // Random episodes under every scenario on the embedded suites' scenes: is every state finite, does
 // MuJoCo warn, do the error laws keep their bounds, how fast does the arm get? Prints the table of
 // docs/results/joint-error-stability.md; exits with 1 if anything is violated.
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -13,8 +12,10 @@
 #include <vector>
 
 #include "absl/strings/str_format.h"
+#include "common/command_line.h"
 #include "common/joint_errors/joint_chain.h"
 #include "common/random.h"
+#include "common/run_main.h"
 #include "sim_worker/panda_model.h"
 #include "sim_worker/suites/embedded_task.h"
 
@@ -258,7 +259,7 @@ int Run(const CommandLine& line) {
 }
 
 int Main(int argc, char** argv) {
-  CLI::App app(
+  cli::App app(
       "Runs random episodes under every scenario and reports what the arm and the error laws did.\n"
       "Example:\n  error_stability --episodes 1000 --steps 60");
   CommandLine line;
@@ -267,16 +268,16 @@ int Main(int argc, char** argv) {
   }
   app.add_option("--episodes", line.episodes, "episodes per scenario")->capture_default_str();
   app.add_option("--steps", line.steps, "control steps per episode, also the length of a ramp")
-      ->check(CLI::PositiveNumber)
+      ->check(cli::PositiveNumber())
       ->capture_default_str();
   app.add_option("--settle", line.settle, "control steps with a zero command before an episode")
-      ->check(CLI::NonNegativeNumber)
+      ->check(cli::NonNegativeNumber())
       ->capture_default_str();
   app.add_option("--level", line.level, "severity level, 1 (mild) to 5 (full)")
       ->capture_default_str();
   app.add_option("--seed", line.seed, "of the commands")->capture_default_str();
   app.add_option("--scenarios", line.scenarios, "names as printed by robostress scenarios");
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   return Run(line);
 }
 

@@ -5,13 +5,14 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstdio>
 #include <string>
 #include <vector>
 
 #include "common/check.h"
+#include "common/command_line.h"
+#include "common/run_main.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"
 #include "sim_worker/bench/arm_parts.h"
@@ -269,19 +270,19 @@ absl::Status Run(const Options& options) {
 
 int main(int argc, char** argv) {
   robostress::libero::Options options;
-  CLI::App app("Costs of LIBERO's scenes beside bare MuJoCo");
+  robostress::cli::App app("Costs of LIBERO's scenes beside bare MuJoCo");
   app.add_option("--libero-root", options.unit.libero_root, "LIBERO checkout (or LIBERO_ROOT)");
   app.add_option("--robosuite-root", options.unit.robosuite_root,
                  "robosuite checkout (or ROBOSUITE_ROOT)");
   app.add_option("--suites", options.suites, "Suites to measure")->capture_default_str();
   app.add_option("--task", options.task, "Task of each suite")->capture_default_str();
   app.add_option("--steps", options.steps, "Control steps of an episode")
-      ->check(CLI::Range(1, 1000))
+      ->check(robostress::cli::Range(1, 1000))
       ->capture_default_str();
   app.add_option("--repeats", options.repeats, "Episodes whose median counts")
-      ->check(CLI::Range(1, 100))
+      ->check(robostress::cli::Range(1, 100))
       ->capture_default_str();
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   const absl::Status status = robostress::libero::Run(options);
   if (!status.ok())
     std::fprintf(stderr, "libero_bench: %s\n", std::string(status.message()).c_str());

@@ -109,7 +109,7 @@ absl::StatusOr<bool> RunCompare(const CommandLine& line) {
 }
 
 int Main(int argc, char** argv) {
-  CLI::App app("Plays recorded commands in a LIBERO task, or compares two such files.",
+  cli::App app("Plays recorded commands in a LIBERO task, or compares two such files.",
                "robostress replay");
   app.footer(kExamples);
   CommandLine line;
@@ -120,14 +120,14 @@ int Main(int argc, char** argv) {
   app.add_option("--in", line.in, "Recording to play");
   app.add_option("--out", line.out, "File to write");
   app.add_option("--mode", line.mode, "parity: as the originals step; fast: as sweeps step")
-      ->check(CLI::IsMember({"parity", "fast"}))
+      ->check(cli::IsMember({"parity", "fast"}))
       ->capture_default_str();
   app.add_option("--scenario", line.unit.scenario, "See `robostress scenarios`")
       ->capture_default_str();
   app.add_option("--severity", line.unit.severity, "Level 1 to 5")->capture_default_str();
   app.add_option("--settle-steps", line.settle_steps,
                  "The first N actions settle: a scenario's ramp starts after them")
-      ->check(CLI::NonNegativeNumber)
+      ->check(cli::NonNegativeNumber())
       ->capture_default_str();
   app.add_option("--set", line.overrides,
                  "KEY=VALUE of the simulator, such as robosuite.home_goal=false")

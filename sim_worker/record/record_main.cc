@@ -257,54 +257,54 @@ int Run(const CommandLine& line) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Records demonstrations of the scripted expert, or measures it.",
-               "robostress record");
+  robostress::cli::App app("Records demonstrations of the scripted expert, or measures it.",
+                           "robostress record");
   robostress::CommandLine line;
   app.footer(robostress::kExamples);
   app.add_option("--suite", line.suite, "An embedded suite, or all")->capture_default_str();
   app.add_option("--tasks", line.tasks, "Task indices (default: all)")->delimiter(',');
   app.add_option("--episodes", line.episodes, "Episodes per task")
-      ->check(CLI::Range(1, 100000))
+      ->check(robostress::cli::Range(1, 100000))
       ->capture_default_str();
   app.add_option("--first-draw", line.first_draw, "First initial state")->capture_default_str();
   app.add_option("--out", line.out, "Folder for the shards, one file per task");
   app.add_option("--tag", line.tag, "Part of the shards' names")->capture_default_str();
   app.add_option("--image-size", line.record.image_size, "Of the views [px]")
-      ->check(CLI::Range(16, 512))
+      ->check(robostress::cli::Range(16, 512))
       ->capture_default_str();
   app.add_option("--stride", line.record.stride, "Control steps between frames")
-      ->check(CLI::Range(1, 50))
+      ->check(robostress::cli::Range(1, 50))
       ->capture_default_str();
   app.add_option("--noisy-share", line.record.noisy_share,
                  "Share of episodes with bursts of action noise")
-      ->check(CLI::Range(0.0, 1.0))
+      ->check(robostress::cli::Range(0.0, 1.0))
       ->capture_default_str();
   app.add_option("--execution-noise", line.record.execution_noise,
                  "Domain randomisation: per episode sigma ~ U[0, this], Gaussian noise on the "
                  "executed motion command [command units]; labels stay clean")
-      ->check(CLI::Range(0.0, 1.0))
+      ->check(robostress::cli::Range(0.0, 1.0))
       ->capture_default_str();
   app.add_option("--seed", line.seed, "Of the noise")->capture_default_str();
   app.add_option("--workers", line.workers, "Processes")
-      ->check(CLI::Range(1, 256))
+      ->check(robostress::cli::Range(1, 256))
       ->capture_default_str();
   app.add_option("--scenario", line.scenario, "See `robostress scenarios`")->capture_default_str();
   app.add_option("--severity", line.severity, "Level")
-      ->check(CLI::Range(1, 5))
+      ->check(robostress::cli::Range(1, 5))
       ->capture_default_str();
   app.add_option("--server", line.server,
                  "HOST:PORT of a policy that drives while the expert labels (DAgger)");
   app.add_option("--policy", line.policy, "Which of the server's policies")->capture_default_str();
   app.add_option("--mix", line.mix, "Chance that the expert drives a chunk (DAgger)")
-      ->check(CLI::Range(0.0, 1.0))
+      ->check(robostress::cli::Range(0.0, 1.0))
       ->capture_default_str();
   app.add_flag("--eval", line.eval, "Only print the success table, record nothing");
-  CLI::Option* const image_size = app.get_option("--image-size");
-  CLI::Option* const stride = app.get_option("--stride");
+  robostress::cli::Option* const image_size = app.get_option("--image-size");
+  robostress::cli::Option* const stride = app.get_option("--stride");
   app.add_option("--format", line.format,
                  "shards: safetensors for training; hdf5: LIBERO's form, one file per task, every "
                  "control step, views of 128 pixels unless given")
-      ->check(CLI::IsMember({"shards", "hdf5"}))
+      ->check(robostress::cli::IsMember({"shards", "hdf5"}))
       ->capture_default_str();
   return robostress::RunMain(
       app, argc, argv,

@@ -85,7 +85,7 @@ int Main(int argc, char** argv) {
   setenv("OMP_NUM_THREADS", "1", 0);
   setenv("OPENBLAS_NUM_THREADS", "1", 0);
 
-  CLI::App app(
+  cli::App app(
       "Runs one unit of a sweep and writes its directory; the same command again continues it.",
       "robostress worker");
   app.footer(kExamples);

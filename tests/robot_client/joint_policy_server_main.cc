@@ -5,19 +5,22 @@
 #include <csignal>
 #include <cstdio>
 
-#include "CLI/CLI.hpp"
+#include "common/command_line.h"
+#include "common/run_main.h"
 #include "tests/common/rpc/fake_policy_server.h"
 
 int main(int argc, char** argv) {
-  CLI::App app("Answers with joint targets that sway about the arm's.", "joint_policy_server");
+  robostress::cli::App app("Answers with joint targets that sway about the arm's.",
+                           "joint_policy_server");
   robostress::FakeServerOptions options;
   options.joint_targets = true;
   app.add_option("--host", options.host, "address to listen on")->capture_default_str();
   app.add_option("--port", options.port, "0: a free one, which is printed");
   app.add_option("--predict-s", options.predict_s, "time of a prediction [s]");
   int cameras = 2;
-  app.add_option("--cameras", cameras, "views it wants: base, wrist")->check(CLI::Range(0, 2));
-  CLI11_PARSE(app, argc, argv);
+  app.add_option("--cameras", cameras, "views it wants: base, wrist")
+      ->check(robostress::cli::Range(0, 2));
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   options.spec.name = "sway";
   options.spec.cameras = {"base", "wrist"};
   options.spec.cameras.resize(static_cast<size_t>(cameras));

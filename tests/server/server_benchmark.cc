@@ -8,7 +8,6 @@
 // both alike.
 #include <benchmark/benchmark.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -20,6 +19,8 @@
 #include "absl/strings/str_cat.h"
 #include "adapter/method_options.h"
 #include "adapter/methods.h"
+#include "common/command_line.h"
+#include "common/run_main.h"
 #include "server/inference/operator_hook.h"
 #include "server/inference/torch_threads.h"
 #include "server/sessions/session.h"
@@ -333,7 +334,7 @@ int Main(int argc, char** argv) {
     }
   }
   TableOptions table;
-  CLI::App app{"Measures the policy server with its clients in one process, over the loopback.",
+  cli::App app{"Measures the policy server with its clients in one process, over the loopback.",
                "server_benchmark"};
   app.add_option("--seconds", table.seconds, "of a slice")->capture_default_str();
   app.add_option("--slices", table.slices, "of each kind")->capture_default_str();
@@ -345,7 +346,7 @@ int Main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--updates-table", table.load, "predictions with and without updates");
   app.add_option("--batches-table", table.batches, "throughput by the number of clients");
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   std::setvbuf(stdout, nullptr, _IOLBF, 0);
   UseOneTorchThread();
   const std::shared_ptr<const FlowPolicy> nano = OrDie(LoadFlowPolicy("nano:random"));

@@ -1,7 +1,6 @@
 // Clients that come and go, well-behaved and not, for as long as wanted; prints once a minute what
 // the server holds. Memory, threads and descriptors must not grow.
 //   server_churn build/release/bin/robostress-serve --minutes 60
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
 #include <cmath>
@@ -9,8 +8,10 @@
 #include <fstream>
 #include <memory>
 
+#include "common/command_line.h"
 #include "common/random.h"
 #include "common/rpc/policy_client.h"
+#include "common/run_main.h"
 #include "server/sessions/read_spec.h"
 #include "tests/adapter/toy_arm.h"
 #include "tests/common/wire/openpi_bytes.h"
@@ -187,16 +188,18 @@ int Run(const std::string& program, double minutes, int clients, double pause_s)
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Churns sessions of a policy server and prints what the server holds.",
-               "server_churn");
+  robostress::cli::App app("Churns sessions of a policy server and prints what the server holds.",
+                           "server_churn");
   std::string program;
   double minutes = 60, pause_s = 0.5;
   int clients = 4;
-  app.add_option("PROGRAM", program, "robostress-serve")->required()->check(CLI::ExistingFile);
+  app.add_option("PROGRAM", program, "robostress-serve")
+      ->required()
+      ->check(robostress::cli::ExistingFile());
   app.add_option("--minutes", minutes)->capture_default_str();
   app.add_option("--clients", clients, "at a time")->capture_default_str();
   app.add_option("--pause", pause_s, "mean rest of a client between two sessions [s]")
       ->capture_default_str();
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   return robostress::Run(program, minutes, clients, pause_s);
 }

@@ -6,7 +6,6 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
 #include <cstdio>
@@ -17,12 +16,14 @@
 
 #include "absl/strings/match.h"
 #include "common/atomic_file.h"
+#include "common/command_line.h"
 #include "common/random.h"
 #include "common/rpc/convert_chunks.h"
 #include "common/rpc/convert_observations.h"
 #include "common/rpc/convert_sessions.h"
 #include "common/rpc/convert_specs.h"
 #include "common/rpc/grpc_status.h"
+#include "common/run_main.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/policy.grpc.pb.h"
 #include "server/sessions/read_spec.h"
@@ -531,17 +532,19 @@ int Run(const std::string& program, double minutes, const std::string& only, boo
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("A robot beside hostile clients of one server.", "server_siege");
+  robostress::cli::App app("A robot beside hostile clients of one server.", "server_siege");
   std::string program;
   double minutes = 60;
   std::string only;
   bool together = false;
   std::vector<std::string> extra;
-  app.add_option("PROGRAM", program, "robostress-serve")->required()->check(CLI::ExistingFile);
+  app.add_option("PROGRAM", program, "robostress-serve")
+      ->required()
+      ->check(robostress::cli::ExistingFile());
   app.add_option("--minutes", minutes)->capture_default_str();
   app.add_option("--only", only, "attacks whose name contains this");
   app.add_flag("--together", together, "all of them for the whole time, none alone");
   app.add_option("--serve", extra, "further options of the server, as one argument each");
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   return robostress::Run(program, minutes, only, together, extra);
 }

@@ -2,7 +2,6 @@
 
 #include <torch/types.h>
 
-#include <CLI/CLI.hpp>
 #include <cmath>
 #include <cstdio>
 
@@ -14,6 +13,7 @@
 #include "adapter/adaptation_state.h"
 #include "adapter/peft.h"
 #include "common/atomic_file.h"
+#include "common/command_line.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
@@ -144,7 +144,7 @@ absl::Status Merge(const std::string& adapter, const std::string& weights, const
 
 }  // namespace
 
-AdapterCommand::AdapterCommand(CLI::App& app)
+AdapterCommand::AdapterCommand(cli::App& app)
     : command_(app.add_subcommand("adapter", "Show, export, import and merge adapters")),
       show_(command_->add_subcommand("show", "Print what an adapter file holds")),
       export_(command_->add_subcommand("export", "Write an adapter as a PEFT folder")),
@@ -154,16 +154,16 @@ AdapterCommand::AdapterCommand(CLI::App& app)
   command_->footer(kExamples);
   show_->add_option("adapter", adapter_, "adapter file")->required();
   show_->add_flag("--json", json_, "print one JSON object");
-  for (CLI::App* sub : {export_, merge_})
+  for (cli::App* sub : {export_, merge_})
     sub->add_option("--adapter", adapter_, "adapter file")->required();
-  for (CLI::App* sub : {export_, import_, merge_})
+  for (cli::App* sub : {export_, import_, merge_})
     sub->add_option("--weights", weights_, "weights file of nano or with openpi's tensor names")
         ->required();
   import_
       ->add_option("--peft", peft_, "folder with adapter_model.safetensors and adapter_config.json")
       ->required();
   import_->add_option("--lora", kind_, "per_matrix, or per_head for an exported adapter per head")
-      ->check(CLI::IsMember({"per_head", "per_matrix"}))
+      ->check(cli::IsMember({"per_head", "per_matrix"}))
       ->capture_default_str();
   import_->add_option("--policy", policy_, "name of the policy that the weights are served under")
       ->capture_default_str();
@@ -172,7 +172,7 @@ AdapterCommand::AdapterCommand(CLI::App& app)
   import_->add_option("--model-hash", model_hash_,
                       "hash of the served policy (default: of nano's weights)");
   export_->add_option("--out", out_, "folder to write")->required();
-  for (CLI::App* sub : {import_, merge_})
+  for (cli::App* sub : {import_, merge_})
     sub->add_option("--out", out_, "file to write")->required();
 }
 

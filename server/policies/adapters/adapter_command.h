@@ -12,12 +12,12 @@ namespace robostress {
 // that a session exports, docs/adapter-files.md).
 class AdapterCommand {
  public:
-  explicit AdapterCommand(CLI::App& app);  // adds itself
+  explicit AdapterCommand(cli::App& app);  // adds itself
   // Exit code: 0, or 2 with a message on stderr.
   int Run() const;
 
  private:
-  CLI::App *command_, *show_, *export_, *import_, *merge_;
+  cli::App *command_, *show_, *export_, *import_, *merge_;
   std::string adapter_, weights_, peft_, out_;
   std::string kind_ = "per_matrix", policy_ = "nano", method_ = "ours", model_hash_;
   bool json_ = false;

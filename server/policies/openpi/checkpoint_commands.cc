@@ -126,9 +126,9 @@ Exit code 0: loaded, 2: bad usage or files.)";
 
 }  // namespace
 
-PolicyCommand AddCheckCommand(CLI::App& policy) {
+PolicyCommand AddCheckCommand(cli::App& policy) {
   const auto arguments = std::make_shared<CheckArguments>();
-  CLI::App* app = policy.add_subcommand(
+  cli::App* app = policy.add_subcommand(
       "check", "Compare every intermediate of a network with expected values from a file");
   app->footer(kCheckExamples);
   CheckOptions& options = arguments->options;
@@ -143,26 +143,26 @@ PolicyCommand AddCheckCommand(CLI::App& policy) {
   return {app, [arguments] { return RunCheck(*arguments); }};
 }
 
-PolicyCommand AddGenerateCommand(CLI::App& policy) {
+PolicyCommand AddGenerateCommand(cli::App& policy) {
   struct Arguments {
     std::string network, size = "tiny", precision = "bf16", layout = "openpi";
     GeneratorOptions options;
   };
   const auto arguments = std::make_shared<Arguments>();
-  CLI::App* app = policy.add_subcommand("generate", "Write a checkpoint of random weights");
+  cli::App* app = policy.add_subcommand("generate", "Write a checkpoint of random weights");
   app->footer(kGenerateExamples);
   app->add_option("--network", arguments->network, "pi0 or pi0.5")
       ->required()
-      ->check(CLI::IsMember({"pi0", "pi0.5"}));
+      ->check(cli::IsMember({"pi0", "pi0.5"}));
   app->add_option("--size", arguments->size, "full (3.2 G parameters) or tiny")
-      ->check(CLI::IsMember({"full", "tiny"}))
+      ->check(cli::IsMember({"full", "tiny"}))
       ->capture_default_str();
   app->add_option("--precision", arguments->precision, "of the stored weights: bf16 or float32")
-      ->check(CLI::IsMember({"bf16", "float32"}))
+      ->check(cli::IsMember({"bf16", "float32"}))
       ->capture_default_str();
   app->add_option("--layout", arguments->layout,
                   "names and side files: openpi, lerobot, lerobot_old")
-      ->check(CLI::IsMember({"openpi", "lerobot", "lerobot_old"}))
+      ->check(cli::IsMember({"openpi", "lerobot", "lerobot_old"}))
       ->capture_default_str();
   app->add_option("--shards", arguments->options.shards, "files that share the weights")
       ->capture_default_str();
@@ -182,9 +182,9 @@ PolicyCommand AddGenerateCommand(CLI::App& policy) {
           }};
 }
 
-PolicyCommand AddLoadCommand(CLI::App& policy) {
+PolicyCommand AddLoadCommand(cli::App& policy) {
   const auto arguments = std::make_shared<LoadArguments>();
-  CLI::App* app =
+  cli::App* app =
       policy.add_subcommand("load", "Load a checkpoint and print how long and how much it takes");
   app->footer(kLoadExamples);
   app->add_option("--checkpoint", arguments->path, "folder, .safetensors file or index")

@@ -5,12 +5,12 @@
 namespace robostress::openpi {
 
 // policy check: compares every intermediate of a network with expected values.
-PolicyCommand AddCheckCommand(CLI::App& policy);
+PolicyCommand AddCheckCommand(cli::App& policy);
 
 // policy generate: writes a checkpoint of random weights.
-PolicyCommand AddGenerateCommand(CLI::App& policy);
+PolicyCommand AddGenerateCommand(cli::App& policy);
 
 // policy load: loads a checkpoint and prints time and memory as one JSON object.
-PolicyCommand AddLoadCommand(CLI::App& policy);
+PolicyCommand AddLoadCommand(cli::App& policy);
 
 }  // namespace robostress::openpi

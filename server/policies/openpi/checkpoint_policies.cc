@@ -53,7 +53,7 @@ std::string CheckpointOptionsText() {
   return lister.text;
 }
 
-std::vector<PolicyCommand> AddCheckpointCommands(CLI::App& policy) {
+std::vector<PolicyCommand> AddCheckpointCommands(cli::App& policy) {
   std::vector<PolicyCommand> commands;  // in the order of the help
   commands.push_back(openpi::AddCheckCommand(policy));
   commands.push_back(openpi::AddLoadCommand(policy));

@@ -17,7 +17,7 @@ pieces and the special ids. An error is an object with the key "error".)";
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"Tokenises text with a SentencePiece model.", "robostress tokenize"};
+  robostress::cli::App app{"Tokenises text with a SentencePiece model.", "robostress tokenize"};
   app.footer(kExamples);
   std::string model;
   app.add_option("model", model, "SentencePiece model file")->required();

@@ -1,26 +1,27 @@
 // calibration_generate: writes a rig with logs and, beside them, what it hides.
-#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <string>
 
+#include "common/command_line.h"
+#include "common/run_main.h"
 #include "tests/calibration/generator/generated_rig.h"
 
 int main(int argc, char** argv) {
   using namespace robostress::generator;
   RigOptions options;
   std::string out, family = "any", size = "medium", richness = "any";
-  CLI::App app{
+  robostress::cli::App app{
       "Writes a rig whose machine has effects that the rig does not declare: model.xml, "
       "rig.yaml, log_*.csv, and truth.json, which calibrate never reads"};
   app.add_option("--effect", options.effects, "Hidden effect; repeat for two; leave out for none");
   app.add_option("--size", size, "small, medium or large")
-      ->check(CLI::IsMember({"small", "medium", "large"}));
+      ->check(robostress::cli::IsMember({"small", "medium", "large"}));
   app.add_option("--seed", options.seed, "Of everything that is drawn");
   app.add_option("--family", family, "any, servo, torque, inverse, transmission, slide or arm");
   app.add_option("--excitation", richness, "any, rich, poor or brief")
-      ->check(CLI::IsMember({"any", "rich", "poor", "brief"}));
+      ->check(robostress::cli::IsMember({"any", "rich", "poor", "brief"}));
   app.add_option("--out", out, "Folder of the rig")->required();
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   options.size = size == "small" ? Size::kSmall : size == "medium" ? Size::kMedium : Size::kLarge;
   options.richness = richness == "rich"    ? Richness::kRich
                      : richness == "poor"  ? Richness::kPoor

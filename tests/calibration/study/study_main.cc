@@ -1,6 +1,5 @@
 // calibration_study: how often robostress-calibrate says what is true, on rigs that
 // calibration_generate makes.
-#include <CLI/CLI.hpp>
 #include <atomic>
 #include <chrono>
 #include <cstdio>
@@ -14,7 +13,9 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/command_line.h"
 #include "common/program_folder.h"
+#include "common/run_main.h"
 #include "tests/calibration/generator/generated_rig.h"
 #include "tests/calibration/study/judge.h"
 #include "tests/run_program.h"
@@ -174,7 +175,7 @@ std::string Table(const std::vector<Case>& cases) {
 int Main(int argc, char** argv) {
   CommandLine line;
   bool library = false, outside = false;
-  CLI::App app("Runs robostress-calibrate on generated rigs and prints how often it is right");
+  cli::App app("Runs robostress-calibrate on generated rigs and prints how often it is right");
   app.add_option("--out", line.out, "Directory of rigs and reports; what is there is not repeated")
       ->required();
   app.add_option("--effect", line.kinds, "Hidden effect, or two joined by +; repeat for more");
@@ -189,7 +190,7 @@ int Main(int argc, char** argv) {
   app.add_option("--surrogates", line.surrogates, "Of calibrate")->capture_default_str();
   app.add_option("--calibrate", line.calibrate, "Program to judge; beside this one if not given");
   app.add_flag("--table-only", line.table_only, "Run nothing");
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   if (library)
     line.kinds.insert(line.kinds.end(), LibraryEffects().begin(), LibraryEffects().end());
   if (outside)

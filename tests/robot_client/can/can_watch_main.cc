@@ -5,7 +5,8 @@
 #include <cstdio>
 #include <string>
 
-#include "CLI/CLI.hpp"
+#include "common/command_line.h"
+#include "common/run_main.h"
 #include "robot_client/can/bus_address.h"
 
 namespace robostress {
@@ -62,12 +63,13 @@ int Watch(const std::string& address, double seconds) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  CLI::App app("Sends a command's frames at 30 Hz and says what it notices.", "can_watch");
+  robostress::cli::App app("Sends a command's frames at 30 Hz and says what it notices.",
+                           "can_watch");
   std::string bus;
   double seconds = 1e9;
   app.add_option("bus", bus, "can:INTERFACE")->required();
   app.add_option("--seconds", seconds, "ends after this long");
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   std::signal(SIGINT, [](int) { robostress::stop_asked = 1; });
   std::signal(SIGTERM, [](int) { robostress::stop_asked = 1; });
   return robostress::Watch(bus, seconds);

@@ -7,7 +7,6 @@
 #include <torch/types.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -15,6 +14,8 @@
 #include <iostream>
 
 #include "adapter/lora_adapter.h"
+#include "common/command_line.h"
+#include "common/run_main.h"
 #include "common/statistics.h"
 #include "server/policies/kernels/fused_kernels.h"
 #include "server/policies/nano/nano_policy.h"
@@ -484,24 +485,27 @@ int Run(const Options& options) {
 
 int main(int argc, char** argv) {
   robostress::openpi::Options options;
-  CLI::App app("Times predictions of nano, pi0 and pi0.5 beside their matrix products alone.");
-  app.add_option("--policy", options.subject)->check(CLI::IsMember({"nano", "pi0", "pi05"}));
+  robostress::cli::App app(
+      "Times predictions of nano, pi0 and pi0.5 beside their matrix products alone.");
+  app.add_option("--policy", options.subject)
+      ->check(robostress::cli::IsMember({"nano", "pi0", "pi05"}));
   app.add_option("--scale", options.scale, "widths of pi0 and pi0.5 divided by this")
-      ->check(CLI::IsMember({1, 2, 4, 8}));
-  app.add_option("--precision", options.precision)->check(CLI::IsMember({"float32", "bf16"}));
+      ->check(robostress::cli::IsMember({"1", "2", "4", "8"}));
+  app.add_option("--precision", options.precision)
+      ->check(robostress::cli::IsMember({"float32", "bf16"}));
   app.add_option("--device", options.device);
-  app.add_option("--threads", options.threads)->check(CLI::Range(1, 1024));
+  app.add_option("--threads", options.threads)->check(robostress::cli::Range(1, 1024));
   app.add_option("--cameras", options.cameras, "of three that hold a view")
-      ->check(CLI::Range(1, 3));
+      ->check(robostress::cli::Range(1, 3));
   app.add_option("--words", options.words, "prompt tokens that are not padding")
-      ->check(CLI::Range(1, 48));
-  app.add_option("--rounds", options.rounds)->check(CLI::Range(1, 100000));
+      ->check(robostress::cli::Range(1, 48));
+  app.add_option("--rounds", options.rounds)->check(robostress::cli::Range(1, 100000));
   app.add_flag("--products,!--no-products", options.products, "time the matrix products too");
   app.add_option("--update", options.update, "also time an update of batch 4")
-      ->check(CLI::IsMember({"per_head", "per_matrix"}));
+      ->check(robostress::cli::IsMember({"per_head", "per_matrix"}));
   app.add_option("--files", options.files, "existing folder for weights, inputs and actions")
-      ->check(CLI::ExistingDirectory);
+      ->check(robostress::cli::ExistingDirectory());
   app.add_flag("--lockstep", options.lockstep, "one round per line on standard input");
-  CLI11_PARSE(app, argc, argv);
+  if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   return robostress::openpi::Run(options);
 }
