@@ -127,6 +127,7 @@ choose_root() {
   ((free >= needed)) || fail "$parent has ${free} GB free, and the root may take $needed: choose another with --root or TMPDIR"
   if [[ ! $folder ]]; then
     root=$(mktemp -d "$parent/bare-$suite.XXXXXX")
+    chmod 755 "$root" # the system's users enter it too: the folder is their /
     began=yes
   fi
 }
