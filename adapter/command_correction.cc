@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "absl/algorithm/container.h"
+#include "adapter/command_bounds.h"
 #include "adapter/method_options.h"
 
 namespace robostress {
@@ -75,6 +76,36 @@ bool CommandCorrection::set_state(const State& state) {
   if (!Holds(state)) return false;
   for (const Part& part : parts_) part.corrector->SetState(Of(state, part.name));
   return true;
+}
+
+NominalArmOptions NominalArmOf(const SessionSetting& setting) {
+  NominalArmOptions options;
+  options.goal_reference = setting.goal_reference;
+  options.control_period_s = setting.control_period_s;
+  return options;
+}
+
+ResidualOptions ResidualOf(const SessionSetting& setting, const MethodOptions& method) {
+  ResidualOptions options = ResidualOptionsOf(
+      method, ActsInJointSpace(setting) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
+  options.translation_scale = setting.translation_scale;
+  options.rotation_scale = setting.rotation_scale;
+  return options;
+}
+
+void CorrectCommands(const MethodOptions& method, const PolicySpec& policy,
+                     const Eigen::VectorXd& correction, PredictedChunk& answer) {
+  answer.actions = answer.policy_actions;
+  const Eigen::Index arm = answer.actions.cols() - 1;
+  if (method.gain != 1.0) answer.actions.leftCols(arm) *= static_cast<float>(method.gain);
+  if (correction.size() > 0) {
+    constexpr double kWidest = kWidestCommand;  // what does not fit in a float would be undefined
+    answer.actions.leftCols(arm).rowwise() +=
+        correction.head(arm).cwiseMax(-kWidest).cwiseMin(kWidest).cast<float>().transpose();
+  }
+  // After the last stage, whatever it was.
+  if (method.gain != 1.0 || correction.size() > 0)
+    BoundCommands(policy, answer.policy_actions, answer.actions);
 }
 
 }  // namespace robostress

@@ -9,6 +9,8 @@
 #include "adapter/corrector.h"
 #include "adapter/nominal_arm.h"
 #include "adapter/residual.h"
+#include "common/rollout/session_spec.h"
+#include "common/types.h"
 
 namespace robostress {
 
@@ -47,5 +49,14 @@ class CommandCorrection {
 
   std::vector<Part> parts_;
 };
+
+// Of a session.
+NominalArmOptions NominalArmOf(const SessionSetting& setting);
+ResidualOptions ResidualOf(const SessionSetting& setting, const MethodOptions& method);
+
+// The chunk that is sent: the policy's with the method's gain, `correction` (of the arm's entries;
+// empty: none) and the bounds of `policy` after both.
+void CorrectCommands(const MethodOptions& method, const PolicySpec& policy,
+                     const Eigen::VectorXd& correction, PredictedChunk& answer);
 
 }  // namespace robostress

@@ -6,6 +6,7 @@
 
 #include "common/deferred.h"
 #include "common/joint_errors/options.h"
+#include "common/wire/remote_options.h"
 
 namespace robostress {
 
@@ -120,6 +121,7 @@ struct UnitConfig {
   Deferred<MethodOptions> method;
   std::string robot = "panda";  // of the suite; its program runs the unit (common/unit/robots.h)
   ClientOptions client;         // of robots other than the simulated Panda
+  RemotePolicyOptions remote;   // used: `policy` is a label of what another server holds
 
   template <class V>
   void Visit(V& v) {
@@ -141,6 +143,7 @@ struct UnitConfig {
     v.Section("method", method, "method");
     v.Late("robot", robot, std::string("panda"), "whose program runs the unit");
     v.LateSection("client", client, robot != "panda", "how robot_client plays it");
+    v.LateSection("remote", remote, remote.used(), "how a policy of another server is asked");
   }
 };
 

@@ -36,7 +36,7 @@ struct PolicySpec {
   ControlSpace control_space = ControlSpace::kUnspecified;  // of its actions
   // [action_dim] what the policy's actions mean to lie in, environment units; empty: it declares
   // none. A policy may pass them by a little; a correction is held to them
-  // (server/sessions/command_bounds.h).
+  // (adapter/command_bounds.h).
   std::vector<float> action_low, action_high;
   bool adaptable = false;  // has an action expert that LoRA can adapt
 };

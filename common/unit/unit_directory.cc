@@ -174,9 +174,11 @@ std::string UnitDirectory::RowsText() const {
   return text;
 }
 
-absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::string& model_hash) {
+absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::string& model_hash,
+                                       const std::map<std::string, std::string>& notes) {
   const std::string file = File("provenance.json");
-  const json wanted = {{"policy", policy}, {"model_hash", model_hash}, {"version", BuildVersion()}};
+  json wanted = notes;
+  wanted.update({{"policy", policy}, {"model_hash", model_hash}, {"version", BuildVersion()}});
   RS_ASSIGN_OR_RETURN(const std::string text, ReadIfPresent(file));
   if (text.empty() || rows_.empty()) return WriteFileAtomically(file, wanted.dump() + "\n");
   const json present = json::parse(text, nullptr, false);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -44,7 +45,9 @@ class UnitDirectory {
   size_t episodes() const { return rows_.size(); }
 
   // Writes provenance.json, or refuses to continue with another model than the one that began.
-  absl::Status CheckModel(const std::string& policy, const std::string& model_hash);
+  // `notes`: further keys of it.
+  absl::Status CheckModel(const std::string& policy, const std::string& model_hash,
+                          const std::map<std::string, std::string>& notes = {});
   // The session state that belongs to the rows; completes the rows from it when the last one is
   // missing. NOT_FOUND: there is none, it is damaged, or it belongs to other rows.
   absl::StatusOr<std::string> LoadAdapterState();

@@ -34,7 +34,7 @@ class UnitRun {
       return absl::OkStatus();
     }
     RS_ASSIGN_OR_RETURN(const std::string model_hash, player_.Open());
-    RS_RETURN_IF_ERROR(directory_->CheckModel(unit_.policy, model_hash));
+    RS_RETURN_IF_ERROR(directory_->CheckModel(unit_.policy, model_hash, player_.Provenance()));
     RS_RETURN_IF_ERROR(Resume());
     while (directory_->episodes() < plan_.size())
       RS_RETURN_IF_ERROR(PlayOne(directory_->episodes()));

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -27,6 +28,8 @@ class UnitPlayer {
   virtual ~UnitPlayer() = default;
   // Opens the policy; the hash of its weights, empty where it has none.
   virtual absl::StatusOr<std::string> Open() = 0;
+  // What provenance.json says beside policy, hash and version; after Open.
+  virtual std::map<std::string, std::string> Provenance() const { return {}; }
   // Plays one episode, after those before it. May write files of its own beside the rows
   // (UnitDirectory::EpisodeFile).
   virtual absl::StatusOr<PlayedEpisode> Play(const PlannedEpisode& planned,

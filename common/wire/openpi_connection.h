@@ -17,6 +17,8 @@ struct OpenpiConnectionOptions {
   // A server may compile its network when it is first asked: tens of seconds.
   absl::Duration first_answer_timeout = absl::Minutes(5);
   absl::Duration answer_timeout = absl::Seconds(30);
+  // How long a server may be gone that was there before (RemotePolicy dials it anew).
+  absl::Duration absence = absl::Minutes(2);
 };
 
 // A client's side of openpi's wire: the server's metadata, then an answer for each message. One

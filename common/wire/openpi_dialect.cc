@@ -43,11 +43,41 @@ const std::vector<OpenpiDialect>& OpenpiDialects() {
   return dialects;
 }
 
+const std::vector<OpenpiDialect>& ServerDialects() {
+  static const auto& dialects =
+      *new std::vector<OpenpiDialect>{{.name = "vllm_omni",
+                                       .cameras = {"observation/image", "observation/wrist_image"},
+                                       .state = {"observation/state"},
+                                       .path = "/v1/realtime/robot/openpi",
+                                       .seed = "seed",
+                                       .reset = "endpoint",
+                                       .reset_text = "reset",
+                                       .session = "session_id"},
+                                      {.name = "sglang",
+                                       .images_in = "images",
+                                       .state = {"state"},
+                                       .path = "/openpi/policy",
+                                       .noise = "noise"},
+                                      {.name = "lerobot",
+       .cameras = {"observation/image", "observation/wrist_image"},
+       .state = {"observation/state"},
+       .seed = "seed",
+       .reset = "reset"},
+      {.name = "robostress",
+                                       .state = {"state"},
+                                       .episode = "episode",
+                                       .session = "session",
+                                       .describes_session = true}};
+  return dialects;
+}
+
 absl::StatusOr<OpenpiDialect> OpenpiDialectNamed(const std::string& name) {
   std::vector<std::string> known;
-  for (const OpenpiDialect& dialect : OpenpiDialects()) {
-    if (dialect.name == name) return dialect;
-    known.push_back(dialect.name);
+  for (const auto* dialects : {&OpenpiDialects(), &ServerDialects()}) {
+    for (const OpenpiDialect& dialect : *dialects) {
+      if (dialect.name == name) return dialect;
+      known.push_back(dialect.name);
+    }
   }
   return absl::NotFoundError(
       absl::StrCat("no dialect '", name, "'; known: ", absl::StrJoin(known, ", ")));

@@ -1,9 +1,12 @@
 #include "eval/launch/grid_flags.h"
 
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "adapter/methods.h"
 #include "common/config.h"
 #include "common/status_macros.h"
+#include "common/wire/web_url.h"
 #include "eval/launch/cluster_launchers.h"
 
 namespace robostress {
@@ -15,6 +18,13 @@ void DeclareLaunchFlags(cli::App& app, LaunchOptions& launch) {
   app.add_option("--server", launch.server,
                  "HOST:PORT of a policy server that runs already and holds the policies; absent: "
                  "one is started for each");
+  app.add_option("--policy-url", launch.policy_urls,
+                 "ws://HOST:PORT of somebody else's policy server (openpi, LeRobot, vLLM-Omni, "
+                 "SGLang); several "
+                 "that serve the same model share the work. --policies names it")
+      ->check(
+          [](const std::string& url) { return std::string(ParseWebUrl(url).status().message()); })
+      ->delimiter(',');
 }
 
 void DeclareClusterFlags(cli::App& app, LaunchOptions& launch) {
@@ -59,7 +69,8 @@ void DeclareClusterFlags(cli::App& app, LaunchOptions& launch) {
 }
 
 PolicyHome PolicyHomeOf(const LaunchOptions& launch) {
-  return launch.server.empty() ? PolicyHome::kHere : PolicyHome::kElsewhere;
+  return launch.server.empty() && launch.policy_urls.empty() ? PolicyHome::kHere
+                                                             : PolicyHome::kElsewhere;
 }
 
 void DeclareGridFlags(cli::App& app, GridFlags& flags) {
@@ -81,9 +92,14 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
   app.add_option("--seeds,--seed", flags.seeds, "Seeds of the sampling noise")->delimiter(',');
   app.add_option("--first-initial-state", flags.first_initial_state,
                  "0-19 reporting split, 40-49 dev split");
-  app.add_option("--set", flags.overrides,
-                 "sim.KEY=VALUE, method.KEY=VALUE or client.KEY=VALUE, repeatable")
+  app.add_option(
+         "--set", flags.overrides,
+         "sim.KEY=VALUE, method.KEY=VALUE, client.KEY=VALUE or remote.KEY=VALUE, repeatable")
       ->allow_extra_args(false);
+  app.add_option("--dialect", flags.dialect,
+                 "Keys of the messages to --policy-url: libero (default), droid, aloha, vllm_omni, "
+                 "sglang, lerobot, "
+                 "robostress, or a YAML file");
   app.add_option("--replay-file", flags.replay_file, "Actions for policy replay");
   app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
   app.add_option("--robosuite-root", flags.robosuite_root,
@@ -93,10 +109,29 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
                  "(default), sampled, numpy[:SEED] (the originals' draw, seed 7), or a JSON table");
 }
 
+namespace {
+
+// Named, or read from a file.
+absl::StatusOr<OpenpiDialect> DialectOf(const std::string& text) {
+  if (text.empty()) return OpenpiDialectNamed("libero");
+  if (!absl::EndsWith(text, ".yaml")) return OpenpiDialectNamed(text);
+  RS_ASSIGN_OR_RETURN(OpenpiDialect dialect, LoadConfig<OpenpiDialect>(text));
+  if (dialect.name.empty())
+    return absl::InvalidArgumentError(absl::StrCat(text, ": name is empty; give the dialect one"));
+  return dialect;
+}
+
+}  // namespace
+
 absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGrid& grid) {
   if (!flags.grid_file.empty()) {
     RS_ASSIGN_OR_RETURN(grid, LoadConfig<SweepGrid>(flags.grid_file));
   }
+  if (app.count("--dialect") || (app.count("--policy-url") && !grid.remote.used())) {
+    RS_ASSIGN_OR_RETURN(grid.remote.dialect, DialectOf(flags.dialect));
+  }
+  // What a policy of theirs can do: its weights are not ours to adapt.
+  if (grid.remote.used() && flags.grid_file.empty()) grid.methods = {"base", "ours_following"};
   if (app.count("--robot")) grid.robot = flags.robot;
   if (app.count("--suites")) grid.suites = flags.suites;
   if (app.count("--scenarios")) grid.scenarios = flags.scenarios;

@@ -28,12 +28,14 @@ absl::StatusOr<std::unique_ptr<Launcher>> MakeLauncher(const std::string& name) 
 
 absl::StatusOr<LaunchResult> LocalLauncher::Launch(const LaunchRequest& request) {
   const LaunchOptions& options = request.options;
-  LocalServers servers(options.server);
+  std::vector<std::string> elsewhere = options.policy_urls;
+  if (elsewhere.empty() && !options.server.empty()) elsewhere = {options.server};
+  LocalServers servers(elsewhere);
   std::set<std::string> policies;
   for (const WorkItem& item : request.items) {
     if (!RunsInWorker(item.unit->config.policy)) policies.insert(item.unit->config.policy);
   }
-  if (!options.server.empty()) policies.clear();
+  if (!elsewhere.empty()) policies.clear();
   for (const std::string& policy : policies) {
     ServerStart start;
     start.policy = policy;

@@ -20,7 +20,8 @@ struct LaunchOptions {
   int workers = 2;
   int server_start_timeout_s = 180;
   std::string server;  // HOST:PORT of a policy server that runs already; empty: one per policy
-  bool quiet = false;  // no progress
+  std::vector<std::string> policy_urls;  // of others' servers of one model, used side by side
+  bool quiet = false;                    // no progress
   // Adds lag_residual to every episode: its commands played again without joint errors.
   bool measure_lag = false;
   // Records the joints of every sub-step beside every episode, for `robostress record-to-rig`.

@@ -40,11 +40,11 @@ struct ServerProcess {
 // it ends before or takes longer than the timeout; Cancelled when a signal comes.
 absl::StatusOr<ServerProcess> StartServer(const ServerStart& start, SignalGuard& signals);
 
-// The servers of a sweep on this machine, one per policy; or one address for all of them, of a
-// server that runs already.
+// The servers of a sweep on this machine, one per policy; or addresses of servers that run already,
+// which are given in turn.
 class LocalServers : public ServerSource {
  public:
-  explicit LocalServers(std::string elsewhere) : elsewhere_(std::move(elsewhere)) {}
+  explicit LocalServers(std::vector<std::string> elsewhere) : elsewhere_(std::move(elsewhere)) {}
   absl::Status Start(const ServerStart& start, SignalGuard& signals);
   void Stop();  // SIGTERM, then SIGKILL
 
@@ -54,7 +54,8 @@ class LocalServers : public ServerSource {
   std::vector<int> wake_fds() const override;
 
  private:
-  const std::string elsewhere_;  // HOST:PORT or empty
+  const std::vector<std::string> elsewhere_;
+  size_t given_ = 0;
   std::map<std::string, ServerProcess> servers_;
 };
 

@@ -22,11 +22,12 @@
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "common/unit/robots.h"
+#include "common/wire/remote_policy.h"
 
 namespace robostress {
 namespace {
 
-constexpr absl::string_view kMethod = "method.";
+constexpr absl::string_view kMethod = "method.", kRemote = "remote.";
 
 // Collects complaints, so that a person corrects all of a command at once.
 class Complaints {
@@ -139,6 +140,36 @@ void CheckPolicies(const SweepGrid& grid, const RobotInfo& robot, PolicyHome hom
   }
 }
 
+// A policy that somebody else serves.
+void CheckRemote(const SweepGrid& grid, const RobotInfo& robot, PolicyHome home,
+                 Complaints& complaints) {
+  if (!grid.remote.used()) return;
+  if (home == PolicyHome::kHere)
+    complaints.Add("the grid asks another server's policy; give its address: --policy-url URL");
+  if (robot.name != "panda")
+    complaints.Add(absl::StrCat("another server's policy moves the simulated panda, the robot is ",
+                                robot.name));
+  if (grid.policies.size() != 1) {
+    complaints.Add(absl::StrCat("policies are ", absl::StrJoin(grid.policies, ", "),
+                                "; another server's policy has one name: --policies NAME"));
+  }
+  for (const std::string& policy : grid.policies)
+    if (RunsInWorker(policy))
+      complaints.Add(absl::StrCat(
+          "policy ", policy, " runs in the worker; choose another name for what the server holds"));
+  for (const std::string& name : grid.methods) {
+    const absl::StatusOr<MethodOptions> method = MakeMethod(name);
+    if (method.ok() && method->adapts()) {
+      complaints.Add(
+          absl::StrCat("method ", name,
+                       " adapts weights, which are the other server's; methods that correct "
+                       "commands alone: base, gain, direct, ours_following"));
+    }
+  }
+  if (const absl::Status status = CheckRemotePolicy(grid.remote); !status.ok())
+    complaints.Add(std::string(status.message()));
+}
+
 void CheckScenarios(const SweepGrid& grid, const RobotInfo& robot, Complaints& complaints) {
   std::vector<std::string> built_in, labels;
   for (const std::string& scenario : grid.scenarios) {
@@ -190,12 +221,13 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
 }
 
 absl::Status CheckOverride(const std::string& assignment, UnitConfig& scratch) {
-  for (const char* section : {"sim.", "method.", "client."}) {
+  for (const char* section : {"sim.", "method.", "client.", "remote."}) {
     if (absl::StartsWith(assignment, section) && absl::StrContains(assignment, '='))
       return ApplyOverrides({assignment}, scratch);
   }
   return absl::InvalidArgumentError(absl::StrCat(
-      "override '", assignment, "' must be sim.KEY=VALUE, method.KEY=VALUE or client.KEY=VALUE"));
+      "override '", assignment,
+      "' must be sim.KEY=VALUE, method.KEY=VALUE, client.KEY=VALUE or remote.KEY=VALUE"));
 }
 
 bool NeedsLibero(const std::string& suite) {
@@ -222,7 +254,9 @@ bool SameAtEveryLevel(const std::string& scenario) {
 }
 
 std::string PolicyLabel(const std::string& policy) {
-  return std::filesystem::path(policy).stem().string();
+  const std::filesystem::path path(policy);
+  return path.has_parent_path() || path.extension() == ".safetensors" ? path.stem().string()
+                                                                      : policy;
 }
 
 SweepGrid QuickGrid() {
@@ -269,7 +303,7 @@ namespace {
 
 // "method.x=y" without its section, the others as they are.
 struct Overrides {
-  std::vector<std::string> others, method;
+  std::vector<std::string> others, method, remote;
 };
 
 Overrides Part(const std::vector<std::string>& overrides) {
@@ -277,6 +311,8 @@ Overrides Part(const std::vector<std::string>& overrides) {
   for (const std::string& assignment : overrides) {
     if (absl::StartsWith(assignment, kMethod)) {
       parts.method.push_back(assignment.substr(kMethod.size()));
+    } else if (absl::StartsWith(assignment, kRemote)) {
+      parts.remote.push_back(assignment.substr(kRemote.size()));
     } else {
       parts.others.push_back(assignment);
     }
@@ -320,17 +356,21 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   const RobotInfo& robot = *found;
   if (grid.suites.empty()) grid.suites = robot.suites;
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios(robot);
-  if (grid.policies.empty()) grid.policies = {robot.policy};
+  if (grid.policies.empty()) grid.policies = {grid.remote.used() ? "remote" : robot.policy};
   if (std::any_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
     SetFromEnvironment("LIBERO_ROOT", grid.libero_root);
     SetFromEnvironment("ROBOSUITE_ROOT", grid.robosuite_root);
   }
   Complaints complaints;
+  if (const absl::Status status = ApplyOverrides(Part(grid.overrides).remote, grid.remote);
+      !status.ok())
+    complaints.Add(std::string(status.message()));
   const std::vector<std::string> suites = SuitesOf(robot.name);
   complaints.CheckNames("suite", grid.suites, suites);
   CheckScenarios(grid, robot, complaints);
   complaints.CheckNames("method", grid.methods, robot.methods);
   CheckPolicies(grid, robot, home, complaints);
+  CheckRemote(grid, robot, home, complaints);
   CheckRanges(grid, complaints);
   complaints.CheckUnique("suite", grid.suites);
   complaints.CheckUnique("method", grid.methods);
@@ -382,6 +422,7 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
     config.libero_root = grid.libero_root;
     config.robosuite_root = grid.robosuite_root;
     config.libero_fixtures = grid.libero_fixtures;
+    config.remote = grid.remote;
     for (const std::string& scenario : grid.scenarios) {
       config.scenario = scenario;
       const std::vector<int> once = {

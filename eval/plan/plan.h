@@ -25,9 +25,10 @@ struct SweepGrid {
   int episodes = 20;
   int first_initial_state = 0;
   int videos = 0;
-  std::vector<std::string> overrides;  // "sim.x=y", "method.x=y", "client.x=y"
+  std::vector<std::string> overrides;  // "sim.x=y", "method.x=y", ...
   std::string replay_file, libero_root, robosuite_root;
   std::string libero_fixtures = "centred";
+  RemotePolicyOptions remote;  // used: another server holds the policy, whose label stands above
 
   template <class V>
   void Visit(V& v) {
@@ -46,12 +47,13 @@ struct SweepGrid {
     v.Field("first_initial_state", first_initial_state, "0-19 reporting, 40-49 dev");
     v.Field("videos", videos, "film the first N episodes of each task");
     v.Field("overrides", overrides,
-            "sim.KEY=VALUE, method.KEY=VALUE and client.KEY=VALUE, in order");
+            "sim.KEY=VALUE, method.KEY=VALUE, client.KEY=VALUE and remote.KEY=VALUE, in order");
     v.Field("replay_file", replay_file, "actions for policy replay");
     v.Field("libero_root", libero_root, "LIBERO checkout, for suites libero_*");
     v.Field("robosuite_root", robosuite_root, "robosuite checkout, for suites libero_*");
     v.Field("libero_fixtures", libero_fixtures,
             "where fixtures of suites libero_* stand: centred, sampled, numpy[:SEED] or a file");
+    v.LateSection("remote", remote, remote.used(), "how a policy of another server is asked");
   }
 };
 
@@ -85,7 +87,8 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& resolved);
 std::string UnitId(const UnitConfig& config);
 // True when every level of the scenario is the same (clean, nominal, dev_mixed; an arm).
 bool SameAtEveryLevel(const std::string& scenario);
-// The policy's name as it stands in ids and tables: a weights file is named by its stem.
+// The policy's name as it stands in ids and tables: a weights file or a folder is named by its
+// stem.
 std::string PolicyLabel(const std::string& policy);
 
 }  // namespace robostress

@@ -149,6 +149,8 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
                   Tiles(run, summary, main));
   if (const std::string note = MixedMachinesNote(run); !note.empty())
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), ".</p>\n");
+  if (const std::string note = UnpairedNoiseNote(run); !note.empty())
+    absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");
   if (!run.unfinished.empty()) {
     absl::StrAppend(&html, "<p class=warn>", run.unfinished.size(),
                     " unfinished units are left out of every number on this page: ",

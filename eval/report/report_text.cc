@@ -162,8 +162,8 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
                   "the unadapted policy's command; tracking: with\n"
                   "  the controller's steady gain in the scale. The paper's column: another policy "
                   "and other tasks.\n");
-  if (const std::string note = MixedMachinesNote(run); !note.empty())
-    absl::StrAppend(&text, "  ", note, "\n");
+  for (const std::string& note : {MixedMachinesNote(run), UnpairedNoiseNote(run)})
+    if (!note.empty()) absl::StrAppend(&text, "  ", note, "\n");
   if (!run.unfinished.empty()) {
     absl::StrAppend(&text, "  ", run.unfinished.size(),
                     " unfinished units are left out; the same sweep command completes them.\n");

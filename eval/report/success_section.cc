@@ -211,8 +211,10 @@ std::string SuccessSection(const Summary& summary) {
       "paired cluster bootstrap over (task, initial state) with ",
       summary.replicates,
       " replicates. Won / lost: episodes that only the method, only base, completed; both start "
-      "from the same state with the same sampling noise "
-      "(the null control has other noise). The paper's columns (tab:realistic) are for orientation "
+      "from the same state",
+      summary.noise_paired ? " with the same sampling noise (the null control has other noise)"
+                           : ", with sampling noise of their own",
+      ". The paper's columns (tab:realistic) are for orientation "
       "only: another policy, other tasks, 20 episodes on each of 40 tasks, three seeds.</p>\n");
   return html;
 }

@@ -237,6 +237,7 @@ CurveSet MakeCurves(const Units& units, const std::string& policy, int severity)
 Summary Summarise(const RunData& run, int bootstrap_replicates) {
   Summary summary;
   summary.replicates = bootstrap_replicates;
+  summary.noise_paired = UnpairedNoiseNote(run).empty();
   std::set<std::pair<std::string, int>> groups;  // policy, severity
   std::map<std::string, std::set<int>> levels;   // of scenarios that have several
   for (const UnitResult& unit : run.units) {

@@ -89,6 +89,7 @@ struct Summary {
   std::vector<CurveSet> curves;
   int episodes = 0;
   int replicates = 0;
+  bool noise_paired = true;  // pairs share their sampling noise, too
 };
 
 Summary Summarise(const RunData& run, int bootstrap_replicates);

@@ -134,6 +134,18 @@ void SortUnits(std::vector<UnitResult>& units) {
   });
 }
 
+std::string UnpairedNoiseNote(const RunData& run) {
+  std::set<std::string> policies;
+  for (const UnitResult& unit : run.units)
+    if (unit.config.remote.used() && !unit.config.remote.dialect.PairsNoise())
+      policies.insert(unit.config.policy);
+  if (policies.empty()) return "";
+  return absl::StrCat("Sampling noise not paired: the server of ", absl::StrJoin(policies, ", "),
+                      " takes neither seed nor noise, so that pairs share their initial state "
+                      "alone, and a pair may "
+                      "differ by chance where no method acts.");
+}
+
 std::string MixedMachinesNote(const RunData& run) {
   if (run.machines.size() < 2) return "";
   std::vector<std::string> kinds;

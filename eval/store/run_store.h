@@ -52,6 +52,8 @@ void SortUnits(std::vector<UnitResult>& units);
 std::string EpisodeTableCsv(const RunData& run);
 // "" when all units ran on one kind of processor; else what a table must say.
 std::string MixedMachinesNote(const RunData& run);
+// "" where every policy's sampling noise is a function of the episode; else what a table must say.
+std::string UnpairedNoiseNote(const RunData& run);
 // Timings apart: one row per unit, summed over its timing.jsonl.
 std::string UnitTimingCsv(const RunData& run);
 

@@ -16,21 +16,6 @@
 
 namespace robostress {
 
-NominalArmOptions NominalArmOf(const SessionSpec& spec) {
-  NominalArmOptions options;
-  options.goal_reference = spec.goal_reference;
-  options.control_period_s = spec.control_period_s;
-  return options;
-}
-
-ResidualOptions ResidualOf(const SessionSpec& spec) {
-  ResidualOptions options = ResidualOptionsOf(
-      *spec.method, ActsInJointSpace(spec) ? ResidualSpace::kJoint : ResidualSpace::kEndEffector);
-  options.translation_scale = spec.translation_scale;
-  options.rotation_scale = spec.rotation_scale;
-  return options;
-}
-
 namespace {
 
 // Of a method that does not adapt, the defaults: nothing comes into its buffer.
@@ -48,7 +33,7 @@ Learner::Learner(const SessionSpec* spec, std::shared_ptr<const FlowPolicy> poli
       prefixes_(std::move(prefixes)),
       guard_(guard),
       key_(StreamKey("session").With(SessionIdentity(*spec))),
-      residual_(ResidualOf(*spec)),
+      residual_(ResidualOf(*spec, *spec->method)),
       lora_(LoraOf(*spec)),
       buffer_(lora_.buffer_chunks),
       schedule_(lora_.buffer_chunks, lora_.update_interval),

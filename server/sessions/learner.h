@@ -10,9 +10,11 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "adapter/adaptation_state.h"
+#include "adapter/command_correction.h"
 #include "adapter/feedback_buffer.h"
 #include "adapter/lora_adapter.h"
 #include "adapter/lora_options.h"
+#include "adapter/measured_chunk.h"
 #include "adapter/nominal_arm.h"
 #include "adapter/residual.h"
 #include "adapter/update_schedule.h"
@@ -20,13 +22,9 @@
 #include "common/rollout/session_spec.h"
 #include "server/inference/prefix_store.h"
 #include "server/policies/policy.h"
-#include "server/sessions/measured_chunk.h"
 #include "server/sessions/prediction.h"
 
 namespace robostress {
-
-NominalArmOptions NominalArmOf(const SessionSpec& spec);
-ResidualOptions ResidualOf(const SessionSpec& spec);
 
 // What a session learns: the buffer, when an update is due, from what it is made, and the adapter.
 // A method that does not adapt has no adapter; what it would learn from is passed over.

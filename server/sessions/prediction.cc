@@ -6,9 +6,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "adapter/command_bounds.h"
 #include "adapter/method_options.h"
 #include "common/status_macros.h"
-#include "server/sessions/command_bounds.h"
 
 namespace robostress {
 namespace {
@@ -80,23 +80,6 @@ absl::StatusOr<SampledPrediction> ComputePrediction(Batcher& batcher, Prediction
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("prediction failed: ", error.what()));
   }
-}
-
-void CorrectCommands(const SessionSpec& spec, const PolicySpec& policy,
-                     const Eigen::VectorXd& correction, PredictedChunk& answer) {
-  answer.actions = answer.policy_actions;
-  const Eigen::Index arm = answer.actions.cols() - 1;
-  if (spec.method->gain != 1.0) {
-    answer.actions.leftCols(arm) *= static_cast<float>(spec.method->gain);
-  }
-  if (correction.size() > 0) {
-    constexpr double kWidest = kWidestCommand;  // what does not fit in a float would be undefined
-    answer.actions.leftCols(arm).rowwise() +=
-        correction.head(arm).cwiseMax(-kWidest).cwiseMin(kWidest).cast<float>().transpose();
-  }
-  // After the last stage, whatever it was.
-  if (spec.method->gain != 1.0 || correction.size() > 0)
-    BoundCommands(policy, answer.policy_actions, answer.actions);
 }
 
 }  // namespace robostress

@@ -59,9 +59,4 @@ absl::StatusOr<SampledPrediction> ComputePrediction(Batcher& batcher, Prediction
                                                     const SessionSpec& spec, const ChunkKey& key,
                                                     PredictedChunk& answer);
 
-// The chunk that is sent: the policy's with the method's gain, `correction` (of the arm's entries;
-// empty: none) and the bounds of `policy` after both.
-void CorrectCommands(const SessionSpec& spec, const PolicySpec& policy,
-                     const Eigen::VectorXd& correction, PredictedChunk& answer);
-
 }  // namespace robostress

@@ -30,7 +30,7 @@ Session::Session(const SessionSpec& spec, const SessionResources& resources, uin
       resources_(resources),
       policy_spec_(SpecOf(resources)),
       owner_(owner),
-      residual_options_(ResidualOf(spec)),
+      residual_options_(ResidualOf(spec, *spec.method)),
       rules_(&spec_, resources_.policy.get()),
       correction_(*spec.method, residual_options_, NominalArmOf(spec)) {}
 
@@ -154,7 +154,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(std::shared_ptr<const Observatio
   RS_ASSIGN_OR_RETURN(
       SampledPrediction sampled,
       ComputePrediction(*resources_.inference, JobOf(observation, options), spec_, key, *answer));
-  CorrectCommands(spec_, policy_spec(), correction, *answer);
+  CorrectCommands(*spec_.method, policy_spec(), correction, *answer);
 
   Prediction prediction{.id = answer->prediction_id, .key = key};
   prediction.answered = answer;

@@ -1,11 +1,14 @@
 #include "sim_worker/worker/sim_unit.h"
 
+#include <algorithm>
 #include <chrono>
+#include <map>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/compensated_policy.h"
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
@@ -17,6 +20,7 @@
 #include "common/rollout/rollout.h"
 #include "common/rpc/policy_client.h"
 #include "common/status_macros.h"
+#include "common/wire/remote_policy.h"
 #include "sim_worker/worker/sim_episode_row.h"
 
 namespace robostress {
@@ -69,6 +73,7 @@ class SimPlayer : public UnitPlayer {
       RS_ASSIGN_OR_RETURN(local_, MakeReplayPolicy(unit_.replay_file));
       return local_->spec().model_hash;
     }
+    if (unit_.remote.used()) return OpenRemote();
     PolicyClientOptions client;
     client.address = options_.server;
     client.connect_timeout_s = options_.connect_timeout_s;
@@ -80,6 +85,11 @@ class SimPlayer : public UnitPlayer {
                        unit_.method->method, "' needs that; use method base"));
     }
     return client_->spec().model_hash;
+  }
+
+  std::map<std::string, std::string> Provenance() const override {
+    if (remote_ == nullptr) return {};
+    return {{"url", remote_->address()}, {"metadata", remote_->metadata()}};
   }
 
   absl::StatusOr<std::optional<std::string>> Export() override {
@@ -133,6 +143,20 @@ class SimPlayer : public UnitPlayer {
   }
 
  private:
+  absl::StatusOr<std::string> OpenRemote() {
+    const RequestedSession session = SessionOf(unit_);
+    OpenpiConnectionOptions connection;
+    RS_ASSIGN_OR_RETURN(connection.socket.secrets, ClientSecretsFromEnvironment());
+    connection.socket.connect_timeout = absl::Seconds(options_.connect_timeout_s);
+    connection.answer_timeout = absl::Seconds(options_.call_timeout_s);
+    connection.first_answer_timeout =
+        std::max(connection.first_answer_timeout, connection.answer_timeout);
+    RS_ASSIGN_OR_RETURN(remote_, RemotePolicy::Connect(options_.server, unit_.remote, session,
+                                                       unit_.method->noise_stream, connection));
+    RS_ASSIGN_OR_RETURN(local_, CompensatedPolicy::Create(remote_.get(), session, *unit_.method));
+    return remote_->spec().model_hash;
+  }
+
   absl::Status OpenTask(int task) {
     if (task_index_ == task) return absl::OkStatus();
     if (unit_.policy == "expert") local_.reset();  // it reads the task that goes
@@ -176,7 +200,8 @@ class SimPlayer : public UnitPlayer {
   int task_index_ = -1;
   UnitTask task_;
   UnitTask clean_task_;  // the same task without joint errors; with measure_lag only
-  std::unique_ptr<PolicyEndpoint> local_;  // expert (reads task_), replay
+  std::unique_ptr<RemotePolicy> remote_;
+  std::unique_ptr<PolicyEndpoint> local_;  // expert (reads task_), replay, compensated remote_
   std::unique_ptr<GrpcPolicyClient> client_;
   uint64_t sequence_ = 0;  // of the last feedback sent
 };

@@ -97,8 +97,9 @@ int Main(int argc, char** argv) {
   app.add_option("--set", overrides, "key.key=value over the unit's configuration, repeatable")
       ->allow_extra_args(false);
   app.add_option("--out", options.run.out, "directory to write")->required();
-  app.add_option("--server", options.server,
-                 "HOST:PORT of a policy server; not for expert and replay");
+  app.add_option(
+      "--server", options.server,
+      "HOST:PORT of a policy server, or ws://HOST:PORT of another's; not for expert and replay");
   app.add_option(
       "--episodes", options.run.episodes,
       "FIRST-LAST: only this range of the unit's episodes, in the order of execution; for "

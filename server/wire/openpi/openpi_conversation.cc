@@ -70,12 +70,13 @@ std::string OpenpiConversation::Greeting() {
   for (const char* key : {"session", "episode", "reset", "executed"}) writer.Text(key);
   writer.Text("policies").List(static_cast<uint32_t>(policies.size()));
   for (const PolicySpec& policy : policies) {
-    writer.Map(9).Text("name").Text(policy.name);
+    writer.Map(10).Text("name").Text(policy.name);
     writer.Text("cameras").List(static_cast<uint32_t>(policy.cameras.size()));
     for (const std::string& camera : policy.cameras) writer.Text(camera);
     writer.Text("state_dim").Integer(policy.state_dim);
     writer.Text("action_dim").Integer(policy.action_dim);
     writer.Text("action_horizon").Integer(policy.horizon);
+    writer.Text("execute_steps").Integer(policy.execute_steps);
     writer.Text("image_width").Integer(policy.image_width);
     writer.Text("image_height").Integer(policy.image_height);
     // Whether views of other sizes are taken from a client that does not ask for it.

@@ -1,6 +1,6 @@
 // Impossible measurements, whatever a method makes of them: commands are bounded numbers and the
 // next normal chunk works.
-#include "server/sessions/command_bounds.h"
+#include "adapter/command_bounds.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

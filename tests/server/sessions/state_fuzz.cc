@@ -16,10 +16,10 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "adapter/command_bounds.h"
 #include "adapter/update_schedule.h"
 #include "common/status_macros.h"
 #include "proto/robostress/v1/state.pb.h"
-#include "server/sessions/command_bounds.h"
 #include "server/sessions/journal/record_file.h"
 #include "server/sessions/journal/session_journal.h"
 #include "server/sessions/session_registry.h"

@@ -1,4 +1,4 @@
-#include "server/sessions/measured_chunk.h"
+#include "adapter/measured_chunk.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

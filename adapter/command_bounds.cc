@@ -1,4 +1,4 @@
-#include "server/sessions/command_bounds.h"
+#include "adapter/command_bounds.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,0 +1,54 @@
+#include "adapter/compensated_policy.h"
+
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "adapter/measured_chunk.h"
+#include "adapter/method_options.h"
+#include "common/rollout/chunk_key.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+
+CompensatedPolicy::CompensatedPolicy(PolicyEndpoint* policy, const SessionSetting& setting,
+                                     const MethodOptions& method)
+    : policy_(policy),
+      method_(method),
+      residual_(ResidualOf(setting, method)),
+      correction_(method, residual_, NominalArmOf(setting)) {}
+
+absl::StatusOr<std::unique_ptr<CompensatedPolicy>> CompensatedPolicy::Create(
+    PolicyEndpoint* policy, const SessionSetting& setting, const MethodOptions& method) {
+  if (method.adapts()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "method '", method.method, "' adapts weights, and policy '", setting.policy,
+        "' has none here; take one that corrects commands alone: gain, direct, ours_following"));
+  }
+  RS_RETURN_IF_ERROR(method.Check());
+  if (ActsInJointSpace(setting)) RS_RETURN_IF_ERROR(method.CheckJointSpace(setting.robot));
+  return std::unique_ptr<CompensatedPolicy>(new CompensatedPolicy(policy, setting, method));
+}
+
+absl::Status CompensatedPolicy::StartEpisode(const EpisodeKey& key) {
+  RS_RETURN_IF_ERROR(policy_->StartEpisode(key));
+  episode_ = key;
+  correction_.StartEpisode();
+  return absl::OkStatus();
+}
+
+absl::StatusOr<PredictedChunk> CompensatedPolicy::Predict(const Observation& observation,
+                                                          int chunk) {
+  const Eigen::VectorXd correction = correction_.Value();
+  RS_ASSIGN_OR_RETURN(PredictedChunk predicted, policy_->Predict(observation, chunk));
+  CorrectCommands(*method_, policy_->spec(), correction, predicted);
+  return predicted;
+}
+
+absl::Status CompensatedPolicy::SendFeedback(ExecutedChunk executed) {
+  RS_ASSIGN_OR_RETURN(const MeasuredChunk measured,
+                      MeasuredChunk::Create(executed, policy_->spec(), residual_));
+  if (episode_ == KeyOf(executed).episode) correction_.Observe(measured.usable());
+  return policy_->SendFeedback(std::move(executed));
+}
+
+}  // namespace robostress

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "adapter/command_correction.h"
+#include "common/deferred.h"
+#include "common/rollout/policy_endpoint.h"
+#include "common/rollout/session_spec.h"
+
+namespace robostress {
+
+struct MethodOptions;  // adapter/method_options.h
+
+// Any policy with what a method does that needs no weights: gain, direct and integral correction,
+// model following. Its commands are, bit by bit, those of a session of our own server with that
+// method around a policy that predicts the same. One thread.
+class CompensatedPolicy : public PolicyEndpoint {
+ public:
+  // `policy` outlives this and adapts nothing. INVALID_ARGUMENT names the method that needs
+  // weights, or one of whose options does not hold.
+  static absl::StatusOr<std::unique_ptr<CompensatedPolicy>> Create(PolicyEndpoint* policy,
+                                                                   const SessionSetting& setting,
+                                                                   const MethodOptions& method);
+
+  const PolicySpec& spec() const override { return policy_->spec(); }
+  absl::Status StartEpisode(const EpisodeKey& key) override;
+  absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
+  // A chunk of another episode than the open one teaches nothing; one that nobody can have measured
+  // is INVALID_ARGUMENT, and nothing changes.
+  absl::Status SendFeedback(ExecutedChunk executed) override;
+  absl::StatusOr<SessionStats> Stats() override { return policy_->Stats(); }
+
+ private:
+  CompensatedPolicy(PolicyEndpoint* policy, const SessionSetting& setting,
+                    const MethodOptions& method);
+
+  PolicyEndpoint* const policy_;
+  const Deferred<MethodOptions> method_;
+  const ResidualOptions residual_;
+  CommandCorrection correction_;
+  std::optional<EpisodeKey> episode_;
+};
+
+}  // namespace robostress

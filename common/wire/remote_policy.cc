@@ -1,0 +1,319 @@
+#include "common/wire/remote_policy.h"
+
+#include <algorithm>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
+#include "common/atomic_file.h"
+#include "common/rollout/field_checks.h"
+#include "common/rollout/message_limits.h"
+#include "common/status_macros.h"
+#include "common/wire/openpi_answer.h"
+#include "common/wire/openpi_writer.h"
+#include "common/wire/web_url.h"
+#include "nlohmann/json.hpp"
+#include "spdlog/spdlog.h"
+
+namespace robostress {
+namespace {
+
+using nlohmann::json;
+
+// Between two attempts: a server that restarts loads its weights.
+constexpr absl::Duration kFirstPause = absl::Milliseconds(200), kLongestPause = absl::Seconds(5);
+constexpr int kAttempts = 5;  // of one question, each on a connection of its own
+
+json JsonOf(const OpenpiValue& value) {
+  struct Visitor {
+    json operator()(std::monostate) const { return nullptr; }
+    json operator()(bool v) const { return v; }
+    json operator()(int64_t v) const { return v; }
+    json operator()(double v) const { return v; }
+    json operator()(std::string_view v) const { return std::string(v); }
+    json operator()(const OpenpiArray& v) const {
+      return {{"dtype", v.dtype}, {"shape", v.shape}, {"sha256", Sha256Hex(v.data)}};
+    }
+    json operator()(const OpenpiValue::List& v) const {
+      json list = json::array();
+      for (const OpenpiValue& item : v) list.push_back(JsonOf(item));
+      return list;
+    }
+    json operator()(const OpenpiValue::Map& v) const {
+      json map = json::object();
+      for (const auto& [key, item] : v) map[key] = JsonOf(item);
+      return map;
+    }
+  };
+  return std::visit(Visitor{}, value.value);
+}
+
+bool ComesAndGoes(const absl::Status& status) {
+  return absl::IsUnavailable(status) || absl::IsDeadlineExceeded(status);
+}
+
+std::string MapOf(const std::vector<std::pair<std::string, std::string>>& entries) {
+  OpenpiWriter writer;
+  writer.Map(static_cast<uint32_t>(entries.size()));
+  for (const auto& [key, value] : entries) writer.Text(key).Value(value);
+  return writer.Take();
+}
+
+std::string Integer(int64_t value) { return OpenpiWriter().Integer(value).Take(); }
+std::string Text(const std::string& text) { return OpenpiWriter().Text(text).Take(); }
+
+}  // namespace
+
+absl::Status CheckRemotePolicy(const RemotePolicyOptions& options) {
+  const OpenpiDialect& dialect = options.dialect;
+  const auto cameras = options.cameras.size();
+  RS_RETURN_IF_ERROR(CheckRange("remote.cameras", cameras, 0, WireLimits::kViews));
+  if (!dialect.cameras.empty() && dialect.cameras.size() < cameras) {
+    return Invalid("remote.cameras names ", cameras, " cameras, dialect ", dialect.name,
+                   " has keys for ", dialect.cameras.size());
+  }
+  RS_RETURN_IF_ERROR(
+      CheckRange("remote.image_size", options.image_size, 1, WireLimits::kImageSide));
+  RS_RETURN_IF_ERROR(CheckRange("remote.state_dim", options.state_dim, 1, WireLimits::kStateDim));
+  RS_RETURN_IF_ERROR(
+      CheckRange("remote.action_dim", options.action_dim, 2, WireLimits::kActionDim));
+  RS_RETURN_IF_ERROR(
+      CheckRange("remote.execute_steps", options.execute_steps, 1, WireLimits::kHorizon));
+  if (dialect.noise.empty()) return absl::OkStatus();
+  RS_RETURN_IF_ERROR(CheckRange("remote.noise_rows", options.noise_rows, 1, WireLimits::kHorizon));
+  return CheckRange("remote.noise_cols", options.noise_cols, 1, WireLimits::kActionDim);
+}
+
+RemotePolicy::RemotePolicy(std::string url, const RemotePolicyOptions& options,
+                           const SessionSetting& setting, std::string noise_stream,
+                           const OpenpiConnectionOptions& connection)
+    : url_(std::move(url)),
+      noise_stream_(std::move(noise_stream)),
+      options_(options),
+      setting_(setting),
+      connection_options_(connection) {
+  spec_.name = setting.policy;
+  spec_.cameras = options.cameras;
+  spec_.image_width = spec_.image_height = options.image_size;
+  spec_.state_dim = options.state_dim;
+  spec_.action_dim = options.action_dim;
+  spec_.horizon = spec_.execute_steps = options.execute_steps;
+  spec_.control_space = setting.control_space;
+}
+
+absl::StatusOr<std::unique_ptr<RemotePolicy>> RemotePolicy::Connect(
+    const std::string& url, const RemotePolicyOptions& options, const SessionSetting& setting,
+    const std::string& noise_stream, const OpenpiConnectionOptions& connection) {
+  RS_RETURN_IF_ERROR(CheckRemotePolicy(options));
+  RS_ASSIGN_OR_RETURN(WebUrl where, ParseWebUrl(url));
+  if (where.target == "/" && !options.dialect.path.empty()) where.target = options.dialect.path;
+  std::unique_ptr<RemotePolicy> policy(
+      new RemotePolicy(where.text(), options, setting, noise_stream, connection));
+  RS_RETURN_IF_ERROR(policy->Dial());
+  RS_RETURN_IF_ERROR(policy->CheckMetadata());
+  policy->spec_.model_hash = Sha256Hex(absl::StrCat(setting.policy, "\n", policy->metadata_hash_));
+  // Names this client, and is the same whenever the unit is run.
+  policy->session_name_ = absl::StrCat(
+      "robostress-", Sha256Hex(absl::StrCat(setting.suite, "/", setting.scenario, "/",
+                                            setting.severity, "/", setting.seed, "/", noise_stream))
+                         .substr(0, 16));
+  return policy;
+}
+
+absl::Status RemotePolicy::Dial() {
+  RS_ASSIGN_OR_RETURN(connection_, OpenpiConnection::Connect(url_, connection_options_));
+  connection_begins_ = true;
+  episode_begins_ = episode_open_;  // whatever the server knew of it
+  const std::string hash = Sha256Hex(metadata());
+  if (metadata_hash_.empty()) metadata_hash_ = hash;
+  if (metadata_hash_ != hash && !metadata_changed_) {
+    metadata_changed_ = true;
+    spdlog::warn("{}: its metadata changed while the unit runs; is it the same model?", address());
+  }
+  return absl::OkStatus();
+}
+
+std::string RemotePolicy::metadata() const {
+  return JsonOf(connection_->metadata()).dump(-1, ' ', false, json::error_handler_t::replace);
+}
+
+absl::Status RemotePolicy::CheckMetadata() {
+  const OpenpiValue& metadata = connection_->metadata();
+  const auto check = [&](const char* what, const OpenpiValue* said, int64_t ours) -> absl::Status {
+    const auto* number = said == nullptr ? nullptr : std::get_if<int64_t>(&said->value);
+    if (number == nullptr || *number == ours) return absl::OkStatus();
+    return Invalid(address(), " says ", what, " ", *number, ", remote.", what, " is ", ours,
+                   "; set it to the server's, or ask the right server");
+  };
+  // SGLang's, and ours.
+  if (const OpenpiValue* output = metadata.Find("output"))
+    RS_RETURN_IF_ERROR(check("action_dim", output->Find("action_dim"), options_.action_dim));
+  if (const OpenpiValue* input = metadata.Find("input"))
+    RS_RETURN_IF_ERROR(check("state_dim", input->Find("state_dim"), options_.state_dim));
+  const OpenpiValue* policies = metadata.Find("policies");
+  const auto* list =
+      policies == nullptr ? nullptr : std::get_if<OpenpiValue::List>(&policies->value);
+  if (list == nullptr || list->empty()) return absl::OkStatus();
+  const OpenpiValue* served = nullptr;
+  std::string names;
+  for (const OpenpiValue& policy : *list) {
+    const OpenpiValue* name = policy.Find("name");
+    const auto* text = name == nullptr ? nullptr : std::get_if<std::string_view>(&name->value);
+    if (text == nullptr) continue;
+    absl::StrAppend(&names, names.empty() ? "" : ", ", std::string(*text));
+    if (*text == setting_.policy) served = &policy;
+  }
+  if (served == nullptr && options_.dialect.describes_session) {
+    return absl::NotFoundError(
+        absl::StrCat(address(), " serves ", names, "; '", setting_.policy, "' is not among them"));
+  }
+  if (served == nullptr) served = &list->front();
+  if (options_.dialect.describes_session) Adopt(*served);
+  RS_RETURN_IF_ERROR(check("state_dim", served->Find("state_dim"), options_.state_dim));
+  return check("action_dim", served->Find("action_dim"), options_.action_dim);
+}
+
+void RemotePolicy::Adopt(const OpenpiValue& declared) {
+  const auto integer = [&](const char* key, int& value, int most) {
+    const OpenpiValue* found = declared.Find(key);
+    const auto* number = found == nullptr ? nullptr : std::get_if<int64_t>(&found->value);
+    if (number != nullptr && *number >= 1 && *number <= most) value = static_cast<int>(*number);
+  };
+  integer("image_width", spec_.image_width, WireLimits::kImageSide);
+  integer("image_height", spec_.image_height, WireLimits::kImageSide);
+  integer("execute_steps", spec_.execute_steps, WireLimits::kHorizon);
+  const OpenpiValue* cameras = declared.Find("cameras");
+  const auto* names =
+      cameras == nullptr ? nullptr : std::get_if<OpenpiValue::List>(&cameras->value);
+  if (names == nullptr || names->size() > WireLimits::kViews) return;
+  spec_.cameras.clear();
+  for (const OpenpiValue& name : *names)
+    if (const auto* text = std::get_if<std::string_view>(&name.value))
+      spec_.cameras.emplace_back(*text);
+}
+
+StreamKey RemotePolicy::NoiseKey(int chunk) const {
+  return StreamKey("prediction_noise")
+      .With(noise_stream_)
+      .With(setting_.seed)
+      .With(setting_.suite)
+      .With(int64_t{episode_.task})
+      .With(int64_t{episode_.episode})
+      .With(int64_t{chunk});
+}
+
+std::string RemotePolicy::SessionText() const {
+  if (!options_.dialect.describes_session) return Text(session_name_);
+  std::vector<std::pair<std::string, std::string>> session = {
+      {"policy", Text(setting_.policy)},     {"suite", Text(setting_.suite)},
+      {"scenario", Text(setting_.scenario)}, {"severity", Integer(setting_.severity)},
+      {"seed", Integer(setting_.seed)},      {"method", Text("base")}};
+  if (noise_stream_ != "policy") {
+    OpenpiWriter options;
+    options.List(1).Text(absl::StrCat("noise_stream=", noise_stream_));
+    session.emplace_back("method_options", options.Take());
+  }
+  return MapOf(session);
+}
+
+std::vector<std::pair<std::string, std::string>> RemotePolicy::Extras(int chunk) const {
+  const OpenpiDialect& dialect = options_.dialect;
+  std::vector<std::pair<std::string, std::string>> extras;
+  if (!dialect.session.empty() && (connection_begins_ || !dialect.describes_session))
+    extras.emplace_back(dialect.session, SessionText());
+  if (episode_begins_ && !dialect.reset.empty() && dialect.reset_text.empty())
+    extras.emplace_back(dialect.reset, OpenpiWriter().Boolean(true).Take());
+  if (episode_begins_ && !dialect.episode.empty()) {
+    extras.emplace_back(dialect.episode, MapOf({{"task", Integer(episode_.task)},
+                                                {"episode", Integer(episode_.episode)}}));
+  }
+  if (!dialect.seed.empty()) {
+    RandomStream stream(NoiseKey(chunk));
+    extras.emplace_back(dialect.seed, Integer(stream.NextUint32() >> 1));
+  }
+  if (!dialect.noise.empty()) {
+    RandomStream stream(NoiseKey(chunk));
+    Eigen::MatrixXf noise(options_.noise_rows, options_.noise_cols);
+    for (Eigen::Index i = 0; i < noise.rows(); ++i)
+      for (Eigen::Index j = 0; j < noise.cols(); ++j)
+        noise(i, j) = static_cast<float>(stream.Normal());
+    extras.emplace_back(dialect.noise, OpenpiWriter().Array(noise).Take());
+  }
+  return extras;
+}
+
+absl::StatusOr<std::string> RemotePolicy::Ask(
+    const std::function<absl::StatusOr<std::string>()>& message) {
+  absl::Status lost;
+  absl::Duration pause = kFirstPause;
+  const absl::Time gone = absl::Now() + connection_options_.absence;
+  for (int attempt = 0; attempt < kAttempts;) {
+    if (!lost.ok()) {
+      const absl::Status dialled = Dial();
+      if (!dialled.ok() && !ComesAndGoes(dialled)) return dialled;
+      if (!dialled.ok()) {
+        if (absl::Now() + pause > gone) break;
+        absl::SleepFor(pause);
+        pause = std::min(2 * pause, kLongestPause);
+        continue;
+      }
+      ++reconnections_;
+      spdlog::info("{}: connected again ({} so far)", address(), reconnections_);
+    }
+    RS_ASSIGN_OR_RETURN(std::string text, message());
+    absl::StatusOr<std::string> answer = connection_->Ask(std::move(text));
+    if (answer.ok() || !ComesAndGoes(answer.status())) return answer;
+    lost = answer.status();
+    ++attempt;
+  }
+  return absl::UnavailableError(absl::StrCat(
+      "the policy at ", url_, " does not answer, after ", reconnections_, " further connections: ",
+      lost.message(), "; see the server's log, and run the same command again to go on"));
+}
+
+absl::Status RemotePolicy::StartEpisode(const EpisodeKey& key) {
+  episode_ = key;
+  episode_open_ = episode_begins_ = true;
+  const OpenpiDialect& dialect = options_.dialect;
+  if (dialect.reset.empty() || dialect.reset_text.empty()) return absl::OkStatus();
+  return Ask([&]() -> absl::StatusOr<std::string> {
+           std::vector<std::pair<std::string, std::string>> reset = {
+               {dialect.reset, Text(dialect.reset_text)}};
+           if (!dialect.session.empty()) reset.emplace_back(dialect.session, SessionText());
+           return MapOf(reset);
+         })
+      .status();
+}
+
+absl::StatusOr<PredictedChunk> RemotePolicy::Predict(const Observation& observation, int chunk) {
+  if (!episode_open_)
+    return absl::FailedPreconditionError("no episode is open: StartEpisode first");
+  RS_ASSIGN_OR_RETURN(const std::string bytes, Ask([&] {
+                        return WriteOpenpiObservation(observation, options_.dialect, Extras(chunk));
+                      }));
+  RS_ASSIGN_OR_RETURN(const OpenpiValue value, DecodeOpenpiValue(std::string_view(bytes)));
+  // The first answer says how many rows a chunk has; the others must keep to it.
+  const OpenpiSide rows =
+      answered_ ? OpenpiSide(spec_.horizon) : OpenpiSide(spec_.execute_steps, WireLimits::kHorizon);
+  absl::StatusOr<OpenpiAnswer> answer = ReadOpenpiAnswer(value, rows, options_.action_dim);
+  if (!answer.ok()) {
+    return absl::Status(answer.status().code(),
+                        absl::StrCat(address(), ": ", answer.status().message()));
+  }
+  spec_.horizon = static_cast<int>(answer->actions.rows());
+  answered_ = true;
+  episode_begins_ = connection_begins_ = false;
+  PredictedChunk predicted;
+  predicted.prediction_id = ++predictions_;
+  predicted.compute_ms = answer->infer_ms;
+  predicted.actions = predicted.policy_actions = predicted.base_actions =
+      std::move(answer->actions);
+  return predicted;
+}
+
+absl::Status RemotePolicy::SendFeedback(ExecutedChunk) {
+  ++stats_.feedback_chunks;
+  return absl::OkStatus();
+}
+
+}  // namespace robostress

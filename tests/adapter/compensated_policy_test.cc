@@ -1,0 +1,117 @@
+#include "adapter/compensated_policy.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "adapter/method_options.h"
+#include "adapter/methods.h"
+#include "tests/adapter/toy_arm.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::HasSubstr;
+
+// Says the same chunk whatever it sees.
+class SameChunk : public PolicyEndpoint {
+ public:
+  SameChunk() {
+    spec_.name = "same";
+    spec_.horizon = 10;
+    spec_.execute_steps = 5;
+  }
+  const PolicySpec& spec() const override { return spec_; }
+  absl::Status StartEpisode(const EpisodeKey&) override { return absl::OkStatus(); }
+  absl::StatusOr<PredictedChunk> Predict(const Observation&, int) override {
+    PredictedChunk chunk = ConstantPrediction(0.4f * Eigen::VectorXf::Unit(7, 0), 10);
+    chunk.prediction_id = ++predictions_;
+    return chunk;
+  }
+  absl::Status SendFeedback(ExecutedChunk) override {
+    ++reported;
+    return absl::OkStatus();
+  }
+  absl::StatusOr<SessionStats> Stats() override { return SessionStats(); }
+  int reported = 0;
+
+ private:
+  PolicySpec spec_;
+  uint64_t predictions_ = 0;
+};
+
+class CompensatedPolicyTest : public ::testing::Test {
+ protected:
+  void Wrap(const std::string& method) {
+    auto made = CompensatedPolicy::Create(&inner_, {}, *MakeMethod(method));
+    ASSERT_TRUE(made.ok()) << made.status();
+    policy_ = *std::move(made);
+    ASSERT_TRUE(policy_->StartEpisode({0, 0}).ok());
+  }
+  PredictedChunk Predict(int chunk) { return *policy_->Predict({}, chunk); }
+  // Of an arm that goes a tenth as far as it is told, a third of what the controller reaches.
+  ExecutedChunk Short(const PredictedChunk& predicted, uint64_t sequence) {
+    ExecutedChunk executed = ToyArm(0.1).Execute(predicted, 5);
+    executed.sequence = sequence;
+    return executed;
+  }
+
+  SameChunk inner_;
+  std::unique_ptr<CompensatedPolicy> policy_;
+};
+
+TEST_F(CompensatedPolicyTest, BaseChangesNothing) {
+  Wrap("base");
+  for (int chunk = 0; chunk < 4; ++chunk) {
+    const PredictedChunk predicted = Predict(chunk);
+    EXPECT_EQ(predicted.actions, predicted.policy_actions);
+    ASSERT_TRUE(policy_->SendFeedback(Short(predicted, chunk + 1)).ok());
+  }
+  EXPECT_EQ(inner_.reported, 4);
+}
+
+TEST_F(CompensatedPolicyTest, AnArmThatFallsShortIsToldMore) {
+  Wrap("ours_following");
+  EXPECT_EQ(Predict(0).actions(0, 0), 0.4f);
+  for (int chunk = 0; chunk < 4; ++chunk)
+    ASSERT_TRUE(policy_->SendFeedback(Short(Predict(chunk), chunk + 1)).ok());
+  const PredictedChunk told = Predict(4);
+  EXPECT_GT(told.actions(0, 0), 0.45f);
+  EXPECT_EQ(told.policy_actions(0, 0), 0.4f) << "the policy's own is not touched";
+  EXPECT_EQ(told.actions.col(6), told.policy_actions.col(6)) << "nor the gripper";
+}
+
+TEST_F(CompensatedPolicyTest, ANewEpisodeForgetsTheDirectCorrection) {
+  Wrap("direct");
+  ASSERT_TRUE(policy_->SendFeedback(Short(Predict(0), 1)).ok());
+  EXPECT_GT(Predict(1).actions(0, 0), 0.45f);
+  ASSERT_TRUE(policy_->StartEpisode({0, 1}).ok());
+  EXPECT_EQ(Predict(0).actions(0, 0), 0.4f);
+}
+
+TEST_F(CompensatedPolicyTest, AnotherEpisodesChunkTeachesNothing) {
+  Wrap("ours_following");
+  for (int chunk = 0; chunk < 4; ++chunk) {
+    ExecutedChunk executed = Short(Predict(chunk), chunk + 1);
+    executed.episode = 7;
+    ASSERT_TRUE(policy_->SendFeedback(executed).ok());
+  }
+  EXPECT_EQ(Predict(4).actions(0, 0), 0.4f);
+}
+
+TEST_F(CompensatedPolicyTest, RefusesWhatNobodyCanHaveMeasuredAndStaysAsItWas) {
+  Wrap("ours_following");
+  ExecutedChunk executed = Short(Predict(0), 1);
+  executed.final_state.tool.p_base_tool.x() = std::nan("");
+  EXPECT_FALSE(policy_->SendFeedback(executed).ok());
+  EXPECT_EQ(inner_.reported, 0);
+  EXPECT_EQ(Predict(1).actions(0, 0), 0.4f);
+}
+
+TEST_F(CompensatedPolicyTest, TellsWhichMethodNeedsWeights) {
+  const auto made = CompensatedPolicy::Create(&inner_, {.policy = "pi05"}, *MakeMethod("ours"));
+  EXPECT_THAT(made.status().message(),
+              HasSubstr("method 'ours' adapts weights, and policy 'pi05'"));
+}
+
+}  // namespace
+}  // namespace robostress

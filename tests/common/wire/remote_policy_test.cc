@@ -1,0 +1,289 @@
+#include "common/wire/remote_policy.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/socket.h>
+
+#include <atomic>
+#include <limits>
+#include <mutex>
+
+#include "common/wire/openpi_readers.h"
+#include "common/wire/openpi_writer.h"
+#include "tests/common/wire/scripted_peer.h"
+
+namespace robostress {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+std::string Answer(const Eigen::MatrixXf& actions) {
+  return OpenpiWriter().Map(1).Text("actions").Array(actions).Take();
+}
+std::string Zeros(int rows, int cols) { return Answer(Eigen::MatrixXf::Zero(rows, cols)); }
+
+// A policy server that greets every connection and keeps what it was told. `answer` gets the number
+// of the connection and of the message on it, from 0; an empty answer ends the connection.
+class PolicyPeer {
+ public:
+  using Socket = ScriptedPeer::Socket;
+  using Script = std::function<std::string(int connection, int message)>;
+
+  explicit PolicyPeer(Script answer, std::string metadata = OpenpiWriter().Map(0).Take())
+      : PolicyPeer(std::move(answer), [metadata](int) { return metadata; }) {}
+  PolicyPeer(Script answer, std::function<std::string(int)> metadata)
+      : thread_([this, answer = std::move(answer), metadata = std::move(metadata)] {
+          for (int connection = 0; !ended_; ++connection) {
+            ScriptedPeer::Error error;
+            ScriptedPeer::Tcp::socket socket(io_);
+            acceptor_.accept(socket, error);
+            if (error || ended_) return;
+            Socket web(std::move(socket));
+            live_ = web.next_layer().native_handle();
+            web.accept(error);
+            web.binary(true);
+            ScriptedPeer::Write(web, metadata(connection));
+            for (int message = 0;; ++message) {
+              const std::string told = ScriptedPeer::Read(web);
+              if (told.empty()) break;
+              {
+                const std::lock_guard<std::mutex> lock(mutex_);
+                told_.push_back(told);
+              }
+              const std::string reply = answer(connection, message);
+              if (reply.empty()) break;
+              web.text(reply[0] == 'T');
+              ScriptedPeer::Write(web, reply);
+            }
+          }
+        }) {}
+  ~PolicyPeer() {
+    ended_ = true;
+    ::shutdown(live_, SHUT_RDWR);  // whatever it waits for
+    ScriptedPeer::Error ignored;
+    ScriptedPeer::Tcp::socket(io_).connect(acceptor_.local_endpoint(), ignored);
+    thread_.join();
+  }
+  std::string url() const {
+    return absl::StrCat("ws://127.0.0.1:", acceptor_.local_endpoint().port());
+  }
+  std::vector<std::string> told() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return told_;
+  }
+  int64_t Integer(size_t message, const char* key) const {
+    const std::string bytes = told().at(message);
+    const OpenpiValue value = *DecodeOpenpi(std::string_view(bytes));
+    return std::get<int64_t>(value.Find(key)->value);
+  }
+
+ private:
+  boost::asio::io_context io_;
+  ScriptedPeer::Tcp::acceptor acceptor_{
+      io_, ScriptedPeer::Tcp::endpoint(boost::asio::ip::make_address("127.0.0.1"), 0)};
+  std::atomic<bool> ended_ = false;
+  std::atomic<int> live_ = -1;  // descriptor of the last connection
+  mutable std::mutex mutex_;
+  std::vector<std::string> told_;
+  std::thread thread_;
+};
+
+class RemotePolicyTest : public ::testing::Test {
+ protected:
+  RemotePolicyTest() {
+    setting_.policy = "pi05";
+    setting_.suite = "tabletop_goal";
+    setting_.scenario = "clean";
+    options_.dialect = *OpenpiDialectNamed("libero");
+    options_.cameras = {"agentview"};
+    options_.image_size = 2;
+    observation_.instruction = "lift it";
+    observation_.views = {{"agentview", {2, 2, std::vector<uint8_t>(12, 7)}}};
+    observation_.proprioception = Eigen::VectorXf::LinSpaced(8, 0, 1);
+    connection_.answer_timeout = connection_.first_answer_timeout = absl::Seconds(5);
+    connection_.absence = absl::Milliseconds(300);
+  }
+  absl::StatusOr<std::unique_ptr<RemotePolicy>> Connect(const std::string& url,
+                                                        const std::string& stream = "policy") {
+    auto policy = RemotePolicy::Connect(url, options_, setting_, stream, connection_);
+    if (policy.ok()) {
+      EXPECT_TRUE((*policy)->StartEpisode({3, 4}).ok());
+    }
+    return policy;
+  }
+  // What a prediction fails with where the server answers so.
+  absl::Status Failure(const std::string& reply) {
+    const PolicyPeer server([&](int, int) { return reply; });
+    auto policy = Connect(server.url());
+    if (!policy.ok()) return policy.status();
+    const absl::Status status = (*policy)->Predict(observation_, 0).status();
+    EXPECT_EQ((*policy)->reconnections(), 0) << "asking again would change nothing";
+    return status;
+  }
+
+  SessionSetting setting_;
+  RemotePolicyOptions options_;
+  OpenpiConnectionOptions connection_;
+  Observation observation_;
+};
+
+TEST_F(RemotePolicyTest, PredictsWhatTheServerSaysAndLearnsTheHorizon) {
+  const PolicyPeer server([](int, int message) {
+    return Answer(Eigen::MatrixXf::Constant(10, 7, 0.25f * static_cast<float>(message)));
+  });
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+  EXPECT_EQ((*policy)->spec().horizon, 10);
+  const PredictedChunk predicted = *(*policy)->Predict(observation_, 1);
+  EXPECT_EQ(predicted.actions, Eigen::MatrixXf::Constant(10, 7, 0.25f));
+  EXPECT_EQ(predicted.prediction_id, 2u);
+  EXPECT_EQ(predicted.policy_actions, predicted.actions);
+}
+
+TEST_F(RemotePolicyTest, ASeedIsAFunctionOfTheEpisodeAndOfNothingElse) {
+  options_.dialect = *OpenpiDialectNamed("vllm_omni");
+  std::vector<int64_t> seeds;
+  const auto ask = [&](const std::string& stream) {
+    const PolicyPeer server([](int, int) { return Zeros(10, 7); });
+    auto policy = Connect(server.url(), stream);
+    ASSERT_TRUE(policy.ok()) << policy.status();
+    for (int chunk : {0, 1}) ASSERT_TRUE((*policy)->Predict(observation_, chunk).ok());
+    for (size_t i : {1, 2}) seeds.push_back(server.Integer(i, "seed"));  // 0: the reset
+  };
+  ask("policy");
+  setting_.scenario = "aged_transmission";  // paired with the one before
+  setting_.severity = 2;
+  ask("policy");
+  ask("null");
+  setting_.seed = 1;
+  ask("policy");
+  ASSERT_THAT(seeds, SizeIs(8));
+  EXPECT_EQ(seeds[0], seeds[2]);
+  EXPECT_EQ(seeds[1], seeds[3]);
+  for (const int other : {1, 4, 6}) EXPECT_NE(seeds[0], seeds[other]);
+  for (const int64_t seed : seeds) EXPECT_TRUE(seed >= 0 && seed <= 0x7fffffff) << seed;
+}
+
+TEST_F(RemotePolicyTest, SendsTheNoiseItself) {
+  options_.dialect = *OpenpiDialectNamed("sglang");
+  options_.dialect.path = "";
+  options_.noise_rows = 6;
+  options_.noise_cols = 3;
+  const PolicyPeer server([](int, int) { return Zeros(10, 7); });
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+  const std::string bytes = server.told().at(0);
+  const OpenpiValue told = *DecodeOpenpi(std::string_view(bytes));
+  const Eigen::MatrixXd noise = *OpenpiMatrix("noise", *told.Find("noise"), 6, 3);
+  EXPECT_LT(noise.cwiseAbs().maxCoeff(), 6);
+  EXPECT_GT((noise.array() - noise(0, 0)).abs().maxCoeff(), 0.1);
+  options_.noise_cols = 0;
+  EXPECT_THAT(Connect(server.url()).status().message(), HasSubstr("remote.noise_cols is 0"));
+}
+
+TEST_F(RemotePolicyTest, AsksTheSameAgainWhereTheConnectionEnds) {
+  options_.dialect = *OpenpiDialectNamed("vllm_omni");
+  // The first connection ends at its second question, the second one at once.
+  const PolicyPeer server([](int connection, int message) {
+    return connection == 0 && message == 2 ? "" : connection == 1 ? "" : Zeros(10, 7);
+  });
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  for (int chunk : {0, 1, 2}) ASSERT_TRUE((*policy)->Predict(observation_, chunk).ok()) << chunk;
+  EXPECT_EQ((*policy)->reconnections(), 2);
+  EXPECT_FALSE((*policy)->metadata_changed());
+  const auto told = server.told();  // reset, 0, 1 (lost), 1 (lost), 1, 2
+  ASSERT_THAT(told, SizeIs(6));
+  EXPECT_EQ(told[2], told[3]);
+  EXPECT_EQ(told[2], told[4]);
+  EXPECT_NE(told[4], told[5]);
+}
+
+TEST_F(RemotePolicyTest, BeginsAnEpisodeAsTheDialectSays) {
+  options_.dialect = *OpenpiDialectNamed("vllm_omni");
+  const PolicyPeer server([](int, int) { return Zeros(10, 7); });
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+  const auto told = server.told();
+  ASSERT_THAT(told, SizeIs(2));
+  EXPECT_THAT(told[0], AllOf(HasSubstr("endpoint"), HasSubstr("reset"), HasSubstr("session_id")));
+  EXPECT_THAT(told[1], Not(HasSubstr("endpoint")));
+}
+
+TEST_F(RemotePolicyTest, EndsWhereTheServerStaysAway) {
+  auto server = std::make_unique<PolicyPeer>([](int, int) { return std::string(); });
+  const std::string url = server->url();
+  auto policy = Connect(url);
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  server.reset();
+  const absl::Status gone = (*policy)->Predict(observation_, 0).status();
+  EXPECT_EQ(gone.code(), absl::StatusCode::kUnavailable);
+  EXPECT_THAT(gone.message(), AllOf(HasSubstr(url), HasSubstr("run the same command again")));
+  // A wrong port, at the start.
+  EXPECT_EQ(Connect(url).status().code(), absl::StatusCode::kUnavailable);
+}
+
+TEST_F(RemotePolicyTest, ALateAnswerIsNotTakenForTheNextQuestions) {
+  const PolicyPeer server([](int connection, int message) {
+    if (connection == 0 && message == 1)
+      std::this_thread::sleep_for(std::chrono::milliseconds(400));
+    return Answer(Eigen::MatrixXf::Constant(10, 7, static_cast<float>(connection)));
+  });
+  connection_.answer_timeout = absl::Milliseconds(150);
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+  const auto late = (*policy)->Predict(observation_, 1);
+  ASSERT_TRUE(late.ok()) << late.status();
+  EXPECT_EQ(late->actions(0, 0), 1) << "of the second connection";
+}
+
+TEST_F(RemotePolicyTest, RefusesAnswersThatCannotBeUsed) {
+  EXPECT_THAT(Failure(Zeros(10, 32)).message(), HasSubstr("[10, 32]"));
+  EXPECT_THAT(Failure(Zeros(4, 7)).message(), HasSubstr("[4, 7]"));
+  Eigen::MatrixXf nan = Eigen::MatrixXf::Zero(10, 7);
+  nan(3, 2) = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_THAT(Failure(Answer(nan)).message(), HasSubstr("nan"));
+  EXPECT_EQ(Failure("\xc1garbage").code(), absl::StatusCode::kInvalidArgument);
+  const absl::Status text = Failure("Traceback\nKeyError: 'observation/wrist_image'");
+  EXPECT_EQ(text.code(), absl::StatusCode::kInternal);
+  EXPECT_THAT(text.message(), HasSubstr("KeyError: 'observation/wrist_image'"));
+  const absl::Status map =
+      Failure(OpenpiWriter().Map(2).Text("type").Text("error").Text("message").Text("no").Take());
+  EXPECT_THAT(map.message(), HasSubstr("refuses: no"));
+}
+
+TEST_F(RemotePolicyTest, AChunkThatChangesItsLengthIsRefused) {
+  const PolicyPeer server([](int, int message) { return Zeros(10 + message, 7); });
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+  EXPECT_THAT((*policy)->Predict(observation_, 1).status().message(), HasSubstr("[11, 7]"));
+}
+
+TEST_F(RemotePolicyTest, SeesThatMetadataChangedOrContradict) {
+  const PolicyPeer server([](int connection, int) { return connection == 0 ? "" : Zeros(10, 7); },
+                          [](int connection) {
+                            return OpenpiWriter().Map(1).Text("model").Integer(connection).Take();
+                          });
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  EXPECT_EQ((*policy)->metadata(), R"({"model":0})");
+  ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+  EXPECT_TRUE((*policy)->metadata_changed());
+
+  const PolicyPeer wide(
+      [](int, int) { return Zeros(10, 7); },
+      OpenpiWriter().Map(1).Text("output").Map(1).Text("action_dim").Integer(32).Take());
+  EXPECT_THAT(Connect(wide.url()).status().message(),
+              AllOf(HasSubstr("action_dim 32"), HasSubstr("remote.action_dim is 7")));
+}
+
+}  // namespace
+}  // namespace robostress
