@@ -333,8 +333,8 @@ def model_identity(folder):
     {"sha256": of all, "files": {name: SHA-256}}, files of the folder itself. Refused without weights.
     """
     names = sorted(n for n in os.listdir(folder) if n.endswith((".safetensors", ".json", ".bin")))
-    if not any(n.endswith((".safetensors", ".bin")) for n in names):
-        raise Refused(f"--policy {folder}: holds no .safetensors; it holds {', '.join(os.listdir(folder)[:20])}")
+    if not any(n.endswith((".safetensors", ".bin")) and not n.startswith(("policy_pre", "policy_post")) for n in names):
+        raise Refused(f"--policy {folder}: holds no weights (model.safetensors); it holds {', '.join(names[:20]) or 'nothing'}")
     files = {name: file_digest(os.path.join(folder, name)) for name in names}
     lines = "".join(f"{digest}  {name}\n" for name, digest in files.items())
     return {"sha256": hashlib.sha256(lines.encode()).hexdigest(), "files": files}
@@ -451,8 +451,13 @@ class LeRobotPolicy:
         except Exception as error:
             raise Refused(f"--policy {folder}: LeRobot {installed('lerobot')} cannot read its config.json: {error}")
         config.device = str(self.device)
-        self.policy = factory.get_policy_class(config.type).from_pretrained(folder, config=config)
-        self.policy.to(self.device).eval()
+        try:
+            self.policy = factory.get_policy_class(config.type).from_pretrained(folder, config=config)
+            self.policy.to(self.device).eval()
+        except Exception as error:
+            LOG.exception("%s", folder)
+            what = f"{type(error).__name__}: {' '.join(str(error).split())[:400]}"
+            raise Refused(f"--policy {folder}: LeRobot {installed('lerobot')} cannot load this {config.type}: {what}")
         self.preprocess = self.postprocess = None
         if not hasattr(factory, "make_pre_post_processors"):  # before 0.4: inside the policy
             if overrides:
@@ -772,6 +777,7 @@ def make_parser():
 def run(make_policy, options):
     """Loads a policy and serves it until SIGTERM. The exit code."""
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s")
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # else a line, or a traceback, for each client
     try:
         import websockets.asyncio.server  # noqa: F401, to say so before a policy is loaded
     except ImportError:
