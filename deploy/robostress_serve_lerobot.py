@@ -20,7 +20,8 @@ a map with `extensions`, `policies` (one: `name`, `cameras`, `state_dim`, `actio
     prompt      the instruction, for policies that read one
     seed        optional, 0 to 2^63 - 1: draws the sampling noise of this answer, and of this answer
                 only, from torch's generators seeded with it. The same seed and observation give the
-                same actions on one machine with one version of torch
+                same actions on one machine with one version of torch. A policy that draws elsewhere
+                is found out at the start, and then `extensions` have no `seed`
     reset       optional, true: a new episode. Alone, it is answered {"reset": True}
 
 and is answered {"actions": float32 [action_horizon, action_dim], "policy_timing", "server_timing"},
@@ -35,12 +36,14 @@ one client at a time, who must ask at every control step.
 
 import argparse
 import asyncio
+import contextlib
 import hashlib
 import hmac
 import ipaddress
 import json
 import logging
 import os
+import random
 import signal
 import sys
 import time
@@ -66,6 +69,38 @@ TASK_KEYS = ("prompt", "task", "task_description")
 
 class Refused(ValueError):
     """A message or an option that cannot be used; its text goes to whoever sent it."""
+
+
+@contextlib.contextmanager
+def drawn_from(seed):
+    """Noise of Python, NumPy and torch that follows from `seed`; None: as it comes.
+
+    Afterwards the generators go on as if nothing had been drawn: other answers are not touched.
+    """
+    if seed is None:
+        yield
+        return
+    torch, states = sys.modules.get("torch"), (random.getstate(), np.random.get_state())
+    devices = list(range(torch.cuda.device_count())) if torch and torch.cuda.is_initialized() else []
+    with torch.random.fork_rng(devices=devices) if torch else contextlib.nullcontext():
+        try:
+            random.seed(seed)
+            np.random.seed(seed % 2**32)
+            if torch:
+                torch.manual_seed(seed)
+            yield
+        finally:
+            random.setstate(states[0])
+            np.random.set_state(states[1])
+
+
+def obeys_seed(ask):
+    """Whether ask() gives the same twice, and what it gave; called with the same seed each time."""
+    first, second = ask(), ask()
+    same = np.abs(first - second).max() <= 0.01 * np.abs(first).max()  # a GPU's sums are not exact
+    if not same:
+        LOG.warning("the policy's noise does not follow torch's seed: seed is not among its extensions")
+    return first, ["reset"] + ["seed"] * bool(same)
 
 
 # --- msgpack with NumPy arrays ---------------------------------------------------------------------
@@ -407,7 +442,7 @@ class LeRobotPolicy:
         self.reader = self._reader(options, folder)
         self.resize = options.resize
         self.rows = None
-        actions = self._warm_up(folder)
+        actions, extensions = obeys_seed(lambda: self._warm_up(folder))
         if options.action_chunk is not None:
             if not 1 <= options.action_chunk <= len(actions):
                 raise Refused(f"--action-chunk {options.action_chunk}: the policy's chunk has {len(actions)} rows")
@@ -415,7 +450,7 @@ class LeRobotPolicy:
         cameras = self.reader.cameras
         self.metadata = {
             "server": "robostress_serve_lerobot",
-            "extensions": ["reset", "seed"],
+            "extensions": extensions,
             "policies": [
                 {
                     "name": options.name or os.path.basename(options.policy.rstrip("/")),
@@ -530,13 +565,16 @@ class LeRobotPolicy:
         self.reset()
         return actions
 
-    def reset(self):
+    def forget(self, client):
+        pass  # an observation is all that a chunk follows from
+
+    def reset(self, client=None):
         self.policy.reset()
         for processor in (self.preprocess, self.postprocess):
             if hasattr(processor, "reset"):
                 processor.reset()
 
-    def infer(self, message, seed):
+    def infer(self, message, seed, client):
         """float32 [rows, action_dim], in the units of the policy's data."""
         return self._actions(*self.reader.read(message), seed)[: self.rows]
 
@@ -562,11 +600,7 @@ class LeRobotPolicy:
             batch["observation.state"] = torch.from_numpy(state).unsqueeze(0).to(self.device)
         batch["task"] = task if self.preprocess else [task]
         batch["robot_type"] = ""
-        # The generators of other answers go on as if this one had not been asked for.
-        devices = [self.device] if self.device.type == "cuda" else []
-        with torch.inference_mode(), torch.random.fork_rng(devices=devices, enabled=seed is not None):
-            if seed is not None:
-                torch.manual_seed(seed)
+        with torch.inference_mode(), drawn_from(seed):
             if self.preprocess:
                 batch = self.preprocess(batch)
             if self.exclusive:
@@ -588,15 +622,16 @@ class Server:
     """Answers openpi's clients with a policy.
 
     policy: `metadata` (map), `exclusive` (one client at a time), `reader.holds_observation(message)`,
-    `reset()`, `infer(message, seed)` -> float32 [rows, columns]. All calls come from one thread, one
-    after the other, so that the event loop goes on answering pings and /healthz.
+    `reset(client)`, `infer(message, seed, client)` -> float32 [rows, columns], `forget(client)`, where
+    a client is a number. All calls come from one thread, one after the other, so that the event loop
+    goes on answering pings and /healthz.
     """
 
     def __init__(self, policy, options):
         self.policy, self.options = policy, options
         self.metadata = pack(policy.metadata)
         self.worker = ThreadPoolExecutor(1, thread_name_prefix="policy")
-        self.clients = 0
+        self.clients = self.greeted = 0
         self.key = read_key(options.api_key_file)
 
     def check_request(self, connection, request):
@@ -610,15 +645,18 @@ class Server:
             return None
         return connection.respond(HTTPStatus.UNAUTHORIZED, "send the header Authorization: Api-Key KEY\n")
 
-    def answer(self, message, previous_ms):
-        """The bytes that answer a message, and how long the policy took [ms]."""
+    def answer(self, message, client, previous_ms):
+        """The bytes that answer a message."""
         begin = time.monotonic()
         observation = unpack(message)
+        seed = read_seed(observation)
+        if seed is not None and "seed" not in self.policy.metadata["extensions"]:
+            raise Refused("seed: this policy draws its noise where a seed does not reach; leave it out")
         if read_bool(observation, "reset"):
-            self.policy.reset()
+            self.policy.reset(client)
             if not self.policy.reader.holds_observation(observation):
-                return pack({"reset": True}), 0.0
-        actions = self.policy.infer(observation, read_seed(observation))
+                return pack({"reset": True})
+        actions = self.policy.infer(observation, seed, client)
         infer_ms = 1e3 * (time.monotonic() - begin)
         actions = np.ascontiguousarray(actions, np.float32)
         if actions.ndim != 2 or not actions.size:
@@ -627,7 +665,7 @@ class Server:
             row, column = np.argwhere(~np.isfinite(actions))[0]
             raise RuntimeError(f"the policy's action {row}, number {column}, is {actions[row, column]}")
         server = {"infer_ms": infer_ms} | ({} if previous_ms is None else {"prev_total_ms": previous_ms})
-        return pack({"actions": actions, "policy_timing": {"infer_ms": infer_ms}, "server_timing": server}), infer_ms
+        return pack({"actions": actions, "policy_timing": {"infer_ms": infer_ms}, "server_timing": server})
 
     async def handle(self, socket):
         import websockets
@@ -641,23 +679,26 @@ class Server:
                 pass
             return
         self.clients += 1
+        self.greeted += 1
+        client = self.greeted
         try:
-            await self.converse(socket)
+            await self.converse(socket, client)
         except websockets.ConnectionClosed:
             pass
         finally:
             self.clients -= 1
+            await asyncio.get_running_loop().run_in_executor(self.worker, self.policy.forget, client)
 
-    async def converse(self, socket):
+    async def converse(self, socket, client):
         loop, previous_ms = asyncio.get_running_loop(), None
         if self.policy.exclusive:
-            await loop.run_in_executor(self.worker, self.policy.reset)
+            await loop.run_in_executor(self.worker, self.policy.reset, client)
         await socket.send(self.metadata)
         while True:
             message = await socket.recv()
             begin = time.monotonic()
             try:
-                reply, _ = await loop.run_in_executor(self.worker, self.answer, message, previous_ms)
+                reply = await loop.run_in_executor(self.worker, self.answer, message, client, previous_ms)
             except Exception as error:
                 refused = isinstance(error, Refused)
                 LOG.log(logging.WARNING if refused else logging.ERROR, "%s: %s", socket.remote_address, error,

@@ -37,10 +37,13 @@ class Counting:
         self.metadata = {"server": "counting", "extensions": ["reset", "seed"],
                          "policies": [{"name": "counting", "action_dim": 7, "action_horizon": 10}]}
 
-    def reset(self):
+    def reset(self, client):
         self.episodes += 1
 
-    def infer(self, message, seed):
+    def forget(self, client):
+        pass
+
+    def infer(self, message, seed, client):
         views, state, task = self.reader.read(message)
         if task == "fail":
             return {}["no such weight"]

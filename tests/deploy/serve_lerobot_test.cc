@@ -250,6 +250,103 @@ TEST_F(ServeLerobotWire, GivesAPolicyOfSingleStepsToOneClient) {
   EXPECT_THAT(std::string(second.message()), HasSubstr("takes 1 client at a time"));
 }
 
+// A model server of vla-eval's own class, served by deploy/robostress_serve_vla_eval.py.
+class ServeVlaEval : public ::testing::Test {
+ protected:
+  static const OpenpiVenv& Venv() {
+    static const OpenpiVenv& venv =
+        *new OpenpiVenv(OpenpiVenv::Make(VLA_EVAL_VENV, VLA_EVAL_REQUIREMENTS, "vla-eval"));
+    return venv;
+  }
+  void SetUp() override {
+    if (!Venv().failure.empty()) GTEST_SKIP() << Venv().failure;
+  }
+  static std::vector<std::string> Command(const std::vector<std::string>& options = {}) {
+    std::vector<std::string> command{Venv().python,
+                                     ROBOSTRESS_SOURCE "/deploy/robostress_serve_vla_eval.py",
+                                     "--model-server", DEPLOY_TESTS "/vla_eval_toy.py:Toy"};
+    command.insert(command.end(), options.begin(), options.end());
+    return command;
+  }
+};
+
+TEST_F(ServeVlaEval, AnswersTheChunkThatVlaEvalHandsOutRowByRow) {
+  const auto [output, code] = RunProgram(Venv().python, DEPLOY_TESTS "/vla_eval_toy.py");
+  ASSERT_EQ(code, 0) << output;
+  const PythonServer server(Command());
+  const auto connection = server.Connect();
+  EXPECT_EQ(Declared(*connection, "action_horizon"), 4);
+  EXPECT_EQ(Declared(*connection, "state_dim"), 8);
+  const auto answer = Ask(*connection, Seen(64));
+  ASSERT_TRUE(answer.ok()) << answer.status();
+  ASSERT_EQ(answer->actions.rows(), 4);
+  const std::vector<std::string> lines = absl::StrSplit(output, '\n', absl::SkipEmpty());
+  ASSERT_EQ(lines.size(), 4u) << output;
+  for (int row = 0; row < 4; ++row) {
+    const std::vector<std::string> numbers = absl::StrSplit(lines[row], ' ');
+    ASSERT_EQ(numbers.size(), 7u) << output;
+    for (int column = 0; column < 7; ++column) {
+      float number = NAN;
+      EXPECT_TRUE(absl::SimpleAtof(numbers[column], &number));
+      // The state's last bit: Eigen and NumPy divide a range in different orders.
+      EXPECT_NEAR(answer->actions(row, column), number, 1e-5) << row << ", " << column;
+    }
+  }
+}
+
+TEST_F(ServeVlaEval, BeginsAnEpisodeForEachClient) {
+  const PythonServer server(Command());
+  const auto first = server.Connect(), second = server.Connect();
+  const auto step = [](OpenpiConnection& connection, const Extras& extras = {}) {
+    const auto answer = Ask(connection, Seen(64), extras);
+    EXPECT_TRUE(answer.ok()) << answer.status();
+    return answer.ok() ? answer->actions(0, 5) : -1;
+  };
+  EXPECT_EQ(step(*first), 0);
+  EXPECT_EQ(step(*first), 4) << "a chunk of four was handed out";
+  EXPECT_EQ(step(*second), 0);
+  EXPECT_EQ(step(*first, {{"reset", OpenpiWriter().Boolean(true).Take()}}), 0);
+  EXPECT_EQ(step(*second), 4);
+}
+
+TEST_F(ServeVlaEval, OffersASeedWhereThePolicyObeysIt) {
+  {
+    const PythonServer server(Command({"--arg", "noise=numpy", "--binary-gripper"}));
+    const auto connection = server.Connect();
+    const auto once = Ask(*connection, Seen(64), Seed(5));
+    ASSERT_TRUE(once.ok()) << once.status();
+    EXPECT_EQ(once->actions(0, 6), 1) << "the gripper, by its sign";
+    const Eigen::MatrixXf free = Ask(*connection, Seen(64))->actions.leftCols(5);
+    EXPECT_EQ(Ask(*connection, Seen(64), Seed(5))->actions.leftCols(5), once->actions.leftCols(5));
+    EXPECT_NE(Ask(*connection, Seen(64), Seed(6))->actions.leftCols(5), once->actions.leftCols(5));
+    EXPECT_NE(Ask(*connection, Seen(64))->actions.leftCols(5), free);
+  }
+  const PythonServer server(Command({"--arg", "noise=own"}));
+  const auto connection = server.Connect();
+  EXPECT_TRUE(Ask(*connection, Seen(64)).ok());
+  const absl::Status said = Ask(*connection, Seen(64), Seed(5)).status();
+  EXPECT_THAT(std::string(said.message()),
+              HasSubstr("seed: this policy draws its noise where a seed does not reach"));
+}
+
+TEST_F(ServeVlaEval, SaysWhatCannotBeServed) {
+  const auto refusal = [](const std::string& options) {
+    const auto [output, code] = RunProgram(
+        Venv().python,
+        absl::StrCat(ROBOSTRESS_SOURCE "/deploy/robostress_serve_vla_eval.py --port 0 ", options));
+    EXPECT_EQ(code, 2) << output;
+    return output;
+  };
+  const std::string toy = "--model-server " DEPLOY_TESTS "/vla_eval_toy.py:";
+  EXPECT_THAT(refusal("--model-server nothing"),
+              HasSubstr("must be MODULE:CLASS or FILE.py:CLASS"));
+  EXPECT_THAT(refusal("--model-server no.module:Class"), HasSubstr("ModuleNotFoundError"));
+  EXPECT_THAT(refusal(toy + "Nothing"), HasSubstr("AttributeError"));
+  EXPECT_THAT(refusal(toy + "SIDE"), HasSubstr("is no PredictModelServer"));
+  EXPECT_THAT(refusal(toy + "Toy --arg size=3"), HasSubstr("its arguments (--arg) do not fit"));
+  EXPECT_THAT(refusal(toy + "Toy --camera wrist"), HasSubstr("each must be NAME=KEY"));
+}
+
 // Policies of LeRobot at toy size, random.
 class ServeLerobotPolicy : public ::testing::Test {
  protected:
