@@ -192,11 +192,12 @@ def find(message, path):
     return find(inner, tail) if isinstance(inner, dict) else None
 
 
-def paths(message):
-    """All keys of a message, for an error."""
+def paths(message, depth=3):
+    """The first keys of a message, for an error."""
     found = []
-    for key, value in message.items():
-        found += [f"{key}/{inner}" for inner in paths(value)] if isinstance(value, dict) else [str(key)[:60]]
+    for key, value in list(message.items())[:40]:
+        inner = paths(value, depth - 1) if isinstance(value, dict) and depth else []
+        found += [f"{key}/{name}" for name in inner] or [str(key)[:60]]
     return found[:40]
 
 
@@ -307,7 +308,7 @@ class ObservationReader:
                 f"{key}: is {height} x {width}, the policy was trained on {camera.height} x {camera.width}. Send "
                 f"that, or start the server with --resize stretch, pad or as-is"
             )
-        return np.ascontiguousarray(TURNS[self.turn](view))
+        return np.array(TURNS[self.turn](view), order="C")  # a copy: the message's bytes cannot be written
 
     def _state(self, message):
         for keys in self.state_keys:
@@ -469,7 +470,6 @@ class LeRobotPolicy:
             ],
             "model": {
                 "type": config.type,
-                "policy": options.policy,
                 **identity,
                 "device": str(self.device),
                 "versions": {"lerobot": installed("lerobot"), "torch": torch.__version__},
@@ -600,7 +600,8 @@ class LeRobotPolicy:
             batch["observation.state"] = torch.from_numpy(state).unsqueeze(0).to(self.device)
         batch["task"] = task if self.preprocess else [task]
         batch["robot_type"] = ""
-        with torch.inference_mode(), drawn_from(seed):
+        half = torch.autocast(self.device.type, enabled=bool(getattr(self.policy.config, "use_amp", False)))
+        with torch.inference_mode(), half, drawn_from(seed):
             if self.preprocess:
                 batch = self.preprocess(batch)
             if self.exclusive:
@@ -641,7 +642,7 @@ class Server:
         if self.key is None:
             return None
         given = request.headers.get_all("Authorization")
-        if len(given) == 1 and hmac.compare_digest(given[0].encode(), b"Api-Key " + self.key):
+        if len(given) == 1 and hmac.compare_digest(given[0].encode("utf-8", "replace"), b"Api-Key " + self.key):
             return None
         return connection.respond(HTTPStatus.UNAUTHORIZED, "send the header Authorization: Api-Key KEY\n")
 
@@ -701,10 +702,12 @@ class Server:
                 reply = await loop.run_in_executor(self.worker, self.answer, message, client, previous_ms)
             except Exception as error:
                 refused = isinstance(error, Refused)
-                LOG.log(logging.WARNING if refused else logging.ERROR, "%s: %s", socket.remote_address, error,
-                        exc_info=not refused)
                 text = str(error) if refused else f"{type(error).__name__}: {error}"
-                await socket.send(" ".join(text.split())[:4000])
+                # One line, whatever a client's keys hold: it goes to a log and to a terminal.
+                text = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))[:4000]
+                LOG.log(logging.WARNING if refused else logging.ERROR, "%s: %s", socket.remote_address, text,
+                        exc_info=not refused)
+                await socket.send(text)
                 await socket.close(1011, "the text before this says why")
                 return
             await socket.send(reply)

@@ -154,6 +154,8 @@ def attack(port, key):
         (packer.pack(observation() | {"seed": True}), "seed: is True"),
         (packer.pack(observation() | {"reset": 1}), "reset: is 1, must be true or false"),
         (packer.pack(observation() | {"prompt": 5}), "prompt: is int, must be text"),
+        (packer.pack({"\x1b[2J\nkey": 1}), "message holds ?[2J key. Looked"),
+        (b"\x81\xa1a" * 900 + b"\xc0", "The message holds a/a/a/a. Looked"),
     ]:
         said, code = last_words(message)
         assert words in said and code == 1011, (message[:60], said, code)

@@ -460,6 +460,22 @@ TEST_F(ServeLerobotPolicy, AnswersAsLerobotDoes) {
   std::filesystem::remove_all(folder);
 }
 
+TEST_F(ServeLerobotPolicy, ServesAHistoryStepByStep) {
+  if (RunProgram(python_, "-c 'import diffusers'").second != 0)
+    GTEST_SKIP() << "this LeRobot has no diffusers, which its diffusion policy needs";
+  const std::string folder = Make("diffusion");
+  const Eigen::MatrixXf expected = ByLerobot(folder);
+  EXPECT_THAT(Refusal(folder, ""), HasSubstr("diffusion looks at 2 observations of consecutive"));
+  const PythonServer server(Command(folder, {"--every-step"}));
+  const auto connection = server.Connect();
+  for (int row = 0; row < 6; ++row) {  // noise is drawn when the policy plans, at the first
+    const auto answer = Ask(*connection, Seen(64), row == 0 ? Seed(1) : Extras());
+    ASSERT_TRUE(answer.ok()) << answer.status();
+    EXPECT_LT((answer->actions - expected.row(row)).cwiseAbs().maxCoeff(), 1e-4) << row;
+  }
+  std::filesystem::remove_all(folder);
+}
+
 TEST_F(ServeLerobotPolicy, PairsSamplingNoiseBySeed) {
   if (RunProgram(python_, "-c 'import transformers'").second != 0)
     GTEST_SKIP() << "this LeRobot has no transformers, which SmolVLA needs";
