@@ -688,7 +688,10 @@ class Server:
             pass
         finally:
             self.clients -= 1
-            await asyncio.get_running_loop().run_in_executor(self.worker, self.policy.forget, client)
+            try:
+                await asyncio.get_running_loop().run_in_executor(self.worker, self.policy.forget, client)
+            except Exception:
+                LOG.exception("%s: the end of its episode", socket.remote_address)
 
     async def converse(self, socket, client):
         loop, previous_ms = asyncio.get_running_loop(), None

@@ -26,8 +26,13 @@ class Toy(PredictModelServer):
         return {"send_state": True, "send_wrist_image": True, "quat_no_antipodal": True}
 
     async def on_episode_start(self, config, ctx):
+        assert ctx.session_id not in self.tasks, "the episode before has not ended"
         self.tasks[ctx.session_id] = config["task"]["name"]
         await super().on_episode_start(config, ctx)
+
+    async def on_episode_end(self, result, ctx):
+        del self.tasks[ctx.session_id]
+        await super().on_episode_end(result, ctx)
 
     def predict(self, obs, ctx):
         assert obs["task_description"] == self.tasks[ctx.session_id], (obs["task_description"], self.tasks)
