@@ -13,6 +13,7 @@
 #include <filesystem>
 #include <fstream>
 #include <functional>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -74,8 +75,9 @@ class PythonServer {
     OpenpiConnectionOptions options;
     options.socket.secrets.token = kKey;
     auto connection = OpenpiConnection::Connect(absl::StrCat("ws://127.0.0.1:", port_), options);
-    EXPECT_TRUE(connection.ok()) << connection.status();
-    return connection.ok() ? *std::move(connection) : nullptr;
+    if (!connection.ok())
+      throw std::runtime_error(connection.status().ToString());  // ends the test
+    return *std::move(connection);
   }
   std::string Log() const {
     std::ifstream log(folder_ / "log");
