@@ -420,13 +420,13 @@ class LeRobotPolicy:
     """
 
     def __init__(self, options):
-        import torch
-
-        self.torch = torch
         folder = policy_folder(options.policy, options.revision)
         if os.path.exists(os.path.join(folder, "adapter_config.json")):
             raise Refused(f"--policy {folder}: is a PEFT adapter; merge it into its base and save that")
         identity = model_identity(folder)
+        import torch  # seconds, so after what can be refused without
+
+        self.torch = torch
         try:
             self.device = torch.device(options.device)
             torch.zeros(1, device=self.device)
