@@ -100,6 +100,8 @@ if(ROBOSTRESS_ROBOT_CLIENT)
   install(FILES robot_client/lab.yaml DESTINATION ${doc}/robostress-robot-client/examples COMPONENT robot-client)
   install(PROGRAMS deploy/can0.sh DESTINATION ${doc}/robostress-robot-client/examples COMPONENT robot-client)
 endif()
+install(PROGRAMS deploy/robostress_serve_lerobot.py deploy/robostress_serve_vla_eval.py
+  DESTINATION ${doc}/robostress-evaluation/examples COMPONENT evaluation)
 install(DIRECTORY calibration/rigs DESTINATION ${doc}/robostress-calibration/examples COMPONENT calibration)
 
 # The C++ interface: find_package(robostress), robostress::common, joint_errors, rollout, adapter; client with gRPC.
