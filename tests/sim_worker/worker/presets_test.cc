@@ -50,7 +50,8 @@ class Presets : public testing::Test {
   static void SetUpTestSuite() {
     root_ = new fs::path(fs::path(testing::TempDir()) / absl::StrCat("presets_", getpid()));
     fs::create_directories(*root_);
-    serve_ = new ServeProcess(SERVE_PROGRAM, {"--policy", "nano"});
+    serve_ =
+        new ServeProcess(SERVE_PROGRAM, {"--policy", "nano", "--websocket-listen", "127.0.0.1:0"});
     episodes_ = new std::map<std::string, Episode>();
     for (const std::string& method : PandasMethods()) (*episodes_)[method] = Run(method);
   }
@@ -62,13 +63,17 @@ class Presets : public testing::Test {
   }
 
   static Episode Run(const std::string& method) {
-    const std::string out = (*root_ / method).string();
+    return Run(method, method, serve_->Address("grpc"));
+  }
+  static Episode Run(const std::string& method, const std::string& folder,
+                     const std::string& server) {
+    const std::string out = (*root_ / folder).string();
     const auto [output, code] = RunProgram(
         WORKER_PROGRAM,
         absl::StrCat("--quiet --set suite=tabletop_goal --set scenario=aged_joint_uniform --set "
                      "policy=nano --set method.method=",
-                     method, " --set tasks=[0] --set episodes=1 --record-joints --server ",
-                     serve_->Address("grpc"), " --out ", out));
+                     method, " --set tasks=[0] --set episodes=1 --record-joints --server ", server,
+                     " --out ", out));
     EXPECT_EQ(code, 0) << output;
     Episode episode;
     if (code != 0) return episode;
@@ -112,6 +117,20 @@ class Presets : public testing::Test {
 fs::path* Presets::root_ = nullptr;
 ServeProcess* Presets::serve_ = nullptr;
 std::map<std::string, Episode>* Presets::episodes_ = nullptr;
+
+// As a server of somebody else, which knows no method: what is added is the worker's.
+TEST_F(Presets, GiveTheSameRowsAroundAPolicyBehindOpenpisWire) {
+  const std::string foreign =
+      absl::StrCat("ws://", serve_->Address("websocket"),
+                   " --set remote.dialect.name=robostress --set remote.dialect.state=[state] --set "
+                   "remote.dialect.episode=episode --set remote.dialect.session=session --set "
+                   "remote.dialect.describes_session=true");
+  for (const std::string method : {"base", "gain", "direct", "ours_following"}) {
+    const Episode episode = Run(method, method + "_foreign", foreign);
+    EXPECT_EQ(episode.row, Of(method).row) << method;
+    EXPECT_EQ(episode.actions, Of(method).actions) << method;
+  }
+}
 
 TEST_F(Presets, RunAnEpisodeAsWhatTheyAre) {
   for (const std::string& method : PandasMethods()) {
