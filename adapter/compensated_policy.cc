@@ -1,5 +1,6 @@
 #include "adapter/compensated_policy.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -30,6 +31,7 @@ absl::StatusOr<std::unique_ptr<CompensatedPolicy>> CompensatedPolicy::Create(
 }
 
 absl::Status CompensatedPolicy::StartEpisode(const EpisodeKey& key) {
+  episode_.reset();
   RS_RETURN_IF_ERROR(policy_->StartEpisode(key));
   episode_ = key;
   correction_.StartEpisode();
@@ -47,8 +49,13 @@ absl::StatusOr<PredictedChunk> CompensatedPolicy::Predict(const Observation& obs
 absl::Status CompensatedPolicy::SendFeedback(ExecutedChunk executed) {
   RS_ASSIGN_OR_RETURN(const MeasuredChunk measured,
                       MeasuredChunk::Create(executed, policy_->spec(), residual_));
-  if (episode_ == KeyOf(executed).episode) correction_.Observe(measured.usable());
-  return policy_->SendFeedback(std::move(executed));
+  const uint64_t sequence = executed.sequence;
+  CommandCorrection after = correction_;
+  if (episode_ == KeyOf(executed).episode && sequence > learned_) after.Observe(measured.usable());
+  RS_RETURN_IF_ERROR(policy_->SendFeedback(executed));
+  correction_ = std::move(after);
+  learned_ = std::max(learned_, sequence);
+  return absl::OkStatus();
 }
 
 }  // namespace robostress

@@ -28,8 +28,9 @@ class CompensatedPolicy : public PolicyEndpoint {
   const PolicySpec& spec() const override { return policy_->spec(); }
   absl::Status StartEpisode(const EpisodeKey& key) override;
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
-  // A chunk of another episode than the open one teaches nothing; one that nobody can have measured
-  // is INVALID_ARGUMENT, and nothing changes.
+  // A chunk of another episode than the open one, or one that came before, teaches nothing; one
+  // that nobody can have measured is INVALID_ARGUMENT, and nothing changes, as where `policy`
+  // refuses it.
   absl::Status SendFeedback(ExecutedChunk executed) override;
   absl::StatusOr<SessionStats> Stats() override { return policy_->Stats(); }
 
@@ -42,6 +43,7 @@ class CompensatedPolicy : public PolicyEndpoint {
   const ResidualOptions residual_;
   CommandCorrection correction_;
   std::optional<EpisodeKey> episode_;
+  uint64_t learned_ = 0;  // sequence of the last chunk that was taken
 };
 
 }  // namespace robostress

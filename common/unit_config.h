@@ -6,7 +6,7 @@
 
 #include "common/deferred.h"
 #include "common/joint_errors/options.h"
-#include "common/wire/remote_options.h"
+#include "common/remote_options.h"
 
 namespace robostress {
 

@@ -15,13 +15,6 @@ constexpr size_t kRestBytes = 4096;
 
 }  // namespace
 
-std::vector<std::string> OpenpiDialect::CameraPaths() const {
-  if (images_in.empty()) return cameras;
-  std::vector<std::string> paths;
-  for (const std::string& camera : cameras) paths.push_back(absl::StrCat(images_in, "/", camera));
-  return paths;
-}
-
 const std::vector<OpenpiDialect>& OpenpiDialects() {
   static const auto& dialects = *new std::vector<OpenpiDialect>{
       {.name = "libero",

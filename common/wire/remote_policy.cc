@@ -1,5 +1,7 @@
 #include "common/wire/remote_policy.h"
 
+#include <unistd.h>
+
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
@@ -10,6 +12,7 @@
 #include "common/rollout/message_limits.h"
 #include "common/status_macros.h"
 #include "common/wire/openpi_answer.h"
+#include "common/wire/openpi_dialect.h"
 #include "common/wire/openpi_writer.h"
 #include "common/wire/web_url.h"
 #include "nlohmann/json.hpp"
@@ -112,11 +115,10 @@ absl::StatusOr<std::unique_ptr<RemotePolicy>> RemotePolicy::Connect(
   RS_RETURN_IF_ERROR(policy->Dial());
   RS_RETURN_IF_ERROR(policy->CheckMetadata());
   policy->spec_.model_hash = Sha256Hex(absl::StrCat(setting.policy, "\n", policy->metadata_hash_));
-  // Names this client, and is the same whenever the unit is run.
+  // Two units, or two sweeps, at one server must not begin each other's episodes.
   policy->session_name_ = absl::StrCat(
-      "robostress-", Sha256Hex(absl::StrCat(setting.suite, "/", setting.scenario, "/",
-                                            setting.severity, "/", setting.seed, "/", noise_stream))
-                         .substr(0, 16));
+      "robostress-",
+      Sha256Hex(absl::StrCat(getpid(), "/", absl::GetCurrentTimeNanos())).substr(0, 16));
   return policy;
 }
 

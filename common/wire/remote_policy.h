@@ -10,10 +10,10 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "common/random.h"
+#include "common/remote_options.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/rollout/session_spec.h"
 #include "common/wire/openpi_connection.h"
-#include "common/wire/remote_options.h"
 
 namespace robostress {
 

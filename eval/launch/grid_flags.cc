@@ -6,6 +6,7 @@
 #include "adapter/methods.h"
 #include "common/config.h"
 #include "common/status_macros.h"
+#include "common/wire/openpi_dialect.h"
 #include "common/wire/web_url.h"
 #include "eval/launch/cluster_launchers.h"
 

@@ -88,6 +88,16 @@ TEST_F(CompensatedPolicyTest, ANewEpisodeForgetsTheDirectCorrection) {
   EXPECT_EQ(Predict(0).actions(0, 0), 0.4f);
 }
 
+TEST_F(CompensatedPolicyTest, AChunkThatComesTwiceTeachesOnce) {
+  Wrap("ours_following");
+  const ExecutedChunk once = Short(Predict(0), 1);
+  ASSERT_TRUE(policy_->SendFeedback(once).ok());
+  const Eigen::MatrixXf told = Predict(1).actions;
+  ASSERT_TRUE(policy_->SendFeedback(once).ok());
+  EXPECT_EQ(Predict(1).actions, told);
+  EXPECT_NE(told(0, 0), 0.4f);
+}
+
 TEST_F(CompensatedPolicyTest, AnotherEpisodesChunkTeachesNothing) {
   Wrap("ours_following");
   for (int chunk = 0; chunk < 4; ++chunk) {

@@ -35,7 +35,8 @@ const std::vector<Floor>& Floors() {
       {"sim_worker/", {"sim_worker/", "adapter/", "common/"}, kMujoco},
       // Where a stream is opened.
       {"sim_worker/worker/",
-       {"sim_worker/", "sim_worker/worker/", "adapter/", "common/", "common/unit/", "common/rpc/"},
+       {"sim_worker/", "sim_worker/worker/", "adapter/", "common/", "common/unit/", "common/rpc/",
+        "common/wire/"},
        kMujoco | kRpc},
       {"sim_worker/record/",
        {"sim_worker/", "sim_worker/record/", "adapter/", "common/", "common/unit/", "common/rpc/"},
@@ -104,7 +105,7 @@ const std::vector<Floor>& Floors() {
         "calibration/data/", "sim_worker/", "common/"},
        kMujoco},
       // Its rooms stand on one another; the programs above them may use all.
-      {"eval/plan/", {"eval/plan/", "adapter/", "common/", "common/unit/"}, 0},
+      {"eval/plan/", {"eval/plan/", "adapter/", "common/", "common/unit/", "common/wire/"}, 0},
       {"eval/store/", {"eval/store/", "eval/plan/", "adapter/", "common/", "common/unit/"}, 0},
       {"eval/statistics/",
        {"eval/statistics/", "eval/store/", "eval/plan/", "adapter/", "common/", "common/unit/"},
@@ -115,7 +116,7 @@ const std::vector<Floor>& Floors() {
        0},
       {"eval/launch/",
        {"eval/launch/", "eval/report/", "eval/store/", "eval/plan/", "adapter/", "common/",
-        "common/unit/"},
+        "common/unit/", "common/wire/"},
        0},
       {"eval/manual/", {"eval/manual/", "eval/launch/", "adapter/", "common/", "common/unit/"}, 0},
       {"eval/paper/",
