@@ -10,6 +10,7 @@
 #include "common/atomic_file.h"
 #include "common/rollout/field_checks.h"
 #include "common/rollout/message_limits.h"
+#include "common/rollout/noise_key.h"
 #include "common/status_macros.h"
 #include "common/wire/openpi_answer.h"
 #include "common/wire/openpi_dialect.h"
@@ -195,13 +196,7 @@ void RemotePolicy::Adopt(const OpenpiValue& declared) {
 }
 
 StreamKey RemotePolicy::NoiseKey(int chunk) const {
-  return StreamKey("prediction_noise")
-      .With(noise_stream_)
-      .With(setting_.seed)
-      .With(setting_.suite)
-      .With(int64_t{episode_.task})
-      .With(int64_t{episode_.episode})
-      .With(int64_t{chunk});
+  return PredictionNoiseKey(setting_, noise_stream_, {episode_, chunk});
 }
 
 std::string RemotePolicy::SessionText() const {

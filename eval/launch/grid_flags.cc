@@ -21,8 +21,7 @@ void DeclareLaunchFlags(cli::App& app, LaunchOptions& launch) {
                  "one is started for each");
   app.add_option("--policy-url", launch.policy_urls,
                  "ws://HOST:PORT of somebody else's policy server (openpi, LeRobot, vLLM-Omni, "
-                 "SGLang); several "
-                 "that serve the same model share the work. --policies names it")
+                 "SGLang); several that serve the same model share the work. --policies names it")
       ->check(
           [](const std::string& url) { return std::string(ParseWebUrl(url).status().message()); })
       ->delimiter(',');
@@ -99,8 +98,7 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
       ->allow_extra_args(false);
   app.add_option("--dialect", flags.dialect,
                  "Keys of the messages to --policy-url: libero (default), droid, aloha, vllm_omni, "
-                 "sglang, lerobot, "
-                 "robostress, or a YAML file");
+                 "sglang, lerobot, robostress, or a YAML file");
   app.add_option("--replay-file", flags.replay_file, "Actions for policy replay");
   app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
   app.add_option("--robosuite-root", flags.robosuite_root,

@@ -142,8 +142,7 @@ std::string UnpairedNoiseNote(const RunData& run) {
   if (policies.empty()) return "";
   return absl::StrCat("Sampling noise not paired: the server of ", absl::StrJoin(policies, ", "),
                       " takes neither seed nor noise, so that pairs share their initial state "
-                      "alone, and a pair may "
-                      "differ by chance where no method acts.");
+                      "alone, and a pair may differ by chance where no method acts.");
 }
 
 std::string MixedMachinesNote(const RunData& run) {

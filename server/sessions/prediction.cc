@@ -8,6 +8,7 @@
 #include "absl/strings/str_join.h"
 #include "adapter/command_bounds.h"
 #include "adapter/method_options.h"
+#include "common/rollout/noise_key.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -39,13 +40,7 @@ std::string SessionIdentity(const SessionSpec& spec) {
 }
 
 StreamKey NoiseKey(const SessionSpec& spec, const ChunkKey& key) {
-  return StreamKey("prediction_noise")
-      .With(spec.method->noise_stream)
-      .With(spec.seed)
-      .With(spec.suite)
-      .With(int64_t{key.episode.task})
-      .With(int64_t{key.episode.episode})
-      .With(int64_t{key.chunk});
+  return PredictionNoiseKey(spec, spec.method->noise_stream, key);
 }
 
 torch::Tensor DrawNoise(const StreamKey& key, int64_t horizon, int64_t dim) {

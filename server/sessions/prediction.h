@@ -43,8 +43,7 @@ struct BufferedChunk {
 // The identity that keys phi_0 and every draw of an update. The sampling noise has a key of its
 // own.
 std::string SessionIdentity(const SessionSpec& spec);
-// Key of the noise of one prediction: (noise stream, seed, suite, task, episode, chunk) and nothing
-// else, so it is equal for every method and scenario.
+// PredictionNoiseKey of a session (common/rollout/noise_key.h).
 StreamKey NoiseKey(const SessionSpec& spec, const ChunkKey& key);
 
 // Standard normal noise [1, K, d] of `key`.
