@@ -16,13 +16,15 @@ CompensatedPolicy::CompensatedPolicy(PolicyEndpoint* policy, const SessionSettin
     : policy_(policy),
       method_(method),
       residual_(ResidualOf(setting, method)),
-      correction_(method, residual_, NominalArmOf(setting)) {}
+      correction_(method, residual_, NominalArmOf(setting)),
+      running_(correction_) {}
 
 absl::StatusOr<std::unique_ptr<CompensatedPolicy>> CompensatedPolicy::Create(
     PolicyEndpoint* policy, const SessionSetting& setting, const MethodOptions& method) {
   if (method.adapts()) {
     return absl::InvalidArgumentError(absl::StrCat(
-        "method '", method.method, "' adapts weights, and policy '", setting.policy,
+        "method '", method.method,
+        "' trains an adapter in the policy's weights (LoRA), and policy '", setting.policy,
         "' has none here; take one that corrects commands alone: gain, direct, ours_following"));
   }
   RS_RETURN_IF_ERROR(method.Check());
@@ -43,7 +45,27 @@ absl::StatusOr<PredictedChunk> CompensatedPolicy::Predict(const Observation& obs
   const Eigen::VectorXd correction = correction_.Value();
   RS_ASSIGN_OR_RETURN(PredictedChunk predicted, policy_->Predict(observation, chunk));
   CorrectCommands(*method_, policy_->spec(), correction, predicted);
+  running_ = correction_;
   return predicted;
+}
+
+absl::StatusOr<Eigen::VectorXf> CompensatedPolicy::NextCommand(const PredictedChunk& predicted,
+                                                               const ExecutedChunk& so_far) {
+  if (!method_->every_step || so_far.steps.empty())
+    return PolicyEndpoint::NextCommand(predicted, so_far);
+  const auto row = static_cast<Eigen::Index>(so_far.steps.size());
+  ExecutedChunk newest = so_far;
+  newest.steps = {so_far.steps.back()};
+  newest.first_step += static_cast<int>(row) - 1;
+  newest.masked.clear();
+  if (so_far.IsMasked(so_far.steps.size() - 1)) newest.masked = {true};
+  RS_ASSIGN_OR_RETURN(const MeasuredChunk measured,
+                      MeasuredChunk::Create(newest, policy_->spec(), residual_));
+  running_.Observe(measured.usable());
+  PredictedChunk next;
+  next.policy_actions = predicted.policy_actions.row(row);
+  CorrectCommands(*method_, policy_->spec(), running_.Value(), next);
+  return Eigen::VectorXf(next.actions.row(0).transpose());
 }
 
 absl::Status CompensatedPolicy::SendFeedback(ExecutedChunk executed) {

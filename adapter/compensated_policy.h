@@ -16,7 +16,8 @@ struct MethodOptions;  // adapter/method_options.h
 
 // Any policy with what a method does that needs no weights: gain, direct and integral correction,
 // model following. Its commands are, bit by bit, those of a session of our own server with that
-// method around a policy that predicts the same. One thread.
+// method around a policy that predicts the same; with every_step they follow the arm at every
+// control step. One thread.
 class CompensatedPolicy : public PolicyEndpoint {
  public:
   // `policy` outlives this and adapts nothing. INVALID_ARGUMENT names the method that needs
@@ -28,6 +29,9 @@ class CompensatedPolicy : public PolicyEndpoint {
   const PolicySpec& spec() const override { return policy_->spec(); }
   absl::Status StartEpisode(const EpisodeKey& key) override;
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
+  // With every_step: the policy's row with what the correction is by now.
+  absl::StatusOr<Eigen::VectorXf> NextCommand(const PredictedChunk& predicted,
+                                              const ExecutedChunk& so_far) override;
   // A chunk of another episode than the open one, or one that came before, teaches nothing; one
   // that nobody can have measured is INVALID_ARGUMENT, and nothing changes, as where `policy`
   // refuses it.
@@ -42,6 +46,7 @@ class CompensatedPolicy : public PolicyEndpoint {
   const Deferred<MethodOptions> method_;
   const ResidualOptions residual_;
   CommandCorrection correction_;
+  CommandCorrection running_;  // the same, with the steps of the chunk that is being executed
   std::optional<EpisodeKey> episode_;
   uint64_t learned_ = 0;  // sequence of the last chunk that was taken
 };

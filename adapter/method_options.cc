@@ -20,6 +20,14 @@ bool MethodOptions::Compensates() const {
   return any;
 }
 
+bool MethodOptions::Corrects() const {
+  bool any = false;
+  ForEachWay([&any]<class Way>(const Way&) {
+    any = any || requires { typename Way::Corrector; };
+  });
+  return any;
+}
+
 bool MethodOptions::CarriesOver() const {
   bool carries = false;
   ForEachWay([&carries](const auto& way) { carries = carries || way.carries_over(); });
@@ -36,6 +44,11 @@ absl::Status MethodOptions::Check() const {
   first.Update(CheckOption("gain", gain, -100, 100));
   first.Update(CheckOption("tracking_gain", tracking_gain, 1e-3, 100));
   if (!first.ok()) return Invalid(*this, first.message());
+  if (every_step && (!Corrects() || adapts())) {
+    return Invalid(*this,
+                   "every_step needs a method that corrects commands and adapts no weights: "
+                   "direct, ours_integral, ours_following");
+  }
   if (alone == nullptr || other == nullptr) return absl::OkStatus();
   return Invalid(*this, alone, " and ", other, " exclude each other; turn one of them off");
 }
@@ -44,6 +57,10 @@ absl::Status MethodOptions::CheckJointSpace(const std::string& robot) const {
   if (target == TargetReference::kNominal) {
     return Invalid(*this, "target nominal models an end-effector controller; robot ", robot,
                    " acts in joint space: use target executed or intent");
+  }
+  if (every_step) {
+    return Invalid(*this, "every_step is the simulated Panda's; robot ", robot,
+                   " corrects at every step by the disturbance observer of its client");
   }
   if (gain != 1.0) {
     return Invalid(*this, "gain ", gain, " would scale absolute joint targets; robot ", robot,

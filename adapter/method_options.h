@@ -37,6 +37,9 @@ struct MethodOptions {
   std::string noise_stream = "policy";  // null control: another name, other sampling noise
   bool track_intent = true;             // also predict with the unadapted policy
   ObservationInput observation = ObservationInput::kFull;  // what the policy is shown
+  // Corrects anew at every control step, by what the arm has done since the chunk was predicted.
+  // Done beside the arm (CompensatedPolicy): a server hears of a chunk when it is over.
+  bool every_step = false;
   bool observer = false;  // the robot's client corrects by its disturbance observer, not the server
 
   // Null: the method does not have this way.
@@ -59,6 +62,7 @@ struct MethodOptions {
     std::apply([&f](const auto&... way) { ((way.has_value() ? f(*way) : void()), ...); }, ways);
   }
   bool adapts() const { return Find<LoraOptions>() != nullptr; }
+  bool Corrects() const;  // adds to commands by what it measured
   // Learns from motion, or corrects commands by it.
   bool Compensates() const;
   // Episodes depend on those before them.
@@ -99,6 +103,8 @@ struct MethodOptions {
               {"frozen_state", ObservationInput::kFrozenState}},
              "controls: another task's instruction, grey images, or the first proprioception for "
              "the whole episode");
+    v.Late("every_step", every_step, false,
+           "correct anew at every control step, not once per chunk; done beside the arm");
     v.Late("observer", observer, false,
            "the robot's client corrects commands by its disturbance observer");
   }

@@ -44,6 +44,12 @@ constexpr Preset kPresets[] = {
        m.Add(FollowingOptions::Tuned());
        m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
      }},
+    {"ours_following_step", "Ours, model following at every step", "#9f1239",
+     [](MethodOptions& m) {
+       m.Add(FollowingOptions::Tuned());
+       m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
+       m.every_step = true;
+     }},
     {"gain", "Gain control", "#e69f00", [](MethodOptions& m) { m.gain = 1.15; }},
     {"null", "Null control", "#cc79a7", [](MethodOptions& m) { m.noise_stream = "null"; }},
     {"direct", "Direct subtraction", "#56b4e9",

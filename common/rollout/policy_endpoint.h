@@ -67,6 +67,14 @@ class PolicyEndpoint {
   virtual absl::Status StartEpisode(const EpisodeKey& key) = 0;
   // Lockstep: returns when all feedback sent before is in and every due update is published.
   virtual absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) = 0;
+  // [action_dim] what is sent for row `so_far.steps.size()` of `predicted`, the last prediction:
+  // its `actions`, unless the policy corrects by what was executed since. `so_far`: the steps of
+  // this chunk that are done, `so_far.final_state` the state now.
+  virtual absl::StatusOr<Eigen::VectorXf> NextCommand(const PredictedChunk& predicted,
+                                                      const ExecutedChunk& so_far) {
+    return Eigen::VectorXf(
+        predicted.actions.row(static_cast<Eigen::Index>(so_far.steps.size())).transpose());
+  }
   virtual absl::Status SendFeedback(ExecutedChunk executed) = 0;
   virtual absl::StatusOr<SessionStats> Stats() = 0;
 };

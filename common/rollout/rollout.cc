@@ -73,23 +73,25 @@ absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOpt
     executed.chunk = chunk;
     executed.prediction_id = prediction->prediction_id;
     const int steps = std::min(spec.execute_steps, robot.horizon() - record.steps);
+    executed.final_state = state;
     for (int i = 0; i < steps && !record.success; ++i) {
+      RS_ASSIGN_OR_RETURN(Eigen::VectorXf command, policy.NextCommand(*prediction, executed));
       ExecutedStep& step = executed.steps.emplace_back();
-      step.before = std::move(state);
+      step.before = std::move(executed.final_state);
       step.policy_command = prediction->policy_actions.row(i).transpose();
-      step.sent_command = prediction->actions.row(i).transpose();
+      step.sent_command = std::move(command);
       if (prediction->base_actions.size() > 0)
         step.base_command = prediction->base_actions.row(i).transpose();
       {
         const StopWatch watch(record.step_s);
         RS_RETURN_IF_ERROR(robot.Step(step.sent_command));
       }
-      RS_ASSIGN_OR_RETURN(state, robot.Measure());
+      RS_ASSIGN_OR_RETURN(executed.final_state, robot.Measure());
       record.success = robot.Success();
       ++record.steps;
       if (options.on_step) options.on_step(record.steps);
     }
-    executed.final_state = state;
+    state = executed.final_state;
     executed.last_of_episode = record.success || record.steps >= robot.horizon();
     record.chunks.push_back(executed);
     {

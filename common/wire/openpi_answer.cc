@@ -50,24 +50,28 @@ const OpenpiValue* ActionsIn(const OpenpiValue& answer) {
 double Milliseconds(const OpenpiValue& answer, std::string_view timing) {
   const OpenpiValue* found = answer.Find(timing);
   const OpenpiValue* ms = found == nullptr ? nullptr : found->Find("infer_ms");
-  const auto* number = ms == nullptr ? nullptr : std::get_if<double>(&ms->value);
-  return number == nullptr || !(*number >= 0) ? 0 : *number;
+  if (ms == nullptr) return 0;
+  const auto* whole = std::get_if<int64_t>(&ms->value);
+  const auto* number = std::get_if<double>(&ms->value);
+  const double value = whole ? static_cast<double>(*whole) : number ? *number : 0;
+  return value >= 0 ? value : 0;
 }
 
 }  // namespace
 
+absl::Status OpenpiRefusal(const OpenpiValue& answer) {
+  const OpenpiValue* type = answer.Find("type");
+  const auto* text = type == nullptr ? nullptr : std::get_if<std::string_view>(&type->value);
+  if (text == nullptr || *text != "error") return absl::OkStatus();
+  const OpenpiValue* message = answer.Find("message");
+  const auto* words = message == nullptr ? nullptr : std::get_if<std::string_view>(&message->value);
+  return absl::InternalError(
+      absl::StrCat("the policy server refuses: ", words == nullptr ? "no message" : Words(*words)));
+}
+
 absl::StatusOr<OpenpiAnswer> ReadOpenpiAnswer(const OpenpiValue& answer, OpenpiSide rows,
                                               OpenpiSide cols) {
-  if (const OpenpiValue* type = answer.Find("type")) {
-    const auto* text = std::get_if<std::string_view>(&type->value);
-    if (text != nullptr && *text == "error") {
-      const OpenpiValue* message = answer.Find("message");
-      const auto* words =
-          message == nullptr ? nullptr : std::get_if<std::string_view>(&message->value);
-      return absl::InternalError(absl::StrCat("the policy server refuses: ",
-                                              words == nullptr ? "no message" : Words(*words)));
-    }
-  }
+  RS_RETURN_IF_ERROR(OpenpiRefusal(answer));
   const OpenpiValue* found = ActionsIn(answer);
   if (found == nullptr || !std::holds_alternative<OpenpiArray>(found->value)) {
     return absl::InvalidArgumentError(absl::StrCat(

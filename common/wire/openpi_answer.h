@@ -17,11 +17,14 @@ struct OpenpiAnswer {
 };
 
 // The actions in an answer: an array of numbers [H, A] or [1, H, A], under "actions", alone in a
-// map under any other key, or without a map. `rows`, `cols`: what they may measure. A map
-// {type: "error", message} is INTERNAL with that message. Otherwise INVALID_ARGUMENT says what
-// came, what was expected, and which number is not finite.
+// map under any other key, or without a map. `rows`, `cols`: what they may measure. Errors:
+// OpenpiRefusal's; otherwise INVALID_ARGUMENT says what came, what was expected, and which number
+// is not finite.
 absl::StatusOr<OpenpiAnswer> ReadOpenpiAnswer(const OpenpiValue& answer, OpenpiSide rows,
                                               OpenpiSide cols);
+
+// INTERNAL with the message of a map {type: "error", message}, as vLLM-Omni answers; else OK.
+absl::Status OpenpiRefusal(const OpenpiValue& answer);
 
 // A text frame: the server's end of the conversation. INTERNAL with the last line of its text,
 // which is what a Python traceback says.

@@ -1,5 +1,6 @@
 #include "common/wire/openpi_connection.h"
 
+#include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -12,7 +13,7 @@ absl::StatusOr<std::unique_ptr<OpenpiConnection>> OpenpiConnection::Connect(
     const std::string& url, const OpenpiConnectionOptions& options) {
   RS_ASSIGN_OR_RETURN(std::unique_ptr<WebSocketClient> socket,
                       WebSocketClient::Connect(url, options.socket));
-  std::unique_ptr<OpenpiConnection> connection(new OpenpiConnection(std::move(socket), options));
+  std::unique_ptr<OpenpiConnection> connection(new OpenpiConnection(std::move(socket)));
   RS_ASSIGN_OR_RETURN(connection->metadata_bytes_, connection->Receive(options.metadata_timeout));
   absl::StatusOr<OpenpiValue> metadata =
       DecodeOpenpi(std::string_view(connection->metadata_bytes_));
@@ -25,12 +26,18 @@ absl::StatusOr<std::unique_ptr<OpenpiConnection>> OpenpiConnection::Connect(
   return connection;
 }
 
-absl::StatusOr<std::string> OpenpiConnection::Ask(std::string message) {
+absl::StatusOr<std::string> OpenpiConnection::Ask(std::string message, absl::Duration limit) {
+  if (const std::optional<WebSocketMessage> early = socket_->TakeUnread()) {
+    if (early->text)  // its last word before it closes
+      return absl::UnavailableError(
+          absl::StrCat(address(), ": ", OpenpiErrorText(early->bytes).message()));
+    return absl::InternalError(
+        absl::StrCat(address(), " sent a message of ", early->bytes.size(),
+                     " bytes that nobody asked for, so that no answer can be trusted to belong to "
+                     "its question; is it a server of openpi's wire, with one client?"));
+  }
   RS_RETURN_IF_ERROR(socket_->Send(std::move(message)));
-  RS_ASSIGN_OR_RETURN(std::string answer,
-                      Receive(answered_ ? options_.answer_timeout : options_.first_answer_timeout));
-  answered_ = true;
-  return answer;
+  return Receive(limit);
 }
 
 absl::StatusOr<std::string> OpenpiConnection::Receive(absl::Duration limit) {

@@ -14,11 +14,6 @@ namespace robostress {
 struct OpenpiConnectionOptions {
   WebSocketOptions socket;
   absl::Duration metadata_timeout = absl::Seconds(30);
-  // A server may compile its network when it is first asked: tens of seconds.
-  absl::Duration first_answer_timeout = absl::Minutes(5);
-  absl::Duration answer_timeout = absl::Seconds(30);
-  // How long a server may be gone that was there before (RemotePolicy dials it anew).
-  absl::Duration absence = absl::Minutes(2);
 };
 
 // A client's side of openpi's wire: the server's metadata, then an answer for each message. One
@@ -34,18 +29,17 @@ class OpenpiConnection {
   const OpenpiValue& metadata() const { return metadata_; }
   const std::string& address() const { return socket_->address(); }
   // The bytes that answer a message (WriteOpenpiObservation); DecodeOpenpiValue reads them.
-  absl::StatusOr<std::string> Ask(std::string message);
+  // DEADLINE_EXCEEDED after `limit`; INTERNAL where the server has sent what nobody asked for, so
+  // that its answers can no longer be told apart.
+  absl::StatusOr<std::string> Ask(std::string message, absl::Duration limit);
 
  private:
-  OpenpiConnection(std::unique_ptr<WebSocketClient> socket, const OpenpiConnectionOptions& options)
-      : options_(options), socket_(std::move(socket)) {}
+  explicit OpenpiConnection(std::unique_ptr<WebSocketClient> socket) : socket_(std::move(socket)) {}
   absl::StatusOr<std::string> Receive(absl::Duration limit);
 
-  const OpenpiConnectionOptions options_;
   const std::unique_ptr<WebSocketClient> socket_;
   std::string metadata_bytes_;
   OpenpiValue metadata_;  // of those bytes
-  bool answered_ = false;
 };
 
 }  // namespace robostress

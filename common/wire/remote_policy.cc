@@ -52,6 +52,37 @@ json JsonOf(const OpenpiValue& value) {
   return std::visit(Visitor{}, value.value);
 }
 
+std::string Dumped(const json& value) {
+  return value.dump(-1, ' ', false, json::error_handler_t::replace);
+}
+
+// Its leaves by JSON pointer; empty for an empty map.
+json FlatJson(const OpenpiValue& metadata) {
+  const json whole = JsonOf(metadata);
+  return whole.empty() ? json::object() : whole.flatten();
+}
+
+// Pointers whose leaf is not the same in both.
+std::set<std::string> Differences(const json& a, const json& b) {
+  std::set<std::string> pointers;
+  for (const auto* side : {&a, &b})
+    for (const auto& [pointer, leaf] : side->items())
+      if (!a.contains(pointer) || !b.contains(pointer) || a[pointer] != b[pointer])
+        pointers.insert(pointer);
+  return pointers;
+}
+
+// Whether the server lists what it takes beyond openpi's keys, and `key` is not among that.
+bool Denies(const OpenpiValue& metadata, std::string_view key) {
+  const OpenpiValue* extensions = metadata.Find("extensions");
+  const auto* list =
+      extensions == nullptr ? nullptr : std::get_if<OpenpiValue::List>(&extensions->value);
+  return list != nullptr && std::none_of(list->begin(), list->end(), [&](const OpenpiValue& item) {
+           const auto* text = std::get_if<std::string_view>(&item.value);
+           return text != nullptr && *text == key;
+         });
+}
+
 bool ComesAndGoes(const absl::Status& status) {
   return absl::IsUnavailable(status) || absl::IsDeadlineExceeded(status);
 }
@@ -90,7 +121,7 @@ absl::Status CheckRemotePolicy(const RemotePolicyOptions& options) {
 
 RemotePolicy::RemotePolicy(std::string url, const RemotePolicyOptions& options,
                            const SessionSetting& setting, std::string noise_stream,
-                           const OpenpiConnectionOptions& connection)
+                           const RemotePolicyConnection& connection)
     : url_(std::move(url)),
       noise_stream_(std::move(noise_stream)),
       options_(options),
@@ -107,14 +138,23 @@ RemotePolicy::RemotePolicy(std::string url, const RemotePolicyOptions& options,
 
 absl::StatusOr<std::unique_ptr<RemotePolicy>> RemotePolicy::Connect(
     const std::string& url, const RemotePolicyOptions& options, const SessionSetting& setting,
-    const std::string& noise_stream, const OpenpiConnectionOptions& connection) {
+    const std::string& noise_stream, const RemotePolicyConnection& connection) {
   RS_RETURN_IF_ERROR(CheckRemotePolicy(options));
   RS_ASSIGN_OR_RETURN(WebUrl where, ParseWebUrl(url));
   if (where.target == "/" && !options.dialect.path.empty()) where.target = options.dialect.path;
   std::unique_ptr<RemotePolicy> policy(
       new RemotePolicy(where.text(), options, setting, noise_stream, connection));
   RS_RETURN_IF_ERROR(policy->Dial());
-  RS_RETURN_IF_ERROR(policy->CheckMetadata());
+  if (const json first = FlatJson(policy->connection_->metadata()); !first.empty()) {
+    policy->connection_.reset();  // a server may have room for one
+    RS_RETURN_IF_ERROR(policy->Dial());
+    policy->volatile_ = Differences(first, FlatJson(policy->connection_->metadata()));
+  }
+  policy->metadata_hash_ = Sha256Hex(policy->StableMetadata());
+  if (!policy->pairs_noise()) {
+    spdlog::info("{}: takes neither seed nor noise; sampling noise is not paired",
+                 policy->address());
+  }
   policy->spec_.model_hash = Sha256Hex(absl::StrCat(setting.policy, "\n", policy->metadata_hash_));
   // Two units, or two sweeps, at one server must not begin each other's episodes.
   policy->session_name_ = absl::StrCat(
@@ -124,21 +164,30 @@ absl::StatusOr<std::unique_ptr<RemotePolicy>> RemotePolicy::Connect(
 }
 
 absl::Status RemotePolicy::Dial() {
-  RS_ASSIGN_OR_RETURN(connection_, OpenpiConnection::Connect(url_, connection_options_));
+  RS_ASSIGN_OR_RETURN(connection_, OpenpiConnection::Connect(url_, connection_options_.wire));
   connection_begins_ = true;
+  answered_here_ = false;
   episode_begins_ = episode_open_;  // whatever the server knew of it
-  const std::string hash = Sha256Hex(metadata());
-  if (metadata_hash_.empty()) metadata_hash_ = hash;
-  if (metadata_hash_ != hash && !metadata_changed_) {
+  if (!metadata_hash_.empty() && metadata_hash_ != Sha256Hex(StableMetadata()) &&
+      !metadata_changed_) {
     metadata_changed_ = true;
     spdlog::warn("{}: its metadata changed while the unit runs; is it the same model?", address());
   }
-  return absl::OkStatus();
+  return CheckMetadata();
 }
 
-std::string RemotePolicy::metadata() const {
-  return JsonOf(connection_->metadata()).dump(-1, ' ', false, json::error_handler_t::replace);
+std::string RemotePolicy::StableMetadata() const {
+  json flat = FlatJson(connection_->metadata());
+  for (const std::string& pointer : volatile_) flat.erase(pointer);
+  return Dumped(flat);
 }
+
+bool RemotePolicy::pairs_noise() const {
+  const OpenpiDialect& dialect = options_.dialect;
+  return takes_seed_ || !dialect.noise.empty() || dialect.describes_session;
+}
+
+std::string RemotePolicy::metadata() const { return Dumped(JsonOf(connection_->metadata())); }
 
 absl::Status RemotePolicy::CheckMetadata() {
   const OpenpiValue& metadata = connection_->metadata();
@@ -148,9 +197,17 @@ absl::Status RemotePolicy::CheckMetadata() {
     return Invalid(address(), " says ", what, " ", *number, ", remote.", what, " is ", ours,
                    "; set it to the server's, or ask the right server");
   };
+  takes_seed_ = !options_.dialect.seed.empty() && !Denies(metadata, options_.dialect.seed);
   // SGLang's, and ours.
-  if (const OpenpiValue* output = metadata.Find("output"))
+  if (const OpenpiValue* output = metadata.Find("output")) {
     RS_RETURN_IF_ERROR(check("action_dim", output->Find("action_dim"), options_.action_dim));
+    const OpenpiValue* horizon = output->Find("action_horizon");
+    const auto* rows = horizon == nullptr ? nullptr : std::get_if<int64_t>(&horizon->value);
+    if (rows != nullptr && *rows < options_.execute_steps) {
+      return Invalid(address(), " says action_horizon ", *rows, ", remote.execute_steps is ",
+                     options_.execute_steps, "; execute no more than that");
+    }
+  }
   if (const OpenpiValue* input = metadata.Find("input"))
     RS_RETURN_IF_ERROR(check("state_dim", input->Find("state_dim"), options_.state_dim));
   const OpenpiValue* policies = metadata.Find("policies");
@@ -224,7 +281,7 @@ std::vector<std::pair<std::string, std::string>> RemotePolicy::Extras(int chunk)
     extras.emplace_back(dialect.episode, MapOf({{"task", Integer(episode_.task)},
                                                 {"episode", Integer(episode_.episode)}}));
   }
-  if (!dialect.seed.empty()) {
+  if (takes_seed_) {
     RandomStream stream(NoiseKey(chunk));
     extras.emplace_back(dialect.seed, Integer(stream.NextUint32() >> 1));
   }
@@ -239,29 +296,48 @@ std::vector<std::pair<std::string, std::string>> RemotePolicy::Extras(int chunk)
   return extras;
 }
 
-absl::StatusOr<std::string> RemotePolicy::Ask(
-    const std::function<absl::StatusOr<std::string>()>& message) {
-  absl::Status lost;
-  absl::Duration pause = kFirstPause;
-  const absl::Time gone = absl::Now() + connection_options_.absence;
-  for (int attempt = 0; attempt < kAttempts;) {
-    if (!lost.ok()) {
-      const absl::Status dialled = Dial();
-      if (!dialled.ok() && !ComesAndGoes(dialled)) return dialled;
-      if (!dialled.ok()) {
-        if (absl::Now() + pause > gone) break;
-        absl::SleepFor(pause);
-        pause = std::min(2 * pause, kLongestPause);
-        continue;
-      }
+absl::Status RemotePolicy::DialAgain(absl::Time gone, const absl::Status& lost) {
+  for (absl::Duration pause = kFirstPause;; pause = std::min(2 * pause, kLongestPause)) {
+    const absl::Status dialled = Dial();
+    if (dialled.ok()) {
       ++reconnections_;
       spdlog::info("{}: connected again ({} so far)", address(), reconnections_);
     }
+    if (!ComesAndGoes(dialled)) return dialled;
+    if (absl::Now() + pause > gone) {
+      return absl::UnavailableError(absl::StrCat(lost.message(), "; then it was gone for ",
+                                                 absl::FormatDuration(connection_options_.absence),
+                                                 ": ", dialled.message()));
+    }
+    absl::SleepFor(pause);
+  }
+}
+
+absl::StatusOr<std::string> RemotePolicy::Ask(
+    const std::function<absl::StatusOr<std::string>()>& message) {
+  absl::Status lost;
+  absl::Time gone;
+  int silences = 0;
+  absl::Duration pause = absl::ZeroDuration();  // a server that closes when idle is dialled at once
+  for (int attempt = 0; attempt < kAttempts; ++attempt) {
+    if (!lost.ok()) {
+      absl::SleepFor(pause);
+      pause = std::max(kFirstPause, 2 * pause);
+      if (const absl::Status dialled = DialAgain(gone, lost); !dialled.ok()) {
+        if (!ComesAndGoes(dialled)) return dialled;
+        lost = dialled;
+        break;
+      }
+    }
     RS_ASSIGN_OR_RETURN(std::string text, message());
-    absl::StatusOr<std::string> answer = connection_->Ask(std::move(text));
+    absl::StatusOr<std::string> answer = connection_->Ask(
+        std::move(text), answered_here_ ? connection_options_.answer_timeout
+                                        : connection_options_.first_answer_timeout);
     if (answer.ok() || !ComesAndGoes(answer.status())) return answer;
     lost = answer.status();
-    ++attempt;
+    gone = absl::Now() + connection_options_.absence;
+    // One that never answered will not by being asked again.
+    if (absl::IsDeadlineExceeded(lost) && (!answered_ || ++silences == 2)) break;
   }
   return absl::UnavailableError(absl::StrCat(
       "the policy at ", url_, " does not answer, after ", reconnections_, " further connections: ",
@@ -273,13 +349,23 @@ absl::Status RemotePolicy::StartEpisode(const EpisodeKey& key) {
   episode_open_ = episode_begins_ = true;
   const OpenpiDialect& dialect = options_.dialect;
   if (dialect.reset.empty() || dialect.reset_text.empty()) return absl::OkStatus();
-  return Ask([&]() -> absl::StatusOr<std::string> {
-           std::vector<std::pair<std::string, std::string>> reset = {
-               {dialect.reset, Text(dialect.reset_text)}};
-           if (!dialect.session.empty()) reset.emplace_back(dialect.session, SessionText());
-           return MapOf(reset);
-         })
-      .status();
+  // It is not said again in mid-episode: the server knows us by our session's name, and one that
+  // does not has begun anew by itself.
+  RS_ASSIGN_OR_RETURN(const std::string bytes, Ask([&]() -> absl::StatusOr<std::string> {
+                        std::vector<std::pair<std::string, std::string>> reset = {
+                            {dialect.reset, Text(dialect.reset_text)}};
+                        if (!dialect.session.empty())
+                          reset.emplace_back(dialect.session, SessionText());
+                        return MapOf(reset);
+                      }));
+  const absl::StatusOr<OpenpiValue> answer = DecodeOpenpiValue(std::string_view(bytes));
+  return AtServer(answer.ok() ? OpenpiRefusal(*answer) : answer.status());
+}
+
+absl::Status RemotePolicy::AtServer(const absl::Status& failed) const {
+  if (failed.ok()) return failed;
+  return absl::Status(failed.code(), absl::StrCat(address(), ", dialect ", options_.dialect.name,
+                                                  ": ", failed.message()));
 }
 
 absl::StatusOr<PredictedChunk> RemotePolicy::Predict(const Observation& observation, int chunk) {
@@ -288,17 +374,15 @@ absl::StatusOr<PredictedChunk> RemotePolicy::Predict(const Observation& observat
   RS_ASSIGN_OR_RETURN(const std::string bytes, Ask([&] {
                         return WriteOpenpiObservation(observation, options_.dialect, Extras(chunk));
                       }));
-  RS_ASSIGN_OR_RETURN(const OpenpiValue value, DecodeOpenpiValue(std::string_view(bytes)));
+  const absl::StatusOr<OpenpiValue> value = DecodeOpenpiValue(std::string_view(bytes));
+  if (!value.ok()) return AtServer(value.status());
   // The first answer says how many rows a chunk has; the others must keep to it.
   const OpenpiSide rows =
       answered_ ? OpenpiSide(spec_.horizon) : OpenpiSide(spec_.execute_steps, WireLimits::kHorizon);
-  absl::StatusOr<OpenpiAnswer> answer = ReadOpenpiAnswer(value, rows, options_.action_dim);
-  if (!answer.ok()) {
-    return absl::Status(answer.status().code(),
-                        absl::StrCat(address(), ": ", answer.status().message()));
-  }
+  absl::StatusOr<OpenpiAnswer> answer = ReadOpenpiAnswer(*value, rows, options_.action_dim);
+  if (!answer.ok()) return AtServer(answer.status());
   spec_.horizon = static_cast<int>(answer->actions.rows());
-  answered_ = true;
+  answered_ = answered_here_ = true;
   episode_begins_ = connection_begins_ = false;
   PredictedChunk predicted;
   predicted.prediction_id = ++predictions_;

@@ -114,9 +114,13 @@ class WebSocketClient::Impl {
           "; allow it more time, or see what keeps the policy server busy, and connect again")));
     }
     if (unread_.empty()) return end_;
-    WebSocketMessage message = std::move(unread_.front());
-    unread_.pop_front();
-    return message;
+    return TakeLocked();
+  }
+
+  std::optional<WebSocketMessage> TakeUnread() ABSL_LOCKS_EXCLUDED(mu_) {
+    absl::MutexLock lock(&mu_);
+    if (unread_.empty()) return std::nullopt;
+    return TakeLocked();
   }
 
   const std::string& address() const { return address_; }
@@ -128,6 +132,12 @@ class WebSocketClient::Impl {
  private:
   using Socket = websocket::stream<WebStream, false>;
   using Error = boost::system::error_code;
+
+  WebSocketMessage TakeLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    WebSocketMessage message = std::move(unread_.front());
+    unread_.pop_front();
+    return message;
+  }
 
   // The connection's end, with the first reason that there was.
   void EndLocked(absl::Status reason) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
@@ -337,6 +347,7 @@ absl::Status WebSocketClient::Send(std::string message) { return impl_->Send(std
 absl::StatusOr<WebSocketMessage> WebSocketClient::Receive(absl::Duration limit) {
   return impl_->Receive(limit);
 }
+std::optional<WebSocketMessage> WebSocketClient::TakeUnread() { return impl_->TakeUnread(); }
 const std::string& WebSocketClient::address() const { return impl_->address(); }
 int WebSocketClient::close_code() const { return impl_->close_code(); }
 

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/status/status.h"
@@ -45,6 +46,8 @@ class WebSocketClient {
   // The next message. One that does not come within `limit` ends the connection: it would be taken
   // for the answer to the next question.
   absl::StatusOr<WebSocketMessage> Receive(absl::Duration limit);
+  // What has come already and nobody received; never waits.
+  std::optional<WebSocketMessage> TakeUnread();
 
   const std::string& address() const;  // "ws://127.0.0.1:8000/"
   int close_code() const;              // the peer's; 0: it has not closed

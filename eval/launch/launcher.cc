@@ -26,10 +26,14 @@ absl::StatusOr<std::unique_ptr<Launcher>> MakeLauncher(const std::string& name) 
                                                  LaunchersLeftOut()));
 }
 
+std::vector<std::string> LaunchOptions::Elsewhere() const {
+  if (!policy_urls.empty() || server.empty()) return policy_urls;
+  return {server};
+}
+
 absl::StatusOr<LaunchResult> LocalLauncher::Launch(const LaunchRequest& request) {
   const LaunchOptions& options = request.options;
-  std::vector<std::string> elsewhere = options.policy_urls;
-  if (elsewhere.empty() && !options.server.empty()) elsewhere = {options.server};
+  const std::vector<std::string> elsewhere = options.Elsewhere();
   LocalServers servers(elsewhere);
   std::set<std::string> policies;
   for (const WorkItem& item : request.items) {

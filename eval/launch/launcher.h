@@ -30,6 +30,9 @@ struct LaunchOptions {
   int part_episodes = 0;
   std::string launcher = "local";  // one of LauncherNames()
   ClusterOptions cluster;          // of launchers other than local
+
+  // Addresses of servers that run already; empty: they are started.
+  std::vector<std::string> Elsewhere() const;
 };
 
 struct LaunchRequest {

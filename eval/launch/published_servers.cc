@@ -1,12 +1,7 @@
 #include "eval/launch/published_servers.h"
 
-#include <fcntl.h>
-#include <netdb.h>
 #include <poll.h>
-#include <sys/socket.h>
-#include <unistd.h>
 
-#include <cerrno>
 #include <chrono>
 
 #include "absl/strings/str_cat.h"
@@ -18,23 +13,6 @@ namespace {
 
 using nlohmann::json;
 using SteadyClock = std::chrono::steady_clock;
-
-constexpr int kConnectMs = 1000;
-
-bool Connects(const addrinfo& place) {
-  const int fd = socket(place.ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-  if (fd < 0) return false;
-  bool connected = connect(fd, place.ai_addr, place.ai_addrlen) == 0;
-  if (!connected && errno == EINPROGRESS) {
-    pollfd item{fd, POLLOUT, 0};
-    int error = 1;
-    socklen_t size = sizeof(error);
-    connected = poll(&item, 1, kConnectMs) == 1 &&
-                getsockopt(fd, SOL_SOCKET, SO_ERROR, &error, &size) == 0 && error == 0;
-  }
-  close(fd);
-  return connected;
-}
 
 absl::StatusOr<ServerPlace> ReadPlace(const std::string& file) {
   const absl::StatusOr<std::string> text = ReadFile(file);
@@ -48,21 +26,6 @@ absl::StatusOr<ServerPlace> ReadPlace(const std::string& file) {
 
 }  // namespace
 
-bool Accepts(const std::string& address) {
-  const size_t colon = address.rfind(':');
-  if (colon == std::string::npos) return false;
-  addrinfo hints{}, *found = nullptr;
-  hints.ai_socktype = SOCK_STREAM;
-  if (getaddrinfo(address.substr(0, colon).c_str(), address.substr(colon + 1).c_str(), &hints,
-                  &found) != 0)
-    return false;
-  bool accepts = false;
-  for (const addrinfo* place = found; place != nullptr && !accepts; place = place->ai_next)
-    accepts = Connects(*place);
-  freeaddrinfo(found);
-  return accepts;
-}
-
 absl::Status PublishServer(const Submission& submission, const std::string& policy, int index,
                            const ServerPlace& place) {
   const json record = {{"address", place.address}, {"machine", place.machine}};
@@ -70,7 +33,7 @@ absl::Status PublishServer(const Submission& submission, const std::string& poli
 }
 
 absl::StatusOr<ServerPlace> PublishedServers::Find(const std::string& policy) {
-  if (!submission_.elsewhere().empty()) return ServerPlace{submission_.elsewhere(), "unknown"};
+  if (!elsewhere_.empty()) return elsewhere_.Next();
   const auto deadline = SteadyClock::now() + std::chrono::duration<double>(patience_s_);
   while (true) {
     for (int k = 0; k < submission_.servers(); ++k) {
@@ -89,7 +52,7 @@ absl::StatusOr<ServerPlace> PublishedServers::Find(const std::string& policy) {
 }
 
 bool PublishedServers::Lost(const std::string&, const ServerPlace& place) {
-  return submission_.elsewhere().empty() && !Accepts(place.address);
+  return elsewhere_.empty() ? !Accepts(place.address) : elsewhere_.Lost(place);
 }
 
 }  // namespace robostress

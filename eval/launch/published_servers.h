@@ -6,6 +6,7 @@
 
 #include "absl/status/status.h"
 #include "eval/launch/server_source.h"
+#include "eval/launch/servers_elsewhere.h"
 #include "eval/launch/signal_guard.h"
 #include "eval/launch/submission.h"
 
@@ -23,6 +24,7 @@ class PublishedServers : public ServerSource {
   PublishedServers(const Submission& submission, int preferred, double patience_s,
                    SignalGuard& signals)
       : submission_(submission),
+        elsewhere_(submission.elsewhere(), static_cast<size_t>(preferred)),
         preferred_(preferred),
         patience_s_(patience_s),
         signals_(signals) {}
@@ -34,12 +36,10 @@ class PublishedServers : public ServerSource {
 
  private:
   const Submission& submission_;
+  ServersElsewhere elsewhere_;
   const int preferred_;
   const double patience_s_;
   SignalGuard& signals_;
 };
-
-// True when HOST:PORT accepts a connection within a second.
-bool Accepts(const std::string& address);
 
 }  // namespace robostress

@@ -101,7 +101,7 @@ void LocalServers::Stop() {
 }
 
 absl::StatusOr<ServerPlace> LocalServers::Find(const std::string& policy) {
-  if (!elsewhere_.empty()) return ServerPlace{elsewhere_[given_++ % elsewhere_.size()], "unknown"};
+  if (!elsewhere_.empty()) return elsewhere_.Next();
   return ServerPlace{absl::StrCat("127.0.0.1:", servers_.at(policy).port), ThisProcessor().Text()};
 }
 

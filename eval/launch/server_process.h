@@ -7,6 +7,7 @@
 #include "absl/status/statusor.h"
 #include "common/child_process.h"
 #include "eval/launch/server_source.h"
+#include "eval/launch/servers_elsewhere.h"
 #include "eval/launch/signal_guard.h"
 
 namespace robostress {
@@ -50,12 +51,14 @@ class LocalServers : public ServerSource {
 
   absl::StatusOr<ServerPlace> Find(const std::string& policy) override;
   absl::Status Check() override;
-  bool Lost(const std::string&, const ServerPlace&) override { return false; }  // Check says it
+  // Of its own servers Check says it.
+  bool Lost(const std::string&, const ServerPlace& place) override {
+    return elsewhere_.Lost(place);
+  }
   std::vector<int> wake_fds() const override;
 
  private:
-  const std::vector<std::string> elsewhere_;
-  size_t given_ = 0;
+  ServersElsewhere elsewhere_;
   std::map<std::string, ServerProcess> servers_;
 };
 

@@ -54,7 +54,7 @@ absl::StatusOr<std::unique_ptr<Submission>> Submission::Create(const LaunchReque
                          {"servers", cluster.servers},
                          {"server_threads", threads},
                          {"server_host", cluster.server_host},
-                         {"server", request.options.server},
+                         {"elsewhere", request.options.Elsewhere()},
                          {"workers_per_task", cluster.workers_per_task},
                          {"lag", request.options.measure_lag},
                          {"record_joints", request.options.record_joints}};
@@ -80,7 +80,7 @@ absl::Status Submission::Read() {
     servers_ = settings.at("servers").get<int>();
     server_threads_ = settings.at("server_threads").get<int>();
     server_host_ = settings.at("server_host").get<std::string>();
-    elsewhere_ = settings.at("server").get<std::string>();
+    elsewhere_ = settings.at("elsewhere").get<std::vector<std::string>>();
     pool_.workers = settings.at("workers_per_task").get<int>();
     pool_.measure_lag = settings.at("lag").get<bool>();
     pool_.record_joints = settings.at("record_joints").get<bool>();

@@ -31,7 +31,8 @@ class Submission {
   int servers() const { return servers_; }  // per policy
   int server_threads() const { return server_threads_; }
   const std::string& server_host() const { return server_host_; }
-  const std::string& elsewhere() const { return elsewhere_; }  // --server, or empty
+  // Of --policy-url or --server; empty: servers are jobs.
+  const std::vector<std::string>& elsewhere() const { return elsewhere_; }
   const PoolOptions& pool() const { return pool_; }
   const std::vector<WorkItem>& items() const { return items_; }
   std::vector<WorkItem> Share(int task) const;
@@ -51,7 +52,8 @@ class Submission {
   const std::string folder_;
   const RunDirectory run_;
   int tasks_ = 1, servers_ = 1, server_threads_ = 1;
-  std::string server_host_, elsewhere_;
+  std::string server_host_;
+  std::vector<std::string> elsewhere_;
   PoolOptions pool_;
   std::vector<PlannedUnit> units_;
   std::vector<WorkItem> items_;

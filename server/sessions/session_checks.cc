@@ -87,6 +87,12 @@ absl::StatusOr<ControlSpace> ControlSpaceOf(const SessionSpec& spec, const Polic
 absl::Status CheckSessionSpec(const SessionSpec& spec, const PolicySpec& policy) {
   RS_RETURN_IF_ERROR(CheckMethod(*spec.method, policy));
   RS_RETURN_IF_ERROR(CheckScales(spec));
+  if (spec.method->every_step) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "method ", spec.method->method,
+        ": every_step is done beside the arm, not in a server; leave it out, or let the robot's "
+        "client correct around a session of method base"));
+  }
   if (ActsInJointSpace(spec)) return spec.method->CheckJointSpace(spec.robot);
   return absl::OkStatus();
 }

@@ -61,6 +61,15 @@ class Film {
   absl::Status status_;
 };
 
+// What a server is asked for where the worker corrects.
+MethodOptions WithoutCorrection(MethodOptions method) {
+  method.method = "base";
+  method.ways = {};
+  method.gain = 1;
+  method.every_step = false;
+  return method;
+}
+
 class SimPlayer : public UnitPlayer {
  public:
   SimPlayer(const UnitConfig& unit, const SimUnitOptions& options, const TaskFactory& make_task)
@@ -78,7 +87,13 @@ class SimPlayer : public UnitPlayer {
     client.address = options_.server;
     client.connect_timeout_s = options_.connect_timeout_s;
     client.call_timeout_s = options_.call_timeout_s;
-    RS_ASSIGN_OR_RETURN(client_, GrpcPolicyClient::Connect(client, SessionOf(unit_)));
+    RequestedSession session = SessionOf(unit_);
+    if (unit_.method->every_step)
+      session.method_yaml = DumpConfig(WithoutCorrection(*unit_.method));
+    RS_ASSIGN_OR_RETURN(client_, GrpcPolicyClient::Connect(client, session));
+    if (unit_.method->every_step) {
+      RS_ASSIGN_OR_RETURN(local_, CompensatedPolicy::Create(client_.get(), session, *unit_.method));
+    }
     if (unit_.method->adapts() && !client_->spec().adaptable) {
       return absl::InvalidArgumentError(
           absl::StrCat("policy '", unit_.policy, "' cannot be adapted, method '",
@@ -89,7 +104,9 @@ class SimPlayer : public UnitPlayer {
 
   std::map<std::string, std::string> Provenance() const override {
     if (remote_ == nullptr) return {};
-    return {{"url", remote_->address()}, {"metadata", remote_->metadata()}};
+    return {{"url", remote_->address()},
+            {"metadata", remote_->metadata()},
+            {"noise_paired", remote_->pairs_noise() ? "true" : "false"}};
   }
 
   absl::StatusOr<std::optional<std::string>> Export() override {
@@ -106,7 +123,7 @@ class SimPlayer : public UnitPlayer {
                                      UnitDirectory& directory) override {
     const auto start = std::chrono::steady_clock::now();
     RS_RETURN_IF_ERROR(OpenTask(planned.task));
-    PolicyEndpoint& policy = client_ != nullptr ? static_cast<PolicyEndpoint&>(*client_) : *local_;
+    PolicyEndpoint& policy = local_ != nullptr ? *local_ : static_cast<PolicyEndpoint&>(*client_);
     Film film(task_);
     RolloutOptions rollout;
     rollout.initial_state = planned.initial_state;
@@ -145,9 +162,9 @@ class SimPlayer : public UnitPlayer {
  private:
   absl::StatusOr<std::string> OpenRemote() {
     const RequestedSession session = SessionOf(unit_);
-    OpenpiConnectionOptions connection;
-    RS_ASSIGN_OR_RETURN(connection.socket.secrets, ClientSecretsFromEnvironment());
-    connection.socket.connect_timeout = absl::Seconds(options_.connect_timeout_s);
+    RemotePolicyConnection connection;
+    RS_ASSIGN_OR_RETURN(connection.wire.socket.secrets, ClientSecretsFromEnvironment());
+    connection.wire.socket.connect_timeout = absl::Seconds(options_.connect_timeout_s);
     connection.answer_timeout = absl::Seconds(options_.call_timeout_s);
     connection.first_answer_timeout =
         std::max(connection.first_answer_timeout, connection.answer_timeout);
@@ -201,9 +218,9 @@ class SimPlayer : public UnitPlayer {
   UnitTask task_;
   UnitTask clean_task_;  // the same task without joint errors; with measure_lag only
   std::unique_ptr<RemotePolicy> remote_;
-  std::unique_ptr<PolicyEndpoint> local_;  // expert (reads task_), replay, compensated remote_
   std::unique_ptr<GrpcPolicyClient> client_;
-  uint64_t sequence_ = 0;  // of the last feedback sent
+  std::unique_ptr<PolicyEndpoint> local_;  // expert (reads task_), replay, one of the two corrected
+  uint64_t sequence_ = 0;                  // of the last feedback sent
 };
 
 }  // namespace

@@ -119,8 +119,75 @@ TEST_F(CompensatedPolicyTest, RefusesWhatNobodyCanHaveMeasuredAndStaysAsItWas) {
 
 TEST_F(CompensatedPolicyTest, TellsWhichMethodNeedsWeights) {
   const auto made = CompensatedPolicy::Create(&inner_, {.policy = "pi05"}, *MakeMethod("ours"));
-  EXPECT_THAT(made.status().message(),
-              HasSubstr("method 'ours' adapts weights, and policy 'pi05'"));
+  EXPECT_THAT(
+      made.status().message(),
+      HasSubstr("method 'ours' trains an adapter in the policy's weights (LoRA), and policy "
+                "'pi05'"));
+}
+
+// -------------------------------------------------------------------------------------- every step
+
+class EveryStepTest : public CompensatedPolicyTest {
+ protected:
+  // Chunks of `rows` steps as RunEpisode plays them, on an arm that goes a tenth as far as it is
+  // told; [chunks * rows, 7] what was sent.
+  Eigen::MatrixXf Play(int chunks, int rows) {
+    ToyArm arm(0.1);
+    Eigen::MatrixXf sent(chunks * rows, 7);
+    for (int chunk = 0; chunk < chunks; ++chunk) {
+      const PredictedChunk predicted = Predict(chunk);
+      ExecutedChunk executed;
+      executed.sequence = static_cast<uint64_t>(chunk) + 1;
+      executed.chunk = chunk;
+      executed.prediction_id = predicted.prediction_id;
+      executed.final_state = arm.state();
+      for (int row = 0; row < rows; ++row) {
+        const auto command = policy_->NextCommand(predicted, executed);
+        EXPECT_TRUE(command.ok()) << command.status();
+        ExecutedStep step;
+        step.before = arm.state();
+        step.policy_command = predicted.policy_actions.row(row);
+        step.sent_command = *command;
+        arm.Step(*command);
+        executed.steps.push_back(step);
+        executed.final_state = arm.state();
+        sent.row(chunk * rows + row) = command->transpose();
+      }
+      EXPECT_TRUE(policy_->SendFeedback(executed).ok());
+    }
+    return sent;
+  }
+};
+
+TEST_F(EveryStepTest, IsWhatChunksOfOneStepAre) {
+  Wrap("ours_following");
+  const Eigen::MatrixXf single = Play(20, 1);
+  Wrap("ours_following_step");
+  EXPECT_EQ(Play(20, 1), single) << "a chunk of one step has nothing to correct within";
+  Wrap("ours_following_step");
+  EXPECT_EQ(Play(4, 5), single) << "nor does it matter where a chunk of the same policy begins";
+}
+
+TEST_F(EveryStepTest, CorrectsWithinAChunkWhatAChunkCorrectsInTheNext) {
+  Wrap("ours_following");
+  const Eigen::MatrixXf late = Play(3, 5);
+  Wrap("ours_following_step");
+  const Eigen::MatrixXf soon = Play(3, 5);
+  EXPECT_GT(late(5, 0), 0.4f);
+  EXPECT_EQ(late.col(0).segment(5, 5), Eigen::VectorXf::Constant(5, late(5, 0)));
+  EXPECT_EQ(soon(5, 0), late(5, 0)) << "the first chunk was the same below the threshold";
+  for (int step = 5; step < 9; ++step) EXPECT_GT(soon(step + 1, 0), soon(step, 0)) << step;
+  EXPECT_EQ(soon.col(6), late.col(6)) << "the gripper is the policy's";
+}
+
+TEST_F(EveryStepTest, AnImpossibleMeasurementCorrectsNothing) {
+  Wrap("ours_following_step");
+  const PredictedChunk predicted = Predict(0);
+  ExecutedChunk executed = Short(predicted, 1);
+  executed.steps.resize(1);
+  executed.final_state = executed.steps[0].before;
+  executed.final_state.tool.p_base_tool.x() = -9;  // [m] in a control step
+  EXPECT_EQ((*policy_->NextCommand(predicted, executed))[0], 0.4f);
 }
 
 }  // namespace

@@ -109,7 +109,9 @@ TEST_P(EveryMethod, IsValidAndReadsBackToEveryBit) {
   // Over a preset, and as older servers stored it: the name, and nothing of the preset.
   MethodOptions changed = method_, bare;
   bare.method = GetParam();
-  bare.observer = method_.observer;  // written only where it is set, and younger than such servers
+  // Written only where they are set, and younger than such servers.
+  bare.observer = method_.observer;
+  bare.every_step = method_.every_step;
   changed.tracking_gain = bare.tracking_gain = 0.1 + 0.2;
   for (const MethodOptions& options : {changed, bare}) {
     const auto again = ParseMethod("m", DumpConfig(options));
@@ -247,6 +249,9 @@ TEST(MethodOptions, RefusesWhatMakesNoSense) {
   EXPECT_THAT(refusal("base", "gain=101"), HasSubstr("gain is 101, must be -100..100"));
   EXPECT_THAT(refusal("ours", "direct=true"), HasSubstr("direct and adapt exclude each other"));
   EXPECT_EQ(refusal("ours", "integral_rate=0.01"), "") << "these two do not";
+  for (const char* method : {"base", "ours", "gain"})
+    EXPECT_THAT(refusal(method, "every_step=true"), HasSubstr("every_step needs a method that"));
+  EXPECT_EQ(refusal("direct", "every_step=true"), "");
 }
 
 TEST(MethodOptions, SaysWhatNeedsAnEndEffectorController) {
@@ -261,6 +266,8 @@ TEST(MethodOptions, SaysWhatNeedsAnEndEffectorController) {
               HasSubstr("integral action compares with a nominal end-effector controller; robot "
                         "piper acts in joint space"));
   EXPECT_THAT(refusal("ours_following"), HasSubstr("method ours_following: "));
+  EXPECT_THAT(Message(MakeMethod("direct", {"every_step=true"})->CheckJointSpace("piper")),
+              HasSubstr("every_step is the simulated Panda's"));
 }
 
 }  // namespace

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "common/wire/openpi_readers.h"
 #include "tests/common/wire/openpi_bytes.h"
 #include "tests/common/wire/scripted_peer.h"
@@ -12,6 +14,8 @@ namespace {
 
 using ::testing::AllOf;
 using ::testing::HasSubstr;
+
+constexpr absl::Duration kLong = absl::Seconds(10);
 
 TEST(OpenpiConnection, ReadsMetadataThenAnswersInTurn) {
   const ScriptedPeer server = ScriptedPeer::WebSocket([](ScriptedPeer::Socket& web) {
@@ -27,29 +31,43 @@ TEST(OpenpiConnection, ReadsMetadataThenAnswersInTurn) {
   const auto connection = OpenpiConnection::Connect(server.url());
   ASSERT_TRUE(connection.ok()) << connection.status();
   EXPECT_EQ(OpenpiCount(*(*connection)->metadata().Find("reset_pose")), 2u);
-  EXPECT_EQ(*(*connection)->Ask("a"), "a!");
-  EXPECT_EQ(*(*connection)->Ask("b"), "b!");
-  const absl::Status failed = (*connection)->Ask("c").status();
+  EXPECT_EQ(*(*connection)->Ask("a", kLong), "a!");
+  EXPECT_EQ(*(*connection)->Ask("b", kLong), "b!");
+  const absl::Status failed = (*connection)->Ask("c", kLong).status();
   EXPECT_EQ(failed.code(), absl::StatusCode::kInternal);
   EXPECT_EQ(failed.message(),
             (*connection)->address() + ": the policy server failed: ValueError: no gripper");
 }
 
-TEST(OpenpiConnection, GivesOnlyTheFirstAnswerTimeToCompile) {
+TEST(OpenpiConnection, TrustsNoAnswerAfterOneThatNobodyAskedFor) {
   const ScriptedPeer server = ScriptedPeer::WebSocket([](ScriptedPeer::Socket& web) {
     ScriptedPeer::Write(web, OpenpiBytes().Map(0).bytes());
     ScriptedPeer::Read(web);
-    std::this_thread::sleep_for(std::chrono::milliseconds(500));
-    ScriptedPeer::Write(web, "compiled");
+    for (const char* answer : {"first", "more"}) ScriptedPeer::Write(web, answer);
     ScriptedPeer::AwaitEnd(web);
   });
-  OpenpiConnectionOptions options;
-  options.first_answer_timeout = absl::Seconds(30);
-  options.answer_timeout = absl::Milliseconds(100);
-  const auto connection = OpenpiConnection::Connect(server.url(), options);
+  const auto connection = OpenpiConnection::Connect(server.url());
   ASSERT_TRUE(connection.ok()) << connection.status();
-  EXPECT_EQ(*(*connection)->Ask("a"), "compiled");
-  EXPECT_EQ((*connection)->Ask("b").status().code(), absl::StatusCode::kDeadlineExceeded);
+  EXPECT_EQ(*(*connection)->Ask("a", kLong), "first");
+  absl::SleepFor(absl::Milliseconds(100));
+  const absl::Status shifted = (*connection)->Ask("b", kLong).status();
+  EXPECT_EQ(shifted.code(), absl::StatusCode::kInternal);
+  EXPECT_THAT(std::string(shifted.message()), HasSubstr("4 bytes that nobody asked for"));
+}
+
+TEST(OpenpiConnection, AServersLastWordBetweenQuestionsEndsTheConnectionAlone) {
+  const ScriptedPeer server = ScriptedPeer::WebSocket([](ScriptedPeer::Socket& web) {
+    ScriptedPeer::Write(web, OpenpiBytes().Map(0).bytes());
+    web.text(true);
+    ScriptedPeer::Write(web, "Traceback:\nTimeout: idle");
+    ScriptedPeer::AwaitEnd(web);
+  });
+  const auto connection = OpenpiConnection::Connect(server.url());
+  ASSERT_TRUE(connection.ok()) << connection.status();
+  absl::SleepFor(absl::Milliseconds(100));
+  const absl::Status ended = (*connection)->Ask("a", kLong).status();
+  EXPECT_EQ(ended.code(), absl::StatusCode::kUnavailable) << "a new connection may do";
+  EXPECT_THAT(std::string(ended.message()), HasSubstr("Timeout: idle"));
 }
 
 TEST(OpenpiConnection, KnowsAServerThatIsNotOpenpis) {

@@ -19,6 +19,8 @@
 namespace robostress {
 namespace {
 
+constexpr absl::Duration kLong = absl::Seconds(30);
+
 using ::testing::HasSubstr;
 
 // openpi_peer_server.py, ended with this.
@@ -83,7 +85,7 @@ TEST_F(OpenpiPeer, AnswersWhatWeSendInEveryDialect) {
     const Observation seen = Seen(c.views, c.state);
     for (int i = 0; i < 3; ++i) {
       const auto bytes =
-          (*connection)->Ask(*WriteOpenpiObservation(seen, *OpenpiDialectNamed(c.dialect)));
+          (*connection)->Ask(*WriteOpenpiObservation(seen, *OpenpiDialectNamed(c.dialect)), kLong);
       ASSERT_TRUE(bytes.ok()) << c.dialect << bytes.status();
       const auto answer = ReadOpenpiAnswer(*DecodeOpenpiValue(*bytes), {1, 50}, c.actions);
       ASSERT_TRUE(answer.ok()) << c.dialect << answer.status();
@@ -101,7 +103,7 @@ TEST_F(OpenpiPeer, KeepsUsWhileWeSimulate) {
   ASSERT_TRUE(connection.ok()) << connection.status();
   absl::SleepFor(absl::Seconds(1));  // it would cut us after 0.4 s
   const auto message = WriteOpenpiObservation(Seen(2, 8), *OpenpiDialectNamed("libero"));
-  const auto answer = (*connection)->Ask(*message);
+  const auto answer = (*connection)->Ask(*message, kLong);
   EXPECT_TRUE(answer.ok()) << answer.status();
 }
 
@@ -111,7 +113,7 @@ TEST_F(OpenpiPeer, TellsUsTheLastLineOfItsTraceback) {
   ASSERT_TRUE(connection.ok()) << connection.status();
   const absl::Status failed =
       (*connection)
-          ->Ask(*WriteOpenpiObservation(Seen(2, 8), *OpenpiDialectNamed("libero")))
+          ->Ask(*WriteOpenpiObservation(Seen(2, 8), *OpenpiDialectNamed("libero")), kLong)
           .status();
   EXPECT_EQ(failed.code(), absl::StatusCode::kInternal);
   EXPECT_THAT(std::string(failed.message()),

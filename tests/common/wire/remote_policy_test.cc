@@ -34,8 +34,12 @@ class PolicyPeer {
 
   explicit PolicyPeer(Script answer, std::string metadata = OpenpiWriter().Map(0).Take())
       : PolicyPeer(std::move(answer), [metadata](int) { return metadata; }) {}
-  PolicyPeer(Script answer, std::function<std::string(int)> metadata)
-      : thread_([this, answer = std::move(answer), metadata = std::move(metadata)] {
+  PolicyPeer(Script answer, uint16_t port)
+      : PolicyPeer(
+            std::move(answer), [](int) { return OpenpiWriter().Map(0).Take(); }, port) {}
+  PolicyPeer(Script answer, std::function<std::string(int)> metadata, uint16_t port = 0)
+      : acceptor_(io_, {boost::asio::ip::make_address("127.0.0.1"), port}),
+        thread_([this, answer = std::move(answer), metadata = std::move(metadata)] {
           for (int connection = 0; !ended_; ++connection) {
             ScriptedPeer::Error error;
             ScriptedPeer::Tcp::socket socket(io_);
@@ -67,9 +71,8 @@ class PolicyPeer {
     ScriptedPeer::Tcp::socket(io_).connect(acceptor_.local_endpoint(), ignored);
     thread_.join();
   }
-  std::string url() const {
-    return absl::StrCat("ws://127.0.0.1:", acceptor_.local_endpoint().port());
-  }
+  std::string url() const { return absl::StrCat("ws://127.0.0.1:", port()); }
+  uint16_t port() const { return acceptor_.local_endpoint().port(); }
   std::vector<std::string> told() const {
     const std::lock_guard<std::mutex> lock(mutex_);
     return told_;
@@ -82,8 +85,7 @@ class PolicyPeer {
 
  private:
   boost::asio::io_context io_;
-  ScriptedPeer::Tcp::acceptor acceptor_{
-      io_, ScriptedPeer::Tcp::endpoint(boost::asio::ip::make_address("127.0.0.1"), 0)};
+  ScriptedPeer::Tcp::acceptor acceptor_;
   std::atomic<bool> ended_ = false;
   std::atomic<int> live_ = -1;  // descriptor of the last connection
   mutable std::mutex mutex_;
@@ -126,7 +128,7 @@ class RemotePolicyTest : public ::testing::Test {
 
   SessionSetting setting_;
   RemotePolicyOptions options_;
-  OpenpiConnectionOptions connection_;
+  RemotePolicyConnection connection_;
   Observation observation_;
 };
 
@@ -229,6 +231,100 @@ TEST_F(RemotePolicyTest, EndsWhereTheServerStaysAway) {
   EXPECT_EQ(Connect(url).status().code(), absl::StatusCode::kUnavailable);
 }
 
+TEST_F(RemotePolicyTest, AServerThatHangsAndStartsAnewLosesNoEpisode) {
+  connection_.absence = absl::Seconds(1);  // counts from when it was missed, not from the question
+  connection_.answer_timeout = absl::Milliseconds(1100);
+  std::atomic<bool> killed = false;
+  auto server = std::make_unique<PolicyPeer>([&](int, int message) {
+    while (message == 1 && !killed) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    return killed ? std::string() : Zeros(10, 7);
+  });
+  auto policy = Connect(server->url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+  std::thread restart([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1300));
+    const uint16_t port = server->port();
+    killed = true;
+    server.reset();
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+    server = std::make_unique<PolicyPeer>([](int, int) { return Zeros(10, 7); }, port);
+  });
+  const auto predicted = (*policy)->Predict(observation_, 1);
+  restart.join();
+  EXPECT_TRUE(predicted.ok()) << predicted.status();
+  EXPECT_EQ((*policy)->reconnections(), 1);
+}
+
+TEST_F(RemotePolicyTest, AServerThatNeverAnswersIsNotAskedForever) {
+  connection_.first_answer_timeout = absl::Milliseconds(200);
+  std::atomic<int> asked = 0;
+  std::atomic<bool> over = false;
+  const PolicyPeer mute([&](int, int) {
+    ++asked;
+    while (!over) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    return std::string();
+  });
+  auto policy = Connect(mute.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  const absl::Status silent = (*policy)->Predict(observation_, 0).status();
+  over = true;
+  EXPECT_EQ(silent.code(), absl::StatusCode::kUnavailable);
+  EXPECT_THAT(silent.message(), HasSubstr("does not answer within 200ms"));
+  EXPECT_EQ(asked, 1);
+}
+
+TEST_F(RemotePolicyTest, AfterAConnectionTheServerMayCompileAgain) {
+  connection_.answer_timeout = absl::Milliseconds(150);
+  const PolicyPeer server([](int connection, int message) -> std::string {
+    if (connection == 0 && message == 1) return "";  // it starts anew
+    if (connection == 1 && message == 0)
+      std::this_thread::sleep_for(std::chrono::milliseconds(400));
+    return Zeros(10, 7);
+  });
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+  EXPECT_TRUE((*policy)->Predict(observation_, 1).ok());
+  EXPECT_EQ((*policy)->reconnections(), 1);
+}
+
+TEST_F(RemotePolicyTest, AResetIsAnsweredButPredictsNothing) {
+  options_.dialect = *OpenpiDialectNamed("vllm_omni");
+  connection_.answer_timeout = absl::Milliseconds(150);
+  const PolicyPeer slow([](int, int message) {
+    if (message == 1) std::this_thread::sleep_for(std::chrono::milliseconds(400));  // it compiles
+    return Zeros(10, 7);
+  });
+  auto policy = Connect(slow.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  EXPECT_TRUE((*policy)->Predict(observation_, 0).ok());
+  EXPECT_EQ((*policy)->reconnections(), 0);
+
+  const PolicyPeer refusing([](int, int) {
+    return OpenpiWriter().Map(2).Text("type").Text("error").Text("message").Text("full").Take();
+  });
+  policy = RemotePolicy::Connect(refusing.url(), options_, setting_, "policy", connection_);
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  EXPECT_THAT((*policy)->StartEpisode({0, 0}).message(),
+              AllOf(HasSubstr("refuses: full"), HasSubstr("vllm_omni")));
+}
+
+TEST_F(RemotePolicyTest, AServerThatTakesNoSeedIsNotPaired) {
+  options_.dialect = *OpenpiDialectNamed("lerobot");
+  for (const bool takes : {false, true}) {
+    OpenpiWriter metadata;
+    metadata.Map(1).Text("extensions").List(takes ? 2 : 1).Text("reset");
+    if (takes) metadata.Text("seed");
+    const PolicyPeer server([](int, int) { return Zeros(10, 7); }, metadata.Take());
+    auto policy = Connect(server.url());
+    ASSERT_TRUE(policy.ok()) << policy.status();
+    EXPECT_EQ((*policy)->pairs_noise(), takes);
+    ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+    EXPECT_EQ(server.told().at(0).find("seed") != std::string::npos, takes);
+  }
+}
+
 TEST_F(RemotePolicyTest, ALateAnswerIsNotTakenForTheNextQuestions) {
   const PolicyPeer server([](int connection, int message) {
     if (connection == 0 && message == 1)
@@ -268,21 +364,53 @@ TEST_F(RemotePolicyTest, AChunkThatChangesItsLengthIsRefused) {
 }
 
 TEST_F(RemotePolicyTest, SeesThatMetadataChangedOrContradict) {
-  const PolicyPeer server([](int connection, int) { return connection == 0 ? "" : Zeros(10, 7); },
-                          [](int connection) {
-                            return OpenpiWriter().Map(1).Text("model").Integer(connection).Take();
-                          });
+  const PolicyPeer server(
+      [](int connection, int) { return connection <= 1 ? "" : Zeros(10, 7); },
+      [](int connection) {
+        return OpenpiWriter().Map(1).Text("model").Integer(connection / 2).Take();
+      });
   auto policy = Connect(server.url());
   ASSERT_TRUE(policy.ok()) << policy.status();
   EXPECT_EQ((*policy)->metadata(), R"({"model":0})");
   ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
   EXPECT_TRUE((*policy)->metadata_changed());
 
+  // What differs between two connections in a row says nothing of the model.
+  const auto counting = [](int64_t model) {
+    return [model](int connection) {
+      return OpenpiWriter()
+          .Map(2)
+          .Text("model")
+          .Integer(model)
+          .Text("uptime_s")
+          .Integer(connection)
+          .Take();
+    };
+  };
+  std::vector<std::string> hashes;
+  for (const int64_t model : {1, 1, 2}) {
+    const PolicyPeer peer([](int connection, int) { return connection == 1 ? "" : Zeros(10, 7); },
+                          counting(model));
+    auto counted = Connect(peer.url());
+    ASSERT_TRUE(counted.ok()) << counted.status();
+    ASSERT_TRUE((*counted)->Predict(observation_, 0).ok());
+    EXPECT_EQ((*counted)->reconnections(), 1);
+    EXPECT_FALSE((*counted)->metadata_changed());
+    hashes.push_back((*counted)->spec().model_hash);
+  }
+  EXPECT_EQ(hashes[0], hashes[1]);
+  EXPECT_NE(hashes[0], hashes[2]);
+
   const PolicyPeer wide(
       [](int, int) { return Zeros(10, 7); },
       OpenpiWriter().Map(1).Text("output").Map(1).Text("action_dim").Integer(32).Take());
   EXPECT_THAT(Connect(wide.url()).status().message(),
               AllOf(HasSubstr("action_dim 32"), HasSubstr("remote.action_dim is 7")));
+  const PolicyPeer few(
+      [](int, int) { return Zeros(10, 7); },
+      OpenpiWriter().Map(1).Text("output").Map(1).Text("action_horizon").Integer(4).Take());
+  EXPECT_THAT(Connect(few.url()).status().message(),
+              AllOf(HasSubstr("action_horizon 4"), HasSubstr("remote.execute_steps is 5")));
 }
 
 }  // namespace

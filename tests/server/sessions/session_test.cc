@@ -338,6 +338,7 @@ TEST(Session, RefusesMethodOptionsThatMakeNoSense) {
   EXPECT_THAT(refusal(Spec("ours_following", {"direct=true"})), HasSubstr("exclude each other"));
   EXPECT_THAT(refusal(Spec("ours_following", {"following_memory=0.5"})),
               HasSubstr("following_memory is 0.5, must be 1..1e6"));
+  EXPECT_THAT(refusal(Spec("ours_following_step")), HasSubstr("is done beside the arm"));
   SessionSpec unknown = Spec("base");
   unknown.method.Edit().method = "magic";
   EXPECT_THAT(refusal(unknown), HasSubstr("unknown method 'magic'; known: base, ours"));
