@@ -108,6 +108,8 @@ Observation Seen(int side) {
   return observation;
 }
 
+constexpr absl::Duration kLong = absl::Minutes(2);
+
 using Extras = std::vector<std::pair<std::string, std::string>>;
 
 Extras Seed(int64_t seed) { return {{"seed", OpenpiWriter().Integer(seed).Take()}}; }
@@ -115,7 +117,7 @@ Extras Seed(int64_t seed) { return {{"seed", OpenpiWriter().Integer(seed).Take()
 absl::StatusOr<OpenpiAnswer> Ask(OpenpiConnection& connection, const Observation& observation,
                                  const Extras& extras = {},
                                  const OpenpiDialect& dialect = *OpenpiDialectNamed("libero")) {
-  const auto bytes = connection.Ask(*WriteOpenpiObservation(observation, dialect, extras));
+  const auto bytes = connection.Ask(*WriteOpenpiObservation(observation, dialect, extras), kLong);
   if (!bytes.ok()) return bytes.status();
   return ReadOpenpiAnswer(*DecodeOpenpiValue(*bytes), {1, 50}, 7);
 }
@@ -159,7 +161,8 @@ TEST_F(ServeLerobotWire, AnswersWhatWeSend) {
   EXPECT_EQ(Ask(*connection, seen)->actions(0, 3), -1) << "no seed";
   EXPECT_EQ(Ask(*connection, seen, {{"reset", OpenpiWriter().Boolean(true).Take()}})->actions(0, 4),
             1);
-  const auto reset = connection->Ask(OpenpiWriter().Map(1).Text("reset").Boolean(true).Take());
+  const auto reset =
+      connection->Ask(OpenpiWriter().Map(1).Text("reset").Boolean(true).Take(), kLong);
   ASSERT_TRUE(reset.ok()) << reset.status();
   EXPECT_NE(DecodeOpenpiValue(*reset)->Find("reset"), nullptr);
   EXPECT_EQ(Ask(*connection, seen)->actions(0, 4), 2);

@@ -170,7 +170,7 @@ TEST(ServeProgram, ServesEveryPortAndLogsJson) {
       OpenpiConnection::Connect(absl::StrCat("ws://127.0.0.1:", server.port("websocket")));
   ASSERT_TRUE(client.ok()) << client.status();
   EXPECT_EQ(*OpenpiText("server", *(*client)->metadata().Find("server"), 20), "robostress");
-  EXPECT_THAT(std::string((*client)->Ask("nonsense").status().message()),
+  EXPECT_THAT(std::string((*client)->Ask("nonsense", absl::Seconds(30)).status().message()),
               HasSubstr("the policy server failed: message"));
   server.End(SIGTERM);
   std::ifstream lines(server.Path("log"));
