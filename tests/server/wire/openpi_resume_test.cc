@@ -121,7 +121,7 @@ class Robot {
  private:
   std::string Exchange(const OpenpiBytes& message) {
     first_ = false;
-    const auto answer = client_->Ask(message.bytes());
+    const auto answer = client_->Ask(message.bytes(), absl::Seconds(30));
     return answer.ok() ? *answer : std::string(answer.status().message());
   }
   void Session(OpenpiBytes& message) const {

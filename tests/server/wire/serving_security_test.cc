@@ -748,8 +748,10 @@ TEST_F(ServingSecurityTest,
     return OpenpiConnection::Connect(
         absl::StrCat("ws://127.0.0.1:", (*endpoints)->websocket_port()), showing);
   };
-  const auto talk = [&](OpenpiConnection& client) {             // what comes back for a message
-    return std::string(client.Ask("\x80").status().message());  // an empty map: an error of its own
+  const auto talk = [&](OpenpiConnection& client) {  // what comes back for a message
+    return std::string(client.Ask("\x80", absl::Seconds(30))
+                           .status()
+                           .message());  // an empty map: an error of its own
   };
   const auto arm = connect("arm"), feeder = connect("predict");
   ASSERT_TRUE(arm.ok()) << arm.status();

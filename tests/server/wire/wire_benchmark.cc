@@ -101,7 +101,7 @@ int Run(int rounds) {
     if (!(*client)->Predict(observation, i).ok()) return 1;
     grpc_ms.push_back(Milliseconds(begin));
     begin = Clock::now();
-    const auto reply = (*socket)->Ask(*message);
+    const auto reply = (*socket)->Ask(*message, absl::Seconds(30));
     websocket_ms.push_back(Milliseconds(begin));
     if (!reply.ok()) return std::fprintf(stderr, "%s\n", reply.status().ToString().c_str()), 1;
     reply_bytes = reply->size();
