@@ -5,6 +5,9 @@
 
 namespace robostress {
 
+// OpenpiDialect::wire.
+inline constexpr const char kOpenpiWire[] = "openpi", kVlaEvalWire[] = "vla_eval";
+
 // By which keys an observation travels: data, read in both directions. A struct with Visit is its
 // own YAML schema (common/config.h), so that another server's keys are a file.
 struct OpenpiDialect {
@@ -12,7 +15,7 @@ struct OpenpiDialect {
   std::vector<std::string> cameras;  // in the policy's order; empty: the cameras' own names
   std::string images_in;           // the map within the message that holds them; empty: the message
   bool planes_first = false;       // views go out as [3, H, W], else [H, W, 3]; both are read
-  std::vector<std::string> state;  // its parts, in a row
+  std::vector<std::string> state;  // its parts, in a row; empty: it is not sent
   std::vector<int> state_sizes;    // numbers of each part but the last, which takes what remains
   std::string prompt = "prompt";
   std::string path;   // of the server, where its address has none
@@ -25,6 +28,8 @@ struct OpenpiDialect {
   std::string session;  // key of a name that tells this client from others; empty: none
   bool describes_session = false;  // `session` holds suite and seed, for a server that draws the
                                    // noise as we do (docs/serve-a-policy.md)
+  // Who speaks first, and what stands around the keys: kOpenpiWire, kVlaEvalWire.
+  std::string wire = kOpenpiWire;
 
   // Whether equal keys of an episode give equal sampling noise.
   bool PairsNoise() const { return !seed.empty() || !noise.empty() || describes_session; }
@@ -43,7 +48,7 @@ struct OpenpiDialect {
             "keys of the views, in the policy's order; none: the cameras' own names");
     v.Field("images_in", images_in, "map that holds the views; empty: the message itself");
     v.Field("planes_first", planes_first, "views as [3, H, W] instead of [H, W, 3]");
-    v.Field("state", state, "keys of the state's parts, in a row");
+    v.Field("state", state, "keys of the state's parts, in a row; none: it is not sent");
     v.Field("state_sizes", state_sizes, "numbers of each part but the last");
     v.Field("prompt", prompt, "key of the instruction");
     v.Field("path", path, "of the server, where its address has none");
@@ -57,6 +62,7 @@ struct OpenpiDialect {
     v.Field("session", session, "key of this client's name; empty: none");
     v.Field("describes_session", describes_session,
             "that key holds suite and seed: the server draws the noise by them, as ours does");
+    v.Late("wire", wire, std::string(kOpenpiWire), "openpi, or vla_eval: hello, PNG, one action");
   }
 };
 

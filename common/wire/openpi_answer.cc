@@ -42,7 +42,8 @@ std::string Shown(const OpenpiValue& answer) {
 
 const OpenpiValue* ActionsIn(const OpenpiValue& answer) {
   if (std::holds_alternative<OpenpiArray>(answer.value)) return &answer;
-  if (const OpenpiValue* actions = answer.Find("actions")) return actions;
+  for (const char* key : {"actions", "action"})
+    if (const OpenpiValue* actions = answer.Find(key)) return actions;
   const OpenpiValue::Map* map = answer.map();
   return map != nullptr && map->size() == 1 ? &map->begin()->second : nullptr;
 }
@@ -81,6 +82,7 @@ absl::StatusOr<OpenpiAnswer> ReadOpenpiAnswer(const OpenpiValue& answer, OpenpiS
   OpenpiValue actions = *found;
   std::vector<int64_t>& shape = std::get<OpenpiArray>(actions.value).shape;
   if (shape.size() == 3 && shape[0] == 1) shape.erase(shape.begin());
+  if (shape.size() == 1 && shape[0] > 1) shape.insert(shape.begin(), 1);
   RS_ASSIGN_OR_RETURN(const Eigen::MatrixXd numbers, OpenpiMatrix("actions", actions, rows, cols));
   OpenpiAnswer result;
   result.actions = numbers.cast<float>();

@@ -16,10 +16,10 @@ struct OpenpiAnswer {
   double infer_ms = 0;      // policy_timing's, else server_timing's; 0: the server says nothing
 };
 
-// The actions in an answer: an array of numbers [H, A] or [1, H, A], under "actions", alone in a
-// map under any other key, or without a map. `rows`, `cols`: what they may measure. Errors:
-// OpenpiRefusal's; otherwise INVALID_ARGUMENT says what came, what was expected, and which number
-// is not finite.
+// The actions in an answer: an array of numbers [H, A], [1, H, A], or [A] for a single row, under
+// "actions" or "action", alone in a map under any other key, or without a map. `rows`, `cols`: what
+// they may measure. Errors: OpenpiRefusal's; otherwise INVALID_ARGUMENT says what came, what was
+// expected, and which number is not finite.
 absl::StatusOr<OpenpiAnswer> ReadOpenpiAnswer(const OpenpiValue& answer, OpenpiSide rows,
                                               OpenpiSide cols);
 

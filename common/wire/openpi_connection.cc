@@ -14,7 +14,14 @@ absl::StatusOr<std::unique_ptr<OpenpiConnection>> OpenpiConnection::Connect(
   RS_ASSIGN_OR_RETURN(std::unique_ptr<WebSocketClient> socket,
                       WebSocketClient::Connect(url, options.socket));
   std::unique_ptr<OpenpiConnection> connection(new OpenpiConnection(std::move(socket)));
-  RS_ASSIGN_OR_RETURN(connection->metadata_bytes_, connection->Receive(options.metadata_timeout));
+  absl::StatusOr<std::string> greeting = connection->Receive(options.metadata_timeout);
+  if (absl::IsDeadlineExceeded(greeting.status())) {
+    return absl::DeadlineExceededError(absl::StrCat(
+        connection->address(), " opens a WebSocket and says nothing within ",
+        absl::FormatDuration(options.metadata_timeout),
+        ", where openpi's servers greet; if it is vla-eval's, choose --dialect vla_eval"));
+  }
+  RS_ASSIGN_OR_RETURN(connection->metadata_bytes_, std::move(greeting));
   absl::StatusOr<OpenpiValue> metadata =
       DecodeOpenpi(std::string_view(connection->metadata_bytes_));
   if (!metadata.ok()) {

@@ -1,10 +1,14 @@
 #include "common/wire/openpi_dialect.h"
 
+#include <algorithm>
 #include <cstddef>
 #include <numeric>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "common/image.h"
+#include "common/status_macros.h"
 #include "common/wire/openpi_writer.h"
 
 namespace robostress {
@@ -12,6 +16,7 @@ namespace {
 
 // Beside the pixels: keys, shapes, state, prompt.
 constexpr size_t kRestBytes = 4096;
+constexpr int kVlaEvalImageSize = 256;  // [px], its LIBERO benchmark's
 
 }  // namespace
 
@@ -60,7 +65,13 @@ const std::vector<OpenpiDialect>& ServerDialects() {
                                        .state = {"state"},
                                        .episode = "episode",
                                        .session = "session",
-                                       .describes_session = true}};
+                                       .describes_session = true},
+                                      {.name = "vla_eval",
+                                       .cameras = {"agentview", "wrist"},
+                                       .images_in = "images",
+                                       .state = {"states"},
+                                       .prompt = "task_description",
+                                       .wire = kVlaEvalWire}};
   return dialects;
 }
 
@@ -76,6 +87,14 @@ absl::StatusOr<OpenpiDialect> OpenpiDialectNamed(const std::string& name) {
       absl::StrCat("no dialect '", name, "'; known: ", absl::StrJoin(known, ", ")));
 }
 
+void UseDialect(OpenpiDialect dialect, RemotePolicyOptions& options) {
+  if (dialect.wire == kVlaEvalWire) {
+    options.image_size = kVlaEvalImageSize;
+    options.execute_steps = 1;
+  }
+  options.dialect = std::move(dialect);
+}
+
 absl::StatusOr<std::string> WriteOpenpiObservation(
     const Observation& observation, const OpenpiDialect& dialect,
     const std::vector<std::pair<std::string, std::string>>& extras) {
@@ -88,13 +107,14 @@ absl::StatusOr<std::string> WriteOpenpiObservation(
   const int first_parts =
       std::accumulate(dialect.state_sizes.begin(), dialect.state_sizes.end(), 0);
   const auto numbers = static_cast<int>(observation.proprioception.size());
-  if (dialect.state_sizes.size() + 1 != parts || numbers < first_parts) {
+  if (dialect.state_sizes.size() + 1 != std::max<size_t>(parts, 1) || numbers < first_parts) {
     return absl::InvalidArgumentError(absl::StrCat(
         "dialect ", dialect.name, " parts the state into ", absl::StrJoin(dialect.state, " + "),
         " of ", absl::StrJoin(dialect.state_sizes, " + "), " and the rest; the state has ", numbers,
         " numbers"));
   }
-  OpenpiWriter writer;
+  const bool vla_eval = dialect.wire == kVlaEvalWire;
+  OpenpiWriter writer(vla_eval ? OpenpiWriter::ArrayKeys::kText : OpenpiWriter::ArrayKeys::kBytes);
   size_t bytes = kRestBytes;
   for (const CameraView& view : observation.views) bytes += view.image.data.size();
   for (const auto& [key, value] : extras) bytes += key.size() + value.size();
@@ -106,6 +126,11 @@ absl::StatusOr<std::string> WriteOpenpiObservation(
   for (size_t i = 0; i < views; ++i) {
     const CameraView& view = observation.views[i];
     writer.Text(dialect.cameras.empty() ? view.camera : dialect.cameras[i]);
+    if (vla_eval) {
+      RS_ASSIGN_OR_RETURN(const std::string png, EncodePng(view.image));
+      writer.Png(png, view.image.width, view.image.height);
+      continue;
+    }
     writer.Pixels(view.image, dialect.planes_first);
   }
   const std::vector<double> state(observation.proprioception.begin(),

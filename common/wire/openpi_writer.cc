@@ -48,28 +48,37 @@ OpenpiWriter& OpenpiWriter::Boolean(bool value) {
   return *this;
 }
 
-void OpenpiWriter::BeginArray(size_t bytes) {
+void OpenpiWriter::ArrayKey(std::string_view text) {
+  if (keys_ == ArrayKeys::kText) {
+    Text(text);
+    return;
+  }
   Appender to{bytes_};
-  const auto key = [&to](std::string_view text) {
-    const auto size = static_cast<uint32_t>(text.size());
-    Packer(to).pack_bin(size).pack_bin_body(text.data(), size);
-  };
-  Packer(to).pack_map(4);
-  key("__ndarray__");
-  Packer(to).pack_true();
-  key("data");
+  const auto size = static_cast<uint32_t>(text.size());
+  Packer(to).pack_bin(size).pack_bin_body(text.data(), size);
+}
+
+void OpenpiWriter::BeginArray(size_t bytes) {
+  Map(4).ArrayKey("__ndarray__");
+  Boolean(true).ArrayKey("data");
+  Appender to{bytes_};
   Packer(to).pack_bin(static_cast<uint32_t>(bytes));
 }
 
 OpenpiWriter& OpenpiWriter::EndArray(std::string_view dtype, std::initializer_list<int64_t> shape) {
-  Appender to{bytes_};
-  constexpr std::string_view kDtype = "dtype", kShape = "shape";
-  Packer(to).pack_bin(kDtype.size()).pack_bin_body(kDtype.data(), kDtype.size());
-  Text(dtype);
-  Packer(to).pack_bin(kShape.size()).pack_bin_body(kShape.data(), kShape.size());
+  ArrayKey("dtype");
+  Text(dtype).ArrayKey("shape");
   List(static_cast<uint32_t>(shape.size()));
   for (const int64_t side : shape) Integer(side);
   return *this;
+}
+
+OpenpiWriter& OpenpiWriter::Png(std::string_view png, int width, int height) {
+  Map(4).Text("__image__").Boolean(true).Text("format").Text("png").Text("data");
+  Appender to{bytes_};
+  const auto size = static_cast<uint32_t>(png.size());
+  Packer(to).pack_bin(size).pack_bin_body(png.data(), size);
+  return Text("shape").List(3).Integer(height).Integer(width).Integer(3);
 }
 
 OpenpiWriter& OpenpiWriter::Array(const Eigen::MatrixXf& matrix) {

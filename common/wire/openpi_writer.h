@@ -16,6 +16,10 @@ namespace robostress {
 // Writes one message. Map(n) is followed by n pairs of a key and a value.
 class OpenpiWriter {
  public:
+  // Of an array's own keys: openpi's bytes, or text as vla-eval's.
+  enum class ArrayKeys { kBytes, kText };
+  explicit OpenpiWriter(ArrayKeys keys = ArrayKeys::kBytes) : keys_(keys) {}
+
   OpenpiWriter& Map(uint32_t pairs);
   OpenpiWriter& List(uint32_t items);
   OpenpiWriter& Text(std::string_view text);  // keys too
@@ -29,6 +33,8 @@ class OpenpiWriter {
   OpenpiWriter& Numbers(const std::vector<double>& numbers);
   // As an array "|u1" of shape [height, width, 3], or [3, height, width].
   OpenpiWriter& Pixels(const Image& image, bool planes_first);
+  // As vla-eval's map of a PNG, whose sides are [px].
+  OpenpiWriter& Png(std::string_view png, int width, int height);
   // A value that another writer wrote.
   OpenpiWriter& Value(std::string_view written);
   // What is written will take about so many bytes: they are found once.
@@ -40,7 +46,9 @@ class OpenpiWriter {
   // The map around an array's bytes, up to its data, and what follows them.
   void BeginArray(size_t bytes);
   OpenpiWriter& EndArray(std::string_view dtype, std::initializer_list<int64_t> shape);
+  void ArrayKey(std::string_view text);
 
+  const ArrayKeys keys_;
   std::string bytes_;
 };
 

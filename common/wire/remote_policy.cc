@@ -103,6 +103,10 @@ absl::Status CheckRemotePolicy(const RemotePolicyOptions& options) {
   const OpenpiDialect& dialect = options.dialect;
   const auto cameras = options.cameras.size();
   RS_RETURN_IF_ERROR(CheckRange("remote.cameras", cameras, 0, WireLimits::kViews));
+  if (dialect.wire != kOpenpiWire && dialect.wire != kVlaEvalWire) {
+    return Invalid("remote.dialect.wire is '", dialect.wire, "', must be ", kOpenpiWire, " or ",
+                   kVlaEvalWire);
+  }
   if (!dialect.cameras.empty() && dialect.cameras.size() < cameras) {
     return Invalid("remote.cameras names ", cameras, " cameras, dialect ", dialect.name,
                    " has keys for ", dialect.cameras.size());
@@ -164,7 +168,8 @@ absl::StatusOr<std::unique_ptr<RemotePolicy>> RemotePolicy::Connect(
 }
 
 absl::Status RemotePolicy::Dial() {
-  RS_ASSIGN_OR_RETURN(connection_, OpenpiConnection::Connect(url_, connection_options_.wire));
+  RS_ASSIGN_OR_RETURN(connection_,
+                      PolicyConversation::Open(url_, options_.dialect, connection_options_.wire));
   connection_begins_ = true;
   answered_here_ = false;
   episode_begins_ = episode_open_;  // whatever the server knew of it
@@ -190,6 +195,7 @@ bool RemotePolicy::pairs_noise() const {
 std::string RemotePolicy::metadata() const { return Dumped(JsonOf(connection_->metadata())); }
 
 absl::Status RemotePolicy::CheckMetadata() {
+  RS_RETURN_IF_ERROR(connection_->Agree(spec_));
   const OpenpiValue& metadata = connection_->metadata();
   const auto check = [&](const char* what, const OpenpiValue* said, int64_t ours) -> absl::Status {
     const auto* number = said == nullptr ? nullptr : std::get_if<int64_t>(&said->value);
@@ -313,7 +319,7 @@ absl::Status RemotePolicy::DialAgain(absl::Time gone, const absl::Status& lost) 
   }
 }
 
-absl::StatusOr<std::string> RemotePolicy::Ask(
+absl::StatusOr<OpenpiValue> RemotePolicy::Ask(
     const std::function<absl::StatusOr<std::string>()>& message) {
   absl::Status lost;
   absl::Time gone;
@@ -330,7 +336,7 @@ absl::StatusOr<std::string> RemotePolicy::Ask(
       }
     }
     RS_ASSIGN_OR_RETURN(std::string text, message());
-    absl::StatusOr<std::string> answer = connection_->Ask(
+    absl::StatusOr<OpenpiValue> answer = connection_->Ask(
         std::move(text), answered_here_ ? connection_options_.answer_timeout
                                         : connection_options_.first_answer_timeout);
     if (answer.ok() || !ComesAndGoes(answer.status())) return answer;
@@ -351,31 +357,44 @@ absl::Status RemotePolicy::StartEpisode(const EpisodeKey& key) {
   if (dialect.reset.empty() || dialect.reset_text.empty()) return absl::OkStatus();
   // It is not said again in mid-episode: the server knows us by our session's name, and one that
   // does not has begun anew by itself.
-  RS_ASSIGN_OR_RETURN(const std::string bytes, Ask([&]() -> absl::StatusOr<std::string> {
+  RS_ASSIGN_OR_RETURN(const OpenpiValue answer, Ask([&]() -> absl::StatusOr<std::string> {
                         std::vector<std::pair<std::string, std::string>> reset = {
                             {dialect.reset, Text(dialect.reset_text)}};
                         if (!dialect.session.empty())
                           reset.emplace_back(dialect.session, SessionText());
                         return MapOf(reset);
                       }));
-  const absl::StatusOr<OpenpiValue> answer = DecodeOpenpiValue(std::string_view(bytes));
-  return AtServer(answer.ok() ? OpenpiRefusal(*answer) : answer.status());
+  return AtServer(OpenpiRefusal(answer));
 }
 
 absl::Status RemotePolicy::AtServer(const absl::Status& failed) const {
   if (failed.ok()) return failed;
+  std::string remedy = "; see the server's log";
+  if (absl::IsInvalidArgument(failed)) {
+    absl::StrAppend(&remedy, answered_
+                                 ? absl::StrCat(": its first answer had ", spec_.horizon, " rows")
+                                 : ", and what remote.execute_steps and remote.action_dim ask");
+  }
   return absl::Status(failed.code(), absl::StrCat(address(), ", dialect ", options_.dialect.name,
-                                                  ": ", failed.message()));
+                                                  ": ", failed.message(), remedy));
 }
 
 absl::StatusOr<PredictedChunk> RemotePolicy::Predict(const Observation& observation, int chunk) {
   if (!episode_open_)
     return absl::FailedPreconditionError("no episode is open: StartEpisode first");
-  RS_ASSIGN_OR_RETURN(const std::string bytes, Ask([&] {
-                        return WriteOpenpiObservation(observation, options_.dialect, Extras(chunk));
-                      }));
-  const absl::StatusOr<OpenpiValue> value = DecodeOpenpiValue(std::string_view(bytes));
-  if (!value.ok()) return AtServer(value.status());
+  const absl::StatusOr<OpenpiValue> value = Ask([&] {
+    if (episode_begins_)
+      connection_->BeginEpisode({setting_.suite, episode_, observation.instruction});
+    return connection_->Write(observation, Extras(chunk));
+  });
+  if (absl::IsInternal(value.status()) && !answered_) {
+    return absl::InternalError(
+        absl::StrCat(value.status().message(),
+                     "; where that names a key or a size, choose the model's keys by "
+                     "--dialect, its views by remote.cameras and remote.image_size, its state by "
+                     "remote.state_dim"));
+  }
+  RS_RETURN_IF_ERROR(value.status());
   // The first answer says how many rows a chunk has; the others must keep to it.
   const OpenpiSide rows =
       answered_ ? OpenpiSide(spec_.horizon) : OpenpiSide(spec_.execute_steps, WireLimits::kHorizon);
@@ -392,8 +411,9 @@ absl::StatusOr<PredictedChunk> RemotePolicy::Predict(const Observation& observat
   return predicted;
 }
 
-absl::Status RemotePolicy::SendFeedback(ExecutedChunk) {
+absl::Status RemotePolicy::SendFeedback(ExecutedChunk executed) {
   ++stats_.feedback_chunks;
+  if (executed.last_of_episode) connection_->EndEpisode();
   return absl::OkStatus();
 }
 

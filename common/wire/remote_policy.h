@@ -16,6 +16,7 @@
 #include "common/rollout/policy_endpoint.h"
 #include "common/rollout/session_spec.h"
 #include "common/wire/openpi_connection.h"
+#include "common/wire/policy_conversation.h"
 
 namespace robostress {
 
@@ -74,9 +75,9 @@ class RemotePolicy : public PolicyEndpoint {
   std::string StableMetadata() const;
   // What a server of ours says of its policy stands above the options.
   void Adopt(const OpenpiValue& declared);
-  // The bytes that answer `message`, by another connection where the present one is gone.
-  absl::StatusOr<std::string> Ask(const std::function<absl::StatusOr<std::string>()>& message);
-  absl::Status AtServer(const absl::Status& failed) const;  // with its address
+  // What answers `message`, by another connection where the present one is gone.
+  absl::StatusOr<OpenpiValue> Ask(const std::function<absl::StatusOr<std::string>()>& message);
+  absl::Status AtServer(const absl::Status& failed) const;  // with its address, and what to do
   std::vector<std::pair<std::string, std::string>> Extras(int chunk) const;
   std::string SessionText() const;
   StreamKey NoiseKey(int chunk) const;
@@ -86,7 +87,7 @@ class RemotePolicy : public PolicyEndpoint {
   const SessionSetting setting_;
   const RemotePolicyConnection connection_options_;
   PolicySpec spec_;
-  std::unique_ptr<OpenpiConnection> connection_;
+  std::unique_ptr<PolicyConversation> connection_;
   std::string metadata_hash_, session_name_;
   std::set<std::string> volatile_;  // JSON pointers into metadata that change without a reason
   EpisodeKey episode_;

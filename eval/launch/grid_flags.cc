@@ -98,7 +98,7 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
       ->allow_extra_args(false);
   app.add_option("--dialect", flags.dialect,
                  "Keys of the messages to --policy-url: libero (default), droid, aloha, vllm_omni, "
-                 "sglang, lerobot, robostress, or a YAML file");
+                 "sglang, lerobot, vla_eval, robostress, or a YAML file");
   app.add_option("--replay-file", flags.replay_file, "Actions for policy replay");
   app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
   app.add_option("--robosuite-root", flags.robosuite_root,
@@ -127,7 +127,8 @@ absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGr
     RS_ASSIGN_OR_RETURN(grid, LoadConfig<SweepGrid>(flags.grid_file));
   }
   if (app.count("--dialect") || (app.count("--policy-url") && !grid.remote.used())) {
-    RS_ASSIGN_OR_RETURN(grid.remote.dialect, DialectOf(flags.dialect));
+    RS_ASSIGN_OR_RETURN(OpenpiDialect dialect, DialectOf(flags.dialect));
+    UseDialect(std::move(dialect), grid.remote);
   }
   // What a policy of theirs can do: its weights are not ours to adapt.
   if (grid.remote.used() && flags.grid_file.empty()) grid.methods = {"base", "ours_following"};

@@ -6,6 +6,7 @@
 #include "absl/strings/str_join.h"
 #include "common/status_macros.h"
 #include "eval/launch/cluster_launchers.h"
+#include "eval/launch/policy_urls.h"
 #include "eval/launch/server_process.h"
 
 namespace robostress {
@@ -33,6 +34,7 @@ std::vector<std::string> LaunchOptions::Elsewhere() const {
 
 absl::StatusOr<LaunchResult> LocalLauncher::Launch(const LaunchRequest& request) {
   const LaunchOptions& options = request.options;
+  RS_RETURN_IF_ERROR(DialPolicyUrls(options.policy_urls, request.grid));
   const std::vector<std::string> elsewhere = options.Elsewhere();
   LocalServers servers(elsewhere);
   std::set<std::string> policies;

@@ -1,8 +1,8 @@
 """Speaks the server's side of openpi's wire, with the packages that openpi's own server is made of.
 
-    openpi_peer_server.py libero|aloha|droid
+    openpi_peer_server.py libero|aloha|droid [SCALE [ANSWERS]]
 
-It prints its port. For each observation it checks keys, types and shapes as openpi's policies want
+It prints its port. SCALE: of the actions (1); after ANSWERS of them it closes a connection. For each observation it checks keys, types and shapes as openpi's policies want
 them, and answers actions that are a function of what it saw, so that the client can tell whether
 its pictures and numbers arrived: actions[i, j] = state[j] + i, with the first pixel's red of the
 first view in the last column. An observation without a prompt makes it fail as openpi's does.
@@ -57,14 +57,19 @@ def infer(read, observation):
 
 async def main():
     read = {"libero": libero, "aloha": aloha, "droid": droid}[sys.argv[1]]
+    scale, most = float((sys.argv + ["1"])[2]), float((sys.argv + ["inf", "inf"])[3])
     packer = msgpack_numpy.Packer()
 
     async def handler(websocket):
         await websocket.send(packer.pack({"reset_pose": [0.0, 1.0]}))
-        while True:
+        answers = 0
+        while answers < most:
             try:
                 observation = msgpack_numpy.unpackb(await websocket.recv())
-                await websocket.send(packer.pack(infer(read, observation)))
+                answer = infer(read, observation)
+                answer["actions"] *= scale
+                await websocket.send(packer.pack(answer))
+                answers += 1
             except websockets.ConnectionClosed:
                 break
             except Exception:

@@ -1,12 +1,8 @@
 // Our client against a server made of openpi's own packages, from PyPI. It is skipped, with the
 // reason, where they cannot be installed.
-#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sys/wait.h>
-#include <unistd.h>
 
-#include <csignal>
 #include <string>
 
 #include "absl/strings/str_cat.h"
@@ -15,6 +11,7 @@
 #include "common/wire/openpi_connection.h"
 #include "common/wire/openpi_dialect.h"
 #include "tests/common/wire/openpi_venv.h"
+#include "tests/common/wire/python_peer.h"
 
 namespace robostress {
 namespace {
@@ -23,34 +20,10 @@ constexpr absl::Duration kLong = absl::Seconds(30);
 
 using ::testing::HasSubstr;
 
-// openpi_peer_server.py, ended with this.
-class PeerServer {
- public:
-  explicit PeerServer(const char* dialect) {
-    int ends[2];
-    EXPECT_EQ(pipe(ends), 0);
-    child_ = fork();
-    if (child_ == 0) {
-      dup2(ends[1], STDOUT_FILENO);
-      dup2(open("/dev/null", O_WRONLY), STDERR_FILENO);
-      const char* const python =
-          OpenpiVenv::Get().python.c_str();  // by which it knows its packages
-      execl(python, python, OPENPI_PEER_SERVER, dialect, nullptr);
-      _exit(127);
-    }
-    close(ends[1]);
-    for (char c; read(ends[0], &c, 1) == 1 && c != '\n';) port_ += c;
-    close(ends[0]);
-  }
-  ~PeerServer() {
-    kill(child_, SIGKILL);
-    waitpid(child_, nullptr, 0);
-  }
-  std::string url() const { return absl::StrCat("ws://127.0.0.1:", port_); }
-
- private:
-  pid_t child_ = 0;
-  std::string port_;
+// openpi_peer_server.py
+struct PeerServer : PythonPeer {
+  explicit PeerServer(const char* dialect)
+      : PythonPeer(OpenpiVenv::Get().python, {OPENPI_PEER_SERVER, dialect}) {}
 };
 
 class OpenpiPeer : public ::testing::Test {
