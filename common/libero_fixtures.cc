@@ -16,16 +16,17 @@ absl::StatusOr<LiberoFixtures> ParseLiberoFixtures(const std::string& text) {
     return fixtures;
   }
   absl::string_view seed = text;
-  if (text == "numpy" ||
-      (absl::ConsumePrefix(&seed, "numpy:") && absl::SimpleAtoi(seed, &fixtures.seed))) {
+  fixtures.each_seeded = absl::ConsumePrefix(&seed, "numpy-each:");
+  if (text == "numpy" || ((fixtures.each_seeded || absl::ConsumePrefix(&seed, "numpy:")) &&
+                          absl::SimpleAtoi(seed, &fixtures.seed))) {
     fixtures.source = LiberoFixtures::Source::kNumpy;
     return fixtures;
   }
   if (access(text.c_str(), R_OK) != 0) {
     return absl::InvalidArgumentError(
         absl::StrCat("libero_fixtures '", text,
-                     "' is neither centred, sampled, numpy nor numpy:SEED (0 to 4294967295), nor a "
-                     "readable file with a table of poses"));
+                     "' is neither centred, sampled, numpy, numpy:SEED nor numpy-each:SEED (0 to "
+                     "4294967295), nor a readable file with a table of poses"));
   }
   fixtures.source = LiberoFixtures::Source::kTable;
   fixtures.table = text;

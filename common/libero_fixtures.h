@@ -13,17 +13,20 @@ struct LiberoFixtures {
   enum class Source {
     kCentred,  // at the centres of their regions, always
     kSampled,  // drawn from their regions, a function of task and initial state
-    kNumpy,    // where the originals' environment, seeded once per task, has them after as many
-               // resets
+    kNumpy,    // where the originals' environment has them after as many resets
     kTable,    // as a file says
   };
   Source source = Source::kCentred;
-  uint32_t seed = 7;  // of kNumpy; 7 is openpi's evaluation
+  // Of kNumpy. The environment is seeded with it once a task, as in openpi's evaluation, which has
+  // 7; or, each_seeded, with seed + k before the reset of initial state k, after one reset more, as
+  // in LeRobot's.
+  uint32_t seed = 7;
+  bool each_seeded = false;
   std::string table;  // of kTable: the file
 };
 
-// "centred", "sampled", "numpy", "numpy:SEED", or the path of a readable table. InvalidArgument
-// names what was given and what is known.
+// "centred", "sampled", "numpy", "numpy:SEED", "numpy-each:SEED", or the path of a readable table.
+// InvalidArgument names what was given and what is known.
 absl::StatusOr<LiberoFixtures> ParseLiberoFixtures(const std::string& text);
 
 }  // namespace robostress

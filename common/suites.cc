@@ -1,5 +1,7 @@
 #include "common/suites.h"
 
+#include "common/unit_config.h"
+
 namespace robostress {
 
 const std::vector<SuiteInfo>& AllSuites() {
@@ -35,6 +37,11 @@ const SuiteInfo* FindSuite(const std::string& name) {
     if (suite.name == name) return &suite;
   }
   return nullptr;
+}
+
+int HorizonOf(const UnitConfig& unit) {
+  const SuiteInfo* suite = FindSuite(unit.suite);
+  return unit.horizon > 0 || suite == nullptr ? unit.horizon : suite->horizon;
 }
 
 }  // namespace robostress

@@ -5,6 +5,8 @@
 
 namespace robostress {
 
+struct UnitConfig;  // common/unit_config.h
+
 // What a sweep must know of a suite before a simulator starts.
 struct SuiteInfo {
   std::string name;   // "tabletop_goal", "libero_goal"
@@ -22,5 +24,7 @@ const std::vector<SuiteInfo>& AllSuites();
 // Names of the suites of a robot.
 std::vector<std::string> SuitesOf(const std::string& robot);
 const SuiteInfo* FindSuite(const std::string& name);
+// Control steps of an episode at most: unit.horizon, else the suite's; 0 where neither says.
+int HorizonOf(const UnitConfig& unit);
 
 }  // namespace robostress

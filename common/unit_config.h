@@ -122,6 +122,7 @@ struct UnitConfig {
   std::string robot = "panda";  // of the suite; its program runs the unit (common/unit/robots.h)
   ClientOptions client;         // of robots other than the simulated Panda
   RemotePolicyOptions remote;   // used: `policy` is a label of what another server holds
+  int horizon = 0;              // control steps of an episode at most; 0: the suite's
 
   template <class V>
   void Visit(V& v) {
@@ -144,6 +145,7 @@ struct UnitConfig {
     v.Late("robot", robot, std::string("panda"), "whose program runs the unit");
     v.LateSection("client", client, robot != "panda", "how robot_client plays it");
     v.LateSection("remote", remote, remote.used(), "how a policy of another server is asked");
+    v.Late("horizon", horizon, 0, "control steps of an episode at most; 0: the suite's");
   }
 };
 

@@ -21,8 +21,7 @@
 namespace robostress {
 namespace {
 
-constexpr int kMaxGeoms = 4000;    // of one abstract scene; LIBERO's largest has 270
-constexpr int kShadowSize = 1024;  // [px]; 4096 costs two to seven times as much in software
+constexpr int kMaxGeoms = 4000;  // of one abstract scene; LIBERO's largest has 270
 constexpr int kFirstWidth = 448,
               kFirstHeight = 448;  // [px] of the frame buffer before it has to grow
 
@@ -107,7 +106,7 @@ struct Renderer::Impl {
   ~Impl() {
     if (context == EGL_NO_CONTEXT) return;
     if (has_scene && MakeCurrent().ok()) {
-      mjr_freeContext(&render);
+      if (shadow_size > 0) mjr_freeContext(&render);
       mjv_freeScene(&scene);
     }
     eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, EGL_NO_CONTEXT);
@@ -123,17 +122,22 @@ struct Renderer::Impl {
     return absl::OkStatus();
   }
 
-  // (Re)builds MuJoCo's OpenGL objects with a frame buffer of width x height [px]. The context must
-  // be current.
-  absl::Status MakeBuffers(int width, int height) {
+  // (Re)builds MuJoCo's OpenGL objects with a frame buffer of at least width x height [px], unless
+  // there is one that serves. The context must be current.
+  absl::Status MakeBuffers(int width, int height, const RenderOptions& options) {
+    if (render.offWidth >= width && render.offHeight >= height && samples == options.samples &&
+        shadow_size == options.shadow_size) {
+      return absl::OkStatus();
+    }
+    samples = options.samples;
+    shadow_size = options.shadow_size;
     // mjr_makeContext reads these sizes from the model, which is shared: it gets a copy of the
-    // struct alone. No multisampling: RenderOptions::supersample averages, and costs less in
-    // software.
+    // struct alone.
     mjModel sized = *model;
-    sized.vis.global.offwidth = width;
-    sized.vis.global.offheight = height;
-    sized.vis.quality.offsamples = 0;
-    sized.vis.quality.shadowsize = kShadowSize;
+    sized.vis.global.offwidth = std::max(width, std::max(kFirstWidth, render.offWidth));
+    sized.vis.global.offheight = std::max(height, std::max(kFirstHeight, render.offHeight));
+    sized.vis.quality.offsamples = samples;
+    sized.vis.quality.shadowsize = shadow_size;
     mjr_makeContext(&sized, &render, mjFONTSCALE_50);  // frees what it held
     mjr_setBuffer(mjFB_OFFSCREEN, &render);
     if (render.currentBuffer != mjFB_OFFSCREEN) {
@@ -147,6 +151,7 @@ struct Renderer::Impl {
   EGLDisplay display = EGL_NO_DISPLAY;
   EGLContext context = EGL_NO_CONTEXT;
   bool has_scene = false;
+  int samples = 0, shadow_size = 0;  // of the buffers, if there are any
   mjrContext render;
   mjvScene scene;
   mjvOption visual;
@@ -162,7 +167,6 @@ absl::StatusOr<std::unique_ptr<Renderer>> Renderer::Create(SharedModel model) {
   mjv_defaultScene(&impl->scene);
   mjv_makeScene(impl->model.get(), &impl->scene, kMaxGeoms);
   impl->has_scene = true;
-  RS_RETURN_IF_ERROR(impl->MakeBuffers(kFirstWidth, kFirstHeight));
   // Group 0 is collision geometry, group 1 what is seen (robosuite's and our convention).
   mjv_defaultOption(&impl->visual);
   impl->visual.geomgroup[0] = 0;
@@ -192,11 +196,15 @@ absl::StatusOr<Image> Renderer::Render(const mjData& data, const std::string& ca
         absl::StrFormat("an image of %d x %d pixels, supersampled %d times, is outside 1 .. 4096",
                         options.width, options.height, options.supersample));
   }
-  RS_RETURN_IF_ERROR(r.MakeCurrent());
-  if (r.render.offWidth < width || r.render.offHeight < height) {
-    RS_RETURN_IF_ERROR(
-        r.MakeBuffers(std::max(width, r.render.offWidth), std::max(height, r.render.offHeight)));
+  if (options.samples < 0 || options.samples > 64 || options.shadow_size < 1 ||
+      options.shadow_size > 16384) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("%d samples a pixel or a shadow map of %d pixels is outside 0 .. 64 or 1 "
+                        ".. 16384",
+                        options.samples, options.shadow_size));
   }
+  RS_RETURN_IF_ERROR(r.MakeCurrent());
+  RS_RETURN_IF_ERROR(r.MakeBuffers(width, height, options));
 
   mjvCamera view;
   mjv_defaultCamera(&view);
@@ -206,7 +214,7 @@ absl::StatusOr<Image> Renderer::Render(const mjData& data, const std::string& ca
   mjv_updateScene(r.model.get(), const_cast<mjData*>(&data), &r.visual, nullptr, &view, mjCAT_ALL,
                   &r.scene);
   r.scene.flags[mjRND_SHADOW] = options.shadows;
-  r.scene.flags[mjRND_REFLECTION] = 0;
+  r.scene.flags[mjRND_REFLECTION] = options.reflections;
   const mjrRect viewport = {0, 0, width, height};
   mjr_render(viewport, &r.scene, &r.render);
 

@@ -14,7 +14,11 @@ namespace robostress {
 struct RenderOptions {
   int width = 224, height = 224;  // [px] of the returned image
   int supersample = 1;            // renders at this multiple and averages boxes
-  bool shadows = false;
+  bool shadows = false, reflections = false;
+  // Of the frame buffer. To change them costs as much as a new Renderer.
+  int samples = 0;  // of multisampling, a pixel; the driver's most where it has fewer
+  int shadow_size =
+      1024;  // [px] of the shadow map; 4096 costs two to seven times as much in software
 };
 
 // Renders a model's cameras off-screen through EGL (surfaceless Mesa or a GPU), without a display.

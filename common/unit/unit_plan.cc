@@ -113,6 +113,8 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
                                 ": every episode of a task has an initial state of its own"));
   RS_RETURN_IF_ERROR(CheckRange("videos", unit.videos, 0, states, ""));
   RS_RETURN_IF_ERROR(CheckRange("sim.settle_steps", unit.sim.settle_steps, 0, 1000, ""));
+  RS_RETURN_IF_ERROR(CheckRange("horizon", unit.horizon, 0, unit.robot == "panda" ? 10000 : 0,
+                                ": control steps of the simulated panda; 0: the suite's"));
   if (unit.policy.empty()) return absl::InvalidArgumentError("unit: policy is empty");
   if (RunsInWorker(unit.policy) && unit.method->method != "base") {
     return absl::InvalidArgumentError(absl::StrCat("unit: policy '", unit.policy,

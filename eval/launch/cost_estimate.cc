@@ -60,8 +60,7 @@ double CostModel::EpisodeSeconds(const UnitConfig& config) const {
     const auto sum = sums_.find(key);
     if (sum != sums_.end()) return sum->second.wall_s / sum->second.episodes;
   }
-  const SuiteInfo* suite = FindSuite(config.suite);
-  const int horizon = suite == nullptr || suite->horizon == 0 ? 300 : suite->horizon;
+  const int horizon = HorizonOf(config);
   if (RunsInWorker(config.policy)) return horizon * kExpertStep_s;
   return horizon * kServedStep_s * (config.method->adapts() ? kUpdateFactor : 1);
 }

@@ -5,6 +5,7 @@
 #include "absl/strings/str_join.h"
 #include "adapter/methods.h"
 #include "common/config.h"
+#include "common/libero_protocols.h"
 #include "common/status_macros.h"
 #include "common/wire/openpi_dialect.h"
 #include "common/wire/web_url.h"
@@ -73,6 +74,24 @@ PolicyHome PolicyHomeOf(const LaunchOptions& launch) {
                                                              : PolicyHome::kElsewhere;
 }
 
+namespace {
+
+// What --protocol sets, from the table itself.
+std::string ProtocolHelp() {
+  std::string help = "LIBERO's suites as somebody else evaluates them; other flags go before";
+  for (const LiberoProtocol& p : LiberoProtocols()) {
+    absl::StrAppend(
+        &help, ". ", p.name, ": ", p.settle_steps, " settle steps, a prediction every ",
+        p.execute_steps, " steps and views of ", p.image_size, " px (--policy-url), ", p.episodes,
+        " episodes, seed ", p.seed, ", fixtures ", p.fixtures, ", step limits ",
+        absl::StrJoin(p.step_limits, "/",
+                      [](std::string* text, const auto& l) { absl::StrAppend(text, l.second); }));
+  }
+  return help;
+}
+
+}  // namespace
+
 void DeclareGridFlags(cli::App& app, GridFlags& flags) {
   app.add_option("--grid", flags.grid_file,
                  "YAML file of a grid, such as a run's sweep.yaml; flags override it");
@@ -105,7 +124,9 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
                  "robosuite checkout, for suites libero_*");
   app.add_option("--libero-fixtures", flags.libero_fixtures,
                  "Where cabinets, stoves and racks of libero_* stand at each episode: centred "
-                 "(default), sampled, numpy[:SEED] (the originals' draw, seed 7), or a JSON table");
+                 "(default), sampled, numpy[:SEED] (the originals' draw, seed 7), numpy-each:SEED "
+                 "(seeded anew for each episode), or a JSON table");
+  app.add_option("--protocol", flags.protocol, ProtocolHelp());
 }
 
 namespace {
@@ -120,6 +141,22 @@ absl::StatusOr<OpenpiDialect> DialectOf(const std::string& text) {
   return dialect;
 }
 
+void ApplyProtocol(const LiberoProtocol& protocol, SweepGrid& grid) {
+  if (grid.suites.empty()) {
+    for (const auto& [suite, limit] : protocol.step_limits) grid.suites.push_back(suite);
+  }
+  grid.step_limits = protocol.name;
+  grid.episodes = protocol.episodes;
+  grid.first_initial_state = 0;
+  grid.seeds = {protocol.seed};
+  grid.libero_fixtures = protocol.fixtures;
+  // The originals' observations are of sub-step 24 of 25.
+  grid.overrides.push_back(absl::StrCat("sim.settle_steps=", protocol.settle_steps));
+  grid.overrides.push_back("sim.robosuite.late_observation=on");
+  grid.remote.execute_steps = protocol.execute_steps;
+  grid.remote.image_size = protocol.image_size;
+}
+
 }  // namespace
 
 absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGrid& grid) {
@@ -132,8 +169,12 @@ absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGr
   }
   // What a policy of theirs can do: its weights are not ours to adapt.
   if (grid.remote.used() && flags.grid_file.empty()) grid.methods = {"base", "ours_following"};
-  if (app.count("--robot")) grid.robot = flags.robot;
   if (app.count("--suites")) grid.suites = flags.suites;
+  if (app.count("--protocol")) {
+    RS_ASSIGN_OR_RETURN(const LiberoProtocol protocol, FindLiberoProtocol(flags.protocol));
+    ApplyProtocol(protocol, grid);
+  }
+  if (app.count("--robot")) grid.robot = flags.robot;
   if (app.count("--scenarios")) grid.scenarios = flags.scenarios;
   if (app.count("--severities")) grid.severities = flags.severities;
   if (app.count("--policies")) grid.policies = flags.policies;

@@ -21,7 +21,7 @@ struct GridFlags {
   std::string tasks;
   int episodes = 0, first_initial_state = 0;
   std::string replay_file, libero_root, robosuite_root, libero_fixtures;
-  std::string dialect;
+  std::string dialect, protocol;
 };
 
 // --workers and --server of the programs that run a grid.

@@ -19,6 +19,7 @@
 #include "common/embedded_policies.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/libero_fixtures.h"
+#include "common/libero_protocols.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "common/unit/robots.h"
@@ -182,6 +183,22 @@ void CheckScenarios(const SweepGrid& grid, const RobotInfo& robot, Complaints& c
   }
   if (!built_in.empty()) complaints.CheckNames("scenario", built_in, ScenariosOf(robot));
   complaints.CheckUnique("scenario", labels);
+}
+
+void CheckStepLimits(const SweepGrid& grid, Complaints& complaints) {
+  if (grid.step_limits.empty()) return;
+  const absl::StatusOr<LiberoProtocol> protocol = FindLiberoProtocol(grid.step_limits);
+  if (!protocol.ok()) {
+    complaints.Add(absl::StrCat("step_limits: ", protocol.status().message()));
+    return;
+  }
+  for (const std::string& suite : grid.suites) {
+    if (FindSuite(suite) == nullptr || protocol->StepLimit(suite) > 0) continue;
+    complaints.Add(absl::StrCat(
+        "protocol ", protocol->name, " has no step limit for suite ", suite, "; it has ",
+        absl::StrJoin(protocol->step_limits, ", ",
+                      [](std::string* text, const auto& limit) { text->append(limit.first); })));
+  }
 }
 
 void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
@@ -372,6 +389,7 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   CheckPolicies(grid, robot, home, complaints);
   CheckRemote(grid, robot, home, complaints);
   CheckRanges(grid, complaints);
+  CheckStepLimits(grid, complaints);
   complaints.CheckUnique("suite", grid.suites);
   complaints.CheckUnique("method", grid.methods);
   complaints.CheckUnique("severity", grid.severities);
@@ -423,6 +441,10 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
     config.robosuite_root = grid.robosuite_root;
     config.libero_fixtures = grid.libero_fixtures;
     config.remote = grid.remote;
+    if (!grid.step_limits.empty()) {
+      RS_ASSIGN_OR_RETURN(const LiberoProtocol protocol, FindLiberoProtocol(grid.step_limits));
+      config.horizon = protocol.StepLimit(suite_name);
+    }
     for (const std::string& scenario : grid.scenarios) {
       config.scenario = scenario;
       const std::vector<int> once = {

@@ -29,6 +29,7 @@ struct SweepGrid {
   std::string replay_file, libero_root, robosuite_root;
   std::string libero_fixtures = "centred";
   RemotePolicyOptions remote;  // used: another server holds the policy, whose label stands above
+  std::string step_limits;     // of common/libero_protocols.h; empty: the suites' own
 
   template <class V>
   void Visit(V& v) {
@@ -54,6 +55,8 @@ struct SweepGrid {
     v.Field("libero_fixtures", libero_fixtures,
             "where fixtures of suites libero_* stand: centred, sampled, numpy[:SEED] or a file");
     v.LateSection("remote", remote, remote.used(), "how a policy of another server is asked");
+    v.Late("step_limits", step_limits, std::string(),
+           "whose step limits suites libero_* have: openpi, lerobot; empty: the suites' own");
   }
 };
 

@@ -24,9 +24,7 @@ namespace fs = std::filesystem;
 // Expected cost in control steps, for the order of dispatch only.
 double ExpectedCost(const WorkItem& item) {
   const UnitConfig& config = item.unit->config;
-  const SuiteInfo* suite = FindSuite(config.suite);
-  const double horizon = suite == nullptr ? 300 : suite->horizon;
-  return item.count * horizon * (config.scenario == "clean" ? 0.5 : 1) *
+  return item.count * HorizonOf(config) * (config.scenario == "clean" ? 0.5 : 1) *
          (config.method->adapts() ? 1.5 : 1);
 }
 

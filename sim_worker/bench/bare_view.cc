@@ -8,7 +8,7 @@
 namespace robostress {
 namespace {
 
-constexpr int kMaxGeoms = 4000, kShadowSize = 1024;  // as in renderer.cc
+constexpr int kMaxGeoms = 4000, kShadowSize = 1024;  // as in renderer.cc and RenderOptions
 
 // A context with the configuration of the current one.
 EGLContext CreateContextLike(EGLDisplay display, EGLContext current) {

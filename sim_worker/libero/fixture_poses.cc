@@ -45,6 +45,15 @@ absl::StatusOr<std::vector<FixturePose>> FixturePoses::At(int initial_state) {
       return SampleFixtures(
           *scene_, StreamKey("libero fixtures").With(task_).With(int64_t{initial_state}).lo());
     case Source::kNumpy:
+      if (choice_.each_seeded) {
+        // One reset is the environment's first, before any seed. A sum beyond 2^32, which NumPy
+        // refuses as a seed, begins anew.
+        RS_ASSIGN_OR_RETURN(NumpyPlacement numpy,
+                            NumpyPlacement::Create(*scene_, choice_.seed + initial_state,
+                                                   /*resets_before=*/initial_state + 1));
+        RS_ASSIGN_OR_RETURN(ResetDraw draw, numpy.Reset());
+        return std::move(draw.fixtures);
+      }
       while (static_cast<int>(resets_.size()) <= initial_state) {
         RS_ASSIGN_OR_RETURN(ResetDraw draw, numpy_->Reset());
         resets_.push_back(std::move(draw.fixtures));

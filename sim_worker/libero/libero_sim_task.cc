@@ -73,7 +73,7 @@ absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitC
   result->unit_ = unit;
   result->name_ = names[task];
   result->instruction_ = LiberoInstruction(names[task]);
-  result->horizon_ = info->horizon;
+  result->horizon_ = HorizonOf(unit);
   result->scenario_ = scenario;
   result->scene_ = std::make_unique<LiberoScene>(std::move(scene));
   RS_ASSIGN_OR_RETURN(LiberoGoal goal, LiberoGoal::Create(*result->scene_));
@@ -168,9 +168,13 @@ absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, in
     if (site >= 0)
       render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on() ? 1.0f : 0.0f;
   }
-  RenderOptions options;
-  options.width = width;
-  options.height = height;
+  // As MuJoCo draws when nobody chooses, which is what the originals do.
+  const RenderOptions options{.width = width,
+                              .height = height,
+                              .shadows = true,
+                              .reflections = true,
+                              .samples = 4,
+                              .shadow_size = 4096};
   return renderer_->Render(data, camera, options);
 }
 

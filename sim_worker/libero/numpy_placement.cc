@@ -47,8 +47,10 @@ std::array<double, 4> MultiplyXyzw(const std::array<double, 4>& q1,
 
 }  // namespace
 
-absl::StatusOr<NumpyPlacement> NumpyPlacement::Create(const LiberoScene& scene, uint32_t seed) {
+absl::StatusOr<NumpyPlacement> NumpyPlacement::Create(const LiberoScene& scene, uint32_t seed,
+                                                      int resets_before) {
   NumpyPlacement result(scene, seed);
+  result.models_loaded_ += resets_before;
   for (const BddlAtom& atom : scene.problem.init) RS_RETURN_IF_ERROR(result.AddAtom(atom));
   RS_RETURN_IF_ERROR(result.CheckOrder());
   if (!result.on_sites_.empty() || !result.in_sites_.empty()) result.PrepareKinematics();

@@ -38,9 +38,10 @@ struct ResetDraw {
 // it is. Not thread-safe.
 class NumpyPlacement {
  public:
-  // `scene` must outlive this. InvalidArgument names file and line of an init atom that the
-  // originals cannot place.
-  static absl::StatusOr<NumpyPlacement> Create(const LiberoScene& scene, uint32_t seed);
+  // `scene` must outlive this. resets_before: those that went before the seed, >= 0.
+  // InvalidArgument names file and line of an init atom that the originals cannot place.
+  static absl::StatusOr<NumpyPlacement> Create(const LiberoScene& scene, uint32_t seed,
+                                               int resets_before = 0);
   // The next env.reset(). ResourceExhausted when nothing fits again and again, where the originals
   // would not return.
   absl::StatusOr<ResetDraw> Reset();

@@ -44,12 +44,12 @@ absl::StatusOr<std::unique_ptr<EmbeddedTask>> EmbeddedTask::Create(const UnitCon
   }
   RS_ASSIGN_OR_RETURN(const Scenario scenario, MakeScenario(unit.scenario, unit.severity));
   std::unique_ptr<EmbeddedTask> result(new EmbeddedTask());
-  result->horizon_ = info->horizon;
+  result->horizon_ = HorizonOf(unit);
   result->settle_steps_ = unit.sim.settle_steps;
   result->name_ = TaskName(suite->tasks[task].instruction);
   RS_ASSIGN_OR_RETURN(result->model_, TaskModel::Create(*suite, task));
   RS_ASSIGN_OR_RETURN(result->sim_, PandaSim::Create(result->model_->model(), unit.sim));
-  result->sim_->SetScenario(scenario, info->horizon);
+  result->sim_->SetScenario(scenario, result->horizon_);
   return result;
 }
 

@@ -20,6 +20,9 @@ TEST(LiberoFixturesTest, KnownNames) {
   EXPECT_EQ(ParseLiberoFixtures("numpy")->source, Source::kNumpy);
   EXPECT_EQ(ParseLiberoFixtures("numpy")->seed, 7u) << "openpi's evaluation";
   EXPECT_EQ(ParseLiberoFixtures("numpy:4294967295")->seed, 4294967295u);
+  EXPECT_FALSE(ParseLiberoFixtures("numpy:3")->each_seeded);
+  EXPECT_TRUE(ParseLiberoFixtures("numpy-each:1000")->each_seeded);
+  EXPECT_EQ(ParseLiberoFixtures("numpy-each:1000")->seed, 1000u) << "LeRobot's evaluation";
 }
 
 TEST(LiberoFixturesTest, AnythingElseIsAReadableFile) {
@@ -32,7 +35,8 @@ TEST(LiberoFixturesTest, AnythingElseIsAReadableFile) {
 }
 
 TEST(LiberoFixturesTest, AnErrorNamesWhatWasGivenAndWhatIsKnown) {
-  for (const char* text : {"centered", "", "numpy:", "numpy:-1", "numpy:4294967296", "/no/file"}) {
+  for (const char* text : {"centered", "", "numpy:", "numpy:-1", "numpy:4294967296", "numpy-each",
+                           "numpy-each:", "/no/file"}) {
     const absl::Status status = ParseLiberoFixtures(text).status();
     EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << text;
     EXPECT_THAT(std::string(status.message()),

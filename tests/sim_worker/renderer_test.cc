@@ -4,6 +4,8 @@
 
 #include <cmath>
 #include <cstdlib>
+#include <numeric>
+#include <set>
 #include <thread>
 
 #include "common/atomic_file.h"
@@ -96,6 +98,55 @@ TEST(Renderer, SupersamplingAveragesBoxes) {
       cubes.renderer->Render(*cubes.data, "front", {.width = 48, .height = 48, .supersample = 2})
           .value();
   EXPECT_EQ(averaged.data, ResizeArea(fine, 48, 48).data);
+}
+
+// A cube over a shining floor, lit from the side.
+constexpr char kCubeOnFloor[] = R"(<mujoco>
+  <asset><material name="shiny" reflectance="0.5"/></asset>
+  <worldbody>
+    <light pos="-2 0 2" dir="1 0 -1" directional="true"/>
+    <camera name="front" pos="0 -2 0.6" xyaxes="1 0 0 0 0.3 1" fovy="45"/>
+    <geom name="floor" group="1" type="plane" size="2 2 0.1" material="shiny"/>
+    <geom name="cube" group="1" type="box" size="0.1 0.1 0.1" pos="0 0 0.15" rgba="1 0 0 1"/>
+  </worldbody></mujoco>)";
+
+TEST(Renderer, ShadowsReflectionsAndSamplesEachChangeThePicture) {
+  const SharedModel model = CompileModel("cube on floor", kCubeOnFloor).value();
+  mjData* data = mj_makeData(model.get());
+  mj_forward(model.get(), data);
+  const auto renderer = Renderer::Create(model).value();
+  const auto render = [&](RenderOptions options) {
+    options.width = options.height = 96;
+    return renderer->Render(*data, "front", options).value();
+  };
+  const Image plain = render({});
+  const auto sum = [](const Image& image) {
+    return std::accumulate(image.data.begin(), image.data.end(), int64_t{0});
+  };
+  EXPECT_LT(sum(render({.shadows = true})), sum(plain)) << "a shadow is darker";
+  const Image mirrored = render({.reflections = true});
+  int red = 0;  // on the floor, where nothing red is seen without
+  for (int y = 70; y < 96; ++y) {
+    for (int x = 0; x < 96; ++x)
+      red += Channel(mirrored, x, y, 0) > Channel(mirrored, x, y, 1) + 30 &&
+             Channel(plain, x, y, 0) <= Channel(plain, x, y, 1) + 30;
+  }
+  EXPECT_GT(red, 10) << "the cube below the floor";
+  // Along an edge the red of four samples is neither the cube's nor the floor's.
+  const auto levels = [](const Image& image) {
+    std::set<int> values;
+    for (size_t i = 0; i < image.data.size(); i += 3)
+      values.insert(image.data[i] - image.data[i + 1]);
+    return values.size();
+  };
+  EXPECT_GT(levels(render({.samples = 4})), levels(plain) + 2);
+  EXPECT_EQ(render({}).data, plain.data) << "options leave nothing behind";
+  const absl::Status refused = renderer->Render(*data, "front", {.samples = -1}).status();
+  EXPECT_EQ(refused.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_NE(refused.message().find("-1 samples"), std::string::npos);
+  EXPECT_EQ(renderer->Render(*data, "front", {.shadow_size = 20000}).status().code(),
+            absl::StatusCode::kInvalidArgument);
+  mj_deleteData(data);
 }
 
 TEST(Renderer, GrowsItsBufferForALargerImage) {

@@ -4,6 +4,7 @@
 
 #include "adapter/method_options.h"
 #include "common/config.h"
+#include "common/suites.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 
@@ -208,6 +209,30 @@ TEST(Plan, LiberoFixturesReachEveryUnitAndAreChecked) {
   grid.libero_fixtures = "centre";
   EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
               HasSubstr("libero_fixtures 'centre'"));
+}
+
+TEST(Plan, StepLimitsReachLiberosSuitesAndNoOthers) {
+  SweepGrid grid;
+  grid.suites = {"libero_spatial", "libero_10"};
+  grid.libero_root = grid.robosuite_root = "somewhere";
+  for (const PlannedUnit& unit : Plan(grid)) EXPECT_EQ(unit.config.horizon, 0);
+  grid.step_limits = "lerobot";
+  for (const PlannedUnit& unit : Plan(grid)) {
+    EXPECT_EQ(unit.config.horizon, unit.config.suite == "libero_spatial" ? 280 : 520);
+    EXPECT_EQ(HorizonOf(unit.config), unit.config.horizon);
+    EXPECT_TRUE(ResolveUnit(unit.config).ok());
+  }
+  grid.suites.push_back("tabletop_goal");
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              AllOf(HasSubstr("protocol lerobot has no step limit for suite tabletop_goal"),
+                    HasSubstr("it has libero_spatial, libero_object")));
+  grid.step_limits = "openvla";
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("protocol 'openvla' is unknown; known: openpi, lerobot"));
+  UnitConfig unit;
+  EXPECT_EQ(HorizonOf(unit), 220) << "the suite's own";
+  unit.horizon = -1;
+  EXPECT_THAT(std::string(ResolveUnit(unit).status().message()), HasSubstr("horizon is -1"));
 }
 
 TEST(Plan, GridSurvivesItsFile) {

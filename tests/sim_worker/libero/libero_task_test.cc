@@ -182,6 +182,62 @@ TEST(LiberoTaskTest, FollowsTheOriginalsTrajectory) {
   EXPECT_LT(rest, 1e-6);
 }
 
+// robosuite's quat2axisangle of x y z w: the long way round where w < 0.
+std::array<double, 3> Turn(const double* xyzw) {
+  const double half = std::acos(xyzw[3]), sine = std::sqrt(1 - xyzw[3] * xyzw[3]);
+  if (sine == 0) return {0, 0, 0};
+  return {2 * half * xyzw[0] / sine, 2 * half * xyzw[1] / sine, 2 * half * xyzw[2] / sine};
+}
+
+// Largest difference from the state that the originals' observations give a policy, over the steps
+// after settling.
+double ProprioceptionError(const std::string& suite, const SimOptions& sim) {
+  const absl::StatusOr<SafetensorsFile> oracle = SafetensorsFile::Open(
+      absl::StrCat(SharedFolder(), "/oracles/libero/", suite, "_00.safetensors"));
+  EXPECT_TRUE(oracle.ok()) << oracle.status();
+  UnitConfig unit = GoalUnit();
+  unit.suite = suite;
+  unit.libero_fixtures = "numpy:7";
+  unit.sim = sim;
+  const absl::StatusOr<std::unique_ptr<LiberoSimTask>> task = LiberoSimTask::Create(unit, 0);
+  EXPECT_TRUE(task.ok()) << task.status();
+  const std::vector<double> actions = *oracle->ReadDoubles("actions"),
+                            position = *oracle->ReadDoubles("eef_pos"),
+                            quat = *oracle->ReadDoubles("eef_quat"),
+                            fingers = *oracle->ReadDoubles("gripper_qpos");
+  double error = 0;
+  EXPECT_TRUE((*task)->Reset(0).ok());
+  for (size_t step = unit.sim.settle_steps; step < 50; ++step) {
+    const Eigen::VectorXf state = (*task)->Observe(PolicySpec())->proprioception;
+    const std::array<double, 3> turn = Turn(quat.data() + 4 * step);
+    for (int i = 0; i < 3; ++i) {
+      error = std::max(error, std::abs(state[i] - position[3 * step + i]));
+      error = std::max(error, std::abs(state[3 + i] - turn[i]));
+    }
+    for (int i = 0; i < 2; ++i)
+      error = std::max(error, std::abs(state[6 + i] - fingers[2 * step + i]));
+    const Eigen::Matrix<double, 7, 1> command =
+        Eigen::Map<const Eigen::Matrix<double, 7, 1>>(actions.data() + 7 * step);
+    EXPECT_TRUE((*task)->StepExact(command, /*settling=*/false).ok());
+  }
+  return error;
+}
+
+// 1e-6 [m, rad]: a state is single precision, whose last digit is 2.4e-7 at pi.
+TEST(LiberoTaskTest, ProprioceptionIsTheOriginals) {
+  SKIP_WITHOUT_SHARED_DATA();
+  if (!fs::exists(SharedFolder() + "/oracles/libero")) GTEST_SKIP() << "no oracles/libero";
+  SimOptions parity, protocol;
+  parity.stepping = Stepping::kParity;
+  protocol.robosuite.late_observation = Switch::kOn;  // what --protocol sets
+  for (const char* suite : {"libero_spatial", "libero_object", "libero_goal", "libero_10"}) {
+    EXPECT_LT(ProprioceptionError(suite, parity), 1e-6) << suite;
+    EXPECT_LT(ProprioceptionError(suite, protocol), 1e-6) << suite;
+    EXPECT_GT(ProprioceptionError(suite, SimOptions()), 1e-5)
+        << suite << ": four milliseconds later";
+  }
+}
+
 // A plate that flies over the zone in front of the stove at `speed` [m/s] along x.
 class FlyingPlate {
  public:
