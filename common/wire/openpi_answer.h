@@ -23,6 +23,9 @@ struct OpenpiAnswer {
 absl::StatusOr<OpenpiAnswer> ReadOpenpiAnswer(const OpenpiValue& answer, OpenpiSide rows,
                                               OpenpiSide cols);
 
+// Where an answer has its actions, by the same rule; null: nowhere. It may be anything.
+const OpenpiValue* OpenpiActionsIn(const OpenpiValue& answer);
+
 // A text frame: the server's end of the conversation. INTERNAL with the last line of its text,
 // which is what a Python traceback says.
 absl::Status OpenpiErrorText(const std::string& text);
