@@ -45,7 +45,7 @@ robostress_deb(worker robostress-worker "simulated arms with joint errors, for R
   "${subject}\nThis package plays the episodes in MuJoCo and draws them without\na display: a Panda, and a Piper behind its CAN frames."
   DEPENDS "libegl-mesa0, libgl1-mesa-dri" SUGGESTS "robostress-evaluation")
 robostress_deb(robot-client robostress-robot-client "drives an AgileX Piper by a policy server"
-  "${subject}\nThis package commands the arm 30 times a second within limits and\nwatchdogs, records, and teaches by hand."
+  "${subject}\nThis package commands the arm 30 times a second within limits and\nwatchdogs, records, and teaches by hand. Its proxy corrects any robot\nbetween its client and the policy server of somebody else."
   SUGGESTS "robostress-server, can-utils")
 robostress_deb(calibration robostress-calibration "finds what a robot's model lacks, from its logs"
   "${subject}\nThis package fits friction, backlash, compliance and gravity to\nrecordings of joints."

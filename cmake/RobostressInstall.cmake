@@ -11,7 +11,7 @@ set(programs_evaluation robostress robostress-sweep robostress-report robostress
   robostress-error-models robostress-grid-job robostress-scenarios robostress-piper-study)
 set(programs_worker robostress-worker robostress-suites robostress-record robostress-replay robostress-piper-worker
   piper_emulator piper_residual)
-set(programs_robot-client robot_client)
+set(programs_robot-client robot_client robostress-proxy)
 set(programs_calibration robostress-calibrate robostress-record-to-rig robostress-fidelity robostress-close-loop)
 set(programs_server robostress-serve robostress-sessions robostress-policy robostress-tokenize robostress-train)
 

@@ -41,6 +41,7 @@ constexpr Command kCommands[] = {
     {"scenarios", "List scenarios with their severity factors"},
     {"error-models", "Draw the four joint error models over time"},
     {"serve", "Serve a policy, with online adaptation, over gRPC", "ROBOSTRESS_TORCH"},
+    {"proxy", "Correct a robot's commands between its client and somebody else's policy server"},
     {"sessions", "List a running server's sessions; export, pin, roll back their adapters"},
     {"policy", "Inspect a policy; check a pi0 or pi0.5 checkpoint against expected values",
      "ROBOSTRESS_TORCH"},

@@ -40,14 +40,6 @@ std::string Shown(const OpenpiValue& answer) {
   return absl::StrCat("a map of ", absl::StrJoin(shown, ", "));
 }
 
-const OpenpiValue* ActionsIn(const OpenpiValue& answer) {
-  if (std::holds_alternative<OpenpiArray>(answer.value)) return &answer;
-  for (const char* key : {"actions", "action"})
-    if (const OpenpiValue* actions = answer.Find(key)) return actions;
-  const OpenpiValue::Map* map = answer.map();
-  return map != nullptr && map->size() == 1 ? &map->begin()->second : nullptr;
-}
-
 double Milliseconds(const OpenpiValue& answer, std::string_view timing) {
   const OpenpiValue* found = answer.Find(timing);
   const OpenpiValue* ms = found == nullptr ? nullptr : found->Find("infer_ms");
@@ -70,10 +62,18 @@ absl::Status OpenpiRefusal(const OpenpiValue& answer) {
       absl::StrCat("the policy server refuses: ", words == nullptr ? "no message" : Words(*words)));
 }
 
+const OpenpiValue* OpenpiActionsIn(const OpenpiValue& answer) {
+  if (std::holds_alternative<OpenpiArray>(answer.value)) return &answer;
+  for (const char* key : {"actions", "action"})
+    if (const OpenpiValue* actions = answer.Find(key)) return actions;
+  const OpenpiValue::Map* map = answer.map();
+  return map != nullptr && map->size() == 1 ? &map->begin()->second : nullptr;
+}
+
 absl::StatusOr<OpenpiAnswer> ReadOpenpiAnswer(const OpenpiValue& answer, OpenpiSide rows,
                                               OpenpiSide cols) {
   RS_RETURN_IF_ERROR(OpenpiRefusal(answer));
-  const OpenpiValue* found = ActionsIn(answer);
+  const OpenpiValue* found = OpenpiActionsIn(answer);
   if (found == nullptr || !std::holds_alternative<OpenpiArray>(found->value)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "the answer is ", Shown(answer),

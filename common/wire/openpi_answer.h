@@ -26,6 +26,9 @@ absl::StatusOr<OpenpiAnswer> ReadOpenpiAnswer(const OpenpiValue& answer, OpenpiS
 // INTERNAL with the message of a map {type: "error", message}, as vLLM-Omni answers; else OK.
 absl::Status OpenpiRefusal(const OpenpiValue& answer);
 
+// Where an answer has its actions, by the same rule; null: nowhere. It may be anything.
+const OpenpiValue* OpenpiActionsIn(const OpenpiValue& answer);
+
 // A text frame: the server's end of the conversation. INTERNAL with the last line of its text,
 // which is what a Python traceback says.
 absl::Status OpenpiErrorText(const std::string& text);

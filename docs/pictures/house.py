@@ -99,7 +99,7 @@ def house():
     p.room(40, 66, 860, 78, "eval/", ("plans a sweep, starts the other programs, counts, reports",),
            ("plan", "store", "statistics", "report", "launch", "paper", "piper_study", "close_loop"))
     p.room(40, 170, 330, 104, "server/", ("policies that learn while they serve",),
-           ("policies", "training", "sessions", "inference", "wire", "operations", "pages"), "torch")
+           ("policies", "training", "sessions", "inference", "wire", "operations", "pages", "proxy"), "torch")
     p.room(420, 170, 480, 104, "calibration/", ("what the model of a robot lacks; MuJoCo",),
            ("data", "model", "search", "report", "fidelity"))
     p.room(420, 300, 225, 128, "sim_worker/", ("the simulated Panda; MuJoCo",),

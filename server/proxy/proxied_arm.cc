@@ -1,0 +1,309 @@
+#include "server/proxy/proxied_arm.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+#include <variant>
+
+#include "absl/strings/str_cat.h"
+#include "common/rollout/policy_endpoint.h"
+#include "server/proxy/action_block.h"
+#include "server/wire/openpi/openpi_extensions.h"
+
+namespace robostress {
+namespace {
+
+constexpr size_t kMostRows = 4096;  // that nobody took
+
+template <class Names>
+const char* NameIn(const Names& names, size_t index) {
+  return index < std::size(names) ? names[index] : "";
+}
+
+constexpr double kSameJoints = 1e-6;  // of their norm
+
+// Room for a control loop's jitter: of the time that the steps take.
+constexpr double kEarliest = 0.8;
+
+}  // namespace
+
+const char* ProxyModeName(ProxyMode mode) {
+  static constexpr const char* kNames[] = {"on", "shadow", "off"};
+  return NameIn(kNames, static_cast<size_t>(mode));
+}
+const char* DoubtName(Doubt doubt) {
+  static constexpr const char* kNames[kDoubts] = {"unreadable", "state",      "executed", "early",
+                                                  "pause",      "jump",       "overlap",  "server",
+                                                  "actions",    "correction", "fault"};
+  return NameIn(kNames, static_cast<size_t>(doubt));
+}
+const char* AnswerOutcomeName(AnswerOutcome outcome) {
+  static constexpr const char* kNames[kAnswerOutcomes] = {"corrected", "zero",  "shadow",
+                                                          "off",       "doubt", "other"};
+  return NameIn(kNames, static_cast<size_t>(outcome));
+}
+
+ProxiedArm::ProxiedArm(const ArmProfile& profile, const MethodOptions& method)
+    : profile_(profile),
+      method_(method),
+      columns_(profile.columns()),
+      scale_(profile.scale()),
+      correction_(profile, method),
+      motion_(profile),
+      limiter_(profile) {}
+
+void ProxiedArm::NewEpisode() {
+  correction_.StartEpisode();
+  motion_.StartEpisode();
+  limiter_.Reset();
+  given_.reset();
+  residual_.resize(0);
+  ++episode_;
+  ++stretch_;
+}
+
+void ProxiedArm::Distrust(Doubt doubt, const std::string& words) {
+  NewEpisode();
+  trusted_ = false;
+  if (doubt_) return;
+  doubt_ = doubt;
+  words_ = words;
+}
+
+void ProxiedArm::Failed(const std::string& words) {
+  Distrust(Doubt::kFault, words);
+  seen_.reset();
+  report_ = {.outcome = AnswerOutcome::kDoubt, .doubt = doubt_, .words = words_};
+}
+
+bool ProxiedArm::BeginsEpisode(const OpenpiValue& observation) {
+  const OpenpiDialect& keys = profile_.keys;
+  bool begins = !keys.episode.empty() && observation.Find(keys.episode) != nullptr;
+  if (!keys.reset.empty()) {
+    const OpenpiValue* reset = observation.Find(keys.reset);
+    const bool* flag = reset == nullptr ? nullptr : std::get_if<bool>(&reset->value);
+    const auto* text = reset == nullptr ? nullptr : std::get_if<std::string_view>(&reset->value);
+    begins = begins || (flag != nullptr && *flag) ||
+             (text != nullptr && !keys.reset_text.empty() && *text == keys.reset_text);
+  }
+  if (const OpenpiValue* prompt = observation.Find(keys.prompt)) {
+    const auto* text = std::get_if<std::string_view>(&prompt->value);
+    if (text != nullptr) {
+      begins = begins || (prompt_ && *prompt_ != *text);
+      prompt_ = std::string(*text);
+    }
+  }
+  return begins;
+}
+
+void ProxiedArm::Observed(std::string_view message, bool text, double now_s, ProxyMode mode) {
+  ++outstanding_;
+  seen_.reset();
+  doubt_.reset();
+  if (mode == ProxyMode::kOff) {
+    off_ = true;
+    return;
+  }
+  if (std::exchange(off_, false)) {  // what happened since is not known: begin again
+    correction_ = ArmCorrection(profile_, method_);
+    NewEpisode();
+  }
+  trusted_ = true;
+  if (outstanding_ > 1)
+    return Distrust(Doubt::kOverlap, "a message came before the last one was answered");
+  if (text) return Distrust(Doubt::kUnreadable, "a text frame");
+  const absl::StatusOr<OpenpiValue> observation = DecodeOpenpi(message);
+  if (!observation.ok())
+    return Distrust(Doubt::kUnreadable, std::string(observation.status().message()));
+  if (BeginsEpisode(*observation)) NewEpisode();
+  const OpenpiValue* executed = observation->Find("executed");
+  if (executed != nullptr) LearnMeasured(*executed);
+  absl::StatusOr<RobotState> state = ReadArmState(*observation, profile_);
+  if (!state.ok()) {
+    // A message that only begins an episode, or only reports, has none.
+    const bool speaks = executed != nullptr || (!profile_.keys.reset_text.empty() &&
+                                                observation->Find(profile_.keys.reset) != nullptr);
+    if (!speaks) Distrust(Doubt::kState, std::string(state.status().message()));
+    trusted_ = false;
+    return;
+  }
+  if (executed == nullptr && given_) Learn(*state, now_s);
+  seen_ = *std::move(state);
+}
+
+void ProxiedArm::Learn(const RobotState& after, double now_s) {
+  const double elapsed = now_s - given_->time_s;
+  const double due = profile_.execute_steps / profile_.rate_hz;
+  const double first_due = (profile_.execute_steps - 1) / profile_.rate_hz;
+  if (profile_.real_time && elapsed < kEarliest * first_due) {
+    return Distrust(Doubt::kEarly,
+                    absl::StrCat("the next observation came after ", elapsed, " s; execute_steps ",
+                                 profile_.execute_steps, " take ", due, " s at rate_hz ",
+                                 profile_.rate_hz, ": correct either in the profile"));
+  }
+  if (profile_.real_time && elapsed > due + profile_.limits.pause_s) {
+    return Distrust(Doubt::kPause, absl::StrCat("the next observation came after ", elapsed, " s"));
+  }
+  const int first = profile_.first_step, steps = profile_.execute_steps;
+  const Given given = *given_;
+  const ArmMotion motion = motion_.Between(given.before, after, given.own.middleRows(first, steps),
+                                           given.sent.middleRows(first, steps));
+  Take(motion, first + steps - 1, profile_.real_time ? elapsed : due);
+  if (!profile_.joint_space() || steps != 1 || !given_) return;
+  // Every step's state is seen.
+  if (profile_.real_time && std::abs(elapsed - due) > 0.5 * due) ++stretch_;
+  rows_.push_back({stretch_, given.before.q, given.sent.row(first).transpose()});
+}
+
+void ProxiedArm::LearnMeasured(const OpenpiValue& value) {
+  if (!given_) return;
+  PolicySpec policy;
+  policy.action_dim = profile_.action.size;
+  policy.horizon = static_cast<int>(given_->own.rows());
+  const absl::StatusOr<OpenpiExecuted> executed =
+      ReadOpenpiExecuted(value, policy, 1 / profile_.rate_hz);
+  if (!executed.ok()) return Distrust(Doubt::kExecuted, std::string(executed.status().message()));
+  const auto steps = static_cast<int>(executed->states.size()) - 1;
+  const int first = executed->first_step;
+  if (first + steps > policy.horizon) {
+    return Distrust(Doubt::kExecuted,
+                    absl::StrCat("executed ends at step ", first + steps, " of ", policy.horizon));
+  }
+  if (profile_.joint_space() &&
+      executed->states[0].q.size() != static_cast<Eigen::Index>(columns_.size())) {
+    return Distrust(Doubt::kExecuted, absl::StrCat("executed/q has ", executed->states[0].q.size(),
+                                                   " joints, the profile ", columns_.size()));
+  }
+  Eigen::MatrixXd sent = given_->sent.middleRows(first, steps);
+  if (executed->sent_commands.rows() > 0) sent = OwnColumns(executed->sent_commands.cast<double>());
+  const ArmMotion motion =
+      motion_.Measured(executed->states, given_->own.middleRows(first, steps), sent);
+  const bool last = executed->last_of_episode;
+  Take(motion, first + steps - 1, steps / profile_.rate_hz);
+  if (!doubt_ && profile_.joint_space()) {
+    // Reports that do not follow each other are not one motion.
+    const Eigen::VectorXd& begin = executed->states[0].q;
+    if (last_q_.size() == begin.size() && !last_q_.isApprox(begin, kSameJoints)) ++stretch_;
+    last_q_ = executed->states.back().q;
+    for (int i = 0; i < steps; ++i)
+      rows_.push_back({stretch_, executed->states[static_cast<size_t>(i)].q, sent.row(i)});
+  }
+  given_.reset();
+  if (last && !doubt_) NewEpisode();
+}
+
+void ProxiedArm::Take(const ArmMotion& motion, Eigen::Index last_row, double dt_s) {
+  if (rows_.size() > kMostRows) rows_.clear();
+  if (motion.jump) {
+    return Distrust(Doubt::kJump,
+                    absl::StrCat("the arm is ", motion.surprise.norm(),
+                                 " beyond what its commands explain; another episode, or another "
+                                 "robot than the profile's"));
+  }
+  if (const absl::Status learned = correction_.Observe(motion, dt_s); !learned.ok())
+    return Distrust(Doubt::kState, std::string(learned.message()));
+  limiter_.Executed(given_->correction.row(last_row).transpose());
+  const double steps = profile_.joint_space() ? 1 : static_cast<double>(motion.chunk.steps.size());
+  residual_ = (motion.surprise / steps).cwiseQuotient(scale_);
+}
+
+Eigen::MatrixXd ProxiedArm::OwnColumns(const Eigen::MatrixXd& actions) const {
+  Eigen::MatrixXd own(actions.rows(), static_cast<Eigen::Index>(columns_.size()));
+  for (Eigen::Index j = 0; j < own.cols(); ++j)
+    own.col(j) = scale_[j] * actions.col(columns_[static_cast<size_t>(j)]);
+  return own;
+}
+
+std::optional<std::string> ProxiedArm::Answered(std::string_view message, bool text, double now_s,
+                                                ProxyMode mode) {
+  report_ = {.outcome = AnswerOutcome::kOther};
+  if (outstanding_ == 0) return std::nullopt;  // the greeting, or what nobody asked for
+  --outstanding_;
+  std::optional<std::string> answer;
+  if (mode == ProxyMode::kOff || off_) {
+    off_ = true;
+    report_.outcome = AnswerOutcome::kOff;
+    return answer;
+  }
+  if (text) {
+    Distrust(Doubt::kServer, "a text frame");
+  } else if (seen_ && outstanding_ == 0) {
+    answer = Correct(message, now_s, mode);
+  }
+  if (doubt_) {
+    report_.outcome = AnswerOutcome::kDoubt;
+    report_.doubt = doubt_;
+    report_.words = words_;
+  }
+  report_.episode = episode_;
+  report_.chunk = chunk_;
+  report_.residual = std::exchange(residual_, Eigen::VectorXd());
+  seen_.reset();
+  return answer;
+}
+
+std::optional<std::string> ProxiedArm::Correct(std::string_view message, double now_s,
+                                               ProxyMode mode) {
+  const absl::StatusOr<ActionBlock> block = FindActions(message);
+  const auto refuse = [this](const std::string& words) {
+    Distrust(Doubt::kActions, words);
+    return std::nullopt;
+  };
+  if (!block.ok()) return refuse(std::string(block.status().message()));
+  const int end = profile_.first_step + profile_.execute_steps;
+  if (block->cols != profile_.action.size || block->rows < end) {
+    return refuse(absl::StrCat("actions are [", block->rows, ", ", block->cols,
+                               "], the profile's robot executes steps up to ", end, " of ",
+                               profile_.action.size, " numbers"));
+  }
+  const Eigen::MatrixXd actions = ReadActions(message, *block);
+  if (!actions.allFinite()) return refuse("an action is not finite");
+  ++chunk_;
+  Given given;
+  given.own = given.sent = OwnColumns(actions);
+  given.before = *seen_;
+  given.time_s = now_s;
+  given.correction = Eigen::MatrixXd::Zero(given.own.rows(), given.own.cols());
+  std::optional<std::string> answer;
+  if (trusted_) {
+    Eigen::MatrixXd wanted = (method_.gain - 1) * given.own;
+    wanted.rowwise() += correction_.Value().transpose();
+    if (!wanted.allFinite()) {
+      correction_ = ArmCorrection(profile_, method_);
+      Distrust(Doubt::kCorrection, "the correction is not finite");
+      return std::nullopt;
+    }
+    const bool shadow = mode == ProxyMode::kShadow;
+    bool changed = false;
+    std::string bytes(message);
+    Eigen::VectorXd now = limiter_.applied();
+    for (int row = 0; row < block->rows; ++row) {
+      // Steps before the first are not executed.
+      if (row >= profile_.first_step) now = limiter_.Next(now, wanted.row(row).transpose());
+      for (size_t j = 0; j < columns_.size(); ++j) {
+        const auto at = static_cast<Eigen::Index>(j);
+        const int col = columns_[j];
+        const double own = actions(row, col);
+        double value = own + now[at] / scale_[at];
+        if (!profile_.action.low.empty()) {
+          const auto k = static_cast<size_t>(col);
+          value = std::clamp(value, std::min(profile_.action.low[k], own),
+                             std::max(profile_.action.high[k], own));
+        }
+        const double written = value == own ? own : WriteAction(bytes, *block, row, col, value);
+        changed = changed || written != own;
+        now[at] = given.correction(row, at) = scale_[at] * (written - own);
+        if (!shadow) given.sent(row, at) = scale_[at] * written;
+      }
+    }
+    report_.outcome = shadow    ? AnswerOutcome::kShadow
+                      : changed ? AnswerOutcome::kCorrected
+                                : AnswerOutcome::kZero;
+    report_.correction = given.correction.row(end - 1).transpose().cwiseQuotient(scale_);
+    if (changed && !shadow) answer = std::move(bytes);
+  }
+  given_ = std::move(given);
+  return answer;
+}
+
+}  // namespace robostress
