@@ -134,11 +134,14 @@ void SortUnits(std::vector<UnitResult>& units) {
   });
 }
 
+bool PairsNoise(const UnitConfig& config) {
+  return !config.remote.used() || config.remote.dialect.PairsNoise();
+}
+
 std::string UnpairedNoiseNote(const RunData& run) {
   std::set<std::string> policies;
   for (const UnitResult& unit : run.units)
-    if (unit.config.remote.used() && !unit.config.remote.dialect.PairsNoise())
-      policies.insert(unit.config.policy);
+    if (!PairsNoise(unit.config)) policies.insert(unit.config.policy);
   if (policies.empty()) return "";
   return absl::StrCat("Sampling noise not paired: the server of ", absl::StrJoin(policies, ", "),
                       " takes neither seed nor noise, so that pairs share their initial state "

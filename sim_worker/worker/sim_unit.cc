@@ -89,7 +89,14 @@ class SimPlayer : public UnitPlayer {
 
   std::map<std::string, std::string> Provenance() const override {
     if (remote_ == nullptr) return {};
-    return {{"url", remote_->address()}, {"metadata", remote_->metadata()}};
+    return {{"metadata", remote_->metadata()}};
+  }
+
+  std::optional<PolicyServer> Server() const override {
+    if (remote_ == nullptr) return std::nullopt;
+    const std::string address = remote_->address();
+    return PolicyServer{address.substr(0, address.find('?')), remote_->metadata(),
+                        remote_->reconnections()};
   }
 
   absl::StatusOr<std::optional<std::string>> Export() override {
