@@ -253,6 +253,10 @@ absl::Status UnitDirectory::Append(const std::string& row, const std::string& ti
   return AppendLine(File("timing.jsonl"), timing);
 }
 
+absl::Status UnitDirectory::AppendServer(const std::string& row) {
+  return AppendLine(File("servers.jsonl"), row);
+}
+
 absl::Status UnitDirectory::Finish(const std::string* adapter) {
   RS_CHECK(rows_.size() == planned_);
   if (adapter != nullptr) {

@@ -17,6 +17,7 @@ namespace robostress {
 //
 //   config.yaml               resolved configuration; another unit's directory is refused
 //   provenance.json           policy, hash of its weights, version of the worker
+//   servers.jsonl             who answered, where somebody else serves the policy (server_row.h)
 //   episodes.jsonl            one row per finished episode, durable when written
 //   timing.jsonl              wall times, apart because they never repeat
 //   adapter_state.safetensors while an adapted unit runs: the session after the last episode, and
@@ -60,6 +61,8 @@ class UnitDirectory {
   // Adds a finished episode; adapter_state is null for methods without adaptation.
   absl::Status Append(const std::string& row, const std::string& timing,
                       const std::string* adapter_state);
+  // Adds a line to servers.jsonl.
+  absl::Status AppendServer(const std::string& row);
   // Publishes the adapter (null: none) and DONE.
   absl::Status Finish(const std::string* adapter);
 

@@ -6,6 +6,9 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "adapter/method_options.h"
+#include "common/atomic_file.h"
+#include "common/records/json_record.h"
+#include "common/records/server_row.h"
 #include "common/status_macros.h"
 #include "common/unit/robots.h"
 
@@ -78,7 +81,9 @@ class UnitRun {
 
   absl::Status PlayOne(size_t index) {
     const PlannedEpisode& planned = plan_[index];
+    RS_RETURN_IF_ERROR(NoteServer(planned));
     RS_ASSIGN_OR_RETURN(PlayedEpisode played, player_.Play(planned, *directory_));
+    RS_RETURN_IF_ERROR(NoteServer(planned));  // before the row that it is about
     RS_ASSIGN_OR_RETURN(const std::optional<std::string> state, Export());
     played.row.task = played.timing.task = planned.task;
     played.row.episode = played.timing.episode = planned.episode;
@@ -86,6 +91,21 @@ class UnitRun {
     RS_RETURN_IF_ERROR(directory_->Append(EpisodeLine(IdentityOf(unit_, planned), played.row),
                                           TimingLine(played.timing), state ? &*state : nullptr));
     Say(ProgressLine(index, plan_.size(), played));
+    return absl::OkStatus();
+  }
+
+  // Keeps who answers, where that is new, and how often the connection broke.
+  absl::Status NoteServer(const PlannedEpisode& planned) {
+    const std::optional<PolicyServer> now = player_.Server();
+    if (!now || now == noted_) return absl::OkStatus();
+    ServerRow row;
+    row.task = planned.task, row.episode = planned.episode;
+    row.url = now->url;
+    row.metadata_sha256 = Sha256Hex(now->metadata);
+    row.reconnections = now->reconnections - (noted_ ? noted_->reconnections : 0);
+    if (noted_ && noted_->metadata != now->metadata) row.metadata = now->metadata;
+    RS_RETURN_IF_ERROR(directory_->AppendServer(RecordJson(row).dump()));
+    noted_ = now;
     return absl::OkStatus();
   }
 
@@ -98,6 +118,7 @@ class UnitRun {
   const UnitRunOptions& options_;
   UnitPlayer& player_;
   std::unique_ptr<UnitDirectory> directory_;
+  std::optional<PolicyServer> noted_;
 };
 
 }  // namespace

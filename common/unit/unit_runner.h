@@ -22,6 +22,14 @@ struct PlayedEpisode {
   TimingRow timing;
 };
 
+// Who serves the policy, where somebody else does.
+struct PolicyServer {
+  std::string url;        // without its query, which may hold a key
+  std::string metadata;   // what it says of itself, as JSON
+  int reconnections = 0;  // since Open
+  bool operator==(const PolicyServer&) const = default;
+};
+
 // What a robot's worker brings to the runner: a policy and a way to play it. One thread.
 class UnitPlayer {
  public:
@@ -30,6 +38,8 @@ class UnitPlayer {
   virtual absl::StatusOr<std::string> Open() = 0;
   // What provenance.json says beside policy, hash and version; after Open.
   virtual std::map<std::string, std::string> Provenance() const { return {}; }
+  // As it is now, after Open; absent for a policy of ours.
+  virtual std::optional<PolicyServer> Server() const { return std::nullopt; }
   // Plays one episode, after those before it. May write files of its own beside the rows
   // (UnitDirectory::EpisodeFile).
   virtual absl::StatusOr<PlayedEpisode> Play(const PlannedEpisode& planned,

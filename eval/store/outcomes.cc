@@ -64,6 +64,7 @@ absl::StatusOr<UnitResult> ParseUnit(const json& fields) {
   config.seed = fields.at("seed").get<int64_t>();
   config.first_initial_state = fields.at("first_initial_state").get<int>();
   config.tasks = fields.at("tasks").get<std::vector<int>>();
+  if (!fields.value("noise_paired", true)) config.remote.dialect.name = "not recorded";
   RS_ASSIGN_OR_RETURN(config.method, MakeMethod(fields.at("method").get<std::string>()));
   if (const SuiteInfo* suite = FindSuite(config.suite)) config.robot = suite->robot;
   if (const std::string named = UnitId(config); named != unit.id) {
@@ -182,22 +183,22 @@ absl::StatusOr<std::string> OutcomesText(const RunData& run) {
   for (const UnitResult& unit : run.units) {
     const UnitConfig& config = unit.config;
     RS_ASSIGN_OR_RETURN(const std::vector<std::string> outcomes, OutcomesByTask(unit));
-    const ordered_json line = {
-        {"unit", unit.id},
-        {"suite", config.suite},
-        {"scenario", config.scenario},
-        {"severity", config.severity},
-        {"policy", config.policy},
-        {"method", config.method->method},
-        {"seed", config.seed},
-        {"first_initial_state", config.first_initial_state},
-        {"tasks", config.tasks},
-        {"outcomes", outcomes},
-        {"updates", unit.episodes.empty() ? 0 : unit.episodes.back().updates},
-        {"options", OptionsHash(config)},
-        {"model", ProvenanceOf(unit, "model_hash").substr(0, kHashDigits)},
-        {"version", ProvenanceOf(unit, "version")},
-        {"machines", unit.machines}};
+    ordered_json line = {{"unit", unit.id},
+                         {"suite", config.suite},
+                         {"scenario", config.scenario},
+                         {"severity", config.severity},
+                         {"policy", config.policy},
+                         {"method", config.method->method},
+                         {"seed", config.seed},
+                         {"first_initial_state", config.first_initial_state},
+                         {"tasks", config.tasks},
+                         {"outcomes", outcomes},
+                         {"updates", unit.episodes.empty() ? 0 : unit.episodes.back().updates},
+                         {"options", OptionsHash(config)},
+                         {"model", ProvenanceOf(unit, "model_hash").substr(0, kHashDigits)},
+                         {"version", ProvenanceOf(unit, "version")},
+                         {"machines", unit.machines}};
+    if (!PairsNoise(unit)) line["noise_paired"] = false;
     absl::StrAppend(&text, line.dump(), "\n");
   }
   return text;
@@ -211,6 +212,8 @@ absl::StatusOr<Outcomes> ReadOutcomes(const std::vector<std::string>& files) {
   outcomes.notes = SeveralVersions(outcomes.run);
   if (const std::string mixed = MixedMachinesNote(outcomes.run); !mixed.empty())
     outcomes.notes.push_back(mixed + ".");
+  if (std::string unpaired = UnpairedNoiseNote(outcomes.run); !unpaired.empty())
+    outcomes.notes.push_back(std::move(unpaired));
   return outcomes;
 }
 

@@ -18,7 +18,8 @@ namespace robostress {
 //    "method", "seed", "first_initial_state", "tasks": [0, 1],
 //    "outcomes": ["1101", "0111"],          by task; episode i began at first_initial_state + i
 //    "updates": 0, "options": "1f0c...",    hash of the sections sim and method
-//    "model": "9a3b...", "version": "...", "machines": ["..."]}
+//    "model": "9a3b...", "version": "...", "machines": ["..."],
+//    "noise_paired": false}                 where another server drew the sampling noise
 absl::StatusOr<std::string> OutcomesText(const RunData& run);
 
 struct Outcomes {

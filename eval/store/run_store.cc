@@ -134,15 +134,20 @@ void SortUnits(std::vector<UnitResult>& units) {
   });
 }
 
+bool PairsNoise(const UnitConfig& config) {
+  return !config.remote.used() || config.remote.dialect.PairsNoise();
+}
+
+bool PairsNoise(const UnitResult& unit) {
+  const bool refused = unit.provenance.is_object() &&
+                       unit.provenance.value("noise_paired", std::string("true")) == "false";
+  return PairsNoise(unit.config) && !refused;
+}
+
 std::string UnpairedNoiseNote(const RunData& run) {
   std::set<std::string> policies;
-  for (const UnitResult& unit : run.units) {
-    // What the server said stands above what its dialect allows.
-    const bool refused = unit.provenance.is_object() &&
-                         unit.provenance.value("noise_paired", std::string("true")) == "false";
-    if (unit.config.remote.used() && (refused || !unit.config.remote.dialect.PairsNoise()))
-      policies.insert(unit.config.policy);
-  }
+  for (const UnitResult& unit : run.units)
+    if (!PairsNoise(unit)) policies.insert(unit.config.policy);
   if (policies.empty()) return "";
   return absl::StrCat("Sampling noise not paired: the server of ", absl::StrJoin(policies, ", "),
                       " takes neither seed nor noise, so that pairs share their initial state "

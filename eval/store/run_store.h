@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "common/records/episode_row.h"
+#include "common/records/server_row.h"
 #include "common/unit_config.h"
 #include "nlohmann/json.hpp"
 
@@ -26,7 +27,8 @@ struct UnitResult {
   UnitConfig config;
   std::vector<EpisodeRow> episodes;  // in the order they were run
   std::vector<std::string> videos;   // paths, sorted
-  nlohmann::json provenance;  // provenance.json: policy, model_hash, version; null when absent
+  nlohmann::json provenance;       // provenance.json: policy, model_hash, version; null when absent
+  std::vector<ServerRow> servers;  // who answered, where somebody else serves the policy
   TimingSums timing;
   std::vector<std::string> machines;  // kinds of processor at work, sorted (processor_kind.h)
 };
@@ -52,6 +54,9 @@ void SortUnits(std::vector<UnitResult>& units);
 std::string EpisodeTableCsv(const RunData& run);
 // "" when all units ran on one kind of processor; else what a table must say.
 std::string MixedMachinesNote(const RunData& run);
+// Whether equal keys of an episode give the policy equal sampling noise.
+bool PairsNoise(const UnitConfig& config);
+bool PairsNoise(const UnitResult& unit);  // what its server said of itself stands above
 // "" where every policy's sampling noise is a function of the episode; else what a table must say.
 std::string UnpairedNoiseNote(const RunData& run);
 // Timings apart: one row per unit, summed over its timing.jsonl.

@@ -9,6 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/records/json_record.h"
 #include "common/suites.h"
 
 namespace robostress {
@@ -140,6 +141,10 @@ class UnitReader {
     }
     std::sort(unit.videos.begin(), unit.videos.end());
     AddTimings();
+    for (const json& record : Records("/servers.jsonl")) {
+      ServerRow row;
+      if (ReadRecord(folder_, record, row).ok()) unit.servers.push_back(std::move(row));
+    }
     std::set<std::string> machines;
     for (const json& record : Records("/machines.jsonl")) {
       for (const auto& [role, machine] : record.items()) {

@@ -82,6 +82,14 @@ std::string Lines(const RunDirectory& run, const std::vector<WorkItem>& parts, c
   return text;
 }
 
+// A file that parts may have, one after the other.
+std::string Collected(const RunDirectory& run, const std::vector<WorkItem>& parts,
+                      const char* name) {
+  std::string text;
+  for (const WorkItem& part : parts) text += ReadFile(part.Folder(run) + name).value_or("");
+  return text;
+}
+
 absl::Status LinkFiles(const fs::path& from, const fs::path& to) {
   std::error_code error;
   if (!fs::is_directory(from, error)) return absl::OkStatus();
@@ -113,6 +121,8 @@ absl::Status WriteJoined(const RunDirectory& run, const std::vector<WorkItem>& p
   const std::string machines = Lines(run, parts, "/machines.jsonl");
   if (!machines.empty())
     RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/machines.jsonl", machines));
+  const std::string servers = Collected(run, parts, "/servers.jsonl");
+  if (!servers.empty()) RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/servers.jsonl", servers));
   for (const WorkItem& part : parts) {
     for (const char* films : {"/videos", "/joints"})
       RS_RETURN_IF_ERROR(LinkFiles(part.Folder(run) + films, folder + films));

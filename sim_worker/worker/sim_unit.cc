@@ -104,9 +104,15 @@ class SimPlayer : public UnitPlayer {
 
   std::map<std::string, std::string> Provenance() const override {
     if (remote_ == nullptr) return {};
-    return {{"url", remote_->address()},
-            {"metadata", remote_->metadata()},
+    return {{"metadata", remote_->metadata()},
             {"noise_paired", remote_->pairs_noise() ? "true" : "false"}};
+  }
+
+  std::optional<PolicyServer> Server() const override {
+    if (remote_ == nullptr) return std::nullopt;
+    const std::string address = remote_->address();
+    return PolicyServer{address.substr(0, address.find('?')), remote_->metadata(),
+                        remote_->reconnections()};
   }
 
   absl::StatusOr<std::optional<std::string>> Export() override {

@@ -24,6 +24,8 @@
 #include "common/joint_errors/scenario_file.h"
 #include "common/random.h"
 #include "common/records/episode_row.h"
+#include "common/records/json_record.h"
+#include "common/records/server_row.h"
 #include "common/unit_config.h"
 #include "nlohmann/json.hpp"
 
@@ -117,6 +119,13 @@ int Run(const WorkerArguments& options) {
     const nlohmann::json provenance = {
         {"policy", config->policy}, {"model_hash", "fake"}, {"version", "0"}};
     status = WriteFileAtomically(out + "/provenance.json", provenance.dump() + "\n");
+  }
+  if (status.ok() && config->remote.used()) {
+    ServerRow served;
+    served.url = options.server;
+    served.metadata_sha256 = Sha256Hex("{}");
+    served.reconnections = 1;
+    status = AppendLine(out + "/servers.jsonl", RecordJson(served).dump());
   }
   for (const char* file : {"/episodes.jsonl", "/timing.jsonl"}) {
     if (status.ok()) status = WriteFileAtomically(out + file, "");

@@ -59,6 +59,16 @@ TEST(Outcomes, ComeBackAsTheyWere) {
   EXPECT_FALSE(ours.episodes[3].residual.has_value());
 }
 
+TEST(Outcomes, SayWhereSamplingNoiseIsNotPaired) {
+  RunData run = Finished();
+  run.units[0].config.remote.dialect.name = "libero";
+  const auto read = ReadOutcomes({Written("unpaired.jsonl", *OutcomesText(run))});
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_FALSE(PairsNoise(read->run.units[0].config));
+  EXPECT_TRUE(PairsNoise(read->run.units[1].config));
+  EXPECT_THAT(UnpairedNoiseNote(read->run), HasSubstr("Sampling noise not paired"));
+}
+
 TEST(Outcomes, EpisodesAreOfTheInitialStatesThatTheirUnitBeganAt) {
   RunData run = Finished();
   run.units.resize(1);
