@@ -175,9 +175,10 @@ TEST_F(VlaEvalWire, GreetsFirstAndTellsWhereEpisodesBeginAndEnd) {
   // An episode without an end, as where the unit was cut short.
   ASSERT_TRUE((*policy)->StartEpisode({3, 6}).ok());
   ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
-  EXPECT_THAT(server.types(), ElementsAre("hello", "episode_start", "observation", "observation",
-                                          "episode_end", "episode_start", "observation",
-                                          "episode_end", "episode_start", "observation"));
+  EXPECT_THAT(
+      server.types(),
+      ElementsAre("hello", "hello", "episode_start", "observation", "observation", "episode_end",
+                  "episode_start", "observation", "episode_end", "episode_start", "observation"));
   const std::string start = server.told(0);
   const OpenpiValue told = *DecodeOpenpi(std::string_view(start));
   const OpenpiValue* task = told.Find("payload")->Find("task");
