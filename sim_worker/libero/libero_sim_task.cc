@@ -3,7 +3,6 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <cmath>
 #include <mutex>
 
 #include "absl/strings/match.h"
@@ -22,15 +21,6 @@ namespace robostress::libero {
 namespace {
 
 constexpr int kCameraSize = 256;  // [px] of LIBERO's renderings before they are resized
-
-// MuJoCo's w x y z to an axis-angle vector with an angle in [0, 2 pi], as openpi's LIBERO client
-// does.
-Eigen::Vector3d AxisAngle(const double* wxyz) {
-  const double w = std::clamp(wxyz[0], -1.0, 1.0);
-  const double sine = std::sqrt(1 - w * w);
-  if (sine < 1e-8) return Eigen::Vector3d::Zero();
-  return Eigen::Vector3d(wxyz[1], wxyz[2], wxyz[3]) * (2 * std::acos(w) / sine);
-}
 
 void AnnounceMissingVisuals(const LiberoScene& scene) {
   if (scene.missing_visuals.empty()) return;
@@ -168,14 +158,7 @@ absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, in
     if (site >= 0)
       render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on() ? 1.0f : 0.0f;
   }
-  // As MuJoCo draws when nobody chooses, which is what the originals do.
-  const RenderOptions options{.width = width,
-                              .height = height,
-                              .shadows = true,
-                              .reflections = true,
-                              .samples = 4,
-                              .shadow_size = 4096};
-  return renderer_->Render(data, camera, options);
+  return renderer_->Render(data, camera, RenderAsLibero(width, height));
 }
 
 absl::StatusOr<Observation> LiberoSimTask::Observe(const PolicySpec& spec) {
@@ -185,7 +168,7 @@ absl::StatusOr<Observation> LiberoSimTask::Observe(const PolicySpec& spec) {
   Observation observation;
   observation.instruction = instruction_;
   observation.proprioception.resize(8);
-  const Eigen::Vector3d rotation = AxisAngle(data.xquat + 4 * panda.hand_body);
+  const Eigen::Vector3d rotation = AxisAngleAsLibero(data.xquat + 4 * panda.hand_body);
   for (int i = 0; i < 3; ++i) {
     observation.proprioception[i] = static_cast<float>(data.site_xpos[3 * panda.grip_site + i]);
     observation.proprioception[3 + i] = static_cast<float>(rotation[i]);

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstdlib>
+#include <ctime>
 #include <set>
 
 #include "absl/strings/match.h"
@@ -11,6 +12,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/image.h"
 #include "common/status_macros.h"
+#include "sim_worker/libero/preprocess.h"
 
 namespace robostress::libero {
 namespace {
@@ -69,8 +71,10 @@ absl::Status CompareSameState(const SafetensorsFile& file, const std::string& mo
   const std::vector<double> rest(task.scene().model->nv, 0.0);
   RS_RETURN_IF_ERROR(task.ResetTo(qpos, rest, LiberoSimTask::HomePosture()));
   for (const int size : {kRaw, kClient}) {
-    RS_ASSIGN_OR_RETURN(result.same_state_proprioception[moment],
+    RS_ASSIGN_OR_RETURN(const double error,
                         CompareObservation(file, moment, size, task, result.same_state));
+    // Later the originals' fingers are of a step's end, and what pictures show of its start.
+    if (absl::EndsWith(moment, "start")) result.start_proprioception = error;
   }
   return absl::OkStatus();
 }
@@ -192,6 +196,44 @@ Image Beside(const Image& ours, const Image& theirs) {
     amplified.data[i] = static_cast<uint8_t>(std::min(255, 8 * d));
   }
   return HStack({ours, theirs, amplified}, 4);
+}
+
+absl::StatusOr<DrawnOtherwise> CompareDrawn(const std::string& file_name, const std::string& suite,
+                                            int index, const std::string& site,
+                                            const RenderOptions& options) {
+  RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Open(file_name));
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<LiberoSimTask> task,
+                      LiberoSimTask::Create(OriginalsUnit(suite, site), index));
+  RS_ASSIGN_OR_RETURN(const std::shared_ptr<mjModel> model,
+                      MakeRenderModel(task->scene(), task->placed_model()));
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Renderer> renderer, Renderer::Create(model));
+  RS_RETURN_IF_ERROR(task->Reset(0));
+  DrawnOtherwise result;
+  std::vector<double> times;
+  int count = 0;
+  for (const char* moment : {"0.start", "0.settled", "0.moved"}) {
+    const auto qpos = file.ReadDoubles(absl::StrCat(moment, ".qpos"));
+    if (!qpos.ok()) continue;
+    const std::vector<double> rest(model->nv, 0.0);
+    RS_RETURN_IF_ERROR(task->ResetTo(*qpos, rest, LiberoSimTask::HomePosture()));
+    for (const char* camera : kCameras) {
+      RS_ASSIGN_OR_RETURN(const Image theirs, ReadPicture(file, absl::StrCat(moment, ".", camera)));
+      RS_RETURN_IF_ERROR(renderer->Render(task->sim().observed(), camera, options).status());
+      const std::clock_t start = std::clock();
+      RS_ASSIGN_OR_RETURN(const Image upright,
+                          renderer->Render(task->sim().observed(), camera, options));
+      times.push_back(static_cast<double>(std::clock() - start) / CLOCKS_PER_SEC);
+      const PictureDifference difference = Compare(MirrorAsLibero(upright), theirs);
+      result.mean += difference.mean;
+      result.block = std::max(result.block, difference.block);
+      ++count;
+    }
+  }
+  if (count == 0) return absl::NotFoundError(absl::StrCat(file_name, ": no pictures of trial 0"));
+  result.mean /= count;
+  std::sort(times.begin(), times.end());
+  result.cpu_s = times[times.size() / 2];
+  return result;
 }
 
 UnitConfig OriginalsUnit(const std::string& suite, const std::string& site) {

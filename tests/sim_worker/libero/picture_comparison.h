@@ -8,6 +8,7 @@
 #include "common/safetensors.h"
 #include "common/types.h"
 #include "sim_worker/libero/libero_sim_task.h"
+#include "sim_worker/renderer.h"
 
 namespace robostress::libero {
 
@@ -35,12 +36,24 @@ struct ComparedTask {
   std::vector<ComparedPicture> same_state;
   // 224 px after our own reset, settle steps and motion: physics differs as well.
   std::vector<ComparedPicture> whole_way;
-  // Moment -> largest difference of the eight numbers of the state [m, rad], at the same positions
-  // and after our own way.
-  std::map<std::string, double> same_state_proprioception, whole_way_proprioception;
+  // Largest difference of the eight numbers of the state [m, rad]: before the first step, and
+  // moment -> after our own way.
+  double start_proprioception = 0;
+  std::map<std::string, double> whole_way_proprioception;
   double fixtures = 0;  // largest difference of a fixture's pose [m, quaternion]
   std::map<std::string, double> model_arrays;  // largest difference of each that decides pictures
 };
+
+// What our pictures would be if they were drawn with other options, at the same positions and 256
+// px, and the processor's time for one.
+struct DrawnOtherwise {
+  double mean = 0;   // over pictures, as PictureDifference
+  double block = 0;  // the worst picture's
+  double cpu_s = 0;  // median
+};
+absl::StatusOr<DrawnOtherwise> CompareDrawn(const std::string& file, const std::string& suite,
+                                            int task, const std::string& site,
+                                            const RenderOptions& options);
 
 // Compares what tests/sim_worker/libero/originals/look.py wrote of a task with ours. `site`: the
 // site-packages of its environment, where LIBERO's and robosuite's files are.

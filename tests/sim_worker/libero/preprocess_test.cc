@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+#include <numbers>
+
 #include "common/random.h"
 
 namespace robostress::libero {
@@ -29,6 +32,24 @@ TEST(PreprocessTest, MirrorsLeftAndRightAsARotatedBottomUpImage) {
     }
   }
   EXPECT_EQ(MirrorAsLibero(upright).data, expected.data);
+}
+
+TEST(PreprocessTest, TurnsAsRobosuiteDoesTheLongWayRound) {
+  const auto turn = [](double w, double x, double y, double z) {
+    const double wxyz[] = {w, x, y, z};
+    return AxisAngleAsLibero(wxyz);
+  };
+  const double pi = std::numbers::pi;
+  EXPECT_NEAR((turn(std::cos(0.1), std::sin(0.1), 0, 0) - Eigen::Vector3d(0.2, 0, 0)).norm(), 0,
+              1e-12);
+  // The same rotation by the other quaternion: 2 pi less a bit, about the other axis.
+  EXPECT_NEAR(
+      (turn(-std::cos(0.1), -std::sin(0.1), 0, 0) - Eigen::Vector3d(0.2 - 2 * pi, 0, 0)).norm(), 0,
+      1e-12);
+  EXPECT_NEAR((turn(0, 0, 1, 0) - Eigen::Vector3d(0, pi, 0)).norm(), 0, 1e-12);
+  EXPECT_EQ(turn(1, 0, 0, 0), Eigen::Vector3d(0, 0, 0));
+  EXPECT_EQ(turn(-1, 0, 0, 0), Eigen::Vector3d(0, 0, 0)) << "not 2 pi";
+  EXPECT_EQ(turn(1 + 1e-12, 0, 0, 0), Eigen::Vector3d(0, 0, 0)) << "a quaternion is seldom exact";
 }
 
 }  // namespace
