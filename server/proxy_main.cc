@@ -198,6 +198,7 @@ int Main(int argc, char** argv) {
   app.require_subcommand(0, 1);
   FlagVisitor flags(&app);
   options.Visit(flags);
+  app.get_option("--set")->allow_extra_args(false);  // a command may follow
   for (const auto& [name, help] :
        {std::pair{"off", "Switch a running proxy off: every answer passes"},
         {"on", "Switch it on again; it begins anew"},
