@@ -89,6 +89,13 @@ absl::StatusOr<ProxySecrets> SecretsOf(const ProxyOptions& options) {
   return secrets;
 }
 
+void WarnOfOpenPort(const char* flag, const std::string& listen) {
+  if (listen.empty() || absl::StartsWith(listen, "127.") || absl::StartsWith(listen, "[::1]") ||
+      absl::StartsWith(listen, "localhost:"))
+    return;
+  spdlog::warn("{} {} is open to other machines and asks nobody who he is", flag, listen);
+}
+
 absl::Status RunProxy(const ProxyOptions& options, const sigset_t& signals) {
   if (options.upstream.empty() || options.robot.empty()) {
     return absl::InvalidArgumentError(
@@ -106,6 +113,10 @@ absl::Status RunProxy(const ProxyOptions& options, const sigset_t& signals) {
   }
   RS_ASSIGN_OR_RETURN(const MethodOptions method, MethodOf(profile, options.set));
   RS_ASSIGN_OR_RETURN(const ProxySecrets secrets, SecretsOf(options));
+
+  if (secrets.tokens == nullptr && options.tls_client_ca.empty())
+    WarnOfOpenPort("--listen", options.listen);
+  WarnOfOpenPort("--http-listen", options.http_listen);
 
   Metrics metrics;
   AddProcessMetrics(&metrics);
@@ -198,6 +209,7 @@ int Main(int argc, char** argv) {
   app.require_subcommand(0, 1);
   FlagVisitor flags(&app);
   options.Visit(flags);
+  app.get_option("--set")->allow_extra_args(false);  // a command may follow
   for (const auto& [name, help] :
        {std::pair{"off", "Switch a running proxy off: every answer passes"},
         {"on", "Switch it on again; it begins anew"},

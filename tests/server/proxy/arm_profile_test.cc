@@ -95,6 +95,19 @@ TEST(ArmProfile, NamesFieldValueAndLimitOfWhatIsWrong) {
               HasSubstr("belong to control_space joint"));
 }
 
+TEST(ArmProfile, TakesTheExamplesOfItsPage) {
+  std::ifstream file("docs/results/proxy.md");
+  const std::string page((std::istreambuf_iterator<char>(file)), {});
+  int found = 0;
+  for (size_t at = 0; (at = page.find("```yaml\n", at)) != std::string::npos; ++found) {
+    at += 8;
+    const auto profile = Load(page.substr(at, page.find("```", at) - at));
+    ASSERT_TRUE(profile.ok()) << profile.status();
+    EXPECT_TRUE(MethodOf(*profile).ok()) << MethodOf(*profile).status();
+  }
+  EXPECT_EQ(found, 2);
+}
+
 TEST(ArmProfile, TakesTheMethodsThatItsSpaceAllows) {
   ArmProfile profile = LiberoProfile();
   const auto method = MethodOf(profile);

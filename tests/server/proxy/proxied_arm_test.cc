@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <random>
+#include <utility>
 
 #include "server/proxy/action_block.h"
 #include "tests/server/proxy/proxy_messages.h"
@@ -268,6 +269,26 @@ TEST(ProxiedArm, ANewPromptIsANewEpisode) {
   EXPECT_EQ(loop.proxy.report().episode, episode + 1);
 }
 
+TEST(ProxiedArm, AMessageThatOnlyBeginsAnEpisodeIsNoDoubt) {
+  ArmProfile profile = LiberoProfile();
+  profile.keys.reset = "endpoint";
+  profile.keys.reset_text = "reset";
+  Loop loop(60, profile);
+  loop.Run(10);
+  const int episode = loop.proxy.report().episode;
+  OpenpiBytes reset, done;
+  reset.Map(1).Text("endpoint").Text("reset");
+  done.Map(1).Text("status").Text("reset successful");
+  loop.proxy.Observed(reset.bytes(), false, 0, ProxyMode::kOn);
+  EXPECT_FALSE(loop.proxy.Answered(done.bytes(), false, 0, ProxyMode::kOn).has_value());
+  EXPECT_EQ(loop.proxy.report().doubt, std::nullopt);
+  EXPECT_EQ(loop.proxy.report().outcome, AnswerOutcome::kOther);
+  EXPECT_EQ(loop.proxy.report().episode, episode + 1);
+  loop.arm.Place({0, 0, 0});
+  loop.Run(1);
+  EXPECT_EQ(loop.proxy.report().doubt, std::nullopt);
+}
+
 TEST(ProxiedArm, TakesOffAJointsSag) {
   for (const int joints : {1, 6, 12}) {  // more than one observer holds
     const ArmProfile profile = JointProfile(joints);
@@ -354,7 +375,7 @@ TEST(ProxiedArm, SurvivesAnHourOfAnAdversary) {
   };
   constexpr double kStrange[] = {1e300, -1e300, 1e-300, std::numeric_limits<double>::quiet_NaN(),
                                  std::numeric_limits<double>::infinity()};
-  int corrected = 0, in_doubt = 0;
+  int corrected = 0, in_doubt = 0, episode = 0;
   Eigen::VectorXd last = Eigen::VectorXd::Zero(6);
   for (int i = 0; i < 14400; ++i) {  // an hour of chunks of 0.25 s
     std::vector<double> state = loop.arm.state(), wish = loop.Wish();
@@ -381,8 +402,12 @@ TEST(ProxiedArm, SurvivesAnHourOfAnAdversary) {
     for (int k = one_in(50) ? -1 : 0; k < times; ++k) {
       const auto instead = loop.proxy.Answered(answer, one_in(100), loop.now_s, ProxyMode::kOn);
       in_doubt += loop.proxy.report().doubt.has_value();
+      const AnswerReport& report = loop.proxy.report();
+      const bool asked = report.outcome != AnswerOutcome::kOther;
+      // With an episode a correction ends at once, and begins at 0.
+      if (asked && std::exchange(episode, report.episode) != report.episode) last.setZero();
       if (!instead) {
-        if (loop.proxy.report().outcome != AnswerOutcome::kOther) last.setZero();
+        if (asked) last.setZero();
         continue;
       }
       ++corrected;

@@ -57,7 +57,7 @@ int Main(int chunks) {
   std::vector<double> of_direct, of_proxied, difference;
   for (int i = 0; i < chunks; ++i) {
     seen.proprioception = Eigen::VectorXf::Zero(8);
-    seen.proprioception[0] = 1e-3f * static_cast<float>(i % 100);
+    seen.proprioception[0] = 1e-3f * static_cast<float>(std::abs(i % 100 - 50));  // no jump
     const std::string message = *WriteOpenpiObservation(seen, *OpenpiDialectNamed("libero"));
     of_direct.push_back(Ask(**direct, message));
     of_proxied.push_back(Ask(**proxied, message));
