@@ -5,34 +5,53 @@
 #include <string>
 #include <vector>
 
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "common/atomic_file.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
+#include "eval/report/leaderboard.h"
 #include "eval/report/report.h"
+#include "eval/report/result_export.h"
+#include "eval/report/result_file.h"
 #include "eval/report/store_comparison.h"
-#include "eval/report/text_table.h"
 #include "eval/store/run_store.h"
 
 namespace robostress {
 namespace {
 
-// Two stores beside each other: compare.html, .json and .csv in `out`.
-absl::Status Compare(const std::vector<std::string>& dirs, const std::string& out,
-                     const ReportOptions& options) {
-  RS_ASSIGN_OR_RETURN(const RunData first, LoadRun(dirs[0]));
-  RS_ASSIGN_OR_RETURN(const RunData second, LoadRun(dirs[1]));
-  RS_ASSIGN_OR_RETURN(const StoreComparison comparison,
-                      CompareStores(first, second, options.bootstrap_replicates));
-  const std::string folder = out.empty() ? "runs/compare" : out;
-  RS_RETURN_IF_ERROR(MakeDirectories(folder));
-  const TextRows cells = StoreCells(comparison);
-  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.md", MarkdownTable(cells)));
-  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.csv", CsvTable(cells)));
-  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.json", StoreJson(comparison)));
-  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.html", StorePage(comparison)));
-  std::printf("%s", AlignedTable(cells).c_str());
-  for (const std::string& note : comparison.notes) std::printf("  - %s\n", note.c_str());
-  std::printf("%s/compare.html\n", folder.c_str());
+// What else of a run is written: for other laboratories, for vla-eval's leaderboard.
+struct ExportFlags {
+  std::string file, leaderboard;
+  std::vector<std::string> entry;  // --leaderboard KEY=VALUE
+
+  bool any() const { return !file.empty() || !leaderboard.empty(); }
+};
+
+// Writes what `flags` names, and no page.
+absl::Status Export(const std::vector<std::string>& dirs, const ExportFlags& flags,
+                    const ReportOptions& options) {
+  LeaderboardEntry entry;
+  if (!flags.leaderboard.empty()) {
+    RS_ASSIGN_OR_RETURN(entry, ParseLeaderboardEntry(flags.entry));
+  } else if (!flags.entry.empty()) {
+    return absl::InvalidArgumentError("--leaderboard belongs to --export-leaderboard FILE");
+  }
+  RS_ASSIGN_OR_RETURN(const RunData run, JoinRuns(dirs));
+  RS_ASSIGN_OR_RETURN(const ResultFile results,
+                      ExportResults(run, Summarise(run, options.bootstrap_replicates)));
+  if (!flags.file.empty()) {
+    RS_RETURN_IF_ERROR(WriteFileAtomically(flags.file, WriteResultFile(results)));
+    std::printf("%s: %zu results of %zu units\n", flags.file.c_str(), results.results.size(),
+                run.units.size());
+  }
+  if (flags.leaderboard.empty()) return absl::OkStatus();
+  RS_ASSIGN_OR_RETURN(
+      const std::string leaderboard,
+      LeaderboardJson(results, entry,
+                      absl::FormatTime("%Y-%m-%d", absl::Now(), absl::UTCTimeZone())));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(flags.leaderboard, leaderboard));
+  std::printf("%s\n", flags.leaderboard.c_str());
   return absl::OkStatus();
 }
 
@@ -67,10 +86,20 @@ int main(int argc, char** argv) {
       "Writes report.html, report.json, table.csv, episodes.csv and figures/ of a run directory "
       "and prints the table.",
       "robostress report");
-  std::string dir, out;
-  std::vector<std::string> training, compare;
+  std::string out;
+  std::vector<std::string> dirs, training, compare;
+  robostress::ExportFlags exported;
   robostress::ReportOptions options;
-  app.add_option("RUN_DIR", dir, "The --out of a sweep");
+  app.add_option("RUN_DIR", dirs, "The --out of a sweep; several for --export alone");
+  app.add_option("--export", exported.file,
+                 "Write only this JSON file, for other laboratories: numbers, intervals, protocol, "
+                 "versions (schema: eval/docs/result.schema.json)");
+  app.add_option("--export-leaderboard", exported.leaderboard,
+                 "Write only this JSON file: entries for vla-eval's leaderboard");
+  app.add_option("--leaderboard", exported.entry,
+                 "KEY=VALUE of the entries: model, weight_type, curated_by; display_name, params, "
+                 "model_paper, reported_paper")
+      ->allow_extra_args(false);
   app.add_option("--training", training,
                  "The --out of `robostress train`, may be given more than once: its curves go into "
                  "the report, or, without RUN_DIR, into a page of their own");
@@ -95,9 +124,21 @@ int main(int argc, char** argv) {
       "--training runs/dr\n  robostress report runs/main --training runs/dr\n  robostress "
       "report --compare runs/before runs/after --out runs/compare\n  robostress report "
       "runs/main --bootstrap 20000 "
-      "--max-videos 0\n");
-  return robostress::RunMain(app, argc, argv, [&] {
-    return compare.empty() ? robostress::Report(dir, training, out, options)
-                           : robostress::Compare(compare, out, options);
+      "--max-videos 0\n  robostress report runs/main --export main.json\n  robostress report "
+      "runs/pi05 --export-leaderboard pi05.json --leaderboard model=black25pi05 \\\n      "
+      "--leaderboard weight_type=finetuned --leaderboard curated_by=@me\n");
+  return robostress::RunMain(app, argc, argv, [&]() -> absl::Status {
+    if (!compare.empty())
+      return robostress::CompareRunDirectories(compare[0], compare[1], out,
+                                               options.bootstrap_replicates);
+    if (exported.any()) return robostress::Export(dirs, exported, options);
+    if (!exported.entry.empty())
+      return absl::InvalidArgumentError("--leaderboard belongs to --export-leaderboard FILE");
+    if (dirs.size() > 1)
+      return absl::InvalidArgumentError(
+          "a report is of one RUN_DIR; several are for --export, and `robostress store merge` "
+          "joins "
+          "them");
+    return robostress::Report(dirs.empty() ? "" : dirs[0], training, out, options);
   });
 }

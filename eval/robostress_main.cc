@@ -28,6 +28,7 @@ struct Command {
 constexpr Command kCommands[] = {
     {"sweep", "Evaluate policies and methods over suites and scenarios, then report"},
     {"report", "Write the report page and tables of a run directory"},
+    {"compare", "Put results of several laboratories beside each other"},
     {"store", "Check, merge and index run directories"},
     {"grid-job", "Run one job of a grid that a scheduler distributes", "ROBOSTRESS_CLUSTER"},
     {"residual", "Measure residual magnitudes for both goal references, and their controller lag"},

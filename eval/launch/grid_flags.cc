@@ -109,6 +109,10 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
   app.add_option("--methods,--method", flags.methods, absl::StrJoin(MethodNames(), ", "))
       ->delimiter(',');
   app.add_option("--seeds,--seed", flags.seeds, "Seeds of the sampling noise")->delimiter(',');
+  app.add_option("--repeats", flags.repeats,
+                 "Episodes of each initial state, where the server of --policy-url takes neither "
+                 "seed nor noise; else give --seeds")
+      ->check(cli::Range(1, 1000));
   app.add_option("--first-initial-state", flags.first_initial_state,
                  "0-19 reporting split, 40-49 dev split");
   app.add_option(
@@ -157,6 +161,23 @@ void ApplyProtocol(const LiberoProtocol& protocol, SweepGrid& grid) {
   grid.remote.image_size = protocol.image_size;
 }
 
+// A repeat is what a seed is to a server that takes one: another number of the same unit. Nothing
+// is drawn from it.
+absl::Status ApplyRepeats(const cli::App& app, int repeats, SweepGrid& grid) {
+  if (app.count("--seeds"))
+    return absl::InvalidArgumentError("--repeats and --seeds both number repetitions; give one");
+  if (!grid.remote.used() || grid.remote.dialect.PairsNoise()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--repeats ", repeats, ": this policy's sampling noise is drawn from a seed",
+        grid.remote.used() ? absl::StrCat(" (dialect ", grid.remote.dialect.name, ")") : "",
+        ", so that repetitions are seeds; give --seeds 0", repeats > 1 ? ",1" : "",
+        repeats > 2 ? ",..." : ""));
+  }
+  grid.seeds.clear();
+  for (int repeat = 0; repeat < repeats; ++repeat) grid.seeds.push_back(repeat);
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGrid& grid) {
@@ -180,6 +201,7 @@ absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGr
   if (app.count("--policies")) grid.policies = flags.policies;
   if (app.count("--methods")) grid.methods = flags.methods;
   if (app.count("--seeds")) grid.seeds = flags.seeds;
+  if (app.count("--repeats")) RS_RETURN_IF_ERROR(ApplyRepeats(app, flags.repeats, grid));
   if (app.count("--episodes")) grid.episodes = flags.episodes;
   if (app.count("--first-initial-state")) grid.first_initial_state = flags.first_initial_state;
   if (app.count("--set")) {

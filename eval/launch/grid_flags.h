@@ -19,7 +19,7 @@ struct GridFlags {
   std::vector<int> severities;
   std::vector<int64_t> seeds;
   std::string tasks;
-  int episodes = 0, first_initial_state = 0;
+  int episodes = 0, first_initial_state = 0, repeats = 0;
   std::string replay_file, libero_root, robosuite_root, libero_fixtures;
   std::string dialect, protocol;
 };

@@ -55,11 +55,12 @@ std::vector<std::string> ContrastCells(const Contrasts& contrasts, const SeedSpr
 }
 
 void AppendCells(std::string& csv, std::vector<std::string> cells, const Contrasts& contrasts,
-                 const Measures& measures, const SeedSpread& seeds) {
+                 const Measures& measures, const SeedSpread& seeds, bool noise_paired) {
   for (const std::vector<std::string>& more :
        {ComparisonCells(contrasts.versus_base), MeasureCells(measures),
         ContrastCells(contrasts, seeds)})
     cells.insert(cells.end(), more.begin(), more.end());
+  cells.push_back(noise_paired ? "1" : "0");
   absl::StrAppend(&csv, absl::StrJoin(cells, ","), "\n");
 }
 
@@ -73,7 +74,8 @@ std::string TableCsv(const Summary& summary) {
       "pooled,mean_abs_action,clipped_share,"
       "adapter_distance,p_value,p_holm,mcnemar_p,versus_gain,versus_gain_low,versus_gain_high,"
       "versus_gain_p_holm,versus_null,versus_null_low,versus_null_high,versus_null_p_holm,"
-      "residual_before,residual_after,intent_before,intent_after,seeds,seed_deviation\n";
+      "residual_before,residual_after,intent_before,intent_after,seeds,seed_deviation,noise_"
+      "paired\n";
   for (const SuccessTable& table : summary.tables) {
     const std::string suite = table.suite.empty() ? "all" : table.suite;
     const auto lead = [&](const std::string& scenario, const std::string& method) {
@@ -92,7 +94,7 @@ std::string TableCsv(const Summary& summary) {
               absl::StrCat(cell.adapts ? 1 : 0), absl::StrCat(cell.updates)}) {
           cells.push_back(value);
         }
-        AppendCells(csv, cells, cell.contrasts, cell.measures, cell.seeds);
+        AppendCells(csv, cells, cell.contrasts, cell.measures, cell.seeds, table.noise_paired);
       }
     }
     for (const std::string& method : table.methods) {
@@ -106,7 +108,8 @@ std::string TableCsv(const Summary& summary) {
             absl::StrCat(average.adapts ? 1 : 0), absl::StrCat(average.updates)}) {
         cells.push_back(value);
       }
-      AppendCells(csv, cells, average.contrasts, average.measures, average.seeds);
+      AppendCells(csv, cells, average.contrasts, average.measures, average.seeds,
+                  table.noise_paired);
     }
   }
   return csv;

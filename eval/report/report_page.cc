@@ -16,6 +16,7 @@
 #include "eval/report/severity_section.h"
 #include "eval/report/statistics_section.h"
 #include "eval/report/success_section.h"
+#include "eval/store/served_policies.h"
 
 namespace robostress {
 namespace {
@@ -150,6 +151,8 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
   if (const std::string note = MixedMachinesNote(run); !note.empty())
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), ".</p>\n");
   if (const std::string note = UnpairedNoiseNote(run); !note.empty())
+    absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");
+  for (const std::string& note : ServerNotes(run))
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");
   if (!run.unfinished.empty()) {
     absl::StrAppend(&html, "<p class=warn>", run.unfinished.size(),

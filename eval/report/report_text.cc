@@ -10,6 +10,7 @@
 #include "eval/report/paper_values.h"
 #include "eval/report/report.h"
 #include "eval/report/text_table.h"
+#include "eval/store/served_policies.h"
 
 namespace robostress {
 namespace {
@@ -37,7 +38,7 @@ std::string DifferenceText(const Comparison& c) {
 std::string TableHeading(const SuccessTable& table) {
   return absl::StrCat("Success (%), policy ", table.policy, ", severity L", table.severity,
                       ", suite", table.title.find(',') == std::string::npos ? " " : "s ",
-                      table.title);
+                      table.title, table.noise_paired ? "" : "; sampling noise not paired");
 }
 
 std::vector<std::vector<std::string>> SuccessRows(const SuccessTable& table) {
@@ -162,7 +163,9 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
                   "the unadapted policy's command; tracking: with\n"
                   "  the controller's steady gain in the scale. The paper's column: another policy "
                   "and other tasks.\n");
-  for (const std::string& note : {MixedMachinesNote(run), UnpairedNoiseNote(run)})
+  std::vector<std::string> notes = ServerNotes(run);
+  notes.insert(notes.begin(), {MixedMachinesNote(run), UnpairedNoiseNote(run)});
+  for (const std::string& note : notes)
     if (!note.empty()) absl::StrAppend(&text, "  ", note, "\n");
   if (!run.unfinished.empty()) {
     absl::StrAppend(&text, "  ", run.unfinished.size(),

@@ -125,12 +125,13 @@ std::string SeedTable(const SuccessTable& table) {
         true);
   }
   if (seeds < 2) return "";
-  std::string html = absl::StrCat("<h3>Means over ", seeds,
-                                  " seeds</h3><div class=scroll><table><tr><th>Scenario</th>");
+  std::string html =
+      absl::StrCat("<h3>Means over ", seeds, table.noise_paired ? " seeds" : " repeats",
+                   "</h3><div class=scroll><table><tr><th>Scenario</th>");
   for (const std::string& method : table.methods)
-    absl::StrAppend(&html, "<th>", MethodLabel(method),
-                    "<br><small>mean, %</small></th><th>between seeds<br><small>standard "
-                    "deviation; each seed</small></th>");
+    absl::StrAppend(&html, "<th>", MethodLabel(method), "<br><small>mean, %</small></th><th>",
+                    table.noise_paired ? "between seeds" : "between repeats",
+                    "<br><small>standard deviation; each</small></th>");
   return html + "</tr>\n" + body + "</table></div>\n";
 }
 
@@ -174,12 +175,18 @@ std::string StatisticsSection(const Summary& summary) {
     const std::string contrasts = ContrastTable(table), seeds = SeedTable(table);
     if (contrasts.empty() && seeds.empty()) continue;
     absl::StrAppend(&html, "<h3>", EscapeXml(table.policy), ", severity L", table.severity, ", ",
-                    EscapeXml(table.title), "</h3>\n", contrasts, seeds, PlanTable(table));
+                    EscapeXml(table.title), table.noise_paired ? "" : "; sampling noise not paired",
+                    "</h3>\n", contrasts, seeds, PlanTable(table));
   }
   if (html.empty()) return "";
   return absl::StrCat(
       "<h2 id=statistics>What the differences are worth</h2>\n", html,
-      "<p class=note>Pairs start from the same state with the same seed. p: two-sided, the signs "
+      "<p class=note>Pairs start from the same state ",
+      summary.noise_paired
+          ? "with the same seed"
+          : "and share no sampling noise: the test holds, but more pairs differ by chance; repeats "
+            "pair by their number, on which won / lost depend and no difference, interval or p",
+      ". p: two-sided, the signs "
       "of "
       "all differences of one (task, initial state) flipped together, since scenarios and seeds "
       "share them; enumerated, or * estimated from ",

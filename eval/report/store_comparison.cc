@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <map>
 #include <set>
 #include <tuple>
@@ -11,9 +12,11 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "adapter/method_options.h"
+#include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/html_page.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/status_macros.h"
 #include "common/svg_plot.h"
 #include "eval/plan/plan.h"
 #include "eval/plan/titles.h"
@@ -152,6 +155,8 @@ std::vector<std::string> Notes(const RunData& first, const RunData& second) {
         absl::StrCat(units, " units have other configurations (first | second): ", changes, "."));
   }
   for (const auto& [which, run] : {std::pair("first", &first), std::pair("second", &second)}) {
+    if (const std::string unpaired = UnpairedNoiseNote(*run); !unpaired.empty())
+      notes.push_back(absl::StrCat("In the ", which, ": ", unpaired));
     if (!run->unfinished.empty())
       notes.push_back(absl::StrCat("Unfinished in the ", which,
                                    " and left out: ", run->unfinished.size(), " units."));
@@ -329,6 +334,24 @@ std::string StorePage(const StoreComparison& comparison) {
   for (const std::string& note : comparison.notes)
     absl::StrAppend(&html, "<li>", EscapeXml(note), "</li>\n");
   return html + "</ul>\n</main></body></html>\n";
+}
+
+absl::Status CompareRunDirectories(const std::string& first, const std::string& second,
+                                   const std::string& out, int bootstrap_replicates) {
+  RS_ASSIGN_OR_RETURN(const RunData a, LoadRun(first));
+  RS_ASSIGN_OR_RETURN(const RunData b, LoadRun(second));
+  RS_ASSIGN_OR_RETURN(const StoreComparison comparison, CompareStores(a, b, bootstrap_replicates));
+  const std::string folder = out.empty() ? "runs/compare" : out;
+  RS_RETURN_IF_ERROR(MakeDirectories(folder));
+  const TextRows cells = StoreCells(comparison);
+  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.md", MarkdownTable(cells)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.csv", CsvTable(cells)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.json", StoreJson(comparison)));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/compare.html", StorePage(comparison)));
+  std::printf("%s", AlignedTable(cells).c_str());
+  for (const std::string& note : comparison.notes) std::printf("  - %s\n", note.c_str());
+  std::printf("%s/compare.html\n", folder.c_str());
+  return absl::OkStatus();
 }
 
 }  // namespace robostress

@@ -43,4 +43,9 @@ std::string StoreJson(const StoreComparison& comparison);
 // A page that needs nothing else, with a plot of the differences.
 std::string StorePage(const StoreComparison& comparison);
 
+// Compares two run directories, prints the table and writes compare.md, .csv, .json and .html into
+// `out` (empty: runs/compare).
+absl::Status CompareRunDirectories(const std::string& first, const std::string& second,
+                                   const std::string& out, int bootstrap_replicates);
+
 }  // namespace robostress

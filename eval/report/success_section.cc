@@ -185,8 +185,9 @@ std::string PlotRows(const SuccessTable& table, const std::vector<std::string>& 
 }
 
 std::string TableSection(const SuccessTable& table) {
-  std::string html = absl::StrCat("<h3>", EscapeXml(table.policy), ", severity L", table.severity,
-                                  ", ", EscapeXml(table.title), "</h3>\n", SuccessTableHtml(table));
+  std::string html = absl::StrCat(
+      "<h3>", EscapeXml(table.policy), ", severity L", table.severity, ", ", EscapeXml(table.title),
+      table.noise_paired ? "" : "; sampling noise not paired", "</h3>\n", SuccessTableHtml(table));
   if (table.suite.empty()) html += SuccessPlot(table);
   html += DifferenceTableHtml(table);
   if (table.suite.empty()) html += DifferencePlot(table);
@@ -206,8 +207,9 @@ std::string SuccessSection(const Summary& summary) {
   std::string html = "<h2 id=success>Success</h2>\n";
   for (const SuccessTable& table : summary.tables) html += TableSection(table);
   absl::StrAppend(
-      &html,
-      "<p class=note>Intervals of a success rate are Wilson's, of a difference and of an average a "
+      &html, "<p class=note>Intervals of a success rate are Wilson's",
+      summary.noise_paired ? "" : ", with n divided by the design effect of repeated states",
+      ", of a difference and of an average a "
       "paired cluster bootstrap over (task, initial state) with ",
       summary.replicates,
       " replicates. Won / lost: episodes that only the method, only base, completed; both start "

@@ -1,6 +1,7 @@
 #include <cmath>
 
 #include "eval/report/report.h"
+#include "eval/store/served_policies.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -96,13 +97,24 @@ json TableJson(const SuccessTable& table) {
                         {"measures", MeasuresJson(average.measures)}};
     AddContrasts(average.contrasts, averages[method]);
   }
-  return {{"policy", table.policy},
-          {"severity", table.severity},
-          {"suite", table.suite},
-          {"suites", table.title},
-          {"methods", table.methods},
-          {"scenarios", rows},
-          {"average_without_clean", averages}};
+  return {
+      {"policy", table.policy}, {"severity", table.severity},         {"suite", table.suite},
+      {"suites", table.title},  {"noise_paired", table.noise_paired}, {"methods", table.methods},
+      {"scenarios", rows},      {"average_without_clean", averages}};
+}
+
+json ServersJson(const RunData& run) {
+  json servers = json::array();
+  for (const ServedPolicy& policy : ServedPolicies(run)) {
+    servers.push_back({{"policy", policy.label},
+                       {"dialect", policy.dialect},
+                       {"noise_paired", policy.noise_paired},
+                       {"urls", policy.urls},
+                       {"metadata_sha256", policy.metadata_sha256},
+                       {"reconnections", policy.reconnections},
+                       {"units_with_changed_metadata", policy.changed}});
+  }
+  return servers;
 }
 
 }  // namespace
@@ -115,6 +127,7 @@ std::string ReportJson(const RunData& run, const Summary& summary) {
                        {"tables", tables},
                        {"unfinished_units", run.unfinished},
                        {"processors", run.machines},
+                       {"servers", ServersJson(run)},
                        {"environment", run.environment},
                        {"sweep_wall_s", run.sweep_wall_s}};
   return report.dump(1) + "\n";

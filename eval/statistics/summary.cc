@@ -20,21 +20,31 @@ namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
+bool AllPairNoise(const Units& units) {
+  return std::all_of(units.begin(), units.end(),
+                     [](const UnitResult* unit) { return PairsNoise(*unit); });
+}
+
 Cell MakeCell(const Units& units) {
   Cell cell;
   cell.units = static_cast<int>(units.size());
+  std::vector<EpisodeValue> outcomes;
   for (const UnitResult* unit : units) {
     int updates = 0;
     for (const EpisodeRow& row : unit->episodes) {
       ++cell.n;
       cell.successes += row.success;
+      outcomes.push_back(
+          {unit->config.suite, row.task, row.initial_state, 0, static_cast<double>(row.success)});
       updates = std::max(updates, row.updates);
     }
     cell.updates += updates;
     cell.adapts = cell.adapts || unit->config.method->adapts();
     cell.compensates = cell.compensates || unit->config.method->Compensates();
   }
-  cell.wilson = WilsonInterval(cell.successes, cell.n);
+  cell.clustered = RateOf(ClusterEpisodes(outcomes));
+  cell.wilson =
+      AllPairNoise(units) ? WilsonInterval(cell.successes, cell.n) : RateInterval(cell.clustered);
   cell.seeds = SpreadOverSeeds({units});
   cell.measures = MeasuresOf(units);
   return cell;
@@ -147,6 +157,7 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
   table.policy = policy;
   table.severity = severity;
   table.suite = suite;
+  table.noise_paired = AllPairNoise(units);
   Grid grid;
   std::set<std::string> methods_present;
   std::vector<std::string> suites;

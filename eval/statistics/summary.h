@@ -9,6 +9,7 @@
 #include "eval/plan/titles.h"
 #include "eval/statistics/comparison.h"
 #include "eval/statistics/measures.h"
+#include "eval/statistics/unpaired_rates.h"
 #include "eval/store/run_store.h"
 
 namespace robostress {
@@ -26,6 +27,9 @@ struct Contrasts {
 // One method in one scenario.
 struct Cell {
   int n = 0, successes = 0;
+  ClusteredRate clustered;  // the same, with what episodes of one initial state share
+  // Wilson's; of a policy whose sampling noise is not paired RateInterval(clustered), because its
+  // repeats are no independent episodes.
   Interval wilson;
   SeedSpread seeds;
   int units = 0;
@@ -63,6 +67,7 @@ struct SuccessTable {
   std::string suite;                 // empty: all suites of the run
   std::string title;                 // "Goal", "Spatial, Object" ...
   std::vector<std::string> methods;  // base first
+  bool noise_paired = true;          // pairs share their sampling noise, too
   std::vector<ScenarioRow> rows;
   std::map<std::string, AverageCell> averages;  // empty with Clean alone
 };

@@ -147,7 +147,7 @@ bool PairsNoise(const UnitResult& unit) {
 std::string UnpairedNoiseNote(const RunData& run) {
   std::set<std::string> policies;
   for (const UnitResult& unit : run.units)
-    if (!PairsNoise(unit)) policies.insert(unit.config.policy);
+    if (!PairsNoise(unit)) policies.insert(PolicyLabel(unit.config.policy));
   if (policies.empty()) return "";
   return absl::StrCat("Sampling noise not paired: the server of ", absl::StrJoin(policies, ", "),
                       " takes neither seed nor noise, so that pairs share their initial state "

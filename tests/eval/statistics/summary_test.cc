@@ -4,6 +4,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "tests/eval/shared_run.h"
 #include "tests/eval/synthetic_run.h"
 
 namespace robostress {
@@ -22,6 +23,25 @@ TEST(Summary, CountsDiscordantPairsOnTheSameEpisodes) {
   EXPECT_NEAR(ours.contrasts.versus_base->difference.estimate, 0.2, 1e-12);
   EXPECT_EQ(ours.updates, 3);
   EXPECT_FALSE(summary.tables.at(0).rows.at(0).cells.at("base").contrasts.versus_base.has_value());
+}
+
+TEST(Summary, RepeatsOfAServerThatTakesNoSeedAreNoFurtherStates) {
+  RunData run = RemoteRun();
+  const Summary summary = Summarise(run, 100);
+  EXPECT_FALSE(summary.noise_paired);
+  EXPECT_FALSE(summary.tables.at(0).noise_paired);
+  const Cell& cell = summary.tables.at(0).rows.at(1).cells.at("ours_following");
+  EXPECT_EQ(cell.n, 8);
+  EXPECT_EQ(cell.clustered.clusters, 4);
+  // 2, 2, 2, 0 of four states: two repeats say what one does.
+  EXPECT_EQ(cell.clustered.design_effect, 2);
+  EXPECT_NEAR(cell.wilson.low, WilsonInterval(3, 4).low, 1e-12);
+  EXPECT_NEAR(cell.wilson.high, WilsonInterval(3, 4).high, 1e-12);
+  for (UnitResult& unit : run.units) unit.config.remote.dialect.seed = "seed";
+  const Summary paired = Summarise(run, 100);
+  EXPECT_TRUE(paired.tables.at(0).noise_paired);
+  const Cell& seeds = paired.tables.at(0).rows.at(1).cells.at("ours_following");
+  EXPECT_EQ(seeds.wilson.low, WilsonInterval(6, 8).low) << "seeds, as in every table so far";
 }
 
 TEST(Summary, AverageLeavesCleanOutAndWeighsScenariosEqually) {

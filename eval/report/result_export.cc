@@ -1,0 +1,388 @@
+#include "eval/report/result_export.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <set>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "adapter/method_options.h"
+#include "common/atomic_file.h"
+#include "common/config.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/status_macros.h"
+#include "common/unit/robots.h"
+#include "eval/plan/plan.h"
+#include "eval/store/served_policies.h"
+#include "eval/store/unit_files.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+using Options = std::map<std::string, std::string>;
+
+// A configuration as flat keys: "sim.stepping" -> "fast". What is empty is left out.
+void Flatten(const YAML::Node& node, const std::string& path, Options& options) {
+  if (node.IsMap()) {
+    for (const auto& entry : node) {
+      const std::string key = entry.first.as<std::string>();
+      Flatten(entry.second, path.empty() ? key : absl::StrCat(path, ".", key), options);
+    }
+  } else if (node.IsSequence()) {
+    std::vector<std::string> items;
+    for (const YAML::Node& item : node)
+      items.push_back(item.IsScalar() ? item.Scalar() : YAML::Dump(item));
+    if (!items.empty()) options[path] = absl::StrJoin(items, ",");
+  } else if (node.IsScalar() && !node.Scalar().empty()) {
+    options[path] = node.Scalar();
+  }
+}
+
+Options OptionsOf(const std::string& yaml) {
+  Options options;
+  Flatten(YAML::Load(yaml), "", options);
+  return options;
+}
+
+// A path says where a file lies on somebody's machine; its content decides.
+std::string FileOrWord(const std::string& value) {
+  if (value.find('/') == std::string::npos && !absl::EndsWith(value, ".json")) return value;
+  const absl::StatusOr<std::string> hash = Sha256OfFile(value);
+  return absl::StrCat("file ", hash.ok() ? hash->substr(0, 16) : "that is gone");
+}
+
+// What decides an outcome of the unit beside policy, scenario, method and seed.
+Options ProtocolOf(const UnitConfig& unit) {
+  UnitConfig config = unit;
+  config.scenario.clear();
+  config.policy.clear();
+  config.replay_file.clear();
+  config.libero_root.clear();
+  config.robosuite_root.clear();
+  config.libero_fixtures = FileOrWord(config.libero_fixtures);
+  config.remote = {};
+  Options options = OptionsOf(DumpConfig(config));
+  for (auto option = options.begin(); option != options.end();) {
+    const bool elsewhere = option->first == "severity" || option->first == "seed" ||
+                           option->first == "suite" || option->first == "videos" ||
+                           absl::StartsWith(option->first, "method.");
+    option = elsewhere ? options.erase(option) : std::next(option);
+  }
+  return options;
+}
+
+// What distinguishes the scenario, whatever it is called; empty: it is an arm of the program.
+std::string ScenarioHash(const RunData& run, const UnitConfig& config) {
+  if (!ArmTitle(config.scenario).empty()) return "";
+  std::string name = config.scenario;
+  if (IsScenarioFile(name)) {
+    const std::string kept = absl::StrCat(run.dir, "/scenarios/", ScenarioLabel(name), ".yaml");
+    std::error_code none;
+    if (!run.dir.empty() && fs::exists(kept, none)) name = kept;
+  }
+  const absl::StatusOr<Scenario> scenario = MakeScenario(name, config.severity);
+  if (!scenario.ok()) return "";
+  std::string text =
+      absl::StrCat(scenario->friction_on, scenario->gravity_on, scenario->backlash_on,
+                   scenario->compliance_on, static_cast<int>(scenario->profile));
+  const auto add = [&text](std::initializer_list<double> values) {
+    for (const double value : values) absl::StrAppendFormat(&text, " %.17g", value);
+    text += ';';
+  };
+  for (const JointErrorParameters& p : scenario->nominal)
+    add({p.Fc, p.Fs, p.vs, p.sigma_v, p.B, p.M_eff, p.D, p.K, p.beta});
+  for (const auto* factors : {&scenario->start, &scenario->end}) {
+    for (const SeverityFactors& f : *factors)
+      add({f.friction, f.gravity, f.backlash, f.compliance});
+  }
+  for (const ScenarioEffect& effect : scenario->effects) {
+    absl::StrAppend(&text, effect.type, " ", effect.joint, " ", effect.coupled);
+    for (const double value : effect.values) add({value});
+  }
+  return Sha256Hex(text);
+}
+
+std::string RoleOf(const std::string& method) {
+  if (method == "base") return "base";
+  return method == "gain" || method == "null" ? "control" : "method";
+}
+
+int LevelOf(const std::string& scenario, int severity) {
+  return SameAtEveryLevel(scenario) ? 0 : severity;
+}
+
+ResultDifference DifferenceOf(const Comparison& c) {
+  ResultDifference d;
+  d.pairs = c.pairs, d.plus = c.plus, d.minus = c.minus;
+  d.clusters = c.difference.clusters;
+  d.difference = c.difference.estimate;
+  if (std::isfinite(c.difference.interval.low)) d.interval = c.difference.interval;
+  d.p = c.p_value, d.p_exact = c.p_exact;
+  if (std::isfinite(c.p_holm)) d.p_corrected = c.p_holm;
+  d.design_effect = c.design_effect;
+  return d;
+}
+
+void AddContrasts(const Contrasts& contrasts, ResultCell& cell) {
+  if (contrasts.versus_base) cell.versus_base = DifferenceOf(*contrasts.versus_base);
+  for (const auto& [control, comparison] : contrasts.versus_control)
+    cell.versus_control[control] = DifferenceOf(comparison);
+}
+
+// What the units of a run say of themselves, each once.
+class Declarations {
+ public:
+  explicit Declarations(const RunData& run) : run_(run) {
+    for (const ServedPolicy& served : ServedPolicies(run)) served_.emplace(served.label, served);
+    for (const UnitResult& unit : run.units) Add(unit);
+  }
+
+  absl::Status Fill(ResultFile& file) const {
+    if (!complaints_.empty()) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          "these units were not played alike, so that their table says nothing to others; export "
+          "the runs one by one:\n  ",
+          absl::StrJoin(complaints_, "\n  ")));
+    }
+    for (const auto& [label, policy] : policies_) file.policies.push_back(policy);
+    for (const auto& [key, hash] : scenarios_)
+      file.scenarios.push_back({key.first, key.second, hash});
+    for (const auto& [name, hash] : methods_)
+      file.methods.push_back({name, RoleOf(name), Sha256Hex(hash)});
+    for (const auto& [suite, options] : protocols_) file.protocols.push_back({suite, options});
+    file.robostress.assign(versions_.begin(), versions_.end());
+    return absl::OkStatus();
+  }
+
+ private:
+  void Add(const UnitResult& unit) {
+    const UnitConfig& config = unit.config;
+    const std::string method = DumpConfig(*config.method);
+    Once(methods_, config.method->method, method, absl::StrCat("method ", config.method->method));
+    Once(protocols_, config.suite, ProtocolOf(config), absl::StrCat("suite ", config.suite));
+    const std::string label = ScenarioLabel(config.scenario);
+    const int level = LevelOf(config.scenario, config.severity);
+    Once(scenarios_, std::pair(label, level), ScenarioHash(run_, config),
+         absl::StrCat("scenario ", label));
+    Once(policies_, PolicyLabel(config.policy), PolicyOf(unit),
+         absl::StrCat("policy ", PolicyLabel(config.policy)));
+    const std::string version = Recorded(unit, "version");
+    versions_.insert(version.empty() ? "not recorded" : version);
+  }
+
+  template <class Map, class Key, class Value>
+  void Once(Map& map, const Key& key, const Value& value, const std::string& what) {
+    const auto [found, fresh] = map.emplace(key, value);
+    if (fresh || Same(found->second, value)) return;
+    if (complaints_.size() < 20)
+      complaints_.insert(absl::StrCat(what, Unlike(found->second, value)));
+  }
+  static bool Same(const std::string& a, const std::string& b) { return a == b; }
+  static bool Same(const Options& a, const Options& b) { return a == b; }
+  static bool Same(const ResultPolicy& a, const ResultPolicy& b) {
+    return a.options == b.options && a.model_hash == b.model_hash;
+  }
+  static std::string Unlike(const std::string&, const std::string&) {
+    return " with other options under one name";
+  }
+  static std::string Unlike(const ResultPolicy& a, const ResultPolicy& b) {
+    return a.model_hash != b.model_hash ? absl::StrCat(" with models ", a.model_hash.substr(0, 12),
+                                                       " and ", b.model_hash.substr(0, 12))
+                                        : Unlike(a.options, b.options);
+  }
+  static std::string Unlike(const Options& a, const Options& b) {
+    for (const auto& [key, value] : a) {
+      const auto other = b.find(key);
+      if (other == b.end() || other->second != value)
+        return absl::StrCat(" with ", key, " ", value, " and ",
+                            other == b.end() ? "without it" : other->second);
+    }
+    return " with further options";
+  }
+
+  static std::string Recorded(const UnitResult& unit, const char* key) {
+    if (!unit.provenance.is_object()) return "";
+    const auto found = unit.provenance.find(key);
+    return found != unit.provenance.end() && found->is_string() ? found->get<std::string>() : "";
+  }
+
+  ResultPolicy PolicyOf(const UnitResult& unit) const {
+    ResultPolicy policy;
+    policy.label = PolicyLabel(unit.config.policy);
+    policy.model_hash = Recorded(unit, "model_hash");
+    policy.noise_paired = PairsNoise(unit);
+    const auto served = served_.find(policy.label);
+    if (served == served_.end()) return policy;
+    RemotePolicyOptions remote = unit.config.remote;
+    policy.options = OptionsOf(DumpConfig(remote));
+    ResultServer& server = policy.server.emplace();
+    server.dialect = served->second.dialect;
+    std::set<std::string> urls;
+    for (const auto& [url, units] : served->second.urls)
+      urls.insert(SharedUrl(url, remote.dialect.path));
+    server.urls.assign(urls.begin(), urls.end());
+    server.metadata_sha256.assign(served->second.metadata_sha256.begin(),
+                                  served->second.metadata_sha256.end());
+    server.metadata_changed = !served->second.changed.empty();
+    server.reconnections = served->second.reconnections;
+    return policy;
+  }
+
+  const RunData& run_;
+  std::map<std::string, ServedPolicy> served_;
+  std::map<std::string, ResultPolicy> policies_;
+  std::map<std::pair<std::string, int>, std::string> scenarios_;
+  std::map<std::string, std::string> methods_;
+  std::map<std::string, Options> protocols_;
+  std::set<std::string> versions_, complaints_;
+};
+
+// The cells of one table; a scenario that is equal at every level stands in several of them, and
+// comes once.
+void AddTable(const RunData& run, const SuccessTable& table, const std::string& suite,
+              std::set<std::string>& seen, ResultFile& file) {
+  const auto levelless = [&](const std::string& label) {
+    return std::any_of(run.units.begin(), run.units.end(), [&](const UnitResult& unit) {
+      return ScenarioLabel(unit.config.scenario) == label && SameAtEveryLevel(unit.config.scenario);
+    });
+  };
+  for (const ScenarioRow& row : table.rows) {
+    const std::string label = ScenarioLabel(row.scenario);
+    const int level = levelless(label) ? 0 : table.severity;
+    for (const std::string& method : table.methods) {
+      const auto found = row.cells.find(method);
+      if (found == row.cells.end() || found->second.n == 0) continue;
+      if (!seen.insert(
+                   absl::StrJoin({table.policy, suite, label, absl::StrCat(level), method}, "|"))
+               .second)
+        continue;
+      ResultCell& cell = file.results.emplace_back();
+      cell.policy = table.policy, cell.suite = suite, cell.scenario = label;
+      cell.severity = level, cell.method = method;
+      cell.counts = found->second.clustered;
+      cell.rate = found->second.rate();
+      cell.interval = RateInterval(cell.counts);
+      cell.seeds = found->second.seeds.seeds;
+      AddContrasts(found->second.contrasts, cell);
+    }
+  }
+  for (const std::string& method : table.methods) {
+    const auto found = table.averages.find(method);
+    if (found == table.averages.end() || found->second.n == 0) continue;
+    const AverageCell& average = found->second;
+    ResultCell& cell = file.means.emplace_back();
+    cell.policy = table.policy, cell.suite = suite, cell.method = method;
+    cell.severity = table.severity;
+    for (const ScenarioRow& row : table.rows) {
+      if (row.scenario != "clean" && row.cells.count(method))
+        cell.scenarios.push_back(ScenarioLabel(row.scenario));
+    }
+    cell.counts.n = average.n, cell.counts.clusters = average.success.clusters;
+    cell.rate = average.success.estimate;
+    // Where every outcome is the same the bootstrap knows no width.
+    const Interval& interval = average.success.interval;
+    if (std::isfinite(interval.low) && interval.low < interval.high) cell.interval = interval;
+    cell.seeds = average.seeds.seeds;
+    AddContrasts(average.contrasts, cell);
+  }
+}
+
+}  // namespace
+
+std::string SharedUrl(const std::string& url, const std::string& usual) {
+  const size_t scheme = url.find("://");
+  const std::string rest = scheme == std::string::npos ? url : url.substr(scheme + 3);
+  const size_t path = std::min(rest.find('/'), rest.find('?'));
+  const std::string authority = rest.substr(0, path);
+  std::string target = path == std::string::npos ? "/" : rest.substr(path);
+  target = target.substr(0, target.find('?'));
+  const size_t colon = authority.rfind(':');
+  const bool port = colon != std::string::npos && authority.find(']', colon) == std::string::npos;
+  return absl::StrCat(scheme == std::string::npos ? "ws" : url.substr(0, scheme), "://HOST",
+                      port ? authority.substr(colon) : "",
+                      target.empty() || target == "/" ? "/"
+                      : target == usual               ? target
+                                                      : "/...");
+}
+
+absl::StatusOr<RunData> JoinRuns(const std::vector<std::string>& dirs) {
+  if (dirs.empty()) return absl::InvalidArgumentError("nothing to export; give RUN_DIR");
+  RunData all;
+  std::map<std::string, std::string> places;
+  std::vector<std::string> complaints;
+  std::vector<ModelUse> models;
+  for (const std::string& dir : dirs) {
+    RS_ASSIGN_OR_RETURN(RunData run, LoadRun(dir));
+    if (dirs.size() == 1) return run;
+    for (UnitResult& unit : run.units) {
+      const auto [place, fresh] = places.emplace(unit.id, dir);
+      if (!fresh)
+        complaints.push_back(absl::StrCat("unit ", unit.id, " stands in ", place->second, " and ",
+                                          dir, "; leave one of the runs out"));
+      if (unit.provenance.is_object())
+        models.push_back(
+            {PolicyLabel(unit.config.policy), unit.provenance.value("model_hash", ""), unit.id});
+      // Where its scenario files are kept.
+      if (IsScenarioFile(unit.config.scenario)) {
+        const std::string kept =
+            absl::StrCat(dir, "/scenarios/", ScenarioLabel(unit.config.scenario), ".yaml");
+        std::error_code none;
+        if (fs::exists(kept, none)) unit.config.scenario = kept;
+      }
+      all.units.push_back(std::move(unit));
+    }
+    all.unfinished.insert(all.unfinished.end(), run.unfinished.begin(), run.unfinished.end());
+    for (const auto& [machine, units] : run.machines) all.machines[machine] += units;
+    if (all.environment.is_null()) all.environment = run.environment;
+  }
+  for (std::string& complaint : DifferentModels(models)) complaints.push_back(std::move(complaint));
+  if (!complaints.empty())
+    return absl::FailedPreconditionError(
+        absl::StrCat("the runs cannot be exported as one:\n  ", absl::StrJoin(complaints, "\n  ")));
+  SortUnits(all.units);
+  return all;
+}
+
+absl::StatusOr<ResultFile> ExportResults(const RunData& run, const Summary& summary) {
+  ResultFile file;
+  file.bootstrap_replicates = summary.replicates;
+  RS_RETURN_IF_ERROR(Declarations(run).Fill(file));
+  if (run.environment.is_object()) {
+    const auto mujoco = run.environment.find("mujoco");
+    if (mujoco != run.environment.end() && mujoco->is_string())
+      file.mujoco = mujoco->get<std::string>();
+  }
+  std::set<std::string> seen;
+  for (const SuccessTable& table : summary.tables) {
+    std::set<std::string> suites;
+    for (const UnitResult& unit : run.units) {
+      if (PolicyLabel(unit.config.policy) == table.policy) suites.insert(unit.config.suite);
+    }
+    const std::string suite = !table.suite.empty() ? table.suite
+                              : suites.size() == 1 ? *suites.begin()
+                                                   : "all";
+    AddTable(run, table, suite, seen, file);
+  }
+  for (const std::string& note : {MixedMachinesNote(run), UnpairedNoiseNote(run)})
+    if (!note.empty()) file.notes.push_back(note);
+  for (const ServedPolicy& served : ServedPolicies(run)) {
+    if (!served.changed.empty())
+      file.notes.push_back(absl::StrCat("The server of ", served.label,
+                                        " changed its metadata while ", served.changed.size(),
+                                        " units ran: their rows may be of two models."));
+  }
+  if (!run.unfinished.empty())
+    file.notes.push_back(
+        absl::StrCat(run.unfinished.size(), " planned units were not finished and are left out."));
+  return file;
+}
+
+}  // namespace robostress
