@@ -121,7 +121,7 @@ TEST_F(PolicyPeers, AModelServerOfVlaEvalIsSweptToItsReport) {
     EXPECT_EQ(row["chunks"], row["steps"]) << "it is asked at every step, as vla-eval asks";
   }
   int starts = 0, ends = 0;
-  for (const std::string line : absl::StrSplit(Read(Path("log")), '\n', absl::SkipEmpty()))
+  for (const absl::string_view line : absl::StrSplit(Read(Path("log")), '\n', absl::SkipEmpty()))
     ++(line.substr(0, 5) == "start" ? starts : ends);
   EXPECT_EQ(starts, ends);
   EXPECT_GT(starts, 2) << "two episodes, and one for each time that it hung up";
