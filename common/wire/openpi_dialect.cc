@@ -83,7 +83,7 @@ absl::StatusOr<OpenpiDialect> OpenpiDialectNamed(const std::string& name) {
       known.push_back(dialect.name);
     }
   }
-  return absl::NotFoundError(
+  return absl::InvalidArgumentError(
       absl::StrCat("no dialect '", name, "'; known: ", absl::StrJoin(known, ", ")));
 }
 

@@ -323,7 +323,6 @@ absl::StatusOr<OpenpiValue> RemotePolicy::Ask(
     const std::function<absl::StatusOr<std::string>()>& message) {
   absl::Status lost;
   absl::Time gone;
-  int silences = 0;
   absl::Duration pause = absl::ZeroDuration();  // a server that closes when idle is dialled at once
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
     if (!lost.ok()) {
@@ -343,7 +342,7 @@ absl::StatusOr<OpenpiValue> RemotePolicy::Ask(
     lost = answer.status();
     gone = absl::Now() + connection_options_.absence;
     // One that never answered will not by being asked again.
-    if (absl::IsDeadlineExceeded(lost) && (!answered_ || ++silences == 2)) break;
+    if (absl::IsDeadlineExceeded(lost) && (!answered_ || ++silences_ == 2)) break;
   }
   return absl::UnavailableError(absl::StrCat(
       "the policy at ", url_, " does not answer, after ", reconnections_, " further connections: ",
@@ -401,6 +400,7 @@ absl::StatusOr<PredictedChunk> RemotePolicy::Predict(const Observation& observat
   absl::StatusOr<OpenpiAnswer> answer = ReadOpenpiAnswer(*value, rows, options_.action_dim);
   if (!answer.ok()) return AtServer(answer.status());
   spec_.horizon = static_cast<int>(answer->actions.rows());
+  if (answered_here_) silences_ = 0;  // it has time to compile behind a new connection alone
   answered_ = answered_here_ = true;
   episode_begins_ = connection_begins_ = false;
   PredictedChunk predicted;

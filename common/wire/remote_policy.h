@@ -95,6 +95,7 @@ class RemotePolicy : public PolicyEndpoint {
   bool metadata_changed_ = false, takes_seed_ = false;
   bool answered_ = false, answered_here_ = false;  // a prediction, ever and on this connection
   int reconnections_ = 0;
+  int silences_ = 0;  // answers missed since one came in time
   uint64_t predictions_ = 0;
   SessionStats stats_;
 };
