@@ -263,6 +263,13 @@ absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
   RS_ASSIGN_OR_RETURN(
       paths.libero, FindRoot(libero_root, "LIBERO_ROOT", "--libero-root",
                              {"libero/libero", "libero", "."}, "bddl_files", "a LIBERO checkout"));
+  std::error_code ignored;
+  if (!fs::exists(paths.libero + "/assets", ignored)) {
+    return absl::NotFoundError(
+        absl::StrCat("--libero-root ", paths.libero,
+                     ": no assets beside bddl_files; a LIBERO installed from PyPI keeps them "
+                     "elsewhere: link that folder there"));
+  }
   RS_ASSIGN_OR_RETURN(paths.robosuite,
                       FindRoot(robosuite_root, "ROBOSUITE_ROOT", "--robosuite-root",
                                {"robosuite/models/assets", "models/assets", "."}, "base.xml",

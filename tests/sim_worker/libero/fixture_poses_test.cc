@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "absl/strings/str_cat.h"
@@ -169,8 +170,7 @@ TEST(LiberoFixturesTest, NumpyStandsWhereTheOriginalsStood) {
   }
 }
 
-// The cabinet of libero_goal is drawn before any joint: one reset more changes nothing there, the
-// seed does.
+// Nothing of libero_goal is drawn before its cabinet, so that one reset more changes nothing there.
 TEST(LiberoFixturesTest, NumpyEachSeedsEveryStateByItself) {
   SKIP_WITHOUT_SHARED_DATA();
   const auto each = LiberoSimTask::Create(GoalUnit("numpy-each:5"), 0);
@@ -179,6 +179,30 @@ TEST(LiberoFixturesTest, NumpyEachSeedsEveryStateByItself) {
     const auto once = LiberoSimTask::Create(GoalUnit(absl::StrCat("numpy:", 5 + state)), 0);
     ASSERT_TRUE(once.ok()) << once.status();
     EXPECT_EQ(StandingAfterReset(**each, state), StandingAfterReset(**once, 0)) << state;
+  }
+}
+
+// An open drawer is. The positions are LIBERO's, reset as LeRobot resets it
+// (originals/look.py --suites libero_10 --tasks 3 --reseeded 2).
+TEST(LiberoFixturesTest, NumpyEachCountsTheResetBeforeTheSeed) {
+  SKIP_WITHOUT_SHARED_DATA();
+  UnitConfig unit = GoalUnit("numpy-each:1000");
+  unit.suite = "libero_10";
+  const auto task = LiberoSimTask::Create(unit, 3);
+  ASSERT_TRUE(task.ok()) << task.status();
+  const std::map<std::string, std::array<double, 2>> originals[] = {
+      {{"white_cabinet_1", {0.009052887984430836, 0.3086228686935502}},
+       {"wine_rack_1", {-0.10942036681226258, -0.290359450308036}}},
+      {{"white_cabinet_1", {0.004109720960239302, 0.3093101828468968}},
+       {"wine_rack_1", {-0.097882104841424, -0.3056523932789704}}}};
+  for (const int state : {0, 1}) {
+    const auto positions = StandingAfterReset(**task, state);
+    ASSERT_EQ(positions.size(), 2u);
+    for (size_t i = 0; i < 2; ++i) {
+      const std::string& name = (*task)->scene().centred_fixtures[i].fixture;
+      for (int k = 0; k < 2; ++k)
+        EXPECT_NEAR(positions[i][k], originals[state].at(name)[k], 1e-15) << name << state;
+    }
   }
 }
 

@@ -77,7 +77,7 @@ class Originals {
     if (!failure.empty() || fs::exists(done)) return;
     const auto [output, code] = RunProgram(
         venv.python, absl::StrCat(LIBERO_ORIGINALS "/look.py --reseeded 2 --out ", folder,
-                                  " --suites libero_goal,libero_10 --tasks 0,2,5"));
+                                  " --suites libero_goal,libero_10 --tasks 0,3,5"));
     EXPECT_EQ(code, 0) << output;
     if (code == 0) std::ofstream(done) << output;
   }
@@ -101,7 +101,7 @@ class LiberoPicturesTest : public ::testing::Test {
 
 // A table, a living room, a kitchen and a study.
 constexpr std::pair<const char*, int> kScenes[] = {
-    {"libero_goal", 0}, {"libero_10", 0}, {"libero_10", 2}, {"libero_10", 5}};
+    {"libero_goal", 0}, {"libero_10", 0}, {"libero_10", 3}, {"libero_10", 5}};
 
 TEST_F(LiberoPicturesTest, PicturesAreTheOriginals) {
   for (const auto& [suite, task] : kScenes) {
@@ -109,8 +109,8 @@ TEST_F(LiberoPicturesTest, PicturesAreTheOriginals) {
     EXPECT_EQ(compared.same_state.size(), 12u);
     for (const ComparedPicture& picture : compared.same_state) {
       SCOPED_TRACE(absl::StrCat(suite, " ", task, " ", picture.moment, " ", picture.camera));
-      EXPECT_LT(picture.difference.mean, 2);
-      EXPECT_LT(picture.difference.block, 24) << "something structural";
+      EXPECT_LT(picture.difference.mean, 0.2);  // 0.074 is the worst of 40 tasks
+      EXPECT_LT(picture.difference.block, 16) << "something structural";  // 10.3
     }
     for (const auto& [array, difference] : compared.model_arrays)
       EXPECT_LT(difference, 1e-5) << suite << " " << task << " " << array;

@@ -34,6 +34,23 @@ TEST(PreprocessTest, MirrorsLeftAndRightAsARotatedBottomUpImage) {
   EXPECT_EQ(MirrorAsLibero(upright).data, expected.data);
 }
 
+// The originals set none of this.
+TEST(PreprocessTest, DrawsAsMujocoDoesWhenNobodyChooses) {
+  const SharedModel model = CompileModel("empty", "<mujoco/>").value();
+  mjvScene scene;
+  mjv_defaultScene(&scene);
+  mjv_makeScene(model.get(), &scene, 1);
+  const RenderOptions options = RenderAsLibero(256, 128);
+  EXPECT_EQ(options.shadows, scene.flags[mjRND_SHADOW] != 0);
+  EXPECT_EQ(options.reflections, scene.flags[mjRND_REFLECTION] != 0);
+  EXPECT_EQ(options.samples, model->vis.quality.offsamples);
+  EXPECT_EQ(options.shadow_size, model->vis.quality.shadowsize);
+  EXPECT_EQ(options.supersample, 1);
+  EXPECT_EQ(options.width, 256);
+  EXPECT_EQ(options.height, 128);
+  mjv_freeScene(&scene);
+}
+
 TEST(PreprocessTest, TurnsAsRobosuiteDoesTheLongWayRound) {
   const auto turn = [](double w, double x, double y, double z) {
     const double wxyz[] = {w, x, y, z};
