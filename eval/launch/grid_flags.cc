@@ -135,12 +135,16 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
 
 namespace {
 
-// Named, or read from a file.
+// Named, or read from a file. What is wrong is the command's.
 absl::StatusOr<OpenpiDialect> DialectOf(const std::string& text) {
-  if (text.empty()) return OpenpiDialectNamed("libero");
-  if (!absl::EndsWith(text, ".yaml")) return OpenpiDialectNamed(text);
-  RS_ASSIGN_OR_RETURN(OpenpiDialect dialect, LoadConfig<OpenpiDialect>(text));
-  if (dialect.name.empty())
+  const bool file = absl::EndsWith(text, ".yaml");
+  absl::StatusOr<OpenpiDialect> dialect =
+      file ? LoadConfig<OpenpiDialect>(text) : OpenpiDialectNamed(text.empty() ? "libero" : text);
+  if (!dialect.ok()) {
+    return absl::InvalidArgumentError(absl::StrCat("--dialect: ", dialect.status().message(),
+                                                   file ? "" : "; or a file of keys, NAME.yaml"));
+  }
+  if (dialect->name.empty())
     return absl::InvalidArgumentError(absl::StrCat(text, ": name is empty; give the dialect one"));
   return dialect;
 }
