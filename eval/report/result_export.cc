@@ -222,6 +222,7 @@ class Declarations {
     const auto served = served_.find(policy.label);
     if (served == served_.end()) return policy;
     RemotePolicyOptions remote = unit.config.remote;
+    remote.dialect.path = remote.dialect.path.substr(0, remote.dialect.path.find('?'));
     policy.options = OptionsOf(DumpConfig(remote));
     ResultServer& server = policy.server.emplace();
     server.dialect = served->second.dialect;

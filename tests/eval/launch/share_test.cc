@@ -37,7 +37,7 @@ class SharedResults : public ::testing::Test {
   int Sweep(const std::string& out, const std::string& more) {
     const PolicyPeer server([](int, int) { return std::string(); }),
         other([](int, int) { return std::string(); });
-    other_ = other.url() + "/v1";
+    other_ = other.url() + "/team-7";
     return Run("sweep",
                absl::StrCat("--suites tabletop_goal --tasks 2 --episodes 3 --scenarios "
                             "clean,heavy_payload --policies pi05 --policy-url ",
@@ -79,8 +79,9 @@ TEST_F(SharedResults, AnExportedRunIsComparedByAnotherLaboratory) {
       << output_;
   const auto file = ReadResultFile(folder_ + "/lab.json");
   ASSERT_TRUE(file.ok()) << file.status();
-  EXPECT_THAT(Text("lab.json"), AllOf(Not(HasSubstr("127.0.0.1")), Not(HasSubstr(folder_)),
-                                      HasSubstr("ws://HOST:"), HasSubstr("/...")));
+  EXPECT_THAT(Text("lab.json"),
+              AllOf(Not(HasSubstr("team-7")), Not(HasSubstr("127.0.0.1")), Not(HasSubstr(folder_)),
+                    HasSubstr("\"ws://HOST:"), HasSubstr("/...\"")));
   EXPECT_EQ(nlohmann::json::parse(Text("board.json"))["results"].size(), 2u);
   EXPECT_FALSE(std::filesystem::exists(folder_ + "/theirs/report.html")) << "only what was named";
 
