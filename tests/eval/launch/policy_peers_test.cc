@@ -88,15 +88,20 @@ TEST_F(PolicyPeers, AServerOfOpenpisWireIsSweptToItsReport) {
                          " --policies theirs --methods base,ours_following"));
   ASSERT_EQ(code, 0) << output;
   EXPECT_THAT(output, AllOf(HasSubstr("Heavy Payload"), HasSubstr("ours_following - base"),
-                            HasSubstr("Sampling noise not paired: the server of theirs")));
+                            HasSubstr("Sampling noise not paired: the server of theirs"),
+                            HasSubstr(" reconnections.")));
   EXPECT_THAT(Read(Path("run/report.html")), HasSubstr("Sampling noise not paired"));
   const std::vector<std::string> rows =
       absl::StrSplit(Read(Path("run/episodes.csv")), '\n', absl::SkipEmpty());
   EXPECT_EQ(rows.size(), 3u) << "a head, and a row for each method";
   for (const char* method : {"base", "ours_following"}) {
     const auto provenance = nlohmann::json::parse(Read(Unit(method) + "/provenance.json"));
-    EXPECT_THAT(Read(Unit(method) + "/servers.jsonl"), HasSubstr(server.url() + "/"));
     EXPECT_EQ(provenance["metadata"], R"({"reset_pose":[0.0,1.0]})");
+    const std::vector<std::string> served_by =
+        absl::StrSplit(Read(Unit(method) + "/servers.jsonl"), '\n', absl::SkipEmpty());
+    const auto served = nlohmann::json::parse(served_by.back());
+    EXPECT_EQ(served["url"], server.url() + "/");
+    EXPECT_GT(served["reconnections"], 0) << "it closes after five answers";
     const auto row = nlohmann::json::parse(Read(Unit(method) + "/episodes.jsonl"));
     EXPECT_GT(row["chunks"], 5) << "it went on where the server had closed";
     EXPECT_EQ(row["chunks"], (row["steps"].get<int>() + 4) / 5);
@@ -248,7 +253,7 @@ TEST_F(BadPolicyPeers, AreRefusedBeforeAnyUnitStarts) {
   };
   expect_wrong("http://127.0.0.1:8000", "", "ws://");
   expect_wrong(nobody, "--dialect opnepi", "known: libero, aloha, droid, vllm_omni");
-  expect_wrong(nobody, "--dialect absent.yaml", "--dialect: absent.yaml");
+  expect_wrong(nobody, "--dialect absent.yaml", "--dialect: cannot open 'absent.yaml'");
   const std::string keys = Path("keys.yaml");
   for (const auto& [text, words] : std::vector<std::pair<const char*, const char*>>{
            {"name: mine\nstate: [s]\nwire: grpc\n",
