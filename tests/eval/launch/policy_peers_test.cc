@@ -292,22 +292,36 @@ TEST_F(BadPolicyPeers, AreNamedByTheUnitThatTheyFail) {
       {"does not answer, after", "run the same command again to go on"});
 }
 
-TEST_F(PolicyPeers, ALateAnswerIsAskedForAgain) {
+// Arguments of a worker that gives a server one second for an answer.
+std::string LateWorker(const std::string& url, const std::string& out) {
+  return absl::StrCat(
+      "--set suite=tabletop_goal --set policy=theirs --set tasks=[3] --set episodes=1 --set "
+      "remote.dialect.name=theirs --set remote.dialect.cameras=[a,b] --set "
+      "remote.dialect.state=[s] --set remote.execute_steps=100 --call-timeout 1 --server ",
+      url, " --out ", out);
+}
+
+TEST_F(BadPolicyPeers, ALateAnswerIsAskedForAgain) {
   // After the first answer, which may take as long as a network is compiled.
   const PolicyPeer server([](int connection, int message) {
-    if (connection == 0 && message == 1) std::this_thread::sleep_for(std::chrono::seconds(3));
-    return OpenpiWriter().Map(1).Text("actions").Array(Eigen::MatrixXf::Zero(300, 7)).Take();
+    if (connection == 0 && message == 1) std::this_thread::sleep_for(std::chrono::seconds(2));
+    return Actions(300, 7);
   });
-  const auto [output, code] = RunProgram(
-      absl::StrCat(BIN_DIR, "/robostress-worker"),
-      absl::StrCat("--set suite=tabletop_goal --set policy=theirs --set tasks=[3] --set episodes=1 "
-                   "--set remote.dialect.name=theirs --set remote.dialect.cameras=[a,b] --set "
-                   "remote.dialect.state=[s] --set remote.execute_steps=100 --call-timeout 2 "
-                   "--server ",
-                   server.url(), " --out ", Path("run")));
+  const auto [output, code] = RunProgram(absl::StrCat(BIN_DIR, "/robostress-worker"),
+                                         LateWorker(server.url(), Path("run")));
   EXPECT_EQ(code, 0) << output;
   EXPECT_THAT(output, HasSubstr("/: connected again (1 so far)"));
   EXPECT_THAT(output, HasSubstr("episode 1/1"));
+}
+
+TEST_F(BadPolicyPeers, OneThatIsLateAtEveryQuestionIsGivenUp) {
+  const PolicyPeer server([](int, int message) {
+    if (message > 0) std::this_thread::sleep_for(std::chrono::seconds(2));
+    return Actions(300, 7);
+  });
+  Expect(RunProgram(absl::StrCat(BIN_DIR, "/robostress-worker"),
+                    LateWorker(server.url(), Path("run"))),
+         server.url(), {"does not answer within 1s", "run the same command again to go on"});
 }
 
 }  // namespace
