@@ -344,6 +344,58 @@ TEST(ProxiedArm, LearnsFromWhatAClientSaysWasExecuted) {
   EXPECT_EQ(rows, 57u);
 }
 
+// The same arm, whose client says where the tool was at every step.
+TEST(ProxiedArm, LearnsFromEveryPoseThatAClientReports) {
+  Loop direct(60), reporting(60);
+  direct.mode = ProxyMode::kOff;
+  direct.Run(60);
+  std::vector<double> poses, turns;
+  for (int i = 0; i < 60; ++i) {
+    OpenpiBytes message;
+    message.Map(i == 0 ? 2 : 3).Text("observation/state");
+    message.Numbers<double>("<f8", {8}, reporting.arm.state()).Text("prompt").Text("go");
+    if (i > 0) {
+      message.Text("executed")
+          .Map(4)
+          .Text("q")
+          .Numbers<double>("<f8", {6, 1}, std::vector<double>(6));
+      message.Text("p_base_tool").Numbers<double>("<f8", {6, 3}, poses);
+      message.Text("q_base_tool").Numbers<double>("<f8", {6, 4}, turns);
+      message.Text("last_of_episode").Byte(0xc2);  // false
+    }
+    reporting.proxy.Observed(message.bytes(), false, 0, ProxyMode::kOn);
+    const std::string own = ActionAnswer(reporting.Wish());
+    const std::string sent = reporting.proxy.Answered(own, false, 0, ProxyMode::kOn).value_or(own);
+    ASSERT_EQ(reporting.proxy.report().doubt, std::nullopt) << reporting.proxy.report().words;
+    const Eigen::MatrixXd actions = ReadActions(sent, *FindActions(sent));
+    poses.clear();
+    turns.clear();
+    for (int k = 0; k <= 5; ++k) {
+      const std::vector<double> state = reporting.arm.state();
+      poses.insert(poses.end(), state.begin(), state.begin() + 3);
+      turns.insert(turns.end(), {1, 0, 0, 0});
+      if (k < 5) reporting.arm.Step(actions.row(k).head<3>().transpose());
+    }
+  }
+  EXPECT_LT(reporting.error(), 0.4 * direct.error());
+}
+
+TEST(ProxiedArm, ScalesByAGainWithinTheLimit) {
+  ArmProfile profile = LiberoProfile();
+  profile.method = "gain";  // 1.15
+  profile.limits.correction = {0.1};
+  profile.limits.rate = {20};
+  ProxiedArm proxy(profile, Method(profile));
+  proxy.Observed(LiberoObservation(std::vector<double>(8)), false, 0, ProxyMode::kOn);
+  const auto sent =
+      proxy.Answered(ActionAnswer({0.4, -0.8, 0, 0, 0, 0, -1}), false, 0, ProxyMode::kOn);
+  ASSERT_TRUE(sent.has_value());
+  const Eigen::MatrixXd actions = ReadActions(*sent, *FindActions(*sent));
+  EXPECT_NEAR(actions(3, 0), 0.46, 1e-6);
+  EXPECT_NEAR(actions(3, 1), -0.9, 1e-6) << "0.12 more would be too much";
+  EXPECT_EQ(actions(3, 6), -1);
+}
+
 TEST(ProxiedArm, PassesAReportThatCannotBe) {
   ArmProfile profile = JointProfile(2);
   ProxiedArm proxy(profile, Method(profile));
