@@ -1,5 +1,7 @@
 #include "eval/launch/grid_flags.h"
 
+#include <algorithm>
+
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -225,7 +227,10 @@ absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGr
   if (app.count("--latency-ms")) grid.latency.ms = flags.latency_ms;
   if (app.count("--late")) {
     RS_RETURN_IF_ERROR(ApplyOverrides({absl::StrCat("mode=", flags.late)}, grid.latency));
-    if (!grid.latency.late()) {
+    const bool later =
+        std::any_of(flags.overrides.begin(), flags.overrides.end(),
+                    [](const std::string& set) { return absl::StartsWith(set, "latency.ms="); });
+    if (!grid.latency.late() && !later) {
       return absl::InvalidArgumentError(absl::StrCat(
           "--late ", flags.late, " without --latency-ms: no answer is late; give --latency-ms N"));
     }
