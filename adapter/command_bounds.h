@@ -2,13 +2,14 @@
 
 #include <Eigen/Core>
 
+#include "common/rollout/message_limits.h"
 #include "common/rollout/policy_endpoint.h"
 
 namespace robostress {
 
 // |entry| of any command, environment units: nothing that this project drives takes commands near
 // it. Where a policy declares no range it is the only bound.
-inline constexpr float kWidestCommand = 1000;
+inline constexpr float kWidestCommand = WireLimits::kWidestAction;
 
 // Holds `commands` [horizon, action_dim], what the corrections made of the policy's `own`, to the
 // policy's declared range, widened by its own span to either side and by `own`:

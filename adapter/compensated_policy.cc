@@ -42,9 +42,19 @@ absl::Status CompensatedPolicy::StartEpisode(const EpisodeKey& key) {
 
 absl::StatusOr<PredictedChunk> CompensatedPolicy::Predict(const Observation& observation,
                                                           int chunk) {
-  const Eigen::VectorXd correction = correction_.Value();
-  RS_ASSIGN_OR_RETURN(PredictedChunk predicted, policy_->Predict(observation, chunk));
-  CorrectCommands(*method_, policy_->spec(), correction, predicted);
+  return Corrected(policy_->Predict(observation, chunk));
+}
+
+absl::StatusOr<PredictedChunk> CompensatedPolicy::PredictAfter(const Observation& observation,
+                                                               int chunk,
+                                                               const RunningRows& running) {
+  return Corrected(policy_->PredictAfter(observation, chunk, running));
+}
+
+absl::StatusOr<PredictedChunk> CompensatedPolicy::Corrected(
+    absl::StatusOr<PredictedChunk> predicted) {
+  if (!predicted.ok()) return predicted;
+  CorrectCommands(*method_, policy_->spec(), correction_.Value(), *predicted);
   running_ = correction_;
   return predicted;
 }

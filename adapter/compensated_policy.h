@@ -29,6 +29,8 @@ class CompensatedPolicy : public PolicyEndpoint {
   const PolicySpec& spec() const override { return policy_->spec(); }
   absl::Status StartEpisode(const EpisodeKey& key) override;
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
+  absl::StatusOr<PredictedChunk> PredictAfter(const Observation& observation, int chunk,
+                                              const RunningRows& running) override;
   // With every_step: the policy's row with what the correction is by now.
   absl::StatusOr<Eigen::VectorXf> NextCommand(const PredictedChunk& predicted,
                                               const ExecutedChunk& so_far) override;
@@ -41,6 +43,7 @@ class CompensatedPolicy : public PolicyEndpoint {
  private:
   CompensatedPolicy(PolicyEndpoint* policy, const SessionSetting& setting,
                     const MethodOptions& method);
+  absl::StatusOr<PredictedChunk> Corrected(absl::StatusOr<PredictedChunk> predicted);
 
   PolicyEndpoint* const policy_;
   const Deferred<MethodOptions> method_;

@@ -19,6 +19,7 @@ EpisodeMetrics::EpisodeMetrics(const ResidualOptions& options)
 
 void EpisodeMetrics::Add(const ExecutedChunk& chunk) {
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
+    if (chunk.IsMasked(i)) continue;
     const ExecutedStep& step = chunk.steps[i];
     const RobotState& after = StateAfter(chunk, i);
     ++steps_;

@@ -6,6 +6,7 @@
 
 #include "common/deferred.h"
 #include "common/joint_errors/options.h"
+#include "common/latency_options.h"
 #include "common/remote_options.h"
 
 namespace robostress {
@@ -123,6 +124,7 @@ struct UnitConfig {
   ClientOptions client;         // of robots other than the simulated Panda
   RemotePolicyOptions remote;   // used: `policy` is a label of what another server holds
   int horizon = 0;              // control steps of an episode at most; 0: the suite's
+  LatencyOptions latency;       // of answers, in simulated time
 
   template <class V>
   void Visit(V& v) {
@@ -146,6 +148,7 @@ struct UnitConfig {
     v.LateSection("client", client, robot != "panda", "how robot_client plays it");
     v.LateSection("remote", remote, remote.used(), "how a policy of another server is asked");
     v.Late("horizon", horizon, 0, "control steps of an episode at most; 0: the suite's");
+    v.LateSection("latency", latency, latency.used(), "answers that take time");
   }
 };
 

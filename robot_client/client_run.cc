@@ -66,6 +66,7 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
     link.instruction = config_.instruction;
     link.max_frame_age_s = config_.control.watchdogs.camera_hold_s;
     link.feedback = config_.feedback;
+    link.rtc_rows = config_.control.player.rtc_rows;
     link_ = std::make_unique<PolicyLink>(link, loop_.get(), &clock_, sources,
                                          ConnectTo(config_.policy, 1 / config_.control.rate_hz));
     RS_RETURN_IF_ERROR(link_->Open());

@@ -72,6 +72,11 @@ absl::Status PolicyLink::Open() {
         ", or the same under cameras: in the configuration (SOURCE as v4l2:/dev/v4l/by-id/..., "
         "or synthetic for a rehearsal)"));
   }
+  if (options_.rtc_rows > 0 && !spec_.inpaints) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("control.player.rtc_rows is ", options_.rtc_rows, ", and policy '", spec_.name,
+                     "' cannot go on from a running chunk; set it to 0"));
+  }
   if (spec_.horizon > ArmChunk::kMaxRows) {
     return absl::InvalidArgumentError(absl::StrCat("policy '", spec_.name, "' predicts ",
                                                    spec_.horizon, " steps, at most ",
@@ -155,6 +160,17 @@ absl::StatusOr<Observation> PolicyLink::Observe(const PredictionRequest& request
   return observation;
 }
 
+std::optional<RunningRows> PolicyLink::RunningOf(const PredictionRequest& request) const {
+  const Eigen::Index left = newest_.rows() - request.row;
+  if (options_.rtc_rows == 0 || request.running < 0 || request.running != newest_chunk_ ||
+      request.episode != newest_episode_ || left < 1)
+    return std::nullopt;
+  RunningRows running;
+  running.actions = newest_.bottomRows(left);
+  running.held = std::min(options_.rtc_rows, static_cast<int>(left));
+  return running;
+}
+
 void PolicyLink::PushFrames(uint64_t prediction_id) {
   if (frames_ == nullptr) return;
   uint64_t lost = 0;
@@ -186,8 +202,10 @@ absl::Status PolicyLink::Answer(const PredictionRequest& request, ArmChunk& chun
   RS_ASSIGN_OR_RETURN(const Observation observation, Observe(request));
   RS_RETURN_IF_ERROR(PrepareSession(request.episode));
   const int64_t before = clock_->now_ns();
+  const std::optional<RunningRows> running = RunningOf(request);
   RS_ASSIGN_OR_RETURN(const PredictedChunk prediction,
-                      endpoint_->Predict(observation, request.chunk));
+                      running ? endpoint_->PredictAfter(observation, request.chunk, *running)
+                              : endpoint_->Predict(observation, request.chunk));
   const double took = static_cast<double>(clock_->now_ns() - before) / kNsPerSecond;
   const Eigen::MatrixXf& policy =
       prediction.policy_actions.size() > 0 ? prediction.policy_actions : prediction.actions;
@@ -196,6 +214,9 @@ absl::Status PolicyLink::Answer(const PredictionRequest& request, ArmChunk& chun
     return absl::InternalError(absl::StrCat("policy '", spec_.name, "' predicted ",
                                             prediction.actions.rows(), " x ",
                                             prediction.actions.cols(), " actions"));
+  newest_ = policy;
+  newest_episode_ = request.episode;
+  newest_chunk_ = request.chunk;
   absl::MutexLock lock(&mu_);
   ++counters_.predictions;
   counters_.longest_prediction_s = std::max(counters_.longest_prediction_s, took);

@@ -5,6 +5,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <semaphore>
 #include <string>
 #include <utility>
@@ -28,6 +29,7 @@ struct PolicyLinkOptions {
   std::string instruction;
   double max_frame_age_s = 0.5;  // [s], older: no prediction is asked of the server
   FeedbackOptions feedback;
+  int rtc_rows = 0;  // PlayerOptions::rtc_rows
 };
 
 struct PolicyLinkCounters {
@@ -91,6 +93,8 @@ class PolicyLink {
 
   absl::Status Answer(const PredictionRequest& request, ArmChunk& chunk);
   absl::StatusOr<Observation> Observe(const PredictionRequest& request);
+  // What is left of the chunk that plays; nothing where the policy is not to go on from it.
+  std::optional<RunningRows> RunningOf(const PredictionRequest& request) const;
   absl::Status Look(FrameSource& camera, FrameRecord& record, Observation& observation);
   void PushFrames(uint64_t prediction_id) ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status PrepareSession(int episode);
@@ -116,6 +120,9 @@ class PolicyLink {
   int failures_ = 0;                           // predictions in a row
   uint64_t sequence_ = 0;                      // of the session's feedback
   ArmChunk answer_;
+  // The newest answer's own rows, its episode and chunk; the policy may be asked to go on from it.
+  Eigen::MatrixXf newest_;
+  int newest_episode_ = -1, newest_chunk_ = -1;
   std::vector<FrameRecord> looked_;  // at for the prediction under way
 
   mutable absl::Mutex mu_;

@@ -51,6 +51,9 @@ struct EpisodeRow {
   std::optional<double> intent_eta_sq, intent_tracking_eta_sq, intent_a_sq;
   std::optional<double> mean_abs_action, clipped_share;
   std::optional<double> lag_residual, lag_eta_sq;  // same commands, no joint errors (worker --lag)
+  // Of units with latency or latency.smoothness (common/rollout/motion_smoothness.h).
+  std::optional<double> jerk;  // [m/s^3]
+  std::optional<double> jump;  // [command units]
   // Of robots of robot_client, whose residual is in joint space: eta_sq / a_sq over the steps that
   // feedback held, without those masked.
   std::optional<double> seconds;                         // in RUN [s]
@@ -83,6 +86,8 @@ struct EpisodeRow {
     v.Measure("clipped_share", r.clipped_share);
     v.Extra("lag_residual", r.lag_residual);
     v.Extra("lag_eta_sq", r.lag_eta_sq);
+    v.Extra("jerk", r.jerk);
+    v.Extra("jump", r.jump);
     v.Extra("seconds", r.seconds);
     v.Extra("measured_steps", r.measured_steps);
     v.Extra("masked_steps", r.masked_steps);

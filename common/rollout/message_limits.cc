@@ -15,7 +15,8 @@ size_t Size(int n) { return static_cast<size_t>(n); }
 size_t LargestObservationBytes(const PolicySpec& policy, int max_view_side, size_t value_bytes) {
   const size_t view = 3 * value_bytes * Size(max_view_side) * Size(max_view_side);
   return policy.cameras.size() * (view + kFieldBytes) + kNumberBytes * Size(policy.state_dim) +
-         WireLimits::kInstruction + kFieldBytes + kSessionBytes;
+         WireLimits::kInstruction + kFieldBytes + kSessionBytes +
+         kNumberBytes * Size(policy.horizon) * Size(policy.action_dim) + kFieldBytes;  // running
 }
 
 size_t LargestExecutedBytes(const PolicySpec& policy) {

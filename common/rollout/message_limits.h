@@ -19,7 +19,8 @@ struct WireLimits {
   static constexpr int kActionDim = 256;
   static constexpr int kHorizon = 1024;  // rows of a chunk
   static constexpr int kDof = 64;
-  static constexpr int kIndex = 1 << 24;  // task, episode, chunk
+  static constexpr float kWidestAction = 1000;  // |entry| of a command, environment units
+  static constexpr int kIndex = 1 << 24;        // task, episode, chunk
   static constexpr double kQuaternionNormError = 1e-3;
 };
 

@@ -39,6 +39,15 @@ struct PolicySpec {
   // (adapter/command_bounds.h).
   std::vector<float> action_low, action_high;
   bool adaptable = false;  // has an action expert that LoRA can adapt
+  bool inpaints = false;   // PredictAfter is there: a flow policy that can go on from a chunk
+};
+
+// What is left of the chunk that plays while the next one is made. Row i is due i steps after the
+// observation.
+struct RunningRows {
+  Eigen::MatrixXf actions;  // [n, action_dim] policy_actions of the running chunk, n >= 1
+  int held = 0;  // 0..n: so many will have been played when the answer is there; the others may yet
+                 // be changed
 };
 
 // Where in a sweep a prediction stands. The sampling noise is a function of
@@ -55,6 +64,14 @@ struct SessionStats {
   double adapter_distance = 0;  // ||phi - phi_0||_2
   double last_loss = 0;
 };
+
+// UNIMPLEMENTED, with what to do.
+inline absl::Status InpaintingError(const std::string& policy) {
+  return absl::UnimplementedError(
+      "policy '" + policy +
+      "' cannot go on from a running chunk: real-time chunking (rtc) needs a flow policy of ours, "
+      "such as nano; take waiting, switch or crossfade");
+}
 
 // A policy as the rollout loop sees it: local (expert, replay) or behind gRPC. One object, one
 // session, one thread.
@@ -74,6 +91,13 @@ class PolicyEndpoint {
                                                       const ExecutedChunk& so_far) {
     return Eigen::VectorXf(
         predicted.actions.row(static_cast<Eigen::Index>(so_far.steps.size())).transpose());
+  }
+  // As Predict, with a chunk that goes on from what is running (real-time chunking). UNIMPLEMENTED
+  // where spec().inpaints is false.
+  virtual absl::StatusOr<PredictedChunk> PredictAfter(const Observation& /*observation*/,
+                                                      int /*chunk*/,
+                                                      const RunningRows& /*running*/) {
+    return InpaintingError(spec().name);
   }
   virtual absl::Status SendFeedback(ExecutedChunk executed) = 0;
   virtual absl::StatusOr<SessionStats> Stats() = 0;

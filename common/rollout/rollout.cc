@@ -1,46 +1,18 @@
 #include "common/rollout/rollout.h"
 
 #include <algorithm>
-#include <chrono>
 #include <utility>
 
-#include "absl/strings/str_cat.h"
+#include "common/rollout/late_rollout.h"
+#include "common/rollout/spec_checks.h"
+#include "common/rollout/stop_watch.h"
 #include "common/status_macros.h"
 
 namespace robostress {
-namespace {
-
-// Adds the wall time of a scope to a total.
-class StopWatch {
- public:
-  explicit StopWatch(double& total) : total_(total), start_(std::chrono::steady_clock::now()) {}
-  ~StopWatch() {
-    total_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
-  }
-
- private:
-  double& total_;
-  std::chrono::steady_clock::time_point start_;
-};
-
-absl::Status CheckShapes(const PredictedChunk& prediction, const PolicySpec& spec) {
-  const auto fits = [&](const Eigen::MatrixXf& m) {
-    return m.rows() >= spec.execute_steps && m.cols() == spec.action_dim;
-  };
-  if (fits(prediction.actions) && fits(prediction.policy_actions) &&
-      (prediction.base_actions.size() == 0 || fits(prediction.base_actions))) {
-    return absl::OkStatus();
-  }
-  return absl::InternalError(absl::StrCat("policy '", spec.name, "' predicted ",
-                                          prediction.actions.rows(), " x ",
-                                          prediction.actions.cols(), " actions, needs at least ",
-                                          spec.execute_steps, " x ", spec.action_dim));
-}
-
-}  // namespace
 
 absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOptions& options,
                                          Robot& robot, PolicyEndpoint& policy, uint64_t& sequence) {
+  if (options.late.delay_steps > 0) return RunLateEpisode(key, options, robot, policy, sequence);
   const PolicySpec& spec = policy.spec();
   EpisodeRecord record;
   // The robot first: a policy with access to the state (the expert) reads it when its episode
@@ -64,7 +36,7 @@ absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOpt
       prediction = policy.Predict(*observation, chunk);
     }
     RS_RETURN_IF_ERROR(prediction.status());
-    RS_RETURN_IF_ERROR(CheckShapes(*prediction, spec));
+    RS_RETURN_IF_ERROR(CheckExecutable(*prediction, spec));
 
     ExecutedChunk executed;
     executed.sequence = sequence + 1;

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "common/rollout/late_play.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/rollout/robot.h"
 
@@ -21,10 +22,12 @@ struct EpisodeRecord {
 struct RolloutOptions {
   int initial_state = 0;
   std::function<void(int step)> on_step;  // e.g. to film; called after Reset (0) and each step
+  LatePlay late;                          // answers that take time
 };
 
 // One episode: observe, predict, execute the first spec().execute_steps, send feedback; ends at
-// success or horizon. Feedback sequence numbers continue from `sequence`.
+// success or horizon. Feedback sequence numbers continue from `sequence`. Where answers take time
+// the loop is that of late_rollout.h.
 absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOptions& options,
                                          Robot& robot, PolicyEndpoint& policy, uint64_t& sequence);
 

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/rollout/field_checks.h"
+#include "common/rollout/message_limits.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -84,6 +85,28 @@ absl::Status CheckObservation(const Observation& observation, const PolicySpec& 
   return absl::OkStatus();
 }
 
+absl::Status CheckRunningRows(const RunningRows& running, const PolicySpec& spec) {
+  if (!spec.inpaints) return InpaintingError(spec.name);
+  const auto rows = static_cast<int>(running.actions.rows());
+  if (rows < 1 || rows > spec.horizon || running.actions.cols() != spec.action_dim) {
+    return Invalid("running.actions is ", MatrixSize(running.actions), ", policy '", spec.name,
+                   "' takes 1 to ", spec.horizon, " rows x ", spec.action_dim);
+  }
+  if (running.held < 0 || running.held > rows) {
+    return Invalid("running.held is ", running.held, ", must be 0 to the ", rows,
+                   " rows of running.actions");
+  }
+  for (int i = 0; i < rows; ++i) {
+    for (int j = 0; j < spec.action_dim; ++j) {
+      const float value = running.actions(i, j);
+      if (std::abs(value) <= WireLimits::kWidestAction) continue;  // false of what is no number
+      return Invalid("running.actions[", i, ",", j, "] is ", value, ", must be within +-",
+                     WireLimits::kWidestAction);
+    }
+  }
+  return absl::OkStatus();
+}
+
 absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec& spec) {
   RS_RETURN_IF_ERROR(CheckMatrixSize("actions", prediction.actions, spec.horizon, spec.action_dim));
   RS_RETURN_IF_ERROR(
@@ -98,6 +121,20 @@ absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec&
       return Invalid("policy '", spec.name, "' predicted an action that is not finite");
   }
   return absl::OkStatus();
+}
+
+absl::Status CheckExecutable(const PredictedChunk& prediction, const PolicySpec& spec) {
+  const auto fits = [&](const Eigen::MatrixXf& m) {
+    return m.rows() >= spec.execute_steps && m.cols() == spec.action_dim;
+  };
+  if (fits(prediction.actions) && fits(prediction.policy_actions) &&
+      (prediction.base_actions.size() == 0 || fits(prediction.base_actions))) {
+    return absl::OkStatus();
+  }
+  return absl::InternalError(absl::StrCat("policy '", spec.name, "' predicted ",
+                                          prediction.actions.rows(), " x ",
+                                          prediction.actions.cols(), " actions, needs at least ",
+                                          spec.execute_steps, " x ", spec.action_dim));
 }
 
 absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec) {

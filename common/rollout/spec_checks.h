@@ -16,8 +16,13 @@ namespace robostress {
 // state_dim. The message names what differs. Sizes of images are left to the policy, up to its
 // max_view_side: one that resizes takes any, the others name their own.
 absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec);
+// Checks what a prediction is to go on from: 1 to horizon rows x action_dim of commands, as many of
+// them held as there are. UNIMPLEMENTED where the policy cannot.
+absl::Status CheckRunningRows(const RunningRows& running, const PolicySpec& spec);
 // Checks a prediction: horizon x action_dim, all finite.
 absl::Status CheckPrediction(const PredictedChunk& prediction, const PolicySpec& spec);
+// Checks that a prediction has rows enough to be executed: execute_steps x action_dim. INTERNAL.
+absl::Status CheckExecutable(const PredictedChunk& prediction, const PolicySpec& spec);
 // Checks an executed chunk: action_dim columns, steps within the predicted chunk.
 absl::Status CheckExecutedChunk(const ExecutedChunk& chunk, const PolicySpec& spec);
 

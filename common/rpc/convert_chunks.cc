@@ -117,6 +117,22 @@ absl::StatusOr<PredictedChunk> FromProto(const robostress::v1::PredictResponse& 
   return prediction;
 }
 
+robostress::v1::RunningRows ToProto(const RunningRows& running) {
+  v1::RunningRows message;
+  *message.mutable_actions() = ToProto(running.actions);
+  message.set_held(static_cast<uint32_t>(running.held));
+  return message;
+}
+
+absl::StatusOr<RunningRows> FromProto(const robostress::v1::RunningRows& message) {
+  RunningRows running;
+  RS_ASSIGN_OR_RETURN(running.actions, FromProto("running.actions", message.actions()));
+  RS_RETURN_IF_ERROR(
+      CheckRange("running.held", message.held(), 0, static_cast<uint64_t>(running.actions.rows())));
+  running.held = static_cast<int>(message.held());
+  return running;
+}
+
 robostress::v1::RobotState ToProto(const RobotState& state) {
   v1::RobotState message;
   message.set_stamp_s(state.stamp_s);

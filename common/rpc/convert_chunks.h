@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 
 #include "absl/status/statusor.h"
+#include "common/rollout/policy_endpoint.h"
 #include "common/types.h"
 #include "proto/robostress/v1/policy.pb.h"
 
@@ -18,6 +19,9 @@ absl::StatusOr<Eigen::MatrixXf> FromProto(const char* field,
 // `chunk`: of the request that is answered.
 robostress::v1::PredictResponse ToProto(const PredictedChunk& prediction, int chunk);
 absl::StatusOr<PredictedChunk> FromProto(const robostress::v1::PredictResponse& message);
+
+robostress::v1::RunningRows ToProto(const RunningRows& running);
+absl::StatusOr<RunningRows> FromProto(const robostress::v1::RunningRows& message);
 
 robostress::v1::RobotState ToProto(const RobotState& state);
 absl::StatusOr<RobotState> FromProto(const robostress::v1::RobotState& message);

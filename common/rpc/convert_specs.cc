@@ -111,6 +111,7 @@ robostress::v1::PolicySpec ToProto(const PolicySpec& spec) {
   message.set_control_space(ToProto(spec.control_space));
   message.mutable_action_low()->Add(spec.action_low.begin(), spec.action_low.end());
   message.mutable_action_high()->Add(spec.action_high.begin(), spec.action_high.end());
+  message.set_inpaints(spec.inpaints);
   return message;
 }
 
@@ -152,6 +153,7 @@ absl::StatusOr<PolicySpec> FromProto(const robostress::v1::PolicySpec& message) 
                       FromProto("policy.control_space", message.control_space()));
   spec.action_low.assign(message.action_low().begin(), message.action_low().end());
   spec.action_high.assign(message.action_high().begin(), message.action_high().end());
+  spec.inpaints = message.inpaints();
   RS_RETURN_IF_ERROR(CheckActionRange(spec));
   return spec;
 }

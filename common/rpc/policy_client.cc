@@ -329,6 +329,18 @@ absl::Status GrpcPolicyClient::StartEpisode(const EpisodeKey& key) {
 
 absl::StatusOr<PredictedChunk> GrpcPolicyClient::Predict(const Observation& observation,
                                                          int chunk) {
+  return AskFor(observation, chunk, nullptr);
+}
+
+absl::StatusOr<PredictedChunk> GrpcPolicyClient::PredictAfter(const Observation& observation,
+                                                              int chunk,
+                                                              const RunningRows& running) {
+  RS_RETURN_IF_ERROR(CheckRunningRows(running, impl_->spec));
+  return AskFor(observation, chunk, &running);
+}
+
+absl::StatusOr<PredictedChunk> GrpcPolicyClient::AskFor(const Observation& observation, int chunk,
+                                                        const RunningRows* running) {
   if (!impl_->episode_started) return absl::FailedPreconditionError("Predict before StartEpisode");
   RS_RETURN_IF_ERROR(CheckObservation(observation, impl_->spec));
   v1::PredictRequest request;
@@ -337,6 +349,7 @@ absl::StatusOr<PredictedChunk> GrpcPolicyClient::Predict(const Observation& obse
   request.set_episode(static_cast<uint32_t>(impl_->episode.episode));
   request.set_chunk(static_cast<uint32_t>(chunk));
   *request.mutable_observation() = ToProto(observation);
+  if (running != nullptr) *request.mutable_running() = ToProto(*running);
   v1::PredictResponse response;
   absl::Status refused;  // the session is well
   const absl::Status status = impl_->WithSession([&]() -> absl::Status {

@@ -54,6 +54,9 @@ class GrpcPolicyClient : public PolicyEndpoint {
   // A refusal (common/rollout/refusal.h) leaves the stream as it is. Lockstep comes back on
   // overload as long as call_timeout_s allows; async returns it.
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
+  // INVALID_ARGUMENT where `running` does not fit the policy.
+  absl::StatusOr<PredictedChunk> PredictAfter(const Observation& observation, int chunk,
+                                              const RunningRows& running) override;
   // FAILED_PRECONDITION unless executed.sequence follows the last one. UNAVAILABLE,
   // DEADLINE_EXCEEDED, CANCELLED and RESOURCE_EXHAUSTED (the server's disk is full): the chunk is
   // kept and will be sent again. Another error: a chunk was refused for good and is dropped; those
@@ -81,6 +84,9 @@ class GrpcPolicyClient : public PolicyEndpoint {
  private:
   struct Impl;
   explicit GrpcPolicyClient(std::unique_ptr<Impl> impl);
+  // `running` null: a prediction of its own.
+  absl::StatusOr<PredictedChunk> AskFor(const Observation& observation, int chunk,
+                                        const RunningRows* running);
   std::unique_ptr<Impl> impl_;
 };
 

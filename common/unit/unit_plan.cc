@@ -11,6 +11,7 @@
 #include "adapter/methods.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/rollout/policy_endpoint.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "common/unit/robots.h"
@@ -116,12 +117,42 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
   RS_RETURN_IF_ERROR(CheckRange("horizon", unit.horizon, 0, unit.robot == "panda" ? 10000 : 0,
                                 ": control steps of the simulated panda; 0: the suite's"));
   if (unit.policy.empty()) return absl::InvalidArgumentError("unit: policy is empty");
+  RS_RETURN_IF_ERROR(CheckLatency(unit));
   if (RunsInWorker(unit.policy) && unit.method->method != "base") {
     return absl::InvalidArgumentError(absl::StrCat("unit: policy '", unit.policy,
                                                    "' has nothing to adapt, method is '",
                                                    unit.method->method, "', must be 'base'"));
   }
   return resolved;
+}
+
+absl::Status CheckLatency(const UnitConfig& unit) {
+  const LatencyOptions& latency = unit.latency;
+  RS_RETURN_IF_ERROR(CheckRange("latency.ms", latency.ms, 0, 10000, ""));
+  RS_RETURN_IF_ERROR(CheckRange("latency.late_steps", latency.late_steps, 0, 1000, ""));
+  RS_RETURN_IF_ERROR(CheckRange("latency.fade_steps", latency.fade_steps, 0, 1000, ""));
+  RS_RETURN_IF_ERROR(CheckRange("latency.guide_rows", latency.guide_rows, 0, 1000, ""));
+  if (!(latency.moved_bound >= 0 && latency.moved_bound <= 1000)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit: latency.moved_bound is ", latency.moved_bound, ", must be 0 to 1000"));
+  }
+  if (latency.used() && unit.robot != "panda") {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit: latency is simulated for the panda, the robot is ", unit.robot,
+                     "; its client's is client.latency_ticks"));
+  }
+  if (latency.late() && unit.method->every_step) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit: method ", unit.method->method,
+                     " corrects every step of the newest chunk, which "
+                     "does not play yet where answers take ",
+                     latency.ms, " ms; take one that corrects a chunk at once, as ours_following"));
+  }
+  if (latency.late() && latency.mode == LateChunks::kRtc &&
+      (RunsInWorker(unit.policy) || unit.remote.used())) {
+    return absl::InvalidArgumentError(InpaintingError(unit.policy).message());
+  }
+  return absl::OkStatus();
 }
 
 std::vector<PlannedEpisode> PlanEpisodes(const UnitConfig& resolved) {

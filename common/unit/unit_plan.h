@@ -29,6 +29,9 @@ absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string
 // tasks), so that equal units have equal texts. The error names key, value and what is allowed.
 absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit);
 
+// Late answers that the unit's robot and policy can have, within 0 to 10000 ms; INVALID_ARGUMENT.
+absl::Status CheckLatency(const UnitConfig& unit);
+
 // The episodes of a resolved unit: task by task, because a change of task is a boundary.
 std::vector<PlannedEpisode> PlanEpisodes(const UnitConfig& resolved);
 // "40-59": the episodes of that range of PlanEpisodes, both ends included; empty: all. Only where

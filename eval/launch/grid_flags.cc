@@ -1,5 +1,7 @@
 #include "eval/launch/grid_flags.h"
 
+#include <algorithm>
+
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -115,13 +117,20 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
       ->check(cli::Range(1, 1000));
   app.add_option("--first-initial-state", flags.first_initial_state,
                  "0-19 reporting split, 40-49 dev split");
-  app.add_option(
-         "--set", flags.overrides,
-         "sim.KEY=VALUE, method.KEY=VALUE, client.KEY=VALUE or remote.KEY=VALUE, repeatable")
+  app.add_option("--set", flags.overrides,
+                 "SECTION.KEY=VALUE, repeatable; sections: sim, method, client, remote, latency")
       ->allow_extra_args(false);
   app.add_option("--dialect", flags.dialect,
                  "Keys of the messages to --policy-url: libero (default), droid, aloha, vllm_omni, "
                  "sglang, lerobot, vla_eval, robostress, or a YAML file");
+  app.add_option("--latency-ms", flags.latency_ms,
+                 "An answer is there so long after its observation, in simulated time (default 0)")
+      ->check(cli::Range(0, 10000));
+  app.add_option("--late", flags.late,
+                 "What the arm does meanwhile: waiting (it holds still), switch (it plays on and "
+                 "enters the chunk at the row that is due; default), crossfade (the same, faded), "
+                 "rtc (real-time chunking; nano and its kin)")
+      ->check(cli::IsMember({"waiting", "switch", "crossfade", "rtc"}));
   app.add_option("--replay-file", flags.replay_file, "Actions for policy replay");
   app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
   app.add_option("--robosuite-root", flags.robosuite_root,
@@ -215,6 +224,17 @@ absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGr
   if (app.count("--libero-root")) grid.libero_root = flags.libero_root;
   if (app.count("--robosuite-root")) grid.robosuite_root = flags.robosuite_root;
   if (app.count("--libero-fixtures")) grid.libero_fixtures = flags.libero_fixtures;
+  if (app.count("--latency-ms")) grid.latency.ms = flags.latency_ms;
+  if (app.count("--late")) {
+    RS_RETURN_IF_ERROR(ApplyOverrides({absl::StrCat("mode=", flags.late)}, grid.latency));
+    const bool later =
+        std::any_of(flags.overrides.begin(), flags.overrides.end(),
+                    [](const std::string& set) { return absl::StartsWith(set, "latency.ms="); });
+    if (!grid.latency.late() && !later) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "--late ", flags.late, " without --latency-ms: no answer is late; give --latency-ms N"));
+    }
+  }
   if (app.count("--tasks")) {
     RS_ASSIGN_OR_RETURN(grid.tasks, ParseTasks(flags.tasks));
   }

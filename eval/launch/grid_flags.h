@@ -22,6 +22,8 @@ struct GridFlags {
   int episodes = 0, first_initial_state = 0, repeats = 0;
   std::string replay_file, libero_root, robosuite_root, libero_fixtures;
   std::string dialect, protocol;
+  int latency_ms = 0;
+  std::string late;
 };
 
 // --workers and --server of the programs that run a grid.

@@ -238,13 +238,14 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
 }
 
 absl::Status CheckOverride(const std::string& assignment, UnitConfig& scratch) {
-  for (const char* section : {"sim.", "method.", "client.", "remote."}) {
+  for (const char* section : {"sim.", "method.", "client.", "remote.", "latency."}) {
     if (absl::StartsWith(assignment, section) && absl::StrContains(assignment, '='))
       return ApplyOverrides({assignment}, scratch);
   }
   return absl::InvalidArgumentError(absl::StrCat(
       "override '", assignment,
-      "' must be sim.KEY=VALUE, method.KEY=VALUE, client.KEY=VALUE or remote.KEY=VALUE"));
+      "' must be sim.KEY=VALUE, method.KEY=VALUE, client.KEY=VALUE, remote.KEY=VALUE or "
+      "latency.KEY=VALUE"));
 }
 
 bool NeedsLibero(const std::string& suite) {
@@ -365,6 +366,23 @@ void CheckOverrides(const SweepGrid& grid, Complaints& complaints) {
   }
 }
 
+void CheckLate(const SweepGrid& grid, Complaints& complaints) {
+  UnitConfig unit;
+  unit.latency = grid.latency;
+  if (!ApplyOverrides(Part(grid.overrides).others, unit).ok()) return;  // complained of already
+  unit.robot = grid.robot;
+  unit.remote = grid.remote;
+  for (const std::string& policy : grid.policies) {
+    for (const std::string& name : grid.methods) {
+      const absl::StatusOr<MethodOptions> method = MethodOf(grid, name);
+      if (method.ok()) unit.method = *method;
+      unit.policy = policy;
+      const absl::Status status = CheckLatency(unit);
+      if (!status.ok()) return complaints.Add(std::string(status.message()));
+    }
+  }
+}
+
 }  // namespace
 
 absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
@@ -399,6 +417,7 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   for (const std::string& policy : grid.policies) labels.push_back(PolicyLabel(policy));
   complaints.CheckUnique("policy name", labels);
   CheckOverrides(grid, complaints);
+  CheckLate(grid, complaints);
   RS_RETURN_IF_ERROR(complaints.ToStatus());
   grid.suites = InOrderOf(suites, grid.suites);
   std::vector<std::string> scenarios = InOrderOf(ScenariosOf(robot), grid.scenarios);
@@ -423,6 +442,7 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
     RS_ASSIGN_OR_RETURN(methods[name], MethodOf(grid, name));
   }
   UnitConfig common;
+  common.latency = grid.latency;
   RS_RETURN_IF_ERROR(ApplyOverrides(Part(grid.overrides).others, common));
   for (const std::string& suite_name : grid.suites) {
     UnitConfig config = common;

@@ -30,6 +30,7 @@ struct SweepGrid {
   std::string libero_fixtures = "centred";
   RemotePolicyOptions remote;  // used: another server holds the policy, whose label stands above
   std::string step_limits;     // of common/libero_protocols.h; empty: the suites' own
+  LatencyOptions latency;      // of answers, in simulated time
 
   template <class V>
   void Visit(V& v) {
@@ -48,7 +49,7 @@ struct SweepGrid {
     v.Field("first_initial_state", first_initial_state, "0-19 reporting, 40-49 dev");
     v.Field("videos", videos, "film the first N episodes of each task");
     v.Field("overrides", overrides,
-            "sim.KEY=VALUE, method.KEY=VALUE, client.KEY=VALUE and remote.KEY=VALUE, in order");
+            "SECTION.KEY=VALUE in order; sections: sim, method, client, remote, latency");
     v.Field("replay_file", replay_file, "actions for policy replay");
     v.Field("libero_root", libero_root, "LIBERO checkout, for suites libero_*");
     v.Field("robosuite_root", robosuite_root, "robosuite checkout, for suites libero_*");
@@ -57,6 +58,7 @@ struct SweepGrid {
     v.LateSection("remote", remote, remote.used(), "how a policy of another server is asked");
     v.Late("step_limits", step_limits, std::string(),
            "whose step limits suites libero_* have: openpi, lerobot; empty: the suites' own");
+    v.LateSection("latency", latency, latency.used(), "answers that take time");
   }
 };
 

@@ -150,8 +150,8 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
                   Tiles(run, summary, main));
   if (const std::string note = MixedMachinesNote(run); !note.empty())
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), ".</p>\n");
-  if (const std::string note = UnpairedNoiseNote(run); !note.empty())
-    absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");
+  for (const std::string& note : {UnpairedNoiseNote(run), LateAnswersNote(run)})
+    if (!note.empty()) absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");
   for (const std::string& note : ServerNotes(run))
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");
   if (!run.unfinished.empty()) {

@@ -154,6 +154,31 @@ std::string UnpairedNoiseNote(const RunData& run) {
                       "alone, and a pair may differ by chance where no method acts.");
 }
 
+std::string LateAnswersNote(const RunData& run) {
+  const auto doing = [](LateChunks mode) {
+    switch (mode) {
+      case LateChunks::kWaiting:
+        return "the arm holds still meanwhile";
+      case LateChunks::kSwitch:
+        return "the arm plays on and enters a chunk at the row that is due";
+      case LateChunks::kCrossfade:
+        return "the arm plays on and fades over to the row that is due";
+      case LateChunks::kRtc:
+        return "the arm plays on and the chunk goes on from there (real-time chunking)";
+    }
+    return "";
+  };
+  std::set<std::string> kinds;
+  for (const UnitResult& unit : run.units) {
+    const LatencyOptions& latency = unit.config.latency;
+    if (latency.late())
+      kinds.insert(
+          absl::StrCat(latency.ms, " ms after their observation, and ", doing(latency.mode)));
+  }
+  if (kinds.empty()) return "";
+  return absl::StrCat("Answers come late in simulated time: ", absl::StrJoin(kinds, "; "), ".");
+}
+
 std::string MixedMachinesNote(const RunData& run) {
   if (run.machines.size() < 2) return "";
   std::vector<std::string> kinds;

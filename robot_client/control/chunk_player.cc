@@ -35,18 +35,15 @@ const char* VerdictName(ChunkVerdict verdict) {
 }
 
 void ChunkPlayer::StartEpisode(int episode) {
-  Clear();
+  schedule_.StartEpisode();
   episode_ = episode;
-  last_chunk_ = -1;
 }
 
-void ChunkPlayer::Clear() { row_ = end_ = fade_left_ = 0; }
-
 ArmVector ChunkPlayer::Continuation(const ArmVector& held) const {
-  if (row_ >= end_) return held;
-  ArmVector target = chunk_.requested[row_];
-  if (fade_left_ > 0) {
-    const double share = static_cast<double>(fade_left_) / (options_.fade_steps + 1);
+  if (schedule_.empty()) return held;
+  ArmVector target = chunk_.requested[schedule_.row()];
+  if (schedule_.fading()) {
+    const double share = schedule_.offset_share();
     for (int j = 0; j < kArmJoints; ++j) target[j] += share * offset_[j];
   }
   return target;
@@ -58,14 +55,13 @@ ChunkVerdict ChunkPlayer::Offer(const ArmChunk& chunk, int64_t now_ns, const Arm
     if (!AllFinite(chunk.requested[i]) || !AllFinite(chunk.policy[i]))
       return ChunkVerdict::kNotFinite;
   }
-  if (chunk.episode != episode_ || chunk.chunk <= last_chunk_ || chunk.played > played_)
+  int row = 0;
+  const ChunkSchedule::Entry entry = schedule_.Find(chunk.chunk, chunk.played, chunk.rows, row);
+  if (chunk.episode != episode_ || entry == ChunkSchedule::Entry::kOutdated)
     return ChunkVerdict::kOutdated;
   if (static_cast<double>(now_ns - chunk.observed_ns) > options_.max_age_s * kNsPerSecond)
     return ChunkVerdict::kTooOld;
-  const int end = std::min(chunk.rows, options_.execute_steps + options_.late_steps);
-  const uint64_t due = played_ - chunk.played;
-  if (due >= static_cast<uint64_t>(end)) return ChunkVerdict::kUsedUp;
-  const int row = static_cast<int>(due);
+  if (entry == ChunkSchedule::Entry::kUsedUp) return ChunkVerdict::kUsedUp;
 
   ArmVector offset = Continuation(held);
   for (int j = 0; j < kArmJoints; ++j) {
@@ -74,27 +70,23 @@ ChunkVerdict ChunkPlayer::Offer(const ArmChunk& chunk, int64_t now_ns, const Arm
   }
   offset_ = offset;
   chunk_ = chunk;
-  last_chunk_ = chunk.chunk;
-  row_ = entry_row_ = row;
-  end_ = end;
-  fade_left_ = row > 0 ? options_.fade_steps : 0;
+  schedule_.Enter(chunk.chunk, chunk.rows, row);
   return ChunkVerdict::kTaken;
 }
 
 bool ChunkPlayer::Next(Step& step) {
-  if (row_ >= end_) return false;
+  if (schedule_.empty()) return false;
+  const int row = schedule_.row();
   step.blended = Continuation({});
-  step.policy = chunk_.policy[row_];
-  step.requested = chunk_.requested[row_];
+  step.policy = chunk_.policy[row];
+  step.requested = chunk_.requested[row];
   step.prediction_id = chunk_.prediction_id;
   step.chunk = chunk_.chunk;
-  step.row = row_;
-  step.entered = row_ == entry_row_;
-  step.fading = fade_left_ > 0;
-  step.overrun = row_ >= entry_row_ + options_.execute_steps;
-  if (fade_left_ > 0) --fade_left_;
-  ++row_;
-  ++played_;
+  step.row = row;
+  step.entered = schedule_.entered();
+  step.fading = schedule_.fading();
+  step.overrun = schedule_.overrun();
+  schedule_.Advance();
   return true;
 }
 

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 
+#include "common/rollout/chunk_schedule.h"
 #include "robot_client/robot_arm.h"
 
 namespace robostress {
@@ -29,6 +30,9 @@ struct PlayerOptions {
   int fade_steps = 4;      // ticks over which a late chunk's offset fades out; 0: an exact switch
   double max_jump = 0.5;   // [rad], most between a chunk's first row and what was played before it
   double max_age_s = 1.0;  // [s], of a chunk's observation when it arrives
+  // Rows that are played until an answer is there: the policy is asked to go on from them
+  // (real-time chunking). 0: it is not.
+  int rtc_rows = 0;
 
   template <class V>
   void Visit(V& v) {
@@ -37,6 +41,9 @@ struct PlayerOptions {
     v.Field("fade_steps", fade_steps, "ticks over which a late chunk's offset fades out");
     v.Field("max_jump", max_jump, "most a chunk may differ from what was played before it [rad]");
     v.Field("max_age_s", max_age_s, "most age of a chunk's observation when it arrives [s]");
+    v.Late("rtc_rows", rtc_rows, 0,
+           "rows that are played until an answer is there, from which the policy is asked to go "
+           "on; 0: it is not");
   }
 };
 
@@ -51,22 +58,21 @@ enum class ChunkVerdict : uint8_t {
 };
 const char* VerdictName(ChunkVerdict verdict);
 
-// Decides which row of which chunk is the target of a tick.
-//
-// Row i of a chunk is due i rows after its observation, where only ticks count that played a row:
-// while the arm holds, no row falls due. A chunk is entered at the row that is due when it arrives.
-// Entered late (row > 0) the difference between what would have been played and its row is taken
-// over and fades out linearly; joints only, the gripper switches at once. Rows from
-// execute_steps + late_steps on are never played: the queue is empty, the caller decelerates.
+// Decides which row of which chunk is the target of a tick, by ChunkSchedule. Entered late, the
+// difference between what would have been played and a chunk's row is taken over and fades out
+// linearly; joints only, the gripper switches at once. Where the queue is empty the caller
+// decelerates.
 //
 // Allocates nothing. One thread.
 class ChunkPlayer {
  public:
-  explicit ChunkPlayer(const PlayerOptions& options) : options_(options) {}
+  explicit ChunkPlayer(const PlayerOptions& options)
+      : options_(options),
+        schedule_({options.execute_steps, options.late_steps, options.fade_steps}) {}
 
   // Forgets every chunk; `played` goes on, so that answers to earlier requests stay recognisable.
   void StartEpisode(int episode);
-  void Clear();  // forgets the chunk that plays
+  void Clear() { schedule_.Clear(); }  // forgets the chunk that plays
 
   // `held`: where the arm is sent now.
   ChunkVerdict Offer(const ArmChunk& chunk, int64_t now_ns, const ArmVector& held);
@@ -81,21 +87,20 @@ class ChunkPlayer {
   // The row of this tick; false: the queue is empty.
   bool Next(Step& step);
 
-  uint64_t played() const { return played_; }  // rows so far
-  bool empty() const { return row_ >= end_; }
+  uint64_t played() const { return schedule_.played(); }  // rows so far
+  bool empty() const { return schedule_.empty(); }
+  // The chunk that plays (its index; -1: none) and its next row.
+  int chunk() const { return empty() ? -1 : chunk_.chunk; }
+  int row() const { return schedule_.row(); }
 
  private:
   ArmVector Continuation(const ArmVector& held) const;  // what Next would have played
 
   const PlayerOptions options_;
+  ChunkSchedule schedule_;
   ArmChunk chunk_;
   int episode_ = -1;
-  int row_ = 0, end_ = 0;  // next row, one beyond the last
-  int entry_row_ = 0;
-  int fade_left_ = 0;    // ticks
-  ArmVector offset_{};   // at the start of the fade
-  int last_chunk_ = -1;  // index of the newest chunk taken
-  uint64_t played_ = 0;
+  ArmVector offset_{};  // at the start of the fade
 };
 
 }  // namespace robostress

@@ -190,6 +190,8 @@ void ControlLoop::AskForPrediction(int64_t now_ns) {
   request.chunk = next_chunk_;
   request.played = player_.played();
   request.asked_ns = now_ns;
+  request.running = player_.chunk();
+  request.row = player_.row();
   request.position = record_.position;
   if (!prediction_requests_.Push(request)) return;  // its reader is stuck; the watchdog sees it
   ++request_id_;

@@ -38,6 +38,8 @@ struct PredictionRequest {
   int32_t chunk = 0;     // index within the episode
   uint64_t played = 0;   // rows played before
   int64_t asked_ns = 0;  // the tick's start
+  int32_t running = -1;  // chunk that plays; -1: none
+  int32_t row = 0;       // of it, next
   ArmVector position{};  // joints [rad], gripper [m]
 };
 

@@ -43,6 +43,8 @@ absl::Status CheckControlOptions(const ControlOptions& o) {
   }
   if (o.player.fade_steps < 0 || o.player.fade_steps > ArmChunk::kMaxRows)
     return invalid("player.fade_steps is ", o.player.fade_steps, ", must be 0..64");
+  if (o.player.rtc_rows < 0 || o.player.rtc_rows > ArmChunk::kMaxRows)
+    return invalid("player.rtc_rows is ", o.player.rtc_rows, ", must be 0..64");
   const DisturbanceObserverOptions& dob = o.disturbance_observer;
   if (!(dob.bandwidth > 0 && dob.max_correction > 0 && dob.min_dt_s > 0 &&
         dob.max_dt_s >= dob.min_dt_s && std::isfinite(dob.bandwidth + dob.max_dt_s))) {

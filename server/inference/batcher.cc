@@ -139,7 +139,7 @@ absl::StatusOr<SampledPrediction> Batcher::Predict(const PredictionJob& job) {
   pending->priority = job.priority;
   pending->replaceable = job.replaceable;
   pending->group = job.policy.get();
-  pending->alone = job.exact && !job.policy->exact_rows();
+  pending->alone = job.running || (job.exact && !job.policy->exact_rows());
   pending->arrival = SteadyClock::now();
   pending->deadline = After(pending->arrival, job.deadline);
   if (pacer_ != nullptr) pacer_->PredictionArrived(job.priority);
@@ -287,7 +287,12 @@ void Batcher::Compute(const Batch& batch) {
     for (const Row& row : rows) {
       Pending& pending = *batch[row.prediction];
       try {
-        keep(row, policy.Sample(pending.result.context, pending.job->noise, row.lora).squeeze(0));
+        const PolicyContext& context = pending.result.context;
+        const torch::Tensor& noise = pending.job->noise;
+        keep(row,
+             (pending.job->running ? policy.Inpaint(context, noise, row.lora, *pending.job->running)
+                                   : policy.Sample(context, noise, row.lora))
+                 .squeeze(0));
       } catch (const std::exception& error) {
         pending.status = absl::InternalError(absl::StrCat("prediction failed: ", error.what()));
       }

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <thread>
 #include <vector>
 
@@ -36,7 +37,9 @@ struct PredictionJob {
   // may be empty or return null.
   std::function<std::shared_ptr<const LoraWeights>()> adapter;
   bool with_base = false;  // the unadapted policy's chunk beside it
-  bool exact = true;       // lockstep: the bits of a batch of one
+  // What the chunk goes on from (FlowPolicy::Inpaint); such a job is sampled alone.
+  std::optional<RunningRows> running;
+  bool exact = true;  // lockstep: the bits of a batch of one
   uint64_t session = 0;
   Priority priority = Priority::kSimulation;
   absl::Duration deadline = absl::InfiniteDuration();  // from now on

@@ -34,6 +34,12 @@ class FlowPolicy : public VelocityField {
     }
     return at::cat(rows, 0);
   }
+  // As Sample for B = 1: a chunk that goes on from `running` (real-time chunking,
+  // guided_sampler.h). `running` fits the policy (CheckRunningRows), which inpaints.
+  virtual torch::Tensor Inpaint(const PolicyContext& /*context*/, const torch::Tensor& /*noise*/,
+                                const LoraWeights* /*lora*/, const RunningRows& /*running*/) const {
+    TORCH_CHECK(false, InpaintingError(spec().name).message());
+  }
   // Whether every row of SampleRows has the bits of a batch of one, whatever stands beside it.
   // False: the server computes lockstep predictions in batches of one.
   virtual bool exact_rows() const { return true; }

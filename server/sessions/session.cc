@@ -125,6 +125,7 @@ PredictionJob Session::JobOf(std::shared_ptr<const Observation> observation,
     job.priority = async ? Priority::kRobot : Priority::kSimulation;
   if (async) job.deadline = options.deadline;
   job.cancelled = options.cancelled;
+  job.running = options.running;
   return job;
 }
 
@@ -133,6 +134,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(std::shared_ptr<const Observatio
                                                 const PredictOptions& options) {
   UseOneTorchThread();
   RS_RETURN_IF_ERROR(CheckObservation(*observation, policy_spec()));
+  if (options.running) RS_RETURN_IF_ERROR(CheckRunningRows(*options.running, policy_spec()));
 
   auto answer = std::make_shared<PredictedChunk>();
   Eigen::VectorXd correction;

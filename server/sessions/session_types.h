@@ -12,11 +12,12 @@
 // What passes between a session and who calls it. No LibTorch, no protobuf.
 namespace robostress {
 
-// How one prediction is served; decides no result.
+// How one prediction is served; but for `running` it decides no result.
 struct PredictOptions {
   Priority priority = Priority::kUnspecified;          // ROBOT in async, SIMULATION in lockstep
   absl::Duration deadline = absl::InfiniteDuration();  // from now on; async only
   std::function<bool()> cancelled;                     // PredictionJob
+  std::optional<RunningRows> running;                  // what the prediction goes on from
 };
 
 struct FeedbackResult {

@@ -2,6 +2,8 @@
 
 #include "adapter/episode_metrics.h"
 #include "adapter/method_options.h"
+#include "common/robot_description.h"
+#include "common/rollout/motion_smoothness.h"
 
 namespace robostress {
 namespace {
@@ -39,6 +41,11 @@ EpisodeRow MakeEpisodeRow(const UnitConfig& resolved, const EpisodeRecord& recor
   }
   row.mean_abs_action = metrics.mean_abs_action();
   row.clipped_share = metrics.clipped_share();
+  if (resolved.latency.used()) {
+    const MotionSmoothness smoothness = SmoothnessOf(record.chunks, kPanda.control_period_s);
+    row.jerk = smoothness.jerk;
+    row.jump = smoothness.jump;
+  }
   if (in_clean) {
     const EpisodeMetrics lag = MetricsOf(*in_clean, options);
     row.lag_residual = lag.residual();

@@ -94,6 +94,8 @@ class SimPlayer : public UnitPlayer {
     if (unit_.method->every_step) {
       RS_ASSIGN_OR_RETURN(local_, CompensatedPolicy::Create(client_.get(), session, *unit_.method));
     }
+    if (unit_.latency.late() && unit_.latency.mode == LateChunks::kRtc && !client_->spec().inpaints)
+      return InpaintingError(unit_.policy);
     if (unit_.method->adapts() && !client_->spec().adaptable) {
       return absl::InvalidArgumentError(
           absl::StrCat("policy '", unit_.policy, "' cannot be adapted, method '",
@@ -133,6 +135,7 @@ class SimPlayer : public UnitPlayer {
     Film film(task_);
     RolloutOptions rollout;
     rollout.initial_state = planned.initial_state;
+    rollout.late = LatePlayOf(unit_.latency, kPanda.control_period_s);
     if (planned.film) rollout.on_step = [&](int step) { film.OnStep(step); };
     JointLog joints;
     if (options_.record_joints)
@@ -239,6 +242,13 @@ absl::Status RunSimUnit(const UnitConfig& unit, const SimUnitOptions& options,
         absl::StrCat("policy '", resolved.policy,
                      "' runs in a policy server; start one with `robostress serve --policy ",
                      resolved.policy, "` and pass its address with --server HOST:PORT"));
+  }
+  if (resolved.latency.late() && (options.measure_lag || options.record_joints)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "latency.ms is ", resolved.latency.ms, ": ",
+        options.measure_lag ? "--lag plays commands" : "--record-joints records states",
+        " of every step of an episode, and no chunk commands the steps before its first answer; "
+        "leave one of the two out"));
   }
   SimPlayer player(resolved, options, make_task);
   return RunUnit(resolved, options.run, player);

@@ -27,12 +27,19 @@ class SameChunk : public PolicyEndpoint {
     chunk.prediction_id = ++predictions_;
     return chunk;
   }
+  absl::StatusOr<PredictedChunk> PredictAfter(const Observation& observation, int chunk,
+                                              const RunningRows& running) override {
+    if (!goes_on) return PolicyEndpoint::PredictAfter(observation, chunk, running);
+    running_rows = static_cast<int>(running.actions.rows());
+    return Predict(observation, chunk);
+  }
   absl::Status SendFeedback(ExecutedChunk) override {
     ++reported;
     return absl::OkStatus();
   }
   absl::StatusOr<SessionStats> Stats() override { return SessionStats(); }
-  int reported = 0;
+  int reported = 0, running_rows = 0;
+  bool goes_on = false;
 
  private:
   PolicySpec spec_;
@@ -188,6 +195,19 @@ TEST_F(EveryStepTest, AnImpossibleMeasurementCorrectsNothing) {
   executed.final_state = executed.steps[0].before;
   executed.final_state.tool.p_base_tool.x() = -9;  // [m] in a control step
   EXPECT_EQ((*policy_->NextCommand(predicted, executed))[0], 0.4f);
+}
+
+TEST_F(CompensatedPolicyTest, CorrectsAChunkThatGoesOnFromARunningOneAsAnyOther) {
+  Wrap("gain");
+  RunningRows running;
+  running.actions = Eigen::MatrixXf::Ones(3, 7);
+  EXPECT_TRUE(absl::IsUnimplemented(policy_->PredictAfter({}, 0, running).status()));
+  inner_.goes_on = true;
+  const absl::StatusOr<PredictedChunk> predicted = policy_->PredictAfter({}, 0, running);
+  ASSERT_TRUE(predicted.ok()) << predicted.status();
+  EXPECT_EQ(inner_.running_rows, 3);
+  EXPECT_EQ(predicted->actions, Predict(1).actions);
+  EXPECT_NE(predicted->actions, predicted->policy_actions);
 }
 
 }  // namespace

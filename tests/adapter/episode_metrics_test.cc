@@ -40,6 +40,19 @@ TEST(EpisodeMetrics, MeasuresIntentAgainstTheUnadaptedPolicy) {
   EXPECT_NEAR(metrics.residual(), 0.5, 1e-6);
 }
 
+TEST(EpisodeMetrics, LeavesOutWhatIsMasked) {
+  const ExecutedChunk chunk = ToyArm(0.25).Execute(ConstantPrediction(Command(), 5), 5);
+  EpisodeMetrics all({}), some({});
+  all.Add(chunk);
+  ExecutedChunk held = chunk;
+  held.masked = {false, false, false, true, true};
+  for (const size_t i : {3u, 4u}) held.steps[i].policy_command.setZero();
+  some.Add(held);
+  EXPECT_EQ(some.steps(), 3);
+  EXPECT_NEAR(some.residual(), all.residual(), 1e-9);
+  EXPECT_NEAR(some.mean_abs_action(), all.mean_abs_action(), 1e-9);
+}
+
 TEST(EpisodeMetrics, SaysWhenTheUnadaptedPolicyIsUnknown) {
   PredictedChunk prediction = ConstantPrediction(Command(), 5);
   prediction.base_actions.resize(0, 0);

@@ -22,6 +22,7 @@ constexpr int64_t kPeriod_ns = 33'333'333;
 struct Seen {
   std::vector<Observation> observations;
   std::vector<ExecutedChunk> feedback;
+  std::vector<RunningRows> running;
   std::vector<EpisodeKey> episodes;
   int sessions = 0;
   absl::Status predict_status;  // the next predictions fail with it
@@ -58,6 +59,11 @@ class FakeEndpoint : public PolicyEndpoint {
     chunk.actions = chunk.policy_actions;
     return chunk;
   }
+  absl::StatusOr<PredictedChunk> PredictAfter(const Observation& observation, int chunk,
+                                              const RunningRows& running) override {
+    seen_->running.push_back(running);
+    return Predict(observation, chunk);
+  }
   absl::Status SendFeedback(ExecutedChunk executed) override {
     EXPECT_EQ(executed.sequence, ++sequence_);
     EXPECT_LE(executed.prediction_id, predictions_);
@@ -86,7 +92,8 @@ struct Bench {
   NoCameras nothing;
 
   // `watched`: the loop looks at the camera's stamps too, and holds the arm first.
-  explicit Bench(bool watched = true) {
+  explicit Bench(bool watched = true, int rtc_rows = 0) {
+    if (rtc_rows > 0) seen.alter = [](PolicySpec& spec) { spec.inpaints = true; };
     EXPECT_TRUE(arm.Connect().ok());
     EXPECT_TRUE(camera.Start().ok());
     auto made = ControlLoop::Create({}, &arm, &clock,
@@ -95,6 +102,7 @@ struct Bench {
     loop = *std::move(made);
     PolicyLinkOptions options;
     options.instruction = "open the drawer";
+    options.rtc_rows = rtc_rows;
     link = std::make_unique<PolicyLink>(options, loop.get(), &clock,
                                         std::vector<FrameSource*>{&camera}, [this] {
                                           return absl::StatusOr<std::unique_ptr<PolicyEndpoint>>(
@@ -181,6 +189,24 @@ TEST(PolicyLinkTest, ShowsThePolicyTheNewestPictureTheJointsAndTheInstruction) {
   }
   EXPECT_EQ(bench.seen.episodes.size(), 1u);
   EXPECT_EQ(bench.seen.episodes[0].task, 2);
+}
+
+TEST(PolicyLinkTest, AsksThePolicyToGoOnFromTheRowsThatAreLeft) {
+  Bench bench(/*watched=*/true, /*rtc_rows=*/3);
+  bench.Start();
+  bench.Ticks(35);
+  ASSERT_GE(bench.seen.observations.size(), 3u);
+  ASSERT_EQ(bench.seen.running.size(), bench.seen.observations.size() - 1) << "not the first";
+  for (size_t i = 0; i < bench.seen.running.size(); ++i) {
+    const RunningRows& running = bench.seen.running[i];
+    EXPECT_EQ(running.held, 3);
+    ASSERT_EQ(running.actions.rows(), 40) << "ten of fifty were played";
+    EXPECT_FLOAT_EQ(running.actions(0, 0), bench.seen.observations[i].proprioception[0] + 0.11f)
+        << "the eleventh row of the chunk before";
+  }
+  bench.seen.alter = nullptr;
+  EXPECT_THAT(std::string(bench.link->Open().message()),
+              HasSubstr("rtc_rows is 3, and policy 'fake' cannot go on"));
 }
 
 TEST(PolicyLinkTest, ReportsEveryTenRowsInOrderWithoutGaps) {

@@ -9,6 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "common/check.h"
 #include "common/status_macros.h"
+#include "server/policies/guided_sampler.h"
 #include "server/policies/nano/nano_network.h"
 #include "server/policies/nano/nano_sampler.h"
 
@@ -35,7 +36,7 @@ class NanoPolicy : public FlowPolicy {
     spec_.action_dim = model_.config.action_dim;
     spec_.horizon = model_.config.horizon;
     spec_.execute_steps = model_.config.execute_steps;
-    spec_.adaptable = true;
+    spec_.adaptable = spec_.inpaints = true;
     spec_.control_space =
         model_.config.displacement_channels > 0 ? ControlSpace::kJoint : ControlSpace::kEndEffector;
     // What demonstrations hold, and what the controller takes. Absolute joint targets have other
@@ -92,6 +93,21 @@ class NanoPolicy : public FlowPolicy {
   Tensor SampleRows(const PolicyContext& context, const Tensor& noise,
                     const std::vector<const LoraWeights*>& lora) const override {
     return sampler_.Sample(context, noise, lora);
+  }
+
+  Tensor Inpaint(const PolicyContext& context, const Tensor& noise, const LoraWeights* lora,
+                 const RunningRows& running) const override {
+    const int64_t horizon = model_.config.horizon, rows = running.actions.rows(),
+                  dim = spec_.action_dim;
+    Guidance guidance;
+    guidance.rows = torch::zeros({horizon, model_.config.model_action_dim});
+    guidance.rows.narrow(0, 0, rows)
+        .narrow(1, 0, dim)
+        .copy_(ToModel(running.actions, context.state));
+    guidance.weight = torch::zeros_like(guidance.rows);  // of padding: none
+    guidance.weight.narrow(1, 0, dim).copy_(
+        SoftMask(running.held, rows, horizon).unsqueeze(1).expand({horizon, dim}));
+    return SampleGuided(*this, context, noise, lora, EulerTimes(kEulerSteps), guidance);
   }
 
   Eigen::MatrixXf ToEnvironment(const Tensor& chunk, const Tensor& state) const override {

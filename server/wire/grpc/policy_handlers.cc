@@ -230,6 +230,9 @@ absl::Status PolicyHandlers::Predict(GrpcCallView& call, const v1::PredictReques
   RS_ASSIGN_OR_RETURN(options.priority, FromProto(request.priority()));
   if (request.deadline_ms() > 0) options.deadline = absl::Milliseconds(request.deadline_ms());
   options.cancelled = [&call] { return call.cancelled(); };
+  if (request.has_running()) {
+    RS_ASSIGN_OR_RETURN(options.running, FromProto(request.running()));
+  }
   const ChunkKey key{{static_cast<int>(request.task()), static_cast<int>(request.episode())},
                      static_cast<int>(request.chunk())};
   RS_ASSIGN_OR_RETURN(

@@ -66,17 +66,18 @@ uint64_t OpenpiConversation::LargestMessage() const {
 std::string OpenpiConversation::Greeting() {
   const std::vector<PolicySpec> policies = host_->policies();
   OpenpiWriter writer;
-  writer.Map(3).Text("server").Text("robostress").Text("extensions").List(4);
-  for (const char* key : {"session", "episode", "reset", "executed"}) writer.Text(key);
+  writer.Map(3).Text("server").Text("robostress").Text("extensions").List(5);
+  for (const char* key : {"session", "episode", "reset", "executed", "running"}) writer.Text(key);
   writer.Text("policies").List(static_cast<uint32_t>(policies.size()));
   for (const PolicySpec& policy : policies) {
-    writer.Map(10).Text("name").Text(policy.name);
+    writer.Map(11).Text("name").Text(policy.name);
     writer.Text("cameras").List(static_cast<uint32_t>(policy.cameras.size()));
     for (const std::string& camera : policy.cameras) writer.Text(camera);
     writer.Text("state_dim").Integer(policy.state_dim);
     writer.Text("action_dim").Integer(policy.action_dim);
     writer.Text("action_horizon").Integer(policy.horizon);
     writer.Text("execute_steps").Integer(policy.execute_steps);
+    writer.Text("inpaints").Boolean(policy.inpaints);
     writer.Text("image_width").Integer(policy.image_width);
     writer.Text("image_height").Integer(policy.image_height);
     // Whether views of other sizes are taken from a client that does not ask for it.
@@ -232,11 +233,15 @@ absl::StatusOr<std::string> OpenpiConversation::Answer(std::string_view message)
     RS_ASSIGN_OR_RETURN(Observation observation,
                         ReadOpenpiObservation(request, policy_, options_.input, resize_));
     RS_RETURN_IF_ERROR(EnterEpisode(*session, request));
+    PredictOptions how;
+    if (const OpenpiValue* running = request.Find("running")) {
+      RS_ASSIGN_OR_RETURN(how.running, ReadOpenpiRunning(*running, policy_));
+    }
     const Clock::time_point start = Clock::now();
     RS_ASSIGN_OR_RETURN(
         const PredictedChunk prediction,
         session->Predict(std::make_shared<const Observation>(std::move(observation)),
-                         {*episode_, chunk_}, feedback_sequence_, {}, start));
+                         {*episode_, chunk_}, feedback_sequence_, std::move(how), start));
     inferred = Clock::now();
     infer_ms = Milliseconds(inferred - start);
     infer_seconds_->Observe(infer_ms / 1e3);

@@ -24,6 +24,7 @@ struct OpenpiOptions {
 //             true there: views of other sizes than the policy's are resized
 //   episode   {task, episode}                 a new episode; `reset`: true: the next one
 //   executed  {...}                           what it did with an earlier reply: feedback
+//   running   {actions, held}                 the prediction goes on from these rows
 // and every reply says the adapter's version. A message with `executed` and no `prompt` only
 // reports. One thread.
 class OpenpiConversation : public WebConversation {

@@ -144,6 +144,24 @@ absl::StatusOr<bool> ReadOpenpiResize(const OpenpiValue& session, bool fallback)
   return *flag;
 }
 
+absl::StatusOr<RunningRows> ReadOpenpiRunning(const OpenpiValue& value, const PolicySpec& policy) {
+  RS_RETURN_IF_ERROR(CheckKeys("running", value, {"actions", "held"}));
+  const OpenpiValue *actions = value.Find("actions"), *held = value.Find("held");
+  if (actions == nullptr || held == nullptr) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "running/", actions == nullptr ? "actions" : "held",
+        ": is missing; give the rows that are left of the running chunk, and how many are held"));
+  }
+  RS_ASSIGN_OR_RETURN(
+      const Eigen::MatrixXd rows,
+      OpenpiMatrix("running/actions", *actions, {1, policy.horizon}, policy.action_dim));
+  RunningRows running;
+  running.actions = rows.cast<float>();
+  RS_ASSIGN_OR_RETURN(const int64_t number, OpenpiInteger("running/held", *held, 0, rows.rows()));
+  running.held = static_cast<int>(number);
+  return running;
+}
+
 absl::StatusOr<OpenpiExecuted> ReadOpenpiExecuted(const OpenpiValue& value,
                                                   const PolicySpec& policy,
                                                   double control_period_s) {

@@ -44,4 +44,7 @@ absl::StatusOr<OpenpiExecuted> ReadOpenpiExecuted(const OpenpiValue& executed,
                                                   const PolicySpec& policy,
                                                   double control_period_s);
 
+// "running": {actions [n, action_dim], held}: PredictRequest.running of policy.proto.
+absl::StatusOr<RunningRows> ReadOpenpiRunning(const OpenpiValue& running, const PolicySpec& policy);
+
 }  // namespace robostress

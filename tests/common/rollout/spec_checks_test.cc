@@ -1,5 +1,7 @@
 #include "common/rollout/spec_checks.h"
 
+#include <cmath>
+
 #include "tests/common/rpc/wire_samples.h"
 
 namespace robostress {
@@ -64,6 +66,40 @@ TEST(SpecChecks, NameTheFieldOfASessionThatIsWrong) {
           << wrong;
     }
   }
+}
+
+TEST(SpecChecks, NameWhatIsWrongWithRunningRows) {
+  PolicySpec spec;
+  spec.name = "fake";
+  spec.action_dim = 3;
+  spec.horizon = 4;
+  RunningRows running;
+  running.actions = Eigen::MatrixXf::Constant(2, 3, 0.5f);
+  running.held = 2;
+  EXPECT_TRUE(absl::IsUnimplemented(CheckRunningRows(running, spec)));
+  spec.inpaints = true;
+  EXPECT_TRUE(CheckRunningRows(running, spec).ok());
+  const auto refusal = [&](auto damage) {
+    RunningRows wrong = running;
+    damage(wrong);
+    const absl::Status status = CheckRunningRows(wrong, spec);
+    EXPECT_TRUE(absl::IsInvalidArgument(status));
+    return std::string(status.message());
+  };
+  EXPECT_EQ(refusal([](RunningRows& r) { r.actions.resize(5, 3); }),
+            "running.actions is 5 x 3, policy 'fake' takes 1 to 4 rows x 3");
+  EXPECT_EQ(refusal([](RunningRows& r) { r.actions.resize(0, 3); }),
+            "running.actions is 0 x 3, policy 'fake' takes 1 to 4 rows x 3");
+  EXPECT_EQ(refusal([](RunningRows& r) { r.actions.setZero(2, 2); }),
+            "running.actions is 2 x 2, policy 'fake' takes 1 to 4 rows x 3");
+  EXPECT_EQ(refusal([](RunningRows& r) { r.held = 3; }),
+            "running.held is 3, must be 0 to the 2 rows of running.actions");
+  EXPECT_EQ(refusal([](RunningRows& r) { r.held = -1; }),
+            "running.held is -1, must be 0 to the 2 rows of running.actions");
+  EXPECT_EQ(refusal([](RunningRows& r) { r.actions(1, 2) = -1001; }),
+            "running.actions[1,2] is -1001, must be within +-1000");
+  EXPECT_EQ(refusal([](RunningRows& r) { r.actions(0, 1) = std::nanf(""); }),
+            "running.actions[0,1] is nan, must be within +-1000");
 }
 
 }  // namespace

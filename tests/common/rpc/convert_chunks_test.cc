@@ -170,5 +170,23 @@ TEST(ConvertTest, RefusesHostilePredictions) {
                                              "base_actions is 4 x 2, must be 4 x 3"}});
 }
 
+TEST(ConvertTest, RunningRowsSurviveTheWireAndHostileOnesAreRefused) {
+  RunningRows sent;
+  sent.actions = Eigen::MatrixXf::Random(3, 2);
+  sent.held = 2;
+  const absl::StatusOr<RunningRows> got = FromProto(Transmit(ToProto(sent)));
+  ASSERT_TRUE(got.ok()) << got.status();
+  EXPECT_EQ(got->actions, sent.actions);
+  EXPECT_EQ(got->held, 2);
+  using M = v1::RunningRows;
+  ExpectRefused<M>(
+      ToProto(sent),
+      {{[](M& m) { m.set_held(4); }, "running.held is 4, must be 0 to 3"},
+       {[](M& m) { m.clear_actions(); }, "running.actions.rows is 0, must be 1 to"},
+       {[](M& m) { m.mutable_actions()->set_data(1, HUGE_VALF); }, "running.actions[0,1] is inf"},
+       {[](M& m) { m.mutable_actions()->add_data(1); },
+        "running.actions has 7 values, 3 x 2 needs 6"}});
+}
+
 }  // namespace
 }  // namespace robostress

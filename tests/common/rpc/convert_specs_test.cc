@@ -43,6 +43,7 @@ TEST(ConvertTest, PolicySpecSurvivesTheWire) {
   spec.cameras = {"agentview", "robot0_eye_in_hand"};
   spec.resizes_images = true;
   spec.max_view_side = 640;
+  spec.inpaints = true;
   spec.action_low = {-1, -2, 0};
   spec.action_high = {1, 0.5f, 0};
   const absl::StatusOr<PolicySpec> got = FromProto(Transmit(ToProto(spec)));
@@ -52,6 +53,7 @@ TEST(ConvertTest, PolicySpecSurvivesTheWire) {
   EXPECT_EQ(got->action_high, spec.action_high);
   EXPECT_TRUE(got->resizes_images);
   EXPECT_EQ(got->max_view_side, 640);
+  EXPECT_TRUE(got->inpaints);
 }
 
 TEST(ConvertTest, RefusesHostilePolicySpecs) {

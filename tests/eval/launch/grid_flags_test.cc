@@ -108,5 +108,16 @@ TEST(GridFlagsTest, WithoutAProtocolNothingOfItIsSet) {
   EXPECT_THAT(grid->overrides, IsEmpty());
 }
 
+TEST(GridFlagsTest, LateSaysWhatTheArmDoesWhereAnswersTakeTime) {
+  const absl::StatusOr<SweepGrid> grid = GridOf({"--latency-ms", "150", "--late", "waiting"});
+  ASSERT_TRUE(grid.ok()) << grid.status();
+  EXPECT_EQ(grid->latency.ms, 150);
+  EXPECT_EQ(grid->latency.mode, LateChunks::kWaiting);
+  EXPECT_FALSE(GridOf({})->latency.used());
+  EXPECT_THAT(std::string(GridOf({"--late", "rtc"}).status().message()),
+              HasSubstr("give --latency-ms N"));
+  EXPECT_TRUE(GridOf({"--late", "rtc", "--set", "latency.ms=50"}).ok());
+}
+
 }  // namespace
 }  // namespace robostress

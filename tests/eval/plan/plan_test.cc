@@ -14,6 +14,7 @@ namespace {
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 std::vector<PlannedUnit> Plan(const SweepGrid& grid) {
   const absl::StatusOr<SweepGrid> resolved = ResolveGrid(grid);
@@ -233,6 +234,33 @@ TEST(Plan, StepLimitsReachLiberosSuitesAndNoOthers) {
   EXPECT_EQ(HorizonOf(unit), 220) << "the suite's own";
   unit.horizon = -1;
   EXPECT_THAT(std::string(ResolveUnit(unit).status().message()), HasSubstr("horizon is -1"));
+}
+
+TEST(Plan, LatencyIsPartOfEveryUnitAndStandsInNoneWithout) {
+  SweepGrid grid;
+  grid.scenarios = {"clean"};
+  EXPECT_THAT(DumpConfig(Plan(grid)[0].config), Not(HasSubstr("latency")));
+  grid.latency.ms = 150;
+  grid.overrides = {"latency.mode=rtc"};
+  for (const PlannedUnit& unit : Plan(grid)) {
+    EXPECT_EQ(unit.config.latency.ms, 150);
+    EXPECT_EQ(unit.config.latency.mode, LateChunks::kRtc);
+    EXPECT_THAT(DumpConfig(unit.config), HasSubstr("mode: rtc"));
+  }
+  grid.policies = {"expert"};
+  grid.methods = {"base"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("policy 'expert' cannot go on from a running chunk"));
+  grid.overrides = {};
+  EXPECT_TRUE(ResolveGrid(grid).ok());
+  grid.latency.ms = 10001;
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("latency.ms is 10001, must be 0 to 10000"));
+  grid = {};
+  grid.robot = "piper";
+  grid.latency.ms = 100;
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("its client's is client.latency_ticks"));
 }
 
 TEST(Plan, GridSurvivesItsFile) {

@@ -161,6 +161,39 @@ TEST_F(BatcherTest, WhatWaitsAtTheSameTimeSharesAPassAndEachRowHasTheBitsOfABatc
   EXPECT_EQ(batcher.counters().batches, 2u);
 }
 
+// Goes on from a chunk by saying it again.
+class Repeats : public GatedPolicy {
+ public:
+  torch::Tensor Inpaint(const PolicyContext&, const torch::Tensor& noise, const LoraWeights*,
+                        const RunningRows& running) const override {
+    return torch::full_like(noise, running.actions(0, 0));
+  }
+};
+
+TEST_F(BatcherTest, AChunkThatGoesOnFromAnotherIsSampledAlone) {
+  policy_ = std::make_shared<Repeats>();
+  Batcher batcher(OneThread());
+  Asked held = Hold(batcher);
+  std::vector<Asked> asked;
+  for (uint64_t i = 0; i < 3; ++i) {
+    PredictionJob job = Job(i);
+    job.exact = false;
+    if (i == 1) {
+      job.running.emplace();
+      job.running->actions = Eigen::MatrixXf::Constant(1, 7, 0.25f);
+    }
+    asked.push_back(Ask(batcher, job));
+    AwaitWaiting(batcher, static_cast<int>(i) + 1);
+  }
+  policy_->gate.Notify();
+  for (uint64_t i = 0; i < 3; ++i) {
+    const auto answer = asked[i].answer.get();
+    ASSERT_TRUE(answer.ok()) << answer.status();
+    EXPECT_EQ(answer->batch_size, i == 1 ? 1 : 2);
+    EXPECT_EQ((answer->raw == 0.25).all().item<bool>(), i == 1);
+  }
+}
+
 TEST_F(BatcherTest, ABatchHoldsNoMoreThanItMay) {
   Batcher batcher(OneThread(2));
   Asked held = Hold(batcher);

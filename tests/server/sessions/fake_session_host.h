@@ -67,12 +67,13 @@ class FakeSessionHost : public SessionHost {
       return absl::OkStatus();
     }
     absl::StatusOr<PredictedChunk> Predict(std::shared_ptr<const Observation> observation,
-                                           const ChunkKey& key, uint64_t, PredictOptions,
+                                           const ChunkKey& key, uint64_t, PredictOptions how,
                                            std::chrono::steady_clock::time_point) override {
       absl::MutexLock lock(&host_.mu);
       if (host_.out_of_memory) throw std::bad_alloc();
       host_.observations.push_back(*observation);
       host_.chunks.push_back(key.chunk);
+      host_.running.push_back(std::move(how.running));
       PredictedChunk prediction;
       prediction.prediction_id = host_.observations.size();
       prediction.actions = Eigen::MatrixXf(host_.spec.horizon, host_.spec.action_dim);
@@ -117,6 +118,7 @@ class FakeSessionHost : public SessionHost {
   std::vector<EpisodeKey> episodes;
   std::vector<Observation> observations;
   std::vector<int> chunks;
+  std::vector<std::optional<RunningRows>> running;
   std::vector<SessionUse::Recalled> predictions;
   std::vector<ExecutedChunk> taken;
 };

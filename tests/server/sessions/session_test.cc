@@ -344,6 +344,19 @@ TEST(Session, RefusesMethodOptionsThatMakeNoSense) {
   EXPECT_THAT(refusal(unknown), HasSubstr("unknown method 'magic'; known: base, ours"));
 }
 
+TEST(Session, GoesOnFromARunningChunkOnlyWhereThePolicyCan) {
+  Rig rig;
+  const auto session = rig.Open(Spec("base"));
+  ASSERT_TRUE(session->StartEpisode({0, 0}, 0).ok());
+  const auto observation = Shared(FakePolicy::MakeObservation(0));
+  PredictOptions options;
+  options.running.emplace();
+  options.running->actions = Eigen::MatrixXf::Zero(2, 7);
+  const absl::Status refused = session->Predict(observation, {{0, 0}, 0}, 0, options).status();
+  EXPECT_TRUE(absl::IsUnimplemented(refused)) << refused;
+  EXPECT_TRUE(session->Predict(observation, {{0, 0}, 0}, 0).ok());
+}
+
 TEST(Session, RefusesAnObservationOfAnotherShape) {
   Rig rig;
   const auto session = rig.Open(Spec("base"));

@@ -725,5 +725,28 @@ TEST_F(OpenpiEndpointTest, LosesNothingToAThousandConnections) {
   EXPECT_TRUE(host_.sessions.empty());
 }
 
+TEST_F(OpenpiEndpointTest, ReadsTheRowsOfARunningChunk) {
+  Start();
+  const auto client = Connect();
+  const auto ask = [&](int rows, int held) {
+    OpenpiBytes message;
+    LiberoKeys(message.Map(5)).Text("running").Map(2).Text("held").Integer(held);
+    message.Text("actions").Numbers<float>(
+        "<f4", {rows, host_.spec.action_dim},
+        std::vector<float>(static_cast<size_t>(rows * host_.spec.action_dim), 0.25f));
+    return Ask(*client, message.bytes());
+  };
+  ASSERT_FALSE(Ask(*client, LiberoObservation()).text);
+  ASSERT_FALSE(ask(3, 2).text);
+  ASSERT_EQ(host_.running.size(), 2u);
+  EXPECT_FALSE(host_.running[0]);
+  ASSERT_TRUE(host_.running[1]);
+  EXPECT_EQ(host_.running[1]->held, 2);
+  EXPECT_EQ(host_.running[1]->actions, Eigen::MatrixXf::Constant(3, host_.spec.action_dim, 0.25f));
+  const WebSocketMessage refused = ask(1, 2);
+  EXPECT_TRUE(refused.text);
+  EXPECT_THAT(refused.bytes, HasSubstr("running/held"));
+}
+
 }  // namespace
 }  // namespace robostress

@@ -64,6 +64,12 @@ TEST(UnitPlanTest, BadInputNamesKeyValueAndWhatIsAllowed) {
       {"first_initial_state: 50", "first_initial_state is 50, must be 0 to 49"},
       {"videos: -1", "videos is -1"},
       {"policy: ''", "policy is empty"},
+      {"latency: {ms: -1}", "latency.ms is -1, must be 0 to 10000"},
+      {"latency: {fade_steps: 1001}", "latency.fade_steps is 1001, must be 0 to 1000"},
+      {"latency: {mode: wait}", "waiting, switch, crossfade, rtc"},
+      {"latency: {moved_bound: .nan}", "latency.moved_bound"},
+      {"{policy: replay, latency: {ms: 50, mode: rtc}}", "policy 'replay' cannot go on"},
+      {"{method: {method: ours_following_step}, latency: {ms: 50}}", "corrects every step"},
       {"{policy: expert, method: {method: ours}}", "policy 'expert' has nothing to adapt"},
   };
   for (const auto& [yaml, message] : cases) {

@@ -203,6 +203,29 @@ TEST_F(UnitRunnerTest, LagIsWhatTheSameCommandsLeaveWithoutErrors) {
   }
 }
 
+TEST_F(UnitRunnerTest, AnswersThatAreLateStandInTheUnitAndItsRows) {
+  unit.policy = "expert";
+  unit.method = *MakeMethod("base");
+  ASSERT_TRUE(Run("now").ok());
+  EXPECT_EQ(Read("now", "config.yaml").find("latency"), std::string::npos);
+  EXPECT_FALSE(Rows("now")[0].contains("jerk"));
+  unit.latency.ms = 120;  // three control steps
+  unit.latency.mode = LateChunks::kWaiting;
+  EXPECT_EQ(Run("now").code(), absl::StatusCode::kFailedPrecondition) << "another unit";
+  ASSERT_TRUE(Run("late").ok());
+  EXPECT_NE(Read("late", "config.yaml").find("latency:\n  ms: 120\n  mode: waiting"),
+            std::string::npos)
+      << Read("late", "config.yaml");
+  const std::vector<json> now = Rows("now"), late = Rows("late");
+  for (size_t i = 0; i < now.size(); ++i) {
+    EXPECT_EQ(late[i]["steps"].get<int>(), now[i]["steps"].get<int>() + 3) << "one answer's hold";
+    EXPECT_TRUE(late[i].contains("jerk") && late[i].contains("jump"));
+    EXPECT_EQ(late[i]["residual"], now[i]["residual"]) << "of the steps that it commanded";
+  }
+  measure_lag = true;
+  EXPECT_EQ(Run("lag").code(), absl::StatusCode::kInvalidArgument);
+}
+
 TEST_F(UnitRunnerTest, FinishedUnitReturnsAtOnce) {
   ASSERT_TRUE(Run("a").ok());
   const int predictions = server->predictions();
