@@ -62,18 +62,19 @@ RunData RunOf(const std::string& folder) {
 }
 
 TEST(ServedPolicies, AUnitKeepsWhoAnsweredItAndWhatBroke) {
-  const std::string folder = TestFolder() + "/" + UnitId(RemoteUnit(4));
-  const UnitConfig unit = *ResolveUnit(RemoteUnit(4));
+  const std::string folder = TestFolder() + "/" + UnitId(RemoteUnit(5));
+  const UnitConfig unit = *ResolveUnit(RemoteUnit(5));
   UnitRunOptions options;
   options.out = folder;
   ServedPlayer first({"ws://a:1/", "{}", 0}, {{"ws://a:1/", "{}", 0}, {"ws://a:1/", "{}", 2}});
   EXPECT_FALSE(RunUnit(unit, options, first).ok());
-  ServedPlayer second({"ws://b:2/", "{}", 0}, {{"ws://b:2/", "{}", 0}, {"ws://b:2/", "{}", 1}});
+  ServedPlayer second({"ws://b:2/", "{}", 0},
+                      {{"ws://b:2/", "{}", 0}, {"ws://b:2/", "{}", 1}, {"ws://b:2/", "{}", 4}});
   ASSERT_TRUE(RunUnit(unit, options, second).ok());
 
   const RunData run = RunOf(folder);
   const std::vector<ServerRow>& rows = run.units[0].servers;
-  ASSERT_THAT(rows, SizeIs(4));
+  ASSERT_THAT(rows, SizeIs(5));
   EXPECT_EQ(rows[0].url, "ws://a:1/");
   EXPECT_EQ(rows[0].episode, 0);
   EXPECT_EQ(rows[1].episode, 1) << "when the connection broke";
@@ -81,15 +82,16 @@ TEST(ServedPolicies, AUnitKeepsWhoAnsweredItAndWhatBroke) {
   EXPECT_EQ(rows[2].url, "ws://b:2/") << "a run that goes on elsewhere says so";
   EXPECT_EQ(rows[2].episode, 2);
   EXPECT_EQ(rows[3].reconnections, 1);
+  EXPECT_EQ(rows[4].reconnections, 3) << "of that episode alone";
   const std::vector<ServedPolicy> served = ServedPolicies(run);
   ASSERT_THAT(served, SizeIs(1));
-  EXPECT_EQ(served[0].reconnections, 3);
+  EXPECT_EQ(served[0].reconnections, 6);
   EXPECT_THAT(served[0].changed, IsEmpty());
   EXPECT_THAT(served[0].metadata_sha256, ElementsAre(Sha256Hex("{}")));
   EXPECT_FALSE(served[0].noise_paired);
   const std::string notes = absl::StrJoin(ServerNotes(run), "\n");
   EXPECT_THAT(notes, HasSubstr("ws://a:1/ (1), ws://b:2/ (1)"));
-  EXPECT_THAT(notes, HasSubstr("3 reconnections."));
+  EXPECT_THAT(notes, HasSubstr("6 reconnections."));
 }
 
 TEST(ServedPolicies, MetadataThatChangesInMidRunIsAWarningThatNamesTheUnit) {
