@@ -102,10 +102,10 @@ std::optional<ExitState> ChildProcess::Wait(int timeout_ms) {
   int status = 0;
   if (waitpid(pid_, &status, WNOHANG) != pid_) return std::nullopt;
   if (WIFEXITED(status)) {
-    exit_ = ExitState{WEXITSTATUS(status), absl::StrCat("exit code ", WEXITSTATUS(status))};
+    exit_ = ExitState{WEXITSTATUS(status), 0, absl::StrCat("exit code ", WEXITSTATUS(status))};
   } else {
     const int signal = WTERMSIG(status);
-    exit_ = ExitState{128 + signal,
+    exit_ = ExitState{128 + signal, signal,
                       absl::StrCat("killed by signal ", signal, " (", strsignal(signal), ")")};
   }
   return exit_;

@@ -15,6 +15,7 @@ namespace robostress {
 // How a child ended.
 struct ExitState {
   int code = 0;      // exit code, or 128 + signal
+  int signal = 0;    // that ended it; 0: none
   std::string text;  // "exit code 3", "killed by signal 9 (Killed)"
 };
 

@@ -53,8 +53,12 @@ absl::Status WorkerPool::Collect(PoolOutcome& outcome) {
     const std::string name = item.Name();
     const bool failed = exit->code != 0 || !item.Done(run_);
     const bool served = !worker->place.address.empty();
-    if (failed && served && losses_ < options_.server_losses &&
-        servers_.Lost(item.unit->config.policy, worker->place)) {
+    if (failed && exit->signal != 0 && kills_[name]++ < options_.kills_per_item) {
+      progress_.Say(absl::StrCat("unit ", name, ": its worker was ", exit->text,
+                                 "; another one goes on with the episode that it was in"));
+      waiting_.push_front(item);
+    } else if (failed && served && losses_ < options_.server_losses &&
+               servers_.Lost(item.unit->config.policy, worker->place)) {
       ++losses_;
       progress_.Say(absl::StrCat("unit ", name, ": its server ", worker->place.address,
                                  " is gone; it goes on with another one"));

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <deque>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -21,6 +22,8 @@ struct PoolOptions {
   bool record_joints = false;
   // How often an item whose server was lost is begun again before that is an error.
   int server_losses = 20;
+  // The same for one item whose worker a signal killed, as where memory ran out.
+  int kills_per_item = 3;
 };
 
 // What became of the items of one call.
@@ -31,8 +34,8 @@ struct PoolOutcome {
 };
 
 // Runs items on worker processes, at most `workers` at a time, in the order given. An item that
-// fails is reported with the end of its log, the others go on; one whose server was lost is run
-// again. Unavailable when no server can be had, or an own server has ended.
+// fails is reported with the end of its log, the others go on; one whose server was lost, or whose
+// worker was killed, is run again. Unavailable when no server can be had, or an own server has ended.
 class WorkerPool {
  public:
   WorkerPool(const RunDirectory& run, const PoolOptions& options, ServerSource& servers,
@@ -59,6 +62,7 @@ class WorkerPool {
   std::deque<WorkItem> waiting_;
   std::vector<Running> running_;
   int losses_ = 0;
+  std::map<std::string, int> kills_;  // by item
 };
 
 }  // namespace robostress

@@ -2,12 +2,14 @@
 // simulator: outcomes are drawn from streams keyed by the episode, so they are the same in every
 // order of dispatch.
 //   FAKE_FAIL_SCENARIO=name  exits with code 3 in units of that scenario
+//   FAKE_KILL_SCENARIO=name  is killed in units of that scenario
 //   FAKE_EPISODE_MS=n        takes that long per episode
 //   FAKE_WORKER_GATE=file    waits before its second episode until that file is there
 // Unlike the real worker it begins a unit that was interrupted from its first episode.
 
 #include <fcntl.h>
 #include <poll.h>
+#include <signal.h>
 #include <sys/file.h>
 #include <unistd.h>
 
@@ -106,6 +108,8 @@ int Run(const WorkerArguments& options) {
     std::fprintf(stderr, "fake worker: no simulator for scenario %s\n", fail);
     return 3;
   }
+  const char* killed = std::getenv("FAKE_KILL_SCENARIO");
+  if (killed != nullptr && config->scenario == killed) raise(SIGKILL);
   const char* episode_ms = std::getenv("FAKE_EPISODE_MS");
   int first = 0, last = static_cast<int>(config->tasks.size()) * config->episodes - 1;
   if (!options.episodes.empty() &&

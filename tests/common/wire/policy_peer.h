@@ -1,5 +1,6 @@
 #pragma once
 
+#include <fcntl.h>
 #include <sys/socket.h>
 
 #include <atomic>
@@ -57,7 +58,10 @@ class PolicyPeer {
               ScriptedPeer::Write(web, reply);
             }
           }
-        }) {}
+        }) {
+    // The port is free when this ends, whatever program a test has started.
+    ::fcntl(acceptor_.native_handle(), F_SETFD, FD_CLOEXEC);
+  }
   ~PolicyPeer() {
     ended_ = true;
     ::shutdown(live_, SHUT_RDWR);  // whatever it waits for

@@ -3,19 +3,24 @@
 // bad one. Peers from PyPI are skipped, with the reason, where they cannot be installed.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <boost/asio/buffer.hpp>
 #include <boost/asio/read_until.hpp>
 #include <boost/asio/write.hpp>
 #include <chrono>
 #include <filesystem>
 #include <limits>
+#include <memory>
 #include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
@@ -46,15 +51,14 @@ class PolicyPeers : public ::testing::Test {
   }
   ~PolicyPeers() override { std::filesystem::remove_all(folder_); }
 
-  // One task, one scenario, one episode.
+  // One task, one scenario.
   std::pair<std::string, int> Sweep(const std::string& arguments, const std::string& out = "run",
                                     const std::string& environment = "env") const {
     return RunProgram(
         environment,
-        absl::StrCat(BIN_DIR,
-                     "/robostress-sweep --suites tabletop_goal --tasks 3-3 --episodes 1 "
-                     "--scenarios heavy_payload --workers 1 --quiet --out ",
-                     Path(out), " ", arguments));
+        absl::StrCat(BIN_DIR, "/robostress-sweep --suites tabletop_goal --tasks 3-3 --episodes ",
+                     episodes_, " --scenarios heavy_payload --workers 1 --quiet --out ", Path(out),
+                     " ", arguments));
   }
   // The same of a policy that somebody else serves, under the method base alone.
   std::pair<std::string, int> Ask(const std::string& url, const std::string& more = "",
@@ -69,6 +73,7 @@ class PolicyPeers : public ::testing::Test {
   std::string Read(const std::string& file) const { return ReadFile(file).value_or("no file"); }
 
   const std::string folder_;
+  int episodes_ = 1;
 };
 
 // A server made of openpi-client's packages on openpi's published wire, which closes a connection
@@ -152,6 +157,76 @@ TEST_F(PolicyPeers, OurOwnServerGivesTheSameTableOverEitherWire) {
     EXPECT_EQ(Read(Path("socket") + table), Read(Path("grpc") + table)) << table;
 }
 #endif
+
+// The pid of the worker of a run, or 0.
+int WorkerOf(const std::string& run) {
+  for (const auto& entry : std::filesystem::directory_iterator("/proc")) {
+    int pid = 0;
+    if (!absl::SimpleAtoi(entry.path().filename().string(), &pid)) continue;
+    const std::string command = ReadFile(entry.path() / "cmdline").value_or("");
+    if (absl::StrContains(command, "robostress-worker") && absl::StrContains(command, run))
+      return pid;
+  }
+  return 0;
+}
+
+// Of three episodes of 300 steps: 60 questions each, every one answered alike.
+class PolicyPeersThatDie : public PolicyPeers {
+ protected:
+  PolicyPeersThatDie() { episodes_ = 3; }
+
+  static constexpr int kQuestions = 180, kOfAnEpisode = 60;
+  static std::string Stay() {
+    return OpenpiWriter().Map(1).Text("actions").Array(Eigen::MatrixXf::Zero(10, 7)).Take();
+  }
+  std::pair<std::string, int> AskThree(const std::string& url, const std::string& out) const {
+    return Sweep(absl::StrCat("--policies theirs --methods base --policy-url ", url), out);
+  }
+  // The same with nobody hurt.
+  std::string Undisturbed() const {
+    const PolicyPeer server([](int, int) { return Stay(); });
+    const auto [output, code] = AskThree(server.url(), "undisturbed");
+    EXPECT_EQ(code, 0) << output;
+    EXPECT_EQ(server.told().size(), kQuestions);
+    return Read(Path("undisturbed/episodes.csv"));
+  }
+};
+
+TEST_F(PolicyPeersThatDie, AKilledWorkerCostsAtMostItsEpisode) {
+  std::atomic<int> questions = 0;
+  const PolicyPeer server([&](int, int) {
+    if (++questions == 100) kill(WorkerOf(Path("run")), SIGKILL);  // in the second episode
+    return Stay();
+  });
+  const auto [output, code] = AskThree(server.url(), "run");
+  EXPECT_EQ(code, 0) << output;
+  EXPECT_THAT(output, HasSubstr("its worker was killed by signal 9 (Killed); another one goes on"));
+  EXPECT_EQ(questions, kQuestions + 100 - kOfAnEpisode) << "the first episode was not asked again";
+  EXPECT_EQ(Read(Path("run/episodes.csv")), Undisturbed());
+}
+
+TEST_F(PolicyPeersThatDie, AKilledServerCostsAtMostItsQuestion) {
+  std::atomic<int> questions = 0;
+  auto server = std::make_unique<PolicyPeer>(
+      [&](int, int) { return ++questions == 100 ? std::string() : Stay(); });
+  const uint16_t port = server->port();
+  std::thread dies([&] {
+    while (questions < 100) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    server.reset();
+    std::this_thread::sleep_for(std::chrono::seconds(1));  // nobody is there
+    server = std::make_unique<PolicyPeer>(
+        [&](int, int) {
+          ++questions;
+          return Stay();
+        },
+        port);
+  });
+  const auto [output, code] = AskThree(server->url(), "run");
+  dies.join();
+  EXPECT_EQ(code, 0) << output;
+  EXPECT_EQ(questions, kQuestions + 1);
+  EXPECT_EQ(Read(Path("run/episodes.csv")), Undisturbed());
+}
 
 // What the user reads.
 class BadPolicyPeers : public PolicyPeers {

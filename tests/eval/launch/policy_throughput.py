@@ -2,10 +2,11 @@
 """How many workers keep a policy server busy: `robostress sweep --policy-url` against a stand-in.
 
   VENV/bin/python tests/eval/launch/policy_throughput.py BUILD/bin [--compute-ms 50] [--batch 1,4,8]
-      [--workers 1,2,4,8,12,16] [--window 15] [--dialect FILE]
+      [--workers 1,2,4,8,12,16] [--window 15]
 
 The stand-in speaks openpi's wire and computes nothing: it takes what waits, up to `batch` questions,
-and answers all of them after --compute-ms. Its capacity is batch / compute-ms. A row: answers per
+and answers all of them after --compute-ms, as a device does beside a thread that reads and writes:
+a batch begins when the one before it ends. Its capacity is batch / compute-ms. A row: answers per
 second in a window in which all workers are connected, beside that; the processor time of workers.
 VENV: the environment of tests/common/wire (websockets). Writes a Markdown table.
 """
@@ -15,7 +16,6 @@ import asyncio
 import os
 import resource
 import shutil
-import signal
 import struct
 import subprocess
 import sys
@@ -44,13 +44,15 @@ class StandIn:
         self.batches = []
 
     async def compute(self):
+        free = 0.0  # when the device is done; a question that was there by then need not wait for us
         while True:
             due = [await self.waiting.get()]
             while len(due) < self.batch and not self.waiting.empty():
                 due.append(self.waiting.get_nowait())
-            await asyncio.sleep(self.compute_s)
+            free = max(free, due[0][0]) + self.compute_s
+            await asyncio.sleep(free - time.monotonic())
             self.batches.append(len(due))
-            for future in due:
+            for _, future in due:
                 self.served.append(time.monotonic())
                 if not future.done():
                     future.set_result(None)
@@ -61,7 +63,7 @@ class StandIn:
         try:
             async for _ in socket:
                 future = asyncio.get_running_loop().create_future()
-                self.waiting.put_nowait(future)
+                self.waiting.put_nowait((time.monotonic(), future))
                 await future
                 await socket.send(answer())
         except websockets.ConnectionClosed:
@@ -70,20 +72,27 @@ class StandIn:
             self.connected -= 1
 
 
-def processor_s(pid):
-    """Of a process and of its descendants that live."""
-    total, ticks = 0.0, os.sysconf("SC_CLK_TCK")
-    for entry in os.listdir("/proc"):
-        if not entry.isdigit():
-            continue
+def processor_s(root):
+    """Of a process and of its descendants that live: workers have process groups of their own."""
+    parents, used, ticks = {}, {}, os.sysconf("SC_CLK_TCK")
+    for entry in filter(str.isdigit, os.listdir("/proc")):
         try:
             with open(f"/proc/{entry}/stat", encoding="utf-8") as file:
                 fields = file.read().rpartition(")")[2].split()
         except OSError:
             continue
-        if int(fields[2]) == pid or int(entry) == pid:  # its process group
-            total += (int(fields[11]) + int(fields[12])) / ticks
-    return total
+        parents[int(entry)], used[int(entry)] = int(fields[1]), (int(fields[11]) + int(fields[12])) / ticks
+    family = {root}
+    while grown := {pid for pid, parent in parents.items() if parent in family} - family:
+        family |= grown
+    return sum(used.get(pid, 0.0) for pid in family)
+
+
+async def ended(sweep):
+    """Whoever answers lives on meanwhile: a worker ends with its question answered."""
+    sweep.terminate()
+    while sweep.poll() is None:
+        await asyncio.sleep(0.05)
 
 
 async def row(options, batch, workers):
@@ -97,15 +106,18 @@ async def row(options, batch, workers):
             "--suites", "tabletop_goal", "--tasks", "all", "--episodes", "20", "--scenarios", "clean",
             "--methods", options.method, "--workers", str(workers), "--split-episodes", "4", "--no-report",
             "--quiet", "--out", os.path.join(out, "run")]
-        sweep = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL,
-                                 stderr=subprocess.PIPE)
+        messages = tempfile.TemporaryFile()
+        sweep = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=messages)
         try:
             deadline = time.monotonic() + 120
             while stand_in.connected < workers or not stand_in.served:
                 await asyncio.sleep(0.05)
                 if sweep.poll() is not None or time.monotonic() > deadline:
-                    sys.exit(f"the sweep did not connect {workers} workers: " +
-                             (sweep.stderr.read().decode() if sweep.poll() is not None else "late"))
+                    sweep.terminate()
+                    messages.seek(0)
+                    print(f"the sweep did not connect {workers} workers: {messages.read().decode()}",
+                          file=sys.stderr, flush=True)
+                    os._exit(1)  # nobody waits for the connections
             await asyncio.sleep(2)
             begin, used, first = time.monotonic(), processor_s(sweep.pid), len(stand_in.batches)
             await asyncio.sleep(options.window)
@@ -113,10 +125,9 @@ async def row(options, batch, workers):
             served = sum(1 for when in stand_in.served if begin <= when < begin + took)
             batches = stand_in.batches[first:]
         finally:
-            os.killpg(sweep.pid, signal.SIGKILL)
-            sweep.wait()
-            computing.cancel()
-            shutil.rmtree(out, ignore_errors=True)
+            await ended(sweep)
+    computing.cancel()  # only now: a connection is left when its question has its answer
+    shutil.rmtree(out, ignore_errors=True)
     capacity = batch * 1000 / options.compute_ms
     rate = served / took
     print(f"| {batch} | {capacity:.0f} | {workers} | {rate:.1f} | {rate / capacity:.2f} | "

@@ -118,6 +118,15 @@ TEST_F(SweepProgram, FailedUnitIsReportedWithItsLogAndTheOthersGoOn) {
   EXPECT_EQ(Starts("run", "tabletop_goal-clean-L5-nano-base-s0"), 1);
 }
 
+// What memory running out does. One that is killed once: PolicyPeers.
+TEST_F(SweepProgram, WorkerThatIsKilledAgainAndAgainFailsItsUnit) {
+  EXPECT_EQ(Sweep(Small("run"), "FAKE_KILL_SCENARIO=heavy_payload"), 1);
+  EXPECT_THAT(output(), HasSubstr("unit tabletop_goal-heavy_payload-L5-nano-ours-s0: its worker "
+                                  "was killed by signal 9 (Killed); another one goes on"));
+  EXPECT_THAT(output(), HasSubstr("nano-ours-s0 failed (killed by signal 9 (Killed))"));
+  EXPECT_THAT(output(), HasSubstr("2/4 units (2 failed)  12/24 episodes"));
+}
+
 TEST_F(SweepProgram, ServerThatDoesNotStartIsReportedWithItsLog) {
   EXPECT_EQ(Sweep(Small("run"), "FAKE_SERVER_FAILS=1"), 1);
   EXPECT_THAT(output(), HasSubstr("weights not found"));
