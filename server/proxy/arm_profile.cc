@@ -209,6 +209,10 @@ absl::Status CheckArmProfile(const ArmProfile& profile) {
   RS_RETURN_IF_ERROR(CheckWithin("first_step", profile.first_step, 0, WireLimits::kHorizon - 1));
   RS_RETURN_IF_ERROR(CheckWithin("execute_steps", profile.execute_steps, 1,
                                  WireLimits::kHorizon - profile.first_step));
+  if (profile.asynchronous && (profile.first_step != 0 || !profile.real_time)) {
+    return Invalid("asynchronous: the row that is due follows from the clock; set first_step to 0 ",
+                   "and real_time to true");
+  }
   RS_RETURN_IF_ERROR(CheckWithin("nominal.stiffness", profile.nominal.stiffness, 1, 1e5));
   RS_RETURN_IF_ERROR(CheckWithin("nominal.damping_ratio", profile.nominal.damping_ratio, 0.1, 10));
   RS_RETURN_IF_ERROR(CheckWithin("nominal.sub_steps", profile.nominal.sub_steps, 1, 1000));

@@ -100,6 +100,7 @@ struct ArmProfile {
   double rate_hz = 20;    // of the control steps
   bool real_time = true;  // false: a simulator, whose steps do not keep the clock's time
   int first_step = 0, execute_steps = 0;  // of a chunk, that its client executes
+  bool asynchronous = false;              // it moves on while it waits
   StateLayout state;
   ActionLayout action;
   std::vector<std::string> joint_names;  // for recordings; empty: joint_1 ...
@@ -133,6 +134,9 @@ struct ArmProfile {
     v.Field("real_time", real_time, "false: a simulator, which has a time of its own");
     v.Field("first_step", first_step, "of a chunk that the client executes, from 0");
     v.Field("execute_steps", execute_steps, "how many it executes before it asks again");
+    v.Field("asynchronous", asynchronous,
+            "true: it moves on while it waits, and enters an answer at the row that is due since "
+            "the observation");
     v.Section("state", state, "which numbers of the state are what");
     v.Section("action", action, "which columns of an action are what");
     v.Field("joint_names", joint_names, "as recordings name them");

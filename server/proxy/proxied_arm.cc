@@ -6,6 +6,7 @@
 #include <variant>
 
 #include "absl/strings/str_cat.h"
+#include "common/rollout/message_limits.h"
 #include "common/rollout/policy_endpoint.h"
 #include "server/proxy/action_block.h"
 #include "server/wire/openpi/openpi_extensions.h"
@@ -21,6 +22,8 @@ const char* NameIn(const Names& names, size_t index) {
 }
 
 constexpr double kSameJoints = 1e-6;  // of their norm
+
+constexpr double kSameTick = 1e-6;  // steps
 
 // Room for a control loop's jitter: of the time that the steps take.
 constexpr double kEarliest = 0.8;
@@ -57,6 +60,7 @@ void ProxiedArm::NewEpisode() {
   motion_.StartEpisode();
   limiter_.Reset();
   given_.reset();
+  before_.reset();
   residual_.resize(0);
   ++episode_;
   ++stretch_;
@@ -127,8 +131,10 @@ void ProxiedArm::Observed(std::string_view message, bool text, double now_s, Pro
     trusted_ = false;
     return;
   }
-  if (executed == nullptr && given_) Learn(*state, now_s);
+  if (executed == nullptr && given_)
+    profile_.asynchronous ? LearnAsynchronously(*state, now_s) : Learn(*state, now_s);
   seen_ = *std::move(state);
+  seen_s_ = now_s;
 }
 
 void ProxiedArm::Learn(const RobotState& after, double now_s) {
@@ -153,6 +159,38 @@ void ProxiedArm::Learn(const RobotState& after, double now_s) {
   // Every step's state is seen.
   if (profile_.real_time && std::abs(elapsed - due) > 0.5 * due) ++stretch_;
   rows_.push_back({stretch_, given.before.q, given.sent.row(first).transpose()});
+}
+
+int ProxiedArm::RowDue(double since_observation_s) const {
+  const double row = std::ceil(since_observation_s * profile_.rate_hz - kSameTick);
+  return static_cast<int>(std::clamp(row, 0.0, static_cast<double>(WireLimits::kHorizon)));
+}
+
+// Step i since the observation of a chunk executes its row i from the row on that was due when it
+// came; before that the chunk before it goes on.
+void ProxiedArm::LearnAsynchronously(const RobotState& after, double now_s) {
+  const double elapsed = now_s - given_->asked_s;
+  const auto rows = static_cast<double>(given_->own.rows());
+  const double due = std::round(elapsed * profile_.rate_hz);
+  if (due < 1) {
+    return Distrust(Doubt::kEarly, absl::StrCat("the next observation came after ", elapsed,
+                                                " s, before a step of ", 1 / profile_.rate_hz,
+                                                " s: correct rate_hz in the profile"));
+  }
+  if (due > rows)
+    return Distrust(Doubt::kPause, absl::StrCat("the next observation came after ", elapsed, " s"));
+  given_->played = static_cast<int>(due);
+  const Given given = *given_;
+  const int old = std::min(given.enters, given.played);
+  if (old == 0 || (before_ && before_->played + old <= before_->own.rows())) {
+    Eigen::MatrixXd own = given.own.topRows(given.played), sent = given.sent.topRows(given.played);
+    if (old > 0) {
+      own.topRows(old) = before_->own.middleRows(before_->played, old);
+      sent.topRows(old) = before_->sent.middleRows(before_->played, old);
+    }
+    Take(motion_.Between(given.before, after, own, sent), given.played - 1, elapsed);
+  }
+  before_ = std::exchange(given_, std::nullopt);
 }
 
 void ProxiedArm::LearnMeasured(const OpenpiValue& value) {
@@ -250,11 +288,13 @@ std::optional<std::string> ProxiedArm::Correct(std::string_view message, double 
     return std::nullopt;
   };
   if (!block.ok()) return refuse(std::string(block.status().message()));
-  const int end = profile_.first_step + profile_.execute_steps;
+  const int enters = profile_.asynchronous ? RowDue(now_s - seen_s_) : profile_.first_step;
+  const int end = enters + (profile_.asynchronous ? 1 : profile_.execute_steps);
   if (block->cols != profile_.action.size || block->rows < end) {
-    return refuse(absl::StrCat("actions are [", block->rows, ", ", block->cols,
-                               "], the profile's robot executes steps up to ", end, " of ",
-                               profile_.action.size, " numbers"));
+    return refuse(absl::StrCat(
+        "actions are [", block->rows, ", ", block->cols,
+        "], the profile's robot executes steps up to ", end, " of ", profile_.action.size,
+        " numbers", profile_.asynchronous ? "; earlier ones had passed when it came" : ""));
   }
   const Eigen::MatrixXd actions = ReadActions(message, *block);
   if (!actions.allFinite()) return refuse("an action is not finite");
@@ -262,7 +302,9 @@ std::optional<std::string> ProxiedArm::Correct(std::string_view message, double 
   Given given;
   given.own = given.sent = OwnColumns(actions);
   given.before = *seen_;
+  given.asked_s = seen_s_;
   given.time_s = now_s;
+  given.enters = enters;
   given.correction = Eigen::MatrixXd::Zero(given.own.rows(), given.own.cols());
   std::optional<std::string> answer;
   if (trusted_) {
@@ -277,9 +319,14 @@ std::optional<std::string> ProxiedArm::Correct(std::string_view message, double 
     bool changed = false;
     std::string bytes(message);
     Eigen::VectorXd now = limiter_.applied();
+    if (before_) {  // which goes on until this one is entered
+      const Eigen::Index last =
+          std::min<Eigen::Index>(before_->played + enters, before_->correction.rows());
+      now = before_->correction.row(last - 1).transpose();
+    }
     for (int row = 0; row < block->rows; ++row) {
       // Steps before the first are not executed.
-      if (row >= profile_.first_step) now = limiter_.Next(now, wanted.row(row).transpose());
+      if (row >= enters) now = limiter_.Next(now, wanted.row(row).transpose());
       for (size_t j = 0; j < columns_.size(); ++j) {
         const auto at = static_cast<Eigen::Index>(j);
         const int col = columns_[j];

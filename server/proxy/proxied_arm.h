@@ -91,11 +91,16 @@ class ProxiedArm {
   struct Given {
     Eigen::MatrixXd own, sent, correction;  // [rows, columns], a method's numbers
     RobotState before;
-    double time_s = 0;
+    double asked_s = 0, time_s = 0;  // when `before` and when the answer came
+    int enters = 0;                  // the row that is executed first
+    int played = 0;                  // rows that were due when the next observation came
   };
 
   std::optional<std::string> Correct(std::string_view message, double now_s, ProxyMode mode);
   void Learn(const RobotState& after, double now_s);
+  // Of a chunk, at the first control step after that time.
+  int RowDue(double since_observation_s) const;
+  void LearnAsynchronously(const RobotState& after, double now_s);
   void LearnMeasured(const OpenpiValue& executed);
   void Take(const ArmMotion& motion, Eigen::Index last_row, double dt_s);
   void NewEpisode();
@@ -115,7 +120,9 @@ class ProxiedArm {
   int outstanding_ = 0;  // messages of the client that have no answer
   bool off_ = false, trusted_ = false, met_ = false;
   std::optional<RobotState> seen_;  // in the observation that is being answered
-  std::optional<Given> given_;
+  double seen_s_ = 0;
+  std::optional<Given> given_,
+      before_;  // the last answer, and the one before that where it matters
   std::optional<std::string> prompt_;
   Eigen::VectorXd residual_;  // of the motion that ended last
   int episode_ = 0, stretch_ = 0;

@@ -74,6 +74,8 @@ TEST(ArmProfile, RefusesASpaceThatItDoesNotUnderstand) {
 TEST(ArmProfile, NamesFieldValueAndLimitOfWhatIsWrong) {
   EXPECT_THAT(Complaint("rate_hz: 20", "rate_hz: 0"), HasSubstr("rate_hz is 0, must be 0.1..1000"));
   EXPECT_THAT(Complaint("execute_steps: 5\n", ""), HasSubstr("execute_steps is 0, must be 1.."));
+  EXPECT_THAT(Complaint("rate_hz: 20\n", "rate_hz: 20\nasynchronous: true\nfirst_step: 1\n"),
+              HasSubstr("set first_step to 0 and real_time to true"));
   EXPECT_THAT(Complaint("[0, 1, 2], rotation: [3, 4, 5]}", "[0, 1], rotation: [3, 4, 5]}"),
               HasSubstr("state.position names 2 indices, must name 3"));
   EXPECT_THAT(Complaint("translation: [0, 1, 2]", "translation: [0, 1, 7]"),

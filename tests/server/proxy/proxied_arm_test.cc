@@ -257,6 +257,101 @@ TEST(ProxiedArm, KeepsTheClockOfARealArm) {
   EXPECT_EQ(doubt_after(2.5), Doubt::kPause);
 }
 
+// A client that plays on while it waits, `late` steps of 50 ms, asks at every fifth step, and
+// enters an answer at the row that is due.
+struct AsynchronousLoop {
+  static constexpr int kAsksEvery = 5;
+  const int late;
+  ArmProfile profile;
+  ProxiedArm proxy;
+  RubbingArm arm;
+  Eigen::Vector3d target{3, -2, 0};  // [command units]
+  ProxyMode mode = ProxyMode::kOn;
+  int corrected = 0, doubts = 0;
+  double largest_change = 0;  // of the correction, from one step to the next
+
+  static ArmProfile Profile() {
+    ArmProfile profile = LiberoProfile(/*real_time=*/true);
+    profile.asynchronous = true;
+    return profile;
+  }
+  AsynchronousLoop(double friction, int late, const ArmProfile& with = Profile())
+      : late(late), profile(with), proxy(profile, Method(profile)), arm(friction) {}
+
+  // 16 steps towards the target, as far as a healthy arm comes.
+  Eigen::MatrixXd Plan() const {
+    Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(16, 7);
+    Eigen::Vector3d x = arm.x();
+    for (int i = 0; i < rows.rows(); ++i) {
+      const Eigen::Vector3d a = (0.3 * (target - x)).cwiseMax(-1).cwiseMin(1);
+      rows.row(i).head<3>() = a.transpose();
+      x += 0.5 * a;
+    }
+    return rows;
+  }
+  void Run(int steps) {
+    Eigen::MatrixXd plays = Eigen::MatrixXd::Zero(64, 7), own = plays, coming;
+    int asked = 0, row = 0;
+    Eigen::Vector3d last = Eigen::Vector3d::Zero();
+    for (int tick = 0; tick < steps; ++tick) {
+      const double now = 0.05 * tick;
+      if (tick % kAsksEvery == 0) {
+        proxy.Observed(LiberoObservation(arm.state()), false, now, mode);
+        coming = Plan();
+        asked = tick;
+      }
+      if (tick - asked == late) {  // it came within the last step
+        const std::string answer = ActionRows(coming);
+        const auto instead = proxy.Answered(answer, false, now - 0.01, mode);
+        corrected += instead.has_value();
+        doubts += proxy.report().outcome == AnswerOutcome::kDoubt;
+        own = ReadActions(answer, *FindActions(answer));
+        plays = instead ? ReadActions(*instead, *FindActions(*instead)) : own;
+        row = late;
+      }
+      const Eigen::Vector3d correction = (plays - own).row(row).head<3>();
+      largest_change = std::max(largest_change, (correction - last).cwiseAbs().maxCoeff());
+      last = correction;
+      arm.Step(plays.row(row++).head<3>());
+    }
+  }
+  double error() const { return (target - arm.x()).norm(); }
+};
+
+TEST(ProxiedArm, CorrectsAClientThatMovesWhileItWaits) {
+  for (const int late : {1, 3, 4}) {
+    AsynchronousLoop direct(60, late), through(60, late), healthy(0, late);
+    direct.mode = ProxyMode::kOff;
+    direct.Run(300);
+    through.Run(300);
+    healthy.Run(300);
+    EXPECT_GT(direct.error(), 0.5) << late;
+    EXPECT_LT(through.error(), 0.6 * direct.error()) << late;
+    EXPECT_EQ(through.doubts, 0) << late;
+    EXPECT_EQ(healthy.corrected, 0) << "late by " << late << ", it did what it was told";
+    EXPECT_EQ(healthy.doubts, 0);
+    EXPECT_LT(healthy.error(), 0.05);
+  }
+}
+
+TEST(ProxiedArm, KeepsTheRateFromTheRowThatIsReallyPlayed) {
+  ArmProfile profile = AsynchronousLoop::Profile();
+  profile.limits.correction = {0.5};
+  profile.limits.rate = {1};  // 0.05 a step
+  AsynchronousLoop loop(60, 3, profile);
+  loop.Run(300);
+  EXPECT_GT(loop.corrected, 20);
+  EXPECT_NEAR(loop.largest_change, 0.05, 1e-6);
+}
+
+TEST(ProxiedArm, PassesAnswersOfWhichEveryRowIsPast) {
+  ProxiedArm proxy(AsynchronousLoop::Profile(), Method(AsynchronousLoop::Profile()));
+  proxy.Observed(LiberoObservation(RubbingArm(0).state()), false, 0, ProxyMode::kOn);
+  EXPECT_FALSE(proxy.Answered(ActionAnswer({1, 0, 0, 0, 0, 0, 0}, 4), false, 0.21, ProxyMode::kOn));
+  EXPECT_EQ(proxy.report().doubt, Doubt::kActions);
+  EXPECT_THAT(proxy.report().words, HasSubstr("had passed when it came"));
+}
+
 TEST(ProxiedArm, ANewPromptIsANewEpisode) {
   Loop loop(60);
   loop.Run(30);

@@ -22,21 +22,31 @@ inline std::string LiberoObservation(const std::vector<double>& state,
   return bytes.Text("prompt").Text(prompt).bytes();
 }
 
-// actions[i] = action, `rows` times, as <f4 or <f8.
+// actions as <f4 or <f8.
 template <class T = float>
-std::string ActionAnswer(const std::vector<double>& action, int rows = 10) {
+std::string ActionRows(const Eigen::MatrixXd& actions) {
   std::vector<T> numbers;
-  for (int i = 0; i < rows; ++i)
-    for (const double value : action) numbers.push_back(static_cast<T>(value));
+  for (Eigen::Index i = 0; i < actions.rows(); ++i)
+    for (Eigen::Index j = 0; j < actions.cols(); ++j)
+      numbers.push_back(static_cast<T>(actions(i, j)));
   OpenpiBytes bytes;
   bytes.Map(2)
       .Text("actions")
-      .Numbers<T>(sizeof(T) == 4 ? "<f4" : "<f8", {rows, static_cast<int>(action.size())}, numbers)
+      .Numbers<T>(sizeof(T) == 4 ? "<f4" : "<f8",
+                  {static_cast<int>(actions.rows()), static_cast<int>(actions.cols())}, numbers)
       .Text("policy_timing")
       .Map(1)
       .Text("infer_ms")
       .Integer(3);
   return bytes.bytes();
+}
+
+// actions[i] = action, `rows` times.
+template <class T = float>
+std::string ActionAnswer(const std::vector<double>& action, int rows = 10) {
+  const auto cols = static_cast<Eigen::Index>(action.size());
+  return ActionRows<T>(
+      Eigen::Map<const Eigen::RowVectorXd>(action.data(), cols).replicate(rows, 1));
 }
 
 inline ArmProfile LiberoProfile(bool real_time = false) {
