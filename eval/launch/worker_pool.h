@@ -35,7 +35,8 @@ struct PoolOutcome {
 
 // Runs items on worker processes, at most `workers` at a time, in the order given. An item that
 // fails is reported with the end of its log, the others go on; one whose server was lost, or whose
-// worker was killed, is run again. Unavailable when no server can be had, or an own server has ended.
+// worker was killed, is run again. Unavailable when no server can be had, or an own server has
+// ended.
 class WorkerPool {
  public:
   WorkerPool(const RunDirectory& run, const PoolOptions& options, ServerSource& servers,
