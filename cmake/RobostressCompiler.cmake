@@ -27,7 +27,7 @@ target_compile_options(robostress_options INTERFACE -Wall -Wextra -Wno-missing-f
   $<$<CXX_COMPILER_ID:GNU>:--param=ggc-min-heapsize=1500000>)
 if(ROBOSTRESS_UNITY)
   # In a unity unit every source is an included file, where the compiler thinks of anonymous types as a header's.
-  target_compile_options(robostress_options INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
+  target_compile_options(robostress_options INTERFACE $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-subobject-linkage>)
 endif()
 if(ROBOSTRESS_WERROR)
   target_compile_options(robostress_options INTERFACE -Werror)

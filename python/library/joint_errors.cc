@@ -1,0 +1,423 @@
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+#include <new>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "common/joint_errors/joint_chain.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/joint_errors/sub_step.h"
+#include "common/status_macros.h"
+#include "python/library/boundary.h"
+#include "python/library/robostress.h"
+
+struct robostress_errors {
+  robostress_errors(const robostress::JointChain& with, bool sticks)
+      : chain(with),
+        sticks(sticks),
+        q(static_cast<size_t>(with.joints())),
+        moments(static_cast<size_t>(with.joints())) {}
+
+  robostress::JointChain chain;
+  bool sticks;                                   // the paper's friction, under the law stick
+  std::vector<double> q;                         // of the joints in the sub-step
+  std::vector<robostress::JointMoment> moments;  // of the motors in it
+  bool begun = false;                            // an episode
+  bool asked = false;                            // torque() was called in this sub-step
+};
+
+namespace robostress {
+namespace {
+
+constexpr int kMostJoints = 64;
+
+template <class Value>
+struct Word {
+  const char* text;
+  Value value;
+};
+
+template <class Value, size_t n>
+absl::Status ReadWord(const char* name, const char* text, const Word<Value> (&words)[n],
+                      Value& value) {
+  std::string known;
+  for (const auto& word : words) {
+    if (text != nullptr && std::string_view(text) == word.text) {
+      value = word.value;
+      return absl::OkStatus();
+    }
+    absl::StrAppend(&known, known.empty() ? "" : ", ", word.text);
+  }
+  return absl::InvalidArgumentError(absl::StrCat(name, " is '",
+                                                 text == nullptr ? "NULL" : absl::string_view(text),
+                                                 "', must be one of ", known));
+}
+
+absl::Status ReadOptions(const robostress_options& from, JointErrorOptions& to) {
+  RS_RETURN_IF_ERROR(ReadWord("friction_law", from.friction_law,
+                              {Word<FrictionLaw>{"sgn", FrictionLaw::kSgn},
+                               {"tanh", FrictionLaw::kTanh},
+                               {"stick", FrictionLaw::kStick}},
+                              to.friction_law));
+  RS_RETURN_IF_ERROR(ReadWord(
+      "offset_start", from.offset_start,
+      {Word<OffsetStart>{"zero", OffsetStart::kZero}, {"equilibrium", OffsetStart::kEquilibrium}},
+      to.offset_start));
+  RS_RETURN_IF_ERROR(ReadWord(
+      "gravity_sign", from.gravity_sign,
+      {Word<GravitySign>{"literal", GravitySign::kLiteral}, {"payload", GravitySign::kPayload}},
+      to.gravity_sign));
+  to.tanh_width = from.tanh_width;
+  if (!(to.tanh_width > 0 && std::isfinite(to.tanh_width))) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("tanh_width is ", to.tanh_width, " rad/s, must be above 0; 0.01 is usual"));
+  }
+  if (from.horizon < 1) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("horizon is ", from.horizon, " control steps, must be at least 1"));
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<JointChain> MakeChain(const char* scenario, int joints,
+                                     const robostress_options& options) {
+  if (scenario == nullptr) return absl::InvalidArgumentError("scenario is NULL, must be a name");
+  if (joints < 1 || joints > kMostJoints) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("joints is ", joints, ", must be 1 to ", kMostJoints));
+  }
+  JointErrorOptions laws;
+  RS_RETURN_IF_ERROR(ReadOptions(options, laws));
+  RS_ASSIGN_OR_RETURN(const Scenario found, MakeScenario(scenario, options.severity));
+  JointChain chain(joints, laws);
+  const bool clean = !found.friction_on && !found.gravity_on && !found.backlash_on &&
+                     !found.compliance_on && found.effects.empty();
+  if (!clean && joints != static_cast<int>(NominalPandaErrors().size())) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "scenario '", scenario, "' has values for the seven joints of a Panda, the arm has ",
+        joints, "; begin with 'clean' and add effects"));
+  }
+  // Without errors it has no values, and nothing to check them against.
+  if (!clean) chain.SetScenario(found, options.horizon);
+  return chain;
+}
+
+absl::Status CheckEffect(const JointChain& chain, int joint, const EffectInfo& effect,
+                         const double* values, size_t count, int coupled) {
+  if (joint < 0 || joint >= chain.joints()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("joint is ", joint, ", must be 0 to ", chain.joints() - 1));
+  }
+  if (count != effect.parameters.size() || (count > 0 && values == nullptr)) {
+    std::string names;
+    for (const EffectParameter& parameter : effect.parameters)
+      absl::StrAppend(&names, names.empty() ? "" : ", ", parameter.name, " [", parameter.unit, "]");
+    return absl::InvalidArgumentError(absl::StrCat("values has ", values == nullptr ? 0 : count,
+                                                   " numbers, ", effect.type, " takes ",
+                                                   effect.parameters.size(), ": ", names));
+  }
+  const bool couples = effect.type == "cross_joint_coupling";
+  if (couples != (coupled >= 0) || coupled >= chain.joints() || (couples && coupled == joint)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "coupled is ", coupled, ", must be ",
+        couples ? absl::StrCat("another joint than ", joint, ", 0 to ", chain.joints() - 1)
+                : "-1"));
+  }
+  for (size_t i = 0; i < count; ++i) {
+    const EffectParameter& parameter = effect.parameters[i];
+    const bool amplitude = std::find(effect.amplitudes.begin(), effect.amplitudes.end(),
+                                     static_cast<int>(i)) != effect.amplitudes.end();
+    const bool signless = parameter.inverse || parameter.lower >= 0;
+    const bool divided = parameter.inverse || (signless && !amplitude);
+    if (std::isfinite(values[i]) && (!signless || values[i] >= 0) && (!divided || values[i] > 0))
+      continue;
+    return absl::InvalidArgumentError(absl::StrCat(effect.type, ".", parameter.name, " is ",
+                                                   values[i], " ", parameter.unit, ", must be ",
+                                                   divided    ? "finite and above 0"
+                                                   : signless ? "finite and at least 0"
+                                                              : "finite"));
+  }
+  return absl::OkStatus();
+}
+
+unsigned Reads(const robostress_errors& errors) {
+  const JointChain& chain = errors.chain;
+  unsigned reads = 0;
+  if (chain.reads() & kGravityField) reads |= ROBOSTRESS_READS_GRAVITY;
+  if (chain.reads() & kPayloadFields) reads |= ROBOSTRESS_READS_PAYLOAD;
+  if (chain.reads() & kTiltField) reads |= ROBOSTRESS_READS_TILT;
+  // Whether an effect adds dry friction or inertia shows only in motion.
+  if (errors.sticks || !chain.effects(EffectStage::kJoint).empty())
+    reads |= ROBOSTRESS_READS_MASSES;
+  return reads;
+}
+
+absl::Status CheckArray(const char* name, const double* values, int count, bool needed) {
+  if (values == nullptr) {
+    if (!needed) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat(name, " is NULL, and these errors read it; see robostress_errors_reads"));
+  }
+  for (int i = 0; i < count; ++i) {
+    if (!std::isfinite(values[i])) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(name, "[", i, "] is ", values[i], ", must be finite"));
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckMoment(const robostress_errors& errors, const robostress_moment& m) {
+  const int n = errors.chain.joints();
+  const unsigned reads = Reads(errors);
+  if (!std::isfinite(m.time))
+    return absl::InvalidArgumentError(absl::StrCat("time is ", m.time, " s, must be finite"));
+  if (!(m.step > 0 && m.step <= 1)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("step is ", m.step, " s, must be above 0 and at most 1"));
+  }
+  const bool payload = reads & ROBOSTRESS_READS_PAYLOAD, masses = reads & ROBOSTRESS_READS_MASSES;
+  RS_RETURN_IF_ERROR(CheckArray("q", m.q, n, true));
+  RS_RETURN_IF_ERROR(CheckArray("dq", m.dq, n, true));
+  RS_RETURN_IF_ERROR(CheckArray("gravity", m.gravity, n, reads & ROBOSTRESS_READS_GRAVITY));
+  RS_RETURN_IF_ERROR(CheckArray("payload_gravity", m.payload_gravity, n, payload));
+  RS_RETURN_IF_ERROR(CheckArray("payload_inertia", m.payload_inertia, n, payload));
+  RS_RETURN_IF_ERROR(
+      CheckArray("tilt_gravity", m.tilt_gravity, 2 * n, reads & ROBOSTRESS_READS_TILT));
+  RS_RETURN_IF_ERROR(CheckArray("mass_matrix", m.mass_matrix, n * n, masses));
+  RS_RETURN_IF_ERROR(CheckArray("other_torque", m.other_torque, n, masses));
+  for (int i = 0; i < n && masses; ++i) {
+    if (m.mass_matrix[i * n + i] > 0) continue;
+    return absl::InvalidArgumentError(absl::StrCat("mass_matrix[", i, "][", i, "] is ",
+                                                   m.mass_matrix[i * n + i], ", must be above 0"));
+  }
+  for (int i = 0; i < n; ++i) {
+    const double low = m.torque_low == nullptr ? 0 : m.torque_low[i];
+    const double high = m.torque_high == nullptr ? 0 : m.torque_high[i];
+    if (low <= 0 && high >= 0) continue;
+    return absl::InvalidArgumentError(absl::StrCat("torque_low[", i, "] is ", low, ", torque_high[",
+                                                   i, "] ", high, " Nm, must have 0 between them"));
+  }
+  return absl::OkStatus();
+}
+
+// As PandaSim describes its joints.
+void Describe(const JointChain& chain, const robostress_moment& from,
+              std::vector<JointMoment>& moments) {
+  for (int i = 0; i < chain.joints(); ++i) {
+    JointMoment& m = moments[static_cast<size_t>(i)] = {};
+    m.t = from.time;
+    m.h = from.step;
+    m.q = chain.MotorAngle(i, from.q[i]);
+    m.dq = from.dq[i];
+    if (const int other = chain.coupled(i); other >= 0) m.coupled_q = from.q[other];
+    if (from.gravity != nullptr) m.gravity = from.gravity[i];
+    if (from.payload_gravity != nullptr) m.payload_gravity = from.payload_gravity[i];
+    if (from.payload_inertia != nullptr) m.payload_inertia = from.payload_inertia[i];
+    for (int axis = 0; axis < 2 && from.tilt_gravity != nullptr; ++axis)
+      m.tilt_gravity[axis] = from.tilt_gravity[2 * i + axis];
+  }
+}
+
+// The arm as the caller describes it. n is 7, whose arithmetic is then PandaSim's, or dynamic.
+template <int n>
+struct GivenPlant {
+  using Vector = Eigen::Matrix<double, n, 1>;
+  using Mass = Eigen::Matrix<double, n, n>;
+  using Inverse = Mass;
+  const robostress_moment& moment;
+  Eigen::Index joints;
+  double rest = 0, h = moment.step;
+
+  Vector Limited(const Vector& torque) const {
+    Vector limited = torque;
+    if (moment.torque_low != nullptr)
+      limited = limited.cwiseMax(Eigen::Map<const Vector>(moment.torque_low, joints));
+    if (moment.torque_high != nullptr)
+      limited = limited.cwiseMin(Eigen::Map<const Vector>(moment.torque_high, joints));
+    return limited;
+  }
+  Vector Net(const Vector& torque) const {
+    return torque + Eigen::Map<const Vector>(moment.other_torque, joints);
+  }
+  Mass MassMatrix() const { return Eigen::Map<const Mass>(moment.mass_matrix, joints, joints); }
+  Vector Velocities() const { return Eigen::Map<const Vector>(moment.dq, joints); }
+};
+
+template <int n>
+void ApplyTorque(robostress_errors& errors, const robostress_moment& moment, const double* asked,
+                 double* applied) {
+  using Plant = GivenPlant<n>;
+  using Vector = typename Plant::Vector;
+  const Eigen::Index joints = errors.chain.joints();
+  const Vector wished = Eigen::Map<const Vector>(asked, joints);
+  const Vector none = Vector::Zero(joints);
+  Eigen::Map<Vector>(applied, joints) = SubStepTorque(errors.chain, absl::MakeSpan(errors.moments),
+                                                      wished, none, Plant{moment, joints});
+}
+
+}  // namespace
+}  // namespace robostress
+
+using robostress::AtBoundary;
+using robostress::CheckHandle;
+
+extern "C" {
+
+void robostress_options_default(robostress_options* options) {
+  robostress_options defaults = {sizeof(defaults), 5, 300, "sgn", 0.01, "zero", "literal"};
+  if (options != nullptr) robostress::CopyStructure(defaults, *options);
+}
+
+robostress_code robostress_errors_new(const char* scenario, int joints,
+                                      const robostress_options* options,
+                                      robostress_errors** created, char* error, size_t error_size) {
+  return AtBoundary(error, error_size, [&]() -> absl::Status {
+    RS_RETURN_IF_ERROR(CheckHandle("created", created));
+    robostress_options given;
+    given.size = sizeof(given);
+    robostress_options_default(&given);
+    if (options != nullptr)
+      RS_RETURN_IF_ERROR(robostress::ReadStructure("options", options, given));
+    RS_ASSIGN_OR_RETURN(const robostress::JointChain chain,
+                        robostress::MakeChain(scenario, joints, given));
+    const bool sticks =
+        std::string_view(given.friction_law) == "stick" && chain.severity().scenario().friction_on;
+    *created = new robostress_errors(chain, sticks);
+    return absl::OkStatus();
+  });
+}
+
+robostress_code robostress_errors_add_effect(robostress_errors* errors, int joint, const char* type,
+                                             const double* values, size_t count, int coupled,
+                                             char* error, size_t error_size) {
+  return AtBoundary(error, error_size, [&]() -> absl::Status {
+    RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
+    RS_RETURN_IF_ERROR(CheckHandle("type", type));
+    RS_ASSIGN_OR_RETURN(const robostress::EffectInfo* effect, robostress::FindEffect(type));
+    RS_RETURN_IF_ERROR(
+        robostress::CheckEffect(errors->chain, joint, *effect, values, count, coupled));
+    errors->chain.Add(joint, *effect, {values, count}, coupled);
+    errors->begun = errors->asked = false;
+    return absl::OkStatus();
+  });
+}
+
+void robostress_errors_free(robostress_errors* errors) { delete errors; }
+
+robostress_code robostress_errors_copy(const robostress_errors* from, robostress_errors** created,
+                                       char* error, size_t error_size) {
+  return AtBoundary(error, error_size, [&]() -> absl::Status {
+    RS_RETURN_IF_ERROR(CheckHandle("from", from));
+    RS_RETURN_IF_ERROR(CheckHandle("created", created));
+    *created = new robostress_errors(*from);
+    return absl::OkStatus();
+  });
+}
+
+robostress_code robostress_errors_restore(robostress_errors* to, const robostress_errors* from,
+                                          char* error, size_t error_size) {
+  return AtBoundary(error, error_size, [&]() -> absl::Status {
+    RS_RETURN_IF_ERROR(CheckHandle("to", to));
+    RS_RETURN_IF_ERROR(CheckHandle("from", from));
+    robostress_errors copy(*from);  // whatever fails, fails here
+    *to = std::move(copy);
+    return absl::OkStatus();
+  });
+}
+
+int robostress_errors_joints(const robostress_errors* errors) {
+  return errors == nullptr ? 0 : errors->chain.joints();
+}
+
+unsigned robostress_errors_reads(const robostress_errors* errors) {
+  return errors == nullptr ? 0 : robostress::Reads(*errors);
+}
+
+robostress_code robostress_errors_reset(robostress_errors* errors, const robostress_moment* moment,
+                                        const double* holding, char* error, size_t error_size) {
+  return AtBoundary(error, error_size, [&]() -> absl::Status {
+    RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
+    robostress_moment given = {};
+    RS_RETURN_IF_ERROR(robostress::ReadStructure("moment", moment, given));
+    RS_RETURN_IF_ERROR(robostress::CheckMoment(*errors, given));
+    const int joints = errors->chain.joints();
+    RS_RETURN_IF_ERROR(robostress::CheckArray("holding", holding, joints, false));
+    robostress::Describe(errors->chain, given, errors->moments);
+    for (int i = 0; i < joints; ++i) {
+      errors->moments[static_cast<size_t>(i)].q = given.q[i];
+      if (holding != nullptr) errors->moments[static_cast<size_t>(i)].drive = holding[i];
+    }
+    errors->chain.Reset(errors->moments);
+    errors->begun = true;
+    errors->asked = false;
+    return absl::OkStatus();
+  });
+}
+
+void robostress_errors_begin_control_step(robostress_errors* errors, int steps_done, int held) {
+  if (errors != nullptr) errors->chain.BeginControlStep(std::max(0, steps_done), held != 0);
+}
+
+robostress_code robostress_errors_torque(robostress_errors* errors, const robostress_moment* moment,
+                                         const double* asked, double* applied, char* error,
+                                         size_t error_size) {
+  return AtBoundary(error, error_size, [&]() -> absl::Status {
+    RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
+    RS_RETURN_IF_ERROR(CheckHandle("asked", asked));
+    RS_RETURN_IF_ERROR(CheckHandle("applied", applied));
+    if (!errors->begun)
+      return absl::FailedPreconditionError(
+          "no episode has begun: call robostress_errors_reset first");
+    robostress_moment given = {};
+    RS_RETURN_IF_ERROR(robostress::ReadStructure("moment", moment, given));
+    const int joints = errors->chain.joints();
+    RS_RETURN_IF_ERROR(robostress::CheckMoment(*errors, given));
+    RS_RETURN_IF_ERROR(robostress::CheckArray("asked", asked, joints, true));
+    errors->chain.BeginSubStep(given.step);
+    std::copy_n(given.q, joints, errors->q.begin());
+    robostress::Describe(errors->chain, given, errors->moments);
+    joints == 7 ? robostress::ApplyTorque<7>(*errors, given, asked, applied)
+                : robostress::ApplyTorque<Eigen::Dynamic>(*errors, given, asked, applied);
+    errors->asked = true;
+    return absl::OkStatus();
+  });
+}
+
+robostress_code robostress_errors_offset_change(robostress_errors* errors, const double* applied,
+                                                double* change, char* error, size_t error_size) {
+  return AtBoundary(error, error_size, [&]() -> absl::Status {
+    RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
+    RS_RETURN_IF_ERROR(CheckHandle("change", change));
+    const auto joints = static_cast<size_t>(errors->chain.joints());
+    RS_RETURN_IF_ERROR(robostress::CheckArray("applied", applied, static_cast<int>(joints), true));
+    if (!errors->asked) {
+      return absl::FailedPreconditionError(
+          "the sub-step has not begun: call robostress_errors_torque before each call");
+    }
+    errors->asked = false;
+    for (robostress::JointMoment& m : errors->moments) m.q += m.h * m.dq;
+    std::fill_n(change, joints, 0.0);
+    errors->chain.MoveErrors(errors->q, {applied, joints}, errors->moments[0].h, {change, joints});
+    errors->chain.MoveEffects(errors->moments, {change, joints});
+    return absl::OkStatus();
+  });
+}
+
+void robostress_errors_offset(const robostress_errors* errors, double* offset) {
+  for (int i = 0; i < robostress_errors_joints(errors) && offset != nullptr; ++i)
+    offset[i] = errors->chain.offset(i);
+}
+
+void robostress_errors_reading(const robostress_errors* errors, const double* q, const double* dq,
+                               double* reading, double* rate) {
+  for (int i = 0; i < robostress_errors_joints(errors); ++i) {
+    if (q != nullptr && reading != nullptr) reading[i] = errors->chain.Reading(i, q[i]);
+    if (dq != nullptr && rate != nullptr) rate[i] = errors->chain.ReadingSlope(i) * dq[i];
+  }
+}
+
+}  // extern "C"

@@ -1,0 +1,153 @@
+/* The joint errors of RoboStress for any simulator, in C.
+
+   A simulator of an arm asks an object of these errors, in every sub-step of its physics, what
+   becomes of the torques that its controller asks for, and how far the transmissions moved.
+   Everything is deterministic.
+
+     begin_control_step   once per command: the severity follows the episode and the grasp
+       torque             each sub-step: the torques that the joints get
+       offset_change      each sub-step, after it: what to add to the joint positions
+       reading            where a sensor effect acts: what the controller sees
+
+   Units: rad, rad/s, Nm, kg m^2, s; of a slide m, m/s, N, kg. Arrays have an entry per joint unless
+   said otherwise. Structures begin with `size`, sizeof of what the caller knows: fields may be
+   added behind, none is ever removed. Threads: nothing is global. One object is used by one thread
+   at a time, different ones by different threads at once. Failures: a function that can fail
+   returns a code and writes a sentence that says value, limit and remedy to error[0 .. error_size -
+   1], cut where it is too long, always terminated; error may be NULL. What failed changed nothing.
+   No C++ exception leaves the library. */
+#ifndef ROBOSTRESS_H_
+#define ROBOSTRESS_H_
+
+#include <stddef.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
+#endif
+
+/* Raised when a function is added; functions stay as they are within a symbol version
+ * (ROBOSTRESS_1). */
+#define ROBOSTRESS_INTERFACE 1
+
+typedef enum robostress_code {
+  ROBOSTRESS_OK = 0,
+  ROBOSTRESS_INVALID_ARGUMENT = 3, /* a value that the message names */
+  ROBOSTRESS_NOT_FOUND = 5,        /* a name; the message lists the known ones */
+  ROBOSTRESS_WRONG_ORDER = 9,      /* a call that must follow another one */
+  ROBOSTRESS_INTERNAL = 13         /* a fault of this library */
+} robostress_code;
+
+const char* robostress_version(void); /* "0.2.0" */
+int robostress_interface(void);       /* ROBOSTRESS_INTERFACE of the library */
+
+/* ---- Scenarios: index from 0 to robostress_scenario_count() - 1; NULL and 0 beyond. ---- */
+size_t robostress_scenario_count(void);
+const char* robostress_scenario_name(size_t index);  /* "heavy_payload" */
+const char* robostress_scenario_title(size_t index); /* "Heavy Payload" */
+int robostress_scenario_deployed(size_t index); /* whether it is one of the seven of the paper */
+
+/* ---- Joint errors ---- */
+typedef struct robostress_errors robostress_errors;
+
+typedef struct robostress_options {
+  size_t size;
+  int severity; /* 1 (mild) to 5 (full, the default) */
+  int horizon;  /* [control steps] over which severities that grow with an episode do so; 300 */
+  const char* friction_law; /* "sgn" (the paper's, the default), "tanh", "stick" */
+  double tanh_width;        /* [rad/s], of "tanh"; 0.01 */
+  const char*
+      offset_start; /* "zero" (default) or "equilibrium": compliance at an episode's start */
+  const char* gravity_sign; /* "literal" (default: lifts the arm) or "payload" (lets it sag) */
+} robostress_options;
+
+void robostress_options_default(
+    robostress_options* options); /* sets every field that options->size covers */
+
+/* scenario: a name, or the path of a scenario file (.yaml). Built-in scenarios other than "clean",
+   and files, have values for the seven joints of a Panda; an arm with other joints begins with
+   "clean" and gets effects. options: NULL for the defaults. */
+robostress_code robostress_errors_new(const char* scenario, int joints,
+                                      const robostress_options* options,
+                                      robostress_errors** created, char* error, size_t error_size);
+/* An effect of the library at a joint, behind those that are there; from the next reset on. type:
+   as `robostress scenarios --effects` prints it; values in the order of its parameters. coupled:
+   the joint that cross_joint_coupling reads, else -1. */
+robostress_code robostress_errors_add_effect(robostress_errors* errors, int joint, const char* type,
+                                             const double* values, size_t count, int coupled,
+                                             char* error, size_t error_size);
+void robostress_errors_free(robostress_errors* errors); /* NULL is allowed */
+
+/* The whole state, hidden states included. A copy goes on as the original would. */
+robostress_code robostress_errors_copy(const robostress_errors* from, robostress_errors** created,
+                                       char* error, size_t error_size);
+/* Makes `to` what `from` is: one that robostress_errors_copy made of it, or the other way round. */
+robostress_code robostress_errors_restore(robostress_errors* to, const robostress_errors* from,
+                                          char* error, size_t error_size);
+
+int robostress_errors_joints(const robostress_errors* errors);
+
+/* Which optional fields of a moment may be read, and must be given. */
+enum {
+  ROBOSTRESS_READS_GRAVITY = 1,
+  ROBOSTRESS_READS_PAYLOAD = 2, /* payload_gravity and payload_inertia */
+  ROBOSTRESS_READS_TILT = 4,
+  ROBOSTRESS_READS_MASSES =
+      8 /* mass_matrix and other_torque: friction that brings joints to rest */
+};
+unsigned robostress_errors_reads(const robostress_errors* errors);
+
+/* The arm at the start of a sub-step. */
+typedef struct robostress_moment {
+  size_t size;
+  double time;     /* [s] since the episode began */
+  double step;     /* [s] length of the sub-step, above 0 */
+  const double* q; /* joint coordinates, with every offset that was ever added to them */
+  const double* dq;
+  const double* gravity;         /* torque that holds each joint against gravity; or NULL */
+  const double* payload_gravity; /* the same of 1 kg at the payload's place [Nm/kg]; or NULL */
+  const double* payload_inertia; /* [kg m^2/kg]; or NULL */
+  const double* tilt_gravity;    /* [joints][2]: change of gravity as the base tilts about x, y
+                                    [Nm/rad]; or NULL */
+  const double* mass_matrix;     /* [joints][joints]; or NULL */
+  const double*
+      other_torque;         /* torques beside the motors': passive - bias + constraints; or NULL */
+  const double* torque_low; /* limits of the motors; or NULL for none */
+  const double* torque_high;
+} robostress_moment;
+
+/* An episode begins at rest at this moment. holding: the motors' torques that hold the arm, or NULL
+ * for zero. */
+robostress_code robostress_errors_reset(robostress_errors* errors, const robostress_moment* moment,
+                                        const double* holding, char* error, size_t error_size);
+/* steps_done: control steps of the episode before this one, 0 while it settles. held: whether the
+   gripper holds an object. */
+void robostress_errors_begin_control_step(robostress_errors* errors, int steps_done, int held);
+/* asked: what the controller asks for. applied: what the joints get, within the limits; may be
+ * `asked` itself. */
+robostress_code robostress_errors_torque(robostress_errors* errors, const robostress_moment* moment,
+                                         const double* asked, double* applied, char* error,
+                                         size_t error_size);
+/* After torque() of the same sub-step. applied: torques that the joints really got. change: what to
+   add to the joint positions: at once, or over the sub-step as a velocity. */
+robostress_code robostress_errors_offset_change(robostress_errors* errors, const double* applied,
+                                                double* change, char* error, size_t error_size);
+/* Link angle minus motor angle of every joint now. */
+void robostress_errors_offset(const robostress_errors* errors, double* offset);
+/* What the controller reads of joints at q, dq; reading and rate may be q and dq themselves, or
+ * NULL. */
+void robostress_errors_reading(const robostress_errors* errors, const double* q, const double* dq,
+                               double* reading, double* rate);
+
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif
+
+#ifdef __cplusplus
+} /* extern "C" */
+#endif
+
+#endif /* ROBOSTRESS_H_ */
