@@ -30,6 +30,8 @@ EffectChain::EffectChain(const JointModel& model, JointChain chain)
     if (effect.info->type == "backlash") gaps_.push_back({object, effect.values[0]});
     if (effect.info->stage == EffectStage::kJoint)
       (object->HasState() ? with_memory : memoryless).push_back(object);
+    if (effect.info->stage == EffectStage::kJoint && (object->Reads() & kDriveField))
+      of_drive.push_back(object);
     if (effect.partner >= 0) partner = effect.partner;
   }
 }
@@ -49,6 +51,17 @@ void EffectChain::Reset(const JointMoment& moment) {
 double EffectChain::Drive(double torque, const JointMoment& moment) const {
   for (const JointChain::Link& link : stage(EffectStage::kDrive))
     torque = link.effect->Drive(torque, moment);
+  return torque;
+}
+
+double EffectChain::Asked(double torque, double asked, const JointMoment& moment) const {
+  const absl::Span<const JointChain::Link> links = stage(EffectStage::kDrive);
+  std::vector<double> at(links.size());  // asked of each
+  for (size_t i = 0; i < links.size(); ++i) {
+    at[i] = asked;
+    asked = links[i].effect->Drive(asked, moment);
+  }
+  for (size_t i = links.size(); i-- > 0;) torque = links[i].effect->Asked(torque, at[i], moment);
   return torque;
 }
 

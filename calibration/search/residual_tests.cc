@@ -17,10 +17,15 @@ struct Regressor {
   std::vector<double> values;
 };
 
+// Of input inverse the load is the model's: the logged torque is in the residual itself.
 std::vector<Regressor> Regressors(const JointProblem& problem, const JointModel& model,
                                   const WindowSet& chosen) {
+  const bool inverse = model.input == JointInput::kInverse;
   std::vector<Regressor> regressors = {
       {"position", "rad", {}}, {"velocity", "rad/s", {}}, {"load", "Nm", {}}, {"time", "s", {}}};
+  std::vector<std::vector<double>> loads;  // less what was logged
+  for (size_t i = 0; inverse && i < problem.tracks().size(); ++i)
+    loads.push_back(problem.TrackResidual(model, i));
   for (size_t i = 0; i < problem.windows().size(); ++i) {
     if (!chosen[i]) continue;
     const Window& window = problem.windows()[i];
@@ -29,7 +34,8 @@ std::vector<Regressor> Regressors(const JointProblem& problem, const JointModel&
     for (int k = window.first; k < window.first + window.rows; k += problem.stride()) {
       regressors[0].values.push_back(record.q_smooth[k]);
       regressors[1].values.push_back(record.dq[k]);
-      const double asked = !record.tau.empty() ? record.tau[k]
+      const double asked = inverse               ? record.tau[k] + loads[window.track][k]
+                           : !record.tau.empty() ? record.tau[k]
                            : record.command.empty()
                                ? 0
                                : model.servo.kp * (record.command[k] - record.q_smooth[k]);

@@ -12,6 +12,11 @@ class TorqueSaturationEffect : public CopyableEffect<TorqueSaturationEffect> {
   double Drive(double torque, const JointMoment&) override {
     return std::clamp(torque, -limit_, limit_);
   }
+  // Beyond the limit the torque says nothing of what was asked: that is scaled by how far the
+  // torque is from the limit, so that a limit of nearly 0 explains no more than another one.
+  double Asked(double torque, double asked, const JointMoment&) override {
+    return std::abs(asked) > limit_ ? std::abs(asked) * torque / limit_ : torque;
+  }
 
  private:
   double limit_ = 0;  // [Nm]
@@ -24,17 +29,27 @@ class DeadzoneEffect : public CopyableEffect<DeadzoneEffect> {
   double Drive(double torque, const JointMoment&) override {
     return std::copysign(std::max(0.0, std::abs(torque) - width_), torque);
   }
+  // Smooth through 0, which every torque within the zone gives.
+  double Asked(double torque, double, const JointMoment&) override {
+    return width_ > 0 ? torque + width_ * torque / (std::abs(torque) + kSmooth * width_) : torque;
+  }
 
  private:
+  static constexpr double kSmooth = 0.05;
   double width_ = 0;  // [Nm]
 };
 
 class TimeVaryingGainEffect : public CopyableEffect<TimeVaryingGainEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { rate_ = p[0]; }
-  double Drive(double torque, const JointMoment& m) override { return torque * (1 + rate_ * m.t); }
+  double Drive(double torque, const JointMoment& m) override { return torque * GainAt(m.t); }
+  double Asked(double torque, double, const JointMoment& m) override {
+    return torque / std::max(GainAt(m.t), kLeastGain);
+  }
 
  private:
+  static constexpr double kLeastGain = 0.05;
+  double GainAt(double t) const { return 1 + rate_ * t; }
   double rate_ = 0;  // [1/s]
 };
 

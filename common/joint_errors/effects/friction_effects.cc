@@ -59,6 +59,7 @@ class AsymmetricViscousEffect : public CopyableEffect<AsymmetricViscousEffect> {
 class LoadDependentEffect : public CopyableEffect<LoadDependentEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { mu_ = p[0]; }
+  unsigned Reads() const override { return kDriveField; }
   double Torque(const JointMoment& m, DryFriction& dry) override {
     dry.forward += mu_ * std::abs(m.drive);
     dry.backward += mu_ * std::abs(m.drive);

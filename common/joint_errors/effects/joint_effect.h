@@ -32,8 +32,14 @@ struct JointMoment {
   double coupled_q = 0;             // [rad] of the joint that this one is coupled to
 };
 
-// Fields of a moment that cost something to fill, as bits.
-enum MomentField : unsigned { kGravityField = 1, kPayloadFields = 2, kTiltField = 4 };
+// Fields of a moment that cost something to fill, as bits; and the motor's torque, which is what
+// is sought where a motion is given.
+enum MomentField : unsigned {
+  kGravityField = 1,
+  kPayloadFields = 2,
+  kTiltField = 4,
+  kDriveField = 8
+};
 
 // The largest torques [Nm] with which dry friction resists motion forwards (dq > 0) and backwards.
 // Sums may be negative; the simulation clips them at zero.
@@ -60,6 +66,12 @@ class JointEffect {
   virtual double Command(double command, const JointMoment&) { return command; }
   // kDrive: the motor's torque [Nm] for the torque asked of it.
   virtual double Drive(double torque, const JointMoment&) { return torque; }
+  // kDrive: its inverse, the torque asked of the motor [Nm] where the motor makes `torque`. `asked`
+  // is what was asked as far as it is known: it says no more than whether a limit was reached.
+  virtual double Asked(double torque, double asked, const JointMoment&) {
+    (void)asked;
+    return torque;
+  }
   // kJoint: a torque [Nm] that is added, and what it adds to dry friction.
   virtual double Torque(const JointMoment&, DryFriction&) { return 0; }
   // kJoint: what it adds to the inertia [kg m^2].
