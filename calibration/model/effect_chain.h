@@ -24,7 +24,7 @@ class EffectChain {
   // Link angle minus motor angle [rad].
   double Offset(const JointMoment& moment);
   double Reading(double q_link) const;
-  // The link angle of a reading, which is affine in it.
+  // The link angle of a reading.
   double LinkOf(double reading) const;
 
   bool has_gap() const { return !gaps_.empty(); }
@@ -38,6 +38,7 @@ class EffectChain {
   std::vector<JointEffect*> of_drive;                 // those of both that read the motor's torque
   bool needs_payload = false, needs_tilt = false, has_state = false, oscillates = false;
   int partner = -1;
+  bool at_rows = false;  // accelerations are those at a row and not until the next one
 
  private:
   struct Gap {

@@ -144,7 +144,12 @@ void JointSimulation::Describe(const EffectChain& chain, int row, double q, Join
   if (chain.needs_tilt) {
     for (int i = 0; i < 2; ++i) moment.tilt_gravity[i] = value(p.tilt_gravity[i]);
   }
-  if (chain.partner >= 0) moment.coupled_q = track_.log->joints[chain.partner].q_smooth[row];
+  if (!track_.record().temperature.empty()) moment.temperature = track_.record().temperature[row];
+  if (chain.partner < 0) return;
+  const JointRecord& partner = track_.log->joints[chain.partner];
+  moment.coupled_q = partner.q_smooth[row];
+  moment.coupled_dq = chain.at_rows ? partner.dq[row] : partner.motion.dq[row];
+  moment.coupled_ddq = chain.at_rows ? partner.ddq[row] : partner.motion.ddq[row];
 }
 
 void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int row, double command,

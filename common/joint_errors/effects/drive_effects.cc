@@ -53,12 +53,23 @@ class TimeVaryingGainEffect : public CopyableEffect<TimeVaryingGainEffect> {
   double rate_ = 0;  // [1/s]
 };
 
+class MotorGainEffect : public CopyableEffect<MotorGainEffect> {
+ public:
+  void SetParameters(absl::Span<const double> p) override { gain_ = 1 + p[0]; }
+  double Drive(double torque, const JointMoment&) override { return torque * gain_; }
+  double Asked(double torque, double, const JointMoment&) override { return torque / gain_; }
+
+ private:
+  double gain_ = 1;  // above 0 within its bounds
+};
+
 }  // namespace
 
 std::unique_ptr<JointEffect> TorqueSaturation() {
   return std::make_unique<TorqueSaturationEffect>();
 }
 std::unique_ptr<JointEffect> Deadzone() { return std::make_unique<DeadzoneEffect>(); }
+std::unique_ptr<JointEffect> MotorGain() { return std::make_unique<MotorGainEffect>(); }
 std::unique_ptr<JointEffect> TimeVaryingGain() { return std::make_unique<TimeVaryingGainEffect>(); }
 
 }  // namespace robostress::effects

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -29,7 +30,10 @@ struct JointMoment {
   double payload_gravity = 0;       // [Nm/kg] the same of 1 kg at the payload's place
   double payload_inertia = 0;       // [kg m^2/kg]
   double tilt_gravity[2] = {0, 0};  // [Nm/rad] change of `gravity` as the base tilts about x, y
-  double coupled_q = 0;             // [rad] of the joint that this one is coupled to
+  // Of the joint that this one is coupled to [rad, rad/s, rad/s^2].
+  double coupled_q = 0, coupled_dq = 0, coupled_ddq = 0;
+  // [deg C] of the joint; NaN: nobody measures it.
+  double temperature = std::numeric_limits<double>::quiet_NaN();
 };
 
 // Fields of a moment that cost something to fill, as bits; and the motor's torque, which is what
@@ -80,6 +84,11 @@ class JointEffect {
   virtual double Offset(const JointMoment&) { return 0; }
   // kSensor: the reading of a link angle [rad].
   virtual double Reading(double q_link) { return q_link; }
+  // Its derivative by q_link.
+  virtual double ReadingSlope(double q_link) {
+    (void)q_link;
+    return 1;
+  }
   // With parameters and hidden state, for snapshots of a simulation.
   virtual std::unique_ptr<JointEffect> Clone() const = 0;
 };

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "calibration/data/local_polynomial.h"
 #include "calibration/data/measured_log.h"
+#include "calibration/model/joint_model.h"
 #include "calibration/model/plant.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
@@ -357,6 +358,30 @@ TEST_F(RigGates, RefusesAModelThatIsAbsentOrDoesNotLoadOrLacksTheJoint) {
                                   "<geom size=\"1\"/></body></worldbody></mujoco>")
                   .ok());
   EXPECT_THAT(std::string(Plant::Load(*rig).status().message()), HasSubstr("ball or free"));
+}
+
+TEST_F(RigGates, RefusesAJointThatIsCoupledToTwoOthersOrToItself) {
+  std::string mjcf = "<mujoco><worldbody>";
+  for (const char* name : {"a", "b", "hinge"})
+    absl::StrAppend(&mjcf, "<body><joint name=\"", name, "\"/><geom size=\"1\"/></body>");
+  ASSERT_TRUE(WriteFileAtomically(folder_ + "/m.xml", mjcf + "</worldbody></mujoco>").ok());
+  const auto message = [&](const std::string& one, const std::string& other) {
+    const auto rig = Read(absl::StrCat(
+        "name: a\nmodel: m.xml\nrate_hz: 200\njoints:\n  - {name: a, input: torque}\n  - {name: b, "
+        "input: torque}\n  - {name: hinge, input: torque, effects: [{type: cross_joint_coupling, "
+        "k: 1, "
+        "partner: ",
+        one, "}, {type: cross_joint_inertia, J: 1, partner: ", other,
+        "}]}\nlogs:\n  - {file: a.csv}\n"));
+    EXPECT_TRUE(rig.ok()) << rig.status();
+    const auto plant = Plant::Load(*rig);
+    EXPECT_TRUE(plant.ok()) << plant.status();
+    return std::string(DeclaredModel(*rig, **plant, 2).status().message());
+  };
+  EXPECT_EQ(message("a", "a"), "");
+  EXPECT_THAT(message("a", "b"), AllOf(HasSubstr("joint 'hinge'"), HasSubstr("must be a"),
+                                       HasSubstr("one other joint")));
+  EXPECT_THAT(message("hinge", "hinge"), HasSubstr("must be another joint"));
 }
 
 // A reading in steps of `step` (0: none) of a joint that stands for most of a log, then sways.

@@ -24,6 +24,7 @@ struct Swaying {
       record.dq.push_back(0.8 * w * std::cos(w * t));
       record.ddq.push_back(-0.8 * w * w * std::sin(w * t));
       record.tau.push_back(4 * std::sin(record.q.back()) + 0.3 * record.ddq.back());
+      record.temperature.push_back(25 + t);
     }
     record.q_smooth = record.q;
     record.motion = {record.q, record.dq, record.ddq};
@@ -94,7 +95,8 @@ TEST(InverseLoad, FrictionFollowsTheLoadOfTheModel) {
 // The torque that was asked for is the drive stage turned over.
 TEST(InverseLoad, WhatWasAskedOfTheMotorComesBackFromItsTorque) {
   JointModel model;
-  model.effects = {{FindEffect("time_varying_gain").value(), {0.01}},
+  model.effects = {{FindEffect("motor_gain").value(), {-0.12}},
+                   {FindEffect("time_varying_gain").value(), {0.01}},
                    {FindEffect("deadzone").value(), {0.2}},
                    {FindEffect("torque_saturation").value(), {6}}};
   const EffectChain chain(model);
