@@ -8,6 +8,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "calibration/data/local_polynomial.h"
+#include "calibration/model/unit_check.h"
 #include "calibration/report/joint_description.h"
 #include "calibration/search/aided_motion.h"
 #include "calibration/search/verdict.h"
@@ -91,6 +92,7 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     RS_ASSIGN_OR_RETURN(MeasuredLog read, ReadMeasuredLog(rig, log));
     logs.push_back(std::move(read));
   }
+  RS_RETURN_IF_ERROR(CheckUnits(rig, *plant, logs));
   NoiseOfTorques(rig, *plant, logs);
   if (!plant->single()) {
     options.progress("motions of the arm");

@@ -109,7 +109,10 @@ Vector7d PandaSim::Impl::Readings() const {
 
 Vector7d PandaSim::Impl::ReadingRates() const {
   Vector7d dq;
-  for (int i = 0; i < 7; ++i) dq[i] = episode.chain.ReadingSlope(i) * data->qvel[panda.dof[i]];
+  for (int i = 0; i < 7; ++i) {
+    const double slope = episode.chain.ReadingSlope(i, data->qpos[panda.qpos[i]]);
+    dq[i] = slope * data->qvel[panda.dof[i]];
+  }
   return dq;
 }
 

@@ -38,7 +38,11 @@ JointMoments PandaSim::Impl::DescribeJoints() const {
     m.h = model->opt.timestep;
     m.q = chain.MotorAngle(i, data->qpos[panda.qpos[i]]);
     m.dq = data->qvel[panda.dof[i]];
-    if (const int other = chain.coupled(i); other >= 0) m.coupled_q = data->qpos[panda.qpos[other]];
+    if (const int other = chain.coupled(i); other >= 0) {
+      m.coupled_q = data->qpos[panda.qpos[other]];
+      m.coupled_dq = data->qvel[panda.dof[other]];
+      m.coupled_ddq = data->qacc[panda.dof[other]];
+    }
   }
   const Eigen::Vector3d field(model->opt.gravity);
   if (chain.reads() & kGravityField) {

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "calibration/data/local_polynomial.h"
+#include "calibration/data/log_units.h"
 #include "common/csv_table.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"
@@ -16,11 +17,13 @@ namespace {
 
 constexpr uint64_t kMaxBytes = uint64_t{4} << 30;
 constexpr int kMinRows = 50;
-constexpr int kSmoothing = 12;       // rows each side, at most
-constexpr double kJitter = 0.02;     // of dt; more is resampled
-constexpr double kGap = 5;           // in dt; more is refused
-constexpr double kRateError = 0.02;  // of the declared rate
-constexpr double kSaturated = 0.02;  // share of rows at the largest torque
+constexpr int kSmoothing = 12;           // rows each side, at most
+constexpr double kJitter = 0.02;         // of dt; more is resampled
+constexpr double kGap = 5;               // in dt; more is refused
+constexpr double kRateError = 0.02;      // of the declared rate
+constexpr double kSpanTolerance = 0.3;   // of a unit, from spans of a command and its answer
+constexpr double kGainTolerance = 0.15;  // of a unit, from a velocity and a derivative
+constexpr double kSaturated = 0.02;      // share of rows at the largest torque
 
 // Steps of the clock; refuses one that does not run.
 absl::StatusOr<double> CheckClock(const CsvTable& table, const std::vector<double>& t,
@@ -36,10 +39,12 @@ absl::StatusOr<double> CheckClock(const CsvTable& table, const std::vector<doubl
     steps.push_back(t[i] - t[i - 1]);
   }
   const double dt = UpperMedian(steps);
-  if (std::abs(dt * rate_hz - 1) > kRateError)
-    return absl::InvalidArgumentError(absl::StrCat(table.path(), ": t runs at ", 1 / dt,
-                                                   " rows per second, the rig's rate_hz is ",
-                                                   rate_hz, "; is t in seconds?"));
+  if (std::abs(dt * rate_hz - 1) > kRateError) {
+    const std::string unit = UnitOfClock(dt * rate_hz, kRateError);
+    return absl::InvalidArgumentError(absl::StrCat(
+        table.path(), ": t runs at ", 1 / dt, " rows per second, the rig's rate_hz is ", rate_hz,
+        "; ", unit.empty() ? "is t in seconds?" : absl::StrCat("the times are ", unit)));
+  }
   double jitter = 0;
   for (size_t i = 0; i < steps.size(); ++i) {
     if (steps[i] > kGap * dt)
@@ -91,6 +96,34 @@ double RangeOf(const std::vector<double>& values) {
   return *high - *low;
 }
 
+// Readings in another unit than radians (or metres), as far as the log by itself tells.
+absl::Status CheckAngles(const std::string& file, const RigJoint& joint,
+                         const JointRecord& record) {
+  const bool two_sides = joint.input == JointInput::kTransmission;
+  const std::string q = absl::StrCat(two_sides ? "q_link_" : "q_", joint.name);
+  const std::string other = absl::StrCat(two_sides ? "q_motor_" : "q_cmd_", joint.name);
+  const std::vector<double>& beside = two_sides ? record.q_motor : record.command;
+  const double range = RangeOf(record.q), span = beside.empty() ? 0 : RangeOf(beside);
+  for (const auto& [name, values] : {std::pair(q, &record.q), std::pair(other, &beside)}) {
+    if (!AreCounts(*values)) continue;
+    const double counts = RangeOf(*values), rest = name == q ? span : range;
+    const bool known = rest > 0 && rest < counts / 20;
+    return absl::InvalidArgumentError(absl::StrCat(
+        file, ": ", name, " holds whole numbers over a span of ", counts,
+        ": counts of an encoder; multiply them by ",
+        known ? absl::StrCat(rest / counts, ", which ", name == q ? other : q, " gives")
+              : absl::StrCat("2 pi / counts a turn, ", 2 * M_PI / 4096, " at 4096")));
+  }
+  if (range == 0 || span == 0 || (span < 20 * range && range < 20 * span)) return absl::OkStatus();
+  const bool beside_is_larger = span > range;
+  const std::string unit =
+      UnitOfRatio(beside_is_larger ? span / range : range / span, kSpanTolerance);
+  return absl::InvalidArgumentError(absl::StrCat(
+      file, ": ", other, " spans ", span, ", ", q, " spans ", range, "; ",
+      unit.empty() ? std::string("are both in radians (or metres) at the joint?")
+                   : absl::StrCat("the numbers of ", beside_is_larger ? other : q, " are ", unit)));
+}
+
 // The table's columns; what the input needs must be there.
 class Channels {
  public:
@@ -124,7 +157,7 @@ class Channels {
 
 absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& joint) {
   JointRecord record;
-  const std::string& name = joint.name;
+  const std::string& name = record.name = joint.name;
   const std::string why = absl::StrCat(", which input of joint '", name, "' needs");
   if (joint.input == JointInput::kTransmission) {
     RS_ASSIGN_OR_RETURN(record.q_motor, channels.Need("q_motor_" + name, why));
@@ -157,23 +190,32 @@ void TakeVelocity(const std::vector<double>& logged, double dt, JointRecord& rec
   record.ddq = SmoothMotion(logged, dt, kSmoothing).first;
 }
 
+// Of `values` over `reference`, by least squares.
+double GainOver(const std::vector<double>& reference, const std::vector<double>& values) {
+  double square = 0, both = 0;
+  for (size_t i = 0; i < values.size(); ++i) {
+    square += reference[i] * reference[i];
+    both += reference[i] * values[i];
+  }
+  return both / std::max(square, 1e-30);
+}
+
 // Takes a logged velocity instead of the derivative of q, which rounds the corners that a torque
 // step leaves; from where a free run starts the rounding grows with time. Only where it is the
 // derivative: no other gain, no lag (a filter's would pose as an effect), no more noise.
 void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, double dt,
                    JointRecord& record, std::vector<std::string>& notes) {
-  double speed = 0, both = 0, bend = 0, ahead = 0;
+  double bend = 0, ahead = 0;
   for (size_t i = 0; i < logged.size(); ++i) {
-    speed += record.dq[i] * record.dq[i];
-    both += record.dq[i] * logged[i];
     bend += record.ddq[i] * record.ddq[i];
     ahead += record.ddq[i] * (logged[i] - record.dq[i]);
   }
-  const double gain = both / std::max(speed, 1e-30), lag = -ahead / std::max(bend, 1e-30);
+  const double gain = GainOver(record.dq, logged), lag = -ahead / std::max(bend, 1e-30);
   if (std::abs(gain - 1) > 0.03 || std::abs(lag) > 0.5 * dt) {
-    notes.push_back(absl::StrCat(joint, ": dq_", joint, " is ", gain,
-                                 " times the derivative of the position, ", lag,
-                                 " s behind it; it is not used"));
+    const std::string unit = UnitOfRatio(gain, kGainTolerance);
+    notes.push_back(absl::StrCat(
+        joint, ": dq_", joint, " is ", gain, " times the derivative of the position, ", lag,
+        " s behind it; it is not used", unit.empty() ? "" : ". Its numbers are " + unit));
   } else if (NoiseOfReading(logged) <= record.start_noise_dq) {
     TakeVelocity(logged, dt, record);
   }
@@ -182,6 +224,7 @@ void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, 
 absl::Status GateJoint(const std::string& file, const RigJoint& joint,
                        const std::vector<double>& logged_velocity, JointRecord& record, double dt,
                        std::vector<std::string>& notes) {
+  RS_RETURN_IF_ERROR(CheckAngles(file, joint, record));
   int wraps = 0;
   for (auto* angle : {&record.q, &record.q_motor, &record.command}) wraps += Unwrap(*angle);
   if (wraps > 0) {
@@ -203,6 +246,11 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   record.dq = fit.first;
   record.ddq = fit.second;
   if (joint.velocity == VelocitySide::kMotor) {
+    const double gain = GainOver(record.dq, logged_velocity);
+    if (const std::string unit = UnitOfRatio(gain, kGainTolerance); !unit.empty())
+      return absl::InvalidArgumentError(absl::StrCat(file, ": dq_", joint.name, " is ", gain,
+                                                     " times the derivative of q_", joint.name,
+                                                     "; its numbers are ", unit));
     TakeVelocity(logged_velocity, dt, record);
     record.velocity_of_motor = true;
   } else if (!logged_velocity.empty()) {
@@ -227,10 +275,6 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
       return absl::InvalidArgumentError(
           absl::StrCat(file, ": q_cmd_", joint.name, " is constant, ", record.command.front(),
                        "; the channel is dead, or nothing was asked of the joint"));
-    if (asked > 20 * range || range > 20 * asked)
-      return absl::InvalidArgumentError(absl::StrCat(file, ": q_cmd_", joint.name, " spans ", asked,
-                                                     ", q_", joint.name, " spans ", range,
-                                                     "; are both in radians (or metres)?"));
   }
   const bool driven = joint.input == JointInput::kTorque || joint.input == JointInput::kInverse;
   if (driven && RangeOf(record.tau) == 0)

@@ -17,6 +17,7 @@ struct JointMotion {
 // What one joint did in one run, on a uniform clock. Channels that the input does not need and the
 // file does not have are empty.
 struct JointRecord {
+  std::string name;
   std::vector<double> command;      // q_cmd_<joint> [rad]
   std::vector<double> q;            // q_<joint>; of a transmission q_link_<joint> [rad]
   std::vector<double> q_motor;      // q_motor_<joint> [rad], of a transmission

@@ -277,7 +277,11 @@ absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file) {
   rig.model = (folder / model).string();
   RS_ASSIGN_OR_RETURN(rig.rate_hz, root["rate_hz"].Number());
   if (rig.rate_hz < 1 || rig.rate_hz > 1e5)
-    return root["rate_hz"].Error("is ", rig.rate_hz, ", must be 1 to 100000 rows per second");
+    return root["rate_hz"].Error(
+        "is ", rig.rate_hz, ", must be 1 to 100000 rows per second",
+        rig.rate_hz >= 1e-3 && rig.rate_hz < 1
+            ? "; of a clock in milliseconds multiply it by 1000, and t by 0.001"
+            : "");
   const Entry joints = root["joints"], logs = root["logs"];
   if (!joints.present() || !joints.node().IsSequence() || joints.node().size() == 0)
     return joints.Error("must be a list with at least one joint");

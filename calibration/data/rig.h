@@ -46,7 +46,7 @@ struct DeclaredEffect {
   std::string type;                          // of the effect library
   std::map<std::string, double> parameters;  // what is not listed has the library's start
   std::vector<std::string> fit;              // parameters that are estimated
-  std::string partner;                       // cross_joint_coupling: the joint that it reads
+  std::string partner;                       // of a coupled effect: the joint that it reads
 };
 
 struct RigJoint {

@@ -19,10 +19,12 @@ class EffectChain {
   // Drive, joint and transmission stage.
   void Reset(const JointMoment& moment);
   double Drive(double torque, const JointMoment& moment) const;
+  // The torque asked of the motor where it makes `torque` (JointEffect::Asked).
+  double Asked(double torque, double asked, const JointMoment& moment) const;
   // Link angle minus motor angle [rad].
   double Offset(const JointMoment& moment);
   double Reading(double q_link) const;
-  // The link angle of a reading, which is affine in it.
+  // The link angle of a reading.
   double LinkOf(double reading) const;
 
   bool has_gap() const { return !gaps_.empty(); }
@@ -33,8 +35,10 @@ class EffectChain {
   bool MovesAlone(double dq) const { return has_gap() && side_ * dq <= 0; }
 
   std::vector<JointEffect*> with_memory, memoryless;  // of the joint stage
+  std::vector<JointEffect*> of_drive;                 // those of both that read the motor's torque
   bool needs_payload = false, needs_tilt = false, has_state = false, oscillates = false;
   int partner = -1;
+  bool at_rows = false;  // accelerations are those at a row and not until the next one
 
  private:
   struct Gap {

@@ -11,6 +11,8 @@
 namespace robostress::calibration {
 namespace {
 
+constexpr double kResolved = 1.5;  // [K] that a temperature must change by: sensors step by 1 K
+
 double RmsOf(const std::vector<double>& values) {
   double sum = 0;
   for (const double value : values) sum += value * value;
@@ -79,18 +81,29 @@ double ScaleOf(EffectScale scale, const SignalScales& s) {
       return s.torque / (s.velocity * s.velocity);
     case EffectScale::kPayload:
       return s.payload;
+    case EffectScale::kTorquePerAcceleration:
+      return s.torque / s.acceleration;
+    case EffectScale::kTorquePerKelvin:
+      return s.torque / std::max(s.warming, kResolved);
+    case EffectScale::kTorquePerVelocityKelvin:
+      return s.torque / (s.velocity * std::max(s.warming, kResolved));
+    case EffectScale::kColdest:
+      return 1;
   }
   return 1;
 }
 
 SignalScales MeasureScales(const RigJoint& joint, const std::vector<JointTrack>& tracks) {
   SignalScales scales;
-  double torque = 0, position = 0, velocity = 0, payload = 0;
+  double torque = 0, position = 0, velocity = 0, acceleration = 0, payload = 0;
+  std::vector<double> temperatures;
   for (const JointTrack& track : tracks) {
     const JointRecord& record = track.record();
     const auto [low, high] = std::minmax_element(record.q_smooth.begin(), record.q_smooth.end());
     position = std::max(position, (*high - *low) / 2);
     velocity = std::max(velocity, RmsOf(record.dq));
+    acceleration = std::max(acceleration, RmsOf(record.ddq));
+    temperatures.insert(temperatures.end(), record.temperature.begin(), record.temperature.end());
     double drive = RmsOf(record.tau);
     if (record.tau.empty() && !record.command.empty()) {
       std::vector<double> asked(record.q.size());
@@ -113,7 +126,13 @@ SignalScales MeasureScales(const RigJoint& joint, const std::vector<JointTrack>&
   scales.torque = std::max(torque, 1e-9);
   scales.position = std::max(position, 1e-9);
   scales.velocity = std::max(velocity, 1e-9);
+  scales.acceleration = std::max(acceleration, 1e-9);
   scales.payload = scales.torque / std::max(payload, 1e-9);
+  if (!temperatures.empty()) {
+    const auto [cold, warm] = std::minmax_element(temperatures.begin(), temperatures.end());
+    scales.coldest = *cold;
+    scales.warming = *warm - *cold;
+  }
   return scales;
 }
 
@@ -158,8 +177,10 @@ std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& eff
   std::vector<size_t> free;
   for (size_t i = 0; i < effect.parameters.size(); ++i) {
     const EffectParameter& parameter = effect.parameters[i];
-    instance.values.push_back(parameter.starts.front() *
-                              (parameter.fixed ? 1 : ScaleOf(parameter.scale, scales)));
+    const double scale = parameter.fixed ? 1 : ScaleOf(parameter.scale, scales);
+    instance.values.push_back(parameter.scale == EffectScale::kColdest
+                                  ? scales.coldest
+                                  : parameter.starts.front() * scale);
     if (parameter.fixed) continue;
     free.push_back(i);
     h.free.push_back(EffectFreeParameter(effect, i, scales));
@@ -181,6 +202,10 @@ std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& eff
       choice[digit++] = 0;
     if (digit == free.size()) return result;
   }
+}
+
+bool IsLogged(const EffectInfo& effect, const SignalScales& scales) {
+  return !effect.thermal || scales.warming >= kResolved;
 }
 
 Hypothesis WithoutEffect(const Hypothesis& h, const std::string& type) {

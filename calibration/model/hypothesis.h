@@ -12,7 +12,9 @@ namespace robostress::calibration {
 
 // Typical sizes of a joint's signals, of which parameters are multiples.
 struct SignalScales {
-  double torque = 1, position = 1, velocity = 1, sample = 1, payload = 1;
+  double torque = 1, position = 1, velocity = 1, acceleration = 1, sample = 1, payload = 1;
+  double coldest = 0;  // [deg C] logged
+  double warming = 0;  // [K] between the coldest and the warmest; 0: nothing is logged
 };
 SignalScales MeasureScales(const RigJoint& joint, const std::vector<JointTrack>& tracks);
 double ScaleOf(EffectScale scale, const SignalScales& scales);
@@ -41,6 +43,8 @@ absl::StatusOr<Hypothesis> DeclaredHypothesis(const RigJoint& joint, const Joint
 // of the command takes the place of the free command_shift.
 std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& effect,
                                    const SignalScales& scales, int partner = -1);
+// Whether logs hold what an effect reads beside motion and torque: a temperature that changes.
+bool IsLogged(const EffectInfo& effect, const SignalScales& scales);
 // Without an effect that was added; its free parameters leave with it.
 Hypothesis WithoutEffect(const Hypothesis& h, const std::string& type);
 // With a free parameter fixed at 0.

@@ -33,6 +33,7 @@ absl::StatusOr<JointModel> DeclaredModel(const Rig& rig, const Plant& plant, int
   const RigJoint& joint = rig.joints[index];
   JointModel model;
   model.input = joint.input;
+  model.hinge = plant.hinge(index);
   model.servo = joint.servo;
   const PlantPassive passive = plant.passive(index);
   model.armature = passive.armature;
@@ -44,11 +45,16 @@ absl::StatusOr<JointModel> DeclaredModel(const Rig& rig, const Plant& plant, int
     RS_ASSIGN_OR_RETURN(EffectInstance instance, MakeInstance(joint, declared));
     for (size_t i = 0; i < rig.joints.size(); ++i)
       if (rig.joints[i].name == declared.partner) instance.partner = static_cast<int>(i);
-    if (declared.type == "cross_joint_coupling" &&
-        (instance.partner < 0 || instance.partner == index))
+    if (instance.info->coupled && (instance.partner < 0 || instance.partner == index))
       return absl::InvalidArgumentError(
-          absl::StrCat(rig.file, ": joint '", joint.name, "': cross_joint_coupling: partner is '",
+          absl::StrCat(rig.file, ": joint '", joint.name, "': ", declared.type, ": partner is '",
                        declared.partner, "', must be another joint of the rig"));
+    if (const int known = PartnerOf(model);
+        known >= 0 && instance.partner >= 0 && instance.partner != known)
+      return absl::InvalidArgumentError(absl::StrCat(
+          rig.file, ": joint '", joint.name, "': ", declared.type, ": partner is '",
+          declared.partner, "', must be ", rig.joints[known].name,
+          ", the partner of its other effects: a joint is coupled to one other joint"));
     model.effects.push_back(std::move(instance));
   }
   for (const auto& [name, value] : joint.parameters) {
@@ -56,6 +62,12 @@ absl::StatusOr<JointModel> DeclaredModel(const Rig& rig, const Plant& plant, int
     *target = value;
   }
   return model;
+}
+
+int PartnerOf(const JointModel& model) {
+  for (const EffectInstance& effect : model.effects)
+    if (effect.partner >= 0) return effect.partner;
+  return -1;
 }
 
 absl::StatusOr<double*> FindValue(JointModel& model, const std::string& path) {

@@ -15,12 +15,13 @@ namespace robostress::calibration {
 struct EffectInstance {
   const EffectInfo* info = nullptr;
   std::vector<double> values;
-  int partner = -1;  // joint of the rig whose position cross_joint_coupling reads
+  int partner = -1;  // joint of the rig whose motion a coupled effect reads
 };
 
 // Everything that the prediction of one joint depends on beside logs and rigid body.
 struct JointModel {
   JointInput input = JointInput::kPositionTarget;
+  bool hinge = true;
   Servo servo;
   double armature = 0;         // [kg m^2]
   double mass_scale = 1;       // of inertia and gravity, armature excluded
@@ -41,6 +42,9 @@ struct JointModel {
 
 // The declared model of joint `index` of a rig.
 absl::StatusOr<JointModel> DeclaredModel(const Rig& rig, const Plant& plant, int index);
+
+// The joint of the rig that its coupled effects read, of which there is one; -1: none is coupled.
+int PartnerOf(const JointModel& model);
 
 // The number that `path` names: a model parameter ("armature", "servo.kp") or
 // "<effect>.<parameter>". NotFound lists what there is.

@@ -8,7 +8,8 @@
 namespace robostress::calibration {
 
 namespace {
-constexpr double kRunaway = 1e4;  // [rad]
+constexpr double kRunaway = 1e4;         // [rad]
+constexpr double kMostLoadSlope = 0.95;  // [Nm/Nm] of friction by the torque that it loads
 }  // namespace
 
 struct JointSimulation::State {
@@ -143,7 +144,12 @@ void JointSimulation::Describe(const EffectChain& chain, int row, double q, Join
   if (chain.needs_tilt) {
     for (int i = 0; i < 2; ++i) moment.tilt_gravity[i] = value(p.tilt_gravity[i]);
   }
-  if (chain.partner >= 0) moment.coupled_q = track_.log->joints[chain.partner].q_smooth[row];
+  if (!track_.record().temperature.empty()) moment.temperature = track_.record().temperature[row];
+  if (chain.partner < 0) return;
+  const JointRecord& partner = track_.log->joints[chain.partner];
+  moment.coupled_q = partner.q_smooth[row];
+  moment.coupled_dq = chain.at_rows ? partner.dq[row] : partner.motion.dq[row];
+  moment.coupled_ddq = chain.at_rows ? partner.ddq[row] : partner.motion.ddq[row];
 }
 
 void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int row, double command,
@@ -327,34 +333,52 @@ void JointSimulation::Transmission(EffectChain& chain, absl::Span<double> predic
   }
 }
 
+// The motor's torque that the measured motion of a row asks for. Friction that depends on this
+// torque takes it from here and never from the log, where it would explain the torque by itself: as
+// it grows in proportion to its size, the line through two points meets it.
+double JointSimulation::Load(const JointModel& model, EffectChain& chain, int row,
+                             JointMoment& moment) {
+  const JointRecord& record = track_.record();
+  const PlantRow& p = plant(row);
+  DryFriction lasting{model.frictionloss, model.frictionloss};
+  double inertia = model.armature + model.mass_scale * p.inertia;
+  double held = model.mass_scale * (moment.gravity + p.coupling) - model.torque_offset +
+                model.stiffness * (moment.q - model.spring_rest) + model.damping * moment.dq;
+  for (const JointChain::Link& link : chain.stage(EffectStage::kJoint)) {
+    if (link.effect->Reads() & kDriveField) continue;
+    held -= link.effect->Torque(moment, lasting);
+    inertia += link.effect->Inertia(moment);
+  }
+  held += inertia * record.ddq[row];
+  // Smooth through rest, where the direction is noise.
+  const double speed = 2 * record.start_noise_dq;
+  const double direction = std::tanh(moment.dq / std::max(speed, 1e-9));
+  const auto load_at = [&](double drive) {
+    moment.drive = drive;
+    DryFriction dry = lasting;
+    double torque = held;
+    for (JointEffect* effect : chain.of_drive) torque -= effect->Torque(moment, dry);
+    return torque + direction * std::max(0.0, direction > 0 ? dry.forward : dry.backward);
+  };
+  const double first = load_at(0);
+  if (chain.of_drive.empty() || first == 0) return first;
+  const double slope = (load_at(first) - first) / first;
+  return first / (1 - std::min(slope, kMostLoadSlope));
+}
+
 void JointSimulation::Inverse(const JointModel& model, EffectChain& chain,
                               absl::Span<double> predicted) {
   const JointRecord& record = track_.record();
   JointMoment moment;
   moment.h = track_.log->dt;
   for (int row = 0; row < track_.log->rows; ++row) {
-    const PlantRow& p = plant(row);
     moment.t = row * moment.h;
     moment.q = chain.LinkOf(record.q_smooth[row]);
     moment.dq = record.dq[row];
     Describe(chain, row, moment.q, moment);
-    const double given = commands_[static_cast<size_t>(row) * sub_steps_];
-    moment.drive = model.torque_gain * chain.Drive(given, moment);
     if (row == 0) chain.Reset(moment);
-    DryFriction dry{model.frictionloss, model.frictionloss};
-    double inertia = model.armature + model.mass_scale * p.inertia;
-    double torque = model.mass_scale * (moment.gravity + p.coupling) - model.torque_offset +
-                    model.stiffness * (moment.q - model.spring_rest) + model.damping * moment.dq;
-    for (const JointChain::Link& link : chain.stage(EffectStage::kJoint)) {
-      torque -= link.effect->Torque(moment, dry);
-      inertia += link.effect->Inertia(moment);
-    }
-    torque += inertia * record.ddq[row];
-    // Smooth through rest, where the direction is noise.
-    const double speed = 2 * record.start_noise_dq;
-    const double direction = std::tanh(moment.dq / std::max(speed, 1e-9));
-    torque += direction * std::max(0.0, direction > 0 ? dry.forward : dry.backward);
-    predicted[row] = torque - (moment.drive - given);
+    const double load = Load(model, chain, row, moment);
+    predicted[row] = chain.Asked(load / model.torque_gain, record.tau[row], moment);
   }
 }
 

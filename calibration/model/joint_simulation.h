@@ -74,6 +74,7 @@ class JointSimulation {
   void Run(const JointModel& model, EffectChain& chain, int start, int end, State state,
            StartOffset offset, absl::Span<double> readings, absl::Span<double> velocities);
   void Transmission(EffectChain& chain, absl::Span<double> predicted);
+  double Load(const JointModel& model, EffectChain& chain, int row, JointMoment& moment);
   void Inverse(const JointModel& model, EffectChain& chain, absl::Span<double> predicted);
   void SubStep(const JointModel& model, EffectChain& chain, int row, double command, State& state);
   JointMoment MeasuredMoment(const JointModel& model, const EffectChain& chain, int row, int step,

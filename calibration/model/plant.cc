@@ -67,6 +67,10 @@ class MujocoPlant : public Plant {
   bool hinge(int joint) const override {
     return model_->jnt_type[joints_[joint].id] == mjJNT_HINGE;
   }
+  double travel(int joint) const override {
+    const int id = joints_[joint].id;
+    return model_->jnt_limited[id] ? model_->jnt_range[2 * id + 1] - model_->jnt_range[2 * id] : 0;
+  }
   PlantPassive passive(int joint) const override {
     const Joint& j = joints_[joint];
     return {model_->dof_armature[j.dof], model_->dof_damping[j.dof],

@@ -50,6 +50,8 @@ class Plant {
   virtual bool single() const = 0;  // one row serves every moment
   virtual PlantPassive passive(int joint) const = 0;
   virtual bool hinge(int joint) const = 0;
+  // [rad] between the joint's stops, 0: it has none.
+  virtual double travel(int joint) const = 0;
   // Rows of joint `joint` of the rig along a log. Of an arm they are taken where the arm is halfway
   // to the next row, because a row's torque acts until then; of input inverse at the row.
   virtual std::vector<PlantRow> Rows(int joint, const MeasuredLog& log) const = 0;

@@ -67,11 +67,15 @@ bool IsOfTorque(EffectScale scale) {
     case EffectScale::kTorquePerVelocity2:
     case EffectScale::kTorquePerSecond:
     case EffectScale::kPayload:
+    case EffectScale::kTorquePerAcceleration:
+    case EffectScale::kTorquePerKelvin:
+    case EffectScale::kTorquePerVelocityKelvin:
       return true;
     case EffectScale::kOne:
     case EffectScale::kPosition:
     case EffectScale::kVelocity:
     case EffectScale::kSample:
+    case EffectScale::kColdest:
       return false;
   }
   return false;

@@ -110,13 +110,17 @@ std::vector<PairContender> ScreenPairs(const JointProblem& problem, const Screen
   for (const Member& member : members)
     basis.middleCols(member.first, member.count) = member.signature->basis;
   const Eigen::MatrixXd gram = basis.transpose() * basis;
-  const auto type = [&](int member) {
-    return screening.candidates()[members[member].signature->candidate].effect;
+  // A joint has an effect once, and is coupled to one other joint.
+  const auto may_pair = [&](int a, int b) {
+    const Candidate& one = screening.candidates()[members[a].signature->candidate];
+    const Candidate& other = screening.candidates()[members[b].signature->candidate];
+    const bool same_partner = one.partner < 0 || other.partner < 0 || one.partner == other.partner;
+    return one.effect != other.effect && same_partner;
   };
   std::vector<Pair> pairs;
   for (int a = 0; a < static_cast<int>(members.size()); ++a) {
     for (int b = a + 1; b < static_cast<int>(members.size()); ++b)
-      if (type(a) != type(b)) pairs.push_back(MakePair(members, a, b, gram));
+      if (may_pair(a, b)) pairs.push_back(MakePair(members, a, b, gram));
   }
   const auto best = [&](const Eigen::VectorXd& r) {
     const double whole = std::max(r.squaredNorm(), 1e-300);

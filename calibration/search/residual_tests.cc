@@ -4,6 +4,8 @@
 #include <cmath>
 #include <unsupported/Eigen/FFT>
 
+#include "absl/strings/str_cat.h"
+
 namespace robostress::calibration {
 namespace {
 
@@ -17,10 +19,24 @@ struct Regressor {
   std::vector<double> values;
 };
 
+// Of input inverse the load is the model's: the logged torque is in the residual itself.
 std::vector<Regressor> Regressors(const JointProblem& problem, const JointModel& model,
                                   const WindowSet& chosen) {
+  const JointTrack& any = problem.tracks().front();
+  const bool inverse = model.input == JointInput::kInverse;
   std::vector<Regressor> regressors = {
       {"position", "rad", {}}, {"velocity", "rad/s", {}}, {"load", "Nm", {}}, {"time", "s", {}}};
+  std::vector<int> others;
+  for (int i = 0; i < static_cast<int>(any.log->joints.size()); ++i) {
+    if (i == any.joint) continue;
+    others.push_back(i);
+    const std::string& name = any.log->joints[i].name;
+    regressors.push_back({absl::StrCat("position of ", name), "rad", {}});
+    regressors.push_back({absl::StrCat("velocity of ", name), "rad/s", {}});
+  }
+  std::vector<std::vector<double>> loads;  // less what was logged
+  for (size_t i = 0; inverse && i < problem.tracks().size(); ++i)
+    loads.push_back(problem.TrackResidual(model, i));
   for (size_t i = 0; i < problem.windows().size(); ++i) {
     if (!chosen[i]) continue;
     const Window& window = problem.windows()[i];
@@ -29,12 +45,18 @@ std::vector<Regressor> Regressors(const JointProblem& problem, const JointModel&
     for (int k = window.first; k < window.first + window.rows; k += problem.stride()) {
       regressors[0].values.push_back(record.q_smooth[k]);
       regressors[1].values.push_back(record.dq[k]);
-      const double asked = !record.tau.empty() ? record.tau[k]
+      const double asked = inverse               ? record.tau[k] + loads[window.track][k]
+                           : !record.tau.empty() ? record.tau[k]
                            : record.command.empty()
                                ? 0
                                : model.servo.kp * (record.command[k] - record.q_smooth[k]);
       regressors[2].values.push_back(asked);
       regressors[3].values.push_back(k * track.log->dt);
+      for (size_t i = 0; i < others.size(); ++i) {
+        const JointMotion& motion = track.log->joints[others[i]].motion;
+        regressors[4 + 2 * i].values.push_back(motion.q[k]);
+        regressors[5 + 2 * i].values.push_back(motion.dq[k]);
+      }
     }
   }
   return regressors;

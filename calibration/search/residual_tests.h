@@ -11,8 +11,9 @@ namespace robostress::calibration {
 WhitenessReport TestWhiteness(const JointProblem& problem, const Eigen::VectorXd& residual,
                               const WindowSet& chosen);
 
-// Means of the projected residuals of two models over bins of position, velocity, load and time,
-// and their spectra. `scale` turns them into the unit of the report.
+// Means of the projected residuals of two models over bins of position, velocity, load, time and
+// the motion of every other joint, and their spectra. `scale` turns them into the unit of the
+// report.
 std::vector<StructureCurve> MeasureStructure(const JointProblem& problem,
                                              const JointModel& declared, const JointModel& after,
                                              const WindowSet& chosen, double scale);

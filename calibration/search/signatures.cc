@@ -75,8 +75,11 @@ std::vector<Candidate> CandidatesFor(const JointModel& model, const std::vector<
       seen = stage == EffectStage::kJoint || stage == EffectStage::kDrive ||
              stage == EffectStage::kSensor;
     if (!seen) continue;
-    if (effect.type == "cross_joint_coupling") {
-      for (const int joint : other_joints) candidates.push_back({&effect, joint});
+    if (effect.type == "encoder_eccentricity" && !model.hinge) continue;
+    if (effect.coupled) {
+      const int known = PartnerOf(model);
+      for (const int joint : other_joints)
+        if (known < 0 || joint == known) candidates.push_back({&effect, joint});
     } else {
       candidates.push_back({&effect, -1});
     }
@@ -88,6 +91,8 @@ Screening::Screening(const JointProblem& problem, const JointFit& fit, const Sig
                      std::vector<Candidate> candidates, const WindowSet& chosen)
     : candidates_(std::move(candidates)) {
   const Hypothesis& base = fit.best;
+  std::erase_if(candidates_,
+                [&](const Candidate& candidate) { return !IsLogged(*candidate.effect, scales); });
   at_base_ = problem.Projected(ModelAt(base, base.x), chosen);
   imitated_ = BasisOf(problem.Jacobian(base, base.x, at_base_, chosen));
   Eigen::MatrixXd r = at_base_;

@@ -8,7 +8,7 @@
 
 namespace robostress::calibration {
 
-// Something that may be missing: an effect, of cross_joint_coupling with the joint that it reads.
+// Something that may be missing: an effect, of a coupled one with the joint that it reads.
 struct Candidate {
   const EffectInfo* effect = nullptr;
   int partner = -1;
@@ -37,6 +37,7 @@ class Screening {
   Screening(const JointProblem& problem, const JointFit& fit, const SignalScales& scales,
             std::vector<Candidate> candidates, const WindowSet& chosen);
 
+  // Those of which the logs hold what they depend on.
   const std::vector<Candidate>& candidates() const { return candidates_; }
   const std::vector<Signature>& signatures() const { return signatures_; }
   const Eigen::VectorXd& residual() const { return residual_; }  // orthogonal to what is imitated

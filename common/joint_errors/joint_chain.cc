@@ -174,6 +174,16 @@ double JointChain::Reading(int joint, double q_link) const {
   return q_link;
 }
 
+double JointChain::ReadingSlope(int joint, double q_link) const {
+  double slope = 1;
+  for (const Link& link : effects_.of(kSensor)) {
+    if (link.joint != joint) continue;
+    slope *= link.effect->ReadingSlope(q_link);
+    q_link = link.effect->Reading(q_link);
+  }
+  return slope;
+}
+
 bool JointChain::any_effects() const {
   return std::any_of(effects_.stages.begin(), effects_.stages.end(),
                      [](const std::vector<Link>& stage) { return !stage.empty(); });

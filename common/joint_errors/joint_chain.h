@@ -85,8 +85,8 @@ class JointChain {
   double error_offset(PaperErrorKind kind, int joint) const;
 
   double Reading(int joint, double q_link) const;
-  // d Reading / d q_link: readings are affine.
-  double ReadingSlope(int joint) const { return Reading(joint, 1) - Reading(joint, 0); }
+  // d Reading / d q_link at q_link.
+  double ReadingSlope(int joint, double q_link) const;
 
   // Whether anything acts at a stage; whether there is any effect beside the paper's errors.
   bool has(EffectStage stage) const { return has_errors(stage) || has_effects(stage); }
@@ -94,7 +94,7 @@ class JointChain {
   // The effects of a stage, in the order in which they act.
   absl::Span<const Link> effects(EffectStage stage) const { return effects_.of(stage); }
   unsigned reads() const { return reads_; }  // MomentFields
-  // Joint whose position `joint` is coupled to, or -1.
+  // Joint whose motion `joint` is coupled to, or -1.
   int coupled(int joint) const { return coupled_[joint]; }
   const SeverityCourse& severity() const { return severity_; }
 

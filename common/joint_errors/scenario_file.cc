@@ -18,7 +18,6 @@ namespace robostress {
 namespace {
 
 constexpr char kEnding[] = ".yaml";
-constexpr char kCoupling[] = "cross_joint_coupling";
 constexpr char kCoupledKey[] = "joint";
 
 // Sizes of the arm, of which the library's bounds are multiples.
@@ -26,6 +25,8 @@ double ArmScale(EffectScale scale, const RobotDescription& robot, int joint) {
   const double torque = robot.joints[joint].torque_limit;
   const double velocity = robot.joints[joint].max_velocity;
   constexpr double kPosition = M_PI;
+  constexpr double kAccelerating_s = 0.25;  // to the largest velocity
+  constexpr double kWarming = 20;           // [K] over a shift
   switch (scale) {
     case EffectScale::kOne:
       return 1;
@@ -50,6 +51,14 @@ double ArmScale(EffectScale scale, const RobotDescription& robot, int joint) {
       return torque / std::pow(velocity, 2);
     case EffectScale::kPayload:
       return torque / (9.81 * robot.reach);
+    case EffectScale::kTorquePerAcceleration:
+      return torque / (velocity / kAccelerating_s);
+    case EffectScale::kTorquePerKelvin:
+      return torque / kWarming;
+    case EffectScale::kTorquePerVelocityKelvin:
+      return torque / (velocity * kWarming);
+    case EffectScale::kColdest:
+      return 1;
   }
   return 1;
 }
@@ -129,6 +138,12 @@ class Parser {
         if (other.joint == joint && other.type == effect.type)
           return Error(place, absl::StrCat("'", effect.type, "' stands twice at ",
                                            robot_.joints[joint].name));
+        if (other.joint == joint && other.coupled >= 0 && effect.coupled >= 0 &&
+            other.coupled != effect.coupled)
+          return Error(absl::StrCat(place, ".", kCoupledKey),
+                       absl::StrCat("is ", robot_.joints[effect.coupled].name, ", must be ",
+                                    robot_.joints[other.coupled].name, " as of '", other.type,
+                                    "': a joint is coupled to one other joint"));
       }
       scenario.effects.push_back(std::move(effect));
     }
@@ -145,7 +160,7 @@ class Parser {
     if (!info.ok()) return Error(path + ".type", std::string(info.status().message()));
     std::vector<std::string> keys = {"type"};
     for (const EffectParameter& parameter : (*info)->parameters) keys.push_back(parameter.name);
-    const bool coupling = effect.type == kCoupling;
+    const bool coupling = (*info)->coupled;
     if (coupling) keys.push_back(kCoupledKey);
     RS_RETURN_IF_ERROR(CheckKeys(node, path, keys));
     for (size_t i = 0; i < (*info)->parameters.size(); ++i) {

@@ -38,7 +38,7 @@ struct ScenarioEffect {
   int joint = 0;  // 0: J1
   std::string type;
   std::vector<double> values;
-  int coupled = -1;  // of cross_joint_coupling: the joint whose position it reads
+  int coupled = -1;  // of an effect that is coupled: the joint whose motion it reads
 };
 
 // One row of the scenario table, or a scenario file: everything that distinguishes a scenario from

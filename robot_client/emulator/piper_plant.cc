@@ -104,7 +104,11 @@ std::array<JointMoment, kJoints> PiperPlant::DescribeJoints() const {
     moments[i].gravity = gravity[i];
   }
   for (int i = 0; i < kJoints; ++i) {
-    if (chain_.coupled(i) >= 0) moments[i].coupled_q = moments[chain_.coupled(i)].q;
+    const int other = chain_.coupled(i);
+    if (other < 0) continue;
+    moments[i].coupled_q = moments[other].q;
+    moments[i].coupled_dq = moments[other].dq;
+    moments[i].coupled_ddq = data_->qacc[dof_[other]];
   }
   return moments;
 }
@@ -190,8 +194,9 @@ void PiperPlant::Read() {
   const Vector6 gravity = HoldingTorque(false);
   for (int i = 0; i < kJoints; ++i) {
     const double before_encoder = motor_encoders_ ? chain_.offset(i) : 0;
-    reading_.q[i] = chain_.Reading(i, data_->qpos[qpos_[i]] - before_encoder);
-    reading_.dq[i] = chain_.ReadingSlope(i) * data_->qvel[dof_[i]];
+    const double seen = data_->qpos[qpos_[i]] - before_encoder;
+    reading_.q[i] = chain_.Reading(i, seen);
+    reading_.dq[i] = chain_.ReadingSlope(i, seen) * data_->qvel[dof_[i]];
     reading_.gravity[i] = gravity[i];
   }
   reading_.opening = data_->qpos[finger_qpos_[0]] + data_->qpos[finger_qpos_[1]];

@@ -266,7 +266,7 @@ TEST(EffectsInSim, EveryEffectRunsInEverySteppingAndStaysFinite) {
       // A tenth of what the library starts fits with, at signals of 10 Nm, 1 rad, 1 rad/s, 5 ms.
       for (const EffectParameter& p : info.parameters)
         effect.values.push_back(p.inverse ? 1000 : p.fixed ? p.starts[0] : 0.1 * p.starts[0]);
-      if (info.type == "cross_joint_coupling") effect.coupled = 2;
+      if (info.coupled) effect.coupled = 2;
       if (info.type == "transport_delay" || info.type == "servo_lag") effect.values = {0.004};
       all.effects.push_back(std::move(effect));
     }

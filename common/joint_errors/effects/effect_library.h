@@ -25,6 +25,11 @@ enum class EffectScale {
   kTorquePerVelocity2,  // T / V^2
   kTorquePerSecond,     // T / 1 s
   kPayload,             // T over the gravity torque of 1 kg [kg]
+  // Acceleration A; temperature that a log rises by, K.
+  kTorquePerAcceleration,    // T / A
+  kTorquePerKelvin,          // T / K
+  kTorquePerVelocityKelvin,  // T / (V K)
+  kColdest,                  // the lowest temperature logged [deg C], whatever the start says
 };
 
 struct EffectParameter {
@@ -53,6 +58,8 @@ struct EffectInfo {
   std::vector<std::string> mimics;  // effects that look alike on poor data
   std::string separated_by;         // the experiment that tells it from those
   std::function<std::unique_ptr<JointEffect>()> make;
+  bool coupled = false;  // it reads the motion of another joint, its partner
+  bool thermal = false;  // it reads the joint's temperature
 };
 
 // Every effect, in the order of the design.

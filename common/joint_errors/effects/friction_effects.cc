@@ -59,9 +59,24 @@ class AsymmetricViscousEffect : public CopyableEffect<AsymmetricViscousEffect> {
 class LoadDependentEffect : public CopyableEffect<LoadDependentEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override { mu_ = p[0]; }
+  unsigned Reads() const override { return kDriveField; }
   double Torque(const JointMoment& m, DryFriction& dry) override {
     dry.forward += mu_ * std::abs(m.drive);
     dry.backward += mu_ * std::abs(m.drive);
+    return 0;
+  }
+
+ private:
+  double mu_ = 0;
+};
+
+class GravityDependentEffect : public CopyableEffect<GravityDependentEffect> {
+ public:
+  void SetParameters(absl::Span<const double> p) override { mu_ = p[0]; }
+  unsigned Reads() const override { return kGravityField; }
+  double Torque(const JointMoment& m, DryFriction& dry) override {
+    dry.forward += mu_ * std::abs(m.gravity);
+    dry.backward += mu_ * std::abs(m.gravity);
     return 0;
   }
 
@@ -91,6 +106,27 @@ class TimeDriftEffect : public CopyableEffect<TimeDriftEffect> {
 
  private:
   double rate_ = 0;  // [Nm/s]
+};
+
+class TemperatureEffect : public CopyableEffect<TemperatureEffect> {
+ public:
+  void SetParameters(absl::Span<const double> p) override {
+    dry_ = p[0];
+    viscous_ = p[1];
+    reference_ = p[2];
+    unmeasured_ = p[3];
+  }
+  double Torque(const JointMoment& m, DryFriction& dry) override {
+    const double warmer = (std::isnan(m.temperature) ? unmeasured_ : m.temperature) - reference_;
+    dry.forward += dry_ * warmer;
+    dry.backward += dry_ * warmer;
+    return -viscous_ * warmer * m.dq;
+  }
+
+ private:
+  double dry_ = 0;                         // [Nm/K]
+  double viscous_ = 0;                     // [Nm s/rad/K]
+  double reference_ = 0, unmeasured_ = 0;  // [deg C]
 };
 
 // Dahl: dz/dx = (1 - sgn(dx) z) / x_s, integrated exactly over the way of a sub-step; -F z.
@@ -133,6 +169,54 @@ class PositionDependentEffect : public CopyableEffect<PositionDependentEffect> {
   double wave_ = 1;       // [rad/rad]
 };
 
+double SmoothSign(double velocity, double width) { return std::tanh(velocity / width); }
+
+// Of a shared gear or belt; the sign is smooth, since the other joint's velocity is measured.
+class CrossJointFrictionEffect : public CopyableEffect<CrossJointFrictionEffect> {
+ public:
+  void SetParameters(absl::Span<const double> p) override {
+    dry_ = p[0];
+    viscous_ = p[1];
+    limit_ = p[2];
+    width_ = p[3];
+  }
+  double Torque(const JointMoment& m, DryFriction& dry) override {
+    dry.forward += limit_ * std::abs(m.coupled_dq);
+    dry.backward += limit_ * std::abs(m.coupled_dq);
+    return -dry_ * SmoothSign(m.coupled_dq, width_) - viscous_ * m.coupled_dq;
+  }
+
+ private:
+  double dry_ = 0;      // [Nm]
+  double viscous_ = 0;  // [Nm s/rad]
+  double limit_ = 0;    // [Nm s/rad]
+  double width_ = 1;    // [rad/s]
+};
+
+// Two joints of one gear rub at the sum of their velocities instead of at their own. The sign of a
+// sum is that of its larger part: where the other joint is the faster, it drags this one along.
+class CrossJointRubbingEffect : public CopyableEffect<CrossJointRubbingEffect> {
+ public:
+  void SetParameters(absl::Span<const double> p) override {
+    dry_ = p[0];
+    ratio_ = p[1];
+    width_ = p[2];
+  }
+  double Torque(const JointMoment& m, DryFriction& dry) override {
+    const double other = ratio_ * m.coupled_dq;
+    const double dragged =
+        dry_ * std::max(0.0, SmoothSign(std::abs(other) - std::abs(m.dq), width_));
+    dry.forward -= dragged;
+    dry.backward -= dragged;
+    return -dragged * SmoothSign(other, width_);
+  }
+
+ private:
+  double dry_ = 0;    // [Nm]
+  double ratio_ = 0;  // of the gear
+  double width_ = 1;  // [rad/s]
+};
+
 }  // namespace
 
 std::unique_ptr<JointEffect> StribeckFrictionOf(FrictionLaw law, double tanh_width) {
@@ -149,6 +233,16 @@ std::unique_ptr<JointEffect> AsymmetricViscous() {
 }
 std::unique_ptr<JointEffect> LoadDependentFriction() {
   return std::make_unique<LoadDependentEffect>();
+}
+std::unique_ptr<JointEffect> GravityDependentFriction() {
+  return std::make_unique<GravityDependentEffect>();
+}
+std::unique_ptr<JointEffect> TemperatureFriction() { return std::make_unique<TemperatureEffect>(); }
+std::unique_ptr<JointEffect> CrossJointFriction() {
+  return std::make_unique<CrossJointFrictionEffect>();
+}
+std::unique_ptr<JointEffect> CrossJointRubbing() {
+  return std::make_unique<CrossJointRubbingEffect>();
 }
 std::unique_ptr<JointEffect> QuadraticViscousFriction() {
   return std::make_unique<QuadraticViscousEffect>();

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -29,11 +30,20 @@ struct JointMoment {
   double payload_gravity = 0;       // [Nm/kg] the same of 1 kg at the payload's place
   double payload_inertia = 0;       // [kg m^2/kg]
   double tilt_gravity[2] = {0, 0};  // [Nm/rad] change of `gravity` as the base tilts about x, y
-  double coupled_q = 0;             // [rad] of the joint that this one is coupled to
+  // Of the joint that this one is coupled to [rad, rad/s, rad/s^2].
+  double coupled_q = 0, coupled_dq = 0, coupled_ddq = 0;
+  // [deg C] of the joint; NaN: nobody measures it.
+  double temperature = std::numeric_limits<double>::quiet_NaN();
 };
 
-// Fields of a moment that cost something to fill, as bits.
-enum MomentField : unsigned { kGravityField = 1, kPayloadFields = 2, kTiltField = 4 };
+// Fields of a moment that cost something to fill, as bits; and the motor's torque, which is what
+// is sought where a motion is given.
+enum MomentField : unsigned {
+  kGravityField = 1,
+  kPayloadFields = 2,
+  kTiltField = 4,
+  kDriveField = 8
+};
 
 // The largest torques [Nm] with which dry friction resists motion forwards (dq > 0) and backwards.
 // Sums may be negative; the simulation clips them at zero.
@@ -60,6 +70,12 @@ class JointEffect {
   virtual double Command(double command, const JointMoment&) { return command; }
   // kDrive: the motor's torque [Nm] for the torque asked of it.
   virtual double Drive(double torque, const JointMoment&) { return torque; }
+  // kDrive: its inverse, the torque asked of the motor [Nm] where the motor makes `torque`. `asked`
+  // is what was asked as far as it is known: it says no more than whether a limit was reached.
+  virtual double Asked(double torque, double asked, const JointMoment&) {
+    (void)asked;
+    return torque;
+  }
   // kJoint: a torque [Nm] that is added, and what it adds to dry friction.
   virtual double Torque(const JointMoment&, DryFriction&) { return 0; }
   // kJoint: what it adds to the inertia [kg m^2].
@@ -68,6 +84,11 @@ class JointEffect {
   virtual double Offset(const JointMoment&) { return 0; }
   // kSensor: the reading of a link angle [rad].
   virtual double Reading(double q_link) { return q_link; }
+  // Its derivative by q_link.
+  virtual double ReadingSlope(double q_link) {
+    (void)q_link;
+    return 1;
+  }
   // With parameters and hidden state, for snapshots of a simulation.
   virtual std::unique_ptr<JointEffect> Clone() const = 0;
 };

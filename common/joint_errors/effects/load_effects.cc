@@ -80,6 +80,15 @@ class CrossJointCouplingEffect : public CopyableEffect<CrossJointCouplingEffect>
   double k_ = 0;  // [Nm/rad]
 };
 
+class CrossJointInertiaEffect : public CopyableEffect<CrossJointInertiaEffect> {
+ public:
+  void SetParameters(absl::Span<const double> p) override { inertia_ = p[0]; }
+  double Torque(const JointMoment& m, DryFriction&) override { return -inertia_ * m.coupled_ddq; }
+
+ private:
+  double inertia_ = 0;  // [kg m^2]
+};
+
 class BaseTiltEffect : public CopyableEffect<BaseTiltEffect> {
  public:
   void SetParameters(absl::Span<const double> p) override {
@@ -108,6 +117,9 @@ std::unique_ptr<JointEffect> PositionDependentTorque() {
 std::unique_ptr<JointEffect> CableSpring() { return std::make_unique<CableSpringEffect>(); }
 std::unique_ptr<JointEffect> CrossJointCoupling() {
   return std::make_unique<CrossJointCouplingEffect>();
+}
+std::unique_ptr<JointEffect> CrossJointInertia() {
+  return std::make_unique<CrossJointInertiaEffect>();
 }
 std::unique_ptr<JointEffect> BaseTilt() { return std::make_unique<BaseTiltEffect>(); }
 

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "calibration/data/local_polynomial.h"
 #include "calibration/data/measured_log.h"
+#include "calibration/model/joint_model.h"
 #include "calibration/model/plant.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
@@ -148,8 +149,12 @@ TEST_F(LogGates, RefusesAClockThatStandsGoesBackOrLeavesAGap) {
 }
 
 TEST_F(LogGates, RefusesAClockInMillisecondsOrOfAnotherRate) {
-  EXPECT_THAT(Refusal([](int, Row& row) { row.t *= 1000; }), HasSubstr("is t in seconds"));
-  EXPECT_THAT(Refusal([](int, Row& row) { row.t *= 1.1; }), HasSubstr("rate_hz is 200"));
+  EXPECT_THAT(Refusal([](int, Row& row) { row.t *= 1000; }),
+              HasSubstr("the times are milliseconds: multiply them by 0.001"));
+  EXPECT_THAT(Refusal([](int, Row& row) { row.t *= 1e6; }),
+              HasSubstr("microseconds: multiply them by 1e-06"));
+  EXPECT_THAT(Refusal([](int, Row& row) { row.t *= 1.1; }),
+              AllOf(HasSubstr("rate_hz is 200"), HasSubstr("is t in seconds")));
 }
 
 TEST_F(LogGates, ResamplesAJitteryClockAndSaysSo) {
@@ -182,11 +187,47 @@ TEST_F(LogGates, TakesWholeTurnsOutOfAnAngle) {
   EXPECT_THAT(log->notes, testing::Contains(HasSubstr("whole turn")));
 }
 
-TEST_F(LogGates, RefusesDegreesBesideRadians) {
+TEST_F(LogGates, RefusesDegreesBesideRadiansWithTheFactor) {
   EXPECT_THAT(Refusal([](int, Row& row) { row.command *= 180 / M_PI; }),
-              HasSubstr("are both in radians"));
+              HasSubstr("the numbers of q_cmd_hinge are degrees: multiply them by 0.0174533"));
   EXPECT_THAT(Refusal([](int, Row& row) { row.q *= 180 / M_PI; }),
-              HasSubstr("are both in radians"));
+              HasSubstr("the numbers of q_hinge are degrees: multiply them by 0.0174533"));
+  EXPECT_THAT(Refusal([](int, Row& row) { row.q *= 30; }), HasSubstr("are both in radians"));
+}
+
+TEST_F(LogGates, RefusesCountsOfAnEncoderWithTheFactorWhereItIsKnown) {
+  constexpr double kCounts = 4096 / (2 * M_PI);
+  EXPECT_THAT(Refusal([](int, Row& row) { row.q = std::round(row.q * kCounts); }),
+              AllOf(HasSubstr("q_hinge holds whole numbers"), HasSubstr("counts of an encoder"),
+                    HasSubstr("0.00153"), HasSubstr("which q_cmd_hinge gives")));
+  EXPECT_THAT(Refusal([](int, Row& row) {
+                row.q = std::round(row.q * kCounts);
+                row.command = std::round(row.command * kCounts);
+              }),
+              HasSubstr("2 pi / counts a turn, 0.00153398 at 4096"));
+  // An encoder's steps are no counts once they are radians, and few whole numbers are none.
+  EXPECT_TRUE(Read([](int, Row& row) { row.q = std::round(row.q * kCounts) / kCounts; }).ok());
+  EXPECT_TRUE(Read([](int, Row& row) {
+                row.command *= 40;
+                row.q = std::round(row.command);
+              }).ok());
+}
+
+TEST_F(LogGates, RefusesAMotorsVelocityInDegrees) {
+  rig_.joints[0].velocity = VelocitySide::kMotor;
+  const auto with_velocity = [](double unit) {
+    std::string text = "t,q_cmd_hinge,q_hinge,dq_hinge\n";
+    for (int k = 0; k < kRows; ++k) {
+      const double t = k * kDt;
+      absl::StrAppend(&text, t, ",", Motion(t), ",", Motion(t - 0.01), ",",
+                      unit * M_PI * std::cos(2 * M_PI * (t - 0.01)), "\n");
+    }
+    return text;
+  };
+  EXPECT_TRUE(Read(with_velocity(1)).ok());
+  EXPECT_TRUE(Read(with_velocity(1.3)).ok()) << "a transmission lies between";
+  EXPECT_THAT(Refusal(with_velocity(180 / M_PI)),
+              AllOf(HasSubstr("dq_hinge"), HasSubstr("degrees: multiply them by 0.0174533")));
 }
 
 TEST_F(LogGates, RefusesAConstantChannelAndAMotionWithinTheNoise) {
@@ -317,6 +358,30 @@ TEST_F(RigGates, RefusesAModelThatIsAbsentOrDoesNotLoadOrLacksTheJoint) {
                                   "<geom size=\"1\"/></body></worldbody></mujoco>")
                   .ok());
   EXPECT_THAT(std::string(Plant::Load(*rig).status().message()), HasSubstr("ball or free"));
+}
+
+TEST_F(RigGates, RefusesAJointThatIsCoupledToTwoOthersOrToItself) {
+  std::string mjcf = "<mujoco><worldbody>";
+  for (const char* name : {"a", "b", "hinge"})
+    absl::StrAppend(&mjcf, "<body><joint name=\"", name, "\"/><geom size=\"1\"/></body>");
+  ASSERT_TRUE(WriteFileAtomically(folder_ + "/m.xml", mjcf + "</worldbody></mujoco>").ok());
+  const auto message = [&](const std::string& one, const std::string& other) {
+    const auto rig = Read(absl::StrCat(
+        "name: a\nmodel: m.xml\nrate_hz: 200\njoints:\n  - {name: a, input: torque}\n  - {name: b, "
+        "input: torque}\n  - {name: hinge, input: torque, effects: [{type: cross_joint_coupling, "
+        "k: 1, "
+        "partner: ",
+        one, "}, {type: cross_joint_inertia, J: 1, partner: ", other,
+        "}]}\nlogs:\n  - {file: a.csv}\n"));
+    EXPECT_TRUE(rig.ok()) << rig.status();
+    const auto plant = Plant::Load(*rig);
+    EXPECT_TRUE(plant.ok()) << plant.status();
+    return std::string(DeclaredModel(*rig, **plant, 2).status().message());
+  };
+  EXPECT_EQ(message("a", "a"), "");
+  EXPECT_THAT(message("a", "b"), AllOf(HasSubstr("joint 'hinge'"), HasSubstr("must be a"),
+                                       HasSubstr("one other joint")));
+  EXPECT_THAT(message("hinge", "hinge"), HasSubstr("must be another joint"));
 }
 
 // A reading in steps of `step` (0: none) of a joint that stands for most of a log, then sways.

@@ -20,7 +20,7 @@ constexpr Family kFamilies[] = {Family::kServo,        Family::kTorque, Family::
 // Effects that take from dry friction what must be there.
 bool NeedsFriction(const std::string& effect) {
   return Contains({"asymmetric_coulomb", "position_dependent_friction", "time_drift_friction",
-                   "speeding_friction"},
+                   "temperature_friction", "cross_joint_rubbing", "speeding_friction"},
                   effect);
 }
 
@@ -49,6 +49,8 @@ class Drawer {
     DrawFriction();
     rig_.declared = rig_.truth;
     MeasureSignals();
+    DrawWarming();
+    if (rig_.logs_temperature) MeasureSignals();
     Hide();
     Declare();
     Record();
@@ -66,7 +68,8 @@ class Drawer {
       rig_.joint_names[0] = "slide";
       body.rise = random_.Uniform() < 0.5 ? 0 : 1;
       for (const std::string& effect : options_.effects) {
-        if (Contains({"gravity_error", "encoder_offset", "encoder_gain"}, effect)) body.rise = 1;
+        if (Contains({"gravity_error", "encoder_offset", "encoder_gain", "motor_gain"}, effect))
+          body.rise = 1;
       }
     }
     if (arm()) rig_.joint_names[0] = "shoulder";
@@ -141,6 +144,22 @@ class Drawer {
     }
   }
 
+  // Whether the joints' temperatures are logged: drawn apart, so that the rest of a rig is the same
+  // with and without them. Each run begins the warmer the later it is.
+  void DrawWarming() {
+    RandomStream random(StreamKey("warming").With(static_cast<int64_t>(options_.seed)));
+    const bool needed = Contains(options_.effects, "temperature_friction");
+    if (family_ == Family::kTransmission || !(needed || random.Uniform() < 0.3)) return;
+    rig_.logs_temperature = true;
+    const double rise = random.Uniform(8, 25), share = random.Uniform(0.3, 0.6);
+    for (size_t i = 0; i < experiments_.size(); ++i) {
+      Experiment& x = experiments_[i];
+      x.warming = rise / signals_[0].speed;
+      x.warming_s = x.duration * random.Uniform(0.4, 0.8);
+      x.warm_start = rise * (1 - std::pow(1 - share, static_cast<double>(i)));
+    }
+  }
+
   // Dry friction of the true machine; how it is declared comes later.
   void DrawFriction() {
     MeasureSignals();
@@ -197,7 +216,17 @@ class Drawer {
       s.dt = quiet.dt;
       s.mass = body.links.back().mass;
       s.base_friction = rig_.truth.drives[j].Fc;
+      s.viscous = rig_.truth.drives[j].viscous;
+      s.warming = std::max(1.0, c.warmer.empty() ? 0 : c.warmer.back());
       signals_[j] = s;
+    }
+    for (int j = 0; j < 2 && arm(); ++j) {
+      const std::vector<double>& q = log.joints[1 - j].clean;
+      double acceleration2 = 0;
+      for (size_t k = 1; k + 1 < q.size(); ++k)
+        acceleration2 += std::pow((q[k + 1] - 2 * q[k] + q[k - 1]) / (quiet.dt * quiet.dt), 2);
+      signals_[j].other_speed = signals_[1 - j].speed;
+      signals_[j].other_acceleration = std::sqrt(acceleration2 / static_cast<double>(q.size()));
     }
   }
 
@@ -316,7 +345,12 @@ absl::StatusOr<Family> ParseFamily(const std::string& name) {
 
 std::vector<Family> FamiliesOf(const std::string& effect) {
   using enum Family;
-  if (Contains({"cross_joint_coupling", "base_tilt"}, effect)) return {kArm};
+  if (Contains({"cross_joint_coupling", "cross_joint_friction", "cross_joint_rubbing",
+                "cross_joint_inertia", "base_tilt"},
+               effect))
+    return {kArm};
+  if (effect == "gravity_dependent_friction") return {kServo, kTorque, kInverse, kArm};
+  if (effect == "encoder_eccentricity") return {kServo, kTransmission};
   if (effect == "rate_limit") return {kServo, kSlide};
   if (Contains({"transport_delay", "servo_lag", "delay_jitter"}, effect))
     return {kServo, kSlide, kTransmission};
@@ -326,8 +360,8 @@ std::vector<Family> FamiliesOf(const std::string& effect) {
   if (effect == "encoder_offset") return {kServo, kTorque};
   if (effect == "gravity_error") return {kServo, kTorque, kInverse, kSlide, kArm};
   if (effect == "second_mass" || effect == "quantised_command") return {kServo, kSlide};
-  if (Contains({"torque_saturation", "deadzone", "time_varying_gain", "load_dependent_friction",
-                "current_ripple"},
+  if (Contains({"torque_saturation", "deadzone", "time_varying_gain", "motor_gain",
+                "load_dependent_friction", "current_ripple"},
                effect))
     return {kServo, kTorque, kInverse, kSlide};
   return {kServo, kTorque, kInverse, kSlide, kArm};

@@ -37,7 +37,8 @@ struct GeneratedRig {
   bool declares_dry_friction = false;         // as a stribeck_friction effect
   std::vector<std::string> friction_fit;      // of its parameters
   double rate_hz = 200;
-  bool commands_hold = true;  // over a row; else the servo sees them continuously
+  bool logs_temperature = false;  // temp_<joint>, kCold and what the joint is warmer, in steps
+  bool commands_hold = true;      // over a row; else the servo sees them continuously
   double window_s = 0.5;
   std::vector<Log> logs;
   // rms change of the first log's readings that the hidden effects make, over the noise: below

@@ -68,6 +68,46 @@ struct LinkError : Action {
   Law law;
 };
 
+// Friction of a lubricant that warms, dry and viscous.
+struct Warm : Action {
+  explicit Warm(const HiddenEffect& e) : e(e) {}
+  double Torque(const Instant& now) override { return -e["v"] * now.warmer * now.v; }
+  void Rub(const Instant& now, double& forward, double& backward) override {
+    forward += e["c"] * now.warmer;
+    backward += e["c"] * now.warmer;
+  }
+  HiddenEffect e;
+};
+
+// A belt that another joint drives pulls at this one, and shakes its friction.
+struct Crossed : Action {
+  explicit Crossed(const HiddenEffect& e) : e(e) {}
+  double Torque(const Instant& now) override {
+    return -e["F"] * SignOf(now.other_v) - e["d"] * now.other_v;
+  }
+  void Rub(const Instant& now, double& forward, double& backward) override {
+    forward += e["c"] * std::abs(now.other_v);
+    backward += e["c"] * std::abs(now.other_v);
+  }
+  HiddenEffect e;
+};
+
+// A gear that turns with this joint plus n times another one: part F of its dry friction follows
+// the faster of the two.
+struct SharedGear : Action {
+  explicit SharedGear(const HiddenEffect& e) : F(e["F"]), n(e["n"]) {}
+  bool Dragged(const Instant& now) const { return std::abs(n * now.other_v) > std::abs(now.v); }
+  double Torque(const Instant& now) override {
+    return Dragged(now) ? -F * SignOf(n * now.other_v) : 0;
+  }
+  void Rub(const Instant& now, double& forward, double& backward) override {
+    if (!Dragged(now)) return;
+    forward -= F;
+    backward -= F;
+  }
+  double F, n;
+};
+
 // Dahl's bristle: dz/dt = v / x_s (1 - z sgn v).
 struct Bristle : Action {
   explicit Bristle(const HiddenEffect& e) : F(e["F"]), x_s(e["x_s"]) {}
@@ -254,6 +294,17 @@ const std::map<std::string, Maker>& Makers() {
            return std::pair(e["mu"] * std::abs(now.motor), e["mu"] * std::abs(now.motor));
          };
        })},
+      {"gravity_dependent_friction", Simple<Rubbing>([](E e) {
+         return [e](I now) {
+           const double rub = e["mu"] * std::abs(now.holding);
+           return std::pair(rub, rub);
+         };
+       })},
+      {"temperature_friction", Simple<Warm>([](E e) { return e; })},
+      {"cross_joint_friction", Simple<Crossed>([](E e) { return e; })},
+      {"cross_joint_rubbing", Simple<SharedGear>([](E e) { return e; })},
+      {"cross_joint_inertia",
+       Simple<Pushing>([](E e) { return [e](I now) { return -e["J"] * now.other_a; }; })},
       {"quadratic_viscous_friction", Simple<Pushing>([](E e) {
          return [e](I now) { return -e["c2"] * now.v * std::abs(now.v); };
        })},
@@ -290,6 +341,11 @@ const std::map<std::string, Maker>& Makers() {
        })},
       {"encoder_offset",
        Simple<Reader>([](E e) { return [e](double link) { return link + e["offset"]; }; })},
+      {"encoder_eccentricity", Simple<Reader>([](E e) {
+         return [e](double link) {
+           return link + std::hypot(e["a"], e["b"]) * std::cos(link - std::atan2(e["b"], e["a"]));
+         };
+       })},
       {"transport_delay", Simple<Commanding>([](E e) {
          return [e](double t, double, const Given& given) { return given(t - e["delay_s"]); };
        })},
@@ -304,6 +360,9 @@ const std::map<std::string, Maker>& Makers() {
          return [e](double torque, I) {
            return std::abs(torque) <= e["width"] ? 0 : torque - SignOf(torque) * e["width"];
          };
+       })},
+      {"motor_gain", Simple<Driving>([](E e) {
+         return [e](double torque, I) { return torque + e["gain_error"] * torque; };
        })},
       {"time_varying_gain", Simple<Driving>([](E e) {
          return
@@ -349,8 +408,10 @@ const std::vector<std::string>& LibraryEffects() {
                                                            "asymmetric_coulomb",
                                                            "asymmetric_viscous",
                                                            "load_dependent_friction",
+                                                           "gravity_dependent_friction",
                                                            "quadratic_viscous_friction",
                                                            "time_drift_friction",
+                                                           "temperature_friction",
                                                            "presliding_hysteresis",
                                                            "position_dependent_friction",
                                                            "gravity_error",
@@ -363,14 +424,19 @@ const std::vector<std::string>& LibraryEffects() {
                                                            "compliance",
                                                            "encoder_gain",
                                                            "encoder_offset",
+                                                           "encoder_eccentricity",
                                                            "transport_delay",
                                                            "servo_lag",
                                                            "rate_limit",
                                                            "torque_saturation",
                                                            "deadzone",
                                                            "cross_joint_coupling",
+                                                           "cross_joint_friction",
+                                                           "cross_joint_rubbing",
+                                                           "cross_joint_inertia",
                                                            "base_tilt",
-                                                           "time_varying_gain"};
+                                                           "time_varying_gain",
+                                                           "motor_gain"};
   return names;
 }
 
@@ -425,6 +491,14 @@ HiddenEffect DrawEffect(const std::string& type, Size size, const Signals& s,
     p = {{"d_sigma", sign() * torque / s.speed}};
   } else if (type == "load_dependent_friction") {
     p = {{"mu", share}};
+  } else if (type == "gravity_dependent_friction") {
+    p = {{"mu", 1.5 * torque / std::max(s.holding, 1e-9)}};
+  } else if (type == "temperature_friction") {
+    // What falls as the joint warms must be there.
+    const double lost = std::min(torque, 0.7 * s.viscous * s.speed) / s.warming;
+    const bool dry = random.Uniform() < 0.5;
+    p = {{"c", dry ? -std::min(torque, 0.7 * s.base_friction) / s.warming : 0},
+         {"v", dry ? 0 : -lost / s.speed}};
   } else if (type == "quadratic_viscous_friction") {
     p = {{"c2", torque / (s.speed * s.speed)}};
   } else if (type == "time_drift_friction") {
@@ -458,6 +532,9 @@ HiddenEffect DrawEffect(const std::string& type, Size size, const Signals& s,
     p = {{"gain_error", sign() * pick(0.01, 0.03, 0.08)}};
   } else if (type == "encoder_offset") {
     p = {{"offset", sign() * pick(0.01, 0.03, 0.08) * std::min(1.0, 2 * s.range)}};
+  } else if (type == "encoder_eccentricity") {
+    const double size = pick(0.01, 0.03, 0.08) * std::min(1.0, 2 * s.range);
+    p = {{"a", size * std::cos(phase)}, {"b", size * std::sin(phase)}};
   } else if (type == "transport_delay") {
     p = {{"delay_s", lag}};
   } else if (type == "servo_lag") {
@@ -470,10 +547,21 @@ HiddenEffect DrawEffect(const std::string& type, Size size, const Signals& s,
     p = {{"width", torque}};
   } else if (type == "cross_joint_coupling") {
     p = {{"k", sign() * 1.5 * torque / s.range}};
+  } else if (type == "cross_joint_friction") {
+    const int form = random.UniformInt(3);
+    p = {{"F", form == 0 ? sign() * torque : 0},
+         {"d", form == 1 ? sign() * torque / s.other_speed : 0},
+         {"c", form == 2 ? torque / s.other_speed : 0}};
+  } else if (type == "cross_joint_rubbing") {
+    p = {{"F", friction}, {"n", sign() * random.Uniform(0.7, 1.4)}};
+  } else if (type == "cross_joint_inertia") {
+    p = {{"J", sign() * torque / s.other_acceleration}};
   } else if (type == "base_tilt") {
     p = {{"x", 0}, {"y", sign() * pick(0.01, 0.03, 0.08)}};
   } else if (type == "time_varying_gain") {
     p = {{"rate", sign() * 1.5 * share / s.duration}};
+  } else if (type == "motor_gain") {
+    p = {{"gain_error", sign() * share}};
   } else if (type == "dwell_hot_spot") {
     p = {{"q", random.Uniform(-0.4, 0.4) * s.range},
          {"width", 0.25 * s.range},

@@ -25,7 +25,8 @@ struct Instant {
   double motor = 0;            // torque of the motor [Nm]
   double holding = 0;          // torque that would hold the joint still [Nm]
   double inertia = 0;          // [kg m^2]
-  double other_q = 0;          // of the other joint [rad]
+  double other_q = 0, other_v = 0, other_a = 0;  // of the other joint [rad, rad/s, rad/s^2]
+  double warmer = 0;                             // than it was cold [K]
 };
 
 // How an effect acts. Advance is called once per step, the others as often as the integrator asks.
@@ -58,15 +59,18 @@ std::unique_ptr<Action> MakeAction(const HiddenEffect& effect, const RandomStrea
 
 // Typical sizes of the machine's signals without the effect, from which sizes are drawn.
 struct Signals {
-  double torque = 1, peak_torque = 1;  // rms and largest [Nm]
-  double range = 1;                    // half of the way travelled [rad]
-  double speed = 1;                    // rms [rad/s]
-  double peak_command_speed = 1;       // [rad/s]
-  double holding = 0;                  // largest [Nm]
-  double duration = 10;                // of a log [s]
-  double dt = 0.005;                   // of a row [s]
-  double mass = 1;                     // of the last link [kg]
-  double base_friction = 0;            // smallest dry friction [Nm]
+  double torque = 1, peak_torque = 1;              // rms and largest [Nm]
+  double range = 1;                                // half of the way travelled [rad]
+  double speed = 1;                                // rms [rad/s]
+  double peak_command_speed = 1;                   // [rad/s]
+  double holding = 0;                              // largest [Nm]
+  double duration = 10;                            // of a log [s]
+  double dt = 0.005;                               // of a row [s]
+  double mass = 1;                                 // of the last link [kg]
+  double base_friction = 0;                        // smallest dry friction [Nm]
+  double viscous = 0;                              // of the drive [Nm s/rad]
+  double warming = 1;                              // at the end of a log [K]
+  double other_speed = 1, other_acceleration = 1;  // of the other joint, rms [rad/s, rad/s^2]
 };
 
 enum class Size { kSmall, kMedium, kLarge };

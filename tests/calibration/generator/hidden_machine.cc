@@ -74,6 +74,7 @@ class Runner {
       sent_[i] = x_.references[i].At(0);
     }
     if (x_.by_torque) sent_ = {0, 0};
+    warmer_ = {x_.warm_start, x_.warm_start};
   }
 
   // What was sent at time t: a position, or a torque.
@@ -118,7 +119,11 @@ class Runner {
                 MotorTorque(i, t, h, q_[i], v_[i]),
                 here.holding[i],
                 i == 0 ? here.m11 : here.m22,
-                n_ == 2 ? q_[1 - i] : 0};
+                n_ == 2 ? q_[1 - i] : 0,
+                n_ == 2 ? v_[1 - i] : 0,
+                n_ == 2 ? a_[1 - i] : 0,
+                warmer_[i]};
+      warmer_[i] += h * (x_.warming * std::abs(v_[i]) - warmer_[i]) / x_.warming_s;
       for (auto& action : actions_[i]) action->Advance(now[i]);
       link_error_[i] = 0;
       for (auto& action : actions_[i]) link_error_[i] += action->LinkMinusMotor(now[i]);
@@ -149,6 +154,7 @@ class Runner {
     }
   }
 
+  double warmer(int i) const { return warmer_[i]; }
   double ReadingOf(int i) const { return Read(i, q_[i] + link_error_[i]); }
   double asked(int i) const { return asked_[i]; }
   double sent_torque(int i) const { return torque_rows_[i].back(); }
@@ -186,7 +192,10 @@ class Runner {
                      MotorTorque(i, t, h, q[i], v[i]),
                      e.holding[i],
                      i == 0 ? e.m11 : e.m22,
-                     n_ == 2 ? q[1 - i] : 0};
+                     n_ == 2 ? q[1 - i] : 0,
+                     n_ == 2 ? v[1 - i] : 0,
+                     n_ == 2 ? a_[1 - i] : 0,
+                     warmer_[i]};
       push[i] = now.motor - e.bias[i] - d.viscous * v[i];
       const double fade = d.vs > 0 ? std::exp(-(v[i] / d.vs) * (v[i] / d.vs)) : 0;
       forward[i] = backward[i] = d.Fc + (std::max(d.Fs, d.Fc) - d.Fc) * fade;
@@ -238,7 +247,7 @@ class Runner {
   const Experiment& x_;
   int n_;
   std::vector<std::unique_ptr<Action>> actions_[2];
-  Pair q_{}, v_{}, a_{}, sent_{}, arrived_{}, link_error_{}, asked_{};
+  Pair q_{}, v_{}, a_{}, sent_{}, arrived_{}, link_error_{}, asked_{}, warmer_{};
   std::vector<double> torque_rows_[2];
 };
 
@@ -269,6 +278,7 @@ Recording Run(const Machine& machine, const Experiment& x, const RandomStream& r
           x.by_torque ? runner.sent_torque(static_cast<int>(i)) : runner.asked(static_cast<int>(i));
       joint.torque.push_back(torque + x.torque_noise * noise.Normal());
       joint.clean.push_back(reading);
+      joint.warmer.push_back(runner.warmer(static_cast<int>(i)));
     }
     if (row >= 0) log.t.push_back(t);
     for (int k = 0; k < steps; ++k) runner.Step(t + k * x.dt / steps, x.dt / steps);

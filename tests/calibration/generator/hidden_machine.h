@@ -56,12 +56,14 @@ struct Experiment {
   double noise = 0;  // [rad] of readings, standard deviation
   double step = 0;   // [rad] of an encoder; 0: none
   double torque_noise = 0;
-  std::vector<Excitation> references;  // per joint
+  // A joint that moves at v goes towards `warming` |v| over cold with time constant warming_s.
+  double warming = 0, warming_s = 1, warm_start = 0;  // [K s/rad, s, K]
+  std::vector<Excitation> references;                 // per joint
 };
 
 // Rows of a log; clean: q without noise.
 struct JointChannels {
-  std::vector<double> command, q, motor, torque, clean;
+  std::vector<double> command, q, motor, torque, clean, warmer;
 };
 struct Recording {
   std::vector<double> t;

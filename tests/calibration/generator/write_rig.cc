@@ -13,6 +13,9 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
+constexpr double kCold = 22;              // [deg C]
+constexpr double kTemperatureStep = 0.5;  // [K] of a sensor
+
 // The point at `distance` from the joint along the link, at q = 0.
 std::string Along(double phase, double distance) {
   return absl::StrFormat("%.10g 0 %.10g", -distance * std::sin(phase), -distance * std::cos(phase));
@@ -108,14 +111,20 @@ std::string Csv(const GeneratedRig& rig, const Recording& log) {
     absl::StrAppend(&text, two_sides
                                ? absl::StrCat(",q_motor_", name, ",q_link_", name, ",tau_", name)
                                : absl::StrCat(",q_cmd_", name, ",q_", name, ",tau_", name));
+    if (rig.logs_temperature) absl::StrAppend(&text, ",temp_", name);
   }
   text += "\n";
   for (size_t k = 0; k < log.t.size(); ++k) {
     absl::StrAppendFormat(&text, "%.9g", log.t[k]);
-    for (const JointChannels& joint : log.joints)
+    for (const JointChannels& joint : log.joints) {
       absl::StrAppendFormat(&text, ",%.10g,%.10g,%.10g",
                             two_sides ? joint.motor[k] : joint.command[k], joint.q[k],
                             joint.torque[k]);
+      if (rig.logs_temperature)
+        absl::StrAppendFormat(
+            &text, ",%g",
+            kCold + kTemperatureStep * std::round(joint.warmer[k] / kTemperatureStep));
+    }
     text += "\n";
   }
   return text;

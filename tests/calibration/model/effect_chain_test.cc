@@ -2,19 +2,34 @@
 
 #include <gtest/gtest.h>
 
+#include "calibration/model/hypothesis.h"
+
 namespace robostress::calibration {
 namespace {
 
 TEST(EffectChain, ALinkAngleComesBackFromItsReading) {
   JointModel model;
   model.position_offset = 0.02;
-  model.effects = {{FindEffect("encoder_gain").value(), {0.05}},
+  model.effects = {{FindEffect("encoder_eccentricity").value(), {0.03, -0.05, 2.5}},
+                   {FindEffect("encoder_gain").value(), {0.05}},
                    {FindEffect("encoder_offset").value(), {-0.1}}};
   const EffectChain chain(model);
   for (const double q : {-1.5, 0.0, 0.7}) {
     EXPECT_NE(chain.Reading(q), q);
     EXPECT_NEAR(chain.LinkOf(chain.Reading(q)), q, 1e-12);
   }
+}
+
+TEST(Hypotheses, AnEffectOfTemperatureNeedsOneThatWasLoggedAndChanged) {
+  const EffectInfo& effect = *FindEffect("temperature_friction").value();
+  SignalScales scales;
+  EXPECT_FALSE(IsLogged(effect, scales)) << "none is logged";
+  scales.coldest = 22;
+  scales.warming = 1;
+  EXPECT_FALSE(IsLogged(effect, scales)) << "a step of the sensor";
+  scales.warming = 9;
+  EXPECT_TRUE(IsLogged(effect, scales));
+  EXPECT_EQ(WithEffect({}, effect, scales).front().model.effects[0].values[2], 22) << "T_ref";
 }
 
 }  // namespace

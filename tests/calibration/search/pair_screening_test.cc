@@ -61,5 +61,37 @@ TEST(PairScreening, RanksTheTwoThatAreHiddenAndLeadsAFitToThem) {
   std::filesystem::remove_all(folder);
 }
 
+TEST(PairScreening, CouplesAJointToOneOther) {
+  generator::RigOptions options;
+  options.effects = {"cross_joint_friction"};
+  options.family = generator::Family::kArm;
+  options.richness = generator::Richness::kBrief;
+  options.seed = 3;
+  const auto machine = generator::GenerateRig(options);
+  ASSERT_TRUE(machine.ok()) << machine.status();
+  const std::string folder = testing::TempDir() + "/pair_partners";
+  ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder).ok());
+  const auto rig = LoadRig(folder + "/rig.yaml");
+  ASSERT_TRUE(rig.ok()) << rig.status();
+  const int joint = machine->truth.effects.front().joint;
+  JointProblem problem = rig->Problem(joint);
+  const WindowSet fit = problem.OfRole(LogRole::kFit);
+  const auto declared = rig->Declared(joint);
+  ASSERT_TRUE(declared.ok()) << declared.status();
+  problem.LinearizeStarts(declared->model);
+  const JointFit base = Minimise(problem, *declared, fit, 2);
+  // Of a partner that would be a third joint this one stands in.
+  const auto count = [&](int partner) {
+    const Screening screening(problem, base, rig->Scales(joint),
+                              {{FindEffect("cross_joint_friction").value(), 1 - joint},
+                               {FindEffect("cross_joint_inertia").value(), partner}},
+                              fit);
+    return ScreenPairs(problem, screening, rig->Scales(joint), fit, 99, 1).size();
+  };
+  EXPECT_EQ(count(1 - joint), 1u);
+  EXPECT_EQ(count(joint), 0u);
+  std::filesystem::remove_all(folder);
+}
+
 }  // namespace
 }  // namespace robostress::calibration

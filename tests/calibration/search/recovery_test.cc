@@ -43,7 +43,8 @@ TEST_P(EffectRecovery, FitFindsTheTrueParametersInDataOfAnIndependentIntegrator)
   options.richness = generator::Richness::kBrief;
   const auto machine = generator::GenerateRig(options);
   ASSERT_TRUE(machine.ok()) << machine.status();
-  const std::string folder = testing::TempDir() + "/recovery_" + recovery.effect;
+  const std::string folder =
+      testing::TempDir() + "/recovery_" + recovery.effect + "_" + std::to_string(recovery.seed);
   ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder).ok());
   const auto rig = LoadRig(folder + "/rig.yaml");
   ASSERT_TRUE(rig.ok()) << rig.status();
@@ -102,8 +103,11 @@ INSTANTIATE_TEST_SUITE_P(
         Recovery{"asymmetric_coulomb", Family::kServo, 1, {{"dFc", 0.05}}},
         Recovery{"asymmetric_viscous", Family::kServo, 1, {{"d_sigma", 0.05}}},
         Recovery{"load_dependent_friction", Family::kServo, 1, {{"mu", 0.1}}},
+        Recovery{"gravity_dependent_friction", Family::kServo, 1, {{"mu", 0.1}}},
         Recovery{"quadratic_viscous_friction", Family::kServo, 1, {{"c2", 0.05}}},
         Recovery{"time_drift_friction", Family::kServo, 1, {{"rate", 0.05}}},
+        Recovery{"temperature_friction", Family::kServo, 1, {{"v", 0.1}}},
+        Recovery{"temperature_friction", Family::kServo, 2, {{"c", 0.1}}},
         Recovery{"presliding_hysteresis", Family::kServo, 1, {{"F", 0.05}, {"x_s", 0.1}}},
         Recovery{"position_dependent_friction",
                  Family::kServo,
@@ -130,6 +134,8 @@ INSTANTIATE_TEST_SUITE_P(
         Recovery{"compliance", Family::kTransmission, 2, {{"K", 0.15}}},
         Recovery{"encoder_gain", Family::kServo, 1, {{"gain_error", 0.1}}},
         Recovery{"encoder_offset", Family::kServo, 1, {{"offset", 0.05}}},
+        Recovery{"encoder_eccentricity", Family::kServo, 1, {{"a", 0.1}, {"b", 0.1}}},
+        Recovery{"encoder_eccentricity", Family::kTransmission, 2, {{"a", 0.1}, {"b", 0.1}}},
         Recovery{"transport_delay", Family::kServo, 1, {{"delay_s", 0.05}}},
         Recovery{"transport_delay", Family::kTransmission, 2, {{"delay_s", 0.02}}},
         Recovery{"servo_lag", Family::kServo, 1, {{"tau_s", 0.1}}},
@@ -137,14 +143,24 @@ INSTANTIATE_TEST_SUITE_P(
         Recovery{"torque_saturation", Family::kServo, 1, {{"limit", 0.05}}},
         Recovery{"deadzone", Family::kServo, 1, {{"width", 0.1}}},
         Recovery{"cross_joint_coupling", Family::kArm, 1, {{"k", 0.05}}},
+        Recovery{"cross_joint_friction", Family::kArm, 1, {{"F", 0.1}}},
+        Recovery{"cross_joint_friction", Family::kArm, 2, {{"c", 0.1}}},
+        Recovery{"cross_joint_friction", Family::kArm, 3, {{"d", 0.1}}},
+        Recovery{"cross_joint_rubbing", Family::kArm, 1, {{"F", 0.1}, {"n", 0.2}}},
+        Recovery{"cross_joint_inertia", Family::kArm, 1, {{"J", 0.1}}},
         Recovery{"base_tilt", Family::kArm, 1, {{"y", 0.1}}},
         Recovery{"time_varying_gain", Family::kServo, 1, {{"rate", 0.1}}},
+        Recovery{"motor_gain", Family::kServo, 1, {{"gain_error", 0.05}}},
+        Recovery{"motor_gain", Family::kTorque, 2, {{"gain_error", 0.05}}},
+        Recovery{"motor_gain", Family::kInverse, 2, {{"gain_error", 0.1}}},
+        Recovery{"load_dependent_friction", Family::kInverse, 2, {{"mu", 0.2}}},
         Recovery{"gravity_error", Family::kInverse, 2, {{"beta", 0.05}}},
         Recovery{"quadratic_viscous_friction", Family::kInverse, 2, {{"c2", 0.2}}},
         Recovery{"asymmetric_viscous", Family::kTorque, 2, {{"d_sigma", 0.05}}},
         Recovery{"payload", Family::kTorque, 2, {{"mass", 0.05}}}),
     [](const testing::TestParamInfo<Recovery>& info) {
-      return std::string(info.param.effect) + "_" + generator::FamilyName(info.param.family);
+      return std::string(info.param.effect) + "_" + generator::FamilyName(info.param.family) + "_" +
+             std::to_string(info.param.seed);
     });
 
 }  // namespace

@@ -32,6 +32,9 @@ JointMoment Moment() {
   m.tilt_gravity[0] = 2;
   m.tilt_gravity[1] = -7;
   m.coupled_q = 0.3;
+  m.coupled_dq = -0.9;
+  m.coupled_ddq = 2;
+  m.temperature = 45;
   return m;
 }
 
@@ -49,8 +52,10 @@ TEST(EffectLibrary, TorquesAndDryLimitsFollowTheirPrintedLaws) {
       {"asymmetric_coulomb", {0.3}, 0, 0.3, -0.3},
       {"asymmetric_viscous", {0.5}, -0.5 * 0.4, 0, 0},
       {"load_dependent_friction", {0.1}, 0, 0.5, 0.5},
+      {"gravity_dependent_friction", {0.1}, 0, 0.8, 0.8},
       {"quadratic_viscous_friction", {2}, 2 * 0.16, 0, 0},
       {"time_drift_friction", {0.01}, 0, 0.12, 0.12},
+      {"temperature_friction", {-0.02, 0.01, 25, 99}, 0.01 * 20 * 0.4, -0.4, -0.4},
       {"position_dependent_friction", {0.2, 0.3, 0.5}, 0, periodic, periodic},
       {"gravity_error", {0.1}, 0.8, 0, 0},
       {"payload", {2}, -6, 0, 0},
@@ -58,6 +63,19 @@ TEST(EffectLibrary, TorquesAndDryLimitsFollowTheirPrintedLaws) {
       {"position_dependent_torque", {1, 2, 3}, 0.7 + 2 * 0.49 + 3 * 0.343, 0, 0},
       {"cable_spring", {4, 0.2}, -4 * 0.5, 0, 0},
       {"cross_joint_coupling", {4}, -4 * 0.3, 0, 0},
+      {"cross_joint_friction",
+       {0.5, 0.2, 0.3, 0.1},
+       0.5 * std::tanh(9.0) + 0.2 * 0.9,
+       0.3 * 0.9,
+       0.3 * 0.9},
+      // The other joint turns at -0.9 rad/s, this one at -0.4: it is dragged, one way or the other.
+      {"cross_joint_rubbing",
+       {2, 1, 0.01},
+       2 * std::tanh(50.0) * std::tanh(90.0),
+       -2 * std::tanh(50.0),
+       -2 * std::tanh(50.0)},
+      {"cross_joint_rubbing", {2, -0.4, 0.01}, 0, 0, 0},
+      {"cross_joint_inertia", {0.3}, -0.6, 0, 0},
       {"base_tilt", {0.1, 0.2}, -(0.1 * 2 - 0.2 * 7), 0, 0},
   };
   for (const Law& law : laws) {
@@ -69,6 +87,14 @@ TEST(EffectLibrary, TorquesAndDryLimitsFollowTheirPrintedLaws) {
   EXPECT_NEAR(Make("payload", {2})->Inertia(Moment()), 0.5, 1e-12);
 }
 
+TEST(EffectLibrary, ATemperatureThatNobodyMeasuresIsTheEffectsOwn) {
+  JointMoment m = Moment();
+  m.temperature = JointMoment().temperature;
+  DryFriction dry;
+  Make("temperature_friction", {-0.02, 0, 25, 35})->Torque(m, dry);
+  EXPECT_NEAR(dry.forward, -0.2, 1e-12);
+}
+
 TEST(EffectLibrary, DrivesSaturateOnBothSidesLoseTheirDeadZoneAndDriftInTime) {
   const JointMoment m = Moment();
   for (const double sign : {1.0, -1.0}) {
@@ -77,12 +103,30 @@ TEST(EffectLibrary, DrivesSaturateOnBothSidesLoseTheirDeadZoneAndDriftInTime) {
     EXPECT_EQ(Make("deadzone", {0.5})->Drive(sign * 2, m), sign * 1.5);
     EXPECT_EQ(Make("deadzone", {0.5})->Drive(sign * 0.4, m), 0);
     EXPECT_NEAR(Make("time_varying_gain", {0.01})->Drive(sign * 5, m), sign * 5.6, 1e-12);
+    EXPECT_NEAR(Make("motor_gain", {-0.12})->Drive(sign * 5, m), sign * 4.4, 1e-12);
   }
 }
 
 TEST(EffectLibrary, ReadingsAreScaledAndShifted) {
   EXPECT_NEAR(Make("encoder_gain", {0.02})->Reading(0.5), 0.51, 1e-12);
   EXPECT_NEAR(Make("encoder_offset", {0.02})->Reading(0.5), 0.52, 1e-12);
+  EXPECT_NEAR(Make("encoder_eccentricity", {0.01, 0.02, 2 * M_PI})->Reading(0.5),
+              0.5 + 0.01 * std::cos(0.5) + 0.02 * std::sin(0.5), 1e-12);
+}
+
+TEST(EffectLibrary, SlopesOfReadingsAreTheirDerivatives) {
+  constexpr double kStep = 1e-6;
+  const std::pair<const char*, std::vector<double>> sensors[] = {
+      {"encoder_gain", {0.02}},
+      {"encoder_offset", {0.02}},
+      {"encoder_eccentricity", {0.01, 0.02, 2.5}}};
+  for (const auto& [type, values] : sensors) {
+    const auto effect = Make(type, values);
+    for (const double q : {-2.0, 0.1, 1.3})
+      EXPECT_NEAR(effect->ReadingSlope(q),
+                  (effect->Reading(q + kStep) - effect->Reading(q - kStep)) / (2 * kStep), 1e-9)
+          << type;
+  }
 }
 
 TEST(EffectLibrary, ACommandIsDelayedLinearlyBetweenSamples) {

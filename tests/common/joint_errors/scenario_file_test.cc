@@ -118,7 +118,7 @@ TEST(ScenarioFile, LetsEveryEffectOfTheLibraryStandAtEveryJointOfItsArm) {
           EXPECT_LT(range.lower, range.upper) << info.type << " " << info.parameters[i].name;
           effect.values.push_back(range.upper > 1e9 ? 2 * range.lower : 0.9 * range.upper);
         }
-        if (info.type == "cross_joint_coupling") effect.coupled = joint == 0 ? 1 : 0;
+        if (info.coupled) effect.coupled = joint == 0 ? 1 : 0;
         ScenarioFile alone;
         alone.effects = {effect};
         const auto file = ParseScenarioFile("x.yaml", WriteScenarioFile(alone, robot), robot);
@@ -126,6 +126,22 @@ TEST(ScenarioFile, LetsEveryEffectOfTheLibraryStandAtEveryJointOfItsArm) {
       }
     }
   }
+}
+
+TEST(ScenarioFile, CouplesAJointToOneOther) {
+  const auto status = [](const std::string& other) {
+    return ParseScenarioFile(
+               "x.yaml",
+               "joints: [{name: J4, effects: [{type: cross_joint_coupling, k: 1, joint: "
+               "J2}, {type: cross_joint_inertia, J: 0.1, joint: " +
+                   other + "}]}]\n",
+               kPanda)
+        .status();
+  };
+  EXPECT_TRUE(status("J2").ok()) << status("J2");
+  EXPECT_THAT(
+      std::string(status("J3").message()),
+      AllOf(HasSubstr("effects[1].joint: is J3, must be J2"), HasSubstr("one other joint")));
 }
 
 TEST(ScenarioFile, IsForOneArmWithItsJointsAndSizes) {

@@ -1,0 +1,142 @@
+#include "calibration/model/unit_check.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "tests/calibration/generator/generated_rig.h"
+#include "tests/calibration/search/rig_problem.h"
+
+namespace robostress::calibration {
+namespace {
+
+using generator::Family;
+using testing::HasSubstr;
+
+constexpr double kDegreesOfRadian = 180 / M_PI;
+constexpr Family kDriven[] = {Family::kServo, Family::kTorque, Family::kInverse, Family::kArm,
+                              Family::kSlide};
+
+// A rig with nothing hidden whose positions are multiplied by `unit`, as the gates see it.
+absl::Status GatesOf(Family family, uint64_t seed, double unit,
+                     generator::Richness richness = generator::Richness::kBrief) {
+  generator::RigOptions options;
+  options.family = family;
+  options.seed = seed;
+  options.richness = richness;
+  auto machine = generator::GenerateRig(options);
+  if (!machine.ok()) return machine.status();
+  for (auto& log : machine->logs)
+    for (auto& joint : log.recording.joints)
+      for (auto* channel : {&joint.command, &joint.q, &joint.motor})
+        for (double& value : *channel) value *= unit;
+  const std::string folder = testing::TempDir() + "/units";
+  std::filesystem::remove_all(folder);
+  if (absl::Status written = WriteGeneratedRig(*machine, options, folder); !written.ok())
+    return written;
+  const auto rig = LoadRig(folder + "/rig.yaml");
+  if (!rig.ok()) return rig.status();
+  return CheckUnits(rig->rig, *rig->plant, rig->logs);
+}
+
+TEST(UnitCheck, PassesGeneratedRigsInRadiansAndMetres) {
+  for (const Family family : kDriven) {
+    for (uint64_t seed = 1; seed <= 12; ++seed) {
+      const auto richness = seed % 2 ? generator::Richness::kBrief : generator::Richness::kAny;
+      EXPECT_TRUE(GatesOf(family, seed, 1, richness).ok())
+          << FamilyName(family) << " " << seed << ": " << GatesOf(family, seed, 1, richness);
+    }
+  }
+}
+
+TEST(UnitCheck, RefusesGeneratedRigsInDegreesOrMillimetres) {
+  for (const Family family : kDriven) {
+    const bool slide = family == Family::kSlide;
+    for (uint64_t seed = 1; seed <= 6; ++seed) {
+      const absl::Status gates = GatesOf(family, seed, slide ? 1000 : kDegreesOfRadian);
+      EXPECT_THAT(std::string(gates.message()), HasSubstr(slide ? "0.001" : "0.0174533"))
+          << FamilyName(family) << " " << seed;
+    }
+  }
+}
+
+// A pendulum of 1 kg at 0.3 m under a logged torque, which follows a sine exactly.
+class Pendulum : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = testing::TempDir() + "/unit_pendulum";
+    ASSERT_TRUE(MakeDirectories(folder_).ok());
+    SetModel("");
+    rig_.model = folder_ + "/m.xml";
+    rig_.rate_hz = 200;
+    RigJoint joint;
+    joint.name = "hinge";
+    joint.input = JointInput::kInverse;
+    rig_.joints = {joint};
+  }
+  void TearDown() override { std::filesystem::remove_all(folder_); }
+  void SetModel(const std::string& attributes) {
+    ASSERT_TRUE(WriteFileAtomically(
+                    folder_ + "/m.xml",
+                    absl::StrCat("<mujoco><compiler angle=\"radian\"/><worldbody><body><joint "
+                                 "name=\"hinge\" axis=\"0 1 0\" ",
+                                 attributes,
+                                 "/><inertial pos=\"0 0 -0.3\" mass=\"1\" diaginertia=\"0.01 "
+                                 "0.01 0.01\"/></body></worldbody></mujoco>"))
+                    .ok());
+  }
+  // amplitude [rad], frequency [Hz]; what is written is `unit` times the angle.
+  absl::Status Gates(double amplitude, double frequency, double unit, double friction = 0.1) {
+    const double w = 2 * M_PI * frequency, I = 0.01 + 0.09, mgl = 9.81 * 0.3;
+    std::string text = "t,q_hinge,tau_hinge\n";
+    for (int k = 0; k < 4000; ++k) {
+      const double t = k / 200.0, q = amplitude * std::sin(w * t),
+                   v = amplitude * w * std::cos(w * t);
+      const double tau = -I * w * w * q + mgl * std::sin(q) + friction * (v > 0 ? 1 : -1);
+      absl::StrAppend(&text, t, ",", unit * q, ",", tau, "\n");
+    }
+    RigLog log;
+    log.file = folder_ + "/log.csv";
+    EXPECT_TRUE(WriteFileAtomically(log.file, text).ok());
+    auto plant = Plant::Load(rig_);
+    if (!plant.ok()) return plant.status();
+    auto measured = ReadMeasuredLog(rig_, log);
+    if (!measured.ok()) return measured.status();
+    return CheckUnits(rig_, **plant, {*measured});
+  }
+  std::string folder_;
+  Rig rig_;
+};
+
+TEST_F(Pendulum, SlowSmallFastAndManyTurnsInRadiansPass) {
+  for (const auto& [amplitude, frequency] : {std::pair(0.01, 0.05),
+                                             {0.5, 0.05},
+                                             {0.5, 1.0},
+                                             {0.2, 4.0},
+                                             {3.0, 0.5},
+                                             {20.0, 0.1},
+                                             {40.0, 0.05}})
+    EXPECT_TRUE(Gates(amplitude, frequency, 1).ok())
+        << amplitude << " rad, " << frequency << " Hz: " << Gates(amplitude, frequency, 1);
+}
+
+TEST_F(Pendulum, SlowDegreesAreKnownByGravityAndFastOnesByEnergy) {
+  EXPECT_THAT(std::string(Gates(0.5, 0.05, kDegreesOfRadian).message()),
+              testing::AllOf(HasSubstr("gravity leaves"), HasSubstr("0.0174533")));
+  EXPECT_THAT(std::string(Gates(0.5, 1, kDegreesOfRadian).message()),
+              testing::AllOf(HasSubstr("J while drive and gravity"), HasSubstr("0.0174533")));
+}
+
+TEST_F(Pendulum, PositionsBeyondTheModelsStopsAreRefused) {
+  SetModel("limited=\"true\" range=\"-2 2\"");
+  EXPECT_TRUE(Gates(1.9, 0.2, 1).ok());
+  EXPECT_THAT(std::string(Gates(0.5, 0.05, kDegreesOfRadian).message()),
+              HasSubstr("its stops in the model are 4 rad apart"));
+}
+
+}  // namespace
+}  // namespace robostress::calibration
