@@ -270,7 +270,9 @@ class WebSocketClient::Impl {
     switch (status) {
       case 401:
         return refuse(absl::StatusCode::kUnauthenticated,
-                      "; name the file of its token in ROBOSTRESS_TOKEN_FILE");
+                      options_.secrets.token.empty()
+                          ? "; name the file of its token in ROBOSTRESS_TOKEN_FILE"
+                          : "; it does not know the token that ROBOSTRESS_TOKEN_FILE names");
       case 403:
         return refuse(absl::StatusCode::kPermissionDenied, "; ask for a token that may");
       case 404:

@@ -51,7 +51,9 @@ class LockedPolicy {
 
   // `certificates` null: plain; else it shows "server".
   explicit LockedPolicy(const TestCertificates* certificates = nullptr)
-      : tls_(certificates != nullptr) {
+      : LockedPolicy(kKey, certificates) {}
+  explicit LockedPolicy(std::string key, const TestCertificates* certificates = nullptr)
+      : tls_(certificates != nullptr), key_(std::move(key)) {
     if (tls_) {
       context_.use_certificate_chain_file(certificates->File("server.crt"));
       context_.use_private_key_file(certificates->File("server.key"), net::ssl::context::pem);
@@ -101,7 +103,7 @@ class LockedPolicy {
       const std::lock_guard lock(mutex_);
       shown_.emplace_back(key.data(), key.size());
     }
-    if (shown_.back() != absl::StrCat("Api-Key ", kKey)) {
+    if (shown_.back() != absl::StrCat("Api-Key ", key_)) {
       http::response<http::string_body> refusal(http::status::unauthorized, 11);
       refusal.body() = "no such key\n";
       refusal.prepare_payload();
@@ -122,6 +124,7 @@ class LockedPolicy {
   }
 
   const bool tls_;
+  const std::string key_;
   net::io_context io_;
   net::ssl::context context_{net::ssl::context::tls_server};
   Tcp::acceptor acceptor_{io_, Tcp::endpoint(net::ip::make_address("127.0.0.1"), 0)};
@@ -181,7 +184,8 @@ class PolicyKeys : public ::testing::Test {
     EXPECT_NE(code, 0) << output;
     for (const std::string& word : words) EXPECT_THAT(output, HasSubstr(word));
     EXPECT_THAT(output, Not(HasSubstr(kKey)));
-    EXPECT_FALSE(std::filesystem::exists(Path("run/units"))) << output;
+    const std::string units = Path("run/units");
+    EXPECT_TRUE(!std::filesystem::exists(units) || std::filesystem::is_empty(units)) << output;
   }
 
   const TestCertificates certificates_;
@@ -204,9 +208,10 @@ TEST_F(PolicyKeys, AWrongKeyAndNoneAreSaidBeforeAnyUnitStarts) {
   for (const LockedPolicy* server : {&plain, &tls}) {
     const std::string trust = Authority();
     ExpectRefused(server->url(), trust,
-                  {server->url(), "answers HTTP 401", "no such key", kTokenFile});
+                  {server->url(), "answers HTTP 401", "no such key",
+                   "name the file of its token in ROBOSTRESS_TOKEN_FILE"});
     ExpectRefused(server->url(), trust + Key("another"),
-                  {server->url(), "answers HTTP 401", kTokenFile});
+                  {server->url(), "it does not know the token that ROBOSTRESS_TOKEN_FILE names"});
     EXPECT_EQ(server->shown(), (std::vector<std::string>{"", "Api-Key another"}));
   }
 }
@@ -233,6 +238,23 @@ TEST_F(PolicyKeys, AFileThatHoldsNoKeyIsNamed) {
                 {Path("absent"), "No such file"});
   ExpectRefused(server.url(), absl::StrCat(kTokenFile, "=", folder_, " "), {folder_});
   EXPECT_TRUE(server.shown().empty());
+}
+
+// Of several servers each is dialled, not only the first that opens.
+TEST_F(PolicyKeys, OneOfSeveralServersThatRefusesTheKeyIsSaidBeforeAnyUnitStarts) {
+  const LockedPolicy server, of_another_key("another");
+  const std::string both = absl::StrCat(server.url(), " --policy-url ", of_another_key.url());
+  ExpectRefused(both, Key(kKey), {of_another_key.url(), "it does not know the token"});
+  std::string nobody;
+  {
+    const LockedPolicy gone;
+    nobody = gone.url();
+  }
+  const auto [output, code] =
+      Sweep(absl::StrCat(nobody, " --policy-url ", server.url()), Key(kKey));
+  EXPECT_EQ(code, 0) << output;
+  EXPECT_THAT(output, AllOf(HasSubstr(nobody), HasSubstr("Connection refused"),
+                            HasSubstr("units go to the other servers meanwhile")));
 }
 
 TEST_F(PolicyKeys, AKeyThatEverybodyMayReadIsWarnedOf) {
