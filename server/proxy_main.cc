@@ -140,7 +140,7 @@ absl::Status RunProxy(const ProxyOptions& options, const sigset_t& signals) {
   const auto there =
       metrics.AddGauge("robostress_proxy_upstream_there", "1: the policy server listens.");
   const auto dropped = metrics.AddGauge("robostress_proxy_record_dropped",
-                                        "Entries of the record that the disk was too slow for.");
+                                        "Entries of the record that the disk did not take.");
   metrics.AddCollector([&] {
     const RelayFigures figures = relay->figures();
     clients->Set(figures.clients);
@@ -229,6 +229,7 @@ int Main(int argc, char** argv) {
     for (const int signal : {SIGTERM, SIGINT, SIGHUP, SIGUSR1, SIGUSR2})
       sigaddset(&signals, signal);
     pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+    signal(SIGXFSZ, SIG_IGN);  // a record that may not grow ends, and its clients do not
     RS_RETURN_IF_ERROR(SetUpLog(options.log_format, options.log_level));
     return RunProxy(options, signals);
   });

@@ -1,6 +1,7 @@
 #include "common/wire/openpi_answer.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <string_view>
@@ -47,7 +48,7 @@ double Milliseconds(const OpenpiValue& answer, std::string_view timing) {
   const auto* whole = std::get_if<int64_t>(&ms->value);
   const auto* number = std::get_if<double>(&ms->value);
   const double value = whole ? static_cast<double>(*whole) : number ? *number : 0;
-  return value >= 0 ? value : 0;
+  return std::isfinite(value) && value >= 0 ? value : 0;
 }
 
 }  // namespace

@@ -1,11 +1,13 @@
 #include "common/wire/openpi_connection.h"
 
+#include <algorithm>
 #include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "common/status_macros.h"
 #include "common/wire/openpi_answer.h"
+#include "spdlog/spdlog.h"
 
 namespace robostress {
 
@@ -14,7 +16,12 @@ absl::StatusOr<std::unique_ptr<OpenpiConnection>> OpenpiConnection::Connect(
   RS_ASSIGN_OR_RETURN(std::unique_ptr<WebSocketClient> socket,
                       WebSocketClient::Connect(url, options.socket));
   std::unique_ptr<OpenpiConnection> connection(new OpenpiConnection(std::move(socket)));
-  absl::StatusOr<std::string> greeting = connection->Receive(options.metadata_timeout);
+  const absl::Duration quiet = std::min(options.silence, options.metadata_timeout);
+  if (!connection->socket_->Await(quiet) && quiet < options.metadata_timeout) {
+    spdlog::warn("{} has said nothing for {}; if it is vla-eval's, choose --dialect vla_eval",
+                 connection->address(), absl::FormatDuration(quiet));
+  }
+  absl::StatusOr<std::string> greeting = connection->Receive(options.metadata_timeout - quiet);
   if (absl::IsDeadlineExceeded(greeting.status())) {
     return absl::DeadlineExceededError(absl::StrCat(
         connection->address(), " opens a WebSocket and says nothing within ",

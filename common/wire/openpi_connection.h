@@ -14,6 +14,7 @@ namespace robostress {
 struct OpenpiConnectionOptions {
   WebSocketOptions socket;
   absl::Duration metadata_timeout = absl::Seconds(30);
+  absl::Duration silence = absl::Seconds(5);  // then the log says what the server may be
 };
 
 // A client's side of openpi's wire: the server's metadata, then an answer for each message. One

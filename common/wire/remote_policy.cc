@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "common/atomic_file.h"
@@ -26,7 +27,8 @@ using nlohmann::json;
 
 // Between two attempts: a server that restarts loads its weights.
 constexpr absl::Duration kFirstPause = absl::Milliseconds(200), kLongestPause = absl::Seconds(5);
-constexpr int kAttempts = 5;  // of one question, each on a connection of its own
+constexpr int kAttempts = 5;        // of one question, each on a connection of its own
+constexpr size_t kLongText = 4096;  // [bytes] of metadata; longer ones are kept as their hash
 
 json JsonOf(const OpenpiValue& value) {
   struct Visitor {
@@ -34,7 +36,10 @@ json JsonOf(const OpenpiValue& value) {
     json operator()(bool v) const { return v; }
     json operator()(int64_t v) const { return v; }
     json operator()(double v) const { return v; }
-    json operator()(std::string_view v) const { return std::string(v); }
+    json operator()(std::string_view v) const {
+      if (v.size() <= kLongText) return std::string(v);
+      return {{"bytes", v.size()}, {"sha256", Sha256Hex(v)}};
+    }
     json operator()(const OpenpiArray& v) const {
       return {{"dtype", v.dtype}, {"shape", v.shape}, {"sha256", Sha256Hex(v.data)}};
     }
@@ -131,13 +136,13 @@ RemotePolicy::RemotePolicy(std::string url, const RemotePolicyOptions& options,
       options_(options),
       setting_(setting),
       connection_options_(connection) {
-  spec_.name = setting.policy;
-  spec_.cameras = options.cameras;
-  spec_.image_width = spec_.image_height = options.image_size;
-  spec_.state_dim = options.state_dim;
-  spec_.action_dim = options.action_dim;
-  spec_.horizon = spec_.execute_steps = options.execute_steps;
-  spec_.control_space = setting.control_space;
+  asked_.name = setting.policy;
+  asked_.cameras = options.cameras;
+  asked_.image_width = asked_.image_height = options.image_size;
+  asked_.state_dim = options.state_dim;
+  asked_.action_dim = options.action_dim;
+  asked_.horizon = asked_.execute_steps = options.execute_steps;
+  asked_.control_space = setting.control_space;
 }
 
 absl::StatusOr<std::unique_ptr<RemotePolicy>> RemotePolicy::Connect(
@@ -178,7 +183,21 @@ absl::Status RemotePolicy::Dial() {
     metadata_changed_ = true;
     spdlog::warn("{}: its metadata changed while the unit runs; is it the same model?", address());
   }
-  return CheckMetadata();
+  PolicySpec agreed = asked_;
+  RS_RETURN_IF_ERROR(CheckMetadata(agreed));
+  const auto shown = [](const PolicySpec& spec) {
+    return absl::StrCat("[", absl::StrJoin(spec.cameras, ", "), "] of ", spec.image_width, " x ",
+                        spec.image_height, " px, execute_steps ", spec.execute_steps);
+  };
+  if (metadata_hash_.empty()) {
+    spec_ = agreed;
+  } else if (shown(agreed) != shown(spec_)) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        address(), " wishes for ", shown(agreed), ", and wished for ", shown(spec_),
+        " when the unit began: it serves another model now; serve the first one, and run the same "
+        "command again, or begin another --out"));
+  }
+  return absl::OkStatus();
 }
 
 std::string RemotePolicy::StableMetadata() const {
@@ -194,8 +213,8 @@ bool RemotePolicy::pairs_noise() const {
 
 std::string RemotePolicy::metadata() const { return Dumped(JsonOf(connection_->metadata())); }
 
-absl::Status RemotePolicy::CheckMetadata() {
-  RS_RETURN_IF_ERROR(connection_->Agree(spec_));
+absl::Status RemotePolicy::CheckMetadata(PolicySpec& spec) {
+  RS_RETURN_IF_ERROR(connection_->Agree(spec));
   const OpenpiValue& metadata = connection_->metadata();
   const auto check = [&](const char* what, const OpenpiValue* said, int64_t ours) -> absl::Status {
     const auto* number = said == nullptr ? nullptr : std::get_if<int64_t>(&said->value);
@@ -234,28 +253,29 @@ absl::Status RemotePolicy::CheckMetadata() {
         absl::StrCat(address(), " serves ", names, "; '", setting_.policy, "' is not among them"));
   }
   if (served == nullptr) served = &list->front();
-  if (options_.dialect.describes_session) Adopt(*served);
+  if (options_.dialect.describes_session) Adopt(*served, spec);
   RS_RETURN_IF_ERROR(check("state_dim", served->Find("state_dim"), options_.state_dim));
   return check("action_dim", served->Find("action_dim"), options_.action_dim);
 }
 
-void RemotePolicy::Adopt(const OpenpiValue& declared) {
+void RemotePolicy::Adopt(const OpenpiValue& declared, PolicySpec& spec) {
   const auto integer = [&](const char* key, int& value, int most) {
     const OpenpiValue* found = declared.Find(key);
     const auto* number = found == nullptr ? nullptr : std::get_if<int64_t>(&found->value);
     if (number != nullptr && *number >= 1 && *number <= most) value = static_cast<int>(*number);
   };
-  integer("image_width", spec_.image_width, WireLimits::kImageSide);
-  integer("image_height", spec_.image_height, WireLimits::kImageSide);
-  integer("execute_steps", spec_.execute_steps, WireLimits::kHorizon);
+  integer("image_width", spec.image_width, WireLimits::kImageSide);
+  integer("image_height", spec.image_height, WireLimits::kImageSide);
+  integer("execute_steps", spec.execute_steps, WireLimits::kHorizon);
+  spec.horizon = spec.execute_steps;
   const OpenpiValue* cameras = declared.Find("cameras");
   const auto* names =
       cameras == nullptr ? nullptr : std::get_if<OpenpiValue::List>(&cameras->value);
   if (names == nullptr || names->size() > WireLimits::kViews) return;
-  spec_.cameras.clear();
+  spec.cameras.clear();
   for (const OpenpiValue& name : *names)
     if (const auto* text = std::get_if<std::string_view>(&name.value))
-      spec_.cameras.emplace_back(*text);
+      spec.cameras.emplace_back(*text);
 }
 
 StreamKey RemotePolicy::NoiseKey(int chunk) const {
@@ -302,7 +322,7 @@ std::vector<std::pair<std::string, std::string>> RemotePolicy::Extras(int chunk)
   return extras;
 }
 
-absl::Status RemotePolicy::DialAgain(absl::Time gone, const absl::Status& lost) {
+absl::Status RemotePolicy::DialAgain(Monotonic::time_point gone, const absl::Status& lost) {
   for (absl::Duration pause = kFirstPause;; pause = std::min(2 * pause, kLongestPause)) {
     const absl::Status dialled = Dial();
     if (dialled.ok()) {
@@ -310,7 +330,7 @@ absl::Status RemotePolicy::DialAgain(absl::Time gone, const absl::Status& lost) 
       spdlog::info("{}: connected again ({} so far)", address(), reconnections_);
     }
     if (!ComesAndGoes(dialled)) return dialled;
-    if (absl::Now() + pause > gone) {
+    if (Monotonic::now() + absl::ToChronoNanoseconds(pause) > gone) {
       return absl::UnavailableError(absl::StrCat(lost.message(), "; then it was gone for ",
                                                  absl::FormatDuration(connection_options_.absence),
                                                  ": ", dialled.message()));
@@ -322,7 +342,7 @@ absl::Status RemotePolicy::DialAgain(absl::Time gone, const absl::Status& lost) 
 absl::StatusOr<OpenpiValue> RemotePolicy::Ask(
     const std::function<absl::StatusOr<std::string>()>& message) {
   absl::Status lost;
-  absl::Time gone;
+  Monotonic::time_point gone;
   absl::Duration pause = absl::ZeroDuration();  // a server that closes when idle is dialled at once
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
     if (!lost.ok()) {
@@ -340,7 +360,7 @@ absl::StatusOr<OpenpiValue> RemotePolicy::Ask(
                                         : connection_options_.first_answer_timeout);
     if (answer.ok() || !ComesAndGoes(answer.status())) return answer;
     lost = answer.status();
-    gone = absl::Now() + connection_options_.absence;
+    gone = Monotonic::now() + absl::ToChronoNanoseconds(connection_options_.absence);
     // One that never answered will not by being asked again.
     if (absl::IsDeadlineExceeded(lost) && (!answered_ || ++silences_ == 2)) break;
   }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -52,7 +53,8 @@ class RemotePolicy : public PolicyEndpoint {
   const PolicySpec& spec() const override { return spec_; }
   absl::Status StartEpisode(const EpisodeKey& key) override;
   // UNAVAILABLE where the server does not come back; INVALID_ARGUMENT or INTERNAL, at once, where
-  // it answers what cannot be used: that does not change by asking again.
+  // it answers what cannot be used: that does not change by asking again. FAILED_PRECONDITION
+  // where it comes back and wishes for other views or steps: it is another model.
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
   absl::Status SendFeedback(ExecutedChunk executed) override;
   absl::StatusOr<SessionStats> Stats() override { return stats_; }
@@ -69,12 +71,16 @@ class RemotePolicy : public PolicyEndpoint {
   RemotePolicy(std::string url, const RemotePolicyOptions& options, const SessionSetting& setting,
                std::string noise_stream, const RemotePolicyConnection& connection);
   absl::Status Dial();
+  using Monotonic = std::chrono::steady_clock;  // nobody sets it
+
   // Dials until `gone`.
-  absl::Status DialAgain(absl::Time gone, const absl::Status& lost);
-  absl::Status CheckMetadata();
+  absl::Status DialAgain(Monotonic::time_point gone, const absl::Status& lost);
+  // Holds what the server says of itself against what is asked of it; `spec` becomes what it
+  // wishes.
+  absl::Status CheckMetadata(PolicySpec& spec);
   std::string StableMetadata() const;
   // What a server of ours says of its policy stands above the options.
-  void Adopt(const OpenpiValue& declared);
+  static void Adopt(const OpenpiValue& declared, PolicySpec& spec);
   // What answers `message`, by another connection where the present one is gone.
   absl::StatusOr<OpenpiValue> Ask(const std::function<absl::StatusOr<std::string>()>& message);
   absl::Status AtServer(const absl::Status& failed) const;  // with its address, and what to do
@@ -86,7 +92,7 @@ class RemotePolicy : public PolicyEndpoint {
   const RemotePolicyOptions options_;
   const SessionSetting setting_;
   const RemotePolicyConnection connection_options_;
-  PolicySpec spec_;
+  PolicySpec asked_, spec_;  // before any server said what it wishes; since one did
   std::unique_ptr<PolicyConversation> connection_;
   std::string metadata_hash_, session_name_;
   std::set<std::string> volatile_;  // JSON pointers into metadata that change without a reason

@@ -103,18 +103,19 @@ class WebSocketClient::Impl {
   }
 
   absl::StatusOr<WebSocketMessage> Receive(absl::Duration limit) ABSL_LOCKS_EXCLUDED(mu_) {
-    const auto settled = [this] {
-      mu_.AssertHeld();
-      return !unread_.empty() || !end_.ok();
-    };
     absl::MutexLock lock(&mu_);
-    if (!AwaitFor(mu_, settled, limit)) {
+    if (!AwaitLocked(limit)) {
       EndLocked(absl::DeadlineExceededError(absl::StrCat(
           address_, " does not answer within ", absl::FormatDuration(limit),
           "; allow it more time, or see what keeps the policy server busy, and connect again")));
     }
     if (unread_.empty()) return end_;
     return TakeLocked();
+  }
+
+  bool Await(absl::Duration limit) const ABSL_LOCKS_EXCLUDED(mu_) {
+    absl::MutexLock lock(&mu_);
+    return AwaitLocked(limit);
   }
 
   std::optional<WebSocketMessage> TakeUnread() ABSL_LOCKS_EXCLUDED(mu_) {
@@ -133,6 +134,13 @@ class WebSocketClient::Impl {
   using Socket = websocket::stream<WebStream, false>;
   using Error = boost::system::error_code;
 
+  bool AwaitLocked(absl::Duration limit) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    const auto settled = [this] {
+      mu_.AssertHeld();
+      return !unread_.empty() || !end_.ok();
+    };
+    return AwaitFor(mu_, settled, limit);
+  }
   WebSocketMessage TakeLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     WebSocketMessage message = std::move(unread_.front());
     unread_.pop_front();
@@ -262,7 +270,9 @@ class WebSocketClient::Impl {
     switch (status) {
       case 401:
         return refuse(absl::StatusCode::kUnauthenticated,
-                      "; name the file of its token in ROBOSTRESS_TOKEN_FILE");
+                      options_.secrets.token.empty()
+                          ? "; name the file of its token in ROBOSTRESS_TOKEN_FILE"
+                          : "; it does not know the token that ROBOSTRESS_TOKEN_FILE names");
       case 403:
         return refuse(absl::StatusCode::kPermissionDenied, "; ask for a token that may");
       case 404:
@@ -347,6 +357,7 @@ absl::Status WebSocketClient::Send(std::string message) { return impl_->Send(std
 absl::StatusOr<WebSocketMessage> WebSocketClient::Receive(absl::Duration limit) {
   return impl_->Receive(limit);
 }
+bool WebSocketClient::Await(absl::Duration limit) const { return impl_->Await(limit); }
 std::optional<WebSocketMessage> WebSocketClient::TakeUnread() { return impl_->TakeUnread(); }
 const std::string& WebSocketClient::address() const { return impl_->address(); }
 int WebSocketClient::close_code() const { return impl_->close_code(); }

@@ -46,6 +46,9 @@ class WebSocketClient {
   // The next message. One that does not come within `limit` ends the connection: it would be taken
   // for the answer to the next question.
   absl::StatusOr<WebSocketMessage> Receive(absl::Duration limit);
+  // Whether a message is there, or the end, before `limit` is over; it takes nothing and ends
+  // nothing.
+  bool Await(absl::Duration limit) const;
   // What has come already and nobody received; never waits.
   std::optional<WebSocketMessage> TakeUnread();
 

@@ -124,7 +124,7 @@ def house():
 
 
 def processes():
-    p = Picture(940, 560, "The programs that run, and the wires between them")
+    p = Picture(940, 670, "The programs that run, and the wires between them")
 
     def program(x, y, width, height, title, says, kind="room"):
         p.room(x, y, width, height, title, says, (), kind)
@@ -140,6 +140,9 @@ def processes():
     program(690, 30, 220, 62, "openpi's clients", ("unchanged",), "outside")
     program(370, 30, 230, 62, "operators", ("browser, Prometheus, sessions",), "outside")
     program(370, 476, 230, 58, "robostress calibrate", ("logs in, scenario out",))
+    program(30, 582, 230, 62, "another's policy server", ("openpi's wire, or vla-eval's",), "outside")
+    program(370, 582, 230, 62, "robostress proxy", ("corrects what passes, in limits",))
+    program(690, 582, 220, 62, "a robot's own client", ("unchanged",), "outside")
 
     p.arrow((145, 92), (145, 186))
     p.text(152, 150, "starts", 12, "quiet")
@@ -171,7 +174,16 @@ def processes():
     p.arrow((910, 225), (926, 225), (926, 520), (600, 520))
     p.text(690, 513, "a run's logs", 12, "quiet")
     p.arrow((370, 526), (8, 526), (8, 46), (30, 46))
-    p.text(30, 545, "scenario.yaml: what was found, for a sweep or the emulator", 12, "quiet")
+    p.text(14, 545, "scenario.yaml, for a sweep or the emulator", 12, "quiet")
+    p.arrow((260, 254), (276, 254), (276, 562), (200, 562), (200, 582), wire=True, both=True)
+    p.text(284, 400, "WebSocket", 13, "wiretext", "bold")
+    p.text(284, 416, "--policy-url", 12, "wiretext")
+    p.arrow((370, 624), (260, 624), wire=True, both=True)
+    p.text(315, 616, "WebSocket", 13, "wiretext", "bold", "middle")
+    p.arrow((690, 624), (600, 624), wire=True, both=True)
+    p.text(645, 616, "WebSocket", 13, "wiretext", "bold", "middle")
+    p.arrow((485, 582), (485, 534))
+    p.text(492, 563, "joint logs", 12, "quiet")
     p.write("processes.svg")
 
 

@@ -8,9 +8,10 @@
 
 namespace robostress {
 
-// Dials the servers of `--policy-url` until one greets as it should, and hangs up: what no unit
-// could use is said once, before any starts. Nobody there, another wire, a token that is missing, a
-// model of other sizes: RemotePolicy::Connect's error of the first.
+// Dials every server of `--policy-url` and hangs up: what no unit could use is said once, before
+// any starts. One that refuses us, or says that it serves something else than is asked, is an
+// error: RemotePolicy::Connect's. One that is not there is warned of as long as another is, because
+// it may come; and so are two that do not say the same of their model.
 absl::Status DialPolicyUrls(const std::vector<std::string>& urls, const SweepGrid& grid);
 
 }  // namespace robostress

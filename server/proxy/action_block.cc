@@ -43,6 +43,10 @@ absl::StatusOr<ActionBlock> FindActions(std::string_view answer) {
   block.rows = static_cast<int>(shape[0]);
   block.cols = static_cast<int>(shape[1]);
   block.item = array->item_size();
+  const OpenpiValue* adapter = value.Find("adapter");
+  const OpenpiValue* id = adapter == nullptr ? nullptr : adapter->Find("prediction_id");
+  const auto* number = id == nullptr ? nullptr : std::get_if<int64_t>(&id->value);
+  if (number != nullptr && *number > 0) block.prediction_id = static_cast<uint64_t>(*number);
   return block;
 }
 

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstddef>
+#include <cstdint>
 #include <string>
 #include <string_view>
 
@@ -14,7 +15,8 @@ namespace robostress {
 struct ActionBlock {
   size_t offset = 0;  // of the first number [bytes]
   int rows = 0, cols = 0;
-  size_t item = 4;  // 4: float32, 8: float64
+  size_t item = 4;             // 4: float32, 8: float64
+  uint64_t prediction_id = 0;  // what our own server calls the answer; 0: another's
 };
 
 // In an answer of openpi's server or a relative of it: an array [H, A] or [1, H, A] under

@@ -25,6 +25,11 @@ absl::Status CheckWithin(const char* field, double value, double low, double hig
   return Invalid(field, " is ", value, ", must be ", low, "..", high);
 }
 
+// A full step, or 0 for the unit's.
+absl::Status CheckFull(const char* field, double value, double most) {
+  return value == 0 ? absl::OkStatus() : CheckWithin(field, value, 1e-4, most);
+}
+
 // `count` of them, or none where `optional`; each within [0, below), none twice in `taken`.
 absl::Status CheckIndices(const char* field, const std::vector<int>& indices, size_t count,
                           bool optional, int below, std::set<int>& taken) {
@@ -65,8 +70,12 @@ absl::Status CheckLayouts(const ArmProfile& p) {
     if (!p.joint_names.empty() && p.joint_names.size() != joints) {
       return Invalid("joint_names names ", p.joint_names.size(), " joints, action.joints ", joints);
     }
-    for (const std::string& name : p.joint_names)
+    std::set<std::string> names;
+    for (const std::string& name : p.joint_names) {
       RS_RETURN_IF_ERROR(CheckName("joint_names", name));
+      if (!names.insert(name).second)
+        return Invalid("joint_names names '", name, "' twice; a record has a column for each");
+    }
     return absl::OkStatus();
   }
   if (!p.action.joints.empty() || !p.state.joints.empty())
@@ -86,9 +95,9 @@ absl::Status CheckLayouts(const ArmProfile& p) {
   RS_RETURN_IF_ERROR(CheckIndices("state.rotation", p.state.rotation, axis_angle ? 3 : 4,
                                   p.action.rotation.empty(), numbers, state));
   RS_RETURN_IF_ERROR(CheckWithin("action.translation_unit", p.action.translation_unit, 1e-4, 10));
-  RS_RETURN_IF_ERROR(CheckWithin("action.translation_full", p.action.translation_full, 0, 1));
+  RS_RETURN_IF_ERROR(CheckFull("action.translation_full", p.action.translation_full, 1));
   RS_RETURN_IF_ERROR(CheckWithin("action.rotation_unit", p.action.rotation_unit, 1e-4, 10));
-  return CheckWithin("action.rotation_full", p.action.rotation_full, 0, 3);
+  return CheckFull("action.rotation_full", p.action.rotation_full, 3);
 }
 
 absl::Status CheckBounds(const ActionLayout& action) {

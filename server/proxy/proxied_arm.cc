@@ -9,7 +9,6 @@
 #include "common/rollout/message_limits.h"
 #include "common/rollout/policy_endpoint.h"
 #include "server/proxy/action_block.h"
-#include "server/wire/openpi/openpi_extensions.h"
 
 namespace robostress {
 namespace {
@@ -193,6 +192,27 @@ void ProxiedArm::LearnAsynchronously(const RobotState& after, double now_s) {
   before_ = std::exchange(given_, std::nullopt);
 }
 
+std::string ProxiedArm::Misfit(const OpenpiValue& value, const OpenpiExecuted& executed) const {
+  const auto lacks = [&value](const char* key) { return value.Find(key) == nullptr; };
+  // Where they are not said they read as an arm that stands still.
+  if (!profile_.joint_space() && lacks("p_base_tool"))
+    return "executed has no p_base_tool, and the actions are the tool's";
+  if (!profile_.action.rotation.empty() && lacks("q_base_tool"))
+    return "executed has no q_base_tool, and the actions turn the tool";
+  const uint64_t given = given_->prediction_id;
+  if (given != 0 && executed.prediction_id != 0 && executed.prediction_id != given) {
+    return absl::StrCat("executed is of prediction ", executed.prediction_id,
+                        ", the chunk that was given last is ", given);
+  }
+  const auto end = executed.first_step + static_cast<Eigen::Index>(executed.states.size()) - 1;
+  if (end > given_->own.rows())
+    return absl::StrCat("executed ends at step ", end, " of ", given_->own.rows());
+  const Eigen::Index joints = executed.states[0].q.size();
+  if (profile_.joint_space() && joints != static_cast<Eigen::Index>(columns_.size()))
+    return absl::StrCat("executed/q has ", joints, " joints, the profile ", columns_.size());
+  return "";
+}
+
 void ProxiedArm::LearnMeasured(const OpenpiValue& value) {
   if (!given_) return;
   PolicySpec policy;
@@ -201,17 +221,13 @@ void ProxiedArm::LearnMeasured(const OpenpiValue& value) {
   const absl::StatusOr<OpenpiExecuted> executed =
       ReadOpenpiExecuted(value, policy, 1 / profile_.rate_hz);
   if (!executed.ok()) return Distrust(Doubt::kExecuted, std::string(executed.status().message()));
+  // One that is in already is said again after a lost reply.
+  if (executed->sequence != 0 && executed->sequence <= sequence_) return;
+  sequence_ = executed->sequence;
+  if (const std::string words = Misfit(value, *executed); !words.empty())
+    return Distrust(Doubt::kExecuted, words);
   const auto steps = static_cast<int>(executed->states.size()) - 1;
   const int first = executed->first_step;
-  if (first + steps > policy.horizon) {
-    return Distrust(Doubt::kExecuted,
-                    absl::StrCat("executed ends at step ", first + steps, " of ", policy.horizon));
-  }
-  if (profile_.joint_space() &&
-      executed->states[0].q.size() != static_cast<Eigen::Index>(columns_.size())) {
-    return Distrust(Doubt::kExecuted, absl::StrCat("executed/q has ", executed->states[0].q.size(),
-                                                   " joints, the profile ", columns_.size()));
-  }
   Eigen::MatrixXd sent = given_->sent.middleRows(first, steps);
   if (executed->sent_commands.rows() > 0) sent = OwnColumns(executed->sent_commands.cast<double>());
   const ArmMotion motion =
@@ -305,6 +321,7 @@ std::optional<std::string> ProxiedArm::Correct(std::string_view message, double 
   given.asked_s = seen_s_;
   given.time_s = now_s;
   given.enters = enters;
+  given.prediction_id = block->prediction_id;
   given.correction = Eigen::MatrixXd::Zero(given.own.rows(), given.own.cols());
   std::optional<std::string> answer;
   if (trusted_) {

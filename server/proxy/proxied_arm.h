@@ -13,6 +13,7 @@
 #include "server/proxy/arm_correction.h"
 #include "server/proxy/arm_motion.h"
 #include "server/proxy/arm_profile.h"
+#include "server/wire/openpi/openpi_extensions.h"
 
 namespace robostress {
 
@@ -94,6 +95,7 @@ class ProxiedArm {
     double asked_s = 0, time_s = 0;  // when `before` and when the answer came
     int enters = 0;                  // the row that is executed first
     int played = 0;                  // rows that were due when the next observation came
+    uint64_t prediction_id = 0;
   };
 
   std::optional<std::string> Correct(std::string_view message, double now_s, ProxyMode mode);
@@ -102,6 +104,8 @@ class ProxiedArm {
   int RowDue(double since_observation_s) const;
   void LearnAsynchronously(const RobotState& after, double now_s);
   void LearnMeasured(const OpenpiValue& executed);
+  // Why a report cannot be what became of the chunk that was given last; empty: it can.
+  std::string Misfit(const OpenpiValue& value, const OpenpiExecuted& executed) const;
   void Take(const ArmMotion& motion, Eigen::Index last_row, double dt_s);
   void NewEpisode();
   // Forgets the motion; the answer to come passes untouched.
@@ -122,7 +126,8 @@ class ProxiedArm {
   std::optional<RobotState> seen_;  // in the observation that is being answered
   double seen_s_ = 0;
   std::optional<Given> given_,
-      before_;  // the last answer, and the one before that where it matters
+      before_;             // the last answer, and the one before that where it matters
+  uint64_t sequence_ = 0;  // of the last report
   std::optional<std::string> prompt_;
   Eigen::VectorXd residual_;  // of the motion that ended last
   int episode_ = 0, stretch_ = 0;

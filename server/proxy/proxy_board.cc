@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -117,6 +118,14 @@ void ProxyBoard::Switch(bool on) {
 std::unique_ptr<RelayTap> ProxyBoard::Tap(const std::string& peer) {
   absl::MutexLock lock(&mu_);
   const uint64_t id = ++next_;
+  const bool others = std::any_of(clients_.begin(), clients_.end(),
+                                  [](const auto& client) { return client.second.view.open; });
+  if (others && !std::exchange(said_many_, true)) {
+    spdlog::warn(
+        "proxy: {} is a second client at once: each is taken for a robot of its own; where there "
+        "is one arm, --max-clients 1 lets one in",
+        peer);
+  }
   Record& record = clients_[id];
   record.view.peer = peer;
   record.begin = record.used = Clock::now();

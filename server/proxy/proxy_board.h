@@ -54,6 +54,8 @@ class ProxyBoard {
   const ArmProfile& profile() const { return profile_; }
   const MethodOptions& method() const { return method_; }
   const Histogram& held() const { return *held_; }
+  // Why the record ended; empty: it did not.
+  std::string record_failure() const { return record_ == nullptr ? "" : record_->failure(); }
 
  private:
   class Client;
@@ -80,6 +82,7 @@ class ProxyBoard {
 
   mutable absl::Mutex mu_;
   uint64_t next_ ABSL_GUARDED_BY(mu_) = 0;
+  bool said_many_ ABSL_GUARDED_BY(mu_) = false;
   std::map<uint64_t, Record> clients_ ABSL_GUARDED_BY(mu_);
 };
 

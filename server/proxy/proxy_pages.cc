@@ -83,7 +83,10 @@ std::string MainPage(const ProxySources& sources) {
       Figure(absl::StrCat(Sum(views, AnswerOutcome::kCorrected)), "answers corrected"),
       Figure(absl::StrCat(Sum(views, AnswerOutcome::kDoubt)), "left alone in doubt"),
       Figure(Held(board.held(), 0.5), "held, p50"), Figure(Held(board.held(), 0.99), "held, p99"),
-      "</div><h2>Clients</h2>");
+      "</div>");
+  if (const std::string failure = board.record_failure(); !failure.empty())
+    absl::StrAppend(&html, "<p class=note>The record ended: ", EscapeXml(failure), "</p>");
+  absl::StrAppend(&html, "<h2>Clients</h2>");
   if (views.empty()) return html + "<p class=note>None came yet.</p></main></body></html>\n";
   absl::StrAppend(&html,
                   "<div class=scroll><table><tr><th>client<th>state, idle<th>corrected"
@@ -147,7 +150,9 @@ std::string ProxyStateJson(const ProxySources& sources) {
   }
   state["held_ms"] = {{"p50", 1e3 * QuantileOf(sources.board->held(), 0.5)},
                       {"p99", 1e3 * QuantileOf(sources.board->held(), 0.99)}};
-  return state.dump();
+  if (const std::string failure = sources.board->record_failure(); !failure.empty())
+    state["record_failure"] = failure;
+  return state.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
 WebReply ProxyPage(const WebRequest& request, const ProxySources& sources) {

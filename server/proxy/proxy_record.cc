@@ -3,10 +3,7 @@
 #include <pthread.h>
 #include <spdlog/spdlog.h>
 
-#include <cerrno>
 #include <chrono>
-#include <cstring>
-#include <filesystem>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -46,20 +43,12 @@ absl::StatusOr<std::unique_ptr<ProxyRecord>> ProxyRecord::Create(const std::stri
                                                                  const ArmProfile& profile) {
   RS_RETURN_IF_ERROR(MakeDirectories(folder));
   std::unique_ptr<ProxyRecord> record(new ProxyRecord(folder, profile));
-  const std::string file = folder + "/residuals.csv";
-  record->residuals_ = std::fopen(file.c_str(), "wx");
-  if (record->residuals_ == nullptr) {
-    const int why = errno;
-    if (why == EEXIST) {
-      return absl::AlreadyExistsError(
-          absl::StrCat(file, " is there: another run's record; give another --out"));
-    }
-    return absl::UnavailableError(absl::StrCat(file, ": ", std::strerror(why)));
-  }
+  RS_ASSIGN_OR_RETURN(record->residuals_, RowFile::Create(folder + "/residuals.csv"));
   std::string header = "t_s,client,episode,chunk,outcome,doubt";
   AppendNames("residual_", record->axes_, header);
   AppendNames("correction_", record->axes_, header);
-  record->Line(record->residuals_, header);
+  record->residuals_->Add(header);
+  RS_RETURN_IF_ERROR(record->residuals_->Flush());
   record->thread_ = std::thread([record = record.get()] { record->Work(); });
   return record;
 }
@@ -70,10 +59,6 @@ ProxyRecord::~ProxyRecord() {
     stopped_ = true;
   }
   if (thread_.joinable()) thread_.join();
-  if (residuals_ != nullptr) std::fclose(residuals_);
-  for (const auto& [client, stretch] : stretches_) {
-    if (stretch.file != nullptr) std::fclose(stretch.file);
-  }
 }
 
 std::string ProxyRecord::failure() const {
@@ -116,20 +101,21 @@ void ProxyRecord::Work() {
       last = stopped_;
     }
     for (const Entry& entry : entries) Write(entry);
-    std::fflush(residuals_);
-    for (auto& [client, stretch] : stretches_) {
-      if (stretch.file != nullptr) std::fflush(stretch.file);
-    }
+    Flush(residuals_.get());
+    for (const auto& [client, stretch] : stretches_) Flush(stretch.file.get());
     if (last) return;
   }
 }
 
-void ProxyRecord::Line(std::FILE* file, const std::string& line) {
-  if (std::fprintf(file, "%s\n", line.c_str()) >= 0) return;
-  const std::string why = std::strerror(errno);
+void ProxyRecord::Flush(RowFile* file) {
+  if (file == nullptr) return;
+  if (const absl::Status flushed = file->Flush(); !flushed.ok()) Fail(flushed);
+}
+
+void ProxyRecord::Fail(const absl::Status& why) {
   absl::MutexLock lock(&mu_);
   if (!failure_.empty()) return;
-  failure_ = absl::StrCat(folder_, ": ", why);
+  failure_ = std::string(why.message());
   spdlog::error("proxy: the record ends: {}; clients are served on", failure_);
 }
 
@@ -141,37 +127,51 @@ void ProxyRecord::Write(const Entry& entry) {
         AnswerOutcomeName(report.outcome), report.doubt ? DoubtName(*report.doubt) : "");
     AppendCells(report.residual, axes_.size(), line);
     AppendCells(report.correction, axes_.size(), line);
-    return Line(residuals_, line);
+    return residuals_->Add(line);
   }
-  const auto* rows = std::get_if<std::vector<JointRow>>(&entry.what);
-  if (rows == nullptr) {
-    const auto found = stretches_.find(entry.client);
-    if (found == stretches_.end()) return;
-    if (found->second.file != nullptr) std::fclose(found->second.file);
-    stretches_.erase(found);
-    return;
+  if (const auto* rows = std::get_if<std::vector<JointRow>>(&entry.what))
+    return WriteJoints(entry.client, *rows);
+  const auto found = stretches_.find(entry.client);
+  if (found == stretches_.end()) return;
+  Flush(found->second.file.get());
+  stretches_.erase(found);
+}
+
+std::unique_ptr<RowFile> ProxyRecord::OpenStretch(uint64_t client, int number) {
+  if (files_ >= kFiles) {
+    if (files_++ == kFiles) {
+      spdlog::warn(
+          "proxy: {}: {} files of joints are there, and no more are begun; begin another "
+          "--out",
+          folder_, kFiles);
+    }
+    return nullptr;
   }
-  Stretch& stretch = stretches_[entry.client];
-  for (const JointRow& row : *rows) {
+  auto file = RowFile::Create(absl::StrCat(folder_, "/joints-", client, "-", number, ".csv"));
+  if (!file.ok()) {
+    Fail(file.status());
+    return nullptr;
+  }
+  ++files_;
+  std::string header = "t";
+  AppendNames("q_", axes_, header);
+  AppendNames("q_cmd_", axes_, header);
+  (*file)->Add(header);
+  return *std::move(file);
+}
+
+void ProxyRecord::WriteJoints(uint64_t client, const std::vector<JointRow>& rows) {
+  Stretch& stretch = stretches_[client];
+  for (const JointRow& row : rows) {
     if (row.stretch != stretch.number) {
-      if (stretch.file != nullptr) std::fclose(stretch.file);
-      stretch = {row.stretch, 0, nullptr};
-      if (files_ >= kFiles) continue;
-      const std::string file =
-          absl::StrCat(folder_, "/joints-", entry.client, "-", row.stretch, ".csv");
-      stretch.file = std::fopen(file.c_str(), "wx");
-      if (stretch.file == nullptr) continue;
-      ++files_;
-      std::string header = "t";
-      AppendNames("q_", axes_, header);
-      AppendNames("q_cmd_", axes_, header);
-      Line(stretch.file, header);
+      Flush(stretch.file.get());
+      stretch = {row.stretch, 0, OpenStretch(client, row.stretch)};
     }
     if (stretch.file == nullptr) continue;
     std::string line = absl::StrFormat("%.9g", static_cast<double>(stretch.rows++) / rate_hz_);
     AppendCells(row.q, axes_.size(), line);
     AppendCells(row.q_cmd, axes_.size(), line);
-    Line(stretch.file, line);
+    stretch.file->Add(line);
   }
 }
 

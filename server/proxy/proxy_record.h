@@ -2,7 +2,6 @@
 
 #include <atomic>
 #include <cstdint>
-#include <cstdio>
 #include <deque>
 #include <map>
 #include <memory>
@@ -16,6 +15,7 @@
 #include "absl/synchronization/mutex.h"
 #include "server/proxy/arm_profile.h"
 #include "server/proxy/proxied_arm.h"
+#include "server/proxy/row_file.h"
 
 namespace robostress {
 
@@ -28,6 +28,9 @@ namespace robostress {
 //                         client that sends `executed`): t [s], q_JOINT, q_cmd_JOINT [rad], a row
 //                         each control step. One file is one stretch without a gap: a log of
 //                         `robostress calibrate`, input position_target
+//
+// Where the disk takes no more, or a file cannot be opened, the record ends with whole rows, and
+// clients are served on.
 //
 // A thread of its own waits for the disk. Any thread.
 class ProxyRecord {
@@ -61,21 +64,25 @@ class ProxyRecord {
   struct Stretch {
     int number = -1;
     uint64_t rows = 0;
-    std::FILE* file = nullptr;
+    std::unique_ptr<RowFile> file;  // null: it could not be opened
   };
 
   ProxyRecord(std::string folder, const ArmProfile& profile);
   void Push(Entry entry) ABSL_LOCKS_EXCLUDED(mu_);
   void Work() ABSL_LOCKS_EXCLUDED(mu_);
   void Write(const Entry& entry) ABSL_LOCKS_EXCLUDED(mu_);
-  void Line(std::FILE* file, const std::string& line) ABSL_LOCKS_EXCLUDED(mu_);
+  void WriteJoints(uint64_t client, const std::vector<JointRow>& rows) ABSL_LOCKS_EXCLUDED(mu_);
+  // The next stretch of a client, with its header.
+  std::unique_ptr<RowFile> OpenStretch(uint64_t client, int number) ABSL_LOCKS_EXCLUDED(mu_);
+  void Flush(RowFile* file) ABSL_LOCKS_EXCLUDED(mu_);
+  void Fail(const absl::Status& why) ABSL_LOCKS_EXCLUDED(mu_);
 
   const std::string folder_;
   const std::vector<std::string> axes_;
   const double rate_hz_;
   const double start_s_;
   // Of the thread.
-  std::FILE* residuals_ = nullptr;
+  std::unique_ptr<RowFile> residuals_;
   std::map<uint64_t, Stretch> stretches_;
   size_t files_ = 0;
 

@@ -47,7 +47,8 @@ constexpr size_t kMaskedBytes = 64 << 10;  // at a time, of what goes upstream
 constexpr size_t kReadAheadBytes = 4096;   // beyond the longest message
 constexpr auto kHandshake = std::chrono::seconds(30);
 constexpr auto kProbe = std::chrono::seconds(2), kGoodbye = std::chrono::seconds(2);
-constexpr int kGoodbyes = 50;   // looks, 20 ms apart
+constexpr int kGoodbyes = 50;  // looks, 20 ms apart
+constexpr auto kSayAgain = std::chrono::seconds(10);
 constexpr int kIdleProbes = 5;  // of probe_period, between two where the upstream was there
 constexpr char kNoBrowsers[] = "a browser's page may not open a WebSocket here\n";
 
@@ -232,7 +233,7 @@ class Relay::Impl {
     acceptor_->async_accept([this](Error error, Tcp::socket socket) {
       if (stopped_ || error == net::error::operation_aborted) return;
       if (error) {  // out of descriptors: those open must end first
-        spdlog::warn("proxy: accept failed: {}", error.message());
+        if (Seldom(said_deaf_)) spdlog::warn("proxy: accept failed: {}", error.message());
         accept_again_.expires_after(std::chrono::milliseconds(50));
         accept_again_.async_wait([this](Error cancelled) {
           if (!cancelled && there_ && !stopped_) Accept();
@@ -244,6 +245,15 @@ class Relay::Impl {
     });
   }
   void Add(Tcp::socket socket);
+  // The oldest connection that has not said yet what it wants goes; false: there is none.
+  bool MakeRoom();
+  // Whether what happens all the time was not said for a while.
+  static bool Seldom(std::chrono::steady_clock::time_point& said) {
+    const auto now = std::chrono::steady_clock::now();
+    if (now - said < kSayAgain) return false;
+    said = now;
+    return true;
+  }
   // Who does not say goodbye in time is cut.
   void StopWhenGone(int looks) {
     if (clients_ == 0 || looks == 0) return io_.stop();
@@ -258,6 +268,7 @@ class Relay::Impl {
   const MakeTap make_;
   // Before `io_`, whose end is that of the links which it still holds.
   bool stopped_ = false, said_absent_ = false;
+  std::chrono::steady_clock::time_point said_full_, said_deaf_;
   std::atomic<int> port_{0}, clients_{0};
   std::atomic<bool> there_{false};
   std::atomic<uint64_t> accepted_{0}, refused_{0}, upstream_lost_{0};
@@ -297,6 +308,8 @@ class Relay::Impl::Link : public std::enable_shared_from_this<Link> {
     });
   }
 
+  // It has not sent its request.
+  bool silent() const { return !asked_ && !closing_; }
   void GoAway() {
     const websocket::close_reason going(websocket::close_code::going_away);
     if (!open_) return Cut();
@@ -309,6 +322,7 @@ class Relay::Impl::Link : public std::enable_shared_from_this<Link> {
 
   void OnRequest(Error error) {
     if (error) return;
+    asked_ = true;
     const auto& request = parser_.get();
     if (!websocket::is_upgrade(request)) {
       const bool health = request.target() == "/healthz";
@@ -614,7 +628,8 @@ class Relay::Impl::Link : public std::enable_shared_from_this<Link> {
   std::unique_ptr<RelayTap> tap_;
   beast::flat_buffer from_client_, from_upstream_;
   std::optional<std::string> replaced_;
-  bool open_ = false, closing_ = false, client_over_ = false, upstream_over_ = false;
+  bool asked_ = false, open_ = false, closing_ = false, client_over_ = false,
+       upstream_over_ = false;
   bool pinging_upstream_ = false, pinging_client_ = false;
 };
 
@@ -622,10 +637,14 @@ void Relay::Impl::Add(Tcp::socket socket) {
   Error error;
   const Tcp::endpoint remote = socket.remote_endpoint(error);
   if (error) return;  // it is gone already
-  if (clients_ >= options_.max_clients) {
+  if (clients_ >= options_.max_clients && !MakeRoom()) {
     ++refused_;
-    spdlog::warn("proxy: {} clients are connected, which is as many as may be (--max-clients)",
-                 options_.max_clients);
+    if (Seldom(said_full_)) {
+      spdlog::warn(
+          "proxy: {} clients are connected, which is as many as may be (--max-clients); {} were "
+          "refused so far",
+          options_.max_clients, refused_.load());
+    }
     return;  // the socket's end
   }
   socket.set_option(Tcp::no_delay(true), error);
@@ -637,6 +656,16 @@ void Relay::Impl::Add(Tcp::socket socket) {
   links_.remove_if([](const std::weak_ptr<Link>& one) { return one.expired(); });
   links_.push_back(link);
   link->Start();
+}
+
+bool Relay::Impl::MakeRoom() {
+  for (const std::weak_ptr<Link>& one : links_) {
+    const std::shared_ptr<Link> link = one.lock();
+    if (link == nullptr || !link->silent()) continue;
+    link->GoAway();
+    return true;
+  }
+  return false;
 }
 
 Relay::Impl::~Impl() {

@@ -34,5 +34,22 @@ TEST(ClientSecrets, ComeFromTheFilesThatTheEnvironmentNames) {
   unsetenv("ROBOSTRESS_TLS_KEY");
 }
 
+TEST(ClientSecrets, ATokenIsOneWord) {
+  const std::string file = absl::StrCat(::testing::TempDir(), "/client_secrets_token");
+  setenv("ROBOSTRESS_TOKEN_FILE", file.c_str(), 1);
+  const auto read = [&](const std::string& contents) {
+    EXPECT_TRUE(WriteFileAtomically(file, contents).ok());
+    return ClientSecretsFromEnvironment();
+  };
+  EXPECT_EQ(read("a.b-c_d/e+f=\r\n")->token, "a.b-c_d/e+f=");
+  for (const char* contents : {"", "\n", " \t\r\n", "two words", "two\nlines\n", "caf\xc3\xa9"}) {
+    const auto secrets = read(contents);
+    EXPECT_EQ(secrets.status().code(), absl::StatusCode::kInvalidArgument) << contents;
+    EXPECT_THAT(std::string(secrets.status().message()),
+                HasSubstr("ROBOSTRESS_TOKEN_FILE=" + file + ": "));
+  }
+  unsetenv("ROBOSTRESS_TOKEN_FILE");
+}
+
 }  // namespace
 }  // namespace robostress

@@ -48,6 +48,18 @@ TEST(OpenpiAnswer, TakesWhatOpenpiAndItsRelativesAnswer) {
   EXPECT_EQ(Read(map.bytes())->infer_ms, 0);
 }
 
+TEST(OpenpiAnswer, ATimeThatCannotBeIsNone) {
+  for (const uint64_t bits : {0x7ff0000000000000u, 0xfff0000000000000u, 0x7ff8000000000000u,
+                              0xc028000000000000u}) {  // infinite, nan, -12
+    OpenpiBytes bytes;
+    bytes.Map(2).Text("actions").Numbers<double>("<f8", {2, 3}, kRows);
+    bytes.Text("policy_timing").Map(1).Text("infer_ms").Byte(0xcb).Big(bits, 8);
+    const auto answer = Read(bytes.bytes());
+    ASSERT_TRUE(answer.ok()) << answer.status();
+    EXPECT_EQ(answer->infer_ms, 0);
+  }
+}
+
 TEST(OpenpiAnswer, ShowsWhatCameAndWhatWasExpected) {
   const auto actions = [](const std::vector<int>& shape, const std::vector<double>& values) {
     OpenpiBytes bytes;

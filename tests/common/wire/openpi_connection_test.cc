@@ -6,6 +6,7 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "common/wire/openpi_readers.h"
+#include "tests/common/wire/heard_log.h"
 #include "tests/common/wire/openpi_bytes.h"
 #include "tests/common/wire/scripted_peer.h"
 
@@ -85,6 +86,32 @@ TEST(OpenpiConnection, KnowsAServerThatIsNotOpenpis) {
   options.metadata_timeout = absl::Milliseconds(100);
   EXPECT_EQ(OpenpiConnection::Connect(silent.url(), options).status().code(),
             absl::StatusCode::kDeadlineExceeded);
+}
+
+TEST(OpenpiConnection, SaysEarlyWhatAServerMayBeThatDoesNotGreet) {
+  const ScriptedPeer late = ScriptedPeer::WebSocket([](ScriptedPeer::Socket& web) {
+    absl::SleepFor(absl::Milliseconds(300));
+    ScriptedPeer::Write(web, OpenpiBytes().Map(0).bytes());
+    ScriptedPeer::AwaitEnd(web);
+  });
+  OpenpiConnectionOptions options;
+  EXPECT_EQ(options.silence, absl::Seconds(5));
+  options.silence = absl::Milliseconds(50);
+  {
+    const HeardLog log;
+    const auto connection = OpenpiConnection::Connect(late.url(), options);
+    EXPECT_TRUE(connection.ok()) << "it is not given up: " << connection.status();
+    EXPECT_THAT(log.words(), HasSubstr(late.url() + "/ has said nothing for 50ms; if it is "
+                                                    "vla-eval's, choose --dialect vla_eval"));
+  }
+  const ScriptedPeer prompt = ScriptedPeer::WebSocket([](ScriptedPeer::Socket& web) {
+    ScriptedPeer::Write(web, OpenpiBytes().Map(0).bytes());
+    ScriptedPeer::AwaitEnd(web);
+  });
+  options.silence = absl::Seconds(5);
+  const HeardLog log;
+  EXPECT_TRUE(OpenpiConnection::Connect(prompt.url(), options).ok());
+  EXPECT_EQ(log.words(), "");
 }
 
 }  // namespace

@@ -2,12 +2,45 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <ctime>
 #include <limits>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
 
 #include "common/wire/openpi_readers.h"
 #include "common/wire/openpi_writer.h"
 #include "tests/common/wire/policy_peer.h"
+
+namespace robostress {
+namespace {
+
+// What this program takes for the time of day.
+class TimeOfDay {
+ public:
+  static void Set(int64_t ahead_s) { ahead_s_ = ahead_s; }
+  static int64_t ahead_s() { return ahead_s_; }
+
+ private:
+  static inline std::atomic<int64_t> ahead_s_ = 0;
+};
+
+}  // namespace
+}  // namespace robostress
+
+// The libraries' own calls come here too.
+extern "C" int clock_gettime(clockid_t clock, timespec* time) noexcept {
+  const auto result = static_cast<int>(syscall(SYS_clock_gettime, clock, time));
+  if (result == 0 && clock == CLOCK_REALTIME) time->tv_sec += robostress::TimeOfDay::ahead_s();
+  return result;
+}
 
 namespace robostress {
 namespace {
@@ -340,6 +373,69 @@ TEST_F(RemotePolicyTest, SeesThatMetadataChangedOrContradict) {
       OpenpiWriter().Map(1).Text("output").Map(1).Text("action_horizon").Integer(4).Take());
   EXPECT_THAT(Connect(few.url()).status().message(),
               AllOf(HasSubstr("action_horizon 4"), HasSubstr("remote.execute_steps is 5")));
+}
+
+// A server of ours that starts again with another policy.
+TEST_F(RemotePolicyTest, AModelThatWishesForSomethingElseInMidRunIsRefused) {
+  options_.dialect = *OpenpiDialectNamed("robostress");
+  const auto wishes = [](int64_t steps, int64_t width, const char* camera) {
+    OpenpiWriter metadata;
+    metadata.Map(1).Text("policies").List(1).Map(4).Text("name").Text("pi05");
+    metadata.Text("execute_steps").Integer(steps).Text("image_width").Integer(width);
+    return metadata.Text("cameras").List(1).Text(camera).Take();
+  };
+  for (const std::string& later : {wishes(20, 2, "agentview"), wishes(5, 3, "agentview"),
+                                   wishes(5, 2, "wrist"), wishes(5, 2, "agentview")}) {
+    const PolicyPeer server(
+        [](int connection, int message) {
+          return connection == 1 && message == 1 ? std::string() : Zeros(10, 7);
+        },
+        [&](int connection) { return connection < 2 ? wishes(5, 2, "agentview") : later; });
+    auto policy = Connect(server.url());
+    ASSERT_TRUE(policy.ok()) << policy.status();
+    ASSERT_TRUE((*policy)->Predict(observation_, 0).ok());
+    const auto after = (*policy)->Predict(observation_, 1);
+    EXPECT_EQ((*policy)->spec().execute_steps, 5);
+    if (later == wishes(5, 2, "agentview")) {
+      EXPECT_TRUE(after.ok()) << after.status();
+      continue;
+    }
+    EXPECT_EQ(after.status().code(), absl::StatusCode::kFailedPrecondition);
+    EXPECT_THAT(after.status().message(),
+                AllOf(HasSubstr(server.url()), HasSubstr("another model now"),
+                      HasSubstr("[agentview] of 2 x 2 px, execute_steps 5 when the unit began")));
+  }
+}
+
+TEST_F(RemotePolicyTest, KeepsLongWordsOfMetadataAsTheirHash) {
+  const PolicyPeer server([](int, int) { return Zeros(10, 7); },
+                          OpenpiWriter().Map(1).Text("log").Text(std::string(5000, 'x')).Take());
+  auto policy = Connect(server.url());
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  EXPECT_THAT((*policy)->metadata(), HasSubstr(R"({"log":{"bytes":5000,"sha256":")"));
+  EXPECT_LT((*policy)->metadata().size(), 200u);
+}
+
+// The time of day is set while a server is away: an hour ahead, an hour back.
+TEST_F(RemotePolicyTest, ASetClockIsNoAbsence) {
+  connection_.absence = absl::Seconds(3);
+  for (const int64_t set_s : {3600, -3600}) {
+    auto server = std::make_unique<PolicyPeer>([](int, int) { return std::string(); });
+    const uint16_t port = server->port();
+    auto policy = Connect(server->url());
+    ASSERT_TRUE(policy.ok()) << policy.status();
+    server.reset();
+    std::thread returns([&] {
+      std::this_thread::sleep_for(std::chrono::milliseconds(300));
+      TimeOfDay::Set(set_s);
+      std::this_thread::sleep_for(std::chrono::milliseconds(set_s > 0 ? 700 : 4000));
+      server = std::make_unique<PolicyPeer>([](int, int) { return Zeros(10, 7); }, port);
+    });
+    const auto predicted = (*policy)->Predict(observation_, 0);
+    returns.join();
+    TimeOfDay::Set(0);
+    EXPECT_EQ(predicted.ok(), set_s > 0) << set_s << " " << predicted.status();
+  }
 }
 
 }  // namespace

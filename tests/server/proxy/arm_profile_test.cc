@@ -5,6 +5,9 @@
 
 #include <filesystem>
 #include <fstream>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
@@ -90,6 +93,37 @@ TEST(ArmProfile, NamesFieldValueAndLimitOfWhatIsWrong) {
   EXPECT_THAT(Complaint("rate: [2]", "rate: [-2]"), HasSubstr("limits.rate holds -2"));
   EXPECT_THAT(Complaint("translation_unit: 0.05", "low: [-1], high: [1]"),
               HasSubstr("both must have 7, or none"));
+  // Valid types, absurd values.
+  for (const auto& [from, to] : std::vector<std::pair<std::string, std::string>>{
+           {"rate_hz: 20", "rate_hz: -20"},
+           {"rate_hz: 20", "rate_hz: .nan"},
+           {"rate_hz: 20", "rate_hz: 1e300"},
+           {"execute_steps: 5", "execute_steps: -5"},
+           {"execute_steps: 5", "execute_steps: 1025"},
+           {"execute_steps: 5", "execute_steps: 99999999999"},
+           {"execute_steps: 5", "first_step: -1\nexecute_steps: 5"},
+           {"rotation: [3, 4, 5]}", "rotation: [3, 4, 4]}"},
+           {"rotation: [3, 4, 5], trans", "rotation: [3, 4, -1], trans"},
+           {"size: 7", "size: 0"},
+           {"size: 7", "size: 1000000"},
+           {"translation_unit: 0.05", "translation_unit: 1e300"},
+           {"translation_unit: 0.05", "translation_unit: -0.05"},
+           {"translation_unit: 0.05", "translation_full: 1e-300"},
+           {"rotation_unit: 0.5", "rotation_full: .nan"},
+           {"limits:", "nominal: {stiffness: 1e300}\nlimits:"},
+           {"limits:", "nominal: {stiffness: -150}\nlimits:"},
+           {"limits:", "nominal: {damping_ratio: .inf}\nlimits:"},
+           {"limits:", "nominal: {sub_steps: 0}\nlimits:"},
+           {"limits:", "observer_bandwidth: 0\nlimits:"},
+           {"correction: [0.4]", "correction: [.nan]"},
+           {"correction: [0.4]", "correction: [-0.4]"},
+           {"rate: [2]", "rate: [1e300]"},
+           {"rate: [2]", "rate: [2], jump_m: -1"},
+           {"rate: [2]", "rate: [2], jump_rad: .inf"},
+           {"rate: [2]", "rate: [2], pause_s: .nan"},
+           {"translation_unit: 0.05",
+            "low: [.nan, 0, 0, 0, 0, 0, 0], high: [1, 1, 1, 1, 1, 1, 1]"}})
+    EXPECT_THAT(Complaint(from, to), HasSubstr("robot-")) << to;
   EXPECT_THAT(Complaint("dialect: libero", "dialect: klingon"),
               AllOf(HasSubstr("no dialect 'klingon'"), HasSubstr("libero")));
   EXPECT_THAT(Complaint("rate_hz", "rate_hertz"), HasSubstr("rate_hertz"));
@@ -97,17 +131,29 @@ TEST(ArmProfile, NamesFieldValueAndLimitOfWhatIsWrong) {
               HasSubstr("belong to control_space joint"));
 }
 
+TEST(ArmProfile, AJointHasANameOfItsOwn) {
+  ArmProfile profile = JointProfile(2);
+  profile.joint_names = {"hinge", "elbow"};
+  EXPECT_TRUE(CheckArmProfile(profile).ok());
+  profile.joint_names = {"hinge", "hinge"};
+  EXPECT_THAT(std::string(CheckArmProfile(profile).message()),
+              HasSubstr("joint_names names 'hinge' twice"));
+}
+
 TEST(ArmProfile, TakesTheExamplesOfItsPage) {
   std::ifstream file("docs/results/proxy.md");
   const std::string page((std::istreambuf_iterator<char>(file)), {});
   int found = 0;
-  for (size_t at = 0; (at = page.find("```yaml\n", at)) != std::string::npos; ++found) {
+  for (size_t at = 0; (at = page.find("```yaml\n", at)) != std::string::npos;) {
     at += 8;
-    const auto profile = Load(page.substr(at, page.find("```", at) - at));
+    const std::string block = page.substr(at, page.find("```", at) - at);
+    if (block.find("control_space: ") == std::string::npos) continue;  // calibrate's
+    ++found;
+    const auto profile = Load(block);
     ASSERT_TRUE(profile.ok()) << profile.status();
     EXPECT_TRUE(MethodOf(*profile).ok()) << MethodOf(*profile).status();
   }
-  EXPECT_EQ(found, 2);
+  EXPECT_EQ(found, 3);
 }
 
 TEST(ArmProfile, TakesTheMethodsThatItsSpaceAllows) {

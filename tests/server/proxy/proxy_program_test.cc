@@ -2,12 +2,20 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <chrono>
+#include <cmath>
+#include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
+#include <memory>
+#include <thread>
 
 #include "common/child_process.h"
+#include "common/wire/openpi_connection.h"
 #include "nlohmann/json.hpp"
+#include "server/proxy/action_block.h"
 #include "tests/common/wire/openpi_venv.h"
 #include "tests/run_program.h"
 #include "tests/server/proxy/proxy_policy.h"
@@ -41,12 +49,14 @@ class ProxyProgram : public ::testing::Test {
     child_.reset();
     std::filesystem::remove_all(folder_);
   }
-  void Start(std::vector<std::string> more = {}) {
-    std::vector<std::string> command = {
+  // `under`: what starts the program, with its arguments behind.
+  void Start(std::vector<std::string> more = {}, std::vector<std::string> under = {}) {
+    std::vector<std::string> command = std::move(under);
+    const std::vector<std::string> own = {
         PROXY_PROGRAM,           "--upstream",   upstream_.url(),   "--robot",
         folder_ + "/robot.yaml", "--listen",     "127.0.0.1:0",     "--http-listen",
         "127.0.0.1:0",           "--ports-file", folder_ + "/ports"};
-    command.insert(command.end(), more.begin(), more.end());
+    for (const auto& words : {own, more}) command.insert(command.end(), words.begin(), words.end());
     auto child = ChildProcess::Start(command, {}, folder_ + "/log");
     ASSERT_TRUE(child.ok()) << child.status();
     child_.emplace(*std::move(child));
@@ -113,6 +123,95 @@ TEST_F(ProxyProgram, SaysWhatIsWrong) {
   const auto [nobody, gone] = RunProgram(PROXY_PROGRAM, "off --at 127.0.0.1:1");
   EXPECT_EQ(gone, 1);
   EXPECT_THAT(nobody, HasSubstr("Connection refused"));
+}
+
+// One client and what it is answered, where the arm stands still.
+class Asking {
+ public:
+  explicit Asking(int port) {
+    auto connected = OpenpiConnection::Connect(absl::StrCat("ws://127.0.0.1:", port));
+    EXPECT_TRUE(connected.ok()) << connected.status();
+    if (connected.ok()) connection_ = *std::move(connected);
+  }
+  // The first action, as the client gets it.
+  Eigen::VectorXd Ask(double x = 0) {
+    const auto answer =
+        connection_->Ask(LiberoObservation({x, 0, 0, 0, 0, 0, 0.02, -0.02}), absl::Seconds(10));
+    EXPECT_TRUE(answer.ok()) << answer.status();
+    return answer.ok() ? ReadActions(*answer, *FindActions(*answer)).row(0).transpose().eval()
+                       : Eigen::VectorXd();
+  }
+
+ private:
+  std::unique_ptr<OpenpiConnection> connection_;
+};
+
+TEST_F(ProxyProgram, ServesThroughAFloodOfSignals) {
+  Start();
+  std::atomic<bool> over = false;
+  std::thread flood([&] {
+    for (int i = 0; i < 20000; ++i) kill(child_->pid(), i % 2 == 0 ? SIGUSR1 : SIGUSR2);
+    kill(child_->pid(), SIGHUP);
+    over = true;
+  });
+  Asking client(port_);
+  int asked = 0;
+  for (; asked < 50 || !over; ++asked) {
+    const Eigen::VectorXd action = client.Ask();
+    ASSERT_EQ(action.size(), 7);
+    ASSERT_LE(std::abs(action[0] - 1), 0.5 + 1e-6) << "the server says 1; at most 0.5 is ours";
+  }
+  flood.join();
+  kill(child_->pid(), SIGUSR1);
+  EXPECT_EQ(ModeBecomes("off"), "off");
+  EXPECT_EQ(client.Ask()[0], 1);
+  EXPECT_EQ(child_->Terminate(10000).code, 0) << Log();
+}
+
+TEST_F(ProxyProgram, AClientThatComesBackInMidChunkBeginsAtZero) {
+  Start({"--set", "following_limit=0.4"});
+  {
+    Asking stuck(port_);
+    Eigen::VectorXd action;
+    for (int i = 0; i < 30; ++i) action = stuck.Ask();  // it is told to move and does not
+    EXPECT_NE(action[0], 1) << "it was corrected";
+  }
+  Asking again(port_);
+  EXPECT_EQ(again.Ask(0.01)[0], 1) << "nothing is known of it";
+  EXPECT_EQ(State()["clients"], 1);
+}
+
+TEST_F(ProxyProgram, SaysThatTwoClientsAreTwoRobots) {
+  Start();
+  Asking one(port_), two(port_);
+  one.Ask();
+  two.Ask();
+  EXPECT_THAT(Log(), HasSubstr("--max-clients 1 lets one in"));
+}
+
+TEST_F(ProxyProgram, ARecordThatMayNotGrowEndsAndItsClientsDoNot) {
+  Start({"--out", folder_ + "/record"}, {"/bin/bash", "-c", "ulimit -f 4 && exec \"$@\"", "bash"});
+  Asking client(port_);
+  for (int i = 0; i < 400; ++i) client.Ask();
+  for (int i = 0; i < 500 && !State().contains("record_failure"); ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  EXPECT_THAT(std::string(State()["record_failure"]), HasSubstr("residuals.csv: File too large"));
+  EXPECT_THAT(Page("/").second, HasSubstr("The record ended: "));
+  EXPECT_THAT(Page("/metrics").second, HasSubstr("robostress_proxy_record_dropped"));
+  client.Ask();
+  EXPECT_EQ(child_->Terminate(10000).code, 0);
+  std::ifstream file(folder_ + "/record/residuals.csv");
+  const std::string rows((std::istreambuf_iterator<char>(file)), {});
+  EXPECT_GT(rows.size(), 2000u);
+  EXPECT_EQ(rows.back(), '\n');
+}
+
+TEST_F(ProxyProgram, AFolderThatCannotBeWrittenIsNamedAtTheStart) {
+  const auto [said, code] = RunProgram(
+      PROXY_PROGRAM, absl::StrCat("--upstream ", upstream_.url(), " --robot ", folder_,
+                                  "/robot.yaml --listen 127.0.0.1:0 --out /proc/record"));
+  EXPECT_EQ(code, 1);
+  EXPECT_THAT(said, HasSubstr("/proc/record"));
 }
 
 TEST_F(ProxyProgram, WinsBackFrictionForOpenpisOwnClient) {

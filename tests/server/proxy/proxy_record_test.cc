@@ -2,11 +2,15 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
+#include <chrono>
 #include <cmath>
+#include <csignal>
 #include <filesystem>
 #include <fstream>
-#include <sstream>
+#include <iterator>
+#include <thread>
 
 #include "absl/strings/str_cat.h"
 #include "common/csv_table.h"
@@ -69,6 +73,93 @@ TEST_F(ProxyFolder, HoldsEveryStepOfAJointAsCalibrateReadsIt) {
   const auto answers = CsvTable::Read(folder_ + "/residuals.csv");
   ASSERT_TRUE(answers.ok()) << answers.status();
   EXPECT_EQ(answers->rows(), 262u);
+}
+
+// Files of this process may not grow beyond so many bytes, while it lives: a disk that is full.
+class FullDisk {
+ public:
+  explicit FullDisk(rlim_t bytes) : handler_(signal(SIGXFSZ, SIG_IGN)) {
+    getrlimit(RLIMIT_FSIZE, &before_);
+    const rlimit limit{bytes, before_.rlim_max};
+    setrlimit(RLIMIT_FSIZE, &limit);
+  }
+  ~FullDisk() {
+    setrlimit(RLIMIT_FSIZE, &before_);
+    signal(SIGXFSZ, handler_);
+  }
+
+ private:
+  rlimit before_{};
+  const sighandler_t handler_;
+};
+
+std::string Contents(const std::string& file) {
+  std::ifstream stream(file);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+TEST_F(ProxyFolder, AFullDiskEndsTheRecordWithAWholeRowAndNothingElse) {
+  ArmProfile profile = JointProfile(1);
+  profile.execute_steps = 1;
+  profile.method = "base";
+  Metrics metrics;
+  int answered = 0;
+  {
+    auto record = ProxyRecord::Create(folder_, profile);
+    ASSERT_TRUE(record.ok()) << record.status();
+    ProxyBoard board(profile, *MethodOf(profile), false, &metrics, record->get());
+    const auto tap = board.Tap("one");
+    const auto ask_ten_times = [&tap] {
+      for (int i = 0; i < 10; ++i) Sway(*tap, 1);  // it rests
+    };
+    const FullDisk full(3000);
+    for (int i = 0; i < 2000 && board.record_failure().empty(); ++i, ++answered) {
+      ask_ten_times();
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    EXPECT_THAT(board.record_failure(), HasSubstr("File too large"));
+    EXPECT_THAT(board.record_failure(), HasSubstr(folder_));
+    const uint64_t dropped = (*record)->dropped();
+    ask_ten_times();  // it is served on
+    EXPECT_EQ((*record)->dropped(), dropped + 20);
+    EXPECT_EQ(board.Views()[0].outcomes[static_cast<size_t>(AnswerOutcome::kZero)],
+              static_cast<uint64_t>(10 * answered + 10));
+  }
+  for (const char* file : {"/residuals.csv", "/joints-1-0.csv"}) {
+    const std::string text = Contents(folder_ + file);
+    ASSERT_FALSE(text.empty()) << file;
+    EXPECT_EQ(text.back(), '\n') << file;
+    EXPECT_LE(text.size(), 3000u);
+    const auto table = CsvTable::Read(folder_ + file);
+    ASSERT_TRUE(table.ok()) << table.status();
+    EXPECT_GT(table->rows(), 10u) << file;
+  }
+}
+
+TEST_F(ProxyFolder, AFolderThatCannotBeWrittenIsNamed) {
+  std::ofstream(folder_) << "a file";
+  const auto refused = ProxyRecord::Create(folder_, JointProfile(1));
+  EXPECT_THAT(std::string(refused.status().message()), HasSubstr(folder_));
+  const auto nowhere = ProxyRecord::Create("/proc/record", JointProfile(1));
+  EXPECT_THAT(std::string(nowhere.status().message()), HasSubstr("/proc/record"));
+}
+
+// It goes while the proxy runs: the next stretch cannot be begun.
+TEST_F(ProxyFolder, AFolderThatGoesEndsTheRecordAndSaysSo) {
+  ArmProfile profile = JointProfile(1);
+  profile.execute_steps = 1;
+  profile.method = "base";
+  Metrics metrics;
+  auto record = ProxyRecord::Create(folder_, profile);
+  ASSERT_TRUE(record.ok()) << record.status();
+  ProxyBoard board(profile, *MethodOf(profile), false, &metrics, record->get());
+  std::filesystem::remove_all(folder_);
+  const auto tap = board.Tap("one");
+  for (int i = 0; i < 1000 && board.record_failure().empty(); ++i) {
+    Sway(*tap, 3);
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  EXPECT_THAT(board.record_failure(), HasSubstr("joints-1-0.csv: No such file"));
 }
 
 TEST_F(ProxyFolder, ForgetsClientsThatAreGone) {

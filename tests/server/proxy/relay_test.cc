@@ -3,9 +3,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
+#include <deque>
+#include <memory>
 
 #include "common/atomic_file.h"
+#include "tests/common/wire/heard_log.h"
 #include "tests/server/operations/test_certificates.h"
 #include "tests/server/proxy/upstream.h"
 #include "tests/server/wire/tls_web_client.h"
@@ -247,9 +251,55 @@ TEST(Relay, RefusesBrowsersStrangersAndTooManyClients) {
   EXPECT_TRUE(Comes([&] { return relay->figures().clients == 0; }));
   EXPECT_EQ(WebClient(relay->port()).Get("/").first, 426);
   EXPECT_TRUE(Comes([&] { return relay->figures().clients == 0; }));
-  WebClient first(relay->port()), second(relay->port());
+  WebClient first(relay->port());
   EXPECT_EQ(first.Upgrade(), 101);
+  WebClient second(relay->port());
   EXPECT_EQ(second.Upgrade(), 0) << "the end";
+  first.SendFrame("and still");
+  EXPECT_EQ(first.Read().payload, "greeting");
+  EXPECT_EQ(first.Read().payload, "and still");
+}
+
+TEST(Relay, TenThousandConnectionsThatSayNothingKeepNobodyOut) {
+  const HeardLog log;  // before the relay's thread
+  const Upstream upstream(Echo);
+  RelayOptions options = To(upstream.url());
+  options.max_clients = 4;
+  const auto relay = Start(options);
+  ASSERT_TRUE(Appears(*relay));
+  WebClient before(relay->port());
+  ASSERT_EQ(before.Upgrade(), 101);
+  std::deque<std::unique_ptr<WebClient>> silent;
+  for (int i = 0; i < 10000; ++i) {
+    silent.push_back(std::make_unique<WebClient>(relay->port()));
+    if (silent.size() > 200) silent.pop_front();
+  }
+  WebClient after(relay->port());
+  ASSERT_EQ(after.Upgrade(), 101);
+  for (WebClient* client : {&before, &after}) {
+    EXPECT_EQ(client->Read().payload, "greeting");
+    client->SendFrame("served");
+    EXPECT_EQ(client->Read().payload, "served");
+  }
+  EXPECT_LE(relay->figures().clients, 5);
+  const std::string words = log.words();
+  EXPECT_LE(std::count(words.begin(), words.end(), '\n'), 5) << words;
+}
+
+TEST(Relay, SaysNowAndThenThatItIsFull) {
+  const HeardLog log;  // before the relay's thread
+  const Upstream upstream(Echo);
+  RelayOptions options = To(upstream.url());
+  options.max_clients = 1;
+  const auto relay = Start(options);
+  ASSERT_TRUE(Appears(*relay));
+  WebClient one(relay->port());
+  ASSERT_EQ(one.Upgrade(), 101);
+  for (int i = 0; i < 500; ++i) EXPECT_EQ(WebClient(relay->port()).Upgrade(), 0);
+  EXPECT_EQ(relay->figures().refused, 500u);
+  const std::string words = log.words();
+  EXPECT_THAT(words, HasSubstr("(--max-clients); 1 were refused so far"));
+  EXPECT_LE(std::count(words.begin(), words.end(), '\n'), 5);
 }
 
 TEST(Relay, TellsWhoSendsMoreThanItTakes) {
