@@ -119,12 +119,14 @@ absl::Status CheckEffect(const JointChain& chain, int joint, const EffectInfo& e
                                                    " numbers, ", effect.type, " takes ",
                                                    effect.parameters.size(), ": ", names));
   }
-  const bool couples = effect.type == "cross_joint_coupling";
-  if (couples != (coupled >= 0) || coupled >= chain.joints() || (couples && coupled == joint)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "coupled is ", coupled, ", must be ",
-        couples ? absl::StrCat("another joint than ", joint, ", 0 to ", chain.joints() - 1)
-                : "-1"));
+  const int other = chain.coupled(joint);
+  if (effect.coupled != (coupled >= 0) || coupled >= chain.joints() ||
+      (coupled >= 0 && (coupled == joint || (other >= 0 && coupled != other)))) {
+    const std::string joints =
+        other >= 0 ? absl::StrCat(other, " as of the joint's other effects")
+                   : absl::StrCat("another joint than ", joint, ", 0 to ", chain.joints() - 1);
+    return absl::InvalidArgumentError(
+        absl::StrCat("coupled is ", coupled, ", must be ", effect.coupled ? joints : "-1"));
   }
   for (size_t i = 0; i < count; ++i) {
     const EffectParameter& parameter = effect.parameters[i];
@@ -152,6 +154,8 @@ unsigned Reads(const robostress_errors& errors) {
   // Whether an effect adds dry friction or inertia shows only in motion.
   if (errors.sticks || !chain.effects(EffectStage::kJoint).empty())
     reads |= ROBOSTRESS_READS_MASSES;
+  for (int i = 0; i < chain.joints(); ++i)
+    if (chain.coupled(i) >= 0) reads |= ROBOSTRESS_READS_ACCELERATION;
   return reads;
 }
 
@@ -188,6 +192,8 @@ absl::Status CheckMoment(const robostress_errors& errors, const robostress_momen
   RS_RETURN_IF_ERROR(
       CheckArray("tilt_gravity", m.tilt_gravity, 2 * n, reads & ROBOSTRESS_READS_TILT));
   RS_RETURN_IF_ERROR(CheckArray("mass_matrix", m.mass_matrix, n * n, masses));
+  RS_RETURN_IF_ERROR(CheckArray("ddq", m.ddq, n, reads & ROBOSTRESS_READS_ACCELERATION));
+  RS_RETURN_IF_ERROR(CheckArray("temperature", m.temperature, n, false));
   RS_RETURN_IF_ERROR(CheckArray("other_torque", m.other_torque, n, masses));
   for (int i = 0; i < n && masses; ++i) {
     if (m.mass_matrix[i * n + i] > 0) continue;
@@ -213,7 +219,12 @@ void Describe(const JointChain& chain, const robostress_moment& from,
     m.h = from.step;
     m.q = chain.MotorAngle(i, from.q[i]);
     m.dq = from.dq[i];
-    if (const int other = chain.coupled(i); other >= 0) m.coupled_q = from.q[other];
+    if (const int other = chain.coupled(i); other >= 0) {
+      m.coupled_q = from.q[other];
+      m.coupled_dq = from.dq[other];
+      m.coupled_ddq = from.ddq[other];
+    }
+    if (from.temperature != nullptr) m.temperature = from.temperature[i];
     if (from.gravity != nullptr) m.gravity = from.gravity[i];
     if (from.payload_gravity != nullptr) m.payload_gravity = from.payload_gravity[i];
     if (from.payload_inertia != nullptr) m.payload_inertia = from.payload_inertia[i];
@@ -416,7 +427,8 @@ void robostress_errors_reading(const robostress_errors* errors, const double* q,
                                double* reading, double* rate) {
   for (int i = 0; i < robostress_errors_joints(errors); ++i) {
     if (q != nullptr && reading != nullptr) reading[i] = errors->chain.Reading(i, q[i]);
-    if (dq != nullptr && rate != nullptr) rate[i] = errors->chain.ReadingSlope(i) * dq[i];
+    if (q != nullptr && dq != nullptr && rate != nullptr)
+      rate[i] = errors->chain.ReadingSlope(i, q[i]) * dq[i];
   }
 }
 

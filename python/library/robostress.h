@@ -75,7 +75,7 @@ robostress_code robostress_errors_new(const char* scenario, int joints,
                                       robostress_errors** created, char* error, size_t error_size);
 /* An effect of the library at a joint, behind those that are there; from the next reset on. type:
    as `robostress scenarios --effects` prints it; values in the order of its parameters. coupled:
-   the joint that cross_joint_coupling reads, else -1. */
+   the other joint that a cross_joint effect reads, one for all effects of a joint; else -1. */
 robostress_code robostress_errors_add_effect(robostress_errors* errors, int joint, const char* type,
                                              const double* values, size_t count, int coupled,
                                              char* error, size_t error_size);
@@ -95,8 +95,8 @@ enum {
   ROBOSTRESS_READS_GRAVITY = 1,
   ROBOSTRESS_READS_PAYLOAD = 2, /* payload_gravity and payload_inertia */
   ROBOSTRESS_READS_TILT = 4,
-  ROBOSTRESS_READS_MASSES =
-      8 /* mass_matrix and other_torque: friction that brings joints to rest */
+  ROBOSTRESS_READS_MASSES = 8, /* mass_matrix, other_torque: friction that brings joints to rest */
+  ROBOSTRESS_READS_ACCELERATION = 16 /* ddq */
 };
 unsigned robostress_errors_reads(const robostress_errors* errors);
 
@@ -113,10 +113,12 @@ typedef struct robostress_moment {
   const double* tilt_gravity;    /* [joints][2]: change of gravity as the base tilts about x, y
                                     [Nm/rad]; or NULL */
   const double* mass_matrix;     /* [joints][joints]; or NULL */
-  const double*
-      other_torque;         /* torques beside the motors': passive - bias + constraints; or NULL */
+  /* Torques beside the motors': passive - bias + constraints; or NULL. */
+  const double* other_torque;
   const double* torque_low; /* limits of the motors; or NULL for none */
   const double* torque_high;
+  const double* ddq;         /* accelerations, of the sub-step before; or NULL */
+  const double* temperature; /* [deg C]; or NULL: nobody measures it */
 } robostress_moment;
 
 /* An episode begins at rest at this moment. holding: the motors' torques that hold the arm, or NULL

@@ -64,6 +64,8 @@ struct Moment {
     const auto n = static_cast<size_t>(joints);
     fill(q, n, 1);
     fill(dq, n, 0.3);
+    fill(ddq, n, 2);
+    fill(temperature, n, 30);
     fill(gravity, n, 10);
     fill(payload_gravity, n, 3);
     fill(payload_inertia, n, 0.2);
@@ -84,6 +86,8 @@ struct Moment {
     m.step = 0.002;
     m.q = q.data();
     m.dq = dq.data();
+    m.ddq = ddq.data();
+    m.temperature = temperature.data();
     m.gravity = gravity.data();
     m.payload_gravity = payload_gravity.data();
     m.payload_inertia = payload_inertia.data();
@@ -94,8 +98,8 @@ struct Moment {
     m.torque_high = high.data();
     return m;
   }
-  std::vector<double> q, dq, gravity, payload_gravity, payload_inertia, tilt, mass, other, low,
-      high, asked;
+  std::vector<double> q, dq, ddq, temperature, gravity, payload_gravity, payload_inertia, tilt,
+      mass, other, low, high, asked;
 };
 
 // The arm of a Moment as PandaSim's chain sees its own.
@@ -124,7 +128,12 @@ std::vector<JointMoment> Describe(const JointChain& chain, const Moment& from, i
                   .payload_gravity = from.payload_gravity[i],
                   .payload_inertia = from.payload_inertia[i],
                   .tilt_gravity = {from.tilt[2 * i], from.tilt[2 * i + 1]},
-                  .coupled_q = other < 0 ? 0 : from.q[static_cast<size_t>(other)]};
+                  .temperature = from.temperature[i]};
+    if (other < 0) continue;
+    const auto k = static_cast<size_t>(other);
+    moments[i].coupled_q = from.q[k];
+    moments[i].coupled_dq = from.dq[k];
+    moments[i].coupled_ddq = from.ddq[k];
   }
   return moments;
 }
@@ -178,7 +187,7 @@ void ExpectEqual(robostress_errors* errors, JointChain chain, const std::string&
       ASSERT_EQ(change[j], moved[i]) << what << ", sub-step " << sub_step << ", joint " << i;
       ASSERT_EQ(offset[j], chain.offset(i));
       ASSERT_EQ(reading[j], chain.Reading(i, now.q[j]));
-      ASSERT_EQ(rate[j], chain.ReadingSlope(i) * now.dq[j]);
+      ASSERT_EQ(rate[j], chain.ReadingSlope(i, now.q[j]) * now.dq[j]);
     }
   }
 }
@@ -212,7 +221,7 @@ TEST_F(Library, GivesTheBitsOfEveryEffect) {
       const double start = parameter.starts.empty() ? 0.1 : parameter.starts.front();
       values.push_back(start > 0 ? start : 0.1);
     }
-    const int coupled = effect.type == "cross_joint_coupling" ? 1 : -1;
+    const int coupled = effect.coupled ? 1 : -1;
     JointChain chain(7);
     chain.Add(3, effect, values, coupled);
     const Handle errors = Make("clean");
