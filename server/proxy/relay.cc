@@ -509,8 +509,8 @@ class Relay::Impl::Link : public std::enable_shared_from_this<Link> {
       replaced_.reset();
       Tapped([&] { replaced_ = tap_->FromServer(message, text); });
       client_->text(text);
-      client_->async_write(replaced_ ? net::const_buffer(replaced_->data(), replaced_->size())
-                                     : net::const_buffer(message.data(), message.size()),
+      const std::string_view passed = replaced_ ? std::string_view(*replaced_) : message;
+      client_->async_write(net::const_buffer(passed.data(), passed.size()),
                            [this, self](Error failed, size_t) {
                              if (failed) return ClientEnded(failed);
                              Clear(from_upstream_);
