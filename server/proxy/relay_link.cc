@@ -145,7 +145,7 @@ class Link : public RelayLink, public std::enable_shared_from_this<Link> {
     Error error;
     const bool loopback = upstream_tcp_.remote_endpoint(error).address().is_loopback();
     upstream_stream_.emplace(
-        WebStream::To(std::move(upstream_tcp_), relay_.upstreamtls, relay_.upstream.host));
+        WebStream::To(std::move(upstream_tcp_), relay_.upstream_tls, relay_.upstream.host));
     if (authorization_.empty() && !options_.secrets.token.empty()) {
       if (!relay_.upstream.tls && !loopback) {
         spdlog::error("proxy: {}: without TLS the token is readable on the way; use wss://",
