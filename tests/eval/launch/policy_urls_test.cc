@@ -5,6 +5,7 @@
 
 #include <string>
 
+#include "common/wire/openpi_dialect.h"
 #include "tests/common/wire/heard_log.h"
 #include "tests/common/wire/policy_peer.h"
 
