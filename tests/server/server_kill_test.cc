@@ -215,7 +215,7 @@ TEST(ServerKill, ContinuesBitForBitAfterBeingKilledAtAnyMoment) {
 }  // namespace robostress
 
 int main(int argc, char** argv) {
-  robostress::ServerForge forge;  // before any thread
+  static robostress::ServerForge forge;  // before any thread
   robostress::forge = &forge;
   ::testing::InitGoogleTest(&argc, argv);
   return RUN_ALL_TESTS();

@@ -494,7 +494,7 @@ int Run(const std::string& program, double minutes, const std::string& only, boo
     };
     // A third of the time alone and under each attack, the rest under all of them.
     const double alone = 60 * minutes / 3 / (1 + std::size(attacks));
-    const auto attack = [&](const char* what, std::vector<Attack*> chosen, double seconds) {
+    const auto attack = [&](const char* what, const std::vector<Attack*>& chosen, double seconds) {
       std::atomic<bool> stop{false};
       std::vector<std::thread> threads;
       for (Attack* one : chosen) {

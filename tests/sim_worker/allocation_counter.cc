@@ -14,6 +14,7 @@ std::atomic<long> allocations{0};
 }
 
 #if ROBOSTRESS_COUNTS_ALLOCATIONS
+// NOLINTNEXTLINE(bugprone-reserved-identifier): glibc's
 extern "C" void* __libc_malloc(size_t size);
 extern "C" void* malloc(size_t size) {
   allocations.fetch_add(1, std::memory_order_relaxed);

@@ -194,7 +194,8 @@ TEST_F(Firmware, MoveLLeadsTheToolAlongAStraightLine) {
   ASSERT_LT((Tool().translation() - corners[0]).norm(), 1e-3);
   double worst = 0;
   for (size_t i = 0; i < corners.size(); ++i) {
-    const Eigen::Vector3d from = Tool().translation(), to = corners[(i + 1) % corners.size()];
+    const Eigen::Vector3d from = Tool().translation();
+    const Eigen::Vector3d& to = corners[(i + 1) % corners.size()];
     GoTo(MoveMode::kL, to, down, 100);
     for (const Eigen::Vector3d& p : Watch(2)) {
       const Eigen::Vector3d way = (to - from).normalized();

@@ -14,8 +14,6 @@ namespace robostress::piper {
 namespace {
 
 using ::testing::AllOf;
-using ::testing::Contains;
-using ::testing::Field;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;

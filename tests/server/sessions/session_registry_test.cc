@@ -34,8 +34,9 @@ class RegistryTest : public ::testing::Test {
                                   absl::Seconds(20)};
         },
         &clock_);
-    if (registry.ok()) registry_ = *std::move(registry);
-    return registry.status();
+    if (!registry.ok()) return registry.status();
+    registry_ = *std::move(registry);
+    return absl::OkStatus();
   }
   void Start() {
     const absl::Status status = TryStart();

@@ -43,7 +43,7 @@ std::string LiberoObservation() {
 
 class OpenpiEndpointTest : public ::testing::Test {
  protected:
-  void Start(WebServerOptions options = {}, const AccessTokens& tokens = {},
+  void Start(const WebServerOptions& options = {}, const AccessTokens& tokens = {},
              const OpenpiInputOptions& input = {}) {
     tokens_ = tokens;
     OpenpiOptions openpi;

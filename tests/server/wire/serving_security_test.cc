@@ -84,7 +84,7 @@ std::shared_ptr<grpc::Channel> Plain(int port) {
 
 class ServingSecurityTest : public ::testing::Test {
  protected:
-  void Start(PolicyServerOptions options) {
+  void Start(const PolicyServerOptions& options) {
     auto server = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
     ASSERT_TRUE(server.ok()) << server.status();
     server_ = *std::move(server);
