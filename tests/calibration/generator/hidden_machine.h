@@ -56,6 +56,9 @@ struct Experiment {
   double noise = 0;  // [rad] of readings, standard deviation
   double step = 0;   // [rad] of an encoder; 0: none
   double torque_noise = 0;
+  double jitter = 0;  // [s] of the moments at which rows are read, standard deviation; not logged
+  int command_rows = 1;                // rows over which a held command stays
+  bool ramped_command = false;         // the log draws lines between the commands that were held
   std::vector<Excitation> references;  // per joint
 };
 
