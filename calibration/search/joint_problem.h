@@ -68,11 +68,17 @@ class JointProblem {
   Eigen::VectorXd Gather(const JointModel& model, const WindowSet& chosen,
                          JointSimulation::StartOffset offset) const;
   const JointRecord& Record(const Window& window) const { return tracks_[window.track].record(); }
+  // Share of a window's rows that say something.
+  double Heard(const Window& window) const;
+  double NoiseVariance(const Window& window) const {
+    return Record(window).NoiseVariance(window.first, window.rows);
+  }
 
   std::string joint_;
   std::vector<JointTrack> tracks_;
   std::vector<Window> windows_;
-  std::vector<size_t> first_window_;  // of every track, and one past the end
+  std::vector<std::vector<char>> silent_;  // [tracks][rows] 1: says nothing; empty: every row does
+  std::vector<size_t> first_window_;       // of every track, and one past the end
   int window_ = 0, stride_ = 1;
   double floor_scale_ = 1;
   Eigen::Matrix<double, Eigen::Dynamic, 2> starts_;  // [all rows] sensitivities; empty: none

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <vector>
+
+namespace robostress::calibration {
+
+// Standard deviation [s] of the moments at which a signal was read about the moments that its rows
+// give, from noise that grows with speed: the noise of a reading is still^2 + (timing dq)^2. The
+// noise is that of differences of several orders, which agree on noise and not on a motion.
+struct ReadingNoise {
+  double still = 0;   // [rad]
+  double timing = 0;  // [s]; 0: the noise does not grow with speed
+};
+ReadingNoise NoiseBySpeed(const std::vector<double>& signal, const std::vector<double>& dq);
+
+// Rows from one step of a command to the next, where the log draws lines between steps that hold:
+// it bends at every such row, and nowhere else. 0: it does not.
+int RowsBetweenBends(const std::vector<double>& command);
+
+// Whether steps of a command pass through a row between: all channels were drawn through by lines
+// and read at other times.
+bool StepsAreDrawn(const std::vector<double>& command);
+
+// The command that steps where `command` bends, every `rows` rows.
+std::vector<double> StepsOfLines(const std::vector<double>& command, int rows);
+
+}  // namespace robostress::calibration

@@ -1,0 +1,122 @@
+#include "calibration/data/log_faults.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "calibration/data/measured_log.h"
+#include "calibration/data/row_clock.h"
+#include "common/random.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr double kDt = 0.005;
+constexpr int kRows = 4000;
+
+double Motion(double t) { return 0.6 * std::sin(3 * t) + 0.2 * std::sin(7.3 * t); }
+double Speed(double t) { return 1.8 * std::cos(3 * t) + 1.46 * std::cos(7.3 * t); }
+
+// Readings of a motion with noise [rad], at moments that are off by `jitter` [s].
+std::vector<double> Readings(double noise, double jitter) {
+  RandomStream random(StreamKey("readings"));
+  std::vector<double> q;
+  for (int i = 0; i < kRows; ++i)
+    q.push_back(Motion(i * kDt + jitter * random.Normal()) + noise * random.Normal());
+  return q;
+}
+
+std::vector<double> Speeds() {
+  std::vector<double> dq;
+  for (int i = 0; i < kRows; ++i) dq.push_back(Speed(i * kDt));
+  return dq;
+}
+
+TEST(NoiseBySpeed, FindsHowFarReadingsAreOffTheirTimes) {
+  const ReadingNoise noise = NoiseBySpeed(Readings(1e-4, 3e-4), Speeds());
+  EXPECT_NEAR(noise.timing, 3e-4, 0.15 * 3e-4);
+  EXPECT_LT(noise.still, 2.5e-4);
+}
+
+TEST(NoiseBySpeed, FindsNothingInNoiseThatIsTheSameAtEverySpeed) {
+  EXPECT_EQ(NoiseBySpeed(Readings(1e-4, 0), Speeds()).timing, 0);
+}
+
+TEST(NoiseBySpeed, TakesNoMotionThatIsKickedEveryFewRowsForNoise) {
+  std::vector<double> q = Readings(1e-7, 0), dq = Speeds();
+  double v = 0, moved = 0;
+  for (int i = 0; i < kRows; ++i) {  // a velocity that is put right every fourth row
+    if (i % 4 == 0) v = 0.02 * Speed(i * kDt) * ((i / 4) % 2 == 0 ? 1 : -1);
+    moved += v * kDt;
+    q[i] += moved;
+  }
+  EXPECT_EQ(NoiseBySpeed(q, dq).timing, 0);
+}
+
+TEST(RowsBetweenBends, AreThoseOfLinesBetweenSteps) {
+  std::vector<double> lines, smooth, ramps;
+  for (int i = 0; i < 1000; ++i) {
+    const int at = (i - 2) / 4 * 4 + 2;
+    const double share = (i - at) / 4.0;
+    lines.push_back((1 - share) * Motion(at * kDt) + share * Motion((at + 4) * kDt));
+    smooth.push_back(Motion(i * kDt));
+    ramps.push_back(std::abs(i % 200 - 100) * 0.01);  // slow ramps bend too, but rarely
+  }
+  EXPECT_EQ(RowsBetweenBends(lines), 4);
+  EXPECT_EQ(RowsBetweenBends(smooth), 0);
+  EXPECT_EQ(RowsBetweenBends(ramps), 0);
+  const std::vector<double> steps = StepsOfLines(lines, 4);
+  for (int i = 2; i < 1000; ++i)
+    EXPECT_NEAR(steps[i], Motion(((i - 2) / 4 * 4 + 2) * kDt), 1e-12) << i;
+}
+
+TEST(StepsAreDrawn, WhereTheyPassThroughARowBetween) {
+  std::vector<double> sharp, drawn, smooth;
+  for (int i = 0; i < 1000; ++i) {
+    sharp.push_back(Motion(i / 4 * 4 * kDt));
+    smooth.push_back(Motion(i * kDt));
+  }
+  for (int k = 0; k < 790; ++k) {
+    const double at = 0.37 + k * 1.25;
+    const int row = static_cast<int>(at);
+    drawn.push_back(sharp[row] + (at - row) * (sharp[row + 1] - sharp[row]));
+  }
+  EXPECT_TRUE(StepsAreDrawn(drawn));
+  EXPECT_FALSE(StepsAreDrawn(sharp));
+  EXPECT_FALSE(StepsAreDrawn(smooth));
+}
+
+TEST(Resampling, FillsLostRowsWithCurvesAndSaysWhich) {
+  std::vector<double> t, values;
+  for (int i = 0; i < 200; ++i) {
+    if (i == 50 || i == 120 || i == 121) continue;
+    t.push_back(i * kDt);
+    values.push_back(Motion(i * kDt));
+  }
+  const Resampling resampling(t, {kDt, 0, 3});
+  const std::vector<double> filled = resampling.Curves(values), lines = resampling.Lines(values);
+  ASSERT_EQ(filled.size(), 200u);
+  for (int i = 0; i < 200; ++i) {
+    const bool lost = i == 50 || i == 120 || i == 121;
+    EXPECT_EQ(resampling.absent()[i] != 0, lost) << i;
+    EXPECT_NEAR(filled[i], Motion(i * kDt), lost ? 2e-6 : 1e-9) << i;
+  }
+  EXPECT_GT(std::abs(lines[50] - Motion(50 * kDt)), 1e-5);
+}
+
+TEST(MarkGuesses, AreGapsOverWhichCurvesAreOffByMoreThanTheNoise) {
+  std::vector<double> channel;
+  for (int i = 0; i < 400; ++i) channel.push_back(Motion(i * kDt));
+  std::vector<char> absent(400, 0);
+  absent[100] = MeasuredLog::kFilled;
+  absent[200] = absent[201] = absent[202] = MeasuredLog::kFilled;
+  std::vector<char> one = absent;
+  MarkGuesses(channel, 1e-3, one);
+  EXPECT_EQ(one, absent);
+  MarkGuesses(channel, 5e-7, one);  // three rows are off by more, one is not
+  EXPECT_EQ(one[100], MeasuredLog::kFilled);
+  EXPECT_EQ(one[201], MeasuredLog::kGuessed);
+}
+
+}  // namespace
+}  // namespace robostress::calibration
