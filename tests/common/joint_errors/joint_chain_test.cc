@@ -57,7 +57,7 @@ TEST(JointChain, AddsUpWhatTheEffectsOfAJointDo) {
   EXPECT_NEAR(chain.dry()[3].backward, -0.3 + 0.5, 1e-12);
   EXPECT_EQ(torque[2], 1);
   EXPECT_TRUE(chain.sticks());
-  EXPECT_EQ(chain.reads(), kGravityField | kPayloadFields);
+  EXPECT_EQ(chain.reads(), kGravityField | kPayloadFields | kDriveField);
 }
 
 TEST(JointChain, AnEpisodeBeginsAtTheStaticDeflectionAndInTheMiddleOfTheGap) {

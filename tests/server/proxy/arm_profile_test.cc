@@ -93,6 +93,8 @@ TEST(ArmProfile, NamesFieldValueAndLimitOfWhatIsWrong) {
   EXPECT_THAT(Complaint("rate: [2]", "rate: [-2]"), HasSubstr("limits.rate holds -2"));
   EXPECT_THAT(Complaint("translation_unit: 0.05", "low: [-1], high: [1]"),
               HasSubstr("both must have 7, or none"));
+  EXPECT_THAT(Complaint("translation_unit: 0.05", "translation_full: 1e-300"),
+              HasSubstr("action.translation_full is 1e-300, must be 0.0001..1"));
   // Valid types, absurd values.
   for (const auto& [from, to] : std::vector<std::pair<std::string, std::string>>{
            {"rate_hz: 20", "rate_hz: -20"},
