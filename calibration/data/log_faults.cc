@@ -99,6 +99,27 @@ Line FitLine(const std::vector<SpeedBin>& bins) {
   return {y - xy / xx * x, xy / xx, xy / std::sqrt(xx * yy)};
 }
 
+// From the last row of the command before to the first of the one after.
+struct Step {
+  size_t row = 0;
+  bool between = false;  // a row of neither lies between
+};
+
+std::vector<Step> StepsOf(const std::vector<double>& command) {
+  std::vector<Step> steps;
+  if (command.size() < 6) return steps;
+  const auto [low, high] = std::minmax_element(command.begin(), command.end());
+  const double least = kStraight * (*high - *low);
+  const auto same = [&](size_t a, size_t b) { return std::abs(command[a] - command[b]) <= least; };
+  for (size_t i = 1; i + 3 < command.size(); ++i) {
+    if (!same(i - 1, i) || same(i, i + 1)) continue;
+    if (same(i + 1, i + 2)) steps.push_back({i, false});
+    const double between = (command[i + 1] - command[i]) * (command[i + 2] - command[i + 1]);
+    if (!same(i + 1, i + 2) && same(i + 2, i + 3) && between > 0) steps.push_back({i, true});
+  }
+  return steps;
+}
+
 }  // namespace
 
 ReadingNoise NoiseBySpeed(const std::vector<double>& signal, const std::vector<double>& dq) {
@@ -134,19 +155,25 @@ int RowsBetweenBends(const std::vector<double>& command) {
   return 0;
 }
 
-bool StepsAreDrawn(const std::vector<double>& command) {
-  if (command.size() < 6) return false;
-  const auto [low, high] = std::minmax_element(command.begin(), command.end());
-  const double least = kStraight * (*high - *low);
-  const auto same = [&](size_t a, size_t b) { return std::abs(command[a] - command[b]) <= least; };
+double DrawnSteps(const std::vector<double>& command) {
   int drawn = 0, sharp = 0;
-  for (size_t i = 1; i + 3 < command.size(); ++i) {
-    if (!same(i - 1, i) || same(i, i + 1)) continue;
-    if (same(i + 1, i + 2)) ++sharp;
-    const double between = (command[i + 1] - command[i]) * (command[i + 2] - command[i + 1]);
-    if (!same(i + 1, i + 2) && same(i + 2, i + 3) && between > 0) ++drawn;
+  for (const Step& step : StepsOf(command)) (step.between ? drawn : sharp) += 1;
+  const double share = static_cast<double>(drawn) / std::max(1, drawn + sharp);
+  return drawn + sharp >= kMinBends && share > kDrawn ? share : 0;
+}
+
+std::vector<double> MeansOfDrawnSteps(const std::vector<double>& command, double share) {
+  std::vector<double> means = command;
+  for (const Step& step : StepsOf(command)) {
+    const double before = command[step.row], after = command[step.row + (step.between ? 2 : 1)];
+    if (step.between) {
+      const double drawn = (command[step.row + 1] - before) / (after - before);
+      means[step.row + 1] = after - (1 - drawn) * share * (after - before);
+    } else {
+      means[step.row] = before + 0.5 * (1 - share) * (after - before);
+    }
   }
-  return drawn + sharp >= kMinBends && drawn > kDrawn * (drawn + sharp);
+  return means;
 }
 
 std::vector<double> StepsOfLines(const std::vector<double>& command, int rows) {

@@ -17,9 +17,14 @@ ReadingNoise NoiseBySpeed(const std::vector<double>& signal, const std::vector<d
 // it bends at every such row, and nowhere else. 0: it does not.
 int RowsBetweenBends(const std::vector<double>& command);
 
-// Whether steps of a command pass through a row between: all channels were drawn through by lines
-// and read at other times.
-bool StepsAreDrawn(const std::vector<double>& command);
+// Share of the steps of a command that pass through a row between. Lines that were drawn through
+// rows and read at other times put one there as often as a row was shorter before than it is now:
+// the share is that ratio. 0: the steps are sharp, or there are few.
+double DrawnSteps(const std::vector<double>& command);
+
+// Mean of the command that held, from each row to the next, where its steps were drawn as
+// `DrawnSteps` says: the row between tells when a new command began.
+std::vector<double> MeansOfDrawnSteps(const std::vector<double>& command, double share);
 
 // The command that steps where `command` bends, every `rows` rows.
 std::vector<double> StepsOfLines(const std::vector<double>& command, int rows);

@@ -252,6 +252,18 @@ void FindSteps(JointRecord& record) {
   record.stepped_command = StepsOfLines(record.command, record.step_rows);
 }
 
+void UndrawSteps(JointRecord& record, std::vector<std::string>& notes) {
+  const double share = DrawnSteps(record.command);
+  if (share == 0) return;
+  record.drawn = true;
+  record.command = MeansOfDrawnSteps(record.command, share);
+  notes.push_back(
+      absl::StrCat(record.name,
+                   ": steps of the command pass through a row between: the log was "
+                   "resampled by lines; the steps are put back where the lines say, and "
+                   "the noise floor counts the corners that they cut"));
+}
+
 absl::Status GateJoint(const std::string& file, const RigJoint& joint,
                        const std::vector<double>& logged_velocity, JointRecord& record, double dt,
                        std::vector<std::string>& notes) {
@@ -305,12 +317,7 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   if (joint.input == JointInput::kPositionTarget) {
     FindSteps(record);
     record.dt = dt;
-    record.drawn = StepsAreDrawn(record.command);
-    if (record.drawn)
-      notes.push_back(absl::StrCat(joint.name,
-                                   ": steps of the command pass through a row between: the log was "
-                                   "resampled by lines; the noise floor counts the corners that "
-                                   "they cut"));
+    UndrawSteps(record, notes);
     const double asked = RangeOf(record.command);
     if (asked == 0)
       return absl::InvalidArgumentError(

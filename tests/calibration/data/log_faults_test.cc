@@ -70,20 +70,52 @@ TEST(RowsBetweenBends, AreThoseOfLinesBetweenSteps) {
     EXPECT_NEAR(steps[i], Motion(((i - 2) / 4 * 4 + 2) * kDt), 1e-12) << i;
 }
 
-TEST(StepsAreDrawn, WhereTheyPassThroughARowBetween) {
-  std::vector<double> sharp, drawn, smooth;
-  for (int i = 0; i < 1000; ++i) {
-    sharp.push_back(Motion(i / 4 * 4 * kDt));
-    smooth.push_back(Motion(i * kDt));
+// What holds over four rows, drawn through by lines and read every 1.25 rows.
+class DrawnSteps : public testing::Test {
+ protected:
+  void SetUp() override {
+    for (int i = 0; i < 1000; ++i) sharp_.push_back(Motion(i / 4 * 4 * kDt));
+    for (int k = 0; k < 790; ++k) {
+      const double at = PlaceOf(k);
+      const int row = static_cast<int>(at);
+      drawn_.push_back(sharp_[row] + (at - row) * (sharp_[row + 1] - sharp_[row]));
+    }
   }
-  for (int k = 0; k < 790; ++k) {
-    const double at = 0.37 + k * 1.25;
-    const int row = static_cast<int>(at);
-    drawn.push_back(sharp[row] + (at - row) * (sharp[row + 1] - sharp[row]));
+  static double PlaceOf(int k) { return 0.37 + k * 1.25; }
+  // From one reading to the next, of the command that held.
+  double MeanFrom(int k) const {
+    double sum = 0;
+    constexpr int kParts = 1000;
+    for (int i = 0; i < kParts; ++i)
+      sum += sharp_[static_cast<int>(PlaceOf(k) + (i + 0.5) / kParts * 1.25)] / kParts;
+    return sum;
   }
-  EXPECT_TRUE(StepsAreDrawn(drawn));
-  EXPECT_FALSE(StepsAreDrawn(sharp));
-  EXPECT_FALSE(StepsAreDrawn(smooth));
+  std::vector<double> sharp_, drawn_;
+};
+
+TEST_F(DrawnSteps, PassThroughARowBetweenAsOftenAsRowsWereShorter) {
+  std::vector<double> smooth;
+  for (int i = 0; i < 1000; ++i) smooth.push_back(Motion(i * kDt));
+  EXPECT_NEAR(calibration::DrawnSteps(drawn_), 0.8, 0.03);
+  EXPECT_EQ(calibration::DrawnSteps(sharp_), 0);
+  EXPECT_EQ(calibration::DrawnSteps(smooth), 0);
+}
+
+TEST_F(DrawnSteps, AreReplacedByWhatHeldOnTheMean) {
+  const std::vector<double> means = MeansOfDrawnSteps(drawn_, 0.8);
+  double left = 0, of_lines = 0, of_sharp = 0;
+  for (int k = 4; k + 4 < static_cast<int>(drawn_.size()); ++k) {
+    const double off = std::abs(means[k] - MeanFrom(k));
+    const bool between = means[k] != drawn_[k] && drawn_[k] != drawn_[k - 1];
+    left += off;
+    of_lines += std::abs(drawn_[k] - MeanFrom(k));
+    if (between) {
+      EXPECT_LT(off, 1e-4) << k;
+    }
+    of_sharp = std::max(of_sharp, off);
+  }
+  EXPECT_LT(left, 0.25 * of_lines);
+  EXPECT_LT(of_sharp, 0.011);  // a tenth of a row at the largest step, where no row lies between
 }
 
 TEST(Resampling, FillsLostRowsWithCurvesAndSaysWhich) {
