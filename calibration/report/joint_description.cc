@@ -8,6 +8,8 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "calibration/report/report_numbers.h"
+#include "calibration/search/next_experiment.h"
 #include "calibration/search/plausibility.h"
 #include "calibration/search/residual_tests.h"
 #include "calibration/search/verdict.h"
@@ -76,6 +78,7 @@ class Description {
     report.verdict = judgement.verdict;
     report.because = absl::StrCat(judgement.because, StartsOfRuns(report), LogProperties());
     report.excess_explained = judgement.excess_explained;
+    if (judgement.verdict != Verdict::kDeclaredSufficient) DescribeNext(report);
     return report;
   }
 
@@ -166,8 +169,9 @@ class Description {
         if (later.name != before.name || std::abs(before.value) < 3 * before.std ||
             std::abs(later.value) > 0.5 * std::abs(before.value))
           continue;
-        exposed.push_back(absl::StrFormat("%s falls from %.4g to %.4g %s: it stood in for %s",
-                                          before.name, before.value, later.value, before.unit,
+        exposed.push_back(absl::StrFormat("%s falls from %s to %s %s: it stood in for %s",
+                                          before.name, ValueText(before.value, before.std),
+                                          ValueText(later.value, later.std), before.unit,
                                           trace_.after.added.front()));
       }
     }
@@ -218,8 +222,8 @@ class Description {
       const double share = after ? curve.explained_after : curve.explained_declared;
       if (share <= std::max(most, curve.limit) || curve.limit == 0) continue;
       most = share;
-      report.strongest =
-          absl::StrFormat("%s holds %.0f %% of the variance", curve.against, 100 * share);
+      report.strongest = absl::StrFormat("%s holds %.0f %% of the variance%s", curve.against,
+                                         100 * share, WhereItIs(curve, after));
     }
     if (most == 0)
       report.strongest = report.white ? "nothing"
@@ -339,6 +343,41 @@ class Description {
         !trace_.after.added.empty() && !doubt.empty())
       doubts.push_back(std::move(doubt));
     return doubts;
+  }
+
+  // What would tell what was added from its rivals, or else from what came nearest.
+  void DescribeNext(JointReport& report) const {
+    std::vector<JointModel> models = {after_};
+    std::vector<std::string> others;
+    for (const TracedModel& other : trace_.alternatives) {
+      std::string name = NameOf(other.added);
+      if (name == NameOf(trace_.after.added)) continue;
+      models.push_back(Model(other.fit.best));
+      others.push_back(std::move(name));
+    }
+    const NextExperiment next = ProposeExperiment(joint_.problem, models);
+    if (next.what.empty()) {
+      report.next_experiment.text = "more of what moves the joint: nothing came near what is left";
+      return;
+    }
+    const bool hinge = joint_.plant.hinge(joint_.index);
+    const double factor = next.torque ? 1 : factor_;
+    const std::string unit = next.torque ? (hinge ? "Nm" : "N") : unit_;
+    report.next_experiment = {"", unit, factor * next.apart, factor * next.now};
+    std::string& text = report.next_experiment.text;
+    text = absl::StrFormat(
+        "to tell %s from %s, record %s: there they are %.3g %s apart or more, in the log as it is "
+        "%.3g",
+        NameOf(trace_.after.added), absl::StrJoin(others, ", "), next.what, factor * next.apart,
+        unit, factor * next.now);
+    const double floor = joint_.problem.ProjectedFloor(joint_.Fit());
+    if (joint_.declared().input != JointInput::kTorque && next.apart < floor)
+      absl::StrAppendFormat(&text, "; that is less than the noise, %.3g, and takes another sensor",
+                            factor * floor);
+  }
+  static std::string NameOf(std::vector<std::string> added) {
+    std::sort(added.begin(), added.end());
+    return added.empty() ? "the declared model" : absl::StrJoin(added, "+");
   }
 
   // One per log.

@@ -107,6 +107,12 @@ struct JointReport {
   WhitenessReport residual_declared, residual_after;
   std::vector<StructureCurve> structure;
   std::vector<ExampleReport> examples;
+  // What to do next (next_experiment.h), in a sentence; empty of a model that is sufficient. The
+  // figures are in `unit`, or of torque.
+  struct Experiment {
+    std::string text, unit;
+    double apart = 0, now = 0;
+  } next_experiment;
 };
 
 // What `robostress calibrate` found out.

@@ -11,14 +11,20 @@ namespace {
 
 constexpr int kIterations = 8;
 constexpr double kClearlyBetter = 0.9;  // of the error with lines
+constexpr double kAsGood = 1.1;         // of the same
 
 bool MayStep(const std::vector<MeasuredLog>& logs, int joint) {
   return std::any_of(logs.begin(), logs.end(),
                      [&](const MeasuredLog& log) { return log.joints[joint].step_rows > 0; });
 }
 
-// Projected, of the fit logs.
-absl::StatusOr<double> ErrorOf(const Rig& rig, const Plant& plant,
+// Of the declared model with a shift of up to a step.
+struct ShapeFit {
+  double error = 0;             // projected, of the fit logs
+  bool within_its_row = false;  // the shift is one that every fit leaves open
+};
+
+absl::StatusOr<ShapeFit> FitOf(const Rig& rig, const Plant& plant,
                                const std::vector<MeasuredLog>& logs, int index) {
   JointCase joint(rig, plant, logs, index);
   const std::vector<JointTrack>& tracks = joint.problem.tracks();
@@ -28,11 +34,24 @@ absl::StatusOr<double> ErrorOf(const Rig& rig, const Plant& plant,
                       DeclaredHypothesis(joint.declared(), model, scales, MeanInertia(tracks)));
   int step = 1;
   for (const MeasuredLog& log : logs) step = std::max(step, log.joints[index].step_rows);
-  for (FreeParameter& free : start.free) {
-    if (free.path == "command_shift") free.lower = -step, free.upper = step;
+  Eigen::Index shift = 0;
+  double low = 0, high = 0;
+  for (size_t i = 0; i < start.free.size(); ++i) {
+    FreeParameter& free = start.free[i];
+    if (free.path != "command_shift") continue;
+    shift = static_cast<Eigen::Index>(i), low = free.lower, high = free.upper;
+    free.lower = -step, free.upper = step;
   }
   joint.problem.LinearizeStarts(model);
-  return Minimise(joint.problem, start, joint.Fit(), kIterations, 1e-3).rms;
+  const JointFit fit = Minimise(joint.problem, start, joint.Fit(), kIterations, 1e-3);
+  return ShapeFit{fit.rms, fit.best.x[shift] > low && fit.best.x[shift] < high};
+}
+
+// Lines that a recorder drew lead the steps by half a step. Where the servo smooths what else they
+// differ in, steps are likelier than a delay of just that.
+bool AreSteps(const ShapeFit& lines, const ShapeFit& steps) {
+  return steps.error < kClearlyBetter * lines.error ||
+         (steps.error < kAsGood * lines.error && steps.within_its_row && !lines.within_its_row);
 }
 
 }  // namespace
@@ -51,9 +70,9 @@ absl::Status ChooseCommandShapes(const Rig& rig, const Plant& plant,
                                        " rows, and the recorder drew lines between: the steps are "
                                        "put back"));
     }
-    RS_ASSIGN_OR_RETURN(const double with_lines, ErrorOf(rig, plant, logs, i));
-    RS_ASSIGN_OR_RETURN(const double with_steps, ErrorOf(rig, plant, stepped, i));
-    if (with_steps < kClearlyBetter * with_lines) {
+    RS_ASSIGN_OR_RETURN(const ShapeFit with_lines, FitOf(rig, plant, logs, i));
+    RS_ASSIGN_OR_RETURN(const ShapeFit with_steps, FitOf(rig, plant, stepped, i));
+    if (AreSteps(with_lines, with_steps)) {
       logs = std::move(stepped);
     } else {
       for (MeasuredLog& log : logs) log.joints[i].step_rows = 0;

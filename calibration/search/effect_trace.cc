@@ -23,7 +23,8 @@ constexpr double kNotTestable = 0.02;  // surviving share
 constexpr double kSimilarErrors = 2;   // standard errors of the difference over folds
 constexpr double kAsWell = 0.05;       // a simpler model's error may be larger by this share
 constexpr double kOutclassed = 3;      // times the lowest error of a round
-constexpr int kRestarts = 2;           // from a better declared model
+constexpr size_t kAlternatives = 3;
+constexpr int kRestarts = 2;  // from a better declared model
 
 // Effects by name, with a partner where there is one.
 std::string NameOf(const Candidate& candidate) { return candidate.effect->type; }
@@ -118,8 +119,10 @@ class Search {
         options_.finalists);
     for (const std::string& effect : trace.after.added) {
       options_.progress(absl::StrCat("rivals of ", effect));
-      trace.rivals.push_back(rivals.RivalsOf(trace.after, effect));
+      trace.rivals.push_back(rivals.RivalsOf(trace.after, effect, trace.alternatives));
     }
+    if (trace.alternatives.empty())
+      trace.alternatives = refits_.Nearest(trace.after.added, kAlternatives);
     trace.declared.fit = OnAllWindows(trace.declared);
     trace.after.fit = trace.after.added.empty() ? trace.declared.fit : OnAllWindows(trace.after);
   }

@@ -33,6 +33,7 @@ class JointProblem {
   const std::string& joint() const { return joint_; }
   const std::vector<JointTrack>& tracks() const { return tracks_; }
   const std::vector<Window>& windows() const { return windows_; }
+  int window() const { return window_; }  // [rows]
   WindowSet All() const { return WindowSet(windows_.size(), 1); }
   WindowSet OfRole(LogRole role) const;
   int stride() const { return stride_; }

@@ -171,6 +171,18 @@ const TracedModel* Refits::Find(const std::vector<std::string>& added) const {
   return known == known_.end() ? nullptr : &known->second;
 }
 
+std::vector<TracedModel> Refits::Nearest(const std::vector<std::string>& added,
+                                         size_t at_most) const {
+  std::vector<TracedModel> nearest;
+  for (const auto& [key, model] : known_)
+    if (!model.added.empty() && key != KeyOf(added)) nearest.push_back(model);
+  std::stable_sort(nearest.begin(), nearest.end(), [](const TracedModel& a, const TracedModel& b) {
+    return a.cv.Rms() < b.cv.Rms();
+  });
+  if (nearest.size() > at_most) nearest.resize(at_most);
+  return nearest;
+}
+
 const TracedModel* Refits::LowestWithOneEffect() const {
   const TracedModel* lowest = nullptr;
   for (const auto& [key, model] : known_)

@@ -48,6 +48,8 @@ class Refits {
   void Keep(TracedModel model);
   // Of the models with one effect that were kept, the one with the lowest error; null: none.
   const TracedModel* LowestWithOneEffect() const;
+  // Of the models with effects that were kept, those but `added` with the lowest errors.
+  std::vector<TracedModel> Nearest(const std::vector<std::string>& added, size_t at_most) const;
   // Null if no model with these effects, in any order, was kept.
   const TracedModel* Find(const std::vector<std::string>& added) const;
 
