@@ -99,6 +99,23 @@ Line FitLine(const std::vector<SpeedBin>& bins) {
   return {y - xy / xx * x, xy / xx, xy / std::sqrt(xx * yy)};
 }
 
+std::vector<size_t> BendsOf(const std::vector<double>& command) {
+  std::vector<size_t> bends;
+  if (command.size() < 4) return bends;
+  const auto [low, high] = std::minmax_element(command.begin(), command.end());
+  const double least = kStraight * (*high - *low);
+  for (size_t i = 1; i + 1 < command.size(); ++i)
+    if (std::abs(command[i + 1] - 2 * command[i] + command[i - 1]) > least) bends.push_back(i);
+  return bends;
+}
+
+bool AreOnGrid(const std::vector<size_t>& bends, int rows) {
+  const size_t phase = bends[bends.size() / 2] % rows;
+  const auto on =
+      std::count_if(bends.begin(), bends.end(), [&](size_t bend) { return bend % rows == phase; });
+  return static_cast<double>(on) > kOnTheGrid * static_cast<double>(bends.size());
+}
+
 // From the last row of the command before to the first of the one after.
 struct Step {
   size_t row = 0;
@@ -136,23 +153,19 @@ ReadingNoise NoiseBySpeed(const std::vector<double>& signal, const std::vector<d
 }
 
 int RowsBetweenBends(const std::vector<double>& command) {
-  if (command.size() < 4) return 0;
-  const auto [low, high] = std::minmax_element(command.begin(), command.end());
-  const double least = kStraight * (*high - *low);
-  std::vector<size_t> bends;
-  for (size_t i = 1; i + 1 < command.size(); ++i)
-    if (std::abs(command[i + 1] - 2 * command[i] + command[i - 1]) > least) bends.push_back(i);
+  const std::vector<size_t> bends = BendsOf(command);
   if (bends.size() < kMinBends) return 0;
   for (int rows = kMaxHeldRows; rows >= 2; --rows) {
-    const size_t phase = bends[bends.size() / 2] % rows;
-    const auto on = std::count_if(bends.begin(), bends.end(),
-                                  [&](size_t bend) { return bend % rows == phase; });
     const double places = static_cast<double>(command.size()) / rows;
-    if (static_cast<double>(on) > kOnTheGrid * static_cast<double>(bends.size()) &&
-        static_cast<double>(on) > kBendsAtAll * places)
+    if (static_cast<double>(bends.size()) > kBendsAtAll * places && AreOnGrid(bends, rows))
       return rows;
   }
   return 0;
+}
+
+bool BendsEvery(const std::vector<double>& command, int rows) {
+  const std::vector<size_t> bends = BendsOf(command);
+  return bends.size() > 1 && AreOnGrid(bends, rows);
 }
 
 double DrawnSteps(const std::vector<double>& command) {

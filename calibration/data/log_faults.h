@@ -16,6 +16,9 @@ ReadingNoise NoiseBySpeed(const std::vector<double>& signal, const std::vector<d
 // Rows from one step of a command to the next, where the log draws lines between steps that hold:
 // it bends at every such row, and nowhere else. 0: it does not.
 int RowsBetweenBends(const std::vector<double>& command);
+// Whether a command bends at every `rows`-th row at most, as moves with straight parts do that were
+// logged like one of which RowsBetweenBends says so.
+bool BendsEvery(const std::vector<double>& command, int rows);
 
 // Share of the steps of a command that pass through a row between. Lines that were drawn through
 // rows and read at other times put one there as often as a row was shorter before than it is now:

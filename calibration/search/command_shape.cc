@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "calibration/data/log_faults.h"
 #include "calibration/search/joint_case.h"
 #include "common/status_macros.h"
 
@@ -16,6 +17,18 @@ constexpr double kAsGood = 1.1;         // of the same
 bool MayStep(const std::vector<MeasuredLog>& logs, int joint) {
   return std::any_of(logs.begin(), logs.end(),
                      [&](const MeasuredLog& log) { return log.joints[joint].step_rows > 0; });
+}
+
+// A recorder draws all logs alike, of which some may bend too rarely to tell.
+void ShareSteps(std::vector<MeasuredLog>& logs, int joint) {
+  int rows = 0;
+  for (const MeasuredLog& log : logs) rows = std::max(rows, log.joints[joint].step_rows);
+  for (MeasuredLog& log : logs) {
+    JointRecord& record = log.joints[joint];
+    if (record.step_rows > 0 || !BendsEvery(record.command, rows)) continue;
+    record.step_rows = rows;
+    record.stepped_command = StepsOfLines(record.command, rows);
+  }
 }
 
 // Of the declared model with a shift of up to a step.
@@ -60,6 +73,7 @@ absl::Status ChooseCommandShapes(const Rig& rig, const Plant& plant,
                                  std::vector<MeasuredLog>& logs) {
   for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i) {
     if (rig.joints[i].input != JointInput::kPositionTarget || !MayStep(logs, i)) continue;
+    ShareSteps(logs, i);
     std::vector<MeasuredLog> stepped = logs;
     for (MeasuredLog& log : stepped) {
       JointRecord& record = log.joints[i];

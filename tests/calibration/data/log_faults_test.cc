@@ -65,6 +65,11 @@ TEST(RowsBetweenBends, AreThoseOfLinesBetweenSteps) {
   EXPECT_EQ(RowsBetweenBends(lines), 4);
   EXPECT_EQ(RowsBetweenBends(smooth), 0);
   EXPECT_EQ(RowsBetweenBends(ramps), 0);
+  EXPECT_TRUE(BendsEvery(lines, 4));
+  EXPECT_TRUE(BendsEvery(ramps, 4));
+  EXPECT_FALSE(BendsEvery(ramps, 7));
+  EXPECT_FALSE(BendsEvery(smooth, 4));
+  EXPECT_FALSE(BendsEvery(std::vector<double>(1000, 0.3), 4));
   const std::vector<double> steps = StepsOfLines(lines, 4);
   for (int i = 2; i < 1000; ++i)
     EXPECT_NEAR(steps[i], Motion(((i - 2) / 4 * 4 + 2) * kDt), 1e-12) << i;

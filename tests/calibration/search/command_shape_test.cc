@@ -53,6 +53,16 @@ TEST_F(CommandShape, IsOfStepsWhereARecorderDrewLines) {
   EXPECT_TRUE(Steps());
 }
 
+TEST_F(CommandShape, IsOfStepsInLogsThatBendTooRarelyToTell) {
+  Draw(generator::Hardship::kRamped);
+  MeasuredLog& rare = rig_.logs.back();
+  rare.joints[0].step_rows = 0;
+  rare.joints[0].stepped_command.clear();
+  EXPECT_TRUE(Steps());
+  EXPECT_EQ(rig_.logs.back().joints[0].step_rows, 4);
+  EXPECT_EQ(rig_.logs.back().joints[0].command, rig_.logs.back().joints[0].stepped_command);
+}
+
 TEST_F(CommandShape, IsOfStepsRatherThanOfADelayOfHalfAStep) {
   Draw(generator::Hardship::kRamped);
   Blur(0.02);
