@@ -65,7 +65,7 @@ CommandCorrection::State CommandCorrection::state() const {
 
 bool CommandCorrection::Holds(const State& state) const {
   for (const auto& [name, values] : state) {
-    const auto is_it = [&name](const Part& part) { return part.name == name; };
+    const auto is_it = [&name = name](const Part& part) { return part.name == name; };
     if (values.size() > 0 && absl::c_none_of(parts_, is_it)) return false;
   }
   return absl::c_all_of(

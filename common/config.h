@@ -21,8 +21,8 @@ namespace robostress {
 // everything that is wrong, a line each.
 class ConfigReader {
  public:
-  ConfigReader(std::string source, YAML::Node root)
-      : source_(std::move(source)), node_(std::move(root)) {}
+  ConfigReader(std::string source, const YAML::Node& root)
+      : source_(std::move(source)), node_(root) {}
   template <class T>
   void Field(const char* key, T& value, const char* doc);
   template <class E>

@@ -15,6 +15,7 @@ class Deferred {
  public:
   Deferred() = default;
   template <class U>
+  // NOLINTNEXTLINE(bugprone-forwarding-reference-overload): U is T, so it hides no copy.
   requires std::same_as<std::remove_cvref_t<U>, T> Deferred(U&& value)
       : value_(std::make_shared<const T>(std::forward<U>(value))) {}
 

@@ -336,12 +336,12 @@ bool WriteAttribute(hid_t file, const std::string& group, const std::string& nam
 
 }  // namespace
 
-absl::Status Hdf5File::WriteDoubles(const std::string& name, std::vector<int64_t> shape,
+absl::Status Hdf5File::WriteDoubles(const std::string& name, const std::vector<int64_t>& shape,
                                     absl::Span<const double> values) {
   return Written(WriteDataset(file_, name, shape, H5T_NATIVE_DOUBLE, values.data()), path_, name);
 }
 
-absl::Status Hdf5File::WriteBytes(const std::string& name, std::vector<int64_t> shape,
+absl::Status Hdf5File::WriteBytes(const std::string& name, const std::vector<int64_t>& shape,
                                   absl::Span<const uint8_t> values) {
   return Written(WriteDataset(file_, name, shape, H5T_NATIVE_UINT8, values.data()), path_, name);
 }

@@ -49,9 +49,9 @@ class Hdf5File {
   absl::StatusOr<int64_t> IntAttribute(const std::string& object, const std::string& name) const;
 
   // Writing. Groups on the way are made.
-  absl::Status WriteDoubles(const std::string& name, std::vector<int64_t> shape,
+  absl::Status WriteDoubles(const std::string& name, const std::vector<int64_t>& shape,
                             absl::Span<const double> values);
-  absl::Status WriteBytes(const std::string& name, std::vector<int64_t> shape,
+  absl::Status WriteBytes(const std::string& name, const std::vector<int64_t>& shape,
                           absl::Span<const uint8_t> values);
   absl::Status SetAttribute(const std::string& group, const std::string& name,
                             const std::string& value);

@@ -23,8 +23,11 @@ std::vector<Window> MakeWindows(int in, int out) {
   std::vector<Window> windows(out);
   for (int x = 0; x < out; ++x) {
     const double centre = (x + 0.5) * scale;
+    // Pillow rounds so.
+    // NOLINTBEGIN(bugprone-incorrect-roundings)
     const int first = std::max(static_cast<int>(centre - support + 0.5), 0);
     const int last = std::min(static_cast<int>(centre + support + 0.5), in);
+    // NOLINTEND(bugprone-incorrect-roundings)
     std::vector<double> weights(last - first);
     double sum = 0;
     for (int i = 0; i < last - first; ++i) {

@@ -17,7 +17,9 @@
 // Evaluates `expr`, an absl::StatusOr<T>; assigns its value to `lhs` or returns its status.
 #define RS_ASSIGN_OR_RETURN(lhs, expr) \
   RS_ASSIGN_OR_RETURN_IMPL(RS_CONCAT(rs_status_or_, __LINE__), lhs, expr)
+// NOLINTBEGIN(bugprone-macro-parentheses): names and a declaration take none.
 #define RS_ASSIGN_OR_RETURN_IMPL(status_or, lhs, expr) \
   auto status_or = (expr);                             \
   if (!status_or.ok()) return status_or.status();      \
   lhs = std::move(status_or).value()
+// NOLINTEND(bugprone-macro-parentheses)

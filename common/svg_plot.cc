@@ -146,7 +146,7 @@ std::string LinePlot(const std::vector<LineSeries>& series, const LinePlotOption
       if (!shown(s.x[i], s.low[i]) || !shown(s.x[i], s.high[i])) continue;
       absl::StrAppendFormat(&upper, "%s%.1f %.1f", upper.empty() ? "M" : "L", x_of(s.x[i]),
                             y_of(s.high[i]));
-      lower = absl::StrFormat("L%.1f %.1f", x_of(s.x[i]), y_of(s.low[i])) + lower;
+      lower.insert(0, absl::StrFormat("L%.1f %.1f", x_of(s.x[i]), y_of(s.low[i])));
     }
     if (!upper.empty()) {
       absl::StrAppendFormat(&svg, "<path d=\"%s%sZ\" fill=\"%s\" fill-opacity=\"0.16\"/>\n", upper,

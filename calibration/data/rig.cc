@@ -20,7 +20,7 @@ namespace {
 // A place in the file, for reading and for messages.
 class Entry {
  public:
-  Entry(YAML::Node node, std::string path) : node_(std::move(node)), path_(std::move(path)) {}
+  Entry(const YAML::Node& node, std::string path) : node_(node), path_(std::move(path)) {}
 
   template <class... Parts>
   absl::Status Error(const Parts&... parts) const {

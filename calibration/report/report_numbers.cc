@@ -64,7 +64,7 @@ std::string ValueText(double value, double std) {
 std::string PercentText(double fraction) {
   if (!std::isfinite(fraction)) return kNothing;
   const double percent = 100 * fraction;
-  return Minus(absl::StrFormat(std::abs(percent) < 9.95 ? "%.1f %%" : "%.0f %%", percent));
+  return Minus(absl::StrFormat("%.*f %%", std::abs(percent) < 9.95 ? 1 : 0, percent));
 }
 
 std::string PValueText(double p, int n_surrogates) {
@@ -72,7 +72,7 @@ std::string PValueText(double p, int n_surrogates) {
   const double least = 1.0 / (n_surrogates + 1);
   if (n_surrogates > 0 && p <= 1.001 * least)
     return absl::StrCat("p \u2264 ", absl::StrFormat("%.1g", least));
-  return absl::StrCat("p = ", absl::StrFormat(p < 0.01 ? "%.3f" : "%.2f", p));
+  return absl::StrCat("p = ", absl::StrFormat("%.*f", p < 0.01 ? 3 : 2, p));
 }
 
 DisplayUnit DisplayUnitFor(const std::string& unit, double typical) {

@@ -106,7 +106,7 @@ std::string OffSection(const JointReport& joint, const DisplayUnit& unit) {
                     EscapeXml(unit.name), ": the model is off by ",
                     judged > 1000 * floor
                         ? "more than 1000"
-                        : absl::StrFormat(judged < 9.95 * floor ? "%.1f" : "%.0f", judged / floor),
+                        : absl::StrFormat("%.*f", judged < 9.95 * floor ? 1 : 0, judged / floor),
                     " times that.");
   }
   html += "</p>\n";
@@ -162,8 +162,8 @@ std::string CandidateRow(const CandidateReport& c, const JointReport& joint) {
   return absl::StrCat("<tr", kept ? " style=\"font-weight:600\"" : "", "><td>", EscapeXml(c.type),
                       "</td><td>", PercentText(c.surviving), "</td><td>",
                       PercentText(c.linear_gain), "</td><td>",
-                      absl::StrFormat(c.p_value >= 0.0995 ? "%.2f" : "%.3f", c.p_value),
-                      "</td><td>", c.refitted ? PercentText(c.cv_gain) : kNothing, "</td>", kLeft,
+                      absl::StrFormat("%.*f", c.p_value >= 0.0995 ? 2 : 3, c.p_value), "</td><td>",
+                      c.refitted ? PercentText(c.cv_gain) : kNothing, "</td>", kLeft,
                       kept         ? "accepted"
                       : c.accepted ? "passes every test alone; another model is better"
                                    : EscapeXml(c.reason),

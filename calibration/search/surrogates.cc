@@ -81,7 +81,7 @@ void ForSurrogates(const JointProblem& problem, const Screening& screening, cons
     for (int s = 0; s < count; ++s) {
       RandomStream random(StreamKey("calibration surrogate")
                               .With(static_cast<int64_t>(seed))
-                              .With(static_cast<int64_t>(begin + s)));
+                              .With(int64_t{begin} + s));
       for (size_t i = 0; i < tracks.size(); ++i) {
         const auto [first, rows] = tracks[i];
         if (rows > 0)

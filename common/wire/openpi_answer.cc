@@ -38,7 +38,7 @@ std::string Shown(const OpenpiValue& answer) {
         Words(key.substr(0, 64)),
         array == nullptr ? "" : absl::StrCat(" [", absl::StrJoin(array->shape, ", "), "]")));
   }
-  return absl::StrCat("a map of ", absl::StrJoin(shown, ", "));
+  return shown.empty() ? "an empty map" : absl::StrCat("a map of ", absl::StrJoin(shown, ", "));
 }
 
 double Milliseconds(const OpenpiValue& answer, std::string_view timing) {

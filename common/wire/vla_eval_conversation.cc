@@ -126,7 +126,7 @@ class VlaEvalConversation : public PolicyConversation {
       RS_RETURN_IF_ERROR(Tell("episode_start", std::exchange(begins_, "")));
       open_ = true;
     }
-    RS_RETURN_IF_ERROR(Tell("observation", std::move(question)));
+    RS_RETURN_IF_ERROR(Tell("observation", question));
     RS_ASSIGN_OR_RETURN(Message answer, Hear(answer_bytes_, limit));
     if (answer.type != "action")
       return Invalid(address(), " answers an observation with '", answer.type, "'");

@@ -115,14 +115,15 @@ class WebStream::TlsLayer final : public LayerOf<beast::ssl_stream<beast::tcp_st
   }
 };
 
-WebStream WebStream::Of(Tcp::socket socket, std::shared_ptr<SSL_CTX> tls) {
+WebStream WebStream::Of(Tcp::socket socket, const std::shared_ptr<SSL_CTX>& tls) {
   constexpr auto kRole = beast::role_type::server;
   if (tls == nullptr) return WebStream(std::make_shared<PlainLayer>(kRole, std::move(socket)));
   // The connection's SSL holds the context from here on.
   return WebStream(std::make_shared<TlsLayer>(kRole, std::move(socket), ContextOf(tls.get())));
 }
 
-WebStream WebStream::To(Tcp::socket socket, std::shared_ptr<SSL_CTX> tls, const std::string& host) {
+WebStream WebStream::To(Tcp::socket socket, const std::shared_ptr<SSL_CTX>& tls,
+                        const std::string& host) {
   constexpr auto kRole = beast::role_type::client;
   if (tls == nullptr) return WebStream(std::make_shared<PlainLayer>(kRole, std::move(socket)));
   auto layer = std::make_shared<TlsLayer>(kRole, std::move(socket), ContextOf(tls.get()));

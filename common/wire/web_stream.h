@@ -31,9 +31,9 @@ class WebStream {
   using Pieces = boost::container::static_vector<boost::asio::const_buffer, 16>;
 
   // An accepted connection. `tls` null: plain.
-  static WebStream Of(boost::asio::ip::tcp::socket socket, std::shared_ptr<SSL_CTX> tls);
+  static WebStream Of(boost::asio::ip::tcp::socket socket, const std::shared_ptr<SSL_CTX>& tls);
   // One to `host`, whose certificate must name it.
-  static WebStream To(boost::asio::ip::tcp::socket socket, std::shared_ptr<SSL_CTX> tls,
+  static WebStream To(boost::asio::ip::tcp::socket socket, const std::shared_ptr<SSL_CTX>& tls,
                       const std::string& host);
 
   executor_type get_executor() { return layer_->executor(); }

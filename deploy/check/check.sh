@@ -81,8 +81,10 @@ gate_warnings() { build_with ci; }
 gate_commands() { ROBOSTRESS_PRESET=ci "$root/run" test -R '^docs_'; }
 
 gate_tidy() {
-  build_with dev rs_proto rs_state_proto
-  deploy/check/tidy.py build/dev "${tidy[@]}"
+  local build=dev
+  if [[ ${tidy[*]} == --all ]]; then build=ci; fi
+  build_with "$build" rs_proto rs_state_proto
+  deploy/check/tidy.py "build/$build" "${tidy[@]}"
 }
 
 sanitizer() { # PRESET: the tests that have its name as a label, and what they need

@@ -75,5 +75,7 @@ class PrecompiledHeaders:
                 self._made[header] = target
         return len(self._made)
 
-    def flags(self, header):
+    def flags(self, unit, header):
+        if unit.endswith(".c"):  # none of it is C
+            return []
         return ["-include", FIRST] if header is None else ["-include-pch", self._made[header]]

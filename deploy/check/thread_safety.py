@@ -104,7 +104,7 @@ def main():
     def analyse(unit):
         path, flags, header = unit
         begin = time.monotonic()
-        done = subprocess.run(["clang++", "-fsyntax-only", *flags, *WARNINGS, *headers.flags(header), path],
+        done = subprocess.run(["clang++", "-fsyntax-only", *flags, *WARNINGS, *headers.flags(path, header), path],
                               capture_output=True, text=True, check=False)
         return path, done, time.monotonic() - begin
 

@@ -3,20 +3,27 @@
 
   deploy/check/tidy.py BUILD [--base REF | --all] [--jobs N] [PATH...]
 
-BUILD is a configured build without unity units (preset dev) whose generated headers exist. Without PATHs
-the files that differ from REF are read (default: origin/main, or the commit before where there is none),
-changes that are not committed included; of a header that changed, the source of the same name. A PATH is
-a file or a folder. Exit codes: 0 no finding; 1 findings; 2 it cannot begin.
+BUILD is a configured build whose generated headers exist: for --all one with unity units (preset ci),
+which are read in a third of the time, else one without (preset dev). Without PATHs the files that differ
+from REF are read (default: origin/main, or the commit before where there is none), changes that are not
+committed included; of a header that changed, the source of the same name. A PATH is a file or a folder.
+A finding is printed once. Exit codes: 0 no finding; 1 findings; 2 it cannot begin.
 """
 
 import argparse
 import concurrent.futures
 import os
+import re
 import subprocess
 import sys
 import time
 
 from clang_units import ROOT, PrecompiledHeaders, missing, units
+
+UNITY = f"{os.sep}Unity{os.sep}"
+# A unity unit includes our sources: they are reported as headers are.
+OURS = "--header-filter=^" + re.escape(ROOT + os.sep) + "[a-z_]+/.*[.](h|cc)$"
+FINDING = re.compile(r"^(?=/[^\s:]+:\d+:\d+: (?:error|warning): )", re.M)
 
 
 def git(*words):
@@ -46,8 +53,8 @@ def main():
     options = parser.parse_args()
     build = os.path.abspath(options.build)
     known = units(build)
-    if any(f"{os.sep}Unity{os.sep}" in unit[0] for unit in known):
-        missing(f"{build}: it has unity units; configure one without: cmake --preset dev")
+    if not options.all and any(UNITY in unit[0] for unit in known):
+        missing(f"{build}: it has unity units, which only --all reads; configure one without: cmake --preset dev")
     if options.paths:
         wanted = [os.path.abspath(path) for path in options.paths]
         chosen = [unit for unit in known if any(unit[0] == path or unit[0].startswith(path + os.sep) for path in wanted)]
@@ -66,20 +73,26 @@ def main():
 
     def read(unit):
         path, flags, header = unit
+        unity = ["--checks=-bugprone-suspicious-include", OURS] if UNITY in path else []
         begin = time.monotonic()
-        done = subprocess.run(["clang-tidy", "--quiet", path, "--", *flags, "-Wno-everything", *headers.flags(header)],
-                              cwd=ROOT, capture_output=True, text=True, check=False)
+        done = subprocess.run(["clang-tidy", "--quiet", *unity, path, "--", *flags, "-Wno-everything",
+                               *headers.flags(path, header)], cwd=ROOT, capture_output=True, text=True, check=False)
         return path, done, time.monotonic() - begin
 
-    findings = 0
+    seen, broken = set(), 0
     with concurrent.futures.ThreadPoolExecutor(max(1, options.jobs)) as pool:
         for path, done, seconds in pool.map(read, chosen):
             print(f"{seconds:6.1f} s  {os.path.relpath(path, ROOT)}", flush=True)
-            if done.returncode or done.stdout.strip():
-                findings += 1
-                print(done.stdout, done.stderr if done.returncode else "", flush=True)
-    print(f"{len(chosen)} units, {findings} with findings")
-    return 1 if findings else 0
+            found = [words.rstrip() for words in FINDING.split(done.stdout) if words.strip()]
+            for words in found:
+                if words not in seen:
+                    print(words, flush=True)
+                    seen.add(words)
+            if done.returncode and not found:
+                broken += 1
+                print(done.stderr, flush=True)
+    print(f"{len(chosen)} units, {len(seen)} findings" + (f", {broken} that clang-tidy could not read" * bool(broken)))
+    return 1 if seen or broken else 0
 
 
 if __name__ == "__main__":

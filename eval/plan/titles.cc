@@ -43,7 +43,7 @@ std::string CountRange::Text() const {
 }
 
 std::string FormatDuration(double seconds) {
-  const int64_t total = static_cast<int64_t>(std::max(0.0, seconds) + 0.5);
+  const int64_t total = std::llround(std::max(0.0, seconds));
   if (total < 3600) return absl::StrFormat("%d:%02d", total / 60, total % 60);
   return absl::StrFormat("%d:%02d:%02d", total / 3600, total / 60 % 60, total % 60);
 }

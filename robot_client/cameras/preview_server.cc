@@ -118,7 +118,7 @@ bool HostIsAddress(absl::string_view host) {
 
 class PreviewServer::Impl {
  public:
-  Impl(std::vector<FrameSource*> cameras, const Clock* clock) : clock_(clock) {
+  Impl(const std::vector<FrameSource*>& cameras, const Clock* clock) : clock_(clock) {
     for (FrameSource* camera : cameras) cameras_.push_back({camera});
   }
   ~Impl() {

@@ -225,7 +225,8 @@ bool SocketCanBus::Receive(StampedFrame& frame) {
     }
     const Arrival arrival = ReadArrival(message, clock_.now_ns());
     if (arrival.overflows) health_.overflows = overflows_before_ + *arrival.overflows;
-    if (size != sizeof wire || wire.can_dlc > 8) {
+    if (size != sizeof wire ||
+        wire.can_dlc > 8) {  // NOLINT(bugprone-branch-clone): before its bits
       ++health_.refused;
     } else if (wire.can_id & CAN_ERR_FLAG) {
       TakeErrorFrame(wire.can_id & CAN_ERR_MASK, wire.data);

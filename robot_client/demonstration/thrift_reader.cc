@@ -100,7 +100,8 @@ class Reader {
         break;
       case kByte: {
         RS_ASSIGN_OR_RETURN(const uint8_t byte, Byte());
-        value.integer = static_cast<int8_t>(byte);
+        value.integer =
+            static_cast<int8_t>(byte);  // NOLINT(bugprone-signed-char-misuse): it has a sign
         break;
       }
       case kInt16:

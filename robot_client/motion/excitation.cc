@@ -148,7 +148,7 @@ class Designer {
       double scale = 1e9;
       for (int i = 1; i + 1 < rows; ++i) {
         const double before = wave[static_cast<size_t>(i - 1)], now = wave[static_cast<size_t>(i)],
-                     after = wave[static_cast<size_t>(i + 1)];
+                     after = wave[static_cast<size_t>(i) + 1];
         const double room =
             now > 0 ? swing_[j].second - options_.centre[j] : options_.centre[j] - swing_[j].first;
         const auto fit = [&](double most, double value) {

@@ -12,7 +12,7 @@ namespace robostress::piper {
 // "S-V1.8-4": major 1, minor 8, patch 4.
 struct Firmware {
   int major = 0, minor = 0, patch = 0;
-  auto operator<=>(const Firmware&) const = default;
+  auto operator<=>(const Firmware&) const = default;  // NOLINT(modernize-use-nullptr): its own zero
 };
 
 // The version in the text of the firmware answers; nothing when there is none, or when it may be

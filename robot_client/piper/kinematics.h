@@ -10,6 +10,7 @@
 namespace robostress::piper {
 
 // Where the joints' zeros stand: firmware S-V1.6-3 moved those of J2 and J3 by two degrees.
+// NOLINTNEXTLINE(readability-identifier-naming): a version with its dots
 enum class Zero { kBefore_1_6_3, kSince_1_6_3 };
 
 // Modified Denavit-Hartenberg parameters (Craig, Introduction to Robotics, sec. 3.4), the SDK's

@@ -111,7 +111,7 @@ class Table {
     RS_ASSIGN_OR_RETURN(const int index, FindTableTask(task));
     RS_ASSIGN_OR_RETURN(TableScene scene,
                         TableScene::Create(plant, kTableTasks.at(static_cast<size_t>(index))));
-    Table table(std::move(scene));
+    Table table(scene);
     table.Place(0);
     fcntl(STDIN_FILENO, F_SETFL, fcntl(STDIN_FILENO, F_GETFL) | O_NONBLOCK);
     return table;
@@ -138,7 +138,7 @@ class Table {
 
  private:
   static constexpr int kDoneRounds = 20;  // of 16 ms
-  explicit Table(TableScene scene) : scene_(std::move(scene)) {}
+  explicit Table(const TableScene& scene) : scene_(scene) {}
   void Place(int state) {
     scene_.Place(state);
     state_ = state;

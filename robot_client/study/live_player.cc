@@ -59,7 +59,7 @@ class Console {
   Console(Console&& other) noexcept
       : process_(std::move(other.process_)),
         fd_(std::exchange(other.fd_, -1)),
-        log_(other.log_),
+        log_(std::move(other.log_)),
         read_(other.read_) {}
   ~Console() {
     if (fd_ >= 0) close(fd_);

@@ -22,7 +22,7 @@ absl::StatusOr<std::unique_ptr<StudyBench>> StudyBench::Create(const StudyBenchO
   RS_ASSIGN_OR_RETURN(TableScene scene,
                       TableScene::Create(&bench->emulator_->plant(),
                                          kTableTasks.at(static_cast<size_t>(options.task))));
-  bench->scene_ = std::make_unique<TableScene>(std::move(scene));
+  bench->scene_ = std::make_unique<TableScene>(scene);
   bench->scene_->Place(TableScene::kFirstTrainingState);
   // Nobody else is on this bus, and the study's committed figures were made without these waits.
   PiperArmOptions arm;

@@ -66,7 +66,7 @@ void Telemetry::Forget(const std::string& session, const SessionFigures* last) {
 }
 
 void Telemetry::Predicted(const std::string& session,
-                          std::shared_ptr<const Observation> observation, double seconds) {
+                          const std::shared_ptr<const Observation>& observation, double seconds) {
   predict_seconds_->Observe(seconds);
   predictions_->Increment();
   const Clock::time_point now = Clock::now();

@@ -69,7 +69,7 @@ class Telemetry {
   explicit Telemetry(Metrics* metrics);
 
   // A prediction of a session was answered, `seconds` after it came in.
-  void Predicted(const std::string& session, std::shared_ptr<const Observation> observation,
+  void Predicted(const std::string& session, const std::shared_ptr<const Observation>& observation,
                  double seconds) ABSL_LOCKS_EXCLUDED(mu_);
   // An executed chunk was taken; `residual` [steps, action_dim] as the session sees it.
   void Reported(const std::string& session, const SessionSpec& spec, uint64_t sequence,

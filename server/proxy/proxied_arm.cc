@@ -36,7 +36,7 @@ const char* ProxyModeName(ProxyMode mode) {
 const char* DoubtName(Doubt doubt) {
   static constexpr const char* kNames[kDoubts] = {"unreadable", "state",      "executed", "early",
                                                   "pause",      "jump",       "overlap",  "server",
-                                                  "actions",    "correction", "fault"};
+                                                  "actions",    "correction", "hunting",  "fault"};
   return NameIn(kNames, static_cast<size_t>(doubt));
 }
 const char* AnswerOutcomeName(AnswerOutcome outcome) {
@@ -52,12 +52,14 @@ ProxiedArm::ProxiedArm(const ArmProfile& profile, const MethodOptions& method)
       scale_(profile.scale()),
       correction_(profile, method),
       motion_(profile),
-      limiter_(profile) {}
+      limiter_(profile),
+      hunting_(profile.correction_limit()) {}
 
 void ProxiedArm::NewEpisode() {
   correction_.StartEpisode();
   motion_.StartEpisode();
   limiter_.Reset();
+  hunting_.Reset();
   given_.reset();
   before_.reset();
   residual_.resize(0);
@@ -109,12 +111,14 @@ void ProxiedArm::Observed(std::string_view message, bool text, double now_s, Pro
   }
   if (std::exchange(off_, false)) {  // what happened since is not known: begin again
     correction_ = ArmCorrection(profile_, method_);
+    hunted_.clear();
     NewEpisode();
   }
   trusted_ = true;
   if (outstanding_ > 1)
     return Distrust(Doubt::kOverlap, "a message came before the last one was answered");
   if (text) return Distrust(Doubt::kUnreadable, "a text frame");
+  if (!hunted_.empty()) return Distrust(Doubt::kHunting, hunted_);
   const absl::StatusOr<OpenpiValue> observation = DecodeOpenpi(message);
   if (!observation.ok())
     return Distrust(Doubt::kUnreadable, std::string(observation.status().message()));
@@ -359,6 +363,15 @@ std::optional<std::string> ProxiedArm::Correct(std::string_view message, double 
         now[at] = given.correction(row, at) = scale_[at] * (written - own);
         if (!shadow) given.sent(row, at) = scale_[at] * written;
       }
+    }
+    const auto hunts = hunting_.Add(given.correction.row(end - 1).transpose());
+    if (hunts && !shadow) {
+      hunted_ = absl::StrCat(
+          "the correction of ", profile_.axes()[static_cast<size_t>(*hunts)],
+          " swings to and fro; correct `nominal` or execute_steps in the profile, look at an arm "
+          "that is well with --shadow, then `robostress proxy on`");
+      Distrust(Doubt::kHunting, hunted_);
+      return std::nullopt;
     }
     report_.outcome = shadow    ? AnswerOutcome::kShadow
                       : changed ? AnswerOutcome::kCorrected

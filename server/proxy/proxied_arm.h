@@ -13,6 +13,7 @@
 #include "server/proxy/arm_correction.h"
 #include "server/proxy/arm_motion.h"
 #include "server/proxy/arm_profile.h"
+#include "server/proxy/hunting.h"
 #include "server/wire/openpi/openpi_extensions.h"
 
 namespace robostress {
@@ -36,9 +37,10 @@ enum class Doubt : uint8_t {
   kServer,      // the server answered with an error
   kActions,     // not the actions of this robot
   kCorrection,  // the correction is not finite
+  kHunting,     // it swings to and fro; so it stays until the proxy is switched on again
   kFault,       // the proxy itself failed
 };
-inline constexpr size_t kDoubts = 11;
+inline constexpr size_t kDoubts = 12;
 const char* DoubtName(Doubt doubt);
 
 // What became of one answer.
@@ -120,6 +122,8 @@ class ProxiedArm {
   ArmCorrection correction_;
   ArmMotionReader motion_;
   CorrectionLimiter limiter_;
+  HuntingWatch hunting_;
+  std::string hunted_;  // the words; empty: it does not hunt
 
   int outstanding_ = 0;  // messages of the client that have no answer
   bool off_ = false, trusted_ = false, met_ = false;

@@ -23,12 +23,14 @@ std::string Figure(const std::string& value, const std::string& label) {
                       "</span></div>");
 }
 
+std::string ColourOf(size_t line) { return kLineColours[line % std::size(kLineColours)]; }
+
 std::string Curves(const std::string& title, const std::vector<Eigen::VectorXd>& values,
                    const std::vector<std::string>& axes) {
   std::vector<LineSeries> lines(axes.size());
   for (size_t j = 0; j < axes.size(); ++j) {
     lines[j].name = axes[j];
-    lines[j].color = kLineColours[j % std::size(kLineColours)];
+    lines[j].color = ColourOf(j);
     for (size_t i = 0; i < values.size(); ++i) {
       lines[j].x.push_back(static_cast<double>(i));
       lines[j].y.push_back(values[i][static_cast<Eigen::Index>(j)]);
@@ -40,6 +42,14 @@ std::string Curves(const std::string& title, const std::vector<Eigen::VectorXd>&
   options.width = kWidth;
   options.dots = values.size() < 2;
   return LinePlot(lines, options);
+}
+
+std::string Legend(const std::vector<std::string>& axes) {
+  std::string html = "<p class=note>";
+  for (size_t j = 0; j < axes.size(); ++j)
+    absl::StrAppend(&html, "<span style=\"color:", ColourOf(j), "\">&#9632;</span> ",
+                    EscapeXml(axes[j]), " &nbsp;");
+  return html + "</p>";
 }
 
 uint64_t Sum(const std::vector<ProxyClientView>& views, AnswerOutcome outcome) {
@@ -94,6 +104,7 @@ std::string MainPage(const ProxySources& sources) {
   for (const ProxyClientView& view : views) absl::StrAppend(&html, ClientRow(view));
   absl::StrAppend(&html, "</table></div>\n");
   const std::vector<std::string> axes = board.profile().axes();
+  absl::StrAppend(&html, Legend(axes));
   for (const ProxyClientView& view : views) {
     if (view.residuals.empty() && view.corrections.empty()) continue;
     absl::StrAppend(&html, "<h3>", EscapeXml(view.peer), "</h3><div class=panels>");

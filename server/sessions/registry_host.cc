@@ -61,7 +61,7 @@ class ShownUse : public SessionUse {
       return prediction;
     }
     const double seconds = std::chrono::duration<double>(end - begin).count();
-    telemetry_->Predicted(id_, std::move(observation), seconds);
+    telemetry_->Predicted(id_, observation, seconds);
     spdlog::debug("predicted in {:.1f} ms with adapter version {}, batch of {}", 1e3 * seconds,
                   prediction->adapter_version, prediction->batch_size);
     return prediction;

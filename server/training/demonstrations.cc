@@ -118,7 +118,7 @@ absl::Status Demonstrations::AddShard(const std::string& path, double validation
   }
   const int64_t frames = episode.shape[0], size = config_.image_size;
   const auto take = [&](const char* name, DType dtype,
-                        std::vector<int64_t> shape) -> absl::StatusOr<const uint8_t*> {
+                        const std::vector<int64_t>& shape) -> absl::StatusOr<const uint8_t*> {
     RS_ASSIGN_OR_RETURN(const TensorView view, file.Get(name));
     if (view.dtype != dtype || view.shape != shape) {
       return absl::InvalidArgumentError(absl::StrCat(
@@ -129,7 +129,7 @@ absl::Status Demonstrations::AddShard(const std::string& path, double validation
   };
   const int64_t views = static_cast<int64_t>(config_.cameras.size());
   const auto floats = [&](const char* name,
-                          std::vector<int64_t> shape) -> absl::StatusOr<const float*> {
+                          const std::vector<int64_t>& shape) -> absl::StatusOr<const float*> {
     RS_ASSIGN_OR_RETURN(const uint8_t* bytes, take(name, DType::kF32, std::move(shape)));
     return reinterpret_cast<const float*>(bytes);
   };

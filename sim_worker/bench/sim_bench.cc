@@ -36,7 +36,7 @@ PandaScene Scene() {
 }
 
 std::unique_ptr<PandaSim> MakeSim(const std::string& scenario, SimOptions options = {},
-                                  PandaScene scene = Scene()) {
+                                  const PandaScene& scene = Scene()) {
   auto sim =
       PandaSim::Create(CompileModel("bench", ComposePandaScene(scene)).value(), options).value();
   sim->SetScenario(MakeScenario(scenario, 5).value(), 220);
@@ -57,7 +57,7 @@ void RunControlSteps(benchmark::State& state, PandaSim& sim) {
   int step = 0;
   double contacts = 0;
   int64_t done = 0;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     RS_CHECK(sim.Step(CircleCommand(step)).ok());
     contacts += sim.data().ncon;
     ++done;
@@ -140,7 +140,7 @@ void BM_RatioToBareStepping(benchmark::State& state, const char* scenario) {
                              .reset = [&] { Start(*sim); },
                              .step = [&](int t) { RS_CHECK(sim->Step(CircleCommand(t)).ok()); }};
   StepCost cost;
-  for (auto _ : state) cost = MeasureSteps(episode, /*steps=*/200, /*repeats=*/5);
+  for ([[maybe_unused]] auto _ : state) cost = MeasureSteps(episode, /*steps=*/200, /*repeats=*/5);
   state.counters["of_bare"] = cost.of_bare();
   state.counters["bare_us"] = 1e6 * cost.bare_s;
   state.counters["ours_us"] = 1e6 * cost.ours_s;
@@ -170,7 +170,7 @@ struct Parts {
 
 void BM_ReadArm(benchmark::State& state) {
   Parts parts;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     parts.arm.Read();
     benchmark::ClobberMemory();
   }
@@ -179,20 +179,20 @@ BENCHMARK(BM_ReadArm);
 
 void BM_OscTorque(benchmark::State& state) {
   Parts parts;
-  for (auto _ : state) benchmark::DoNotOptimize(parts.arm.Torque());
+  for ([[maybe_unused]] auto _ : state) benchmark::DoNotOptimize(parts.arm.Torque());
 }
 BENCHMARK(BM_OscTorque);
 
 void BM_GravityTorque(benchmark::State& state) {
   Parts parts;
-  for (auto _ : state) benchmark::DoNotOptimize(parts.arm.Gravity());
+  for ([[maybe_unused]] auto _ : state) benchmark::DoNotOptimize(parts.arm.Gravity());
 }
 BENCHMARK(BM_GravityTorque);
 
 void BM_JointErrors(benchmark::State& state, const char* scenario) {
   Parts parts;
   JointChain errors = parts.arm.Errors(scenario);
-  for (auto _ : state) benchmark::DoNotOptimize(parts.arm.OffsetChange(errors));
+  for ([[maybe_unused]] auto _ : state) benchmark::DoNotOptimize(parts.arm.OffsetChange(errors));
 }
 BENCHMARK_CAPTURE(BM_JointErrors, all_four, "nominal");
 BENCHMARK_CAPTURE(BM_JointErrors, all_four_ramp, "thermal_drift_stribeck");
@@ -212,7 +212,7 @@ void BM_RenderPair(benchmark::State& state) {
                               .height = size,
                               .supersample = static_cast<int>(state.range(1)),
                               .shadows = state.range(2) != 0};
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     benchmark::DoNotOptimize(renderer->Render(sim->data(), "agentview", options).value());
     benchmark::DoNotOptimize(renderer->Render(sim->data(), "robot0_eye_in_hand", options).value());
   }

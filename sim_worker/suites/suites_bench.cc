@@ -23,7 +23,7 @@ std::unique_ptr<EmbeddedTask> TaskOf(const benchmark::State& state) {
 void ControlStep(benchmark::State& state) {
   const auto task = TaskOf(state);
   int index = 0;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     benchmark::DoNotOptimize(task->Step(task->Decide().command));
     if (task->Success() || task->sim().steps_taken() >= task->horizon()) {
       state.PauseTiming();
@@ -43,7 +43,7 @@ void BarePhysics(benchmark::State& state) {
   const mjModel& model = task->sim().model();
   mjData* bare = mj_makeData(&model);
   int index = 0;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     state.PauseTiming();
     mj_copyData(bare, &model, &task->sim().data());
     (void)task->Step(task->Decide().command);
@@ -62,7 +62,7 @@ BENCHMARK(BarePhysics)->DenseRange(0, 3)->Unit(benchmark::kMicrosecond);
 void PairOfViews(benchmark::State& state) {
   const auto task = TaskOf(state);
   const int size = static_cast<int>(state.range(1));
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     for (const char* camera : {"agentview", "robot0_eye_in_hand"}) {
       if (!task->RenderView(camera, size, size).ok()) state.SkipWithError("no EGL");
     }

@@ -35,7 +35,7 @@ void Chunk(benchmark::State& state, const char* method) {
   (void)compensated->StartEpisode({});
   ToyArm arm(0.1);
   uint64_t sequence = 0;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     const PredictedChunk predicted = *compensated->Predict({}, 0);
     ExecutedChunk executed;
     executed.sequence = ++sequence;

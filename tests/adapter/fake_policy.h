@@ -108,7 +108,8 @@ class FakePolicy : public FlowPolicy {
     return rows;
   }
 
-  static torch::Tensor Random(const std::string& name, std::vector<int64_t> shape, double scale) {
+  static torch::Tensor Random(const std::string& name, const std::vector<int64_t>& shape,
+                              double scale) {
     torch::Tensor tensor = torch::empty(shape, torch::kFloat32);
     RandomStream stream(StreamKey("fake_policy").With(name));
     for (int64_t i = 0; i < tensor.numel(); ++i) {

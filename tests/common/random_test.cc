@@ -94,7 +94,7 @@ TEST(RandomStream, EveryBitOfAUniformNumberIsSetHalfTheTime) {
     for (int bit = 0; bit < 53; ++bit) set[bit] += bits >> bit & 1;
   }
   for (int bit = 0; bit < 53; ++bit)  // five standard errors
-    EXPECT_NEAR(set[bit], kDraws / 2, 5 * 0.5 * std::sqrt(kDraws)) << bit;
+    EXPECT_NEAR(set[bit], kDraws / 2.0, 5 * 0.5 * std::sqrt(kDraws)) << bit;
 }
 
 TEST(RandomStream, LargeRangesAreFlatToo) {

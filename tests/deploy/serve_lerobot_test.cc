@@ -387,7 +387,7 @@ class ServeLerobotPolicy : public ::testing::Test {
   std::vector<std::string> Command(const std::string& folder,
                                    const std::vector<std::string>& options = {}) {
     std::vector<std::string> command{
-        python_,    ROBOSTRESS_SOURCE "/deploy/robostress_serve_lerobot.py",
+        python_,    std::string(ROBOSTRESS_SOURCE) + "/deploy/robostress_serve_lerobot.py",
         "--policy", folder,
         "--device", "cpu"};
     command.insert(command.end(), options.begin(), options.end());

@@ -68,13 +68,14 @@ struct Bench {
 
 void Encode(benchmark::State& state) {
   Bench bench("base");
-  for (auto _ : state) benchmark::DoNotOptimize(bench.policy->Encode(bench.observation));
+  for ([[maybe_unused]] auto _ : state)
+    benchmark::DoNotOptimize(bench.policy->Encode(bench.observation));
 }
 BENCHMARK(Encode)->Unit(benchmark::kMillisecond);
 
 void PredictBase(benchmark::State& state) {
   Bench bench("base");
-  for (auto _ : state) bench.Feedback(bench.Predict());
+  for ([[maybe_unused]] auto _ : state) bench.Feedback(bench.Predict());
 }
 BENCHMARK(PredictBase)->Unit(benchmark::kMillisecond);
 
@@ -82,7 +83,7 @@ BENCHMARK(PredictBase)->Unit(benchmark::kMillisecond);
 void PredictAdaptedAndBase(benchmark::State& state) {
   Bench bench("ours");
   for (int i = 0; i < 32; ++i) bench.Feedback(bench.Predict());
-  for (auto _ : state) benchmark::DoNotOptimize(bench.Predict());
+  for ([[maybe_unused]] auto _ : state) benchmark::DoNotOptimize(bench.Predict());
 }
 BENCHMARK(PredictAdaptedAndBase)->Unit(benchmark::kMillisecond);
 
@@ -96,7 +97,7 @@ void Update(benchmark::State& state) {
   chunk->context = *bench.policy->Encode(bench.observation);
   chunk->target = torch::zeros({bench.policy->horizon(), bench.policy->model_action_dim()});
   uint64_t index = 0;
-  for (auto _ : state)
+  for ([[maybe_unused]] auto _ : state)
     benchmark::DoNotOptimize(adapter->Update(index++, {chunk, chunk, chunk, chunk}));
 }
 BENCHMARK(Update)->Unit(benchmark::kMillisecond);
@@ -124,7 +125,7 @@ void UpdateWithYieldPoints(benchmark::State& state) {
   const OperatorHook hook(&NotePoint);
   std::vector<double> longest;
   uint64_t index = 0;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     last_point = std::chrono::steady_clock::now();
     longest_ms = 0;
     points = 0;

@@ -16,8 +16,7 @@ using openpi::PolicySetup;
 constexpr double kMiB = 1 << 20;
 
 std::string Mebibytes(uint64_t bytes) {
-  return absl::StrCat(bytes, " (", static_cast<int64_t>(static_cast<double>(bytes) / kMiB + 0.5),
-                      " MiB)");
+  return absl::StrCat(bytes, " (", std::llround(static_cast<double>(bytes) / kMiB), " MiB)");
 }
 
 ordered_json Sizes(const OpenpiConfig& c) {

@@ -40,7 +40,7 @@ torch::Tensor StepVelocity(const InferenceSetup& setup, const InferenceWeights& 
   const std::vector<Modulation>& norms = w.expert.NormsAt(step);
   torch::Tensor x = EmbedStep(setup, w, step, buffers);
   torch::Tensor branch;  // what the sub-layer before adds to x
-  const auto gated = [](torch::Tensor y, const Modulation& modulation) {
+  const auto gated = [](const torch::Tensor& y, const Modulation& modulation) {
     return modulation.gate.defined() ? y.mul_(modulation.gate) : y;
   };
   for (size_t i = 0; i < w.expert.layers.size(); ++i) {

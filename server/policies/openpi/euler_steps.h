@@ -28,7 +28,8 @@ struct StepShape {
   bool rows = false;    // an adapter for each row
   std::vector<std::vector<int64_t>>
       adapter;  // sizes of A and B of each target in turn; empty: none
-  auto operator<=>(const StepShape&) const = default;
+  auto operator<=>(const StepShape&) const =
+      default;  // NOLINT(modernize-use-nullptr): its own zero
 };
 
 // Shape of a prediction with at least `prefix` slots for the prefix.

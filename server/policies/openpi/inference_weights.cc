@@ -72,7 +72,7 @@ std::vector<float> EulerTimes(int64_t steps) {
   return times;
 }
 
-InferenceWeights PrepareWeights(OpenpiModel model, const std::vector<float>& times,
+InferenceWeights PrepareWeights(const OpenpiModel& model, const std::vector<float>& times,
                                 torch::Dtype activations, int64_t join_limit_bytes) {
   const OpenpiWeights& w = model.weights;
   InferenceWeights prepared;

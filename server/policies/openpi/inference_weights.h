@@ -52,7 +52,7 @@ std::vector<float> EulerTimes(int64_t steps);
 
 // `model` at those times. Joins matrices of at most `join_limit_bytes` together. Tensors are shared
 // with `model`; pi0.5's projections of the adaptive norms are not kept.
-InferenceWeights PrepareWeights(OpenpiModel model, const std::vector<float>& times,
+InferenceWeights PrepareWeights(const OpenpiModel& model, const std::vector<float>& times,
                                 torch::Dtype activations, int64_t join_limit_bytes);
 
 }  // namespace robostress::openpi

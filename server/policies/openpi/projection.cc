@@ -18,7 +18,7 @@ constexpr int64_t kPackedRows = 128;      // for more, BLAS is as fast
 constexpr int64_t kThreadRows = 20;
 
 // y = x W^T with W in bfloat16 and the rest in float32.
-void MultiplyWidened(const torch::Tensor& x, const torch::Tensor& weight, torch::Tensor y) {
+void MultiplyWidened(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& y) {
   const int64_t out = weight.size(0), in = weight.size(1);
   const int64_t rows = std::min(out, std::max(kTileRows, kTileFloats / in));
   const torch::Tensor tile = at::empty({rows, in}, x.options());
@@ -63,7 +63,7 @@ void MultiplyPacked(const torch::Tensor& x, const Projection& projection, torch:
 
 // y += scale B A x for the pair of a target, in either of its forms (adapter/lora.h).
 void AddAdapter(const torch::Tensor& x, const torch::Tensor& A, const torch::Tensor& B,
-                double scale, torch::Tensor y) {
+                double scale, const torch::Tensor& y) {
   y.add_(LoraDelta(x, A.to(x.scalar_type()), B.to(x.scalar_type())), scale);
 }
 

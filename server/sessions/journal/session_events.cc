@@ -41,10 +41,10 @@ void AppendViews(const Observation& observation, std::string& bytes) {
     std::string head =
         image.SerializeAsString() + FieldHead(v1::Image::kDataFieldNumber, data.size());
     const auto wrap = [&](int number) {
-      head = FieldHead(number, head.size() + data.size()) + head;
+      head.insert(0, FieldHead(number, head.size() + data.size()));
     };
     wrap(v1::CameraView::kImageFieldNumber);
-    head = camera + head;
+    head.insert(0, camera);
     wrap(v1::Observation::kViewsFieldNumber);
     wrap(v1::StatePrediction::kObservationFieldNumber);
     wrap(v1::StateRecord::kPredictionFieldNumber);

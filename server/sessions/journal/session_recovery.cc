@@ -36,8 +36,7 @@ absl::StatusOr<std::unique_ptr<SessionJournal>> RecoverJournal(
   // Once, before the first event.
   const auto restore_once = [&]() -> absl::Status {
     if (!snapshot) return absl::OkStatus();
-    const SessionSnapshot whole = *std::move(snapshot);
-    snapshot.reset();
+    const SessionSnapshot whole = *std::exchange(snapshot, std::nullopt);
     return AsDamage(restore(whole));
   };
   const auto event = [&](const v1::StateRecord& record) -> absl::Status {

@@ -106,7 +106,7 @@ void Kernel(benchmark::State& state, bool dry, bool every_stage) {
   JointSimulation simulation(track);
   std::vector<double> predicted(kRows);
   double ours = 0, theirs = 0;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     const double begin = CpuSeconds();
     simulation.Predict(*model, 0, {}, {}, absl::MakeSpan(predicted));
     benchmark::DoNotOptimize(predicted.data());

@@ -55,7 +55,7 @@ class NumberedPolicy : public PolicyEndpoint {
     known.push_back(static_cast<int>(feedback.size()));
     running.push_back(std::move(after));
     PredictedChunk answer;
-    answer.prediction_id = static_cast<uint64_t>(100 + chunk);
+    answer.prediction_id = 100 + static_cast<uint64_t>(chunk);
     answer.policy_actions = Eigen::MatrixXf::Zero(rows, 7);
     for (int i = 0; i < rows; ++i) {
       answer.policy_actions(i, 0) = static_cast<float>(chunk) + static_cast<float>(i) / 100;
@@ -280,6 +280,7 @@ TEST(InpaintingTest, APolicyThatCannotSaysWhatToTake) {
   struct Plain : NumberedPolicy {
     absl::StatusOr<PredictedChunk> PredictAfter(const Observation& observation, int chunk,
                                                 const RunningRows& running) override {
+      // NOLINTNEXTLINE(bugprone-parent-virtual-call): a policy that has none of its own
       return PolicyEndpoint::PredictAfter(observation, chunk, running);
     }
   } plain;

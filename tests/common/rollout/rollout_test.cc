@@ -55,7 +55,7 @@ class FakePolicy : public PolicyEndpoint {
 };
 
 struct RolloutTest : public testing::Test {
-  absl::StatusOr<EpisodeRecord> Run(FakeRobot& robot, RolloutOptions options = {}) {
+  absl::StatusOr<EpisodeRecord> Run(FakeRobot& robot, const RolloutOptions& options = {}) {
     policy.robot = &robot;
     return RunEpisode({2, 5}, options, robot, policy, sequence);
   }

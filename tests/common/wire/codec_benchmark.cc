@@ -27,7 +27,8 @@ void Write(benchmark::State& state) {
   const Observation seen = Seen();
   OpenpiDialect dialect = *OpenpiDialectNamed("libero");
   dialect.planes_first = state.range(0) != 0;
-  for (auto _ : state) benchmark::DoNotOptimize(*WriteOpenpiObservation(seen, dialect));
+  for ([[maybe_unused]] auto _ : state)
+    benchmark::DoNotOptimize(*WriteOpenpiObservation(seen, dialect));
 }
 BENCHMARK(Write)->ArgName("planes_first")->Arg(0)->Arg(1)->Unit(benchmark::kMicrosecond);
 
@@ -39,7 +40,7 @@ void Read(benchmark::State& state) {
   PolicySpec policy;
   policy.cameras = {"agentview", "wrist"};
   policy.image_width = policy.image_height = 224;
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     const OpenpiValue message = *DecodeOpenpi(bytes);
     benchmark::DoNotOptimize(*ReadOpenpiObservation(message, policy, {}, false));
   }
@@ -48,7 +49,7 @@ BENCHMARK(Read)->ArgName("planes_first")->Arg(0)->Arg(1)->Unit(benchmark::kMicro
 
 void Memcpy(benchmark::State& state) {
   const std::string from(2 * 3 * 224 * 224, 'x');
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     std::string to = from;
     benchmark::DoNotOptimize(to.data());
   }

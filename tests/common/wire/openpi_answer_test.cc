@@ -79,6 +79,9 @@ TEST(OpenpiAnswer, ShowsWhatCameAndWhatWasExpected) {
   EXPECT_THAT(Refusal(named), AllOf(HasSubstr("the answer is a map of arm [2, 3], hand;"),
                                     HasSubstr("under 'actions'")));
   EXPECT_THAT(Refusal(OpenpiBytes().Integer(3)), HasSubstr("neither a map nor an array"));
+  OpenpiBytes empty;
+  empty.Map(0);
+  EXPECT_THAT(Refusal(empty), HasSubstr("the answer is an empty map; expected"));
 }
 
 TEST(OpenpiAnswer, TellsTheServersOwnWords) {

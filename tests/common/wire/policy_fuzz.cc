@@ -374,7 +374,7 @@ TEST_F(PolicyFuzz, ACaseIsRefusedByNameOrAccepted) {
     SCOPED_TRACE(absl::StrCat("case ", i));
     RandomStream random(StreamKey("policy_fuzz").With(i));
     WildMutator mutator(random);
-    const std::string dialect = dialects[i % dialects.size()];
+    const std::string& dialect = dialects[i % dialects.size()];
     Script script;
     script.vla_eval = dialect == "vla_eval";
     if (random.UniformInt(3) == 0) script.closes_after = random.UniformInt(4);

@@ -27,7 +27,7 @@ class PolicyPeer {
   using Socket = ScriptedPeer::Socket;
   using Script = std::function<std::string(int connection, int message)>;
 
-  explicit PolicyPeer(Script answer, std::string metadata = OpenpiWriter().Map(0).Take())
+  explicit PolicyPeer(Script answer, const std::string& metadata = OpenpiWriter().Map(0).Take())
       : PolicyPeer(std::move(answer), [metadata](int) { return metadata; }) {}
   PolicyPeer(Script answer, uint16_t port)
       : PolicyPeer(

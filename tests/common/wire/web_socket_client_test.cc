@@ -22,7 +22,8 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 // What is refused, and how.
-std::string Refusal(absl::StatusCode code, const std::string& url, WebSocketOptions options = {}) {
+std::string Refusal(absl::StatusCode code, const std::string& url,
+                    const WebSocketOptions& options = {}) {
   const auto client = WebSocketClient::Connect(url, options);
   EXPECT_EQ(client.status().code(), code) << client.status();
   return std::string(client.status().message());

@@ -42,9 +42,9 @@ struct Wild {
   }
   static Wild Text(std::string text) { return Of(std::move(text)); }
   static Wild Whole(int64_t value) { return Of(value); }
-  static Wild Pairs(std::vector<std::pair<std::string, Wild>> pairs) {
+  static Wild Pairs(const std::vector<std::pair<std::string, Wild>>& pairs) {
     Map map;
-    for (auto& [key, item] : pairs) map.emplace_back(Text(key), std::move(item));
+    for (const auto& [key, item] : pairs) map.emplace_back(Text(key), item);
     return Of(std::move(map));
   }
   template <class T>

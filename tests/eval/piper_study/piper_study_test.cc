@@ -164,7 +164,7 @@ TEST(PiperStudyReport, ComparesMethodsOnTheSameInitialStates) {
   EXPECT_THAT(*page, AllOf(HasSubstr("+20.0"), HasSubstr("+2/-0"),
                            HasSubstr("1 of 3 planned units are not finished")));
   EXPECT_TRUE(std::filesystem::exists(out + "/report.html"));
-  const std::string first = *page;
+  const std::string& first = *page;
   ASSERT_TRUE(WritePiperPage(*plans, protocol, *run).ok());
   EXPECT_EQ(*ReadFile(out + "/report.md"), first);
 }

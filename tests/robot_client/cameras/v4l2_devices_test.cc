@@ -5,6 +5,7 @@
 #include <linux/videodev2.h>
 
 #include <cerrno>
+#include <cstdio>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -50,8 +51,10 @@ class FakeNodes : public V4l2System {
         std::memset(capability->card, 'x', sizeof(capability->card));
         std::memcpy(capability->card, node.card.c_str(),
                     std::min(node.card.size() + 1, sizeof(capability->card)));
-        std::strcpy(reinterpret_cast<char*>(capability->driver), "uvcvideo");
-        std::strcpy(reinterpret_cast<char*>(capability->bus_info), "usb-0000:00:14.0-1");
+        std::snprintf(reinterpret_cast<char*>(capability->driver), sizeof capability->driver,
+                      "uvcvideo");
+        std::snprintf(reinterpret_cast<char*>(capability->bus_info), sizeof capability->bus_info,
+                      "usb-0000:00:14.0-1");
         capability->capabilities = V4L2_CAP_DEVICE_CAPS;
         capability->device_caps = node.capabilities;
         return 0;
@@ -60,7 +63,8 @@ class FakeNodes : public V4l2System {
         auto* format = static_cast<v4l2_fmtdesc*>(argument);
         if (!node.endless && format->index >= node.formats.size()) return Fail(EINVAL);
         format->pixelformat = node.formats[format->index % node.formats.size()];
-        std::strcpy(reinterpret_cast<char*>(format->description), "a format");
+        std::snprintf(reinterpret_cast<char*>(format->description), sizeof format->description,
+                      "a format");
         return 0;
       }
       case VIDIOC_ENUM_FRAMESIZES: {
@@ -98,8 +102,9 @@ std::string DevWith(const std::string& name, const std::vector<int>& numbers,
   const std::string dev = fs::weakly_canonical(::testing::TempDir()).string() + "/dev_" + name;
   fs::remove_all(dev);
   fs::create_directories(dev + "/v4l/by-id");
-  for (const int number : numbers) std::ofstream(dev + "/video" + std::to_string(number));
-  std::ofstream(dev + "/videos");
+  for (const int number : numbers)
+    const std::ofstream device(dev + "/video" + std::to_string(number));
+  const std::ofstream other(dev + "/videos");
   for (const auto& [link, number] : links)
     fs::create_symlink("../../video" + std::to_string(number), dev + "/v4l/by-id/" + link);
   return dev;

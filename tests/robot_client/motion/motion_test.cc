@@ -99,7 +99,7 @@ TEST(MotionTest, RefusesASpeedThatTheLimitsDoNotAllowAndSaysWhichTheyDo) {
 TEST(MotionTest, RefusesWhatNoArmCouldPlay) {
   const ArmLimits limits = Limits();
   EXPECT_TRUE(CheckMotion(Swing(0.3), limits).ok());
-  const auto refused = [&](Motion motion, const char* why) {
+  const auto refused = [&](const Motion& motion, const char* why) {
     const absl::Status status = CheckMotion(motion, limits);
     EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
     EXPECT_THAT(std::string(status.message()), HasSubstr(why));

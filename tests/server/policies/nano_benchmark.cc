@@ -35,7 +35,8 @@ void BM_Encode(benchmark::State& state) {
   at::set_num_threads(1);
   const auto policy = LoadFlowPolicy("nano:random").value();
   const Observation observation = SomeObservation(policy->spec());
-  for (auto _ : state) benchmark::DoNotOptimize(policy->Encode(observation).value());
+  for ([[maybe_unused]] auto _ : state)
+    benchmark::DoNotOptimize(policy->Encode(observation).value());
 }
 BENCHMARK(BM_Encode)->Unit(benchmark::kMillisecond);
 
@@ -45,7 +46,7 @@ void BM_Sample(benchmark::State& state) {
   const PolicyContext context = policy->Encode(SomeObservation(policy->spec())).value();
   const torch::Tensor noise = torch::randn({1, policy->horizon(), policy->model_action_dim()});
   const LoraWeights lora = SomeLora(*policy);
-  for (auto _ : state)
+  for ([[maybe_unused]] auto _ : state)
     benchmark::DoNotOptimize(policy->Sample(context, noise, state.range(0) ? &lora : nullptr));
 }
 BENCHMARK(BM_Sample)->ArgName("lora")->Arg(0)->Arg(1)->Unit(benchmark::kMillisecond);
@@ -63,7 +64,8 @@ void BM_SampleRows(benchmark::State& state) {
   std::vector<const LoraWeights*> rows;
   for (const LoraWeights& adapter : adapters) rows.push_back(&adapter);
   const PolicyContext contexts = StackContexts(std::vector<const PolicyContext*>(batch, &context));
-  for (auto _ : state) benchmark::DoNotOptimize(policy->SampleRows(contexts, noise, rows));
+  for ([[maybe_unused]] auto _ : state)
+    benchmark::DoNotOptimize(policy->SampleRows(contexts, noise, rows));
   state.SetItemsProcessed(state.iterations() * state.range(0));
 }
 BENCHMARK(BM_SampleRows)
