@@ -11,6 +11,8 @@
 #include "calibration/model/unit_check.h"
 #include "calibration/report/joint_description.h"
 #include "calibration/search/aided_motion.h"
+#include "calibration/search/command_shape.h"
+#include "calibration/search/shared_support.h"
 #include "calibration/search/verdict.h"
 #include "common/status_macros.h"
 
@@ -29,6 +31,8 @@ void NoiseOfTorques(const Rig& rig, const Plant& plant, std::vector<MeasuredLog>
       JointRecord& record = log.joints[joint];
       const double inertia = plant.Rows(joint, log).front().inertia + plant.passive(joint).armature;
       record.noise = std::hypot(NoiseOfReading(record.tau), inertia * record.acceleration_noise);
+      record.timing_noise = 0;
+      record.drawn = false;
     }
   }
 }
@@ -47,6 +51,30 @@ void CompareJoints(CalibrationReport& report) {
         absl::StrFormat("every joint has the same delay, %.2f to %.2f ms: a property of the "
                         "channel (bus, sampling), not of a joint",
                         *low * 1e3, *high * 1e3));
+}
+
+// Effects of the whole arm are claimed where other joints bear them out.
+absl::Status AskTheArm(const Rig& rig, const Rig& after, const Plant& plant,
+                       const std::vector<MeasuredLog>& logs, CalibrationReport& report) {
+  if (after.joints.size() < 2) return absl::OkStatus();
+  for (JointReport& joint : report.joints) {
+    if (joint.verdict != Verdict::kAttributed && joint.verdict != Verdict::kAmbiguous) continue;
+    for (int i = 0; i < static_cast<int>(after.joints.size()); ++i) {
+      if (after.joints[i].name != joint.joint) continue;
+      for (const DeclaredEffect& effect : after.joints[i].effects) {
+        const bool added = std::any_of(joint.effects.begin(), joint.effects.end(),
+                                       [&](const auto& e) { return e.type == effect.type; });
+        if (!added || !ActsOnTheWholeArm(effect.type)) continue;
+        RS_ASSIGN_OR_RETURN(const std::vector<OtherJoint> others,
+                            AskOtherJoints(rig, plant, logs, i, effect));
+        const std::string objection = ObjectionOf(effect.type, others);
+        if (objection.empty()) continue;
+        joint.verdict = Verdict::kReducedNotAttributed;
+        joint.because += "; but " + objection;
+      }
+    }
+  }
+  return absl::OkStatus();
 }
 
 absl::Status CheckChosen(const Rig& rig, const std::vector<std::string>& chosen) {
@@ -94,6 +122,7 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
   }
   RS_RETURN_IF_ERROR(CheckUnits(rig, *plant, logs));
   NoiseOfTorques(rig, *plant, logs);
+  RS_RETURN_IF_ERROR(ChooseCommandShapes(rig, *plant, logs));
   if (!plant->single()) {
     options.progress("motions of the arm");
     RS_RETURN_IF_ERROR(AidArmMotions(rig, *plant, logs));
@@ -125,6 +154,8 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
     for (const AddedEffectReport& effect : joint_report.effects) leads.push_back(effect.type);
     report.joints.push_back(std::move(joint_report));
   }
+  options.progress("asking other joints");
+  RS_RETURN_IF_ERROR(AskTheArm(rig, result.after, *plant, logs, report));
   report.verdict = Combine(report.joints);
   for (const JointReport& joint : report.joints)
     report.because +=

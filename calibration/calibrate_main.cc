@@ -9,6 +9,7 @@
 #include "calibration/calibrate.h"
 #include "calibration/model/effect_table.h"
 #include "calibration/model/scenario_output.h"
+#include "calibration/report/report_numbers.h"
 #include "common/atomic_file.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
@@ -97,11 +98,13 @@ absl::Status Run(CommandLine line) {
     for (const AddedEffectReport& effect : joint.effects) {
       std::string text;
       for (const ParameterReport& p : effect.parameters)
-        text += absl::StrFormat(" %s = %.4g +- %.2g %s", p.name, p.value, p.std, p.unit);
+        absl::StrAppend(&text, " ", p.name, " = ", ValueText(p.value, p.std), " ", p.unit);
       for (const std::string& rival : effect.ambiguous_with) text += " or " + rival;
       std::printf("    + %s:%s\n", effect.type.c_str(), text.c_str());
     }
     for (const std::string& mimic : joint.mimics_exposed) std::printf("    %s\n", mimic.c_str());
+    if (!joint.next_experiment.text.empty())
+      std::printf("    next: %s\n", joint.next_experiment.text.c_str());
   }
   for (const std::string& evidence : report.evidence) std::printf("  %s\n", evidence.c_str());
   std::printf("  %d surrogates, %.1f s; %s\n", report.n_surrogates, report.elapsed_s,

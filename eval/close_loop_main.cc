@@ -36,7 +36,9 @@ int main(int argc, char** argv) {
   app.footer(kExamples);
   robostress::CloseLoopOptions options;
   std::string tasks;
-  app.add_option("--hidden", options.hidden, "Scenario file with the effects to hide")->required();
+  app.add_option("--hidden", options.hidden,
+                 "Scenario file with the effects to hide, or clean: the control")
+      ->required();
   app.add_option("--out", options.out, "Directory to write")->required();
   std::string arm = "panda";
   app.add_option("--arm", arm, "panda (simulated, in a suite) or piper (emulated, on its bus)")

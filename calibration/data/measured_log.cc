@@ -3,11 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <optional>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "calibration/data/local_polynomial.h"
+#include "calibration/data/log_faults.h"
 #include "calibration/data/log_units.h"
+#include "calibration/data/row_clock.h"
 #include "common/csv_table.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"
@@ -17,17 +20,17 @@ namespace {
 
 constexpr uint64_t kMaxBytes = uint64_t{4} << 30;
 constexpr int kMinRows = 50;
-constexpr int kSmoothing = 12;           // rows each side, at most
-constexpr double kJitter = 0.02;         // of dt; more is resampled
+constexpr int kSmoothing = MeasuredLog::kSmoothing;
+constexpr double kCorner = 1.0 / 8;      // of ddq dt^2
 constexpr double kGap = 5;               // in dt; more is refused
 constexpr double kRateError = 0.02;      // of the declared rate
 constexpr double kSpanTolerance = 0.3;   // of a unit, from spans of a command and its answer
 constexpr double kGainTolerance = 0.15;  // of a unit, from a velocity and a derivative
 constexpr double kSaturated = 0.02;      // share of rows at the largest torque
 
-// Steps of the clock; refuses one that does not run.
-absl::StatusOr<double> CheckClock(const CsvTable& table, const std::vector<double>& t,
-                                  double rate_hz, std::vector<std::string>& notes) {
+// Refuses a clock that does not run.
+absl::StatusOr<RowClock> CheckClock(const CsvTable& table, const std::vector<double>& t,
+                                    double rate_hz) {
   if (t.size() < kMinRows)
     return absl::InvalidArgumentError(absl::StrCat(table.path(), ": has ", t.size(),
                                                    " rows, at least ", kMinRows, " are needed"));
@@ -45,33 +48,34 @@ absl::StatusOr<double> CheckClock(const CsvTable& table, const std::vector<doubl
         table.path(), ": t runs at ", 1 / dt, " rows per second, the rig's rate_hz is ", rate_hz,
         "; ", unit.empty() ? "is t in seconds?" : absl::StrCat("the times are ", unit)));
   }
-  double jitter = 0;
+  RowClock clock;
+  double off = 0;
   for (size_t i = 0; i < steps.size(); ++i) {
     if (steps[i] > kGap * dt)
       return absl::InvalidArgumentError(absl::StrCat(table.Place(i + 1), ": a gap of ", steps[i],
                                                      " s (", steps[i] / dt,
                                                      " rows); split the log there"));
-    jitter = std::max(jitter, std::abs(steps[i] / dt - 1));
+    const double rows = std::max(1.0, std::round(steps[i] / dt));
+    clock.lost += static_cast<int>(rows) - 1;
+    off = std::max(off, std::abs(steps[i] / dt - rows));
   }
-  if (jitter > kJitter)
-    notes.push_back(absl::StrCat("the clock jitters by up to ", std::round(jitter * 100),
-                                 " % of a row; channels were resampled to ", rate_hz,
-                                 " rows per second, linearly"));
-  return jitter > kJitter ? -1 / rate_hz
-                          : (t.back() - t.front()) / static_cast<double>(steps.size());
+  clock.dt = (t.back() - t.front()) / static_cast<double>(steps.size() + clock.lost);
+  if (off <= RowClock::kJitter) return clock;
+  clock.dt = 1 / rate_hz;
+  clock.jitter = off;
+  return clock;
 }
 
-std::vector<double> Resample(const std::vector<double>& t, const std::vector<double>& values,
-                             double dt) {
-  std::vector<double> result;
-  size_t i = 0;
-  for (int k = 0;; ++k) {
-    const double at = t.front() + k * dt;
-    if (at > t.back()) return result;
-    while (i + 2 < t.size() && t[i + 1] < at) ++i;
-    const double share = (at - t[i]) / (t[i + 1] - t[i]);
-    result.push_back(values[i] + share * (values[i + 1] - values[i]));
-  }
+void NoteClock(const RowClock& clock, size_t rows, double rate_hz,
+               std::vector<std::string>& notes) {
+  if (clock.jitter > 0)
+    notes.push_back(absl::StrCat("the clock jitters by up to ", std::round(clock.jitter * 100),
+                                 " % of a row; channels were resampled to ", rate_hz,
+                                 " rows per second"));
+  if (clock.lost > 0)
+    notes.push_back(absl::StrCat(clock.lost, " of ", rows + clock.lost,
+                                 " rows are missing; they were filled in, and nothing is compared "
+                                 "there"));
 }
 
 // Takes jumps by a whole turn out of an angle.
@@ -221,6 +225,45 @@ void AdoptVelocity(const std::string& joint, const std::vector<double>& logged, 
   }
 }
 
+// Rows that are read beside their times make noise that grows with speed.
+void NoteTiming(const std::string& joint, double dt, JointRecord& record,
+                std::vector<std::string>& notes) {
+  const ReadingNoise by_speed = NoiseBySpeed(record.q, record.dq);
+  if (by_speed.timing == 0 || by_speed.timing > 0.5 * dt) return;
+  const double before = record.noise;
+  record.still_noise = by_speed.still;
+  record.timing_noise = by_speed.timing;
+  record.noise = std::sqrt(record.NoiseVariance(0, static_cast<int>(record.q.size())));
+  const double more = std::max(1.0, record.noise / std::max(before, 1e-300));
+  record.start_noise_q *= more;
+  if (!record.velocity_logged) record.start_noise_dq *= more;
+  record.acceleration_noise *= more;
+  notes.push_back(absl::StrCat(joint, ": the noise grows with speed: rows were read ",
+                               by_speed.timing * 1e3,
+                               " ms (one standard deviation) off the times that the log gives; the "
+                               "noise floor counts it"));
+}
+
+// Lines between the points at which a controller steps may be what the servo saw, or what a
+// recorder made of steps.
+void FindSteps(JointRecord& record) {
+  record.step_rows = RowsBetweenBends(record.command);
+  if (record.step_rows == 0) return;
+  record.stepped_command = StepsOfLines(record.command, record.step_rows);
+}
+
+void UndrawSteps(JointRecord& record, std::vector<std::string>& notes) {
+  const double share = DrawnSteps(record.command);
+  if (share == 0) return;
+  record.drawn = true;
+  record.command = MeansOfDrawnSteps(record.command, share);
+  notes.push_back(
+      absl::StrCat(record.name,
+                   ": steps of the command pass through a row between: the log was "
+                   "resampled by lines; the steps are put back where the lines say, and "
+                   "the noise floor counts the corners that they cut"));
+}
+
 absl::Status GateJoint(const std::string& file, const RigJoint& joint,
                        const std::vector<double>& logged_velocity, JointRecord& record, double dt,
                        std::vector<std::string>& notes) {
@@ -260,6 +303,8 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   record.noise = NoiseOfReading(record.q);
   if (joint.input == JointInput::kTransmission)
     record.noise = std::hypot(record.noise, NoiseOfReading(record.q_motor));
+  else
+    NoteTiming(joint.name, dt, record, notes);
   const double range = RangeOf(record.q);
   if (range == 0)
     return absl::InvalidArgumentError(
@@ -270,6 +315,9 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
         absl::StrCat(file, ": joint '", joint.name, "' moves by ", range, " over noise of ",
                      record.noise, "; too little excitation, at least 20 times the noise"));
   if (joint.input == JointInput::kPositionTarget) {
+    FindSteps(record);
+    record.dt = dt;
+    UndrawSteps(record, notes);
     const double asked = RangeOf(record.command);
     if (asked == 0)
       return absl::InvalidArgumentError(
@@ -295,6 +343,17 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
 
 }  // namespace
 
+double JointRecord::NoiseVariance(int first, int count) const {
+  if (timing_noise == 0 && !drawn) return noise * noise;
+  double sum = 0;
+  for (int i = first; i < first + count; ++i) {
+    sum += std::pow(timing_noise * dq[i], 2);
+    if (drawn) sum += std::pow(kCorner * dt * dt * ddq[i], 2);
+  }
+  const double still = timing_noise == 0 ? noise : still_noise;
+  return still * still + sum / std::max(1, count);
+}
+
 std::vector<double> UntilNextRow(std::vector<double> at_rows) {
   for (size_t i = 0; i + 1 < at_rows.size(); ++i) at_rows[i] = 0.5 * (at_rows[i] + at_rows[i + 1]);
   return at_rows;
@@ -310,17 +369,28 @@ absl::StatusOr<MeasuredLog> ReadMeasuredLog(const Rig& rig, const RigLog& declar
   log.role = declared.role;
   log.overrides = declared.overrides;
   RS_ASSIGN_OR_RETURN(const std::vector<double> t, channels.Need("t", " [s]"));
-  RS_ASSIGN_OR_RETURN(const double clock, CheckClock(table, t, rig.rate_hz, log.notes));
-  log.dt = std::abs(clock);
+  RS_ASSIGN_OR_RETURN(const RowClock clock, CheckClock(table, t, rig.rate_hz));
+  NoteClock(clock, t.size(), rig.rate_hz, log.notes);
+  log.dt = clock.dt;
+  log.clock_jitter = clock.jitter;
+  log.lost_rows = clock.lost;
+  std::optional<Resampling> resampling;
+  if (clock.resampled()) resampling.emplace(t, clock);
+  if (clock.lost > 0) log.absent = resampling->absent();
   for (const RigJoint& joint : rig.joints) {
     RS_ASSIGN_OR_RETURN(JointRecord record, ReadJoint(channels, joint));
-    for (auto* channel : {&record.command, &record.q, &record.q_motor, &record.tau,
-                          &record.temperature, &record.enable}) {
-      if (clock < 0 && !channel->empty()) *channel = Resample(t, *channel, log.dt);
-    }
+    for (auto* channel : {&record.tau, &record.temperature, &record.enable})
+      if (resampling && !channel->empty()) *channel = resampling->Lines(*channel);
+    for (auto* channel : {&record.command, &record.q, &record.q_motor})
+      if (resampling && !channel->empty()) *channel = resampling->Curves(*channel);
     std::vector<double> velocity = channels.Optional("dq_" + joint.name);
-    if (clock < 0 && !velocity.empty()) velocity = Resample(t, velocity, log.dt);
+    if (resampling && !velocity.empty()) velocity = resampling->Curves(velocity);
     RS_RETURN_IF_ERROR(GateJoint(declared.file, joint, velocity, record, log.dt, log.notes));
+    MarkGuesses(record.q, record.noise, log.absent);
+    if (joint.input == JointInput::kPositionTarget)
+      MarkGuesses(record.command, record.noise, log.absent);
+    if (joint.input == JointInput::kTorque)
+      MarkGuesses(record.tau, NoiseOfReading(record.tau), log.absent);
     log.joints.push_back(std::move(record));
   }
   log.rows = static_cast<int>(log.joints.front().q.size());

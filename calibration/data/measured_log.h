@@ -35,6 +35,18 @@ struct JointRecord {
   double start_noise_q = 0, start_noise_dq = 0, acceleration_noise = 0;
   // [rad] standard deviation of q about those; of a transmission of both readings together.
   double noise = 0;
+  // Where rows were read at other moments than the log says, the noise grows with speed: its part
+  // at rest [rad], and the deviation of those moments [s]. timing_noise 0: `noise` is all.
+  double still_noise = 0, timing_noise = 0;
+  // Readings were drawn through by lines, which cut the corners of a motion by up to ddq dt^2 / 8.
+  bool drawn = false;
+  double dt = 0;  // [s]
+  // Where the log draws lines between commands that may have held: the command that steps, and the
+  // rows from one step to the next; 0: there is no such doubt.
+  std::vector<double> stepped_command;
+  int step_rows = 0;
+  // Variance of the noise over rows first ... first + count - 1 [rad^2].
+  double NoiseVariance(int first, int count) const;
 };
 
 struct MeasuredLog {
@@ -44,7 +56,14 @@ struct MeasuredLog {
   double dt = 0;  // [s]
   int rows = 0;
   std::vector<JointRecord> joints;  // in the order of the rig
-  std::vector<std::string> notes;   // what the reader found and what it did about it
+  // [rows] lost by the recorder and filled in: kFilled, or kGuessed where what was filled in is off
+  // by more than the noise, so that a free run can not go on through it; else 0. Empty: none.
+  std::vector<char> absent;
+  static constexpr char kFilled = 1, kGuessed = 2;
+  static constexpr int kSmoothing = 12;  // rows each side, at most, that a state is read from
+  int lost_rows = 0;
+  double clock_jitter = 0;         // [rows] that channels were resampled for; 0: they were not
+  std::vector<std::string> notes;  // what the reader found and what it did about it
 };
 
 // Means of a value at rows with that of the next row; the last one as it is.

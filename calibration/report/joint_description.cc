@@ -6,14 +6,19 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "calibration/report/report_numbers.h"
+#include "calibration/search/next_experiment.h"
+#include "calibration/search/plausibility.h"
 #include "calibration/search/residual_tests.h"
 #include "calibration/search/verdict.h"
 
 namespace robostress::calibration {
 namespace {
 
-constexpr double kExample = 4.0;  // [s] of a log that the report shows
+constexpr double kStartsTold = 2.0;  // times the noise
+constexpr double kExample = 4.0;     // [s] of a log that the report shows
 
 const char* InputName(JointInput input) {
   switch (input) {
@@ -67,10 +72,13 @@ class Description {
     report.mimics_exposed = MimicsExposed(report);
     DescribeEffects(report);
     DescribeResidual(report);
-    const Judgement judgement = Judge(EvidenceOf(report));
+    const Evidence evidence = EvidenceOf(report);
+    const Judgement judgement = Judge(evidence);
+    DescribeNoise(evidence, report);
     report.verdict = judgement.verdict;
-    report.because = judgement.because;
+    report.because = absl::StrCat(judgement.because, StartsOfRuns(report), LogProperties());
     report.excess_explained = judgement.excess_explained;
+    if (judgement.verdict != Verdict::kDeclaredSufficient) DescribeNext(report);
     return report;
   }
 
@@ -80,7 +88,8 @@ class Description {
   void DescribeErrors(JointReport& report) const {
     report.mean_absolute = joint_.rig.metric.type == Metric::Type::kMeanAbsolute;
     report.fit = Errors(LogRole::kFit);
-    report.held_out = Errors(LogRole::kHeldOut);
+    report.held_out = SealedErrors();
+    report.held_out_gates = report.held_out.present && !joint_.seals();
     report.transfer = Errors(LogRole::kTransfer);
     if (joint_.metric.own())
       report.left_out = {factor_ * finding_.left_out_declared, factor_ * finding_.left_out_after,
@@ -94,6 +103,17 @@ class Description {
     if (!joint_.metric.Has(role)) return {};
     return {factor_ * joint_.metric.Error(before_, role),
             factor_ * joint_.metric.Error(after_, role), factor_ * joint_.metric.Floor(role), true};
+  }
+  ErrorReport SealedErrors() const {
+    if (!joint_.metric.Has(LogRole::kHeldOut)) return {};
+    const WindowSet sealed = joint_.Sealed();
+    return {factor_ * joint_.metric.Error(before_, sealed),
+            factor_ * joint_.metric.Error(after_, sealed), factor_ * joint_.metric.Floor(sealed),
+            true};
+  }
+  // What errors are told of: nothing that decided, where there is such.
+  WindowSet Told() const {
+    return joint_.metric.Has(LogRole::kHeldOut) ? joint_.Sealed() : joint_.Fit();
   }
   ErrorReport FullRun() const {
     if (joint_.declared().input == JointInput::kInverse ||
@@ -149,8 +169,9 @@ class Description {
         if (later.name != before.name || std::abs(before.value) < 3 * before.std ||
             std::abs(later.value) > 0.5 * std::abs(before.value))
           continue;
-        exposed.push_back(absl::StrFormat("%s falls from %.4g to %.4g %s: it stood in for %s",
-                                          before.name, before.value, later.value, before.unit,
+        exposed.push_back(absl::StrFormat("%s falls from %s to %s %s: it stood in for %s",
+                                          before.name, ValueText(before.value, before.std),
+                                          ValueText(later.value, later.std), before.unit,
                                           trace_.after.added.front()));
       }
     }
@@ -166,9 +187,8 @@ class Description {
       effect.parameters = Parameters(trace_.after.fit, type + ".");
       JointFit without = Minimise(joint_.problem, WithoutEffect(later, type), joint_.Fit());
       joint_.metric.Refit(without);
-      effect.held_out_error_before =
-          factor_ * joint_.metric.Error(Model(without.best), joint_.UnseenRole());
-      effect.held_out_error_after = factor_ * joint_.metric.Error(after_, joint_.UnseenRole());
+      effect.held_out_error_before = factor_ * joint_.metric.Error(Model(without.best), Told());
+      effect.held_out_error_after = factor_ * joint_.metric.Error(after_, Told());
       effect.p_value = trace_.after.p_values[i];
       effect.cv_gain = trace_.after.cv_gains[i];
       effect.ambiguous_with = trace_.rivals[i];
@@ -202,8 +222,8 @@ class Description {
       const double share = after ? curve.explained_after : curve.explained_declared;
       if (share <= std::max(most, curve.limit) || curve.limit == 0) continue;
       most = share;
-      report.strongest =
-          absl::StrFormat("%s holds %.0f %% of the variance", curve.against, 100 * share);
+      report.strongest = absl::StrFormat("%s holds %.0f %% of the variance%s", curve.against,
+                                         100 * share, WhereItIs(curve, after));
     }
     if (most == 0)
       report.strongest = report.white ? "nothing"
@@ -241,6 +261,56 @@ class Description {
     return example;
   }
 
+  // Free runs start from a smoothed reading. Where that says little the error that is reported is
+  // mostly of the starts.
+  static std::string StartsOfRuns(const JointReport& report) {
+    const ErrorReport& error = report.held_out.present ? report.held_out : report.fit;
+    const double times = error.after / std::max(error.noise_floor, 1e-300);
+    if (times < kStartsTold || report.times_noise.after > 0.5 * times) return "";
+    return absl::StrFormat(
+        "; the reported error is %.1f times its noise, because the readings do not "
+        "say well at which speed a free run starts: without that it is %.2f times",
+        times, report.times_noise.after);
+  }
+
+  // What the recorder did to the logs, so that nobody takes it for the joint's.
+  std::string LogProperties() const {
+    int lost = 0, rows = 0, steps = 0;
+    bool drawn = false;
+    double jitter = 0, timing = 0;
+    for (const JointTrack& track : joint_.problem.tracks()) {
+      lost += track.log->lost_rows, rows += track.log->rows;
+      jitter = std::max(jitter, track.log->clock_jitter);
+      timing = std::max(timing, track.record().timing_noise);
+      steps = std::max(steps, track.record().step_rows);
+      drawn |= track.record().drawn;
+    }
+    std::vector<std::string> found;
+    if (lost > 0) found.push_back(absl::StrFormat("%d of %d rows are missing", lost, rows));
+    if (jitter > 0)
+      found.push_back(absl::StrFormat("their clock jitters by %.0f %% of a row", 100 * jitter));
+    if (timing > 0)
+      found.push_back(absl::StrFormat("rows were read %.2g ms off their times", 1e3 * timing));
+    if (steps > 0)
+      found.push_back(absl::StrFormat(
+          "the command steps every %d rows and was logged as lines between", steps));
+    if (drawn) found.push_back("they were resampled by lines");
+    return found.empty() ? "" : absl::StrCat("; of the logs: ", absl::StrJoin(found, ", "));
+  }
+
+  static void DescribeNoise(const Evidence& evidence, JointReport& report) {
+    const auto times = [](double error, double floor) { return floor > 0 ? error / floor : 0; };
+    report.times_noise.declared = times(evidence.declared, evidence.floor);
+    report.times_noise.bulk = times(evidence.declared_bulk, evidence.floor);
+    report.times_noise.after = times(evidence.after, evidence.floor);
+    for (const Evidence::Regime& regime : evidence.regimes) {
+      double& worst = report.times_noise.worst_log;
+      worst = std::max(worst, times(regime.declared, regime.floor));
+      double& bulk = report.times_noise.worst_log_bulk;
+      bulk = std::max(bulk, times(regime.bulk, regime.floor));
+    }
+  }
+
   Evidence EvidenceOf(const JointReport& report) const {
     Evidence evidence;
     const WindowSet unseen = joint_.Unseen(), transfer = joint_.problem.OfRole(LogRole::kTransfer);
@@ -249,15 +319,78 @@ class Description {
     evidence.after = joint_.ProjectedRms(after_, unseen);
     evidence.floor = joint_.problem.ProjectedFloor(unseen);
     evidence.inverse = joint_.declared().input == JointInput::kInverse;
-    evidence.declared_white = report.residual_declared.white;
     evidence.transfer_declared = joint_.ProjectedRms(before_, transfer);
     evidence.transfer_after = joint_.ProjectedRms(after_, transfer);
     evidence.effects = static_cast<int>(trace_.after.added.size());
+    evidence.doubts = Doubts();
+    for (const LogRole role : {LogRole::kFit, LogRole::kHeldOut, LogRole::kTransfer})
+      AddRegimes(role, evidence);
     evidence.ambiguous = !report.groups.empty();
     for (const CandidateReport& line : trace_.rounds.front().candidates)
       evidence.significant |= line.p_value <= 0.01;
     for (const char fits : joint_.Fit()) evidence.windows += fits;
     return evidence;
+  }
+
+  std::vector<std::string> Doubts() const {
+    std::vector<std::string> doubts;
+    const JointFit& fit = trace_.after.fit;
+    const std::vector<double> std = StandardDeviations(joint_.problem, fit, joint_.Fit());
+    for (const std::string& added : trace_.after.added)
+      if (std::string doubt = ParameterDoubt(fit, std, added); !doubt.empty())
+        doubts.push_back(std::move(doubt));
+    if (std::string doubt = PhysicalDoubt(joint_.problem, fit, std);
+        !trace_.after.added.empty() && !doubt.empty())
+      doubts.push_back(std::move(doubt));
+    return doubts;
+  }
+
+  // What would tell what was added from its rivals, or else from what came nearest.
+  void DescribeNext(JointReport& report) const {
+    std::vector<JointModel> models = {after_};
+    std::vector<std::string> others;
+    for (const TracedModel& other : trace_.alternatives) {
+      std::string name = NameOf(other.added);
+      if (name == NameOf(trace_.after.added)) continue;
+      models.push_back(Model(other.fit.best));
+      others.push_back(std::move(name));
+    }
+    const NextExperiment next = ProposeExperiment(joint_.problem, models);
+    if (next.what.empty()) {
+      report.next_experiment.text = "more of what moves the joint: nothing came near what is left";
+      return;
+    }
+    const bool hinge = joint_.plant.hinge(joint_.index);
+    const double factor = next.torque ? 1 : factor_;
+    const std::string unit = next.torque ? (hinge ? "Nm" : "N") : unit_;
+    report.next_experiment = {"", unit, factor * next.apart, factor * next.now};
+    std::string& text = report.next_experiment.text;
+    text = absl::StrFormat(
+        "to tell %s from %s, record %s: there they are %.3g %s apart or more, in the log as it is "
+        "%.3g",
+        NameOf(trace_.after.added), absl::StrJoin(others, ", "), next.what, factor * next.apart,
+        unit, factor * next.now);
+    const double floor = joint_.problem.ProjectedFloor(joint_.Fit());
+    if (joint_.declared().input != JointInput::kTorque && next.apart < floor)
+      absl::StrAppendFormat(&text, "; that is less than the noise, %.3g, and takes another sensor",
+                            factor * floor);
+  }
+  static std::string NameOf(std::vector<std::string> added) {
+    std::sort(added.begin(), added.end());
+    return added.empty() ? "the declared model" : absl::StrJoin(added, "+");
+  }
+
+  // One per log.
+  void AddRegimes(LogRole role, Evidence& evidence) const {
+    const WindowSet of_role = joint_.problem.OfRole(role);
+    for (size_t track = 0; track < joint_.problem.tracks().size(); ++track) {
+      WindowSet own = of_role;
+      for (size_t i = 0; i < own.size(); ++i) own[i] &= joint_.problem.windows()[i].track == track;
+      if (joint_.problem.Rows(own) == 0) continue;
+      evidence.regimes.push_back(
+          {joint_.problem.tracks()[track].log->file, joint_.ProjectedRms(before_, own),
+           joint_.ProjectedBulk(before_, own), joint_.problem.ProjectedFloor(own)});
+    }
   }
 
   const JointCase& joint_;

@@ -96,6 +96,18 @@ Json JointJson(const JointReport& joint) {
             {"transfer", ErrorJson(joint.transfer)},
             {"full_run", ErrorJson(joint.full_run)}}},
           {"excess_explained", joint.excess_explained},
+          {"times_noise",
+           {{"declared", joint.times_noise.declared},
+            {"bulk", joint.times_noise.bulk},
+            {"after", joint.times_noise.after},
+            {"worst_log", joint.times_noise.worst_log},
+            {"worst_log_bulk", joint.times_noise.worst_log_bulk}}},
+          {"held_out_gates", joint.held_out_gates},
+          {"next_experiment",
+           {{"text", joint.next_experiment.text},
+            {"apart", joint.next_experiment.apart},
+            {"now", joint.next_experiment.now},
+            {"unit", joint.next_experiment.unit}}},
           {"parameters_declared", ParametersJson(joint.declared_parameters)},
           {"parameters_after", ParametersJson(joint.after_parameters)},
           {"mimics_exposed", joint.mimics_exposed},
@@ -147,9 +159,10 @@ std::string ReportJson(const CalibrationReport& report) {
       strongest = joint.joint + ": " + joint.residual_after.strongest;
     for (const AddedEffectReport& effect : joint.effects) {
       added.push_back(EffectJson(joint, effect));
-      if (effect.separating_experiment.empty()) continue;
-      experiment += (experiment.empty() ? "" : "; ") + effect.separating_experiment;
     }
+    if (!joint.next_experiment.text.empty())
+      absl::StrAppend(&experiment, experiment.empty() ? "" : "; ", joint.joint, ": ",
+                      joint.next_experiment.text);
     for (const auto& group : joint.groups) groups.push_back(group);
     if (joint.rounds.empty()) continue;
     for (const CandidateReport& c : joint.rounds.front().candidates) {

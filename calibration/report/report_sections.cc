@@ -297,6 +297,8 @@ std::string RemainingSection(const JointReport& joint) {
                      "brackets what they do not): ",
                      absl::StrJoin(names, ", "), "."));
   }
+  if (!joint.next_experiment.text.empty())
+    item(absl::StrCat("What to do next: ", EscapeXml(joint.next_experiment.text), "."));
   return items.empty() ? "" : absl::StrCat(Heading("What remains"), "<ul>", items, "</ul>\n");
 }
 

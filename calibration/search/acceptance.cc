@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "calibration/search/plausibility.h"
 
 namespace robostress::calibration {
 namespace {
@@ -50,6 +51,13 @@ std::string Acceptance::Objection(const TracedModel& base, const TracedModel& mo
     if (!objection.empty()) return objection;
   }
   return "";
+}
+
+std::string Acceptance::Doubt(const TracedModel& model) const {
+  const std::vector<double> std = StandardDeviations(problem_, model.fit, fit_windows_);
+  for (const std::string& added : model.added)
+    if (std::string doubt = ParameterDoubt(model.fit, std, added); !doubt.empty()) return doubt;
+  return PhysicalDoubt(problem_, model.fit, std);
 }
 
 double Acceptance::BicGain(const TracedModel& base, const TracedModel& model) const {

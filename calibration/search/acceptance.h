@@ -26,6 +26,9 @@ class Acceptance {
   // What of it concerns the size of an effect: beyond its uncertainty, off its bounds and the same
   // over folds.
   std::string SizeObjection(const TracedModel& model, const std::string& added) const;
+  // Why the fit can not be what the machine is, however well it predicts (plausibility.h). Empty:
+  // it can.
+  std::string Doubt(const TracedModel& model) const;
 
  private:
   double BicGain(const TracedModel& base, const TracedModel& model) const;

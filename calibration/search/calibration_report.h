@@ -87,9 +87,16 @@ struct JointReport {
   std::string joint, input, unit;
   Verdict verdict = Verdict::kNotTestable;
   std::string because;  // the verdict in one sentence
+  // held_out: of the part of the held-out logs that decides nothing.
   ErrorReport fit, cross_validated, held_out, transfer, full_run;
+  bool held_out_gates = false;  // those logs are too short for that: all of them decide
   ErrorReport left_out;         // each fold by what is best for the others; of a metric of its own
   bool mean_absolute = false;   // fit, held_out, transfer and left_out; else RMS
+  // Projected residuals over the noise of the readings, of the logs that decide; bulk: without the
+  // tenth of the free runs that is farthest off; the worst log of all.
+  struct TimesNoise {
+    double declared = 0, bulk = 0, after = 0, worst_log = 0, worst_log_bulk = 0;
+  } times_noise;
   double excess_explained = 0;  // share of the declared model's excess over noise, held out
   std::vector<ParameterReport> declared_parameters, after_parameters;
   std::vector<std::string> mimics_exposed;  // declared parameters that stood in for an added effect
@@ -100,6 +107,12 @@ struct JointReport {
   WhitenessReport residual_declared, residual_after;
   std::vector<StructureCurve> structure;
   std::vector<ExampleReport> examples;
+  // What to do next (next_experiment.h), in a sentence; empty of a model that is sufficient. The
+  // figures are in `unit`, or of torque.
+  struct Experiment {
+    std::string text, unit;
+    double apart = 0, now = 0;
+  } next_experiment;
 };
 
 // What `robostress calibrate` found out.

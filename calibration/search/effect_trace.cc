@@ -23,7 +23,8 @@ constexpr double kNotTestable = 0.02;  // surviving share
 constexpr double kSimilarErrors = 2;   // standard errors of the difference over folds
 constexpr double kAsWell = 0.05;       // a simpler model's error may be larger by this share
 constexpr double kOutclassed = 3;      // times the lowest error of a round
-constexpr int kRestarts = 2;           // from a better declared model
+constexpr size_t kAlternatives = 3;
+constexpr int kRestarts = 2;  // from a better declared model
 
 // Effects by name, with a partner where there is one.
 std::string NameOf(const Candidate& candidate) { return candidate.effect->type; }
@@ -67,18 +68,21 @@ class Search {
     while (!beam.empty() && static_cast<int>(beam.front().added.size()) < options_.max_effects) {
       // Nothing but noise is left.
       if (LittleLeft(trace.declared, best)) break;
-      std::vector<TracedModel> next;
+      std::vector<TracedModel> next, doubtful;
       double wanted = 1 - Acceptance::kMinCvGain;  // of the leader's error
       for (const TracedModel& base : beam) {
-        trace.rounds.push_back(Round(base, next));
+        trace.rounds.push_back(Round(base, next, doubtful));
         if (base.added.empty()) NoteNotTestable(trace);
         if (&base == &beam.front() && next.empty() && MayTakePair(base))
-          PairRound(base, trace.rounds.back(), next);
+          PairRound(base, trace.rounds.back(), next, doubtful);
         if (&base != &beam.front() || !next.empty()) continue;
         // A leader that nothing improves on is the answer, unless much is left and another way
         // leads much further.
         wanted = kDetourGain;
       }
+      // What can not be the machine is better than nothing to predict with; the verdict claims none
+      // of it.
+      if (next.empty()) next = std::move(doubtful);
       KeepBest(next, best);
       if (next.empty() || next.front().cv.Rms() > wanted * best.cv.Rms()) break;
       best = next.front();
@@ -115,8 +119,10 @@ class Search {
         options_.finalists);
     for (const std::string& effect : trace.after.added) {
       options_.progress(absl::StrCat("rivals of ", effect));
-      trace.rivals.push_back(rivals.RivalsOf(trace.after, effect));
+      trace.rivals.push_back(rivals.RivalsOf(trace.after, effect, trace.alternatives));
     }
+    if (trace.alternatives.empty())
+      trace.alternatives = refits_.Nearest(trace.after.added, kAlternatives);
     trace.declared.fit = OnAllWindows(trace.declared);
     trace.after.fit = trace.after.added.empty() ? trace.declared.fit : OnAllWindows(trace.after);
   }
@@ -129,7 +135,8 @@ class Search {
   }
 
   // Screens everything on top of `base`, refits the finalists, and adds what is accepted to `next`.
-  RoundReport Round(const TracedModel& base, std::vector<TracedModel>& next) {
+  RoundReport Round(const TracedModel& base, std::vector<TracedModel>& next,
+                    std::vector<TracedModel>& doubtful) {
     RoundReport report;
     report.base = base.added;
     report.cv_error = base.cv.Rms();
@@ -154,7 +161,9 @@ class Search {
       promised[i] = contenders[i].Promised(base.fit.rms);
     });
     refits_.SettleBest(models, promised, base.fit.rms);
-    refits_.Restart(models);
+    const bool lost = base.added.empty() && refits_.IsLost(base.fit);
+    if (lost) FromOwnValues(base, contenders, models);
+    refits_.Restart(models, lost);
     refits_.CrossValidateBest(models);
     for (size_t i = 0; i < contenders.size(); ++i) {
       CandidateReport line;
@@ -162,16 +171,14 @@ class Search {
       line.surviving = contenders[i].surviving;
       line.linear_gain = contenders[i].gain;
       line.p_value = contenders[i].p;
-      if (static_cast<int>(i) < refits) {
+      if (i < models.size()) {
         TracedModel& model = models[i];
         line.refitted = true;
         line.cv_gain = 1 - (model.cv.energy.empty() ? model.fit.rms / base.fit.rms
                                                     : model.cv.Rms() / base.cv.Rms());
-        line.reason = acceptance_.Objection(base, model, contenders[i].p);
-        line.accepted = line.reason.empty();
         model.p_values.push_back(contenders[i].p);
         model.cv_gains.push_back(line.cv_gain);
-        if (line.accepted) next.push_back(model);
+        Decide(base, model, contenders[i].p, line, next, doubtful);
         if (!model.cv.energy.empty()) refits_.Keep(std::move(model));
       } else {
         line.reason =
@@ -193,6 +200,53 @@ class Search {
     return report;
   }
 
+  // Says in `line` whether `model` is accepted, and puts it where it belongs.
+  void Decide(const TracedModel& base, const TracedModel& model, double p, CandidateReport& line,
+              std::vector<TracedModel>& next, std::vector<TracedModel>& doubtful) const {
+    line.reason = acceptance_.Objection(base, model, p);
+    if (!line.reason.empty()) return;
+    line.reason = acceptance_.Doubt(model);
+    line.accepted = line.reason.empty();
+    (line.accepted ? next : doubtful).push_back(model);
+  }
+
+  // Screens and fits again from the rig's own values: a declared model that has run onto bounds
+  // shows an effect's signature where the machine never was. Of a candidate that was refitted the
+  // better fit stays; others come in behind, and `contenders` is put in the order of `models`.
+  void FromOwnValues(const TracedModel& base, std::vector<Contender>& contenders,
+                     std::vector<TracedModel>& models) {
+    options_.progress("the declared model has run onto bounds: again from the rig's own values");
+    TracedModel own = base;
+    own.fit = refits_.OwnValues();
+    const Screening screening(problem_, own.fit, scales_, Candidates(own), fit_windows_);
+    const NullDistribution null =
+        DrawNull(problem_, screening, fit_windows_, options_.surrogates, options_.seed);
+    std::vector<Contender> others = Rank(screening, null);
+    if (others.empty()) return;
+    const int count = ChooseFinalists(others, screening, options_.finalists);
+    std::vector<TracedModel> found(count);
+    std::vector<double> promised(count);
+    ParallelFor(count, [&](int i) {
+      found[i] = refits_.OnTrial(own, screening, others[i]);
+      promised[i] = others[i].Promised(own.fit.rms);
+    });
+    refits_.SettleBest(found, promised, own.fit.rms);
+    for (int i = 0; i < count; ++i) {
+      const auto same = std::find_if(contenders.begin(), contenders.end(), [&](const auto& c) {
+        return c.candidate == others[i].candidate;
+      });
+      if (same == contenders.end()) continue;
+      same->p = std::min(same->p, others[i].p);
+      const size_t at = same - contenders.begin();
+      if (at < models.size()) {
+        if (found[i].fit.rms < models[at].fit.rms) models[at] = std::move(found[i]);
+        continue;
+      }
+      std::swap(*same, contenders[models.size()]);
+      models.push_back(std::move(found[i]));
+    }
+  }
+
   // A pair is tried where no single effect is accepted and more than noise is left.
   bool MayTakePair(const TracedModel& base) const {
     return static_cast<int>(base.added.size()) + 2 <= options_.max_effects &&
@@ -200,7 +254,8 @@ class Search {
   }
 
   // Two effects may hide each other: neither explains much alone.
-  void PairRound(const TracedModel& base, RoundReport& report, std::vector<TracedModel>& next) {
+  void PairRound(const TracedModel& base, RoundReport& report, std::vector<TracedModel>& next,
+                 std::vector<TracedModel>& doubtful) {
     const Screening screening(problem_, base.fit, scales_, Candidates(base), fit_windows_);
     const std::vector<PairContender> pairs =
         ScreenPairs(problem_, screening, scales_, fit_windows_, options_.surrogates, options_.seed);
@@ -208,7 +263,8 @@ class Search {
     ParallelFor(static_cast<int>(pairs.size()), [&](int i) {
       for (const int candidate : pairs[i].candidates)
         models[i].added.push_back(NameOf(screening.candidates()[candidate]));
-      models[i].fit = Minimise(problem_, pairs[i].start, fit_windows_);
+      models[i].fit =
+          Widen(problem_, Minimise(problem_, pairs[i].start, fit_windows_), fit_windows_);
       models[i].cv = {};
     });
     refits_.CrossValidateBest(models);
@@ -223,11 +279,9 @@ class Search {
       line.refitted = true;
       line.cv_gain = 1 - (model.cv.energy.empty() ? model.fit.rms / base.fit.rms
                                                   : model.cv.Rms() / base.cv.Rms());
-      line.reason = acceptance_.Objection(base, model, pairs[i].p);
-      line.accepted = line.reason.empty();
       model.p_values.resize(model.added.size(), pairs[i].p);
       model.cv_gains.resize(model.added.size(), line.cv_gain);
-      if (line.accepted) next.push_back(model);
+      Decide(base, model, pairs[i].p, line, next, doubtful);
       report.candidates.push_back(std::move(line));
     }
   }

@@ -28,6 +28,8 @@ struct Trace {
   std::vector<RoundReport> rounds;
   // Of every added effect, those that fit the data as well in its place.
   std::vector<std::vector<std::string>> rivals;
+  // Those models; where there are none, what came nearest beside `after`.
+  std::vector<TracedModel> alternatives;
   std::vector<std::pair<std::string, double>> not_testable;  // type, surviving share
 };
 

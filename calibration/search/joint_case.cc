@@ -1,10 +1,12 @@
 #include "calibration/search/joint_case.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace robostress::calibration {
 namespace {
 
+constexpr int kFewWindows = 2;  // of a part of the held-out logs
 constexpr double kBlock = 0.5;  // [s] windows of inputs that are no motion
 
 int WindowRows(const Rig& rig, int joint, double dt) {
@@ -22,15 +24,37 @@ JointCase::JointCase(const Rig& its_rig, const Plant& its_plant,
       index(its_index),
       problem(declared().name, MakeTracks(plant, logs, index),
               WindowRows(rig, index, logs.front().dt)),
-      metric(rig.metric, problem, WindowRows(rig, index, logs.front().dt)) {}
+      metric(rig.metric, problem, WindowRows(rig, index, logs.front().dt)) {
+  const auto windows = [](const WindowSet& set) { return std::count(set.begin(), set.end(), 1); };
+  seals_ = windows(HeldOut(true)) >= kFewWindows && windows(HeldOut(false)) >= kFewWindows;
+}
+
+// Stretches count on over the logs, so that logs of one stretch do not all decide.
+WindowSet JointCase::HeldOut(bool sealed) const {
+  WindowSet chosen = problem.OfRole(LogRole::kHeldOut);
+  int stretch = 0;
+  const Window* last = nullptr;
+  for (size_t i = 0; i < chosen.size(); ++i) {
+    if (!chosen[i]) continue;
+    const Window& window = problem.windows()[i];
+    const double dt = problem.tracks()[window.track].log->dt;
+    const auto index = [&](const Window& w) { return std::floor(w.first * dt / kStretch); };
+    if (last != nullptr && (last->track != window.track || index(*last) != index(window)))
+      ++stretch;
+    last = &window;
+    chosen[i] = (stretch % 2 == 1) == sealed;
+  }
+  return chosen;
+}
 
 WindowSet JointCase::Unseen() const {
+  if (seals_) return HeldOut(false);
   WindowSet held_out = problem.OfRole(LogRole::kHeldOut);
   return problem.Rows(held_out) > 0 ? held_out : Fit();
 }
 
-LogRole JointCase::UnseenRole() const {
-  return metric.Has(LogRole::kHeldOut) ? LogRole::kHeldOut : LogRole::kFit;
+WindowSet JointCase::Sealed() const {
+  return seals_ ? HeldOut(true) : problem.OfRole(LogRole::kHeldOut);
 }
 
 double JointCase::ProjectedRms(const JointModel& model, const WindowSet& windows) const {

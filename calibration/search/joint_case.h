@@ -17,9 +17,13 @@ struct JointCase {
 
   const RigJoint& declared() const { return rig.joints[index]; }
   WindowSet Fit() const { return problem.OfRole(LogRole::kFit); }
-  // Held out where there is something held out, else fitted.
+  // Of the held-out logs every other stretch of kStretch: those that decide, and those that
+  // decide nothing, of which errors are reported. Where the held-out logs are too short both are
+  // all of them; where there are none, `Unseen` is what was fitted and `Sealed` is empty.
   WindowSet Unseen() const;
-  LogRole UnseenRole() const;
+  WindowSet Sealed() const;
+  bool seals() const { return seals_; }
+  static constexpr double kStretch = 1.0;  // [s]
   // Of residuals without what the windows' unknown starts explain.
   double ProjectedRms(const JointModel& model, const WindowSet& windows) const;
   // The same without the tenth of the windows that is farthest off.
@@ -30,6 +34,10 @@ struct JointCase {
   const int index;
   JointProblem problem;
   const MetricFit metric;
+
+ private:
+  WindowSet HeldOut(bool sealed) const;
+  bool seals_ = false;
 };
 
 }  // namespace robostress::calibration

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "absl/strings/match.h"
+#include "calibration/search/plausibility.h"
 #include "calibration/search/subplex.h"
 
 namespace robostress::calibration {
@@ -17,7 +19,10 @@ constexpr int kTrialIterations = 3;  // of each, before the better goes on
 constexpr int kSettleIterations = 12;
 constexpr double kSearchTolerance = 3e-4;
 constexpr int kUnstickEvaluations = 500;
-constexpr double kStiction = 1.25;  // Fs / Fc of further starts
+constexpr int kWidenings = 2;
+constexpr double kWiden = 3;            // times as far
+constexpr double kWideningGain = 0.02;  // of the error
+constexpr double kStiction = 1.25;      // Fs / Fc of further starts
 
 class Cost : public ceres::CostFunction {
  public:
@@ -122,12 +127,17 @@ JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const Window
   ceres::Solve(options, &solver, &summary);
   fit.best.x = x;
   fit.rms = rms_at(x);
-  for (size_t i = 0; i < h.free.size(); ++i) {
-    const double span = h.free[i].upper - h.free[i].lower, value = x[static_cast<int>(i)];
-    fit.at_bound[i] =
-        value - h.free[i].lower < 1e-6 * span || h.free[i].upper - value < 1e-6 * span;
-  }
+  MarkBounds(fit);
   return fit;
+}
+
+void MarkBounds(JointFit& fit) {
+  fit.at_bound.assign(fit.best.free.size(), 0);
+  for (size_t i = 0; i < fit.best.free.size(); ++i) {
+    const FreeParameter& free = fit.best.free[i];
+    const double span = free.upper - free.lower, value = fit.best.x[static_cast<int>(i)];
+    fit.at_bound[i] = value - free.lower < 1e-6 * span || free.upper - value < 1e-6 * span;
+  }
 }
 
 JointFit Try(const JointProblem& problem, const std::vector<Hypothesis>& starts,
@@ -155,6 +165,29 @@ JointFit Unstick(const JointProblem& problem, const JointFit& fit, const WindowS
   start.x = Subplex(error, fit.best.free, fit.best.x, kUnstickEvaluations).x;
   JointFit free = Minimise(problem, start, chosen, kSettleIterations, kSearchTolerance);
   return free.rms < fit.rms ? free : fit;
+}
+
+JointFit Widen(const JointProblem& problem, JointFit fit, const WindowSet& chosen) {
+  for (int round = 0; round < kWidenings; ++round) {
+    Hypothesis wider = fit.best;
+    bool any = false;
+    for (size_t i = 0; i < wider.free.size(); ++i) {
+      FreeParameter& free = wider.free[i];
+      const bool of_effect =
+          free.path.find('.') != std::string::npos && !absl::StartsWith(free.path, "servo.");
+      if (!fit.at_bound[i] || !of_effect || IsAbsence(fit.best, static_cast<int>(i))) continue;
+      const bool upper =
+          free.upper - wider.x[static_cast<int>(i)] < wider.x[static_cast<int>(i)] - free.lower;
+      double& bound = upper ? free.upper : free.lower;
+      any |= bound != 0;
+      bound *= upper == (bound > 0) ? kWiden : 1 / kWiden;
+    }
+    if (!any) return fit;
+    JointFit next = Minimise(problem, wider, chosen, kSettleIterations, kSearchTolerance);
+    if (next.rms > (1 - kWideningGain) * fit.rms) return fit;
+    fit = std::move(next);
+  }
+  return fit;
 }
 
 bool HasFreeFriction(const Hypothesis& h) {

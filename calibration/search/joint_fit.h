@@ -13,6 +13,9 @@ struct JointFit {
   int evaluations = 0;
 };
 
+// Sets at_bound from best.
+void MarkBounds(JointFit& fit);
+
 // Bounded Levenberg-Marquardt (Ceres) on a pseudo-Huber loss of projected residuals, from h.x.
 // Ends when an iteration gains less than `tolerance` of the loss.
 JointFit Minimise(const JointProblem& problem, const Hypothesis& h, const WindowSet& chosen,
@@ -25,6 +28,9 @@ JointFit Settle(const JointProblem& problem, const JointFit& trial, const Window
 // For a fit that stays far above what its signature promised: least squares has got stuck, as where
 // a whole run sticks or slips. Searches without a gradient, then goes on by least squares.
 JointFit Unstick(const JointProblem& problem, const JointFit& fit, const WindowSet& chosen);
+// Where a parameter of the fit's effects stands on a bound that is no absence, goes on with a range
+// that reaches three times as far, up to twice, while that lowers the error by 2 %.
+JointFit Widen(const JointProblem& problem, JointFit fit, const WindowSet& chosen);
 // Whether Stribeck's vs or Fs are free, whose fits may end in a neighbouring minimum.
 bool HasFreeFriction(const Hypothesis& h);
 // From h.x, and where HasFreeFriction also from several speeds with Fs above Fc,

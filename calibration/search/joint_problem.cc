@@ -34,6 +34,27 @@ void SilenceReversals(const JointRecord& record, std::vector<double>& residual) 
     if (silent[i]) residual[i] = 0;
 }
 
+// Rows that a recorder lost say nothing. A free run that meets a guess ends there, and one that
+// starts near a guess does not begin; whole runs go on.
+std::vector<char> SilentRows(const MeasuredLog& log, int window) {
+  std::vector<char> silent(log.absent.size(), 0);
+  const int rows = static_cast<int>(silent.size());
+  for (int i = 0; i < rows; ++i) silent[i] = log.absent[i] != 0;
+  for (int first = 0; window > 0 && first < rows; first += window) {
+    const auto guessed = [&](int from, int to) {
+      const auto begin = log.absent.begin();
+      return std::find(begin + std::max(0, from), begin + std::min(rows, to),
+                       MeasuredLog::kGuessed) -
+             begin;
+    };
+    const int end = std::min(rows, first + window), near = MeasuredLog::kSmoothing;
+    int lost = static_cast<int>(guessed(first, end));
+    if (guessed(first - near, first + near) < std::min(rows, first + near)) lost = first;
+    for (int i = lost; i < end; ++i) silent[i] = 1;
+  }
+  return silent;
+}
+
 bool Motion(JointInput input) {
   return input == JointInput::kPositionTarget || input == JointInput::kTorque;
 }
@@ -51,6 +72,7 @@ JointProblem::JointProblem(std::string joint, std::vector<JointTrack> tracks, in
     for (int first = 0; first < log.rows; first += step)
       windows_.push_back({track, first, std::min(step, log.rows - first)});
     total += log.rows;
+    silent_.push_back(SilentRows(log, window));
   }
   first_window_.push_back(windows_.size());
   stride_ = std::max(1, (total + kMaxResiduals - 1) / kMaxResiduals);
@@ -80,6 +102,8 @@ void JointProblem::Predict(const JointModel& model, size_t index, const std::vec
   const std::vector<double>& measured = track.measured(model.input);
   for (size_t i = 0; i < residual.size(); ++i) residual[i] -= measured[i];
   if (model.input == JointInput::kInverse) SilenceReversals(track.record(), residual);
+  for (size_t i = 0; i < silent_[index].size(); ++i)
+    if (silent_[index][i]) residual[i] = 0;
   if (model.input != JointInput::kTransmission) return;
   double mean = 0;
   for (const double value : residual) mean += value / static_cast<double>(residual.size());
@@ -186,12 +210,19 @@ double JointProblem::ProjectedFloor(const WindowSet& chosen) const {
         const Eigen::Matrix2d gain = StartGain(S, Record(windows_[i]));
         trace += (gain * SS * gain * SS).trace() - 2 * (gain * SS).trace();
       }
-      sum += trace * std::pow(Record(windows_[i]).noise, 2);
+      sum += trace * Heard(windows_[i]) * NoiseVariance(windows_[i]);
       count += rows;
     }
     from += rows;
   }
   return count == 0 ? 0 : floor_scale_ * std::sqrt(sum / count);
+}
+
+double JointProblem::Heard(const Window& window) const {
+  const std::vector<char>& silent = silent_[window.track];
+  if (silent.empty()) return 1;
+  const auto begin = silent.begin() + window.first;
+  return 1 - static_cast<double>(std::count(begin, begin + window.rows, 1)) / window.rows;
 }
 
 double JointProblem::Floor(const WindowSet& chosen) const {
@@ -201,10 +232,10 @@ double JointProblem::Floor(const WindowSet& chosen) const {
     const int rows = Rows(windows_[i]);
     if (chosen[i]) {
       const JointRecord& record = Record(windows_[i]);
-      sum += rows * record.noise * record.noise;
+      sum += rows * Heard(windows_[i]) * NoiseVariance(windows_[i]);
       if (starts_.rows() > 0) {
         const Eigen::MatrixX2d S = starts_.middleRows(from, rows);
-        sum += S.col(0).squaredNorm() * std::pow(record.start_noise_q, 2) +
+        sum += Heard(windows_[i]) * S.col(0).squaredNorm() * std::pow(record.start_noise_q, 2) +
                S.col(1).squaredNorm() * std::pow(record.start_noise_dq, 2);
       }
       count += rows;

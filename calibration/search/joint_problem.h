@@ -33,6 +33,7 @@ class JointProblem {
   const std::string& joint() const { return joint_; }
   const std::vector<JointTrack>& tracks() const { return tracks_; }
   const std::vector<Window>& windows() const { return windows_; }
+  int window() const { return window_; }  // [rows]
   WindowSet All() const { return WindowSet(windows_.size(), 1); }
   WindowSet OfRole(LogRole role) const;
   int stride() const { return stride_; }
@@ -68,11 +69,17 @@ class JointProblem {
   Eigen::VectorXd Gather(const JointModel& model, const WindowSet& chosen,
                          JointSimulation::StartOffset offset) const;
   const JointRecord& Record(const Window& window) const { return tracks_[window.track].record(); }
+  // Share of a window's rows that say something.
+  double Heard(const Window& window) const;
+  double NoiseVariance(const Window& window) const {
+    return Record(window).NoiseVariance(window.first, window.rows);
+  }
 
   std::string joint_;
   std::vector<JointTrack> tracks_;
   std::vector<Window> windows_;
-  std::vector<size_t> first_window_;  // of every track, and one past the end
+  std::vector<std::vector<char>> silent_;  // [tracks][rows] 1: says nothing; empty: every row does
+  std::vector<size_t> first_window_;       // of every track, and one past the end
   int window_ = 0, stride_ = 1;
   double floor_scale_ = 1;
   Eigen::Matrix<double, Eigen::Dynamic, 2> starts_;  // [all rows] sensitivities; empty: none

@@ -2,12 +2,14 @@
 
 #include <algorithm>
 
+#include "absl/strings/str_cat.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
 namespace {
 
 constexpr double kMinHeldOut = 0.25;  // of the held-out energy above the floor
+constexpr double kCostless = 0.02;    // of an error: less is no cost
 constexpr double kClear = 1.5;        // times the floor: what is less is not looked at by itself
 
 class Search {
@@ -32,6 +34,7 @@ class Search {
       trace.after = trace.declared;
       trace.rivals.clear();
     }
+    DropCostless(trace);
     joint_.metric.Refit(trace.declared.fit);
     joint_.metric.Refit(trace.after.fit);
     if (joint_.metric.own()) TrimByMetric(finding);
@@ -68,8 +71,8 @@ class Search {
   // leave more than noise, and the added effects explain part of that; or of the free runs that are
   // not far off, where those by themselves clearly hold more than noise.
   bool HelpsOnHeldOut(const Trace& trace) const {
-    const WindowSet held_out = joint_.problem.OfRole(LogRole::kHeldOut);
-    if (joint_.problem.Rows(held_out) == 0 || trace.after.added.empty()) return true;
+    if (!HasHeldOut() || trace.after.added.empty()) return true;
+    const WindowSet held_out = joint_.Unseen();
     const Hypothesis &declared = trace.declared.fit.best, &after = trace.after.fit.best;
     const JointModel before = ModelAt(declared, declared.x), later = ModelAt(after, after.x);
     const double floor = joint_.problem.ProjectedFloor(held_out);
@@ -83,6 +86,39 @@ class Search {
     return bulk > kClear * floor && explained(bulk, joint_.ProjectedBulk(later, held_out));
   }
 
+  bool HasHeldOut() const {
+    return joint_.problem.Rows(joint_.problem.OfRole(LogRole::kHeldOut)) > 0;
+  }
+
+  // Drops effects without which held-out runs, and whole runs, are predicted as well: the last
+  // first, because it mattered least.
+  void DropCostless(Trace& trace) const {
+    if (!HasHeldOut()) return;
+    const WindowSet held_out = joint_.Unseen();
+    for (size_t i = trace.after.added.size(); i-- > 0 && trace.after.added.size() > 1;) {
+      TracedModel shorter = Without(trace.after, i);
+      if (ErrorOf(shorter, held_out) > (1 + kCostless) * ErrorOf(trace.after, held_out) ||
+          WholeRunError(shorter) > (1 + kCostless) * WholeRunError(trace.after))
+        continue;
+      options_.progress(
+          absl::StrCat(trace.after.added[i], " is dropped: held-out runs do as well"));
+      CrossValidateAgain(shorter);
+      trace.after = std::move(shorter);
+      trace.rivals.erase(trace.rivals.begin() + static_cast<std::ptrdiff_t>(i));
+    }
+  }
+
+  double ErrorOf(const TracedModel& model, const WindowSet& windows) const {
+    return joint_.ProjectedRms(ModelAt(model.fit.best, model.fit.best.x), windows);
+  }
+  // Of the fitted logs; 0 of inputs that are no motion.
+  double WholeRunError(const TracedModel& model) const {
+    const JointInput input = joint_.declared().input;
+    if (input == JointInput::kInverse || input == JointInput::kTransmission) return 0;
+    const JointProblem whole(joint_.declared().name, joint_.problem.tracks(), 0);
+    return whole.Rms(ModelAt(model.fit.best, model.fit.best.x), whole.OfRole(LogRole::kFit));
+  }
+
   // The search compares models by projected free runs. By a metric of its own a rig may predict
   // left-out folds as well without the effect that matters least: then it is dropped.
   void TrimByMetric(Finding& finding) const {
@@ -94,7 +130,9 @@ class Search {
                                  ? finding.left_out_declared
                                  : metric.LeftOut(trace.after.fit.best, joint_.rig.folds);
     while (trace.after.added.size() > 1) {
-      TracedModel shorter = WithoutLast(trace.after);
+      TracedModel shorter = Without(trace.after, trace.after.added.size() - 1);
+      CrossValidateAgain(shorter);
+      joint_.metric.Refit(shorter.fit);
       const double left_out = metric.LeftOut(shorter.fit.best, joint_.rig.folds);
       if (left_out > finding.left_out_after) return;
       trace.after = std::move(shorter);
@@ -103,16 +141,18 @@ class Search {
     }
   }
 
-  TracedModel WithoutLast(TracedModel model) const {
-    const Hypothesis less = WithoutEffect(model.fit.best, model.added.back());
-    model.added.pop_back();
-    model.p_values.pop_back();
-    model.cv_gains.pop_back();
+  TracedModel Without(TracedModel model, size_t index) const {
+    const auto at = static_cast<std::ptrdiff_t>(index);
+    const Hypothesis less = WithoutEffect(model.fit.best, model.added[index]);
+    model.added.erase(model.added.begin() + at);
+    model.p_values.erase(model.p_values.begin() + at);
+    model.cv_gains.erase(model.cv_gains.begin() + at);
     model.fit = Minimise(joint_.problem, less, joint_.Fit());
+    return model;
+  }
+  void CrossValidateAgain(TracedModel& model) const {
     model.cv =
         CrossValidate(joint_.problem, model.fit, MakeFolds(joint_.problem, joint_.rig.folds));
-    joint_.metric.Refit(model.fit);
-    return model;
   }
 
   const JointCase& joint_;

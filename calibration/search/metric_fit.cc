@@ -19,16 +19,19 @@ MetricFit::MetricFit(const Metric& metric, const JointProblem& search, int windo
 
 bool MetricFit::Has(LogRole role) const { return problem_.Rows(problem_.OfRole(role)) > 0; }
 
-double MetricFit::Floor(LogRole role) const {
-  const double rms = search_.Floor(search_.OfRole(role));
+double MetricFit::Floor(LogRole role) const { return Floor(search_.OfRole(role)); }
+
+double MetricFit::Floor(const WindowSet& windows) const {
+  const double rms = search_.Floor(windows);
   return type_ == Metric::Type::kMeanAbsolute ? std::sqrt(2 / M_PI) * rms : rms;
 }
 
 double MetricFit::Error(const JointModel& model, LogRole role) const {
-  return Has(role) ? ErrorOn(model, problem_.OfRole(role)) : 0;
+  return Error(model, problem_.OfRole(role));
 }
 
-double MetricFit::ErrorOn(const JointModel& model, const WindowSet& windows) const {
+double MetricFit::Error(const JointModel& model, const WindowSet& windows) const {
+  if (problem_.Rows(windows) == 0) return 0;
   if (type_ == Metric::Type::kRms) return problem_.Rms(model, windows);
   return problem_.Residuals(model, windows).cwiseAbs().mean();
 }
@@ -49,10 +52,11 @@ void MetricFit::Refit(JointFit& fit) const {
   const double error = Error(ModelAt(fit.best, fit.best.x), LogRole::kFit);
   if (fit.rms < kNoiseLeft * floor || error < kNoiseLeft * Floor(LogRole::kFit)) return;
   fit.best = Best(fit.best);
+  MarkBounds(fit);
 }
 
 SubplexMinimum MetricFit::Descend(const Hypothesis& from, const WindowSet& windows) const {
-  const auto error = [&](const Eigen::VectorXd& x) { return ErrorOn(ModelAt(from, x), windows); };
+  const auto error = [&](const Eigen::VectorXd& x) { return Error(ModelAt(from, x), windows); };
   return Subplex(error, from.free, from.x, kMaxEvaluations);
 }
 

@@ -23,6 +23,9 @@ class MetricFit {
   // [rad or m; Nm or N of input inverse] 0 where no log has the role.
   double Error(const JointModel& model, LogRole role) const;
   double Floor(LogRole role) const;
+  // Of windows of the search's problem.
+  double Error(const JointModel& model, const WindowSet& windows) const;
+  double Floor(const WindowSet& windows) const;
   bool Has(LogRole role) const;
 
   // Refitted to the fit logs from `from`: least squares, and for a metric of its own subplex
@@ -35,7 +38,6 @@ class MetricFit {
   double LeftOut(const Hypothesis& best, Folds folds) const;
 
  private:
-  double ErrorOn(const JointModel& model, const WindowSet& windows) const;
   SubplexMinimum Descend(const Hypothesis& from, const WindowSet& windows) const;
   // From what is best for all windows to what is best for these.
   Hypothesis Again(Hypothesis best, const WindowSet& windows) const;

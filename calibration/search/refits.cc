@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_join.h"
 #include "calibration/search/parallel.h"
+#include "calibration/search/plausibility.h"
 
 namespace robostress::calibration {
 namespace {
@@ -15,7 +16,8 @@ constexpr double kOutclassed = 3;     // times the lowest error of a round
 constexpr double kAtFloor = 1.1;      // times the floor: nothing is left to gain
 constexpr int kStartsPerCandidate = 2;
 constexpr char kFriction[] = "stribeck_friction";
-constexpr double kStuck = 1.3;  // times the promised error
+constexpr double kStuck = 1.3;   // times the promised error
+constexpr double kMuchLeft = 3;  // times the floor
 
 std::string KeyOf(std::vector<std::string> added) {
   std::sort(added.begin(), added.end());
@@ -32,6 +34,15 @@ WindowSet Thinned(WindowSet windows) {
     ++seen;
   }
   return windows;
+}
+
+std::vector<TracedModel*> ByError(std::vector<TracedModel>& models) {
+  std::vector<TracedModel*> order;
+  for (TracedModel& model : models) order.push_back(&model);
+  std::stable_sort(order.begin(), order.end(), [](const TracedModel* a, const TracedModel* b) {
+    return a->fit.rms < b->fit.rms;
+  });
+  return order;
 }
 
 }  // namespace
@@ -76,6 +87,7 @@ void Refits::SettleBest(std::vector<TracedModel>& models, const std::vector<doub
     if (model.added.back() == kFriction)
       model.fit = MinimiseFriction(problem_, model.fit.best, windows_);
     if (model.fit.rms > kStuck * promised[i]) model.fit = Unstick(problem_, model.fit, windows_);
+    model.fit = Widen(problem_, model.fit, windows_);
   });
 }
 
@@ -86,27 +98,39 @@ Hypothesis Refits::FromStart(Hypothesis h) const {
   return h;
 }
 
-void Refits::Restart(std::vector<TracedModel>& models) const {
-  const auto lowest = std::min_element(
-      models.begin(), models.end(),
-      [](const TracedModel& a, const TracedModel& b) { return a.fit.rms < b.fit.rms; });
+void Refits::Restart(TracedModel& model) const {
   // A curve that was added has been started several times.
-  if (lowest == models.end() || lowest->added.back() == kFriction) return;
+  if (model.added.back() == kFriction) return;
   const double enough = kAtFloor * problem_.ProjectedFloor(windows_);
-  if (lowest->fit.rms > enough) {
-    JointFit other = Minimise(problem_, FromStart(lowest->fit.best), windows_);
-    if (other.rms < lowest->fit.rms) lowest->fit = std::move(other);
+  if (model.fit.rms <= enough) return;
+  JointFit other = Minimise(problem_, FromStart(model.fit.best), windows_);
+  if (other.rms < model.fit.rms) model.fit = std::move(other);
+  if (model.fit.rms > enough && HasFreeFriction(model.fit.best))
+    model.fit = MinimiseFriction(problem_, model.fit.best, windows_);
+}
+
+void Refits::Restart(std::vector<TracedModel>& models, bool lost) const {
+  std::vector<TracedModel*> order = ByError(models);
+  if (order.empty()) return;
+  const double near = (lost ? kFarOff : 1) * order.front()->fit.rms;
+  ParallelFor(static_cast<int>(order.size()), [&](int i) {
+    if (i == 0 || (i < kCrossValidated && order[i]->fit.rms < near)) Restart(*order[i]);
+  });
+}
+
+bool Refits::IsLost(const JointFit& declared) const {
+  if (declared.rms < kMuchLeft * problem_.ProjectedFloor(windows_)) return false;
+  for (size_t i = 0; i < declared.best.free.size(); ++i) {
+    const std::string& path = declared.best.free[i].path;
+    if (path != "command_shift" && path != "force_lag" && declared.at_bound[i] &&
+        !IsAbsence(declared.best, static_cast<int>(i)))
+      return true;
   }
-  if (lowest->fit.rms > enough && HasFreeFriction(lowest->fit.best))
-    lowest->fit = MinimiseFriction(problem_, lowest->fit.best, windows_);
+  return false;
 }
 
 void Refits::CrossValidateBest(std::vector<TracedModel>& models) const {
-  std::vector<TracedModel*> order;
-  for (TracedModel& model : models) order.push_back(&model);
-  std::stable_sort(order.begin(), order.end(), [](const TracedModel* a, const TracedModel* b) {
-    return a->fit.rms < b->fit.rms;
-  });
+  std::vector<TracedModel*> order = ByError(models);
   if (order.size() > kCrossValidated) order.resize(kCrossValidated);
   std::erase_if(order, [&](const TracedModel* model) {
     return model->fit.rms > kOutclassed * order.front()->fit.rms;
@@ -145,6 +169,18 @@ void Refits::Keep(TracedModel model) {
 const TracedModel* Refits::Find(const std::vector<std::string>& added) const {
   const auto known = known_.find(KeyOf(added));
   return known == known_.end() ? nullptr : &known->second;
+}
+
+std::vector<TracedModel> Refits::Nearest(const std::vector<std::string>& added,
+                                         size_t at_most) const {
+  std::vector<TracedModel> nearest;
+  for (const auto& [key, model] : known_)
+    if (!model.added.empty() && key != KeyOf(added)) nearest.push_back(model);
+  std::stable_sort(nearest.begin(), nearest.end(), [](const TracedModel& a, const TracedModel& b) {
+    return a.cv.Rms() < b.cv.Rms();
+  });
+  if (nearest.size() > at_most) nearest.resize(at_most);
+  return nearest;
 }
 
 const TracedModel* Refits::LowestWithOneEffect() const {

@@ -31,8 +31,14 @@ class Refits {
   void SettleBest(std::vector<TracedModel>& models, const std::vector<double>& promised,
                   double error) const;
   // Fits the lowest again with its declared parameters from where they first began, and from other
-  // Stribeck curves: while an effect was missing they may have stood in for it.
-  void Restart(std::vector<TracedModel>& models) const;
+  // Stribeck curves: while an effect was missing they may have stood in for it. `lost`: so much so
+  // that all that are near the lowest are fitted again.
+  void Restart(std::vector<TracedModel>& models, bool lost) const;
+  // The rig's own values, not fitted.
+  JointFit OwnValues() const { return Minimise(problem_, start_, windows_, 0); }
+  // Whether the fit of a declared model has run onto bounds with much left: something else is
+  // missing, and its parameters are no place to begin from.
+  bool IsLost(const JointFit& declared) const;
   // The few with the lowest errors that are near the lowest.
   void CrossValidateBest(std::vector<TracedModel>& models) const;
   void CrossValidate(TracedModel& model) const;
@@ -42,11 +48,14 @@ class Refits {
   void Keep(TracedModel model);
   // Of the models with one effect that were kept, the one with the lowest error; null: none.
   const TracedModel* LowestWithOneEffect() const;
+  // Of the models with effects that were kept, those but `added` with the lowest errors.
+  std::vector<TracedModel> Nearest(const std::vector<std::string>& added, size_t at_most) const;
   // Null if no model with these effects, in any order, was kept.
   const TracedModel* Find(const std::vector<std::string>& added) const;
 
  private:
   Hypothesis FromStart(Hypothesis h) const;
+  void Restart(TracedModel& model) const;
 
   const JointProblem& problem_;
   const Hypothesis start_;

@@ -5,13 +5,16 @@
 #include <unsupported/Eigen/FFT>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 
 namespace robostress::calibration {
 namespace {
 
 constexpr int kLags = 20;
 constexpr int kBins = 24;
-constexpr int kBands = 30;  // of spectra
+constexpr int kBands = 30;           // of spectra
+constexpr double kLocalised = 0.5;   // of the energy of the means, within
+constexpr double kNarrow = 1.0 / 3;  // of the bins
 
 // What a residual is held against, for the rows of a residual vector.
 struct Regressor {
@@ -161,6 +164,29 @@ std::vector<StructureCurve> MeasureStructure(const JointProblem& problem,
   const Binned a = Spectrum(before, dt), b = Spectrum(later, dt);
   curves.push_back({"frequency", "Hz", a.x, a.mean, b.mean, 0, 0, 0});
   return curves;
+}
+
+std::string WhereItIs(const StructureCurve& curve, bool after) {
+  const std::vector<double>& mean = after ? curve.after : curve.declared;
+  const int bins = static_cast<int>(mean.size());
+  if (bins < 4) return "";
+  const auto energy = [&](int bin) { return mean[bin] * mean[bin]; };
+  double all = 0;
+  int first = 0;
+  for (int i = 0; i < bins; ++i) {
+    all += energy(i);
+    if (energy(i) > energy(first)) first = i;
+  }
+  int last = first;
+  const double least = 0.25 * energy(first);  // half of the peak
+  while (first > 0 && energy(first - 1) > least) --first;
+  while (last + 1 < bins && energy(last + 1) > least) ++last;
+  double held = 0;
+  for (int i = first; i <= last; ++i) held += energy(i);
+  if (held < kLocalised * all || last - first + 1 > kNarrow * bins) return "";
+  const double low = first > 0 ? 0.5 * (curve.x[first - 1] + curve.x[first]) : curve.x[first];
+  const double high = last + 1 < bins ? 0.5 * (curve.x[last] + curve.x[last + 1]) : curve.x[last];
+  return absl::StrFormat(", most of it at %.2g to %.2g %s", low, high, curve.unit);
 }
 
 }  // namespace robostress::calibration

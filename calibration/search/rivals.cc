@@ -77,8 +77,8 @@ std::vector<TracedModel> RivalSearch::FitInPlace(const TracedModel& model, const
   return models;
 }
 
-std::vector<std::string> RivalSearch::RivalsOf(const TracedModel& model,
-                                               const std::string& effect) {
+std::vector<std::string> RivalSearch::RivalsOf(const TracedModel& model, const std::string& effect,
+                                               std::vector<TracedModel>& rival_models) {
   const JointProblem& problem = refits_.problem();
   const WindowSet& windows = refits_.windows();
   const size_t index =
@@ -96,7 +96,9 @@ std::vector<std::string> RivalSearch::RivalsOf(const TracedModel& model,
   for (size_t i = 0; i < others.size(); ++i) {
     const Eigen::MatrixXd& basis = others[i].starts.front()->basis;
     const double cosine = (basis.transpose() * share).norm() / std::max(share.norm(), 1e-300);
-    if (IsRival(model, models[i], cosine)) rivals.push_back(TypeOf(screening, others[i].candidate));
+    if (!IsRival(model, models[i], cosine)) continue;
+    rivals.push_back(TypeOf(screening, others[i].candidate));
+    rival_models.push_back(models[i]);
   }
   return rivals;
 }

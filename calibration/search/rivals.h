@@ -19,8 +19,10 @@ class RivalSearch {
         candidates_(std::move(candidates)),
         finalists_(finalists) {}
 
-  // Types that fit the data as well as `effect` of `model` does, best first.
-  std::vector<std::string> RivalsOf(const TracedModel& model, const std::string& effect);
+  // Types that fit the data as well as `effect` of `model` does, best first; their models are added
+  // to `rival_models`.
+  std::vector<std::string> RivalsOf(const TracedModel& model, const std::string& effect,
+                                    std::vector<TracedModel>& rival_models);
 
  private:
   std::vector<TracedModel> FitInPlace(const TracedModel& model, const TracedModel& base,

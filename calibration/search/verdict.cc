@@ -5,26 +5,70 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 
 namespace robostress::calibration {
 namespace {
 
 constexpr double kAtFloor = 1.15;       // times the floor counts as noise
-constexpr double kUnnamed = 2.0;        // where nothing is found: less than this is not claimed
-constexpr double kFewUnnamed = 20;      // the same of a few free runs that are far off
+constexpr double kNearFloor = 3.0;      // the most that may be left under a name
+constexpr double kUnnamed = 1.5;        // where nothing is found: less than this is not claimed
+constexpr double kFewUnnamed = 4.0;     // the same of a few free runs that are far off
 constexpr double kExplained = 0.97;     // of the excess energy: hardly anything remains
 constexpr double kTransferLoss = 1.05;  // worse than declared by more than this: no mechanism
 constexpr int kMinWindows = 8;
 
+bool IsNoise(const Evidence::Regime& regime) {
+  return regime.bulk <= kUnnamed * regime.floor && regime.declared <= kFewUnnamed * regime.floor;
+}
+
 // Of a declared model to which nothing was added.
-std::string WhatIsLeft(const Evidence& e) {
-  const double floor = std::max(e.floor, 1e-300);
+std::string WhatIsLeft(const Evidence& e, const Evidence::Regime& worst) {
+  const double floor = std::max(e.floor, 1e-300), own = std::max(worst.floor, 1e-300);
   std::string text = absl::StrFormat(
       "the declared model leaves %.2f times the noise of the readings", e.declared / floor);
   if (e.declared > kUnnamed * floor)
     absl::StrAppendFormat(&text, ", %.2f without the tenth of the free runs that is farthest off",
                           e.declared_bulk / floor);
+  if (!worst.log.empty() && !IsNoise(worst))
+    absl::StrAppendFormat(&text, "; most in %s, %.2f times (%.2f)", worst.log, worst.declared / own,
+                          worst.bulk / own);
   return text;
+}
+
+Judgement WithoutEffects(const Evidence& e) {
+  std::vector<Evidence::Regime> regimes = e.regimes;
+  regimes.push_back({"", e.declared, e.declared_bulk, e.floor});
+  const Evidence::Regime worst =
+      *std::max_element(regimes.begin(), regimes.end(), [](const auto& a, const auto& b) {
+        return a.bulk * std::max(b.floor, 1e-300) < b.bulk * std::max(a.floor, 1e-300);
+      });
+  if (std::all_of(regimes.begin(), regimes.end(), IsNoise))
+    return {Verdict::kDeclaredSufficient, WhatIsLeft(e, worst), 0};
+  return {Verdict::kUnattributed,
+          absl::StrCat(WhatIsLeft(e, worst),
+                       e.significant ? "; no candidate passes every test"
+                                     : "; no candidate explains more of it than chance does"),
+          0};
+}
+
+// Empty: what was added may be told as a mechanism.
+std::string WhyNoMechanism(const Evidence& e, double explained) {
+  if (!e.doubts.empty())
+    return absl::StrCat("what was added can not be what the machine is: ",
+                        absl::StrJoin(e.doubts, "; "));
+  if (e.transfer_declared > 0 && e.transfer_after > kTransferLoss * e.transfer_declared)
+    return "what was added makes the transfer logs worse";
+  const bool noise_only = !e.inverse && e.after <= kAtFloor * e.floor;
+  if (!noise_only && explained < kExplained)
+    return absl::StrFormat(
+        "what was added explains %.1f %% of the excess over noise, and the rest has no name",
+        100 * explained);
+  if (!e.inverse && e.after > kNearFloor * e.floor)
+    return absl::StrFormat(
+        "what was added leaves %.1f times the noise, and no more than %.1f is left under a name",
+        e.after / std::max(e.floor, 1e-300), kNearFloor);
+  return "";
 }
 
 }  // namespace
@@ -51,41 +95,19 @@ Judgement Judge(const Evidence& e) {
   const double floor = e.floor * e.floor;
   const double before = std::max(0.0, e.declared * e.declared - floor);
   const double later = std::max(0.0, e.after * e.after - floor);
-  Judgement judgement;
-  judgement.excess_explained = before > 0 ? 1 - later / before : 0;
-  const double percent = 100 * judgement.excess_explained;
+  const double explained = before > 0 ? 1 - later / before : 0, percent = 100 * explained;
   if (e.windows < kMinWindows)
     return {Verdict::kNotTestable,
             absl::StrFormat("the logs hold %d free runs, fewer than %d", e.windows, kMinWindows),
             0};
-  if (e.effects == 0) {
-    const bool noise = e.declared_bulk <= kUnnamed * e.floor && e.declared <= kFewUnnamed * e.floor;
-    if (noise || e.declared_white) return {Verdict::kDeclaredSufficient, WhatIsLeft(e), 0};
-    return {Verdict::kUnattributed,
-            absl::StrCat(WhatIsLeft(e),
-                         e.significant ? "; no candidate passes every test"
-                                       : "; no candidate explains more of it than chance does"),
-            0};
-  }
-  if (e.transfer_declared > 0 && e.transfer_after > kTransferLoss * e.transfer_declared) {
-    judgement.verdict = Verdict::kReducedNotAttributed;
-    judgement.because = "what was added makes the transfer logs worse";
-    return judgement;
-  }
-  const bool noise_only = !e.inverse && e.after <= kAtFloor * e.floor;
-  if (!noise_only && judgement.excess_explained < kExplained) {
-    judgement.verdict = Verdict::kReducedNotAttributed;
-    judgement.because = absl::StrFormat(
-        "what was added explains %.1f %% of the excess over noise, and the rest "
-        "has no name",
-        percent);
-    return judgement;
-  }
-  judgement.verdict = e.ambiguous ? Verdict::kAmbiguous : Verdict::kAttributed;
-  judgement.because =
+  if (e.effects == 0) return WithoutEffects(e);
+  if (std::string reason = WhyNoMechanism(e, explained); !reason.empty())
+    return {Verdict::kReducedNotAttributed, std::move(reason), explained};
+  return {
+      e.ambiguous ? Verdict::kAmbiguous : Verdict::kAttributed,
       absl::StrFormat("what was added explains %.1f %% of the excess over noise%s", percent,
-                      e.ambiguous ? ", and so do others of its group" : ", and nothing else does");
-  return judgement;
+                      e.ambiguous ? ", and so do others of its group" : ", and nothing else does"),
+      explained};
 }
 
 Verdict Combine(const std::vector<JointReport>& joints) {

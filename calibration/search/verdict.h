@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "calibration/search/calibration_report.h"
 
@@ -11,13 +12,19 @@ namespace robostress::calibration {
 struct Evidence {
   double declared = 0, after = 0, floor = 0;
   double declared_bulk = 0;  // without the tenth of the free runs that is farthest off
-  bool declared_white = false;
-  bool inverse = false;  // accelerations are smoothed, and the floor does not count their bias
+  bool inverse = false;      // accelerations are smoothed, and the floor does not count their bias
   double transfer_declared = 0, transfer_after = 0;  // 0: no log of that role
   int effects = 0;
-  bool ambiguous = false;    // some effect has rivals
-  bool significant = false;  // some candidate explains more than chance
-  int windows = 0;           // fitted
+  bool ambiguous = false;           // some effect has rivals
+  bool significant = false;         // some candidate explains more than chance
+  int windows = 0;                  // fitted
+  std::vector<std::string> doubts;  // why what was added can not be what the machine is
+  // What the declared model leaves of each log.
+  struct Regime {
+    std::string log;
+    double declared = 0, bulk = 0, floor = 0;
+  };
+  std::vector<Regime> regimes;
 };
 
 struct Judgement {

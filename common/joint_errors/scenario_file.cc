@@ -81,8 +81,8 @@ class Parser {
       return Error("base", absl::StrCat("is '", scenario.base, "', must be one of ",
                                         absl::StrJoin(known, ", ")));
     const YAML::Node joints = root["joints"];
-    if (!joints || !joints.IsSequence() || joints.size() == 0)
-      return Error("joints", "must be a list with at least one joint");
+    if (!joints || !joints.IsSequence())
+      return Error("joints", "must be a list; [] for a scenario without effects");
     for (size_t i = 0; i < joints.size(); ++i)
       RS_RETURN_IF_ERROR(ReadJoint(joints[i], absl::StrCat("joints[", i, "]"), scenario));
     return scenario;
@@ -129,8 +129,8 @@ class Parser {
     RS_RETURN_IF_ERROR(CheckKeys(node, path, {"name", "effects"}));
     RS_ASSIGN_OR_RETURN(const int joint, Joint(node["name"], path + ".name"));
     const YAML::Node effects = node["effects"];
-    if (!effects || !effects.IsSequence() || effects.size() == 0)
-      return Error(path + ".effects", "must be a list with at least one effect");
+    if (!effects || !effects.IsSequence())
+      return Error(path + ".effects", "must be a list; [] for a joint without effects");
     for (size_t i = 0; i < effects.size(); ++i) {
       const std::string place = absl::StrCat(path, ".effects[", i, "]");
       RS_ASSIGN_OR_RETURN(ScenarioEffect effect, ReadEffect(effects[i], place, joint));

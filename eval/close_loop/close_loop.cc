@@ -63,7 +63,7 @@ class Circle {
   explicit Circle(const CloseLoopOptions& options) : options_(options) {}
 
   absl::StatusOr<CloseLoopResult> Run() {
-    RS_ASSIGN_OR_RETURN(const ScenarioFile hidden, ReadScenarioFile(options_.hidden, kPanda));
+    RS_ASSIGN_OR_RETURN(const ScenarioFile hidden, ReadHidden(options_.hidden, kPanda));
     result_.hidden = hidden.effects;
     RS_RETURN_IF_ERROR(KeepOptions());
     RS_RETURN_IF_ERROR(Record());
@@ -102,7 +102,7 @@ class Circle {
   }
 
   absl::Status KeepOptions() const {
-    const Json json = {{"hidden", fs::absolute(options_.hidden).lexically_normal().string()},
+    const Json json = {{"hidden", HiddenPlace(options_.hidden)},
                        {"suite", options_.suite},
                        {"tasks", options_.tasks},
                        {"episodes", options_.episodes},
@@ -173,7 +173,8 @@ class Circle {
 
   absl::Status Evaluate() {
     SweepGrid grid;
-    grid.scenarios = {"clean", options_.hidden};
+    grid.scenarios = {"clean"};
+    if (options_.hidden != kNothingHidden) grid.scenarios.push_back(options_.hidden);
     if (!result_.found.effects.empty()) grid.scenarios.push_back(Found());
     grid.policies = {options_.policy};
     grid.episodes = options_.evaluated_episodes;

@@ -22,19 +22,20 @@ using calibration::RecordedEpisode;
 using Json = nlohmann::ordered_json;
 
 // An arm of "new" without its effects: the rig's model and the servo, nothing else.
-constexpr char kWithout[] = "joints: [{name: J1, effects: [{type: encoder_offset, offset: 0}]}]\n";
+constexpr char kWithout[] = "joints: []\n";
 
 class PiperCircle {
  public:
   explicit PiperCircle(const ClosePiperLoopOptions& options) : options_(options) {}
 
   absl::StatusOr<ClosePiperLoopResult> Run() {
-    RS_ASSIGN_OR_RETURN(const ScenarioFile hidden, ReadScenarioFile(options_.hidden, kPiper));
+    RS_ASSIGN_OR_RETURN(const ScenarioFile hidden, ReadHidden(options_.hidden, kPiper));
     result_.hidden = hidden.effects;
     RS_RETURN_IF_ERROR(KeepOptions());
-    RS_RETURN_IF_ERROR(Play(options_.hidden, "recording"));
-    RS_RETURN_IF_ERROR(Find());
     RS_RETURN_IF_ERROR(WriteFileAtomically(Out("without.yaml"), kWithout));
+    const bool clean = options_.hidden == kNothingHidden;
+    RS_RETURN_IF_ERROR(Play(clean ? Out("without.yaml") : options_.hidden, "recording"));
+    RS_RETURN_IF_ERROR(Find());
     RS_RETURN_IF_ERROR(Play(Out("without.yaml"), "without"));
     RS_ASSIGN_OR_RETURN(result_.before_rad, Apart("without"));
     if (result_.found.effects.empty()) {
@@ -54,7 +55,7 @@ class PiperCircle {
 
   absl::Status KeepOptions() const {
     const Json json = {{"arm", "piper"},
-                       {"hidden", fs::absolute(options_.hidden).lexically_normal().string()},
+                       {"hidden", HiddenPlace(options_.hidden)},
                        {"episodes", options_.episodes},
                        {"surrogates", options_.surrogates},
                        {"seed", options_.seed}};

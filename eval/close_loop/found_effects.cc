@@ -37,6 +37,15 @@ void TakeVerdict(const nlohmann::json& report, FoundEffect& effect) {
 
 }  // namespace
 
+absl::StatusOr<ScenarioFile> ReadHidden(const std::string& hidden, const RobotDescription& arm) {
+  if (hidden == kNothingHidden) return ScenarioFile{};
+  return ReadScenarioFile(hidden, arm);
+}
+
+std::string HiddenPlace(const std::string& hidden) {
+  return hidden == kNothingHidden ? hidden : fs::absolute(hidden).lexically_normal().string();
+}
+
 absl::Status RunCalibration(const std::string& rig_file, const std::string& out,
                             const std::string& log, int surrogates, uint64_t seed) {
   if (fs::exists(fs::path(out) / "report.json")) return absl::OkStatus();

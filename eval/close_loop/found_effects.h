@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/robot_description.h"
 #include "nlohmann/json_fwd.hpp"
 
@@ -34,6 +35,12 @@ absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
                                               const std::string& folder,
                                               const std::string& scenario_file,
                                               const RobotDescription& arm);
+
+// What --hidden names: a scenario file, or kNothingHidden, the control.
+inline constexpr char kNothingHidden[] = "clean";
+absl::StatusOr<ScenarioFile> ReadHidden(const std::string& hidden, const RobotDescription& arm);
+// For a circle's options: the whole path, or kNothingHidden.
+std::string HiddenPlace(const std::string& hidden);
 
 // A directory belongs to one circle, so that steps of two are not mixed: writes `options` to
 // `file`, or refuses where it holds others.

@@ -4,12 +4,12 @@
 
 #include "common/command_line.h"
 #include "common/run_main.h"
-#include "tests/calibration/generator/generated_rig.h"
+#include "tests/calibration/generator/log_hardship.h"
 
 int main(int argc, char** argv) {
   using namespace robostress::generator;
   RigOptions options;
-  std::string out, family = "any", size = "medium", richness = "any";
+  std::string out, family = "any", size = "medium", richness = "any", hardship = "none";
   robostress::cli::App app{
       "Writes a rig whose machine has effects that the rig does not declare: model.xml, "
       "rig.yaml, log_*.csv, and truth.json, which calibrate never reads"};
@@ -20,6 +20,8 @@ int main(int argc, char** argv) {
   app.add_option("--family", family, "any, servo, torque, inverse, transmission, slide or arm");
   app.add_option("--excitation", richness, "any, rich, poor or brief")
       ->check(robostress::cli::IsMember({"any", "rich", "poor", "brief"}));
+  app.add_option("--hardship", hardship, "What else makes the rig hard to tell")
+      ->check(robostress::cli::IsMember(HardshipNames()));
   app.add_option("--out", out, "Folder of the rig")->required();
   if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   options.size = size == "small" ? Size::kSmall : size == "medium" ? Size::kMedium : Size::kLarge;
@@ -34,6 +36,7 @@ int main(int argc, char** argv) {
     return 2;
   }
   options.family = *parsed;
+  options.hardship = *ParseHardship(hardship);
   const auto rig = GenerateRig(options);
   if (!rig.ok()) {
     std::fprintf(stderr, "calibration_generate: %s\n", std::string(rig.status().message()).c_str());

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/status_macros.h"
+#include "tests/calibration/generator/log_hardship.h"
 
 namespace robostress::generator {
 namespace {
@@ -39,6 +40,7 @@ class Drawer {
                     .With(static_cast<int64_t>(options.size))
                     .With(static_cast<int64_t>(options.seed))
                     .With(static_cast<int64_t>(family))),
+        hardship_(options.hardship),
         rich_(options.richness == Richness::kRich ||
               (options.richness == Richness::kAny && random_.Uniform() < 0.6)) {}
 
@@ -107,6 +109,7 @@ class Drawer {
     if (rich_) rig_.rate_hz = std::max(200.0, rig_.rate_hz);
     const bool brief = options_.richness == Richness::kBrief;
     if (brief) rig_.rate_hz = 200;
+    if (hardship_ == Hardship::kSlow) rig_.rate_hz = 50;
     const Body& body = rig_.truth.body;
     amplitude_ = body.slide ? random_.Uniform(0.05, 0.3) : random_.Uniform(0.4, 1.2);
     if (arm()) amplitude_ = std::min(amplitude_, 0.8);
@@ -119,7 +122,9 @@ class Drawer {
     const bool by_torque = family_ == Family::kTorque;
     // Mostly as a controller does that runs with the log; else the servo sees a smooth command. A
     // torque that steps with the command cannot be compared with a motion row by row.
-    const bool held = by_torque || (family_ != Family::kInverse && random_.Uniform() < 0.75);
+    const bool steps = hardship_ == Hardship::kRamped || hardship_ == Hardship::kResampled;
+    const bool held =
+        by_torque || (family_ != Family::kInverse && (random_.Uniform() < 0.75 || steps));
     rig_.commands_hold = held;
     for (int i = 0; i < fit + held_out + (transfer ? 1 : 0); ++i) {
       Experiment x;
@@ -129,6 +134,9 @@ class Drawer {
       x.step = step;
       x.held = held;
       x.by_torque = by_torque;
+      if (hardship_ == Hardship::kJitter) x.jitter = 3e-4;
+      x.command_rows = steps && held ? 4 : 1;
+      x.ramped_command = hardship_ == Hardship::kRamped;
       const bool other = i == fit + held_out;
       Motion motion = rich_ ? static_cast<Motion>((i + random_.UniformInt(2) * 4) % 5) : poor;
       if (brief) motion = family_ == Family::kTransmission ? Motion::kMultiSine : Motion::kMixed;
@@ -171,6 +179,7 @@ class Drawer {
           effect == "thermal_friction")
         dry = false;
     }
+    if (hardship_ == Hardship::kFrictionless) dry = false;
     if (!dry) return;
     for (int j = 0; j < joints(); ++j) {
       Drive& drive = rig_.truth.drives[j];
@@ -235,6 +244,7 @@ class Drawer {
       const int joint = arm() ? random_.UniformInt(2) : 0;
       HiddenEffect effect = DrawEffect(type, options_.size, signals_[joint], random_);
       effect.joint = joint;
+      Harden(effect, signals_[joint]);
       if (type == "payload") {
         effect.joint = joints() - 1;
         rig_.truth.tip_mass = effect["mass"];
@@ -242,6 +252,14 @@ class Drawer {
       if (type == "base_tilt") rig_.truth.tilt = effect["y"];
       rig_.truth.effects.push_back(std::move(effect));
     }
+  }
+
+  void Harden(HiddenEffect& effect, const Signals& signals) {
+    auto& p = effect.parameters;
+    if (hardship_ == Hardship::kLongWave && p.count("wavelength") > 0)
+      p["wavelength"] = random_.Uniform(2.6, 5) * signals.range;
+    if (hardship_ == Hardship::kCoulomb && p.count("Fs") > 0) p["Fs"] = p["Fc"];
+    if (hardship_ == Hardship::kHarsh && p.count("rate") > 0) p["rate"] *= 0.4;
   }
 
   // What the rig says: true, or off by what its `fit` may move.
@@ -286,6 +304,12 @@ class Drawer {
           }
         }
       }
+      if (hardship_ == Hardship::kHarsh) {
+        for (const char* name : {"damping", "torque_offset", "torque_gain", "servo.kd"})
+          if (!Contains(fit, name) &&
+              (name != std::string("damping") || !rig_.declares_dry_friction))
+            fit.push_back(name);
+      }
       rig_.fit.push_back(std::move(fit));
     }
     told.effects.clear();
@@ -297,13 +321,22 @@ class Drawer {
       Experiment& x = experiments_[i];
       if (family_ == Family::kInverse || family_ == Family::kTransmission)
         x.torque_noise = 0.005 * signals_[0].torque;
-      rig_.logs[i].recording = Perform(rig_.truth, x, static_cast<int>(i));
+      const RandomStream own(StreamKey("spoiled log")
+                                 .With(static_cast<int64_t>(options_.seed))
+                                 .With(static_cast<int64_t>(i)));
+      rig_.logs[i].recording = Spoil(Perform(rig_.truth, x, static_cast<int>(i)), hardship_, own);
     }
+    MeasureVisibility();
+    rig_.rate_hz = LoggedRate(hardship_, rig_.rate_hz);
+  }
+
+  void MeasureVisibility() {
     if (options_.effects.empty()) return;
     Machine bare = rig_.truth;
     bare.effects.clear();
     bare.tip_mass = bare.tilt = 0;
-    const Recording &with = rig_.logs[0].recording, without = Perform(bare, experiments_[0], 0);
+    const Recording with = Perform(rig_.truth, experiments_[0], 0),
+                    without = Perform(bare, experiments_[0], 0);
     const double noise = std::hypot(experiments_[0].noise, experiments_[0].step / std::sqrt(12.0));
     for (size_t j = 0; j < with.joints.size(); ++j) {
       const std::vector<double>&a = with.joints[j].clean, &b = without.joints[j].clean;
@@ -317,6 +350,7 @@ class Drawer {
   const RigOptions& options_;
   Family family_;
   RandomStream random_;
+  const Hardship hardship_;
   bool rich_;
   double fastest_ = 3, amplitude_ = 1;
   std::vector<Experiment> experiments_;

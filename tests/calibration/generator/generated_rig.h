@@ -13,6 +13,19 @@ namespace robostress::generator {
 enum class Family { kAny, kServo, kTorque, kInverse, kTransmission, kSlide, kArm };
 // kBrief: two short logs to fit, full of everything, for tests that must be quick.
 enum class Richness { kAny, kRich, kPoor, kBrief };
+// What beside its hidden effects makes a rig hard to tell.
+enum class Hardship {
+  kNone,
+  kSlow,          // 50 rows per second
+  kDrops,         // one row in a hundred is missing, up to three in a row
+  kJitter,        // rows are read 0.3 ms before or after the time that the log gives them
+  kRamped,        // the command steps every fourth row, and the log holds a line between the steps
+  kResampled,     // the same, and the whole log was resampled linearly to 0.8 of its rate
+  kLongWave,      // wavelengths of 2.6 to 5 times half the way travelled
+  kCoulomb,       // hidden friction has no Stribeck rise
+  kFrictionless,  // no dry friction but what is hidden
+  kHarsh,  // a rate limit at 0.4 of its size, and four declared parameters more that may move
+};
 
 struct RigOptions {
   // What the rig does not declare: names of LibraryEffects() or OutsideEffects(); none: nothing.
@@ -21,6 +34,7 @@ struct RigOptions {
   uint64_t seed = 1;
   Family family = Family::kAny;  // kAny: drawn among those in which the effects can be seen
   Richness richness = Richness::kAny;
+  Hardship hardship = Hardship::kNone;
 };
 
 // A rig as files would hold it, and what is true of it.
@@ -47,6 +61,8 @@ struct GeneratedRig {
 };
 
 const char* FamilyName(Family family);
+// Errors list the known names.
+absl::StatusOr<Hardship> ParseHardship(const std::string& name);
 absl::StatusOr<Family> ParseFamily(const std::string& name);
 // Families in which `effect` has an influence on what is compared.
 std::vector<Family> FamiliesOf(const std::string& effect);

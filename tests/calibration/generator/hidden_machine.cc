@@ -85,7 +85,8 @@ class Runner {
       if (rows.empty()) return sent_[i];
       return rows[std::clamp<long>(row, 0, static_cast<long>(rows.size()) - 1)];
     }
-    const double at = x_.held ? std::floor(t / x_.dt + 1e-9) * x_.dt : t;
+    const double period = x_.dt * x_.command_rows;
+    const double at = x_.held ? std::floor(t / period + 1e-9) * period : t;
     return x_.references[i].At(at);
   }
 
@@ -156,6 +157,7 @@ class Runner {
 
   double warmer(int i) const { return warmer_[i]; }
   double ReadingOf(int i) const { return Read(i, q_[i] + link_error_[i]); }
+  double velocity(int i) const { return v_[i]; }
   double asked(int i) const { return asked_[i]; }
   double sent_torque(int i) const { return torque_rows_[i].back(); }
 
@@ -251,6 +253,15 @@ class Runner {
   std::vector<double> torque_rows_[2];
 };
 
+// What a log says of the command of a row.
+double LoggedCommand(const Experiment& x, int joint, double t) {
+  const double period = x.dt * x.command_rows;
+  if (x.command_rows == 1) return x.references[joint].At(t);
+  const double at = std::floor(t / period + 1e-9) * period, share = (t - at) / period;
+  const double now = x.references[joint].At(at);
+  return x.ramped_command ? now + share * (x.references[joint].At(at + period) - now) : now;
+}
+
 double Measured(double value, const Experiment& x, RandomStream& random) {
   const double noisy = value + x.noise * random.Normal();
   return x.step > 0 ? x.step * std::round(noisy / x.step) : noisy;
@@ -272,8 +283,10 @@ Recording Run(const Machine& machine, const Experiment& x, const RandomStream& r
     for (size_t i = 0; i < machine.drives.size() && row >= 0; ++i) {
       JointChannels& joint = log.joints[i];
       const double reading = runner.ReadingOf(static_cast<int>(i));
-      joint.command.push_back(x.references[i].At(t));
-      joint.q.push_back(Measured(reading, x, noise));
+      joint.command.push_back(LoggedCommand(x, static_cast<int>(i), t));
+      const double moved =
+          x.jitter > 0 ? runner.velocity(static_cast<int>(i)) * x.jitter * noise.Normal() : 0;
+      joint.q.push_back(Measured(reading + moved, x, noise));
       const double torque =
           x.by_torque ? runner.sent_torque(static_cast<int>(i)) : runner.asked(static_cast<int>(i));
       joint.torque.push_back(torque + x.torque_noise * noise.Normal());

@@ -59,6 +59,9 @@ struct Experiment {
   // A joint that moves at v goes towards `warming` |v| over cold with time constant warming_s.
   double warming = 0, warming_s = 1, warm_start = 0;  // [K s/rad, s, K]
   std::vector<Excitation> references;                 // per joint
+  double jitter = 0;  // [s] of the moments at which rows are read, standard deviation; not logged
+  int command_rows = 1;         // rows over which a held command stays
+  bool ramped_command = false;  // the log draws lines between the commands that were held
 };
 
 // Rows of a log; clean: q without noise.

@@ -6,7 +6,7 @@
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
-#include "tests/calibration/generator/generated_rig.h"
+#include "tests/calibration/generator/log_hardship.h"
 
 namespace robostress::generator {
 namespace {
@@ -136,6 +136,7 @@ Json TruthJson(const GeneratedRig& rig, const RigOptions& options) {
                {"size", static_cast<int>(options.size)},
                {"visibility", rig.visibility},
                {"commands_hold", rig.commands_hold},
+               {"hardship", HardshipNames()[static_cast<size_t>(options.hardship)]},
                {"effects", Json::array()}};
   for (const HiddenEffect& effect : rig.truth.effects) {
     bool known = false;

@@ -15,9 +15,9 @@
 namespace robostress::calibration {
 namespace {
 
-// One line a joint: name, error on logs that are held out, on those that are fitted [rad or m; Nm
-// of input inverse]. What a row leaves open (command_shift, force_lag) is fitted, and nothing that
-// the rig says.
+// One line a joint: name, error on what `calibrate` reports of logs that are held out, on those
+// that are fitted [rad or m; Nm of input inverse]. What a row leaves open (command_shift,
+// force_lag) is fitted, and nothing that the rig says.
 absl::Status Run(const std::string& file) {
   RS_ASSIGN_OR_RETURN(LoadedRig loaded, LoadRig(file));
   for (RigJoint& joint : loaded.rig.joints) {
@@ -33,7 +33,7 @@ absl::Status Run(const std::string& file) {
     const Hypothesis best = Minimise(joint.problem, declared, joint.Fit()).best;
     const JointModel model = ModelAt(best, best.x);
     std::printf("%s %.9g %.9g\n", joint.declared().name.c_str(),
-                joint.metric.Error(model, LogRole::kHeldOut),
+                joint.metric.Error(model, joint.Sealed()),
                 joint.metric.Error(model, LogRole::kFit));
   }
   return absl::OkStatus();

@@ -5,6 +5,7 @@
 #include "calibration/search/calibration_report.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "nlohmann/json.hpp"
 #include "tests/calibration/report/report_fixture.h"
 
 namespace robostress::calibration {
@@ -75,6 +76,14 @@ TEST(ReportHtml, ShowsTheGroupWithTheExperimentThatSeparatesIt) {
   const std::string html = ReportHtml(report);
   EXPECT_THAT(html,
               HasSubstr("</b> or cable_spring? To tell them apart: several speeds each way."));
+}
+
+TEST(ReportHtml, SaysWhatToDoNext) {
+  CalibrationReport report = With(Verdict::kUnattributed);
+  report.joints[0].next_experiment.text = "to tell a from b, record c";
+  EXPECT_THAT(ReportHtml(report), HasSubstr("What to do next: to tell a from b, record c."));
+  const auto json = nlohmann::json::parse(ReportJson(report));
+  EXPECT_EQ(json["separating_experiment"], "slider: to tell a from b, record c");
 }
 
 TEST(ReportHtml, DrawsNothingOfAModelAfterWhereNothingWasAdded) {

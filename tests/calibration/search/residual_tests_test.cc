@@ -43,5 +43,21 @@ TEST(ResidualTests, HoldAResidualAgainstTheMotionOfEveryOtherJoint) {
   std::filesystem::remove_all(folder);
 }
 
+TEST(ResidualTests, SayWhereAResidualStandsOut) {
+  StructureCurve curve;
+  curve.unit = "rad";
+  for (int i = 0; i < 24; ++i) curve.x.push_back(0.1 * i);
+  curve.declared.assign(24, 0.1);
+  curve.after.assign(24, 0.1);
+  curve.declared[3] = curve.declared[4] = -2;
+  EXPECT_EQ(WhereItIs(curve, false), ", most of it at 0.25 to 0.45 rad");
+  EXPECT_EQ(WhereItIs(curve, true), "");  // the same everywhere
+  for (int i = 0; i < 12; ++i) curve.declared[i] = 1;
+  EXPECT_EQ(WhereItIs(curve, false), "");  // half of all is no place
+  curve.declared.assign(24, 0.9);
+  curve.declared[3] = 2;
+  EXPECT_EQ(WhereItIs(curve, false), "");  // a peak with a fifth of the energy
+}
+
 }  // namespace
 }  // namespace robostress::calibration

@@ -67,20 +67,48 @@ TEST(Verdict, NamesNoMechanismThatLeavesAThirtiethOfTheExcess) {
   EXPECT_EQ(VerdictOf(small), Verdict::kReducedNotAttributed);
 }
 
-TEST(Verdict, ClaimsNothingOfLessThanTwiceTheNoise) {
+TEST(Verdict, ClaimsNothingOfLessThanHalfAsMuchAgainAsTheNoise) {
   Evidence e = Explained();
   e.effects = 0;
-  e.declared = 0.1;
-  e.declared_bulk = 0.0199;
+  e.declared = 0.039;
+  e.declared_bulk = 0.0149;
   EXPECT_EQ(VerdictOf(e), Verdict::kDeclaredSufficient);
-  e.declared_bulk = 0.0201;
+  e.declared_bulk = 0.0151;
   EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
-  e.declared_white = true;
+  e.declared_bulk = 0.0149;
+  e.declared = 0.041;  // a few runs are far off
+  EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+}
+
+TEST(Verdict, IsSufficientOnlyWhereEveryLogIs) {
+  Evidence e = Explained();
+  e.effects = 0;
+  e.declared = e.declared_bulk = 0.01;
+  e.regimes = {{"slow.csv", 0.01, 0.01, 0.01}, {"fast.csv", 0.014, 0.014, 0.01}};
   EXPECT_EQ(VerdictOf(e), Verdict::kDeclaredSufficient);
-  e.declared_white = false;
-  e.declared_bulk = 0.0199;
-  e.declared = 0.201;  // a few runs are far off
+  e.regimes[1] = {"fast.csv", 0.07, 0.07, 0.01};
   EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+  EXPECT_THAT(Judge(e).because, HasSubstr("most in fast.csv, 7.00 times (7.00)"));
+}
+
+TEST(Verdict, NamesNoMechanismThatCanNotBeTheMachine) {
+  Evidence e = Explained();
+  e.doubts = {"vs is on a bound", "friction would be -1 Nm"};
+  EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
+  EXPECT_THAT(Judge(e).because, HasSubstr("vs is on a bound; friction would be -1 Nm"));
+  EXPECT_NEAR(Judge(e).excess_explained, 1, 1e-12);
+}
+
+TEST(Verdict, NamesNoMechanismThatLeavesThreeTimesTheNoise) {
+  Evidence e = Explained();
+  e.declared = e.declared_bulk = 1;
+  e.after = 0.0299;
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
+  e.after = 0.0301;
+  EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
+  EXPECT_THAT(Judge(e).because, HasSubstr("3.0 times the noise"));
+  e.inverse = true;  // whose floor says too little
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
 }
 
 TEST(Verdict, SaysNothingOfFewerThanEightRuns) {

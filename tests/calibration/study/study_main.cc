@@ -26,14 +26,14 @@ namespace {
 using Json = nlohmann::json;
 
 struct CommandLine {
-  std::string out, calibrate;
+  std::string out, calibrate, family = "any";
   std::vector<std::string> kinds;
   std::vector<std::string> sizes = {"medium"};
   int first_seed = 1, seeds = 4, none = 0, workers = 2, surrogates = 199;
   bool table_only = false;
 };
 
-// One rig of the study; kind: names joined by "+", or "none".
+// One rig of the study; kind: names joined by "+", or "none"; behind "@" a hardship.
 struct Case {
   std::string kind, size, folder;
   uint64_t seed = 0;
@@ -59,11 +59,20 @@ absl::Status RunCase(const Case& c, const CommandLine& line) {
   const std::string rig = c.folder + "/rig", report = c.folder + "/report";
   if (std::filesystem::exists(c.folder + "/said.txt")) return absl::OkStatus();
   RigOptions options;
-  if (c.kind != "none") options.effects = absl::StrSplit(c.kind, '+');
+  const std::vector<std::string> parts = absl::StrSplit(c.kind, '@');
+  if (parts[0] != "none") options.effects = absl::StrSplit(parts[0], '+');
+  if (parts.size() > 1) {
+    const absl::StatusOr<Hardship> hardship = ParseHardship(parts[1]);
+    if (!hardship.ok()) return hardship.status();
+    options.hardship = *hardship;
+  }
   options.size = c.size == "small"   ? Size::kSmall
                  : c.size == "large" ? Size::kLarge
                                      : Size::kMedium;
   options.seed = c.seed;
+  const absl::StatusOr<Family> family = ParseFamily(line.family);
+  if (!family.ok()) return family.status();
+  options.family = *family;
   const auto generated = GenerateRig(options);
   if (!generated.ok()) return generated.status();
   if (absl::Status written = WriteGeneratedRig(*generated, options, rig); !written.ok())
@@ -121,7 +130,7 @@ std::string Table(const std::vector<Case>& cases) {
     seconds.push_back(SecondsOf(c));
     ++rows[c.kind][judged.outcome];
     ++total[judged.outcome];
-    if (c.kind == "none") {
+    if ((*truth)["effects"].empty()) {
       ++none;
       alarms += judged.outcome == Outcome::kFalseAlarm;
     } else {
@@ -178,9 +187,12 @@ int Main(int argc, char** argv) {
   cli::App app("Runs robostress-calibrate on generated rigs and prints how often it is right");
   app.add_option("--out", line.out, "Directory of rigs and reports; what is there is not repeated")
       ->required();
-  app.add_option("--effect", line.kinds, "Hidden effect, or two joined by +; repeat for more");
+  app.add_option(
+      "--effect", line.kinds,
+      "Hidden effect, none, or two joined by +, with @ and a hardship behind; repeat for more");
   app.add_flag("--library", library, "All effects of the library");
   app.add_flag("--outside", outside, "All effects that the library does not have");
+  app.add_option("--family", line.family, "Of every rig: any, servo, torque, ..., arm");
   app.add_option("--none", line.none, "Rigs that hide nothing");
   app.add_option("--size", line.sizes, "small, medium, large; repeat for more");
   app.add_option("--first-seed", line.first_seed, "Below 10000: for tuning; from 10000: to report")

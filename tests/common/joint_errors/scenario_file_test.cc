@@ -70,12 +70,23 @@ TEST(ScenarioFile, IsReadBackAsItWasWritten) {
   EXPECT_EQ(WriteScenarioFile(*again, kPanda), text);
 }
 
+TEST(ScenarioFile, MayHoldNoEffect) {
+  for (const char* yaml : {"joints: []\n", "joints: [{name: J1, effects: []}]\n"}) {
+    const auto file = ParseScenarioFile("x.yaml", yaml, kPanda);
+    ASSERT_TRUE(file.ok()) << file.status();
+    EXPECT_TRUE(file->effects.empty());
+    EXPECT_EQ(file->base, "clean");
+  }
+}
+
 TEST(ScenarioFile, NamesFileKeyValueAndWhatIsAllowed) {
   const struct {
     std::string yaml;
     std::vector<const char*> says;
   } cases[] = {
-      {"joints: []\n", {"x.yaml: joints", "at least one joint"}},
+      {"joints: none\n", {"x.yaml: joints", "must be a list"}},
+      {"title: Nothing\n", {"x.yaml: joints", "[] for a scenario without effects"}},
+      {"joints: [{name: J1}]\n", {"joints[0].effects", "[] for a joint without effects"}},
       {"base: rainy\njoints: [{name: J1}]\n", {"base", "'rainy'", "clean"}},
       {"joints: [{name: J8, effects: []}]\n", {"joints[0].name", "'J8'", "J1 to J7"}},
       {Effect("type: rust"), {"joints[0].effects[0].type", "'rust'", "transport_delay"}},

@@ -67,6 +67,19 @@ joints:
   EXPECT_THAT(other.first, HasSubstr("other options"));
 }
 
+TEST_F(CloseLoopTest, TheControlHidesNothingAndFindsNothing) {
+  const auto [output, code] = RunProgram(
+      CLOSE_LOOP, absl::StrCat("--hidden clean --out ", root, "/control --tasks 1-1 --episodes 3 ",
+                               "--rate-hz 125 --evaluated-episodes 1 --surrogates 99"));
+  ASSERT_EQ(code, 0) << output;
+  const auto text = ReadFile(root + "/control/summary.json");
+  ASSERT_TRUE(text.ok()) << text.status();
+  const auto summary = nlohmann::json::parse(*text);
+  EXPECT_TRUE(summary["hidden"].empty());
+  EXPECT_TRUE(summary["found"].empty()) << output;
+  EXPECT_EQ(summary["success"]["same_as_hidden"]["clean"]["same"], 1);
+}
+
 TEST_F(CloseLoopTest, SaysWhatIsWrongWithAHiddenScenario) {
   const std::string hidden = root + "/bad.yaml";
   ASSERT_TRUE(WriteFileAtomically(hidden, "joints: [{name: J4, effects: [{type: rust}]}]\n").ok());

@@ -1,0 +1,159 @@
+#include "calibration/search/plausibility.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "calibration/model/effect_chain.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr double kSlack = 0.1;       // of the friction's parts, that may be missing
+constexpr double kSigmas = 2;        // of their standard errors
+constexpr double kLeastDrive = 0.2;  // of the drive, that must be left at the end of a log
+constexpr int kRowStep = 4;          // rows that are looked at
+
+// What resists motion; a torque of these is viscous.
+bool Rubs(const EffectInstance& effect) {
+  static const std::vector<std::string> types = {
+      "stribeck_friction",          "asymmetric_coulomb",  "asymmetric_viscous",
+      "load_dependent_friction",    "time_drift_friction", "position_dependent_friction",
+      "quadratic_viscous_friction",
+  };
+  return std::find(types.begin(), types.end(), effect.info->type) != types.end();
+}
+
+// Where the curve of a Stribeck friction never rises its speed and static friction say nothing.
+bool IsFlatCurve(const Hypothesis& h, const std::string& path) {
+  if (path != "stribeck_friction.vs" && path != "stribeck_friction.Fs") return false;
+  JointModel model = ModelAt(h, h.x);
+  const auto Fc = FindValue(model, "stribeck_friction.Fc");
+  const auto Fs = FindValue(model, "stribeck_friction.Fs");
+  return Fc.ok() && Fs.ok() && **Fs <= 1.001 * **Fc;
+}
+
+// A joint's friction against motion at `speed` either way [Nm], and what its parts add up to.
+struct Resistance {
+  double forward = 0, backward = 0, parts = 0;
+};
+
+Resistance ResistanceAt(const JointModel& model, EffectChain& chain, JointMoment moment) {
+  Resistance sum;
+  const auto add = [&](double forward, double backward) {
+    sum.forward += forward;
+    sum.backward += backward;
+    sum.parts += std::max(std::abs(forward), std::abs(backward));
+  };
+  const double speed = std::abs(moment.dq);
+  add(model.frictionloss, model.frictionloss);
+  add(model.damping * speed, model.damping * speed);
+  for (JointEffect* effect : chain.memoryless) {
+    DryFriction dry, ignored;
+    moment.dq = speed;
+    const double ahead = -effect->Torque(moment, dry);
+    moment.dq = -speed;
+    const double back = effect->Torque(moment, ignored);
+    add(dry.forward + ahead, dry.backward + back);
+  }
+  return sum;
+}
+
+double DriveAt(const JointModel& model, const JointRecord& record, int row) {
+  if (!record.tau.empty()) return record.tau[row];
+  return record.command.empty() ? 0 : model.servo.kp * (record.command[row] - record.q_smooth[row]);
+}
+
+// Standard error of dry friction [Nm].
+double DeviationOfFriction(const JointFit& fit, const std::vector<double>& std) {
+  double sum = 0;
+  for (size_t i = 0; i < std.size(); ++i) {
+    const std::string& path = fit.best.free[i].path;
+    if (path == "frictionloss" || absl::EndsWith(path, ".Fc") || absl::EndsWith(path, ".dFc"))
+      sum += std[i] * std[i];
+  }
+  return std::sqrt(sum);
+}
+
+std::string FadingDoubt(const JointProblem& problem, const JointModel& model) {
+  for (const EffectInstance& effect : model.effects) {
+    if (effect.info->type != "time_varying_gain") continue;
+    for (const JointTrack& track : problem.tracks()) {
+      const double left = 1 + effect.values[0] * track.log->rows * track.log->dt;
+      if (left < kLeastDrive)
+        return absl::StrFormat("the drive would fade to %.0f %% within %s", 100 * left,
+                               track.log->file);
+    }
+  }
+  return "";
+}
+
+}  // namespace
+
+bool IsAbsence(const Hypothesis& h, int free) {
+  const FreeParameter& parameter = h.free[free];
+  const double x = h.x[free];
+  if (IsFlatCurve(h, parameter.path)) return true;
+  if (parameter.lower != 0 || parameter.upper - x < x - parameter.lower) return false;
+  for (const EffectInstance& effect : h.model.effects) {
+    const std::string prefix = effect.info->type + ".";
+    if (!absl::StartsWith(parameter.path, prefix)) continue;
+    return std::any_of(effect.info->amplitudes.begin(), effect.info->amplitudes.end(), [&](int i) {
+      return prefix + effect.info->parameters[i].name == parameter.path;
+    });
+  }
+  return parameter.path == "damping" || parameter.path == "frictionloss" ||
+         parameter.path == "armature" || parameter.path == "servo.kd";
+}
+
+std::string ParameterDoubt(const JointFit& fit, const std::vector<double>& std,
+                           const std::string& effect) {
+  const Hypothesis& best = fit.best;
+  for (size_t i = 0; i < best.free.size(); ++i) {
+    const FreeParameter& free = best.free[i];
+    if (!absl::StartsWith(free.path, effect + ".") || IsAbsence(best, static_cast<int>(i)))
+      continue;
+    const double value = free.ToValue(best.x[static_cast<int>(i)]);
+    if (fit.at_bound[i]) return absl::StrFormat("%s is on a bound, %.3g", free.path, value);
+    if (!(std[i] > 0) || !std::isfinite(std[i]))
+      return absl::StrFormat("%s, %.3g, has no standard error: the data do not say it", free.path,
+                             value);
+  }
+  return "";
+}
+
+std::string PhysicalDoubt(const JointProblem& problem, const JointFit& fit,
+                          const std::vector<double>& std) {
+  JointModel model = ModelAt(fit.best, fit.best.x);
+  if (std::string fading = FadingDoubt(problem, model); !fading.empty()) return fading;
+  std::erase_if(model.effects, [](const EffectInstance& effect) { return !Rubs(effect); });
+  if (model.effects.empty()) return "";
+  EffectChain chain(model);
+  const double allowed = kSigmas * DeviationOfFriction(fit, std);
+  double worst = 0;
+  std::string doubt;
+  for (const JointTrack& track : problem.tracks()) {
+    const JointRecord& record = track.record();
+    for (int row = 0; row < track.log->rows; row += kRowStep) {
+      JointMoment moment;
+      moment.t = row * track.log->dt;
+      moment.h = track.log->dt;
+      moment.q = record.q_smooth[row];
+      moment.dq = record.dq[row];
+      moment.drive = DriveAt(model, record, row);
+      const Resistance r = ResistanceAt(model, chain, moment);
+      const double least = std::min(r.forward, r.backward), excess = -least - kSlack * r.parts;
+      if (excess - allowed <= worst) continue;
+      worst = excess - allowed;
+      doubt = absl::StrFormat(
+          "friction would be %.3g at %.3g rad and %.3g rad/s %s: no joint is driven by its "
+          "friction",
+          least, moment.q, std::abs(moment.dq), r.forward < r.backward ? "forwards" : "backwards");
+    }
+  }
+  return doubt;
+}
+
+}  // namespace robostress::calibration

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "calibration/data/rig.h"
+#include "calibration/model/plant.h"
+
+namespace robostress::calibration {
+
+// What another joint of an arm says of an effect that acts on the whole arm.
+struct OtherJoint {
+  std::string joint;
+  double without = 0, with = 0;  // projected error of its fit logs, fitted without it and with it
+  double change = 0;             // of its prediction, at the same parameters
+  double floor = 0;
+};
+
+// Whether an effect of the whole arm, as a base that tilts or a payload, may be claimed at one
+// joint: another joint whose prediction it changes by more than the noise must be fitted better
+// with it, and none clearly worse. Empty: it may; else why not.
+std::string ObjectionOf(const std::string& effect, const std::vector<OtherJoint>& others);
+
+// Whether a joint's effect would show at other joints of its arm as well.
+bool ActsOnTheWholeArm(const std::string& effect);
+
+// Of the other joints of `rig`, each with its declared model.
+absl::StatusOr<std::vector<OtherJoint>> AskOtherJoints(const Rig& rig, const Plant& plant,
+                                                       const std::vector<MeasuredLog>& logs,
+                                                       int claimant, const DeclaredEffect& effect);
+
+}  // namespace robostress::calibration

@@ -1,0 +1,41 @@
+#include "calibration/search/shared_support.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace robostress::calibration {
+namespace {
+
+using testing::HasSubstr;
+
+// Without, with, change, floor.
+OtherJoint Joint(const std::string& name, double without, double with, double change) {
+  return {name, without, with, change, 1};
+}
+
+TEST(SharedSupport, IsOfAJointThatIsPredictedBetter) {
+  EXPECT_EQ(ObjectionOf("payload", {Joint("J1", 5, 4.8, 3)}), "");
+  EXPECT_EQ(ObjectionOf("payload", {Joint("J1", 5, 4.8, 3), Joint("J2", 1, 1, 0.1)}), "");
+  EXPECT_THAT(ObjectionOf("payload", {Joint("J1", 5, 4.95, 3)}), HasSubstr("J1 does without it"));
+}
+
+TEST(SharedSupport, IsNotGivenByJointsThatCanNotSeeIt) {
+  EXPECT_THAT(ObjectionOf("base_tilt", {Joint("J1", 5, 4, 1.9)}),
+              HasSubstr("no other joint shows whether it is there"));
+  EXPECT_THAT(ObjectionOf("base_tilt", {}), HasSubstr("no other joint shows"));
+}
+
+TEST(SharedSupport, IsTakenBackByOneThatIsPredictedWorse) {
+  const std::vector<OtherJoint> others = {Joint("J1", 5, 4, 3), Joint("J2", 5, 5.3, 3)};
+  EXPECT_THAT(ObjectionOf("base_tilt", others), HasSubstr("J2 is predicted worse with it, 5.3"));
+  EXPECT_EQ(ObjectionOf("base_tilt", {Joint("J1", 5, 4, 3), Joint("J2", 1, 1.9, 3)}), "");
+}
+
+TEST(SharedSupport, IsAskedForWhatActsOnTheWholeArm) {
+  EXPECT_TRUE(ActsOnTheWholeArm("payload"));
+  EXPECT_TRUE(ActsOnTheWholeArm("base_tilt"));
+  EXPECT_FALSE(ActsOnTheWholeArm("gravity_error"));
+}
+
+}  // namespace
+}  // namespace robostress::calibration
