@@ -35,7 +35,7 @@ extern "C" {
 
 /* Raised when a function is added; functions stay as they are within a symbol version
  * (ROBOSTRESS_1). */
-#define ROBOSTRESS_INTERFACE 1
+#define ROBOSTRESS_INTERFACE 2
 
 typedef enum robostress_code {
   ROBOSTRESS_OK = 0,
