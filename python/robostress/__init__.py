@@ -12,7 +12,8 @@ from robostress.client import PolicyClient
 from robostress.compensation import (Compensator, DirectSubtraction, GainControl, IntegralAction, ModelFollowing)
 from robostress.joint_errors import JointErrors
 from robostress.streams import Stream
+from robostress.wrapping import WrappedEnvironment, wrap
 
 __all__ = ["Compensator", "DirectSubtraction", "GainControl", "IntegralAction", "InternalError", "InvalidArgument",
            "JointErrors", "ModelFollowing", "NotFound", "PolicyClient", "RobostressError", "Scenario", "Stream",
-           "WrongOrder", "__version__", "calibrate", "scenarios"]
+           "WrappedEnvironment", "WrongOrder", "__version__", "calibrate", "scenarios", "wrap"]

@@ -135,10 +135,10 @@ class JointErrors:
             if name not in self._views:
                 self.bind(**{name: np.full(self._shape(name), np.nan)})
 
-    def reset(self, q: Any, *, step: float = 0.002, holding: Optional[Any] = None, **arm: Any) -> None:
-        """An episode begins at rest at q. step: length of a sub-step [s]; holding: the motors' torques that hold the arm."""
+    def reset(self, q: Optional[Any] = None, *, step: float = 0.002, holding: Optional[Any] = None, **arm: Any) -> None:
+        """An episode begins at rest at q, or where the bound arrays say. step: length of a sub-step [s]; holding: the motors' torques that hold the arm."""
         self._moment.time, self._moment.step, self._step = 0, step, step
-        self._fill({"q": q, "dq": 0, **arm})
+        self._fill(arm if q is None else {"q": q, "dq": 0, **arm})
         held = None if holding is None else array("holding", holding, float, self.joints)
         self._failures.check(LIBRARY.robostress_errors_reset(
             self._handle, ctypes.addressof(self._moment), None if held is None else held.ctypes.data,

@@ -40,16 +40,19 @@ def interpreter(name):
     skip(f"{name} is not there, or older than 3.8")
 
 
-def environment(python, folder):
-    """A Python with NumPy, kept from one run to the next."""
+def environment(python, folder, requirements):
+    """A Python with NumPy and what else is asked for, kept from one run to the next."""
     venv_python, done = folder / "bin/python", folder / "DONE"
     if done.exists():
         return venv_python
-    made = run(python, "-m", "venv", "--clear", "--system-site-packages", folder)
+    system = [] if requirements else ["--system-site-packages"]
+    made = run(python, "-m", "venv", "--clear", *system, folder)
     if made.returncode != 0:
         skip(f"needs python3-venv: {made.stdout[-500:]}")
     pip = run(venv_python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:",
-              "--timeout", "15", "--retries", "1", "-r", HERE / "requirements.txt")
+              "--timeout", "15", "--retries", "1", "--no-deps", "-r", requirements or HERE / "requirements.txt")
+    if pip.returncode != 0 and requirements:
+        skip(f"needs PyPI for what {requirements.name} lists: {pip.stdout[-500:]}")
     if pip.returncode != 0 and run(venv_python, "-c", "import numpy").returncode != 0:
         skip(f"needs NumPy, from PyPI or python3-numpy: {pip.stdout[-500:]}")
     done.write_text("installed\n")
@@ -61,9 +64,10 @@ def main():
     parser.add_argument("--python", required=True, help="the interpreter, 3.8 or later")
     parser.add_argument("--library", required=True, help="librobostress.so.1")
     parser.add_argument("--scratch", required=True, type=pathlib.Path)
+    parser.add_argument("--requirements", type=pathlib.Path, help="more packages; skipped where they cannot be had")
     parser.add_argument("script", nargs="+", help="what is run, with its arguments")
     line = parser.parse_args()
-    python = environment(interpreter(line.python), line.scratch / "venv")
+    python = environment(interpreter(line.python), line.scratch / "venv", line.requirements)
     wheels = line.scratch / "wheels"
     shutil.rmtree(wheels, ignore_errors=True)
     must(run(python, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-index", "--no-deps",
