@@ -1,4 +1,5 @@
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <new>
@@ -19,11 +20,13 @@ struct robostress_errors {
       : chain(with),
         sticks(sticks),
         q(static_cast<size_t>(with.joints())),
+        own(5 * static_cast<size_t>(with.joints())),
         moments(static_cast<size_t>(with.joints())) {}
 
   robostress::JointChain chain;
   bool sticks;                                   // the paper's friction, under the law stick
   std::vector<double> q;                         // of the joints in the sub-step
+  std::vector<double> own;                       // q, dq, gravity, applied, change of act()
   std::vector<robostress::JointMoment> moments;  // of the motors in it
   bool begun = false;                            // an episode
   bool asked = false;                            // torque() was called in this sub-step
@@ -219,6 +222,38 @@ absl::Status Torque(robostress_errors* errors, const robostress_moment* moment, 
   return absl::OkStatus();
 }
 
+absl::Status CheckArrays(const robostress_arrays& a) {
+  const struct {
+    const char* name;
+    const void* array;
+  } needed[] = {{"arrays.qpos", a.qpos},
+                {"arrays.qvel", a.qvel},
+                {"arrays.ctrl", a.ctrl},
+                {"arrays.xaxis", a.xaxis},
+                {"arrays.xanchor", a.xanchor},
+                {"arrays.subtree_com", a.subtree_com},
+                {"arrays.subtree_mass", a.subtree_mass},
+                {"arrays.qpos_index", a.qpos_index},
+                {"arrays.dof_index", a.dof_index},
+                {"arrays.ctrl_index", a.ctrl_index},
+                {"arrays.joint_index", a.joint_index},
+                {"arrays.body_index", a.body_index}};
+  for (const auto& [name, array] : needed) RS_RETURN_IF_ERROR(CheckHandle(name, array));
+  return absl::OkStatus();
+}
+
+// The torque that holds each joint against gravity, as PandaSim reckons it.
+void HoldAgainstGravity(const robostress_arrays& a, int joints, double* gravity) {
+  using Vector = Eigen::Map<const Eigen::Vector3d>;
+  const Vector field(a.field);
+  for (int i = 0; i < joints; ++i) {
+    const int body = a.body_index[i];
+    const Vector axis(a.xaxis + 3 * a.joint_index[i]), anchor(a.xanchor + 3 * a.joint_index[i]);
+    const Vector com(a.subtree_com + 3 * body);
+    gravity[i] = -a.subtree_mass[body] * axis.dot((com - anchor).cross(field));
+  }
+}
+
 absl::Status OffsetChange(robostress_errors* errors, const double* applied, double* change) {
   RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
   RS_RETURN_IF_ERROR(CheckHandle("change", change));
@@ -233,6 +268,31 @@ absl::Status OffsetChange(robostress_errors* errors, const double* applied, doub
   std::fill_n(change, joints, 0.0);
   errors->chain.MoveErrors(errors->q, {applied, joints}, errors->moments[0].h, {change, joints});
   errors->chain.MoveEffects(errors->moments, {change, joints});
+  return absl::OkStatus();
+}
+
+absl::Status Act(robostress_errors* errors, const robostress_moment* moment,
+                 const robostress_arrays* given, const double* asked, double* applied) {
+  RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
+  robostress_arrays arrays = {};
+  RS_RETURN_IF_ERROR(ReadStructure("arrays", given, arrays));
+  RS_RETURN_IF_ERROR(CheckArrays(arrays));
+  robostress_moment at = {};
+  RS_RETURN_IF_ERROR(ReadStructure("moment", moment, at));
+  const int n = errors->chain.joints();
+  double *q = errors->own.data(), *dq = q + n, *gravity = dq + n, *torque = gravity + n,
+         *change = torque + n;
+  for (int i = 0; i < n; ++i) q[i] = arrays.qpos[arrays.qpos_index[i]];
+  for (int i = 0; i < n; ++i) dq[i] = arrays.qvel[arrays.dof_index[i]];
+  HoldAgainstGravity(arrays, n, gravity);
+  at.q = q;
+  at.dq = dq;
+  at.gravity = gravity;
+  RS_RETURN_IF_ERROR(Torque(errors, &at, asked, torque));
+  RS_RETURN_IF_ERROR(OffsetChange(errors, torque, change));
+  for (int i = 0; i < n; ++i) arrays.ctrl[arrays.ctrl_index[i]] = torque[i];
+  for (int i = 0; i < n; ++i) arrays.qpos[arrays.qpos_index[i]] += change[i];
+  if (applied != nullptr) std::copy_n(torque, n, applied);
   return absl::OkStatus();
 }
 
@@ -361,6 +421,13 @@ robostress_code robostress_errors_sub_step(robostress_errors* errors,
     RS_RETURN_IF_ERROR(robostress::Torque(errors, moment, asked, applied));
     return robostress::OffsetChange(errors, applied, change);
   });
+}
+
+robostress_code robostress_errors_act(robostress_errors* errors, const robostress_moment* moment,
+                                      const robostress_arrays* arrays, const double* asked,
+                                      double* applied, char* error, size_t error_size) {
+  return AtBoundary(error, error_size,
+                    [&] { return robostress::Act(errors, moment, arrays, asked, applied); });
 }
 
 void robostress_errors_offset(const robostress_errors* errors, double* offset) {

@@ -150,6 +150,30 @@ robostress_code robostress_errors_sub_step(robostress_errors* errors,
                                            const robostress_moment* moment, const double* asked,
                                            double* applied, double* change, char* error,
                                            size_t error_size);
+/* A simulator's own arrays, laid out as MuJoCo's mjData and mjModel. An index has an entry per
+   joint of the arm. */
+typedef struct robostress_arrays {
+  size_t size;
+  double* qpos;
+  const double* qvel;
+  double* ctrl;              /* torques of motors with gear 1 */
+  const double* xaxis;       /* [joints of the simulator][3] */
+  const double* xanchor;     /* the same */
+  const double* subtree_com; /* [bodies][3] */
+  const double* subtree_mass;
+  const int* qpos_index;
+  const int* dof_index;
+  const int* ctrl_index;
+  const int* joint_index;
+  const int* body_index;
+  double field[3]; /* [m/s^2] of gravity */
+} robostress_arrays;
+/* sub_step() with q, dq and gravity of these arrays, whose ctrl gets what is applied and whose qpos
+   the change: between a controller and the simulator's step. moment: what else is read. applied:
+   [joints], or NULL. */
+robostress_code robostress_errors_act(robostress_errors* errors, const robostress_moment* moment,
+                                      const robostress_arrays* arrays, const double* asked,
+                                      double* applied, char* error, size_t error_size);
 /* Link angle minus motor angle of every joint now. */
 void robostress_errors_offset(const robostress_errors* errors, double* offset);
 /* What the controller reads of joints at q, dq; reading and rate may be q and dq themselves, or

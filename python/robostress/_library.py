@@ -4,7 +4,7 @@ from __future__ import annotations
 import ctypes
 import os
 import pathlib
-from typing import Any, List, NamedTuple
+from typing import Any, Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
@@ -41,11 +41,22 @@ class Options(ctypes.Structure):
                 ("gravity_sign", ctypes.c_char_p), ("nominal", ctypes.c_void_p)]
 
 
+ARM = ("q", "dq", "gravity", "payload_gravity", "payload_inertia", "tilt_gravity", "mass_matrix", "other_torque",
+       "torque_low", "torque_high", "ddq", "temperature")
+
+
 class Moment(ctypes.Structure):
     _fields_ = [("size", ctypes.c_size_t), ("time", ctypes.c_double), ("step", ctypes.c_double)] + [
-        (name, ctypes.c_void_p) for name in
-        ("q", "dq", "gravity", "payload_gravity", "payload_inertia", "tilt_gravity", "mass_matrix", "other_torque",
-         "torque_low", "torque_high", "ddq", "temperature")]
+        (name, ctypes.c_void_p) for name in ARM]
+
+
+ATTACHED = ("qpos", "qvel", "ctrl", "xaxis", "xanchor", "subtree_com", "subtree_mass", "qpos_index", "dof_index",
+            "ctrl_index", "joint_index", "body_index")
+
+
+class Arrays(ctypes.Structure):
+    _fields_ = [("size", ctypes.c_size_t)] + [(name, ctypes.c_void_p) for name in ATTACHED] + [
+        ("field", ctypes.c_double * 3)]
 
 
 class Control(ctypes.Structure):
@@ -62,9 +73,9 @@ class Executed(ctypes.Structure):
 
 
 POINTER, TEXT, INT, SIZE = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_size_t
-ERROR = [POINTER, SIZE]
+ERROR: List[Any] = [POINTER, SIZE]
 # name: (result, arguments). Functions that can fail return an int and take ERROR last.
-FUNCTIONS = {
+FUNCTIONS: Dict[str, Tuple[Any, List[Any]]] = {
     "version": (TEXT, []),
     "interface": (INT, []),
     "scenario_count": (SIZE, []),
@@ -83,6 +94,7 @@ FUNCTIONS = {
     "errors_torque": (INT, [POINTER, POINTER, POINTER, POINTER, *ERROR]),
     "errors_offset_change": (INT, [POINTER, POINTER, POINTER, *ERROR]),
     "errors_sub_step": (INT, [POINTER, POINTER, POINTER, POINTER, POINTER, *ERROR]),
+    "errors_act": (INT, [POINTER, POINTER, POINTER, POINTER, POINTER, *ERROR]),
     "errors_offset": (None, [POINTER, POINTER]),
     "errors_reading": (None, [POINTER, POINTER, POINTER, POINTER, POINTER]),
     "control_default": (None, [POINTER]),

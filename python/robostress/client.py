@@ -45,7 +45,7 @@ class PolicyClient:
                  session: Optional[Mapping[str, Any]] = None, token: Optional[str] = None,
                  open_timeout: float = 10, timeout: float = 120) -> None:
         try:
-            import msgpack
+            import msgpack  # type: ignore[import-untyped]
             from websockets.sync.client import connect
         except ImportError as fault:
             raise NotFound(f"{fault.name} is not installed: pip install 'robostress[client]'") from fault

@@ -7,12 +7,11 @@ from typing import Any, Dict, FrozenSet, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from robostress._library import LIBRARY, Failures, InvalidArgument, Moment, Options, WrongOrder, array
+from robostress._library import ARM, ATTACHED, LIBRARY, Arrays, Failures, InvalidArgument, Moment, Options, WrongOrder, array
 from robostress.streams import Stream
 
 READS = {1: ("gravity",), 2: ("payload_gravity", "payload_inertia"), 4: ("tilt_gravity",),
          8: ("mass_matrix", "other_torque"), 16: ("ddq",)}
-FIELDS = tuple(name for name, _ in Moment._fields_[3:])
 
 
 class JointErrors:
@@ -78,8 +77,8 @@ class JointErrors:
             self.bind(**{name: np.full(self._shape(name), np.nan)})  # so that what nobody fills is refused
 
     def _shape(self, name: str) -> Tuple[int, ...]:
-        if name not in FIELDS:
-            raise InvalidArgument(f"'{name}' is nothing that an arm has; known: {', '.join(FIELDS)}")
+        if name not in ARM:
+            raise InvalidArgument(f"'{name}' is nothing that an arm has; known: {', '.join(ARM)}")
         return {"tilt_gravity": (self.joints, 2), "mass_matrix": (self.joints, self.joints)}.get(name, (self.joints,))
 
     @property
@@ -113,7 +112,7 @@ class JointErrors:
         try:
             np.asarray(self._views[name])[...] = values
         except (TypeError, ValueError) as fault:
-            shape = list(self._views[name].shape)
+            shape = list(np.asarray(self._views[name]).shape)
             raise InvalidArgument(f"{name}: {fault}; must be numbers of shape {shape}") from fault
 
     def _begin(self, asked: Any, arm: Dict[str, Any]) -> None:
@@ -172,6 +171,33 @@ class JointErrors:
         self._failures.check(LIBRARY.robostress_errors_offset_change(*self._offset_change))
         return self._change
 
+    def attach(self, field: Any, **arrays: Any) -> None:
+        """A simulator's own arrays for act(), laid out as MuJoCo's: qpos, qvel, ctrl, xaxis, xanchor, subtree_com,
+        subtree_mass; qpos_index, dof_index, ctrl_index, joint_index, body_index [joints]. field: of gravity [m/s^2]."""
+        attached = Arrays(ctypes.sizeof(Arrays))
+        attached.field[:] = list(field)
+        self._attached = {}
+        for name in ATTACHED:
+            values = arrays[name]
+            if name.endswith("_index"):
+                values = array(name, values, np.intc, self.joints)
+            elif values.dtype != np.float64 or not values.flags.c_contiguous:
+                raise InvalidArgument(f"{name} must be the simulator's own contiguous float64 array to be attached")
+            self._attached[name] = values
+            setattr(attached, name, values.ctypes.data)
+        self._arrays = attached
+        self._act = (self._handle, ctypes.addressof(self._moment), ctypes.addressof(attached),
+                     self._asked_array.ctypes.data, self._applied.ctypes.data, *self._failures.arguments)
+
+    def act(self, asked: Any) -> np.ndarray:
+        """sub_step() in the attached arrays: ctrl gets what is applied, qpos the change. Returns what is applied."""
+        self._begin(asked, {})
+        code = _act(*self._act)
+        if code:
+            self._failures.check(code)
+        self._sub_steps += 1
+        return self._applied
+
     def offset(self) -> np.ndarray:
         """Link angle minus motor angle now [joints]."""
         values = np.empty(self.joints)
@@ -215,3 +241,4 @@ class JointErrors:
 
 
 _sub_step = LIBRARY.robostress_errors_sub_step
+_act = LIBRARY.robostress_errors_act

@@ -123,6 +123,68 @@ TEST_F(LibraryArms, OfSevenJointsKeepWhichOnesAreWorn) {
   ExpectChain(errors_.get(), chain);
 }
 
+// A simulator with more joints and bodies than the arm has: its arrays in any order.
+TEST_F(LibraryArms, ActInASimulatorsArrays) {
+  const std::vector<double> values = PandaElbows();
+  ASSERT_EQ(New("aged_joint_uniform", kArmJoints, values.data(), errors_), ROBOSTRESS_OK) << error_;
+  robostress_errors* copied = nullptr;
+  const std::vector<int> at = {9, 2, 5, 0, 7, 3};
+  std::vector<double> qpos(10, 0.2), qvel(10, 0.1), ctrl(10, 7), axis(30), anchor(30), com(30),
+      mass(10);
+  for (size_t i = 0; i < 30; ++i) {
+    axis[i] = std::sin(3.0 * static_cast<double>(i));
+    anchor[i] = std::sin(5.0 * static_cast<double>(i));
+    com[i] = std::cos(7.0 * static_cast<double>(i));
+    mass[i / 3] = 1 + 0.1 * static_cast<double>(i);
+  }
+  robostress_arrays arrays = {sizeof(arrays), qpos.data(), qvel.data(), ctrl.data(),    axis.data(),
+                              anchor.data(),  com.data(),  mass.data(), at.data(),      at.data(),
+                              at.data(),      at.data(),   at.data(),   {0.5, 0, -9.81}};
+  std::vector<double> q(kArmJoints), dq(kArmJoints, 0.1), gravity(kArmJoints), asked(kArmJoints, 4),
+      applied(kArmJoints), change(kArmJoints), acted(kArmJoints);
+  for (size_t i = 0; i < kArmJoints; ++i) {
+    const auto k = static_cast<size_t>(3 * at[i]);
+    const double x = com[k] - anchor[k], y = com[k + 1] - anchor[k + 1],
+                 z = com[k + 2] - anchor[k + 2];
+    gravity[i] = -mass[k / 3] * (axis[k] * (y * -9.81) + axis[k + 1] * (z * 0.5 + x * 9.81) -
+                                 axis[k + 2] * (y * 0.5));
+    q[i] = 0.2;
+  }
+  robostress_moment moment = {};
+  moment.size = sizeof(moment);
+  moment.step = 0.002;
+  moment.q = q.data();
+  moment.dq = dq.data();
+  moment.gravity = gravity.data();
+  ASSERT_EQ(robostress_errors_reset(errors_.get(), &moment, nullptr, error_, sizeof(error_)),
+            ROBOSTRESS_OK)
+      << error_;
+  ASSERT_EQ(robostress_errors_copy(errors_.get(), &copied, nullptr, 0), ROBOSTRESS_OK);
+  const ArmErrors twin(copied, robostress_errors_free);
+  ASSERT_EQ(robostress_errors_sub_step(errors_.get(), &moment, asked.data(), applied.data(),
+                                       change.data(), error_, sizeof(error_)),
+            ROBOSTRESS_OK);
+  robostress_moment rest = {};
+  rest.size = sizeof(rest);
+  rest.step = 0.002;
+  ASSERT_EQ(robostress_errors_act(twin.get(), &rest, &arrays, asked.data(), acted.data(), error_,
+                                  sizeof(error_)),
+            ROBOSTRESS_OK)
+      << error_;
+  for (size_t i = 0; i < kArmJoints; ++i) {
+    EXPECT_NEAR(acted[i], applied[i], 1e-12);
+    EXPECT_EQ(ctrl[static_cast<size_t>(at[i])], acted[i]);
+    EXPECT_NEAR(qpos[static_cast<size_t>(at[i])], 0.2 + change[i], 1e-15);
+  }
+  EXPECT_EQ(ctrl[1], 7);
+  EXPECT_EQ(qpos[1], 0.2);
+  arrays.ctrl_index = nullptr;
+  EXPECT_EQ(robostress_errors_act(twin.get(), &rest, &arrays, asked.data(), nullptr, error_,
+                                  sizeof(error_)),
+            ROBOSTRESS_INVALID_ARGUMENT);
+  EXPECT_STREQ(error_, "arrays.ctrl_index is NULL");
+}
+
 TEST_F(LibraryArms, AreToldWhatCannotBe) {
   std::vector<double> values = PandaElbows();
   const auto refuses = [&](const char* scenario, const double* nominal, const char* words) {

@@ -153,6 +153,22 @@ class Errors(unittest.TestCase):
         self.assertAlmostEqual(abs(errors.offset()[0]), 0.01)
         np.testing.assert_array_equal(errors.reading([0.3], [0.1]), [[0.3], [0.1]])
 
+    def test_acts_in_a_simulators_arrays(self):
+        simulator = {"qpos": np.zeros(3), "qvel": np.zeros(3), "ctrl": np.zeros(3), "xaxis": np.tile([0, 1.0, 0], (3, 1)),
+                     "xanchor": np.zeros((3, 3)), "subtree_com": np.full((3, 3), 0.1), "subtree_mass": np.ones(3)}
+        indices = {name: [2, 0] for name in ("qpos_index", "dof_index", "ctrl_index", "joint_index", "body_index")}
+        errors = rs.JointErrors("clean", joints=2)
+        errors.add_effect(1, "backlash", [0.01])
+        errors.attach([0, 0, -9.81], **simulator, **indices)
+        errors.reset([0, 0])
+        np.testing.assert_array_equal(errors.act([3, 4]), [3, 4])
+        np.testing.assert_array_equal(simulator["ctrl"], [4, 0, 3])
+        simulator["qvel"][0] = 1
+        errors.act([3, 4])
+        self.assertNotEqual(simulator["qpos"][0], 0)
+        with self.assertRaisesRegex(rs.InvalidArgument, "ctrl must be the simulator's own"):
+            errors.attach([0, 0, -9.81], **{**simulator, "ctrl": np.zeros(6)[::2]}, **indices)
+
     def test_seeds_give_streams_and_change_no_error(self):
         first, second = rs.JointErrors("clean", seed=1), rs.JointErrors("clean", seed=2)
         self.assertFalse(np.array_equal(first.stream("camera").normal(4), second.stream("camera").normal(4)))
