@@ -90,12 +90,13 @@ class Wrapped(unittest.TestCase):
                 qpos, played, info = self.play(wrapped, rows, grasped)
                 wrapped.unwrap()
                 self.assertEqual(info["robostress"]["held"], grasped and scenario == "heavy_payload")
-                # A squeezed cube's contacts take another side when the last digit of a torque differs.
-                np.testing.assert_allclose(played, self.reference(qpos, rows, scenario), rtol=0,
-                                           atol=1e-5 if grasped else 1e-9)
+                # A cube that is squeezed while the arm jerks: its contacts take another side when the last digit of a
+                # torque differs, by 1e-7 to 2e-5 rad from run to run.
+                atol = 1e-3 if scenario == "heavy_payload" and grasped else 1e-9
+                np.testing.assert_allclose(played, self.reference(qpos, rows, scenario), rtol=0, atol=atol)
                 motions[scenario, grasped] = played
         np.testing.assert_array_equal(motions["heavy_payload", False], motions["nominal", False])
-        self.assertGreater(np.abs(motions["heavy_payload", True] - motions["nominal", True]).max(), 1e-3)
+        self.assertGreater(np.abs(motions["heavy_payload", True] - motions["nominal", True]).max(), 0.05)
 
     def test_leaves_the_environment_as_it_was(self):
         rows = actions()[:5]
