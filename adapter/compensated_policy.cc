@@ -11,6 +11,17 @@
 
 namespace robostress {
 
+absl::Status CheckWithoutWeights(const SessionSetting& setting, const MethodOptions& method) {
+  if (method.adapts()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "method '", method.method,
+        "' trains an adapter in the policy's weights (LoRA), and policy '", setting.policy,
+        "' has none here; take one that corrects commands alone: gain, direct, ours_following"));
+  }
+  RS_RETURN_IF_ERROR(method.Check());
+  return ActsInJointSpace(setting) ? method.CheckJointSpace(setting.robot) : absl::OkStatus();
+}
+
 CompensatedPolicy::CompensatedPolicy(PolicyEndpoint* policy, const SessionSetting& setting,
                                      const MethodOptions& method)
     : policy_(policy),
@@ -21,14 +32,7 @@ CompensatedPolicy::CompensatedPolicy(PolicyEndpoint* policy, const SessionSettin
 
 absl::StatusOr<std::unique_ptr<CompensatedPolicy>> CompensatedPolicy::Create(
     PolicyEndpoint* policy, const SessionSetting& setting, const MethodOptions& method) {
-  if (method.adapts()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "method '", method.method,
-        "' trains an adapter in the policy's weights (LoRA), and policy '", setting.policy,
-        "' has none here; take one that corrects commands alone: gain, direct, ours_following"));
-  }
-  RS_RETURN_IF_ERROR(method.Check());
-  if (ActsInJointSpace(setting)) RS_RETURN_IF_ERROR(method.CheckJointSpace(setting.robot));
+  RS_RETURN_IF_ERROR(CheckWithoutWeights(setting, method));
   return std::unique_ptr<CompensatedPolicy>(new CompensatedPolicy(policy, setting, method));
 }
 

@@ -14,14 +14,16 @@ namespace robostress {
 
 struct MethodOptions;  // adapter/method_options.h
 
+// INVALID_ARGUMENT names the method that needs weights, or an option of it that does not hold.
+absl::Status CheckWithoutWeights(const SessionSetting& setting, const MethodOptions& method);
+
 // Any policy with what a method does that needs no weights: gain, direct and integral correction,
 // model following. Its commands are, bit by bit, those of a session of our own server with that
 // method around a policy that predicts the same; with every_step they follow the arm at every
 // control step. One thread.
 class CompensatedPolicy : public PolicyEndpoint {
  public:
-  // `policy` outlives this and adapts nothing. INVALID_ARGUMENT names the method that needs
-  // weights, or one of whose options does not hold.
+  // `policy` outlives this and adapts nothing. Errors are those of CheckWithoutWeights.
   static absl::StatusOr<std::unique_ptr<CompensatedPolicy>> Create(PolicyEndpoint* policy,
                                                                    const SessionSetting& setting,
                                                                    const MethodOptions& method);

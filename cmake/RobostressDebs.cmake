@@ -53,10 +53,17 @@ robostress_deb(calibration robostress-calibration "finds what a robot's model la
 robostress_deb(server robostress-server "policy server with online self-compensation"
   "${subject}\nThis package serves policies over gRPC and WebSocket, trains and\ninspects them, and has the small policies' weights."
   DEPENDS "libopenblas0-openmp" SUGGESTS "robostress-evaluation")
-robostress_deb(dev librobostress-dev "C++ libraries of RoboStress"
-  "${subject}\nThis package has the joint errors, the corrections without LibTorch and\nthe client of the policy server as static libraries."
+set(shared "")
+if(TARGET robostress_c)
+  robostress_deb(library librobostress1 "joint errors of robot arms in C"
+    "${subject}\nThis package has the joint errors and the corrections without LibTorch\nas a library for simulators of others."
+    SECTION libs)
+  set(shared "librobostress1 (= ${PROJECT_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE}), ")
+endif()
+robostress_deb(dev librobostress-dev "C and C++ libraries of RoboStress"
+  "${subject}\nThis package has the joint errors, the corrections without LibTorch and\nthe client of the policy server as static libraries, and the C header."
   SECTION libdevel
-  DEPENDS "libabsl-dev, libeigen3-dev, libgrpc++-dev, libpng-dev, libprotobuf-dev, libspdlog-dev, libssl-dev, libwebp-dev, libyaml-cpp-dev, nlohmann-json3-dev, pkg-config")
+  DEPENDS "${shared}libabsl-dev, libeigen3-dev, libgrpc++-dev, libpng-dev, libprotobuf-dev, libspdlog-dev, libssl-dev, libwebp-dev, libyaml-cpp-dev, nlohmann-json3-dev, pkg-config")
 set(CPACK_DEBIAN_DEV_PACKAGE_SHLIBDEPS OFF)
 
 file(WRITE ${CMAKE_BINARY_DIR}/packages/copyright

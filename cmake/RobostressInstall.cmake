@@ -137,4 +137,21 @@ write_basic_package_version_file(${CMAKE_BINARY_DIR}/packages/robostress-config-
 install(FILES ${CMAKE_BINARY_DIR}/packages/robostress-config.cmake
   ${CMAKE_BINARY_DIR}/packages/robostress-config-version.cmake DESTINATION ${cmake_files} COMPONENT dev)
 
+# The C interface: `pkg-config robostress`.
+if(TARGET robostress_c)
+  list(APPEND ROBOSTRESS_COMPONENTS library)
+  install(TARGETS robostress_c LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT library NAMELINK_COMPONENT dev)
+  install(FILES python/library/robostress.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT dev)
+  file(RELATIVE_PATH includes /${CMAKE_INSTALL_LIBDIR}/pkgconfig /${CMAKE_INSTALL_INCLUDEDIR})
+  file(WRITE ${CMAKE_BINARY_DIR}/packages/robostress.pc
+"Name: robostress
+Description: Joint errors of robot arms, and their compensation
+Version: ${PROJECT_VERSION}
+Cflags: -I\${pcfiledir}/${includes}
+Libs: -L\${pcfiledir}/.. -lrobostress
+")
+  install(FILES ${CMAKE_BINARY_DIR}/packages/robostress.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT dev)
+  add_dependencies(package_files robostress_c)
+endif()
+
 include(RobostressDebs)

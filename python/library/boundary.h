@@ -5,6 +5,8 @@
 #include <cstring>
 #include <exception>
 #include <new>
+#include <string>
+#include <string_view>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
@@ -37,6 +39,28 @@ robostress_code AtBoundary(char* error, size_t error_size, Function function) no
 inline absl::Status CheckHandle(const char* name, const void* pointer) {
   return pointer != nullptr ? absl::OkStatus()
                             : absl::InvalidArgumentError(absl::StrCat(name, " is NULL"));
+}
+
+template <class Value>
+struct Word {
+  const char* text;
+  Value value;
+};
+
+template <class Value, size_t n>
+absl::Status ReadWord(const char* name, const char* text, const Word<Value> (&words)[n],
+                      Value& value) {
+  std::string known;
+  for (const auto& word : words) {
+    if (text != nullptr && std::string_view(text) == word.text) {
+      value = word.value;
+      return absl::OkStatus();
+    }
+    absl::StrAppend(&known, known.empty() ? "" : ", ", word.text);
+  }
+  return absl::InvalidArgumentError(absl::StrCat(name, " is '",
+                                                 text == nullptr ? "NULL" : absl::string_view(text),
+                                                 "', must be one of ", known));
 }
 
 // What `to` covers of `from`, by the size that each says; `to.size` stays.

@@ -1,4 +1,5 @@
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <new>
@@ -8,22 +9,24 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/joint_errors/joint_chain.h"
-#include "common/joint_errors/scenario_file.h"
 #include "common/joint_errors/sub_step.h"
 #include "common/status_macros.h"
 #include "python/library/boundary.h"
 #include "python/library/robostress.h"
+#include "python/library/scenario_chain.h"
 
 struct robostress_errors {
   robostress_errors(const robostress::JointChain& with, bool sticks)
       : chain(with),
         sticks(sticks),
         q(static_cast<size_t>(with.joints())),
+        own(5 * static_cast<size_t>(with.joints())),
         moments(static_cast<size_t>(with.joints())) {}
 
   robostress::JointChain chain;
   bool sticks;                                   // the paper's friction, under the law stick
   std::vector<double> q;                         // of the joints in the sub-step
+  std::vector<double> own;                       // q, dq, gravity, applied, change of act()
   std::vector<robostress::JointMoment> moments;  // of the motors in it
   bool begun = false;                            // an episode
   bool asked = false;                            // torque() was called in this sub-step
@@ -31,79 +34,6 @@ struct robostress_errors {
 
 namespace robostress {
 namespace {
-
-constexpr int kMostJoints = 64;
-
-template <class Value>
-struct Word {
-  const char* text;
-  Value value;
-};
-
-template <class Value, size_t n>
-absl::Status ReadWord(const char* name, const char* text, const Word<Value> (&words)[n],
-                      Value& value) {
-  std::string known;
-  for (const auto& word : words) {
-    if (text != nullptr && std::string_view(text) == word.text) {
-      value = word.value;
-      return absl::OkStatus();
-    }
-    absl::StrAppend(&known, known.empty() ? "" : ", ", word.text);
-  }
-  return absl::InvalidArgumentError(absl::StrCat(name, " is '",
-                                                 text == nullptr ? "NULL" : absl::string_view(text),
-                                                 "', must be one of ", known));
-}
-
-absl::Status ReadOptions(const robostress_options& from, JointErrorOptions& to) {
-  RS_RETURN_IF_ERROR(ReadWord("friction_law", from.friction_law,
-                              {Word<FrictionLaw>{"sgn", FrictionLaw::kSgn},
-                               {"tanh", FrictionLaw::kTanh},
-                               {"stick", FrictionLaw::kStick}},
-                              to.friction_law));
-  RS_RETURN_IF_ERROR(ReadWord(
-      "offset_start", from.offset_start,
-      {Word<OffsetStart>{"zero", OffsetStart::kZero}, {"equilibrium", OffsetStart::kEquilibrium}},
-      to.offset_start));
-  RS_RETURN_IF_ERROR(ReadWord(
-      "gravity_sign", from.gravity_sign,
-      {Word<GravitySign>{"literal", GravitySign::kLiteral}, {"payload", GravitySign::kPayload}},
-      to.gravity_sign));
-  to.tanh_width = from.tanh_width;
-  if (!(to.tanh_width > 0 && std::isfinite(to.tanh_width))) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("tanh_width is ", to.tanh_width, " rad/s, must be above 0; 0.01 is usual"));
-  }
-  if (from.horizon < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("horizon is ", from.horizon, " control steps, must be at least 1"));
-  }
-  return absl::OkStatus();
-}
-
-absl::StatusOr<JointChain> MakeChain(const char* scenario, int joints,
-                                     const robostress_options& options) {
-  if (scenario == nullptr) return absl::InvalidArgumentError("scenario is NULL, must be a name");
-  if (joints < 1 || joints > kMostJoints) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("joints is ", joints, ", must be 1 to ", kMostJoints));
-  }
-  JointErrorOptions laws;
-  RS_RETURN_IF_ERROR(ReadOptions(options, laws));
-  RS_ASSIGN_OR_RETURN(const Scenario found, MakeScenario(scenario, options.severity));
-  JointChain chain(joints, laws);
-  const bool clean = !found.friction_on && !found.gravity_on && !found.backlash_on &&
-                     !found.compliance_on && found.effects.empty();
-  if (!clean && joints != static_cast<int>(NominalPandaErrors().size())) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "scenario '", scenario, "' has values for the seven joints of a Panda, the arm has ",
-        joints, "; begin with 'clean' and add effects"));
-  }
-  // Without errors it has no values, and nothing to check them against.
-  if (!clean) chain.SetScenario(found, options.horizon);
-  return chain;
-}
 
 absl::Status CheckEffect(const JointChain& chain, int joint, const EffectInfo& effect,
                          const double* values, size_t count, int coupled) {
@@ -270,6 +200,102 @@ void ApplyTorque(robostress_errors& errors, const robostress_moment& moment, con
                                                       wished, none, Plant{moment, joints});
 }
 
+absl::Status Torque(robostress_errors* errors, const robostress_moment* moment, const double* asked,
+                    double* applied) {
+  RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
+  RS_RETURN_IF_ERROR(CheckHandle("asked", asked));
+  RS_RETURN_IF_ERROR(CheckHandle("applied", applied));
+  if (!errors->begun)
+    return absl::FailedPreconditionError(
+        "no episode has begun: call robostress_errors_reset first");
+  robostress_moment given = {};
+  RS_RETURN_IF_ERROR(ReadStructure("moment", moment, given));
+  const int joints = errors->chain.joints();
+  RS_RETURN_IF_ERROR(CheckMoment(*errors, given));
+  RS_RETURN_IF_ERROR(CheckArray("asked", asked, joints, true));
+  errors->chain.BeginSubStep(given.step);
+  std::copy_n(given.q, joints, errors->q.begin());
+  Describe(errors->chain, given, errors->moments);
+  joints == 7 ? ApplyTorque<7>(*errors, given, asked, applied)
+              : ApplyTorque<Eigen::Dynamic>(*errors, given, asked, applied);
+  errors->asked = true;
+  return absl::OkStatus();
+}
+
+absl::Status CheckArrays(const robostress_arrays& a) {
+  const struct {
+    const char* name;
+    const void* array;
+  } needed[] = {{"arrays.qpos", a.qpos},
+                {"arrays.qvel", a.qvel},
+                {"arrays.ctrl", a.ctrl},
+                {"arrays.xaxis", a.xaxis},
+                {"arrays.xanchor", a.xanchor},
+                {"arrays.subtree_com", a.subtree_com},
+                {"arrays.subtree_mass", a.subtree_mass},
+                {"arrays.qpos_index", a.qpos_index},
+                {"arrays.dof_index", a.dof_index},
+                {"arrays.ctrl_index", a.ctrl_index},
+                {"arrays.joint_index", a.joint_index},
+                {"arrays.body_index", a.body_index}};
+  for (const auto& [name, array] : needed) RS_RETURN_IF_ERROR(CheckHandle(name, array));
+  return absl::OkStatus();
+}
+
+// The torque that holds each joint against gravity, as PandaSim reckons it.
+void HoldAgainstGravity(const robostress_arrays& a, int joints, double* gravity) {
+  using Vector = Eigen::Map<const Eigen::Vector3d>;
+  const Vector field(a.field);
+  for (int i = 0; i < joints; ++i) {
+    const int body = a.body_index[i];
+    const Vector axis(a.xaxis + 3 * a.joint_index[i]), anchor(a.xanchor + 3 * a.joint_index[i]);
+    const Vector com(a.subtree_com + 3 * body);
+    gravity[i] = -a.subtree_mass[body] * axis.dot((com - anchor).cross(field));
+  }
+}
+
+absl::Status OffsetChange(robostress_errors* errors, const double* applied, double* change) {
+  RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
+  RS_RETURN_IF_ERROR(CheckHandle("change", change));
+  const auto joints = static_cast<size_t>(errors->chain.joints());
+  RS_RETURN_IF_ERROR(CheckArray("applied", applied, static_cast<int>(joints), true));
+  if (!errors->asked) {
+    return absl::FailedPreconditionError(
+        "the sub-step has not begun: call robostress_errors_torque before each call");
+  }
+  errors->asked = false;
+  for (JointMoment& m : errors->moments) m.q += m.h * m.dq;
+  std::fill_n(change, joints, 0.0);
+  errors->chain.MoveErrors(errors->q, {applied, joints}, errors->moments[0].h, {change, joints});
+  errors->chain.MoveEffects(errors->moments, {change, joints});
+  return absl::OkStatus();
+}
+
+absl::Status Act(robostress_errors* errors, const robostress_moment* moment,
+                 const robostress_arrays* given, const double* asked, double* applied) {
+  RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
+  robostress_arrays arrays = {};
+  RS_RETURN_IF_ERROR(ReadStructure("arrays", given, arrays));
+  RS_RETURN_IF_ERROR(CheckArrays(arrays));
+  robostress_moment at = {};
+  RS_RETURN_IF_ERROR(ReadStructure("moment", moment, at));
+  const int n = errors->chain.joints();
+  double *q = errors->own.data(), *dq = q + n, *gravity = dq + n, *torque = gravity + n,
+         *change = torque + n;
+  for (int i = 0; i < n; ++i) q[i] = arrays.qpos[arrays.qpos_index[i]];
+  for (int i = 0; i < n; ++i) dq[i] = arrays.qvel[arrays.dof_index[i]];
+  HoldAgainstGravity(arrays, n, gravity);
+  at.q = q;
+  at.dq = dq;
+  at.gravity = gravity;
+  RS_RETURN_IF_ERROR(Torque(errors, &at, asked, torque));
+  RS_RETURN_IF_ERROR(OffsetChange(errors, torque, change));
+  for (int i = 0; i < n; ++i) arrays.ctrl[arrays.ctrl_index[i]] = torque[i];
+  for (int i = 0; i < n; ++i) arrays.qpos[arrays.qpos_index[i]] += change[i];
+  if (applied != nullptr) std::copy_n(torque, n, applied);
+  return absl::OkStatus();
+}
+
 }  // namespace
 }  // namespace robostress
 
@@ -279,7 +305,7 @@ using robostress::CheckHandle;
 extern "C" {
 
 void robostress_options_default(robostress_options* options) {
-  robostress_options defaults = {sizeof(defaults), 5, 300, "sgn", 0.01, "zero", "literal"};
+  robostress_options defaults = {sizeof(defaults), 5, 300, "sgn", 0.01, "zero", "literal", nullptr};
   if (options != nullptr) robostress::CopyStructure(defaults, *options);
 }
 
@@ -376,46 +402,32 @@ void robostress_errors_begin_control_step(robostress_errors* errors, int steps_d
 robostress_code robostress_errors_torque(robostress_errors* errors, const robostress_moment* moment,
                                          const double* asked, double* applied, char* error,
                                          size_t error_size) {
-  return AtBoundary(error, error_size, [&]() -> absl::Status {
-    RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
-    RS_RETURN_IF_ERROR(CheckHandle("asked", asked));
-    RS_RETURN_IF_ERROR(CheckHandle("applied", applied));
-    if (!errors->begun)
-      return absl::FailedPreconditionError(
-          "no episode has begun: call robostress_errors_reset first");
-    robostress_moment given = {};
-    RS_RETURN_IF_ERROR(robostress::ReadStructure("moment", moment, given));
-    const int joints = errors->chain.joints();
-    RS_RETURN_IF_ERROR(robostress::CheckMoment(*errors, given));
-    RS_RETURN_IF_ERROR(robostress::CheckArray("asked", asked, joints, true));
-    errors->chain.BeginSubStep(given.step);
-    std::copy_n(given.q, joints, errors->q.begin());
-    robostress::Describe(errors->chain, given, errors->moments);
-    joints == 7 ? robostress::ApplyTorque<7>(*errors, given, asked, applied)
-                : robostress::ApplyTorque<Eigen::Dynamic>(*errors, given, asked, applied);
-    errors->asked = true;
-    return absl::OkStatus();
-  });
+  return AtBoundary(error, error_size,
+                    [&] { return robostress::Torque(errors, moment, asked, applied); });
 }
 
 robostress_code robostress_errors_offset_change(robostress_errors* errors, const double* applied,
                                                 double* change, char* error, size_t error_size) {
+  return AtBoundary(error, error_size,
+                    [&] { return robostress::OffsetChange(errors, applied, change); });
+}
+
+robostress_code robostress_errors_sub_step(robostress_errors* errors,
+                                           const robostress_moment* moment, const double* asked,
+                                           double* applied, double* change, char* error,
+                                           size_t error_size) {
   return AtBoundary(error, error_size, [&]() -> absl::Status {
-    RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
     RS_RETURN_IF_ERROR(CheckHandle("change", change));
-    const auto joints = static_cast<size_t>(errors->chain.joints());
-    RS_RETURN_IF_ERROR(robostress::CheckArray("applied", applied, static_cast<int>(joints), true));
-    if (!errors->asked) {
-      return absl::FailedPreconditionError(
-          "the sub-step has not begun: call robostress_errors_torque before each call");
-    }
-    errors->asked = false;
-    for (robostress::JointMoment& m : errors->moments) m.q += m.h * m.dq;
-    std::fill_n(change, joints, 0.0);
-    errors->chain.MoveErrors(errors->q, {applied, joints}, errors->moments[0].h, {change, joints});
-    errors->chain.MoveEffects(errors->moments, {change, joints});
-    return absl::OkStatus();
+    RS_RETURN_IF_ERROR(robostress::Torque(errors, moment, asked, applied));
+    return robostress::OffsetChange(errors, applied, change);
   });
+}
+
+robostress_code robostress_errors_act(robostress_errors* errors, const robostress_moment* moment,
+                                      const robostress_arrays* arrays, const double* asked,
+                                      double* applied, char* error, size_t error_size) {
+  return AtBoundary(error, error_size,
+                    [&] { return robostress::Act(errors, moment, arrays, asked, applied); });
 }
 
 void robostress_errors_offset(const robostress_errors* errors, double* offset) {

@@ -1,4 +1,4 @@
-/* The joint errors of RoboStress for any simulator, in C.
+/* The joint errors of RoboStress for any simulator, and what takes them off, in C.
 
    A simulator of an arm asks an object of these errors, in every sub-step of its physics, what
    becomes of the torques that its controller asks for, and how far the transmissions moved.
@@ -8,6 +8,9 @@
        torque             each sub-step: the torques that the joints get
        offset_change      each sub-step, after it: what to add to the joint positions
        reading            where a sensor effect acts: what the controller sees
+
+   A compensator stands between a policy and the controller: it gets the commands of the policy and
+   what the arm did with those before, and says what to send.
 
    Units: rad, rad/s, Nm, kg m^2, s; of a slide m, m/s, N, kg. Arrays have an entry per joint unless
    said otherwise. Structures begin with `size`, sizeof of what the caller knows: fields may be
@@ -20,6 +23,7 @@
 #define ROBOSTRESS_H_
 
 #include <stddef.h>
+#include <stdint.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -31,7 +35,7 @@ extern "C" {
 
 /* Raised when a function is added; functions stay as they are within a symbol version
  * (ROBOSTRESS_1). */
-#define ROBOSTRESS_INTERFACE 1
+#define ROBOSTRESS_INTERFACE 2
 
 typedef enum robostress_code {
   ROBOSTRESS_OK = 0,
@@ -62,14 +66,18 @@ typedef struct robostress_options {
   const char*
       offset_start; /* "zero" (default) or "equilibrium": compliance at an episode's start */
   const char* gravity_sign; /* "literal" (default: lifts the arm) or "payload" (lets it sag) */
+  /* [joints][9] Fc, Fs [Nm], vs [rad/s], sigma_v [Nm s/rad], B [rad], M_eff [kg m^2], D [Nm s/rad],
+     K [Nm/rad], beta [1] of each joint in its nominal state; NULL: of a Panda. */
+  const double* nominal;
 } robostress_options;
 
 void robostress_options_default(
     robostress_options* options); /* sets every field that options->size covers */
 
-/* scenario: a name, or the path of a scenario file (.yaml). Built-in scenarios other than "clean",
-   and files, have values for the seven joints of a Panda; an arm with other joints begins with
-   "clean" and gets effects. options: NULL for the defaults. */
+/* scenario: a name, or the path of a scenario file (.yaml). Built-in scenarios other than "clean"
+   have values for the seven joints of a Panda. An arm with other joints brings options.nominal,
+   where a scenario wears every joint alike, or begins with "clean" and gets effects. Files are a
+   Panda's. options: NULL for the defaults. */
 robostress_code robostress_errors_new(const char* scenario, int joints,
                                       const robostress_options* options,
                                       robostress_errors** created, char* error, size_t error_size);
@@ -137,12 +145,129 @@ robostress_code robostress_errors_torque(robostress_errors* errors, const robost
    add to the joint positions: at once, or over the sub-step as a velocity. */
 robostress_code robostress_errors_offset_change(robostress_errors* errors, const double* applied,
                                                 double* change, char* error, size_t error_size);
+/* torque(), and offset_change() of what it applied, in one call. */
+robostress_code robostress_errors_sub_step(robostress_errors* errors,
+                                           const robostress_moment* moment, const double* asked,
+                                           double* applied, double* change, char* error,
+                                           size_t error_size);
+/* A simulator's own arrays, laid out as MuJoCo's mjData and mjModel. An index has an entry per
+   joint of the arm. */
+typedef struct robostress_arrays {
+  size_t size;
+  double* qpos;
+  const double* qvel;
+  double* ctrl;              /* torques of motors with gear 1 */
+  const double* xaxis;       /* [joints of the simulator][3] */
+  const double* xanchor;     /* the same */
+  const double* subtree_com; /* [bodies][3] */
+  const double* subtree_mass;
+  const int* qpos_index;
+  const int* dof_index;
+  const int* ctrl_index;
+  const int* joint_index;
+  const int* body_index;
+  double field[3]; /* [m/s^2] of gravity */
+} robostress_arrays;
+/* sub_step() with q, dq and gravity of these arrays, whose ctrl gets what is applied and whose qpos
+   the change: between a controller and the simulator's step. moment: what else is read. applied:
+   [joints], or NULL. */
+robostress_code robostress_errors_act(robostress_errors* errors, const robostress_moment* moment,
+                                      const robostress_arrays* arrays, const double* asked,
+                                      double* applied, char* error, size_t error_size);
 /* Link angle minus motor angle of every joint now. */
 void robostress_errors_offset(const robostress_errors* errors, double* offset);
 /* What the controller reads of joints at q, dq; reading and rate may be q and dq themselves, or
  * NULL. */
 void robostress_errors_reading(const robostress_errors* errors, const double* q, const double* dq,
                                double* reading, double* rate);
+
+/* ---- Compensation of commands, without a policy's weights ---- */
+typedef struct robostress_compensator robostress_compensator;
+
+/* How commands are meant. Those of an end effector have 7 entries: displacements in x, y, z and
+   rotations about them in units of the scales, and a gripper. Those of joints are absolute targets
+   [rad] and a gripper. */
+typedef struct robostress_control {
+  size_t size;
+  const char* space;          /* "end_effector" (default) or "joint" */
+  int action_dim;             /* entries of a command, the gripper's included; 7 */
+  double control_period;      /* [s] between commands; 0.05 */
+  double translation_scale;   /* [m]; 0.05 */
+  double rotation_scale;      /* [rad]; 0.5 */
+  const char* goal_reference; /* of the controller: "achieved" (robosuite's, default), "desired" */
+  const float* action_low;    /* [action_dim] what a policy's actions lie in; both, or NULL */
+  const float* action_high;
+} robostress_control;
+
+void robostress_control_default(robostress_control* control);
+
+/* What an arm did with commands that followed each other. */
+typedef struct robostress_executed {
+  size_t size;
+  size_t steps;                /* 1 to 1024 */
+  const double* position;      /* [steps + 1][3] of the end effector, before, between, after [m] */
+  const double* orientation;   /* [steps + 1][4] unit quaternions w, x, y, z */
+  const double* q;             /* [steps + 1][action_dim - 1]; of joint commands */
+  const float* policy_command; /* [steps][action_dim] the policy's own */
+  const float* sent_command;   /* [steps][action_dim] what the controller got */
+  const unsigned char* masked; /* [steps] not 0: says nothing about the arm; or NULL */
+} robostress_executed;
+
+/* method: "base", "gain", "direct", "ours_integral", "ours_following", "ours_following_step".
+   overrides: "key=value" of its options, as `robostress sweep --set` takes them; NULL: none.
+   control: NULL for the defaults. Begins an episode. */
+robostress_code robostress_compensator_new(const char* method, const char* const* overrides,
+                                           size_t override_count, const robostress_control* control,
+                                           robostress_compensator** created, char* error,
+                                           size_t error_size);
+void robostress_compensator_free(robostress_compensator* compensator); /* NULL is allowed */
+robostress_code robostress_compensator_copy(const robostress_compensator* from,
+                                            robostress_compensator** created, char* error,
+                                            size_t error_size);
+robostress_code robostress_compensator_restore(robostress_compensator* to,
+                                               const robostress_compensator* from, char* error,
+                                               size_t error_size);
+int robostress_compensator_action_dim(const robostress_compensator* compensator);
+
+void robostress_compensator_start_episode(robostress_compensator* compensator);
+/* actions: [rows][action_dim], the policy's next chunk. corrected: what to send; may be `actions`
+   itself. */
+robostress_code robostress_compensator_correct(robostress_compensator* compensator,
+                                               const float* actions, size_t rows, float* corrected,
+                                               char* error, size_t error_size);
+/* The next command [action_dim] of the chunk that correct() got last. newest: what was executed of
+   it since the last call, or NULL at its first row. Other methods than "ours_following_step" give
+   the rows of correct(). */
+robostress_code robostress_compensator_next(robostress_compensator* compensator,
+                                            const robostress_executed* newest, float* command,
+                                            char* error, size_t error_size);
+/* Once for every chunk, when it is over: all steps of it that were executed. */
+robostress_code robostress_compensator_executed(robostress_compensator* compensator,
+                                                const robostress_executed* executed, char* error,
+                                                size_t error_size);
+/* [action_dim - 1] what is added to each command of the next chunk. */
+void robostress_compensator_correction(const robostress_compensator* compensator,
+                                       double* correction);
+/* [steps][action_dim] achieved minus commanded, as the method's options say (paper, Eq. 1); of the
+   gripper 0. Changes nothing. */
+robostress_code robostress_compensator_residual(const robostress_compensator* compensator,
+                                                const robostress_executed* executed,
+                                                double* residual, char* error, size_t error_size);
+
+/* ---- Random streams: a draw depends on the parts of its key and on its index alone ---- */
+typedef struct robostress_stream robostress_stream;
+
+robostress_code robostress_stream_new(const char* purpose, robostress_stream** created, char* error,
+                                      size_t error_size);
+void robostress_stream_free(robostress_stream* stream); /* NULL is allowed */
+/* One more part of the key; the stream begins anew. */
+void robostress_stream_add_text(robostress_stream* stream, const char* part);
+void robostress_stream_add_number(robostress_stream* stream, int64_t part);
+void robostress_stream_uniform(robostress_stream* stream, double* values,
+                               size_t count); /* [0, 1) */
+void robostress_stream_normal(robostress_stream* stream, double* values, size_t count);
+/* 0 to n - 1; of n below 1 zeros. */
+void robostress_stream_integers(robostress_stream* stream, int n, int* values, size_t count);
 
 #ifdef __GNUC__
 #pragma GCC visibility pop

@@ -3,7 +3,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "python/library/robostress.h"
+#include "robostress.h"
 
 static int failed(const char* what, const char* message) {
   fprintf(stderr, "%s: %s\n", what, message);

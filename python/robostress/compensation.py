@@ -1,0 +1,171 @@
+"""Compensators: what an arm did with a policy's commands corrects the next ones. No weights, any policy."""
+from __future__ import annotations
+
+import ctypes
+import weakref
+from typing import Any, Optional
+
+import numpy as np
+
+from robostress._library import LIBRARY, Control, Executed, Failures, InvalidArgument, array
+
+
+def _text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, (bool, np.bool_)) else str(value)
+
+
+class Compensator:
+    """Stands between a policy and a controller. One robot; one thread at a time.
+
+        compensator.start_episode()
+        each chunk:  sent = compensator.correct(policy_actions)               # [rows, action_dim]
+                     ... the arm executes n of them ...
+                     compensator.executed(positions, quaternions)             # [n + 1, 3], [n + 1, 4] w x y z
+
+    method: "base", "gain", "direct", "ours_integral", "ours_following", "ours_following_step"; options: its own, as in
+    `robostress sweep --set`. Commands of space "end_effector" are displacements in x, y, z and rotations about them, in units
+    of the scales, and a gripper; of "joint" absolute targets [rad] and a gripper. goal_reference: of the controller,
+    "achieved" as robosuite's or "desired". action_low, action_high: [action_dim] what the policy's actions lie in.
+    """
+
+    def __init__(self, method: str, *, space: str = "end_effector", action_dim: int = 7, control_period: float = 0.05,
+                 translation_scale: float = 0.05, rotation_scale: float = 0.5, goal_reference: str = "achieved",
+                 action_low: Optional[Any] = None, action_high: Optional[Any] = None, **options: Any) -> None:
+        control = Control(ctypes.sizeof(Control), space.encode(), action_dim, control_period, translation_scale,
+                          rotation_scale, goal_reference.encode(), None, None)
+        bounds = []
+        for name, values in (("action_low", action_low), ("action_high", action_high)):
+            if values is not None:
+                bounds.append(array(name, values, np.float32, action_dim))
+                setattr(control, name, bounds[-1].ctypes.data)
+        overrides = [f"{key}={_text(value)}".encode() for key, value in options.items()]
+        texts = (ctypes.c_char_p * len(overrides))(*overrides)
+        self.method, self.action_dim, self.space = method, action_dim, space
+        self._failures, handle = Failures(), ctypes.c_void_p()
+        self._failures.check(LIBRARY.robostress_compensator_new(
+            method.encode(), ctypes.addressof(texts), len(overrides), ctypes.addressof(control),
+            ctypes.addressof(handle), *self._failures.arguments))
+        self._own(handle)
+
+    def _own(self, handle: ctypes.c_void_p) -> None:
+        self._handle = handle.value
+        weakref.finalize(self, LIBRARY.robostress_compensator_free, self._handle)
+        self._policy = self._sent = np.empty((0, self.action_dim), np.float32)
+
+    def start_episode(self) -> None:
+        """The arm is at rest."""
+        LIBRARY.robostress_compensator_start_episode(self._handle)
+        self._policy = self._sent = np.empty((0, self.action_dim), np.float32)
+
+    def correct(self, actions: Any) -> np.ndarray:
+        """[rows, action_dim] what to send instead of the policy's next chunk."""
+        policy = array("actions", actions, np.float32, -1, self.action_dim)
+        sent = np.empty_like(policy)
+        self._failures.check(LIBRARY.robostress_compensator_correct(
+            self._handle, policy.ctypes.data, len(policy), sent.ctypes.data, *self._failures.arguments))
+        self._policy, self._sent = policy.copy(), sent
+        return sent.copy()
+
+    def next(self, position: Optional[Any] = None, orientation: Optional[Any] = None, **more: Any) -> np.ndarray:
+        """[action_dim] the chunk's next command, row by row: "ours_following_step" corrects it by what the arm did since.
+        position, orientation: [2, 3], [2, 4] before and after the row that was executed last; none at the first row.
+        more: as of executed()."""
+        command = np.empty(self.action_dim, np.float32)
+        executed = None
+        if position is not None or more.get("q") is not None:
+            executed = self._read(position, orientation, **more)
+        self._failures.check(LIBRARY.robostress_compensator_next(
+            self._handle, None if executed is None else ctypes.addressof(executed), command.ctypes.data,
+            *self._failures.arguments))
+        return command
+
+    def executed(self, position: Optional[Any] = None, orientation: Optional[Any] = None, **more: Any) -> None:
+        """Once for every chunk, when it is over. position, orientation: [n + 1, 3], [n + 1, 4] of the end effector before,
+        between and after the n commands. q: [n + 1, action_dim - 1] of joint commands. sent, policy: [n, action_dim] what
+        the controller got and what the policy asked for; by default the first n rows of correct(). masked: [n] steps that
+        say nothing about the arm."""
+        executed = self._read(position, orientation, **more)
+        self._failures.check(LIBRARY.robostress_compensator_executed(
+            self._handle, ctypes.addressof(executed), *self._failures.arguments))
+
+    def residual(self, position: Optional[Any] = None, orientation: Optional[Any] = None, **more: Any) -> np.ndarray:
+        """[n, action_dim] achieved minus commanded (paper, Eq. 1), as of executed(); changes nothing."""
+        executed = self._read(position, orientation, **more)
+        values = np.empty((executed.steps, self.action_dim))
+        self._failures.check(LIBRARY.robostress_compensator_residual(
+            self._handle, ctypes.addressof(executed), values.ctypes.data, *self._failures.arguments))
+        return values
+
+    @property
+    def correction(self) -> np.ndarray:
+        """[action_dim - 1] what is added to each command of the next chunk."""
+        values = np.empty(self.action_dim - 1)
+        LIBRARY.robostress_compensator_correction(self._handle, values.ctypes.data)
+        return values
+
+    def copy(self) -> "Compensator":
+        """One that goes on as this one would."""
+        twin = object.__new__(Compensator)
+        twin.method, twin.action_dim, twin.space = self.method, self.action_dim, self.space
+        twin._failures, handle = Failures(), ctypes.c_void_p()
+        twin._failures.check(LIBRARY.robostress_compensator_copy(
+            self._handle, ctypes.addressof(handle), *twin._failures.arguments))
+        twin._own(handle)
+        twin._policy, twin._sent = self._policy, self._sent
+        return twin
+
+    def _read(self, position: Optional[Any], orientation: Optional[Any], q: Optional[Any] = None,
+              sent: Optional[Any] = None, policy: Optional[Any] = None, masked: Optional[Any] = None,
+              first_row: int = 0) -> Executed:
+        measured = q if self.space == "joint" else position
+        if measured is None:
+            raise InvalidArgument(f"nothing says where the arm was: give {'q' if self.space == 'joint' else 'position'}")
+        n = len(measured) - 1
+        if n < 1:
+            raise InvalidArgument(f"{n + 1} states are no motion: give one before and one after each command")
+        rows = slice(first_row, first_row + n)
+        arrays = {"policy_command": array("policy", self._policy[rows] if policy is None else policy, np.float32, n,
+                                          self.action_dim),
+                  "sent_command": array("sent", self._sent[rows] if sent is None else sent, np.float32, n,
+                                        self.action_dim)}
+        if position is not None:
+            arrays["position"] = array("position", position, float, n + 1, 3)
+        if orientation is not None:
+            arrays["orientation"] = array("orientation", orientation, float, n + 1, 4)
+        if q is not None:
+            arrays["q"] = array("q", q, float, n + 1, self.action_dim - 1)
+        if masked is not None:
+            arrays["masked"] = array("masked", masked, np.uint8, n)
+        executed = Executed(ctypes.sizeof(Executed), n)
+        for name, values in arrays.items():
+            setattr(executed, name, values.ctypes.data)
+        executed.arrays = arrays  # live as long as it
+        return executed
+
+
+class ModelFollowing(Compensator):
+    """Leads the arm after a nominal one that gets the policy's commands. every_step: corrects each command anew."""
+
+    def __init__(self, *, every_step: bool = False, **more: Any) -> None:
+        super().__init__("ours_following_step" if every_step else "ours_following", **more)
+
+
+class IntegralAction(Compensator):
+    """Takes off a disturbance that stays."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__("ours_integral", **more)
+
+
+class DirectSubtraction(Compensator):
+    """Subtracts the mean residual of the chunk before."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__("direct", **more)
+
+
+class GainControl(Compensator):
+    """Commands times a factor."""
+
+    def __init__(self, gain: float = 1.15, **more: Any) -> None:
+        super().__init__("gain", gain=gain, **more)

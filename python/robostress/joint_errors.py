@@ -1,0 +1,244 @@
+"""The joint errors of a scenario at an arm of any simulator."""
+from __future__ import annotations
+
+import ctypes
+import weakref
+from typing import Any, Dict, FrozenSet, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from robostress._library import ARM, ATTACHED, LIBRARY, Arrays, Failures, InvalidArgument, Moment, Options, WrongOrder, array
+from robostress.streams import Stream
+
+READS = {1: ("gravity",), 2: ("payload_gravity", "payload_inertia"), 4: ("tilt_gravity",),
+         8: ("mass_matrix", "other_torque"), 16: ("ddq",)}
+
+
+class JointErrors:
+    """What becomes of an arm's torques, and how far its transmissions move.
+
+        errors = JointErrors("aged_transmission")
+        errors.reset(q, gravity=bias)
+        each command:   errors.begin_control_step(steps_done, held)
+        each sub-step:  applied, change = errors.sub_step(asked, q=q, dq=dq, gravity=bias)
+                        the joints get `applied` [Nm]; `change` [rad] is added to their positions
+
+    What these errors read of the arm is `reads`: q and dq, often gravity. Each is an attribute, an array that is filled in
+    place or by name in a call; bind() puts the simulator's own array there, so that nothing is copied. Arrays that calls
+    return are overwritten by the next call. One thread at a time.
+
+    scenario: a name of scenarios(), or a file (.yaml). severity: 1 (mild) to 5 (full). seed: of stream(); the errors
+    themselves draw nothing. horizon: control steps over which severities that grow do so. nominal: [joints, 9] Fc, Fs, vs,
+    sigma_v, B, M_eff, D, K, beta of an arm that is no Panda.
+    """
+
+    q: np.ndarray
+    dq: np.ndarray
+    gravity: np.ndarray
+    payload_gravity: np.ndarray
+    payload_inertia: np.ndarray
+    tilt_gravity: np.ndarray
+    mass_matrix: np.ndarray
+    other_torque: np.ndarray
+    torque_low: np.ndarray
+    torque_high: np.ndarray
+    ddq: np.ndarray
+    temperature: np.ndarray
+
+    def __init__(self, scenario: str, joints: int = 7, severity: int = 5, seed: int = 0, *, horizon: int = 300,
+                 friction_law: str = "sgn", tanh_width: float = 0.01, offset_start: str = "zero",
+                 gravity_sign: str = "literal", nominal: Optional[Any] = None) -> None:
+        options = Options(ctypes.sizeof(Options), severity, horizon, friction_law.encode(), tanh_width,
+                          offset_start.encode(), gravity_sign.encode(), None)
+        if nominal is not None:
+            values = array("nominal", nominal, float, joints, 9)
+            options.nominal = values.ctypes.data
+        self.scenario, self.joints, self.severity, self.seed = scenario, joints, severity, seed
+        handle = ctypes.c_void_p()
+        self._failures = Failures()
+        self._failures.check(LIBRARY.robostress_errors_new(
+            scenario.encode(), joints, ctypes.addressof(options), ctypes.addressof(handle), *self._failures.arguments))
+        self._own(handle)
+
+    def _own(self, handle: ctypes.c_void_p) -> None:
+        self._handle = handle.value
+        self._free = weakref.finalize(self, LIBRARY.robostress_errors_free, self._handle)
+        self._moment = Moment(size=ctypes.sizeof(Moment), step=0.002)
+        self._sub_steps, self._step = 0, 0.002
+        self._asked_array, self._applied, self._change = (np.zeros(self.joints) for _ in range(3))
+        self._asked = memoryview(self._asked_array)
+        self._views: Dict[str, memoryview] = {"asked": self._asked}
+        asked, applied, change = (a.ctypes.data for a in (self._asked_array, self._applied, self._change))
+        start = (self._handle, ctypes.addressof(self._moment))
+        self._torque = (*start, asked, applied, *self._failures.arguments)
+        self._offset_change = (self._handle, applied, change, *self._failures.arguments)
+        self._sub_step = (*start, asked, applied, change, *self._failures.arguments)
+        for name in self.reads:
+            self.bind(**{name: np.full(self._shape(name), np.nan)})  # so that what nobody fills is refused
+
+    def _shape(self, name: str) -> Tuple[int, ...]:
+        if name not in ARM:
+            raise InvalidArgument(f"'{name}' is nothing that an arm has; known: {', '.join(ARM)}")
+        return {"tilt_gravity": (self.joints, 2), "mass_matrix": (self.joints, self.joints)}.get(name, (self.joints,))
+
+    @property
+    def reads(self) -> FrozenSet[str]:
+        """What must be given of the arm; may grow with add_effect()."""
+        bits = LIBRARY.robostress_errors_reads(self._handle)
+        return frozenset(("q", "dq")).union(*(names for bit, names in READS.items() if bits & bit))
+
+    def bind(self, **arrays: np.ndarray) -> None:
+        """These arrays themselves are read from now on: float64, contiguous, of the arm's shapes."""
+        for name, values in arrays.items():
+            shape = self._shape(name)
+            if not isinstance(values, np.ndarray) or values.dtype != np.float64 or values.shape != shape or (
+                    not values.flags.c_contiguous):
+                raise InvalidArgument(f"{name} must be a contiguous float64 array of shape {list(shape)} to be bound; "
+                                      "give others by name in each call, which copies")
+            setattr(self, name, values)
+            self._views[name] = memoryview(values)
+            setattr(self._moment, name, values.ctypes.data)
+
+    def _fill(self, arm: Dict[str, Any]) -> None:
+        for name, values in arm.items():
+            try:
+                self._views[name][:] = values  # a memoryview takes a third of an array's time
+            except (KeyError, TypeError, ValueError, NotImplementedError):
+                self._convert(name, values)
+
+    def _convert(self, name: str, values: Any) -> None:
+        if name not in self._views:  # one that these errors need not have
+            self.bind(**{name: np.empty(self._shape(name))})
+        try:
+            np.asarray(self._views[name])[...] = values
+        except (TypeError, ValueError) as fault:
+            shape = list(np.asarray(self._views[name]).shape)
+            raise InvalidArgument(f"{name}: {fault}; must be numbers of shape {shape}") from fault
+
+    def _begin(self, asked: Any, arm: Dict[str, Any]) -> None:
+        if arm:
+            self._fill(arm)
+        try:
+            self._asked[:] = asked
+        except (TypeError, ValueError):
+            self._convert("asked", asked)
+        self._moment.time = self._sub_steps * self._step
+
+    def add_effect(self, joint: int, effect: str, values: Sequence[float], coupled: int = -1) -> None:
+        """An effect of the library at a joint, from the next reset on; values in the order of `robostress scenarios
+        --effects`."""
+        given = array("values", values, float, -1)
+        self._failures.check(LIBRARY.robostress_errors_add_effect(
+            self._handle, joint, effect.encode(), given.ctypes.data, len(given), coupled, *self._failures.arguments))
+        for name in self.reads:
+            if name not in self._views:
+                self.bind(**{name: np.full(self._shape(name), np.nan)})
+
+    def reset(self, q: Optional[Any] = None, *, step: float = 0.002, holding: Optional[Any] = None, **arm: Any) -> None:
+        """An episode begins at rest at q, or where the bound arrays say. step: length of a sub-step [s]; holding: the motors' torques that hold the arm."""
+        self._moment.time, self._moment.step, self._step = 0, step, step
+        self._fill(arm if q is None else {"q": q, "dq": 0, **arm})
+        held = None if holding is None else array("holding", holding, float, self.joints)
+        self._failures.check(LIBRARY.robostress_errors_reset(
+            self._handle, ctypes.addressof(self._moment), None if held is None else held.ctypes.data,
+            *self._failures.arguments))
+        self._sub_steps = 0
+
+    def begin_control_step(self, steps_done: int, held: bool = False) -> None:
+        """steps_done: control steps of the episode before this one; held: whether the gripper holds an object."""
+        LIBRARY.robostress_errors_begin_control_step(self._handle, steps_done, held)
+
+    def sub_step(self, asked: Any, **arm: Any) -> Tuple[np.ndarray, np.ndarray]:
+        """(applied, change): torques that the joints get of those `asked` for [Nm], and what is added to their positions."""
+        self._begin(asked, arm)
+        code = _sub_step(*self._sub_step)
+        if code:
+            self._failures.check(code)
+        self._sub_steps += 1
+        return self._applied, self._change
+
+    def torque(self, asked: Any, **arm: Any) -> np.ndarray:
+        """The first half of sub_step(), where the arm's torques may yet change."""
+        self._begin(asked, arm)
+        self._failures.check(LIBRARY.robostress_errors_torque(*self._torque))
+        self._sub_steps += 1
+        return self._applied
+
+    def offset_change(self, applied: Optional[Any] = None) -> np.ndarray:
+        """The second half. applied: torques that the joints really got; None: those of torque()."""
+        if applied is not None:
+            self._applied[...] = array("applied", applied, float, self.joints)
+        self._failures.check(LIBRARY.robostress_errors_offset_change(*self._offset_change))
+        return self._change
+
+    def attach(self, field: Any, **arrays: Any) -> None:
+        """A simulator's own arrays for act(), laid out as MuJoCo's: qpos, qvel, ctrl, xaxis, xanchor, subtree_com,
+        subtree_mass; qpos_index, dof_index, ctrl_index, joint_index, body_index [joints]. field: of gravity [m/s^2]."""
+        attached = Arrays(ctypes.sizeof(Arrays))
+        attached.field[:] = list(field)
+        self._attached = {}
+        for name in ATTACHED:
+            values = arrays[name]
+            if name.endswith("_index"):
+                values = array(name, values, np.intc, self.joints)
+            elif values.dtype != np.float64 or not values.flags.c_contiguous:
+                raise InvalidArgument(f"{name} must be the simulator's own contiguous float64 array to be attached")
+            self._attached[name] = values
+            setattr(attached, name, values.ctypes.data)
+        self._arrays = attached
+        self._act = (self._handle, ctypes.addressof(self._moment), ctypes.addressof(attached),
+                     self._asked_array.ctypes.data, self._applied.ctypes.data, *self._failures.arguments)
+
+    def act(self, asked: Any) -> np.ndarray:
+        """sub_step() in the attached arrays: ctrl gets what is applied, qpos the change. Returns what is applied."""
+        self._begin(asked, {})
+        code = _act(*self._act)
+        if code:
+            self._failures.check(code)
+        self._sub_steps += 1
+        return self._applied
+
+    def offset(self) -> np.ndarray:
+        """Link angle minus motor angle now [joints]."""
+        values = np.empty(self.joints)
+        LIBRARY.robostress_errors_offset(self._handle, values.ctypes.data)
+        return values
+
+    def reading(self, q: Any, dq: Any) -> Tuple[np.ndarray, np.ndarray]:
+        """What the controller reads of joints at q, dq."""
+        positions, rates = array("q", q, float, self.joints), array("dq", dq, float, self.joints)
+        reading, rate = np.empty(self.joints), np.empty(self.joints)
+        LIBRARY.robostress_errors_reading(self._handle, positions.ctypes.data, rates.ctypes.data, reading.ctypes.data,
+                                          rate.ctypes.data)
+        return reading, rate
+
+    def copy(self) -> "JointErrors":
+        """One that goes on as this one would, with arrays of its own."""
+        twin = object.__new__(JointErrors)
+        twin.scenario, twin.joints, twin.severity, twin.seed = self.scenario, self.joints, self.severity, self.seed
+        twin._failures, handle = Failures(), ctypes.c_void_p()
+        twin._failures.check(LIBRARY.robostress_errors_copy(self._handle, ctypes.addressof(handle),
+                                                            *twin._failures.arguments))
+        twin._own(handle)
+        twin._clock_of(self)
+        twin._fill({name: np.asarray(view) for name, view in self._views.items()})
+        return twin
+
+    def restore(self, saved: "JointErrors") -> None:
+        """Makes this what `saved`, a copy(), is; its arrays stay."""
+        if saved.joints != self.joints:
+            raise WrongOrder(f"the copy has {saved.joints} joints, this {self.joints}: restore what was copied of it")
+        self._failures.check(LIBRARY.robostress_errors_restore(self._handle, saved._handle, *self._failures.arguments))
+        self._clock_of(saved)
+
+    def _clock_of(self, other: "JointErrors") -> None:
+        self._moment.step = self._step = other._step
+        self._sub_steps = other._sub_steps
+
+    def stream(self, purpose: str, *parts: Union[str, int]) -> Stream:
+        """Draws of this seed, for noise of one's own."""
+        return Stream(purpose, self.seed, *parts)
+
+
+_sub_step = LIBRARY.robostress_errors_sub_step
+_act = LIBRARY.robostress_errors_act

@@ -1,0 +1,302 @@
+#!/usr/bin/env python3
+"""The installed package: bits of the C++ kernels, refusals, the programs behind it. Arguments by environment:
+KERNEL_REFERENCE, CALIBRATE, SERVE; a test without its program is skipped."""
+import os
+import pathlib
+import subprocess
+import tempfile
+import threading
+import time
+import unittest
+
+import numpy as np
+
+import robostress as rs
+
+SUB_STEPS, CHUNKS, ROWS = 75, 8, 5
+METHODS = ("base", "gain", "direct", "ours_integral", "ours_following")
+
+
+def program(name):
+    path = os.environ.get(name, "")
+    if not path or not pathlib.Path(path).exists():
+        raise unittest.SkipTest(f"{name} is not built: '{path}'")
+    return path
+
+
+def drawn_arm(stream):
+    arm = {name: scale * stream.normal(7) for name, scale in
+           (("q", 1), ("dq", 0.3), ("gravity", 10), ("payload_gravity", 3), ("payload_inertia", 0.2))}
+    return arm, 40 * stream.normal(7)
+
+
+class Kernels(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.reference = np.frombuffer(subprocess.run([program("KERNEL_REFERENCE")], stdout=subprocess.PIPE,
+                                                     check=True).stdout)
+        cls.errors_size = len(rs.scenarios()) * SUB_STEPS * 14
+
+    def test_joint_errors_have_the_bits_of_the_kernels(self):
+        expected = self.reference[:self.errors_size].reshape(-1, SUB_STEPS, 2, 7)
+        limits = {"torque_low": np.full(7, -60.0), "torque_high": np.full(7, 60.0)}
+        for scenario, rows in zip(rs.scenarios(), expected):
+            for bound in (False, True):
+                stream = rs.Stream("package test", scenario.name)
+                errors = rs.JointErrors(scenario.name)
+                arm, _ = drawn_arm(stream)
+                own = {name: values.copy() for name, values in arm.items()}
+                if bound:
+                    errors.bind(**own)
+                errors.reset(arm["q"], **limits, **{k: v for k, v in arm.items() if k not in ("q", "dq")})
+                for i in range(SUB_STEPS):
+                    if i % 25 == 0:
+                        errors.begin_control_step(i // 25, i >= 25)
+                    arm, asked = drawn_arm(stream)
+                    if bound:
+                        for name, values in arm.items():
+                            own[name][:] = values
+                        applied, change = errors.sub_step(asked)
+                    elif i % 2:
+                        applied, change = errors.sub_step(asked, **arm)
+                    else:
+                        applied, change = errors.torque(asked, **arm), errors.offset_change()
+                    np.testing.assert_array_equal(applied, rows[i, 0], f"{scenario.name}, sub-step {i}")
+                    np.testing.assert_array_equal(change, rows[i, 1], f"{scenario.name}, sub-step {i}")
+
+    def test_compensators_have_the_bits_of_the_kernels(self):
+        expected = self.reference[self.errors_size:].reshape(len(METHODS), CHUNKS, ROWS, 7)
+        classes = {"gain": rs.GainControl, "direct": rs.DirectSubtraction, "ours_integral": rs.IntegralAction,
+                   "ours_following": rs.ModelFollowing}
+        for method, chunks in zip(METHODS, expected):
+            stream = rs.Stream("package test", method)
+            compensator = classes[method]() if method in classes else rs.Compensator(method)
+            compensator.start_episode()
+            for chunk in chunks:
+                actions = (0.5 * stream.normal(ROWS * 7)).astype(np.float32).reshape(ROWS, 7)
+                sent = compensator.correct(actions)
+                np.testing.assert_array_equal(sent, chunk, method)
+                position = 0.02 * stream.normal(3 * (ROWS + 1)).reshape(-1, 3)
+                compensator.executed(position, np.tile([1.0, 0, 0, 0], (ROWS + 1, 1)))
+
+
+class Errors(unittest.TestCase):
+    def test_lists_scenarios(self):
+        self.assertEqual(rs.scenarios()[0], ("clean", "Clean", False))
+        self.assertEqual(sum(scenario.deployed for scenario in rs.scenarios()), 7)
+        self.assertRegex(rs.__version__, r"^\d+\.\d+\.\d+$")
+
+    def test_says_value_limit_and_remedy(self):
+        cases = [
+            (rs.NotFound, "known: clean, heavy_payload", lambda: rs.JointErrors("worn")),
+            (rs.InvalidArgument, "outside 1 .mild. .. 5", lambda: rs.JointErrors("nominal", severity=9)),
+            (rs.InvalidArgument, "give its own as options.nominal", lambda: rs.JointErrors("nominal", joints=6)),
+            (rs.InvalidArgument, r"nominal has shape \[3\], must be \[6, 9\]",
+             lambda: rs.JointErrors("nominal", joints=6, nominal=np.zeros(3))),
+            (rs.WrongOrder, "robostress_errors_reset first", lambda: rs.JointErrors("clean").sub_step(
+                np.zeros(7), q=np.zeros(7), dq=np.zeros(7))),
+            (rs.InvalidArgument, r"gravity\[0\] is nan", lambda: rs.JointErrors("nominal").reset(np.zeros(7))),
+            (rs.InvalidArgument, "q: could not broadcast.* must be numbers of shape",
+             lambda: rs.JointErrors("clean").reset(np.zeros(6))),
+            (rs.InvalidArgument, "'mass' is nothing that an arm has; known: q, dq",
+             lambda: rs.JointErrors("clean").reset(np.zeros(7), mass=1)),
+            (rs.InvalidArgument, "q must be a contiguous float64 array",
+             lambda: rs.JointErrors("clean").bind(q=np.zeros(14)[::2])),
+            (rs.NotFound, "unknown method 'following'", lambda: rs.Compensator("following")),
+            (rs.InvalidArgument, "trains an adapter", lambda: rs.Compensator("ours")),
+            (rs.InvalidArgument, r"following_gain is 99, must be 0\.\.10", lambda: rs.ModelFollowing(following_gain=99)),
+            (rs.InvalidArgument, r"actions has shape \[7\], must be \['any', 7\]",
+             lambda: rs.ModelFollowing().correct(np.zeros(7))),
+            (rs.InvalidArgument, "give position", lambda: rs.ModelFollowing().executed()),
+            (rs.InvalidArgument, "1 states are no motion", lambda: rs.ModelFollowing().executed(np.zeros((1, 3)))),
+            (rs.WrongOrder, "all 0 rows of the chunk", lambda: rs.ModelFollowing().next()),
+            (rs.InvalidArgument, "n is 0, must be 1 to", lambda: rs.Stream("x").integers(0, 1)),
+            (rs.InvalidArgument, "part 1.5 of the key", lambda: rs.Stream("x", 1.5)),
+            (rs.NotFound, "install the package robostress-calibration",
+             lambda: rs.calibrate({}, [], program="no-such-program")),
+        ]
+        for kind, words, call in cases:
+            with self.assertRaisesRegex(kind, words):
+                call()
+            self.assertTrue(issubclass(kind, rs.RobostressError))
+
+    def test_a_copy_goes_on_as_its_original(self):
+        errors, stream = rs.JointErrors("aged_joint_uniform"), rs.Stream("copy")
+        arm, asked = drawn_arm(stream)
+        errors.reset(**{k: v for k, v in arm.items() if k != "dq"})
+        errors.sub_step(asked, **arm)
+        saved = errors.copy()
+        after = [a.copy() for a in errors.sub_step(asked)]
+        np.testing.assert_array_equal(saved.copy().sub_step(asked), after)
+        self.assertFalse(np.array_equal(errors.sub_step(asked)[1], after[1]))
+        errors.restore(saved)
+        np.testing.assert_array_equal(errors.sub_step(asked), after)
+
+    def test_effects_ask_for_what_they_read(self):
+        errors = rs.JointErrors("clean", joints=2)
+        self.assertEqual(errors.reads, {"q", "dq"})
+        errors.add_effect(0, "cross_joint_coupling", [3.0], coupled=1)
+        self.assertIn("ddq", errors.reads)
+        arm = {"mass_matrix": np.eye(2), "other_torque": 0}
+        with self.assertRaisesRegex(rs.InvalidArgument, "ddq.0. is nan"):
+            errors.reset([0.1, 0.2], **arm)
+        errors.reset([0.1, 0.2], ddq=0, **arm)
+        self.assertEqual(errors.sub_step([1, 1])[0].shape, (2,))
+
+    def test_readings_and_offsets(self):
+        errors = rs.JointErrors("clean", joints=1)
+        errors.add_effect(0, "backlash", [0.01])
+        q = np.zeros(1)
+        errors.reset(q)
+        for _ in range(100):
+            q += 0.002 * 0.5 + errors.sub_step([1.0], q=q, dq=0.5)[1]
+        self.assertAlmostEqual(abs(errors.offset()[0]), 0.01)
+        np.testing.assert_array_equal(errors.reading([0.3], [0.1]), [[0.3], [0.1]])
+
+    def test_acts_in_a_simulators_arrays(self):
+        simulator = {"qpos": np.zeros(3), "qvel": np.zeros(3), "ctrl": np.zeros(3), "xaxis": np.tile([0, 1.0, 0], (3, 1)),
+                     "xanchor": np.zeros((3, 3)), "subtree_com": np.full((3, 3), 0.1), "subtree_mass": np.ones(3)}
+        indices = {name: [2, 0] for name in ("qpos_index", "dof_index", "ctrl_index", "joint_index", "body_index")}
+        errors = rs.JointErrors("clean", joints=2)
+        errors.add_effect(1, "backlash", [0.01])
+        errors.attach([0, 0, -9.81], **simulator, **indices)
+        errors.reset([0, 0])
+        np.testing.assert_array_equal(errors.act([3, 4]), [3, 4])
+        np.testing.assert_array_equal(simulator["ctrl"], [4, 0, 3])
+        simulator["qvel"][0] = 1
+        errors.act([3, 4])
+        self.assertNotEqual(simulator["qpos"][0], 0)
+        with self.assertRaisesRegex(rs.InvalidArgument, "ctrl must be the simulator's own"):
+            errors.attach([0, 0, -9.81], **{**simulator, "ctrl": np.zeros(6)[::2]}, **indices)
+
+    def test_seeds_give_streams_and_change_no_error(self):
+        first, second = rs.JointErrors("clean", seed=1), rs.JointErrors("clean", seed=2)
+        self.assertFalse(np.array_equal(first.stream("camera").normal(4), second.stream("camera").normal(4)))
+        np.testing.assert_array_equal(first.stream("camera").normal(4), rs.Stream("camera", 1).normal(4))
+
+
+class Compensators(unittest.TestCase):
+    def motion(self, rows):
+        position = np.cumsum(np.full((rows + 1, 3), 0.004), axis=0)
+        return position, np.tile([1.0, 0, 0, 0], (rows + 1, 1))
+
+    def test_residual_is_achieved_minus_commanded(self):
+        base = rs.Compensator("base")
+        sent = np.full((ROWS, 7), 0.25, np.float32)
+        residual = base.residual(*self.motion(ROWS), sent=sent, policy=sent)
+        np.testing.assert_allclose(residual[:, :3], 0.004 / 0.05 - 0.25, rtol=1e-12)
+        np.testing.assert_array_equal(residual[:, 6], 0)
+
+    def test_every_step_corrects_within_a_chunk(self):
+        actions = np.full((ROWS, 7), 0.8, np.float32)
+        for every_step in (False, True):
+            following = rs.ModelFollowing(every_step=every_step)
+            sent = following.correct(actions)
+            position, orientation = np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1))
+            commands = [following.next()]
+            for row in range(1, ROWS):
+                commands.append(following.next(position, orientation, first_row=row - 1))
+            self.assertEqual(np.array_equal(commands, sent), not every_step)
+
+    def test_joint_targets(self):
+        direct = rs.DirectSubtraction(space="joint", action_dim=4)
+        direct.correct(np.zeros((2, 4)))
+        direct.executed(q=np.full((3, 3), 0.02))
+        np.testing.assert_allclose(direct.correction, -0.02)
+        np.testing.assert_allclose(direct.copy().correct(np.zeros((1, 4)))[0], [-0.02, -0.02, -0.02, 0], rtol=1e-6)
+
+
+PENDULUM = """<mujoco><option timestep="0.002" gravity="0 0 -9.81"/><worldbody><body><joint name="hinge" axis="0 1 0"
+damping="0.2"/><inertial pos="0 0 0" mass="1" diaginertia="0.05 0.05 0.05"/></body></worldbody></mujoco>"""
+
+
+def pendulum_log(friction, seed):
+    """A driven joint with Coulomb friction, 200 Hz, and what an encoder sees of it."""
+    rng, h, q, dq, rows = np.random.default_rng(seed), 0.0005, 0.0, 0.0, []
+    phase = rng.uniform(0, 6)
+    for i in range(16000):
+        t = i * h
+        tau = 1.6 * np.sin(2.1 * t + phase) + 0.9 * np.sin(7.3 * t)
+        if i % 10 == 0:
+            rows.append((t, tau, q + 1e-4 * rng.standard_normal()))
+        held = tau if i % 10 == 0 else held
+        dq += h * (held - 0.2 * dq - friction * np.tanh(dq / 0.01)) / 0.05
+        q += h * dq
+    t, tau, q = np.array(rows).T
+    return {"t": t, "tau_hinge": tau, "q_hinge": q}
+
+
+class Programs(unittest.TestCase):
+    def test_calibrates_arrays(self):
+        rig = {"name": "pendulum", "model": PENDULUM, "rate_hz": 200,
+               "joints": [{"name": "hinge", "input": "torque", "fit": ["armature", "damping"]}],
+               "metric": {"type": "position_rmse", "window_s": 0.5, "unit": "rad"}}
+        logs = [{"columns": pendulum_log(0.4, seed), "role": role} for seed, role in
+                ((0, "fit"), (1, "fit"), (2, "held_out"))]
+        report = rs.calibrate(rig, logs, program=program("CALIBRATE"), arguments=["--surrogates", "99"])
+        self.assertIn(report["verdict"], ("attributed", "ambiguous", "reduced_not_attributed"))
+        self.assertEqual(report["rig"], "pendulum")
+        with self.assertRaisesRegex(rs.InvalidArgument, "(?s)ended with 1:.*has 2 rows, at least 50"):
+            rs.calibrate(rig, [{"columns": {"t": [0, 0.005]}}], program=program("CALIBRATE"))
+        with self.assertRaisesRegex(rs.InvalidArgument, "log_0 has no column t"):
+            rs.calibrate(rig, [{"columns": {}}], program=program("CALIBRATE"))
+
+    def test_asks_a_policy_server(self):
+        try:
+            import msgpack  # noqa: F401
+            import websockets  # noqa: F401
+        except ImportError as fault:
+            raise unittest.SkipTest(f"{fault.name} could not be had from PyPI")
+        with tempfile.TemporaryDirectory() as folder:
+            ports = pathlib.Path(folder) / "ports"
+            server = subprocess.Popen(
+                [program("SERVE"), "--policy", "nano", "--listen", "127.0.0.1:0", "--websocket-listen", "127.0.0.1:0",
+                 "--websocket-resize", "--ports-file", str(ports)], cwd=folder, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL)
+            try:
+                until = time.monotonic() + 60
+                while not ports.exists() and time.monotonic() < until and server.poll() is None:
+                    time.sleep(0.05)
+                port, = [line.split()[1] for line in ports.read_text().splitlines() if line.startswith("websocket")]
+                self.converse(f"ws://127.0.0.1:{port}")
+            finally:
+                server.terminate()
+                server.wait()
+
+    def converse(self, uri):
+        image, state = np.zeros((224, 224, 3), np.uint8), np.zeros(8)
+        observation = {"observation/image": image, "observation/wrist_image": image, "observation/state": state,
+                       "prompt": "put the bowl on the plate"}
+        with rs.PolicyClient(uri, method="ours_following") as client:
+            self.assertEqual(client.metadata["policies"][0]["name"], "nano")
+            reply = client.infer(observation, reset=True)
+            self.assertEqual(reply["actions"].shape[1], 7)
+            n = 5
+            executed = {"q": np.zeros((n + 1, 7)), "p_base_tool": np.zeros((n + 1, 3)),
+                        "q_base_tool": np.tile([1.0, 0, 0, 0], (n + 1, 1)), "gripper": np.zeros(n + 1),
+                        "prediction_id": reply["adapter"]["prediction_id"], "first_step": 0, "sequence": 1}
+            self.assertEqual(client.infer(observation, executed=executed)["feedback"]["sequence"], 1)
+        with rs.PolicyClient(uri, method="theirs") as client:
+            with self.assertRaisesRegex(rs.RobostressError, "unknown method 'theirs'"):
+                client.infer(observation)
+
+
+class Threads(unittest.TestCase):
+    def test_objects_of_different_threads_know_nothing_of_each_other(self):
+        def play(results, i):
+            stream, errors = rs.Stream("threads"), rs.JointErrors("aged_transmission")
+            arm, asked = drawn_arm(stream)
+            errors.reset(**{k: v for k, v in arm.items() if k != "dq"})
+            results[i] = [errors.sub_step(asked, **arm)[1].copy() for _ in range(300)]
+
+        results = [None] * 4
+        threads = [threading.Thread(target=play, args=(results, i)) for i in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        for other in results[1:]:
+            np.testing.assert_array_equal(other, results[0])
+
+
+unittest.main(verbosity=1)
