@@ -16,4 +16,4 @@
 #pragma pop_macro("_GLIBCXX20_CONSTEXPR")
 
 // Clang 14 does not know all of GCC's names of processor features.
-#define __builtin_cpu_supports(feature) 0
+#define __builtin_cpu_supports(feature) (sizeof(feature) == 0)

@@ -20,7 +20,7 @@ Tensor Leaf(torch::IntArrayRef shape) { return torch::randn(shape).set_requires_
 
 // Gradients of sum(f * w) for random w, through both implementations, for every leaf.
 template <class Fused, class Plain>
-void ExpectSameValueAndGradients(std::vector<Tensor> leaves, Fused fused, Plain plain) {
+void ExpectSameValueAndGradients(const std::vector<Tensor>& leaves, Fused fused, Plain plain) {
   const Tensor a = fused(), b = plain();
   // Single precision, sums of up to a hundred terms in another order.
   EXPECT_LT(Difference(a, b), 1e-5);

@@ -82,8 +82,9 @@ inline torch::Tensor JointVelocity(const NanoConfig& c, const NanoParameters& p,
   const int64_t tokens = c.action_tokens(), e = c.expert_width;
   torch::Tensor time = torch::zeros({e});
   for (int64_t k = 0; k < e / 2; ++k) {
+    const int64_t last = e / 2 - 1;
     const double period =
-        4e-3 * std::pow(4.0 / 4e-3, static_cast<double>(k) / static_cast<double>(e / 2 - 1));
+        4e-3 * std::pow(4.0 / 4e-3, static_cast<double>(k) / static_cast<double>(last));
     time[k] = std::sin(2.0 * std::numbers::pi * input.u / period);
     time[k + e / 2] = std::cos(2.0 * std::numbers::pi * input.u / period);
   }

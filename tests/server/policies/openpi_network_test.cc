@@ -85,7 +85,7 @@ TEST_P(OpenpiNetwork, ReadsNothingThatIsMaskedOut) {
 
 TEST_P(OpenpiNetwork, EveryInputMatters) {
   const torch::Tensor before = CachedVelocity(model_, inputs_);
-  const auto moves = [&](OracleInputs changed) {
+  const auto moves = [&](const OracleInputs& changed) {
     return MaxDifference(CachedVelocity(model_, changed), before) > 1e-4;
   };
   OracleInputs changed = inputs_;

@@ -528,7 +528,7 @@ TEST_P(OpenpiPolicyTest, IsServedPredictsLearnsAndReports) {
     actions.push_back(prediction->actions);
     EXPECT_EQ(prediction->adapter_version, i < 2 ? 0u : static_cast<uint64_t>(i - 1));
     ExecutedChunk executed = arm.Execute(*prediction, 4);
-    executed.sequence = static_cast<uint64_t>(i + 1);
+    executed.sequence = static_cast<uint64_t>(i) + 1;
     executed.chunk = i;
     const absl::Status sent = (*client)->SendFeedback(executed);
     ASSERT_TRUE(sent.ok()) << sent;

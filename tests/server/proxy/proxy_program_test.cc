@@ -50,7 +50,7 @@ class ProxyProgram : public ::testing::Test {
     std::filesystem::remove_all(folder_);
   }
   // `under`: what starts the program, with its arguments behind.
-  void Start(std::vector<std::string> more = {}, std::vector<std::string> under = {}) {
+  void Start(const std::vector<std::string>& more = {}, std::vector<std::string> under = {}) {
     std::vector<std::string> command = std::move(under);
     const std::vector<std::string> own = {
         PROXY_PROGRAM,           "--upstream",   upstream_.url(),   "--robot",

@@ -69,8 +69,9 @@ Image ToyWorld::Draw(bool from_hand) const {
     for (int col = 0; col < kImageSize; ++col) {
       double sum[3] = {0, 0, 0};
       for (int s = 0; s < kSub * kSub; ++s) {
-        const double px = (col + (s % kSub + 0.5) / kSub) / kImageSize - 0.5;
-        const double py = (row + (s / kSub + 0.5) / kSub) / kImageSize - 0.5;
+        const int across = s % kSub, down = s / kSub;
+        const double px = (col + (across + 0.5) / kSub) / kImageSize - 0.5;
+        const double py = (row + (down + 0.5) / kSub) / kImageSize - 0.5;
         const Eigen::Vector2d p = centre + view * Eigen::Vector2d(px, py);
         double rgb[3] = {150, 125, 100};
         const auto paint = [&](const Colour& colour, double shade) {

@@ -508,8 +508,10 @@ void WriteLibero(const std::string& path, bool ours, bool absolute = false) {
     columns.steps = steps;
     const auto ramp = [&](double base, int64_t width) {
       std::vector<double> values;
-      for (int64_t i = 0; i < steps * width; ++i)
-        values.push_back(base + 0.001 * static_cast<double>(i / width));
+      for (int64_t i = 0; i < steps * width; ++i) {
+        const int64_t step = i / width;
+        values.push_back(base + 0.001 * static_cast<double>(step));
+      }
       return values;
     };
     columns.actions = ramp(0.1, 7);

@@ -32,7 +32,7 @@ class GrpcCallTest : public ::testing::Test {
                                             const std::function<bool()>& cancelled,
                                             v1::PredictResponse& response)>;
 
-  void Start(GrpcServiceOptions options = {}, size_t largest = 1 << 20) {
+  void Start(const GrpcServiceOptions& options = {}, size_t largest = 1 << 20) {
     server_.reset();
     std::vector<GrpcMethod> methods;
     const auto* service = google::protobuf::DescriptorPool::generated_pool()->FindServiceByName(

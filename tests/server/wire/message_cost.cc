@@ -50,10 +50,12 @@ void* Counted(void* memory, size_t bytes) {
 
 // Every allocation of the process, LibTorch's and gRPC's too.
 extern "C" {
+// NOLINTBEGIN(bugprone-reserved-identifier): those of glibc
 void* __libc_malloc(size_t);
 void* __libc_calloc(size_t, size_t);
 void* __libc_realloc(void*, size_t);
 void* __libc_memalign(size_t, size_t);
+// NOLINTEND(bugprone-reserved-identifier)
 void* malloc(size_t bytes) { return Counted(__libc_malloc(bytes), bytes); }
 void* calloc(size_t n, size_t size) { return Counted(__libc_calloc(n, size), n * size); }
 void* realloc(void* old, size_t bytes) { return Counted(__libc_realloc(old, bytes), bytes); }

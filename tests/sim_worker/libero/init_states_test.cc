@@ -31,6 +31,7 @@ TEST(InitStatesTest, ReadsAMatrixBitForBit) {
   ASSERT_TRUE(states.ok()) << states.status();
   EXPECT_EQ(states->rows, 2);
   EXPECT_EQ(states->columns, 3);
+  // NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): bit by bit
   EXPECT_EQ(std::memcmp(states->values.data(), kValues.data(), sizeof(double) * 6), 0);
   EXPECT_EQ(states->row(1)[0], 1e-300);
 }

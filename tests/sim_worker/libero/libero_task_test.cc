@@ -409,7 +409,8 @@ Eigen::Vector2d CentreOfChange(const Image& a, const Image& b) {
   int changed = 0;
   for (int i = 0; i < a.width * a.height; ++i) {
     if (std::equal(&a.data[3 * i], &a.data[3 * i] + 3, &b.data[3 * i])) continue;
-    sum += Eigen::Vector2d(i % a.width + 0.5, i / a.width + 0.5);
+    const auto column = i % a.width, row = i / a.width;
+    sum += Eigen::Vector2d(column + 0.5, row + 0.5);
     ++changed;
   }
   return sum / std::max(changed, 1);
