@@ -65,7 +65,7 @@ absl::Status ParseTeachBy(const std::string& text, TeachOptions* options) {
 }
 
 absl::StatusOr<std::unique_ptr<TeachRun>> TeachRun::Create(ClientConfig config,
-                                                           TeachOptions options,
+                                                           const TeachOptions& options,
                                                            OperatorConsole* console) {
   if (config.instruction.empty())
     return absl::InvalidArgumentError(

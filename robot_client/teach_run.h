@@ -36,7 +36,8 @@ absl::Status ParseTeachBy(const std::string& text, TeachOptions* options);
 class TeachRun {
  public:
   // Connects to everything; nothing moves. `console` outlives it.
-  static absl::StatusOr<std::unique_ptr<TeachRun>> Create(ClientConfig config, TeachOptions options,
+  static absl::StatusOr<std::unique_ptr<TeachRun>> Create(ClientConfig config,
+                                                          const TeachOptions& options,
                                                           OperatorConsole* console);
   ~TeachRun();
 

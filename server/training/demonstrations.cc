@@ -130,7 +130,7 @@ absl::Status Demonstrations::AddShard(const std::string& path, double validation
   const int64_t views = static_cast<int64_t>(config_.cameras.size());
   const auto floats = [&](const char* name,
                           const std::vector<int64_t>& shape) -> absl::StatusOr<const float*> {
-    RS_ASSIGN_OR_RETURN(const uint8_t* bytes, take(name, DType::kF32, std::move(shape)));
+    RS_ASSIGN_OR_RETURN(const uint8_t* bytes, take(name, DType::kF32, shape));
     return reinterpret_cast<const float*>(bytes);
   };
   RS_ASSIGN_OR_RETURN(const uint8_t* images,
