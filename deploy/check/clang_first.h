@@ -7,6 +7,7 @@
 #include <memory>
 #include <string>
 #include <tuple>
+// NOLINTBEGIN(bugprone-reserved-identifier): those of libstdc++
 #pragma push_macro("_GLIBCXX20_CONSTEXPR")
 #undef _GLIBCXX20_CONSTEXPR
 #define _GLIBCXX20_CONSTEXPR
@@ -17,3 +18,4 @@
 
 // Clang 14 does not know all of GCC's names of processor features.
 #define __builtin_cpu_supports(feature) (sizeof(feature) == 0)
+// NOLINTEND(bugprone-reserved-identifier)

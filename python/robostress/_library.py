@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import ctypes
+import operator
 import os
 import pathlib
 from typing import Any, Dict, List, NamedTuple, Tuple
@@ -152,6 +153,14 @@ class Failures:
     def check(self, code: int) -> None:
         if code:
             raise KINDS.get(code, InternalError)(self._text.value.decode("utf-8", "replace"))
+
+
+def integer(name: str, value: Any) -> int:
+    """`value`, a whole number of Python or NumPy."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise InvalidArgument(f"{name} is {value!r}, must be a whole number") from None
 
 
 def array(name: str, values: Any, dtype: Any, *shape: int) -> np.ndarray:

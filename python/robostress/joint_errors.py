@@ -7,7 +7,8 @@ from typing import Any, Dict, FrozenSet, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from robostress._library import ARM, ATTACHED, LIBRARY, Arrays, Failures, InvalidArgument, Moment, Options, WrongOrder, array
+from robostress._library import (
+    ARM, ATTACHED, LIBRARY, Arrays, Failures, InvalidArgument, Moment, Options, WrongOrder, array, integer)
 from robostress.streams import Stream
 
 READS = {1: ("gravity",), 2: ("payload_gravity", "payload_inertia"), 4: ("tilt_gravity",),
@@ -48,6 +49,10 @@ class JointErrors:
     def __init__(self, scenario: str, joints: int = 7, severity: int = 5, seed: int = 0, *, horizon: int = 300,
                  friction_law: str = "sgn", tanh_width: float = 0.01, offset_start: str = "zero",
                  gravity_sign: str = "literal", nominal: Optional[Any] = None) -> None:
+        if not isinstance(scenario, str):
+            raise InvalidArgument(f"scenario is {scenario!r}, must be a name of scenarios() or a file's path")
+        joints, severity, seed = integer("joints", joints), integer("severity", severity), integer("seed", seed)
+        horizon = integer("horizon", horizon)
         options = Options(ctypes.sizeof(Options), severity, horizon, friction_law.encode(), tanh_width,
                           offset_start.encode(), gravity_sign.encode(), None)
         if nominal is not None:

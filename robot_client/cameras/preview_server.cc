@@ -299,8 +299,8 @@ PreviewServer::~PreviewServer() = default;
 int PreviewServer::port() const { return impl_->port(); }
 
 absl::StatusOr<std::unique_ptr<PreviewServer>> PreviewServer::Start(
-    const PreviewOptions& options, std::vector<FrameSource*> cameras, const Clock* clock) {
-  auto impl = std::make_unique<Impl>(std::move(cameras), clock);
+    const PreviewOptions& options, const std::vector<FrameSource*>& cameras, const Clock* clock) {
+  auto impl = std::make_unique<Impl>(cameras, clock);
   const absl::Status listening = impl->Listen(options);
   if (!listening.ok()) return listening;
   impl->Run();

@@ -27,9 +27,8 @@ struct PreviewOptions {
 class PreviewServer {
  public:
   // The cameras are started and outlive the server. An error names the address and what to do.
-  static absl::StatusOr<std::unique_ptr<PreviewServer>> Start(const PreviewOptions& options,
-                                                              std::vector<FrameSource*> cameras,
-                                                              const Clock* clock);
+  static absl::StatusOr<std::unique_ptr<PreviewServer>> Start(
+      const PreviewOptions& options, const std::vector<FrameSource*>& cameras, const Clock* clock);
   ~PreviewServer();  // cuts what is under way and joins
   int port() const;
 
