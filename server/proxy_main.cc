@@ -96,6 +96,15 @@ void WarnOfOpenPort(const char* flag, const std::string& listen) {
   spdlog::warn("{} {} is open to other machines and asks nobody who he is", flag, listen);
 }
 
+// Signals that wait together have no order: of on and off, off wins.
+void ForgetSwitchOn() {
+  sigset_t on;
+  sigemptyset(&on);
+  sigaddset(&on, SIGUSR2);
+  const timespec at_once{};
+  sigtimedwait(&on, nullptr, &at_once);
+}
+
 absl::Status RunProxy(const ProxyOptions& options, const sigset_t& signals) {
   if (options.upstream.empty() || options.robot.empty()) {
     return absl::InvalidArgumentError(
@@ -185,8 +194,11 @@ absl::Status RunProxy(const ProxyOptions& options, const sigset_t& signals) {
   while (true) {
     int signal = 0;
     sigwait(&signals, &signal);
-    if (signal == SIGUSR1 || signal == SIGUSR2) {
-      board.Switch(signal == SIGUSR2);
+    if (signal == SIGUSR1) {
+      board.Switch(false);
+      ForgetSwitchOn();
+    } else if (signal == SIGUSR2) {
+      board.Switch(true);
     } else if (signal == SIGHUP) {
       reloader->ReloadNow();
     } else {

@@ -110,6 +110,20 @@ TEST_F(ProxyProgram, IsSwitchedByOneCommandOrOneSignal) {
   EXPECT_EQ(child_->Terminate(10000).code, 0) << Log();
 }
 
+TEST_F(ProxyProgram, OfSignalsThatWaitTogetherOffWins) {
+  Start();
+  for (const auto& [first, second] : {std::pair(SIGUSR1, SIGUSR2), std::pair(SIGUSR2, SIGUSR1)}) {
+    kill(child_->pid(), SIGSTOP);
+    kill(child_->pid(), first);
+    kill(child_->pid(), second);
+    kill(child_->pid(), SIGCONT);
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    EXPECT_EQ(State()["mode"], "off");
+    kill(child_->pid(), SIGUSR2);
+    EXPECT_EQ(ModeBecomes("on"), "on");
+  }
+}
+
 TEST_F(ProxyProgram, SaysWhatIsWrong) {
   const auto [nothing, code] = RunProgram(PROXY_PROGRAM, "");
   EXPECT_EQ(code, 1);
