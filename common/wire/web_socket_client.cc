@@ -289,7 +289,8 @@ class WebSocketClient::Impl {
       {
         absl::MutexLock lock(&mu_);
         const auto* const data = static_cast<const char*>(buffer_.data().data());
-        unread_.push_back({socket_->got_text(), std::string(data, buffer_.size())});
+        if (unread_.size() <= kMostUnread)  // more may be on its way when it ends
+          unread_.push_back({socket_->got_text(), std::string(data, buffer_.size())});
         if (unread_.size() > kMostUnread) {
           EndLocked(absl::ResourceExhaustedError(absl::StrCat(
               address_, " sends more than it is asked for; is it a policy server's port?")));
