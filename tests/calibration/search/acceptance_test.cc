@@ -16,11 +16,11 @@ using testing::HasSubstr;
 
 constexpr double kFloor = 0.01;  // [rad]
 
-// Twenty free runs in four folds with the given error, each of 100 rows.
-CrossValidation Errors(double rms) {
+// Free runs in four folds with the given error, each of 100 rows.
+CrossValidation Errors(double rms, int runs = 20) {
   CrossValidation cv;
-  cv.energy.assign(20, 100 * rms * rms);
-  cv.rows.assign(20, 100);
+  cv.energy.assign(runs, 100 * rms * rms);
+  cv.rows.assign(runs, 100);
   cv.fold_rms.assign(4, rms);
   return cv;
 }
@@ -88,6 +88,37 @@ TEST_F(AcceptanceTest, RefusesWhatHelpsInTheWorstTenthOnly) {
   model.cv.energy[3] = model.cv.energy[7] = model.cv.energy[0];
   model.cv.fold_rms.assign(4, 0.01);
   EXPECT_THAT(Objection(model), HasSubstr("worst tenth of the free runs only"));
+}
+
+// As a limit does that few runs reach.
+class ActsInATenthOfTheRuns : public AcceptanceTest {
+ protected:
+  void SetUp() override {
+    AcceptanceTest::SetUp();
+    base_.cv = good_.cv = Errors(0.04, 80);
+    for (int i = 0; i < 8; ++i) base_.cv.energy[10 * i] *= 40;
+    good_.cv.fold_rms.assign(4, 0.01);
+  }
+};
+
+TEST_F(ActsInATenthOfTheRuns, IsTakenWhereNearlyAllOfThemGain) { EXPECT_EQ(Objection(good_), ""); }
+
+TEST_F(ActsInATenthOfTheRuns, IsRefusedWhereSomeAreSetRightAndOthersWrong) {
+  good_.cv.energy[5] *= 20;
+  good_.cv.energy[15] *= 20;
+  EXPECT_THAT(Objection(good_), HasSubstr("not in nearly all of those"));
+}
+
+TEST_F(ActsInATenthOfTheRuns, IsRefusedWhereTheOthersLose) {
+  for (double& energy : good_.cv.energy) energy *= 1.1;
+  EXPECT_THAT(Objection(good_), HasSubstr("worst tenth of the free runs only"));
+}
+
+TEST_F(AcceptanceTest, AsksNoTenthOfAFewLongRuns) {
+  base_.cv = good_.cv = Errors(0.04, 12);
+  base_.cv.energy[3] *= 20;
+  good_.cv.fold_rms.assign(4, 0.01);
+  EXPECT_EQ(Objection(good_), "");
 }
 
 TEST_F(AcceptanceTest, RefusesWhatHalfOfTheFoldsDoWithout) {
