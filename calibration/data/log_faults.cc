@@ -17,6 +17,7 @@ constexpr size_t kLags = 30;
 constexpr double kCorrelated = 0.2;
 constexpr double kStraight = 1e-6;  // of a command's range: less is no bend
 constexpr int kMinBends = 20;
+constexpr size_t kRowsAStep = 10;  // at least, of a reading that is slow
 constexpr int kMaxHeldRows = 100;
 constexpr double kDrawn = 0.3;       // share of steps
 constexpr double kOnTheGrid = 0.98;  // share of bends
@@ -150,6 +151,27 @@ ReadingNoise NoiseBySpeed(const std::vector<double>& signal, const std::vector<d
       other.slope > line.slope * kOrdersAgree * kOrdersAgree || !AreOfWhiteNoise(signal))
     return {};
   return {std::sqrt(std::max(0.0, line.offset)), std::sqrt(line.slope)};
+}
+
+std::vector<double> BetweenSteps(std::vector<double> reading) {
+  struct Point {
+    double row, value;
+  };
+  std::vector<Point> middles;
+  for (size_t i = 1; i < reading.size(); ++i)
+    if (reading[i] != reading[i - 1])
+      middles.push_back({static_cast<double>(i) - 0.5, 0.5 * (reading[i] + reading[i - 1])});
+  if (middles.empty() || middles.size() * kRowsAStep > reading.size()) return reading;
+  middles.insert(middles.begin(), {0, reading.front()});
+  middles.push_back({static_cast<double>(reading.size()), reading.back()});
+  size_t next = 1;
+  for (size_t i = 0; i < reading.size(); ++i) {
+    const double row = static_cast<double>(i);
+    while (row > middles[next].row) ++next;
+    const Point &a = middles[next - 1], &b = middles[next];
+    reading[i] = a.value + (row - a.row) / (b.row - a.row) * (b.value - a.value);
+  }
+  return reading;
 }
 
 int RowsBetweenBends(const std::vector<double>& command) {

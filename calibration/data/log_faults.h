@@ -13,6 +13,10 @@ struct ReadingNoise {
 };
 ReadingNoise NoiseBySpeed(const std::vector<double>& signal, const std::vector<double>& dq);
 
+// A slow reading in steps, as of a temperature, on lines through the middles of its steps: it is
+// known best where it steps. One with more values than steps can be is as it was.
+std::vector<double> BetweenSteps(std::vector<double> reading);
+
 // Rows from one step of a command to the next, where the log draws lines between steps that hold:
 // it bends at every such row, and nowhere else. 0: it does not.
 int RowsBetweenBends(const std::vector<double>& command);

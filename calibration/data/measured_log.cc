@@ -171,7 +171,7 @@ absl::StatusOr<JointRecord> ReadJoint(const Channels& channels, const RigJoint& 
   }
   record.command = channels.Optional("q_cmd_" + name);
   record.tau = channels.Optional("tau_" + name);
-  record.temperature = channels.Optional("temp_" + name);
+  record.temperature = BetweenSteps(channels.Optional("temp_" + name));
   if (!joint.enable.empty()) {
     RS_ASSIGN_OR_RETURN(record.enable, channels.Need(joint.enable, why));
   }

@@ -19,9 +19,10 @@ constexpr int kRowStep = 4;          // rows that are looked at
 // What resists motion; a torque of these is viscous.
 bool Rubs(const EffectInstance& effect) {
   static const std::vector<std::string> types = {
-      "stribeck_friction",          "asymmetric_coulomb",  "asymmetric_viscous",
-      "load_dependent_friction",    "time_drift_friction", "position_dependent_friction",
-      "quadratic_viscous_friction",
+      "stribeck_friction",       "asymmetric_coulomb",          "asymmetric_viscous",
+      "load_dependent_friction", "gravity_dependent_friction",  "time_drift_friction",
+      "temperature_friction",    "position_dependent_friction", "quadratic_viscous_friction",
+      "cross_joint_friction",
   };
   return std::find(types.begin(), types.end(), effect.info->type) != types.end();
 }
@@ -75,6 +76,24 @@ double DeviationOfFriction(const JointFit& fit, const std::vector<double>& std) 
       sum += std[i] * std[i];
   }
   return std::sqrt(sum);
+}
+
+// What a joint's friction depends on at a row.
+JointMoment MomentAt(const JointModel& model, const JointTrack& track, int row) {
+  const JointRecord& record = track.record();
+  const PlantRow& plant = track.rows[track.single ? 0 : static_cast<size_t>(row)];
+  JointMoment moment;
+  moment.t = row * track.log->dt;
+  moment.h = track.log->dt;
+  moment.q = record.q_smooth[row];
+  moment.dq = record.dq[row];
+  moment.drive = DriveAt(model, record, row);
+  moment.gravity = Evaluate(plant.gravity, track.single, std::cos(moment.q), std::sin(moment.q),
+                            moment.q, plant.q_ref);
+  if (!record.temperature.empty()) moment.temperature = record.temperature[row];
+  if (const int partner = PartnerOf(model); partner >= 0)
+    moment.coupled_dq = track.log->joints[partner].motion.dq[row];
+  return moment;
 }
 
 std::string FadingDoubt(const JointProblem& problem, const JointModel& model) {
@@ -135,16 +154,13 @@ std::string PhysicalDoubt(const JointProblem& problem, const JointFit& fit,
   double worst = 0;
   std::string doubt;
   for (const JointTrack& track : problem.tracks()) {
-    const JointRecord& record = track.record();
     for (int row = 0; row < track.log->rows; row += kRowStep) {
-      JointMoment moment;
-      moment.t = row * track.log->dt;
-      moment.h = track.log->dt;
-      moment.q = record.q_smooth[row];
-      moment.dq = record.dq[row];
-      moment.drive = DriveAt(model, record, row);
+      const JointMoment moment = MomentAt(model, track, row);
       const Resistance r = ResistanceAt(model, chain, moment);
-      const double least = std::min(r.forward, r.backward), excess = -least - kSlack * r.parts;
+      // Another joint may pull this one along, and then resists it the other way.
+      const double least =
+          PartnerOf(model) >= 0 ? 0.5 * (r.forward + r.backward) : std::min(r.forward, r.backward);
+      const double excess = -least - kSlack * r.parts;
       if (excess - allowed <= worst) continue;
       worst = excess - allowed;
       doubt = absl::StrFormat(

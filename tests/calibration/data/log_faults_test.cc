@@ -53,6 +53,21 @@ TEST(NoiseBySpeed, TakesNoMotionThatIsKickedEveryFewRowsForNoise) {
   EXPECT_EQ(NoiseBySpeed(q, dq).timing, 0);
 }
 
+TEST(BetweenSteps, FollowsASlowReadingThroughTheMiddlesOfItsSteps) {
+  std::vector<double> steps, wanted;
+  for (int i = 0; i < 1000; ++i) {
+    wanted.push_back(20 + 0.004 * i);
+    steps.push_back(0.5 * std::round(wanted.back() / 0.5));
+  }
+  const std::vector<double> lines = BetweenSteps(steps);
+  for (int i = 100; i < 900; ++i) EXPECT_NEAR(lines[i], wanted[i], 0.01) << i;
+  EXPECT_EQ(lines.front(), steps.front());
+  const std::vector<double> constant(100, 3.0), fast = {0, 1, 0, 1, 2, 1, 0, 3, 1, 2, 3, 4};
+  EXPECT_EQ(BetweenSteps(constant), constant);
+  EXPECT_EQ(BetweenSteps(fast), fast);
+  EXPECT_TRUE(BetweenSteps({}).empty());
+}
+
 TEST(RowsBetweenBends, AreThoseOfLinesBetweenSteps) {
   std::vector<double> lines, smooth, ramps;
   for (int i = 0; i < 1000; ++i) {

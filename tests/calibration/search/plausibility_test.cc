@@ -75,6 +75,17 @@ TEST_F(Plausibility, AWaveOfFrictionMayNotExceedWhatItIsTakenFrom) {
   EXPECT_THAT(Physical(), HasSubstr("no joint is driven by its friction"));
 }
 
+TEST_F(Plausibility, FrictionOfTemperatureAndOfGravityCountsAtWhatWasReached) {
+  Add("temperature_friction", {-0.03, 0, 20, 40});  // 40 deg C where nobody measured
+  EXPECT_EQ(Physical(), "");
+  fit_.best.x[0] = -0.08;
+  EXPECT_THAT(Physical(), StartsWith("friction would be -0.6 at"));
+  fit_.best.x[0] = 0;
+  EXPECT_EQ(Physical(), "");
+  Add("gravity_dependent_friction", {-10});  // no fit may go there
+  EXPECT_THAT(Physical(), StartsWith("friction would be -"));
+}
+
 TEST_F(Plausibility, ADriveThatFadesToNothingIsDoubted) {
   Add("time_varying_gain", {-0.01});
   EXPECT_EQ(Physical(), "");
