@@ -15,6 +15,7 @@ bool Contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
+constexpr double kFastStretch = 1.6;  // warms by so much more than the mean speed
 constexpr Family kFamilies[] = {Family::kServo,        Family::kTorque, Family::kInverse,
                                 Family::kTransmission, Family::kSlide,  Family::kArm};
 
@@ -160,6 +161,7 @@ class Drawer {
     if (family_ == Family::kTransmission || !(needed || random.Uniform() < 0.3)) return;
     rig_.logs_temperature = true;
     const double rise = random.Uniform(8, 25), share = random.Uniform(0.3, 0.6);
+    warmest_ = kFastStretch * rise;
     for (size_t i = 0; i < experiments_.size(); ++i) {
       Experiment& x = experiments_[i];
       x.warming = rise / signals_[0].speed;
@@ -227,6 +229,7 @@ class Drawer {
       s.base_friction = rig_.truth.drives[j].Fc;
       s.viscous = rig_.truth.drives[j].viscous;
       s.warming = std::max(1.0, c.warmer.empty() ? 0 : c.warmer.back());
+      s.warmest = std::max(s.warming, warmest_);
       signals_[j] = s;
     }
     for (int j = 0; j < 2 && arm(); ++j) {
@@ -355,6 +358,7 @@ class Drawer {
   double fastest_ = 3, amplitude_ = 1;
   std::vector<Experiment> experiments_;
   Signals signals_[2];
+  double warmest_ = 0;  // [K] over cold, of all logs
   GeneratedRig rig_;
 };
 

@@ -8,6 +8,8 @@
 namespace robostress::generator {
 namespace {
 
+constexpr double kFastest = 4;  // times the mean speed
+
 double SignOf(double x) { return (x > 0) - (x < 0); }
 
 struct Stribeck : Action {
@@ -488,17 +490,21 @@ HiddenEffect DrawEffect(const std::string& type, Size size, const Signals& s,
   } else if (type == "asymmetric_coulomb") {
     p = {{"dFc", sign() * friction}};
   } else if (type == "asymmetric_viscous") {
-    p = {{"d_sigma", sign() * torque / s.speed}};
+    // The joint rubs both ways at the speeds that it reaches.
+    const double resists = 0.8 * s.viscous + 0.8 * s.base_friction / (kFastest * s.speed);
+    p = {{"d_sigma", sign() * std::min(torque / s.speed, resists)}};
   } else if (type == "load_dependent_friction") {
     p = {{"mu", share}};
   } else if (type == "gravity_dependent_friction") {
     p = {{"mu", 1.5 * torque / std::max(s.holding, 1e-9)}};
   } else if (type == "temperature_friction") {
     // What falls as the joint warms must be there.
-    const double lost = std::min(torque, 0.7 * s.viscous * s.speed) / s.warming;
+    const auto lost = [&](double there) {
+      return std::min(torque / s.warming, 0.9 * there / s.warmest);
+    };
     const bool dry = random.Uniform() < 0.5;
-    p = {{"c", dry ? -std::min(torque, 0.7 * s.base_friction) / s.warming : 0},
-         {"v", dry ? 0 : -lost / s.speed}};
+    p = {{"c", dry ? -lost(s.base_friction) : 0},
+         {"v", dry ? 0 : -lost(s.viscous * s.speed) / s.speed}};
   } else if (type == "quadratic_viscous_friction") {
     p = {{"c2", torque / (s.speed * s.speed)}};
   } else if (type == "time_drift_friction") {

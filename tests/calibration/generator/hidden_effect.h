@@ -70,6 +70,7 @@ struct Signals {
   double base_friction = 0;                        // smallest dry friction [Nm]
   double viscous = 0;                              // of the drive [Nm s/rad]
   double warming = 1;                              // at the end of a log [K]
+  double warmest = 1;                              // of all logs [K]
   double other_speed = 1, other_acceleration = 1;  // of the other joint, rms [rad/s, rad/s^2]
 };
 
