@@ -63,22 +63,23 @@ JointSimulation::~JointSimulation() = default;
 // sub-step, through the effects of the command stage.
 void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain) {
   const JointRecord& record = track_.record();
-  const std::vector<double>& given = model.input == JointInput::kPositionTarget ? record.command
-                                     : model.input == JointInput::kTransmission ? record.q_motor
-                                                                                : record.tau;
+  if (model.input == JointInput::kTransmission) return ShapeMotor(chain);
+  const std::vector<double>& given =
+      model.input == JointInput::kPositionTarget ? record.command : record.tau;
   const absl::Span<const JointChain::Link> command_stage = chain.stage(EffectStage::kCommand);
-  const int steps = model.input == JointInput::kTransmission ? 1 : sub_steps_;
+  const int steps = sub_steps_;
   const size_t count = static_cast<size_t>(track_.log->rows) * steps;
   commands_.resize(count);
   JointMoment moment;
   moment.h = track_.log->dt / steps;
   for (const JointChain::Link& link : command_stage) link.effect->Reset(moment);
-  const auto integral = [&](double at) {  // of the held commands from row 0 [rows]
+  std::vector<double> ended(command_stage.size());  // where each left the sub-step before
+  const auto integral = [&](double at) {            // of the held commands from row 0 [rows]
     at = std::clamp(at, 0.0, static_cast<double>(given.size()));
     const size_t row = std::min(static_cast<size_t>(at), given.size() - 1);
     return sums_[row] + (at - static_cast<double>(row)) * given[row];
   };
-  const bool shifted = model.command_shift != 0 && model.input != JointInput::kTransmission;
+  const bool shifted = model.command_shift != 0;
   if (shifted) {
     sums_.assign(given.size() + 1, 0);
     for (size_t i = 0; i < given.size(); ++i) sums_[i + 1] = sums_[i] + given[i];
@@ -97,9 +98,46 @@ void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain)
       }
       const size_t at = row * steps + i;
       moment.t = static_cast<double>(at) * moment.h;
-      for (const JointChain::Link& link : command_stage)
-        command = link.effect->Command(command, moment);
+      for (size_t k = 0; k < command_stage.size(); ++k) {
+        command = command_stage[k].effect->Command(command, moment);
+        if (!command_stage[k].effect->CommandSlides()) continue;
+        const double begun = at == 0 ? command : ended[k];
+        ended[k] = command;
+        command = 0.5 * (begun + command);
+      }
       commands_[at] = command;
+    }
+  }
+}
+
+// The motor's angle at every instant of kMotorSteps to a row, on cubics through its readings, and
+// what the channel between the encoders makes of it.
+void JointSimulation::ShapeMotor(EffectChain& chain) {
+  const std::vector<double>& given = track_.record().q_motor;
+  const absl::Span<const JointChain::Link> channel = chain.stage(EffectStage::kCommand);
+  const bool slides = std::any_of(channel.begin(), channel.end(), [](const JointChain::Link& link) {
+    return link.effect->CommandSlides();
+  });
+  const int rows = track_.log->rows;
+  commands_.resize(static_cast<size_t>(rows) * kMotorSteps);
+  JointMoment moment;
+  moment.h = track_.log->dt / kMotorSteps;
+  for (const JointChain::Link& link : channel) link.effect->Reset(moment);
+  const auto at = [&](int row) { return given[std::clamp(row, 0, rows - 1)]; };
+  double before = given[0];
+  for (int row = 0; row < rows; ++row) {
+    const double slope = 0.5 * (at(row + 1) - at(row - 1)), way = at(row + 1) - at(row);
+    const double next = 0.5 * (at(row + 2) - at(row));
+    const double c2 = 3 * way - 2 * slope - next, c3 = slope + next - 2 * way;
+    for (int i = 0; i < kMotorSteps; ++i) {
+      const double s = static_cast<double>(i) / kMotorSteps;
+      const double angle = given[row] + s * (slope + s * (c2 + s * c3));
+      // What slides is exact for a command that holds until the instant.
+      double arrives = slides ? 0.5 * (before + angle) : angle;
+      before = angle;
+      moment.t = (row + s) * track_.log->dt;
+      for (const JointChain::Link& link : channel) arrives = link.effect->Command(arrives, moment);
+      commands_[static_cast<size_t>(row) * kMotorSteps + i] = channel.empty() ? angle : arrives;
     }
   }
 }
@@ -111,7 +149,7 @@ void JointSimulation::Predict(const JointModel& model, int window, const std::ve
   switch (model.input) {
     case JointInput::kPositionTarget:
     case JointInput::kTorque:
-      return FreeRun(model, chain, window, chosen, offset, 0, predicted, {});
+      return FreeRun(model, chain, window, chosen, offset, 0, {.readings = predicted});
     case JointInput::kTransmission:
       return Transmission(chain, predicted);
     case JointInput::kInverse:
@@ -120,11 +158,10 @@ void JointSimulation::Predict(const JointModel& model, int window, const std::ve
 }
 
 void JointSimulation::PredictMotion(const JointModel& model, int window, int shift,
-                                    StartOffset offset, absl::Span<double> readings,
-                                    absl::Span<double> velocities) {
+                                    StartOffset offset, const Motion& motion) {
   EffectChain chain(model);
   ShapeCommands(model, chain);
-  FreeRun(model, chain, window, {}, offset, shift, readings, velocities);
+  FreeRun(model, chain, window, {}, offset, shift, motion);
 }
 
 // Fills what depends on posture and time alone.
@@ -152,8 +189,8 @@ void JointSimulation::Describe(const EffectChain& chain, int row, double q, Join
   moment.coupled_ddq = chain.at_rows ? partner.ddq[row] : partner.motion.ddq[row];
 }
 
-void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int row, double command,
-                              State& s) {
+double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int row,
+                                double command, State& s) {
   const PlantRow& p = plant(row);
   const double lead = 0.5 * h_ - model.force_lag;
   const double middle = s.q + lead * s.dq;
@@ -201,6 +238,7 @@ void JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int r
   moment.q = s.q;
   moment.dq = s.dq;
   s.offset = chain.Offset(moment);
+  return moment.drive;
 }
 
 // The moment at the beginning of a step of a row, as measured; the velocity is the step's. The
@@ -279,7 +317,7 @@ void JointSimulation::Lead(const JointModel& model, EffectChain& chain, int firs
 
 void JointSimulation::FreeRun(const JointModel& model, EffectChain& chain, int window,
                               const std::vector<char>& chosen, StartOffset offset, int shift,
-                              absl::Span<double> readings, absl::Span<double> velocities) {
+                              const Motion& motion) {
   const int rows = track_.log->rows;
   if (window <= 0) window = rows;
   State led;
@@ -295,41 +333,53 @@ void JointSimulation::FreeRun(const JointModel& model, EffectChain& chain, int w
     led_to = start;
     if (chain.has_state) {
       EffectChain own = chain.Copy();
-      Run(model, own, start, end, led, offset, readings, velocities);
+      Run(model, own, start, end, led, offset, motion);
     } else {
-      Run(model, chain, start, end, led, offset, readings, velocities);
+      Run(model, chain, start, end, led, offset, motion);
     }
   }
 }
 
 void JointSimulation::Run(const JointModel& model, EffectChain& chain, int start, int end, State s,
-                          StartOffset offset, absl::Span<double> readings,
-                          absl::Span<double> velocities) {
+                          StartOffset offset, const Motion& motion) {
   s.q += offset.q;
   s.dq += offset.dq;
   for (int row = start; row < end; ++row) {
     // A model that runs away is far off, but a number: fits then turn back.
     if (!(std::abs(s.q) < kRunaway)) s = {s.t, std::copysign(kRunaway, s.q)};
-    readings[row] = chain.Reading(s.q + s.offset);
-    if (!velocities.empty()) velocities[row] = s.dq;
+    motion.readings[row] = chain.Reading(s.q + s.offset);
+    if (!motion.velocities.empty()) motion.velocities[row] = s.dq;
+    if (!motion.motor.empty()) motion.motor[row] = s.q;
+    if (!motion.link.empty()) motion.link[row] = s.q + s.offset;
+    double drive = 0;
     for (int i = 0; i < sub_steps_; ++i)
-      SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
+      drive += SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
+    if (!motion.drive.empty()) motion.drive[row] = drive / sub_steps_;
   }
 }
 
 void JointSimulation::Transmission(EffectChain& chain, absl::Span<double> predicted) {
   const JointRecord& record = track_.record();
+  const int rows = track_.log->rows, steps = chain.has_state ? kMotorSteps : 1;
+  const auto between = [&](const std::vector<double>& values, int row, double share) {
+    if (values.empty()) return 0.0;
+    return values[row] + share * (values[std::min(row + 1, rows - 1)] - values[row]);
+  };
   JointMoment moment;
-  moment.h = track_.log->dt;
+  moment.h = track_.log->dt / steps;
   moment.q = commands_[0];
-  moment.drive = record.tau.empty() ? 0 : record.tau[0];
+  moment.drive = between(record.tau, 0, 0);
   chain.Reset(moment);
-  for (int row = 0; row < track_.log->rows; ++row) {
-    moment.t = row * moment.h;
-    moment.q = commands_[row];
-    moment.dq = record.dq[row];
-    moment.drive = record.tau.empty() ? 0 : record.tau[row];
-    predicted[row] = chain.Reading(moment.q + chain.Offset(moment));
+  for (int row = 0; row < rows; ++row) {
+    for (int i = 0; i < steps; ++i) {
+      const double share = static_cast<double>(i) / steps;
+      moment.t = (row + share) * track_.log->dt;
+      moment.q = commands_[static_cast<size_t>(row) * kMotorSteps + i];
+      moment.dq = between(record.dq, row, share);
+      moment.drive = between(record.tau, row, share);
+      const double offset = chain.Offset(moment);
+      if (i == 0) predicted[row] = chain.Reading(moment.q + offset);
+    }
   }
 }
 

@@ -45,6 +45,8 @@ class JointSimulation {
   static constexpr double kLeadSpan = 10;      // [s]
   static constexpr double kLongWarmUp = 5;     // [s] before the span
   static constexpr double kMaxSubStep = 1e-3;  // [s]
+  // Of a row between two encoders: a motor turns between rows, and a gap is taken up there.
+  static constexpr int kMotorSteps = 8;
 
   explicit JointSimulation(const JointTrack& track);
   ~JointSimulation();
@@ -58,25 +60,35 @@ class JointSimulation {
   // it holds zero for may be left as they are; empty: all.
   void Predict(const JointModel& model, int window, const std::vector<char>& chosen,
                StartOffset offset, absl::Span<double> predicted);
-  // Free runs that start at row 0, at row `shift`, and every window after: readings [rows] and
-  // velocities of the joint [rows].
+  // What free runs write, each [rows], or empty where nobody asks.
+  struct Motion {
+    absl::Span<double> readings;    // [rad]
+    absl::Span<double> velocities;  // [rad/s]
+    absl::Span<double> motor;       // [rad] before the transmission
+    absl::Span<double> link;        // [rad] behind it, as it is and not as it is read
+    absl::Span<double> drive;       // [Nm] of the motor, mean until the next row
+  };
+  // Free runs that start at row 0, at row `shift`, and every window after. `motion` has readings.
   void PredictMotion(const JointModel& model, int window, int shift, StartOffset offset,
-                     absl::Span<double> readings, absl::Span<double> velocities);
+                     const Motion& motion);
 
  private:
   struct State;
   void Describe(const EffectChain& chain, int row, double q, JointMoment& moment);
   void ShapeCommands(const JointModel& model, EffectChain& chain);
+  void ShapeMotor(EffectChain& chain);
   void FreeRun(const JointModel& model, EffectChain& chain, int window,
                const std::vector<char>& chosen, StartOffset offset, int shift,
-               absl::Span<double> readings, absl::Span<double> velocities);
+               const Motion& motion);
   // One free run, rows start ... end - 1.
   void Run(const JointModel& model, EffectChain& chain, int start, int end, State state,
-           StartOffset offset, absl::Span<double> readings, absl::Span<double> velocities);
+           StartOffset offset, const Motion& motion);
   void Transmission(EffectChain& chain, absl::Span<double> predicted);
   double Load(const JointModel& model, EffectChain& chain, int row, JointMoment& moment);
   void Inverse(const JointModel& model, EffectChain& chain, absl::Span<double> predicted);
-  void SubStep(const JointModel& model, EffectChain& chain, int row, double command, State& state);
+  // The motor's torque [Nm].
+  double SubStep(const JointModel& model, EffectChain& chain, int row, double command,
+                 State& state);
   JointMoment MeasuredMoment(const JointModel& model, const EffectChain& chain, int row, int step,
                              const State& state);
   // Steps of a row while leading: only an oscillation needs the simulation's.
@@ -97,8 +109,9 @@ class JointSimulation {
   const JointTrack& track_;
   int sub_steps_;
   double h_;
-  std::vector<double> commands_;  // [rows * sub_steps] after the command stage
-  std::vector<double> sums_;      // of the given commands, one more than rows
+  // After the command stage [rows * sub_steps]; of a transmission [rows * kMotorSteps].
+  std::vector<double> commands_;
+  std::vector<double> sums_;  // of the given commands, one more than rows
   Posture posture_;
 };
 

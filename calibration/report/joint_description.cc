@@ -317,6 +317,7 @@ class Description {
     evidence.declared = joint_.ProjectedRms(before_, unseen);
     evidence.declared_bulk = joint_.ProjectedBulk(before_, unseen);
     evidence.after = joint_.ProjectedRms(after_, unseen);
+    evidence.after_is_white = report.residual_after.white;
     evidence.floor = joint_.problem.ProjectedFloor(unseen);
     evidence.inverse = joint_.declared().input == JointInput::kInverse;
     evidence.transfer_declared = joint_.ProjectedRms(before_, transfer);
@@ -356,24 +357,44 @@ class Description {
       others.push_back(std::move(name));
     }
     const NextExperiment next = ProposeExperiment(joint_.problem, models);
-    if (next.what.empty()) {
+    if (next.what.empty() && next.sensor.what.empty()) {
       report.next_experiment.text = "more of what moves the joint: nothing came near what is left";
       return;
     }
-    const bool hinge = joint_.plant.hinge(joint_.index);
-    const double factor = next.torque ? 1 : factor_;
-    const std::string unit = next.torque ? (hinge ? "Nm" : "N") : unit_;
-    report.next_experiment = {"", unit, factor * next.apart, factor * next.now};
+    const auto factor = [&](bool torque) { return torque ? 1 : factor_; };
+    const auto unit = [&](bool torque) { return torque ? OfJoint("Nm") : unit_; };
+    const double apart = factor(next.torque) * next.apart, now = factor(next.torque) * next.now;
+    report.next_experiment = {.text = "",
+                              .unit = unit(next.torque),
+                              .apart = apart,
+                              .now = now,
+                              .log = next.log,
+                              .change = {{"speed", next.speed},
+                                         {"size", next.size},
+                                         {"servo_gain", next.gain},
+                                         {"load", next.load},
+                                         {"mass_kg", next.mass}},
+                              .sensor = next.sensor.what};
     std::string& text = report.next_experiment.text;
-    text = absl::StrFormat(
-        "to tell %s from %s, record %s: there they are %.3g %s apart or more, in the log as it is "
-        "%.3g",
-        NameOf(trace_.after.added), absl::StrJoin(others, ", "), next.what, factor * next.apart,
-        unit, factor * next.now);
+    text = absl::StrFormat("to tell %s from %s", NameOf(trace_.after.added),
+                           absl::StrJoin(others, ", "));
+    if (!next.what.empty())
+      absl::StrAppendFormat(
+          &text, ", record %s: there they are %.3g %s apart or more, in the log as it is %.3g",
+          next.what, apart, unit(next.torque), now);
+    if (!next.sensor.what.empty()) {
+      absl::StrAppendFormat(
+          &text, "%s read %s as well: in the log as it is they are %.3g %s apart there",
+          next.what.empty() ? "," : "; or", next.sensor.what,
+          factor(next.sensor.torque) * next.sensor.apart, unit(next.sensor.torque));
+      return;
+    }
     const double floor = joint_.problem.ProjectedFloor(joint_.Fit());
     if (joint_.declared().input != JointInput::kTorque && next.apart < floor)
-      absl::StrAppendFormat(&text, "; that is less than the noise, %.3g, and takes another sensor",
-                            factor * floor);
+      absl::StrAppendFormat(&text, "; that is less than the noise, %.3g, and %s", factor_ * floor,
+                            joint_.declared().input == JointInput::kPositionTarget
+                                ? "no sensor at the motor tells them either"
+                                : "takes another sensor");
   }
   static std::string NameOf(std::vector<std::string> added) {
     std::sort(added.begin(), added.end());

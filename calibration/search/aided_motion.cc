@@ -33,8 +33,9 @@ JointMotion MotionOfRuns(const JointTrack& track, const JointModel& model, int w
   const double dq = std::max(record.noise, 1e-9), dv = 0.1 * dq / dt;
   const auto predict = [&](JointSimulation::StartOffset offset) {
     JointMotion run{std::vector<double>(rows), std::vector<double>(rows), {}};
-    JointSimulation(track).PredictMotion(model, window, shift, offset, absl::MakeSpan(run.q),
-                                         absl::MakeSpan(run.dq));
+    JointSimulation(track).PredictMotion(
+        model, window, shift, offset,
+        {.readings = absl::MakeSpan(run.q), .velocities = absl::MakeSpan(run.dq)});
     return run;
   };
   JointMotion run = predict({});

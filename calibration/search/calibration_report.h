@@ -108,10 +108,13 @@ struct JointReport {
   std::vector<StructureCurve> structure;
   std::vector<ExampleReport> examples;
   // What to do next (next_experiment.h), in a sentence; empty of a model that is sufficient. The
-  // figures are in `unit`, or of torque.
+  // figures are in `unit`, or of torque. `change`: of the run that is made of `log`.
   struct Experiment {
     std::string text, unit;
     double apart = 0, now = 0;
+    std::string log;
+    std::map<std::string, double> change;
+    std::string sensor;
   } next_experiment;
 };
 

@@ -12,9 +12,11 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr double kLongest = 20;     // [s] of a run
-constexpr double kMassShare = 0.3;  // of the joint's inertia, that a known mass adds
-constexpr double kLoadShare = 0.5;  // of a transmission's torque, that a load adds
+constexpr double kLongest = 20;        // [s] of a run
+constexpr double kMassShare = 0.3;     // of the joint's inertia, that a known mass adds
+constexpr double kLoadShare = 0.5;     // of a transmission's torque, that a load adds
+constexpr double kTorqueNoise = 0.01;  // of its torque, of a sensor that measures it
+constexpr double kWorthASensor = 2;    // times as far apart, over the noise, as the best run
 
 // What a run has other than the log that it is made of.
 struct Change {
@@ -29,7 +31,7 @@ double At(const std::vector<double>& values, double place) {
   return (1 - share) * values[row] + share * values[next];
 }
 
-double MeanOf(const std::vector<double>& values) {
+double MeanOf(absl::Span<const double> values) {
   double sum = 0;
   for (const double value : values) sum += value / static_cast<double>(values.size());
   return sum;
@@ -57,8 +59,9 @@ class Run {
   void MoveBy(const JointModel& model) {
     JointRecord& record = own();
     std::vector<double> q(log_.rows), dq(log_.rows);
-    JointSimulation(track_).PredictMotion(Changed(model), 0, 0, {}, absl::MakeSpan(q),
-                                          absl::MakeSpan(dq));
+    JointSimulation(track_).PredictMotion(
+        Changed(model), 0, 0, {},
+        {.readings = absl::MakeSpan(q), .velocities = absl::MakeSpan(dq)});
     record.q_smooth = record.q = q;
     record.dq = dq;
     for (int i = 0; i + 1 < log_.rows; ++i) record.ddq[i] = (dq[i + 1] - dq[i]) / log_.dt;
@@ -70,12 +73,33 @@ class Run {
     std::vector<double> predicted(log_.rows);
     JointSimulation(track_).Predict(Changed(model), window, {}, {}, absl::MakeSpan(predicted));
     if (model.input != JointInput::kTransmission) return predicted;
-    const double mean = MeanOf(predicted);  // two encoders have two zeros
-    for (double& value : predicted) value -= mean;
+    Centre(predicted);  // two encoders have two zeros
     return predicted;
   }
 
+  // What other sensors would read, each about its mean: they have zeros of their own.
+  struct Readings {
+    std::vector<double> motor, link, torque;
+  };
+  Readings ReadElsewhere(const JointModel& model, int window) const {
+    const std::vector<double> none(log_.rows);
+    std::vector<double> own = none;
+    Readings read{none, none, none};
+    JointSimulation(track_).PredictMotion(Changed(model), window, 0, {},
+                                          {.readings = absl::MakeSpan(own),
+                                           .motor = absl::MakeSpan(read.motor),
+                                           .link = absl::MakeSpan(read.link),
+                                           .drive = absl::MakeSpan(read.torque)});
+    for (auto* values : {&read.motor, &read.link, &read.torque}) Centre(*values);
+    return read;
+  }
+
  private:
+  static void Centre(std::vector<double>& values) {
+    const double mean = MeanOf(values);
+    for (double& value : values) value -= mean;
+  }
+
   JointRecord& own() { return log_.joints[track_.joint]; }
 
   void Hasten(JointRecord& record) const {
@@ -159,6 +183,10 @@ std::vector<Change> Changes(const JointTrack& track, const JointModel& model) {
   return changes;
 }
 
+double RmsOf(const std::vector<double>& values) {
+  return RmsBetween(values, std::vector<double>(values.size(), 0));
+}
+
 const JointTrack& LongestFitted(const JointProblem& problem) {
   const JointTrack* longest = &problem.tracks().front();
   for (const JointTrack& track : problem.tracks())
@@ -181,6 +209,40 @@ double Apart(const JointTrack& track, const std::vector<JointModel>& models, con
   return least;
 }
 
+// The best of a second encoder, an instrument outside and a torque sensor, where it is worth more
+// than a run that is `times_noise` apart.
+NextExperiment::Sensor BestSensor(const JointTrack& track, const std::vector<JointModel>& models,
+                                  double times_noise, int window) {
+  Run run(track, {});
+  if (models[0].input == JointInput::kPositionTarget) run.MoveBy(models[0]);
+  const Run::Readings first = run.ReadElsewhere(models[0], window);
+  const double far = std::numeric_limits<double>::infinity();
+  NextExperiment::Sensor motor{"the motor's angle, before the transmission", far, false},
+      link{"the joint's angle by an instrument outside", far, false},
+      torque{"the motor's torque", far, true};
+  for (size_t i = 1; i < models.size(); ++i) {
+    const Run::Readings other = run.ReadElsewhere(models[i], window);
+    motor.apart = std::min(motor.apart, RmsBetween(first.motor, other.motor));
+    link.apart = std::min(link.apart, RmsBetween(first.link, other.link));
+    torque.apart = std::min(torque.apart, RmsBetween(first.torque, other.torque));
+  }
+  const auto over_noise = [&](const NextExperiment::Sensor& sensor) {
+    const double noise = sensor.torque ? kTorqueNoise * RmsOf(first.torque) : track.record().noise;
+    return sensor.apart / std::max(noise, 1e-300);
+  };
+  // A torque that drives the model is measured already.
+  if (models[0].input == JointInput::kTorque) torque.apart = 0;
+  const NextExperiment::Sensor best =
+      std::max({motor, link, torque},
+               [&](const auto& a, const auto& b) { return over_noise(a) < over_noise(b); });
+  const bool worth = over_noise(best) >= std::max(1.0, kWorthASensor * times_noise);
+  return worth && std::isfinite(best.apart) ? best : NextExperiment::Sensor{};
+}
+
+bool IsMotion(JointInput input) {
+  return input == JointInput::kPositionTarget || input == JointInput::kTorque;
+}
+
 }  // namespace
 
 NextExperiment ProposeExperiment(const JointProblem& problem,
@@ -194,16 +256,29 @@ NextExperiment ProposeExperiment(const JointProblem& problem,
     const auto with = WithOverrides(model, track.record().name, track.log->overrides);
     RS_CHECK(with.ok());
     model = *with;
+  }
+  const std::vector<JointModel> logged = own;
+  for (JointModel& model : own) {
     // A torque that was logged drives another machine elsewhere: its motion is prescribed.
     if (best.torque) model.input = JointInput::kInverse;
   }
   const std::string name = std::filesystem::path(track.log->file).filename().string();
+  best.log = track.log->file;
   best.now = Apart(track, own, {}, problem.window());
   for (const Change& change : Changes(track, own[0])) {
     const double apart = Apart(track, own, change, problem.window());
     if (!(apart > best.apart) || !std::isfinite(apart)) continue;
     best.apart = apart;
     best.what = absl::StrCat("the motion of ", name, " ", change.words);
+    best.speed = change.speed, best.size = change.size, best.gain = change.gain;
+    best.load = change.load, best.mass = change.mass;
+  }
+  if (IsMotion(logged[0].input)) {
+    const double noise =
+        best.torque ? kTorqueNoise * RmsOf(track.record().tau) : track.record().noise;
+    const double times_noise = best.apart / std::max(noise, 1e-300);
+    best.sensor = BestSensor(track, logged, times_noise, problem.window());
+    if (!best.sensor.what.empty() && times_noise < 1) best.what.clear();
   }
   return best;
 }

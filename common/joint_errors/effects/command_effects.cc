@@ -42,6 +42,7 @@ class ServoLagEffect : public CopyableEffect<ServoLagEffect> {
     }
     return value_;
   }
+  bool CommandSlides() const override { return true; }
 
  private:
   double tau_ = 0;  // [s]
@@ -61,6 +62,7 @@ class RateLimitEffect : public CopyableEffect<RateLimitEffect> {
     value_ += std::clamp(command - value_, -rate_ * m.h, rate_ * m.h);
     return value_;
   }
+  bool CommandSlides() const override { return true; }
 
  private:
   double rate_ = 0;  // [rad/s]

@@ -68,6 +68,8 @@ class JointEffect {
 
   // kCommand: the command that arrives; `command` is the one given over this sub-step.
   virtual double Command(double command, const JointMoment&) { return command; }
+  // kCommand: whether what arrives changes over a sub-step, so that Command is where it ends.
+  virtual bool CommandSlides() const { return false; }
   // kDrive: the motor's torque [Nm] for the torque asked of it.
   virtual double Drive(double torque, const JointMoment&) { return torque; }
   // kDrive: its inverse, the torque asked of the motor [Nm] where the motor makes `torque`. `asked`

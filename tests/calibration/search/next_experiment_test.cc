@@ -62,6 +62,29 @@ TEST_F(NextExperimentTest, TellsTheFirstFromTheNearestOfTheOthers) {
   EXPECT_DOUBLE_EQ(Propose({model_, near, far}).apart, alone);
 }
 
+TEST_F(NextExperimentTest, OfWhatTheServoHidesIsASensorOfTorque) {
+  JointModel weak = model_, heavy = model_;
+  weak.torque_gain = 0.95;
+  heavy.mass_scale /= 0.95;
+  heavy.armature /= 0.95;
+  heavy.damping /= 0.95;
+  const NextExperiment next = Propose({weak, heavy});
+  EXPECT_EQ(next.what, "");
+  EXPECT_EQ(next.sensor.what, "the motor's torque");
+  EXPECT_TRUE(next.sensor.torque);
+  EXPECT_GT(next.sensor.apart, 0);
+}
+
+TEST_F(NextExperimentTest, OfAnEncoderThatIsOffIsAnInstrumentOutside) {
+  model_.servo.feedback = ServoFeedback::kLink;
+  JointModel gear = model_, encoder = model_;
+  gear.effects.push_back({*FindEffect("transmission_error"), {0.01, 0, 2 * M_PI}});
+  encoder.effects.push_back({*FindEffect("encoder_eccentricity"), {0.01, 0, 2 * M_PI}});
+  const NextExperiment next = Propose({gear, encoder});
+  EXPECT_EQ(next.sensor.what, "the joint's angle by an instrument outside");
+  EXPECT_FALSE(next.sensor.torque);
+}
+
 TEST_F(NextExperimentTest, IsNoneWhereNothingDiffers) {
   EXPECT_EQ(Propose({model_}).what, "");
   EXPECT_EQ(Propose({model_, model_}).what, "");
