@@ -23,7 +23,10 @@ std::string EffectTableMarkdown() {
   for (const EffectInfo& effect : EffectLibrary()) {
     std::vector<std::string> parameters;
     for (const EffectParameter& p : effect.parameters)
-      parameters.push_back(absl::StrCat(p.name, " [", p.unit, "]", p.fixed ? " (fixed)" : ""));
+      parameters.push_back(absl::StrCat(p.name, " [", p.unit, "]",
+                                        p.late    ? " (fixed at first)"
+                                        : p.fixed ? " (fixed)"
+                                                  : ""));
     absl::StrAppend(&table, "| `", effect.type, "` | ", StageName(effect.stage), " | ",
                     Cell(effect.equation), " | ", Cell(absl::StrJoin(parameters, ", ")), " | ",
                     Cell(effect.needs), " | ", absl::StrJoin(effect.mimics, ", "), " | ",

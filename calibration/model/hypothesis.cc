@@ -204,6 +204,24 @@ std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& eff
   }
 }
 
+Hypothesis WithLateParameters(const Hypothesis& base, const std::vector<std::string>& types) {
+  Hypothesis h = base;
+  for (const EffectInstance& effect : base.model.effects) {
+    if (std::find(types.begin(), types.end(), effect.info->type) == types.end()) continue;
+    for (size_t i = 0; i < effect.info->parameters.size(); ++i) {
+      if (!effect.info->parameters[i].late) continue;
+      FreeParameter free = EffectFreeParameter(*effect.info, i, {});
+      if (std::any_of(base.free.begin(), base.free.end(),
+                      [&](const FreeParameter& known) { return known.path == free.path; }))
+        continue;
+      h.x.conservativeResize(h.x.size() + 1);
+      h.x[h.x.size() - 1] = free.FromValue(effect.values[i]);
+      h.free.push_back(std::move(free));
+    }
+  }
+  return h;
+}
+
 bool IsLogged(const EffectInfo& effect, const SignalScales& scales) {
   return !effect.thermal || scales.warming >= kResolved;
 }

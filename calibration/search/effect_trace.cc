@@ -162,7 +162,8 @@ class Search {
     });
     refits_.SettleBest(models, promised, base.fit.rms);
     const bool lost = base.added.empty() && refits_.IsLost(base.fit);
-    if (lost) FromOwnValues(base, contenders, models);
+    if (base.added.empty() && (lost || AllLeaveMuch(base, models)))
+      FromOwnValues(base, contenders, models);
     refits_.Restart(models, lost);
     refits_.CrossValidateBest(models);
     for (size_t i = 0; i < contenders.size(); ++i) {
@@ -210,12 +211,19 @@ class Search {
     (line.accepted ? next : doubtful).push_back(model);
   }
 
-  // Screens and fits again from the rig's own values: a declared model that has run onto bounds
-  // shows an effect's signature where the machine never was. Of a candidate that was refitted the
-  // better fit stays; others come in behind, and `contenders` is put in the order of `models`.
+  // No candidate explains the residual from where the declared model was fitted.
+  bool AllLeaveMuch(const TracedModel& base, const std::vector<TracedModel>& models) const {
+    return refits_.LeavesMuch(base.fit) &&
+           std::all_of(models.begin(), models.end(),
+                       [&](const TracedModel& model) { return refits_.LeavesMuch(model.fit); });
+  }
+
+  // Screens and fits again from the rig's own values: a declared model that was bent to stand in
+  // for an effect shows its signature where the machine never was. Of a candidate that was refitted
+  // the better fit stays; others come in behind, and `contenders` is put in the order of `models`.
   void FromOwnValues(const TracedModel& base, std::vector<Contender>& contenders,
                      std::vector<TracedModel>& models) {
-    options_.progress("the declared model has run onto bounds: again from the rig's own values");
+    options_.progress("much is left from here: again from the rig's own values");
     TracedModel own = base;
     own.fit = refits_.OwnValues();
     const Screening screening(problem_, own.fit, scales_, Candidates(own), fit_windows_);

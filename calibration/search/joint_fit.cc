@@ -20,9 +20,10 @@ constexpr int kSettleIterations = 12;
 constexpr double kSearchTolerance = 3e-4;
 constexpr int kUnstickEvaluations = 500;
 constexpr int kWidenings = 2;
-constexpr double kWiden = 3;            // times as far
-constexpr double kWideningGain = 0.02;  // of the error
-constexpr double kStiction = 1.25;      // Fs / Fc of further starts
+constexpr double kWiden = 3;             // times as far
+constexpr double kWideningGain = 0.02;   // of the error
+constexpr double kLooseningGain = 0.05;  // of the same
+constexpr double kStiction = 1.25;       // Fs / Fc of further starts
 
 class Cost : public ceres::CostFunction {
  public:
@@ -188,6 +189,20 @@ JointFit Widen(const JointProblem& problem, JointFit fit, const WindowSet& chose
     fit = std::move(next);
   }
   return fit;
+}
+
+JointFit Loosen(const JointProblem& problem, const JointFit& fit,
+                const std::vector<std::string>& types, const WindowSet& chosen) {
+  const Hypothesis loose = WithLateParameters(fit.best, types);
+  const size_t known = fit.best.free.size();
+  if (loose.free.size() == known) return fit;
+  std::vector<Hypothesis> starts;
+  for (const double times : {1.0, 0.5, 2.0, 4.0}) {
+    starts.push_back(loose);
+    starts.back().x[static_cast<Eigen::Index>(known)] *= times;
+  }
+  const JointFit best = Settle(problem, Try(problem, starts, chosen), chosen);
+  return best.rms < (1 - kLooseningGain) * fit.rms ? best : fit;
 }
 
 bool HasFreeFriction(const Hypothesis& h) {

@@ -88,6 +88,8 @@ void Refits::SettleBest(std::vector<TracedModel>& models, const std::vector<doub
       model.fit = MinimiseFriction(problem_, model.fit.best, windows_);
     if (model.fit.rms > kStuck * promised[i]) model.fit = Unstick(problem_, model.fit, windows_);
     model.fit = Widen(problem_, model.fit, windows_);
+    if (model.fit.rms > kAtFloor * problem_.ProjectedFloor(windows_))
+      model.fit = Loosen(problem_, model.fit, model.added, windows_);
   });
 }
 
@@ -118,13 +120,18 @@ void Refits::Restart(std::vector<TracedModel>& models, bool lost) const {
   });
 }
 
+bool Refits::LeavesMuch(const JointFit& fit) const {
+  return fit.rms >= kMuchLeft * problem_.ProjectedFloor(windows_);
+}
+
 bool Refits::IsLost(const JointFit& declared) const {
-  if (declared.rms < kMuchLeft * problem_.ProjectedFloor(windows_)) return false;
+  if (!LeavesMuch(declared)) return false;
   for (size_t i = 0; i < declared.best.free.size(); ++i) {
     const std::string& path = declared.best.free[i].path;
-    if (path != "command_shift" && path != "force_lag" && declared.at_bound[i] &&
-        !IsAbsence(declared.best, static_cast<int>(i)))
-      return true;
+    if (path == "command_shift" || path == "force_lag" || !declared.at_bound[i]) continue;
+    // What the rig says is there has vanished.
+    const int k = static_cast<int>(i);
+    if (!IsAbsence(declared.best, k) || start_.x[k] != declared.best.x[k]) return true;
   }
   return false;
 }

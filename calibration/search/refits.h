@@ -36,6 +36,8 @@ class Refits {
   void Restart(std::vector<TracedModel>& models, bool lost) const;
   // The rig's own values, not fitted.
   JointFit OwnValues() const { return Minimise(problem_, start_, windows_, 0); }
+  // More than a few times the noise.
+  bool LeavesMuch(const JointFit& fit) const;
   // Whether the fit of a declared model has run onto bounds with much left: something else is
   // missing, and its parameters are no place to begin from.
   bool IsLost(const JointFit& declared) const;

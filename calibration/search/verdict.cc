@@ -11,6 +11,7 @@ namespace robostress::calibration {
 namespace {
 
 constexpr double kAtFloor = 1.15;       // times the floor counts as noise
+constexpr double kWhite = 1.5;          // the same of what is white
 constexpr double kNearFloor = 3.0;      // the most that may be left under a name
 constexpr double kUnnamed = 1.5;        // where nothing is found: less than this is not claimed
 constexpr double kFewUnnamed = 4.0;     // the same of a few free runs that are far off
@@ -59,7 +60,7 @@ std::string WhyNoMechanism(const Evidence& e, double explained) {
                         absl::StrJoin(e.doubts, "; "));
   if (e.transfer_declared > 0 && e.transfer_after > kTransferLoss * e.transfer_declared)
     return "what was added makes the transfer logs worse";
-  const bool noise_only = !e.inverse && e.after <= kAtFloor * e.floor;
+  const bool noise_only = !e.inverse && e.after <= (e.after_is_white ? kWhite : kAtFloor) * e.floor;
   if (!noise_only && explained < kExplained)
     return absl::StrFormat(
         "what was added explains %.1f %% of the excess over noise, and the rest has no name",

@@ -41,6 +41,11 @@ EffectParameter Fixed(const char* name, const char* unit, double lower, double u
   parameter.fixed = true;
   return parameter;
 }
+EffectParameter Late(const char* name, const char* unit, double lower, double upper, double value) {
+  EffectParameter parameter = Fixed(name, unit, lower, upper, value);
+  parameter.late = true;
+  return parameter;
+}
 
 std::vector<EffectInfo> MakeLibrary() {
   return {
@@ -216,7 +221,7 @@ std::vector<EffectInfo> MakeLibrary() {
       {"compliance",
        kTransmission,
        {Limit("K", "Nm/rad", kTorquePerPosition, {0.003, 0.03}),
-        Fixed("frequency", "Hz", 1, 1000, 15), Fixed("zeta", "1", 0.05, 2, 0.7)},
+        Late("frequency", "Hz", 1, 1000, 15), Late("zeta", "1", 0.05, 2, 0.7)},
        {0},
        "M_eff eta'' + D eta' + K eta = -drive torque",
        "load that changes",

@@ -44,6 +44,7 @@ struct EffectParameter {
   // and bounds and starts above are of 1 / (value in multiples of the scale).
   bool inverse = false;
   bool fixed = false;  // keeps its first start unless a rig asks for a fit
+  bool late = false;   // and unless the effect is there and much is left that it may explain
 };
 
 // One row of the library: everything about an effect that is not its code.
