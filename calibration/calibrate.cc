@@ -19,6 +19,15 @@
 namespace robostress::calibration {
 namespace {
 
+constexpr int kMorePasses = 2;     // over the joints of an arm
+constexpr double kSettled = 1.15;  // times the noise: nothing is left to explain
+
+std::vector<std::string> TypesOf(const JointReport& joint) {
+  std::vector<std::string> types;
+  for (const AddedEffectReport& effect : joint.effects) types.push_back(effect.type);
+  return types;
+}
+
 const char* RoleName(LogRole role) {
   return role == LogRole::kFit ? "fit" : role == LogRole::kHeldOut ? "held_out" : "transfer";
 }
@@ -109,6 +118,43 @@ void WriteJoint(const Rig& rig, const Hypothesis& h, RigJoint& after) {
   }
 }
 
+// Of `joints`; `after` gets what was found.
+absl::StatusOr<std::vector<JointReport>> TraceJoints(const Rig& rig, const Plant& plant,
+                                                     const std::vector<MeasuredLog>& logs,
+                                                     const std::vector<int>& joints,
+                                                     const TraceOptions& options, Rig& after) {
+  std::vector<JointReport> reports;
+  std::vector<std::string> leads;
+  for (const int i : joints) {
+    TraceOptions own = options;
+    own.progress = [&](const std::string& text) {
+      options.progress(absl::StrCat(rig.joints[i].name, ": ", text));
+    };
+    JointCase joint(rig, plant, logs, i);
+    RS_ASSIGN_OR_RETURN(const Finding finding, SearchJoint(joint, leads, own));
+    reports.push_back(DescribeJoint(joint, finding));
+    WriteJoint(rig, finding.trace.after.fit.best, after.joints[i]);
+    for (const std::string& type : TypesOf(reports.back())) leads.push_back(type);
+  }
+  return reports;
+}
+
+// Those of the report that are left with more than noise.
+std::vector<int> OpenJoints(const Rig& rig, const CalibrationReport& report) {
+  std::vector<int> open;
+  for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i)
+    for (const JointReport& joint : report.joints)
+      if (joint.joint == rig.joints[i].name && joint.verdict != Verdict::kDeclaredSufficient &&
+          joint.verdict != Verdict::kNotTestable && joint.times_noise.after > kSettled)
+        open.push_back(i);
+  return open;
+}
+
+bool AddsAnything(const CalibrationReport& report) {
+  return std::any_of(report.joints.begin(), report.joints.end(),
+                     [](const JointReport& joint) { return !joint.effects.empty(); });
+}
+
 }  // namespace
 
 absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& options) {
@@ -137,22 +183,31 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
   for (const MeasuredLog& log : logs)
     report.logs.push_back(
         {log.file, RoleName(log.role), log.condition, log.rows, log.rows * log.dt, log.notes});
-  std::vector<std::string> leads;
+  std::vector<int> joints;
   for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i) {
     const auto& chosen = options.joints;
-    if (!chosen.empty() &&
-        std::find(chosen.begin(), chosen.end(), rig.joints[i].name) == chosen.end())
-      continue;
-    TraceOptions own = options;
-    own.progress = [&](const std::string& text) {
-      options.progress(absl::StrCat(rig.joints[i].name, ": ", text));
-    };
-    JointCase joint(rig, *plant, logs, i);
-    RS_ASSIGN_OR_RETURN(const Finding finding, SearchJoint(joint, leads, own));
-    JointReport joint_report = DescribeJoint(joint, finding);
-    WriteJoint(rig, finding.trace.after.fit.best, result.after.joints[i]);
-    for (const AddedEffectReport& effect : joint_report.effects) leads.push_back(effect.type);
-    report.joints.push_back(std::move(joint_report));
+    if (chosen.empty() ||
+        std::find(chosen.begin(), chosen.end(), rig.joints[i].name) != chosen.end())
+      joints.push_back(i);
+  }
+  RS_ASSIGN_OR_RETURN(report.joints, TraceJoints(rig, *plant, logs, joints, options, result.after));
+  // What a joint lacks was in its motion too, which the others feel.
+  for (int pass = 0; pass < kMorePasses && !plant->single(); ++pass) {
+    const std::vector<int> open = OpenJoints(rig, report);
+    if (open.empty() || !AddsAnything(report)) break;
+    options.progress("motions of the arm with what was found");
+    RS_RETURN_IF_ERROR(AidArmMotions(result.after, *plant, logs));
+    RS_ASSIGN_OR_RETURN(std::vector<JointReport> again,
+                        TraceJoints(rig, *plant, logs, open, options, result.after));
+    bool changed = false;
+    for (JointReport& joint : again)
+      for (JointReport& before : report.joints)
+        if (before.joint == joint.joint) {
+          changed |= TypesOf(before) != TypesOf(joint);
+          before = std::move(joint);
+          break;
+        }
+    if (!changed) break;
   }
   options.progress("asking other joints");
   RS_RETURN_IF_ERROR(AskTheArm(rig, result.after, *plant, logs, report));

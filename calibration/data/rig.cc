@@ -7,6 +7,7 @@
 #include <optional>
 #include <set>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
@@ -245,6 +246,8 @@ absl::StatusOr<RigLog> ReadLogEntry(const Entry& entry, const std::filesystem::p
     });
     if (!known) return overrides.Error("'", key, "' begins with no joint of this rig");
     RS_ASSIGN_OR_RETURN(log.overrides[key], overrides[key].Number());
+    if (absl::EndsWith(key, absl::StrCat(".", kKnownMass)) && log.overrides[key] < 0)
+      return overrides[key].Error("is ", log.overrides[key], " kg, must be at least 0");
   }
   return log;
 }

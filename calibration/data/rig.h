@@ -68,9 +68,11 @@ struct RigLog {
   LogRole role = LogRole::kFit;
   std::string condition;
   // What differed in this run: "<joint>.servo.kp", "<joint>.<model parameter>",
-  // "<joint>.<effect>.<parameter>".
+  // "<joint>.<effect>.<parameter>", "<joint>.known_mass" [kg] at the payload's place.
   std::map<std::string, double> overrides;
 };
+
+inline constexpr char kKnownMass[] = "known_mass";
 
 enum class Folds { kAuto, kCondition, kLog, kBlock };
 

@@ -109,6 +109,7 @@ absl::StatusOr<JointModel> WithOverrides(JointModel model, const std::string& jo
   for (const auto& [key, value] : overrides) {
     absl::string_view path = key;
     if (!absl::ConsumePrefix(&path, joint + ".")) continue;
+    if (path == kKnownMass) continue;  // of the plant (MakeTracks)
     RS_ASSIGN_OR_RETURN(double* target, FindValue(model, std::string(path)));
     *target = value;
   }

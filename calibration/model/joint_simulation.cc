@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "absl/strings/str_cat.h"
 #include "common/joint_errors/stick_friction.h"
 
 namespace robostress::calibration {
@@ -40,8 +41,11 @@ Asked ServoTorque(const Servo& servo, double command, double q, double dq) {
 std::vector<JointTrack> MakeTracks(const Plant& plant, const std::vector<MeasuredLog>& logs,
                                    int joint) {
   std::vector<JointTrack> tracks;
-  for (const MeasuredLog& log : logs)
+  for (const MeasuredLog& log : logs) {
     tracks.push_back({&log, joint, plant.single(), plant.Rows(joint, log)});
+    const auto known = log.overrides.find(absl::StrCat(log.joints[joint].name, ".", kKnownMass));
+    if (known != log.overrides.end()) tracks.back().known_mass = known->second;
+  }
   return tracks;
 }
 
@@ -167,14 +171,14 @@ void JointSimulation::PredictMotion(const JointModel& model, int window, int shi
 // Fills what depends on posture and time alone.
 void JointSimulation::Describe(const EffectChain& chain, int row, double q, JointMoment& moment) {
   const PlantRow& p = plant(row);
-  if (track_.single &&
-      (p.gravity.a != 0 || p.gravity.b != 0 || chain.needs_payload || chain.needs_tilt))
+  if (track_.single && (p.gravity.a != 0 || p.gravity.b != 0 || chain.needs_payload ||
+                        chain.needs_tilt || track_.known_mass > 0))
     posture_.Turn(q);
   const auto value = [&](const PlantTerm& term) {
     return Evaluate(term, track_.single, posture_.cosine, posture_.sine, q, p.q_ref);
   };
   moment.gravity = value(p.gravity);
-  if (chain.needs_payload) {
+  if (chain.needs_payload || track_.known_mass > 0) {
     moment.payload_gravity = value(p.payload_gravity);
     moment.payload_inertia = p.payload_inertia;
   }
@@ -211,8 +215,10 @@ double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int
   DryFriction lasting{model.frictionloss, model.frictionloss};
   double held = moment.drive + model.torque_offset -
                 model.mass_scale * (moment.gravity + p.coupling) -
+                track_.known_mass * moment.payload_gravity -
                 model.stiffness * (middle - model.spring_rest) - model.damping * s.dq;
-  double inertia = model.armature + model.mass_scale * p.inertia;
+  double inertia =
+      model.armature + model.mass_scale * p.inertia + track_.known_mass * p.payload_inertia;
   for (JointEffect* effect : chain.with_memory) held += effect->Torque(moment, lasting);
   if (chain.needs_payload)
     for (const JointChain::Link& link : chain.stage(EffectStage::kJoint))
@@ -391,8 +397,10 @@ double JointSimulation::Load(const JointModel& model, EffectChain& chain, int ro
   const JointRecord& record = track_.record();
   const PlantRow& p = plant(row);
   DryFriction lasting{model.frictionloss, model.frictionloss};
-  double inertia = model.armature + model.mass_scale * p.inertia;
+  double inertia =
+      model.armature + model.mass_scale * p.inertia + track_.known_mass * p.payload_inertia;
   double held = model.mass_scale * (moment.gravity + p.coupling) - model.torque_offset +
+                track_.known_mass * moment.payload_gravity +
                 model.stiffness * (moment.q - model.spring_rest) + model.damping * moment.dq;
   for (const JointChain::Link& link : chain.stage(EffectStage::kJoint)) {
     if (link.effect->Reads() & kDriveField) continue;

@@ -18,6 +18,7 @@ struct JointTrack {
   int joint = 0;               // index in the rig
   bool single = true;          // of the plant
   std::vector<PlantRow> rows;  // one, or one per row of the log
+  double known_mass = 0;       // [kg] at the payload's place, beside the model and its errors
   const JointRecord& record() const { return log->joints[joint]; }
   // What predictions are compared with: q, or tau of input inverse.
   const std::vector<double>& measured(JointInput input) const {

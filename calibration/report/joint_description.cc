@@ -389,12 +389,9 @@ class Description {
           factor(next.sensor.torque) * next.sensor.apart, unit(next.sensor.torque));
       return;
     }
-    const double floor = joint_.problem.ProjectedFloor(joint_.Fit());
-    if (joint_.declared().input != JointInput::kTorque && next.apart < floor)
-      absl::StrAppendFormat(&text, "; that is less than the noise, %.3g, and %s", factor_ * floor,
-                            joint_.declared().input == JointInput::kPositionTarget
-                                ? "no sensor at the motor tells them either"
-                                : "takes another sensor");
+    if (next.apart < next.noise)
+      absl::StrAppendFormat(&text, "; that is less than the noise, %.3g, and takes another sensor",
+                            factor(next.torque) * next.noise);
   }
   static std::string NameOf(std::vector<std::string> added) {
     std::sort(added.begin(), added.end());

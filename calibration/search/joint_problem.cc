@@ -10,6 +10,7 @@ namespace robostress::calibration {
 namespace {
 
 constexpr int kMaxResiduals = 8000;  // of a problem; more rows are thinned out
+constexpr int kEnoughRuns = 8;         // of a log
 constexpr int kReversalRows = 8;     // silent each side of a reversal
 constexpr double kStep = 1e-4;       // of forward differences, in units of the scale
 // The measured state of a start is believed to this many standard deviations: beside noise it has
@@ -35,11 +36,16 @@ void SilenceReversals(const JointRecord& record, std::vector<double>& residual) 
 }
 
 // Rows that a recorder lost say nothing. A free run that meets a guess ends there, and one that
-// starts near a guess does not begin; whole runs go on.
+// starts near a guess does not begin; whole runs go on. Nor does the first of many free runs: what
+// happened before the log is hidden, as where a gap stood or how a bristle was bent.
 std::vector<char> SilentRows(const MeasuredLog& log, int window) {
-  std::vector<char> silent(log.absent.size(), 0);
-  const int rows = static_cast<int>(silent.size());
-  for (int i = 0; i < rows; ++i) silent[i] = log.absent[i] != 0;
+  const int rows = log.rows;
+  const bool many = window > 0 && rows >= kEnoughRuns * window;
+  if (log.absent.empty() && !many) return {};
+  std::vector<char> silent(rows, 0);
+  if (many) std::fill_n(silent.begin(), window, 1);
+  if (log.absent.empty()) return silent;
+  for (int i = 0; i < rows; ++i) silent[i] |= log.absent[i] != 0;
   for (int first = 0; window > 0 && first < rows; first += window) {
     const auto guessed = [&](int from, int to) {
       const auto begin = log.absent.begin();

@@ -50,7 +50,7 @@ class Run {
     track_.log = &log_;
     if (!track_.single) HastenPlant(of.rows);
     Shrink(own());
-    for (PlantRow& row : track_.rows) Load(row);
+    track_.known_mass += change.mass;
     for (double& torque : own().tau) torque *= 1 + change.load;
   }
   Run(const Run&) = delete;
@@ -132,12 +132,6 @@ class Run {
     for (auto* channel : {&record.command, &record.q, &record.q_smooth, &record.q_motor})
       shrink(*channel, middle);
     for (auto* channel : {&record.dq, &record.ddq}) shrink(*channel, 0);
-  }
-  void Load(PlantRow& row) const {
-    row.inertia += change_.mass * row.payload_inertia;
-    row.gravity.a += change_.mass * row.payload_gravity.a;
-    row.gravity.b += change_.mass * row.payload_gravity.b;
-    row.gravity.c += change_.mass * row.payload_gravity.c;
   }
   JointModel Changed(JointModel model) const {
     model.servo.kp *= change_.gain;
@@ -264,6 +258,7 @@ NextExperiment ProposeExperiment(const JointProblem& problem,
   }
   const std::string name = std::filesystem::path(track.log->file).filename().string();
   best.log = track.log->file;
+  best.noise = best.torque ? kTorqueNoise * RmsOf(track.record().tau) : track.record().noise;
   best.now = Apart(track, own, {}, problem.window());
   for (const Change& change : Changes(track, own[0])) {
     const double apart = Apart(track, own, change, problem.window());
@@ -274,9 +269,7 @@ NextExperiment ProposeExperiment(const JointProblem& problem,
     best.load = change.load, best.mass = change.mass;
   }
   if (IsMotion(logged[0].input)) {
-    const double noise =
-        best.torque ? kTorqueNoise * RmsOf(track.record().tau) : track.record().noise;
-    const double times_noise = best.apart / std::max(noise, 1e-300);
+    const double times_noise = best.apart / std::max(best.noise, 1e-300);
     best.sensor = BestSensor(track, logged, times_noise, problem.window());
     if (!best.sensor.what.empty() && times_noise < 1) best.what.clear();
   }

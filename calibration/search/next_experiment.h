@@ -18,6 +18,7 @@ struct NextExperiment {
   // the first model and the one that is nearest to it: in that run, and in the log as it is.
   double apart = 0, now = 0;
   bool torque = false;
+  double noise = 0;  // of a reading, in the same unit
   // What else could be read in the log as it is, and tells them better than that run does, beside
   // its own noise. Empty: nothing.
   struct Sensor {

@@ -67,15 +67,23 @@ double DriveAt(const JointModel& model, const JointRecord& record, int row) {
   return record.command.empty() ? 0 : model.servo.kp * (record.command[row] - record.q_smooth[row]);
 }
 
-// Standard error of dry friction [Nm].
-double DeviationOfFriction(const JointFit& fit, const std::vector<double>& std) {
-  double sum = 0;
+// Standard error of a joint's friction.
+struct FrictionError {
+  double dry2 = 0;      // [Nm^2]
+  double viscous2 = 0;  // [(Nm s/rad)^2]
+  double At(double speed) const { return std::sqrt(dry2 + viscous2 * speed * speed); }
+};
+
+FrictionError ErrorOfFriction(const JointFit& fit, const std::vector<double>& std) {
+  FrictionError error;
   for (size_t i = 0; i < std.size(); ++i) {
     const std::string& path = fit.best.free[i].path;
     if (path == "frictionloss" || absl::EndsWith(path, ".Fc") || absl::EndsWith(path, ".dFc"))
-      sum += std[i] * std[i];
+      error.dry2 += std[i] * std[i];
+    if (path == "damping" || absl::EndsWith(path, "sigma_v") || absl::EndsWith(path, ".d_sigma"))
+      error.viscous2 += std[i] * std[i];
   }
-  return std::sqrt(sum);
+  return error;
 }
 
 // What a joint's friction depends on at a row.
@@ -150,7 +158,7 @@ std::string PhysicalDoubt(const JointProblem& problem, const JointFit& fit,
   std::erase_if(model.effects, [](const EffectInstance& effect) { return !Rubs(effect); });
   if (model.effects.empty()) return "";
   EffectChain chain(model);
-  const double allowed = kSigmas * DeviationOfFriction(fit, std);
+  const FrictionError error = ErrorOfFriction(fit, std);
   double worst = 0;
   std::string doubt;
   for (const JointTrack& track : problem.tracks()) {
@@ -161,6 +169,7 @@ std::string PhysicalDoubt(const JointProblem& problem, const JointFit& fit,
       const double least =
           PartnerOf(model) >= 0 ? 0.5 * (r.forward + r.backward) : std::min(r.forward, r.backward);
       const double excess = -least - kSlack * r.parts;
+      const double allowed = kSigmas * error.At(moment.dq);
       if (excess - allowed <= worst) continue;
       worst = excess - allowed;
       doubt = absl::StrFormat(

@@ -323,6 +323,8 @@ TEST_F(RigGates, RefusesWhatItDoesNotKnowAndSaysWhatItDoes) {
   EXPECT_THAT(message(kJoint, "file: a.csv, role: test"), HasSubstr("held_out"));
   EXPECT_THAT(message(kJoint, "file: a.csv, role: held_out"), HasSubstr("no log has role fit"));
   EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {elbow.servo.kp: 3}"), HasSubstr("elbow"));
+  EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {hinge.known_mass: -1}"),
+              HasSubstr("hinge.known_mass: is -1 kg, must be at least 0"));
   EXPECT_THAT(message("name: hinge, input: position_target, servo: {kp: .nan}", "file: a.csv"),
               HasSubstr("finite"));
   EXPECT_THAT(std::string(Read("name: [").status().message()), HasSubstr("not YAML"));

@@ -105,11 +105,18 @@ Excitation Excitation::Draw(Motion motion, double amplitude, double centre, doub
 }
 
 double Excitation::At(double t) const {
-  const double at = std::max(0.0, t);
-  for (const Segment& segment : segments_) {
-    if (at < segment.end) return segment.At(at);
-  }
-  return segments_.back().At(segments_.back().end);
+  const double at = std::max(0.0, t * speed_);
+  const auto segment = std::find_if(segments_.begin(), segments_.end() - 1,
+                                    [&](const Segment& one) { return at < one.end; });
+  return middle_ + size_ * (segment->At(std::min(at, segment->end)) - middle_);
+}
+
+Excitation Excitation::Changed(double speed, double size, double middle) const {
+  Excitation changed = *this;
+  changed.speed_ = speed;
+  changed.size_ = size;
+  changed.middle_ = middle;
+  return changed;
 }
 
 }  // namespace robostress::generator

@@ -19,6 +19,8 @@ class Excitation {
   static Excitation Draw(Motion motion, double amplitude, double centre, double fastest,
                          double duration, RandomStream& random);
   double At(double t) const;
+  // Faster by `speed`, and of `size` about `middle`.
+  Excitation Changed(double speed, double size, double middle) const;
 
  private:
   struct Sine {
@@ -38,6 +40,7 @@ class Excitation {
   static Segment DrawSegment(Motion motion, double amplitude, double centre, double fastest,
                              double begin, double end, RandomStream& random);
   std::vector<Segment> segments_;
+  double speed_ = 1, size_ = 1, middle_ = 0;
 };
 
 }  // namespace robostress::generator

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "common/status_macros.h"
 #include "tests/calibration/generator/log_hardship.h"
@@ -15,7 +16,7 @@ bool Contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
-constexpr double kFastStretch = 1.6;  // warms by so much more than the mean speed
+constexpr double kLongestRun = 20;  // [s] of a run that was proposed
 constexpr Family kFamilies[] = {Family::kServo,        Family::kTorque, Family::kInverse,
                                 Family::kTransmission, Family::kSlide,  Family::kArm};
 
@@ -53,9 +54,13 @@ class Drawer {
     rig_.declared = rig_.truth;
     MeasureSignals();
     DrawWarming();
-    if (rig_.logs_temperature) MeasureSignals();
+    if (rig_.logs_temperature) {
+      MeasureWarmest();
+      MeasureSignals();
+    }
     Hide();
     Declare();
+    if (options_.proposed) Propose(*options_.proposed);
     Record();
     return std::move(rig_);
   }
@@ -149,7 +154,7 @@ class Drawer {
                                                 fastest_ * (other ? 0.7 : 1), x.duration, random_));
       }
       experiments_.push_back(std::move(x));
-      rig_.logs.push_back({other ? "transfer" : i < fit ? "fit" : "held_out", {}});
+      rig_.logs.push_back({other ? "transfer" : i < fit ? "fit" : "held_out", "", {}});
     }
   }
 
@@ -161,12 +166,19 @@ class Drawer {
     if (family_ == Family::kTransmission || !(needed || random.Uniform() < 0.3)) return;
     rig_.logs_temperature = true;
     const double rise = random.Uniform(8, 25), share = random.Uniform(0.3, 0.6);
-    warmest_ = kFastStretch * rise;
     for (size_t i = 0; i < experiments_.size(); ++i) {
       Experiment& x = experiments_[i];
       x.warming = rise / signals_[0].speed;
       x.warming_s = x.duration * random.Uniform(0.4, 0.8);
       x.warm_start = rise * (1 - std::pow(1 - share, static_cast<double>(i)));
+    }
+  }
+
+  void MeasureWarmest() {
+    for (size_t i = 0; i < experiments_.size(); ++i) {
+      const Recording log = Perform(rig_.truth, experiments_[i], static_cast<int>(i));
+      for (const JointChannels& joint : log.joints)
+        warmest_ = std::max(warmest_, *std::max_element(joint.warmer.begin(), joint.warmer.end()));
     }
   }
 
@@ -243,8 +255,9 @@ class Drawer {
   }
 
   void Hide() {
+    const int first = arm() ? random_.UniformInt(2) : 0;
     for (const std::string& type : options_.effects) {
-      const int joint = arm() ? random_.UniformInt(2) : 0;
+      const int joint = options_.apart && !rig_.truth.effects.empty() ? 1 - first : first;
       HiddenEffect effect = DrawEffect(type, options_.size, signals_[joint], random_);
       effect.joint = joint;
       Harden(effect, signals_[joint]);
@@ -319,6 +332,43 @@ class Drawer {
     told.tip_mass = told.tilt = 0;
   }
 
+  void Propose(const ProposedRun& run) {
+    const auto log = static_cast<size_t>(run.log);
+    Experiment x = experiments_[log];
+    const int samples = 1000;
+    for (Excitation& reference : x.references) {
+      double middle = 0;
+      for (int i = 0; i < samples; ++i) middle += reference.At(x.duration * i / samples) / samples;
+      reference = reference.Changed(run.speed, run.size, middle);
+    }
+    x.duration = std::min(kLongestRun, x.duration / run.speed);
+    experiments_.push_back(std::move(x));
+    std::vector<std::string> overrides;
+    for (int j = 0; j < joints(); ++j) {
+      const Drive& told = rig_.declared.drives[j];
+      const std::string& name = rig_.joint_names[j];
+      if (run.gain != 1 && family_ != Family::kTorque)
+        overrides.push_back(absl::StrFormat("%s.servo.kp: %.10g, %s.servo.kd: %.10g", name,
+                                            run.gain * told.kp, name,
+                                            std::sqrt(run.gain) * told.kd));
+      if (run.mass > 0)
+        overrides.push_back(absl::StrFormat("%s.known_mass: %.10g", name, run.mass));
+    }
+    rig_.logs.push_back({"fit", absl::StrJoin(overrides, ", "), {}});
+  }
+
+  // The machine as it is in a log.
+  Machine MachineIn(size_t log) const {
+    Machine machine = rig_.truth;
+    if (!options_.proposed || log + 1 != experiments_.size()) return machine;
+    for (Drive& drive : machine.drives) {
+      drive.kp *= options_.proposed->gain;
+      drive.kd *= std::sqrt(options_.proposed->gain);
+    }
+    machine.tip_mass += options_.proposed->mass;
+    return machine;
+  }
+
   void Record() {
     for (size_t i = 0; i < experiments_.size(); ++i) {
       Experiment& x = experiments_[i];
@@ -327,7 +377,7 @@ class Drawer {
       const RandomStream own(StreamKey("spoiled log")
                                  .With(static_cast<int64_t>(options_.seed))
                                  .With(static_cast<int64_t>(i)));
-      rig_.logs[i].recording = Spoil(Perform(rig_.truth, x, static_cast<int>(i)), hardship_, own);
+      rig_.logs[i].recording = Spoil(Perform(MachineIn(i), x, static_cast<int>(i)), hardship_, own);
     }
     MeasureVisibility();
     rig_.rate_hz = LoggedRate(hardship_, rig_.rate_hz);

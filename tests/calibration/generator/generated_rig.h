@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -27,6 +28,13 @@ enum class Hardship {
   kHarsh,  // a rate limit at 0.4 of its size, and four declared parameters more that may move
 };
 
+// One more log to fit, made of another: with times its speed, its size about its middle and the
+// servo's gain (kd by its root), and a known mass at the tip [kg].
+struct ProposedRun {
+  int log = 0;
+  double speed = 1, size = 1, gain = 1, mass = 0;
+};
+
 struct RigOptions {
   // What the rig does not declare: names of LibraryEffects() or OutsideEffects(); none: nothing.
   std::vector<std::string> effects;
@@ -35,12 +43,15 @@ struct RigOptions {
   Family family = Family::kAny;  // kAny: drawn among those in which the effects can be seen
   Richness richness = Richness::kAny;
   Hardship hardship = Hardship::kNone;
+  bool apart = false;  // two effects act on different joints of an arm; else on one
+  std::optional<ProposedRun> proposed;
 };
 
 // A rig as files would hold it, and what is true of it.
 struct GeneratedRig {
   struct Log {
-    std::string role;  // fit | held_out | transfer
+    std::string role;       // fit | held_out | transfer
+    std::string overrides;  // as in a rig file
     Recording recording;
   };
   Family family = Family::kServo;

@@ -97,7 +97,9 @@ std::string RigYaml(const GeneratedRig& rig, const std::string& name) {
   }
   absl::StrAppend(&text, "logs:\n");
   for (size_t i = 0; i < rig.logs.size(); ++i)
-    absl::StrAppendFormat(&text, "  - {file: log_%d.csv, role: %s}\n", i, rig.logs[i].role);
+    absl::StrAppendFormat(
+        &text, "  - {file: log_%d.csv, role: %s%s}\n", i, rig.logs[i].role,
+        rig.logs[i].overrides.empty() ? "" : ", overrides: {" + rig.logs[i].overrides + "}");
   absl::StrAppendFormat(&text, "metric: {type: position_rmse, window_s: %g, unit: %s}\n",
                         rig.window_s, rig.declared.body.slide ? "m" : "rad");
   return text;

@@ -107,6 +107,69 @@ TEST(KernelAccuracy, AMotorAtFullVoltageEndsAtItsNoLoadSpeed) {
   EXPECT_NEAR(q.back(), servo.vin / servo.kt * (t - (1 - std::exp(-r * t)) / r), 1e-3);
 }
 
+// A stiff servo follows a limited command; where a sub-step ends it would be half of one ahead.
+TEST(KernelAccuracy, AServoGetsTheMeanOfALimitedCommandOverASubStep) {
+  Coasting joint(1e-3);
+  joint.log.joints[0].command.assign(joint.log.rows, 1e3);
+  joint.log.joints[0].command[0] = 0;
+  joint.model.input = JointInput::kPositionTarget;
+  joint.model.servo.kp = 1000;
+  joint.model.servo.kd = 20;
+  joint.model.effects = {{*FindEffect("rate_limit"), {2}}};
+  const std::vector<double> q = joint.Predict();
+  // At constant speed it stays behind by kd / kp of it.
+  const double t = (joint.log.rows - 2) * joint.log.dt;  // that it has moved
+  EXPECT_NEAR(q.back(), 2 * (t - 20.0 / 1000), 2e-5);
+}
+
+// Two encoders; the motor swings as a cosine, read at `dt`.
+struct BetweenEncoders : Coasting {
+  static constexpr double kOmega = 20;
+  explicit BetweenEncoders(double dt, const std::string& effect, std::vector<double> values)
+      : Coasting(dt) {
+    model.input = JointInput::kTransmission;
+    model.effects = {{*FindEffect(effect), std::move(values)}};
+    JointRecord& record = log.joints[0];
+    record.tau.clear();
+    for (int k = 0; k < log.rows; ++k) record.q_motor.push_back(std::cos(kOmega * k * dt));
+  }
+};
+
+TEST(KernelAccuracy, ALagBetweenEncodersIsThatOfTheMotionAndNotOfItsRows) {
+  BetweenEncoders joint(4e-3, "servo_lag", {0.01});
+  const std::vector<double> q = joint.Predict();
+  const double late = 0.01 * joint.kOmega, size = 1 / std::sqrt(1 + late * late);
+  for (int k = 50; k + 2 < joint.log.rows; ++k)
+    EXPECT_NEAR(q[k], size * std::cos(joint.kOmega * k * 4e-3 - std::atan(late)), 1e-4) << k;
+}
+
+TEST(KernelAccuracy, ADelayBetweenEncodersFollowsTheCurveBetweenRows) {
+  BetweenEncoders joint(4e-3, "transport_delay", {0.0062});
+  const std::vector<double> q = joint.Predict();
+  for (int k = 5; k + 2 < joint.log.rows; ++k)
+    EXPECT_NEAR(q[k], std::cos(joint.kOmega * (k * 4e-3 - 0.0062)), 1e-4) << k;
+}
+
+TEST(KernelAccuracy, AGapBetweenEncodersIsTakenUpWhereTheMotorTurnsBetweenRows) {
+  BetweenEncoders joint(1.7e-2, "backlash", {0.1});
+  const std::vector<double> q = joint.Predict();
+  const auto largest = std::max_element(q.begin() + 10, q.end());
+  EXPECT_NEAR(*largest, 0.9, 2e-3);  // the largest reading of the motor is up to 0.014 less
+  EXPECT_NEAR(*std::min_element(q.begin() + 10, q.end()), -0.9, 2e-3);
+}
+
+TEST(KernelAccuracy, AKnownMassIsMovedAndHeld) {
+  Coasting joint(1e-3);
+  joint.log.joints[0].command.assign(joint.log.rows, 0);
+  joint.model.input = JointInput::kPositionTarget;
+  joint.model.servo.kp = 100;
+  joint.model.servo.kd = 10;
+  joint.track.rows[0].payload_inertia = 0.25;
+  joint.track.rows[0].payload_gravity.c = 4;
+  joint.track.known_mass = 0.5;
+  EXPECT_NEAR(joint.Predict().back(), -0.5 * 4 / 100, 1e-6);
+}
+
 TEST(KernelAccuracy, ADriveThatIsOffGivesNothing) {
   Coasting joint(1e-3);
   joint.log.joints[0].enable.assign(joint.log.rows, 1.0);

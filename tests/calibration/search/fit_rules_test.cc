@@ -139,6 +139,35 @@ TEST_F(FitRules, ADelayTakesThePlaceOfTheFreeShift) {
   EXPECT_TRUE(std::any_of(other.free.begin(), other.free.end(), is_shift));
 }
 
+TEST_F(FitRules, TheFirstOfManyRunsSaysNothing) {
+  const std::vector<JointTrack>& tracks = problem_->tracks();
+  const int window = tracks[0].log->rows / 10;
+  const JointProblem many("hinge", tracks, window);
+  JointModel off = declared_.model;
+  off.position_offset += 1;
+  const std::vector<double> residual = many.TrackResidual(off, 0);
+  EXPECT_EQ(std::count(residual.begin(), residual.begin() + window, 0.0), window);
+  EXPECT_NE(residual[window], 0);
+  const JointProblem few("hinge", tracks, 3 * window), whole("hinge", tracks, 0);
+  EXPECT_NE(few.TrackResidual(off, 0)[0], 0);
+  EXPECT_NE(whole.TrackResidual(off, 0)[0], 0);
+}
+
+TEST_F(FitRules, LateParametersAreFreedOfWhatWasAddedOnly) {
+  Hypothesis soft = WithEffect(declared_, **FindEffect("compliance"), rig_.Scales(0)).front();
+  const auto is_late = [](const FreeParameter& p) {
+    return p.path == "compliance.frequency" || p.path == "compliance.zeta";
+  };
+  EXPECT_EQ(std::count_if(soft.free.begin(), soft.free.end(), is_late), 0);
+  EXPECT_EQ(WithLateParameters(soft, {"backlash"}).free.size(), soft.free.size());
+  const Hypothesis loose = WithLateParameters(soft, {"compliance"});
+  EXPECT_EQ(std::count_if(loose.free.begin(), loose.free.end(), is_late), 2);
+  EXPECT_EQ(loose.x.size(), static_cast<int>(loose.free.size()));
+  EXPECT_EQ(ModelAt(loose, loose.x).effects.back().values,
+            ModelAt(soft, soft.x).effects.back().values);
+  EXPECT_EQ(WithLateParameters(loose, {"compliance"}).free.size(), loose.free.size());
+}
+
 TEST(ScaleOf, GivesEveryParameterItsUnit) {
   SignalScales s;
   s.torque = 6;

@@ -68,7 +68,11 @@ TEST_F(NextExperimentTest, OfWhatTheServoHidesIsASensorOfTorque) {
   heavy.mass_scale /= 0.95;
   heavy.armature /= 0.95;
   heavy.damping /= 0.95;
-  const NextExperiment next = Propose({weak, heavy});
+  EXPECT_THAT(Propose({weak, heavy}).what, testing::HasSubstr("with a known"));
+  std::vector<JointTrack> tracks = rig_.Problem(0).tracks();
+  for (JointTrack& track : tracks) track.rows[0].payload_inertia = 0;  // nothing can be hung on it
+  JointProblem problem("hinge", tracks, 50);
+  const NextExperiment next = ProposeExperiment(problem, {weak, heavy});
   EXPECT_EQ(next.what, "");
   EXPECT_EQ(next.sensor.what, "the motor's torque");
   EXPECT_TRUE(next.sensor.torque);

@@ -62,6 +62,11 @@ TEST(Verdict, NamesNoMechanismThatLeavesAThirtiethOfTheExcess) {
   EXPECT_EQ(VerdictOf(small), Verdict::kAttributed);
   small.after = 0.0116;
   EXPECT_EQ(VerdictOf(small), Verdict::kReducedNotAttributed);
+  small.after_is_white = true;
+  small.after = 0.0149;
+  EXPECT_EQ(VerdictOf(small), Verdict::kAttributed);
+  small.after = 0.0151;
+  EXPECT_EQ(VerdictOf(small), Verdict::kReducedNotAttributed);
   small.after = 0.0114;
   small.inverse = true;  // whose floor says too little
   EXPECT_EQ(VerdictOf(small), Verdict::kReducedNotAttributed);

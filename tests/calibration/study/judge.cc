@@ -34,6 +34,15 @@ Judged Judge(const Json& report, const Json& truth) {
                     [&](const Json& name) { return added.count(name.get<std::string>()) > 0; }))
       for (const Json& name : group) around.insert(name.get<std::string>());
   }
+  // Effects of the whole arm show at every joint.
+  const auto place = [](const Json& effect) {
+    const std::string type = effect["type"];
+    const bool whole = type == "payload" || type == "base_tilt";
+    return whole ? type : type + "@" + effect["joint"].get<std::string>();
+  };
+  std::set<std::string> places, found;
+  for (const Json& effect : truth["effects"]) places.insert(place(effect));
+  for (const Json& effect : report["effects_added"]) found.insert(place(effect));
   std::set<std::string> real, near;
   bool outside = false;
   for (const Json& effect : truth["effects"]) {
@@ -50,7 +59,7 @@ Judged Judge(const Json& report, const Json& truth) {
   } else if (silent) {
     judged.outcome = Outcome::kMissed;
   } else if (verdict == "attributed") {
-    judged.outcome = added == real                                    ? Outcome::kNamed
+    judged.outcome = found == places                                  ? Outcome::kNamed
                      : outside && !near.empty() && holds(near, added) ? Outcome::kListed
                                                                       : Outcome::kWrong;
   } else if (verdict == "ambiguous") {

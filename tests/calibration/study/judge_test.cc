@@ -13,7 +13,8 @@ Json Truth(const std::vector<std::string>& types, bool in_library = true,
            const std::vector<std::string>& near = {}) {
   Json truth = {{"effects", Json::array()}};
   for (const std::string& type : types)
-    truth["effects"].push_back({{"type", type}, {"in_library", in_library}, {"near", near}});
+    truth["effects"].push_back(
+        {{"type", type}, {"joint", "hinge"}, {"in_library", in_library}, {"near", near}});
   return truth;
 }
 
@@ -39,6 +40,13 @@ TEST(Judge, OnlyExactlyWhatIsThereIsNamed) {
   const Json two = Truth({"backlash", "payload"});
   EXPECT_EQ(OutcomeOf(Report("attributed", {"payload", "backlash"}), two), Outcome::kNamed);
   EXPECT_EQ(OutcomeOf(Report("attributed", {"payload"}), two), Outcome::kWrong);
+}
+
+TEST(Judge, TheJointCountsButForWhatTheWholeArmFeels) {
+  Json friction = Truth({"backlash"}), load = Truth({"payload"});
+  friction["effects"][0]["joint"] = load["effects"][0]["joint"] = "elbow";
+  EXPECT_EQ(OutcomeOf(Report("attributed", {"backlash"}), friction), Outcome::kWrong);
+  EXPECT_EQ(OutcomeOf(Report("attributed", {"payload"}), load), Outcome::kNamed);
 }
 
 TEST(Judge, AGroupCountsWhereItHoldsWhatIsThere) {

@@ -6,14 +6,20 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <optional>
+#include <set>
 #include <thread>
 
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
 #include "common/atomic_file.h"
 #include "common/command_line.h"
+#include "common/joint_errors/effects/effect_library.h"
 #include "common/program_folder.h"
 #include "common/run_main.h"
 #include "tests/calibration/generator/generated_rig.h"
@@ -30,10 +36,11 @@ struct CommandLine {
   std::vector<std::string> kinds;
   std::vector<std::string> sizes = {"medium"};
   int first_seed = 1, seeds = 4, none = 0, workers = 2, surrogates = 199;
-  bool table_only = false;
+  bool table_only = false, follow = false;
 };
 
-// One rig of the study; kind: names joined by "+", or "none"; behind "@" a hardship.
+// One rig of the study; kind: names joined by "+", or by "&" on different joints of an arm, or
+// "none"; behind "@" a hardship.
 struct Case {
   std::string kind, size, folder;
   uint64_t seed = 0;
@@ -55,12 +62,39 @@ std::vector<Case> Cases(const CommandLine& line) {
   return cases;
 }
 
-absl::Status RunCase(const Case& c, const CommandLine& line) {
-  const std::string rig = c.folder + "/rig", report = c.folder + "/report";
-  if (std::filesystem::exists(c.folder + "/said.txt")) return absl::OkStatus();
+absl::StatusOr<Json> ReadJson(const std::string& file) {
+  const auto text = ReadFile(file);
+  if (!text.ok()) return text.status();
+  const Json json = Json::parse(*text, nullptr, false);
+  if (json.is_discarded()) return absl::InvalidArgumentError(file + ": no JSON");
+  return json;
+}
+
+// Of those that some machine of the generator shows together.
+std::vector<std::string> MimicPairs() {
+  std::set<std::string> pairs;
+  const auto drawn = [](const std::string& type) {
+    return std::find(LibraryEffects().begin(), LibraryEffects().end(), type) !=
+           LibraryEffects().end();
+  };
+  for (const EffectInfo& effect : EffectLibrary()) {
+    for (const std::string& mimic : effect.mimics) {
+      if (!drawn(effect.type) || !drawn(mimic)) continue;
+      const std::vector<Family> one = FamiliesOf(effect.type), other = FamiliesOf(mimic);
+      if (std::any_of(one.begin(), one.end(), [&](Family family) {
+            return std::find(other.begin(), other.end(), family) != other.end();
+          }))
+        pairs.insert(absl::StrCat(std::min(effect.type, mimic), "+", std::max(effect.type, mimic)));
+    }
+  }
+  return {pairs.begin(), pairs.end()};
+}
+
+absl::StatusOr<RigOptions> OptionsOf(const Case& c, const CommandLine& line) {
   RigOptions options;
   const std::vector<std::string> parts = absl::StrSplit(c.kind, '@');
-  if (parts[0] != "none") options.effects = absl::StrSplit(parts[0], '+');
+  if (parts[0] != "none") options.effects = absl::StrSplit(parts[0], absl::ByAnyChar("+&"));
+  options.apart = absl::StrContains(parts[0], '&');
   if (parts.size() > 1) {
     const absl::StatusOr<Hardship> hardship = ParseHardship(parts[1]);
     if (!hardship.ok()) return hardship.status();
@@ -70,9 +104,16 @@ absl::Status RunCase(const Case& c, const CommandLine& line) {
                  : c.size == "large" ? Size::kLarge
                                      : Size::kMedium;
   options.seed = c.seed;
-  const absl::StatusOr<Family> family = ParseFamily(line.family);
+  const absl::StatusOr<Family> family = ParseFamily(options.apart ? "arm" : line.family);
   if (!family.ok()) return family.status();
   options.family = *family;
+  return options;
+}
+
+// Writes the rig, lets the program judge it, and leaves said.txt in `folder`.
+absl::Status RunRig(const RigOptions& options, const std::string& folder, const CommandLine& line) {
+  const std::string rig = folder + "/rig", report = folder + "/report";
+  if (std::filesystem::exists(folder + "/said.txt")) return absl::OkStatus();
   const auto generated = GenerateRig(options);
   if (!generated.ok()) return generated.status();
   if (absl::Status written = WriteGeneratedRig(*generated, options, rig); !written.ok())
@@ -83,20 +124,56 @@ absl::Status RunCase(const Case& c, const CommandLine& line) {
                                               " --quiet --surrogates ", line.surrogates));
   const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
   if (absl::Status status =
-          WriteFileAtomically(c.folder + "/seconds.txt", absl::StrFormat("%.2f\n", taken.count()));
+          WriteFileAtomically(folder + "/seconds.txt", absl::StrFormat("%.2f\n", taken.count()));
       !status.ok())
     return status;
   // Last: a case that has it is done.
-  return WriteFileAtomically(c.folder + "/said.txt", absl::StrCat("exit ", code, "\n", output));
+  return WriteFileAtomically(folder + "/said.txt", absl::StrCat("exit ", code, "\n", output));
 }
 
-absl::StatusOr<Json> ReadJson(const std::string& file) {
-  const auto text = ReadFile(file);
-  if (!text.ok()) return text.status();
-  const Json json = Json::parse(*text, nullptr, false);
-  if (json.is_discarded()) return absl::InvalidArgumentError(file + ": no JSON");
-  return json;
+// The run that an ambiguous verdict asks for, if the generator can make it.
+std::optional<ProposedRun> ProposedBy(const Json& report) {
+  for (const Json& joint : report["joints"]) {
+    const Json& next = joint["next_experiment"];
+    if (joint["verdict"] != "ambiguous" || next.value("apart", 0.0) <= 0) continue;
+    const Json& change = next["change"];
+    if (change.value("load", 0.0) != 0) continue;
+    const std::string log = std::filesystem::path(next["log"].get<std::string>()).stem();
+    ProposedRun run{0, change["speed"], change["size"], change["servo_gain"], change["mass_kg"]};
+    if (absl::SimpleAtoi(absl::StripPrefix(log, "log_"), &run.log)) return run;
+  }
+  return {};
 }
+
+absl::Status RunCase(const Case& c, const CommandLine& line) {
+  absl::StatusOr<RigOptions> options = OptionsOf(c, line);
+  if (!options.ok()) return options.status();
+  if (absl::Status status = RunRig(*options, c.folder, line); !status.ok() || !line.follow)
+    return status;
+  const auto report = ReadJson(c.folder + "/report/report.json");
+  if (!report.ok()) return absl::OkStatus();
+  options->proposed = ProposedBy(*report);
+  return options->proposed ? RunRig(*options, c.folder + "/followed", line) : absl::OkStatus();
+}
+
+// What became of ambiguous verdicts after the run that they asked for.
+struct Followed {
+  int runs = 0, named = 0, smaller = 0, wrong = 0;
+  void Add(const Case& c, const Json& before, const Json& truth) {
+    const auto after = ReadJson(c.folder + "/followed/report/report.json");
+    if (!after.ok()) return;
+    ++runs;
+    const Outcome outcome = Judge(*after, truth).outcome;
+    named += outcome == Outcome::kNamed;
+    smaller += outcome == Outcome::kGrouped && Members(*after) < Members(before);
+    wrong += outcome == Outcome::kWrong || outcome == Outcome::kWrongGroup;
+  }
+  static size_t Members(const Json& report) {
+    size_t members = 0;
+    for (const Json& group : report["groups"]) members += group.size();
+    return members;
+  }
+};
 
 double SecondsOf(const Case& c) {
   std::ifstream file(c.folder + "/seconds.txt");
@@ -122,12 +199,14 @@ std::string Table(const std::vector<Case>& cases) {
   std::string listed;
   std::vector<double> seconds;
   int none = 0, alarms = 0, seen = 0, right = 0, all_hidden = 0;
+  Followed followed;
   for (const Case& c : cases) {
     const auto truth = ReadJson(c.folder + "/rig/truth.json");
     if (!truth.ok() || !std::filesystem::exists(c.folder + "/said.txt")) continue;
     const auto report = ReadJson(c.folder + "/report/report.json");
     const Judged judged = report.ok() ? Judge(*report, *truth) : Judged{};
     seconds.push_back(SecondsOf(c));
+    if (report.ok()) followed.Add(c, *report, *truth);
     ++rows[c.kind][judged.outcome];
     ++total[judged.outcome];
     if ((*truth)["effects"].empty()) {
@@ -171,6 +250,12 @@ std::string Table(const std::vector<Case>& cases) {
   absl::StrAppend(
       &text, "Attributed to what is not there: ", Share(total[Outcome::kWrong], all_hidden), "\n");
   absl::StrAppend(&text, "False alarms: ", Share(alarms, none), "\n");
+  if (followed.runs > 0)
+    absl::StrAppendFormat(
+        &text,
+        "Ambiguous, and then the run that the verdict asked for: %d; named after it "
+        "%d, in a smaller group %d, told wrongly %d\n",
+        followed.runs, followed.named, followed.smaller, followed.wrong);
   if (!seconds.empty()) {
     std::sort(seconds.begin(), seconds.end());
     absl::StrAppendFormat(&text, "Seconds per trace: median %.1f, largest %.1f\n",
@@ -183,14 +268,16 @@ std::string Table(const std::vector<Case>& cases) {
 
 int Main(int argc, char** argv) {
   CommandLine line;
-  bool library = false, outside = false;
+  bool library = false, outside = false, mimics = false;
   cli::App app("Runs robostress-calibrate on generated rigs and prints how often it is right");
   app.add_option("--out", line.out, "Directory of rigs and reports; what is there is not repeated")
       ->required();
   app.add_option(
       "--effect", line.kinds,
-      "Hidden effect, none, or two joined by +, with @ and a hardship behind; repeat for more");
+      "Hidden effect, none, or two joined by + (on different joints of an arm: &), with @ and a "
+      "hardship behind; repeat for more");
   app.add_flag("--library", library, "All effects of the library");
+  app.add_flag("--mimics", mimics, "All pairs that the library's table takes for each other");
   app.add_flag("--outside", outside, "All effects that the library does not have");
   app.add_option("--family", line.family, "Of every rig: any, servo, torque, ..., arm");
   app.add_option("--none", line.none, "Rigs that hide nothing");
@@ -201,10 +288,16 @@ int Main(int argc, char** argv) {
   app.add_option("--workers", line.workers, "Processes at a time")->capture_default_str();
   app.add_option("--surrogates", line.surrogates, "Of calibrate")->capture_default_str();
   app.add_option("--calibrate", line.calibrate, "Program to judge; beside this one if not given");
+  app.add_flag("--follow", line.follow,
+               "Make the run that an ambiguous verdict asks for, and judge again with it");
   app.add_flag("--table-only", line.table_only, "Run nothing");
   if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
   if (library)
     line.kinds.insert(line.kinds.end(), LibraryEffects().begin(), LibraryEffects().end());
+  if (mimics) {
+    const std::vector<std::string> pairs = MimicPairs();
+    line.kinds.insert(line.kinds.end(), pairs.begin(), pairs.end());
+  }
   if (outside)
     line.kinds.insert(line.kinds.end(), OutsideEffects().begin(), OutsideEffects().end());
   if (line.calibrate.empty()) {
