@@ -81,6 +81,7 @@ STANDS_ON = [
     ("eval", "common/wire", ((386, 144), (386, 536), (140, 536), (140, 580))),
     ("sim_worker", "common/wire", ((440, 428), (440, 450), (392, 450), (392, 544), (158, 544), (158, 580))),
     ("common/unit", "CORE", ((525, 526), (525, 580))),
+    ("python", "CORE", ((190, 526), (190, 562), (450, 562), (450, 580))),
     ("LORA", "CORE", ((380, 608), (420, 608))),
     ("common/wire", "common", ((110, 636), (110, 670))),
     ("CORE", "common", ((525, 636), (525, 670))),
@@ -107,6 +108,7 @@ def house():
     p.room(665, 300, 235, 128, "robot_client/", ("a Piper; MuJoCo in its emulator",),
            ("control", "can", "piper", "teach", "cameras", "motion", "study", "emulator", "demonstration"))
     p.room(420, 470, 225, 56, "common/unit/", ("a unit of a sweep, any robot's",))
+    p.room(125, 470, 136, 56, "python/", ("library and wheel",))
     p.room(40, 580, 140, 56, "common/wire/", ("openpi's WebSocket",))
     p.room(200, 580, 180, 56, "adapter/: LoRA", ("loss, Adam, updates",), (), "torch")
     p.room(420, 580, 225, 56, "adapter/: core", ("residuals, corrections, methods",))

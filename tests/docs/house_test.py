@@ -16,7 +16,7 @@ sys.path.insert(0, os.path.join(ROOT, "docs", "pictures"))
 import house  # noqa: E402, beside the pictures that it draws
 
 ROOMS = ("common/wire", "common/rpc", "common/unit", "common", "proto", "server", "calibration", "sim_worker",
-         "robot_client", "eval")
+         "robot_client", "eval", "python")
 
 
 def lora_files():
