@@ -32,6 +32,8 @@ const std::vector<Floor>& Floors() {
       // A unit names a method; the programs that play units stand above.
       {"common/unit/", {"common/", "common/unit/", "adapter/"}, 0},
       {"adapter/", {"adapter/", "common/"}, kTorch},
+      // Nothing but the C and C++ runtimes may come with the library.
+      {"python/", {"python/", "adapter/", "common/"}, 0},
       {"sim_worker/", {"sim_worker/", "adapter/", "common/"}, kMujoco},
       // Where a stream is opened.
       {"sim_worker/worker/",
