@@ -110,8 +110,11 @@ absl::StatusOr<JointModel> WithOverrides(JointModel model, const std::string& jo
     absl::string_view path = key;
     if (!absl::ConsumePrefix(&path, joint + ".")) continue;
     if (path == kKnownMass) continue;  // of the plant (MakeTracks)
-    RS_ASSIGN_OR_RETURN(double* target, FindValue(model, std::string(path)));
-    *target = value;
+    const absl::StatusOr<double*> target = FindValue(model, std::string(path));
+    if (!target.ok())
+      return absl::InvalidArgumentError(
+          absl::StrCat("override '", key, "': ", target.status().message(), ", ", kKnownMass));
+    **target = value;
   }
   return model;
 }

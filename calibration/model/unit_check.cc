@@ -208,12 +208,15 @@ class Units {
 absl::Status CheckUnits(const Rig& rig, const Plant& plant, const std::vector<MeasuredLog>& logs) {
   for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i) {
     const RigJoint& joint = rig.joints[i];
-    if (joint.input == JointInput::kTransmission) continue;
     RS_ASSIGN_OR_RETURN(const JointModel declared, DeclaredModel(rig, plant, i));
     for (const MeasuredLog& log : logs) {
-      RS_ASSIGN_OR_RETURN(JointModel model, WithOverrides(declared, joint.name, log.overrides));
+      absl::StatusOr<JointModel> model = WithOverrides(declared, joint.name, log.overrides);
+      if (!model.ok())
+        return absl::InvalidArgumentError(
+            absl::StrCat(rig.file, ": log ", log.file, ": ", model.status().message()));
+      if (joint.input == JointInput::kTransmission) continue;
       const bool free = std::count(joint.fit.begin(), joint.fit.end(), "mass_scale") > 0;
-      const Units units(plant, log, i, std::move(model), free);
+      const Units units(plant, log, i, *std::move(model), free);
       if (const std::string found = units.Impossible(); !found.empty())
         return absl::InvalidArgumentError(
             absl::StrCat(log.file, ": joint '", joint.name, "': ", found));

@@ -53,6 +53,33 @@ TEST(UnitCheck, PassesGeneratedRigsInRadiansAndMetres) {
   }
 }
 
+// Of a rig whose joint is `family`'s, with this override in its first log.
+absl::Status GatesOfOverride(Family family, const std::string& key) {
+  generator::RigOptions options;
+  options.family = family;
+  options.richness = generator::Richness::kBrief;
+  const auto machine = generator::GenerateRig(options);
+  if (!machine.ok()) return machine.status();
+  const std::string folder = testing::TempDir() + "/overrides";
+  std::filesystem::remove_all(folder);
+  if (absl::Status written = WriteGeneratedRig(*machine, options, folder); !written.ok())
+    return written;
+  auto rig = LoadRig(folder + "/rig.yaml");
+  if (!rig.ok()) return rig.status();
+  rig->logs[0].overrides["hinge." + key] = 0.3;
+  return CheckUnits(rig->rig, *rig->plant, rig->logs);
+}
+
+TEST(UnitCheck, NamesAnOverrideThatIsNone) {
+  for (const Family family : {Family::kServo, Family::kTransmission}) {
+    EXPECT_TRUE(GatesOfOverride(family, "known_mass").ok());
+    EXPECT_THAT(std::string(GatesOfOverride(family, "known_mas").message()),
+                testing::AllOf(HasSubstr("rig.yaml: log "), HasSubstr("log_0.csv"),
+                               HasSubstr("override 'hinge.known_mas'"), HasSubstr("force_lag"),
+                               HasSubstr("known_mass")));
+  }
+}
+
 TEST(UnitCheck, RefusesGeneratedRigsInDegreesOrMillimetres) {
   for (const Family family : kDriven) {
     const bool slide = family == Family::kSlide;
