@@ -317,6 +317,7 @@ class Description {
     evidence.declared = joint_.ProjectedRms(before_, unseen);
     evidence.declared_bulk = joint_.ProjectedBulk(before_, unseen);
     evidence.after = joint_.ProjectedRms(after_, unseen);
+    evidence.after_bulk = joint_.ProjectedBulk(after_, unseen);
     evidence.after_is_white = report.residual_after.white;
     evidence.floor = joint_.problem.ProjectedFloor(unseen);
     evidence.inverse = joint_.declared().input == JointInput::kInverse;

@@ -34,6 +34,8 @@ class Refits {
   // Stribeck curves: while an effect was missing they may have stood in for it. `lost`: so much so
   // that all that are near the lowest are fitted again.
   void Restart(std::vector<TracedModel>& models, bool lost) const;
+  // The same of one, whatever its error.
+  void Restart(TracedModel& model) const;
   // The rig's own values, not fitted.
   JointFit OwnValues() const { return Minimise(problem_, start_, windows_, 0); }
   // More than a few times the noise.
@@ -57,7 +59,6 @@ class Refits {
 
  private:
   Hypothesis FromStart(Hypothesis h) const;
-  void Restart(TracedModel& model) const;
 
   const JointProblem& problem_;
   const Hypothesis start_;

@@ -27,16 +27,28 @@ double GainOf(const Screening& screening, const std::string& effect) {
   return gain;
 }
 
-// What explains about as much of the residual as `effect`, best first.
+bool Mimics(const std::string& one, const std::string& other) {
+  const std::vector<std::string>&a = (*FindEffect(one))->mimics, &b = (*FindEffect(other))->mimics;
+  return std::find(a.begin(), a.end(), other) != a.end() ||
+         std::find(b.begin(), b.end(), one) != b.end();
+}
+
+// What explains about as much of the residual as `effect`, and what the library takes for it:
+// declared parameters that stand in for a mimic hide its signature. Best first.
 std::vector<Contender> Others(const Screening& screening, const std::string& effect, int at_most) {
   const NullDistribution nothing{{},
                                  std::vector<std::vector<double>>(screening.candidates().size())};
   const double gain = GainOf(screening, effect);
   std::vector<Contender> others;
   for (Contender& contender : Rank(screening, nothing))
-    if (TypeOf(screening, contender.candidate) != effect && contender.gain > kRivalGain * gain)
+    if (TypeOf(screening, contender.candidate) != effect && !contender.starts.empty() &&
+        (contender.gain > kRivalGain * gain ||
+         Mimics(effect, TypeOf(screening, contender.candidate))))
       others.push_back(std::move(contender));
-  if (static_cast<int>(others.size()) > at_most) others.resize(at_most);
+  const auto rest = std::stable_partition(
+      others.begin(), others.end(), [&](const Contender& c) { return c.gain > kRivalGain * gain; });
+  const auto alike = std::min<std::ptrdiff_t>(at_most, rest - others.begin());
+  others.erase(others.begin() + alike, rest);
   return others;
 }
 
@@ -55,6 +67,7 @@ bool IsRival(const TracedModel& best, const TracedModel& other, double cosine) {
 }  // namespace
 
 std::vector<TracedModel> RivalSearch::FitInPlace(const TracedModel& model, const TracedModel& base,
+                                                 const std::string& effect,
                                                  const Screening& screening,
                                                  const std::vector<Contender>& others) const {
   const int count = static_cast<int>(others.size());
@@ -71,6 +84,9 @@ std::vector<TracedModel> RivalSearch::FitInPlace(const TracedModel& model, const
     models[i] = known[i] != nullptr ? *known[i] : refits_.OnTrial(base, screening, others[i]);
   });
   refits_.SettleBest(models, promised, model.fit.rms);
+  ParallelFor(count, [&](int i) {
+    if (known[i] == nullptr && Mimics(effect, models[i].added.back())) refits_.Restart(models[i]);
+  });
   for (TracedModel& other : models)
     if (other.cv.energy.empty() && other.fit.rms < kFarWorse * model.fit.rms)
       refits_.CrossValidate(other);
@@ -91,7 +107,7 @@ std::vector<std::string> RivalSearch::RivalsOf(const TracedModel& model, const s
                           problem.Projected(ModelAt(base.fit.best, base.fit.best.x), windows);
   screening.RemoveImitated(share);
   const std::vector<Contender> others = Others(screening, effect, finalists_);
-  const std::vector<TracedModel> models = FitInPlace(model, base, screening, others);
+  const std::vector<TracedModel> models = FitInPlace(model, base, effect, screening, others);
   std::vector<std::string> rivals;
   for (size_t i = 0; i < others.size(); ++i) {
     const Eigen::MatrixXd& basis = others[i].starts.front()->basis;

@@ -26,7 +26,7 @@ class RivalSearch {
 
  private:
   std::vector<TracedModel> FitInPlace(const TracedModel& model, const TracedModel& base,
-                                      const Screening& screening,
+                                      const std::string& effect, const Screening& screening,
                                       const std::vector<Contender>& others) const;
 
   Refits& refits_;
