@@ -68,6 +68,13 @@ def _before(physics: Callable[[], Any], acts: List[Callable[[], Any]]) -> Callab
     return sub_step if len(acts) > 1 else sub_step_of_one
 
 
+def _put_back(owner: Any, name: str, replaced: Any) -> None:
+    if replaced is None:
+        delattr(owner, name)
+    else:
+        setattr(owner, name, replaced)
+
+
 class RobosuiteArms:
     """All wrapped arms of one environment: its step() puts them between its controllers and the physics."""
 
@@ -75,7 +82,7 @@ class RobosuiteArms:
         self.base, self.sim = base, None
         self.episodes: Dict[Key, ArmEpisode] = {}
         self.robots: Dict[Key, _Robot] = {}
-        self._step = base.step
+        self._step, self._replaced = base.step, vars(base).get("step")
         base.step, base._robostress = self.step, self
 
     @staticmethod
@@ -95,7 +102,8 @@ class RobosuiteArms:
     def remove(self, key: Key) -> None:
         self.episodes.pop(key, None)
         if not self.episodes and vars(self.base).get("_robostress") is self:
-            del self.base.step, self.base._robostress
+            _put_back(self.base, "step", self._replaced)
+            del self.base._robostress
 
     def _arm(self, key: Key, errors: JointErrors) -> MujocoArm:
         # A hard reset makes robots anew.
@@ -115,7 +123,7 @@ class RobosuiteArms:
                 episode.begun = False
         self.sim = sim
         name = "step2" if getattr(base, "lite_physics", False) else "step"
-        physics = _physics(sim, name)
+        physics, replaced = _physics(sim, name), vars(sim).get(name)
 
         def first(*_: Any) -> None:
             acts = [episode.begin_control_step().actor(self.robots[key].controller())
@@ -128,7 +136,7 @@ class RobosuiteArms:
         try:
             result = self._step(action)
         finally:
-            delattr(sim, name)
+            _put_back(sim, name, replaced)
         for episode in self.episodes.values():
             result[-1][episode.name] = episode.executed(action)
         return result

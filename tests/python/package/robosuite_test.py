@@ -109,6 +109,20 @@ class Wrapped(unittest.TestCase):
         self.assertGreater(np.abs(info["robostress"]["applied"] - info["robostress"]["asked"]).max(), 0.1)
         np.testing.assert_array_equal(info["robostress"]["q"], sim.data.qpos[:7])
 
+    def test_what_others_replaced_stays(self):
+        env, calls = make(hard_reset=False), []
+        name = "step2" if PARTS else "step"
+        step, physics = env.step, getattr(env.sim, name)
+        env.step = lambda action: step(action)
+        setattr(env.sim, name, lambda: calls.append(physics()))
+        mine = env.step, getattr(env.sim, name)
+        wrapped = rs.wrap(env, "clean")
+        wrapped.reset()
+        wrapped.step(np.zeros(env.action_dim))
+        wrapped.unwrap()
+        self.assertEqual(len(calls), 25)
+        self.assertEqual((env.step, getattr(env.sim, name)), mine)
+
     def test_an_episode_begins_at_each_reset(self):
         wrapped = self.wrap("aged_transmission")
         first, _ = play(wrapped)
