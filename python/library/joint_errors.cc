@@ -1,5 +1,4 @@
 #include <Eigen/Core>
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <new>
@@ -12,25 +11,9 @@
 #include "common/joint_errors/sub_step.h"
 #include "common/status_macros.h"
 #include "python/library/boundary.h"
+#include "python/library/errors_object.h"
 #include "python/library/robostress.h"
 #include "python/library/scenario_chain.h"
-
-struct robostress_errors {
-  robostress_errors(const robostress::JointChain& with, bool sticks)
-      : chain(with),
-        sticks(sticks),
-        q(static_cast<size_t>(with.joints())),
-        own(5 * static_cast<size_t>(with.joints())),
-        moments(static_cast<size_t>(with.joints())) {}
-
-  robostress::JointChain chain;
-  bool sticks;                                   // the paper's friction, under the law stick
-  std::vector<double> q;                         // of the joints in the sub-step
-  std::vector<double> own;                       // q, dq, gravity, applied, change of act()
-  std::vector<robostress::JointMoment> moments;  // of the motors in it
-  bool begun = false;                            // an episode
-  bool asked = false;                            // torque() was called in this sub-step
-};
 
 namespace robostress {
 namespace {
@@ -75,6 +58,8 @@ absl::Status CheckEffect(const JointChain& chain, int joint, const EffectInfo& e
   return absl::OkStatus();
 }
 
+}  // namespace
+
 unsigned Reads(const robostress_errors& errors) {
   const JointChain& chain = errors.chain;
   unsigned reads = 0;
@@ -82,6 +67,8 @@ unsigned Reads(const robostress_errors& errors) {
   if (chain.reads() & kPayloadFields) reads |= ROBOSTRESS_READS_PAYLOAD;
   if (chain.reads() & kTiltField) reads |= ROBOSTRESS_READS_TILT;
   // Whether an effect adds dry friction or inertia shows only in motion.
+  if (chain.severity().scenario().profile == SeverityProfile::kWhileGrasping)
+    reads |= ROBOSTRESS_READS_GRASP;
   if (errors.sticks || !chain.effects(EffectStage::kJoint).empty())
     reads |= ROBOSTRESS_READS_MASSES;
   for (int i = 0; i < chain.joints(); ++i)
@@ -139,6 +126,8 @@ absl::Status CheckMoment(const robostress_errors& errors, const robostress_momen
   }
   return absl::OkStatus();
 }
+
+namespace {
 
 // As PandaSim describes its joints.
 void Describe(const JointChain& chain, const robostress_moment& from,
@@ -200,99 +189,74 @@ void ApplyTorque(robostress_errors& errors, const robostress_moment& moment, con
                                                       wished, none, Plant{moment, joints});
 }
 
+}  // namespace
+
+absl::Status Reset(robostress_errors& errors, const robostress_moment& at, const double* holding) {
+  RS_RETURN_IF_ERROR(CheckMoment(errors, at));
+  const int joints = errors.chain.joints();
+  RS_RETURN_IF_ERROR(CheckArray("holding", holding, joints, false));
+  Describe(errors.chain, at, errors.moments);
+  for (int i = 0; i < joints; ++i) {
+    errors.moments[static_cast<size_t>(i)].q = at.q[i];
+    if (holding != nullptr) errors.moments[static_cast<size_t>(i)].drive = holding[i];
+  }
+  errors.chain.Reset(errors.moments);
+  errors.begun = true;
+  errors.asked = false;
+  return absl::OkStatus();
+}
+
+void ApplyErrors(robostress_errors& errors, const robostress_moment& at, const double* asked,
+                 double* applied) {
+  const int joints = errors.chain.joints();
+  errors.chain.BeginSubStep(at.step);
+  std::copy_n(at.q, joints, errors.q.begin());
+  Describe(errors.chain, at, errors.moments);
+  joints == 7 ? ApplyTorque<7>(errors, at, asked, applied)
+              : ApplyTorque<Eigen::Dynamic>(errors, at, asked, applied);
+}
+
+void MoveOffsets(robostress_errors& errors, const double* applied, double* change) {
+  const auto joints = static_cast<size_t>(errors.chain.joints());
+  for (JointMoment& m : errors.moments) m.q += m.h * m.dq;
+  std::fill_n(change, joints, 0.0);
+  errors.chain.MoveErrors(errors.q, {applied, joints}, errors.moments[0].h, {change, joints});
+  errors.chain.MoveEffects(errors.moments, {change, joints});
+}
+
+absl::Status CheckBegun(const robostress_errors& errors) {
+  return errors.begun ? absl::OkStatus()
+                      : absl::FailedPreconditionError(
+                            "no episode has begun: call robostress_errors_reset first");
+}
+
+namespace {
+
 absl::Status Torque(robostress_errors* errors, const robostress_moment* moment, const double* asked,
                     double* applied) {
   RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
   RS_RETURN_IF_ERROR(CheckHandle("asked", asked));
   RS_RETURN_IF_ERROR(CheckHandle("applied", applied));
-  if (!errors->begun)
-    return absl::FailedPreconditionError(
-        "no episode has begun: call robostress_errors_reset first");
+  RS_RETURN_IF_ERROR(CheckBegun(*errors));
   robostress_moment given = {};
   RS_RETURN_IF_ERROR(ReadStructure("moment", moment, given));
-  const int joints = errors->chain.joints();
   RS_RETURN_IF_ERROR(CheckMoment(*errors, given));
-  RS_RETURN_IF_ERROR(CheckArray("asked", asked, joints, true));
-  errors->chain.BeginSubStep(given.step);
-  std::copy_n(given.q, joints, errors->q.begin());
-  Describe(errors->chain, given, errors->moments);
-  joints == 7 ? ApplyTorque<7>(*errors, given, asked, applied)
-              : ApplyTorque<Eigen::Dynamic>(*errors, given, asked, applied);
+  RS_RETURN_IF_ERROR(CheckArray("asked", asked, errors->chain.joints(), true));
+  ApplyErrors(*errors, given, asked, applied);
   errors->asked = true;
   return absl::OkStatus();
-}
-
-absl::Status CheckArrays(const robostress_arrays& a) {
-  const struct {
-    const char* name;
-    const void* array;
-  } needed[] = {{"arrays.qpos", a.qpos},
-                {"arrays.qvel", a.qvel},
-                {"arrays.ctrl", a.ctrl},
-                {"arrays.xaxis", a.xaxis},
-                {"arrays.xanchor", a.xanchor},
-                {"arrays.subtree_com", a.subtree_com},
-                {"arrays.subtree_mass", a.subtree_mass},
-                {"arrays.qpos_index", a.qpos_index},
-                {"arrays.dof_index", a.dof_index},
-                {"arrays.ctrl_index", a.ctrl_index},
-                {"arrays.joint_index", a.joint_index},
-                {"arrays.body_index", a.body_index}};
-  for (const auto& [name, array] : needed) RS_RETURN_IF_ERROR(CheckHandle(name, array));
-  return absl::OkStatus();
-}
-
-// The torque that holds each joint against gravity, as PandaSim reckons it.
-void HoldAgainstGravity(const robostress_arrays& a, int joints, double* gravity) {
-  using Vector = Eigen::Map<const Eigen::Vector3d>;
-  const Vector field(a.field);
-  for (int i = 0; i < joints; ++i) {
-    const int body = a.body_index[i];
-    const Vector axis(a.xaxis + 3 * a.joint_index[i]), anchor(a.xanchor + 3 * a.joint_index[i]);
-    const Vector com(a.subtree_com + 3 * body);
-    gravity[i] = -a.subtree_mass[body] * axis.dot((com - anchor).cross(field));
-  }
 }
 
 absl::Status OffsetChange(robostress_errors* errors, const double* applied, double* change) {
   RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
   RS_RETURN_IF_ERROR(CheckHandle("change", change));
-  const auto joints = static_cast<size_t>(errors->chain.joints());
-  RS_RETURN_IF_ERROR(CheckArray("applied", applied, static_cast<int>(joints), true));
+  RS_RETURN_IF_ERROR(CheckArray("applied", applied, errors->chain.joints(), true));
   if (!errors->asked) {
     return absl::FailedPreconditionError(
         "the sub-step has not begun: call robostress_errors_torque before each call");
   }
   errors->asked = false;
-  for (JointMoment& m : errors->moments) m.q += m.h * m.dq;
-  std::fill_n(change, joints, 0.0);
-  errors->chain.MoveErrors(errors->q, {applied, joints}, errors->moments[0].h, {change, joints});
-  errors->chain.MoveEffects(errors->moments, {change, joints});
-  return absl::OkStatus();
-}
-
-absl::Status Act(robostress_errors* errors, const robostress_moment* moment,
-                 const robostress_arrays* given, const double* asked, double* applied) {
-  RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
-  robostress_arrays arrays = {};
-  RS_RETURN_IF_ERROR(ReadStructure("arrays", given, arrays));
-  RS_RETURN_IF_ERROR(CheckArrays(arrays));
-  robostress_moment at = {};
-  RS_RETURN_IF_ERROR(ReadStructure("moment", moment, at));
-  const int n = errors->chain.joints();
-  double *q = errors->own.data(), *dq = q + n, *gravity = dq + n, *torque = gravity + n,
-         *change = torque + n;
-  for (int i = 0; i < n; ++i) q[i] = arrays.qpos[arrays.qpos_index[i]];
-  for (int i = 0; i < n; ++i) dq[i] = arrays.qvel[arrays.dof_index[i]];
-  HoldAgainstGravity(arrays, n, gravity);
-  at.q = q;
-  at.dq = dq;
-  at.gravity = gravity;
-  RS_RETURN_IF_ERROR(Torque(errors, &at, asked, torque));
-  RS_RETURN_IF_ERROR(OffsetChange(errors, torque, change));
-  for (int i = 0; i < n; ++i) arrays.ctrl[arrays.ctrl_index[i]] = torque[i];
-  for (int i = 0; i < n; ++i) arrays.qpos[arrays.qpos_index[i]] += change[i];
-  if (applied != nullptr) std::copy_n(torque, n, applied);
+  MoveOffsets(*errors, applied, change);
   return absl::OkStatus();
 }
 
@@ -351,6 +315,7 @@ robostress_code robostress_errors_copy(const robostress_errors* from, robostress
     RS_RETURN_IF_ERROR(CheckHandle("from", from));
     RS_RETURN_IF_ERROR(CheckHandle("created", created));
     *created = new robostress_errors(*from);
+    (*created)->attached = {};
     return absl::OkStatus();
   });
 }
@@ -361,6 +326,7 @@ robostress_code robostress_errors_restore(robostress_errors* to, const robostres
     RS_RETURN_IF_ERROR(CheckHandle("to", to));
     RS_RETURN_IF_ERROR(CheckHandle("from", from));
     robostress_errors copy(*from);  // whatever fails, fails here
+    copy.attached = to->attached;
     *to = std::move(copy);
     return absl::OkStatus();
   });
@@ -380,23 +346,14 @@ robostress_code robostress_errors_reset(robostress_errors* errors, const robostr
     RS_RETURN_IF_ERROR(CheckHandle("errors", errors));
     robostress_moment given = {};
     RS_RETURN_IF_ERROR(robostress::ReadStructure("moment", moment, given));
-    RS_RETURN_IF_ERROR(robostress::CheckMoment(*errors, given));
-    const int joints = errors->chain.joints();
-    RS_RETURN_IF_ERROR(robostress::CheckArray("holding", holding, joints, false));
-    robostress::Describe(errors->chain, given, errors->moments);
-    for (int i = 0; i < joints; ++i) {
-      errors->moments[static_cast<size_t>(i)].q = given.q[i];
-      if (holding != nullptr) errors->moments[static_cast<size_t>(i)].drive = holding[i];
-    }
-    errors->chain.Reset(errors->moments);
-    errors->begun = true;
-    errors->asked = false;
-    return absl::OkStatus();
+    return robostress::Reset(*errors, given, holding);
   });
 }
 
 void robostress_errors_begin_control_step(robostress_errors* errors, int steps_done, int held) {
-  if (errors != nullptr) errors->chain.BeginControlStep(std::max(0, steps_done), held != 0);
+  if (errors == nullptr) return;
+  errors->chain.BeginControlStep(std::max(0, steps_done), held != 0);
+  errors->attached.row = 0;
 }
 
 robostress_code robostress_errors_torque(robostress_errors* errors, const robostress_moment* moment,
@@ -421,13 +378,6 @@ robostress_code robostress_errors_sub_step(robostress_errors* errors,
     RS_RETURN_IF_ERROR(robostress::Torque(errors, moment, asked, applied));
     return robostress::OffsetChange(errors, applied, change);
   });
-}
-
-robostress_code robostress_errors_act(robostress_errors* errors, const robostress_moment* moment,
-                                      const robostress_arrays* arrays, const double* asked,
-                                      double* applied, char* error, size_t error_size) {
-  return AtBoundary(error, error_size,
-                    [&] { return robostress::Act(errors, moment, arrays, asked, applied); });
 }
 
 void robostress_errors_offset(const robostress_errors* errors, double* offset) {

@@ -35,7 +35,7 @@ extern "C" {
 
 /* Raised when a function is added; functions stay as they are within a symbol version
  * (ROBOSTRESS_1). */
-#define ROBOSTRESS_INTERFACE 2
+#define ROBOSTRESS_INTERFACE 3
 
 typedef enum robostress_code {
   ROBOSTRESS_OK = 0,
@@ -104,7 +104,8 @@ enum {
   ROBOSTRESS_READS_PAYLOAD = 2, /* payload_gravity and payload_inertia */
   ROBOSTRESS_READS_TILT = 4,
   ROBOSTRESS_READS_MASSES = 8, /* mass_matrix, other_torque: friction that brings joints to rest */
-  ROBOSTRESS_READS_ACCELERATION = 16 /* ddq */
+  ROBOSTRESS_READS_ACCELERATION = 16, /* ddq */
+  ROBOSTRESS_READS_GRASP = 32         /* `held` of begin_control_step */
 };
 unsigned robostress_errors_reads(const robostress_errors* errors);
 
@@ -156,7 +157,7 @@ typedef struct robostress_arrays {
   size_t size;
   double* qpos;
   const double* qvel;
-  double* ctrl;              /* torques of motors with gear 1 */
+  double* ctrl;
   const double* xaxis;       /* [joints of the simulator][3] */
   const double* xanchor;     /* the same */
   const double* subtree_com; /* [bodies][3] */
@@ -166,14 +167,29 @@ typedef struct robostress_arrays {
   const int* ctrl_index;
   const int* joint_index;
   const int* body_index;
-  double field[3]; /* [m/s^2] of gravity */
+  double field[3];    /* [m/s^2] of gravity */
+  const double* tool; /* [3] where a payload sits; or NULL: payload_* are of the moment */
+  const double* gear; /* torque of each motor per unit of ctrl; or NULL for 1 */
 } robostress_arrays;
-/* sub_step() with q, dq and gravity of these arrays, whose ctrl gets what is applied and whose qpos
-   the change: between a controller and the simulator's step. moment: what else is read. applied:
-   [joints], or NULL. */
+/* sub_step() with q, dq, gravity, payload_* and tilt_gravity of these arrays, whose ctrl gets what
+   is applied and whose qpos the change: between a controller and the simulator's step. moment: what
+   else is read. applied: [joints], or NULL. */
 robostress_code robostress_errors_act(robostress_errors* errors, const robostress_moment* moment,
                                       const robostress_arrays* arrays, const double* asked,
                                       double* applied, char* error, size_t error_size);
+/* For act_attached(), which is act() with less in the way of a simulator's sub-step. All that is
+   given must live as long. asked: [joints], read at each call. record: [rows][2][joints] gets what
+   was asked for and applied in the first `rows` sub-steps since begin_control_step; or NULL. Time
+   is that of its calls since reset_attached. A copy is attached to nothing. */
+robostress_code robostress_errors_attach(robostress_errors* errors, const robostress_moment* moment,
+                                         const robostress_arrays* arrays, const double* asked,
+                                         double* record, size_t rows, char* error,
+                                         size_t error_size);
+/* reset() where the attached arrays are, at rest, the motors holding the arm against gravity. */
+robostress_code robostress_errors_reset_attached(robostress_errors* errors, char* error,
+                                                 size_t error_size);
+robostress_code robostress_errors_act_attached(robostress_errors* errors, char* error,
+                                               size_t error_size);
 /* Link angle minus motor angle of every joint now. */
 void robostress_errors_offset(const robostress_errors* errors, double* offset);
 /* What the controller reads of joints at q, dq; reading and rate may be q and dq themselves, or

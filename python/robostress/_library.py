@@ -9,7 +9,7 @@ from typing import Any, Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
-INTERFACE = 2
+INTERFACE = 3
 ERROR_SIZE = 1024
 
 
@@ -57,7 +57,7 @@ ATTACHED = ("qpos", "qvel", "ctrl", "xaxis", "xanchor", "subtree_com", "subtree_
 
 class Arrays(ctypes.Structure):
     _fields_ = [("size", ctypes.c_size_t)] + [(name, ctypes.c_void_p) for name in ATTACHED] + [
-        ("field", ctypes.c_double * 3)]
+        ("field", ctypes.c_double * 3), ("tool", ctypes.c_void_p), ("gear", ctypes.c_void_p)]
 
 
 class Control(ctypes.Structure):
@@ -91,11 +91,13 @@ FUNCTIONS: Dict[str, Tuple[Any, List[Any]]] = {
     "errors_restore": (INT, [POINTER, POINTER, *ERROR]),
     "errors_reads": (ctypes.c_uint, [POINTER]),
     "errors_reset": (INT, [POINTER, POINTER, POINTER, *ERROR]),
+    "errors_attach": (INT, [POINTER, POINTER, POINTER, POINTER, POINTER, SIZE, *ERROR]),
+    "errors_reset_attached": (INT, [POINTER, *ERROR]),
+    "errors_act_attached": (INT, [POINTER, *ERROR]),
     "errors_begin_control_step": (None, [POINTER, INT, INT]),
     "errors_torque": (INT, [POINTER, POINTER, POINTER, POINTER, *ERROR]),
     "errors_offset_change": (INT, [POINTER, POINTER, POINTER, *ERROR]),
     "errors_sub_step": (INT, [POINTER, POINTER, POINTER, POINTER, POINTER, *ERROR]),
-    "errors_act": (INT, [POINTER, POINTER, POINTER, POINTER, POINTER, *ERROR]),
     "errors_offset": (None, [POINTER, POINTER]),
     "errors_reading": (None, [POINTER, POINTER, POINTER, POINTER, POINTER]),
     "control_default": (None, [POINTER]),

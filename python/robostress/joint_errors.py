@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import ctypes
 import weakref
-from typing import Any, Dict, FrozenSet, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from robostress.streams import Stream
 
 READS = {1: ("gravity",), 2: ("payload_gravity", "payload_inertia"), 4: ("tilt_gravity",),
          8: ("mass_matrix", "other_torque"), 16: ("ddq",)}
+GRASP = 32
 
 
 class JointErrors:
@@ -92,6 +93,11 @@ class JointErrors:
         bits = LIBRARY.robostress_errors_reads(self._handle)
         return frozenset(("q", "dq")).union(*(names for bit, names in READS.items() if bits & bit))
 
+    @property
+    def reads_grasp(self) -> bool:
+        """Whether it matters that the gripper holds an object."""
+        return bool(LIBRARY.robostress_errors_reads(self._handle) & GRASP)
+
     def bind(self, **arrays: np.ndarray) -> None:
         """These arrays themselves are read from now on: float64, contiguous, of the arm's shapes."""
         for name, values in arrays.items():
@@ -140,7 +146,8 @@ class JointErrors:
                 self.bind(**{name: np.full(self._shape(name), np.nan)})
 
     def reset(self, q: Optional[Any] = None, *, step: float = 0.002, holding: Optional[Any] = None, **arm: Any) -> None:
-        """An episode begins at rest at q, or where the bound arrays say. step: length of a sub-step [s]; holding: the motors' torques that hold the arm."""
+        """An episode begins at rest at q, or where the bound arrays say. step: length of a sub-step [s]; holding: the motors'
+        torques that hold the arm."""
         self._moment.time, self._moment.step, self._step = 0, step, step
         self._fill(arm if q is None else {"q": q, "dq": 0, **arm})
         held = None if holding is None else array("holding", holding, float, self.joints)
@@ -176,32 +183,57 @@ class JointErrors:
         self._failures.check(LIBRARY.robostress_errors_offset_change(*self._offset_change))
         return self._change
 
-    def attach(self, field: Any, **arrays: Any) -> None:
+    def attach(self, field: Any, *, rows: int = 1, tool: Optional[np.ndarray] = None, gear: Optional[Any] = None,
+               **arrays: Any) -> None:
         """A simulator's own arrays for act(), laid out as MuJoCo's: qpos, qvel, ctrl, xaxis, xanchor, subtree_com,
-        subtree_mass; qpos_index, dof_index, ctrl_index, joint_index, body_index [joints]. field: of gravity [m/s^2]."""
+        subtree_mass; qpos_index, dof_index, ctrl_index, joint_index, body_index [joints]. field: of gravity [m/s^2].
+        tool: [3] where a payload sits. gear: torque of each motor per unit of ctrl; None: 1. rows: sub-steps of a control
+        step whose torques `record` [rows, 2, joints] keeps: asked for, applied.
+        """
         attached = Arrays(ctypes.sizeof(Arrays))
         attached.field[:] = list(field)
-        self._attached = {}
-        for name in ATTACHED:
-            values = arrays[name]
+        given = {**arrays, **({} if tool is None else {"tool": tool}),
+                 **({} if gear is None else {"gear": array("gear", gear, float, self.joints)})}
+        for name in (*ATTACHED, *(optional for optional in ("tool", "gear") if optional in given)):
+            values = given[name]
             if name.endswith("_index"):
-                values = array(name, values, np.intc, self.joints)
+                given[name] = values = array(name, values, np.intc, self.joints)
             elif values.dtype != np.float64 or not values.flags.c_contiguous:
                 raise InvalidArgument(f"{name} must be the simulator's own contiguous float64 array to be attached")
-            self._attached[name] = values
             setattr(attached, name, values.ctypes.data)
-        self._arrays = attached
-        self._act = (self._handle, ctypes.addressof(self._moment), ctypes.addressof(attached),
-                     self._asked_array.ctypes.data, self._applied.ctypes.data, *self._failures.arguments)
+        record = np.zeros((rows, 2, self.joints))
+        self._failures.check(LIBRARY.robostress_errors_attach(
+            self._handle, ctypes.addressof(self._moment), ctypes.addressof(attached), self._asked_array.ctypes.data,
+            record.ctypes.data, rows, *self._failures.arguments))
+        self.record, self._attached = record, (given, attached)
 
-    def act(self, asked: Any) -> np.ndarray:
-        """sub_step() in the attached arrays: ctrl gets what is applied, qpos the change. Returns what is applied."""
-        self._begin(asked, {})
-        code = _act(*self._act)
-        if code:
-            self._failures.check(code)
-        self._sub_steps += 1
-        return self._applied
+    def reset_attached(self, step: float = 0.002) -> None:
+        """reset() where the attached arrays are, the motors holding the arm against gravity."""
+        self._moment.step = self._step = step
+        self._failures.check(_reset_attached(self._handle, *self._failures.arguments))
+
+    def actor(self, controller: Any) -> Callable[[], None]:
+        """act() as a call that takes what it is asked for from controller.torques."""
+        asked, handle, failures = self._asked, self._handle, self._failures
+        error = failures.arguments
+
+        def act() -> None:
+            try:
+                asked[:] = controller.torques
+            except (TypeError, ValueError):
+                self._convert("asked", controller.torques)
+            code = _act_attached(handle, *error)
+            if code:
+                failures.check(code)
+        return act
+
+    def act(self, asked: Any) -> None:
+        """sub_step() in the attached arrays: ctrl gets what is applied, qpos the change, `record` both torques."""
+        try:
+            self._asked[:] = asked
+        except (TypeError, ValueError):
+            self._convert("asked", asked)
+        self._failures.check(_act_attached(self._handle, *self._failures.arguments))
 
     def offset(self) -> np.ndarray:
         """Link angle minus motor angle now [joints]."""
@@ -246,4 +278,5 @@ class JointErrors:
 
 
 _sub_step = LIBRARY.robostress_errors_sub_step
-_act = LIBRARY.robostress_errors_act
+_act_attached = LIBRARY.robostress_errors_act_attached
+_reset_attached = LIBRARY.robostress_errors_reset_attached

@@ -163,13 +163,24 @@ class Errors(unittest.TestCase):
         indices = {name: [2, 0] for name in ("qpos_index", "dof_index", "ctrl_index", "joint_index", "body_index")}
         errors = rs.JointErrors("clean", joints=2)
         errors.add_effect(1, "backlash", [0.01])
-        errors.attach([0, 0, -9.81], **simulator, **indices)
-        errors.reset([0, 0])
-        np.testing.assert_array_equal(errors.act([3, 4]), [3, 4])
+        with self.assertRaisesRegex(rs.WrongOrder, "no arrays are attached"):
+            errors.act([3, 4])
+        errors.attach([0, 0, -9.81], rows=2, **simulator, **indices)
+        errors.reset_attached(0.002)
+        errors.act([3, 4])
         np.testing.assert_array_equal(simulator["ctrl"], [4, 0, 3])
         simulator["qvel"][0] = 1
-        errors.act([3, 4])
+        controller = type("Controller", (), {"torques": np.array([5.0, 6])})
+        errors.actor(controller)()
         self.assertNotEqual(simulator["qpos"][0], 0)
+        np.testing.assert_array_equal(errors.record, [[[3, 4], [3, 4]], [[5, 6], [5, 6]]])
+        controller.torques = [7, 8]  # no array of floats
+        errors.begin_control_step(1)
+        errors.actor(controller)()
+        np.testing.assert_array_equal(errors.record[0], [[7, 8], [7, 8]])
+        controller.torques = [7, 8, 9]
+        with self.assertRaisesRegex(rs.InvalidArgument, "asked: .* must be numbers of shape .2."):
+            errors.actor(controller)()
         with self.assertRaisesRegex(rs.InvalidArgument, "ctrl must be the simulator's own"):
             errors.attach([0, 0, -9.81], **{**simulator, "ctrl": np.zeros(6)[::2]}, **indices)
 

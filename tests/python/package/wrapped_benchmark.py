@@ -1,5 +1,9 @@
 #!/usr/bin/env python3
-"""What the wrapper adds to a control step of robosuite: CPU time, every second step wrapped. Run by run_installed.py."""
+"""What the wrapper adds to a control step: CPU time, one step of each pair wrapped, by lot. Run by run_installed.py.
+
+    wrapped_benchmark.py [TASK ...] [--steps N] [--repeats N]      of robosuite, or LIBERO's such as libero_object_00
+"""
+import argparse
 import time
 
 import numpy as np
@@ -7,21 +11,54 @@ import robosuite
 
 import robostress as rs
 
-print("| task | scenario | robosuite [ms] | wrapped [ms] | slower |\n|---|---|---|---|---|")
-for task in ("Lift", "PickPlace", "NutAssembly"):
+ACTION = np.array([0.1, 0.05, -0.02, 0.1, 0, 0.1, -1])
+
+
+def slower(env, base, scenario, steps):
+    """Median CPU times of a step [ms], unwrapped and wrapped."""
+    wrapped, times = rs.wrap(env, scenario), ([], [])
+    wrapped.reset()
+    first = np.random.RandomState(0).randint(2, size=steps)
+    for k in range(steps):
+        on = (first[k // 2] + k) % 2
+        step = wrapped.step if on else lambda action: type(base).step(base, action)
+        action = ACTION * (1 if k % 4 < 2 else -1)
+        begin = time.process_time()
+        step(action)
+        times[on].append(time.process_time() - begin)
+    wrapped.unwrap()
+    return [1e3 * np.median(t[5:]) for t in times]
+
+
+def make(task):
+    if task.startswith("libero"):
+        import libero_parts
+        folder = libero_parts.prepare()
+        env = libero_parts.environment(task)[0]
+        return env, env.env, folder
+    configs = {"controller_configs": robosuite.load_controller_config(default_controller="OSC_POSE")} if hasattr(
+        robosuite, "load_controller_config") else {}
     env = robosuite.make(task, robots="Panda", has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False,
-                         controller_configs=robosuite.load_controller_config(default_controller="OSC_POSE"),
-                         control_freq=20, horizon=100000, hard_reset=False)
-    for scenario in ("aged_transmission", "heavy_payload"):
-        wrapped = rs.wrap(env, scenario)
-        wrapped.reset()
-        action, times = np.array([0.1, 0.05, -0.02, 0.1, 0, 0.1, -1]), ([], [])
-        for k in range(200):
-            action, on = -action, k % 2
-            env._pre_action = wrapped._pre_action if on else wrapped._original
-            begin = time.process_time()
-            (wrapped if on else env).step(action)
-            times[on].append(time.process_time() - begin)
-        wrapped.unwrap()
-        plain, bent = (1e3 * np.median(t[10:]) for t in times)
-        print(f"| {task} | {scenario} | {plain:.2f} | {bent:.2f} | {100 * (bent / plain - 1):.1f} % |", flush=True)
+                         control_freq=20, horizon=100000, hard_reset=False, **configs)
+    return env, env, None
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tasks", nargs="*", default=["Lift", "PickPlace", "NutAssembly"])
+    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--repeats", type=int, default=5)
+    line = parser.parse_args()
+    print(f"robosuite {robosuite.__version__}; medians of {line.steps // 2} steps, {line.repeats} repeats")
+    print("| task | scenario | robosuite [ms] | wrapped [ms] | slower | from | to |\n|---|---|---:|---:|---:|---:|---:|")
+    for task in line.tasks:
+        env, base, _kept = make(task)
+        for scenario in ("clean", "aged_transmission", "heavy_payload"):
+            rows = np.array([slower(env, base, scenario, line.steps) for _ in range(line.repeats)])
+            percent = 100 * (rows[:, 1] / rows[:, 0] - 1)
+            plain, bent = np.median(rows, axis=0)
+            print(f"| {task} | {scenario} | {plain:.2f} | {bent:.2f} | {np.median(percent):.1f} % | {percent.min():.1f} % | "
+                  f"{percent.max():.1f} % |", flush=True)
+
+
+main()

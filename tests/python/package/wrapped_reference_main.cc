@@ -1,5 +1,6 @@
 // PandaSim in a model that robosuite compiled: wrapped_reference MODEL.mjb INPUT SCENARIO. INPUT
-// has raw doubles: qpos [nq], then actions [n][7]. Writes the arm's joints after each action.
+// has raw doubles: qpos [nq], joints where the arm was reset [7], actions [n][7]. Writes the arm's
+// joints after each action.
 #include <cstdio>
 #include <fstream>
 #include <iterator>
@@ -33,11 +34,10 @@ int Play(const char* file, const std::vector<double>& input, const char* scenari
     return 1;
   }
   const size_t nq = static_cast<size_t>(model->nq);
-  Eigen::Matrix<double, 7, 1> home;
-  for (int i = 0; i < 7; ++i) home[i] = input[static_cast<size_t>(i)];
+  const Eigen::Matrix<double, 7, 1> home(&input[nq]);
   (*sim)->SetScenario(*MakeScenario(scenario, 5), kHorizon);
   if (!(*sim)->Reset({input.data(), nq}, home).ok()) return 1;
-  for (size_t at = nq; at + 7 <= input.size(); at += 7) {
+  for (size_t at = nq + 7; at + 7 <= input.size(); at += 7) {
     const Eigen::Matrix<double, 7, 1> action(&input[at]);
     if (!(*sim)->StepExact(action).ok()) return 1;
     std::fwrite((*sim)->data().qpos, sizeof(double), 7, stdout);

@@ -1,0 +1,98 @@
+"""A wrapped arm of Gymnasium's MuJoCo environments: actuators that are named make it one."""
+from __future__ import annotations
+
+import sys
+from typing import Any, List, Optional, Sequence
+
+from robostress._library import InvalidArgument, NotFound
+from robostress.joint_errors import JointErrors
+from robostress.mujoco_arm import ArmEpisode, MujocoArm
+
+HOOKED = ("step", "reset", "set_state", "_step_mujoco_simulation")
+
+
+def base_of(env: Any) -> Optional[Any]:
+    """Gymnasium's MuJoCo environment in `env`, or None."""
+    gymnasium = sys.modules.get("gymnasium")
+    if gymnasium is None or not isinstance(env, gymnasium.Env):
+        return None
+    base = env.unwrapped
+    return base if all(hasattr(base, name) for name in (*HOOKED, "model", "data")) else None
+
+
+def _known(mujoco: Any, model: Any, kind: str, count: int) -> List[str]:
+    return [mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind}"), i) or "" for i in range(count)]
+
+
+def _ids(what: str, known: Sequence[str], names: Sequence[str]) -> List[int]:
+    for name in names:
+        if not name or name not in known:
+            raise NotFound(f"{what} '{name}' is not in the model; known: {', '.join(k for k in known if k)}")
+    return [list(known).index(name) for name in names]
+
+
+def named_arm(model: Any, data: Any, errors: JointErrors, actuators: Sequence[str], tool: Optional[str],
+              pads: Sequence[Sequence[str]], rows: int) -> MujocoArm:
+    """actuators: their names, or those of their joints where they have none."""
+    import mujoco  # type: ignore[import-not-found]
+    joints = _known(mujoco, model, "JOINT", model.njnt)
+    driven = [joints[joint] if kind == 0 else "" for kind, (joint, _) in zip(model.actuator_trntype, model.actuator_trnid)]
+    motors = _ids("actuator", [name or joint for name, joint in
+                               zip(_known(mujoco, model, "ACTUATOR", model.nu), driven)], actuators)
+    geoms = _known(mujoco, model, "GEOM", model.ngeom)
+    return MujocoArm(model, data, [int(model.actuator_trnid[motor, 0]) for motor in motors], motors, errors, rows=rows,
+                     tool=None if tool is None else _ids("site", _known(mujoco, model, "SITE", model.nsite), [tool])[0],
+                     pads=[_ids("geom", geoms, side) for side in pads])
+
+
+class GymnasiumArm:
+    """The wrapped arm of one environment, in its own methods' places."""
+
+    def __init__(self, base: Any, errors: JointErrors, settle_steps: int, actuators: Sequence[str], tool: Optional[str],
+                 pads: Sequence[Sequence[str]]) -> None:
+        if "_robostress" in vars(base):
+            raise InvalidArgument("the environment is wrapped already: unwrap() it first")
+        self.base = base
+        self.arm: Optional[MujocoArm] = None  # in a control step
+        make = lambda: named_arm(base.model, base.data, errors, actuators, tool, pads, base.frame_skip)  # noqa: E731
+        self.episode = ArmEpisode("robostress", errors, settle_steps, make)
+        make()  # what cannot be is said now
+        self._original = {name: getattr(base, name) for name in HOOKED}
+        base.step, base.reset, base.set_state = self.step, self.reset, self.set_state
+        base._step_mujoco_simulation, base._robostress = self.simulate, self
+
+    def remove(self) -> None:
+        if vars(self.base).get("_robostress") is self:
+            for name in (*HOOKED, "_robostress"):
+                delattr(self.base, name)
+
+    def step(self, action: Any) -> Any:
+        self.arm = None
+        result = self._original["step"](action)
+        result[-1]["robostress"] = self.episode.executed(action)
+        return result
+
+    def reset(self, **given: Any) -> Any:
+        self.episode.begun = False
+        return self._original["reset"](**given)
+
+    def set_state(self, qpos: Any, qvel: Any) -> None:
+        self.episode.begun = False
+        self._original["set_state"](qpos, qvel)
+
+    def simulate(self, ctrl: Any, frame_skip: int) -> None:
+        import mujoco
+        model, data, simulate = self.base.model, self.base.data, self._original["_step_mujoco_simulation"]
+        for _ in range(frame_skip):
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            if self.arm is None:
+                self.arm = self.episode.begin_control_step()
+                self.act = self.arm.actor(self.arm)
+            if self.arm.fields:
+                mujoco.mj_crb(model, data)
+                mujoco.mj_comVel(model, data)
+                mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+            data.ctrl[:] = ctrl
+            self.act()
+            simulate(data.ctrl, 1)

@@ -1,0 +1,157 @@
+"""The joint errors of one arm in a MuJoCo model, whoever steps it."""
+from __future__ import annotations
+
+from typing import Any, Callable, Dict, Optional, Sequence
+
+import numpy as np
+
+from robostress._library import InvalidArgument
+from robostress.joint_errors import JointErrors
+
+MEASURED = ("mass_matrix", "other_torque", "ddq")  # what act() does not read itself
+
+
+class MujocoArm:
+    """joints, motors: ids in the model, from the base on. tool: the site where a payload sits. pads: geoms of both sides of
+    the gripper. rows: sub-steps of a control step. The model and its data stay as long as this does.
+    """
+
+    def __init__(self, model: Any, data: Any, joints: Sequence[int], motors: Sequence[int], errors: JointErrors, *,
+                 tool: Optional[int] = None, pads: Sequence[Sequence[int]] = (), rows: int = 1) -> None:
+        m, d = model, data
+        self.model, self.data, self.errors = m, d, errors
+        joint, self.motor = np.array(joints), np.array(motors)
+        self.qpos, self.dof = m.jnt_qposadr[joint], m.jnt_dofadr[joint]
+        self._check(joint)
+        self.gear = m.actuator_gear[self.motor, 0] * m.actuator_gainprm[self.motor, 0]
+        low, high = self._limits()
+        errors.bind(torque_low=low, torque_high=high)
+        self.fields = [(getattr(self, "_" + name), getattr(errors, name)) for name in MEASURED if name in errors.reads]
+        errors.attach(m.opt.gravity, rows=rows, tool=None if tool is None else d.site_xpos[tool],
+                      gear=None if np.all(self.gear == 1) else self.gear, qpos=d.qpos, qvel=d.qvel, ctrl=d.ctrl,
+                      xaxis=d.xaxis, xanchor=d.xanchor, subtree_com=d.subtree_com, subtree_mass=m.body_subtreemass,
+                      qpos_index=self.qpos, dof_index=self.dof, ctrl_index=self.motor, joint_index=joint,
+                      body_index=m.jnt_bodyid[joint])
+        self._watch(pads)
+        if tool is None and "payload_gravity" in errors.reads:
+            raise InvalidArgument("the scenario has a payload: name the site where it sits, tool='...'")
+
+    def _check(self, joint: np.ndarray) -> None:
+        m, motor = self.model, self.motor
+        turns = np.isin(m.jnt_type[joint], (2, 3))  # slide, hinge
+        drives = (m.actuator_trntype[motor] == 0) & (m.actuator_trnid[motor, 0] == joint)
+        plain = (m.actuator_gaintype[motor] == 0) & (m.actuator_biastype[motor] == 0) & (m.actuator_dyntype[motor] == 0)
+        for index in np.flatnonzero(~(turns & drives & plain)):
+            raise InvalidArgument(f"actuator {motor[index]} at joint {joint[index]} of the model is no motor of one hinge or "
+                                  "slide: the errors bend torques; name <motor joint=...> actuators")
+
+    def _limits(self) -> Sequence[np.ndarray]:
+        m, ends = self.model, np.full((len(self.motor), 2), [-np.inf, np.inf])
+        for limited, given, scale in ((m.actuator_ctrllimited, m.actuator_ctrlrange, self.gear),
+                                      (m.actuator_forcelimited, m.actuator_forcerange, m.actuator_gear[self.motor, 0])):
+            on = limited[self.motor] != 0
+            bounds = np.sort(given[self.motor] * scale[:, None], axis=1)
+            ends[on, 0], ends[on, 1] = np.maximum(ends, bounds)[on, 0], np.minimum(ends, bounds)[on, 1]
+        return np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1])
+
+    def q(self) -> np.ndarray:
+        return self.data.qpos[self.qpos]
+
+    def dq(self) -> np.ndarray:
+        return self.data.qvel[self.dof]
+
+    @property
+    def torques(self) -> np.ndarray:
+        """What `ctrl` asks for [Nm]."""
+        m, ctrl = self.model, self.data.ctrl[self.motor]
+        bounds = m.actuator_ctrlrange[self.motor]
+        return self.gear * np.where(m.actuator_ctrllimited[self.motor] != 0, np.clip(ctrl, bounds[:, 0], bounds[:, 1]), ctrl)
+
+    def begin_episode(self) -> None:
+        elsewhere = self.q() + 0.0123
+        if not np.array_equal(self.errors.reading(elsewhere, self.dq())[0], elsewhere):
+            raise InvalidArgument("the scenario bends what encoders read, and this environment takes positions from the "
+                                  "simulator: leave out its effects of stage sensor")
+        self.look()
+        self.errors.reset_attached(float(self.model.opt.timestep))
+
+    def look(self) -> None:
+        """Fills what act() does not read itself."""
+        for read, field in self.fields:
+            field[:] = read()
+
+    def actor(self, controller: Any) -> Callable[[], Any]:
+        """What a sub-step calls. controller: has the `torques` that it asks for now."""
+        act = self.errors.actor(controller)
+        if not self.fields:
+            return act
+
+        def look_and_act() -> None:
+            self.look()
+            act()
+        return look_and_act
+
+    def _mass_matrix(self) -> np.ndarray:
+        import mujoco  # type: ignore[import-not-found]
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, full, self.data.qM)
+        return full[np.ix_(self.dof, self.dof)]
+
+    def _other_torque(self) -> np.ndarray:
+        d = self.data
+        return d.qfrc_passive[self.dof] - d.qfrc_bias[self.dof] + d.qfrc_constraint[self.dof]
+
+    def _ddq(self) -> np.ndarray:
+        return self.data.qacc[self.dof]
+
+    def holds(self) -> bool:
+        """Whether both sides of the gripper touch one and the same free body."""
+        if self._side is None:
+            return False
+        contact, count = self.data.contact, self.data.ncon
+        first, second = contact.geom1[:count], contact.geom2[:count]
+        touching = np.flatnonzero(self._side[first] | self._side[second])
+        touched = {(int(self._side[a]), int(self._free[b])) for i in touching
+                   for a, b in ((first[i], second[i]), (second[i], first[i]))}
+        return any(side == 1 and body >= 0 and (2, body) in touched for side, body in touched)
+
+    def _watch(self, pads: Sequence[Sequence[int]]) -> None:
+        """Of each geom: the side of the gripper, 1 or 2, else 0; the free body that it is of, else -1."""
+        m = self.model
+        self._side: Optional[np.ndarray] = None
+        if not self.errors.reads_grasp:
+            return
+        if len(pads) != 2:
+            raise InvalidArgument("the scenario depends on a grasp: name the geoms of both sides of the gripper, pads=(...)")
+        self._side, root = np.zeros(m.ngeom, int), m.body_rootid[m.geom_bodyid]
+        for side, geoms in enumerate(pads, 1):
+            self._side[list(geoms)] = side
+        free = (m.body_jntnum[root] > 0) & (m.jnt_type[m.body_jntadr[root]] == 0)
+        self._free = np.where(free, root, -1)
+
+
+class ArmEpisode:
+    """An arm with its errors through control steps: when an episode begins, how far it is, what was done."""
+
+    def __init__(self, name: str, errors: JointErrors, settle_steps: int, make: Callable[[], MujocoArm]) -> None:
+        self.name, self.errors, self.settle_steps, self._make = name, errors, settle_steps, make
+        self.arm: Optional[MujocoArm] = None
+        self.steps, self.held, self.begun = 0, False, False
+
+    def begin_control_step(self) -> MujocoArm:
+        """With the model's positions up to date, before the first torques of a command."""
+        if not self.begun or self.arm is None:
+            self.arm = self._make()
+            self.arm.begin_episode()
+            self.steps, self.begun = 0, True
+        self.held = self.arm.holds()
+        self.errors.begin_control_step(max(0, self.steps - self.settle_steps), self.held)
+        self.steps += 1
+        return self.arm
+
+    def executed(self, action: Any) -> Dict[str, Any]:
+        """What became of a command."""
+        assert self.arm is not None
+        record = self.errors.record.copy()
+        return {"commanded": np.array(action), "asked": record[:, 0], "applied": record[:, 1], "q": self.arm.q(),
+                "dq": self.arm.dq(), "held": self.held}

@@ -1,0 +1,142 @@
+"""Wrapped arms of robosuite's environments, 1.4 and 1.5, and of what is built on them."""
+from __future__ import annotations
+
+import functools
+import sys
+from typing import Any, Callable, Dict, List, Optional, Tuple
+
+from robostress._library import InvalidArgument
+from robostress.joint_errors import JointErrors
+from robostress.mujoco_arm import ArmEpisode, MujocoArm
+
+Key = Tuple[int, str]
+
+
+def base_of(env: Any) -> Optional[Any]:
+    """The environment of robosuite in `env`, or None."""
+    kind = getattr(sys.modules.get("robosuite.environments.base"), "MujocoEnv", ())
+    while env is not None and not isinstance(env, kind):
+        env = vars(env).get("env") if hasattr(env, "__dict__") else None
+    return env
+
+
+class _Robot:
+    """One arm of a robot: 1.5 has parts, 1.4 one controller."""
+
+    def __init__(self, robot: Any, arm: str) -> None:
+        if hasattr(robot, "composite_controller"):
+            self.robot, arms = robot, list(robot.arms)
+            if arm not in arms:
+                raise InvalidArgument(f"arm is '{arm}', robot {robot.name} has {arms}")
+            self.controller: Callable[[], Any] = lambda: robot.part_controllers[arm]
+            self.joints = lambda: robot._ref_joints_indexes_dict[arm]
+            self.motors = lambda: robot._ref_actuators_indexes_dict[arm]
+            self.gripper = lambda: robot.gripper[arm]
+            self.count = len(robot.robot_model.arm_joints) // len(arms)
+            return
+        if isinstance(robot.controller, dict) or arm != "right":
+            raise InvalidArgument(f"{robot.name} has two arms, or arm is '{arm}': of robosuite 1.4 robots with one arm can be "
+                                  "wrapped, arm='right'")
+        self.controller = lambda: robot.controller
+        self.joints = lambda: robot._ref_joint_indexes
+        self.motors = lambda: robot._ref_joint_actuator_indexes
+        self.gripper = lambda: robot.gripper
+        self.count = len(robot.robot_joints)
+
+
+def _physics(sim: Any, name: str) -> Callable[[], Any]:
+    """The simulator's own sub-step; where nobody replaced it, without the way through robosuite's method."""
+    method = getattr(type(sim), name)
+    if name in vars(sim) or method.__module__ != "robosuite.utils.binding_utils":
+        return getattr(sim, name)
+    import mujoco  # type: ignore[import-not-found]
+    return functools.partial(getattr(mujoco, f"mj_{name}"), sim.model._model, sim.data._data)
+
+
+def _before(physics: Callable[[], Any], acts: List[Callable[[], Any]]) -> Callable[..., None]:
+    """`physics` after `acts`."""
+    def sub_step(*_: Any) -> None:
+        for act in acts:
+            act()
+        physics()
+
+    def sub_step_of_one(*_: Any) -> None:
+        act()
+        physics()
+
+    act = acts[0]
+    return sub_step if len(acts) > 1 else sub_step_of_one
+
+
+def _put_back(owner: Any, name: str, replaced: Any) -> None:
+    if replaced is None:
+        delattr(owner, name)
+    else:
+        setattr(owner, name, replaced)
+
+
+class RobosuiteArms:
+    """All wrapped arms of one environment: its step() puts them between its controllers and the physics."""
+
+    def __init__(self, base: Any) -> None:
+        self.base, self.sim = base, None
+        self.episodes: Dict[Key, ArmEpisode] = {}
+        self.robots: Dict[Key, _Robot] = {}
+        self._step, self._replaced = base.step, vars(base).get("step")
+        base.step, base._robostress = self.step, self
+
+    @staticmethod
+    def joints(base: Any, robot: int, arm: str) -> Tuple[int, bool]:
+        """How many the arm has, and whether it is a Panda's."""
+        if not 0 <= robot < len(base.robots):
+            raise InvalidArgument(f"robot is {robot}, must be 0 to {len(base.robots) - 1}")
+        found = base.robots[robot]
+        return _Robot(found, arm).count, "Panda" in type(found.robot_model).__name__
+
+    def add(self, key: Key, errors: JointErrors, settle_steps: int) -> ArmEpisode:
+        name = "robostress" if key == (0, "right") else f"robostress_{key[0]}_{key[1]}"
+        episode = ArmEpisode(name, errors, settle_steps, lambda: self._arm(key, errors))
+        self.episodes[key] = episode
+        return episode
+
+    def remove(self, key: Key) -> None:
+        self.episodes.pop(key, None)
+        if not self.episodes and vars(self.base).get("_robostress") is self:
+            _put_back(self.base, "step", self._replaced)
+            del self.base._robostress
+
+    def _arm(self, key: Key, errors: JointErrors) -> MujocoArm:
+        # A hard reset makes robots anew.
+        self.robots[key] = robot = _Robot(self.base.robots[key[0]], key[1])
+        sim, gripper = self.base.sim, robot.gripper()
+        geoms = gripper.important_geoms
+        pads: List[List[int]] = [[sim.model.geom_name2id(name) for name in geoms[side]]
+                                 for side in ("left_fingerpad", "right_fingerpad") if geoms.get(side)]
+        return MujocoArm(sim.model._model, sim.data._data, robot.joints(), robot.motors(), errors,
+                         tool=sim.model.site_name2id(gripper.important_sites["grip_site"]), pads=pads,
+                         rows=int(self.base.control_timestep / self.base.model_timestep))
+
+    def step(self, action: Any) -> Any:
+        base, sim = self.base, self.base.sim
+        if base.timestep == 0 or sim is not self.sim:
+            for episode in self.episodes.values():
+                episode.begun = False
+        self.sim = sim
+        name = "step2" if getattr(base, "lite_physics", False) else "step"
+        physics, replaced = _physics(sim, name), vars(sim).get(name)
+
+        def first(*_: Any) -> None:
+            acts = [episode.begin_control_step().actor(self.robots[key].controller())
+                    for key, episode in self.episodes.items()]
+            sub_step = _before(physics, acts)
+            setattr(sim, name, sub_step)
+            sub_step()
+
+        setattr(sim, name, first)
+        try:
+            result = self._step(action)
+        finally:
+            _put_back(sim, name, replaced)
+        for episode in self.episodes.values():
+            result[-1][episode.name] = episode.executed(action)
+        return result

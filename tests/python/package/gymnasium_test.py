@@ -1,0 +1,178 @@
+#!/usr/bin/env python3
+"""The wrapper around Gymnasium's MuJoCo environments, and the same bits on every MuJoCo."""
+import copy
+import pickle
+import unittest
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.utils.env_checker import check_env
+
+import robostress as rs
+from robostress.mujoco_arm import MujocoArm
+
+SHOULDER_TO_WRIST = ["r_shoulder_pan_joint", "r_shoulder_lift_joint", "r_upper_arm_roll_joint", "r_elbow_flex_joint",
+                     "r_forearm_roll_joint", "r_wrist_flex_joint", "r_wrist_roll_joint"]
+NOMINAL = np.tile([0.1, 0.15, 0.1, 0.1, 0.01, 0.1, 0.1, 500, 0.5], (7, 1))
+CHEETAH = ["bthigh", "bshin", "bfoot"]
+
+
+def pusher(scenario="aged_joint_uniform", **more):
+    return rs.wrap(gymnasium.make("Pusher-v5"), scenario, actuators=SHOULDER_TO_WRIST,
+                   **{**({} if scenario == "clean" else {"nominal": NOMINAL}), **more})
+
+
+def play(env, steps=20):
+    env.reset(seed=5)
+    return go_on(env, steps)
+
+
+def go_on(env, steps):
+    played = []
+    for k in range(steps):
+        action = 0.8 * np.sin(0.3 * k + np.arange(env.action_space.shape[0]))
+        played.append(env.step(action.astype(np.float32))[0])
+    return np.array(played)
+
+
+def chain():
+    """An arm of seven motors, a site at its end."""
+    inside = '<site name="tool" pos="0 0 0.1"/>'
+    for i in reversed(range(7)):
+        inside = (f'<body pos="0.01 0 0.2"><joint name="j{i}" axis="{i % 2} {1 - i % 2} 0"/>'
+                  f'<geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.2"/>{inside}</body>')
+    motors = "".join(f'<motor name="m{i}" joint="j{i}" ctrllimited="true" ctrlrange="-80 80"/>' for i in range(7))
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="0.002"/><worldbody>{inside}</worldbody><actuator>{motors}</actuator></mujoco>')
+    return model, mujoco.MjData(model)
+
+
+class Bits(unittest.TestCase):
+    def test_equal_inputs_give_equal_bits_whatever_mujoco(self):
+        """Beside the library alone, in arrays that no MuJoCo has seen."""
+        model, data = chain()
+        for scenario in rs.scenarios():
+            draws = rs.Stream("bits", 1, scenario.name)
+            arm = MujocoArm(model, data, range(7), range(7), rs.JointErrors(scenario.name), tool=0,
+                            pads=([0], [1]), rows=25)
+            plain = {name: np.zeros_like(getattr(data, name)) for name in ("qpos", "qvel", "ctrl", "xaxis", "xanchor",
+                                                                           "subtree_com")}
+            alone, tool = rs.JointErrors(scenario.name), np.zeros(3)
+            alone.bind(torque_low=np.full(7, -80.0), torque_high=np.full(7, 80.0))
+            mass = model.body_subtreemass.copy()
+            alone.attach(model.opt.gravity.copy(), rows=25, tool=tool, subtree_mass=mass, qpos_index=range(7),
+                         dof_index=range(7), ctrl_index=range(7), joint_index=range(7), body_index=range(1, 8), **plain)
+            for k in range(75):
+                asked = 10 * draws.normal(7)
+                given = {name: draws.normal(values.size).reshape(values.shape) for name, values in plain.items()}
+                if k > 0:
+                    given["qpos"] = data.qpos + 1e-3 * given["qpos"]
+                for name, values in given.items():
+                    plain[name][...] = values
+                    getattr(data, name)[...] = values
+                tool[:] = data.site_xpos[0] = draws.normal(3)
+                if k == 0:
+                    arm.begin_episode()
+                    alone.reset_attached(0.002)
+                for errors in (arm.errors, alone):
+                    if k % 25 == 0:
+                        errors.begin_control_step(k // 25, held=True)
+                    errors.act(asked)
+                np.testing.assert_array_equal(data.ctrl, plain["ctrl"], err_msg=scenario.name)
+                np.testing.assert_array_equal(data.qpos, plain["qpos"], err_msg=scenario.name)
+            np.testing.assert_array_equal(arm.errors.record, alone.record)
+
+
+class Gymnasium(unittest.TestCase):
+    def test_without_errors_nothing_changes(self):
+        for name, actuators in (("Pusher-v5", SHOULDER_TO_WRIST), ("HalfCheetah-v5", CHEETAH), ("Reacher-v5", ["joint0"])):
+            env = gymnasium.make(name)
+            before = play(env)
+            wrapped = rs.wrap(env, "clean", actuators=actuators)
+            np.testing.assert_array_equal(play(wrapped), before, err_msg=name)
+            self.assertIs(wrapped.unwrap(), env)
+            self.assertNotIn("step", vars(env.unwrapped))
+            np.testing.assert_array_equal(play(env), before)
+
+    def test_info_tells_what_became_of_a_command(self):
+        env = pusher()
+        env.reset(seed=5)
+        action = np.full(7, 1.5, np.float32)
+        told = env.step(action)[-1]["robostress"]
+        np.testing.assert_array_equal(told["commanded"], action)
+        np.testing.assert_array_equal(told["asked"], np.full((5, 7), 1.5))
+        self.assertGreater(np.abs(told["applied"] - told["asked"]).max(), 0.05)
+        np.testing.assert_array_equal(told["q"], env.unwrapped.data.qpos[:7])
+        self.assertGreater(np.abs(play(env) - play(pusher("clean"))).max(), 1e-3)
+
+    def test_gears_turn_commands_into_torques(self):
+        env = rs.wrap(gymnasium.make("HalfCheetah-v5"), "clean", actuators=CHEETAH)
+        env.errors.add_effect(0, "motor_gain", [-0.75])
+        env.reset(seed=5)
+        for _ in range(3):
+            told = env.step(np.full(6, 0.5, np.float32))[-1]["robostress"]
+        np.testing.assert_array_equal(told["asked"], np.tile([60.0, 45, 30], (5, 1)))
+        np.testing.assert_allclose(told["applied"], np.tile([15.0, 45, 30], (5, 1)))
+        np.testing.assert_allclose(env.unwrapped.data.ctrl, [0.125, 0.5, 0.5, 0.5, 0.5, 0.5])
+
+    def test_friction_that_sticks_reads_masses(self):
+        env = rs.wrap(gymnasium.make("HalfCheetah-v5"), "clean", actuators=CHEETAH)
+        env.errors.add_effect(0, "stribeck_friction", [8.0, 12, 0.1, 0.5])
+        env.reset(seed=5)
+        for k in range(10):
+            told = env.step(np.full(6, 0.5 * (-1)**k, np.float32))[-1]["robostress"]
+        self.assertIn("mass_matrix", env.errors.reads)
+        lost = np.abs(told["asked"] - told["applied"])
+        self.assertGreater(lost[:, 0].max(), 1)
+        np.testing.assert_array_equal(lost[:, 1:], 0)
+
+    def test_an_episode_begins_at_each_reset(self):
+        env = pusher()
+        first = play(env)
+        env.unwrapped.reset(seed=5)  # in mid-episode, past the wrapper
+        np.testing.assert_array_equal(go_on(env, 20), first)
+
+    def test_is_a_gymnasium_environment(self):
+        env = pusher()
+        self.assertIsInstance(env, gymnasium.Env)
+        check_env(env, skip_render_check=True)
+        several = gymnasium.vector.AsyncVectorEnv([pusher, pusher])
+        several.reset(seed=[5, 5])
+        seen = several.step(np.full((2, 7), 0.5, np.float32))[0]
+        several.close()
+        np.testing.assert_array_equal(seen[0], seen[1])
+
+    def test_closes_once_and_copies_never(self):
+        env = pusher()
+        for copied in (copy.deepcopy, pickle.dumps):
+            with self.assertRaisesRegex(TypeError, "cannot be copied or pickled"):
+                copied(env)
+        env.close()
+        env.close()
+        with self.assertRaisesRegex(rs.WrongOrder, "closed"):
+            env.step(np.zeros(7, np.float32))
+
+    def test_says_what_cannot_be_wrapped(self):
+        env = gymnasium.make("Pusher-v5")
+        for scenario, more, words in (
+                ("clean", {}, "actuators is empty"), ("clean", {"actuators": ["elbow"]}, "'elbow' is not in .*r_elbow_flex"),
+                ("nominal", {"actuators": SHOULDER_TO_WRIST}, "the arm is another: give its own, nominal="),
+                ("heavy_payload", {"actuators": SHOULDER_TO_WRIST, "nominal": NOMINAL}, "depends on a grasp|where it sits"),
+                ("clean", {"actuators": SHOULDER_TO_WRIST, "tool": "hand"}, "site 'hand' is not in")):
+            with self.assertRaisesRegex(rs.RobostressError, words):
+                rs.wrap(env, scenario, **more)
+        wrapped = rs.wrap(env, "clean", actuators=SHOULDER_TO_WRIST)
+        with self.assertRaisesRegex(rs.InvalidArgument, "wrapped already"):
+            rs.wrap(wrapped, "clean", actuators=SHOULDER_TO_WRIST)
+        with self.assertRaisesRegex(rs.InvalidArgument, "no environment of robosuite, nor of"):
+            rs.wrap(gymnasium.make("CartPole-v1"), "clean", actuators=["cart"])
+        model = mujoco.MjModel.from_xml_string(
+            '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>'
+            '<actuator><position joint="j" kp="9"/></actuator></mujoco>')
+        with self.assertRaisesRegex(rs.InvalidArgument, "actuator 0 at joint 0 of the model is no motor"):
+            MujocoArm(model, mujoco.MjData(model), [0], [0], rs.JointErrors("clean", 1))
+
+
+print(f"Gymnasium {gymnasium.__version__}, MuJoCo {mujoco.__version__}", flush=True)
+unittest.main(verbosity=1)
