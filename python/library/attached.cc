@@ -129,7 +129,8 @@ absl::Status ActAttached(robostress_errors* errors) {
   RS_RETURN_IF_ERROR(CheckAttached(errors));
   Attachment& attached = errors->attached;
   robostress_moment from = {};
-  std::memcpy(&from, attached.moment, attached.moment->size);  // checked by Attach
+  // Attach has checked the size; a caller's memory may have another by now.
+  std::memcpy(&from, attached.moment, std::min(attached.moment->size, sizeof(from)));
   robostress_moment at = MomentIn(*errors, attached.arrays, from);
   at.time = static_cast<double>(errors->sub_steps) * at.step;
   const int n = errors->chain.joints();
