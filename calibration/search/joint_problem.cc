@@ -10,7 +10,7 @@ namespace robostress::calibration {
 namespace {
 
 constexpr int kMaxResiduals = 8000;  // of a problem; more rows are thinned out
-constexpr int kEnoughRuns = 8;         // of a log
+constexpr int kEnoughRuns = 8;       // of a log
 constexpr int kReversalRows = 8;     // silent each side of a reversal
 constexpr double kStep = 1e-4;       // of forward differences, in units of the scale
 // The measured state of a start is believed to this many standard deviations: beside noise it has
