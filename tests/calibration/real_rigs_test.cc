@@ -68,7 +68,7 @@ TEST_F(RealRig, Kr300HasADelayBetweenItsChannelsAndNoBacklash) {
     EXPECT_EQ(std::count(types.begin(), types.end(), "backlash"), 0);
     EXPECT_EQ(types.front(), "transport_delay");
     const Json& parameters = joint["effects_added"][0]["parameters"];
-    EXPECT_GE(parameters.value("delay_s", 0.0), 2.6e-3);
+    EXPECT_GE(parameters.value("delay_s", 0.0), 2.5e-3);
     EXPECT_LE(parameters.value("delay_s", 0.0), 3.2e-3);
   }
 }
