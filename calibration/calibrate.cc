@@ -19,8 +19,7 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr int kMorePasses = 2;     // over the joints of an arm
-constexpr double kSettled = 1.15;  // times the noise: nothing is left to explain
+constexpr int kMorePasses = 2;  // over the joints of an arm
 
 std::vector<std::string> TypesOf(const JointReport& joint) {
   std::vector<std::string> types;
@@ -139,20 +138,21 @@ absl::StatusOr<std::vector<JointReport>> TraceJoints(const Rig& rig, const Plant
   return reports;
 }
 
-// Those of the report that are left with more than noise.
+// Joints to trace again: another one lacked something, which its motion had and this joint felt.
+// What a model without it explains to the noise stays so.
 std::vector<int> OpenJoints(const Rig& rig, const CalibrationReport& report) {
   std::vector<int> open;
   for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i)
-    for (const JointReport& joint : report.joints)
-      if (joint.joint == rig.joints[i].name && joint.verdict != Verdict::kDeclaredSufficient &&
-          joint.verdict != Verdict::kNotTestable && joint.times_noise.after > kSettled)
+    for (const JointReport& joint : report.joints) {
+      if (joint.joint != rig.joints[i].name || joint.verdict == Verdict::kDeclaredSufficient ||
+          joint.verdict == Verdict::kNotTestable)
+        continue;
+      if (std::any_of(report.joints.begin(), report.joints.end(), [&](const JointReport& other) {
+            return other.joint != joint.joint && !other.effects.empty();
+          }))
         open.push_back(i);
+    }
   return open;
-}
-
-bool AddsAnything(const CalibrationReport& report) {
-  return std::any_of(report.joints.begin(), report.joints.end(),
-                     [](const JointReport& joint) { return !joint.effects.empty(); });
 }
 
 }  // namespace
@@ -194,7 +194,7 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
   // What a joint lacks was in its motion too, which the others feel.
   for (int pass = 0; pass < kMorePasses && !plant->single(); ++pass) {
     const std::vector<int> open = OpenJoints(rig, report);
-    if (open.empty() || !AddsAnything(report)) break;
+    if (open.empty()) break;
     options.progress("motions of the arm with what was found");
     RS_RETURN_IF_ERROR(AidArmMotions(result.after, *plant, logs));
     RS_ASSIGN_OR_RETURN(std::vector<JointReport> again,

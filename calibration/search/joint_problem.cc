@@ -108,12 +108,14 @@ void JointProblem::Predict(const JointModel& model, size_t index, const std::vec
   const std::vector<double>& measured = track.measured(model.input);
   for (size_t i = 0; i < residual.size(); ++i) residual[i] -= measured[i];
   if (model.input == JointInput::kInverse) SilenceReversals(track.record(), residual);
-  for (size_t i = 0; i < silent_[index].size(); ++i)
-    if (silent_[index][i]) residual[i] = 0;
-  if (model.input != JointInput::kTransmission) return;
-  double mean = 0;
-  for (const double value : residual) mean += value / static_cast<double>(residual.size());
-  for (double& value : residual) value -= mean;
+  const std::vector<char>& silent = silent_[index];
+  const auto heard = [&](size_t row) { return silent.empty() || !silent[row]; };
+  double mean = 0, count = 0;
+  for (size_t i = 0; i < residual.size(); ++i)
+    if (heard(i)) mean += residual[i], count += 1;
+  // Two encoders have two zeros.
+  mean = model.input == JointInput::kTransmission ? mean / std::max(count, 1.0) : 0;
+  for (size_t i = 0; i < residual.size(); ++i) residual[i] = heard(i) ? residual[i] - mean : 0;
 }
 
 std::vector<double> JointProblem::TrackResidual(const JointModel& model, size_t track) const {

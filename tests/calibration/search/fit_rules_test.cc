@@ -153,6 +153,27 @@ TEST_F(FitRules, TheFirstOfManyRunsSaysNothing) {
   EXPECT_NE(whole.TrackResidual(off, 0)[0], 0);
 }
 
+TEST(JointProblem, TheZeroBetweenTwoEncodersIsThatOfTheRowsThatAreHeard) {
+  generator::RigOptions options;
+  options.family = generator::Family::kTransmission;
+  options.richness = generator::Richness::kBrief;
+  const auto machine = generator::GenerateRig(options);
+  ASSERT_TRUE(machine.ok()) << machine.status();
+  const std::string folder = testing::TempDir() + "/two_encoders";
+  ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder).ok());
+  const auto rig = LoadRig(folder + "/rig.yaml");
+  ASSERT_TRUE(rig.ok()) << rig.status();
+  const std::vector<JointTrack> tracks = MakeTracks(*rig->plant, rig->logs, 0);
+  const JointProblem problem("hinge", tracks, tracks[0].log->rows / 10);
+  const JointModel model = rig->Declared(0)->model;
+  JointModel off = model;
+  off.position_offset += 1;
+  const std::vector<double> here = problem.TrackResidual(model, 0),
+                            there = problem.TrackResidual(off, 0);
+  for (size_t row = 0; row < here.size(); ++row) EXPECT_NEAR(here[row], there[row], 1e-9) << row;
+  std::filesystem::remove_all(folder);
+}
+
 TEST_F(FitRules, LateParametersAreFreedOfWhatWasAddedOnly) {
   Hypothesis soft = WithEffect(declared_, **FindEffect("compliance"), rig_.Scales(0)).front();
   const auto is_late = [](const FreeParameter& p) {
