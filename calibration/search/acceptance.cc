@@ -55,8 +55,9 @@ bool Acceptance::ExplainsMore(const TracedModel& base, const TracedModel& model)
 std::string Acceptance::Objection(const TracedModel& base, const TracedModel& model,
                                   double p) const {
   if (model.cv.energy.empty()) return "others fit better";
-  if (p > kMaxPValue) return absl::StrFormat("chance explains as much (p = %.3f)", p);
   const double gain = 1 - model.cv.Rms() / base.cv.Rms();
+  if (p > kMaxPValue && gain < kNoChance)
+    return absl::StrFormat("chance explains as much (p = %.3f)", p);
   if (gain < kMinCvGain)
     return absl::StrFormat("the cross-validated error falls by %.1f %% only", 100 * gain);
   if (!ExplainsMore(base, model))

@@ -11,6 +11,9 @@ class Acceptance {
  public:
   static constexpr double kMaxPValue = 0.01;
   static constexpr double kMinCvGain = 0.02;
+  // Of the cross-validated error: so much is no chance, whatever the signature promised where the
+  // declared parameters stood in for the effect.
+  static constexpr double kNoChance = 0.5;
 
   // `floor` [rad]: the noise's share of a projected residual. `problem` outlives this.
   Acceptance(const JointProblem& problem, const WindowSet& fit_windows, double floor)

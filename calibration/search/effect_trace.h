@@ -34,7 +34,8 @@ struct Trace {
 };
 
 // Forward selection with a beam. A candidate is accepted when its signature explains more of the
-// residual than any of the library does by chance (p <= 0.01, null distribution of this round), a
+// residual than any of the library does by chance (p <= 0.01, null distribution of this round; no
+// more is asked where half of the cross-validated error goes), a
 // refit lowers the cross-validated error by 2 % and the BIC by 10, most folds gain, and its size
 // agrees over the folds and lies within its bounds. Then earlier effects are tested again, and
 // every effect against its rivals. Where no single effect is accepted, pairs are tried in the same

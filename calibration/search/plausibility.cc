@@ -14,7 +14,8 @@ namespace {
 constexpr double kSlack = 0.1;       // of the friction's parts, that may be missing
 constexpr double kSigmas = 2;        // of their standard errors
 constexpr double kLeastDrive = 0.2;  // of the drive, that must be left at the end of a log
-constexpr int kRowStep = 4;          // rows that are looked at
+constexpr double kKnownCoupling = 0.05;
+constexpr int kRowStep = 4;  // rows that are looked at
 
 // What resists motion; a torque of these is viscous.
 bool Rubs(const EffectInstance& effect) {
@@ -117,6 +118,28 @@ std::string FadingDoubt(const JointProblem& problem, const JointModel& model) {
   return "";
 }
 
+// The torque that another joint's acceleration brings is known as well as that acceleration.
+std::string CouplingDoubt(const JointProblem& problem, const JointModel& model) {
+  for (const EffectInstance& effect : model.effects) {
+    if (effect.info->type != "cross_joint_inertia") continue;
+    double added = 0, known = 0;
+    for (const JointTrack& track : problem.tracks()) {
+      const std::vector<double>& ddq = track.log->joints[effect.partner].motion.ddq;
+      for (size_t row = 0; row < ddq.size() && !track.single; ++row) {
+        added += std::pow(effect.values[0] * ddq[row], 2);
+        known += std::pow(track.rows[row].coupling, 2);
+      }
+    }
+    const double share = known > 0 ? std::sqrt(added / known) : 1;
+    if (share < kKnownCoupling)
+      return absl::StrFormat(
+          "cross_joint_inertia is %.1f %% of the torque that couples the joints by the model, and "
+          "smoothed accelerations leave up to %.0f %%",
+          100 * share, 100 * kKnownCoupling);
+  }
+  return "";
+}
+
 }  // namespace
 
 bool IsAbsence(const Hypothesis& h, int free) {
@@ -155,6 +178,7 @@ std::string PhysicalDoubt(const JointProblem& problem, const JointFit& fit,
                           const std::vector<double>& std) {
   JointModel model = ModelAt(fit.best, fit.best.x);
   if (std::string fading = FadingDoubt(problem, model); !fading.empty()) return fading;
+  if (std::string coupling = CouplingDoubt(problem, model); !coupling.empty()) return coupling;
   std::erase_if(model.effects, [](const EffectInstance& effect) { return !Rubs(effect); });
   if (model.effects.empty()) return "";
   EffectChain chain(model);

@@ -60,8 +60,11 @@ TEST_F(AcceptanceTest, ExcessIsTheEnergyAboveTheNoise) {
 }
 
 TEST_F(AcceptanceTest, RefusesWhatChanceExplainsAsWell) {
+  good_.cv = Errors(0.0201);
   EXPECT_EQ(Objection(good_, 0.0099), "");
   EXPECT_THAT(Objection(good_, 0.0101), HasSubstr("chance explains as much (p = 0.010)"));
+  good_.cv = Errors(0.0199);  // half of the error is no chance
+  EXPECT_EQ(Objection(good_, 0.04), "");
 }
 
 TEST_F(AcceptanceTest, RefusesWhatIsNoBetterOnRunsThatWereNotFitted) {
