@@ -9,6 +9,8 @@ namespace {
 
 constexpr int kNewtonSteps = 8;
 constexpr double kNewtonTolerance = 1e-13;  // [rad]
+constexpr double kRatioStep = 1e-5;         // [rad]
+constexpr double kLeastSpeedRatio = 0.1;
 
 JointChain ChainOf(const JointModel& model) {
   JointChain chain(1);
@@ -32,6 +34,8 @@ EffectChain::EffectChain(const JointModel& model, JointChain chain)
         stage(effect.info->stage)[placed[static_cast<int>(effect.info->stage)]++].effect.get();
     has_state |= object->HasState();
     oscillates |= effect.info->type == "compliance";
+    if (effect.info->stage == EffectStage::kTransmission && !object->HasState())
+      waves_.push_back(object);
     if (effect.info->type == "backlash") gaps_.push_back({object, effect.values[0]});
     if (effect.info->stage == EffectStage::kJoint)
       (object->HasState() ? with_memory : memoryless).push_back(object);
@@ -43,6 +47,8 @@ EffectChain::EffectChain(const JointModel& model, JointChain chain)
 EffectChain EffectChain::Copy() const {
   EffectChain copy(model_, chain_);
   copy.side_ = side_;
+  copy.of_states_ = of_states_;
+  copy.drift_ = drift_;
   return copy;
 }
 
@@ -50,6 +56,8 @@ void EffectChain::Reset(const JointMoment& moment) {
   for (EffectStage s : {EffectStage::kDrive, EffectStage::kJoint, EffectStage::kTransmission})
     for (const JointChain::Link& link : stage(s)) link.effect->Reset(moment);
   side_ = 0;
+  Offset(moment);
+  drift_ = 0;
 }
 
 double EffectChain::Drive(double torque, const JointMoment& moment) const {
@@ -71,15 +79,46 @@ double EffectChain::Asked(double torque, double asked, const JointMoment& moment
 
 double EffectChain::Offset(const JointMoment& moment) {
   double sum = 0;
+  const double before = of_states_;
+  of_states_ = 0;
   for (const JointChain::Link& link : stage(EffectStage::kTransmission)) {
     const double part = link.effect->Offset(moment);
     sum += part;
+    if (link.effect->HasState()) of_states_ += part;
     for (const Gap& gap : gaps_) {
       if (gap.effect != link.effect.get()) continue;
       side_ = std::abs(part) < (1 - 1e-9) * gap.half_width ? 0 : part < 0 ? 1 : -1;
     }
   }
+  if (oscillates && moment.h > 0) drift_ = (of_states_ - before) / moment.h;
   return sum;
+}
+
+double EffectChain::OffsetAt(double q, double later) const {
+  JointMoment moment;
+  moment.q = q;
+  double sum = of_states_ + later * drift_;
+  for (JointEffect* wave : waves_) sum += wave->Offset(moment);
+  return sum;
+}
+
+double EffectChain::SpeedRatio(double q_motor) const {
+  if (!has_wave()) return 1;
+  const double slope =
+      (OffsetAt(q_motor + kRatioStep) - OffsetAt(q_motor - kRatioStep)) / (2 * kRatioStep);
+  return std::max(kLeastSpeedRatio, 1 + slope);
+}
+
+// Newton's method. A link that stands still or goes back while the motor turns has no such inverse:
+// the slope is bounded.
+double EffectChain::MotorOf(double q_link) const {
+  double q = q_link - of_states_;
+  for (int i = 0; i < kNewtonSteps && has_wave(); ++i) {
+    const double step = (q + OffsetAt(q) - q_link) / SpeedRatio(q);
+    q -= step;
+    if (std::abs(step) < kNewtonTolerance) break;
+  }
+  return q;
 }
 
 double EffectChain::Reading(double q_link) const {

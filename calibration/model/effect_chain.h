@@ -26,8 +26,16 @@ class EffectChain {
   double Reading(double q_link) const;
   // The link angle of a reading.
   double LinkOf(double reading) const;
+  // The offset where the motor has turned on to `q`, `later` [s] after the last Offset.
+  double OffsetAt(double q, double later = 0) const;
+  // The motor's angle of a link angle, its state as at the last Offset, and what a link's velocity
+  // is there of the motor's.
+  double MotorOf(double q_link) const;
+  double SpeedRatio(double q_motor) const;
 
   bool has_gap() const { return !gaps_.empty(); }
+  // Whether the offset depends on where the motor is, and on nothing before.
+  bool has_wave() const { return !waves_.empty(); }
   // Whether a state depends on a way that was gone long ago.
   bool remembers_way() const { return has_gap() || !with_memory.empty(); }
   // Whether a motor that moves with `dq` from where it was at the last Offset does not move the
@@ -50,6 +58,9 @@ class EffectChain {
   const JointModel& model_;
   JointChain chain_;
   std::vector<Gap> gaps_;
+  std::vector<JointEffect*> waves_;  // of the transmission, without a state
+  double of_states_ = 0;             // the others' part of the last Offset [rad]
+  double drift_ = 0;                 // of that part, where it oscillates [rad/s]
   double position_offset_ = 0;
   int side_ = 0;  // that the motor pushes: forwards 1, backwards -1; 0: within the gap
 };

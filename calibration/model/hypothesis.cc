@@ -206,18 +206,22 @@ std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& eff
 
 Hypothesis WithLateParameters(const Hypothesis& base, const std::vector<std::string>& types) {
   Hypothesis h = base;
+  const auto add = [&h](FreeParameter free, double value) {
+    if (std::any_of(h.free.begin(), h.free.end(),
+                    [&](const FreeParameter& known) { return known.path == free.path; }))
+      return;
+    h.x.conservativeResize(h.x.size() + 1);
+    h.x[h.x.size() - 1] = free.FromValue(value);
+    h.free.push_back(std::move(free));
+  };
   for (const EffectInstance& effect : base.model.effects) {
     if (std::find(types.begin(), types.end(), effect.info->type) == types.end()) continue;
-    for (size_t i = 0; i < effect.info->parameters.size(); ++i) {
-      if (!effect.info->parameters[i].late) continue;
-      FreeParameter free = EffectFreeParameter(*effect.info, i, {});
-      if (std::any_of(base.free.begin(), base.free.end(),
-                      [&](const FreeParameter& known) { return known.path == free.path; }))
-        continue;
-      h.x.conservativeResize(h.x.size() + 1);
-      h.x[h.x.size() - 1] = free.FromValue(effect.values[i]);
-      h.free.push_back(std::move(free));
-    }
+    for (size_t i = 0; i < effect.info->parameters.size(); ++i)
+      if (effect.info->parameters[i].late)
+        add(EffectFreeParameter(*effect.info, i, {}), effect.values[i]);
+    // Beside a lag, whether commands hold over a row shows in what is left.
+    if (effect.info->type == "servo_lag")
+      add(ModelParameter("command_shift", h.model, {}, 0), h.model.command_shift);
   }
   return h;
 }

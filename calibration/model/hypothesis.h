@@ -43,7 +43,8 @@ absl::StatusOr<Hypothesis> DeclaredHypothesis(const RigJoint& joint, const Joint
 // of the command takes the place of the free command_shift.
 std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& effect,
                                    const SignalScales& scales, int partner = -1);
-// With the late parameters of the effects of these types free.
+// With the late parameters of the effects of these types free; of a servo_lag the command_shift,
+// whose place it took.
 Hypothesis WithLateParameters(const Hypothesis& base, const std::vector<std::string>& types);
 // Whether logs hold what an effect reads beside motion and torque: a temperature that changes.
 bool IsLogged(const EffectInfo& effect, const SignalScales& scales);

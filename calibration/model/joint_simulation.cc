@@ -10,6 +10,7 @@ namespace robostress::calibration {
 
 namespace {
 constexpr double kRunaway = 1e4;         // [rad]
+constexpr double kObserverRate = 50;     // [1/s]
 constexpr double kMostLoadSlope = 0.95;  // [Nm/Nm] of friction by the torque that it loads
 }  // namespace
 
@@ -207,7 +208,9 @@ double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int
 
   Asked asked{command, 0};
   if (model.input == JointInput::kPositionTarget) {
-    const double side = model.servo.feedback == ServoFeedback::kMotor ? middle : middle + s.offset;
+    const double side = model.servo.feedback == ServoFeedback::kMotor
+                            ? middle
+                            : middle + chain.OffsetAt(middle, 0.5 * h_);
     asked = ServoTorque(model.servo, command, chain.Reading(side), s.dq);
   }
   if (!Enabled(row)) asked = {};
@@ -238,6 +241,8 @@ double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int
   // Friction that falls with the velocity drives itself: taken at the middle of the sub-step.
   const double mean = 0.5 * (s.dq + stroke.dq);
   if (!chain.memoryless.empty() && mean * s.dq > 0) stroke = stroke_at(mean);
+  // Until now it was the motor's torque at the velocity that the sub-step began with.
+  moment.drive -= model.torque_gain * asked.slope * (mean - s.dq);
   s.q += stroke.way;
   s.dq = stroke.dq;
   s.t += h_;
@@ -263,7 +268,8 @@ JointMoment JointSimulation::MeasuredMoment(const JointModel& model, const Effec
   moment.t = (row + share) * track_.log->dt;
   const double middle = (step + 0.5) / steps;
   moment.dq = record.dq[row] + middle * (record.dq[next] - record.dq[row]);
-  moment.q = chain.MovesAlone(moment.dq) ? s.q : link - s.offset;
+  moment.q = chain.MovesAlone(moment.dq) ? s.q : chain.MotorOf(link);
+  moment.dq /= chain.SpeedRatio(moment.q);
   Describe(chain, row, moment.q, moment);
   const double command =
       commands_[static_cast<size_t>(row) * sub_steps_ + step * sub_steps_ / steps];
@@ -290,6 +296,7 @@ int JointSimulation::LeadFrom(int start, const EffectChain& chain) const {
 void JointSimulation::BeginLead(const JointModel& model, EffectChain& chain, int first, State& s) {
   const JointRecord& record = track_.record();
   s = {.q = chain.LinkOf(record.q_smooth[first]), .dq = record.dq[first]};
+  chain.Reset({.h = h_});  // of the lead before
   const JointMoment moment = MeasuredMoment(model, chain, first, 0, s);
   chain.Reset(moment);
   s.offset = chain.Offset(moment);
@@ -299,8 +306,19 @@ void JointSimulation::BeginLead(const JointModel& model, EffectChain& chain, int
 void JointSimulation::Lead(const JointModel& model, EffectChain& chain, int first, int last,
                            State& s) {
   const JointRecord& record = track_.record();
+  // Critically damped, as an alpha-beta filter.
+  const double dt = track_.log->dt, z = std::exp(-kObserverRate * dt);
   for (int row = first; row < last; ++row) {
-    s.t = row * track_.log->dt;
+    s.t = row * dt;
+    if (chain.oscillates) {
+      for (int i = 0; i < sub_steps_; ++i)
+        SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
+      const double ahead = chain.LinkOf(record.q_smooth[row + 1]) - s.q - s.offset;
+      if (chain.MovesAlone(s.dq)) continue;
+      s.q += (1 - z * z) * ahead;
+      s.dq += (1 - z) * (1 - z) / dt * ahead;
+      continue;
+    }
     if (!record.velocity_of_motor && chain.MovesAlone(record.dq[row])) {
       for (int i = 0; i < sub_steps_; ++i)
         SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
@@ -315,10 +333,17 @@ void JointSimulation::Lead(const JointModel& model, EffectChain& chain, int firs
       s.dq = moment.dq;
     }
   }
-  s.t = last * track_.log->dt;
+  s.t = last * dt;
   const bool alone = chain.MovesAlone(record.dq[last]);
-  if (!alone) s.q = chain.LinkOf(record.q_smooth[last]) - s.offset;
-  if (!alone || record.velocity_of_motor) s.dq = record.dq[last];
+  if (!alone) {
+    s.q = chain.MotorOf(chain.LinkOf(record.q_smooth[last]));
+    s.offset = chain.OffsetAt(s.q);
+  }
+  if (record.velocity_of_motor) {
+    s.dq = record.dq[last];
+  } else if (!alone && !chain.oscillates) {
+    s.dq = record.dq[last] / chain.SpeedRatio(s.q);
+  }
 }
 
 void JointSimulation::FreeRun(const JointModel& model, EffectChain& chain, int window,

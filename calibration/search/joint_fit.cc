@@ -205,6 +205,24 @@ JointFit Loosen(const JointProblem& problem, const JointFit& fit,
   return best.rms < (1 - kLooseningGain) * fit.rms ? best : fit;
 }
 
+JointFit DropIdle(const JointProblem& problem, JointFit fit, const std::string& type,
+                  const WindowSet& chosen) {
+  const EffectInfo& effect = **FindEffect(type);
+  if (effect.amplitudes.size() < 2) return fit;
+  const Eigen::VectorXd r = problem.Projected(ModelAt(fit.best, fit.best.x), chosen);
+  const Eigen::MatrixXd J = problem.Jacobian(fit.best, fit.best.x, r, chosen);
+  Hypothesis less = fit.best;
+  for (const int amplitude : effect.amplitudes) {
+    const std::string path = absl::StrCat(type, ".", effect.parameters[amplitude].name);
+    const int before = IndexOf(fit.best, path), now = IndexOf(less, path);
+    if (before >= 0 && !(J.col(before).norm() > 0)) less = FixedAtZero(less, now);
+  }
+  const size_t left = less.free.size();
+  return left < fit.best.free.size()
+             ? Minimise(problem, less, chosen, kSettleIterations, kSearchTolerance)
+             : fit;
+}
+
 bool HasFreeFriction(const Hypothesis& h) {
   return IndexOf(h, "stribeck_friction.Fs") >= 0 || IndexOf(h, "stribeck_friction.vs") >= 0;
 }

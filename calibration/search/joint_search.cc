@@ -90,15 +90,17 @@ class Search {
     return joint_.problem.Rows(joint_.problem.OfRole(LogRole::kHeldOut)) > 0;
   }
 
-  // Drops effects without which held-out runs, and whole runs, are predicted as well: the last
-  // first, because it mattered least.
+  // Drops effects without which held-out runs are predicted to their noise, or they and whole runs
+  // as well as with them: the last first, because it mattered least.
   void DropCostless(Trace& trace) const {
     if (!HasHeldOut()) return;
     const WindowSet held_out = joint_.Unseen();
     for (size_t i = trace.after.added.size(); i-- > 0 && trace.after.added.size() > 1;) {
       TracedModel shorter = Without(trace.after, i);
-      if (ErrorOf(shorter, held_out) > (1 + kCostless) * ErrorOf(trace.after, held_out) ||
-          WholeRunError(shorter) > (1 + kCostless) * WholeRunError(trace.after))
+      const double error = ErrorOf(shorter, held_out);
+      const bool noise = error <= joint_.problem.ProjectedFloor(held_out);
+      if (!noise && (error > (1 + kCostless) * ErrorOf(trace.after, held_out) ||
+                     WholeRunError(shorter) > (1 + kCostless) * WholeRunError(trace.after)))
         continue;
       options_.progress(
           absl::StrCat(trace.after.added[i], " is dropped: held-out runs do as well"));

@@ -90,6 +90,7 @@ void Refits::SettleBest(std::vector<TracedModel>& models, const std::vector<doub
     model.fit = Widen(problem_, model.fit, windows_);
     if (model.fit.rms > kAtFloor * problem_.ProjectedFloor(windows_))
       model.fit = Loosen(problem_, model.fit, model.added, windows_);
+    model.fit = DropIdle(problem_, model.fit, model.added.back(), windows_);
   });
 }
 

@@ -285,6 +285,7 @@ class Drawer {
     bool curved = false;
     for (const Drive& drive : rig_.truth.drives) curved |= drive.Fs > drive.Fc;
     rig_.declares_dry_friction = rig_.truth.drives[0].Fc > 0 && (curved || random_.Uniform() < 0.5);
+    rig_.friction_fit.resize(joints());
     for (int j = 0; j < joints(); ++j) {
       const Drive& is = rig_.truth.drives[j];
       Drive& said = told.drives[j];
@@ -295,19 +296,19 @@ class Drawer {
           said.armature *= random_.Uniform(0.6, 1.5);
         }
         if (rig_.declares_dry_friction) {
-          rig_.friction_fit = random_.Uniform() < 0.7
-                                  ? std::vector<std::string>{"Fc", "Fs", "vs", "sigma_v"}
-                                  : std::vector<std::string>{"Fc", "sigma_v"};
-          if (!curved) rig_.friction_fit = {"Fc", "Fs", "sigma_v"};
-          for (const std::string& name : rig_.friction_fit) {
+          std::vector<std::string> friction =
+              random_.Uniform() < 0.7 ? std::vector<std::string>{"Fc", "Fs", "vs", "sigma_v"}
+                                      : std::vector<std::string>{"Fc", "sigma_v"};
+          if (!curved) friction = {"Fc", "Fs", "sigma_v"};
+          for (const std::string& name : friction) {
             double& value = name == "Fc"   ? said.Fc
                             : name == "Fs" ? said.Fs
                             : name == "vs" ? said.vs
                                            : said.viscous;
             value *= random_.Uniform(0.7, 1.4);
           }
-          if (said.Fs < said.Fc && !Contains(rig_.friction_fit, "Fs"))
-            rig_.friction_fit.push_back("Fs");
+          if (said.Fs < said.Fc && !Contains(friction, "Fs")) friction.push_back("Fs");
+          rig_.friction_fit[j] = std::move(friction);
           said.Fs = std::max(said.Fs, said.Fc);
         } else {
           if (is.Fc > 0) {

@@ -60,7 +60,7 @@ struct GeneratedRig {
   Machine declared;  // what the MJCF and the servo say; effects: those declared
   std::vector<std::vector<std::string>> fit;  // per joint, of the declared model's parameters
   bool declares_dry_friction = false;         // as a stribeck_friction effect
-  std::vector<std::string> friction_fit;      // of its parameters
+  std::vector<std::vector<std::string>> friction_fit;  // per joint, of its parameters
   double rate_hz = 200;
   bool logs_temperature = false;  // temp_<joint>, kCold and what the joint is warmer, in steps
   bool commands_hold = true;      // over a row; else the servo sees them continuously

@@ -93,7 +93,7 @@ std::string RigYaml(const GeneratedRig& rig, const std::string& name) {
                             "    effects:\n      - {type: stribeck_friction, Fc: %.10g, Fs: %.10g, "
                             "vs: %.10g, sigma_v: %.10g, fit: [%s]}\n",
                             drive.Fc, drive.Fs, drive.vs, drive.viscous,
-                            absl::StrJoin(rig.friction_fit, ", "));
+                            absl::StrJoin(rig.friction_fit[i], ", "));
   }
   absl::StrAppend(&text, "logs:\n");
   for (size_t i = 0; i < rig.logs.size(); ++i)
