@@ -37,6 +37,8 @@ struct JointModel {
   // position is that servo and gravity act on (integrators and sampled servos differ in it).
   double command_shift = 0;  // [rows]
   double force_lag = 0;      // [s]
+  // Whether commands, or a logged torque that drives, go on smoothly from row to row instead.
+  bool continuous_command = false;
   std::vector<EffectInstance> effects;
 };
 

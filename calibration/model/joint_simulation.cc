@@ -37,6 +37,22 @@ Asked ServoTorque(const Servo& servo, double command, double q, double dq) {
   return {torque, servo.kd};
 }
 
+// On a cubic through four values, `s` of the way from `b` to `c`.
+double Between(double a, double b, double c, double d, double s) {
+  const double slope = 0.5 * (c - a), way = c - b, next = 0.5 * (d - b);
+  const double c2 = 3 * way - 2 * slope - next, c3 = slope + next - 2 * way;
+  return b + s * (slope + s * (c2 + s * c3));
+}
+
+// At `at` rows, on cubics through its rows; before and behind them as at their ends.
+double Between(const std::vector<double>& rows, double at) {
+  const int last = static_cast<int>(rows.size()) - 1;
+  at = std::clamp(at, 0.0, static_cast<double>(last));
+  const int row = static_cast<int>(at);
+  const auto value = [&](int i) { return rows[std::clamp(i, 0, last)]; };
+  return Between(value(row - 1), value(row), value(row + 1), value(row + 2), at - row);
+}
+
 }  // namespace
 
 std::vector<JointTrack> MakeTracks(const Plant& plant, const std::vector<MeasuredLog>& logs,
@@ -65,7 +81,7 @@ JointSimulation::JointSimulation(const JointTrack& track) : track_(track) {
 JointSimulation::~JointSimulation() = default;
 
 // The command of every sub-step: held from `command_shift` rows after its row on, averaged over the
-// sub-step, through the effects of the command stage.
+// sub-step, or as much later on cubics; through the effects of the command stage.
 void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain) {
   const JointRecord& record = track_.record();
   if (model.input == JointInput::kTransmission) return ShapeMotor(chain);
@@ -84,7 +100,7 @@ void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain)
     const size_t row = std::min(static_cast<size_t>(at), given.size() - 1);
     return sums_[row] + (at - static_cast<double>(row)) * given[row];
   };
-  const bool shifted = model.command_shift != 0;
+  const bool shifted = model.command_shift != 0 && !model.continuous_command;
   if (shifted) {
     sums_.assign(given.size() + 1, 0);
     for (size_t i = 0; i < given.size(); ++i) sums_[i + 1] = sums_[i] + given[i];
@@ -100,6 +116,9 @@ void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain)
         const double within = std::clamp(high, 0.0, static_cast<double>(given.size())) -
                               std::clamp(low, 0.0, static_cast<double>(given.size()));
         if (within > 0) command = (sum - before) / within;
+      } else if (model.continuous_command) {
+        command =
+            Between(given, static_cast<double>(row) + (i + 0.5) / steps - model.command_shift);
       }
       const size_t at = row * steps + i;
       moment.t = static_cast<double>(at) * moment.h;
@@ -128,15 +147,11 @@ void JointSimulation::ShapeMotor(EffectChain& chain) {
   JointMoment moment;
   moment.h = track_.log->dt / kMotorSteps;
   for (const JointChain::Link& link : channel) link.effect->Reset(moment);
-  const auto at = [&](int row) { return given[std::clamp(row, 0, rows - 1)]; };
   double before = given[0];
   for (int row = 0; row < rows; ++row) {
-    const double slope = 0.5 * (at(row + 1) - at(row - 1)), way = at(row + 1) - at(row);
-    const double next = 0.5 * (at(row + 2) - at(row));
-    const double c2 = 3 * way - 2 * slope - next, c3 = slope + next - 2 * way;
     for (int i = 0; i < kMotorSteps; ++i) {
       const double s = static_cast<double>(i) / kMotorSteps;
-      const double angle = given[row] + s * (slope + s * (c2 + s * c3));
+      const double angle = Between(given, row + s);
       // What slides is exact for a command that holds until the instant.
       double arrives = slides ? 0.5 * (before + angle) : angle;
       before = angle;

@@ -23,6 +23,7 @@ constexpr int kWidenings = 2;
 constexpr double kWiden = 3;             // times as far
 constexpr double kWideningGain = 0.02;   // of the error
 constexpr double kLooseningGain = 0.05;  // of the same
+constexpr double kCommandGain = 0.03;    // of the same
 constexpr double kStiction = 1.25;       // Fs / Fc of further starts
 
 class Cost : public ceres::CostFunction {
@@ -203,6 +204,19 @@ JointFit Loosen(const JointProblem& problem, const JointFit& fit,
   }
   const JointFit best = Settle(problem, Try(problem, starts, chosen), chosen);
   return best.rms < (1 - kLooseningGain) * fit.rms ? best : fit;
+}
+
+JointFit WithBetterCommands(const JointProblem& problem, const JointFit& fit,
+                            const WindowSet& chosen) {
+  Hypothesis other = fit.best;
+  const JointInput input = other.model.input;
+  if (input != JointInput::kPositionTarget && input != JointInput::kTorque) return fit;
+  other.model.continuous_command = !other.model.continuous_command;
+  // What holds over its row acts half a row later.
+  const int shift = IndexOf(other, "command_shift");
+  if (shift >= 0) other.x[shift] += other.model.continuous_command ? 0.5 : -0.5;
+  JointFit next = Minimise(problem, other, chosen, kSettleIterations, kSearchTolerance);
+  return next.rms < (1 - kCommandGain) * fit.rms ? next : fit;
 }
 
 JointFit DropIdle(const JointProblem& problem, JointFit fit, const std::string& type,

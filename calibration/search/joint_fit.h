@@ -35,6 +35,10 @@ JointFit Widen(const JointProblem& problem, JointFit fit, const WindowSet& chose
 // values, where that lowers the error by 5 %.
 JointFit Loosen(const JointProblem& problem, const JointFit& fit,
                 const std::vector<std::string>& types, const WindowSet& chosen);
+// With commands that go on smoothly from row to row where `fit` holds them, or the other way round,
+// where that lowers the error by 3 %.
+JointFit WithBetterCommands(const JointProblem& problem, const JointFit& fit,
+                            const WindowSet& chosen);
 // Sizes of an effect that has several are 0 and no longer free where they move nothing, as friction
 // that is negative and counts as none.
 JointFit DropIdle(const JointProblem& problem, JointFit fit, const std::string& type,

@@ -171,10 +171,12 @@ absl::StatusOr<Finding> SearchJoint(JointCase& joint, const std::vector<std::str
   const std::vector<JointTrack>& tracks = joint.problem.tracks();
   RS_ASSIGN_OR_RETURN(const JointModel model, DeclaredModel(joint.rig, joint.plant, joint.index));
   const SignalScales scales = MeasureScales(joint.declared(), tracks);
-  RS_ASSIGN_OR_RETURN(const Hypothesis start,
+  RS_ASSIGN_OR_RETURN(Hypothesis start,
                       DeclaredHypothesis(joint.declared(), model, scales, MeanInertia(tracks)));
   joint.problem.LinearizeStarts(model);
-  const Hypothesis declared = MinimiseFriction(joint.problem, start, joint.Fit()).best;
+  const JointFit fit = MinimiseFriction(joint.problem, start, joint.Fit());
+  const Hypothesis declared = WithBetterCommands(joint.problem, fit, joint.Fit()).best;
+  start.model.continuous_command = declared.model.continuous_command;
   joint.problem.LinearizeStarts(ModelAt(declared, declared.x));
   return Search(joint, scales, start, declared, options).Run(leads);
 }

@@ -88,8 +88,10 @@ void Refits::SettleBest(std::vector<TracedModel>& models, const std::vector<doub
       model.fit = MinimiseFriction(problem_, model.fit.best, windows_);
     if (model.fit.rms > kStuck * promised[i]) model.fit = Unstick(problem_, model.fit, windows_);
     model.fit = Widen(problem_, model.fit, windows_);
-    if (model.fit.rms > kAtFloor * problem_.ProjectedFloor(windows_))
+    if (model.fit.rms > kAtFloor * problem_.ProjectedFloor(windows_)) {
       model.fit = Loosen(problem_, model.fit, model.added, windows_);
+      model.fit = WithBetterCommands(problem_, model.fit, windows_);
+    }
     model.fit = DropIdle(problem_, model.fit, model.added.back(), windows_);
   });
 }

@@ -116,6 +116,8 @@ class Drawer {
     const bool brief = options_.richness == Richness::kBrief;
     if (brief) rig_.rate_hz = 200;
     if (hardship_ == Hardship::kSlow) rig_.rate_hz = 50;
+    rig_.logs_torque = hardship_ != Hardship::kNoTorque || family_ == Family::kTorque ||
+                       family_ == Family::kInverse;
     const Body& body = rig_.truth.body;
     amplitude_ = body.slide ? random_.Uniform(0.05, 0.3) : random_.Uniform(0.4, 1.2);
     if (arm()) amplitude_ = std::min(amplitude_, 0.8);

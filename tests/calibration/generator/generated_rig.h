@@ -25,7 +25,8 @@ enum class Hardship {
   kLongWave,      // wavelengths of 2.6 to 5 times half the way travelled
   kCoulomb,       // hidden friction has no Stribeck rise
   kFrictionless,  // no dry friction but what is hidden
-  kHarsh,  // a rate limit at 0.4 of its size, and four declared parameters more that may move
+  kHarsh,     // a rate limit at 0.4 of its size, and four declared parameters more that may move
+  kNoTorque,  // nobody logs the torque; a machine that is driven by it or tells it does
 };
 
 // One more log to fit, made of another: with times its speed, its size about its middle and the
@@ -62,6 +63,7 @@ struct GeneratedRig {
   bool declares_dry_friction = false;         // as a stribeck_friction effect
   std::vector<std::vector<std::string>> friction_fit;  // per joint, of its parameters
   double rate_hz = 200;
+  bool logs_torque = true;
   bool logs_temperature = false;  // temp_<joint>, kCold and what the joint is warmer, in steps
   bool commands_hold = true;      // over a row; else the servo sees them continuously
   double window_s = 0.5;

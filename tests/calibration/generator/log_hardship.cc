@@ -62,9 +62,9 @@ Recording ReadElsewhen(const Recording& log) {
 }  // namespace
 
 const std::vector<std::string>& HardshipNames() {
-  static const auto& names =
-      *new std::vector<std::string>{"none",      "slow",      "drops",   "jitter",       "ramped",
-                                    "resampled", "long_wave", "coulomb", "frictionless", "harsh"};
+  static const auto& names = *new std::vector<std::string>{
+      "none",      "slow",    "drops",        "jitter", "ramped",   "resampled",
+      "long_wave", "coulomb", "frictionless", "harsh",  "no_torque"};
   return names;
 }
 

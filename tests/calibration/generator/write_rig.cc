@@ -110,18 +110,18 @@ std::string Csv(const GeneratedRig& rig, const Recording& log) {
   std::string text = "t";
   for (size_t i = 0; i < log.joints.size(); ++i) {
     const std::string& name = rig.joint_names[i];
-    absl::StrAppend(&text, two_sides
-                               ? absl::StrCat(",q_motor_", name, ",q_link_", name, ",tau_", name)
-                               : absl::StrCat(",q_cmd_", name, ",q_", name, ",tau_", name));
+    absl::StrAppend(&text, two_sides ? absl::StrCat(",q_motor_", name, ",q_link_", name)
+                                     : absl::StrCat(",q_cmd_", name, ",q_", name));
+    if (rig.logs_torque) absl::StrAppend(&text, ",tau_", name);
     if (rig.logs_temperature) absl::StrAppend(&text, ",temp_", name);
   }
   text += "\n";
   for (size_t k = 0; k < log.t.size(); ++k) {
     absl::StrAppendFormat(&text, "%.9g", log.t[k]);
     for (const JointChannels& joint : log.joints) {
-      absl::StrAppendFormat(&text, ",%.10g,%.10g,%.10g",
-                            two_sides ? joint.motor[k] : joint.command[k], joint.q[k],
-                            joint.torque[k]);
+      absl::StrAppendFormat(&text, ",%.10g,%.10g", two_sides ? joint.motor[k] : joint.command[k],
+                            joint.q[k]);
+      if (rig.logs_torque) absl::StrAppendFormat(&text, ",%.10g", joint.torque[k]);
       if (rig.logs_temperature)
         absl::StrAppendFormat(
             &text, ",%g",

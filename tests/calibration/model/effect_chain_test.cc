@@ -20,6 +20,23 @@ TEST(EffectChain, ALinkAngleComesBackFromItsReading) {
   }
 }
 
+TEST(EffectChain, TheMotorsAngleComesBackFromItsLink) {
+  JointModel model;
+  model.effects = {{FindEffect("transmission_error").value(), {0.02, -0.03, 0.4}},
+                   {FindEffect("backlash").value(), {0.05}}};
+  EffectChain chain(model);
+  JointMoment moment;
+  for (const double q : {0.0, 0.3, 0.9, 0.7}) {  // the gap is taken up forwards, then backwards
+    moment.q = q;
+    const double link = q + chain.Offset(moment);
+    EXPECT_NEAR(chain.MotorOf(link), q, 1e-12);
+    const double way = 1e-4;
+    EXPECT_NEAR(chain.SpeedRatio(q), 1 + (chain.OffsetAt(q + way) - chain.OffsetAt(q)) / way, 1e-3);
+  }
+  chain.Reset({});
+  EXPECT_NEAR(chain.MotorOf(0.02), 0, 1e-12) << "of the gap before";
+}
+
 TEST(Hypotheses, AnEffectOfTemperatureNeedsOneThatWasLoggedAndChanged) {
   const EffectInfo& effect = *FindEffect("temperature_friction").value();
   SignalScales scales;

@@ -158,6 +158,52 @@ TEST(KernelAccuracy, AGapBetweenEncodersIsTakenUpWhereTheMotorTurnsBetweenRows) 
   EXPECT_NEAR(*std::min_element(q.begin() + 10, q.end()), -0.9, 2e-3);
 }
 
+// Runs that begin within a motion of the same model, of which its link alone is read.
+void ExpectRunsGoOnBehind(const std::string& effect, std::vector<double> values, double within) {
+  Coasting joint(2e-3);
+  joint.log.rows = 1000;
+  JointRecord& record = joint.log.joints[0];
+  record.tau.clear();
+  record.q.assign(1000, 0);
+  record.q_smooth = record.dq = record.ddq = record.q;
+  for (int k = 0; k < 1000; ++k) record.command.push_back(0.5 * (1 - std::cos(0.012 * k)));
+  joint.model.input = JointInput::kPositionTarget;
+  joint.model.servo.kp = 40;
+  joint.model.servo.kd = 3;
+  joint.model.effects = {{*FindEffect(effect), std::move(values)}};
+  std::vector<double> whole(1000), runs(1000);
+  JointSimulation(joint.track).Predict(joint.model, 0, {}, {}, absl::MakeSpan(whole));
+  record.q = record.q_smooth = whole;
+  for (int k = 1; k + 1 < 1000; ++k) record.dq[k] = (whole[k + 1] - whole[k - 1]) / 4e-3;
+  JointSimulation(joint.track).Predict(joint.model, 100, {}, {}, absl::MakeSpan(runs));
+  for (int k = 200; k + 1 < 1000; ++k) EXPECT_NEAR(runs[k], whole[k], within) << k;
+}
+
+TEST(KernelAccuracy, ARunBehindAWaveOfTheTransmissionBeginsWhereTheMotorIs) {
+  ExpectRunsGoOnBehind("transmission_error", {0.02, -0.01, 0.3}, 5e-4);
+}
+
+TEST(KernelAccuracy, ARunBehindASoftTransmissionBeginsWhereTheMotorIs) {
+  ExpectRunsGoOnBehind("compliance", {60, 9, 0.6}, 2e-4);
+}
+
+// Half a row late is 0.02 rad here.
+TEST(KernelAccuracy, ACommandGoesOnBetweenRowsWhereTheModelSaysSo) {
+  Coasting joint(1e-2);
+  joint.model.input = JointInput::kPositionTarget;
+  joint.model.servo.kp = 1000;
+  joint.model.servo.kd = 20;
+  for (int k = 0; k < joint.log.rows; ++k)
+    joint.log.joints[0].command.push_back(std::cos(4 * k * 1e-2));
+  joint.model.continuous_command = true;
+  const std::vector<double> q = joint.Predict();
+  // 0.1 ddq = kp (c - q) - kd dq of c = cos 4t.
+  const double in_phase = 1000 - 0.1 * 16, behind = 20 * 4;
+  const double size = 1000 / std::hypot(in_phase, behind), late = std::atan2(behind, in_phase);
+  for (int k = 50; k + 2 < joint.log.rows; ++k)
+    EXPECT_NEAR(q[k], size * std::cos(4 * k * 1e-2 - late), 1e-4) << k;
+}
+
 TEST(KernelAccuracy, AKnownMassIsMovedAndHeld) {
   Coasting joint(1e-3);
   joint.log.joints[0].command.assign(joint.log.rows, 0);

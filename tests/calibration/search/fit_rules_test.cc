@@ -1,3 +1,4 @@
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -8,6 +9,7 @@
 
 #include "calibration/data/local_polynomial.h"
 #include "calibration/search/cross_validation.h"
+#include "calibration/search/plausibility.h"
 #include "calibration/search/residual_tests.h"
 #include "common/random.h"
 #include "tests/calibration/search/brief_servo.h"
@@ -187,6 +189,100 @@ TEST_F(FitRules, LateParametersAreFreedOfWhatWasAddedOnly) {
   EXPECT_EQ(ModelAt(loose, loose.x).effects.back().values,
             ModelAt(soft, soft.x).effects.back().values);
   EXPECT_EQ(WithLateParameters(loose, {"compliance"}).free.size(), loose.free.size());
+}
+
+TEST_F(FitRules, BesideALagTheHoldOfACommandIsFreeOnceMore) {
+  const Hypothesis lag = WithEffect(declared_, **FindEffect("servo_lag"), rig_.Scales(0)).front();
+  EXPECT_EQ(WithLateParameters(lag, {"transport_delay"}).free.size(), lag.free.size());
+  const Hypothesis loose = WithLateParameters(lag, {"servo_lag"});
+  ASSERT_EQ(loose.free.size(), lag.free.size() + 1);
+  EXPECT_EQ(loose.free.back().path, "command_shift");
+  EXPECT_EQ(loose.x.tail(1)[0], 0);
+}
+
+TEST_F(FitRules, CommandsGoOnBetweenRowsWhereTheMachineSawThemSo) {
+  JointModel machine = declared_.model;
+  for (const bool continuous : {true, false}) {
+    machine.continuous_command = continuous;
+    for (size_t log = 0; log < rig_.logs.size(); ++log) {
+      const std::vector<double> off = problem_->TrackResidual(machine, log);
+      std::vector<double>& q = rig_.logs[log].joints[0].q;
+      for (size_t row = 0; row < q.size(); ++row) q[row] += off[row];
+    }
+    const WindowSet fitted = problem_->OfRole(LogRole::kFit);
+    JointFit fit{.best = declared_};
+    fit.best.model.continuous_command = !continuous;
+    fit = Minimise(*problem_, fit.best, fitted);
+    const JointFit better = WithBetterCommands(*problem_, fit, fitted);
+    EXPECT_EQ(better.best.model.continuous_command, continuous);
+    EXPECT_LT(better.rms, 0.97 * fit.rms);
+    EXPECT_EQ(WithBetterCommands(*problem_, better, fitted).best.model.continuous_command,
+              continuous);
+  }
+}
+
+// Friction of an arm's joint that depends on the other one.
+TEST(DropIdle, ASizeThatMovesNothingLeaves) {
+  generator::RigOptions options;
+  options.family = generator::Family::kArm;
+  options.richness = generator::Richness::kBrief;
+  const auto machine = generator::GenerateRig(options);
+  ASSERT_TRUE(machine.ok()) << machine.status();
+  const std::string folder = testing::TempDir() + "/idle_arm";
+  ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder).ok());
+  const auto rig = LoadRig(folder + "/rig.yaml");
+  ASSERT_TRUE(rig.ok()) << rig.status();
+  const JointProblem problem = rig->Problem(0);
+  const WindowSet fitted = problem.OfRole(LogRole::kFit);
+  const EffectInfo& effect = **FindEffect("cross_joint_friction");
+  Hypothesis h;
+  h.model = rig->Declared(0)->model;
+  h.model.effects.clear();
+  h.model.frictionloss = 0;
+  JointFit fit{.best = WithEffect(h, effect, rig->Scales(0), 1).front()};
+  ASSERT_EQ(fit.best.free.size(), 3u);
+  fit.best.x << 0.02, 0.02, -0.01;  // less than no dry friction
+  fit.at_bound.assign(3, 0);
+  const JointFit less = DropIdle(problem, fit, effect.type, fitted);
+  ASSERT_EQ(less.best.free.size(), 2u);
+  EXPECT_EQ(less.best.free[1].path, "cross_joint_friction.d");
+  EXPECT_EQ(ModelAt(less.best, less.best.x).effects.back().values[2], 0);
+  fit.best.x[2] = 0.01;
+  EXPECT_EQ(DropIdle(problem, fit, effect.type, fitted).best.free.size(), 3u);
+
+  // The torque that couples the joints is known to a few percent.
+  JointFit coupled{
+      .best = WithEffect(h, **FindEffect("cross_joint_inertia"), rig->Scales(0), 1).front()};
+  coupled.best.x[0] = 1e-6;
+  EXPECT_THAT(PhysicalDoubt(problem, coupled, {0.0}),
+              testing::HasSubstr("% of the torque that couples the joints"));
+  coupled.best.x[0] = 1;
+  EXPECT_EQ(PhysicalDoubt(problem, coupled, {0.0}), "");
+  std::filesystem::remove_all(folder);
+}
+
+// What a joint's friction is said to be is true, or within reach of its own `fit`.
+TEST(GeneratedRig, SaysOfEachJointsFrictionWhatMayMove) {
+  int different = 0;
+  for (uint64_t seed = 1; seed <= 12; ++seed) {
+    generator::RigOptions options;
+    options.family = generator::Family::kArm;
+    options.richness = generator::Richness::kBrief;
+    options.seed = seed;
+    const auto rig = generator::GenerateRig(options);
+    ASSERT_TRUE(rig.ok()) << rig.status();
+    if (!rig->declares_dry_friction) continue;
+    different += rig->friction_fit[0] != rig->friction_fit[1];
+    for (int j = 0; j < 2; ++j) {
+      const generator::Drive &is = rig->truth.drives[j], &said = rig->declared.drives[j];
+      const auto moves = [&](const char* name) {
+        return std::count(rig->friction_fit[j].begin(), rig->friction_fit[j].end(), name) > 0;
+      };
+      EXPECT_TRUE(moves("Fs") || said.Fs == is.Fs) << seed;
+      EXPECT_TRUE(moves("vs") || said.vs == is.vs) << seed;
+    }
+  }
+  EXPECT_GT(different, 0);
 }
 
 TEST(ScaleOf, GivesEveryParameterItsUnit) {
