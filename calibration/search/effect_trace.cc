@@ -69,7 +69,7 @@ class Search {
       // Nothing but noise is left.
       if (LittleLeft(trace.declared, best)) break;
       std::vector<TracedModel> next, doubtful;
-      double wanted = 1 - Acceptance::kMinCvGain;  // of the leader's error
+      bool detour = false;
       for (const TracedModel& base : beam) {
         trace.rounds.push_back(Round(base, next, doubtful));
         if (base.added.empty()) NoteNotTestable(trace);
@@ -78,13 +78,17 @@ class Search {
         if (&base != &beam.front() || !next.empty()) continue;
         // A leader that nothing improves on is the answer, unless much is left and another way
         // leads much further.
-        wanted = kDetourGain;
+        detour = true;
       }
       // What can not be the machine is better than nothing to predict with; the verdict claims none
       // of it.
       if (next.empty()) next = std::move(doubtful);
       KeepBest(next, best);
+      const bool from_answer = detour && !best.added.empty();
+      if (from_answer && !options_.detours) break;
+      const double wanted = detour ? kDetourGain : 1 - Acceptance::kMinCvGain;
       if (next.empty() || next.front().cv.Rms() > wanted * best.cv.Rms()) break;
+      if (from_answer && !trace.before_detour) trace.before_detour = best;
       best = next.front();
       beam = std::move(next);
     }

@@ -30,10 +30,14 @@ class Search {
     Trace& trace = finding.trace;
     trace = TraceWith(options_);
     PreferLeads(leads, trace);
-    if (!HelpsOnHeldOut(trace)) {
-      trace.after = trace.declared;
-      trace.rivals.clear();
+    if (trace.before_detour && ErrorOf(*trace.before_detour, joint_.Unseen()) <
+                                   (1 + kCostless) * ErrorOf(trace.after, joint_.Unseen())) {
+      options_.progress("held-out runs do no better after a detour: without it");
+      TraceOptions options = options_;
+      options.detours = false;
+      trace = TraceWith(options);
     }
+    DropUntilItHelps(trace);
     DropCostless(trace);
     joint_.metric.Refit(trace.declared.fit);
     joint_.metric.Refit(trace.after.fit);
@@ -86,6 +90,32 @@ class Search {
     return bulk > kClear * floor && explained(bulk, joint_.ProjectedBulk(later, held_out));
   }
 
+  // One effect of several may follow the fit logs where the others do not: of all that may go the
+  // one without which held-out runs are predicted best goes first.
+  void DropUntilItHelps(Trace& trace) const {
+    while (!HelpsOnHeldOut(trace)) {
+      const size_t count = trace.after.added.size();
+      if (count == 1) {
+        trace.after = trace.declared;
+        trace.rivals.clear();
+        return;
+      }
+      std::vector<TracedModel> shorter;
+      for (size_t i = 0; i < count; ++i) shorter.push_back(Without(trace.after, i));
+      const auto least = std::min_element(
+          shorter.begin(), shorter.end(), [&](const TracedModel& a, const TracedModel& b) {
+            return ErrorOf(a, joint_.Unseen()) < ErrorOf(b, joint_.Unseen());
+          });
+      const auto index = least - shorter.begin();
+      options_.progress(
+          absl::StrCat(trace.after.added[static_cast<size_t>(index)],
+                       " is dropped: with all that was added held-out runs do no better"));
+      CrossValidateAgain(*least);
+      trace.after = std::move(*least);
+      trace.rivals.erase(trace.rivals.begin() + index);
+    }
+  }
+
   bool HasHeldOut() const {
     return joint_.problem.Rows(joint_.problem.OfRole(LogRole::kHeldOut)) > 0;
   }
@@ -97,10 +127,8 @@ class Search {
     const WindowSet held_out = joint_.Unseen();
     for (size_t i = trace.after.added.size(); i-- > 0 && trace.after.added.size() > 1;) {
       TracedModel shorter = Without(trace.after, i);
-      const double error = ErrorOf(shorter, held_out);
-      const bool noise = error <= joint_.problem.ProjectedFloor(held_out);
-      if (!noise && (error > (1 + kCostless) * ErrorOf(trace.after, held_out) ||
-                     WholeRunError(shorter) > (1 + kCostless) * WholeRunError(trace.after)))
+      if (ErrorOf(shorter, held_out) > joint_.problem.ProjectedFloor(held_out) &&
+          IsBetter(trace.after, shorter))
         continue;
       options_.progress(
           absl::StrCat(trace.after.added[i], " is dropped: held-out runs do as well"));
@@ -108,6 +136,13 @@ class Search {
       trace.after = std::move(shorter);
       trace.rivals.erase(trace.rivals.begin() + static_cast<std::ptrdiff_t>(i));
     }
+  }
+
+  // In held-out runs or in whole ones, by more than 2 %.
+  bool IsBetter(const TracedModel& model, const TracedModel& other) const {
+    const WindowSet held_out = joint_.Unseen();
+    return ErrorOf(other, held_out) > (1 + kCostless) * ErrorOf(model, held_out) ||
+           WholeRunError(other) > (1 + kCostless) * WholeRunError(model);
   }
 
   double ErrorOf(const TracedModel& model, const WindowSet& windows) const {
