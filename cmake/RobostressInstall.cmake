@@ -9,7 +9,7 @@ include(CMakePackageConfigHelpers)
 set(ROBOSTRESS_COMPONENTS evaluation worker robot-client calibration server dev)
 set(programs_evaluation robostress robostress-sweep robostress-report robostress-compare robostress-store robostress-residual robostress-paper
   robostress-error-models robostress-grid-job robostress-scenarios robostress-piper-study)
-set(programs_worker robostress-worker robostress-suites robostress-record robostress-replay robostress-piper-worker
+set(programs_worker robostress-worker robostress-environment robostress-suites robostress-record robostress-replay robostress-piper-worker
   piper_emulator piper_residual)
 set(programs_robot-client robot_client robostress-proxy)
 set(programs_calibration robostress-calibrate robostress-record-to-rig robostress-fidelity robostress-close-loop)

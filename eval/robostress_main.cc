@@ -49,6 +49,8 @@ constexpr Command kCommands[] = {
     {"tokenize", "Tokenise text with a SentencePiece model", "ROBOSTRESS_TORCH ROBOSTRESS_OPENPI"},
     {"worker", "Run one unit of a sweep: the simulator's side",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
+    {"environment", "Let another program play one task of a suite",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"piper-worker", "Run one unit of a sweep of robot piper; record its demonstrations",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_ROBOT_CLIENT"},
     {"record", "Record demonstrations of the scripted experts",

@@ -104,7 +104,7 @@ def house():
     p.room(420, 170, 480, 104, "calibration/", ("what the model of a robot lacks; MuJoCo",),
            ("data", "model", "search", "report", "fidelity"))
     p.room(420, 300, 225, 128, "sim_worker/", ("the simulated Panda; MuJoCo",),
-           ("suites", "libero", "record", "worker"))
+           ("suites", "libero", "record", "environment", "worker"))
     p.room(665, 300, 235, 128, "robot_client/", ("a Piper; MuJoCo in its emulator",),
            ("control", "can", "piper", "teach", "cameras", "motion", "study", "emulator", "demonstration"))
     p.room(420, 470, 225, 56, "common/unit/", ("a unit of a sweep, any robot's",))
