@@ -10,6 +10,7 @@ namespace {
 constexpr int kNewtonSteps = 8;
 constexpr double kNewtonTolerance = 1e-13;  // [rad]
 constexpr double kRatioStep = 1e-5;         // [rad]
+constexpr double kTorqueStep = 1e-6;        // [Nm]
 constexpr double kLeastSpeedRatio = 0.1;
 
 JointChain ChainOf(const JointModel& model) {
@@ -64,6 +65,12 @@ double EffectChain::Drive(double torque, const JointMoment& moment) const {
   for (const JointChain::Link& link : stage(EffectStage::kDrive))
     torque = link.effect->Drive(torque, moment);
   return torque;
+}
+
+double EffectChain::DriveSlope(double torque, const JointMoment& moment) const {
+  if (stage(EffectStage::kDrive).empty()) return 1;
+  const double step = kTorqueStep * std::max(1.0, std::abs(torque));
+  return (Drive(torque + step, moment) - Drive(torque - step, moment)) / (2 * step);
 }
 
 double EffectChain::Asked(double torque, double asked, const JointMoment& moment) const {

@@ -19,6 +19,8 @@ class EffectChain {
   // Drive, joint and transmission stage.
   void Reset(const JointMoment& moment);
   double Drive(double torque, const JointMoment& moment) const;
+  // Its derivative by the torque asked for: 0 beyond a limit.
+  double DriveSlope(double torque, const JointMoment& moment) const;
   // The torque asked of the motor where it makes `torque` (JointEffect::Asked).
   double Asked(double torque, double asked, const JointMoment& moment) const;
   // Link angle minus motor angle [rad].

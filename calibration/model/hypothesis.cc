@@ -42,6 +42,11 @@ FreeParameter EffectFreeParameter(const EffectInfo& effect, size_t index, const 
           parameter.lower, parameter.upper, parameter.inverse};
 }
 
+bool IsFree(const Hypothesis& h, const std::string& path) {
+  return std::any_of(h.free.begin(), h.free.end(),
+                     [&](const FreeParameter& known) { return known.path == path; });
+}
+
 // A parameter keeps its value and is no longer free.
 void Forget(Hypothesis& h, const std::string& path) {
   for (size_t i = 0; i < h.free.size(); ++i) {
@@ -175,6 +180,7 @@ std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& eff
   }
   EffectInstance instance{&effect, {}, partner};
   std::vector<size_t> free;
+  const bool has_damping = IsFree(h, "damping");
   for (size_t i = 0; i < effect.parameters.size(); ++i) {
     const EffectParameter& parameter = effect.parameters[i];
     const double scale = parameter.fixed ? 1 : ScaleOf(parameter.scale, scales);
@@ -182,6 +188,11 @@ std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& eff
                                   ? scales.coldest
                                   : parameter.starts.front() * scale);
     if (parameter.fixed) continue;
+    // Of two numbers for the same no log could tell which.
+    if (has_damping && parameter.name == std::string("sigma_v")) {
+      instance.values.back() = 0;
+      continue;
+    }
     free.push_back(i);
     h.free.push_back(EffectFreeParameter(effect, i, scales));
   }
@@ -207,9 +218,7 @@ std::vector<Hypothesis> WithEffect(const Hypothesis& base, const EffectInfo& eff
 Hypothesis WithLateParameters(const Hypothesis& base, const std::vector<std::string>& types) {
   Hypothesis h = base;
   const auto add = [&h](FreeParameter free, double value) {
-    if (std::any_of(h.free.begin(), h.free.end(),
-                    [&](const FreeParameter& known) { return known.path == free.path; }))
-      return;
+    if (IsFree(h, free.path)) return;
     h.x.conservativeResize(h.x.size() + 1);
     h.x[h.x.size() - 1] = free.FromValue(value);
     h.free.push_back(std::move(free));

@@ -9,7 +9,8 @@
 namespace robostress::calibration {
 
 namespace {
-constexpr double kRunaway = 1e4;         // [rad]
+constexpr double kRunaway = 1e4;  // [rad]
+constexpr double kSameSlope = 1e-3;
 constexpr double kObserverRate = 50;     // [1/s]
 constexpr double kMostLoadSlope = 0.95;  // [Nm/Nm] of friction by the torque that it loads
 }  // namespace
@@ -230,6 +231,8 @@ double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int
   }
   if (!Enabled(row)) asked = {};
   moment.drive = model.torque_gain * chain.Drive(asked.torque, moment);
+  const double servo_slope = asked.slope;
+  asked.slope *= model.torque_gain * chain.DriveSlope(asked.torque, moment);
   DryFriction lasting{model.frictionloss, model.frictionloss};
   double held = moment.drive + model.torque_offset -
                 model.mass_scale * (moment.gravity + p.coupling) -
@@ -243,8 +246,11 @@ double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int
       inertia += link.effect->Inertia(moment);
   // Exact for damping and kd while the other torques hold, up to x^3 of x = h d / M:
   // h / M (1 - e^-x) / x; positive and without overshoot for every x.
-  const double x = h_ * (model.damping + model.torque_gain * asked.slope) / inertia;
-  const double kick = h_ / (inertia * (1 + x * (1.0 / 2 + x / 12)));
+  const auto kick_of = [&](double slope) {
+    const double x = h_ * (model.damping + slope) / inertia;
+    return h_ / (inertia * (1 + x * (1.0 / 2 + x / 12)));
+  };
+  double kick = kick_of(asked.slope);
   const auto stroke_at = [&](double dq) {
     moment.dq = dq;
     DryFriction dry = lasting;
@@ -254,10 +260,28 @@ double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int
   };
   DryStroke stroke = stroke_at(s.dq);
   // Friction that falls with the velocity drives itself: taken at the middle of the sub-step.
-  const double mean = 0.5 * (s.dq + stroke.dq);
+  double mean = 0.5 * (s.dq + stroke.dq);
   if (!chain.memoryless.empty() && mean * s.dq > 0) stroke = stroke_at(mean);
+  // Where the torque reaches a limit within the sub-step, or leaves one, its mean by Simpson's
+  // rule.
+  const double asked_last = asked.torque - servo_slope * (stroke.dq - s.dq);
+  if (const double last = model.torque_gain * servo_slope * chain.DriveSlope(asked_last, moment);
+      std::abs(last - asked.slope) > kSameSlope * servo_slope) {
+    const auto drive_at = [&](double torque) {
+      return model.torque_gain * chain.Drive(torque, moment);
+    };
+    const double drive = (drive_at(asked.torque) + 4 * drive_at(0.5 * (asked.torque + asked_last)) +
+                          drive_at(asked_last)) /
+                         6;
+    held += drive - moment.drive;
+    moment.drive = drive;
+    asked.slope = 0;
+    kick = kick_of(0);
+    stroke = stroke_at(s.dq + 0.5 * (stroke.dq - s.dq));
+    mean = 0.5 * (s.dq + stroke.dq);
+  }
   // Until now it was the motor's torque at the velocity that the sub-step began with.
-  moment.drive -= model.torque_gain * asked.slope * (mean - s.dq);
+  moment.drive -= asked.slope * (mean - s.dq);
   s.q += stroke.way;
   s.dq = stroke.dq;
   s.t += h_;

@@ -320,6 +320,7 @@ class Description {
     evidence.after_bulk = joint_.ProjectedBulk(after_, unseen);
     evidence.after_is_white = report.residual_after.white;
     evidence.floor = joint_.problem.ProjectedFloor(unseen);
+    evidence.pushed = !joint_.plant.single();
     evidence.inverse = joint_.declared().input == JointInput::kInverse;
     evidence.transfer_declared = joint_.ProjectedRms(before_, transfer);
     evidence.transfer_after = joint_.ProjectedRms(after_, transfer);

@@ -98,28 +98,35 @@ double Acceptance::BicGain(const TracedModel& base, const TracedModel& model) co
 std::string Acceptance::SizeObjection(const TracedModel& model, const std::string& added) const {
   const Hypothesis& best = model.fit.best;
   const EffectInfo& effect = **FindEffect(added);
-  int largest = -1;
+  const std::vector<double> std = StandardDeviations(problem_, model.fit, fit_windows_);
+  const auto size_of = [&](int k) {
+    const FreeParameter& free = best.free[k];
+    return free.inverse ? free.ToValue(best.x[k]) : free.scale * best.x[k];
+  };
+  // Of several sizes the one that is known best: declared parameters may stand in for another.
+  int told = -1;
+  double known = -1;
   for (const int amplitude : effect.amplitudes) {
     const std::string path = effect.type + "." + effect.parameters[amplitude].name;
     for (size_t i = 0; i < best.free.size(); ++i) {
       if (best.free[i].path != path) continue;
       const int k = static_cast<int>(i);
-      if (largest < 0 || std::abs(best.x[k]) > std::abs(best.x[largest])) largest = k;
+      const double sigmas = std[i] > 0 ? std::abs(size_of(k)) / std[i] : 0;
+      if (sigmas > known) known = sigmas, told = k;
     }
   }
-  if (largest < 0) return "";
-  const FreeParameter& free = best.free[largest];
-  const std::vector<double> std = StandardDeviations(problem_, model.fit, fit_windows_);
-  const double size = free.inverse ? free.ToValue(best.x[largest]) : free.scale * best.x[largest];
-  if (std::abs(size) < kMinSigmas * std[largest])
-    return absl::StrFormat("%s is %.3g +- %.2g", free.path, size, std[largest]);
-  if (model.fit.at_bound[largest]) return absl::StrCat(free.path, " is on a bound");
-  double low = best.x[largest], high = low;
+  if (told < 0) return "";
+  const FreeParameter& free = best.free[told];
+  const double size = size_of(told);
+  if (std::abs(size) < kMinSigmas * std[told])
+    return absl::StrFormat("%s is %.3g +- %.2g", free.path, size, std[told]);
+  if (model.fit.at_bound[told]) return absl::StrCat(free.path, " is on a bound");
+  double low = best.x[told], high = low;
   for (const Eigen::VectorXd& x : model.cv.x) {
-    low = std::min(low, x[largest]);
-    high = std::max(high, x[largest]);
+    low = std::min(low, x[told]);
+    high = std::max(high, x[told]);
   }
-  if (low * high < 0 || high - low > 2 * kMaxSpread * std::abs(best.x[largest]))
+  if (low * high < 0 || high - low > 2 * kMaxSpread * std::abs(best.x[told]))
     return absl::StrFormat("%s differs over the folds, %.3g to %.3g", free.path, free.ToValue(low),
                            free.ToValue(high));
   return "";

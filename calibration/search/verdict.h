@@ -14,6 +14,7 @@ struct Evidence {
   double declared_bulk = 0;  // without the tenth of the free runs that is farthest off
   double after_bulk = 0;     // the same of what was added
   bool after_is_white = false;
+  bool pushed = false;   // by other joints, whose motion is known by readings
   bool inverse = false;  // accelerations are smoothed, and the floor does not count their bias
   double transfer_declared = 0, transfer_after = 0;  // 0: no log of that role
   int effects = 0;
