@@ -37,6 +37,16 @@ TEST(EffectChain, TheMotorsAngleComesBackFromItsLink) {
   EXPECT_NEAR(chain.MotorOf(0.02), 0, 1e-12) << "of the gap before";
 }
 
+TEST(EffectChain, ADriveFollowsNothingBeyondItsLimit) {
+  JointModel model;
+  EXPECT_EQ(EffectChain(model).DriveSlope(3, {}), 1);
+  model.effects = {{FindEffect("motor_gain").value(), {-0.2}},
+                   {FindEffect("torque_saturation").value(), {2}}};
+  const EffectChain chain(model);
+  EXPECT_NEAR(chain.DriveSlope(1, {}), 0.8, 1e-9);
+  EXPECT_EQ(chain.DriveSlope(5, {}), 0);
+}
+
 TEST(Hypotheses, AnEffectOfTemperatureNeedsOneThatWasLoggedAndChanged) {
   const EffectInfo& effect = *FindEffect("temperature_friction").value();
   SignalScales scales;

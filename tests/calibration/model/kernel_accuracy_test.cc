@@ -107,6 +107,19 @@ TEST(KernelAccuracy, AMotorAtFullVoltageEndsAtItsNoLoadSpeed) {
   EXPECT_NEAR(q.back(), servo.vin / servo.kt * (t - (1 - std::exp(-r * t)) / r), 1e-3);
 }
 
+// At its limit a motor damps no motion; within it the servo's kd does.
+TEST(KernelAccuracy, ADriveAtItsLimitDampsNothing) {
+  Coasting joint(1e-3);
+  joint.log.joints[0].command.assign(joint.log.rows, 1e3);
+  joint.model.input = JointInput::kPositionTarget;
+  joint.model.servo.kp = 50;
+  joint.model.servo.kd = 40;
+  joint.model.effects = {{*FindEffect("torque_saturation"), {2}}};
+  const std::vector<double> q = joint.Predict();
+  const double t = (joint.log.rows - 1) * joint.log.dt;
+  EXPECT_NEAR(q.back(), 0.5 * (2 / 0.1) * t * t, 1e-3);
+}
+
 // A stiff servo follows a limited command; where a sub-step ends it would be half of one ahead.
 TEST(KernelAccuracy, AServoGetsTheMeanOfALimitedCommandOverASubStep) {
   Coasting joint(1e-3);

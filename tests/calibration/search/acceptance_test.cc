@@ -124,6 +124,37 @@ TEST_F(AcceptanceTest, AsksNoTenthOfAFewLongRuns) {
   EXPECT_EQ(Objection(good_), "");
 }
 
+// Damping that is free stands in for the viscous part of a friction curve, and not for the dry one.
+TEST_F(AcceptanceTest, TellsAnEffectByTheSizeThatIsKnownBest) {
+  Hypothesis h = *rig_.Declared(0);
+  h.free.clear();
+  h.x.resize(0);
+  h.model.effects.clear();
+  h.model.frictionloss = h.model.damping = 0;
+  h = WithEffect(h, **FindEffect("stribeck_friction"), rig_.Scales(0)).front();
+  const auto free = [&](const std::string& path) {
+    return std::find_if(h.free.begin(), h.free.end(),
+                        [&](const FreeParameter& p) { return p.path == path; }) -
+           h.free.begin();
+  };
+  const auto viscous = free("stribeck_friction.sigma_v");
+  ASSERT_LT(viscous, static_cast<std::ptrdiff_t>(h.free.size()));
+  FreeParameter damping = h.free[viscous];
+  damping.path = "damping";
+  h.x[viscous] = 0.3;
+  h.free.push_back(damping);
+  h.x.conservativeResize(h.x.size() + 1);
+  h.x[h.x.size() - 1] = 0.3;
+  good_.fit = Minimise(*problem_, h, problem_->OfRole(LogRole::kFit));
+  good_.fit.rms = 0.01;
+  good_.added = {"stribeck_friction"};
+  good_.cv.x = {good_.fit.best.x, good_.fit.best.x};
+  EXPECT_EQ(Objection(good_), "");
+  good_.cv.x.back()[free("stribeck_friction.Fc")] *= -1;
+  good_.cv.x.back()[free("stribeck_friction.Fs")] *= -1;
+  EXPECT_THAT(Objection(good_), HasSubstr("differs over the folds"));
+}
+
 TEST_F(AcceptanceTest, RefusesWhatHalfOfTheFoldsDoWithout) {
   TracedModel model = good_;
   model.cv.fold_rms = {0.01, 0.01, 0.05, 0.05};

@@ -200,6 +200,27 @@ TEST_F(FitRules, BesideALagTheHoldOfACommandIsFreeOnceMore) {
   EXPECT_EQ(loose.x.tail(1)[0], 0);
 }
 
+TEST_F(FitRules, AFrictionCurveHasNoViscousPartBesideFreeDamping) {
+  const auto viscous = [](const Hypothesis& h) {
+    return std::count_if(h.free.begin(), h.free.end(), [](const FreeParameter& p) {
+      return p.path == "stribeck_friction.sigma_v";
+    });
+  };
+  const EffectInfo& curve = **FindEffect("stribeck_friction");
+  Hypothesis h = declared_;
+  std::erase_if(h.free, [](const FreeParameter& p) { return p.path == "damping"; });
+  h.model.effects.clear();
+  h.x = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(h.free.size()));
+  EXPECT_EQ(viscous(WithEffect(h, curve, rig_.Scales(0)).front()), 1);
+  h.free.push_back({"damping", 1, 0, 20});
+  h.x.conservativeResize(h.x.size() + 1);
+  h.x[h.x.size() - 1] = 0.3;
+  const Hypothesis with = WithEffect(h, curve, rig_.Scales(0)).front();
+  EXPECT_EQ(viscous(with), 0);
+  EXPECT_EQ(*FindValue(const_cast<JointModel&>(with.model), "stribeck_friction.sigma_v").value(),
+            0);
+}
+
 TEST_F(FitRules, CommandsGoOnBetweenRowsWhereTheMachineSawThemSo) {
   JointModel machine = declared_.model;
   for (const bool continuous : {true, false}) {

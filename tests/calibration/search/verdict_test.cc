@@ -120,6 +120,52 @@ TEST(Verdict, NamesNoMechanismThatLeavesThreeTimesTheNoise) {
   EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
 }
 
+TEST(Verdict, AsksLessWhereADeclaredModelWouldBeSufficient) {
+  Evidence e = Explained();
+  e.declared = 0.05;  // four fifths of its excess go
+  e.after = 0.0239, e.after_bulk = 0.0149;
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
+  e.after_bulk = 0.0151;
+  EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
+  e.after_bulk = 0.0149;
+  e.after = 0.0245;
+  EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
+  e.after = 0.0239;
+  e.inverse = true;
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
+}
+
+TEST(Verdict, MoreRunsOfAJointThatOthersPushMayBeFarOff) {
+  Evidence e = Explained();
+  e.effects = 0;
+  e.declared = 0.119, e.declared_bulk = 0.0149;
+  EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+  e.pushed = true;
+  EXPECT_EQ(VerdictOf(e), Verdict::kDeclaredSufficient);
+  e.declared = 0.121;
+  EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+  e.declared = 0.119, e.declared_bulk = 0.0151;
+  EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+}
+
+TEST(Verdict, NamesWhatLeavesNoMoreThanTheSimulationsOwnError) {
+  Evidence e = Explained();
+  e.declared = e.declared_bulk = 30;
+  e.after = e.after_bulk = 0.059;
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
+  e.after = e.after_bulk = 0.061;
+  EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
+}
+
+TEST(Verdict, NamesTheLogThatIsFartherOffThanNoise) {
+  Evidence e = Explained();
+  e.effects = 0;
+  e.declared = e.declared_bulk = 0.01;
+  e.regimes = {{"few.csv", 0.05, 0.01, 0.01}, {"all.csv", 0.014, 0.014, 0.01}};
+  EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+  EXPECT_THAT(Judge(e).because, HasSubstr("most in few.csv, 5.00 times (1.00)"));
+}
+
 TEST(Verdict, SaysNothingOfFewerThanEightRuns) {
   Evidence e = Explained();
   e.windows = 8;
