@@ -147,6 +147,8 @@ TEST_F(AcceptanceTest, TellsAnEffectByTheSizeThatIsKnownBest) {
   h.x[h.x.size() - 1] = 0.3;
   good_.fit = Minimise(*problem_, h, problem_->OfRole(LogRole::kFit));
   good_.fit.rms = 0.01;
+  good_.fit.best.x[viscous] += 5;  // the same motion
+  good_.fit.best.x.tail(1)[0] -= 5;
   good_.added = {"stribeck_friction"};
   good_.cv.x = {good_.fit.best.x, good_.fit.best.x};
   EXPECT_EQ(Objection(good_), "");
