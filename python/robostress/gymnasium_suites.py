@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import subprocess
+import tempfile
 
 import gymnasium
 import numpy
@@ -57,8 +58,9 @@ class SuiteEnv(gymnasium.Env):
         command = [_program(), "--task", str(task), "--size", str(image_size)]
         for setting in (f"suite={suite}", f"scenario={scenario}", f"severity={severity}", *settings):
             command += ["--set", setting]
+        self._said = tempfile.TemporaryFile()  # a pipe that nobody reads would stop the program once it is full
         self._process = subprocess.Popen(command + ([] if views else ["--no-views"]), stdin=subprocess.PIPE,
-                                         stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+                                         stdout=subprocess.PIPE, stderr=self._said)
         said = self._line()
         self.task, self.task_description, self._max_episode_steps = said["name"], said["instruction"], said["horizon"]
         self.scenario, self.severity, self.render_mode = said["scenario"], said["severity"], render_mode
@@ -101,7 +103,7 @@ class SuiteEnv(gymnasium.Env):
         process, self._process = self._process, None
         if process is None:
             return
-        for pipe in (process.stdin, process.stdout, process.stderr):
+        for pipe in (process.stdin, process.stdout):
             try:
                 pipe.close()
             except OSError:
@@ -111,6 +113,7 @@ class SuiteEnv(gymnasium.Env):
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        self._said.close()
 
     def __del__(self):
         self.close()
@@ -143,8 +146,9 @@ class SuiteEnv(gymnasium.Env):
         return json.loads(line)
 
     def _fail(self):
-        said = self._process.stderr.read().decode(errors="replace").strip()
         code = self._process.wait()
+        self._said.seek(0)
+        said = self._said.read().decode(errors="replace").strip()
         self.close()
         kind = InvalidArgument if code in (1, 2) and said else RobostressError
         raise kind(said or f"{PROGRAM} ended with {code}")
