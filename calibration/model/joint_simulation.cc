@@ -9,8 +9,8 @@
 namespace robostress::calibration {
 
 namespace {
-constexpr double kRunaway = 1e4;  // [rad]
-constexpr double kSameSlope = 1e-3;
+constexpr double kRunaway = 1e4;         // [rad]
+constexpr double kSameSlope = 1e-3;      // of the servo's: less is no limit
 constexpr double kObserverRate = 50;     // [1/s]
 constexpr double kMostLoadSlope = 0.95;  // [Nm/Nm] of friction by the torque that it loads
 }  // namespace

@@ -18,8 +18,8 @@ struct TraceOptions {
   int max_effects = 3;
   int finalists = 8;                 // candidates that are refitted in a round
   std::vector<std::string> exclude;  // types that are no candidates
-  bool detours =
-      true;  // whether to leave a model that nothing improves on for one that does better
+  // Whether to leave a model that nothing improves on for another that does better.
+  bool detours = true;
   std::vector<std::string> joints;  // that are traced; empty: all
   // Says what is going on.
   std::function<void(const std::string&)> progress = [](const std::string&) {};
