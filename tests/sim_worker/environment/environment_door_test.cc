@@ -28,7 +28,8 @@ class CountingRobot : public Robot {
     seen.instruction = "count";
     seen.proprioception = Eigen::VectorXf::Constant(8, 0.1F * static_cast<float>(initial_state_));
     for (const std::string& camera : spec.cameras) {
-      const auto bytes = static_cast<size_t>(spec.image_width * spec.image_height * 3);
+      const auto width = static_cast<size_t>(spec.image_width);
+      const size_t bytes = 3 * width * static_cast<size_t>(spec.image_height);
       seen.views.push_back({camera,
                             {spec.image_width, spec.image_height,
                              std::vector<uint8_t>(bytes, static_cast<uint8_t>(commands.size()))}});
