@@ -53,6 +53,10 @@ def units(build):
         generated = os.path.join(build, "generated") + os.sep
         if "cmake_pch" not in os.path.basename(unit) and not unit.startswith(generated):
             found.setdefault(unit, arguments(entry, unit))
+    # A folder that was moved or mounted elsewhere: its units would be no file of this tree, and none be read.
+    if found and not any(unit.startswith((ROOT + os.sep, build + os.sep)) for unit in found):
+        missing(f"{path}: its sources are elsewhere ({next(iter(found))}), not in {ROOT}; remove {build} and "
+                "configure it here")
     return [(unit, *rest) for unit, rest in found.items()]
 
 
