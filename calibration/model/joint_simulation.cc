@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "calibration/model/arriving_commands.h"
 #include "common/joint_errors/stick_friction.h"
 
 namespace robostress::calibration {
@@ -38,22 +39,6 @@ Asked ServoTorque(const Servo& servo, double command, double q, double dq) {
   return {torque, servo.kd};
 }
 
-// On a cubic through four values, `s` of the way from `b` to `c`.
-double Between(double a, double b, double c, double d, double s) {
-  const double slope = 0.5 * (c - a), way = c - b, next = 0.5 * (d - b);
-  const double c2 = 3 * way - 2 * slope - next, c3 = slope + next - 2 * way;
-  return b + s * (slope + s * (c2 + s * c3));
-}
-
-// At `at` rows, on cubics through its rows; before and behind them as at their ends.
-double Between(const std::vector<double>& rows, double at) {
-  const int last = static_cast<int>(rows.size()) - 1;
-  at = std::clamp(at, 0.0, static_cast<double>(last));
-  const int row = static_cast<int>(at);
-  const auto value = [&](int i) { return rows[std::clamp(i, 0, last)]; };
-  return Between(value(row - 1), value(row), value(row + 1), value(row + 2), at - row);
-}
-
 }  // namespace
 
 std::vector<JointTrack> MakeTracks(const Plant& plant, const std::vector<MeasuredLog>& logs,
@@ -81,92 +66,10 @@ JointSimulation::JointSimulation(const JointTrack& track) : track_(track) {
 
 JointSimulation::~JointSimulation() = default;
 
-// The command of every sub-step: held from `command_shift` rows after its row on, averaged over the
-// sub-step, or as much later on cubics; through the effects of the command stage.
-void JointSimulation::ShapeCommands(const JointModel& model, EffectChain& chain) {
-  const JointRecord& record = track_.record();
-  if (model.input == JointInput::kTransmission) return ShapeMotor(chain);
-  const std::vector<double>& given =
-      model.input == JointInput::kPositionTarget ? record.command : record.tau;
-  const absl::Span<const JointChain::Link> command_stage = chain.stage(EffectStage::kCommand);
-  const int steps = sub_steps_;
-  const size_t count = static_cast<size_t>(track_.log->rows) * steps;
-  commands_.resize(count);
-  JointMoment moment;
-  moment.h = track_.log->dt / steps;
-  for (const JointChain::Link& link : command_stage) link.effect->Reset(moment);
-  std::vector<double> ended(command_stage.size());  // where each left the sub-step before
-  const auto integral = [&](double at) {            // of the held commands from row 0 [rows]
-    at = std::clamp(at, 0.0, static_cast<double>(given.size()));
-    const size_t row = std::min(static_cast<size_t>(at), given.size() - 1);
-    return sums_[row] + (at - static_cast<double>(row)) * given[row];
-  };
-  const bool shifted = model.command_shift != 0 && !model.continuous_command;
-  if (shifted) {
-    sums_.assign(given.size() + 1, 0);
-    for (size_t i = 0; i < given.size(); ++i) sums_[i + 1] = sums_[i] + given[i];
-  }
-  double high = -model.command_shift, sum = shifted ? integral(high) : 0;
-  for (size_t row = 0; row < given.size(); ++row) {
-    for (int i = 0; i < steps; ++i) {
-      double command = given[row];
-      if (shifted) {
-        const double low = high, before = sum;
-        high = static_cast<double>(row) + static_cast<double>(i + 1) / steps - model.command_shift;
-        sum = integral(high);
-        const double within = std::clamp(high, 0.0, static_cast<double>(given.size())) -
-                              std::clamp(low, 0.0, static_cast<double>(given.size()));
-        if (within > 0) command = (sum - before) / within;
-      } else if (model.continuous_command) {
-        command =
-            Between(given, static_cast<double>(row) + (i + 0.5) / steps - model.command_shift);
-      }
-      const size_t at = row * steps + i;
-      moment.t = static_cast<double>(at) * moment.h;
-      for (size_t k = 0; k < command_stage.size(); ++k) {
-        command = command_stage[k].effect->Command(command, moment);
-        if (!command_stage[k].effect->CommandSlides()) continue;
-        const double begun = at == 0 ? command : ended[k];
-        ended[k] = command;
-        command = 0.5 * (begun + command);
-      }
-      commands_[at] = command;
-    }
-  }
-}
-
-// The motor's angle at every instant of kMotorSteps to a row, on cubics through its readings, and
-// what the channel between the encoders makes of it.
-void JointSimulation::ShapeMotor(EffectChain& chain) {
-  const std::vector<double>& given = track_.record().q_motor;
-  const absl::Span<const JointChain::Link> channel = chain.stage(EffectStage::kCommand);
-  const bool slides = std::any_of(channel.begin(), channel.end(), [](const JointChain::Link& link) {
-    return link.effect->CommandSlides();
-  });
-  const int rows = track_.log->rows;
-  commands_.resize(static_cast<size_t>(rows) * kMotorSteps);
-  JointMoment moment;
-  moment.h = track_.log->dt / kMotorSteps;
-  for (const JointChain::Link& link : channel) link.effect->Reset(moment);
-  double before = given[0];
-  for (int row = 0; row < rows; ++row) {
-    for (int i = 0; i < kMotorSteps; ++i) {
-      const double s = static_cast<double>(i) / kMotorSteps;
-      const double angle = Between(given, row + s);
-      // What slides is exact for a command that holds until the instant.
-      double arrives = slides ? 0.5 * (before + angle) : angle;
-      before = angle;
-      moment.t = (row + s) * track_.log->dt;
-      for (const JointChain::Link& link : channel) arrives = link.effect->Command(arrives, moment);
-      commands_[static_cast<size_t>(row) * kMotorSteps + i] = channel.empty() ? angle : arrives;
-    }
-  }
-}
-
 void JointSimulation::Predict(const JointModel& model, int window, const std::vector<char>& chosen,
                               StartOffset offset, absl::Span<double> predicted) {
   EffectChain chain(model);
-  ShapeCommands(model, chain);
+  commands_ = ArrivingCommands(track_, model, chain, StepsOf(model));
   switch (model.input) {
     case JointInput::kPositionTarget:
     case JointInput::kTorque:
@@ -181,7 +84,7 @@ void JointSimulation::Predict(const JointModel& model, int window, const std::ve
 void JointSimulation::PredictMotion(const JointModel& model, int window, int shift,
                                     StartOffset offset, const Motion& motion) {
   EffectChain chain(model);
-  ShapeCommands(model, chain);
+  commands_ = ArrivingCommands(track_, model, chain, StepsOf(model));
   FreeRun(model, chain, window, {}, offset, shift, motion);
 }
 

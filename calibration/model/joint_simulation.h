@@ -76,8 +76,10 @@ class JointSimulation {
  private:
   struct State;
   void Describe(const EffectChain& chain, int row, double q, JointMoment& moment);
-  void ShapeCommands(const JointModel& model, EffectChain& chain);
-  void ShapeMotor(EffectChain& chain);
+  // Of ArrivingCommands, to a row.
+  int StepsOf(const JointModel& model) const {
+    return model.input == JointInput::kTransmission ? kMotorSteps : sub_steps_;
+  }
   void FreeRun(const JointModel& model, EffectChain& chain, int window,
                const std::vector<char>& chosen, StartOffset offset, int shift,
                const Motion& motion);
@@ -112,7 +114,6 @@ class JointSimulation {
   double h_;
   // After the command stage [rows * sub_steps]; of a transmission [rows * kMotorSteps].
   std::vector<double> commands_;
-  std::vector<double> sums_;  // of the given commands, one more than rows
   Posture posture_;
 };
 
