@@ -86,15 +86,20 @@ TEST(RowsBetweenBends, AreThoseOfLinesBetweenSteps) {
   EXPECT_FALSE(BendsEvery(smooth, 4));
   EXPECT_FALSE(BendsEvery(std::vector<double>(1000, 0.3), 4));
   const std::vector<double> steps = StepsOfLines(lines, 4);
-  for (int i = 2; i < 1000; ++i)
-    EXPECT_NEAR(steps[i], Motion(((i - 2) / 4 * 4 + 2) * kDt), 1e-12) << i;
+  for (int i = 2; i < 1000; ++i) {
+    const int bend = (i - 2) / 4 * 4 + 2;
+    EXPECT_NEAR(steps[i], Motion(bend * kDt), 1e-12) << i;
+  }
 }
 
 // What holds over four rows, drawn through by lines and read every 1.25 rows.
 class DrawnSteps : public testing::Test {
  protected:
   void SetUp() override {
-    for (int i = 0; i < 1000; ++i) sharp_.push_back(Motion(i / 4 * 4 * kDt));
+    for (int i = 0; i < 1000; ++i) {
+      const int sent = i / 4 * 4;
+      sharp_.push_back(Motion(sent * kDt));
+    }
     for (int k = 0; k < 790; ++k) {
       const double at = PlaceOf(k);
       const int row = static_cast<int>(at);

@@ -42,13 +42,13 @@ struct SimulatorArrays {
   }
   // axis x (point - anchor) of a joint.
   std::array<double, 3> Column(size_t joint, const double* point) const {
-    const auto k = static_cast<size_t>(3 * at[joint]);
+    const auto k = 3 * static_cast<size_t>(at[joint]);
     const double *a = &axis[k], *o = &anchor[k];
     const double x = point[0] - o[0], y = point[1] - o[1], z = point[2] - o[2];
     return {a[1] * z - a[2] * y, a[2] * x - a[0] * z, a[0] * y - a[1] * x};
   }
   double Holding(size_t joint, double gx, double gy, double gz) const {
-    const auto column = Column(joint, &com[static_cast<size_t>(3 * at[joint])]);
+    const auto column = Column(joint, &com[3 * static_cast<size_t>(at[joint])]);
     return -mass[static_cast<size_t>(at[joint])] *
            (column[0] * gx + column[1] * gy + column[2] * gz);
   }
