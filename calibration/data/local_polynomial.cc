@@ -55,19 +55,67 @@ double ResolutionOf(std::vector<double> signal) {
   return off * 50 < static_cast<int64_t>(gaps.size()) ? step : 0;
 }
 
-// Rows of the pseudo-inverse of a polynomial around `place` of a window: weights of the value, the
-// first and half the second derivative [order + 1, width].
-Eigen::MatrixXd Weights(int width, int place, double dt, int order) {
-  // In units of the width, so that high powers stay near one.
-  const double unit = std::max(1, width / 2);
-  Eigen::MatrixXd design(width, order + 1);
-  for (int i = 0; i < width; ++i)
-    for (int power = 0; power <= order; ++power)
-      design(i, power) = std::pow((i - place) / unit, power);
-  Eigen::MatrixXd weights = design.completeOrthogonalDecomposition().pseudoInverse();
-  for (int power = 0; power <= order; ++power) weights.row(power) /= std::pow(unit * dt, power);
-  return weights;
-}
+// Least squares of a polynomial over `width` rows: its value, first and half its second derivative
+// at any of them.
+class WindowFit {
+ public:
+  WindowFit(int width, double dt, int order)
+      : width_(width), unit_(std::max(1, width / 2)), per_time_(1 / (unit_ * dt)) {
+    // In units of the width about its middle, so that high powers stay near one.
+    Eigen::MatrixXd design(width, order + 1);
+    for (int i = 0; i < width; ++i) design.row(i) = Powers(i, order + 1).row(0);
+    const Eigen::HouseholderQR<Eigen::MatrixXd> qr(design);
+    const Eigen::MatrixXd Q = qr.householderQ() * Eigen::MatrixXd::Identity(width, order + 1);
+    coefficients_ =
+        qr.matrixQR().topRows(order + 1).triangularView<Eigen::Upper>().solve(Q.transpose());
+    covariance_ = coefficients_ * coefficients_.transpose();
+    middle_ = Powers(width / 2, order + 1) * coefficients_;
+  }
+
+  // Of the rows from `first` on.
+  Eigen::VectorXd Coefficients(const double* first) const {
+    return coefficients_ * Eigen::Map<const Eigen::VectorXd>(first, width_);
+  }
+  Eigen::Vector3d At(const Eigen::VectorXd& coefficients, int place) const {
+    return Powers(place, static_cast<int>(coefficients.size())) * coefficients;
+  }
+  // At row width / 2.
+  Eigen::Vector3d AtMiddle(const double* first) const {
+    return middle_ * Eigen::Map<const Eigen::VectorXd>(first, width_);
+  }
+  // Of noise of variance 1.
+  Eigen::Vector3d Variance(int place) const {
+    const Eigen::MatrixXd powers = Powers(place, static_cast<int>(covariance_.rows()));
+    return (powers * covariance_).cwiseProduct(powers).rowwise().sum();
+  }
+
+ private:
+  // Of a place's distance from the middle, and of their derivatives by time [3, count].
+  Eigen::Matrix<double, 3, Eigen::Dynamic> Powers(int place, int count) const {
+    const double x = (place - 0.5 * (width_ - 1)) / unit_;
+    Eigen::Matrix<double, 3, Eigen::Dynamic> powers(3, count);
+    powers.setZero();
+    double power = 1;  // x^(k - 2)
+    for (int k = 0; k < count; ++k) {
+      if (k < 2) {
+        powers(0, k) = k == 0 ? 1 : x;
+        powers(1, k) = k * per_time_;
+        continue;
+      }
+      powers(0, k) = power * x * x;
+      powers(1, k) = k * power * x * per_time_;
+      powers(2, k) = 0.5 * k * (k - 1) * power * per_time_ * per_time_;
+      power *= x;
+    }
+    return powers;
+  }
+
+  int width_;
+  double unit_, per_time_;
+  Eigen::MatrixXd coefficients_;  // [order + 1, width]
+  Eigen::MatrixXd covariance_;    // [order + 1, order + 1]
+  Eigen::Matrix<double, 3, Eigen::Dynamic> middle_;
+};
 
 double MeanSquareDifference(const std::vector<double>& a, const std::vector<double>& b) {
   double sum = 0;
@@ -102,24 +150,36 @@ SmoothSignal FitLocalPolynomials(const std::vector<double>& signal, double dt, i
   const size_t n = signal.size();
   SmoothSignal fit;
   fit.value.resize(n), fit.first.resize(n), fit.second.resize(n);
-  std::map<std::pair<int, int>, Eigen::MatrixXd> weights;  // by width and place
+  std::map<int, WindowFit> windows;  // by width
   Eigen::Vector3d variance = Eigen::Vector3d::Zero();
   for (size_t piece = 0; piece + 1 < pieces.size(); ++piece) {
     const int begin = pieces[piece], end = pieces[piece + 1];
     const int width = std::min(2 * half + 1, end - begin);
-    for (int i = begin; i < end; ++i) {
-      const int first = std::clamp(i - width / 2, begin, end - width), place = i - first;
-      Eigen::MatrixXd& own = weights[{width, place}];
-      if (own.size() == 0) own = Weights(width, place, dt, std::min(order, width - 1));
-      const int known = std::min<int>(3, static_cast<int>(own.rows()));
-      Eigen::Vector3d c = Eigen::Vector3d::Zero();
-      c.head(known) =
-          own.topRows(known) * Eigen::Map<const Eigen::VectorXd>(signal.data() + first, width);
-      variance.head(known) += own.topRows(known).rowwise().squaredNorm();
+    if (width < 1) continue;
+    const WindowFit& window =
+        windows.try_emplace(width, width, dt, std::min(order, width - 1)).first->second;
+    const Eigen::Vector3d middle = window.Variance(width / 2);
+    const auto put = [&](int i, const Eigen::Vector3d& c) {
       fit.value[i] = c[0];
       fit.first[i] = c[1];
       fit.second[i] = 2 * c[2];
+    };
+    // The rows of an end share one window.
+    const auto put_end = [&](int first, int from, int to) {
+      if (from >= to) return;
+      const Eigen::VectorXd c = window.Coefficients(signal.data() + first);
+      for (int i = from; i < to; ++i) {
+        put(i, window.At(c, i - first));
+        variance += window.Variance(i - first);
+      }
+    };
+    const int last = end - width;
+    put_end(begin, begin, begin + width / 2);
+    for (int first = begin; first <= last; ++first) {
+      put(first + width / 2, window.AtMiddle(signal.data() + first));
+      variance += middle;
     }
+    put_end(last, last + width / 2 + 1, end);
   }
   const Eigen::Vector3d deviation = noise * (variance / static_cast<double>(n)).cwiseSqrt();
   fit.value_noise = deviation[0];
