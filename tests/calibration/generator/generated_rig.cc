@@ -260,7 +260,7 @@ class Drawer {
     const int first = arm() ? random_.UniformInt(2) : 0;
     for (const std::string& type : options_.effects) {
       const int joint = options_.apart && !rig_.truth.effects.empty() ? 1 - first : first;
-      HiddenEffect effect = DrawEffect(type, options_.size, signals_[joint], random_);
+      HiddenEffect effect = DrawEffect(type, options_.size, SignalsFor(type, joint), random_);
       effect.joint = joint;
       Harden(effect, signals_[joint]);
       if (type == "payload") {
@@ -270,6 +270,22 @@ class Drawer {
       if (type == "base_tilt") rig_.truth.tilt = effect["y"];
       rig_.truth.effects.push_back(std::move(effect));
     }
+  }
+
+  // Effects that take friction away share what there is: together they leave some as well.
+  Signals SignalsFor(const std::string& type, int joint) const {
+    const auto takes = [](const std::string& effect) {
+      return Contains({"asymmetric_coulomb", "asymmetric_viscous", "position_dependent_friction",
+                       "time_drift_friction", "temperature_friction"},
+                      effect);
+    };
+    Signals signals = signals_[joint];
+    const auto all = std::count_if(options_.effects.begin(), options_.effects.end(), takes);
+    if (takes(type) && all > 1 && !options_.apart) {
+      signals.base_friction /= static_cast<double>(all);
+      signals.viscous /= static_cast<double>(all);
+    }
+    return signals;
   }
 
   void Harden(HiddenEffect& effect, const Signals& signals) {
@@ -391,16 +407,30 @@ class Drawer {
     Machine bare = rig_.truth;
     bare.effects.clear();
     bare.tip_mass = bare.tilt = 0;
+    rig_.visibility = VisibilityBeside(bare);
+    for (size_t i = 0; i < rig_.truth.effects.size(); ++i) {
+      Machine less = rig_.truth;
+      const HiddenEffect gone = less.effects[i];
+      less.effects.erase(less.effects.begin() + static_cast<std::ptrdiff_t>(i));
+      if (gone.type == "payload") less.tip_mass = 0;
+      if (gone.type == "base_tilt") less.tilt = 0;
+      rig_.visibility_of.push_back(VisibilityBeside(less));
+    }
+  }
+
+  // Of what `less` lacks.
+  double VisibilityBeside(const Machine& less) const {
+    double visibility = 0;
     const Recording with = Perform(rig_.truth, experiments_[0], 0),
-                    without = Perform(bare, experiments_[0], 0);
+                    without = Perform(less, experiments_[0], 0);
     const double noise = std::hypot(experiments_[0].noise, experiments_[0].step / std::sqrt(12.0));
     for (size_t j = 0; j < with.joints.size(); ++j) {
       const std::vector<double>&a = with.joints[j].clean, &b = without.joints[j].clean;
       double sum = 0;
       for (size_t k = 0; k < a.size(); ++k) sum += (a[k] - b[k]) * (a[k] - b[k]);
-      rig_.visibility =
-          std::max(rig_.visibility, std::sqrt(sum / static_cast<double>(a.size())) / noise);
+      visibility = std::max(visibility, std::sqrt(sum / static_cast<double>(a.size())) / noise);
     }
+    return visibility;
   }
 
   const RigOptions& options_;

@@ -71,6 +71,7 @@ struct GeneratedRig {
   // rms change of the first log's readings that the hidden effects make, over the noise: below
   // about 1 nobody could see them.
   double visibility = 0;
+  std::vector<double> visibility_of;  // the same of each effect of `truth` beside the others
 };
 
 const char* FamilyName(Family family);

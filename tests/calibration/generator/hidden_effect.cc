@@ -53,6 +53,7 @@ struct Commanding : Action {
   using Given = std::function<double(double)>;
   using Law = std::function<double(double, double, const Given&)>;
   explicit Commanding(Law law) : law(std::move(law)) {}
+  bool Commands() const override { return true; }
   double Command(double t, double h, const Given& given) override { return law(t, h, given); }
   Law law;
 };
@@ -164,6 +165,7 @@ struct SecondMass : Action {
 
 struct Lag : Action {
   explicit Lag(double tau) : tau(tau) {}
+  bool Commands() const override { return true; }
   double Command(double t, double h, const std::function<double(double)>& given) override {
     if (!started) value = given(t);
     started = true;
@@ -176,6 +178,7 @@ struct Lag : Action {
 
 struct Slew : Action {
   explicit Slew(double rate) : rate(rate) {}
+  bool Commands() const override { return true; }
   double Command(double t, double h, const std::function<double(double)>& given) override {
     if (!started) value = given(t);
     started = true;
@@ -256,6 +259,7 @@ struct Thermal : Action {
 struct Jitter : Action {
   Jitter(double mean, double spread, const RandomStream& random)
       : mean(mean), spread(spread), random(random) {}
+  bool Commands() const override { return true; }
   double Command(double t, double h, const std::function<double(double)>& given) override {
     if (t >= next) {
       delay = std::max(0.0, mean + spread * (2 * random.Uniform() - 1));

@@ -34,6 +34,8 @@ class Action {
  public:
   virtual ~Action() = default;
   virtual void Advance(const Instant&) {}
+  // Whether it changes commands.
+  virtual bool Commands() const { return false; }
   // The command that arrives at t; `given` is the one that was sent at a time.
   virtual double Command(double t, double h, const std::function<double(double)>& given) {
     (void)h;

@@ -58,6 +58,34 @@ Equations EquationsOf(const Machine& m, const Pair& q, const Pair& v) {
   return e;
 }
 
+// Effects on a command, one behind the other; each sees what the one before let through, now and
+// earlier.
+class CommandWay {
+ public:
+  using Sent = std::function<double(double)>;
+  double Arrives(const std::vector<std::unique_ptr<Action>>& actions, double t, double h,
+                 const Sent& sent) {
+    if (past_.empty()) first_ = t;
+    past_.resize(actions.size());
+    Sent given = sent;
+    double command = sent(t);
+    for (size_t i = 0; i < actions.size(); ++i) {
+      if (!actions[i]->Commands()) continue;
+      command = actions[i]->Command(t, h, given);
+      past_[i].push_back(command);
+      given = [this, i, h](double at) {
+        const auto k = static_cast<int64_t>(std::floor((at - first_) / h + 1e-6));
+        return past_[i][std::clamp<int64_t>(k, 0, static_cast<int64_t>(past_[i].size()) - 1)];
+      };
+    }
+    return command;
+  }
+
+ private:
+  double first_ = 0;
+  std::vector<std::vector<double>> past_;
+};
+
 // The machine in motion.
 class Runner {
  public:
@@ -102,13 +130,8 @@ class Runner {
   void Step(double t, double h) {
     std::array<Instant, 2> now;
     for (int i = 0; i < n_; ++i) {
-      double command = Sent(i, t);
-      std::function<double(double)> given = [this, i](double at) { return Sent(i, at); };
-      for (auto& action : actions_[i]) {
-        command = action->Command(t, h, given);
-        given = [command](double) { return command; };
-      }
-      arrived_[i] = command;
+      arrived_[i] =
+          ways_[i].Arrives(actions_[i], t, h, [this, i](double at) { return Sent(i, at); });
     }
     const Equations here = EquationsOf(m_, q_, v_);
     for (int i = 0; i < n_; ++i) {
@@ -249,6 +272,7 @@ class Runner {
   const Experiment& x_;
   int n_;
   std::vector<std::unique_ptr<Action>> actions_[2];
+  CommandWay ways_[2];
   Pair q_{}, v_{}, a_{}, sent_{}, arrived_{}, link_error_{}, asked_{}, warmer_{};
   std::vector<double> torque_rows_[2];
 };
@@ -312,15 +336,11 @@ Recording RunTransmission(const Machine& machine, const Experiment& x, const Ran
   Recording log;
   log.joints.resize(1);
   const std::function<double(double)> reference = [&](double at) { return x.references[0].At(at); };
+  CommandWay way;
   for (long k = -static_cast<long>(before) * steps; k < static_cast<long>(rows) * steps; ++k) {
     const double t = static_cast<double>(k) * h, e = 1e-3;
     // Commands act on the way to the link's encoder.
-    double seen = reference(t);
-    std::function<double(double)> given = reference;
-    for (auto& action : actions) {
-      seen = action->Command(t, h, given);
-      given = [seen](double) { return seen; };
-    }
+    const double seen = way.Arrives(actions, t, h, reference);
     const double q = reference(t), v = (reference(t + e) - reference(t - e)) / (2 * e);
     const double a = (reference(t + e) - 2 * q + reference(t - e)) / (e * e);
     const Equations eq = EquationsOf(machine, {q, 0}, {v, 0});

@@ -140,12 +140,14 @@ Json TruthJson(const GeneratedRig& rig, const RigOptions& options) {
                {"commands_hold", rig.commands_hold},
                {"hardship", HardshipNames()[static_cast<size_t>(options.hardship)]},
                {"effects", Json::array()}};
-  for (const HiddenEffect& effect : rig.truth.effects) {
+  for (size_t i = 0; i < rig.truth.effects.size(); ++i) {
+    const HiddenEffect& effect = rig.truth.effects[i];
     bool known = false;
     for (const std::string& name : LibraryEffects()) known |= name == effect.type;
     json["effects"].push_back({{"type", effect.type},
                                {"joint", rig.joint_names[effect.joint]},
                                {"parameters", effect.parameters},
+                               {"visibility", rig.visibility_of[i]},
                                {"in_library", known},
                                {"near", NearEffects(effect.type)}});
   }

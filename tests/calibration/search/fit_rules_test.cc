@@ -242,6 +242,35 @@ TEST_F(FitRules, CommandsGoOnBetweenRowsWhereTheMachineSawThemSo) {
   }
 }
 
+// A spring's stiffness and the straight part of a polynomial are one torque.
+TEST_F(FitRules, OfTwoEffectsThatGiveOneTorqueANeedlessSizeLeaves) {
+  Hypothesis h = WithEffect(declared_, **FindEffect("cable_spring"), rig_.Scales(0)).front();
+  h = WithEffect(h, **FindEffect("position_dependent_torque"), rig_.Scales(0)).front();
+  const auto at = [&](const Hypothesis& in, const std::string& path) {
+    for (size_t i = 0; i < in.free.size(); ++i)
+      if (in.free[i].path == path) return static_cast<int>(i);
+    return -1;
+  };
+  h.x[at(h, "cable_spring.k")] = 0.2;
+  h.x[at(h, "position_dependent_torque.c1")] = -0.2;  // as the spring, against the way
+  h.x[at(h, "cable_spring.q0")] = 0.5;
+  h.x[at(h, "position_dependent_torque.c2")] = 0.3;
+  const JointModel machine = ModelAt(h, h.x);
+  for (size_t log = 0; log < rig_.logs.size(); ++log) {
+    const std::vector<double> off = problem_->TrackResidual(machine, log);
+    std::vector<double>& q = rig_.logs[log].joints[0].q;
+    for (size_t row = 0; row < q.size(); ++row)
+      q[row] += off[row] + 1e-5 * std::sin(static_cast<double>(row * row));
+  }
+  const WindowSet fitted = problem_->OfRole(LogRole::kFit);
+  const JointFit fit = Minimise(*problem_, h, fitted);
+  const JointFit less = DropNeedless(*problem_, fit, "position_dependent_torque", fitted);
+  EXPECT_LT(at(less.best, "position_dependent_torque.c1"), 0);
+  EXPECT_GE(at(less.best, "position_dependent_torque.c2"), 0);
+  EXPECT_LE(less.rms, 1.01 * fit.rms);
+  EXPECT_EQ(DropNeedless(*problem_, fit, "cable_spring", fitted).best.free.size(), h.free.size());
+}
+
 // Friction of an arm's joint that depends on the other one.
 TEST(DropIdle, ASizeThatMovesNothingLeaves) {
   generator::RigOptions options;
@@ -280,30 +309,6 @@ TEST(DropIdle, ASizeThatMovesNothingLeaves) {
   coupled.best.x[0] = 1;
   EXPECT_EQ(PhysicalDoubt(problem, coupled, {0.0}), "");
   std::filesystem::remove_all(folder);
-}
-
-// What a joint's friction is said to be is true, or within reach of its own `fit`.
-TEST(GeneratedRig, SaysOfEachJointsFrictionWhatMayMove) {
-  int different = 0;
-  for (uint64_t seed = 1; seed <= 12; ++seed) {
-    generator::RigOptions options;
-    options.family = generator::Family::kArm;
-    options.richness = generator::Richness::kBrief;
-    options.seed = seed;
-    const auto rig = generator::GenerateRig(options);
-    ASSERT_TRUE(rig.ok()) << rig.status();
-    if (!rig->declares_dry_friction) continue;
-    different += rig->friction_fit[0] != rig->friction_fit[1];
-    for (int j = 0; j < 2; ++j) {
-      const generator::Drive &is = rig->truth.drives[j], &said = rig->declared.drives[j];
-      const auto moves = [&](const char* name) {
-        return std::count(rig->friction_fit[j].begin(), rig->friction_fit[j].end(), name) > 0;
-      };
-      EXPECT_TRUE(moves("Fs") || said.Fs == is.Fs) << seed;
-      EXPECT_TRUE(moves("vs") || said.vs == is.vs) << seed;
-    }
-  }
-  EXPECT_GT(different, 0);
 }
 
 TEST(ScaleOf, GivesEveryParameterItsUnit) {

@@ -8,10 +8,25 @@ namespace robostress::generator {
 using Json = nlohmann::json;
 
 const char* OutcomeName(Outcome outcome) {
-  constexpr const char* kNames[] = {"named", "in group",    "listed",  "hedged",      "missed",
-                                    "wrong", "wrong group", "nothing", "false alarm", "refused"};
+  constexpr const char* kNames[] = {"named",      "in group",    "listed", "hedged",
+                                    "one of two", "missed",      "wrong",  "wrong group",
+                                    "nothing",    "false alarm", "refused"};
   return kNames[static_cast<int>(outcome)];
 }
+
+namespace {
+
+constexpr double kNoise = 1.15;  // times the noise of the readings
+
+// In the joint where most is left, after what was added.
+double TimesNoiseLeft(const Json& report) {
+  double left = 0;
+  for (const Json& joint : report["joints"])
+    left = std::max(left, joint["times_noise"]["after"].get<double>());
+  return left;
+}
+
+}  // namespace
 
 Judged Judge(const Json& report, const Json& truth) {
   Judged judged;
@@ -53,11 +68,19 @@ Judged Judge(const Json& report, const Json& truth) {
   const auto holds = [](const std::set<std::string>& all, const std::set<std::string>& some) {
     return std::includes(all.begin(), all.end(), some.begin(), some.end());
   };
+  const bool one_of_two =
+      !outside && places.size() == 2 && !holds(around, real) &&
+      std::any_of(real.begin(), real.end(),
+                  [&](const std::string& name) { return around.count(name) > 0; }) &&
+      (verdict == "ambiguous" || (verdict == "attributed" && holds(places, found))) &&
+      TimesNoiseLeft(report) <= kNoise;
   const bool silent = verdict == "declared_sufficient" || verdict == "not_testable";
   if (real.empty()) {
     judged.outcome = silent ? Outcome::kNothing : Outcome::kFalseAlarm;
   } else if (silent) {
     judged.outcome = Outcome::kMissed;
+  } else if (one_of_two) {
+    judged.outcome = Outcome::kOneOfTwo;
   } else if (verdict == "attributed") {
     judged.outcome = found == places                                  ? Outcome::kNamed
                      : outside && !near.empty() && holds(near, added) ? Outcome::kListed

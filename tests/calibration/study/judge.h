@@ -13,6 +13,7 @@ enum class Outcome {
   kGrouped,     // ambiguous, and what is there is in the group
   kListed,      // reduced_not_attributed, and what is there is among the effects
   kHedged,      // something is missing, but no word of what is there, and no claim
+  kOneOfTwo,    // two are there; one is told, and what is left is no more than noise
   kMissed,      // declared_sufficient or not_testable though something is missing
   kWrong,       // attributed to what is not there: the worst
   kWrongGroup,  // ambiguous within a group that what is there is not in

@@ -23,7 +23,7 @@ Json Report(const std::string& verdict, const std::vector<std::string>& added = 
   Json report = {{"verdict", verdict},
                  {"effects_added", Json::array()},
                  {"groups", Json::array()},
-                 {"joints", Json::array({Json::object()})}};
+                 {"joints", Json::array({{{"times_noise", {{"after", 1.3}}}}})}};
   for (const std::string& type : added)
     report["effects_added"].push_back(
         {{"type", type}, {"joint", "hinge"}, {"ambiguous_with", rivals}});
@@ -40,6 +40,22 @@ TEST(Judge, OnlyExactlyWhatIsThereIsNamed) {
   const Json two = Truth({"backlash", "payload"});
   EXPECT_EQ(OutcomeOf(Report("attributed", {"payload", "backlash"}), two), Outcome::kNamed);
   EXPECT_EQ(OutcomeOf(Report("attributed", {"payload"}), two), Outcome::kWrong);
+}
+
+TEST(Judge, OneOfTwoIsNoMistakeWhereTheDataHoldNoMore) {
+  const Json two = Truth({"backlash", "payload"});
+  Json one = Report("attributed", {"payload"}),
+       group = Report("ambiguous", {"payload"}, {"deadzone"}),
+       other = Report("attributed", {"deadzone"}),
+       more = Report("attributed", {"payload", "deadzone"});
+  EXPECT_EQ(OutcomeOf(group, two), Outcome::kWrongGroup);
+  for (Json* report : {&one, &group, &other, &more})
+    (*report)["joints"][0]["times_noise"]["after"] = 1.1;
+  EXPECT_EQ(OutcomeOf(one, two), Outcome::kOneOfTwo);
+  EXPECT_EQ(OutcomeOf(group, two), Outcome::kOneOfTwo);
+  EXPECT_EQ(OutcomeOf(other, two), Outcome::kWrong);
+  EXPECT_EQ(OutcomeOf(more, two), Outcome::kWrong);
+  EXPECT_EQ(OutcomeOf(one, Truth({"backlash"})), Outcome::kWrong);
 }
 
 TEST(Judge, TheJointCountsButForWhatTheWholeArmFeels) {

@@ -190,10 +190,10 @@ std::string Share(int count, int n) {
 
 // Markdown.
 std::string Table(const std::vector<Case>& cases) {
-  constexpr Outcome kColumns[] = {Outcome::kNamed,  Outcome::kGrouped, Outcome::kListed,
-                                  Outcome::kHedged, Outcome::kMissed,  Outcome::kWrongGroup,
-                                  Outcome::kWrong,  Outcome::kNothing, Outcome::kFalseAlarm,
-                                  Outcome::kRefused};
+  constexpr Outcome kColumns[] = {Outcome::kNamed,      Outcome::kGrouped,  Outcome::kListed,
+                                  Outcome::kHedged,     Outcome::kOneOfTwo, Outcome::kMissed,
+                                  Outcome::kWrongGroup, Outcome::kWrong,    Outcome::kNothing,
+                                  Outcome::kFalseAlarm, Outcome::kRefused};
   std::map<std::string, std::map<Outcome, int>> rows;
   std::map<Outcome, int> total;
   std::string listed;
@@ -245,6 +245,9 @@ std::string Table(const std::vector<Case>& cases) {
   for (const Outcome o : kColumns) absl::StrAppend(&text, " ", total[o], " |");
   text += "\n\n";
   absl::StrAppend(&text, "Named or in the stated group: ", Share(right, all_hidden), "\n");
+  if (const int one = total[Outcome::kOneOfTwo]; one > 0)
+    absl::StrAppend(&text, "The same without pairs of which one effect explains all but noise: ",
+                    Share(right, all_hidden - one), "\n");
   absl::StrAppend(&text, "Said that something is missing where it is: ", Share(seen, all_hidden),
                   "\n");
   absl::StrAppend(
