@@ -299,7 +299,7 @@ absl::Status GateJoint(const std::string& file, const RigJoint& joint,
   } else if (!logged_velocity.empty()) {
     AdoptVelocity(joint.name, logged_velocity, dt, record, notes);
   }
-  record.motion = {record.q_smooth, record.dq, UntilNextRow(record.ddq)};
+  record.motion = {record.q_smooth, record.dq, UntilNextRow(record.ddq), {}};
   record.noise = NoiseOfReading(record.q);
   if (joint.input == JointInput::kTransmission)
     record.noise = std::hypot(record.noise, NoiseOfReading(record.q_motor));

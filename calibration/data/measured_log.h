@@ -8,10 +8,10 @@
 
 namespace robostress::calibration {
 
-// Position and velocity per row, and the mean acceleration until the next row [rad, rad/s,
-// rad/s^2].
+// Position and velocity per row, and of the acceleration until the next row its mean and how much
+// it rises, as a line [rad, rad/s, rad/s^2, rad/s^2]. Where nobody knows a rise it is empty.
 struct JointMotion {
-  std::vector<double> q, dq, ddq;
+  std::vector<double> q, dq, ddq, rise;
 };
 
 // What one joint did in one run, on a uniform clock. Channels that the input does not need and the

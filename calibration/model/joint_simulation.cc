@@ -89,7 +89,8 @@ void JointSimulation::PredictMotion(const JointModel& model, int window, int shi
 }
 
 // Fills what depends on posture and time alone.
-void JointSimulation::Describe(const EffectChain& chain, int row, double q, JointMoment& moment) {
+void JointSimulation::Describe(const EffectChain& chain, int row, double share, double q,
+                               JointMoment& moment) {
   const PlantRow& p = plant(row);
   if (track_.single && (p.gravity.a != 0 || p.gravity.b != 0 || chain.needs_payload ||
                         chain.needs_tilt || track_.known_mass > 0))
@@ -108,9 +109,20 @@ void JointSimulation::Describe(const EffectChain& chain, int row, double q, Join
   if (!track_.record().temperature.empty()) moment.temperature = track_.record().temperature[row];
   if (chain.partner < 0) return;
   const JointRecord& partner = track_.log->joints[chain.partner];
-  moment.coupled_q = partner.q_smooth[row];
-  moment.coupled_dq = chain.at_rows ? partner.dq[row] : partner.motion.dq[row];
-  moment.coupled_ddq = chain.at_rows ? partner.ddq[row] : partner.motion.ddq[row];
+  if (chain.at_rows) {
+    moment.coupled_q = partner.q_smooth[row];
+    moment.coupled_dq = partner.dq[row];
+    moment.coupled_ddq = partner.ddq[row];
+    return;
+  }
+  const size_t next = std::min(row + 1, track_.log->rows - 1);
+  const auto at_share = [&](const std::vector<double>& values) {
+    return values[row] + share * (values[next] - values[row]);
+  };
+  moment.coupled_q = at_share(partner.q_smooth);
+  moment.coupled_dq = at_share(partner.motion.dq);
+  moment.coupled_ddq = partner.motion.ddq[row];
+  if (!partner.motion.rise.empty()) moment.coupled_ddq += (share - 0.5) * partner.motion.rise[row];
 }
 
 double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int row,
@@ -123,7 +135,8 @@ double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int
   moment.h = h_;
   moment.q = middle;
   moment.dq = s.dq;
-  Describe(chain, row, middle, moment);
+  const double share = (s.t + 0.5 * h_) / track_.log->dt - row;
+  Describe(chain, row, share, middle, moment);
 
   Asked asked{command, 0};
   if (model.input == JointInput::kPositionTarget) {
@@ -138,7 +151,7 @@ double JointSimulation::SubStep(const JointModel& model, EffectChain& chain, int
   asked.slope *= model.torque_gain * chain.DriveSlope(asked.torque, moment);
   DryFriction lasting{model.frictionloss, model.frictionloss};
   double held = moment.drive + model.torque_offset -
-                model.mass_scale * (moment.gravity + p.coupling) -
+                model.mass_scale * (moment.gravity + p.coupling + (share - 0.5) * p.coupling_rise) -
                 track_.known_mass * moment.payload_gravity -
                 model.stiffness * (middle - model.spring_rest) - model.damping * s.dq;
   double inertia =
@@ -212,7 +225,7 @@ JointMoment JointSimulation::MeasuredMoment(const JointModel& model, const Effec
   moment.dq = record.dq[row] + middle * (record.dq[next] - record.dq[row]);
   moment.q = chain.MovesAlone(moment.dq) ? s.q : chain.MotorOf(link);
   moment.dq /= chain.SpeedRatio(moment.q);
-  Describe(chain, row, moment.q, moment);
+  Describe(chain, row, middle, moment.q, moment);
   const double command =
       commands_[static_cast<size_t>(row) * sub_steps_ + step * sub_steps_ / steps];
   double asked = command;
@@ -400,7 +413,7 @@ void JointSimulation::Inverse(const JointModel& model, EffectChain& chain,
     moment.t = row * moment.h;
     moment.q = chain.LinkOf(record.q_smooth[row]);
     moment.dq = record.dq[row];
-    Describe(chain, row, moment.q, moment);
+    Describe(chain, row, 0, moment.q, moment);
     if (row == 0) chain.Reset(moment);
     const double load = Load(model, chain, row, moment);
     predicted[row] = chain.Asked(load / model.torque_gain, record.tau[row], moment);

@@ -75,7 +75,8 @@ class JointSimulation {
 
  private:
   struct State;
-  void Describe(const EffectChain& chain, int row, double q, JointMoment& moment);
+  // At a share of the way to the next row.
+  void Describe(const EffectChain& chain, int row, double share, double q, JointMoment& moment);
   // Of ArrivingCommands, to a row.
   int StepsOf(const JointModel& model) const {
     return model.input == JointInput::kTransmission ? kMotorSteps : sub_steps_;

@@ -82,6 +82,8 @@ class MujocoPlant : public Plant {
     if (single()) return {SingleRow(joint)};
     std::vector<PlantRow> rows(log.rows);
     for (int k = 0; k < log.rows; ++k) rows[k] = ArmRow(joint, log, k);
+    if (joints_[joint].between_rows)
+      for (int k = 0; k + 1 < log.rows; ++k) rows[k].coupling_rise = RiseUntilNext(joint, log, k);
     return rows;
   }
 
@@ -221,6 +223,33 @@ class MujocoPlant : public Plant {
     row.payload_gravity = term(here.payload, ahead.payload);
     for (int i = 0; i < 2; ++i) row.tilt_gravity[i] = term(here.tilt[i], ahead.tilt[i]);
     return row;
+  }
+
+  // By how much gravity, Coriolis and the other joints' accelerations rise from row k to the next,
+  // at the joint's own position halfway [Nm]; 0 where no joint's rise is known.
+  double RiseUntilNext(int index, const MeasuredLog& log, int k) const {
+    const Joint& joint = joints_[index];
+    if (std::all_of(log.joints.begin(), log.joints.end(),
+                    [](const JointRecord& other) { return other.motion.rise.empty(); }))
+      return 0;
+    const auto asked = [&](int row, double end) {
+      Vector posture = NeutralPosture(), velocity = Vector::Zero(model_->nv),
+             acceleration = Vector::Zero(model_->nv);
+      for (size_t i = 0; i < joints_.size(); ++i) {
+        const JointMotion& motion = log.joints[i].motion;
+        posture[joints_[i].qpos] = motion.q[row];
+        velocity[joints_[i].dof] = motion.dq[row];
+        acceleration[joints_[i].dof] =
+            motion.ddq[k] + (motion.rise.empty() ? 0 : end * motion.rise[k]);
+      }
+      const JointMotion& own = log.joints[index].motion;
+      posture[joint.qpos] = 0.5 * (own.q[k] + own.q[k + 1]);
+      acceleration[joint.dof] = 0;
+      SetPosture(posture);
+      const double gravity = HoldingPerAxis(joint).dot(Gravity());
+      return gravity + InertiaRow(joint).dot(acceleration) + CoriolisAt(joint, velocity);
+    };
+    return asked(k + 1, 0.5) - asked(k, -0.5);
   }
 
   // Of the posture set [Nm].

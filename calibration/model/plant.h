@@ -22,6 +22,7 @@ struct PlantRow {
   double q_ref = 0;            // [rad] where the terms of an arm were taken
   double inertia = 0;          // without armature [kg m^2]
   double coupling = 0;         // Coriolis and what the other joints' accelerations ask for [Nm]
+  double coupling_rise = 0;    // until the next row, of that and of gravity, as a line [Nm]
   PlantTerm gravity;           // [Nm]
   PlantTerm payload_gravity;   // [Nm/kg] of 1 kg at the payload's place
   double payload_inertia = 0;  // [kg m^2/kg]

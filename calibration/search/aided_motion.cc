@@ -32,7 +32,7 @@ JointMotion MotionOfRuns(const JointTrack& track, const JointModel& model, int w
   const int rows = track.log->rows;
   const double dq = std::max(record.noise, 1e-9), dv = 0.1 * dq / dt;
   const auto predict = [&](JointSimulation::StartOffset offset) {
-    JointMotion run{std::vector<double>(rows), std::vector<double>(rows), {}};
+    JointMotion run{std::vector<double>(rows), std::vector<double>(rows), {}, {}};
     JointSimulation(track).PredictMotion(
         model, window, shift, offset,
         {.readings = absl::MakeSpan(run.q), .velocities = absl::MakeSpan(run.dq)});
@@ -61,14 +61,18 @@ JointMotion MotionOfRuns(const JointTrack& track, const JointModel& model, int w
   for (int k = 0; k < rows; ++k) rest[k] = record.q[k] - run.q[k];
   const SmoothSignal beyond = SmoothMotion(rest, dt, window / 2, starts);
   run.ddq = UntilNextRow(beyond.second);
+  run.rise.resize(rows);
   for (int k = 0; k < rows; ++k) {
     // A run's last row has no next one.
     const bool last = std::binary_search(starts.begin(), starts.end(), k + 1);
     const int from = last ? std::max(0, k - 1) : k;
     run.ddq[k] += (run.dq[from + 1] - run.dq[from]) / dt;
-    run.q[k] += beyond.value[k];
+    // Of an acceleration a + r (s - 1/2) over 0 <= s <= 1 the way is the mean velocity's less
+    // r dt^2 / 12.
+    run.rise[k] = 12 / (dt * dt) *
+                  (0.5 * (run.dq[from] + run.dq[from + 1]) * dt - (run.q[from + 1] - run.q[from]));
   }
-  for (int k = 0; k < rows; ++k) run.dq[k] += beyond.first[k];
+  for (int k = 0; k < rows; ++k) run.q[k] += beyond.value[k], run.dq[k] += beyond.first[k];
   return run;
 }
 
@@ -88,6 +92,7 @@ JointMotion AidedMotion(const JointTrack& track, const JointModel& model) {
     motion.q[k] = between.q[k];
     motion.dq[k] = between.dq[k];
     motion.ddq[k] = between.ddq[k];
+    motion.rise[k] = between.rise[k];
   }
   return motion;
 }

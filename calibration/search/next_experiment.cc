@@ -65,7 +65,7 @@ class Run {
     record.q_smooth = record.q = q;
     record.dq = dq;
     for (int i = 0; i + 1 < log_.rows; ++i) record.ddq[i] = (dq[i + 1] - dq[i]) / log_.dt;
-    record.motion = {record.q_smooth, record.dq, record.ddq};
+    record.motion = {record.q_smooth, record.dq, record.ddq, {}};
   }
   void SetTorque(std::vector<double> torque) { own().tau = std::move(torque); }
 
@@ -114,7 +114,8 @@ class Run {
                           &record.temperature, &record.enable, &record.q_smooth, &record.motion.q})
       hasten(*channel, 1);
     for (auto* channel : {&record.dq, &record.motion.dq}) hasten(*channel, s);
-    for (auto* channel : {&record.ddq, &record.motion.ddq}) hasten(*channel, s * s);
+    for (auto* channel : {&record.ddq, &record.motion.ddq, &record.motion.rise})
+      hasten(*channel, s * s);
   }
   void HastenPlant(const std::vector<PlantRow>& rows) {
     track_.rows.clear();
@@ -122,6 +123,7 @@ class Run {
       const auto at = static_cast<size_t>(i * change_.speed);
       track_.rows.push_back(rows[std::min(at, rows.size() - 1)]);
       track_.rows.back().coupling *= change_.speed * change_.speed;
+      track_.rows.back().coupling_rise *= change_.speed * change_.speed;
     }
   }
   void Shrink(JointRecord& record) const {

@@ -71,6 +71,23 @@ TEST(KernelAccuracy, DryFrictionStopsAJointWhereItsEnergyIsSpent) {
   EXPECT_EQ(q[joint.log.rows - 1], q[joint.log.rows - 100]) << "creeps";
 }
 
+// M ddq = 1 - c - r (s - 1/2) over a row from rest: q = T^2 / M ((1 - c) / 2 + r / 12).
+TEST(KernelAccuracy, WhatOtherJointsPushRisesWithinARow) {
+  Coasting joint(1e-2);
+  joint.track.single = false;
+  joint.track.rows.assign(joint.log.rows, joint.track.rows[0]);
+  for (PlantRow& row : joint.track.rows) row.coupling = 0.4, row.coupling_rise = 3;
+  EXPECT_NEAR(joint.Predict()[1], 1e-4 / 0.1 * (0.6 / 2 + 3.0 / 12), 3e-6);
+  // The same of a partner's acceleration, whose inertia an effect adds.
+  for (PlantRow& row : joint.track.rows) row.coupling = row.coupling_rise = 0;
+  JointRecord partner = joint.log.joints[0];
+  partner.motion = {partner.q, partner.q, std::vector<double>(joint.log.rows, 4.0),
+                    std::vector<double>(joint.log.rows, 30.0)};
+  joint.log.joints.push_back(partner);
+  joint.model.effects = {{*FindEffect("cross_joint_inertia"), {0.1}, 1}};
+  EXPECT_NEAR(joint.Predict()[1], 1e-4 / 0.1 * (0.6 / 2 + 3.0 / 12), 3e-6);
+}
+
 TEST(KernelAccuracy, AModelThatRunsAwayStaysANumber) {
   Coasting joint(1e-3);
   EffectInstance cubic;
