@@ -73,8 +73,9 @@ absl::Status AskTheArm(const Rig& rig, const Rig& after, const Plant& plant,
         const bool added = std::any_of(joint.effects.begin(), joint.effects.end(),
                                        [&](const auto& e) { return e.type == effect.type; });
         if (!added || !ActsOnTheWholeArm(effect.type)) continue;
-        RS_ASSIGN_OR_RETURN(const std::vector<OtherJoint> others,
-                            AskOtherJoints(rig, plant, logs, i, effect));
+        RS_ASSIGN_OR_RETURN(
+            const std::vector<OtherJoint> others,
+            AskOtherJoints(WithOtherFindings(rig, after, effect.type), plant, logs, i, effect));
         const std::string objection = ObjectionOf(effect.type, others);
         if (objection.empty()) continue;
         joint.verdict = Verdict::kReducedNotAttributed;

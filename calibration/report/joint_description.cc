@@ -185,7 +185,8 @@ class Description {
       AddedEffectReport effect;
       effect.type = type;
       effect.parameters = Parameters(trace_.after.fit, type + ".");
-      JointFit without = Minimise(joint_.problem, WithoutEffect(later, type), joint_.Fit());
+      JointFit without = MinimiseWithout(joint_.problem, trace_.after.fit,
+                                         WithoutEffect(later, type), joint_.Fit());
       joint_.metric.Refit(without);
       effect.held_out_error_before = factor_ * joint_.metric.Error(Model(without.best), Told());
       effect.held_out_error_after = factor_ * joint_.metric.Error(after_, Told());

@@ -16,7 +16,7 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr double kResolution = 0.05;   // of the declared error: the kernel resolves no less
+constexpr double kResolution = 0.01;   // of the declared error: the kernel resolves no less
 constexpr double kAtFloor = 1.1;       // times the floor: little is left
 constexpr double kDetourGain = 0.85;   // error of a way that does not lead over the best model
 constexpr double kNotTestable = 0.02;  // surviving share
@@ -372,9 +372,19 @@ class Search {
     return Minimise(problem_, model.fit.best, problem_.OfRole(LogRole::kFit));
   }
 
+  // Where two effects can give the same torque, as a spring and a polynomial, neither's size is
+  // known: an amplitude of several that the fit does without is held at zero.
+  void DropNeedlessSizes(TracedModel& model) const {
+    const size_t free = model.fit.best.free.size();
+    for (size_t i = 0; model.added.size() > 1 && i < model.added.size(); ++i)
+      model.fit = DropNeedless(problem_, std::move(model.fit), model.added[i], fit_windows_);
+    if (model.fit.best.free.size() < free) refits_.CrossValidate(model);
+  }
+
   // Drops effects whose size a fit to all windows, to its end, does not bear out.
   TracedModel Confirmed(TracedModel model, const TracedModel& declared) {
     while (!model.added.empty()) {
+      DropNeedlessSizes(model);
       TracedModel whole = model;
       whole.fit = OnAllWindows(model);
       const auto effect =

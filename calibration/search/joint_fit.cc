@@ -24,6 +24,7 @@ constexpr double kWiden = 3;             // times as far
 constexpr double kWideningGain = 0.02;   // of the error
 constexpr double kLooseningGain = 0.05;  // of the same
 constexpr double kCommandGain = 0.03;    // of the same
+constexpr double kNeedless = 0.005;      // of the error
 constexpr double kStiction = 1.25;       // Fs / Fc of further starts
 
 class Cost : public ceres::CostFunction {
@@ -221,6 +222,29 @@ JointFit WithBetterCommands(const JointProblem& problem, const JointFit& fit,
   return next.rms < (1 - kCommandGain) * fit.rms ? next : fit;
 }
 
+JointFit MinimiseWithout(const JointProblem& problem, const JointFit& fit, const Hypothesis& less,
+                         const WindowSet& chosen) {
+  const Eigen::VectorXd with = problem.Projected(ModelAt(fit.best, fit.best.x), chosen),
+                        without = problem.Projected(ModelAt(less, less.x), chosen);
+  const Eigen::MatrixXd all = problem.Jacobian(fit.best, fit.best.x, with, chosen);
+  Eigen::MatrixXd J(all.rows(), static_cast<Eigen::Index>(less.free.size()));
+  for (size_t i = 0; i < less.free.size(); ++i)
+    J.col(static_cast<Eigen::Index>(i)) = all.col(IndexOf(fit.best, less.free[i].path));
+  const Eigen::VectorXd step = J.completeOrthogonalDecomposition().solve(with - without);
+  Hypothesis start = less;
+  double least = without.squaredNorm();
+  for (const double share : {1.0, 0.5, 0.25}) {
+    Hypothesis led = less;
+    for (size_t i = 0; i < led.free.size(); ++i) {
+      const auto k = static_cast<Eigen::Index>(i);
+      led.x[k] = std::clamp(led.x[k] + share * step[k], led.free[i].lower, led.free[i].upper);
+    }
+    const double error = problem.Projected(ModelAt(led, led.x), chosen).squaredNorm();
+    if (error < least) start = std::move(led), least = error;
+  }
+  return Minimise(problem, start, chosen);
+}
+
 JointFit DropIdle(const JointProblem& problem, JointFit fit, const std::string& type,
                   const WindowSet& chosen) {
   const EffectInfo& effect = **FindEffect(type);
@@ -237,6 +261,19 @@ JointFit DropIdle(const JointProblem& problem, JointFit fit, const std::string& 
   return left < fit.best.free.size()
              ? Minimise(problem, less, chosen, kSettleIterations, kSearchTolerance)
              : fit;
+}
+
+JointFit DropNeedless(const JointProblem& problem, JointFit fit, const std::string& type,
+                      const WindowSet& chosen) {
+  const EffectInfo& effect = **FindEffect(type);
+  if (effect.amplitudes.size() < 2) return fit;
+  for (const int amplitude : effect.amplitudes) {
+    const int at = IndexOf(fit.best, absl::StrCat(type, ".", effect.parameters[amplitude].name));
+    if (at < 0) continue;
+    JointFit less = MinimiseWithout(problem, fit, FixedAtZero(fit.best, at), chosen);
+    if (less.rms < (1 + kNeedless) * fit.rms) fit = std::move(less);
+  }
+  return fit;
 }
 
 bool HasFreeFriction(const Hypothesis& h) {

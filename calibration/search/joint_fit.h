@@ -39,10 +39,17 @@ JointFit Loosen(const JointProblem& problem, const JointFit& fit,
 // where that lowers the error by 3 %.
 JointFit WithBetterCommands(const JointProblem& problem, const JointFit& fit,
                             const WindowSet& chosen);
+// `less`: `fit` without some of its free parameters or effects. Begins where the others imitate what
+// went as well as they can, to first order, if that is nearer than where they were.
+JointFit MinimiseWithout(const JointProblem& problem, const JointFit& fit, const Hypothesis& less,
+                         const WindowSet& chosen);
 // Sizes of an effect that has several are 0 and no longer free where they move nothing, as friction
 // that is negative and counts as none.
 JointFit DropIdle(const JointProblem& problem, JointFit fit, const std::string& type,
                   const WindowSet& chosen);
+// The same where the error is as low without it.
+JointFit DropNeedless(const JointProblem& problem, JointFit fit, const std::string& type,
+                      const WindowSet& chosen);
 // Whether Stribeck's vs or Fs are free, whose fits may end in a neighbouring minimum.
 bool HasFreeFriction(const Hypothesis& h);
 // From h.x, and where HasFreeFriction also from several speeds with Fs above Fc,

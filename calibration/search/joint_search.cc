@@ -184,7 +184,7 @@ class Search {
     model.added.erase(model.added.begin() + at);
     model.p_values.erase(model.p_values.begin() + at);
     model.cv_gains.erase(model.cv_gains.begin() + at);
-    model.fit = Minimise(joint_.problem, less, joint_.Fit());
+    model.fit = MinimiseWithout(joint_.problem, model.fit, less, joint_.Fit());
     return model;
   }
   void CrossValidateAgain(TracedModel& model) const {

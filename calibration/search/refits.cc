@@ -157,7 +157,8 @@ TracedModel Refits::Without(const TracedModel& model, size_t index) {
   result.added.erase(result.added.begin() + static_cast<int>(index));
   result.p_values.erase(result.p_values.begin() + static_cast<int>(index));
   result.cv_gains.erase(result.cv_gains.begin() + static_cast<int>(index));
-  result.fit = Minimise(problem_, WithoutEffect(model.fit.best, model.added[index]), windows_);
+  result.fit = MinimiseWithout(problem_, model.fit,
+                               WithoutEffect(model.fit.best, model.added[index]), windows_);
   // The search came by here on another way, perhaps to a lesser minimum.
   const TracedModel* const known = Find(result.added);
   if (known != nullptr && known->fit.rms <= result.fit.rms) return *known;

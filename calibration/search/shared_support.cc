@@ -52,6 +52,21 @@ std::string ObjectionOf(const std::string& effect, const std::vector<OtherJoint>
                             asked.size() == 1 ? " does" : " do", " without it");
 }
 
+Rig WithOtherFindings(Rig rig, const Rig& after, const std::string& type) {
+  for (size_t i = 0; i < rig.joints.size(); ++i) {
+    std::vector<DeclaredEffect>& effects = rig.joints[i].effects;
+    const auto declares = [&](const std::string& name) {
+      return std::any_of(effects.begin(), effects.end(),
+                         [&](const DeclaredEffect& effect) { return effect.type == name; });
+    };
+    std::vector<DeclaredEffect> found;
+    for (const DeclaredEffect& effect : after.joints[i].effects)
+      if (effect.type != type && !declares(effect.type)) found.push_back(effect);
+    effects.insert(effects.end(), found.begin(), found.end());
+  }
+  return rig;
+}
+
 absl::StatusOr<std::vector<OtherJoint>> AskOtherJoints(const Rig& rig, const Plant& plant,
                                                        const std::vector<MeasuredLog>& logs,
                                                        int claimant, const DeclaredEffect& effect) {

@@ -25,6 +25,10 @@ std::string ObjectionOf(const std::string& effect, const std::vector<OtherJoint>
 // Whether a joint's effect would show at other joints of its arm as well.
 bool ActsOnTheWholeArm(const std::string& effect);
 
+// `rig` with what `after` found at its joints besides `effect`, as it was found: what else a joint
+// lacks may hide whether it has the effect.
+Rig WithOtherFindings(Rig rig, const Rig& after, const std::string& effect);
+
 // Of the other joints of `rig`, each with its declared model.
 absl::StatusOr<std::vector<OtherJoint>> AskOtherJoints(const Rig& rig, const Plant& plant,
                                                        const std::vector<MeasuredLog>& logs,

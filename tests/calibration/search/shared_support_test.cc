@@ -31,6 +31,22 @@ TEST(SharedSupport, IsTakenBackByOneThatIsPredictedWorse) {
   EXPECT_EQ(ObjectionOf("base_tilt", {Joint("J1", 5, 4, 3), Joint("J2", 1, 1.9, 3)}), "");
 }
 
+TEST(SharedSupport, IsAskedForBesideWhatElseJointsLack) {
+  Rig rig;
+  rig.joints.resize(2);
+  rig.joints[0].effects = {{.type = "stribeck_friction", .parameters = {{"Fc", 1}}}};
+  Rig after = rig;
+  after.joints[0].effects[0].parameters["Fc"] = 2;
+  after.joints[0].effects.push_back({.type = "gravity_error", .parameters = {{"beta", 0.1}}});
+  for (RigJoint& joint : after.joints)
+    joint.effects.push_back({.type = "base_tilt", .parameters = {{"y", 0.02}}});
+  const Rig asked = WithOtherFindings(rig, after, "base_tilt");
+  ASSERT_EQ(asked.joints[0].effects.size(), 2U);
+  EXPECT_EQ(asked.joints[0].effects[0].parameters.at("Fc"), 1) << "still the rig's, to be fitted";
+  EXPECT_EQ(asked.joints[0].effects[1].type, "gravity_error");
+  EXPECT_TRUE(asked.joints[1].effects.empty());
+}
+
 TEST(SharedSupport, IsAskedForWhatActsOnTheWholeArm) {
   EXPECT_TRUE(ActsOnTheWholeArm("payload"));
   EXPECT_TRUE(ActsOnTheWholeArm("base_tilt"));
