@@ -224,6 +224,7 @@ JointFit WithBetterCommands(const JointProblem& problem, const JointFit& fit,
 
 JointFit MinimiseWithout(const JointProblem& problem, const JointFit& fit, const Hypothesis& less,
                          const WindowSet& chosen) {
+  if (less.free.empty()) return Minimise(problem, less, chosen);
   const Eigen::VectorXd with = problem.Projected(ModelAt(fit.best, fit.best.x), chosen),
                         without = problem.Projected(ModelAt(less, less.x), chosen);
   const Eigen::MatrixXd all = problem.Jacobian(fit.best, fit.best.x, with, chosen);

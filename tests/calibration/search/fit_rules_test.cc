@@ -271,6 +271,17 @@ TEST_F(FitRules, OfTwoEffectsThatGiveOneTorqueANeedlessSizeLeaves) {
   EXPECT_EQ(DropNeedless(*problem_, fit, "cable_spring", fitted).best.free.size(), h.free.size());
 }
 
+TEST_F(FitRules, WithoutItsLastParameterAModelIsWhatItIs) {
+  Hypothesis one = declared_;
+  one.free = {{"frictionloss", 1, 0, 3}};
+  one.x = Eigen::VectorXd::Constant(1, 0.5);
+  const WindowSet fitted = problem_->OfRole(LogRole::kFit);
+  const JointFit fit = Minimise(*problem_, one, fitted);
+  const JointFit less = MinimiseWithout(*problem_, fit, FixedAtZero(fit.best, 0), fitted);
+  EXPECT_TRUE(less.best.free.empty());
+  EXPECT_GE(less.rms, fit.rms);
+}
+
 // Friction of an arm's joint that depends on the other one.
 TEST(DropIdle, ASizeThatMovesNothingLeaves) {
   generator::RigOptions options;
