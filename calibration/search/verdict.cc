@@ -18,7 +18,7 @@ constexpr double kUnnamed = 1.5;     // where nothing is found: less than this i
 constexpr double kFewUnnamed = 4.0;  // the same of a few free runs that are far off
 constexpr double kFewPushed = 12.0;  // the same of a joint that others push where it nearly rests
 constexpr double kExplained = 0.97;  // of the excess energy: hardly anything remains
-constexpr double kExplainedToNoise = 0.8;
+constexpr double kExplainedToNoise = 0.7;
 constexpr double kTransferLoss = 1.05;  // worse than declared by more than this: no mechanism
 constexpr int kMinWindows = 8;
 
