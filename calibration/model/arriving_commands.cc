@@ -1,6 +1,7 @@
 #include "calibration/model/arriving_commands.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "calibration/model/joint_simulation.h"
 
@@ -23,6 +24,9 @@ double Between(const std::vector<double>& rows, double at) {
   return Between(value(row - 1), value(row), value(row + 1), value(row + 2), at - row);
 }
 
+// Of a sub-step, each of which a limit follows by itself: it leaves and meets a command within one.
+constexpr int kLimitParts = 8;
+
 // The command of every sub-step: held from `command_shift` rows after its row on, averaged over the
 // sub-step, or as much later on cubics; through the effects of the command stage.
 std::vector<double> ServoCommands(const JointTrack& track, const JointModel& model,
@@ -33,9 +37,20 @@ std::vector<double> ServoCommands(const JointTrack& track, const JointModel& mod
   const absl::Span<const JointChain::Link> command_stage = chain.stage(EffectStage::kCommand);
   const size_t count = static_cast<size_t>(track.log->rows) * steps;
   std::vector<double> commands(count);
+  const bool limits =
+      std::any_of(command_stage.begin(), command_stage.end(),
+                  [](const JointChain::Link& link) { return link.effect->CommandLimits(); });
+  const int parts = limits ? kLimitParts : 1;
   JointMoment moment;
-  moment.h = track.log->dt / steps;
+  moment.h = track.log->dt / (steps * parts);
   for (const JointChain::Link& link : command_stage) link.effect->Reset(moment);
+  // At `at` rows, just before.
+  const auto sent_at = [&](double at) {
+    at -= model.command_shift;
+    if (model.continuous_command) return Between(given, at);
+    return given[static_cast<size_t>(
+        std::clamp(std::ceil(at - 1e-9) - 1, 0.0, static_cast<double>(given.size() - 1)))];
+  };
   std::vector<double> ended(command_stage.size());  // where each left the sub-step before
   std::vector<double> sums;                         // one more than rows
   const auto integral = [&](double at) {            // of the held commands from row 0 [rows]
@@ -64,15 +79,20 @@ std::vector<double> ServoCommands(const JointTrack& track, const JointModel& mod
             Between(given, static_cast<double>(row) + (i + 0.5) / steps - model.command_shift);
       }
       const size_t at = row * steps + i;
-      moment.t = static_cast<double>(at) * moment.h;
-      for (size_t k = 0; k < command_stage.size(); ++k) {
-        command = command_stage[k].effect->Command(command, moment);
-        if (!command_stage[k].effect->CommandSlides()) continue;
-        const double begun = at == 0 ? command : ended[k];
-        ended[k] = command;
-        command = 0.5 * (begun + command);
+      for (int part = 0; part < parts; ++part) {
+        const size_t step = at * parts + part;
+        if (limits)
+          command = sent_at(static_cast<double>(step + 1) / (static_cast<double>(steps) * parts));
+        moment.t = static_cast<double>(step) * moment.h;
+        for (size_t k = 0; k < command_stage.size(); ++k) {
+          command = command_stage[k].effect->Command(command, moment);
+          if (!command_stage[k].effect->CommandSlides()) continue;
+          const double begun = step == 0 ? command : ended[k];
+          ended[k] = command;
+          command = 0.5 * (begun + command);
+        }
+        commands[at] += command / parts;
       }
-      commands[at] = command;
     }
   }
   return commands;

@@ -30,12 +30,13 @@ std::vector<Contender> Rank(const Screening& screening, const NullDistribution& 
   return contenders;
 }
 
-int ChooseFinalists(std::vector<Contender>& contenders, const Screening& screening, int at_most) {
+int ChooseFinalists(std::vector<Contender>& contenders, const Screening& screening, int at_most,
+                    double share) {
   int count = 0;
   const double best = contenders.front().gain;
   for (const Contender& contender : contenders) {
     if (count == at_most || contender.gain < Acceptance::kMinCvGain ||
-        contender.gain < (best > 0.95 ? 0.8 : 0.25) * best ||
+        contender.gain < (best > 0.95 ? 0.8 : share) * best ||
         contender.own_p > 5 * Acceptance::kMaxPValue)
       break;
     ++count;

@@ -21,9 +21,10 @@ struct Contender {
 std::vector<Contender> Rank(const Screening& screening, const NullDistribution& null);
 
 // Moves to the front what is worth a refit, and returns how many: `at_most` candidates that beat
-// their own chance, of what could matter beside the best; and dry friction that beats the
-// library's, because a small friction, of which a signature is made, lets a joint creep that a
-// large one holds.
-int ChooseFinalists(std::vector<Contender>& contenders, const Screening& screening, int at_most);
+// their own chance, of what could matter beside the best, `share` of its gain; and dry friction
+// that beats the library's, because a small friction, of which a signature is made, lets a joint
+// creep that a large one holds.
+int ChooseFinalists(std::vector<Contender>& contenders, const Screening& screening, int at_most,
+                    double share = 0.25);
 
 }  // namespace robostress::calibration

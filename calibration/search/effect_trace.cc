@@ -23,6 +23,7 @@ constexpr double kNotTestable = 0.02;  // surviving share
 constexpr double kSimilarErrors = 2;   // standard errors of the difference over folds
 constexpr double kAsWell = 0.05;       // a simpler model's error may be larger by this share
 constexpr double kOutclassed = 3;      // times the lowest error of a round
+constexpr double kOfLost = 0.05;       // share of the best gain, where linear ones mean little
 constexpr size_t kAlternatives = 3;
 constexpr int kRestarts = 2;  // from a better declared model
 
@@ -235,7 +236,7 @@ class Search {
         DrawNull(problem_, screening, fit_windows_, options_.surrogates, options_.seed);
     std::vector<Contender> others = Rank(screening, null);
     if (others.empty()) return;
-    const int count = ChooseFinalists(others, screening, options_.finalists);
+    const int count = ChooseFinalists(others, screening, options_.finalists, kOfLost);
     std::vector<TracedModel> found(count);
     std::vector<double> promised(count);
     ParallelFor(count, [&](int i) {

@@ -218,7 +218,7 @@ JointFit WithBetterCommands(const JointProblem& problem, const JointFit& fit,
   if (shift >= 0) other.x[shift] += other.model.continuous_command ? 0.5 : -0.5;
   JointFit next = Minimise(problem, other, chosen, kSettleIterations, kSearchTolerance);
   // What is half a row younger may make up for a delay that is longer than the shift may be.
-  if (shift >= 0 && (next.at_bound[shift] || fit.at_bound[shift])) return fit;
+  if (shift >= 0 && next.at_bound[shift]) return fit;
   return next.rms < (1 - kCommandGain) * fit.rms ? next : fit;
 }
 

@@ -39,8 +39,8 @@ JointFit Loosen(const JointProblem& problem, const JointFit& fit,
 // where that lowers the error by 3 %.
 JointFit WithBetterCommands(const JointProblem& problem, const JointFit& fit,
                             const WindowSet& chosen);
-// `less`: `fit` without some of its free parameters or effects. Begins where the others imitate what
-// went as well as they can, to first order, if that is nearer than where they were.
+// `less`: `fit` without some of its free parameters or effects. Begins where the others imitate
+// what went as well as they can, to first order, if that is nearer than where they were.
 JointFit MinimiseWithout(const JointProblem& problem, const JointFit& fit, const Hypothesis& less,
                          const WindowSet& chosen);
 // Sizes of an effect that has several are 0 and no longer free where they move nothing, as friction

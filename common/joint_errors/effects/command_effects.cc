@@ -63,6 +63,7 @@ class RateLimitEffect : public CopyableEffect<RateLimitEffect> {
     return value_;
   }
   bool CommandSlides() const override { return true; }
+  bool CommandLimits() const override { return true; }
 
  private:
   double rate_ = 0;  // [rad/s]

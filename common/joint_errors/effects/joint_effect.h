@@ -70,6 +70,9 @@ class JointEffect {
   virtual double Command(double command, const JointMoment&) { return command; }
   // kCommand: whether what arrives changes over a sub-step, so that Command is where it ends.
   virtual bool CommandSlides() const { return false; }
+  // Follows the command itself, up to a limit: asks for where the command is at the step's end, and
+  // not for its mean.
+  virtual bool CommandLimits() const { return false; }
   // kDrive: the motor's torque [Nm] for the torque asked of it.
   virtual double Drive(double torque, const JointMoment&) { return torque; }
   // kDrive: its inverse, the torque asked of the motor [Nm] where the motor makes `torque`. `asked`

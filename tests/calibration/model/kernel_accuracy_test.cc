@@ -152,6 +152,26 @@ TEST(KernelAccuracy, AServoGetsTheMeanOfALimitedCommandOverASubStep) {
   EXPECT_NEAR(q.back(), 2 * (t - 20.0 / 1000), 2e-5);
 }
 
+// Sent between rows as a curve that the limit is above, or held and late by part of a row.
+TEST(KernelAccuracy, ALimitThatIsNotReachedChangesNoCommand) {
+  for (const bool continuous : {true, false}) {
+    Coasting joint(1e-3);
+    std::vector<double>& command = joint.log.joints[0].command;
+    for (int k = 0; k < joint.log.rows; ++k) command.push_back(0.1 * std::sin(0.02 * k));
+    joint.model.input = JointInput::kPositionTarget;
+    joint.model.servo.kp = 1000;
+    joint.model.servo.kd = 20;
+    joint.model.continuous_command = continuous;
+    joint.model.command_shift = 0.375;
+    const std::vector<double> free = joint.Predict();
+    joint.model.effects = {{*FindEffect("rate_limit"), {continuous ? 3.0 : 1e4}}};
+    const std::vector<double> limited = joint.Predict();
+    // What jumps is up to half a part of a sub-step late, at 2 rad/s.
+    const double within = continuous ? 1e-5 : 2 * 1e-3 / 16 + 1e-6;
+    for (int k = 0; k < joint.log.rows; ++k) EXPECT_NEAR(limited[k], free[k], within) << k;
+  }
+}
+
 // Two encoders; the motor swings as a cosine, read at `dt`.
 struct BetweenEncoders : Coasting {
   static constexpr double kOmega = 20;
