@@ -50,8 +50,9 @@ class SuiteEnv(gymnasium.Env):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
 
     def __init__(self, suite="tabletop_goal", task=0, scenario="clean", severity=5, image_size=224, views=True,
-                 settings=(), render_mode=None):
-        """`settings`: further "key=value" of a unit, such as "sim.goal_reference=desired"."""
+                 settings=(), render_mode=None, camera_names=None):
+        """`settings`: further "key=value" of a unit, such as "sim.goal_reference=desired". `camera_names`: what its two cameras
+        are called in observations; None: as it calls them."""
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InvalidArgument(f"render_mode is {render_mode!r}, must be None or 'rgb_array'")
         self._process = None
@@ -64,7 +65,10 @@ class SuiteEnv(gymnasium.Env):
         said = self._line()
         self.task, self.task_description, self._max_episode_steps = said["name"], said["instruction"], said["horizon"]
         self.scenario, self.severity, self.render_mode = said["scenario"], said["severity"], render_mode
-        self._cameras, self._size = said["cameras"], said["image_size"]
+        self._cameras, self._size = list(camera_names or said["cameras"]), said["image_size"]
+        if len(self._cameras) != len(said["cameras"]):
+            self.close()
+            raise InvalidArgument(f"camera_names is {camera_names!r}, must name {len(said['cameras'])} cameras")
         picture = gymnasium.spaces.Box(0, 255, (self._size, self._size, 3), numpy.uint8)
         spaces = {"agent_pos": gymnasium.spaces.Box(-numpy.inf, numpy.inf, (8,), numpy.float32)}
         if views:

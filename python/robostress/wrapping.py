@@ -17,29 +17,29 @@ class WrappedEnvironment:
     """
 
     def __init__(self, env: Any, scenario: str, **options: Any) -> None:
-        self.env, self._closed = env, False
+        self._wrapped, self._closed = env, False
         self._episode, self._remove = _hook(env, scenario, **options)
         self.errors = self._episode.errors
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or "env" not in vars(self):
+        if name.startswith("__") or "_wrapped" not in vars(self):
             raise AttributeError(name)
-        return getattr(self.env, name)
+        return getattr(self._wrapped, name)
 
     def step(self, action: Any) -> Tuple:
         if self._closed:
             raise WrongOrder("the environment is closed: make another")
-        return self.env.step(action)
+        return self._wrapped.step(action)
 
     def set_init_state(self, *given: Any, **more: Any) -> Any:
         """LIBERO's; an episode begins."""
         self._episode.begun = False
-        return self.env.set_init_state(*given, **more)
+        return self._wrapped.set_init_state(*given, **more)
 
     def unwrap(self) -> Any:
         """The environment as it was."""
         self._remove()
-        return self.env
+        return self._wrapped
 
     def close(self) -> None:
         """Once more does nothing."""
@@ -48,7 +48,7 @@ class WrappedEnvironment:
             self.unwrap().close()
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        raise TypeError(f"a wrapped {type(self.env).__name__} cannot be copied or pickled: it lives in the methods of the one "
+        raise TypeError(f"a wrapped {type(self._wrapped).__name__} cannot be copied or pickled: it lives in the methods of the one "
                         "that it wraps; make another environment and wrap that, JointErrors.copy() keeps the errors' state")
 
 

@@ -8,6 +8,7 @@ import unittest
 
 import numpy
 
+import guide_blocks
 import libero_parts
 
 TASKS = ("libero_object_00", "libero_object_01")
@@ -74,6 +75,19 @@ class Libero(unittest.TestCase):
         mine, _ = self.played(self.made(LiberoBenchmark, scenario="heavy_payload", compensation="gain", compensation_rows=4),
                               steps=24)
         self.assertGreater(numpy.abs(base - mine).max(), 1e-3)
+
+
+    def test_the_guides_examples_run(self):
+        name, rows = libero_parts.recorded(TASKS[0])
+        here = {"bddl_file": str(libero_parts.TREE / "bddl_files" / SUITE / f"{name}.bddl"), "horizon": 2,
+                "initial_state": libero_parts.initial_states(SUITE, name)[0],
+                "policy": lambda observation: rows[:4] * (observation["robot0_eef_pos"][2] > 0)}
+        for heading in ("Stress a LIBERO policy", "Compensate it"):
+            example, = guide_blocks.examples(heading)
+            exec(example, here)
+        self.assertEqual(here["info"]["robostress"]["applied"].shape, (25, 7))
+        self.assertEqual(here["following"].correction.shape, (6,))
+        here["env"].close()
 
 
 if __name__ == "__main__":

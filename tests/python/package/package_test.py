@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """The installed package: bits of the C++ kernels, refusals, the programs behind it. Arguments by environment:
 KERNEL_REFERENCE, CALIBRATE, SERVE; a test without its program is skipped."""
+import contextlib
+import io
 import os
 import pathlib
 import subprocess
@@ -9,6 +11,7 @@ import threading
 import time
 import unittest
 
+import guide_blocks
 import numpy as np
 
 import robostress as rs
@@ -255,6 +258,26 @@ class Programs(unittest.TestCase):
             rs.calibrate(rig, [{"columns": {"t": [0, 0.005]}}], program=program("CALIBRATE"))
         with self.assertRaisesRegex(rs.InvalidArgument, "log_0 has no column t"):
             rs.calibrate(rig, [{"columns": {}}], program=program("CALIBRATE"))
+
+    def test_the_guides_example_calibrates_files(self):
+        example, = guide_blocks.examples("Calibrate my arm from arrays")
+        began, said = os.getcwd(), io.StringIO()
+        with tempfile.TemporaryDirectory() as folder:
+            pathlib.Path(folder, "arm.xml").write_text(PENDULUM)
+            for seed in range(3):
+                columns = pendulum_log(0.4, seed)
+                np.savetxt(pathlib.Path(folder, f"run_{seed + 1}.csv"), np.column_stack(list(columns.values())), fmt="%.17g",
+                           delimiter=",", header=",".join(columns), comments="")
+            os.environ["ROBOSTRESS_CALIBRATE"] = program("CALIBRATE")
+            os.chdir(folder)
+            try:
+                with contextlib.redirect_stdout(said):
+                    exec(example, {})
+                self.assertTrue(pathlib.Path("calibrated/report.html").exists())
+            finally:
+                os.chdir(began)
+                del os.environ["ROBOSTRESS_CALIBRATE"]
+        self.assertRegex(said.getvalue(), "^(attributed|ambiguous|reduced_not_attributed) hinge: ")
 
     def test_asks_a_policy_server(self):
         try:

@@ -61,23 +61,37 @@ def environment(python, folder, requirements):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--python", required=True, help="the interpreter, 3.8 or later")
+    parser.add_argument("--python", help="the interpreter, 3.8 or later")
+    parser.add_argument("--python-named-by", metavar="VARIABLE",
+                        help="of the environment: an interpreter with packages of its own, beside which the wheels are put")
+    parser.add_argument("--plug-in", type=pathlib.Path, help="source of one more package")
     parser.add_argument("--library", required=True, help="librobostress.so.1")
     parser.add_argument("--scratch", required=True, type=pathlib.Path)
     parser.add_argument("--requirements", type=pathlib.Path, help="more packages; skipped where they cannot be had")
     parser.add_argument("script", nargs="+", help="what is run, with its arguments")
     line = parser.parse_args()
-    python = environment(interpreter(line.python), line.scratch / "venv", line.requirements)
+    if line.python_named_by:
+        python = os.environ.get(line.python_named_by) or skip(f"{line.python_named_by} names no Python")
+    else:
+        python = environment(interpreter(line.python), line.scratch / "venv", line.requirements)
     wheels = line.scratch / "wheels"
     shutil.rmtree(wheels, ignore_errors=True)
     must(run(python, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-index", "--no-deps",
              f"--config-settings=library={line.library}", "-w", wheels, SOURCE / "python"))
     wheel, = wheels.iterdir()
-    must(run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index", "--no-deps",
-             "--force-reinstall", wheel))
+    install = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")
+    os.environ.pop("PYTHONPATH", None)
+    if line.python_named_by:
+        site = line.scratch / "site"
+        shutil.rmtree(site, ignore_errors=True)
+        must(run(*install, "--target", site, wheel))
+        if line.plug_in:
+            must(run(*install, "--no-build-isolation", "--target", site, line.plug_in))
+        os.environ["PYTHONPATH"] = str(site)
+    else:
+        must(run(*install, "--force-reinstall", wheel))
     print(f"{wheel.name} in {must(run(python, '--version')).strip()}")
     sys.stdout.flush()
-    os.environ.pop("PYTHONPATH", None)
     sys.exit(subprocess.run([str(python), *line.script], cwd=str(line.scratch)).returncode)
 
 

@@ -7,11 +7,14 @@ import tempfile
 import threading
 import unittest
 
+import guide_blocks
 import numpy
+import yaml
 from vla_eval.benchmarks.libero.benchmark import LIBEROBenchmark
 from vla_eval.model_servers.predict import PredictModelServer
 from vla_eval.model_servers.serve import serve_async
 from vla_eval.orchestrator import Orchestrator
+from vla_eval.registry import resolve_import_string
 
 import robostress
 from robostress.gymnasium_suites import SuiteEnv
@@ -125,6 +128,12 @@ class Suites(unittest.TestCase):
         for bad in ([0] * 6, [float("nan")] * 7, [[0] * 7, [0] * 7]):
             with self.assertRaisesRegex(robostress.RobostressError, "7 finite numbers"):
                 played(self.made(), [bad])
+
+    def test_the_guides_configuration_is_one(self):
+        entries = yaml.safe_load(guide_blocks.examples("In vla-eval and LeRobot", "yaml")[0])["benchmarks"]
+        for entry in entries:
+            made = resolve_import_string(entry["benchmark"])(**entry["params"])
+            self.assertEqual(made.get_metadata()["scenario"], entry["params"]["scenario"])
 
     def test_a_late_action_moves_nothing(self):
         hold = self.made().get_hold_action
