@@ -48,6 +48,10 @@ EffectChain::EffectChain(const JointModel& model, JointChain chain)
 EffectChain EffectChain::Copy() const {
   EffectChain copy(model_, chain_);
   copy.side_ = side_;
+  for (size_t i = 0; i < gaps_.size(); ++i) {
+    copy.gaps_[i].motor = gaps_[i].motor;
+    copy.gaps_[i].offset = gaps_[i].offset;
+  }
   copy.of_states_ = of_states_;
   copy.drift_ = drift_;
   return copy;
@@ -92,8 +96,9 @@ double EffectChain::Offset(const JointMoment& moment) {
     const double part = link.effect->Offset(moment);
     sum += part;
     if (link.effect->HasState()) of_states_ += part;
-    for (const Gap& gap : gaps_) {
+    for (Gap& gap : gaps_) {
       if (gap.effect != link.effect.get()) continue;
+      gap.motor = moment.q, gap.offset = part;
       side_ = std::abs(part) < (1 - 1e-9) * gap.half_width ? 0 : part < 0 ? 1 : -1;
     }
   }
@@ -101,18 +106,26 @@ double EffectChain::Offset(const JointMoment& moment) {
   return sum;
 }
 
-double EffectChain::OffsetAt(double q, double later) const {
+double EffectChain::WavesAt(double q) const {
   JointMoment moment;
   moment.q = q;
-  double sum = of_states_ + later * drift_;
+  double sum = 0;
   for (JointEffect* wave : waves_) sum += wave->Offset(moment);
+  return sum;
+}
+
+double EffectChain::OffsetAt(double q, double later) const {
+  double sum = of_states_ + later * drift_ + WavesAt(q);
+  // Within a gap the link stays where it was.
+  for (const Gap& gap : gaps_)
+    sum += std::clamp(gap.motor + gap.offset - q, -gap.half_width, gap.half_width) - gap.offset;
   return sum;
 }
 
 double EffectChain::SpeedRatio(double q_motor) const {
   if (!has_wave()) return 1;
   const double slope =
-      (OffsetAt(q_motor + kRatioStep) - OffsetAt(q_motor - kRatioStep)) / (2 * kRatioStep);
+      (WavesAt(q_motor + kRatioStep) - WavesAt(q_motor - kRatioStep)) / (2 * kRatioStep);
   return std::max(kLeastSpeedRatio, 1 + slope);
 }
 
@@ -121,7 +134,7 @@ double EffectChain::SpeedRatio(double q_motor) const {
 double EffectChain::MotorOf(double q_link) const {
   double q = q_link - of_states_;
   for (int i = 0; i < kNewtonSteps && has_wave(); ++i) {
-    const double step = (q + OffsetAt(q) - q_link) / SpeedRatio(q);
+    const double step = (q + of_states_ + WavesAt(q) - q_link) / SpeedRatio(q);
     q -= step;
     if (std::abs(step) < kNewtonTolerance) break;
   }

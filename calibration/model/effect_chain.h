@@ -53,9 +53,11 @@ class EffectChain {
  private:
   struct Gap {
     const JointEffect* effect;
-    double half_width;  // [rad]
+    double half_width;             // [rad]
+    double motor = 0, offset = 0;  // [rad] at the last Offset
   };
   EffectChain(const JointModel& model, JointChain chain);
+  double WavesAt(double q) const;
 
   const JointModel& model_;
   JointChain chain_;

@@ -13,11 +13,13 @@ namespace {
 constexpr double kRunaway = 1e4;         // [rad]
 constexpr double kSameSlope = 1e-3;      // of the servo's: less is no limit
 constexpr double kObserverRate = 50;     // [1/s]
+constexpr double kSureOfRest = 3;        // standard deviations between two readings
 constexpr double kMostLoadSlope = 0.95;  // [Nm/Nm] of friction by the torque that it loads
 }  // namespace
 
 struct JointSimulation::State {
   double t = 0, q = 0, dq = 0, offset = 0;
+  bool alone = false;  // the motor moves in a gap, and the link stands
 };
 
 namespace {
@@ -238,6 +240,26 @@ JointMoment JointSimulation::MeasuredMoment(const JointModel& model, const Effec
   return moment;
 }
 
+// The link's velocity until the next row. Where it comes to rest between two rows the smoothed one
+// rounds the corner, and the readings say it.
+double JointSimulation::LinkSpeed(int row) const {
+  const JointRecord& record = track_.record();
+  const int next = std::min(row + 1, track_.log->rows - 1), from = next - 1;
+  const double read = (record.q[next] - record.q[from]) / track_.log->dt;
+  const double noise = kSureOfRest * std::sqrt(2.0) * record.noise / track_.log->dt;
+  if (std::abs(read - record.dq[row]) <= noise) return record.dq[row];
+  return std::abs(read) > noise ? read : 0;
+}
+
+// The link's velocity at a row, from the readings before it alone; 0 where they end at rest.
+double JointSimulation::SpeedInto(int row) const {
+  const JointRecord& record = track_.record();
+  if (row < 2) return record.dq[row];
+  const double last = (record.q[row] - record.q[row - 1]) / track_.log->dt;
+  const double ahead = 1.5 * last - 0.5 * (record.q[row - 1] - record.q[row - 2]) / track_.log->dt;
+  return ahead * last > 0 ? ahead : 0;
+}
+
 // The row from which the state of row `start` is led. Where memory is long it is the same for all
 // windows of a span, whichever are chosen: they are led one after the other.
 int JointSimulation::LeadFrom(int start, const EffectChain& chain) const {
@@ -274,11 +296,20 @@ void JointSimulation::Lead(const JointModel& model, EffectChain& chain, int firs
       s.dq += (1 - z) * (1 - z) / dt * ahead;
       continue;
     }
-    if (!record.velocity_of_motor && chain.MovesAlone(record.dq[row])) {
+    // The motor turns round where the link comes to rest, perhaps within this row.
+    const bool rests = chain.MovesAlone(LinkSpeed(row));
+    if (!record.velocity_of_motor &&
+        (rests || (!s.alone && chain.MovesAlone(LinkSpeed(row + 1))))) {
+      if (!s.alone) {
+        s.q = chain.MotorOf(chain.LinkOf(record.q[row]));
+        s.dq = rests ? 0 : SpeedInto(row);
+      }
+      s.alone = true;
       for (int i = 0; i < sub_steps_; ++i)
         SubStep(model, chain, row, commands_[static_cast<size_t>(row) * sub_steps_ + i], s);
       continue;
     }
+    s.alone = false;
     for (int i = 0; i < LeadSteps(chain); ++i) {
       const JointMoment moment = MeasuredMoment(model, chain, row, i, s);
       DryFriction ignored;
@@ -289,7 +320,7 @@ void JointSimulation::Lead(const JointModel& model, EffectChain& chain, int firs
     }
   }
   s.t = last * dt;
-  const bool alone = chain.MovesAlone(record.dq[last]);
+  const bool alone = chain.MovesAlone(LinkSpeed(last));
   if (!alone) {
     s.q = chain.MotorOf(chain.LinkOf(record.q_smooth[last]));
     s.offset = chain.OffsetAt(s.q);

@@ -95,6 +95,8 @@ class JointSimulation {
                  State& state);
   JointMoment MeasuredMoment(const JointModel& model, const EffectChain& chain, int row, int step,
                              const State& state);
+  double LinkSpeed(int row) const;
+  double SpeedInto(int row) const;
   // Steps of a row while leading: only an oscillation needs the simulation's.
   int LeadSteps(const EffectChain& chain) const { return chain.oscillates ? sub_steps_ : 1; }
   int LeadFrom(int start, const EffectChain& chain) const;

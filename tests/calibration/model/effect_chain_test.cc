@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "calibration/model/hypothesis.h"
 
 namespace robostress::calibration {
@@ -26,15 +28,32 @@ TEST(EffectChain, TheMotorsAngleComesBackFromItsLink) {
                    {FindEffect("backlash").value(), {0.05}}};
   EffectChain chain(model);
   JointMoment moment;
-  for (const double q : {0.0, 0.3, 0.9, 0.7}) {  // the gap is taken up forwards, then backwards
+  double before = 0;
+  for (const double q : {0.3, 0.9, 0.7}) {  // the gap is taken up forwards, then backwards
     moment.q = q;
     const double link = q + chain.Offset(moment);
     EXPECT_NEAR(chain.MotorOf(link), q, 1e-12);
-    const double way = 1e-4;
+    const double way = std::copysign(1e-4, q - before);
     EXPECT_NEAR(chain.SpeedRatio(q), 1 + (chain.OffsetAt(q + way) - chain.OffsetAt(q)) / way, 1e-3);
+    before = q;
   }
   chain.Reset({});
   EXPECT_NEAR(chain.MotorOf(0.02), 0, 1e-12) << "of the gap before";
+}
+
+// Asked ahead, a gap says what it then does: in it the link stays.
+TEST(EffectChain, AGapIsAheadWhereItWillBe) {
+  JointModel model;
+  model.effects = {{FindEffect("backlash").value(), {0.05}}};
+  EffectChain chain(model);
+  JointMoment moment;
+  for (const double q : {0.01, 0.3, 0.25, 0.21, 0.19, 0.5}) {
+    const double ahead = chain.OffsetAt(q), copied = chain.Copy().OffsetAt(q);
+    moment.q = q;
+    const double then = chain.Offset(moment);
+    EXPECT_NEAR(ahead, then, 1e-12) << q;
+    EXPECT_NEAR(copied, then, 1e-12) << q;
+  }
 }
 
 TEST(EffectChain, ADriveFollowsNothingBeyondItsLimit) {

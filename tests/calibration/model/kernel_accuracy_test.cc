@@ -209,7 +209,9 @@ TEST(KernelAccuracy, AGapBetweenEncodersIsTakenUpWhereTheMotorTurnsBetweenRows) 
 }
 
 // Runs that begin within a motion of the same model, of which its link alone is read.
-void ExpectRunsGoOnBehind(const std::string& effect, std::vector<double> values, double within) {
+// smoothed: rows each side that the velocity is a mean over, which rounds corners.
+void ExpectRunsGoOnBehind(const std::string& effect, std::vector<double> values, double within,
+                          int smoothed = 1) {
   Coasting joint(2e-3);
   joint.log.rows = 1000;
   JointRecord& record = joint.log.joints[0];
@@ -224,7 +226,8 @@ void ExpectRunsGoOnBehind(const std::string& effect, std::vector<double> values,
   std::vector<double> whole(1000), runs(1000);
   JointSimulation(joint.track).Predict(joint.model, 0, {}, {}, absl::MakeSpan(whole));
   record.q = record.q_smooth = whole;
-  for (int k = 1; k + 1 < 1000; ++k) record.dq[k] = (whole[k + 1] - whole[k - 1]) / 4e-3;
+  for (int k = smoothed; k + smoothed < 1000; ++k)
+    record.dq[k] = (whole[k + smoothed] - whole[k - smoothed]) / (smoothed * 4e-3);
   JointSimulation(joint.track).Predict(joint.model, 100, {}, {}, absl::MakeSpan(runs));
   for (int k = 200; k + 1 < 1000; ++k) EXPECT_NEAR(runs[k], whole[k], within) << k;
 }
@@ -235,6 +238,30 @@ TEST(KernelAccuracy, ARunBehindAWaveOfTheTransmissionBeginsWhereTheMotorIs) {
 
 TEST(KernelAccuracy, ARunBehindASoftTransmissionBeginsWhereTheMotorIs) {
   ExpectRunsGoOnBehind("compliance", {60, 9, 0.6}, 1e-3);
+}
+
+TEST(KernelAccuracy, ARunInAGapBeginsWhereTheMotorTurnedRoundBefore) {
+  ExpectRunsGoOnBehind("backlash", {0.02}, 2e-3, 6);
+}
+
+// A servo that reads the link of a motor which crosses a gap, by sub-steps of 1 ms and of 0.1 ms.
+TEST(KernelAccuracy, AServoReadsALinkThatStandsWhileItsMotorCrossesAGap) {
+  std::vector<double> q[2];
+  for (int fine = 0; fine < 2; ++fine) {
+    const double dt = fine ? 1e-4 : 1e-3;
+    Coasting joint(dt);
+    for (int k = 0; k < joint.log.rows; ++k)
+      joint.log.joints[0].command.push_back(0.5 * (1 - std::cos(12 * k * dt)));
+    joint.model.input = JointInput::kPositionTarget;
+    joint.model.servo.kp = 160;
+    joint.model.servo.kd = 4;
+    joint.model.servo.feedback = ServoFeedback::kLink;
+    joint.model.frictionloss = 0.5;
+    joint.model.continuous_command = true;
+    joint.model.effects = {{*FindEffect("backlash"), {0.01}}};
+    q[fine] = joint.Predict();
+  }
+  for (int k = 0; k < 1000; ++k) EXPECT_NEAR(q[0][k], q[1][10 * k], 5e-5) << k;
 }
 
 // Half a row late is 0.02 rad here.
