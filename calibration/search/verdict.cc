@@ -14,6 +14,8 @@ constexpr double kAtFloor = 1.15;    // times the floor counts as noise
 constexpr double kWhite = 1.5;       // the same of what is white
 constexpr double kNearFloor = 3.0;   // the most that may be left under a name
 constexpr double kKernel = 0.002;    // of the declared error: the simulation's own may be as large
+constexpr double kMinor = 0.01;      // of the same: what is left beside a large effect
+constexpr double kFarFromFloor = 5;  // the most of that
 constexpr double kUnnamed = 1.5;     // where nothing is found: less than this is not claimed
 constexpr double kFewUnnamed = 4.0;  // the same of a few free runs that are far off
 constexpr double kFewPushed = 12.0;  // the same of a joint that others push where it nearly rests
@@ -74,7 +76,8 @@ std::string WhyNoMechanism(const Evidence& e, double explained) {
         100 * explained);
   // Of a right model a few free runs may stick where the machine slipped.
   const bool few_runs = e.after_bulk <= kUnnamed * e.floor;
-  const bool resolved = e.after <= kKernel * e.declared;
+  const bool resolved = e.after <= kKernel * e.declared ||
+                        (e.after <= kMinor * e.declared && e.after <= kFarFromFloor * e.floor);
   if (!e.inverse && e.after > kNearFloor * e.floor && !few_runs && !resolved)
     return absl::StrFormat(
         "what was added leaves %.1f times the noise, and no more than %.1f is left under a name",

@@ -211,14 +211,14 @@ TEST(KernelAccuracy, AGapBetweenEncodersIsTakenUpWhereTheMotorTurnsBetweenRows) 
 // Runs that begin within a motion of the same model, of which its link alone is read.
 // smoothed: rows each side that the velocity is a mean over, which rounds corners.
 void ExpectRunsGoOnBehind(const std::string& effect, std::vector<double> values, double within,
-                          int smoothed = 1) {
+                          int smoothed = 1, double omega = 0.012) {
   Coasting joint(2e-3);
   joint.log.rows = 1000;
   JointRecord& record = joint.log.joints[0];
   record.tau.clear();
   record.q.assign(1000, 0);
   record.q_smooth = record.dq = record.ddq = record.q;
-  for (int k = 0; k < 1000; ++k) record.command.push_back(0.5 * (1 - std::cos(0.012 * k)));
+  for (int k = 0; k < 1000; ++k) record.command.push_back(0.5 * (1 - std::cos(omega * k)));
   joint.model.input = JointInput::kPositionTarget;
   joint.model.servo.kp = 40;
   joint.model.servo.kd = 3;
@@ -241,7 +241,7 @@ TEST(KernelAccuracy, ARunBehindASoftTransmissionBeginsWhereTheMotorIs) {
 }
 
 TEST(KernelAccuracy, ARunInAGapBeginsWhereTheMotorTurnedRoundBefore) {
-  ExpectRunsGoOnBehind("backlash", {0.02}, 2e-3, 6);
+  ExpectRunsGoOnBehind("backlash", {0.02}, 1e-4, 6, 0.0127);
 }
 
 // A servo that reads the link of a motor which crosses a gap, by sub-steps of 1 ms and of 0.1 ms.

@@ -113,6 +113,16 @@ TEST(Verdict, NamesNoMechanismThatLeavesThreeTimesTheNoise) {
   e.after = 0.0301;
   EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
   EXPECT_THAT(Judge(e).because, HasSubstr("3.0 times the noise"));
+  e.declared = 5;  // a hundredth of which may be left, up to five times the noise
+  e.after = 0.0499;
+  EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
+  e.after = 0.0501;
+  EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
+  e.declared = 4.9;
+  e.after = 0.0499;
+  EXPECT_EQ(VerdictOf(e), Verdict::kReducedNotAttributed);
+  e.declared = 1;
+  e.after = 0.0301;
   e.after_bulk = 0.0149;  // a few runs stick where the machine slipped
   EXPECT_EQ(VerdictOf(e), Verdict::kAttributed);
   e.after_bulk = 0.0151;
