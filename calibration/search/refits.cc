@@ -82,7 +82,10 @@ void Refits::SettleBest(std::vector<TracedModel>& models, const std::vector<doub
   for (const TracedModel& model : models) error = std::min(error, model.fit.rms);
   ParallelFor(static_cast<int>(models.size()), [&](int i) {
     TracedModel& model = models[i];
-    if (model.fit.rms > kFarOff * error || !model.cv.energy.empty()) return;
+    // A signature that explains as much as the best does may lie along a valley of the declared
+    // parameters, where first iterations lead nowhere.
+    const bool far = model.fit.rms > kFarOff * error && promised[i] > kStuck * error;
+    if (far || !model.cv.energy.empty()) return;
     model.fit = Settle(problem_, model.fit, windows_);
     if (model.added.back() == kFriction)
       model.fit = MinimiseFriction(problem_, model.fit.best, windows_);
