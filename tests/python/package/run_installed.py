@@ -86,7 +86,10 @@ def main():
         shutil.rmtree(site, ignore_errors=True)
         must(run(*install, "--target", site, wheel))
         if line.plug_in:
-            must(run(*install, "--no-build-isolation", "--target", site, line.plug_in))
+            copy = line.scratch / "plug_in"  # pip builds where the source is
+            shutil.rmtree(copy, ignore_errors=True)
+            shutil.copytree(line.plug_in, copy)
+            must(run(*install, "--no-build-isolation", "--target", site, copy))
         os.environ["PYTHONPATH"] = str(site)
     else:
         must(run(*install, "--force-reinstall", wheel))
