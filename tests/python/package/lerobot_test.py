@@ -13,6 +13,7 @@ import unittest
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 
+import libero_parts
 import numpy
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
@@ -67,6 +68,41 @@ class LeRobot(unittest.TestCase):
             report = json.loads(pathlib.Path(folder, "out/eval_info.json").read_text())
         self.assertEqual(report["overall"]["n_episodes"], 2, report["overall"])
         self.assertEqual(report["overall"]["pc_success"], 0, "random weights")
+
+
+@unittest.skipUnless(libero_parts.TREE.is_dir(), f"no {libero_parts.TREE}")
+class Libero(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        os.environ.setdefault("MUJOCO_GL", "egl")
+        try:
+            cls.kept = libero_parts.prepare()
+        except ImportError as fault:
+            raise unittest.SkipTest(f"{fault.name} is not there: pip install 'lerobot[libero]'")
+        pathlib.Path(cls.kept.name, "config.yaml").write_text("".join(f"{key}: {value}\n" for key, value in {
+            "bddl_files": libero_parts.TREE / "bddl_files", "init_states": libero_parts.TREE / "init_files",
+            "assets": "unused", "datasets": "unused", "benchmark_root": libero_parts.TREE}.items()))
+
+    def played(self, config):
+        env = make_env(config, n_envs=1)["libero_object"][0]
+        self.addCleanup(env.close)
+        env.reset(seed=[1])
+        for k in range(8):
+            seen, _, _, _, info = env.step(numpy.array([[0.3, 0, -0.5, 0, 0, 0, -1]], numpy.float32))
+        self.assertEqual(env.render()[0].shape[-1], 3)
+        return seen["robot_state"]["joints"]["pos"][0], info
+
+    def test_liberos_arm_wears_and_stays_its_own_without(self):
+        from lerobot.envs.configs import LiberoEnv
+        from robostress.lerobot_envs import RobostressLiberoEnv
+        options = {"task": "libero_object", "task_ids": [0], "observation_height": 64, "observation_width": 64}
+        plain, _ = self.played(LiberoEnv(**options))
+        clean, _ = self.played(RobostressLiberoEnv(**options))
+        worn, info = self.played(RobostressLiberoEnv(scenario="aged_transmission", **options))
+        numpy.testing.assert_array_equal(plain, clean)
+        self.assertGreater(numpy.abs(worn - plain).max(), 1e-4)
+        self.assertIn("robostress", info)
+        self.assertEqual(info["is_success"].tolist(), [False])
 
 
 if __name__ == "__main__":
