@@ -16,7 +16,8 @@ def base_of(env: Any) -> Optional[Any]:
     """The environment of robosuite in `env`, or None."""
     kind = getattr(sys.modules.get("robosuite.environments.base"), "MujocoEnv", ())
     while env is not None and not isinstance(env, kind):
-        env = vars(env).get("env") if hasattr(env, "__dict__") else None
+        inside = vars(env) if hasattr(env, "__dict__") else {}
+        env = inside.get("_wrapped", inside.get("env"))
     return env
 
 

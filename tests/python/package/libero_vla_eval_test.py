@@ -69,6 +69,7 @@ class Libero(unittest.TestCase):
             again, _ = self.played(benchmark, task)
             numpy.testing.assert_allclose(worn, again, atol=1e-12, err_msg="an episode begins anew")
         self.assertIs(envs.OffScreenRenderEnv, original)
+        self.assertTrue(hasattr(benchmark._env.env, "_check_success"), "what is inside LIBERO's environment, not that itself")
 
     def test_a_compensator_corrects_what_the_model_server_says(self):
         base, _ = self.played(self.made(LiberoBenchmark, scenario="heavy_payload"), steps=24)
