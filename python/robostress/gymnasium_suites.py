@@ -21,7 +21,7 @@ from robostress._library import InvalidArgument, NotFound, RobostressError
 
 SUITES = {"TabletopGoal": "tabletop_goal", "TabletopLong": "tabletop_long", "TabletopObject": "tabletop_object",
           "TabletopSpatial": "tabletop_spatial"}
-INITIAL_STATES = 50
+TASKS, INITIAL_STATES = 10, 50  # of a suite, of a task
 PROGRAM = "robostress-environment"
 END_S = 5  # [s] for the program to end by itself
 

@@ -14,10 +14,8 @@ from lerobot.envs.configs import EnvConfig, LiberoEnv
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 from robostress._library import InvalidArgument
-from robostress.gymnasium_suites import SuiteEnv
+from robostress.gymnasium_suites import INITIAL_STATES, TASKS, SuiteEnv
 from robostress.wrapping import wrap
-
-TASKS = 10  # of a suite
 
 
 def _vectorised(makers, use_async):
@@ -35,7 +33,7 @@ class _Counted(SuiteEnv):
         self._next, self._stride = first, stride
 
     def reset(self, *, seed=None, options=None):
-        state, self._next = self._next % 50, self._next + self._stride
+        state, self._next = self._next % INITIAL_STATES, self._next + self._stride
         return super().reset(seed=seed, options={"initial_state": state})
 
 

@@ -21,10 +21,8 @@ from vla_eval.specs import GRIPPER_CLOSE_POS, IMAGE_RGB, LANGUAGE, POSITION_DELT
 
 from robostress._library import InvalidArgument
 from robostress.compensation import Compensator
-from robostress.gymnasium_suites import INITIAL_STATES, SuiteEnv
+from robostress.gymnasium_suites import INITIAL_STATES, TASKS, SuiteEnv
 from robostress.wrapping import wrap
-
-TASKS = 10  # of a suite
 
 
 class _Corrected:

@@ -17,9 +17,6 @@ bool Contains(const std::vector<std::string>& names, const std::string& name) {
 }
 
 constexpr double kLongestRun = 20;  // [s] of a run that was proposed
-constexpr Family kFamilies[] = {Family::kServo,        Family::kTorque, Family::kInverse,
-                                Family::kTransmission, Family::kSlide,  Family::kArm};
-
 // Effects that take from dry friction what must be there.
 bool NeedsFriction(const std::string& effect) {
   return Contains({"asymmetric_coulomb", "position_dependent_friction", "time_drift_friction",
@@ -404,25 +401,25 @@ class Drawer {
 
   void MeasureVisibility() {
     if (options_.effects.empty()) return;
+    const Recording with = Perform(rig_.truth, experiments_[0], 0);
     Machine bare = rig_.truth;
     bare.effects.clear();
     bare.tip_mass = bare.tilt = 0;
-    rig_.visibility = VisibilityBeside(bare);
+    rig_.visibility = VisibilityBeside(bare, with);
     for (size_t i = 0; i < rig_.truth.effects.size(); ++i) {
       Machine less = rig_.truth;
       const HiddenEffect gone = less.effects[i];
       less.effects.erase(less.effects.begin() + static_cast<std::ptrdiff_t>(i));
       if (gone.type == "payload") less.tip_mass = 0;
       if (gone.type == "base_tilt") less.tilt = 0;
-      rig_.visibility_of.push_back(VisibilityBeside(less));
+      rig_.visibility_of.push_back(VisibilityBeside(less, with));
     }
   }
 
   // Of what `less` lacks.
-  double VisibilityBeside(const Machine& less) const {
+  double VisibilityBeside(const Machine& less, const Recording& with) const {
     double visibility = 0;
-    const Recording with = Perform(rig_.truth, experiments_[0], 0),
-                    without = Perform(less, experiments_[0], 0);
+    const Recording without = Perform(less, experiments_[0], 0);
     const double noise = std::hypot(experiments_[0].noise, experiments_[0].step / std::sqrt(12.0));
     for (size_t j = 0; j < with.joints.size(); ++j) {
       const std::vector<double>&a = with.joints[j].clean, &b = without.joints[j].clean;
@@ -446,47 +443,6 @@ class Drawer {
 };
 
 }  // namespace
-
-const char* FamilyName(Family family) {
-  constexpr const char* kNames[] = {"any",          "servo", "torque", "inverse",
-                                    "transmission", "slide", "arm"};
-  return kNames[static_cast<int>(family)];
-}
-
-absl::StatusOr<Family> ParseFamily(const std::string& name) {
-  if (name == "any") return Family::kAny;
-  std::vector<std::string> known = {"any"};
-  for (const Family family : kFamilies) {
-    if (name == FamilyName(family)) return family;
-    known.push_back(FamilyName(family));
-  }
-  return absl::NotFoundError(
-      absl::StrCat("family '", name, "' is unknown; known: ", absl::StrJoin(known, ", ")));
-}
-
-std::vector<Family> FamiliesOf(const std::string& effect) {
-  using enum Family;
-  if (Contains({"cross_joint_coupling", "cross_joint_friction", "cross_joint_rubbing",
-                "cross_joint_inertia", "base_tilt"},
-               effect))
-    return {kArm};
-  if (effect == "gravity_dependent_friction") return {kServo, kTorque, kInverse, kArm};
-  if (effect == "encoder_eccentricity") return {kServo, kTransmission};
-  if (effect == "rate_limit") return {kServo, kSlide};
-  if (Contains({"transport_delay", "servo_lag", "delay_jitter"}, effect))
-    return {kServo, kSlide, kTransmission};
-  if (Contains({"backlash", "compliance", "transmission_error", "intermittent_slip"}, effect))
-    return {kServo, kSlide, kTransmission};
-  if (effect == "encoder_gain") return {kServo, kTransmission};
-  if (effect == "encoder_offset") return {kServo, kTorque};
-  if (effect == "gravity_error") return {kServo, kTorque, kInverse, kSlide, kArm};
-  if (effect == "second_mass" || effect == "quantised_command") return {kServo, kSlide};
-  if (Contains({"torque_saturation", "deadzone", "time_varying_gain", "motor_gain",
-                "load_dependent_friction", "current_ripple"},
-               effect))
-    return {kServo, kTorque, kInverse, kSlide};
-  return {kServo, kTorque, kInverse, kSlide, kArm};
-}
 
 absl::StatusOr<GeneratedRig> GenerateRig(const RigOptions& options) {
   std::vector<Family> families(std::begin(kFamilies), std::end(kFamilies));

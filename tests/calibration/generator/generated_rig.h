@@ -8,10 +8,10 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "tests/calibration/generator/hidden_machine.h"
+#include "tests/calibration/generator/machine_family.h"
 
 namespace robostress::generator {
 
-enum class Family { kAny, kServo, kTorque, kInverse, kTransmission, kSlide, kArm };
 // kBrief: two short logs to fit, full of everything, for tests that must be quick.
 enum class Richness { kAny, kRich, kPoor, kBrief };
 // What beside its hidden effects makes a rig hard to tell.
@@ -74,12 +74,8 @@ struct GeneratedRig {
   std::vector<double> visibility_of;  // the same of each effect of `truth` beside the others
 };
 
-const char* FamilyName(Family family);
 // Errors list the known names.
 absl::StatusOr<Hardship> ParseHardship(const std::string& name);
-absl::StatusOr<Family> ParseFamily(const std::string& name);
-// Families in which `effect` has an influence on what is compared.
-std::vector<Family> FamiliesOf(const std::string& effect);
 
 // Errors: an unknown effect, effects that no family shows together.
 absl::StatusOr<GeneratedRig> GenerateRig(const RigOptions& options);

@@ -7,7 +7,7 @@
 #include <filesystem>
 #include <optional>
 
-#include "tests/calibration/search/brief_servo.h"
+#include "tests/calibration/search/brief_machine.h"
 
 namespace robostress::calibration {
 namespace {

@@ -3,33 +3,20 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <filesystem>
 
-#include "tests/calibration/generator/generated_rig.h"
-#include "tests/calibration/search/rig_problem.h"
+#include "tests/calibration/search/brief_machine.h"
 
 namespace robostress::calibration {
 namespace {
 
-class AidedArm : public testing::Test {
+class AidedArm : public BriefMachine {
  protected:
+  AidedArm() : BriefMachine(generator::Family::kArm, 1) {}
   void SetUp() override {
-    generator::RigOptions options;
-    options.family = generator::Family::kArm;
-    options.richness = generator::Richness::kBrief;
-    const auto machine = generator::GenerateRig(options);
-    ASSERT_TRUE(machine.ok()) << machine.status();
-    folder_ = testing::TempDir() + "/aided_arm";
-    ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder_).ok());
-    auto rig = LoadRig(folder_ + "/rig.yaml");
-    ASSERT_TRUE(rig.ok()) << rig.status();
-    rig_ = *std::move(rig);
+    BriefMachine::SetUp();
+    ASSERT_FALSE(HasFatalFailure());
     ASSERT_TRUE(AidArmMotions(rig_.rig, *rig_.plant, rig_.logs).ok());
   }
-  void TearDown() override { std::filesystem::remove_all(folder_); }
-
-  std::string folder_;
-  LoadedRig rig_;
 };
 
 // The way of a row is that of a velocity that begins and ends as said and of an acceleration that

@@ -12,7 +12,7 @@
 #include "calibration/search/plausibility.h"
 #include "calibration/search/residual_tests.h"
 #include "common/random.h"
-#include "tests/calibration/search/brief_servo.h"
+#include "tests/calibration/search/brief_machine.h"
 
 namespace robostress::calibration {
 namespace {

@@ -6,7 +6,7 @@
 
 #include "calibration/search/subplex.h"
 #include "common/atomic_file.h"
-#include "tests/calibration/search/brief_servo.h"
+#include "tests/calibration/search/brief_machine.h"
 
 namespace robostress::calibration {
 namespace {

@@ -3,7 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "tests/calibration/search/brief_servo.h"
+#include "tests/calibration/search/brief_machine.h"
 
 namespace robostress::calibration {
 namespace {

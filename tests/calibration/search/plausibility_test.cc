@@ -5,7 +5,7 @@
 
 #include <optional>
 
-#include "tests/calibration/search/brief_servo.h"
+#include "tests/calibration/search/brief_machine.h"
 
 namespace robostress::calibration {
 namespace {

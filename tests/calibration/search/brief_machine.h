@@ -11,14 +11,15 @@
 
 namespace robostress::calibration {
 
-// A generated servo with the shortest logs.
-class BriefServo : public testing::Test {
+// A generated machine with the shortest logs.
+class BriefMachine : public testing::Test {
  protected:
+  BriefMachine(generator::Family family, uint64_t seed) : family_(family), seed_(seed) {}
   void SetUp() override {
     generator::RigOptions options;
-    options.family = generator::Family::kServo;
+    options.family = family_;
     options.richness = generator::Richness::kBrief;
-    options.seed = 12;
+    options.seed = seed_;
     const auto machine = generator::GenerateRig(options);
     ASSERT_TRUE(machine.ok()) << machine.status();
     const testing::TestInfo& test = *testing::UnitTest::GetInstance()->current_test_info();
@@ -30,8 +31,15 @@ class BriefServo : public testing::Test {
   }
   void TearDown() override { std::filesystem::remove_all(folder_); }
 
+  const generator::Family family_;
+  const uint64_t seed_;
   std::string folder_;
   LoadedRig rig_;
+};
+
+class BriefServo : public BriefMachine {
+ protected:
+  BriefServo() : BriefMachine(generator::Family::kServo, 12) {}
 };
 
 }  // namespace robostress::calibration
