@@ -59,7 +59,7 @@ gate_format() {
   if [[ $major != "$clang_format_major" ]]; then
     skip "clang-format is version $major; the tree is formatted with $clang_format_major, Debian 12's"
   fi
-  git ls-files -co --exclude-standard -z '*.h' '*.cc' | while IFS= read -r -d '' file; do
+  git ls-files -co --exclude-standard -z '*.h' '*.cc' '*.cu' | while IFS= read -r -d '' file; do
     if [[ -f $file ]]; then printf '%s\0' "$file"; fi
   done | xargs -0 -r -n 50 -P "$(nproc)" clang-format --dry-run --Werror
 }

@@ -11,7 +11,8 @@ using Hook = void (*)();
 thread_local Hook hooked = nullptr;
 
 std::unique_ptr<at::ObserverContext> Call(const at::RecordFunction&) {
-  hooked();
+  // LibTorch hands a callback on to threads that differentiate on a GPU, where nothing is hooked.
+  if (hooked != nullptr) hooked();
   return nullptr;
 }
 

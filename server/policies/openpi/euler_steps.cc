@@ -39,29 +39,26 @@ torch::Tensor StepVelocity(const InferenceSetup& setup, const InferenceWeights& 
   const Rotary rotary = {buffers.cos, buffers.sin, buffers.rows};
   const std::vector<Modulation>& norms = w.expert.NormsAt(step);
   torch::Tensor x = EmbedStep(setup, w, step, buffers);
-  torch::Tensor branch;  // what the sub-layer before adds to x
-  const auto gated = [](const torch::Tensor& y, const Modulation& modulation) {
-    return modulation.gate.defined() ? y.mul_(modulation.gate) : y;
-  };
+  torch::Tensor branch, gate;  // what the sub-layer before adds to x
   for (size_t i = 0; i < w.expert.layers.size(); ++i) {
     const InferenceLayer& layer = w.expert.layers[i];
     const size_t target = i * kTargetsPerLayer;
     const Modulation &before_attention = norms[2 * i], &before_mlp = norms[2 * i + 1];
-    const torch::Tensor qkv = Project(layer.qkv, AddAndNormalise(x, branch, before_attention),
+    const torch::Tensor qkv = Project(layer.qkv, AddAndNormalise(x, branch, gate, before_attention),
                                       buffers.adapters, target, batch);
     const Heads heads = SplitHeads(qkv, batch, setup.shape(), c.heads, &rotary);
     buffers.keys[i].narrow(1, prefix, suffix).copy_(heads.k);
     buffers.values[i].narrow(1, prefix, suffix).copy_(heads.v);
     const torch::Tensor attended =
         Attend(heads.q, buffers.keys[i], buffers.values[i], buffers.mask, batch, setup.shape());
-    branch =
-        gated(Project(layer.o, attended, buffers.adapters, target + 3, batch), before_attention);
-    const torch::Tensor gate_up = Project(layer.gate_up, AddAndNormalise(x, branch, before_mlp),
-                                          buffers.adapters, target + 4, batch);
-    branch =
-        gated(Project(layer.down, GeGlu(gate_up), buffers.adapters, target + 6, batch), before_mlp);
+    branch = Project(layer.o, attended, buffers.adapters, target + 3, batch);
+    const torch::Tensor gate_up =
+        Project(layer.gate_up, AddAndNormalise(x, branch, before_attention.gate, before_mlp),
+                buffers.adapters, target + 4, batch);
+    branch = Project(layer.down, GeGlu(gate_up), buffers.adapters, target + 6, batch);
+    gate = before_mlp.gate;
   }
-  const torch::Tensor out = AddAndNormalise(x, branch, norms.back())
+  const torch::Tensor out = AddAndNormalise(x, branch, gate, norms.back())
                                 .view({batch, suffix, c.expert_width})
                                 .narrow(1, suffix - c.horizon, c.horizon);
   return Project(w.action_out, out.to(torch::kFloat32)).view_as(buffers.x);

@@ -6,6 +6,12 @@
 #include <cmath>
 
 #include "server/policies/kernels/fused_kernels.h"
+#ifdef ROBOSTRESS_GPU_KERNELS
+#include <c10/cuda/CUDAException.h>
+#include <c10/cuda/CUDAStream.h>
+
+#include "server/policies/openpi/gpu_kernels.h"
+#endif
 
 namespace robostress::openpi {
 namespace {
@@ -17,6 +23,73 @@ constexpr int64_t kGrain = 1 << 15;  // elements worth a thread of their own
 bool RunsFused(const torch::Tensor& x) {
   return x.is_cpu() && x.scalar_type() == torch::kFloat32 && x.is_contiguous();
 }
+
+#ifdef ROBOSTRESS_GPU_KERNELS
+bool RunsOnGpu(const torch::Tensor& x) {
+  return x.is_cuda() && x.is_contiguous() && !(at::GradMode::is_enabled() && x.requires_grad()) &&
+         (x.scalar_type() == torch::kFloat32 || x.scalar_type() == torch::kBFloat16);
+}
+
+// kernel(element type of x, stream), on the stream that LibTorch uses.
+template <class F>
+void Launch(const torch::Tensor& x, F&& kernel) {
+  kernel(x.scalar_type() == torch::kFloat32 ? gpu::Element::kFloat32 : gpu::Element::kBfloat16,
+         static_cast<void*>(c10::cuda::getCurrentCUDAStream(x.device().index()).stream()));
+  C10_CUDA_KERNEL_LAUNCH_CHECK();
+}
+
+template <class T = void>
+T* PointerOrNull(const torch::Tensor& x) {
+  return x.defined() ? static_cast<T*>(x.data_ptr()) : nullptr;
+}
+
+torch::Tensor NormaliseOnGpu(torch::Tensor& x, const torch::Tensor& branch,
+                             const torch::Tensor& gate, const Modulation& modulation) {
+  torch::Tensor y = at::empty_like(x);
+  Launch(x, [&](gpu::Element type, void* stream) {
+    gpu::AddRmsNorm(type, x.data_ptr(), PointerOrNull(branch), PointerOrNull(gate),
+                    modulation.scale.data_ptr<float>(), PointerOrNull<float>(modulation.shift),
+                    x.size(0), x.size(1), y.data_ptr(), stream);
+  });
+  return y;
+}
+
+Heads SplitHeadsOnGpu(const torch::Tensor& qkv, int64_t batch, const AttentionShape& shape,
+                      int64_t heads, const Rotary* rotary) {
+  const int64_t h = shape.head_dim, kv = shape.kv_heads, tokens = qkv.size(0) / batch;
+  Heads split = {at::empty({batch * kv, tokens * (heads / kv), h}, qkv.options()),
+                 at::empty({batch * kv, tokens, h}, qkv.options()),
+                 at::empty({batch * kv, tokens, h}, qkv.options())};
+  Launch(qkv, [&](gpu::Element type, void* stream) {
+    gpu::SplitHeads(type, qkv.data_ptr(), rotary ? rotary->cos.data_ptr<float>() : nullptr,
+                    rotary ? rotary->sin.data_ptr<float>() : nullptr,
+                    1 / std::sqrt(static_cast<float>(h)), batch, tokens, heads, kv, h,
+                    split.q.data_ptr(), split.k.data_ptr(), split.v.data_ptr(), stream);
+  });
+  return split;
+}
+
+// In place.
+torch::Tensor SoftmaxOnGpu(torch::Tensor scores, const torch::Tensor& mask, int64_t queries) {
+  const int64_t items = scores.size(0), keys = scores.size(2);
+  const torch::Tensor dense = mask.defined() ? mask.contiguous() : mask;
+  gpu::MaskShape shape;
+  if (dense.defined()) shape = {items / dense.size(0), dense.size(1)};
+  Launch(scores, [&](gpu::Element type, void* stream) {
+    gpu::Softmax(type, scores.data_ptr(), PointerOrNull<float>(dense), shape, items, queries,
+                 scores.size(1) / queries, keys, stream);
+  });
+  return scores;
+}
+
+torch::Tensor GeGluOnGpu(const torch::Tensor& gate_up) {
+  torch::Tensor y = at::empty({gate_up.size(0), gate_up.size(1) / 2}, gate_up.options());
+  Launch(gate_up, [&](gpu::Element type, void* stream) {
+    gpu::GeGlu(type, gate_up.data_ptr(), y.size(0), y.size(1), y.data_ptr(), stream);
+  });
+  return y;
+}
+#endif
 
 // f(first row, number of rows) over all rows of `width` elements, on LibTorch's threads.
 template <class F>
@@ -81,6 +154,9 @@ torch::Tensor SoftmaxFused(torch::Tensor scores, const torch::Tensor& mask, int6
 torch::Tensor Softmax(const torch::Tensor& scores, const torch::Tensor& mask, int64_t batch,
                       int64_t queries) {
   if (RunsFused(scores)) return SoftmaxFused(scores, mask, queries);
+#ifdef ROBOSTRESS_GPU_KERNELS
+  if (RunsOnGpu(scores)) return SoftmaxOnGpu(scores, mask, queries);
+#endif
   if (!mask.defined()) return at::softmax(scores, -1, torch::kFloat32).to(scores.scalar_type());
   const torch::Tensor grouped =
       scores.to(torch::kFloat32)
@@ -92,8 +168,12 @@ torch::Tensor Softmax(const torch::Tensor& scores, const torch::Tensor& mask, in
 
 }  // namespace
 
-torch::Tensor AddAndNormalise(torch::Tensor& x, const torch::Tensor& branch,
+torch::Tensor AddAndNormalise(torch::Tensor& x, torch::Tensor branch, const torch::Tensor& gate,
                               const Modulation& modulation) {
+#ifdef ROBOSTRESS_GPU_KERNELS
+  if (RunsOnGpu(x)) return NormaliseOnGpu(x, branch, gate, modulation);
+#endif
+  if (branch.defined() && gate.defined()) branch.mul_(gate);
   if (RunsFused(x)) return NormaliseFused(x, branch, modulation);
   if (branch.defined()) x.add_(branch);
   const torch::Tensor wide = x.to(torch::kFloat32);
@@ -104,6 +184,9 @@ torch::Tensor AddAndNormalise(torch::Tensor& x, const torch::Tensor& branch,
 }
 
 torch::Tensor GeGlu(const torch::Tensor& gate_up) {
+#ifdef ROBOSTRESS_GPU_KERNELS
+  if (RunsOnGpu(gate_up)) return GeGluOnGpu(gate_up);
+#endif
   const int64_t width = gate_up.size(1) / 2;
   if (!RunsFused(gate_up)) {
     const auto parts = gate_up.chunk(2, 1);
@@ -138,6 +221,9 @@ Rotary MakeRotary(const torch::Tensor& positions, int64_t head_dim) {
 
 Heads SplitHeads(const torch::Tensor& qkv, int64_t batch, const AttentionShape& shape,
                  int64_t heads, const Rotary* rotary) {
+#ifdef ROBOSTRESS_GPU_KERNELS
+  if (RunsOnGpu(qkv)) return SplitHeadsOnGpu(qkv, batch, shape, heads, rotary);
+#endif
   const int64_t h = shape.head_dim, kv = shape.kv_heads, rows = qkv.size(0), tokens = rows / batch;
   const double scale = 1 / std::sqrt(static_cast<double>(h));
   const auto columns = [&](int64_t first, int64_t count) {

@@ -6,8 +6,9 @@
 
 namespace robostress::openpi {
 
-// What happens between the products of a layer, for inference only. On the CPU in float32 each is
-// one pass (fused_kernels.h); elsewhere LibTorch's operators, statistics and angles in float32.
+// What happens between the products of a layer, for inference only. Each is one pass: on the CPU
+// in float32 (fused_kernels.h), on a GPU where the build has CUDA's compiler (gpu_kernels.h).
+// Elsewhere LibTorch's operators; statistics and angles are float32.
 
 // y = x rsqrt(mean(x^2) + 1e-6) (1 + scale) + shift, scale and shift [w], shift may be undefined;
 // gate [w] multiplies the branch that follows, undefined: 1.
@@ -15,8 +16,9 @@ struct Modulation {
   torch::Tensor scale, shift, gate;
 };
 
-// x += branch (where defined), then the norm of x. x [rows, w] is changed in place.
-torch::Tensor AddAndNormalise(torch::Tensor& x, const torch::Tensor& branch,
+// x += gate branch (where defined), then the norm of x. x [rows, w] is changed in place, and
+// branch [rows, w] may be. gate [w] is the modulation's before the branch, undefined: 1.
+torch::Tensor AddAndNormalise(torch::Tensor& x, torch::Tensor branch, const torch::Tensor& gate,
                               const Modulation& modulation);
 
 // [rows, 2 m], gate and up side by side -> gelu_tanh(gate) * up [rows, m].

@@ -149,6 +149,12 @@ absl::StatusOr<std::unique_ptr<OpenpiInference>> OpenpiInference::Create(
         absl::StrCat("steps is ", options.steps, ", must be in [1, 1000]"));
   }
   RS_ASSIGN_OR_RETURN(const torch::Device device, FindDevice(options.device));
+  if (!device.is_cpu() && options.precision == Precision::kBf16 &&
+      options.activations == InferenceOptions::Activations::kFloat32) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "bfloat16 weights beside float32 activations are widened for processors; device '",
+        options.device, "' multiplies bfloat16: leave the activations automatic"));
+  }
   try {
     const torch::NoGradGuard no_grad;
     return std::unique_ptr<OpenpiInference>(new OpenpiInference(std::move(model), options, device));

@@ -114,7 +114,7 @@ PolicyContext EncodePrefix(const InferenceSetup& setup, const InferenceWeights& 
   for (size_t i = 0; i < weights.prefix.layers.size(); ++i) {
     const InferenceLayer& layer = weights.prefix.layers[i];
     const bool last = i + 1 == weights.prefix.layers.size();
-    const Heads heads = SplitHeads(Project(layer.qkv, AddAndNormalise(x, branch, norms[2 * i])),
+    const Heads heads = SplitHeads(Project(layer.qkv, AddAndNormalise(x, branch, {}, norms[2 * i])),
                                    batch, setup.shape(), last ? 0 : setup.config.heads, &rotary);
     const auto store = [&](const torch::Tensor& of_heads) {
       return of_heads.view({batch, setup.config.kv_heads, length, setup.config.head_dim})
@@ -124,7 +124,7 @@ PolicyContext EncodePrefix(const InferenceSetup& setup, const InferenceWeights& 
     context.values.push_back(store(heads.v));
     if (last) break;
     branch = Project(layer.o, Attend(heads.q, heads.k, heads.v, mask, batch, setup.shape()));
-    branch = Project(layer.gate_up, AddAndNormalise(x, branch, norms[2 * i + 1]));
+    branch = Project(layer.gate_up, AddAndNormalise(x, branch, {}, norms[2 * i + 1]));
     branch = Project(layer.down, GeGlu(branch));
   }
   return context;

@@ -3,9 +3,9 @@
 #include "common/check.h"
 
 #ifdef ROBOSTRESS_CUDA_GRAPHS
-#include <ATen/cuda/CUDAContext.h>
 #include <ATen/cuda/CUDAGraph.h>
 #include <c10/cuda/CUDAGuard.h>
+#include <c10/cuda/CUDAStream.h>
 #endif
 
 namespace robostress::openpi {
@@ -17,10 +17,10 @@ class CudaStepGraph : public StepGraph {
  public:
   CudaStepGraph(int device, const std::function<void()>& work) {
     const c10::cuda::CUDAGuard on_device(static_cast<c10::DeviceIndex>(device));
-    at::cuda::getCurrentCUDAStream().synchronize();  // what the work reads has been written
-    const c10::cuda::CUDAStreamGuard on_stream(at::cuda::getStreamFromPool());
+    c10::cuda::getCurrentCUDAStream().synchronize();  // what the work reads has been written
+    const c10::cuda::CUDAStreamGuard on_stream(c10::cuda::getStreamFromPool());
     work();  // libraries allocate their workspaces outside of the recording
-    at::cuda::getCurrentCUDAStream().synchronize();
+    c10::cuda::getCurrentCUDAStream().synchronize();
     // Other threads may go on using CUDA meanwhile.
     graph_.capture_begin({0, 0}, cudaStreamCaptureModeThreadLocal);
     work();

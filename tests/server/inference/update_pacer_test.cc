@@ -1,5 +1,6 @@
 #include "server/inference/update_pacer.h"
 
+#include <ATen/ThreadLocalState.h>
 #include <gtest/gtest.h>
 #include <torch/types.h>
 
@@ -125,6 +126,21 @@ TEST(OperatorHook, IsCalledBetweenTheOperatorsOfForwardAndBackward) {
   const int before = calls;
   x.detach().exp();
   EXPECT_EQ(calls, before);
+}
+
+// As LibTorch's own threads do, which differentiate what ran on a GPU.
+TEST(OperatorHook, LeavesThreadsAloneThatTakeOnTheStateOfItsThread) {
+  const torch::Tensor x = torch::randn({8, 8});
+  calls = 0;
+  const OperatorHook hook(&CountCall);
+  const at::ThreadLocalState state;
+  std::thread([&] {
+    const at::ThreadLocalStateGuard guard(state);
+    EXPECT_TRUE(x.exp().defined());
+  }).join();
+  EXPECT_EQ(calls, 0);
+  x.exp();
+  EXPECT_GT(calls, 0);
 }
 
 TEST(OperatorHook, AnUpdateThatIsInterruptedHasTheBitsOfOneThatIsNot) {

@@ -9,6 +9,7 @@
 #include <torch/types.h>
 
 #include <cmath>
+#include <thread>
 #include <tuple>
 
 #include "adapter/lora.h"
@@ -71,13 +72,18 @@ LoraWeights RandomAdapter(const OpenpiInference& inference, LoraKind kind = Lora
   return lora;
 }
 
-// pi05, key heads, padded. One key head is the case of every published network.
-class Inference : public ::testing::TestWithParam<std::tuple<bool, int, bool>> {
+// pi05, key heads, padded, device. One key head is the case of every published network.
+class Inference : public ::testing::TestWithParam<std::tuple<bool, int, bool, std::string>> {
  protected:
   Inference() {
     config_.kv_heads = std::get<1>(GetParam());
     model_ = RandomOpenpiModel(config_, 5);
     inputs_ = RandomInputs(config_, 3, 3, std::get<2>(GetParam()), 11);
+  }
+  std::unique_ptr<OpenpiInference> OnDevice(const OpenpiModel& model,
+                                            InferenceOptions options = {}) const {
+    options.device = std::get<3>(GetParam());
+    return Prepare(model, options);
   }
   OpenpiConfig config_ = TinyConfig(std::get<0>(GetParam()));
   OpenpiModel model_;
@@ -87,7 +93,7 @@ class Inference : public ::testing::TestWithParam<std::tuple<bool, int, bool>> {
 
 INSTANTIATE_TEST_SUITE_P(Models, Inference,
                          ::testing::Combine(::testing::Bool(), ::testing::Values(1, 2),
-                                            ::testing::Bool()));
+                                            ::testing::Bool(), ::testing::ValuesIn(Devices())));
 
 // Sums of at most 60 float32 terms in another order, through ten steps.
 constexpr double kRounding = 2e-5;
@@ -95,11 +101,11 @@ constexpr double kRounding = 2e-5;
 TEST_P(Inference, ActionsEqualTheReference) {
   const torch::Tensor expected = ReferenceActions(model_, inputs_);
   EXPECT_GT(MaxDifference(expected, inputs_.noise), 0.1);
-  EXPECT_LT(MaxDifference(FastActions(*Prepare(model_), inputs_), expected), kRounding);
+  EXPECT_LT(MaxDifference(FastActions(*OnDevice(model_), inputs_), expected), kRounding);
 }
 
 TEST_P(Inference, BatchEqualsItsRowsAlone) {
-  const auto inference = Prepare(model_);
+  const auto inference = OnDevice(model_);
   const torch::Tensor together = FastActions(*inference, inputs_);
   for (int64_t b = 0; b < 3; ++b) {
     EXPECT_LT(MaxDifference(FastActions(*inference, Row(inputs_, b)), together.narrow(0, b, 1)),
@@ -108,19 +114,19 @@ TEST_P(Inference, BatchEqualsItsRowsAlone) {
 }
 
 TEST_P(Inference, AdapterEqualsTheReferenceThatCarriesIt) {
-  const auto inference = Prepare(model_);
+  const auto inference = OnDevice(model_);
   for (const LoraKind kind : {LoraKind::kPerMatrix, LoraKind::kPerHead}) {
     const LoraWeights lora = RandomAdapter(*inference, kind);
     const OpenpiModel adapted = WithLora(model_, lora);
     const torch::Tensor expected = ReferenceActions(adapted, inputs_);
     EXPECT_GT(MaxDifference(expected, ReferenceActions(model_, inputs_)), 1e-2);
     EXPECT_LT(MaxDifference(FastActions(*inference, inputs_, &lora), expected), 5e-5);
-    EXPECT_LT(MaxDifference(FastActions(*Prepare(adapted), inputs_), expected), 5e-5);
+    EXPECT_LT(MaxDifference(FastActions(*OnDevice(adapted), inputs_), expected), 5e-5);
   }
 }
 
 TEST_P(Inference, RowsOfOneBatchHaveTheirOwnAdapters) {
-  const auto inference = Prepare(model_);
+  const auto inference = OnDevice(model_);
   const LoraWeights first = RandomAdapter(*inference, LoraKind::kPerHead, 2, 7);
   const LoraWeights last = RandomAdapter(*inference, LoraKind::kPerMatrix, 5, 8);
   const std::vector<const LoraWeights*> lora = {&first, nullptr, &last};
@@ -134,7 +140,7 @@ TEST_P(Inference, RowsOfOneBatchHaveTheirOwnAdapters) {
 }
 
 TEST_P(Inference, PrefixesOfDifferentLengthsThatWereEncodedAloneShareABatch) {
-  const auto inference = Prepare(model_);
+  const auto inference = OnDevice(model_);
   const LoraWeights first = RandomAdapter(*inference, LoraKind::kPerHead, 2, 7);
   const std::vector<const LoraWeights*> lora = {&first, nullptr, &first};
   std::vector<PolicyContext> alone;
@@ -151,26 +157,45 @@ TEST_P(Inference, PrefixesOfDifferentLengthsThatWereEncodedAloneShareABatch) {
   }
 }
 
+// On a GPU the steps are a recorded graph with buffers of its own.
+TEST_P(Inference, PredictionsOfManyThreadsAreTheirOwn) {
+  const auto inference = OnDevice(model_);
+  const LoraWeights lora = RandomAdapter(*inference);
+  std::vector<torch::Tensor> expected, actions(12);
+  for (int64_t i = 0; i < 6; ++i)
+    expected.push_back(FastActions(*inference, Row(inputs_, i % 3), i < 3 ? nullptr : &lora));
+  std::vector<std::thread> threads;
+  for (int64_t i = 0; i < 12; ++i)
+    threads.emplace_back([&, i] {
+      actions[i] = FastActions(*inference, Row(inputs_, i % 3), i % 6 < 3 ? nullptr : &lora);
+    });
+  for (std::thread& thread : threads) thread.join();
+  for (int64_t i = 0; i < 12; ++i) EXPECT_LT(MaxDifference(actions[i], expected[i % 6]), 1e-5) << i;
+}
+
 TEST_P(Inference, AdapterWithZeroBChangesNothing) {
-  const auto inference = Prepare(model_);
+  const auto inference = OnDevice(model_);
   LoraWeights lora = RandomAdapter(*inference);
   for (torch::Tensor& B : lora.B) B.zero_();
   EXPECT_TRUE(at::equal(FastActions(*inference, inputs_, &lora), FastActions(*inference, inputs_)));
 }
 
 TEST_P(Inference, ContextIsOnlyReadAndServesTheReferenceToo) {
-  const auto inference = Prepare(model_);
+  const auto inference = OnDevice(model_);
   const PolicyContext context = inference->Encode(inputs_.model).value();
   const torch::Tensor first = inference->Sample(context, inputs_.noise, nullptr).value();
   EXPECT_TRUE(at::equal(inference->Sample(context, inputs_.noise, nullptr).value(), first));
-  const PrefixContext reference = {
-      {context.keys, context.values}, context.prefix_mask, context.state, {}};
+  PrefixContext reference = {{{}, {}}, context.prefix_mask.cpu(), context.state.cpu(), {}};
+  for (size_t i = 0; i < context.keys.size(); ++i) {
+    reference.cache.keys.push_back(context.keys[i].cpu());
+    reference.cache.values.push_back(context.values[i].cpu());
+  }
   EXPECT_LT(MaxDifference(IntegrateEuler(model_, reference, inputs_.noise, 10).xs.back(), first),
             kRounding);
 }
 
 TEST_P(Inference, StackedContextsOfAnyLengthsEqualTheirRowsAlone) {
-  const auto inference = Prepare(model_);
+  const auto inference = OnDevice(model_);
   std::vector<PolicyContext> contexts;
   for (int64_t b = 0; b < 3; ++b)
     contexts.push_back(inference->Encode(Row(inputs_, b).model).value());
@@ -183,7 +208,7 @@ TEST_P(Inference, StackedContextsOfAnyLengthsEqualTheirRowsAlone) {
 }
 
 TEST_P(Inference, PrefixHoldsOnlyWhatIsValid) {
-  const PolicyContext context = Prepare(model_)->Encode(inputs_.model).value();
+  const PolicyContext context = OnDevice(model_)->Encode(inputs_.model).value();
   int64_t longest = 0;
   for (int64_t b = 0; b < 3; ++b) {
     int64_t length = inputs_.model.token_mask[b].sum().item<int64_t>();
@@ -200,10 +225,17 @@ TEST_P(Inference, PrefixHoldsOnlyWhatIsValid) {
 constexpr double kBf16Rms = 0.02;
 
 TEST_P(Inference, Bf16IsNearFloat32) {
-  const torch::Tensor exact = FastActions(*Prepare(model_), inputs_);
+  const torch::Tensor exact = FastActions(*OnDevice(model_), inputs_);
   for (const Activations activations : {Activations::kFloat32, Activations::kBf16}) {
-    const auto inference =
-        Prepare(model_, {.precision = Precision::kBf16, .activations = activations});
+    const InferenceOptions options = {.precision = Precision::kBf16,
+                                      .device = std::get<3>(GetParam()),
+                                      .activations = activations};
+    if (options.device != "cpu" && activations == Activations::kFloat32) {
+      EXPECT_THAT(OpenpiInference::Create(model_, options).status().message(),
+                  HasSubstr("leave the activations automatic"));
+      continue;
+    }
+    const auto inference = Prepare(model_, options);
     EXPECT_EQ(inference->Encode(inputs_.model)->keys[0].scalar_type(), torch::kBFloat16);
     const double rms =
         std::sqrt((FastActions(*inference, inputs_) - exact).square().mean().item<double>());

@@ -126,16 +126,22 @@ TEST(PolicySetup, FollowsWhoWroteTheCheckpoint) {
 
 // ------------------------------------------------------------------------- before and after
 
-class OpenpiPolicyTest : public ::testing::TestWithParam<bool> {
+struct Served {
+  bool pi05;
+  std::string device;
+};
+
+class OpenpiPolicyTest : public ::testing::TestWithParam<Served> {
  protected:
   void SetUp() override {
     UseBuiltPrograms();
     unsetenv("ROBOSTRESS_TOKENIZER");
-    folder_ = WriteTinyCheckpoint(GetParam() ? "served_pi05" : "served_pi0", GetParam());
+    folder_ = WriteTinyCheckpoint(GetParam().pi05 ? "served_pi05" : "served_pi0", GetParam().pi05);
   }
   void TearDown() override { std::filesystem::remove_all(folder_); }
 
-  std::unique_ptr<FlowPolicy> Load(const std::vector<std::string>& options = {}) {
+  std::unique_ptr<FlowPolicy> Load(std::vector<std::string> options = {}) {
+    options.insert(options.begin(), "device=" + GetParam().device);
     auto policy = LoadFlowPolicy(folder_.string(), options);
     EXPECT_TRUE(policy.ok()) << policy.status();
     return *std::move(policy);
@@ -147,8 +153,17 @@ class OpenpiPolicyTest : public ::testing::TestWithParam<bool> {
   std::filesystem::path folder_;
 };
 
-INSTANTIATE_TEST_SUITE_P(Both, OpenpiPolicyTest, ::testing::Bool(),
-                         [](const auto& info) { return std::string(info.param ? "pi05" : "pi0"); });
+std::vector<Served> EachOnEveryDevice() {
+  std::vector<Served> all;
+  for (const std::string& device : Devices())
+    for (const bool pi05 : {false, true}) all.push_back({pi05, device});
+  return all;
+}
+
+INSTANTIATE_TEST_SUITE_P(All, OpenpiPolicyTest, ::testing::ValuesIn(EachOnEveryDevice()),
+                         [](const auto& info) {
+                           return (info.param.pi05 ? "pi05_" : "pi0_") + info.param.device;
+                         });
 
 TEST_P(OpenpiPolicyTest, SaysWhatItWants) {
   const auto policy = Load();
@@ -176,7 +191,7 @@ TEST_P(OpenpiPolicyTest, SaysWhatItWants) {
 // The whole way by hand, with the absent camera as openpi has it: a black image that is masked.
 TEST_P(OpenpiPolicyTest, PredictsWhatTheNetworkGivesForOpenpisInputs) {
   const auto policy = Load();
-  const OpenpiModel model = RandomOpenpiModel(TinyServedConfig(GetParam()), 5);
+  const OpenpiModel model = RandomOpenpiModel(TinyServedConfig(GetParam().pi05), 5);
   const Observation observation = LiberoObservation(15);
   const FieldStats s = TinyStats(8, 0), a = TinyStats(7, 0.3);
 
@@ -195,8 +210,8 @@ TEST_P(OpenpiPolicyTest, PredictsWhatTheNetworkGivesForOpenpisInputs) {
   inputs.state = at::zeros({1, 10});
   for (int i = 0; i < 8; ++i) {
     const double x = observation.proprioception[i];
-    inputs.state[0][i] = GetParam() ? 2 * (x - s.q01[i]) / (s.q99[i] - s.q01[i] + 1e-6) - 1
-                                    : (x - s.mean[i]) / (s.std[i] + 1e-6);
+    inputs.state[0][i] = GetParam().pi05 ? 2 * (x - s.q01[i]) / (s.q99[i] - s.q01[i] + 1e-6) - 1
+                                         : (x - s.mean[i]) / (s.std[i] + 1e-6);
   }
   const Tensor noise = at::randn({1, 7, 10}, at::detail::createCPUGenerator(1));
   const Tensor expected =
@@ -209,7 +224,7 @@ TEST_P(OpenpiPolicyTest, PredictsWhatTheNetworkGivesForOpenpisInputs) {
   const Tensor chunk = policy->Sample(*context, noise, nullptr);
   // The masked camera is summed with weight zero there and absent here.
   EXPECT_LT(MaxDifference(chunk, expected), 2e-5);
-  EXPECT_LT(MaxDifference(context->state, inputs.state), 1e-6);
+  EXPECT_LT(MaxDifference(context->state.cpu(), inputs.state), 1e-6);
 
   const Eigen::MatrixXf actions = policy->ToEnvironment(chunk[0], context->state);
   ASSERT_EQ(actions.rows(), 7);
@@ -217,10 +232,10 @@ TEST_P(OpenpiPolicyTest, PredictsWhatTheNetworkGivesForOpenpisInputs) {
   for (int i = 0; i < 7; ++i) {
     for (int j = 0; j < 7; ++j) {
       const double y = chunk[0][i][j].item<double>();
-      const double x = GetParam() ? (y + 1) / 2 * (a.q99[j] - a.q01[j] + 1e-6) + a.q01[j]
-                                  : y * (a.std[j] + 1e-6) + a.mean[j];
+      const double x = GetParam().pi05 ? (y + 1) / 2 * (a.q99[j] - a.q01[j] + 1e-6) + a.q01[j]
+                                       : y * (a.std[j] + 1e-6) + a.mean[j];
       // pi0_libero adds the state at the chunk's start, pi05_libero does not; the gripper never.
-      const double state = !GetParam() && j < 6 ? observation.proprioception[j] : 0;
+      const double state = !GetParam().pi05 && j < 6 ? observation.proprioception[j] : 0;
       EXPECT_NEAR(actions(i, j), x + state, 2e-6) << i << " " << j;
     }
   }
@@ -399,7 +414,7 @@ TEST_P(OpenpiPolicyTest, TakesNormStatsFromElsewhereOrNone) {
 }
 
 TEST_P(OpenpiPolicyTest, DiscreteStateBelongsToPi05) {
-  if (!GetParam()) {
+  if (!GetParam().pi05) {
     EXPECT_THAT(LoadError({"discrete_state=true"}), HasSubstr("pi0 takes its state as a token"));
     return;
   }
@@ -418,9 +433,9 @@ TEST_P(OpenpiPolicyTest, DiscreteStateBelongsToPi05) {
 TEST_P(OpenpiPolicyTest, InspectSaysWhatItIsAndExpects) {
   const auto [text, code] = RunProgram(POLICY_PROGRAM, "inspect " + folder_.string());
   EXPECT_EQ(code, 0) << text;
-  EXPECT_THAT(text, AllOf(HasSubstr(GetParam() ? "pi0.5" : "pi0"), HasSubstr("libero"),
+  EXPECT_THAT(text, AllOf(HasSubstr(GetParam().pi05 ? "pi0.5" : "pi0"), HasSubstr("libero"),
                           HasSubstr("agentview"), HasSubstr("absent, masked"),
-                          HasSubstr(GetParam() ? "quantile (openpi)" : "z_score (openpi)"),
+                          HasSubstr(GetParam().pi05 ? "quantile (openpi)" : "z_score (openpi)"),
                           HasSubstr(kTinyAsset), HasSubstr("tokenizer.model"),
                           HasSubstr("embed_tokens"), HasSubstr("can be served")));
   const auto [json, json_code] = RunProgram(POLICY_PROGRAM, "inspect --json " + folder_.string());
@@ -429,11 +444,11 @@ TEST_P(OpenpiPolicyTest, InspectSaysWhatItIsAndExpects) {
   ASSERT_TRUE(parsed.is_object()) << json;
   int64_t parameters = 0;
   for (const auto& [name, tensor] :
-       WeightTensors(RandomOpenpiModel(TinyServedConfig(GetParam()), 5)))
+       WeightTensors(RandomOpenpiModel(TinyServedConfig(GetParam().pi05), 5)))
     parameters += tensor.numel();
   EXPECT_EQ(parsed["is"]["parameters"], parameters);
   EXPECT_EQ(parsed["is"]["tokenizer"]["pieces"], 400);
-  EXPECT_EQ(parsed["expects"]["prompt_tokens"], GetParam() ? 60 : 14);
+  EXPECT_EQ(parsed["expects"]["prompt_tokens"], GetParam().pi05 ? 60 : 14);
   EXPECT_EQ(parsed["expects"]["horizon"], 7);
   EXPECT_EQ(parsed["problems"].size(), 0u);
 }
@@ -506,7 +521,7 @@ class ServeProcess {
 
 TEST_P(OpenpiPolicyTest, IsServedPredictsLearnsAndReports) {
   ServeProcess server({"--policy", folder_.string(), "--policy-options", "execute_steps=4",
-                       "--min-update-interval", "1"});
+                       "device=" + GetParam().device, "--min-update-interval", "1"});
   SessionSpec spec;
   spec.suite = "libero_goal";
   spec.scenario = "clean";

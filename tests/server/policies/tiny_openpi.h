@@ -1,5 +1,6 @@
 #pragma once
 
+#include <torch/cuda.h>
 #include <torch/types.h>
 
 #include <filesystem>
@@ -15,6 +16,13 @@
 
 // pi0 and pi0.5 in the size of a thumb, and files in the form that policy check reads.
 namespace robostress::openpi {
+
+// Where a policy may compute here: a GPU too where there is one.
+inline std::vector<std::string> Devices() {
+  std::vector<std::string> devices = {"cpu"};
+  if (torch::cuda::is_available()) devices.push_back("cuda");
+  return devices;
+}
 
 // No two sizes are equal, so that a mistaken one shows.
 inline OpenpiConfig TinyConfig(bool pi05) {
