@@ -24,6 +24,7 @@
 #include "common/run_main.h"
 #include "tests/calibration/generator/generated_rig.h"
 #include "tests/calibration/study/judge.h"
+#include "tests/calibration/study/threshold_rates.h"
 #include "tests/run_program.h"
 
 namespace robostress::generator {
@@ -269,12 +270,29 @@ std::string Table(const std::vector<Case>& cases) {
   return text;
 }
 
+// Of every finished rig in the folders, whatever study it belongs to.
+std::string RatesOf(const std::vector<std::string>& folders) {
+  std::vector<Traced> rigs;
+  for (const std::string& folder : folders) {
+    for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+      const auto report = ReadJson(entry.path().string() + "/report/report.json");
+      const auto truth = ReadJson(entry.path().string() + "/rig/truth.json");
+      if (report.ok() && truth.ok()) rigs.push_back(ReadTraced(*report, *truth));
+    }
+  }
+  return ThresholdRates(rigs);
+}
+
 int Main(int argc, char** argv) {
   CommandLine line;
+  std::vector<std::string> rates_of;
   bool library = false, outside = false, mimics = false;
   cli::App app("Runs robostress-calibrate on generated rigs and prints how often it is right");
-  app.add_option("--out", line.out, "Directory of rigs and reports; what is there is not repeated")
-      ->required();
+  app.add_option("--out", line.out, "Directory of rigs and reports; what is there is not repeated");
+  app.add_option("--thresholds", rates_of,
+                 "Instead: what other limits of the verdict would cost on the finished rigs in "
+                 "these directories")
+      ->check(cli::ExistingDirectory());
   app.add_option(
       "--effect", line.kinds,
       "Hidden effect, none, or two joined by + (on different joints of an arm: &), with @ and a "
@@ -295,6 +313,14 @@ int Main(int argc, char** argv) {
                "Make the run that an ambiguous verdict asks for, and judge again with it");
   app.add_flag("--table-only", line.table_only, "Run nothing");
   if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
+  if (!rates_of.empty()) {
+    std::fputs(RatesOf(rates_of).c_str(), stdout);
+    return 0;
+  }
+  if (line.out.empty()) {
+    std::fprintf(stderr, "calibration_study: no --out: give a directory for rigs and reports\n");
+    return 1;
+  }
   if (library)
     line.kinds.insert(line.kinds.end(), LibraryEffects().begin(), LibraryEffects().end());
   if (mimics) {
