@@ -121,8 +121,8 @@ absl::Status RunRig(const RigOptions& options, const std::string& folder, const 
     return written;
   const auto begin = std::chrono::steady_clock::now();
   const auto [output, code] =
-      RunProgram(line.calibrate, absl::StrCat("--rig ", rig, "/rig.yaml --out ", report,
-                                              " --quiet --surrogates ", line.surrogates));
+      RunProgram(line.calibrate, absl::StrCat("--rig '", rig, "/rig.yaml' --out '", report,
+                                              "' --quiet --surrogates ", line.surrogates));
   const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
   if (absl::Status status =
           WriteFileAtomically(folder + "/seconds.txt", absl::StrFormat("%.2f\n", taken.count()));
