@@ -30,8 +30,8 @@ std::vector<Contender> Rank(const Screening& screening, const NullDistribution& 
   return contenders;
 }
 
-int ChooseFinalists(std::vector<Contender>& contenders, const Screening& screening, int at_most,
-                    double share) {
+int ChooseFinalists(std::vector<Contender>& contenders, const std::vector<Candidate>& candidates,
+                    int at_most, double share) {
   int count = 0;
   const double best = contenders.front().gain;
   for (const Contender& contender : contenders) {
@@ -45,7 +45,7 @@ int ChooseFinalists(std::vector<Contender>& contenders, const Screening& screeni
     static const std::set<std::string> types = {"stribeck_friction", "presliding_hysteresis",
                                                 "load_dependent_friction"};
     return contender.p <= Acceptance::kMaxPValue &&
-           types.count(screening.candidates()[contender.candidate].effect->type) > 0;
+           types.count(candidates[contender.candidate].effect->type) > 0;
   };
   const auto rest = std::stable_partition(contenders.begin() + count, contenders.end(), sticks);
   return static_cast<int>(rest - contenders.begin());

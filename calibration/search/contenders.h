@@ -24,7 +24,7 @@ std::vector<Contender> Rank(const Screening& screening, const NullDistribution& 
 // their own chance, of what could matter beside the best, `share` of its gain; and dry friction
 // that beats the library's, because a small friction, of which a signature is made, lets a joint
 // creep that a large one holds.
-int ChooseFinalists(std::vector<Contender>& contenders, const Screening& screening, int at_most,
-                    double share = 0.25);
+int ChooseFinalists(std::vector<Contender>& contenders, const std::vector<Candidate>& candidates,
+                    int at_most, double share = 0.25);
 
 }  // namespace robostress::calibration

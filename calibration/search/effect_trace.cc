@@ -154,7 +154,8 @@ class Search {
     // Nothing that could lower the error by as little as acceptance asks for.
     const bool within_noise = acceptance_.Excess(base) <= 0;
     const bool hopeless = contenders.empty() || report.cv_error <= 1e-12 || within_noise;
-    const int refits = hopeless ? 0 : ChooseFinalists(contenders, screening, options_.finalists);
+    const int refits =
+        hopeless ? 0 : ChooseFinalists(contenders, screening.candidates(), options_.finalists);
     options_.progress(absl::StrFormat(
         "%s: error %.3g, %.2f times the floor; %d candidates screened, %d refitted",
         base.added.empty() ? "declared model" : "with " + absl::StrJoin(base.added, "+"),
@@ -236,7 +237,7 @@ class Search {
         DrawNull(problem_, screening, fit_windows_, options_.surrogates, options_.seed);
     std::vector<Contender> others = Rank(screening, null);
     if (others.empty()) return;
-    const int count = ChooseFinalists(others, screening, options_.finalists, kOfLost);
+    const int count = ChooseFinalists(others, screening.candidates(), options_.finalists, kOfLost);
     std::vector<TracedModel> found(count);
     std::vector<double> promised(count);
     ParallelFor(count, [&](int i) {
