@@ -61,6 +61,16 @@ void CompareJoints(CalibrationReport& report) {
                         *low * 1e3, *high * 1e3));
 }
 
+bool HasFound(const CalibrationReport& report, const std::string& joint,
+              const AddedEffectReport& effect) {
+  for (const JointReport& other : report.joints) {
+    if (other.joint != joint) continue;
+    return std::any_of(other.effects.begin(), other.effects.end(),
+                       [&](const AddedEffectReport& own) { return Agree(own, effect); });
+  }
+  return false;
+}
+
 // Effects of the whole arm are claimed where other joints bear them out.
 absl::Status AskTheArm(const Rig& rig, const Rig& after, const Plant& plant,
                        const std::vector<MeasuredLog>& logs, CalibrationReport& report) {
@@ -70,12 +80,13 @@ absl::Status AskTheArm(const Rig& rig, const Rig& after, const Plant& plant,
     for (int i = 0; i < static_cast<int>(after.joints.size()); ++i) {
       if (after.joints[i].name != joint.joint) continue;
       for (const DeclaredEffect& effect : after.joints[i].effects) {
-        const bool added = std::any_of(joint.effects.begin(), joint.effects.end(),
-                                       [&](const auto& e) { return e.type == effect.type; });
-        if (!added || !ActsOnTheWholeArm(effect.type)) continue;
+        const auto added = std::find_if(joint.effects.begin(), joint.effects.end(),
+                                        [&](const auto& e) { return e.type == effect.type; });
+        if (added == joint.effects.end() || !ActsOnTheWholeArm(effect.type)) continue;
         RS_ASSIGN_OR_RETURN(
-            const std::vector<OtherJoint> others,
+            std::vector<OtherJoint> others,
             AskOtherJoints(WithOtherFindings(rig, after, effect.type), plant, logs, i, effect));
+        for (OtherJoint& other : others) other.agrees = HasFound(report, other.joint, *added);
         const std::string objection = ObjectionOf(effect.type, others);
         if (objection.empty()) continue;
         joint.verdict = Verdict::kReducedNotAttributed;

@@ -15,6 +15,8 @@ namespace {
 constexpr double kVisible = 2;   // times the floor
 constexpr double kGain = 0.02;   // of the error: less is no support
 constexpr double kWorse = 0.05;  // of the error
+constexpr double kEqual = 0.1;   // of a parameter
+constexpr double kErrors = 3;    // standard ones, of a difference
 
 absl::StatusOr<EffectInstance> InstanceOf(const DeclaredEffect& effect) {
   EffectInstance instance;
@@ -26,6 +28,21 @@ absl::StatusOr<EffectInstance> InstanceOf(const DeclaredEffect& effect) {
 
 }  // namespace
 
+bool Agree(const AddedEffectReport& one, const AddedEffectReport& other) {
+  bool shared = false;
+  for (const ParameterReport& a : one.parameters) {
+    for (const ParameterReport& b : other.parameters) {
+      if (a.name != b.name) continue;
+      shared = true;
+      const double apart = std::abs(a.value - b.value);
+      if (apart > std::max(kEqual * std::max(std::abs(a.value), std::abs(b.value)),
+                           kErrors * std::hypot(a.std, b.std)))
+        return false;
+    }
+  }
+  return shared && one.type == other.type;
+}
+
 bool ActsOnTheWholeArm(const std::string& effect) {
   return effect == "base_tilt" || effect == "payload";
 }
@@ -34,6 +51,7 @@ std::string ObjectionOf(const std::string& effect, const std::vector<OtherJoint>
   std::vector<std::string> asked;
   bool supported = false;
   for (const OtherJoint& other : others) {
+    supported |= other.agrees;
     if (other.change < kVisible * other.floor) continue;
     asked.push_back(other.joint);
     if (other.with > (1 + kWorse) * other.without && other.with > kVisible * other.floor)

@@ -10,7 +10,7 @@ using testing::HasSubstr;
 
 // Without, with, change, floor.
 OtherJoint Joint(const std::string& name, double without, double with, double change) {
-  return {name, without, with, change, 1};
+  return {name, without, with, change, 1, false};
 }
 
 TEST(SharedSupport, IsOfAJointThatIsPredictedBetter) {
@@ -29,6 +29,35 @@ TEST(SharedSupport, IsTakenBackByOneThatIsPredictedWorse) {
   const std::vector<OtherJoint> others = {Joint("J1", 5, 4, 3), Joint("J2", 5, 5.3, 3)};
   EXPECT_THAT(ObjectionOf("base_tilt", others), HasSubstr("J2 is predicted worse with it, 5.3"));
   EXPECT_EQ(ObjectionOf("base_tilt", {Joint("J1", 5, 4, 3), Joint("J2", 1, 1.9, 3)}), "");
+}
+
+TEST(SharedSupport, IsOfAJointThatFoundTheSameByItself) {
+  OtherJoint faint = Joint("J1", 1.1, 1, 1.9);
+  faint.agrees = true;
+  EXPECT_EQ(ObjectionOf("base_tilt", {faint}), "");
+  EXPECT_THAT(ObjectionOf("base_tilt", {faint, Joint("J2", 5, 5.3, 3)}), HasSubstr("worse"));
+}
+
+TEST(SharedSupport, FindingsAgreeByTenPercentOrByTheirErrors) {
+  const auto tilt = [](double y, double std) {
+    AddedEffectReport effect;
+    effect.type = "base_tilt";
+    effect.parameters.resize(1);
+    effect.parameters[0].name = "y";
+    effect.parameters[0].value = y;
+    effect.parameters[0].std = std;
+    return effect;
+  };
+  EXPECT_TRUE(Agree(tilt(0.0100, 1e-5), tilt(0.0091, 1e-5)));
+  EXPECT_FALSE(Agree(tilt(0.0100, 1e-5), tilt(0.0089, 1e-5)));
+  EXPECT_TRUE(Agree(tilt(0.0100, 3e-4), tilt(0.0087, 4e-4))) << "within 3 of their errors, 1.5e-3";
+  EXPECT_FALSE(Agree(tilt(0.0100, 1e-5), tilt(-0.0100, 1e-5)));
+  AddedEffectReport other = tilt(0.01, 1e-5);
+  other.type = "payload";
+  EXPECT_FALSE(Agree(tilt(0.01, 1e-5), other));
+  other = tilt(0.01, 1e-5);
+  other.parameters[0].name = "x";
+  EXPECT_FALSE(Agree(tilt(0.01, 1e-5), other)) << "nothing that both fitted";
 }
 
 TEST(SharedSupport, IsAskedForBesideWhatElseJointsLack) {
