@@ -74,8 +74,8 @@ constexpr Row kRows[] = {
     {"dev_mixed", "Dev Mixed", kAll, kNone, 0, SeverityProfile::kFixed, false},
 };
 
-// dev_mixed is ours and private to tuning, so that no choice is made on a scenario that is
-// reported. It has one severity, whatever the level.
+// dev_mixed is ours and private to tuning: learning rates and the gain control were chosen on it,
+// model following was not (docs/results/model-following.md#limits). One severity at every level.
 constexpr double kDevFriction = 1.3, kDevBacklash = 8, kDevCompliance = 3;
 constexpr unsigned kDevComplianceJoints = 0x32;  // J2, J5, J6
 

@@ -58,12 +58,15 @@ class Filler {
   FilledCell Cell(const std::vector<std::string>& scenarios, const PaperColumn& column) const {
     FilledCell cell;
     std::vector<EpisodeValue> values;
-    int stratum = 0, successes = 0, updates = 0;
+    std::vector<Units> strata;
+    int successes = 0, updates = 0;
     bool adapts = false;
     for (const std::string& scenario : scenarios) {
       const Units units = UnitsIn(scenario, column);
       // An average over other scenarios than its neighbours' would mislead.
       if (units.empty()) return FilledCell();
+      const int stratum = static_cast<int>(strata.size());
+      strata.push_back(units);
       for (const UnitResult* unit : units) {
         adapts = adapts || unit->config.method->adapts();
         if (!unit->episodes.empty()) updates += unit->episodes.back().updates;
@@ -74,7 +77,6 @@ class Filler {
           values.push_back({unit->config.suite, row.task, row.initial_state, stratum, *value});
         }
       }
-      ++stratum;
     }
     cell.n = static_cast<int>(values.size());
     if (values.empty()) return cell;
@@ -82,7 +84,8 @@ class Filler {
     const BootstrapResult result =
         BootstrapEpisodes(values, wilson ? 0 : replicates_,
                           absl::StrCat("paper/", table_.name, "/", absl::StrJoin(scenarios, "+"),
-                                       "/", TitleOf(column)));
+                                       "/", TitleOf(column)),
+                          ClusteringOf(strata));
     cell.value = 100 * result.estimate;
     cell.interval = Percent(wilson ? WilsonInterval(successes, cell.n) : result.interval);
     if (adapts) cell.note = updates == 0 ? "not adapted" : absl::StrCat(updates, " updates");
@@ -250,9 +253,10 @@ std::vector<std::string> Notes(const PaperTable& table, const PaperProtocol& pro
   if (!table.contrasts.empty()) {
     notes.push_back(
         "Differences pair episodes of equal suite, seed, task and initial state; intervals: "
-        "cluster "
-        "bootstrap over (task, initial state); p: signs of a cluster's differences flipped "
-        "together; Holm: each difference over its scenarios, the averages among themselves.");
+        "cluster bootstrap, over tasks where a method of the two carries something from episode to "
+        "episode, otherwise over (task, initial state); p: signs of a cluster's differences "
+        "flipped together; Holm: each difference over its scenarios, the averages among "
+        "themselves.");
   }
   return notes;
 }

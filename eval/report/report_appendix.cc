@@ -278,8 +278,12 @@ std::string SetupSection(const RunData& run) {
 
 std::string LimitsSection(const RunData& run, const Summary& summary, const SuccessTable& main) {
   int clusters = 0;
-  for (const auto& [method, average] : main.averages)
-    clusters = std::max(clusters, average.success.clusters);
+  const char* noun = "";
+  for (const auto& [method, average] : main.averages) {
+    if (clusters > 0 && average.success.clusters >= clusters) continue;
+    clusters = average.success.clusters;
+    noun = ClusterNoun(average.clustering);
+  }
   std::set<int64_t> seeds;
   bool embedded = false, dev_states = false;
   std::set<std::string> not_adapted;
@@ -294,15 +298,14 @@ std::string LimitsSection(const RunData& run, const Summary& summary, const Succ
   }
   std::string html = "<h2 id=limits>Limits</h2>\n<ul>\n";
   if (clusters > 0 && clusters < 40) {
-    absl::StrAppend(
-        &html, "<li>", clusters,
-        " clusters of (task, initial state): bootstrap intervals from so few tend to be too "
-        "narrow. Read this as a demonstration, not as a measurement.</li>\n");
+    absl::StrAppend(&html, "<li>", clusters, " ", noun,
+                    " as clusters: bootstrap intervals from so few tend to be too "
+                    "narrow. Read this as a demonstration, not as a measurement.</li>\n");
   }
   html +=
       "<li>Episodes of an adapting method are not independent: the adapter is carried across them. "
       "Wilson intervals ignore this, and the bootstrap resamples "
-      "initial states, not whole adaptation histories; other orders of the same episodes would "
+      "tasks, not whole adaptation histories; other orders of the same episodes would "
       "give other numbers.</li>\n";
   html +=
       "<li>A single difference says little: the null control (same weights, other sampling noise) "

@@ -61,6 +61,8 @@ void AppendCells(std::string& csv, std::vector<std::string> cells, const Contras
         ContrastCells(contrasts, seeds)})
     cells.insert(cells.end(), more.begin(), more.end());
   cells.push_back(noise_paired ? "1" : "0");
+  const auto& base = contrasts.versus_base;
+  cells.push_back(base ? ClusterNoun(base->clustering) : "");
   absl::StrAppend(&csv, absl::StrJoin(cells, ","), "\n");
 }
 
@@ -75,7 +77,7 @@ std::string TableCsv(const Summary& summary) {
       "adapter_distance,p_value,p_holm,mcnemar_p,versus_gain,versus_gain_low,versus_gain_high,"
       "versus_gain_p_holm,versus_null,versus_null_low,versus_null_high,versus_null_p_holm,"
       "residual_before,residual_after,intent_before,intent_after,seeds,seed_deviation,noise_"
-      "paired\n";
+      "paired,clustered_by\n";
   for (const SuccessTable& table : summary.tables) {
     const std::string suite = table.suite.empty() ? "all" : table.suite;
     const auto lead = [&](const std::string& scenario, const std::string& method) {

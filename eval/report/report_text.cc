@@ -155,14 +155,16 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
     absl::StrAppend(&text, "\n", TableHeading(table), "\n", AlignedTable(SuccessRows(table)));
     if (table.suite.empty()) absl::StrAppend(&text, "\n", AlignedTable(ResidualRows(table)));
   }
-  absl::StrAppend(&text,
-                  "\n  [a, b]: 95 % intervals; Wilson for a success rate, paired bootstrap over "
-                  "(task, initial state) for a difference\n"
-                  "  and an average. +a/-b: episodes that only the method, only base, won.\n"
-                  "  Residual: ||eta|| / ||a||, mean over rollouts, no gripper; intent: against "
-                  "the unadapted policy's command; tracking: with\n"
-                  "  the controller's steady gain in the scale. The paper's column: another policy "
-                  "and other tasks.\n");
+  absl::StrAppend(
+      &text,
+      "\n  [a, b]: 95 % intervals; Wilson for a success rate, paired bootstrap for a "
+      "difference and an average,\n"
+      "  over tasks where a method carries something from episode to episode, otherwise "
+      "over initial states. +a/-b: episodes that only the method, only base, won.\n"
+      "  Residual: ||eta|| / ||a||, mean over rollouts, no gripper; intent: against "
+      "the unadapted policy's command; tracking: with\n"
+      "  the controller's steady gain in the scale. The paper's column: another policy "
+      "and other tasks.\n");
   std::vector<std::string> notes = ServerNotes(run);
   notes.insert(notes.begin(),
                {MixedMachinesNote(run), UnpairedNoiseNote(run), LateAnswersNote(run)});

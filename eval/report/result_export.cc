@@ -123,6 +123,7 @@ ResultDifference DifferenceOf(const Comparison& c) {
   ResultDifference d;
   d.pairs = c.pairs, d.plus = c.plus, d.minus = c.minus;
   d.clusters = c.difference.clusters;
+  d.clustering = c.clustering;
   d.difference = c.difference.estimate;
   if (std::isfinite(c.difference.interval.low)) d.interval = c.difference.interval;
   d.p = c.p_value, d.p_exact = c.p_exact;
@@ -287,6 +288,7 @@ void AddTable(const RunData& run, const SuccessTable& table, const std::string& 
         cell.scenarios.push_back(ScenarioLabel(row.scenario));
     }
     cell.counts.n = average.n, cell.counts.clusters = average.success.clusters;
+    cell.clustering = average.clustering;
     cell.rate = average.success.estimate;
     // Where every outcome is the same the bootstrap knows no width.
     const Interval& interval = average.success.interval;

@@ -39,6 +39,19 @@ ordered_json LevelOrNull(int severity) {
   return severity == 0 ? ordered_json(nullptr) : ordered_json(severity);
 }
 
+// Interval methods of a difference and of a mean, by Clustering.
+const std::vector<std::string> kDifferenceMethods = {"paired_cluster_bootstrap",
+                                                     "paired_cluster_bootstrap_by_task"};
+const std::vector<std::string> kMeanMethods = {"cluster_bootstrap", "cluster_bootstrap_by_task"};
+
+const std::string& MethodOf(Clustering clustering, const std::vector<std::string>& methods) {
+  return methods[clustering == Clustering::kTask];
+}
+
+Clustering ClusteringOf(const std::string& method, const std::vector<std::string>& methods) {
+  return method == methods[1] ? Clustering::kTask : Clustering::kInitialState;
+}
+
 ordered_json DifferenceJson(const ResultDifference& d) {
   return {{"pairs", d.pairs},
           {"plus", d.plus},
@@ -46,7 +59,7 @@ ordered_json DifferenceJson(const ResultDifference& d) {
           {"clusters", d.clusters},
           {"difference", d.difference},
           {"interval", IntervalOrNull(d.interval)},
-          {"interval_method", "paired_cluster_bootstrap"},
+          {"interval_method", MethodOf(d.clustering, kDifferenceMethods)},
           {"p", d.p},
           {"p_method", d.p_exact ? "cluster_sign_flip_exact" : "cluster_sign_flip_drawn"},
           {"p_corrected", d.p_corrected ? ordered_json(*d.p_corrected) : ordered_json(nullptr)},
@@ -67,7 +80,8 @@ ordered_json CellJson(const ResultCell& cell) {
   if (!cell.is_mean()) out["successes"] = cell.counts.successes;
   out["rate"] = cell.rate;
   out["interval"] = IntervalOrNull(cell.interval);
-  out["interval_method"] = cell.is_mean() ? "cluster_bootstrap" : "wilson_effective_n";
+  out["interval_method"] =
+      cell.is_mean() ? MethodOf(cell.clustering, kMeanMethods) : "wilson_effective_n";
   out["clusters"] = cell.counts.clusters;
   if (!cell.is_mean()) out["design_effect"] = cell.counts.design_effect;
   out["seeds"] = cell.seeds;
@@ -290,7 +304,8 @@ void ReadDifference(Fields& fields, const ResultCell& cell, ResultDifference& d)
   fields.Number("difference", d.difference, -1, 1);
   fields.IntervalOrNull("interval", d.interval, -1, 1);
   std::string method, p_method, correction;
-  fields.Word("interval_method", method, {"paired_cluster_bootstrap"});
+  fields.Word("interval_method", method, kDifferenceMethods);
+  d.clustering = ClusteringOf(method, kDifferenceMethods);
   fields.Number("p", d.p, 0, 1);
   fields.Word("p_method", p_method, {"cluster_sign_flip_exact", "cluster_sign_flip_drawn"});
   d.p_exact = p_method == "cluster_sign_flip_exact";
@@ -324,7 +339,9 @@ void ReadCell(Fields& fields, bool mean, ResultCell& cell) {
   fields.Number("rate", cell.rate, 0, 1);
   fields.IntervalOrNull("interval", cell.interval, 0, 1);
   std::string method;
-  fields.Word("interval_method", method, {mean ? "cluster_bootstrap" : "wilson_effective_n"});
+  fields.Word("interval_method", method,
+              mean ? kMeanMethods : std::vector<std::string>{"wilson_effective_n"});
+  if (mean) cell.clustering = ClusteringOf(method, kMeanMethods);
   fields.Whole("clusters", counts.clusters, 1, counts.n);
   if (!mean) fields.Number("design_effect", counts.design_effect, 1, counts.n);
   fields.Seeds("seeds", cell.seeds);

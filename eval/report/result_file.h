@@ -8,6 +8,7 @@
 
 #include "absl/status/statusor.h"
 #include "common/statistics.h"
+#include "eval/statistics/episode_bootstrap.h"
 #include "eval/statistics/unpaired_rates.h"
 
 // A run's results for other laboratories: what a reader needs to judge and compare them, and
@@ -21,7 +22,8 @@ inline constexpr int kResultSchemaVersion = 1;
 // A method minus a reference on the same episodes, or on episodes of equal initial states.
 struct ResultDifference {
   int pairs = 0, plus = 0, minus = 0;  // plus: only the method succeeded
-  int clusters = 0;                    // initial states
+  int clusters = 0;
+  Clustering clustering = Clustering::kInitialState;
   double difference = 0;
   std::optional<Interval> interval;   // paired cluster bootstrap; absent: one cluster
   double p = 1;                       // sign flips of whole clusters
@@ -39,7 +41,8 @@ struct ResultCell {
   ClusteredRate counts;              // of a mean: n and clusters alone
   double rate = 0;                   // of a mean: the mean of rates
   std::optional<Interval> interval;  // RateInterval; of a mean a cluster bootstrap
-  std::vector<int64_t> seeds;        // of the sampling noise; repeats where it is not paired
+  Clustering clustering = Clustering::kInitialState;  // of a mean
+  std::vector<int64_t> seeds;  // of the sampling noise; repeats where it is not paired
   std::optional<ResultDifference> versus_base;
   std::map<std::string, ResultDifference> versus_control;  // "gain", "null"
 

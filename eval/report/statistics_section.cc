@@ -35,6 +35,7 @@ std::string ContrastRow(const std::string& title, const std::string& method,
       absl::StrCat(average ? "<tr class=avg>" : "<tr>", "<td>", EscapeXml(title),
                    "</td><td style=\"text-align:left\">", MethodLabel(method), "</td>");
   const auto& base = contrasts.versus_base;
+  absl::StrAppend(&html, "<td>", base ? ClustersText(*base) : "\u2013", "</td>");
   html += ComparisonCells(base ? &*base : nullptr);
   if (has_gain) html += ComparisonCells(ControlOf(contrasts, "gain"));
   if (has_null) html += ComparisonCells(ControlOf(contrasts, "null"));
@@ -73,7 +74,8 @@ std::string ContrastTable(const SuccessTable& table) {
   }
   if (body.empty()) return "";
   std::string html =
-      "<div class=scroll><table><tr><th>Scenario</th><th style=\"text-align:left\">Method</th>";
+      "<div class=scroll><table><tr><th>Scenario</th><th "
+      "style=\"text-align:left\">Method</th><th>clusters</th>";
   const auto columns = [&](const std::string& reference) {
     absl::StrAppend(&html, "<th>\u2212 ", reference,
                     "<br><small>points [95 %]</small></th><th>won / lost</th><th>p</th><th>p, "
@@ -187,11 +189,12 @@ std::string StatisticsSection(const Summary& summary) {
           : "and share no sampling noise: the test holds, but more pairs differ by chance; repeats "
             "pair by their number, on which won / lost depend and no difference, interval or p",
       ". p: two-sided, the signs "
-      "of "
-      "all differences of one (task, initial state) flipped together, since scenarios and seeds "
-      "share them; enumerated, or * estimated from ",
+      "of all differences of a cluster flipped together; enumerated, or * estimated from ",
       kSignFlipDraws,
-      " draws. With one pair in a cluster it is McNemar's exact test. Holm: corrected over all "
+      " draws. A cluster is all pairs of one task where the method carries something from episode "
+      "to "
+      "episode, otherwise of one initial state; scenarios and seeds share them. With one pair in a "
+      "cluster it is McNemar's exact test. Holm: corrected over all "
       "comparisons of the same kind in the table's scenarios, the averages among themselves; it "
       "holds however the comparisons depend on each other. Design effect: variance with clusters "
       "kept together over that of single pairs. Episodes needed: two-sided 5 %, power 80 %, with "

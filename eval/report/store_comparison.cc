@@ -65,6 +65,10 @@ std::vector<EpisodeValue> Successes(const std::vector<Units>& strata) {
   return values;
 }
 
+Clustering Clusters(const std::vector<Units>& first, const std::vector<Units>& second) {
+  return ClusteringOf(first) == Clustering::kTask ? Clustering::kTask : ClusteringOf(second);
+}
+
 // One scenario, or several as the strata of an average.
 StoreRow MakeRow(const std::vector<PairedUnits>& strata, int replicates, const std::string& label) {
   StoreRow row;
@@ -79,7 +83,8 @@ StoreRow MakeRow(const std::vector<PairedUnits>& strata, int replicates, const s
   row.first = BootstrapEpisodes(a, 0, label).estimate;
   row.second = BootstrapEpisodes(b, 0, label).estimate;
   row.paired = CompareOnPairs(strata, replicates, label);
-  row.difference = row.paired ? row.paired->difference : BootstrapUnpaired(b, a, replicates, label);
+  row.difference = row.paired ? row.paired->difference
+                              : BootstrapUnpaired(b, a, replicates, label, Clusters(first, second));
   return row;
 }
 
@@ -326,7 +331,8 @@ std::string StorePage(const StoreComparison& comparison) {
   absl::StrAppend(
       &html, "</table></div>\n", DifferencePlot(comparison),
       "<p class=note>Success in percent, differences in points with 95 % intervals: paired cluster "
-      "bootstrap over (task, initial state) where episodes pair (equal suite, seed, task, episode "
+      "bootstrap (over tasks where a method carries something from episode to episode, otherwise "
+      "over initial states) where episodes pair (equal suite, seed, task, episode "
       "and initial state), otherwise both stores resampled apart. n: episodes, first | second. p: "
       "signs of a cluster's differences flipped together; Holm: over the paired scenarios, "
       "averages "

@@ -210,7 +210,8 @@ std::string SuccessSection(const Summary& summary) {
       &html, "<p class=note>Intervals of a success rate are Wilson's",
       summary.noise_paired ? "" : ", with n divided by the design effect of repeated states",
       ", of a difference and of an average a "
-      "paired cluster bootstrap over (task, initial state) with ",
+      "paired cluster bootstrap (over tasks where a method carries something from episode to "
+      "episode, otherwise over initial states) with ",
       summary.replicates,
       " replicates. Won / lost: episodes that only the method, only base, completed; both start "
       "from the same state",

@@ -5,7 +5,8 @@
 #include <map>
 #include <tuple>
 
-#include "eval/statistics/episode_bootstrap.h"
+#include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "eval/statistics/paired_tests.h"
 
 namespace robostress {
@@ -22,6 +23,12 @@ std::map<EpisodeKey, const EpisodeRow*> RowsOf(const Units& units) {
       rows[{unit->config.suite, unit->config.seed, row.task, row.episode}] = &row;
   }
   return rows;
+}
+
+Clustering ClusteringOfPairs(const std::vector<PairedUnits>& strata) {
+  std::vector<Units> units;
+  for (const PairedUnits& pair : strata) units.insert(units.end(), {pair.method, pair.reference});
+  return ClusteringOf(units);
 }
 
 // Calls use(unit, method's row, reference's row, stratum) for every pair.
@@ -42,6 +49,19 @@ void ForEachPair(const std::vector<PairedUnits>& strata, const Use& use) {
 
 }  // namespace
 
+Clustering ClusteringOf(const std::vector<Units>& units) {
+  for (const Units& some : units) {
+    for (const UnitResult* unit : some) {
+      if (unit->config.method->CarriesOver()) return Clustering::kTask;
+    }
+  }
+  return Clustering::kInitialState;
+}
+
+std::string ClustersText(const Comparison& comparison) {
+  return absl::StrCat(comparison.difference.clusters, " ", ClusterNoun(comparison.clustering));
+}
+
 std::optional<Comparison> CompareOnPairs(const std::vector<PairedUnits>& strata, int replicates,
                                          const std::string& label) {
   Comparison comparison;
@@ -55,8 +75,9 @@ std::optional<Comparison> CompareOnPairs(const std::vector<PairedUnits>& strata,
                            static_cast<double>(row.success) - reference.success});
   });
   if (comparison.pairs == 0) return std::nullopt;
-  comparison.difference = BootstrapEpisodes(differences, replicates, label);
-  const std::vector<ClusteredValue> clustered = ClusterEpisodes(differences);
+  comparison.clustering = ClusteringOfPairs(strata);
+  comparison.difference = BootstrapEpisodes(differences, replicates, label, comparison.clustering);
+  const std::vector<ClusteredValue> clustered = ClusterEpisodes(differences, comparison.clustering);
   const SignFlipResult test =
       ClusterSignFlipTest(clustered, StreamKey("eval/sign flips").With(label));
   comparison.p_value = test.p_value;
@@ -121,7 +142,7 @@ std::optional<BeforeAfter> CompareBeforeAfter(const std::vector<PairedUnits>& st
   if (result.pairs == 0) return std::nullopt;
   result.before /= result.pairs;
   result.after /= result.pairs;
-  result.change = BootstrapEpisodes(changes, replicates, label);
+  result.change = BootstrapEpisodes(changes, replicates, label, ClusteringOfPairs(strata));
   return result;
 }
 

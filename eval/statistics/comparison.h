@@ -5,17 +5,21 @@
 #include <vector>
 
 #include "common/statistics.h"
+#include "eval/statistics/episode_bootstrap.h"
 #include "eval/store/run_store.h"
 
 namespace robostress {
 
 // Units of one cell of a table. They point into a RunData that outlives them.
 using Units = std::vector<const UnitResult*>;
+// kTask where the method of any unit carries something from one episode to the next.
+Clustering ClusteringOf(const std::vector<Units>& units);
 
 // A method against a reference on the same episodes: equal suite, seed, task, episode and initial
 // state.
 struct Comparison {
   BootstrapResult difference;  // of success rates, method - reference; paired cluster bootstrap
+  Clustering clustering = Clustering::kInitialState;  // of the interval and of the test
   int pairs = 0;
   int plus = 0, minus = 0;  // pairs only the method won, pairs only the reference won
   double p_value = 1;       // ClusterSignFlipTest
@@ -29,6 +33,9 @@ struct Comparison {
     return pairs == 0 ? 0 : static_cast<double>(plus + minus) / pairs;
   }
 };
+
+// "40 tasks", "200 initial states".
+std::string ClustersText(const Comparison& comparison);
 
 // What is compared within one stratum (scenario).
 struct PairedUnits {

@@ -9,30 +9,37 @@
 
 namespace robostress {
 
-std::vector<ClusteredValue> ClusterEpisodes(const std::vector<EpisodeValue>& values) {
+const char* ClusterNoun(Clustering clustering) {
+  return clustering == Clustering::kTask ? "tasks" : "initial states";
+}
+
+std::vector<ClusteredValue> ClusterEpisodes(const std::vector<EpisodeValue>& values,
+                                            Clustering clustering) {
+  const auto name = [clustering](const EpisodeValue& v) {
+    return std::tuple(v.suite, v.task, clustering == Clustering::kTask ? 0 : v.initial_state);
+  };
   std::map<std::tuple<std::string, int, int>, int> numbers;
-  for (const EpisodeValue& v : values)
-    numbers.emplace(std::tuple(v.suite, v.task, v.initial_state), 0);
+  for (const EpisodeValue& v : values) numbers.emplace(name(v), 0);
   int next = 0;
   for (auto& [cluster, number] : numbers) number = next++;
   std::vector<ClusteredValue> clustered;
-  for (const EpisodeValue& v : values) {
-    clustered.push_back({numbers.at({v.suite, v.task, v.initial_state}), v.stratum, v.value});
-  }
+  for (const EpisodeValue& v : values)
+    clustered.push_back({numbers.at(name(v)), v.stratum, v.value});
   return clustered;
 }
 
 BootstrapResult BootstrapEpisodes(const std::vector<EpisodeValue>& values, int replicates,
-                                  const std::string& label) {
-  return ClusterBootstrap(ClusterEpisodes(values), replicates,
+                                  const std::string& label, Clustering clustering) {
+  return ClusterBootstrap(ClusterEpisodes(values, clustering), replicates,
                           StreamKey("eval/bootstrap").With(label));
 }
 
 BootstrapResult BootstrapUnpaired(const std::vector<EpisodeValue>& values,
                                   const std::vector<EpisodeValue>& others, int replicates,
-                                  const std::string& label) {
+                                  const std::string& label, Clustering clustering) {
   constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-  const std::vector<ClusteredValue> a = ClusterEpisodes(values), b = ClusterEpisodes(others);
+  const std::vector<ClusteredValue> a = ClusterEpisodes(values, clustering),
+                                    b = ClusterEpisodes(others, clustering);
   const StreamKey key = StreamKey("eval/bootstrap").With(label);
   BootstrapResult result = ClusterBootstrap(a, 0, key);
   const BootstrapResult other = ClusterBootstrap(b, 0, key);

@@ -112,7 +112,9 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
     average.updates += cell->second.updates;
     measures.push_back(cell->second.measures);
   }
-  average.success = BootstrapEpisodes(successes, replicates, label + "/average");
+  average.clustering = ClusteringOf(strata);
+  average.success =
+      BootstrapEpisodes(successes, replicates, label + "/average", average.clustering);
   average.seeds = SpreadOverSeeds(strata);
   average.measures = MeanMeasures(measures);
   average.contrasts =

@@ -51,6 +51,7 @@ struct ScenarioRow {
 struct AverageCell {
   int n = 0;
   BootstrapResult success;
+  Clustering clustering = Clustering::kInitialState;  // of its interval
   SeedSpread seeds;
   bool adapts = false, compensates = false;
   int updates = 0;

@@ -53,11 +53,15 @@ TEST(TerminalTable, ShowsRatesDifferencesUpdatesAndTheOneThatDidNotAdapt) {
 }
 
 TEST(Conclusion, SaysInOneSentenceWhatEachMethodIsWorth) {
-  const RunData run = SmallRun();
+  RunData run = SmallRun();
+  run.units.push_back(SyntheticUnit("heavy_payload", "gain", {1, 1, 0, 0}));
   const Summary summary = Summarise(run, 100);
   const std::string text = Conclusion(summary.tables[0]);
   EXPECT_THAT(text, ::testing::StartsWith("Over 1 scenario with errors, 4 episodes a method, Base "
-                                          "succeeds in 25.0 %, Ours 50.0 % (+25.0 points ["));
+                                          "succeeds in 25.0 %, Ours 50.0 % (one cluster: no "
+                                          "interval), Gain control "))
+      << "the one task of a carried session";
+  EXPECT_THAT(text, HasSubstr(" points ["));
   EXPECT_THAT(text, HasSubstr("which may be chance)."));
   EXPECT_THAT(TerminalTable(run, summary), ::testing::EndsWith(text + "\n"));
   EXPECT_EQ(Conclusion({}), "");

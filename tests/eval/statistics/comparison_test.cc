@@ -33,11 +33,11 @@ const std::vector<int> kLost = {0, 0, 0, 0, 0, 0, 1, 0, 1}, kWon = {1, 1, 1, 1, 
 TEST(Comparison, SeedsOfOneInitialStateAreOneClusterHoweverManyThereAre) {
   // 6 to 1 of seven states that differ: 2 (1 + 7) / 2^7. Two more seeds that end alike add pairs,
   // no evidence.
-  const Comparison one = Compare({Seeded(0, "base", kLost), Seeded(0, "ours", kWon)});
+  const Comparison one = Compare({Seeded(0, "base", kLost), Seeded(0, "gain", kWon)});
   std::vector<UnitResult> units;
   for (const int64_t seed : {0, 1, 2}) {
     units.push_back(Seeded(seed, "base", kLost));
-    units.push_back(Seeded(seed, "ours", kWon));
+    units.push_back(Seeded(seed, "gain", kWon));
   }
   const Comparison three = Compare(units);
   EXPECT_EQ(one.pairs, 9);
@@ -49,6 +49,26 @@ TEST(Comparison, SeedsOfOneInitialStateAreOneClusterHoweverManyThereAre) {
   EXPECT_EQ(three.difference.interval.high, one.difference.interval.high);
   EXPECT_NEAR(three.design_effect, 3 * one.design_effect, 1e-9);
   EXPECT_LT(three.mcnemar_p, 0.01) << "what ignoring the clusters would say";
+}
+
+TEST(Comparison, ASessionThatIsCarriedMakesATaskOneCluster) {
+  // Two tasks of three states. What every episode of a task shares is no six independent wins.
+  const auto task = [](const std::string& method, int index, const std::vector<int>& outcomes) {
+    UnitResult unit = Seeded(index, method, outcomes);
+    for (EpisodeRow& row : unit.episodes) row.task = index;
+    return unit;
+  };
+  const auto both = [&](const std::string& method) {
+    return Compare({task("base", 0, {0, 0, 0}), task("base", 1, {0, 0, 0}),
+                    task(method, 0, {1, 1, 1}), task(method, 1, {1, 1, 1})});
+  };
+  const Comparison gain = both("gain"), following = both("ours_following");
+  EXPECT_EQ(ClustersText(gain), "6 initial states");
+  EXPECT_EQ(ClustersText(following), "2 tasks");
+  EXPECT_NEAR(gain.p_value, 2.0 / 64, 1e-12);
+  EXPECT_NEAR(following.p_value, 2.0 / 4, 1e-12);
+  EXPECT_EQ(following.difference.estimate, gain.difference.estimate);
+  EXPECT_NEAR(following.mcnemar_p, gain.mcnemar_p, 1e-12);
 }
 
 TEST(Comparison, PairsASeedWithItselfOnly) {

@@ -136,17 +136,17 @@ TEST(Summary, PutsTheControlsBesideEveryCompensatingMethod) {
 TEST(Summary, CorrectsTheComparisonsWithBaseForTheirNumber) {
   RunData run;
   run.units = {SyntheticUnit("heavy_payload", "base", {0, 0, 0, 0, 0, 0, 0, 0}),
-               SyntheticUnit("heavy_payload", "ours", {1, 1, 1, 1, 1, 1, 1, 1}),
+               SyntheticUnit("heavy_payload", "gain", {1, 1, 1, 1, 1, 1, 1, 1}),
                SyntheticUnit("aged_joint_elbow", "base", {0, 0, 0, 0, 0, 0, 0, 1}),
-               SyntheticUnit("aged_joint_elbow", "ours", {1, 0, 0, 0, 0, 0, 0, 1})};
+               SyntheticUnit("aged_joint_elbow", "gain", {1, 0, 0, 0, 0, 0, 0, 1})};
   const Summary summary = Summarise(run, 100);
   const SuccessTable& table = summary.tables.at(0);
-  const Comparison& payload = *table.rows.at(0).cells.at("ours").contrasts.versus_base;
+  const Comparison& payload = *table.rows.at(0).cells.at("gain").contrasts.versus_base;
   EXPECT_NEAR(payload.p_value, 2 / 256.0, 1e-12);
   EXPECT_NEAR(payload.p_holm, 4 / 256.0, 1e-12);
-  const Comparison& elbow = *table.rows.at(1).cells.at("ours").contrasts.versus_base;
+  const Comparison& elbow = *table.rows.at(1).cells.at("gain").contrasts.versus_base;
   EXPECT_NEAR(elbow.p_value, 1, 1e-12);
-  const Comparison& average = *table.averages.at("ours").contrasts.versus_base;
+  const Comparison& average = *table.averages.at("gain").contrasts.versus_base;
   EXPECT_EQ(average.p_holm, average.p_value) << "one average is a family of its own";
 }
 
