@@ -108,4 +108,12 @@ void CorrectCommands(const MethodOptions& method, const PolicySpec& policy,
     BoundCommands(policy, answer.policy_actions, answer.actions);
 }
 
+void SmoothCommand(double smoothing, const Eigen::VectorXf& before, Eigen::VectorXf& command) {
+  if (smoothing == 0) return;
+  const Eigen::Index arm = command.size() - 1;
+  const auto kept = static_cast<float>(smoothing);
+  command.head(arm) *= 1 - kept;
+  if (before.size() > 0) command.head(arm) += kept * before.head(arm);
+}
+
 }  // namespace robostress

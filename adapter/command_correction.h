@@ -59,4 +59,10 @@ ResidualOptions ResidualOf(const SessionSetting& setting, const MethodOptions& m
 void CorrectCommands(const MethodOptions& method, const PolicySpec& policy,
                      const Eigen::VectorXd& correction, PredictedChunk& answer);
 
+// Smooths a command [action_dim] after everything else: c <- s c_before + (1 - s) c on the arm's
+// entries, s = smoothing, c_before the command issued before it (empty: zero, a new episode). The
+// mean delay is s / (1 - s) control steps, the steady gain 1. As both commands are within a
+// policy's bounds, so is the mean.
+void SmoothCommand(double smoothing, const Eigen::VectorXf& before, Eigen::VectorXf& command);
+
 }  // namespace robostress

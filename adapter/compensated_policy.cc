@@ -40,6 +40,7 @@ absl::Status CompensatedPolicy::StartEpisode(const EpisodeKey& key) {
   episode_.reset();
   RS_RETURN_IF_ERROR(policy_->StartEpisode(key));
   episode_ = key;
+  issued_.resize(0);
   correction_.StartEpisode();
   return absl::OkStatus();
 }
@@ -65,8 +66,11 @@ absl::StatusOr<PredictedChunk> CompensatedPolicy::Corrected(
 
 absl::StatusOr<Eigen::VectorXf> CompensatedPolicy::NextCommand(const PredictedChunk& predicted,
                                                                const ExecutedChunk& so_far) {
-  if (!method_->every_step || so_far.steps.empty())
-    return PolicyEndpoint::NextCommand(predicted, so_far);
+  if (!method_->every_step) return PolicyEndpoint::NextCommand(predicted, so_far);
+  if (so_far.steps.empty()) {
+    RS_ASSIGN_OR_RETURN(Eigen::VectorXf first, PolicyEndpoint::NextCommand(predicted, so_far));
+    return Smoothed(std::move(first));
+  }
   const auto row = static_cast<Eigen::Index>(so_far.steps.size());
   ExecutedChunk newest = so_far;
   newest.steps = {so_far.steps.back()};
@@ -79,7 +83,13 @@ absl::StatusOr<Eigen::VectorXf> CompensatedPolicy::NextCommand(const PredictedCh
   PredictedChunk next;
   next.policy_actions = predicted.policy_actions.row(row);
   CorrectCommands(*method_, policy_->spec(), running_.Value(), next);
-  return Eigen::VectorXf(next.actions.row(0).transpose());
+  return Smoothed(next.actions.row(0).transpose());
+}
+
+Eigen::VectorXf CompensatedPolicy::Smoothed(Eigen::VectorXf command) {
+  SmoothCommand(method_->smoothing, issued_, command);
+  issued_ = command;
+  return command;
 }
 
 absl::Status CompensatedPolicy::SendFeedback(ExecutedChunk executed) {

@@ -18,9 +18,9 @@ struct MethodOptions;  // adapter/method_options.h
 absl::Status CheckWithoutWeights(const SessionSetting& setting, const MethodOptions& method);
 
 // Any policy with what a method does that needs no weights: gain, direct and integral correction,
-// model following. Its commands are, bit by bit, those of a session of our own server with that
-// method around a policy that predicts the same; with every_step they follow the arm at every
-// control step. One thread.
+// model following, smoothing. Its commands are, bit by bit, those of a session of our own server
+// with that method around a policy that predicts the same; with every_step they follow the arm at
+// every control step. One thread.
 class CompensatedPolicy : public PolicyEndpoint {
  public:
   // `policy` outlives this and adapts nothing. Errors are those of CheckWithoutWeights.
@@ -33,7 +33,7 @@ class CompensatedPolicy : public PolicyEndpoint {
   absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override;
   absl::StatusOr<PredictedChunk> PredictAfter(const Observation& observation, int chunk,
                                               const RunningRows& running) override;
-  // With every_step: the policy's row with what the correction is by now.
+  // With every_step: the policy's row with what the correction is by now, smoothed.
   absl::StatusOr<Eigen::VectorXf> NextCommand(const PredictedChunk& predicted,
                                               const ExecutedChunk& so_far) override;
   // A chunk of another episode than the open one, or one that came before, teaches nothing; one
@@ -45,6 +45,7 @@ class CompensatedPolicy : public PolicyEndpoint {
  private:
   CompensatedPolicy(PolicyEndpoint* policy, const SessionSetting& setting,
                     const MethodOptions& method);
+  Eigen::VectorXf Smoothed(Eigen::VectorXf command);
   absl::StatusOr<PredictedChunk> Corrected(absl::StatusOr<PredictedChunk> predicted);
 
   PolicyEndpoint* const policy_;
@@ -53,7 +54,8 @@ class CompensatedPolicy : public PolicyEndpoint {
   CommandCorrection correction_;
   CommandCorrection running_;  // the same, with the steps of the chunk that is being executed
   std::optional<EpisodeKey> episode_;
-  uint64_t learned_ = 0;  // sequence of the last chunk that was taken
+  Eigen::VectorXf issued_;  // the command before, with every_step; empty: an episode begins
+  uint64_t learned_ = 0;    // sequence of the last chunk that was taken
 };
 
 }  // namespace robostress

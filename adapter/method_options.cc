@@ -43,12 +43,15 @@ absl::Status MethodOptions::Check() const {
   });
   first.Update(CheckOption("gain", gain, -100, 100));
   first.Update(CheckOption("tracking_gain", tracking_gain, 1e-3, 100));
+  first.Update(CheckOption("smoothing", smoothing, 0, 0.99));
   if (!first.ok()) return Invalid(*this, first.message());
-  if (every_step && (!Corrects() || adapts())) {
+  if (every_step && ((!Corrects() && smoothing == 0) || adapts())) {
     return Invalid(*this,
-                   "every_step needs a method that corrects commands and adapts no weights: "
-                   "direct, ours_integral, ours_following");
+                   "every_step needs a method that corrects or smooths commands and adapts no "
+                   "weights: direct, ours_integral, ours_following, smooth");
   }
+  if (smoothing != 0 && !every_step)
+    return Invalid(*this, "smoothing is done at every control step; set every_step=true");
   if (alone == nullptr || other == nullptr) return absl::OkStatus();
   return Invalid(*this, alone, " and ", other, " exclude each other; turn one of them off");
 }

@@ -40,6 +40,9 @@ struct MethodOptions {
   // Corrects anew at every control step, by what the arm has done since the chunk was predicted.
   // Done beside the arm (CompensatedPolicy): a server hears of a chunk when it is over.
   bool every_step = false;
+  // Share of the last sent command in the next, gripper excluded; done with every_step. A step of a
+  // command makes a compliant transmission jump the other way first.
+  double smoothing = 0;
   bool observer = false;  // the robot's client corrects by its disturbance observer, not the server
 
   // Null: the method does not have this way.
@@ -105,6 +108,8 @@ struct MethodOptions {
              "the whole episode");
     v.Late("every_step", every_step, false,
            "correct anew at every control step, not once per chunk; done beside the arm");
+    v.Late("smoothing", smoothing, 0.0,
+           "share of the last sent command in the next, gripper excluded; needs every_step");
     v.Late("observer", observer, false,
            "the robot's client corrects commands by its disturbance observer");
   }

@@ -16,6 +16,7 @@ namespace {
 // Learning rates and the gain were chosen on the dev split (initial states 40-49, scenario
 // dev_mixed); see docs/results/learning-rates.md. What a way needs beside is with its options.
 constexpr double kRate = 1e-4;  // the paper's target, and its ablations
+constexpr double kSmoothing = 0.4;  // docs/results/winning-back.md
 
 struct Preset {
   const char* name;
@@ -49,6 +50,18 @@ constexpr Preset kPresets[] = {
        m.Add(FollowingOptions::Tuned());
        m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
        m.every_step = true;
+     }},
+    {"ours_following_smooth", "Ours, model following, smoothed", "#7c2d12",
+     [](MethodOptions& m) {
+       m.Add(FollowingOptions::Tuned());
+       m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
+       m.every_step = true;
+       m.smoothing = kSmoothing;
+     }},
+    {"smooth", "Smoothing control", "#84cc16",
+     [](MethodOptions& m) {
+       m.every_step = true;
+       m.smoothing = kSmoothing;
      }},
     {"gain", "Gain control", "#e69f00", [](MethodOptions& m) { m.gain = 1.15; }},
     {"null", "Null control", "#cc79a7", [](MethodOptions& m) { m.noise_stream = "null"; }},

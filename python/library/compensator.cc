@@ -34,6 +34,7 @@ struct robostress_compensator {
   robostress::CommandCorrection running;  // the same, with the steps of the chunk under way
   robostress::PredictedChunk chunk;       // under way
   Eigen::Index row = 0;                   // of it, next
+  Eigen::VectorXf issued;                 // the command before that; empty: an episode begins
 };
 
 namespace robostress {
@@ -106,7 +107,9 @@ absl::StatusOr<MethodOptions> MethodOf(const char* name, const char* const* over
     return absl::InvalidArgumentError(absl::StrCat(
         "method '", name,
         "' changes what a policy is shown or is the robot client's own, and would change nothing "
-        "here; take base, gain, direct, ours_integral, ours_following or ours_following_step"));
+        "here; take base, gain, smooth, direct, ours_integral, ours_following, ours_following_step "
+        "or "
+        "ours_following_smooth"));
   }
   return method;
 }
@@ -227,6 +230,7 @@ void robostress_compensator_start_episode(robostress_compensator* compensator) {
     compensator->correction.StartEpisode();
     compensator->running = compensator->correction;
     compensator->chunk = {};
+    compensator->issued.resize(0);
     compensator->row = 0;
     return absl::OkStatus();
   });
@@ -290,7 +294,10 @@ robostress_code robostress_compensator_next(robostress_compensator* compensator,
       }
     }
     ++compensator->row;
-    robostress::CopyRows(next.actions, command);
+    Eigen::VectorXf issued = next.actions.row(0).transpose();
+    robostress::SmoothCommand(compensator->method.smoothing, compensator->issued, issued);
+    robostress::CopyRows(issued.transpose(), command);
+    compensator->issued = std::move(issued);
     return absl::OkStatus();
   });
 }

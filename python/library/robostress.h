@@ -229,9 +229,10 @@ typedef struct robostress_executed {
   const unsigned char* masked; /* [steps] not 0: says nothing about the arm; or NULL */
 } robostress_executed;
 
-/* method: "base", "gain", "direct", "ours_integral", "ours_following", "ours_following_step".
-   overrides: "key=value" of its options, as `robostress sweep --set` takes them; NULL: none.
-   control: NULL for the defaults. Begins an episode. */
+/* method: "base", "gain", "smooth", "direct", "ours_integral", "ours_following",
+   "ours_following_step", "ours_following_smooth". overrides: "key=value" of its options, as
+   `robostress sweep --set` takes them; NULL: none. control: NULL for the defaults. Begins an
+   episode. */
 robostress_code robostress_compensator_new(const char* method, const char* const* overrides,
                                            size_t override_count, const robostress_control* control,
                                            robostress_compensator** created, char* error,
@@ -252,8 +253,8 @@ robostress_code robostress_compensator_correct(robostress_compensator* compensat
                                                const float* actions, size_t rows, float* corrected,
                                                char* error, size_t error_size);
 /* The next command [action_dim] of the chunk that correct() got last. newest: what was executed of
-   it since the last call, or NULL at its first row. Other methods than "ours_following_step" give
-   the rows of correct(). */
+   it since the last call, or NULL at its first row. Methods without every_step give the rows of
+   correct(). */
 robostress_code robostress_compensator_next(robostress_compensator* compensator,
                                             const robostress_executed* newest, float* command,
                                             char* error, size_t error_size);

@@ -22,8 +22,8 @@ class Compensator:
                      ... the arm executes n of them ...
                      compensator.executed(positions, quaternions)             # [n + 1, 3], [n + 1, 4] w x y z
 
-    method: "base", "gain", "direct", "ours_integral", "ours_following", "ours_following_step"; options: its own, as in
-    `robostress sweep --set`. Commands of space "end_effector" are displacements in x, y, z and rotations about them, in units
+    method: "base", "gain", "smooth", "direct", "ours_integral", "ours_following", "ours_following_step",
+    "ours_following_smooth"; options: its own, as in `robostress sweep --set`. Commands of space "end_effector" are displacements in x, y, z and rotations about them, in units
     of the scales, and a gripper; of "joint" absolute targets [rad] and a gripper. goal_reference: of the controller,
     "achieved" as robosuite's or "desired". action_low, action_high: [action_dim] what the policy's actions lie in.
     """
@@ -67,7 +67,7 @@ class Compensator:
         return sent.copy()
 
     def next(self, position: Optional[Any] = None, orientation: Optional[Any] = None, **more: Any) -> np.ndarray:
-        """[action_dim] the chunk's next command, row by row: "ours_following_step" corrects it by what the arm did since.
+        """[action_dim] the chunk's next command, row by row: with every_step corrected by what the arm did since.
         position, orientation: [2, 3], [2, 4] before and after the row that was executed last; none at the first row.
         more: as of executed()."""
         command = np.empty(self.action_dim, np.float32)

@@ -67,6 +67,7 @@ MethodOptions WithoutCorrection(MethodOptions method) {
   method.ways = {};
   method.gain = 1;
   method.every_step = false;
+  method.smoothing = 0;
   return method;
 }
 

@@ -187,6 +187,21 @@ TEST_F(EveryStepTest, CorrectsWithinAChunkWhatAChunkCorrectsInTheNext) {
   EXPECT_EQ(soon.col(6), late.col(6)) << "the gripper is the policy's";
 }
 
+TEST_F(EveryStepTest, SmoothsAcrossChunksAndFromRestInEveryEpisode) {
+  Wrap("smooth");
+  const Eigen::MatrixXf policy = Predict(0).policy_actions;
+  for (int episode = 0; episode < 2; ++episode) {
+    ASSERT_TRUE(policy_->StartEpisode({0, episode}).ok());
+    const Eigen::MatrixXf sent = Play(2, 2);
+    float command = 0;
+    for (int step = 0; step < 4; ++step) {
+      command = 0.4f * command + 0.6f * policy(0, 0);
+      EXPECT_NEAR(sent(step, 0), command, 1e-6f) << step;
+    }
+    EXPECT_EQ(sent.col(6), Eigen::VectorXf::Constant(4, policy(0, 6))) << "the gripper's";
+  }
+}
+
 TEST_F(EveryStepTest, AnImpossibleMeasurementCorrectsNothing) {
   Wrap("ours_following_step");
   const PredictedChunk predicted = Predict(0);

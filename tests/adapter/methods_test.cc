@@ -112,6 +112,7 @@ TEST_P(EveryMethod, IsValidAndReadsBackToEveryBit) {
   // Written only where they are set, and younger than such servers.
   bare.observer = method_.observer;
   bare.every_step = method_.every_step;
+  bare.smoothing = method_.smoothing;
   changed.tracking_gain = bare.tracking_gain = 0.1 + 0.2;
   for (const MethodOptions& options : {changed, bare}) {
     const auto again = ParseMethod("m", DumpConfig(options));
@@ -252,6 +253,9 @@ TEST(MethodOptions, RefusesWhatMakesNoSense) {
   for (const char* method : {"base", "ours", "gain"})
     EXPECT_THAT(refusal(method, "every_step=true"), HasSubstr("every_step needs a method that"));
   EXPECT_EQ(refusal("direct", "every_step=true"), "");
+  EXPECT_THAT(refusal("ours_following", "smoothing=0.5"), HasSubstr("set every_step=true"));
+  EXPECT_THAT(refusal("smooth", "smoothing=1"), HasSubstr("smoothing is 1, must be"));
+  EXPECT_THAT(refusal("smooth", "smoothing=0"), HasSubstr("every_step needs a method that"));
 }
 
 TEST(MethodOptions, SaysWhatNeedsAnEndEffectorController) {

@@ -180,8 +180,13 @@ void ExpectSamePolicy(robostress_compensator* compensator, ToldPolicy& told,
   }
 }
 
-const char* const kWeightFree[] = {"base",          "gain",           "direct",
-                                   "ours_integral", "ours_following", "ours_following_step"};
+const char* const kWeightFree[] = {"base",
+                                   "gain",
+                                   "direct",
+                                   "ours_integral",
+                                   "ours_following",
+                                   "ours_following_step",
+                                   "ours_following_smooth"};
 
 TEST_F(LibraryCompensator, GivesTheBitsOfACompensatedPolicy) {
   const std::vector<float> low(7, -1), high(7, 1);
