@@ -57,8 +57,8 @@ absl::Status MethodOptions::Check() const {
 }
 
 absl::Status MethodOptions::CheckJointSpace(const std::string& robot) const {
-  if (target == TargetReference::kNominal) {
-    return Invalid(*this, "target nominal models an end-effector controller; robot ", robot,
+  if (NeedsNominalArm(target)) {
+    return Invalid(*this, "a nominal target models an end-effector controller; robot ", robot,
                    " acts in joint space: use target executed or intent");
   }
   if (every_step) {

@@ -86,9 +86,10 @@ struct MethodOptions {
     v.Choice("target", target,
              {{"executed", TargetReference::kExecuted},
               {"intent", TargetReference::kIntent},
-              {"nominal", TargetReference::kNominal}},
+              {"nominal", TargetReference::kNominal},
+              {"nominal_intent", TargetReference::kNominalIntent}},
              "what the residual is taken against: the executed command (paper), the unadapted "
-             "policy's, a nominal arm's response");
+             "policy's, a nominal arm's response to the executed or to the unadapted one");
     v.Choice("residual_scale", residual_scale,
              {{"command", ResidualScale::kCommand}, {"tracking", ResidualScale::kTracking}},
              "command: divide by the controller's scale (paper); tracking: also by tracking_gain");

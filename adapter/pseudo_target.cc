@@ -12,12 +12,12 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
   if (reference == TargetReference::kExecuted) return ChunkResidual(chunk, options);
 
   const auto steps = static_cast<Eigen::Index>(chunk.steps.size());
+  if (NeedsBase(reference) && base.rows() != steps) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("target: intent and nominal_intent need the unadapted policy's actions for ",
+                     steps, " executed steps and have ", base.rows(), "; set track_intent"));
+  }
   if (reference == TargetReference::kIntent) {
-    if (base.rows() != steps) {
-      return absl::FailedPreconditionError(
-          absl::StrCat("target: intent needs the unadapted policy's actions for ", steps,
-                       " executed steps and has ", base.rows(), "; set track_intent"));
-    }
     Eigen::MatrixXd residual(steps, base.cols());
     for (Eigen::Index i = 0; i < steps; ++i) {
       if (chunk.IsMasked(i)) {
@@ -32,14 +32,17 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
 
   if (options.space != ResidualSpace::kEndEffector || arm == nullptr) {
     return absl::InvalidArgumentError(
-        "target: nominal models an end-effector controller; use target executed or intent in joint "
-        "space");
+        "targets nominal and nominal_intent model an end-effector controller; use target executed "
+        "or intent in joint space");
   }
   Eigen::MatrixXd residual = Eigen::MatrixXd::Zero(steps, chunk.steps[0].policy_command.size());
   const double divisor = options.scale == ResidualScale::kTracking ? options.tracking_gain : 1.0;
   for (Eigen::Index i = 0; i < steps; ++i) {
-    const NominalArm::Vector6 nominal =
-        arm->Step(chunk.steps[i].sent_command.head<6>().cast<double>());
+    const NominalArm::Vector6 command =
+        reference == TargetReference::kNominalIntent
+            ? base.row(i).head<6>().transpose().cast<double>().eval()
+            : chunk.steps[i].sent_command.head<6>().cast<double>().eval();
+    const NominalArm::Vector6 nominal = arm->Step(command);
     if (chunk.IsMasked(i)) continue;
     residual.row(i).head<6>() =
         (AchievedDelta(chunk.steps[i].before, StateAfter(chunk, i), options) - nominal / divisor)

@@ -19,14 +19,26 @@
 //   nominal   what a nominal arm would have done with the same sent commands: eta = dx -
 //   dx_nominal.
 //             Clean is a fixed point for every command.
+//   nominal_intent  what a nominal arm would have done with the unadapted policy's commands: eta =
+//             dx - dx_nominal(a_base). Fixed point at dx = dx_nominal(a_base), which in Clean is
+//             the unadapted policy itself, lag included.
 namespace robostress {
 
-enum class TargetReference { kExecuted, kIntent, kNominal };
+enum class TargetReference { kExecuted, kIntent, kNominal, kNominalIntent };
+
+// Against the unadapted policy's commands.
+inline bool NeedsBase(TargetReference reference) {
+  return reference == TargetReference::kIntent || reference == TargetReference::kNominalIntent;
+}
+// Against a nominal arm, which is an end-effector controller's.
+inline bool NeedsNominalArm(TargetReference reference) {
+  return reference == TargetReference::kNominal || reference == TargetReference::kNominalIntent;
+}
 
 // eta of every executed step [steps, action_dim], gripper 0, for the method's reference. `base`
-// holds the unadapted policy's actions of the same rows [steps, action_dim] (intent only; may be
-// empty otherwise). `arm` is advanced along the chunk (nominal only; may be null otherwise). Rows
-// of masked steps are 0.
+// holds the unadapted policy's actions of the same rows [steps, action_dim] (NeedsBase; may be
+// empty otherwise). `arm` is advanced along the chunk (NeedsNominalArm; may be null otherwise).
+// Rows of masked steps are 0.
 absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
                                                    TargetReference reference,
                                                    const ResidualOptions& options,

@@ -55,7 +55,7 @@ absl::StatusOr<SampledPrediction> ComputePrediction(Batcher& batcher, Prediction
                                                     const SessionSpec& spec, const ChunkKey& key,
                                                     PredictedChunk& answer) {
   const FlowPolicy& policy = *job.policy;
-  job.with_base = spec.method->track_intent || spec.method->target == TargetReference::kIntent;
+  job.with_base = spec.method->track_intent || NeedsBase(spec.method->target);
   try {
     torch::NoGradGuard no_grad;
     job.noise = DrawNoise(NoiseKey(spec, key), policy.horizon(), policy.model_action_dim());

@@ -166,7 +166,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(std::shared_ptr<const Observatio
     prediction.observation = std::move(observation);
     prediction.prefix = resources_.prefixes->Add(resources_.policy, prediction.observation,
                                                  std::move(sampled.context));
-    if (spec_.method->target == TargetReference::kIntent) prediction.base = answer->base_actions;
+    if (NeedsBase(spec_.method->target)) prediction.base = answer->base_actions;
   }
   const std::string record = durable() ? EncodeEvent(prediction) : std::string();
   std::shared_ptr<RecordWriter> writer;

@@ -143,12 +143,12 @@ absl::Status StateRules::CheckPrediction(const Prediction& prediction) const {
   }
   if (!torch::isfinite(state).all().item<bool>())
     return Invalid(where, ": state holds a value that is not finite");
-  if (spec_->method->target == TargetReference::kIntent) {
+  if (NeedsBase(spec_->method->target)) {
     const PolicySpec& policy = policy_->spec();
     return within(CheckMatrixSize("base", prediction.base, policy.horizon, policy.action_dim));
   }
   if (prediction.base.size() == 0) return absl::OkStatus();
-  return Invalid(where, " has base actions; only target intent keeps them");
+  return Invalid(where, " has base actions; only targets intent and nominal_intent keep them");
 }
 
 absl::Status StateRules::CheckBuffered(const torch::Tensor& target, const Observation* observation,

@@ -100,6 +100,41 @@ TEST(PseudoTarget, AgainstTheNominalArmGoesByWhatWasSentNotByWhatThePolicyAsked)
   for (int i = 0; i < 5; ++i) EXPECT_LT((target.row(i).transpose() - Command()).norm(), 1e-5) << i;
 }
 
+TEST(PseudoTarget, AgainstTheNominalArmsAnswerToTheUnadaptedCommandHasAFixedPointThere) {
+  // The adapted policy asks for twice as much of an arm that does half of it: it moves as a nominal
+  // arm moves by the unadapted command, and nothing is left to learn. An arm that does all of it
+  // goes too far by what the nominal arm does.
+  for (const double gain : {0.5, 1.0}) {
+    NominalArm truth({}), model({});
+    RobotState state = ToyArm(1).state();
+    ExecutedChunk chunk;
+    Eigen::MatrixXf base(5, 7);
+    Eigen::MatrixXd beyond = Eigen::MatrixXd::Zero(5, 7);
+    for (int i = 0; i < 5; ++i) {
+      ExecutedStep step;
+      step.before = state;
+      step.policy_command = step.sent_command = 2.0f * Command();
+      base.row(i) = Command().transpose();
+      const NominalArm::Vector6 nominal = truth.Step(Command().head<6>().cast<double>());
+      const NominalArm::Vector6 delta = 2 * gain * nominal;
+      beyond.row(i).head<6>() = (delta - nominal).transpose();
+      state.tool.p_base_tool += 0.05 * delta.head<3>();
+      state.tool.q_base_tool = ExpSo3(0.5 * delta.tail<3>()) * state.tool.q_base_tool;
+      chunk.steps.push_back(step);
+    }
+    chunk.final_state = state;
+    const auto residual =
+        ReferencedResidual(chunk, TargetReference::kNominalIntent, {}, base, &model);
+    ASSERT_TRUE(residual.ok()) << residual.status();
+    EXPECT_LT((*residual - beyond).cwiseAbs().maxCoeff(), 1e-5) << gain;
+  }
+  const ExecutedChunk chunk = ToyArm(1).Execute(ConstantPrediction(Command(), 5), 5);
+  NominalArm arm({});
+  EXPECT_EQ(
+      ReferencedResidual(chunk, TargetReference::kNominalIntent, {}, {}, &arm).status().code(),
+      absl::StatusCode::kFailedPrecondition);
+}
+
 TEST(PseudoTarget, TakesTheGripperFromThePolicyWhateverStandsInTheResidual) {
   const ExecutedChunk chunk = ToyArm(1).Execute(ConstantPrediction(Command(), 2), 2);
   const Eigen::MatrixXf target = PseudoTarget(chunk, Eigen::MatrixXd::Constant(2, 7, 0.25));

@@ -175,21 +175,23 @@ TEST(Session, IntentTargetIsTakenAgainstTheUnadaptedPolicy) {
 TEST(Session, NominalTargetRunsItsArmAlongTheEpisode) {
   // A motionless arm: the target is a + dx_nominal, and dx_nominal of the second chunk knows the
   // first.
-  Rig rig;
-  Client client(rig.Open(Spec("ours_nominal", {kRate})), /*gain=*/0.0);
-  NominalArm arm({});
-  for (int episode = 0; episode < 2; ++episode) {
-    client.StartEpisode(0, episode);
-    arm.Reset();
-    for (int c = 0; c < 2; ++c) {
-      const PredictedChunk prediction = client.RunChunk();
-      const AdaptationState state = StateOf(rig, client.session());
-      for (int i = 0; i < 5; ++i) {
-        const NominalArm::Vector6 nominal =
-            arm.Step(prediction.actions.row(i).head<6>().transpose().cast<double>());
-        const double expected =
-            (prediction.policy_actions(i, 1) + nominal[1] - 0.02) / FakePolicy::kScale;
-        EXPECT_NEAR(state.buffer.back()->target[i][1].item<float>(), expected, 1e-5);
+  for (const char* target : {"target=nominal", "target=nominal_intent"}) {
+    Rig rig;
+    Client client(rig.Open(Spec("ours_nominal", {kRate, target})), /*gain=*/0.0);
+    NominalArm arm({});
+    for (int episode = 0; episode < 2; ++episode) {
+      client.StartEpisode(0, episode);
+      arm.Reset();
+      for (int c = 0; c < 2; ++c) {
+        const PredictedChunk prediction = client.RunChunk();
+        const AdaptationState state = StateOf(rig, client.session());
+        for (int i = 0; i < 5; ++i) {
+          const NominalArm::Vector6 nominal =
+              arm.Step(prediction.actions.row(i).head<6>().transpose().cast<double>());
+          const double expected =
+              (prediction.policy_actions(i, 1) + nominal[1] - 0.02) / FakePolicy::kScale;
+          EXPECT_NEAR(state.buffer.back()->target[i][1].item<float>(), expected, 1e-5) << target;
+        }
       }
     }
   }

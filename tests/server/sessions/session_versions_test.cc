@@ -80,8 +80,11 @@ TEST(Session, KeepsSixteenVersionsAndEveryPinnedOne) {
 
 TEST(Session, ContinuesBitForBitFromAnExport) {
   Rig rig;
-  for (const char* method : {"ours", "ours_intent", "ours_nominal"}) {
-    const SessionSpec spec = Spec(method, {kRate});
+  using Case = std::pair<const char*, std::vector<std::string>>;
+  for (const auto& [method, overrides] :
+       {Case{"ours", {kRate}}, Case{"ours_intent", {kRate}}, Case{"ours_nominal", {kRate}},
+        Case{"ours_nominal", {kRate, "target=nominal_intent"}}}) {
+    const SessionSpec spec = Spec(method, overrides);
     Client client(rig.Open(spec));
     client.StartEpisode(0, 0);
     client.RunChunks(43);
