@@ -46,6 +46,27 @@ struct RobosuiteOptions {
   }
 };
 
+enum class Encoders { kLink, kMotor };
+
+// What the arm knows of its own motion, and so what residuals and compensation see. What the policy
+// observes and what the controller acts on stay as they are.
+struct SensingOptions {
+  Encoders encoders = Encoders::kLink;
+  double noise = 0;  // standard deviation of each joint's angle [rad]
+  int delay = 0;     // [control steps]
+
+  bool used() const { return encoders != Encoders::kLink || noise != 0 || delay != 0; }
+
+  template <class V>
+  void Visit(V& v) {
+    v.Choice("encoders", encoders, {{"link", Encoders::kLink}, {"motor", Encoders::kMotor}},
+             "link: the joints' true angles; motor: without backlash and compliance, which motor "
+             "encoders do not see");
+    v.Field("noise", noise, "standard deviation of each joint's angle [rad]");
+    v.Field("delay", delay, "control steps after which the arm's state is known");
+  }
+};
+
 // The simulator's options.
 struct SimOptions {
   GoalReference goal_reference = GoalReference::kAchieved;
@@ -53,6 +74,7 @@ struct SimOptions {
   int settle_steps = 10;
   JointErrorOptions joint_errors;
   RobosuiteOptions robosuite;
+  SensingOptions sensing;
 
   bool SinglePrecisionRotation() const { return IsOn(robosuite.single_precision_rotation); }
   bool LateObservation() const { return IsOn(robosuite.late_observation); }
@@ -73,6 +95,7 @@ struct SimOptions {
     v.Field("settle_steps", settle_steps, "control steps with a zero command before the episode");
     v.Section("joint_errors", joint_errors, "discretisation of the error laws");
     v.Section("robosuite", robosuite, "behaviours of the originals");
+    v.LateSection("sensing", sensing, sensing.used(), "what the arm knows of its own motion");
   }
 
  private:

@@ -182,6 +182,7 @@ bool PandaSim::GraspDetected() const { return impl_->HeldBody() >= 0; }
 int PandaSim::held_body() const { return impl_->HeldBody(); }
 int PandaSim::steps_taken() const { return impl_->episode.steps; }
 const mjModel& PandaSim::model() const { return *impl_->model; }
+SharedModel PandaSim::shared_model() const { return impl_->model; }
 const mjData& PandaSim::data() const { return *impl_->data; }
 const mjData& PandaSim::observed() const { return impl_->Observed(); }
 const OscController& PandaSim::controller() const { return impl_->episode.controller; }

@@ -53,6 +53,7 @@ class PandaSim {
   int steps_taken() const;
 
   const mjModel& model() const;
+  SharedModel shared_model() const;
   const mjData& data() const;
   mjData& mutable_data();
   // What observations are made of: positions, velocities and kinematics, nothing else of mjData.

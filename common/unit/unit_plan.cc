@@ -114,6 +114,11 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
                                 ": every episode of a task has an initial state of its own"));
   RS_RETURN_IF_ERROR(CheckRange("videos", unit.videos, 0, states, ""));
   RS_RETURN_IF_ERROR(CheckRange("sim.settle_steps", unit.sim.settle_steps, 0, 1000, ""));
+  RS_RETURN_IF_ERROR(CheckRange("sim.sensing.delay", unit.sim.sensing.delay, 0, 100, ""));
+  if (!(unit.sim.sensing.noise >= 0 && unit.sim.sensing.noise <= 0.1)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit: sim.sensing.noise is ", unit.sim.sensing.noise, ", must be 0 to 0.1"));
+  }
   RS_RETURN_IF_ERROR(CheckRange("horizon", unit.horizon, 0, unit.robot == "panda" ? 10000 : 0,
                                 ": control steps of the simulated panda; 0: the suite's"));
   if (unit.policy.empty()) return absl::InvalidArgumentError("unit: policy is empty");

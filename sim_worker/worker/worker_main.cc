@@ -5,11 +5,13 @@
 #include <cstdlib>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/run_main.h"
+#include "sim_worker/arm_sensing.h"
 #include "sim_worker/sim_task.h"
 #include "sim_worker/worker/observation_control.h"
 #include "sim_worker/worker/sim_unit.h"
@@ -36,14 +38,44 @@ constexpr char kExamples[] = R"(Examples:
 Exit codes: 0 complete; 1 it failed on the way, the same command continues; 2 bad input.
 )";
 
+// A simulated task whose arm knows its motion as `sim.sensing` says.
+class SensedTask : public Robot {
+ public:
+  SensedTask(std::shared_ptr<SimTask> task, std::unique_ptr<ArmSensing> sensing)
+      : task_(std::move(task)), sensing_(std::move(sensing)) {}
+
+  absl::Status Reset(int initial_state) override {
+    sensing_->StartEpisode(initial_state);
+    return task_->Reset(initial_state);
+  }
+  absl::StatusOr<Observation> Observe(const PolicySpec& spec) override {
+    return task_->Observe(spec);
+  }
+  absl::StatusOr<RobotState> Measure() override { return sensing_->Measure(task_->sim()); }
+  absl::Status Step(const Eigen::VectorXf& command) override { return task_->Step(command); }
+  bool Success() const override { return task_->Success(); }
+  int horizon() const override { return task_->horizon(); }
+
+ private:
+  const std::shared_ptr<SimTask> task_;
+  const std::unique_ptr<ArmSensing> sensing_;
+};
+
 absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   absl::StatusOr<std::unique_ptr<SimTask>> made = MakeSimTask(unit, task);
   if (!made.ok()) return made.status();
   const std::shared_ptr<SimTask> sim_task = *std::move(made);
   const absl::StatusOr<std::vector<std::string>> instructions = SuiteInstructions(unit.suite);
   if (!instructions.ok()) return instructions.status();
+  std::shared_ptr<Robot> robot = sim_task;
+  if (unit.sim.sensing.used()) {
+    absl::StatusOr<std::unique_ptr<ArmSensing>> sensing =
+        ArmSensing::Create(sim_task->sim().shared_model(), unit.sim.sensing);
+    if (!sensing.ok()) return sensing.status();
+    robot = std::make_shared<SensedTask>(sim_task, *std::move(sensing));
+  }
   UnitTask out;
-  out.robot = ControlObservations(sim_task, unit.method->observation, *instructions, task);
+  out.robot = ControlObservations(robot, unit.method->observation, *instructions, task);
   out.make_expert = [sim_task] { return sim_task->MakeExpert(); };
   out.listen_to_joints = [sim_task](std::function<void(const JointSample&)> call) {
     sim_task->sim().OnJointSample(std::move(call));
