@@ -216,6 +216,17 @@ class Compensators(unittest.TestCase):
                 commands.append(following.next(position, orientation, first_row=row - 1))
             self.assertEqual(np.array_equal(commands, sent), not every_step)
 
+    def test_smoothing_goes_on_from_chunk_to_chunk_and_begins_with_an_episode(self):
+        smooth = rs.Compensator("smooth", smoothing=0.5)
+        for _ in range(2):
+            smooth.start_episode()
+            commands = []
+            for _ in range(2):
+                smooth.correct(np.full((2, 7), 0.8, np.float32))
+                commands += [smooth.next(), smooth.next()]
+            np.testing.assert_allclose(np.array(commands)[:, 0], [0.4, 0.6, 0.7, 0.75], rtol=1e-6)
+            np.testing.assert_allclose(np.array(commands)[:, 6], 0.8, rtol=1e-6)
+
     def test_joint_targets(self):
         direct = rs.DirectSubtraction(space="joint", action_dim=4)
         direct.correct(np.zeros((2, 4)))
