@@ -44,6 +44,7 @@ absl::Status MethodOptions::Check() const {
   first.Update(CheckOption("gain", gain, -100, 100));
   first.Update(CheckOption("tracking_gain", tracking_gain, 1e-3, 100));
   first.Update(CheckOption("smoothing", smoothing, 0, 0.99));
+  first.Update(CheckOption("execute_steps", execute_steps, 0, 1000));
   if (!first.ok()) return Invalid(*this, first.message());
   if (every_step && ((!Corrects() && smoothing == 0) || adapts())) {
     return Invalid(*this,
@@ -64,6 +65,10 @@ absl::Status MethodOptions::CheckJointSpace(const std::string& robot) const {
   if (every_step) {
     return Invalid(*this, "every_step is the simulated Panda's; robot ", robot,
                    " corrects at every step by the disturbance observer of its client");
+  }
+  if (execute_steps != 0) {
+    return Invalid(*this, "execute_steps is the simulated Panda's; robot ", robot,
+                   " executes as many rows as its client is told");
   }
   if (gain != 1.0) {
     return Invalid(*this, "gain ", gain, " would scale absolute joint targets; robot ", robot,

@@ -43,6 +43,8 @@ struct MethodOptions {
   // Share of the last sent command in the next, gripper excluded; done with every_step. A step of a
   // command makes a compliant transmission jump the other way first.
   double smoothing = 0;
+  // Rows of a chunk that are executed before the next prediction; 0: as many as the policy says.
+  int execute_steps = 0;
   bool observer = false;  // the robot's client corrects by its disturbance observer, not the server
 
   // Null: the method does not have this way.
@@ -111,6 +113,8 @@ struct MethodOptions {
            "correct anew at every control step, not once per chunk; done beside the arm");
     v.Late("smoothing", smoothing, 0.0,
            "share of the last sent command in the next, gripper excluded; needs every_step");
+    v.Late("execute_steps", execute_steps, 0,
+           "rows of a chunk that are executed before the next prediction; 0: the policy's own");
     v.Late("observer", observer, false,
            "the robot's client corrects commands by its disturbance observer");
   }

@@ -15,7 +15,8 @@ namespace {
 
 // Learning rates and the gain were chosen on the dev split (initial states 40-49, scenario
 // dev_mixed); see docs/results/learning-rates.md. What a way needs beside is with its options.
-constexpr double kRate = 1e-4;      // the paper's target, and its ablations
+constexpr double kRate = 1e-4;  // the paper's target, and its ablations
+constexpr int kFewerRows = 2;
 constexpr double kSmoothing = 0.4;  // docs/results/winning-back.md
 
 struct Preset {
@@ -65,6 +66,8 @@ constexpr Preset kPresets[] = {
        m.every_step = true;
        m.smoothing = kSmoothing;
      }},
+    {"fewer_rows", "Fewer rows control", "#0e7490",
+     [](MethodOptions& m) { m.execute_steps = kFewerRows; }},
     {"gain", "Gain control", "#e69f00", [](MethodOptions& m) { m.gain = 1.15; }},
     {"null", "Null control", "#cc79a7", [](MethodOptions& m) { m.noise_stream = "null"; }},
     {"direct", "Direct subtraction", "#56b4e9",

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "common/rollout/late_rollout.h"
 #include "common/rollout/spec_checks.h"
 #include "common/rollout/stop_watch.h"
@@ -13,7 +14,13 @@ namespace robostress {
 absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOptions& options,
                                          Robot& robot, PolicyEndpoint& policy, uint64_t& sequence) {
   if (options.late.delay_steps > 0) return RunLateEpisode(key, options, robot, policy, sequence);
-  const PolicySpec& spec = policy.spec();
+  PolicySpec spec = policy.spec();
+  if (options.execute_steps > spec.horizon) {
+    return absl::InvalidArgumentError(absl::StrCat("execute_steps is ", options.execute_steps,
+                                                   ", a chunk of policy '", spec.name, "' has ",
+                                                   spec.horizon, " rows"));
+  }
+  if (options.execute_steps > 0) spec.execute_steps = options.execute_steps;
   EpisodeRecord record;
   // The robot first: a policy with access to the state (the expert) reads it when its episode
   // starts.

@@ -23,9 +23,10 @@ struct RolloutOptions {
   int initial_state = 0;
   std::function<void(int step)> on_step;  // e.g. to film; called after Reset (0) and each step
   LatePlay late;                          // answers that take time
+  int execute_steps = 0;                  // in place of the policy's own; 0: those. Not with late
 };
 
-// One episode: observe, predict, execute the first spec().execute_steps, send feedback; ends at
+// One episode: observe, predict, execute the first execute_steps rows, send feedback; ends at
 // success or horizon. Feedback sequence numbers continue from `sequence`. Where answers take time
 // the loop is that of late_rollout.h.
 absl::StatusOr<EpisodeRecord> RunEpisode(const EpisodeKey& key, const RolloutOptions& options,

@@ -153,6 +153,11 @@ absl::Status CheckLatency(const UnitConfig& unit) {
                      "does not play yet where answers take ",
                      latency.ms, " ms; take one that corrects a chunk at once, as ours_following"));
   }
+  if (latency.late() && unit.method->execute_steps != 0) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "unit: method ", unit.method->method, " has execute_steps ", unit.method->execute_steps,
+        ", and where answers take time the policy's own count; leave one of the two out"));
+  }
   if (latency.late() && latency.mode == LateChunks::kRtc &&
       (RunsInWorker(unit.policy) || unit.remote.used())) {
     return absl::InvalidArgumentError(InpaintingError(unit.policy).message());

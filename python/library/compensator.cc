@@ -101,6 +101,11 @@ absl::StatusOr<MethodOptions> MethodOf(const char* name, const char* const* over
   }
   RS_ASSIGN_OR_RETURN(MethodOptions method, MakeMethod(name, given));
   RS_RETURN_IF_ERROR(CheckWithoutWeights(setting, method));
+  if (method.execute_steps != 0) {
+    return absl::InvalidArgumentError(
+        "execute_steps would change nothing here: execute as many rows of a corrected chunk as you "
+        "like");
+  }
   const MethodOptions plain;
   if (method.observer || method.observation != plain.observation ||
       method.noise_stream != plain.noise_stream) {

@@ -277,6 +277,7 @@ absl::StatusOr<MethodOptions> MethodOf(const ArmProfile& profile,
     return refuse("changes what the policy sees, and the proxy passes observations as they are");
   if (method.noise_stream != "policy")
     return refuse("draws other sampling noise, which is the server's affair");
+  if (method.execute_steps != 0) return refuse("sets execute_steps, which the client decides");
   if (method.observer && !profile.joint_space()) return refuse("observes joints");
   if (profile.joint_space()) {
     if (absl::Status fits = method.CheckJointSpace(profile.name); !fits.ok())

@@ -68,6 +68,7 @@ MethodOptions WithoutCorrection(MethodOptions method) {
   method.gain = 1;
   method.every_step = false;
   method.smoothing = 0;
+  method.execute_steps = 0;
   return method;
 }
 
@@ -136,6 +137,7 @@ class SimPlayer : public UnitPlayer {
     Film film(task_);
     RolloutOptions rollout;
     rollout.initial_state = planned.initial_state;
+    rollout.execute_steps = unit_.method->execute_steps;
     rollout.late = LatePlayOf(unit_.latency, kPanda.control_period_s);
     if (planned.film) rollout.on_step = [&](int step) { film.OnStep(step); };
     JointLog joints;

@@ -113,6 +113,7 @@ TEST_P(EveryMethod, IsValidAndReadsBackToEveryBit) {
   bare.observer = method_.observer;
   bare.every_step = method_.every_step;
   bare.smoothing = method_.smoothing;
+  bare.execute_steps = method_.execute_steps;
   changed.tracking_gain = bare.tracking_gain = 0.1 + 0.2;
   for (const MethodOptions& options : {changed, bare}) {
     const auto again = ParseMethod("m", DumpConfig(options));

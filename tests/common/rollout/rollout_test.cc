@@ -79,6 +79,22 @@ TEST_F(RolloutTest, ObservesOncePerChunkAndExecutesItsFirstSteps) {
   EXPECT_FLOAT_EQ(robot.commands[4][0], 2.2f) << "the second row of the second chunk, as corrected";
 }
 
+TEST_F(RolloutTest, ExecutesAsManyRowsAsItIsTold) {
+  FakeRobot robot(1e9, 7);
+  RolloutOptions options;
+  options.execute_steps = 2;
+  ASSERT_TRUE(Run(robot, options).ok());
+  EXPECT_EQ(robot.observations, 4);
+  ASSERT_EQ(policy.feedback.size(), 4u);
+  EXPECT_EQ(policy.feedback[0].steps.size(), 2u);
+  EXPECT_EQ(policy.feedback[3].steps.size(), 1u);
+  options.execute_steps = 4;
+  EXPECT_TRUE(Run(robot, options).ok());
+  options.execute_steps = 5;
+  EXPECT_THAT(std::string(Run(robot, options).status().message()),
+              HasSubstr("execute_steps is 5, a chunk of policy 'fake' has 4 rows"));
+}
+
 TEST_F(RolloutTest, HorizonCutsTheLastChunkShort) {
   FakeRobot robot(1e9, 7);
   const absl::StatusOr<EpisodeRecord> record = Run(robot);

@@ -70,6 +70,7 @@ TEST(UnitPlanTest, BadInputNamesKeyValueAndWhatIsAllowed) {
       {"latency: {moved_bound: .nan}", "latency.moved_bound"},
       {"{policy: replay, latency: {ms: 50, mode: rtc}}", "policy 'replay' cannot go on"},
       {"{method: {method: ours_following_step}, latency: {ms: 50}}", "corrects every step"},
+      {"{method: {method: ours, execute_steps: 2}, latency: {ms: 50}}", "has execute_steps 2"},
       {"{sim: {sensing: {delay: -1}}}", "sim.sensing.delay is -1, must be 0 to 100"},
       {"{sim: {sensing: {noise: 1}}}", "sim.sensing.noise is 1, must be 0 to 0.1"},
       {"{policy: expert, method: {method: ours}}", "policy 'expert' has nothing to adapt"},
