@@ -25,6 +25,16 @@ struct Preset {
   void (*apply)(MethodOptions&);
 };
 
+// Half the gain of what corrects once per chunk: success is the same, the gain margin twice as
+// large.
+void Smooth(MethodOptions& m) {
+  m.Add(FollowingOptions::Tuned());
+  m.Find<FollowingOptions>()->gain = 0.5;
+  m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
+  m.every_step = true;
+  m.smoothing = kSmoothing;
+}
+
 constexpr Preset kPresets[] = {
     {"base", "Base", "#6b7280", [](MethodOptions&) {}},
     {"ours", "Ours", "#0072b2", [](MethodOptions& m) { m.Add(LoraOptions::At(kRate)); }},
@@ -52,14 +62,11 @@ constexpr Preset kPresets[] = {
        m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
        m.every_step = true;
      }},
-    {"ours_following_smooth", "Ours, model following, smoothed", "#7c2d12",
+    {"ours_following_smooth", "Ours, model following, smoothed", "#7c2d12", Smooth},
+    {"ours_replanning", "Ours, smoothed, two rows of a chunk", "#1d4ed8",
      [](MethodOptions& m) {
-       m.Add(FollowingOptions::Tuned());
-       m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
-       // Half of what it is once per chunk: success is the same, the gain margin twice as large.
-       m.Find<FollowingOptions>()->gain = 0.5;
-       m.every_step = true;
-       m.smoothing = kSmoothing;
+       Smooth(m);
+       m.execute_steps = kFewerRows;
      }},
     {"smooth", "Smoothing control", "#84cc16",
      [](MethodOptions& m) {
