@@ -65,7 +65,7 @@ TEST_F(SharedResults, EveryTableSaysWhoServedThePolicyAndThatNoiseIsNotPaired) {
   EXPECT_EQ(report["tables"][0]["noise_paired"], false);
   EXPECT_EQ(report["servers"][0]["urls"].size(), 2u);
   EXPECT_GT(report["servers"][0]["reconnections"], 8) << "one for each part";
-  EXPECT_THAT(Text("run/table.csv"), HasSubstr(",noise_paired\n"));
+  EXPECT_THAT(Text("run/table.csv"), HasSubstr(",noise_paired,clustered_by\n"));
 }
 
 TEST_F(SharedResults, AnExportedRunIsComparedByAnotherLaboratory) {
