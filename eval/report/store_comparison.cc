@@ -65,10 +65,6 @@ std::vector<EpisodeValue> Successes(const std::vector<Units>& strata) {
   return values;
 }
 
-Clustering Clusters(const std::vector<Units>& first, const std::vector<Units>& second) {
-  return ClusteringOf(first) == Clustering::kTask ? Clustering::kTask : ClusteringOf(second);
-}
-
 // One scenario, or several as the strata of an average.
 StoreRow MakeRow(const std::vector<PairedUnits>& strata, int replicates, const std::string& label) {
   StoreRow row;
@@ -84,7 +80,7 @@ StoreRow MakeRow(const std::vector<PairedUnits>& strata, int replicates, const s
   row.second = BootstrapEpisodes(b, 0, label).estimate;
   row.paired = CompareOnPairs(strata, replicates, label);
   row.difference = row.paired ? row.paired->difference
-                              : BootstrapUnpaired(b, a, replicates, label, Clusters(first, second));
+                              : BootstrapUnpaired(b, a, replicates, label, ClusteringOf(strata));
   return row;
 }
 

@@ -25,12 +25,6 @@ std::map<EpisodeKey, const EpisodeRow*> RowsOf(const Units& units) {
   return rows;
 }
 
-Clustering ClusteringOfPairs(const std::vector<PairedUnits>& strata) {
-  std::vector<Units> units;
-  for (const PairedUnits& pair : strata) units.insert(units.end(), {pair.method, pair.reference});
-  return ClusteringOf(units);
-}
-
 // Calls use(unit, method's row, reference's row, stratum) for every pair.
 template <class Use>
 void ForEachPair(const std::vector<PairedUnits>& strata, const Use& use) {
@@ -58,6 +52,12 @@ Clustering ClusteringOf(const std::vector<Units>& units) {
   return Clustering::kInitialState;
 }
 
+Clustering ClusteringOf(const std::vector<PairedUnits>& strata) {
+  std::vector<Units> units;
+  for (const PairedUnits& pair : strata) units.insert(units.end(), {pair.method, pair.reference});
+  return ClusteringOf(units);
+}
+
 std::string ClustersText(const Comparison& comparison) {
   return absl::StrCat(comparison.difference.clusters, " ", ClusterNoun(comparison.clustering));
 }
@@ -75,7 +75,7 @@ std::optional<Comparison> CompareOnPairs(const std::vector<PairedUnits>& strata,
                            static_cast<double>(row.success) - reference.success});
   });
   if (comparison.pairs == 0) return std::nullopt;
-  comparison.clustering = ClusteringOfPairs(strata);
+  comparison.clustering = ClusteringOf(strata);
   comparison.difference = BootstrapEpisodes(differences, replicates, label, comparison.clustering);
   const std::vector<ClusteredValue> clustered = ClusterEpisodes(differences, comparison.clustering);
   const SignFlipResult test =
@@ -142,7 +142,7 @@ std::optional<BeforeAfter> CompareBeforeAfter(const std::vector<PairedUnits>& st
   if (result.pairs == 0) return std::nullopt;
   result.before /= result.pairs;
   result.after /= result.pairs;
-  result.change = BootstrapEpisodes(changes, replicates, label, ClusteringOfPairs(strata));
+  result.change = BootstrapEpisodes(changes, replicates, label, ClusteringOf(strata));
   return result;
 }
 

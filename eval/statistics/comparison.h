@@ -41,6 +41,7 @@ std::string ClustersText(const Comparison& comparison);
 struct PairedUnits {
   Units method, reference;
 };
+Clustering ClusteringOf(const std::vector<PairedUnits>& strata);
 
 // Pairs the episodes of each stratum; nullopt without a pair. Bootstrap and test are keyed by
 // `label`.
