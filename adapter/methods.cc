@@ -75,6 +75,12 @@ constexpr Preset kPresets[] = {
      }},
     {"fewer_rows", "Fewer rows control", "#0e7490",
      [](MethodOptions& m) { m.execute_steps = kFewerRows; }},
+    {"smooth_fewer_rows", "Smoothing, fewer rows control", "#3f6212",
+     [](MethodOptions& m) {
+       m.every_step = true;
+       m.smoothing = kSmoothing;
+       m.execute_steps = kFewerRows;
+     }},
     {"gain", "Gain control", "#e69f00", [](MethodOptions& m) { m.gain = 1.15; }},
     {"null", "Null control", "#cc79a7", [](MethodOptions& m) { m.noise_stream = "null"; }},
     {"direct", "Direct subtraction", "#56b4e9",
