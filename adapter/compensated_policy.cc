@@ -19,6 +19,13 @@ absl::Status CheckWithoutWeights(const SessionSetting& setting, const MethodOpti
         "' has none here; take one that corrects commands alone: gain, direct, ours_following"));
   }
   RS_RETURN_IF_ERROR(method.Check());
+  if (!method.arm_model.empty()) {
+    return absl::UnimplementedError(
+        absl::StrCat("method '", method.method,
+                     "' chooses commands by a model of the arm, arm_model=", method.arm_model,
+                     ", which only `robostress worker` of the simulated Panda has; take one "
+                     "that corrects commands alone: gain, direct, ours_following"));
+  }
   return ActsInJointSpace(setting) ? method.CheckJointSpace(setting.robot) : absl::OkStatus();
 }
 

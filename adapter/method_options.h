@@ -45,6 +45,10 @@ struct MethodOptions {
   double smoothing = 0;
   // Rows of a chunk that are executed before the next prediction; 0: as many as the policy says.
   int execute_steps = 0;
+  // A scenario file with what was identified of this arm ({scenario}: the unit's), or kTrueModel:
+  // commands are chosen by predictions with it, beside the arm. Empty: none.
+  std::string arm_model;
+  static constexpr char kTrueModel[] = "truth";
   bool observer = false;  // the robot's client corrects by its disturbance observer, not the server
 
   // Null: the method does not have this way.
@@ -115,6 +119,10 @@ struct MethodOptions {
            "share of the last sent command in the next, gripper excluded; needs every_step");
     v.Late("execute_steps", execute_steps, 0,
            "rows of a chunk that are executed before the next prediction; 0: the policy's own");
+    v.Late("arm_model", arm_model, std::string(),
+           "chooses commands by predictions with a model of the arm: a scenario file with what was "
+           "identified ({scenario} stands for the unit's), or truth: an upper bound; needs "
+           "every_step");
     v.Late("observer", observer, false,
            "the robot's client corrects commands by its disturbance observer");
   }

@@ -68,6 +68,18 @@ constexpr Preset kPresets[] = {
        Smooth(m);
        m.execute_steps = kFewerRows;
      }},
+    {"ours_identified", "Ours, identified and inverted", "#0f766e",
+     [](MethodOptions& m) {
+       m.every_step = true;
+       m.execute_steps = kFewerRows;
+       m.arm_model = "identified/{scenario}_found.yaml";
+     }},
+    {"known_errors", "Upper bound: errors known, inverted", "#a3a3a3",
+     [](MethodOptions& m) {
+       m.every_step = true;
+       m.execute_steps = kFewerRows;
+       m.arm_model = MethodOptions::kTrueModel;
+     }},
     {"smooth", "Smoothing control", "#84cc16",
      [](MethodOptions& m) {
        m.every_step = true;

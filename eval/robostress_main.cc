@@ -60,6 +60,8 @@ constexpr Command kCommands[] = {
      "ROBOSTRESS_MUJOCO"},
     {"close-loop", "Hide errors in the simulated arm, find them from its logs, compare",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
+    {"identify", "Find joint errors of simulated arms from their own first episodes",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"piper-study", "The paper's real-arm experiments on emulated Pipers, from recording to report",
      "ROBOSTRESS_ROBOT_CLIENT"},
     {"replay", "Play recorded commands in a LIBERO task, compare two recordings",

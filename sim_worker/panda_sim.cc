@@ -216,6 +216,12 @@ std::shared_ptr<const PandaSim::Snapshot> PandaSim::Save() const {
                                                    s.late.qvel});
 }
 
+void PandaSim::RestoreMotion(const Snapshot& snapshot) {
+  const JointChain own = impl_->episode.chain;
+  Restore(snapshot);
+  impl_->episode.chain = own;
+}
+
 void PandaSim::Restore(const Snapshot& snapshot) {
   Impl& s = *impl_;
   mjData* d = s.data.get();

@@ -73,6 +73,9 @@ class PandaSim {
   struct Snapshot;
   std::shared_ptr<const Snapshot> Save() const;
   void Restore(const Snapshot& snapshot);
+  // The same motion with the hidden states of its own joint errors, of another simulator of the
+  // same scene.
+  void RestoreMotion(const Snapshot& snapshot);
 
  private:
   struct Impl;

@@ -18,7 +18,19 @@ struct Piece {
   size_t first = 0, last = 0;  // rows, [first, last)
 };
 
-// Runs of rows that no contact is near.
+// Whether every joint moves by more than its readings' noise, as a log of a rig must
+// (measured_log.cc). A joint that sticks can stand still for a whole piece.
+bool EveryJointMoves(const RecordedEpisode& episode, const Piece& piece,
+                     const RecordedRigOptions& options) {
+  constexpr double kLeast = 25;  // times the noise; a log needs 20
+  for (const std::vector<double>& q : episode.q) {
+    const auto [low, high] = std::minmax_element(q.begin() + piece.first, q.begin() + piece.last);
+    if (*high - *low < kLeast * options.encoder_noise) return false;
+  }
+  return true;
+}
+
+// Runs of rows that no contact is near and in which every joint moves.
 std::vector<Piece> FreePieces(const RecordedEpisode& episode, const RecordedRigOptions& options) {
   const size_t rows = episode.t.size();
   const auto margin = static_cast<size_t>(std::lround(options.contact_margin_s * episode.rate_hz));
@@ -37,7 +49,8 @@ std::vector<Piece> FreePieces(const RecordedEpisode& episode, const RecordedRigO
     }
     size_t end = i;
     while (end < rows && !out[end]) ++end;
-    if (end - i >= shortest) pieces.push_back({i, end});
+    if (end - i >= shortest && EveryJointMoves(episode, {i, end}, options))
+      pieces.push_back({i, end});
     i = end;
   }
   return pieces;

@@ -52,6 +52,7 @@ struct RecordedRigOptions {
 struct RecordedRigSummary {
   std::string rig_file;
   int episodes = 0, pieces = 0;
+  // Left out: near contacts, pieces that are short or in which a joint stands still.
   double seconds = 0, seconds_left_out = 0;
   std::array<int, 3> logs_of_role{};  // fit, held_out, transfer
 };

@@ -29,9 +29,10 @@ std::vector<std::pair<int, int>> TrackRows(const JointProblem& problem, const Wi
   return tracks;
 }
 
-// The next length that a fast transform likes: no prime factor above 5.
+// The next length that a fast transform likes: no prime factor above 5. Eigen's kissfft does not
+// end at length 1 (a track whose windows have one row).
 int SmoothLength(int count) {
-  for (int length = count;; ++length) {
+  for (int length = std::max(count, 2);; ++length) {
     int rest = length;
     for (const int factor : {2, 3, 5})
       while (rest % factor == 0) rest /= factor;

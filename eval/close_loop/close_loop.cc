@@ -4,14 +4,14 @@
 #include <filesystem>
 #include <map>
 #include <set>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "calibration/data/sim_recordings.h"
 #include "common/atomic_file.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"
-#include "eval/launch/merged_sweep.h"
+#include "eval/close_loop/recorded_run.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -87,18 +87,7 @@ class Circle {
     grid.tasks = options_.tasks;
     grid.methods = {"base"};
     grid.severities = {options_.severity};
-    RS_ASSIGN_OR_RETURN(grid, ResolveGrid(std::move(grid)));
-    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
-    LaunchOptions launch;
-    launch.run_dir = Out(folder);
-    launch.workers = options_.workers;
-    launch.record_joints = record_joints;
-    AnnouncePlan(kCommand, units, launch);
-    RS_ASSIGN_OR_RETURN(MergedSweep merged, RunAndMerge(kCommand, grid, units, launch));
-    if (!merged.run || !merged.outcome.failed.empty() || merged.outcome.signal != 0)
-      return absl::InternalError(
-          absl::StrCat(launch.run_dir, ": not all units are done; the same command goes on"));
-    return *std::move(merged.run);
+    return RunWholeGrid(kCommand, std::move(grid), Out(folder), options_.workers, record_joints);
   }
 
   absl::Status KeepOptions() const {
@@ -125,27 +114,14 @@ class Circle {
   }
 
   absl::Status MakeRig() {
-    RS_ASSIGN_OR_RETURN(const std::vector<std::string> files,
-                        calibration::FindJointLogs(Out("recording"), ""));
-    std::vector<calibration::RecordedEpisode> episodes;
-    for (const std::string& file : files) {
-      RS_ASSIGN_OR_RETURN(JointLog log, ReadJointLog(file));
-      RS_ASSIGN_OR_RETURN(calibration::RecordedEpisode episode,
-                          calibration::EpisodeOfJointLog(log, options_.rate_hz));
-      logs_.emplace(episode.name, std::move(log));
-      episodes.push_back(std::move(episode));
-    }
-    calibration::RecordedRigOptions rig;
-    rig.seed = options_.seed;
-    contact_limit_N_ = rig.contact_limit_N;
-    RS_ASSIGN_OR_RETURN(result_.rig,
-                        calibration::WriteRecordedRig(calibration::PandaOfRecordings("panda"),
-                                                      episodes, rig, Out("rig")));
+    RS_ASSIGN_OR_RETURN(
+        recorded_, MakeRecordedRig(Out("recording"), options_.rate_hz, options_.seed, Out("rig")));
+    result_.rig = recorded_.rig;
     return absl::OkStatus();
   }
 
   absl::Status Calibrate() {
-    RS_RETURN_IF_ERROR(RunCalibration(Out("rig/rig.yaml"), Out("calibration"),
+    RS_RETURN_IF_ERROR(RunCalibration(kCommand, Out("rig/rig.yaml"), Out("calibration"),
                                       Out("calibration.log"), options_.surrogates, options_.seed));
     RS_ASSIGN_OR_RETURN(result_.found, ReadFoundEffects(Out("rig/rig.yaml"), Out("calibration"),
                                                         Out("found.yaml"), kPanda));
@@ -160,14 +136,14 @@ class Circle {
 
   absl::Status Replay() {
     std::vector<JointLog> unseen;
-    for (const auto& [name, log] : logs_) {
+    for (const auto& [name, log] : recorded_.logs) {
       if (unseen_.count(name) > 0) unseen.push_back(log);
     }
     result_.replayed_episodes = static_cast<int>(unseen.size());
     RS_ASSIGN_OR_RETURN(result_.replay_before,
-                        calibration::CompareReplays(unseen, "clean", contact_limit_N_));
+                        calibration::CompareReplays(unseen, "clean", recorded_.contact_limit_N));
     RS_ASSIGN_OR_RETURN(result_.replay_after,
-                        calibration::CompareReplays(unseen, Found(), contact_limit_N_));
+                        calibration::CompareReplays(unseen, Found(), recorded_.contact_limit_N));
     return absl::OkStatus();
   }
 
@@ -232,9 +208,8 @@ class Circle {
 
   const CloseLoopOptions& options_;
   CloseLoopResult result_;
-  std::map<std::string, JointLog> logs_;  // by episode
-  std::set<std::string> unseen_;          // episodes that were not fitted
-  double contact_limit_N_ = 0;
+  RecordedRun recorded_;
+  std::set<std::string> unseen_;  // episodes that were not fitted
 };
 
 }  // namespace

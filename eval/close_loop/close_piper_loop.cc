@@ -89,7 +89,7 @@ class PiperCircle {
     RS_ASSIGN_OR_RETURN(result_.rig,
                         calibration::WriteRecordedRig(calibration::PiperOfRecordings("piper", 0),
                                                       recording_, rig, Out("rig")));
-    RS_RETURN_IF_ERROR(RunCalibration(Out("rig/rig.yaml"), Out("calibration"),
+    RS_RETURN_IF_ERROR(RunCalibration("close-loop", Out("rig/rig.yaml"), Out("calibration"),
                                       Out("calibration.log"), options_.surrogates, options_.seed));
     RS_ASSIGN_OR_RETURN(result_.found, ReadFoundEffects(Out("rig/rig.yaml"), Out("calibration"),
                                                         Out("found.yaml"), kPiper));

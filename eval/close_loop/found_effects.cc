@@ -46,11 +46,12 @@ std::string HiddenPlace(const std::string& hidden) {
   return hidden == kNothingHidden ? hidden : fs::absolute(hidden).lexically_normal().string();
 }
 
-absl::Status RunCalibration(const std::string& rig_file, const std::string& out,
-                            const std::string& log, int surrogates, uint64_t seed) {
+absl::Status RunCalibration(const std::string& command, const std::string& rig_file,
+                            const std::string& out, const std::string& log, int surrogates,
+                            uint64_t seed) {
   if (fs::exists(fs::path(out) / "report.json")) return absl::OkStatus();
   RS_ASSIGN_OR_RETURN(const std::string program, FindProgram("calibrate"));
-  std::fprintf(stderr, "close-loop: calibrating, progress in %s\n", log.c_str());
+  std::fprintf(stderr, "%s: calibrating, progress in %s\n", command.c_str(), log.c_str());
   RS_ASSIGN_OR_RETURN(
       ChildProcess child,
       ChildProcess::Start({program, "--rig", rig_file, "--out", out, "--surrogates",

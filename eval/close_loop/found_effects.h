@@ -25,9 +25,11 @@ struct FoundEffects {
   std::vector<std::string> notes;
 };
 
-// Runs `robostress calibrate` on a rig unless `out` holds its report; progress goes to `log`.
-absl::Status RunCalibration(const std::string& rig_file, const std::string& out,
-                            const std::string& log, int surrogates, uint64_t seed);
+// Runs `robostress calibrate` for `command` on a rig unless `out` holds its report; progress goes
+// to `log`.
+absl::Status RunCalibration(const std::string& command, const std::string& rig_file,
+                            const std::string& out, const std::string& log, int surrogates,
+                            uint64_t seed);
 
 // What the calibration in `folder` added to the rig, mapped to the arm's own joints, and as a
 // scenario in `scenario_file`, which is written only where something was added.

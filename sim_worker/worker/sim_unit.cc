@@ -69,8 +69,46 @@ MethodOptions WithoutCorrection(MethodOptions method) {
   method.every_step = false;
   method.smoothing = 0;
   method.execute_steps = 0;
+  method.arm_model.clear();
   return method;
 }
+
+// A policy whose commands are chosen by the task's model of the arm.
+class InvertedPolicy : public PolicyEndpoint {
+ public:
+  InvertedPolicy(std::unique_ptr<PolicyEndpoint> policy, const UnitTask* task)
+      : policy_(std::move(policy)), task_(*task) {}
+
+  const PolicySpec& spec() const override { return policy_->spec(); }
+  absl::Status StartEpisode(const EpisodeKey& key) override {
+    task_.inversion->StartEpisode();
+    return policy_->StartEpisode(key);
+  }
+  absl::StatusOr<PredictedChunk> Predict(const Observation& observation, int chunk) override {
+    return policy_->Predict(observation, chunk);
+  }
+  absl::StatusOr<PredictedChunk> PredictAfter(const Observation& observation, int chunk,
+                                              const RunningRows& running) override {
+    return policy_->PredictAfter(observation, chunk, running);
+  }
+  absl::StatusOr<Eigen::VectorXf> NextCommand(const PredictedChunk& predicted,
+                                              const ExecutedChunk& so_far) override {
+    RS_ASSIGN_OR_RETURN(const Eigen::VectorXf due, policy_->NextCommand(predicted, so_far));
+    const auto row = static_cast<Eigen::Index>(so_far.steps.size());
+    Eigen::MatrixXf rows =
+        predicted.policy_actions.bottomRows(predicted.policy_actions.rows() - row);
+    rows.row(0) = due.transpose();
+    return task_.inversion->Command(rows, so_far.final_state);
+  }
+  absl::Status SendFeedback(ExecutedChunk executed) override {
+    return policy_->SendFeedback(std::move(executed));
+  }
+  absl::StatusOr<SessionStats> Stats() override { return policy_->Stats(); }
+
+ private:
+  const std::unique_ptr<PolicyEndpoint> policy_;
+  const UnitTask& task_;  // the open one
+};
 
 class SimPlayer : public UnitPlayer {
  public:
@@ -94,7 +132,7 @@ class SimPlayer : public UnitPlayer {
       session.method_yaml = DumpConfig(WithoutCorrection(*unit_.method));
     RS_ASSIGN_OR_RETURN(client_, GrpcPolicyClient::Connect(client, session));
     if (unit_.method->every_step) {
-      RS_ASSIGN_OR_RETURN(local_, CompensatedPolicy::Create(client_.get(), session, *unit_.method));
+      RS_ASSIGN_OR_RETURN(local_, BesideTheArm(client_.get(), session));
     }
     if (unit_.latency.late() && unit_.latency.mode == LateChunks::kRtc && !client_->spec().inpaints)
       return InpaintingError(unit_.policy);
@@ -182,8 +220,21 @@ class SimPlayer : public UnitPlayer {
         std::max(connection.first_answer_timeout, connection.answer_timeout);
     RS_ASSIGN_OR_RETURN(remote_, RemotePolicy::Connect(options_.server, unit_.remote, session,
                                                        unit_.method->noise_stream, connection));
-    RS_ASSIGN_OR_RETURN(local_, CompensatedPolicy::Create(remote_.get(), session, *unit_.method));
+    RS_ASSIGN_OR_RETURN(local_, BesideTheArm(remote_.get(), session));
     return remote_->spec().model_hash;
+  }
+
+  // A policy with what the method does beside the arm.
+  absl::StatusOr<std::unique_ptr<PolicyEndpoint>> BesideTheArm(PolicyEndpoint* policy,
+                                                               const SessionSetting& setting) {
+    MethodOptions method = *unit_.method;
+    const bool inverts = !method.arm_model.empty();
+    method.arm_model.clear();
+    if (inverts && method.smoothing == 0) method.every_step = false;
+    RS_ASSIGN_OR_RETURN(std::unique_ptr<PolicyEndpoint> corrected,
+                        CompensatedPolicy::Create(policy, setting, method));
+    if (!inverts) return corrected;
+    return std::make_unique<InvertedPolicy>(std::move(corrected), &task_);
   }
 
   absl::Status OpenTask(int task) {

@@ -6,6 +6,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "common/rollout/command_inversion.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/rollout/robot.h"
 #include "common/rollout/session_spec.h"
@@ -21,6 +22,8 @@ struct UnitTask {
   std::shared_ptr<Robot> robot;
   std::function<absl::StatusOr<std::unique_ptr<PolicyEndpoint>>()> make_expert;
   std::function<absl::StatusOr<Image>(int height)> film;  // one frame, height [px]
+  // Null unless the method has a model of the arm.
+  std::shared_ptr<CommandInversion> inversion;
   // Sets who gets the joints of every sub-step; null where the robot has no such record.
   std::function<void(std::function<void(const JointSample&)>)> listen_to_joints;
 };

@@ -3,16 +3,22 @@
 
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/run_main.h"
+#include "common/status_macros.h"
 #include "sim_worker/arm_sensing.h"
 #include "sim_worker/sim_task.h"
+#include "sim_worker/worker/model_inversion.h"
 #include "sim_worker/worker/observation_control.h"
 #include "sim_worker/worker/sim_unit.h"
 
@@ -61,6 +67,33 @@ class SensedTask : public Robot {
   const std::unique_ptr<ArmSensing> sensing_;
 };
 
+absl::StatusOr<std::shared_ptr<CommandInversion>> MakeInversion(const UnitConfig& unit,
+                                                                SimTask& task) {
+  const std::string& model = unit.method->arm_model;
+  if (model.empty()) return nullptr;
+  const bool truth = model == MethodOptions::kTrueModel;
+  const std::string file =
+      truth ? unit.scenario
+            : absl::StrReplaceAll(model, {{"{scenario}", ScenarioLabel(unit.scenario)}});
+  if (!truth && !IsScenarioFile(file)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "method.arm_model=", model,
+        " is neither truth nor a scenario file that ends in .yaml, such as what `robostress "
+        "identify` leaves"));
+  }
+  if (!truth && !std::filesystem::exists(file)) {
+    return absl::NotFoundError(absl::StrCat(
+        "method.arm_model=", model, ": no file ", file, "; `robostress identify --scenarios ",
+        unit.scenario, " --out identified` writes it, or set method.arm_model"));
+  }
+  RS_ASSIGN_OR_RETURN(const Scenario scenario, MakeScenario(file, unit.severity));
+  RS_ASSIGN_OR_RETURN(
+      std::shared_ptr<CommandInversion> inversion,
+      truth ? ModelInversion::OfTruth(task.sim(), unit.sim, scenario, task.horizon())
+            : ModelInversion::OfModel(task.sim(), unit.sim, scenario, task.horizon()));
+  return inversion;
+}
+
 absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   absl::StatusOr<std::unique_ptr<SimTask>> made = MakeSimTask(unit, task);
   if (!made.ok()) return made.status();
@@ -75,6 +108,7 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
     robot = std::make_shared<SensedTask>(sim_task, *std::move(sensing));
   }
   UnitTask out;
+  RS_ASSIGN_OR_RETURN(out.inversion, MakeInversion(unit, *sim_task));
   out.robot = ControlObservations(robot, unit.method->observation, *instructions, task);
   out.make_expert = [sim_task] { return sim_task->MakeExpert(); };
   out.listen_to_joints = [sim_task](std::function<void(const JointSample&)> call) {

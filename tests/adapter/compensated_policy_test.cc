@@ -132,6 +132,12 @@ TEST_F(CompensatedPolicyTest, TellsWhichMethodNeedsWeights) {
                 "'pi05'"));
 }
 
+TEST_F(CompensatedPolicyTest, RefusesAMethodThatNeedsAModelOfTheArm) {
+  const auto made = CompensatedPolicy::Create(&inner_, {}, *MakeMethod("known_errors"));
+  EXPECT_EQ(made.status().code(), absl::StatusCode::kUnimplemented);
+  EXPECT_THAT(made.status().message(), HasSubstr("arm_model=truth"));
+}
+
 // -------------------------------------------------------------------------------------- every step
 
 class EveryStepTest : public CompensatedPolicyTest {

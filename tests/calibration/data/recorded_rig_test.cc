@@ -52,6 +52,20 @@ struct RecordedRigTest : public testing::Test {
   std::string out;
 };
 
+// As calibrate would refuse the log, and with it the rig.
+TEST_F(RecordedRigTest, APieceInWhichAJointStandsStillIsLeftOut) {
+  std::vector<RecordedEpisode> episodes;
+  for (int i = 0; i < 4; ++i) episodes.push_back(Episode(absl::StrCat("episode", i), "task"));
+  for (double& q : episodes[1].q[0]) q = 0.3 + 1e-4 * q;
+  RecordedRigOptions options;
+  options.encoder_noise = 2e-5;
+  const auto summary = WriteRecordedRig(Pendulum(), episodes, options, out);
+  ASSERT_TRUE(summary.ok()) << summary.status();
+  EXPECT_EQ(summary->pieces, 3);
+  EXPECT_EQ(summary->seconds_left_out, 2);
+  EXPECT_FALSE(fs::exists(out + "/episode1_0.csv"));
+}
+
 TEST_F(RecordedRigTest, NoEpisodeIsBothFittedAndHeldOut) {
   std::vector<RecordedEpisode> episodes;
   for (int task = 0; task < 3; ++task)

@@ -50,6 +50,12 @@ class Presets : public testing::Test {
   static void SetUpTestSuite() {
     root_ = new fs::path(fs::path(testing::TempDir()) / absl::StrCat("presets_", getpid()));
     fs::create_directories(*root_);
+    ASSERT_TRUE(WriteFileAtomically(*root_ / "aged_joint_uniform_found.yaml", R"(title: Identified
+joints:
+  - name: J2
+    effects: [{type: gravity_error, beta: 0.1}]
+)")
+                    .ok());
     serve_ =
         new ServeProcess(SERVE_PROGRAM, {"--policy", "nano", "--websocket-listen", "127.0.0.1:0"});
     episodes_ = new std::map<std::string, Episode>();
@@ -62,18 +68,27 @@ class Presets : public testing::Test {
     delete episodes_;
   }
 
+  // Where a method reads what was identified of the arm: a file of this test.
+  static std::vector<std::string> Overrides(const std::string& method) {
+    if (method != "ours_identified") return {};
+    return {absl::StrCat("arm_model=", root_->string(), "/{scenario}_found.yaml")};
+  }
+
   static Episode Run(const std::string& method) {
     return Run(method, method, serve_->Address("grpc"));
   }
   static Episode Run(const std::string& method, const std::string& folder,
                      const std::string& server) {
     const std::string out = (*root_ / folder).string();
+    std::string set;
+    for (const std::string& assignment : Overrides(method))
+      absl::StrAppend(&set, " --set method.", assignment);
     const auto [output, code] = RunProgram(
         WORKER_PROGRAM,
         absl::StrCat("--quiet --set suite=tabletop_goal --set scenario=aged_joint_uniform --set "
                      "policy=nano --set method.method=",
                      method, " --set tasks=[0] --set episodes=1 --record-joints --server ", server,
-                     " --out ", out));
+                     " --out ", out, set));
     EXPECT_EQ(code, 0) << output;
     Episode episode;
     if (code != 0) return episode;
@@ -135,7 +150,7 @@ TEST_F(Presets, GiveTheSameRowsAroundAPolicyBehindOpenpisWire) {
 TEST_F(Presets, RunAnEpisodeAsWhatTheyAre) {
   for (const std::string& method : PandasMethods()) {
     const Episode& episode = Of(method);
-    EXPECT_EQ(DumpConfig(episode.method), DumpConfig(*MakeMethod(method)));
+    EXPECT_EQ(DumpConfig(episode.method), DumpConfig(*MakeMethod(method, Overrides(method))));
     EXPECT_EQ(episode.row["method"], method);
     EXPECT_EQ(episode.row["steps"], episode.steps());
     EXPECT_GT(episode.steps(), 0) << method;
