@@ -46,6 +46,10 @@ absl::Status MethodOptions::Check() const {
   first.Update(CheckOption("smoothing", smoothing, 0, 0.99));
   first.Update(CheckOption("execute_steps", execute_steps, 0, 1000));
   if (!first.ok()) return Invalid(*this, first.message());
+  if (!arm_model.empty() && (!every_step || Corrects())) {
+    return Invalid(*this, "arm_model=", arm_model,
+                   " chooses every command; set every_step=true, and turn other corrections off");
+  }
   if (every_step && ((!Corrects() && smoothing == 0 && arm_model.empty()) || adapts())) {
     return Invalid(*this,
                    "every_step needs a method that corrects or smooths commands and adapts no "
@@ -53,10 +57,6 @@ absl::Status MethodOptions::Check() const {
   }
   if (smoothing != 0 && !every_step)
     return Invalid(*this, "smoothing is done at every control step; set every_step=true");
-  if (!arm_model.empty() && (!every_step || Corrects())) {
-    return Invalid(*this, "arm_model=", arm_model,
-                   " chooses every command; set every_step=true, and turn other corrections off");
-  }
   if (alone == nullptr || other == nullptr) return absl::OkStatus();
   return Invalid(*this, alone, " and ", other, " exclude each other; turn one of them off");
 }

@@ -71,12 +71,14 @@ constexpr Preset kPresets[] = {
     {"ours_identified", "Ours, identified and inverted", "#0f766e",
      [](MethodOptions& m) {
        m.every_step = true;
+       m.smoothing = kSmoothing;
        m.execute_steps = kFewerRows;
        m.arm_model = "identified/{scenario}_found.yaml";
      }},
     {"known_errors", "Upper bound: errors known, inverted", "#a3a3a3",
      [](MethodOptions& m) {
        m.every_step = true;
+       m.smoothing = kSmoothing;
        m.execute_steps = kFewerRows;
        m.arm_model = MethodOptions::kTrueModel;
      }},

@@ -76,8 +76,9 @@ MethodOptions WithoutCorrection(MethodOptions method) {
 // A policy whose commands are chosen by the task's model of the arm.
 class InvertedPolicy : public PolicyEndpoint {
  public:
-  InvertedPolicy(std::unique_ptr<PolicyEndpoint> policy, const UnitTask* task)
-      : policy_(std::move(policy)), task_(*task) {}
+  // `smoothing`: what `policy` does to the row that is due; those after it are shown so too.
+  InvertedPolicy(std::unique_ptr<PolicyEndpoint> policy, double smoothing, const UnitTask* task)
+      : policy_(std::move(policy)), smoothing_(smoothing), task_(*task) {}
 
   const PolicySpec& spec() const override { return policy_->spec(); }
   absl::Status StartEpisode(const EpisodeKey& key) override {
@@ -98,6 +99,11 @@ class InvertedPolicy : public PolicyEndpoint {
     Eigen::MatrixXf rows =
         predicted.policy_actions.bottomRows(predicted.policy_actions.rows() - row);
     rows.row(0) = due.transpose();
+    for (Eigen::Index i = 1; i < rows.rows(); ++i) {
+      Eigen::VectorXf next = rows.row(i).transpose();
+      SmoothCommand(smoothing_, rows.row(i - 1).transpose(), next);
+      rows.row(i) = next.transpose();
+    }
     return task_.inversion->Command(rows, so_far.final_state);
   }
   absl::Status SendFeedback(ExecutedChunk executed) override {
@@ -107,6 +113,7 @@ class InvertedPolicy : public PolicyEndpoint {
 
  private:
   const std::unique_ptr<PolicyEndpoint> policy_;
+  const double smoothing_;
   const UnitTask& task_;  // the open one
 };
 
@@ -234,7 +241,7 @@ class SimPlayer : public UnitPlayer {
     RS_ASSIGN_OR_RETURN(std::unique_ptr<PolicyEndpoint> corrected,
                         CompensatedPolicy::Create(policy, setting, method));
     if (!inverts) return corrected;
-    return std::make_unique<InvertedPolicy>(std::move(corrected), &task_);
+    return std::make_unique<InvertedPolicy>(std::move(corrected), method.smoothing, &task_);
   }
 
   absl::Status OpenTask(int task) {
