@@ -4,7 +4,6 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "calibration/data/sim_recordings.h"
 #include "common/status_macros.h"
 
 namespace robostress {

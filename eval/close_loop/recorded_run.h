@@ -6,8 +6,8 @@
 
 #include "absl/status/statusor.h"
 #include "calibration/data/recorded_rig.h"
+#include "calibration/data/sim_recordings.h"
 #include "eval/launch/merged_sweep.h"
-#include "sim_worker/joint_log.h"
 
 namespace robostress {
 
