@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "adapter/nominal_arm.h"
-#include "adapter/shrinkage.h"
 #include "common/so3.h"
 #include "common/status_macros.h"
 #include "sim_worker/osc_controller.h"
@@ -111,7 +110,7 @@ absl::Status ModelInversion::Start(const RobotState& now) {
 
 void ModelInversion::Learn(const RobotState& now) {
   const Vector6 done = Motion(before_, now);
-  shortfall_ = (1 - 1 / options_.memory) * shortfall_ + (wanted_ - done).head<3>();
+  shortfall_ = (1 - 1 / options_.memory) * shortfall_ + wanted_ - done;
   const double share = 1 / options_.confidence_memory;
   const auto error = [&](const Vector6& m) { return (m - done).head<3>().squaredNorm(); };
   model_error_ += share * (error(predicted_) - model_error_);
@@ -154,8 +153,6 @@ absl::StatusOr<Eigen::VectorXf> ModelInversion::Command(const Eigen::MatrixXf& r
                       Motions(*errorless_, rows, Vector6::Zero(), steps, &nominal_velocity_));
   wanted_ = wanted[0];
 
-  Vector6 behind = Vector6::Zero();
-  behind.head<3>() = options_.gain * KeptShare(shortfall_.norm(), options_.threshold) * shortfall_;
   double squares = 0;
   for (int k = 0; k < steps; ++k) squares += response_[k] * response_[k];
   Vector6 d = added_, best = Vector6::Zero(), best_change = Vector6::Zero();
@@ -166,7 +163,7 @@ absl::StatusOr<Eigen::VectorXf> ModelInversion::Command(const Eigen::MatrixXf& r
     Vector6 change = Vector6::Zero();
     double cost = 0;
     for (int k = 0; k < steps; ++k) {
-      const Vector6 missing = wanted[k] + behind - motions[k];
+      const Vector6 missing = wanted[k] + shortfall_ - motions[k];
       cost += missing.squaredNorm();
       change += response_[k] / squares * missing;
     }

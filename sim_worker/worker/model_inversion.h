@@ -16,11 +16,8 @@ namespace robostress {
 struct InversionOptions {
   int look_ahead = 5;  // control steps whose motion is compared
   int tries = 6;       // predictions per command
-  // Of the shortfall, as of model following (adapter/model_following.h): T, K, e_min.
-  double memory = 10;      // [control steps]
-  double gain = 0.5;       // [-]
-  double threshold = 0.2;  // [normalised action]
-  double limit = 1;        // of what is added to a command on each axis [normalised action]
+  double memory = 10;  // T, control steps that a shortfall counts
+  double limit = 1;    // of what is added to a command on each axis [normalised action]
   // Memory of the errors of prediction, and what is not worth explaining: half a millimetre.
   double confidence_memory = 10;   // [control steps]
   double confidence_floor = 0.01;  // [normalised action]
@@ -29,17 +26,14 @@ struct InversionOptions {
 // Chooses the command after which a model of the arm with its joint errors moves as an arm without
 // errors does after the policy's command:
 //
-//   m*_k = motion of the arm without errors from here, rows a_0 ... a_k, plus
-//          K KeptShare(|e|, e_min) e
+//   m*_k = motion of the arm without errors from here, rows a_0 ... a_k, plus e
 //   d    = argmin_d sum_k |m*_k - m_k(a + d)|^2,  k < look_ahead        c = a_0 + w d
 //   e_i  = (1 - 1 / T) e_(i-1) + dx_nominal_i - dx_i                    per executed step
 //
 // symbol  shape  unit
 // a       [n, 6] normalised action  rows of the policy from now on
 // m       [6]    normalised action  displacement since now
-// e       [6]    normalised action  how far the arm is behind, as in model following: x and y of
-// the
-//                                   translations, the rest is 0
+// e       [6]    normalised action  how far the arm is behind
 // w       -                         confidence, 0..1
 //
 // d is found by `tries` steps of Gauss-Newton with the response of the nominal arm, halved where a
@@ -94,8 +88,7 @@ class ModelInversion : public CommandInversion {
   std::vector<double> response_;  // displacement of the nominal arm after a unit step, per step
 
   bool running_ = false;
-  Eigen::Vector3d shortfall_ = Eigen::Vector3d::Zero();
-  Vector6 added_ = Vector6::Zero();
+  Vector6 shortfall_ = Vector6::Zero(), added_ = Vector6::Zero();
   RobotState before_;                                // when the last command was chosen
   Eigen::VectorXd nominal_velocity_;                 // [7] of the arm that is followed
   Vector6 wanted_, predicted_, unexplained_;         // of the last step
