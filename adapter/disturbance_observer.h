@@ -2,6 +2,8 @@
 
 #include <Eigen/Core>
 
+#include "adapter/joint_response.h"
+
 namespace robostress {
 
 struct DisturbanceObserverOptions {
@@ -10,6 +12,7 @@ struct DisturbanceObserverOptions {
   double min_dt_s = 0.005;       // the elapsed control interval is clamped to this range [s]
   double max_dt_s = 0.2;
   bool anti_windup = false;  // true: the state z itself is clipped, not only what is subtracted
+  JointResponseOptions response;  // of a healthy arm; off: the paper's, whose servos are the identity
 
   template <class V>
   void Visit(V& v) {
@@ -19,6 +22,7 @@ struct DisturbanceObserverOptions {
     v.Field("max_dt_s", max_dt_s, "most elapsed interval it reckons with [s]");
     v.Field("anti_windup", anti_windup,
             "clip the estimate itself, not only its use (paper: false)");
+    v.Section("response", response, "how a healthy arm answers targets (paper: at once)");
   }
 };
 
@@ -32,6 +36,12 @@ struct DisturbanceObserverOptions {
 // The paper clips what is subtracted and lets z go on (anti_windup = false): after a long block z
 // must run back first. With anti_windup z <- clip(z, -d_max, d_max) after every update.
 //
+// An arm lags, and a servo that is modelled as the identity counts its lag as disturbance: while the
+// arm moves, z = -lag, and the target is sent ahead of a policy that learned to lead the arm itself.
+// With `response` z is what the joint did beyond the motion that the sent targets make of a healthy
+// arm, q_DOB_previous -> q_nominal (internal model control). A healthy arm then leaves z at 0, and a
+// constant disturbance is taken off as before.
+//
 // Runs in the control loop: allocates nothing. One thread.
 class DisturbanceObserver {
  public:
@@ -39,15 +49,16 @@ class DisturbanceObserver {
   using Joints = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxJoints, 1>;  // [rad]
 
   explicit DisturbanceObserver(const DisturbanceObserverOptions& options = {})
-      : options_(options) {}
+      : options_(options), response_(options.response) {}
 
   void Reset();  // start of an episode
   // The corrected target to send, given the policy's target, the measured joints and the time since
-  // the last call [s]. `q_ref` and `q` have the same size, at most kMaxJoints, equal in every call
+  // the last measured call [s]. `q_ref` and `q` have the same size, at most kMaxJoints, equal in every call
   // between resets.
   Joints Correct(const Joints& q_ref, const Joints& q, double dt_s);
-  // The same where no new measurement came: the estimate of the last update.
-  Joints CorrectUnmeasured(const Joints& q_ref);
+  // The same where no new measurement came, `dt_s` after the last call: the estimate of the last
+  // update.
+  Joints CorrectUnmeasured(const Joints& q_ref, double dt_s = 0);
   // The command that was really sent after Correct, where something behind the observer changed it:
   // the next update compares with this one.
   void Applied(const Joints& sent);
@@ -55,6 +66,11 @@ class DisturbanceObserver {
 
  private:
   DisturbanceObserverOptions options_;
+  // Where a healthy arm would be now, given `q` where it begins. dt_s since the last measurement.
+  const Joints& Nominal(const Joints& q, double dt_s);
+
+  JointResponse response_;
+  double ahead_s_ = 0;  // that the response is ahead of the last measurement
   Joints z_, last_target_;
 };
 

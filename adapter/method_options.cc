@@ -67,11 +67,11 @@ absl::Status MethodOptions::CheckJointSpace(const std::string& robot) const {
                    " acts in joint space: use target executed or intent");
   }
   if (every_step) {
-    return Invalid(*this, "every_step is the simulated Panda's; robot ", robot,
+    return Invalid(*this, "every_step is done beside the arm; robot ", robot,
                    " corrects at every step by the disturbance observer of its client");
   }
   if (execute_steps != 0) {
-    return Invalid(*this, "execute_steps is the simulated Panda's; robot ", robot,
+    return Invalid(*this, "execute_steps is done beside the arm; robot ", robot,
                    " executes as many rows as its client is told");
   }
   if (gain != 1.0) {

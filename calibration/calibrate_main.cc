@@ -136,8 +136,9 @@ int Main(int argc, char** argv) {
       ->check(cli::Range(99, 100000))
       ->capture_default_str();
   app.add_option("--seed", line.trace.seed, "Of the surrogates")->capture_default_str();
-  app.add_option("--max-effects", line.trace.max_effects, "Added to a joint at most")
-      ->check(cli::Range(1, 6))
+  app.add_option("--max-effects", line.trace.max_effects,
+                 "Added to a joint at most; 0: the declared model is fitted, nothing is searched")
+      ->check(cli::Range(0, 6))
       ->capture_default_str();
   app.add_option("--beam", line.trace.beam, "Models that the search follows at once")
       ->check(cli::Range(1, 10))

@@ -114,6 +114,9 @@ struct ClientOptions {
   // The programs of a real arm as processes over UDP, one second for a second.
   bool real_time = false;
   int udp_port = 43120;  // of the emulated arm's bus in real time; decides nothing
+  // The joints' impedance controllers take targets as they are: faster, weaker, and without the
+  // planner and the integral part of the arm's own servos.
+  bool direct = false;
 
   template <class V>
   void Visit(V& v) {
@@ -123,6 +126,9 @@ struct ClientOptions {
             "steps that limiter or cross-fade moved by more are masked in feedback [rad]");
     v.Field("real_time", real_time, "play with piper_emulator and robot_client over UDP");
     v.Field("udp_port", udp_port, "of the emulated arm's bus in real time");
+    v.Late("direct", direct, false,
+           "targets go to the joints' impedance controllers as they are: no planner, no integral "
+           "part; not in real time");
   }
 };
 

@@ -8,8 +8,8 @@
 #include "common/status_macros.h"
 #include "eval/close_loop/close_loop.h"
 #include "eval/close_loop/close_piper_loop.h"
+#include "eval/close_loop/recording_flags.h"
 #include "eval/launch/exit_code.h"
-#include "eval/plan/plan.h"
 
 namespace {
 
@@ -44,28 +44,12 @@ int main(int argc, char** argv) {
   app.add_option("--arm", arm, "panda (simulated, in a suite) or piper (emulated, on its bus)")
       ->check(robostress::cli::IsMember({"panda", "piper"}))
       ->capture_default_str();
-  app.add_option("--suite", options.suite, "See `robostress suites`")->capture_default_str();
-  app.add_option("--tasks", tasks, "Task indices (default 0,1,3); the last is the transfer regime");
-  app.add_option("--episodes", options.episodes, "Recorded of each task, from the dev split")
-      ->check(robostress::cli::Range(1, 10))
-      ->capture_default_str();
   app.add_option("--policy", options.policy, "Policy to evaluate")->capture_default_str();
   app.add_option("--evaluated-episodes", options.evaluated_episodes,
                  "Of each task and scenario, from the reporting split")
       ->check(robostress::cli::Range(1, 20))
       ->capture_default_str();
-  app.add_option("--severity", options.severity, "Level of the hidden scenario's base")
-      ->check(robostress::cli::Range(1, 5))
-      ->capture_default_str();
-  app.add_option("--workers", options.workers, "Worker processes")
-      ->check(robostress::cli::Range(1, 256))
-      ->capture_default_str();
-  app.add_option("--rate-hz", options.rate_hz, "Rows per second of the rig's logs")
-      ->capture_default_str();
-  app.add_option("--surrogates", options.surrogates, "Of calibrate's null distributions")
-      ->check(robostress::cli::Range(99, 100000))
-      ->capture_default_str();
-  app.add_option("--seed", options.seed, "Of encoder noise and surrogates")->capture_default_str();
+  robostress::AddRecordingFlags(app, options, tasks);
   const auto run = [&]() -> absl::Status {
     if (arm == "piper") {
       RS_ASSIGN_OR_RETURN(const auto piper,
@@ -75,9 +59,7 @@ int main(int argc, char** argv) {
       std::printf("%s/summary.json\n", options.out.c_str());
       return absl::OkStatus();
     }
-    if (!tasks.empty()) {
-      RS_ASSIGN_OR_RETURN(options.tasks, robostress::ParseTasks(tasks));
-    }
+    RS_RETURN_IF_ERROR(robostress::ReadTasks(tasks, options));
     RS_ASSIGN_OR_RETURN(const auto result, robostress::CloseLoop(options));
     std::fputs(robostress::CloseLoopTable(result).c_str(), stdout);
     std::printf("%s/summary.json\n", options.out.c_str());

@@ -7,8 +7,9 @@
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "eval/close_loop/identify.h"
+#include "eval/close_loop/identify_response.h"
+#include "eval/close_loop/recording_flags.h"
 #include "eval/launch/exit_code.h"
-#include "eval/plan/plan.h"
 
 namespace {
 
@@ -16,10 +17,13 @@ constexpr char kExamples[] = R"(
 Example
   robostress identify --scenarios heavy_payload,worn.yaml --out identified
   robostress sweep --scenarios heavy_payload,worn.yaml --methods base,ours_identified --out runs/identified
+  robostress identify --run runs/piper_tuesday --out identified/piper
 
 Plays a policy's first episodes under each scenario, calibrates a model that knows none of its errors with the joint
 logs, and writes what was found to OUT/SCENARIO_found.yaml, which method `ours_identified` reads: it chooses the command
 whose predicted motion is that of an arm without errors. The same command goes on where it was stopped.
+--run reads what robot_client recorded of a healthy arm instead, and writes OUT/response.yaml: how its joints answer
+targets, for the disturbance observer of the client's configuration.
 
 Exit code: 0 all are identified, whatever was found; 1 a step failed; 2 the command is wrong.
 )";
@@ -34,32 +38,25 @@ int main(int argc, char** argv) {
   std::string tasks;
   app.add_option("--scenarios,--scenario", options.scenarios,
                  "One arm each: see `robostress scenarios`, or scenario files")
-      ->required()
       ->delimiter(',');
+  std::string arm_run;
+  app.add_option("--run", arm_run, "A run of robot_client: reaches, or what `excite` plays");
   app.add_option("--out", options.out, "Directory to write")->required();
   app.add_option("--policy", options.policy, "Whose episodes are recorded: nano, expert")
       ->capture_default_str();
-  app.add_option("--suite", options.suite, "See `robostress suites`")->capture_default_str();
-  app.add_option("--tasks", tasks, "Task indices (default 0,1,3); the last is the transfer regime");
-  app.add_option("--episodes", options.episodes, "Recorded of each task, from the dev split")
-      ->check(robostress::cli::Range(1, 10))
-      ->capture_default_str();
-  app.add_option("--severity", options.severity, "Level of the scenarios")
-      ->check(robostress::cli::Range(1, 5))
-      ->capture_default_str();
-  app.add_option("--workers", options.workers, "Worker processes")
-      ->check(robostress::cli::Range(1, 256))
-      ->capture_default_str();
-  app.add_option("--rate-hz", options.rate_hz, "Rows per second of the rig's logs")
-      ->capture_default_str();
-  app.add_option("--surrogates", options.surrogates, "Of calibrate's null distributions")
-      ->check(robostress::cli::Range(99, 100000))
-      ->capture_default_str();
-  app.add_option("--seed", options.seed, "Of encoder noise and surrogates")->capture_default_str();
+  robostress::AddRecordingFlags(app, options, tasks);
   const auto run = [&]() -> absl::Status {
-    if (!tasks.empty()) {
-      RS_ASSIGN_OR_RETURN(options.tasks, robostress::ParseTasks(tasks));
+    if (arm_run.empty() == options.scenarios.empty())
+      return absl::InvalidArgumentError(
+          "give --scenarios for simulated arms, or --run for what robot_client recorded");
+    if (!arm_run.empty()) {
+      RS_ASSIGN_OR_RETURN(const auto response,
+                          robostress::IdentifyResponse(arm_run, options.out, options.surrogates,
+                                                       options.seed));
+      std::fputs(robostress::ResponseTable(response).c_str(), stdout);
+      return absl::OkStatus();
     }
+    RS_RETURN_IF_ERROR(robostress::ReadTasks(tasks, options));
     RS_ASSIGN_OR_RETURN(const auto arms, robostress::Identify(options));
     std::fputs(robostress::IdentifiedTable(arms).c_str(), stdout);
     return absl::OkStatus();

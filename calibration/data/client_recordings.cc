@@ -17,6 +17,8 @@ namespace {
 constexpr char kTicks[] = "ticks.csv";
 constexpr char kSamples[] = "samples.csv";
 constexpr int kJoints = 6;
+constexpr char kDelay[] = "transport_delay", kDelayTime[] = "delay_s";
+constexpr char kDrag[] = "quadratic_viscous_friction", kDragSize[] = "c2";
 constexpr double kShortest_s = 1;  // of an episode
 constexpr double kGap = 4;         // periods between two samples at which another one begins
 
@@ -57,6 +59,29 @@ absl::StatusOr<std::vector<Interval>> Driven(const CsvTable& ticks) {
   return intervals;
 }
 
+// What was sent, and when.
+struct Commands {
+  std::vector<double> t;                    // [s]
+  std::vector<std::vector<double>> target;  // [6][rows]
+
+  static absl::StatusOr<Commands> Read(const CsvTable& ticks) {
+    Commands commands;
+    RS_ASSIGN_OR_RETURN(commands.t, ticks.Numbers("t"));
+    RS_ASSIGN_OR_RETURN(const std::vector<double> sent_us, ticks.Numbers("sent_us"));
+    for (size_t i = 0; i < sent_us.size(); ++i) commands.t[i] += 1e-6 * sent_us[i];
+    for (int j = 1; j <= kJoints; ++j) {
+      RS_ASSIGN_OR_RETURN(commands.target.emplace_back(),
+                          ticks.Numbers(absl::StrCat("sent_J", j)));
+    }
+    return commands;
+  }
+  // In force at `time`; the first where none is yet.
+  size_t At(double time) const {
+    const auto next = std::upper_bound(t.begin(), t.end(), time);
+    return next == t.begin() ? 0 : static_cast<size_t>(next - t.begin()) - 1;
+  }
+};
+
 // All samples of a run by column.
 struct Samples {
   std::vector<double> t, sequence;
@@ -82,7 +107,8 @@ double RateOf(const std::vector<double>& t) {
   return std::round(1 / std::max(UpperMedian(std::move(steps)), 1e-4));
 }
 
-RecordedEpisode Cut(const Samples& samples, size_t begin, size_t end, double rate_hz) {
+RecordedEpisode Cut(const Samples& samples, const Commands& commands, size_t begin, size_t end,
+                    double rate_hz) {
   RecordedEpisode episode;
   episode.rate_hz = rate_hz;
   episode.group = "run";
@@ -97,6 +123,8 @@ RecordedEpisode Cut(const Samples& samples, size_t begin, size_t end, double rat
     std::vector<double> tau = part(samples.tau[j]);
     for (size_t i = 0; i + 1 < tau.size(); ++i) tau[i] = 0.5 * (tau[i] + tau[i + 1]);
     episode.tau.push_back(std::move(tau));
+    std::vector<double>& command = episode.command.emplace_back();
+    for (const double t : episode.t) command.push_back(commands.target[j][commands.At(t)]);
   }
   return episode;
 }
@@ -115,6 +143,7 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
   RS_ASSIGN_OR_RETURN(const CsvTable table, ReadRunTable(run, kSamples));
   RS_ASSIGN_OR_RETURN(const std::vector<Interval> driven, Driven(ticks));
   RS_ASSIGN_OR_RETURN(const Samples samples, Samples::Read(table));
+  RS_ASSIGN_OR_RETURN(const Commands commands, Commands::Read(ticks));
   const double rate_hz = RateOf(samples.t);
   const auto shortest = static_cast<size_t>(kShortest_s * rate_hz);
   std::vector<std::pair<size_t, size_t>> stretches;  // rows [first, last)
@@ -146,12 +175,51 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
     const auto length = static_cast<double>(last - first);
     const auto parts = static_cast<size_t>(std::max(1.0, std::ceil(length / part - 1e-9)));
     for (size_t k = 0; k < parts; ++k) {
-      episodes.push_back(Cut(samples, first + k * (last - first) / parts,
+      episodes.push_back(Cut(samples, commands, first + k * (last - first) / parts,
                              first + (k + 1) * (last - first) / parts, rate_hz));
       episodes.back().name = absl::StrCat("episode", episodes.size() - 1);
     }
   }
   return episodes;
+}
+
+RecordedArm PiperResponse(const std::string& rig_name) {
+  RecordedArm arm;
+  arm.name = rig_name;
+  arm.model_file = "unit_masses.xml";
+  arm.mjcf = "<mujoco>\n  <option gravity=\"0 0 0\"/>\n  <worldbody>\n";
+  for (int j = 1; j <= kJoints; ++j) {
+    arm.joints.push_back(absl::StrCat("piper_joint", j));
+    absl::StrAppend(&arm.mjcf, "    <body pos=\"0 ", j, " 0\"><joint name=\"", arm.joints.back(),
+                    "\" axis=\"0 0 1\"/><inertial pos=\"0 0 0\" mass=\"1\" diaginertia=\"1 1 1\"/>"
+                    "</body>\n");
+  }
+  arm.mjcf += "  </worldbody>\n</mujoco>\n";
+  arm.input = JointInput::kPositionTarget;
+  arm.servo.kp = 400;
+  arm.servo.kd = 20;
+  arm.effects = {{.type = kDelay, .parameters = {{kDelayTime, 0.05}}, .fit = {kDelayTime}},
+                 {.type = kDrag, .parameters = {{kDragSize, 20}}, .fit = {kDragSize}}};
+  arm.fit = {"servo.kp", "servo.kd"};
+  return arm;
+}
+
+absl::StatusOr<JointResponseOptions> ResponseOf(const Rig& calibrated) {
+  JointResponseOptions response;
+  for (const RigJoint& joint : calibrated.joints) {
+    const std::vector<DeclaredEffect>& effects = joint.effects;
+    if (effects.size() != 2 || effects[0].type != kDelay || effects[1].type != kDrag)
+      return absl::InvalidArgumentError(absl::StrCat(
+          calibrated.file, ": joint ", joint.name, " has not the effects ", kDelay, " and ", kDrag,
+          "; calibrate what `robostress identify --run` wrote"));
+    const double delay_s = effects[0].parameters.at(kDelayTime);
+    response.delay_s.push_back(std::clamp(delay_s, 0.0, JointResponse::kMaxDelay_s));
+    response.stiffness.push_back(joint.servo.kp);
+    response.damping.push_back(std::max(0.0, joint.servo.kd));
+    response.drag.push_back(std::max(0.0, effects[1].parameters.at(kDragSize)));
+  }
+  RS_RETURN_IF_ERROR(response.Check(static_cast<int>(calibrated.joints.size())));
+  return response;
 }
 
 RecordedArm PiperOfRecordings(const std::string& rig_name, double payload_kg) {

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "adapter/joint_response.h"
 #include "calibration/data/recorded_rig.h"
 
 namespace robostress::calibration {
@@ -14,10 +15,17 @@ bool IsClientRun(const std::string& run);
 // The free motion in a run of robot_client: what samples.csv holds while ticks.csv says RUN, MOVE
 // or HOLD, one episode or way each; a sample that was lost, or came four periods late, begins
 // another. Fewer than `at_least` of them are cut into equal parts, so that some can be held out. A
-// row's torque is the mean over it of the arm's readings at both ends; contacts are not known.
+// row's torque is the mean over it of the arm's readings at both ends, its command what was sent
+// last; contacts are not known.
 // Errors name file, line, column and remedy.
 absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::string& run,
                                                                  int at_least);
+
+// How the Piper's joints answer targets (adapter/joint_response.h), as a rig: every joint is a unit
+// mass of its own with a servo, a delay and drag, all of them fitted.
+RecordedArm PiperResponse(const std::string& rig_name);
+// Of the calibrated rig.
+absl::StatusOr<JointResponseOptions> ResponseOf(const Rig& calibrated);
 
 // The Piper of robot_client/emulator without a scene, the payload [kg] in its closed gripper.
 // Armatures are fitted: nobody has published a Piper's rotors.

@@ -19,6 +19,12 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
                    "ROBOSTRESS_ROBOT_CLIENT=OFF; configure it ON to read one"));
 }
 
+RecordedArm PiperResponse(const std::string&) { return {}; }
+
+absl::StatusOr<JointResponseOptions> ResponseOf(const Rig&) {
+  return absl::UnimplementedError("this build has ROBOSTRESS_ROBOT_CLIENT=OFF");
+}
+
 RecordedArm PiperOfRecordings(const std::string&, double) { return {}; }
 
 }  // namespace robostress::calibration

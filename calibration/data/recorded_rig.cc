@@ -63,6 +63,11 @@ LogRole RoleOf(const std::vector<std::string>& groups, const std::string& group,
                                                                       : LogRole::kFit;
 }
 
+const std::vector<std::vector<double>>& Drive(const RecordedArm& arm,
+                                              const RecordedEpisode& episode) {
+  return arm.input == JointInput::kPositionTarget ? episode.command : episode.tau;
+}
+
 absl::Status CheckEpisode(const RecordedArm& arm, const RecordedEpisode& episode) {
   const auto fits = [&](const std::vector<std::vector<double>>& channels) {
     return channels.size() == arm.joints.size() &&
@@ -70,7 +75,7 @@ absl::Status CheckEpisode(const RecordedArm& arm, const RecordedEpisode& episode
              return channel.size() == episode.t.size();
            });
   };
-  if (episode.rate_hz > 0 && fits(episode.q) && fits(episode.tau) &&
+  if (episode.rate_hz > 0 && fits(episode.q) && fits(Drive(arm, episode)) &&
       (episode.dq.empty() || fits(episode.dq)) &&
       (episode.contact_N.empty() || episode.contact_N.size() == episode.t.size()))
     return absl::OkStatus();
@@ -83,8 +88,10 @@ std::string PieceCsv(const RecordedArm& arm, const RecordedEpisode& episode, con
                      const RecordedRigOptions& options, int index) {
   std::string csv = "t";
   const bool with_dq = !episode.dq.empty();
+  const std::vector<std::vector<double>>& drive = Drive(arm, episode);
+  const char* const driven = arm.input == JointInput::kPositionTarget ? ",q_cmd_" : ",tau_";
   for (const std::string& joint : arm.joints)
-    absl::StrAppend(&csv, ",q_", joint, with_dq ? ",dq_" + joint : "", ",tau_", joint);
+    absl::StrAppend(&csv, ",q_", joint, with_dq ? ",dq_" + joint : "", driven, joint);
   csv += "\n";
   RandomStream noise(StreamKey("encoder noise")
                          .With(static_cast<int64_t>(options.seed))
@@ -100,7 +107,7 @@ std::string PieceCsv(const RecordedArm& arm, const RecordedEpisode& episode, con
             RecordedRigOptions::kVelocityNoise * options.encoder_noise * noise.Normal();
         absl::StrAppendFormat(&csv, ",%.9g", episode.dq[j][i] + error);
       }
-      absl::StrAppendFormat(&csv, ",%.9g", episode.tau[j][i]);
+      absl::StrAppendFormat(&csv, ",%.9g", drive[j][i]);
     }
     csv += "\n";
   }
@@ -124,7 +131,9 @@ absl::StatusOr<RecordedRigSummary> WriteRecordedRig(const RecordedArm& arm,
   for (const std::string& name : arm.joints) {
     RigJoint joint;
     joint.name = name;
-    joint.input = JointInput::kTorque;
+    joint.input = arm.input;
+    joint.servo = arm.servo;
+    joint.effects = arm.effects;
     joint.velocity = arm.velocity;
     joint.fit = arm.fit;
     rig.joints.push_back(std::move(joint));

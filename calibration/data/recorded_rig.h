@@ -18,6 +18,7 @@ struct RecordedEpisode {
   std::vector<double> t;                   // [rows] s
   std::vector<std::vector<double>> q, dq;  // [joints][rows] rad, rad/s; dq may be empty
   std::vector<std::vector<double>> tau;    // [joints][rows] Nm, asked of the motors
+  std::vector<std::vector<double>> command;  // [joints][rows] rad, asked of the servos; may be empty
   std::vector<double> contact_N;           // [rows] contact forces on the arm; empty: not measured
 };
 
@@ -29,6 +30,11 @@ struct RecordedArm {
   std::vector<std::string> joints;  // of the MJCF, in the order of RecordedEpisode::q
   VelocitySide velocity = VelocitySide::kReading;  // of RecordedEpisode::dq
   std::vector<std::string> fit;                    // declared parameters that every joint fits
+  // kPositionTarget: `servo` and `effects` are declared of every joint, RecordedEpisode::command
+  // drives it.
+  JointInput input = JointInput::kTorque;
+  Servo servo;
+  std::vector<DeclaredEffect> effects;
 };
 
 struct RecordedRigOptions {
@@ -61,7 +67,7 @@ struct RecordedRigSummary {
 // both fitted and held out: with groups in the order of their first episode, the last group is
 // transfer (if transfer is on and there are two or more); of every other group each
 // held_out_every-th episode is held_out; the rest is fit. Every piece of an episode has the
-// episode's name as its condition, and folds go by condition. Joints have input torque; the others'
+// episode's name as its condition, and folds go by condition. The other joints'
 // motion is what was measured. FailedPrecondition where too little free motion is left.
 absl::StatusOr<RecordedRigSummary> WriteRecordedRig(const RecordedArm& arm,
                                                     const std::vector<RecordedEpisode>& episodes,

@@ -330,8 +330,10 @@ class Description {
     for (const LogRole role : {LogRole::kFit, LogRole::kHeldOut, LogRole::kTransfer})
       AddRegimes(role, evidence);
     evidence.ambiguous = !report.groups.empty();
-    for (const CandidateReport& line : trace_.rounds.front().candidates)
-      evidence.significant |= line.p_value <= 0.01;
+    evidence.searched = !trace_.rounds.empty();
+    if (evidence.searched)
+      for (const CandidateReport& line : trace_.rounds.front().candidates)
+        evidence.significant |= line.p_value <= 0.01;
     for (const char fits : joint_.Fit()) evidence.windows += fits;
     return evidence;
   }

@@ -55,8 +55,9 @@ Judgement WithoutEffects(const Evidence& e) {
   if (IsNoise(worst, e.pushed)) return {Verdict::kDeclaredSufficient, WhatIsLeft(e, worst), 0};
   return {Verdict::kUnattributed,
           absl::StrCat(WhatIsLeft(e, worst),
-                       e.significant ? "; no candidate passes every test"
-                                     : "; no candidate explains more of it than chance does"),
+                       !e.searched     ? "; nothing was searched"
+                       : e.significant ? "; no candidate passes every test"
+                                       : "; no candidate explains more of it than chance does"),
           0};
 }
 

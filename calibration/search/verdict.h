@@ -19,6 +19,7 @@ struct Evidence {
   double transfer_declared = 0, transfer_after = 0;  // 0: no log of that role
   int effects = 0;
   bool ambiguous = false;           // some effect has rivals
+  bool searched = true;             // false: no effect was to be added
   bool significant = false;         // some candidate explains more than chance
   int windows = 0;                  // fitted
   std::vector<std::string> doubts;  // why what was added can not be what the machine is

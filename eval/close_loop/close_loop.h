@@ -1,6 +1,5 @@
 #pragma once
 
-#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -9,23 +8,16 @@
 #include "calibration/fidelity/replay_comparison.h"
 #include "common/joint_errors/scenario_file.h"
 #include "eval/close_loop/found_effects.h"
+#include "eval/close_loop/recorded_run.h"
 
 namespace robostress {
 
 // The whole circle: errors hidden in the simulated arm, found again from its logs, and compared.
-struct CloseLoopOptions {
+struct CloseLoopOptions : RecordingOptions {
   std::string hidden;  // scenario file; no rig declares what it holds
   std::string out;
-  std::string suite = "tabletop_goal";
-  std::vector<int> tasks = {0, 1, 3};  // the last is the transfer regime
-  int episodes = 6;                    // recorded of each task, from the dev split (40 ...)
-  std::string policy = "expert";       // evaluated; recordings are always the expert's
-  int evaluated_episodes = 20;         // of each task, from the reporting split (0 ...)
-  int severity = 5;                    // of the hidden scenario's base
-  int workers = 2;
-  double rate_hz = 250;
-  int surrogates = 999;
-  uint64_t seed = 0;  // of encoder noise and surrogates
+  std::string policy = "expert";  // evaluated; recordings are always the expert's
+  int evaluated_episodes = 20;    // of each task, from the reporting split (0 ...)
 };
 
 struct SuccessRate {

@@ -48,14 +48,15 @@ std::string HiddenPlace(const std::string& hidden) {
 
 absl::Status RunCalibration(const std::string& command, const std::string& rig_file,
                             const std::string& out, const std::string& log, int surrogates,
-                            uint64_t seed) {
+                            uint64_t seed, int max_effects) {
   if (fs::exists(fs::path(out) / "report.json")) return absl::OkStatus();
   RS_ASSIGN_OR_RETURN(const std::string program, FindProgram("calibrate"));
   std::fprintf(stderr, "%s: calibrating, progress in %s\n", command.c_str(), log.c_str());
   RS_ASSIGN_OR_RETURN(
       ChildProcess child,
       ChildProcess::Start({program, "--rig", rig_file, "--out", out, "--surrogates",
-                           absl::StrCat(surrogates), "--seed", absl::StrCat(seed)},
+                           absl::StrCat(surrogates), "--seed", absl::StrCat(seed), "--max-effects",
+                           absl::StrCat(max_effects)},
                           {{"OMP_NUM_THREADS", "1"}, {"OPENBLAS_NUM_THREADS", "1"}}, log));
   const ExitState exit = child.WaitForEnd();
   if (exit.code == 0) return absl::OkStatus();

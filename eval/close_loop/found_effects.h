@@ -29,7 +29,7 @@ struct FoundEffects {
 // to `log`.
 absl::Status RunCalibration(const std::string& command, const std::string& rig_file,
                             const std::string& out, const std::string& log, int surrogates,
-                            uint64_t seed);
+                            uint64_t seed, int max_effects = 3);
 
 // What the calibration in `folder` added to the rig, mapped to the arm's own joints, and as a
 // scenario in `scenario_file`, which is written only where something was added.

@@ -1,28 +1,21 @@
 #pragma once
 
-#include <cstdint>
 #include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "calibration/data/recorded_rig.h"
 #include "eval/close_loop/found_effects.h"
+#include "eval/close_loop/recorded_run.h"
 
 namespace robostress {
 
 // Joint errors of simulated arms from their own first episodes, for `ours_identified`.
-struct IdentifyOptions {
+struct IdentifyOptions : RecordingOptions {
+  IdentifyOptions() { surrogates = 199; }
   std::vector<std::string> scenarios;  // one arm each, as `sweep` takes them
   std::string out;
   std::string policy = "nano";
-  std::string suite = "tabletop_goal";
-  std::vector<int> tasks = {0, 1, 3};  // the last is the transfer regime
-  int episodes = 6;                    // of each task, from the dev split (40 ...)
-  int severity = 5;
-  int workers = 2;
-  double rate_hz = 250;
-  int surrogates = 199;
-  uint64_t seed = 0;  // of encoder noise and surrogates
 };
 
 struct IdentifiedArm {

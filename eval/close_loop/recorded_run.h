@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <map>
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "calibration/data/recorded_rig.h"
@@ -10,6 +11,18 @@
 #include "eval/launch/merged_sweep.h"
 
 namespace robostress {
+
+// What is recorded of an arm, and how its logs are calibrated.
+struct RecordingOptions {
+  std::string suite = "tabletop_goal";
+  std::vector<int> tasks = {0, 1, 3};  // the last is the transfer regime
+  int episodes = 6;                    // of each task, from the dev split (40 ...)
+  int severity = 5;                    // of the scenario that the arm has
+  int workers = 2;
+  double rate_hz = 250;
+  int surrogates = 999;
+  uint64_t seed = 0;  // of encoder noise and surrogates
+};
 
 // Runs a grid to its end for `command`, whose messages say that the same command goes on.
 absl::StatusOr<RunData> RunWholeGrid(const std::string& command, SweepGrid grid,

@@ -289,6 +289,9 @@ bool ControlLoop::PlayRow(int64_t now_ns) {
   record_.requested = step.requested;
   record_.blended = record_.corrected = step.blended;
   if (options_.observer) Correct();
+  for (int j = 0; j < kArmJoints; ++j)
+    record_.corrected[j] +=
+        options_.smoothing * (limiter_.position()[j] - record_.corrected[j]);
   return true;
 }
 
@@ -351,7 +354,7 @@ void ControlLoop::Correct() {
   const bool fresh = (record_.flags & kTickFresh) != 0;
   const DisturbanceObserver::Joints corrected =
       fresh ? observer_.Correct(target, JointsOf(record_.position), dt)
-            : observer_.CorrectUnmeasured(target);
+            : observer_.CorrectUnmeasured(target, 1 / options_.rate_hz);
   if (fresh) observed_ns_ = record_.start_ns;
   for (int j = 0; j < kArmJoints; ++j) record_.corrected[j] = corrected[j];
   record_.flags |= kTickObserver;

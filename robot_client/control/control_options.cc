@@ -52,6 +52,10 @@ absl::Status CheckControlOptions(const ControlOptions& o) {
                    dob.max_correction, ", min_dt_s ", dob.min_dt_s, ", max_dt_s ", dob.max_dt_s,
                    "; all must be positive and max_dt_s at least min_dt_s");
   }
+  if (!(o.smoothing >= 0 && o.smoothing <= 0.99))
+    return invalid("smoothing is ", o.smoothing, ", must be 0..0.99");
+  if (const absl::Status response = dob.response.Check(kArmJoints); !response.ok())
+    return invalid("disturbance_observer.", response.message());
   const WatchdogOptions& w = o.watchdogs;
   if (!(w.arm_hold_s > 0 && w.arm_fault_s >= w.arm_hold_s))
     return invalid("watchdogs.arm_hold_s is ", w.arm_hold_s, " and arm_fault_s ", w.arm_fault_s,

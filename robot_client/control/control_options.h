@@ -16,6 +16,7 @@ struct ControlOptions {
   double retry_s = 0.2;         // after a failed prediction, until the next is asked for
   bool observer = false;        // disturbance observer
   DisturbanceObserverOptions disturbance_observer;
+  double smoothing = 0;         // share of the last sent joint targets in the next
   PlayerOptions player;
   LimiterOptions limits;
   WatchdogOptions watchdogs;
@@ -32,6 +33,7 @@ struct ControlOptions {
     v.Field("retry_s", retry_s, "after a failed prediction, until the next is asked for [s]");
     v.Field("observer", observer, "correct commands by the disturbance observer");
     v.Section("disturbance_observer", disturbance_observer, "the DOB baseline");
+    v.Late("smoothing", smoothing, 0.0, "share of the last sent joint targets in the next");
     v.Section("player", player, "how chunks are played");
     v.Section("limits", limits, "bounds on what is sent");
     v.Section("watchdogs", watchdogs, "when the arm is held");

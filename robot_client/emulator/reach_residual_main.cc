@@ -26,7 +26,7 @@ struct CommandLine {
   std::vector<double> payloads_kg = {0};
   double command_lag_ms = -1;
   double motion_s = 3;
-  bool motor_encoders = false;
+  bool motor_encoders = false, direct = false;
   int episodes = 25, motions = 8;
   std::string record;  // directory
 };
@@ -82,13 +82,15 @@ ArmCommand ToCommand(const JointVector& q) {
 class Bench {
  public:
   // Records every tick and sample to `directory`, if there is one.
-  static absl::StatusOr<std::unique_ptr<Bench>> Create(const EmulatorOptions& options,
+  static absl::StatusOr<std::unique_ptr<Bench>> Create(const EmulatorOptions& options, bool direct,
                                                        const std::string& directory) {
     auto bench = std::make_unique<Bench>();
     RS_ASSIGN_OR_RETURN(bench->emulator_,
                         PiperEmulator::Create(options, bench->bus_.Attach(), bench->time_));
     bench->time_.Add(bench->emulator_.get());
-    bench->arm_ = std::make_unique<PiperArm>(bench->bus_.Attach(), bench->time_);
+    PiperArmOptions arm;
+    if (direct) arm.follow = Follow::kDirect;
+    bench->arm_ = std::make_unique<PiperArm>(bench->bus_.Attach(), bench->time_, arm);
     RS_RETURN_IF_ERROR(bench->arm_->Connect());
     RS_RETURN_IF_ERROR(bench->arm_->Enable());
     if (!directory.empty()) {
@@ -173,7 +175,7 @@ absl::Status Run(const CommandLine& line) {
       options.motor_encoders = line.motor_encoders;
       options.command_lag_s = line.command_lag_ms < 0 ? -1 : line.command_lag_ms / 1000;
       double sum = 0, rms = 0, lowest = HUGE_VAL, highest = 0;
-      RS_ASSIGN_OR_RETURN(const auto bench, Bench::Create(options, line.record));
+      RS_ASSIGN_OR_RETURN(const auto bench, Bench::Create(options, line.direct, line.record));
       for (int episode = 0; episode < line.episodes; ++episode) {
         RS_ASSIGN_OR_RETURN(const Episode result, bench->Run(episode, line));
         sum += result.ratio();
@@ -215,6 +217,8 @@ int main(int argc, char** argv) {
       ->check(robostress::cli::Range(0.0, 1000.0));
   app.add_flag("--motor-encoders", line.motor_encoders,
                "Encoders before backlash and compliance (default: at the joints)");
+  app.add_flag("--direct", line.direct,
+               "Targets go to the joints' impedance controllers: no planner, no integral part");
   app.add_option("--motion-s", line.motion_s, "Duration of a reach")
       ->check(robostress::cli::Range(0.2, 20.0))
       ->capture_default_str();

@@ -23,6 +23,7 @@
 #include "common/program_folder.h"
 #include "common/records/arm_episode.h"
 #include "common/status_macros.h"
+#include "robot_client/study/client_method.h"
 #include "robot_client/study/table_expert.h"
 #include "robot_client/study/table_tasks.h"
 
@@ -116,12 +117,13 @@ absl::StatusOr<std::string> ClientYaml(const UnitConfig& unit, const TableSuite&
                                        const std::string& server, const std::string& bus,
                                        const std::string& views) {
   RS_ASSIGN_OR_RETURN(const ArmVector home, TableExpert::Home());
+  ControlOptions control;
+  UseMethod(*unit.method, Follow::kPlanned, control);
   return absl::StrCat("bus: \"", bus, "\"\ninstruction: \"", InstructionOf(suite, 0),
                       "\"\ncameras: [\"base=mapped:", views, ".base\", \"wrist=mapped:", views,
                       ".wrist\"]\ntask: ", suite.task, "\nepisodes: ", unit.episodes,
                       "\nepisode_s: 600\nhome: [", absl::StrJoin(home, ", "),
-                      "]\ncontrol:\n  observer: ", unit.method->observer ? "true" : "false",
-                      "\nfeedback:\n  moved_bound: ", unit.client.moved_bound,
+                      "]\ncontrol:", Section(control), "\nfeedback:\n  moved_bound: ", unit.client.moved_bound,
                       "\nrealtime:\n  priority: 0\n  lock_memory: false\npolicy:",
                       Section(SessionOf(unit, server)), "\n");
 }

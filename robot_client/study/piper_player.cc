@@ -8,6 +8,7 @@
 #include "common/status_macros.h"
 #include "robot_client/homing_endpoint.h"
 #include "robot_client/simulated_client.h"
+#include "robot_client/study/client_method.h"
 #include "robot_client/study/table_expert.h"
 
 namespace robostress::piper {
@@ -76,9 +77,10 @@ class PiperPlayer::Table {
     options.task = suite_.task;
     options.variant = variant_;
     options.image_size = policy_->spec().image_width;
+    if (unit_.client.direct) options.follow = Follow::kDirect;
     RS_ASSIGN_OR_RETURN(bench_, StudyBench::Create(options));
     SimulatedClientOptions client;
-    client.control.observer = unit_.method->observer;
+    UseMethod(*unit_.method, options.follow, client.control);
     client.control.guards = false;  // as the committed study was made
     client.control.limits.joint_jerk = std::numeric_limits<double>::infinity();
     client.link.feedback.moved_bound = unit_.client.moved_bound;

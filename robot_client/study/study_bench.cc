@@ -28,6 +28,7 @@ absl::StatusOr<std::unique_ptr<StudyBench>> StudyBench::Create(const StudyBenchO
   PiperArmOptions arm;
   arm.enable_listen_ns = 0;
   arm.enable_percent = 100;
+  arm.follow = options.follow;
   arm.still = std::numeric_limits<double>::infinity();
   bench->arm_ = std::make_unique<PiperArm>(bench->bus_.Attach(), bench->time_, arm);
   RS_RETURN_IF_ERROR(bench->arm_->Connect());

@@ -19,6 +19,7 @@ struct StudyBenchOptions {
   int task = 0;             // of kTableTasks
   int variant = 0;          // of kObjectVariants
   int image_size = 64;      // [px], square
+  Follow follow = Follow::kPlanned;
 };
 
 // An emulated Piper with a task in front of it, on an in-process bus in simulated time: what a

@@ -7,6 +7,7 @@
 #include "common/status_macros.h"
 #include "common/unit/unit_plan.h"
 #include "robot_client/emulator/wear_profile.h"
+#include "robot_client/study/client_method.h"
 #include "robot_client/study/table_tasks.h"
 
 namespace robostress::piper {
@@ -61,6 +62,10 @@ absl::StatusOr<UnitConfig> ResolvePiperUnit(const UnitConfig& unit) {
     return absl::InvalidArgumentError(absl::StrCat("client.moved_bound is ", client.moved_bound,
                                                    ", must be above 0 and at most 1"));
   }
+  if (client.direct && client.real_time) {
+    return absl::InvalidArgumentError(
+        "client.direct is true with client.real_time; it is played in simulated time only");
+  }
   if (client.latency_ticks < 0 || client.latency_ticks > 30) {
     return absl::InvalidArgumentError(
         absl::StrCat("client.latency_ticks is ", client.latency_ticks, ", must be 0 to 30"));
@@ -76,11 +81,7 @@ PolicyConnectionOptions SessionOf(const UnitConfig& unit, const std::string& ser
   session.robot = absl::StrCat("piper_", session.scenario);
   session.suite = "piper_table";
   session.seed = unit.seed;
-  session.method = unit.method;
-  if (unit.method->observer) {
-    session.method.Edit().observer = false;
-    session.method.Edit().method = unit.method->adapts() ? "ours" : "base";
-  }
+  session.method = ServersPart(*unit.method);
   return session;
 }
 

@@ -24,8 +24,8 @@ std::string InstructionOf(const TableSuite& suite, int variant);
 // as scenario, a served policy, no films. The error names field, value and what there is.
 absl::StatusOr<UnitConfig> ResolvePiperUnit(const UnitConfig& unit);
 
-// The session that plays the unit, asynchronous with the client's time limits. A disturbance
-// observer is the client's: the session is that of the method without it. All suites are one table
+// The session that plays the unit, asynchronous with the client's time limits. What
+// the client does of a method (client_method.h) is not the session's. All suites are one table
 // to the policy, so that a state has the same sampling noise in each.
 PolicyConnectionOptions SessionOf(const UnitConfig& unit, const std::string& server);
 

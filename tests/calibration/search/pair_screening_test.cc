@@ -5,6 +5,7 @@
 
 #include <filesystem>
 
+#include "calibration/search/surrogates.h"
 #include "tests/calibration/generator/generated_rig.h"
 #include "tests/calibration/search/rig_problem.h"
 
@@ -90,6 +91,35 @@ TEST(PairScreening, CouplesAJointToOneOther) {
   };
   EXPECT_EQ(count(1 - joint), 1u);
   EXPECT_EQ(count(joint), 0u);
+  std::filesystem::remove_all(folder);
+}
+
+// A log of an arm that touches something at every other row leaves such windows.
+TEST(Surrogates, OfAWindowOfOneRowAreDrawn) {
+  generator::RigOptions options;
+  options.family = generator::Family::kServo;
+  options.richness = generator::Richness::kBrief;
+  options.seed = 12;
+  const auto machine = generator::GenerateRig(options);
+  ASSERT_TRUE(machine.ok()) << machine.status();
+  const std::string folder = testing::TempDir() + "/one_row";
+  ASSERT_TRUE(WriteGeneratedRig(*machine, options, folder).ok());
+  const auto rig = LoadRig(folder + "/rig.yaml");
+  ASSERT_TRUE(rig.ok()) << rig.status();
+  const auto declared = rig->Declared(0);
+  ASSERT_TRUE(declared.ok()) << declared.status();
+  const JointProblem problem(rig->rig.joints[0].name, MakeTracks(*rig->plant, rig->logs, 0), 1);
+  WindowSet one(problem.windows().size(), 0);
+  one[one.size() / 2] = 1;
+  JointFit fit;
+  fit.best = *declared;
+  const Screening screening(problem, fit, rig->Scales(0), {}, one);
+  int drawn = 0;
+  ForSurrogates(problem, screening, one, 10, 1, [&](int, const Eigen::MatrixXd& surrogates) {
+    EXPECT_EQ(surrogates.rows(), 1);
+    drawn += static_cast<int>(surrogates.cols());
+  });
+  EXPECT_EQ(drawn, 10);
   std::filesystem::remove_all(folder);
 }
 
