@@ -59,13 +59,14 @@ absl::StatusOr<std::vector<Interval>> Driven(const CsvTable& ticks) {
   return intervals;
 }
 
-// What was sent, and when.
+// What was sent, and when; empty where the table does not say.
 struct Commands {
   std::vector<double> t;                    // [s]
   std::vector<std::vector<double>> target;  // [6][rows]
 
   static absl::StatusOr<Commands> Read(const CsvTable& ticks) {
     Commands commands;
+    if (!ticks.Column("sent_J1").ok()) return commands;
     RS_ASSIGN_OR_RETURN(commands.t, ticks.Numbers("t"));
     RS_ASSIGN_OR_RETURN(const std::vector<double> sent_us, ticks.Numbers("sent_us"));
     for (size_t i = 0; i < sent_us.size(); ++i) commands.t[i] += 1e-6 * sent_us[i];
@@ -123,6 +124,7 @@ RecordedEpisode Cut(const Samples& samples, const Commands& commands, size_t beg
     std::vector<double> tau = part(samples.tau[j]);
     for (size_t i = 0; i + 1 < tau.size(); ++i) tau[i] = 0.5 * (tau[i] + tau[i + 1]);
     episode.tau.push_back(std::move(tau));
+    if (commands.t.empty()) continue;
     std::vector<double>& command = episode.command.emplace_back();
     for (const double t : episode.t) command.push_back(commands.target[j][commands.At(t)]);
   }

@@ -299,7 +299,7 @@ TEST(MethodOptions, SaysWhatNeedsAnEndEffectorController) {
                         "piper acts in joint space"));
   EXPECT_THAT(refusal("ours_following"), HasSubstr("method ours_following: "));
   EXPECT_THAT(Message(MakeMethod("direct", {"every_step=true"})->CheckJointSpace("piper")),
-              HasSubstr("every_step is the simulated Panda's"));
+              HasSubstr("every_step is done beside the arm"));
 }
 
 }  // namespace

@@ -5,12 +5,16 @@
 #include <unistd.h>
 
 #include <cmath>
+#include <cstdio>
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/method_options.h"
 #include "calibration/data/client_recordings.h"
 #include "common/atomic_file.h"
+#include "common/config.h"
 #include "nlohmann/json.hpp"
+#include "robot_client/client_config.h"
 #include "robot_client/motion/excitation.h"
 #include "robot_client/recorder.h"
 #include "tests/robot_client/arm_world.h"
@@ -62,9 +66,10 @@ std::vector<piper::JointVector> Play(const std::string& profile, double seconds,
     if (recorder != nullptr) {
       TickRecord record;
       record.tick = tick;
-      record.start_ns = record.due_ns = world.time.now_ns();
+      record.start_ns = record.due_ns = record.sent_ns = world.time.now_ns();
       record.state = ClientState::kRun;
       record.episode = 0;
+      record.sent = piper::Command(Sway(t)).position;
       recorder->ring().Push(record);
       EXPECT_TRUE(recorder->Drain().ok());
     }
@@ -124,6 +129,48 @@ TEST_F(PiperCircleTest, FindsWhatWasHiddenAndBringsAnArmToTheRecording) {
   EXPECT_LT(left, 0.2 * apart) << output;
   RecordProperty("before_mrad", std::to_string(1e3 * apart));
   RecordProperty("after_mrad", std::to_string(1e3 * left));
+}
+
+// With `robostress identify --run` as a person runs it.
+TEST_F(PiperCircleTest, FindsHowAHealthyArmAnswersTargets) {
+  const auto measured = Play("new", 24, root + "/run");
+  const auto [output, code] = RunProgram(
+      IDENTIFY, absl::StrCat("--run ", root, "/run --surrogates 99 --out ", root, "/identified"));
+  ASSERT_EQ(code, 0) << output;
+  EXPECT_THAT(output, HasSubstr("J6  delay "));
+  const auto config = LoadConfig<ClientConfig>(root + "/identified/response.yaml");
+  ASSERT_TRUE(config.ok()) << config.status();
+  const DisturbanceObserverOptions& observer = config->control.disturbance_observer;
+  ASSERT_TRUE(CheckControlOptions(config->control).ok());
+  // Another motion, in open loop: where the arm is, and where the response says.
+  JointResponse response(observer.response);
+  const auto sway = [](double t) {
+    const piper::JointVector q = Sway(40 + t);
+    return JointResponse::Joints(Eigen::Map<const Eigen::Matrix<double, kJoints, 1>>(q.data()));
+  };
+  EXPECT_LT(measured.size(), 40 / kTick_s);
+  piper::EmulatorOptions options;
+  options.profile = "new";
+  EmulatedArm world(options);
+  ASSERT_TRUE(world.arm->Connect().ok() && world.arm->Enable().ok());
+  ASSERT_TRUE(world.Stream(piper::Command(Sway(40)), 3).ok());
+  response.Reset(sway(0));
+  double lag = 0, off = 0;
+  for (int tick = 0; tick < 300; ++tick) {
+    const JointResponse::Joints target = sway(tick * kTick_s);
+    piper::JointVector command;
+    for (int j = 0; j < kJoints; ++j) command[j] = target[j];
+    ASSERT_TRUE(world.Stream(piper::Command(command), kTick_s + 1e-6).ok());
+    response.Advance(target, kTick_s);
+    for (int j = 0; j < kJoints; ++j) {
+      const double q = world.emulator->plant().link_angles()[j];
+      lag += std::pow(q - target[j], 2);
+      off += std::pow(q - response.position()[j], 2);
+    }
+  }
+  EXPECT_LT(off, 0.04 * lag) << "a fifth of the lag at most";
+  std::printf("lag %.2f mrad, unexplained %.2f mrad\n", 1e3 * std::sqrt(lag / 1800),
+              1e3 * std::sqrt(off / 1800));
 }
 
 // What `robot_client excite` plays where it is given no motion, through the client's own loop.

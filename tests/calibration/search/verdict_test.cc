@@ -73,6 +73,14 @@ TEST(Verdict, NamesNoMechanismThatLeavesAThirtiethOfTheExcess) {
   EXPECT_EQ(VerdictOf(small), Verdict::kReducedNotAttributed);
 }
 
+TEST(Verdict, SaysThatNothingWasSearched) {
+  Evidence e = Explained();
+  e.effects = 0;
+  e.searched = false;
+  EXPECT_EQ(VerdictOf(e), Verdict::kUnattributed);
+  EXPECT_THAT(Judge(e).because, HasSubstr("nothing was searched"));
+}
+
 TEST(Verdict, ClaimsNothingOfLessThanHalfAsMuchAgainAsTheNoise) {
   Evidence e = Explained();
   e.effects = 0;

@@ -4,7 +4,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <deque>
 #include <filesystem>
 #include <functional>
 #include <set>
@@ -16,6 +19,7 @@
 #include "common/config.h"
 #include "common/safetensors.h"
 #include "common/suites.h"
+#include "robot_client/study/client_method.h"
 #include "robot_client/study/demonstration_recorder.h"
 #include "robot_client/study/live_player.h"
 #include "robot_client/study/piper_player.h"
@@ -295,6 +299,8 @@ TEST(PiperUnitConfig, RefusesWhatDoesNotFit) {
   EXPECT_THAT(refused([](UnitConfig& u) { u.client.moved_bound = 0; }), HasSubstr("moved_bound"));
   EXPECT_THAT(refused([](UnitConfig& u) { u.client.latency_ticks = 31; }),
               HasSubstr("latency_ticks"));
+  EXPECT_THAT(refused([](UnitConfig& u) { u.client.direct = u.client.real_time = true; }),
+              HasSubstr("client.direct is true with client.real_time"));
 }
 
 TEST(PiperUnitConfig, EverySuiteOfThePiperIsOnTheTable) {
@@ -316,6 +322,62 @@ TEST(PiperUnitConfig, TheObserverIsTheClientsAndTheSessionThatOfTheMethodWithout
   EXPECT_EQ(session.robot, "piper_new");
   unit.method = *MakeMethod("dob");
   EXPECT_EQ(DumpConfig(SessionOf(unit, "host:1").method), DumpConfig(*MakeMethod("base")));
+}
+
+TEST(PiperUnitConfig, TheClientFollowsAHealthyArmAndTheServerCorrectsNothing) {
+  UnitConfig unit = ShortUnit();
+  for (const char* name : {"ours_following_step", "ours_replanning", "smooth_fewer_rows"}) {
+    unit.method = *MakeMethod(name);
+    EXPECT_EQ(DumpConfig(SessionOf(unit, "host:1").method), DumpConfig(*MakeMethod("base"))) << name;
+  }
+  ControlOptions control;
+  UseMethod(*MakeMethod("ours_replanning"), Follow::kDirect, control);
+  EXPECT_TRUE(control.observer);
+  EXPECT_TRUE(control.disturbance_observer.response.on());
+  EXPECT_EQ(control.smoothing, 0.4);
+  EXPECT_EQ(control.player.execute_steps, 2);
+  EXPECT_TRUE(CheckControlOptions(control).ok());
+  control = ControlOptions();
+  UseMethod(*MakeMethod("dob"), Follow::kPlanned, control);
+  EXPECT_TRUE(control.observer);
+  EXPECT_FALSE(control.disturbance_observer.response.on()) << "the paper's";
+  control = ControlOptions();
+  UseMethod(*MakeMethod("fewer_rows"), Follow::kPlanned, control);
+  EXPECT_FALSE(control.observer);
+}
+
+// How far the joint is from rest at the end, over where a push left it: an arm that answers `gain`
+// times as strongly as the healthy one and is seen `late` ticks late.
+double WhatIsLeft(Follow follow, double gain, int late) {
+  const DisturbanceObserverOptions options = FollowingObserver(follow);
+  DisturbanceObserver observer(options);
+  JointResponse arm(options.response);
+  using Joints = DisturbanceObserver::Joints;
+  arm.Reset(Joints::Zero(6));
+  constexpr double kTick_s = 1.0 / 30, kPush = 0.001;
+  std::deque<Joints> seen(static_cast<size_t>(late) + 1, Joints::Zero(6));
+  double last = 0;
+  for (int tick = 0; tick < 3000; ++tick) {
+    arm.Advance(observer.Correct(Joints::Zero(6), seen.front(), kTick_s), kTick_s);
+    // The push goes after ten seconds, and leaves what the loop makes of it.
+    seen.push_back(gain * arm.position() + Joints::Constant(6, tick < 300 ? kPush : 0));
+    seen.pop_front();
+    if (tick >= 2700) last = std::max(last, seen.back().cwiseAbs().maxCoeff());
+  }
+  return last / kPush;
+}
+
+TEST(FollowingObserver, SettlesWithAMarginOfTwoInGainAndHalfASecondOfDelay) {
+  for (const Follow follow : {Follow::kPlanned, Follow::kDirect}) {
+    double gain = 1;
+    while (gain < 64 && WhatIsLeft(follow, gain * 1.05, 0) < 0.05) gain *= 1.05;
+    int late = 0;
+    while (late < 60 && WhatIsLeft(follow, 1, late + 1) < 0.05) ++late;
+    std::printf("%s: settles up to %.1f times the arm's gain, and %d ticks late\n",
+                follow == Follow::kDirect ? "direct" : "planned", gain, late);
+    EXPECT_GT(gain, 2);
+    EXPECT_GE(late, 3);
+  }
 }
 
 TEST(LivePlayer, LeavesTheObjectVariantsToSimulatedTime) {

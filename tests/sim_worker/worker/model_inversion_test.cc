@@ -87,25 +87,5 @@ TEST_F(ModelInversionTest, EpisodesDoNotDependOnThoseBefore) {
   EXPECT_EQ(Path("aged_joint_uniform", inversion.get(), *sim_), first);
 }
 
-TEST_F(ModelInversionTest, TheModelStandsWhereTheArmIs) {
-  const std::string scenario = "isolated_gravity";
-  const auto inversion = Inversion(*sim_, scenario, false);
-  Path(scenario, inversion.get(), *sim_);
-  // Somebody turns the base by a right angle: gravity pulls the tool another way.
-  Eigen::VectorXd q = PandaHome();
-  q[0] += M_PI / 2;
-  std::vector<double> qpos = HomeState(*sim_);
-  qpos[0] = q[0];
-  ASSERT_TRUE(sim_->Reset(qpos, q).ok());
-  for (int step = 0; step < 20; ++step) {
-    Eigen::MatrixXf rows(8, 7);
-    for (int i = 0; i < 8; ++i) rows.row(i) = Command(0.3, -0.3, 0.2);
-    const auto chosen = inversion->Command(rows, sim_->Measure());
-    ASSERT_TRUE(chosen.ok()) << chosen.status();
-    ASSERT_TRUE(sim_->Step(*chosen).ok());
-  }
-  EXPECT_GT(inversion->confidence(), 0.9);
-}
-
 }  // namespace
 }  // namespace robostress
