@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_replace.h"
+#include "adapter/disturbance_observer.h"
 #include "calibration/data/client_recordings.h"
 #include "calibration/data/rig.h"
 #include "common/atomic_file.h"
@@ -60,8 +61,9 @@ absl::StatusOr<ResponseIdentification> IdentifyResponse(const std::string& run,
       identified.file,
       absl::StrCat("# What `robostress identify --run ", run,
                    "` found; a part of the client's configuration.\n"
-                   "control:\n  observer: true\n  disturbance_observer:\n    response:\n      ",
-                   absl::StrReplaceAll(DumpConfig(identified.response), {{"\n", "\n      "}}),
+                   "control:\n  observer: true\n  disturbance_observer:\n    ",
+                   absl::StrReplaceAll(DumpConfig(ObserverAround(identified.response, true)),
+                                       {{"\n", "\n    "}}),
                    "\n")));
   return identified;
 }

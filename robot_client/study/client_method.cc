@@ -18,13 +18,7 @@ JointResponseOptions ResponseAsDelivered() {
 }  // namespace
 
 DisturbanceObserverOptions FollowingObserver(Follow follow) {
-  DisturbanceObserverOptions observer;
-  observer.response = ResponseAsDelivered();
-  observer.anti_windup = true;
-  const bool servo_integrates = follow != Follow::kDirect;
-  observer.bandwidth = servo_integrates ? 0.5 : 4;
-  observer.max_correction = servo_integrates ? 0.05 : 0.1;
-  return observer;
+  return ObserverAround(ResponseAsDelivered(), follow != Follow::kDirect);
 }
 
 void UseMethod(const MethodOptions& method, Follow follow, ControlOptions& control) {

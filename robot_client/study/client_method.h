@@ -11,9 +11,8 @@ namespace robostress::piper {
 // smoothing, rows per chunk.
 void UseMethod(const MethodOptions& method, Follow follow, ControlOptions& control);
 
-// The observer around the response of the emulated arm `new` as delivered, from which the policy's
-// demonstrations are. Where the arm's own servos integrate it has to be several times slower than
-// they are (0.3 s); impedance controllers do not, and leave it as fast as the delay lets it.
+// Around the response of the emulated arm `new` as delivered, from which the policy's demonstrations
+// are; only its planned mode has servos with an integral part.
 DisturbanceObserverOptions FollowingObserver(Follow follow);
 
 // What is left of it for the policy's server.

@@ -142,6 +142,8 @@ TEST_F(PiperCircleTest, FindsHowAHealthyArmAnswersTargets) {
   ASSERT_TRUE(config.ok()) << config.status();
   const DisturbanceObserverOptions& observer = config->control.disturbance_observer;
   ASSERT_TRUE(CheckControlOptions(config->control).ok());
+  EXPECT_TRUE(config->control.observer && observer.anti_windup);
+  EXPECT_EQ(observer.bandwidth, 0.5) << "slower than the arm's own servos";
   // Another motion, in open loop: where the arm is, and where the response says.
   JointResponse response(observer.response);
   const auto sway = [](double t) {
