@@ -68,6 +68,7 @@ absl::StatusOr<PredictedChunk> CompensatedPolicy::Corrected(
   if (!predicted.ok()) return predicted;
   CorrectCommands(*method_, policy_->spec(), correction_.Value(), *predicted);
   running_ = correction_;
+  corrected_.clear();
   return predicted;
 }
 
@@ -94,6 +95,7 @@ absl::StatusOr<Eigen::VectorXf> CompensatedPolicy::NextCommand(const PredictedCh
 }
 
 Eigen::VectorXf CompensatedPolicy::Smoothed(Eigen::VectorXf command) {
+  corrected_.push_back(command);
   SmoothCommand(method_->smoothing, issued_, command);
   issued_ = command;
   return command;
@@ -105,6 +107,10 @@ absl::Status CompensatedPolicy::SendFeedback(ExecutedChunk executed) {
   const uint64_t sequence = executed.sequence;
   CommandCorrection after = correction_;
   if (episode_ == KeyOf(executed).episode && sequence > learned_) after.Observe(measured.usable());
+  if (method_->target == TargetReference::kSent && method_->every_step) {
+    for (size_t i = 0; i < executed.steps.size() && i < corrected_.size(); ++i)
+      executed.steps[i].sent_command = corrected_[i];
+  }
   RS_RETURN_IF_ERROR(policy_->SendFeedback(executed));
   correction_ = std::move(after);
   learned_ = std::max(learned_, sequence);

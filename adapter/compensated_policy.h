@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -20,7 +21,8 @@ absl::Status CheckWithoutWeights(const SessionSetting& setting, const MethodOpti
 // Any policy with what a method does that needs no weights: gain, direct and integral correction,
 // model following, smoothing. Its commands are, bit by bit, those of a session of our own server
 // with that method around a policy that predicts the same; with every_step they follow the arm at
-// every control step. One thread.
+// every control step. A policy that learns what is sent (target: sent) is told the commands before
+// smoothing: a filter that is learned and applied again has no end. One thread.
 class CompensatedPolicy : public PolicyEndpoint {
  public:
   // `policy` outlives this and adapts nothing. Errors are those of CheckWithoutWeights.
@@ -54,6 +56,7 @@ class CompensatedPolicy : public PolicyEndpoint {
   CommandCorrection correction_;
   CommandCorrection running_;  // the same, with the steps of the chunk that is being executed
   std::optional<EpisodeKey> episode_;
+  std::vector<Eigen::VectorXf> corrected_;  // of the chunk's rows, before smoothing
   Eigen::VectorXf issued_;  // the command before, with every_step; empty: an episode begins
   uint64_t learned_ = 0;    // sequence of the last chunk that was taken
 };

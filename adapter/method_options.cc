@@ -50,10 +50,12 @@ absl::Status MethodOptions::Check() const {
     return Invalid(*this, "arm_model=", arm_model,
                    " chooses every command; set every_step=true, and turn other corrections off");
   }
-  if (every_step && ((!Corrects() && smoothing == 0 && arm_model.empty()) || adapts())) {
+  if (every_step && ((!Corrects() && smoothing == 0 && arm_model.empty()) ||
+                     (adapts() && target != TargetReference::kSent))) {
     return Invalid(*this,
                    "every_step needs a method that corrects or smooths commands and adapts no "
-                   "weights: direct, ours_integral, ours_following, smooth");
+                   "weights but towards what is sent: direct, ours_integral, ours_following, "
+                   "smooth, or target=sent");
   }
   if (smoothing != 0 && !every_step)
     return Invalid(*this, "smoothing is done at every control step; set every_step=true");

@@ -93,9 +93,11 @@ struct MethodOptions {
              {{"executed", TargetReference::kExecuted},
               {"intent", TargetReference::kIntent},
               {"nominal", TargetReference::kNominal},
-              {"nominal_intent", TargetReference::kNominalIntent}},
+              {"nominal_intent", TargetReference::kNominalIntent},
+              {"sent", TargetReference::kSent}},
              "what the residual is taken against: the executed command (paper), the unadapted "
-             "policy's, a nominal arm's response to the executed or to the unadapted one");
+             "policy's, a nominal arm's response to the executed or to the unadapted one; sent: "
+             "learn the command that was sent, corrections included");
     v.Choice("residual_scale", residual_scale,
              {{"command", ResidualScale::kCommand}, {"tracking", ResidualScale::kTracking}},
              "command: divide by the controller's scale (paper); tracking: also by tracking_gain");

@@ -68,6 +68,13 @@ constexpr Preset kPresets[] = {
        Smooth(m);
        m.execute_steps = kFewerRows;
      }},
+    {"ours_learning", "Ours, learning what was sent", "#7e22ce",
+     [](MethodOptions& m) {
+       Smooth(m);
+       m.execute_steps = kFewerRows;
+       m.Add(LoraOptions::At(kRate));
+       m.target = TargetReference::kSent;
+     }},
     {"ours_identified", "Ours, identified and inverted", "#0f766e",
      [](MethodOptions& m) {
        m.every_step = true;

@@ -30,7 +30,9 @@ void ModelFollowing::StartEpisode() {
 void ModelFollowing::Observe(const ExecutedChunk& chunk) {
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     const ExecutedStep& step = chunk.steps[i];
-    const Vector6 nominal = arm_.Step(step.policy_command.head<6>().cast<double>());
+    const Eigen::VectorXf& asked =
+        step.base_command.size() > 0 ? step.base_command : step.policy_command;
+    const Vector6 nominal = arm_.Step(asked.head<6>().cast<double>());
     shortfall_ *= 1 - 1 / options_.memory;
     if (chunk.IsMasked(i)) continue;
     shortfall_ +=

@@ -62,7 +62,8 @@ struct FollowingOptions {
 //   c   = a + clip(K KeptShare(|e|, e_min) e, c_max)       for the next chunk
 //
 // symbol  name                 shape  unit
-// a       policy command       [6]    normalised action, before any correction
+// a       policy command       [6]    normalised action, before any correction; for the nominal arm
+//                                     the unadapted policy's, where it is known
 // c       sent command         [6]    normalised action
 // e       shortfall            [3]    normalised action: how far the arm is behind
 // |e|                          -      over the axes that follow

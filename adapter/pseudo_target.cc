@@ -51,6 +51,19 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
   return residual;
 }
 
+Eigen::MatrixXf SentTarget(const ExecutedChunk& chunk, const Eigen::MatrixXf& base) {
+  const auto steps = static_cast<Eigen::Index>(chunk.steps.size());
+  RS_CHECK(chunk.first_step >= 0 && chunk.first_step + steps <= base.rows());
+  Eigen::MatrixXf target = base;
+  const Eigen::Index arm = base.cols() - 1;
+  for (Eigen::Index i = 0; i < steps; ++i) {
+    if (chunk.IsMasked(i)) continue;
+    target.row(chunk.first_step + i).head(arm) =
+        chunk.steps[i].sent_command.head(arm).transpose();
+  }
+  return target;
+}
+
 Eigen::MatrixXf PseudoTarget(const ExecutedChunk& chunk, const Eigen::MatrixXd& residual) {
   RS_CHECK(residual.rows() == static_cast<Eigen::Index>(chunk.steps.size()));
   Eigen::MatrixXf target(residual.rows(), residual.cols());

@@ -22,13 +22,17 @@
 //   nominal_intent  what a nominal arm would have done with the unadapted policy's commands: eta =
 //             dx - dx_nominal(a_base). Fixed point at dx = dx_nominal(a_base), which in Clean is
 //             the unadapted policy itself, lag included.
+//   sent      not Eq. 2 but feedback-error learning: on executed rows the command that was really
+//             sent, correction included (before smoothing), and the unadapted policy's own on the
+//             others. Fixed point where nothing is left to correct.
 namespace robostress {
 
-enum class TargetReference { kExecuted, kIntent, kNominal, kNominalIntent };
+enum class TargetReference { kExecuted, kIntent, kNominal, kNominalIntent, kSent };
 
-// Against the unadapted policy's commands.
+// Needs the unadapted policy's commands.
 inline bool NeedsBase(TargetReference reference) {
-  return reference == TargetReference::kIntent || reference == TargetReference::kNominalIntent;
+  return reference == TargetReference::kIntent || reference == TargetReference::kNominalIntent ||
+         reference == TargetReference::kSent;
 }
 // Against a nominal arm, which is an end-effector controller's.
 inline bool NeedsNominalArm(TargetReference reference) {
@@ -43,6 +47,10 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
                                                    TargetReference reference,
                                                    const ResidualOptions& options,
                                                    const Eigen::MatrixXf& base, NominalArm* arm);
+
+// The whole chunk for target sent [K, action_dim]: `base` with the executed rows that are not masked
+// as they were sent. Gripper entries are the unadapted policy's.
+Eigen::MatrixXf SentTarget(const ExecutedChunk& chunk, const Eigen::MatrixXf& base);
 
 // a_policy - eta, environment units [steps, action_dim]. The gripper entry is the policy's command.
 Eigen::MatrixXf PseudoTarget(const ExecutedChunk& chunk, const Eigen::MatrixXd& residual);

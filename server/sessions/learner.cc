@@ -60,6 +60,24 @@ absl::Status Learner::RequireAdapter(const char* purpose) const {
 
 // --------------------------------------------------------------------------------------- feedback
 
+absl::StatusOr<torch::Tensor> Learner::SentTargetOf(const ExecutedChunk& executed,
+                                                    const Prediction& prediction) const {
+  if (prediction.base.rows() != prediction.raw.size(0))
+    return absl::FailedPreconditionError(
+        absl::StrCat("target: sent needs the unadapted policy's chunk of ", prediction.raw.size(0),
+                     " rows and has ", prediction.base.rows()));
+  try {
+    torch::NoGradGuard no_grad;
+    torch::Tensor target = TargetChunk(
+        prediction.raw, 0,
+        policy_->ToModel(SentTarget(executed, prediction.base), prediction.state));
+    if (!torch::isfinite(target).all().item<bool>()) return prediction.raw;
+    return target;
+  } catch (const std::exception& error) {
+    return absl::InternalError(absl::StrCat("target of sent commands failed: ", error.what()));
+  }
+}
+
 absl::StatusOr<BufferedChunk> Learner::MakeTraining(const MeasuredChunk& measured,
                                                     const Prediction& prediction,
                                                     NominalArm& arm) const {
@@ -74,6 +92,10 @@ absl::StatusOr<BufferedChunk> Learner::MakeTraining(const MeasuredChunk& measure
   if (!lora_.use_residual) {  // eta = 0: the raw prediction itself, without a round trip
                               // through ToEnvironment
     chunk.target = prediction.raw;
+    return chunk;
+  }
+  if (spec_->method->target == TargetReference::kSent) {
+    RS_ASSIGN_OR_RETURN(chunk.target, SentTargetOf(executed, prediction));
     return chunk;
   }
   Eigen::MatrixXd other;  // against what is not the policy's own command

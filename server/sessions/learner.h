@@ -113,6 +113,9 @@ class Learner {
  private:
   Learner(const SessionSpec* spec, std::shared_ptr<const FlowPolicy> policy,
           std::shared_ptr<PrefixStore> prefixes, const GuardOptions& guard);
+  // [K, d] model space; the prediction itself where a value would not be finite.
+  absl::StatusOr<torch::Tensor> SentTargetOf(const ExecutedChunk& executed,
+                                             const Prediction& prediction) const;
   absl::StatusOr<BufferedChunk> MakeTraining(const MeasuredChunk& measured,
                                              const Prediction& prediction, NominalArm& arm) const;
   Update MakeUpdate(uint64_t sequence);

@@ -26,7 +26,7 @@ struct Prediction {
   torch::Tensor state;  // PolicyContext::state
   std::shared_ptr<const Observation> observation;
   std::shared_ptr<const PrefixStore::Prefix> prefix;  // of `observation`
-  Eigen::MatrixXf base;  // [K, action_dim] of the unadapted policy; target: intent only
+  Eigen::MatrixXf base;  // [K, action_dim] of the unadapted policy; where the target needs it
   // What its client was answered, for a report that says no more than what was measured. Null: of a
   // journal older than this field.
   std::shared_ptr<const PredictedChunk> answered;

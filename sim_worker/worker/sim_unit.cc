@@ -63,8 +63,10 @@ class Film {
 
 // What a server is asked for where the worker corrects.
 MethodOptions WithoutCorrection(MethodOptions method) {
-  method.method = "base";
+  method.method = method.adapts() ? "ours" : "base";
+  const auto lora = std::get<std::optional<LoraOptions>>(method.ways);
   method.ways = {};
+  std::get<std::optional<LoraOptions>>(method.ways) = lora;
   method.gain = 1;
   method.every_step = false;
   method.smoothing = 0;
@@ -227,6 +229,8 @@ class SimPlayer : public UnitPlayer {
         std::max(connection.first_answer_timeout, connection.answer_timeout);
     RS_ASSIGN_OR_RETURN(remote_, RemotePolicy::Connect(options_.server, unit_.remote, session,
                                                        unit_.method->noise_stream, connection));
+    if (unit_.method->adapts())
+      RS_RETURN_IF_ERROR(CheckWithoutWeights(session, *unit_.method));
     RS_ASSIGN_OR_RETURN(local_, BesideTheArm(remote_.get(), session));
     return remote_->spec().model_hash;
   }
@@ -237,6 +241,7 @@ class SimPlayer : public UnitPlayer {
     MethodOptions method = *unit_.method;
     const bool inverts = !method.arm_model.empty();
     method.arm_model.clear();
+    std::get<std::optional<LoraOptions>>(method.ways).reset();  // the server's
     if (inverts && method.smoothing == 0) method.every_step = false;
     RS_ASSIGN_OR_RETURN(std::unique_ptr<PolicyEndpoint> corrected,
                         CompensatedPolicy::Create(policy, setting, method));

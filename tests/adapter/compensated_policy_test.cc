@@ -33,13 +33,15 @@ class SameChunk : public PolicyEndpoint {
     running_rows = static_cast<int>(running.actions.rows());
     return Predict(observation, chunk);
   }
-  absl::Status SendFeedback(ExecutedChunk) override {
+  absl::Status SendFeedback(ExecutedChunk executed) override {
     ++reported;
+    told = std::move(executed);
     return absl::OkStatus();
   }
   absl::StatusOr<SessionStats> Stats() override { return SessionStats(); }
   int reported = 0, running_rows = 0;
   bool goes_on = false;
+  ExecutedChunk told;  // the last
 
  private:
   PolicySpec spec_;
@@ -85,6 +87,47 @@ TEST_F(CompensatedPolicyTest, AnArmThatFallsShortIsToldMore) {
   EXPECT_GT(told.actions(0, 0), 0.45f);
   EXPECT_EQ(told.policy_actions(0, 0), 0.4f) << "the policy's own is not touched";
   EXPECT_EQ(told.actions.col(6), told.policy_actions.col(6)) << "nor the gripper";
+}
+
+TEST_F(CompensatedPolicyTest, APolicyThatLearnsIsToldTheCommandsBeforeSmoothing) {
+  for (const bool learns : {false, true}) {
+    MethodOptions method = *MakeMethod("ours_following_smooth", {"integral_rate=0", "following_threshold=0"});
+    if (learns) method.target = TargetReference::kSent;
+    policy_ = *CompensatedPolicy::Create(&inner_, {}, method);
+    ASSERT_TRUE(policy_->StartEpisode({0, 0}).ok());
+    const PredictedChunk predicted = Predict(0);
+    ExecutedChunk so_far;
+    so_far.prediction_id = predicted.prediction_id;
+    std::vector<float> sent;
+    ToyArm arm(0.1);
+    for (int row = 0; row < 5; ++row) {
+      PredictedChunk due = predicted;
+      const auto command = policy_->NextCommand(predicted, so_far);
+      ASSERT_TRUE(command.ok()) << command.status();
+      due.actions.row(row) = command->transpose();
+      const ExecutedChunk step = arm.Execute(due, 1, row);
+      so_far.steps.push_back(step.steps[0]);
+      so_far.final_state = step.final_state;
+      sent.push_back((*command)[0]);
+    }
+    so_far.sequence = learns ? 2 : 1;
+    ASSERT_TRUE(policy_->SendFeedback(so_far).ok());
+    ASSERT_EQ(inner_.told.steps.size(), 5u);
+    EXPECT_NEAR(sent[0], 0.6f * 0.4f, 1e-6f);
+    for (int row = 0; row < 5; ++row) {
+      const float told = inner_.told.steps[row].sent_command[0];
+      if (learns) {
+        // c = s c_before + (1 - s) told
+        EXPECT_NEAR(sent[row], 0.4f * (row == 0 ? 0 : sent[row - 1]) + 0.6f * told, 1e-6f) << row;
+      } else {
+        EXPECT_EQ(told, sent[row]) << row;
+      }
+    }
+    if (learns) {
+      EXPECT_EQ(inner_.told.steps[0].sent_command[0], 0.4f);
+      EXPECT_GT(inner_.told.steps[4].sent_command[0], 0.41f) << "it falls short";
+    }
+  }
 }
 
 TEST_F(CompensatedPolicyTest, ANewEpisodeForgetsTheDirectCorrection) {

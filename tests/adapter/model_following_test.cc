@@ -28,6 +28,19 @@ ModelFollowing Make(const MethodOptions& method) {
   return ModelFollowing(*method.Find<FollowingOptions>(), ResidualOptionsOf(method), {});
 }
 
+TEST(ModelFollowing, FollowsTheUnadaptedPolicyWhereItIsKnown) {
+  ModelFollowing with = Make(Method()), without = Make(Method());
+  DisturbedArm arm(0.5, Vector6::Zero());
+  ExecutedChunk chunk = arm.Execute(0.5 * Vector6::Unit(0), Vector6::Zero());
+  without.Observe(chunk);
+  for (ExecutedStep& step : chunk.steps) {
+    step.base_command = step.policy_command;
+    step.policy_command *= 2;  // what an adapter made of it
+  }
+  with.Observe(chunk);
+  EXPECT_EQ(with.correction(), without.correction());
+}
+
 // The displacement of the tool over `chunks` chunks, normalised.
 Eigen::Vector3d Drive(ModelFollowing& following, DisturbedArm& arm, const Vector6& command,
                       int chunks) {

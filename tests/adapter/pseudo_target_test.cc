@@ -135,6 +135,25 @@ TEST(PseudoTarget, AgainstTheNominalArmsAnswerToTheUnadaptedCommandHasAFixedPoin
       absl::StatusCode::kFailedPrecondition);
 }
 
+TEST(PseudoTarget, OfSentCommandsIsTheUnadaptedChunkWithTheExecutedRowsAsTheyWereSent) {
+  PredictedChunk prediction = ConstantPrediction(Command(), 5);
+  prediction.policy_actions *= 1.5f;
+  prediction.actions *= 2.0f;
+  ExecutedChunk chunk = ToyArm(0.6).Execute(prediction, 3, 1);
+  chunk.masked = {false, true, false};
+  const Eigen::MatrixXf target = SentTarget(chunk, prediction.base_actions);
+  ASSERT_EQ(target.rows(), 5);
+  for (int i = 0; i < 5; ++i) {
+    const float factor = i == 1 || i == 3 ? 2.0f : 1.0f;  // row 2 is masked
+    EXPECT_EQ(target.row(i).head<6>(), factor * Command().head<6>().transpose()) << i;
+    EXPECT_EQ(target(i, 6), Command()[6]) << "the gripper is never corrected";
+  }
+  // Nothing to correct, nothing learned: the fixed point.
+  EXPECT_EQ(SentTarget(ToyArm(1).Execute(ConstantPrediction(Command(), 5), 5),
+                       prediction.base_actions),
+            prediction.base_actions);
+}
+
 TEST(PseudoTarget, TakesTheGripperFromThePolicyWhateverStandsInTheResidual) {
   const ExecutedChunk chunk = ToyArm(1).Execute(ConstantPrediction(Command(), 2), 2);
   const Eigen::MatrixXf target = PseudoTarget(chunk, Eigen::MatrixXd::Constant(2, 7, 0.25));

@@ -135,6 +135,26 @@ TEST(Session, CorrectsExecutedStepsOnlyAndTakesTheTargetThroughTheTrainingTransf
   }
 }
 
+TEST(Session, LearnsWhatWasSentOnExecutedStepsAndTheUnadaptedPolicyElsewhere) {
+  Rig rig;
+  Client client(rig.Open(Spec("ours", {kRate, "target=sent"})));
+  client.StartEpisode(0, 0);
+  const PredictedChunk prediction = client.Predict();
+  PredictedChunk corrected = prediction;
+  corrected.actions.leftCols(6).array() += 0.05f;  // beside the arm
+  client.Send(client.Execute(corrected, /*steps=*/3));
+  const AdaptationState state = StateOf(rig, client.session());
+  ASSERT_EQ(state.buffer.size(), 1u);
+  Eigen::MatrixXf expected = prediction.base_actions;
+  expected.topLeftCorner(3, 6).array() += 0.05f;
+  const torch::Tensor model = rig.policy->ToModel(expected, {});
+  EXPECT_LT((state.buffer[0]->target.narrow(1, 0, 6) - model.narrow(1, 0, 6))
+                .abs()
+                .max()
+                .item<float>(),
+            1e-5);
+}
+
 TEST(Session, NoResidualTrainsOnTheRawPredictionItself) {
   Rig rig;
   Client client(rig.Open(Spec("no_residual", {kRate})));

@@ -83,7 +83,8 @@ TEST(Session, ContinuesBitForBitFromAnExport) {
   using Case = std::pair<const char*, std::vector<std::string>>;
   for (const auto& [method, overrides] :
        {Case{"ours", {kRate}}, Case{"ours_intent", {kRate}}, Case{"ours_nominal", {kRate}},
-        Case{"ours_nominal", {kRate, "target=nominal_intent"}}}) {
+        Case{"ours_nominal", {kRate, "target=nominal_intent"}},
+        Case{"ours", {kRate, "target=sent"}}}) {
     const SessionSpec spec = Spec(method, overrides);
     Client client(rig.Open(spec));
     client.StartEpisode(0, 0);
