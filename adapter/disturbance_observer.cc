@@ -37,7 +37,8 @@ DisturbanceObserver::Joints DisturbanceObserver::Correct(const Joints& q_ref, co
   return CorrectUnmeasured(q_ref);
 }
 
-DisturbanceObserver::Joints DisturbanceObserver::CorrectUnmeasured(const Joints& q_ref, double dt_s) {
+DisturbanceObserver::Joints DisturbanceObserver::CorrectUnmeasured(const Joints& q_ref,
+                                                                   double dt_s) {
   if (z_.size() == 0) z_ = Joints::Zero(q_ref.size());
   if (dt_s > 0 && response_.position().size() == q_ref.size() && last_target_.size() > 0) {
     response_.Advance(last_target_, dt_s);

@@ -13,7 +13,8 @@ struct DisturbanceObserverOptions {
   double min_dt_s = 0.005;       // the elapsed control interval is clamped to this range [s]
   double max_dt_s = 0.2;
   bool anti_windup = false;  // true: the state z itself is clipped, not only what is subtracted
-  JointResponseOptions response;  // of a healthy arm; off: the paper's, whose servos are the identity
+  JointResponseOptions
+      response;  // of a healthy arm; off: the paper's, whose servos are the identity
 
   template <class V>
   void Visit(V& v) {
@@ -27,10 +28,10 @@ struct DisturbanceObserverOptions {
   }
 };
 
-// Around the response of a healthy arm. Where the arm's own servos have an integral part it has to be
-// several times slower than theirs (0.3 s on the emulated Piper): two that integrate the same offset
-// overshoot. Impedance controllers have none, and leave it as fast as the delay lets it. Chosen on
-// docs/results/arm-following.md's development states.
+// Around the response of a healthy arm. Where the arm's own servos have an integral part it has to
+// be several times slower than theirs (0.3 s on the emulated Piper): two that integrate the same
+// offset overshoot. Impedance controllers have none, and leave it as fast as the delay lets it.
+// Chosen on docs/results/arm-following.md's development states.
 inline DisturbanceObserverOptions ObserverAround(JointResponseOptions response,
                                                  bool servo_integrates) {
   DisturbanceObserverOptions options;
@@ -51,11 +52,11 @@ inline DisturbanceObserverOptions ObserverAround(JointResponseOptions response,
 // The paper clips what is subtracted and lets z go on (anti_windup = false): after a long block z
 // must run back first. With anti_windup z <- clip(z, -d_max, d_max) after every update.
 //
-// An arm lags, and a servo that is modelled as the identity counts its lag as disturbance: while the
-// arm moves, z = -lag, and the target is sent ahead of a policy that learned to lead the arm itself.
-// With `response` z is what the joint did beyond the motion that the sent targets make of a healthy
-// arm, q_DOB_previous -> q_nominal (internal model control). A healthy arm then leaves z at 0, and a
-// constant disturbance is taken off as before.
+// An arm lags, and a servo that is modelled as the identity counts its lag as disturbance: while
+// the arm moves, z = -lag, and the target is sent ahead of a policy that learned to lead the arm
+// itself. With `response` z is what the joint did beyond the motion that the sent targets make of a
+// healthy arm, q_DOB_previous -> q_nominal (internal model control). A healthy arm then leaves z at
+// 0, and a constant disturbance is taken off as before.
 //
 // Runs in the control loop: allocates nothing. One thread.
 class DisturbanceObserver {
@@ -68,8 +69,8 @@ class DisturbanceObserver {
 
   void Reset();  // start of an episode
   // The corrected target to send, given the policy's target, the measured joints and the time since
-  // the last measured call [s]. `q_ref` and `q` have the same size, at most kMaxJoints, equal in every call
-  // between resets.
+  // the last measured call [s]. `q_ref` and `q` have the same size, at most kMaxJoints, equal in
+  // every call between resets.
   Joints Correct(const Joints& q_ref, const Joints& q, double dt_s);
   // The same where no new measurement came, `dt_s` after the last call: the estimate of the last
   // update.

@@ -14,8 +14,8 @@ constexpr double kStep_s = 0.001;
 absl::Status CheckValues(const char* key, const std::vector<double>& values, int joints, double low,
                          double high) {
   if (values.size() != 1 && static_cast<int>(values.size()) != joints)
-    return absl::InvalidArgumentError(absl::StrCat("response.", key, " has ", values.size(),
-                                                   " values, must have 1 or ", joints));
+    return absl::InvalidArgumentError(
+        absl::StrCat("response.", key, " has ", values.size(), " values, must have 1 or ", joints));
   for (const double value : values)
     if (!(value >= low && value <= high))
       return absl::InvalidArgumentError(
@@ -32,8 +32,7 @@ absl::Status JointResponseOptions::Check(int joints) const {
         "response.delay_s is empty, so stiffness, damping and drag would change nothing; give it, "
         "0 where there is no delay");
   }
-  absl::Status status =
-      CheckValues("delay_s", delay_s, joints, 0, JointResponse::kMaxDelay_s);
+  absl::Status status = CheckValues("delay_s", delay_s, joints, 0, JointResponse::kMaxDelay_s);
   status.Update(CheckValues("stiffness", stiffness, joints, 1, 1e5));
   status.Update(CheckValues("damping", damping, joints, 0, 1e4));
   status.Update(CheckValues("drag", drag, joints, 0, 1e4));

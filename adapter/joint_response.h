@@ -38,8 +38,8 @@ struct JointResponseOptions {
 // q, v    joint      rad, rad/s
 //
 // Drag is what a planner does that brakes at a constant rate: in steady motion the joint is behind
-// by d v + (b v + c v^2) / k, and braking from v takes v^2 / 2a. Steps of at most 1 ms, semi-implicit
-// Euler, drag implicit. Identified by `robostress identify --run`.
+// by d v + (b v + c v^2) / k, and braking from v takes v^2 / 2a. Steps of at most 1 ms,
+// semi-implicit Euler, drag implicit. Identified by `robostress identify --run`.
 //
 // Runs in the control loop: allocates nothing. One thread.
 class JointResponse {

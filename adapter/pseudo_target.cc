@@ -58,8 +58,7 @@ Eigen::MatrixXf SentTarget(const ExecutedChunk& chunk, const Eigen::MatrixXf& ba
   const Eigen::Index arm = base.cols() - 1;
   for (Eigen::Index i = 0; i < steps; ++i) {
     if (chunk.IsMasked(i)) continue;
-    target.row(chunk.first_step + i).head(arm) =
-        chunk.steps[i].sent_command.head(arm).transpose();
+    target.row(chunk.first_step + i).head(arm) = chunk.steps[i].sent_command.head(arm).transpose();
   }
   return target;
 }

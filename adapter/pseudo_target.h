@@ -48,8 +48,8 @@ absl::StatusOr<Eigen::MatrixXd> ReferencedResidual(const ExecutedChunk& chunk,
                                                    const ResidualOptions& options,
                                                    const Eigen::MatrixXf& base, NominalArm* arm);
 
-// The whole chunk for target sent [K, action_dim]: `base` with the executed rows that are not masked
-// as they were sent. Gripper entries are the unadapted policy's.
+// The whole chunk for target sent [K, action_dim]: `base` with the executed rows that are not
+// masked as they were sent. Gripper entries are the unadapted policy's.
 Eigen::MatrixXf SentTarget(const ExecutedChunk& chunk, const Eigen::MatrixXf& base);
 
 // a_policy - eta, environment units [steps, action_dim]. The gripper entry is the policy's command.

@@ -50,9 +50,9 @@ int main(int argc, char** argv) {
       return absl::InvalidArgumentError(
           "give --scenarios for simulated arms, or --run for what robot_client recorded");
     if (!arm_run.empty()) {
-      RS_ASSIGN_OR_RETURN(const auto response,
-                          robostress::IdentifyResponse(arm_run, options.out, options.surrogates,
-                                                       options.seed));
+      RS_ASSIGN_OR_RETURN(
+          const auto response,
+          robostress::IdentifyResponse(arm_run, options.out, options.surrogates, options.seed));
       std::fputs(robostress::ResponseTable(response).c_str(), stdout);
       return absl::OkStatus();
     }

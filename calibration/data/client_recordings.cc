@@ -71,8 +71,7 @@ struct Commands {
     RS_ASSIGN_OR_RETURN(const std::vector<double> sent_us, ticks.Numbers("sent_us"));
     for (size_t i = 0; i < sent_us.size(); ++i) commands.t[i] += 1e-6 * sent_us[i];
     for (int j = 1; j <= kJoints; ++j) {
-      RS_ASSIGN_OR_RETURN(commands.target.emplace_back(),
-                          ticks.Numbers(absl::StrCat("sent_J", j)));
+      RS_ASSIGN_OR_RETURN(commands.target.emplace_back(), ticks.Numbers(absl::StrCat("sent_J", j)));
     }
     return commands;
   }
@@ -211,9 +210,9 @@ absl::StatusOr<JointResponseOptions> ResponseOf(const Rig& calibrated) {
   for (const RigJoint& joint : calibrated.joints) {
     const std::vector<DeclaredEffect>& effects = joint.effects;
     if (effects.size() != 2 || effects[0].type != kDelay || effects[1].type != kDrag)
-      return absl::InvalidArgumentError(absl::StrCat(
-          calibrated.file, ": joint ", joint.name, " has not the effects ", kDelay, " and ", kDrag,
-          "; calibrate what `robostress identify --run` wrote"));
+      return absl::InvalidArgumentError(
+          absl::StrCat(calibrated.file, ": joint ", joint.name, " has not the effects ", kDelay,
+                       " and ", kDrag, "; calibrate what `robostress identify --run` wrote"));
     const double delay_s = effects[0].parameters.at(kDelayTime);
     response.delay_s.push_back(std::clamp(delay_s, 0.0, JointResponse::kMaxDelay_s));
     response.stiffness.push_back(joint.servo.kp);

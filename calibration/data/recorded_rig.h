@@ -18,8 +18,9 @@ struct RecordedEpisode {
   std::vector<double> t;                   // [rows] s
   std::vector<std::vector<double>> q, dq;  // [joints][rows] rad, rad/s; dq may be empty
   std::vector<std::vector<double>> tau;    // [joints][rows] Nm, asked of the motors
-  std::vector<std::vector<double>> command;  // [joints][rows] rad, asked of the servos; may be empty
-  std::vector<double> contact_N;           // [rows] contact forces on the arm; empty: not measured
+  std::vector<std::vector<double>>
+      command;                    // [joints][rows] rad, asked of the servos; may be empty
+  std::vector<double> contact_N;  // [rows] contact forces on the arm; empty: not measured
 };
 
 // What is needed of a robot beside its episodes.

@@ -39,8 +39,9 @@ const std::vector<RobotInfo>& AllRobots() {
        .suites = {"piper_1_next_to_plate", "piper_2_on_cabinet", "piper_3_on_box",
                   "piper_4_open_drawer"},
        .arms = {{"new", "Robot A, new"}, {"used_one_year", "Robot B, used for a year"}},
-       // A server corrects joint targets by what it learned only (server/sessions/session_checks.cc);
-       // the rest is done by the client (robot_client/study/client_method.h).
+       // A server corrects joint targets by what it learned only
+       // (server/sessions/session_checks.cc); the rest is done by the client
+       // (robot_client/study/client_method.h).
        .methods = {"base", "ours", "null", "no_residual", "no_anchor", "dob", "dob_ours", "smooth",
                    "fewer_rows", "smooth_fewer_rows", "ours_following_step",
                    "ours_following_smooth", "ours_replanning"},

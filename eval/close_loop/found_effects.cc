@@ -54,10 +54,10 @@ absl::Status RunCalibration(const std::string& command, const std::string& rig_f
   std::fprintf(stderr, "%s: calibrating, progress in %s\n", command.c_str(), log.c_str());
   RS_ASSIGN_OR_RETURN(
       ChildProcess child,
-      ChildProcess::Start({program, "--rig", rig_file, "--out", out, "--surrogates",
-                           absl::StrCat(surrogates), "--seed", absl::StrCat(seed), "--max-effects",
-                           absl::StrCat(max_effects)},
-                          {{"OMP_NUM_THREADS", "1"}, {"OPENBLAS_NUM_THREADS", "1"}}, log));
+      ChildProcess::Start(
+          {program, "--rig", rig_file, "--out", out, "--surrogates", absl::StrCat(surrogates),
+           "--seed", absl::StrCat(seed), "--max-effects", absl::StrCat(max_effects)},
+          {{"OMP_NUM_THREADS", "1"}, {"OPENBLAS_NUM_THREADS", "1"}}, log));
   const ExitState exit = child.WaitForEnd();
   if (exit.code == 0) return absl::OkStatus();
   return absl::InternalError(

@@ -41,7 +41,8 @@ absl::StatusOr<ResponseIdentification> IdentifyResponse(const std::string& run,
                       calibration::EpisodesOfClientRun(run, rig.held_out_every));
   if (episodes.front().command.empty())
     return absl::InvalidArgumentError(
-        absl::StrCat(run, "/ticks.csv: has no columns sent_J1 ..., what was sent to the arm; give a "
+        absl::StrCat(run,
+                     "/ticks.csv: has no columns sent_J1 ..., what was sent to the arm; give a "
                      "run that robot_client recorded"));
   for (calibration::RecordedEpisode& episode : episodes) episode.dq.clear();
   ResponseIdentification identified;

@@ -290,8 +290,7 @@ bool ControlLoop::PlayRow(int64_t now_ns) {
   record_.blended = record_.corrected = step.blended;
   if (options_.observer) Correct();
   for (int j = 0; j < kArmJoints; ++j)
-    record_.corrected[j] +=
-        options_.smoothing * (limiter_.position()[j] - record_.corrected[j]);
+    record_.corrected[j] += options_.smoothing * (limiter_.position()[j] - record_.corrected[j]);
   return true;
 }
 

@@ -16,7 +16,7 @@ struct ControlOptions {
   double retry_s = 0.2;         // after a failed prediction, until the next is asked for
   bool observer = false;        // disturbance observer
   DisturbanceObserverOptions disturbance_observer;
-  double smoothing = 0;         // share of the last sent joint targets in the next
+  double smoothing = 0;  // share of the last sent joint targets in the next
   PlayerOptions player;
   LimiterOptions limits;
   WatchdogOptions watchdogs;

@@ -7,7 +7,8 @@ bool Follows(const MethodOptions& method) {
   return method.every_step && method.Find<FollowingOptions>() != nullptr;
 }
 
-// robostress identify --run RUN, RUN made by piper_residual --profile new --episodes 6 --record RUN.
+// robostress identify --run RUN, RUN made by piper_residual --profile new --episodes 6 --record
+// RUN.
 JointResponseOptions ResponseAsDelivered() {
   return {.delay_s = {0.0632, 0.0333, 0.0482, 0.0620, 0.0342, 0.0564},
           .stiffness = {991, 360, 523, 2450, 322, 960},

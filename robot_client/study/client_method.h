@@ -11,8 +11,8 @@ namespace robostress::piper {
 // smoothing, rows per chunk.
 void UseMethod(const MethodOptions& method, Follow follow, ControlOptions& control);
 
-// Around the response of the emulated arm `new` as delivered, from which the policy's demonstrations
-// are; only its planned mode has servos with an integral part.
+// Around the response of the emulated arm `new` as delivered, from which the policy's
+// demonstrations are; only its planned mode has servos with an integral part.
 DisturbanceObserverOptions FollowingObserver(Follow follow);
 
 // What is left of it for the policy's server.

@@ -119,13 +119,14 @@ absl::StatusOr<std::string> ClientYaml(const UnitConfig& unit, const TableSuite&
   RS_ASSIGN_OR_RETURN(const ArmVector home, TableExpert::Home());
   ControlOptions control;
   UseMethod(*unit.method, Follow::kPlanned, control);
-  return absl::StrCat("bus: \"", bus, "\"\ninstruction: \"", InstructionOf(suite, 0),
-                      "\"\ncameras: [\"base=mapped:", views, ".base\", \"wrist=mapped:", views,
-                      ".wrist\"]\ntask: ", suite.task, "\nepisodes: ", unit.episodes,
-                      "\nepisode_s: 600\nhome: [", absl::StrJoin(home, ", "),
-                      "]\ncontrol:", Section(control), "\nfeedback:\n  moved_bound: ", unit.client.moved_bound,
-                      "\nrealtime:\n  priority: 0\n  lock_memory: false\npolicy:",
-                      Section(SessionOf(unit, server)), "\n");
+  return absl::StrCat(
+      "bus: \"", bus, "\"\ninstruction: \"", InstructionOf(suite, 0),
+      "\"\ncameras: [\"base=mapped:", views, ".base\", \"wrist=mapped:", views,
+      ".wrist\"]\ntask: ", suite.task, "\nepisodes: ", unit.episodes, "\nepisode_s: 600\nhome: [",
+      absl::StrJoin(home, ", "), "]\ncontrol:", Section(control),
+      "\nfeedback:\n  moved_bound: ", unit.client.moved_bound,
+      "\nrealtime:\n  priority: 0\n  lock_memory: false\npolicy:", Section(SessionOf(unit, server)),
+      "\n");
 }
 
 // The client's own row of its newest episode.

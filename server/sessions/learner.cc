@@ -68,9 +68,9 @@ absl::StatusOr<torch::Tensor> Learner::SentTargetOf(const ExecutedChunk& execute
                      " rows and has ", prediction.base.rows()));
   try {
     torch::NoGradGuard no_grad;
-    torch::Tensor target = TargetChunk(
-        prediction.raw, 0,
-        policy_->ToModel(SentTarget(executed, prediction.base), prediction.state));
+    torch::Tensor target =
+        TargetChunk(prediction.raw, 0,
+                    policy_->ToModel(SentTarget(executed, prediction.base), prediction.state));
     if (!torch::isfinite(target).all().item<bool>()) return prediction.raw;
     return target;
   } catch (const std::exception& error) {

@@ -229,8 +229,7 @@ class SimPlayer : public UnitPlayer {
         std::max(connection.first_answer_timeout, connection.answer_timeout);
     RS_ASSIGN_OR_RETURN(remote_, RemotePolicy::Connect(options_.server, unit_.remote, session,
                                                        unit_.method->noise_stream, connection));
-    if (unit_.method->adapts())
-      RS_RETURN_IF_ERROR(CheckWithoutWeights(session, *unit_.method));
+    if (unit_.method->adapts()) RS_RETURN_IF_ERROR(CheckWithoutWeights(session, *unit_.method));
     RS_ASSIGN_OR_RETURN(local_, BesideTheArm(remote_.get(), session));
     return remote_->spec().model_hash;
   }

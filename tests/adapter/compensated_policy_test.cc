@@ -91,7 +91,8 @@ TEST_F(CompensatedPolicyTest, AnArmThatFallsShortIsToldMore) {
 
 TEST_F(CompensatedPolicyTest, APolicyThatLearnsIsToldTheCommandsBeforeSmoothing) {
   for (const bool learns : {false, true}) {
-    MethodOptions method = *MakeMethod("ours_following_smooth", {"integral_rate=0", "following_threshold=0"});
+    MethodOptions method =
+        *MakeMethod("ours_following_smooth", {"integral_rate=0", "following_threshold=0"});
     if (learns) method.target = TargetReference::kSent;
     policy_ = *CompensatedPolicy::Create(&inner_, {}, method);
     ASSERT_TRUE(policy_->StartEpisode({0, 0}).ok());

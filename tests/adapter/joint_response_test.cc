@@ -74,7 +74,9 @@ TEST(JointResponse, IsBehindByItsDelayDampingAndDrag) {
 }
 
 TEST(JointResponse, SaysWhatDoesNotHold) {
-  const auto error = [](const JointResponseOptions& o) { return std::string(o.Check(6).message()); };
+  const auto error = [](const JointResponseOptions& o) {
+    return std::string(o.Check(6).message());
+  };
   EXPECT_EQ(error({}), "");
   EXPECT_EQ(error(Servo()), "");
   JointResponseOptions o = Servo();

@@ -149,9 +149,9 @@ TEST(PseudoTarget, OfSentCommandsIsTheUnadaptedChunkWithTheExecutedRowsAsTheyWer
     EXPECT_EQ(target(i, 6), Command()[6]) << "the gripper is never corrected";
   }
   // Nothing to correct, nothing learned: the fixed point.
-  EXPECT_EQ(SentTarget(ToyArm(1).Execute(ConstantPrediction(Command(), 5), 5),
-                       prediction.base_actions),
-            prediction.base_actions);
+  EXPECT_EQ(
+      SentTarget(ToyArm(1).Execute(ConstantPrediction(Command(), 5), 5), prediction.base_actions),
+      prediction.base_actions);
 }
 
 TEST(PseudoTarget, TakesTheGripperFromThePolicyWhateverStandsInTheResidual) {

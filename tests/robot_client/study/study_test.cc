@@ -328,7 +328,8 @@ TEST(PiperUnitConfig, TheClientFollowsAHealthyArmAndTheServerCorrectsNothing) {
   UnitConfig unit = ShortUnit();
   for (const char* name : {"ours_following_step", "ours_replanning", "smooth_fewer_rows"}) {
     unit.method = *MakeMethod(name);
-    EXPECT_EQ(DumpConfig(SessionOf(unit, "host:1").method), DumpConfig(*MakeMethod("base"))) << name;
+    EXPECT_EQ(DumpConfig(SessionOf(unit, "host:1").method), DumpConfig(*MakeMethod("base")))
+        << name;
   }
   ControlOptions control;
   UseMethod(*MakeMethod("ours_replanning"), Follow::kDirect, control);

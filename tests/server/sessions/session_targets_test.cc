@@ -148,11 +148,9 @@ TEST(Session, LearnsWhatWasSentOnExecutedStepsAndTheUnadaptedPolicyElsewhere) {
   Eigen::MatrixXf expected = prediction.base_actions;
   expected.topLeftCorner(3, 6).array() += 0.05f;
   const torch::Tensor model = rig.policy->ToModel(expected, {});
-  EXPECT_LT((state.buffer[0]->target.narrow(1, 0, 6) - model.narrow(1, 0, 6))
-                .abs()
-                .max()
-                .item<float>(),
-            1e-5);
+  EXPECT_LT(
+      (state.buffer[0]->target.narrow(1, 0, 6) - model.narrow(1, 0, 6)).abs().max().item<float>(),
+      1e-5);
 }
 
 TEST(Session, NoResidualTrainsOnTheRawPredictionItself) {

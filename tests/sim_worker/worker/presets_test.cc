@@ -174,8 +174,7 @@ TEST_F(Presets, EqualWhatTheyAreOnTopOfBitForBitUntilTheirFirstUpdate) {
   for (const std::string& method : PandasMethods()) {
     if (!Of(method).method.adapts()) continue;
     if (method == "ours_learning") {
-      EXPECT_EQ(FirstDifference(method, "ours_replanning"),
-                32 * Of(method).method.execute_steps);
+      EXPECT_EQ(FirstDifference(method, "ours_replanning"), 32 * Of(method).method.execute_steps);
     } else {
       EXPECT_EQ(FirstDifference(method), 32 * kExecuted) << method;
     }
