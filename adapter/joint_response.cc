@@ -51,6 +51,7 @@ void JointResponse::Reset(const Joints& q) {
 
 void JointResponse::Advance(const Joints& target, double dt_s) {
   RS_CHECK(target.size() == q_.size());
+  if (!(dt_s > 0)) return;
   newest_ = (newest_ + 1) % kHistory;
   count_ = std::min(count_ + 1, kHistory);
   sent_[newest_].begin_s = now_s_;

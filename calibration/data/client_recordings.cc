@@ -17,8 +17,6 @@ namespace {
 constexpr char kTicks[] = "ticks.csv";
 constexpr char kSamples[] = "samples.csv";
 constexpr int kJoints = 6;
-constexpr char kDelay[] = "transport_delay", kDelayTime[] = "delay_s";
-constexpr char kDrag[] = "quadratic_viscous_friction", kDragSize[] = "c2";
 constexpr double kShortest_s = 1;  // of an episode
 constexpr double kGap = 4;         // periods between two samples at which another one begins
 
@@ -59,19 +57,30 @@ absl::StatusOr<std::vector<Interval>> Driven(const CsvTable& ticks) {
   return intervals;
 }
 
-// What was sent, and when; empty where the table does not say.
+// What was sent, and when; empty where the table does not say. Nothing is sent to an arm without
+// power: its rows have no targets.
 struct Commands {
   std::vector<double> t;                    // [s]
   std::vector<std::vector<double>> target;  // [6][rows]
 
   static absl::StatusOr<Commands> Read(const CsvTable& ticks) {
     Commands commands;
-    if (!ticks.Column("sent_J1").ok()) return commands;
-    RS_ASSIGN_OR_RETURN(commands.t, ticks.Numbers("t"));
-    RS_ASSIGN_OR_RETURN(const std::vector<double> sent_us, ticks.Numbers("sent_us"));
-    for (size_t i = 0; i < sent_us.size(); ++i) commands.t[i] += 1e-6 * sent_us[i];
+    if (!ticks.Has("sent_J1")) return commands;
+    RS_ASSIGN_OR_RETURN(const size_t time, ticks.Column("t"));
+    RS_ASSIGN_OR_RETURN(const size_t sent_us, ticks.Column("sent_us"));
+    std::vector<size_t> columns;
     for (int j = 1; j <= kJoints; ++j) {
-      RS_ASSIGN_OR_RETURN(commands.target.emplace_back(), ticks.Numbers(absl::StrCat("sent_J", j)));
+      RS_ASSIGN_OR_RETURN(columns.emplace_back(), ticks.Column(absl::StrCat("sent_J", j)));
+    }
+    commands.target.resize(kJoints);
+    for (size_t row = 0; row < ticks.rows(); ++row) {
+      if (ticks.Text(row, columns[0]).empty()) continue;
+      RS_ASSIGN_OR_RETURN(const double began, ticks.Number(row, time));
+      RS_ASSIGN_OR_RETURN(const double later_us, ticks.Number(row, sent_us));
+      commands.t.push_back(began + 1e-6 * later_us);
+      for (int j = 0; j < kJoints; ++j) {
+        RS_ASSIGN_OR_RETURN(commands.target[j].emplace_back(), ticks.Number(row, columns[j]));
+      }
     }
     return commands;
   }
@@ -199,28 +208,10 @@ RecordedArm PiperResponse(const std::string& rig_name) {
   arm.input = JointInput::kPositionTarget;
   arm.servo.kp = 400;
   arm.servo.kd = 20;
-  arm.effects = {{.type = kDelay, .parameters = {{kDelayTime, 0.05}}, .fit = {kDelayTime}},
-                 {.type = kDrag, .parameters = {{kDragSize, 20}}, .fit = {kDragSize}}};
+  arm.effects = {{.type = kResponseDelay, .parameters = {{"delay_s", 0.05}}, .fit = {"delay_s"}},
+                 {.type = kResponseDrag, .parameters = {{"c2", 20}}, .fit = {"c2"}}};
   arm.fit = {"servo.kp", "servo.kd"};
   return arm;
-}
-
-absl::StatusOr<JointResponseOptions> ResponseOf(const Rig& calibrated) {
-  JointResponseOptions response;
-  for (const RigJoint& joint : calibrated.joints) {
-    const std::vector<DeclaredEffect>& effects = joint.effects;
-    if (effects.size() != 2 || effects[0].type != kDelay || effects[1].type != kDrag)
-      return absl::InvalidArgumentError(
-          absl::StrCat(calibrated.file, ": joint ", joint.name, " has not the effects ", kDelay,
-                       " and ", kDrag, "; calibrate what `robostress identify --run` wrote"));
-    const double delay_s = effects[0].parameters.at(kDelayTime);
-    response.delay_s.push_back(std::clamp(delay_s, 0.0, JointResponse::kMaxDelay_s));
-    response.stiffness.push_back(joint.servo.kp);
-    response.damping.push_back(std::max(0.0, joint.servo.kd));
-    response.drag.push_back(std::max(0.0, effects[1].parameters.at(kDragSize)));
-  }
-  RS_RETURN_IF_ERROR(response.Check(static_cast<int>(calibrated.joints.size())));
-  return response;
 }
 
 RecordedArm PiperOfRecordings(const std::string& rig_name, double payload_kg) {

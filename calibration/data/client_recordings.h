@@ -4,7 +4,6 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "adapter/joint_response.h"
 #include "calibration/data/recorded_rig.h"
 
 namespace robostress::calibration {
@@ -22,10 +21,10 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
                                                                  int at_least);
 
 // How the Piper's joints answer targets (adapter/joint_response.h), as a rig: every joint is a unit
-// mass of its own with a servo, a delay and drag, all of them fitted.
+// mass of its own with a servo and these two effects, all of them fitted.
+inline constexpr char kResponseDelay[] = "transport_delay";
+inline constexpr char kResponseDrag[] = "quadratic_viscous_friction";
 RecordedArm PiperResponse(const std::string& rig_name);
-// Of the calibrated rig.
-absl::StatusOr<JointResponseOptions> ResponseOf(const Rig& calibrated);
 
 // The Piper of robot_client/emulator without a scene, the payload [kg] in its closed gripper.
 // Armatures are fitted: nobody has published a Piper's rotors.

@@ -21,10 +21,6 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
 
 RecordedArm PiperResponse(const std::string&) { return {}; }
 
-absl::StatusOr<JointResponseOptions> ResponseOf(const Rig&) {
-  return absl::UnimplementedError("this build has ROBOSTRESS_ROBOT_CLIENT=OFF");
-}
-
 RecordedArm PiperOfRecordings(const std::string&, double) { return {}; }
 
 }  // namespace robostress::calibration

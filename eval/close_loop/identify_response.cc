@@ -1,5 +1,6 @@
 #include "eval/close_loop/identify_response.h"
 
+#include <algorithm>
 #include <chrono>
 #include <filesystem>
 #include <vector>
@@ -23,6 +24,26 @@ namespace fs = std::filesystem;
 
 constexpr char kCommand[] = "identify";
 constexpr double kWindow_s = 0.5;  // several delays and settling times
+
+absl::StatusOr<JointResponseOptions> ResponseOf(const calibration::Rig& calibrated) {
+  JointResponseOptions response;
+  for (const calibration::RigJoint& joint : calibrated.joints) {
+    const std::vector<calibration::DeclaredEffect>& effects = joint.effects;
+    if (effects.size() != 2 || effects[0].type != calibration::kResponseDelay ||
+        effects[1].type != calibration::kResponseDrag)
+      return absl::InvalidArgumentError(
+          absl::StrCat(calibrated.file, ": joint ", joint.name, " has not the effects ",
+                       calibration::kResponseDelay, " and ", calibration::kResponseDrag,
+                       "; remove the folder and identify again"));
+    const double delay_s = effects[0].parameters.at("delay_s");
+    response.delay_s.push_back(std::clamp(delay_s, 0.0, JointResponse::kMaxDelay_s));
+    response.stiffness.push_back(joint.servo.kp);
+    response.damping.push_back(std::max(0.0, joint.servo.kd));
+    response.drag.push_back(std::max(0.0, effects[1].parameters.at("c2")));
+  }
+  RS_RETURN_IF_ERROR(response.Check(static_cast<int>(calibrated.joints.size())));
+  return response;
+}
 
 }  // namespace
 
@@ -56,7 +77,7 @@ absl::StatusOr<ResponseIdentification> IdentifyResponse(const std::string& run,
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   RS_ASSIGN_OR_RETURN(const calibration::Rig after,
                       calibration::ReadRig(place("calibration/rig_after.yaml")));
-  RS_ASSIGN_OR_RETURN(identified.response, calibration::ResponseOf(after));
+  RS_ASSIGN_OR_RETURN(identified.response, ResponseOf(after));
   identified.file = place("response.yaml");
   RS_RETURN_IF_ERROR(WriteFileAtomically(
       identified.file,

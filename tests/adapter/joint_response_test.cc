@@ -54,7 +54,7 @@ TEST(JointResponse, DependsOnWhenTargetsCameNotOnHowOftenItIsAsked) {
   for (int tick = 0; tick < 60; ++tick) {
     const Joints target = Joints::Constant(2, Target(tick * kTick_s));
     once.Advance(target, kTick_s);
-    for (const double share : {0.2, 0.3, 0.5}) often.Advance(target, share * kTick_s);
+    for (const double share : {0.2, 0.0, 0.3, -1.0, 0.5}) often.Advance(target, share * kTick_s);
     EXPECT_NEAR(once.position()[0], often.position()[0], 2e-4);
   }
 }

@@ -166,7 +166,7 @@ TEST_F(Presets, UpdateAtChunk32And40AndSoOnOrNever) {
     const json& row = Of(method).row;
     const int chunks = row["chunks"], due = chunks < 32 ? 0 : 1 + (chunks - 32) / 8;
     EXPECT_EQ(row["updates"], Of(method).method.adapts() ? due : 0) << method;
-    EXPECT_EQ(row["adapter_distance"] > 0, Of(method).method.adapts()) << method;
+    EXPECT_EQ(row["adapter_distance"] > 0, row["updates"] > 0) << method;
   }
 }
 
@@ -174,7 +174,8 @@ TEST_F(Presets, EqualWhatTheyAreOnTopOfBitForBitUntilTheirFirstUpdate) {
   for (const std::string& method : PandasMethods()) {
     if (!Of(method).method.adapts()) continue;
     if (method == "ours_learning") {
-      EXPECT_EQ(FirstDifference(method, "ours_replanning"), 32 * Of(method).method.execute_steps);
+      EXPECT_EQ(FirstDifference(method, "ours_replanning"),
+                std::min(32 * Of(method).method.execute_steps, Of(method).steps()));
     } else {
       EXPECT_EQ(FirstDifference(method), 32 * kExecuted) << method;
     }
@@ -184,7 +185,7 @@ TEST_F(Presets, EqualWhatTheyAreOnTopOfBitForBitUntilTheirFirstUpdate) {
 TEST_F(Presets, AStepOfAdamIsAboutTheLearningRateForEveryParameter) {
   for (const std::string& method : PandasMethods()) {
     const Episode& episode = Of(method);
-    if (!episode.method.adapts()) continue;
+    if (!episode.method.adapts() || episode.row["updates"] == 0) continue;
     const double steps = episode.row["updates"].get<double>() * std::sqrt(kParameters);
     const double rate = episode.row["adapter_distance"].get<double>() / steps;
     EXPECT_LT(rate, episode.method.Find<LoraOptions>()->learning_rate) << method;
