@@ -8,10 +8,12 @@
 #include "absl/status/status.h"
 #include "adapter/direct_subtraction.h"
 #include "adapter/integral_action.h"
+#include "adapter/leaky_goal.h"
 #include "adapter/lora_options.h"
 #include "adapter/model_following.h"
 #include "adapter/pseudo_target.h"
 #include "adapter/residual.h"
+#include "adapter/residual_calibrator.h"
 
 namespace robostress {
 
@@ -19,7 +21,8 @@ namespace robostress {
 // them: `ours_following` is integral action and model following at once.
 template <class... Options>
 using WaysOf = std::tuple<std::optional<Options>...>;
-using MethodWays = WaysOf<LoraOptions, DirectOptions, IntegralOptions, FollowingOptions>;
+using MethodWays = WaysOf<LoraOptions, DirectOptions, IntegralOptions, FollowingOptions,
+                          LeakyGoalOptions, CalibratorOptions>;
 
 enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozenState };
 

@@ -67,6 +67,9 @@ struct SensingOptions {
   }
 };
 
+// Stiffness of robosuite's OSC_POSE per unit of inertia, damping ratio 1 [1/s^2].
+inline constexpr double kControllerKp = 150;
+
 // The simulator's options.
 struct SimOptions {
   GoalReference goal_reference = GoalReference::kAchieved;
@@ -75,6 +78,7 @@ struct SimOptions {
   JointErrorOptions joint_errors;
   RobosuiteOptions robosuite;
   SensingOptions sensing;
+  double controller_kp = kControllerKp;
 
   bool SinglePrecisionRotation() const { return IsOn(robosuite.single_precision_rotation); }
   bool LateObservation() const { return IsOn(robosuite.late_observation); }
@@ -96,6 +100,8 @@ struct SimOptions {
     v.Section("joint_errors", joint_errors, "discretisation of the error laws");
     v.Section("robosuite", robosuite, "behaviours of the originals");
     v.LateSection("sensing", sensing, sensing.used(), "what the arm knows of its own motion");
+    v.Late("controller_kp", controller_kp, kControllerKp,
+           "stiffness of the operational-space controller, 1 to 2000, critically damped [1/s^2]");
   }
 
  private:

@@ -54,12 +54,13 @@ void OscController::SetGoal(const Eigen::Matrix<double, 6, 1>& command, const Ar
 }
 
 Vector7d OscController::Torque(const ArmState& arm, const Vector7d& bias) const {
-  static const double kd = 2 * std::sqrt(kKp), nullspace_kd = 2 * std::sqrt(kNullspaceKp);
+  static const double nullspace_kd = 2 * std::sqrt(kNullspaceKp);
+  const double kd = 2 * std::sqrt(kp_);
   const Eigen::Matrix<double, 6, 1> twist = arm.J * arm.dq;
   Eigen::Vector3d e_rotation = Eigen::Vector3d::Zero();
   for (int i = 0; i < 3; ++i) e_rotation += 0.5 * arm.R_tool.col(i).cross(R_goal_.col(i));
-  const Eigen::Vector3d force = kKp * (p_goal_ - arm.p_tool) - kd * twist.head<3>();
-  const Eigen::Vector3d torque = kKp * e_rotation - kd * twist.tail<3>();
+  const Eigen::Vector3d force = kp_ * (p_goal_ - arm.p_tool) - kd * twist.head<3>();
+  const Eigen::Vector3d torque = kp_ * e_rotation - kd * twist.tail<3>();
 
   // M^-1 through its Cholesky factor: J M^-1 J' = X' X with X = C^-1 J'.
   const Eigen::LLT<Matrix7d> cholesky(arm.M);

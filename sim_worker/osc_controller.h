@@ -18,13 +18,13 @@ class OscController {
  public:
   static constexpr double kPositionScale = 0.05;  // [m] per unit of command
   static constexpr double kRotationScale = 0.5;   // [rad] per unit of command
-  static constexpr double kKp = 150;              // [1/s^2]
   static constexpr double kNullspaceKp = 10;      // [1/s^2]
 
   // single_precision_rotation: a command's rotation becomes a matrix by robosuite's quat2mat, in
-  // single precision.
-  explicit OscController(GoalReference reference, bool single_precision_rotation = false)
-      : reference_(reference), single_precision_rotation_(single_precision_rotation) {}
+  // single precision. kp [1/s^2].
+  explicit OscController(GoalReference reference, bool single_precision_rotation = false,
+                         double kp = kControllerKp)
+      : reference_(reference), single_precision_rotation_(single_precision_rotation), kp_(kp) {}
 
   // Goal at the pose of `arm`; q0: null-space posture.
   void Reset(const ArmState& arm, const Vector7d& q0);
@@ -41,6 +41,7 @@ class OscController {
  private:
   GoalReference reference_;
   bool single_precision_rotation_;
+  double kp_;
   Eigen::Vector3d p_goal_ = Eigen::Vector3d::Zero();
   Eigen::Matrix3d R_goal_ = Eigen::Matrix3d::Identity();
   Vector7d q0_ = Vector7d::Zero();

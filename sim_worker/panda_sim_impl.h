@@ -29,7 +29,8 @@ using JointMoments = std::array<JointMoment, 7>;
 // The state of an episode beside mjData: everything that a continuation depends on.
 struct EpisodeState {
   EpisodeState(const SimOptions& options)
-      : controller(options.goal_reference, options.SinglePrecisionRotation()),
+      : controller(options.goal_reference, options.SinglePrecisionRotation(),
+                   options.controller_kp),
         chain(7, options.joint_errors) {}
 
   OscController controller;

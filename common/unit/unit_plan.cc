@@ -115,6 +115,10 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
   RS_RETURN_IF_ERROR(CheckRange("videos", unit.videos, 0, states, ""));
   RS_RETURN_IF_ERROR(CheckRange("sim.settle_steps", unit.sim.settle_steps, 0, 1000, ""));
   RS_RETURN_IF_ERROR(CheckRange("sim.sensing.delay", unit.sim.sensing.delay, 0, 100, ""));
+  if (!(unit.sim.controller_kp >= 1 && unit.sim.controller_kp <= 2000)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit: sim.controller_kp is ", unit.sim.controller_kp, ", must be 1 to 2000"));
+  }
   if (!(unit.sim.sensing.noise >= 0 && unit.sim.sensing.noise <= 0.1)) {
     return absl::InvalidArgumentError(
         absl::StrCat("unit: sim.sensing.noise is ", unit.sim.sensing.noise, ", must be 0 to 0.1"));

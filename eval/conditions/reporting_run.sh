@@ -1,18 +1,22 @@
 #!/usr/bin/env bash
 # The reporting run of docs/results/winning-back.md of one method: Clean, the seven scenarios and the four unseen
-# conditions, initial states 20-39. What is done is not repeated. The outcome of every episode: OUT/METHOD/*.jsonl.
-#   eval/conditions/reporting_run.sh METHOD OUT [OPTIONS OF SWEEP...]
+# conditions, initial states 20-39; with --first-seed Clean and the seven alone, states 20-26. What is done is not
+# repeated. The outcome of every episode: OUT/METHOD/*.jsonl. METHOD may be NAME:PRESET, a preset with options.
+#   eval/conditions/reporting_run.sh METHOD OUT [--first-seed] [OPTIONS OF SWEEP...]
 set -euo pipefail
 method=${1:?METHOD} out=${2:?OUT}
 shift 2
+row=${method%%:*} preset=${method#*:}
+first_seed=false
+if [[ ${1:-} == --first-seed ]]; then first_seed=true && shift; fi
 here=$(dirname "$0")
 suites=tabletop_spatial,tabletop_object,tabletop_goal,tabletop_long
 
 play() { # NAME SEED FIRST_STATE EPISODES OPTIONS...
-  local run=$out/$method/$1 seed=$2 first=$3 episodes=$4
+  local run=$out/$row/$1 seed=$2 first=$3 episodes=$4
   shift 4
   robostress sweep --no-report --quiet --suites "$suites" --tasks all --severities 5 --first-initial-state "$first" \
-    --episodes "$episodes" --methods "$method" --seeds "$seed" --out "$run" "$@"
+    --episodes "$episodes" --methods "$preset" --seeds "$seed" --out "$run" "$@"
   robostress store outcomes "$run" --out "$run.jsonl" >/dev/null
 }
 
@@ -24,6 +28,7 @@ in_three() { # NAME OPTIONS...: seed 0 for states 20-26, 1 for 27-33, 2 for 34-3
   play "$name-2" 2 34 6 "$@"
 }
 
+if $first_seed; then play seven-0 0 20 7 "$@" && exit; fi
 in_three seven "$@"
 in_three stick --scenarios aged_transmission --set sim.joint_errors.friction_law=stick "$@"
 in_three payload --scenarios heavy_payload --set sim.joint_errors.gravity_sign=payload "$@"

@@ -119,7 +119,8 @@ TEST(Methods, ADumpNamesEveryOptionInItsOldOrder) {
 // ------------------------------------------------------------------------ every entry of the table
 
 // "key=value" of an option that one way has.
-constexpr const char* kOptionOfAWay[] = {"rank=3", "integral_limit=0.3", "following_limit=0.3"};
+constexpr const char* kOptionOfAWay[] = {"rank=3", "integral_limit=0.3", "following_limit=0.3",
+                                         "goal_limit=0.3", "calibrator_ridge=2"};
 
 class EveryMethod : public testing::TestWithParam<std::string> {
  protected:

@@ -46,6 +46,16 @@ TEST(OscController, ForceIsInertiaTimesTheGainTimesTheWayToTheGoal) {
   }
 }
 
+TEST(OscController, AStifferOneIsDampedCriticallyToo) {
+  ArmState arm = Arm(2);
+  OscController controller(GoalReference::kAchieved, false, 600);
+  controller.Reset(arm, arm.q);
+  controller.SetGoal(Command(0.5, 0), arm);
+  arm.dq[0] = 0.3;
+  EXPECT_NEAR(controller.Torque(arm, Vector7d::Zero())[0],
+              2 * (600 * 0.05 * 0.5 - 2 * std::sqrt(600.0) * 0.3), 1e-9);
+}
+
 TEST(OscController, DampsCritically) {
   ArmState arm = Arm(2);
   OscController controller(GoalReference::kAchieved);

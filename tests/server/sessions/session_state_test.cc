@@ -345,7 +345,7 @@ TEST_F(StateOnDisk, AJournalWhoseImportBreaksTheRulesIsSetAsideAndTheServerGoesO
 
 TEST_F(StateOnDisk, ASnapshotThatBreaksTheRulesIsSetAsideWithWhatIsWrong) {
   struct Case {
-    std::string method;
+    std::string method;  // or an option of base
     std::function<void(v1::StateRecord&)> change;
     std::string message;
   };
@@ -432,12 +432,17 @@ TEST_F(StateOnDisk, ASnapshotThatBreaksTheRulesIsSetAsideWithWhatIsWrong) {
       {"ours_integral", adaptation([](auto& a) { a.set_integral_action(0, 1e30); }), "cannot have"},
       {"ours_following", adaptation([](auto& a) { a.set_model_following(0, 1e308); }),
        "cannot have"},
-      {"ours_following", adaptation([](auto& a) { a.add_model_following(0); }), "cannot have"}};
+      {"ours_following", adaptation([](auto& a) { a.add_model_following(0); }), "cannot have"},
+      {"goal_memory=0.5", adaptation([](auto& a) { a.set_leaky_goal(0, 1e30); }), "cannot have"},
+      {"calibrator_memory=100", adaptation([](auto& a) { a.set_residual_calibrator(0, -1); }),
+       "cannot have"}};
   for (size_t i = 0; i < cases.size(); ++i) {
     const Case& c = cases[i];
     std::vector<std::string> overrides;
     if (c.method == "ours" || c.method == "ours_intent") overrides = kOften;
-    const OpenedSession opened = Open(Spec(c.method, overrides));
+    const bool is_option = absl::StrContains(c.method, '=');
+    if (is_option) overrides = {c.method};
+    const OpenedSession opened = Open(Spec(is_option ? "base" : c.method, overrides));
     Client client(opened.session);
     client.StartEpisode(0, 0);
     client.RunChunks(12);

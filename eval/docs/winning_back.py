@@ -1,0 +1,120 @@
+#!/usr/bin/env python3
+"""The tables of docs/results/winning-back.md from kept outcomes: eval/docs/winning_back.py [METHOD...]
+
+Reads winning-back/METHOD/*.jsonl beside this file, as eval/conditions/reporting_run.sh writes them. Clusters are the
+40 tasks; scenarios and seeds lie within them. Pairs: equal condition, task, initial state and seed.
+"""
+
+import json
+import pathlib
+import random
+import sys
+from collections import defaultdict
+
+FOLDER = pathlib.Path(__file__).parent / "winning-back"
+DRAWS = 20000
+SEVEN = ["heavy_payload", "thermal_drift_stribeck", "thermal_drift_backlash", "aged_transmission",
+         "aged_joint_uniform", "aged_joint_shoulder", "aged_joint_elbow"]
+UNSEEN = ["stick", "payload", "velocity", "wear"]
+
+
+def outcomes(method, folder=FOLDER):
+    """{condition: {(suite, task): {(seed, state, file): 0 or 1}}}; condition: a scenario, or of UNSEEN."""
+    table = defaultdict(lambda: defaultdict(dict))
+    for file in sorted((folder / method).glob("*.jsonl")):
+        part = file.stem.split("-")[0]
+        for line in file.read_text().splitlines():
+            unit = json.loads(line)
+            condition = unit["scenario"] if part == "seven" else part
+            for task, row in zip(unit["tasks"], unit["outcomes"]):
+                for i, outcome in enumerate(row):
+                    key = unit["seed"], unit["first_initial_state"] + i, pathlib.Path(unit["scenario"]).name
+                    table[condition][unit["suite"], task][key] = int(outcome)
+    return table
+
+
+def rate(table, condition):
+    values = [v for task in table[condition].values() for v in task.values()]
+    return 100 * sum(values) / len(values), len(values)
+
+
+def differences(mine, other, conditions):
+    """{task: sum of differences over the pairs of all conditions}, and the number of pairs. Every condition has
+    equally many pairs, so that their sum weighs each the same."""
+    sums, counts = defaultdict(int), defaultdict(int)
+    for condition in conditions:
+        for task, pairs in mine[condition].items():
+            for key in pairs.keys() & other[condition][task].keys():
+                sums[task] += pairs[key] - other[condition][task][key]
+                counts[condition] += 1
+    if len(set(counts.values())) > 1:
+        raise SystemExit(f"conditions have different numbers of pairs: {dict(counts)}")
+    return sums, sum(counts.values())
+
+
+def interval(sums, pairs):
+    """Estimate [points] and the 95 % percentile interval of whole tasks drawn with replacement."""
+    values = list(sums.values())
+    stream = random.Random(1)
+    drawn = sorted(sum(stream.choices(values, k=len(values))) for _ in range(DRAWS))
+    return [100 * x / pairs for x in (sum(values), drawn[DRAWS // 40], drawn[-DRAWS // 40 - 1])]
+
+
+def sign_flip_p(sums):
+    """Exact: the signs of all differences of a task flipped together."""
+    sizes = [abs(v) for v in sums.values()]
+    ways = {0: 1}
+    for size in sizes:
+        after = defaultdict(int)
+        for total, count in ways.items():
+            after[total + size] += count
+            after[total - size] += count
+        ways = after
+    seen = abs(sum(sums.values()))
+    return sum(count for total, count in ways.items() if abs(total) >= seen) / 2 ** len(sizes)
+
+
+def holm(p_values):
+    corrected, largest = [0.0] * len(p_values), 0.0
+    for rank, i in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[i]))
+        corrected[i] = largest
+    return corrected
+
+
+def cell(mine, other, conditions, p=True):
+    sums, pairs = differences(mine, other, conditions)
+    text = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*interval(sums, pairs))
+    return f"{text} p {sign_flip_p(sums):.2g}" if p else text
+
+
+def per_condition(mine, other, conditions):
+    """Cells with Holm's correction over the conditions."""
+    p_values = [sign_flip_p(differences(mine, other, [c])[0]) for c in conditions]
+    return {c: f"{cell(mine, other, [c], False)} p {p:.2g}" for c, p in zip(conditions, holm(p_values))}
+
+
+def main():
+    methods = sys.argv[1:] or sorted(d.name for d in FOLDER.iterdir() if d.is_dir())
+    tables = {method: outcomes(method) for method in methods}
+    for family, conditions in (("the seven", SEVEN), ("unseen", UNSEEN)):
+        have = [m for m in methods if all(c in tables[m] for c in conditions)]
+        shown = (["clean"] if family == "the seven" else []) + conditions
+        print(f"\n{family}: success [%]\nmethod", *shown, "mean", "n a cell", sep=" | ")
+        for m in have:
+            rates = [rate(tables[m], c) for c in shown]
+            mean = sum(r for (r, _), c in zip(rates, shown) if c != "clean") / len(conditions)
+            print(m, *(f"{r:.1f}" for r, _ in rates), f"{mean:.1f}", rates[0][1], sep=" | ")
+        for reference in have:
+            print(f"\n{family}: against {reference} on the same episodes [points, 95 %, p]; each with Holm's over them")
+            for m in have:
+                if m == reference:
+                    continue
+                alone = per_condition(tables[m], tables[reference], conditions)
+                clean = [f"clean {cell(tables[m], tables[reference], ['clean'])}"] if family == "the seven" else []
+                print(f"{m}: mean {cell(tables[m], tables[reference], conditions)}", *clean,
+                      *(f"{c} {text}" for c, text in alone.items()), sep="\n  ")
+
+
+if __name__ == "__main__":
+    main()
