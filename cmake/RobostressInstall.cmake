@@ -7,7 +7,7 @@ include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 
 set(ROBOSTRESS_COMPONENTS evaluation worker robot-client calibration server dev)
-set(programs_evaluation robostress robostress-sweep robostress-report robostress-compare robostress-store robostress-residual robostress-paper
+set(programs_evaluation robostress robostress-sweep robostress-report robostress-export robostress-compare robostress-store robostress-residual robostress-paper
   robostress-error-models robostress-grid-job robostress-scenarios robostress-piper-study)
 set(programs_worker robostress-worker robostress-environment robostress-suites robostress-record robostress-replay robostress-piper-worker
   piper_emulator piper_residual)

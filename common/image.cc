@@ -108,6 +108,26 @@ absl::StatusOr<std::string> EncodePng(const Image& image) {
   return bytes;
 }
 
+absl::StatusOr<Image> DecodePng(const std::string& bytes) {
+  constexpr uint32_t kMostSide = 4096;
+  png_image png{};
+  png.version = PNG_IMAGE_VERSION;
+  const auto failed = [&png](const char* what) {
+    const std::string why = png.message;
+    png_image_free(&png);
+    return absl::InvalidArgumentError(absl::StrCat("PNG: ", why.empty() ? what : why));
+  };
+  if (!png_image_begin_read_from_memory(&png, bytes.data(), bytes.size())) return failed("damaged");
+  if (png.width > kMostSide || png.height > kMostSide) return failed("larger than 4096 pixels");
+  png.format = PNG_FORMAT_RGB;
+  Image image{static_cast<int>(png.width), static_cast<int>(png.height), {}};
+  image.data.resize(PNG_IMAGE_SIZE(png));
+  constexpr png_color kBlack = {0, 0, 0};
+  if (!png_image_finish_read(&png, &kBlack, image.data.data(), 0, nullptr))
+    return failed("damaged");
+  return image;
+}
+
 absl::StatusOr<std::string> EncodeAnimatedWebp(const std::vector<Image>& frames, double frame_s,
                                                float quality) {
   if (frames.empty()) return absl::InvalidArgumentError("a video needs at least one frame");

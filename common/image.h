@@ -13,6 +13,8 @@ namespace robostress {
 Image ResizeArea(const Image& image, int width, int height);
 Image HStack(const std::vector<Image>& images, int gap_px);
 absl::StatusOr<std::string> EncodePng(const Image& image);
+// RGB, without alpha. INVALID_ARGUMENT: no PNG, damaged, or of more than 4096 pixels a side.
+absl::StatusOr<Image> DecodePng(const std::string& bytes);
 // Animated lossy WebP, endless loop; frames of one size.
 absl::StatusOr<std::string> EncodeAnimatedWebp(const std::vector<Image>& frames, double frame_s,
                                                float quality);

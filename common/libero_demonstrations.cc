@@ -76,6 +76,20 @@ absl::StatusOr<std::string> InstructionOf(const std::string& path, const std::st
 
 }  // namespace
 
+void LiberoColumns::Add(const SimulatorRow& row) {
+  const auto append = [](std::vector<double>& column, const auto& values) {
+    column.insert(column.end(), values.begin(), values.end());
+  };
+  append(states, row.state);
+  append(robot_states, row.fingers);
+  append(robot_states, row.ee_pos);
+  append(robot_states, row.ee_quat);
+  append(ee_pos, row.ee_pos);
+  append(ee_ori, row.ee_ori);
+  append(gripper_states, row.fingers);
+  append(joint_states, row.joints);
+}
+
 absl::StatusOr<LiberoDemonstrationWriter> LiberoDemonstrationWriter::Create(const std::string& path,
                                                                             const Task& task) {
   RS_ASSIGN_OR_RETURN(Hdf5File file, Hdf5File::Create(path));
@@ -118,6 +132,9 @@ absl::Status LiberoDemonstrationWriter::Add(const LiberoDemonstration& demonstra
     return file_.WriteDoubles(name, {steps, width}, values);
   };
   RS_RETURN_IF_ERROR(add(group + "/actions", columns.actions));
+  if (!columns.sent.empty()) RS_RETURN_IF_ERROR(add(group + "/actions_sent", columns.sent));
+  if (!columns.measured.empty())
+    RS_RETURN_IF_ERROR(add(group + "/actions_measured", columns.measured));
   RS_RETURN_IF_ERROR(add(group + "/states", columns.states));
   RS_RETURN_IF_ERROR(add(group + "/robot_states", columns.robot_states));
   RS_RETURN_IF_ERROR(add(obs + "/ee_pos", columns.ee_pos));
@@ -137,8 +154,9 @@ absl::Status LiberoDemonstrationWriter::Add(const LiberoDemonstration& demonstra
   RS_RETURN_IF_ERROR(WriteViews(file_, obs + "/eye_in_hand_rgb", demonstration.eye_in_hand));
   std::vector<uint8_t> last(steps, 0);
   last.back() = 1;
-  RS_RETURN_IF_ERROR(file_.WriteBytes(group + "/rewards", {steps}, last));
   RS_RETURN_IF_ERROR(file_.WriteBytes(group + "/dones", {steps}, last));
+  last.back() = demonstration.success ? 1 : 0;
+  RS_RETURN_IF_ERROR(file_.WriteBytes(group + "/rewards", {steps}, last));
   RS_RETURN_IF_ERROR(file_.SetAttribute(group, "num_samples", steps));
   RS_RETURN_IF_ERROR(file_.SetAttribute(group, "model_file", demonstration.model_file));
   RS_RETURN_IF_ERROR(file_.SetAttribute(

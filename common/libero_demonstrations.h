@@ -8,6 +8,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "common/hdf5_file.h"
+#include "common/records/episode_recording.h"
 #include "common/types.h"
 
 namespace robostress {
@@ -17,13 +18,15 @@ namespace robostress {
 //                    bddl_file_name, macros_image_convention, num_demos, total
 //   /data/demo_<i>   attributes num_samples, model_file (MJCF), init_state
 //     actions [T,7], states [T,n] (time, qpos, qvel), robot_states [T,9] (fingers, position,
-//     quaternion x y z w), rewards [T], dones [T] (both 1 in the last row only)
+//     quaternion x y z w), rewards [T], dones [T] (1 in the last row
+//     only; without success no reward is)
 //     obs/  agentview_rgb, eye_in_hand_rgb  uint8 [T,H,W,3], the bottom row first as OpenGL draws
 //           ee_pos [T,3] (world [m]), ee_ori [T,3] (axis-angle [rad]), ee_states [T,6] (both),
 //           gripper_states [T,2] (fingers [m]), joint_states [T,7] [rad]
 // Added by this project where a demonstration has them, ignored by LIBERO's readers:
 //     obs/proprioception [T,8]  what the policy is given, where that is not ee_pos, ee_ori, fingers
 //     obs/aux            [T,8]  targets of nano's auxiliary head
+//     actions_sent, actions_measured [T,7]  what was sent for `actions`, and what the arm did
 // env_args, env_kwargs, controller_configs, control_delta says, as robosuite has it, whether
 // actions are displacements (true, or nothing said: LIBERO's) or absolute targets (false). In
 // LIBERO's own files row t of obs was taken after action t; here it is before, as a policy sees it.
@@ -35,12 +38,17 @@ struct LiberoColumns {
   std::vector<double> actions, ee_pos, ee_ori, gripper_states, joint_states;
   std::vector<double> states, robot_states;  // not read back
   std::vector<double> proprioception, aux;   // empty where absent
+  std::vector<double> sent, measured;        // the same, and not read back
+
+  // The simulator's part of a step.
+  void Add(const SimulatorRow& row);
 };
 
 struct LiberoDemonstration {
   LiberoColumns columns;
   std::vector<Image> agentview, eye_in_hand;  // T each, one size
   std::string model_file;
+  bool success = true;
 };
 
 // Writes a file demonstration by demonstration.

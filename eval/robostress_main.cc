@@ -53,6 +53,7 @@ constexpr Command kCommands[] = {
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"piper-worker", "Run one unit of a sweep of robot piper; record its demonstrations",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_ROBOT_CLIENT"},
+    {"export", "Write a run's recorded episodes as data sets for training"},
     {"record", "Record demonstrations of the scripted experts",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"train", "Train the embedded policy from demonstrations", "ROBOSTRESS_TORCH"},

@@ -57,6 +57,11 @@ void DeclareFlags(cli::App& app, CommandLine& line) {
   app.add_flag("--record-joints", line.launch.record_joints,
                "Also record joint angles, torques and contacts of every sub-step; see `robostress "
                "record-to-rig`");
+  app.add_option(
+         "--record-episodes", line.launch.record_views,
+         "PIXELS: also record views of PIXELS x PIXELS, commands and motion of every control "
+         "step; see `robostress export`")
+      ->check(cli::Range(16, 1024));
   app.add_flag("--dry-run", line.dry_run, "Print units, what is done and an estimate, and stop");
   app.add_flag("--no-report", line.no_report, "Run and merge only");
   DeclareGridFlags(app, line.grid);

@@ -12,12 +12,17 @@
 
 namespace robostress {
 
+// The views that every task has.
+inline constexpr char kAgentView[] = "agentview";
+inline constexpr char kWristView[] = "robot0_eye_in_hand";
+
 // One task of a suite in simulation.
 class SimTask : public Robot {
  public:
   virtual const std::string& name() const = 0;
   virtual const std::string& instruction() const = 0;
   virtual PandaSim& sim() = 0;
+  virtual const std::string& mjcf() const = 0;  // what the scene was compiled from
   // The scripted expert with access to the true state; it reads this task, which must outlive it.
   virtual absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeExpert() = 0;
   // One frame for a video: third-person and wrist view side by side.

@@ -26,7 +26,7 @@ namespace robostress {
 //                             nothing
 //   adapter.safetensors       of a finished adapted unit
 //   videos/                   task{T}_episode{E}.webp
-//   joints/                   task{T}_episode{E}.safetensors, of runs that record joints
+//   joints/, episodes/        task{T}_episode{E}.safetensors, of runs that record them
 //   DONE                      last; holds the SHA-256 of episodes.jsonl
 //
 // One process at a time: the directory is locked while the object lives.

@@ -51,7 +51,8 @@ absl::StatusOr<LaunchResult> LocalLauncher::Launch(const LaunchRequest& request)
     start.timeout_s = options.server_start_timeout_s;
     RS_RETURN_IF_ERROR(servers.Start(start, request.signals));
   }
-  const PoolOptions pool_options = {options.workers, options.measure_lag, options.record_joints};
+  const PoolOptions pool_options = {options.workers, options.measure_lag, options.record_joints,
+                                    options.record_views};
   LaunchResult result;
   WorkerPool pool(request.run, pool_options, servers, request.signals, request.progress);
   const absl::Status status = pool.Run(request.items, result.outcome);

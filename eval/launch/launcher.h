@@ -26,6 +26,9 @@ struct LaunchOptions {
   bool measure_lag = false;
   // Records the joints of every sub-step beside every episode, for `robostress record-to-rig`.
   bool record_joints = false;
+  // Above 0: records every step of every episode with views of as many pixels a side, for
+  // `robostress export`.
+  int record_views = 0;
   // Methods that carry nothing over run in parts of that many episodes; 0: undivided.
   int part_episodes = 0;
   std::string launcher = "local";  // one of LauncherNames()

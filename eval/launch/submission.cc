@@ -57,7 +57,8 @@ absl::StatusOr<std::unique_ptr<Submission>> Submission::Create(const LaunchReque
                          {"elsewhere", request.options.Elsewhere()},
                          {"workers_per_task", cluster.workers_per_task},
                          {"lag", request.options.measure_lag},
-                         {"record_joints", request.options.record_joints}};
+                         {"record_joints", request.options.record_joints},
+                         {"record_views", request.options.record_views}};
   RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/grid.yaml", DumpConfig(request.grid)));
   RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/items.txt", items));
   RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/settings.json", settings.dump(2) + "\n"));
@@ -84,6 +85,7 @@ absl::Status Submission::Read() {
     pool_.workers = settings.at("workers_per_task").get<int>();
     pool_.measure_lag = settings.at("lag").get<bool>();
     pool_.record_joints = settings.at("record_joints").get<bool>();
+    pool_.record_views = settings.value("record_views", 0);
   } catch (const json::exception& error) {
     return absl::DataLossError(absl::StrCat(folder_, "/settings.json: ", error.what()));
   }

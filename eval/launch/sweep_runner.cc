@@ -68,11 +68,11 @@ absl::StatusOr<SweepOutcome> RunSweep(const SweepGrid& grid, const std::vector<P
   const auto start = SteadyClock::now();
   const std::string started = UtcNow();
   for (const PlannedUnit& unit : units) {
-    if (unit.config.robot == UnitConfig().robot || !(options.measure_lag || options.record_joints))
-      continue;
+    const bool beside = options.measure_lag || options.record_joints || options.record_views > 0;
+    if (unit.config.robot == UnitConfig().robot || !beside) continue;
     return absl::InvalidArgumentError(
         absl::StrCat("unit ", unit.id, " is of robot ", unit.config.robot,
-                     ": only the Panda's worker measures lag and records joints; leave it out"));
+                     ": only the Panda's worker measures lag and records; leave that out"));
   }
   RS_ASSIGN_OR_RETURN(const std::unique_ptr<Launcher> launcher, MakeLauncher(options.launcher));
   const RunDirectory run(options.run_dir);

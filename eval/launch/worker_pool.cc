@@ -27,6 +27,8 @@ absl::Status WorkerPool::Start(const WorkItem& item) {
   }
   if (options_.measure_lag) command.push_back("--lag");
   if (options_.record_joints) command.push_back("--record-joints");
+  if (options_.record_views > 0)
+    command.insert(command.end(), {"--record-episodes", absl::StrCat(options_.record_views)});
   RS_RETURN_IF_ERROR(RecordMachines(folder, ThisProcessor().Text(), place.machine));
   RS_ASSIGN_OR_RETURN(ChildProcess process,
                       ChildProcess::Start(command, ChildEnvironment(), run_.Log(item.Name())));

@@ -20,6 +20,7 @@ struct PoolOptions {
   int workers = 1;
   bool measure_lag = false;
   bool record_joints = false;
+  int record_views = 0;
   // How often an item whose server was lost is begun again before that is an error.
   int server_losses = 20;
   // The same for one item whose worker a signal killed, as where memory ran out.

@@ -35,7 +35,7 @@ extern "C" {
 
 /* Raised when a function is added; functions stay as they are within a symbol version
  * (ROBOSTRESS_1). */
-#define ROBOSTRESS_INTERFACE 3
+#define ROBOSTRESS_INTERFACE 4
 
 typedef enum robostress_code {
   ROBOSTRESS_OK = 0,
@@ -285,6 +285,47 @@ void robostress_stream_uniform(robostress_stream* stream, double* values,
 void robostress_stream_normal(robostress_stream* stream, double* values, size_t count);
 /* 0 to n - 1; of n below 1 zeros. */
 void robostress_stream_integers(robostress_stream* stream, int n, int* values, size_t count);
+
+/* ---- Episodes as a data set of LeRobot v3.0: pictures in Parquet, no video ---- */
+typedef struct robostress_dataset robostress_dataset;
+
+typedef struct robostress_schema {
+  size_t size;
+  const char* robot;                    /* what info.json says of it */
+  double rate;                          /* [1/s] of steps, whole */
+  size_t vectors;                       /* features of numbers */
+  const char* const* vector_names;      /* "observation.state", "action", ... */
+  const size_t* axis_counts;            /* [vectors] entries of each */
+  const char* const* const* axis_names; /* [vectors][axis_counts] */
+  size_t cameras;
+  const char* const* camera_names; /* "image": the feature is observation.images.image */
+} robostress_schema;
+
+typedef struct robostress_frames {
+  size_t size;
+  const char* instruction;
+  int success;
+  size_t steps;
+  const float* const* vectors;        /* [vectors][steps][axis_counts] */
+  const unsigned char* const* pixels; /* [cameras][steps][height][width][3] */
+  const int* width;                   /* [cameras] */
+  const int* height;
+  const unsigned char* const* pictures; /* [cameras] the same as PNG files, one behind the other */
+  const size_t* const* picture_ends;    /* [cameras][steps] where each ends */
+} robostress_frames;
+
+/* Makes the set, or goes on with the one in `folder` that has the same schema. One process at a
+   time. */
+robostress_code robostress_dataset_open(const char* folder, const robostress_schema* schema,
+                                        robostress_dataset** opened, char* error,
+                                        size_t error_size);
+/* A whole episode; on failure, or when the process dies, the set is as it was. */
+robostress_code robostress_dataset_append(robostress_dataset* dataset,
+                                          const robostress_frames* frames, char* error,
+                                          size_t error_size);
+size_t robostress_dataset_episodes(const robostress_dataset* dataset);
+size_t robostress_dataset_steps(const robostress_dataset* dataset);
+void robostress_dataset_free(robostress_dataset* dataset); /* NULL is allowed */
 
 #ifdef __GNUC__
 #pragma GCC visibility pop

@@ -10,10 +10,11 @@ from robostress._library import (InternalError, InvalidArgument, NotFound, Robos
 from robostress.calibration import calibrate
 from robostress.client import PolicyClient
 from robostress.compensation import (Compensator, DirectSubtraction, GainControl, IntegralAction, ModelFollowing)
+from robostress.dataset import EpisodeDataset, measured
 from robostress.joint_errors import JointErrors
 from robostress.streams import Stream
 from robostress.wrapping import WrappedEnvironment, wrap
 
-__all__ = ["Compensator", "DirectSubtraction", "GainControl", "IntegralAction", "InternalError", "InvalidArgument",
+__all__ = ["Compensator", "DirectSubtraction", "EpisodeDataset", "GainControl", "IntegralAction", "InternalError", "InvalidArgument",
            "JointErrors", "ModelFollowing", "NotFound", "PolicyClient", "RobostressError", "Scenario", "Stream",
-           "WrappedEnvironment", "WrongOrder", "__version__", "calibrate", "scenarios", "wrap"]
+           "WrappedEnvironment", "WrongOrder", "__version__", "calibrate", "measured", "scenarios", "wrap"]

@@ -9,7 +9,7 @@ from typing import Any, Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
-INTERFACE = 3
+INTERFACE = 4
 ERROR_SIZE = 1024
 
 
@@ -73,6 +73,18 @@ class Executed(ctypes.Structure):
         ("position", "orientation", "q", "policy_command", "sent_command", "masked")]
 
 
+class Schema(ctypes.Structure):
+    _fields_ = [("size", ctypes.c_size_t), ("robot", ctypes.c_char_p), ("rate", ctypes.c_double),
+                ("vectors", ctypes.c_size_t), ("vector_names", ctypes.c_void_p), ("axis_counts", ctypes.c_void_p),
+                ("axis_names", ctypes.c_void_p), ("cameras", ctypes.c_size_t), ("camera_names", ctypes.c_void_p)]
+
+
+class Frames(ctypes.Structure):
+    _fields_ = [("size", ctypes.c_size_t), ("instruction", ctypes.c_char_p), ("success", ctypes.c_int),
+                ("steps", ctypes.c_size_t)] + [
+        (name, ctypes.c_void_p) for name in ("vectors", "pixels", "width", "height", "pictures", "picture_ends")]
+
+
 POINTER, TEXT, INT, SIZE = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_size_t
 ERROR: List[Any] = [POINTER, SIZE]
 # name: (result, arguments). Functions that can fail return an int and take ERROR last.
@@ -118,6 +130,11 @@ FUNCTIONS: Dict[str, Tuple[Any, List[Any]]] = {
     "stream_uniform": (None, [POINTER, POINTER, SIZE]),
     "stream_normal": (None, [POINTER, POINTER, SIZE]),
     "stream_integers": (None, [POINTER, INT, POINTER, SIZE]),
+    "dataset_open": (INT, [TEXT, POINTER, POINTER, *ERROR]),
+    "dataset_append": (INT, [POINTER, POINTER, *ERROR]),
+    "dataset_episodes": (SIZE, [POINTER]),
+    "dataset_steps": (SIZE, [POINTER]),
+    "dataset_free": (None, [POINTER]),
 }
 
 

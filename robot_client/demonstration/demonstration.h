@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "common/lerobot/lerobot_dataset.h"
 #include "common/types.h"
 #include "robot_client/robot_arm.h"
 
@@ -27,5 +28,10 @@ struct DemonstrationEpisode {
   std::vector<std::vector<Image>> small;        // squares of one size, for LIBERO and training
   std::vector<int> width, height;               // of the whole pictures [px], per camera
 };
+
+// As LeRobot's form has it: observation.state and action, joints [rad] and opening [m].
+LerobotSchema LerobotSchemaOf(const std::string& robot, double rate_hz,
+                              const std::vector<std::string>& cameras);
+LerobotEpisode ToLerobot(const DemonstrationEpisode& episode);
 
 }  // namespace robostress

@@ -37,9 +37,9 @@ absl::StatusOr<std::unique_ptr<DemonstrationWriter>> DemonstrationWriter::Create
         absl::StrCat("LIBERO's form has two cameras, this client ", names.size(),
                      "; give --camera twice or leave LIBERO's form out"));
   }
-  RS_ASSIGN_OR_RETURN(
-      LerobotDataset dataset,
-      LerobotDataset::Open(options.directory + "/lerobot", options.robot, options.rate_hz, names));
+  RS_ASSIGN_OR_RETURN(LerobotDataset dataset,
+                      LerobotDataset::Open(options.directory + "/lerobot",
+                                           LerobotSchemaOf(options.robot, options.rate_hz, names)));
   if (options.shards) RS_RETURN_IF_ERROR(MakeDirectories(options.directory + "/shards"));
   if (options.libero_tool) RS_RETURN_IF_ERROR(MakeDirectories(options.directory + "/libero"));
   return std::unique_ptr<DemonstrationWriter>(
@@ -244,7 +244,7 @@ absl::Status DemonstrationWriter::WriteFiles(bool success) {
     RS_RETURN_IF_ERROR(
         WriteLiberoEpisode(episode_, options_.libero_tool, TrainingFile("libero", "hdf5")));
   }
-  return dataset_.Append(episode_);
+  return dataset_.Append(ToLerobot(episode_));
 }
 
 // Files of an episode that the data set does not count.

@@ -13,11 +13,11 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "common/clock.h"
+#include "common/lerobot/lerobot_dataset.h"
 #include "common/std_mutex.h"
 #include "robot_client/cameras/frame_source.h"
 #include "robot_client/control/spsc_ring.h"
 #include "robot_client/demonstration/demonstration.h"
-#include "robot_client/demonstration/lerobot_dataset.h"
 #include "robot_client/demonstration/training_files.h"
 
 namespace robostress {

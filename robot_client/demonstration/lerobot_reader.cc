@@ -4,10 +4,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/lerobot/lerobot_dataset.h"
+#include "common/lerobot/parquet_reader.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
-#include "robot_client/demonstration/lerobot_dataset.h"
-#include "robot_client/demonstration/parquet_reader.h"
 
 namespace robostress {
 namespace {

@@ -40,6 +40,7 @@ class LiberoSimTask : public SimTask {
   const std::string& name() const override { return name_; }
   const std::string& instruction() const override { return instruction_; }
   PandaSim& sim() override { return *sim_; }
+  const std::string& mjcf() const override { return scene_->mjcf; }
   absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeExpert() override;
   absl::StatusOr<Image> Film(int height) override;
 

@@ -130,14 +130,12 @@ const FixturePose* FindPose(const std::vector<FixturePose>& poses, const std::st
 
 // MuJoCo's errors count lines of the composed text, which nobody sees: the line is quoted, its
 // names begin with the instance whose file is at fault.
-absl::StatusOr<SharedModel> CompileScene(const BddlProblem& bddl, MjcfFile& model) {
-  tinyxml2::XMLPrinter printer;
-  model.document().Print(&printer);
-  absl::StatusOr<SharedModel> compiled = CompileModel(bddl.file, printer.CStr());
+absl::StatusOr<SharedModel> CompileScene(const BddlProblem& bddl, const std::string& mjcf) {
+  absl::StatusOr<SharedModel> compiled = CompileModel(bddl.file, mjcf);
   if (compiled.ok()) return compiled;
   constexpr std::string_view kMarks[] = {", line ", ", line = "};
   const std::string message(compiled.status().message());
-  const std::vector<std::string> lines = absl::StrSplit(printer.CStr(), '\n');
+  const std::vector<std::string> lines = absl::StrSplit(mjcf, '\n');
   size_t number = 0;
   for (const std::string_view mark : kMarks) {
     const size_t at = message.find(mark);
@@ -197,7 +195,10 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
        mesh = mesh->NextSiblingElement("mesh")) {
     if (mesh->Attribute("vertex") != nullptr) replaced_meshes.insert(Attribute(mesh, "name"));
   }
-  RS_ASSIGN_OR_RETURN(scene.model, CompileScene(bddl, model));
+  tinyxml2::XMLPrinter printer;
+  model.document().Print(&printer);
+  scene.mjcf = printer.CStr();
+  RS_ASSIGN_OR_RETURN(scene.model, CompileScene(bddl, scene.mjcf));
   for (int geom = 0; geom < scene.model->ngeom; ++geom) {
     const int mesh = scene.model->geom_dataid[geom];
     if (scene.model->geom_type[geom] != mjGEOM_MESH || mesh < 0) continue;

@@ -50,7 +50,9 @@ struct FixturePose {
 struct LiberoScene {
   BddlProblem problem;
   ProblemClass problem_class;
-  SharedModel model;  // as the originals compile it; fixtures stand where their files put them
+  std::string mjcf;
+  SharedModel model;  // compiled from it, as the originals compile it; fixtures stand where their
+                      // files put them
   std::map<std::string, LiberoObject> objects;
   std::map<std::string, LiberoSite> sites;
   std::vector<FixturePose>

@@ -4,13 +4,10 @@
 #include <chrono>
 
 #include "common/status_macros.h"
-#include "sim_worker/record/libero_recorder.h"
+#include "sim_worker/simulator_row.h"
 
 namespace robostress {
 namespace {
-
-constexpr char kAgentView[] = "agentview";
-constexpr char kWristView[] = "robot0_eye_in_hand";
 
 // A constant offset on the command that lasts a few control steps, again and again.
 class NoiseBursts {
@@ -90,7 +87,7 @@ absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state
       frame.proprioception = task.Proprioception();
       frame.aux = AuxOf(decision);
       if (options.simulator_state) {
-        RS_ASSIGN_OR_RETURN(frame.simulator, ReadSimulator(task));
+        RS_ASSIGN_OR_RETURN(frame.simulator, ReadSimulator(task.sim()));
       }
       const auto drawing = std::chrono::steady_clock::now();
       for (const char* camera : {kAgentView, kWristView}) {

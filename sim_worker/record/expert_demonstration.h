@@ -1,13 +1,13 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <array>
 #include <cstdint>
 #include <optional>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "common/random.h"
+#include "common/records/episode_recording.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/types.h"
 #include "sim_worker/suites/embedded_task.h"
@@ -15,16 +15,6 @@
 namespace robostress {
 
 inline constexpr int kLabelSteps = 50;  // rows of a label, the policies' horizon
-
-// The simulator before a control step, for LIBERO's form.
-struct SimulatorRow {
-  std::vector<double> state;      // time, qpos, qvel
-  std::array<double, 7> joints;   // [rad]
-  std::array<double, 2> fingers;  // [m]
-  std::array<double, 3> ee_pos;   // grip site in the world [m]
-  std::array<double, 3> ee_ori;   // axis-angle of the hand [rad]
-  std::array<double, 4> ee_quat;  // of the hand, x y z w
-};
 
 // One observation with what the expert would do from there.
 struct DemonstrationFrame {

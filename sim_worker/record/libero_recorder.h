@@ -6,9 +6,6 @@
 
 namespace robostress {
 
-// The simulator's state before a control step, as LIBERO records it.
-absl::StatusOr<SimulatorRow> ReadSimulator(EmbeddedTask& task);
-
 // A recorded episode in LIBERO's form; its frames must be one control step apart and carry what
 // ReadSimulator gave. Actions are the labels' first rows: the expert's commands without noise.
 LiberoDemonstration ToLibero(const Demonstration& demonstration, const std::string& model_file);

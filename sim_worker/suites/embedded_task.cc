@@ -16,8 +16,6 @@
 namespace robostress {
 namespace {
 
-constexpr char kAgentView[] = "agentview";
-constexpr char kWristView[] = "robot0_eye_in_hand";
 constexpr int kSupersampleUpTo = 112;  // [px]
 
 std::string KnownSuites() { return absl::StrJoin(SuitesOf("panda"), ", "); }

@@ -61,6 +61,69 @@ class Film {
   absl::Status status_;
 };
 
+// Collects a recording of one episode.
+class Recorder {
+ public:
+  Recorder(const UnitTask& task, int side) : task_(task), side_(side) {}
+
+  // Before a step, and after the last one.
+  void OnStep() {
+    if (!status_.ok()) return;
+    absl::StatusOr<RecordedMoment> moment = task_.moment(side_);
+    status_ = moment.status();
+    if (!moment.ok()) return;
+    std::vector<std::string> pictures;
+    for (const CameraView& view : moment->observation.views) {
+      absl::StatusOr<std::string> png = EncodePng(view.image);
+      status_.Update(png.status());
+      if (!png.ok()) return;
+      pictures.push_back(*std::move(png));
+      if (moments_.empty()) recording_.cameras.push_back(view.camera);
+    }
+    pictures_.push_back(std::move(pictures));
+    moments_.push_back(*std::move(moment));
+  }
+
+  // With what was executed.
+  absl::StatusOr<EpisodeRecording> Finish(const EpisodeRecord& record) {
+    RS_RETURN_IF_ERROR(status_);
+    const ResidualOptions scales;  // of the simulated arm's commands
+    for (const ExecutedChunk& chunk : record.chunks) {
+      for (size_t i = 0; i < chunk.steps.size(); ++i) {
+        const ExecutedStep& executed = chunk.steps[i];
+        RecordedMoment& moment = moments_[recording_.steps.size()];
+        EpisodeRecording::Step& step = recording_.steps.emplace_back();
+        step.before = executed.before;
+        step.commanded = executed.policy_command;
+        step.sent = executed.sent_command;
+        step.measured = executed.sent_command;
+        step.measured.head<6>() =
+            AchievedDelta(executed.before, StateAfter(chunk, i), scales).cast<float>();
+        step.proprioception = moment.observation.proprioception;
+        step.simulator = std::move(moment.simulator);
+      }
+    }
+    recording_.pictures.resize(recording_.cameras.size());
+    for (size_t i = 0; i < recording_.steps.size(); ++i)
+      for (size_t c = 0; c < recording_.cameras.size(); ++c)
+        recording_.pictures[c].push_back(std::move(pictures_[i][c]));
+    recording_.instruction = moments_[0].observation.instruction;
+    recording_.success = record.success;
+    recording_.rate_hz = 1 / kPanda.control_period_s;
+    recording_.task_name = task_.name;
+    recording_.model_file = task_.mjcf;
+    return std::move(recording_);
+  }
+
+ private:
+  const UnitTask& task_;
+  const int side_;
+  std::vector<RecordedMoment> moments_;
+  std::vector<std::vector<std::string>> pictures_;  // [moment][camera]
+  EpisodeRecording recording_;
+  absl::Status status_;
+};
+
 // What a server is asked for where the worker corrects.
 MethodOptions WithoutCorrection(MethodOptions method) {
   method.method = method.adapts() ? "ours" : "base";
@@ -186,7 +249,14 @@ class SimPlayer : public UnitPlayer {
     rollout.initial_state = planned.initial_state;
     rollout.execute_steps = unit_.method->execute_steps;
     rollout.late = LatePlayOf(unit_.latency, kPanda.control_period_s);
-    if (planned.film) rollout.on_step = [&](int step) { film.OnStep(step); };
+    Recorder recorder(task_, options_.record_views);
+    const bool records = options_.record_views > 0;
+    if (planned.film || records) {
+      rollout.on_step = [&](int step) {
+        if (planned.film) film.OnStep(step);
+        if (records) recorder.OnStep();
+      };
+    }
     JointLog joints;
     if (options_.record_joints)
       task_.listen_to_joints([&](const JointSample& sample) { joints.samples.push_back(sample); });
@@ -195,10 +265,18 @@ class SimPlayer : public UnitPlayer {
         RunEpisode({planned.task, planned.episode}, rollout, *task_.robot, policy, sequence_));
     if (options_.record_joints) {
       task_.listen_to_joints(nullptr);
-      DescribeEpisode(planned, record, joints);
+      DescribeEpisode(planned, joints);
+      AddMotion(record, joints);
       RS_ASSIGN_OR_RETURN(const std::string file,
                           directory.EpisodeFile("joints", planned, ".safetensors"));
       RS_RETURN_IF_ERROR(WriteJointLog(joints, file));
+    }
+    if (records && record.steps > 0) {
+      RS_ASSIGN_OR_RETURN(EpisodeRecording recording, recorder.Finish(record));
+      DescribeEpisode(planned, recording);
+      RS_ASSIGN_OR_RETURN(const std::string file,
+                          directory.EpisodeFile("episodes", planned, ".safetensors"));
+      RS_RETURN_IF_ERROR(WriteEpisodeRecording(recording, file));
     }
     RS_ASSIGN_OR_RETURN(const SessionStats stats, policy.Stats());
     if (planned.film) {
@@ -266,8 +344,9 @@ class SimPlayer : public UnitPlayer {
     return absl::OkStatus();
   }
 
-  void DescribeEpisode(const PlannedEpisode& planned, const EpisodeRecord& record,
-                       JointLog& log) const {
+  // A joint log or a recording.
+  template <class Log>
+  void DescribeEpisode(const PlannedEpisode& planned, Log& log) const {
     log.suite = unit_.suite;
     log.scenario = ScenarioLabel(unit_.scenario);
     log.policy = unit_.policy;
@@ -275,6 +354,13 @@ class SimPlayer : public UnitPlayer {
     log.task = planned.task;
     log.episode = planned.episode;
     log.initial_state = planned.initial_state;
+    if constexpr (requires { log.method; }) {
+      log.method = unit_.method->method;
+      log.seed = unit_.seed;
+    }
+  }
+
+  static void AddMotion(const EpisodeRecord& record, JointLog& log) {
     log.success = record.success;
     for (const ExecutedChunk& chunk : record.chunks) {
       for (const ExecutedStep& step : chunk.steps) {
@@ -308,10 +394,13 @@ absl::Status RunSimUnit(const UnitConfig& unit, const SimUnitOptions& options,
                      "' runs in a policy server; start one with `robostress serve --policy ",
                      resolved.policy, "` and pass its address with --server HOST:PORT"));
   }
-  if (resolved.latency.late() && (options.measure_lag || options.record_joints)) {
+  const bool records = options.record_joints || options.record_views > 0;
+  if (resolved.latency.late() && (options.measure_lag || records)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "latency.ms is ", resolved.latency.ms, ": ",
-        options.measure_lag ? "--lag plays commands" : "--record-joints records states",
+        options.measure_lag     ? "--lag plays commands"
+        : options.record_joints ? "--record-joints records states"
+                                : "--record-episodes records commands",
         " of every step of an episode, and no chunk commands the steps before its first answer; "
         "leave one of the two out"));
   }

@@ -6,6 +6,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "common/records/episode_recording.h"
 #include "common/rollout/command_inversion.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/rollout/robot.h"
@@ -17,11 +18,19 @@
 
 namespace robostress {
 
+// What a recording keeps of the moment before a step.
+struct RecordedMoment {
+  Observation observation;  // as no method changes it
+  SimulatorRow simulator;
+};
+
 // One task of a suite as the runner sees it; the callbacks may be used while `robot` lives.
 struct UnitTask {
   std::shared_ptr<Robot> robot;
   std::function<absl::StatusOr<std::unique_ptr<PolicyEndpoint>>()> make_expert;
-  std::function<absl::StatusOr<Image>(int height)> film;  // one frame, height [px]
+  std::function<absl::StatusOr<Image>(int height)> film;           // one frame, height [px]
+  std::string name, mjcf;                                          // of the task; its scene
+  std::function<absl::StatusOr<RecordedMoment>(int side)> moment;  // views of side x side [px]
   // Null unless the method has a model of the arm.
   std::shared_ptr<CommandInversion> inversion;
   // Sets who gets the joints of every sub-step; null where the robot has no such record.
@@ -38,6 +47,9 @@ struct SimUnitOptions {
   bool measure_lag = false;
   // Writes joints/task{T}_episode{E}.safetensors (joint_log.h) beside each row; changes no row.
   bool record_joints = false;
+  // Above 0: writes episodes/task{T}_episode{E}.safetensors (episode_recording.h) with views of as
+  // many pixels a side; changes no row.
+  int record_views = 0;
 };
 
 // Runs what is missing of a unit of the simulated Panda (RunUnit). An adapting unit takes its

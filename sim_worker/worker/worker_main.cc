@@ -18,6 +18,7 @@
 #include "common/status_macros.h"
 #include "sim_worker/arm_sensing.h"
 #include "sim_worker/sim_task.h"
+#include "sim_worker/simulator_row.h"
 #include "sim_worker/worker/model_inversion.h"
 #include "sim_worker/worker/observation_control.h"
 #include "sim_worker/worker/sim_unit.h"
@@ -115,6 +116,17 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
     sim_task->sim().OnJointSample(std::move(call));
   };
   out.film = [sim_task](int height) { return sim_task->Film(height); };
+  out.name = sim_task->name();
+  out.mjcf = sim_task->mjcf();
+  out.moment = [sim_task](int side) -> absl::StatusOr<RecordedMoment> {
+    PolicySpec views;
+    views.cameras = {kAgentView, kWristView};
+    views.image_width = views.image_height = side;
+    RecordedMoment moment;
+    RS_ASSIGN_OR_RETURN(moment.observation, sim_task->Observe(views));
+    RS_ASSIGN_OR_RETURN(moment.simulator, ReadSimulator(sim_task->sim()));
+    return moment;
+  };
   return out;
 }
 
@@ -181,6 +193,11 @@ int Main(int argc, char** argv) {
   app.add_flag("--record-joints", options.record_joints,
                "also write joint angles, torques and contacts of every sub-step (500 Hz) to "
                "DIR/joints; see `robostress record-to-rig`");
+  app.add_option(
+         "--record-episodes", options.record_views,
+         "PIXELS: also write views of PIXELS x PIXELS, commands and motion of every control "
+         "step to DIR/episodes; see `robostress export`")
+      ->check(cli::Range(16, 1024));
   app.add_flag("--quiet", quiet, "no progress lines");
   return RunMain(
       app, argc, argv,

@@ -35,6 +35,13 @@ TEST(Image, PngStartsWithItsSignature) {
   ASSERT_TRUE(png.ok());
   EXPECT_EQ(png->substr(0, 4), "\x89PNG");
   EXPECT_FALSE(EncodePng(Image{2, 2, {1, 2, 3}}).ok());
+  const auto back = DecodePng(*png);
+  ASSERT_TRUE(back.ok()) << back.status();
+  EXPECT_EQ(back->width, 8);
+  EXPECT_EQ(back->height, 6);
+  EXPECT_EQ(back->data, Gradient(8, 6).data);
+  for (size_t size = 0; size + 12 < png->size(); ++size)
+    EXPECT_FALSE(DecodePng(png->substr(0, size)).ok()) << size;
 }
 
 TEST(Image, AnimatedWebpHoldsItsFramesAndRefusesMixedSizes) {

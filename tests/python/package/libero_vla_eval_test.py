@@ -1,8 +1,10 @@
 """vla-eval's LIBERO benchmark beside ours, on one of LIBERO's tasks with the shared tree's assets."""
 import asyncio
+import json
 import os
 import pathlib
 import sys
+import tempfile
 import types
 import unittest
 
@@ -83,9 +85,14 @@ class Libero(unittest.TestCase):
         here = {"bddl_file": str(libero_parts.TREE / "bddl_files" / SUITE / f"{name}.bddl"), "horizon": 2,
                 "initial_state": libero_parts.initial_states(SUITE, name)[0],
                 "policy": lambda observation: rows[:4] * (observation["robot0_eef_pos"][2] > 0)}
-        for heading in ("Stress a LIBERO policy", "Compensate it"):
-            example, = guide_blocks.examples(heading)
-            exec(example, here)
+        here["eight_numbers_of_your_policy"] = lambda observation: numpy.zeros(8)
+        with tempfile.TemporaryDirectory() as folder:
+            for heading in ("Stress a LIBERO policy", "Compensate it", "Record it for training"):
+                example, = guide_blocks.examples(heading)
+                exec(example.replace('"data/worn"', repr(folder + "/worn")), here)
+            info = json.loads(pathlib.Path(folder, "worn/meta/info.json").read_text())
+        self.assertEqual((info["total_episodes"], info["total_frames"]), (1, 8))
+        self.assertEqual(info["features"]["observation.images.image2"]["shape"], [128, 128, 3])
         self.assertEqual(here["info"]["robostress"]["applied"].shape, (25, 7))
         self.assertEqual(here["following"].correction.shape, (6,))
         here["env"].close()

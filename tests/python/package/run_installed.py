@@ -71,7 +71,9 @@ def main():
     parser.add_argument("script", nargs="+", help="what is run, with its arguments")
     line = parser.parse_args()
     if line.python_named_by:
-        python = os.environ.get(line.python_named_by) or skip(f"{line.python_named_by} names no Python")
+        python = os.environ.get(line.python_named_by)
+        if not python or not pathlib.Path(python).exists():
+            skip(f"{line.python_named_by} names no Python: '{python or ''}'")
     else:
         python = environment(interpreter(line.python), line.scratch / "venv", line.requirements)
     wheels = line.scratch / "wheels"

@@ -12,7 +12,7 @@
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/synthetic_source.h"
 #include "robot_client/piper/kinematics.h"
-#include "tests/robot_client/demonstration/read_back.h"
+#include "tests/common/lerobot/read_back.h"
 
 namespace robostress {
 namespace {

@@ -7,7 +7,7 @@
 
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
-#include "robot_client/demonstration/lerobot_dataset.h"
+#include "robot_client/demonstration/demonstration.h"
 
 namespace robostress {
 namespace {
@@ -119,10 +119,10 @@ DemonstrationEpisode Episode(int ticks) {
 
 TEST(MotionFileTest, ReadsTheActionsOfADemonstration) {
   const std::string set = Fresh("set");
-  auto dataset = LerobotDataset::Open(set + "/lerobot", "piper", 30, {});
+  auto dataset = LerobotDataset::Open(set + "/lerobot", LerobotSchemaOf("piper", 30, {}));
   ASSERT_TRUE(dataset.ok()) << dataset.status();
-  ASSERT_TRUE(dataset->Append(Episode(40)).ok());
-  ASSERT_TRUE(dataset->Append(Episode(70)).ok());
+  ASSERT_TRUE(dataset->Append(ToLerobot(Episode(40))).ok());
+  ASSERT_TRUE(dataset->Append(ToLerobot(Episode(70))).ok());
   EXPECT_THAT(Refusal(set), HasSubstr("holds episodes 0 to 1; say which"));
   EXPECT_THAT(Refusal(set, 2), HasSubstr("has no episode 2; it holds 0 to 1"));
   const auto motion = ReadMotion(set, 1);

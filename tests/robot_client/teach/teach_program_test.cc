@@ -18,7 +18,7 @@
 #include "common/atomic_file.h"
 #include "common/libero_demonstrations.h"
 #include "common/safetensors.h"
-#include "tests/robot_client/demonstration/read_back.h"
+#include "tests/common/lerobot/read_back.h"
 #include "tests/run_program.h"
 
 namespace robostress {

@@ -33,6 +33,7 @@ class [[nodiscard]] Status {
   void Update(const Status& other) {
     if (ok()) *this = other;
   }
+  void IgnoreError() const {}
   bool ok() const { return code_ == StatusCode::kOk; }
   StatusCode code() const { return code_; }
   string_view message() const { return message_; }

@@ -1,16 +1,16 @@
-#include "robot_client/demonstration/lerobot_dataset.h"
+#include "common/lerobot/lerobot_dataset.h"
 
 #include <algorithm>
 #include <filesystem>
+#include <set>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
+#include "common/lerobot/feature_statistics.h"
+#include "common/lerobot/parquet_table.h"
 #include "common/status_macros.h"
-#include "robot_client/demonstration/feature_statistics.h"
-#include "robot_client/demonstration/parquet_table.h"
 
 namespace robostress {
 namespace {
@@ -28,30 +28,61 @@ Json Feature(const char* type, Json shape, Json names) {
   return {{"dtype", type}, {"shape", std::move(shape)}, {"names", std::move(names)}};
 }
 
-Json NewInfo(const std::string& robot, double rate_hz, const std::vector<std::string>& cameras) {
-  const Json axes = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"}, none = nullptr;
-  Json features = {{"observation.state", Feature("float32", {kArmAxes}, axes)},
-                   {"action", Feature("float32", {kArmAxes}, axes)}};
-  for (const std::string& camera : cameras) {
+constexpr const char* kNumbers[] = {"timestamp", "next.reward"};
+constexpr const char* kIndices[] = {"frame_index", "episode_index", "index", "task_index"};
+constexpr const char* kMarks[] = {"next.done", "next.success"};
+
+absl::Status CheckNames(const LerobotSchema& schema) {
+  std::set<std::string> taken(std::begin(kNumbers), std::end(kNumbers));
+  taken.insert(std::begin(kIndices), std::end(kIndices));
+  taken.insert(std::begin(kMarks), std::end(kMarks));
+  const auto check = [&taken](const char* kind, const std::string& name, const char* allowed,
+                              const std::string& feature) -> absl::Status {
+    const bool good = !name.empty() && std::all_of(name.begin(), name.end(), [&](char c) {
+      return absl::ascii_isalnum(static_cast<unsigned char>(c)) || absl::StrContains(allowed, c);
+    });
+    if (!good) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          kind, " '", name, "': its name is a feature's; use letters, digits and ", allowed));
+    }
+    if (!taken.insert(feature).second) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(kind, " '", name, "': there is a feature ", feature, " already; rename it"));
+    }
+    return absl::OkStatus();
+  };
+  for (const auto& [name, axes] : schema.vectors) {
+    RS_RETURN_IF_ERROR(check("feature", name, "._-", name));
+    if (axes.empty())
+      return absl::InvalidArgumentError(absl::StrCat("feature '", name, "' has no axes"));
+  }
+  for (const std::string& camera : schema.cameras)
+    RS_RETURN_IF_ERROR(check("camera", camera, "_-", kImages + camera));
+  return absl::OkStatus();
+}
+
+Json NewInfo(const LerobotSchema& schema) {
+  const Json none = nullptr;
+  Json features = Json::object();
+  for (const auto& [name, axes] : schema.vectors)
+    features[name] = Feature("float32", {axes.size()}, axes);
+  for (const std::string& camera : schema.cameras) {
     // The size is that of the first episode.
     features[kImages + camera] = Feature("image", {0, 0, 3}, {"height", "width", "channels"});
     features[kImages + camera]["info"] = {{"is_depth_map", false}};
   }
-  for (const char* name : {"timestamp", "next.reward"})
-    features[name] = Feature("float32", {1}, none);
-  for (const char* name : {"frame_index", "episode_index", "index", "task_index"})
-    features[name] = Feature("int64", {1}, none);
-  for (const char* name : {"next.done", "next.success"})
-    features[name] = Feature("bool", {1}, none);
+  for (const char* name : kNumbers) features[name] = Feature("float32", {1}, none);
+  for (const char* name : kIndices) features[name] = Feature("int64", {1}, none);
+  for (const char* name : kMarks) features[name] = Feature("bool", {1}, none);
   return {{"codebase_version", "v3.0"},
-          {"robot_type", robot},
+          {"robot_type", schema.robot},
           {"total_episodes", 0},
           {"total_frames", 0},
           {"total_tasks", 0},
           {"chunks_size", kFilesPerChunk},
           {"data_files_size_in_mb", 100},
           {"video_files_size_in_mb", 200},
-          {"fps", static_cast<int>(rate_hz)},
+          {"fps", static_cast<int>(schema.rate_hz)},
           {"splits", {{"train", "0:0"}}},
           {"data_path", "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"},
           {"video_path", nullptr},
@@ -70,20 +101,23 @@ absl::Status Differs(const std::string& path, const char* field, const Json& the
 absl::Status CheckInfo(const std::string& path, const Json& there, const Json& here) {
   if (!there.is_object() || !there.contains(kOurs) || !there[kOurs].is_object()) {
     return absl::InvalidArgumentError(absl::StrCat(
-        path, " is not a data set that robot_client recorded; record into another folder"));
+        path, " is not a data set that RoboStress recorded; record into another folder"));
   }
   for (const char* field : {"codebase_version", "robot_type", "fps", "chunks_size"}) {
     if (there.value(field, Json()) != here[field])
       return Differs(path, field, there.value(field, Json()), here[field]);
   }
-  const auto names = [](const Json& info) {
+  // Names, and names of their entries.
+  const auto features = [](const Json& info) {
     Json list = Json::array();
     if (info.contains("features") && info["features"].is_object()) {
-      for (const auto& [name, feature] : info["features"].items()) list.push_back(name);
+      for (const auto& [name, feature] : info["features"].items())
+        list.push_back({name, feature.is_object() ? feature.value("names", Json()) : Json()});
     }
     return list;
   };
-  if (names(there) != names(here)) return Differs(path, "features", names(there), names(here));
+  if (features(there) != features(here))
+    return Differs(path, "features", features(there), features(here));
   for (const char* field : {"total_episodes", "total_frames", "total_tasks"}) {
     if (!there.contains(field) || !there[field].is_number_unsigned()) {
       return absl::InvalidArgumentError(absl::StrCat(path, ": ", field, " is no count"));
@@ -93,21 +127,28 @@ absl::Status CheckInfo(const std::string& path, const Json& there, const Json& h
 }
 
 // The sizes of the first episode stay those of the set.
-absl::Status CheckSizes(const DemonstrationEpisode& episode, const std::string& directory,
-                        Json* info) {
-  const size_t ticks = episode.ticks.size();
-  if (ticks == 0) return absl::InvalidArgumentError("the episode has no ticks");
-  for (size_t c = 0; c < episode.cameras.size(); ++c) {
-    if (episode.jpegs[c].size() != ticks || episode.small[c].size() != ticks) {
-      return absl::InternalError(absl::StrCat("camera '", episode.cameras[c], "' has ",
-                                              episode.jpegs[c].size(), " pictures for ", ticks,
-                                              " ticks"));
+absl::Status CheckSizes(const LerobotEpisode& episode, const LerobotSchema& schema,
+                        const std::string& directory, Json* info) {
+  const size_t steps = episode.steps;
+  if (steps == 0) return absl::InvalidArgumentError("the episode has no steps");
+  for (size_t i = 0; i < schema.vectors.size(); ++i) {
+    const auto& [name, axes] = schema.vectors[i];
+    if (i < episode.vectors.size() && episode.vectors[i].size() == steps * axes.size()) continue;
+    return absl::InternalError(absl::StrCat("feature ", name, " has not ", axes.size(),
+                                            " numbers for each of ", steps, " steps"));
+  }
+  for (size_t c = 0; c < schema.cameras.size(); ++c) {
+    const std::string& camera = schema.cameras[c];
+    if (episode.pictures[c].size() != steps || episode.small[c].size() != steps) {
+      return absl::InternalError(absl::StrCat("camera '", camera, "' has ",
+                                              episode.pictures[c].size(), " pictures for ", steps,
+                                              " steps"));
     }
-    Json& shape = (*info)["features"][kImages + episode.cameras[c]]["shape"];
+    Json& shape = (*info)["features"][kImages + camera]["shape"];
     const Json now = {episode.height[c], episode.width[c], 3};
     if ((*info)["total_episodes"] == 0) shape = now;
     if (shape != now) {
-      return Differs(directory + kInfo, (kImages + episode.cameras[c]).c_str(), shape, now);
+      return Differs(directory + kInfo, (kImages + camera).c_str(), shape, now);
     }
   }
   return absl::OkStatus();
@@ -137,15 +178,19 @@ struct Table {
   }
 };
 
-Table TableOf(const DemonstrationEpisode& episode, int64_t index, int64_t first, int64_t task) {
-  const size_t n = episode.ticks.size();
-  std::vector<float> state, action, timestamp(n), reward(n, 0);
+// LeRobot has a vector of one entry as a plain column.
+int ListOf(const LerobotSchema::Vector& vector) {
+  return vector.axes.size() == 1 ? 0 : static_cast<int>(vector.axes.size());
+}
+
+Table TableOf(const LerobotEpisode& episode, const LerobotSchema& schema, int64_t index,
+              int64_t first, int64_t task) {
+  const size_t n = episode.steps;
+  std::vector<float> timestamp(n), reward(n, 0);
   std::vector<int64_t> frame(n), global(n);
   std::vector<uint8_t> done(n, 0), success(n, 0);
   for (size_t i = 0; i < n; ++i) {
-    for (const double v : episode.ticks[i].state) state.push_back(static_cast<float>(v));
-    for (const double v : episode.ticks[i].action) action.push_back(static_cast<float>(v));
-    timestamp[i] = static_cast<float>(static_cast<double>(i) / episode.rate_hz);
+    timestamp[i] = static_cast<float>(static_cast<double>(i) / schema.rate_hz);
     frame[i] = static_cast<int64_t>(i);
     global[i] = first + static_cast<int64_t>(i);
   }
@@ -153,13 +198,14 @@ Table TableOf(const DemonstrationEpisode& episode, int64_t index, int64_t first,
   success.back() = episode.success ? 1 : 0;
   reward.back() = episode.success ? 1 : 0;
   Table table;
-  table.Add("observation.state", std::move(state), kArmAxes);
-  table.Add("action", std::move(action), kArmAxes);
-  for (size_t c = 0; c < episode.cameras.size(); ++c) {
-    const std::string name = kImages + episode.cameras[c];
+  for (size_t i = 0; i < schema.vectors.size(); ++i)
+    table.Add(schema.vectors[i].name, episode.vectors[i], ListOf(schema.vectors[i]));
+  for (size_t c = 0; c < schema.cameras.size(); ++c) {
+    const std::string name = kImages + schema.cameras[c];
     std::vector<std::string> paths(n);
-    for (size_t i = 0; i < n; ++i) paths[i] = absl::StrFormat("frame-%06d.jpg", i);
-    table.columns.push_back({name, "bytes", episode.jpegs[c]});
+    for (size_t i = 0; i < n; ++i)
+      paths[i] = absl::StrCat("frame-", absl::Dec(i, absl::kZeroPad6), ".", episode.picture_ending);
+    table.columns.push_back({name, "bytes", episode.pictures[c]});
     table.columns.push_back({name, "path", std::move(paths), true});
     table.statistics[name] = PictureStatistics(episode.small[c]);
   }
@@ -174,10 +220,10 @@ Table TableOf(const DemonstrationEpisode& episode, int64_t index, int64_t first,
   return table;
 }
 
-absl::StatusOr<std::string> EpisodeRow(const DemonstrationEpisode& episode, int64_t index,
+absl::StatusOr<std::string> EpisodeRow(const LerobotEpisode& episode, int64_t index,
                                        int64_t first) {
   const auto one = [](int64_t value) { return std::vector<int64_t>{value}; };
-  const auto length = static_cast<int64_t>(episode.ticks.size());
+  const auto length = static_cast<int64_t>(episode.steps);
   const int64_t chunk = index / kFilesPerChunk, file = index % kFilesPerChunk;
   return ParquetTable({{"episode_index", "", one(index)},
                        {"tasks", "", std::vector<std::string>{episode.instruction}, true, 1},
@@ -206,27 +252,20 @@ absl::Status WriteInFolder(const std::string& path, const std::string& bytes) {
 }  // namespace
 
 std::string LerobotEpisodeFile(const std::string& directory, const char* folder, int64_t episode) {
-  return absl::StrFormat("%s/%s/chunk-%03d/file-%03d.parquet", directory, folder,
-                         episode / kFilesPerChunk, episode % kFilesPerChunk);
+  const auto three = [](int64_t number) { return absl::Dec(number, absl::kZeroPad3); };
+  return absl::StrCat(directory, "/", folder, "/chunk-", three(episode / kFilesPerChunk), "/file-",
+                      three(episode % kFilesPerChunk), ".parquet");
 }
 
 absl::StatusOr<LerobotDataset> LerobotDataset::Open(const std::string& directory,
-                                                    const std::string& robot, double rate_hz,
-                                                    const std::vector<std::string>& cameras) {
+                                                    const LerobotSchema& schema) {
+  const double rate_hz = schema.rate_hz;
   if (!(rate_hz >= 1 && rate_hz <= 1000) || rate_hz != static_cast<int>(rate_hz)) {
     return absl::InvalidArgumentError(absl::StrCat(
-        "demonstrations at ", rate_hz, " Hz: LeRobot's fps is a whole number from 1 to 1000"));
+        "episodes at ", rate_hz, " Hz: LeRobot's fps is a whole number from 1 to 1000"));
   }
-  for (const std::string& camera : cameras) {
-    const bool good = !camera.empty() && std::all_of(camera.begin(), camera.end(), [](char c) {
-      return absl::ascii_isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '-';
-    });
-    if (!good) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "camera '", camera, "': its name becomes a feature's; use letters, digits, _ and -"));
-    }
-  }
-  Json info = NewInfo(robot, rate_hz, cameras);
+  RS_RETURN_IF_ERROR(CheckNames(schema));
+  Json info = NewInfo(schema);
   const std::string path = directory + kInfo;
   if (fs::exists(path)) {
     RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, kMostInfoBytes));
@@ -240,7 +279,7 @@ absl::StatusOr<LerobotDataset> LerobotDataset::Open(const std::string& directory
                                                         "; record into another folder"));
     }
   }
-  LerobotDataset set(directory, std::move(info));
+  LerobotDataset set(directory, schema, std::move(info));
   set.RemoveUnfinished();
   if (set.episodes() > 0) RS_RETURN_IF_ERROR(set.WriteTables(set.info_));
   return set;
@@ -276,16 +315,17 @@ absl::Status LerobotDataset::WriteTables(const Json& info) const {
   return WriteInFolder(directory_ + "/meta/stats.json", info[kOurs]["statistics"].dump(1));
 }
 
-absl::Status LerobotDataset::Append(const DemonstrationEpisode& episode) {
+absl::Status LerobotDataset::Append(const LerobotEpisode& episode) {
   Json info = info_;
-  RS_RETURN_IF_ERROR(CheckSizes(episode, directory_, &info));
+  RS_RETURN_IF_ERROR(CheckSizes(episode, schema_, directory_, &info));
   const int64_t index = episodes(), first = frames();
-  const Table table = TableOf(episode, index, first, TaskIndex(episode.instruction, &info));
+  const Table table =
+      TableOf(episode, schema_, index, first, TaskIndex(episode.instruction, &info));
   Json& all = info[kOurs]["statistics"];
   for (const auto& [name, statistics] : table.statistics.items())
     all[name] = all.contains(name) ? JoinStatistics(all[name], statistics) : statistics;
   info["total_episodes"] = index + 1;
-  info["total_frames"] = first + static_cast<int64_t>(episode.ticks.size());
+  info["total_frames"] = first + static_cast<int64_t>(episode.steps);
   info["splits"]["train"] = absl::StrCat("0:", index + 1);
 
   RS_ASSIGN_OR_RETURN(const std::string data, ParquetTable(table.columns));

@@ -1,4 +1,4 @@
-#include "robot_client/demonstration/feature_statistics.h"
+#include "common/lerobot/feature_statistics.h"
 
 #include <algorithm>
 #include <array>

@@ -1,4 +1,4 @@
-#include "robot_client/demonstration/lerobot_dataset.h"
+#include "common/lerobot/lerobot_dataset.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,10 +9,10 @@
 #include <filesystem>
 
 #include "common/atomic_file.h"
-#include "robot_client/cameras/jpeg.h"
-#include "robot_client/demonstration/feature_statistics.h"
-#include "robot_client/demonstration/parquet_table.h"
-#include "tests/robot_client/demonstration/read_back.h"
+#include "common/image.h"
+#include "common/lerobot/feature_statistics.h"
+#include "common/lerobot/parquet_table.h"
+#include "tests/common/lerobot/read_back.h"
 
 namespace robostress {
 namespace {
@@ -26,24 +26,24 @@ std::string Fresh(const std::string& name) {
   return path;
 }
 
-DemonstrationEpisode Episode(const std::string& instruction, int ticks, double offset = 0) {
-  DemonstrationEpisode episode;
+LerobotEpisode Episode(const std::string& instruction, int steps, double offset = 0) {
+  LerobotEpisode episode;
   episode.instruction = instruction;
   episode.success = true;
-  episode.cameras = {"base", "wrist"};
+  episode.steps = static_cast<size_t>(steps);
+  episode.vectors.resize(2);
   episode.width = {64, 32};
   episode.height = {48, 32};
-  episode.jpegs.resize(2);
+  episode.pictures.resize(2);
   episode.small.resize(2);
-  for (int i = 0; i < ticks; ++i) {
-    DemonstrationTick tick;
-    tick.state.fill(offset + 0.01 * i);
-    tick.action.fill(offset + 0.01 * (i + 1));
-    episode.ticks.push_back(tick);
+  for (int i = 0; i < steps; ++i) {
+    for (int v = 0; v < 2; ++v)
+      episode.vectors[v].insert(episode.vectors[v].end(), 7,
+                                static_cast<float>(offset + 0.01 * (i + v)));
     for (size_t c = 0; c < 2; ++c) {
       Image image{episode.width[c], episode.height[c], {}};
       image.data.assign(size_t{3} * image.width * image.height, static_cast<uint8_t>(40 + 5 * i));
-      episode.jpegs[c].push_back(*JpegFromRgb(image, 95));
+      episode.pictures[c].push_back(*EncodePng(image));
       image.width = image.height = 16;
       image.data.resize(size_t{3} * 16 * 16);
       episode.small[c].push_back(image);
@@ -52,8 +52,13 @@ DemonstrationEpisode Episode(const std::string& instruction, int ticks, double o
   return episode;
 }
 
+LerobotSchema Schema() {
+  const std::vector<std::string> axes = {"a", "b", "c", "d", "e", "f", "gripper"};
+  return {"piper", 30, {{"observation.state", axes}, {"action", axes}}, {"base", "wrist"}};
+}
+
 absl::StatusOr<LerobotDataset> OpenAt(const std::string& path) {
-  return LerobotDataset::Open(path, "piper", 30, {"base", "wrist"});
+  return LerobotDataset::Open(path, Schema());
 }
 
 TEST(LerobotDatasetTest, LerobotsOwnLibrariesReadWhatIsWritten) {
@@ -69,7 +74,7 @@ TEST(LerobotDatasetTest, LerobotsOwnLibrariesReadWhatIsWritten) {
   auto again = OpenAt(path);
   ASSERT_TRUE(again.ok()) << again.status();
   EXPECT_EQ(again->episodes(), 2);
-  DemonstrationEpisode failed = Episode("open the drawer", 7, 3);
+  LerobotEpisode failed = Episode("open the drawer", 7, 3);
   failed.success = false;
   ASSERT_TRUE(again->Append(failed).ok());
   const auto [output, code] = ReadBack(path);
@@ -83,7 +88,7 @@ TEST(LerobotDatasetTest, LerobotsOwnLibrariesReadWhatIsWritten) {
 
 TEST(LerobotDatasetTest, AKilledProcessLosesTheEpisodeUnderWayAndNoOther) {
   const std::string path = Fresh("killed");
-  const DemonstrationEpisode episode = Episode("open the drawer", 60);
+  const LerobotEpisode episode = Episode("open the drawer", 60);
   int64_t before = 0;
   int killed_in_append = 0;
   for (int round = 0; round < 25; ++round) {
@@ -151,18 +156,31 @@ TEST(LerobotDatasetTest, RefusesAnotherSchemaAndNamesTheValues) {
   const auto fails = [&](const absl::Status& status, const std::string& text) {
     EXPECT_THAT(std::string(status.message()), HasSubstr(text));
   };
-  fails(LerobotDataset::Open(path, "piper", 20, {"base", "wrist"}).status(),
+  const auto other = [](auto change) {
+    LerobotSchema schema = Schema();
+    change(schema);
+    return schema;
+  };
+  const auto open = [](const std::string& at, const LerobotSchema& schema) {
+    return LerobotDataset::Open(at, schema).status();
+  };
+  fails(open(path, other([](auto& s) { s.rate_hz = 20; })),
         "info.json: fps is 30, this recording has 20");
-  fails(LerobotDataset::Open(path, "piper", 30, {"base"}).status(), "info.json: features is");
-  fails(LerobotDataset::Open(path, "panda", 30, {"base", "wrist"}).status(), "robot_type");
-  fails(LerobotDataset::Open(Fresh("name"), "piper", 30, {"a/b"}).status(), "camera 'a/b'");
-  fails(LerobotDataset::Open(Fresh("rate"), "piper", 29.97, {"a"}).status(), "whole number");
-  DemonstrationEpisode larger = Episode("a", 3);
+  fails(open(path, other([](auto& s) { s.cameras.pop_back(); })), "info.json: features is");
+  fails(open(path, other([](auto& s) {
+               s.vectors.push_back({"action.sent", {"x"}});
+             })),
+        "info.json: features is");
+  fails(open(path, other([](auto& s) { s.vectors[1].axes.pop_back(); })), "action");
+  fails(open(path, other([](auto& s) { s.robot = "panda"; })), "robot_type");
+  fails(open(Fresh("name"), other([](auto& s) { s.cameras[0] = "a/b"; })), "camera 'a/b'");
+  fails(open(Fresh("rate"), other([](auto& s) { s.rate_hz = 29.97; })), "whole number");
+  LerobotEpisode larger = Episode("a", 3);
   larger.width[0] = 128;
   fails(set->Append(larger), "observation.images.base is [48,64,3], this recording has [48,128,3]");
   EXPECT_EQ(set->episodes(), 1);
   ASSERT_TRUE(WriteFileAtomically(path + "/meta/info.json", "{\"fps\": 30}").ok());
-  fails(OpenAt(path).status(), "is not a data set that robot_client recorded");
+  fails(OpenAt(path).status(), "is not a data set that RoboStress recorded");
 }
 
 TEST(LerobotDatasetTest, AFailedAppendLeavesTheSetAsItWas) {

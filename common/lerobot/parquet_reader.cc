@@ -1,4 +1,4 @@
-#include "robot_client/demonstration/parquet_reader.h"
+#include "common/lerobot/parquet_reader.h"
 
 #include <algorithm>
 #include <cstring>

@@ -2,7 +2,7 @@
 
     python3.13 -m venv VENV                       # LeRobot 0.6 needs Python 3.12 or newer
     VENV/bin/pip install "lerobot[dataset]==0.6.1"
-    HF_HUB_OFFLINE=1 VENV/bin/python tests/robot_client/demonstration/read_with_lerobot.py data/drawer/lerobot
+    HF_HUB_OFFLINE=1 VENV/bin/python tests/common/lerobot/read_with_lerobot.py data/drawer/lerobot
 
 Prints what LeRobot sees, and fails where that is not what was recorded."""
 
@@ -19,7 +19,9 @@ frame = data[0]
 for name, value in frame.items():
     print(f"  {name}: {tuple(value.shape) if torch.is_tensor(value) else value!r}")
 cameras = [name for name in frame if name.startswith("observation.images.")]
-assert frame["observation.state"].shape == frame["action"].shape == (7,)
+for name, feature in data.meta.features.items():
+    if feature["dtype"] == "float32" and name not in ("timestamp", "next.reward"):
+        assert tuple(frame[name].shape) in (tuple(feature["shape"]), ()), name
 for name in cameras:
     assert frame[name].shape[0] == 3 and 0 <= frame[name].min() <= frame[name].max() <= 1
 numbers = data.hf_dataset.with_format("numpy")
@@ -31,7 +33,7 @@ chunks = LeRobotDataset(
     "lab/recorded", root=root, delta_timestamps={"action": [i / data.fps for i in range(HORIZON)]}
 )
 batch = next(iter(torch.utils.data.DataLoader(chunks, batch_size=4)))
-assert batch["action"].shape == (4, HORIZON, 7)
+assert batch["action"].shape == (4, HORIZON, *data.meta.shapes["action"])
 rows = torch.stack([data[i]["action"] for i in range(HORIZON)])
 assert torch.equal(batch["action"][0], rows)
 last = chunks[data.num_frames - 1]

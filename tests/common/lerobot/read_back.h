@@ -14,12 +14,12 @@ namespace robostress {
 // later runs find it there. What failed, or empty.
 inline const std::string& ReaderFailure() {
   static const std::string failure = []() -> std::string {
-    const std::string venv = DEMONSTRATION_VENV, done = venv + "/DONE";
+    const std::string venv = LEROBOT_VENV, done = venv + "/DONE";
     if (std::filesystem::exists(done)) return "";
     for (const std::string& command :
          {"python3 -m venv --clear " + venv,
           venv + "/bin/python -m pip install --quiet --disable-pip-version-check "
-                 "--only-binary=:all: --timeout 15 --retries 1 -r " DEMONSTRATION_TESTS
+                 "--only-binary=:all: --timeout 15 --retries 1 -r " LEROBOT_TESTS
                  "/read_requirements.txt"}) {
       const auto [output, code] = RunProgram(command, "");
       if (code != 0) return absl::StrCat(command, " failed: ", output);
@@ -34,7 +34,7 @@ inline const std::string& ReaderFailure() {
 inline std::pair<std::string, int> ReadBack(const std::string& arguments) {
   return RunProgram(
       "HF_HUB_OFFLINE=1 HF_DATASETS_OFFLINE=1 HF_DATASETS_DISABLE_PROGRESS_BARS=1 "
-      "nice -n 19 " DEMONSTRATION_VENV "/bin/python " DEMONSTRATION_TESTS "/read_dataset.py",
+      "nice -n 19 " LEROBOT_VENV "/bin/python " LEROBOT_TESTS "/read_dataset.py",
       arguments);
 }
 

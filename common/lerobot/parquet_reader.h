@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "robot_client/demonstration/thrift_reader.h"
+#include "common/lerobot/thrift_reader.h"
 
 namespace robostress {
 

@@ -1,10 +1,10 @@
-#include "robot_client/demonstration/parquet_reader.h"
+#include "common/lerobot/parquet_reader.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/lerobot/parquet_table.h"
 #include "common/random.h"
-#include "robot_client/demonstration/parquet_table.h"
 
 namespace robostress {
 namespace {

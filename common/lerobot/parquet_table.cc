@@ -1,4 +1,4 @@
-#include "robot_client/demonstration/parquet_table.h"
+#include "common/lerobot/parquet_table.h"
 
 #include <cstring>
 #include <limits>

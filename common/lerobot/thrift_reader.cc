@@ -1,4 +1,4 @@
-#include "robot_client/demonstration/thrift_reader.h"
+#include "common/lerobot/thrift_reader.h"
 
 #include <bit>
 #include <cstring>

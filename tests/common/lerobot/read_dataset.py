@@ -59,7 +59,7 @@ for i, episode in enumerate(episodes):
 for name in ("observation.state", "action"):
     values = np.array(data[name])
     s = stats[name]
-    assert values.shape[1] == 7 and s["count"] == [len(values)]
+    assert [values.shape[1]] == info["features"][name]["shape"] and s["count"] == [len(values)]
     assert np.allclose(values.mean(0), s["mean"], atol=1e-6)
     assert np.allclose(values.std(0), s["std"], atol=1e-6)
     assert np.allclose(values.min(0), s["min"]) and np.allclose(values.max(0), s["max"])

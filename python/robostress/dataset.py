@@ -1,0 +1,171 @@
+"""Episodes of any environment as a data set of LeRobot v3.0, with the errors that were on."""
+from __future__ import annotations
+
+import ctypes
+import os
+import struct
+import weakref
+import zlib
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from robostress._library import LIBRARY, Failures, Frames, InvalidArgument, Schema, WrongOrder, array
+from robostress.compensation import Compensator
+
+ACTION = ("x", "y", "z", "rx", "ry", "rz", "gripper")
+MOST_SIDE = 4096
+
+
+def measured(before: Tuple[Any, Any], after: Tuple[Any, Any], sent: Any, *, translation_scale: float = 0.05,
+             rotation_scale: float = 0.5) -> np.ndarray:
+    """[7] the displacement that a command `sent` brought, in units of a command, and its gripper entry. before, after:
+    position [m] and unit quaternion w x y z of the end effector."""
+    compensator = Compensator("base", translation_scale=translation_scale, rotation_scale=rotation_scale)
+    none = np.zeros((1, 7), np.float32)
+    values = compensator.residual(*zip(before, after), policy=none, sent=none)[0]
+    values[6] = np.asarray(sent, float)[6]
+    return values
+
+
+def _png(picture: np.ndarray) -> bytes:
+    """An RGB picture [height, width, 3] as a PNG file (https://www.w3.org/TR/png-3)."""
+    height, width, _ = picture.shape
+    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # a row begins with its filter, 0: none
+    rows[:, 1:] = picture.reshape(height, -1)
+    chunks = ((b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
+              (b"IDAT", zlib.compress(rows.tobytes(), 1)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks)
+
+
+def _texts(names: Sequence[str]) -> Any:
+    return (ctypes.c_char_p * len(names))(*(name.encode() for name in names))
+
+
+class EpisodeDataset:
+    """A data set that grows by whole episodes, in a folder; opened again it goes on.
+
+        with robostress.EpisodeDataset("data/worn", cameras=["image", "image2"]) as data:
+            for each step:  data.add(state, {"image": ..., "image2": ...}, commanded=..., sent=..., measured=...)
+            data.end("open the drawer", success)
+
+    Columns: observation.state, action (commanded: what the policy asked for), action.sent (what the controller got),
+    action.measured (what the arm did), observation.images.CAMERA. state, action: how many entries, or their names. more:
+    further columns by name, given to add() as `more`. fps: steps a second. Pictures are RGB, uint8 [height, width, 3], of
+    one size for each camera; they are kept as PNG. A process that dies loses the episode under way and no other.
+    """
+
+    def __init__(self, folder: Union[str, "os.PathLike[str]"], *, fps: int = 20, robot: str = "panda",
+                 state: Union[int, Sequence[str]] = 8, action: Union[int, Sequence[str]] = ACTION,
+                 cameras: Sequence[str] = ("image", "image2"),
+                 more: Optional[Mapping[str, Union[int, Sequence[str]]]] = None) -> None:
+        columns = {"observation.state": state, "action": action, "action.sent": action, "action.measured": action}
+        for name, axes in (more or {}).items():
+            if name in columns:
+                raise InvalidArgument(f"more has {name!r}, which is a column already; rename it")
+            columns[name] = axes
+        self._axes: Dict[str, List[str]] = {name: _names(name, axes) for name, axes in columns.items()}
+        self.cameras, self._more = list(cameras), list(more or {})
+        self._failures, handle = Failures(), ctypes.c_void_p()
+        rows = [_texts(axes) for axes in self._axes.values()]
+        keep = (_texts(list(self._axes)), (ctypes.c_size_t * len(rows))(*(len(row) for row in rows)),
+                (ctypes.c_void_p * len(rows))(*(ctypes.addressof(row) for row in rows)), _texts(self.cameras))
+        schema = Schema(ctypes.sizeof(Schema), robot.encode(), fps, len(rows), *map(ctypes.addressof, keep[:3]),
+                        len(self.cameras), ctypes.addressof(keep[3]))
+        self._failures.check(LIBRARY.robostress_dataset_open(
+            os.fsencode(folder), ctypes.addressof(schema), ctypes.addressof(handle), *self._failures.arguments))
+        self._handle = handle.value
+        self._free = weakref.finalize(self, LIBRARY.robostress_dataset_free, self._handle)
+        self.discard()
+
+    def add(self, state: Any, images: Mapping[str, Any], *, commanded: Any, sent: Optional[Any] = None, measured: Any,
+            **more: Any) -> None:
+        """One step: what was seen before it, the command that was asked for, the one that was sent (None: the same), and
+        what the arm did with it. more: the further columns, **{name: values}."""
+        self._check_open()
+        if set(more) != set(self._more):
+            raise InvalidArgument(f"columns {sorted(more)} are given, the set has {sorted(self._more)} beside its own")
+        given = {"observation.state": state, "action": commanded, "action.sent": commanded if sent is None else sent,
+                 "action.measured": measured, **more}
+        row = {name: array(name, given[name], np.float32, len(axes)) for name, axes in self._axes.items()}
+        if set(images) != set(self.cameras):
+            raise InvalidArgument(f"pictures of {sorted(images)} are given, the set has cameras {sorted(self.cameras)}")
+        pictures = {camera: self._picture(camera, images[camera]) for camera in self.cameras}
+        for name, values in row.items():
+            self._rows[name].append(values.copy())
+        for camera, picture in pictures.items():
+            self._pictures[camera].append(picture)
+        self._steps += 1
+
+    def end(self, instruction: str, success: bool) -> int:
+        """Writes the episode; returns its index."""
+        self._check_open()
+        if self._steps == 0:
+            raise WrongOrder("the episode has no steps: add() some first")
+        rows = [np.concatenate(self._rows[name]) for name in self._axes]
+        pixels = [np.stack(self._pictures[camera]) for camera in self.cameras]
+        files = [[_png(picture) for picture in self._pictures[camera]] for camera in self.cameras]
+        bytes_, ends = [b"".join(f) for f in files], [np.cumsum([len(p) for p in f], dtype=np.uintp) for f in files]
+        sides = [(ctypes.c_int * len(pixels))(*(p.shape[i] for p in pixels)) for i in (2, 1)]
+        pointers = [(ctypes.c_void_p * len(group))(*group) for group in (
+            [r.ctypes.data for r in rows], [p.ctypes.data for p in pixels],
+            [ctypes.cast(ctypes.c_char_p(b), ctypes.c_void_p).value for b in bytes_], [e.ctypes.data for e in ends])]
+        vectors, pixels_at, pictures, picture_ends = map(ctypes.addressof, pointers)
+        frames = Frames(ctypes.sizeof(Frames), instruction.encode(), bool(success), self._steps, vectors, pixels_at,
+                        *map(ctypes.addressof, sides), pictures, picture_ends)
+        index = self.episodes
+        self._failures.check(LIBRARY.robostress_dataset_append(self._handle, ctypes.addressof(frames),
+                                                               *self._failures.arguments))
+        self.discard()
+        return index
+
+    def discard(self) -> None:
+        """Forgets the episode under way."""
+        self._steps = 0
+        self._rows: Dict[str, List[np.ndarray]] = {name: [] for name in self._axes}
+        self._pictures: Dict[str, List[np.ndarray]] = {camera: [] for camera in self.cameras}
+
+    @property
+    def episodes(self) -> int:
+        self._check_open()
+        return int(LIBRARY.robostress_dataset_episodes(self._handle))
+
+    @property
+    def steps(self) -> int:
+        """Of all episodes."""
+        self._check_open()
+        return int(LIBRARY.robostress_dataset_steps(self._handle))
+
+    def close(self) -> None:
+        """Once more does nothing. An episode under way is lost."""
+        self._free()
+        self._handle = None
+
+    def __enter__(self) -> "EpisodeDataset":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+    def _check_open(self) -> None:
+        if self._handle is None:
+            raise WrongOrder("the data set is closed: open it again")
+
+    def _picture(self, camera: str, given: Any) -> np.ndarray:
+        picture = np.asarray(given)
+        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or not 0 < max(picture.shape[:2]) <= MOST_SIDE:
+            raise InvalidArgument(f"picture of '{camera}' is {picture.dtype} {list(picture.shape)}, must be uint8 [height, "
+                                  f"width, 3], at most {MOST_SIDE} pixels a side")
+        before = self._pictures[camera]
+        if before and before[0].shape != picture.shape:
+            raise InvalidArgument(f"picture of '{camera}' is {list(picture.shape)}, the episode's first was "
+                                  f"{list(before[0].shape)}")
+        return np.array(picture)
+
+
+def _names(column: str, axes: Union[int, Sequence[str]]) -> List[str]:
+    names = [f"{i}" for i in range(axes)] if isinstance(axes, (int, np.integer)) else [str(name) for name in axes]
+    if not names:
+        raise InvalidArgument(f"column {column} has no entries")
+    return names
