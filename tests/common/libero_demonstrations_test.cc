@@ -73,6 +73,31 @@ std::string WriteFile(const std::string& name, bool ours = true) {
   return path;
 }
 
+TEST(LiberoDemonstrations, AFailureIsDoneWithoutAReward) {
+  const std::string path = TempPath("libero_failure.hdf5");
+  std::filesystem::remove(path);
+  auto writer = LiberoDemonstrationWriter::Create(path, {"suite", "task", "do it"});
+  LiberoDemonstration failure = MakeDemonstration(4);
+  failure.success = false;
+  failure.columns.sent = Ramp(5, 4, 7);
+  ASSERT_TRUE(writer->Add(MakeDemonstration(4)).ok() && writer->Add(failure).ok());
+  ASSERT_TRUE(writer->Publish().ok());
+  const auto file = Hdf5File::Open(path);
+  ASSERT_TRUE(file.ok()) << file.status();
+  for (const int64_t row : {0, 3}) {
+    for (const int demo : {0, 1}) {
+      uint8_t reward = 9, done = 9;
+      const std::string group = absl::StrCat("data/demo_", demo);
+      ASSERT_TRUE(file->ReadByteRow(group + "/rewards", row, absl::MakeSpan(&reward, 1)).ok());
+      ASSERT_TRUE(file->ReadByteRow(group + "/dones", row, absl::MakeSpan(&done, 1)).ok());
+      EXPECT_EQ(done, row == 3);
+      EXPECT_EQ(reward, row == 3 && demo == 0);
+    }
+  }
+  EXPECT_EQ(*file->ReadDoubles("data/demo_1/actions_sent", {4, 7}, 4), failure.columns.sent);
+  EXPECT_FALSE(file->Has("data/demo_0/actions_sent"));
+}
+
 TEST(LiberoDemonstrations, ReadBackAsWritten) {
   const auto file = LiberoDemonstrationFile::Open(WriteFile("libero_back.hdf5"));
   ASSERT_TRUE(file.ok()) << file.status();

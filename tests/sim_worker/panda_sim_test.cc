@@ -70,6 +70,31 @@ TEST(PandaSim, MovesAlongTheCommandedDirection) {
   EXPECT_LT(std::hypot(moved.x(), moved.z()), 0.02);
 }
 
+// The share of a command's displacement that the arm makes of it in a step, at steady state: of a
+// unit mass behind a critically damped spring that is stretched anew every 0.05 s.
+TEST(PandaSim, AStifferControllerComesFartherInAStep) {
+  double before = 0;
+  for (const double kp : {75.0, 150.0, 600.0}) {
+    SimOptions options;
+    options.controller_kp = kp;
+    auto sim = MakeTestSim(options);
+    ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+    double last = 0, moved = 0;
+    for (int i = 0; i < 12; ++i) {
+      ASSERT_TRUE(sim->Step(Command(0, 0.3, 0)).ok());
+      const double y = sim->Measure().tool.p_base_tool.y();
+      moved = y - last;
+      last = y;
+    }
+    const double share = moved / (0.05 * 0.3);
+    EXPECT_GT(share, 1.3 * before) << kp;
+    if (kp == 150) {
+      EXPECT_NEAR(share, 0.267, 0.02);
+    }
+    before = share;
+  }
+}
+
 TEST(PandaSim, GoalReferenceDecidesTheGain) {
   // Ideal steady gain of the achieved reference: 0.267 (kp 150, damping ratio 1, 50 ms). The
   // desired reference trails by a constant lag, so its gain tends to one.

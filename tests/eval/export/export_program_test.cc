@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/lerobot/parquet_reader.h"
 #include "common/libero_demonstrations.h"
 #include "common/records/episode_recording.h"
 #include "tests/common/lerobot/read_back.h"
@@ -63,6 +64,29 @@ TEST_F(Export, LerobotsLibrariesReadTheEpisodes) {
   const std::string origins = *ReadFile(set + "/meta/robostress_episodes.jsonl");
   EXPECT_THAT(origins, HasSubstr(R"({"episode_index":3,"unit":"tabletop_goal-heavy_payload-L5-)"
                                  R"(expert-base-s0","scenario":"heavy_payload","severity":5)"));
+  const std::string table = set + "/data/chunk-000/file-001.parquet";
+  const auto parquet = ParquetReader::Parse(table, *ReadFile(table));
+  ASSERT_TRUE(parquet.ok()) << parquet.status();
+  const auto recorded =
+      ReadEpisodeRecording(absl::StrCat(root_, kUnit, "/episodes/task0_episode1.safetensors"));
+  ASSERT_TRUE(recorded.ok()) << recorded.status();
+  const auto holds = [&](const std::string& column, int width, const auto& of_step) {
+    const auto numbers = parquet->Numbers(column, width);
+    ASSERT_TRUE(numbers.ok()) << numbers.status();
+    ASSERT_EQ(numbers->size(), recorded->steps.size() * static_cast<size_t>(width));
+    for (size_t t = 0; t < recorded->steps.size(); ++t) {
+      for (int i = 0; i < width; ++i)
+        EXPECT_EQ((*numbers)[t * width + i], static_cast<float>(of_step(recorded->steps[t])[i]))
+            << column << " of step " << t;
+    }
+  };
+  using Step = EpisodeRecording::Step;
+  holds("observation.state", 8, [](const Step& s) { return s.proprioception; });
+  holds("observation.joints", 7, [](const Step& s) { return s.before.q; });
+  holds("observation.joint_velocities", 7, [](const Step& s) { return s.before.dq; });
+  holds("action", 7, [](const Step& s) { return s.commanded; });
+  holds("action.sent", 7, [](const Step& s) { return s.sent; });
+  holds("action.measured", 7, [](const Step& s) { return s.measured; });
   const auto [again, refused] = Write("--lerobot " + set);
   EXPECT_EQ(refused, 2);
   EXPECT_THAT(again, HasSubstr("holds something already"));

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "python/library/robostress.h"
+#include "robostress.h"
 
 namespace {
 

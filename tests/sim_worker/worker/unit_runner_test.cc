@@ -11,7 +11,9 @@
 #include "adapter/method_options.h"
 #include "adapter/methods.h"
 #include "common/atomic_file.h"
+#include "common/image.h"
 #include "common/safetensors.h"
+#include "common/status_macros.h"
 #include "nlohmann/json.hpp"
 #include "sim_worker/worker/sim_unit.h"
 #include "tests/common/rollout/fake_robot.h"
@@ -75,6 +77,7 @@ struct UnitRunnerTest : public testing::Test {
     options.server = server == nullptr ? "" : server->address();
     options.connect_timeout_s = 60;
     options.measure_lag = measure_lag;
+    options.record_views = record_views;
     options.run.episodes = range;
     options.run.progress = [this](std::string_view line) { lines.emplace_back(line); };
     return RunSimUnit(
@@ -87,6 +90,17 @@ struct UnitRunnerTest : public testing::Test {
           out.robot = robot;
           out.make_expert = []() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
             return std::make_unique<FakeExpert>();
+          };
+          out.name = absl::StrCat("task ", task);
+          out.moment = [robot](int side) -> absl::StatusOr<RecordedMoment> {
+            RecordedMoment moment;
+            RS_ASSIGN_OR_RETURN(moment.observation, robot->Observe({}));
+            moment.observation.proprioception.conservativeResizeLike(Eigen::VectorXf::Zero(8));
+            moment.observation.views = {
+                {"agentview", {side, side, std::vector<uint8_t>(size_t{3} * side * side)}}};
+            moment.simulator = {};
+            moment.simulator.state = {static_cast<double>(robot->commands.size())};
+            return moment;
           };
           out.film = [this](int height) -> absl::StatusOr<Image> {
             ++frames;
@@ -120,6 +134,7 @@ struct UnitRunnerTest : public testing::Test {
   std::vector<std::string> lines;
   int frames = 0;
   bool measure_lag = false;
+  int record_views = 0;
   std::string range;
 };
 
@@ -400,6 +415,38 @@ TEST_F(UnitRunnerTest, ReplayRunsWithoutAServer) {
   EXPECT_EQ(Rows("a").size(), 6u);
   unit.replay_file = Dir("absent.safetensors");
   EXPECT_THAT(std::string(Run("b").message()), HasSubstr("absent.safetensors"));
+}
+
+TEST_F(UnitRunnerTest, RecordsWhatWasAskedForSentAndMeasured) {
+  unit.method = *MakeMethod("gain", {"gain=1.5"});
+  unit.tasks = {3};
+  unit.episodes = 1;
+  ASSERT_TRUE(Run("plain").ok());
+  record_views = 24;
+  ASSERT_TRUE(Run("recorded").ok());
+  EXPECT_EQ(Read("plain", "episodes.jsonl"), Read("recorded", "episodes.jsonl"));
+  EXPECT_FALSE(Has("plain", "episodes"));
+  const auto read = ReadEpisodeRecording(Dir("recorded") + "/episodes/task3_episode0.safetensors");
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->task_name, "task 3");
+  EXPECT_EQ(read->method, "gain");
+  EXPECT_EQ(read->instruction, "move along x");
+  ASSERT_EQ(static_cast<int>(read->steps.size()), Rows("recorded")[0]["steps"].get<int>());
+  const FakeRobot& robot = *robots.back();
+  const auto image = DecodePng(read->pictures[0].back());
+  ASSERT_TRUE(image.ok()) << image.status();
+  EXPECT_EQ(image->width, 24);
+  bool scaled = false;
+  for (size_t i = 0; i < read->steps.size(); ++i) {
+    const EpisodeRecording::Step& step = read->steps[i];
+    EXPECT_EQ(step.sent, robot.commands[i]);
+    scaled = scaled || step.sent != step.commanded;
+    EXPECT_EQ(step.simulator.state[0], static_cast<double>(i)) << "before the step";
+    EXPECT_NEAR(step.proprioception[0], step.before.tool.p_base_tool.x(), 1e-7);
+    EXPECT_NEAR(step.measured[0], robot.follow * step.sent[0], 1e-6);
+    EXPECT_EQ(step.measured[6], step.sent[6]);
+  }
+  EXPECT_TRUE(scaled);
 }
 
 TEST_F(UnitRunnerTest, FilmsTheFirstEpisodesOfEachTask) {
