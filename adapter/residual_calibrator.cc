@@ -27,7 +27,6 @@ ResidualCalibrator::ResidualCalibrator(const CalibratorOptions& options,
 
 void ResidualCalibrator::StartEpisode() {
   arm_.Reset();
-  known_ = false;
   phi_.setZero();
 }
 
@@ -38,26 +37,21 @@ void ResidualCalibrator::Observe(const ExecutedChunk& chunk) {
     const Vector6 sent = step.sent_command.head<6>().cast<double>();
     const Vector6 nominal = arm_.Step(sent);
     if (chunk.IsMasked(i)) {
-      known_ = false;
       phi_.setZero();
       continue;
     }
     const Vector6 motion = AchievedDelta(step.before, StateAfter(chunk, i), residual_).head<6>();
-    if (known_) {
-      const Eigen::Vector3d beyond = (motion - nominal).head<kAxes>() / residual_.tracking_gain;
-      A_ = kept * A_ + phi_ * phi_.transpose();
-      A_.diagonal().array() += options_.ridge / options_.memory;
-      B_ = kept * B_ + phi_ * beyond.transpose();
-    }
+    const Eigen::Vector3d beyond = (motion - nominal).head<kAxes>() / residual_.tracking_gain;
+    A_ = kept * A_ + phi_ * phi_.transpose();
+    A_.diagonal().array() += options_.ridge / options_.memory;
+    B_ = kept * B_ + phi_ * beyond.transpose();
     phi_ << 1, StateAfter(chunk, i).tool.p_base_tool / kReach, sent.cwiseMax(-1.0).cwiseMin(1.0),
         motion / residual_.tracking_gain;
-    known_ = true;
   }
 }
 
 Eigen::VectorXd ResidualCalibrator::correction() const {
   Eigen::VectorXd correction = Eigen::VectorXd::Zero(6);
-  if (!known_) return correction;
   const Features weights = A_.llt().solve(phi_);
   correction.head<kAxes>() =
       (-B_.transpose() * weights).cwiseMax(-options_.limit).cwiseMin(options_.limit);
@@ -66,8 +60,7 @@ Eigen::VectorXd ResidualCalibrator::correction() const {
 
 Eigen::VectorXd ResidualCalibrator::State() const {
   Eigen::VectorXd state(kStateSize);
-  state << A_.reshaped(), B_.reshaped(), known_ ? 1.0 : 0.0, phi_, arm_.state().goal,
-      arm_.state().velocity;
+  state << A_.reshaped(), B_.reshaped(), phi_, arm_.state().goal, arm_.state().velocity;
   return state;
 }
 
@@ -83,8 +76,7 @@ void ResidualCalibrator::SetState(const Eigen::VectorXd& state) {
   constexpr int kMoments = kFeatures * kFeatures, kAnswers = kFeatures * kAxes;
   A_ = state.head<kMoments>().reshaped(kFeatures, kFeatures);
   B_ = state.segment<kAnswers>(kMoments).reshaped(kFeatures, kAxes);
-  known_ = state[kMoments + kAnswers] != 0;
-  phi_ = state.segment<kFeatures>(kMoments + kAnswers + 1);
+  phi_ = state.segment<kFeatures>(kMoments + kAnswers);
   arm_.set_state({state.segment<6>(kStateSize - 12), state.tail<6>()});
 }
 

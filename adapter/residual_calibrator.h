@@ -58,7 +58,7 @@ class ResidualCalibrator : public Corrector {
  public:
   using Vector6 = NominalArm::Vector6;
   static constexpr int kFeatures = 16, kAxes = 3;
-  static constexpr int kStateSize = kFeatures * (kFeatures + kAxes) + 1 + kFeatures + 12;
+  static constexpr int kStateSize = kFeatures * (kFeatures + kAxes) + kFeatures + 12;
 
   ResidualCalibrator(const CalibratorOptions& options, const ResidualOptions& residual,
                      const NominalArmOptions& arm);
@@ -72,7 +72,7 @@ class ResidualCalibrator : public Corrector {
   void Observe(const ExecutedChunk& chunk) override;
   Eigen::VectorXd correction() const override;  // [6]
 
-  // A and B by columns, whether phi is known, phi, nominal goal, nominal velocity.
+  // A and B by columns, phi, nominal goal, nominal velocity.
   Eigen::VectorXd State() const override;
   void SetState(const Eigen::VectorXd& state) override;
   // A positive definite and its entries and B's bounded, an arm that holds.
@@ -89,8 +89,7 @@ class ResidualCalibrator : public Corrector {
   NominalArm arm_;
   Moments A_;
   Answers B_ = Answers::Zero();
-  bool known_ = false;  // phi of the next step
-  Features phi_ = Features::Zero();
+  Features phi_ = Features::Zero();  // of the next step; zero where it is not known
 };
 
 }  // namespace robostress

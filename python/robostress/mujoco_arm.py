@@ -14,6 +14,10 @@ MEASURED = ("mass_matrix", "other_torque", "ddq")  # what act() does not read it
 class MujocoArm:
     """joints, motors: ids in the model, from the base on. tool: the site where a payload sits. pads: geoms of both sides of
     the gripper. rows: sub-steps of a control step. The model and its data stay as long as this does.
+
+    A motor gets what is left of its torque in `ctrl`. Of a servo (affine bias: <position>, <velocity>, <general>) `ctrl` stays
+    what was commanded; the difference to what it would give goes into `qfrc_applied` of its joint, until the control step is
+    over.
     """
 
     def __init__(self, model: Any, data: Any, joints: Sequence[int], motors: Sequence[int], errors: JointErrors, *,
@@ -23,15 +27,19 @@ class MujocoArm:
         joint, self.motor = np.array(joints), np.array(motors)
         self.qpos, self.dof = m.jnt_qposadr[joint], m.jnt_dofadr[joint]
         self._check(joint)
-        self.gear = m.actuator_gear[self.motor, 0] * m.actuator_gainprm[self.motor, 0]
+        self.servos = bool(np.any(m.actuator_biastype[self.motor] != 0))
+        self.gear = np.ones(len(motors)) if self.servos else m.actuator_gear[self.motor, 0] * m.actuator_gainprm[self.motor, 0]
+        self._torques = np.zeros(m.nu)  # of servos: what the joints get
         low, high = self._limits()
         errors.bind(torque_low=low, torque_high=high)
         self.fields = [(getattr(self, "_" + name), getattr(errors, name)) for name in MEASURED if name in errors.reads]
         errors.attach(m.opt.gravity, rows=rows, tool=None if tool is None else d.site_xpos[tool],
-                      gear=None if np.all(self.gear == 1) else self.gear, qpos=d.qpos, qvel=d.qvel, ctrl=d.ctrl,
+                      gear=None if np.all(self.gear == 1) else self.gear, qpos=d.qpos, qvel=d.qvel,
+                      ctrl=self._torques if self.servos else d.ctrl,
                       xaxis=d.xaxis, xanchor=d.xanchor, subtree_com=d.subtree_com, subtree_mass=m.body_subtreemass,
                       qpos_index=self.qpos, dof_index=self.dof, ctrl_index=self.motor, joint_index=joint,
                       body_index=m.jnt_bodyid[joint])
+        self._others: Optional[np.ndarray] = None  # qfrc_applied, without what is the errors' in a control step
         self._watch(pads)
         if tool is None and "payload_gravity" in errors.reads:
             raise InvalidArgument("the scenario has a payload: name the site where it sits, tool='...'")
@@ -40,14 +48,16 @@ class MujocoArm:
         m, motor = self.model, self.motor
         turns = np.isin(m.jnt_type[joint], (2, 3))  # slide, hinge
         drives = (m.actuator_trntype[motor] == 0) & (m.actuator_trnid[motor, 0] == joint)
-        plain = (m.actuator_gaintype[motor] == 0) & (m.actuator_biastype[motor] == 0) & (m.actuator_dyntype[motor] == 0)
+        plain = (m.actuator_gaintype[motor] == 0) & (m.actuator_biastype[motor] <= 1) & (m.actuator_dyntype[motor] == 0)
         for index in np.flatnonzero(~(turns & drives & plain)):
-            raise InvalidArgument(f"actuator {motor[index]} at joint {joint[index]} of the model is no motor of one hinge or "
-                                  "slide: the errors bend torques; name <motor joint=...> actuators")
+            raise InvalidArgument(f"actuator {motor[index]} at joint {joint[index]} of the model is no motor or servo of one "
+                                  "hinge or slide without an activation of its own: the errors bend torques; name <motor>, "
+                                  "<position> or <velocity> actuators of joints")
 
     def _limits(self) -> Sequence[np.ndarray]:
         m, ends = self.model, np.full((len(self.motor), 2), [-np.inf, np.inf])
-        for limited, given, scale in ((m.actuator_ctrllimited, m.actuator_ctrlrange, self.gear),
+        motors = () if self.servos else ((m.actuator_ctrllimited, m.actuator_ctrlrange, self.gear),)
+        for limited, given, scale in (*motors,
                                       (m.actuator_forcelimited, m.actuator_forcerange, m.actuator_gear[self.motor, 0])):
             on = limited[self.motor] != 0
             bounds = np.sort(given[self.motor] * scale[:, None], axis=1)
@@ -65,7 +75,17 @@ class MujocoArm:
         """What `ctrl` asks for [Nm]."""
         m, ctrl = self.model, self.data.ctrl[self.motor]
         bounds = m.actuator_ctrlrange[self.motor]
-        return self.gear * np.where(m.actuator_ctrllimited[self.motor] != 0, np.clip(ctrl, bounds[:, 0], bounds[:, 1]), ctrl)
+        ctrl = np.where(m.actuator_ctrllimited[self.motor] != 0, np.clip(ctrl, bounds[:, 0], bounds[:, 1]), ctrl)
+        return self._servo_torques(ctrl) if self.servos else self.gear * ctrl
+
+    def _servo_torques(self, ctrl: np.ndarray) -> np.ndarray:
+        """gear (gain ctrl + b0 + b1 length + b2 speed), the force within its limits; MuJoCo, Computation, Actuation model."""
+        m, motor, bias = self.model, self.motor, self.model.actuator_biasprm[self.motor]
+        affine = (m.actuator_biastype[motor] == 1)[:, None] * bias[:, :3]
+        gear = m.actuator_gear[motor, 0]
+        force = m.actuator_gainprm[motor, 0] * ctrl + affine[:, 0] + gear * (affine[:, 1] * self.q() + affine[:, 2] * self.dq())
+        ends = m.actuator_forcerange[motor]
+        return gear * np.where(m.actuator_forcelimited[motor] != 0, np.clip(force, ends[:, 0], ends[:, 1]), force)
 
     def begin_episode(self) -> None:
         elsewhere = self.q() + 0.0123
@@ -73,6 +93,7 @@ class MujocoArm:
             raise InvalidArgument("the scenario bends what encoders read, and this environment takes positions from the "
                                   "simulator: leave out its effects of stage sensor")
         self.look()
+        self._others = None
         self.errors.reset_attached(float(self.model.opt.timestep))
 
     def look(self) -> None:
@@ -83,6 +104,8 @@ class MujocoArm:
     def actor(self, controller: Any) -> Callable[[], Any]:
         """What a sub-step calls. controller: has the `torques` that it asks for now."""
         act = self.errors.actor(controller)
+        if self.servos:
+            act = self._servo_actor(act)
         if not self.fields:
             return act
 
@@ -90,6 +113,20 @@ class MujocoArm:
             self.look()
             act()
         return look_and_act
+
+    def _servo_actor(self, act: Callable[[], Any]) -> Callable[[], Any]:
+        def act_beside_servos() -> None:
+            act()
+            if self._others is None:
+                self._others = self.data.qfrc_applied[self.dof]
+            # The servo acts at the positions that the errors have moved.
+            self.data.qfrc_applied[self.dof] = self._others + (self._torques[self.motor] - self.torques)
+        return act_beside_servos
+
+    def end_control_step(self) -> None:
+        """What is the errors' of qfrc_applied goes."""
+        if self._others is not None:
+            self.data.qfrc_applied[self.dof], self._others = self._others, None
 
     def _mass_matrix(self) -> np.ndarray:
         import mujoco  # type: ignore[import-not-found]
@@ -152,6 +189,7 @@ class ArmEpisode:
     def executed(self, action: Any) -> Dict[str, Any]:
         """What became of a command."""
         assert self.arm is not None
+        self.arm.end_control_step()
         record = self.errors.record.copy()
         return {"commanded": np.array(action), "asked": record[:, 0], "applied": record[:, 1], "q": self.arm.q(),
                 "dq": self.arm.dq(), "held": self.held}

@@ -58,7 +58,7 @@ def wrap(env: Any, scenario: str, *, severity: int = 5, seed: int = 0, horizon: 
     LIBERO's OffScreenRenderEnv, or of Gymnasium on MuJoCo. horizon: control steps over which severities that grow do so; 0:
     the environment's. settle_steps: of an episode that do not count for them. More options: those of JointErrors, and
 
-    robosuite: `robot` (0) and `arm` ("right"). Gymnasium: `actuators`, the arm's motors by their names or their joints', from
+    robosuite: `robot` (0) and `arm` ("right"). Gymnasium: `actuators`, the arm's motors or servos by their names or their joints', from
     the base on; `tool`, the site where a payload sits; `pads`, geoms of both sides of the gripper, where the scenario
     depends on a grasp.
     """

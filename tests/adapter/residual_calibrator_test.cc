@@ -94,7 +94,7 @@ TEST(ResidualCalibrator, LearnsNothingFromAMaskedStepNorFromTheNext) {
   chunk.masked = {false, true, false};
   const Eigen::VectorXd before = calibrator.State();
   calibrator.Observe(chunk);
-  EXPECT_EQ(calibrator.State().head<304>(), before.head<304>());
+  EXPECT_LT((calibrator.State().head<304>() - before.head<304>()).norm(), 1e-15);
   EXPECT_EQ(calibrator.State()[304], 1) << "the next one is learned from again";
 }
 

@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
 """The wrapper around Gymnasium's MuJoCo environments, and the same bits on every MuJoCo."""
 import copy
+import pathlib
 import pickle
+import tempfile
 import unittest
 
 import gymnasium
+import gymnasium.envs.mujoco
 import mujoco
 import numpy as np
 from gymnasium.utils.env_checker import check_env
@@ -46,6 +49,100 @@ def chain():
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="0.002"/><worldbody>{inside}</worldbody><actuator>{motors}</actuator></mujoco>')
     return model, mujoco.MjData(model)
+
+
+def xml_of(actuators, gear=1):
+    """Three joints, their actuators as given for each."""
+    inside = ""
+    for i in reversed(range(3)):
+        inside = (f'<body pos="0 0 0.25"><joint name="j{i}" axis="0 1 0" armature="0.05" damping="0.3"/>'
+                  f'<geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.25" contype="0" conaffinity="0"/>{inside}</body>')
+    return (f'<mujoco><option timestep="0.002"/><worldbody>{inside}</worldbody><actuator>'
+            + "".join(actuators.format(i=i, gear=gear) for i in range(3)) + "</actuator></mujoco>")
+
+
+class ThreeJoints(gymnasium.envs.mujoco.MujocoEnv):
+    metadata = {"render_modes": ["human", "rgb_array", "depth_array"], "render_fps": 50}
+
+    def __init__(self, file):
+        super().__init__(file, 10, gymnasium.spaces.Box(-np.inf, np.inf, (6,)))
+
+    def step(self, action):
+        self.do_simulation(action, self.frame_skip)
+        return np.concatenate([self.data.qpos, self.data.qvel]), 0.0, False, False, {}
+
+    def reset_model(self):
+        self.set_state(self.init_qpos, self.init_qvel)
+        return np.zeros(6)
+
+
+class Servos(unittest.TestCase):
+    """A servo in the model beside the same law in a program and a motor."""
+    POSITION = '<position joint="j{i}" kp="60" kv="4" gear="{gear}" forcerange="-30 30" ctrlrange="-2 2" ctrllimited="true"/>'
+    MOTOR = '<motor joint="j{i}"/>'
+
+    def played(self, actuators, scenario, law=None, gear=1, steps=40, wrapped=True):
+        model = mujoco.MjModel.from_xml_string(xml_of(actuators, gear))
+        data = mujoco.MjData(model)
+        arm = MujocoArm(model, data, range(3), range(3), rs.JointErrors(scenario, 3, nominal=NOMINAL[:3]), rows=10)
+        arm.begin_episode()
+        way = []
+        for k in range(steps):
+            target = 0.6 * np.sin(0.1 * k + np.arange(3))
+            arm.errors.begin_control_step(k, False)
+            act = arm.actor(arm)
+            for _ in range(10):
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                data.ctrl[:] = target / gear if law is None else law(target, data.qpos, data.qvel)
+                if wrapped:
+                    act()
+                mujoco.mj_step(model, data)
+                way.append(data.qpos.copy())
+            arm.end_control_step()
+            self.assertFalse(data.qfrc_applied.any())
+        return np.array(way)
+
+    @staticmethod
+    def law(gear):
+        # MuJoCo's position servo: force = kp (ctrl - length) - kv speed, length = gear q, and its torque gear times that.
+        return lambda target, q, dq: gear * np.clip(60 * (np.clip(target / gear, -2, 2) - gear * q) - 4 * gear * dq, -30, 30)
+
+    @unittest.skipIf(mujoco.__version__.startswith("2"), "<position kv=...> came with MuJoCo 3")
+    def test_a_servo_is_bent_as_its_law_in_a_program_is(self):
+        for gear in (1, 2.5):
+            for scenario in ("isolated_gravity", "isolated_stribeck", "isolated_backlash", "isolated_compliance"):
+                servo = self.played(self.POSITION, scenario, gear=gear)
+                motor = self.played(self.MOTOR, scenario, self.law(gear))
+                self.assertLess(np.abs(servo - motor).max(), 1e-11, (gear, scenario))
+                clean = self.played(self.POSITION, "clean", gear=gear)
+                self.assertGreater(np.abs(servo - clean).max(), 1e-4, (gear, scenario))
+
+    @unittest.skipIf(mujoco.__version__.startswith("2"), "<position kv=...> came with MuJoCo 3")
+    def test_an_environment_of_servos_is_wrapped(self):
+        with tempfile.TemporaryDirectory() as folder:
+            file = pathlib.Path(folder, "arm.xml")
+            file.write_text(xml_of(self.POSITION))
+            way = lambda env: np.array([env.step(0.5 * np.sin(0.1 * k + np.arange(3)))[0] for k in range(30)])  # noqa: E731
+            bare, clean, worn = ThreeJoints(str(file)), ThreeJoints(str(file)), ThreeJoints(str(file))
+            names = ["j0", "j1", "j2"]
+            wrapped = (rs.wrap(clean, "clean", actuators=names),
+                       rs.wrap(worn, "isolated_stribeck", actuators=names, nominal=NOMINAL[:3]))
+            for env in (bare, *wrapped):
+                env.reset(seed=1)
+            expected = way(bare)
+            np.testing.assert_array_equal(way(wrapped[0]), expected)
+            self.assertGreater(np.abs(way(wrapped[1]) - expected).max(), 1e-4)
+            _, _, _, _, info = wrapped[1].step(np.full(3, 0.2))
+            self.assertEqual(info["robostress"]["applied"].shape, (10, 3))
+            self.assertTrue((info["robostress"]["applied"] != info["robostress"]["asked"]).any())
+            self.assertFalse(worn.data.qfrc_applied.any())
+
+    @unittest.skipIf(mujoco.__version__.startswith("2"), "<position kv=...> came with MuJoCo 3")
+    def test_without_errors_it_is_itself_to_the_last_bit(self):
+        for gear in (1, 2.5):
+            bare = self.played(self.POSITION, "clean", gear=gear, wrapped=False)
+            np.testing.assert_array_equal(self.played(self.POSITION, "clean", gear=gear), bare)
 
 
 class Bits(unittest.TestCase):
@@ -169,8 +266,8 @@ class Gymnasium(unittest.TestCase):
             rs.wrap(gymnasium.make("CartPole-v1"), "clean", actuators=["cart"])
         model = mujoco.MjModel.from_xml_string(
             '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>'
-            '<actuator><position joint="j" kp="9"/></actuator></mujoco>')
-        with self.assertRaisesRegex(rs.InvalidArgument, "actuator 0 at joint 0 of the model is no motor"):
+            '<actuator><intvelocity joint="j" kp="9" actrange="-1 1"/></actuator></mujoco>')
+        with self.assertRaisesRegex(rs.InvalidArgument, "actuator 0 at joint 0 of the model is no motor or servo"):
             MujocoArm(model, mujoco.MjData(model), [0], [0], rs.JointErrors("clean", 1))
 
 
