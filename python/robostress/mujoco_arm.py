@@ -174,6 +174,7 @@ class ArmEpisode:
         self.name, self.errors, self.settle_steps, self._make = name, errors, settle_steps, make
         self.arm: Optional[MujocoArm] = None
         self.steps, self.held, self.begun = 0, False, False
+        self.last: Dict[str, Any] = {}  # what executed() said
 
     def begin_control_step(self) -> MujocoArm:
         """With the model's positions up to date, before the first torques of a command."""
@@ -191,5 +192,6 @@ class ArmEpisode:
         assert self.arm is not None
         self.arm.end_control_step()
         record = self.errors.record.copy()
-        return {"commanded": np.array(action), "asked": record[:, 0], "applied": record[:, 1], "q": self.arm.q(),
-                "dq": self.arm.dq(), "held": self.held}
+        self.last = {"commanded": np.array(action), "asked": record[:, 0], "applied": record[:, 1], "q": self.arm.q(),
+                     "dq": self.arm.dq(), "held": self.held}
+        return self.last

@@ -2,9 +2,9 @@
 from __future__ import annotations
 
 import sys
-from typing import Any, Callable, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
-from robostress import gymnasium_arms, robosuite_arms
+from robostress import dm_control_arms, gymnasium_arms, robosuite_arms
 from robostress._library import InvalidArgument, WrongOrder
 from robostress.joint_errors import JointErrors
 from robostress.mujoco_arm import ArmEpisode
@@ -13,7 +13,8 @@ from robostress.mujoco_arm import ArmEpisode
 class WrappedEnvironment:
     """The environment with joint errors: everything is its own but step(), which adds to `info` under "robostress"
     `commanded`, the action; `asked` and `applied` [sub-steps, joints], torques of the controller and at the joints; `q`, `dq`,
-    measured after the step; `held`. A second arm's are under "robostress_ROBOT_ARM". Arguments: as of wrap().
+    measured after the step; `held`. A second arm's are under "robostress_ROBOT_ARM". `executed` is the same, where a step has no
+    `info`. Arguments: as of wrap().
     """
 
     def __init__(self, env: Any, scenario: str, **options: Any) -> None:
@@ -30,6 +31,11 @@ class WrappedEnvironment:
         if self._closed:
             raise WrongOrder("the environment is closed: make another")
         return self._wrapped.step(action)
+
+    @property
+    def executed(self) -> Dict[str, Any]:
+        """Of the last step of the arm that was wrapped here."""
+        return self._episode.last
 
     def set_init_state(self, *given: Any, **more: Any) -> Any:
         """LIBERO's; an episode begins."""
@@ -55,10 +61,10 @@ class WrappedEnvironment:
 def wrap(env: Any, scenario: str, *, severity: int = 5, seed: int = 0, horizon: int = 0, settle_steps: int = 0,
          **options: Any) -> WrappedEnvironment:
     """An environment with the errors of a scenario in an arm's joints: of robosuite 1.4 or 1.5, or one around it such as
-    LIBERO's OffScreenRenderEnv, or of Gymnasium on MuJoCo. horizon: control steps over which severities that grow do so; 0:
+    LIBERO's OffScreenRenderEnv, of Gymnasium on MuJoCo, or of dm_control. horizon: control steps over which severities that grow do so; 0:
     the environment's. settle_steps: of an episode that do not count for them. More options: those of JointErrors, and
 
-    robosuite: `robot` (0) and `arm` ("right"). Gymnasium: `actuators`, the arm's motors or servos by their names or their joints', from
+    robosuite: `robot` (0) and `arm` ("right"). Gymnasium, dm_control: `actuators`, the arm's motors or servos by their names or their joints', from
     the base on; `tool`, the site where a payload sits; `pads`, geoms of both sides of the gripper, where the scenario
     depends on a grasp.
     """
@@ -77,9 +83,12 @@ def _hook(env: Any, scenario: str, *, severity: int = 5, seed: int = 0, horizon:
     base = gymnasium_arms.base_of(env)
     if base is not None:
         limit = getattr(env.spec, "max_episode_steps", None) or 300
-        return _hook_gymnasium(base, scenario, (severity, seed), horizon or limit, settle_steps, **options)
-    raise InvalidArgument(f"{type(env).__name__} cannot be wrapped: in it is no environment of robosuite, nor of Gymnasium's "
-                          "MujocoEnv; ask JointErrors in your own sub-steps")
+        return _hook_named(gymnasium_arms.GymnasiumArm, base, scenario, (severity, seed), horizon or limit, settle_steps, **options)
+    base = dm_control_arms.base_of(env)
+    if base is not None:
+        return _hook_named(dm_control_arms.DmControlArm, base, scenario, (severity, seed), horizon or 300, settle_steps, **options)
+    raise InvalidArgument(f"{type(env).__name__} cannot be wrapped: in it is no environment of robosuite, of Gymnasium's "
+                          "MujocoEnv, nor of dm_control; ask JointErrors in your own sub-steps")
 
 
 def _hook_robosuite(base: Any, scenario: str, draws: Tuple[int, int], horizon: int, settle_steps: int, *, robot: int = 0,
@@ -93,13 +102,13 @@ def _hook_robosuite(base: Any, scenario: str, draws: Tuple[int, int], horizon: i
     return arms.add(key, errors, settle_steps), lambda: arms.remove(key)
 
 
-def _hook_gymnasium(base: Any, scenario: str, draws: Tuple[int, int], horizon: int, settle_steps: int, *,
+def _hook_named(kind: Callable[..., Any], base: Any, scenario: str, draws: Tuple[int, int], horizon: int, settle_steps: int, *,
                     actuators: Sequence[str] = (), tool: Optional[str] = None, pads: Sequence[Sequence[str]] = (),
                     **options: Any) -> Tuple[ArmEpisode, Callable[[], None]]:
     if not actuators:
         raise InvalidArgument("actuators is empty: name the motors of the arm, from the base on")
     errors = _errors(scenario, len(actuators), False, draws, horizon, options)
-    hooked = gymnasium_arms.GymnasiumArm(base, errors, settle_steps, actuators, tool, pads)
+    hooked = kind(base, errors, settle_steps, actuators, tool, pads)
     return hooked.episode, hooked.remove
 
 

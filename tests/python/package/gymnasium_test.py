@@ -262,7 +262,7 @@ class Gymnasium(unittest.TestCase):
         wrapped = rs.wrap(env, "clean", actuators=SHOULDER_TO_WRIST)
         with self.assertRaisesRegex(rs.InvalidArgument, "wrapped already"):
             rs.wrap(wrapped, "clean", actuators=SHOULDER_TO_WRIST)
-        with self.assertRaisesRegex(rs.InvalidArgument, "no environment of robosuite, nor of"):
+        with self.assertRaisesRegex(rs.InvalidArgument, "no environment of robosuite, of Gym"):
             rs.wrap(gymnasium.make("CartPole-v1"), "clean", actuators=["cart"])
         model = mujoco.MjModel.from_xml_string(
             '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>'
