@@ -109,15 +109,23 @@ absl::Status CheckInfo(const std::string& path, const Json& there, const Json& h
   }
   // Names, and names of their entries.
   const auto features = [](const Json& info) {
-    Json list = Json::array();
+    Json names = Json::object();
     if (info.contains("features") && info["features"].is_object()) {
       for (const auto& [name, feature] : info["features"].items())
-        list.push_back({name, feature.is_object() ? feature.value("names", Json()) : Json()});
+        names[name] = feature.is_object() ? feature.value("names", Json()) : Json();
     }
-    return list;
+    return names;
   };
-  if (features(there) != features(here))
-    return Differs(path, "features", features(there), features(here));
+  const Json theirs = features(there), ours = features(here);
+  for (const Json* one : {&ours, &theirs}) {
+    for (const auto& [name, names] : one->items()) {
+      const auto entry = [&name = name](const Json& of) {
+        return of.contains(name) ? of[name] : Json("not there");
+      };
+      if (entry(theirs) != entry(ours))
+        return Differs(path, ("feature " + name).c_str(), entry(theirs), entry(ours));
+    }
+  }
   for (const char* field : {"total_episodes", "total_frames", "total_tasks"}) {
     if (!there.contains(field) || !there[field].is_number_unsigned()) {
       return absl::InvalidArgumentError(absl::StrCat(path, ": ", field, " is no count"));

@@ -166,12 +166,13 @@ TEST(LerobotDatasetTest, RefusesAnotherSchemaAndNamesTheValues) {
   };
   fails(open(path, other([](auto& s) { s.rate_hz = 20; })),
         "info.json: fps is 30, this recording has 20");
-  fails(open(path, other([](auto& s) { s.cameras.pop_back(); })), "info.json: features is");
+  fails(open(path, other([](auto& s) { s.cameras.pop_back(); })),
+        "info.json: feature observation.images.wrist is");
   fails(open(path, other([](auto& s) {
                s.vectors.push_back({"action.sent", {"x"}});
              })),
-        "info.json: features is");
-  fails(open(path, other([](auto& s) { s.vectors[1].axes.pop_back(); })), "action");
+        "info.json: feature action.sent is \"not there\", this recording has [\"x\"]");
+  fails(open(path, other([](auto& s) { s.vectors[1].axes.pop_back(); })), "feature action is");
   fails(open(path, other([](auto& s) { s.robot = "panda"; })), "robot_type");
   fails(open(Fresh("name"), other([](auto& s) { s.cameras[0] = "a/b"; })), "camera 'a/b'");
   fails(open(Fresh("rate"), other([](auto& s) { s.rate_hz = 29.97; })), "whole number");

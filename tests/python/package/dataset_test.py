@@ -106,7 +106,7 @@ class Datasets(unittest.TestCase):
         with self.assertRaisesRegex(rs.WrongOrder, "closed"):
             data.add(**good)
         self.read_back()
-        for options, message in (({}, "info.json: features is"), ({"fps": 10}, "fps is 20"), ({"fps": 2.5}, "whole number"),
+        for options, message in (({}, "info.json: feature torque is"), ({"fps": 10}, "fps is 20"), ({"fps": 2.5}, "whole number"),
                                  ({"robot": "ur5e"}, "robot_type"), ({"cameras": ["a/b"]}, "camera 'a/b'"),
                                  ({"more": {"next.done": 1}}, "feature next.done already"),
                                  ({"more": {"action": 1}}, "which is a column already"),
