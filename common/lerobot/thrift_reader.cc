@@ -48,7 +48,8 @@ class Reader {
       if (field < 1 || field > 1000)
         return absl::InvalidArgumentError(absl::StrCat("field ", field, " at byte ", at_));
       RS_ASSIGN_OR_RETURN(ThriftValue member, Value(head & 15, depth + 1, false));
-      value.fields.emplace_back(static_cast<int>(field), std::move(member));
+      value.numbers.push_back(static_cast<int>(field));
+      value.list.push_back(std::move(member));
     }
   }
 
@@ -160,8 +161,8 @@ class Reader {
 }  // namespace
 
 const ThriftValue* ThriftValue::Find(int field, Kind wanted) const {
-  for (const auto& [number, value] : fields) {
-    if (number == field) return value.kind == wanted ? &value : nullptr;
+  for (size_t i = 0; i < numbers.size(); ++i) {
+    if (numbers[i] == field) return list[i].kind == wanted ? &list[i] : nullptr;
   }
   return nullptr;
 }

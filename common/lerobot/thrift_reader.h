@@ -17,8 +17,8 @@ struct ThriftValue {
   int64_t integer = 0;  // also of a bool
   double real = 0;
   std::string text;
-  std::vector<ThriftValue> list;
-  std::vector<std::pair<int, ThriftValue>> fields;  // by their numbers
+  std::vector<ThriftValue> list;  // of a struct its fields
+  std::vector<int> numbers;       // of the fields
 
   // A field; null: not there, or of another kind.
   const ThriftValue* Find(int field, Kind kind) const;

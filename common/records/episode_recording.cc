@@ -15,6 +15,7 @@ namespace {
 constexpr char kFormat[] = "robostress.episode.1";
 constexpr int kAction = 7, kJoints = 7, kProprioception = 8, kPose = 7, kLibero = 12;
 constexpr int64_t kMostSteps = 100'000;
+constexpr double kLargest = 1e30;  // fits in a float
 constexpr char kPicture[] = "picture.";
 
 // Texts and numbers of the metadata.
@@ -112,6 +113,69 @@ absl::Status ReadPictures(const SafetensorsFile& file, const std::string& camera
   return absl::OkStatus();
 }
 
+absl::StatusOr<EpisodeRecording> RecordingOf(const SafetensorsFile& file) {
+  const std::string& path = file.path();
+  const auto format = file.metadata().find("format");
+  if (format == file.metadata().end() || format->second != kFormat)
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": is no recorded episode; its format must be '", kFormat, "'"));
+  EpisodeRecording recording;
+  MetadataReader metadata(file);
+  VisitMetadata(recording, metadata);
+  RS_RETURN_IF_ERROR(metadata.status);
+  RS_ASSIGN_OR_RETURN(const std::vector<float> commanded,
+                      file.ReadFloats("commanded", {-1, kAction}));
+  const auto rows = static_cast<int64_t>(commanded.size()) / kAction;
+  if (rows < 1 || rows > kMostSteps)
+    return Wrong(path, absl::StrCat("holds ", rows, " steps, must be 1 to ", kMostSteps));
+  recording.steps.resize(static_cast<size_t>(rows));
+  const auto read = [&](const char* name, int width, const auto& take) -> absl::Status {
+    RS_ASSIGN_OR_RETURN(const std::vector<double> values, file.ReadDoubles(name, {rows, width}));
+    for (const double v : values) {
+      if (!(std::abs(v) <= kLargest))  // nor a NaN
+        return Wrong(path, absl::StrCat(name, " holds ", v, ", must be numbers up to ", kLargest));
+    }
+    const size_t each = values.size() / static_cast<size_t>(rows);
+    for (size_t i = 0; i < recording.steps.size(); ++i)
+      take(recording.steps[i], Eigen::Map<const Eigen::VectorXd>(values.data() + i * each,
+                                                                 static_cast<Eigen::Index>(each)));
+    return absl::OkStatus();
+  };
+  using Step = EpisodeRecording::Step;
+  using Row = Eigen::Map<const Eigen::VectorXd>;
+  const auto into = [](Eigen::VectorXf Step::*member) {
+    return [member](Step& s, const Row& row) { s.*member = row.cast<float>(); };
+  };
+  RS_RETURN_IF_ERROR(read("commanded", kAction, into(&Step::commanded)));
+  RS_RETURN_IF_ERROR(read("sent", kAction, into(&Step::sent)));
+  RS_RETURN_IF_ERROR(read("measured", kAction, into(&Step::measured)));
+  RS_RETURN_IF_ERROR(read("proprioception", kProprioception, into(&Step::proprioception)));
+  RS_RETURN_IF_ERROR(read("q", kJoints, [](Step& s, const Row& row) { s.before.q = row; }));
+  RS_RETURN_IF_ERROR(read("dq", kJoints, [](Step& s, const Row& row) { s.before.dq = row; }));
+  RS_RETURN_IF_ERROR(read("tool", kPose, [](Step& s, const Row& row) {
+    s.before.tool.p_base_tool = row.head<3>();
+    s.before.tool.q_base_tool = Eigen::Quaterniond(row[3], row[4], row[5], row[6]);
+  }));
+  RS_RETURN_IF_ERROR(
+      read("gripper", 1, [](Step& s, const Row& row) { s.before.gripper = row[0]; }));
+  RS_RETURN_IF_ERROR(read("simulator", -1, [](Step& s, const Row& row) {
+    s.simulator.state.assign(row.begin(), row.end());
+  }));
+  RS_RETURN_IF_ERROR(read("libero", kLibero, [](Step& s, const Row& row) {
+    const double* at = row.data();
+    std::copy_n(at, 2, s.simulator.fingers.begin());
+    std::copy_n(at + 2, 3, s.simulator.ee_pos.begin());
+    std::copy_n(at + 5, 3, s.simulator.ee_ori.begin());
+    std::copy_n(at + 8, 4, s.simulator.ee_quat.begin());
+    std::copy_n(s.before.q.begin(), kJoints, s.simulator.joints.begin());
+  }));
+  for (const auto& [name, tensor] : file.tensors()) {
+    if (name.rfind(kPicture, 0) != 0 || name.ends_with(".ends")) continue;
+    RS_RETURN_IF_ERROR(ReadPictures(file, name.substr(sizeof(kPicture) - 1), recording));
+  }
+  return recording;
+}
+
 }  // namespace
 
 absl::Status WriteEpisodeRecording(const EpisodeRecording& recording, const std::string& file) {
@@ -158,63 +222,12 @@ absl::Status WriteEpisodeRecording(const EpisodeRecording& recording, const std:
 
 absl::StatusOr<EpisodeRecording> ReadEpisodeRecording(const std::string& path) {
   RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Open(path));
-  const auto format = file.metadata().find("format");
-  if (format == file.metadata().end() || format->second != kFormat)
-    return absl::InvalidArgumentError(
-        absl::StrCat(path, ": is no recorded episode; its format must be '", kFormat, "'"));
-  EpisodeRecording recording;
-  MetadataReader metadata(file);
-  VisitMetadata(recording, metadata);
-  RS_RETURN_IF_ERROR(metadata.status);
-  RS_ASSIGN_OR_RETURN(const std::vector<float> commanded,
-                      file.ReadFloats("commanded", {-1, kAction}));
-  const auto rows = static_cast<int64_t>(commanded.size()) / kAction;
-  if (rows < 1 || rows > kMostSteps)
-    return Wrong(path, absl::StrCat("holds ", rows, " steps, must be 1 to ", kMostSteps));
-  recording.steps.resize(static_cast<size_t>(rows));
-  const auto read = [&](const char* name, int width, const auto& take) -> absl::Status {
-    RS_ASSIGN_OR_RETURN(const std::vector<double> values, file.ReadDoubles(name, {rows, width}));
-    if (!std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); }))
-      return Wrong(path, absl::StrCat(name, " holds what is no finite number"));
-    const size_t each = values.size() / static_cast<size_t>(rows);
-    for (size_t i = 0; i < recording.steps.size(); ++i)
-      take(recording.steps[i], Eigen::Map<const Eigen::VectorXd>(values.data() + i * each,
-                                                                 static_cast<Eigen::Index>(each)));
-    return absl::OkStatus();
-  };
-  using Step = EpisodeRecording::Step;
-  using Row = Eigen::Map<const Eigen::VectorXd>;
-  const auto into = [](Eigen::VectorXf Step::*member) {
-    return [member](Step& s, const Row& row) { s.*member = row.cast<float>(); };
-  };
-  RS_RETURN_IF_ERROR(read("commanded", kAction, into(&Step::commanded)));
-  RS_RETURN_IF_ERROR(read("sent", kAction, into(&Step::sent)));
-  RS_RETURN_IF_ERROR(read("measured", kAction, into(&Step::measured)));
-  RS_RETURN_IF_ERROR(read("proprioception", kProprioception, into(&Step::proprioception)));
-  RS_RETURN_IF_ERROR(read("q", kJoints, [](Step& s, const Row& row) { s.before.q = row; }));
-  RS_RETURN_IF_ERROR(read("dq", kJoints, [](Step& s, const Row& row) { s.before.dq = row; }));
-  RS_RETURN_IF_ERROR(read("tool", kPose, [](Step& s, const Row& row) {
-    s.before.tool.p_base_tool = row.head<3>();
-    s.before.tool.q_base_tool = Eigen::Quaterniond(row[3], row[4], row[5], row[6]);
-  }));
-  RS_RETURN_IF_ERROR(
-      read("gripper", 1, [](Step& s, const Row& row) { s.before.gripper = row[0]; }));
-  RS_RETURN_IF_ERROR(read("simulator", -1, [](Step& s, const Row& row) {
-    s.simulator.state.assign(row.begin(), row.end());
-  }));
-  RS_RETURN_IF_ERROR(read("libero", kLibero, [](Step& s, const Row& row) {
-    const double* at = row.data();
-    std::copy_n(at, 2, s.simulator.fingers.begin());
-    std::copy_n(at + 2, 3, s.simulator.ee_pos.begin());
-    std::copy_n(at + 5, 3, s.simulator.ee_ori.begin());
-    std::copy_n(at + 8, 4, s.simulator.ee_quat.begin());
-    std::copy_n(s.before.q.begin(), kJoints, s.simulator.joints.begin());
-  }));
-  for (const auto& [name, tensor] : file.tensors()) {
-    if (name.rfind(kPicture, 0) != 0 || name.ends_with(".ends")) continue;
-    RS_RETURN_IF_ERROR(ReadPictures(file, name.substr(sizeof(kPicture) - 1), recording));
-  }
-  return recording;
+  return RecordingOf(file);
+}
+
+absl::StatusOr<EpisodeRecording> ParseEpisodeRecording(const std::string& name, std::string bytes) {
+  RS_ASSIGN_OR_RETURN(const SafetensorsFile file, SafetensorsFile::Parse(name, std::move(bytes)));
+  return RecordingOf(file);
 }
 
 }  // namespace robostress

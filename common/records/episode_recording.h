@@ -53,5 +53,7 @@ struct EpisodeRecording {
 absl::Status WriteEpisodeRecording(const EpisodeRecording& recording, const std::string& file);
 // Trusts nothing; errors name file and tensor or metadata key.
 absl::StatusOr<EpisodeRecording> ReadEpisodeRecording(const std::string& file);
+// The same of bytes; `name` for errors.
+absl::StatusOr<EpisodeRecording> ParseEpisodeRecording(const std::string& name, std::string bytes);
 
 }  // namespace robostress

@@ -81,6 +81,7 @@ class Recorder {
       if (moments_.empty()) recording_.cameras.push_back(view.camera);
     }
     pictures_.push_back(std::move(pictures));
+    moment->observation.views.clear();
     moments_.push_back(*std::move(moment));
   }
 

@@ -98,7 +98,7 @@ TEST(EpisodeRecording, SaysWhichTensorIsWrong) {
   recording.steps[1].measured[2] = std::numeric_limits<float>::quiet_NaN();
   ASSERT_TRUE(WriteEpisodeRecording(recording, Place("nan")).ok());
   EXPECT_THAT(std::string(ReadEpisodeRecording(Place("nan")).status().message()),
-              HasSubstr("measured holds what is no finite number"));
+              HasSubstr("measured holds nan, must be numbers up to 1e+30"));
   recording = Recording(3);
   recording.pictures[1].pop_back();
   ASSERT_TRUE(WriteEpisodeRecording(recording, Place("short")).ok());
