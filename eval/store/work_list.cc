@@ -124,8 +124,8 @@ absl::Status WriteJoined(const RunDirectory& run, const std::vector<WorkItem>& p
   const std::string servers = Collected(run, parts, "/servers.jsonl");
   if (!servers.empty()) RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/servers.jsonl", servers));
   for (const WorkItem& part : parts) {
-    for (const char* films : {"/videos", "/joints"})
-      RS_RETURN_IF_ERROR(LinkFiles(part.Folder(run) + films, folder + films));
+    for (const char* files : {"/videos", "/joints", "/episodes"})
+      RS_RETURN_IF_ERROR(LinkFiles(part.Folder(run) + files, folder + files));
   }
   RS_ASSIGN_OR_RETURN(const std::string episodes, Concatenated(run, parts, "/episodes.jsonl"));
   const auto rows = std::count(episodes.begin(), episodes.end(), '\n');

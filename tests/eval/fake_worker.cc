@@ -118,6 +118,8 @@ int Run(const WorkerArguments& options) {
   absl::Status status = MakeDirectories(out + "/videos");
   // One worker at a time, as with the real one; the lock goes with the process.
   flock(open(out.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC), LOCK_EX);
+  // As the real one: whoever waited for the lock may find that all is done.
+  if (access((out + "/DONE").c_str(), F_OK) == 0) return 0;
   if (status.ok()) status = WriteFileAtomically(out + "/config.yaml", DumpConfig(*config));
   if (status.ok()) {
     const nlohmann::json provenance = {

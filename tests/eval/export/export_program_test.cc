@@ -30,7 +30,7 @@ class Export : public testing::Test {
     root_ = ::testing::TempDir() + "/export";
     fs::remove_all(root_);
     fs::create_directories(root_);
-    const auto [output, code] = Sweep("run", "--record-episodes 32");
+    const auto [output, code] = Sweep("run", "--record-episodes 32 --split-episodes 1");
     ASSERT_EQ(code, 0) << output;
   }
   static std::pair<std::string, int> Sweep(const std::string& name, const std::string& more) {
