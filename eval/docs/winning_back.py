@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
 """The tables of docs/results/winning-back.md from kept outcomes: eval/docs/winning_back.py [METHOD...]
+    eval/docs/winning_back.py --picture FILE.svg     where the loss of each scenario goes
 
 Reads winning-back/METHOD/*.jsonl beside this file, as eval/conditions/reporting_run.sh writes them. Clusters are the
 40 tasks; scenarios and seeds lie within them. Pairs: equal condition, task, initial state and seed.
 """
 
+import html
 import json
 import pathlib
 import random
@@ -94,7 +96,75 @@ def per_condition(mine, other, conditions):
     return {c: f"{cell(mine, other, [c], False)} p {p:.2g}" for c, p in zip(conditions, holm(p_values))}
 
 
+# What a loss is made of: from where it begins to where it ends, each a method's success; "off" is base in Clean.
+PARTS = [("won back", "base", "ours_replanning", "#1d4ed8"),
+         ("missed: an identified model, inverted, does more", "ours_replanning", "ours_identified", "#0f766e"),
+         ("not seen: only the true errors and their states tell", "ours_identified", "known_errors", "#b45309"),
+         ("no command undoes it", "known_errors", "off", "#6b7280")]
+
+
+def losses(tables):
+    """{scenario or "mean": (success of base, success without errors, [points of each part])}, on episodes that all share."""
+    names = {name for _, *pair, _ in PARTS for name in pair if name != "off"}
+    result = {}
+    for scenario in SEVEN:
+        shared = set.intersection(*({(task, key[:2]) for task, row in tables[n][scenario].items() for key in row}
+                                    for n in names))
+        shared &= {(task, key[:2]) for task, row in tables["base"]["clean"].items() for key in row}
+
+        def success(table, condition):
+            return 100 * sum(v for task, row in table[condition].items() for key, v in row.items()
+                             if (task, key[:2]) in shared) / len(shared)
+        level = {name: success(tables[name], scenario) for name in names}
+        level["off"] = success(tables["base"], "clean")
+        result[scenario] = level["base"], level["off"], [level[end] - level[begin] for _, begin, end, _ in PARTS]
+    count = len(result)
+    result["mean"] = (*(sum(r[i] for r in result.values()) / count for i in (0, 1)),
+                      [sum(r[2][k] for r in result.values()) / count for k in range(len(PARTS))])
+    return result
+
+
+def picture(rows):
+    """Parts that are negative stand left of zero."""
+    left, row, scale = 250, 34, 7.0
+    least = min(sum(x for x in parts if x < 0) for _, _, parts in rows.values())
+    most = max(sum(x for x in parts if x > 0) for _, _, parts in rows.values())
+    zero, width = left - scale * least, left + scale * (most - least) + 60
+    height = row * len(rows) + 64 + 20 * len(PARTS)
+    out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height}" width="{width:.0f}" height="{height}" '
+           'font-family="system-ui, DejaVu Sans, sans-serif" font-size="13">',
+           f'<rect width="{width:.0f}" height="{height}" fill="#ffffff"/>']
+
+    def text(x, y, words, anchor="start", colour="#1f2937"):
+        out.append(f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">{html.escape(words)}</text>')
+
+    text(12, 22, "Success lost to each scenario [points], and where it goes")
+    for i, (scenario, (base, off, parts)) in enumerate(rows.items()):
+        y, right, negative = 40 + row * i, zero, zero
+        text(left - 10, y + 17, f"{scenario.replace('_', ' ')}  {base:.0f} of {off:.0f} %", "end")
+        for points, (_, _, _, colour) in zip(parts, PARTS):
+            x = right if points >= 0 else negative + scale * points
+            out.append(f'<rect x="{x:.1f}" y="{y}" width="{abs(scale * points):.1f}" height="24" fill="{colour}"/>')
+            if abs(points) >= 2:
+                text(x + abs(scale * points) / 2, y + 17, f"{points:.0f}".replace("-", "\u2212"), "middle", "#ffffff")
+            right, negative = right + scale * max(points, 0), negative + scale * min(points, 0)
+    bottom = 40 + row * len(rows)
+    out.append(f'<line x1="{zero:.1f}" y1="36" x2="{zero:.1f}" y2="{bottom}" stroke="#1f2937"/>')
+    for k, (words, _, _, colour) in enumerate(PARTS):
+        y = bottom + 14 + 20 * k
+        out.append(f'<rect x="{left}" y="{y}" width="13" height="13" fill="{colour}"/>')
+        text(left + 20, y + 11, words)
+    return "\n".join(out + ["</svg>"]) + "\n"
+
+
 def main():
+    if sys.argv[1:2] == ["--picture"]:
+        names = {name for _, *pair, _ in PARTS for name in pair if name != "off"}
+        rows = losses({name: outcomes(name) for name in names})
+        pathlib.Path(sys.argv[2]).write_text(picture(rows))
+        for scenario, (base, off, parts) in rows.items():
+            print(scenario, f"{base:.1f} of {off:.1f}", *(f"{x:+.1f}" for x in parts), sep=" | ")
+        return
     methods = sys.argv[1:] or sorted(d.name for d in FOLDER.iterdir() if d.is_dir())
     tables = {method: outcomes(method) for method in methods}
     for family, conditions in (("the seven", SEVEN), ("unseen", UNSEEN)):
