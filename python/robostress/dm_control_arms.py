@@ -27,7 +27,7 @@ class DmControlArm:
                  pads: Sequence[Sequence[str]]) -> None:
         if "_robostress" in vars(base):
             raise InvalidArgument("the environment is wrapped already: unwrap() it first")
-        self.base, self.acting = base, False
+        self.base = base
 
         def make() -> MujocoArm:
             model, data = base.physics.model.ptr, base.physics.data.ptr
@@ -48,13 +48,13 @@ class DmControlArm:
         return self._original["reset"]()
 
     def step(self, action: Any) -> Any:
-        physics, self.acting = self.base.physics, False
+        physics, self.episode.act = self.base.physics, None
         physics.step = lambda nstep=1: self.simulate(physics, nstep)
         try:
             result = self._original["step"](action)
         finally:
             del physics.step
-        if self.acting:  # not where it began an episode
+        if self.episode.act is not None:  # not where it began an episode
             self.episode.executed(action)
         return result
 
@@ -64,17 +64,7 @@ class DmControlArm:
         commanded = data.ctrl.copy()
         with physics.check_invalid_state():
             for _ in range(nstep):
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_comPos(model, data)
-                if not self.acting:
-                    self.acting, self.arm = True, self.episode.begin_control_step()
-                    self.act = self.arm.actor(self.arm)
-                if self.arm.fields:
-                    mujoco.mj_crb(model, data)
-                    mujoco.mj_comVel(model, data)
-                    mujoco.mj_rne(model, data, 0, data.qfrc_bias)
-                data.ctrl[:] = commanded
-                self.act()
+                self.episode.sub_step(model, data, commanded)
                 mujoco.mj_step(model, data)
             data.ctrl[:] = commanded
             if physics.legacy_step:

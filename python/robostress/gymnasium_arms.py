@@ -53,7 +53,6 @@ class GymnasiumArm:
         if "_robostress" in vars(base):
             raise InvalidArgument("the environment is wrapped already: unwrap() it first")
         self.base = base
-        self.arm: Optional[MujocoArm] = None  # in a control step
         make = lambda: named_arm(base.model, base.data, errors, actuators, tool, pads, base.frame_skip)  # noqa: E731
         self.episode = ArmEpisode("robostress", errors, settle_steps, make)
         make()  # what cannot be is said now
@@ -67,7 +66,7 @@ class GymnasiumArm:
                 delattr(self.base, name)
 
     def step(self, action: Any) -> Any:
-        self.arm = None
+        self.episode.act = None
         result = self._original["step"](action)
         result[-1]["robostress"] = self.episode.executed(action)
         return result
@@ -81,18 +80,7 @@ class GymnasiumArm:
         self._original["set_state"](qpos, qvel)
 
     def simulate(self, ctrl: Any, frame_skip: int) -> None:
-        import mujoco
         model, data, simulate = self.base.model, self.base.data, self._original["_step_mujoco_simulation"]
         for _ in range(frame_skip):
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            if self.arm is None:
-                self.arm = self.episode.begin_control_step()
-                self.act = self.arm.actor(self.arm)
-            if self.arm.fields:
-                mujoco.mj_crb(model, data)
-                mujoco.mj_comVel(model, data)
-                mujoco.mj_rne(model, data, 0, data.qfrc_bias)
-            data.ctrl[:] = ctrl
-            self.act()
+            self.episode.sub_step(model, data, ctrl)
             simulate(data.ctrl, 1)

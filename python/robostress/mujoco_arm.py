@@ -175,6 +175,7 @@ class ArmEpisode:
         self.arm: Optional[MujocoArm] = None
         self.steps, self.held, self.begun = 0, False, False
         self.last: Dict[str, Any] = {}  # what executed() said
+        self.act: Optional[Callable[[], Any]] = None  # of the control step under way; None before its first sub-step
 
     def begin_control_step(self) -> MujocoArm:
         """With the model's positions up to date, before the first torques of a command."""
@@ -186,6 +187,22 @@ class ArmEpisode:
         self.errors.begin_control_step(max(0, self.steps - self.settle_steps), self.held)
         self.steps += 1
         return self.arm
+
+    def sub_step(self, model: Any, data: Any, ctrl: Any) -> None:
+        """Between a command and a step of the physics, for simulators whose positions nobody brings up to date in between."""
+        import mujoco  # type: ignore[import-not-found]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        if self.act is None:
+            arm = self.begin_control_step()
+            self.act = arm.actor(arm)
+        assert self.arm is not None
+        if self.arm.fields:
+            mujoco.mj_crb(model, data)
+            mujoco.mj_comVel(model, data)
+            mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+        data.ctrl[:] = ctrl
+        self.act()
 
     def executed(self, action: Any) -> Dict[str, Any]:
         """What became of a command."""
