@@ -9,7 +9,7 @@ include(CMakePackageConfigHelpers)
 set(ROBOSTRESS_COMPONENTS evaluation worker robot-client calibration server dev)
 set(programs_evaluation robostress robostress-sweep robostress-report robostress-export robostress-compare robostress-store robostress-residual robostress-paper
   robostress-error-models robostress-grid-job robostress-scenarios robostress-piper-study)
-set(programs_worker robostress-worker robostress-environment robostress-suites robostress-record robostress-replay robostress-piper-worker
+set(programs_worker robostress-worker robostress-environment robostress-suites robostress-record robostress-replay robostress-libero robostress-piper-worker
   piper_emulator piper_residual)
 set(programs_robot-client robot_client robostress-proxy)
 set(programs_calibration robostress-calibrate robostress-record-to-rig robostress-fidelity robostress-close-loop robostress-identify)
@@ -81,6 +81,10 @@ set(data ${CMAKE_INSTALL_DATADIR}/robostress)
 if(ROBOSTRESS_TORCH)
   install(DIRECTORY server/models/weights DESTINATION ${data}/server/models COMPONENT server)
   install(DIRECTORY server/training DESTINATION ${data}/server COMPONENT server FILES_MATCHING PATTERN "*.yaml")
+endif()
+
+if(TARGET robostress-libero)
+  install(FILES sim_worker/libero/needed_files.sha256 DESTINATION ${data}/sim_worker/libero COMPONENT worker)
 endif()
 
 # The service and examples.

@@ -39,6 +39,8 @@ constexpr Command kCommands[] = {
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"suites", "List suites, their tasks and instructions; draw their first frames",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
+    {"libero", "Find, check and remember LIBERO's own files",
+     "ROBOSTRESS_MUJOCO ROBOSTRESS_LIBERO"},
     {"scenarios", "List scenarios with their severity factors"},
     {"error-models", "Draw the four joint error models over time"},
     {"serve", "Serve a policy, with online adaptation, over gRPC", "ROBOSTRESS_TORCH"},

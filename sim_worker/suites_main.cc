@@ -11,6 +11,7 @@
 #include "common/suites.h"
 #include "nlohmann/json.hpp"
 #include "sim_worker/contact_sheet.h"
+#include "sim_worker/libero/catalog.h"
 #include "sim_worker/suites/embedded_task.h"
 
 namespace robostress {
@@ -18,28 +19,48 @@ namespace {
 
 struct CommandLine {
   std::string suite, sheets, libero_root, robosuite_root;
-  bool json = false;
+  bool json = false, libero = false;
   int size = 176, initial_state = 0;
 };
 
+bool Wanted(const CommandLine& line, const SuiteInfo& info) {
+  if (!line.suite.empty()) return line.suite == info.name;
+  return !line.libero || info.needs_libero;
+}
+
+struct TaskLine {
+  std::string name, instruction;
+};
+
+// Empty for a suite whose tasks this build does not know.
+std::vector<TaskLine> TasksOf(const SuiteInfo& info) {
+  std::vector<TaskLine> tasks;
+  if (const SuiteSpec* spec = FindSuiteSpec(info.name)) {
+    for (const TaskSpec& task : spec->tasks)
+      tasks.push_back({TaskName(task.instruction), task.instruction});
+  } else if (const auto names = libero::LiberoTaskNames(info.name); names.ok()) {
+    for (const std::string& name : *names) tasks.push_back({name, libero::LiberoInstruction(name)});
+  }
+  return tasks;
+}
+
 void PrintText(const CommandLine& line) {
   for (const SuiteInfo& info : AllSuites()) {
-    if (!line.suite.empty() && line.suite != info.name) continue;
+    if (!Wanted(line, info)) continue;
     std::printf("%s  (%s, %d tasks, horizon %d, %d initial states%s%s)\n", info.name.c_str(),
                 info.title.c_str(), info.num_tasks, info.horizon, info.num_initial_states,
-                info.needs_libero ? ", needs --libero-root" : "",
+                info.needs_libero ? ", needs `robostress libero setup`" : "",
                 info.robot == "panda" ? "" : absl::StrCat(", --robot ", info.robot).c_str());
-    const SuiteSpec* spec = FindSuiteSpec(info.name);
-    if (spec == nullptr) continue;
-    for (size_t i = 0; i < spec->tasks.size(); ++i)
-      std::printf("  %zu  %s\n", i, spec->tasks[i].instruction.c_str());
+    int number = 0;
+    for (const TaskLine& task : TasksOf(info))
+      std::printf("  %d  %s\n", number++, task.instruction.c_str());
   }
 }
 
 void PrintJson(const CommandLine& line) {
   nlohmann::json out = nlohmann::json::array();
   for (const SuiteInfo& info : AllSuites()) {
-    if (!line.suite.empty() && line.suite != info.name) continue;
+    if (!Wanted(line, info)) continue;
     nlohmann::json suite = {{"name", info.name},
                             {"title", info.title},
                             {"num_tasks", info.num_tasks},
@@ -47,22 +68,18 @@ void PrintJson(const CommandLine& line) {
                             {"num_initial_states", info.num_initial_states},
                             {"needs_libero", info.needs_libero},
                             {"robot", info.robot}};
-    if (const SuiteSpec* spec = FindSuiteSpec(info.name)) {
-      for (const TaskSpec& task : spec->tasks) {
-        suite["tasks"].push_back(
-            {{"name", TaskName(task.instruction)}, {"instruction", task.instruction}});
-      }
-    }
+    for (const TaskLine& task : TasksOf(info))
+      suite["tasks"].push_back({{"name", task.name}, {"instruction", task.instruction}});
     out.push_back(suite);
   }
   std::printf("%s\n", out.dump(2).c_str());
 }
 
-// FOLDER/SUITE.svg of the suite that was asked for, or of every embedded one.
+// FOLDER/SUITE.svg of the suite that was asked for, of LIBERO's or of every embedded one.
 absl::Status WriteSheets(const CommandLine& line) {
   for (const SuiteInfo& info : AllSuites()) {
-    if (info.robot != "panda") continue;
-    if (line.suite.empty() ? info.needs_libero : line.suite != info.name) continue;
+    if (info.robot != "panda" || !Wanted(line, info)) continue;
+    if (line.suite.empty() && info.needs_libero != line.libero) continue;
     UnitConfig unit;
     unit.suite = info.name;
     unit.libero_root = line.libero_root;
@@ -103,22 +120,25 @@ int main(int argc, char** argv) {
       "robostress suites");
   app.footer(
       "\nExamples\n  robostress suites\n  robostress suites --suite tabletop_goal --json\n  "
-      "robostress suites --sheet sheets\n  robostress suites --sheet sheets --suite libero_goal "
-      "--libero-root LIBERO --robosuite-root robosuite\n");
+      "robostress suites --sheet sheets\n  robostress suites --libero --sheet sheets\n");
   robostress::CommandLine line;
   app.add_option("--suite", line.suite, "Only this one");
+  app.add_flag("--libero", line.libero, "Only LIBERO's four");
   app.add_flag("--json", line.json, "As JSON");
   app.add_option(
          "--sheet", line.sheets,
-         "Write FOLDER/SUITE.svg with the first frame of every task, of the embedded suites "
-         "or of --suite")
+         "Write FOLDER/SUITE.svg with the first frame of every task, of the embedded suites, "
+         "of --suite or of --libero")
       ->type_name("FOLDER");
   app.add_option("--size", line.size, "Of a view on the sheet [px]")
       ->check(robostress::cli::Range(16, 512))
       ->capture_default_str();
   app.add_option("--initial-state", line.initial_state, "Shown on the sheet")
       ->capture_default_str();
-  app.add_option("--libero-root", line.libero_root, "LIBERO checkout, for suites libero_*");
+  app.add_option(
+      "--libero-root", line.libero_root,
+      "LIBERO checkout, for suites libero_* (default: LIBERO_ROOT, else what `robostress libero "
+      "setup` linked)");
   app.add_option("--robosuite-root", line.robosuite_root,
                  "robosuite checkout, for suites libero_*");
   return robostress::RunMain(app, argc, argv, [&] { return robostress::Run(line); });

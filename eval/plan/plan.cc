@@ -19,6 +19,7 @@
 #include "common/embedded_policies.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/libero_fixtures.h"
+#include "common/libero_home.h"
 #include "common/libero_protocols.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
@@ -229,8 +230,8 @@ void CheckRanges(const SweepGrid& grid, Complaints& complaints) {
     if (suite->needs_libero && (grid.libero_root.empty() || grid.robosuite_root.empty())) {
       complaints.Add(absl::StrCat(
           name,
-          " reads LIBERO's own files: give --libero-root DIR and --robosuite-root DIR, or set "
-          "LIBERO_ROOT and ROBOSUITE_ROOT"));
+          " reads LIBERO's own files: run `robostress libero setup` once, give --libero-root DIR "
+          "and --robosuite-root DIR, or set LIBERO_ROOT and ROBOSUITE_ROOT"));
     }
   }
   if (const auto fixtures = ParseLiberoFixtures(grid.libero_fixtures); !fixtures.ok())
@@ -253,9 +254,11 @@ bool NeedsLibero(const std::string& suite) {
   return info != nullptr && info->needs_libero;
 }
 
-void SetFromEnvironment(const char* variable, std::string& value) {
+// Where nothing is given: the variable, else what `robostress libero setup` linked.
+void FillLiberoRoot(const char* variable, std::string& root) {
+  if (!root.empty()) return;
   const char* set = std::getenv(variable);
-  if (value.empty() && set != nullptr) value = set;
+  root = set != nullptr && *set != '\0' ? set : RememberedLibero();
 }
 
 }  // namespace
@@ -393,8 +396,8 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios(robot);
   if (grid.policies.empty()) grid.policies = {grid.remote.used() ? "remote" : robot.policy};
   if (std::any_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
-    SetFromEnvironment("LIBERO_ROOT", grid.libero_root);
-    SetFromEnvironment("ROBOSUITE_ROOT", grid.robosuite_root);
+    FillLiberoRoot("LIBERO_ROOT", grid.libero_root);
+    FillLiberoRoot("ROBOSUITE_ROOT", grid.robosuite_root);
   }
   Complaints complaints;
   if (const absl::Status status = ApplyOverrides(Part(grid.overrides).remote, grid.remote);

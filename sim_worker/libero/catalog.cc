@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "common/libero_home.h"
 #include "common/status_macros.h"
 
 namespace robostress::libero {
@@ -241,15 +242,26 @@ absl::StatusOr<std::string> FindRoot(const std::string& given, const char* varia
     const char* from_environment = std::getenv(variable);
     if (from_environment != nullptr) root = from_environment;
   }
+  bool remembered = false;
   if (root.empty()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("LIBERO's suites read ", what, ": give ", option, " DIR or set ", variable));
+    root = RememberedLibero();
+    remembered = true;
+  }
+  if (root.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat("LIBERO's suites read ", what,
+                                                   ": run `robostress libero setup`, give ", option,
+                                                   " DIR or set ", variable));
   }
   std::error_code ignored;
   for (const std::string& candidate : candidates) {
     const fs::path path = fs::path(root) / candidate;
     if (fs::exists(path / marker, ignored))
       return fs::absolute(path, ignored).lexically_normal().string();
+  }
+  if (remembered) {
+    return absl::NotFoundError(absl::StrCat(root,
+                                            ": what `robostress libero setup` linked is gone (no ",
+                                            candidates.front(), "/", marker, "); run it again"));
   }
   return absl::NotFoundError(absl::StrCat(option, " ", root, ": no ", candidates.front(), "/",
                                           marker, " below it; expected ", what));
@@ -268,7 +280,7 @@ absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
     return absl::NotFoundError(
         absl::StrCat("--libero-root ", paths.libero,
                      ": no assets beside bddl_files; a LIBERO installed from PyPI keeps them "
-                     "elsewhere: link that folder there"));
+                     "elsewhere: `robostress libero setup` finds and links them"));
   }
   RS_ASSIGN_OR_RETURN(paths.robosuite,
                       FindRoot(robosuite_root, "ROBOSUITE_ROOT", "--robosuite-root",
@@ -277,15 +289,19 @@ absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
   return paths;
 }
 
+std::vector<std::string> LiberoSuites() {
+  std::vector<std::string> names;
+  for (const SuiteTasks& entry : kSuites) names.emplace_back(entry.suite);
+  return names;
+}
+
 absl::StatusOr<std::vector<std::string>> LiberoTaskNames(const std::string& suite) {
-  std::vector<std::string> known;
   for (const SuiteTasks& entry : kSuites) {
     if (entry.suite == suite)
       return std::vector<std::string>(entry.tasks.begin(), entry.tasks.end());
-    known.emplace_back(entry.suite);
   }
-  return absl::NotFoundError(
-      absl::StrCat("'", suite, "' is not a LIBERO suite; known: ", absl::StrJoin(known, ", ")));
+  return absl::NotFoundError(absl::StrCat(
+      "'", suite, "' is not a LIBERO suite; known: ", absl::StrJoin(LiberoSuites(), ", ")));
 }
 
 std::string LiberoInstruction(const std::string& task_name) {

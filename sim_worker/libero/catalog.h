@@ -16,14 +16,17 @@ struct LiberoPaths {
   std::string robosuite;  // the folder robosuite/models/assets
 };
 
-// Resolves the two roots: the argument, else the environment variable LIBERO_ROOT / ROBOSUITE_ROOT.
-// A root may be the checkout or the package folder inside it.
+// Resolves the two roots: the argument, else the environment variable LIBERO_ROOT / ROBOSUITE_ROOT,
+// else what `robostress libero setup` linked. A root may be the checkout or the package folder
+// inside it.
 absl::StatusOr<LiberoPaths> FindLibero(const std::string& libero_root,
                                        const std::string& robosuite_root);
 
 // Tasks of libero_spatial, libero_object, libero_goal and libero_10 in the benchmark's order
 // (task_order_index 0; LIBERO 8f1084e, libero/libero/benchmark/libero_suite_task_map.py). NotFound
 // lists the known suites.
+// The four suites' names.
+std::vector<std::string> LiberoSuites();
 absl::StatusOr<std::vector<std::string>> LiberoTaskNames(const std::string& suite);
 // The instruction that the benchmark derives from a task's file name.
 std::string LiberoInstruction(const std::string& task_name);

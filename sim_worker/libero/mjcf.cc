@@ -122,6 +122,7 @@ absl::StatusOr<MjcfFile> MjcfFile::Load(const std::string& path) {
 absl::StatusOr<MjcfFile> MjcfFile::Parse(const std::string& path, std::string_view text) {
   MjcfFile file;
   file.path_ = path;
+  file.AddSource(path);
   file.document_ = std::make_unique<XMLDocument>();
   if (file.document_->Parse(text.data(), text.size()) != tinyxml2::XML_SUCCESS) {
     return absl::InvalidArgumentError(absl::StrCat(path, ":", file.document_->ErrorLineNum(),
@@ -206,6 +207,7 @@ void MergeFile(MjcfFile& into, XMLElement* body, MjcfFile& other) {
   XMLElement* world = other.Section("worldbody");
   for (XMLElement* item = world->FirstChildElement(); item; item = item->NextSiblingElement())
     AppendCopy(body, item);
+  for (const std::string& path : other.sources()) into.AddSource(path);
   MergeAssets(into.Section("asset"), other.Section("asset"));
   for (const char* section : {"actuator", "sensor", "tendon", "equality", "contact"}) {
     XMLElement* from = other.Section(section);

@@ -26,10 +26,14 @@ class MjcfFile {
   // The section's element, e.g. "worldbody", created when absent.
   tinyxml2::XMLElement* Section(const char* name);
   tinyxml2::XMLDocument& document() { return *document_; }
+  // Its own path, then those of the files that were merged into it.
+  const std::vector<std::string>& sources() const { return sources_; }
+  void AddSource(const std::string& path) { sources_.push_back(path); }
 
  private:
   MjcfFile() = default;
   std::string path_;
+  std::vector<std::string> sources_;
   std::unique_ptr<tinyxml2::XMLDocument> document_;
 };
 

@@ -51,6 +51,7 @@ absl::StatusOr<Part> AddObject(const LiberoPaths& paths, const BddlProblem& bddl
   part.joints = file.joints();
   part.contact_geoms = file.contact_geoms();
   for (const auto& [name, owner] : file.sites()) sites[name] = owner;
+  model.AddSource(*path);
   MergeAssets(model.Section("asset"), file.asset());
   AppendCopy(model.Section("worldbody"), file.body());
   return part;
@@ -188,6 +189,10 @@ absl::StatusOr<LiberoScene> ComposeScene(const LiberoPaths& paths, BddlProblem p
       }
     }
   }
+  scene.files.insert(model.sources().begin(), model.sources().end());
+  VisitElements(model.Section("asset"), [&](XMLElement* element) {
+    if (const char* file = element->Attribute("file")) scene.files.insert(file);
+  });
   RS_ASSIGN_OR_RETURN(scene.missing_visuals, ReplaceMissingVisuals(model));
   std::set<std::string> replaced_meshes;
   XMLElement* asset = model.Section("asset");

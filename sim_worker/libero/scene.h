@@ -5,6 +5,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -56,7 +57,8 @@ struct LiberoScene {
   std::map<std::string, LiberoObject> objects;
   std::map<std::string, LiberoSite> sites;
   std::vector<FixturePose>
-      centred_fixtures;  // each at the centre of its region and of its yaw range
+      centred_fixtures;         // each at the centre of its region and of its yaw range
+  std::set<std::string> files;  // all that it is made of: MJCF, meshes, textures, missing ones too
   std::vector<std::string> missing_visuals;  // files that were replaced
   std::vector<int> replaced_geoms;           // visual geoms whose mesh was replaced
 };

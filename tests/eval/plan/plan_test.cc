@@ -1,5 +1,7 @@
 #include "eval/plan/plan.h"
 
+#include <cstdlib>
+#include <filesystem>
 #include <set>
 
 #include "adapter/method_options.h"
@@ -43,7 +45,19 @@ TEST(Plan, LiberosFoldersComeFromTheEnvironmentWhereTheyAreNeeded) {
   ASSERT_TRUE(resolved.ok()) << resolved.status();
   EXPECT_EQ(resolved->libero_root, "/libero");
   EXPECT_EQ(resolved->robosuite_root, "/given");
-  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("LIBERO_ROOT"));
+  grid.robosuite_root.clear();
+  // What `robostress libero setup` links comes last.
+  const std::filesystem::path data = std::filesystem::path(::testing::TempDir()) / "libero_data";
+  std::filesystem::remove_all(data);
+  setenv("XDG_DATA_HOME", data.c_str(), 1);
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("run `robostress libero setup` once"));
+  std::filesystem::create_directories(data / "robostress/libero/libero/libero");
+  std::filesystem::create_directory_symlink("/",
+                                            data / "robostress/libero/libero/libero/bddl_files");
+  EXPECT_EQ(ResolveGrid(grid)->libero_root, (data / "robostress/libero").string());
+  EXPECT_EQ(ResolveGrid(grid)->robosuite_root, (data / "robostress/libero").string());
+  unsetenv("XDG_DATA_HOME");
 }
 
 TEST(Plan, QuickIsCleanAndSevenScenariosWithBaseThePapersFormAndOurBest) {

