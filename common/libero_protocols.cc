@@ -1,5 +1,6 @@
 #include "common/libero_protocols.h"
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 
@@ -11,7 +12,8 @@ const std::vector<LiberoProtocol>& LiberoProtocols() {
        .step_limits = {{"libero_spatial", 220},
                        {"libero_object", 280},
                        {"libero_goal", 300},
-                       {"libero_10", 520}},
+                       {"libero_10", 520},
+                       {"libero_90", 400}},
        .settle_steps = 10,
        .execute_steps = 5,
        .image_size = 224,
@@ -22,7 +24,8 @@ const std::vector<LiberoProtocol>& LiberoProtocols() {
        .step_limits = {{"libero_spatial", 280},
                        {"libero_object", 280},
                        {"libero_goal", 300},
-                       {"libero_10", 520}},
+                       {"libero_10", 520},
+                       {"libero_90", 400}},
        .settle_steps = 10,
        .execute_steps = 10,
        .image_size = 256,
@@ -35,7 +38,7 @@ const std::vector<LiberoProtocol>& LiberoProtocols() {
 
 int LiberoProtocol::StepLimit(const std::string& suite) const {
   for (const auto& [name, limit] : step_limits) {
-    if (name == suite) return limit;
+    if (suite == name || absl::StartsWith(suite, name + "_")) return limit;
   }
   return 0;
 }

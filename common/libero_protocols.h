@@ -20,7 +20,8 @@ struct LiberoProtocol {
   int episodes = 50;      // a task
   int64_t seed = 7;       // of the run
   std::string fixtures;   // where that seed puts fixtures: ParseLiberoFixtures reads it
-  // 0 for a suite without one.
+  // Of a suite, or of the one whose name and '_' its name begins with (libero_goal_swap); 0 for one
+  // without a limit.
   int StepLimit(const std::string& suite) const;
 };
 

@@ -1,8 +1,43 @@
 #include "common/suites.h"
 
+#include <deque>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
+#include "common/libero_task_folder.h"
+#include "common/status_macros.h"
 #include "common/unit_config.h"
 
 namespace robostress {
+namespace {
+
+constexpr int kFolderHorizon = 400;
+
+struct AddedSuite {
+  SuiteInfo info;
+  std::string folder;
+};
+
+struct AddedSuites {
+  absl::Mutex mu;
+  std::deque<AddedSuite> suites ABSL_GUARDED_BY(mu);  // whose elements stay where they are
+};
+
+AddedSuites& Added() {
+  static AddedSuites& added = *new AddedSuites();
+  return added;
+}
+
+const SuiteInfo* FindBuiltIn(const std::string& name) {
+  for (const SuiteInfo& suite : AllSuites()) {
+    if (suite.name == name) return &suite;
+  }
+  return nullptr;
+}
+
+}  // namespace
 
 const std::vector<SuiteInfo>& AllSuites() {
   static const std::vector<SuiteInfo>& suites = *new std::vector<SuiteInfo>{
@@ -24,17 +59,62 @@ const std::vector<SuiteInfo>& AllSuites() {
   return suites;
 }
 
+absl::StatusOr<std::string> AddTaskFolder(const std::string& folder) {
+  RS_ASSIGN_OR_RETURN(const LiberoTaskFolder read, ReadLiberoTaskFolder(folder));
+  SuiteInfo info;
+  info.name = info.title = read.suite;
+  info.num_tasks = static_cast<int>(read.tasks.size());
+  info.horizon = kFolderHorizon;
+  info.needs_libero = true;
+  for (const SuiteInfo& suite : AllSuites()) {
+    if (suite.needs_libero && absl::StartsWith(read.suite, suite.name + "_"))
+      info.horizon = suite.horizon;
+  }
+  AddedSuites& added = Added();
+  const absl::MutexLock lock(&added.mu);
+  std::string taken =
+      FindBuiltIn(read.suite) != nullptr ? "a suite that comes with this program" : "";
+  for (const AddedSuite& suite : added.suites) {
+    if (suite.folder == read.path) return read.suite;
+    if (suite.info.name == read.suite) taken = suite.folder;
+  }
+  if (!taken.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "task folder ", read.path, " would be suite '", read.suite, "', which is the name of ",
+        taken, "; give the folder, or a link to it, another name"));
+  }
+  added.suites.push_back({std::move(info), read.path});
+  return read.suite;
+}
+
+std::string TaskFolderOf(const std::string& suite) {
+  AddedSuites& added = Added();
+  const absl::MutexLock lock(&added.mu);
+  for (const AddedSuite& one : added.suites) {
+    if (one.info.name == suite) return one.folder;
+  }
+  return "";
+}
+
 std::vector<std::string> SuitesOf(const std::string& robot) {
   std::vector<std::string> names;
   for (const SuiteInfo& suite : AllSuites()) {
     if (suite.robot == robot) names.push_back(suite.name);
   }
+  AddedSuites& added = Added();
+  const absl::MutexLock lock(&added.mu);
+  for (const AddedSuite& suite : added.suites) {
+    if (suite.info.robot == robot) names.push_back(suite.info.name);
+  }
   return names;
 }
 
 const SuiteInfo* FindSuite(const std::string& name) {
-  for (const SuiteInfo& suite : AllSuites()) {
-    if (suite.name == name) return &suite;
+  if (const SuiteInfo* suite = FindBuiltIn(name)) return suite;
+  AddedSuites& added = Added();
+  const absl::MutexLock lock(&added.mu);
+  for (const AddedSuite& suite : added.suites) {
+    if (suite.info.name == name) return &suite.info;
   }
   return nullptr;
 }

@@ -3,6 +3,8 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/statusor.h"
+
 namespace robostress {
 
 struct UnitConfig;  // common/unit_config.h
@@ -21,8 +23,16 @@ struct SuiteInfo {
 
 // The four embedded suites, LIBERO's four, then those of other robots, in the order of the tables.
 const std::vector<SuiteInfo>& AllSuites();
-// Names of the suites of a robot.
+// Makes a folder of LIBERO tasks (common/libero_task_folder.h) a suite of this process, named as
+// the folder is, and says the name. Its horizon is that of the suite from whose name and '_' its name begins
+// (libero_goal_swap: libero_goal), else 400, openpi's for LIBERO-90. Again with the same folder
+// changes nothing; a name that another suite has is InvalidArgument. Any thread.
+absl::StatusOr<std::string> AddTaskFolder(const std::string& folder);
+// The folder of a suite that AddTaskFolder made; empty for others.
+std::string TaskFolderOf(const std::string& suite);
+// Names of the suites of a robot; those of task folders last.
 std::vector<std::string> SuitesOf(const std::string& robot);
+// Stays valid. A task folder's suite is found once it was added.
 const SuiteInfo* FindSuite(const std::string& name);
 // Control steps of an episode at most: unit.horizon, else the suite's; 0 where neither says.
 int HorizonOf(const UnitConfig& unit);

@@ -160,6 +160,7 @@ struct UnitConfig {
   RemotePolicyOptions remote;   // used: `policy` is a label of what another server holds
   int horizon = 0;              // control steps of an episode at most; 0: the suite's
   LatencyOptions latency;       // of answers, in simulated time
+  std::string libero_tasks;     // folder of the suite's BDDL files, where it is none of ours
 
   template <class V>
   void Visit(V& v) {
@@ -184,6 +185,7 @@ struct UnitConfig {
     v.LateSection("remote", remote, remote.used(), "how a policy of another server is asked");
     v.Late("horizon", horizon, 0, "control steps of an episode at most; 0: the suite's");
     v.LateSection("latency", latency, latency.used(), "answers that take time");
+    v.Late("libero_tasks", libero_tasks, std::string(), "folder of the suite's BDDL files");
   }
 };
 

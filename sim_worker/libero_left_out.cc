@@ -1,6 +1,4 @@
 #include "absl/strings/str_cat.h"
-#include "common/suites.h"
-#include "sim_worker/libero/catalog.h"
 #include "sim_worker/libero/libero_task.h"
 
 // Stands in for libero/ in a build without it.
@@ -18,15 +16,8 @@ absl::StatusOr<std::unique_ptr<SimTask>> MakeLiberoTask(const UnitConfig& unit, 
   return LeftOut(unit.suite);
 }
 
-namespace libero {
-
-absl::StatusOr<std::vector<std::string>> LiberoTaskNames(const std::string& suite) {
-  const SuiteInfo* info = FindSuite(suite);
-  if (info != nullptr && info->needs_libero) return LeftOut(suite);
-  return absl::NotFoundError(absl::StrCat("suite '", suite, "' is unknown"));
+absl::StatusOr<std::vector<LiberoTaskLine>> LiberoTaskLines(const UnitConfig& unit) {
+  return LeftOut(unit.suite);
 }
 
-std::string LiberoInstruction(const std::string&) { return ""; }
-
-}  // namespace libero
 }  // namespace robostress

@@ -32,7 +32,7 @@ class SimTask : public Robot {
 // Embedded and LIBERO suites by name, with the unit's scenario and simulator options.
 absl::StatusOr<std::unique_ptr<SimTask>> MakeSimTask(const UnitConfig& unit, int task);
 
-// The instructions of a suite in task order.
-absl::StatusOr<std::vector<std::string>> SuiteInstructions(const std::string& suite);
+// The instructions of the unit's suite in task order.
+absl::StatusOr<std::vector<std::string>> SuiteInstructions(const UnitConfig& unit);
 
 }  // namespace robostress

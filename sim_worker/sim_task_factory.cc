@@ -1,6 +1,5 @@
 #include "common/status_macros.h"
 #include "common/suites.h"
-#include "sim_worker/libero/catalog.h"
 #include "sim_worker/libero/libero_task.h"
 #include "sim_worker/sim_task.h"
 #include "sim_worker/suites/embedded_task.h"
@@ -14,14 +13,14 @@ absl::StatusOr<std::unique_ptr<SimTask>> MakeSimTask(const UnitConfig& unit, int
   return embedded;
 }
 
-absl::StatusOr<std::vector<std::string>> SuiteInstructions(const std::string& suite) {
+absl::StatusOr<std::vector<std::string>> SuiteInstructions(const UnitConfig& unit) {
   std::vector<std::string> instructions;
-  if (const SuiteSpec* spec = FindSuiteSpec(suite)) {
+  if (const SuiteSpec* spec = FindSuiteSpec(unit.suite)) {
     for (const TaskSpec& task : spec->tasks) instructions.push_back(task.instruction);
     return instructions;
   }
-  RS_ASSIGN_OR_RETURN(const std::vector<std::string> names, libero::LiberoTaskNames(suite));
-  for (const std::string& name : names) instructions.push_back(libero::LiberoInstruction(name));
+  RS_ASSIGN_OR_RETURN(const std::vector<LiberoTaskLine> tasks, LiberoTaskLines(unit));
+  for (const LiberoTaskLine& task : tasks) instructions.push_back(task.instruction);
   return instructions;
 }
 

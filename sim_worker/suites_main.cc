@@ -11,7 +11,7 @@
 #include "common/suites.h"
 #include "nlohmann/json.hpp"
 #include "sim_worker/contact_sheet.h"
-#include "sim_worker/libero/catalog.h"
+#include "sim_worker/libero/libero_task.h"
 #include "sim_worker/suites/embedded_task.h"
 
 namespace robostress {
@@ -19,48 +19,65 @@ namespace {
 
 struct CommandLine {
   std::string suite, sheets, libero_root, robosuite_root;
+  std::vector<std::string> task_folders, folder_suites;
   bool json = false, libero = false;
   int size = 176, initial_state = 0;
 };
 
 bool Wanted(const CommandLine& line, const SuiteInfo& info) {
   if (!line.suite.empty()) return line.suite == info.name;
+  if (!line.folder_suites.empty()) return false;
   return !line.libero || info.needs_libero;
 }
 
-struct TaskLine {
-  std::string name, instruction;
-};
+UnitConfig UnitOf(const CommandLine& line, const SuiteInfo& info) {
+  UnitConfig unit;
+  unit.suite = info.name;
+  unit.libero_root = line.libero_root;
+  unit.robosuite_root = line.robosuite_root;
+  unit.libero_tasks = TaskFolderOf(info.name);
+  unit.first_initial_state = line.initial_state;
+  unit.episodes = 1;
+  return unit;
+}
 
 // Empty for a suite whose tasks this build does not know.
-std::vector<TaskLine> TasksOf(const SuiteInfo& info) {
-  std::vector<TaskLine> tasks;
+std::vector<LiberoTaskLine> TasksOf(const CommandLine& line, const SuiteInfo& info) {
+  std::vector<LiberoTaskLine> tasks;
   if (const SuiteSpec* spec = FindSuiteSpec(info.name)) {
     for (const TaskSpec& task : spec->tasks)
       tasks.push_back({TaskName(task.instruction), task.instruction});
-  } else if (const auto names = libero::LiberoTaskNames(info.name); names.ok()) {
-    for (const std::string& name : *names) tasks.push_back({name, libero::LiberoInstruction(name)});
+  } else if (info.needs_libero) {
+    if (auto found = LiberoTaskLines(UnitOf(line, info)); found.ok()) tasks = *std::move(found);
   }
   return tasks;
 }
 
-void PrintText(const CommandLine& line) {
+// All suites, those of task folders last.
+std::vector<SuiteInfo> Suites(const CommandLine& line) {
+  std::vector<SuiteInfo> suites;
   for (const SuiteInfo& info : AllSuites()) {
-    if (!Wanted(line, info)) continue;
+    if (Wanted(line, info)) suites.push_back(info);
+  }
+  for (const std::string& name : line.folder_suites) suites.push_back(*FindSuite(name));
+  return suites;
+}
+
+void PrintText(const CommandLine& line) {
+  for (const SuiteInfo& info : Suites(line)) {
     std::printf("%s  (%s, %d tasks, horizon %d, %d initial states%s%s)\n", info.name.c_str(),
                 info.title.c_str(), info.num_tasks, info.horizon, info.num_initial_states,
                 info.needs_libero ? ", needs `robostress libero setup`" : "",
                 info.robot == "panda" ? "" : absl::StrCat(", --robot ", info.robot).c_str());
     int number = 0;
-    for (const TaskLine& task : TasksOf(info))
+    for (const LiberoTaskLine& task : TasksOf(line, info))
       std::printf("  %d  %s\n", number++, task.instruction.c_str());
   }
 }
 
 void PrintJson(const CommandLine& line) {
   nlohmann::json out = nlohmann::json::array();
-  for (const SuiteInfo& info : AllSuites()) {
-    if (!Wanted(line, info)) continue;
+  for (const SuiteInfo& info : Suites(line)) {
     nlohmann::json suite = {{"name", info.name},
                             {"title", info.title},
                             {"num_tasks", info.num_tasks},
@@ -68,7 +85,7 @@ void PrintJson(const CommandLine& line) {
                             {"num_initial_states", info.num_initial_states},
                             {"needs_libero", info.needs_libero},
                             {"robot", info.robot}};
-    for (const TaskLine& task : TasksOf(info))
+    for (const LiberoTaskLine& task : TasksOf(line, info))
       suite["tasks"].push_back({{"name", task.name}, {"instruction", task.instruction}});
     out.push_back(suite);
   }
@@ -77,13 +94,11 @@ void PrintJson(const CommandLine& line) {
 
 // FOLDER/SUITE.svg of the suite that was asked for, of LIBERO's or of every embedded one.
 absl::Status WriteSheets(const CommandLine& line) {
-  for (const SuiteInfo& info : AllSuites()) {
-    if (info.robot != "panda" || !Wanted(line, info)) continue;
-    if (line.suite.empty() && info.needs_libero != line.libero) continue;
-    UnitConfig unit;
-    unit.suite = info.name;
-    unit.libero_root = line.libero_root;
-    unit.robosuite_root = line.robosuite_root;
+  for (const SuiteInfo& info : Suites(line)) {
+    if (info.robot != "panda") continue;
+    const bool shown = line.libero || !line.folder_suites.empty();  // what needs LIBERO's files
+    if (line.suite.empty() && info.needs_libero != shown) continue;
+    const UnitConfig unit = UnitOf(line, info);
     RS_ASSIGN_OR_RETURN(const std::vector<FirstFrame> frames,
                         RenderFirstFrames(unit, line.initial_state, line.size));
     const std::string title = absl::StrCat(info.name, ", initial state ", line.initial_state);
@@ -96,7 +111,16 @@ absl::Status WriteSheets(const CommandLine& line) {
   return absl::OkStatus();
 }
 
-int Run(const CommandLine& line) {
+int Run(CommandLine& line) {
+  for (const std::string& folder : line.task_folders) {
+    absl::StatusOr<std::string> suite = AddTaskFolder(folder);
+    if (!suite.ok()) {
+      std::fprintf(stderr, "suites: --libero-tasks: %s\n",
+                   std::string(suite.status().message()).c_str());
+      return 2;
+    }
+    line.folder_suites.push_back(*std::move(suite));
+  }
   if (!line.suite.empty() && FindSuite(line.suite) == nullptr) {
     std::fprintf(stderr, "suites: suite '%s' is unknown; `robostress suites` lists them\n",
                  line.suite.c_str());
@@ -124,6 +148,11 @@ int main(int argc, char** argv) {
   robostress::CommandLine line;
   app.add_option("--suite", line.suite, "Only this one");
   app.add_flag("--libero", line.libero, "Only LIBERO's four");
+  app.add_option("--libero-tasks", line.task_folders,
+                 "Only this folder of LIBERO tasks (.bddl), as a suite with its name; repeatable")
+      ->type_name("DIR")
+      ->check(robostress::cli::ExistingDirectory())
+      ->allow_extra_args(false);
   app.add_flag("--json", line.json, "As JSON");
   app.add_option(
          "--sheet", line.sheets,

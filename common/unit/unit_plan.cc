@@ -87,6 +87,14 @@ absl::StatusOr<UnitConfig> ReadUnit(const std::string& source, const std::string
 }
 
 absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
+  if (!unit.libero_tasks.empty()) {
+    RS_ASSIGN_OR_RETURN(const std::string name, AddTaskFolder(unit.libero_tasks));
+    if (unit.suite != name) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("unit: suite is '", unit.suite, "', and libero_tasks=", unit.libero_tasks,
+                       " is suite '", name, "'; suite must be the folder's name"));
+    }
+  }
   const SuiteInfo* suite = FindSuite(unit.suite);
   RS_ASSIGN_OR_RETURN(const RobotInfo robot, FindRobot(unit.robot));
   RS_RETURN_IF_ERROR(CheckKnown("suite", unit.suite, SuitesOf(unit.robot)));

@@ -9,6 +9,7 @@
 #include "common/config.h"
 #include "common/libero_protocols.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
 #include "common/wire/openpi_dialect.h"
 #include "common/wire/web_url.h"
 #include "eval/launch/cluster_launchers.h"
@@ -135,6 +136,12 @@ void DeclareGridFlags(cli::App& app, GridFlags& flags) {
   app.add_option("--libero-root", flags.libero_root, "LIBERO checkout, for suites libero_*");
   app.add_option("--robosuite-root", flags.robosuite_root,
                  "robosuite checkout, for suites libero_*");
+  app.add_option("--libero-tasks", flags.libero_tasks,
+                 "Folder of LIBERO tasks (.bddl) that no suite here has, such as LIBERO-90's or "
+                 "LIBERO-PRO's; its name is the suite's. Repeatable")
+      ->type_name("DIR")
+      ->check(cli::ExistingDirectory())
+      ->allow_extra_args(false);
   app.add_option("--libero-fixtures", flags.libero_fixtures,
                  "Where cabinets, stoves and racks of libero_* stand at each episode: centred "
                  "(default), sampled, numpy[:SEED] (the originals' draw, seed 7), numpy-each:SEED "
@@ -159,8 +166,10 @@ absl::StatusOr<OpenpiDialect> DialectOf(const std::string& text) {
 }
 
 void ApplyProtocol(const LiberoProtocol& protocol, SweepGrid& grid) {
-  if (grid.suites.empty()) {
-    for (const auto& [suite, limit] : protocol.step_limits) grid.suites.push_back(suite);
+  if (grid.suites.empty() && grid.libero_tasks.empty()) {
+    for (const auto& [suite, limit] : protocol.step_limits) {
+      if (FindSuite(suite) != nullptr) grid.suites.push_back(suite);  // not LIBERO-90's folder
+    }
   }
   grid.step_limits = protocol.name;
   grid.episodes = protocol.episodes;
@@ -204,6 +213,7 @@ absl::Status ApplyGridFlags(const cli::App& app, const GridFlags& flags, SweepGr
   // What a policy of theirs can do: its weights are not ours to adapt.
   if (grid.remote.used() && flags.grid_file.empty()) grid.methods = {"base", "ours_following"};
   if (app.count("--suites")) grid.suites = flags.suites;
+  if (app.count("--libero-tasks")) grid.libero_tasks = flags.libero_tasks;
   if (app.count("--protocol")) {
     RS_ASSIGN_OR_RETURN(const LiberoProtocol protocol, FindLiberoProtocol(flags.protocol));
     ApplyProtocol(protocol, grid);

@@ -21,6 +21,7 @@ struct GridFlags {
   std::string tasks;
   int episodes = 0, first_initial_state = 0, repeats = 0;
   std::string replay_file, libero_root, robosuite_root, libero_fixtures;
+  std::vector<std::string> libero_tasks;
   std::string dialect, protocol;
   int latency_ms = 0;
   std::string late;

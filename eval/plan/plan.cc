@@ -392,6 +392,15 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   const absl::StatusOr<RobotInfo> found = FindRobot(grid.robot);
   if (!found.ok()) return absl::InvalidArgumentError(found.status().message());
   const RobotInfo& robot = *found;
+  const bool own_suites = grid.suites.empty();
+  Complaints complaints;
+  for (const std::string& folder : grid.libero_tasks) {
+    const absl::StatusOr<std::string> suite = AddTaskFolder(folder);
+    if (!suite.ok())
+      complaints.Add(absl::StrCat("libero_tasks: ", suite.status().message()));
+    else if (own_suites)
+      grid.suites.push_back(*suite);
+  }
   if (grid.suites.empty()) grid.suites = robot.suites;
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios(robot);
   if (grid.policies.empty()) grid.policies = {grid.remote.used() ? "remote" : robot.policy};
@@ -399,7 +408,6 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
     FillLiberoRoot("LIBERO_ROOT", grid.libero_root);
     FillLiberoRoot("ROBOSUITE_ROOT", grid.robosuite_root);
   }
-  Complaints complaints;
   if (const absl::Status status = ApplyOverrides(Part(grid.overrides).remote, grid.remote);
       !status.ok())
     complaints.Add(std::string(status.message()));
@@ -463,6 +471,7 @@ absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {
     config.libero_root = grid.libero_root;
     config.robosuite_root = grid.robosuite_root;
     config.libero_fixtures = grid.libero_fixtures;
+    config.libero_tasks = TaskFolderOf(suite_name);
     config.remote = grid.remote;
     if (!grid.step_limits.empty()) {
       RS_ASSIGN_OR_RETURN(const LiberoProtocol protocol, FindLiberoProtocol(grid.step_limits));

@@ -31,6 +31,7 @@ struct SweepGrid {
   RemotePolicyOptions remote;  // used: another server holds the policy, whose label stands above
   std::string step_limits;     // of common/libero_protocols.h; empty: the suites' own
   LatencyOptions latency;      // of answers, in simulated time
+  std::vector<std::string> libero_tasks;  // folders of BDDL files, a suite each
 
   template <class V>
   void Visit(V& v) {
@@ -59,6 +60,8 @@ struct SweepGrid {
     v.Late("step_limits", step_limits, std::string(),
            "whose step limits suites libero_* have: openpi, lerobot; empty: the suites' own");
     v.LateSection("latency", latency, latency.used(), "answers that take time");
+    v.Late("libero_tasks", libero_tasks, std::vector<std::string>(),
+           "folders of LIBERO tasks; each is a suite with the folder's name");
   }
 };
 

@@ -182,6 +182,7 @@ constexpr ProblemClass kProblems[] = {
 constexpr Articulation kArticulations[] = {
     {.category = "wooden_cabinet", .open_range = {-0.16, -0.14}, .close_range = {0.0, 0.005}},
     {.category = "white_cabinet", .open_range = {-0.16, -0.14}, .close_range = {0.0, 0.005}},
+    {.category = "yellow_cabinet", .open_range = {-0.16, -0.14}, .close_range = {0.0, 0.005}},
     {.category = "microwave", .open_range = {-2.094, -1.3}, .close_range = {-0.005, 0.0}},
     {.category = "short_cabinet",
      .open_below = false,
@@ -195,6 +196,10 @@ constexpr Articulation kArticulations[] = {
      .has_switch = true,
      .on_range = {0.5, 2.1},
      .off_range = {-0.005, 0.0}},
+    {.category = "yellow_stove",
+     .has_switch = true,
+     .on_range = {0.5, 2.1},
+     .off_range = {-0.005, 0.0}},
 };
 
 constexpr double kQuarterTurn = std::numbers::pi / 2;
@@ -203,6 +208,8 @@ constexpr PlacementRotation::Turn kQuarterZ = {'z', kQuarterTurn, kQuarterTurn};
 constexpr PlacementRotation::Turn kUnturned = {'x', 0, 0};
 constexpr PlacementRotation::Turn kUnturnedY = {'y', 0, 0};
 constexpr PlacementRotation::Turn kBackQuarterX = {'x', -kQuarterTurn, -kQuarterTurn};
+constexpr PlacementRotation::Turn kHalfY = {'y', -std::numbers::pi, -std::numbers::pi};
+constexpr PlacementRotation::Turn kHalfZ = {'z', std::numbers::pi, std::numbers::pi};
 constexpr PlacementRotation::Turn kBookX = {'x', -kQuarterTurn, -std::numbers::pi / 4};
 // The folders' rules are those of the base classes (HopeBaseObject and its siblings).
 constexpr PlacementRotation kRotations[] = {
@@ -211,12 +218,19 @@ constexpr PlacementRotation kRotations[] = {
     {"stable_scanned_objects", {{kQuarterX}}},
     {"turbosquid_objects", {{kUnturned}}},
     {"alphabet_soup", {{kQuarterZ}}},
+    {"bigger_alphabet_soup", {{kQuarterZ}}},
+    {"bigger_milk", {{kQuarterZ}}},
     {"black_book", {{kBookX}}},
+    {"blue_ketchup", {{kQuarterZ}}},
     {"butter", {{kUnturned}}},
     {"chocolate_pudding", {{kUnturned}}},
     {"cream_cheese", {{kUnturned}}},
     {"flat_stove", {{kUnturnedY}}},
+    {"green_butter", {{kUnturned}}},
+    {"green_chocolate_pudding", {{kUnturned}}},
+    {"green_ketchup", {{kQuarterX, kQuarterZ}}},
     {"ketchup", {{kQuarterX, kQuarterZ}}},
+    {"libero_mug_yellow", {{kBackQuarterX, kHalfY, kHalfZ}}},
     {"macaroni_and_cheese", {{kQuarterX, kQuarterZ}}},
     {"mayo", {{kQuarterX, kQuarterZ}}},
     {"milk", {{kQuarterX, kQuarterZ}}},
@@ -225,12 +239,21 @@ constexpr PlacementRotation kRotations[] = {
     {"popcorn", {{kUnturned}}},
     {"porcelain_mug", {{kBackQuarterX}}},
     {"rack", {{kUnturned}}},
+    {"red_alphabet_soup", {{kQuarterZ}}},
     {"red_coffee_mug", {{kBackQuarterX}}},
+    {"red_cream_cheese", {{kUnturned}}},
+    {"red_orange_juice", {{kQuarterX, kQuarterZ}}},
+    {"red_salad_dressing", {{kQuarterX, kQuarterZ}}},
+    {"red_yellow_book", {{kBackQuarterX}}},
     {"salad_dressing", {{kQuarterX, kQuarterZ}}},
     {"tomato_sauce", {{kQuarterZ}}},
+    {"white_porcelain_mug", {{kBackQuarterX}}},
     {"white_storage_box", {{kUnturnedY}}},
     {"white_yellow_mug", {{kBackQuarterX}}},
     {"yellow_book", {{kBookX}}},
+    {"yellow_milk", {{kQuarterZ}}},
+    {"yellow_stove", {{kUnturnedY}}},
+    {"yellow_tomato_sauce", {{kQuarterZ}}},
 };
 
 // The folder that holds `marker`: root itself or one of the candidates below it.
@@ -348,18 +371,19 @@ absl::StatusOr<PlacementRotation> FindPlacementRotation(const std::string& categ
 absl::StatusOr<std::string> FindObjectFile(const LiberoPaths& paths, const std::string& category) {
   const std::string file = category == "rack" ? "simple_rack" : category;
   const std::string assets = paths.libero + "/assets/";
-  const std::string candidates[] = {
-      absl::StrCat(assets, "articulated_objects/", file, ".xml"),
-      absl::StrCat(assets, "stable_scanned_objects/", file, "/", file, ".xml"),
-      absl::StrCat(assets, "stable_hope_objects/", file, "/", file, ".xml"),
-      absl::StrCat(assets, "turbosquid_objects/", file, "/", file, ".xml"),
-  };
+  const std::string articulated = absl::StrCat(assets, "articulated_objects/", file, ".xml");
   std::error_code ignored;
-  for (const std::string& candidate : candidates) {
-    if (fs::exists(candidate, ignored)) return candidate;
+  if (fs::exists(articulated, ignored)) return articulated;
+  constexpr std::string_view kFolders[] = {"stable_scanned_objects", "stable_hope_objects",
+                                           "turbosquid_objects", "custom_objects"};
+  for (const std::string_view folder : kFolders) {
+    std::string path = absl::StrCat(assets, std::string(folder), "/", file, "/", file, ".xml");
+    if (fs::exists(path, ignored)) return path;
   }
-  return absl::NotFoundError(absl::StrCat("no object or fixture of category '", category,
-                                          "'; searched ", absl::StrJoin(candidates, ", ")));
+  return absl::NotFoundError(absl::StrCat(
+      "no object or fixture of category '", category, "': ", assets, " has neither ",
+      "articulated_objects/", file, ".xml nor a folder ", file, " in stable_scanned_objects, ",
+      "stable_hope_objects, turbosquid_objects or custom_objects"));
 }
 
 }  // namespace robostress::libero

@@ -87,7 +87,7 @@ struct PlacementRotation {
     double low = 0, high = 0;  // [rad]
   };
   std::string_view name;      // a category, or the folder of all other categories in it
-  std::array<Turn, 2> turns;  // two: a dict in the originals, applied in this order
+  std::array<Turn, 3> turns;  // several: a dict in the originals, applied in this order
 };
 // The category's own rule, else that of the folder of its file (FindObjectFile's); NotFound if
 // neither exists.

@@ -1,20 +1,20 @@
 #include "sim_worker/libero/init_states.h"
 
-#include <zlib.h>
-
 #include <bit>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <map>
 #include <memory>
-#include <optional>
 #include <variant>
 
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
+#include "sim_worker/libero/zip_entry.h"
 
 namespace robostress::libero {
 namespace {
@@ -25,76 +25,10 @@ constexpr int64_t kMaxValues = int64_t{1} << 22;      // LIBERO's largest matrix
 constexpr size_t kMaxBytes = kMaxValues * 16 + 4096;  // two bytes of UTF-8 per stored byte
 constexpr int kMaxOpcodes = 256;                      // LIBERO's pickles have about 50
 
-template <class T>
-std::optional<T> Load(std::string_view bytes, size_t offset) {
-  if (offset > bytes.size() || bytes.size() - offset < sizeof(T)) return std::nullopt;
-  T value;
-  std::memcpy(&value, bytes.data() + offset, sizeof(T));
-  return value;
-}
-
 absl::Status Bad(const std::string& file, const std::string& what) {
   return absl::InvalidArgumentError(absl::StrCat(
       file, ": ", what,
-      "; expected a LIBERO .pruned_init file (take it anew from the LIBERO checkout)"));
-}
-
-// The bytes of the entry whose name ends in `suffix`, through the central directory (the local
-// headers of these files carry no sizes).
-absl::StatusOr<std::string_view> FindZipEntry(const std::string& file, std::string_view zip,
-                                              std::string_view suffix) {
-  constexpr uint32_t kEnd = 0x06054b50, kCentral = 0x02014b50, kLocal = 0x04034b50;
-  constexpr size_t kEndSize = 22, kCentralSize = 46, kLocalSize = 30;
-  if (zip.size() < kEndSize)
-    return Bad(file, absl::StrCat(zip.size(), " bytes are too few for a zip file"));
-  std::optional<size_t> end;
-  for (size_t back = 0; back <= 65535 && back + kEndSize <= zip.size() && !end; ++back) {
-    const size_t offset = zip.size() - kEndSize - back;
-    if (Load<uint32_t>(zip, offset) == kEnd) end = offset;
-  }
-  if (!end) return Bad(file, "no end-of-central-directory record: not a zip file, or truncated");
-  const int entries = *Load<uint16_t>(zip, *end + 10);
-  size_t offset = *Load<uint32_t>(zip, *end + 16);
-  for (int i = 0; i < entries; ++i) {
-    if (Load<uint32_t>(zip, offset) != kCentral || zip.size() - offset < kCentralSize) {
-      return Bad(file, absl::StrCat("entry ", i, " of the zip directory is broken"));
-    }
-    const uint16_t method = *Load<uint16_t>(zip, offset + 10);
-    const uint32_t crc = *Load<uint32_t>(zip, offset + 16);
-    const uint32_t packed = *Load<uint32_t>(zip, offset + 20);
-    const uint32_t size = *Load<uint32_t>(zip, offset + 24);
-    const uint16_t name_length = *Load<uint16_t>(zip, offset + 28);
-    const uint16_t extra_length = *Load<uint16_t>(zip, offset + 30);
-    const uint16_t comment_length = *Load<uint16_t>(zip, offset + 32);
-    const uint32_t local = *Load<uint32_t>(zip, offset + 42);
-    if (zip.size() - offset - kCentralSize < name_length)
-      return Bad(file, "a name in the zip directory is cut off");
-    const std::string_view name = zip.substr(offset + kCentralSize, name_length);
-    offset += kCentralSize + name_length + extra_length + comment_length;
-    if (!name.ends_with(suffix)) continue;
-    if (method != 0 || packed != size) {
-      return Bad(file, absl::StrCat(std::string(name), " is compressed (method ", method,
-                                    "), expected stored"));
-    }
-    if (Load<uint32_t>(zip, local) != kLocal || zip.size() - local < kLocalSize) {
-      return Bad(file, absl::StrCat("the local header of ", std::string(name), " is broken"));
-    }
-    const size_t begin = size_t{local} + kLocalSize + *Load<uint16_t>(zip, local + 26) +
-                         *Load<uint16_t>(zip, local + 28);
-    if (begin > zip.size() || zip.size() - begin < size) {
-      return Bad(file, absl::StrCat(std::string(name), " needs ", size, " bytes at ", begin,
-                                    ", the file has ", zip.size()));
-    }
-    const std::string_view data = zip.substr(begin, size);
-    const uint32_t actual =
-        crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(size));
-    if (actual != crc) {
-      return Bad(file, absl::StrFormat("%s has checksum %08x, the directory says %08x",
-                                       std::string(name), actual, crc));
-    }
-    return data;
-  }
-  return Bad(file, absl::StrCat("no entry ends in '", std::string(suffix), "'"));
+      "; expected a LIBERO .pruned_init or .npz file (take it anew from where it was published)"));
 }
 
 // What can be on the stack of the pickle of one matrix.
@@ -399,13 +333,65 @@ class Unpickler {
   std::map<int, Ref> memo_;
 };
 
+// What follows `key` in the header of a .npy file, a Python dictionary such as
+// {'descr': '<f8', 'fortran_order': False, 'shape': (50, 79), }.
+std::string_view After(std::string_view header, std::string_view key) {
+  const size_t at = header.find(key);
+  return at == std::string_view::npos ? "" : header.substr(at + key.size());
+}
+
+// NumPy's format, versions 1 to 3 (numpy/lib/format.py).
+absl::StatusOr<Array> ParseNpy(const std::string& file, std::string_view bytes) {
+  constexpr std::string_view kMagic = "\x93NUMPY";
+  constexpr size_t kStart = 12;
+  if (bytes.size() < kStart || !bytes.starts_with(kMagic)) return Bad(file, "no .npy in the zip");
+  const auto byte = [&](size_t i) { return static_cast<size_t>(static_cast<uint8_t>(bytes[i])); };
+  const size_t version = byte(6), begin = version == 1 ? 10 : 12;
+  size_t length = byte(8) | byte(9) << 8;
+  if (version > 1) length |= byte(10) << 16 | byte(11) << 24;
+  if (version < 1 || version > 3 || bytes.size() - begin < length)
+    return Bad(file, "the .npy header is cut off or of an unknown version");
+  const std::string_view header = bytes.substr(begin, length);
+  if (!After(header, "'descr': ").starts_with("'<f8'"))
+    return Bad(file, "the .npy is not of little-endian float64 ('<f8')");
+  if (!After(header, "'fortran_order': ").starts_with("False"))
+    return Bad(file, "the .npy is empty or stored by columns, expected [rows, columns] by rows");
+  const std::string_view shape = After(header, "'shape': (");
+  const std::string_view inside = shape.substr(0, shape.find(')'));
+  const std::vector<std::string> sizes =
+      absl::StrSplit(std::string(inside), ", ", absl::SkipEmpty());
+  Array array;
+  if (sizes.size() != 2 || !absl::SimpleAtoi(sizes[0], &array.rows) ||
+      !absl::SimpleAtoi(sizes[1], &array.columns) || array.rows < 1 || array.columns < 1 ||
+      array.rows > kMaxValues / array.columns) {
+    return Bad(file, absl::StrCat("shape (", std::string(inside),
+                                  ") is not [rows, columns] of a sensible size"));
+  }
+  const size_t expected = static_cast<size_t>(array.rows * array.columns) * sizeof(double);
+  if (bytes.size() - begin - length != expected) {
+    return Bad(file, absl::StrCat("shape (", std::string(inside), ") needs ", expected,
+                                  " bytes, got ", bytes.size() - begin - length));
+  }
+  array.data = std::string(bytes.substr(begin + length));
+  return array;
+}
+
+absl::StatusOr<Array> ParseMatrix(const std::string& file, std::string_view bytes) {
+  const absl::StatusOr<std::string> pickle = ReadZipEntry(bytes, "/data.pkl", kMaxBytes);
+  if (pickle.ok()) return Unpickler(file, *pickle).Run();
+  if (!absl::IsNotFound(pickle.status())) return Bad(file, std::string(pickle.status().message()));
+  const absl::StatusOr<std::string> npy = ReadZipEntry(bytes, "states.npy", kMaxBytes);
+  if (npy.ok()) return ParseNpy(file, *npy);
+  if (!absl::IsNotFound(npy.status())) return Bad(file, std::string(npy.status().message()));
+  return Bad(file, "no entry ends in '/data.pkl' or 'states.npy'");
+}
+
 }  // namespace
 
 absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_view bytes) {
   if (bytes.size() > kMaxBytes)
     return Bad(file, absl::StrCat(bytes.size(), " bytes, at most ", kMaxBytes, " make sense"));
-  RS_ASSIGN_OR_RETURN(std::string_view pickle, FindZipEntry(file, bytes, "/data.pkl"));
-  RS_ASSIGN_OR_RETURN(Array array, Unpickler(file, pickle).Run());
+  RS_ASSIGN_OR_RETURN(const Array array, ParseMatrix(file, bytes));
   InitStates states;
   states.file = file;
   states.rows = static_cast<int>(array.rows);

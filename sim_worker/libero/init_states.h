@@ -16,8 +16,9 @@ struct InitStates {
   const double* row(int i) const { return values.data() + static_cast<size_t>(i) * columns; }
 };
 
-// Reads a `.pruned_init` file: a zip of stored entries whose data.pkl is a pickle (protocol 2) of
-// one float64 NumPy matrix. Nothing is executed: a small stack machine knows the opcodes and the
+// Reads a `.pruned_init` file: a zip whose data.pkl is a pickle (protocol 2) of one float64 NumPy
+// matrix; or an .npz with such a matrix `states`, as LIBERO-PRO's package has it. Nothing is
+// executed: a small stack machine knows the opcodes and the
 // four names that such a file needs and refuses everything else, with the file, the byte and the
 // opcode in the error.
 absl::StatusOr<InitStates> ParseInitStates(const std::string& file, std::string_view bytes);

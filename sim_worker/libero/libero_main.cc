@@ -11,9 +11,12 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/libero_home.h"
+#include "common/libero_task_folder.h"
 #include "common/program_folder.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
+#include "common/suites.h"
+#include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/libero/setup.h"
 
 extern char** environ;
@@ -166,14 +169,45 @@ absl::Status PrintFiles(const std::string& libero_root, const std::string& robos
   return absl::OkStatus();
 }
 
+// Composes and resets a task; its number of initial states.
+absl::StatusOr<int> TryTask(const UnitConfig& unit, int task) {
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<LiberoSimTask> made, LiberoSimTask::Create(unit, task));
+  RS_RETURN_IF_ERROR(made->Reset(0));
+  return made->init_states().rows;
+}
+
+// Whether every task of the folders loads and resets.
+absl::StatusOr<bool> TryFolders(const std::vector<std::string>& folders, UnitConfig unit) {
+  int loaded = 0, tried = 0;
+  for (const std::string& path : folders) {
+    RS_ASSIGN_OR_RETURN(const LiberoTaskFolder folder, ReadLiberoTaskFolder(path));
+    RS_ASSIGN_OR_RETURN(unit.suite, AddTaskFolder(path));
+    unit.libero_tasks = path;
+    unit.episodes = 1;
+    std::printf("%s\n", folder.suite.c_str());
+    for (size_t task = 0; task < folder.tasks.size(); ++task, ++tried) {
+      const absl::StatusOr<int> states = TryTask(unit, static_cast<int>(task));
+      if (states.ok()) ++loaded;
+      std::printf("  %3zu  %s  %s\n", task, folder.tasks[task].c_str(),
+                  states.ok() ? absl::StrCat(*states, " states").c_str()
+                              : std::string(states.status().message()).c_str());
+      std::fflush(stdout);
+    }
+  }
+  std::printf("%d of %d tasks load and reset\n", loaded, tried);
+  return loaded == tried;
+}
+
 int Main(int argc, char** argv) {
   cli::App app("Finds, checks and remembers LIBERO's own files.", "robostress libero");
   app.require_subcommand(1, 1);
   app.footer(
       "\nExamples\n  robostress libero setup\n  robostress libero setup --install\n"
       "  robostress libero setup --python ~/lerobot/bin/python\n"
+      "  robostress libero tasks LIBERO/libero/libero/bddl_files/libero_90\n"
       "  robostress libero files | sha256sum -c      in the folder that setup names\n\n"
-      "Exit code: 0 done; 1 files are missing or differ; 2 the command line is wrong.\n");
+      "Exit code: 0 done; 1 files are missing or differ, or a task does not load; 2 the command "
+      "line is wrong.\n");
   CommandLine line;
   cli::App* setup = app.add_subcommand(
       "setup", "Find LIBERO and robosuite 1.4, check every file of the forty tasks, link them");
@@ -198,8 +232,24 @@ int Main(int argc, char** argv) {
   files->add_option("--libero-root", libero_root, "LIBERO checkout (or LIBERO_ROOT, or setup)");
   files->add_option("--robosuite-root", robosuite_root,
                     "robosuite checkout (or ROBOSUITE_ROOT, or setup)");
+  cli::App* tasks = app.add_subcommand(
+      "tasks", "Try every task of folders of BDDL files: load, reset; say what is lacking");
+  std::vector<std::string> folders;
+  UnitConfig unit;
+  tasks->add_option("folder", folders, "Such as bddl_files/libero_90")
+      ->required()
+      ->expected(1, 1000)
+      ->check(cli::ExistingDirectory());
+  tasks->add_option("--libero-root", unit.libero_root,
+                    "LIBERO checkout (or LIBERO_ROOT, or setup)");
+  tasks->add_option("--robosuite-root", unit.robosuite_root,
+                    "robosuite checkout (or ROBOSUITE_ROOT, or setup)");
   return RunMain(app, argc, argv, [&]() -> absl::StatusOr<int> {
     if (setup->parsed()) return Setup(line);
+    if (tasks->parsed()) {
+      RS_ASSIGN_OR_RETURN(const bool all, TryFolders(folders, unit));
+      return all ? 0 : 1;
+    }
     RS_RETURN_IF_ERROR(PrintFiles(libero_root, robosuite_root));
     return 0;
   });

@@ -15,6 +15,7 @@
 #include "sim_worker/libero/libero_expert.h"
 #include "sim_worker/libero/libero_task.h"
 #include "sim_worker/libero/preprocess.h"
+#include "sim_worker/libero/task_files.h"
 #include "sim_worker/panda_model.h"
 
 namespace robostress::libero {
@@ -42,41 +43,36 @@ Eigen::Matrix<double, 7, 1> LiberoSimTask::HomePosture() {
 
 absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitConfig& unit,
                                                                      int task) {
-  RS_ASSIGN_OR_RETURN(std::vector<std::string> names, LiberoTaskNames(unit.suite));
-  const SuiteInfo* info = FindSuite(unit.suite);
-  if (info == nullptr)
-    return absl::NotFoundError(absl::StrCat("suite '", unit.suite, "' is unknown"));
-  const int num_tasks = static_cast<int>(names.size());
-  if (task < 0 || task >= num_tasks) {
-    return absl::OutOfRangeError(absl::StrCat("task ", task, " of suite '", unit.suite,
-                                              "' does not exist; tasks are 0 to ", num_tasks - 1));
-  }
   RS_ASSIGN_OR_RETURN(const Scenario scenario, MakeScenario(unit.scenario, unit.severity));
   RS_ASSIGN_OR_RETURN(const LiberoPaths paths, FindLibero(unit.libero_root, unit.robosuite_root));
-  const std::string stem = absl::StrCat(unit.suite, "/", names[task]);
-  RS_ASSIGN_OR_RETURN(BddlProblem problem,
-                      ReadBddl(absl::StrCat(paths.libero, "/bddl_files/", stem, ".bddl")));
+  RS_ASSIGN_OR_RETURN(const TaskFiles files, FindTaskFiles(paths, unit, task));
+  RS_ASSIGN_OR_RETURN(BddlProblem problem, ReadBddl(files.bddl));
   RS_ASSIGN_OR_RETURN(LiberoScene scene, ComposeScene(paths, std::move(problem)));
   AnnounceMissingVisuals(scene);
 
   std::unique_ptr<LiberoSimTask> result(new LiberoSimTask());
   result->unit_ = unit;
-  result->name_ = names[task];
-  result->instruction_ = LiberoInstruction(names[task]);
+  result->name_ = files.name;
+  result->instruction_ = files.instruction;
   result->horizon_ = HorizonOf(unit);
   result->scenario_ = scenario;
   result->scene_ = std::make_unique<LiberoScene>(std::move(scene));
   RS_ASSIGN_OR_RETURN(LiberoGoal goal, LiberoGoal::Create(*result->scene_));
   result->goal_ = std::make_unique<LiberoGoal>(std::move(goal));
-  RS_ASSIGN_OR_RETURN(
-      result->init_states_,
-      ReadInitStates(absl::StrCat(paths.libero, "/init_files/", stem, ".pruned_init")));
+  RS_ASSIGN_OR_RETURN(result->init_states_, ReadInitStates(files.initial_states));
   RS_RETURN_IF_ERROR(
       CheckInitStates(result->init_states_, result->scene_->model->nq, result->scene_->model->nv));
+  const int last = unit.first_initial_state + unit.episodes - 1;
+  if (!unit.libero_tasks.empty() && last >= result->init_states_.rows) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("episodes start from states ", unit.first_initial_state, " to ", last, " of ",
+                     result->init_states_.rows, " initial states in ", files.initial_states,
+                     "; give fewer --episodes or leave the task out"));
+  }
   RS_ASSIGN_OR_RETURN(const LiberoFixtures fixtures, ParseLiberoFixtures(unit.libero_fixtures));
   if (fixtures.source != LiberoFixtures::Source::kCentred) {
     RS_ASSIGN_OR_RETURN(FixturePoses poses,
-                        FixturePoses::Create(fixtures, names[task], *result->scene_));
+                        FixturePoses::Create(fixtures, files.name, *result->scene_));
     RS_RETURN_IF_ERROR(poses.CheckListed(unit.first_initial_state, unit.episodes));
     result->fixture_poses_ = std::make_unique<FixturePoses>(std::move(poses));
   }

@@ -1,6 +1,8 @@
 #pragma once
 
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "common/unit_config.h"
@@ -8,11 +10,17 @@
 
 namespace robostress {
 
-// One task of LIBERO's suites (libero_spatial, libero_object, libero_goal, libero_10), composed
-// from the user's own LIBERO and robosuite checkouts: unit.libero_root / unit.robosuite_root, or
-// the environment variables LIBERO_ROOT / ROBOSUITE_ROOT. Nothing of theirs is executed; visual
-// files that are absent are announced once and replaced. `task` is the index in the benchmark's
-// order.
+// One task of LIBERO's suites (libero_spatial, libero_object, libero_goal, libero_10) or of the
+// folder unit.libero_tasks, composed from the user's own files of LIBERO and robosuite
+// (FindLibero). Nothing of theirs is executed; visual files that are absent are announced once and
+// replaced. `task` is the index in the benchmark's order, in a folder in that of the names.
 absl::StatusOr<std::unique_ptr<SimTask>> MakeLiberoTask(const UnitConfig& unit, int task);
+
+// The tasks of unit.suite in order: names of files and instructions. LIBERO's own suites need no
+// file for it; a BDDL file of a folder that cannot be read is an error.
+struct LiberoTaskLine {
+  std::string name, instruction;
+};
+absl::StatusOr<std::vector<LiberoTaskLine>> LiberoTaskLines(const UnitConfig& unit);
 
 }  // namespace robostress

@@ -260,11 +260,16 @@ std::array<double, 4> NumpyPlacement::DrawQuaternion(const Placement& placement)
     const double yaw = angle(placement.yaw[0], placement.yaw[1]);
     return {std::cos(yaw / 2), 0, 0, std::sin(yaw / 2)};
   }
-  const auto& [first, second] = placement.object->rotation.turns;
-  const std::array<double, 4> one = TurnXyzw(first.axis, angle(first.low, first.high));
-  if (second.axis == 0) return one;
-  const std::array<double, 4> product = MultiplyXyzw(one, {0, 0, 0, 1});
-  return MultiplyXyzw(TurnXyzw(second.axis, angle(second.low, second.high)), product);
+  const auto draw = [&](const PlacementRotation::Turn& turn) {
+    return TurnXyzw(turn.axis, angle(turn.low, turn.high));
+  };
+  const auto& turns = placement.object->rotation.turns;
+  const std::array<double, 4> first = draw(turns[0]);
+  if (turns[1].axis == 0) return first;
+  std::array<double, 4> product = MultiplyXyzw(first, {0, 0, 0, 1});
+  for (size_t i = 1; i < turns.size() && turns[i].axis != 0; ++i)
+    product = MultiplyXyzw(draw(turns[i]), product);
+  return product;
 }
 
 }  // namespace robostress::libero

@@ -46,13 +46,17 @@ absl::StatusOr<UnitConfig> ResolvedUnit(const CommandLine& line) {
   UnitConfig unit = line.unit;
   if (line.mode == "parity") unit.sim.stepping = Stepping::kParity;
   RS_RETURN_IF_ERROR(ApplyOverrides(line.overrides, unit.sim));
+  if (!unit.libero_tasks.empty()) {
+    RS_ASSIGN_OR_RETURN(unit.suite, AddTaskFolder(unit.libero_tasks));
+    unit.episodes = 1;
+  }
   const SuiteInfo* suite = FindSuite(unit.suite);
   if (suite == nullptr || !suite->needs_libero) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--suite '", unit.suite,
-        "' is not one of LIBERO's: libero_spatial, libero_object, libero_goal, libero_10. In the "
-        "embedded "
-        "suites recorded commands are played by `robostress sweep --policies replay`"));
+        "' is not one of LIBERO's: libero_spatial, libero_object, libero_goal, libero_10; others "
+        "by --libero-tasks DIR. In the embedded suites recorded commands are played by `robostress "
+        "sweep --policies replay`"));
   }
   return unit;
 }
@@ -116,6 +120,11 @@ int Main(int argc, char** argv) {
   line.unit.suite.clear();
   app.add_option("--suite", line.unit.suite,
                  "libero_spatial, libero_object, libero_goal or libero_10");
+  app.add_option(
+         "--libero-tasks", line.unit.libero_tasks,
+         "Instead of --suite: a folder of LIBERO tasks (.bddl), in the order of their names")
+      ->type_name("DIR")
+      ->check(cli::ExistingDirectory());
   app.add_option("--task", line.task, "Index in the benchmark's order");
   app.add_option("--in", line.in, "Recording to play");
   app.add_option("--out", line.out, "File to write");
@@ -146,9 +155,11 @@ int Main(int argc, char** argv) {
           RS_ASSIGN_OR_RETURN(const bool within, RunCompare(line));
           return within ? 0 : 1;
         }
-        if (line.unit.suite.empty() || line.task < 0 || line.in.empty() || line.out.empty()) {
+        const bool suite = !line.unit.suite.empty() || !line.unit.libero_tasks.empty();
+        if (!suite || line.task < 0 || line.in.empty() || line.out.empty()) {
           return absl::InvalidArgumentError(
-              "give --suite, --task, --in and --out, or --compare A B; --help has examples");
+              "give --suite or --libero-tasks, --task, --in and --out, or --compare A B; --help "
+              "has examples");
         }
         RS_RETURN_IF_ERROR(RunReplay(line));
         return 0;

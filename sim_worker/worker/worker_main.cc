@@ -99,7 +99,7 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   absl::StatusOr<std::unique_ptr<SimTask>> made = MakeSimTask(unit, task);
   if (!made.ok()) return made.status();
   const std::shared_ptr<SimTask> sim_task = *std::move(made);
-  const absl::StatusOr<std::vector<std::string>> instructions = SuiteInstructions(unit.suite);
+  const absl::StatusOr<std::vector<std::string>> instructions = SuiteInstructions(unit);
   if (!instructions.ok()) return instructions.status();
   std::shared_ptr<Robot> robot = sim_task;
   if (unit.sim.sensing.used()) {

@@ -5,6 +5,7 @@
 #include <set>
 
 #include "adapter/method_options.h"
+#include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/suites.h"
 #include "gmock/gmock.h"
@@ -248,6 +249,34 @@ TEST(Plan, StepLimitsReachLiberosSuitesAndNoOthers) {
   EXPECT_EQ(HorizonOf(unit), 220) << "the suite's own";
   unit.horizon = -1;
   EXPECT_THAT(std::string(ResolveUnit(unit).status().message()), HasSubstr("horizon is -1"));
+}
+
+TEST(Plan, AFolderOfTasksIsASuite) {
+  const std::filesystem::path folder =
+      std::filesystem::path(::testing::TempDir()) / "plan" / "libero_goal_mine";
+  std::filesystem::create_directories(folder);
+  for (const char* task : {"a.bddl", "b.bddl"})
+    ASSERT_TRUE(WriteFileAtomically((folder / task).string(), "").ok());
+  SweepGrid grid;
+  grid.policies = {"expert"};
+  grid.methods = {"base"};
+  grid.scenarios = {"clean"};
+  grid.libero_root = grid.robosuite_root = "somewhere";
+  EXPECT_THAT(DumpConfig(grid), Not(HasSubstr("libero_tasks")));
+  grid.libero_tasks = {folder.string()};
+  std::vector<PlannedUnit> units = Plan(grid);
+  ASSERT_EQ(units.size(), 1u);
+  EXPECT_EQ(units[0].config.suite, "libero_goal_mine");
+  EXPECT_EQ(units[0].config.libero_tasks, folder.string());
+  EXPECT_EQ(units[0].config.tasks.size(), 2u);
+  EXPECT_EQ(HorizonOf(units[0].config), 300);
+  EXPECT_TRUE(ResolveUnit(units[0].config).ok());
+  grid.suites = {"libero_goal", "libero_goal_mine"};
+  units = Plan(grid);
+  ASSERT_EQ(units.size(), 2u);
+  EXPECT_EQ(units[0].config.libero_tasks, "");
+  grid.libero_tasks = {folder.string() + "_not"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()), HasSubstr("libero_tasks: "));
 }
 
 TEST(Plan, LatencyIsPartOfEveryUnitAndStandsInNoneWithout) {

@@ -14,16 +14,31 @@ void Put(std::string& out, T value) {
   out.append(reinterpret_cast<const char*>(&value), sizeof(T));
 }
 
+std::string Deflated(const std::string& data) {
+  z_stream stream = {};
+  deflateInit2(&stream, Z_DEFAULT_COMPRESSION, Z_DEFLATED, -MAX_WBITS, 8, Z_DEFAULT_STRATEGY);
+  std::string packed(deflateBound(&stream, static_cast<uLong>(data.size())), '\0');
+  stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(data.data()));
+  stream.avail_in = static_cast<uInt>(data.size());
+  stream.next_out = reinterpret_cast<Bytef*>(packed.data());
+  stream.avail_out = static_cast<uInt>(packed.size());
+  deflate(&stream, Z_FINISH);
+  packed.resize(stream.total_out);
+  deflateEnd(&stream);
+  return packed;
+}
+
 }  // namespace
 
 std::string Zip(const std::string& name, const std::string& data, uint16_t method) {
   const uint32_t crc =
       crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(data.size()));
+  const std::string packed = method == 8 ? Deflated(data) : data;
   auto header = [&](std::string& out) {
     Put<uint16_t>(out, method);
     Put<uint32_t>(out, 0);
     Put<uint32_t>(out, crc);
-    Put<uint32_t>(out, static_cast<uint32_t>(data.size()));
+    Put<uint32_t>(out, static_cast<uint32_t>(packed.size()));
     Put<uint32_t>(out, static_cast<uint32_t>(data.size()));
     Put<uint16_t>(out, static_cast<uint16_t>(name.size()));
     Put<uint16_t>(out, 0);
@@ -32,7 +47,7 @@ std::string Zip(const std::string& name, const std::string& data, uint16_t metho
   Put<uint16_t>(zip, 20);
   Put<uint16_t>(zip, 0);
   header(zip);
-  zip += name + data;
+  zip += name + packed;
   const uint32_t directory = static_cast<uint32_t>(zip.size());
   zip += "PK\x01\x02";
   Put<uint16_t>(zip, 20);
@@ -76,6 +91,19 @@ std::string Pickle(const std::vector<double>& values, int rows, int columns) {
        std::string(4, '\xff') + "J" + std::string(4, '\xff') + "K\0tb\x89"s;
   p += "h\3" + Unicode(utf8) + Unicode("latin1") + "\x86Rtb.";
   return p;
+}
+
+std::string Npy(const std::vector<double>& values, const std::string& shape,
+                const std::string& order, const std::string& type) {
+  std::string header =
+      "{'descr': '" + type + "', 'fortran_order': " + order + ", 'shape': (" + shape + "), }";
+  header.append(63 - (header.size() + 10) % 64, ' ');
+  header += '\n';
+  std::string npy("\x93NUMPY\x01\x00", 8);
+  Put<uint16_t>(npy, static_cast<uint16_t>(header.size()));
+  npy += header;
+  npy.append(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(double));
+  return npy;
 }
 
 }  // namespace robostress::libero

@@ -16,6 +16,7 @@ namespace robostress::libero {
 namespace {
 
 using namespace std::string_literals;
+using ::testing::AnyOf;
 using ::testing::HasSubstr;
 
 const std::vector<double> kValues = {0, 1.5, -2.25, 1e-300, 3.141592653589793, -0.0};
@@ -34,6 +35,39 @@ TEST(InitStatesTest, ReadsAMatrixBitForBit) {
   // NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): bit by bit
   EXPECT_EQ(std::memcmp(states->values.data(), kValues.data(), sizeof(double) * 6), 0);
   EXPECT_EQ(states->row(1)[0], 1e-300);
+}
+
+TEST(InitStatesTest, ReadsAnNpzStoredOrDeflated) {
+  for (const uint16_t method : {0, 8}) {
+    const absl::StatusOr<InitStates> states =
+        ParseInitStates("a", Zip("states.npy", Npy(kValues, "2, 3"), method));
+    ASSERT_TRUE(states.ok()) << states.status();
+    EXPECT_EQ(states->rows, 2);
+    // NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): bit by bit
+    EXPECT_EQ(std::memcmp(states->values.data(), kValues.data(), sizeof(double) * 6), 0);
+  }
+}
+
+TEST(InitStatesTest, AnNpzThatIsNotAMatrixOfStatesSaysWhatItIs) {
+  const auto error = [](const std::string& npy) { return ErrorOf(Zip("states.npy", npy, 8)); };
+  EXPECT_THAT(error(Npy({}, "0,", "True")), HasSubstr("empty or stored by columns"));
+  EXPECT_THAT(error(Npy({}, "0, 3")), HasSubstr("shape (0, 3) is not"));
+  EXPECT_THAT(error(Npy(kValues, "6,")), HasSubstr("is not [rows, columns]"));
+  EXPECT_THAT(error(Npy(kValues, "3, 3")), HasSubstr("shape (3, 3) needs 72 bytes, got 48"));
+  EXPECT_THAT(error(Npy(kValues, "99999999, 99999999")), HasSubstr("of a sensible size"));
+  EXPECT_THAT(error(Npy(kValues, "2, 3", "False", ">f8")), HasSubstr("little-endian float64"));
+  EXPECT_THAT(error(Npy(kValues, "2, 3").substr(0, 40)), HasSubstr("cut off"));
+  EXPECT_THAT(error("no numbers"), HasSubstr("no .npy in the zip"));
+  std::string zip = Zip("states.npy", Npy(kValues, "2, 3"), 8);
+  zip[60] ^= 0x40;
+  EXPECT_THAT(ErrorOf(zip), AnyOf(HasSubstr("does not unpack"), HasSubstr("checksum")));
+}
+
+TEST(InitStatesTest, AnEntryThatUnpacksToTooMuchIsRefusedUnread) {
+  std::string zip = Zip("states.npy", std::string(1000, 'x'), 8);
+  const size_t directory = zip.find("PK\x01\x02");
+  zip.replace(directory + 24, 4, "\xff\xff\xff\x7f");
+  EXPECT_THAT(ErrorOf(zip), HasSubstr("has 2147483647 bytes, at most"));
 }
 
 TEST(InitStatesTest, RefusesWhatCouldExecute) {
@@ -74,8 +108,9 @@ TEST(InitStatesTest, ErrorsNameFileAndPlace) {
   const std::string good = Pickle(kValues, 2, 3);
   EXPECT_THAT(ErrorOf("hello"), HasSubstr("task.pruned_init: 5 bytes are too few"));
   EXPECT_THAT(ErrorOf(std::string(100, 'x')), HasSubstr("not a zip file"));
-  EXPECT_THAT(ErrorOf(Zip("archive/other", good)), HasSubstr("no entry ends in '/data.pkl'"));
-  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good, 8)), HasSubstr("compressed (method 8)"));
+  EXPECT_THAT(ErrorOf(Zip("archive/other", good)),
+              HasSubstr("no entry ends in '/data.pkl' or 'states.npy'"));
+  EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good, 9)), HasSubstr("compressed by method 9"));
   EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", Pickle(kValues, 3, 3))),
               HasSubstr("shape [3, 3] needs 72 bytes, got 48"));
   EXPECT_THAT(ErrorOf(Zip("archive/data.pkl", good.substr(0, good.size() - 1))),
@@ -112,6 +147,10 @@ TEST(InitStatesTest, SurvivesDamagedFiles) {
         static_cast<char>(random.UniformInt(256));
     if (i % 2 == 0) outer.resize(random.UniformInt(static_cast<int>(outer.size())));
     (void)ParseInitStates("a", outer);
+    std::string npz = Zip("states.npy", Npy(kValues, "2, 3"), i % 2 == 0 ? 8 : 0);
+    npz[random.UniformInt(static_cast<int>(npz.size()))] =
+        static_cast<char>(random.UniformInt(256));
+    (void)ParseInitStates("a", npz);
   }
 }
 

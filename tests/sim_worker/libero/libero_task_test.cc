@@ -82,6 +82,42 @@ int Successes(SimTask& task, PolicyEndpoint& expert, const std::vector<int>& sta
   return successes;
 }
 
+// A folder of two of libero_goal's tasks, one with another instruction, one without states.
+TEST(LiberoTaskFolder, PlaysTasksWithTheInstructionsOfTheirFiles) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const fs::path folder = fs::path(::testing::TempDir()) / "libero_goal_lan";
+  fs::remove_all(folder);
+  fs::create_directories(folder);
+  const std::string root = LiberoTree() + "/libero/libero/", name = "put_the_bowl_on_the_plate";
+  const std::string text = *ReadFile(root + "bddl_files/libero_goal/" + name + ".bddl");
+  const size_t at = text.find("(:language ") + 11;
+  const std::string changed =
+      text.substr(0, at) + "set the bowl down" + text.substr(text.find(')', at));
+  ASSERT_TRUE(WriteFileAtomically((folder / "b_task.bddl").string(), changed).ok());
+  fs::copy_file(root + "init_files/libero_goal/" + name + ".pruned_init",
+                folder / "b_task.pruned_init");
+  ASSERT_TRUE(WriteFileAtomically((folder / "a_task.bddl").string(), text).ok());
+
+  UnitConfig unit = GoalUnit();
+  unit.libero_tasks = folder.string();
+  unit.suite = *AddTaskFolder(unit.libero_tasks);
+  const auto task = MakeLiberoTask(unit, 1);
+  ASSERT_TRUE(task.ok()) << task.status();
+  EXPECT_EQ((*task)->name(), "b_task");
+  EXPECT_EQ((*task)->instruction(), "set the bowl down");
+  EXPECT_EQ((*task)->horizon(), 300);
+  EXPECT_TRUE((*task)->Reset(49).ok());
+  EXPECT_THAT(std::string((*task)->Reset(50).message()), HasSubstr("has rows 0 to 49"));
+  EXPECT_THAT(ErrorOf(unit, 0), HasSubstr("a_task.bddl: no initial states"));
+  EXPECT_THAT(ErrorOf(unit, 2), HasSubstr("task 2 of suite 'libero_goal_lan' does not exist"));
+  const auto lines = LiberoTaskLines(unit);
+  ASSERT_TRUE(lines.ok()) << lines.status();
+  EXPECT_EQ(lines->at(0).instruction, "put the bowl on the plate");
+  unit.first_initial_state = 40;
+  unit.episodes = 11;
+  EXPECT_THAT(ErrorOf(unit, 1), HasSubstr("of 50 initial states"));
+}
+
 TEST(LiberoTaskTest, ExpertsSolveTheBowlAndTheDrawer) {
   SKIP_WITHOUT_SHARED_DATA();
   for (int index : {kBowlOnPlate, kOpenMiddleDrawer}) {
@@ -515,7 +551,7 @@ TEST(LiberoTaskTest, ALiberoWithoutItsAssetsSaysWhereTheyBelong) {
   fs::remove_all(root);
   EXPECT_THAT(std::string(paths.status().message()),
               ::testing::AllOf(HasSubstr("/libero/libero: no assets beside bddl_files"),
-                               HasSubstr("link that folder there")));
+                               HasSubstr("`robostress libero setup` finds and links them")));
 }
 
 TEST(LiberoTaskTest, AnErrorOfTheCompilerQuotesTheElement) {

