@@ -100,10 +100,10 @@ Grasp AtRim(const Wanted& wanted, const Rim& rim) {
   for (int k = -kTurns; k <= kTurns; ++k) {
     const double yaw = k * kTurn;
     for (const double side : {-1.0, 1.0}) {
-      for (const double inwards : {0.0, 0.009}) {
+      for (const double inwards : {0.0, 0.009, -0.009}) {
         const Vector3d p =
             origin + side * (rim.radius - inwards) * Closing(yaw) + Vector3d(0, 0, rim.height);
-        Keep(wanted, {p, yaw}, kPerInwards * inwards, best);
+        Keep(wanted, {p, yaw}, kPerInwards * std::abs(inwards), best);
       }
     }
   }
