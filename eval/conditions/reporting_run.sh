@@ -30,7 +30,10 @@ in_three() { # NAME OPTIONS...: seed 0 for states 20-26, 1 for 27-33, 2 for 34-3
 }
 
 case $part in
-  --first-seed) play seven-0 0 20 7 "$@" && exit ;;
+  --first-seed)
+    play seven-0 0 20 7 "$@"
+    exit
+    ;;
   all) in_three seven "$@" ;;
 esac
 in_three stick --scenarios aged_transmission --set sim.joint_errors.friction_law=stick "$@"
