@@ -33,4 +33,10 @@ std::string RememberedLibero() {
   return filled ? home : "";
 }
 
+std::string LiberoRoot(const std::string& given, const char* variable) {
+  if (!given.empty()) return given;
+  const std::string set = Variable(variable);
+  return set.empty() ? RememberedLibero() : set;
+}
+
 }  // namespace robostress

@@ -10,5 +10,8 @@ namespace robostress {
 std::string LiberoHome();
 // LiberoHome() if setup has filled it, else empty.
 std::string RememberedLibero();
+// The root that is looked in for LIBERO's or robosuite's files: `given`, else the environment
+// variable (LIBERO_ROOT, ROBOSUITE_ROOT), else RememberedLibero().
+std::string LiberoRoot(const std::string& given, const char* variable);
 
 }  // namespace robostress

@@ -3,7 +3,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <cstdlib>
 #include <filesystem>
 #include <map>
 #include <set>
@@ -254,13 +253,6 @@ bool NeedsLibero(const std::string& suite) {
   return info != nullptr && info->needs_libero;
 }
 
-// Where nothing is given: the variable, else what `robostress libero setup` linked.
-void FillLiberoRoot(const char* variable, std::string& root) {
-  if (!root.empty()) return;
-  const char* set = std::getenv(variable);
-  root = set != nullptr && *set != '\0' ? set : RememberedLibero();
-}
-
 }  // namespace
 
 int PlannedUnit::EpisodeCount() const {
@@ -405,8 +397,8 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios(robot);
   if (grid.policies.empty()) grid.policies = {grid.remote.used() ? "remote" : robot.policy};
   if (std::any_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
-    FillLiberoRoot("LIBERO_ROOT", grid.libero_root);
-    FillLiberoRoot("ROBOSUITE_ROOT", grid.robosuite_root);
+    grid.libero_root = LiberoRoot(grid.libero_root, "LIBERO_ROOT");
+    grid.robosuite_root = LiberoRoot(grid.robosuite_root, "ROBOSUITE_ROOT");
   }
   if (const absl::Status status = ApplyOverrides(Part(grid.overrides).remote, grid.remote);
       !status.ok())

@@ -1,6 +1,5 @@
 #include "sim_worker/libero/catalog.h"
 
-#include <cstdlib>
 #include <filesystem>
 
 #include "absl/status/status.h"
@@ -260,16 +259,7 @@ constexpr PlacementRotation kRotations[] = {
 absl::StatusOr<std::string> FindRoot(const std::string& given, const char* variable,
                                      const char* option, const std::vector<std::string>& candidates,
                                      const std::string& marker, const char* what) {
-  std::string root = given;
-  if (root.empty()) {
-    const char* from_environment = std::getenv(variable);
-    if (from_environment != nullptr) root = from_environment;
-  }
-  bool remembered = false;
-  if (root.empty()) {
-    root = RememberedLibero();
-    remembered = true;
-  }
+  const std::string root = LiberoRoot(given, variable);
   if (root.empty()) {
     return absl::InvalidArgumentError(absl::StrCat("LIBERO's suites read ", what,
                                                    ": run `robostress libero setup`, give ", option,
@@ -281,7 +271,7 @@ absl::StatusOr<std::string> FindRoot(const std::string& given, const char* varia
     if (fs::exists(path / marker, ignored))
       return fs::absolute(path, ignored).lexically_normal().string();
   }
-  if (remembered) {
+  if (given.empty() && root == RememberedLibero()) {
     return absl::NotFoundError(absl::StrCat(root,
                                             ": what `robostress libero setup` linked is gone (no ",
                                             candidates.front(), "/", marker, "); run it again"));

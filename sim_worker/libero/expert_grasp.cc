@@ -197,9 +197,7 @@ std::optional<Grasp> HandleGrasp(const ExpertView& view, const LiberoObject& obj
     if (handle.category != object.category) continue;
     const Eigen::Quaterniond frame = view.BodyQuat(object.body);
     const Vector3d across = frame * Vector3d::UnitY();
-    double yaw = std::atan2(across.x(), -across.y());
-    if (yaw > M_PI / 2) yaw -= M_PI;
-    if (yaw < -M_PI / 2) yaw += M_PI;
+    const double yaw = std::remainder(std::atan2(across.x(), -across.y()), M_PI);
     return Grasp{view.Body(object.body) + frame * Vector3d(handle.x, 0, handle.height), yaw};
   }
   return std::nullopt;

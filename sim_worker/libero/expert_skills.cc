@@ -15,10 +15,6 @@ using Eigen::Vector3d;
 namespace {
 
 constexpr double kOpen = -1, kClose = 1;
-
-Quaterniond Turned(double yaw) {
-  return Quaterniond(Eigen::AngleAxisd(yaw, Vector3d::UnitZ())) * Quaterniond(0, 1, 0, 0);
-}
 constexpr double kFunnelStart = 0.015;   // [m] beside the target from which the way leads down
 constexpr double kFunnelSlope = 3.0;     // height over distance
 constexpr double kClearance = 0.06;      // [m] over a target while beside it
@@ -27,6 +23,10 @@ constexpr double kFingerRadius = 0.045;  // [m] of the open hand around the tool
 constexpr double kAhead = 0.12;          // [m] of the way that must be free
 constexpr double kTooLow = 0.01;         // [m] below the way: sideways motion slows down
 constexpr double kOpenGap = 0.07;        // [m]
+
+Quaterniond Turned(double yaw) {
+  return Quaterniond(Eigen::AngleAxisd(yaw, Vector3d::UnitZ())) * Quaterniond(0, 1, 0, 0);
+}
 
 // Where to go from `from` so that `to` is reached from above and nothing in between is hit. Both
 // belong to the tool or to what it carries; the result is what to add.
@@ -82,7 +82,7 @@ class PickAndPlace : public ExpertSkill {
     // What must pass: its underside, above its own origin's way.
     Vector3d from(origin.x(), origin.y(), extent.low.z());
     Vector3d to = place.p;
-    to.z() += extent.low.z() - origin.z() + (place.over > 0 ? place.over : 0);
+    to.z() += extent.low.z() - origin.z() + place.over;
     const Vector3d size = extent.high - extent.low;
     const double radius = std::max(size.x(), size.y()) / 2 + 0.015;
     const Vector3d move = Funnel(view, from, to, radius, object_.body, place.beside);
@@ -151,7 +151,8 @@ class PullDrawer : public ExpertSkill {
       goal.gripper = kClose;
       goal.p = closed ? Vector3d(bar + kLead * out) : bar;
       return goal;
-    } else if (turned && aside < 0.012 && before < kStandOff + 0.02 && view.Gap() > kOpenGap) {
+    }
+    if (turned && aside < 0.012 && before < kStandOff + 0.02 && view.Gap() > kOpenGap) {
       goal.p = bar;
       return goal;
     }
@@ -208,9 +209,7 @@ class TurnKnob : public ExpertSkill {
     // The ridge lies along the body's y axis; it is held across.
     const Eigen::Quaterniond knob = view.BodyQuat(body_);
     const Vector3d along = knob * Vector3d::UnitY();
-    double yaw = std::atan2(along.y(), along.x());
-    if (yaw > M_PI / 2) yaw -= M_PI;
-    if (yaw < -M_PI / 2) yaw += M_PI;
+    const double yaw = std::remainder(std::atan2(along.y(), along.x()), M_PI);
     const Vector3d grasp = view.Body(body_) + knob * Vector3d(0.0014, 0.012, 0.042);
     const Vector3d tool = view.Tool(), error = grasp - tool;
     const bool at = error.head<2>().norm() < 0.012 && std::abs(error.z()) < 0.012;
@@ -241,12 +240,11 @@ class Push : public ExpertSkill {
     Vector3d start = middle + 0.3 * radius * direction;
     start.z() = extent.low.z() + kHeight;
     const Vector3d rel = tool - middle;
-    const double yaw = view.Yaw();
     if (rel.head<2>().norm() < 0.9 * radius && tool.z() < start.z() + 0.01 && view.Gap() < 0.02) {
       const double ahead = rel.dot(direction);
       Vector3d goal = middle + (ahead + 0.03) * direction;
       goal.z() = start.z();
-      return {goal, DownTurned(view, yaw), kClose};
+      return {goal, DownTurned(view, view.Yaw()), kClose};
     }
     return {tool + Funnel(view, tool, start, 0.03, object_.body), DownTurned(view, 0), kClose};
   }
@@ -285,9 +283,7 @@ class ShutDoor : public ExpertSkill {
     const Vector3d start = push - kBehind * shutting;
     const Vector3d rel = tool - push;
     const double before = -rel.dot(shutting), aside = std::abs(rel.dot(along));
-    double yaw = std::atan2(along.y(), along.x());
-    while (yaw > M_PI / 2) yaw -= M_PI;
-    while (yaw < -M_PI / 2) yaw += M_PI;
+    const double yaw = std::remainder(std::atan2(along.y(), along.x()), M_PI);
     if (before > 0 && before < kBehind + 0.03 && aside < 0.06 && std::abs(rel.z()) < 0.04)
       return {push + 0.05 * shutting, DownTurned(view, yaw), kClose};
     return {tool + Funnel(view, tool, start, 0.03, -1), DownTurned(view, yaw), kClose};

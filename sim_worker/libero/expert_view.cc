@@ -50,9 +50,7 @@ Quaterniond ExpertView::Hand() const { return BodyQuat(panda_.hand_body); }
 double ExpertView::Yaw() const {
   // Fingers open along the hand's y axis.
   const Vector3d opening = Hand() * Vector3d::UnitY();
-  const double yaw = std::atan2(opening.x(), -opening.y());
-  if (yaw > M_PI / 2) return yaw - M_PI;
-  return yaw < -M_PI / 2 ? yaw + M_PI : yaw;
+  return std::remainder(std::atan2(opening.x(), -opening.y()), M_PI);
 }
 
 double ExpertView::Gap() const {
