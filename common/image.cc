@@ -69,6 +69,17 @@ Image ResizeArea(const Image& image, int width, int height) {
   return result;
 }
 
+Image MirrorColumns(const Image& image) {
+  Image mirrored = image;
+  for (int y = 0; y < image.height; ++y) {
+    for (int x = 0; x < image.width; ++x) {
+      std::copy_n(image.data.begin() + 3 * (size_t(y) * image.width + image.width - 1 - x), 3,
+                  mirrored.data.begin() + 3 * (size_t(y) * image.width + x));
+    }
+  }
+  return mirrored;
+}
+
 Image HStack(const std::vector<Image>& images, int gap_px) {
   Image result;
   for (const Image& image : images) {

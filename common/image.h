@@ -11,6 +11,8 @@ namespace robostress {
 
 // Exact box average when the size divides evenly, else area-weighted average.
 Image ResizeArea(const Image& image, int width, int height);
+// Left and right exchanged.
+Image MirrorColumns(const Image& image);
 Image HStack(const std::vector<Image>& images, int gap_px);
 absl::StatusOr<std::string> EncodePng(const Image& image);
 // RGB, without alpha. INVALID_ARGUMENT: no PNG, damaged, or of more than 4096 pixels a side.

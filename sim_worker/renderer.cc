@@ -17,6 +17,7 @@
 #include "common/image.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
+#include "sim_worker/unseen_geoms.h"
 
 namespace robostress {
 namespace {
@@ -215,6 +216,7 @@ absl::StatusOr<Image> Renderer::Render(const mjData& data, const std::string& ca
                   &r.scene);
   r.scene.flags[mjRND_SHADOW] = options.shadows;
   r.scene.flags[mjRND_REFLECTION] = options.reflections;
+  LeaveOutUnseen(*r.model, static_cast<double>(width) / height, r.scene);
   const mjrRect viewport = {0, 0, width, height};
   mjr_render(viewport, &r.scene, &r.render);
 

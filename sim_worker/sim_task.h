@@ -8,6 +8,7 @@
 #include "common/rollout/policy_endpoint.h"
 #include "common/rollout/robot.h"
 #include "common/unit_config.h"
+#include "sim_worker/expert_decision.h"
 #include "sim_worker/panda_sim.h"
 
 namespace robostress {
@@ -16,6 +17,9 @@ namespace robostress {
 inline constexpr char kAgentView[] = "agentview";
 inline constexpr char kWristView[] = "robot0_eye_in_hand";
 
+// Initial states from here on are drawn for training; below are the reproducible ones.
+inline constexpr int kFirstTrainingDraw = 1000;
+
 // One task of a suite in simulation.
 class SimTask : public Robot {
  public:
@@ -23,11 +27,19 @@ class SimTask : public Robot {
   virtual const std::string& instruction() const = 0;
   virtual PandaSim& sim() = 0;
   virtual const std::string& mjcf() const = 0;  // what the scene was compiled from
-  // The scripted expert with access to the true state; it reads this task, which must outlive it.
-  virtual absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeExpert() = 0;
+  // The scripted expert; it reads this task, which must outlive it. Unimplemented where there is
+  // none; the message says what it lacks.
+  virtual absl::StatusOr<Expert> MakeExpert() = 0;
+  // From now on views are drawn at twice the size that a policy wants, without mirrors: what
+  // differs from LIBERO's own pictures hardly shows in small ones, and drawing takes a third of the
+  // time.
+  virtual void DrawPlainly() {}
   // One frame for a video: third-person and wrist view side by side.
   virtual absl::StatusOr<Image> Film(int height) = 0;
 };
+
+// A task's expert as a policy; `task` must outlive it.
+absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeExpertPolicy(SimTask& task);
 
 // Embedded and LIBERO suites by name, with the unit's scenario and simulator options.
 absl::StatusOr<std::unique_ptr<SimTask>> MakeSimTask(const UnitConfig& unit, int task);

@@ -23,15 +23,6 @@ struct Frames {
   std::vector<int64_t> episode;
 };
 
-void MirrorColumns(Image& image) {
-  for (int row = 0; row < image.height; ++row) {
-    for (int left = 0, right = image.width - 1; left < right; ++left, --right) {
-      uint8_t* line = image.data.data() + size_t{3} * row * image.width;
-      std::swap_ranges(line + 3 * left, line + 3 * left + 3, line + 3 * right);
-    }
-  }
-}
-
 void AppendState(const LiberoColumns& columns, int64_t t, std::vector<float>& state) {
   const auto add = [&](const std::vector<double>& values, int64_t width) {
     for (int64_t i = 0; i < width; ++i) state.push_back(static_cast<float>(values[t * width + i]));
@@ -58,7 +49,7 @@ absl::Status AppendDemonstration(const LiberoDemonstrationFile& file, int64_t in
   for (int64_t t = 0; t < columns.steps; t += stride) {
     for (const View view : {View::kAgent, View::kEyeInHand}) {
       RS_ASSIGN_OR_RETURN(Image image, file.ReadView(index, view, t));
-      if (!file.has_proprioception()) MirrorColumns(image);
+      if (!file.has_proprioception()) image = MirrorColumns(image);
       image = ResizeArea(image, config.image_size, config.image_size);
       frames.images.insert(frames.images.end(), image.data.begin(), image.data.end());
     }

@@ -69,6 +69,9 @@ class PickAndPlace : public ExpertSkill {
     }
     return held ? Carry(view, place, origin) : Reach(view, place);
   }
+  Aim Look(const ExpertView& view) const override {
+    return {view.Body(object_.body), place_(view).p, view.Holds(object_.body)};
+  }
 
  private:
   // The fingers stand over the object already.
@@ -131,6 +134,12 @@ class PickAndPlace : public ExpertSkill {
   const std::function<Place(const ExpertView&)> place_;
 };
 
+// A drawer's bar, and where it is at the lower (0) or upper (1) end of the drawer's travel.
+Aim LookAtBar(const ExpertView& view, int joint, int bar, int end) {
+  const double left = view.model().jnt_range[2 * joint + end] - view.Joint(joint);
+  return {view.Geom(bar), view.Geom(bar) + left * view.JointAxis(joint)};
+}
+
 // A drawer at its bar, the hand lying almost flat against the front.
 class PullDrawer : public ExpertSkill {
  public:
@@ -161,6 +170,7 @@ class PullDrawer : public ExpertSkill {
     if (before < kStandOff - 0.02 && aside > 0.03) goal.p = tool + 0.06 * out;
     return goal;
   }
+  Aim Look(const ExpertView& view) const override { return LookAtBar(view, joint_, bar_, 0); }
 
  private:
   static constexpr double kTilt = 1.4;       // [rad]
@@ -192,6 +202,7 @@ class ShutDrawer : public ExpertSkill {
     goal.p = tool + Funnel(view, tool, bar + kStandOff * out, 0.04, -1);
     return goal;
   }
+  Aim Look(const ExpertView& view) const override { return LookAtBar(view, joint_, bar_, 1); }
 
  private:
   static constexpr double kTilt = 0.85;      // [rad]
@@ -210,7 +221,7 @@ class TurnKnob : public ExpertSkill {
     const Eigen::Quaterniond knob = view.BodyQuat(body_);
     const Vector3d along = knob * Vector3d::UnitY();
     const double yaw = std::remainder(std::atan2(along.y(), along.x()), M_PI);
-    const Vector3d grasp = view.Body(body_) + knob * Vector3d(0.0014, 0.012, 0.042);
+    const Vector3d grasp = Ridge(view);
     const Vector3d tool = view.Tool(), error = grasp - tool;
     const bool at = error.head<2>().norm() < 0.012 && std::abs(error.z()) < 0.012;
     const bool closed = view.Gap() < 0.035;
@@ -218,8 +229,13 @@ class TurnKnob : public ExpertSkill {
       return {grasp, DownTurned(view, yaw + (closed ? kLead : 0)), kClose};
     return {tool + Funnel(view, tool, grasp, kFingerRadius, -1), DownTurned(view, yaw), kOpen};
   }
+  Aim Look(const ExpertView& view) const override { return {Ridge(view), Ridge(view)}; }
 
  private:
+  Vector3d Ridge(const ExpertView& view) const {
+    return view.Body(body_) + view.BodyQuat(body_) * Vector3d(0.0014, 0.012, 0.042);
+  }
+
   static constexpr double kLead = 0.5;  // [rad]
   const int joint_, body_;
 };
@@ -247,6 +263,9 @@ class Push : public ExpertSkill {
       return {goal, DownTurned(view, view.Yaw()), kClose};
     }
     return {tool + Funnel(view, tool, start, 0.03, object_.body), DownTurned(view, 0), kClose};
+  }
+  Aim Look(const ExpertView& view) const override {
+    return {view.ExtentOf(view.Geoms(object_.body)).Centre(), place_(view)};
   }
 
  private:
@@ -287,6 +306,11 @@ class ShutDoor : public ExpertSkill {
     if (before > 0 && before < kBehind + 0.03 && aside < 0.06 && std::abs(rel.z()) < 0.04)
       return {push + 0.05 * shutting, DownTurned(view, yaw), kClose};
     return {tool + Funnel(view, tool, start, 0.03, -1), DownTurned(view, yaw), kClose};
+  }
+  Aim Look(const ExpertView& view) const override {
+    const Vector3d leaf = view.Geom(leaf_), hinge = view.JointAnchor(joint_);
+    const double left = view.model().jnt_range[2 * joint_ + 1] - view.Joint(joint_);
+    return {leaf, hinge + Eigen::AngleAxisd(left, view.JointAxis(joint_)) * (leaf - hinge)};
   }
 
  private:

@@ -21,12 +21,20 @@ struct ToolGoal {
 // ways, half a turn apart, the one that is nearer to the hand now.
 Eigen::Quaterniond DownTurned(const ExpertView& view, double yaw);
 
+// What a skill is about, whatever the arm does: what the tool goes for, where that shall end, world
+// [m], and whether the hand has it.
+struct Aim {
+  Eigen::Vector3d target, destination;
+  bool holding = false;
+};
+
 // One way to change the scene, as a function of the state alone: whoever drove the arm there, the
 // skill says what to do next. So its commands can be asked for along a policy's own way.
 class ExpertSkill {
  public:
   virtual ~ExpertSkill() = default;
   virtual ToolGoal Decide(const ExpertView& view) const = 0;
+  virtual Aim Look(const ExpertView& view) const = 0;
 };
 
 // Where an object shall be let go.

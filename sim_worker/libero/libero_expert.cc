@@ -11,7 +11,6 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "common/rollout/expert_policy.h"
 #include "common/so3.h"
 #include "common/status_macros.h"
 #include "sim_worker/libero/expert_skills.h"
@@ -84,14 +83,25 @@ class Plan {
 
   explicit Plan(const LiberoSimTask& task) : task_(task), scene_(task.scene()), view_(task) {}
 
-  Eigen::VectorXf Decide() const {
-    for (const Step& step : steps_) {
-      if (!step.done(view_)) return CommandTowards(step.skill->Decide(view_), view_);
+  ExpertDecision Decide() const {
+    ExpertDecision decision;
+    for (size_t i = 0; i < steps_.size(); ++i) {
+      if (steps_[i].done(view_)) continue;
+      decision.command = CommandTowards(steps_[i].skill->Decide(view_), view_);
+      const Aim aim = steps_[i].skill->Look(view_);
+      decision.target = aim.target - view_.Base();
+      decision.destination = aim.destination - view_.Base();
+      decision.holding = aim.holding;
+      decision.progress = (i + (aim.holding ? 0.5 : 0.0)) / steps_.size();
+      return decision;
     }
     ToolGoal rest;
     rest.p = view_.Tool();
     rest.q = view_.Hand();
-    return CommandTowards(rest, view_);
+    decision.command = CommandTowards(rest, view_);
+    decision.target = decision.destination = rest.p - view_.Base();
+    decision.progress = 1;
+    return decision;
   }
 
  private:
@@ -265,9 +275,9 @@ class Plan {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeLiberoExpert(const LiberoSimTask& task) {
+absl::StatusOr<Expert> MakeLiberoExpert(const LiberoSimTask& task) {
   RS_ASSIGN_OR_RETURN(const std::shared_ptr<Plan> plan, Plan::Make(task));
-  return std::make_unique<ExpertPolicy>([plan] { return plan->Decide(); });
+  return [plan] { return plan->Decide(); };
 }
 
 }  // namespace robostress::libero

@@ -1,18 +1,16 @@
 #pragma once
 
-#include <memory>
-
 #include "absl/status/statusor.h"
-#include "common/rollout/policy_endpoint.h"
+#include "sim_worker/expert_decision.h"
 
 namespace robostress::libero {
 
 class LiberoSimTask;
 
-// A scripted policy for the task, closed loop on the true state, one command per prediction: a
-// phase per skill (reach, grasp, lift, carry, lower, let go; or reach, grasp, pull), which starts
-// over when the grasp is lost. Unimplemented for goals without a script; the message says which
-// have one. `task` must outlive it.
-absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeLiberoExpert(const LiberoSimTask& task);
+// The script for the task, closed loop on the true state: a phase per skill (reach, grasp, lift,
+// carry, lower, let go; or reach, grasp, pull), which starts over when the grasp is lost. Progress
+// counts the goal's parts, one whose object is held as half done. Unimplemented for goals without a
+// script; the message says which have one. `task` must outlive it.
+absl::StatusOr<Expert> MakeLiberoExpert(const LiberoSimTask& task);
 
 }  // namespace robostress::libero

@@ -99,17 +99,31 @@ absl::Status LiberoSimTask::MoveFixtures(const std::vector<FixturePose>& poses) 
   return libero::MoveFixtures(*scene_, poses, *simulation_model_);
 }
 
+absl::Status LiberoSimTask::ResetDrawn(uint32_t seed) {
+  RS_ASSIGN_OR_RETURN(NumpyPlacement placement, NumpyPlacement::Create(*scene_, seed));
+  RS_ASSIGN_OR_RETURN(const ResetDraw draw, placement.Reset());
+  success_ = false;
+  drawn_ = true;
+  RS_RETURN_IF_ERROR(MoveFixtures(draw.fixtures));
+  RS_RETURN_IF_ERROR(sim_->Reset(draw.qpos, HomePosture()));
+  return sim_->Settle(unit_.sim.settle_steps);
+}
+
 absl::Status LiberoSimTask::Reset(int initial_state) {
+  if (initial_state >= kFirstTrainingDraw) return ResetDrawn(initial_state);
   if (initial_state < 0 || initial_state >= init_states_.rows) {
-    return absl::OutOfRangeError(absl::StrCat("initial state ", initial_state, " does not exist; ",
-                                              init_states_.file, " has rows 0 to ",
-                                              init_states_.rows - 1));
+    return absl::OutOfRangeError(absl::StrCat(
+        "initial state ", initial_state, " does not exist; ", init_states_.file, " has rows 0 to ",
+        init_states_.rows - 1, ", from ", kFirstTrainingDraw, " on they are drawn"));
   }
   success_ = false;
   if (fixture_poses_ != nullptr) {
     RS_ASSIGN_OR_RETURN(const std::vector<FixturePose> poses, fixture_poses_->At(initial_state));
     RS_RETURN_IF_ERROR(MoveFixtures(poses));
+  } else if (drawn_) {
+    RS_RETURN_IF_ERROR(MoveFixtures(scene_->centred_fixtures));
   }
+  drawn_ = false;
   const double* qpos = init_states_.row(initial_state) + 1;  // after the time; velocities are zero
   RS_RETURN_IF_ERROR(sim_->Reset(absl::MakeConstSpan(qpos, scene_->model->nq), HomePosture()));
   return sim_->Settle(unit_.sim.settle_steps);
@@ -141,8 +155,8 @@ absl::Status LiberoSimTask::StepExact(const Eigen::Matrix<double, 7, 1>& command
   return absl::OkStatus();
 }
 
-absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, int width,
-                                                   int height) {
+absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera,
+                                                   const RenderOptions& options) {
   const mjData& data = sim_->observed();
   if (renderer_ == nullptr) {
     RS_ASSIGN_OR_RETURN(renderer_, Renderer::Create(render_model_));
@@ -156,7 +170,7 @@ absl::StatusOr<Image> LiberoSimTask::RenderUpright(const std::string& camera, in
     if (site >= 0)
       render_model_->site_rgba[4 * site + 3] = q >= object.articulation->on() ? 1.0f : 0.0f;
   }
-  return renderer_->Render(data, camera, RenderAsLibero(width, height));
+  return renderer_->Render(data, camera, options);
 }
 
 absl::StatusOr<Observation> LiberoSimTask::Observe(const PolicySpec& spec) {
@@ -174,22 +188,28 @@ absl::StatusOr<Observation> LiberoSimTask::Observe(const PolicySpec& spec) {
   for (int i = 0; i < 2; ++i)
     observation.proprioception[6 + i] = static_cast<float>(data.qpos[panda.finger_qpos[i]]);
   for (const std::string& camera : spec.cameras) {
-    RS_ASSIGN_OR_RETURN(Image upright, RenderUpright(camera, kCameraSize, kCameraSize));
+    const RenderOptions options = plain_ ? RenderOptions{.width = spec.image_width,
+                                                         .height = spec.image_height,
+                                                         .supersample = 2}
+                                         : RenderAsLibero(kCameraSize, kCameraSize);
+    RS_ASSIGN_OR_RETURN(Image upright, RenderUpright(camera, options));
+    // The originals hand out OpenGL's bottom-up pixels and openpi's client rotates them by 180
+    // degrees; that is the upright picture with left and right exchanged.
     observation.views.push_back(
-        {camera, ResizeWithPad(MirrorAsLibero(upright), spec.image_width, spec.image_height)});
+        {camera, ResizeWithPad(MirrorColumns(upright), spec.image_width, spec.image_height)});
   }
   return observation;
 }
 
 absl::StatusOr<Image> LiberoSimTask::Film(int height) {
-  RS_ASSIGN_OR_RETURN(const Image agent, RenderUpright("agentview", height, height));
-  RS_ASSIGN_OR_RETURN(const Image wrist, RenderUpright("robot0_eye_in_hand", height, height));
+  RS_ASSIGN_OR_RETURN(const Image agent,
+                      RenderUpright("agentview", RenderAsLibero(height, height)));
+  RS_ASSIGN_OR_RETURN(const Image wrist,
+                      RenderUpright("robot0_eye_in_hand", RenderAsLibero(height, height)));
   return HStack({agent, wrist}, 2);
 }
 
-absl::StatusOr<std::unique_ptr<PolicyEndpoint>> LiberoSimTask::MakeExpert() {
-  return MakeLiberoExpert(*this);
-}
+absl::StatusOr<Expert> LiberoSimTask::MakeExpert() { return MakeLiberoExpert(*this); }
 
 }  // namespace robostress::libero
 

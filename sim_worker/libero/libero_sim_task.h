@@ -20,7 +20,9 @@ class LiberoSimTask : public SimTask {
   static absl::StatusOr<std::unique_ptr<LiberoSimTask>> Create(const UnitConfig& unit, int task);
 
   // Row `initial_state` of the task's .pruned_init, fixtures as unit.libero_fixtures has them for
-  // it, then the settle steps with the originals' dummy command.
+  // it, then the settle steps with the originals' dummy command. From kFirstTrainingDraw on,
+  // objects and fixtures as an environment of the originals places them that was seeded with this
+  // number.
   absl::Status Reset(int initial_state) override;
   // Proprioception [8]: grip site in the world [m], axis-angle of the hand body's quaternion as
   // openpi computes it (not along the short path), finger joints [m]. Views are rendered at 256 x
@@ -41,7 +43,8 @@ class LiberoSimTask : public SimTask {
   const std::string& instruction() const override { return instruction_; }
   PandaSim& sim() override { return *sim_; }
   const std::string& mjcf() const override { return scene_->mjcf; }
-  absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeExpert() override;
+  absl::StatusOr<Expert> MakeExpert() override;
+  void DrawPlainly() override { plain_ = true; }
   absl::StatusOr<Image> Film(int height) override;
 
   const LiberoScene& scene() const { return *scene_; }
@@ -58,7 +61,8 @@ class LiberoSimTask : public SimTask {
  private:
   LiberoSimTask() = default;
   absl::Status MakeSimulator();
-  absl::StatusOr<Image> RenderUpright(const std::string& camera, int width, int height);
+  absl::Status ResetDrawn(uint32_t seed);
+  absl::StatusOr<Image> RenderUpright(const std::string& camera, const RenderOptions& options);
 
   UnitConfig unit_;
   std::string name_, instruction_;
@@ -74,7 +78,9 @@ class LiberoSimTask : public SimTask {
   std::unique_ptr<PandaSim> sim_;
   std::shared_ptr<mjModel> render_model_;
   std::unique_ptr<Renderer> renderer_;  // created with the first view
+  bool plain_ = false;
   bool success_ = false;
+  bool drawn_ = false;       // the episode's placement, fixtures included
   bool goal_holds_ = false;  // at the moment of the last control step at which the originals look
 };
 

@@ -70,7 +70,7 @@ Eigen::MatrixXf LabelFrom(const std::vector<Eigen::VectorXf>& path, size_t first
 
 }  // namespace
 
-absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
+absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert, int initial_state,
                                            const RecordOptions& options, const StreamKey& key) {
   RS_RETURN_IF_ERROR(task.Reset(initial_state));
   RandomStream random(key), execution(key.With("execution noise"));
@@ -78,23 +78,23 @@ absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state
   Demonstration result;
   if (options.execution_noise > 0)
     result.execution_sigma = execution.Uniform(0, options.execution_noise);
+  PolicySpec recorded;
+  recorded.cameras = {kAgentView, kWristView};
+  recorded.image_width = recorded.image_height = options.image_size;
   std::vector<Eigen::VectorXf> path;
   while (result.steps < task.horizon() && !result.success) {
-    const ExpertDecision decision = task.Decide();
+    const ExpertDecision decision = expert();
     if (options.render && result.steps % options.stride == 0) {
       DemonstrationFrame frame;
       frame.step = result.steps;
-      frame.proprioception = task.Proprioception();
       frame.aux = AuxOf(decision);
       if (options.simulator_state) {
         RS_ASSIGN_OR_RETURN(frame.simulator, ReadSimulator(task.sim()));
       }
       const auto drawing = std::chrono::steady_clock::now();
-      for (const char* camera : {kAgentView, kWristView}) {
-        RS_ASSIGN_OR_RETURN(Image image,
-                            task.RenderView(camera, options.image_size, options.image_size));
-        frame.views.push_back(std::move(image));
-      }
+      RS_ASSIGN_OR_RETURN(Observation observation, task.Observe(recorded));
+      frame.proprioception = observation.proprioception;
+      for (CameraView& view : observation.views) frame.views.push_back(std::move(view.image));
       result.render_seconds +=
           std::chrono::duration<double>(std::chrono::steady_clock::now() - drawing).count();
       result.frames.push_back(std::move(frame));
@@ -110,12 +110,12 @@ absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state
   return result;
 }
 
-absl::StatusOr<Eigen::MatrixXf> BranchLabel(EmbeddedTask& task) {
+absl::StatusOr<Eigen::MatrixXf> BranchLabel(SimTask& task, const Expert& expert) {
   const auto snapshot = task.sim().Save();
   std::vector<Eigen::VectorXf> path;
   absl::Status status;
   for (int i = 0; i < kLabelSteps && status.ok() && !task.Success(); ++i) {
-    path.push_back(task.Decide().command);
+    path.push_back(expert().command);
     status = task.Step(path.back());
   }
   task.sim().Restore(*snapshot);
@@ -123,7 +123,7 @@ absl::StatusOr<Eigen::MatrixXf> BranchLabel(EmbeddedTask& task) {
   return LabelFrom(path, 0);
 }
 
-absl::StatusOr<Demonstration> RecordDagger(EmbeddedTask& task, int initial_state,
+absl::StatusOr<Demonstration> RecordDagger(SimTask& task, const Expert& expert, int initial_state,
                                            const EpisodeKey& key, double mix,
                                            PolicyEndpoint& policy, RandomStream random) {
   RS_RETURN_IF_ERROR(task.Reset(initial_state));
@@ -134,8 +134,8 @@ absl::StatusOr<Demonstration> RecordDagger(EmbeddedTask& task, int initial_state
     DemonstrationFrame frame;
     frame.step = result.steps;
     frame.proprioception = observation.proprioception;
-    frame.aux = AuxOf(task.Decide());
-    RS_ASSIGN_OR_RETURN(frame.actions, BranchLabel(task));
+    frame.aux = AuxOf(expert());
+    RS_ASSIGN_OR_RETURN(frame.actions, BranchLabel(task, expert));
     const bool expert_drives = random.Uniform() < mix;
     Eigen::MatrixXf actions = frame.actions;
     if (!expert_drives) {

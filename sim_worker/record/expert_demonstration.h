@@ -10,7 +10,7 @@
 #include "common/records/episode_recording.h"
 #include "common/rollout/policy_endpoint.h"
 #include "common/types.h"
-#include "sim_worker/suites/embedded_task.h"
+#include "sim_worker/sim_task.h"
 
 namespace robostress {
 
@@ -55,16 +55,16 @@ struct RecordOptions {
 // The expert drives; bursts come from the stream `key`, execution noise from a stream of its own,
 // so that it changes nothing else. Labels are the expert's own commands along the path; after
 // success zero motion with the last gripper command. Ends at success or at the horizon.
-absl::StatusOr<Demonstration> RecordExpert(EmbeddedTask& task, int initial_state,
+absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert, int initial_state,
                                            const RecordOptions& options, const StreamKey& key);
 
 // The policy drives; with chance `mix` a chunk is the expert's. A frame per chunk; its label is the
 // expert's rollout on a branch of the simulation from that state (DAgger).
-absl::StatusOr<Demonstration> RecordDagger(EmbeddedTask& task, int initial_state,
+absl::StatusOr<Demonstration> RecordDagger(SimTask& task, const Expert& expert, int initial_state,
                                            const EpisodeKey& key, double mix,
                                            PolicyEndpoint& policy, RandomStream random);
 
 // The expert's next kLabelSteps commands from the present state, which is restored.
-absl::StatusOr<Eigen::MatrixXf> BranchLabel(EmbeddedTask& task);
+absl::StatusOr<Eigen::MatrixXf> BranchLabel(SimTask& task, const Expert& expert);
 
 }  // namespace robostress

@@ -1,10 +1,12 @@
 #include "sim_worker/record/libero_recorder.h"
 
 #include "common/check.h"
+#include "common/image.h"
 
 namespace robostress {
 
-LiberoDemonstration ToLibero(const Demonstration& demonstration, const std::string& model_file) {
+LiberoDemonstration ToLibero(const Demonstration& demonstration, const std::string& model_file,
+                             bool libero_suite) {
   LiberoDemonstration result;
   result.model_file = model_file;
   LiberoColumns& columns = result.columns;
@@ -14,11 +16,11 @@ LiberoDemonstration ToLibero(const Demonstration& demonstration, const std::stri
     for (int i = 0; i < 7; ++i) columns.actions.push_back(frame.actions(0, i));
     columns.Add(*frame.simulator);
     for (int i = 0; i < 8; ++i) {
-      columns.proprioception.push_back(frame.proprioception[i]);
+      if (!libero_suite) columns.proprioception.push_back(frame.proprioception[i]);
       columns.aux.push_back(frame.aux[i]);
     }
-    result.agentview.push_back(frame.views[0]);
-    result.eye_in_hand.push_back(frame.views[1]);
+    result.agentview.push_back(libero_suite ? MirrorColumns(frame.views[0]) : frame.views[0]);
+    result.eye_in_hand.push_back(libero_suite ? MirrorColumns(frame.views[1]) : frame.views[1]);
   }
   return result;
 }

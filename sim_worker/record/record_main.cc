@@ -33,19 +33,25 @@ constexpr char kExamples[] =
     "--episodes 10 --out data/dagger1\n"
     "  robostress record --suite all --execution-noise 0.05 --out data/dr          domain "
     "randomisation\n"
-    "  robostress record --suite tabletop_goal --format hdf5 --episodes 50 --out data/hdf5\n\n"
+    "  robostress record --suite tabletop_goal --format hdf5 --episodes 50 --out data/hdf5\n"
+    "  robostress record --suite libero --out data/libero          LIBERO's four suites\n\n"
     "Draws from 1000 on are training draws; 0 to 49 are the reproducible initial states and are "
-    "refused for recording.\n";
+    "refused for recording. In LIBERO a draw is the first reset of its environment seeded with "
+    "that "
+    "number.\n";
 
 struct CommandLine {
   std::string suite = "all";
   std::vector<int> tasks;
   int episodes = 40, first_draw = kFirstTrainingDraw, workers = 1;
   int64_t seed = 0;
+  std::string libero_root, robosuite_root;
+  std::vector<std::string> libero_tasks;   // folders
+  std::vector<std::string> folder_suites;  // their suites
   std::string out, server, policy = "nano", scenario = "clean", tag = "expert";
   int severity = 5;
   double mix = 0.3;
-  bool eval = false;
+  bool eval = false, plain = false;
   std::string format = "shards";
   RecordOptions record;
 };
@@ -70,10 +76,15 @@ double CpuSeconds() {
 
 absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
   std::vector<Job> jobs;
+  std::vector<std::string> suites = line.folder_suites;
   for (const SuiteInfo& info : AllSuites()) {
-    if (info.needs_libero || info.robot != "panda" ||
-        (line.suite != "all" && line.suite != info.name))
-      continue;
+    const std::string group = info.needs_libero ? "libero" : "all";
+    if (info.robot == "panda" && line.folder_suites.empty() &&
+        (line.suite == group || line.suite == info.name))
+      suites.push_back(info.name);
+  }
+  for (const std::string& suite : suites) {
+    const SuiteInfo& info = *FindSuite(suite);
     for (int task = 0; task < info.num_tasks; ++task) {
       const bool wanted = line.tasks.empty() ||
                           std::find(line.tasks.begin(), line.tasks.end(), task) != line.tasks.end();
@@ -82,7 +93,7 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
   }
   if (jobs.empty()) {
     return absl::NotFoundError(
-        absl::StrCat("no embedded suite '", line.suite,
+        absl::StrCat("no suite '", line.suite,
                      "' with the tasks given; `robostress suites` lists suites and tasks"));
   }
   if (!line.eval && line.first_draw < kFirstTrainingDraw) {
@@ -108,12 +119,12 @@ absl::StatusOr<std::vector<Job>> PlanJobs(const CommandLine& line) {
 class EpisodeFile {
  public:
   static absl::StatusOr<EpisodeFile> Create(const CommandLine& line, const Job& job,
-                                            const EmbeddedTask& task) {
+                                            const SimTask& task) {
     const bool hdf5 = line.format == "hdf5";
     EpisodeFile file(absl::StrFormat("%s/%s_task%02d_%s_%d.%s", line.out, job.suite, job.task,
                                      line.tag, line.first_draw, hdf5 ? "hdf5" : "safetensors"),
                      Shard(job.suite, job.task, task.instruction(), line.record.execution_noise),
-                     task.model().mjcf());
+                     task.mjcf(), FindSuite(job.suite)->needs_libero);
     if (hdf5) {
       RS_ASSIGN_OR_RETURN(file.libero_,
                           LiberoDemonstrationWriter::Create(
@@ -123,7 +134,7 @@ class EpisodeFile {
   }
   absl::Status Add(int draw, const Demonstration& episode) {
     frames_ += static_cast<int>(episode.frames.size());
-    if (libero_.has_value()) return libero_->Add(ToLibero(episode, mjcf_));
+    if (libero_.has_value()) return libero_->Add(ToLibero(episode, mjcf_, libero_suite_));
     shard_.Add(draw, episode);
     return absl::OkStatus();
   }
@@ -132,11 +143,15 @@ class EpisodeFile {
   int frames() const { return frames_; }
 
  private:
-  EpisodeFile(std::string path, Shard shard, std::string mjcf)
-      : path_(std::move(path)), shard_(std::move(shard)), mjcf_(std::move(mjcf)) {}
+  EpisodeFile(std::string path, Shard shard, std::string mjcf, bool libero_suite)
+      : path_(std::move(path)),
+        shard_(std::move(shard)),
+        mjcf_(std::move(mjcf)),
+        libero_suite_(libero_suite) {}
   std::string path_;
   Shard shard_;
   std::string mjcf_;
+  bool libero_suite_;
   std::optional<LiberoDemonstrationWriter> libero_;
   int frames_ = 0;
 };
@@ -147,8 +162,13 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   unit.suite = job.suite;
   unit.scenario = line.scenario;
   unit.severity = line.severity;
-  RS_ASSIGN_OR_RETURN(const std::unique_ptr<EmbeddedTask> task,
-                      EmbeddedTask::Create(unit, job.task));
+  unit.libero_root = line.libero_root;
+  unit.robosuite_root = line.robosuite_root;
+  unit.libero_tasks = TaskFolderOf(job.suite);
+  unit.episodes = 1;
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<SimTask> task, MakeSimTask(unit, job.task));
+  if (line.plain) task->DrawPlainly();
+  RS_ASSIGN_OR_RETURN(const Expert expert, task->MakeExpert());
   std::unique_ptr<GrpcPolicyClient> policy;
   if (!line.server.empty()) {
     RequestedSession session;
@@ -184,9 +204,9 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
     const StreamKey key =
         StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw);
     absl::StatusOr<Demonstration> episode =
-        policy != nullptr
-            ? RecordDagger(*task, draw, {job.task, draw}, line.mix, *policy, RandomStream(key))
-            : RecordExpert(*task, draw, options, key);
+        policy != nullptr ? RecordDagger(*task, expert, draw, {job.task, draw}, line.mix, *policy,
+                                         RandomStream(key))
+                          : RecordExpert(*task, expert, draw, options, key);
     RS_RETURN_IF_ERROR(episode.status());
     successes += episode->success;
     steps += episode->steps;
@@ -261,8 +281,16 @@ int main(int argc, char** argv) {
                            "robostress record");
   robostress::CommandLine line;
   app.footer(robostress::kExamples);
-  app.add_option("--suite", line.suite, "An embedded suite, or all")->capture_default_str();
+  app.add_option("--suite", line.suite, "A suite; all: the embedded ones; libero: LIBERO's four")
+      ->capture_default_str();
   app.add_option("--tasks", line.tasks, "Task indices (default: all)")->delimiter(',');
+  app.add_option("--libero-tasks", line.libero_tasks,
+                 "Folders of .bddl files with initial states, instead of --suite")
+      ->type_name("FOLDER");
+  app.add_option(
+      "--libero-root", line.libero_root,
+      "LIBERO checkout (default: LIBERO_ROOT, else what `robostress libero setup` linked)");
+  app.add_option("--robosuite-root", line.robosuite_root, "robosuite checkout");
   app.add_option("--episodes", line.episodes, "Episodes per task")
       ->check(robostress::cli::Range(1, 100000))
       ->capture_default_str();
@@ -298,6 +326,9 @@ int main(int argc, char** argv) {
   app.add_option("--mix", line.mix, "Chance that the expert drives a chunk (DAgger)")
       ->check(robostress::cli::Range(0.0, 1.0))
       ->capture_default_str();
+  app.add_flag("--plain-pictures", line.plain,
+               "LIBERO's views without multisampling and mirrors, drawn at twice the size: a third "
+               "of the time");
   app.add_flag("--eval", line.eval, "Only print the success table, record nothing");
   robostress::cli::Option* const image_size = app.get_option("--image-size");
   robostress::cli::Option* const stride = app.get_option("--stride");
@@ -309,6 +340,10 @@ int main(int argc, char** argv) {
   return robostress::RunMain(
       app, argc, argv,
       [&]() -> absl::StatusOr<int> {
+        for (const std::string& folder : line.libero_tasks) {
+          RS_ASSIGN_OR_RETURN(std::string suite, robostress::AddTaskFolder(folder));
+          line.folder_suites.push_back(std::move(suite));
+        }
         if (line.format == "hdf5") {
           if (image_size->count() == 0) line.record.image_size = 128;
           if (stride->count() == 0) line.record.stride = 1;

@@ -7,7 +7,6 @@
 #include "absl/strings/str_replace.h"
 #include "common/image.h"
 #include "common/joint_errors/scenarios.h"
-#include "common/rollout/expert_policy.h"
 #include "common/so3.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
@@ -109,8 +108,8 @@ absl::StatusOr<Observation> EmbeddedTask::Observe(const PolicySpec& spec) {
 
 bool EmbeddedTask::Success() const { return TaskSucceeds(*model_, *sim_); }
 
-absl::StatusOr<std::unique_ptr<PolicyEndpoint>> EmbeddedTask::MakeExpert() {
-  return std::make_unique<ExpertPolicy>([this] { return Decide().command; });
+absl::StatusOr<Expert> EmbeddedTask::MakeExpert() {
+  return [this] { return Decide(); };
 }
 
 absl::StatusOr<Image> EmbeddedTask::Film(int height) {

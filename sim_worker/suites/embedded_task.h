@@ -27,7 +27,7 @@ class EmbeddedTask : public SimTask {
   const std::string& instruction() const override { return model_->task().instruction; }
   PandaSim& sim() override { return *sim_; }
   const std::string& mjcf() const override { return model_->mjcf(); }
-  absl::StatusOr<std::unique_ptr<PolicyEndpoint>> MakeExpert() override;
+  absl::StatusOr<Expert> MakeExpert() override;
   absl::StatusOr<Image> Film(int height) override;
 
   const TaskModel& model() const { return *model_; }

@@ -9,7 +9,6 @@ namespace robostress {
 
 // Indices from here on are training draws: an unlimited family that shares no draw with the
 // reproducible initial states 0 .. SuiteInfo::num_initial_states - 1.
-inline constexpr int kFirstTrainingDraw = 1000;
 
 // Where an episode starts.
 struct InitialState {

@@ -111,7 +111,7 @@ absl::StatusOr<UnitTask> MakeTask(const UnitConfig& unit, int task) {
   UnitTask out;
   RS_ASSIGN_OR_RETURN(out.inversion, MakeInversion(unit, *sim_task));
   out.robot = ControlObservations(robot, unit.method->observation, *instructions, task);
-  out.make_expert = [sim_task] { return sim_task->MakeExpert(); };
+  out.make_expert = [sim_task] { return MakeExpertPolicy(*sim_task); };
   out.listen_to_joints = [sim_task](std::function<void(const JointSample&)> call) {
     sim_task->sim().OnJointSample(std::move(call));
   };

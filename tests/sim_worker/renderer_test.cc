@@ -6,10 +6,12 @@
 #include <cstdlib>
 #include <numeric>
 #include <set>
+#include <string>
 #include <thread>
 
 #include "common/atomic_file.h"
 #include "common/image.h"
+#include "sim_worker/unseen_geoms.h"
 #include "tests/sim_worker/test_scene.h"
 
 namespace robostress {
@@ -146,6 +148,57 @@ TEST(Renderer, ShadowsReflectionsAndSamplesEachChangeThePicture) {
   EXPECT_NE(refused.message().find("-1 samples"), std::string::npos);
   EXPECT_EQ(renderer->Render(*data, "front", {.shadow_size = 20000}).status().code(),
             absl::StatusCode::kInvalidArgument);
+  mj_deleteData(data);
+}
+
+// Balls before the camera, behind it, beside the view, and over it but in the floor's mirror.
+TEST(Renderer, LeavesOutWhatNoPixelCanShow) {
+  const SharedModel model = CompileModel("balls", R"(<mujoco>
+    <asset><material name="shiny" reflectance="0.5"/></asset>
+    <worldbody>
+      <light name="lamp" pos="0 0 3" directional="true"/>
+      <camera name="front" pos="0 -2 0.5" xyaxes="1 0 0 0 0.2 1" fovy="45"/>
+      <geom name="seen" type="sphere" group="1" size="0.1" pos="0 0 0.2"/>
+      <geom name="behind" type="sphere" group="1" size="0.1" pos="0 -3 0.6"/>
+      <geom name="beside" type="sphere" group="1" size="0.1" pos="2 0 0.2"/>
+      <geom name="at_the_edge" type="sphere" group="1" size="0.1" pos="0.86 0 0.2"/>
+      <geom name="mirrored" type="sphere" group="1" size="0.2" pos="0 1 1.4" rgba="1 0 0 1"/>
+      <geom name="floor" type="box" group="1" size="3 3 0.1" pos="0 0 -0.1" material="shiny"/>
+    </worldbody></mujoco>)")
+                                .value();
+  mjData* data = mj_makeData(model.get());
+  mj_forward(model.get(), data);
+  mjvScene scene;
+  mjv_defaultScene(&scene);
+  mjv_makeScene(model.get(), &scene, 100);
+  mjvCamera camera;
+  mjv_defaultCamera(&camera);
+  camera.type = mjCAMERA_FIXED;
+  camera.fixedcamid = 0;
+  mjvOption visual;
+  mjv_defaultOption(&visual);
+  const auto kept = [&](bool shadows, bool reflections) {
+    mjv_updateScene(model.get(), data, &visual, nullptr, &camera, mjCAT_ALL, &scene);
+    scene.flags[mjRND_SHADOW] = shadows;
+    scene.flags[mjRND_REFLECTION] = reflections;
+    LeaveOutUnseen(*model, 1.0, scene);
+    std::set<std::string> names;
+    for (int i = 0; i < scene.ngeom; ++i)
+      names.insert(mj_id2name(model.get(), mjOBJ_GEOM, scene.geoms[i].objid));
+    return names;
+  };
+  using Names = std::set<std::string>;
+  EXPECT_EQ(kept(false, false), (Names{"seen", "at_the_edge", "floor"}));
+  EXPECT_EQ(kept(false, true), (Names{"seen", "at_the_edge", "mirrored", "floor"}));
+  EXPECT_EQ(kept(true, false).size(), 6u) << "a shadow can fall into the view from anywhere";
+  mjv_freeScene(&scene);
+
+  const auto renderer = Renderer::Create(model).value();
+  const Image mirror =
+      renderer->Render(*data, "front", {.width = 96, .height = 96, .reflections = true}).value();
+  int red = 0;
+  for (int i = 0; i < 96 * 96; ++i) red += mirror.data[3 * i] > mirror.data[3 * i + 1] + 8;
+  EXPECT_GT(red, 10) << "the ball over the view, in the floor";
   mj_deleteData(data);
 }
 

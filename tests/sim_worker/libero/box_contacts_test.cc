@@ -61,7 +61,7 @@ TEST(BoxContacts, TheBookOfTheStudyStaysWhereItStands) {
   const auto task = LiberoSimTask::Create(unit, 5);
   ASSERT_TRUE(task.ok()) << task.status();
   const int book = (*task)->scene().objects.at("black_book_1").body;
-  const auto expert = (*task)->MakeExpert();
+  const auto expert = MakeExpertPolicy(**task);
   ASSERT_TRUE(expert.ok()) << expert.status();
   for (const int state : {3, 40}) {
     ASSERT_TRUE((*task)->Reset(state).ok());

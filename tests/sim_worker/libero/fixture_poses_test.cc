@@ -223,7 +223,7 @@ TEST(LiberoFixturesTest, TheExpertOpensTheDrawerWhereverTheCabinetStands) {
   unit.sim.settle_steps = 10;
   const auto task = LiberoSimTask::Create(unit, 0);
   ASSERT_TRUE(task.ok()) << task.status();
-  const auto expert = (*task)->MakeExpert();
+  const auto expert = MakeExpertPolicy(**task);
   ASSERT_TRUE(expert.ok()) << expert.status();
   for (const int state : {0, 25}) {
     ASSERT_TRUE((*task)->Reset(state).ok());

@@ -32,7 +32,7 @@ std::unique_ptr<LiberoSimTask> Make(const std::string& suite, int task) {
 // Success within the task's horizon from an initial state.
 bool Solves(LiberoSimTask& task, int state) {
   EXPECT_TRUE(task.Reset(state).ok());
-  const auto expert = task.MakeExpert();
+  const auto expert = MakeExpertPolicy(task);
   EXPECT_TRUE(expert.ok()) << expert.status();
   if (!expert.ok()) return false;
   for (int step = 0; step < task.horizon() && !task.Success(); ++step) {
@@ -63,11 +63,11 @@ TEST(LiberoExpert, RemembersNothing) {
   const auto task = Make("libero_goal", 8);
   ASSERT_NE(task, nullptr);
   ASSERT_TRUE(task->Reset(0).ok());
-  const auto first = task->MakeExpert();
+  const auto first = MakeExpertPolicy(*task);
   ASSERT_TRUE(first.ok()) << first.status();
   for (int step = 0; step < 30; ++step) {
     const auto chunk = (*first)->Predict({}, step);
-    const auto second = task->MakeExpert();
+    const auto second = MakeExpertPolicy(*task);
     ASSERT_EQ(chunk->actions, (*second)->Predict({}, 0)->actions) << step;
     ASSERT_TRUE(task->Step(chunk->actions.row(0).transpose()).ok());
   }
@@ -103,7 +103,7 @@ TEST(LiberoExpert, SaysWhichPartOfAGoalItCannotReach) {
   auto task = LiberoSimTask::Create(unit, 7);
   ASSERT_TRUE(task.ok()) << task.status();
   const_cast<LiberoScene&>((*task)->scene()).problem.goal[0].predicate = "turnoff";
-  EXPECT_THAT(std::string((*task)->MakeExpert().status().message()),
+  EXPECT_THAT(std::string(MakeExpertPolicy(**task).status().message()),
               ::testing::HasSubstr("none reaches (turnoff flat_stove_1)"));
 }
 

@@ -19,6 +19,7 @@
 #include "common/suites.h"
 #include "sim_worker/libero/demonstration_replay.h"
 #include "sim_worker/libero/libero_sim_task.h"
+#include "sim_worker/libero/numpy_placement.h"
 #include "tests/sim_worker/libero/shared_data.h"
 
 namespace robostress::libero {
@@ -124,6 +125,36 @@ TEST(LiberoTaskTest, ResetIsReproducibleAndStartsFromTheStoredRow) {
   }
   EXPECT_THAT((*task)->Reset(50).message(), HasSubstr("initial state 50 does not exist"));
   EXPECT_THAT((*task)->Reset(-1).message(), HasSubstr("initial state -1 does not exist"));
+}
+
+// What NumpyPlacement draws is compared with the originals' resets in numpy_placement_test.
+TEST(LiberoTaskTest, TrainingDrawsAreResetsOfTheirOwnAndLeaveNoTrace) {
+  SKIP_WITHOUT_SHARED_DATA();
+  UnitConfig unit = GoalUnit();
+  unit.sim.settle_steps = 0;
+  const auto task = LiberoSimTask::Create(unit, kBowlOnPlate);
+  ASSERT_TRUE(task.ok()) << task.status();
+  LiberoSimTask& libero = **task;
+  const mjModel& model = libero.sim().model();
+  const auto state = [&] {
+    std::vector<double> values(libero.sim().data().qpos, libero.sim().data().qpos + model.nq);
+    values.insert(values.end(), model.body_pos, model.body_pos + 3 * model.nbody);  // fixtures'
+    return values;
+  };
+  ASSERT_TRUE(libero.Reset(3).ok());
+  const std::vector<double> stored = state();
+  ASSERT_TRUE(libero.Reset(1000).ok());
+  const std::vector<double> drawn = state();
+  ResetDraw reset = NumpyPlacement::Create(libero.scene(), 1000)->Reset().value();
+  EXPECT_TRUE(std::equal(reset.qpos.begin(), reset.qpos.end(), drawn.begin()));
+  ASSERT_TRUE(libero.Reset(1001).ok());
+  EXPECT_NE(state(), drawn);
+  EXPECT_FALSE(std::equal(state().begin() + model.nq, state().end(), stored.begin() + model.nq))
+      << "fixtures are drawn too";
+  ASSERT_TRUE(libero.Reset(1000).ok());
+  EXPECT_EQ(state(), drawn);
+  ASSERT_TRUE(libero.Reset(3).ok());
+  EXPECT_EQ(state(), stored) << "fixtures stand centred again";
 }
 
 TEST(LiberoTaskTest, ObservesInTheOriginalsConventions) {

@@ -223,7 +223,7 @@ absl::StatusOr<DrawnOtherwise> CompareDrawn(const std::string& file_name, const 
       RS_ASSIGN_OR_RETURN(const Image upright,
                           renderer->Render(task->sim().observed(), camera, options));
       times.push_back(static_cast<double>(std::clock() - start) / CLOCKS_PER_SEC);
-      const PictureDifference difference = Compare(MirrorAsLibero(upright), theirs);
+      const PictureDifference difference = Compare(MirrorColumns(upright), theirs);
       result.mean += difference.mean;
       result.block = std::max(result.block, difference.block);
       ++count;

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "common/image.h"
 #include "common/random.h"
 
 namespace robostress::libero {
@@ -31,7 +32,7 @@ TEST(PreprocessTest, MirrorsLeftAndRightAsARotatedBottomUpImage) {
       }
     }
   }
-  EXPECT_EQ(MirrorAsLibero(upright).data, expected.data);
+  EXPECT_EQ(MirrorColumns(upright).data, expected.data);
 }
 
 // The originals set none of this.

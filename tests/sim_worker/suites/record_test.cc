@@ -7,6 +7,7 @@
 #include "sim_worker/record/expert_demonstration.h"
 #include "sim_worker/record/libero_recorder.h"
 #include "sim_worker/record/shard.h"
+#include "sim_worker/suites/embedded_task.h"
 
 namespace robostress {
 namespace {
@@ -19,13 +20,18 @@ std::unique_ptr<EmbeddedTask> MakeTask(const std::string& suite, int task) {
   return std::move(made).value();
 }
 
+absl::StatusOr<Demonstration> Record(EmbeddedTask& task, int initial_state,
+                                     const RecordOptions& options, const StreamKey& key) {
+  return RecordExpert(task, task.MakeExpert().value(), initial_state, options, key);
+}
+
 StreamKey TestKey(int index) { return StreamKey("record test").With(index); }
 
 TEST(Record, LabelsAreTheExpertsPathAndRestAfterSuccess) {
   const auto task = MakeTask("tabletop_goal", 4);
   RecordOptions options;
   options.noisy_share = 0;
-  const absl::StatusOr<Demonstration> episode = RecordExpert(*task, 1000, options, TestKey(0));
+  const absl::StatusOr<Demonstration> episode = Record(*task, 1000, options, TestKey(0));
   if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
   ASSERT_TRUE(episode.ok()) << episode.status();
   ASSERT_TRUE(episode->success);
@@ -45,9 +51,9 @@ TEST(Record, NoiseDisturbsWhatIsExecutedNotTheLabels) {
   calm.noisy_share = 0;
   noisy.noisy_share = 1;
   noisy.burst_chance = 1;
-  const absl::StatusOr<Demonstration> a = RecordExpert(*task, 1001, calm, TestKey(1));
-  const absl::StatusOr<Demonstration> b = RecordExpert(*task, 1001, noisy, TestKey(1));
-  const absl::StatusOr<Demonstration> c = RecordExpert(*task, 1001, noisy, TestKey(1));
+  const absl::StatusOr<Demonstration> a = Record(*task, 1001, calm, TestKey(1));
+  const absl::StatusOr<Demonstration> b = Record(*task, 1001, noisy, TestKey(1));
+  const absl::StatusOr<Demonstration> c = Record(*task, 1001, noisy, TestKey(1));
   ASSERT_TRUE(a.ok() && b.ok() && c.ok());
   EXPECT_NE(a->steps, b->steps);
   EXPECT_EQ(b->steps, c->steps) << "the noise is a function of the stream";
@@ -59,11 +65,11 @@ TEST(Record, ExecutionNoiseMovesTheArmAndNeitherTheLabelNorTheBursts) {
   clean.render = randomised.render = true;
   clean.stride = randomised.stride = 1;
   randomised.execution_noise = 0.05;
-  const absl::StatusOr<Demonstration> a = RecordExpert(*task, 1001, clean, TestKey(1));
+  const absl::StatusOr<Demonstration> a = Record(*task, 1001, clean, TestKey(1));
   if (absl::IsUnavailable(a.status())) GTEST_SKIP() << a.status().message();
-  const absl::StatusOr<Demonstration> b = RecordExpert(*task, 1001, randomised, TestKey(1));
-  const absl::StatusOr<Demonstration> c = RecordExpert(*task, 1001, randomised, TestKey(1));
-  const absl::StatusOr<Demonstration> other = RecordExpert(*task, 1001, randomised, TestKey(2));
+  const absl::StatusOr<Demonstration> b = Record(*task, 1001, randomised, TestKey(1));
+  const absl::StatusOr<Demonstration> c = Record(*task, 1001, randomised, TestKey(1));
+  const absl::StatusOr<Demonstration> other = Record(*task, 1001, randomised, TestKey(2));
   ASSERT_TRUE(a.ok() && b.ok() && c.ok() && other.ok());
   EXPECT_EQ(a->execution_sigma, 0);
   EXPECT_GT(b->execution_sigma, 0);
@@ -88,7 +94,7 @@ TEST(Record, BranchLabelIsTheExpertsFutureAndLeavesNoTrace) {
     ASSERT_TRUE(task->Step(task->Decide().command).ok());
     ASSERT_TRUE(untouched->Step(untouched->Decide().command).ok());
   }
-  const absl::StatusOr<Eigen::MatrixXf> label = BranchLabel(*task);
+  const absl::StatusOr<Eigen::MatrixXf> label = BranchLabel(*task, task->MakeExpert().value());
   ASSERT_TRUE(label.ok());
   for (int i = 0; i < 20; ++i) {
     EXPECT_EQ(label->row(i).transpose(), task->Decide().command) << "row " << i;
@@ -104,14 +110,14 @@ TEST(Record, LiberosFormHoldsTheEpisode) {
   options.stride = 1;
   options.image_size = 32;
   options.simulator_state = true;
-  const absl::StatusOr<Demonstration> episode = RecordExpert(*task, 1000, options, TestKey(3));
+  const absl::StatusOr<Demonstration> episode = Record(*task, 1000, options, TestKey(3));
   if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
   ASSERT_TRUE(episode.ok()) << episode.status();
   const std::string path = ::testing::TempDir() + "/record_test.hdf5";
   auto writer =
       LiberoDemonstrationWriter::Create(path, {"tabletop_goal", task->name(), task->instruction()});
   ASSERT_TRUE(writer.ok()) << writer.status();
-  ASSERT_TRUE(writer->Add(ToLibero(*episode, task->model().mjcf())).ok());
+  ASSERT_TRUE(writer->Add(ToLibero(*episode, task->mjcf(), /*libero_suite=*/false)).ok());
   ASSERT_TRUE(writer->Publish().ok());
   const auto file = LiberoDemonstrationFile::Open(path);
   ASSERT_TRUE(file.ok()) << file.status();

@@ -22,7 +22,7 @@ class ExpertSolves : public ::testing::TestWithParam<std::pair<const char*, int>
 // One task per skill; the table of all forty is measured by `robostress record --eval`.
 TEST_P(ExpertSolves, OneEpisodeWithinTheHorizon) {
   const auto task = MakeTask(GetParam().first, GetParam().second);
-  const auto expert = task->MakeExpert();
+  const auto expert = MakeExpertPolicy(*task);
   ASSERT_TRUE(expert.ok());
   uint64_t sequence = 0;
   RolloutOptions options;

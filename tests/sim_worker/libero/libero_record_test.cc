@@ -1,0 +1,114 @@
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <string>
+
+#include "common/image.h"
+#include "sim_worker/libero/libero_sim_task.h"
+#include "sim_worker/record/expert_demonstration.h"
+#include "sim_worker/record/libero_recorder.h"
+#include "tests/sim_worker/libero/shared_data.h"
+
+namespace robostress::libero {
+namespace {
+
+constexpr int kDraw = kFirstTrainingDraw;
+
+std::unique_ptr<LiberoSimTask> BowlOnPlate() {
+  UnitConfig unit;
+  unit.suite = "libero_goal";
+  unit.libero_root = LiberoTree();
+  unit.robosuite_root = RobosuiteTree();
+  auto task = LiberoSimTask::Create(unit, 8);
+  EXPECT_TRUE(task.ok()) << task.status();
+  return *std::move(task);
+}
+
+// A policy of LIBERO reads of the file what Observe gives: state without obs/proprioception, views
+// turned by 180 degrees.
+TEST(LiberoRecord, AnEpisodeIsStoredAsLiberoStoresItsOwn) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const auto task = BowlOnPlate();
+  task->DrawPlainly();
+  RecordOptions options;
+  options.stride = 1;
+  options.image_size = 32;
+  options.noisy_share = 0;
+  options.simulator_state = true;
+  const auto episode =
+      RecordExpert(*task, task->MakeExpert().value(), kDraw, options, StreamKey("libero record"));
+  if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
+  ASSERT_TRUE(episode.ok()) << episode.status();
+  ASSERT_TRUE(episode->success);
+  const std::string path = ::testing::TempDir() + "/libero_record_test.hdf5";
+  auto writer =
+      LiberoDemonstrationWriter::Create(path, {"libero_goal", task->name(), task->instruction()});
+  ASSERT_TRUE(writer.ok()) << writer.status();
+  ASSERT_TRUE(writer->Add(ToLibero(*episode, task->mjcf(), /*libero_suite=*/true)).ok());
+  ASSERT_TRUE(writer->Publish().ok());
+  const auto file = LiberoDemonstrationFile::Open(path);
+  ASSERT_TRUE(file.ok()) << file.status();
+  EXPECT_FALSE(file->has_proprioception());
+  EXPECT_TRUE(file->has_aux());
+  const LiberoColumns columns = file->ReadColumns(0).value();
+  ASSERT_EQ(columns.steps, episode->steps);
+  for (int t = 0; t < episode->steps; ++t) {
+    const Eigen::VectorXf& state = episode->frames[t].proprioception;
+    for (int i = 0; i < 3; ++i) {
+      EXPECT_EQ(static_cast<float>(columns.ee_pos[3 * t + i]), state[i]);
+      EXPECT_NEAR(columns.ee_ori[3 * t + i], state[3 + i], 1e-5);
+    }
+    EXPECT_EQ(static_cast<float>(columns.gripper_states[2 * t]), state[6]);
+  }
+  EXPECT_EQ(MirrorColumns(*file->ReadView(0, LiberoDemonstrationFile::View::kAgent, 9)).data,
+            episode->frames[9].views[0].data);
+  std::remove(path.c_str());
+}
+
+// The bowl, then the plate; the bowl is held in between; the task is done at the end.
+TEST(LiberoRecord, TheExpertSaysWhatItLooksAt) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const auto task = BowlOnPlate();
+  ASSERT_TRUE(task->Reset(kDraw).ok());
+  const Expert expert = task->MakeExpert().value();
+  const auto place = [&](const char* body) {
+    const mjModel& model = task->sim().model();
+    const mjData& data = task->sim().data();
+    const int id = mj_name2id(&model, mjOBJ_BODY, body);
+    const int base = mj_name2id(&model, mjOBJ_BODY, "robot0_base");
+    return Eigen::Vector3d(Eigen::Map<const Eigen::Vector3d>(data.xpos + 3 * id) -
+                           Eigen::Map<const Eigen::Vector3d>(data.xpos + 3 * base));
+  };
+  const ExpertDecision first = expert();
+  EXPECT_LT((first.target - place("akita_black_bowl_1_main")).norm(), 1e-9);
+  EXPECT_LT((first.destination - place("plate_1_main")).head<2>().norm(), 1e-9);
+  EXPECT_FALSE(first.holding);
+  EXPECT_EQ(first.progress, 0);
+  bool held = false;
+  for (int step = 0; step < task->horizon() && !task->Success(); ++step) {
+    const ExpertDecision decision = expert();
+    held |= decision.holding && decision.progress == 0.5;
+    ASSERT_TRUE(task->Step(decision.command).ok());
+  }
+  EXPECT_TRUE(held);
+  ASSERT_TRUE(task->Success());
+}
+
+// A label is the expert's own future, and to ask for it changes nothing.
+TEST(LiberoRecord, ABranchLeavesNoTrace) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const auto task = BowlOnPlate();
+  ASSERT_TRUE(task->Reset(kDraw).ok());
+  const Expert expert = task->MakeExpert().value();
+  for (int i = 0; i < 30; ++i) ASSERT_TRUE(task->Step(expert().command).ok());
+  const auto label = BranchLabel(*task, expert);
+  ASSERT_TRUE(label.ok()) << label.status();
+  for (int i = 0; i < 20; ++i) {
+    const Eigen::VectorXf command = expert().command;
+    EXPECT_EQ(label->row(i).transpose(), command) << "row " << i;
+    ASSERT_TRUE(task->Step(command).ok());
+  }
+}
+
+}  // namespace
+}  // namespace robostress::libero
