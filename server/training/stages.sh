@@ -1,10 +1,12 @@
 # shellcheck shell=bash disable=SC2154  # bin and out: see the next line
-# What nano.sh and nano_pi05.sh share; sourced with $bin and $out set. Every stage leaves a mark and is not repeated.
+# What nano*.sh share; sourced with $bin and $out set, and $recording: options of `robostress record`, else the embedded
+# suites. Every stage leaves a mark and is not repeated.
 server=
+[[ -v recording ]] || recording=(--suite all)
 trap '[[ -z $server ]] || kill "$server" 2>/dev/null || true' EXIT
 
 record() {  # NAME ARGUMENTS...: one folder of shards
-  [[ -e $out/$1.done ]] || { "$bin/robostress-record" --suite all --out "$out/$1" --tag "$1" --workers 2 "${@:2}"; touch "$out/$1.done"; }
+  [[ -e $out/$1.done ]] || { "$bin/robostress-record" "${recording[@]}" --out "$out/$1" --tag "$1" --workers 2 "${@:2}"; touch "$out/$1.done"; }
 }
 dagger() {  # NAME WEIGHTS ARGUMENTS...: the policy drives, the expert labels
   [[ ! -e $out/$1.done ]] || return 0

@@ -8,7 +8,7 @@
 namespace robostress {
 namespace {
 
-constexpr int kMaxGeoms = 4000, kShadowSize = 1024;  // as in renderer.cc and RenderOptions
+constexpr int kMaxGeoms = 4000;  // as in renderer.cc
 
 // A context with the configuration of the current one.
 EGLContext CreateContextLike(EGLDisplay display, EGLContext current) {
@@ -35,7 +35,7 @@ BareView::BareView(const mjModel& model, const std::string& camera, const BareVi
   mjModel sized = model;
   sized.vis.global.offwidth = sized.vis.global.offheight = options.size;
   sized.vis.quality.offsamples = options.samples;
-  sized.vis.quality.shadowsize = kShadowSize;
+  sized.vis.quality.shadowsize = options.shadow_size;
   mjr_defaultContext(&render_);
   mjr_makeContext(&sized, &render_, mjFONTSCALE_50);
   mjr_setBuffer(mjFB_OFFSCREEN, &render_);
@@ -68,7 +68,7 @@ double BareView::TimeOfDrawing(const mjData& data) {
   mjv_updateScene(&model_, const_cast<mjData*>(&data), &visual_, nullptr, &camera_, mjCAT_ALL,
                   &scene_);
   scene_.flags[mjRND_SHADOW] = options_.shadows;
-  scene_.flags[mjRND_REFLECTION] = 0;
+  scene_.flags[mjRND_REFLECTION] = options_.reflections;
   const mjrRect viewport = {0, 0, options_.size, options_.size};
   const double time = TimeOf([&] {
     mjr_render(viewport, &scene_, &render_);

@@ -9,8 +9,9 @@ namespace robostress {
 
 struct BareViewOptions {
   int size = 224;  // [px] width and height
-  bool shadows = false;
+  bool shadows = false, reflections = false;
   int samples = 0;  // of multisampling
+  int shadow_size = 1024;
 };
 
 // mjr_render and mjr_readPixels of one camera and nothing else, in an OpenGL context of its own
