@@ -59,6 +59,8 @@ constexpr Command kCommands[] = {
     {"record", "Record demonstrations of the scripted experts",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"train", "Train the embedded policy from demonstrations", "ROBOSTRESS_TORCH"},
+    {"log", "Say what a recording of an arm holds; write its first rig for calibrate",
+     "ROBOSTRESS_MUJOCO"},
     {"record-to-rig", "Turn a recorded run into a rig with logs for calibrate",
      "ROBOSTRESS_MUJOCO"},
     {"close-loop", "Hide errors in the simulated arm, find them from its logs, compare",

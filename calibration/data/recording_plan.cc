@@ -1,0 +1,236 @@
+#include "calibration/data/recording_plan.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/strip.h"
+#include "common/status_macros.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr double kPieces = 3;                               // a recording falls into so many
+constexpr double kShortestPiece = 20, kLongestPiece = 300;  // [s]
+constexpr double kNice = 0.005;     // a rate this near to a whole number is that number
+constexpr double kClearly = 3;      // times nearer is the command of a joint than of the next
+constexpr int64_t kLeastRows = 50;  // of a log (measured_log.cc)
+
+// In a rig: LeRobot writes a joint's feature as "shoulder_pan.pos".
+std::string RigName(const std::string& joint) {
+  return std::string(absl::StripSuffix(joint, ".pos"));
+}
+
+// Whether a name can stand in the header of a CSV file and in a rig.
+bool IsPlainName(const std::string& name) {
+  return !name.empty() && std::all_of(name.begin(), name.end(), [](char c) {
+    return absl::ascii_isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '.' || c == '-' ||
+           c == '/';
+  });
+}
+
+// The channel with the most rows of positions; with a command in the same rows where two are alike.
+int ChannelOfPositions(const RecordingStatistics& statistics) {
+  int best = -1;
+  int64_t most = 0;
+  for (size_t i = 0; i < statistics.channels().size(); ++i) {
+    int64_t rows = 0;
+    for (const auto& [set, count] : statistics.channels()[i].position_sets)
+      rows = std::max(rows, count);
+    if (rows > most) {
+      most = rows;
+      best = static_cast<int>(i);
+    }
+  }
+  return best;
+}
+
+double NiceRate(double rate) {
+  const double nice = std::round(rate);
+  return nice >= 1 && std::abs(rate / nice - 1) < kNice ? nice : rate;
+}
+
+// The names of the channel's rows that are most.
+std::vector<size_t> MostSet(const ChannelStatistics& channel) {
+  const auto most =
+      std::max_element(channel.position_sets.begin(), channel.position_sets.end(),
+                       [](const auto& a, const auto& b) { return a.second < b.second; });
+  return most == channel.position_sets.end() ? std::vector<size_t>() : most->first;
+}
+
+double RootMean(const std::pair<double, int64_t>& sum) {
+  return std::sqrt(sum.first / static_cast<double>(std::max<int64_t>(sum.second, 1)));
+}
+
+// A command of that joint, by name or because it stays nearest to it; by stamped ones first.
+void FindCommand(const RecordingStatistics& statistics, PlannedJoint* joint) {
+  double nearest = 0;
+  for (size_t i = 0; i < statistics.signals().size(); ++i) {
+    const SignalStatistics& signal = statistics.signals()[i];
+    const auto off = signal.off.find(static_cast<size_t>(joint->q));
+    if (signal.description.quantity != JointQuantity::kCommand || off == signal.off.end() ||
+        signal.count < kLeastRows)
+      continue;
+    const double distance = RootMean(off->second);
+    if (!absl::StartsWith(signal.description.joint, "[")) {
+      joint->command = static_cast<int>(i);
+      joint->command_because = "it has the joint's name";
+      return;
+    }
+    double next = std::numeric_limits<double>::infinity();
+    for (const auto& [position, sum] : signal.off)
+      if (position != off->first && statistics.signals()[position].description.joint !=
+                                        statistics.signals()[off->first].description.joint)
+        next = std::min(next, RootMean(sum));
+    if (kClearly * distance > next || (joint->command >= 0 && distance >= nearest)) continue;
+    nearest = distance;
+    joint->command = static_cast<int>(i);
+    joint->command_because = absl::StrFormat(
+        "it names no joint and stays nearest to this one: %.3g against %.3g", distance, next);
+  }
+}
+
+absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& statistics,
+                                                    const RecordingOptions& options,
+                                                    RecordingPlan* plan) {
+  const std::vector<size_t> set = MostSet(statistics.channels()[plan->channel]);
+  std::vector<size_t> chosen;
+  for (const std::string& name : options.joints) {
+    const auto found = std::find_if(set.begin(), set.end(), [&](size_t i) {
+      return RigName(statistics.signals()[i].description.joint) == name;
+    });
+    if (found == set.end()) {
+      std::vector<std::string> known;
+      for (const size_t i : set)
+        known.push_back(RigName(statistics.signals()[i].description.joint));
+      return absl::InvalidArgumentError(
+          absl::StrCat("--joints: '", name, "' is not in ",
+                       statistics.channels()[plan->channel].description.name,
+                       "; there are: ", absl::StrJoin(known, ", ")));
+    }
+    chosen.push_back(*found);
+  }
+  if (!chosen.empty()) return chosen;
+  for (const size_t i : set) {
+    const SignalStatistics& signal = statistics.signals()[i];
+    const std::string& name = signal.description.joint;
+    if (signal.span() * plan->to_rad < kStill) {
+      plan->sentences.push_back(
+          absl::StrFormat("%s stands still (it spans %.3g) and is not in the rig", name,
+                          signal.span() * plan->to_rad));
+    } else if (!IsPlainName(RigName(name))) {
+      plan->sentences.push_back(
+          absl::StrCat("joint '", name, "' is not in the rig: its name cannot stand in a table"));
+    } else {
+      chosen.push_back(i);
+    }
+  }
+  return chosen;
+}
+
+// One input for all; joints that lack it are left out.
+void ChooseInput(RecordingPlan* plan) {
+  const auto commanded =
+      std::count_if(plan->joints.begin(), plan->joints.end(),
+                    [](const PlannedJoint& joint) { return joint.command >= 0; });
+  const auto driven = std::count_if(plan->joints.begin(), plan->joints.end(),
+                                    [](const PlannedJoint& joint) { return joint.tau >= 0; });
+  plan->input = commanded > 0 ? JointInput::kPositionTarget : JointInput::kTorque;
+  if (commanded == 0 && driven == 0) {
+    plan->joints.clear();
+    plan->why_none =
+        "the recording has positions and neither the commands nor the torques that made them; "
+        "record the controller's state (JointTrajectoryControllerState) or the command's topic";
+    return;
+  }
+  std::vector<PlannedJoint> kept;
+  for (const PlannedJoint& joint : plan->joints) {
+    if ((commanded > 0 ? joint.command : joint.tau) >= 0)
+      kept.push_back(joint);
+    else
+      plan->sentences.push_back(absl::StrCat(
+          joint.name, " has no ", commanded > 0 ? "command" : "torque", " and is not in the rig"));
+  }
+  plan->joints = std::move(kept);
+}
+
+void ChooseClock(const RecordingStatistics& statistics, const RecordingOptions& options,
+                 RecordingPlan* plan) {
+  const ChannelStatistics& channel = statistics.channels()[plan->channel];
+  plan->by_stamp = channel.stamped == channel.rows;
+  if (!plan->by_stamp && channel.stamped > 0)
+    plan->sentences.push_back(
+        absl::StrCat(channel.rows - channel.stamped, " of ", channel.rows,
+                     " rows have no header.stamp; rows stand at the recorder's times"));
+  const StepCounts& clock = plan->by_stamp ? channel.stamp : channel.log;
+  plan->dt = clock.Quantile(0.5);
+  plan->rate_hz = options.rate_hz > 0 ? options.rate_hz : NiceRate(plan->dt > 0 ? 1 / plan->dt : 0);
+  plan->longest_piece_s =
+      std::clamp(clock.total_s() / kPieces + plan->dt, kShortestPiece, kLongestPiece);
+}
+
+}  // namespace
+
+absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistics,
+                                            const RecordingOptions& options) {
+  RecordingPlan plan;
+  const int channel = ChannelOfPositions(statistics);
+  if (channel < 0) {
+    plan.why_none = "no channel holds positions of joints that can be read";
+    return plan;
+  }
+  plan.channel = static_cast<size_t>(channel);
+  const ChannelStatistics& positions = statistics.channels()[plan.channel];
+  plan.to_rad = options.to_rad;
+  if (options.to_rad == 0) {
+    const std::string& unit = positions.description.unit;
+    plan.to_rad = unit == "deg" ? M_PI / 180 : 1;
+    if (unit != "rad" && unit != "deg") {
+      plan.why_none = absl::StrCat("the unit of ", positions.description.name,
+                                   " is not known; say it: --unit rad, --unit deg, or --unit "
+                                   "FACTOR, which makes radians of its numbers");
+      return plan;
+    }
+  }
+  ChooseClock(statistics, options, &plan);
+  if (plan.rate_hz < 1 || plan.rate_hz > 1e5) {
+    plan.why_none = absl::StrFormat("rows come at %.4g Hz, a log has 1 to 100000", plan.rate_hz);
+    return plan;
+  }
+  RS_ASSIGN_OR_RETURN(const std::vector<size_t> chosen,
+                      ChosenPositions(statistics, options, &plan));
+  for (const size_t signal : chosen) {
+    const std::string& name = statistics.signals()[signal].description.joint;
+    PlannedJoint joint;
+    joint.name = RigName(name);
+    joint.q = static_cast<int>(signal);
+    joint.dq = statistics.Find(plan.channel, name, JointQuantity::kVelocity);
+    joint.tau = statistics.Find(plan.channel, name, JointQuantity::kEffort);
+    if (joint.tau >= 0 && statistics.signals()[static_cast<size_t>(joint.tau)].span() == 0)
+      joint.tau = -1;  // drivers fill in zeros
+    if (joint.dq >= 0 && statistics.signals()[static_cast<size_t>(joint.dq)].span() == 0)
+      joint.dq = -1;
+    FindCommand(statistics, &joint);
+    plan.joints.push_back(std::move(joint));
+  }
+  if (plan.joints.empty()) {
+    plan.why_none = absl::StrCat("no joint of ", positions.description.name, " moves");
+    return plan;
+  }
+  ChooseInput(&plan);
+  for (PlannedJoint& joint : plan.joints) {
+    if (joint.command < 0) continue;
+    joint.command_in_row =
+        statistics.signals()[static_cast<size_t>(joint.command)].description.channel ==
+        plan.channel;
+  }
+  return plan;
+}
+
+}  // namespace robostress::calibration

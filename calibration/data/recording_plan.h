@@ -1,0 +1,49 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "calibration/data/recording_statistics.h"
+#include "calibration/data/rig.h"
+
+namespace robostress::calibration {
+
+// What the user knows of a recording.
+struct RecordingOptions {
+  std::vector<std::string> joints;  // empty: those that move, of the messages that are most
+  // Factor from the recording's angles to radians (metres of a slide); 0: what the recording says.
+  double to_rad = 0;
+  double rate_hz = 0;  // of the rows; 0: what their clock says
+};
+
+struct PlannedJoint {
+  std::string name;  // in the rig
+  // Signals; -1: there is none.
+  int q = -1, dq = -1, tau = -1, command = -1;
+  std::string command_because;  // why this is its command
+  bool command_in_row = false;  // whether it stands in the message of the position
+};
+
+// Which of a recording's signals become a rig, and what of the recording is said in sentences.
+struct RecordingPlan {
+  std::vector<PlannedJoint> joints;  // empty: no rig; why_none says why
+  std::string why_none;
+  size_t channel = 0;     // of the positions
+  bool by_stamp = false;  // whether rows stand at header.stamp, else at the recorder's time
+  double rate_hz = 0;
+  double dt = 0;  // [s] median
+  double to_rad = 1;
+  JointInput input = JointInput::kPositionTarget;
+  double longest_piece_s = 0;
+  std::vector<std::string> sentences;  // what was left out and why
+};
+
+// INVALID_ARGUMENT where the options name what is not there.
+absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistics,
+                                            const RecordingOptions& options);
+
+// A joint that spans less stands still [rad].
+inline constexpr double kStill = 0.01;
+
+}  // namespace robostress::calibration

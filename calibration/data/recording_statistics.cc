@@ -1,0 +1,196 @@
+#include "calibration/data/recording_statistics.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/match.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr int kBinsPerOctave = 32;
+constexpr int kBins = 48 * kBinsPerOctave;  // up to 2^48 ns, three days
+constexpr size_t kMostNotes = 200;
+constexpr size_t kMostSets = 64;     // of names in one channel's messages
+constexpr size_t kMostUnnamed = 64;  // positions that a command without a name is compared with
+constexpr double kTurn = 0.02;       // of the span: a motion back by less is no reversal
+
+int BinOf(int64_t step_ns) {
+  return std::clamp(static_cast<int>(std::log2(static_cast<double>(step_ns)) * kBinsPerOctave), 0,
+                    kBins - 1);
+}
+
+}  // namespace
+
+void StepCounts::Add(int64_t tick, bool first) {
+  if (ticks_++ == 0) first_ = tick;
+  const int64_t step = first ? 0 : tick - last_;
+  last_ = tick;
+  if (first) return;
+  if (step < 0) ++backwards_;
+  if (step == 0) ++duplicates_;
+  if (step <= 0) return;
+  if (bins_.empty()) bins_.resize(kBins);
+  Bin& bin = bins_[static_cast<size_t>(BinOf(step))];
+  ++bin.count;
+  bin.sum += static_cast<double>(step);
+  ++steps_;
+  total_s_ += static_cast<double>(step) * 1e-9;
+  if (step > longest_) {
+    longest_ = step;
+    longest_at_ = tick - step - first_;
+  }
+}
+
+double StepCounts::Quantile(double share) const {
+  int64_t below = 0;
+  for (const Bin& bin : bins_) {
+    below += bin.count;
+    if (bin.count > 0 && static_cast<double>(below) >= share * static_cast<double>(steps_))
+      return bin.sum / static_cast<double>(bin.count) * 1e-9;
+  }
+  return 0;
+}
+
+int64_t StepCounts::LongerThan(double limit_s) const {
+  int64_t count = 0;
+  for (const Bin& bin : bins_) {
+    if (bin.count > 0 && bin.sum / static_cast<double>(bin.count) * 1e-9 > limit_s)
+      count += bin.count;
+  }
+  return count;
+}
+
+void RecordingStatistics::OnChannel(size_t channel, const RecordedChannel& description) {
+  channels_.resize(std::max(channels_.size(), channel + 1));
+  last_episode_.resize(channels_.size(), -1);
+  channels_[channel].description = description;
+}
+
+void RecordingStatistics::OnSignal(size_t signal, const RecordedSignal& description) {
+  signals_.resize(std::max(signals_.size(), signal + 1));
+  last_.resize(signals_.size());
+  signals_[signal].description = description;
+  if (description.quantity != JointQuantity::kPosition) return;
+  positions_[description.joint].push_back(signal);
+  if (all_positions_.size() < kMostUnnamed) all_positions_.push_back(signal);
+}
+
+void RecordingStatistics::OnEpisode(const std::string&) { ++episodes_; }
+
+void RecordingStatistics::OnNote(const std::string& note) {
+  if (notes_.size() < kMostNotes)
+    notes_.push_back(note);
+  else
+    ++notes_left_out_;
+}
+
+int RecordingStatistics::Find(size_t channel, const std::string& joint,
+                              JointQuantity quantity) const {
+  for (size_t i = 0; i < signals_.size(); ++i) {
+    const RecordedSignal& signal = signals_[i].description;
+    if (signal.channel == channel && signal.joint == joint && signal.quantity == quantity)
+      return static_cast<int>(i);
+  }
+  return -1;
+}
+
+void RecordingStatistics::TakeReversal(SignalStatistics* signal, Last* last, double value) {
+  if (last->direction == 0) last->direction = value > last->turn ? 1 : value < last->turn ? -1 : 0;
+  if ((value - last->turn) * last->direction >= 0) {
+    last->turn = value;
+  } else if (std::abs(value - last->turn) > kTurn * signal->span()) {
+    ++signal->reversals;
+    last->direction = -last->direction;
+    last->turn = value;
+  }
+}
+
+void RecordingStatistics::TakeValue(const SignalValue& value, int64_t at_ns) {
+  SignalStatistics& signal = signals_[value.signal];
+  ++signal.count;
+  if (!std::isfinite(value.value)) {
+    ++signal.not_finite;
+    return;
+  }
+  const bool first = signal.count - signal.not_finite == 1;
+  signal.low = first ? value.value : std::min(signal.low, value.value);
+  signal.high = first ? value.value : std::max(signal.high, value.value);
+  signal.whole = signal.whole && value.value == std::floor(value.value);
+  Last& last = last_[value.signal];
+  if (last.episode == episodes_ && at_ns > last.at_ns) {
+    const double seconds = static_cast<double>(at_ns - last.at_ns) * 1e-9;
+    signal.fastest = std::max(signal.fastest, std::abs(value.value - last.value) / seconds);
+    TakeReversal(&signal, &last, value.value);
+  } else if (last.episode != episodes_) {
+    last.turn = value.value;
+    last.direction = 0;
+  }
+  last.value = value.value;
+  last.at_ns = at_ns;
+  last.episode = episodes_;
+}
+
+// With the mean of two rows' velocities, as the derivative is the mean over the time between.
+void RecordingStatistics::CompareVelocity(const JointRow& row,
+                                          const std::map<std::string, double>& derivative) {
+  for (const SignalValue& value : row.values) {
+    SignalStatistics& signal = signals_[value.signal];
+    const auto found = derivative.find(signal.description.joint);
+    if (signal.description.quantity != JointQuantity::kVelocity || found == derivative.end())
+      continue;
+    const double mean = 0.5 * (value.value + last_[value.signal].value);
+    if (!std::isfinite(mean)) continue;
+    signal.along += mean * found->second;
+    signal.square += found->second * found->second;
+  }
+}
+
+void RecordingStatistics::CompareCommand(size_t index, double value) {
+  SignalStatistics& signal = signals_[index];
+  const std::string& joint = signal.description.joint;
+  const bool unnamed = absl::StartsWith(joint, "[");
+  const auto named = positions_.find(joint);
+  if (!unnamed && named == positions_.end()) return;
+  for (const size_t position : unnamed ? all_positions_ : named->second) {
+    if (last_[position].episode != episodes_) continue;
+    auto& [sum, count] = signal.off[position];
+    sum += std::pow(value - last_[position].value, 2);
+    ++count;
+  }
+}
+
+absl::Status RecordingStatistics::OnRow(const JointRow& row) {
+  ChannelStatistics& channel = channels_[row.channel];
+  const bool first = last_episode_[row.channel] != episodes_;
+  last_episode_[row.channel] = episodes_;
+  ++channel.rows;
+  channel.log.Add(row.log_ns, first);
+  if (row.stamped) channel.stamp.Add(row.stamp_ns, first || channel.stamped == 0);
+  channel.stamped += row.stamped;
+  std::map<std::string, double> derivative;
+  std::vector<size_t> set;
+  for (const SignalValue& value : row.values) {
+    const RecordedSignal& signal = signals_[value.signal].description;
+    if (signal.quantity != JointQuantity::kPosition) continue;
+    set.push_back(value.signal);
+    const Last& last = last_[value.signal];
+    if (last.episode == episodes_ && row.stamp_ns > last.at_ns && std::isfinite(value.value))
+      derivative[signal.joint] =
+          (value.value - last.value) / (static_cast<double>(row.stamp_ns - last.at_ns) * 1e-9);
+  }
+  std::sort(set.begin(), set.end());
+  if (!set.empty() &&
+      (channel.position_sets.count(set) > 0 || channel.position_sets.size() < kMostSets))
+    ++channel.position_sets[set];
+  CompareVelocity(row, derivative);
+  for (const SignalValue& value : row.values) TakeValue(value, row.stamp_ns);
+  for (const SignalValue& value : row.values) {
+    if (signals_[value.signal].description.quantity == JointQuantity::kCommand &&
+        std::isfinite(value.value))
+      CompareCommand(value.signal, value.value);
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace robostress::calibration

@@ -1,0 +1,112 @@
+// robostress-log: what a recording of an arm holds, and its first rig.
+
+#include <cmath>
+#include <cstdio>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "calibration/data/recording_rig.h"
+#include "calibration/data/recording_text.h"
+#include "common/recordings/recording.h"
+#include "common/run_main.h"
+#include "common/status_macros.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr char kExamples[] =
+    "\nExamples\n"
+    "  robostress log inspect recording.mcap\n"
+    "  robostress log inspect rosbag2_folder --out rigs/tuesday\n"
+    "  robostress log inspect more.mcap --rig rigs/tuesday/rig.yaml --out rigs/wednesday\n"
+    "  robostress calibrate --rig rigs/wednesday/rig.yaml --out runs/found\n\n"
+    "Exit code: 0 done, also where no rig can be made (the last line says why); 1 writing failed; "
+    "2 bad input.\n";
+
+struct CommandLine {
+  std::string recording, out, rig, unit;
+  RecordingOptions options;
+};
+
+absl::Status TakeUnit(CommandLine* line) {
+  if (line->unit.empty()) return absl::OkStatus();
+  if (line->unit == "rad") {
+    line->options.to_rad = 1;
+  } else if (line->unit == "deg") {
+    line->options.to_rad = M_PI / 180;
+  } else if (!absl::SimpleAtod(line->unit, &line->options.to_rad) ||
+             !std::isfinite(line->options.to_rad) || line->options.to_rad <= 0) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--unit: is '", line->unit, "', must be rad, deg or a factor above 0 to radians"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Inspect(CommandLine line) {
+  RS_RETURN_IF_ERROR(TakeUnit(&line));
+  std::optional<Rig> declared;
+  if (!line.rig.empty()) {
+    RS_ASSIGN_OR_RETURN(declared, ReadRig(line.rig));
+  }
+  RS_ASSIGN_OR_RETURN(const std::string kind, KindOfRecording(line.recording));
+  RecordingStatistics statistics;
+  RS_RETURN_IF_ERROR(ReadRecording(line.recording, &statistics));
+  RS_ASSIGN_OR_RETURN(const RecordingPlan plan, PlanRecording(statistics, line.options));
+  std::printf("%s: %s\n%s", line.recording.c_str(), kind.c_str(),
+              DescribeRecording(statistics, plan).c_str());
+  if (plan.joints.empty()) {
+    std::printf("No rig: %s.\n", plan.why_none.c_str());
+    return absl::OkStatus();
+  }
+  if (line.out.empty()) {
+    std::printf("--out DIR writes a rig of %d joints.\n", static_cast<int>(plan.joints.size()));
+    return absl::OkStatus();
+  }
+  RS_ASSIGN_OR_RETURN(const RecordingRigSummary summary,
+                      WriteRecordingRig(line.recording, plan, declared, line.out));
+  std::printf("%s: %d logs, %.1f s (%.1f s too short or without motion of a joint left out)\n",
+              summary.rig_file.c_str(), summary.logs, summary.seconds, summary.seconds_left_out);
+  if (summary.late_rows > 0 || summary.bad_rows > 0)
+    std::printf("left out: %lld rows out of order, %lld with a number missing\n",
+                static_cast<long long>(summary.late_rows),
+                static_cast<long long>(summary.bad_rows));
+  for (const std::string& key : summary.to_fill_in) std::printf("  fill in: %s\n", key.c_str());
+  return absl::OkStatus();
+}
+
+int Main(int argc, char** argv) {
+  CommandLine line;
+  cli::App app("Says what a recording of an arm holds and writes its first rig", "robostress log");
+  app.footer(kExamples);
+  app.require_subcommand(1);
+  cli::App* inspect =
+      app.add_subcommand("inspect", "Channels, rates, gaps, units, motions, and a first rig");
+  inspect->add_option("RECORDING", line.recording, "a file or folder of a recorder")->required();
+  inspect->add_option("--out", line.out, "directory to write rig.yaml and CSV logs into");
+  inspect->add_option("--rig", line.rig,
+                      "a rig of the same arm: its model, servos and effects are taken over");
+  inspect
+      ->add_option("--joints", line.options.joints,
+                   "joints of the rig, with commas between them (default: those that move)")
+      ->delimiter(',');
+  inspect->add_option("--unit", line.unit,
+                      "of angles where the recording does not say it or is wrong: rad, deg, or a "
+                      "factor to radians");
+  inspect
+      ->add_option("--rate-hz", line.options.rate_hz,
+                   "rows per second, where the recording has no times")
+      ->check(cli::Range(0.0, 1e5));
+  return RunMain(
+      app, argc, argv, [&] { return Inspect(line); },
+      [](const absl::Status& status) {
+        return absl::IsUnavailable(status) ? kFailed : kWrongCommand;
+      });
+}
+
+}  // namespace
+}  // namespace robostress::calibration
+
+int main(int argc, char** argv) { return robostress::calibration::Main(argc, argv); }

@@ -1,0 +1,148 @@
+#include "common/recordings/recording.h"
+
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <map>
+#include <memory>
+
+#include "absl/cleanup/cleanup.h"
+#include "absl/strings/str_cat.h"
+#include "common/recordings/bag_folder.h"
+#include "common/recordings/byte_source.h"
+#include "common/recordings/db3_reader.h"
+#include "common/recordings/mcap_reader.h"
+#include "common/recordings/ros_recording.h"
+#include "common/status_macros.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+// Of a bag whose messages are packed one by one.
+absl::Status TakeMessage(bool packed, size_t topic, int64_t log_ns, absl::string_view data,
+                         const std::string& path, RosRecording* recording) {
+  if (!packed) return recording->Take(topic, log_ns, data);
+  const auto inflated = InflateBlock("zstd", data, RosRecording::kMostMessage);
+  if (!inflated.ok())
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": a message at ", log_ns, " ns ", inflated.status().message()));
+  return recording->Take(topic, log_ns, *inflated);
+}
+
+absl::Status ReadMcap(const std::string& path, bool messages_packed, RowStream* rows) {
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<McapReader> reader, McapReader::Open(path));
+  RosRecording recording(path, rows);
+  std::map<uint16_t, size_t> topics;  // of the file's channels
+  McapMessage message;
+  while (true) {
+    RS_ASSIGN_OR_RETURN(const bool found, reader->Next(&message));
+    if (!found) break;
+    auto topic = topics.find(message.channel);
+    if (topic == topics.end()) {
+      const McapChannel& channel = reader->channel(message.channel);
+      const McapSchema* schema = reader->schema(channel.schema);
+      RosTopic declared{channel.topic, "", channel.encoding, "", {}};
+      if (schema != nullptr) {
+        declared.type = schema->name;
+        declared.schema_encoding = schema->encoding;
+        declared.schema = schema->text;
+      }
+      RS_ASSIGN_OR_RETURN(const size_t number, recording.AddTopic(declared));
+      topic = topics.emplace(message.channel, number).first;
+    }
+    RS_RETURN_IF_ERROR(TakeMessage(messages_packed, topic->second,
+                                   static_cast<int64_t>(message.log_time_ns), message.data, path,
+                                   &recording));
+  }
+  recording.Finish();
+  for (const std::string& note : reader->notes()) rows->visitor().OnNote(note);
+  return absl::OkStatus();
+}
+
+absl::Status ReadDb3(const std::string& path, const std::string& name, bool messages_packed,
+                     RowStream* rows) {
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Db3Reader> reader, Db3Reader::Open(path));
+  RosRecording recording(name, rows);
+  std::map<int64_t, size_t> topics;
+  for (const auto& [id, declared] : reader->topics()) {
+    RS_ASSIGN_OR_RETURN(topics[id], recording.AddTopic(declared));
+  }
+  int64_t topic = 0, log_ns = 0;
+  absl::string_view data;
+  while (true) {
+    RS_ASSIGN_OR_RETURN(const bool found, reader->Next(&topic, &log_ns, &data));
+    if (!found) break;
+    RS_RETURN_IF_ERROR(TakeMessage(messages_packed, topics[topic], log_ns, data, name, &recording));
+  }
+  recording.Finish();
+  return absl::OkStatus();
+}
+
+// SQLite reads files only: a packed one is unpacked into the folder for temporary files first.
+absl::Status ReadPackedDb3(const std::string& path, bool messages_packed, RowStream* rows) {
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<ByteSource> source, ByteSource::Open(path));
+  std::string name = (fs::temp_directory_path() / "robostress_bag_XXXXXX").string();
+  const int handle = mkstemp(name.data());
+  if (handle < 0)
+    return absl::UnavailableError(
+        absl::StrCat("cannot write '", name, "': ", std::strerror(errno)));
+  const absl::Cleanup remove = [&] {
+    close(handle);
+    unlink(name.c_str());
+  };
+  std::string bytes;
+  while (true) {
+    RS_RETURN_IF_ERROR(source->Read(uint64_t{1} << 20, &bytes));
+    if (bytes.empty()) break;
+    if (write(handle, bytes.data(), bytes.size()) != static_cast<ssize_t>(bytes.size()))
+      return absl::UnavailableError(absl::StrCat("cannot unpack ", path, " to '", name,
+                                                 "': ", std::strerror(errno),
+                                                 "; free some space, or set TMPDIR"));
+  }
+  return ReadDb3(name, path, messages_packed, rows);
+}
+
+absl::Status ReadBagFile(const std::string& path, bool messages_packed, RowStream* rows) {
+  if (IsMcapName(path)) return ReadMcap(path, messages_packed, rows);
+  if (IsZstdName(path)) return ReadPackedDb3(path, messages_packed, rows);
+  return ReadDb3(path, path, messages_packed, rows);
+}
+
+absl::Status ReadBag(const std::string& folder, RowStream* rows) {
+  RS_ASSIGN_OR_RETURN(const BagFolder bag, OpenBagFolder(folder));
+  for (const std::string& note : bag.notes) rows->visitor().OnNote(note);
+  for (const std::string& file : bag.files)
+    RS_RETURN_IF_ERROR(ReadBagFile(file, bag.messages_packed, rows));
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<std::string> KindOfRecording(const std::string& path) {
+  std::error_code error;
+  if (!fs::exists(path, error))
+    return absl::NotFoundError(absl::StrCat("'", path, "' is not there"));
+  if (fs::is_directory(path, error)) {
+    if (IsBagFolder(path)) return "rosbag2 folder";
+  } else {
+    if (IsMcapName(path)) return "MCAP file";
+    if (IsDb3Name(path)) return "rosbag2 file (.db3)";
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat(path, ": is no recording that is known: .mcap, .db3 (also .zstd), or a folder ",
+                   "of rosbag2"));
+}
+
+absl::Status ReadRecording(const std::string& path, RecordingVisitor* visitor) {
+  RS_RETURN_IF_ERROR(KindOfRecording(path).status());
+  RowStream rows(visitor);
+  std::error_code error;
+  if (fs::is_directory(path, error)) return ReadBag(path, &rows);
+  return ReadBagFile(path, false, &rows);
+}
+
+}  // namespace robostress

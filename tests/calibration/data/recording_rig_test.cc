@@ -1,0 +1,302 @@
+#include "calibration/data/recording_rig.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+
+#include "absl/strings/str_cat.h"
+#include "calibration/data/measured_log.h"
+#include "calibration/data/recording_text.h"
+#include "common/atomic_file.h"
+#include "common/csv_table.h"
+#include "common/recordings/joint_messages.h"
+#include "common/recordings/recording.h"
+#include "tests/common/recordings/recording_bytes.h"
+
+namespace robostress::calibration {
+namespace {
+
+namespace fs = std::filesystem;
+using recording_test::CdrBytes;
+using recording_test::JointStateBytes;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::Not;
+
+constexpr int64_t kStart = 1'700'000'000'000'000'000;
+constexpr int64_t kTick = 10'000'000;  // 100 Hz
+
+// A recording that a test fills message by message.
+class Recorder {
+ public:
+  void JointState(int64_t log_ns, const recording_test::JointStateFields& fields) {
+    messages_ += recording_test::McapMessageRecord(1, static_cast<uint64_t>(log_ns),
+                                                   JointStateBytes(fields));
+  }
+  void Command(int64_t log_ns, const std::vector<double>& data) {
+    CdrBytes bytes;
+    bytes.Add(uint32_t{0}).Add(uint32_t{0}).Numbers(data);
+    messages_ +=
+        recording_test::McapMessageRecord(2, static_cast<uint64_t>(log_ns), bytes.Message());
+  }
+  std::string Write(const std::string& name) const {
+    const std::string path = testing::TempDir() + "/" + name + ".mcap";
+    std::ofstream(path, std::ios::binary)
+        << recording_test::McapMagic()
+        << recording_test::McapSchemaRecord(1, "sensor_msgs/msg/JointState",
+                                            recording_test::JointStateText())
+        << recording_test::McapSchemaRecord(2, "std_msgs/msg/Float64MultiArray",
+                                            KnownDefinitions(JointMessageKind::kArray)[0])
+        << recording_test::McapChannelRecord(1, 1, "/joint_states")
+        << recording_test::McapChannelRecord(2, 2, "/commands")
+        << recording_test::McapChunk("zstd", messages_) << recording_test::McapEnd();
+    return path;
+  }
+
+ private:
+  std::string messages_;
+};
+
+double Angle(int i, double phase) { return 0.8 * std::sin(0.02 * i + phase); }
+
+// Two joints that follow commands a tick later; the recorder is up to 3 ms late.
+std::string Following(const std::string& name, int rows) {
+  Recorder recorder;
+  for (int i = 0; i < rows; ++i) {
+    const int64_t t = kStart + i * kTick;
+    recorder.Command(t, {Angle(i + 3, 0), Angle(i + 3, 1)});
+    recorder.JointState(t + (i * 7 % 4) * 1'000'000,
+                        {t, {"lift", "turn", "still"}, {Angle(i, 1), Angle(i, 0), 0.3}});
+  }
+  return recorder.Write(name);
+}
+
+struct Result {
+  RecordingStatistics statistics;
+  RecordingPlan plan;
+  RecordingRigSummary summary;
+  std::string folder, text;
+};
+
+absl::StatusOr<RecordingPlan> Plan(const std::string& recording, const RecordingOptions& options,
+                                   RecordingStatistics* statistics) {
+  const absl::Status read = ReadRecording(recording, statistics);
+  if (!read.ok()) return read;
+  return PlanRecording(*statistics, options);
+}
+
+Result Inspect(const std::string& recording, const RecordingOptions& options = {},
+               const std::optional<Rig>& declared = std::nullopt) {
+  Result result;
+  const auto plan = Plan(recording, options, &result.statistics);
+  EXPECT_TRUE(plan.ok()) << plan.status();
+  if (!plan.ok()) return result;
+  result.plan = *plan;
+  result.text = DescribeRecording(result.statistics, result.plan);
+  if (result.plan.joints.empty()) return result;
+  result.folder = recording + "_rig";
+  fs::remove_all(result.folder);
+  const auto summary = WriteRecordingRig(recording, result.plan, declared, result.folder);
+  EXPECT_TRUE(summary.ok()) << summary.status();
+  if (summary.ok()) result.summary = *summary;
+  return result;
+}
+
+std::vector<double> Column(const Result& result, const std::string& name, int log = 0) {
+  const auto table = CsvTable::Read(absl::StrCat(result.folder, "/log_", log, ".csv"));
+  EXPECT_TRUE(table.ok()) << table.status();
+  const auto numbers = table->Numbers(name);
+  EXPECT_TRUE(numbers.ok()) << numbers.status();
+  return numbers.ok() ? *numbers : std::vector<double>();
+}
+
+TEST(RecordingRigTest, WritesPositionsToTheBitAtTheirStampsBesideTheCommandThatHeld) {
+  const Result result = Inspect(Following("following", 4000));
+  ASSERT_EQ(result.plan.joints.size(), 2) << "what stands still is left out";
+  EXPECT_EQ(result.plan.rate_hz, 100);
+  EXPECT_EQ(result.summary.logs, 2);
+  const std::vector<double> t = Column(result, "t"), lift = Column(result, "q_lift"),
+                            turn = Column(result, "q_turn"),
+                            commanded = Column(result, "q_cmd_lift");
+  ASSERT_GT(t.size(), 1900);
+  for (size_t i = 0; i < t.size(); ++i) {
+    EXPECT_NEAR(t[i], 0.01 * static_cast<double>(i), 1e-9) << "stamps, not the recorder's times";
+    EXPECT_EQ(lift[i], Angle(static_cast<int>(i), 1));
+    EXPECT_EQ(turn[i], Angle(static_cast<int>(i), 0));
+    EXPECT_EQ(commanded[i], Angle(static_cast<int>(i) + 3, 1));
+  }
+}
+
+TEST(RecordingRigTest, TellsWhichCommandIsOfWhichJointByNearness) {
+  const Result result = Inspect(Following("nearness", 3000));
+  ASSERT_EQ(result.plan.joints.size(), 2);
+  const auto& signals = result.statistics.signals();
+  EXPECT_EQ(signals[result.plan.joints[0].command].description.joint, "[1]");
+  EXPECT_EQ(signals[result.plan.joints[1].command].description.joint, "[0]");
+  EXPECT_THAT(result.text, HasSubstr("Command of lift: /commands [1], because it names no joint"));
+}
+
+TEST(RecordingRigTest, MarksWhatTheRecordingDoesNotSayAndTheRigsReaderNamesIt) {
+  const Result result = Inspect(Following("marks", 3000));
+  EXPECT_THAT(result.summary.to_fill_in, ElementsAre("model", "lift.servo.kp", "lift.servo.kd",
+                                                     "turn.servo.kp", "turn.servo.kd"));
+  const auto rig = ReadRig(result.summary.rig_file);
+  ASSERT_FALSE(rig.ok());
+  EXPECT_THAT(std::string(rig.status().message()),
+              HasSubstr("joints[0].servo.kp: is 'FILL_IN', must be a finite number"));
+}
+
+TEST(RecordingRigTest, TakesOverADeclaredRigAndItsLogsPassTheGates) {
+  Rig declared;
+  declared.file = testing::TempDir() + "/declared/rig.yaml";
+  declared.name = "bench";
+  declared.model = testing::TempDir() + "/declared/arm.xml";
+  for (const char* name : {"turn", "other", "lift"}) {
+    RigJoint joint;
+    joint.name = name;
+    joint.servo.kp = 50;
+    joint.fit = {"damping"};
+    declared.joints.push_back(joint);
+  }
+  const Result result = Inspect(Following("declared", 3000), {}, declared);
+  EXPECT_THAT(result.summary.to_fill_in, IsEmpty());
+  const auto rig = ReadRig(result.summary.rig_file);
+  ASSERT_TRUE(rig.ok()) << rig.status();
+  EXPECT_EQ(fs::path(rig->model).lexically_normal(), fs::path(declared.model).lexically_normal());
+  ASSERT_EQ(rig->joints.size(), 2);
+  EXPECT_EQ(rig->joints[0].name, "lift");
+  EXPECT_EQ(rig->joints[0].servo.kp, 50);
+  for (const RigLog& log : rig->logs) {
+    const auto measured = ReadMeasuredLog(*rig, log);
+    ASSERT_TRUE(measured.ok()) << measured.status();
+    EXPECT_EQ(measured->clock_jitter, 0);
+  }
+  declared.joints.pop_back();
+  RecordingStatistics statistics;
+  const std::string recording = Following("declared", 3000);
+  const auto plan = Plan(recording, {}, &statistics);
+  ASSERT_TRUE(plan.ok());
+  const auto refused = WriteRecordingRig(recording, *plan, declared, result.folder);
+  EXPECT_THAT(std::string(refused.status().message()), HasSubstr("--rig: has no joint 'lift'"));
+}
+
+// Names change their order, a joint appears later, a third publisher names others.
+TEST(RecordingRigTest, FollowsNamesAndNotPlaces) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i) {
+    const int64_t t = kStart + i * kTick;
+    recorder.Command(t, {Angle(i, 0), Angle(i, 1)});
+    if (i % 2 == 0)
+      recorder.JointState(t, {t, {"a", "b"}, {Angle(i, 0), Angle(i, 1)}});
+    else
+      recorder.JointState(t, {t, {"b", "a"}, {Angle(i, 1), Angle(i, 0)}});
+    if (i > 2000) recorder.JointState(t + 100, {t + 100, {"gripper"}, {Angle(i, 2)}});
+  }
+  const Result result = Inspect(recorder.Write("names"));
+  ASSERT_EQ(result.plan.joints.size(), 2);
+  const std::vector<double> a = Column(result, "q_a"), b = Column(result, "q_b");
+  for (size_t i = 0; i < a.size(); ++i) {
+    EXPECT_EQ(a[i], Angle(static_cast<int>(i), 0));
+    EXPECT_EQ(b[i], Angle(static_cast<int>(i), 1));
+  }
+  EXPECT_EQ(result.summary.bad_rows, 0);
+  EXPECT_THAT(result.text, HasSubstr("its messages hold 2 different sets of joints"));
+}
+
+TEST(RecordingRigTest, SplitsAtGapsAndLeavesOutRowsThatAreNoneOrOutOfOrder) {
+  Recorder recorder;
+  int64_t t = kStart;
+  for (int i = 0; i < 3000; ++i) {
+    t += i == 1500 ? 100 * kTick : kTick;
+    recorder.Command(t, {Angle(i, 0)});
+    const double q = i == 700 ? std::nan("") : Angle(i, 0);
+    recorder.JointState(t, {t, {"a"}, {q}});
+    if (i == 800) recorder.JointState(t, {t, {"a"}, {q}});                        // again
+    if (i == 900) recorder.JointState(t, {t - 2'000'000'000, {"a"}, {q + 100}});  // far back
+    if (i == 1000) recorder.JointState(t, {t + 1, {"a"}, {INFINITY}});
+  }
+  const Result result = Inspect(recorder.Write("faults"));
+  EXPECT_EQ(result.summary.logs, 2);
+  EXPECT_EQ(result.summary.bad_rows, 2);
+  EXPECT_EQ(result.summary.late_rows, 2);
+  EXPECT_EQ(Column(result, "q_a", 0).size(), 1499);
+  EXPECT_EQ(Column(result, "q_a", 1).size(), 1500);
+  EXPECT_THAT(result.text, HasSubstr("1 gaps over 5 rows"));
+  EXPECT_THAT(result.text, HasSubstr("1 times backwards"));
+  EXPECT_THAT(result.text, HasSubstr("1 times the same again"));
+  EXPECT_THAT(result.text, HasSubstr("2 of 3003 are no numbers"));
+}
+
+TEST(RecordingRigTest, WritesNoRigWithoutWhatDrivesTheJoints) {
+  Recorder recorder;
+  for (int i = 0; i < 1000; ++i)
+    recorder.JointState(kStart + i * kTick, {kStart + i * kTick, {"a"}, {Angle(i, 0)}});
+  const Result result = Inspect(recorder.Write("positions_only"));
+  EXPECT_THAT(result.plan.joints, IsEmpty());
+  EXPECT_THAT(result.plan.why_none, HasSubstr("neither the commands nor the torques"));
+}
+
+TEST(RecordingRigTest, TakesEffortWhereThereIsNoCommand) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i) {
+    const int64_t t = kStart + i * kTick;
+    recorder.JointState(t, {t, {"a"}, {Angle(i, 0)}, {}, {Angle(i, 2)}});
+  }
+  const Result result = Inspect(recorder.Write("effort"));
+  EXPECT_EQ(result.plan.input, JointInput::kTorque);
+  EXPECT_EQ(Column(result, "tau_a")[7], Angle(7, 2));
+  EXPECT_THAT(result.text, HasSubstr("effort is what the driver puts there"));
+}
+
+TEST(RecordingRigTest, DoubtsAnglesInDegreesAndVelocitiesInThem) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i) {
+    const int64_t t = kStart + i * kTick;
+    const double degrees = 180 / M_PI;
+    recorder.JointState(t, {t,
+                            {"a", "b"},
+                            {Angle(i, 0) * degrees, Angle(i, 1)},
+                            {0, 0.8 * 2 * std::cos(0.02 * i + 1) * degrees},
+                            {1, 2.0 * i}});
+  }
+  const std::string recording = recorder.Write("degrees");
+  EXPECT_THAT(Inspect(recording).text, HasSubstr("a: values reach 45.84: degrees?"));
+  EXPECT_THAT(Inspect(recording).text, HasSubstr("b: the velocity's numbers are degrees"));
+  RecordingOptions options;
+  options.to_rad = M_PI / 180;
+  options.joints = {"a"};
+  RecordingStatistics statistics;
+  const auto plan = Plan(recording, options, &statistics);
+  ASSERT_TRUE(plan.ok());
+  EXPECT_NEAR(plan->to_rad, 0.0174533, 1e-6);
+}
+
+TEST(RecordingRigTest, NamesAJointThatIsNotThere) {
+  RecordingStatistics statistics;
+  RecordingOptions options;
+  options.joints = {"elbow"};
+  const auto plan = Plan(Following("choice", 200), options, &statistics);
+  EXPECT_THAT(std::string(plan.status().message()),
+              HasSubstr("--joints: 'elbow' is not in /joint_states; there are: lift, turn, still"));
+}
+
+TEST(RecordingRigTest, PrintsNoControlCharactersAndTakesNoNameThatBreaksATable) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i) {
+    const int64_t t = kStart + i * kTick;
+    recorder.Command(t, {Angle(i, 0)});
+    recorder.JointState(t, {t, {"a", "b,\x1b[31m\n", ""}, {Angle(i, 0), Angle(i, 1), Angle(i, 2)}});
+  }
+  const Result result = Inspect(recorder.Write("odd_names"));
+  ASSERT_EQ(result.plan.joints.size(), 1);
+  EXPECT_EQ(result.plan.joints[0].name, "a");
+  EXPECT_THAT(result.text, Not(HasSubstr("\x1b")));
+  EXPECT_THAT(result.text, HasSubstr("its name cannot stand in a table"));
+}
+
+}  // namespace
+}  // namespace robostress::calibration
