@@ -53,7 +53,7 @@ absl::Status Inspect(CommandLine line) {
   }
   RS_ASSIGN_OR_RETURN(const std::string kind, KindOfRecording(line.recording));
   RecordingStatistics statistics;
-  RS_RETURN_IF_ERROR(ReadRecording(line.recording, &statistics));
+  RS_RETURN_IF_ERROR(ReadRecording(line.recording, {line.options.rate_hz}, &statistics));
   RS_ASSIGN_OR_RETURN(const RecordingPlan plan, PlanRecording(statistics, line.options));
   std::printf("%s: %s\n%s", line.recording.c_str(), kind.c_str(),
               DescribeRecording(statistics, plan).c_str());

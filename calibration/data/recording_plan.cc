@@ -170,7 +170,8 @@ void ChooseClock(const RecordingStatistics& statistics, const RecordingOptions& 
                      " rows have no header.stamp; rows stand at the recorder's times"));
   const StepCounts& clock = plan->by_stamp ? channel.stamp : channel.log;
   plan->dt = clock.Quantile(0.5);
-  plan->rate_hz = options.rate_hz > 0 ? options.rate_hz : NiceRate(plan->dt > 0 ? 1 / plan->dt : 0);
+  plan->made_up_rate_hz = options.rate_hz;
+  plan->rate_hz = NiceRate(plan->dt > 0 ? 1 / plan->dt : 0);
   plan->longest_piece_s =
       std::clamp(clock.total_s() / kPieces + plan->dt, kShortestPiece, kLongestPiece);
 }
@@ -187,6 +188,7 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
   }
   plan.channel = static_cast<size_t>(channel);
   const ChannelStatistics& positions = statistics.channels()[plan.channel];
+  ChooseClock(statistics, options, &plan);
   plan.to_rad = options.to_rad;
   if (options.to_rad == 0) {
     const std::string& unit = positions.description.unit;
@@ -198,7 +200,6 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
       return plan;
     }
   }
-  ChooseClock(statistics, options, &plan);
   if (plan.rate_hz < 1 || plan.rate_hz > 1e5) {
     plan.why_none = absl::StrFormat("rows come at %.4g Hz, a log has 1 to 100000", plan.rate_hz);
     return plan;

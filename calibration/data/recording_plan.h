@@ -14,7 +14,7 @@ struct RecordingOptions {
   std::vector<std::string> joints;  // empty: those that move, of the messages that are most
   // Factor from the recording's angles to radians (metres of a slide); 0: what the recording says.
   double to_rad = 0;
-  double rate_hz = 0;  // of the rows; 0: what their clock says
+  double rate_hz = 0;  // of rows that have no times of their own; 0: what the file says
 };
 
 struct PlannedJoint {
@@ -32,7 +32,8 @@ struct RecordingPlan {
   size_t channel = 0;     // of the positions
   bool by_stamp = false;  // whether rows stand at header.stamp, else at the recorder's time
   double rate_hz = 0;
-  double dt = 0;  // [s] median
+  double made_up_rate_hz = 0;  // RecordingOptions::rate_hz
+  double dt = 0;               // [s] median
   double to_rad = 1;
   JointInput input = JointInput::kPositionTarget;
   double longest_piece_s = 0;

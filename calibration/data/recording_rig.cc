@@ -214,7 +214,7 @@ absl::StatusOr<RecordingRigSummary> WriteRecordingRig(const std::string& recordi
   RS_RETURN_IF_ERROR(MakeDirectories(out));
   PieceWriter writer(plan, out);
   RowMerger merger(plan, &writer);
-  RS_RETURN_IF_ERROR(ReadRecording(recording, &merger));
+  RS_RETURN_IF_ERROR(ReadRecording(recording, {plan.made_up_rate_hz}, &merger));
   RS_RETURN_IF_ERROR(merger.Finish());
   RecordingRigSummary summary;
   summary.logs = static_cast<int>(writer.files().size());

@@ -54,8 +54,13 @@ std::string ChannelText(const ChannelStatistics& channel) {
       Printable(channel.description.type), channel.rows, dt > 0 ? 1 / dt : 0, clock.total_s(),
       channel.description.decoded ? "" : "; not joints");
   if (!channel.description.decoded) return text;
-  if (channel.stamped > 0) text += ClockText("stamps", channel.stamp);
-  text += ClockText(channel.stamped > 0 ? "recorder" : "recorder (no stamps)", channel.log);
+  if (!channel.description.times.empty()) {
+    absl::StrAppend(&text, "    times: ", Printable(channel.description.times),
+                    "; jitter and gaps are not seen\n");
+  } else {
+    if (channel.stamped > 0) text += ClockText("stamps", channel.stamp);
+    text += ClockText(channel.stamped > 0 ? "recorder" : "recorder (no stamps)", channel.log);
+  }
   if (channel.position_sets.size() > 1)
     absl::StrAppend(&text, "    its messages hold ", channel.position_sets.size(),
                     " different sets of joints; rows are those with all of the chosen\n");

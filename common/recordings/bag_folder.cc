@@ -42,18 +42,8 @@ std::pair<int64_t, std::string> NumberOf(const std::string& name) {
 }
 
 std::vector<std::string> BagFiles(const std::string& folder) {
-  std::vector<std::pair<int64_t, std::string>> found;
-  std::error_code error;
-  for (fs::directory_iterator entry(folder, error), end; !error && entry != end;
-       entry.increment(error)) {
-    const std::string name = entry->path().filename().string();
-    if ((IsMcapName(name) || IsDb3Name(name)) && found.size() < kMostFiles)
-      found.push_back(NumberOf(name));
-  }
-  std::sort(found.begin(), found.end());
-  std::vector<std::string> names;
-  for (auto& [number, name] : found) names.push_back(std::move(name));
-  return names;
+  return FilesByNumber(folder,
+                       [](const std::string& name) { return IsMcapName(name) || IsDb3Name(name); });
 }
 
 std::string TextAt(const YAML::Node& node, const char* key) {
@@ -110,6 +100,21 @@ absl::StatusOr<BagFolder> Read(const std::string& path, const std::string& text)
 }
 
 }  // namespace
+
+std::vector<std::string> FilesByNumber(const std::string& folder,
+                                       const std::function<bool(const std::string&)>& wanted) {
+  std::vector<std::pair<int64_t, std::string>> found;
+  std::error_code error;
+  for (fs::directory_iterator entry(folder, error), end; !error && entry != end;
+       entry.increment(error)) {
+    const std::string name = entry->path().filename().string();
+    if (wanted(name) && found.size() < kMostFiles) found.push_back(NumberOf(name));
+  }
+  std::sort(found.begin(), found.end());
+  std::vector<std::string> names;
+  for (auto& [number, name] : found) names.push_back(std::move(name));
+  return names;
+}
 
 bool IsMcapName(const std::string& name) { return absl::EndsWith(Unpacked(name), ".mcap"); }
 bool IsDb3Name(const std::string& name) { return absl::EndsWith(Unpacked(name), ".db3"); }

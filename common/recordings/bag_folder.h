@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -25,5 +26,9 @@ bool IsBagFolder(const std::string& folder);
 // Whether a file's name is that of a bag's, packed or not.
 bool IsMcapName(const std::string& name);
 bool IsDb3Name(const std::string& name);
+
+// The files of a folder whose names are wanted, "x_10" behind "x_9".
+std::vector<std::string> FilesByNumber(const std::string& folder,
+                                       const std::function<bool(const std::string&)>& wanted);
 
 }  // namespace robostress

@@ -173,10 +173,10 @@ JointMessageKind KindOfType(absl::string_view type) {
 }
 
 RecordedChannel DescribeTopic(const std::string& topic, const std::string& type) {
-  RecordedChannel channel{topic, type, "", "rad", "REP 103 (metres at a slide)", true};
+  RecordedChannel channel{topic, type, "", "rad", "REP 103 (metres at a slide)", "", true};
   switch (KindOfType(type)) {
     case JointMessageKind::kNone:
-      return {topic, type, "", "", "", false};
+      return {topic, type, "", "", "", "", false};
     case JointMessageKind::kJointState:
       channel.caution =
           "effort is what the driver puts there: torque, current, or a share of either";

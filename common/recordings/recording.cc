@@ -9,10 +9,14 @@
 #include <memory>
 
 #include "absl/cleanup/cleanup.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "common/recordings/bag_folder.h"
 #include "common/recordings/byte_source.h"
+#include "common/recordings/csv_recording.h"
 #include "common/recordings/db3_reader.h"
+#include "common/recordings/hdf5_recording.h"
+#include "common/recordings/lerobot_recording.h"
 #include "common/recordings/mcap_reader.h"
 #include "common/recordings/ros_recording.h"
 #include "common/status_macros.h"
@@ -120,6 +124,13 @@ absl::Status ReadBag(const std::string& folder, RowStream* rows) {
   return absl::OkStatus();
 }
 
+// In the order of their numbers.
+std::vector<std::string> Hdf5Files(const std::string& folder) {
+  std::vector<std::string> names = FilesByNumber(folder, IsHdf5Name);
+  for (std::string& name : names) name = (fs::path(folder) / name).string();
+  return names;
+}
+
 }  // namespace
 
 absl::StatusOr<std::string> KindOfRecording(const std::string& path) {
@@ -127,21 +138,34 @@ absl::StatusOr<std::string> KindOfRecording(const std::string& path) {
   if (!fs::exists(path, error))
     return absl::NotFoundError(absl::StrCat("'", path, "' is not there"));
   if (fs::is_directory(path, error)) {
+    if (IsLerobotFolder(path)) return "LeRobot data set";
     if (IsBagFolder(path)) return "rosbag2 folder";
+    if (!Hdf5Files(path).empty()) return "folder of HDF5 files";
   } else {
     if (IsMcapName(path)) return "MCAP file";
     if (IsDb3Name(path)) return "rosbag2 file (.db3)";
+    if (IsHdf5Name(path)) return "HDF5 file";
+    if (absl::EndsWith(path, ".csv")) return "CSV file";
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat(path, ": is no recording that is known: .mcap, .db3 (also .zstd), or a folder ",
-                   "of rosbag2"));
+  return absl::InvalidArgumentError(absl::StrCat(
+      path, ": is no recording that is known: .mcap, .db3 (also .zstd), .hdf5, .csv, or a folder ",
+      "of rosbag2, of LeRobot or of HDF5 files"));
 }
 
-absl::Status ReadRecording(const std::string& path, RecordingVisitor* visitor) {
+absl::Status ReadRecording(const std::string& path, const ReadRecordingOptions& options,
+                           RecordingVisitor* visitor) {
   RS_RETURN_IF_ERROR(KindOfRecording(path).status());
   RowStream rows(visitor);
   std::error_code error;
-  if (fs::is_directory(path, error)) return ReadBag(path, &rows);
+  if (fs::is_directory(path, error)) {
+    if (IsLerobotFolder(path)) return ReadLerobotRecording(path, &rows);
+    if (IsBagFolder(path)) return ReadBag(path, &rows);
+    for (const std::string& file : Hdf5Files(path))
+      RS_RETURN_IF_ERROR(ReadHdf5Recording(file, options.rate_hz, &rows));
+    return absl::OkStatus();
+  }
+  if (IsHdf5Name(path)) return ReadHdf5Recording(path, options.rate_hz, &rows);
+  if (absl::EndsWith(path, ".csv")) return ReadCsvRecording(path, &rows);
   return ReadBagFile(path, false, &rows);
 }
 

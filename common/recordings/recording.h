@@ -15,8 +15,17 @@ absl::StatusOr<std::string> KindOfRecording(const std::string& path);
 //
 //   FILE.mcap, FILE.db3         https://mcap.dev, rosbag2's sqlite3 storage; also .zstd
 //   FOLDER with metadata.yaml   of rosbag2, split into files of either kind
+//   FILE.hdf5, FOLDER of them   of ALOHA, robomimic or LIBERO
+//   FOLDER with meta/info.json  a data set of LeRobot v2.x or v3.0
+//   FILE.csv                    t, q_JOINT, dq_JOINT, tau_JOINT, q_cmd_JOINT, as logs of a rig;
+//   held
+//                               in memory
 //
 // INVALID_ARGUMENT names file, field, value and remedy.
-absl::Status ReadRecording(const std::string& path, RecordingVisitor* visitor);
+struct ReadRecordingOptions {
+  double rate_hz = 0;  // of rows that have no times of their own; 0: what the file says
+};
+absl::Status ReadRecording(const std::string& path, const ReadRecordingOptions& options,
+                           RecordingVisitor* visitor);
 
 }  // namespace robostress

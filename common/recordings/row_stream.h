@@ -28,7 +28,9 @@ struct RecordedChannel {
   // What its numbers are not, in a sentence: "a requested action is not a sent command".
   std::string caution;
   std::string unit, unit_because;  // of positions: "rad"; empty: it is not known
-  bool decoded = false;            // whether joints are read from it
+  // Where rows have no times of their own, what was taken: "rows at 20 Hz, by control_freq".
+  std::string times;
+  bool decoded = false;  // whether joints are read from it
 };
 
 struct RecordedSignal {

@@ -84,7 +84,7 @@ struct Result {
 
 absl::StatusOr<RecordingPlan> Plan(const std::string& recording, const RecordingOptions& options,
                                    RecordingStatistics* statistics) {
-  const absl::Status read = ReadRecording(recording, statistics);
+  const absl::Status read = ReadRecording(recording, {}, statistics);
   if (!read.ok()) return read;
   return PlanRecording(*statistics, options);
 }

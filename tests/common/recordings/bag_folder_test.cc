@@ -86,7 +86,7 @@ std::string Db3(const std::string& path, const std::string& type,
 
 absl::StatusOr<CollectedRows> Collect(const std::string& path) {
   CollectedRows rows;
-  const absl::Status status = ReadRecording(path, &rows);
+  const absl::Status status = ReadRecording(path, {}, &rows);
   if (!status.ok()) return status;
   return rows;
 }

@@ -40,7 +40,7 @@ std::string Messages(int first, int count) {
 
 absl::StatusOr<CollectedRows> Collect(const std::string& path) {
   CollectedRows rows;
-  const absl::Status status = ReadRecording(path, &rows);
+  const absl::Status status = ReadRecording(path, {}, &rows);
   if (!status.ok()) return status;
   return rows;
 }
