@@ -4,8 +4,10 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -52,13 +54,13 @@ absl::Status PieceWriter::Begin(const PlannedRow& row) {
 
 absl::Status PieceWriter::Add(const PlannedRow& row) {
   const double since_last = static_cast<double>(row.at_ns - last_ns_) * 1e-9;
-  if (file_ != nullptr && since_last <= 0) {
+  const bool breaks = std::abs(since_last) > kGap * plan_.dt;  // forward, or a clock that was set
+  if (file_ != nullptr && since_last <= 0 && !breaks) {
     ++late_rows_;
     return absl::OkStatus();
   }
   const double piece = static_cast<double>(row.at_ns - begin_ns_) * 1e-9;
-  if (file_ != nullptr && (since_last > kGap * plan_.dt || piece > plan_.longest_piece_s))
-    RS_RETURN_IF_ERROR(End());
+  if (file_ != nullptr && (breaks || piece > plan_.longest_piece_s)) RS_RETURN_IF_ERROR(End());
   if (file_ == nullptr) RS_RETURN_IF_ERROR(Begin(row));
   std::string line;
   absl::StrAppendFormat(&line, "%.9f", static_cast<double>(row.at_ns - begin_ns_) * 1e-9);

@@ -20,6 +20,7 @@ constexpr double kPieces = 3;                               // a recording falls
 constexpr double kShortestPiece = 20, kLongestPiece = 300;  // [s]
 constexpr double kNice = 0.005;     // a rate this near to a whole number is that number
 constexpr double kClearly = 3;      // times nearer is the command of a joint than of the next
+constexpr double kNear = 0.2;       // of a joint's span: so far off is a command at most, RMS
 constexpr int64_t kLeastRows = 50;  // of a log (measured_log.cc)
 
 // In a rig: LeRobot writes a joint's feature as "shoulder_pan.pos".
@@ -68,31 +69,46 @@ double RootMean(const std::pair<double, int64_t>& sum) {
   return std::sqrt(sum.first / static_cast<double>(std::max<int64_t>(sum.second, 1)));
 }
 
-// A command of that joint, by name or because it stays nearest to it; by stamped ones first.
-void FindCommand(const RecordingStatistics& statistics, PlannedJoint* joint) {
-  double nearest = 0;
+// How far the nearest position of another joint is from a command.
+double NextNearest(const RecordingStatistics& statistics, const SignalStatistics& command,
+                   const std::string& joint) {
+  double next = std::numeric_limits<double>::infinity();
+  for (const auto& [position, sum] : command.off) {
+    if (statistics.signals()[position].description.joint != joint)
+      next = std::min(next, RootMean(sum));
+  }
+  return next;
+}
+
+// The command with the joint's name, of the position's own rows or else of the most; or one without
+// a name that stays near the joint, and clearly nearer than to the next.
+void FindCommand(const RecordingStatistics& statistics, size_t channel, PlannedJoint* joint) {
+  const SignalStatistics& position = statistics.signals()[static_cast<size_t>(joint->q)];
+  double nearest = kNear * position.span();
+  std::pair<bool, int64_t> best;  // of those with the name
   for (size_t i = 0; i < statistics.signals().size(); ++i) {
     const SignalStatistics& signal = statistics.signals()[i];
     const auto off = signal.off.find(static_cast<size_t>(joint->q));
     if (signal.description.quantity != JointQuantity::kCommand || off == signal.off.end() ||
         signal.count < kLeastRows)
       continue;
-    const double distance = RootMean(off->second);
     if (!absl::StartsWith(signal.description.joint, "[")) {
+      const std::pair quality(signal.description.channel == channel, signal.count);
+      if (quality <= best) continue;
+      best = quality;
       joint->command = static_cast<int>(i);
       joint->command_because = "it has the joint's name";
-      return;
+      continue;
     }
-    double next = std::numeric_limits<double>::infinity();
-    for (const auto& [position, sum] : signal.off)
-      if (position != off->first && statistics.signals()[position].description.joint !=
-                                        statistics.signals()[off->first].description.joint)
-        next = std::min(next, RootMean(sum));
-    if (kClearly * distance > next || (joint->command >= 0 && distance >= nearest)) continue;
+    const double distance = RootMean(off->second);
+    const double next = NextNearest(statistics, signal, position.description.joint);
+    if (best.second > 0 || kClearly * distance > next || distance >= nearest) continue;
     nearest = distance;
     joint->command = static_cast<int>(i);
-    joint->command_because = absl::StrFormat(
-        "it names no joint and stays nearest to this one: %.3g against %.3g", distance, next);
+    joint->command_because =
+        absl::StrFormat("it names no joint and stays %.3g from this one", distance);
+    if (std::isfinite(next))
+      absl::StrAppendFormat(&joint->command_because, ", %.3g from the next", next);
   }
 }
 
@@ -114,6 +130,8 @@ absl::StatusOr<std::vector<size_t>> ChosenPositions(const RecordingStatistics& s
                        statistics.channels()[plan->channel].description.name,
                        "; there are: ", absl::StrJoin(known, ", ")));
     }
+    if (std::find(chosen.begin(), chosen.end(), *found) != chosen.end())
+      return absl::InvalidArgumentError(absl::StrCat("--joints: '", name, "' stands twice"));
     chosen.push_back(*found);
   }
   if (!chosen.empty()) return chosen;
@@ -217,7 +235,7 @@ absl::StatusOr<RecordingPlan> PlanRecording(const RecordingStatistics& statistic
       joint.tau = -1;  // drivers fill in zeros
     if (joint.dq >= 0 && statistics.signals()[static_cast<size_t>(joint.dq)].span() == 0)
       joint.dq = -1;
-    FindCommand(statistics, &joint);
+    FindCommand(statistics, plan.channel, &joint);
     plan.joints.push_back(std::move(joint));
   }
   if (plan.joints.empty()) {

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <limits>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
@@ -131,7 +132,7 @@ class RowMerger : public RecordingVisitor {
     return absl::OkStatus();
   }
 
-  static constexpr size_t kNear = 64;  // rows among which the earliest is looked for
+  static constexpr size_t kNear = 8;  // rows among which the earliest is looked for
   const RecordingPlan& plan_;
   PieceWriter* const writer_;
   std::map<size_t, std::vector<std::pair<size_t, std::vector<double> PlannedRow::*>>> places_;
@@ -158,8 +159,9 @@ std::string FirstRig(const std::string& recording, const RecordingPlan& plan,
                    absl::StrFormat("rate_hz: %.6g\njoints:\n", plan.rate_hz));
   to_fill_in->push_back("model");
   for (const PlannedJoint& joint : plan.joints) {
-    absl::StrAppend(&text, "  - name: ", joint.name,
-                    "\n    input: ", servo ? "position_target" : "torque", "\n");
+    absl::StrAppend(
+        &text, "  - name: ", joint.name, "\n    input: ",
+        servo ? "position_target" : "torque  # tau is the recording's effort: is it Nm?", "\n");
     if (servo) {
       absl::StrAppend(&text, "    servo: {kp: ", kFillIn, ", kd: ", kFillIn,
                       "}  # [Nm/rad], [Nm s/rad]\n");

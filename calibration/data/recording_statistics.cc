@@ -11,9 +11,9 @@ namespace {
 constexpr int kBinsPerOctave = 32;
 constexpr int kBins = 48 * kBinsPerOctave;  // up to 2^48 ns, three days
 constexpr size_t kMostNotes = 200;
-constexpr size_t kMostSets = 64;     // of names in one channel's messages
-constexpr size_t kMostUnnamed = 64;  // positions that a command without a name is compared with
-constexpr double kTurn = 0.02;       // of the span: a motion back by less is no reversal
+constexpr size_t kMostSets = 64;   // of names in one channel's messages
+constexpr size_t kMostAlike = 64;  // positions that a command without a name is compared with
+constexpr double kTurn = 0.02;     // of the span: a motion back by less is no reversal
 
 int BinOf(int64_t step_ns) {
   return std::clamp(static_cast<int>(std::log2(static_cast<double>(step_ns)) * kBinsPerOctave), 0,
@@ -72,8 +72,9 @@ void RecordingStatistics::OnSignal(size_t signal, const RecordedSignal& descript
   last_.resize(signals_.size());
   signals_[signal].description = description;
   if (description.quantity != JointQuantity::kPosition) return;
-  positions_[description.joint].push_back(signal);
-  if (all_positions_.size() < kMostUnnamed) all_positions_.push_back(signal);
+  std::vector<size_t>& named = positions_[description.joint];
+  if (named.size() < kMostAlike) named.push_back(signal);
+  if (all_positions_.size() < kMostAlike) all_positions_.push_back(signal);
 }
 
 void RecordingStatistics::OnEpisode(const std::string&) { ++episodes_; }

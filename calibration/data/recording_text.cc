@@ -16,6 +16,7 @@ namespace {
 constexpr double kGap = 5;               // in dt: calibrate splits a log there
 constexpr double kLost = 1.5;            // in dt: a row is missing
 constexpr double kRowsPerPeriod = 3;     // of a motion that rows still show
+constexpr double kSlower = 1.4;          // times a position's period: commands are fewer
 constexpr double kGainTolerance = 0.15;  // of a unit, from a velocity and a derivative
 constexpr double kManyTurns = 8 * M_PI;  // [rad] angles beyond are rather in another unit
 constexpr size_t kMostJoints = 64;       // that are printed
@@ -128,6 +129,34 @@ std::string JointsText(const RecordingStatistics& statistics) {
   return text;
 }
 
+std::string CommandsText(const RecordingStatistics& statistics, const RecordingPlan& plan) {
+  std::string text;
+  std::set<size_t> channels;
+  for (const PlannedJoint& joint : plan.joints) {
+    if (joint.command < 0) continue;
+    const RecordedSignal& command =
+        statistics.signals()[static_cast<size_t>(joint.command)].description;
+    channels.insert(command.channel);
+    absl::StrAppend(&text, "  Command of ", joint.name, ": ",
+                    Printable(statistics.channels()[command.channel].description.name), " ",
+                    Printable(command.joint), ", because ", joint.command_because, ".\n");
+  }
+  for (const size_t index : channels) {
+    const ChannelStatistics& channel = statistics.channels()[index];
+    if (!channel.description.caution.empty())
+      absl::StrAppend(&text, "  Of these commands: ", Printable(channel.description.caution),
+                      ".\n");
+    const StepCounts& clock = channel.stamped > 0 ? channel.stamp : channel.log;
+    const double dt = clock.Quantile(0.5);
+    if (index != plan.channel && dt > kSlower * plan.dt)
+      absl::StrAppendFormat(&text,
+                            "  Commands come at %.4g Hz, positions at %.4g Hz: between, the last "
+                            "is held. If the servo got more, record them at its rate.\n",
+                            1 / dt, plan.rate_hz);
+  }
+  return text;
+}
+
 std::string LimitsText(const RecordingStatistics& statistics, const RecordingPlan& plan) {
   std::string text = "What this log can show\n";
   if (plan.rate_hz > 0)
@@ -143,14 +172,7 @@ std::string LimitsText(const RecordingStatistics& statistics, const RecordingPla
     text += "  No torques: friction, payload and backlash show only through the servo's errors.\n";
   if (!plan.joints.empty() && !commands)
     text += "  No commands: how the servo follows is not seen.\n";
-  for (const PlannedJoint& joint : plan.joints) {
-    if (joint.command < 0) continue;
-    const RecordedSignal& command =
-        statistics.signals()[static_cast<size_t>(joint.command)].description;
-    absl::StrAppend(&text, "  Command of ", joint.name, ": ",
-                    Printable(statistics.channels()[command.channel].description.name), " ",
-                    Printable(command.joint), ", because ", joint.command_because, ".\n");
-  }
+  text += CommandsText(statistics, plan);
   for (const SignalStatistics& signal : statistics.signals()) {
     if (signal.description.quantity != JointQuantity::kPosition || signal.count < 2 ||
         signal.reversals > 1 || signal.span() < kStill)

@@ -189,9 +189,10 @@ RecordedChannel DescribeTopic(const std::string& topic, const std::string& type)
       channel.caution = "a trajectory is a request to a controller, not a command to a servo";
       break;
     case JointMessageKind::kArray:
+      channel.unit = "";
+      channel.unit_because = "the message says neither joints nor units";
       channel.caution =
-          "commands of joints that the message does not name, stamped by the recorder alone; "
-          "whether they are positions the message does not say";
+          "commands of joints that the message does not name, stamped by the recorder alone";
       break;
   }
   return channel;
