@@ -22,10 +22,10 @@ struct RecordingRigSummary {
 
 // The second pass: out/rig.yaml and a CSV log per piece of `recording`, in constant memory. A row
 // is a message with all joints' positions, at its header.stamp; beside them stands the command that
-// held then. A piece ends at a step of more than five rows forward or back, at an episode, and at plan.longest_piece_s; every
-// third is held out. `declared`: a rig of the same arm whose model, servos and effects are taken
-// over by the joints' names; without it they are marked to be filled in, and `robostress
-// calibrate` names the mark. FAILED_PRECONDITION where no piece is left.
+// held then. A piece ends at a step of more than five rows forward or back, at an episode, and at
+// plan.longest_piece_s; every third is held out. `declared`: a rig of the same arm whose model,
+// servos and effects are taken over by the joints' names; without it they are marked to be filled
+// in, and `robostress calibrate` names the mark. FAILED_PRECONDITION where no piece is left.
 absl::StatusOr<RecordingRigSummary> WriteRecordingRig(const std::string& recording,
                                                       const RecordingPlan& plan,
                                                       const std::optional<Rig>& declared,

@@ -43,6 +43,18 @@ class Recorder {
     messages_ +=
         recording_test::McapMessageRecord(2, static_cast<uint64_t>(log_ns), bytes.Message());
   }
+  // A controller's state that holds a command alone, in the layout of old.
+  void Reference(int64_t log_ns, int64_t stamp_ns, const std::string& joint, double position) {
+    CdrBytes bytes;
+    bytes.Add(static_cast<int32_t>(stamp_ns / 1'000'000'000));
+    bytes.Add(static_cast<uint32_t>(stamp_ns % 1'000'000'000)).Text("").Texts({joint});
+    for (const std::vector<double>& positions : {std::vector<double>{position}, {}, {}}) {
+      bytes.Numbers(positions).Numbers({}).Numbers({}).Numbers({});
+      bytes.Add(int32_t{0}).Add(uint32_t{0});
+    }
+    messages_ +=
+        recording_test::McapMessageRecord(3, static_cast<uint64_t>(log_ns), bytes.Message());
+  }
   std::string Write(const std::string& name) const {
     const std::string path = testing::TempDir() + "/" + name + ".mcap";
     std::ofstream(path, std::ios::binary)
@@ -53,6 +65,9 @@ class Recorder {
                                             KnownDefinitions(JointMessageKind::kArray)[0])
         << recording_test::McapChannelRecord(1, 1, "/joint_states")
         << recording_test::McapChannelRecord(2, 2, "/commands")
+        << recording_test::McapSchemaRecord(3, "control_msgs/msg/JointTrajectoryControllerState",
+                                            KnownDefinitions(JointMessageKind::kControllerState)[2])
+        << recording_test::McapChannelRecord(3, 3, "/controller_state")
         << recording_test::McapChunk("zstd", messages_) << recording_test::McapEnd();
     return path;
   }
@@ -128,6 +143,28 @@ TEST(RecordingRigTest, WritesPositionsToTheBitAtTheirStampsBesideTheCommandThatH
     EXPECT_EQ(lift[i], Angle(static_cast<int>(i), 1));
     EXPECT_EQ(turn[i], Angle(static_cast<int>(i), 0));
     EXPECT_EQ(commanded[i], Angle(static_cast<int>(i) + 3, 1));
+  }
+}
+
+// The recorder writes a command 20 ms before its time or 30 ms behind it.
+TEST(RecordingRigTest, PutsStampedCommandsAtTheirTimesWhateverTheRecordersOrder) {
+  for (const int64_t late : {-2 * kTick, 3 * kTick}) {
+    Recorder recorder;
+    for (int i = 0; i < 3000; ++i) {
+      const int64_t t = kStart + i * kTick;
+      if (late > 0 && i >= 3) recorder.Reference(t, t - late, "a", Angle(i - 3, 0.1));
+      recorder.JointState(t, {t, {"a"}, {Angle(i, 0)}});
+      if (late < 0) recorder.Reference(t, t - late, "a", Angle(i + 2, 0.1));
+    }
+    const Result result = Inspect(recorder.Write("stamped_commands"));
+    ASSERT_EQ(result.plan.joints.size(), 1);
+    const std::vector<double> q = Column(result, "q_a"), command = Column(result, "q_cmd_a");
+    ASSERT_GT(q.size(), 1900);
+    const int before = late < 0 ? 2 : 0;  // rows before the first command
+    for (size_t i = 0; i < q.size(); ++i) {
+      EXPECT_EQ(q[i], Angle(static_cast<int>(i) + before, 0));
+      EXPECT_EQ(command[i], Angle(static_cast<int>(i) + before, 0.1));
+    }
   }
 }
 
