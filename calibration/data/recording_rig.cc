@@ -213,7 +213,13 @@ absl::StatusOr<RecordingRigSummary> WriteRecordingRig(const std::string& recordi
                                                       const RecordingPlan& plan,
                                                       const std::optional<Rig>& declared,
                                                       const std::string& out) {
+  // Before the recording is read once more.
+  if (declared) RS_RETURN_IF_ERROR(FilledRig(*declared, plan, out, {}).status());
   RS_RETURN_IF_ERROR(MakeDirectories(out));
+  std::error_code error;
+  if (!std::filesystem::is_empty(out, error))
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--out ", out, ": holds files already, perhaps a rig that you filled in; name a new one"));
   PieceWriter writer(plan, out);
   RowMerger merger(plan, &writer);
   RS_RETURN_IF_ERROR(ReadRecording(recording, {plan.made_up_rate_hz}, &merger));

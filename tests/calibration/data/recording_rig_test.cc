@@ -219,6 +219,8 @@ TEST(RecordingRigTest, TakesOverADeclaredRigAndItsLogsPassTheGates) {
   ASSERT_TRUE(plan.ok());
   const auto refused = WriteRecordingRig(recording, *plan, declared, result.folder);
   EXPECT_THAT(std::string(refused.status().message()), HasSubstr("--rig: has no joint 'lift'"));
+  const auto again = WriteRecordingRig(recording, *plan, std::nullopt, result.folder);
+  EXPECT_THAT(std::string(again.status().message()), HasSubstr("holds files already"));
 }
 
 // Names change their order, a joint appears later, a third publisher names others.
