@@ -1,6 +1,7 @@
 #include "common/recordings/joint_messages.h"
 
 #include <algorithm>
+#include <cmath>
 #include <set>
 
 #include "absl/strings/match.h"
@@ -79,9 +80,13 @@ absl::Status TakeStamp(const Node& root, JointMessage* message) {
   const std::vector<double>& nanosec = stamp.Numbers("nanosec");
   if (sec.size() != 1 || nanosec.size() != 1)
     return absl::InvalidArgumentError("field header.stamp has no sec and nanosec");
-  if (!(nanosec[0] < kNanoseconds))
+  // A schema may have other types there than ROS 2's int32 and uint32.
+  if (!(std::abs(sec[0]) <= 0x1p31))
     return absl::InvalidArgumentError(
-        absl::StrCat("field header.stamp.nanosec is ", nanosec[0], ", a second has fewer"));
+        absl::StrCat("field header.stamp.sec is ", sec[0], ", must fit in 32 bits"));
+  if (!(nanosec[0] >= 0 && nanosec[0] < kNanoseconds))
+    return absl::InvalidArgumentError(absl::StrCat("field header.stamp.nanosec is ", nanosec[0],
+                                                   ", must be 0 to ", kNanoseconds - 1));
   message->stamp_ns =
       static_cast<int64_t>(sec[0]) * kNanoseconds + static_cast<int64_t>(nanosec[0]);
   message->stamped = message->stamp_ns != 0;

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "common/random.h"
 #include "common/recordings/joint_messages.h"
 #include "tests/common/recordings/recording_bytes.h"
@@ -165,6 +167,25 @@ TEST(JointMessagesTest, RefusesArraysThatDoNotFitTheNames) {
   const auto unstamped = JointStateOf({0, {"a"}, {1}});
   ASSERT_TRUE(unstamped.ok());
   EXPECT_FALSE(unstamped->stamped) << "a stamp of 0 is none";
+}
+
+// Found by a fuzzer: the seconds of such a schema passed what nanoseconds can count.
+TEST(JointMessagesTest, RefusesStampsThatNoClockOfRosCanHave) {
+  std::string text = JointStateText();
+  text.replace(text.find("int32 sec\n"), 9, "float64 sec");
+  const RosSchema schema = SchemaOf(text, "sensor_msgs/msg/JointState");
+  const auto why = [&](double sec, uint32_t nanosec) {
+    CdrBytes bytes;
+    bytes.Add(sec).Add(nanosec).Text("").Texts({}).Numbers({}).Numbers({}).Numbers({});
+    const auto value = DecodeCdr(schema, bytes.Message());
+    EXPECT_TRUE(value.ok()) << value.status();
+    return std::string(
+        ReadJointMessage(JointMessageKind::kJointState, schema, *value).status().message());
+  };
+  EXPECT_THAT(why(1e11, 0), HasSubstr("header.stamp.sec is 1e+11"));
+  EXPECT_THAT(why(std::nan(""), 0), HasSubstr("header.stamp.sec is nan"));
+  EXPECT_THAT(why(1, 1'000'000'000), HasSubstr("header.stamp.nanosec is 1e+09"));
+  EXPECT_EQ(why(1, 999'999'999), "");
 }
 
 void AddPoint(CdrBytes* bytes, std::vector<double> positions, std::vector<double> velocities) {
