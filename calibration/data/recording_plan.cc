@@ -18,10 +18,11 @@ namespace {
 
 constexpr double kPieces = 3;                               // a recording falls into so many
 constexpr double kShortestPiece = 20, kLongestPiece = 300;  // [s]
-constexpr double kNice = 0.005;     // a rate this near to a whole number is that number
-constexpr double kClearly = 3;      // times nearer is the command of a joint than of the next
-constexpr double kNear = 0.2;       // of a joint's span: so far off is a command at most, RMS
-constexpr int64_t kLeastRows = 50;  // of a log (measured_log.cc)
+constexpr double kNice = 0.005;        // a rate this near to a whole number is that number
+constexpr double kWithCommands = 1.1;  // so many times a row counts beside its command
+constexpr double kClearly = 3;         // times nearer is the command of a joint than of the next
+constexpr double kNear = 0.2;          // of a joint's span: so far off is a command at most, RMS
+constexpr int64_t kLeastRows = 50;     // of a log (measured_log.cc)
 
 // In a rig: LeRobot writes a joint's feature as "shoulder_pan.pos".
 std::string RigName(const std::string& joint) {
@@ -36,15 +37,20 @@ bool IsPlainName(const std::string& name) {
   });
 }
 
-// The channel with the most rows of positions; with a command in the same rows where two are alike.
+// The channel with the most rows of positions, a few less where commands stand in the same rows:
+// they are of the same time.
 int ChannelOfPositions(const RecordingStatistics& statistics) {
+  std::vector<double> weight(statistics.channels().size(), 1);
+  for (const SignalStatistics& signal : statistics.signals()) {
+    if (signal.description.quantity == JointQuantity::kCommand)
+      weight[signal.description.channel] = kWithCommands;
+  }
   int best = -1;
-  int64_t most = 0;
-  for (size_t i = 0; i < statistics.channels().size(); ++i) {
-    int64_t rows = 0;
-    for (const auto& [set, count] : statistics.channels()[i].position_sets)
-      rows = std::max(rows, count);
-    if (rows > most) {
+  double most = 0;
+  for (size_t i = 0; i < weight.size(); ++i) {
+    for (const auto& [set, count] : statistics.channels()[i].position_sets) {
+      const double rows = weight[i] * static_cast<double>(count);
+      if (rows <= most) continue;
       most = rows;
       best = static_cast<int>(i);
     }

@@ -43,12 +43,13 @@ class Recorder {
     messages_ +=
         recording_test::McapMessageRecord(2, static_cast<uint64_t>(log_ns), bytes.Message());
   }
-  // A controller's state that holds a command alone, in the layout of old.
-  void Reference(int64_t log_ns, int64_t stamp_ns, const std::string& joint, double position) {
+  // A controller's state in the layout of old, by default of a command alone.
+  void Reference(int64_t log_ns, int64_t stamp_ns, const std::string& joint, double position,
+                 const std::vector<double>& measured = {}) {
     CdrBytes bytes;
     bytes.Add(static_cast<int32_t>(stamp_ns / 1'000'000'000));
     bytes.Add(static_cast<uint32_t>(stamp_ns % 1'000'000'000)).Text("").Texts({joint});
-    for (const std::vector<double>& positions : {std::vector<double>{position}, {}, {}}) {
+    for (const std::vector<double>& positions : {std::vector<double>{position}, measured, {}}) {
       bytes.Numbers(positions).Numbers({}).Numbers({}).Numbers({});
       bytes.Add(int32_t{0}).Add(uint32_t{0});
     }
@@ -166,6 +167,20 @@ TEST(RecordingRigTest, PutsStampedCommandsAtTheirTimesWhateverTheRecordersOrder)
       EXPECT_EQ(command[i], Angle(static_cast<int>(i) + before, 0.1));
     }
   }
+}
+
+TEST(RecordingRigTest, PrefersRowsInWhichCommandsStandBesidePositions) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i) {
+    const int64_t t = kStart + i * kTick;
+    recorder.JointState(t, {t, {"a"}, {Angle(i, 0)}});
+    if (i > 20) recorder.Reference(t + 5, t + 5, "a", Angle(i, 0.1), {Angle(i, 0.01)});
+  }
+  const Result result = Inspect(recorder.Write("beside"));
+  ASSERT_EQ(result.plan.joints.size(), 1);
+  EXPECT_TRUE(result.plan.joints[0].command_in_row);
+  EXPECT_EQ(Column(result, "q_a")[0], Angle(21, 0.01));
+  EXPECT_EQ(Column(result, "q_cmd_a")[0], Angle(21, 0.1));
 }
 
 TEST(RecordingRigTest, TellsWhichCommandIsOfWhichJointByNearness) {
