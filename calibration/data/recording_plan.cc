@@ -192,6 +192,12 @@ void ChooseClock(const RecordingStatistics& statistics, const RecordingOptions& 
     plan->sentences.push_back(
         absl::StrCat(channel.rows - channel.stamped, " of ", channel.rows,
                      " rows have no header.stamp; rows stand at the recorder's times"));
+  if (plan->by_stamp && channel.stamp.steps() < channel.rows / 2) {
+    plan->by_stamp = false;
+    plan->sentences.push_back(absl::StrCat("header.stamp steps ", channel.stamp.steps(),
+                                           " times in ", channel.rows,
+                                           " rows; rows stand at the recorder's times"));
+  }
   const StepCounts& clock = plan->by_stamp ? channel.stamp : channel.log;
   plan->dt = clock.Quantile(0.5);
   plan->made_up_rate_hz = options.rate_hz;

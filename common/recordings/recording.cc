@@ -131,6 +131,20 @@ std::vector<std::string> Hdf5Files(const std::string& folder) {
   return names;
 }
 
+absl::Status Read(const std::string& path, const ReadRecordingOptions& options, RowStream* rows) {
+  std::error_code error;
+  if (fs::is_directory(path, error)) {
+    if (IsLerobotFolder(path)) return ReadLerobotRecording(path, rows);
+    if (IsBagFolder(path)) return ReadBag(path, rows);
+    for (const std::string& file : Hdf5Files(path))
+      RS_RETURN_IF_ERROR(ReadHdf5Recording(file, options.rate_hz, rows));
+    return absl::OkStatus();
+  }
+  if (IsHdf5Name(path)) return ReadHdf5Recording(path, options.rate_hz, rows);
+  if (absl::EndsWith(path, ".csv")) return ReadCsvRecording(path, rows);
+  return ReadBagFile(path, false, rows);
+}
+
 }  // namespace
 
 absl::StatusOr<std::string> KindOfRecording(const std::string& path) {
@@ -156,17 +170,10 @@ absl::Status ReadRecording(const std::string& path, const ReadRecordingOptions& 
                            RecordingVisitor* visitor) {
   RS_RETURN_IF_ERROR(KindOfRecording(path).status());
   RowStream rows(visitor);
-  std::error_code error;
-  if (fs::is_directory(path, error)) {
-    if (IsLerobotFolder(path)) return ReadLerobotRecording(path, &rows);
-    if (IsBagFolder(path)) return ReadBag(path, &rows);
-    for (const std::string& file : Hdf5Files(path))
-      RS_RETURN_IF_ERROR(ReadHdf5Recording(file, options.rate_hz, &rows));
-    return absl::OkStatus();
-  }
-  if (IsHdf5Name(path)) return ReadHdf5Recording(path, options.rate_hz, &rows);
-  if (absl::EndsWith(path, ".csv")) return ReadCsvRecording(path, &rows);
-  return ReadBagFile(path, false, &rows);
+  const absl::Status status = Read(path, options, &rows);
+  // What is wrong with rows is said without their file.
+  if (status.ok() || absl::StrContains(status.message(), path)) return status;
+  return absl::Status(status.code(), absl::StrCat(path, ": ", status.message()));
 }
 
 }  // namespace robostress

@@ -291,6 +291,16 @@ TEST(RecordingRigTest, SplitsAtGapsAndLeavesOutRowsThatAreNoneOrOutOfOrder) {
   EXPECT_THAT(result.text, HasSubstr("2 of 3003 are no numbers"));
 }
 
+TEST(RecordingRigTest, TakesTheRecordersTimesWhereStampsStandStill) {
+  Recorder recorder;
+  for (int i = 0; i < 3000; ++i)
+    recorder.JointState(kStart + i * kTick, {kStart, {"a"}, {Angle(i, 0)}, {}, {Angle(i, 2)}});
+  const Result result = Inspect(recorder.Write("still_stamps"));
+  EXPECT_EQ(result.plan.rate_hz, 100);
+  EXPECT_EQ(Column(result, "q_a")[50], Angle(50, 0));
+  EXPECT_THAT(result.text, HasSubstr("rows stand at the recorder's times"));
+}
+
 TEST(RecordingRigTest, WritesNoRigWithoutWhatDrivesTheJoints) {
   Recorder recorder;
   for (int i = 0; i < 1000; ++i)

@@ -15,6 +15,7 @@
 namespace robostress::recording_test {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -162,6 +163,16 @@ TEST(McapReaderTest, BelievesNoSizeThatTheFileDoesNotHold) {
     EXPECT_THAT(WhyRefused(head + std::string(chunk).replace(at, 8, Raw(uint64_t{10}))),
                 HasSubstr("inflates to more than 10 bytes"));
   }
+}
+
+TEST(McapReaderTest, RefusesNamesThatChangeWithEveryMessage) {
+  std::string records;
+  for (int i = 0; i < 9000; ++i)
+    records += McapMessageRecord(7, static_cast<uint64_t>(i),
+                                 JointStateBytes({1 + i, {absl::StrCat("joint", i)}, {0.5}}));
+  EXPECT_THAT(WhyRefused(McapMagic() + Declarations() + McapChunk("lz4", records) + McapEnd()),
+              AllOf(HasSubstr("test.mcap: the position of joint"),
+                    HasSubstr("names that change with every message are no joints")));
 }
 
 // Whatever is changed in a file it is read or refused with its name.
