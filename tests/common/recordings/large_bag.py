@@ -9,7 +9,8 @@ import sys
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from write_recordings import JOINT_STATE
+sys.dont_write_bytecode = True
+from write_recordings import JOINT_STATE  # noqa: E402, beside this file
 
 NAMES = [f"joint_{k}" for k in range(7)]
 
