@@ -79,7 +79,11 @@ struct SimOptions {
   RobosuiteOptions robosuite;
   SensingOptions sensing;
   double controller_kp = kControllerKp;
+  // How LIBERO's views are drawn: kOriginalPictures, or kPlainPictures: at twice the size that the
+  // policy asks for, without multisampling and mirrors, with fewer triangles.
+  std::string pictures = kOriginalPictures;
 
+  static constexpr char kOriginalPictures[] = "original", kPlainPictures[] = "plain";
   bool SinglePrecisionRotation() const { return IsOn(robosuite.single_precision_rotation); }
   bool LateObservation() const { return IsOn(robosuite.late_observation); }
 
@@ -102,6 +106,8 @@ struct SimOptions {
     v.LateSection("sensing", sensing, sensing.used(), "what the arm knows of its own motion");
     v.Late("controller_kp", controller_kp, kControllerKp,
            "stiffness of the operational-space controller, 1 to 2000, critically damped [1/s^2]");
+    v.Late("pictures", pictures, std::string(kOriginalPictures),
+           "LIBERO's views: original; plain: quick ones for policies of small views");
   }
 
  private:

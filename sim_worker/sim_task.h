@@ -30,10 +30,6 @@ class SimTask : public Robot {
   // The scripted expert; it reads this task, which must outlive it. Unimplemented where there is
   // none; the message says what it lacks.
   virtual absl::StatusOr<Expert> MakeExpert() = 0;
-  // From now on views are drawn at twice the size that a policy wants, without mirrors: what
-  // differs from LIBERO's own pictures hardly shows in small ones, and drawing takes a third of the
-  // time.
-  virtual void DrawPlainly() {}
   // One frame for a video: third-person and wrist view side by side.
   virtual absl::StatusOr<Image> Film(int height) = 0;
 };

@@ -123,6 +123,11 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
   RS_RETURN_IF_ERROR(CheckRange("videos", unit.videos, 0, states, ""));
   RS_RETURN_IF_ERROR(CheckRange("sim.settle_steps", unit.sim.settle_steps, 0, 1000, ""));
   RS_RETURN_IF_ERROR(CheckRange("sim.sensing.delay", unit.sim.sensing.delay, 0, 100, ""));
+  if (unit.sim.pictures != SimOptions::kOriginalPictures &&
+      unit.sim.pictures != SimOptions::kPlainPictures) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit: sim.pictures is '", unit.sim.pictures, "', must be original or plain"));
+  }
   if (!(unit.sim.controller_kp >= 1 && unit.sim.controller_kp <= 2000)) {
     return absl::InvalidArgumentError(
         absl::StrCat("unit: sim.controller_kp is ", unit.sim.controller_kp, ", must be 1 to 2000"));

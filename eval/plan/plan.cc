@@ -378,13 +378,6 @@ void CheckLate(const SweepGrid& grid, Complaints& complaints) {
   }
 }
 
-// What a grid that names no policy evaluates on its suites.
-std::string DefaultPolicy(const SweepGrid& grid, const RobotInfo& robot) {
-  if (grid.remote.used()) return "remote";
-  return std::all_of(grid.suites.begin(), grid.suites.end(), NeedsLibero) ? kLiberoPolicy
-                                                                          : robot.policy;
-}
-
 }  // namespace
 
 absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
@@ -402,7 +395,7 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   }
   if (grid.suites.empty()) grid.suites = robot.suites;
   if (grid.scenarios.empty()) grid.scenarios = DefaultScenarios(robot);
-  if (grid.policies.empty()) grid.policies = {DefaultPolicy(grid, robot)};
+  if (grid.policies.empty()) grid.policies = {grid.remote.used() ? "remote" : robot.policy};
   if (std::any_of(grid.suites.begin(), grid.suites.end(), NeedsLibero)) {
     grid.libero_root = LiberoRoot(grid.libero_root, "LIBERO_ROOT");
     grid.robosuite_root = LiberoRoot(grid.robosuite_root, "ROBOSUITE_ROOT");

@@ -17,12 +17,14 @@
 #include "sim_worker/libero/libero_task.h"
 #include "sim_worker/libero/preprocess.h"
 #include "sim_worker/libero/task_files.h"
+#include "sim_worker/libero/thin_meshes.h"
 #include "sim_worker/panda_model.h"
 
 namespace robostress::libero {
 namespace {
 
-constexpr int kCameraSize = 256;  // [px] of LIBERO's renderings before they are resized
+constexpr double kThinCell = 0.008;  // [m] of plain pictures' meshes; a pixel of 64 is 6 to 15 mm
+constexpr int kCameraSize = 256;     // [px] of LIBERO's renderings before they are resized
 
 void AnnounceMissingVisuals(const LiberoScene& scene) {
   if (scene.missing_visuals.empty()) return;
@@ -88,6 +90,7 @@ absl::Status LiberoSimTask::MakeSimulator() {
   if (simulation_model_ == nullptr)
     return absl::ResourceExhaustedError("no memory for a copy of the model");
   RS_ASSIGN_OR_RETURN(render_model_, MakeRenderModel(*scene_, *simulation_model_));
+  if (unit_.sim.pictures == SimOptions::kPlainPictures) ThinMeshes(*render_model_, kThinCell);
   RS_ASSIGN_OR_RETURN(sim_, PandaSim::Create(simulation_model_, unit_.sim));
   sim_->SetScenario(scenario_, horizon_);
   sim_->OnIntegrated([this] { goal_holds_ = goal_->Holds(sim_->data()); });
@@ -188,10 +191,11 @@ absl::StatusOr<Observation> LiberoSimTask::Observe(const PolicySpec& spec) {
   for (int i = 0; i < 2; ++i)
     observation.proprioception[6 + i] = static_cast<float>(data.qpos[panda.finger_qpos[i]]);
   for (const std::string& camera : spec.cameras) {
-    const RenderOptions options = plain_ ? RenderOptions{.width = spec.image_width,
-                                                         .height = spec.image_height,
-                                                         .supersample = 2}
-                                         : RenderAsLibero(kCameraSize, kCameraSize);
+    const RenderOptions options = unit_.sim.pictures == SimOptions::kPlainPictures
+                                      ? RenderOptions{.width = spec.image_width,
+                                                      .height = spec.image_height,
+                                                      .supersample = 2}
+                                      : RenderAsLibero(kCameraSize, kCameraSize);
     RS_ASSIGN_OR_RETURN(Image upright, RenderUpright(camera, options));
     // The originals hand out OpenGL's bottom-up pixels and openpi's client rotates them by 180
     // degrees; that is the upright picture with left and right exchanged.

@@ -44,7 +44,6 @@ class LiberoSimTask : public SimTask {
   PandaSim& sim() override { return *sim_; }
   const std::string& mjcf() const override { return scene_->mjcf; }
   absl::StatusOr<Expert> MakeExpert() override;
-  void DrawPlainly() override { plain_ = true; }
   absl::StatusOr<Image> Film(int height) override;
 
   const LiberoScene& scene() const { return *scene_; }
@@ -78,7 +77,6 @@ class LiberoSimTask : public SimTask {
   std::unique_ptr<PandaSim> sim_;
   std::shared_ptr<mjModel> render_model_;
   std::unique_ptr<Renderer> renderer_;  // created with the first view
-  bool plain_ = false;
   bool success_ = false;
   bool drawn_ = false;       // the episode's placement, fixtures included
   bool goal_holds_ = false;  // at the moment of the last control step at which the originals look

@@ -19,6 +19,7 @@ std::unique_ptr<LiberoSimTask> BowlOnPlate() {
   unit.suite = "libero_goal";
   unit.libero_root = LiberoTree();
   unit.robosuite_root = RobosuiteTree();
+  unit.sim.pictures = SimOptions::kPlainPictures;
   auto task = LiberoSimTask::Create(unit, 8);
   EXPECT_TRUE(task.ok()) << task.status();
   return *std::move(task);
@@ -29,7 +30,6 @@ std::unique_ptr<LiberoSimTask> BowlOnPlate() {
 TEST(LiberoRecord, AnEpisodeIsStoredAsLiberoStoresItsOwn) {
   SKIP_WITHOUT_SHARED_DATA();
   const auto task = BowlOnPlate();
-  task->DrawPlainly();
   RecordOptions options;
   options.stride = 1;
   options.image_size = 32;
