@@ -5,31 +5,18 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include <atomic>
 #include <cerrno>
-#include <cstring>
 #include <filesystem>
-#include <fstream>
 #include <memory>
 
 #include "absl/functional/function_ref.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "common/atomic_stream.h"
 #include "common/status_macros.h"
 
 namespace robostress {
 namespace {
-
-absl::Status ErrnoStatus(const std::string& action, const std::string& path, int error) {
-  const std::string message = absl::StrCat(action, " '", path, "': ", std::strerror(error));
-  if (error == ENOSPC || error == EDQUOT) {
-    return absl::ResourceExhaustedError(absl::StrCat(message, "; free some space and run again"));
-  }
-  if (error == ENOENT) return absl::NotFoundError(message);
-  if (error == EACCES || error == EPERM || error == EROFS)
-    return absl::PermissionDeniedError(message);
-  return absl::UnavailableError(message);
-}
 
 class FileDescriptor {
  public:
@@ -40,40 +27,10 @@ class FileDescriptor {
   FileDescriptor(const FileDescriptor&) = delete;
   FileDescriptor& operator=(const FileDescriptor&) = delete;
   int get() const { return fd_; }
-  bool Close() { return ::close(std::exchange(fd_, -1)) == 0; }
 
  private:
   int fd_;
 };
-
-absl::Status WriteAll(int fd, std::string_view bytes, const std::string& path) {
-  while (!bytes.empty()) {
-    const ssize_t written = ::write(fd, bytes.data(), bytes.size());
-    if (written < 0 && errno == EINTR) continue;
-    if (written < 0) return ErrnoStatus("cannot write", path, errno);
-    bytes.remove_prefix(static_cast<size_t>(written));
-  }
-  return absl::OkStatus();
-}
-
-absl::Status WriteAndSync(const std::string& path, std::string_view contents) {
-  FileDescriptor file(::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644));
-  if (file.get() < 0) return ErrnoStatus("cannot create", path, errno);
-  RS_RETURN_IF_ERROR(WriteAll(file.get(), contents, path));
-  if (::fsync(file.get()) != 0) return ErrnoStatus("cannot sync", path, errno);
-  if (!file.Close()) return ErrnoStatus("cannot close", path, errno);
-  return absl::OkStatus();
-}
-
-void SyncDirectory(const std::string& directory) {
-  const FileDescriptor handle(::open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-  if (handle.get() >= 0) ::fsync(handle.get());
-}
-
-std::string DirectoryOf(const std::string& path) {
-  const std::string parent = std::filesystem::path(path).parent_path().string();
-  return parent.empty() ? "." : parent;
-}
 
 // Hands the file to `take` in order, block by block.
 absl::Status ReadBlocks(const std::string& path, absl::FunctionRef<void(std::string_view)> take) {
@@ -96,19 +53,9 @@ std::string Hex(const unsigned char* digest, unsigned int size) {
 }  // namespace
 
 absl::Status WriteFileAtomically(const std::string& path, std::string_view contents) {
-  static std::atomic<uint64_t> counter{0};
-  const std::string temporary = absl::StrCat(path, ".tmp.", ::getpid(), ".", counter++);
-  if (absl::Status status = WriteAndSync(temporary, contents); !status.ok()) {
-    ::unlink(temporary.c_str());
-    return status;
-  }
-  if (::rename(temporary.c_str(), path.c_str()) != 0) {
-    const int error = errno;
-    ::unlink(temporary.c_str());
-    return ErrnoStatus("cannot publish", path, error);
-  }
-  SyncDirectory(DirectoryOf(path));
-  return absl::OkStatus();
+  RS_ASSIGN_OR_RETURN(AtomicStream file, AtomicStream::Create(path));
+  RS_RETURN_IF_ERROR(file.Append(contents));
+  return file.Publish();
 }
 
 absl::StatusOr<std::string> ReadFile(const std::string& path) {

@@ -1,10 +1,5 @@
 #include "common/safetensors_stream.h"
 
-#include <fcntl.h>
-#include <unistd.h>
-
-#include <cerrno>
-#include <cstring>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -13,15 +8,6 @@
 
 namespace robostress {
 namespace {
-
-absl::Status Failed(const char* action, const std::string& path, int error) {
-  const std::string message =
-      absl::StrCat("cannot ", action, " '", path, "': ", std::strerror(error));
-  if (error == ENOSPC || error == EDQUOT) {
-    return absl::ResourceExhaustedError(absl::StrCat(message, "; free some space and run again"));
-  }
-  return absl::UnavailableError(message);
-}
 
 // Length and text of the header, padded so that the data begins at a multiple of 8.
 absl::StatusOr<std::string> Header(const std::map<std::string, std::string>& metadata,
@@ -56,57 +42,28 @@ absl::StatusOr<SafetensorsStream> SafetensorsStream::Create(
     const std::string& path, const std::map<std::string, std::string>& metadata,
     const std::vector<Entry>& entries) {
   RS_ASSIGN_OR_RETURN(const std::string header, Header(metadata, entries));
-  const std::string temporary = absl::StrCat(path, ".tmp.", ::getpid());
-  const int fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
-  if (fd < 0) return Failed("create", temporary, errno);
+  RS_ASSIGN_OR_RETURN(AtomicStream file, AtomicStream::Create(path));
+  RS_RETURN_IF_ERROR(file.Append(header));
   uint64_t data = 0;
   for (const Entry& entry : entries) data += entry.bytes();
-  SafetensorsStream stream(path, temporary, fd, data);
-  RS_RETURN_IF_ERROR(
-      stream.Write({reinterpret_cast<const uint8_t*>(header.data()), header.size()}));
-  return stream;
-}
-
-SafetensorsStream::SafetensorsStream(SafetensorsStream&& other) noexcept
-    : path_(std::move(other.path_)),
-      temporary_(std::move(other.temporary_)),
-      fd_(std::exchange(other.fd_, -1)),
-      remaining_(other.remaining_) {}
-
-SafetensorsStream::~SafetensorsStream() {
-  if (fd_ < 0) return;
-  ::close(fd_);
-  ::unlink(temporary_.c_str());
-}
-
-absl::Status SafetensorsStream::Write(absl::Span<const uint8_t> bytes) {
-  while (!bytes.empty()) {
-    const ssize_t written = ::write(fd_, bytes.data(), bytes.size());
-    if (written < 0 && errno == EINTR) continue;
-    if (written < 0) return Failed("write", temporary_, errno);
-    bytes.remove_prefix(static_cast<size_t>(written));
-  }
-  return absl::OkStatus();
+  return SafetensorsStream(std::move(file), data);
 }
 
 absl::Status SafetensorsStream::Append(absl::Span<const uint8_t> bytes) {
   if (bytes.size() > remaining_) {
     return absl::FailedPreconditionError(absl::StrCat(
-        path_, ": ", bytes.size(), " bytes to write, its header has room for ", remaining_));
+        file_.path(), ": ", bytes.size(), " bytes to write, its header has room for ", remaining_));
   }
   remaining_ -= bytes.size();
-  return Write(bytes);
+  return file_.Append({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
 
 absl::Status SafetensorsStream::Finish() {
   if (remaining_ != 0) {
     return absl::FailedPreconditionError(
-        absl::StrCat(path_, ": ", remaining_, " bytes of its header's are missing"));
+        absl::StrCat(file_.path(), ": ", remaining_, " bytes of its header's are missing"));
   }
-  if (::fsync(fd_) != 0) return Failed("sync", temporary_, errno);
-  if (::rename(temporary_.c_str(), path_.c_str()) != 0) return Failed("publish", path_, errno);
-  ::close(std::exchange(fd_, -1));
-  return absl::OkStatus();
+  return file_.Publish();
 }
 
 }  // namespace robostress

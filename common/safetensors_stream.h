@@ -8,13 +8,13 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
+#include "common/atomic_stream.h"
 #include "common/safetensors.h"
 
 namespace robostress {
 
 // Writes a safetensors file that need not fit in memory: the header first, then the bytes of each
-// entry in order. The file appears at `path` only when Finish succeeds (temporary file, fsync,
-// rename); one that was not finished leaves nothing behind.
+// entry in order. The file appears at `path` only when Finish succeeds.
 class SafetensorsStream {
  public:
   struct Entry {
@@ -28,9 +28,6 @@ class SafetensorsStream {
   static absl::StatusOr<SafetensorsStream> Create(
       const std::string& path, const std::map<std::string, std::string>& metadata,
       const std::vector<Entry>& entries);
-  SafetensorsStream(SafetensorsStream&& other) noexcept;
-  SafetensorsStream& operator=(SafetensorsStream&&) = delete;
-  ~SafetensorsStream();
 
   // The next bytes of the data; pieces need not end with an entry.
   absl::Status Append(absl::Span<const uint8_t> bytes);
@@ -38,12 +35,10 @@ class SafetensorsStream {
   absl::Status Finish();
 
  private:
-  SafetensorsStream(std::string path, std::string temporary, int fd, uint64_t remaining)
-      : path_(std::move(path)), temporary_(std::move(temporary)), fd_(fd), remaining_(remaining) {}
-  absl::Status Write(absl::Span<const uint8_t> bytes);
+  SafetensorsStream(AtomicStream file, uint64_t remaining)
+      : file_(std::move(file)), remaining_(remaining) {}
 
-  std::string path_, temporary_;
-  int fd_ = -1;
+  AtomicStream file_;
   uint64_t remaining_ = 0;  // [bytes] of data to come
 };
 

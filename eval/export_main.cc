@@ -14,9 +14,11 @@ Example
   robostress sweep --suites tabletop_goal --policies nano --methods base,ours_following --scenarios heavy_payload \
     --record-episodes 128 --out runs/worn
   robostress export runs/worn --lerobot data/worn --libero data/worn_hdf5 --successes
+  robostress export runs/worn --mcap data/worn_mcap   # then open a file in Foxglove
 
-In both forms the commanded action, the sent one and the measured motion are separate columns: action, action.sent and
-action.measured; in HDF5 actions, actions_sent and actions_measured.
+In all forms the commanded action, the sent one and the measured motion are separate columns: action, action.sent and
+action.measured; in HDF5 actions, actions_sent and actions_measured; in MCAP topics /action/commanded, /action/sent and /action/measured,
+beside /joint_states, /tool_pose and a /camera/NAME each.
 
 Exit code: 0 written; 1 an episode was not recorded, or another error; 2 the command is wrong.
 )";
@@ -32,6 +34,8 @@ int main(int argc, char** argv) {
       ->required();
   app.add_option("--lerobot", options.lerobot, "Folder for a LeRobot v3.0 data set");
   app.add_option("--libero", options.libero, "Folder for LIBERO's HDF5 files, one a task");
+  app.add_option("--mcap", options.mcap,
+                 "Folder for MCAP files, one an episode: Foxglove opens them");
   app.add_option("--methods", options.methods, "Only episodes of these methods")->delimiter(',');
   app.add_option("--scenarios", options.scenarios, "Only episodes under these scenarios")
       ->delimiter(',');

@@ -6,25 +6,16 @@
 #include <cstring>
 
 #include "absl/strings/str_cat.h"
+#include "common/recordings/mcap_format.h"
 #include "common/status_macros.h"
 
 namespace robostress {
 namespace {
 
-constexpr absl::string_view kMagic("\x89MCAP0\r\n", 8);
 constexpr uint64_t kMostTables = uint64_t{64} << 20;  // bytes of all schemas and channels
 
 // Differences of times below it, and of stamps, fit in 64 bits.
 constexpr uint64_t kLastTime = uint64_t{1} << 62;
-
-enum Opcode : uint8_t {
-  kFooter = 0x02,
-  kSchema = 0x03,
-  kChannel = 0x04,
-  kMessage = 0x05,
-  kChunk = 0x06,
-  kDataEnd = 0x0f
-};
 
 // Fields of a record in order; `ok` falls where one does not fit, and stays.
 class Fields {
@@ -66,8 +57,8 @@ absl::Status McapReader::Wrong(const std::string& what) const {
 absl::StatusOr<std::unique_ptr<McapReader>> McapReader::Open(const std::string& path) {
   RS_ASSIGN_OR_RETURN(std::unique_ptr<ByteSource> source, ByteSource::Open(path));
   std::string magic;
-  RS_RETURN_IF_ERROR(source->Read(kMagic.size(), &magic));
-  if (magic != kMagic)
+  RS_RETURN_IF_ERROR(source->Read(mcap::kMagic.size(), &magic));
+  if (magic != mcap::kMagic)
     return absl::InvalidArgumentError(
         absl::StrCat(path, ": is no MCAP file, its first bytes are not \\x89MCAP0\\r\\n"));
   return std::unique_ptr<McapReader>(new McapReader(std::move(source)));
@@ -102,7 +93,7 @@ absl::StatusOr<bool> McapReader::Next(McapMessage* message) {
       return Wrong(absl::StrCat("a record of ", length, " bytes in a chunk, of which ",
                                 rest_of_chunk_.size(), " are left"));
     rest_of_chunk_ = fields.rest();
-    if (opcode == kChunk) return Wrong("a chunk in a chunk");
+    if (opcode == mcap::kChunk) return Wrong("a chunk in a chunk");
     RS_ASSIGN_OR_RETURN(const bool found, Take(opcode, content, message));
     if (found) return true;
   }
@@ -119,11 +110,11 @@ absl::StatusOr<bool> McapReader::NextRecord(McapMessage* message) {
   Fields fields(record_);
   const auto opcode = fields.Number<uint8_t>();
   const auto length = fields.Number<uint64_t>();
-  if (opcode == kDataEnd || opcode == kFooter) {
+  if (opcode == mcap::kDataEnd || opcode == mcap::kFooter) {
     ended_ = true;
     return false;
   }
-  const bool wanted = opcode >= kSchema && opcode <= kChunk;
+  const bool wanted = opcode >= mcap::kSchema && opcode <= mcap::kChunk;
   if (!wanted) {
     RS_ASSIGN_OR_RETURN(const uint64_t skipped, source_->Skip(length));
     if (skipped < length) NoteCut(9 + skipped);
@@ -143,16 +134,16 @@ absl::StatusOr<bool> McapReader::NextRecord(McapMessage* message) {
 absl::StatusOr<bool> McapReader::Take(uint8_t opcode, absl::string_view content,
                                       McapMessage* message) {
   switch (opcode) {
-    case kSchema:
+    case mcap::kSchema:
       RS_RETURN_IF_ERROR(TakeSchema(content));
       return false;
-    case kChannel:
+    case mcap::kChannel:
       RS_RETURN_IF_ERROR(TakeChannel(content));
       return false;
-    case kChunk:
+    case mcap::kChunk:
       RS_RETURN_IF_ERROR(OpenChunk(content));
       return false;
-    case kMessage:
+    case mcap::kMessage:
       RS_RETURN_IF_ERROR(TakeMessage(content, message));
       return true;
     default:

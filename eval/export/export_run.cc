@@ -1,5 +1,6 @@
 #include "eval/export/export_run.h"
 
+#include <algorithm>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -18,6 +19,7 @@
 #include "common/libero_demonstrations.h"
 #include "common/records/episode_recording.h"
 #include "common/status_macros.h"
+#include "eval/export/episode_mcap.h"
 #include "eval/store/run_store.h"
 #include "nlohmann/json.hpp"
 
@@ -120,12 +122,26 @@ LiberoDemonstration ToLibero(const EpisodeRecording& recording,
   return demonstration;
 }
 
+// Which unit and which episode of it this is.
+nlohmann::ordered_json OriginOf(const std::string& unit, const EpisodeRecording& recording) {
+  return {{"unit", unit},
+          {"scenario", recording.scenario},
+          {"severity", recording.severity},
+          {"method", recording.method},
+          {"policy", recording.policy},
+          {"seed", recording.seed},
+          {"suite", recording.suite},
+          {"task", recording.task},
+          {"initial_state", recording.initial_state},
+          {"success", recording.success}};
+}
+
 // What is written, and taken away again where it does not end well.
 class Targets {
  public:
   static absl::StatusOr<std::unique_ptr<Targets>> Make(const ExportOptions& options) {
-    for (const std::string& folder : {options.lerobot, options.libero}) {
-      if (!folder.empty() && fs::exists(folder) && !fs::is_empty(folder)) {
+    for (const std::string& folder : Folders(options)) {
+      if (fs::exists(folder) && !fs::is_empty(folder)) {
         return absl::InvalidArgumentError(
             absl::StrCat(folder, " holds something already; name a new folder"));
       }
@@ -136,28 +152,20 @@ class Targets {
     std::error_code ignored;
     if (done_) return;
     libero_.clear();
-    for (const std::string& folder : {options_.lerobot, options_.libero})
-      if (!folder.empty()) fs::remove_all(folder, ignored);
+    for (const std::string& folder : Folders(options_)) fs::remove_all(folder, ignored);
   }
 
   absl::Status Add(const std::string& unit, EpisodeRecording recording) {
+    if (!options_.mcap.empty()) RS_RETURN_IF_ERROR(AddMcap(unit, recording));
+    if (options_.libero.empty() && options_.lerobot.empty()) return absl::OkStatus();
     RS_ASSIGN_OR_RETURN(std::vector<std::vector<Image>> images, Decoded(recording));
     if (!options_.libero.empty()) RS_RETURN_IF_ERROR(AddLibero(recording, images));
     if (options_.lerobot.empty()) return absl::OkStatus();
     if (!lerobot_.has_value()) {
       RS_ASSIGN_OR_RETURN(lerobot_, LerobotDataset::Open(options_.lerobot, SchemaOf(recording)));
     }
-    const nlohmann::ordered_json origin = {{"episode_index", lerobot_->episodes()},
-                                           {"unit", unit},
-                                           {"scenario", recording.scenario},
-                                           {"severity", recording.severity},
-                                           {"method", recording.method},
-                                           {"policy", recording.policy},
-                                           {"seed", recording.seed},
-                                           {"suite", recording.suite},
-                                           {"task", recording.task},
-                                           {"initial_state", recording.initial_state},
-                                           {"success", recording.success}};
+    nlohmann::ordered_json origin = {{"episode_index", lerobot_->episodes()}};
+    origin.update(OriginOf(unit, recording));
     absl::StrAppend(&origins_, origin.dump(), "\n");
     return AppendTo(*lerobot_, std::move(recording), std::move(images));
   }
@@ -172,12 +180,33 @@ class Targets {
           WriteFileAtomically(options_.lerobot + "/meta/robostress_episodes.jsonl", origins_));
       summary.written.push_back(options_.lerobot);
     }
+    if (!options_.mcap.empty()) summary.written.push_back(options_.mcap);
     done_ = true;
     return absl::OkStatus();
   }
 
  private:
   explicit Targets(const ExportOptions& options) : options_(options) {}
+
+  static std::vector<std::string> Folders(const ExportOptions& options) {
+    std::vector<std::string> folders = {options.lerobot, options.libero, options.mcap};
+    folders.erase(std::remove(folders.begin(), folders.end(), ""), folders.end());
+    return folders;
+  }
+
+  absl::Status AddMcap(const std::string& unit, const EpisodeRecording& recording) {
+    RS_RETURN_IF_ERROR(MakeDirectories(options_.mcap));
+    std::map<std::string, std::string> origin = {{"task_name", recording.task_name},
+                                                 {"instruction", recording.instruction},
+                                                 {"episode", absl::StrCat(recording.episode)},
+                                                 {"rate_hz", absl::StrCat(recording.rate_hz)}};
+    const nlohmann::ordered_json known = OriginOf(unit, recording);
+    for (const auto& [key, value] : known.items())
+      origin[key] = value.is_string() ? value.get<std::string>() : value.dump();
+    return WriteEpisodeMcap(recording, origin,
+                            absl::StrFormat("%s/%s-task%d-episode%d.mcap", options_.mcap, unit,
+                                            recording.task, recording.episode));
+  }
 
   absl::Status AddLibero(const EpisodeRecording& recording,
                          const std::vector<std::vector<Image>>& images) {
@@ -254,9 +283,9 @@ absl::StatusOr<EpisodeRecording> ReadRecording(const std::string& file, const Un
 }  // namespace
 
 absl::StatusOr<ExportSummary> ExportRun(const ExportOptions& options) {
-  if (options.lerobot.empty() && options.libero.empty()) {
+  if (options.lerobot.empty() && options.libero.empty() && options.mcap.empty()) {
     return absl::InvalidArgumentError(
-        "nothing to write; give --lerobot FOLDER, --libero FOLDER, or both");
+        "nothing to write; give --lerobot FOLDER, --libero FOLDER or --mcap FOLDER, or several");
   }
   RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(options.run));
   std::vector<std::string> methods, scenarios;

@@ -11,7 +11,7 @@ namespace robostress {
 // What becomes of a run's recorded episodes, and which.
 struct ExportOptions {
   std::string run;
-  std::string lerobot, libero;                  // folders to make; empty: not wanted
+  std::string lerobot, libero, mcap;            // folders to make; empty: not wanted
   std::vector<std::string> methods, scenarios;  // empty: all; scenarios by their labels
   bool successes_only = false;
 };
@@ -33,6 +33,7 @@ struct ExportSummary {
 //     action.measured [7]                the displacement that came of it, in units of a command
 //     meta/robostress_episodes.jsonl     which unit each episode is of
 //   libero/TASK_demo.hdf5                common/libero_demonstrations.h, one file a task
+//   mcap/UNIT-taskT-episodeE.mcap        eval/export/episode_mcap.h, one file an episode
 //
 // Folders that hold something are refused. NOT_FOUND names the episode that was not recorded;
 // after an error what was begun is removed.

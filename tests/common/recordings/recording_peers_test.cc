@@ -12,28 +12,13 @@
 #include "common/recordings/recording.h"
 #include "nlohmann/json.hpp"
 #include "tests/common/recordings/collected_rows.h"
+#include "tests/common/recordings/peers_environment.h"
 #include "tests/run_program.h"
 
 namespace robostress::recording_test {
 namespace {
 
 namespace fs = std::filesystem;
-
-// What failed, or empty.
-std::string MakeEnvironment() {
-  const std::string venv = RECORDINGS_VENV, done = venv + "/DONE";
-  if (fs::exists(done)) return "";
-  for (const std::string& command :
-       {"python3 -m venv --clear " + venv,
-        venv + "/bin/python -m pip install --quiet --disable-pip-version-check "
-               "--only-binary=:all: --timeout 15 --retries 1 -r " RECORDINGS_TESTS
-               "/peers_requirements.txt"}) {
-    const auto [output, code] = RunProgram(command, "");
-    if (code != 0) return absl::StrCat(command, " failed: ", output);
-  }
-  std::ofstream(done) << "installed\n";
-  return "";
-}
 
 // First difference, or empty.
 std::string Difference(const nlohmann::json& expected, const CollectedRows& found) {
@@ -51,7 +36,7 @@ std::string Difference(const nlohmann::json& expected, const CollectedRows& foun
 }
 
 TEST(RecordingPeersTest, ReadsWhatOthersWroteToTheBit) {
-  const std::string failure = MakeEnvironment();
+  const std::string& failure = RecordingPeersFailure();
   if (!failure.empty()) GTEST_SKIP() << failure;
   const fs::path folder = fs::path(testing::TempDir()) / "recording_peers";
   fs::remove_all(folder);

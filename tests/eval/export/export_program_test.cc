@@ -11,8 +11,11 @@
 #include "common/atomic_file.h"
 #include "common/lerobot/parquet_reader.h"
 #include "common/libero_demonstrations.h"
+#include "common/recordings/recording.h"
 #include "common/records/episode_recording.h"
 #include "tests/common/lerobot/read_back.h"
+#include "tests/common/recordings/collected_rows.h"
+#include "tests/common/recordings/peers_environment.h"
 #include "tests/run_program.h"
 
 namespace robostress {
@@ -128,6 +131,47 @@ TEST_F(Export, LiberosFormHoldsWhatWasRecorded) {
               1e-6);
 }
 
+TEST_F(Export, McapsLibrariesReadTheEpisodes) {
+  const std::string folder = root_ + "/mcap";
+  const auto [said, code] = Write("--mcap " + folder);
+  ASSERT_EQ(code, 0) << said;
+  EXPECT_THAT(said, HasSubstr("4 episodes, "));
+  const std::string file =
+      folder + "/tabletop_goal-heavy_payload-L5-expert-base-s0-task3-episode1.mcap";
+  const std::string recorded = absl::StrCat(root_, kUnit, "/episodes/task3_episode1.safetensors");
+  recording_test::CollectedRows rows;
+  const absl::Status status = ReadRecording(file, {}, &rows);
+  ASSERT_TRUE(status.ok()) << status;
+  const auto recording = ReadEpisodeRecording(recorded);
+  ASSERT_TRUE(recording.ok()) << recording.status();
+  EXPECT_EQ(rows.channels.size(), 11);
+  std::erase_if(rows.rows, [](const auto& row) { return row.channel != "/joint_states"; });
+  ASSERT_EQ(rows.rows.size(), recording->steps.size());
+  for (size_t t = 0; t < rows.rows.size(); ++t) {
+    EXPECT_EQ(rows.rows[t].stamp_ns, 1'000'000'000 + 50'000'000 * static_cast<int64_t>(t));
+    for (int i = 0; i < 7; ++i) {
+      const std::string joint = absl::StrCat("J", i + 1);
+      EXPECT_EQ(rows.rows[t].values.at("position " + joint), recording->steps[t].before.q[i]);
+      EXPECT_EQ(rows.rows[t].values.at("velocity " + joint), recording->steps[t].before.dq[i]);
+    }
+  }
+  const auto [inspected, inspect] = RunProgram(BIN_DIR "/robostress-log", "inspect " + file);
+  EXPECT_EQ(inspect, 0) << inspected;
+  EXPECT_THAT(inspected, HasSubstr("/joint_states"));
+  if (!RecordingPeersFailure().empty())
+    GTEST_SKIP() << "not read back: " << RecordingPeersFailure();
+  const auto [output, read] =
+      RunProgram("nice -n 19 " RECORDINGS_VENV "/bin/python " EXPORT_TESTS "/read_mcap.py",
+                 absl::StrCat(file, " ", recorded));
+  EXPECT_EQ(read, 0) << output;
+  EXPECT_THAT(output,
+              HasSubstr(absl::StrCat(11 * recording->steps.size(), " messages of 11 topics in ")));
+  EXPECT_THAT(output, Not(HasSubstr(" in 1 chunks"))) << "nothing to seek in";
+  EXPECT_THAT(
+      output,
+      HasSubstr("SCHEMA CHANNEL STATISTICS CHUNK_INDEX METADATA_INDEX; heavy_payload base"));
+}
+
 TEST_F(Export, WhatCannotBeWrittenIsSaidAndNothingStays) {
   const std::string set = root_ + "/refused";
   const auto refuses = [&](const std::string& arguments, int code, const std::string& message) {
@@ -146,6 +190,7 @@ TEST_F(Export, WhatCannotBeWrittenIsSaidAndNothingStays) {
   refuses(absl::StrCat("--lerobot ", set, " --libero ", set, "_libero"), 1,
           "task3_episode1.safetensors");
   EXPECT_FALSE(fs::exists(set + "_libero"));
+  refuses("--mcap " + set, 1, "task3_episode1.safetensors");
   const std::string other = absl::StrCat(root_, kUnit, "/episodes/task3_episode0.safetensors");
   ASSERT_TRUE(WriteFileAtomically(file, *ReadFile(other)).ok());
   refuses("--lerobot " + set, 1,
