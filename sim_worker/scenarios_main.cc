@@ -1,5 +1,6 @@
 // robostress-scenarios: the table of scenarios with the parameters that they inject.
 #include <cstdio>
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
@@ -7,7 +8,9 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "common/atomic_file.h"
 #include "common/command_line.h"
+#include "common/joint_errors/bam_parameters.h"
 #include "common/joint_errors/effects/effect_library.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/run_main.h"
@@ -173,13 +176,57 @@ void PrintEffects() {
   }
 }
 
+struct BamOptions {
+  std::string file, out;
+  std::vector<std::string> joints;  // of the Panda; empty: all
+};
+
+constexpr double kBamLoad = 1;  // [Nm]
+
+// Writes the scenario and says what became of each term.
+absl::Status TakeBam(const BamOptions& options) {
+  RS_ASSIGN_OR_RETURN(const BamParameters servo, ReadBamParameters(options.file));
+  if (!IsScenarioFile(options.out) || std::filesystem::exists(options.out))
+    return absl::InvalidArgumentError(
+        absl::StrCat("--out: is '", options.out, "', must be a new file whose name ends in .yaml"));
+  std::vector<int> joints;
+  for (const std::string& name : options.joints) {
+    joints.push_back(FindJoint(kPanda, name));
+    if (joints.back() < 0)
+      return absl::InvalidArgumentError(
+          absl::StrCat("--joints: is '", name, "', must be of ", KnownJoints(kPanda)));
+  }
+  for (int j = 0; options.joints.empty() && j < static_cast<int>(kPanda.joints.size()); ++j)
+    joints.push_back(j);
+  RS_ASSIGN_OR_RETURN(const ScenarioFile scenario, ScenarioOfBam(servo, joints, kPanda));
+  const std::string text = WriteScenarioFile(scenario, kPanda);
+  RS_RETURN_IF_ERROR(WriteFileAtomically(options.out, text));
+  if (const auto read = ReadScenarioFile(options.out, kPanda); !read.ok()) {
+    std::remove(options.out.c_str());
+    return read.status();
+  }
+  const BamDifference differs = LargestBamDifference(servo, kBamLoad);
+  std::printf("%s: %s, in addition to the Panda's own joints\n", options.out.c_str(),
+              scenario.title.c_str());
+  std::printf(
+      "largest difference from BAM's friction up to 10 rad/s: %.3g Nm without load; with loads up "
+      "to %g Nm\n%.3g Nm where gravity opposes the motor, %.3g Nm where it helps\n",
+      differs.unloaded, kBamLoad, differs.opposing, differs.helping);
+  for (const std::string& term : EffectsOfBam(servo).left_out)
+    std::printf("left out: %s\n", term.c_str());
+  std::printf("\nThe servo in a calibration rig (kt, R and armature are no errors of a Panda):\n%s",
+              RigJointOfBam(servo, "JOINT").c_str());
+  return absl::OkStatus();
+}
+
 int Main(int argc, char** argv) {
   cli::App app(
       "Prints the deployment scenarios and the joint error parameters that they inject.\n"
       "Examples:\n  robostress scenarios\n  robostress scenarios --level 3 --parameters "
       "aged_joint_elbow\n"
       "  robostress scenarios --json\n  robostress scenarios --markdown\n"
-      "  robostress scenarios --effects",
+      "  robostress scenarios --effects\n"
+      "  robostress scenarios --from-bam params/sts3215/m1.json --joints J5,J6,J7 --out servo.yaml",
       "robostress scenarios");
   int level = 5;
   std::string parameters;
@@ -192,7 +239,21 @@ int Main(int argc, char** argv) {
                "compliance becomes at 2 ms");
   app.add_flag("--effects", effects,
                "the effects that a scenario file may list, with parameters, units and ranges");
+  BamOptions bam;
+  app.add_option("--from-bam", bam.file,
+                 "a servo's parameters in the form of Rhoban's BAM (JSON, m1 to m6): its friction "
+                 "becomes a scenario file");
+  app.add_option("--out", bam.out, "with --from-bam: the scenario file to write (.yaml)");
+  app.add_option("--joints", bam.joints,
+                 "with --from-bam: joints that get the servo's friction (default: all)")
+      ->delimiter(',');
   const auto print = [&]() -> absl::StatusOr<int> {
+    if (bam.file.empty() && !(bam.out.empty() && bam.joints.empty()))
+      return absl::InvalidArgumentError("--out and --joints go with --from-bam FILE; add it");
+    if (!bam.file.empty()) {
+      RS_RETURN_IF_ERROR(TakeBam(bam));
+      return 0;
+    }
     if (effects) {
       PrintEffects();
       return 0;

@@ -8,10 +8,12 @@
 #include <fstream>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "calibration/data/measured_log.h"
 #include "calibration/data/recording_text.h"
 #include "common/atomic_file.h"
 #include "common/csv_table.h"
+#include "common/joint_errors/bam_parameters.h"
 #include "common/recordings/joint_messages.h"
 #include "common/recordings/recording.h"
 #include "tests/common/recordings/recording_bytes.h"
@@ -393,6 +395,33 @@ TEST(RecordingRigTest, PrintsNoControlCharactersAndTakesNoNameThatBreaksATable) 
   EXPECT_EQ(result.plan.joints[0].name, "a");
   EXPECT_THAT(result.text, Not(HasSubstr("\x1b")));
   EXPECT_THAT(result.text, HasSubstr("its name cannot stand in a table"));
+}
+
+// What `robostress scenarios --from-bam` prints, with what it leaves to the reader filled in.
+TEST(RecordingRigTest, TheServoPartOfBamIsAJointOfARig) {
+  BamParameters servo;
+  servo.kt = 1.5, servo.R = 2.5, servo.armature = 0.011;
+  servo.friction_base = 0.04, servo.friction_viscous = 0.07, servo.load_friction_motor = 0.12;
+  const std::string folder = testing::TempDir() + "/bam_rig";
+  fs::create_directories(folder);
+  const std::string file = folder + "/rig.yaml";
+  ASSERT_TRUE(
+      WriteFileAtomically(file, absl::StrCat("name: servo\nmodel: arm.xml\nrate_hz: 200\njoints:\n",
+                                             absl::StrReplaceAll(RigJointOfBam(servo, "hinge"),
+                                                                 {{"FILL_IN", "7.4"}}),
+                                             "logs: [{file: log.csv, role: fit}]\n"))
+          .ok());
+  const auto rig = ReadRig(file);
+  ASSERT_TRUE(rig.ok()) << rig.status();
+  ASSERT_EQ(rig->joints.size(), 1);
+  const RigJoint& joint = rig->joints[0];
+  EXPECT_EQ(joint.servo.type, Servo::Type::kDcMotor);
+  EXPECT_EQ(joint.servo.kt, 1.5);
+  EXPECT_EQ(joint.servo.R, 2.5);
+  EXPECT_EQ(joint.parameters.at("armature"), 0.011);
+  ASSERT_EQ(joint.effects.size(), 2);
+  EXPECT_EQ(joint.effects[0].parameters.at("Fs"), 0.04);
+  EXPECT_EQ(joint.effects[1].parameters.at("mu"), 0.12);
 }
 
 }  // namespace
