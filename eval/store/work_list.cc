@@ -140,6 +140,19 @@ absl::Status WriteJoined(const RunDirectory& run, const std::vector<WorkItem>& p
   return WriteFileAtomically(folder + "/DONE", done.dump() + "\n");
 }
 
+absl::Status PublishJoined(const RunDirectory& run, const std::vector<WorkItem>& parts) {
+  const std::string& id = parts[0].unit->id;
+  const std::string folder = absl::StrCat(run.Parts(id), "/joined.", getpid());
+  std::error_code error;
+  fs::remove_all(folder, error);
+  RS_RETURN_IF_ERROR(WriteJoined(run, parts, folder));
+  RS_RETURN_IF_ERROR(MakeDirectories(run.path() + "/units"));
+  fs::rename(folder, run.Unit(id), error);
+  if (!error) return absl::OkStatus();
+  return absl::UnavailableError(
+      absl::StrCat("cannot publish ", run.Unit(id), ": ", error.message()));
+}
+
 }  // namespace
 
 std::string WorkItem::Range() const { return absl::StrCat(first, "-", first + count - 1); }
@@ -199,16 +212,9 @@ absl::Status JoinParts(const RunDirectory& run, const PlannedUnit& unit) {
     for (const WorkItem& part : parts) {
       if (!part.Done(run)) return absl::OkStatus();
     }
-    const std::string folder = absl::StrCat(run.Parts(unit.id), "/joined.", getpid());
-    fs::remove_all(folder, error);
-    RS_RETURN_IF_ERROR(WriteJoined(run, parts, folder));
-    RS_RETURN_IF_ERROR(MakeDirectories(run.path() + "/units"));
-    fs::rename(folder, run.Unit(unit.id), error);
-    // Another process may have been faster: what it published is the same.
-    if (error && !run.Done(unit.id)) {
-      return absl::UnavailableError(
-          absl::StrCat("cannot publish ", run.Unit(unit.id), ": ", error.message()));
-    }
+    const absl::Status joined = PublishJoined(run, parts);
+    // Another process may have been faster, and removed the parts: what it published is the same.
+    if (!joined.ok() && !run.Done(unit.id)) return joined;
   }
   fs::remove_all(run.Parts(unit.id), error);
   return absl::OkStatus();

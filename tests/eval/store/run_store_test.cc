@@ -1,5 +1,8 @@
 #include "eval/store/run_store.h"
 
+#include <sys/wait.h>
+#include <unistd.h>
+
 #include <filesystem>
 
 #include "adapter/method_options.h"
@@ -47,6 +50,59 @@ TEST(LoadRun, LeavesUnfinishedUnitsOut) {
   ASSERT_TRUE(data.ok()) << data.status();
   EXPECT_EQ(data->units.size(), 1u);
   EXPECT_THAT(data->unfinished, ::testing::ElementsAre(open));
+}
+
+// Six episodes of two parts of four and two, both done.
+PlannedUnit UnitInParts(const RunDirectory& run, int seed) {
+  PlannedUnit unit;
+  unit.config.seed = seed;
+  unit.config.tasks = {0};
+  unit.config.episodes = 6;
+  unit.id = UnitId(unit.config);
+  const WorkItem parts[] = {{&unit, 0, 4, 4}, {&unit, 4, 2, 4}};
+  for (const WorkItem& item : parts) {
+    EXPECT_TRUE(PublishItem(run, item).ok());
+    const std::string folder = item.Folder(run);
+    EXPECT_TRUE(MakeDirectories(folder).ok());
+    EXPECT_TRUE(WriteFileAtomically(folder + "/config.yaml", DumpConfig(unit.config)).ok());
+    for (const char* name : {"/timing.jsonl", "/episodes.jsonl"}) {
+      for (int k = 0; k < item.count; ++k) EXPECT_TRUE(AppendLine(folder + name, kLine).ok());
+    }
+    EXPECT_TRUE(WriteFileAtomically(folder + "/DONE", "").ok());
+  }
+  return unit;
+}
+
+// Tasks of a scheduler that finish the last two parts of a unit in the same moment.
+TEST(JoinParts, MayBeDoneBySeveralProcessesAtOnce) {
+  const RunDirectory run(TestFolder());
+  ASSERT_TRUE(MakeDirectories(run.path() + "/plan").ok());
+  for (int round = 0; round < 40; ++round) {
+    const PlannedUnit unit = UnitInParts(run, round);
+    int gate[2];
+    ASSERT_EQ(pipe(gate), 0);
+    std::vector<pid_t> processes;
+    for (int k = 0; k < 4; ++k) {
+      const pid_t process = fork();
+      if (process == 0) {
+        close(gate[1]);
+        char byte;
+        [[maybe_unused]] const ssize_t opened = read(gate[0], &byte, 1);  // at its end
+        const absl::Status status = JoinParts(run, unit);
+        if (!status.ok()) std::fprintf(stderr, "%s\n", std::string(status.message()).c_str());
+        _exit(status.ok() ? 0 : 1);
+      }
+      processes.push_back(process);
+    }
+    close(gate[0]), close(gate[1]);
+    for (const pid_t process : processes) {
+      int status = -1;
+      ASSERT_EQ(waitpid(process, &status, 0), process);
+      EXPECT_EQ(status, 0) << "round " << round;
+    }
+    EXPECT_EQ(CountLines(run.Unit(unit.id) + "/episodes.jsonl"), 6);
+    EXPECT_FALSE(std::filesystem::exists(run.Parts(unit.id))) << "round " << round;
+  }
 }
 
 TEST(LoadRun, RefusesAFinishedUnitThatContradictsItsConfiguration) {
