@@ -59,6 +59,7 @@ constexpr Command kCommands[] = {
     {"record", "Record demonstrations of the scripted experts",
      "ROBOSTRESS_MUJOCO ROBOSTRESS_SUITES"},
     {"train", "Train the embedded policy from demonstrations", "ROBOSTRESS_TORCH"},
+    {"excite", "Design the motion that tells what a robot's model lacks", "ROBOSTRESS_MUJOCO"},
     {"log", "Say what a recording of an arm holds; write its first rig for calibrate",
      "ROBOSTRESS_MUJOCO"},
     {"record-to-rig", "Turn a recorded run into a rig with logs for calibrate",

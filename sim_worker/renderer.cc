@@ -181,8 +181,9 @@ Renderer::~Renderer() = default;
 absl::StatusOr<Image> Renderer::Render(const mjData& data, const std::string& camera,
                                        const RenderOptions& options) {
   Impl& r = *impl_;
-  const int camera_id = mj_name2id(r.model.get(), mjOBJ_CAMERA, camera.c_str());
-  if (camera_id < 0) {
+  const int camera_id =
+      camera.empty() ? -1 : mj_name2id(r.model.get(), mjOBJ_CAMERA, camera.c_str());
+  if (camera_id < 0 && !camera.empty()) {
     std::vector<std::string> known;
     for (int i = 0; i < r.model->ncam; ++i)
       known.push_back(mj_id2name(r.model.get(), mjOBJ_CAMERA, i));
@@ -209,14 +210,20 @@ absl::StatusOr<Image> Renderer::Render(const mjData& data, const std::string& ca
 
   mjvCamera view;
   mjv_defaultCamera(&view);
-  view.type = mjCAMERA_FIXED;
-  view.fixedcamid = camera_id;
+  mjvOption visual = r.visual;
+  if (camera.empty()) {
+    mjv_defaultFreeCamera(r.model.get(), &view);
+    mjv_defaultOption(&visual);
+  } else {
+    view.type = mjCAMERA_FIXED;
+    view.fixedcamid = camera_id;
+  }
   // MuJoCo takes mutable data for its stack, which it leaves as it was.
-  mjv_updateScene(r.model.get(), const_cast<mjData*>(&data), &r.visual, nullptr, &view, mjCAT_ALL,
+  mjv_updateScene(r.model.get(), const_cast<mjData*>(&data), &visual, nullptr, &view, mjCAT_ALL,
                   &r.scene);
   r.scene.flags[mjRND_SHADOW] = options.shadows;
   r.scene.flags[mjRND_REFLECTION] = options.reflections;
-  LeaveOutUnseen(*r.model, static_cast<double>(width) / height, r.scene);
+  if (camera_id >= 0) LeaveOutUnseen(*r.model, static_cast<double>(width) / height, r.scene);
   const mjrRect viewport = {0, 0, width, height};
   mjr_render(viewport, &r.scene, &r.render);
 

@@ -27,6 +27,7 @@ class Renderer {
  public:
   static absl::StatusOr<std::unique_ptr<Renderer>> Create(SharedModel model);
   ~Renderer();
+  // No camera: from outside the whole model, with the shapes that MuJoCo's viewer shows.
   absl::StatusOr<Image> Render(const mjData& data, const std::string& camera,
                                const RenderOptions& options);
 

@@ -252,7 +252,7 @@ absl::StatusOr<RigLog> ReadLogEntry(const Entry& entry, const std::filesystem::p
   return log;
 }
 
-absl::Status CheckWhole(const Entry& root, const Rig& rig) {
+absl::Status CheckWhole(const Entry& root, const Rig& rig, RigLogs logs) {
   std::set<std::string> names;
   for (const RigJoint& joint : rig.joints) {
     if (!names.insert(joint.name).second)
@@ -265,11 +265,12 @@ absl::Status CheckWhole(const Entry& root, const Rig& rig) {
       return root["logs"].Error("file '", log.file, "' is listed twice");
     any_fit |= log.role == LogRole::kFit;
   }
-  if (!any_fit) return root["logs"].Error("no log has role fit; nothing could be fitted");
+  if (!any_fit && logs == RigLogs::kNeeded)
+    return root["logs"].Error("no log has role fit; nothing could be fitted");
   return absl::OkStatus();
 }
 
-absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file) {
+absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file, RigLogs needed) {
   Rig rig;
   rig.file = file;
   const std::filesystem::path folder = std::filesystem::path(file).parent_path();
@@ -292,9 +293,10 @@ absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file) {
     RS_ASSIGN_OR_RETURN(RigJoint joint, ReadJoint(joints[i]));
     rig.joints.push_back(std::move(joint));
   }
-  if (!logs.present() || !logs.node().IsSequence() || logs.node().size() == 0)
+  const bool listed = logs.present() && logs.node().IsSequence() && logs.node().size() > 0;
+  if (!listed && (needed == RigLogs::kNeeded || logs.present()))
     return logs.Error("must be a list with at least one log");
-  for (size_t i = 0; i < logs.node().size(); ++i) {
+  for (size_t i = 0; listed && i < logs.node().size(); ++i) {
     RS_ASSIGN_OR_RETURN(RigLog log, ReadLogEntry(logs[i], folder, rig.joints));
     rig.logs.push_back(std::move(log));
   }
@@ -308,7 +310,7 @@ absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file) {
     }
   }
   RS_RETURN_IF_ERROR(root["folds"].Choice(kFolds, rig.folds));
-  RS_RETURN_IF_ERROR(CheckWhole(root, rig));
+  RS_RETURN_IF_ERROR(CheckWhole(root, rig, needed));
   return rig;
 }
 
@@ -321,10 +323,10 @@ const std::vector<std::string>& ModelParameterNames() {
   return names;
 }
 
-absl::StatusOr<Rig> ReadRig(const std::string& file) {
+absl::StatusOr<Rig> ReadRig(const std::string& file, RigLogs logs) {
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   try {
-    return ReadRoot(Entry(YAML::Load(text), file + ":"), file);
+    return ReadRoot(Entry(YAML::Load(text), file + ":"), file, logs);
   } catch (const YAML::Exception& error) {
     return absl::InvalidArgumentError(absl::StrCat(file, ": not YAML: ", error.what()));
   }

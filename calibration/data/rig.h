@@ -102,7 +102,8 @@ const std::vector<std::string>& ModelParameterNames();
 
 // Errors name file, key path, value and what is allowed. File names may hold environment variables,
 // as in ${ROBOSTRESS_MEASURED_DATA}/log.csv.
-absl::StatusOr<Rig> ReadRig(const std::string& file);
+enum class RigLogs { kNeeded, kNone };  // kNone: a rig that nothing was recorded of yet is one
+absl::StatusOr<Rig> ReadRig(const std::string& file, RigLogs logs = RigLogs::kNeeded);
 std::string WriteRig(const Rig& rig);
 
 }  // namespace robostress::calibration

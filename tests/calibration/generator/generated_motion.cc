@@ -104,7 +104,19 @@ Excitation Excitation::Draw(Motion motion, double amplitude, double centre, doub
   return excitation;
 }
 
+Excitation Excitation::OfRows(const std::vector<double>& q, double dt) {
+  Excitation excitation;
+  excitation.rows_ = q;
+  excitation.rows_dt_ = dt;
+  return excitation;
+}
+
 double Excitation::At(double t) const {
+  if (!rows_.empty()) {
+    const double place = std::clamp(t / rows_dt_, 0.0, static_cast<double>(rows_.size() - 1));
+    const auto row = std::min(static_cast<size_t>(place), rows_.size() - 2);
+    return rows_[row] + (place - static_cast<double>(row)) * (rows_[row + 1] - rows_[row]);
+  }
   const double at = std::max(0.0, t * speed_);
   const auto segment = std::find_if(segments_.begin(), segments_.end() - 1,
                                     [&](const Segment& one) { return at < one.end; });

@@ -18,6 +18,8 @@ class Excitation {
   // amplitude [rad] about `centre`; fastest [Hz] of its sines and chirps.
   static Excitation Draw(Motion motion, double amplitude, double centre, double fastest,
                          double duration, RandomStream& random);
+  // Straight lines between positions [rad] at t = 0, dt, ...
+  static Excitation OfRows(const std::vector<double>& q, double dt);
   double At(double t) const;
   // Faster by `speed`, and of `size` about `middle`.
   Excitation Changed(double speed, double size, double middle) const;
@@ -41,6 +43,8 @@ class Excitation {
                              double begin, double end, RandomStream& random);
   std::vector<Segment> segments_;
   double speed_ = 1, size_ = 1, middle_ = 0;
+  std::vector<double> rows_;  // of OfRows, in the place of segments
+  double rows_dt_ = 0;
 };
 
 }  // namespace robostress::generator

@@ -58,6 +58,7 @@ class Drawer {
     Hide();
     Declare();
     if (options_.proposed) Propose(*options_.proposed);
+    if (!options_.motion.empty()) Play(options_.motion);
     Record();
     return std::move(rig_);
   }
@@ -371,6 +372,23 @@ class Drawer {
         overrides.push_back(absl::StrFormat("%s.known_mass: %.10g", name, run.mass));
     }
     rig_.logs.push_back({"fit", absl::StrJoin(overrides, ", "), {}});
+  }
+
+  // The same motion for all that is fitted; what it is judged by stays.
+  void Play(const std::vector<std::vector<double>>& motion) {
+    Experiment x = experiments_[0];
+    x.references.clear();
+    for (const std::vector<double>& q : motion) x.references.push_back(Excitation::OfRows(q, x.dt));
+    x.duration = static_cast<double>(motion[0].size()) * x.dt;
+    std::vector<Experiment> kept = {std::move(x)};
+    std::vector<GeneratedRig::Log> logs = {{"fit", "", {}}};
+    for (size_t i = 0; i < experiments_.size(); ++i) {
+      if (rig_.logs[i].role == "fit") continue;
+      kept.push_back(experiments_[i]);
+      logs.push_back(rig_.logs[i]);
+    }
+    experiments_ = std::move(kept);
+    rig_.logs = std::move(logs);
   }
 
   // The machine as it is in a log.

@@ -46,6 +46,9 @@ struct RigOptions {
   Hardship hardship = Hardship::kNone;
   bool apart = false;  // two effects act on different joints of an arm; else on one
   std::optional<ProposedRun> proposed;
+  // In the place of all logs to fit one of this motion, q[joint][row] at the rig's rate; empty:
+  // those that are drawn.
+  std::vector<std::vector<double>> motion;
 };
 
 // A rig as files would hold it, and what is true of it.

@@ -33,7 +33,8 @@ namespace {
 using Json = nlohmann::json;
 
 struct CommandLine {
-  std::string out, calibrate, family = "any";
+  std::string out, calibrate, excite, motion, family = "any";
+  double motion_s = 20;
   std::vector<std::string> kinds;
   std::vector<std::string> sizes = {"medium"};
   int first_seed = 1, seeds = 4, none = 0, workers = 2, surrogates = 199;
@@ -132,6 +133,58 @@ absl::Status RunRig(const RigOptions& options, const std::string& folder, const 
   return WriteFileAtomically(folder + "/said.txt", absl::StrCat("exit ", code, "\n", output));
 }
 
+// What `robostress excite` designs for a rig that nothing was recorded of, or its plain sweep,
+// within the way and the speed of what was drawn: swings of half the way, and the acceleration of a
+// sine that has both.
+absl::StatusOr<std::vector<std::vector<double>>> MotionFor(const RigOptions& options,
+                                                           const std::string& folder,
+                                                           const CommandLine& line) {
+  const auto drawn = GenerateRig(options);
+  if (!drawn.ok()) return drawn.status();
+  if (absl::Status written = WriteGeneratedRig(*drawn, options, folder); !written.ok())
+    return written;
+  std::string limits;
+  double fastest = 1e9;
+  for (size_t j = 0; j < drawn->declared.drives.size(); ++j) {
+    double low = 1e9, high = -1e9, speed = 0;
+    for (const GeneratedRig::Log& log : drawn->logs) {
+      if (log.role != "fit") continue;
+      const JointChannels& channels = log.recording.joints[j];
+      const std::vector<double>& q =
+          drawn->family == Family::kTorque || drawn->family == Family::kInverse ? channels.clean
+                                                                                : channels.command;
+      for (size_t k = 0; k < q.size(); ++k) {
+        low = std::min(low, q[k]), high = std::max(high, q[k]);
+        if (k > 0) speed = std::max(speed, std::abs(q[k] - q[k - 1]) * drawn->rate_hz);
+      }
+    }
+    const double swing = (high - low) / 2;
+    fastest = std::min(fastest, speed / (M_PI * swing));
+    const std::string& name = drawn->joint_names[j];
+    absl::StrAppendFormat(&limits,
+                          " --swing %s=%.6g --velocity %s=%.6g --acceleration %s=%.6g --centre "
+                          "%s=%.6g",
+                          name, swing, name, speed, name, speed * speed / swing, name,
+                          (high + low) / 2);
+  }
+  const std::string file = folder + "/motion.csv";
+  const auto [output, code] = RunProgram(
+      line.excite, absl::StrCat("--rig '", folder, "/rig.yaml' --without-shapes --out '", file,
+                                "' --report '", folder, "/motion.json' --seconds ", line.motion_s,
+                                " --fastest ", std::min(fastest, drawn->rate_hz / 10), limits,
+                                line.motion == "sweep" ? " --sweep" : ""));
+  if (code != 0) return absl::InternalError(output);
+  const auto text = ReadFile(file);
+  if (!text.ok()) return text.status();
+  std::vector<std::vector<double>> motion(drawn->declared.drives.size());
+  const std::vector<std::string> rows = absl::StrSplit(*text, '\n', absl::SkipEmpty());
+  for (size_t row = 1; row < rows.size(); ++row) {
+    const std::vector<std::string> fields = absl::StrSplit(rows[row], ',');
+    for (size_t j = 0; j < motion.size(); ++j) motion[j].push_back(std::stod(fields[j + 1]));
+  }
+  return motion;
+}
+
 // The run that an ambiguous verdict asks for, if the generator can make it.
 std::optional<ProposedRun> ProposedBy(const Json& report) {
   for (const Json& joint : report["joints"]) {
@@ -149,6 +202,11 @@ std::optional<ProposedRun> ProposedBy(const Json& report) {
 absl::Status RunCase(const Case& c, const CommandLine& line) {
   absl::StatusOr<RigOptions> options = OptionsOf(c, line);
   if (!options.ok()) return options.status();
+  if (!line.motion.empty() && !std::filesystem::exists(c.folder + "/said.txt")) {
+    auto motion = MotionFor(*options, c.folder + "/drawn", line);
+    if (!motion.ok()) return motion.status();
+    options->motion = *std::move(motion);
+  }
   if (absl::Status status = RunRig(*options, c.folder, line); !status.ok() || !line.follow)
     return status;
   const auto report = ReadJson(c.folder + "/report/report.json");
@@ -309,6 +367,11 @@ int Main(int argc, char** argv) {
   app.add_option("--workers", line.workers, "Processes at a time")->capture_default_str();
   app.add_option("--surrogates", line.surrogates, "Of calibrate")->capture_default_str();
   app.add_option("--calibrate", line.calibrate, "Program to judge; beside this one if not given");
+  app.add_option("--motion", line.motion,
+                 "In the place of all logs to fit one of what `robostress excite` designs, or of a "
+                 "plain sweep with the same limits")
+      ->check(cli::IsMember({"design", "sweep"}));
+  app.add_option("--motion-seconds", line.motion_s, "Its length")->capture_default_str();
   app.add_flag("--follow", line.follow,
                "Make the run that an ambiguous verdict asks for, and judge again with it");
   app.add_flag("--table-only", line.table_only, "Run nothing");
@@ -338,6 +401,7 @@ int Main(int argc, char** argv) {
     }
     line.calibrate = *found;
   }
+  line.excite = std::filesystem::path(line.calibrate).parent_path() / "robostress-excite";
   const std::vector<Case> cases = Cases(line);
   std::atomic<size_t> next{0};
   std::atomic<bool> failed{false};

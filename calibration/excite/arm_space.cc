@@ -1,0 +1,190 @@
+#include "calibration/excite/arm_space.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "common/atomic_file.h"
+#include "common/image.h"
+#include "common/status_macros.h"
+#include "sim_worker/renderer.h"
+
+namespace robostress::calibration {
+namespace {
+
+constexpr int kFloor = -1, kBox = -2;  // in the place of a second body
+constexpr int kWidth = 480, kHeight = 360;
+constexpr float kQuality = 60, kLight = 0.6F;
+
+absl::StatusOr<std::shared_ptr<mjModel>> LoadModel(const Rig& rig) {
+  char error[1000] = "";
+  mjModel* model = mj_loadXML(rig.model.c_str(), nullptr, error, sizeof error);
+  if (model == nullptr)
+    return absl::InvalidArgumentError(absl::StrCat(rig.model, ": does not load: ", error));
+  return std::shared_ptr<mjModel>(model, mj_deleteModel);
+}
+
+absl::StatusOr<int> JointId(const mjModel& model, const Rig& rig, const RigJoint& joint) {
+  const int id = mj_name2id(&model, mjOBJ_JOINT, joint.name.c_str());
+  if (id < 0)
+    return absl::NotFoundError(absl::StrCat(rig.model, ": has no joint '", joint.name, "'"));
+  return id;
+}
+
+std::string BodyName(const mjModel& model, int body) {
+  const char* name = mj_id2name(&model, mjOBJ_BODY, body);
+  return name == nullptr || *name == '\0' ? absl::StrCat("body ", body) : name;
+}
+
+bool Collides(const mjModel& model, int geom) {
+  return model.geom_contype[geom] != 0 || model.geom_conaffinity[geom] != 0;
+}
+
+std::string PairName(const mjModel& model, const std::pair<int, int>& pair) {
+  return absl::StrCat(BodyName(model, pair.first), " and ",
+                      pair.second == kFloor ? "the floor"
+                      : pair.second == kBox ? "the workspace box"
+                                            : BodyName(model, pair.second));
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const Options& options) {
+  std::unique_ptr<ArmSpace> space(new ArmSpace());
+  RS_ASSIGN_OR_RETURN(space->model_, LoadModel(rig));
+  mjModel& model = *space->model_;
+  space->options_ = options;
+  space->moves_.assign(model.nbody, 0);
+  space->data_ = mj_makeData(&model);
+  if (model.nkey > 0)
+    mj_resetDataKeyframe(&model, space->data_, std::max(0, mj_name2id(&model, mjOBJ_KEY, "home")));
+  for (const RigJoint& joint : rig.joints) {
+    RS_ASSIGN_OR_RETURN(const int id, JointId(model, rig, joint));
+    space->moves_[model.jnt_bodyid[id]] = 1;
+    space->qpos_.push_back(model.jnt_qposadr[id]);
+    space->dof_.push_back(model.jnt_dofadr[id]);
+    space->stops_.emplace_back();
+    double q = space->data_->qpos[model.jnt_qposadr[id]];
+    if (model.jnt_limited[id]) {
+      const double lower = model.jnt_range[2 * id], upper = model.jnt_range[2 * id + 1],
+                   quarter = (upper - lower) / 4;
+      space->stops_.back() = Stops{lower, upper};
+      // At a stop there is no room on one side.
+      if (model.nkey == 0) q = std::clamp(q, lower + quarter, upper - quarter);
+    }
+    space->home_.push_back(q);
+  }
+  for (int body = 1; body < model.nbody; ++body)
+    space->moves_[body] |= space->moves_[model.body_parentid[body]];
+  // Contacts begin at the clearance. Of two shapes the larger margin counts.
+  for (int geom = 0; geom < model.ngeom; ++geom) {
+    model.geom_margin[geom] = std::max(model.geom_margin[geom], options.clearance);
+    space->shapes_ += Collides(model, geom) && space->moves_[model.geom_bodyid[geom]];
+  }
+  return space;
+}
+
+absl::Status ArmSpace::WatchFrom(const std::vector<double>& centre) {
+  SetPosture(centre);
+  for (const std::pair<int, int>& pair : NearPairs()) {
+    if (pair.second < 0) {
+      return absl::FailedPreconditionError(
+          absl::StrFormat("in the middle of the motion %s are nearer than %g m; choose another "
+                          "--centre, --floor or "
+                          "--box",
+                          PairName(*model_, pair), options_.clearance));
+    }
+    neighbours_.push_back(pair);
+    notes_.push_back(absl::StrCat(PairName(*model_, pair),
+                                  " are near each other in the middle of the motion: not watched"));
+  }
+  return absl::OkStatus();
+}
+
+ArmSpace::~ArmSpace() {
+  if (data_ != nullptr) mj_deleteData(data_);
+}
+
+void ArmSpace::SetPosture(const std::vector<double>& posture) {
+  for (size_t i = 0; i < qpos_.size(); ++i) data_->qpos[qpos_[i]] = posture[i];
+  mj_kinematics(model_.get(), data_);
+  mj_comPos(model_.get(), data_);
+}
+
+// Of bodies, the smaller first; each once.
+std::vector<std::pair<int, int>> ArmSpace::NearPairs() {
+  std::set<std::pair<int, int>> near;
+  mj_collision(model_.get(), data_);
+  for (int i = 0; i < data_->ncon; ++i) {
+    const int a = model_->geom_bodyid[data_->contact[i].geom1],
+              b = model_->geom_bodyid[data_->contact[i].geom2];
+    if (data_->contact[i].dist < options_.clearance && (moves_[a] || moves_[b]))
+      near.insert({std::min(a, b), std::max(a, b)});
+  }
+  for (int geom = 0; geom < model_->ngeom; ++geom) {
+    const int body = model_->geom_bodyid[geom];
+    if (!moves_[body] || !Collides(*model_, geom)) continue;
+    // The sphere around a shape is on the safe side.
+    const double radius = model_->geom_rbound[geom] + options_.clearance;
+    const mjtNum* place = data_->geom_xpos + 3 * geom;
+    if (options_.floor_z && place[2] - radius < *options_.floor_z) near.insert({body, kFloor});
+    for (size_t axis = 0; axis < options_.box_lower.size(); ++axis) {
+      if (place[axis] - radius < options_.box_lower[axis] ||
+          place[axis] + radius > options_.box_upper[axis])
+        near.insert({body, kBox});
+    }
+  }
+  return {near.begin(), near.end()};
+}
+
+std::string ArmSpace::MetAt(const std::vector<double>& posture) {
+  SetPosture(posture);
+  for (const std::pair<int, int>& pair : NearPairs()) {
+    if (std::find(neighbours_.begin(), neighbours_.end(), pair) == neighbours_.end())
+      return PairName(*model_, pair);
+  }
+  return "";
+}
+
+std::vector<double> ArmSpace::TorquesAt(const std::vector<double>& posture,
+                                        const std::vector<double>& velocity,
+                                        const std::vector<double>& acceleration) {
+  for (size_t i = 0; i < qpos_.size(); ++i) {
+    data_->qpos[qpos_[i]] = posture[i];
+    data_->qvel[dof_[i]] = velocity[i];
+    data_->qacc[dof_[i]] = acceleration[i];
+  }
+  const int flags = model_->opt.disableflags;
+  model_->opt.disableflags |= mjDSBL_CONTACT;
+  mj_inverse(model_.get(), data_);
+  model_->opt.disableflags = flags;
+  std::vector<double> torques;
+  for (const int dof : dof_) torques.push_back(data_->qfrc_inverse[dof]);
+  mju_zero(data_->qvel, model_->nv);
+  mju_zero(data_->qacc, model_->nv);
+  return torques;
+}
+
+absl::Status ArmSpace::Film(const std::vector<std::vector<double>>& q, int every, double frame_s,
+                            const std::string& file) {
+  // Whatever the model says of light, the arm shall be seen.
+  for (float* light : {model_->vis.headlight.ambient, model_->vis.headlight.diffuse})
+    std::fill_n(light, 3, kLight);
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Renderer> renderer, Renderer::Create(model_));
+  std::vector<Image> frames;
+  std::vector<double> posture(q.size());
+  for (size_t row = 0; row < q[0].size(); row += every) {
+    for (size_t i = 0; i < q.size(); ++i) posture[i] = q[i][row];
+    SetPosture(posture);
+    mj_camlight(model_.get(), data_);
+    RS_ASSIGN_OR_RETURN(Image frame,
+                        renderer->Render(*data_, "", {.width = kWidth, .height = kHeight}));
+    frames.push_back(std::move(frame));
+  }
+  RS_ASSIGN_OR_RETURN(const std::string film, EncodeAnimatedWebp(frames, frame_s, kQuality));
+  return WriteFileAtomically(file, film);
+}
+
+}  // namespace robostress::calibration

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <mujoco/mujoco.h>
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "calibration/data/rig.h"
+
+namespace robostress::calibration {
+
+// Where a rig's arm may be, and what its motors must do there, by its model in MuJoCo.
+class ArmSpace {
+ public:
+  struct Options {
+    double clearance = 0.03;        // [m] between parts of the arm, and from floor and box
+    std::optional<double> floor_z;  // [m] in the model's frame; no part goes below
+    // [m] corners of a box that the arm stays in; empty: none.
+    std::vector<double> box_lower, box_upper;
+  };
+  // Errors name the model's file.
+  static absl::StatusOr<std::unique_ptr<ArmSpace>> Load(const Rig& rig, const Options& options);
+  ~ArmSpace();
+
+  // Limits of a joint of the rig; none where it has no stops.
+  struct Stops {
+    double lower = 0, upper = 0;
+  };
+  const std::vector<std::optional<Stops>>& stops() const { return stops_; }
+  // Where the model's keyframe "home", or else its first one, has the joints; without keyframes the
+  // model's zero, moved to within the middle half of their ways.
+  const std::vector<double>& home() const { return home_; }
+
+  // Parts that are nearer than the clearance in this posture [joints] are neighbours by design and
+  // are not watched; notes() names them. FailedPrecondition: a part is near floor or box there.
+  absl::Status WatchFrom(const std::vector<double>& centre);
+  // Parts that could meet; 0: the model has no shapes, and nothing is known of collisions.
+  int shapes() const { return shapes_; }
+  const std::vector<std::string>& notes() const { return notes_; }
+  // What is nearer than the clearance in a posture ("link3 and link6", "hand and the floor");
+  // empty: nothing.
+  std::string MetAt(const std::vector<double>& posture);
+  // Torques [Nm] that the motion asks of the joints' motors, friction of the model included.
+  std::vector<double> TorquesAt(const std::vector<double>& posture,
+                                const std::vector<double>& velocity,
+                                const std::vector<double>& acceleration);
+  // Pictures of a motion, q[joint][row], one every `every` rows.
+  absl::Status Film(const std::vector<std::vector<double>>& q, int every, double frame_s,
+                    const std::string& file);
+
+ private:
+  ArmSpace() = default;
+  void SetPosture(const std::vector<double>& posture);
+  std::vector<std::pair<int, int>> NearPairs();
+
+  std::shared_ptr<mjModel> model_;
+  mjData* data_ = nullptr;
+  Options options_;
+  std::vector<int> qpos_, dof_;  // of the rig's joints
+  std::vector<std::optional<Stops>> stops_;
+  std::vector<double> home_;
+  std::vector<char> moves_;                      // bodies that the rig's joints move
+  std::vector<std::pair<int, int>> neighbours_;  // bodies
+  int shapes_ = 0;
+  std::vector<std::string> notes_;
+};
+
+}  // namespace robostress::calibration

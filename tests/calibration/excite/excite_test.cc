@@ -1,0 +1,258 @@
+// Motions of `robostress excite`: within limits, without collision, and worth more than a sweep.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+
+#include "absl/strings/str_split.h"
+#include "calibration/excite/excitation_design.h"
+#include "calibration/model/plant.h"
+#include "common/atomic_file.h"
+#include "common/random.h"
+
+namespace robostress::calibration {
+namespace {
+
+using testing::HasSubstr;
+
+// Two links in a plane, upright at 0, with a base that the second one can meet.
+constexpr char kTwoLinks[] = R"(<mujoco><compiler angle="radian"/>
+<option gravity="0 0 -9.81"/><worldbody>
+<body name="base"><geom type="box" size="0.1 0.1 0.05" pos="0 0 -0.1"/>
+<body name="upper"><joint name="shoulder" axis="0 1 0" range="-2 2" limited="true" damping="0.5"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.03" mass="1"/>
+<body name="fore" pos="0 0 0.3"><joint name="elbow" axis="0 1 0" range="-3 3" limited="true"/>
+<geom type="capsule" fromto="0 0 0.06 0 0 0.3" size="0.02" mass="0.5"/>
+<site name="tip" pos="0 0 0.3"/></body></body></body></worldbody></mujoco>)";
+
+Rig TwoLinks(const std::string& mjcf = kTwoLinks) {
+  const std::string folder = ::testing::TempDir() + "robostress_excite";
+  std::filesystem::create_directories(folder);
+  Rig rig;
+  rig.file = folder + "/rig.yaml";
+  rig.model = folder + "/model.xml";
+  EXPECT_TRUE(WriteFileAtomically(rig.model, mjcf).ok());
+  rig.rate_hz = 100;
+  for (const char* name : {"shoulder", "elbow"}) {
+    RigJoint joint;
+    joint.name = name;
+    joint.servo.kp = 100;
+    joint.servo.kd = 8;
+    joint.servo.torque_limit = 30;
+    joint.fit = {"damping"};
+    rig.joints.push_back(joint);
+  }
+  return rig;
+}
+
+DesignOptions Brief() {
+  DesignOptions options;
+  options.seconds = 12;
+  options.piece_s = 3;
+  options.centre = {{"shoulder", 0.5}, {"elbow", 0.8}};
+  return options;
+}
+
+double Excess(const std::vector<double>& q, const JointRoom& room, double dt) {
+  double most = 0;  // times the limit
+  for (size_t i = 1; i < q.size(); ++i) {
+    most = std::max(most, std::abs(q[i] - q[i - 1]) / dt / room.velocity);
+    if (i + 1 < q.size())
+      most =
+          std::max(most, std::abs(q[i + 1] - 2 * q[i] + q[i - 1]) / (dt * dt) / room.acceleration);
+    if (q[i] > room.upper + 1e-9 || q[i] < room.lower - 1e-9) return 1e9;
+  }
+  return most;
+}
+
+TEST(PiecePool, KeepsWithinAnyRoomAndComesBack) {
+  RandomStream random(StreamKey("rooms"));
+  for (int k = 0; k < 60; ++k) {
+    JointRoom room;
+    room.centre = random.Uniform(-2, 2);
+    room.lower = room.centre - std::pow(10, random.Uniform(-3, 0.5));
+    room.upper = room.centre + std::pow(10, random.Uniform(-3, 0.5));
+    room.velocity = std::pow(10, random.Uniform(-2, 1));
+    room.acceleration = std::pow(10, random.Uniform(-1, 2));
+    const double dt = std::pow(10, random.Uniform(-3, -1.3)), fastest = random.Uniform(0.2, 5);
+    const int rows = 20 + random.UniformInt(1000);
+    for (const JointPiece& piece : PiecePool(fastest)) {
+      const std::vector<double> q = SamplePiece(piece, room, dt, rows);
+      ASSERT_EQ(q.size(), static_cast<size_t>(rows)) << piece.Name();
+      EXPECT_NEAR(q.front(), room.centre, 1e-12) << piece.Name();
+      EXPECT_NEAR(q.back(), room.centre, 1e-12) << piece.Name();
+      EXPECT_LE(Excess(q, room, dt), 1 + 1e-6) << piece.Name() << " room " << k;
+    }
+    EXPECT_LE(Excess(SampleSweep(room, fastest, 1, dt, rows), room, dt), 1 + 1e-6);
+  }
+}
+
+TEST(PiecePool, RampsHaveTheirSpeedAndMovesStop) {
+  const JointRoom room{0, -1, 1, 2, 20};
+  const auto speed = [&](const JointPiece& piece) {
+    const std::vector<double> q = SamplePiece(piece, room, 0.01, 500);
+    double most = 0;
+    int still = 0;
+    for (size_t i = 1; i < q.size(); ++i) {
+      most = std::max(most, std::abs(q[i] - q[i - 1]) / 0.01);
+      still += q[i] == q[i - 1];
+    }
+    return std::pair{most, still};
+  };
+  EXPECT_NEAR(speed({.kind = JointPiece::Kind::kRamps, .speed = 0.2}).first, 0.4, 1e-3);
+  const auto [fast, still] = speed({.kind = JointPiece::Kind::kMoves});
+  EXPECT_NEAR(fast, 2, 1e-3);
+  EXPECT_GT(still, 25);
+}
+
+class Sensitivity : public testing::Test {
+ protected:
+  JointSensitivities Of(const std::vector<std::vector<double>>& motions,
+                        std::vector<std::string> effects = {}) {
+    const Rig rig = TwoLinks();
+    const auto plant = Plant::Load(rig);
+    EXPECT_TRUE(plant.ok()) << plant.status();
+    auto measured = JointSensitivities::Measure(
+        rig, **plant, 1,
+        {.dt = 0.01, .noise = 1e-4, .centre = {0.5, 0.8}, .effects = std::move(effects)}, motions);
+    EXPECT_TRUE(measured.ok()) << measured.status();
+    return *std::move(measured);
+  }
+  const JointRoom room_{0.8, 0.3, 1.3, 2, 10};
+  std::vector<double> Ramps() const {
+    return SamplePiece({.kind = JointPiece::Kind::kRamps, .speed = 0.5}, room_, 0.01, 300);
+  }
+};
+
+TEST_F(Sensitivity, OfTwiceTheSameIsTwiceTheProduct) {
+  const JointSensitivities once = Of({Ramps()}, {"backlash", "payload"});
+  const Eigen::MatrixXd& product = once.products()[0];
+  const auto one = once.SightsIn(product), two = once.SightsIn(2 * product);
+  ASSERT_EQ(one.size(), 2u);
+  for (size_t i = 0; i < 2; ++i) {
+    EXPECT_GT(one[i].times_noise, 1);
+    EXPECT_NEAR(two[i].times_noise / one[i].times_noise, std::sqrt(2), 1e-6);
+  }
+  EXPECT_EQ(one[0].rival, 1);
+}
+
+TEST_F(Sensitivity, WhatTheFitImitatesIsNotSeen) {
+  // A gain of the motor and of what the model lets free: damping is fitted, so viscous friction
+  // that is symmetric shows as nothing, and backlash does.
+  const JointSensitivities of = Of({Ramps()}, {"stribeck_friction", "backlash"});
+  const auto sights = of.SightsIn(of.products()[0]);
+  EXPECT_GT(sights[1].times_noise, 10);
+}
+
+TEST_F(Sensitivity, RestTellsNothingOfFrictionAndIsRefusedForWhatCannotBeSeen) {
+  const std::vector<double> rest(300, 0.8);
+  const JointSensitivities of = Of({rest, Ramps()}, {"backlash", "asymmetric_viscous"});
+  const auto still = of.SightsIn(of.products()[0]), moving = of.SightsIn(of.products()[1]);
+  EXPECT_LT(still[0].times_noise, 0.05 * moving[0].times_noise);
+  const Rig rig = TwoLinks();
+  const auto plant = Plant::Load(rig);
+  const auto refused = JointSensitivities::Measure(
+      rig, **plant, 1,
+      {.dt = 0.01, .noise = 1e-4, .centre = {0.5, 0.8}, .effects = {"inertia_coupling_x"}},
+      {Ramps()});
+  EXPECT_THAT(std::string(refused.status().message()), HasSubstr("inertia_coupling_x"));
+}
+
+TEST(ArmSpaceTest, FindsWhatMeetsAndWhatMotorsHold) {
+  const Rig rig = TwoLinks();
+  auto space = ArmSpace::Load(rig, {.clearance = 0.01, .floor_z = -0.2});
+  ASSERT_TRUE(space.ok()) << space.status();
+  EXPECT_EQ((*space)->shapes(), 2);
+  ASSERT_TRUE((*space)->WatchFrom({0.5, 0.8}).ok());
+  EXPECT_EQ((*space)->MetAt({0.5, 0.8}), "");
+  EXPECT_EQ((*space)->MetAt({1.0, 2.93}), "base and fore");          // folded back
+  EXPECT_THAT((*space)->MetAt({1.5, 0.9}), HasSubstr("the floor"));  // hanging down
+  // Upper arm level: 1 kg at 0.15 m and 0.5 kg at 0.3 + 0.18 m.
+  const std::vector<double> torque = (*space)->TorquesAt({M_PI / 2, 0}, {0, 0}, {0, 0});
+  EXPECT_NEAR(torque[0], -9.81 * (1 * 0.15 + 0.5 * 0.48), 1e-6);
+  // And the model's damping.
+  EXPECT_NEAR((*space)->TorquesAt({M_PI / 2, 0}, {0.2, 0}, {0, 0})[0] - torque[0], 0.1, 1e-6);
+  auto low = ArmSpace::Load(rig, {.clearance = 0.01, .floor_z = 0.2});
+  EXPECT_THAT(std::string((*low)->WatchFrom({0.5, 0.8}).message()), HasSubstr("--floor"));
+}
+
+TEST(Excitation, IsWithinLimitsMeetsNothingAndTellsMoreThanASweep) {
+  const Rig rig = TwoLinks();
+  DesignOptions options = Brief();
+  options.space = {.clearance = 0.01, .floor_z = -0.2};
+  const auto design = DesignExcitation(rig, options);
+  ASSERT_TRUE(design.ok()) << design.status();
+  options.sweep = true;
+  const auto sweep = DesignExcitation(rig, options);
+  ASSERT_TRUE(sweep.ok()) << sweep.status();
+  auto space = ArmSpace::Load(rig, options.space);
+  ASSERT_TRUE((*space)->WatchFrom({0.5, 0.8}).ok());
+  for (const ExcitationDesign* one : {&*design, &*sweep}) {
+    ASSERT_EQ(one->q[0].size(), 1200u);
+    for (size_t row = 0; row < 1200; ++row)
+      ASSERT_EQ((*space)->MetAt({one->q[0][row], one->q[1][row]}), "") << row;
+    for (size_t j = 0; j < 2; ++j) {
+      JointRoom room = one->joints[j].room;
+      room.velocity = 0.8, room.acceleration = 3;
+      EXPECT_LE(Excess(one->q[j], room, 0.01), 1 + 1e-6);
+      EXPECT_LE(room.upper - room.lower, 1 + 1e-9);
+    }
+    EXPECT_LT(one->torque_used, 0.8);
+    EXPECT_GT(one->torque_used, 0.05);
+  }
+  for (size_t j = 0; j < 2; ++j) {
+    const auto& sights = design->joints[j].sights;
+    double gain = 0;
+    for (size_t i = 0; i < sights.size(); ++i)
+      gain += std::log((1 + sights[i].times_noise) / (1 + sweep->joints[j].sights[i].times_noise));
+    EXPECT_GT(gain / static_cast<double>(sights.size()), std::log(1.2)) << j;
+  }
+  const std::vector<std::string> lines = absl::StrSplit(ExcitationCsv(*design), '\n');
+  EXPECT_EQ(lines[0], "t,q_cmd_shoulder,q_cmd_elbow");
+  EXPECT_EQ(lines.size(), 1202u);
+}
+
+TEST(Excitation, IsSmallerWhereSomethingIsInTheWay) {
+  const Rig rig = TwoLinks();
+  DesignOptions options = Brief();
+  options.space = {.clearance = 0.01, .floor_z = -0.1};
+  options.swing = 1.2;  // hangs down at its end
+  const auto design = DesignExcitation(rig, options);
+  ASSERT_TRUE(design.ok()) << design.status();
+  EXPECT_LT(design->joints[0].room.upper - design->joints[0].room.centre, 1.1);
+  EXPECT_THAT(design->notes.front(), HasSubstr("swings are smaller"));
+}
+
+std::string Refusal(const Rig& rig, const DesignOptions& options) {
+  const auto design = DesignExcitation(rig, options);
+  return design.ok() ? "let pass" : std::string(design.status().message());
+}
+
+TEST(Excitation, RefusesWhatNoMotionCanMend) {
+  Rig rig = TwoLinks();
+  rig.joints[0].servo.torque_limit = 1;
+  EXPECT_THAT(Refusal(rig, Brief()), HasSubstr("joint 'shoulder' is asked for"));
+  EXPECT_THAT(Refusal(rig, Brief()), HasSubstr("to hold still"));
+  rig = TwoLinks();
+  rig.joints[0].servo.torque_limit = 8;  // holds, but does not speed up as asked
+  DesignOptions fast = Brief();
+  fast.acceleration = 60, fast.velocity = 6;
+  const auto slowed = DesignExcitation(rig, fast);
+  ASSERT_TRUE(slowed.ok()) << slowed.status();
+  EXPECT_LE(slowed->torque_used, 0.8);
+  EXPECT_LT(slowed->joints[0].room.acceleration, 60);
+  DesignOptions options = Brief();
+  options.centre["shoulder"] = 2.5;
+  EXPECT_THAT(Refusal(rig, options), HasSubstr("no room around 2.500 between its stops"));
+  options = Brief();
+  options.velocities["wrist"] = 1;
+  EXPECT_THAT(Refusal(rig, options), HasSubstr("no joint 'wrist'"));
+  std::string bare = kTwoLinks;
+  for (size_t at; (at = bare.find("<geom type=\"capsule\"")) != std::string::npos;)
+    bare.replace(at, 6, "<geom contype=\"0\" conaffinity=\"0\" ");
+  EXPECT_THAT(Refusal(TwoLinks(bare), Brief()), HasSubstr("--without-shapes"));
+}
+
+}  // namespace
+}  // namespace robostress::calibration
