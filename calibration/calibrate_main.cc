@@ -1,5 +1,6 @@
 // robostress-calibrate: finds what a declared model of a measured robot lacks.
 
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 #include <string>
@@ -31,7 +32,7 @@ constexpr char kExamples[] =
 
 struct CommandLine {
   std::string rig, out;
-  std::vector<std::string> map;
+  std::vector<std::string> map, add_logs;
   RobotDescription arm = kPanda;  // of the scenario
   TraceOptions trace;
   bool quiet = false;
@@ -66,9 +67,21 @@ absl::Status WriteScenario(const Rig& declared, const Rig& after, const JointMap
                              WriteScenarioFile(output->scenario, arm));
 }
 
+bool LeavesAQuestion(const CalibrationReport& report) {
+  return std::any_of(report.joints.begin(), report.joints.end(), [](const JointReport& joint) {
+    return joint.verdict != Verdict::kAttributed && joint.verdict != Verdict::kDeclaredSufficient &&
+           joint.input != "transmission";
+  });
+}
+
 absl::Status Run(CommandLine line) {
   const std::filesystem::path out = line.out;
-  RS_ASSIGN_OR_RETURN(const Rig rig, ReadRig(line.rig));
+  RS_ASSIGN_OR_RETURN(Rig rig,
+                      ReadRig(line.rig, line.add_logs.empty() ? RigLogs::kNeeded : RigLogs::kNone));
+  for (const std::string& text : line.add_logs) {
+    RS_ASSIGN_OR_RETURN(RigLog log, ParseRigLog(text, rig));
+    rig.logs.push_back(std::move(log));
+  }
   RS_ASSIGN_OR_RETURN(const JointMap map, ParseJointMap(line.map, rig, line.arm));
   RS_RETURN_IF_ERROR(PrepareFolder(out));
   if (!line.quiet) {
@@ -85,6 +98,11 @@ absl::Status Run(CommandLine line) {
     RS_RETURN_IF_ERROR(
         WriteScenario(rig, calibration.after, map, line.arm, out, report.scenario_out));
   }
+  if (LeavesAQuestion(report))
+    report.evidence.push_back(absl::StrFormat(
+        "the motion that tells most of what is open: robostress excite --rig %s --after %s --out "
+        "next.csv",
+        line.rig, line.out));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.html").string(), ReportHtml(report)));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.json").string(), ReportJson(report)));
   std::printf("%s: %s\n", report.rig.c_str(), VerdictName(report.verdict));
@@ -127,6 +145,10 @@ int Main(int argc, char** argv) {
          "--arm", [&](const std::string& arm) { line.arm = arm == "piper" ? kPiper : kPanda; },
          "The simulated arm of --map: panda, or piper for a profile of piper_emulator")
       ->check(cli::IsMember({"panda", "piper"}));
+  app.add_option("--add-log", line.add_logs,
+                 "One more log to fit, and what differed in it: new.csv, or "
+                 "new.csv,elbow.known_mass=0.3,elbow.servo.kp=50; repeatable")
+      ->allow_extra_args(false);
   app.add_option(
          "--joints", line.trace.joints,
          "Joints to trace, with commas between them (default: all); the others move as they "

@@ -25,7 +25,8 @@ constexpr char kExamples[] =
     "  robostress excite --rig rig.yaml --out motion.csv --seconds 120 --velocity 0.5 --velocity "
     "elbow=0.3 --floor 0\n"
     "  robot_client replay motion.csv --config lab.yaml --bus can:can0 --out runs/tuesday\n"
-    "  robostress calibrate --rig rig.yaml --out runs/found\n\n"
+    "  robostress calibrate --rig rig.yaml --add-log tuesday.csv --out runs/found\n"
+    "  robostress excite --rig rig.yaml --after runs/found --out next.csv\n\n"
     "The rig needs no logs yet. Look at the film before the arm moves, and play the motion slowly "
     "first.\n"
     "What is outside of the model, as a table or a person, is not known here: --floor, --box.\n"
@@ -34,7 +35,7 @@ constexpr char kExamples[] =
 constexpr size_t kListed = 3;  // of the effects that are hardest to tell
 
 struct CommandLine {
-  std::string rig, out, film, report;
+  std::string rig, out, film, report, after;
   std::vector<std::string> swing, velocity, acceleration, centre;
   std::vector<double> floor, box;
   DesignOptions design;
@@ -76,6 +77,43 @@ absl::Status TakeSpace(const CommandLine& line, ArmSpace::Options* space) {
   return absl::OkStatus();
 }
 
+// What the report in a folder of calibrate leaves open.
+absl::Status TakeAsked(const std::string& folder, const Rig& rig, DesignOptions* design) {
+  const std::string file = folder + "/report.json";
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  const nlohmann::json report = nlohmann::json::parse(text, nullptr, false);
+  const auto wrong = [&](const std::string& what) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(file, ": ", what, "; give the folder that `robostress calibrate` wrote"));
+  };
+  if (!report.is_object() || !report.contains("joints") || !report["joints"].is_array())
+    return wrong("is no report");
+  try {
+    for (const nlohmann::json& joint : report["joints"]) {
+      const std::string name = joint.at("joint"), verdict = joint.at("verdict");
+      if (std::none_of(rig.joints.begin(), rig.joints.end(),
+                       [&](const RigJoint& known) { return known.name == name; }))
+        return wrong(absl::StrCat("joint '", name, "' is none of ", rig.file));
+      if (verdict == "attributed" || verdict == "declared_sufficient") continue;
+      DesignOptions::Question& question = design->asked[name];
+      if (verdict != "ambiguous") continue;
+      for (const nlohmann::json& effect : joint.at("effects_added")) {
+        const std::vector<std::string> rivals = effect.at("ambiguous_with");
+        if (rivals.empty()) continue;
+        question.effects.push_back(effect.at("type"));
+        question.found[effect.at("type")] = effect.at("parameters");
+        for (const std::string& rival : rivals) question.effects.push_back(rival);
+      }
+    }
+  } catch (const nlohmann::json::exception& error) {
+    return wrong(error.what());
+  }
+  if (design->asked.empty())
+    return absl::FailedPreconditionError(
+        absl::StrCat(file, ": every joint has its verdict; nothing is left to ask"));
+  return absl::OkStatus();
+}
+
 nlohmann::json Report(const CommandLine& line, const ExcitationDesign& design) {
   nlohmann::json joints = nlohmann::json::array();
   for (const ExcitationDesign::Joint& joint : design.joints) {
@@ -98,6 +136,10 @@ nlohmann::json Report(const CommandLine& line, const ExcitationDesign& design) {
   return {{"rig", line.rig},
           {"seconds", static_cast<double>(design.q[0].size()) * design.dt},
           {"torque_used", design.torque_used},
+          {"change", design.change},
+          {"gain", design.gain},
+          {"mass_kg", design.mass},
+          {"overrides", design.overrides},
           {"notes", design.notes},
           {"joints", joints}};
 }
@@ -106,6 +148,7 @@ void Print(const ExcitationDesign& design) {
   for (const ExcitationDesign::Joint& joint : design.joints) {
     std::printf("%s: %.3f to %.3f, at most %.3g /s and %.3g /s^2\n", joint.name.c_str(),
                 joint.room.lower, joint.room.upper, joint.room.velocity, joint.room.acceleration);
+    if (!joint.asked) continue;
     std::vector<size_t> order;
     std::vector<std::string> unseen;
     for (size_t i = 0; i < joint.effects.size(); ++i) {
@@ -127,7 +170,7 @@ void Print(const ExcitationDesign& design) {
     }
     if (!hardest.empty()) std::printf("  hardest: %s\n", absl::StrJoin(hardest, ", ").c_str());
     if (!unseen.empty())
-      std::printf("  not told by any motion of this joint: %s\n",
+      std::printf("  not told by any motion within these limits: %s\n",
                   absl::StrJoin(unseen, ", ").c_str());
   }
   if (design.torque_used > 0)
@@ -144,6 +187,7 @@ absl::Status Run(CommandLine line) {
   RS_RETURN_IF_ERROR(TakeLimits("--centre", line.centre, nullptr, &design.centre));
   RS_RETURN_IF_ERROR(TakeSpace(line, &design.space));
   RS_ASSIGN_OR_RETURN(const Rig rig, ReadRig(line.rig, RigLogs::kNone));
+  if (!line.after.empty()) RS_RETURN_IF_ERROR(TakeAsked(line.after, rig, &design));
   if (design.fastest > rig.rate_hz / 10)
     return absl::InvalidArgumentError(
         absl::StrFormat("--fastest %g Hz: at %g rows per second at most %g Hz are drawn",
@@ -154,8 +198,16 @@ absl::Status Run(CommandLine line) {
     RS_RETURN_IF_ERROR(WriteFileAtomically(line.report, Report(line, motion).dump(2) + "\n"));
   if (!line.film.empty()) RS_RETURN_IF_ERROR(FilmExcitation(rig, design, motion, line.film));
   Print(motion);
-  std::printf("%s: %.1f s of %zu joints\n", line.out.c_str(),
-              static_cast<double>(motion.q[0].size()) * motion.dt, motion.joints.size());
+  std::printf("%s: %.1f s of %zu joints%s%s\n", line.out.c_str(),
+              static_cast<double>(motion.q[0].size()) * motion.dt, motion.joints.size(),
+              motion.change.empty() ? "" : ", to be played ", motion.change.c_str());
+  if (!line.after.empty()) {
+    std::string overrides;
+    for (const auto& [key, value] : motion.overrides)
+      absl::StrAppendFormat(&overrides, ",%s=%g", key, value);
+    std::printf("then: robostress calibrate --rig %s --add-log RECORDED.csv%s --out ...\n",
+                line.rig.c_str(), overrides.c_str());
+  }
   return absl::OkStatus();
 }
 
@@ -194,6 +246,10 @@ int Main(int argc, char** argv) {
          "Effects to be told, with commas between them (default: all that can be seen); see "
          "`robostress calibrate --effects`")
       ->delimiter(',');
+  app.add_option(
+      "--after", line.after,
+      "Folder of `robostress calibrate`: the motion, and where it tells more the load or "
+      "the servo gains, that tell apart what its verdict left open");
   app.add_option("--noise", design.noise, "Of a reading, standard deviation [rad, m]")
       ->check(cli::Range(1e-9, 1.0))
       ->capture_default_str();
@@ -213,7 +269,12 @@ int Main(int argc, char** argv) {
   app.add_flag("--sweep", design.sweep,
                "No design: every joint a sine from 0.1 Hz to --fastest, to compare with");
   app.add_option("--seed", design.seed, "Of the order of pieces")->capture_default_str();
-  return RunMain(app, argc, argv, [&] { return Run(line); });
+  return RunMain(
+      app, argc, argv, [&] { return Run(line); },
+      [](const absl::Status& status) {
+        return absl::IsInvalidArgument(status) || absl::IsNotFound(status) ? kWrongCommand
+                                                                           : kFailed;
+      });
 }
 
 }  // namespace

@@ -8,8 +8,10 @@
 #include <set>
 
 #include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "common/joint_errors/effects/effect_library.h"
 #include "common/status_macros.h"
@@ -400,6 +402,34 @@ std::string WriteRig(const Rig& rig) {
   out << YAML::Key << "folds" << YAML::Value << NameOf(kFolds, rig.folds);
   out << YAML::EndMap;
   return std::string(out.c_str()) + "\n";
+}
+
+absl::StatusOr<RigLog> ParseRigLog(const std::string& text, const Rig& rig) {
+  const std::vector<std::string> parts = absl::StrSplit(text, ',');
+  RigLog log;
+  log.file = parts[0];
+  for (const RigLog& other : rig.logs) {
+    std::error_code error;
+    if (other.file == log.file || std::filesystem::equivalent(other.file, log.file, error))
+      return absl::InvalidArgumentError(
+          absl::StrCat("--add-log ", text, ": ", rig.file, " lists this file already"));
+  }
+  for (size_t i = 1; i < parts.size(); ++i) {
+    const std::pair<std::string, std::string> pair =
+        absl::StrSplit(parts[i], absl::MaxSplits('=', 1));
+    double value = 0;
+    const bool known = std::any_of(
+        rig.joints.begin(), rig.joints.end(),
+        [&](const RigJoint& joint) { return pair.first.rfind(joint.name + ".", 0) == 0; });
+    if (!known || !absl::SimpleAtod(pair.second, &value) || !std::isfinite(value) ||
+        (absl::EndsWith(pair.first, absl::StrCat(".", kKnownMass)) && value < 0)) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "--add-log ", text, ": '", parts[i], "' must be JOINT.PARAMETER=NUMBER with a joint of ",
+          rig.file, ", as elbow.known_mass=0.3"));
+    }
+    log.overrides[pair.first] = value;
+  }
+  return log;
 }
 
 }  // namespace robostress::calibration

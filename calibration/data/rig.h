@@ -105,5 +105,8 @@ const std::vector<std::string>& ModelParameterNames();
 enum class RigLogs { kNeeded, kNone };  // kNone: a rig that nothing was recorded of yet is one
 absl::StatusOr<Rig> ReadRig(const std::string& file, RigLogs logs = RigLogs::kNeeded);
 std::string WriteRig(const Rig& rig);
+// "new.csv,elbow.known_mass=0.3": a log to fit beside those of `rig`, its file as the caller's
+// folder has it, and its overrides. Errors name what is wrong and what is allowed.
+absl::StatusOr<RigLog> ParseRigLog(const std::string& text, const Rig& rig);
 
 }  // namespace robostress::calibration

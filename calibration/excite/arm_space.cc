@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <set>
 
 #include "absl/strings/str_cat.h"
@@ -14,7 +15,8 @@
 namespace robostress::calibration {
 namespace {
 
-constexpr int kFloor = -1, kBox = -2;  // in the place of a second body
+constexpr int kFloor = -1, kBox = -2;           // in the place of a second body
+constexpr double kG = 9.81, kLightest = 0.005;  // [m/s^2], [kg]
 constexpr int kWidth = 480, kHeight = 360;
 constexpr float kQuality = 60, kLight = 0.6F;
 
@@ -65,6 +67,7 @@ absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const O
     space->moves_[model.jnt_bodyid[id]] = 1;
     space->qpos_.push_back(model.jnt_qposadr[id]);
     space->dof_.push_back(model.jnt_dofadr[id]);
+    space->torque_limits_.push_back(joint.servo.torque_limit);
     space->stops_.emplace_back();
     double q = space->data_->qpos[model.jnt_qposadr[id]];
     if (model.jnt_limited[id]) {
@@ -165,6 +168,33 @@ std::vector<double> ArmSpace::TorquesAt(const std::vector<double>& posture,
   mju_zero(data_->qvel, model_->nv);
   mju_zero(data_->qacc, model_->nv);
   return torques;
+}
+
+double ArmSpace::LoadOf(double share, double torque_share, const std::vector<double>& posture) {
+  int site = -1;
+  for (const char* name : {"payload", "tip", "tool", "end_effector", "gripper0_grip_site"})
+    if (site < 0) site = mj_name2id(model_.get(), mjOBJ_SITE, name);
+  if (site < 0) return 0;
+  const std::vector<double> still(qpos_.size(), 0), torques = TorquesAt(posture, still, still);
+  SetPosture(posture);
+  std::vector<double> jacobian(3 * model_->nv), inertia(model_->nv * model_->nv);
+  mj_jacSite(model_.get(), data_, jacobian.data(), nullptr, site);
+  mj_crb(model_.get(), data_);
+  mj_fullM(model_.get(), inertia.data(), data_->qM);
+  double least = std::numeric_limits<double>::infinity(), most = least;
+  for (size_t j = 0; j < dof_.size(); ++j) {
+    const int dof = dof_[j];
+    double arm2 = 0;  // [m^2]
+    for (int axis = 0; axis < 3; ++axis) arm2 += std::pow(jacobian[axis * model_->nv + dof], 2);
+    if (arm2 < 1e-8) continue;
+    least = std::min(least, share * inertia[dof * model_->nv + dof] / arm2);
+    const double limit = torque_limits_[j];
+    const double left = torque_share * limit - std::abs(torques[j]);
+    if (std::isfinite(limit)) most = std::min(most, std::max(0.0, left) / (kG * std::sqrt(arm2)));
+  }
+  const double mass = std::min(least, most);
+  return std::isfinite(mass) && mass > kLightest ? std::stod(absl::StrFormat("%.1g", 0.95 * mass))
+                                                 : 0;
 }
 
 absl::Status ArmSpace::Film(const std::vector<std::vector<double>>& q, int every, double frame_s,

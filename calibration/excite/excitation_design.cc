@@ -21,8 +21,10 @@ constexpr double kFinest = 250;       // [Hz] of rows that sensitivities are mea
 constexpr double kShrink = 0.85;      // of swings or speeds, at each try
 constexpr double kCheckEvery = 0.02;  // [s]
 constexpr int kTries = 20;
-constexpr int kExchanges = 3;   // rounds over the pieces of a joint
-constexpr double kFrame = 0.1;  // [s] of a film
+constexpr double kLoadShare = 0.3;     // of the largest moment of inertia, that a known mass adds
+constexpr double kWorthAChange = 0.5;  // of utility: 1.3 times as far apart
+constexpr int kExchanges = 3;          // rounds over the pieces of a joint
+constexpr double kFrame = 0.1;         // [s] of a film
 
 double Of(const std::map<std::string, double>& of_joint, const std::string& name,
           double otherwise) {
@@ -111,20 +113,92 @@ class Designer {
   // [s] of rows that sensitivities are measured at.
   double CoarseRow() const { return std::max(design_.dt, 1 / kFinest); }
 
-  // Pieces of every joint, the best first.
+  // How the arm may differ while the motion is played.
+  struct Change {
+    std::string words;
+    double gain = 1, mass = 0;
+  };
+  std::map<std::string, double> OverridesOf(const Change& change) const {
+    std::map<std::string, double> overrides;
+    for (const RigJoint& joint : rig_.joints) {
+      if (change.gain != 1 && joint.input == JointInput::kPositionTarget) {
+        overrides[absl::StrCat(joint.name, ".servo.kp")] = change.gain * joint.servo.kp;
+        overrides[absl::StrCat(joint.name, ".servo.kd")] = std::sqrt(change.gain) * joint.servo.kd;
+      }
+      if (change.mass > 0) overrides[absl::StrCat(joint.name, ".", kKnownMass)] = change.mass;
+    }
+    return overrides;
+  }
+  std::vector<Change> Changes() const {
+    std::vector<Change> changes = {{}};
+    if (options_.asked.empty()) return changes;
+    const double mass = space_->LoadOf(kLoadShare, options_.torque_share, centre_);
+    if (mass > 0)
+      changes.push_back(
+          {.words = absl::StrFormat("with a known %.3g kg at the tip", mass), .mass = mass});
+    const bool servo = std::any_of(
+        rig_.joints.begin(), rig_.joints.end(),
+        [](const RigJoint& joint) { return joint.input == JointInput::kPositionTarget; });
+    if (!servo) return changes;
+    changes.push_back({.words = "at half the servos' gains", .gain = 0.5});
+    changes.push_back({.words = "at twice the servos' gains", .gain = 2});
+    return changes;
+  }
+
+  absl::Status ReadPlayed() {
+    if (options_.asked.empty()) return absl::OkStatus();
+    const auto step = static_cast<size_t>(std::max(1.0, std::round(CoarseRow() / design_.dt)));
+    for (const RigLog& log : rig_.logs) {
+      if (log.role != LogRole::kFit) continue;
+      RS_ASSIGN_OR_RETURN(const MeasuredLog measured, ReadMeasuredLog(rig_, log));
+      std::vector<std::vector<double>> q;
+      for (const JointRecord& record : measured.joints) {
+        const std::vector<double>& whole =
+            record.command.empty() ? record.q_smooth : record.command;
+        q.emplace_back();
+        for (size_t row = 0; row < whole.size(); row += step) q.back().push_back(whole[row]);
+      }
+      played_.push_back({std::move(q), log.overrides});
+    }
+    return absl::OkStatus();
+  }
+
+  // Pieces of every joint, and under which change they tell most.
   absl::Status ChoosePieces() {
+    RS_RETURN_IF_ERROR(ReadPlayed());
     const std::vector<JointPiece> pool = PiecePool(options_.fastest);
     const double dt = CoarseRow();
     chosen_.resize(rig_.joints.size());
-    std::vector<absl::Status> failed(rig_.joints.size());
+    if (options_.sweep) return absl::OkStatus();
+    const std::vector<Change> changes = Changes();
+    std::vector<std::vector<std::vector<JointPiece>>> chosen(changes.size(), chosen_);
+    std::vector<double> utility(changes.size(), 0);
     for (size_t j = 0; j < rig_.joints.size(); ++j) {
-      if (options_.sweep) continue;
-      std::vector<std::vector<double>> motions;
-      for (const JointPiece& piece : pool)
-        motions.push_back(SamplePiece(piece, design_.joints[j].room, dt, Rows(dt)));
+      std::vector<JointMotionAsked> motions;
+      for (const Change& change : changes)
+        for (const JointPiece& piece : pool)
+          motions.push_back(
+              {SamplePiece(piece, design_.joints[j].room, dt, Rows(dt)), OverridesOf(change)});
       RS_ASSIGN_OR_RETURN(const JointSensitivities sensitivities, Measure(j, motions));
-      chosen_[j] = Choose(pool, sensitivities);
-      // Two joints do not move alike.
+      const auto& products = sensitivities.products();
+      const Eigen::MatrixXd before = Before(products);
+      for (size_t c = 0; c < changes.size(); ++c) {
+        const absl::Span<const Eigen::MatrixXd> own =
+            absl::MakeSpan(products).subspan(c * pool.size(), pool.size());
+        Eigen::MatrixXd sum = before;
+        chosen[c][j] = Choose(pool, own, sensitivities, sum);
+        if (IsAsked(j)) utility[c] += sensitivities.Utility(sum);
+      }
+    }
+    size_t best = 0;
+    for (size_t c = 1; c < changes.size(); ++c)
+      if (utility[c] > utility[best] + (best == 0 ? kWorthAChange : 0)) best = c;
+    chosen_ = std::move(chosen[best]);
+    design_.change = changes[best].words;
+    design_.gain = changes[best].gain, design_.mass = changes[best].mass;
+    design_.overrides = OverridesOf(changes[best]);
+    // Two joints do not move alike.
+    for (size_t j = 0; j < chosen_.size(); ++j) {
       RandomStream random(StreamKey("order of pieces")
                               .With(static_cast<int64_t>(options_.seed))
                               .With(static_cast<int64_t>(j)));
@@ -134,21 +208,36 @@ class Designer {
     return absl::OkStatus();
   }
 
-  absl::StatusOr<JointSensitivities> Measure(
-      size_t j, const std::vector<std::vector<double>>& motions) const {
-    return JointSensitivities::Measure(rig_, *plant_, static_cast<int>(j),
-                                       {.dt = CoarseRow(),
-                                        .noise = options_.noise,
-                                        .centre = centre_,
-                                        .effects = options_.effects},
-                                       motions);
+  bool IsAsked(size_t j) const {
+    return options_.asked.empty() || options_.asked.count(rig_.joints[j].name) > 0;
+  }
+
+  // Of motions, and of what the logs hold behind them.
+  absl::StatusOr<JointSensitivities> Measure(size_t j,
+                                             std::vector<JointMotionAsked> motions) const {
+    for (const Played& log : played_) motions.push_back({log.q[j], log.overrides});
+    const auto asked = options_.asked.find(rig_.joints[j].name);
+    JointSensitivities::Setup setup{
+        .dt = CoarseRow(), .noise = options_.noise, .centre = centre_, .effects = options_.effects};
+    if (asked != options_.asked.end()) {
+      setup.effects = asked->second.effects;
+      setup.found = asked->second.found;
+    }
+    return JointSensitivities::Measure(rig_, *plant_, static_cast<int>(j), setup, motions);
+  }
+  // Of the logs.
+  Eigen::MatrixXd Before(const std::vector<Eigen::MatrixXd>& products) const {
+    Eigen::MatrixXd sum = Eigen::MatrixXd::Zero(products[0].rows(), products[0].cols());
+    for (size_t i = 0; i < played_.size(); ++i) sum += products[products.size() - 1 - i];
+    return sum;
   }
 
   // Takes the best piece until the time is used, then exchanges pieces as long as that helps.
+  // `sum`: the product that there is before, and then with the pieces.
   std::vector<JointPiece> Choose(const std::vector<JointPiece>& pool,
-                                 const JointSensitivities& sensitivities) const {
-    const auto& products = sensitivities.products();
-    Eigen::MatrixXd sum = Eigen::MatrixXd::Zero(products[0].rows(), products[0].cols());
+                                 absl::Span<const Eigen::MatrixXd> products,
+                                 const JointSensitivities& sensitivities,
+                                 Eigen::MatrixXd& sum) const {
     const auto best_beside = [&](const Eigen::MatrixXd& others) {
       std::vector<double> utility(pool.size());
       ParallelFor(static_cast<int>(pool.size()),
@@ -262,9 +351,12 @@ class Designer {
       std::vector<double> motion;
       for (size_t row = 0; row < design_.q[j].size(); row += step)
         motion.push_back(design_.q[j][row]);
-      RS_ASSIGN_OR_RETURN(const JointSensitivities sensitivities, Measure(j, {motion}));
+      RS_ASSIGN_OR_RETURN(const JointSensitivities sensitivities,
+                          Measure(j, {{std::move(motion), design_.overrides}}));
+      joint.asked = IsAsked(j);
       joint.effects = sensitivities.effects();
-      joint.sights = sensitivities.SightsIn(sensitivities.products()[0]);
+      joint.sights =
+          sensitivities.SightsIn(sensitivities.products()[0] + Before(sensitivities.products()));
       for (const JointPiece& piece : chosen_[j]) joint.pieces.push_back(piece.Name());
       if (options_.sweep)
         joint.pieces = {absl::StrFormat("a sweep up to %.2g Hz", options_.fastest)};
@@ -272,9 +364,15 @@ class Designer {
     return absl::OkStatus();
   }
 
+  struct Played {
+    std::vector<std::vector<double>> q;  // [joint][row]
+    std::map<std::string, double> overrides;
+  };
+
   const Rig& rig_;
   const DesignOptions& options_;
-  int count_ = 0;  // of pieces of a joint
+  std::vector<Played> played_;  // the rig's logs
+  int count_ = 0;               // of pieces of a joint
   std::unique_ptr<ArmSpace> space_;
   std::unique_ptr<Plant> plant_;
   std::vector<double> centre_;

@@ -18,6 +18,8 @@ namespace robostress::calibration {
 namespace {
 
 constexpr int kMostStarts = 3;          // of an effect, of those that a fit would try
+constexpr double kShown = 3;            // times the noise
+constexpr double kShare = 0.1;          // of an effect, whose sensitivity is that to the whole
 constexpr double kRidge = 1e-9;         // of a column's own product
 constexpr double kPlain = 1e4;          // times the noise: more of it helps nobody
 constexpr double kRest = 1;             // [s] before a motion
@@ -26,8 +28,10 @@ constexpr int kSmoothing = MeasuredLog::kSmoothing;
 
 // A log in which `joint` is asked for `command` and the others stay.
 MeasuredLog LogOf(const Rig& rig, int joint, const JointSensitivities::Setup& setup,
-                  const std::vector<double>& command) {
+                  const std::vector<double>& command,
+                  const std::map<std::string, double>& overrides) {
   MeasuredLog log;
+  log.overrides = overrides;
   log.file = "designed";
   log.dt = setup.dt;
   log.rows = static_cast<int>(command.size());
@@ -62,16 +66,22 @@ std::vector<double> Differences(const std::vector<double>& q, double dt) {
   return dq;
 }
 
+double KnownMassIn(const MeasuredLog& log, const std::string& joint) {
+  const auto known = log.overrides.find(absl::StrCat(joint, ".", kKnownMass));
+  return known == log.overrides.end() ? 0 : known->second;
+}
+
 // Lets the joint make the motion that `model` makes of the command, from where it stands at rest.
 void MoveBy(const JointModel& model, const Rig& rig, const Plant& plant, int joint,
-            const JointSensitivities::Setup& setup, const std::vector<double>& command,
+            const JointSensitivities::Setup& setup, const JointMotionAsked& asked,
             JointRecord& record) {
   const size_t rest = static_cast<size_t>(std::lround(kRest / setup.dt));
-  std::vector<double> whole(rest, command[0]);
-  whole.insert(whole.end(), command.begin(), command.end());
-  MeasuredLog log = LogOf(rig, joint, setup, whole);
+  std::vector<double> whole(rest, asked.q[0]);
+  whole.insert(whole.end(), asked.q.begin(), asked.q.end());
+  MeasuredLog log = LogOf(rig, joint, setup, whole, asked.overrides);
   SetMotion(log.joints[joint], whole, Differences(whole, setup.dt));
-  const JointTrack track{&log, joint, plant.single(), plant.Rows(joint, log)};
+  const JointTrack track{&log, joint, plant.single(), plant.Rows(joint, log),
+                         KnownMassIn(log, record.name)};
   std::vector<double> q(whole.size()), dq(whole.size());
   JointSimulation(track).PredictMotion(
       model, 0, 0, {}, {.readings = absl::MakeSpan(q), .velocities = absl::MakeSpan(dq)});
@@ -90,43 +100,103 @@ void SetStartNoise(JointRecord& record, double noise) {
   record.acceleration_noise = smooth.second_noise;
 }
 
+// With `share` of the effect that `whole` has last.
+JointModel ShareOf(const JointModel& whole, double share) {
+  JointModel model = whole;
+  EffectInstance& effect = model.effects.back();
+  for (const int amplitude : effect.info->amplitudes) effect.values[amplitude] *= share;
+  return model;
+}
+
+// Response to the whole of something, of a share that shows as kShown times the noise:
+// `beyond(share)` is what readings then are beyond those without.
+template <class F>
+Eigen::VectorXd PerWhole(const F& beyond, double noise) {
+  double share = kShare;
+  Eigen::VectorXd shown = beyond(share);
+  const double rms = shown.norm() / std::sqrt(static_cast<double>(shown.size()));
+  if (rms > 0 && std::isfinite(rms)) {
+    share = std::min(1.0, share * kShown * noise / rms);
+    shown = beyond(share);
+  }
+  return shown / share;
+}
+
+// What is absent where its parameter is large begins to act at once, and is taken whole.
+Eigen::VectorXd SensitivityTo(const JointProblem& problem, const JointModel& whole,
+                              const Eigen::VectorXd& at_base, double noise) {
+  const EffectInfo& effect = *whole.effects.back().info;
+  const auto beyond = [&](double share) -> Eigen::VectorXd {
+    return problem.Projected(ShareOf(whole, share), problem.All()) - at_base;
+  };
+  for (const int amplitude : effect.amplitudes)
+    if (effect.parameters[amplitude].inverse) return beyond(1);
+  return PerWhole(beyond, noise);
+}
+
+Eigen::VectorXd SensitivityTo(const JointProblem& problem, const Hypothesis& base, int parameter,
+                              const Eigen::VectorXd& at_base, double noise) {
+  return PerWhole(
+      [&](double share) -> Eigen::VectorXd {
+        Eigen::VectorXd x = base.x;
+        x[parameter] += share;
+        return problem.Projected(ModelAt(base, x), problem.All()) - at_base;
+      },
+      noise);
+}
+
 // Of the starts of an effect the first, the last and one between; of starts that differ in sign one
 // is enough.
-std::vector<Hypothesis> SomeStarts(const Hypothesis& base, const EffectInfo& effect,
+std::vector<JointModel> SomeStarts(const Hypothesis& base, const EffectInfo& effect,
                                    const SignalScales& scales) {
-  std::vector<Hypothesis> all = WithEffect(base, effect, scales);
-  const auto negative = [&](const Hypothesis& h) {
-    return std::any_of(effect.amplitudes.begin(), effect.amplitudes.end(),
-                       [&](int amplitude) { return h.model.effects.back().values[amplitude] < 0; });
-  };
-  const std::vector<Hypothesis> whole = all;
-  std::erase_if(all, negative);
-  if (all.empty()) all = whole;
+  std::vector<JointModel> all, positive;
+  for (const Hypothesis& h : WithEffect(base, effect, scales)) {
+    all.push_back(ModelAt(h, h.x));
+    const std::vector<double>& values = all.back().effects.back().values;
+    if (std::all_of(effect.amplitudes.begin(), effect.amplitudes.end(),
+                    [&](int amplitude) { return values[amplitude] >= 0; }))
+      positive.push_back(all.back());
+  }
+  if (!positive.empty()) all = std::move(positive);
   if (all.size() <= kMostStarts) return all;
   return {all.front(), all[all.size() / 2], all.back()};
+}
+
+JointModel AsFound(const Hypothesis& base, const EffectInfo& effect, const SignalScales& scales,
+                   const std::map<std::string, double>& values) {
+  const Hypothesis h = WithEffect(base, effect, scales).front();
+  JointModel model = ModelAt(h, h.x);
+  for (size_t i = 0; i < effect.parameters.size(); ++i) {
+    const auto value = values.find(effect.parameters[i].name);
+    if (value != values.end()) model.effects.back().values[i] = value->second;
+  }
+  return model;
 }
 
 }  // namespace
 
 absl::StatusOr<JointSensitivities> JointSensitivities::Measure(
     const Rig& rig, const Plant& plant, int joint, const Setup& setup,
-    const std::vector<std::vector<double>>& motions) {
+    const std::vector<JointMotionAsked>& motions) {
   const RigJoint& declared = rig.joints[joint];
   RS_ASSIGN_OR_RETURN(JointModel model, DeclaredModel(rig, plant, joint));
   const bool moves = model.input == JointInput::kPositionTarget;
   // Who plays a motion logs its torque; what drives the joint is then not chosen by the motion.
   if (!moves) model.input = JointInput::kInverse;
   std::vector<MeasuredLog> logs;
-  for (const std::vector<double>& motion : motions) {
-    logs.push_back(LogOf(rig, joint, setup, motion));
+  for (const JointMotionAsked& motion : motions) {
+    logs.push_back(LogOf(rig, joint, setup, motion.q, motion.overrides));
     JointRecord& record = logs.back().joints[joint];
+    RS_ASSIGN_OR_RETURN(const JointModel then,
+                        WithOverrides(model, declared.name, motion.overrides));
     if (moves) {
-      MoveBy(model, rig, plant, joint, setup, motion, record);
+      MoveBy(then, rig, plant, joint, setup, motion, record);
     } else {
-      SetMotion(record, motion, Differences(motion, setup.dt));
-      record.tau.assign(motion.size(), 0);
-      JointSimulation({&logs.back(), joint, plant.single(), plant.Rows(joint, logs.back())})
-          .Predict(model, 0, {}, {}, absl::MakeSpan(record.tau));
+      SetMotion(record, motion.q, Differences(motion.q, setup.dt));
+      record.tau.assign(motion.q.size(), 0);
+      JointSimulation({&logs.back(), joint, plant.single(), plant.Rows(joint, logs.back()),
+                       KnownMassIn(logs.back(), declared.name)})
+          .Predict(then, 0, {}, {}, absl::MakeSpan(record.tau));
     }
     SetStartNoise(record, moves ? setup.noise : kReadingNoise);
   }
@@ -136,18 +206,22 @@ absl::StatusOr<JointSensitivities> JointSensitivities::Measure(
                       DeclaredHypothesis(declared, model, scales, MeanInertia(tracks)));
   JointSensitivities result;
   result.free_ = static_cast<int>(base.free.size());
-  std::vector<Hypothesis> starts;
+  std::vector<JointModel> starts;
   for (const Candidate& candidate : CandidatesFor(model, {}, true)) {
     const EffectInfo& effect = *candidate.effect;
     const bool wanted =
         setup.effects.empty() ||
         std::find(setup.effects.begin(), setup.effects.end(), effect.type) != setup.effects.end();
     if (!wanted || effect.thermal) continue;
-    std::vector<Hypothesis> own = SomeStarts(base, effect, scales);
+    const auto found = setup.found.find(effect.type);
+    std::vector<JointModel> own = found == setup.found.end()
+                                      ? SomeStarts(base, effect, scales)
+                                      : std::vector{AsFound(base, effect, scales, found->second)};
     result.effects_.push_back(effect.type);
+    result.counts_.push_back(setup.found.empty() || found != setup.found.end());
     result.columns_.push_back(
         {result.free_ + static_cast<int>(starts.size()), static_cast<int>(own.size())});
-    for (Hypothesis& h : own) starts.push_back(std::move(h));
+    for (JointModel& start : own) starts.push_back(std::move(start));
   }
   for (const std::string& name : setup.effects) {
     RS_RETURN_IF_ERROR(FindEffect(name).status());
@@ -167,10 +241,11 @@ absl::StatusOr<JointSensitivities> JointSensitivities::Measure(
     const WindowSet all = problem.All();
     const Eigen::VectorXd at_base = problem.Projected(now, all);
     Eigen::MatrixXd sensitivities(at_base.size(), columns);
-    sensitivities.leftCols(result.free_) = problem.Jacobian(base, base.x, at_base, all);
+    for (int k = 0; k < result.free_; ++k)
+      sensitivities.col(k) = SensitivityTo(problem, base, k, at_base, setup.noise);
     for (size_t k = 0; k < starts.size(); ++k)
       sensitivities.col(result.free_ + static_cast<int>(k)) =
-          problem.Projected(ModelAt(starts[k], starts[k].x), all) - at_base;
+          SensitivityTo(problem, starts[k], at_base, setup.noise);
     // A prediction that diverges says nothing.
     for (int c = 0; c < columns; ++c)
       if (!sensitivities.col(c).allFinite()) sensitivities.col(c).setZero();
@@ -215,10 +290,14 @@ std::vector<JointSensitivities::Sight> JointSensitivities::SightsIn(
 }
 
 double JointSensitivities::Utility(const Eigen::MatrixXd& product) const {
-  double sum = 0;
-  for (const Sight& sight : SightsIn(product))
-    sum += std::log1p(std::pow(std::min(sight.times_noise, kPlain), 2));
-  return effects_.empty() ? 0 : sum / static_cast<double>(effects_.size());
+  double sum = 0, count = 0;
+  const std::vector<Sight> sights = SightsIn(product);
+  for (size_t i = 0; i < sights.size(); ++i) {
+    if (!counts_[i]) continue;
+    sum += std::log1p(std::pow(std::min(sights[i].times_noise, kPlain), 2));
+    count += 1;
+  }
+  return count > 0 ? sum / count : 0;
 }
 
 }  // namespace robostress::calibration

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -9,6 +10,12 @@
 #include "calibration/model/plant.h"
 
 namespace robostress::calibration {
+
+// What a joint is asked for, and what differs from the rig meanwhile, as in RigLog::overrides.
+struct JointMotionAsked {
+  std::vector<double> q;  // [rad, m] per row
+  std::map<std::string, double> overrides;
+};
 
 // What readings of one joint would say about the effects of the library: inner products of the
 // readings' sensitivities over the noise [-]. Those of motions that follow each other add up,
@@ -20,12 +27,17 @@ class JointSensitivities {
     double noise = 0;                  // [rad; of input inverse Nm] of a reading
     std::vector<double> centre;        // [joints of the rig] where the others stay
     std::vector<std::string> effects;  // wanted; empty: all that the input can show
+    // Of those that a fit has found, the values of their parameters; only their sights count for
+    // Utility then.
+    std::map<std::string, std::map<std::string, double>> found;
   };
-  // Effects are as large as where fits of them begin, relative to the signals of `motions`.
-  // Errors: an effect that is unknown or that this input cannot show.
-  static absl::StatusOr<JointSensitivities> Measure(
-      const Rig& rig, const Plant& plant, int joint, const Setup& setup,
-      const std::vector<std::vector<double>>& motions);
+  // An effect that was found is as large as that; others are as large as where fits of them begin,
+  // relative to the signals of `motions`, and their sensitivities those of a tenth of it, times
+  // ten: two that are one to first order shall not look apart because they are large. Errors: an
+  // effect that is unknown or that this input cannot show.
+  static absl::StatusOr<JointSensitivities> Measure(const Rig& rig, const Plant& plant, int joint,
+                                                    const Setup& setup,
+                                                    const std::vector<JointMotionAsked>& motions);
 
   // One per motion; zero where a prediction diverged.
   const std::vector<Eigen::MatrixXd>& products() const { return products_; }
@@ -47,6 +59,7 @@ class JointSensitivities {
   };
   int free_ = 0;  // columns of the declared model's parameters, which come first
   std::vector<std::string> effects_;
+  std::vector<char> counts_;      // for Utility, of effects_
   std::vector<Columns> columns_;  // of effects_
   std::vector<Eigen::MatrixXd> products_;
 };

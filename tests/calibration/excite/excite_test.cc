@@ -108,8 +108,11 @@ TEST(PiecePool, RampsHaveTheirSpeedAndMovesStop) {
 
 class Sensitivity : public testing::Test {
  protected:
-  JointSensitivities Of(const std::vector<std::vector<double>>& motions,
-                        std::vector<std::string> effects = {}) {
+  JointSensitivities Of(const std::vector<std::vector<double>>& asked,
+                        std::vector<std::string> effects = {},
+                        const std::map<std::string, double>& overrides = {}) {
+    std::vector<JointMotionAsked> motions;
+    for (const std::vector<double>& q : asked) motions.push_back({q, overrides});
     const Rig rig = TwoLinks();
     const auto plant = Plant::Load(rig);
     EXPECT_TRUE(plant.ok()) << plant.status();
@@ -155,7 +158,7 @@ TEST_F(Sensitivity, RestTellsNothingOfFrictionAndIsRefusedForWhatCannotBeSeen) {
   const auto refused = JointSensitivities::Measure(
       rig, **plant, 1,
       {.dt = 0.01, .noise = 1e-4, .centre = {0.5, 0.8}, .effects = {"inertia_coupling_x"}},
-      {Ramps()});
+      {{Ramps(), {}}});
   EXPECT_THAT(std::string(refused.status().message()), HasSubstr("inertia_coupling_x"));
 }
 

@@ -58,7 +58,7 @@ class Drawer {
     Hide();
     Declare();
     if (options_.proposed) Propose(*options_.proposed);
-    if (!options_.motion.empty()) Play(options_.motion);
+    if (!options_.played.empty()) Play(options_.played);
     Record();
     return std::move(rig_);
   }
@@ -360,28 +360,25 @@ class Drawer {
     }
     x.duration = std::min(kLongestRun, x.duration / run.speed);
     experiments_.push_back(std::move(x));
-    std::vector<std::string> overrides;
-    for (int j = 0; j < joints(); ++j) {
-      const Drive& told = rig_.declared.drives[j];
-      const std::string& name = rig_.joint_names[j];
-      if (run.gain != 1 && family_ != Family::kTorque)
-        overrides.push_back(absl::StrFormat("%s.servo.kp: %.10g, %s.servo.kd: %.10g", name,
-                                            run.gain * told.kp, name,
-                                            std::sqrt(run.gain) * told.kd));
-      if (run.mass > 0)
-        overrides.push_back(absl::StrFormat("%s.known_mass: %.10g", name, run.mass));
-    }
-    rig_.logs.push_back({"fit", absl::StrJoin(overrides, ", "), {}});
+    rig_.logs.push_back({"fit", OverridesOf(run.gain, run.mass), {}});
+    changes_.resize(experiments_.size());
+    changes_.back() = {run.gain, run.mass};
   }
 
-  // The same motion for all that is fitted; what it is judged by stays.
-  void Play(const std::vector<std::vector<double>>& motion) {
-    Experiment x = experiments_[0];
-    x.references.clear();
-    for (const std::vector<double>& q : motion) x.references.push_back(Excitation::OfRows(q, x.dt));
-    x.duration = static_cast<double>(motion[0].size()) * x.dt;
-    std::vector<Experiment> kept = {std::move(x)};
-    std::vector<GeneratedRig::Log> logs = {{"fit", "", {}}};
+  // Given motions for all that is fitted; what it is judged by stays.
+  void Play(const std::vector<PlayedRun>& runs) {
+    std::vector<Experiment> kept;
+    std::vector<GeneratedRig::Log> logs;
+    for (const PlayedRun& run : runs) {
+      Experiment x = experiments_[0];
+      x.references.clear();
+      for (const std::vector<double>& q : run.q)
+        x.references.push_back(Excitation::OfRows(q, x.dt));
+      x.duration = static_cast<double>(run.q[0].size()) * x.dt;
+      kept.push_back(std::move(x));
+      logs.push_back({"fit", OverridesOf(run.gain, run.mass), {}});
+      changes_.push_back({run.gain, run.mass});
+    }
     for (size_t i = 0; i < experiments_.size(); ++i) {
       if (rig_.logs[i].role == "fit") continue;
       kept.push_back(experiments_[i]);
@@ -391,15 +388,28 @@ class Drawer {
     rig_.logs = std::move(logs);
   }
 
+  std::string OverridesOf(double gain, double mass) const {
+    std::vector<std::string> overrides;
+    for (int j = 0; j < joints(); ++j) {
+      const Drive& told = rig_.declared.drives[j];
+      const std::string& name = rig_.joint_names[j];
+      if (gain != 1 && family_ != Family::kTorque)
+        overrides.push_back(absl::StrFormat("%s.servo.kp: %.10g, %s.servo.kd: %.10g", name,
+                                            gain * told.kp, name, std::sqrt(gain) * told.kd));
+      if (mass > 0) overrides.push_back(absl::StrFormat("%s.known_mass: %.10g", name, mass));
+    }
+    return absl::StrJoin(overrides, ", ");
+  }
+
   // The machine as it is in a log.
   Machine MachineIn(size_t log) const {
     Machine machine = rig_.truth;
-    if (!options_.proposed || log + 1 != experiments_.size()) return machine;
+    if (log >= changes_.size()) return machine;
     for (Drive& drive : machine.drives) {
-      drive.kp *= options_.proposed->gain;
-      drive.kd *= std::sqrt(options_.proposed->gain);
+      drive.kp *= changes_[log].gain;
+      drive.kd *= std::sqrt(changes_[log].gain);
     }
-    machine.tip_mass += options_.proposed->mass;
+    machine.tip_mass += changes_[log].mass;
     return machine;
   }
 
@@ -456,7 +466,11 @@ class Drawer {
   double fastest_ = 3, amplitude_ = 1;
   std::vector<Experiment> experiments_;
   Signals signals_[2];
-  double warmest_ = 0;  // [K] over cold, of all logs
+  struct Change {
+    double gain = 1, mass = 0;
+  };
+  std::vector<Change> changes_;  // of the first experiments
+  double warmest_ = 0;           // [K] over cold, of all logs
   GeneratedRig rig_;
 };
 

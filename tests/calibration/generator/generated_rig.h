@@ -36,6 +36,13 @@ struct ProposedRun {
   double speed = 1, size = 1, gain = 1, mass = 0;
 };
 
+// A log to fit of a given motion, q[joint][row] at the rig's rate, with times the servo's gain (kd
+// by its root), and a known mass at the tip [kg].
+struct PlayedRun {
+  std::vector<std::vector<double>> q;
+  double gain = 1, mass = 0;
+};
+
 struct RigOptions {
   // What the rig does not declare: names of LibraryEffects() or OutsideEffects(); none: nothing.
   std::vector<std::string> effects;
@@ -46,9 +53,8 @@ struct RigOptions {
   Hardship hardship = Hardship::kNone;
   bool apart = false;  // two effects act on different joints of an arm; else on one
   std::optional<ProposedRun> proposed;
-  // In the place of all logs to fit one of this motion, q[joint][row] at the rig's rate; empty:
-  // those that are drawn.
-  std::vector<std::vector<double>> motion;
+  // In the place of all logs to fit those of these motions; empty: those that are drawn.
+  std::vector<PlayedRun> played;
 };
 
 // A rig as files would hold it, and what is true of it.

@@ -35,6 +35,7 @@ using Json = nlohmann::json;
 struct CommandLine {
   std::string out, calibrate, excite, motion, family = "any";
   double motion_s = 20;
+  int rounds = 1;
   std::vector<std::string> kinds;
   std::vector<std::string> sizes = {"medium"};
   int first_seed = 1, seeds = 4, none = 0, workers = 2, surrogates = 199;
@@ -133,56 +134,86 @@ absl::Status RunRig(const RigOptions& options, const std::string& folder, const 
   return WriteFileAtomically(folder + "/said.txt", absl::StrCat("exit ", code, "\n", output));
 }
 
-// What `robostress excite` designs for a rig that nothing was recorded of, or its plain sweep,
-// within the way and the speed of what was drawn: swings of half the way, and the acceleration of a
-// sine that has both.
-absl::StatusOr<std::vector<std::vector<double>>> MotionFor(const RigOptions& options,
-                                                           const std::string& folder,
-                                                           const CommandLine& line) {
-  const auto drawn = GenerateRig(options);
-  if (!drawn.ok()) return drawn.status();
-  if (absl::Status written = WriteGeneratedRig(*drawn, options, folder); !written.ok())
-    return written;
+// Limits of a motion, as flags of `robostress excite`: within the way and the speed of what was
+// drawn, swings of half the way, and the acceleration of a sine that has both.
+std::string LimitsOf(const GeneratedRig& drawn) {
   std::string limits;
-  double fastest = 1e9;
-  for (size_t j = 0; j < drawn->declared.drives.size(); ++j) {
+  double fastest = drawn.rate_hz / 10;
+  for (size_t j = 0; j < drawn.declared.drives.size(); ++j) {
     double low = 1e9, high = -1e9, speed = 0;
-    for (const GeneratedRig::Log& log : drawn->logs) {
+    for (const GeneratedRig::Log& log : drawn.logs) {
       if (log.role != "fit") continue;
       const JointChannels& channels = log.recording.joints[j];
-      const std::vector<double>& q =
-          drawn->family == Family::kTorque || drawn->family == Family::kInverse ? channels.clean
-                                                                                : channels.command;
+      const bool commanded = drawn.family == Family::kServo || drawn.family == Family::kArm ||
+                             drawn.family == Family::kSlide;
+      const std::vector<double>& q = commanded ? channels.command : channels.clean;
       for (size_t k = 0; k < q.size(); ++k) {
         low = std::min(low, q[k]), high = std::max(high, q[k]);
-        if (k > 0) speed = std::max(speed, std::abs(q[k] - q[k - 1]) * drawn->rate_hz);
+        if (k > 0) speed = std::max(speed, std::abs(q[k] - q[k - 1]) * drawn.rate_hz);
       }
     }
     const double swing = (high - low) / 2;
     fastest = std::min(fastest, speed / (M_PI * swing));
-    const std::string& name = drawn->joint_names[j];
+    const std::string& name = drawn.joint_names[j];
     absl::StrAppendFormat(&limits,
                           " --swing %s=%.6g --velocity %s=%.6g --acceleration %s=%.6g --centre "
                           "%s=%.6g",
                           name, swing, name, speed, name, speed * speed / swing, name,
                           (high + low) / 2);
   }
-  const std::string file = folder + "/motion.csv";
-  const auto [output, code] = RunProgram(
-      line.excite, absl::StrCat("--rig '", folder, "/rig.yaml' --without-shapes --out '", file,
-                                "' --report '", folder, "/motion.json' --seconds ", line.motion_s,
-                                " --fastest ", std::min(fastest, drawn->rate_hz / 10), limits,
-                                line.motion == "sweep" ? " --sweep" : ""));
+  return absl::StrFormat("%s --fastest %.6g", limits, fastest);
+}
+
+// What `robostress excite` writes with these flags: MOTION.csv and MOTION.json in `folder`.
+absl::StatusOr<PlayedRun> Excite(const std::string& flags, const std::string& folder,
+                                 const CommandLine& line) {
+  const std::string file = folder + "/motion";
+  const auto [output, code] =
+      RunProgram(line.excite, absl::StrCat("--without-shapes --out '", file, ".csv' --report '",
+                                           file, ".json' --seconds ", line.motion_s, flags));
   if (code != 0) return absl::InternalError(output);
-  const auto text = ReadFile(file);
+  const auto text = ReadFile(file + ".csv");
   if (!text.ok()) return text.status();
-  std::vector<std::vector<double>> motion(drawn->declared.drives.size());
+  const auto report = ReadJson(file + ".json");
+  if (!report.ok()) return report.status();
+  PlayedRun run;
   const std::vector<std::string> rows = absl::StrSplit(*text, '\n', absl::SkipEmpty());
   for (size_t row = 1; row < rows.size(); ++row) {
     const std::vector<std::string> fields = absl::StrSplit(rows[row], ',');
-    for (size_t j = 0; j < motion.size(); ++j) motion[j].push_back(std::stod(fields[j + 1]));
+    run.q.resize(fields.size() - 1);
+    for (size_t j = 0; j < run.q.size(); ++j) run.q[j].push_back(std::stod(fields[j + 1]));
   }
-  return motion;
+  run.gain = (*report).value("gain", 1.0);
+  run.mass = (*report).value("mass_kg", 0.0);
+  return run;
+}
+
+// The verdict on one designed motion, and on more of them as long as something is open.
+absl::Status RunRounds(RigOptions options, const Case& c, const CommandLine& line) {
+  const std::string drawn_folder = c.folder + "/drawn";
+  const auto drawn = GenerateRig(options);
+  if (!drawn.ok()) return drawn.status();
+  if (absl::Status written = WriteGeneratedRig(*drawn, options, drawn_folder); !written.ok())
+    return written;
+  const std::string limits = LimitsOf(*drawn);
+  std::string rig = drawn_folder, after;
+  for (int round = 0; round < line.rounds; ++round) {
+    const std::string folder = round == 0 ? c.folder : absl::StrCat(c.folder, "/round_", round + 1);
+    if (absl::Status made = MakeDirectories(folder); !made.ok()) return made;
+    auto run = Excite(absl::StrCat(" --rig '", rig, "/rig.yaml'", limits,
+                                   line.motion == "sweep" ? " --sweep" : "", after),
+                      folder, line);
+    if (!run.ok()) return run.status();
+    options.played.push_back(*std::move(run));
+    if (absl::Status status = RunRig(options, folder, line); !status.ok()) return status;
+    const auto report = ReadJson(folder + "/report/report.json");
+    if (!report.ok()) return absl::OkStatus();
+    const std::string verdict = (*report).value("verdict", "");
+    if (verdict == "attributed" || verdict == "declared_sufficient") return absl::OkStatus();
+    rig = folder + "/rig";
+    after = absl::StrCat(" --after '", folder, "/report'");
+  }
+  return absl::OkStatus();
 }
 
 // The run that an ambiguous verdict asks for, if the generator can make it.
@@ -202,10 +233,10 @@ std::optional<ProposedRun> ProposedBy(const Json& report) {
 absl::Status RunCase(const Case& c, const CommandLine& line) {
   absl::StatusOr<RigOptions> options = OptionsOf(c, line);
   if (!options.ok()) return options.status();
-  if (!line.motion.empty() && !std::filesystem::exists(c.folder + "/said.txt")) {
-    auto motion = MotionFor(*options, c.folder + "/drawn", line);
-    if (!motion.ok()) return motion.status();
-    options->motion = *std::move(motion);
+  if (!line.motion.empty()) {
+    if (std::filesystem::exists(c.folder + "/done")) return absl::OkStatus();
+    const absl::Status status = RunRounds(*options, c, line);
+    return status.ok() ? WriteFileAtomically(c.folder + "/done", "") : status;
   }
   if (absl::Status status = RunRig(*options, c.folder, line); !status.ok() || !line.follow)
     return status;
@@ -372,6 +403,10 @@ int Main(int argc, char** argv) {
                  "plain sweep with the same limits")
       ->check(cli::IsMember({"design", "sweep"}));
   app.add_option("--motion-seconds", line.motion_s, "Its length")->capture_default_str();
+  app.add_option("--rounds", line.rounds,
+                 "Motions at most, each of what `robostress excite --after` asks for where the "
+                 "verdict leaves something open")
+      ->capture_default_str();
   app.add_flag("--follow", line.follow,
                "Make the run that an ambiguous verdict asks for, and judge again with it");
   app.add_flag("--table-only", line.table_only, "Run nothing");
