@@ -21,7 +21,7 @@ constexpr int kMostStarts = 3;          // of an effect, of those that a fit wou
 constexpr double kShown = 3;            // times the noise
 constexpr double kShare = 0.1;          // of an effect, whose sensitivity is that to the whole
 constexpr double kRidge = 1e-9;         // of a column's own product
-constexpr double kPlain = 1e4;          // times the noise: more of it helps nobody
+constexpr double kPlain = 100;          // times the noise: more of it helps nobody
 constexpr double kRest = 1;             // [s] before a motion
 constexpr double kReadingNoise = 1e-4;  // [rad, m] where torques are compared
 constexpr int kSmoothing = MeasuredLog::kSmoothing;
@@ -87,6 +87,11 @@ void MoveBy(const JointModel& model, const Rig& rig, const Plant& plant, int joi
       model, 0, 0, {}, {.readings = absl::MakeSpan(q), .velocities = absl::MakeSpan(dq)});
   SetMotion(record, {q.begin() + static_cast<std::ptrdiff_t>(rest), q.end()},
             {dq.begin() + static_cast<std::ptrdiff_t>(rest), dq.end()});
+}
+
+// Takes the place of the free command_shift (WithEffect).
+bool IsDelay(const std::string& effect) {
+  return effect == "transport_delay" || effect == "servo_lag";
 }
 
 // What noise of readings leaves of the states that free runs start from.
@@ -206,6 +211,8 @@ absl::StatusOr<JointSensitivities> JointSensitivities::Measure(
                       DeclaredHypothesis(declared, model, scales, MeanInertia(tracks)));
   JointSensitivities result;
   result.free_ = static_cast<int>(base.free.size());
+  for (int k = 0; k < result.free_; ++k)
+    if (base.free[k].path == "command_shift") result.shift_ = k;
   std::vector<JointModel> starts;
   for (const Candidate& candidate : CandidatesFor(model, {}, true)) {
     const EffectInfo& effect = *candidate.effect;
@@ -265,7 +272,8 @@ std::vector<JointSensitivities::Sight> JointSensitivities::SightsIn(
       if (k == static_cast<int>(i) || (k < 0 && effects_.size() > 1)) continue;
       // The declared model's parameters, the rival's starts, and the effect itself behind them.
       std::vector<int> known;
-      for (int c = 0; c < free_; ++c) known.push_back(c);
+      for (int c = 0; c < free_; ++c)
+        if (c != shift_ || !IsDelay(effects_[i])) known.push_back(c);
       for (int c = 0; k >= 0 && c < columns_[k].count; ++c) known.push_back(columns_[k].first + c);
       Eigen::MatrixXd inner = product(known, known);
       Eigen::VectorXd scale = inner.diagonal().cwiseSqrt();

@@ -50,14 +50,15 @@ class JointSensitivities {
     int rival = -1;          // that explains most of it; -1: there is no other
   };
   std::vector<Sight> SightsIn(const Eigen::MatrixXd& product) const;
-  // Mean of log(1 + times_noise^2), of at most 10,000 each: what a design makes large.
+  // Mean of log(1 + times_noise^2), of at most 100 each: what a design makes large.
   double Utility(const Eigen::MatrixXd& product) const;
 
  private:
   struct Columns {
     int first = 0, count = 0;  // one per start
   };
-  int free_ = 0;  // columns of the declared model's parameters, which come first
+  int free_ = 0;    // columns of the declared model's parameters, which come first
+  int shift_ = -1;  // that of command_shift, if it is one
   std::vector<std::string> effects_;
   std::vector<char> counts_;      // for Utility, of effects_
   std::vector<Columns> columns_;  // of effects_
