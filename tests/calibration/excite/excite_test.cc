@@ -176,6 +176,11 @@ TEST(ArmSpaceTest, FindsWhatMeetsAndWhatMotorsHold) {
   EXPECT_NEAR(torque[0], -9.81 * (1 * 0.15 + 0.5 * 0.48), 1e-6);
   // And the model's damping.
   EXPECT_NEAR((*space)->TorquesAt({M_PI / 2, 0}, {0.2, 0}, {0, 0})[0] - torque[0], 0.1, 1e-6);
+  // 0.04 m from the base.
+  EXPECT_EQ((*space)->MetAt({1.0, 2.45}), "");
+  auto wide = ArmSpace::Load(rig, {.clearance = 0.06});
+  ASSERT_TRUE((*wide)->WatchFrom({0.5, 0.8}).ok());
+  EXPECT_EQ((*wide)->MetAt({1.0, 2.45}), "base and fore");
   auto low = ArmSpace::Load(rig, {.clearance = 0.01, .floor_z = 0.2});
   EXPECT_THAT(std::string((*low)->WatchFrom({0.5, 0.8}).message()), HasSubstr("--floor"));
 }
@@ -248,6 +253,11 @@ TEST(Excitation, RefusesWhatNoMotionCanMend) {
   DesignOptions options = Brief();
   options.centre["shoulder"] = 2.5;
   EXPECT_THAT(Refusal(rig, options), HasSubstr("no room around 2.500 between its stops"));
+  options.sweep = true;
+  options.centre["shoulder"] = 1.7;  // 0.2 before its stop, as much as is kept
+  const auto near = DesignExcitation(TwoLinks(), options);
+  ASSERT_TRUE(near.ok()) << near.status();
+  EXPECT_LE(near->joints[0].room.upper, 1.8 + 1e-9);
   options = Brief();
   options.velocities["wrist"] = 1;
   EXPECT_THAT(Refusal(rig, options), HasSubstr("no joint 'wrist'"));
