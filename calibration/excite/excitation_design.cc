@@ -36,7 +36,9 @@ class Designer {
  public:
   Designer(const Rig& rig, const DesignOptions& options) : rig_(rig), options_(options) {
     design_.dt = 1 / rig.rate_hz;
-    count_ = std::max(1, static_cast<int>(std::lround(options.seconds / options.piece_s)));
+    piece_s_ = options.piece_s > 0 ? options.piece_s : std::clamp(options.seconds / 12, 1.5, 5.0);
+    count_ = std::max(1, static_cast<int>(std::lround(options.seconds / piece_s_)));
+    piece_s_ = options.seconds / count_;
   }
 
   absl::StatusOr<ExcitationDesign> Design() {
@@ -109,7 +111,7 @@ class Designer {
     return absl::OkStatus();
   }
 
-  int Rows(double dt) const { return static_cast<int>(std::lround(options_.piece_s / dt)); }
+  int Rows(double dt) const { return static_cast<int>(std::lround(piece_s_ / dt)); }
   // [s] of rows that sensitivities are measured at.
   double CoarseRow() const { return std::max(design_.dt, 1 / kFinest); }
 
@@ -372,6 +374,7 @@ class Designer {
   const Rig& rig_;
   const DesignOptions& options_;
   std::vector<Played> played_;  // the rig's logs
+  double piece_s_ = 0;          // [s] of a piece
   int count_ = 0;               // of pieces of a joint
   std::unique_ptr<ArmSpace> space_;
   std::unique_ptr<Plant> plant_;

@@ -15,7 +15,7 @@ namespace robostress::calibration {
 
 struct DesignOptions {
   double seconds = 60;      // of the motion
-  double piece_s = 5;       // of one piece of it
+  double piece_s = 0;       // of one piece of it; 0: a twelfth of it all, 1.5 to 5
   double swing = 0.5;       // [rad, m] of a joint each way, at most
   double velocity = 0.8;    // [rad/s, m/s]
   double acceleration = 3;  // [rad/s^2, m/s^2]
