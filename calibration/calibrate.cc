@@ -167,6 +167,19 @@ std::vector<int> OpenJoints(const Rig& rig, const CalibrationReport& report) {
   return open;
 }
 
+// Without the rig's joints that are not traced.
+std::vector<ModelFact> FactsOf(const Rig& rig, const Plant& plant,
+                               const std::vector<std::string>& chosen) {
+  std::vector<ModelFact> facts = plant.facts();
+  if (chosen.empty()) return facts;
+  std::erase_if(facts, [&](const ModelFact& fact) {
+    const auto is = [&](const RigJoint& joint) { return joint.name == fact.part; };
+    return std::any_of(rig.joints.begin(), rig.joints.end(), is) &&
+           std::find(chosen.begin(), chosen.end(), fact.part) == chosen.end();
+  });
+  return facts;
+}
+
 }  // namespace
 
 absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& options) {
@@ -195,6 +208,7 @@ absl::StatusOr<Calibration> Calibrate(const Rig& rig, const TraceOptions& option
   for (const MeasuredLog& log : logs)
     report.logs.push_back(
         {log.file, RoleName(log.role), log.condition, log.rows, log.rows * log.dt, log.notes});
+  report.model_facts = FactsOf(rig, *plant, options.joints);
   std::vector<int> joints;
   for (int i = 0; i < static_cast<int>(rig.joints.size()); ++i) {
     const auto& chosen = options.joints;

@@ -105,6 +105,8 @@ absl::Status Run(CommandLine line) {
         line.rig, line.out));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.html").string(), ReportHtml(report)));
   RS_RETURN_IF_ERROR(WriteFileAtomically((out / "report.json").string(), ReportJson(report)));
+  std::printf("%s\n%s", std::filesystem::path(report.model).filename().c_str(),
+              ModelTableText(report.model_facts, "  ").c_str());
   std::printf("%s: %s\n", report.rig.c_str(), VerdictName(report.verdict));
   for (const JointReport& joint : report.joints) {
     const ErrorReport& error = joint.held_out.present ? joint.held_out : joint.fit;

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -10,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "calibration/data/recording_rig.h"
 #include "calibration/data/recording_text.h"
+#include "calibration/model/plant.h"
 #include "common/recordings/recording.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
@@ -20,14 +22,14 @@ namespace {
 constexpr char kExamples[] =
     "\nExamples\n"
     "  robostress log inspect recording.mcap\n"
-    "  robostress log inspect rosbag2_folder --out rigs/tuesday\n"
+    "  robostress log inspect rosbag2_folder --model arm.urdf --out rigs/tuesday\n"
     "  robostress log inspect more.mcap --rig rigs/tuesday/rig.yaml --out rigs/wednesday\n"
     "  robostress calibrate --rig rigs/wednesday/rig.yaml --out runs/found\n\n"
     "Exit code: 0 done, also where no rig can be made (the last line says why); 1 writing failed; "
     "2 bad input.\n";
 
 struct CommandLine {
-  std::string recording, out, rig, unit;
+  std::string recording, out, rig, model, unit;
   RecordingOptions options;
 };
 
@@ -45,8 +47,27 @@ absl::Status TakeUnit(CommandLine* line) {
   return absl::OkStatus();
 }
 
+// Prints what the model says of the recording's joints, and what was assumed.
+absl::Status DescribeModel(const RecordingPlan& plan) {
+  Rig rig;
+  rig.file = "--model";
+  rig.model = plan.model;
+  for (const PlannedJoint& planned : plan.joints) {
+    RigJoint joint;
+    joint.name = planned.name;
+    joint.input = plan.input;
+    joint.fit = {"armature", "damping", "frictionloss"};  // as the first rig has it
+    rig.joints.push_back(std::move(joint));
+  }
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Plant> plant, Plant::Load(rig));
+  std::printf("%s\n%s", plan.model.c_str(), ModelTableText(plant->facts(), "  ").c_str());
+  return absl::OkStatus();
+}
+
 absl::Status Inspect(CommandLine line) {
   RS_RETURN_IF_ERROR(TakeUnit(&line));
+  if (!line.model.empty() && !line.rig.empty())
+    return absl::InvalidArgumentError("--model: --rig names a model already; say one of them");
   std::optional<Rig> declared;
   if (!line.rig.empty()) {
     RS_ASSIGN_OR_RETURN(declared, ReadRig(line.rig));
@@ -54,13 +75,15 @@ absl::Status Inspect(CommandLine line) {
   RS_ASSIGN_OR_RETURN(const std::string kind, KindOfRecording(line.recording));
   RecordingStatistics statistics;
   RS_RETURN_IF_ERROR(ReadRecording(line.recording, {line.options.rate_hz}, &statistics));
-  RS_ASSIGN_OR_RETURN(const RecordingPlan plan, PlanRecording(statistics, line.options));
+  RS_ASSIGN_OR_RETURN(RecordingPlan plan, PlanRecording(statistics, line.options));
   std::printf("%s: %s\n%s", line.recording.c_str(), kind.c_str(),
               DescribeRecording(statistics, plan).c_str());
   if (plan.joints.empty()) {
     std::printf("No rig: %s.\n", plan.why_none.c_str());
     return absl::OkStatus();
   }
+  plan.model = line.model;
+  if (!plan.model.empty()) RS_RETURN_IF_ERROR(DescribeModel(plan));
   if (line.out.empty()) {
     std::printf("--out DIR writes a rig of %d joints.\n", static_cast<int>(plan.joints.size()));
     return absl::OkStatus();
@@ -88,6 +111,9 @@ int Main(int argc, char** argv) {
   inspect->add_option("--out", line.out, "directory to write rig.yaml and CSV logs into");
   inspect->add_option("--rig", line.rig,
                       "a rig of the same arm: its model, servos and effects are taken over");
+  inspect->add_option("--model", line.model,
+                      "the arm's model (URDF or MJCF), where there is no --rig yet: it is checked, "
+                      "and goes into the first rig");
   inspect
       ->add_option("--joints", line.options.joints,
                    "joints of the rig, with commas between them (default: those that move)")

@@ -37,6 +37,7 @@ struct RecordingPlan {
   double to_rad = 1;
   JointInput input = JointInput::kPositionTarget;
   double longest_piece_s = 0;
+  std::string model;                   // file of the first rig's model; empty: to be filled in
   std::vector<std::string> sentences;  // what was left out and why
 };
 

@@ -149,15 +149,22 @@ const char* RoleOfPiece(size_t index) {
 
 // A rig without what the recording does not say.
 std::string FirstRig(const std::string& recording, const RecordingPlan& plan,
-                     const std::vector<std::string>& logs, std::vector<std::string>* to_fill_in) {
+                     const std::string& out, const std::vector<std::string>& logs,
+                     std::vector<std::string>* to_fill_in) {
   const bool servo = plan.input == JointInput::kPositionTarget;
+  const auto absolute = [](const std::string& path) {
+    return std::filesystem::absolute(path).lexically_normal();
+  };
+  const std::string model =
+      plan.model.empty()
+          ? absl::StrCat(kFillIn, "  # MJCF or URDF file in which the joints have the names below")
+          : absolute(plan.model).lexically_relative(absolute(out)).string();
   std::string text =
       absl::StrCat("# From ", std::filesystem::path(recording).filename().string(),
                    ", by `robostress log inspect`. Replace every ", kFillIn,
-                   ": the recording does not say it.\nname: recorded\nmodel: ", kFillIn,
-                   "  # MJCF file in which the joints have the names below\n",
+                   ": the recording does not say it.\nname: recorded\nmodel: ", model, "\n",
                    absl::StrFormat("rate_hz: %.6g\njoints:\n", plan.rate_hz));
-  to_fill_in->push_back("model");
+  if (plan.model.empty()) to_fill_in->push_back("model");
   for (const PlannedJoint& joint : plan.joints) {
     absl::StrAppend(
         &text, "  - name: ", joint.name, "\n    input: ",
@@ -235,7 +242,7 @@ absl::StatusOr<RecordingRigSummary> WriteRecordingRig(const std::string& recordi
         "%s: no piece of 50 rows is left in which every joint moves (%.1f s in pieces without, "
         "%d rows with a number missing); say --joints with those that move together",
         recording, summary.seconds_left_out, summary.bad_rows));
-  std::string text = FirstRig(recording, plan, writer.files(), &summary.to_fill_in);
+  std::string text = FirstRig(recording, plan, out, writer.files(), &summary.to_fill_in);
   if (declared) {
     summary.to_fill_in.clear();
     RS_ASSIGN_OR_RETURN(text, FilledRig(*declared, plan, out, writer.files()));

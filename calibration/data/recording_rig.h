@@ -25,8 +25,8 @@ struct RecordingRigSummary {
 // held then. A piece ends at a step of more than five rows forward or back, at an episode, and at
 // plan.longest_piece_s; every third is held out. `declared`: a rig of the same arm whose model,
 // servos and effects are taken over by the joints' names; without it they are marked to be filled
-// in, and `robostress calibrate` names the mark. A folder that holds something is refused.
-// FAILED_PRECONDITION where no piece is left.
+// in (plan.model apart), and `robostress calibrate` names the mark. A folder that holds something
+// is refused. FAILED_PRECONDITION where no piece is left.
 absl::StatusOr<RecordingRigSummary> WriteRecordingRig(const std::string& recording,
                                                       const RecordingPlan& plan,
                                                       const std::optional<Rig>& declared,

@@ -272,15 +272,33 @@ absl::Status CheckWhole(const Entry& root, const Rig& rig, RigLogs logs) {
   return absl::OkStatus();
 }
 
+absl::StatusOr<std::array<double, 3>> ReadGravity(const Entry& entry) {
+  constexpr double kMost = 100;  // [m/s^2]
+  if (!entry.node().IsSequence() || entry.node().size() != 3)
+    return entry.Error(
+        "must be three numbers in the frame of the model's base, [0, 0, -9.81] of "
+        "an upright one");
+  std::array<double, 3> gravity;
+  for (size_t i = 0; i < 3; ++i) {
+    RS_ASSIGN_OR_RETURN(gravity[i], entry[i].Number());
+    if (std::abs(gravity[i]) > kMost)
+      return entry[i].Error("is ", gravity[i], " m/s^2, must be within ", kMost);
+  }
+  return gravity;
+}
+
 absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file, RigLogs needed) {
   Rig rig;
   rig.file = file;
   const std::filesystem::path folder = std::filesystem::path(file).parent_path();
   RS_RETURN_IF_ERROR(
-      root.CheckKeys({"name", "model", "rate_hz", "joints", "logs", "metric", "folds"}));
+      root.CheckKeys({"name", "model", "gravity", "rate_hz", "joints", "logs", "metric", "folds"}));
   RS_ASSIGN_OR_RETURN(rig.name, root["name"].Text());
   RS_ASSIGN_OR_RETURN(const std::string model, root["model"].Text());
   rig.model = (folder / model).string();
+  if (root["gravity"].present()) {
+    RS_ASSIGN_OR_RETURN(rig.gravity, ReadGravity(root["gravity"]));
+  }
   RS_ASSIGN_OR_RETURN(rig.rate_hz, root["rate_hz"].Number());
   if (rig.rate_hz < 1 || rig.rate_hz > 1e5)
     return root["rate_hz"].Error(
@@ -347,6 +365,9 @@ std::string WriteRig(const Rig& rig) {
   out << YAML::BeginMap;
   out << YAML::Key << "name" << YAML::Value << rig.name;
   out << YAML::Key << "model" << YAML::Value << relative(rig.model);
+  if (rig.gravity)
+    out << YAML::Key << "gravity" << YAML::Value << YAML::Flow
+        << std::vector<double>(rig.gravity->begin(), rig.gravity->end());
   out << YAML::Key << "rate_hz" << YAML::Value << rig.rate_hz;
   out << YAML::Key << "joints" << YAML::Value << YAML::BeginSeq;
   for (const RigJoint& joint : rig.joints) {

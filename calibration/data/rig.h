@@ -1,7 +1,9 @@
 #pragma once
 
+#include <array>
 #include <limits>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -55,7 +57,7 @@ struct RigJoint {
   VelocitySide velocity = VelocitySide::kReading;
   Servo servo;
   std::string enable;  // column that is 0 where the drive is off; empty: always on
-  // Values of ModelParameterNames() that differ from the MJCF's, or have none there.
+  // Values of ModelParameterNames() that differ from the model's, or have none there.
   std::map<std::string, double> parameters;
   std::vector<std::string> fit;  // of ModelParameterNames(), and command_shift, force_lag
   std::vector<DeclaredEffect> effects;
@@ -89,7 +91,10 @@ struct Metric {
 struct Rig {
   std::string file;
   std::string name;
-  std::string model;  // MJCF, resolved
+  std::string model;  // MJCF or URDF, resolved
+  // In the frame of the model's base [m/s^2], of an arm that is not mounted upright; else the
+  // model's own, of a URDF 0 0 -9.81.
+  std::optional<std::array<double, 3>> gravity;
   double rate_hz = 0;
   std::vector<RigJoint> joints;
   std::vector<RigLog> logs;

@@ -1,5 +1,7 @@
 #include "calibration/model/joint_model.h"
 
+#include <cmath>
+
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/strip.h"
@@ -35,6 +37,8 @@ absl::StatusOr<JointModel> DeclaredModel(const Rig& rig, const Plant& plant, int
   model.input = joint.input;
   model.hinge = plant.hinge(index);
   model.servo = joint.servo;
+  if (model.servo.type == Servo::Type::kPd && !std::isfinite(model.servo.torque_limit))
+    model.servo.torque_limit = plant.effort_limit(index);
   const PlantPassive passive = plant.passive(index);
   model.armature = passive.armature;
   model.damping = passive.damping;

@@ -5,10 +5,12 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
+#include <limits>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "calibration/model/model_file.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
@@ -16,26 +18,30 @@ namespace {
 
 using Vector = Eigen::VectorXd;
 
-struct ModelDeleter {
-  void operator()(mjModel* model) const { mj_deleteModel(model); }
-};
 struct DataDeleter {
   void operator()(mjData* data) const { mj_deleteData(data); }
 };
 
-constexpr const char* kPayloadSites[] = {"payload", "tip", "tool", "end_effector",
-                                         "gripper0_grip_site"};
-constexpr double kSlopeStep = 1e-4;  // [rad]
+constexpr const char* kPayloadSites[] = {
+    "payload", "tip", "tool", "end_effector", "gripper0_grip_site", "attachment_site"};
+constexpr double kSlopeStep = 1e-4;     // [rad]
+constexpr double kLeastInertia = 1e-9;  // [kg m^2]; a clock's hand has 1e-8
 
 class MujocoPlant : public Plant {
  public:
   struct Joint {
     int id = 0, dof = 0, qpos = 0;
     int payload_body = 0, payload_site = -1;
+    bool payload_link = false;  // it hangs at the body's origin, not at its centre of mass
     bool between_rows = false;  // rows stand for the time to the next one, not for an instant
   };
 
-  MujocoPlant(mjModel* model, mjData* data) : model_(model), data_(data) {}
+  explicit MujocoPlant(LoadedModel loaded)
+      : model_(std::move(loaded.model)),
+        data_(mj_makeData(model_.get())),
+        payload_link_(std::move(loaded.payload_link)),
+        effort_(std::move(loaded.effort)),
+        facts_(std::move(loaded.facts)) {}
 
   absl::Status FindJoints(const Rig& rig) {
     std::vector<std::string> names;
@@ -59,6 +65,7 @@ class MujocoPlant : public Plant {
           declared.input == JointInput::kPositionTarget || declared.input == JointInput::kTorque;
       FindPayload(joint);
       joints_.push_back(joint);
+      RS_RETURN_IF_ERROR(CheckInertia(rig.model, declared, joint));
     }
     return absl::OkStatus();
   }
@@ -77,6 +84,12 @@ class MujocoPlant : public Plant {
             model_->dof_frictionloss[j.dof], model_->jnt_stiffness[j.id],
             model_->qpos_spring[j.qpos]};
   }
+
+  double effort_limit(int joint) const override {
+    const auto found = effort_.find(mj_id2name(model_.get(), mjOBJ_JOINT, joints_[joint].id));
+    return found == effort_.end() ? std::numeric_limits<double>::infinity() : found->second;
+  }
+  const std::vector<ModelFact>& facts() const override { return facts_; }
 
   std::vector<PlantRow> Rows(int joint, const MeasuredLog& log) const override {
     if (single()) return {SingleRow(joint)};
@@ -102,9 +115,26 @@ class MujocoPlant : public Plant {
         return;
       }
     }
-    for (int body = 1; body < model_->nbody; ++body) {
+    const int link =
+        payload_link_.empty() ? -1 : mj_name2id(model_.get(), mjOBJ_BODY, payload_link_.c_str());
+    joint.payload_link = link > 0 && below(link);
+    if (joint.payload_link) joint.payload_body = link;
+    for (int body = 1; body < model_->nbody && !joint.payload_link; ++body) {
       if (below(body) && model_->body_mass[body] > 0) joint.payload_body = body;
     }
+  }
+
+  absl::Status CheckInertia(const std::string& file, const RigJoint& declared,
+                            const Joint& joint) const {
+    SetPosture(NeutralPosture());
+    const auto armature = declared.parameters.find("armature");
+    const double inertia = InertiaRow(joint)[joint.dof] +
+                           (armature == declared.parameters.end() ? 0 : armature->second);
+    if (inertia >= kLeastInertia) return absl::OkStatus();
+    return absl::InvalidArgumentError(absl::StrFormat(
+        "%s: joint '%s' moves an inertia of %.3g kg m^2, must be at least %g: give its links "
+        "inertials, or the joint parameters: {armature: ...} in the rig",
+        file, declared.name, inertia, kLeastInertia));
   }
 
   void SetPosture(const Vector& qpos) const {
@@ -133,6 +163,7 @@ class MujocoPlant : public Plant {
   Eigen::Vector3d PayloadColumn(const Joint& joint) const {
     std::vector<double> jacobian(3 * model_->nv);
     const double* point = joint.payload_site >= 0 ? data_->site_xpos + 3 * joint.payload_site
+                          : joint.payload_link    ? data_->xpos + 3 * joint.payload_body
                                                   : data_->xipos + 3 * joint.payload_body;
     mj_jac(model_.get(), data_.get(), jacobian.data(), nullptr, point, joint.payload_body);
     return {jacobian[joint.dof], jacobian[model_->nv + joint.dof],
@@ -268,18 +299,16 @@ class MujocoPlant : public Plant {
   std::unique_ptr<mjModel, ModelDeleter> model_;
   std::unique_ptr<mjData, DataDeleter> data_;
   std::vector<Joint> joints_;
+  std::string payload_link_;
+  std::map<std::string, double> effort_;
+  std::vector<ModelFact> facts_;
 };
 
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Plant>> Plant::Load(const Rig& rig) {
-  if (!std::filesystem::exists(rig.model))
-    return absl::NotFoundError(absl::StrCat(rig.model, ": no such file; 'model' of ", rig.file));
-  char error[1000] = "";
-  mjModel* model = mj_loadXML(rig.model.c_str(), nullptr, error, sizeof error);
-  if (model == nullptr)
-    return absl::InvalidArgumentError(absl::StrCat(rig.model, ": does not load: ", error));
-  auto plant = std::make_unique<MujocoPlant>(model, mj_makeData(model));
+  RS_ASSIGN_OR_RETURN(LoadedModel loaded, LoadModel(rig));
+  auto plant = std::make_unique<MujocoPlant>(std::move(loaded));
   RS_RETURN_IF_ERROR(plant->FindJoints(rig));
   return plant;
 }

@@ -8,6 +8,7 @@
 #include "absl/status/statusor.h"
 #include "calibration/data/measured_log.h"
 #include "calibration/data/rig.h"
+#include "calibration/model/model_table.h"
 
 namespace robostress::calibration {
 
@@ -29,7 +30,7 @@ struct PlantRow {
   std::array<PlantTerm, 2> tilt_gravity;  // [Nm/rad] of a base that tilts about x, y
 };
 
-// Passive properties that the MJCF gives a joint.
+// Passive properties that the model gives a joint.
 struct PlantPassive {
   double armature = 0;      // [kg m^2]
   double damping = 0;       // [Nm s/rad]
@@ -38,13 +39,15 @@ struct PlantPassive {
   double spring_rest = 0;   // [rad]
 };
 
-// Rigid-body terms of a rig's model, from MuJoCo. The payload's place is the site named payload,
-// tip, tool or end_effector, or else the centre of mass of the last body that the joint moves.
+// Rigid-body terms of a rig's model, from MuJoCo. The payload's place is the site (of a URDF the
+// link) named payload, tip, tool or end_effector, or else the centre of mass of the last body that
+// the joint moves.
 // A joint alone in its model has one row; in an arm the other joints move as measured, and there is
 // a row per log row.
 class Plant {
  public:
-  // Errors name the file, the joint, and what MuJoCo said.
+  // Errors name the file, the joint, and what MuJoCo said. A joint that moves less than 1e-9 kg m^2
+  // (or kg) and has no armature is refused.
   static absl::StatusOr<std::unique_ptr<Plant>> Load(const Rig& rig);
   virtual ~Plant() = default;
 
@@ -53,6 +56,10 @@ class Plant {
   virtual bool hinge(int joint) const = 0;
   // [rad] between the joint's stops, 0: it has none.
   virtual double travel(int joint) const = 0;
+  // What the model's file says that a joint's drive can do [Nm]; infinite: nothing.
+  virtual double effort_limit(int joint) const = 0;
+  // What was read of the model and what was assumed, of the whole and of every joint of the rig.
+  virtual const std::vector<ModelFact>& facts() const = 0;
   // Rows of joint `joint` of the rig along a log. Of an arm they are taken where the arm is halfway
   // to the next row, because a row's torque acts until then; of input inverse at the row.
   virtual std::vector<PlantRow> Rows(int joint, const MeasuredLog& log) const = 0;

@@ -129,6 +129,22 @@ std::string LogSection(const CalibrationReport& report) {
   return html + "</table></div>\n";
 }
 
+std::string ModelSection(const CalibrationReport& report) {
+  if (report.model_facts.empty()) return "";
+  std::string html =
+      "<h2 id=model>The model, and what was assumed</h2>\n<div "
+      "class=scroll><table><tr><th>Part</th>"
+      "<th>Quantity</th><th style=\"text-align:left\">Value</th><th>From</th>"
+      "<th style=\"text-align:left\">If that is wrong</th></tr>\n";
+  for (const ModelFact& fact : report.model_facts)
+    absl::StrAppend(&html, "<tr><td>", EscapeXml(fact.part), "</td><td>", EscapeXml(fact.what),
+                    "</td><td style=\"text-align:left;white-space:normal\">", EscapeXml(fact.value),
+                    "</td><td>", FactSourceName(fact.source),
+                    "</td><td style=\"text-align:left;white-space:normal\">",
+                    EscapeXml(fact.remedy), "</td></tr>\n");
+  return html + "</table></div>\n";
+}
+
 std::string FileSection(const CalibrationReport& report) {
   if (report.model_out.empty() && report.scenario_out.empty()) return "";
   std::string html = "<h2 id=files>What to do with it</h2>\n<ul>";
@@ -158,7 +174,8 @@ std::string ReportHtml(const CalibrationReport& report) {
   for (size_t i = 0; i < report.joints.size(); ++i) {
     absl::StrAppend(&html, "<a href=\"#joint", i, "\">", EscapeXml(report.joints[i].joint), "</a>");
   }
-  absl::StrAppend(&html, report.logs.empty() ? "" : "<a href=\"#logs\">Logs</a>",
+  absl::StrAppend(&html, report.model_facts.empty() ? "" : "<a href=\"#model\">Model</a>",
+                  report.logs.empty() ? "" : "<a href=\"#logs\">Logs</a>",
                   "</div></nav>\n<main class=wrap>\n<p class=lead>", Badge(report.verdict), " ",
                   EscapeXml(report.because), "</p>\n");
   if (one) html += Tiles(report, report.joints[0]);
@@ -180,7 +197,7 @@ std::string ReportHtml(const CalibrationReport& report) {
     absl::StrAppend(&html, JointSections(joint, report.n_surrogates), "</section>\n");
   }
   absl::StrAppend(
-      &html, FileSection(report), LogSection(report),
+      &html, FileSection(report), ModelSection(report), LogSection(report),
       "</main><footer><div class=wrap>Written by <code>robostress calibrate</code>",
       report.elapsed_s > 0 ? absl::StrCat(" in ", NumberText(report.elapsed_s), " s") : "",
       ". The same as data: report.json.</div></footer></body></html>\n");

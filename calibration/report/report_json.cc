@@ -184,6 +184,13 @@ std::string ReportJson(const CalibrationReport& report) {
                     {"rows", log.rows},
                     {"duration_s", log.duration_s},
                     {"notes", log.notes}});
+  Json facts = Json::array();
+  for (const ModelFact& fact : report.model_facts)
+    facts.push_back({{"part", fact.part},
+                     {"what", fact.what},
+                     {"value", fact.value},
+                     {"source", FactSourceName(fact.source)},
+                     {"remedy", fact.remedy}});
   const Json document = {
       {"rig", report.rig},
       {"verdict", VerdictName(report.verdict)},
@@ -200,6 +207,7 @@ std::string ReportJson(const CalibrationReport& report) {
       {"evidence", report.evidence},
       {"rig_file", report.rig_file},
       {"model", report.model},
+      {"model_table", facts},
       {"elapsed_s", report.elapsed_s},
       {"logs", logs},
       {"joints", joints}};

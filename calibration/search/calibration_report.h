@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "calibration/model/model_table.h"
 
 namespace robostress::calibration {
 
@@ -131,7 +132,8 @@ struct CalibrationReport {
     std::vector<std::string> notes;  // what the reader found and did
   };
   std::vector<Log> logs;
-  std::vector<std::string> evidence;  // across joints: "the same delay on all axes: a channel"
+  std::vector<ModelFact> model_facts;  // of the whole model and of the joints traced
+  std::vector<std::string> evidence;   // across joints: "the same delay on all axes: a channel"
   int n_surrogates = 0;
   double elapsed_s = 0;
   std::string model_out;     // rig_after.yaml, empty where nothing was added

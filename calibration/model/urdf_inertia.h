@@ -1,0 +1,21 @@
+#pragma once
+
+#include <Eigen/Dense>
+
+#include "absl/status/statusor.h"
+
+namespace robostress::calibration {
+
+struct InertiaRepair {
+  Eigen::Matrix3d inertia;        // [kg m^2] about the centre of mass, in the frame given
+  Eigen::Vector3d before, after;  // principal moments, rising [kg m^2]
+  bool changed = false;           // by more than rounding does
+};
+
+// The inertia nearest to `given` (symmetric) whose principal moments A <= B <= C fulfil A + B >= C,
+// as those of every body do: with d = C - A - B > 0, A and B grow by d / 3 and C shrinks by d / 3
+// (least squares on the moments). INVALID_ARGUMENT with the value where a moment is below 0 by more
+// than rounding.
+absl::StatusOr<InertiaRepair> RepairInertia(const Eigen::Matrix3d& given);
+
+}  // namespace robostress::calibration

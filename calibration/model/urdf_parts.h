@@ -1,0 +1,43 @@
+#pragma once
+
+#include <tinyxml2.h>
+
+#include <Eigen/Dense>
+#include <string>
+#include <vector>
+
+// A robot description in parts, read and checked by urdf_model.cc.
+namespace robostress::calibration::urdf {
+
+struct Pose {
+  std::vector<double> xyz = {0, 0, 0};  // [m]
+  std::vector<double> rpy = {0, 0, 0};  // [rad] about fixed x, y, z
+};
+
+// A body; its line serves messages.
+struct Link {
+  std::string name;
+  const tinyxml2::XMLElement* element = nullptr;
+  double mass = 0;                                    // [kg]; 0: no inertial
+  Pose com;                                           // of the inertial in the link's frame
+  Eigen::Matrix3d inertia = Eigen::Matrix3d::Zero();  // [kg m^2] in the inertial's frame
+  int parent = -1;                                    // index of a joint
+  std::vector<int> children;                          // indices of joints
+};
+
+struct Joint {
+  std::string name, type, mimic;
+  int parent = -1, child = -1;  // indices of links
+  Pose origin;
+  std::vector<double> axis = {1, 0, 0};
+  double lower = 0, upper = 0;       // [rad] or [m]
+  double damping = 0, friction = 0;  // [Nm s/rad, Nm] or [N s/m, N]
+  double effort = 0;                 // [Nm] or [N]; 0: not said
+  bool moves = false, limited = false;
+};
+
+// URDF of the parts, with numbers that read back equal; joints that do not move are fixed. MuJoCo's
+// reader is told to keep links that are fixed to others.
+std::string Print(const std::vector<Link>& links, const std::vector<Joint>& joints);
+
+}  // namespace robostress::calibration::urdf

@@ -1,0 +1,82 @@
+#include <gmock/gmock.h>
+
+#include "tests/calibration/generator/spatial_arm.h"
+#include "tests/calibration/model/model_text.h"
+
+namespace robostress::calibration {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
+
+class MjcfReductionTest : public ModelText {};
+
+constexpr char kNewer[] = R"(<mujoco model="arm">
+  <compiler angle="degree" autolimits="true" meshdir="assets"/>
+  <option integrator="implicitfast" gravity="0 0 -9.8"/>
+  <default><joint armature="0.1"/>
+    <default class="elbow"><joint damping="2" frictionloss="0.3" actuatorfrcrange="-9 9"/>
+      <position kp="10" kv="2"/></default></default>
+  <asset><mesh file="upper.obj"/></asset>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body name="base"><geom type="mesh" mesh="upper"/>
+      <body name="upper" euler="0 90 0" gravcomp="1">
+        <inertial pos="0 0 -0.2" mass="2" diaginertia="0.03 0.03 0.002"/>
+        <joint name="shoulder" axis="0 1 0" range="-90 90"/>
+        <geom type="mesh" mesh="upper"/>
+        <body name="lower" pos="0 0 -0.4">
+          <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.001"/>
+          <joint name="elbow" class="elbow" axis="0 1 0"/>
+          <site name="attachment_site" pos="0 0 -0.3"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><position class="elbow" joint="elbow" inheritrange="1"/></actuator>
+  <keyframe><key qpos="0 0"/></keyframe>
+</mujoco>
+)";
+
+TEST_F(MjcfReductionTest, AModelForANewerMujocoIsReadWithoutItsMeshes) {
+  const auto plant = Plant::Load(RigOf(kNewer, {"shoulder", "elbow"}));
+  ASSERT_TRUE(plant.ok()) << plant.status();
+  EXPECT_EQ((*plant)->passive(0).armature, 0.1);
+  EXPECT_EQ((*plant)->passive(1).damping, 2);
+  EXPECT_EQ((*plant)->passive(1).frictionloss, 0.3);
+  EXPECT_NEAR((*plant)->travel(0), M_PI, 1e-12) << "in degrees";
+  const std::string text = ModelTableText((*plant)->facts(), "");
+  EXPECT_THAT(text, AllOf(HasSubstr("MJCF, 3 bodies, 2 joints"), HasSubstr("gravity 0 0 -9.8"),
+                          HasSubstr("elements actuator, asset, geom, keyframe (left out)"),
+                          HasSubstr("gravcomp of 1 bodies (left out)")));
+  const auto loaded = Load(kNewer, {"elbow"});
+  ASSERT_TRUE(loaded.ok()) << loaded.status();
+  EXPECT_THAT(ModelTableText(loaded->facts, ""), HasSubstr("joints held at 0 shoulder (assumed)"));
+}
+
+TEST_F(MjcfReductionTest, IsLeftAloneWhereMujocoReadsIt) {
+  const generator::SpatialArm arm = generator::Ur5e();
+  const auto loaded = Load(generator::MjcfOf(arm, false), {"elbow_joint"});
+  ASSERT_TRUE(loaded.ok()) << loaded.status();
+  EXPECT_THAT(ModelTableText(loaded->facts, ""), Not(HasSubstr("left out")));
+}
+
+TEST_F(MjcfReductionTest, MassesThatComeFromShapesAreRefused) {
+  const std::string inertial =
+      "<inertial pos=\"0 0 -0.2\" mass=\"2\" diaginertia=\"0.03 0.03 0.002\"/>";
+  EXPECT_THAT(Refusal(With(inertial, "", kNewer), {"elbow"}),
+              AllOf(HasSubstr("unrecognized attribute"), HasSubstr("arm.model:11"),
+                    HasSubstr("body 'upper' has shapes and no <inertial>")));
+  EXPECT_THAT(Refusal(With("angle=\"degree\"", "angle=\"degree\" inertiafromgeom=\"true\"", kNewer),
+                      {"elbow"}),
+              HasSubstr("masses come from shapes"));
+  EXPECT_THAT(
+      Refusal(With("<worldbody>", "<worldbody><include file=\"table.xml\"/>", kNewer), {"elbow"}),
+      HasSubstr("table.xml"));
+  EXPECT_THAT(Refusal(With("<worldbody>", "<worldbody><frame/>", kNewer), {"elbow"}),
+              HasSubstr("<frame> places bodies"));
+}
+
+}  // namespace
+}  // namespace robostress::calibration
