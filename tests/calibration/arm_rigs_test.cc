@@ -4,13 +4,12 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
-#include <chrono>
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
 #include "calibration/calibrate.h"
-#include "common/status_macros.h"
 #include "tests/calibration/generator/spatial_arm.h"
 
 namespace robostress::calibration {
@@ -18,8 +17,6 @@ namespace {
 
 using generator::SpatialArm;
 using generator::SpatialFault;
-using testing::Contains;
-using testing::Field;
 
 class ArmRigTest : public testing::Test {
  protected:
