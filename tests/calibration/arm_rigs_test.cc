@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "calibration/calibrate.h"
+#include "nlohmann/json.hpp"
 #include "tests/calibration/generator/spatial_arm.h"
 
 namespace robostress::calibration {
@@ -17,6 +18,11 @@ namespace {
 
 using generator::SpatialArm;
 using generator::SpatialFault;
+using testing::AllOf;
+using testing::Contains;
+using testing::Field;
+using testing::HasSubstr;
+using testing::Not;
 
 class ArmRigTest : public testing::Test {
  protected:
@@ -38,19 +44,6 @@ class ArmRigTest : public testing::Test {
     const auto calibration = Calibrate(*rig, options);
     ASSERT_TRUE(calibration.ok()) << calibration.status();
     report_ = calibration->report;
-    for (const JointReport& joint : report_.joints) {
-      const ErrorReport& error = joint.held_out;
-      std::printf("%s: %s: %s, %.3g -> %.3g rad (noise %.3g)\n", joint.joint.c_str(),
-                  VerdictName(joint.verdict), joint.because.c_str(), error.declared, error.after,
-                  error.noise_floor);
-      for (const AddedEffectReport& effect : joint.effects)
-        for (const ParameterReport& p : effect.parameters)
-          std::printf("  %s.%s = %.5g +- %.2g\n", effect.type.c_str(), p.name.c_str(), p.value,
-                      p.std);
-      for (const ParameterReport& p : joint.after_parameters)
-        std::printf("  %s = %.5g +- %.2g\n", p.name.c_str(), p.value, p.std);
-    }
-    std::printf("%.1f s\n", report_.elapsed_s);
     ASSERT_EQ(report_.joints.size(), joints.size());
   }
   const JointReport& Of(const std::string& joint) const {
@@ -79,13 +72,29 @@ class ArmRigTest : public testing::Test {
   CalibrationReport report_;
 };
 
-TEST_F(ArmRigTest, So101sDelayOnItsBusIsFound) {
+TEST_F(ArmRigTest, So101sGearHasAGap) {
   SpatialFault fault;
   fault.joint = 2;
-  fault.delay_s = 0.02;
+  fault.backlash = 0.012;
   Trace(generator::So101(), fault, "urdf", {"elbow_flex", "wrist_flex"});
-  EXPECT_NEAR(Found("elbow_flex", "transport_delay", "delay_s"), 0.02, 0.002);
+  EXPECT_NEAR(Found("elbow_flex", "backlash", "B"), 0.012, 0.001);
   ExpectHealthy("wrist_flex");
+  // The same table in every form.
+  const ModelFact armature = {"elbow_flex", "armature", "0 kg m^2, fitted", FactSource::kRig, ""};
+  EXPECT_THAT(report_.model_facts, Contains(AllOf(Field(&ModelFact::part, armature.part),
+                                                  Field(&ModelFact::what, armature.what),
+                                                  Field(&ModelFact::value, armature.value),
+                                                  Field(&ModelFact::source, armature.source))));
+  EXPECT_THAT(report_.model_facts, Not(Contains(Field(&ModelFact::part, "shoulder_lift"))))
+      << "it was not traced";
+  const auto json = nlohmann::json::parse(ReportJson(report_));
+  EXPECT_THAT(
+      json["model_table"].dump(),
+      HasSubstr(
+          R"({"part":"elbow_flex","remedy":"","source":"rig","value":"0 kg m^2, fitted","what":"armature"})"));
+  EXPECT_THAT(ReportHtml(report_), HasSubstr("<td>elbow_flex</td><td>armature</td>"));
+  EXPECT_THAT(ModelTableText(report_.model_facts, ""),
+              HasSubstr("armature 0 kg m^2, fitted (rig)"));
 }
 
 TEST_F(ArmRigTest, Ur5esCoggingGearIsFound) {

@@ -24,6 +24,7 @@ namespace {
 namespace fs = std::filesystem;
 using recording_test::CdrBytes;
 using recording_test::JointStateBytes;
+using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -202,6 +203,24 @@ TEST(RecordingRigTest, MarksWhatTheRecordingDoesNotSayAndTheRigsReaderNamesIt) {
   ASSERT_FALSE(rig.ok());
   EXPECT_THAT(std::string(rig.status().message()),
               HasSubstr("joints[0].servo.kp: is 'FILL_IN', must be a finite number"));
+}
+
+TEST(RecordingRigTest, NamesTheModelThatTheFirstRigIsGiven) {
+  const std::string recording = Following("model", 3000), folder = recording + "_modelled";
+  RecordingStatistics statistics;
+  auto plan = Plan(recording, {}, &statistics);
+  ASSERT_TRUE(plan.ok()) << plan.status();
+  plan->model = testing::TempDir() + "/models/arm.urdf";
+  fs::remove_all(folder);
+  const auto summary = WriteRecordingRig(recording, *plan, std::nullopt, folder);
+  ASSERT_TRUE(summary.ok()) << summary.status();
+  EXPECT_THAT(summary->to_fill_in, Not(Contains("model")));
+  const auto text = ReadFile(summary->rig_file);
+  ASSERT_TRUE(text.ok()) << text.status();
+  const std::string named = fs::path(plan->model)
+                                .lexically_normal()
+                                .lexically_relative(fs::path(folder).lexically_normal());
+  EXPECT_THAT(*text, HasSubstr("model: " + named + "\n"));
 }
 
 TEST(RecordingRigTest, TakesOverADeclaredRigAndItsLogsPassTheGates) {

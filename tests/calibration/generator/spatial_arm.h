@@ -48,7 +48,7 @@ std::string MjcfOf(const SpatialArm& arm, bool newer);
 // What one joint has and its model lacks.
 struct SpatialFault {
   int joint = 0;
-  double delay_s = 0;                                       // of its commands
+  double backlash = 0;  // half-width of the gap between motor and link, which is read [rad]
   std::function<double(double q, double dq)> torque;        // [Nm]; null: none
   std::function<double(double q, double dq)> dry_friction;  // limit [Nm]; null: the drive's own
 };

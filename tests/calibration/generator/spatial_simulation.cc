@@ -100,30 +100,35 @@ std::string SimulatedLog(const SpatialArm& arm, const SpatialFault& fault, doubl
   constexpr double kSettle = 1;  // [s] before the log begins
   const double row_s = 1 / rate_hz;
   const auto command = [&](size_t joint, double t) {
-    const double late = static_cast<int>(joint) == fault.joint ? fault.delay_s : 0;
-    return Reference(arm.links[joint], joint, std::floor((t - late) / row_s + 1e-9) * row_s, speed);
+    return Reference(arm.links[joint], joint, std::floor(t / row_s + 1e-9) * row_s, speed);
   };
   for (size_t j = 0; j < n; ++j) simulation.q(j) = command(j, -kSettle);
   const int before = static_cast<int>(std::lround(kSettle / kStep));
   const int per_row = static_cast<int>(std::lround(row_s / kStep));
   const int steps = static_cast<int>(std::lround(seconds / kStep));
   Vector torque(n), dry(n);
+  std::vector<double> link_angle(n);  // behind the gap, where the motor pushed it
+  for (size_t j = 0; j < n; ++j) link_angle[j] = simulation.q(j);
   for (int k = -before; k < steps; ++k) {
     const double t = k * kStep;
+    for (size_t j = 0; j < n; ++j) {
+      const double gap = static_cast<int>(j) == fault.joint ? fault.backlash : 0;
+      link_angle[j] = std::clamp(link_angle[j], simulation.q(j) - gap, simulation.q(j) + gap);
+    }
     if (k >= 0 && k % per_row == 0) {
       absl::StrAppendFormat(&text, "%.9g", t);
       for (size_t j = 0; j < n; ++j)
         absl::StrAppendFormat(&text, ",%.10g,%.10g", Reference(arm.links[j], j, t, speed),
-                              simulation.q(j) + arm.noise * random.Normal());
+                              link_angle[j] + arm.noise * random.Normal());
       text += "\n";
     }
     for (size_t j = 0; j < n; ++j) {
       const SpatialLink& link = arm.links[j];
       const double q = simulation.q(j), v = simulation.v(j);
       const auto i = static_cast<Eigen::Index>(j);
-      torque[i] =
-          std::clamp(link.kp * (command(j, t) - q) - link.kd * v, -link.effort, link.effort) -
-          link.damping * v;
+      torque[i] = std::clamp(link.kp * (command(j, t) - link_angle[j]) - link.kd * v, -link.effort,
+                             link.effort) -
+                  link.damping * v;
       dry[i] = link.friction;
       if (static_cast<int>(j) != fault.joint) continue;
       if (fault.torque) torque[i] += fault.torque(q, v);
@@ -137,7 +142,7 @@ std::string SimulatedLog(const SpatialArm& arm, const SpatialFault& fault, doubl
 absl::Status WriteSpatialRig(const SpatialArm& arm, const SpatialFault& fault,
                              const std::string& format, const std::vector<std::string>& fit,
                              const std::string& folder) {
-  constexpr double kSeconds = 10, kRate = 100;
+  constexpr double kSeconds = 4.5, kRate = 80;
   RS_RETURN_IF_ERROR(MakeDirectories(folder));
   const std::string model = absl::StrCat(arm.name, ".", format == "urdf" ? "urdf" : "xml");
   RS_RETURN_IF_ERROR(WriteFileAtomically(folder + "/" + model,
@@ -150,7 +155,7 @@ absl::Status WriteSpatialRig(const SpatialArm& arm, const SpatialFault& fault,
                           "%.10g}\n    fit: [%s]\n",
                           link.joint, link.kp, link.kd, absl::StrJoin(fit, ", "));
   rig += "logs:\n";
-  const double speeds[] = {1, 0.6, 0.8};
+  const double speeds[] = {1.6, 1, 1.3};
   for (int i = 0; i < 3; ++i) {
     absl::StrAppendFormat(&rig, "  - {file: log_%d.csv, role: %s}\n", i,
                           i < 2 ? "fit" : "held_out");

@@ -4,6 +4,7 @@
 
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <memory>
 #include <string>
 #include <vector>
@@ -25,7 +26,7 @@ struct ModelText : public testing::Test {
     Rig rig;
     rig.file = folder + "/rig.yaml";
     rig.model = folder + "/" + name;
-    EXPECT_TRUE(WriteFileAtomically(rig.model, text).ok());
+    std::ofstream(rig.model, std::ios::binary) << text;
     for (const std::string& joint : joints) {
       rig.joints.emplace_back().name = joint;
       rig.joints.back().servo.kp = 1;

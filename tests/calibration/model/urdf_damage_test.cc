@@ -3,15 +3,12 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
-#include "calibration/model/urdf_model.h"
 #include "common/random.h"
-#include "tests/calibration/generator/spatial_arm.h"
 #include "tests/calibration/model/model_text.h"
 
 namespace robostress::calibration {
 namespace {
 
-using testing::AnyOf;
 using testing::HasSubstr;
 
 class UrdfDamageTest : public ModelText {
@@ -62,7 +59,7 @@ TEST_F(UrdfDamageTest, MissingAndRepeatedElementsAreReadWholeOrRefused) {
 TEST_F(UrdfDamageTest, FlippedAndCutBytesAreReadWholeOrRefused) {
   RandomStream random(StreamKey("urdf damage"));
   const std::string text = kTwoLinks;
-  for (int i = 0; i < 2000; ++i) {
+  for (int i = 0; i < 1000; ++i) {
     std::string damaged = text;
     for (int n = random.UniformInt(4); n >= 0; --n)
       damaged[static_cast<size_t>(random.UniformInt(static_cast<int>(damaged.size())))] =
@@ -71,7 +68,7 @@ TEST_F(UrdfDamageTest, FlippedAndCutBytesAreReadWholeOrRefused) {
       damaged.resize(static_cast<size_t>(random.UniformInt(static_cast<int>(damaged.size()))));
     Check(damaged);
   }
-  EXPECT_GT(refused_, 500);
+  EXPECT_GT(refused_, 250);
 }
 
 TEST_F(UrdfDamageTest, SizeIsBounded) {
@@ -101,7 +98,7 @@ TEST_F(UrdfDamageTest, AThousandLinksAreRead) {
                     "\"/><axis xyz=\"0 1 0\"/></joint>");
   const auto loaded = Load(text + "</robot>", {"j1"});
   ASSERT_TRUE(loaded.ok()) << loaded.status();
-  EXPECT_EQ(loaded->model->nbody, 1000);
+  EXPECT_EQ(loaded->model->nbody, 1001) << "and the world";
 }
 
 }  // namespace
