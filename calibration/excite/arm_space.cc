@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "calibration/model/model_file.h"
 #include "common/atomic_file.h"
 #include "common/image.h"
 #include "common/status_macros.h"
@@ -20,11 +21,16 @@ constexpr double kG = 9.81, kLightest = 0.005;  // [m/s^2], [kg]
 constexpr int kWidth = 480, kHeight = 360;
 constexpr float kQuality = 60, kLight = 0.6F;
 
-absl::StatusOr<std::shared_ptr<mjModel>> LoadModel(const Rig& rig) {
+// With its shapes, where MuJoCo finds all files; else without them, and why.
+absl::StatusOr<std::shared_ptr<mjModel>> LoadWithShapes(const Rig& rig, std::string* why_without) {
   char error[1000] = "";
   mjModel* model = mj_loadXML(rig.model.c_str(), nullptr, error, sizeof error);
-  if (model == nullptr)
-    return absl::InvalidArgumentError(absl::StrCat(rig.model, ": does not load: ", error));
+  if (model == nullptr) {
+    RS_ASSIGN_OR_RETURN(LoadedModel loaded, LoadModel(rig));
+    *why_without = error;
+    return std::shared_ptr<mjModel>(std::move(loaded.model));
+  }
+  if (rig.gravity) mju_copy3(model->opt.gravity, rig.gravity->data());
   return std::shared_ptr<mjModel>(model, mj_deleteModel);
 }
 
@@ -55,7 +61,7 @@ std::string PairName(const mjModel& model, const std::pair<int, int>& pair) {
 
 absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const Options& options) {
   std::unique_ptr<ArmSpace> space(new ArmSpace());
-  RS_ASSIGN_OR_RETURN(space->model_, LoadModel(rig));
+  RS_ASSIGN_OR_RETURN(space->model_, LoadWithShapes(rig, &space->why_without_shapes_));
   mjModel& model = *space->model_;
   space->options_ = options;
   space->moves_.assign(model.nbody, 0);

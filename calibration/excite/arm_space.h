@@ -39,6 +39,8 @@ class ArmSpace {
   absl::Status WatchFrom(const std::vector<double>& centre);
   // Parts that could meet; 0: the model has no shapes, and nothing is known of collisions.
   int shapes() const { return shapes_; }
+  // What MuJoCo said of a model whose shapes could not be read; else empty.
+  const std::string& why_without_shapes() const { return why_without_shapes_; }
   const std::vector<std::string>& notes() const { return notes_; }
   // What is nearer than the clearance in a posture ("link3 and link6", "hand and the floor");
   // empty: nothing.
@@ -69,6 +71,7 @@ class ArmSpace {
   std::vector<char> moves_;                      // bodies that the rig's joints move
   std::vector<std::pair<int, int>> neighbours_;  // bodies
   int shapes_ = 0;
+  std::string why_without_shapes_;
   std::vector<std::string> notes_;
 };
 

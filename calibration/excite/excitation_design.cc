@@ -47,9 +47,12 @@ class Designer {
     RS_ASSIGN_OR_RETURN(plant_, Plant::Load(rig_));
     if (space_->shapes() == 0 && !options_.without_shapes)
       return absl::FailedPreconditionError(absl::StrCat(
-          rig_.model,
-          ": has no shapes that collide, so nobody can say whether the arm meets itself; give a "
-          "model with shapes, or --without-shapes where nothing can be met"));
+          rig_.model, ": has no shapes that collide",
+          space_->why_without_shapes().empty()
+              ? ""
+              : absl::StrCat(" (", space_->why_without_shapes(), ")"),
+          ", so nobody can say whether the arm meets itself; give a model with shapes, or "
+          "--without-shapes where nothing can be met"));
     RS_RETURN_IF_ERROR(FindRooms());
     RS_RETURN_IF_ERROR(space_->WatchFrom(centre_));
     RS_RETURN_IF_ERROR(ChoosePieces());
