@@ -7,12 +7,8 @@
 namespace robostress {
 namespace {
 
-Eigen::VectorXd Joints(const ArmVector& v) {
-  return Eigen::Map<const Eigen::Matrix<double, kArmJoints, 1>>(v.data());
-}
-
-Eigen::VectorXf Command(const ArmVector& v) {
-  return Eigen::Map<const Eigen::Matrix<double, kArmAxes, 1>>(v.data()).cast<float>();
+Eigen::VectorXd Joints(const ArmVector& v, const ArmAxes& axes) {
+  return Eigen::Map<const Eigen::VectorXd>(v.data(), axes.joints);
 }
 
 double LargestDifference(const ArmVector& a, const ArmVector& b) {
@@ -24,14 +20,20 @@ double LargestDifference(const ArmVector& a, const ArmVector& b) {
 }  // namespace
 
 FeedbackAssembler::FeedbackAssembler(const FeedbackOptions& options, double period_s,
-                                     ForwardKinematics forward)
-    : options_(options), period_s_(period_s), forward_(std::move(forward)) {}
+                                     ForwardKinematics forward, const ArmAxes& axes)
+    : options_(options), period_s_(period_s), forward_(std::move(forward)), axes_(axes) {}
+
+Eigen::VectorXf FeedbackAssembler::Command(const ArmVector& v) const {
+  Eigen::VectorXf command(axes_.count());
+  for (int i = 0; i < axes_.count(); ++i) command[i] = static_cast<float>(v[axes_.slot(i)]);
+  return command;
+}
 
 RobotState FeedbackAssembler::StateOf(const TickRecord& record) const {
   RobotState state;
   state.stamp_s = static_cast<double>(record.stamp_ns - episode_start_ns_) * 1e-9;
-  state.q = Joints(record.position);
-  state.dq = Joints(record.velocity);
+  state.q = Joints(record.position, axes_);
+  state.dq = Joints(record.velocity, axes_);
   if (forward_) state.tool = forward_(record.position);
   state.gripper = record.position[kArmJoints];
   return state;

@@ -44,8 +44,8 @@ class FeedbackAssembler {
   using ForwardKinematics = std::function<Pose(const ArmVector& position)>;
 
   // `forward` gives the measured tool pose; absent: an identity pose, which joint space ignores.
-  FeedbackAssembler(const FeedbackOptions& options, double period_s,
-                    ForwardKinematics forward = {});
+  FeedbackAssembler(const FeedbackOptions& options, double period_s, ForwardKinematics forward = {},
+                    const ArmAxes& axes = {});
 
   // The chunk that this record completes, if it does. `sequence`, `task` and `episode` are the
   // caller's to fill in; ExecutedChunk::episode is TickRecord::episode.
@@ -63,10 +63,12 @@ class FeedbackAssembler {
   void Complete(const TickRecord& next);
   std::optional<ExecutedChunk> Close(bool last_of_episode);
   RobotState StateOf(const TickRecord& record) const;
+  Eigen::VectorXf Command(const ArmVector& v) const;  // [axes_.count()]
 
   const FeedbackOptions options_;
   const double period_s_;
   const ForwardKinematics forward_;
+  const ArmAxes axes_;
   std::vector<Step> steps_;         // of the chunk that plays
   std::optional<TickRecord> open_;  // played, not yet measured one step later
   int episode_ = -1;

@@ -11,7 +11,8 @@ void JointResidual::Add(const ExecutedChunk& chunk, const ArmVector& chunk_start
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     if (chunk.IsMasked(i)) continue;
     eta_sq += eta.row(static_cast<Eigen::Index>(i)).squaredNorm();
-    for (int j = 0; j < kArmJoints; ++j) {
+    const auto joints = static_cast<int>(chunk.steps[i].before.q.size());
+    for (int j = 0; j < joints; ++j) {
       const double d = static_cast<double>(chunk.steps[i].policy_command[j]) - chunk_start[j];
       displacement_sq += d * d;
     }

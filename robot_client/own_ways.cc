@@ -83,7 +83,7 @@ absl::StatusOr<PendingAnswer> OwnWays::Move(const std::string& what, const std::
   RS_RETURN_IF_ERROR(MayMove());
   ArmPath path =
       StraightPath(loop_->seen().position, to, Limits(velocity), 1 / config_.control.rate_hz);
-  if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, path));
+  if (guarded()) RS_RETURN_IF_ERROR(CheckPath(*model_, path));
   return Begin(what, std::move(path), [there](double off) {
     return absl::StrFormat("the arm is %s, %.1f mrad off", there, off);
   });
@@ -98,6 +98,9 @@ absl::StatusOr<PendingAnswer> OwnWays::Home() {
 }
 
 absl::StatusOr<PendingAnswer> OwnWays::Jog(int axis, double amount) {
+  if (!arm_.axes().has(axis))
+    return absl::InvalidArgumentError(absl::StrCat("this arm has ", arm_.axes().joints, " joints",
+                                                   arm_.axes().gripper ? " and a gripper" : ""));
   ArmVector to = loop_->seen().position;
   to[axis] += amount;
   // An arm on its rest has joints at the end of what it allows, where the limiter lets none stay.
@@ -128,7 +131,7 @@ absl::StatusOr<PendingAnswer> OwnWays::Play(double speed) {
     PlayedMotion played =
         PlayMotion(*motion_, speed, from, Limits(config_.home_velocity), period_s);
     RS_RETURN_IF_ERROR(CheckSpeed(played, speed, config_.control.limits.joint_velocity, period_s));
-    if (config_.control.workspace.guard) RS_RETURN_IF_ERROR(CheckPath(*model_, played.path));
+    if (guarded()) RS_RETURN_IF_ERROR(CheckPath(*model_, played.path));
     return std::move(played.path);
   });
   stopped_ = false;

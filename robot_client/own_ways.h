@@ -51,6 +51,7 @@ class OwnWays {
   using Arrived = std::function<std::string(double off_mrad)>;
 
   absl::Status MayMove() const;
+  bool guarded() const { return model_ != nullptr && config_.control.workspace.guard; }
   PathLimits Limits(double velocity) const;
   absl::StatusOr<PendingAnswer> Move(const std::string& what, const std::string& there,
                                      const ArmVector& to, double velocity);

@@ -21,9 +21,9 @@ bool SessionLost(const absl::Status& status) {
   return absl::IsNotFound(status) || absl::IsDataLoss(status);
 }
 
-ArmVector RowOf(const Eigen::MatrixXf& rows, int row) {
-  ArmVector v;
-  for (int i = 0; i < kArmAxes; ++i) v[i] = static_cast<double>(rows(row, i));
+ArmVector RowOf(const Eigen::MatrixXf& rows, int row, const ArmAxes& axes) {
+  ArmVector v{};
+  for (int i = 0; i < axes.count(); ++i) v[axes.slot(i)] = static_cast<double>(rows(row, i));
   return v;
 }
 
@@ -37,7 +37,8 @@ PolicyLink::PolicyLink(const PolicyLinkOptions& options, ControlLoop* loop, Cloc
       clock_(clock),
       cameras_(std::move(cameras)),
       connect_(std::move(connect)),
-      assembler_(options.feedback, loop->period_s(), std::move(forward)) {
+      axes_(loop->axes()),
+      assembler_(options.feedback, loop->period_s(), std::move(forward), loop->axes()) {
   deliver_ = [loop](const ArmChunk& chunk) { loop->AnswerPrediction(chunk); };
   loop_->AddReader(&records_);
   loop_->OnPredictionRequested([this] { Wake(); });
@@ -49,14 +50,16 @@ absl::Status PolicyLink::Open() {
   started_episode_ = -1;
   sequence_ = 0;
   failures_ = 0;
-  if (spec_.action_dim != kArmAxes || spec_.state_dim != kArmAxes ||
+  if (spec_.action_dim != axes_.count() || spec_.state_dim != axes_.count() ||
       spec_.control_space == ControlSpace::kEndEffector) {
     return absl::InvalidArgumentError(absl::StrCat(
         "policy '", spec_.name, "' is for another robot: it has ", spec_.state_dim, " states and ",
         spec_.action_dim, " actions",
         spec_.control_space == ControlSpace::kEndEffector ? " that move an end effector" : "",
-        ", this arm ", kArmAxes,
-        " of each (six joints [rad] and the gripper [m]). Serve a policy that was trained in joint "
+        ", this arm ", axes_.count(), " of each (",
+        axes_.joints == kArmJoints ? "six" : absl::StrCat(axes_.joints), " joints [rad]",
+        axes_.gripper ? " and the gripper [m]" : "",
+        "). Serve a policy that was trained in joint "
         "space: `robostress serve --policy nano-piper` comes with the source"));
   }
   std::vector<std::string> names;
@@ -155,8 +158,9 @@ absl::StatusOr<Observation> PolicyLink::Observe(const PredictionRequest& request
     ++counters_.stale_frames;
     return first;
   }
-  observation.proprioception =
-      Eigen::Map<const Eigen::Matrix<double, kArmAxes, 1>>(request.position.data()).cast<float>();
+  observation.proprioception.resize(axes_.count());
+  for (int i = 0; i < axes_.count(); ++i)
+    observation.proprioception[i] = static_cast<float>(request.position[axes_.slot(i)]);
   return observation;
 }
 
@@ -209,7 +213,7 @@ absl::Status PolicyLink::Answer(const PredictionRequest& request, ArmChunk& chun
   const double took = static_cast<double>(clock_->now_ns() - before) / kNsPerSecond;
   const Eigen::MatrixXf& policy =
       prediction.policy_actions.size() > 0 ? prediction.policy_actions : prediction.actions;
-  if (prediction.actions.cols() != kArmAxes || policy.cols() != kArmAxes ||
+  if (prediction.actions.cols() != axes_.count() || policy.cols() != axes_.count() ||
       policy.rows() != prediction.actions.rows() || prediction.actions.rows() > ArmChunk::kMaxRows)
     return absl::InternalError(absl::StrCat("policy '", spec_.name, "' predicted ",
                                             prediction.actions.rows(), " x ",
@@ -225,8 +229,8 @@ absl::Status PolicyLink::Answer(const PredictionRequest& request, ArmChunk& chun
   chunk.prediction_id = prediction.prediction_id | (counters_.sessions << kSessionShift);
   chunk.rows = static_cast<int32_t>(prediction.actions.rows());
   for (int i = 0; i < chunk.rows; ++i) {
-    chunk.requested[i] = RowOf(prediction.actions, i);
-    chunk.policy[i] = RowOf(policy, i);
+    chunk.requested[i] = RowOf(prediction.actions, i, axes_);
+    chunk.policy[i] = RowOf(policy, i, axes_);
   }
   chunk_start_[chunk.prediction_id] = request.position;
   while (chunk_start_.size() > kChunkStarts) chunk_start_.erase(chunk_start_.begin());

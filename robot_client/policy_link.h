@@ -112,6 +112,7 @@ class PolicyLink {
   std::counting_semaphore<> wake_{0};
 
   // The link's thread.
+  const ArmAxes axes_;  // of the arm: a policy's numbers, in this order
   std::unique_ptr<PolicyEndpoint> endpoint_;
   PolicySpec spec_;
   FeedbackAssembler assembler_;

@@ -31,6 +31,7 @@ constexpr NamedFault kNames[] = {
     {kFaultBus, "bus error"},
     {kFaultStatus, "the arm's status is missing or unknown"},
     {kFaultMode, "the arm left the mode in which it takes commands"},
+    {kFaultNotStopped, "it was told to stop and does not: use the switch"},
 };
 
 }  // namespace

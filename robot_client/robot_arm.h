@@ -16,6 +16,17 @@ inline constexpr int kArmJoints = 6;             // J1 .. J6
 inline constexpr int kArmAxes = kArmJoints + 1;  // the gripper is the last axis
 using ArmVector = std::array<double, kArmAxes>;
 
+// Which of the axes an arm has. The others stay at 0, and nothing is sent for them.
+struct ArmAxes {
+  int joints = kArmJoints;  // J1 .. of so many, from the base on
+  bool gripper = true;
+
+  int count() const { return joints + (gripper ? 1 : 0); }
+  // Where in an ArmVector the i-th of `count` numbers stands: joints first, then the gripper.
+  int slot(int i) const { return i < joints ? i : kArmJoints; }
+  bool has(int axis) const { return axis < joints || (axis == kArmJoints && gripper); }
+};
+
 // Bits of ArmSnapshot::faults. A bit says what the arm reported, not what follows from it.
 enum ArmFault : uint32_t {
   kFaultEmergencyStop = 1u << 0,    // the arm is in an emergency stop
@@ -36,6 +47,7 @@ enum ArmFault : uint32_t {
   kFaultBus = 1u << 15,             // the bus itself: bus-off, error frames, interface down
   kFaultStatus = 1u << 16,          // the arm's status has stopped coming, or is unknown
   kFaultMode = 1u << 17,            // the arm left the mode in which it takes these commands
+  kFaultNotStopped = 1u << 18,      // it was told to stop and does not: only the switch is left
 };
 
 // "collision, stall"; "none" for 0. `joints`: bit j: joint j + 1's own driver reports one of
@@ -108,7 +120,10 @@ class RobotArm {
   virtual absl::Status QuickStop() = 0;
 
   virtual ArmLimits limits() const = 0;         // valid after Connect
+  virtual ArmAxes axes() const { return {}; }   // six joints and a gripper
   virtual std::string description() const = 0;  // for records: kind, bus, firmware
+  // What QuickStop does to this arm, for the person who asked for it.
+  virtual std::string stop_effect() const { return "damped stop: the arm sinks"; }
 };
 
 }  // namespace robostress

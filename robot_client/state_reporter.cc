@@ -99,7 +99,9 @@ void StateReporter::Say(std::string line) {
 
 void StateReporter::Note(const TickRecord& r) {
   if (origin_ns_ == 0) origin_ns_ = r.start_ns;
-  if (r.state == state_ && r.cause == cause_) return;
+  const bool goes_on = (r.faults & kFaultNotStopped) != 0;  // told once, however late it shows
+  if (r.state == state_ && r.cause == cause_ && goes_on == goes_on_) return;
+  goes_on_ = goes_on;
   state_ = r.state;
   cause_ = r.cause;
   std::string line =

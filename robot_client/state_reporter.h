@@ -41,6 +41,7 @@ class StateReporter {
   int64_t origin_ns_ = 0;
   ClientState state_ = ClientState::kIdle;
   StateCause cause_ = StateCause::kNone;
+  bool goes_on_ = false;  // kFaultNotStopped
   absl::Mutex mu_;
   std::deque<std::string> lines_ ABSL_GUARDED_BY(mu_);
 };

@@ -130,6 +130,7 @@ class ControlLoop {
   void Run(const std::atomic<bool>& stop);
   const TickTiming& timing() const { return timing_; }  // when Run has returned
   double period_s() const { return 1 / options_.rate_hz; }
+  ArmAxes axes() const { return arm_->axes(); }
   const TickRecord& last_record() const { return record_; }  // control thread
 
  private:
