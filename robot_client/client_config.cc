@@ -11,6 +11,7 @@
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "common/status_macros.h"
+#include "robot_client/bridge/bridge_arm.h"
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/file_source.h"
 #include "robot_client/cameras/mapped_frames.h"
@@ -81,6 +82,34 @@ absl::Status CheckWorkspace(const WorkspaceOptions& o) {
   return absl::OkStatus();
 }
 
+bool IsBridge(const ClientConfig& config) { return absl::StartsWith(config.bus, "bridge:"); }
+
+absl::StatusOr<bool> IsReal(const ClientConfig& config) {
+  if (!IsBridge(config))
+    return absl::StartsWith(config.bus, "can:") && !absl::StartsWith(config.bus, "can:vcan");
+  RS_ASSIGN_OR_RETURN(const bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
+  return !robot.simulated;
+}
+
+absl::Status TakeRobotFile(ClientConfig& config) {
+  if (!IsBridge(config)) {
+    if (config.robot.empty()) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat("robot is ", config.robot, " and bus ", config.bus,
+                     ": a robot file describes an arm behind a driver; give --arm "
+                     "bridge:unix:SOCKET, or leave --robot out"));
+  }
+  if (config.robot.empty())
+    return absl::InvalidArgumentError(
+        absl::StrCat("bus is ", config.bus,
+                     " and no robot file says what is there; give --robot FILE, for one "
+                     "robot_client/bridge/so101.yaml"));
+  RS_ASSIGN_OR_RETURN(const bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
+  config.control.rate_hz = robot.rate_hz;
+  if (config.home.empty()) config.home = bridge::HomeInSlots(robot);
+  return absl::OkStatus();
+}
+
 absl::Status CheckConfig(const ClientConfig& c) {
   const auto invalid = [](const auto&... parts) {
     return absl::InvalidArgumentError(absl::StrCat(parts...));
@@ -148,6 +177,12 @@ absl::StatusOr<std::unique_ptr<FrameSource>> MakeCamera(const std::string& text,
 absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Clock* clock) {
   if (config.bus == "rehearse")
     return std::unique_ptr<RobotArm>(std::make_unique<RehearsalArm>(RehearsalArmOptions{}, clock));
+  if (IsBridge(config)) {
+    RS_ASSIGN_OR_RETURN(bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
+    std::string address(absl::StripPrefix(config.bus, "bridge:"));
+    return std::unique_ptr<RobotArm>(
+        std::make_unique<bridge::BridgeArm>(std::move(robot), std::move(address), *clock));
+  }
   RS_ASSIGN_OR_RETURN(std::unique_ptr<CanBus> bus, MakeCanBus(config.bus, *clock));
   piper::PiperArmOptions options;
   options.speed_percent = piper::PercentOf(
@@ -161,6 +196,7 @@ absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Cl
 }
 
 std::unique_ptr<ArmModel> MakeModel(const ClientConfig& config, const RobotArm& arm) {
+  if (IsBridge(config)) return nullptr;
   const auto* piper = dynamic_cast<const piper::PiperArm*>(&arm);
   const piper::Zero zero =
       piper == nullptr ? piper::Zero::kSince_1_6_3 : piper::ZeroOf(piper->firmware());

@@ -16,7 +16,9 @@ namespace robostress {
 
 // Everything that a run of the client is made of; this struct is DIR/config.yaml.
 struct ClientConfig {
-  std::string bus = "rehearse";      // can:can0, udp:GROUP:PORT, or rehearse: no arm at all
+  // can:can0, udp:GROUP:PORT, bridge:unix:SOCKET, or rehearse: no arm at all
+  std::string bus = "rehearse";
+  std::string robot;                 // robot file of an arm behind a bridge
   std::string instruction;           // what the policy is told
   std::vector<std::string> cameras;  // NAME=SOURCE in the policy's order, see MakeCamera
   int task = 0;                      // index in the experiment; one run is one task, one session
@@ -37,7 +39,8 @@ struct ClientConfig {
 
   template <class V>
   void Visit(V& v) {
-    v.Field("bus", bus, "can:can0, udp:GROUP:PORT, or rehearse: no arm");
+    v.Field("bus", bus, "can:can0, udp:GROUP:PORT, bridge:unix:SOCKET, or rehearse: no arm");
+    v.Late("robot", robot, std::string(), "robot file of an arm behind a bridge");
     v.Field("instruction", instruction, "what the policy is told");
     v.Field("cameras", cameras, "NAME=SOURCE in the order that the policy wants");
     v.Field("task", task, "index in the experiment; one run, one task, one adaptation");
@@ -73,9 +76,18 @@ absl::Status CheckWorkspace(const WorkspaceOptions& options);
 //   base=synthetic                           a moving pattern
 absl::StatusOr<std::unique_ptr<FrameSource>> MakeCamera(const std::string& text, Clock* clock);
 
+// The arm of config.bus is behind a driver process, which config.robot describes.
+bool IsBridge(const ClientConfig& config);
+// It may be one that can hurt somebody.
+absl::StatusOr<bool> IsReal(const ClientConfig& config);
+// Takes over what a robot file says of the loop: its rate, and home where the configuration has
+// none. Nothing for an arm that is no bridge.
+absl::Status TakeRobotFile(ClientConfig& config);
+
 // The arm of config.bus, not connected.
 absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Clock* clock);
-// What is known of its mechanics; after Connect.
+// What is known of its mechanics; after Connect. Null: nothing, then nothing is watched that needs
+// a model.
 std::unique_ptr<ArmModel> MakeModel(const ClientConfig& config, const RobotArm& arm);
 
 }  // namespace robostress

@@ -11,7 +11,10 @@ namespace robostress {
 void AddClientFlags(cli::App& app, ClientFlags& flags) {
   app.add_option("--config", flags.config_file, "configuration (YAML), as a run writes it");
   app.add_option("--out", flags.out, "directory of the recording; must not hold one")->required();
-  app.add_option("--bus", flags.bus, "can:can0, udp:GROUP:PORT, or rehearse (no arm; default)");
+  app.add_option("--bus,--arm", flags.bus,
+                 "can:can0, udp:GROUP:PORT, bridge:unix:SOCKET, or rehearse (no arm; default)");
+  app.add_option("--robot", flags.robot,
+                 "what is behind a bridge (YAML), for one robot_client/bridge/so101.yaml");
   app.add_option("--camera", flags.cameras,
                  "NAME=v4l2:DEVICE[@WxH] | NAME=files:DIR | NAME=mapped:FILE | NAME=synthetic, "
                  "each with an optional "
@@ -34,12 +37,14 @@ absl::StatusOr<ClientConfig> ResolveConfig(
     RS_ASSIGN_OR_RETURN(config, LoadConfig<ClientConfig>(flags.config_file));
   }
   if (!flags.bus.empty()) config.bus = flags.bus;
+  if (!flags.robot.empty()) config.robot = flags.robot;
+  RS_RETURN_IF_ERROR(TakeRobotFile(config));
   if (!flags.cameras.empty()) config.cameras = flags.cameras;
   if (!flags.without.empty()) config.without = flags.without;
   RS_RETURN_IF_ERROR(change(config));
   RS_RETURN_IF_ERROR(ApplyOverrides(flags.overrides, config));
-  if (flags.automatic && absl::StartsWith(config.bus, "can:") &&
-      !absl::StartsWith(config.bus, "can:vcan")) {
+  RS_ASSIGN_OR_RETURN(const bool real, IsReal(config));
+  if (flags.automatic && real) {
     return absl::InvalidArgumentError(
         absl::StrCat("--automatic with --bus ", config.bus,
                      ": a real arm is enabled and started by a person; leave --automatic out"));

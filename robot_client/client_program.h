@@ -16,7 +16,7 @@ namespace robostress {
 
 // What every command says that moves an arm: which arm, how it is configured, where it is recorded.
 struct ClientFlags {
-  std::string config_file, out, bus;
+  std::string config_file, out, bus, robot;
   std::vector<std::string> cameras, overrides, without;
   bool automatic = false;
 };

@@ -13,6 +13,7 @@
 #include "common/config.h"
 #include "common/records/arm_episode.h"
 #include "common/status_macros.h"
+#include "robot_client/bridge/bridge_arm.h"
 #include "robot_client/piper/piper_arm.h"
 
 namespace robostress {
@@ -38,6 +39,9 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
   RS_ASSIGN_OR_RETURN(arm_, MakeArm(config_, &clock_));
   RS_RETURN_IF_ERROR(arm_->Connect());
   RS_RETURN_IF_ERROR(CheckCollisionProtection());
+  if (const auto* behind = dynamic_cast<const bridge::BridgeArm*>(arm_.get())) {
+    for (std::string& line : behind->Warnings()) Say(std::move(line));
+  }
   model_ = MakeModel(config_, *arm_);
   if (!config_.home.empty()) {
     const bool guarded = config_.control.workspace.guard;
@@ -318,7 +322,7 @@ absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
     case OperatorCommand::kQuickStop:
       ways_->Stop();
       loop_->Ask(kRequestQuickStop);
-      return "damped stop: the arm sinks";
+      return arm_->stop_effect();
     case OperatorCommand::kQuit:
     case OperatorCommand::kQuitLimp:
       return "quit";

@@ -123,6 +123,11 @@ absl::Status PlayForCalibration(const CommandLine& line, const ClientConfig& con
 
 absl::Status Excite(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const ClientConfig config, ResolveConfig(line.client, WithoutPolicy));
+  if (IsBridge(config))
+    return absl::UnimplementedError(
+        absl::StrCat("bus is ", config.bus,
+                     ": excite swings a Piper's joints about its pose; record a motion of your own "
+                     "with robot_client replay"));
   if (!line.source.empty()) {
     RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, std::nullopt));
     return PlayForCalibration(line, config,

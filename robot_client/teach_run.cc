@@ -67,6 +67,11 @@ absl::Status ParseTeachBy(const std::string& text, TeachOptions* options) {
 absl::StatusOr<std::unique_ptr<TeachRun>> TeachRun::Create(ClientConfig config,
                                                            const TeachOptions& options,
                                                            OperatorConsole* console) {
+  if (IsBridge(config))
+    return absl::UnimplementedError(
+        absl::StrCat("bus is ", config.bus,
+                     ": teach moves a Piper; an arm behind a bridge is taught by the tools "
+                     "of its driver"));
   if (config.instruction.empty())
     return absl::InvalidArgumentError(
         "instruction is empty; give --instruction \"open the top drawer\"");

@@ -17,6 +17,9 @@ int main(int argc, char** argv) {
   app.add_option("--host", options.host, "address to listen on")->capture_default_str();
   app.add_option("--port", options.port, "0: a free one, which is printed");
   app.add_option("--predict-s", options.predict_s, "time of a prediction [s]");
+  int axes = 7;
+  app.add_option("--axes", axes, "numbers of a state and of an action")
+      ->check(robostress::cli::Range(1, 7));
   int cameras = 2;
   app.add_option("--cameras", cameras, "views it wants: base, wrist")
       ->check(robostress::cli::Range(0, 2));
@@ -24,7 +27,7 @@ int main(int argc, char** argv) {
   options.spec.name = "sway";
   options.spec.cameras = {"base", "wrist"};
   options.spec.cameras.resize(static_cast<size_t>(cameras));
-  options.spec.state_dim = options.spec.action_dim = 7;
+  options.spec.state_dim = options.spec.action_dim = axes;
   options.spec.horizon = 50;
   options.spec.execute_steps = 10;
   options.spec.adaptable = true;
