@@ -43,6 +43,7 @@ FAULT_COLLISION, FAULT_STALL, FAULT_OVER_CURRENT = 1 << 6, 1 << 7, 1 << 8
 FAULT_OVER_TEMPERATURE, FAULT_UNDER_VOLTAGE, FAULT_DRIVER = 1 << 9, 1 << 10, 1 << 11
 FAULT_OTHER = 1 << 13
 OLDEST_COMMAND_NS = 100_000_000  # an older target is not obeyed
+FAILED_READS = 5  # in a row: a fault. Of fewer the client sees that no new sample came
 
 
 class Broken(Exception):
@@ -52,8 +53,8 @@ class Broken(Exception):
 class Arm:
     """What a driver does. Positions are in its own units, one a name of `axes`.
 
-    Everything is called from one thread. An exception of any of them is reported to the client as a
-    fault of the driver; the arm is then left as it is.
+    Everything is called from one thread. An exception is reported to the client as a fault of the
+    driver, that of read when it comes five times in a row; the arm is then left as it is.
     """
 
     driver = "a driver"  # program, for people
@@ -110,6 +111,7 @@ class Session:
         self.heard = self.taken = self.taken_ns = self.seen = self.sequence = 0
         self.last = (0, [0.0] * len(arm.axes), None, None, 0)
         self.failed = 0  # faults of this driver, until a person has seen them
+        self.missed = 0  # reads in a row that raised
         self.ended = False
         self.complained = {}
         self.listener = listen(path)
@@ -151,9 +153,11 @@ class Session:
         stamp, position, velocity, effort, faults = self.last
         try:
             self.last = stamp, position, velocity, effort, faults = self.arm.read()
+            self.missed = 0
         except Exception as error:  # whatever a vendor's driver raises
             self.complain(f"the arm cannot be read: {error!r}")
-            faults |= FAULT_DRIVER
+            self.missed += 1
+            faults |= FAULT_JOINT_BUS if self.missed >= FAILED_READS else 0
         if not self.greeted:
             return
         faults |= self.failed

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -258,7 +259,8 @@ void BridgeArm::TakeState(const FrameHeader& header, const uint8_t* payload) {
 
 bool BridgeArm::Jumps(const ArmVector& position, int64_t stamp_ns) const {
   if (sample_.sequence == 0) return false;
-  const double dt = Seconds(stamp_ns - sample_.stamp_ns);
+  // While samples are refused the last one that was taken gets older, and no longer way likelier.
+  const double dt = std::min(Seconds(stamp_ns - sample_.stamp_ns), jump_s_);
   for (int i = 0; i < robot_.axes.count(); ++i) {
     const int slot = robot_.axes.slot(i);
     const double most = kJump + kJumpFactor * robot_.limits.max_velocity[slot] * dt;
@@ -274,11 +276,13 @@ bool BridgeArm::TakeSample(const StateFrame& state) {
   if (Jumps(position, state.stamp_ns)) {
     if (!anywhere_) {
       ++counters_.jumps;
+      jump_s_ = std::min(Seconds(state.stamp_ns - sample_.stamp_ns), jump_s_);
       return false;
     }
     places_seen_ = 0;
   }
   anywhere_ = false;
+  jump_s_ = std::numeric_limits<double>::infinity();
   sample_.position = position;
   sample_.stamp_ns = state.stamp_ns;
   ++sample_.sequence;

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -120,7 +121,9 @@ class BridgeArm : public RobotArm {
   bool stopped_ = false;       // by QuickStop, until Enable
   int64_t stop_ns_ = 0;        // when that began
   int64_t stop_asked_ns_ = 0;  // when it was last asked for
-  bool anywhere_ = true;       // the next sample may be: a person has looked
+  // Since a sample was refused as a jump: the time that its way took [s].
+  double jump_s_ = std::numeric_limits<double>::infinity();
+  bool anywhere_ = true;  // the next sample may be: a person has looked
   BridgeCounters counters_;
 
   struct Place {

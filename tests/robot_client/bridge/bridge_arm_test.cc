@@ -181,6 +181,16 @@ TEST(BridgeArm, AJumpIsNotTakenUntilAPersonHasLooked) {
   world.arm->Poll();
   EXPECT_EQ(world.arm->Latest().position[0], before);
   EXPECT_GE(world.arm->counters().jumps, 1u);
+  world.clock.SleepUntil(world.clock.now_ns() + 2'000'000'000);
+  world.arm->Poll();
+  EXPECT_EQ(world.arm->Latest().position[0], before) << "time makes it no likelier";
+  world.driver->shift = 0;
+  world.clock.SleepUntil(world.clock.now_ns() + 20'000'000);
+  world.arm->Poll();
+  EXPECT_GT(world.arm->Latest().stamp_ns, world.clock.now_ns() - 20'000'000) << "it was a glitch";
+  world.driver->shift = 0.5;
+  world.clock.SleepUntil(world.clock.now_ns() + 20'000'000);
+  world.arm->Poll();
   world.arm->Acknowledge();
   world.clock.SleepUntil(world.clock.now_ns() + 20'000'000);
   world.arm->Poll();

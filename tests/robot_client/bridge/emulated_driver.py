@@ -8,14 +8,14 @@ critically damped, 2 rad/s at most) and know degrees; the gripper knows 0 to 100
 
     die        the process is killed               hang       it stands still for ever, its socket open
     stall:S    it stands still for S seconds       silent     it sends no states
-    late:S     states are sent S seconds late      delayed:S  the same with stamps of their sending
-    replay     it sends one old frame for ever     restamp    one old measurement with new stamps
+    late:S     states are sent S seconds late      restamp    one old measurement with new stamps
+    replay     it sends one old frame for ever     raises     its read raises
     jump:DEG   every joint reads DEG more          nan        a position is no number
     count      a value too few in a state          garbage    bytes that are no frame
     version    frames of version 2                 flood      20 states where one is due
     unpowered  the joints say they have no power   collision  a fault bit
     blocked    the joints cannot move              deafstop   it says that it stops, and goes on
-    nostop     it does not even say so             raises     its read raises
+    nostop     it does not even say so
 """
 
 import argparse
@@ -153,14 +153,10 @@ class FaultySession(bridge.Session):
         if fault("restamp") is not None:
             self.old = self.old or payload
             payload = struct.pack("<q", time.monotonic_ns()) + self.old[8:]
-        if fault("late") is not None or fault("delayed") is not None:
+        if fault("late") is not None:
             self.waiting.append((now, payload))
-            lag = fault("late") or fault("delayed")
-            while self.waiting and now - self.waiting[0][0] >= lag:
-                payload = self.waiting.pop(0)[1]
-                if fault("delayed") is not None:
-                    payload = struct.pack("<q", time.monotonic_ns()) + payload[8:]
-                super().send(kind, payload)
+            while self.waiting and now - self.waiting[0][0] >= fault("late"):
+                super().send(kind, self.waiting.pop(0)[1])
             return None
         for _ in range(20 if fault("flood") is not None else 1):
             super().send(kind, payload)

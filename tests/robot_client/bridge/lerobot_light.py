@@ -1,0 +1,28 @@
+#!/usr/bin/env python3
+"""Runs a program with LeRobot's robots and without LeRobot's learning half, which takes gigabytes.
+
+    lerobot_light.py PROGRAM ARGUMENTS...
+
+What robots import of torch and the processors are names in annotations: they are empty here. The
+classes of robots, motors and buses are LeRobot's own, of the package that is installed.
+"""
+
+import runpy
+import sys
+import types
+
+
+class Nothing(types.ModuleType):
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return type(name, (), {})
+
+
+for module in ("torch", "accelerate", "datasets", "datasets.utils", "datasets.utils.logging",
+               "lerobot.processor"):
+    sys.modules[module] = Nothing(module)
+
+if __name__ == "__main__":
+    sys.argv = sys.argv[1:]
+    runpy.run_path(sys.argv[0], run_name="__main__")
