@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <tuple>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -137,8 +138,8 @@ absl::Status BridgeArm::Connect() {
 absl::Status BridgeArm::Greet() {
   const std::vector<uint8_t> hello = EncodeText(
       FrameKind::kHello, ++sent_sequence_, HelloText(robot_.name, robot_.names(), robot_.rate_hz));
-  if (socket_->Send(hello.data(), hello.size()) != DriverSocket::Result::kDone)
-    return absl::UnavailableError(Named("the driver hung up at once; look at its messages"));
+  std::ignore =
+      socket_->Send(hello.data(), hello.size());  // a driver that refuses may have hung up already
   WaitFor(options_.welcome_s, [&] { return welcomed_ || !refusal_.empty() || *broken_ != '\0'; });
   if (!refusal_.empty()) return absl::FailedPreconditionError(Named(refusal_));
   if (welcomed_) return absl::OkStatus();

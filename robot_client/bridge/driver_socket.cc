@@ -69,8 +69,8 @@ DriverSocket::Result DriverSocket::Send(const uint8_t* data, size_t size) {
   } while (sent < 0 && errno == EINTR);
   if (sent == static_cast<ssize_t>(size)) return Result::kDone;
   if (sent < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) return Result::kWouldWait;
-  Close();  // a part of a frame would shift all that follows
-  return Result::kClosed;
+  if (sent >= 0) Close();  // a part of a frame would shift all that follows
+  return Result::kClosed;  // what the driver said before it hung up can still be received
 }
 
 DriverSocket::Result DriverSocket::Receive(uint8_t* data, size_t size, size_t& received) {

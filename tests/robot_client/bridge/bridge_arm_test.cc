@@ -77,6 +77,12 @@ TEST(BridgeArm, RefusesADriverThatCanDoLess) {
                 d.WriteText(FrameKind::kRefusal, R"({"reason":"another client drives this arm"})");
               }),
               HasSubstr("the driver refuses: another client drives this arm"));
+  EXPECT_THAT(refused([](ScriptedDriver& d) {
+                d.WriteText(FrameKind::kRefusal, R"({"reason":"busy"})");
+                d.HangUp();
+              }),
+              HasSubstr("the driver refuses: busy"))
+      << "said before it hung up";
   EXPECT_THAT(refused([](ScriptedDriver& d) { d.Write("HTTP/1.1 400 Bad Request", 24); }),
               HasSubstr("bytes that are no frame instead of a welcome"));
 }

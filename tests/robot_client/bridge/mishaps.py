@@ -24,6 +24,7 @@ import time
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 REST = math.degrees(0.005)
+TYPED = "stop_is_not_obeyed"  # a person is there: alone, the client ends in FAULT at once
 EVENT = re.compile(r'"monotonic_ns":(\d+)')
 
 
@@ -49,7 +50,7 @@ def rows():
     yield "server_killed", [], ("server", kill), "HOLD", "server_silent"
     yield "operator_holds", [], ("client", signal.SIGINT), "HOLD", "operator"
     yield "operator_stops_twice", [], ("client", "twice"), "FAULT", "quick_stop"
-    yield "stop_is_not_obeyed", ["--fault", "deafstop"], ("client", "twice"), "FAULT", "quick_stop"
+    yield TYPED, ["--fault", "deafstop"], ("client", "twice"), "FAULT", "quick_stop"
     yield "client_killed", [], ("client", kill), "", ""
     yield "client_stopped", [], ("client", stop), "", ""
     yield "flood", ["--fault", "flood@1"], None, "", ""
@@ -71,17 +72,26 @@ class Run:
         self.client = self.start("client", [
             f"{build}/bin/robot_client", "--arm", f"bridge:unix:{self.socket}", "--robot",
             f"{HERE}/five_servos.yaml", "--server", address, "--policy", "sway", "--instruction", "sway",
-            "--camera", "base=synthetic", "--camera", "wrist=synthetic", "--automatic", "--set",
+            "--camera", "base=synthetic", "--camera", "wrist=synthetic", "--set",
             "episodes=1", "--set", "episode_s=6", "--set", "realtime.priority=0", "--set",
             "realtime.lock_memory=false", "--set", "control.watchdogs.server_hold_s=0.5", "--out", self.out,
             *(["--set", "control.watchdogs.arm_hold_s=0.15", "--set", "control.watchdogs.arm_fault_s=0.5"]
-              if self.patient else [])])
+              if self.patient else []),
+            *([] if name == TYPED else ["--automatic"])])
+        if name == TYPED:
+            for order, answer in (("enable", "the arm has power"), ("start", "episode 0")):
+                self.type(order)
+                self.wait_for("client", answer)
         # Dead or dying, all of them are ended; what they say stays in the files.
 
     def start(self, what, command):
         file = open(f"{self.out}.{what}", "w")
         self.files.append(file)
-        return subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+        return subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.PIPE)
+
+    def type(self, order):
+        self.client.stdin.write(order.encode() + b"\n")
+        self.client.stdin.flush()
 
     def text(self, what):
         with open(f"{self.out}.{what}") as file:
@@ -124,6 +134,9 @@ def play(build, out, name, options, act):
             time.sleep(1.5)
             return run, at, None
         # What the emulated driver does at second 2 of its arm's power is seen in the record.
+        if name == TYPED:
+            time.sleep(2)
+            run.type("quit")
         code = run.client.wait(timeout=30)
         if name == "driver_stops_1_s":
             time.sleep(1)  # it has slept over the client's end
@@ -211,7 +224,7 @@ def row(build, out, name, options, act, state, cause):
     line, complaint = judge(out, name, mishap, state, cause)
     if name == "flood" and code != 0:
         complaint = f"{name}: exit code {code}: {run.text('client')}"
-    if name == "stop_is_not_obeyed" and "use the switch" not in run.text("client"):
+    if name == TYPED and "use the switch" not in run.text("client"):
         complaint = f"{name}: not shown: {run.text('client')}"
     return line, complaint
 
@@ -234,6 +247,7 @@ def greetings(build, out):
 
     shutil.rmtree(f"{out}/none", ignore_errors=True)
     expect("no_driver", client(f"/tmp/nobody-{os.getpid()}"), 2, "no driver at unix:", "start it first")
+    shutil.rmtree(f"{out}/second_client", ignore_errors=True)
     run = Run(build, out, "second_client", [])
     try:
         run.wait_for("client", r"RUN \(operator\)")
