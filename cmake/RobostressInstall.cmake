@@ -101,8 +101,10 @@ if(ROBOSTRESS_TORCH)
     DESTINATION ${doc}/robostress-server/examples COMPONENT server)
 endif()
 if(ROBOSTRESS_ROBOT_CLIENT)
-  install(FILES robot_client/lab.yaml DESTINATION ${doc}/robostress-robot-client/examples COMPONENT robot-client)
-  install(PROGRAMS deploy/can0.sh DESTINATION ${doc}/robostress-robot-client/examples COMPONENT robot-client)
+  install(FILES robot_client/lab.yaml robot_client/bridge/so101.yaml deploy/robostress_bridge.py
+    DESTINATION ${doc}/robostress-robot-client/examples COMPONENT robot-client)
+  install(PROGRAMS deploy/can0.sh deploy/robostress_bridge_lerobot.py deploy/robostress_bridge_ros2.py
+    DESTINATION ${doc}/robostress-robot-client/examples COMPONENT robot-client)
 endif()
 install(PROGRAMS deploy/robostress_serve_lerobot.py deploy/robostress_serve_vla_eval.py
   DESTINATION ${doc}/robostress-evaluation/examples COMPONENT evaluation)

@@ -294,9 +294,20 @@ class Session:
         self.client.close()
         self.client, self.buffer, self.greeted, self.seen = None, b"", False, 0
 
+    def gone(self):
+        """The client has hung up, and what it said before has been read."""
+        try:
+            return self.client.recv(1, socket.MSG_PEEK) == b""
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+
     def accept(self):
         connection, _ = self.listener.accept()
         connection.setblocking(False)
+        if self.client is not None and self.gone():
+            self.drop("the client has hung up")
         if self.client is None:
             self.client = connection
             return

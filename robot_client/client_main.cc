@@ -1,4 +1,5 @@
-// robot_client: runs an AgileX Piper, real or emulated, against a policy server.
+// robot_client: runs an AgileX Piper, real or emulated, or an arm behind a driver process, against
+// a policy server.
 
 #include <memory>
 #include <optional>
@@ -29,6 +30,10 @@ constexpr char kExamples[] = R"(Examples:
   piper_emulator --bus udp:239.74.163.2:43113 --profile used_one_year &
   robot_client --config robot_client/lab.yaml --bus udp:239.74.163.2:43113 --set cameras=[] --out runs/emulated
   robot_client --config robot_client/lab.yaml --method ours --out runs/real
+
+  # another arm, behind a driver process: LeRobot's SO-101 (docs/results/arm-bridge.md)
+  python deploy/robostress_bridge_lerobot.py --socket /tmp/arm --robot.type=so101_follower --robot.port=/dev/ttyACM0 &
+  robot_client --arm bridge:unix:/tmp/arm --robot robot_client/bridge/so101.yaml --out runs/so101
 
   robot_client monitor --bus can:can0     # looks at an arm without commanding it; monitor --help
   robot_client cameras                    # lists cameras, or shows them; cameras --help
@@ -87,8 +92,10 @@ int Main(int argc, char** argv) {
   if (command == "replay") return ReplayMain(argc - 1, argv + 1);
   if (command == "excite") return ExciteMain(argc - 1, argv + 1);
   if (command == "teach") return TeachMain(argc - 1, argv + 1);
-  cli::App app("Runs an AgileX Piper at 30 Hz against a policy server and records every tick.",
-               "robot_client");
+  cli::App app(
+      "Runs an AgileX Piper, or an arm behind a driver process, at 30 Hz against a policy server "
+      "and records every tick.",
+      "robot_client");
   app.footer(kExamples);
   CommandLine line;
   AddClientFlags(app, line.client);
