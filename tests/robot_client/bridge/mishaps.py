@@ -231,9 +231,9 @@ def row(build, out, name, options, act, state, cause):
 
 def greetings(build, out):
     """Who is not let in: a second client, no driver, a driver of another version, one that can less."""
-    def client(socket, *options):
+    def client(socket, *options, robot=f"{HERE}/five_servos.yaml", arm="bridge:unix:"):
         done = subprocess.run(
-            [f"{build}/bin/robot_client", "--arm", f"bridge:unix:{socket}", "--robot", f"{HERE}/five_servos.yaml",
+            [f"{build}/bin/robot_client", "--arm", f"{arm}{socket}", *(["--robot", robot] if robot else []),
              "--set", "realtime.priority=0", "--set", "realtime.lock_memory=false", "--out", f"{out}/none", *options],
             input="quit\n", capture_output=True, text=True, timeout=60)
         return done.returncode, done.stdout + done.stderr
@@ -248,6 +248,13 @@ def greetings(build, out):
     shutil.rmtree(f"{out}/none", ignore_errors=True)
     expect("no_driver", client(f"/tmp/nobody-{os.getpid()}"), 2, "no driver at unix:", "start it first")
     shutil.rmtree(f"{out}/second_client", ignore_errors=True)
+    nobody = "/tmp/nobody"
+    so101 = f"{HERE}/../../../robot_client/bridge/so101.yaml"
+    expect("automatic_on_a_real_arm", client(nobody, "--automatic", robot=so101), 2, "started by a person")
+    expect("no_robot_file", client(nobody, robot=None), 2, "give --robot FILE")
+    expect("robot_file_missing", client(nobody, robot="/tmp/none.yaml"), 2, "/tmp/none.yaml")
+    expect("robot_file_without_bridge", client("rehearse", arm=""), 2, "leave --robot out")
+    expect("address_of_another_kind", client(":5000", arm="bridge:tcp"), 2, "must be bridge:unix:PATH")
     run = Run(build, out, "second_client", [])
     try:
         run.wait_for("client", r"RUN \(operator\)")
