@@ -63,6 +63,16 @@ def make_robot(options, fields):
     return robots.make_robot_from_config(draccus.parse(config_class=line, args=fields).robot)
 
 
+def calibrated(robot):
+    """Asked of the motors, whose bus may lose an answer."""
+    for _ in range(2):
+        try:
+            return robot.is_calibrated
+        except ConnectionError as error:
+            logging.warning("asked again: %s", error)
+    return robot.is_calibrated
+
+
 class LeRobotArm(bridge.Arm):
     """A lerobot Robot, connected."""
 
@@ -143,7 +153,7 @@ def main(arguments=None):
     robot = make_robot(options, fields)
     arm = LeRobotArm(robot, options.keep, options.velocities, options.simulated)
     robot.connect(calibrate=False)
-    if not robot.is_calibrated:
+    if not calibrated(robot):
         robot.disconnect()
         raise SystemExit(f"{robot.name} is not calibrated: run lerobot-calibrate with the same --robot options first")
     bridge.serve(arm, options)

@@ -396,9 +396,10 @@ absl::Status BridgeArm::CheckStands(double still) const {
 
 absl::Status BridgeArm::Enable(const std::function<bool()>& cancelled) {
   if (!welcomed_) return absl::FailedPreconditionError(Named("Enable before Connect"));
-  Poll();
-  RS_RETURN_IF_ERROR(CheckStands(options_.still));
   const auto stop = [&] { return cancelled && cancelled(); };
+  const auto stands = [&] { return stop() || CheckStands(options_.still).ok(); };
+  WaitFor(options_.reply_s, stands);  // a driver may be late once
+  RS_RETURN_IF_ERROR(CheckStands(options_.still));
   const auto told =
       absl::CancelledError(Named("enable was cancelled; the driver holds where the arm is"));
   if (stop()) return told;
@@ -419,7 +420,7 @@ absl::Status BridgeArm::Enable(const std::function<bool()>& cancelled) {
                            ArmFaultNames(Latest().faults))));
   if (stop()) return told;
   // A joint that gets power may give way a little before it holds.
-  WaitFor(options_.enable_s, [&] { return stop() || CheckStands(options_.still).ok(); });
+  WaitFor(options_.enable_s, stands);
   if (stop()) return told;
   RS_RETURN_IF_ERROR(CheckStands(options_.still));
   const absl::Status held = SendHold(CommandMode::kTarget);

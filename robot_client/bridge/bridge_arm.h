@@ -20,7 +20,7 @@ struct BridgeArmOptions {
   double wait_s = 5;               // for a driver that is being started
   double welcome_s = 5;            // for its answer and its first state
   double enable_s = 5;             // Enable gives up after this
-  double reply_s = 0.5;            // for a state that shows what was asked
+  double reply_s = 0.5;            // Enable waits for a fresh state of an arm that stands
   double fresh_s = 0.05;           // Enable takes no older pose
   double still = 0.05;             // [rad/s] nor one that moves faster
   double velocity_window_s = 0.1;  // over which velocities are estimated

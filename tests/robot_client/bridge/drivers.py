@@ -36,8 +36,9 @@ class Driver:
     def __init__(self, out, name, command, environment=None):
         self.socket, self.log = f"/tmp/bridge-{os.getpid()}-{name}", os.path.join(out, name + ".driver")
         with open(self.log, "w") as file:
-            self.process = subprocess.Popen([*command, "--socket", self.socket, "--simulated"], stdout=file,
-                                            stderr=subprocess.STDOUT, env={**os.environ, **(environment or {})})
+            self.process = subprocess.Popen(
+                [*command, "--socket", self.socket, "--simulated", "--watchdog-s", "0.5"], stdout=file,
+                stderr=subprocess.STDOUT, env={**os.environ, **(environment or {})})
         end = time.monotonic() + 60
         while not os.path.exists(self.socket):
             if self.process.poll() is not None or time.monotonic() > end:
@@ -65,8 +66,9 @@ def operate(build, out, name, driver, robot, orders):
     # A machine that is busy makes states late: that guard is another test's.
     client = subprocess.Popen(
         [f"{build}/bin/robot_client", "--arm", f"bridge:unix:{driver.socket}", "--robot", robot, "--set",
-         "realtime.priority=0", "--set", "realtime.lock_memory=false", "--set",
-         "control.watchdogs.arm_hold_s=0.2", "--set", "control.watchdogs.arm_fault_s=1", "--out", run],
+         "realtime.priority=0", "--set", "realtime.lock_memory=false", "--without", "arm_hold_s", "--set",
+         "control.watchdogs.arm_hold_s=3", "--without", "arm_fault_s", "--set", "control.watchdogs.arm_fault_s=5",
+         "--without", "delay_hold_s", "--set", "control.watchdogs.delay_hold_s=5", "--out", run],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1)
     text = ""
     os.set_blocking(client.stdout.fileno(), False)
@@ -92,12 +94,13 @@ def operate(build, out, name, driver, robot, orders):
     client.stdin.close()
     code = client.wait(timeout=30)
     assert code == 0 and os.path.exists(run + "/DONE"), f"exit code {code}\n{text}"
+    assert "stop: the driver has none, so it holds where the arm stands" in text, text
     return text
 
 
 ORDERS = [("enable", "the arm has power and holds"), ("jog J2 5deg", "the arm is there"),
-          ("jog gripper 5mm", "the arm is there"), ("home", "the arm is home"), ("stop", "stop: the driver has none"),
-          ("clear", "no fault any more"), ("enable", "the arm has power and holds")]
+          ("jog gripper 5mm", "the arm is there"), ("home", "the arm is home"),
+          ("stop", "FAULT (quick_stop)"), ("clear", "no fault any more"), ("enable", "the arm has power and holds")]
 
 
 def last_row(out, name):

@@ -101,7 +101,7 @@ class ServoArm(bridge.Arm):
 
     def stop(self):
         if self.fault("deafstop") is not None:
-            self.target = [q + 90 for q in self.target]  # on and on
+            self.target = [q + 900 for q in self.target]  # on and on
         elif self.fault("nostop") is None:
             self.hold()
 
