@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/csv_table.h"
@@ -17,11 +18,13 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr char kOfRig[] = "q_cmd_piper_joint";
 constexpr uint64_t kMostBytes = uint64_t{512} << 20;  // of a table: five hours of a run
 
-// The motion of some rows of a table, their axes under `prefix`.
-absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& prefix,
-                                    const std::vector<size_t>& rows, std::string source) {
+// The motion of some rows of a table, a joint's column being `joint` with its number.
+absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& joint,
+                                    const std::string& gripper, const std::vector<size_t>& rows,
+                                    std::string source) {
   Motion motion;
   motion.source = std::move(source);
   RS_ASSIGN_OR_RETURN(const size_t time, table.Column("t"));
@@ -33,7 +36,7 @@ absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& pr
   for (double& t : motion.t) t -= origin;
   motion.poses.resize(rows.size());
   for (int axis = 0; axis < kArmAxes; ++axis) {
-    const std::string name = absl::StrCat(prefix, AxisName(axis));
+    const std::string name = axis < kArmJoints ? absl::StrCat(joint, axis + 1) : gripper;
     motion.moves[axis] = table.Has(name);
     if (!motion.moves[axis]) continue;
     RS_ASSIGN_OR_RETURN(const size_t column, table.Column(name));
@@ -48,17 +51,22 @@ absl::StatusOr<Motion> ReadTable(const std::string& path) {
   RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path, kMostBytes));
   std::vector<size_t> rows(table.rows());
   for (size_t i = 0; i < rows.size(); ++i) rows[i] = i;
-  for (const std::string& name : table.names()) {
-    bool known = name == "t";
-    for (int axis = 0; axis < kArmAxes; ++axis)
-      known = known || name == absl::StrCat("q_cmd_", AxisName(axis));
+  // As the rigs of this arm name its joints, or as everything else here does.
+  const std::vector<std::string>& names = table.names();
+  const bool of_rig = std::any_of(names.begin(), names.end(), [](const std::string& name) {
+    return absl::StartsWith(name, kOfRig);
+  });
+  const std::string joint = of_rig ? kOfRig : "q_cmd_J", gripper = "q_cmd_gripper";
+  for (const std::string& name : names) {
+    bool known = name == "t" || name == gripper;
+    for (int j = 1; j <= kArmJoints; ++j) known = known || name == absl::StrCat(joint, j);
     if (!known)
-      return absl::InvalidArgumentError(
-          absl::StrCat(path, ": column '", name,
-                       "' is none of t, q_cmd_J1 to q_cmd_J6, q_cmd_gripper; rename it or take it "
-                       "out, so that nothing is played that was meant otherwise"));
+      return absl::InvalidArgumentError(absl::StrCat(
+          path, ": column '", name, "' is none of t, ", joint, "1 to ", joint, "6, ", gripper,
+          "; rename it or take it out, so that nothing is played that was meant "
+          "otherwise"));
   }
-  return MotionOfRows(table, "q_cmd_", rows, path);
+  return MotionOfRows(table, joint, gripper, rows, path);
 }
 
 std::string Listed(const std::set<std::string>& episodes) {
@@ -85,7 +93,7 @@ absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> epi
     if (longest.empty())
       return absl::InvalidArgumentError(
           absl::StrCat(path, ": the arm was never moved in this run"));
-    return MotionOfRows(table, "sent_", longest, path);
+    return MotionOfRows(table, "sent_J", "sent_gripper", longest, path);
   }
   if (!episode && episodes.size() > 1)
     return absl::InvalidArgumentError(
@@ -100,7 +108,8 @@ absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> epi
     const absl::string_view name = table.Text(row, state);
     if (table.Text(row, number) == wanted && (name == "RUN" || name == "HOLD")) rows.push_back(row);
   }
-  return MotionOfRows(table, "sent_", rows, absl::StrCat(path, " episode ", wanted));
+  return MotionOfRows(table, "sent_J", "sent_gripper", rows,
+                      absl::StrCat(path, " episode ", wanted));
 }
 
 absl::StatusOr<Motion> ReadDataset(const std::string& folder, std::optional<int> episode) {

@@ -10,9 +10,10 @@ namespace robostress {
 
 // A motion from
 //
-//   FILE.csv         columns t [s] and q_cmd_J1 .. q_cmd_J6 [rad], q_cmd_gripper [m], of which
-//   those
-//                    that are missing stay where they are; times are counted from the first row
+//   FILE.csv         columns t [s] and q_cmd_J1 .. q_cmd_J6 [rad], or q_cmd_piper_joint1 .. as in
+//   the
+//                    rigs of this arm, and q_cmd_gripper [m], of which those that are missing stay
+//                    where they are; times are counted from the first row
 //   a run's folder   what robot_client sent in an episode of it (ticks.csv, columns sent_*); a run
 //                    without episodes: its longest way of the client's own
 //   a data set       the actions of an episode that robot_client recorded (lerobot/, or the folder

@@ -46,6 +46,18 @@ TEST(MotionFileTest, ReadsATableOfSomeJoints) {
   EXPECT_FALSE(motion->moves[0]);
 }
 
+TEST(MotionFileTest, ReadsTheNamesOfARigAndNoMixture) {
+  const auto motion =
+      ReadMotion(File("of_rig", "t,q_cmd_piper_joint2,q_cmd_piper_joint6\n0,0.1,0.2\n1,0.3,0.4\n"),
+                 std::nullopt);
+  ASSERT_TRUE(motion.ok()) << motion.status();
+  EXPECT_EQ(motion->poses[1][1], 0.3);
+  EXPECT_EQ(motion->poses[1][5], 0.4);
+  EXPECT_FALSE(motion->moves[0]);
+  EXPECT_THAT(Refusal(File("mixed", "t,q_cmd_piper_joint2,q_cmd_J3\n0,0.1,0.2\n1,0.3,0.4\n")),
+              HasSubstr("column 'q_cmd_J3' is none of t, q_cmd_piper_joint1"));
+}
+
 TEST(MotionFileTest, WhatItWritesItReads) {
   Motion motion;
   motion.moves = {true, false, true, false, false, false, true};
