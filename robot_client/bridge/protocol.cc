@@ -1,5 +1,6 @@
 #include "robot_client/bridge/protocol.h"
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstring>

@@ -4,7 +4,11 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <functional>
+#include <string>
+#include <tuple>
 
+#include "absl/strings/str_join.h"
 #include "tests/robot_client/bridge/scripted_driver.h"
 #include "tests/sim_worker/allocation_counter.h"
 
