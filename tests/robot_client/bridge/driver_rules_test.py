@@ -1,0 +1,221 @@
+#!/usr/bin/env python3
+"""What a driver of deploy/robostress_bridge.py obeys, and what it leaves out."""
+
+import json
+import logging
+import os
+import socket
+import struct
+import sys
+import tempfile
+import time
+import unittest
+
+sys.dont_write_bytecode = True
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), "../../../deploy"))
+
+import robostress_bridge as bridge
+
+logging.disable(logging.CRITICAL)
+
+
+class Noted(bridge.Arm):
+    axes, can_power_off = ("a", "b"), True
+
+    def __init__(self):
+        self.calls, self.at, self.broken = [], [1.0, 2.0], False
+
+    def read(self):
+        if self.broken:
+            raise RuntimeError("no answer")
+        return time.monotonic_ns(), list(self.at), None, None, 0
+
+    def move(self, targets, gripper_effort):
+        self.calls.append(("move", targets))
+
+    def power_off(self):
+        self.calls.append(("power_off",))
+
+
+class DriverRules(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.addCleanup(self.folder.cleanup)
+        self.path = os.path.join(self.folder.name, "arm")
+        self.arm = Noted()
+        self.session = bridge.Session(self.arm, self.path, 100.0, 0.1, "hold")
+        self.addCleanup(lambda: (self.session.listener.close(), self.session.client and self.session.client.close()))
+        self.sequence = 0
+        self.client = self.dial()
+
+    def dial(self):
+        client = socket.socket(socket.AF_UNIX)
+        client.connect(self.path)
+        client.setblocking(False)
+        self.addCleanup(client.close)
+        self.step()
+        return client
+
+    def step(self, states=False):
+        self.session.step(time.monotonic() - (1 if states else -0.005))
+
+    def frame(self, kind, payload, sequence=None, version=1, magic=b"RSBR"):
+        if sequence is None:
+            self.sequence += 1
+            sequence = self.sequence
+        self.client.send(bridge.HEADER.pack(magic, version, kind, len(payload), sequence) + payload)
+        self.step()
+
+    def hello(self, axes=("b", "a"), protocol=1):
+        self.frame(bridge.HELLO, json.dumps({"protocol": protocol, "axes": axes}).encode())
+
+    def command(self, mode, targets=(5.0, 6.0), age_s=0.0, sequence=None):
+        head = bridge.COMMAND.pack(time.monotonic_ns() - int(age_s * 1e9), 0, mode, 0, 0.5)
+        self.frame(bridge.COMMAND_KIND, head + struct.pack(f"<{len(targets)}d", *targets), sequence)
+
+    def enabled(self):
+        self.hello()
+        self.command(bridge.ENABLE)
+        self.arm.calls.clear()
+
+    def answer(self):
+        """(kind, payload) of the last frame that came; None: hung up."""
+        data, last = self.client.recv(1 << 16), None
+        while data:
+            _, _, kind, size, _ = bridge.HEADER.unpack_from(data)
+            last, data = (kind, data[16 : 16 + size]), data[16 + size :]
+        return last
+
+    def test_targets_are_obeyed_in_the_clients_order_of_names(self):
+        self.enabled()
+        self.command(bridge.TARGET, (5.0, 6.0))
+        self.assertEqual(self.arm.calls, [("move", [6.0, 5.0])])
+
+    def test_nothing_is_obeyed_before_enable(self):
+        self.hello()
+        self.command(bridge.TARGET)
+        self.assertEqual(self.arm.calls, [])
+
+    def test_old_repeated_and_infinite_targets_are_left_out(self):
+        self.enabled()
+        self.command(bridge.TARGET, age_s=0.2)
+        self.command(bridge.TARGET, age_s=-0.2)
+        self.command(bridge.TARGET, sequence=self.sequence - 1)
+        self.command(bridge.TARGET, (float("nan"), 1.0))
+        self.command(bridge.TARGET, (float("inf"), 1.0))
+        self.assertEqual(self.arm.calls, [])
+        self.command(bridge.TARGET, sequence=1000)
+        self.assertEqual(len(self.arm.calls), 1)
+
+    def test_of_several_targets_the_newest_is_obeyed(self):
+        self.enabled()
+        for value in (1.0, 2.0, 3.0):
+            self.sequence += 1
+            payload = bridge.COMMAND.pack(time.monotonic_ns(), 0, bridge.TARGET, 0, 0.5) + struct.pack("<2d", value, 0)
+            self.client.send(bridge.HEADER.pack(b"RSBR", 1, 5, len(payload), self.sequence) + payload)
+        self.step()
+        self.assertEqual(self.arm.calls, [("move", [0.0, 3.0])])
+
+    def test_a_stop_is_obeyed_however_old_and_once(self):
+        self.enabled()
+        self.command(bridge.STOP, age_s=5)
+        self.command(bridge.STOP, age_s=5)
+        self.assertEqual(self.arm.calls, [("move", [1.0, 2.0])], "where it stands")
+        self.command(bridge.TARGET)
+        self.assertEqual(len(self.arm.calls), 1)
+        self.assertEqual(self.session.flags, bridge.STOPPED)
+        self.command(bridge.ENABLE)
+        self.command(bridge.TARGET)
+        self.assertEqual(self.arm.calls[-1], ("move", [6.0, 5.0]))
+
+    def test_power_off_is_obeyed_however_old(self):
+        self.enabled()
+        self.command(bridge.POWER_OFF, age_s=5)
+        self.assertEqual(self.arm.calls, [("power_off",)])
+
+    def test_a_silent_client_is_held_once_and_its_targets_are_obeyed_no_more(self):
+        self.enabled()
+        time.sleep(0.12)
+        self.step()
+        self.assertEqual(self.arm.calls, [("move", [1.0, 2.0])])
+        self.command(bridge.TARGET)
+        self.step()
+        self.assertEqual(len(self.arm.calls), 1)
+        self.assertEqual(self.session.flags, bridge.HELD)
+
+    def test_old_heartbeats_keep_nobody_alive(self):
+        self.enabled()
+        for _ in range(4):
+            time.sleep(0.04)
+            self.command(bridge.HEARTBEAT, age_s=0.5)
+        self.assertEqual(self.session.flags, bridge.HELD)
+
+    def test_a_driver_that_stood_still_holds_before_it_reads(self):
+        self.enabled()
+        payload = bridge.COMMAND.pack(time.monotonic_ns() + 110_000_000, 0, bridge.TARGET, 0, 0.5)
+        self.client.send(bridge.HEADER.pack(b"RSBR", 1, 5, 48, 999) + payload + struct.pack("<2d", 5.0, 6.0))
+        time.sleep(0.12)
+        self.step()
+        self.assertEqual(self.arm.calls, [("move", [1.0, 2.0])])
+
+    def test_a_client_that_hangs_up_is_held_at_once_and_the_next_one_let_in(self):
+        self.enabled()
+        self.client.close()
+        self.client = self.dial()
+        self.step()
+        self.assertEqual(self.arm.calls, [("move", [1.0, 2.0])])
+        self.sequence = 0
+        self.hello()
+        self.assertEqual(self.answer()[0], bridge.WELCOME)
+
+    def test_a_second_client_is_refused_and_the_first_goes_on(self):
+        self.enabled()
+        first, self.client = self.client, self.dial()
+        kind, payload = self.answer()
+        self.assertEqual(kind, bridge.REFUSAL)
+        self.assertIn("another client", json.loads(payload)["reason"])
+        self.client = first
+        self.command(bridge.TARGET)
+        self.assertEqual(len(self.arm.calls), 1)
+
+    def test_wrong_greetings_are_refused_with_the_reason(self):
+        for hello, words in ((lambda: self.hello(axes=("a", "c")), "this driver has"),
+                             (lambda: self.hello(axes=("a",)), "this driver has"),
+                             (lambda: self.hello(axes=5), "this driver has"),
+                             (lambda: self.hello(protocol=2), "version 2"),
+                             (lambda: self.frame(bridge.HELLO, b"{"), "cannot be read"),
+                             (lambda: self.frame(bridge.HELLO, b"[]"), "cannot be read"),
+                             (lambda: self.frame(bridge.HELLO, b"{}", version=3), "version 3"),
+                             (lambda: self.frame(bridge.HELLO, b"{}", magic=b"HTTP"), "no frame"),
+                             (lambda: self.command(bridge.TARGET), "kind 5")):
+            hello()
+            kind, payload = self.answer()
+            self.assertEqual(kind, bridge.REFUSAL)
+            self.assertIn(words, json.loads(payload)["reason"])
+            self.client = self.dial()
+
+    def test_a_command_of_a_wrong_length_ends_the_connection_and_holds(self):
+        self.enabled()
+        self.command(bridge.TARGET, (1.0,))
+        self.assertIsNone(self.session.client)
+        self.assertEqual(self.arm.calls, [("move", [1.0, 2.0])])
+
+    def test_failed_reads_are_a_fault_after_five(self):
+        self.enabled()
+        faults = []
+        for broken in (False, True, True, True, True, True):
+            self.arm.broken = broken
+            self.step(states=True)
+            _, payload = self.answer()
+            faults.append(bridge.STATE.unpack_from(payload)[5])
+        self.assertEqual(faults, [0, 0, 0, 0, 0, bridge.FAULT_JOINT_BUS])
+
+    def test_a_living_drivers_socket_is_not_taken(self):
+        with self.assertRaises(SystemExit):
+            bridge.listen(self.path)
+        self.session.listener.close()
+        bridge.listen(self.path).close()
+
+
+if __name__ == "__main__":
+    unittest.main()
