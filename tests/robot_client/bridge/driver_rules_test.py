@@ -160,9 +160,10 @@ class DriverRules(unittest.TestCase):
 
     def test_a_client_that_hangs_up_is_held_at_once_and_the_next_one_let_in(self):
         self.enabled()
+        payload = bridge.COMMAND.pack(time.monotonic_ns(), 0, bridge.HEARTBEAT, 0, 0.5) + struct.pack("<2d", 0, 0)
+        self.client.send(bridge.HEADER.pack(b"RSBR", 1, 5, len(payload), 99) + payload)  # read before the end is seen
         self.client.close()
         self.client = self.dial()
-        self.step()
         self.assertEqual(self.arm.calls, [("move", [1.0, 2.0])])
         self.sequence = 0
         self.hello()
