@@ -15,13 +15,23 @@ Example
     --record-episodes 128 --out runs/worn
   robostress export runs/worn --lerobot data/worn --libero data/worn_hdf5 --successes
   robostress export runs/worn --mcap data/worn_mcap   # then open a file in Foxglove
+  robostress export runs/tuesday --mcap data/tuesday  # a run of robot_client
 
 In all forms the commanded action, the sent one and the measured motion are separate columns: action, action.sent and
 action.measured; in HDF5 actions, actions_sent and actions_measured; in MCAP topics /action/commanded, /action/sent and /action/measured,
-beside /joint_states, /tool_pose and a /camera/NAME each.
+beside /joint_states, /tool_pose and a /camera/NAME each. Of an arm's run: /joint_states, /client, and as /joints/... what
+the policy asked for, what was sent, what was measured.
 
 Exit code: 0 written; 1 an episode was not recorded, or another error; 2 the command is wrong.
 )";
+
+void PrintEpisodes(const robostress::ExportSummary& summary) {
+  std::printf("%lld episodes, %lld steps", static_cast<long long>(summary.episodes),
+              static_cast<long long>(summary.steps));
+  if (summary.failures_left_out > 0)
+    std::printf(" (%lld failures left out)", static_cast<long long>(summary.failures_left_out));
+  std::printf("\n");
+}
 
 }  // namespace
 
@@ -30,7 +40,8 @@ int main(int argc, char** argv) {
                            "robostress export");
   app.footer(kExamples);
   robostress::ExportOptions options;
-  app.add_option("RUN", options.run, "Run directory: the --out of a sweep that recorded episodes")
+  app.add_option("RUN", options.run,
+                 "Run directory: the --out of a sweep that recorded episodes, or of robot_client")
       ->required();
   app.add_option("--lerobot", options.lerobot, "Folder for a LeRobot v3.0 data set");
   app.add_option("--libero", options.libero, "Folder for LIBERO's HDF5 files, one a task");
@@ -42,11 +53,12 @@ int main(int argc, char** argv) {
   app.add_flag("--successes", options.successes_only, "Only episodes that succeeded");
   const auto run = [&]() -> absl::Status {
     RS_ASSIGN_OR_RETURN(const robostress::ExportSummary summary, robostress::ExportRun(options));
-    std::printf("%lld episodes, %lld steps", static_cast<long long>(summary.episodes),
-                static_cast<long long>(summary.steps));
-    if (summary.failures_left_out > 0)
-      std::printf(" (%lld failures left out)", static_cast<long long>(summary.failures_left_out));
-    std::printf("\n");
+    if (summary.ticks > 0) {
+      std::printf("%lld ticks, %lld samples of the arm\n", static_cast<long long>(summary.ticks),
+                  static_cast<long long>(summary.samples));
+    } else {
+      PrintEpisodes(summary);
+    }
     for (const std::string& path : summary.written) std::printf("  %s\n", path.c_str());
     return absl::OkStatus();
   };

@@ -9,6 +9,7 @@
 #include "common/recordings/joint_messages.h"
 #include "common/recordings/mcap_writer.h"
 #include "common/status_macros.h"
+#include "eval/export/mcap_topics.h"
 
 namespace robostress {
 namespace {
@@ -17,32 +18,18 @@ using Step = EpisodeRecording::Step;
 
 constexpr int64_t kSecond = 1'000'000'000;  // [ns]
 constexpr char kFrame[] = "base";
-constexpr char kHeaderField[] = "std_msgs/Header header\n";
 constexpr char kImage[] = "string format\nuint8[] data\n";
 constexpr char kPose[] = "geometry_msgs/Pose pose\n";
 
-std::string Definition(const char* type, const char* text) {
-  return absl::StrCat(std::string(80, '='), "\nMSG: ", type, "\n", text);
-}
-
-// A message of a header and `fields`, with the definitions of what it needs.
-McapSchema Stamped(const std::string& name, const std::string& fields,
-                   const std::string& more = "") {
-  return {name, "ros2msg",
-          absl::StrCat(
-              kHeaderField, fields, more,
-              Definition("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"),
-              Definition("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"))};
-}
-
 McapSchema PoseStamped() {
-  return Stamped(
+  return StampedSchema(
       "geometry_msgs/msg/PoseStamped", kPose,
       absl::StrCat(
-          Definition("geometry_msgs/Pose",
-                     "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"),
-          Definition("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
-          Definition("geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n")));
+          RosDefinition("geometry_msgs/Pose",
+                        "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"),
+          RosDefinition("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
+          RosDefinition("geometry_msgs/Quaternion",
+                        "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n")));
 }
 
 // A topic of named numbers: a field float64 each, in the order of the names.
@@ -82,19 +69,17 @@ const std::vector<NumbersTopic>& NumbersTopics() {
 // The file's topics, and a step's messages on them.
 class EpisodeTopics {
  public:
-  EpisodeTopics(const EpisodeRecording& recording, McapWriter* file) : file_(file) {
-    joint_states_ = Add("/joint_states", {"sensor_msgs/msg/JointState", "ros2msg",
-                                          KnownDefinitions(JointMessageKind::kJointState)[0]});
-    tool_pose_ = Add("/tool_pose", PoseStamped());
+  EpisodeTopics(const EpisodeRecording& recording, McapWriter* file) : file_(file), topics_(file) {
+    joint_states_ =
+        topics_.Add("/joint_states", {"sensor_msgs/msg/JointState", "ros2msg",
+                                      KnownDefinitions(JointMessageKind::kJointState)[0]});
+    tool_pose_ = topics_.Add("/tool_pose", PoseStamped());
     for (const NumbersTopic& topic : NumbersTopics()) {
-      std::string fields;
-      for (const std::string& name : topic.fields) absl::StrAppend(&fields, "float64 ", name, "\n");
-      numbers_.push_back(
-          Add(topic.name, Stamped(absl::StrCat("robostress_msgs/msg/", topic.type), fields)));
+      numbers_.push_back(topics_.Add(topic.name, NumbersSchema(topic.type, topic.fields)));
     }
     for (const std::string& camera : recording.cameras)
-      cameras_.push_back(
-          Add("/camera/" + camera, Stamped("sensor_msgs/msg/CompressedImage", kImage)));
+      cameras_.push_back(topics_.Add("/camera/" + camera,
+                                     StampedSchema("sensor_msgs/msg/CompressedImage", kImage)));
   }
 
   absl::Status Write(const EpisodeRecording& recording, size_t t) {
@@ -121,19 +106,13 @@ class EpisodeTopics {
   }
 
  private:
-  // Topics of one type share its schema.
-  uint16_t Add(const std::string& topic, const McapSchema& schema) {
-    const auto [known, is_new] = schemas_.try_emplace(schema.name, 0);
-    if (is_new) known->second = file_->AddSchema(schema);
-    return file_->AddChannel({topic, "cdr", known->second});
-  }
   CdrEncoder Begin() const { return CdrEncoder().Header(stamp_ns_, kFrame); }
   absl::Status Send(uint16_t channel, const CdrEncoder& message) {
     return file_->Write(channel, static_cast<uint64_t>(stamp_ns_), message.Message());
   }
 
   McapWriter* file_;
-  std::map<std::string, uint16_t> schemas_;
+  McapTopics topics_;
   uint16_t joint_states_ = 0, tool_pose_ = 0;
   std::vector<uint16_t> numbers_, cameras_;
   int64_t stamp_ns_ = 0;

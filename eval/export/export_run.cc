@@ -19,6 +19,7 @@
 #include "common/libero_demonstrations.h"
 #include "common/records/episode_recording.h"
 #include "common/status_macros.h"
+#include "eval/export/arm_run_mcap.h"
 #include "eval/export/episode_mcap.h"
 #include "eval/store/run_store.h"
 #include "nlohmann/json.hpp"
@@ -280,6 +281,28 @@ absl::StatusOr<EpisodeRecording> ReadRecording(const std::string& file, const Un
   return read;
 }
 
+absl::StatusOr<ExportSummary> ExportArmRun(const ExportOptions& options) {
+  if (!options.lerobot.empty() || !options.libero.empty() || !options.methods.empty() ||
+      !options.scenarios.empty() || options.successes_only) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        options.run,
+        ": is a run of robot_client, which is written whole and with --mcap FOLDER alone; what it "
+        "demonstrated is a data set already, its folder lerobot/"));
+  }
+  RS_ASSIGN_OR_RETURN(const std::unique_ptr<Targets> targets, Targets::Make(options));
+  RS_RETURN_IF_ERROR(MakeDirectories(options.mcap));
+  const std::string name = fs::absolute(options.run).lexically_normal().filename().string();
+  RS_ASSIGN_OR_RETURN(
+      const ArmRunSummary written,
+      WriteArmRunMcap(options.run,
+                      absl::StrCat(options.mcap, "/", name.empty() ? "run" : name, ".mcap")));
+  ExportSummary summary;
+  summary.ticks = written.ticks;
+  summary.samples = written.samples;
+  RS_RETURN_IF_ERROR(targets->Publish(summary));
+  return summary;
+}
+
 }  // namespace
 
 absl::StatusOr<ExportSummary> ExportRun(const ExportOptions& options) {
@@ -287,6 +310,7 @@ absl::StatusOr<ExportSummary> ExportRun(const ExportOptions& options) {
     return absl::InvalidArgumentError(
         "nothing to write; give --lerobot FOLDER, --libero FOLDER or --mcap FOLDER, or several");
   }
+  if (IsArmRun(options.run)) return ExportArmRun(options);
   RS_ASSIGN_OR_RETURN(const RunData run, LoadRun(options.run));
   std::vector<std::string> methods, scenarios;
   for (const UnitResult& unit : run.units) {

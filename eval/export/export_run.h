@@ -19,6 +19,7 @@ struct ExportOptions {
 struct ExportSummary {
   int64_t episodes = 0, steps = 0;
   int64_t failures_left_out = 0;
+  int64_t ticks = 0, samples = 0;    // of an arm's run
   std::vector<std::string> written;  // folders and files
 };
 
@@ -34,6 +35,8 @@ struct ExportSummary {
 //     meta/robostress_episodes.jsonl     which unit each episode is of
 //   libero/TASK_demo.hdf5                common/libero_demonstrations.h, one file a task
 //   mcap/UNIT-taskT-episodeE.mcap        eval/export/episode_mcap.h, one file an episode
+//
+// Of a run of robot_client one file, mcap/RUN.mcap (eval/export/arm_run_mcap.h).
 //
 // Folders that hold something are refused. NOT_FOUND names the episode that was not recorded;
 // after an error what was begun is removed.

@@ -172,6 +172,93 @@ TEST_F(Export, McapsLibrariesReadTheEpisodes) {
       HasSubstr("SCHEMA CHANNEL STATISTICS CHUNK_INDEX METADATA_INDEX; heavy_payload base"));
 }
 
+// A run of robot_client with three ticks, the first before the arm has power, and four samples.
+void WriteArmRun(const std::string& folder) {
+  fs::create_directories(folder);
+  const std::vector<std::string> axes = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
+  std::string ticks =
+      "t,tick,due,wake_us,sent_us,state,cause,flags,limiter,faults,episode,chunk,row,prediction,"
+      "stamp,sequence";
+  for (const char* group :
+       {"policy", "requested", "blended", "corrected", "sent", "q", "dq", "tau", "excess"})
+    for (const std::string& axis : axes) absl::StrAppend(&ticks, ",", group, "_", axis);
+  ticks += ",delay\n";
+  for (int tick = 0; tick < 3; ++tick) {
+    absl::StrAppend(&ticks, 0.02 * tick, ",", tick, ",0,12.5,40,", tick == 0 ? "IDLE" : "RUN",
+                    ",operator,0,0,0,", tick, ",1,2,0,0,1");
+    for (int group = 0; group < 9; ++group)
+      for (int axis = 0; axis < 7; ++axis)
+        absl::StrAppend(&ticks, ",",
+                        tick == 0 && group < 5 ? "" : absl::StrCat(group + 0.1 * axis + 10 * tick));
+    ticks += tick == 0 ? ",\n" : ",0.05\n";
+  }
+  std::string samples = "t,sequence";
+  for (const char* group : {"q", "dq", "tau"})
+    for (const std::string& axis : axes) absl::StrAppend(&samples, ",", group, "_", axis);
+  samples += "\n";
+  for (int sample = 0; sample < 4; ++sample) {
+    absl::StrAppend(&samples, 0.015 * sample - 0.005, ",", sample);
+    for (int value = 0; value < 21; ++value) absl::StrAppend(&samples, ",", 100 * sample + value);
+    samples += "\n";
+  }
+  ASSERT_TRUE(WriteFileAtomically(folder + "/ticks.csv", ticks).ok());
+  ASSERT_TRUE(WriteFileAtomically(folder + "/samples.csv", samples).ok());
+  ASSERT_TRUE(WriteFileAtomically(folder + "/config.yaml", "bus: none\n").ok());
+}
+
+TEST_F(Export, AnArmsRunIsOneFile) {
+  const std::string run = root_ + "/tuesday", out = root_ + "/tuesday_mcap";
+  WriteArmRun(run);
+  const auto [said, code] =
+      RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --mcap ", out));
+  ASSERT_EQ(code, 0) << said;
+  EXPECT_THAT(said, HasSubstr("3 ticks, 4 samples of the arm"));
+  recording_test::CollectedRows rows;
+  const absl::Status status = ReadRecording(out + "/tuesday.mcap", {}, &rows);
+  ASSERT_TRUE(status.ok()) << status;
+  std::erase_if(rows.rows, [](const auto& row) { return row.channel != "/joint_states"; });
+  ASSERT_EQ(rows.rows.size(), 4u);
+  EXPECT_EQ(rows.rows[0].stamp_ns, 1'000'000'000) << "the first sample was before the first tick";
+  EXPECT_EQ(rows.rows[3].stamp_ns, 1'045'000'000);
+  EXPECT_EQ(rows.rows[3].values.at("position J2"), 301);
+  EXPECT_EQ(rows.rows[3].values.at("velocity J1"), 307);
+  EXPECT_EQ(rows.rows[3].values.at("effort gripper"), 320);
+  if (RecordingPeersFailure().empty()) {
+    const auto [read, readers] =
+        RunProgram("nice -n 19 " RECORDINGS_VENV "/bin/python " EXPORT_TESTS "/read_arm_mcap.py",
+                   out + "/tuesday.mcap");
+    EXPECT_EQ(readers, 0) << read;
+    for (const char* line :
+         {"/client 3\n", "/joint_states 4\n", "/joints/sent 2\n", "/joints/measured 3\n",
+          "sent 24.0 24.5 24.6\n", "client RUN operator 2.0 0.05\n"})
+      EXPECT_THAT(read, HasSubstr(line));
+  }
+  // What was cut off is read up to there; what is wrong in it has its place.
+  fs::rename(run + "/ticks.csv", run + "/ticks.csv.partial");
+  fs::remove(run + "/samples.csv");
+  const std::string ticks = *ReadFile(run + "/ticks.csv.partial");
+  ASSERT_TRUE(
+      WriteFileAtomically(run + "/ticks.csv.partial", ticks.substr(0, ticks.size() - 40)).ok());
+  fs::remove_all(out);
+  const auto [cut, rest] =
+      RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --mcap ", out));
+  EXPECT_EQ(rest, 0) << cut;
+  EXPECT_THAT(cut, HasSubstr("2 ticks, 0 samples"));
+  std::string wrong = ticks;
+  wrong.replace(wrong.find("24.1"), 4, "fast");
+  ASSERT_TRUE(WriteFileAtomically(run + "/ticks.csv.partial", wrong).ok());
+  fs::remove_all(out);
+  const auto [bad, refused] =
+      RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --mcap ", out));
+  EXPECT_EQ(refused, 2) << bad;
+  EXPECT_THAT(bad, HasSubstr("ticks.csv.partial:4: sent_J2 is 'fast'"));
+  EXPECT_FALSE(fs::exists(out));
+  const auto [set, wanted] =
+      RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --lerobot ", out));
+  EXPECT_EQ(wanted, 2);
+  EXPECT_THAT(set, HasSubstr("is a run of robot_client"));
+}
+
 TEST_F(Export, WhatCannotBeWrittenIsSaidAndNothingStays) {
   const std::string set = root_ + "/refused";
   const auto refuses = [&](const std::string& arguments, int code, const std::string& message) {

@@ -1,0 +1,200 @@
+#include "eval/export/arm_run_mcap.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <optional>
+#include <vector>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
+#include "common/csv_table.h"
+#include "common/recordings/cdr_encoder.h"
+#include "common/recordings/joint_messages.h"
+#include "common/recordings/mcap_writer.h"
+#include "common/status_macros.h"
+#include "eval/export/mcap_topics.h"
+
+namespace robostress {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr uint64_t kMostBytes = uint64_t{4} << 30;
+constexpr int64_t kSecond = 1'000'000'000;  // [ns]
+const std::vector<std::string>& AxisNames() {
+  static const auto& names =
+      *new std::vector<std::string>{"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
+  return names;
+}
+// Columns of ticks.csv, and their topics.
+constexpr std::pair<const char*, const char*> kGroups[] = {
+    {"policy", "policy"},       {"requested", "requested"}, {"blended", "blended"},
+    {"corrected", "corrected"}, {"sent", "sent"},           {"q", "measured"},
+    {"excess", "torque_excess"}};
+
+// The table, or what there is of one that was cut off; empty: there is neither.
+std::string TableFile(const std::string& folder, const std::string& name) {
+  const std::string whole = absl::StrCat(folder, "/", name);
+  if (fs::exists(whole)) return whole;
+  return fs::exists(whole + ".partial") ? whole + ".partial" : "";
+}
+
+// A column for every axis.
+struct AxisColumns {
+  std::vector<size_t> columns;
+  static absl::StatusOr<AxisColumns> Find(const CsvTable& table, const std::string& group) {
+    AxisColumns found;
+    for (const std::string& axis : AxisNames()) {
+      RS_ASSIGN_OR_RETURN(const size_t column, table.Column(absl::StrCat(group, "_", axis)));
+      found.columns.push_back(column);
+    }
+    return found;
+  }
+  bool Empty(const CsvTable& table, size_t row) const {
+    return std::all_of(columns.begin(), columns.end(),
+                       [&](size_t column) { return table.Text(row, column).empty(); });
+  }
+  absl::StatusOr<std::vector<double>> At(const CsvTable& table, size_t row) const {
+    std::vector<double> values;
+    for (const size_t column : columns) {
+      RS_ASSIGN_OR_RETURN(const double value, table.Number(row, column));
+      values.push_back(value);
+    }
+    return values;
+  }
+};
+
+// The columns that /joint_states is made of.
+struct StateColumns {
+  AxisColumns position, velocity, effort;
+  static absl::StatusOr<StateColumns> Find(const CsvTable& table) {
+    StateColumns found;
+    RS_ASSIGN_OR_RETURN(found.position, AxisColumns::Find(table, "q"));
+    RS_ASSIGN_OR_RETURN(found.velocity, AxisColumns::Find(table, "dq"));
+    RS_ASSIGN_OR_RETURN(found.effort, AxisColumns::Find(table, "tau"));
+    return found;
+  }
+};
+
+class ArmRun {
+ public:
+  absl::Status Open(const std::string& folder) {
+    RS_ASSIGN_OR_RETURN(ticks_, CsvTable::Read(TableFile(folder, "ticks.csv"), kMostBytes));
+    if (const std::string file = TableFile(folder, "samples.csv"); !file.empty()) {
+      RS_ASSIGN_OR_RETURN(samples_, CsvTable::Read(file, kMostBytes));
+    }
+    RS_ASSIGN_OR_RETURN(tick_times_, ticks_->Numbers("t"));
+    if (samples_) {
+      RS_ASSIGN_OR_RETURN(sample_times_, samples_->Numbers("t"));
+    }
+    double first = tick_times_.front();
+    if (!sample_times_.empty()) first = std::min(first, sample_times_.front());
+    shift_ = 1 - first;
+    for (const auto& [group, topic] : kGroups) {
+      RS_ASSIGN_OR_RETURN(AxisColumns columns, AxisColumns::Find(*ticks_, group));
+      groups_.push_back(std::move(columns));
+    }
+    RS_ASSIGN_OR_RETURN(states_, StateColumns::Find(samples_ ? *samples_ : *ticks_));
+    for (const char* name : {"state", "cause", "episode", "chunk", "row", "wake_us", "delay"}) {
+      RS_ASSIGN_OR_RETURN(const size_t column, ticks_->Column(name));
+      client_.push_back(column);
+    }
+    return absl::OkStatus();
+  }
+
+  absl::StatusOr<ArmRunSummary> Write(McapWriter* file) {
+    McapTopics topics(file);
+    std::vector<std::string> fields;
+    for (int j = 1; j <= 6; ++j) fields.push_back(absl::StrCat("j", j));
+    fields.emplace_back("gripper");
+    const uint16_t joint_states =
+        topics.Add("/joint_states", {"sensor_msgs/msg/JointState", "ros2msg",
+                                     KnownDefinitions(JointMessageKind::kJointState)[0]});
+    std::vector<uint16_t> joints;
+    for (const auto& [group, topic] : kGroups)
+      joints.push_back(
+          topics.Add(absl::StrCat("/joints/", topic), NumbersSchema("Joints", fields)));
+    const uint16_t client = topics.Add(
+        "/client", StampedSchema("robostress_msgs/msg/Client",
+                                 "string state\nstring cause\nfloat64 episode\nfloat64 chunk\n"
+                                 "float64 row\nfloat64 lateness_us\nfloat64 delay_s\n"));
+    ArmRunSummary summary;
+    size_t sample = 0;
+    for (size_t tick = 0; tick < tick_times_.size(); ++tick) {
+      for (; sample < sample_times_.size() && sample_times_[sample] <= tick_times_[tick]; ++sample)
+        RS_RETURN_IF_ERROR(WriteState(*samples_, sample, sample_times_, joint_states, file));
+      if (!samples_ && !states_.position.Empty(*ticks_, tick))
+        RS_RETURN_IF_ERROR(WriteState(*ticks_, tick, tick_times_, joint_states, file));
+      for (size_t g = 0; g < groups_.size(); ++g) {
+        if (groups_[g].Empty(*ticks_, tick)) continue;
+        RS_ASSIGN_OR_RETURN(const std::vector<double> values, groups_[g].At(*ticks_, tick));
+        CdrEncoder message = Begin(tick_times_[tick]);
+        for (const double value : values) message.Number(value);
+        RS_RETURN_IF_ERROR(Send(joints[g], tick_times_[tick], message, file));
+      }
+      RS_RETURN_IF_ERROR(WriteClient(tick, client, file));
+      ++summary.ticks;
+    }
+    for (; sample < sample_times_.size(); ++sample)
+      RS_RETURN_IF_ERROR(WriteState(*samples_, sample, sample_times_, joint_states, file));
+    summary.samples = static_cast<int64_t>(sample_times_.size());
+    return summary;
+  }
+
+ private:
+  int64_t Stamp(double t) const { return std::llround((t + shift_) * kSecond); }
+  CdrEncoder Begin(double t) const { return CdrEncoder().Header(Stamp(t), "base"); }
+  absl::Status Send(uint16_t channel, double t, const CdrEncoder& message, McapWriter* file) const {
+    return file->Write(channel, static_cast<uint64_t>(Stamp(t)), message.Message());
+  }
+
+  absl::Status WriteState(const CsvTable& table, size_t row, const std::vector<double>& times,
+                          uint16_t channel, McapWriter* file) const {
+    RS_ASSIGN_OR_RETURN(const std::vector<double> q, states_.position.At(table, row));
+    RS_ASSIGN_OR_RETURN(const std::vector<double> dq, states_.velocity.At(table, row));
+    RS_ASSIGN_OR_RETURN(const std::vector<double> tau, states_.effort.At(table, row));
+    return Send(channel, times[row],
+                Begin(times[row]).Texts(AxisNames()).Numbers(q).Numbers(dq).Numbers(tau), file);
+  }
+
+  absl::Status WriteClient(size_t tick, uint16_t channel, McapWriter* file) const {
+    CdrEncoder message = Begin(tick_times_[tick]);
+    for (size_t i = 0; i < 2; ++i) message.Text(ticks_->Text(tick, client_[i]));
+    for (size_t i = 2; i < client_.size(); ++i) {
+      if (ticks_->Text(tick, client_[i]).empty()) {
+        message.Number(std::nan(""));  // nothing was estimated
+        continue;
+      }
+      RS_ASSIGN_OR_RETURN(const double value, ticks_->Number(tick, client_[i]));
+      message.Number(value);
+    }
+    return Send(channel, tick_times_[tick], message, file);
+  }
+
+  std::optional<CsvTable> ticks_, samples_;
+  std::vector<double> tick_times_, sample_times_;
+  double shift_ = 0;  // [s] of the run's clock to the file's
+  std::vector<AxisColumns> groups_;
+  StateColumns states_;
+  std::vector<size_t> client_;
+};
+
+}  // namespace
+
+bool IsArmRun(const std::string& folder) { return !TableFile(folder, "ticks.csv").empty(); }
+
+absl::StatusOr<ArmRunSummary> WriteArmRunMcap(const std::string& folder, const std::string& path) {
+  ArmRun run;
+  RS_RETURN_IF_ERROR(run.Open(folder));
+  RS_ASSIGN_OR_RETURN(McapWriter file, McapWriter::Create(path, "ros2"));
+  RS_ASSIGN_OR_RETURN(const ArmRunSummary summary, run.Write(&file));
+  RS_RETURN_IF_ERROR(file.AddMetadata(
+      "robostress", {{"config.yaml", ReadFile(folder + "/config.yaml").value_or("")},
+                     {"run", fs::path(folder).lexically_normal().filename().string()}}));
+  RS_RETURN_IF_ERROR(file.Publish());
+  return summary;
+}
+
+}  // namespace robostress

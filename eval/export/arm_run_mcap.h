@@ -1,0 +1,33 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/statusor.h"
+
+namespace robostress {
+
+// Whether a folder holds what robot_client recorded of an arm: ticks.csv, whole or .partial.
+bool IsArmRun(const std::string& folder);
+
+struct ArmRunSummary {
+  int64_t ticks = 0, samples = 0;
+};
+
+// A run of robot_client as one MCAP file, as of an episode (episode_mcap.h):
+//
+//   topic                   type
+//   /joint_states           sensor_msgs/msg/JointState  J1 to J6, gripper: [rad], [m], [rad/s],
+//                           [Nm]; every sample of the arm, or what each tick saw where none are
+//   /joints/policy, /requested, /blended, /corrected, /sent, /measured, /torque_excess
+//                           robostress_msgs/msg/Joints  j1 .. j6, gripper of a tick; nothing where
+//                           it did not apply
+//   /client                 robostress_msgs/msg/Client  state, cause; episode, chunk, row, lateness
+//                           [us], estimated delay [s]
+//
+// Stamps are the run's clock, the first message at 1 s. A run that was cut off is read up to there.
+// The metadata record "robostress" holds config.yaml. Pictures are in the run's own data set.
+// Errors name file, line, column and value.
+absl::StatusOr<ArmRunSummary> WriteArmRunMcap(const std::string& folder, const std::string& path);
+
+}  // namespace robostress
