@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_replace.h"
 #include "calibration/model/model_file.h"
 #include "common/atomic_file.h"
 #include "common/image.h"
@@ -27,7 +28,7 @@ absl::StatusOr<std::shared_ptr<mjModel>> LoadWithShapes(const Rig& rig, std::str
   mjModel* model = mj_loadXML(rig.model.c_str(), nullptr, error, sizeof error);
   if (model == nullptr) {
     RS_ASSIGN_OR_RETURN(LoadedModel loaded, LoadModel(rig));
-    *why_without = error;
+    *why_without = absl::StrReplaceAll(error, {{"\n", ", "}});
     return std::shared_ptr<mjModel>(std::move(loaded.model));
   }
   if (rig.gravity) mju_copy3(model->opt.gravity, rig.gravity->data());

@@ -1,15 +1,46 @@
 // calibration_generate: writes a rig with logs and, beside them, what it hides.
+#include <cmath>
 #include <cstdio>
+#include <map>
 #include <string>
 
 #include "common/command_line.h"
 #include "common/run_main.h"
 #include "tests/calibration/generator/log_hardship.h"
+#include "tests/calibration/generator/spatial_arm.h"
+
+namespace {
+
+using robostress::generator::SpatialArm;
+using robostress::generator::SpatialFault;
+
+const std::map<std::string, SpatialArm (*)()>& Arms() {
+  static const auto& arms =
+      *new std::map<std::string, SpatialArm (*)()>{{"so101", robostress::generator::So101},
+                                                   {"ur5e", robostress::generator::Ur5e},
+                                                   {"panda", robostress::generator::FrankaPanda},
+                                                   {"piper", robostress::generator::Piper}};
+  return arms;
+}
+
+// An arm as its maker sells it, whose fourth joint cogs: 4 Nm every 0.2 rad.
+int WriteArm(const std::string& name, const std::string& out) {
+  SpatialFault fault;
+  fault.joint = 3;
+  fault.torque = [](double q, double) { return 4 * std::cos(2 * M_PI * q / 0.2); };
+  const absl::Status written = robostress::generator::WriteSpatialRig(
+      Arms().at(name)(), fault, "urdf", {"armature", "damping", "frictionloss"}, out);
+  if (written.ok()) return 0;
+  std::fprintf(stderr, "calibration_generate: %s\n", std::string(written.message()).c_str());
+  return 1;
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   using namespace robostress::generator;
   RigOptions options;
-  std::string out, family = "any", size = "medium", richness = "any", hardship = "none";
+  std::string out, arm, family = "any", size = "medium", richness = "any", hardship = "none";
   robostress::cli::App app{
       "Writes a rig whose machine has effects that the rig does not declare: model.xml, "
       "rig.yaml, log_*.csv, and truth.json, which calibrate never reads"};
@@ -22,8 +53,14 @@ int main(int argc, char** argv) {
       ->check(robostress::cli::IsMember({"any", "rich", "poor", "brief"}));
   app.add_option("--hardship", hardship, "What else makes the rig hard to tell")
       ->check(robostress::cli::IsMember(HardshipNames()));
+  app.add_option(
+         "--arm", arm,
+         "Instead: an SO-101, UR5e, Panda or Piper with its URDF, whose fourth joint cogs by "
+         "4 Nm every 0.2 rad")
+      ->check(robostress::cli::IsMember({"so101", "ur5e", "panda", "piper"}));
   app.add_option("--out", out, "Folder of the rig")->required();
   if (const auto code = robostress::ParseCommandLine(app, argc, argv)) return *code;
+  if (!arm.empty()) return WriteArm(arm, out);
   options.size = size == "small" ? Size::kSmall : size == "medium" ? Size::kMedium : Size::kLarge;
   options.richness = richness == "rich"    ? Richness::kRich
                      : richness == "poor"  ? Richness::kPoor
