@@ -96,6 +96,18 @@ absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const O
   return space;
 }
 
+// Turned by upright hinges alone: whatever the arm does, it stays as high as it is.
+bool ArmSpace::KeepsItsHeight(int body) const {
+  for (; body > 0; body = model_->body_parentid[body]) {
+    for (int j = 0; j < model_->body_jntnum[body]; ++j) {
+      const int joint = model_->body_jntadr[body] + j;
+      const bool upright = std::abs(data_->xaxis[3 * joint + 2]) > 1 - 1e-9;
+      if (model_->jnt_type[joint] != mjJNT_HINGE || !upright) return false;
+    }
+  }
+  return true;
+}
+
 absl::Status ArmSpace::WatchFrom(const std::vector<double>& centre) {
   SetPosture(centre);
   for (const std::pair<int, int>& pair : NearPairs()) {
@@ -139,7 +151,8 @@ std::vector<std::pair<int, int>> ArmSpace::NearPairs() {
     // The sphere around a shape is on the safe side.
     const double radius = model_->geom_rbound[geom] + options_.clearance;
     const mjtNum* place = data_->geom_xpos + 3 * geom;
-    if (options_.floor_z && place[2] - radius < *options_.floor_z) near.insert({body, kFloor});
+    if (options_.floor_z && place[2] - radius < *options_.floor_z && !KeepsItsHeight(body))
+      near.insert({body, kFloor});
     for (size_t axis = 0; axis < options_.box_lower.size(); ++axis) {
       if (place[axis] - radius < options_.box_lower[axis] ||
           place[axis] + radius > options_.box_upper[axis])

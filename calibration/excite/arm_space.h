@@ -61,6 +61,7 @@ class ArmSpace {
   ArmSpace() = default;
   void SetPosture(const std::vector<double>& posture);
   std::vector<std::pair<int, int>> NearPairs();
+  bool KeepsItsHeight(int body) const;
 
   std::shared_ptr<mjModel> model_;
   mjData* data_ = nullptr;

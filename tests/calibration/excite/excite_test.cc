@@ -185,6 +185,26 @@ TEST(ArmSpaceTest, FindsWhatMeetsAndWhatMotorsHold) {
   EXPECT_THAT(std::string((*low)->WatchFrom({0.5, 0.8}).message()), HasSubstr("--floor"));
 }
 
+TEST(ArmSpaceTest, ATurntableOnTheFloorIsNoObstacle) {
+  std::string mjcf = kTwoLinks;
+  const std::string upper = R"(<body name="upper">)";
+  const size_t at = mjcf.find(upper);
+  // A plate that turns upright under the arm, 5 mm above the floor.
+  mjcf.replace(at, upper.size(),
+               R"(<body name="plate"><joint name="turn" axis="0 0 1"/>
+<geom type="cylinder" size="0.05 0.005" pos="0 0 -0.04" mass="1"/>)" +
+                   upper);
+  mjcf.replace(mjcf.find("</body></body></body>"), 7, "</body></body>");
+  Rig rig = TwoLinks(mjcf);
+  rig.joints.push_back(rig.joints[0]);
+  rig.joints.back().name = "turn";
+  auto space = ArmSpace::Load(rig, {.clearance = 0.01, .floor_z = -0.08});
+  ASSERT_TRUE(space.ok()) << space.status();
+  const absl::Status watched = (*space)->WatchFrom({0.3, 0.8, 0});
+  EXPECT_TRUE(watched.ok()) << watched;
+  EXPECT_THAT((*space)->MetAt({1.5, 0.9, 1}), HasSubstr("the floor"));
+}
+
 TEST(Excitation, IsWithinLimitsMeetsNothingAndTellsMoreThanASweep) {
   const Rig rig = TwoLinks();
   DesignOptions options = Brief();
