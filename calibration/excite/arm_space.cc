@@ -192,8 +192,7 @@ std::vector<double> ArmSpace::TorquesAt(const std::vector<double>& posture,
 
 double ArmSpace::LoadOf(double share, double torque_share, const std::vector<double>& posture) {
   int site = -1;
-  for (const char* name :
-       {"payload", "tip", "tool", "end_effector", "gripper0_grip_site", "attachment_site"})
+  for (const char* name : kPayloadSites)
     if (site < 0) site = mj_name2id(model_.get(), mjOBJ_SITE, name);
   if (site < 0) return 0;
   const std::vector<double> still(qpos_.size(), 0), torques = TorquesAt(posture, still, still);

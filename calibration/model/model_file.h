@@ -17,6 +17,10 @@ struct ModelDeleter {
   void operator()(mjModel* model) const { mj_deleteModel(model); }
 };
 
+// Sites that are a payload's place, the first that there is.
+inline constexpr const char* kPayloadSites[] = {
+    "payload", "tip", "tool", "end_effector", "gripper0_grip_site", "attachment_site"};
+
 struct LoadedModel {
   std::unique_ptr<mjModel, ModelDeleter> model;
   std::map<std::string, double> effort;  // limits of the rig's joints that the file says [Nm]

@@ -22,8 +22,6 @@ struct DataDeleter {
   void operator()(mjData* data) const { mj_deleteData(data); }
 };
 
-constexpr const char* kPayloadSites[] = {
-    "payload", "tip", "tool", "end_effector", "gripper0_grip_site", "attachment_site"};
 constexpr double kSlopeStep = 1e-4;     // [rad]
 constexpr double kLeastInertia = 1e-9;  // [kg m^2]; a clock's hand has 1e-8
 
