@@ -229,6 +229,10 @@ int robostress_compensator_action_dim(const robostress_compensator* compensator)
   return compensator == nullptr ? 0 : compensator->policy.action_dim;
 }
 
+int robostress_compensator_every_step(const robostress_compensator* compensator) {
+  return compensator != nullptr && compensator->method.every_step ? 1 : 0;
+}
+
 void robostress_compensator_start_episode(robostress_compensator* compensator) {
   if (compensator == nullptr) return;
   (void)AtBoundary(nullptr, 0, [&] {

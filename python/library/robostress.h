@@ -35,7 +35,7 @@ extern "C" {
 
 /* Raised when a function is added; functions stay as they are within a symbol version
  * (ROBOSTRESS_1). */
-#define ROBOSTRESS_INTERFACE 4
+#define ROBOSTRESS_INTERFACE 5
 
 typedef enum robostress_code {
   ROBOSTRESS_OK = 0,
@@ -245,6 +245,9 @@ robostress_code robostress_compensator_restore(robostress_compensator* to,
                                                const robostress_compensator* from, char* error,
                                                size_t error_size);
 int robostress_compensator_action_dim(const robostress_compensator* compensator);
+/* 1: next() corrects every command anew, and smooths it where the method does; 0: correct() says it
+   all. */
+int robostress_compensator_every_step(const robostress_compensator* compensator);
 
 void robostress_compensator_start_episode(robostress_compensator* compensator);
 /* actions: [rows][action_dim], the policy's next chunk. corrected: what to send; may be `actions`

@@ -9,7 +9,7 @@ from typing import Any, Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
-INTERFACE = 4
+INTERFACE = 5
 ERROR_SIZE = 1024
 
 
@@ -117,6 +117,7 @@ FUNCTIONS: Dict[str, Tuple[Any, List[Any]]] = {
     "compensator_free": (None, [POINTER]),
     "compensator_copy": (INT, [POINTER, POINTER, *ERROR]),
     "compensator_restore": (INT, [POINTER, POINTER, *ERROR]),
+    "compensator_every_step": (INT, [POINTER]),
     "compensator_start_episode": (None, [POINTER]),
     "compensator_correct": (INT, [POINTER, POINTER, SIZE, POINTER, *ERROR]),
     "compensator_next": (INT, [POINTER, POINTER, POINTER, *ERROR]),

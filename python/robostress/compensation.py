@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import ctypes
 import weakref
-from typing import Any, Optional
+from typing import Any, Dict, List, Optional
 
 import numpy as np
 
@@ -22,15 +22,20 @@ class Compensator:
                      ... the arm executes n of them ...
                      compensator.executed(positions, quaternions)             # [n + 1, 3], [n + 1, 4] w x y z
 
+    or, where actions come one at a time:  sent = compensator.step(policy_action, position, quaternion)
+
     method: "base", "gain", "smooth", "direct", "ours_integral", "ours_following", "ours_following_step",
-    "ours_following_smooth"; options: its own, as in `robostress sweep --set`. Commands of space "end_effector" are displacements in x, y, z and rotations about them, in units
-    of the scales, and a gripper; of "joint" absolute targets [rad] and a gripper. goal_reference: of the controller,
-    "achieved" as robosuite's or "desired". action_low, action_high: [action_dim] what the policy's actions lie in.
+    "ours_following_smooth"; options: its own, as in `robostress sweep --set`. The last two and "smooth" act at every command,
+    by next() or step(). Commands of space "end_effector" are displacements in x, y, z and rotations about them, in units of
+    the scales, and a gripper; of "joint" absolute targets [rad] and a gripper. goal_reference: of the controller, "achieved"
+    as robosuite's or "desired". action_low, action_high: [action_dim] what the policy's actions lie in. rows: actions after
+    which step() learns where the method does not at every one (8).
     """
 
     def __init__(self, method: str, *, space: str = "end_effector", action_dim: int = 7, control_period: float = 0.05,
                  translation_scale: float = 0.05, rotation_scale: float = 0.5, goal_reference: str = "achieved",
-                 action_low: Optional[Any] = None, action_high: Optional[Any] = None, **options: Any) -> None:
+                 action_low: Optional[Any] = None, action_high: Optional[Any] = None, rows: Optional[int] = None,
+                 **options: Any) -> None:
         control = Control(ctypes.sizeof(Control), space.encode(), action_dim, control_period, translation_scale,
                           rotation_scale, goal_reference.encode(), None, None)
         bounds = []
@@ -46,16 +51,31 @@ class Compensator:
             method.encode(), ctypes.addressof(texts), len(overrides), ctypes.addressof(control),
             ctypes.addressof(handle), *self._failures.arguments))
         self._own(handle)
+        if rows is not None and self.every_step:
+            raise InvalidArgument(f"rows={rows} would change nothing: method '{method}' learns after every action")
+        self._rows = 1 if self.every_step else 8 if rows is None else int(rows)
+        if self._rows < 1:
+            raise InvalidArgument(f"rows is {rows}, must be 1 or more")
 
     def _own(self, handle: ctypes.c_void_p) -> None:
         self._handle = handle.value
         weakref.finalize(self, LIBRARY.robostress_compensator_free, self._handle)
+        self._forget()
+
+    def _forget(self) -> None:
         self._policy = self._sent = np.empty((0, self.action_dim), np.float32)
+        self._row = 0  # of them, which next() gives next
+        self._steps: List[Dict[str, np.ndarray]] = []  # of step(), since it learned
+
+    @property
+    def every_step(self) -> bool:
+        """Whether commands are corrected one by one, by next() or step()."""
+        return bool(LIBRARY.robostress_compensator_every_step(self._handle))
 
     def start_episode(self) -> None:
         """The arm is at rest."""
         LIBRARY.robostress_compensator_start_episode(self._handle)
-        self._policy = self._sent = np.empty((0, self.action_dim), np.float32)
+        self._forget()
 
     def correct(self, actions: Any) -> np.ndarray:
         """[rows, action_dim] what to send instead of the policy's next chunk."""
@@ -63,30 +83,67 @@ class Compensator:
         sent = np.empty_like(policy)
         self._failures.check(LIBRARY.robostress_compensator_correct(
             self._handle, policy.ctypes.data, len(policy), sent.ctypes.data, *self._failures.arguments))
-        self._policy, self._sent = policy.copy(), sent
+        self._policy, self._sent, self._row = policy.copy(), sent, 0
         return sent.copy()
 
     def next(self, position: Optional[Any] = None, orientation: Optional[Any] = None, **more: Any) -> np.ndarray:
         """[action_dim] the chunk's next command, row by row: with every_step corrected by what the arm did since.
         position, orientation: [2, 3], [2, 4] before and after the row that was executed last; none at the first row.
-        more: as of executed()."""
+        more: as of executed(); by default sent is what next() gave."""
         command = np.empty(self.action_dim, np.float32)
         executed = None
-        if position is not None or more.get("q") is not None:
-            executed = self._read(position, orientation, **more)
+        measured = more.get("q") if position is None else position
+        if measured is not None:
+            executed = self._read(position, orientation, **{"first_row": max(self._row + 1 - len(measured), 0), **more})
         self._failures.check(LIBRARY.robostress_compensator_next(
             self._handle, None if executed is None else ctypes.addressof(executed), command.ctypes.data,
             *self._failures.arguments))
+        self._sent[self._row] = command
+        self._row += 1
         return command
 
     def executed(self, position: Optional[Any] = None, orientation: Optional[Any] = None, **more: Any) -> None:
         """Once for every chunk, when it is over. position, orientation: [n + 1, 3], [n + 1, 4] of the end effector before,
         between and after the n commands. q: [n + 1, action_dim - 1] of joint commands. sent, policy: [n, action_dim] what
-        the controller got and what the policy asked for; by default the first n rows of correct(). masked: [n] steps that
-        say nothing about the arm."""
+        the controller got and what the policy asked for; by default the first n rows of correct(), or what next() gave.
+        masked: [n] steps that say nothing about the arm."""
         executed = self._read(position, orientation, **more)
         self._failures.check(LIBRARY.robostress_compensator_executed(
             self._handle, ctypes.addressof(executed), *self._failures.arguments))
+
+    def step(self, action: Any, position: Optional[Any] = None, orientation: Optional[Any] = None,
+             q: Optional[Any] = None) -> np.ndarray:
+        """[action_dim] what to send instead of one action of the policy, in a loop without chunks. position, orientation: [3],
+        [4] of the end effector now; q: [action_dim - 1] of joint commands. Not together with correct() in one episode."""
+        state = self._now(position, orientation, q)
+        if len(self._steps) == self._rows:
+            self._learn(state)
+        policy = array("action", action, np.float32, self.action_dim)
+        self.correct(policy[None])
+        sent = self.next()
+        self._steps.append({**state, "policy": policy, "sent": sent})
+        return sent
+
+    def end_episode(self, position: Optional[Any] = None, orientation: Optional[Any] = None,
+                    q: Optional[Any] = None) -> None:
+        """Where the last action of step() brought the arm, for what is carried into the next episode. May be left out."""
+        state = self._now(position, orientation, q)
+        if self._steps:
+            self._learn(state)
+
+    def _now(self, position: Optional[Any], orientation: Optional[Any], q: Optional[Any]) -> Dict[str, np.ndarray]:
+        given = {"q": (q, self.action_dim - 1)} if self.space == "joint" else {
+            "position": (position, 3), "orientation": (orientation, 4)}
+        for name, (value, _) in given.items():
+            if value is None:
+                raise InvalidArgument(f"nothing says where the arm is: give {name}")
+        return {name: array(name, value, float, size).copy() for name, (value, size) in given.items()}
+
+    def _learn(self, state: Dict[str, np.ndarray]) -> None:
+        states = self._steps + [state]
+        self.executed(**{name: np.array([each[name] for each in states]) for name in state},
+                      **{name: np.array([each[name] for each in self._steps]) for name in ("policy", "sent")})
+        self._steps = []
 
     def residual(self, position: Optional[Any] = None, orientation: Optional[Any] = None, **more: Any) -> np.ndarray:
         """[n, action_dim] achieved minus commanded (paper, Eq. 1), as of executed(); changes nothing."""
@@ -106,12 +163,12 @@ class Compensator:
     def copy(self) -> "Compensator":
         """One that goes on as this one would."""
         twin = object.__new__(Compensator)
-        twin.method, twin.action_dim, twin.space = self.method, self.action_dim, self.space
+        twin.method, twin.action_dim, twin.space, twin._rows = self.method, self.action_dim, self.space, self._rows
         twin._failures, handle = Failures(), ctypes.c_void_p()
         twin._failures.check(LIBRARY.robostress_compensator_copy(
             self._handle, ctypes.addressof(handle), *twin._failures.arguments))
         twin._own(handle)
-        twin._policy, twin._sent = self._policy, self._sent
+        twin._policy, twin._sent, twin._row, twin._steps = self._policy, self._sent.copy(), self._row, list(self._steps)
         return twin
 
     def _read(self, position: Optional[Any], orientation: Optional[Any], q: Optional[Any] = None,

@@ -26,19 +26,17 @@ from robostress.wrapping import wrap
 
 
 class _Corrected:
-    """Actions one at a time, corrected: the correction is learned over `rows` of them, as over a chunk of a policy."""
+    """Actions one at a time, corrected."""
 
     def __init__(self, method, rows):
-        if rows < 1:
-            raise InvalidArgument(f"compensation_rows is {rows}, must be 1 or more")
-        self._compensator, self._rows = Compensator(method) if method else None, rows
-        self.begin(None, None)
+        self._compensator, self._state = Compensator(method or "base", rows=rows), None
 
     def begin(self, position, quaternion):
         """An episode. Where the end effector is: [3], [4] w x y z."""
-        if self._compensator:
-            self._compensator.start_episode()
-        self._policy, self._sent, self._states = [], [], [(position, quaternion)]
+        if self._state is not None:
+            self._compensator.end_episode(*self._state)
+        self._compensator.start_episode()
+        self.moved(position, quaternion)
 
     def action(self, action):
         """[7] what to send."""
@@ -46,31 +44,22 @@ class _Corrected:
         if action.shape != (7,) or not numpy.isfinite(action).all():
             raise InvalidArgument(f"the model server's action is {action!r}, must be 7 finite numbers")
         action = numpy.append(action[:6], -1 if action[6] < 0 else 1).astype(numpy.float32)  # a gripper opens or closes
-        if not self._compensator:
-            return action
-        sent = self._compensator.correct(action[None])[0]
-        self._policy.append(action)
-        self._sent.append(sent)
-        return sent
+        return self._compensator.step(action, *self._state)
 
     def moved(self, position, quaternion):
         """Where that action brought the end effector."""
-        self._states.append((position, quaternion))
-        if self._compensator and len(self._sent) == self._rows:
-            positions, quaternions = (numpy.array(each) for each in zip(*self._states))
-            self._compensator.executed(positions, quaternions, sent=numpy.array(self._sent), policy=numpy.array(self._policy))
-            self._policy, self._sent, self._states = [], [], self._states[-1:]
+        self._state = position, quaternion
 
 
 class SuiteBenchmark(StepBenchmark):
     """An embedded suite. Arguments beside SuiteEnv's: `compensation`, a method's name; `compensation_rows`, actions after which
-    it learns; send_wrist_image; send_state, `states` [8] as SuiteEnv's agent_pos. Episode k of a task begins in its initial
-    state k, of 50."""
+    one learns that does not at every step (8); send_wrist_image; send_state, `states` [8] as SuiteEnv's agent_pos. Episode k
+    of a task begins in its initial state k, of 50."""
 
     render_backends = frozenset({"gpu", "cpu"})  # the program renders by EGL, by a GPU or Mesa
 
     def __init__(self, suite="tabletop_goal", scenario="clean", severity=5, image_size=256, send_wrist_image=False,
-                 send_state=False, compensation=None, compensation_rows=8, settings=()):
+                 send_state=False, compensation=None, compensation_rows=None, settings=()):
         super().__init__()
         self.suite, self.scenario, self.severity = suite, scenario, severity
         self.send_wrist_image, self.send_state = send_wrist_image, send_state
@@ -154,7 +143,7 @@ class LiberoBenchmark(LIBEROBenchmark):
     a scenario draws; compensation and compensation_rows as of SuiteBenchmark. The steps in which objects settle do not count for
     severities that grow."""
 
-    def __init__(self, *given, scenario="clean", severity=5, error_seed=0, compensation=None, compensation_rows=8, **more):
+    def __init__(self, *given, scenario="clean", severity=5, error_seed=0, compensation=None, compensation_rows=None, **more):
         super().__init__(*given, **more)
         self.scenario, self.severity, self._error_seed = scenario, severity, error_seed
         self._corrected = _Corrected(compensation, compensation_rows)

@@ -213,7 +213,7 @@ class Compensators(unittest.TestCase):
             position, orientation = np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1))
             commands = [following.next()]
             for row in range(1, ROWS):
-                commands.append(following.next(position, orientation, first_row=row - 1))
+                commands.append(following.next(position, orientation))
             self.assertEqual(np.array_equal(commands, sent), not every_step)
 
     def test_smoothing_goes_on_from_chunk_to_chunk_and_begins_with_an_episode(self):
@@ -226,6 +226,40 @@ class Compensators(unittest.TestCase):
                 commands += [smooth.next(), smooth.next()]
             np.testing.assert_allclose(np.array(commands)[:, 0], [0.4, 0.6, 0.7, 0.75], rtol=1e-6)
             np.testing.assert_allclose(np.array(commands)[:, 6], 0.8, rtol=1e-6)
+
+    def test_actions_one_at_a_time_are_corrected_as_chunks_of_them(self):
+        stream = np.random.default_rng(5)
+        for method, rows in (("ours_following_smooth", None), ("ours_following_step", None), ("ours_following", 4), ("direct", 4)):
+            whole, single = rs.Compensator(method), rs.Compensator(method, rows=rows)
+            self.assertEqual(whole.every_step, rows is None)
+            for _ in range(2):
+                whole.start_episode()
+                single.start_episode()
+                actions = stream.uniform(-0.8, 0.8, (12, 7)).astype(np.float32)
+                position = np.cumsum(stream.uniform(-0.01, 0.01, (13, 3)), axis=0)
+                orientation = np.tile([1.0, 0, 0, 0], (13, 1))
+                for first in range(0, 12, 4):
+                    whole.correct(actions[first:first + 4])
+                    for row in range(first, first + 4):
+                        newest = () if row == first else (position[row - 1:row + 1], orientation[row - 1:row + 1])
+                        step = single.step(actions[row], position[row], orientation[row])
+                        np.testing.assert_array_equal(step, whole.next(*newest), f"{method} {row}")
+                        if row == 6:
+                            single = single.copy()
+                    chunk = slice(first, first + 5)
+                    whole.executed(position[chunk], orientation[chunk])
+                single.end_episode(position[-1], orientation[-1])
+                self.assertGreater(np.abs(whole.correction).max(), 0)
+
+    def test_actions_one_at_a_time_need_where_the_arm_is(self):
+        with self.assertRaisesRegex(rs.InvalidArgument, "give orientation"):
+            rs.Compensator("gain").step(np.zeros(7), np.zeros(3))
+        with self.assertRaisesRegex(rs.InvalidArgument, "give q"):
+            rs.Compensator("direct", space="joint", action_dim=4).step(np.zeros(4), np.zeros(3), [1, 0, 0, 0])
+        with self.assertRaisesRegex(rs.InvalidArgument, "position has shape"):
+            rs.Compensator("gain").step(np.zeros(7), np.zeros(2), [1, 0, 0, 0])
+        with self.assertRaisesRegex(rs.InvalidArgument, "rows=3 would change nothing"):
+            rs.Compensator("ours_following_smooth", rows=3)
 
     def test_joint_targets(self):
         direct = rs.DirectSubtraction(space="joint", action_dim=4)
