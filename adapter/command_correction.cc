@@ -23,15 +23,24 @@ CommandCorrection::CommandCorrection(const MethodOptions& method, const Residual
       parts_.push_back(
           {Way::kWay.name, std::make_unique<typename Way::Corrector>(way, residual, arm)});
   });
+  FindEnvelope();
 }
 
 CommandCorrection::CommandCorrection(const CommandCorrection& other) {
   for (const Part& part : other.parts_) parts_.push_back({part.name, part.corrector->Clone()});
+  FindEnvelope();
 }
 
 CommandCorrection& CommandCorrection::operator=(CommandCorrection other) {
   parts_ = std::move(other.parts_);
+  FindEnvelope();
   return *this;
+}
+
+void CommandCorrection::FindEnvelope() {
+  envelope_ = nullptr;
+  for (const Part& part : parts_)
+    if (auto* envelope = dynamic_cast<Envelope*>(part.corrector.get())) envelope_ = envelope;
 }
 
 void CommandCorrection::StartEpisode() {
@@ -40,8 +49,23 @@ void CommandCorrection::StartEpisode() {
 
 void CommandCorrection::Observe(const ExecutedChunk& chunk) {
   const State before = state();
-  for (const Part& part : parts_) part.corrector->Observe(chunk);
+  if (envelope_ == nullptr) {
+    for (const Part& part : parts_) part.corrector->Observe(chunk);
+  } else {
+    for (size_t i = 0; i < chunk.steps.size(); ++i) ObserveWithin(*envelope_, StepOf(chunk, i));
+  }
   if (!Holds(state())) set_state(before);
+}
+
+void CommandCorrection::ObserveWithin(Envelope& envelope, ExecutedChunk step) {
+  envelope.Observe(step);
+  const bool held = envelope.held();
+  if (held) step.masked = {true};
+  for (const Part& part : parts_) {
+    if (part.corrector.get() == &envelope) continue;
+    part.corrector->Observe(step);
+    if (held) part.corrector->Forget(1 - Envelope::kForgotten);
+  }
 }
 
 Eigen::VectorXd CommandCorrection::Value() const {

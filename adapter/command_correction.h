@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "adapter/corrector.h"
+#include "adapter/envelope.h"
 #include "adapter/nominal_arm.h"
 #include "adapter/residual.h"
 #include "common/rollout/session_spec.h"
@@ -47,7 +48,11 @@ class CommandCorrection {
   // Whether Observe can have left it.
   bool Holds(const State& state) const;
 
+  void FindEnvelope();
+  void ObserveWithin(Envelope& envelope, ExecutedChunk step);
+
   std::vector<Part> parts_;
+  Envelope* envelope_ = nullptr;  // one of parts_, if the method has it
 };
 
 // Of a session.

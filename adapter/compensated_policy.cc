@@ -80,11 +80,7 @@ absl::StatusOr<Eigen::VectorXf> CompensatedPolicy::NextCommand(const PredictedCh
     return Smoothed(std::move(first));
   }
   const auto row = static_cast<Eigen::Index>(so_far.steps.size());
-  ExecutedChunk newest = so_far;
-  newest.steps = {so_far.steps.back()};
-  newest.first_step += static_cast<int>(row) - 1;
-  newest.masked.clear();
-  if (so_far.IsMasked(so_far.steps.size() - 1)) newest.masked = {true};
+  const ExecutedChunk newest = StepOf(so_far, so_far.steps.size() - 1);
   RS_ASSIGN_OR_RETURN(const MeasuredChunk measured,
                       MeasuredChunk::Create(newest, policy_->spec(), residual_));
   running_.Observe(measured.usable());

@@ -16,6 +16,8 @@ class Corrector {
 
   virtual void StartEpisode() = 0;
   virtual void Observe(const ExecutedChunk& chunk) = 0;
+  // Keeps this share of what it would correct: something holds the arm (envelope.h).
+  virtual void Forget(double /*kept*/) {}
   // [n] added to the first n entries of every command of the next chunk [command units]; empty:
   // nothing yet.
   virtual Eigen::VectorXd correction() const = 0;

@@ -89,6 +89,7 @@ class IntegralAction : public Corrector {
   void StartEpisode() override;
   // Masked steps move the nominal arm and not the estimate.
   void Observe(const ExecutedChunk& chunk) override;
+  void Forget(double kept) override { estimate_ *= kept; }
   const Vector6& estimate() const { return estimate_; }
   Eigen::VectorXd correction() const override;  // [6]
 

@@ -19,6 +19,8 @@ class MeasuredChunk {
   static absl::StatusOr<MeasuredChunk> Create(const ExecutedChunk& reported,
                                               const PolicySpec& policy,
                                               const ResidualOptions& options);
+  static absl::StatusOr<MeasuredChunk> Create(ExecutedChunk&& reported, const PolicySpec& policy,
+                                              const ResidualOptions& options) = delete;
 
   // As it was sent: what the journal holds.
   const ExecutedChunk& reported() const { return *reported_; }

@@ -46,6 +46,14 @@ absl::Status MethodOptions::Check() const {
   first.Update(CheckOption("smoothing", smoothing, 0, 0.99));
   first.Update(CheckOption("execute_steps", execute_steps, 0, 1000));
   if (!first.ok()) return Invalid(*this, first.message());
+  const bool bounded = Find<IntegralOptions>() != nullptr || Find<FollowingOptions>() != nullptr;
+  if (Find<EnvelopeOptions>() != nullptr &&
+      (!bounded || Find<DirectOptions>() != nullptr || Find<LeakyGoalOptions>() != nullptr ||
+       Find<CalibratorOptions>() != nullptr)) {
+    return Invalid(*this,
+                   "envelope_share bounds integral action and model following; give it to a method "
+                   "that corrects by these alone");
+  }
   if (!arm_model.empty() && (!every_step || Corrects())) {
     return Invalid(*this, "arm_model=", arm_model,
                    " chooses every command; set every_step=true, and turn other corrections off");

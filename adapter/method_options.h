@@ -7,6 +7,7 @@
 
 #include "absl/status/status.h"
 #include "adapter/direct_subtraction.h"
+#include "adapter/envelope.h"
 #include "adapter/integral_action.h"
 #include "adapter/leaky_goal.h"
 #include "adapter/lora_options.h"
@@ -22,7 +23,7 @@ namespace robostress {
 template <class... Options>
 using WaysOf = std::tuple<std::optional<Options>...>;
 using MethodWays = WaysOf<LoraOptions, DirectOptions, IntegralOptions, FollowingOptions,
-                          LeakyGoalOptions, CalibratorOptions>;
+                          LeakyGoalOptions, CalibratorOptions, EnvelopeOptions>;
 
 enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozenState };
 

@@ -95,6 +95,7 @@ class ModelFollowing : public Corrector {
   void StartEpisode() override;
   // Masked steps move the nominal arm and forget; they add nothing.
   void Observe(const ExecutedChunk& chunk) override;
+  void Forget(double kept) override { shortfall_ *= kept; }
   Eigen::VectorXd correction() const override;  // [6]
 
   // Shortfall, nominal goal, nominal velocity.

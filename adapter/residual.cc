@@ -95,6 +95,20 @@ const RobotState& StateAfter(const ExecutedChunk& chunk, size_t step) {
   return step + 1 < chunk.steps.size() ? chunk.steps[step + 1].before : chunk.final_state;
 }
 
+ExecutedChunk StepOf(const ExecutedChunk& chunk, size_t step) {
+  ExecutedChunk one;
+  one.sequence = chunk.sequence;
+  one.task = chunk.task;
+  one.episode = chunk.episode;
+  one.chunk = chunk.chunk;
+  one.prediction_id = chunk.prediction_id;
+  one.first_step = chunk.first_step + static_cast<int>(step);
+  one.final_state = StateAfter(chunk, step);
+  one.steps = {chunk.steps[step]};
+  if (chunk.IsMasked(step)) one.masked = {true};
+  return one;
+}
+
 absl::Status ValidateExecutedChunk(const ExecutedChunk& chunk, int action_dim,
                                    ResidualSpace space) {
   if (chunk.steps.empty()) {

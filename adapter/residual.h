@@ -58,6 +58,8 @@ Eigen::VectorXd StepResidual(const RobotState& before, const RobotState& after,
 
 // The state after step i of an executed chunk.
 const RobotState& StateAfter(const ExecutedChunk& chunk, size_t step);
+// A chunk of that step alone.
+ExecutedChunk StepOf(const ExecutedChunk& chunk, size_t step);
 
 // Checks that an executed chunk is usable as feedback: at least one step, masks and the unadapted
 // policy's commands for all steps or none, commands of `action_dim` entries, everything finite,

@@ -6,6 +6,8 @@
 #include <cstdio>
 #include <deque>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "adapter/compensated_policy.h"
 #include "adapter/method_options.h"
@@ -19,15 +21,19 @@ namespace {
 constexpr int kRows = 5, kSteps = 600;
 constexpr double kKick = 0.001;  // [m]: far from every bound, so that the loop is linear
 
-// Asks for no motion.
-class StillPolicy : public PolicyEndpoint {
+// Asks for the same displacement in x at every step.
+class SteadyPolicy : public PolicyEndpoint {
  public:
+  float asked = 0;
+
   const PolicySpec& spec() const override { return spec_; }
   absl::Status StartEpisode(const EpisodeKey&) override { return absl::OkStatus(); }
   absl::StatusOr<PredictedChunk> Predict(const Observation&, int) override {
     PredictedChunk chunk;
     chunk.prediction_id = ++predictions_;
-    chunk.policy_actions = chunk.actions = Eigen::MatrixXf::Zero(kRows, 7);
+    chunk.policy_actions = Eigen::MatrixXf::Zero(kRows, 7);
+    chunk.policy_actions.col(0).setConstant(asked);
+    chunk.actions = chunk.policy_actions;
     return chunk;
   }
   absl::Status SendFeedback(ExecutedChunk) override { return absl::OkStatus(); }
@@ -41,11 +47,14 @@ class StillPolicy : public PolicyEndpoint {
 // `gain` times as strong as the nominal arm; its pose is measured `delay` control steps late.
 class LateArm {
  public:
+  bool blocked = false;
+
   LateArm(double gain, int delay) : gain_(gain), seen_(delay + 1, 0.0), arm_({}) {}
 
   void Push(double way) { seen_.back() = position_ += way; }
   void Step(const Eigen::VectorXf& command) {
-    position_ += 0.05 * arm_.Step(gain_ * command.head<6>().cast<double>())[0];
+    const double way = 0.05 * arm_.Step(gain_ * command.head<6>().cast<double>())[0];
+    if (!blocked) position_ += way;
     seen_.push_back(position_);
     seen_.pop_front();
   }
@@ -61,39 +70,59 @@ class LateArm {
   NominalArm arm_;
 };
 
+// A method around SteadyPolicy and an arm; `each(step, sent x)` after every command.
+class Loop {
+ public:
+  Loop(const std::string& preset, const std::vector<std::string>& overrides) {
+    const auto method = MakeMethod(preset, overrides);
+    EXPECT_TRUE(method.ok()) << method.status();
+    auto policy = CompensatedPolicy::Create(&asking, {}, *method);
+    EXPECT_TRUE(policy.ok()) << policy.status();
+    policy_ = *std::move(policy);
+    EXPECT_TRUE(policy_->StartEpisode({0, 0}).ok());
+  }
+
+  template <class Arm, class Each>
+  void Run(int steps, Arm& arm, const Each& each) {
+    for (int chunk = 0; chunk < steps / kRows; ++chunk, ++chunk_) {
+      const PredictedChunk predicted = *policy_->Predict({}, chunk_);
+      ExecutedChunk executed;
+      executed.sequence = static_cast<uint64_t>(chunk_) + 1;
+      executed.chunk = chunk_;
+      executed.prediction_id = predicted.prediction_id;
+      executed.final_state = arm.Measured();
+      for (int row = 0; row < kRows; ++row) {
+        const Eigen::VectorXf command = *policy_->NextCommand(predicted, executed);
+        ExecutedStep& done = executed.steps.emplace_back();
+        done.before = arm.Measured();
+        done.policy_command = predicted.policy_actions.row(row).transpose();
+        done.sent_command = command;
+        arm.Step(command);
+        each(chunk * kRows + row, command[0]);
+        executed.final_state = arm.Measured();
+      }
+      EXPECT_TRUE(policy_->SendFeedback(executed).ok());
+    }
+  }
+
+  SteadyPolicy asking;
+
+ private:
+  std::unique_ptr<CompensatedPolicy> policy_;
+  int chunk_ = 0;
+};
+
 // The largest command of the last hundred steps over that of the first, after a push.
 double WhatIsLeft(const std::string& preset, double gain, int delay) {
-  StillPolicy still;
-  const auto method = MakeMethod(preset, {"following_threshold=0", "integral_threshold=0"});
-  EXPECT_TRUE(method.ok()) << method.status();
-  const auto policy = CompensatedPolicy::Create(&still, {}, *method);
-  EXPECT_TRUE(policy.ok()) << policy.status();
-  EXPECT_TRUE((*policy)->StartEpisode({0, 0}).ok());
+  Loop loop(preset, {"following_threshold=0", "integral_threshold=0"});
   LateArm arm(gain, delay);
   double first = 0, last = 0;
-  for (int chunk = 0; chunk < kSteps / kRows; ++chunk) {
-    const PredictedChunk predicted = *(*policy)->Predict({}, chunk);
-    ExecutedChunk executed;
-    executed.sequence = static_cast<uint64_t>(chunk) + 1;
-    executed.chunk = chunk;
-    executed.prediction_id = predicted.prediction_id;
-    executed.final_state = arm.Measured();
-    for (int row = 0; row < kRows; ++row) {
-      const int step = chunk * kRows + row;
-      const Eigen::VectorXf command = *(*policy)->NextCommand(predicted, executed);
-      const double size = std::abs(command[0]);
-      if (step < 100) first = std::max(first, size);
-      if (step >= kSteps - 100) last = std::max(last, size);
-      ExecutedStep& done = executed.steps.emplace_back();
-      done.before = arm.Measured();
-      done.policy_command = predicted.policy_actions.row(row).transpose();
-      done.sent_command = command;
-      arm.Step(command);
-      if (step == 0) arm.Push(-kKick);
-      executed.final_state = arm.Measured();
-    }
-    EXPECT_TRUE((*policy)->SendFeedback(executed).ok());
-  }
+  loop.Run(kSteps, arm, [&](int step, float command) {
+    const double size = std::abs(command);
+    if (step < 100) first = std::max(first, size);
+    if (step >= kSteps - 100) last = std::max(last, size);
+    if (step == 0) arm.Push(-kKick);
+  });
   EXPECT_GT(first, 0);
   return last / first;
 }
@@ -123,6 +152,53 @@ TEST(FollowingStability, ThePresetSettlesAtFarMoreThanTheGainAndDelayOfANominalA
   while (delay < 20 && Settles("ours_following_smooth", 1, delay + 1)) ++delay;
   std::printf("; delay margin %d control steps\n", delay);
   EXPECT_GE(delay, 6);
+}
+
+struct AfterABlock {
+  double most = 0;      // what was added to the command at most, while the policy asked for 0.5
+  double jump = 0;      // largest change of a command from step to step
+  double farthest = 0;  // [m] the arm went, let go, while the policy asked for nothing
+  int steps = 0;        // until commands are zero
+};
+
+// Something holds the arm for five seconds, then lets it go.
+AfterABlock LetGo(const std::vector<std::string>& overrides) {
+  Loop loop("ours_following_smooth", overrides);
+  LateArm arm(1, 1);
+  AfterABlock after;
+  double before = 0;
+  const auto watch = [&](int step, double command) {
+    if (loop.asking.asked != 0) after.most = std::max(after.most, command - loop.asking.asked);
+    after.jump = std::max(after.jump, std::abs(command - before));
+    before = command;
+    if (loop.asking.asked == 0 && std::abs(command) > 0.01) after.steps = step + 1;
+  };
+  loop.asking.asked = 0.5F;
+  loop.Run(50, arm, watch);
+  arm.blocked = true;
+  loop.Run(100, arm, watch);
+  arm.blocked = false;
+  loop.asking.asked = 0;
+  const double held_at = arm.Measured().tool.p_base_tool.x();
+  loop.Run(400, arm, [&](int step, double command) {
+    watch(step, command);
+    const double way = std::abs(arm.Measured().tool.p_base_tool.x() - held_at);
+    after.farthest = std::max(after.farthest, way);
+  });
+  return after;
+}
+
+TEST(FollowingStability, WhatAHeldArmBuildsUpIsForgottenWithinTheEnvelope) {
+  const AfterABlock open = LetGo({"envelope_share=0"}), within = LetGo({"envelope_share=0.2"});
+  for (const AfterABlock& after : {open, within}) {
+    std::printf("held for 5 s: +%.2f at most, %.2f from step to step; let go %.3f m, %d steps\n",
+                after.most, after.jump, after.farthest, after.steps);
+    EXPECT_LE(after.most, 1.0 + 1e-6) << "0.5 of each way";
+    EXPECT_LE(after.jump, 0.6 * 1.5 + 1e-6) << "smoothed";
+  }
+  EXPECT_GT(open.farthest, 0.2) << "what the envelope is for";
+  EXPECT_LT(within.farthest, 0.03);
+  EXPECT_LT(within.steps, 10);
 }
 
 TEST(FollowingStability, TellsALoopThatDoesNotSettle) {
