@@ -11,6 +11,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/record_file.h"
@@ -434,6 +435,8 @@ TEST_F(StateOnDisk, ASnapshotThatBreaksTheRulesIsSetAsideWithWhatIsWrong) {
        "cannot have"},
       {"ours_following", adaptation([](auto& a) { a.add_model_following(0); }), "cannot have"},
       {"goal_memory=0.5", adaptation([](auto& a) { a.set_leaky_goal(0, 1e30); }), "cannot have"},
+      {"integral_rate=0.01,envelope_share=0.2",
+       adaptation([](auto& a) { a.set_envelope(0, 1e30); }), "cannot have"},
       {"calibrator_memory=100", adaptation([](auto& a) { a.set_residual_calibrator(0, -1); }),
        "cannot have"}};
   for (size_t i = 0; i < cases.size(); ++i) {
@@ -441,7 +444,7 @@ TEST_F(StateOnDisk, ASnapshotThatBreaksTheRulesIsSetAsideWithWhatIsWrong) {
     std::vector<std::string> overrides;
     if (c.method == "ours" || c.method == "ours_intent") overrides = kOften;
     const bool is_option = absl::StrContains(c.method, '=');
-    if (is_option) overrides = {c.method};
+    if (is_option) overrides = absl::StrSplit(c.method, ',');
     const OpenedSession opened = Open(Spec(is_option ? "base" : c.method, overrides));
     Client client(opened.session);
     client.StartEpisode(0, 0);
