@@ -31,6 +31,7 @@ void Smooth(MethodOptions& m) {
   m.Add(FollowingOptions::Tuned());
   m.Find<FollowingOptions>()->gain = 0.5;
   m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
+  m.Add(EnvelopeOptions{.share = 0.2});
   m.every_step = true;
   m.smoothing = kSmoothing;
 }

@@ -189,7 +189,7 @@ AfterABlock LetGo(const std::vector<std::string>& overrides) {
 }
 
 TEST(FollowingStability, WhatAHeldArmBuildsUpIsForgottenWithinTheEnvelope) {
-  const AfterABlock open = LetGo({"envelope_share=0"}), within = LetGo({"envelope_share=0.2"});
+  const AfterABlock open = LetGo({"envelope_share=0"}), within = LetGo({});
   for (const AfterABlock& after : {open, within}) {
     std::printf("held for 5 s: +%.2f at most, %.2f from step to step; let go %.3f m, %d steps\n",
                 after.most, after.jump, after.farthest, after.steps);
