@@ -1,9 +1,11 @@
 #pragma once
 
 #include <optional>
+#include <set>
 #include <string>
 #include <tuple>
 #include <utility>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "adapter/direct_subtraction.h"
@@ -24,6 +26,31 @@ template <class... Options>
 using WaysOf = std::tuple<std::optional<Options>...>;
 using MethodWays = WaysOf<LoraOptions, DirectOptions, IntegralOptions, FollowingOptions,
                           LeakyGoalOptions, CalibratorOptions, EnvelopeOptions>;
+
+// The younger keys (config.h, Late) in which a preset differs from what is usual; empty for a name
+// that is none.
+const std::set<std::string>& YoungerKeysOf(const std::string& preset);
+
+// Writes a younger key that the method has as usual where its preset has it otherwise: a reader
+// takes the preset's for a key that is not there.
+template <class V>
+struct OverPreset {
+  V& v;
+  const std::set<std::string>& younger;
+  template <class T>
+  void Field(const char* key, T& value, const char* doc) {
+    v.Field(key, value, doc);
+  }
+  template <class E>
+  void Choice(const char* key, E& value, const std::vector<std::pair<const char*, E>>& choices,
+              const char* doc) {
+    v.Choice(key, value, choices, doc);
+  }
+  template <class T>
+  void Late(const char* key, T& value, const T& usual, const char* doc) {
+    younger.contains(key) ? v.Field(key, value, doc) : v.Late(key, value, usual, doc);
+  }
+};
 
 enum class ObservationInput { kFull, kShuffledInstruction, kBlankImages, kFrozenState };
 
@@ -91,6 +118,11 @@ struct MethodOptions {
   template <class V>
   void Visit(V& v) {
     v.Field("method", method, "the preset it starts from");
+    OverPreset<V> over{v, YoungerKeysOf(method)};
+    VisitOptions(over);
+  }
+  template <class V>
+  void VisitOptions(V& v) {
     std::apply([&v](auto&... way) { (VisitWay(v, way), ...); }, ways);
     v.Field("gain", gain, "constant factor on every command, gripper excluded");
     v.Choice("target", target,

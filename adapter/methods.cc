@@ -1,5 +1,6 @@
 #include "adapter/methods.h"
 
+#include <map>
 #include <set>
 #include <utility>
 
@@ -156,6 +157,19 @@ struct KeyLister {
   }
 };
 
+// Keys of Late that have another value than the usual one.
+struct YoungerKeys {
+  std::set<std::string> unusual;
+  template <class T>
+  void Field(const char*, T&, const char*) {}
+  template <class E>
+  void Choice(const char*, E&, const std::vector<std::pair<const char*, E>>&, const char*) {}
+  template <class T>
+  void Late(const char* key, T& value, const T& usual, const char*) {
+    if (!(value == usual)) unusual.insert(key);
+  }
+};
+
 // One way, as far as it matters here.
 struct WayKeys {
   MethodWay way;
@@ -218,6 +232,22 @@ absl::Status Read(const std::string& source, const YAML::Node& given, MethodOpti
 }
 
 }  // namespace
+
+const std::set<std::string>& YoungerKeysOf(const std::string& preset) {
+  static const auto* const kKeys = [] {
+    auto* keys = new std::map<std::string, std::set<std::string>>{{"", {}}};
+    for (const Preset& each : kPresets) {
+      MethodOptions options;
+      each.apply(options);
+      YoungerKeys younger;
+      options.VisitOptions(younger);
+      keys->emplace(each.name, younger.unusual);
+    }
+    return keys;
+  }();
+  const auto found = kKeys->find(preset);
+  return found == kKeys->end() ? kKeys->at("") : found->second;
+}
 
 std::vector<std::string> MethodNames() {
   std::vector<std::string> names;

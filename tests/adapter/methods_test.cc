@@ -119,8 +119,9 @@ TEST(Methods, ADumpNamesEveryOptionInItsOldOrder) {
 // ------------------------------------------------------------------------ every entry of the table
 
 // "key=value" of an option that one way has.
-constexpr const char* kOptionOfAWay[] = {"rank=3", "integral_limit=0.3", "following_limit=0.3",
-                                         "goal_limit=0.3", "calibrator_ridge=2"};
+constexpr const char* kOptionOfAWay[] = {
+    "rank=3",         "integral_limit=0.3", "following_limit=0.3",
+    "goal_limit=0.3", "calibrator_ridge=2", "envelope_way=0.3"};
 
 class EveryMethod : public testing::TestWithParam<std::string> {
  protected:
@@ -136,17 +137,26 @@ TEST_P(EveryMethod, IsValidAndReadsBackToEveryBit) {
   // Over a preset, and as older servers stored it: the name, and nothing of the preset.
   MethodOptions changed = method_, bare;
   bare.method = GetParam();
-  // Written only where they are set, and younger than such servers.
-  bare.observer = method_.observer;
-  bare.every_step = method_.every_step;
-  bare.smoothing = method_.smoothing;
-  bare.execute_steps = method_.execute_steps;
-  bare.arm_model = method_.arm_model;
   changed.tracking_gain = bare.tracking_gain = 0.1 + 0.2;
   for (const MethodOptions& options : {changed, bare}) {
     const auto again = ParseMethod("m", DumpConfig(options));
     ASSERT_TRUE(again.ok()) << again.status();
     EXPECT_EQ(DumpConfig(*again), DumpConfig(options));
+  }
+}
+
+// A worker reads what a sweep wrote: what was turned off over a preset stays off.
+TEST(Methods, WhatIsTurnedOffOverAPresetStaysOff) {
+  for (const auto& [preset, off] : std::vector<std::pair<std::string, std::vector<std::string>>>{
+           {"ours_replanning", {"execute_steps=0", "smoothing=0", "envelope_share=0"}},
+           {"ours_following_step", {"every_step=false"}},
+           {"known_errors", {"arm_model="}},
+           {"dob_ours", {"observer=false"}}}) {
+    const MethodOptions options = *MakeMethod(preset, off);
+    EXPECT_NE(DumpConfig(options), DumpConfig(*MakeMethod(preset)));
+    const auto again = ParseMethod("m", DumpConfig(options));
+    ASSERT_TRUE(again.ok()) << again.status();
+    EXPECT_EQ(DumpConfig(*again), DumpConfig(options)) << preset;
   }
 }
 
@@ -158,7 +168,8 @@ TEST_P(EveryMethod, RefusesWhatItDoesNotKnowAndWhatWouldChangeNothing) {
     const absl::Status status = MakeMethod(GetParam(), {assignment}).status();
     const bool has = (key == "rank" && method_.Find<LoraOptions>() != nullptr) ||
                      (key == "integral_limit" && method_.Find<IntegralOptions>() != nullptr) ||
-                     (key == "following_limit" && method_.Find<FollowingOptions>() != nullptr);
+                     (key == "following_limit" && method_.Find<FollowingOptions>() != nullptr) ||
+                     (key == "envelope_way" && method_.Find<EnvelopeOptions>() != nullptr);
     EXPECT_EQ(status.ok(), has) << status;
     if (has) continue;
     EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
