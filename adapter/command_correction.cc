@@ -59,10 +59,12 @@ void CommandCorrection::Observe(const ExecutedChunk& chunk) {
 
 void CommandCorrection::ObserveWithin(Envelope& envelope, ExecutedChunk step) {
   envelope.Observe(step);
-  const bool held = envelope.held();
-  if (held) step.masked = {true};
+  const bool held = envelope.held(), shortly = envelope.held_shortly();
+  const std::vector<bool> masked = step.masked;
   for (const Part& part : parts_) {
     if (part.corrector.get() == &envelope) continue;
+    step.masked = masked;
+    if (held || (shortly && part.corrector->LearnsSlowly())) step.masked = {true};
     part.corrector->Observe(step);
     if (held) part.corrector->Forget(1 - Envelope::kForgotten);
   }

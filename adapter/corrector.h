@@ -18,6 +18,8 @@ class Corrector {
   virtual void Observe(const ExecutedChunk& chunk) = 0;
   // Keeps this share of what it would correct: something holds the arm (envelope.h).
   virtual void Forget(double /*kept*/) {}
+  // What it learned stays for more than the steps that a held arm is told by.
+  virtual bool LearnsSlowly() const { return false; }
   // [n] added to the first n entries of every command of the next chunk [command units]; empty:
   // nothing yet.
   virtual Eigen::VectorXd correction() const = 0;

@@ -1,5 +1,7 @@
 #include "adapter/envelope.h"
 
+#include <utility>
+
 #include "common/check.h"
 #include "common/status_macros.h"
 
@@ -18,43 +20,44 @@ Envelope::Envelope(const EnvelopeOptions& options, const ResidualOptions& residu
 
 void Envelope::StartEpisode() {
   arm_.Reset();
-  nominal_.setZero();
-  moved_.setZero();
+  short_ = long_ = {};
 }
 
 void Envelope::Observe(const ExecutedChunk& chunk) {
   for (size_t i = 0; i < chunk.steps.size(); ++i) {
     const ExecutedStep& step = chunk.steps[i];
-    const NominalArm::Vector6 nominal = arm_.Step(step.sent_command.head<6>().cast<double>());
-    nominal_ *= 1 - 1 / kMemory;
-    moved_ *= 1 - 1 / kMemory;
-    if (chunk.IsMasked(i)) continue;
-    nominal_ += nominal.head<3>();
-    moved_ += AchievedDelta(step.before, StateAfter(chunk, i), residual_).head<3>();
+    Eigen::Vector3d nominal = arm_.Step(step.sent_command.head<6>().cast<double>()).head<3>();
+    Eigen::Vector3d moved = AchievedDelta(step.before, StateAfter(chunk, i), residual_).head<3>();
+    if (chunk.IsMasked(i)) nominal = moved = Eigen::Vector3d::Zero();
+    for (const auto& [recent, memory] : {std::pair{&short_, kShort}, std::pair{&long_, kLong}}) {
+      recent->nominal = (1 - 1 / memory) * recent->nominal + nominal;
+      recent->moved = (1 - 1 / memory) * recent->moved + moved;
+    }
   }
 }
 
-bool Envelope::held() const {
-  const double way = nominal_.norm();
-  return way > options_.way && nominal_.dot(moved_) < options_.share * way * way;
+bool Envelope::Held(const Way& recent, double way) const {
+  const double length = recent.nominal.norm();
+  return length > way && recent.nominal.dot(recent.moved) < options_.share * length * length;
 }
 
 Eigen::VectorXd Envelope::State() const {
   Eigen::VectorXd state(kStateSize);
-  state << nominal_, moved_, arm_.state().goal, arm_.state().velocity;
+  state << short_.nominal, short_.moved, long_.nominal, long_.moved, arm_.state().goal,
+      arm_.state().velocity;
   return state;
 }
 
 bool Envelope::Holds(const Eigen::VectorXd& state) const {
-  return state.size() == kStateSize && (state.head<6>().array().abs() <= kFarthest).all() &&
-         NominalArm::Holds({state.segment<6>(6), state.tail<6>()});
+  return state.size() == kStateSize && (state.head<12>().array().abs() <= kFarthest).all() &&
+         NominalArm::Holds({state.segment<6>(12), state.tail<6>()});
 }
 
 void Envelope::SetState(const Eigen::VectorXd& state) {
   RS_CHECK(state.size() == kStateSize);
-  nominal_ = state.head<3>();
-  moved_ = state.segment<3>(3);
-  arm_.set_state({state.segment<6>(6), state.tail<6>()});
+  short_ = {state.head<3>(), state.segment<3>(3)};
+  long_ = {state.segment<3>(6), state.segment<3>(9)};
+  arm_.set_state({state.segment<6>(12), state.tail<6>()});
 }
 
 }  // namespace robostress

@@ -18,8 +18,10 @@ struct EnvelopeOptions {
   static constexpr MethodWay kWay{
       .name = "envelope", .key = "envelope_share", .in_joint_space = false};
 
+  static constexpr double kShare = 0.2;  // of the presets that have it
+
   double share = 0;  // 0: off
-  double way = 0.5;  // [command units]; 25 mm with LIBERO's scale
+  double way = 4;    // [command units]; 0.2 m with LIBERO's scale
 
   bool on() const { return share != 0; }
   bool carries_over() const { return false; }
@@ -29,9 +31,11 @@ struct EnvelopeOptions {
   void Visit(V& v) {
     v.Late("envelope_share", share, 0.0,
            "an arm that makes less than this share of a nominal arm's way is held by something: "
-           "corrections learn nothing and go back to zero; 0: not watched");
-    v.Late("envelope_way", way, 0.5,
-           "shortest way of the nominal arm from which that is told [command units]");
+           "integral action learns nothing, and soon all corrections go back to zero; 0: not "
+           "watched");
+    v.Late("envelope_way", way, 4.0,
+           "way of the nominal arm, within about 40 control steps, after which they do [command "
+           "units]");
   }
 };
 
@@ -40,18 +44,21 @@ struct EnvelopeOptions {
 //   n <- (1 - 1 / T) n + dx_nominal(c),   x <- (1 - 1 / T) x + dx       per executed step
 //   held where |n| > w and n.x < s |n|^2
 //
-// symbol        name            shape  unit
-// c             sent command    [6]    normalised action
-// dx            motion          [3]    normalised action
-// n, x          recent way      [3]    normalised action, of the nominal and of the real arm
-// T             kMemory         -      control steps
-// w, s          way, share      -
+// symbol        name                        shape  unit
+// c             sent command                [6]    normalised action
+// dx            motion                      [3]    normalised action
+// n, x          recent way                  [3]    normalised action, of the nominal and of the arm
+// T             kShort, kLong               -      control steps
+// w             kShortWay; way (with kLong)        normalised action
+// s             share                       -
 //
-// While an arm is held, CommandCorrection shows the other ways masked steps and takes kForgotten of
-// what they remember at every one.
+// An arm that is held for long is no arm with a joint that sticks: more was pushed than moves such
+// a one. CommandCorrection then shows all ways masked steps and takes kForgotten of what they
+// remember at every one. From the short memory on, it shows them to those that learn slowly: what
+// integral action learned of an obstacle would push for five seconds after it.
 class Envelope : public Corrector {
  public:
-  static constexpr double kMemory = 10, kForgotten = 0.2;
+  static constexpr double kShort = 10, kShortWay = 0.5, kLong = 40, kForgotten = 0.2;
 
   Envelope(const EnvelopeOptions& options, const ResidualOptions& residual,
            const NominalArmOptions& arm);
@@ -61,20 +68,26 @@ class Envelope : public Corrector {
   void Observe(const ExecutedChunk& chunk) override;
   Eigen::VectorXd correction() const override { return {}; }
 
-  bool held() const;
+  bool held() const { return Held(long_, options_.way); }
+  bool held_shortly() const { return Held(short_, kShortWay); }
 
-  // n, x, goal and velocity of the nominal arm.
+  // n, x of both memories, goal and velocity of the nominal arm.
   Eigen::VectorXd State() const override;
   void SetState(const Eigen::VectorXd& state) override;
   bool Holds(const Eigen::VectorXd& state) const override;
 
  private:
-  static constexpr int kStateSize = 3 + 3 + 12;
+  struct Way {
+    Eigen::Vector3d nominal = Eigen::Vector3d::Zero(), moved = Eigen::Vector3d::Zero();
+  };
+  bool Held(const Way& recent, double way) const;
+
+  static constexpr int kStateSize = 6 + 6 + 12;
   static constexpr double kFarthest = 1e12;  // plausible motion stays below
   EnvelopeOptions options_;
   ResidualOptions residual_;  // scale command: dx in normalised actions
   NominalArm arm_;
-  Eigen::Vector3d nominal_ = Eigen::Vector3d::Zero(), moved_ = Eigen::Vector3d::Zero();
+  Way short_, long_;
 };
 
 }  // namespace robostress

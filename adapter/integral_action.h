@@ -90,6 +90,7 @@ class IntegralAction : public Corrector {
   // Masked steps move the nominal arm and not the estimate.
   void Observe(const ExecutedChunk& chunk) override;
   void Forget(double kept) override { estimate_ *= kept; }
+  bool LearnsSlowly() const override { return true; }
   const Vector6& estimate() const { return estimate_; }
   Eigen::VectorXd correction() const override;  // [6]
 

@@ -32,7 +32,7 @@ void Smooth(MethodOptions& m) {
   m.Add(FollowingOptions::Tuned());
   m.Find<FollowingOptions>()->gain = 0.5;
   m.Add(IntegralOptions::Tuned(FollowingOptions::kIntegralThreshold));
-  m.Add(EnvelopeOptions{.share = 0.2});
+  m.Add(EnvelopeOptions{.share = EnvelopeOptions::kShare});
   m.every_step = true;
   m.smoothing = kSmoothing;
 }

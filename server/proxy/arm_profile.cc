@@ -265,6 +265,8 @@ absl::StatusOr<MethodOptions> MethodOf(const ArmProfile& profile,
   if (!profile.joint_space() && !has("tracking_gain"))
     all.push_back(absl::StrCat("tracking_gain=", SteadyGain(profile.nominal_arm())));
   RS_ASSIGN_OR_RETURN(MethodOptions method, MakeMethod(profile.method, all));
+  if (!has("envelope_share") && (method.Find<IntegralOptions>() || method.Find<FollowingOptions>()))
+    method.Add(EnvelopeOptions{.share = EnvelopeOptions::kShare});
   RS_RETURN_IF_ERROR(method.Check());
   const auto refuse = [&](const char* why) {
     return Invalid("method ", profile.method, " ", why,

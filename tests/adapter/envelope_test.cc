@@ -12,9 +12,7 @@ namespace {
 
 using Vector6 = NominalArm::Vector6;
 
-Envelope MakeEnvelope(double share, double way = 0.5) {
-  return Envelope({.share = share, .way = way}, {}, {});
-}
+Envelope MakeEnvelope(double share) { return Envelope({.share = share}, {}, {}); }
 
 const Vector6 kAhead = 0.5 * Vector6::Unit(0);
 
@@ -22,28 +20,32 @@ TEST(Envelope, TellsAHeldArmFromAWeakOne) {
   for (const double gain : {0.0, 0.15, 0.25, 1.0}) {
     Envelope envelope = MakeEnvelope(0.2);
     DisturbedArm arm(gain, Vector6::Zero());
-    envelope.Observe(arm.Execute(kAhead, Vector6::Zero(), 40));
+    envelope.Observe(arm.Execute(kAhead, Vector6::Zero(), 80));
     EXPECT_EQ(envelope.held(), gain < 0.2) << gain;
   }
   Envelope backwards = MakeEnvelope(0.2);
   DisturbedArm pushed(0, -kAhead);
-  backwards.Observe(pushed.Execute(kAhead, Vector6::Zero(), 40));
+  backwards.Observe(pushed.Execute(kAhead, Vector6::Zero(), 80));
   EXPECT_TRUE(backwards.held()) << "motion the other way is no way";
 }
 
 TEST(Envelope, ASmallWayTellsNothing) {
   Envelope envelope = MakeEnvelope(0.2);
   DisturbedArm stuck(0, Vector6::Zero());
-  envelope.Observe(stuck.Execute(0.1 * kAhead, Vector6::Zero(), 200));
+  envelope.Observe(stuck.Execute(0.6 * kAhead, Vector6::Zero(), 400));
   EXPECT_FALSE(envelope.held()) << "a joint that sticks under small commands is what is mended";
-  envelope.Observe(stuck.Execute(kAhead, Vector6::Zero(), 5));
-  EXPECT_TRUE(envelope.held()) << "0.05 + 0.27 + ... command units";
+  EXPECT_TRUE(envelope.held_shortly()) << "there is nothing to learn from it";
+  envelope.Observe(stuck.Execute(2 * kAhead, Vector6::Zero(), 3));
+  EXPECT_FALSE(envelope.held()) << "pushing harder may move it";
+  envelope.Observe(stuck.Execute(2 * kAhead, Vector6::Zero(), 20));
+  EXPECT_TRUE(envelope.held()) << "it did not";
 }
 
 TEST(Envelope, ForgetsWithinItsMemoryAndWithAnEpisode) {
   Envelope envelope = MakeEnvelope(0.2);
   DisturbedArm held(0, Vector6::Zero());
-  envelope.Observe(held.Execute(kAhead, Vector6::Zero(), 40));
+  envelope.Observe(held.Execute(kAhead, Vector6::Zero(), 80));
+  EXPECT_TRUE(envelope.held());
   Envelope still = envelope;
   still.Observe(held.Execute(Vector6::Zero(), Vector6::Zero(), 20));
   EXPECT_FALSE(still.held());
@@ -54,8 +56,8 @@ TEST(Envelope, ForgetsWithinItsMemoryAndWithAnEpisode) {
 TEST(Envelope, AMaskedStepSaysNothing) {
   Envelope envelope = MakeEnvelope(0.2);
   DisturbedArm held(0, Vector6::Zero());
-  ExecutedChunk chunk = held.Execute(kAhead, Vector6::Zero(), 40);
-  chunk.masked.assign(40, true);
+  ExecutedChunk chunk = held.Execute(kAhead, Vector6::Zero(), 80);
+  chunk.masked.assign(80, true);
   envelope.Observe(chunk);
   EXPECT_FALSE(envelope.held());
 }
@@ -73,7 +75,7 @@ TEST(Envelope, GoesOnFromItsState) {
   Eigen::VectorXd bad = envelope.State();
   bad[4] = 1e13;
   EXPECT_FALSE(other.Holds(bad));
-  EXPECT_FALSE(other.Holds(bad.head(17)));
+  EXPECT_FALSE(other.Holds(bad.head(23)));
 }
 
 // Chunk by chunk and step by step are the same, or an arm at every step would differ from a server.
@@ -83,13 +85,13 @@ TEST(Envelope, StepsAreObservedAsTheirChunk) {
   CommandCorrection whole(method, residual, {}), steps(method, residual, {});
   DisturbedArm free(0.6, Vector6::Zero()), held(0, Vector6::Zero());
   for (const ExecutedChunk& chunk :
-       {free.Execute(kAhead, Vector6::Zero(), 8), held.Execute(kAhead, Vector6::Zero(), 12)}) {
+       {free.Execute(kAhead, Vector6::Zero(), 8), held.Execute(2 * kAhead, Vector6::Zero(), 40)}) {
     whole.Observe(chunk);
     for (size_t i = 0; i < chunk.steps.size(); ++i) steps.Observe(StepOf(chunk, i));
   }
   EXPECT_EQ(whole.state(), steps.state());
   CommandCorrection copied(whole);
-  copied.Observe(held.Execute(kAhead, Vector6::Zero(), 60));
+  copied.Observe(held.Execute(2 * kAhead, Vector6::Zero(), 100));
   EXPECT_LT(copied.Value().cwiseAbs().maxCoeff(), 1e-6) << "back to zero";
   EXPECT_EQ(whole.state(), steps.state()) << "a copy has an envelope of its own";
 }

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+#include <cstdio>
 #include <optional>
 #include <string>
 #include <vector>
@@ -10,6 +12,7 @@
 #include "server/proxy/action_block.h"
 #include "server/proxy/proxied_arm.h"
 #include "tests/server/proxy/proxy_messages.h"
+#include "tests/server/proxy/rubbing_arm.h"
 
 namespace robostress {
 namespace {
@@ -84,6 +87,37 @@ TEST(ProxiedArm, EndsACorrectionThatChasesItsOwnEffect) {
   arm.Run(1, ProxyMode::kOff);
   arm.Run(6, ProxyMode::kOn);
   EXPECT_GT(arm.corrected, before) << "switched on again";
+}
+
+// [m] that a healthy arm goes on, and is not asked to, once it is let go. Something held it for
+// five seconds while the policy asked for half a command in x.
+double WayAfterBeingHeld(const std::vector<std::string>& overrides) {
+  ProxiedArm proxy{LiberoProfile(), *MethodOf(LiberoProfile(), overrides)};
+  RubbingArm arm(0);
+  const auto play = [&](int answers, double asked, bool held) {
+    for (int i = 0; i < answers; ++i) {
+      proxy.Observed(LiberoObservation(arm.state()), false, 0, ProxyMode::kOn);
+      Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(10, 7);
+      rows.col(0).setConstant(asked);
+      const std::string answer = ActionRows(rows);
+      const std::string played = proxy.Answered(answer, false, 0, ProxyMode::kOn).value_or(answer);
+      const Eigen::MatrixXd actions = ReadActions(played, *FindActions(played));
+      for (int k = 0; k < 5 && !held; ++k) arm.Step(actions.row(k).head<3>());
+    }
+  };
+  play(10, 0.5, false);
+  arm.Place(arm.x());
+  play(20, 0.5, true);
+  const double held_at = arm.x()[0];
+  play(60, 0, false);
+  return 0.05 * std::abs(arm.x()[0] - held_at);
+}
+
+TEST(ProxiedArm, AHeldArmDoesNotLungeWhenItIsLetGo) {
+  const double open = WayAfterBeingHeld({"envelope_share=0"}), within = WayAfterBeingHeld({});
+  std::printf("let go after 5 s: %.3f m, within the envelope %.3f m\n", open, within);
+  EXPECT_GT(open, 0.1) << "what the envelope is for";
+  EXPECT_LT(within, 0.02);
 }
 
 TEST(ProxiedArm, InShadowNothingHunts) {

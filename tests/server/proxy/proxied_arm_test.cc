@@ -80,14 +80,14 @@ TEST(ProxiedArm, LeavesAnArmAloneThatDoesAsItIsTold) {
 TEST(ProxiedArm, ShadowSaysWhatItWouldDoAndChangesNothing) {
   Loop shadow(60);
   shadow.mode = ProxyMode::kShadow;
-  shadow.Run(30);
+  shadow.Run(8);
   EXPECT_EQ(shadow.corrected, 0);
   EXPECT_EQ(shadow.proxy.report().outcome, AnswerOutcome::kShadow);
   EXPECT_GT(shadow.proxy.report().correction.norm(), 0.1);
   EXPECT_GT(shadow.proxy.report().residual.norm(), 0);
   Loop off(60);
   off.mode = ProxyMode::kOff;
-  off.Run(30);
+  off.Run(8);
   EXPECT_EQ(off.arm.x(), shadow.arm.x()) << "bit for bit";
 }
 
