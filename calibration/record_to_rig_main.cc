@@ -3,10 +3,12 @@
 #include <cstdio>
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "calibration/data/client_recordings.h"
 #include "calibration/data/recorded_rig.h"
 #include "calibration/data/sim_recordings.h"
 #include "common/command_line.h"
+#include "common/robot_description.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
 
@@ -38,6 +40,11 @@ struct CommandLine {
 absl::StatusOr<RecordedRigSummary> ConvertClientRun(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const std::vector<RecordedEpisode> episodes,
                       EpisodesOfClientRun(line.run, line.rig.held_out_every));
+  if (episodes.front().q.size() != kPiper.joints.size())
+    return absl::InvalidArgumentError(absl::StrCat(
+        line.run, ": is of an arm of ", episodes.front().q.size(),
+        " joints, and the model of a rig made here is a Piper's; write the rig yourself "
+        "(docs/calibrate-a-robot.md)"));
   RecordedRigOptions options = line.rig;
   options.encoder_noise = 0;  // the arm's own is in it
   const std::string name = line.name.empty() ? "piper" : line.name;

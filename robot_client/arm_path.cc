@@ -14,11 +14,11 @@ std::string Depth(ArmModel::Bound bound, double distance) {
 
 }  // namespace
 
-ArmPath StraightPath(const ArmVector& from, const ArmVector& to, const PathLimits& limits,
-                     double period_s) {
+ArmPath StraightPath(const ArmAxes& axes, const ArmVector& from, const ArmVector& to,
+                     const PathLimits& limits, double period_s) {
   double longest = 0;
-  for (int j = 0; j < kArmJoints; ++j) longest = std::max(longest, std::abs(to[j] - from[j]));
-  const double opening = std::abs(to[kArmJoints] - from[kArmJoints]);
+  for (int j = 0; j < axes.joints; ++j) longest = std::max(longest, std::abs(to[j] - from[j]));
+  const double opening = std::abs(to[axes.opening()] - from[axes.opening()]);
   const double seconds = std::max({1.875 * longest / limits.joint_velocity,
                                    std::sqrt(5.774 * longest / limits.joint_acceleration),
                                    std::cbrt(60 * longest / limits.joint_jerk),
@@ -29,7 +29,7 @@ ArmPath StraightPath(const ArmVector& from, const ArmVector& to, const PathLimit
     const double s = static_cast<double>(i) / rows;
     const double share = s * s * s * (10 - 15 * s + 6 * s * s);
     ArmVector row;
-    for (int axis = 0; axis < kArmAxes; ++axis)
+    for (int axis = 0; axis < kMostAxes; ++axis)
       row[axis] = from[axis] + share * (to[axis] - from[axis]);
     path.rows.push_back(row);
   }
@@ -55,11 +55,11 @@ absl::Status CheckPath(const ArmModel& model, const ArmPath& path) {
 
 absl::Status CheckPose(const char* name, const ArmVector& pose, const ArmLimits& limits,
                        const ArmModel* model) {
-  for (int i = 0; i < kArmAxes; ++i) {
+  for (int i = 0; i < limits.axes.count(); ++i) {
     if (!(pose[i] >= limits.lower[i] && pose[i] <= limits.upper[i])) {
       return absl::InvalidArgumentError(
           absl::StrFormat("%s: %s is %.4f, the arm allows %.4f to %.4f", name,
-                          i < kArmJoints ? absl::StrCat("J", i + 1) : "the opening", pose[i],
+                          i < limits.axes.joints ? limits.axes.name(i) : "the opening", pose[i],
                           limits.lower[i], limits.upper[i]));
     }
   }

@@ -17,8 +17,8 @@ struct PathLimits {
 // Straight in joint space from one pose to another with the quintic of least jerk (Flash and Hogan,
 // J. Neurosci. 5, 1985), its peaks within the limits: 1.875 d/T, 5.774 d/T^2, 60 d/T^3. One row per
 // `period_s`, the last is `to`.
-ArmPath StraightPath(const ArmVector& from, const ArmVector& to, const PathLimits& limits,
-                     double period_s);
+ArmPath StraightPath(const ArmAxes& axes, const ArmVector& from, const ArmVector& to,
+                     const PathLimits& limits, double period_s);
 
 // FAILED_PRECONDITION names the first bound that a way crosses, and how deep its end lies.
 absl::Status CheckPath(const ArmModel& model, const ArmPath& path);

@@ -91,6 +91,12 @@ absl::StatusOr<bool> IsReal(const ClientConfig& config) {
   return !robot.simulated;
 }
 
+absl::StatusOr<ArmAxes> AxesOf(const ClientConfig& config) {
+  if (!IsBridge(config)) return PiperLimits().axes;
+  RS_ASSIGN_OR_RETURN(const bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
+  return robot.limits.axes;
+}
+
 absl::Status TakeRobotFile(ClientConfig& config) {
   if (!IsBridge(config)) {
     if (config.robot.empty()) return absl::OkStatus();
@@ -106,7 +112,8 @@ absl::Status TakeRobotFile(ClientConfig& config) {
                      "robot_client/bridge/so101.yaml"));
   RS_ASSIGN_OR_RETURN(const bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
   config.control.rate_hz = robot.rate_hz;
-  if (config.home.empty()) config.home = bridge::HomeInSlots(robot);
+  if (config.home.empty()) config.home = robot.home;
+  FitDefaults(robot.limits.axes.joints, config.control.press);
   return absl::OkStatus();
 }
 
@@ -136,9 +143,10 @@ absl::Status CheckConfig(const ClientConfig& c) {
                    c.episodes, "; they must be at least 0, 0 and 1");
   if (!(c.episode_s > 0 && c.episode_s <= 3600))
     return invalid("episode_s is ", c.episode_s, ", must be above 0, at most 3600");
-  if (!c.home.empty() && c.home.size() != kArmAxes) {
-    return invalid("home has ", c.home.size(), " numbers, must have ", kArmAxes,
-                   ": six joints [rad] and the opening [m]");
+  RS_ASSIGN_OR_RETURN(const ArmAxes axes, AxesOf(c));
+  if (!c.home.empty() && static_cast<int>(c.home.size()) != axes.count()) {
+    return invalid("home has ", c.home.size(), " numbers, must have ", axes.count(), ": ",
+                   axes.joints, " joints [rad]", axes.gripper ? " and the opening [m]" : "");
   }
   for (const double value : c.home) {
     if (!std::isfinite(value)) return invalid("home holds ", value, ", must be finite");

@@ -24,13 +24,13 @@ struct ClientConfig {
   int task = 0;                      // index in the experiment; one run is one task, one session
   int first_episode = 0;
   int episodes = 25;
-  double episode_s = 60;        // [s] of RUN until an episode ends by itself
-  std::vector<double> home;     // seven: joints [rad], opening [m]; empty: there is no such pose
-  double home_velocity = 0.6;   // [rad/s] of the fastest joint on the way home
-  double jog_velocity = 0.2;    // [rad/s]
-  bool slow_first = true;       // a motion is played at a quarter of its speed first
-  int collision_level = -1;     // of the arm's own protection, 0 (off) .. 8; -1: as it is
-  bool record_required = true;  // false: the arm may move on when the recording has failed
+  double episode_s = 60;             // [s] of RUN until an episode ends by itself
+  std::vector<double> home;          // joints [rad], opening [m]; empty: there is no such pose
+  double home_velocity = 0.6;        // [rad/s] of the fastest joint on the way home
+  double jog_velocity = 0.2;         // [rad/s]
+  bool slow_first = true;            // a motion is played at a quarter of its speed first
+  int collision_level = -1;          // of the arm's own protection, 0 (off) .. 8; -1: as it is
+  bool record_required = true;       // false: the arm may move on when the recording has failed
   std::vector<std::string> without;  // watchdogs that are given up, by the names of their options
   PolicyConnectionOptions policy;
   ControlOptions control;
@@ -47,7 +47,7 @@ struct ClientConfig {
     v.Field("first_episode", first_episode, "index of the first episode");
     v.Field("episodes", episodes, "consecutive episodes; adaptation is kept over them");
     v.Field("episode_s", episode_s, "most time of an episode [s]");
-    v.Field("home", home, "pose of `home`: six joints [rad] and the opening [m]; empty: none");
+    v.Field("home", home, "pose of `home`: the joints [rad], then the opening [m]; empty: none");
     v.Field("home_velocity", home_velocity, "most speed of a joint on the way home [rad/s]");
     v.Field("jog_velocity", jog_velocity, "most speed of a joint that is jogged [rad/s]");
     v.Field("slow_first", slow_first,
@@ -80,8 +80,11 @@ absl::StatusOr<std::unique_ptr<FrameSource>> MakeCamera(const std::string& text,
 bool IsBridge(const ClientConfig& config);
 // It may be one that can hurt somebody.
 absl::StatusOr<bool> IsReal(const ClientConfig& config);
+// The axes of its arm: of the robot file behind a bridge, else a Piper's.
+absl::StatusOr<ArmAxes> AxesOf(const ClientConfig& config);
 // Takes over what a robot file says of the loop: its rate, and home where the configuration has
-// none. Nothing for an arm that is no bridge.
+// none; what control.press has of a Piper's joints becomes this arm's. Nothing for an arm that is
+// no bridge.
 absl::Status TakeRobotFile(ClientConfig& config);
 
 // The arm of config.bus, not connected.

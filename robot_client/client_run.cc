@@ -75,7 +75,7 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
                                          ConnectTo(config_.policy, 1 / config_.control.rate_hz));
     RS_RETURN_IF_ERROR(link_->Open());
   }
-  RS_ASSIGN_OR_RETURN(recorder_, Recorder::Create(directory_));
+  RS_ASSIGN_OR_RETURN(recorder_, Recorder::Create(directory_, arm_->axes()));
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
   if (const auto& motion_played = ways_->motion())
     RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/motion.csv", MotionCsv(*motion_played)));

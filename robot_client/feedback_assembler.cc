@@ -11,9 +11,9 @@ Eigen::VectorXd Joints(const ArmVector& v, const ArmAxes& axes) {
   return Eigen::Map<const Eigen::VectorXd>(v.data(), axes.joints);
 }
 
-double LargestDifference(const ArmVector& a, const ArmVector& b) {
+double LargestDifference(const ArmVector& a, const ArmVector& b, int joints) {
   double largest = 0;
-  for (int j = 0; j < kArmJoints; ++j) largest = std::max(largest, std::abs(a[j] - b[j]));
+  for (int j = 0; j < joints; ++j) largest = std::max(largest, std::abs(a[j] - b[j]));
   return largest;
 }
 
@@ -25,7 +25,7 @@ FeedbackAssembler::FeedbackAssembler(const FeedbackOptions& options, double peri
 
 Eigen::VectorXf FeedbackAssembler::Command(const ArmVector& v) const {
   Eigen::VectorXf command(axes_.count());
-  for (int i = 0; i < axes_.count(); ++i) command[i] = static_cast<float>(v[axes_.slot(i)]);
+  for (int i = 0; i < axes_.count(); ++i) command[i] = static_cast<float>(v[i]);
   return command;
 }
 
@@ -35,7 +35,7 @@ RobotState FeedbackAssembler::StateOf(const TickRecord& record) const {
   state.q = Joints(record.position, axes_);
   state.dq = Joints(record.velocity, axes_);
   if (forward_) state.tool = forward_(record.position);
-  state.gripper = record.position[kArmJoints];
+  state.gripper = record.position[axes_.opening()];
   return state;
 }
 
@@ -43,8 +43,8 @@ void FeedbackAssembler::Complete(const TickRecord& next) {
   Step step{*open_, false, StateOf(next)};
   const TickRecord& r = step.record;
   const double interval = static_cast<double>(next.start_ns - r.start_ns) * 1e-9;
-  step.masked = LargestDifference(r.blended, r.requested) > options_.moved_bound ||
-                LargestDifference(r.sent, r.corrected) > options_.moved_bound ||
+  step.masked = LargestDifference(r.blended, r.requested, axes_.joints) > options_.moved_bound ||
+                LargestDifference(r.sent, r.corrected, axes_.joints) > options_.moved_bound ||
                 !(r.flags & kTickSent) || !(next.flags & kTickFresh) || (next.flags & kTickLost) ||
                 std::abs(interval - period_s_) > 0.5 * period_s_;
   ++counters_.steps;

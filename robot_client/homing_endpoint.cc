@@ -19,18 +19,19 @@ absl::Status HomingEndpoint::StartEpisode(const EpisodeKey& key) {
 absl::StatusOr<PredictedChunk> HomingEndpoint::Predict(const Observation& observation, int chunk) {
   if (!homing_) return policy_->Predict(observation, chunk);
   double longest = 0;  // way of a joint [rad]
-  for (int j = 0; j < kArmJoints; ++j)
+  for (int j = 0; j < axes_.joints; ++j)
     longest = std::max(longest, std::abs(home_[j] - observation.proprioception[j]));
   PredictedChunk way;
   way.prediction_id = kFirstHomingPrediction + ++predictions_;
-  way.actions.resize(spec().horizon, kArmAxes);
+  way.actions.resize(spec().horizon, axes_.count());
   for (int row = 0; row < spec().horizon; ++row) {
     const double share = std::min(1.0, (row + 1) * kJointSpeed * period_s_ / (longest + 1e-9));
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < axes_.joints; ++j) {
       const double from = observation.proprioception[j];
       way.actions(row, j) = static_cast<float>(from + share * (home_[j] - from));
     }
-    way.actions(row, kArmJoints) = static_cast<float>(home_[kArmJoints]);
+    if (axes_.gripper)
+      way.actions(row, axes_.opening()) = static_cast<float>(home_[axes_.opening()]);
   }
   way.policy_actions = way.actions;
   return way;
@@ -46,11 +47,11 @@ absl::Status HomingEndpoint::SendFeedback(ExecutedChunk executed) {
   return status;
 }
 
-bool IsHome(const ArmVector& position, const ArmVector& home) {
-  for (int j = 0; j < kArmJoints; ++j) {
+bool IsHome(const ArmAxes& axes, const ArmVector& position, const ArmVector& home) {
+  for (int j = 0; j < axes.joints; ++j) {
     if (std::abs(position[j] - home[j]) > HomingEndpoint::kJointsNear) return false;
   }
-  return std::abs(position[kArmJoints] - home[kArmJoints]) < HomingEndpoint::kOpeningNear;
+  return std::abs(position[axes.opening()] - home[axes.opening()]) < HomingEndpoint::kOpeningNear;
 }
 
 }  // namespace robostress

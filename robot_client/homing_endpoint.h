@@ -22,8 +22,9 @@ class HomingEndpoint : public PolicyEndpoint {
   static constexpr double kOpeningNear = 0.01;  // [m]
 
   // `home`: absolute joints [rad] and opening [m]; `period_s` between rows.
-  HomingEndpoint(std::unique_ptr<PolicyEndpoint> policy, const ArmVector& home, double period_s)
-      : policy_(std::move(policy)), home_(home), period_s_(period_s) {}
+  HomingEndpoint(std::unique_ptr<PolicyEndpoint> policy, const ArmAxes& axes, const ArmVector& home,
+                 double period_s)
+      : policy_(std::move(policy)), axes_(axes), home_(home), period_s_(period_s) {}
 
   const PolicySpec& spec() const override { return policy_->spec(); }
   absl::Status StartEpisode(const EpisodeKey& key) override;
@@ -34,6 +35,7 @@ class HomingEndpoint : public PolicyEndpoint {
 
  private:
   const std::unique_ptr<PolicyEndpoint> policy_;
+  const ArmAxes axes_;
   const ArmVector home_;
   const double period_s_;
   bool homing_ = false;
@@ -42,6 +44,6 @@ class HomingEndpoint : public PolicyEndpoint {
 };
 
 // Whether an arm at `position` is where homing leads.
-bool IsHome(const ArmVector& position, const ArmVector& home);
+bool IsHome(const ArmAxes& axes, const ArmVector& position, const ArmVector& home);
 
 }  // namespace robostress

@@ -17,6 +17,7 @@
 #include "robot_client/client_program.h"
 #include "robot_client/motion/excitation.h"
 #include "robot_client/motion/motion_file.h"
+#include "robot_client/piper/protocol.h"
 
 namespace robostress {
 namespace {
@@ -27,7 +28,7 @@ constexpr char kReplayExamples[] = R"(Examples:
   robot_client replay motion.csv --bus rehearse --out runs/rehearsed --automatic
 
 SOURCE is a run's folder (what was sent), a data set that robot_client recorded (its actions), or a CSV with
-columns t [s], q_cmd_J1 to q_cmd_J6 [rad], q_cmd_gripper [m]. Type `enable`, then `play slow`: the arm goes to the
+columns t [s], q_cmd_J1, q_cmd_J2 .. [rad], q_cmd_gripper [m]. Type `enable`, then `play slow`: the arm goes to the
 first pose, no faster than home_velocity, and plays a quarter as fast. Then `play`, or `play 0.5`.
 )";
 
@@ -83,7 +84,8 @@ absl::Status WithoutPolicy(ClientConfig& config) {
 
 absl::Status Replay(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const ClientConfig config, ResolveConfig(line.client, WithoutPolicy));
-  RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, line.episode));
+  RS_ASSIGN_OR_RETURN(const ArmAxes axes, AxesOf(config));
+  RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, line.episode, axes));
   bool played = false;
   return PlayInRun(
       line, config, [&](const ArmLimits&, const ArmModel*) { return motion; }, &played);
@@ -135,7 +137,7 @@ absl::Status Excite(const CommandLine& line) {
   }
   ExcitationOptions options = line.excitation;
   options.centre = kCentre;
-  if (!config.home.empty()) std::copy_n(config.home.begin(), kArmAxes, options.centre.begin());
+  if (!config.home.empty()) std::copy_n(config.home.begin(), piper::kAxes, options.centre.begin());
   const LimiterOptions& most = config.control.limits;
   options.joint_velocity = std::min(options.joint_velocity, 0.95 * most.joint_velocity);
   options.joint_acceleration = std::min(options.joint_acceleration, 0.8 * most.joint_acceleration);

@@ -56,10 +56,11 @@ absl::StatusOr<OperatorOrder> ParseJog(const std::vector<std::string>& words) {
   absl::string_view amount = words[2];
   double unit = 0;
   if (words[1] == "gripper") {
-    order.axis = kArmJoints;
+    order.axis = kGripperAxis;
     unit = absl::ConsumeSuffix(&amount, "mm") ? 1e-3 : 0;
   } else {
-    if (words[1].size() != 2 || words[1][0] != 'j' || words[1][1] < '1' || words[1][1] > '6')
+    if (words[1].size() != 2 || words[1][0] != 'j' || words[1][1] < '1' ||
+        words[1][1] > '0' + kMostJoints)
       return wrong();
     order.axis = words[1][1] - '1';
     if (absl::ConsumeSuffix(&amount, "deg")) unit = M_PI / 180;
@@ -67,7 +68,7 @@ absl::StatusOr<OperatorOrder> ParseJog(const std::vector<std::string>& words) {
   }
   if (unit == 0 || !absl::SimpleAtod(amount, &order.amount)) return wrong();
   order.amount *= unit;
-  if (!(std::abs(order.amount) <= (order.axis == kArmJoints ? kMostOpeningJog : kMostJog)))
+  if (!(std::abs(order.amount) <= (order.axis == kGripperAxis ? kMostOpeningJog : kMostJog)))
     return wrong();
   return order;
 }

@@ -32,9 +32,10 @@ enum class OperatorCommand {
   kQuit,      // the arm keeps its power and holds
   kQuitLimp,  // the arm loses its power and FALLS
 };
+inline constexpr int kGripperAxis = -1;
 struct OperatorOrder {
   OperatorCommand command = OperatorCommand::kHold;
-  int axis = 0;       // kJog: 0 .. 5, 6 the gripper
+  int axis = 0;       // kJog: 0 is J1; or kGripperAxis
   double amount = 0;  // kJog: [rad], [m]; kPlay: of the motion's own speed
 };
 

@@ -23,7 +23,7 @@ constexpr double kRests = 0.04;   // [rad] that a joint on its rest may be led i
 
 ArmVector HomeOf(const ClientConfig& config) {
   ArmVector home{};
-  std::copy_n(config.home.begin(), home.size(), home.begin());
+  std::copy_n(config.home.begin(), std::min(config.home.size(), home.size()), home.begin());
   return home;
 }
 
@@ -66,7 +66,7 @@ PendingAnswer OwnWays::Begin(const std::string& what, ArmPath path, Arrived arri
     if (loop_->cause() != StateCause::kArrived) return Refused(*loop_, what + " did not arrive");
     const ArmSnapshot arm = loop_->seen();
     double off = 0, fastest = 0;
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < arm_.axes().joints; ++j) {
       off = std::max(off, std::abs(arm.position[j] - to[j]));
       fastest = std::max(fastest, std::abs(arm.velocity[j]));
     }
@@ -81,8 +81,8 @@ PendingAnswer OwnWays::Begin(const std::string& what, ArmPath path, Arrived arri
 absl::StatusOr<PendingAnswer> OwnWays::Move(const std::string& what, const std::string& there,
                                             const ArmVector& to, double velocity) {
   RS_RETURN_IF_ERROR(MayMove());
-  ArmPath path =
-      StraightPath(loop_->seen().position, to, Limits(velocity), 1 / config_.control.rate_hz);
+  ArmPath path = StraightPath(arm_.axes(), loop_->seen().position, to, Limits(velocity),
+                              1 / config_.control.rate_hz);
   if (guarded()) RS_RETURN_IF_ERROR(CheckPath(*model_, path));
   return Begin(what, std::move(path), [there](double off) {
     return absl::StrFormat("the arm is %s, %.1f mrad off", there, off);
@@ -92,27 +92,32 @@ absl::StatusOr<PendingAnswer> OwnWays::Move(const std::string& what, const std::
 absl::StatusOr<PendingAnswer> OwnWays::Home() {
   if (config_.home.empty()) {
     return absl::FailedPreconditionError(
-        "no starting pose is configured; give home (six joints [rad] and the opening [m])");
+        absl::StrCat("no starting pose is configured; give home: ", arm_.axes().count(),
+                     " numbers, of ", arm_.axes().text(), " [rad, m]"));
   }
   return Move("home", "home", HomeOf(config_), config_.home_velocity);
 }
 
 absl::StatusOr<PendingAnswer> OwnWays::Jog(int axis, double amount) {
-  if (!arm_.axes().has(axis))
-    return absl::InvalidArgumentError(absl::StrCat("this arm has ", arm_.axes().joints, " joints",
-                                                   arm_.axes().gripper ? " and a gripper" : ""));
+  const ArmLimits limits = arm_.limits();
+  const ArmAxes& axes = limits.axes;
+  const bool gripper = axis == kGripperAxis;
+  if (gripper ? !axes.gripper : axis >= axes.joints)
+    return absl::InvalidArgumentError(absl::StrCat("this arm has ", axes.text()));
+  if (gripper) axis = axes.opening();
   ArmVector to = loop_->seen().position;
   to[axis] += amount;
   // An arm on its rest has joints at the end of what it allows, where the limiter lets none stay.
-  const ArmLimits limits = arm_.limits();
   const double margin = config_.control.limits.joint_margin;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < axes.joints; ++j) {
     const double inside = std::clamp(to[j], limits.lower[j] + margin, limits.upper[j] - margin);
     if (j != axis && std::abs(to[j] - inside) <= kRests) to[j] = inside;
   }
-  if (axis < kArmJoints) RS_RETURN_IF_ERROR(CheckPose("the way's end", to, arm_.limits(), nullptr));
-  to[kArmJoints] =
-      std::clamp(to[kArmJoints], arm_.limits().lower[kArmJoints], arm_.limits().upper[kArmJoints]);
+  if (!gripper) RS_RETURN_IF_ERROR(CheckPose("the way's end", to, limits, nullptr));
+  if (axes.gripper) {
+    const int opening = axes.opening();
+    to[opening] = std::clamp(to[opening], limits.lower[opening], limits.upper[opening]);
+  }
   return Move("jog", "there", to, config_.jog_velocity);
 }
 

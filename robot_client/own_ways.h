@@ -35,7 +35,7 @@ class OwnWays {
   const std::optional<Motion>& motion() const { return motion_; }
 
   absl::StatusOr<PendingAnswer> Home();
-  // One axis by so much [rad, m].
+  // One axis, or kGripperAxis, by so much [rad, m].
   absl::StatusOr<PendingAnswer> Jog(int axis, double amount);
   // The motion at that share of its speed. Its way is made and checked in a thread of its own, so
   // that the console goes on obeying; then TakeNext has what waits for its end.

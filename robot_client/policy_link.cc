@@ -23,7 +23,7 @@ bool SessionLost(const absl::Status& status) {
 
 ArmVector RowOf(const Eigen::MatrixXf& rows, int row, const ArmAxes& axes) {
   ArmVector v{};
-  for (int i = 0; i < axes.count(); ++i) v[axes.slot(i)] = static_cast<double>(rows(row, i));
+  for (int i = 0; i < axes.count(); ++i) v[i] = static_cast<double>(rows(row, i));
   return v;
 }
 
@@ -56,11 +56,17 @@ absl::Status PolicyLink::Open() {
         "policy '", spec_.name, "' is for another robot: it has ", spec_.state_dim, " states and ",
         spec_.action_dim, " actions",
         spec_.control_space == ControlSpace::kEndEffector ? " that move an end effector" : "",
-        ", this arm ", axes_.count(), " of each (",
-        axes_.joints == kArmJoints ? "six" : absl::StrCat(axes_.joints), " joints [rad]",
+        ", this arm ", axes_.count(), " of each (", axes_.joints, " joints [rad]",
         axes_.gripper ? " and the gripper [m]" : "",
         "). Serve a policy that was trained in joint "
         "space: `robostress serve --policy nano-piper` comes with the source"));
+  }
+  if (!axes_.gripper) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "this arm has ", axes_.text(),
+        ", and the last of a policy's actions is a gripper's: its "
+        "feedback could not be reckoned; describe the gripper in the robot file, or leave --server "
+        "out"));
   }
   std::vector<std::string> names;
   for (const FrameSource* camera : cameras_) names.push_back(camera->name());
@@ -160,7 +166,7 @@ absl::StatusOr<Observation> PolicyLink::Observe(const PredictionRequest& request
   }
   observation.proprioception.resize(axes_.count());
   for (int i = 0; i < axes_.count(); ++i)
-    observation.proprioception[i] = static_cast<float>(request.position[axes_.slot(i)]);
+    observation.proprioception[i] = static_cast<float>(request.position[i]);
   return observation;
 }
 

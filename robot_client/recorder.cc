@@ -25,14 +25,21 @@ constexpr char kSamples[] = "/samples.csv";
 constexpr char kFrames[] = "/frames.csv";
 constexpr char kUnfinished[] = ".partial";
 constexpr char kEvents[] = "/events.jsonl";
-const char* const kAxes[kArmAxes] = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
 
 double Seconds(int64_t ns, int64_t origin_ns) { return static_cast<double>(ns - origin_ns) * 1e-9; }
 
-void AppendVector(const ArmVector& v, bool applies, std::string* out) {
-  for (const double x : v) {
+void AppendVector(const ArmVector& v, const ArmAxes& axes, bool applies, std::string* out) {
+  for (int axis = 0; axis < axes.count(); ++axis) {
     out->push_back(',');
-    if (applies) absl::StrAppendFormat(out, "%.9g", x);
+    if (applies) absl::StrAppendFormat(out, "%.9g", v[axis]);
+  }
+}
+
+// ",q_J1,q_J2 ..": a column per axis and group.
+void AppendColumns(std::initializer_list<const char*> groups, const ArmAxes& axes,
+                   std::string* header) {
+  for (const char* group : groups) {
+    for (const std::string& axis : axes.names()) absl::StrAppend(header, ",", group, "_", axis);
   }
 }
 
@@ -55,19 +62,17 @@ absl::Status FinishTable(std::FILE* file, const std::string& path) {
   return absl::OkStatus();
 }
 
-std::string SampleHeader() {
+std::string SampleHeader(const ArmAxes& axes) {
   std::string header = "t,sequence";
-  for (const char* group : {"q", "dq", "tau"}) {
-    for (const char* axis : kAxes) absl::StrAppend(&header, ",", group, "_", axis);
-  }
+  AppendColumns({"q", "dq", "tau"}, axes, &header);
   return header + "\n";
 }
 
-std::string SampleRow(const ArmSnapshot& sample, int64_t origin_ns) {
+std::string SampleRow(const ArmSnapshot& sample, const ArmAxes& axes, int64_t origin_ns) {
   std::string row =
       absl::StrFormat("%.9f,%d", Seconds(sample.stamp_ns, origin_ns), sample.sequence);
   for (const ArmVector* group : {&sample.position, &sample.velocity, &sample.effort})
-    AppendVector(*group, true, &row);
+    AppendVector(*group, axes, true, &row);
   return row + "\n";
 }
 
@@ -90,14 +95,12 @@ std::string FrameRow(const FrameRecord& r, int64_t origin_ns) {
 
 }  // namespace
 
-std::string Recorder::Header() {
+std::string Recorder::Header(const ArmAxes& axes) {
   std::string header =
       "t,tick,due,wake_us,sent_us,state,cause,flags,limiter,faults,episode,chunk,row,prediction,"
       "stamp,sequence";
-  for (const char* group :
-       {"policy", "requested", "blended", "corrected", "sent", "q", "dq", "tau", "excess"}) {
-    for (const char* axis : kAxes) absl::StrAppend(&header, ",", group, "_", axis);
-  }
+  AppendColumns({"policy", "requested", "blended", "corrected", "sent", "q", "dq", "tau", "excess"},
+                axes, &header);
   return header + ",delay";
 }
 
@@ -111,21 +114,22 @@ std::string Recorder::Row(const TickRecord& r, int64_t origin_ns) {
       static_cast<double>(r.sent_ns - r.due_ns) / 1e3, StateName(r.state), CauseName(r.cause),
       r.flags, r.limiter, r.faults, r.episode, r.chunk, r.row, PredictionNumber(r.prediction_id),
       measured ? Seconds(r.stamp_ns, origin_ns) : 0, r.sequence);
-  AppendVector(r.policy, played, &row);
-  AppendVector(r.requested, played, &row);
-  AppendVector(r.blended, streams, &row);
-  AppendVector(r.corrected, streams, &row);
-  AppendVector(r.sent, streams, &row);
-  AppendVector(r.position, measured, &row);
-  AppendVector(r.velocity, measured, &row);
-  AppendVector(r.effort, measured, &row);
-  AppendVector(r.excess, measured && streams, &row);
+  AppendVector(r.policy, r.axes, played, &row);
+  AppendVector(r.requested, r.axes, played, &row);
+  AppendVector(r.blended, r.axes, streams, &row);
+  AppendVector(r.corrected, r.axes, streams, &row);
+  AppendVector(r.sent, r.axes, streams, &row);
+  AppendVector(r.position, r.axes, measured, &row);
+  AppendVector(r.velocity, r.axes, measured, &row);
+  AppendVector(r.effort, r.axes, measured, &row);
+  AppendVector(r.excess, r.axes, measured && streams, &row);
   row.push_back(',');
   if (std::isfinite(r.delay_s)) absl::StrAppendFormat(&row, "%.4f", r.delay_s);
   return row;
 }
 
-absl::StatusOr<std::unique_ptr<Recorder>> Recorder::Create(const std::string& directory) {
+absl::StatusOr<std::unique_ptr<Recorder>> Recorder::Create(const std::string& directory,
+                                                           const ArmAxes& axes) {
   RS_RETURN_IF_ERROR(MakeDirectories(directory));
   for (const char* name : {kTicks, kSamples, kFrames}) {
     const std::string file = directory + name;
@@ -135,8 +139,8 @@ absl::StatusOr<std::unique_ptr<Recorder>> Recorder::Create(const std::string& di
             path, " is there already: a recording is never overwritten; name another --out"));
     }
   }
-  auto recorder = std::unique_ptr<Recorder>(new Recorder(directory));
-  RS_ASSIGN_OR_RETURN(recorder->ticks_, BeginTable(directory + kTicks, Header() + "\n"));
+  auto recorder = std::unique_ptr<Recorder>(new Recorder(directory, axes));
+  RS_ASSIGN_OR_RETURN(recorder->ticks_, BeginTable(directory + kTicks, Header(axes) + "\n"));
   return recorder;
 }
 
@@ -188,9 +192,9 @@ absl::Status Recorder::DrainSamples() {
   ArmSnapshot sample;
   while (samples_.Pop(sample)) {
     if (samples_file_ == nullptr) {
-      RS_ASSIGN_OR_RETURN(samples_file_, BeginTable(directory_ + kSamples, SampleHeader()));
+      RS_ASSIGN_OR_RETURN(samples_file_, BeginTable(directory_ + kSamples, SampleHeader(axes_)));
     }
-    if (std::fputs(SampleRow(sample, origin_ns_).c_str(), samples_file_) < 0)
+    if (std::fputs(SampleRow(sample, axes_, origin_ns_).c_str(), samples_file_) < 0)
       return FileError(directory_ + kSamples);
   }
   if (samples_file_ != nullptr && std::fflush(samples_file_) != 0)

@@ -30,8 +30,10 @@ namespace robostress {
 // thread (the recorder's) calls everything.
 class Recorder {
  public:
-  // Makes the directory. ALREADY_EXISTS when it holds a recording.
-  static absl::StatusOr<std::unique_ptr<Recorder>> Create(const std::string& directory);
+  // Makes the directory. ALREADY_EXISTS when it holds a recording. `axes`: of the ticks and samples
+  // that come; each has its columns.
+  static absl::StatusOr<std::unique_ptr<Recorder>> Create(const std::string& directory,
+                                                          const ArmAxes& axes = {});
   ~Recorder();
 
   SpscRing<TickRecord>& ring() { return ring_; }
@@ -50,16 +52,18 @@ class Recorder {
   absl::Status Finish();
 
   uint64_t rows() const { return rows_; }
-  static std::string Header();  // of ticks.csv, without line end
+  static std::string Header(const ArmAxes& axes);  // of ticks.csv, without line end
   static std::string Row(const TickRecord& record, int64_t origin_ns);
 
  private:
-  explicit Recorder(std::string directory) : directory_(std::move(directory)) {}
+  Recorder(std::string directory, const ArmAxes& axes)
+      : directory_(std::move(directory)), axes_(axes) {}
   absl::Status NoteChange(const TickRecord& record);
   absl::Status DrainSamples();
   absl::Status DrainFrames();
 
   const std::string directory_;
+  const ArmAxes axes_;
   SpscRing<TickRecord> ring_{1 << 10};
   SpscRing<ArmSnapshot> samples_{1 << 11};  // 10 s of a Piper's
   SpscRing<FrameRecord> frames_{1 << 9};

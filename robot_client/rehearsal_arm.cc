@@ -11,16 +11,17 @@ constexpr int64_t kSample_ns = 5'000'000;
 
 ArmLimits PiperLimits() {
   ArmLimits limits;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < limits.axes.joints; ++j) {
     const JointDescription& joint = kPiper.joints[j];
     limits.lower[j] = joint.lower;
     limits.upper[j] = joint.upper;
     limits.max_velocity[j] = joint.max_velocity;
     limits.max_acceleration[j] = joint.max_acceleration;
   }
-  limits.upper[kArmJoints] = 0.07;
-  limits.max_velocity[kArmJoints] = 0.5;
-  limits.max_acceleration[kArmJoints] = 10;
+  const int opening = limits.axes.opening();
+  limits.upper[opening] = 0.07;
+  limits.max_velocity[opening] = 0.5;
+  limits.max_acceleration[opening] = 10;
   return limits;
 }
 
@@ -48,10 +49,10 @@ void RehearsalArm::Poll() {
   if (samples <= 0) return;
   const double dt = static_cast<double>(samples * kSample_ns) * 1e-9;
   const double share = -std::expm1(-dt / options_.lag_s);
-  for (int i = 0; i < kArmAxes; ++i) {
+  for (int i = 0; i < options_.limits.axes.count(); ++i) {
     const double step = sample_.enabled ? share * (target_[i] - sample_.position[i]) : 0;
     sample_.position[i] += step;
-    sample_.velocity[i] = i < kArmJoints ? step / dt : 0;
+    sample_.velocity[i] = i < options_.limits.axes.joints ? step / dt : 0;
   }
   moved_ns_ += samples * kSample_ns;
   sample_.stamp_ns = moved_ns_;

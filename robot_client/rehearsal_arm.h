@@ -9,7 +9,7 @@
 
 namespace robostress {
 
-static_assert(kArmJoints == kPiper.joints.size());
+static_assert(ArmAxes().joints == kPiper.joints.size());
 // As its description says; the gripper opens 70 mm, at 0.5 m/s and 10 m/s^2.
 ArmLimits PiperLimits();
 

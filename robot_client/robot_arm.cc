@@ -36,6 +36,20 @@ constexpr NamedFault kNames[] = {
 
 }  // namespace
 
+std::string ArmAxes::name(int axis) const {
+  return axis < joints ? absl::StrCat("J", axis + 1) : "gripper";
+}
+
+std::vector<std::string> ArmAxes::names() const {
+  std::vector<std::string> names;
+  for (int axis = 0; axis < count(); ++axis) names.push_back(name(axis));
+  return names;
+}
+
+std::string ArmAxes::text() const {
+  return absl::StrCat(joints, " joint", joints == 1 ? "" : "s", gripper ? " and a gripper" : "");
+}
+
 std::string ArmFaultNames(uint32_t faults, uint8_t joints) {
   if (faults == 0) return "none";
   std::vector<std::string> names;
@@ -43,7 +57,7 @@ std::string ArmFaultNames(uint32_t faults, uint8_t joints) {
     if (faults & fault.bit) names.emplace_back(fault.name);
   }
   std::vector<std::string> which;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < kMostJoints; ++j) {
     if (joints & (1 << j)) which.push_back(absl::StrCat("J", j + 1));
   }
   return absl::StrCat(absl::StrJoin(names, ", "),

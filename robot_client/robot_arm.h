@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "robot_client/control/spsc_ring.h"
@@ -12,19 +13,23 @@
 // units, frames and identifiers stay below this interface.
 namespace robostress {
 
-inline constexpr int kArmJoints = 6;             // J1 .. J6
-inline constexpr int kArmAxes = kArmJoints + 1;  // the gripper is the last axis
-using ArmVector = std::array<double, kArmAxes>;
+inline constexpr int kMostJoints = 7;
+inline constexpr int kMostAxes = kMostJoints + 1;  // and a gripper
+// A number per axis, in the order of ArmAxes; what comes after the arm's own axes stays 0.
+using ArmVector = std::array<double, kMostAxes>;
 
-// Which of the axes an arm has. The others stay at 0, and nothing is sent for them.
+// The axes of an arm, as a policy's actions have them: its joints from the base on, then the
+// gripper.
 struct ArmAxes {
-  int joints = kArmJoints;  // J1 .. of so many, from the base on
+  int joints = 6;  // J1 .. of so many, at most kMostJoints
   bool gripper = true;
 
   int count() const { return joints + (gripper ? 1 : 0); }
-  // Where in an ArmVector the i-th of `count` numbers stands: joints first, then the gripper.
-  int slot(int i) const { return i < joints ? i : kArmJoints; }
-  bool has(int axis) const { return axis < joints || (axis == kArmJoints && gripper); }
+  // Where the gripper's opening stands in an ArmVector; of an arm without one it is always 0.
+  int opening() const { return joints; }
+  std::string name(int axis) const;        // "J1" .., "gripper"
+  std::vector<std::string> names() const;  // of all, in order
+  std::string text() const;                // "6 joints and a gripper"
 };
 
 // Bits of ArmSnapshot::faults. A bit says what the arm reported, not what follows from it.
@@ -56,7 +61,7 @@ std::string ArmFaultNames(uint32_t faults, uint8_t joints = 0);
 
 // One complete, untorn sample. Before the first one sequence is 0 and nothing else holds.
 struct ArmSnapshot {
-  ArmVector position{};      // J1 .. J6 [rad], gripper opening between the fingers [m]
+  ArmVector position{};      // joints [rad], gripper opening between the fingers [m]
   ArmVector velocity{};      // [rad/s], gripper 0 where unknown
   ArmVector effort{};        // [Nm] from motor currents; gripper [Nm] as the bus gives it
   int64_t stamp_ns = 0;      // of the oldest joint frame in it, on the client's clock
@@ -76,6 +81,7 @@ struct ArmCommand {
 
 // What the arm itself allows, read from it at Connect.
 struct ArmLimits {
+  ArmAxes axes;                  // the others have no limits
   ArmVector lower{};             // joints [rad], gripper [m]
   ArmVector upper{};             // joints [rad], gripper [m]
   ArmVector max_velocity{};      // [rad/s], gripper [m/s]
@@ -119,8 +125,8 @@ class RobotArm {
   // Never blocks, never allocates. Afterwards only Disable and a new Enable bring the arm back.
   virtual absl::Status QuickStop() = 0;
 
-  virtual ArmLimits limits() const = 0;         // valid after Connect
-  virtual ArmAxes axes() const { return {}; }   // six joints and a gripper
+  virtual ArmLimits limits() const = 0;  // valid after Connect
+  ArmAxes axes() const { return limits().axes; }
   virtual std::string description() const = 0;  // for records: kind, bus, firmware
   // What QuickStop does to this arm, for the person who asked for it.
   virtual std::string stop_effect() const { return "damped stop: the arm sinks"; }

@@ -18,9 +18,9 @@ namespace {
 
 // The joint whose value is largest.
 template <class Value>
-int Worst(const Value& value) {
+int Worst(int joints, const Value& value) {
   int worst = 0;
-  for (int j = 1; j < kArmJoints; ++j) {
+  for (int j = 1; j < joints; ++j) {
     if (value(j) > value(worst)) worst = j;
   }
   return worst;
@@ -32,13 +32,13 @@ std::string CauseText(const TickRecord& r) {
   const auto error = [&](int j) { return std::abs(r.sent[j] - r.position[j]); };
   switch (r.cause) {
     case StateCause::kPressing: {
-      const int j = Worst([&](int i) { return std::abs(r.excess[i]); });
+      const int j = Worst(r.axes.joints, [&](int i) { return std::abs(r.excess[i]); });
       return absl::StrFormat("J%d presses with %.1f Nm more than its motion needs", j + 1,
                              std::abs(r.excess[j]));
     }
     case StateCause::kBlocked:
     case StateCause::kFollowingError: {
-      const int j = Worst(error);
+      const int j = Worst(r.axes.joints, error);
       return absl::StrFormat("J%d is %.3f rad off its command and does not come nearer", j + 1,
                              error(j));
     }

@@ -21,7 +21,7 @@ namespace {
 
 piper::JointVector JointsOf(const ArmVector& position) {
   piper::JointVector q;
-  std::copy_n(position.begin(), kArmJoints, q.begin());
+  std::copy_n(position.begin(), piper::kJoints, q.begin());
   return q;
 }
 

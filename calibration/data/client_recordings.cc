@@ -10,13 +10,13 @@
 #include "common/statistics.h"
 #include "common/status_macros.h"
 #include "robot_client/emulator/piper_mjcf.h"
+#include "robot_client/piper/protocol.h"
 
 namespace robostress::calibration {
 namespace {
 
 constexpr char kTicks[] = "ticks.csv";
 constexpr char kSamples[] = "samples.csv";
-constexpr int kJoints = 6;
 constexpr double kShortest_s = 1;  // of an episode
 constexpr double kGap = 4;         // periods between two samples at which another one begins
 
@@ -61,24 +61,24 @@ absl::StatusOr<std::vector<Interval>> Driven(const CsvTable& ticks) {
 // power: its rows have no targets.
 struct Commands {
   std::vector<double> t;                    // [s]
-  std::vector<std::vector<double>> target;  // [6][rows]
+  std::vector<std::vector<double>> target;  // [joints][rows]
 
-  static absl::StatusOr<Commands> Read(const CsvTable& ticks) {
+  static absl::StatusOr<Commands> Read(const CsvTable& ticks, int joints) {
     Commands commands;
     if (!ticks.Has("sent_J1")) return commands;
     RS_ASSIGN_OR_RETURN(const size_t time, ticks.Column("t"));
     RS_ASSIGN_OR_RETURN(const size_t sent_us, ticks.Column("sent_us"));
     std::vector<size_t> columns;
-    for (int j = 1; j <= kJoints; ++j) {
+    for (int j = 1; j <= joints; ++j) {
       RS_ASSIGN_OR_RETURN(columns.emplace_back(), ticks.Column(absl::StrCat("sent_J", j)));
     }
-    commands.target.resize(kJoints);
+    commands.target.resize(columns.size());
     for (size_t row = 0; row < ticks.rows(); ++row) {
       if (ticks.Text(row, columns[0]).empty()) continue;
       RS_ASSIGN_OR_RETURN(const double began, ticks.Number(row, time));
       RS_ASSIGN_OR_RETURN(const double later_us, ticks.Number(row, sent_us));
       commands.t.push_back(began + 1e-6 * later_us);
-      for (int j = 0; j < kJoints; ++j) {
+      for (size_t j = 0; j < columns.size(); ++j) {
         RS_ASSIGN_OR_RETURN(commands.target[j].emplace_back(), ticks.Number(row, columns[j]));
       }
     }
@@ -94,15 +94,17 @@ struct Commands {
 // All samples of a run by column.
 struct Samples {
   std::vector<double> t, sequence;
-  std::vector<std::vector<double>> q, dq, tau;  // [6][rows]
+  std::vector<std::vector<double>> q, dq, tau;  // [joints][rows]
 
   static absl::StatusOr<Samples> Read(const CsvTable& table) {
     Samples samples;
+    int joints = 1;
+    while (table.Has(absl::StrCat("q_J", joints + 1))) ++joints;
     RS_ASSIGN_OR_RETURN(samples.t, table.Numbers("t"));
     RS_ASSIGN_OR_RETURN(samples.sequence, table.Numbers("sequence"));
     for (auto [group, name] :
          {std::pair(&samples.q, "q"), {&samples.dq, "dq"}, {&samples.tau, "tau"}}) {
-      for (int j = 1; j <= kJoints; ++j) {
+      for (int j = 1; j <= joints; ++j) {
         RS_ASSIGN_OR_RETURN(group->emplace_back(), table.Numbers(absl::StrCat(name, "_J", j)));
       }
     }
@@ -126,7 +128,7 @@ RecordedEpisode Cut(const Samples& samples, const Commands& commands, size_t beg
                                channel.begin() + static_cast<int64_t>(end));
   };
   episode.t = part(samples.t);
-  for (int j = 0; j < kJoints; ++j) {
+  for (size_t j = 0; j < samples.q.size(); ++j) {
     episode.q.push_back(part(samples.q[j]));
     episode.dq.push_back(part(samples.dq[j]));
     std::vector<double> tau = part(samples.tau[j]);
@@ -153,7 +155,8 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
   RS_ASSIGN_OR_RETURN(const CsvTable table, ReadRunTable(run, kSamples));
   RS_ASSIGN_OR_RETURN(const std::vector<Interval> driven, Driven(ticks));
   RS_ASSIGN_OR_RETURN(const Samples samples, Samples::Read(table));
-  RS_ASSIGN_OR_RETURN(const Commands commands, Commands::Read(ticks));
+  RS_ASSIGN_OR_RETURN(const Commands commands,
+                      Commands::Read(ticks, static_cast<int>(samples.q.size())));
   const double rate_hz = RateOf(samples.t);
   const auto shortest = static_cast<size_t>(kShortest_s * rate_hz);
   std::vector<std::pair<size_t, size_t>> stretches;  // rows [first, last)
@@ -193,13 +196,13 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
   return episodes;
 }
 
-RecordedArm PiperResponse(const std::string& rig_name) {
+RecordedArm ArmResponse(const std::string& rig_name, int joints) {
   RecordedArm arm;
   arm.name = rig_name;
   arm.model_file = "unit_masses.xml";
   arm.mjcf = "<mujoco>\n  <option gravity=\"0 0 0\"/>\n  <worldbody>\n";
-  for (int j = 1; j <= kJoints; ++j) {
-    arm.joints.push_back(absl::StrCat("piper_joint", j));
+  for (int j = 1; j <= joints; ++j) {
+    arm.joints.push_back(absl::StrCat("J", j));
     absl::StrAppend(&arm.mjcf, "    <body pos=\"0 ", j, " 0\"><joint name=\"", arm.joints.back(),
                     "\" axis=\"0 0 1\"/><inertial pos=\"0 0 0\" mass=\"1\" diaginertia=\"1 1 1\"/>"
                     "</body>\n");
@@ -221,7 +224,7 @@ RecordedArm PiperOfRecordings(const std::string& rig_name, double payload_kg) {
   piper::PiperScene scene;
   scene.payload_kg = payload_kg;
   arm.mjcf = piper::ComposePiperScene(scene);
-  for (int j = 1; j <= kJoints; ++j) arm.joints.push_back(absl::StrCat("piper_joint", j));
+  for (int j = 1; j <= piper::kJoints; ++j) arm.joints.push_back(absl::StrCat("piper_joint", j));
   arm.fit = {"armature"};
   return arm;
 }

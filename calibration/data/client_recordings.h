@@ -20,11 +20,11 @@ bool IsClientRun(const std::string& run);
 absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::string& run,
                                                                  int at_least);
 
-// How the Piper's joints answer targets (adapter/joint_response.h), as a rig: every joint is a unit
-// mass of its own with a servo and these two effects, all of them fitted.
+// How the joints of an arm answer targets (adapter/joint_response.h), as a rig: every joint is a
+// unit mass of its own with a servo and these two effects, all of them fitted.
 inline constexpr char kResponseDelay[] = "transport_delay";
 inline constexpr char kResponseDrag[] = "quadratic_viscous_friction";
-RecordedArm PiperResponse(const std::string& rig_name);
+RecordedArm ArmResponse(const std::string& rig_name, int joints);
 
 // The Piper of robot_client/emulator without a scene, the payload [kg] in its closed gripper.
 // Armatures are fitted: nobody has published a Piper's rotors.

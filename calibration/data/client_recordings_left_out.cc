@@ -19,7 +19,7 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
                    "ROBOSTRESS_ROBOT_CLIENT=OFF; configure it ON to read one"));
 }
 
-RecordedArm PiperResponse(const std::string&) { return {}; }
+RecordedArm ArmResponse(const std::string&, int) { return {}; }
 
 RecordedArm PiperOfRecordings(const std::string&, double) { return {}; }
 

@@ -67,9 +67,11 @@ absl::StatusOr<ResponseIdentification> IdentifyResponse(const std::string& run,
                      "run that robot_client recorded"));
   for (calibration::RecordedEpisode& episode : episodes) episode.dq.clear();
   ResponseIdentification identified;
-  RS_ASSIGN_OR_RETURN(identified.rig,
-                      calibration::WriteRecordedRig(calibration::PiperResponse("piper_response"),
-                                                    episodes, rig, place("rig")));
+  RS_ASSIGN_OR_RETURN(
+      identified.rig,
+      calibration::WriteRecordedRig(
+          calibration::ArmResponse("arm_response", static_cast<int>(episodes.front().q.size())),
+          episodes, rig, place("rig")));
   const auto start = std::chrono::steady_clock::now();
   RS_RETURN_IF_ERROR(RunCalibration(kCommand, place("rig/rig.yaml"), place("calibration"),
                                     place("calibration.log"), surrogates, seed, 0));

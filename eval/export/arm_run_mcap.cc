@@ -6,8 +6,10 @@
 #include <optional>
 #include <vector>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
 #include "common/atomic_file.h"
 #include "common/csv_table.h"
 #include "common/recordings/cdr_encoder.h"
@@ -23,9 +25,13 @@ namespace fs = std::filesystem;
 
 constexpr uint64_t kMostBytes = uint64_t{4} << 30;
 constexpr int64_t kSecond = 1'000'000'000;  // [ns]
-const std::vector<std::string>& AxisNames() {
-  static const auto& names =
-      *new std::vector<std::string>{"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
+// The axes of the arm, J1 .. and its gripper, as the table's columns q_J1 .. name them.
+std::vector<std::string> AxisNames(const CsvTable& table) {
+  std::vector<std::string> names;
+  for (const std::string& column : table.names()) {
+    absl::string_view axis = column;
+    if (absl::ConsumePrefix(&axis, "q_")) names.emplace_back(axis);
+  }
   return names;
 }
 // Columns of ticks.csv, and their topics.
@@ -44,9 +50,10 @@ std::string TableFile(const std::string& folder, const std::string& name) {
 // A column for every axis.
 struct AxisColumns {
   std::vector<size_t> columns;
-  static absl::StatusOr<AxisColumns> Find(const CsvTable& table, const std::string& group) {
+  static absl::StatusOr<AxisColumns> Find(const CsvTable& table, const std::string& group,
+                                          const std::vector<std::string>& axes) {
     AxisColumns found;
-    for (const std::string& axis : AxisNames()) {
+    for (const std::string& axis : axes) {
       RS_ASSIGN_OR_RETURN(const size_t column, table.Column(absl::StrCat(group, "_", axis)));
       found.columns.push_back(column);
     }
@@ -69,11 +76,12 @@ struct AxisColumns {
 // The columns that /joint_states is made of.
 struct StateColumns {
   AxisColumns position, velocity, effort;
-  static absl::StatusOr<StateColumns> Find(const CsvTable& table) {
+  static absl::StatusOr<StateColumns> Find(const CsvTable& table,
+                                           const std::vector<std::string>& axes) {
     StateColumns found;
-    RS_ASSIGN_OR_RETURN(found.position, AxisColumns::Find(table, "q"));
-    RS_ASSIGN_OR_RETURN(found.velocity, AxisColumns::Find(table, "dq"));
-    RS_ASSIGN_OR_RETURN(found.effort, AxisColumns::Find(table, "tau"));
+    RS_ASSIGN_OR_RETURN(found.position, AxisColumns::Find(table, "q", axes));
+    RS_ASSIGN_OR_RETURN(found.velocity, AxisColumns::Find(table, "dq", axes));
+    RS_ASSIGN_OR_RETURN(found.effort, AxisColumns::Find(table, "tau", axes));
     return found;
   }
 };
@@ -89,14 +97,18 @@ class ArmRun {
     if (samples_) {
       RS_ASSIGN_OR_RETURN(sample_times_, samples_->Numbers("t"));
     }
+    axes_ = AxisNames(*ticks_);
+    if (axes_.empty())
+      return absl::InvalidArgumentError(absl::StrCat(
+          folder, "/ticks.csv: has no columns q_J1 ..; is this a run of robot_client?"));
     double first = tick_times_.front();
     if (!sample_times_.empty()) first = std::min(first, sample_times_.front());
     shift_ = 1 - first;
     for (const auto& [group, topic] : kGroups) {
-      RS_ASSIGN_OR_RETURN(AxisColumns columns, AxisColumns::Find(*ticks_, group));
+      RS_ASSIGN_OR_RETURN(AxisColumns columns, AxisColumns::Find(*ticks_, group, axes_));
       groups_.push_back(std::move(columns));
     }
-    RS_ASSIGN_OR_RETURN(states_, StateColumns::Find(samples_ ? *samples_ : *ticks_));
+    RS_ASSIGN_OR_RETURN(states_, StateColumns::Find(samples_ ? *samples_ : *ticks_, axes_));
     for (const char* name : {"state", "cause", "episode", "chunk", "row", "wake_us", "delay"}) {
       RS_ASSIGN_OR_RETURN(const size_t column, ticks_->Column(name));
       client_.push_back(column);
@@ -107,8 +119,7 @@ class ArmRun {
   absl::StatusOr<ArmRunSummary> Write(McapWriter* file) {
     McapTopics topics(file);
     std::vector<std::string> fields;
-    for (int j = 1; j <= 6; ++j) fields.push_back(absl::StrCat("j", j));
-    fields.emplace_back("gripper");
+    for (const std::string& axis : axes_) fields.push_back(absl::AsciiStrToLower(axis));
     const uint16_t joint_states =
         topics.Add("/joint_states", {"sensor_msgs/msg/JointState", "ros2msg",
                                      KnownDefinitions(JointMessageKind::kJointState)[0]});
@@ -156,7 +167,7 @@ class ArmRun {
     RS_ASSIGN_OR_RETURN(const std::vector<double> dq, states_.velocity.At(table, row));
     RS_ASSIGN_OR_RETURN(const std::vector<double> tau, states_.effort.At(table, row));
     return Send(channel, times[row],
-                Begin(times[row]).Texts(AxisNames()).Numbers(q).Numbers(dq).Numbers(tau), file);
+                Begin(times[row]).Texts(axes_).Numbers(q).Numbers(dq).Numbers(tau), file);
   }
 
   absl::Status WriteClient(size_t tick, uint16_t channel, McapWriter* file) const {
@@ -175,6 +186,7 @@ class ArmRun {
 
   std::optional<CsvTable> ticks_, samples_;
   std::vector<double> tick_times_, sample_times_;
+  std::vector<std::string> axes_;
   double shift_ = 0;  // [s] of the run's clock to the file's
   std::vector<AxisColumns> groups_;
   StateColumns states_;

@@ -17,10 +17,10 @@ struct ArmRunSummary {
 // A run of robot_client as one MCAP file, as of an episode (episode_mcap.h):
 //
 //   topic                   type
-//   /joint_states           sensor_msgs/msg/JointState  J1 to J6, gripper: [rad], [m], [rad/s],
+//   /joint_states           sensor_msgs/msg/JointState  J1 .., gripper: [rad], [m], [rad/s],
 //                           [Nm]; every sample of the arm, or what each tick saw where none are
 //   /joints/policy, /requested, /blended, /corrected, /sent, /measured, /torque_excess
-//                           robostress_msgs/msg/Joints  j1 .. j6, gripper of a tick; nothing where
+//                           robostress_msgs/msg/Joints  j1 .., gripper of a tick; nothing where
 //                           it did not apply
 //   /client                 robostress_msgs/msg/Client  state, cause; episode, chunk, row, lateness
 //                           [us], estimated delay [s]

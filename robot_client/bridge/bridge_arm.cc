@@ -64,7 +64,7 @@ std::string BridgeArm::stop_effect() const {
 std::vector<std::string> BridgeArm::Warnings() const {
   std::vector<std::string> lines;
   std::vector<std::string> names;
-  for (int i = 0; i < robot_.axes.joints; ++i)
+  for (int i = 0; i < robot_.limits.axes.joints; ++i)
     names.push_back(absl::StrCat("J", i + 1, " ", robot_.joints[i].name));
   if (robot_.gripper) names.push_back(absl::StrCat("gripper ", robot_.gripper->name));
   lines.push_back(absl::StrCat("axes: ", absl::StrJoin(names, ", ")));
@@ -232,7 +232,7 @@ void BridgeArm::TakeFrame(const FrameHeader& header, const uint8_t* payload) {
 
 void BridgeArm::TakeState(const FrameHeader& header, const uint8_t* payload) {
   StateFrame state;
-  const Decoded decoded = DecodeState(payload, header.size, robot_.axes.count(), state);
+  const Decoded decoded = DecodeState(payload, header.size, robot_.limits.axes.count(), state);
   if (decoded == Decoded::kLength) return Broken(DecodedName(decoded));
   if (header.sequence <= state_sequence_) {
     ++counters_.repeated;
@@ -262,18 +262,17 @@ bool BridgeArm::Jumps(const ArmVector& position, int64_t stamp_ns) const {
   if (sample_.sequence == 0) return false;
   // While samples are refused the last one that was taken gets older, and no longer way likelier.
   const double dt = std::min(Seconds(stamp_ns - sample_.stamp_ns), jump_s_);
-  for (int i = 0; i < robot_.axes.count(); ++i) {
-    const int slot = robot_.axes.slot(i);
-    const double most = kJump + kJumpFactor * robot_.limits.max_velocity[slot] * dt;
-    if (std::abs(position[slot] - sample_.position[slot]) > most) return true;
+  for (int i = 0; i < robot_.limits.axes.count(); ++i) {
+    const double most = kJump + kJumpFactor * robot_.limits.max_velocity[i] * dt;
+    if (std::abs(position[i] - sample_.position[i]) > most) return true;
   }
   return false;
 }
 
 bool BridgeArm::TakeSample(const StateFrame& state) {
   ArmVector position{};
-  for (int i = 0; i < robot_.axes.count(); ++i)
-    position[robot_.axes.slot(i)] = robot_.conversions[i].Ours(state.position[i]);
+  for (int i = 0; i < robot_.limits.axes.count(); ++i)
+    position[i] = robot_.conversions[i].Ours(state.position[i]);
   if (Jumps(position, state.stamp_ns)) {
     if (!anywhere_) {
       ++counters_.jumps;
@@ -289,14 +288,13 @@ bool BridgeArm::TakeSample(const StateFrame& state) {
   ++sample_.sequence;
   ++counters_.states;
   sample_.has_effort = welcome_.measures_effort;
-  for (int i = 0; i < robot_.axes.count(); ++i) {
-    const int slot = robot_.axes.slot(i);
+  for (int i = 0; i < robot_.limits.axes.count(); ++i) {
     // A torque turns with the joint's sign, its size is Nm already.
-    sample_.effort[slot] = welcome_.measures_effort
-                               ? std::copysign(1.0, robot_.conversions[i].scale) * state.effort[i]
-                               : 0;
+    sample_.effort[i] = welcome_.measures_effort
+                            ? std::copysign(1.0, robot_.conversions[i].scale) * state.effort[i]
+                            : 0;
     if (welcome_.measures_velocity)
-      sample_.velocity[slot] = robot_.conversions[i].scale * state.velocity[i];
+      sample_.velocity[i] = robot_.conversions[i].scale * state.velocity[i];
   }
   places_[places_seen_ % kPlaces] = {state.stamp_ns, position};
   ++places_seen_;
@@ -315,10 +313,11 @@ void BridgeArm::EstimateVelocity() {
     if (oldest != nullptr && sample_.stamp_ns - place.stamp_ns > window_ns) break;
     oldest = &place;
   }
-  for (int slot = 0; slot < kArmAxes; ++slot) {
+  for (int i = 0; i < robot_.limits.axes.count(); ++i) {
     const double dt = oldest == nullptr ? 0 : Seconds(sample_.stamp_ns - oldest->stamp_ns);
-    sample_.velocity[slot] =
-        dt > 0 && slot < kArmJoints ? (sample_.position[slot] - oldest->position[slot]) / dt : 0;
+    sample_.velocity[i] = dt > 0 && i < robot_.limits.axes.joints
+                              ? (sample_.position[i] - oldest->position[i]) / dt
+                              : 0;
   }
 }
 
@@ -328,7 +327,7 @@ void BridgeArm::WatchStop(int64_t now_ns) {
   const double since = Seconds(now_ns - stop_ns_);
   const bool said = (state_.flags & kStopped) != 0;
   bool moves = false;
-  for (int j = 0; j < kArmJoints; ++j)
+  for (int j = 0; j < robot_.limits.axes.joints; ++j)
     moves = moves || std::abs(sample_.velocity[j]) > options_.stopped_velocity;
   if ((since > options_.stop_s && !said) || (since > options_.stopped_s && moves))
     latched_ |= kFaultNotStopped;
@@ -350,9 +349,9 @@ absl::Status BridgeArm::SendFrame(CommandMode mode, const ArmVector& position,
   command.state = state_sequence_;
   command.mode = mode;
   command.gripper_effort = gripper_effort;
-  command.axes = robot_.axes.count();
+  command.axes = robot_.limits.axes.count();
   for (int i = 0; i < command.axes; ++i)
-    command.position[i] = robot_.conversions[i].Drivers(position[robot_.axes.slot(i)]);
+    command.position[i] = robot_.conversions[i].Drivers(position[i]);
   std::array<uint8_t, kMostFrame> bytes;
   const size_t size = EncodeCommand(command, sent_sequence_ + 1, bytes);
   switch (socket_->Send(bytes.data(), size)) {
@@ -372,7 +371,7 @@ absl::Status BridgeArm::SendFrame(CommandMode mode, const ArmVector& position,
 // Where the arm stands is its target.
 absl::Status BridgeArm::SendHold(CommandMode mode) {
   ArmVector position = sample_.position;
-  for (int i = 0; i < kArmAxes; ++i)
+  for (int i = 0; i < robot_.limits.axes.count(); ++i)
     position[i] = std::clamp(position[i], robot_.limits.lower[i], robot_.limits.upper[i]);
   return SendFrame(mode, position, 0);
 }
@@ -385,7 +384,7 @@ absl::Status BridgeArm::CheckStands(double still) const {
     return absl::UnavailableError(Named(absl::StrCat(
         "the newest state is ", 1000 * age, " ms old, at most ", 1000 * options_.fresh_s,
         " are allowed: where the arm stands is not known; look at the driver, then type enable")));
-  for (int j = 0; j < robot_.axes.joints; ++j) {
+  for (int j = 0; j < robot_.limits.axes.joints; ++j) {
     if (!(std::abs(sample_.velocity[j]) <= still))
       return absl::FailedPreconditionError(Named(
           absl::StrFormat("J%d moves at %.2f rad/s; wait until the arm stands, then type enable",
@@ -457,7 +456,7 @@ void BridgeArm::Acknowledge() {
 
 absl::Status BridgeArm::Send(const ArmCommand& command) {
   if (!welcomed_ || stopped_ || !commanding_) return absl::FailedPreconditionError("");
-  for (int axis = 0; axis < kArmAxes; ++axis) {
+  for (int axis = 0; axis < robot_.limits.axes.count(); ++axis) {
     // Written so that a NaN is refused.
     if (!(command.position[axis] >= robot_.limits.lower[axis] &&
           command.position[axis] <= robot_.limits.upper[axis]))

@@ -67,7 +67,6 @@ class BridgeArm : public RobotArm {
   absl::Status Send(const ArmCommand& command) override;
   absl::Status QuickStop() override;
   ArmLimits limits() const override { return robot_.limits; }
-  ArmAxes axes() const override { return robot_.axes; }
   std::string description() const override;
   std::string stop_effect() const override;
 

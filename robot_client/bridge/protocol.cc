@@ -184,7 +184,7 @@ Decoded DecodeHeader(const uint8_t* data, size_t size, FrameHeader& header) {
 }
 
 Decoded DecodeState(const uint8_t* payload, size_t size, int axes, StateFrame& state) {
-  if (axes < 0 || axes > kArmAxes || size != kStateBytes + 24 * static_cast<size_t>(axes))
+  if (axes < 0 || axes > kMostAxes || size != kStateBytes + 24 * static_cast<size_t>(axes))
     return Decoded::kLength;
   const uint8_t* at = payload;
   state.stamp_ns = Get<int64_t>(at);
@@ -201,7 +201,7 @@ Decoded DecodeState(const uint8_t* payload, size_t size, int axes, StateFrame& s
 }
 
 Decoded DecodeCommand(const uint8_t* payload, size_t size, int axes, CommandFrame& command) {
-  if (axes < 0 || axes > kArmAxes || size != kCommandBytes + 8 * static_cast<size_t>(axes))
+  if (axes < 0 || axes > kMostAxes || size != kCommandBytes + 8 * static_cast<size_t>(axes))
     return Decoded::kLength;
   const uint8_t* at = payload;
   command.stamp_ns = Get<int64_t>(at);

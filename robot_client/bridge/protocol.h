@@ -49,7 +49,7 @@ struct StateFrame {
   uint32_t flags = 0;      // StateFlag
   uint32_t faults = 0;     // ArmFault
   int axes = 0;            // values in each of the three
-  ArmVector position{}, velocity{}, effort{};  // by place on the wire, not by slot
+  ArmVector position{}, velocity{}, effort{};  // by place on the wire
 };
 
 enum class CommandMode : uint32_t {
@@ -72,7 +72,7 @@ struct CommandFrame {
 
 inline constexpr size_t kStateBytes = 40;    // and 24 an axis
 inline constexpr size_t kCommandBytes = 32;  // and 8 an axis
-inline constexpr size_t kMostFrame = kHeaderBytes + kStateBytes + 24 * kArmAxes;
+inline constexpr size_t kMostFrame = kHeaderBytes + kStateBytes + 24 * kMostAxes;
 
 // Writes the frame to `out`; the number of bytes. Allocates nothing.
 size_t EncodeState(const StateFrame& state, uint64_t sequence,

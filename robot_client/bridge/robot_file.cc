@@ -111,23 +111,18 @@ absl::StatusOr<AxisOptions> ReadAxis(const std::string& file, const std::string&
 }
 
 absl::Status Complete(const Checker& checker, BridgeRobot& robot) {
-  if (robot.joints.empty() || robot.joints.size() > kArmJoints) {
-    return checker.Wrong(
-        "joints has ", robot.joints.size(), " entries, must have 1 to ", kArmJoints,
-        ": the control loop drives six joints and a gripper",
-        robot.joints.size() > kArmJoints
-            ? "; an arm of seven is driven with one of them kept still by its driver"
-            : "");
+  if (robot.joints.empty() || robot.joints.size() > kMostJoints) {
+    return checker.Wrong("joints has ", robot.joints.size(), " entries, must have 1 to ",
+                         kMostJoints,
+                         robot.joints.size() > kMostJoints
+                             ? ": leave those out that the driver can keep still by itself"
+                             : ": a section per joint, from the base on");
   }
-  robot.axes = {static_cast<int>(robot.joints.size()), robot.gripper.has_value()};
-  for (int i = 0; i < kArmAxes; ++i) {
-    robot.limits.lower[i] = -1;
-    robot.limits.upper[i] = 1;
-    robot.limits.max_velocity[i] = robot.limits.max_acceleration[i] = 1;
-  }
+  robot.limits.axes = {static_cast<int>(robot.joints.size()), robot.gripper.has_value()};
+  const ArmAxes& axes = robot.limits.axes;
   std::set<std::string> names;
-  for (int i = 0; i < robot.axes.count(); ++i) {
-    const bool joint = i < robot.axes.joints;
+  for (int i = 0; i < axes.count(); ++i) {
+    const bool joint = i < axes.joints;
     const AxisOptions& axis = joint ? robot.joints[i] : *robot.gripper;
     const std::string where = joint ? absl::StrCat("joints[", i, "]") : "gripper";
     RS_RETURN_IF_ERROR(CheckAxis(checker, where, axis, joint));
@@ -136,24 +131,21 @@ absl::Status Complete(const Checker& checker, BridgeRobot& robot) {
     if (!names.insert(axis.name).second)
       return checker.Wrong(where, ".name is '", axis.name,
                            "', which another axis has: names must differ");
-    const int slot = robot.axes.slot(i);
-    robot.limits.lower[slot] = axis.lower;
-    robot.limits.upper[slot] = axis.upper;
-    robot.limits.max_velocity[slot] = axis.velocity;
-    robot.limits.max_acceleration[slot] = axis.acceleration;
+    robot.limits.lower[i] = axis.lower;
+    robot.limits.upper[i] = axis.upper;
+    robot.limits.max_velocity[i] = axis.velocity;
+    robot.limits.max_acceleration[i] = axis.acceleration;
   }
   if (robot.name.empty()) return checker.Wrong("name is empty; name the robot");
   RS_RETURN_IF_ERROR(checker.Within("rate_hz", robot.rate_hz, 5, 200, "Hz"));
   RS_RETURN_IF_ERROR(checker.Within("driver.watchdog_s", robot.driver.watchdog_s, 0.02, 2, "s"));
   if (robot.home.empty()) return absl::OkStatus();
-  if (static_cast<int>(robot.home.size()) != robot.axes.count())
-    return checker.Wrong("home has ", robot.home.size(), " numbers, must have ", robot.axes.count(),
-                         ": one per joint [rad]",
-                         robot.axes.gripper ? ", then the gripper [m]" : "");
-  for (int i = 0; i < robot.axes.count(); ++i) {
-    const int slot = robot.axes.slot(i);
+  if (static_cast<int>(robot.home.size()) != axes.count())
+    return checker.Wrong("home has ", robot.home.size(), " numbers, must have ", axes.count(),
+                         ": one per joint [rad]", axes.gripper ? ", then the gripper [m]" : "");
+  for (int i = 0; i < axes.count(); ++i) {
     RS_RETURN_IF_ERROR(checker.Within(absl::StrCat("home[", i, "]"), robot.home[i],
-                                      robot.limits.lower[slot], robot.limits.upper[slot],
+                                      robot.limits.lower[i], robot.limits.upper[i],
                                       "(lower and upper of that axis)"));
   }
   return absl::OkStatus();
@@ -208,13 +200,6 @@ absl::StatusOr<BridgeRobot> ParseBridgeRobot(const std::string& file, const std:
   robot.simulated = options.simulated;
   RS_RETURN_IF_ERROR(Complete(checker, robot));
   return robot;
-}
-
-std::vector<double> HomeInSlots(const BridgeRobot& robot) {
-  if (robot.home.empty()) return {};
-  std::vector<double> home(kArmAxes, 0.0);
-  for (int i = 0; i < robot.axes.count(); ++i) home[robot.axes.slot(i)] = robot.home[i];
-  return home;
 }
 
 std::string Missing(const ExpectedDriver& expected, const Welcome& welcome) {

@@ -74,7 +74,7 @@ struct ExpectedDriver {
   }
 };
 
-// An arm behind a driver process: a robot file, as so101.yaml. Six joints and a gripper at most.
+// An arm behind a driver process: a robot file, as so101.yaml. Seven joints and a gripper at most.
 struct BridgeRobot {
   std::string name;
   double rate_hz = 30;              // of the control loop
@@ -85,8 +85,7 @@ struct BridgeRobot {
   bool simulated = false;  // no arm that can hurt anybody
 
   // Of what was read:
-  ArmAxes axes;
-  ArmLimits limits;                     // axes that it has not: 0 may move by 1, and is not told
+  ArmLimits limits;
   std::vector<Conversion> conversions;  // by place on the wire
 
   std::vector<std::string> names() const;  // joints, then the gripper
@@ -95,9 +94,6 @@ struct BridgeRobot {
 // INVALID_ARGUMENT names file, field, value and what it must be; NOT_FOUND: no such file.
 absl::StatusOr<BridgeRobot> LoadBridgeRobot(const std::string& file);
 absl::StatusOr<BridgeRobot> ParseBridgeRobot(const std::string& file, const std::string& yaml);
-
-// "home" as an ArmVector has it; empty stays empty.
-std::vector<double> HomeInSlots(const BridgeRobot& robot);
 
 // What `expected` asks for and `welcome` does not have, in words; empty: nothing.
 std::string Missing(const ExpectedDriver& expected, const Welcome& welcome);

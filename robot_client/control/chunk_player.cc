@@ -44,7 +44,7 @@ ArmVector ChunkPlayer::Continuation(const ArmVector& held) const {
   ArmVector target = chunk_.requested[schedule_.row()];
   if (schedule_.fading()) {
     const double share = schedule_.offset_share();
-    for (int j = 0; j < kArmJoints; ++j) target[j] += share * offset_[j];
+    for (int j = 0; j < joints_; ++j) target[j] += share * offset_[j];
   }
   return target;
 }
@@ -64,7 +64,7 @@ ChunkVerdict ChunkPlayer::Offer(const ArmChunk& chunk, int64_t now_ns, const Arm
   if (entry == ChunkSchedule::Entry::kUsedUp) return ChunkVerdict::kUsedUp;
 
   ArmVector offset = Continuation(held);
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < joints_; ++j) {
     offset[j] -= chunk.requested[row][j];
     if (std::abs(offset[j]) > options_.max_jump) return ChunkVerdict::kJump;
   }

@@ -66,8 +66,9 @@ const char* VerdictName(ChunkVerdict verdict);
 // Allocates nothing. One thread.
 class ChunkPlayer {
  public:
-  explicit ChunkPlayer(const PlayerOptions& options)
+  ChunkPlayer(const PlayerOptions& options, int joints)
       : options_(options),
+        joints_(joints),
         schedule_({options.execute_steps, options.late_steps, options.fade_steps}) {}
 
   // Forgets every chunk; `played` goes on, so that answers to earlier requests stay recognisable.
@@ -97,6 +98,7 @@ class ChunkPlayer {
   ArmVector Continuation(const ArmVector& held) const;  // what Next would have played
 
   const PlayerOptions options_;
+  const int joints_;
   ChunkSchedule schedule_;
   ArmChunk chunk_;
   int episode_ = -1;

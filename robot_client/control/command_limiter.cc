@@ -36,8 +36,9 @@ absl::Status CommandLimiter::Configure(const LimiterOptions& options, const ArmL
         absl::StrCat("the control period is ", period_s, " s; it must be positive"));
   }
   dt_ = period_s;
-  for (int i = 0; i < kArmAxes; ++i) {
-    const bool joint = i < kArmJoints;
+  count_ = arm.axes.count();
+  for (int i = 0; i < count_; ++i) {
+    const bool joint = i < arm.axes.joints;
     const double margin = joint ? options.joint_margin : 0;
     Axis& axis = axes_[i];
     axis.lower = arm.lower[i] + margin;
@@ -48,7 +49,7 @@ absl::Status CommandLimiter::Configure(const LimiterOptions& options, const ArmL
                                  arm.max_acceleration[i]);
     axis.jerk = joint ? options.joint_jerk : std::numeric_limits<double>::infinity();
     axis.step = joint ? options.joint_step : options.gripper_step;
-    const std::string name = joint ? absl::StrCat("J", i + 1) : "gripper";
+    const std::string name = arm.axes.name(i);
     if (!(axis.upper > axis.lower)) {
       return absl::FailedPreconditionError(absl::StrCat(name, " may move from ", axis.lower, " to ",
                                                         axis.upper, " after margins of ", margin,
@@ -231,13 +232,13 @@ void CommandLimiter::Advance(int i, double target) {
 
 ArmVector CommandLimiter::Limit(const ArmVector& target) {
   flags_ = 0;
-  for (int i = 0; i < kArmAxes; ++i) Advance(i, target[i]);
+  for (int i = 0; i < count_; ++i) Advance(i, target[i]);
   return position_;
 }
 
 ArmVector CommandLimiter::Decelerate() {
   flags_ = 0;
-  for (int i = 0; i < kArmAxes; ++i) Advance(i, kNone);
+  for (int i = 0; i < count_; ++i) Advance(i, kNone);
   return position_;
 }
 

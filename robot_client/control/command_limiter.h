@@ -97,7 +97,8 @@ class CommandLimiter {
   Way Brake(const Axis& axis, Motion motion) const;
   Motion After(const Motion& now, double a) const;
 
-  std::array<Axis, kArmAxes> axes_{};
+  std::array<Axis, kMostAxes> axes_{};
+  int count_ = 0;  // of axes that there are
   double dt_ = 0;  // [s]
   ArmVector position_{}, velocity_{}, acceleration_{};
   ArmVector last_target_{};  // NaN: none

@@ -20,8 +20,8 @@ constexpr double kArrived = 0.03;   // [rad] from the end of a way ...
 constexpr double kArrives_s = 1.5;  // ... within so long of its last row
 constexpr double kGuarded_s = 0.5;  // without a way out of the workspace's bounds: HOLD
 
-DisturbanceObserver::Joints JointsOf(const ArmVector& v) {
-  return Eigen::Map<const Eigen::Matrix<double, kArmJoints, 1>>(v.data());
+DisturbanceObserver::Joints JointsOf(const ArmVector& v, int joints) {
+  return Eigen::Map<const Eigen::VectorXd>(v.data(), joints);
 }
 
 }  // namespace
@@ -33,17 +33,20 @@ ControlLoop::ControlLoop(const ControlOptions& options, RobotArm* arm, Clock* cl
       clock_(clock),
       cameras_(cameras),
       model_(options.guards ? model : nullptr),
-      player_(options.player),
-      watchdogs_(options.watchdogs, 1 / options.rate_hz),
+      joints_(arm->axes().joints),
+      player_(options.player, joints_),
+      watchdogs_(options.watchdogs, 1 / options.rate_hz, joints_),
       observer_(options.disturbance_observer),
-      press_(options.press, 1 / options.rate_hz, model_),
-      delay_(1 / options.rate_hz) {}
+      press_(options.press, 1 / options.rate_hz, model_, joints_),
+      delay_(1 / options.rate_hz, joints_) {
+  record_.axes = arm->axes();
+}
 
 absl::StatusOr<std::unique_ptr<ControlLoop>> ControlLoop::Create(const ControlOptions& options,
                                                                  RobotArm* arm, Clock* clock,
                                                                  const CameraStamps* cameras,
                                                                  const ArmModel* model) {
-  RS_RETURN_IF_ERROR(CheckControlOptions(options));
+  RS_RETURN_IF_ERROR(CheckControlOptions(options, arm->axes().joints));
   auto loop = std::unique_ptr<ControlLoop>(new ControlLoop(options, arm, clock, cameras, model));
   RS_RETURN_IF_ERROR(loop->limiter_.Configure(options.limits, arm->limits(), 1 / options.rate_hz));
   return loop;
@@ -83,7 +86,7 @@ Refusal ControlLoop::WhyNot(const ArmSnapshot& arm, int64_t now_ns) const {
   const double age = static_cast<double>(now_ns - arm.stamp_ns) / kNsPerSecond;
   if (arm.sequence == 0 || !(age <= options_.watchdogs.arm_hold_s && age >= -kMostAhead_s))
     return Refusal::kStale;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < joints_; ++j) {
     if (!(std::abs(arm.velocity[j]) < kStill)) return Refusal::kMoving;
   }
   return Refusal::kNone;
@@ -91,7 +94,7 @@ Refusal ControlLoop::WhyNot(const ArmSnapshot& arm, int64_t now_ns) const {
 
 double ControlLoop::Apart(const ArmSnapshot& arm) const {
   double apart = 0;
-  for (int j = 0; j < kArmJoints; ++j)
+  for (int j = 0; j < joints_; ++j)
     apart = std::max(apart, std::abs(limiter_.position()[j] - arm.position[j]));
   return apart;
 }
@@ -289,7 +292,7 @@ bool ControlLoop::PlayRow(int64_t now_ns) {
   record_.requested = step.requested;
   record_.blended = record_.corrected = step.blended;
   if (options_.observer) Correct();
-  for (int j = 0; j < kArmJoints; ++j)
+  for (int j = 0; j < joints_; ++j)
     record_.corrected[j] += options_.smoothing * (limiter_.position()[j] - record_.corrected[j]);
   return true;
 }
@@ -304,7 +307,7 @@ bool ControlLoop::PlayPath() {
   ++way_row_;
   if (!over) return true;
   double off = 0;
-  for (int j = 0; j < kArmJoints; ++j) off = std::max(off, std::abs(record_.position[j] - end[j]));
+  for (int j = 0; j < joints_; ++j) off = std::max(off, std::abs(record_.position[j] - end[j]));
   const double waited = static_cast<double>(way_row_ - way_->rows.size()) / options_.rate_hz;
   if ((off < kArrived && limiter_.at_rest()) || waited > kArrives_s) {
     machine_.Arrived();
@@ -334,7 +337,7 @@ void ControlLoop::PickTarget(int64_t now_ns) {
   if (target) {
     record_.sent = Advance(record_.corrected);
     double moved = 0;
-    for (int i = 0; i < kArmAxes; ++i)
+    for (int i = 0; i < record_.axes.count(); ++i)
       moved = std::max(moved, std::abs(record_.sent[i] - record_.corrected[i]));
     if (moved > 0) record_.flags |= kTickLimited;
   } else {
@@ -344,18 +347,18 @@ void ControlLoop::PickTarget(int64_t now_ns) {
   }
   record_.limiter = limiter_.flags();
   if (options_.observer && observer_.estimate().size() > 0)
-    observer_.Applied(JointsOf(record_.sent));
+    observer_.Applied(JointsOf(record_.sent, joints_));
 }
 
 void ControlLoop::Correct() {
-  const DisturbanceObserver::Joints target = JointsOf(record_.blended);
+  const DisturbanceObserver::Joints target = JointsOf(record_.blended, joints_);
   const double dt = static_cast<double>(record_.start_ns - observed_ns_) / kNsPerSecond;
   const bool fresh = (record_.flags & kTickFresh) != 0;
   const DisturbanceObserver::Joints corrected =
-      fresh ? observer_.Correct(target, JointsOf(record_.position), dt)
+      fresh ? observer_.Correct(target, JointsOf(record_.position, joints_), dt)
             : observer_.CorrectUnmeasured(target, 1 / options_.rate_hz);
   if (fresh) observed_ns_ = record_.start_ns;
-  for (int j = 0; j < kArmJoints; ++j) record_.corrected[j] = corrected[j];
+  for (int j = 0; j < joints_; ++j) record_.corrected[j] = corrected[j];
   record_.flags |= kTickObserver;
 }
 

@@ -130,7 +130,7 @@ class ControlLoop {
   void Run(const std::atomic<bool>& stop);
   const TickTiming& timing() const { return timing_; }  // when Run has returned
   double period_s() const { return 1 / options_.rate_hz; }
-  ArmAxes axes() const { return arm_->axes(); }
+  ArmAxes axes() const { return record_.axes; }
   const TickRecord& last_record() const { return record_; }  // control thread
 
  private:
@@ -169,6 +169,7 @@ class ControlLoop {
   Clock* const clock_;
   const CameraStamps* const cameras_;
   const ArmModel* const model_;
+  const int joints_;
   CommandLimiter limiter_;
   ChunkPlayer player_;
   Watchdogs watchdogs_;

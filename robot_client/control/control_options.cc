@@ -9,14 +9,13 @@
 namespace robostress {
 namespace {
 
-absl::Status CheckPress(const PressOptions& o) {
+absl::Status CheckPress(const PressOptions& o, int joints) {
   const std::pair<const char*, const std::vector<double>*> vectors[] = {
       {"excess", &o.excess}, {"friction", &o.friction}, {"viscous", &o.viscous}};
   for (const auto& [name, values] : vectors) {
-    if (values->size() != kArmJoints) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("press.", name, " has ", values->size(),
-                       " numbers, must have one per joint: ", kArmJoints));
+    if (static_cast<int>(values->size()) != joints) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "press.", name, " has ", values->size(), " numbers, must have one per joint: ", joints));
     }
     for (const double value : *values) {
       if (!(value >= 0 && value <= 100))
@@ -29,7 +28,7 @@ absl::Status CheckPress(const PressOptions& o) {
 
 }  // namespace
 
-absl::Status CheckControlOptions(const ControlOptions& o) {
+absl::Status CheckControlOptions(const ControlOptions& o, int joints) {
   const auto invalid = [](const auto&... parts) {
     return absl::InvalidArgumentError(absl::StrCat(parts...));
   };
@@ -54,13 +53,13 @@ absl::Status CheckControlOptions(const ControlOptions& o) {
   }
   if (!(o.smoothing >= 0 && o.smoothing <= 0.99))
     return invalid("smoothing is ", o.smoothing, ", must be 0..0.99");
-  if (const absl::Status response = dob.response.Check(kArmJoints); !response.ok())
+  if (const absl::Status response = dob.response.Check(joints); !response.ok())
     return invalid("disturbance_observer.", response.message());
   const WatchdogOptions& w = o.watchdogs;
   if (!(w.arm_hold_s > 0 && w.arm_fault_s >= w.arm_hold_s))
     return invalid("watchdogs.arm_hold_s is ", w.arm_hold_s, " and arm_fault_s ", w.arm_fault_s,
                    "; both must be positive and the fault not before the hold");
-  return CheckPress(o.press);
+  return CheckPress(o.press, joints);
 }
 
 }  // namespace robostress

@@ -44,6 +44,6 @@ struct ControlOptions {
 
 // INVALID_ARGUMENT names option, value and range. What depends on an arm's limits is
 // CommandLimiter::Configure's to check.
-absl::Status CheckControlOptions(const ControlOptions& options);
+absl::Status CheckControlOptions(const ControlOptions& options, int joints);
 
 }  // namespace robostress

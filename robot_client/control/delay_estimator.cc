@@ -14,8 +14,9 @@ constexpr double kMostUnexplained = 0.5;
 
 }  // namespace
 
-DelayEstimator::DelayEstimator(double period_s)
+DelayEstimator::DelayEstimator(double period_s, int joints)
     : period_s_(period_s),
+      joints_(joints),
       lags_(static_cast<int>(
           std::clamp(std::lround(kLongest_s / period_s) + 1, 3L, long{kMostLags}))),
       keep_(std::exp(-period_s / kMemory_s)) {}
@@ -30,12 +31,12 @@ void DelayEstimator::Reset() {
 void DelayEstimator::Take(const ArmVector& command, const ArmVector& measured) {
   if (!std::exchange(first_, false)) {
     ArmVector& step = steps_[next_];
-    for (int j = 0; j < kArmJoints; ++j) step[j] = command[j] - last_command_[j];
+    for (int j = 0; j < joints_; ++j) step[j] = command[j] - last_command_[j];
     next_ = (next_ + 1) % kMostLags;
     seen_ = std::min(seen_ + 1, kMostLags);
     ArmVector moved{};
     double energy = 0;
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < joints_; ++j) {
       moved[j] = measured[j] - last_measured_[j];
       energy += moved[j] * moved[j];
     }
@@ -43,7 +44,7 @@ void DelayEstimator::Take(const ArmVector& command, const ArmVector& measured) {
     for (int lag = 0; lag < lags_; ++lag) {
       const ArmVector& then = steps_[(next_ - 1 - lag + 2 * kMostLags) % kMostLags];
       double error = 0;
-      for (int j = 0; j < kArmJoints; ++j) {
+      for (int j = 0; j < joints_; ++j) {
         const double sent = lag < seen_ ? then[j] : 0;
         error += (moved[j] - sent) * (moved[j] - sent);
       }

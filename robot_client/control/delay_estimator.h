@@ -22,7 +22,7 @@ class DelayEstimator {
  public:
   static constexpr double kLongest_s = 0.6;
 
-  explicit DelayEstimator(double period_s);
+  DelayEstimator(double period_s, int joints);
   void Reset();
   // One tick: the command sent before it and the joints measured at its start.
   void Take(const ArmVector& command, const ArmVector& measured);
@@ -32,6 +32,7 @@ class DelayEstimator {
  private:
   static constexpr int kMostLags = 64;
   const double period_s_;
+  const int joints_;
   const int lags_;
   const double keep_;                         // share of the sums that a tick keeps
   std::array<ArmVector, kMostLags> steps_{};  // of the commands, newest at next_ - 1

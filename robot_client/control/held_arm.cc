@@ -18,11 +18,11 @@ constexpr double kMostWay = 0.2;   // [rad] ... and no further in all
 }  // namespace
 
 absl::Status MoveInside(const ArmLimits& limits, ArmVector& position) {
-  for (int i = 0; i < kArmAxes; ++i) {
+  for (int i = 0; i < limits.axes.count(); ++i) {
     const double inside = std::clamp(position[i], limits.lower[i], limits.upper[i]);
     if (std::abs(inside - position[i]) > kRestOutside) {
       return absl::FailedPreconditionError(absl::StrCat(
-          i < kArmJoints ? absl::StrCat("J", i + 1) : "the gripper", " stands at ", position[i],
+          i < limits.axes.joints ? limits.axes.name(i) : "the gripper", " stands at ", position[i],
           ", outside ", limits.lower[i], " to ", limits.upper[i], " by more than ", kRestOutside,
           ": take its power off, move it by hand, enable again"));
     }
@@ -40,13 +40,14 @@ void HeldArm::Begin(const ArmVector& measured) {
 
 void HeldArm::Take(const TickRecord& record, const PressWatch& press, bool held,
                    const ArmVector& command, bool at_rest) {
-  const bool stands = std::all_of(record.velocity.begin(), record.velocity.begin() + kArmJoints,
-                                  [](double v) { return std::abs(v) < kStill; });
+  const bool stands =
+      std::all_of(record.velocity.begin(), record.velocity.begin() + record.axes.joints,
+                  [](double v) { return std::abs(v) < kStill; });
   const bool settled = stands && at_rest;
   const bool first = held && !relaxed_ && settled;
   ArmVector to = target_.value_or(command);
   bool gives_way = false;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < record.axes.joints; ++j) {
     const double share = press.share(j);
     if (std::abs(share) > kStrained && (settled || press.pressing())) {
       const double away = record.position[j] - std::copysign(kGiveWay, share);
@@ -69,7 +70,7 @@ std::optional<ArmVector> HeldArm::LetGo(const ArmLimits& limits, const ArmVector
                                         const ArmVector& command) {
   ArmVector stand = measured;
   if (!MoveInside(limits, stand).ok()) return std::nullopt;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < limits.axes.joints; ++j) {
     const double ahead = command[j] - stand[j];
     pushed_[j] = std::abs(ahead) > kRelax ? std::copysign(1.0, ahead) : 0;
   }

@@ -13,10 +13,21 @@ constexpr double kLongest_s = 0.2;
 
 }  // namespace
 
-PressWatch::PressWatch(const PressOptions& options, double period_s, const ArmModel* model)
+void FitDefaults(int joints, PressOptions& options) {
+  const PressOptions defaults;
+  for (const auto values :
+       {&PressOptions::excess, &PressOptions::friction, &PressOptions::viscous}) {
+    std::vector<double>& given = options.*values;
+    if (given == defaults.*values) given.resize(static_cast<size_t>(joints), given.back());
+  }
+}
+
+PressWatch::PressWatch(const PressOptions& options, double period_s, const ArmModel* model,
+                       int joints)
     : options_(options),
       period_s_(period_s),
       model_(model),
+      joints_(joints),
       window_(static_cast<size_t>(
           std::clamp(std::lround(options.blocked_s / period_s), 2L, long{kMostTicks}))) {}
 
@@ -38,8 +49,7 @@ void PressWatch::WatchTorque(const ArmSnapshot& arm) {
   const double dt = static_cast<double>(arm.stamp_ns - last_stamp_ns_) * 1e-9;
   ArmVector acceleration{};
   if (last_stamp_ns_ != 0 && dt >= kShortest_s && dt <= kLongest_s) {
-    for (int j = 0; j < kArmJoints; ++j)
-      acceleration[j] = (arm.velocity[j] - last_velocity_[j]) / dt;
+    for (int j = 0; j < joints_; ++j) acceleration[j] = (arm.velocity[j] - last_velocity_[j]) / dt;
   }
   if (last_stamp_ns_ == 0 || dt >= kShortest_s) {
     last_velocity_ = arm.velocity;
@@ -48,14 +58,14 @@ void PressWatch::WatchTorque(const ArmSnapshot& arm) {
   const ArmVector empty = model_->Torque(arm.position, arm.velocity, acceleration, 0);
   const ArmVector loaded =
       model_->Torque(arm.position, arm.velocity, acceleration, options_.payload_kg);
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < joints_; ++j) {
     const double friction = options_.friction[j] + options_.viscous[j] * std::abs(arm.velocity[j]);
     const double least = std::min(empty[j], loaded[j]) - friction;
     const double most = std::max(empty[j], loaded[j]) + friction;
     excess_[j] = arm.effort[j] - std::clamp(arm.effort[j], least, most);
   }
   double most = 0;
-  for (int j = 0; j < kArmJoints; ++j) most = std::max(most, std::abs(share(j)));
+  for (int j = 0; j < joints_; ++j) most = std::max(most, std::abs(share(j)));
   strained_s_ = most > 1 ? strained_s_ + period_s_ : 0;
   pressing_ = strained_s_ >= options_.excess_s || most > 2;
 }
@@ -64,7 +74,7 @@ void PressWatch::WatchTorque(const ArmSnapshot& arm) {
 // the error never grows: so it is counted how often the joint was off, and how far it came.
 void PressWatch::WatchTravel(const ArmSnapshot& arm, const ArmVector& command) {
   Tick& tick = window_[next_];
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < joints_; ++j) {
     tick.off[j] = std::abs(command[j] - arm.position[j]) > options_.blocked_error;
     tick.position[j] = arm.position[j];
   }
@@ -73,7 +83,7 @@ void PressWatch::WatchTravel(const ArmSnapshot& arm, const ArmVector& command) {
   seen_ = std::min(seen_ + 1, size);
   blocked_ = false;
   if (seen_ < size) return;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < joints_; ++j) {
     int off = 0;
     double lowest = window_[0].position[j], highest = lowest;
     for (const Tick& each : window_) {

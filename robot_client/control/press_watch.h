@@ -34,12 +34,16 @@ struct PressOptions {
   }
 };
 
+// The defaults are those of six joints: what still has them gets `joints` values, the last repeated
+// or left out. What a person gave stays as it is.
+void FitDefaults(int joints, PressOptions& options);
+
 // Tells pressing from moving by the joints' torques and by where they get to. The first needs a
 // model, and an arm that reports torques. Allocates nothing after construction. One thread.
 class PressWatch {
  public:
-  // `model` may be null. Vectors have kArmJoints values.
-  PressWatch(const PressOptions& options, double period_s, const ArmModel* model);
+  // `model` may be null. The options' vectors have `joints` values.
+  PressWatch(const PressOptions& options, double period_s, const ArmModel* model, int joints);
 
   void Reset();
   // One tick with a fresh sample; `command`: the last one sent.
@@ -59,13 +63,14 @@ class PressWatch {
 
   static constexpr int kMostTicks = 1000;
   struct Tick {
-    std::array<bool, kArmJoints> off{};
-    std::array<double, kArmJoints> position{};
+    std::array<bool, kMostJoints> off{};
+    std::array<double, kMostJoints> position{};
   };
 
   const PressOptions options_;
   const double period_s_;
   const ArmModel* const model_;
+  const int joints_;
   ArmVector excess_{};
   double strained_s_ = 0;
   bool pressing_ = false, blocked_ = false;

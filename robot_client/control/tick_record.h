@@ -61,6 +61,7 @@ enum TickFlag : uint32_t {
 
 // Everything of one control tick. Fixed size: it is passed between threads without allocation.
 struct TickRecord {
+  ArmAxes axes;  // of its vectors
   uint64_t tick = 0;
   int64_t due_ns = 0;    // the deadline on which it should have started
   int64_t start_ns = 0;  // when it did

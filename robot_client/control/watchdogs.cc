@@ -87,7 +87,7 @@ WatchdogVerdict Watchdogs::Check(const Inputs& in) {
       silent > (first_chunk_ ? options_.first_chunk_s : options_.server_hold_s))
     verdict.hold = StateCause::kServerSilent;
   double error = 0;
-  for (int j = 0; j < kArmJoints; ++j)
+  for (int j = 0; j < joints_; ++j)
     error = std::max(error, std::abs(in.command[j] - in.arm.position[j]));
   following_s_ = error > options_.following_error ? following_s_ + period_s_ : 0;
   if (in.input_silent) verdict.hold = StateCause::kInputSilent;

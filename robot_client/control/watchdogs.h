@@ -73,8 +73,8 @@ struct WatchdogVerdict {
 // Watches arm, server and cameras. Allocates nothing. One thread.
 class Watchdogs {
  public:
-  Watchdogs(const WatchdogOptions& options, double period_s)
-      : options_(options), period_s_(period_s) {}
+  Watchdogs(const WatchdogOptions& options, double period_s, int joints)
+      : options_(options), period_s_(period_s), joints_(joints) {}
 
   struct Inputs {
     int64_t now_ns = 0;
@@ -99,6 +99,7 @@ class Watchdogs {
  private:
   const WatchdogOptions options_;
   const double period_s_;
+  const int joints_;  // of the arm
   int refused_sends_ = 0;
   double following_s_ = 0;  // for how long the error has been too large
   int64_t last_row_ns_ = 0;

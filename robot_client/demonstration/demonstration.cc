@@ -8,16 +8,17 @@ using Values = ArmVector DemonstrationTick::*;
 std::vector<float> Column(const DemonstrationEpisode& episode, Values values) {
   std::vector<float> column;
   for (const DemonstrationTick& tick : episode.ticks)
-    for (const double v : tick.*values) column.push_back(static_cast<float>(v));
+    for (int axis = 0; axis < episode.axes.count(); ++axis)
+      column.push_back(static_cast<float>((tick.*values)[axis]));
   return column;
 }
 
 }  // namespace
 
-LerobotSchema LerobotSchemaOf(const std::string& robot, double rate_hz,
+LerobotSchema LerobotSchemaOf(const std::string& robot, const ArmAxes& axes, double rate_hz,
                               const std::vector<std::string>& cameras) {
-  const std::vector<std::string> axes = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
-  return {robot, rate_hz, {{"observation.state", axes}, {"action", axes}}, cameras};
+  const std::vector<std::string> names = axes.names();
+  return {robot, rate_hz, {{"observation.state", names}, {"action", names}}, cameras};
 }
 
 LerobotEpisode ToLerobot(const DemonstrationEpisode& episode) {

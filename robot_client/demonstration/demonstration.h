@@ -21,6 +21,7 @@ struct DemonstrationTick {
 struct DemonstrationEpisode {
   std::string instruction;
   bool success = false;
+  ArmAxes axes;  // of the ticks
   double rate_hz = 30;
   std::vector<std::string> cameras;
   std::vector<DemonstrationTick> ticks;
@@ -30,7 +31,7 @@ struct DemonstrationEpisode {
 };
 
 // As LeRobot's form has it: observation.state and action, joints [rad] and opening [m].
-LerobotSchema LerobotSchemaOf(const std::string& robot, double rate_hz,
+LerobotSchema LerobotSchemaOf(const std::string& robot, const ArmAxes& axes, double rate_hz,
                               const std::vector<std::string>& cameras);
 LerobotEpisode ToLerobot(const DemonstrationEpisode& episode);
 

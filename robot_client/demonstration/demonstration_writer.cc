@@ -37,9 +37,10 @@ absl::StatusOr<std::unique_ptr<DemonstrationWriter>> DemonstrationWriter::Create
         absl::StrCat("LIBERO's form has two cameras, this client ", names.size(),
                      "; give --camera twice or leave LIBERO's form out"));
   }
-  RS_ASSIGN_OR_RETURN(LerobotDataset dataset,
-                      LerobotDataset::Open(options.directory + "/lerobot",
-                                           LerobotSchemaOf(options.robot, options.rate_hz, names)));
+  RS_ASSIGN_OR_RETURN(
+      LerobotDataset dataset,
+      LerobotDataset::Open(options.directory + "/lerobot",
+                           LerobotSchemaOf(options.robot, options.axes, options.rate_hz, names)));
   if (options.shards) RS_RETURN_IF_ERROR(MakeDirectories(options.directory + "/shards"));
   if (options.libero_tool) RS_RETURN_IF_ERROR(MakeDirectories(options.directory + "/libero"));
   return std::unique_ptr<DemonstrationWriter>(
@@ -123,6 +124,7 @@ void DemonstrationWriter::Clear(uint64_t episode, const std::string& instruction
   oldest_frame_ns_ = 0;
   episode_ = {};
   episode_.instruction = instruction;
+  episode_.axes = options_.axes;
   episode_.rate_hz = options_.rate_hz;
   for (const FrameSource* camera : cameras_) episode_.cameras.push_back(camera->name());
   episode_.jpegs.resize(cameras_.size());

@@ -25,6 +25,7 @@ namespace robostress {
 struct DemonstrationOptions {
   std::string directory;  // gets lerobot/, shards/ and libero/
   std::string robot = "piper";
+  ArmAxes axes;            // of the ticks
   double rate_hz = 30;     // of the ticks; a whole number
   bool shards = true;      // for `robostress train`; not without a camera
   ToolPoseOf libero_tool;  // with a forward kinematics, LIBERO's HDF5 too; needs two cameras

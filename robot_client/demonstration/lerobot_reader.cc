@@ -17,7 +17,8 @@ constexpr uint64_t kMostTableBytes = uint64_t{2} << 30;
 
 }  // namespace
 
-absl::StatusOr<LerobotReader> LerobotReader::Open(const std::string& directory) {
+absl::StatusOr<LerobotReader> LerobotReader::Open(const std::string& directory,
+                                                  const ArmAxes& axes) {
   const std::string path = directory + "/meta/info.json";
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, kMostInfoBytes));
   const auto info = nlohmann::json::parse(text, nullptr, /*allow_exceptions=*/false);
@@ -34,6 +35,7 @@ absl::StatusOr<LerobotReader> LerobotReader::Open(const std::string& directory) 
   };
   LerobotReader reader;
   reader.directory_ = directory;
+  reader.axes_ = axes;
   reader.rate_hz_ = number("fps");
   if (!(reader.rate_hz_ >= 1 && reader.rate_hz_ <= 1000))
     return wrong("fps is ", reader.rate_hz_, ", must be 1 to 1000");
@@ -43,7 +45,7 @@ absl::StatusOr<LerobotReader> LerobotReader::Open(const std::string& directory) 
   reader.episodes_ = static_cast<int64_t>(episodes);
   const auto names =
       info.value(nlohmann::json::json_pointer("/features/action/names"), nlohmann::json());
-  const nlohmann::json ours = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
+  const nlohmann::json ours = axes.names();
   if (names != ours) return wrong("features.action.names is ", names.dump(), ", not ", ours.dump());
   return reader;
 }
@@ -60,10 +62,11 @@ absl::StatusOr<std::vector<ArmVector>> LerobotReader::ReadActions(int64_t episod
                   [&](double e) { return e != static_cast<double>(episode); }))
     return absl::InvalidArgumentError(
         absl::StrCat(path, ": holds rows of another episode than ", episode));
-  RS_ASSIGN_OR_RETURN(const std::vector<double> numbers, table.Numbers("action", kArmAxes));
-  std::vector<ArmVector> actions(numbers.size() / kArmAxes);
+  const auto axes = static_cast<size_t>(axes_.count());
+  RS_ASSIGN_OR_RETURN(const std::vector<double> numbers, table.Numbers("action", axes));
+  std::vector<ArmVector> actions(numbers.size() / axes);
   for (size_t i = 0; i < actions.size(); ++i)
-    std::copy_n(numbers.begin() + static_cast<int64_t>(i * kArmAxes), kArmAxes, actions[i].begin());
+    std::copy_n(numbers.begin() + static_cast<int64_t>(i * axes), axes, actions[i].begin());
   return actions;
 }
 

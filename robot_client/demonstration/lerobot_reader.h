@@ -14,8 +14,8 @@ namespace robostress {
 class LerobotReader {
  public:
   // `directory` holds meta/info.json. Refuses a set of another program, whose actions may mean
-  // anything, and one of another arm.
-  static absl::StatusOr<LerobotReader> Open(const std::string& directory);
+  // anything, and one of an arm with other axes.
+  static absl::StatusOr<LerobotReader> Open(const std::string& directory, const ArmAxes& axes = {});
 
   int64_t episodes() const { return episodes_; }
   double rate_hz() const { return rate_hz_; }
@@ -24,6 +24,7 @@ class LerobotReader {
 
  private:
   std::string directory_;
+  ArmAxes axes_;
   int64_t episodes_ = 0;
   double rate_hz_ = 0;
 };

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "absl/types/span.h"
 #include "common/image.h"
 #include "common/libero_demonstrations.h"
 #include "common/safetensors.h"
@@ -12,6 +13,11 @@
 
 namespace robostress {
 namespace {
+
+// Of the arm's own axes.
+absl::Span<const double> Of(const ArmAxes& axes, const ArmVector& values) {
+  return absl::MakeConstSpan(values).first(static_cast<size_t>(axes.count()));
+}
 
 template <class Range>
 void Append(const Range& values, std::vector<double>* to) {
@@ -41,18 +47,18 @@ absl::Status WriteLiberoEpisode(const DemonstrationEpisode& episode, const ToolP
     const Eigen::AngleAxisd turn(pose.q_base_tool);
     const Eigen::Vector3d orientation = turn.angle() * turn.axis();
     const Eigen::Vector4d quaternion = pose.q_base_tool.coeffs();  // x y z w
-    const double finger = tick.state[kArmJoints] / 2;
-    Append(tick.action, &columns.actions);
+    const double finger = tick.state[episode.axes.opening()] / 2;
+    Append(Of(episode.axes, tick.action), &columns.actions);
     columns.states.push_back(static_cast<double>(i) / episode.rate_hz);
-    Append(tick.state, &columns.states);
+    Append(Of(episode.axes, tick.state), &columns.states);
     Append(std::array{finger, -finger}, &columns.robot_states);
     Append(pose.p_base_tool, &columns.robot_states);
     Append(quaternion, &columns.robot_states);
     Append(pose.p_base_tool, &columns.ee_pos);
     Append(orientation, &columns.ee_ori);
     Append(std::array{finger, -finger}, &columns.gripper_states);
-    Append(tick.state, &columns.joint_states);
-    Append(tick.state, &columns.proprioception);
+    Append(Of(episode.axes, tick.state), &columns.joint_states);
+    Append(Of(episode.axes, tick.state), &columns.proprioception);
     columns.proprioception.push_back(0);
   }
   RS_RETURN_IF_ERROR(writer.Add(demonstration));
@@ -69,14 +75,17 @@ absl::Status WriteShard(const DemonstrationEpisode& episode, int64_t index, int 
       const Image view = ResizeArea(views[t], side, side);
       images.insert(images.end(), view.data.begin(), view.data.end());
     }
-    for (const double value : episode.ticks[t].state) state.push_back(static_cast<float>(value));
+    for (const double value : Of(episode.axes, episode.ticks[t].state))
+      state.push_back(static_cast<float>(value));
     for (size_t k = 0; k < static_cast<size_t>(horizon); ++k) {
-      for (const double value : episode.ticks[std::min(t + k, episode.ticks.size() - 1)].action)
+      const DemonstrationTick& tick = episode.ticks[std::min(t + k, episode.ticks.size() - 1)];
+      for (const double value : Of(episode.axes, tick.action))
         actions.push_back(static_cast<float>(value));
     }
     number.push_back(index);
   }
   const auto n = static_cast<int64_t>(number.size());
+  const int64_t axes = episode.axes.count();
   const auto views = static_cast<int64_t>(episode.cameras.size());
   SafetensorsWriter writer;
   writer.SetMetadata("suite", "piper");
@@ -84,8 +93,8 @@ absl::Status WriteShard(const DemonstrationEpisode& episode, int64_t index, int 
   writer.SetMetadata("instruction", episode.instruction);
   writer.SetMetadata("version", "1");
   writer.Add("images", DType::kU8, {n, views, side, side, 3}, images.data(), images.size());
-  writer.AddFloats("state", {n, kArmAxes}, state);
-  writer.AddFloats("actions", {n, horizon, kArmAxes}, actions);
+  writer.AddFloats("state", {n, axes}, state);
+  writer.AddFloats("actions", {n, horizon, axes}, actions);
   writer.AddInts("episode", {n}, number);
   return writer.Write(path);
 }

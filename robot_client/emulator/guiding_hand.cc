@@ -54,8 +54,8 @@ absl::StatusOr<GuidingHand> GuidingHand::Load(const std::string& path) {
     if (line.empty()) continue;
     const std::vector<absl::string_view> fields = absl::StrSplit(line, ',');
     HandPoint point;
-    bool good = fields.size() == 1 + kArmAxes && absl::SimpleAtod(fields[0], &point.t);
-    for (int i = 0; good && i < kArmAxes; ++i)
+    bool good = fields.size() == 1 + kAxes && absl::SimpleAtod(fields[0], &point.t);
+    for (int i = 0; good && i < kAxes; ++i)
       good = absl::SimpleAtod(fields[static_cast<size_t>(i) + 1], &point.position[i]);
     if (!good) {
       return absl::InvalidArgumentError(
@@ -78,7 +78,7 @@ HandPoint GuidingHand::At(double t, ArmVector* velocity) const {
   const auto after = static_cast<size_t>(next - points_.begin()), before = after - 1;
   const double h = next->t - points_[before].t, s = (t - points_[before].t) / h;
   HandPoint now{t, {}};
-  for (int i = 0; i < kArmAxes; ++i) {
+  for (int i = 0; i < kAxes; ++i) {
     const double x0 = points_[before].position[i], x1 = next->position[i];
     const double v0 = h * Slope(before, i), v1 = h * Slope(after, i);
     const double a = 2 * (x0 - x1) + v0 + v1, b = 3 * (x1 - x0) - 2 * v0 - v1;
@@ -109,8 +109,8 @@ GuidingHand::Push GuidingHand::PushAt(double t, const PlantReading& reading) con
                                 -kMost[j], kMost[j]);
   }
   push.finger_force =
-      std::clamp(kFingerStiffness * 0.5 * (now.position[kArmJoints] - reading.opening) +
-                     kFingerDamping * 0.5 * (velocity[kArmJoints] - reading.opening_speed),
+      std::clamp(kFingerStiffness * 0.5 * (now.position[kJoints] - reading.opening) +
+                     kFingerDamping * 0.5 * (velocity[kJoints] - reading.opening_speed),
                  -kMostFinger, kMostFinger);
   return push;
 }

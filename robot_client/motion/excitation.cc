@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/random.h"
+#include "common/robot_description.h"
 
 namespace robostress {
 namespace {
@@ -23,7 +24,8 @@ constexpr Pass kPasses[] = {{0.2, 1.0 / 8}, {0.5, 1.0 / 2}, {1, 1}};
 constexpr int kHarmonics = 5;
 constexpr double kFade_s = 2;
 // [1/s] Harmonics of a joint are multiples of these: no two joints share one for long.
-constexpr double kBase_hz[kArmJoints] = {0.050, 0.043, 0.047, 0.059, 0.053, 0.061};
+constexpr int kJoints = static_cast<int>(std::size(kPiperJoints));
+constexpr double kBase_hz[kJoints] = {0.050, 0.043, 0.047, 0.059, 0.053, 0.061};
 
 double SmoothStep(double s) {
   s = std::clamp(s, 0.0, 1.0);
@@ -37,28 +39,28 @@ class Designer {
     motion_.source = absl::StrCat("designed, seed ", options.seed);
     motion_.t = {0};
     motion_.poses = {options.centre};
-    std::fill_n(motion_.moves.begin(), kArmJoints, true);
+    std::fill_n(motion_.moves.begin(), kJoints, true);
   }
 
   absl::StatusOr<Motion> Design() {
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < kJoints; ++j) {
       const double c = options_.centre[j];
       if (!(c >= limits_.lower[j] && c <= limits_.upper[j]))
         return absl::FailedPreconditionError(absl::StrFormat(
             "the motion's centre has %s at %.3f rad, the arm allows %.3f to %.3f; correct home",
-            AxisName(j), c, limits_.lower[j], limits_.upper[j]));
+            motion_.axes.name(j), c, limits_.lower[j], limits_.upper[j]));
       const double up = Room(j, 1), down = Room(j, -1);
       if (up + down < kLeastSwing) {
         return absl::FailedPreconditionError(absl::StrFormat(
             "%s can swing by %.3f rad only around the motion's centre%s; move home away from it",
-            AxisName(j), up + down,
+            motion_.axes.name(j), up + down,
             blocked_by_.empty() ? "" : absl::StrCat(" (", blocked_by_, ")")));
       }
       swing_[j] = {c - down, c + up};
     }
     // Pass by pass, so that every part of a recording has every joint's motion in it.
     for (const Pass& pass : kPasses) {
-      for (int j = 0; j < kArmJoints; ++j) AddSwing(j, pass);
+      for (int j = 0; j < kJoints; ++j) AddSwing(j, pass);
     }
     if (!AddTogether())
       return absl::FailedPreconditionError(absl::StrCat("joints that are free one by one meet ",
@@ -123,8 +125,8 @@ class Designer {
   // Poses of all joints at once, swings scaled by `share`.
   std::vector<ArmVector> Together(double share) const {
     RandomStream random(StreamKey("excitation").With(static_cast<int64_t>(options_.seed)));
-    std::array<std::array<double, kHarmonics>, kArmJoints> phase, weight;
-    for (int j = 0; j < kArmJoints; ++j) {
+    std::array<std::array<double, kHarmonics>, kJoints> phase, weight;
+    for (int j = 0; j < kJoints; ++j) {
       for (int k = 0; k < kHarmonics; ++k) {
         phase[j][k] = random.Uniform(0, 2 * M_PI);
         weight[j][k] = random.Uniform(0.3, 1);
@@ -132,7 +134,7 @@ class Designer {
     }
     const int rows = static_cast<int>(options_.together_s / kRow_s);
     std::vector<ArmVector> poses(static_cast<size_t>(rows), options_.centre);
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < kJoints; ++j) {
       std::vector<double> wave(static_cast<size_t>(rows));
       for (int i = 0; i < rows; ++i) {
         const double t = i * kRow_s;
@@ -180,7 +182,7 @@ class Designer {
   const ArmLimits limits_;
   const ArmModel* const model_;
   Motion motion_;
-  std::array<std::pair<double, double>, kArmJoints> swing_{};  // lower and upper end [rad]
+  std::array<std::pair<double, double>, kJoints> swing_{};  // lower and upper end [rad]
   std::string blocked_by_;
 };
 

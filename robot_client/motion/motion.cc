@@ -42,11 +42,6 @@ class AxisCurve {
 
 }  // namespace
 
-const char* AxisName(int axis) {
-  static constexpr const char* kNames[kArmAxes] = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
-  return kNames[axis];
-}
-
 absl::Status CheckMotion(const Motion& motion, const ArmLimits& limits) {
   const auto invalid = [&](const auto&... parts) {
     return absl::InvalidArgumentError(absl::StrCat(motion.source, ": ", parts...));
@@ -56,21 +51,21 @@ absl::Status CheckMotion(const Motion& motion, const ArmLimits& limits) {
     return invalid("holds ", motion.poses.size(), " poses at ", motion.t.size(), " times; from ",
                    kFewestPoses, " to ", kMostPoses, " are played");
   if (std::none_of(motion.moves.begin(), motion.moves.end(), [](bool moves) { return moves; }))
-    return invalid("moves no axis; give columns q_cmd_J1 to q_cmd_J6");
+    return invalid("moves no axis; give columns q_cmd_J1 to q_cmd_J", limits.axes.joints);
   for (size_t i = 0; i < motion.t.size(); ++i) {
     const double t = motion.t[i];
     if (!(i == 0 ? t == 0 : t > motion.t[i - 1]) || !(t <= kLongestMotion_s))
       return invalid("time ", i, " is ", t, " s", i == 0 ? "" : " after ",
                      i == 0 ? "" : absl::StrCat(motion.t[i - 1], " s"),
                      "; times begin at 0, increase, and end by ", kLongestMotion_s, " s");
-    for (int axis = 0; axis < kArmAxes; ++axis) {
+    for (int axis = 0; axis < limits.axes.count(); ++axis) {
       const double value = motion.poses[i][axis];
-      const double beyond = axis < kArmJoints ? kMeasuredBeyond : kMeasuredOpening;
+      const double beyond = axis < limits.axes.joints ? kMeasuredBeyond : kMeasuredOpening;
       // Written so that a NaN is refused.
       if (motion.moves[axis] &&
           !(value >= limits.lower[axis] - beyond && value <= limits.upper[axis] + beyond))
         return invalid(absl::StrFormat("at t = %.3f s %s is %.4f, the arm allows %.4f to %.4f", t,
-                                       AxisName(axis), value, limits.lower[axis],
+                                       limits.axes.name(axis), value, limits.lower[axis],
                                        limits.upper[axis]));
     }
   }
@@ -81,7 +76,8 @@ PlayedMotion PlayMotion(const Motion& motion, double speed, const ArmVector& fro
                         const PathLimits& approach, double period_s) {
   ArmVector start = from;
   std::vector<std::pair<int, AxisCurve>> curves;
-  for (int axis = 0; axis < kArmAxes; ++axis) {
+  const ArmAxes& axes = motion.axes;
+  for (int axis = 0; axis < axes.count(); ++axis) {
     if (!motion.moves[axis]) continue;
     start[axis] = motion.poses.front()[axis];
     curves.emplace_back(axis, AxisCurve(motion, axis));
@@ -89,13 +85,13 @@ PlayedMotion PlayMotion(const Motion& motion, double speed, const ArmVector& fro
   const auto fastest_at = [&](double t) {
     double fastest = 0;
     for (const auto& [axis, curve] : curves)
-      fastest = std::max(fastest, axis < kArmJoints ? curve.SpeedAt(t) : 0);
+      fastest = std::max(fastest, axis < axes.joints ? curve.SpeedAt(t) : 0);
     return fastest;
   };
   double top = 0;
   for (double t = 0; t < motion.duration_s(); t += period_s / 2) top = std::max(top, fastest_at(t));
 
-  PlayedMotion played{StraightPath(from, start, approach, period_s)};
+  PlayedMotion played{axes, StraightPath(axes, from, start, approach, period_s)};
   std::vector<ArmVector>& rows = played.path.rows;
   rows.insert(rows.end(), static_cast<size_t>(std::ceil(kStands_s / period_s)), start);
   played.first_row = rows.size();
@@ -121,7 +117,7 @@ absl::Status CheckSpeed(const PlayedMotion& played, double speed, double velocit
   double fastest = 0, at_s = 0;
   int joint = 0;
   for (size_t i = played.first_row + 1; i < rows.size(); ++i) {
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < played.axes.joints; ++j) {
       const double v = std::abs(rows[i][j] - rows[i - 1][j]) / period_s;
       if (v <= fastest) continue;
       fastest = v;
@@ -133,19 +129,19 @@ absl::Status CheckSpeed(const PlayedMotion& played, double speed, double velocit
   const double fits = std::floor(99 * speed * velocity / fastest) / 100;
   return absl::FailedPreconditionError(absl::StrFormat(
       "%s would reach %.2f rad/s at t = %.1f s, control.limits.joint_velocity is %.2f; %s",
-      AxisName(joint), fastest, at_s, velocity,
+      played.axes.name(joint), fastest, at_s, velocity,
       fits >= 0.01 ? absl::StrFormat("type play %.2f, or raise the limit", fits)
                    : "raise the limit, or give a slower motion"));
 }
 
 std::string MotionCsv(const Motion& motion) {
   std::string text = "t";
-  for (int axis = 0; axis < kArmAxes; ++axis) {
-    if (motion.moves[axis]) absl::StrAppend(&text, ",q_cmd_", AxisName(axis));
+  for (int axis = 0; axis < motion.axes.count(); ++axis) {
+    if (motion.moves[axis]) absl::StrAppend(&text, ",q_cmd_", motion.axes.name(axis));
   }
   for (size_t i = 0; i < motion.t.size(); ++i) {
     absl::StrAppendFormat(&text, "\n%.9g", motion.t[i]);
-    for (int axis = 0; axis < kArmAxes; ++axis) {
+    for (int axis = 0; axis < motion.axes.count(); ++axis) {
       if (motion.moves[axis]) absl::StrAppendFormat(&text, ",%.9g", motion.poses[i][axis]);
     }
   }

@@ -14,10 +14,11 @@ namespace robostress {
 
 // A motion that was designed or recorded: poses over time.
 struct Motion {
-  std::string source;                  // what it came from, for people and records
-  std::vector<double> t;               // [s], increasing, the first 0
-  std::vector<ArmVector> poses;        // as many: joints [rad], opening [m]
-  std::array<bool, kArmAxes> moves{};  // axes that it gives; the others stay where they are
+  std::string source;                   // what it came from, for people and records
+  std::vector<double> t;                // [s], increasing, the first 0
+  std::vector<ArmVector> poses;         // as many: joints [rad], opening [m]
+  std::array<bool, kMostAxes> moves{};  // axes that it gives; the others stay where they are
+  ArmAxes axes;                         // of the arm that it is for
   double duration_s() const { return t.empty() ? 0 : t.back(); }
 };
 
@@ -37,6 +38,7 @@ absl::Status CheckMotion(const Motion& motion, const ArmLimits& limits);
 // two ends. At `speed` below 1 no joint is faster than that share of the motion's own top speed:
 // what is slow keeps its pace, what is fast is slowed down, by 1 / speed at most.
 struct PlayedMotion {
+  ArmAxes axes;
   ArmPath path;
   size_t first_row = 0;  // of the motion itself
 };
@@ -47,10 +49,7 @@ PlayedMotion PlayMotion(const Motion& motion, double speed, const ArmVector& fro
 // [rad/s]: names it, when, and the speed at which it is not.
 absl::Status CheckSpeed(const PlayedMotion& played, double speed, double velocity, double period_s);
 
-// The motion as a table: t, q_cmd_J1 .. q_cmd_J6, q_cmd_gripper of the axes that it moves.
+// The motion as a table: t, q_cmd_J1 .., q_cmd_gripper of the axes that it moves.
 std::string MotionCsv(const Motion& motion);
-
-// "J1" .. "J6", "gripper".
-const char* AxisName(int axis);
 
 }  // namespace robostress

@@ -24,8 +24,9 @@ constexpr uint64_t kMostBytes = uint64_t{512} << 20;  // of a table: five hours 
 // The motion of some rows of a table, a joint's column being `joint` with its number.
 absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& joint,
                                     const std::string& gripper, const std::vector<size_t>& rows,
-                                    std::string source) {
+                                    const ArmAxes& axes, std::string source) {
   Motion motion;
+  motion.axes = axes;
   motion.source = std::move(source);
   RS_ASSIGN_OR_RETURN(const size_t time, table.Column("t"));
   for (const size_t row : rows) {
@@ -35,8 +36,8 @@ absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& jo
   const double origin = motion.t.empty() ? 0 : motion.t.front();
   for (double& t : motion.t) t -= origin;
   motion.poses.resize(rows.size());
-  for (int axis = 0; axis < kArmAxes; ++axis) {
-    const std::string name = axis < kArmJoints ? absl::StrCat(joint, axis + 1) : gripper;
+  for (int axis = 0; axis < axes.count(); ++axis) {
+    const std::string name = axis < axes.joints ? absl::StrCat(joint, axis + 1) : gripper;
     motion.moves[axis] = table.Has(name);
     if (!motion.moves[axis]) continue;
     RS_ASSIGN_OR_RETURN(const size_t column, table.Column(name));
@@ -47,7 +48,7 @@ absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& jo
   return motion;
 }
 
-absl::StatusOr<Motion> ReadTable(const std::string& path) {
+absl::StatusOr<Motion> ReadTable(const std::string& path, const ArmAxes& axes) {
   RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path, kMostBytes));
   std::vector<size_t> rows(table.rows());
   for (size_t i = 0; i < rows.size(); ++i) rows[i] = i;
@@ -58,24 +59,37 @@ absl::StatusOr<Motion> ReadTable(const std::string& path) {
   });
   const std::string joint = of_rig ? kOfRig : "q_cmd_J", gripper = "q_cmd_gripper";
   for (const std::string& name : names) {
-    bool known = name == "t" || name == gripper;
-    for (int j = 1; j <= kArmJoints; ++j) known = known || name == absl::StrCat(joint, j);
+    bool known = name == "t" || (axes.gripper && name == gripper);
+    for (int j = 1; j <= axes.joints; ++j) known = known || name == absl::StrCat(joint, j);
     if (!known)
-      return absl::InvalidArgumentError(absl::StrCat(
-          path, ": column '", name, "' is none of t, ", joint, "1 to ", joint, "6, ", gripper,
-          "; rename it or take it out, so that nothing is played that was meant "
-          "otherwise"));
+      return absl::InvalidArgumentError(
+          absl::StrCat(path, ": column '", name, "' is none of t, ", joint, "1 to ", joint,
+                       axes.joints, axes.gripper ? absl::StrCat(", ", gripper) : "",
+                       "; rename it or take it out, so that nothing is played that was meant "
+                       "otherwise"));
   }
-  return MotionOfRows(table, joint, gripper, rows, path);
+  return MotionOfRows(table, joint, gripper, rows, axes, path);
 }
 
 std::string Listed(const std::set<std::string>& episodes) {
   return absl::StrJoin(episodes, ", ").substr(0, 200);
 }
 
-absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> episode) {
+// What was sent to one arm is not played on another.
+absl::Status CheckSent(const CsvTable& table, const std::string& path, const ArmAxes& axes) {
+  ArmAxes sent{0, table.Has("sent_gripper")};
+  while (table.Has(absl::StrCat("sent_J", sent.joints + 1))) ++sent.joints;
+  if (sent.joints == axes.joints && sent.gripper == axes.gripper) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(path, ": is of an arm of ", sent.text(),
+                                                 ", this one has ", axes.text(),
+                                                 "; replay it on the arm that it was recorded of"));
+}
+
+absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> episode,
+                               const ArmAxes& axes) {
   const std::string path = folder + "/ticks.csv";
   RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path, kMostBytes));
+  RS_RETURN_IF_ERROR(CheckSent(table, path, axes));
   RS_ASSIGN_OR_RETURN(const size_t state, table.Column("state"));
   RS_ASSIGN_OR_RETURN(const size_t number, table.Column("episode"));
   std::set<std::string> episodes;
@@ -93,7 +107,7 @@ absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> epi
     if (longest.empty())
       return absl::InvalidArgumentError(
           absl::StrCat(path, ": the arm was never moved in this run"));
-    return MotionOfRows(table, "sent_J", "sent_gripper", longest, path);
+    return MotionOfRows(table, "sent_J", "sent_gripper", longest, axes, path);
   }
   if (!episode && episodes.size() > 1)
     return absl::InvalidArgumentError(
@@ -108,35 +122,39 @@ absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> epi
     const absl::string_view name = table.Text(row, state);
     if (table.Text(row, number) == wanted && (name == "RUN" || name == "HOLD")) rows.push_back(row);
   }
-  return MotionOfRows(table, "sent_J", "sent_gripper", rows,
+  return MotionOfRows(table, "sent_J", "sent_gripper", rows, axes,
                       absl::StrCat(path, " episode ", wanted));
 }
 
-absl::StatusOr<Motion> ReadDataset(const std::string& folder, std::optional<int> episode) {
-  RS_ASSIGN_OR_RETURN(const LerobotReader set, LerobotReader::Open(folder));
+absl::StatusOr<Motion> ReadDataset(const std::string& folder, std::optional<int> episode,
+                                   const ArmAxes& axes) {
+  RS_ASSIGN_OR_RETURN(const LerobotReader set, LerobotReader::Open(folder, axes));
   if (!episode && set.episodes() != 1)
     return absl::InvalidArgumentError(absl::StrCat(
         folder, ": holds episodes 0 to ", set.episodes() - 1, "; say which with --episode N"));
   RS_ASSIGN_OR_RETURN(std::vector<ArmVector> actions, set.ReadActions(episode.value_or(0)));
   Motion motion;
+  motion.axes = axes;
   motion.source = absl::StrCat(folder, " episode ", episode.value_or(0));
   for (size_t i = 0; i < actions.size(); ++i)
     motion.t.push_back(static_cast<double>(i) / set.rate_hz());
   motion.poses = std::move(actions);
-  motion.moves.fill(true);
+  std::fill_n(motion.moves.begin(), axes.count(), true);
   return motion;
 }
 
 }  // namespace
 
-absl::StatusOr<Motion> ReadMotion(const std::string& path, std::optional<int> episode) {
+absl::StatusOr<Motion> ReadMotion(const std::string& path, std::optional<int> episode,
+                                  const ArmAxes& axes) {
   std::error_code ignored;
   if (!fs::exists(path, ignored)) return absl::NotFoundError(absl::StrCat(path, ": is not there"));
   if (fs::is_directory(path, ignored)) {
     for (const std::string& folder : {path, path + "/lerobot"}) {
-      if (fs::exists(folder + "/meta/info.json", ignored)) return ReadDataset(folder, episode);
+      if (fs::exists(folder + "/meta/info.json", ignored))
+        return ReadDataset(folder, episode, axes);
     }
-    if (fs::exists(path + "/ticks.csv", ignored)) return ReadRun(path, episode);
+    if (fs::exists(path + "/ticks.csv", ignored)) return ReadRun(path, episode, axes);
     return absl::InvalidArgumentError(absl::StrCat(
         path, ": is neither a run (ticks.csv) nor a data set (meta/info.json, or lerobot/ in it)"));
   }
@@ -146,7 +164,7 @@ absl::StatusOr<Motion> ReadMotion(const std::string& path, std::optional<int> ep
   if (fs::path(path).extension() != ".csv")
     return absl::InvalidArgumentError(
         absl::StrCat(path, ": a motion is a .csv, a run's folder or a data set's folder"));
-  return ReadTable(path);
+  return ReadTable(path, axes);
 }
 
 }  // namespace robostress

@@ -306,7 +306,7 @@ absl::Status PiperArm::Disable() {
 
 absl::Status PiperArm::Send(const ArmCommand& command) {
   if (!connected_ || stopped_) return absl::FailedPreconditionError("");
-  for (int axis = 0; axis < kArmAxes; ++axis) {
+  for (int axis = 0; axis < kAxes; ++axis) {
     // Written so that a NaN is refused.
     if (!(command.position[axis] >= limits_.lower[axis] &&
           command.position[axis] <= limits_.upper[axis]))

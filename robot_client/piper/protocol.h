@@ -16,6 +16,7 @@
 namespace robostress::piper {
 
 inline constexpr int kJoints = 6;
+inline constexpr int kAxes = kJoints + 1;  // the gripper is the last
 using JointVector = std::array<double, kJoints>;
 
 // Identifiers. Of a family, the first; joint or pair i has first + i.

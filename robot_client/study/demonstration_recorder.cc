@@ -59,7 +59,7 @@ std::array<float, 8> AuxOf(const ExpertDecision& decision) {
 }
 
 void Append(const ArmVector& values, std::vector<float>& to) {
-  for (const double value : values) to.push_back(static_cast<float>(value));
+  for (int axis = 0; axis < kAxes; ++axis) to.push_back(static_cast<float>(values[axis]));
 }
 
 }  // namespace
@@ -90,7 +90,7 @@ absl::Status DemonstrationRecorder::GoHome() {
   RS_ASSIGN_OR_RETURN(ArmVector home, TableExpert::Home());
   RandomStream random(
       StreamKey("piper start").With(bench_options_.arm).With(bench_options_.task).With(attempts_));
-  for (int j = 0; j < kArmJoints; ++j) home[j] += random.Uniform(-kStartSpread, kStartSpread);
+  for (int j = 0; j < kJoints; ++j) home[j] += random.Uniform(-kStartSpread, kStartSpread);
   constexpr int kMost = 30 * 8;
   for (int tick = 0; tick < kMost; ++tick) {
     RS_RETURN_IF_ERROR(Tick(home));
@@ -168,8 +168,8 @@ absl::Status DemonstrationRecorder::Record(const std::string& path) {
   writer.SetMetadata("expert", absl::StrCat(successes_, "/", attempts_));
   writer.Add("images", DType::kU8, {n, 2, size, size, 3}, frames.images.data(),
              frames.images.size());
-  writer.AddFloats("state", {n, kArmAxes}, frames.state);
-  writer.AddFloats("actions", {n, kHorizon, kArmAxes}, frames.actions);
+  writer.AddFloats("state", {n, kAxes}, frames.state);
+  writer.AddFloats("actions", {n, kHorizon, kAxes}, frames.actions);
   writer.AddFloats("aux", {n, 8}, frames.aux);
   writer.AddInts("episode", {n}, frames.episode);
   return writer.Write(path);

@@ -72,7 +72,7 @@ absl::StatusOr<EmulatorOptions> Resolve(const CommandLine& line) {
     if (line.start_deg.empty()) {
       RS_ASSIGN_OR_RETURN(const ArmVector home, TableExpert::Home());
       std::copy_n(home.begin(), kJoints, options.start.begin());
-      options.opening = home[kArmJoints];
+      options.opening = home[kJoints];
     }
   } else if (!line.views.empty()) {
     options.scene.assets_xml += kViewAssets;

@@ -92,8 +92,8 @@ class PiperPlayer::Table {
                             client, &bench_->arm(), &bench_->time(), bench_->cameras(),
                             [this, period_s]() -> absl::StatusOr<std::unique_ptr<PolicyEndpoint>> {
                               return std::make_unique<HomingEndpoint>(
-                                  std::make_unique<LentEndpoint>(policy_.get(), &sequence_), home_,
-                                  period_s);
+                                  std::make_unique<LentEndpoint>(policy_.get(), &sequence_),
+                                  ArmAxes(), home_, period_s);
                             }));
     counted_ = {};
     return client_->Enable();
@@ -104,7 +104,7 @@ class PiperPlayer::Table {
       RS_ASSIGN_OR_RETURN(const SimulatedEpisode way,
                           client_->RunEpisode({suite_.task, kHomingEpisode}, kHomingMost_s,
                                               [this](const TickRecord& record) {
-                                                return IsHome(record.position, home_);
+                                                return IsHome(record.axes, record.position, home_);
                                               }));
       counted_ = way.link.feedback;
       if (way.ended_by_caller && client_->loop().state() == ClientState::kEnabled)

@@ -15,7 +15,7 @@ absl::StatusOr<std::unique_ptr<StudyBench>> StudyBench::Create(const StudyBenchO
   emulated.scene = MakeTableScene(kObjectVariants.at(static_cast<size_t>(options.variant)));
   RS_ASSIGN_OR_RETURN(const ArmVector home, TableExpert::Home());
   std::copy_n(home.begin(), kJoints, emulated.start.begin());
-  emulated.opening = home[kArmJoints];
+  emulated.opening = home[kJoints];
   RS_ASSIGN_OR_RETURN(bench->emulator_,
                       PiperEmulator::Create(emulated, bench->bus_.Attach(), bench->time_));
   bench->time_.Add(bench->emulator_.get());

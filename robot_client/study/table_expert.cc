@@ -50,12 +50,12 @@ absl::StatusOr<ArmVector> TableExpert::Home() {
   RS_ASSIGN_OR_RETURN(const JointVector joints, JointsOf(kHomeTips, kBent));
   ArmVector home{};
   std::copy(joints.begin(), joints.end(), home.begin());
-  home[kArmJoints] = kOpen;
+  home[kJoints] = kOpen;
   return home;
 }
 
 void TableExpert::Start(const ArmVector& joints) {
-  std::copy_n(joints.begin(), kArmJoints, joints_.begin());
+  std::copy_n(joints.begin(), kJoints, joints_.begin());
   const Eigen::Isometry3d T = ToolPose(joints_, Zero::kSince_1_6_3);
   tips_ = T * Vector3d(0, 0, kTips);
   velocity_.setZero();
@@ -148,7 +148,7 @@ absl::StatusOr<ExpertDecision> TableExpert::Next(double dt) {
   tips_ += velocity_ * dt;
   RS_ASSIGN_OR_RETURN(joints_, JointsOf(tips_, joints_));
   std::copy(joints_.begin(), joints_.end(), decision.target.begin());
-  decision.target[kArmJoints] = goal.opening;
+  decision.target[kJoints] = goal.opening;
   return decision;
 }
 

@@ -27,19 +27,19 @@ JogTarget::Vector6 JogTarget::JointVelocity(const JogInput& input) const {
     wanted[3 + i] = kTurnLength * options_.turn_velocity * input.tool[3 + i];
   }
   if (wanted.isZero()) return Vector6::Zero();
-  Eigen::Matrix<double, 6, kArmJoints> J = jacobian_(target_);
+  Eigen::Matrix<double, 6, piper::kJoints> J = jacobian_(target_);
   J.bottomRows<3>() *= kTurnLength;
   Vector6 dq = Vector6::Zero();
-  for (int round = 0; round < kArmJoints; ++round) {
-    const Eigen::JacobiSVD<Eigen::Matrix<double, 6, kArmJoints>> svd(
+  for (int round = 0; round < piper::kJoints; ++round) {
+    const Eigen::JacobiSVD<Eigen::Matrix<double, 6, piper::kJoints>> svd(
         J, Eigen::ComputeFullU | Eigen::ComputeFullV);
     dq.setZero();
-    for (int i = 0; i < kArmJoints; ++i) {
+    for (int i = 0; i < piper::kJoints; ++i) {
       dq +=
           Damped(svd.singularValues()[i]) * svd.matrixU().col(i).dot(wanted) * svd.matrixV().col(i);
     }
     int blocked = -1;
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < piper::kJoints; ++j) {
       const double next = target_[j] + dq[j] * options_.period_s;
       const bool out = (dq[j] < 0 && next < limits_.lower[j] + options_.joint_margin) ||
                        (dq[j] > 0 && next > limits_.upper[j] - options_.joint_margin);
@@ -59,17 +59,17 @@ LiveRow JogTarget::Next(int64_t now_ns, const ArmVector& command) {
   if (!input.gone && age <= options_.dead_man_s) {
     Vector6 dq = Vector6::Zero();
     if (input.by_joint) {
-      dq[std::clamp(input.joint, 0, kArmJoints - 1)] = options_.joint_velocity * input.tool[0];
+      dq[std::clamp(input.joint, 0, piper::kJoints - 1)] = options_.joint_velocity * input.tool[0];
     } else {
       dq = JointVelocity(input);
     }
-    for (int j = 0; j < kArmJoints; ++j) target_[j] += dq[j] * options_.period_s;
-    target_[kArmJoints] += options_.gripper_velocity * input.gripper * options_.period_s;
+    for (int j = 0; j < piper::kJoints; ++j) target_[j] += dq[j] * options_.period_s;
+    target_[piper::kJoints] += options_.gripper_velocity * input.gripper * options_.period_s;
   }
   // Where the command is kept back, by the workspace for one, the target waits for it.
-  for (int i = 0; i < kArmAxes; ++i) {
-    const double margin = i < kArmJoints ? options_.joint_margin : 0;
-    const double lead = i < kArmJoints ? kLead : 0.02;
+  for (int i = 0; i < piper::kAxes; ++i) {
+    const double margin = i < piper::kJoints ? options_.joint_margin : 0;
+    const double lead = i < piper::kJoints ? kLead : 0.02;
     const double lower = std::min(limits_.lower[i] + margin, command[i]);
     const double upper = std::max(limits_.upper[i] - margin, command[i]);
     target_[i] = std::clamp(target_[i], std::max(lower, command[i] - lead),

@@ -4,6 +4,7 @@
 #include <functional>
 
 #include "robot_client/control/live_target.h"
+#include "robot_client/piper/protocol.h"
 #include "robot_client/snapshot_cell.h"
 
 namespace robostress {
@@ -30,7 +31,7 @@ struct JogOptions {
 };
 
 // (v, w) = J dq of the tool at joints q, base frame [m/s, rad/s]. Allocates nothing.
-using ToolJacobianOf = std::function<Eigen::Matrix<double, 6, kArmJoints>(const ArmVector&)>;
+using ToolJacobianOf = std::function<Eigen::Matrix<double, 6, piper::kJoints>(const ArmVector&)>;
 
 // Targets of a person who jogs: the tool moves along and about the base frame's axes, or a joint
 // moves alone, while a key or the dead man's button is held.
@@ -53,7 +54,7 @@ class JogTarget : public LiveTarget {
   LiveRow Next(int64_t now_ns, const ArmVector& command) override;
 
  private:
-  using Vector6 = Eigen::Matrix<double, kArmJoints, 1>;
+  using Vector6 = Eigen::Matrix<double, piper::kJoints, 1>;
   Vector6 JointVelocity(const JogInput& input) const;
 
   const SnapshotCell<JogInput>* const input_;

@@ -51,7 +51,7 @@ void LeaderArm::Poll() {
   StampedFrame received;
   for (int i = 0; i < kFramesPerPoll && bus_->Receive(received); ++i) {
     if (const auto gripper = piper::DecodeGripperTarget(received.frame)) {
-      sample_.position[kArmJoints] = gripper->opening;
+      sample_.position[piper::kJoints] = gripper->opening;
     } else if (const auto pair = piper::DecodeJointTargets(received.frame)) {
       const auto whole = assembler_.Add(*pair, received.stamp_ns);
       if (!whole) continue;

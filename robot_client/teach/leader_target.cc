@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "robot_client/piper/protocol.h"
+
 namespace robostress {
 
 void LeaderTarget::Begin(const ArmVector& command) {
@@ -20,12 +22,12 @@ bool LeaderTarget::Silent(int64_t now_ns) const {
 LiveRow LeaderTarget::Next(int64_t, const ArmVector& command) {
   LiveRow row;
   row.wanted = leader_->Load().position;
-  ArmVector goal;
-  for (int i = 0; i < kArmAxes; ++i)
+  ArmVector goal{};
+  for (int i = 0; i < piper::kAxes; ++i)
     goal[i] = std::clamp(row.wanted[i], limits_.lower[i], limits_.upper[i]);
   const auto farthest = [&](const ArmVector& from) {
     double gap = 0;
-    for (int j = 0; j < kArmJoints; ++j) gap = std::max(gap, std::abs(goal[j] - from[j]));
+    for (int j = 0; j < piper::kJoints; ++j) gap = std::max(gap, std::abs(goal[j] - from[j]));
     return gap;
   };
   if (joined_ && farthest(command) > options_.lost) Begin(command);
@@ -35,10 +37,11 @@ LiveRow LeaderTarget::Next(int64_t, const ArmVector& command) {
     speed_ = std::min({speed_ + options_.acceleration * options_.period_s, options_.joint_velocity,
                        std::sqrt(2 * options_.acceleration * gap)});
     const double share = std::min(1.0, speed_ * options_.period_s / std::max(gap, 1e-9));
-    const double gripper_gap = std::abs(goal[kArmJoints] - at_[kArmJoints]);
+    const double gripper_gap = std::abs(goal[piper::kJoints] - at_[piper::kJoints]);
     joined_ = gap <= options_.joined && gripper_gap <= opening;
-    for (int j = 0; j < kArmJoints; ++j) at_[j] += share * (goal[j] - at_[j]);
-    at_[kArmJoints] += std::clamp(goal[kArmJoints] - at_[kArmJoints], -opening, opening);
+    for (int j = 0; j < piper::kJoints; ++j) at_[j] += share * (goal[j] - at_[j]);
+    at_[piper::kJoints] +=
+        std::clamp(goal[piper::kJoints] - at_[piper::kJoints], -opening, opening);
   }
   if (joined_) at_ = goal;
   row.target = at_;

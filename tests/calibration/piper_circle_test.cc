@@ -141,7 +141,7 @@ TEST_F(PiperCircleTest, FindsHowAHealthyArmAnswersTargets) {
   const auto config = LoadConfig<ClientConfig>(root + "/identified/response.yaml");
   ASSERT_TRUE(config.ok()) << config.status();
   const DisturbanceObserverOptions& observer = config->control.disturbance_observer;
-  ASSERT_TRUE(CheckControlOptions(config->control).ok());
+  ASSERT_TRUE(CheckControlOptions(config->control, 6).ok());
   EXPECT_TRUE(config->control.observer && observer.anti_windup);
   EXPECT_EQ(observer.bandwidth, 0.5) << "slower than the arm's own servos";
   // Another motion, in open loop: where the arm is, and where the response says.
@@ -264,7 +264,7 @@ TEST_F(PiperCircleTest, SaysWhatARunLacks) {
   ASSERT_TRUE(WriteFileAtomically(root + "/ticks.csv", "t,state,episode\n0,RUN,0\n9,RUN,0\n").ok());
   EXPECT_THAT(refusal(), AllOf(HasSubstr("samples.csv"), HasSubstr("older")));
   ASSERT_TRUE(WriteFileAtomically(root + "/samples.csv", "t,sequence,q_J1\n0,1,0.5\n").ok());
-  EXPECT_THAT(refusal(), HasSubstr("no column 'q_J2'"));
+  EXPECT_THAT(refusal(), HasSubstr("no column 'dq_J1'"));
   ASSERT_TRUE(WriteFileAtomically(root + "/samples.csv", "t,sequence,q_J1\n0,x,0.5\n").ok());
   EXPECT_THAT(refusal(), AllOf(HasSubstr("samples.csv:2"), HasSubstr("sequence is 'x'")));
   EXPECT_FALSE(fs::exists(root + "/rig/rig.yaml"));

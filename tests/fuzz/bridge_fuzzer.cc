@@ -17,7 +17,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
     if (DecodeHeader(data + at, size - at, header) != Decoded::kFrame) break;
     const uint8_t* payload = data + at + kHeaderBytes;
     FuzzCheck(at + kHeaderBytes + header.size <= size, "a frame beyond its bytes");
-    for (int axes = 1; axes <= kArmAxes; ++axes) {
+    for (int axes = 1; axes <= kMostAxes; ++axes) {
       StateFrame state;
       std::array<uint8_t, kMostFrame> again{};
       if (header.kind != FrameKind::kState ||
@@ -49,12 +49,14 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
     CheckRefusal(robot.status(), "arm.yaml");
     return 0;
   }
-  FuzzCheck(robot->axes.count() >= 1 && robot->axes.count() <= kArmAxes, "too many axes");
-  for (int i = 0; i < robot->axes.count(); ++i) {
+  FuzzCheck(robot->limits.axes.count() >= 1 && robot->limits.axes.count() <= kMostAxes,
+            "too many axes");
+  for (int i = 0; i < robot->limits.axes.count(); ++i) {
     const double there = robot->conversions[i].Ours(1);
     FuzzCheck(std::isfinite(there) && std::isfinite(robot->conversions[i].Drivers(there)),
               "a unit that is no number");
-    FuzzCheck(robot->limits.lower[robot->axes.slot(i)] < robot->limits.upper[robot->axes.slot(i)],
+    FuzzCheck(robot->limits.lower[robot->limits.axes.slot(i)] <
+                  robot->limits.upper[robot->limits.axes.slot(i)],
               "an axis without room");
   }
   return 0;

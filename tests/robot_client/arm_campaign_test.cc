@@ -82,7 +82,7 @@ class Judge {
     if (silent_state && last_state_ == record.state && (targets > 0 || sent))
       Violate("a command in IDLE or FAULT");
     if (record.state == ClientState::kFault && last_state_ != record.state && sent) {
-      for (int j = 0; j < kArmJoints; ++j) {
+      for (int j = 0; j < piper::kJoints; ++j) {
         if (std::abs(record.sent[j] - record.position[j]) > 0.13)
           Violate("the last command of a fault is not where the arm stands");
       }
@@ -92,7 +92,7 @@ class Judge {
                          (record.flags & kTickRelaxed) != 0;
     if (lets_go) {
       Reset();
-      for (int j = 0; j < kArmJoints; ++j) {
+      for (int j = 0; j < piper::kJoints; ++j) {
         if (std::abs(record.sent[j] - record.position[j]) > 0.13)
           Violate("a command that lets go is not where the arm stands");
       }
@@ -122,7 +122,7 @@ class Judge {
   // The first command of an enable: where the arm is, or the nearest place that it may be.
   void First(const TickRecord& record) {
     const piper::JointVector truth = world_.emulator->plant().link_angles();
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < piper::kJoints; ++j) {
       if (std::abs(record.sent[j] - truth[j]) > 0.13)
         Violate(absl::StrCat("enabled J", j + 1, " off its place"));
     }
@@ -130,7 +130,7 @@ class Judge {
   void Motion(const TickRecord& record) {
     constexpr double kV = 0.002, kA = 0.1, kJ = 6;  // of the wire's 0.001 degrees
     const LimiterOptions& limits = options_.limits;
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < piper::kJoints; ++j) {
       const double q = piper::RoundToWire(record.sent[j]);
       const double v = (q - q_[j]) / kPeriod, a = (v - v_[j]) / kPeriod,
                    jerk = (a - a_[j]) / kPeriod;
@@ -165,13 +165,13 @@ class Judge {
   void Torque(const TickRecord& record) {
     const auto& reading = world_.emulator->plant().reading();
     ArmVector q{}, dq{};
-    std::copy_n(reading.q.begin(), kArmJoints, q.begin());
-    std::copy_n(reading.dq.begin(), kArmJoints, dq.begin());
-    q[kArmJoints] = reading.opening;
+    std::copy_n(reading.q.begin(), piper::kJoints, q.begin());
+    std::copy_n(reading.dq.begin(), piper::kJoints, dq.begin());
+    q[piper::kJoints] = reading.opening;
     const ArmVector needed = world_.model->Torque(q, dq, {}, 0);
     bool presses = false;
     const ArmLimits limits = world_.arm->limits();
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < piper::kJoints; ++j) {
       // Pushed beyond its limit, where no command may lead, a joint can only be led back.
       const bool beyond = q[j] < limits.lower[j] || q[j] > limits.upper[j];
       presses = presses ||
@@ -191,7 +191,7 @@ class Judge {
     const piper::JointVector truth = world_.emulator->plant().link_angles();
     if (stood_ticks_ == 45) stood_at_ = truth;
     if (stood_ticks_ <= 45) return;
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < piper::kJoints; ++j) {
       if (std::abs(truth[j] - stood_at_[j]) > 0.12)
         Violate(absl::StrCat("J", j + 1, " moves though nobody asked"));
     }
@@ -255,7 +255,7 @@ Outcome RunEpisode(int number) {
     ArmVector target = request.position;
     const double t = (10 * request.chunk + row + 1) * kPeriod;
     const double ahead = (row + 1) * kPeriod;
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < piper::kJoints; ++j) {
       switch (kind) {
         case Policy::kIntoTable:
           target[j] += (j == 1 ? 0.6 : j == 2 ? 0.25 : 0) * ahead;
@@ -275,7 +275,7 @@ Outcome RunEpisode(int number) {
       }
     }
     if (kind == Policy::kNonsense && request.chunk == strange_chunk)
-      target[row % kArmAxes] = row % 2 == 0 ? std::nan("") : 1e300;
+      target[row % piper::kAxes] = row % 2 == 0 ? std::nan("") : 1e300;
     return target;
   };
   const auto serve = world.policy;
@@ -296,7 +296,7 @@ Outcome RunEpisode(int number) {
     if (random.UniformInt(1500) == 0) requests |= kRequestQuickStop;
     if (state == ClientState::kEnabled && random.UniformInt(30) == 0) {
       ArmVector to = world.loop->seen().position;
-      to[random.UniformInt(kArmJoints)] += random.Uniform(-0.4, 0.4);
+      to[random.UniformInt(piper::kJoints)] += random.Uniform(-0.4, 0.4);
       world.Move(to, random.UniformInt(2) == 0).IgnoreError();
     }
     const int64_t before = world.time.now_ns();

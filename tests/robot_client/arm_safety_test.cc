@@ -124,7 +124,7 @@ TEST(ArmSafety, AnArmThatMovesFreelyIsFarFromEveryGuard) {
       if (request.chunk == 0 && row == 0) first = request.position;
       ArmVector target = first;
       const double t = (10 * request.chunk + row + 1) / 30.0;
-      for (int j = 0; j < kArmJoints; ++j)
+      for (int j = 0; j < piper::kJoints; ++j)
         target[j] += (j == 1 || j == 2 ? 0.2 : 0.35) *
                      (1 - std::cos(2 * M_PI * (0.3 + 0.07 * j) * t)) * (j == 2 ? -1 : 0.5);
       return target;
@@ -138,7 +138,7 @@ TEST(ArmSafety, AnArmThatMovesFreelyIsFarFromEveryGuard) {
       const TickRecord r = world.Tick();
       ASSERT_EQ(r.state, ClientState::kRun)
           << profile << " " << CauseName(r.cause) << " tick " << i;
-      for (int j = 0; j < kArmJoints; ++j) {
+      for (int j = 0; j < piper::kJoints; ++j) {
         excess[j] = std::max(excess[j], std::abs(r.excess[j]));
         off = std::max(off, std::abs(r.sent[j] - r.position[j]));
       }
@@ -148,7 +148,7 @@ TEST(ArmSafety, AnArmThatMovesFreelyIsFarFromEveryGuard) {
                 profile, excess[0], excess[1], excess[2], excess[3], excess[4], excess[5],
                 1000 * delay, off);
     const PressOptions limits;
-    for (int j = 0; j < kArmJoints; ++j) EXPECT_LT(excess[j], 0.6 * limits.excess[j]) << j;
+    for (int j = 0; j < piper::kJoints; ++j) EXPECT_LT(excess[j], 0.6 * limits.excess[j]) << j;
     EXPECT_GT(delay, 0.03);
     EXPECT_LT(delay, 0.18);
   }

@@ -93,8 +93,8 @@ struct ArmWorld {
   }
   // Play a straight way to `to`.
   absl::Status Move(const ArmVector& to, bool checked = true) {
-    auto path =
-        std::make_unique<ArmPath>(StraightPath(loop->seen().position, to, PathLimits{}, kPeriod_s));
+    auto path = std::make_unique<ArmPath>(
+        StraightPath(loop->axes(), loop->seen().position, to, PathLimits{}, kPeriod_s));
     if (checked) {
       if (absl::Status crossed = CheckPath(*model, *path); !crossed.ok()) return crossed;
     }

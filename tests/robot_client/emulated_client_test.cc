@@ -21,7 +21,7 @@ class SwayPolicy : public PolicyEndpoint {
  public:
   SwayPolicy() {
     spec_.name = "sway";
-    spec_.state_dim = spec_.action_dim = kArmAxes;
+    spec_.state_dim = spec_.action_dim = piper::kAxes;
     spec_.horizon = 50;
   }
   const PolicySpec& spec() const override { return spec_; }
@@ -33,7 +33,7 @@ class SwayPolicy : public PolicyEndpoint {
     if (first_.size() == 0) first_ = observation.proprioception;
     PredictedChunk out;
     out.prediction_id = ++predictions_;
-    out.actions.resize(50, kArmAxes);
+    out.actions.resize(50, piper::kAxes);
     for (int i = 0; i < 50; ++i) {
       const double t = (10 * chunk + i + 1) / 30.0;
       out.actions.row(i) = first_.transpose();

@@ -25,7 +25,7 @@ class FakeArm : public RehearsalArm {
     } else {
       RehearsalArm::Poll();
     }
-    for (int j = 0; j < kArmJoints && drift != 0; ++j) {  // carried by hand
+    for (int j = 0; j < options_.limits.axes.joints && drift != 0; ++j) {  // carried by hand
       sample_.position[j] += drift / 30;
       sample_.velocity[j] = drift;
     }
@@ -38,7 +38,7 @@ class FakeArm : public RehearsalArm {
       sample_.velocity.fill(0);
     }
     if (!blocked) blocked_at_ = sample_.position;
-    for (int j = 0; j < kArmJoints; ++j) sample_.position[j] += bias;
+    for (int j = 0; j < options_.limits.axes.joints; ++j) sample_.position[j] += bias;
     if (bias != 0) bias = 0;
   }
   void Acknowledge() override { ++acknowledged; }

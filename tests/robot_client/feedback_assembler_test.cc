@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "adapter/pseudo_target.h"
+#include "adapter/residual.h"
 #include "robot_client/joint_residual.h"
 
 namespace robostress {
@@ -70,6 +73,35 @@ TEST(FeedbackAssemblerTest, ReportsTheRowsThatWerePlayedWithTheStateOneStepLater
   const Eigen::MatrixXf target = PseudoTarget(chunks[1], eta);
   EXPECT_NEAR(target(3, 2), 0.15 + 0.01, 1e-6);
   EXPECT_FLOAT_EQ(target(3, 6), 0.03f) << "the gripper's own target stays";
+}
+
+TEST(FeedbackAssemblerTest, SevenJointsAndAGripperAreReported) {
+  FeedbackAssembler assembler({}, kPeriod, {}, {7, true});
+  std::vector<TickRecord> records = TwoChunks();
+  for (TickRecord& r : records) {
+    r.policy[6] = r.requested[6] = r.blended[6] = r.corrected[6] = r.sent[6] = 0.5;
+    r.policy[7] = r.requested[7] = r.blended[7] = r.corrected[7] = r.sent[7] = 0.03;
+    r.position[6] = 0.4;
+    r.position[7] = 0.01;
+  }
+  records[13].sent[6] -= 0.02;  // limiter
+  records[14].sent[7] -= 0.02;  // of the gripper: no residual
+  const std::vector<ExecutedChunk> chunks = AddAll(assembler, records);
+  ASSERT_EQ(chunks.size(), 2u);
+  EXPECT_EQ(chunks[0].steps[0].before.q.size(), 7);
+  EXPECT_EQ(chunks[0].steps[0].policy_command.size(), 8);
+  EXPECT_EQ(chunks[0].steps[0].before.gripper, 0.01);
+  ASSERT_TRUE(ValidateExecutedChunk(chunks[0], 8, ResidualSpace::kJoint).ok());
+  const Eigen::MatrixXd eta = ChunkResidual(chunks[0], {.space = ResidualSpace::kJoint});
+  EXPECT_NEAR(eta(3, 6), -0.1, 1e-7);
+  EXPECT_EQ(eta(3, 7), 0) << "gripper excluded";
+  EXPECT_TRUE(chunks[1].IsMasked(1)) << "the limiter moved J7";
+  EXPECT_FALSE(chunks[1].IsMasked(2));
+  JointResidual residual;
+  residual.Add(chunks[0], {});
+  double displacement = 0;
+  for (int i = 0; i < 12; ++i) displacement += 6 * i * i * 1e-4 + 0.25;
+  EXPECT_NEAR(residual.value(), std::sqrt(12 * (6 * 1e-4 + 0.01) / displacement), 1e-6);
 }
 
 TEST(FeedbackAssemblerTest, ReportsTheWholeChunkAndMasksStepsThatFadeOrLimiterMoved) {

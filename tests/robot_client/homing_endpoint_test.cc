@@ -18,7 +18,7 @@ class Listener : public PolicyEndpoint {
     absl::Status answer;
   };
   explicit Listener(Heard* heard) : heard_(heard) {
-    spec_.state_dim = spec_.action_dim = kArmAxes;
+    spec_.state_dim = spec_.action_dim = ArmAxes().count();
     spec_.horizon = 50;
   }
   const PolicySpec& spec() const override { return spec_; }
@@ -50,16 +50,16 @@ ExecutedChunk Chunk(int episode, uint64_t sequence) {
 
 TEST(HomingEndpoint, LeadsStraightHomeNoFasterThanItsSpeed) {
   Listener::Heard heard;
-  HomingEndpoint endpoint(std::make_unique<Listener>(&heard), kHome, kPeriod);
+  HomingEndpoint endpoint(std::make_unique<Listener>(&heard), ArmAxes(), kHome, kPeriod);
   ASSERT_TRUE(endpoint.StartEpisode({0, kHomingEpisode}).ok());
   Observation observation;
-  observation.proprioception = Eigen::VectorXf::Zero(kArmAxes);
+  observation.proprioception = Eigen::VectorXf::Zero(ArmAxes().count());
   const auto way = endpoint.Predict(observation, 0);
   ASSERT_TRUE(way.ok()) << way.status();
   ASSERT_EQ(way->actions.rows(), 50);
   Eigen::VectorXf before = observation.proprioception;
   for (int row = 0; row < 50; ++row) {
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < ArmAxes().joints; ++j) {
       EXPECT_LE(std::abs(way->actions(row, j) - before[j]),
                 HomingEndpoint::kJointSpeed * kPeriod + 1e-5)
           << "row " << row << " joint " << j;
@@ -67,23 +67,23 @@ TEST(HomingEndpoint, LeadsStraightHomeNoFasterThanItsSpeed) {
       EXPECT_NEAR(way->actions(row, j) / kHome[1],
                   way->actions(row, 1) * kHome[j] / kHome[1] / kHome[1], 1e-5);
     }
-    EXPECT_FLOAT_EQ(way->actions(row, kArmJoints), 0.07f) << "the gripper opens at once";
+    EXPECT_FLOAT_EQ(way->actions(row, ArmAxes().joints), 0.07f) << "the gripper opens at once";
     before = way->actions.row(row).transpose();
   }
   observation.proprioception = before;
   for (int i = 0; i < 3; ++i)
     observation.proprioception = endpoint.Predict(observation, i)->actions.row(49).transpose();
   ArmVector end{};
-  for (int i = 0; i < kArmAxes; ++i) end[i] = observation.proprioception[i];
-  EXPECT_TRUE(IsHome(end, kHome));
-  EXPECT_FALSE(IsHome(ArmVector{}, kHome));
+  for (int i = 0; i < ArmAxes().count(); ++i) end[i] = observation.proprioception[i];
+  EXPECT_TRUE(IsHome(ArmAxes(), end, kHome));
+  EXPECT_FALSE(IsHome(ArmAxes(), ArmVector{}, kHome));
   EXPECT_EQ(heard.started, 0) << "the policy hears nothing of it";
   EXPECT_EQ(heard.predicted, 0);
 }
 
 TEST(HomingEndpoint, PassesThePolicysFeedbackOnWithoutGapsAndKeepsItsOwn) {
   Listener::Heard heard;
-  HomingEndpoint endpoint(std::make_unique<Listener>(&heard), kHome, kPeriod);
+  HomingEndpoint endpoint(std::make_unique<Listener>(&heard), ArmAxes(), kHome, kPeriod);
   EXPECT_TRUE(endpoint.SendFeedback(Chunk(kHomingEpisode, 1)).ok());
   EXPECT_TRUE(endpoint.SendFeedback(Chunk(0, 2)).ok());
   EXPECT_TRUE(endpoint.SendFeedback(Chunk(0, 3)).ok());

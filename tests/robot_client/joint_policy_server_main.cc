@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
   app.add_option("--predict-s", options.predict_s, "time of a prediction [s]");
   int axes = 7;
   app.add_option("--axes", axes, "numbers of a state and of an action")
-      ->check(robostress::cli::Range(1, 7));
+      ->check(robostress::cli::Range(1, 8));
   int cameras = 2;
   app.add_option("--cameras", cameras, "views it wants: base, wrist")
       ->check(robostress::cli::Range(0, 2));

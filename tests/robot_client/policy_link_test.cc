@@ -133,6 +133,23 @@ struct Bench {
   }
 };
 
+TEST(PolicyLinkTest, AnArmWithoutAGripperHasNoPolicy) {
+  Bench bench;
+  RehearsalArmOptions options;
+  options.limits.axes.gripper = false;
+  FakeArm arm(&bench.clock, options);
+  ASSERT_TRUE(arm.Connect().ok());
+  auto loop = ControlLoop::Create({}, &arm, &bench.clock, &bench.nothing);
+  ASSERT_TRUE(loop.ok()) << loop.status();
+  bench.seen.alter = [](PolicySpec& spec) { spec.state_dim = spec.action_dim = 6; };
+  PolicyLink link({}, loop->get(), &bench.clock, {&bench.camera}, [&bench] {
+    return absl::StatusOr<std::unique_ptr<PolicyEndpoint>>(
+        std::make_unique<FakeEndpoint>(&bench.seen));
+  });
+  EXPECT_THAT(std::string(link.Open().message()),
+              HasSubstr("6 joints, and the last of a policy's actions is a gripper's"));
+}
+
 TEST(PolicyLinkTest, SaysWhatToTypeForAPolicyThatDoesNotFit) {
   Bench bench;
   bench.seen.alter = [](PolicySpec& spec) { spec.cameras = {"agentview", "wrist"}; };

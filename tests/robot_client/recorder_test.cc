@@ -39,6 +39,53 @@ TickRecord Record(uint64_t tick, ClientState state) {
   return r;
 }
 
+TEST(RecorderTest, ATableHasTheColumnsOfItsArmsAxesAndNoOther) {
+  const std::string piper = Recorder::Header(ArmAxes());
+  EXPECT_THAT(piper,
+              HasSubstr(",sent_J1,sent_J2,sent_J3,sent_J4,sent_J5,sent_J6,sent_gripper,q_J1"));
+  EXPECT_EQ(std::count(piper.begin(), piper.end(), ','), 15 + 9 * 7 + 1);
+  for (const ArmAxes& axes : {ArmAxes{7, true}, ArmAxes{7, false}, ArmAxes{5, true}}) {
+    const std::string directory = Fresh("axes");
+    auto recorder = Recorder::Create(directory, axes);
+    ASSERT_TRUE(recorder.ok()) << recorder.status();
+    TickRecord record = Record(1, ClientState::kRun);
+    record.axes = axes;
+    record.position = {1, 2, 3, 4, 5, 6, 7, 8};
+    ArmSnapshot sample;
+    sample.position = record.position;
+    (*recorder)->ring().Push(record);
+    (*recorder)->samples().Push(sample);
+    ASSERT_TRUE((*recorder)->Finish().ok());
+    for (const char* table : {"/ticks.csv", "/samples.csv"}) {
+      const std::vector<std::string> lines =
+          absl::StrSplit(*ReadFile(directory + table), '\n', absl::SkipEmpty());
+      ASSERT_EQ(lines.size(), 2u);
+      const std::vector<std::string> names = absl::StrSplit(lines[0], ',');
+      const std::vector<std::string> fields = absl::StrSplit(lines[1], ',');
+      ASSERT_EQ(names.size(), fields.size()) << axes.text();
+      const auto first = std::find(names.begin(), names.end(), "q_J1") - names.begin();
+      for (int i = 0; i < axes.count(); ++i) {
+        EXPECT_EQ(names[static_cast<size_t>(first + i)], "q_" + axes.name(i));
+        EXPECT_EQ(fields[static_cast<size_t>(first + i)], std::to_string(i + 1));
+      }
+      EXPECT_EQ(names[static_cast<size_t>(first + axes.count())], "dq_J1");
+    }
+  }
+}
+
+TEST(RecorderTest, WhatIsSaidOfAPressNamesTheLastJointAndNeverTheGripper) {
+  TickRecord record = Record(1, ClientState::kHold);
+  record.axes = {7, true};
+  record.cause = StateCause::kBlocked;
+  record.position.fill(0.25);
+  record.position[6] = 0.05;
+  record.position[7] = -3;
+  EXPECT_THAT(CauseText(record), HasSubstr("J7 is 0.200 rad off"));
+  record.axes = {};
+  record.position[5] = 0.15;
+  EXPECT_THAT(CauseText(record), HasSubstr("J6 is 0.100 rad off")) << "the seventh is a gripper";
+}
+
 TEST(RecorderTest, WritesARowPerTickUnderAHeaderThatNamesEveryColumn) {
   const std::string directory = Fresh("rows");
   auto recorder = Recorder::Create(directory);

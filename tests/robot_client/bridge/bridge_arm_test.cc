@@ -32,8 +32,8 @@ TEST(BridgeArm, ConnectsAndSaysWhatTheDriverCannotDo) {
   EXPECT_GT(seen.sequence, 0u);
   EXPECT_FALSE(seen.enabled);
   EXPECT_NEAR(seen.position[1], 0.1, 1e-12);
-  EXPECT_NEAR(seen.position[kArmJoints], 0.04, 1e-12);
-  EXPECT_EQ(seen.position[5], 0) << "an axis that it has not";
+  EXPECT_NEAR(seen.position[5], 0.04, 1e-12);
+  EXPECT_EQ(seen.position[6], 0) << "an axis that it has not";
   const std::string warnings = absl::StrJoin(world.arm->Warnings(), "\n");
   EXPECT_THAT(warnings,
               AllOf(HasSubstr("J2 lift"), HasSubstr("silent for 0.25 s"), HasSubstr("says: hold"),
@@ -101,7 +101,7 @@ TEST(BridgeArm, EnablesWithoutMovingAndSendsInTheDriversUnits) {
   EXPECT_TRUE(world.arm->Latest().enabled);
   for (int i = 0; i < 6; ++i) EXPECT_NEAR(world.driver->position[i], before[i], 1e-9);
   ArmCommand command;
-  command.position = {0.5, -0.25, 0.1, 1.0, 0, 0, 0.02};
+  command.position = {0.5, -0.25, 0.1, 1.0, 0, 0.02};
   command.gripper_effort = 0.75;
   ASSERT_TRUE(world.arm->Send(command).ok());
   world.clock.SleepUntil(world.clock.now_ns() + 5'000'000);
@@ -246,9 +246,40 @@ TEST(BridgeArm, SaysGoodbye) {
   EXPECT_EQ(world.driver->enables, 0);
 }
 
+TEST(BridgeArm, SevenJointsTravelBothWays) {
+  BridgeWorld world(SevenJoints());
+  ASSERT_TRUE(world.Connected().ok());
+  EXPECT_THAT(world.driver->greeting,
+              HasSubstr(R"("axes":["j1","j2","j3","j4","j5","j6","j7","hand"])"));
+  EXPECT_NEAR(world.arm->Latest().position[6], 0.6, 1e-12);
+  EXPECT_NEAR(world.arm->Latest().position[7], 0.04, 1e-12);
+  ASSERT_TRUE(world.arm->Enable().ok());
+  ArmCommand command;
+  command.position = world.arm->Latest().position;
+  command.position[6] = -1.25;
+  command.position[7] = 0.06;
+  ASSERT_TRUE(world.arm->Send(command).ok());
+  world.clock.SleepUntil(world.clock.now_ns() + 5'000'000);
+  EXPECT_NEAR(world.driver->last.position[6], -1.25, 1e-12);
+  EXPECT_NEAR(world.driver->last.position[7], 0.03, 1e-12) << "of one finger";
+  command.position[6] = 2.1;
+  EXPECT_EQ(world.arm->Send(command).code(), absl::StatusCode::kInvalidArgument);
+  command.position[6] = 0;
+  command.position[7] = 0.09;
+  EXPECT_EQ(world.arm->Send(command).code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(BridgeArm, EnablesNoArmWhoseLastJointMoves) {
+  BridgeWorld world(SevenJoints());
+  ASSERT_TRUE(world.Connected().ok());
+  world.driver->target[6] = -2;
+  world.clock.SleepUntil(world.clock.now_ns() + 100'000'000);
+  EXPECT_THAT(Said(world.arm->Enable()), HasSubstr("J7 moves at -2.0"));
+}
+
 TEST(BridgeArm, AllocatesNothingInTheLoop) {
   if (!CountsAllocations()) GTEST_SKIP() << "a sanitizer owns malloc";
-  BridgeWorld world;
+  BridgeWorld world(SevenJoints());
   ASSERT_TRUE(world.Connected().ok());
   ASSERT_TRUE(world.arm->Enable().ok());
   ArmCommand command, refused;

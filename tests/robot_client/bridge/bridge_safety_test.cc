@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <functional>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -230,6 +231,46 @@ TEST(BridgeSafety, AFloodDelaysNoTick) {
   world.Ticks(30);
   EXPECT_NE(world.loop->state(), ClientState::kIdle);
   ExpectStands(world);
+}
+
+TEST(BridgeSafety, TheLastOfSevenJointsIsWatchedAsTheFirst) {
+  for (const auto& [name, act, state, cause] : std::vector<
+           std::tuple<const char*, std::function<void(BridgeWorld&)>, ClientState, StateCause>>{
+           {"J7 jumps",
+            [](BridgeWorld& w) {
+              w.driver->shifted = 6;
+              w.driver->shift = 0.5;
+            },
+            ClientState::kHold, StateCause::kArmSilent},
+           {"J7 is no number", [](BridgeWorld& w) { w.driver->nan = true; }, ClientState::kFault,
+            StateCause::kArmFault},
+           {"J7 is blocked", [](BridgeWorld& w) { w.driver->blocked = true; }, ClientState::kHold,
+            StateCause::kBlocked}}) {
+    BridgeWorld world(SevenJoints());
+    world.moved = 6;
+    const Ended ended = After(name, world, [&act = act, &world] { act(world); });
+    EXPECT_EQ(ended.state, state) << name;
+    EXPECT_EQ(ended.cause, cause) << name;
+  }
+  BridgeWorld world(SevenJoints());
+  world.moved = 6;
+  world.Open();
+  world.Run();
+  const double before = world.driver->position[6];
+  world.Ticks(30);
+  EXPECT_GT(world.driver->position[6], before + 0.1);
+  EXPECT_NEAR(world.driver->last.position[7], 0.02, 1e-9) << "the gripper stays";
+}
+
+TEST(BridgeSafety, AStopThatTheLastJointDoesNotObeyIsShown) {
+  BridgeWorld world(SevenJoints());
+  world.driver->lies = true;
+  After("says it stops", world, [&] { world.loop->Ask(kRequestQuickStop); });
+  for (int i = 0; i < 60; ++i) {
+    world.driver->target[6] = world.driver->position[6] + 0.02;
+    world.Tick();
+  }
+  EXPECT_EQ(world.arm->Latest().faults, kFaultNotStopped);
 }
 
 TEST(BridgeSafety, NoCommandIsBeyondTheRobotFilesLimits) {

@@ -4,13 +4,14 @@
     emulated_driver.py --socket PATH [--fault KIND[:AMOUNT][@SECONDS]] ... [driver's options]
 
 SECONDS count from the first enable. The servos are second order (natural frequency 25 rad/s,
-critically damped, 2 rad/s at most) and know degrees; the gripper knows 0 to 100. Kinds:
+critically damped, 2 rad/s at most). The five of --arm five know degrees, its gripper 0 to 100; the
+seven of --arm seven, a Franka's in name and place, know radians, a finger of its hand metres. Kinds:
 
     die        the process is killed               hang       it stands still for ever, its socket open
     stall:S    it stands still for S seconds       silent     it sends no states
     late:S     states are sent S seconds late      restamp    one old measurement with new stamps
     replay     it sends one old frame for ever     raises     its read raises
-    jump:DEG   every joint reads DEG more          nan        a position is no number
+    jump:N     every joint reads N more            nan        a position is no number
     count      a value too few in a state          garbage    bytes that are no frame
     version    frames of version 2                 flood      20 states where one is due
     unpowered  the joints say they have no power   collision  a fault bit
@@ -31,19 +32,26 @@ sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), "../
 
 import robostress_bridge as bridge
 
-JOINTS = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
+# By --arm: what it is, its joints, its gripper, where it stands, 2 rad/s in its own units.
+ARMS = {
+    "five": ("five servos", ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"], "gripper",
+             [0.0, -30.0, 40.0, 10.0, 0.0, 50.0], math.degrees(2.0)),
+    "seven": ("seven joints", [f"panda_joint{i}" for i in range(1, 8)], "panda_finger_joint1",
+              [0.1, -0.6, 0.0, -2.2, 0.0, 1.6, 0.7, 0.02], 2.0),
+}
 STEP_S = 0.001
-STIFFNESS, MOST_SPEED = 25.0, math.degrees(2.0)
+STIFFNESS = 25.0
 
 
 class ServoArm(bridge.Arm):
-    driver, robot, can_power_off, simulated = "emulated_driver", "five servos", True, True
+    driver, can_power_off, simulated = "emulated_driver", True, True
 
-    def __init__(self, faults):
-        self.axes = JOINTS + ["gripper"]
+    def __init__(self, kind, faults):
+        self.robot, joints, gripper, position, self.most_speed = ARMS[kind]
+        self.axes = [*joints, gripper]
         self.faults, self.enabled_at = faults, None
-        self.position = [0.0, -30.0, 40.0, 10.0, 0.0, 50.0]
-        self.speed = [0.0] * 6
+        self.position = list(position)
+        self.speed = [0.0] * len(self.axes)
         self.target = list(self.position)
         self.on = True
         self.moved = time.monotonic()
@@ -66,12 +74,12 @@ class ServoArm(bridge.Arm):
         while self.moved < now:
             self.moved += STEP_S
             if self.fault("blocked") is not None:
-                self.speed = [0.0] * 6
+                self.speed = [0.0] * len(self.axes)
                 continue
-            for i in range(6):
+            for i in range(len(self.axes)):
                 gap = self.target[i] - self.position[i]
                 pull = STIFFNESS**2 * gap - 2 * STIFFNESS * self.speed[i] if self.on else 0.0
-                self.speed[i] = max(-MOST_SPEED, min(MOST_SPEED, self.speed[i] + pull * STEP_S))
+                self.speed[i] = max(-self.most_speed, min(self.most_speed, self.speed[i] + pull * STEP_S))
                 self.position[i] += self.speed[i] * STEP_S
 
     def read(self):
@@ -172,12 +180,13 @@ def parse_fault(text):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     bridge.add_options(parser)
+    parser.add_argument("--arm", choices=ARMS, default="five")
     parser.add_argument("--fault", action="append", default=[], type=parse_fault)
     parser.add_argument("--cannot", action="append", default=[], help="a field of Arm that becomes false")
     parser.add_argument("--log", help="a file that gets a line per 10 ms: t, target and position of joint 2")
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    arm = ServoArm(options.fault)
+    arm = ServoArm(options.arm, options.fault)
     arm.stop_is_more = True
     for name in options.cannot:
         assert hasattr(arm, name), name

@@ -7,7 +7,7 @@ Each row is a run of robot_client against emulated_driver.py and joint_policy_se
 Markdown table: the state and its cause, the seconds from the mishap to that state, to the last change
 of the arm's target, and to the arm's rest (within 5 mrad of where it stays). Exit code 1 where a row
 is not what it should be. What the driver did is in OUT_DIR/NAME.log: t, target and position of joint
-2 [deg], flags. A row that a busy machine ended before its
+2 in its own unit, flags. A row that a busy machine ended before its
 mishap is played again, three times in all. --patient: the guards of silence wait longer.
 """
 
@@ -23,7 +23,7 @@ import sys
 import time
 
 HERE = os.path.dirname(os.path.abspath(__file__))
-REST = math.degrees(0.005)
+REST = 0.005  # [rad]
 TYPED = "stop_is_not_obeyed"  # a person is there: alone, the client ends in FAULT at once
 EVENT = re.compile(r'"monotonic_ns":(\d+)')
 
@@ -54,6 +54,12 @@ def rows():
     yield "client_killed", [], ("client", kill), "", ""
     yield "client_stopped", [], ("client", stop), "", ""
     yield "flood", ["--fault", "flood@1"], None, "", ""
+    seven = ["--arm", "seven"]
+    yield "seven_joints_driver_killed", seven, ("driver", kill), "FAULT", "arm_fault"
+    yield "seven_joints_jump", [*seven, "--fault", "jump:0.5@2"], None, "HOLD", "arm_silent"
+    yield "seven_joints_blocked", [*seven, "--fault", "blocked@2"], None, "HOLD", "blocked"
+    yield "seven_joints_hold", seven, ("client", signal.SIGINT), "HOLD", "operator"
+    yield "seven_joints_client_killed", seven, ("client", kill), "", ""
 
 
 class Run:
@@ -64,20 +70,22 @@ class Run:
         self.socket = f"/tmp/bridge-{os.getpid()}"
         self.files = []
         log = self.out + ".log"
+        seven = "seven" in driver_options
+        robot = "seven_joints" if seven else "five_servos"
         self.driver = self.start("driver", [sys.executable, f"{HERE}/emulated_driver.py", "--socket",
                                             self.socket, "--log", log, *driver_options])
-        self.server = self.start("server", [f"{build}/test_bin/joint_policy_server", "--axes", "6"])
+        self.server = self.start("server", [f"{build}/test_bin/joint_policy_server", "--axes", "8" if seven else "6"])
         address = self.wait_for("server", r"joint_policy_server: (\S+)")
-        self.wait_for("driver", "five servos at")
+        self.wait_for("driver", " at /tmp/")
         self.client = self.start("client", [
             f"{build}/bin/robot_client", "--arm", f"bridge:unix:{self.socket}", "--robot",
-            f"{HERE}/five_servos.yaml", "--server", address, "--policy", "sway", "--instruction", "sway",
+            f"{HERE}/{robot}.yaml", "--server", address, "--policy", "sway", "--instruction", "sway",
             "--camera", "base=synthetic", "--camera", "wrist=synthetic", "--set",
             "episodes=1", "--set", "episode_s=6", "--set", "realtime.priority=0", "--set",
             "realtime.lock_memory=false", "--set", "control.watchdogs.server_hold_s=0.5", "--out", self.out,
             *(["--set", "control.watchdogs.arm_hold_s=0.15", "--set", "control.watchdogs.arm_fault_s=0.5"]
               if self.patient else []),
-            *([] if name == TYPED else ["--automatic"])])
+            *([] if name in (TYPED, "run") else ["--automatic"])])
         if name == TYPED:
             for order, answer in (("enable", "the arm has power"), ("start", "episode 0")):
                 self.type(order)
@@ -160,7 +168,8 @@ def record(out, name):
 def driver_log(out, name):
     with open(os.path.join(out, name + ".log")) as file:
         lines = [line.split() for line in file if line.endswith("\n")]
-    return [(float(t), float(target), float(at), int(flags)) for t, target, at, flags in lines]
+    unit = 1.0 if name.startswith("seven") else math.radians(1)
+    return [(float(t), unit * float(target), unit * float(at), int(flags)) for t, target, at, flags in lines]
 
 
 def judge(out, name, mishap, state, cause):
@@ -184,7 +193,7 @@ def judge(out, name, mishap, state, cause):
     moved = "not seen"
     if after:
         end_target, end_position = log[-1][1], log[-1][2]
-        changes = [t for t, target, _, _ in after if abs(target - end_target) > 0.02]
+        changes = [t for t, target, _, _ in after if abs(target - end_target) > math.radians(0.02)]
         moves = [t for t, _, at, _ in after if abs(at - end_position) > REST]
         moved = f"{max(0.0, (changes[-1] if changes else mishap) - mishap):.2f}"
         seen = f"{max(0.0, (moves[-1] if moves else mishap) - mishap):.2f}"
@@ -209,7 +218,7 @@ def client_fails(out, name, at):
     end = log[-1][2]
     rest = max([t for t, _, p, _ in log if abs(p - end) > REST and t >= at], default=at) - at
     line = f"| {name} | the driver holds | {held - at:.2f} | {held - at:.2f} | {rest:.2f} |"
-    most = 0.1 if name == "client_killed" else 0.4
+    most = 0.1 if "client_killed" in name else 0.4
     return line, None if held - at < most and rest < 1 else f"{name}: held after {held - at:.2f} s"
 
 
@@ -217,7 +226,7 @@ def row(build, out, name, options, act, state, cause):
     """Plays it; (line of the table, what is wrong or None)."""
     shutil.rmtree(os.path.join(out, name), ignore_errors=True)
     run, at, code = play(build, out, name, options, act)
-    if name.startswith("client_"):
+    if "client_" in name:
         return client_fails(out, name, at)
     fault = re.search(r"@([\d.]+)", " ".join(options))
     mishap = mishap_of(out, name, at, act, float(fault.group(1)) if fault else 0.0)

@@ -78,7 +78,7 @@ TEST(BridgeProtocol, WritesTheDocumentedBytes) {
 
 TEST(BridgeProtocol, FramesComeBackEqual) {
   std::array<uint8_t, kMostFrame> bytes{};
-  for (int axes = 1; axes <= kArmAxes; ++axes) {
+  for (int axes = 1; axes <= kMostAxes; ++axes) {
     const StateFrame state = SomeState(axes);
     const size_t size = EncodeState(state, 9, bytes);
     FrameHeader header;
@@ -142,7 +142,7 @@ TEST(BridgeProtocol, WhatIsTakenOfChangedFramesIsWhole) {
   int taken = 0;
   for (int round = 0; round < 100'000; ++round) {
     std::array<uint8_t, kMostFrame> bytes{};
-    const int axes = 1 + static_cast<int>(random() % kArmAxes);
+    const int axes = 1 + static_cast<int>(random() % kMostAxes);
     const bool states = random() % 2 == 0;
     const size_t size = states ? EncodeState(SomeState(axes), 5, bytes)
                                : EncodeCommand(SomeCommand(axes), 5, bytes);
@@ -156,7 +156,7 @@ TEST(BridgeProtocol, WhatIsTakenOfChangedFramesIsWhole) {
     if (header.kind == FrameKind::kState) {
       StateFrame state;
       if (DecodeState(payload, header.size, axes, state) != Decoded::kFrame) continue;
-      for (int i = 0; i < kArmAxes; ++i)
+      for (int i = 0; i < kMostAxes; ++i)
         ASSERT_LE(std::abs(state.position[i]) + std::abs(state.velocity[i]), 2 * kMostValue);
       EncodeState(state, header.sequence, again);
     } else if (header.kind == FrameKind::kCommand) {

@@ -5,8 +5,8 @@
 
 #include <cmath>
 
-#include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "common/robot_description.h"
 #include "tests/robot_client/bridge/scripted_driver.h"
 
 namespace robostress::bridge {
@@ -30,19 +30,19 @@ std::string With(const std::string& from, const std::string& to) {
 TEST(BridgeRobotFile, ReadsAxesLimitsAndUnits) {
   const auto robot = ParseBridgeRobot("arm.yaml", kFiveServos);
   ASSERT_TRUE(robot.ok()) << robot.status();
-  EXPECT_EQ(robot->axes.joints, 5);
-  EXPECT_EQ(robot->axes.count(), 6);
-  EXPECT_FALSE(robot->axes.has(5)) << "there is no J6";
-  EXPECT_EQ(robot->axes.slot(5), kArmJoints) << "the gripper is the last axis";
+  const ArmAxes& axes = robot->limits.axes;
+  EXPECT_EQ(axes.joints, 5);
+  EXPECT_EQ(axes.count(), 6);
+  EXPECT_EQ(axes.opening(), 5) << "the gripper is the last axis";
+  EXPECT_EQ(axes.text(), "5 joints and a gripper");
   EXPECT_EQ(robot->limits.upper[0], 1.8);
-  EXPECT_EQ(robot->limits.upper[kArmJoints], 0.08);
+  EXPECT_EQ(robot->limits.upper[axes.opening()], 0.08);
   EXPECT_NEAR(robot->conversions[0].Ours(90), M_PI / 2, 1e-12);
   EXPECT_NEAR(robot->conversions[1].Ours(90), 0.5 - M_PI / 2, 1e-12);
   EXPECT_NEAR(robot->conversions[3].Ours(-50), -1, 1e-12);
   EXPECT_NEAR(robot->conversions[5].Ours(50), 0.04, 1e-12);
   for (int i = 0; i < 6; ++i)
     EXPECT_NEAR(robot->conversions[i].Drivers(robot->conversions[i].Ours(17)), 17, 1e-9);
-  EXPECT_EQ(HomeInSlots(*robot), (std::vector<double>{0, 0.2, 0.3, 0, 0, 0, 0.04}));
 }
 
 TEST(BridgeRobotFile, TheExampleIsRead) {
@@ -80,12 +80,40 @@ TEST(BridgeRobotFile, NamesFileFieldValueAndRemedy) {
   EXPECT_THAT(Refused(": ["), HasSubstr("arm.yaml"));
 }
 
-TEST(BridgeRobotFile, SevenJointsAreRefusedWithTheLimit) {
-  std::string yaml = "name: seven\njoints:\n";
-  for (int j = 0; j < 7; ++j)
-    absl::StrAppend(&yaml, "  - {name: j", j,
-                    ", unit: radians, lower: -1, upper: 1, velocity: 1, acceleration: 5}\n");
-  EXPECT_THAT(Refused(yaml), AllOf(HasSubstr("joints has 7 entries"), HasSubstr("six joints")));
+TEST(BridgeRobotFile, SevenJointsAreReadAndEightRefusedWithTheLimit) {
+  const auto robot = ParseBridgeRobot("arm.yaml", SevenJoints());
+  ASSERT_TRUE(robot.ok()) << robot.status();
+  EXPECT_EQ(robot->limits.axes.joints, 7);
+  EXPECT_EQ(robot->limits.axes.count(), 8);
+  EXPECT_EQ(robot->limits.axes.name(6), "J7");
+  EXPECT_EQ(robot->limits.axes.name(7), "gripper");
+  EXPECT_EQ(robot->limits.upper[6], 2);
+  EXPECT_EQ(robot->limits.upper[7], 0.08);
+  EXPECT_NEAR(robot->conversions[7].Ours(0.01), 0.02, 1e-15) << "two fingers";
+  const std::string eight = absl::StrReplaceAll(
+      SevenJoints(), {{"joints:\n",
+                       "joints:\n  - {name: j0, unit: radians, lower: -1, upper: 1, velocity: 1, "
+                       "acceleration: 5}\n"}});
+  EXPECT_THAT(Refused(eight), AllOf(HasSubstr("joints has 8 entries, must have 1 to 7"),
+                                    HasSubstr("that the driver can keep still")));
+}
+
+TEST(BridgeRobotFile, AFrankasLimitsAreInsideThoseOfBothArms) {
+  const auto robot = LoadBridgeRobot("robot_client/bridge/franka.yaml");
+  ASSERT_TRUE(robot.ok()) << robot.status();
+  EXPECT_FALSE(robot->simulated);
+  ASSERT_EQ(robot->limits.axes.joints, 7);
+  constexpr double kFr3[7][2] = {{-2.7437, 2.7437},  {-1.7837, 1.7837}, {-2.9007, 2.9007},
+                                 {-3.0421, -0.1518}, {-2.8065, 2.8065}, {0.5445, 4.5169},
+                                 {-3.0159, 3.0159}};
+  for (int j = 0; j < 7; ++j) {
+    const JointDescription& panda = kPanda.joints[j];
+    EXPECT_GT(robot->limits.lower[j], std::max(panda.lower, kFr3[j][0])) << "J" << j + 1;
+    EXPECT_LT(robot->limits.upper[j], std::min(panda.upper, kFr3[j][1])) << "J" << j + 1;
+    EXPECT_LE(robot->limits.max_velocity[j], 2.175 / 2);
+    EXPECT_LT(robot->limits.max_acceleration[j], 7.5);
+  }
+  EXPECT_EQ(robot->limits.upper[7], 0.08);
 }
 
 TEST(BridgeRobotFile, SaysWhatADriverLacks) {

@@ -35,12 +35,25 @@ driver: {on_silence: true, watchdog_s: 0.5, torque_off: true}
 simulated: true
 )";
 
+// A Franka: seven joints and a hand, in radians and metres.
+inline std::string SevenJoints() {
+  std::string yaml = "name: seven\njoints:\n";
+  for (int j = 1; j <= 7; ++j)
+    yaml += "  - {name: j" + std::to_string(j) +
+            ", unit: radians, lower: -2, upper: 2, velocity: 2, acceleration: 8}\n";
+  return yaml +
+         "gripper: {name: hand, unit: range, driver_range: [0, 0.04], range: [0, 0.08], lower: 0, "
+         "upper: 0.08, velocity: 0.1, acceleration: 2}\n"
+         "home: [0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.04]\n"
+         "driver: {torque_off: true}\nsimulated: true\n";
+}
+
 // The driver's end of the bridge in the test's own thread, in simulated time: it gets its turn
 // whenever the client lets time pass. An axis goes to its target at 2 rad/s at most.
 class ScriptedDriver {
  public:
   explicit ScriptedDriver(int descriptor, const BridgeRobot& robot)
-      : descriptor_(descriptor), axes_(robot.axes.count()), conversions_(robot.conversions) {
+      : descriptor_(descriptor), axes_(robot.limits.axes.count()), conversions_(robot.conversions) {
     welcome = {{"protocol", 1},
                {"driver", "scripted"},
                {"robot", "five servos"},
@@ -55,7 +68,8 @@ class ScriptedDriver {
                {"watchdog_s", 0.25},
                {"state_hz", 100},
                {"axes", robot.names()}};
-    for (int i = 0; i < axes_; ++i) target[i] = position[i] = i == 5 ? 0.04 : 0.1 * i;
+    for (int i = 0; i < axes_; ++i)
+      target[i] = position[i] = i == robot.limits.axes.opening() ? 0.04 : 0.1 * i;
   }
   ~ScriptedDriver() { HangUp(); }
   void HangUp() {
@@ -94,8 +108,9 @@ class ScriptedDriver {
     state.faults = faults;
     state.axes = axes_;
     for (int i = 0; i < axes_; ++i)
-      state.position[i] = conversions_[i].Drivers(position[i] + shift);
-    if (nan) state.position[2] = std::numeric_limits<double>::quiet_NaN();
+      state.position[i] =
+          conversions_[i].Drivers(position[i] + (i == shifted || shifted < 0 ? shift : 0));
+    if (nan) state.position[axes_ - 2] = std::numeric_limits<double>::quiet_NaN();
     return state;
   }
   void WriteState(const StateFrame& state) {
@@ -114,7 +129,8 @@ class ScriptedDriver {
   // What goes wrong.
   bool reads = true, silent = false, nan = false, blocked = false, frozen_sequence = false;
   bool obeys_stop = true, obeys_enable = true, lies = false;
-  double shift = 0;  // [rad] of every measurement
+  double shift = 0;  // [rad] of every measurement, or of the axis `shifted`
+  int shifted = -1;
   int64_t stamp_back_ns = 0;
   int floods = 1;
   uint32_t faults = 0;
@@ -201,8 +217,9 @@ struct BridgeWorld {
   }
   absl::Status Connected() { return arm->Connect(); }
   // Connects, and sets the loop up.
-  void Open(const ControlOptions& options = {}) {
+  void Open(ControlOptions options = {}) {
     ASSERT_TRUE(arm->Connect().ok());
+    FitDefaults(robot.limits.axes.joints, options.press);
     auto made = ControlLoop::Create(options, arm.get(), &clock, &cameras, nullptr);
     ASSERT_TRUE(made.ok()) << made.status();
     loop = *std::move(made);
@@ -221,7 +238,7 @@ struct BridgeWorld {
       chunk.rows = 50;
       for (int i = 0; i < 50; ++i) {
         chunk.policy[i] = request.position;
-        chunk.policy[i][0] += speed * (i + 1) / 30.0;
+        chunk.policy[i][moved] += speed * (i + 1) / 30.0;
         chunk.requested[i] = chunk.policy[i];
       }
       loop->AnswerPrediction(chunk);
@@ -237,7 +254,7 @@ struct BridgeWorld {
   void Ticks(int n) {
     for (int i = 0; i < n; ++i) Tick();
   }
-  // Enabled, and in the middle of an episode that moves J1.
+  // Enabled, and in the middle of an episode that moves J1, or `moved`.
   void Run() {
     Tick(kRequestEnable);
     ASSERT_EQ(loop->state(), ClientState::kEnabled) << loop->enable_status();
@@ -258,7 +275,8 @@ struct BridgeWorld {
   std::unique_ptr<BridgeArm> arm;
   NoCameras cameras;
   std::unique_ptr<ControlLoop> loop;
-  double speed = 0.3;  // [rad/s] of what the policy wants of J1
+  double speed = 0.3;  // [rad/s] of what the policy wants of `moved`
+  int moved = 0;
   int64_t due_ns = 0;
 };
 

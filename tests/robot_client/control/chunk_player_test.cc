@@ -24,7 +24,7 @@ ArmChunk Chunk(int index, uint64_t played, double base = 0) {
 }
 
 struct Player : ChunkPlayer {
-  explicit Player(const PlayerOptions& options = {}) : ChunkPlayer(options) { StartEpisode(0); }
+  explicit Player(const PlayerOptions& options = {}) : ChunkPlayer(options, 6) { StartEpisode(0); }
   Step Play() {
     Step step;
     EXPECT_TRUE(Next(step));

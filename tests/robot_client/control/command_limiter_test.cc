@@ -33,7 +33,7 @@ CommandLimiter Limiter(const LimiterOptions& options = {}) {
 
 ArmVector AllJoints(double value) {
   ArmVector v{};
-  std::fill_n(v.begin(), kArmJoints, value);
+  std::fill_n(v.begin(), ArmAxes().joints, value);
   return v;
 }
 
@@ -76,7 +76,7 @@ TEST(CommandLimiterTest, NeverExceedsABoundUnderRandomTargets) {
   std::uniform_real_distribution<double> anywhere(-4, 4), small(-0.03, 0.03);
   ArmVector target{}, before = limiter.position(), speed_before{}, acceleration_before{};
   for (int i = 0; i < 30000; ++i) {
-    for (int a = 0; a < kArmAxes; ++a) {
+    for (int a = 0; a < ArmAxes().count(); ++a) {
       const uint32_t kind = random() % 20;
       if (kind == 0) target[a] = anywhere(random);
       if (kind > 10) target[a] += small(random);
@@ -84,8 +84,8 @@ TEST(CommandLimiterTest, NeverExceedsABoundUnderRandomTargets) {
       if (!std::isfinite(target[a]) && kind == 2) target[a] = 0;
     }
     const ArmVector sent = i % 97 == 0 ? limiter.Decelerate() : limiter.Limit(target);
-    for (int a = 0; a < kArmAxes; ++a) {
-      const bool joint = a < kArmJoints;
+    for (int a = 0; a < ArmAxes().count(); ++a) {
+      const bool joint = a < ArmAxes().joints;
       const double v = (sent[a] - before[a]) / kPeriod;
       const double lower = joint ? -1 + options.joint_margin : 0;
       const double upper = joint ? 1 - options.joint_margin : 0.07;

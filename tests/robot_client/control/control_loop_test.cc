@@ -130,7 +130,7 @@ TEST(ControlLoopTest, TheFirstCommandIsWhereTheArmStands) {
   Bench bench;
   bench.arm.bias = 0.01;
   bench.Tick(kRequestEnable);
-  for (int j = 0; j < kArmAxes; ++j)
+  for (int j = 0; j < ArmAxes().count(); ++j)
     EXPECT_EQ(bench.arm.last.position[j], bench.seen.back().position[j]);
   EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
 }
@@ -408,10 +408,10 @@ TEST(ControlLoopTest, AfterSilenceTheFirstCommandIsWhereTheArmIsNow) {
   const ArmVector stands = bench.arm.Latest().position;
   bench.Tick(kRequestEnable);
   ASSERT_EQ(bench.loop->state(), ClientState::kEnabled);
-  for (int j = 0; j < kArmJoints; ++j)
+  for (int j = 0; j < ArmAxes().joints; ++j)
     EXPECT_NEAR(bench.arm.last.position[j], stands[j], 1e-3) << j;
   bench.Ticks(10);
-  for (int j = 0; j < kArmJoints; ++j)
+  for (int j = 0; j < ArmAxes().joints; ++j)
     EXPECT_NEAR(bench.arm.last.position[j], stands[j], 1e-3) << j;
 }
 
@@ -505,7 +505,7 @@ TEST(ControlLoopTest, TorqueBeyondTheModelIsHeldWithinTenthsAndTheCommandGoesBac
   EXPECT_LE(ticks, 3) << "0.1 s";
   EXPECT_NEAR(bench.seen.back().excess[1], 6.1, 1e-9);
   bench.Ticks(90);
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < ArmAxes().joints; ++j) {
     EXPECT_NEAR(bench.arm.last.position[j], bench.seen.back().position[j] - (j <= 1 ? 0.02 : 0),
                 1e-3)
         << "J1 and J2 give way to what they press against";

@@ -23,7 +23,7 @@ Watchdogs::Inputs Healthy() {
 }
 
 Watchdogs Started() {
-  Watchdogs dogs({}, 1.0 / 30);
+  Watchdogs dogs({}, 1.0 / 30, 6);
   dogs.OnRunStart(100 * kSecond);
   return dogs;
 }

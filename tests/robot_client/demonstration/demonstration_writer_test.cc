@@ -22,7 +22,7 @@ namespace fs = std::filesystem;
 
 Pose ToolOf(const ArmVector& position) {
   piper::JointVector q;
-  for (int j = 0; j < kArmJoints; ++j) q[j] = position[j];
+  for (int j = 0; j < piper::kJoints; ++j) q[j] = position[j];
   const Eigen::Isometry3d pose = piper::ToolPose(q, piper::Zero::kSince_1_6_3);
   return {pose.translation(), Eigen::Quaterniond(pose.rotation())};
 }
@@ -113,6 +113,27 @@ TEST(DemonstrationWriterTest, WritesAnEpisodeInThreeFormsThatAreReadBack) {
   EXPECT_EQ(code, 0) << output;
   EXPECT_THAT(output, HasSubstr("episode 0: 'open the drawer' length 50 success True state 0.100"));
   EXPECT_THAT(output, HasSubstr("hdf5: 'open the drawer' length 50 state 0.100"));
+}
+
+TEST(DemonstrationWriterTest, SevenJointsAndAGripperAreEightNumbers) {
+  DemonstrationEpisode episode;
+  episode.axes = {7, true};
+  episode.instruction = "wave";
+  episode.ticks.resize(3);
+  for (DemonstrationTick& tick : episode.ticks) {
+    tick.state = {0, 1, 2, 3, 4, 5, 6, 0.07};
+    tick.action = {10, 11, 12, 13, 14, 15, 16, 0.08};
+  }
+  const std::string path = ::testing::TempDir() + "/seven.safetensors";
+  ASSERT_TRUE(WriteShard(episode, 0, 8, 1, 2, path).ok());
+  const auto shard = SafetensorsFile::Open(path);
+  ASSERT_TRUE(shard.ok()) << shard.status();
+  const auto state = shard->ReadFloats("state", {3, 8});
+  const auto actions = shard->ReadFloats("actions", {3, 2, 8});
+  ASSERT_TRUE(state.ok() && actions.ok()) << state.status() << actions.status();
+  EXPECT_EQ(state->at(8 + 6), 6);
+  EXPECT_FLOAT_EQ(static_cast<float>(state->at(8 + 7)), 0.07f);
+  EXPECT_EQ(actions->at(8 + 6), 16);
 }
 
 TEST(DemonstrationWriterTest, AFailureIsKeptOnlyWhereAskedAndNeverForTraining) {

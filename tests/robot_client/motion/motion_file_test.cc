@@ -8,6 +8,7 @@
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "robot_client/demonstration/demonstration.h"
+#include "robot_client/piper/protocol.h"
 
 namespace robostress {
 namespace {
@@ -41,7 +42,7 @@ TEST(MotionFileTest, ReadsATableOfSomeJoints) {
   ASSERT_TRUE(motion.ok()) << motion.status();
   EXPECT_THAT(motion->t, ::testing::ElementsAre(0, 0.5, 1));
   EXPECT_EQ(motion->poses[2][1], 0.3);
-  EXPECT_EQ(motion->poses[2][kArmJoints], 0.04);
+  EXPECT_EQ(motion->poses[2][piper::kJoints], 0.04);
   EXPECT_TRUE(motion->moves[1]);
   EXPECT_FALSE(motion->moves[0]);
 }
@@ -70,7 +71,7 @@ TEST(MotionFileTest, WhatItWritesItReads) {
   EXPECT_EQ(back->moves, motion.moves);
   for (size_t i = 0; i < 9; ++i) {
     EXPECT_NEAR(back->t[i], motion.t[i], 1e-9);
-    for (int axis = 0; axis < kArmAxes; ++axis)
+    for (int axis = 0; axis < piper::kAxes; ++axis)
       EXPECT_NEAR(back->poses[i][axis], motion.poses[i][axis], 1e-9);
   }
 }
@@ -120,7 +121,7 @@ DemonstrationEpisode Episode(int ticks) {
   episode.success = true;
   for (int i = 0; i < ticks; ++i) {
     DemonstrationTick tick;
-    for (int axis = 0; axis < kArmAxes; ++axis) {
+    for (int axis = 0; axis < piper::kAxes; ++axis) {
       tick.state[axis] = 9;
       tick.action[axis] = 0.01 * i + 0.1 * axis;
     }
@@ -131,7 +132,8 @@ DemonstrationEpisode Episode(int ticks) {
 
 TEST(MotionFileTest, ReadsTheActionsOfADemonstration) {
   const std::string set = Fresh("set");
-  auto dataset = LerobotDataset::Open(set + "/lerobot", LerobotSchemaOf("piper", 30, {}));
+  auto dataset =
+      LerobotDataset::Open(set + "/lerobot", LerobotSchemaOf("piper", ArmAxes(), 30, {}));
   ASSERT_TRUE(dataset.ok()) << dataset.status();
   ASSERT_TRUE(dataset->Append(ToLerobot(Episode(40))).ok());
   ASSERT_TRUE(dataset->Append(ToLerobot(Episode(70))).ok());
@@ -141,8 +143,47 @@ TEST(MotionFileTest, ReadsTheActionsOfADemonstration) {
   ASSERT_TRUE(motion.ok()) << motion.status();
   ASSERT_EQ(motion->poses.size(), 70u);
   EXPECT_NEAR(motion->t[30], 1, 1e-12);
-  for (int axis = 0; axis < kArmAxes; ++axis)
+  for (int axis = 0; axis < piper::kAxes; ++axis)
     EXPECT_NEAR(motion->poses[69][axis], 0.69 + 0.1 * axis, 1e-6);  // float32
+}
+
+TEST(MotionFileTest, SevenJointsArePlayedOnAnArmOfSeven) {
+  const ArmAxes seven{7, true};
+  const std::string file = File("seven", "t,q_cmd_J7,q_cmd_gripper\n0,0.1,0.01\n1,0.2,0.02\n");
+  const auto motion = ReadMotion(file, std::nullopt, seven);
+  ASSERT_TRUE(motion.ok()) << motion.status();
+  EXPECT_EQ(motion->poses[1][6], 0.2);
+  EXPECT_EQ(motion->poses[1][7], 0.02);
+  EXPECT_THAT(motion->moves,
+              ::testing::ElementsAre(false, false, false, false, false, false, true, true));
+  EXPECT_EQ(MotionCsv(*motion), "t,q_cmd_J7,q_cmd_gripper\n0,0.1,0.01\n1,0.2,0.02\n");
+  EXPECT_THAT(Refusal(file), HasSubstr("column 'q_cmd_J7' is none of t, q_cmd_J1 to q_cmd_J6"));
+  const auto without = ReadMotion(file, std::nullopt, {7, false});
+  EXPECT_THAT(std::string(without.status().message()), HasSubstr("'q_cmd_gripper' is none of"));
+
+  const std::string run = Fresh("run_of_seven");
+  std::string columns, zeros;
+  for (int j = 1; j <= 7; ++j) columns += absl::StrFormat(",sent_J%d", j), zeros += ",0";
+  const std::string text = "t,state,episode" + columns + ",sent_gripper\n1,RUN,0" + zeros +
+                           ",0.03\n2,RUN,0" + zeros + ",0.04\n";
+  ASSERT_TRUE(WriteFileAtomically(run + "/ticks.csv", text).ok());
+  EXPECT_THAT(Refusal(run), HasSubstr("is of an arm of 7 joints and a gripper, this one has 6"));
+  const auto again = ReadMotion(run, std::nullopt, seven);
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(again->poses[1][7], 0.04);
+
+  const std::string set = Fresh("set_of_seven");
+  auto dataset = LerobotDataset::Open(set + "/lerobot", LerobotSchemaOf("franka", seven, 30, {}));
+  ASSERT_TRUE(dataset.ok()) << dataset.status();
+  DemonstrationEpisode episode = Episode(40);
+  episode.axes = seven;
+  for (DemonstrationTick& tick : episode.ticks) tick.action[6] = 0.6, tick.action[7] = 0.07;
+  ASSERT_TRUE(dataset->Append(ToLerobot(episode)).ok());
+  const auto taught = ReadMotion(set, std::nullopt, seven);
+  ASSERT_TRUE(taught.ok()) << taught.status();
+  EXPECT_NEAR(taught->poses[39][6], 0.6, 1e-6);
+  EXPECT_NEAR(taught->poses[39][7], 0.07, 1e-6);
+  EXPECT_THAT(Refusal(set), HasSubstr(R"("J7","gripper"], not [)"));
 }
 
 TEST(MotionFileTest, PlaysNoDataSetOfAnotherProgramOrAnotherArm) {

@@ -18,11 +18,11 @@ constexpr double kPeriod = 1.0 / 30;
 
 ArmLimits Limits() {
   ArmLimits limits;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < piper::kJoints; ++j) {
     limits.lower[j] = piper::kJointRanges[j].lower;
     limits.upper[j] = piper::kJointRanges[j].upper;
   }
-  limits.upper[kArmJoints] = 0.07;
+  limits.upper[piper::kJoints] = 0.07;
   limits.max_velocity.fill(3);
   limits.max_acceleration.fill(5);
   return limits;
@@ -61,7 +61,7 @@ TEST(MotionTest, GoesToTheFirstPoseSlowlyThenPlaysTheMotionAsItIs) {
     // A cubic between poses 20 ms apart: h^4 / 384 of the fourth derivative would be 3e-7; a
     // monotone one loses two orders at the turn.
     EXPECT_NEAR(rows[played.first_row + i][0], 0.2 + 0.15 * (1 - std::cos(M_PI * t)), 3e-4);
-    for (int axis = 1; axis < kArmAxes; ++axis)
+    for (int axis = 1; axis < piper::kAxes; ++axis)
       EXPECT_EQ(rows[played.first_row + i][axis], from[axis]) << "an axis that it does not give";
   }
 }
@@ -129,9 +129,10 @@ TEST(MotionTest, RefusesWhatNoArmCouldPlay) {
   EXPECT_TRUE(CheckMotion(motion, limits).ok());
   motion = Swing(0.3);
   motion.moves.fill(true);
-  motion.poses[7][kArmJoints] = limits.upper[kArmJoints] + 0.03;  // a hand at the gripper's end
+  motion.poses[7][piper::kJoints] =
+      limits.upper[piper::kJoints] + 0.03;  // a hand at the gripper's end
   EXPECT_TRUE(CheckMotion(motion, limits).ok()) << CheckMotion(motion, limits);
-  motion.poses[7][kArmJoints] = limits.upper[kArmJoints] + 0.06;
+  motion.poses[7][piper::kJoints] = limits.upper[piper::kJoints] + 0.06;
   refused(motion, "gripper is");
 }
 
@@ -145,7 +146,7 @@ TEST(ExcitationTest, MovesEveryJointWithinLimitsAndWorkspaceAndReturns) {
   ASSERT_TRUE(CheckMotion(*motion, Limits()).ok());
   EXPECT_GT(motion->duration_s(), 60);
   EXPECT_LT(motion->duration_s(), 180);
-  EXPECT_FALSE(motion->moves[kArmJoints]);
+  EXPECT_FALSE(motion->moves[piper::kJoints]);
   const PlayedMotion played = PlayMotion(*motion, 1, options.centre, PathLimits{}, kPeriod);
   EXPECT_TRUE(CheckPath(model, played.path).ok());
   ArmVector travel{}, fastest{}, alone{};
@@ -153,7 +154,7 @@ TEST(ExcitationTest, MovesEveryJointWithinLimitsAndWorkspaceAndReturns) {
     const ArmModel::Clearance clearance = model.ClearanceAt(motion->poses[i]);
     for (const double distance : clearance) ASSERT_GE(distance, options.clearance - 1e-9);
     int moving = 0, last = 0;
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < piper::kJoints; ++j) {
       const double step = std::abs(motion->poses[i][j] - motion->poses[i - 1][j]);
       travel[j] += step;
       fastest[j] = std::max(fastest[j], step / (motion->t[i] - motion->t[i - 1]));
@@ -162,7 +163,7 @@ TEST(ExcitationTest, MovesEveryJointWithinLimitsAndWorkspaceAndReturns) {
     }
     if (moving == 1) alone[last] += motion->t[i] - motion->t[i - 1];
   }
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < piper::kJoints; ++j) {
     EXPECT_GT(travel[j], 2) << j;  // [rad]
     EXPECT_LE(fastest[j], options.joint_velocity * 1.01) << j;
     EXPECT_GT(fastest[j], 0.5 * options.joint_velocity) << j;

@@ -123,7 +123,7 @@ TEST(ArmPath, IsStraightAndNeverFasterThanItsLimits) {
   const ArmVector from{0, 1.2, -1.0, 0, 0.5, 0, 0.05}, to{0.9, 0.6, -0.4, 0.2, 0.1, -0.3, 0};
   const PathLimits limits;
   constexpr double kPeriod = 1.0 / 30;
-  const ArmPath path = StraightPath(from, to, limits, kPeriod);
+  const ArmPath path = StraightPath(ArmAxes(), from, to, limits, kPeriod);
   EXPECT_EQ(path.rows.back(), to);
   double fastest = 0, hardest = 0;
   ArmVector before = from, speed{};
@@ -155,12 +155,12 @@ TEST(ArmPath, ThatLeadsIntoTheTableIsRefusedAndSaysHowDeep) {
   EXPECT_TRUE(CheckPose("home", raised, limits, &model).ok());
   const absl::Status pose = CheckPose("home", into_table, limits, &model);
   EXPECT_NE(pose.message().find("home lies 8"), absl::string_view::npos) << pose;
-  const ArmPath path = StraightPath(raised, into_table, {}, 1.0 / 30);
+  const ArmPath path = StraightPath(ArmAxes(), raised, into_table, {}, 1.0 / 30);
   EXPECT_TRUE(absl::IsFailedPrecondition(CheckPath(model, path)));
   ArmPath out = path;
   std::reverse(out.rows.begin(), out.rows.end());
   EXPECT_TRUE(CheckPath(model, out).ok()) << "out of it is free";
-  const ArmPath half = StraightPath(into_table, raised, {}, 1.0 / 30);
+  const ArmPath half = StraightPath(ArmAxes(), into_table, raised, {}, 1.0 / 30);
   ArmPath back_in = half;
   back_in.rows.resize(half.rows.size() / 2);
   for (size_t i = back_in.rows.size(); i-- > back_in.rows.size() / 2;)

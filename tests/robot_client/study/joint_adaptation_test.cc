@@ -13,6 +13,7 @@
 #include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/embedded_policies.h"
+#include "robot_client/piper/protocol.h"
 #include "robot_client/policy_connection.h"
 #include "robot_client/study/piper_player.h"
 #include "tests/server/serve_process.h"
@@ -33,8 +34,8 @@ class Watched : public PolicyEndpoint {
   }
   absl::Status SendFeedback(ExecutedChunk executed) override {
     for (const ExecutedStep& step : executed.steps) {
-      EXPECT_EQ(step.before.q.size(), kArmJoints);
-      EXPECT_EQ(step.policy_command.size(), kArmAxes);
+      EXPECT_EQ(step.before.q.size(), piper::kJoints);
+      EXPECT_EQ(step.policy_command.size(), piper::kAxes);
     }
     const absl::Status status = policy_->SendFeedback(std::move(executed));
     EXPECT_TRUE(status.ok()) << status;

@@ -19,6 +19,7 @@
 #include "common/config.h"
 #include "common/safetensors.h"
 #include "common/suites.h"
+#include "robot_client/piper/protocol.h"
 #include "robot_client/study/client_method.h"
 #include "robot_client/study/demonstration_recorder.h"
 #include "robot_client/study/live_player.h"
@@ -126,7 +127,7 @@ TEST_P(Recording, TheExpertDoesTheTaskAndItsCommandsAreTheActions) {
   ASSERT_TRUE(state.ok() && actions.ok() && images.ok());
   const int64_t frames = state->shape[0];
   EXPECT_GT(frames, 20);
-  EXPECT_EQ(actions->shape, (std::vector<int64_t>{frames, 50, kArmAxes}));
+  EXPECT_EQ(actions->shape, (std::vector<int64_t>{frames, 50, piper::kAxes}));
   EXPECT_EQ(images->shape, (std::vector<int64_t>{frames, 2, 32, 32, 3}));
   // Absolute targets: the arm is near the first row of its frame, and where the last one of a
   // chunk's executed rows leads when that many steps have passed.
@@ -135,14 +136,14 @@ TEST_P(Recording, TheExpertDoesTheTaskAndItsCommandsAreTheActions) {
   const int apart = 12 / options.stride;
   double followed = 0;
   for (int64_t f = 0; f + apart < frames; ++f) {
-    for (int j = 0; j < kArmJoints; ++j) {
+    for (int j = 0; j < piper::kJoints; ++j) {
       EXPECT_NEAR(a[f * 350 + j], q[f * 7 + j], 0.3);
       followed += std::abs(q[(f + apart) * 7 + j] - a[f * 350 + 9 * 7 + j]);
     }
-    const float opening = a[f * 350 + kArmJoints];
+    const float opening = a[f * 350 + piper::kJoints];
     EXPECT_TRUE(opening == 0.0f || opening == 0.07f) << opening;
   }
-  EXPECT_LT(followed / static_cast<double>((frames - apart) * kArmJoints), 0.06);
+  EXPECT_LT(followed / static_cast<double>((frames - apart) * piper::kJoints), 0.06);
 }
 
 INSTANTIATE_TEST_SUITE_P(ArmsAndTasks, Recording,
@@ -153,7 +154,7 @@ class StandingPolicy : public PolicyEndpoint {
  public:
   StandingPolicy() {
     spec_.name = "standing";
-    spec_.state_dim = spec_.action_dim = kArmAxes;
+    spec_.state_dim = spec_.action_dim = piper::kAxes;
     spec_.horizon = 50;
     spec_.image_width = spec_.image_height = 16;
     spec_.cameras = {"base", "wrist"};
@@ -337,7 +338,7 @@ TEST(PiperUnitConfig, TheClientFollowsAHealthyArmAndTheServerCorrectsNothing) {
   EXPECT_TRUE(control.disturbance_observer.response.on());
   EXPECT_EQ(control.smoothing, 0.4);
   EXPECT_EQ(control.player.execute_steps, 2);
-  EXPECT_TRUE(CheckControlOptions(control).ok());
+  EXPECT_TRUE(CheckControlOptions(control, 6).ok());
   control = ControlOptions();
   UseMethod(*MakeMethod("dob"), Follow::kPlanned, control);
   EXPECT_TRUE(control.observer);

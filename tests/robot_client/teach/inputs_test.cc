@@ -183,8 +183,8 @@ ArmLimits Limits() {
   ArmLimits limits;
   limits.lower.fill(-1);
   limits.upper.fill(1);
-  limits.lower[kArmJoints] = 0;
-  limits.upper[kArmJoints] = 0.07;
+  limits.lower[piper::kJoints] = 0;
+  limits.upper[piper::kJoints] = 0.07;
   return limits;
 }
 
@@ -274,7 +274,7 @@ TEST(LeaderArmTest, ListensAndNeverSends) {
   EXPECT_EQ(sample.sequence, 2u);
   EXPECT_NEAR(sample.position[4], 0.6, 1e-5);
   EXPECT_NEAR(sample.position[5], -0.6, 1e-5);
-  EXPECT_NEAR(sample.position[kArmJoints], 0.04, 1e-6);
+  EXPECT_NEAR(sample.position[piper::kJoints], 0.04, 1e-6);
   ASSERT_TRUE(leader->Send(piper::EncodeJointTargets({0, 1, 1})).ok());
   listener.Poll();
   EXPECT_EQ(listener.newest().Load().sequence, 2u) << "a third of a sample is none";

@@ -31,7 +31,7 @@ constexpr double kPeriod_s = 1.0 / 30;
 
 piper::JointVector JointsOf(const ArmVector& position) {
   piper::JointVector q;
-  std::copy_n(position.begin(), kArmJoints, q.begin());
+  std::copy_n(position.begin(), piper::kJoints, q.begin());
   return q;
 }
 
@@ -41,11 +41,11 @@ Eigen::Isometry3d ToolOf(const ArmVector& position) {
 
 ArmLimits Limits() {
   ArmLimits limits;
-  for (int j = 0; j < kArmJoints; ++j) {
+  for (int j = 0; j < piper::kJoints; ++j) {
     limits.lower[j] = piper::kJointRanges[j].lower;
     limits.upper[j] = piper::kJointRanges[j].upper;
   }
-  limits.upper[kArmJoints] = 0.07;
+  limits.upper[piper::kJoints] = 0.07;
   return limits;
 }
 
@@ -79,7 +79,7 @@ struct Bench {
       command = row.target;
       EXPECT_EQ(row.wanted, row.target);
       EXPECT_FALSE(row.joining);
-      for (int j = 0; j < kArmJoints; ++j)
+      for (int j = 0; j < piper::kJoints; ++j)
         fastest = std::max(fastest, std::abs(command[j] - before[j]) / kPeriod_s);
     }
   }
@@ -141,9 +141,9 @@ TEST(JogTargetTest, AJointAloneMovesAtItsSpeedAndTheGripperAtIts) {
   JogInput open;
   open.gripper = 1;
   bench.Hold(open, 0.4);
-  EXPECT_NEAR(bench.command[kArmJoints], 0.03 + 0.02, 1e-9);
+  EXPECT_NEAR(bench.command[piper::kJoints], 0.03 + 0.02, 1e-9);
   bench.Hold(open, 2);
-  EXPECT_NEAR(bench.command[kArmJoints], 0.07, 1e-12) << "the gripper's own end";
+  EXPECT_NEAR(bench.command[piper::kJoints], 0.07, 1e-12) << "the gripper's own end";
 }
 
 TEST(JogTargetTest, AKeyThatIsNotRepeatedStopsWithinAQuarterOfASecond) {
@@ -171,7 +171,7 @@ TEST(JogTargetTest, NoJointIsFastInASingularityAndNoneLeavesItsLimits) {
         Bench bench(start);
         bench.Hold(Axis(axis, share), 6);
         EXPECT_LE(bench.fastest, bench.options.fastest_joint + 1e-9) << axis << " " << share;
-        for (int j = 0; j < kArmJoints; ++j) {
+        for (int j = 0; j < piper::kJoints; ++j) {
           EXPECT_GE(bench.command[j], Limits().lower[j] + 0.02 - 1e-9) << j;
           EXPECT_LE(bench.command[j], Limits().upper[j] - 0.02 + 1e-9) << j;
         }

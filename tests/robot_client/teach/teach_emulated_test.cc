@@ -11,6 +11,7 @@
 #include "nlohmann/json.hpp"
 #include "robot_client/demonstration/lerobot_reader.h"
 #include "robot_client/emulator/guiding_hand.h"
+#include "robot_client/piper/protocol.h"
 #include "robot_client/teach/episode_tap.h"
 #include "robot_client/teach/gamepad.h"
 #include "robot_client/teach/jog_target.h"
@@ -86,13 +87,13 @@ TEST(TeachEmulatedTest, AnArmThatIsTaughtFollowsTheHandAndGetsNoCommand) {
   for (const TickRecord& record : studio.ticks) {
     const double t = 1e-9 * static_cast<double>(record.stamp_ns);
     const ArmVector hand = options.emulated.hand.At(t).position;
-    for (int j = 0; j < kArmJoints; ++j)
+    for (int j = 0; j < piper::kJoints; ++j)
       off = std::max(off, std::abs(record.position[j] - hand[j]));
     EXPECT_EQ(record.state, ClientState::kIdle);
   }
   EXPECT_LT(off, 0.05) << "a hand of 200 Nm/rad on a limp arm";
   EXPECT_NEAR(studio.ticks[60].position[0], options.emulated.hand.At(t0 + 2).position[0], 0.05);
-  EXPECT_NEAR(studio.ticks[60].position[kArmJoints], 0.06, 0.005) << "the gripper too";
+  EXPECT_NEAR(studio.ticks[60].position[piper::kJoints], 0.06, 0.005) << "the gripper too";
   const auto saved = studio.writer->End(true);
   ASSERT_TRUE(saved.ok()) << saved.status();
   EXPECT_EQ(saved->ticks, 120);
@@ -185,7 +186,7 @@ struct LeaderWorld {
   void Until(double t) {
     while (1e-9 * static_cast<double>(world.time.now_ns()) < t) {
       const TickRecord& record = Tick();
-      for (int j = 0; j < kArmJoints && had; ++j) {
+      for (int j = 0; j < piper::kJoints && had; ++j) {
         const double v = 30 * (record.sent[j] - last[j]);
         fastest = std::max(fastest, std::abs(v));
         hardest = std::max(hardest, 30 * std::abs(v - speed[j]));
@@ -229,7 +230,7 @@ TEST(TeachEmulatedTest, AFollowerJoinsItsLeaderSlowlyAndIsRecordedBehindIt) {
   const auto& ticks = pair.studio->ticks;
   for (size_t i = 0; i < ticks.size(); ++i) {
     EXPECT_TRUE(ticks[i].flags & kTickLive);
-    for (int j = 0; j < kArmJoints; ++j)
+    for (int j = 0; j < piper::kJoints; ++j)
       off = std::max(off, std::abs(ticks[i].requested[j] - ticks[i].position[j]));
   }
   EXPECT_LT(off, 0.15) << "the follower is behind by its lag alone";
@@ -251,7 +252,7 @@ TEST(TeachEmulatedTest, AFollowerJoinsItsLeaderSlowlyAndIsRecordedBehindIt) {
   ASSERT_TRUE(actions.ok()) << actions.status();
   ASSERT_EQ(actions->size(), ticks.size());
   for (size_t i = 0; i < ticks.size(); ++i) {
-    for (int j = 0; j < kArmAxes; ++j)
+    for (int j = 0; j < piper::kAxes; ++j)
       ASSERT_NEAR((*actions)[i][j], ticks[i].requested[j], 1e-6) << i << " " << j;
   }
 }
@@ -311,7 +312,7 @@ struct JogWorld {
         &cell,
         [](const ArmVector& position) {
           piper::JointVector q;
-          std::copy_n(position.begin(), kArmJoints, q.begin());
+          std::copy_n(position.begin(), piper::kJoints, q.begin());
           return piper::ToolJacobian(q, piper::Zero::kSince_1_6_3);
         },
         world.arm->limits(), JogOptions{});
@@ -332,7 +333,7 @@ struct JogWorld {
   }
   Eigen::Vector3d Tool() {
     piper::JointVector q;
-    std::copy_n(world.loop->seen().position.begin(), kArmJoints, q.begin());
+    std::copy_n(world.loop->seen().position.begin(), piper::kJoints, q.begin());
     return piper::ToolPose(q, piper::Zero::kSince_1_6_3).translation();
   }
 

@@ -1,0 +1,156 @@
+#!/usr/bin/env python3
+"""An arm of seven joints and a gripper from a person's orders to the files: driver, client, policy server.
+
+    seven_joints.py BUILD_DIR OUT_DIR
+
+A person enables, jogs the last joint, drives home and runs an episode of a policy of eight actions. Then the run is
+exported and replayed, on this arm and in vain on one of six joints. All in real time; the arm is emulated_driver.py.
+"""
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+
+import mishaps
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+ROBOT = f"{HERE}/seven_joints.yaml"
+AXES = [f"J{j}" for j in range(1, 8)] + ["gripper"]
+HOME = [0, -0.785, 0, -2.356, 0, 1.571, 0.785, 0.08]
+QUIET = ["--set", "realtime.priority=0", "--set", "realtime.lock_memory=false"]
+
+
+class Seven(mishaps.Run):
+    """Driver, server and a client that a person types to."""
+
+    def __init__(self, build, out, name):
+        shutil.rmtree(os.path.join(out, name), ignore_errors=True)
+        super().__init__(build, out, name, ["--arm", "seven"])
+
+    def order(self, text, answer):
+        begun = len(self.text("client"))
+        self.type(text)
+        end = time.monotonic() + 30
+        while answer not in self.text("client")[begun:]:
+            if time.monotonic() > end:
+                raise SystemExit(f"no '{answer}' after '{text}':\n{self.text('client')}\n{self.text('driver')}")
+            time.sleep(0.02)
+
+
+def columns(path):
+    with open(path) as file:
+        rows = list(csv.DictReader(file))
+    assert rows, path
+    for group in ("policy", "requested", "blended", "corrected", "sent", "q", "dq", "tau", "excess"):
+        given = [name for name in rows[0] if name.startswith(group + "_") and name != "sent_us"]
+        assert given == [f"{group}_{axis}" for axis in AXES], given
+    return rows
+
+
+def episode(build, out):
+    run = Seven(build, out, "run")
+    try:
+        run.wait_for("client", r"axes: J1 panda_joint1.*J7 panda_joint7, gripper panda_finger_joint1")
+        run.order("enable", "the arm has power and holds")
+        run.order("jog J7 5deg", "the arm is there")
+        run.order("jog J8 5deg", "a jog is a joint and a way")
+        run.order("jog gripper 5mm", "the arm is there")
+        run.order("home", "the arm is home")
+        run.order("start", "episode 0")
+        time.sleep(3)
+        run.order("success", "episode ended; 1 of 1 done")
+        run.type("quit")
+        assert run.client.wait(timeout=30) == 0, run.text("client")
+    finally:
+        run.end()
+    rows = columns(f"{out}/run/ticks.csv")
+    begin = next(row for row in rows if row["state"] == "RUN")
+    for axis, home in zip(AXES, HOME):
+        assert abs(float(begin[f"q_{axis}"]) - home) < 0.02, f"{axis} is {begin[f'q_{axis}']}, home {home}"
+    played = [row for row in rows if row["state"] == "RUN" and row["policy_J7"]]
+    assert len(played) > 50, len(played)
+    for axis in AXES[:7]:
+        sent = [float(row[f"sent_{axis}"]) for row in played]
+        assert max(sent) - min(sent) > 0.02, f"the policy moves {axis}"
+        off = max(abs(float(row[f"sent_{axis}"]) - float(row[f"q_{axis}"])) for row in played)
+        assert off < 0.25, f"{axis} follows, {off} rad"
+    with open(f"{out}/run/episodes.jsonl") as file:
+        (ended,) = [json.loads(line) for line in file]
+    assert ended["feedback_chunks"] > 2 and ended["steps"] > 50 and 0 < ended["residual"] < 1, ended
+    assert os.path.exists(f"{out}/run/DONE")
+    return len(rows)
+
+
+def done(command, code, *words):
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120, stdin=subprocess.DEVNULL)
+    text = result.stdout + result.stderr
+    assert result.returncode == code and all(word in text for word in words), f"{command}\n{result.returncode}\n{text}"
+
+
+def files(build, out):
+    shutil.rmtree(f"{out}/mcap", ignore_errors=True)
+    done([f"{build}/bin/robostress-export", f"{out}/run", "--mcap", f"{out}/mcap"], 0)
+    (name,) = os.listdir(f"{out}/mcap")
+    with open(f"{out}/mcap/{name}", "rb") as file:
+        content = file.read()
+    assert b"float64 j7\nfloat64 gripper" in content and b"float64 j8" not in content
+    done([f"{build}/bin/robostress-record-to-rig", f"{out}/run", "--out", f"{out}/rig"], 2, "an arm of 7 joints",
+         "a Piper's")
+    piper = f"{out}/replayed_on_a_piper"
+    done([f"{build}/bin/robot_client", "replay", f"{out}/run", "--bus", "rehearse", "--out", piper, *QUIET], 2,
+         "is of an arm of 7 joints and a gripper, this one has 6 joints and a gripper")
+
+
+def replay(build, out):
+    again = f"{out}/again"
+    shutil.rmtree(again, ignore_errors=True)
+    socket = f"/tmp/bridge-{os.getpid()}-again"
+    with open(f"{out}/again.driver", "w") as file:
+        driver = subprocess.Popen([sys.executable, f"{HERE}/emulated_driver.py", "--socket", socket, "--arm", "seven"],
+                                  stdout=file, stderr=subprocess.STDOUT)
+    try:
+        done([f"{build}/bin/robot_client", "replay", f"{out}/run", "--arm", f"bridge:unix:{socket}", "--robot", ROBOT,
+              "--out", again, "--automatic", *QUIET, "--set", "control.watchdogs.arm_hold_s=0.15", "--set",
+              "control.watchdogs.arm_fault_s=0.5"], 0, "the motion is over")
+    finally:
+        driver.terminate()
+        driver.wait()
+    last = {name: float(columns(f"{out}/{name}/ticks.csv")[-1]["q_J7"]) for name in ("run", "again")}
+    assert abs(last["run"] - last["again"]) < 0.02, last
+
+
+def other_policy(build, out):
+    """A server of seven numbers is for another robot, and the client says so."""
+    server = subprocess.Popen([f"{build}/test_bin/joint_policy_server", "--axes", "7"], stdout=subprocess.PIPE, text=True)
+    socket = f"/tmp/bridge-{os.getpid()}-other"
+    driver = subprocess.Popen([sys.executable, f"{HERE}/emulated_driver.py", "--socket", socket, "--arm", "seven"],
+                              stdout=subprocess.PIPE, text=True)
+    try:
+        driver.stdout.readline()
+        address = server.stdout.readline().split()[-1]
+        done([f"{build}/bin/robot_client", "--arm", f"bridge:unix:{socket}", "--robot", ROBOT, "--server", address,
+              "--policy", "sway", "--instruction", "sway", "--camera", "base=synthetic", "--camera", "wrist=synthetic",
+              "--out", f"{out}/other", *QUIET], 2, "this arm 8 of each (7 joints [rad] and the gripper [m])")
+    finally:
+        for process in (driver, server):
+            process.terminate()
+            process.wait()
+
+
+def main():
+    build, out = os.path.abspath(sys.argv[1]), os.path.abspath(sys.argv[2])
+    os.makedirs(out, exist_ok=True)
+    mishaps.Run.patient = True
+    print(f"an episode of {episode(build, out)} ticks")
+    files(build, out)
+    replay(build, out)
+    other_policy(build, out)
+    print("seven joints: all as it should be")
+
+
+if __name__ == "__main__":
+    main()
