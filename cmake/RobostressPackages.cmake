@@ -42,10 +42,7 @@ if(ROBOSTRESS_BENCHMARKS)
   find_package(benchmark REQUIRED)
 endif()
 
-if(ROBOSTRESS_MUJOCO)
-  find_package(mujoco REQUIRED)
-  # Debian's target lists an include folder that no package installs.
-  set_target_properties(mujoco::mujoco PROPERTIES INTERFACE_INCLUDE_DIRECTORIES /usr/include)
+if(ROBOSTRESS_MUJOCO OR ROBOSTRESS_ROBOT_CLIENT)
   # Debian's package; the imported target is called tinyxml2::tinyxml2 there and in vcpkg.
   find_package(tinyxml2 REQUIRED)
   # Debian 13's defines what changes nothing on 64 bits, and a precompiled header is refused where it was made without.
@@ -54,6 +51,11 @@ if(ROBOSTRESS_MUJOCO)
     list(FILTER definitions EXCLUDE REGEX "^_FILE_OFFSET_BITS=64$")
     set_target_properties(tinyxml2::tinyxml2 PROPERTIES INTERFACE_COMPILE_DEFINITIONS "${definitions}")
   endif()
+endif()
+if(ROBOSTRESS_MUJOCO)
+  find_package(mujoco REQUIRED)
+  # Debian's target lists an include folder that no package installs.
+  set_target_properties(mujoco::mujoco PROPERTIES INTERFACE_INCLUDE_DIRECTORIES /usr/include)
   find_library(EGL_LIBRARY EGL REQUIRED)
   find_library(OPENGL_LIBRARY OpenGL REQUIRED)
 endif()

@@ -7,10 +7,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/csv_table.h"
+#include "common/robot_description.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"
 #include "robot_client/emulator/piper_mjcf.h"
-#include "robot_client/piper/protocol.h"
 
 namespace robostress::calibration {
 namespace {
@@ -224,7 +224,7 @@ RecordedArm PiperOfRecordings(const std::string& rig_name, double payload_kg) {
   piper::PiperScene scene;
   scene.payload_kg = payload_kg;
   arm.mjcf = piper::ComposePiperScene(scene);
-  for (int j = 1; j <= piper::kJoints; ++j) arm.joints.push_back(absl::StrCat("piper_joint", j));
+  for (int j = 1; j <= static_cast<int>(kPiper.joints.size()); ++j) arm.joints.push_back(absl::StrCat("piper_joint", j));
   arm.fit = {"armature"};
   return arm;
 }

@@ -4,8 +4,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "calibration/model/model_table.h"
-#include "calibration/model/xml_file.h"
+#include "common/models/model_table.h"
+#include "common/models/xml_file.h"
 
 namespace robostress::calibration {
 

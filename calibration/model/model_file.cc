@@ -8,7 +8,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "calibration/model/mjcf_reduction.h"
-#include "calibration/model/urdf_model.h"
+#include "common/models/urdf_model.h"
 #include "common/atomic_file.h"
 #include "common/status_macros.h"
 

@@ -9,7 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "calibration/data/rig.h"
-#include "calibration/model/model_table.h"
+#include "common/models/model_table.h"
 
 namespace robostress::calibration {
 

@@ -8,7 +8,7 @@
 #include "absl/status/statusor.h"
 #include "calibration/data/measured_log.h"
 #include "calibration/data/rig.h"
-#include "calibration/model/model_table.h"
+#include "common/models/model_table.h"
 
 namespace robostress::calibration {
 

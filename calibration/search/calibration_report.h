@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "calibration/model/model_table.h"
+#include "common/models/model_table.h"
 
 namespace robostress::calibration {
 

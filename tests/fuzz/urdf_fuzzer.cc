@@ -1,6 +1,6 @@
 // The readers of robot models that need no simulator: URDF, and MJCF without its shapes.
 #include "calibration/model/mjcf_reduction.h"
-#include "calibration/model/urdf_model.h"
+#include "common/models/urdf_model.h"
 #include "tests/fuzz/fuzz_check.h"
 #include "tests/fuzz/splice_mutator.h"
 

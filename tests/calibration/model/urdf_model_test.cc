@@ -5,7 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "calibration/model/joint_model.h"
-#include "calibration/model/urdf_inertia.h"
+#include "common/models/urdf_inertia.h"
 #include "common/random.h"
 #include "tests/calibration/generator/spatial_arm.h"
 #include "tests/calibration/model/model_text.h"

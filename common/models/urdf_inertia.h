@@ -4,7 +4,7 @@
 
 #include "absl/status/statusor.h"
 
-namespace robostress::calibration {
+namespace robostress {
 
 struct InertiaRepair {
   Eigen::Matrix3d inertia;        // [kg m^2] about the centre of mass, in the frame given
@@ -18,4 +18,4 @@ struct InertiaRepair {
 // than rounding.
 absl::StatusOr<InertiaRepair> RepairInertia(const Eigen::Matrix3d& given);
 
-}  // namespace robostress::calibration
+}  // namespace robostress

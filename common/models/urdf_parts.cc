@@ -1,10 +1,10 @@
-#include "calibration/model/urdf_parts.h"
+#include "common/models/urdf_parts.h"
 
 #include <utility>
 
 #include "absl/strings/str_format.h"
 
-namespace robostress::calibration::urdf {
+namespace robostress::urdf {
 namespace {
 
 class Printer {
@@ -99,4 +99,4 @@ std::string Print(const std::vector<Link>& links, const std::vector<Joint>& join
   return out.text();
 }
 
-}  // namespace robostress::calibration::urdf
+}  // namespace robostress::urdf

@@ -7,7 +7,7 @@
 #include <vector>
 
 // A robot description in parts, read and checked by urdf_model.cc.
-namespace robostress::calibration::urdf {
+namespace robostress::urdf {
 
 struct Pose {
   std::vector<double> xyz = {0, 0, 0};  // [m]
@@ -40,4 +40,4 @@ struct Joint {
 // reader is told to keep links that are fixed to others.
 std::string Print(const std::vector<Link>& links, const std::vector<Joint>& joints);
 
-}  // namespace robostress::calibration::urdf
+}  // namespace robostress::urdf

@@ -1,4 +1,4 @@
-#include "calibration/model/urdf_model.h"
+#include "common/models/urdf_model.h"
 
 #include <algorithm>
 #include <set>
@@ -6,12 +6,12 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "calibration/model/urdf_inertia.h"
-#include "calibration/model/urdf_parts.h"
-#include "calibration/model/xacro.h"
+#include "common/models/urdf_inertia.h"
+#include "common/models/urdf_parts.h"
+#include "common/models/xacro.h"
 #include "common/status_macros.h"
 
-namespace robostress::calibration {
+namespace robostress {
 namespace {
 
 using tinyxml2::XMLElement;
@@ -343,6 +343,9 @@ class UrdfReader {
       if (joint.moves && joint.effort > 0) model.effort[joint.name] = joint.effort;
     model.payload_link = payload_link_;
     model.facts = facts_;
+    model.links = links_;
+    model.joints = joints_;
+    model.order = order_;
     return model;
   }
 
@@ -365,4 +368,4 @@ absl::StatusOr<UrdfModel> ReadUrdf(const XmlFile& file, const std::vector<std::s
   return UrdfReader(file, moving).Read();
 }
 
-}  // namespace robostress::calibration
+}  // namespace robostress

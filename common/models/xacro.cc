@@ -1,4 +1,4 @@
-#include "calibration/model/xacro.h"
+#include "common/models/xacro.h"
 
 #include <filesystem>
 
@@ -6,7 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 
-namespace robostress::calibration {
+namespace robostress {
 namespace {
 
 using tinyxml2::XMLElement;
@@ -48,4 +48,4 @@ absl::Status RefuseXacro(const XmlFile& file) {
                    to, "`, and name ", to, " in the rig"));
 }
 
-}  // namespace robostress::calibration
+}  // namespace robostress

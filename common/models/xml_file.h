@@ -9,7 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 
-namespace robostress::calibration {
+namespace robostress {
 
 // A file of XML and how messages name places in it.
 class XmlFile {
@@ -36,4 +36,4 @@ class XmlFile {
 // An attribute's text; empty where it is missing.
 std::string AttributeOf(const tinyxml2::XMLElement& element, const char* name);
 
-}  // namespace robostress::calibration
+}  // namespace robostress

@@ -1,4 +1,4 @@
-#include "calibration/model/xml_file.h"
+#include "common/models/xml_file.h"
 
 #include <cmath>
 
@@ -7,7 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 
-namespace robostress::calibration {
+namespace robostress {
 namespace {
 
 constexpr double kMostNumber = 1e6;  // no arm has a length, mass, inertia or torque beyond
@@ -56,4 +56,4 @@ std::string AttributeOf(const tinyxml2::XMLElement& element, const char* name) {
   return value == nullptr ? "" : value;
 }
 
-}  // namespace robostress::calibration
+}  // namespace robostress

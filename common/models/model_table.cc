@@ -1,4 +1,4 @@
-#include "calibration/model/model_table.h"
+#include "common/models/model_table.h"
 
 #include <algorithm>
 #include <utility>
@@ -6,7 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 
-namespace robostress::calibration {
+namespace robostress {
 
 const char* FactSourceName(FactSource source) {
   switch (source) {
@@ -65,4 +65,4 @@ std::string ModelTableText(const std::vector<ModelFact>& facts, const std::strin
   return text + "\n";
 }
 
-}  // namespace robostress::calibration
+}  // namespace robostress

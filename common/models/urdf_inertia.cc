@@ -1,8 +1,8 @@
-#include "calibration/model/urdf_inertia.h"
+#include "common/models/urdf_inertia.h"
 
 #include "absl/strings/str_format.h"
 
-namespace robostress::calibration {
+namespace robostress {
 namespace {
 
 constexpr double kRounding = 1e-6;  // of the largest moment: files hold six digits
@@ -33,4 +33,4 @@ absl::StatusOr<InertiaRepair> RepairInertia(const Eigen::Matrix3d& given) {
   return repair;
 }
 
-}  // namespace robostress::calibration
+}  // namespace robostress

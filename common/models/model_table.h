@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-namespace robostress::calibration {
+namespace robostress {
 
 // Where a quantity of a rig's model comes from.
 enum class FactSource {
@@ -31,4 +31,4 @@ ModelFact HeldFact(std::vector<std::string> joints);
 // `indent` and ends with a line break.
 std::string ModelTableText(const std::vector<ModelFact>& facts, const std::string& indent);
 
-}  // namespace robostress::calibration
+}  // namespace robostress

@@ -5,18 +5,24 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "calibration/model/model_table.h"
-#include "calibration/model/xml_file.h"
+#include "common/models/model_table.h"
+#include "common/models/urdf_parts.h"
+#include "common/models/xml_file.h"
 
-namespace robostress::calibration {
+namespace robostress {
 
-// A URDF that MuJoCo's own reader compiles without any other file.
+// A robot's description, read and checked.
 struct UrdfModel {
-  // URDF with inertials, joints and nothing else. Joints that do not move are fixed at 0.
+  // URDF with inertials, joints and nothing else, which MuJoCo's own reader compiles without any
+  // other file. Joints that do not move are fixed at 0.
   std::string xml;
   std::map<std::string, double> effort;  // limits of joints that move, where above 0 [Nm]
   std::string payload_link;              // a link called payload, tip, tool, tool0 ...; or empty
   std::vector<ModelFact> facts;          // of the whole and of links
+  // The same in parts, inertias repaired; elements are of the file that was read.
+  std::vector<urdf::Link> links;
+  std::vector<urdf::Joint> joints;
+  std::vector<int> order;  // of links, parents first
 };
 
 // Reads a robot description whose root is <robot>. `moving`: the joints that move, at least one;
@@ -28,4 +34,4 @@ struct UrdfModel {
 // expands it. At most 1000 links.
 absl::StatusOr<UrdfModel> ReadUrdf(const XmlFile& file, const std::vector<std::string>& moving);
 
-}  // namespace robostress::calibration
+}  // namespace robostress
