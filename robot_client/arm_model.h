@@ -2,8 +2,10 @@
 
 #include <array>
 #include <cmath>
+#include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "robot_client/robot_arm.h"
 
 namespace robostress {
@@ -16,6 +18,8 @@ struct WorkspaceOptions {
   double margin = 0;                                 // [m] kept from table, box and itself
   bool guard = true;                                 // false: none of this is watched
 
+  bool operator==(const WorkspaceOptions&) const = default;
+
   template <class V>
   void Visit(V& v) {
     v.Field("table_z", table_z, "height of the table in the base frame [m]; nothing goes below");
@@ -25,6 +29,9 @@ struct WorkspaceOptions {
     v.Field("guard", guard, "false: the arm may press into the table and into itself");
   }
 };
+
+// INVALID_ARGUMENT names `section`, key, value and range.
+absl::Status CheckWorkspace(const WorkspaceOptions& options, const std::string& section);
 
 // What is known of an arm's mechanics, as the control thread asks it. Allocates nothing.
 class ArmModel {

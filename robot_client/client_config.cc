@@ -12,6 +12,7 @@
 #include "absl/strings/strip.h"
 #include "common/status_macros.h"
 #include "robot_client/bridge/bridge_arm.h"
+#include "robot_client/bridge/chain_model.h"
 #include "robot_client/cameras/faulty_source.h"
 #include "robot_client/cameras/file_source.h"
 #include "robot_client/cameras/mapped_frames.h"
@@ -64,24 +65,6 @@ absl::StatusOr<std::unique_ptr<FrameSource>> MakeSource(const std::string& name,
 
 }  // namespace
 
-absl::Status CheckWorkspace(const WorkspaceOptions& o) {
-  const auto invalid = [](const auto&... parts) {
-    return absl::InvalidArgumentError(absl::StrCat("control.workspace.", parts...));
-  };
-  if (o.lower.size() != 3 || o.upper.size() != 3)
-    return invalid("lower has ", o.lower.size(), " numbers and upper ", o.upper.size(),
-                   "; both must have 3: x, y, z [m]");
-  for (int i = 0; i < 3; ++i) {
-    if (!(o.lower[i] < o.upper[i] && o.lower[i] >= -10 && o.upper[i] <= 10))
-      return invalid("lower[", i, "] is ", o.lower[i], " and upper[", i, "] ", o.upper[i],
-                     "; the first must be below the second, both within 10 m");
-  }
-  if (!(o.table_z >= -10 && o.table_z <= 10)) return invalid("table_z is ", o.table_z, " m");
-  if (!(o.margin >= 0 && o.margin <= 0.5))
-    return invalid("margin is ", o.margin, " m, must be 0 to 0.5");
-  return absl::OkStatus();
-}
-
 bool IsBridge(const ClientConfig& config) { return absl::StartsWith(config.bus, "bridge:"); }
 
 absl::StatusOr<bool> IsReal(const ClientConfig& config) {
@@ -113,7 +96,16 @@ absl::Status TakeRobotFile(ClientConfig& config) {
   RS_ASSIGN_OR_RETURN(const bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
   config.control.rate_hz = robot.rate_hz;
   if (config.home.empty()) config.home = robot.home;
-  FitDefaults(robot.limits.axes.joints, config.control.press);
+  PressOptions& press = config.control.press;
+  FitDefaults(robot.limits.axes.joints, press);
+  if (!robot.chain) return absl::OkStatus();
+  WorkspaceOptions& workspace = config.control.workspace;
+  if (workspace == WorkspaceOptions()) workspace = robot.workspace;
+  PressOptions as_fitted;
+  FitDefaults(robot.limits.axes.joints, as_fitted);
+  if (robot.watches_torque() && press.excess == as_fitted.excess) {
+    for (size_t j = 0; j < robot.joints.size(); ++j) press.excess[j] = robot.joints[j].press;
+  }
   return absl::OkStatus();
 }
 
@@ -122,7 +114,7 @@ absl::Status CheckConfig(const ClientConfig& c) {
     return absl::InvalidArgumentError(absl::StrCat(parts...));
   };
   RS_RETURN_IF_ERROR(CheckWatchdogs(c.control.watchdogs, c.without));
-  RS_RETURN_IF_ERROR(CheckWorkspace(c.control.workspace));
+  RS_RETURN_IF_ERROR(CheckWorkspace(c.control.workspace, "control.workspace"));
   const LimiterOptions& limits = c.control.limits;
   if (!(limits.joint_velocity > 0 && limits.joint_velocity <= 3 && limits.joint_jerk > 0))
     return invalid("control.limits.joint_velocity is ", limits.joint_velocity,
@@ -204,7 +196,10 @@ absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Cl
 }
 
 std::unique_ptr<ArmModel> MakeModel(const ClientConfig& config, const RobotArm& arm) {
-  if (IsBridge(config)) return nullptr;
+  if (const auto* behind = dynamic_cast<const bridge::BridgeArm*>(&arm)) {
+    if (!behind->chain()) return nullptr;
+    return std::make_unique<bridge::ChainModel>(*behind->chain(), config.control.workspace);
+  }
   const auto* piper = dynamic_cast<const piper::PiperArm*>(&arm);
   const piper::Zero zero =
       piper == nullptr ? piper::Zero::kSince_1_6_3 : piper::ZeroOf(piper->firmware());

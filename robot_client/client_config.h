@@ -67,8 +67,6 @@ struct ClientConfig {
 // Checks what can be checked without arm, server and cameras; names key, value and remedy.
 absl::Status CheckConfig(const ClientConfig& config);
 
-absl::Status CheckWorkspace(const WorkspaceOptions& options);
-
 // A camera from `NAME=SOURCE[,fault=KIND[:AMOUNT][@SECONDS]]`, the fault from SECONDS on:
 //   base=v4l2:/dev/v4l/by-id/...[@640x480]   a camera
 //   wrist=files:DIR                          *.ppm of a folder, over and over
@@ -83,8 +81,8 @@ absl::StatusOr<bool> IsReal(const ClientConfig& config);
 // The axes of its arm: of the robot file behind a bridge, else a Piper's.
 absl::StatusOr<ArmAxes> AxesOf(const ClientConfig& config);
 // Takes over what a robot file says of the loop: its rate, and home where the configuration has
-// none; what control.press has of a Piper's joints becomes this arm's. Nothing for an arm that is
-// no bridge.
+// none; of defaults control.press becomes this arm's, and with a model control.workspace. Nothing
+// for an arm that is no bridge.
 absl::Status TakeRobotFile(ClientConfig& config);
 
 // The arm of config.bus, not connected.

@@ -83,15 +83,20 @@ std::vector<std::string> BridgeArm::Warnings() const {
   if (!w.torque_off)
     lines.emplace_back(
         "WARNING: the driver cannot take the power off: quit limp is refused, use the switch");
-  if (!w.measures_effort)
-    lines.emplace_back("no torques: an arm that presses is held when it is blocked, not before");
+  if (!w.measures_effort || !robot_.watches_torque())
+    lines.emplace_back(
+        "torques are not watched: an arm that presses is held when it is blocked, not before");
   if (!w.measures_velocity)
     lines.push_back(absl::StrFormat("no velocities: they are estimated over %.0f ms",
                                     1000 * options_.velocity_window_s));
   if (!w.monotonic)
     lines.emplace_back(
         "WARNING: the driver does not stamp its samples: how old they are is not known");
-  lines.emplace_back("no model of this arm: table, box and torques are not watched");
+  lines.push_back(
+      robot_.chain ? absl::StrCat("watched by ", robot_.chain->file, ": table, box",
+                                  w.measures_effort && robot_.watches_torque() ? ", torques" : "",
+                                  "; not watched: the arm against itself")
+                   : "no model of this arm: table, box and the arm against itself are not watched");
   if (!w.note.empty()) lines.push_back(absl::StrCat("the driver says: ", w.note));
   return lines;
 }
@@ -287,7 +292,8 @@ bool BridgeArm::TakeSample(const StateFrame& state) {
   sample_.stamp_ns = state.stamp_ns;
   ++sample_.sequence;
   ++counters_.states;
-  sample_.has_effort = welcome_.measures_effort;
+  // What is measured is recorded; it is judged where the robot file says what pressing is.
+  sample_.has_effort = welcome_.measures_effort && robot_.watches_torque();
   for (int i = 0; i < robot_.limits.axes.count(); ++i) {
     // A torque turns with the joint's sign, its size is Nm already.
     sample_.effort[i] = welcome_.measures_effort

@@ -4,6 +4,7 @@
 #include <functional>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -72,6 +73,7 @@ class BridgeArm : public RobotArm {
 
   // After Connect, for the person who starts it: what the driver cannot do, a line each.
   std::vector<std::string> Warnings() const;
+  const std::optional<ArmChain>& chain() const { return robot_.chain; }  // of its model
   const Welcome& welcome() const { return welcome_; }
   const BridgeCounters& counters() const { return counters_; }
   // The newest state as it came; for measuring.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <set>
 #include <utility>
 
@@ -20,6 +21,8 @@ struct FileOptions {
   std::vector<double> home;
   ExpectedDriver driver;
   bool simulated = false;
+  ModelOptions model;
+  WorkspaceOptions workspace;
 
   template <class V>
   void Visit(V& v) {
@@ -28,6 +31,8 @@ struct FileOptions {
     v.Field("home", home, "a number per joint [rad], then the gripper [m]; empty: none");
     v.Section("driver", driver, "what the driver must be able to do");
     v.Field("simulated", simulated, "no arm that can hurt anybody: --automatic is allowed");
+    v.Section("model", model, "of its mechanics: table, box and torques are watched by it");
+    v.Section("workspace", workspace, "where it may be, as control.workspace; with a model");
   }
 };
 
@@ -110,6 +115,40 @@ absl::StatusOr<AxisOptions> ReadAxis(const std::string& file, const std::string&
   return axis;
 }
 
+absl::Status CheckModel(const Checker& checker, const BridgeRobot& robot, bool has_workspace) {
+  const size_t joints = robot.joints.size();
+  for (size_t j = 0; j < joints; ++j) {
+    const std::string where = absl::StrCat("joints[", j, "].press");
+    const double press = robot.joints[j].press;
+    if (!robot.watches_torque() && press != 0)
+      return checker.Wrong(where, " is ", press,
+                           " Nm, and torques are watched with model and driver.measures_effort: "
+                           "true only; give them, or leave press out");
+    if (robot.watches_torque()) RS_RETURN_IF_ERROR(checker.Within(where, press, 0.01, 100, "Nm"));
+  }
+  if (robot.gripper && robot.gripper->press != 0)
+    return checker.Wrong("gripper.press is ", robot.gripper->press,
+                         ", and a gripper may press; leave it out");
+  if (!robot.model) {
+    if (!has_workspace) return absl::OkStatus();
+    return checker.Wrong("workspace needs model: without one nobody knows where the arm is");
+  }
+  const ModelOptions& model = *robot.model;
+  if (model.file.empty() || model.tool.empty())
+    return checker.Wrong("model.", model.file.empty() ? "file" : "tool",
+                         " is empty; name the URDF, and the link of it that is the tool's point");
+  if (!model.joints.empty() && model.joints.size() != joints)
+    return checker.Wrong("model.joints has ", model.joints.size(), " names, must have ", joints,
+                         ": one per joint, or none");
+  RS_RETURN_IF_ERROR(checker.Within("model.radius", model.radius, 0, 0.5, "m"));
+  if (!has_workspace)
+    return checker.Wrong(
+        "workspace is missing: with a model say where the arm may be (table_z, lower, upper [m] in "
+        "its base frame)");
+  const absl::Status workspace = CheckWorkspace(robot.workspace, "workspace");
+  return workspace.ok() ? workspace : checker.Wrong(workspace.message());
+}
+
 absl::Status Complete(const Checker& checker, BridgeRobot& robot) {
   if (robot.joints.empty() || robot.joints.size() > kMostJoints) {
     return checker.Wrong("joints has ", robot.joints.size(), " entries, must have 1 to ",
@@ -162,8 +201,20 @@ std::vector<std::string> BridgeRobot::names() const {
 
 absl::StatusOr<BridgeRobot> LoadBridgeRobot(const std::string& file) {
   constexpr uint64_t kMostBytes = 1 << 16;
+  constexpr uint64_t kMostModelBytes = 16 << 20;
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(file, kMostBytes));
-  return ParseBridgeRobot(file, text);
+  RS_ASSIGN_OR_RETURN(BridgeRobot robot, ParseBridgeRobot(file, text));
+  if (!robot.model) return robot;
+  const ModelOptions& model = *robot.model;
+  std::vector<std::string> joints = model.joints;
+  if (joints.empty()) {
+    for (const AxisOptions& joint : robot.joints) joints.push_back(joint.name);
+  }
+  const std::string path =
+      (std::filesystem::path(file).parent_path() / model.file).lexically_normal().string();
+  RS_ASSIGN_OR_RETURN(const std::string urdf, ReadFileUpTo(path, kMostModelBytes));
+  RS_ASSIGN_OR_RETURN(robot.chain, ReadArmChain(path, urdf, joints, robot.limits, model));
+  return robot;
 }
 
 absl::StatusOr<BridgeRobot> ParseBridgeRobot(const std::string& file, const std::string& yaml) {
@@ -198,7 +249,10 @@ absl::StatusOr<BridgeRobot> ParseBridgeRobot(const std::string& file, const std:
   robot.home = options.home;
   robot.driver = options.driver;
   robot.simulated = options.simulated;
+  if (root["model"]) robot.model = options.model;
+  robot.workspace = options.workspace;
   RS_RETURN_IF_ERROR(Complete(checker, robot));
+  RS_RETURN_IF_ERROR(CheckModel(checker, robot, root["workspace"].IsDefined()));
   return robot;
 }
 

@@ -5,6 +5,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "robot_client/arm_model.h"
+#include "robot_client/bridge/arm_chain.h"
 #include "robot_client/bridge/protocol.h"
 #include "robot_client/robot_arm.h"
 
@@ -31,6 +33,7 @@ struct AxisOptions {
   double lower = 0, upper = 0;         // what the axis may be told [rad], [m]
   double velocity = 0;                 // at most [rad/s], [m/s]
   double acceleration = 0;             // [rad/s^2], [m/s^2]
+  double press = 0;                    // [Nm] beyond the model that is pressing; 0: not said
 
   template <class V>
   void Visit(V& v) {
@@ -49,6 +52,7 @@ struct AxisOptions {
     v.Field("upper", upper, "highest [rad], [m]");
     v.Field("velocity", velocity, "most speed [rad/s], [m/s]");
     v.Field("acceleration", acceleration, "[rad/s^2], [m/s^2]");
+    v.Field("press", press, "torque beyond the model that is pressing [Nm]");
   }
 };
 
@@ -83,15 +87,22 @@ struct BridgeRobot {
   std::vector<double> home;  // a number per joint [rad], then the gripper [m]; empty: none
   ExpectedDriver driver;
   bool simulated = false;  // no arm that can hurt anybody
+  std::optional<ModelOptions> model;
+  WorkspaceOptions workspace;  // with a model
 
   // Of what was read:
   ArmLimits limits;
   std::vector<Conversion> conversions;  // by place on the wire
+  std::optional<ArmChain> chain;        // what LoadBridgeRobot read of the model
+
+  // Torques are watched: there is a model, and the driver must measure them.
+  bool watches_torque() const { return model && driver.measures_effort; }
 
   std::vector<std::string> names() const;  // joints, then the gripper
 };
 
-// INVALID_ARGUMENT names file, field, value and what it must be; NOT_FOUND: no such file.
+// INVALID_ARGUMENT names file, field, value and what it must be; NOT_FOUND: no such file. Load
+// reads the model too, Parse opens no file.
 absl::StatusOr<BridgeRobot> LoadBridgeRobot(const std::string& file);
 absl::StatusOr<BridgeRobot> ParseBridgeRobot(const std::string& file, const std::string& yaml);
 

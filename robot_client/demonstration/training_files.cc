@@ -14,6 +14,8 @@
 namespace robostress {
 namespace {
 
+constexpr int kLiberoNumbers = 7;  // of an action
+
 // Of the arm's own axes.
 absl::Span<const double> Of(const ArmAxes& axes, const ArmVector& values) {
   return absl::MakeConstSpan(values).first(static_cast<size_t>(axes.count()));
@@ -31,6 +33,11 @@ absl::Status WriteLiberoEpisode(const DemonstrationEpisode& episode, const ToolP
   if (episode.cameras.size() != 2) {
     return absl::InvalidArgumentError(absl::StrCat(path, ": LIBERO's form has two cameras, not ",
                                                    episode.cameras.size(), "; leave libero out"));
+  }
+  if (episode.axes.count() != kLiberoNumbers) {
+    return absl::InvalidArgumentError(absl::StrCat(path, ": LIBERO's form has ", kLiberoNumbers,
+                                                   " numbers in an action, this arm ",
+                                                   episode.axes.text(), "; leave libero out"));
   }
   RS_ASSIGN_OR_RETURN(LiberoDemonstrationWriter writer,
                       LiberoDemonstrationWriter::Create(

@@ -38,7 +38,7 @@ TEST(BridgeArm, ConnectsAndSaysWhatTheDriverCannotDo) {
   EXPECT_THAT(warnings,
               AllOf(HasSubstr("J2 lift"), HasSubstr("silent for 0.25 s"), HasSubstr("says: hold"),
                     HasSubstr("WARNING: the driver has no stop"), HasSubstr("mind the cat")));
-  EXPECT_THAT(warnings, HasSubstr("table, box and torques are not watched"));
+  EXPECT_THAT(warnings, HasSubstr("table, box and the arm against itself are not watched"));
   EXPECT_THAT(world.arm->stop_effect(), HasSubstr("holds where the arm stands"));
   EXPECT_EQ(world.driver->commands + world.driver->enables, 0) << "nothing moves by itself";
 }

@@ -65,13 +65,13 @@ def rows():
 class Run:
     patient = False
 
-    def __init__(self, build, out, name, driver_options):
+    def __init__(self, build, out, name, driver_options, robot=None):
         self.out, self.name = os.path.join(out, name), name
         self.socket = f"/tmp/bridge-{os.getpid()}"
         self.files = []
         log = self.out + ".log"
         seven = "seven" in driver_options
-        robot = "seven_joints" if seven else "five_servos"
+        robot = robot or f"{HERE}/{'seven_joints' if seven else 'five_servos'}.yaml"
         self.driver = self.start("driver", [sys.executable, f"{HERE}/emulated_driver.py", "--socket",
                                             self.socket, "--log", log, *driver_options])
         self.server = self.start("server", [f"{build}/test_bin/joint_policy_server", "--axes", "8" if seven else "6"])
@@ -79,13 +79,13 @@ class Run:
         self.wait_for("driver", " at /tmp/")
         self.client = self.start("client", [
             f"{build}/bin/robot_client", "--arm", f"bridge:unix:{self.socket}", "--robot",
-            f"{HERE}/{robot}.yaml", "--server", address, "--policy", "sway", "--instruction", "sway",
+            robot, "--server", address, "--policy", "sway", "--instruction", "sway",
             "--camera", "base=synthetic", "--camera", "wrist=synthetic", "--set",
             "episodes=1", "--set", "episode_s=6", "--set", "realtime.priority=0", "--set",
             "realtime.lock_memory=false", "--set", "control.watchdogs.server_hold_s=0.5", "--out", self.out,
             *(["--set", "control.watchdogs.arm_hold_s=0.15", "--set", "control.watchdogs.arm_fault_s=0.5"]
               if self.patient else []),
-            *([] if name in (TYPED, "run") else ["--automatic"])])
+            *([] if name == TYPED or name.startswith("run") else ["--automatic"])])
         if name == TYPED:
             for order, answer in (("enable", "the arm has power"), ("start", "episode 0")):
                 self.type(order)

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "absl/strings/str_replace.h"
+#include "common/atomic_file.h"
 #include "common/robot_description.h"
 #include "tests/robot_client/bridge/scripted_driver.h"
 
@@ -114,6 +115,60 @@ TEST(BridgeRobotFile, AFrankasLimitsAreInsideThoseOfBothArms) {
     EXPECT_LT(robot->limits.max_acceleration[j], 7.5);
   }
   EXPECT_EQ(robot->limits.upper[7], 0.08);
+}
+
+TEST(BridgeRobotFile, AModelNeedsAWorkspaceAndSaysWhatPresses) {
+  const std::string model =
+      "model: {file: seven.urdf, tool: tcp}\nworkspace: {table_z: 0.02, upper: [0.9, 0.9, 1.3], "
+      "lower: [-0.9, -0.9, -0.1]}\n";
+  const auto with = [](const std::string& text) { return SevenJoints() + text; };
+  const auto robot = ParseBridgeRobot("arm.yaml", with(model));
+  ASSERT_TRUE(robot.ok()) << robot.status();
+  EXPECT_EQ(robot->workspace.table_z, 0.02);
+  EXPECT_FALSE(robot->watches_torque()) << "the driver need not measure them";
+  EXPECT_FALSE(robot->chain) << "parsing opens no file";
+  EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: tcp}")),
+              HasSubstr("workspace is missing: with a model"));
+  EXPECT_THAT(Refused(with("workspace: {table_z: 0}")), HasSubstr("workspace needs model"));
+  EXPECT_THAT(Refused(with("model: {tool: tcp}\nworkspace: {}")), HasSubstr("model.file is empty"));
+  EXPECT_THAT(Refused(with("model: {file: a.urdf}\nworkspace: {}")),
+              HasSubstr("model.tool is empty"));
+  EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: t, radius: 2}\nworkspace: {}")),
+              HasSubstr("model.radius is 2"));
+  EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: t, joints: [a]}\nworkspace: {}")),
+              HasSubstr("model.joints has 1 names, must have 7"));
+  EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: t}\nworkspace: {lower: [0, 0]}")),
+              HasSubstr("arm.yaml: workspace.lower has 2 numbers"));
+  EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: t, root: b}\nworkspace: {}")),
+              HasSubstr("root"));
+  const std::string measures =
+      absl::StrReplaceAll(with(model), {{"{torque_off: true}", "{measures_effort: true}"}});
+  EXPECT_THAT(Refused(measures), HasSubstr("joints[0].press is 0, must be 0.01 to 100 Nm"));
+  const std::string pressed =
+      absl::StrReplaceAll(measures, {{"acceleration: 8}", "acceleration: 8, press: 3}"}});
+  const auto watched = ParseBridgeRobot("arm.yaml", pressed);
+  ASSERT_TRUE(watched.ok()) << watched.status();
+  EXPECT_TRUE(watched->watches_torque());
+  EXPECT_THAT(Refused(absl::StrReplaceAll(SevenJoints(),
+                                          {{"acceleration: 8}", "acceleration: 8, press: 3}"}})),
+              HasSubstr("joints[0].press is 3 Nm, and torques are watched with model"));
+  EXPECT_THAT(Refused(absl::StrReplaceAll(SevenJoints(),
+                                          {{"acceleration: 2}", "acceleration: 2, press: 3}"}})),
+              HasSubstr("gripper.press"));
+}
+
+TEST(BridgeRobotFile, AModelIsReadFromTheFilesFolder) {
+  const auto robot = LoadBridgeRobot("tests/robot_client/bridge/seven_modelled.yaml");
+  ASSERT_TRUE(robot.ok()) << robot.status();
+  ASSERT_TRUE(robot->chain);
+  EXPECT_EQ(robot->chain->links.size(), 7u);
+  EXPECT_EQ(robot->chain->file, "tests/robot_client/bridge/seven_joints.urdf");
+  const std::string text = *ReadFile("tests/robot_client/bridge/seven_modelled.yaml");
+  const std::string copy = ::testing::TempDir() + "/copy.yaml";
+  ASSERT_TRUE(WriteFileAtomically(copy, text).ok());
+  const absl::Status missing = LoadBridgeRobot(copy).status();
+  EXPECT_EQ(missing.code(), absl::StatusCode::kNotFound);
+  EXPECT_THAT(std::string(missing.message()), HasSubstr("seven_joints.urdf"));
 }
 
 TEST(BridgeRobotFile, SaysWhatADriverLacks) {

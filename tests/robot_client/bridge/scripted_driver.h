@@ -110,6 +110,8 @@ class ScriptedDriver {
     for (int i = 0; i < axes_; ++i)
       state.position[i] =
           conversions_[i].Drivers(position[i] + (i == shifted || shifted < 0 ? shift : 0));
+    const ArmVector torque = model != nullptr ? model->Torque(position, {}, {}, 0) : ArmVector{};
+    for (int i = 0; i < axes_; ++i) state.effort[i] = torque[i] + push[i];
     if (nan) state.position[axes_ - 2] = std::numeric_limits<double>::quiet_NaN();
     return state;
   }
@@ -125,6 +127,8 @@ class ScriptedDriver {
   ArmVector position{}, target{};  // by place, ours
   CommandFrame last;               // as it came
   int commands = 0, heartbeats = 0, stops = 0, enables = 0;
+  const ArmModel* model = nullptr;  // its motors hold what this says ...
+  ArmVector push{};                 // [Nm] ... and press with this
   bool greeted = false, powered = false, taking = false, stopped = false;
   // What goes wrong.
   bool reads = true, silent = false, nan = false, blocked = false, frozen_sequence = false;
@@ -208,7 +212,11 @@ struct BridgeWorld {
   explicit BridgeWorld(const std::string& yaml = kFiveServos) {
     auto read = ParseBridgeRobot("five.yaml", yaml);
     EXPECT_TRUE(read.ok()) << read.status();
-    robot = *std::move(read);
+    Begin(*std::move(read));
+  }
+  explicit BridgeWorld(BridgeRobot read) { Begin(std::move(read)); }
+  void Begin(BridgeRobot read) {
+    robot = std::move(read);
     int ends[2];
     EXPECT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK, 0, ends), 0);
     driver = std::make_unique<ScriptedDriver>(ends[1], robot);
@@ -217,10 +225,10 @@ struct BridgeWorld {
   }
   absl::Status Connected() { return arm->Connect(); }
   // Connects, and sets the loop up.
-  void Open(ControlOptions options = {}) {
+  void Open(ControlOptions options = {}, const ArmModel* model = nullptr) {
     ASSERT_TRUE(arm->Connect().ok());
     FitDefaults(robot.limits.axes.joints, options.press);
-    auto made = ControlLoop::Create(options, arm.get(), &clock, &cameras, nullptr);
+    auto made = ControlLoop::Create(options, arm.get(), &clock, &cameras, model);
     ASSERT_TRUE(made.ok()) << made.status();
     loop = *std::move(made);
     loop->OnPredictionRequested([this] { Serve(); });

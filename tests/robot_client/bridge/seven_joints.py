@@ -4,12 +4,14 @@
     seven_joints.py BUILD_DIR OUT_DIR
 
 A person enables, jogs the last joint, drives home and runs an episode of a policy of eight actions. Then the run is
-exported and replayed, on this arm and in vain on one of six joints. All in real time; the arm is emulated_driver.py.
+exported and replayed, on this arm and in vain on one of six joints. With a model no jog leads into the table. All in
+real time; the arm is emulated_driver.py.
 """
 
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -27,9 +29,9 @@ QUIET = ["--set", "realtime.priority=0", "--set", "realtime.lock_memory=false"]
 class Seven(mishaps.Run):
     """Driver, server and a client that a person types to."""
 
-    def __init__(self, build, out, name):
+    def __init__(self, build, out, name, robot=ROBOT):
         shutil.rmtree(os.path.join(out, name), ignore_errors=True)
-        super().__init__(build, out, name, ["--arm", "seven"])
+        super().__init__(build, out, name, ["--arm", "seven"], robot)
 
     def order(self, text, answer):
         begun = len(self.text("client"))
@@ -123,6 +125,34 @@ def replay(build, out):
     assert abs(last["run"] - last["again"]) < 0.02, last
 
 
+def modelled(build, out):
+    """The table is watched by the model; this driver measures no torques, so the file does not ask for them."""
+    with open(f"{HERE}/seven_modelled.yaml") as file:
+        text = re.sub(r", press: [\d.]+|, measures_effort: true", "", file.read())
+    with open(f"{out}/modelled.yaml", "w") as file:
+        file.write(text.replace("seven_joints.urdf", f"{HERE}/seven_joints.urdf"))
+    run = Seven(build, out, "run_modelled", f"{out}/modelled.yaml")
+    try:
+        run.wait_for("client", r"watched by \S+seven_joints.urdf: table, box; not watched: the arm against itself")
+        run.wait_for("client", "torques are not watched")
+        run.order("enable", "the arm has power and holds")
+        run.order("home", "the arm is home")
+        run.order("jog J4 -0.3rad", "the arm is there")
+        run.order("jog J2 0.5rad", "the arm is there")
+        run.order("jog J2 0.5rad", "the arm is there")
+        run.order("jog J2 0.5rad", "mm into the table")
+        run.order("home", "the arm is home")
+        run.type("quit")
+        assert run.client.wait(timeout=30) == 0, run.text("client")
+    finally:
+        run.end()
+    nowhere = f"{out}/nowhere.yaml"
+    with open(nowhere, "w") as file:
+        file.write(text)
+    done([f"{build}/bin/robot_client", "--arm", "bridge:unix:/tmp/nobody", "--robot", nowhere, "--out", f"{out}/none"], 2,
+         f"{out}/seven_joints.urdf")
+
+
 def other_policy(build, out):
     """A server of seven numbers is for another robot, and the client says so."""
     server = subprocess.Popen([f"{build}/test_bin/joint_policy_server", "--axes", "7"], stdout=subprocess.PIPE, text=True)
@@ -148,6 +178,7 @@ def main():
     print(f"an episode of {episode(build, out)} ticks")
     files(build, out)
     replay(build, out)
+    modelled(build, out)
     other_policy(build, out)
     print("seven joints: all as it should be")
 

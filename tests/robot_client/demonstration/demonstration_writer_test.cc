@@ -134,6 +134,9 @@ TEST(DemonstrationWriterTest, SevenJointsAndAGripperAreEightNumbers) {
   EXPECT_EQ(state->at(8 + 6), 6);
   EXPECT_FLOAT_EQ(static_cast<float>(state->at(8 + 7)), 0.07f);
   EXPECT_EQ(actions->at(8 + 6), 16);
+  episode.cameras = {"base", "wrist"};
+  EXPECT_THAT(std::string(WriteLiberoEpisode(episode, ToolOf, path).message()),
+              HasSubstr("7 numbers in an action, this arm 7 joints and a gripper"));
 }
 
 TEST(DemonstrationWriterTest, AFailureIsKeptOnlyWhereAskedAndNeverForTraining) {

@@ -1,0 +1,258 @@
+#include "robot_client/bridge/arm_chain.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "common/models/urdf_model.h"
+#include "common/status_macros.h"
+
+namespace robostress::bridge {
+namespace {
+
+using tinyxml2::XMLElement;
+
+constexpr size_t kMostBalls = 512;  // the control thread looks at each of them
+constexpr double kBeyondEnd = 0.1;  // [rad] of a limit beyond the model's: two sheets may differ
+constexpr double kUpright = 1e-6;   // of the cosine between an axis and z
+constexpr double kOnAxis = 1e-3;    // [m]
+constexpr double kLongest = 5;      // [m] of a shape, and from a frame to the next
+
+Eigen::Isometry3d PoseOf(const std::vector<double>& xyz, const std::vector<double>& rpy) {
+  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+  T.translation() = Eigen::Vector3d(xyz[0], xyz[1], xyz[2]);
+  T.linear() = (Eigen::AngleAxisd(rpy[2], Eigen::Vector3d::UnitZ()) *
+                Eigen::AngleAxisd(rpy[1], Eigen::Vector3d::UnitY()) *
+                Eigen::AngleAxisd(rpy[0], Eigen::Vector3d::UnitX()))
+                   .toRotationMatrix();
+  return T;
+}
+
+// Where a link of the file is: on which of the chain's links, -1: the base, and where on it.
+struct Place {
+  int owner = -1;
+  Eigen::Isometry3d T_owner_link = Eigen::Isometry3d::Identity();
+};
+
+class ChainReader {
+ public:
+  ChainReader(const XmlFile& file, const UrdfModel& model, const ModelOptions& options)
+      : file_(file), model_(model), options_(options) {}
+
+  absl::StatusOr<ArmChain> Read(const std::vector<std::string>& joints, const ArmLimits& limits) {
+    chain_.file = file_.name();
+    chain_.links.resize(joints.size());
+    masses_.resize(joints.size());
+    places_.resize(model_.links.size());
+    RS_RETURN_IF_ERROR(PlaceLinks(joints, limits));
+    for (size_t i = 0; i < model_.links.size(); ++i) {
+      if (places_[i].owner < 0) continue;
+      AddMass(model_.links[i], places_[i]);
+      RS_RETURN_IF_ERROR(AddShape(model_.links[i], places_[i]));
+    }
+    for (ChainLink& link : chain_.links) SumUp(link);
+    LeaveShoulderOut();
+    RS_RETURN_IF_ERROR(FindTool());
+    size_t balls = 0;
+    for (const ChainLink& link : chain_.links) balls += link.shape.size();
+    if (balls > kMostBalls)
+      return absl::InvalidArgumentError(absl::StrCat(
+          file_.name(), ": the links' shapes have ", balls, " corners and balls, at most ",
+          kMostBalls, " are watched; leave shapes out that others hold"));
+    return std::move(chain_);
+  }
+
+ private:
+  // Parents come before their children.
+  absl::Status PlaceLinks(const std::vector<std::string>& joints, const ArmLimits& limits) {
+    for (const int index : model_.order) {
+      const urdf::Link& link = model_.links[static_cast<size_t>(index)];
+      if (link.parent < 0) continue;
+      const urdf::Joint& joint = model_.joints[static_cast<size_t>(link.parent)];
+      const Place& before = places_[static_cast<size_t>(joint.parent)];
+      Place& place = places_[static_cast<size_t>(index)];
+      place = before;
+      const Eigen::Isometry3d origin = PoseOf(joint.origin.xyz, joint.origin.rpy);
+      if (!(origin.translation().norm() <= kLongest))
+        return absl::InvalidArgumentError(absl::StrCat(
+            file_.name(), ": joint '", joint.name, "' is ", origin.translation().norm(),
+            " m from the one before, at most ", kLongest, "; URDF is in metres"));
+      place.T_owner_link = before.T_owner_link * origin;
+      if (!joint.moves) continue;
+      const auto found = std::find(joints.begin(), joints.end(), joint.name);
+      const int k = static_cast<int>(found - joints.begin());
+      if (before.owner != k - 1)
+        return absl::InvalidArgumentError(
+            absl::StrCat(file_.name(), ": joint '", joint.name, "' is J", k + 1, " of [",
+                         absl::StrJoin(joints, ", "), "], and ",
+                         before.owner < 0 ? "the base" : absl::StrCat("J", before.owner + 1),
+                         " carries it; list the joints from the base on"));
+      RS_RETURN_IF_ERROR(CheckJoint(joint, k, limits));
+      ChainLink& moved = chain_.links[static_cast<size_t>(k)];
+      moved.T_before_joint = place.T_owner_link;
+      moved.axis = Eigen::Map<const Eigen::Vector3d>(joint.axis.data()).normalized();
+      place = {k, Eigen::Isometry3d::Identity()};
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status CheckJoint(const urdf::Joint& joint, int k, const ArmLimits& limits) const {
+    if (joint.type == "prismatic")
+      return absl::InvalidArgumentError(absl::StrCat(
+          file_.name(), ": joint '", joint.name,
+          "' slides, and the joints of a robot file turn; leave model out for this arm"));
+    const double lower = limits.lower[k], upper = limits.upper[k];
+    if (joint.limited && (lower < joint.lower - kBeyondEnd || upper > joint.upper + kBeyondEnd))
+      return absl::InvalidArgumentError(absl::StrCat(
+          file_.name(), ": joint '", joint.name, "' goes from ", joint.lower, " to ", joint.upper,
+          " rad, joints[", k, "] of the robot file from ", lower, " to ", upper,
+          "; correct lower and upper, or sign and zero, so that both count alike"));
+    return absl::OkStatus();
+  }
+
+  struct Part {
+    int owner;
+    double mass;
+    Eigen::Vector3d centre;
+    Eigen::Matrix3d inertia;
+  };
+  void AddMass(const urdf::Link& link, const Place& place) {
+    if (link.mass <= 0) return;
+    const Eigen::Isometry3d T = place.T_owner_link * PoseOf(link.com.xyz, link.com.rpy);
+    masses_[static_cast<size_t>(place.owner)].push_back(
+        {place.owner, link.mass, T.translation(),
+         T.linear() * link.inertia * T.linear().transpose()});
+  }
+  // Of parallel axes: I about the common centre.
+  void SumUp(ChainLink& link) const {
+    const std::vector<Part>& parts = masses_[static_cast<size_t>(&link - chain_.links.data())];
+    for (const Part& part : parts) {
+      link.mass += part.mass;
+      link.centre += part.mass * part.centre;
+    }
+    if (link.mass > 0) link.centre /= link.mass;
+    for (const Part& part : parts) {
+      const Eigen::Vector3d d = part.centre - link.centre;
+      link.inertia += part.inertia + part.mass * (d.squaredNorm() * Eigen::Matrix3d::Identity() -
+                                                  d * d.transpose());
+    }
+  }
+
+  absl::Status AddShape(const urdf::Link& link, const Place& place) {
+    std::vector<Ball>& shape = chain_.links[static_cast<size_t>(place.owner)].shape;
+    const auto add = [&](const Eigen::Vector3d& p, double radius) {
+      shape.push_back({place.T_owner_link * p, radius});
+    };
+    bool known = false;
+    const XMLElement& e = *link.element;
+    for (const XMLElement* collision = e.FirstChildElement("collision"); collision != nullptr;
+         collision = collision->NextSiblingElement("collision")) {
+      Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+      if (const XMLElement* origin = collision->FirstChildElement("origin"); origin != nullptr) {
+        RS_ASSIGN_OR_RETURN(const auto xyz, file_.Numbers(*origin, "xyz", {0, 0, 0}));
+        RS_ASSIGN_OR_RETURN(const auto rpy, file_.Numbers(*origin, "rpy", {0, 0, 0}));
+        T = PoseOf(xyz, rpy);
+      }
+      const XMLElement* geometry = collision->FirstChildElement("geometry");
+      if (geometry == nullptr) continue;
+      for (const XMLElement* kind = geometry->FirstChildElement(); kind != nullptr;
+           kind = kind->NextSiblingElement()) {
+        RS_ASSIGN_OR_RETURN(const std::vector<Ball> balls, BallsOf(*kind));
+        for (const Ball& ball : balls) add(T * ball.centre, ball.radius);
+        known = known || !balls.empty();
+      }
+    }
+    if (known) return absl::OkStatus();
+    const bool body = e.FirstChildElement("collision") != nullptr ||
+                      e.FirstChildElement("visual") != nullptr || link.mass > 0;
+    add(Eigen::Vector3d::Zero(), body ? options_.radius : 0);
+    return absl::OkStatus();
+  }
+
+  // What lies on the second joint's axis above an upright first one never changes its height. Were
+  // it below a table, it would be the nearest part for ever, and hide how near the tool is.
+  void LeaveShoulderOut() {
+    const Eigen::Vector3d first = chain_.links[0].T_before_joint.linear() * chain_.links[0].axis;
+    if (chain_.links.size() < 2 || std::abs(first.z()) < 1 - kUpright) return;
+    const Eigen::Vector3d& axis = chain_.links[1].axis;
+    std::vector<Ball>& shape = chain_.links[1].shape;
+    const auto stays = [&](const Ball& ball) { return ball.centre.cross(axis).norm() < kOnAxis; };
+    shape.erase(std::remove_if(shape.begin(), shape.end(), stays), shape.end());
+  }
+
+  // Whose hull holds the shape; none: a mesh.
+  absl::StatusOr<std::vector<Ball>> BallsOf(const XMLElement& kind) const {
+    const absl::string_view name = kind.Name();
+    const auto within = [&](double value) { return value >= 0 && value <= kLongest; };
+    const auto wrong = [&] {
+      return file_.Error(kind, absl::StrCat("<", kind.Name(), "> is larger than ", kLongest,
+                                            " m or below 0; URDF is in metres"));
+    };
+    if (name == "sphere") {
+      RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
+      if (!within(radius[0])) return wrong();
+      return std::vector<Ball>{{Eigen::Vector3d::Zero(), radius[0]}};
+    }
+    if (name == "cylinder" || name == "capsule") {
+      RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
+      RS_ASSIGN_OR_RETURN(const auto length, file_.Numbers(kind, "length", {0}));
+      if (!within(radius[0]) || !within(length[0])) return wrong();
+      const Eigen::Vector3d end(0, 0, length[0] / 2);
+      return std::vector<Ball>{{end, radius[0]}, {-end, radius[0]}};
+    }
+    if (name != "box") return std::vector<Ball>{};
+    RS_ASSIGN_OR_RETURN(const auto size, file_.Numbers(kind, "size", {0, 0, 0}));
+    std::vector<Ball> corners;
+    for (int corner = 0; corner < 8; ++corner) {
+      Eigen::Vector3d p;
+      for (int i = 0; i < 3; ++i) {
+        if (!within(size[static_cast<size_t>(i)])) return wrong();
+        p[i] = ((corner >> i) & 1 ? 0.5 : -0.5) * size[static_cast<size_t>(i)];
+      }
+      corners.push_back({p, 0});
+    }
+    return corners;
+  }
+
+  absl::Status FindTool() {
+    const int last = static_cast<int>(chain_.links.size()) - 1;
+    std::vector<std::string> carried;
+    for (size_t i = 0; i < model_.links.size(); ++i) {
+      if (places_[i].owner != last) continue;
+      if (model_.links[i].name == options_.tool) {
+        chain_.tool = places_[i].T_owner_link.translation();
+        chain_.links.back().shape.push_back({chain_.tool, 0});
+        return absl::OkStatus();
+      }
+      carried.push_back(model_.links[i].name);
+    }
+    if (carried.size() > 12) carried.resize(12);
+    return absl::InvalidArgumentError(
+        absl::StrCat("model.tool is '", options_.tool, "', must be a link of ", file_.name(),
+                     " that the last joint carries: ", absl::StrJoin(carried, ", ")));
+  }
+
+  const XmlFile& file_;
+  const UrdfModel& model_;
+  const ModelOptions& options_;
+  ArmChain chain_;
+  std::vector<Place> places_;              // by link of the file
+  std::vector<std::vector<Part>> masses_;  // by link of the chain
+};
+
+}  // namespace
+
+absl::StatusOr<ArmChain> ReadArmChain(const std::string& file, const std::string& text,
+                                      const std::vector<std::string>& joints,
+                                      const ArmLimits& limits, const ModelOptions& options) {
+  RS_ASSIGN_OR_RETURN(const XmlFile xml, XmlFile::Parse(file, text));
+  if (absl::string_view(xml.root().Name()) != "robot")
+    return xml.Error(xml.root(), absl::StrCat("the root is <", xml.root().Name(),
+                                              ">, must be <robot>: of the formats a model is "
+                                              "written in the client reads URDF"));
+  RS_ASSIGN_OR_RETURN(const UrdfModel model, ReadUrdf(xml, joints));
+  return ChainReader(xml, model, options).Read(joints, limits);
+}
+
+}  // namespace robostress::bridge
