@@ -22,6 +22,7 @@ namespace {
 constexpr int64_t kPoll_ns = 5'000'000;
 constexpr char kEpisodes[] = "/episodes.jsonl";
 constexpr double kEnables_s = 10;
+constexpr double kReconnects_s = 10;  // a driver that was started again
 constexpr double kLastFeedback_s = 0.1;
 
 }  // namespace
@@ -191,7 +192,7 @@ absl::StatusOr<std::string> ClientRun::Clear() {
   if (loop_->state() != ClientState::kFault)
     return absl::FailedPreconditionError("there is no fault to clear");
   pending_ = AwaitDecision(
-      loop_.get(), clock_, "clear", kDecides_s,
+      loop_.get(), clock_, "clear", kReconnects_s,
       [this] { return loop_->state() == ClientState::kIdle; },
       "no fault any more; type enable when it is safe");
   loop_->Ask(kRequestClear);

@@ -21,6 +21,8 @@ const char* TextOf(Refusal refusal) {
              "or hold";
     case Refusal::kFaults:
       return "the arm goes on reporting a fault";
+    case Refusal::kLost:
+      return "the connection to the arm is gone";
     case Refusal::kHeld:
       return "a watchdog would hold the arm at once: arm, camera, leader or recording is not well; "
              "see "
@@ -32,7 +34,9 @@ const char* TextOf(Refusal refusal) {
 }  // namespace
 
 absl::Status Refused(const ControlLoop& loop, const std::string& what) {
-  const std::string why = TextOf(loop.refusal());
+  std::string why = TextOf(loop.refusal());
+  if (loop.refusal() == Refusal::kLost)
+    absl::StrAppend(&why, ": ", loop.reconnect_status().message());
   return absl::FailedPreconditionError(absl::StrCat(
       what, ": the client is ", StateName(loop.state()), why.empty() ? "" : "; ", why));
 }

@@ -110,6 +110,15 @@ class RobotArm {
   // Takes in what has arrived; never blocks, never allocates. Once per control tick, before Latest.
   // A transport with a reader thread of its own has nothing to do here.
   virtual void Poll() = 0;
+  // The connection to the arm is gone, and only Reconnect may bring it back.
+  virtual bool lost() const { return false; }
+  // A person has repaired what broke: connects anew, as at the start, and demands the same arm that
+  // can do the same. Nothing moves. Waits, so it is called in IDLE and FAULT only; `cancelled` as
+  // for Enable.
+  virtual absl::Status Reconnect(const std::function<bool()>&) {
+    return absl::UnimplementedError(
+        "this arm has no connection that comes back; start the client again");
+  }
   // A person has seen the faults and wants to go on. What is over is forgotten: another sender that
   // has been silent for a second, a mode that the arm left. Never blocks.
   virtual void Acknowledge() {}

@@ -29,15 +29,18 @@ double Seconds(int64_t ns) { return static_cast<double>(ns) * 1e-9; }
 }  // namespace
 
 BridgeArm::BridgeArm(BridgeRobot robot, std::string address, Clock& clock, BridgeArmOptions options)
-    : robot_(std::move(robot)), address_(std::move(address)), clock_(clock), options_(options) {}
+    : robot_(std::move(robot)),
+      address_(std::move(address)),
+      dial_([this](double wait_s) { return DriverSocket::Connect(address_, wait_s, clock_); }),
+      clock_(clock),
+      options_(options) {}
 
-BridgeArm::BridgeArm(BridgeRobot robot, std::unique_ptr<DriverSocket> socket, Clock& clock,
-                     BridgeArmOptions options)
+BridgeArm::BridgeArm(BridgeRobot robot, Dial dial, Clock& clock, BridgeArmOptions options)
     : robot_(std::move(robot)),
       address_("a stream"),
+      dial_(std::move(dial)),
       clock_(clock),
-      options_(options),
-      socket_(std::move(socket)) {}
+      options_(options) {}
 
 BridgeArm::~BridgeArm() {
   if (socket_ == nullptr || socket_->closed()) return;
@@ -114,20 +117,57 @@ bool BridgeArm::WaitFor(double seconds, const Done& done) {
 }
 
 absl::Status BridgeArm::Connect() {
-  if (socket_ == nullptr) {
-    RS_ASSIGN_OR_RETURN(socket_, DriverSocket::Connect(address_, options_.wait_s, clock_));
-  }
-  RS_RETURN_IF_ERROR(Greet());
+  RS_RETURN_IF_ERROR(Open(options_.wait_s, options_.welcome_s, [] { return false; }));
+  connected_ = true;
+  return absl::OkStatus();
+}
+
+absl::Status BridgeArm::Reconnect(const std::function<bool()>& cancelled) {
+  broken_ = "";
+  refusal_.clear();
+  filled_ = 0;
+  welcomed_ = commanding_ = stopped_ = false;
+  state_ = {};
+  state_sequence_ = 0;
+  sample_.enabled = false;
+  anywhere_ = true;
+  places_seen_ = 0;
+  absl::Status status =
+      Open(options_.again_s, options_.again_s, [&] { return cancelled && cancelled(); });
+  if (status.ok()) status = CheckSame();
+  if (status.ok()) return status;
+  welcomed_ = true;  // by the first
+  Broken("the connection is gone");
+  return status;
+}
+
+// A driver that can do less, or drives another arm, is no repair: a person was told what this one
+// can.
+absl::Status BridgeArm::CheckSame() const {
+  const auto abilities = [](const Welcome& w) {
+    return std::tuple(w.robot, w.stop, w.hold, w.torque_off, w.measures_velocity, w.measures_effort,
+                      w.monotonic, w.simulated, w.on_silence, w.watchdog_s);
+  };
+  if (abilities(greeting_) == abilities(welcome_)) return absl::OkStatus();
+  return absl::FailedPreconditionError(Named(absl::StrCat(
+      "another driver answers: it drives '", greeting_.robot, "', the one before '", welcome_.robot,
+      "', or it can do other things; start the one before, or quit and start the client again")));
+}
+
+absl::Status BridgeArm::Open(double wait_s, double answer_s, const std::function<bool()>& stop) {
+  RS_ASSIGN_OR_RETURN(socket_, dial_(wait_s));
+  RS_RETURN_IF_ERROR(Greet(answer_s, stop));
   RS_RETURN_IF_ERROR(CheckWelcome());
-  const auto sampled = [&] { return sample_.sequence != 0 || *broken_ != '\0'; };
-  WaitFor(options_.welcome_s, sampled);
+  const uint64_t first = sample_.sequence;
+  const auto sampled = [&] { return sample_.sequence != first || *broken_ != '\0' || stop(); };
+  WaitFor(answer_s, sampled);
   if (*broken_ != '\0') return absl::UnavailableError(Named(broken_));
-  if (sample_.sequence == 0) {
+  if (sample_.sequence == first) {
     if (counters_.not_finite > 0)
       return absl::UnavailableError(
           Named("the driver sends positions that are no numbers; look at its messages"));
     return absl::UnavailableError(
-        Named(absl::StrCat("no state of the arm within ", options_.welcome_s,
+        Named(absl::StrCat("no state of the arm within ", answer_s,
                            " s; look at the driver's messages and at the arm's power")));
   }
   const double age = Seconds(clock_.now_ns() - sample_.stamp_ns);
@@ -140,36 +180,36 @@ absl::Status BridgeArm::Connect() {
   return absl::OkStatus();
 }
 
-absl::Status BridgeArm::Greet() {
+absl::Status BridgeArm::Greet(double answer_s, const std::function<bool()>& stop) {
   const std::vector<uint8_t> hello = EncodeText(
       FrameKind::kHello, ++sent_sequence_, HelloText(robot_.name, robot_.names(), robot_.rate_hz));
   std::ignore =
       socket_->Send(hello.data(), hello.size());  // a driver that refuses may have hung up already
-  WaitFor(options_.welcome_s, [&] { return welcomed_ || !refusal_.empty() || *broken_ != '\0'; });
+  WaitFor(answer_s, [&] { return welcomed_ || !refusal_.empty() || *broken_ != '\0' || stop(); });
   if (!refusal_.empty()) return absl::FailedPreconditionError(Named(refusal_));
   if (welcomed_) return absl::OkStatus();
   if (*broken_ != '\0')
     return absl::UnavailableError(Named(absl::StrCat(
         broken_, " instead of a welcome; is this a driver of version ", int{kVersion}, "?")));
-  return absl::DeadlineExceededError(Named(
-      absl::StrCat("no welcome within ", options_.welcome_s, " s; look at the driver's messages")));
+  return absl::DeadlineExceededError(
+      Named(absl::StrCat("no welcome within ", answer_s, " s; look at the driver's messages")));
 }
 
 absl::Status BridgeArm::CheckWelcome() const {
-  if (welcome_.protocol != kVersion)
+  if (greeting_.protocol != kVersion)
     return absl::FailedPreconditionError(
-        Named(absl::StrCat("the driver speaks version ", welcome_.protocol, ", this client ",
+        Named(absl::StrCat("the driver speaks version ", greeting_.protocol, ", this client ",
                            int{kVersion}, "; take the driver that came with this client")));
-  if (welcome_.axes != robot_.names())
+  if (greeting_.axes != robot_.names())
     return absl::FailedPreconditionError(Named(absl::StrCat(
-        "the driver drives [", absl::StrJoin(welcome_.axes, ", "), "], the robot file [",
+        "the driver drives [", absl::StrJoin(greeting_.axes, ", "), "], the robot file [",
         absl::StrJoin(robot_.names(), ", "), "]; correct the names in the file")));
-  if (const std::string missing = Missing(robot_.driver, welcome_); !missing.empty())
+  if (const std::string missing = Missing(robot_.driver, greeting_); !missing.empty())
     return absl::FailedPreconditionError(
         Named(absl::StrCat("the driver cannot do what the robot file expects: ", missing,
                            "; take another driver, or, knowing what is lost, say so under driver: "
                            "in the robot file")));
-  if (robot_.simulated && !welcome_.simulated)
+  if (robot_.simulated && !greeting_.simulated)
     return absl::FailedPreconditionError(
         Named("the robot file says simulated: true, the driver says that its arm is real; correct "
               "the file"));
@@ -231,7 +271,8 @@ void BridgeArm::TakeFrame(const FrameHeader& header, const uint8_t* payload) {
     refusal_ = std::string(welcome.status().message());
     return Broken("its welcome cannot be read");
   }
-  welcome_ = *std::move(welcome);
+  greeting_ = *std::move(welcome);
+  if (!connected_) welcome_ = greeting_;
   welcomed_ = true;
 }
 
@@ -384,7 +425,8 @@ absl::Status BridgeArm::SendHold(CommandMode mode) {
 
 absl::Status BridgeArm::CheckStands(double still) const {
   if (*broken_ != '\0')
-    return absl::UnavailableError(Named(absl::StrCat(broken_, "; start driver and client again")));
+    return absl::UnavailableError(
+        Named(absl::StrCat(broken_, "; start the driver again, then type enable")));
   const double age = Seconds(clock_.now_ns() - sample_.stamp_ns);
   if (sample_.sequence == 0 || !(age <= options_.fresh_s && age >= -kMostAhead_s))
     return absl::UnavailableError(Named(absl::StrCat(

@@ -19,6 +19,7 @@ namespace robostress::bridge {
 
 struct BridgeArmOptions {
   double wait_s = 5;               // for a driver that is being started
+  double again_s = 1;              // for one that was started again, and for each of its answers
   double welcome_s = 5;            // for its answer and its first state
   double enable_s = 5;             // Enable gives up after this
   double reply_s = 0.5;            // Enable waits for a fresh state of an arm that stands
@@ -44,16 +45,17 @@ struct BridgeCounters {
 // Connect, Enable and Disable wait on the clock; the others never wait and never allocate, their
 // errors carry a code only.
 //
-// A connection that ends, or on which something comes that is no frame, stays closed: kFaultBus
-// until the client is started again. A value that is no number is kFaultDriver until Acknowledge. A
-// sample that no joint can have got to is not taken: where they go on the arm is silent.
+// A connection that ends, or on which something comes that is no frame, is closed: kFaultBus until
+// Reconnect has made another one, to a driver that says the same of itself and of its arm. A value
+// that is no number is kFaultDriver until Acknowledge. A sample that no joint can have got to is
+// not taken: where they go on the arm is silent.
 class BridgeArm : public RobotArm {
  public:
   // `clock` outlives it. `address`: unix:PATH.
   BridgeArm(BridgeRobot robot, std::string address, Clock& clock, BridgeArmOptions options = {});
-  // On a stream that is there already; Connect then only greets.
-  BridgeArm(BridgeRobot robot, std::unique_ptr<DriverSocket> socket, Clock& clock,
-            BridgeArmOptions options = {});
+  // Opens its stream by `dial`, which is given how long to wait for a driver [s].
+  using Dial = std::function<absl::StatusOr<std::unique_ptr<DriverSocket>>(double wait_s)>;
+  BridgeArm(BridgeRobot robot, Dial dial, Clock& clock, BridgeArmOptions options = {});
   ~BridgeArm() override;  // says that it is the end: the driver does what it does on silence
 
   absl::Status Connect() override;
@@ -62,6 +64,8 @@ class BridgeArm : public RobotArm {
   // UNIMPLEMENTED where the driver cannot take the power off.
   absl::Status Disable() override;
   void Poll() override;
+  bool lost() const override { return *broken_ != '\0'; }
+  absl::Status Reconnect(const std::function<bool()>& cancelled) override;
   void Acknowledge() override;
   void AddSampleReader(SpscRing<ArmSnapshot>* ring) override { sample_reader_ = ring; }
   ArmSnapshot Latest() const override { return snapshot_.Load(); }
@@ -80,7 +84,9 @@ class BridgeArm : public RobotArm {
   const StateFrame& state() const { return state_; }
 
  private:
-  absl::Status Greet();
+  absl::Status Open(double wait_s, double answer_s, const std::function<bool()>& stop);
+  absl::Status Greet(double answer_s, const std::function<bool()>& stop);
+  absl::Status CheckSame() const;
   absl::Status CheckWelcome() const;
   absl::Status CheckStands(double still) const;
   absl::Status SendFrame(CommandMode mode, const ArmVector& position, double gripper_effort);
@@ -100,10 +106,13 @@ class BridgeArm : public RobotArm {
 
   const BridgeRobot robot_;
   const std::string address_;
+  const Dial dial_;
   Clock& clock_;
   const BridgeArmOptions options_;
   std::unique_ptr<DriverSocket> socket_;
-  Welcome welcome_;
+  Welcome welcome_;         // of the first driver; those after it must say the same
+  Welcome greeting_;        // of the one that is connected
+  bool connected_ = false;  // once, by Connect
   bool welcomed_ = false;
   std::string refusal_;      // what the driver or its bytes said against going on
   const char* broken_ = "";  // why the connection is given up; empty: it is not

@@ -104,12 +104,17 @@ uint32_t ControlLoop::Granted(uint32_t requests, ArmSnapshot& arm, const Watchdo
                               int64_t now_ns) {
   if ((requests & kGoing) == 0) return requests;
   const bool clears = (requests & kRequestClear) && machine_.state() == ClientState::kFault;
+  Refusal why = Refusal::kNone;
   if (clears) {
+    if (arm_->lost()) {
+      if (!ReconnectArm().ok()) why = Refusal::kLost;
+      now_ns = record_.start_ns;
+    }
     arm_->Acknowledge();
     arm_->Poll();
     arm = arm_->Latest();
   }
-  Refusal why = options_.guards ? WhyNot(arm, now_ns) : Refusal::kNone;
+  if (why == Refusal::kNone && options_.guards) why = WhyNot(arm, now_ns);
   if (clears && why == Refusal::kNone && arm.faults != 0) why = Refusal::kFaults;
   if ((requests & (kRequestStart | kRequestMove)) && why == Refusal::kNone) {
     if (options_.guards && Apart(arm) > kTogether) why = Refusal::kApart;
@@ -119,11 +124,27 @@ uint32_t ControlLoop::Granted(uint32_t requests, ArmSnapshot& arm, const Watchdo
   return why == Refusal::kNone ? requests : requests & ~kGoing;
 }
 
+absl::Status ControlLoop::reconnect_status() const {
+  absl::MutexLock lock(&mu_);
+  return reconnect_status_;
+}
+
+// The tick goes on later, with the time that it is then.
+absl::Status ControlLoop::ReconnectArm() {
+  enabling_ = true;
+  absl::Status status = arm_->Reconnect([this] { return StopAsked(); });
+  record_.start_ns = clock_->now_ns();
+  absl::MutexLock lock(&mu_);
+  return reconnect_status_ = std::move(status);
+}
+
 void ControlLoop::EnableArm() {
   enabling_ = true;
+  absl::Status status;
+  if (arm_->lost()) status = ReconnectArm();
   ArmSnapshot arm = arm_->Latest();
   ArmVector start = arm.position;
-  absl::Status status = MoveInside(arm_->limits(), start);  // refused while it has no power yet
+  status.Update(MoveInside(arm_->limits(), start));  // refused while it has no power yet
   const auto ready = [&] {
     const int64_t now = clock_->now_ns();
     switch (options_.guards ? WhyNot(arm, now) : Refusal::kNone) {

@@ -55,13 +55,15 @@ enum class Refusal : uint8_t {
   kMoving,  // a joint moves
   kApart,   // the arm is not where it is sent
   kFaults,  // the arm still reports a fault
+  kLost,    // its connection is gone, and could not be made again: reconnect_status
   kHeld,    // a watchdog would hold it at once
 };
 
 // The control loop of one arm. A tick polls the arm, asks the watchdogs, decides the state, picks
 // the row that is due, corrects it (disturbance observer), limits it, sends it and records all of
 // that. It allocates nothing, takes no lock and never waits for a network, a camera or a disk:
-// whatever comes and goes passes through bounded rings. Only a requested Enable blocks, in IDLE.
+// whatever comes and goes passes through bounded rings. Only a requested Enable blocks, in IDLE,
+// and a lost connection that is made again there or at a requested clear, in FAULT.
 //
 // Threads: Tick and Run belong to the control thread; the receiving end of prediction_requests and
 // AnswerPrediction to one other; each reader's ring to its reader; Ask and state to anyone.
@@ -119,7 +121,8 @@ class ControlLoop {
   // The run can no longer be recorded: RUN and MOVE end in HOLD, and do not begin.
   void NoteRecordFailed() { record_failed_.store(true, std::memory_order_release); }
   int episode() const { return episode_.load(std::memory_order_acquire); }
-  absl::Status enable_status() const ABSL_LOCKS_EXCLUDED(mu_);  // of the last Enable
+  absl::Status enable_status() const ABSL_LOCKS_EXCLUDED(mu_);     // of the last Enable
+  absl::Status reconnect_status() const ABSL_LOCKS_EXCLUDED(mu_);  // of the last Reconnect
 
   SpscRing<PredictionRequest>& prediction_requests() { return prediction_requests_; }
   bool AnswerPrediction(const ArmChunk& chunk) { return chunks_.Push(chunk); }
@@ -144,6 +147,7 @@ class ControlLoop {
   uint32_t StopRequests(int64_t now_ns);
   bool StopAsked() const;
   void EnableArm();
+  absl::Status ReconnectArm();
   Refusal WhyNot(const ArmSnapshot& arm, int64_t now_ns) const;
   uint32_t Granted(uint32_t requests, ArmSnapshot& arm, const WatchdogVerdict& verdict,
                    int64_t now_ns);
@@ -212,7 +216,7 @@ class ControlLoop {
   int64_t retry_after_ns_ = 0;
   int32_t next_chunk_ = 0;
   int64_t observed_ns_ = 0;       // time of the observer's last call
-  bool enabling_ = false;         // this tick blocked for a person's Enable
+  bool enabling_ = false;         // this tick blocked for a person's Enable or Reconnect
   bool policy_invalid_ = false;   // since the last tick
   const ArmPath* way_ = nullptr;  // in MOVE; or
   LiveTarget* live_ = nullptr;    // in MOVE
@@ -222,6 +226,7 @@ class ControlLoop {
 
   mutable absl::Mutex mu_;
   absl::Status enable_status_ ABSL_GUARDED_BY(mu_);
+  absl::Status reconnect_status_ ABSL_GUARDED_BY(mu_);
 };
 
 }  // namespace robostress

@@ -17,6 +17,8 @@
 namespace robostress::bridge {
 namespace {
 
+using ::testing::HasSubstr;
+
 struct Ended {
   ClientState state;
   StateCause cause;
@@ -64,7 +66,104 @@ TEST(BridgeSafety, ADriverThatDiesIsAFaultInTheNextTick) {
   EXPECT_EQ(ended.faults, kFaultBus);
   EXPECT_LE(ended.seconds, 0.034);
   world.Tick(kRequestClear);
-  EXPECT_EQ(world.loop->state(), ClientState::kFault) << "a connection does not come back";
+  EXPECT_EQ(world.loop->state(), ClientState::kFault) << "nobody listens";
+  EXPECT_EQ(world.loop->refusal(), Refusal::kLost);
+  EXPECT_THAT(std::string(world.loop->reconnect_status().message()), HasSubstr("nobody listens"));
+}
+
+TEST(BridgeSafety, ADriverThatIsStartedAgainGoesOnAfterClearAndEnable) {
+  BridgeWorld world;
+  After("dies", world, [&] { world.driver->HangUp(); });
+  const ArmVector left = world.driver->position;
+  world.StartDriver();
+  world.driver->position = world.driver->target = left;
+  world.driver->position[2] = world.driver->target[2] = left[2] - 0.7;  // it sank meanwhile
+  world.Ticks(30);
+  EXPECT_EQ(world.loop->state(), ClientState::kFault) << "nothing comes back by itself";
+  EXPECT_FALSE(world.driver->greeted);
+  const uint64_t before = world.arm->Latest().sequence;
+  world.Tick(kRequestClear);
+  ASSERT_EQ(world.loop->state(), ClientState::kIdle) << world.loop->reconnect_status();
+  EXPECT_GT(world.arm->Latest().sequence, before);
+  EXPECT_EQ(world.arm->Latest().faults, 0u);
+  world.Ticks(30);
+  EXPECT_EQ(world.driver->enables + world.driver->commands, 0) << "nothing moves by itself";
+  world.Tick(kRequestEnable);
+  ASSERT_EQ(world.loop->state(), ClientState::kEnabled) << world.loop->enable_status();
+  world.Ticks(10);
+  EXPECT_NEAR(world.driver->position[2], left[2] - 0.7, 1e-3) << "it holds where it stands";
+  world.Tick(kRequestStart);
+  world.Ticks(30);
+  EXPECT_EQ(world.loop->state(), ClientState::kRun);
+  EXPECT_GT(world.driver->position[0], left[0] + 0.1);
+}
+
+TEST(BridgeSafety, InIdleEnableConnectsAgain) {
+  BridgeWorld world;
+  world.Open();
+  world.Ticks(3);
+  world.driver->HangUp();
+  world.Ticks(3);
+  world.Tick(kRequestEnable);
+  EXPECT_EQ(world.loop->state(), ClientState::kIdle);
+  EXPECT_THAT(std::string(world.loop->enable_status().message()), HasSubstr("nobody listens"));
+  world.StartDriver();
+  world.Tick(kRequestEnable);
+  EXPECT_EQ(world.loop->state(), ClientState::kEnabled) << world.loop->enable_status();
+}
+
+TEST(BridgeSafety, AnotherDriverOrAnotherArmIsNoRepair) {
+  const auto refused = [](const std::function<void(BridgeWorld&)>& change) {
+    BridgeWorld world;
+    After("dies", world, [&] { world.driver->HangUp(); });
+    world.StartDriver();
+    change(world);
+    world.Tick(kRequestClear);
+    EXPECT_EQ(world.loop->state(), ClientState::kFault);
+    world.Ticks(5);
+    EXPECT_EQ(world.driver->enables + world.driver->commands, 0);
+    EXPECT_EQ(world.arm->Latest().faults & kFaultBus, kFaultBus);
+    EXPECT_FALSE(world.arm->Disable().ok());
+    const std::string said(world.loop->reconnect_status().message());
+    // The right one afterwards is one.
+    world.StartDriver();
+    world.Tick(kRequestClear);
+    EXPECT_EQ(world.loop->state(), ClientState::kIdle) << world.loop->reconnect_status();
+    return said;
+  };
+  EXPECT_THAT(refused([](BridgeWorld& w) { w.driver->welcome["robot"] = "six servos"; }),
+              HasSubstr("it drives 'six servos', the one before 'five servos'"));
+  EXPECT_THAT(refused([](BridgeWorld& w) { w.driver->welcome["stop"] = false; }),
+              HasSubstr("another driver answers"));
+  EXPECT_THAT(refused([](BridgeWorld& w) { w.driver->welcome["watchdog_s"] = 0.4; }),
+              HasSubstr("another driver answers"));
+  EXPECT_THAT(refused([](BridgeWorld& w) {
+                w.driver->welcome["axes"] = {"lift", "pan", "elbow", "flex", "roll", "jaw"};
+              }),
+              HasSubstr("correct the names"));
+  EXPECT_THAT(refused([](BridgeWorld& w) { w.driver->silent = true; }),
+              HasSubstr("no state of the arm within 1 s"));
+  EXPECT_THAT(refused([](BridgeWorld& w) { w.driver->reads = false; }),
+              HasSubstr("no welcome within 1 s"));
+  EXPECT_THAT(refused([](BridgeWorld& w) { w.driver->Write("what is this", 12); }),
+              HasSubstr("instead of a welcome"));
+  EXPECT_THAT(refused([](BridgeWorld& w) { w.driver->stamp_back_ns = 2'000'000'000; }),
+              HasSubstr("s behind this machine's CLOCK_MONOTONIC"));
+}
+
+TEST(BridgeSafety, AFaultOfTheArmStaysOneAfterANewConnection) {
+  BridgeWorld world;
+  After("dies", world, [&] { world.driver->HangUp(); });
+  world.StartDriver();
+  world.driver->faults = kFaultCollision;
+  world.Tick(kRequestClear);
+  EXPECT_EQ(world.loop->state(), ClientState::kFault);
+  EXPECT_EQ(world.loop->refusal(), Refusal::kFaults);
+  EXPECT_EQ(world.arm->Latest().faults, kFaultCollision);
+  world.driver->faults = 0;
+  world.Ticks(3);
+  world.Tick(kRequestClear);
+  EXPECT_EQ(world.loop->state(), ClientState::kIdle) << "it is connected already";
 }
 
 TEST(BridgeSafety, AFrozenDriverHoldsThenFaults) {
@@ -340,15 +439,13 @@ TEST(BridgeSafety, TorquesAreNotJudgedWhereTheFileDoesNotSayWhatPresses) {
   world.driver->welcome["measures_effort"] = true;
   ASSERT_TRUE(world.Connected().ok());
   EXPECT_FALSE(world.arm->Latest().has_effort);
-  EXPECT_THAT(world.arm->Warnings(),
-              ::testing::Contains(::testing::HasSubstr("torques are not watched")));
+  EXPECT_THAT(world.arm->Warnings(), ::testing::Contains(HasSubstr("torques are not watched")));
   ModelledWorld modelled;
   ASSERT_TRUE(modelled.Connected().ok());
   EXPECT_TRUE(modelled.arm->Latest().has_effort);
-  EXPECT_THAT(modelled.arm->Warnings(),
-              ::testing::Contains(
-                  ::testing::AllOf(::testing::HasSubstr("seven_joints.urdf: table, box, torques"),
-                                   ::testing::HasSubstr("not watched: the arm against itself"))));
+  EXPECT_THAT(modelled.arm->Warnings(), ::testing::Contains(::testing::AllOf(
+                                            HasSubstr("seven_joints.urdf: table, box, torques"),
+                                            HasSubstr("not watched: the arm against itself"))));
 }
 
 TEST(BridgeSafety, NoCommandIsBeyondTheRobotFilesLimits) {

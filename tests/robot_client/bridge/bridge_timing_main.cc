@@ -131,7 +131,7 @@ class Timer {
 
 absl::Status Drive(const Line& line, const BridgeRobot& robot, double rate_hz, Times& times) {
   RS_ASSIGN_OR_RETURN(const int descriptor, Dial(line.socket));
-  Timer timer(descriptor, robot.axes.count());
+  Timer timer(descriptor, robot.limits.axes.count());
   MonotonicClock clock;
   const std::vector<uint8_t> hello = EncodeText(FrameKind::kHello, ++timer.sequence(),
                                                 HelloText(robot.name, robot.names(), rate_hz));
@@ -187,7 +187,7 @@ absl::Status Run(const Line& line) {
     std::vector<double> raw;
     std::thread beside([&] {
       raw = Raw(rate_hz, line.seconds,
-                kHeaderBytes + kCommandBytes + 8 * static_cast<size_t>(robot.axes.count()));
+                kHeaderBytes + kCommandBytes + 8 * static_cast<size_t>(robot.limits.axes.count()));
     });
     const absl::Status driven = Drive(line, robot, rate_hz, times);
     beside.join();

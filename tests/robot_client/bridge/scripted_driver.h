@@ -217,10 +217,22 @@ struct BridgeWorld {
   explicit BridgeWorld(BridgeRobot read) { Begin(std::move(read)); }
   void Begin(BridgeRobot read) {
     robot = std::move(read);
+    StartDriver();
+    const auto dial = [this](double) -> absl::StatusOr<std::unique_ptr<DriverSocket>> {
+      if (listening < 0) return absl::UnavailableError("nobody listens");
+      return std::make_unique<DriverSocket>(std::exchange(listening, -1));
+    };
+    arm = std::make_unique<BridgeArm>(robot, dial, clock);
+  }
+  ~BridgeWorld() {
+    if (listening >= 0) close(listening);
+  }
+  // A driver that the next dial reaches.
+  void StartDriver() {
     int ends[2];
     EXPECT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK, 0, ends), 0);
+    listening = ends[0];
     driver = std::make_unique<ScriptedDriver>(ends[1], robot);
-    arm = std::make_unique<BridgeArm>(robot, std::make_unique<DriverSocket>(ends[0]), clock);
     clock.driver = driver.get();
   }
   absl::Status Connected() { return arm->Connect(); }
@@ -285,6 +297,7 @@ struct BridgeWorld {
   std::unique_ptr<ControlLoop> loop;
   double speed = 0.3;  // [rad/s] of what the policy wants of `moved`
   int moved = 0;
+  int listening = -1;
   int64_t due_ns = 0;
 };
 

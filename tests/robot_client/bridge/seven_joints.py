@@ -4,8 +4,8 @@
     seven_joints.py BUILD_DIR OUT_DIR
 
 A person enables, jogs the last joint, drives home and runs an episode of a policy of eight actions. Then the run is
-exported and replayed, on this arm and in vain on one of six joints. With a model no jog leads into the table. All in
-real time; the arm is emulated_driver.py.
+exported and replayed, on this arm and in vain on one of six joints. With a model no jog leads into the table. A driver
+that died is started again, and the person goes on. All in real time; the arm is emulated_driver.py.
 """
 
 import csv
@@ -153,6 +153,34 @@ def modelled(build, out):
          f"{out}/seven_joints.urdf")
 
 
+def driver_again(build, out):
+    """The driver dies; nothing comes back until it is started again and a person clears and enables."""
+    run = Seven(build, out, "run_again")
+    try:
+        run.order("enable", "the arm has power and holds")
+        run.order("home", "the arm is home")
+        run.driver.kill()
+        run.driver.wait()
+        run.wait_for("client", r"FAULT \(arm_fault\): bus error")
+        run.order("clear", "the connection to the arm is gone: no driver at unix:")
+        run.driver = run.start("driver_again", [sys.executable, f"{HERE}/emulated_driver.py", "--socket", run.socket,
+                                                "--arm", "seven"])
+        run.wait_for("driver_again", " at /tmp/")
+        time.sleep(1)
+        assert "the client drives" not in run.text("driver_again"), "nobody has asked for it"
+        run.order("clear", "no fault any more")
+        run.order("enable", "the arm has power and holds")
+        run.order("home", "the arm is home")
+        run.type("quit")
+        assert run.client.wait(timeout=30) == 0, run.text("client")
+    finally:
+        run.end()
+    rows = columns(f"{out}/run_again/ticks.csv")
+    last = rows[-1]
+    for axis, home in zip(AXES, HOME):
+        assert abs(float(last[f"q_{axis}"]) - home) < 0.02, f"{axis} is {last[f'q_{axis}']}, home {home}"
+
+
 def other_policy(build, out):
     """A server of seven numbers is for another robot, and the client says so."""
     server = subprocess.Popen([f"{build}/test_bin/joint_policy_server", "--axes", "7"], stdout=subprocess.PIPE, text=True)
@@ -179,6 +207,7 @@ def main():
     files(build, out)
     replay(build, out)
     modelled(build, out)
+    driver_again(build, out)
     other_policy(build, out)
     print("seven joints: all as it should be")
 
