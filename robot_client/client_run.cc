@@ -42,6 +42,8 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
   RS_RETURN_IF_ERROR(CheckCollisionProtection());
   if (const auto* behind = dynamic_cast<const bridge::BridgeArm*>(arm_.get())) {
     for (std::string& line : behind->Warnings()) Say(std::move(line));
+    if (behind->chain() && !config_.control.workspace.guard)
+      Say("WARNING: control.workspace.guard is false: table and box are NOT watched");
   }
   model_ = MakeModel(config_, *arm_);
   if (!config_.home.empty()) {

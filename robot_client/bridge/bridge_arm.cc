@@ -154,6 +154,10 @@ absl::Status BridgeArm::CheckSame() const {
       "', or it can do other things; start the one before, or quit and start the client again")));
 }
 
+absl::Status BridgeArm::Stopped() const {
+  return absl::CancelledError(Named("a person stopped it before the driver had answered"));
+}
+
 absl::Status BridgeArm::Open(double wait_s, double answer_s, const std::function<bool()>& stop) {
   RS_ASSIGN_OR_RETURN(socket_, dial_(wait_s));
   RS_RETURN_IF_ERROR(Greet(answer_s, stop));
@@ -162,6 +166,7 @@ absl::Status BridgeArm::Open(double wait_s, double answer_s, const std::function
   const auto sampled = [&] { return sample_.sequence != first || *broken_ != '\0' || stop(); };
   WaitFor(answer_s, sampled);
   if (*broken_ != '\0') return absl::UnavailableError(Named(broken_));
+  if (sample_.sequence == first && stop()) return Stopped();
   if (sample_.sequence == first) {
     if (counters_.not_finite > 0)
       return absl::UnavailableError(
@@ -188,6 +193,7 @@ absl::Status BridgeArm::Greet(double answer_s, const std::function<bool()>& stop
   WaitFor(answer_s, [&] { return welcomed_ || !refusal_.empty() || *broken_ != '\0' || stop(); });
   if (!refusal_.empty()) return absl::FailedPreconditionError(Named(refusal_));
   if (welcomed_) return absl::OkStatus();
+  if (stop()) return Stopped();
   if (*broken_ != '\0')
     return absl::UnavailableError(Named(absl::StrCat(
         broken_, " instead of a welcome; is this a driver of version ", int{kVersion}, "?")));

@@ -252,6 +252,36 @@ TEST_F(PiperCircleTest, PartsARecordingWhereSamplesWereLostOrCameLate) {
   for (const RecordedEpisode& episode : *episodes) EXPECT_EQ(episode.t.size(), 300u);
 }
 
+TEST_F(PiperCircleTest, ARunOfSevenJointsIsReadWholeAndMakesNoRigOfAPiper) {
+  std::string samples = "t,sequence", ticks = "t,sent_us,state,episode";
+  for (const char* group : {"q", "dq", "tau"})
+    for (int j = 1; j <= 7; ++j) absl::StrAppend(&samples, ",", group, "_J", j);
+  for (int j = 1; j <= 7; ++j) absl::StrAppend(&ticks, ",sent_J", j);
+  for (int i = 0; i < 400; ++i) {
+    absl::StrAppend(&samples, "\n", 0.005 * i, ",", i + 1);
+    for (int k = 0; k < 21; ++k) absl::StrAppend(&samples, ",", k);
+  }
+  for (const char* t : {"0", "1.9"}) {
+    absl::StrAppend(&ticks, "\n", t, ",20,RUN,0");
+    for (int j = 1; j <= 7; ++j) absl::StrAppend(&ticks, ",", j);
+  }
+  ASSERT_TRUE(WriteFileAtomically(root + "/samples.csv", samples + "\n").ok());
+  ASSERT_TRUE(WriteFileAtomically(root + "/ticks.csv", ticks + "\n").ok());
+  const auto episodes = EpisodesOfClientRun(root, 1);
+  ASSERT_TRUE(episodes.ok()) << episodes.status();
+  const RecordedEpisode& episode = episodes->front();
+  ASSERT_EQ(episode.q.size(), 7u);
+  ASSERT_EQ(episode.command.size(), 7u);
+  EXPECT_EQ(episode.q[6][0], 6);
+  EXPECT_EQ(episode.tau[6][0], 20);
+  EXPECT_EQ(episode.command[6][0], 7);
+  EXPECT_EQ(ArmResponse("arm_response", 7).joints.size(), 7u);
+  const auto [output, code] =
+      RunProgram(RECORD_TO_RIG, absl::StrCat(root, " --out ", root, "/rig"));
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(output, AllOf(HasSubstr("an arm of 7 joints"), HasSubstr("a Piper's")));
+}
+
 TEST_F(PiperCircleTest, SaysWhatARunLacks) {
   const auto refusal = [&] {
     const auto [output, code] =

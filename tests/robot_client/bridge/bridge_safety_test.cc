@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cstdio>
 #include <functional>
 #include <memory>
@@ -149,6 +150,21 @@ TEST(BridgeSafety, AnotherDriverOrAnotherArmIsNoRepair) {
               HasSubstr("instead of a welcome"));
   EXPECT_THAT(refused([](BridgeWorld& w) { w.driver->stamp_back_ns = 2'000'000'000; }),
               HasSubstr("s behind this machine's CLOCK_MONOTONIC"));
+}
+
+TEST(BridgeSafety, AStopEndsTheWaitForADriverThatDoesNotAnswer) {
+  BridgeWorld world;
+  std::atomic<int> presses{0};
+  After("dies", world, [&] { world.driver->HangUp(); });
+  world.loop->ObeyStops(&presses);
+  world.StartDriver();
+  world.driver->reads = false;
+  world.loop->Ask(kRequestClear);
+  world.clock.on_turn = [&] { ++presses; };
+  const int64_t before = world.clock.now_ns();
+  world.Tick();
+  EXPECT_LT(world.clock.now_ns() - before, 200'000'000);
+  EXPECT_EQ(world.loop->reconnect_status().code(), absl::StatusCode::kCancelled);
 }
 
 TEST(BridgeSafety, AFaultOfTheArmStaysOneAfterANewConnection) {

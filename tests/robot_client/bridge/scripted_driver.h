@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <string>
@@ -200,8 +201,10 @@ class TurnClock : public ManualClock {
     while (now_ns() < deadline_ns) {
       ManualClock::SleepUntil(std::min(now_ns() + 1'000'000, deadline_ns));
       if (driver != nullptr) driver->Turn(now_ns());
+      if (on_turn) on_turn();
     }
   }
+  std::function<void()> on_turn;
   ScriptedDriver* driver = nullptr;
 };
 

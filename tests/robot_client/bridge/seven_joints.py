@@ -149,8 +149,8 @@ def modelled(build, out):
     nowhere = f"{out}/nowhere.yaml"
     with open(nowhere, "w") as file:
         file.write(text)
-    done([f"{build}/bin/robot_client", "--arm", "bridge:unix:/tmp/nobody", "--robot", nowhere, "--out", f"{out}/none"], 2,
-         f"{out}/seven_joints.urdf")
+    done([f"{build}/bin/robot_client", "--arm", "bridge:unix:/tmp/nobody", "--robot", nowhere, "--out",
+          f"{out}/none"], 2, f"{out}/seven_joints.urdf")
 
 
 def driver_again(build, out):
@@ -183,7 +183,8 @@ def driver_again(build, out):
 
 def other_policy(build, out):
     """A server of seven numbers is for another robot, and the client says so."""
-    server = subprocess.Popen([f"{build}/test_bin/joint_policy_server", "--axes", "7"], stdout=subprocess.PIPE, text=True)
+    server = subprocess.Popen([f"{build}/test_bin/joint_policy_server", "--axes", "7"], stdout=subprocess.PIPE,
+                              text=True)
     socket = f"/tmp/bridge-{os.getpid()}-other"
     driver = subprocess.Popen([sys.executable, f"{HERE}/emulated_driver.py", "--socket", socket, "--arm", "seven"],
                               stdout=subprocess.PIPE, text=True)
