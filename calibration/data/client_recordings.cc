@@ -224,7 +224,8 @@ RecordedArm PiperOfRecordings(const std::string& rig_name, double payload_kg) {
   piper::PiperScene scene;
   scene.payload_kg = payload_kg;
   arm.mjcf = piper::ComposePiperScene(scene);
-  for (int j = 1; j <= static_cast<int>(kPiper.joints.size()); ++j) arm.joints.push_back(absl::StrCat("piper_joint", j));
+  for (int j = 1; j <= static_cast<int>(kPiper.joints.size()); ++j)
+    arm.joints.push_back(absl::StrCat("piper_joint", j));
   arm.fit = {"armature"};
   return arm;
 }

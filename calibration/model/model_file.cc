@@ -8,8 +8,8 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "calibration/model/mjcf_reduction.h"
-#include "common/models/urdf_model.h"
 #include "common/atomic_file.h"
+#include "common/models/urdf_model.h"
 #include "common/status_macros.h"
 
 namespace robostress::calibration {
