@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
 """The tables of docs/results/winning-back.md from kept outcomes: eval/docs/winning_back.py [METHOD...]
+    eval/docs/winning_back.py --first-seed [METHOD...]     initial states 20-26 with seed 0, which all methods played
     eval/docs/winning_back.py --picture FILE.svg     where the loss of each scenario goes
 
 Reads winning-back/METHOD/*.jsonl beside this file, as eval/conditions/reporting_run.sh writes them. Clusters are the
@@ -20,8 +21,8 @@ SEVEN = ["heavy_payload", "thermal_drift_stribeck", "thermal_drift_backlash", "a
 UNSEEN = ["stick", "payload", "velocity", "wear"]
 
 
-def outcomes(method, folder=FOLDER):
-    """{condition: {(suite, task): {(seed, state, file): 0 or 1}}}; condition: a scenario, or of UNSEEN."""
+def outcomes(method, folder=FOLDER, states=None):
+    """{condition: {(suite, task): {(seed, state, file): 0 or 1}}}; condition: a scenario, or of UNSEEN. states: these alone."""
     table = defaultdict(lambda: defaultdict(dict))
     for file in sorted((folder / method).glob("*.jsonl")):
         part = file.stem.split("-")[0]
@@ -31,7 +32,8 @@ def outcomes(method, folder=FOLDER):
             for task, row in zip(unit["tasks"], unit["outcomes"]):
                 for i, outcome in enumerate(row):
                     key = unit["seed"], unit["first_initial_state"] + i, pathlib.Path(unit["scenario"]).name
-                    table[condition][unit["suite"], task][key] = int(outcome)
+                    if states is None or key[1] in states:
+                        table[condition][unit["suite"], task][key] = int(outcome)
     return table
 
 
@@ -165,8 +167,9 @@ def main():
         for scenario, (base, off, parts) in rows.items():
             print(scenario, f"{base:.1f} of {off:.1f}", *(f"{x:+.1f}" for x in parts), sep=" | ")
         return
-    methods = sys.argv[1:] or sorted(d.name for d in FOLDER.iterdir() if d.is_dir())
-    tables = {method: outcomes(method) for method in methods}
+    first_seed = sys.argv[1:2] == ["--first-seed"]
+    methods = sys.argv[1 + first_seed:] or sorted(d.name for d in FOLDER.iterdir() if d.is_dir())
+    tables = {method: outcomes(method, states=range(20, 27) if first_seed else None) for method in methods}
     for family, conditions in (("the seven", SEVEN), ("unseen", UNSEEN)):
         have = [m for m in methods if all(c in tables[m] for c in conditions)]
         shown = (["clean"] if family == "the seven" else []) + conditions
