@@ -34,6 +34,7 @@ MethodOptions ServersPart(const MethodOptions& method) {
   if (Follows(method)) {
     std::get<std::optional<FollowingOptions>>(rest.ways).reset();
     std::get<std::optional<IntegralOptions>>(rest.ways).reset();
+    std::get<std::optional<EnvelopeOptions>>(rest.ways).reset();
   }
   rest.observer = rest.every_step = false;
   rest.smoothing = 0;
