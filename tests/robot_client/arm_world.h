@@ -16,6 +16,7 @@
 #include "robot_client/emulator/piper_emulator.h"
 #include "robot_client/piper/piper_arm.h"
 #include "robot_client/piper/piper_model.h"
+#include "tests/robot_client/answer_to.h"
 
 namespace robostress {
 
@@ -69,15 +70,7 @@ struct ArmWorld {
     PredictionRequest request;
     while (loop->prediction_requests().Pop(request)) {
       if (!policy) continue;
-      ArmChunk chunk;
-      chunk.request = chunk.prediction_id = request.id;
-      chunk.episode = request.episode;
-      chunk.chunk = request.chunk;
-      chunk.played = request.played;
-      chunk.observed_ns = request.asked_ns;
-      chunk.rows = 50;
-      for (int i = 0; i < 50; ++i) chunk.policy[i] = chunk.requested[i] = policy(i, request);
-      loop->AnswerPrediction(chunk);
+      loop->AnswerPrediction(AnswerTo(request, [&](int i) { return policy(i, request); }));
     }
   }
 

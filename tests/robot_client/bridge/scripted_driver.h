@@ -18,6 +18,7 @@
 #include "nlohmann/json.hpp"
 #include "robot_client/bridge/bridge_arm.h"
 #include "robot_client/control/control_loop.h"
+#include "tests/robot_client/answer_to.h"
 
 namespace robostress::bridge {
 
@@ -252,19 +253,11 @@ struct BridgeWorld {
   void Serve() {
     PredictionRequest request;
     while (loop->prediction_requests().Pop(request)) {
-      ArmChunk chunk;
-      chunk.request = chunk.prediction_id = request.id;
-      chunk.episode = request.episode;
-      chunk.chunk = request.chunk;
-      chunk.played = request.played;
-      chunk.observed_ns = request.asked_ns;
-      chunk.rows = 50;
-      for (int i = 0; i < 50; ++i) {
-        chunk.policy[i] = request.position;
-        chunk.policy[i][moved] += speed * (i + 1) / 30.0;
-        chunk.requested[i] = chunk.policy[i];
-      }
-      loop->AnswerPrediction(chunk);
+      loop->AnswerPrediction(AnswerTo(request, [&](int i) {
+        ArmVector target = request.position;
+        target[moved] += speed * (i + 1) / 30.0;
+        return target;
+      }));
     }
   }
   const TickRecord& Tick(uint32_t requests = 0) {

@@ -10,6 +10,7 @@
 #include <new>
 #include <thread>
 
+#include "tests/robot_client/answer_to.h"
 #include "tests/robot_client/fake_arm.h"
 
 namespace {
@@ -66,19 +67,11 @@ struct Bench {
     PredictionRequest request;
     while (loop->prediction_requests().Pop(request)) {
       if (!server_alive) continue;
-      ArmChunk chunk;
-      chunk.request = request.id;
-      chunk.prediction_id = request.id;
-      chunk.episode = request.episode;
-      chunk.chunk = request.chunk;
-      chunk.played = request.played;
-      chunk.observed_ns = request.asked_ns;
-      chunk.rows = 50;
-      for (int i = 0; i < 50; ++i) {
-        chunk.policy[i] = request.position;
-        chunk.policy[i][0] += policy_offset + policy_speed * (i + 1) / 30.0;
-        chunk.requested[i] = chunk.policy[i];
-      }
+      const ArmChunk chunk = AnswerTo(request, [&](int i) {
+        ArmVector target = request.position;
+        target[0] += policy_offset + policy_speed * (i + 1) / 30.0;
+        return target;
+      });
       on_the_way.emplace_back(clock.now_ns() + latency_ticks * kPeriod_ns, chunk);
     }
     Deliver();

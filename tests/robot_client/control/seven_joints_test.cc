@@ -9,6 +9,7 @@
 
 #include "common/robot_description.h"
 #include "robot_client/control/control_loop.h"
+#include "tests/robot_client/answer_to.h"
 #include "tests/robot_client/fake_arm.h"
 
 namespace robostress {
@@ -59,20 +60,12 @@ struct SevenBench {
   void Serve() {
     PredictionRequest request;
     while (loop->prediction_requests().Pop(request)) {
-      ArmChunk chunk;
-      chunk.request = chunk.prediction_id = request.id;
-      chunk.episode = request.episode;
-      chunk.chunk = request.chunk;
-      chunk.played = request.played;
-      chunk.observed_ns = request.asked_ns;
-      chunk.rows = 50;
-      for (int i = 0; i < 50; ++i) {
-        chunk.policy[i] = request.position;
-        chunk.policy[i][kJ7] += speed * (i + 1) / 30.0;
-        chunk.policy[i][kOpening] = opening;
-        chunk.requested[i] = chunk.policy[i];
-      }
-      loop->AnswerPrediction(chunk);
+      loop->AnswerPrediction(AnswerTo(request, [&](int i) {
+        ArmVector target = request.position;
+        target[kJ7] += speed * (i + 1) / 30.0;
+        target[kOpening] = opening;
+        return target;
+      }));
     }
   }
   const TickRecord& Tick(uint32_t requests = 0) {
