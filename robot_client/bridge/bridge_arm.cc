@@ -9,8 +9,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/strings/str_join.h"
 #include "common/status_macros.h"
+#include "robot_client/bridge/driver_abilities.h"
 
 namespace robostress::bridge {
 namespace {
@@ -65,43 +65,7 @@ std::string BridgeArm::stop_effect() const {
 }
 
 std::vector<std::string> BridgeArm::Warnings() const {
-  std::vector<std::string> lines;
-  std::vector<std::string> names;
-  for (int i = 0; i < robot_.limits.axes.joints; ++i)
-    names.push_back(absl::StrCat("J", i + 1, " ", robot_.joints[i].name));
-  if (robot_.gripper) names.push_back(absl::StrCat("gripper ", robot_.gripper->name));
-  lines.push_back(absl::StrCat("axes: ", absl::StrJoin(names, ", ")));
-  const Welcome& w = welcome_;
-  const bool watched = w.on_silence != OnSilence::kNothing && w.watchdog_s > 0;
-  lines.push_back(
-      watched ? absl::StrCat("when this client is silent for ", w.watchdog_s,
-                             " s, or ends, the driver says: ", OnSilenceName(w.on_silence))
-              : "WARNING: when this client dies the driver does NOTHING: the arm goes to its last "
-                "target");
-  if (!w.hold)
-    lines.emplace_back("WARNING: the driver does not say that the arm holds without new targets");
-  if (!w.stop)
-    lines.emplace_back(
-        "WARNING: the driver has no stop: the second Ctrl-C holds where the arm stands");
-  if (!w.torque_off)
-    lines.emplace_back(
-        "WARNING: the driver cannot take the power off: quit limp is refused, use the switch");
-  if (!w.measures_effort || !robot_.watches_torque())
-    lines.emplace_back(
-        "torques are not watched: an arm that presses is held when it is blocked, not before");
-  if (!w.measures_velocity)
-    lines.push_back(absl::StrFormat("no velocities: they are estimated over %.0f ms",
-                                    1000 * options_.velocity_window_s));
-  if (!w.monotonic)
-    lines.emplace_back(
-        "WARNING: the driver does not stamp its samples: how old they are is not known");
-  lines.push_back(
-      robot_.chain ? absl::StrCat("watched by ", robot_.chain->file, ": table, box",
-                                  w.measures_effort && robot_.watches_torque() ? ", torques" : "",
-                                  "; not watched: the arm against itself")
-                   : "no model of this arm: table, box and the arm against itself are not watched");
-  if (!w.note.empty()) lines.push_back(absl::StrCat("the driver says: ", w.note));
-  return lines;
+  return WhatADriverSays(robot_, welcome_, options_.velocity_window_s);
 }
 
 template <class Done>
@@ -134,24 +98,12 @@ absl::Status BridgeArm::Reconnect(const std::function<bool()>& cancelled) {
   places_seen_ = 0;
   absl::Status status =
       Open(options_.again_s, options_.again_s, [&] { return cancelled && cancelled(); });
-  if (status.ok()) status = CheckSame();
+  if (const std::string why = Differs(welcome_, greeting_); status.ok() && !why.empty())
+    status = absl::FailedPreconditionError(Named(why));
   if (status.ok()) return status;
   welcomed_ = true;  // by the first
   Broken("the connection is gone");
   return status;
-}
-
-// A driver that can do less, or drives another arm, is no repair: a person was told what this one
-// can.
-absl::Status BridgeArm::CheckSame() const {
-  const auto abilities = [](const Welcome& w) {
-    return std::tuple(w.robot, w.stop, w.hold, w.torque_off, w.measures_velocity, w.measures_effort,
-                      w.monotonic, w.simulated, w.on_silence, w.watchdog_s);
-  };
-  if (abilities(greeting_) == abilities(welcome_)) return absl::OkStatus();
-  return absl::FailedPreconditionError(Named(absl::StrCat(
-      "another driver answers: it drives '", greeting_.robot, "', the one before '", welcome_.robot,
-      "', or it can do other things; start the one before, or quit and start the client again")));
 }
 
 absl::Status BridgeArm::Stopped() const {
@@ -161,7 +113,8 @@ absl::Status BridgeArm::Stopped() const {
 absl::Status BridgeArm::Open(double wait_s, double answer_s, const std::function<bool()>& stop) {
   RS_ASSIGN_OR_RETURN(socket_, dial_(wait_s));
   RS_RETURN_IF_ERROR(Greet(answer_s, stop));
-  RS_RETURN_IF_ERROR(CheckWelcome());
+  if (const std::string why = Unfit(robot_, greeting_); !why.empty())
+    return absl::FailedPreconditionError(Named(why));
   const uint64_t first = sample_.sequence;
   const auto sampled = [&] { return sample_.sequence != first || *broken_ != '\0' || stop(); };
   WaitFor(answer_s, sampled);
@@ -199,27 +152,6 @@ absl::Status BridgeArm::Greet(double answer_s, const std::function<bool()>& stop
         broken_, " instead of a welcome; is this a driver of version ", int{kVersion}, "?")));
   return absl::DeadlineExceededError(
       Named(absl::StrCat("no welcome within ", answer_s, " s; look at the driver's messages")));
-}
-
-absl::Status BridgeArm::CheckWelcome() const {
-  if (greeting_.protocol != kVersion)
-    return absl::FailedPreconditionError(
-        Named(absl::StrCat("the driver speaks version ", greeting_.protocol, ", this client ",
-                           int{kVersion}, "; take the driver that came with this client")));
-  if (greeting_.axes != robot_.names())
-    return absl::FailedPreconditionError(Named(absl::StrCat(
-        "the driver drives [", absl::StrJoin(greeting_.axes, ", "), "], the robot file [",
-        absl::StrJoin(robot_.names(), ", "), "]; correct the names in the file")));
-  if (const std::string missing = Missing(robot_.driver, greeting_); !missing.empty())
-    return absl::FailedPreconditionError(
-        Named(absl::StrCat("the driver cannot do what the robot file expects: ", missing,
-                           "; take another driver, or, knowing what is lost, say so under driver: "
-                           "in the robot file")));
-  if (robot_.simulated && !greeting_.simulated)
-    return absl::FailedPreconditionError(
-        Named("the robot file says simulated: true, the driver says that its arm is real; correct "
-              "the file"));
-  return absl::OkStatus();
 }
 
 // Allocates nothing once the driver was welcomed.

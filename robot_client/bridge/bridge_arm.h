@@ -86,9 +86,7 @@ class BridgeArm : public RobotArm {
  private:
   absl::Status Open(double wait_s, double answer_s, const std::function<bool()>& stop);
   absl::Status Greet(double answer_s, const std::function<bool()>& stop);
-  absl::Status CheckSame() const;
   absl::Status Stopped() const;
-  absl::Status CheckWelcome() const;
   absl::Status CheckStands(double still) const;
   absl::Status SendFrame(CommandMode mode, const ArmVector& position, double gripper_effort);
   absl::Status SendHold(CommandMode mode);

@@ -1,0 +1,79 @@
+#include "robot_client/bridge/driver_abilities.h"
+
+#include <tuple>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+
+namespace robostress::bridge {
+
+std::string Unfit(const BridgeRobot& robot, const Welcome& w) {
+  if (w.protocol != kVersion)
+    return absl::StrCat("the driver speaks version ", w.protocol, ", this client ", int{kVersion},
+                        "; take the driver that came with this client");
+  if (w.axes != robot.names())
+    return absl::StrCat("the driver drives [", absl::StrJoin(w.axes, ", "), "], the robot file [",
+                        absl::StrJoin(robot.names(), ", "), "]; correct the names in the file");
+  if (const std::string missing = Missing(robot.driver, w); !missing.empty())
+    return absl::StrCat("the driver cannot do what the robot file expects: ", missing,
+                        "; take another driver, or, knowing what is lost, say so under driver: "
+                        "in the robot file");
+  if (robot.simulated && !w.simulated)
+    return "the robot file says simulated: true, the driver says that its arm is real; correct the "
+           "file";
+  return "";
+}
+
+std::string Differs(const Welcome& first, const Welcome& again) {
+  const auto abilities = [](const Welcome& w) {
+    return std::tuple(w.robot, w.stop, w.hold, w.torque_off, w.measures_velocity, w.measures_effort,
+                      w.monotonic, w.simulated, w.on_silence, w.watchdog_s);
+  };
+  if (abilities(again) == abilities(first)) return "";
+  return absl::StrCat(
+      "another driver answers: it drives '", again.robot, "', the one before '", first.robot,
+      "', or it can do other things; start the one before, or quit and start the client again");
+}
+
+std::vector<std::string> WhatADriverSays(const BridgeRobot& robot, const Welcome& w,
+                                         double velocity_window_s) {
+  std::vector<std::string> lines;
+  std::vector<std::string> names;
+  for (int i = 0; i < robot.limits.axes.joints; ++i)
+    names.push_back(absl::StrCat("J", i + 1, " ", robot.joints[i].name));
+  if (robot.gripper) names.push_back(absl::StrCat("gripper ", robot.gripper->name));
+  lines.push_back(absl::StrCat("axes: ", absl::StrJoin(names, ", ")));
+  const bool watched = w.on_silence != OnSilence::kNothing && w.watchdog_s > 0;
+  lines.push_back(
+      watched ? absl::StrCat("when this client is silent for ", w.watchdog_s,
+                             " s, or ends, the driver says: ", OnSilenceName(w.on_silence))
+              : "WARNING: when this client dies the driver does NOTHING: the arm goes to its last "
+                "target");
+  if (!w.hold)
+    lines.emplace_back("WARNING: the driver does not say that the arm holds without new targets");
+  if (!w.stop)
+    lines.emplace_back(
+        "WARNING: the driver has no stop: the second Ctrl-C holds where the arm stands");
+  if (!w.torque_off)
+    lines.emplace_back(
+        "WARNING: the driver cannot take the power off: quit limp is refused, use the switch");
+  if (!w.measures_effort || !robot.watches_torque())
+    lines.emplace_back(
+        "torques are not watched: an arm that presses is held when it is blocked, not before");
+  if (!w.measures_velocity)
+    lines.push_back(absl::StrFormat("no velocities: they are estimated over %.0f ms",
+                                    1000 * velocity_window_s));
+  if (!w.monotonic)
+    lines.emplace_back(
+        "WARNING: the driver does not stamp its samples: how old they are is not known");
+  lines.push_back(
+      robot.chain ? absl::StrCat("watched by ", robot.chain->file, ": table, box",
+                                 w.measures_effort && robot.watches_torque() ? ", torques" : "",
+                                 "; not watched: the arm against itself")
+                  : "no model of this arm: table, box and the arm against itself are not watched");
+  if (!w.note.empty()) lines.push_back(absl::StrCat("the driver says: ", w.note));
+  return lines;
+}
+
+}  // namespace robostress::bridge
