@@ -77,13 +77,18 @@ def operate(build, out, name, driver, robot, orders):
         nonlocal text
         end, begun = time.monotonic() + seconds, len(text)
         while words not in text[begun:]:
-            if time.monotonic() > end or client.poll() is not None:
+            if time.monotonic() > end:
                 client.kill()
                 raise SystemExit(f"{name}: no '{words}' in\n{text}\n{driver.text()}")
             try:
-                text += os.read(client.stdout.fileno(), 1 << 16).decode()
+                came = os.read(client.stdout.fileno(), 1 << 16)
             except BlockingIOError:
                 time.sleep(0.02)
+                continue
+            # An end of the pipe, not of the process: its last words may still be in it.
+            if not came:
+                raise SystemExit(f"{name} ended with {client.wait()} without '{words}' in\n{text}\n{driver.text()}")
+            text += came.decode()
 
     read_until("control thread")
     time.sleep(1)  # an arm whose power was switched off and on gives way, and comes back
