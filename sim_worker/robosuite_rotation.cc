@@ -1,5 +1,6 @@
 #include "sim_worker/robosuite_rotation.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace robostress {
@@ -20,6 +21,13 @@ Eigen::Matrix3d SinglePrecisionMatrix(const Eigen::Vector4d& wxyz) {
       p(1, 2) + p(3, 0), diagonal(1, 3), p(2, 3) - p(1, 0),   //
       p(1, 3) - p(2, 0), p(2, 3) + p(1, 0), diagonal(1, 2);
   return R;
+}
+
+Eigen::Vector3d AxisAngleAsRobosuite(const double* wxyz) {
+  const double w = std::clamp(wxyz[0], -1.0, 1.0);
+  const double sine = std::sqrt(1 - w * w);
+  if (sine == 0) return Eigen::Vector3d::Zero();
+  return Eigen::Vector3d(wxyz[1], wxyz[2], wxyz[3]) * (2 * std::acos(w) / sine);
 }
 
 }  // namespace robostress

@@ -1,23 +1,10 @@
 #include "sim_worker/simulator_row.h"
 
-#include <Eigen/Geometry>
-#include <algorithm>
-#include <cmath>
-
 #include "common/status_macros.h"
 #include "sim_worker/panda_model.h"
+#include "sim_worker/robosuite_rotation.h"
 
 namespace robostress {
-namespace {
-
-// Axis-angle of a unit quaternion w x y z, the angle in [0, 2 pi) as robosuite's quat2axisangle.
-Eigen::Vector3d AxisAngle(const mjtNum* q) {
-  const double sine = std::sqrt(std::max(0.0, 1.0 - q[0] * q[0]));
-  if (sine < 1e-12) return Eigen::Vector3d::Zero();
-  return Eigen::Vector3d(q[1], q[2], q[3]) * (2.0 * std::acos(std::clamp(q[0], -1.0, 1.0)) / sine);
-}
-
-}  // namespace
 
 absl::StatusOr<SimulatorRow> ReadSimulator(const PandaSim& sim) {
   const mjModel& model = sim.model();
@@ -30,7 +17,7 @@ absl::StatusOr<SimulatorRow> ReadSimulator(const PandaSim& sim) {
   for (int i = 0; i < 7; ++i) row.joints[i] = data.qpos[panda.qpos[i]];
   for (int i = 0; i < 2; ++i) row.fingers[i] = data.qpos[panda.finger_qpos[i]];
   const mjtNum* q = data.xquat + 4 * panda.hand_body;
-  const Eigen::Vector3d rotation = AxisAngle(q);
+  const Eigen::Vector3d rotation = AxisAngleAsRobosuite(q);
   for (int i = 0; i < 3; ++i) {
     row.ee_pos[i] = data.site_xpos[3 * panda.grip_site + i];
     row.ee_ori[i] = rotation[i];

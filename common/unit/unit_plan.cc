@@ -128,6 +128,11 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
     return absl::InvalidArgumentError(
         absl::StrCat("unit: sim.pictures is '", unit.sim.pictures, "', must be original or plain"));
   }
+  if (unit.sim.pictures == SimOptions::kPlainPictures && !suite->needs_libero) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit: sim.pictures is 'plain', which is of LIBERO's views; suite '",
+                     unit.suite, "' is drawn in one way only; leave it out"));
+  }
   if (!(unit.sim.controller_kp >= 1 && unit.sim.controller_kp <= 2000)) {
     return absl::InvalidArgumentError(
         absl::StrCat("unit: sim.controller_kp is ", unit.sim.controller_kp, ", must be 1 to 2000"));

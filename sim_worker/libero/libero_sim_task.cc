@@ -19,6 +19,7 @@
 #include "sim_worker/libero/task_files.h"
 #include "sim_worker/libero/thin_meshes.h"
 #include "sim_worker/panda_model.h"
+#include "sim_worker/robosuite_rotation.h"
 
 namespace robostress::libero {
 namespace {
@@ -183,7 +184,7 @@ absl::StatusOr<Observation> LiberoSimTask::Observe(const PolicySpec& spec) {
   Observation observation;
   observation.instruction = instruction_;
   observation.proprioception.resize(8);
-  const Eigen::Vector3d rotation = AxisAngleAsLibero(data.xquat + 4 * panda.hand_body);
+  const Eigen::Vector3d rotation = AxisAngleAsRobosuite(data.xquat + 4 * panda.hand_body);
   for (int i = 0; i < 3; ++i) {
     observation.proprioception[i] = static_cast<float>(data.site_xpos[3 * panda.grip_site + i]);
     observation.proprioception[3 + i] = static_cast<float>(rotation[i]);

@@ -70,9 +70,8 @@ Eigen::MatrixXf LabelFrom(const std::vector<Eigen::VectorXf>& path, size_t first
 
 }  // namespace
 
-absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert, int initial_state,
+absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert,
                                            const RecordOptions& options, const StreamKey& key) {
-  RS_RETURN_IF_ERROR(task.Reset(initial_state));
   RandomStream random(key), execution(key.With("execution noise"));
   NoiseBursts noise(options, random);
   Demonstration result;
@@ -123,10 +122,9 @@ absl::StatusOr<Eigen::MatrixXf> BranchLabel(SimTask& task, const Expert& expert)
   return LabelFrom(path, 0);
 }
 
-absl::StatusOr<Demonstration> RecordDagger(SimTask& task, const Expert& expert, int initial_state,
+absl::StatusOr<Demonstration> RecordDagger(SimTask& task, const Expert& expert,
                                            const EpisodeKey& key, double mix,
                                            PolicyEndpoint& policy, RandomStream random) {
-  RS_RETURN_IF_ERROR(task.Reset(initial_state));
   RS_RETURN_IF_ERROR(policy.StartEpisode(key));
   Demonstration result;
   for (int chunk = 0; result.steps < task.horizon() && !result.success; ++chunk) {

@@ -52,15 +52,17 @@ struct RecordOptions {
   double execution_noise = 0;
 };
 
-// The expert drives; bursts come from the stream `key`, execution noise from a stream of its own,
-// so that it changes nothing else. Labels are the expert's own commands along the path; after
-// success zero motion with the last gripper command. Ends at success or at the horizon.
-absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert, int initial_state,
+// The expert drives, from the state to which `task` was reset; bursts come from the stream `key`,
+// execution noise from a stream of its own, so that it changes nothing else. Labels are the
+// expert's own commands along the path; after success zero motion with the last gripper command.
+// Ends at success or at the horizon.
+absl::StatusOr<Demonstration> RecordExpert(SimTask& task, const Expert& expert,
                                            const RecordOptions& options, const StreamKey& key);
 
-// The policy drives; with chance `mix` a chunk is the expert's. A frame per chunk; its label is the
-// expert's rollout on a branch of the simulation from that state (DAgger).
-absl::StatusOr<Demonstration> RecordDagger(SimTask& task, const Expert& expert, int initial_state,
+// The policy drives, from the state to which `task` was reset; with chance `mix` a chunk is the
+// expert's. A frame per chunk; its label is the expert's rollout on a branch of the simulation from
+// that state (DAgger).
+absl::StatusOr<Demonstration> RecordDagger(SimTask& task, const Expert& expert,
                                            const EpisodeKey& key, double mix,
                                            PolicyEndpoint& policy, RandomStream random);
 

@@ -193,21 +193,28 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
     RS_ASSIGN_OR_RETURN(file, EpisodeFile::Create(line, job, *task));
   }
   int successes = 0, steps = 0;
-  std::string failed;
+  std::string failed, no_room;
   double render = 0;
   const double start = Now(), cpu_start = CpuSeconds();
   // A demonstration that fails teaches nothing: the next draw replaces it, up to twice as many
   // draws. What a policy drove into is kept either way.
-  int kept = 0, draws = 0;
+  int kept = 0, draws = 0, played = 0;
   for (; kept < line.episodes && draws < 2 * line.episodes; ++draws) {
     const int draw = line.first_draw + draws;
+    const absl::Status reset = task->Reset(draw);
+    if (absl::IsResourceExhausted(reset)) {  // nowhere to put an object: another draw has its place
+      absl::StrAppend(&no_room, " ", draw);
+      continue;
+    }
+    RS_RETURN_IF_ERROR(reset);
     const StreamKey key =
         StreamKey("record").With(line.seed).With(job.suite).With(job.task).With(draw);
     absl::StatusOr<Demonstration> episode =
-        policy != nullptr ? RecordDagger(*task, expert, draw, {job.task, draw}, line.mix, *policy,
-                                         RandomStream(key))
-                          : RecordExpert(*task, expert, draw, options, key);
+        policy != nullptr
+            ? RecordDagger(*task, expert, {job.task, draw}, line.mix, *policy, RandomStream(key))
+            : RecordExpert(*task, expert, options, key);
     RS_RETURN_IF_ERROR(episode.status());
+    ++played;
     successes += episode->success;
     steps += episode->steps;
     render += episode->render_seconds;
@@ -218,30 +225,39 @@ absl::Status RunJob(const CommandLine& line, const Job& job) {
   }
   const double wall = Now() - start;
   std::string written;
-  if (file.has_value()) {
+  if (file.has_value() && kept > 0) {
     RS_RETURN_IF_ERROR(file->Publish());
     written = absl::StrFormat("  %d frames, %.0f frames/s, render %.0f %%, CPU %.0f %% -> %s",
                               file->frames(), file->frames() / wall, 100 * render / wall,
                               100 * (CpuSeconds() - cpu_start) / wall, file->path());
   }
-  std::printf("%-17s %2d  success %3d/%-3d  mean steps %5.1f  %6.0f steps/s%s  %s%s%s\n",
-              job.suite.c_str(), job.task, successes, draws, static_cast<double>(steps) / draws,
-              steps / wall, written.c_str(), task->instruction().c_str(),
-              failed.empty() ? "" : "  failed draws:", failed.c_str());
+  std::printf("%-17s %2d  success %3d/%-3d  mean steps %5.1f  %6.0f steps/s%s  %s%s%s%s%s\n",
+              job.suite.c_str(), job.task, successes, played,
+              static_cast<double>(steps) / std::max(played, 1), steps / wall, written.c_str(),
+              task->instruction().c_str(), failed.empty() ? "" : "  failed draws:", failed.c_str(),
+              no_room.empty() ? "" : "  draws without room for an object:", no_room.c_str());
   std::fflush(stdout);
+  if (file.has_value() && kept == 0) {
+    return absl::NotFoundError(
+        absl::StrCat("none of the draws ", line.first_draw, " to ", line.first_draw + draws - 1,
+                     " gave an episode to keep, no ", file->path(), " was written"));
+  }
   return absl::OkStatus();
 }
 
+// The tasks after one that fails are recorded all the same, unless they fail by the same error.
 int RunJobs(const CommandLine& line, const std::vector<Job>& jobs, int worker) {
+  std::string error;
   for (size_t i = worker; i < jobs.size(); i += line.workers) {
     const absl::Status status = RunJob(line, jobs[i]);
-    if (!status.ok()) {
-      std::fprintf(stderr, "record: %s task %d: %s\n", jobs[i].suite.c_str(), jobs[i].task,
-                   std::string(status.message()).c_str());
-      return 1;
-    }
+    if (status.ok()) continue;
+    const bool again = status.message() == error;
+    error = std::string(status.message());
+    std::fprintf(stderr, "record: %s task %d: %s\n", jobs[i].suite.c_str(), jobs[i].task,
+                 error.c_str());
+    if (again) break;
   }
-  return 0;
+  return error.empty() ? 0 : 1;
 }
 
 int Run(const CommandLine& line) {

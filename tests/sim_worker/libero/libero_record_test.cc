@@ -1,16 +1,26 @@
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cstdio>
+#include <filesystem>
 #include <string>
 
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "common/atomic_file.h"
 #include "common/image.h"
 #include "sim_worker/libero/libero_sim_task.h"
 #include "sim_worker/record/expert_demonstration.h"
 #include "sim_worker/record/libero_recorder.h"
+#include "tests/run_program.h"
 #include "tests/sim_worker/libero/shared_data.h"
 
 namespace robostress::libero {
 namespace {
+
+using ::testing::HasSubstr;
+namespace fs = std::filesystem;
 
 constexpr int kDraw = kFirstTrainingDraw;
 
@@ -35,8 +45,9 @@ TEST(LiberoRecord, AnEpisodeIsStoredAsLiberoStoresItsOwn) {
   options.image_size = 32;
   options.noisy_share = 0;
   options.simulator_state = true;
+  ASSERT_TRUE(task->Reset(kDraw).ok());
   const auto episode =
-      RecordExpert(*task, task->MakeExpert().value(), kDraw, options, StreamKey("libero record"));
+      RecordExpert(*task, task->MakeExpert().value(), options, StreamKey("libero record"));
   if (absl::IsUnavailable(episode.status())) GTEST_SKIP() << episode.status().message();
   ASSERT_TRUE(episode.ok()) << episode.status();
   ASSERT_TRUE(episode->success);
@@ -108,6 +119,37 @@ TEST(LiberoRecord, ABranchLeavesNoTrace) {
     EXPECT_EQ(label->row(i).transpose(), command) << "row " << i;
     ASSERT_TRUE(task->Step(command).ok());
   }
+}
+
+// Two objects in a region of 2 cm: no draw has room. The task beside it is recorded all the same.
+TEST(LiberoRecord, ATaskWithoutRoomTakesNothingFromTheOthers) {
+  SKIP_WITHOUT_SHARED_DATA();
+  const fs::path folder = fs::path(::testing::TempDir()) / "libero_record_no_room";
+  const fs::path libero = fs::path(LiberoTree()) / "libero/libero", tasks = folder / "tasks";
+  fs::remove_all(folder);
+  fs::create_directories(tasks);
+  for (const std::string task :
+       {"put_the_bowl_on_the_plate", "put_the_bowl_on_top_of_the_cabinet"}) {
+    fs::copy(libero / "init_files/libero_goal" / (task + ".pruned_init"), tasks);
+    fs::copy(libero / "bddl_files/libero_goal" / (task + ".bddl"), tasks);
+  }
+  const std::string bddl = (tasks / "put_the_bowl_on_the_plate.bddl").string();
+  const std::string text = ReadFile(bddl).value();
+  ASSERT_TRUE(WriteFileAtomically(
+                  bddl, absl::StrReplaceAll(
+                            text, {{"(On akita_black_bowl_1 main_table_akita_black_bowl_region)",
+                                    "(On akita_black_bowl_1 main_table_plate_region)"}}))
+                  .ok());
+  const auto [output, code] = RunProgram(
+      ROBOSTRESS_RECORD, absl::StrCat("--episodes 1 --plain-pictures --libero-root ", LiberoTree(),
+                                      " --robosuite-root ", RobosuiteTree(), " --libero-tasks ",
+                                      tasks.string(), " --out ", (folder / "out").string()));
+  if (absl::StrContains(output, "EGL")) GTEST_SKIP() << output;
+  EXPECT_EQ(code, 1) << output;
+  EXPECT_THAT(output, HasSubstr("draws without room for an object: 1000 1001"));
+  EXPECT_THAT(output, HasSubstr("task 0: none of the draws 1000 to 1001"));
+  EXPECT_FALSE(fs::exists(folder / "out/tasks_task00_expert_1000.safetensors"));
+  EXPECT_TRUE(fs::exists(folder / "out/tasks_task01_expert_1000.safetensors")) << output;
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "common/safetensors.h"
 #include "sim_worker/libero/preprocess.h"
+#include "sim_worker/robosuite_rotation.h"
 #include "tests/common/wire/openpi_venv.h"
 #include "tests/sim_worker/libero/picture_comparison.h"
 
@@ -138,7 +139,7 @@ TEST_F(LiberoPicturesTest, TurnsAreRobosuites) {
   for (size_t i = 0; i < quats.size() / 4; ++i) {
     const double* q = quats.data() + 4 * i;
     const double wxyz[] = {q[3], q[0], q[1], q[2]};
-    const Eigen::Vector3d ours = AxisAngleAsLibero(wxyz);
+    const Eigen::Vector3d ours = AxisAngleAsRobosuite(wxyz);
     for (int k = 0; k < 3; ++k) EXPECT_NEAR(ours[k], turns[3 * i + k], 1e-12) << i;
   }
 }

@@ -7,6 +7,7 @@
 
 #include "common/image.h"
 #include "common/random.h"
+#include "sim_worker/robosuite_rotation.h"
 
 namespace robostress::libero {
 namespace {
@@ -55,7 +56,7 @@ TEST(PreprocessTest, DrawsAsMujocoDoesWhenNobodyChooses) {
 TEST(PreprocessTest, TurnsAsRobosuiteDoesTheLongWayRound) {
   const auto turn = [](double w, double x, double y, double z) {
     const double wxyz[] = {w, x, y, z};
-    return AxisAngleAsLibero(wxyz);
+    return AxisAngleAsRobosuite(wxyz);
   };
   const double pi = std::numbers::pi;
   EXPECT_NEAR((turn(std::cos(0.1), std::sin(0.1), 0, 0) - Eigen::Vector3d(0.2, 0, 0)).norm(), 0,

@@ -22,7 +22,8 @@ std::unique_ptr<EmbeddedTask> MakeTask(const std::string& suite, int task) {
 
 absl::StatusOr<Demonstration> Record(EmbeddedTask& task, int initial_state,
                                      const RecordOptions& options, const StreamKey& key) {
-  return RecordExpert(task, task.MakeExpert().value(), initial_state, options, key);
+  if (const absl::Status reset = task.Reset(initial_state); !reset.ok()) return reset;
+  return RecordExpert(task, task.MakeExpert().value(), options, key);
 }
 
 StreamKey TestKey(int index) { return StreamKey("record test").With(index); }

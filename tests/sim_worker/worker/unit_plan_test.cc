@@ -74,6 +74,7 @@ TEST(UnitPlanTest, BadInputNamesKeyValueAndWhatIsAllowed) {
       {"{sim: {sensing: {delay: -1}}}", "sim.sensing.delay is -1, must be 0 to 100"},
       {"{sim: {sensing: {noise: 1}}}", "sim.sensing.noise is 1, must be 0 to 0.1"},
       {"{sim: {pictures: quick}}", "sim.pictures is 'quick', must be original or plain"},
+      {"{sim: {pictures: plain}}", "which is of LIBERO's views; suite 'tabletop_spatial'"},
       {"{sim: {controller_kp: 0}}", "sim.controller_kp is 0, must be 1 to 2000"},
       {"{policy: expert, method: {method: ours}}", "policy 'expert' has nothing to adapt"},
   };
