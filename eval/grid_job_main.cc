@@ -35,7 +35,7 @@ constexpr char kExamples[] =
 
 struct CommandLine {
   std::string submission, policy, host;
-  int index = 0;
+  int index = 0, tries = 0;
   double patience_s = 600;
   bool wait = false;
 };
@@ -85,11 +85,6 @@ absl::StatusOr<int> Serve(const Submission& submission, const CommandLine& line)
 }
 
 absl::StatusOr<int> Work(const Submission& submission, const CommandLine& line) {
-  if (line.index < 0 || line.index >= submission.tasks()) {
-    return absl::InvalidArgumentError(absl::StrCat("--index ", line.index,
-                                                   " is no task of this submission; it has 0 to ",
-                                                   submission.tasks() - 1));
-  }
   SignalGuard signals;
   std::vector<WorkItem> items;
   for (const WorkItem& item : submission.Share(line.index)) {
@@ -115,6 +110,23 @@ absl::StatusOr<int> Work(const Submission& submission, const CommandLine& line) 
   const int code = outcome.failed.empty() ? kExitDone : kExitUnitFailed;
   RS_RETURN_IF_ERROR(submission.Leave(line.index, code));
   return code;
+}
+
+// As Work, for a scheduler that starts a failed task again until its `tries` are used up, and never
+// where the command is wrong: then nobody must wait for that task. A stop is no failure.
+absl::StatusOr<int> WorkOrGiveUp(const Submission& submission, const CommandLine& line) {
+  if (line.index < 0 || line.index >= submission.tasks()) {
+    return absl::InvalidArgumentError(absl::StrCat("--index ", line.index,
+                                                   " is no task of this submission; it has 0 to ",
+                                                   submission.tasks() - 1));
+  }
+  absl::StatusOr<int> result = Work(submission, line);
+  const int code = result.ok() ? *result : ExitCodeOfError(result.status());
+  if (line.tries == 0 || code == kExitDone || code > 128) return result;
+  RS_ASSIGN_OR_RETURN(const int failures, submission.CountFailure(line.index));
+  if (failures >= line.tries || code == kExitWrongCommand)
+    RS_RETURN_IF_ERROR(submission.Leave(line.index, code));
+  return result;
 }
 
 absl::StatusOr<int> Merge(const Submission& submission, const CommandLine& line) {
@@ -155,6 +167,10 @@ int Main(int argc, char** argv) {
   work->add_option("--index", line.index, "Which worker task")->required();
   work->add_option("--patience", line.patience_s, "Seconds to wait for a server")
       ->capture_default_str();
+  work->add_option("--tries", line.tries,
+                   "How often the scheduler starts a task that fails (default: not said); after "
+                   "the last nobody waits for it")
+      ->check(cli::Range(0, 1000));
   cli::App* merge = add("merge", "Merge the tables and write the report");
   merge->add_flag("--wait", line.wait, "First wait until every worker task has left");
   const auto run = [&]() -> absl::StatusOr<int> {
@@ -162,7 +178,7 @@ int Main(int argc, char** argv) {
     RS_ASSIGN_OR_RETURN(const std::unique_ptr<Submission> submission,
                         Submission::Open(line.submission));
     if (serve->parsed()) return Serve(*submission, line);
-    if (work->parsed()) return Work(*submission, line);
+    if (work->parsed()) return WorkOrGiveUp(*submission, line);
     return Merge(*submission, line);
   };
   return RunMain(app, argc, argv, run, ExitCodeOfError);

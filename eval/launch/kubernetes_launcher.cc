@@ -16,6 +16,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr int kBackoffLimitPerIndex = 6;
+
 // A text as a YAML scalar that is always a string.
 std::string Scalar(const std::string& text) {
   YAML::Emitter emitter;
@@ -57,7 +59,8 @@ std::string Render(const JobText& job, const std::string& run_label, const Clust
       "\n  labels: {app.kubernetes.io/name: robostress, app.kubernetes.io/component: ",
       job.component, ", robostress/run: ", run_label, "}\nspec:\n  completionMode: Indexed\n",
       "  completions: ", job.completions, "\n  parallelism: ", job.parallelism,
-      "\n  backoffLimitPerIndex: 6\n  maxFailedIndexes: ", job.completions,
+      "\n  backoffLimitPerIndex: ", kBackoffLimitPerIndex,
+      "\n  maxFailedIndexes: ", job.completions,
       "\n  podFailurePolicy:\n    rules:\n"
       "      # An eviction or a preemption says nothing about the work.\n"
       "      - action: Ignore\n        onPodConditions: [{type: DisruptionTarget}]\n"
@@ -123,8 +126,13 @@ absl::StatusOr<std::string> KubernetesManifest(const Submission& submission,
   work.completions = submission.tasks();
   work.parallelism = std::min(submission.tasks(), std::max(1, options.workers));
   work.cores = submission.pool().workers;
-  work.arguments = {"work", "--submission", submission.folder(), "--index",
-                    "$(JOB_COMPLETION_INDEX)"};
+  work.arguments = {"work",
+                    "--submission",
+                    submission.folder(),
+                    "--index",
+                    "$(JOB_COMPLETION_INDEX)",
+                    "--tries",
+                    absl::StrCat(kBackoffLimitPerIndex + 1)};
   text += Render(work, base, cluster, mount.string());
   JobText merge;
   merge.name = base + "-merge";

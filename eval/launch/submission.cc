@@ -152,4 +152,16 @@ int Submission::TasksThatLeft() const {
   return count;
 }
 
+absl::StatusOr<int> Submission::CountFailure(int task) const {
+  const std::string file = absl::StrCat(folder_, "/failures/", task);
+  int count = 0;
+  if (fs::exists(file)) {
+    RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(file, 100));
+    if (!absl::SimpleAtoi(text, &count) || count < 0) count = 0;
+  }
+  RS_RETURN_IF_ERROR(MakeDirectories(folder_ + "/failures"));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(file, absl::StrCat(++count, "\n")));
+  return count;
+}
+
 }  // namespace robostress

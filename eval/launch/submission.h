@@ -40,9 +40,11 @@ class Submission {
   std::vector<std::string> ServedPolicies() const;
 
   std::string ServerFile(const std::string& policy, int index) const;
-  // Marks a worker task as done, and counts those that are.
+  // Marks a worker task that nobody will start again, and counts those that are marked.
   absl::Status Leave(int task, int exit_code) const;
   int TasksThatLeft() const;
+  // How often a worker task ended by a failure of its own, this end included.
+  absl::StatusOr<int> CountFailure(int task) const;
 
  private:
   explicit Submission(std::string folder, std::string run_dir)

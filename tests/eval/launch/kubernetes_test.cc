@@ -18,6 +18,7 @@ namespace robostress {
 namespace {
 
 using ::testing::HasSubstr;
+namespace fs = std::filesystem;
 
 class Kubernetes : public ::testing::Test {
  protected:
@@ -117,7 +118,35 @@ TEST_F(Kubernetes, ItsPodsMakeTheTableOfALocalSweep) {
       RunGrid(folder_, "sweep", SmallGrid() + "--no-report --out '" + folder_ + "/local'");
   ASSERT_EQ(code, 0) << text;
   EXPECT_EQ(*ReadFile(folder_ + "/run/episodes.csv"), *ReadFile(folder_ + "/local/episodes.csv"));
-  EXPECT_TRUE(std::filesystem::exists(folder_ + "/run/report.html"));
+  EXPECT_TRUE(fs::exists(folder_ + "/run/report.html"));
+}
+
+// No server ever answers. Kubernetes gives an index up after seven pods; the merge must not wait
+// on.
+TEST_F(Kubernetes, WhatItGivesUpIsNotWaitedFor) {
+  const auto run = [&](std::vector<std::string> command) {
+    absl::StatusOr<ChildProcess> pod =
+        ChildProcess::Start(command, {{"ROBOSTRESS_BIN", FAKE_PROGRAMS}}, folder_ + "/pods.log");
+    EXPECT_TRUE(pod.ok()) << pod.status();
+    return pod->WaitForEnd().code;
+  };
+  const int pods = Job("work")["spec"]["backoffLimitPerIndex"].as<int>() + 1;
+  const auto left = [&] {
+    std::error_code none;
+    return std::distance(fs::directory_iterator(folder_ + "/run/submissions/0001/left", none),
+                         fs::directory_iterator());
+  };
+  for (int index = 0; index < 3; ++index) {
+    std::vector<std::string> work = Pod(Job("work"), index);
+    work.insert(work.end(), {"--patience", "0"});
+    for (int pod = 0; pod < pods; ++pod) {
+      EXPECT_EQ(left(), index) << "before pod " << pod;
+      EXPECT_EQ(run(work), 75) << *ReadFile(folder_ + "/pods.log");
+    }
+  }
+  EXPECT_EQ(left(), 3);
+  EXPECT_EQ(run(Pod(Job("merge"), 0)), 1);
+  EXPECT_THAT(*ReadFile(folder_ + "/pods.log"), HasSubstr("not done: "));
 }
 
 TEST_F(Kubernetes, ARunDirectoryOutsideTheVolumeIsRefused) {
