@@ -54,8 +54,12 @@ int main(int argc, char** argv) {
   const auto run = [&]() -> absl::Status {
     RS_ASSIGN_OR_RETURN(const robostress::ExportSummary summary, robostress::ExportRun(options));
     if (summary.ticks > 0) {
-      std::printf("%lld ticks, %lld samples of the arm\n", static_cast<long long>(summary.ticks),
-                  static_cast<long long>(summary.samples));
+      std::printf("%lld ticks, %lld samples of the arm, %lld pictures\n",
+                  static_cast<long long>(summary.ticks), static_cast<long long>(summary.samples),
+                  static_cast<long long>(summary.pictures));
+      if (summary.pictures_missing > 0)
+        std::printf("%lld pictures that frames.csv names are not there\n",
+                    static_cast<long long>(summary.pictures_missing));
     } else {
       PrintEpisodes(summary);
     }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <set>
 #include <utility>
 
 #include "absl/strings/match.h"
@@ -144,6 +145,14 @@ absl::Status CheckConfig(const ClientConfig& c) {
     if (!std::isfinite(value)) return invalid("home holds ", value, ", must be finite");
   }
   if (c.cameras.size() > 8) return invalid(c.cameras.size(), " cameras, at most 8");
+  std::set<std::string> names;
+  for (const std::string& camera : c.cameras) {
+    const std::string name = camera.substr(0, camera.find('='));
+    if (!names.insert(CameraInFileNames(name)).second)
+      return invalid(
+          "cameras has '", name,
+          "' twice (what is no letter, digit, '-', '_' or '.' counts as '_'); rename one");
+  }
   return absl::OkStatus();
 }
 

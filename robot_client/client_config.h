@@ -31,6 +31,7 @@ struct ClientConfig {
   bool slow_first = true;            // a motion is played at a quarter of its speed first
   int collision_level = -1;          // of the arm's own protection, 0 (off) .. 8; -1: as it is
   bool record_required = true;       // false: the arm may move on when the recording has failed
+  bool record_pictures = false;      // keep what the policy is shown
   std::vector<std::string> without;  // watchdogs that are given up, by the names of their options
   PolicyConnectionOptions policy;
   ControlOptions control;
@@ -56,6 +57,8 @@ struct ClientConfig {
             "the arm's own collision protection, 0 (off) to 8, written to it; -1: as it is");
     v.Field("record_required", record_required,
             "false: the arm may move on unrecorded, on a full disk for one");
+    v.Late("record_pictures", record_pictures, false,
+           "keep the pictures that the policy is shown, as PNG");
     v.Field("without", without, "watchdogs that are given up: they may have values out of range");
     v.Section("policy", policy, "the policy server and its session");
     v.Section("control", control, "the control loop");

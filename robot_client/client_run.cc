@@ -84,7 +84,7 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
     RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/motion.csv", MotionCsv(*motion_played)));
   loop_->AddReader(&recorder_->ring());
   arm_->AddSampleReader(&recorder_->samples());
-  if (link_ != nullptr) link_->RecordFrames(&recorder_->frames());
+  if (link_ != nullptr) link_->RecordFrames(&recorder_->frames(), config_.record_pictures);
   loop_->AddReader(&reporter_.ring());
   return absl::OkStatus();
 }

@@ -144,6 +144,7 @@ absl::Status PolicyLink::Look(FrameSource& camera, FrameRecord& record, Observat
   // As demonstration/training_files makes the pictures that such a policy is trained on.
   observation.views.push_back(
       {camera.name(), fits ? image : ResizeArea(image, spec_.image_width, spec_.image_height)});
+  if (keep_pictures_) record.picture = std::make_shared<Image>(observation.views.back().image);
   return absl::OkStatus();
 }
 

@@ -67,9 +67,12 @@ class PolicyLink {
     deliver_ = std::move(deliver);
   }
 
-  // Before the first round: every picture that a prediction was asked on, or refused for, goes to
-  // `frames`, which outlives the link.
-  void RecordFrames(SpscRing<FrameRecord>* frames) { frames_ = frames; }
+  // Before the first round: what became of every camera's picture at every request goes to
+  // `frames`, which outlives the link; with `pictures` what was shown comes along.
+  void RecordFrames(SpscRing<FrameRecord>* frames, bool pictures = false) {
+    frames_ = frames;
+    keep_pictures_ = pictures;
+  }
 
   // Opens the session and checks that the policy fits this arm and these cameras. Its thread, or
   // before it starts.
@@ -108,6 +111,7 @@ class PolicyLink {
   const Connect connect_;
   std::function<void(const ArmChunk&)> deliver_;
   SpscRing<FrameRecord>* frames_ = nullptr;
+  bool keep_pictures_ = false;
   SpscRing<TickRecord> records_{1 << 10};
   std::counting_semaphore<> wake_{0};
 

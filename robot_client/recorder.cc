@@ -13,6 +13,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
+#include "common/image.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
 #include "robot_client/state_reporter.h"
@@ -77,19 +78,20 @@ std::string SampleRow(const ArmSnapshot& sample, const ArmAxes& axes, int64_t or
 }
 
 constexpr char kFrameHeader[] =
-    "t,request,prediction,episode,chunk,camera,use,sequence,stamp,age_ms\n";
+    "t,request,prediction,episode,chunk,camera,use,sequence,stamp,age_ms,picture\n";
 
 // A number that joins with the column of ticks.csv: without the session above it.
 uint64_t PredictionNumber(uint64_t id) { return id & ((uint64_t{1} << 48) - 1); }
 
-std::string FrameRow(const FrameRecord& r, int64_t origin_ns) {
+// `picture`: its file, or empty.
+std::string FrameRow(const FrameRecord& r, int64_t origin_ns, const std::string& picture) {
   std::string row = absl::StrFormat("%.9f,%d,", Seconds(r.observed_ns, origin_ns), r.request);
   if (r.prediction_id != 0) absl::StrAppend(&row, PredictionNumber(r.prediction_id));
   absl::StrAppendFormat(&row, ",%d,%d,%s,%s,", r.episode, r.chunk, r.camera.data(),
                         FrameUseName(r.use));
-  if (r.use == FrameUse::kMissing) return row + ",,\n";
-  absl::StrAppendFormat(&row, "%d,%.9f,%.3f\n", r.sequence, Seconds(r.stamp_ns, origin_ns),
-                        static_cast<double>(r.observed_ns - r.stamp_ns) * 1e-6);
+  if (r.use == FrameUse::kMissing) return row + ",,,\n";
+  absl::StrAppendFormat(&row, "%d,%.9f,%.3f,%s\n", r.sequence, Seconds(r.stamp_ns, origin_ns),
+                        static_cast<double>(r.observed_ns - r.stamp_ns) * 1e-6, picture);
   return row;
 }
 
@@ -208,7 +210,15 @@ absl::Status Recorder::DrainFrames() {
     if (frames_file_ == nullptr) {
       RS_ASSIGN_OR_RETURN(frames_file_, BeginTable(directory_ + kFrames, kFrameHeader));
     }
-    if (std::fputs(FrameRow(frame, origin_ns_).c_str(), frames_file_) < 0)
+    std::string picture;
+    if (frame.picture != nullptr) {
+      picture = absl::StrFormat("pictures/%06d_%s.png", frame.request,
+                                CameraInFileNames(frame.camera.data()));
+      RS_RETURN_IF_ERROR(MakeDirectories(directory_ + "/pictures"));
+      RS_ASSIGN_OR_RETURN(const std::string png, EncodePng(*frame.picture));
+      RS_RETURN_IF_ERROR(WriteFileAtomically(absl::StrCat(directory_, "/", picture), png));
+    }
+    if (std::fputs(FrameRow(frame, origin_ns_, picture).c_str(), frames_file_) < 0)
       return FileError(directory_ + kFrames);
   }
   if (frames_file_ != nullptr && std::fflush(frames_file_) != 0)

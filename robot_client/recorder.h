@@ -21,8 +21,10 @@ namespace robostress {
 //   calibration:
 //                  joints [rad, rad/s, Nm], gripper [m]; not there where the arm gave none
 //   frames.csv     a row per prediction and camera: which picture the policy was shown (or why none
-//                  was), its sequence, stamp [s] and age [ms]; `prediction` as in ticks.csv. Not
-//                  there where no prediction was asked for
+//                  was), its sequence, stamp [s] and age [ms]; `prediction` as in ticks.csv;
+//                  `picture`: the file of it, where pictures are kept. Not there where no
+//                  prediction was asked for
+//   pictures/      REQUEST_CAMERA.png: what the policy was shown, in its own size
 //   events.jsonl   changes of state with their cause, starts and ends of episodes, what the program
 //                  notes; flushed line by line
 //
@@ -66,7 +68,7 @@ class Recorder {
   const ArmAxes axes_;
   SpscRing<TickRecord> ring_{1 << 10};
   SpscRing<ArmSnapshot> samples_{1 << 11};  // 10 s of a Piper's
-  SpscRing<FrameRecord> frames_{1 << 9};
+  SpscRing<FrameRecord> frames_{1 << 8};    // with pictures of 640 x 480 up to 236 MB of them
   std::FILE* ticks_ = nullptr;
   std::FILE* samples_file_ = nullptr;
   std::FILE* frames_file_ = nullptr;

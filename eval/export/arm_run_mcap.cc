@@ -3,10 +3,12 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <vector>
 
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
@@ -24,6 +26,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr uint64_t kMostBytes = uint64_t{4} << 30;
+constexpr uint64_t kMostPictureBytes = uint64_t{256} << 20;
 constexpr int64_t kSecond = 1'000'000'000;  // [ns]
 // The axes of the arm, J1 .. and its gripper, as the table's columns q_J1 .. name them.
 std::vector<std::string> AxisNames(const CsvTable& table) {
@@ -45,6 +48,17 @@ std::string TableFile(const std::string& folder, const std::string& name) {
   const std::string whole = absl::StrCat(folder, "/", name);
   if (fs::exists(whole)) return whole;
   return fs::exists(whole + ".partial") ? whole + ".partial" : "";
+}
+
+// A table that need not be there, or hold a row: of a run that was cut off early.
+absl::StatusOr<std::optional<CsvTable>> ReadTable(const std::string& folder,
+                                                  const std::string& name) {
+  const std::string path = TableFile(folder, name);
+  if (path.empty()) return std::nullopt;
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, kMostBytes));
+  if (std::count(text.begin(), text.end(), '\n') < 2) return std::nullopt;
+  RS_ASSIGN_OR_RETURN(CsvTable table, CsvTable::Read(path, kMostBytes));
+  return table;
 }
 
 // A column for every axis.
@@ -89,10 +103,10 @@ struct StateColumns {
 class ArmRun {
  public:
   absl::Status Open(const std::string& folder) {
+    folder_ = folder;
     RS_ASSIGN_OR_RETURN(ticks_, CsvTable::Read(TableFile(folder, "ticks.csv"), kMostBytes));
-    if (const std::string file = TableFile(folder, "samples.csv"); !file.empty()) {
-      RS_ASSIGN_OR_RETURN(samples_, CsvTable::Read(file, kMostBytes));
-    }
+    RS_ASSIGN_OR_RETURN(samples_, ReadTable(folder, "samples.csv"));
+    RS_RETURN_IF_ERROR(ReadPictures());
     RS_ASSIGN_OR_RETURN(tick_times_, ticks_->Numbers("t"));
     if (samples_) {
       RS_ASSIGN_OR_RETURN(sample_times_, samples_->Numbers("t"));
@@ -103,6 +117,7 @@ class ArmRun {
           folder, "/ticks.csv: has no columns q_J1 ..; is this a run of robot_client?"));
     double first = tick_times_.front();
     if (!sample_times_.empty()) first = std::min(first, sample_times_.front());
+    for (const ShownPicture& picture : pictures_) first = std::min(first, picture.stamp);
     shift_ = 1 - first;
     for (const auto& [group, topic] : kGroups) {
       RS_ASSIGN_OR_RETURN(AxisColumns columns, AxisColumns::Find(*ticks_, group, axes_));
@@ -118,6 +133,11 @@ class ArmRun {
 
   absl::StatusOr<ArmRunSummary> Write(McapWriter* file) {
     McapTopics topics(file);
+    for (const ShownPicture& picture : pictures_) {
+      if (cameras_.count(picture.camera) == 0)
+        cameras_[picture.camera] =
+            topics.Add(absl::StrCat("/camera/", picture.camera), CompressedImageSchema());
+    }
     std::vector<std::string> fields;
     for (const std::string& axis : axes_) fields.push_back(absl::AsciiStrToLower(axis));
     const uint16_t joint_states =
@@ -132,10 +152,12 @@ class ArmRun {
                                  "string state\nstring cause\nfloat64 episode\nfloat64 chunk\n"
                                  "float64 row\nfloat64 lateness_us\nfloat64 delay_s\n"));
     ArmRunSummary summary;
-    size_t sample = 0;
+    size_t sample = 0, picture = 0;
     for (size_t tick = 0; tick < tick_times_.size(); ++tick) {
       for (; sample < sample_times_.size() && sample_times_[sample] <= tick_times_[tick]; ++sample)
         RS_RETURN_IF_ERROR(WriteState(*samples_, sample, sample_times_, joint_states, file));
+      for (; picture < pictures_.size() && pictures_[picture].t <= tick_times_[tick]; ++picture)
+        RS_RETURN_IF_ERROR(WritePicture(pictures_[picture], file, summary));
       if (!samples_ && !states_.position.Empty(*ticks_, tick))
         RS_RETURN_IF_ERROR(WriteState(*ticks_, tick, tick_times_, joint_states, file));
       for (size_t g = 0; g < groups_.size(); ++g) {
@@ -150,11 +172,58 @@ class ArmRun {
     }
     for (; sample < sample_times_.size(); ++sample)
       RS_RETURN_IF_ERROR(WriteState(*samples_, sample, sample_times_, joint_states, file));
+    for (; picture < pictures_.size(); ++picture)
+      RS_RETURN_IF_ERROR(WritePicture(pictures_[picture], file, summary));
     summary.samples = static_cast<int64_t>(sample_times_.size());
     return summary;
   }
 
  private:
+  struct ShownPicture {
+    double t = 0, stamp = 0;  // [s] of the run's clock: when it was shown, when it was taken
+    std::string camera, file;
+  };
+
+  // The rows of frames.csv whose picture was kept; a client before 0.2 kept none.
+  absl::Status ReadPictures() {
+    RS_ASSIGN_OR_RETURN(const std::optional<CsvTable> frames, ReadTable(folder_, "frames.csv"));
+    if (!frames || !frames->Has("picture")) return absl::OkStatus();
+    RS_ASSIGN_OR_RETURN(const size_t t, frames->Column("t"));
+    RS_ASSIGN_OR_RETURN(const size_t stamp, frames->Column("stamp"));
+    RS_ASSIGN_OR_RETURN(const size_t camera, frames->Column("camera"));
+    RS_ASSIGN_OR_RETURN(const size_t file, frames->Column("picture"));
+    for (size_t row = 0; row < frames->rows(); ++row) {
+      ShownPicture picture;
+      picture.file = std::string(frames->Text(row, file));
+      if (picture.file.empty()) continue;
+      if (!absl::StartsWith(picture.file, "pictures/") || absl::StrContains(picture.file, ".."))
+        return absl::InvalidArgumentError(absl::StrCat(frames->Place(row, file), " is '",
+                                                       picture.file,
+                                                       "', must be a file in the run's pictures/"));
+      picture.camera = std::string(frames->Text(row, camera));
+      RS_ASSIGN_OR_RETURN(picture.t, frames->Number(row, t));
+      RS_ASSIGN_OR_RETURN(picture.stamp, frames->Number(row, stamp));
+      pictures_.push_back(std::move(picture));
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status WritePicture(const ShownPicture& picture, McapWriter* file,
+                            ArmRunSummary& summary) const {
+    const std::string path = absl::StrCat(folder_, "/", picture.file);
+    const absl::StatusOr<std::string> png = ReadFileUpTo(path, kMostPictureBytes);
+    if (absl::IsNotFound(png.status())) {
+      ++summary.pictures_missing;
+      return absl::OkStatus();
+    }
+    RS_RETURN_IF_ERROR(png.status());
+    if (!absl::StartsWith(*png, "\x89PNG\r\n\x1a\n"))
+      return absl::DataLossError(absl::StrCat(path, ": is no PNG; delete it to leave it out"));
+    ++summary.pictures;
+    return Send(cameras_.at(picture.camera), picture.t,
+                Begin(picture.stamp).Text("png").Bytes(*png), file);
+  }
+
   int64_t Stamp(double t) const { return std::llround((t + shift_) * kSecond); }
   CdrEncoder Begin(double t) const { return CdrEncoder().Header(Stamp(t), "base"); }
   absl::Status Send(uint16_t channel, double t, const CdrEncoder& message, McapWriter* file) const {
@@ -184,7 +253,10 @@ class ArmRun {
     return Send(channel, tick_times_[tick], message, file);
   }
 
+  std::string folder_;
   std::optional<CsvTable> ticks_, samples_;
+  std::vector<ShownPicture> pictures_;
+  std::map<std::string, uint16_t> cameras_;  // channels
   std::vector<double> tick_times_, sample_times_;
   std::vector<std::string> axes_;
   double shift_ = 0;  // [s] of the run's clock to the file's

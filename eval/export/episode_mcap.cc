@@ -18,7 +18,6 @@ using Step = EpisodeRecording::Step;
 
 constexpr int64_t kSecond = 1'000'000'000;  // [ns]
 constexpr char kFrame[] = "base";
-constexpr char kImage[] = "string format\nuint8[] data\n";
 constexpr char kPose[] = "geometry_msgs/Pose pose\n";
 
 McapSchema PoseStamped() {
@@ -78,8 +77,7 @@ class EpisodeTopics {
       numbers_.push_back(topics_.Add(topic.name, NumbersSchema(topic.type, topic.fields)));
     }
     for (const std::string& camera : recording.cameras)
-      cameras_.push_back(topics_.Add("/camera/" + camera,
-                                     StampedSchema("sensor_msgs/msg/CompressedImage", kImage)));
+      cameras_.push_back(topics_.Add("/camera/" + camera, CompressedImageSchema()));
   }
 
   absl::Status Write(const EpisodeRecording& recording, size_t t) {

@@ -299,6 +299,8 @@ absl::StatusOr<ExportSummary> ExportArmRun(const ExportOptions& options) {
   ExportSummary summary;
   summary.ticks = written.ticks;
   summary.samples = written.samples;
+  summary.pictures = written.pictures;
+  summary.pictures_missing = written.pictures_missing;
   RS_RETURN_IF_ERROR(targets->Publish(summary));
   return summary;
 }

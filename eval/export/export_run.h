@@ -19,8 +19,8 @@ struct ExportOptions {
 struct ExportSummary {
   int64_t episodes = 0, steps = 0;
   int64_t failures_left_out = 0;
-  int64_t ticks = 0, samples = 0;    // of an arm's run
-  std::vector<std::string> written;  // folders and files
+  int64_t ticks = 0, samples = 0, pictures = 0, pictures_missing = 0;  // of an arm's run
+  std::vector<std::string> written;                                    // folders and files
 };
 
 // Writes episodes that `sweep --record-episodes` left, in the run's canonical order:

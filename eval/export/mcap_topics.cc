@@ -23,6 +23,10 @@ McapSchema NumbersSchema(const std::string& type, const std::vector<std::string>
   return StampedSchema(absl::StrCat("robostress_msgs/msg/", type), fields);
 }
 
+McapSchema CompressedImageSchema() {
+  return StampedSchema("sensor_msgs/msg/CompressedImage", "string format\nuint8[] data\n");
+}
+
 uint16_t McapTopics::Add(const std::string& topic, const McapSchema& schema) {
   const auto [known, is_new] = schemas_.try_emplace(schema.name, 0);
   if (is_new) known->second = file_->AddSchema(schema);

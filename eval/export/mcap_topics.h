@@ -20,6 +20,9 @@ McapSchema StampedSchema(const std::string& name, const std::string& fields,
 // robostress_msgs/msg/TYPE: a header and a float64 for each name, so that a plot can ask for one.
 McapSchema NumbersSchema(const std::string& type, const std::vector<std::string>& names);
 
+// sensor_msgs/msg/CompressedImage: a header, "png", the file's bytes.
+McapSchema CompressedImageSchema();
+
 // Topics of a file in CDR; those of one type share its schema.
 class McapTopics {
  public:

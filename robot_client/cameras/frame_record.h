@@ -2,6 +2,10 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
+#include <string>
+
+#include "common/types.h"
 
 namespace robostress {
 
@@ -22,6 +26,19 @@ struct FrameRecord {
   uint64_t sequence = 0;    // of the picture; 0 before the first, as the next
   int64_t stamp_ns = 0;     // of the picture
   int64_t observed_ns = 0;  // when it was taken for the prediction; the age is the difference
+  // As it was sent, in the policy's size; null where pictures are not kept or none was shown.
+  std::shared_ptr<const Image> picture;
 };
+
+// What stands for a camera in the name of a picture's file: every byte but letters, digits, '-',
+// '_' and '.' is '_'.
+inline std::string CameraInFileNames(std::string name) {
+  for (char& c : name) {
+    const bool kept = (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
+                      c == '-' || c == '_' || c == '.';
+    if (!kept) c = '_';
+  }
+  return name;
+}
 
 }  // namespace robostress

@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <cstddef>
+#include <utility>
 #include <vector>
 
 namespace robostress {
@@ -25,7 +26,7 @@ class SpscRing {
   bool Pop(T& value) {  // the receiver's thread
     const size_t head = head_.load(std::memory_order_relaxed);
     if (head == tail_.load(std::memory_order_acquire)) return false;
-    value = slots_[head];
+    value = std::move(slots_[head]);  // what the value owns does not stay here
     head_.store(Next(head), std::memory_order_release);
     return true;
   }

@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/image.h"
 #include "tests/run_program.h"
 
 namespace robostress {
@@ -46,9 +47,13 @@ std::string Text(const std::string& file) {
 
 TEST(ClientProgramTest, RehearsesWholeEpisodesAndLeavesAWholeRecording) {
   std::string out;
-  const auto [text, code] = WithServer(
-      "rehearsal", "$client $common --automatic --set episodes=2 --set episode_s=1", &out);
+  const auto [text, code] =
+      WithServer("rehearsal",
+                 "$client $common --automatic --set episodes=2 --set episode_s=1 --set "
+                 "record_pictures=true",
+                 &out);
   EXPECT_EQ(code, 0) << text;
+  EXPECT_TRUE(DecodePng(Text(out + "/run/pictures/000001_wrist.png")).ok());
   EXPECT_THAT(Text(out + "/run/ticks.csv"), AllOf(HasSubstr("policy_J1"), HasSubstr(",RUN,")));
   EXPECT_THAT(Text(out + "/run/frames.csv"), AllOf(HasSubstr("age_ms"), HasSubstr(",shown,")));
   EXPECT_THAT(Text(out + "/run/episodes.jsonl"),
@@ -56,6 +61,14 @@ TEST(ClientProgramTest, RehearsesWholeEpisodesAndLeavesAWholeRecording) {
   EXPECT_THAT(Text(out + "/run/timing.json"), HasSubstr("wake_histogram"));
   EXPECT_TRUE(std::filesystem::exists(out + "/run/DONE"));
   EXPECT_FALSE(std::filesystem::exists(out + "/run/ticks.csv.partial"));
+}
+
+TEST(ClientProgramTest, RefusesCamerasWhosePicturesNobodyCouldTellApart) {
+  const auto [text, code] =
+      RunProgram(ROBOT_CLIENT,
+                 "--bus rehearse --camera side/1=synthetic --camera side:1=synthetic --out none");
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text, HasSubstr("cameras has 'side:1' twice"));
 }
 
 TEST(ClientProgramTest, ShowsCamerasInABrowserAndRefusesWhatMakesNoSense) {

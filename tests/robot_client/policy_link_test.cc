@@ -331,7 +331,7 @@ TEST(PolicyLinkTest, PicturesFromTheFutureAreNotShown) {
 TEST(PolicyLinkTest, RecordsTheAgeOfEveryPictureThatAPredictionSaw) {
   Bench bench(false);
   SpscRing<FrameRecord> frames{100};
-  bench.link->RecordFrames(&frames);
+  bench.link->RecordFrames(&frames, /*pictures=*/true);
   bench.Start();
   bench.Ticks(15);
   std::vector<FrameRecord> shown;
@@ -343,6 +343,8 @@ TEST(PolicyLinkTest, RecordsTheAgeOfEveryPictureThatAPredictionSaw) {
     EXPECT_EQ(shown[i].sequence, *SequenceIn(bench.seen.observations[i].views[0].image));
     EXPECT_EQ(shown[i].prediction_id & 0xffff, i + 1);
     EXPECT_EQ(shown[i].request, i + 1);
+    ASSERT_NE(shown[i].picture, nullptr);
+    EXPECT_EQ(shown[i].picture->data, bench.seen.observations[i].views[0].image.data);
     const int64_t age_ns = shown[i].observed_ns - shown[i].stamp_ns;
     EXPECT_GE(age_ns, 10'000'000) << "a synthetic picture arrives 10 ms after its exposure";
     EXPECT_LE(age_ns, 10'000'000 + kPeriod_ns);
@@ -353,6 +355,7 @@ TEST(PolicyLinkTest, RecordsTheAgeOfEveryPictureThatAPredictionSaw) {
   for (FrameRecord record; frames.Pop(record);) refused = record;
   EXPECT_EQ(refused.use, FrameUse::kFuture);
   EXPECT_EQ(refused.prediction_id, 0u);
+  EXPECT_EQ(refused.picture, nullptr);
   EXPECT_LT(refused.observed_ns, refused.stamp_ns);
 }
 

@@ -13,6 +13,7 @@
 
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/image.h"
 #include "robot_client/state_reporter.h"
 
 namespace robostress {
@@ -125,14 +126,24 @@ TEST(RecorderTest, WritesWhichPictureEachPredictionSawAndItsAge) {
   frame.stamp_ns = 1'990'000'000;
   frame.observed_ns = 2'031'500'000;
   (*recorder)->frames().Push(frame);
+  frame.picture = std::make_shared<Image>(Image{2, 1, {1, 2, 3, 250, 251, 252}});
+  frame.request = 8;
+  std::string("side/left").copy(frame.camera.data(), 31);
+  (*recorder)->frames().Push(frame);
+  frame.picture = nullptr;
   frame.prediction_id = 0;
   frame.use = FrameUse::kMissing;
   (*recorder)->frames().Push(frame);
   ASSERT_TRUE((*recorder)->Finish().ok());
   EXPECT_EQ(*ReadFile(directory + "/frames.csv"),
-            "t,request,prediction,episode,chunk,camera,use,sequence,stamp,age_ms\n"
-            "1.031500000,7,5,1,3,wrist,shown,41,0.990000000,41.500\n"
-            "1.031500000,7,,1,3,wrist,missing,,,\n");
+            "t,request,prediction,episode,chunk,camera,use,sequence,stamp,age_ms,picture\n"
+            "1.031500000,7,5,1,3,wrist,shown,41,0.990000000,41.500,\n"
+            "1.031500000,8,5,1,3,side/left,shown,41,0.990000000,41.500,"
+            "pictures/000008_side_left.png\n"
+            "1.031500000,8,,1,3,side/left,missing,,,,\n");
+  const auto kept = DecodePng(*ReadFile(directory + "/pictures/000008_side_left.png"));
+  ASSERT_TRUE(kept.ok()) << kept.status();
+  EXPECT_EQ(kept->data, (std::vector<uint8_t>{1, 2, 3, 250, 251, 252}));
   EXPECT_FALSE(std::filesystem::exists(directory + "/frames.csv.partial"));
 }
 

@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/image.h"
 #include "common/lerobot/parquet_reader.h"
 #include "common/libero_demonstrations.h"
 #include "common/recordings/recording.h"
@@ -172,7 +173,8 @@ TEST_F(Export, McapsLibrariesReadTheEpisodes) {
       HasSubstr("SCHEMA CHANNEL STATISTICS CHUNK_INDEX METADATA_INDEX; heavy_payload base"));
 }
 
-// A run of robot_client with three ticks, the first before the arm has power, and four samples.
+// A run of robot_client with three ticks, the first before the arm has power, four samples and the
+// pictures of two requests; of a third nothing was shown, of a fourth nothing was kept.
 void WriteArmRun(const std::string& folder) {
   fs::create_directories(folder);
   const std::vector<std::string> axes = {"J1", "J2", "J3", "J4", "J5", "J6", "gripper"};
@@ -204,6 +206,21 @@ void WriteArmRun(const std::string& folder) {
   ASSERT_TRUE(WriteFileAtomically(folder + "/ticks.csv", ticks).ok());
   ASSERT_TRUE(WriteFileAtomically(folder + "/samples.csv", samples).ok());
   ASSERT_TRUE(WriteFileAtomically(folder + "/config.yaml", "bus: none\n").ok());
+  ASSERT_TRUE(WriteFileAtomically(
+                  folder + "/frames.csv",
+                  "t,request,prediction,episode,chunk,camera,use,sequence,stamp,age_ms,picture\n"
+                  "0.010,1,1,0,0,wrist,shown,8,-0.015,25.0,pictures/000001_wrist.png\n"
+                  "0.020,2,,0,1,wrist,missing,,,,\n"
+                  "0.025,3,2,0,1,wrist,shown,9,0.015,10.0,\n"
+                  "0.060,4,3,0,2,wrist,shown,10,0.050,10.0,pictures/000004_wrist.png\n")
+                  .ok());
+  fs::create_directories(folder + "/pictures");
+  for (const int request : {1, 4}) {
+    const Image picture{2, 1, {1, 2, 3, 4, 5, static_cast<uint8_t>(request)}};
+    ASSERT_TRUE(WriteFileAtomically(absl::StrCat(folder, "/pictures/00000", request, "_wrist.png"),
+                                    *EncodePng(picture))
+                    .ok());
+  }
 }
 
 TEST_F(Export, AnArmsRunIsOneFile) {
@@ -212,27 +229,46 @@ TEST_F(Export, AnArmsRunIsOneFile) {
   const auto [said, code] =
       RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --mcap ", out));
   ASSERT_EQ(code, 0) << said;
-  EXPECT_THAT(said, HasSubstr("3 ticks, 4 samples of the arm"));
+  EXPECT_THAT(said, HasSubstr("3 ticks, 4 samples of the arm, 2 pictures"));
   recording_test::CollectedRows rows;
   const absl::Status status = ReadRecording(out + "/tuesday.mcap", {}, &rows);
   ASSERT_TRUE(status.ok()) << status;
   std::erase_if(rows.rows, [](const auto& row) { return row.channel != "/joint_states"; });
   ASSERT_EQ(rows.rows.size(), 4u);
-  EXPECT_EQ(rows.rows[0].stamp_ns, 1'000'000'000) << "the first sample was before the first tick";
-  EXPECT_EQ(rows.rows[3].stamp_ns, 1'045'000'000);
+  EXPECT_EQ(rows.rows[0].stamp_ns, 1'010'000'000) << "the first picture was taken 10 ms before";
+  EXPECT_EQ(rows.rows[3].stamp_ns, 1'055'000'000);
   EXPECT_EQ(rows.rows[3].values.at("position J2"), 301);
   EXPECT_EQ(rows.rows[3].values.at("velocity J1"), 307);
   EXPECT_EQ(rows.rows[3].values.at("effort gripper"), 320);
   if (RecordingPeersFailure().empty()) {
     const auto [read, readers] =
         RunProgram("nice -n 19 " RECORDINGS_VENV "/bin/python " EXPORT_TESTS "/read_arm_mcap.py",
-                   out + "/tuesday.mcap");
+                   absl::StrCat(out, "/tuesday.mcap ", run, "/pictures/000004_wrist.png"));
     EXPECT_EQ(readers, 0) << read;
     for (const char* line :
          {"/client 3\n", "/joint_states 4\n", "/joints/sent 2\n", "/joints/measured 3\n",
-          "sent 24.0 24.5 24.6\n", "client RUN operator 2.0 0.05\n"})
+          "sent 24.0 24.5 24.6\n", "client RUN operator 2.0 0.05\n", "/camera/wrist 2\n",
+          "picture png 1.065 shown at 1.075 as on disk\n"})
       EXPECT_THAT(read, HasSubstr(line));
   }
+  fs::remove(run + "/pictures/000001_wrist.png");
+  fs::remove_all(out);
+  const auto [fewer, still] =
+      RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --mcap ", out));
+  EXPECT_EQ(still, 0) << fewer;
+  EXPECT_THAT(fewer, HasSubstr("1 pictures\n1 pictures that frames.csv names are not there"));
+  for (const char* file : {"pictures/../../secret.png", "/etc/passwd"}) {
+    ASSERT_TRUE(WriteFileAtomically(run + "/frames.csv",
+                                    absl::StrCat("t,camera,stamp,picture\n0,wrist,0,", file, "\n"))
+                    .ok());
+    fs::remove_all(out);
+    const auto [elsewhere, refused] =
+        RunProgram(BIN_DIR "/robostress-export", absl::StrCat(run, " --mcap ", out));
+    EXPECT_EQ(refused, 2) << elsewhere;
+    EXPECT_THAT(elsewhere, HasSubstr("frames.csv:2: picture is '"));
+  }
+  fs::rename(run + "/frames.csv", run + "/frames.csv.partial");
+  ASSERT_TRUE(WriteFileAtomically(run + "/frames.csv.partial", "t,camera").ok());
   // What was cut off is read up to there; what is wrong in it has its place.
   fs::rename(run + "/ticks.csv", run + "/ticks.csv.partial");
   fs::remove(run + "/samples.csv");
