@@ -46,6 +46,9 @@ class ArmModel {
   enum Bound { kTable, kBox, kItself, kBounds };
   using Clearance = std::array<double, kBounds>;
   virtual Clearance ClearanceAt(const ArmVector& position) const = 0;
+  // For people, which parts are nearest to each other there: "J5 and J7"; empty: not said. Not for
+  // the control thread.
+  virtual std::string NearestParts(const ArmVector& /*position*/) const { return ""; }
 };
 
 // "the table", "the workspace box", "the arm itself".

@@ -8,8 +8,10 @@
 namespace robostress {
 namespace {
 
-std::string Depth(ArmModel::Bound bound, double distance) {
-  return absl::StrFormat("%.0f mm into %s", -1000 * distance, BoundName(bound));
+std::string Depth(const ArmModel& model, ArmModel::Bound bound, const ArmVector& pose) {
+  const std::string parts = bound == ArmModel::kItself ? model.NearestParts(pose) : "";
+  return absl::StrFormat("%.0f mm into %s%s", -1000 * model.ClearanceAt(pose)[bound],
+                         BoundName(bound), parts.empty() ? "" : " (" + parts + ")");
 }
 
 }  // namespace
@@ -45,7 +47,7 @@ absl::Status CheckPath(const ArmModel& model, const ArmPath& path) {
     const ArmModel::Bound bound = CrossedBound(now, next);
     if (bound != ArmModel::kBounds) {
       return absl::FailedPreconditionError(
-          absl::StrCat("the way leads ", Depth(bound, next[bound]),
+          absl::StrCat("the way leads ", Depth(model, bound, row),
                        "; jog the arm clear of it first, or correct control.workspace"));
     }
     now = next;
@@ -68,7 +70,7 @@ absl::Status CheckPose(const char* name, const ArmVector& pose, const ArmLimits&
   for (int b = 0; b < ArmModel::kBounds; ++b) {
     if (!(clearance[b] >= 0))
       return absl::InvalidArgumentError(
-          absl::StrCat(name, " lies ", Depth(static_cast<ArmModel::Bound>(b), clearance[b]),
+          absl::StrCat(name, " lies ", Depth(*model, static_cast<ArmModel::Bound>(b), pose),
                        "; correct it, or control.workspace"));
   }
   return absl::OkStatus();

@@ -1,10 +1,15 @@
 #include "robot_client/bridge/arm_chain.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <utility>
 
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
 #include "common/models/urdf_model.h"
 #include "common/status_macros.h"
 
@@ -14,6 +19,7 @@ namespace {
 using tinyxml2::XMLElement;
 
 constexpr size_t kMostBalls = 512;  // the control thread looks at each of them
+constexpr int kMostStrips = 4;      // of a box
 constexpr double kBeyondEnd = 0.1;  // [rad] of a limit beyond the model's: two sheets may differ
 constexpr double kUpright = 1e-6;   // of the cosine between an axis and z
 constexpr double kOnAxis = 1e-3;    // [m]
@@ -47,13 +53,13 @@ class ChainReader {
     places_.resize(model_.links.size());
     RS_RETURN_IF_ERROR(PlaceLinks(joints, limits));
     for (size_t i = 0; i < model_.links.size(); ++i) {
-      if (places_[i].owner < 0) continue;
-      AddMass(model_.links[i], places_[i]);
+      if (places_[i].owner >= 0) AddMass(model_.links[i], places_[i]);
       RS_RETURN_IF_ERROR(AddShape(model_.links[i], places_[i]));
     }
     for (ChainLink& link : chain_.links) SumUp(link);
     LeaveShoulderOut();
     RS_RETURN_IF_ERROR(FindTool());
+    AddBones();
     size_t balls = 0;
     for (const ChainLink& link : chain_.links) balls += link.shape.size();
     if (balls > kMostBalls)
@@ -140,34 +146,49 @@ class ChainReader {
   }
 
   absl::Status AddShape(const urdf::Link& link, const Place& place) {
-    std::vector<Ball>& shape = chain_.links[static_cast<size_t>(place.owner)].shape;
-    const auto add = [&](const Eigen::Vector3d& p, double radius) {
-      shape.push_back({place.T_owner_link * p, radius});
-    };
+    ChainLink* const carrier =
+        place.owner < 0 ? nullptr : &chain_.links[static_cast<size_t>(place.owner)];
     bool known = false;
     const XMLElement& e = *link.element;
     for (const XMLElement* collision = e.FirstChildElement("collision"); collision != nullptr;
          collision = collision->NextSiblingElement("collision")) {
-      Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+      Eigen::Isometry3d T = place.T_owner_link;
       if (const XMLElement* origin = collision->FirstChildElement("origin"); origin != nullptr) {
         RS_ASSIGN_OR_RETURN(const auto xyz, file_.Numbers(*origin, "xyz", {0, 0, 0}));
         RS_ASSIGN_OR_RETURN(const auto rpy, file_.Numbers(*origin, "rpy", {0, 0, 0}));
-        T = PoseOf(xyz, rpy);
+        T = T * PoseOf(xyz, rpy);
       }
       const XMLElement* geometry = collision->FirstChildElement("geometry");
       if (geometry == nullptr) continue;
       for (const XMLElement* kind = geometry->FirstChildElement(); kind != nullptr;
            kind = kind->NextSiblingElement()) {
-        RS_ASSIGN_OR_RETURN(const std::vector<Ball> balls, BallsOf(*kind));
-        for (const Ball& ball : balls) add(T * ball.centre, ball.radius);
-        known = known || !balls.empty();
+        RS_ASSIGN_OR_RETURN(const Shape shape, ShapeOf(*kind));
+        for (const Ball& ball : shape.balls)
+          if (carrier != nullptr) carrier->shape.push_back({T * ball.centre, ball.radius});
+        for (const Capsule& part : shape.parts)
+          chain_.body.push_back({place.owner, {T * part.from, T * part.to, part.radius}});
+        known = known || !shape.balls.empty();
       }
     }
     if (known) return absl::OkStatus();
-    const bool body = e.FirstChildElement("collision") != nullptr ||
-                      e.FirstChildElement("visual") != nullptr || link.mass > 0;
-    add(Eigen::Vector3d::Zero(), body ? options_.radius : 0);
+    const bool solid = e.FirstChildElement("collision") != nullptr ||
+                       e.FirstChildElement("visual") != nullptr || link.mass > 0;
+    const Eigen::Vector3d origin = place.T_owner_link.translation();
+    if (carrier != nullptr) carrier->shape.push_back({origin, solid ? options_.radius : 0});
+    if (solid) unknown_.push_back({place.owner, origin});
     return absl::OkStatus();
+  }
+
+  // A body of unknown shape reaches from its frame to the next joint, or to the tool.
+  void AddBones() {
+    for (const auto& [owner, origin] : unknown_) {
+      const size_t next = static_cast<size_t>(owner + 1);
+      const Eigen::Vector3d end =
+          next < chain_.links.size()
+              ? Eigen::Vector3d(chain_.links[next].T_before_joint.translation())
+              : chain_.tool;
+      chain_.body.push_back({owner, {origin, end, options_.radius}});
+    }
   }
 
   // What lies on the second joint's axis above an upright first one never changes its height. Were
@@ -181,8 +202,12 @@ class ChainReader {
     shape.erase(std::remove_if(shape.begin(), shape.end(), stays), shape.end());
   }
 
-  // Whose hull holds the shape; none: a mesh.
-  absl::StatusOr<std::vector<Ball>> BallsOf(const XMLElement& kind) const {
+  // Whose hull holds a shape, and capsules that do; none: a mesh.
+  struct Shape {
+    std::vector<Ball> balls;
+    std::vector<Capsule> parts;
+  };
+  absl::StatusOr<Shape> ShapeOf(const XMLElement& kind) const {
     const absl::string_view name = kind.Name();
     const auto within = [&](double value) { return value >= 0 && value <= kLongest; };
     const auto wrong = [&] {
@@ -192,27 +217,47 @@ class ChainReader {
     if (name == "sphere") {
       RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
       if (!within(radius[0])) return wrong();
-      return std::vector<Ball>{{Eigen::Vector3d::Zero(), radius[0]}};
+      const Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+      return Shape{{{centre, radius[0]}}, {{centre, centre, radius[0]}}};
     }
     if (name == "cylinder" || name == "capsule") {
       RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
       RS_ASSIGN_OR_RETURN(const auto length, file_.Numbers(kind, "length", {0}));
       if (!within(radius[0]) || !within(length[0])) return wrong();
       const Eigen::Vector3d end(0, 0, length[0] / 2);
-      return std::vector<Ball>{{end, radius[0]}, {-end, radius[0]}};
+      return Shape{{{end, radius[0]}, {-end, radius[0]}}, {{end, -end, radius[0]}}};
     }
-    if (name != "box") return std::vector<Ball>{};
+    if (name != "box") return Shape();
     RS_ASSIGN_OR_RETURN(const auto size, file_.Numbers(kind, "size", {0, 0, 0}));
-    std::vector<Ball> corners;
+    const Eigen::Vector3d half = Eigen::Map<const Eigen::Vector3d>(size.data()) / 2;
+    for (const double side : size)
+      if (!within(side)) return wrong();
+    Shape box;
     for (int corner = 0; corner < 8; ++corner) {
-      Eigen::Vector3d p;
-      for (int i = 0; i < 3; ++i) {
-        if (!within(size[static_cast<size_t>(i)])) return wrong();
-        p[i] = ((corner >> i) & 1 ? 0.5 : -0.5) * size[static_cast<size_t>(i)];
-      }
-      corners.push_back({p, 0});
+      const Eigen::Vector3d sign(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1, corner & 4 ? 1 : -1);
+      box.balls.push_back({half.cwiseProduct(sign), 0});
     }
-    return corners;
+    box.parts = StripsOf(half);
+    return box;
+  }
+
+  // A box in capsules side by side, along its longest side, as thick as its shortest allows.
+  static std::vector<Capsule> StripsOf(const Eigen::Vector3d& half) {
+    std::array<int, 3> axes = {0, 1, 2};
+    std::sort(axes.begin(), axes.end(), [&](int a, int b) { return half[a] > half[b]; });
+    const double length = half[axes[0]], width = half[axes[1]], height = half[axes[2]];
+    const int strips =
+        width > kMostStrips * height ? kMostStrips : std::max(1, static_cast<int>(width / height));
+    const double each = width / strips;
+    std::vector<Capsule> capsules;
+    for (int i = 0; i < strips; ++i) {
+      Capsule strip{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero(), std::hypot(each, height)};
+      strip.from[axes[0]] = length;
+      strip.to[axes[0]] = -length;
+      strip.from[axes[1]] = strip.to[axes[1]] = (2 * i + 1) * each - width;
+      capsules.push_back(strip);
+    }
+    return capsules;
   }
 
   absl::Status FindTool() {
@@ -239,9 +284,33 @@ class ChainReader {
   ArmChain chain_;
   std::vector<Place> places_;              // by link of the file
   std::vector<std::vector<Part>> masses_;  // by link of the chain
+  std::vector<std::pair<int, Eigen::Vector3d>>
+      unknown_;  // owner and origin of bodies without a shape
 };
 
 }  // namespace
+
+absl::StatusOr<LinkPair> ParseLinkPair(const std::string& text, int joints) {
+  std::vector<int> links;
+  for (const absl::string_view name : absl::StrSplit(text, '-')) {
+    int joint = 0;
+    if (name == "base") {
+      links.push_back(-1);
+    } else if (absl::StartsWith(name, "J") && absl::SimpleAtoi(name.substr(1), &joint) &&
+               joint >= 1 && joint <= joints) {
+      links.push_back(joint - 1);
+    }
+  }
+  if (links.size() != 2 || links[0] == links[1])
+    return absl::InvalidArgumentError(absl::StrCat(
+        "'", text, "', must be two links, such as J1-J3 or base-J2; this arm has J1 to J", joints));
+  return LinkPair{std::min(links[0], links[1]), std::max(links[0], links[1])};
+}
+
+std::string LinkPairName(const LinkPair& pair) {
+  return absl::StrCat(pair.first < 0 ? "the base" : absl::StrCat("J", pair.first + 1), " and J",
+                      pair.second + 1);
+}
 
 absl::StatusOr<ArmChain> ReadArmChain(const std::string& file, const std::string& text,
                                       const std::vector<std::string>& joints,

@@ -3,9 +3,11 @@
 #include <Eigen/Dense>
 #include <Eigen/Geometry>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "robot_client/capsule.h"
 #include "robot_client/robot_arm.h"
 
 namespace robostress::bridge {
@@ -15,14 +17,19 @@ struct ModelOptions {
   std::string file;                 // URDF; a relative path is taken from the robot file's folder
   std::vector<std::string> joints;  // its names of the joints; empty: the driver's
   std::string tool;                 // link of it that is the tool's point, and a payload's place
-  double radius = 0.06;             // [m] of a link whose shape is a mesh, about its frame's origin
+  // [m] of a link whose shape is a mesh: about its frame's origin for table and box; against the
+  // arm itself about the line from there to the next joint.
+  double radius = 0.06;
+  std::vector<std::string> ignore;  // "J5-J7", "base-J3": links not watched against each other
 
   template <class V>
   void Visit(V& v) {
     v.Field("file", file, "URDF of the arm; a relative path begins at this file's folder");
     v.Field("joints", joints, "its names of the joints, from the base on; empty: as the driver's");
     v.Field("tool", tool, "link of it that is the tool's point");
-    v.Field("radius", radius, "of a link whose shape is a mesh, about its frame's origin [m]");
+    v.Field("radius", radius,
+            "of a link whose shape is a mesh, about the line from its joint to the next [m]");
+    v.Field("ignore", ignore, "links not watched against each other: J5-J7, base-J3");
   }
 };
 
@@ -43,16 +50,39 @@ struct ChainLink {
   std::vector<Ball> shape;
 };
 
+// Holds a part of a link; in the link's frame, of -1, the base, in the base frame.
+struct LinkCapsule {
+  int link;
+  Capsule capsule;
+};
+
+// Two links by their joints, from 0; -1: the base. The first is nearer to it.
+struct LinkPair {
+  int first, second;
+  auto operator<=>(const LinkPair&) const = default;
+};
+// Of "J5-J7" or "base-J3", in either order; INVALID_ARGUMENT says what it must be.
+absl::StatusOr<LinkPair> ParseLinkPair(const std::string& text, int joints);
+std::string LinkPairName(const LinkPair& pair);  // "J5 and J7"
+
 // An arm's joints in a row, from the base on; the base link stands upright, its z up.
 struct ArmChain {
   std::string file;                                // that it was read from
   std::vector<ChainLink> links;                    // one per joint
   Eigen::Vector3d tool = Eigen::Vector3d::Zero();  // in the frame of the last [m]
+  // What the links' shapes are against the arm itself; of ChooseLinkPairs: whose distances are
+  // watched, two places in `body` each, and links that are always too near each other for that, or
+  // that somebody has left out.
+  std::vector<LinkCapsule> body;
+  std::vector<std::pair<int, int>> watched;
+  std::vector<LinkPair> too_near, ignored;
+  double touching = 0;       // share of the poses within the limits where watched parts touch
+  LinkPair touching_most{};  // links that do in most of them
 };
 
 // Reads the chain of `joints` out of a URDF. Joints of the file that are not listed stand at 0. A
 // link's shape is that of its <collision>: boxes, cylinders and spheres; of meshes a ball of
-// `radius`; a frame without shape and mass is a point.
+// `radius`; a frame without shape and mass is a point. No pairs are chosen yet.
 // INVALID_ARGUMENT and NOT_FOUND name file, line or field, value and remedy: a joint that slides,
 // joints that are not in a row, `limits` beyond where the file says that a joint ends, by which a
 // wrong sign or zero is noticed.

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <limits>
+#include <map>
+#include <random>
+#include <set>
 #include <utility>
 
 #include "common/check.h"
@@ -14,8 +17,130 @@ using Eigen::Vector3d;
 
 constexpr double kGravity = 9.81;         // [m/s^2]
 constexpr size_t kFirstThatMayTouch = 1;  // the first link turns above its mounting
+constexpr size_t kMostCapsules = 128;     // the control thread looks at most pairs of them
+constexpr int kPoses = 1000;
+constexpr int kNearlyAll = 950;   // of the poses
+constexpr double kStays = 0.001;  // [m]
+
+using LinkPoses = std::array<Eigen::Isometry3d, kMostJoints>;  // in the base frame, by joint
+
+void Place(const ArmChain& chain, const ArmVector& position, LinkPoses& poses) {
+  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+  for (size_t i = 0; i < chain.links.size(); ++i) {
+    const ChainLink& link = chain.links[i];
+    T = T * link.T_before_joint * Eigen::AngleAxisd(position[i], link.axis);
+    poses[i] = T;
+  }
+}
+
+using Bodies = std::array<Capsule, kMostCapsules>;
+
+// Of the chain's body, in the base frame.
+void PlaceBody(const ArmChain& chain, const LinkPoses& poses, Bodies& bodies) {
+  for (size_t i = 0; i < chain.body.size(); ++i) {
+    const auto& [link, part] = chain.body[i];
+    bodies[i] = part;
+    if (link < 0) continue;
+    const Eigen::Isometry3d& T = poses[static_cast<size_t>(link)];
+    bodies[i].from = T * part.from;
+    bodies[i].to = T * part.to;
+  }
+}
+
+// Within the limits, by a fixed stream.
+std::vector<ArmVector> PosesWithin(const ArmLimits& limits, size_t joints) {
+  std::vector<ArmVector> poses(kPoses);
+  std::mt19937_64 random(32);  // its numbers are the standard's
+  for (ArmVector& pose : poses) {
+    for (size_t j = 0; j < joints; ++j) {
+      const double share = static_cast<double>(random() >> 11) * 0x1p-53;
+      pose[j] = limits.lower[j] + share * (limits.upper[j] - limits.lower[j]);
+    }
+  }
+  return poses;
+}
+
+// How a pair's distance was over the poses [m].
+struct Seen {
+  std::pair<int, int> pair;
+  LinkPair links;
+  double least = std::numeric_limits<double>::infinity(), most = -least;
+  int too_near = 0;
+};
+
+// Every pair of parts of links that no joint connects.
+std::vector<Seen> PairsOf(const ArmChain& chain, const std::vector<LinkPair>& ignored) {
+  std::vector<Seen> pairs;
+  const int parts = static_cast<int>(chain.body.size());
+  for (int a = 0; a < parts; ++a) {
+    for (int b = 0; b < parts; ++b) {
+      const LinkPair links{chain.body[a].link, chain.body[b].link};
+      if (links.first + 2 <= links.second &&
+          std::find(ignored.begin(), ignored.end(), links) == ignored.end())
+        pairs.push_back({{a, b}, links});
+    }
+  }
+  return pairs;
+}
 
 }  // namespace
+
+void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, double margin,
+                     const std::vector<LinkPair>& ignored, ArmChain* chain) {
+  chain->watched.clear();
+  chain->too_near.clear();
+  chain->ignored = ignored;
+  chain->touching = 0;
+  if (chain->body.size() > kMostCapsules) return;
+  const size_t joints = chain->links.size();
+  std::vector<ArmVector> poses = PosesWithin(limits, joints);
+  LinkPoses placed;
+  Bodies bodies;
+  const auto place = [&](const ArmVector& pose) {
+    Place(*chain, pose, placed);
+    PlaceBody(*chain, placed, bodies);
+  };
+  std::vector<Seen> pairs = PairsOf(*chain, ignored);
+  const auto look = [&](const ArmVector& pose, int weight) {
+    place(pose);
+    for (Seen& s : pairs) {
+      const double distance = Distance(bodies[s.pair.first], bodies[s.pair.second]);
+      s.least = std::min(s.least, distance);
+      s.most = std::max(s.most, distance);
+      s.too_near += distance < margin ? weight : 0;
+    }
+  };
+  for (const ArmVector& pose : poses) look(pose, 1);
+  if (home.size() >= joints) {
+    ArmVector pose{};
+    std::copy_n(home.begin(), joints, pose.begin());
+    look(pose, kPoses);
+  }
+  // A distance that does not change cannot be driven to 0, and as the least it would hide others.
+  std::erase_if(pairs, [](const Seen& s) { return s.most - s.least < kStays; });
+  std::set<LinkPair> watched, near;
+  for (const Seen& s : pairs) (s.too_near < kNearlyAll ? watched : near).insert(s.links);
+  for (const LinkPair& links : near)
+    if (watched.count(links) == 0) chain->too_near.push_back(links);
+  std::erase_if(pairs, [](const Seen& s) { return s.too_near >= kNearlyAll; });
+  for (const Seen& s : pairs) chain->watched.push_back(s.pair);
+
+  std::map<LinkPair, int> touches;
+  int touched = 0, most = 0;
+  for (const ArmVector& pose : poses) {
+    place(pose);
+    std::set<LinkPair> here;
+    for (const Seen& s : pairs)
+      if (Distance(bodies[s.pair.first], bodies[s.pair.second]) < margin) here.insert(s.links);
+    touched += here.empty() ? 0 : 1;
+    for (const LinkPair& links : here) {
+      if (++touches[links] <= most) continue;
+      most = touches[links];
+      chain->touching_most = links;
+    }
+  }
+  chain->touching = static_cast<double>(touched) / kPoses;
+}
 
 ChainModel::ChainModel(ArmChain chain, const WorkspaceOptions& workspace)
     : chain_(std::move(chain)),
@@ -26,19 +151,10 @@ ChainModel::ChainModel(ArmChain chain, const WorkspaceOptions& workspace)
   RS_CHECK(chain_.links.size() <= kMostJoints);
 }
 
-void ChainModel::Place(const ArmVector& position, Poses& poses) const {
-  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-  for (size_t i = 0; i < chain_.links.size(); ++i) {
-    const ChainLink& link = chain_.links[i];
-    T = T * link.T_before_joint * Eigen::AngleAxisd(position[i], link.axis);
-    poses[i] = T;
-  }
-}
-
 ArmVector ChainModel::Torque(const ArmVector& position, const ArmVector& velocity,
                              const ArmVector& acceleration, double payload_kg) const {
-  Poses poses;
-  Place(position, poses);
+  LinkPoses poses;
+  Place(chain_, position, poses);
   const size_t n = chain_.links.size();
   std::array<Vector3d, kMostJoints> force, moment;  // on a link, about its frame's origin
   std::array<Vector3d, kMostJoints> axes;           // in the base frame
@@ -78,8 +194,8 @@ ArmVector ChainModel::Torque(const ArmVector& position, const ArmVector& velocit
 }
 
 ArmModel::Clearance ChainModel::ClearanceAt(const ArmVector& position) const {
-  Poses poses;
-  Place(position, poses);
+  LinkPoses poses;
+  Place(chain_, position, poses);
   Clearance clearance;
   clearance.fill(std::numeric_limits<double>::infinity());
   for (size_t i = kFirstThatMayTouch; i < chain_.links.size(); ++i) {
@@ -90,12 +206,31 @@ ArmModel::Clearance ChainModel::ClearanceAt(const ArmVector& position) const {
       clearance[kBox] = std::min(clearance[kBox], inside - ball.radius - margin_);
     }
   }
+  if (chain_.watched.empty()) return clearance;
+  Bodies bodies;
+  PlaceBody(chain_, poses, bodies);
+  for (const auto& [a, b] : chain_.watched)
+    clearance[kItself] = std::min(clearance[kItself], Distance(bodies[a], bodies[b]) - margin_);
   return clearance;
 }
 
+std::string ChainModel::NearestParts(const ArmVector& position) const {
+  LinkPoses poses;
+  Place(chain_, position, poses);
+  Bodies bodies;
+  PlaceBody(chain_, poses, bodies);
+  const auto nearer = [&](const auto& a, const auto& b) {
+    return Distance(bodies[a.first], bodies[a.second]) <
+           Distance(bodies[b.first], bodies[b.second]);
+  };
+  const auto nearest = std::min_element(chain_.watched.begin(), chain_.watched.end(), nearer);
+  if (nearest == chain_.watched.end()) return "";
+  return LinkPairName({chain_.body[nearest->first].link, chain_.body[nearest->second].link});
+}
+
 Vector3d ChainModel::ToolAt(const ArmVector& position) const {
-  Poses poses;
-  Place(position, poses);
+  LinkPoses poses;
+  Place(chain_, position, poses);
   return poses[chain_.links.size() - 1] * chain_.tool;
 }
 

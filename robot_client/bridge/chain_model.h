@@ -1,28 +1,39 @@
 #pragma once
 
+#include <array>
+#include <string>
+#include <vector>
+
 #include "robot_client/arm_model.h"
 #include "robot_client/bridge/arm_chain.h"
 
 namespace robostress::bridge {
 
+// Chooses what of the arm is watched against itself: pairs of capsules of links that no joint
+// connects, but those that are nearer than `margin` [m] at `home` (a number per joint [rad]; empty:
+// none) or nearly everywhere within the limits, and those whose distance never changes. They are
+// neighbours, or their shapes are too coarse; MoveIt's setup assistant leaves out the same. 1,000
+// poses of a fixed stream. `ignored` are left out. None are chosen where the links are more than 128
+// capsules. Says too how often what is chosen touches in those poses.
+void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, double margin,
+                     const std::vector<LinkPair>& ignored, ArmChain* chain);
+
 // What a chain says of its arm: torques by a recursive Newton-Euler scheme in the base frame
 // (Craig, Introduction to Robotics, sec. 6.5), without rotors and friction; distances of the links'
-// shapes to table and box. The arm against itself is not known: that distance is infinite.
+// shapes to table and box, and of its chosen pairs from each other. Fingers stand as at 0.
 class ChainModel : public ArmModel {
  public:
   ChainModel(ArmChain chain, const WorkspaceOptions& workspace);
 
   ArmVector Torque(const ArmVector& position, const ArmVector& velocity,
                    const ArmVector& acceleration, double payload_kg) const override;
-  // Every part beyond the first link.
+  // Table and box: every part beyond the first link. Itself: infinite where no pairs are chosen.
   Clearance ClearanceAt(const ArmVector& position) const override;
+  std::string NearestParts(const ArmVector& position) const override;
   // Of the tool, in the base frame [m].
   Eigen::Vector3d ToolAt(const ArmVector& position) const;
 
  private:
-  using Poses = std::array<Eigen::Isometry3d, kMostJoints>;
-  void Place(const ArmVector& position, Poses& poses) const;  // of the links, in the base frame
-
   const ArmChain chain_;
   const double table_z_, margin_;
   const Eigen::Vector3d lower_, upper_;

@@ -7,6 +7,14 @@
 #include "absl/strings/str_join.h"
 
 namespace robostress::bridge {
+namespace {
+
+std::string LinkPairNames(const std::vector<LinkPair>& pairs) {
+  return absl::StrJoin(
+      pairs, ", ", [](std::string* out, const LinkPair& pair) { out->append(LinkPairName(pair)); });
+}
+
+}  // namespace
 
 std::string Unfit(const BridgeRobot& robot, const Welcome& w) {
   if (w.protocol != kVersion)
@@ -67,11 +75,31 @@ std::vector<std::string> WhatADriverSays(const BridgeRobot& robot, const Welcome
   if (!w.monotonic)
     lines.emplace_back(
         "WARNING: the driver does not stamp its samples: how old they are is not known");
-  lines.push_back(
-      robot.chain ? absl::StrCat("watched by ", robot.chain->file, ": table, box",
-                                 w.measures_effort && robot.watches_torque() ? ", torques" : "",
-                                 "; not watched: the arm against itself")
-                  : "no model of this arm: table, box and the arm against itself are not watched");
+  if (!robot.chain) {
+    lines.emplace_back(
+        "no model of this arm: table, box and the arm against itself are not watched");
+  } else {
+    const ArmChain& chain = *robot.chain;
+    const bool torques = w.measures_effort && robot.watches_torque();
+    lines.push_back(absl::StrCat("watched by ", chain.file, ": table, box",
+                                 chain.watched.empty() ? "" : ", the arm against itself",
+                                 torques ? ", torques" : ""));
+    if (chain.watched.empty()) {
+      lines.emplace_back(
+          "not watched: the arm against itself; its links have no shapes, or more than 128 parts");
+    }
+    if (!chain.watched.empty() && !chain.too_near.empty())
+      lines.push_back(absl::StrCat("not watched against each other, always near: ",
+                                   LinkPairNames(chain.too_near)));
+    if (chain.touching > 0.1)
+      lines.push_back(absl::StrFormat(
+          "by their shapes its links touch in %.0f %% of all poses, %s most often; shapes in the "
+          "file, a smaller model.radius or model.ignore help where the arm is held for nothing",
+          100 * chain.touching, LinkPairName(chain.touching_most)));
+    if (!chain.ignored.empty())
+      lines.push_back(absl::StrCat("not watched against each other, as the robot file says: ",
+                                   LinkPairNames(chain.ignored)));
+  }
   if (!w.note.empty()) lines.push_back(absl::StrCat("the driver says: ", w.note));
   return lines;
 }

@@ -11,6 +11,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/status_macros.h"
+#include "robot_client/bridge/chain_model.h"
 
 namespace robostress::bridge {
 namespace {
@@ -141,6 +142,11 @@ absl::Status CheckModel(const Checker& checker, const BridgeRobot& robot, bool h
     return checker.Wrong("model.joints has ", model.joints.size(), " names, must have ", joints,
                          ": one per joint, or none");
   RS_RETURN_IF_ERROR(checker.Within("model.radius", model.radius, 0, 0.5, "m"));
+  for (const std::string& links : model.ignore) {
+    if (const absl::Status pair = ParseLinkPair(links, static_cast<int>(joints)).status();
+        !pair.ok())
+      return checker.Wrong("model.ignore has ", pair.message());
+  }
   if (!has_workspace)
     return checker.Wrong(
         "workspace is missing: with a model say where the arm may be (table_z, lower, upper [m] in "
@@ -214,6 +220,12 @@ absl::StatusOr<BridgeRobot> LoadBridgeRobot(const std::string& file) {
       (std::filesystem::path(file).parent_path() / model.file).lexically_normal().string();
   RS_ASSIGN_OR_RETURN(const std::string urdf, ReadFileUpTo(path, kMostModelBytes));
   RS_ASSIGN_OR_RETURN(robot.chain, ReadArmChain(path, urdf, joints, robot.limits, model));
+  std::vector<LinkPair> ignored;
+  for (const std::string& links : model.ignore) {
+    RS_ASSIGN_OR_RETURN(const LinkPair pair, ParseLinkPair(links, robot.limits.axes.joints));
+    ignored.push_back(pair);
+  }
+  ChooseLinkPairs(robot.limits, robot.home, robot.workspace.margin, ignored, &*robot.chain);
   return robot;
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <limits>
 
+#include "robot_client/capsule.h"
 #include "robot_client/piper/link_inertia.h"
 
 namespace robostress::piper {
@@ -14,12 +15,12 @@ using Eigen::Vector3d;
 constexpr double kGravity = 9.81;  // [m/s^2]
 
 // A capsule in the frame of a link; link 0 is the base, 6 carries the gripper.
-struct Capsule {
+struct LinkCapsule {
   int link;
   std::array<double, 3> from, to;  // [m]
   double radius;                   // [m]
 };
-constexpr Capsule kCapsules[] = {
+constexpr LinkCapsule kCapsules[] = {
     {0, {0, 0, 0}, {0, 0, 0.07}, 0.06},
     {1, {0, 0, -0.05}, {0, 0, 0.01}, 0.045},
     {2, {0.02, 0, 0}, {0.27, 0, 0}, 0.035},
@@ -33,8 +34,7 @@ constexpr int kParts = static_cast<int>(std::size(kCapsules)) + 4;
 
 struct Placed {
   int link;
-  Vector3d from, to;
-  double radius;
+  Capsule capsule;  // in the base frame
 };
 
 Vector3d Vec(const std::array<double, 3>& v) { return {v[0], v[1], v[2]}; }
@@ -52,35 +52,21 @@ std::array<Placed, kParts> Place(const JointVector& q, double opening, Zero zero
   };
   std::array<Placed, kParts> parts;
   int n = 0;
-  for (const Capsule& c : kCapsules)
-    parts[n++] = {c.link, in_base(c.link, Vec(c.from)), in_base(c.link, Vec(c.to)), c.radius};
+  for (const LinkCapsule& c : kCapsules)
+    parts[n++] = {c.link, {in_base(c.link, Vec(c.from)), in_base(c.link, Vec(c.to)), c.radius}};
   for (const double side : {-1.0, 1.0}) {
     const double y = side * (kPadHalf[1] + 0.5 * std::clamp(opening, 0.0, 0.1));
-    parts[n++] = {kJoints, in_base(kJoints, {0, y, kPadHeight - kPadHalf[2]}),
-                  in_base(kJoints, {0, y, kPadHeight + kPadHalf[2] - kPadRadius}), kPadRadius};
+    parts[n++] = {kJoints,
+                  {in_base(kJoints, {0, y, kPadHeight - kPadHalf[2]}),
+                   in_base(kJoints, {0, y, kPadHeight + kPadHalf[2] - kPadRadius}), kPadRadius}};
     const double tip = kPadHeight + kPadHalf[2] - kPadHalf[1], x = kPadHalf[0] - kPadHalf[1];
-    parts[n++] = {kJoints, in_base(kJoints, {-x, y, tip}), in_base(kJoints, {x, y, tip}),
-                  kPadHalf[1]};
+    parts[n++] = {kJoints,
+                  {in_base(kJoints, {-x, y, tip}), in_base(kJoints, {x, y, tip}), kPadHalf[1]}};
   }
   return parts;
 }
 
 }  // namespace
-
-double SegmentDistance(const Vector3d& a0, const Vector3d& a1, const Vector3d& b0,
-                       const Vector3d& b1) {
-  // Ericson, Real-Time Collision Detection, sec. 5.1.9.
-  const Vector3d u = a1 - a0, v = b1 - b0, r = a0 - b0;
-  const double a = u.squaredNorm(), e = v.squaredNorm(), f = v.dot(r), c = u.dot(r), b = u.dot(v);
-  const double denominator = a * e - b * b;
-  double s = denominator > 1e-15 ? std::clamp((b * f - c * e) / denominator, 0.0, 1.0) : 0.0;
-  double t = e > 0 ? (b * s + f) / e : 0;
-  if (t < 0 || t > 1) {
-    t = std::clamp(t, 0.0, 1.0);
-    s = a > 0 ? std::clamp((b * t - c) / a, 0.0, 1.0) : 0;
-  }
-  return (a0 + s * u - b0 - t * v).norm();
-}
 
 PiperModel::PiperModel(Zero zero, const WorkspaceOptions& workspace)
     : zero_(zero),
@@ -139,15 +125,12 @@ ArmModel::Clearance PiperModel::ClearanceAt(const ArmVector& position) const {
   Clearance clearance;
   clearance.fill(std::numeric_limits<double>::infinity());
   for (int i = 0; i < kParts; ++i) {
-    const Placed& a = parts[i];
+    const auto& [link, a] = parts[i];
     for (int j = 0; j < i; ++j) {
-      const Placed& b = parts[j];
-      if (a.link - b.link < 3) continue;
-      clearance[kItself] =
-          std::min(clearance[kItself],
-                   SegmentDistance(a.from, a.to, b.from, b.to) - a.radius - b.radius - margin_);
+      if (link - parts[j].link < 3) continue;
+      clearance[kItself] = std::min(clearance[kItself], Distance(a, parts[j].capsule) - margin_);
     }
-    if (a.link < 2) continue;
+    if (link < 2) continue;
     for (const Vector3d& p : {a.from, a.to}) {
       clearance[kTable] = std::min(clearance[kTable], p.z() - a.radius - table_z_ - margin_);
       const double inside = std::min((p - lower_).minCoeff(), (upper_ - p).minCoeff());

@@ -23,8 +23,4 @@ class PiperModel : public ArmModel {
   const Eigen::Vector3d lower_, upper_;
 };
 
-// Distance of two segments [m].
-double SegmentDistance(const Eigen::Vector3d& a0, const Eigen::Vector3d& a1,
-                       const Eigen::Vector3d& b0, const Eigen::Vector3d& b1);
-
 }  // namespace robostress::piper

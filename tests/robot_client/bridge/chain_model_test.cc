@@ -3,7 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 #include <random>
 #include <string>
 
@@ -65,7 +67,6 @@ TEST(ChainModel, TableAndBoxAreKeptByTheNearestPartBeyondTheFirstLink) {
   EXPECT_NEAR(clearance[ArmModel::kTable], tool.z() - 0.1 - 0.01, 1e-9);
   // The hand is 40 mm wide that way, and the last wrist's ball of 50 mm is 88 mm nearer.
   EXPECT_NEAR(clearance[ArmModel::kBox], 0.6 - tool.x() - 0.05 - 0.01, 1e-9);
-  EXPECT_EQ(clearance[ArmModel::kItself], std::numeric_limits<double>::infinity());
   // A finger's ball of 0.1 m would reach 85 mm further than the tool.
   const ChainModel thick(Chain(Changed("sphere radius=\"0.015\"", "sphere radius=\"0.1\"")),
                          workspace);
@@ -109,6 +110,108 @@ TEST(ChainModel, ShapesAreBoxesCylindersSpheresAndBallsForMeshes) {
               0.107 + 0.0584 + 0.03 + 0.1, 1e-9);
 }
 
+ArmChain ChosenChain(double margin = 0, const std::string& urdf = SevenUrdf(),
+                     const std::vector<LinkPair>& ignored = {}) {
+  ArmChain chain = Chain(urdf);
+  const std::vector<double> ready = {0, -M_PI / 4, 0, -3 * M_PI / 4, 0, M_PI / 2, M_PI / 4, 0.04};
+  ChooseLinkPairs(SevenLimits(), ready, margin, ignored, &chain);
+  return chain;
+}
+
+bool Watched(const ArmChain& chain, int first, int second) {
+  return std::any_of(chain.watched.begin(), chain.watched.end(), [&](const auto& pair) {
+    return chain.body[pair.first].link == first && chain.body[pair.second].link == second;
+  });
+}
+
+TEST(ChainModel, TheArmIsWatchedAgainstItself) {
+  const ArmChain chain = ChosenChain();
+  EXPECT_TRUE(Watched(chain, 1, 6)) << "the upper arm and the hand";
+  EXPECT_TRUE(Watched(chain, 3, 6)) << "the forearm and the hand, though not its flange";
+  EXPECT_FALSE(Watched(chain, 2, 3)) << "a joint connects them";
+  EXPECT_FALSE(Watched(chain, 0, 2)) << "they turn about one line: always as far";
+  EXPECT_TRUE(chain.too_near.empty());
+  const ChainModel model(chain, {});
+  const auto clearance = [&](double j4, double j6) {
+    return model.ClearanceAt({0, 0, 0, j4, 0, j6, 0, 0})[ArmModel::kItself];
+  };
+  EXPECT_GT(clearance(-2, 1.6), 0.05);
+  // Folded as far as it goes, the hand turned inwards is in the upper arm, and deeper with J4.
+  EXPECT_LT(clearance(-3, 0.6), -0.05);
+  EXPECT_LT(clearance(-3, 0.6), clearance(-2.9, 0.6) - 0.005);
+  WorkspaceOptions wide;
+  wide.margin = 0.03;
+  EXPECT_NEAR(ChainModel(chain, wide).ClearanceAt({0, 0, 0, -2, 0, 1.6, 0, 0})[ArmModel::kItself],
+              clearance(-2, 1.6) - 0.03, 1e-12);
+}
+
+TEST(ChainModel, WhatTouchesIsNamedAndMayBeLeftOut) {
+  const ArmVector folded = {0, 0, 0, -3, 0, 0.6, 0, 0};
+  const ArmChain all = ChosenChain();
+  const std::string parts = ChainModel(all, {}).NearestParts(folded);
+  EXPECT_EQ(parts, "J2 and J7");
+  const ArmChain without = ChosenChain(0, SevenUrdf(), {LinkPair{2, 6}, LinkPair{1, 6}});
+  EXPECT_FALSE(Watched(without, 2, 6));
+  EXPECT_GT(ChainModel(without, {}).ClearanceAt(folded)[ArmModel::kItself],
+            ChainModel(all, {}).ClearanceAt(folded)[ArmModel::kItself] + 0.01);
+  EXPECT_EQ(*ParseLinkPair("J7-J3", 7), (LinkPair{2, 6}));
+  EXPECT_EQ(*ParseLinkPair("base-J2", 7), (LinkPair{-1, 1}));
+  for (const char* wrong : {"", "J3", "J3-J3", "J0-J3", "J3-J8", "J3-J4-J5", "3-5", "hand-base"}) {
+    EXPECT_THAT(std::string(ParseLinkPair(wrong, 7).status().message()),
+                AllOf(HasSubstr(wrong), HasSubstr("J1 to J7")));
+  }
+}
+
+TEST(ChainModel, WhatIsNearerAtHomeThanTheMarginIsNotWatched) {
+  const size_t all = ChosenChain().watched.size();
+  EXPECT_GT(all, 20u);
+  EXPECT_NEAR(ChosenChain().touching, 0.1, 0.05);
+  ModelOptions thick = SevenModel();
+  thick.radius = 0.12;
+  ArmChain coarse = Chain(SevenUrdf(), thick);
+  ChooseLinkPairs(SevenLimits(), {}, 0, {}, &coarse);
+  EXPECT_GT(coarse.touching, 0.3);
+  const double before = coarse.touching;
+  ChooseLinkPairs(SevenLimits(), {}, 0, {coarse.touching_most}, &coarse);
+  EXPECT_LT(coarse.touching, before);
+  EXPECT_LT(ChosenChain(0.3).watched.size(), all);
+  EXPECT_FALSE(Watched(ChosenChain(0.3), 3, 6));
+  EXPECT_THAT(ChosenChain(0.3).too_near, ::testing::Contains(LinkPair{3, 6}));
+}
+
+TEST(ChainModel, TheBaseAndBoxesAreCapsules) {
+  const ArmChain chain = ChosenChain(
+      0,
+      Changed("<link name=\"base\"/>",
+              "<link name=\"base\"><collision><origin xyz=\"0.1 0 0\"/><geometry><box size=\"0.4 "
+              "0.3 0.06\"/></geometry></collision></link>"));
+  std::vector<Capsule> plate;
+  for (const LinkCapsule& part : chain.body)
+    if (part.link < 0) plate.push_back(part.capsule);
+  ASSERT_EQ(plate.size(), 4u);
+  EXPECT_TRUE(Watched(chain, -1, 6));
+  std::mt19937 random(4);
+  std::uniform_real_distribution<double> share(-1, 1);
+  for (int k = 0; k < 2000; ++k) {
+    const Eigen::Vector3d p(0.1 + 0.2 * share(random), 0.15 * share(random), 0.03 * share(random));
+    double nearest = 1;
+    for (const Capsule& strip : plate) nearest = std::min(nearest, Distance(strip, {p, p, 0}));
+    ASSERT_LE(nearest, 1e-12) << "a point of the box outside of its capsules";
+  }
+  for (const Capsule& strip : plate) EXPECT_NEAR(strip.radius, std::hypot(0.15 / 4, 0.03), 1e-12);
+}
+
+TEST(ChainModel, TooManyPartsAreNotWatchedAgainstEachOther) {
+  std::string many;
+  for (int i = 0; i < 130; ++i)
+    absl::StrAppend(&many, "<collision><geometry><sphere radius=\"0.01\"/></geometry></collision>");
+  const ArmChain chain = ChosenChain(
+      0, Changed("<link name=\"base\"/>", absl::StrCat("<link name=\"base\">", many, "</link>")));
+  EXPECT_TRUE(chain.watched.empty());
+  EXPECT_EQ(ChainModel(chain, {}).ClearanceAt({})[ArmModel::kItself],
+            std::numeric_limits<double>::infinity());
+}
+
 TEST(ChainModel, AFixedLinksMassIsItsCarriers) {
   const ArmChain chain = Chain();
   EXPECT_NEAR(chain.links[6].mass, 0.7 + 0.6 + 2 * 0.05, 1e-12);
@@ -129,7 +232,7 @@ TEST(ChainModel, APayloadHangsAtTheTool) {
 
 TEST(ChainModel, TheControlThreadAllocatesNothing) {
   if (!CountsAllocations()) GTEST_SKIP() << "a sanitizer owns malloc";
-  const ChainModel model(Chain(), {});
+  const ChainModel model(ChosenChain(), {});
   const ArmVector pose = {0, 0.9, 0, -1.4, 0, 1.9, 0, 0};
   const long before = Allocations();
   double sum = 0;
@@ -154,19 +257,20 @@ TEST(ChainModel, DamagedFilesAreRefusedOrGiveFiniteNumbers) {
         text.replace(at, random() % 3, pieces[random() % std::size(pieces)]);
       }
     }
-    const auto chain =
-        ReadArmChain("damaged.urdf", text, SevenNames(), SevenLimits(), SevenModel());
+    auto chain = ReadArmChain("damaged.urdf", text, SevenNames(), SevenLimits(), SevenModel());
     if (!chain.ok()) {
       EXPECT_THAT(std::string(chain.status().message()),
                   ::testing::AnyOf(HasSubstr("damaged.urdf"), HasSubstr("model.tool")));
       continue;
     }
     ++read;
+    ChooseLinkPairs(SevenLimits(), {}, 0, {}, &*chain);
     const ChainModel model(*chain, {});
     const ArmVector pose = {0.1, 0.9, -0.4, -1.4, 0.3, 1.9, 0.2, 0.02};
     for (const double torque : model.Torque(pose, pose, pose, 0.5))
       ASSERT_TRUE(std::isfinite(torque)) << text;
-    ASSERT_FALSE(std::isnan(model.ClearanceAt(pose)[ArmModel::kTable])) << text;
+    for (const double distance : model.ClearanceAt(pose))
+      ASSERT_FALSE(std::isnan(distance)) << text;
   }
   EXPECT_GT(read, 100) << "not every digit matters";
 }

@@ -2,6 +2,8 @@
 #include <gtest/gtest.h>
 #include <mujoco/mujoco.h>
 
+#include <algorithm>
+#include <cmath>
 #include <memory>
 #include <random>
 #include <string>
@@ -82,6 +84,91 @@ TEST(ChainMujoco, TorquesAndPlacesAreThose) {
     for (int i = 0; i < 3; ++i)
       ASSERT_NEAR(ours.ToolAt(q)[i], empty.data->xpos[3 * tool + i], 1e-12);
   }
+}
+
+// The hand's box and the upper arm's cylinder, sampled where MuJoCo has them: the distance that is
+// watched is never more than theirs.
+TEST(ChainMujoco, TheArmAgainstItselfIsNeverFurtherThanItIs) {
+  auto chain = ReadArmChain("seven.urdf", SevenUrdf(), SevenNames(), SevenLimits(), SevenModel());
+  ASSERT_TRUE(chain.ok()) << chain.status();
+  ChooseLinkPairs(SevenLimits(), {}, 0, {}, &*chain);
+  const ChainModel ours(*chain, {});
+  Mujoco arm(SevenUrdf());
+  const int hand = mj_name2id(arm.model, mjOBJ_BODY, "hand");
+  const int upper = mj_name2id(arm.model, mjOBJ_BODY, "link3");
+  std::mt19937 random(11);
+  std::uniform_real_distribution<double> share(0, 1);
+  int near = 0;
+  for (int k = 0; k < 20000; ++k) {
+    ArmVector q{};
+    for (int j = 0; j < 7; ++j)
+      q[j] = SevenLimits().lower[j] +
+             share(random) * (SevenLimits().upper[j] - SevenLimits().lower[j]);
+    arm.Set(q, {}, {});
+    double nearest = 1;
+    for (int corner = 0; corner < 8; ++corner) {
+      const mjtNum local[3] = {corner & 1 ? 0.02 : -0.02, corner & 2 ? 0.1 : -0.1,
+                               corner & 4 ? 0.06 : 0.0};
+      mjtNum world[3], in_upper[3];
+      mju_rotVecMat(world, local, arm.data->xmat + 9 * hand);
+      mju_addTo3(world, arm.data->xpos + 3 * hand);
+      mju_subFrom3(world, arm.data->xpos + 3 * upper);
+      mju_rotVecMatT(in_upper, world, arm.data->xmat + 9 * upper);
+      const double aside = std::max(0.0, std::hypot(in_upper[0], in_upper[1]) - 0.06);
+      const double beyond = std::max(0.0, std::abs(in_upper[2] + 0.1) - 0.1);
+      nearest = std::min(nearest, std::hypot(aside, beyond));
+    }
+    const double watched = ours.ClearanceAt(q)[ArmModel::kItself];
+    ASSERT_LE(watched, nearest + 1e-9) << "pose " << k;
+    near += nearest < 0.1;
+  }
+  EXPECT_GT(near, 100);
+}
+
+// Random capsules and balls, as MuJoCo's own collision finds them.
+TEST(ChainMujoco, CapsulesAreAsFarApart) {
+  std::mt19937 random(5);
+  std::uniform_real_distribution<double> share(-1, 1);
+  int compared = 0;
+  for (int k = 0; k < 300; ++k) {
+    Capsule capsules[2];
+    std::string geoms;
+    for (Capsule& c : capsules) {
+      c.from = {share(random), share(random), share(random)};
+      c.to = k % 3 == 0 && &c == &capsules[k % 2]
+                 ? c.from
+                 : Eigen::Vector3d(share(random), share(random), share(random));
+      c.radius = 0.05 + 0.04 * share(random);
+      const bool ball = c.from == c.to;
+      absl::StrAppend(&geoms, "<body><freejoint/><geom size=\"", c.radius, "\" type=\"",
+                      ball ? "sphere" : "capsule", "\" ");
+      if (ball) {
+        absl::StrAppend(&geoms, "pos=\"", c.from.x(), " ", c.from.y(), " ", c.from.z(), "\"");
+      } else {
+        absl::StrAppend(&geoms, "fromto=\"", c.from.x(), " ", c.from.y(), " ", c.from.z(), " ",
+                        c.to.x(), " ", c.to.y(), " ", c.to.z(), "\"");
+      }
+      absl::StrAppend(&geoms, " margin=\"5\"/></body>");
+    }
+    const std::string path = ::testing::TempDir() + "/capsules.xml";
+    ASSERT_TRUE(WriteFileAtomically(
+                    path, absl::StrCat("<mujoco><worldbody>", geoms, "</worldbody></mujoco>"))
+                    .ok());
+    char error[500] = "";
+    mjModel* model = mj_loadXML(path.c_str(), nullptr, error, sizeof error);
+    ASSERT_NE(model, nullptr) << error;
+    mjData* data = mj_makeData(model);
+    mj_forward(model, data);
+    double nearest = 1e9;
+    for (int i = 0; i < data->ncon; ++i) nearest = std::min(nearest, data->contact[i].dist);
+    if (data->ncon > 0) {
+      ++compared;
+      EXPECT_NEAR(Distance(capsules[0], capsules[1]), nearest, 1e-5) << geoms;
+    }
+    mj_deleteData(data);
+    mj_deleteModel(model);
+  }
+  EXPECT_GT(compared, 250);
 }
 
 }  // namespace

@@ -135,6 +135,8 @@ TEST(BridgeRobotFile, AModelNeedsAWorkspaceAndSaysWhatPresses) {
               HasSubstr("model.tool is empty"));
   EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: t, radius: 2}\nworkspace: {}")),
               HasSubstr("model.radius is 2"));
+  EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: t, ignore: [J2-J9]}\nworkspace: {}")),
+              HasSubstr("arm.yaml: model.ignore has 'J2-J9', must be two links"));
   EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: t, joints: [a]}\nworkspace: {}")),
               HasSubstr("model.joints has 1 names, must have 7"));
   EXPECT_THAT(Refused(with("model: {file: a.urdf, tool: t}\nworkspace: {lower: [0, 0]}")),
