@@ -13,8 +13,8 @@ namespace robostress::bridge {
 // connects, but those that are nearer than `margin` [m] at `home` (a number per joint [rad]; empty:
 // none) or nearly everywhere within the limits, and those whose distance never changes. They are
 // neighbours, or their shapes are too coarse; MoveIt's setup assistant leaves out the same. 1,000
-// poses of a fixed stream. `ignored` are left out. None are chosen where the links are more than 128
-// capsules. Says too how often what is chosen touches in those poses.
+// poses of a fixed stream. `ignored` are left out. None are chosen where the links are more than
+// 128 capsules. Says too how often what is chosen touches in those poses.
 void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, double margin,
                      const std::vector<LinkPair>& ignored, ArmChain* chain);
 

@@ -128,7 +128,12 @@ TEST(ChainModel, TheArmIsWatchedAgainstItself) {
   const ArmChain chain = ChosenChain();
   EXPECT_TRUE(Watched(chain, 1, 6)) << "the upper arm and the hand";
   EXPECT_TRUE(Watched(chain, 3, 6)) << "the forearm and the hand, though not its flange";
-  EXPECT_FALSE(Watched(chain, 2, 3)) << "a joint connects them";
+  ModelOptions thin_links = SevenModel();
+  thin_links.radius = 0.01;
+  ArmChain thin = Chain(SevenUrdf(), thin_links);
+  ChooseLinkPairs(SevenLimits(), {}, 0, {}, &thin);
+  for (const auto& [a, b] : thin.watched)
+    EXPECT_GE(thin.body[b].link - thin.body[a].link, 2) << "a joint connects them";
   EXPECT_FALSE(Watched(chain, 0, 2)) << "they turn about one line: always as far";
   EXPECT_TRUE(chain.too_near.empty());
   const ChainModel model(chain, {});
