@@ -130,7 +130,9 @@ TEST(ChainModel, TheArmIsWatchedAgainstItself) {
   EXPECT_TRUE(Watched(chain, 3, 6)) << "the forearm and the hand, though not its flange";
   ModelOptions thin_links = SevenModel();
   thin_links.radius = 0.01;
-  ArmChain thin = Chain(SevenUrdf(), thin_links);
+  ArmChain thin = Chain(Changed("<origin xyz=\"0 0 0.03\"/><geometry><box",
+                                "<origin xyz=\"0.1 0 0.03\"/><geometry><box"),
+                        thin_links);  // the last joint turns it about the link before
   ChooseLinkPairs(SevenLimits(), {}, 0, {}, &thin);
   for (const auto& [a, b] : thin.watched)
     EXPECT_GE(thin.body[b].link - thin.body[a].link, 2) << "a joint connects them";
