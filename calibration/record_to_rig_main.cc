@@ -2,6 +2,7 @@
 
 #include <cstdio>
 #include <string>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "calibration/data/client_recordings.h"
@@ -22,37 +23,51 @@ Examples
   robostress record-to-rig runs/worn --out rigs/worn
   robostress calibrate --rig rigs/worn/rig.yaml --out found
   robostress record-to-rig runs/piper_tuesday --out rigs/tuesday     # what robot_client left
+  robostress record-to-rig runs/so101 --rig so101/rig.yaml --out rigs/so101    # of another arm
 
 DIR gets rig.yaml, the arm's MJCF (gripper as a fixed mass, no scene) and a CSV per piece of free motion: rows
-near contacts are left out, because the rig's model has no objects. Roles go by episode: the last of several tasks
-is the transfer regime; of every other task each third episode is held out; the rest is fitted. A Piper's recording
-tells no contacts: move it freely. Its joints are driven by the torques that its motor currents amount to.
+near contacts are left out, because the rig's model has no objects. With --rig model and joints are that rig's. Roles go by episode: the last of several tasks
+is the transfer regime; of every other task each third episode is held out; the rest is fitted. A Piper's or
+another arm's recording tells no contacts: move it freely. A Piper's joints are driven by the torques that its
+motor currents amount to.
 
 Exit code: 0 done; 1 writing failed; 2 bad input.
 )";
 
 struct CommandLine {
-  std::string run, out, unit, name;
+  std::string run, out, unit, name, rig_file;
+  std::vector<std::string> joints;
   double rate_hz = 250, payload_kg = 0;
   RecordedRigOptions rig;
 };
 
 absl::StatusOr<RecordedRigSummary> ConvertClientRun(const CommandLine& line) {
-  RS_ASSIGN_OR_RETURN(const std::vector<RecordedEpisode> episodes,
+  RS_ASSIGN_OR_RETURN(std::vector<RecordedEpisode> episodes,
                       EpisodesOfClientRun(line.run, line.rig.held_out_every));
+  RecordedRigOptions options = line.rig;
+  options.encoder_noise = 0;  // the arm's own is in it
+  if (!line.rig_file.empty()) {
+    RS_ASSIGN_OR_RETURN(const Rig rig, ReadRig(line.rig_file, RigLogs::kNone));
+    RS_ASSIGN_OR_RETURN(RecordedArm arm, ArmOfRig(rig, line.joints, &episodes));
+    if (!line.name.empty()) arm.name = line.name;
+    return WriteRecordedRig(arm, episodes, options, line.out);
+  }
   if (episodes.front().q.size() != kPiper.joints.size())
     return absl::InvalidArgumentError(absl::StrCat(
         line.run, ": is of an arm of ", episodes.front().q.size(),
-        " joints, and the model of a rig made here is a Piper's; write the rig yourself "
-        "(docs/calibrate-a-robot.md)"));
-  RecordedRigOptions options = line.rig;
-  options.encoder_noise = 0;  // the arm's own is in it
+        " joints, and the model of a rig made here is a Piper's; give --rig with this arm's model "
+        "and servos, it needs no logs (docs/calibrate-my-arm.md)"));
   const std::string name = line.name.empty() ? "piper" : line.name;
   return WriteRecordedRig(PiperOfRecordings(name, line.payload_kg), episodes, options, line.out);
 }
 
 absl::StatusOr<RecordedRigSummary> Convert(const CommandLine& line) {
+  if (!line.joints.empty() && line.rig_file.empty())
+    return absl::InvalidArgumentError("--joints names the joints of --rig; give that too");
   if (IsClientRun(line.run)) return ConvertClientRun(line);
+  if (!line.rig_file.empty())
+    return absl::InvalidArgumentError(absl::StrCat(
+        line.run, ": has no ticks.csv, and --rig is for a run of robot_client; give its folder"));
   RS_ASSIGN_OR_RETURN(const std::vector<std::string> files, FindJointLogs(line.run, line.unit));
   std::vector<RecordedEpisode> episodes;
   for (const std::string& file : files) {
@@ -77,6 +92,13 @@ int Main(int argc, char** argv) {
   app.add_option("--out", line.out, "directory to write")->required();
   app.add_option("--unit", line.unit, "id of the unit, where the sweep has several");
   app.add_option("--name", line.name, "of the rig; panda or piper if not given");
+  app.add_option(
+      "--rig", line.rig_file,
+      "rig of the arm that robot_client moved, whose model, servos and effects are taken "
+      "over; it needs no logs");
+  app.add_option("--joints", line.joints,
+                 "what that rig calls J1 and on, in order (default: all of its joints, as listed)")
+      ->delimiter(',');
   app.add_option("--payload-kg", line.payload_kg, "in the Piper's gripper while it was recorded")
       ->check(cli::Range(0.0, 5.0))
       ->capture_default_str();

@@ -81,6 +81,15 @@ absl::StatusOr<ArmAxes> AxesOf(const ClientConfig& config) {
   return robot.limits.axes;
 }
 
+absl::StatusOr<std::vector<std::string>> RigNamesOf(const ClientConfig& config) {
+  std::vector<std::string> names;
+  if (!IsBridge(config)) return names;
+  RS_ASSIGN_OR_RETURN(const bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
+  if (robot.model && !robot.model->joints.empty()) return robot.model->joints;
+  for (const bridge::AxisOptions& joint : robot.joints) names.push_back(joint.name);
+  return names;
+}
+
 absl::Status TakeRobotFile(ClientConfig& config) {
   if (!IsBridge(config)) {
     if (config.robot.empty()) return absl::OkStatus();

@@ -28,7 +28,7 @@ constexpr char kReplayExamples[] = R"(Examples:
   robot_client replay motion.csv --bus rehearse --out runs/rehearsed --automatic
 
 SOURCE is a run's folder (what was sent), a data set that robot_client recorded (its actions), or a CSV with
-columns t [s], q_cmd_J1, q_cmd_J2 .. [rad], q_cmd_gripper [m]. Type `enable`, then `play slow`: the arm goes to the
+columns t [s], q_cmd_J1, q_cmd_J2 .. [rad] or q_cmd_NAME by the joints' names in a rig, q_cmd_gripper [m]. Type `enable`, then `play slow`: the arm goes to the
 first pose, no faster than home_velocity, and plays a quarter as fast. Then `play`, or `play 0.5`.
 )";
 
@@ -85,7 +85,8 @@ absl::Status WithoutPolicy(ClientConfig& config) {
 absl::Status Replay(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const ClientConfig config, ResolveConfig(line.client, WithoutPolicy));
   RS_ASSIGN_OR_RETURN(const ArmAxes axes, AxesOf(config));
-  RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, line.episode, axes));
+  RS_ASSIGN_OR_RETURN(const std::vector<std::string> names, RigNamesOf(config));
+  RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, line.episode, axes, names));
   bool played = false;
   return PlayInRun(
       line, config, [&](const ArmLimits&, const ArmModel*) { return motion; }, &played);
@@ -120,18 +121,27 @@ absl::Status PlayForCalibration(const CommandLine& line, const ClientConfig& con
   bool played = false;
   RS_RETURN_IF_ERROR(PlayInRun(line, config, motion, &played));
   // An arm that is not there has no samples.
-  return played && config.bus != "rehearse" ? MakeRig(line) : absl::OkStatus();
+  if (!played || config.bus == "rehearse") return absl::OkStatus();
+  if (!IsBridge(config)) return MakeRig(line);
+  std::printf(
+      "next: robostress record-to-rig %s --rig RIG --out %s/rig, RIG being what the motion "
+      "was designed with\n",
+      line.client.out.c_str(), line.client.out.c_str());
+  return absl::OkStatus();
 }
 
 absl::Status Excite(const CommandLine& line) {
   RS_ASSIGN_OR_RETURN(const ClientConfig config, ResolveConfig(line.client, WithoutPolicy));
-  if (IsBridge(config))
+  if (IsBridge(config) && line.source.empty())
     return absl::UnimplementedError(
         absl::StrCat("bus is ", config.bus,
-                     ": excite swings a Piper's joints about its pose; record a motion of your own "
-                     "with robot_client replay"));
+                     ": excite swings a Piper's joints about its pose; for this arm let "
+                     "`robostress excite --rig "
+                     "RIG --out motion.csv` design a motion, and give --motion motion.csv"));
   if (!line.source.empty()) {
-    RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, std::nullopt));
+    RS_ASSIGN_OR_RETURN(const ArmAxes axes, AxesOf(config));
+    RS_ASSIGN_OR_RETURN(const std::vector<std::string> names, RigNamesOf(config));
+    RS_ASSIGN_OR_RETURN(const Motion motion, ReadMotion(line.source, std::nullopt, axes, names));
     return PlayForCalibration(line, config,
                               [&](const ArmLimits&, const ArmModel*) { return motion; });
   }

@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
 #include "common/status_macros.h"
@@ -114,20 +115,21 @@ std::string PieceCsv(const RecordedArm& arm, const RecordedEpisode& episode, con
   return csv;
 }
 
-}  // namespace
-
-absl::StatusOr<RecordedRigSummary> WriteRecordedRig(const RecordedArm& arm,
-                                                    const std::vector<RecordedEpisode>& episodes,
-                                                    const RecordedRigOptions& options,
-                                                    const std::string& out) {
-  RS_RETURN_IF_ERROR(MakeDirectories(out));
+// Model and joints, without logs.
+Rig BareRig(const RecordedArm& arm, const std::string& out) {
   Rig rig;
-  rig.file = (std::filesystem::path(out) / "rig.yaml").string();
-  rig.name = arm.name;
+  if (arm.declared) {
+    rig = *arm.declared;
+    rig.joints.clear();
+    rig.logs.clear();
+    rig.rate_hz = 0;
+    for (const std::string& name : arm.joints)
+      rig.joints.push_back(
+          *std::find_if(arm.declared->joints.begin(), arm.declared->joints.end(),
+                        [&](const RigJoint& declared) { return declared.name == name; }));
+    return rig;
+  }
   rig.model = (std::filesystem::path(out) / arm.model_file).string();
-  rig.folds = Folds::kCondition;
-  rig.metric.window_s = options.window_s;
-  rig.metric.unit = "rad";
   for (const std::string& name : arm.joints) {
     RigJoint joint;
     joint.name = name;
@@ -138,6 +140,68 @@ absl::StatusOr<RecordedRigSummary> WriteRecordedRig(const RecordedArm& arm,
     joint.fit = arm.fit;
     rig.joints.push_back(std::move(joint));
   }
+  return rig;
+}
+
+}  // namespace
+
+absl::StatusOr<RecordedArm> ArmOfRig(const Rig& rig, std::vector<std::string> names,
+                                     std::vector<RecordedEpisode>* episodes) {
+  const size_t joints = episodes->front().q.size();
+  std::vector<std::string> known;
+  for (const RigJoint& joint : rig.joints) known.push_back(joint.name);
+  if (names.empty()) names = known;
+  if (names.size() != joints)
+    return absl::InvalidArgumentError(absl::StrCat(
+        "the run is of ", joints, " joints, ", rig.file, " has ", known.size(), " (",
+        absl::StrJoin(known, ", "), "); give --joints ", joints,
+        " names of J1 and on, those of the rig by its names, any other for what it leaves out"));
+  RecordedArm arm;
+  arm.name = rig.name;
+  arm.declared = rig;
+  arm.input = rig.joints.front().input;
+  std::vector<size_t> taken;
+  for (size_t j = 0; j < joints; ++j) {
+    if (std::find(known.begin(), known.end(), names[j]) == known.end()) continue;
+    if (std::count(names.begin(), names.end(), names[j]) > 1)
+      return absl::InvalidArgumentError(absl::StrCat("--joints has '", names[j], "' twice"));
+    arm.joints.push_back(names[j]);
+    taken.push_back(j);
+  }
+  if (arm.joints.size() != known.size())
+    return absl::InvalidArgumentError(absl::StrCat("--joints [", absl::StrJoin(names, ", "),
+                                                   "] must hold every joint of ", rig.file, ": ",
+                                                   absl::StrJoin(known, ", ")));
+  for (const RigJoint& joint : rig.joints) {
+    if (joint.input != arm.input ||
+        (arm.input != JointInput::kPositionTarget && arm.input != JointInput::kTorque))
+      return absl::InvalidArgumentError(absl::StrCat(
+          rig.file, ": joint ", joint.name,
+          ": the joints' input must be position_target or torque, and one for all of them, for "
+          "what a run records"));
+  }
+  for (RecordedEpisode& episode : *episodes) {
+    for (auto channels : {&episode.q, &episode.dq, &episode.tau, &episode.command}) {
+      if (channels->empty()) continue;
+      std::vector<std::vector<double>> of_rig;
+      for (const size_t j : taken) of_rig.push_back(std::move((*channels)[j]));
+      *channels = std::move(of_rig);
+    }
+  }
+  return arm;
+}
+
+absl::StatusOr<RecordedRigSummary> WriteRecordedRig(const RecordedArm& arm,
+                                                    const std::vector<RecordedEpisode>& episodes,
+                                                    const RecordedRigOptions& options,
+                                                    const std::string& out) {
+  RS_RETURN_IF_ERROR(MakeDirectories(out));
+  Rig rig = BareRig(arm, out);
+  rig.file = (std::filesystem::path(out) / "rig.yaml").string();
+  rig.name = arm.name;
+  rig.folds = Folds::kCondition;
+  rig.metric.window_s = options.window_s;
+  rig.metric.unit = "rad";
   std::vector<std::string> groups;
   std::map<std::string, int> count;
   for (const RecordedEpisode& episode : episodes) {
@@ -179,7 +243,7 @@ absl::StatusOr<RecordedRigSummary> WriteRecordedRig(const RecordedArm& arm,
         "contact above %g N); record at least %d episodes of a task",
         summary.episodes, summary.logs_of_role[0], summary.logs_of_role[1], options.min_piece_s,
         options.contact_limit_N, options.held_out_every));
-  RS_RETURN_IF_ERROR(WriteFileAtomically(rig.model, arm.mjcf));
+  if (!arm.declared) RS_RETURN_IF_ERROR(WriteFileAtomically(rig.model, arm.mjcf));
   RS_RETURN_IF_ERROR(WriteFileAtomically(rig.file, WriteRig(rig)));
   return summary;
 }

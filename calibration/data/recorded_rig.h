@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,7 +37,16 @@ struct RecordedArm {
   JointInput input = JointInput::kTorque;
   Servo servo;
   std::vector<DeclaredEffect> effects;
+  // Instead of all that but name and joints: a rig whose model and joints are taken over as they
+  // stand; `joints` are of it.
+  std::optional<Rig> declared;
 };
+
+// An arm of `rig`, and its episodes of those channels alone that the rig has. `names`: what the rig
+// calls the episodes' joints, in order; empty: it has all of them. INVALID_ARGUMENT where they do
+// not fit, or where its joints are not driven alike, by targets or by torques.
+absl::StatusOr<RecordedArm> ArmOfRig(const Rig& rig, std::vector<std::string> names,
+                                     std::vector<RecordedEpisode>* episodes);
 
 struct RecordedRigOptions {
   // Rows while contacts push harder than this are left out, with `contact_margin_s` on both sides:

@@ -313,9 +313,10 @@ absl::StatusOr<Rig> ReadRoot(const Entry& root, const std::string& file, RigLogs
     RS_ASSIGN_OR_RETURN(RigJoint joint, ReadJoint(joints[i]));
     rig.joints.push_back(std::move(joint));
   }
-  const bool listed = logs.present() && logs.node().IsSequence() && logs.node().size() > 0;
-  if (!listed && (needed == RigLogs::kNeeded || logs.present()))
-    return logs.Error("must be a list with at least one log");
+  const bool listed = logs.present() && logs.node().IsSequence();
+  if (needed == RigLogs::kNeeded ? !listed || logs.node().size() == 0 : logs.present() && !listed)
+    return logs.Error(needed == RigLogs::kNeeded ? "must be a list with at least one log"
+                                                 : "must be a list");
   for (size_t i = 0; listed && i < logs.node().size(); ++i) {
     RS_ASSIGN_OR_RETURN(RigLog log, ReadLogEntry(logs[i], folder, rig.joints));
     rig.logs.push_back(std::move(log));

@@ -6,7 +6,6 @@
 #include <utility>
 #include <vector>
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "common/csv_table.h"
@@ -18,13 +17,19 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char kOfRig[] = "q_cmd_piper_joint";
 constexpr uint64_t kMostBytes = uint64_t{512} << 20;  // of a table: five hours of a run
 
-// The motion of some rows of a table, a joint's column being `joint` with its number.
-absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& joint,
-                                    const std::string& gripper, const std::vector<size_t>& rows,
-                                    const ArmAxes& axes, std::string source) {
+// PREFIXJ1 .., PREFIXgripper.
+std::vector<std::string> ColumnsOf(const std::string& prefix, const ArmAxes& axes) {
+  std::vector<std::string> columns;
+  for (const std::string& axis : axes.names()) columns.push_back(prefix + axis);
+  return columns;
+}
+
+// The motion of some rows of a table; `columns`: one per axis, which need not be there.
+absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::vector<std::string>& columns,
+                                    const std::vector<size_t>& rows, const ArmAxes& axes,
+                                    std::string source) {
   Motion motion;
   motion.axes = axes;
   motion.source = std::move(source);
@@ -37,7 +42,7 @@ absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& jo
   for (double& t : motion.t) t -= origin;
   motion.poses.resize(rows.size());
   for (int axis = 0; axis < axes.count(); ++axis) {
-    const std::string name = axis < axes.joints ? absl::StrCat(joint, axis + 1) : gripper;
+    const std::string& name = columns[static_cast<size_t>(axis)];
     motion.moves[axis] = table.Has(name);
     if (!motion.moves[axis]) continue;
     RS_ASSIGN_OR_RETURN(const size_t column, table.Column(name));
@@ -48,27 +53,30 @@ absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::string& jo
   return motion;
 }
 
-absl::StatusOr<Motion> ReadTable(const std::string& path, const ArmAxes& axes) {
+absl::StatusOr<Motion> ReadTable(const std::string& path, const ArmAxes& axes,
+                                 std::vector<std::string> rig_names) {
   RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path, kMostBytes));
   std::vector<size_t> rows(table.rows());
   for (size_t i = 0; i < rows.size(); ++i) rows[i] = i;
   // As the rigs of this arm name its joints, or as everything else here does.
   const std::vector<std::string>& names = table.names();
-  const bool of_rig = std::any_of(names.begin(), names.end(), [](const std::string& name) {
-    return absl::StartsWith(name, kOfRig);
-  });
-  const std::string joint = of_rig ? kOfRig : "q_cmd_J", gripper = "q_cmd_gripper";
+  std::vector<std::string> columns = ColumnsOf("q_cmd_", axes), of_rig = columns;
+  for (int j = 0; j < axes.joints; ++j)
+    of_rig[j] = absl::StrCat("q_cmd_", rig_names.empty() ? absl::StrCat("piper_joint", j + 1)
+                                                         : rig_names[static_cast<size_t>(j)]);
+  const auto is_joint = [&](const std::string& name) {
+    const auto joints_end = of_rig.begin() + axes.joints;
+    return std::find(of_rig.begin(), joints_end, name) != joints_end;
+  };
+  if (std::any_of(names.begin(), names.end(), is_joint)) columns = of_rig;
   for (const std::string& name : names) {
-    bool known = name == "t" || (axes.gripper && name == gripper);
-    for (int j = 1; j <= axes.joints; ++j) known = known || name == absl::StrCat(joint, j);
-    if (!known)
-      return absl::InvalidArgumentError(
-          absl::StrCat(path, ": column '", name, "' is none of t, ", joint, "1 to ", joint,
-                       axes.joints, axes.gripper ? absl::StrCat(", ", gripper) : "",
-                       "; rename it or take it out, so that nothing is played that was meant "
-                       "otherwise"));
+    if (name != "t" && std::find(columns.begin(), columns.end(), name) == columns.end())
+      return absl::InvalidArgumentError(absl::StrCat(
+          path, ": column '", name, "' is none of t, ", absl::StrJoin(columns, ", "),
+          columns == of_rig ? "" : absl::StrCat("; nor of ", absl::StrJoin(of_rig, ", ")),
+          "; rename it or take it out, so that nothing is played that was meant otherwise"));
   }
-  return MotionOfRows(table, joint, gripper, rows, axes, path);
+  return MotionOfRows(table, columns, rows, axes, path);
 }
 
 std::string Listed(const std::set<std::string>& episodes) {
@@ -107,7 +115,7 @@ absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> epi
     if (longest.empty())
       return absl::InvalidArgumentError(
           absl::StrCat(path, ": the arm was never moved in this run"));
-    return MotionOfRows(table, "sent_J", "sent_gripper", longest, axes, path);
+    return MotionOfRows(table, ColumnsOf("sent_", axes), longest, axes, path);
   }
   if (!episode && episodes.size() > 1)
     return absl::InvalidArgumentError(
@@ -122,7 +130,7 @@ absl::StatusOr<Motion> ReadRun(const std::string& folder, std::optional<int> epi
     const absl::string_view name = table.Text(row, state);
     if (table.Text(row, number) == wanted && (name == "RUN" || name == "HOLD")) rows.push_back(row);
   }
-  return MotionOfRows(table, "sent_J", "sent_gripper", rows, axes,
+  return MotionOfRows(table, ColumnsOf("sent_", axes), rows, axes,
                       absl::StrCat(path, " episode ", wanted));
 }
 
@@ -146,7 +154,7 @@ absl::StatusOr<Motion> ReadDataset(const std::string& folder, std::optional<int>
 }  // namespace
 
 absl::StatusOr<Motion> ReadMotion(const std::string& path, std::optional<int> episode,
-                                  const ArmAxes& axes) {
+                                  const ArmAxes& axes, const std::vector<std::string>& rig_names) {
   std::error_code ignored;
   if (!fs::exists(path, ignored)) return absl::NotFoundError(absl::StrCat(path, ": is not there"));
   if (fs::is_directory(path, ignored)) {
@@ -164,7 +172,7 @@ absl::StatusOr<Motion> ReadMotion(const std::string& path, std::optional<int> ep
   if (fs::path(path).extension() != ".csv")
     return absl::InvalidArgumentError(
         absl::StrCat(path, ": a motion is a .csv, a run's folder or a data set's folder"));
-  return ReadTable(path, axes);
+  return ReadTable(path, axes, rig_names);
 }
 
 }  // namespace robostress

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "calibration/data/measured_log.h"
 #include "calibration/data/sim_recordings.h"
+#include "common/csv_table.h"
 
 namespace robostress::calibration {
 namespace {
@@ -64,6 +65,64 @@ TEST_F(RecordedRigTest, APieceInWhichAJointStandsStillIsLeftOut) {
   EXPECT_EQ(summary->pieces, 3);
   EXPECT_EQ(summary->seconds_left_out, 2);
   EXPECT_FALSE(fs::exists(out + "/episode1_0.csv"));
+}
+
+// Three joints were moved, the rig knows the third and the first.
+TEST_F(RecordedRigTest, AnotherArmsModelIsTakenOver) {
+  std::vector<RecordedEpisode> episodes;
+  for (int i = 0; i < 4; ++i) {
+    episodes.push_back(Episode(absl::StrCat("episode", i), "run"));
+    RecordedEpisode& episode = episodes.back();
+    episode.contact_N.clear();
+    const std::vector<double> q = episode.q[0];
+    for (auto channels : {&episode.q, &episode.dq, &episode.tau, &episode.command})
+      channels->assign(3, q);
+    for (double& command : episode.command[2]) command += 0.5;
+    for (double& angle : episode.q[2]) angle += 0.25;
+  }
+  Rig rig;
+  rig.file = "lab/rig.yaml";
+  rig.name = "lab";
+  rig.model = out + "/../lab.urdf";
+  rig.gravity = {{0, 0, 0}};
+  rig.joints.resize(2);
+  rig.joints[0].name = "elbow";
+  rig.joints[0].servo = {.kp = 30, .kd = 2};
+  rig.joints[0].fit = {"servo.kp"};
+  rig.joints[1].name = "pan";
+  rig.joints[1].servo = {.kp = 40, .kd = 3};
+
+  const auto refusal = [&](const std::vector<std::string>& names) {
+    std::vector<RecordedEpisode> copy = episodes;
+    return std::string(ArmOfRig(rig, names, &copy).status().message());
+  };
+  EXPECT_THAT(refusal({}), HasSubstr("the run is of 3 joints, lab/rig.yaml has 2 (elbow, pan)"));
+  EXPECT_THAT(refusal({"pan", "lift", "flex"}), HasSubstr("must hold every joint of lab/rig.yaml"));
+  EXPECT_THAT(refusal({"pan", "pan", "elbow"}), HasSubstr("'pan' twice"));
+  rig.joints[1].input = JointInput::kTorque;
+  EXPECT_THAT(refusal({"pan", "lift", "elbow"}), HasSubstr("one for all of them"));
+  rig.joints[1].input = JointInput::kPositionTarget;
+
+  const auto arm = ArmOfRig(rig, {"pan", "lift", "elbow"}, &episodes);
+  ASSERT_TRUE(arm.ok()) << arm.status();
+  const auto summary = WriteRecordedRig(*arm, episodes, {}, out);
+  ASSERT_TRUE(summary.ok()) << summary.status();
+  const auto written = ReadRig(summary->rig_file);
+  ASSERT_TRUE(written.ok()) << written.status();
+  EXPECT_EQ(fs::weakly_canonical(written->model), fs::weakly_canonical(rig.model));
+  EXPECT_EQ(written->gravity, rig.gravity);
+  EXPECT_EQ(written->rate_hz, 250);
+  ASSERT_EQ(written->joints.size(), 2u);
+  EXPECT_EQ(written->joints[0].name, "pan");
+  EXPECT_EQ(written->joints[0].servo.kp, 40);
+  EXPECT_EQ(written->joints[1].name, "elbow");
+  EXPECT_THAT(written->joints[1].fit, ::testing::ElementsAre("servo.kp"));
+  const auto csv = CsvTable::Read(written->logs[0].file);
+  ASSERT_TRUE(csv.ok()) << csv.status();
+  EXPECT_NEAR(*csv->Number(100, *csv->Column("q_cmd_elbow")), std::sin(3 * 0.4) + 0.5, 1e-6);
+  EXPECT_NEAR(*csv->Number(100, *csv->Column("q_elbow")), std::sin(3 * 0.4) + 0.25, 1e-3);
+  EXPECT_NEAR(*csv->Number(100, *csv->Column("q_pan")), std::sin(3 * 0.4), 1e-3);
+  EXPECT_FALSE(csv->Has("q_lift"));
 }
 
 TEST_F(RecordedRigTest, NoEpisodeIsBothFittedAndHeldOut) {

@@ -43,9 +43,13 @@ class Seven(mishaps.Run):
             time.sleep(0.02)
 
 
-def columns(path):
+def columns_of(path):
     with open(path) as file:
-        rows = list(csv.DictReader(file))
+        return list(csv.DictReader(file))
+
+
+def columns(path):
+    rows = columns_of(path)
     assert rows, path
     for group in ("policy", "requested", "blended", "corrected", "sent", "q", "dq", "tau", "excess"):
         given = [name for name in rows[0] if name.startswith(group + "_") and name != "sent_us"]
@@ -101,7 +105,7 @@ def files(build, out):
         content = file.read()
     assert b"float64 j7\nfloat64 gripper" in content and b"float64 j8" not in content
     done([f"{build}/bin/robostress-record-to-rig", f"{out}/run", "--out", f"{out}/rig"], 2, "an arm of 7 joints",
-         "a Piper's")
+         "a Piper's", "give --rig")
     piper = f"{out}/replayed_on_a_piper"
     done([f"{build}/bin/robot_client", "replay", f"{out}/run", "--bus", "rehearse", "--out", piper, *QUIET], 2,
          "is of an arm of 7 joints and a gripper, this one has 6 joints and a gripper")
@@ -123,6 +127,40 @@ def replay(build, out):
         driver.wait()
     last = {name: float(columns(f"{out}/{name}/ticks.csv")[-1]["q_J7"]) for name in ("run", "again")}
     assert abs(last["run"] - last["again"]) < 0.02, last
+
+
+def measured(build, out):
+    """From a rig without logs to one with them: a motion is designed, played, and becomes logs by the rig's names."""
+    rig, folder = f"{out}/rig.yaml", f"{out}/measured"
+    for path in (folder, f"{out}/rig_of_run"):
+        shutil.rmtree(path, ignore_errors=True)
+    joints = "".join(f"  - {{name: panda_joint{j}, input: position_target, servo: {{kp: 300, kd: 25}}, fit: [armature]}}\n"
+                     for j in range(1, 8))
+    with open(rig, "w") as file:
+        file.write(f"name: seven\nmodel: {HERE}/seven_joints.urdf\ngravity: [0, 0, 0]\nrate_hz: 100\njoints:\n{joints}"
+                   "logs: []\n")
+    done([f"{build}/bin/robostress-excite", "--rig", rig, "--out", f"{out}/motion.csv", "--seconds", "5", "--swing", "0.2",
+          "--velocity", "0.5", "--centre", "panda_joint4=-2.2", "--centre", "panda_joint6=1.6", "--without-shapes"], 0,
+         "5.0 s of 7 joints")
+    socket = f"/tmp/bridge-{os.getpid()}-measured"
+    with open(f"{out}/measured.driver", "w") as file:
+        driver = subprocess.Popen([sys.executable, f"{HERE}/emulated_driver.py", "--socket", socket, "--arm", "seven"],
+                                  stdout=file, stderr=subprocess.STDOUT)
+    try:
+        done([f"{build}/bin/robot_client", "excite", "--motion", f"{out}/motion.csv", "--arm", f"bridge:unix:{socket}",
+              "--robot", ROBOT, "--out", folder, "--automatic", *QUIET, "--without", "delay_hold_s", "--set",
+              "control.watchdogs.delay_hold_s=5"], 0, f"record-to-rig {folder} --rig RIG")
+    finally:
+        driver.terminate()
+        driver.wait()
+    done([f"{build}/bin/robostress-record-to-rig", folder, "--rig", rig, "--joints", "a,b,c,d,e,f,g", "--out",
+          f"{out}/rig_of_run"], 2, "must hold every joint of")
+    done([f"{build}/bin/robostress-record-to-rig", folder, "--rig", rig, "--out", f"{out}/rig_of_run"], 0,
+         "1 held_out")
+    rows = [row for k in range(3) for row in columns_of(f"{out}/rig_of_run/episode{k}_0.csv")]
+    off = [abs(float(row["q_cmd_panda_joint4"]) - float(row["q_panda_joint4"])) for row in rows]
+    moved = [float(row["q_panda_joint4"]) for row in rows]
+    assert max(moved) - min(moved) > 0.1 and max(off) < 0.2, (max(moved) - min(moved), max(off))
 
 
 def modelled(build, out):
@@ -213,6 +251,7 @@ def main():
     print(f"an episode of {episode(build, out)} ticks")
     files(build, out)
     replay(build, out)
+    measured(build, out)
     modelled(build, out)
     driver_again(build, out)
     other_policy(build, out)

@@ -13,6 +13,7 @@
 namespace robostress {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 namespace fs = std::filesystem;
 
@@ -157,7 +158,7 @@ TEST(MotionFileTest, SevenJointsArePlayedOnAnArmOfSeven) {
   EXPECT_THAT(motion->moves,
               ::testing::ElementsAre(false, false, false, false, false, false, true, true));
   EXPECT_EQ(MotionCsv(*motion), "t,q_cmd_J7,q_cmd_gripper\n0,0.1,0.01\n1,0.2,0.02\n");
-  EXPECT_THAT(Refusal(file), HasSubstr("column 'q_cmd_J7' is none of t, q_cmd_J1 to q_cmd_J6"));
+  EXPECT_THAT(Refusal(file), HasSubstr("column 'q_cmd_J7' is none of t, q_cmd_J1, q_cmd_J2"));
   const auto without = ReadMotion(file, std::nullopt, {7, false});
   EXPECT_THAT(std::string(without.status().message()), HasSubstr("'q_cmd_gripper' is none of"));
 
@@ -184,6 +185,29 @@ TEST(MotionFileTest, SevenJointsArePlayedOnAnArmOfSeven) {
   EXPECT_NEAR(taught->poses[39][6], 0.6, 1e-6);
   EXPECT_NEAR(taught->poses[39][7], 0.07, 1e-6);
   EXPECT_THAT(Refusal(set), HasSubstr(R"("J7","gripper"], not [)"));
+}
+
+TEST(MotionFileTest, ARigsNamesArePlayedOnTheArmThatHasThem) {
+  const std::vector<std::string> names = {"pan", "lift", "flex"};
+  const ArmAxes three{3, true};
+  const std::string file = File("named", "t,q_cmd_flex,q_cmd_pan\n0,0.1,0.01\n1,0.2,0.02\n");
+  const auto motion = ReadMotion(file, std::nullopt, three, names);
+  ASSERT_TRUE(motion.ok()) << motion.status();
+  EXPECT_EQ(motion->poses[1][2], 0.2);
+  EXPECT_EQ(motion->poses[1][0], 0.02);
+  EXPECT_THAT(motion->moves,
+              ::testing::ElementsAre(true, false, true, false, false, false, false, false));
+  const auto refusal = [&](const std::string& columns) {
+    const auto read = ReadMotion(File("refused", "t," + columns + "\n0,0,0\n1,1,1\n"), std::nullopt,
+                                 three, names);
+    return std::string(read.status().message());
+  };
+  EXPECT_THAT(refusal("q_cmd_pan,q_cmd_J2"),
+              HasSubstr("column 'q_cmd_J2' is none of t, q_cmd_pan, q_cmd_lift, q_cmd_flex"));
+  EXPECT_THAT(refusal("q_cmd_J1,q_cmd_roll"),
+              AllOf(HasSubstr("column 'q_cmd_roll' is none of t, q_cmd_J1, q_cmd_J2, q_cmd_J3"),
+                    HasSubstr("nor of q_cmd_pan")));
+  EXPECT_THAT(Refusal(file), HasSubstr("column 'q_cmd_flex' is none of")) << "a Piper's";
 }
 
 TEST(MotionFileTest, PlaysNoDataSetOfAnotherProgramOrAnotherArm) {
