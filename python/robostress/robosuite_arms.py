@@ -22,7 +22,7 @@ def base_of(env: Any) -> Optional[Any]:
 
 
 class _Robot:
-    """One arm of a robot: 1.5 has parts, 1.4 one controller."""
+    """One arm of a robot: 1.5 has parts; 1.4 one controller, or of two arms one each, the right one's joints first."""
 
     def __init__(self, robot: Any, arm: str) -> None:
         if hasattr(robot, "composite_controller"):
@@ -35,14 +35,17 @@ class _Robot:
             self.gripper = lambda: robot.gripper[arm]
             self.count = len(robot.robot_model.arm_joints) // len(arms)
             return
-        if isinstance(robot.controller, dict) or arm != "right":
-            raise InvalidArgument(f"{robot.name} has two arms, or arm is '{arm}': of robosuite 1.4 robots with one arm can be "
-                                  "wrapped, arm='right'")
-        self.controller = lambda: robot.controller
-        self.joints = lambda: robot._ref_joint_indexes
-        self.motors = lambda: robot._ref_joint_actuator_indexes
-        self.gripper = lambda: robot.gripper
-        self.count = len(robot.robot_joints)
+        both = isinstance(robot.controller, dict)
+        arms = list(robot.arms) if both else ["right"]
+        if arm not in arms:
+            raise InvalidArgument(f"arm is '{arm}', robot {robot.name} has {arms}")
+        split = robot._joint_split_idx if both else None
+        part = slice(split, None) if arm == "left" else slice(split)
+        self.controller = lambda: robot.controller[arm] if both else robot.controller
+        self.joints = lambda: robot._ref_joint_indexes[part]
+        self.motors = lambda: robot._ref_joint_actuator_indexes[part]
+        self.gripper = lambda: robot.gripper[arm] if both else robot.gripper
+        self.count = len(robot.robot_joints[part])
 
 
 def _physics(sim: Any, name: str) -> Callable[[], Any]:

@@ -204,11 +204,28 @@ class Wrapped(unittest.TestCase):
         _, _, _, _, info = wrapped.step(np.full(7, 0.2))
         self.assertGreater(np.abs(info["robostress"]["applied"] - info["robostress"]["asked"]).max(), 0.1)
 
-    @unittest.skipUnless(PARTS, "of 1.5")
     def test_arms_of_one_robot(self):
         env = make("TwoArmLift", "Baxter")
-        _, info = play(rs.wrap(env, "clean", arm="left"))
+        healthy, _ = play(env)
+        clean = rs.wrap(env, "clean", arm="left")
+        same, info = play(clean)
         self.assertEqual(info["robostress_0_left"]["asked"].shape, (25, 7))
+        np.testing.assert_array_equal(same, healthy)
+        clean.unwrap()
+        joints = {arm: [j for j in range(env.sim.model.njnt) if env.sim.model.joint_id2name(j).startswith(f"robot0_{arm}_")]
+                  for arm in ("left", "right")}
+        addresses = {arm: env.sim.model.jnt_qposadr[numbers] for arm, numbers in joints.items()}
+        nominal = np.tile([2, 3, 0.1, 2, 0.02, 1, 0.1, 500, 0.5], (7, 1))
+        for arm, other in (("left", "right"), ("right", "left")):
+            worn = rs.wrap(env, "aged_transmission", arm=arm, nominal=nominal)
+            moved, info = play(worn)
+            name = "robostress" if arm == "right" else "robostress_0_left"
+            self.assertGreater(np.abs(info[name]["applied"] - info[name]["asked"]).max(), 0.1)
+            off = {part: np.abs(moved - healthy)[:, numbers].max() for part, numbers in addresses.items()}
+            self.assertGreater(off[arm], 20 * off[other], off)
+            worn.unwrap()
+        with self.assertRaisesRegex(rs.InvalidArgument, "arm is 'middle'"):
+            rs.wrap(env, "clean", arm="middle")
 
 
 unittest.main(verbosity=1)
