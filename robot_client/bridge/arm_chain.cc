@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 #include "absl/strings/match.h"
@@ -145,6 +146,13 @@ class ChainReader {
     }
   }
 
+  // Balls whose hull holds a shape, and capsules that hold it; none: a mesh. Of a box its half
+  // sides.
+  struct Shape {
+    std::vector<Ball> balls;
+    std::vector<Capsule> parts;
+    std::optional<Eigen::Vector3d> box;
+  };
   absl::Status AddShape(const urdf::Link& link, const Place& place) {
     ChainLink* const carrier =
         place.owner < 0 ? nullptr : &chain_.links[static_cast<size_t>(place.owner)];
@@ -165,8 +173,7 @@ class ChainReader {
         RS_ASSIGN_OR_RETURN(const Shape shape, ShapeOf(*kind));
         for (const Ball& ball : shape.balls)
           if (carrier != nullptr) carrier->shape.push_back({T * ball.centre, ball.radius});
-        for (const Capsule& part : shape.parts)
-          chain_.body.push_back({place.owner, {T * part.from, T * part.to, part.radius}});
+        AddParts(place.owner, T, shape);
         known = known || !shape.balls.empty();
       }
     }
@@ -179,15 +186,27 @@ class ChainReader {
     return absl::OkStatus();
   }
 
-  // A body of unknown shape reaches from its frame to the next joint, or to the tool.
+  void AddParts(int owner, const Eigen::Isometry3d& T, const Shape& shape) {
+    if (owner < 0 && shape.box) {
+      chain_.body.push_back({owner, Box{T, *shape.box}});
+      return;
+    }
+    for (const Capsule& part : shape.parts)
+      chain_.body.push_back({owner, Capsule{T * part.from, T * part.to, part.radius}});
+  }
+
+  // A body of unknown shape reaches from its frame around the next joint, or up to the tool's point.
   void AddBones() {
     for (const auto& [owner, origin] : unknown_) {
       const size_t next = static_cast<size_t>(owner + 1);
-      const Eigen::Vector3d end =
-          next < chain_.links.size()
-              ? Eigen::Vector3d(chain_.links[next].T_before_joint.translation())
-              : chain_.tool;
-      chain_.body.push_back({owner, {origin, end, options_.radius}});
+      Eigen::Vector3d end = chain_.tool;
+      if (next < chain_.links.size()) {
+        end = chain_.links[next].T_before_joint.translation();
+      } else {
+        const double way = (end - origin).norm();
+        end = origin + std::max(0.0, 1 - options_.radius / std::max(way, 1e-9)) * (end - origin);
+      }
+      chain_.body.push_back({owner, Capsule{origin, end, options_.radius}});
     }
   }
 
@@ -202,11 +221,6 @@ class ChainReader {
     shape.erase(std::remove_if(shape.begin(), shape.end(), stays), shape.end());
   }
 
-  // Whose hull holds a shape, and capsules that do; none: a mesh.
-  struct Shape {
-    std::vector<Ball> balls;
-    std::vector<Capsule> parts;
-  };
   absl::StatusOr<Shape> ShapeOf(const XMLElement& kind) const {
     const absl::string_view name = kind.Name();
     const auto within = [&](double value) { return value >= 0 && value <= kLongest; };
@@ -218,14 +232,14 @@ class ChainReader {
       RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
       if (!within(radius[0])) return wrong();
       const Eigen::Vector3d centre = Eigen::Vector3d::Zero();
-      return Shape{{{centre, radius[0]}}, {{centre, centre, radius[0]}}};
+      return Shape{{{centre, radius[0]}}, {{centre, centre, radius[0]}}, {}};
     }
     if (name == "cylinder" || name == "capsule") {
       RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
       RS_ASSIGN_OR_RETURN(const auto length, file_.Numbers(kind, "length", {0}));
       if (!within(radius[0]) || !within(length[0])) return wrong();
       const Eigen::Vector3d end(0, 0, length[0] / 2);
-      return Shape{{{end, radius[0]}, {-end, radius[0]}}, {{end, -end, radius[0]}}};
+      return Shape{{{end, radius[0]}, {-end, radius[0]}}, {{end, -end, radius[0]}}, {}};
     }
     if (name != "box") return Shape();
     RS_ASSIGN_OR_RETURN(const auto size, file_.Numbers(kind, "size", {0, 0, 0}));
@@ -238,6 +252,7 @@ class ChainReader {
       box.balls.push_back({half.cwiseProduct(sign), 0});
     }
     box.parts = StripsOf(half);
+    box.box = half;
     return box;
   }
 

@@ -4,6 +4,7 @@
 #include <Eigen/Geometry>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -50,10 +51,11 @@ struct ChainLink {
   std::vector<Ball> shape;
 };
 
-// Holds a part of a link; in the link's frame, of -1, the base, in the base frame.
-struct LinkCapsule {
+// Holds a part of a link, in the link's frame; of -1, the base, in the base frame, where a box
+// stays one: it may be a whole table.
+struct LinkPart {
   int link;
-  Capsule capsule;
+  std::variant<Capsule, Box> shape;
 };
 
 // Two links by their joints, from 0; -1: the base. The first is nearer to it.
@@ -73,7 +75,7 @@ struct ArmChain {
   // What the links' shapes are against the arm itself; of ChooseLinkPairs: whose distances are
   // watched, two places in `body` each, and links that are always too near each other for that, or
   // that somebody has left out.
-  std::vector<LinkCapsule> body;
+  std::vector<LinkPart> body;
   std::vector<std::pair<int, int>> watched;
   std::vector<LinkPair> too_near, ignored;
   double touching = 0;       // share of the poses within the limits where watched parts touch

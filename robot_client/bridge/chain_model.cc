@@ -6,6 +6,7 @@
 #include <random>
 #include <set>
 #include <utility>
+#include <variant>
 
 #include "common/check.h"
 
@@ -17,7 +18,7 @@ using Eigen::Vector3d;
 
 constexpr double kGravity = 9.81;         // [m/s^2]
 constexpr size_t kFirstThatMayTouch = 1;  // the first link turns above its mounting
-constexpr size_t kMostCapsules = 128;     // the control thread looks at most pairs of them
+constexpr size_t kMostParts = 128;        // the control thread looks at most pairs of them
 constexpr int kPoses = 1000;
 constexpr int kNearlyAll = 950;   // of the poses
 constexpr double kStays = 0.001;  // [m]
@@ -33,18 +34,26 @@ void Place(const ArmChain& chain, const ArmVector& position, LinkPoses& poses) {
   }
 }
 
-using Bodies = std::array<Capsule, kMostCapsules>;
+using Parts = std::array<std::variant<Capsule, Box>, kMostParts>;
 
-// Of the chain's body, in the base frame.
-void PlaceBody(const ArmChain& chain, const LinkPoses& poses, Bodies& bodies) {
+// The chain's body in the base frame.
+void PlaceBody(const ArmChain& chain, const LinkPoses& poses, Parts& parts) {
   for (size_t i = 0; i < chain.body.size(); ++i) {
-    const auto& [link, part] = chain.body[i];
-    bodies[i] = part;
+    const auto& [link, shape] = chain.body[i];
+    parts[i] = shape;
     if (link < 0) continue;
+    auto& capsule = std::get<Capsule>(parts[i]);  // only the base has boxes
     const Eigen::Isometry3d& T = poses[static_cast<size_t>(link)];
-    bodies[i].from = T * part.from;
-    bodies[i].to = T * part.to;
+    capsule.from = T * capsule.from;
+    capsule.to = T * capsule.to;
   }
+}
+
+// The first may be the base's.
+double Between(const Parts& parts, const std::pair<int, int>& pair) {
+  const Capsule& second = std::get<Capsule>(parts[static_cast<size_t>(pair.second)]);
+  return std::visit([&](const auto& first) { return Distance(first, second); },
+                    parts[static_cast<size_t>(pair.first)]);
 }
 
 // Within the limits, by a fixed stream.
@@ -91,20 +100,20 @@ void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, d
   chain->too_near.clear();
   chain->ignored = ignored;
   chain->touching = 0;
-  if (chain->body.size() > kMostCapsules) return;
+  if (chain->body.size() > kMostParts) return;
   const size_t joints = chain->links.size();
   std::vector<ArmVector> poses = PosesWithin(limits, joints);
   LinkPoses placed;
-  Bodies bodies;
+  Parts parts;
   const auto place = [&](const ArmVector& pose) {
     Place(*chain, pose, placed);
-    PlaceBody(*chain, placed, bodies);
+    PlaceBody(*chain, placed, parts);
   };
   std::vector<Seen> pairs = PairsOf(*chain, ignored);
   const auto look = [&](const ArmVector& pose, int weight) {
     place(pose);
     for (Seen& s : pairs) {
-      const double distance = Distance(bodies[s.pair.first], bodies[s.pair.second]);
+      const double distance = Between(parts, s.pair);
       s.least = std::min(s.least, distance);
       s.most = std::max(s.most, distance);
       s.too_near += distance < margin ? weight : 0;
@@ -131,7 +140,7 @@ void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, d
     place(pose);
     std::set<LinkPair> here;
     for (const Seen& s : pairs)
-      if (Distance(bodies[s.pair.first], bodies[s.pair.second]) < margin) here.insert(s.links);
+      if (Between(parts, s.pair) < margin) here.insert(s.links);
     touched += here.empty() ? 0 : 1;
     for (const LinkPair& links : here) {
       if (++touches[links] <= most) continue;
@@ -207,21 +216,20 @@ ArmModel::Clearance ChainModel::ClearanceAt(const ArmVector& position) const {
     }
   }
   if (chain_.watched.empty()) return clearance;
-  Bodies bodies;
-  PlaceBody(chain_, poses, bodies);
-  for (const auto& [a, b] : chain_.watched)
-    clearance[kItself] = std::min(clearance[kItself], Distance(bodies[a], bodies[b]) - margin_);
+  Parts parts;
+  PlaceBody(chain_, poses, parts);
+  for (const auto& pair : chain_.watched)
+    clearance[kItself] = std::min(clearance[kItself], Between(parts, pair) - margin_);
   return clearance;
 }
 
 std::string ChainModel::NearestParts(const ArmVector& position) const {
   LinkPoses poses;
   Place(chain_, position, poses);
-  Bodies bodies;
-  PlaceBody(chain_, poses, bodies);
+  Parts parts;
+  PlaceBody(chain_, poses, parts);
   const auto nearer = [&](const auto& a, const auto& b) {
-    return Distance(bodies[a.first], bodies[a.second]) <
-           Distance(bodies[b.first], bodies[b.second]);
+    return Between(parts, a) < Between(parts, b);
   };
   const auto nearest = std::min_element(chain_.watched.begin(), chain_.watched.end(), nearer);
   if (nearest == chain_.watched.end()) return "";

@@ -159,8 +159,9 @@ TEST(ChainModel, WhatTouchesIsNamedAndMayBeLeftOut) {
   EXPECT_EQ(parts, "J2 and J7");
   const ArmChain without = ChosenChain(0, SevenUrdf(), {LinkPair{2, 6}, LinkPair{1, 6}});
   EXPECT_FALSE(Watched(without, 2, 6));
+  EXPECT_EQ(ChainModel(without, {}).NearestParts(folded), "J1 and J7");
   EXPECT_GT(ChainModel(without, {}).ClearanceAt(folded)[ArmModel::kItself],
-            ChainModel(all, {}).ClearanceAt(folded)[ArmModel::kItself] + 0.01);
+            ChainModel(all, {}).ClearanceAt(folded)[ArmModel::kItself]);
   EXPECT_EQ(*ParseLinkPair("J7-J3", 7), (LinkPair{2, 6}));
   EXPECT_EQ(*ParseLinkPair("base-J2", 7), (LinkPair{-1, 1}));
   for (const char* wrong : {"", "J3", "J3-J3", "J0-J3", "J3-J8", "J3-J4-J5", "3-5", "hand-base"}) {
@@ -186,26 +187,43 @@ TEST(ChainModel, WhatIsNearerAtHomeThanTheMarginIsNotWatched) {
   EXPECT_THAT(ChosenChain(0.3).too_near, ::testing::Contains(LinkPair{3, 6}));
 }
 
-TEST(ChainModel, TheBaseAndBoxesAreCapsules) {
-  const ArmChain chain = ChosenChain(
-      0,
-      Changed("<link name=\"base\"/>",
-              "<link name=\"base\"><collision><origin xyz=\"0.1 0 0\"/><geometry><box size=\"0.4 "
-              "0.3 0.06\"/></geometry></collision></link>"));
-  std::vector<Capsule> plate;
-  for (const LinkCapsule& part : chain.body)
-    if (part.link < 0) plate.push_back(part.capsule);
-  ASSERT_EQ(plate.size(), 4u);
-  EXPECT_TRUE(Watched(chain, -1, 6));
+// A box of the hand in capsules side by side.
+TEST(ChainModel, AMovingBoxIsHeldByCapsules) {
+  const ArmChain chain = Chain(Changed("box size=\"0.04 0.2 0.06\"", "box size=\"0.4 0.3 0.06\""));
+  const Eigen::Isometry3d T_hand =
+      Eigen::Translation3d(0, 0, 0.107) * Eigen::AngleAxisd(-M_PI / 4, Eigen::Vector3d::UnitZ());
+  std::vector<Capsule> strips;
+  for (const LinkPart& part : chain.body) {
+    const Capsule& capsule = std::get<Capsule>(part.shape);
+    if (std::abs(capsule.radius - std::hypot(0.15 / 4, 0.03)) < 1e-12) strips.push_back(capsule);
+  }
+  ASSERT_EQ(strips.size(), 4u);
   std::mt19937 random(4);
   std::uniform_real_distribution<double> share(-1, 1);
   for (int k = 0; k < 2000; ++k) {
-    const Eigen::Vector3d p(0.1 + 0.2 * share(random), 0.15 * share(random), 0.03 * share(random));
+    const Eigen::Vector3d p = T_hand * Eigen::Vector3d(0.2 * share(random), 0.15 * share(random),
+                                                       0.03 + 0.03 * share(random));
     double nearest = 1;
-    for (const Capsule& strip : plate) nearest = std::min(nearest, Distance(strip, {p, p, 0}));
+    for (const Capsule& strip : strips) nearest = std::min(nearest, Distance(strip, {p, p, 0}));
     ASSERT_LE(nearest, 1e-12) << "a point of the box outside of its capsules";
   }
-  for (const Capsule& strip : plate) EXPECT_NEAR(strip.radius, std::hypot(0.15 / 4, 0.03), 1e-12);
+}
+
+// A table that belongs to the file is no 13 cm thick for being 2 m long.
+TEST(ChainModel, ABoxOfTheBaseIsABox) {
+  const ArmChain chain = ChosenChain(
+      0,
+      Changed("<link name=\"base\"/>",
+              "<link name=\"base\"><collision><origin xyz=\"0.6 0 -0.02\"/><geometry><box size=\"2 "
+              "1.5 0.04\"/></geometry></collision></link>"));
+  EXPECT_TRUE(Watched(chain, -1, 6));
+  const ChainModel model(chain, {});
+  ArmVector low = {0, 0.35, 0, -2.2, 0, 2.55, M_PI / 4, 0};  // the hand points down
+  for (; model.ToolAt(low).z() > 0.03; low[1] += 0.01) low[5] += 0.01;
+  const double height = model.ToolAt(low).z();
+  EXPECT_NEAR(model.ClearanceAt(low)[ArmModel::kItself], height, 0.002)
+      << "the fingers' balls of 15 mm end with the tool";
+  EXPECT_EQ(model.NearestParts(low), "the base and J7");
 }
 
 TEST(ChainModel, TooManyPartsAreNotWatchedAgainstEachOther) {
