@@ -19,7 +19,7 @@ struct ModelOptions {
   std::vector<std::string> joints;  // its names of the joints; empty: the driver's
   std::string tool;                 // link of it that is the tool's point, and a payload's place
   // [m] of a link whose shape is a mesh: about its frame's origin for table and box; against the
-  // arm itself about the line from there to the next joint.
+  // arm itself about the line from there to the next joint, of the last up to the tool's point.
   double radius = 0.06;
   std::vector<std::string> ignore;  // "J5-J7", "base-J3": links not watched against each other
 
