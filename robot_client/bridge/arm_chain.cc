@@ -195,7 +195,8 @@ class ChainReader {
       chain_.body.push_back({owner, Capsule{T * part.from, T * part.to, part.radius}});
   }
 
-  // A body of unknown shape reaches from its frame around the next joint, or up to the tool's point.
+  // A body of unknown shape reaches from its frame around the next joint, or up to the tool's
+  // point.
   void AddBones() {
     for (const auto& [owner, origin] : unknown_) {
       const size_t next = static_cast<size_t>(owner + 1);
