@@ -48,7 +48,12 @@ absl::StatusOr<RecordedRigSummary> ConvertClientRun(const CommandLine& line) {
   options.encoder_noise = 0;  // the arm's own is in it
   if (!line.rig_file.empty()) {
     RS_ASSIGN_OR_RETURN(const Rig rig, ReadRig(line.rig_file, RigLogs::kNone));
-    RS_ASSIGN_OR_RETURN(RecordedArm arm, ArmOfRig(rig, line.joints, &episodes));
+    std::vector<std::string> names = line.joints;
+    if (names.empty()) {
+      RS_ASSIGN_OR_RETURN(const auto of_run, JointNamesOfClientRun(line.run));
+      if (of_run) names = *of_run;
+    }
+    RS_ASSIGN_OR_RETURN(RecordedArm arm, ArmOfRig(rig, names, &episodes));
     if (!line.name.empty()) arm.name = line.name;
     return WriteRecordedRig(arm, episodes, options, line.out);
   }
@@ -96,8 +101,10 @@ int Main(int argc, char** argv) {
       "--rig", line.rig_file,
       "rig of the arm that robot_client moved, whose model, servos and effects are taken "
       "over; it needs no logs");
-  app.add_option("--joints", line.joints,
-                 "what that rig calls J1 and on, in order (default: all of its joints, as listed)")
+  app.add_option(
+         "--joints", line.joints,
+         "what that rig calls J1 and on, in order (default: as the run says; of a run before "
+         "0.2 all of the rig's joints, as listed)")
       ->delimiter(',');
   app.add_option("--payload-kg", line.payload_kg, "in the Piper's gripper while it was recorded")
       ->check(cli::Range(0.0, 5.0))

@@ -83,7 +83,11 @@ absl::StatusOr<ArmAxes> AxesOf(const ClientConfig& config) {
 
 absl::StatusOr<std::vector<std::string>> RigNamesOf(const ClientConfig& config) {
   std::vector<std::string> names;
-  if (!IsBridge(config)) return names;
+  if (!IsBridge(config)) {
+    for (int j = 1; j <= PiperLimits().axes.joints; ++j)
+      names.push_back(absl::StrCat("piper_joint", j));
+    return names;
+  }
   RS_ASSIGN_OR_RETURN(const bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
   if (robot.model && !robot.model->joints.empty()) return robot.model->joints;
   for (const bridge::AxisOptions& joint : robot.joints) names.push_back(joint.name);

@@ -83,8 +83,8 @@ bool IsBridge(const ClientConfig& config);
 absl::StatusOr<bool> IsReal(const ClientConfig& config);
 // The axes of its arm: of the robot file behind a bridge, else a Piper's.
 absl::StatusOr<ArmAxes> AxesOf(const ClientConfig& config);
-// What rigs call its joints, from the base on: as the model of the robot file, or as the driver;
-// empty for a Piper.
+// What rigs call its joints, from the base on: as the model of the robot file, or as the driver; of
+// a Piper piper_joint1 and on.
 absl::StatusOr<std::vector<std::string>> RigNamesOf(const ClientConfig& config);
 // Takes over what a robot file says of the loop: its rate, and home where the configuration has
 // none; of defaults control.press becomes this arm's, and with a model control.workspace. Nothing

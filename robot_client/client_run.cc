@@ -13,6 +13,7 @@
 #include "common/config.h"
 #include "common/records/arm_episode.h"
 #include "common/status_macros.h"
+#include "nlohmann/json.hpp"
 #include "robot_client/bridge/bridge_arm.h"
 #include "robot_client/piper/piper_arm.h"
 
@@ -80,6 +81,10 @@ absl::Status ClientRun::Open(const MotionMaker& motion) {
   }
   RS_ASSIGN_OR_RETURN(recorder_, Recorder::Create(directory_, arm_->axes()));
   RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/config.yaml", DumpConfig(config_)));
+  RS_ASSIGN_OR_RETURN(const std::vector<std::string> joints, RigNamesOf(config_));
+  RS_RETURN_IF_ERROR(WriteFileAtomically(
+      directory_ + "/arm.json",
+      nlohmann::ordered_json{{"joints", joints}, {"gripper", arm_->axes().gripper}}.dump() + "\n"));
   if (const auto& motion_played = ways_->motion())
     RS_RETURN_IF_ERROR(WriteFileAtomically(directory_ + "/motion.csv", MotionCsv(*motion_played)));
   loop_->AddReader(&recorder_->ring());

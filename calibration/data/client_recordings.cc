@@ -6,10 +6,12 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "common/atomic_file.h"
 #include "common/csv_table.h"
 #include "common/robot_description.h"
 #include "common/statistics.h"
 #include "common/status_macros.h"
+#include "nlohmann/json.hpp"
 #include "robot_client/emulator/piper_mjcf.h"
 
 namespace robostress::calibration {
@@ -194,6 +196,20 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
     }
   }
   return episodes;
+}
+
+absl::StatusOr<std::optional<std::vector<std::string>>> JointNamesOfClientRun(
+    const std::string& run) {
+  const std::string file = (std::filesystem::path(run) / "arm.json").string();
+  if (!std::filesystem::exists(file)) return std::nullopt;
+  RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(file, 1 << 16));
+  const nlohmann::json arm = nlohmann::json::parse(text, nullptr, false);
+  const auto is_name = [](const nlohmann::json& name) { return name.is_string(); };
+  if (!arm.is_object() || !arm.contains("joints") || !arm["joints"].is_array() ||
+      !std::all_of(arm["joints"].begin(), arm["joints"].end(), is_name))
+    return absl::InvalidArgumentError(
+        absl::StrCat(file, ": has no list of names 'joints'; delete it and say --joints"));
+  return arm["joints"].get<std::vector<std::string>>();
 }
 
 RecordedArm ArmResponse(const std::string& rig_name, int joints) {

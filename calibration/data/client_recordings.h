@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -19,6 +20,11 @@ bool IsClientRun(const std::string& run);
 // Errors name file, line, column and remedy.
 absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::string& run,
                                                                  int at_least);
+
+// What rigs call the arm's joints, in order, by the run's arm.json; nothing: a run from before
+// there was one. INVALID_ARGUMENT: it is no list of names.
+absl::StatusOr<std::optional<std::vector<std::string>>> JointNamesOfClientRun(
+    const std::string& run);
 
 // How the joints of an arm answer targets (adapter/joint_response.h), as a rig: every joint is a
 // unit mass of its own with a servo and these two effects, all of them fitted.

@@ -19,6 +19,10 @@ absl::StatusOr<std::vector<RecordedEpisode>> EpisodesOfClientRun(const std::stri
                    "ROBOSTRESS_ROBOT_CLIENT=OFF; configure it ON to read one"));
 }
 
+absl::StatusOr<std::optional<std::vector<std::string>>> JointNamesOfClientRun(const std::string&) {
+  return std::nullopt;
+}
+
 RecordedArm ArmResponse(const std::string&, int) { return {}; }
 
 RecordedArm PiperOfRecordings(const std::string&, double) { return {}; }

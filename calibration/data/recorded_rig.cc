@@ -153,8 +153,8 @@ absl::StatusOr<RecordedArm> ArmOfRig(const Rig& rig, std::vector<std::string> na
   if (names.empty()) names = known;
   if (names.size() != joints)
     return absl::InvalidArgumentError(absl::StrCat(
-        "the run is of ", joints, " joints, ", rig.file, " has ", known.size(), " (",
-        absl::StrJoin(known, ", "), "); give --joints ", joints,
+        "the run is of ", joints, " joints, the names are ", names.size(), " (",
+        absl::StrJoin(names, ", "), "); give --joints ", joints,
         " names of J1 and on, those of the rig by its names, any other for what it leaves out"));
   RecordedArm arm;
   arm.name = rig.name;

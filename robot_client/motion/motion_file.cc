@@ -54,16 +54,15 @@ absl::StatusOr<Motion> MotionOfRows(const CsvTable& table, const std::vector<std
 }
 
 absl::StatusOr<Motion> ReadTable(const std::string& path, const ArmAxes& axes,
-                                 std::vector<std::string> rig_names) {
+                                 const std::vector<std::string>& rig_names) {
   RS_ASSIGN_OR_RETURN(const CsvTable table, CsvTable::Read(path, kMostBytes));
   std::vector<size_t> rows(table.rows());
   for (size_t i = 0; i < rows.size(); ++i) rows[i] = i;
   // As the rigs of this arm name its joints, or as everything else here does.
   const std::vector<std::string>& names = table.names();
   std::vector<std::string> columns = ColumnsOf("q_cmd_", axes), of_rig = columns;
-  for (int j = 0; j < axes.joints; ++j)
-    of_rig[j] = absl::StrCat("q_cmd_", rig_names.empty() ? absl::StrCat("piper_joint", j + 1)
-                                                         : rig_names[static_cast<size_t>(j)]);
+  for (size_t j = 0; j < rig_names.size() && j < of_rig.size(); ++j)
+    of_rig[j] = "q_cmd_" + rig_names[j];
   const auto is_joint = [&](const std::string& name) {
     const auto joints_end = of_rig.begin() + axes.joints;
     return std::find(of_rig.begin(), joints_end, name) != joints_end;

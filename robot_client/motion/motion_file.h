@@ -20,8 +20,8 @@ namespace robostress {
 //                    above it)
 //
 // `axes`: of the arm that is to play it; a run or a data set must be of as many. `rig_names`: what
-// rigs call its joints, from the base on; empty: piper_joint1 .. as those of a Piper. `episode`:
-// which one; nothing: the only one there is. NOT_FOUND, INVALID_ARGUMENT: file, line or
+// rigs call its joints, from the base on; empty: J1 and on, too. `episode`: which one; nothing: the
+// only one there is. NOT_FOUND, INVALID_ARGUMENT: file, line or
 // column, value, remedy. Whether an arm can follow it is CheckMotion's to say.
 absl::StatusOr<Motion> ReadMotion(const std::string& path, std::optional<int> episode,
                                   const ArmAxes& axes = {},

@@ -280,6 +280,16 @@ TEST_F(PiperCircleTest, ARunOfSevenJointsIsReadWholeAndMakesNoRigOfAPiper) {
       RunProgram(RECORD_TO_RIG, absl::StrCat(root, " --out ", root, "/rig"));
   EXPECT_EQ(code, 2);
   EXPECT_THAT(output, AllOf(HasSubstr("an arm of 7 joints"), HasSubstr("a Piper's")));
+  // Whose joints are called what, the run says itself.
+  EXPECT_FALSE(JointNamesOfClientRun(root)->has_value()) << "a run from before 0.2";
+  ASSERT_TRUE(WriteFileAtomically(root + "/arm.json", "{\"joints\":[\"pan\",\"lift\"]}").ok());
+  EXPECT_THAT(**JointNamesOfClientRun(root), testing::ElementsAre("pan", "lift"));
+  for (const char* damaged : {"", "[]", "{\"joints\":\"pan\"}", "{\"joints\":[1,2]}"}) {
+    ASSERT_TRUE(WriteFileAtomically(root + "/arm.json", damaged).ok());
+    EXPECT_THAT(std::string(JointNamesOfClientRun(root).status().message()),
+                AllOf(HasSubstr("arm.json: has no list of names"), HasSubstr("--joints")))
+        << damaged;
+  }
 }
 
 TEST_F(PiperCircleTest, SaysWhatARunLacks) {

@@ -96,7 +96,7 @@ TEST_F(RecordedRigTest, AnotherArmsModelIsTakenOver) {
     std::vector<RecordedEpisode> copy = episodes;
     return std::string(ArmOfRig(rig, names, &copy).status().message());
   };
-  EXPECT_THAT(refusal({}), HasSubstr("the run is of 3 joints, lab/rig.yaml has 2 (elbow, pan)"));
+  EXPECT_THAT(refusal({}), HasSubstr("the run is of 3 joints, the names are 2 (elbow, pan)"));
   EXPECT_THAT(refusal({"pan", "lift", "flex"}), HasSubstr("must hold every joint of lab/rig.yaml"));
   EXPECT_THAT(refusal({"pan", "pan", "elbow"}), HasSubstr("'pan' twice"));
   rig.joints[1].input = JointInput::kTorque;

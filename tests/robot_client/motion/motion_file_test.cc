@@ -5,6 +5,7 @@
 
 #include <filesystem>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "common/atomic_file.h"
 #include "robot_client/demonstration/demonstration.h"
@@ -49,14 +50,19 @@ TEST(MotionFileTest, ReadsATableOfSomeJoints) {
 }
 
 TEST(MotionFileTest, ReadsTheNamesOfARigAndNoMixture) {
+  std::vector<std::string> names;
+  for (int j = 1; j <= piper::kJoints; ++j) names.push_back(absl::StrCat("piper_joint", j));
   const auto motion =
       ReadMotion(File("of_rig", "t,q_cmd_piper_joint2,q_cmd_piper_joint6\n0,0.1,0.2\n1,0.3,0.4\n"),
-                 std::nullopt);
+                 std::nullopt, {}, names);
   ASSERT_TRUE(motion.ok()) << motion.status();
   EXPECT_EQ(motion->poses[1][1], 0.3);
   EXPECT_EQ(motion->poses[1][5], 0.4);
   EXPECT_FALSE(motion->moves[0]);
-  EXPECT_THAT(Refusal(File("mixed", "t,q_cmd_piper_joint2,q_cmd_J3\n0,0.1,0.2\n1,0.3,0.4\n")),
+  const auto mixed =
+      ReadMotion(File("mixed", "t,q_cmd_piper_joint2,q_cmd_J3\n0,0.1,0.2\n1,0.3,0.4\n"),
+                 std::nullopt, {}, names);
+  EXPECT_THAT(std::string(mixed.status().message()),
               HasSubstr("column 'q_cmd_J3' is none of t, q_cmd_piper_joint1"));
 }
 
