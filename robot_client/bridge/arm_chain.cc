@@ -25,6 +25,7 @@ constexpr double kBeyondEnd = 0.1;  // [rad] of a limit beyond the model's: two 
 constexpr double kUpright = 1e-6;   // of the cosine between an axis and z
 constexpr double kOnAxis = 1e-3;    // [m]
 constexpr double kLongest = 5;      // [m] of a shape, and from a frame to the next
+constexpr double kLongestOfBase = 1000;  // [m] of a shape: it may be the ground
 
 Eigen::Isometry3d PoseOf(const std::vector<double>& xyz, const std::vector<double>& rpy) {
   Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
@@ -170,7 +171,8 @@ class ChainReader {
       if (geometry == nullptr) continue;
       for (const XMLElement* kind = geometry->FirstChildElement(); kind != nullptr;
            kind = kind->NextSiblingElement()) {
-        RS_ASSIGN_OR_RETURN(const Shape shape, ShapeOf(*kind));
+        const double longest = carrier == nullptr ? kLongestOfBase : kLongest;
+        RS_ASSIGN_OR_RETURN(const Shape shape, ShapeOf(*kind, longest));
         for (const Ball& ball : shape.balls)
           if (carrier != nullptr) carrier->shape.push_back({T * ball.centre, ball.radius});
         AddParts(place.owner, T, shape);
@@ -222,11 +224,11 @@ class ChainReader {
     shape.erase(std::remove_if(shape.begin(), shape.end(), stays), shape.end());
   }
 
-  absl::StatusOr<Shape> ShapeOf(const XMLElement& kind) const {
+  absl::StatusOr<Shape> ShapeOf(const XMLElement& kind, double longest) const {
     const absl::string_view name = kind.Name();
-    const auto within = [&](double value) { return value >= 0 && value <= kLongest; };
+    const auto within = [&](double value) { return value >= 0 && value <= longest; };
     const auto wrong = [&] {
-      return file_.Error(kind, absl::StrCat("<", kind.Name(), "> is larger than ", kLongest,
+      return file_.Error(kind, absl::StrCat("<", kind.Name(), "> is larger than ", longest,
                                             " m or below 0; URDF is in metres"));
     };
     if (name == "sphere") {

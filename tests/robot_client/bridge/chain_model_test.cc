@@ -226,6 +226,16 @@ TEST(ChainModel, ABoxOfTheBaseIsABox) {
   EXPECT_EQ(model.NearestParts(low), "the base and J7");
 }
 
+TEST(ChainModel, TheGroundMayBelongToTheFile) {
+  const auto with = [](const char* size) {
+    return Changed("<link name=\"base\"/>",
+                   absl::StrCat("<link name=\"base\"><collision><geometry><box size=\"", size,
+                                "\"/></geometry></collision></link>"));
+  };
+  EXPECT_EQ(Chain(with("200 200 0.1")).body.size(), Chain().body.size() + 1);
+  EXPECT_THAT(ChainRefusal(with("20000 20000 10")), HasSubstr("<box> is larger than 1000"));
+}
+
 TEST(ChainModel, TooManyPartsAreNotWatchedAgainstEachOther) {
   std::string many;
   for (int i = 0; i < 130; ++i)
