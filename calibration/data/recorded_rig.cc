@@ -180,6 +180,19 @@ absl::StatusOr<RecordedArm> ArmOfRig(const Rig& rig, std::vector<std::string> na
           ": the joints' input must be position_target or torque, and one for all of them, for "
           "what a run records"));
   }
+  // What a driver does not measure is recorded as 0.
+  const auto silent = [](const std::vector<double>& channel) {
+    return std::all_of(channel.begin(), channel.end(), [](double value) { return value == 0; });
+  };
+  for (const size_t j : taken) {
+    const bool measured =
+        std::any_of(episodes->begin(), episodes->end(),
+                    [&](const RecordedEpisode& episode) { return !silent(episode.tau[j]); });
+    if (arm.input == JointInput::kTorque && !measured)
+      return absl::FailedPreconditionError(
+          absl::StrCat("the run has no torques of ", names[j], ", and ", rig.file,
+                       " drives its joints by them; give them input: position_target and a servo"));
+  }
   for (RecordedEpisode& episode : *episodes) {
     for (auto channels : {&episode.q, &episode.dq, &episode.tau, &episode.command}) {
       if (channels->empty()) continue;

@@ -101,7 +101,13 @@ TEST_F(RecordedRigTest, AnotherArmsModelIsTakenOver) {
   EXPECT_THAT(refusal({"pan", "pan", "elbow"}), HasSubstr("'pan' twice"));
   rig.joints[1].input = JointInput::kTorque;
   EXPECT_THAT(refusal({"pan", "lift", "elbow"}), HasSubstr("one for all of them"));
-  rig.joints[1].input = JointInput::kPositionTarget;
+  rig.joints[0].input = JointInput::kTorque;
+  std::vector<RecordedEpisode> with = episodes, without = episodes;
+  EXPECT_TRUE(ArmOfRig(rig, {"pan", "lift", "elbow"}, &with).ok());
+  for (RecordedEpisode& episode : without) episode.tau[2].assign(episode.t.size(), 0);
+  EXPECT_THAT(std::string(ArmOfRig(rig, {"pan", "lift", "elbow"}, &without).status().message()),
+              HasSubstr("the run has no torques of elbow"));
+  for (RigJoint& joint : rig.joints) joint.input = JointInput::kPositionTarget;
 
   const auto arm = ArmOfRig(rig, {"pan", "lift", "elbow"}, &episodes);
   ASSERT_TRUE(arm.ok()) << arm.status();
