@@ -225,6 +225,61 @@ TEST(SevenJoints, TheDelayIsEstimatedFromTheLastJointToo) {
   EXPECT_NEAR(*delay.delay_s(), 6.0 / 30, 0.01);
 }
 
+// A joint that sticks answers late and then moves most; a bus that is late makes all of them late.
+TEST(SevenJoints, WhatSticksIsNoDelayAndWhatMakesAllLateIs) {
+  const auto estimate = [](int first, int second, int third) {
+    DelayEstimator delay(1.0 / 30, 7);
+    const int late[] = {first, second, third};
+    for (int tick = 0; tick < 90; ++tick) {
+      ArmVector command{}, measured{};
+      for (int j = 0; j < 3; ++j) {
+        const double size = j == 0 ? 0.6 : 0.15;
+        const auto at = [&](int k) { return k < 0 ? 0 : size * std::sin((0.17 + 0.04 * j) * k); };
+        command[j] = at(tick);
+        measured[j] = at(tick - late[j]);
+      }
+      delay.Take(command, measured);
+    }
+    return delay.delay_s().value_or(-1);
+  };
+  EXPECT_NEAR(estimate(4, 4, 4), 5.0 / 30, 0.01);
+  EXPECT_NEAR(estimate(12, 4, 4), 5.0 / 30, 0.01) << "one sticks";
+  EXPECT_NEAR(estimate(9, 9, 9), 10.0 / 30, 0.01) << "all are late";
+  EXPECT_NEAR(estimate(14, 9, 9), 10.0 / 30, 0.01) << "all are late, and one sticks";
+}
+
+// At constant speed every delay looks alike; where it begins it shows.
+TEST(SevenJoints, EvenMotionTellsNoDelay) {
+  DelayEstimator delay(1.0 / 30, 7);
+  ArmVector command{}, measured{};
+  std::optional<double> begun;
+  for (int tick = 0; tick < 200; ++tick) {
+    command[0] = 0.004 * tick;
+    measured[0] = 0.004 * std::max(0, tick - 5) + 2e-5 * (tick % 3);
+    delay.Take(command, measured);
+    if (tick == 40) begun = delay.delay_s();
+  }
+  ASSERT_TRUE(begun.has_value());
+  EXPECT_NEAR(*begun, 6.0 / 30, 0.02);
+  EXPECT_FALSE(delay.delay_s().has_value());
+}
+
+// A joint that moves too little alone says nothing, and all together do.
+TEST(SevenJoints, LittleMotionOfAllJointsTellsTheirDelay) {
+  DelayEstimator delay(1.0 / 30, 7);
+  ArmVector command{}, measured{};
+  for (int tick = 0; tick < 90; ++tick) {
+    for (int j = 0; j < 7; ++j) {
+      const auto at = [&](int k) { return k < 0 ? 0 : 0.006 * std::sin((0.2 + 0.02 * j) * k); };
+      command[j] = at(tick);
+      measured[j] = at(tick - 6);
+    }
+    delay.Take(command, measured);
+  }
+  ASSERT_TRUE(delay.delay_s().has_value());
+  EXPECT_NEAR(*delay.delay_s(), 7.0 / 30, 0.01);
+}
+
 // Knows of no torque at all.
 struct WeightlessModel : ArmModel {
   ArmVector Torque(const ArmVector&, const ArmVector&, const ArmVector&, double) const override {
