@@ -244,9 +244,10 @@ class Plan {
       place.over = 0.05;
       place.beside = 0.006;
     } else if (absl::StrContains(site.parent, "microwave")) {
-      // In at its front, the body's -y, as far as its first part goes in.
+      // In at its front, the body's -y, as far as its first part goes in and stays, when the hand
+      // lets go and leaves.
       const Vector3d front = frame * Vector3d(0, -size.y(), 0);
-      place.p = centre + 0.9 * front + Vector3d(kDoorSide, 0, 0);
+      place.p = centre + kDepth * front + Vector3d(kDoorSide, 0, 0);
       place.p.z() = centre.z() - half + Foot(view, object) + 0.022;
       place.way = -0.2 * front.normalized();
       place.over = 0.02;
@@ -266,6 +267,7 @@ class Plan {
   static constexpr double kDrawerOpen = -0.08;
 
   static constexpr double kDoorSide = -0.03;  // [m] of a microwave's room from its middle
+  static constexpr double kDepth = 0.82;      // of half its room, from the middle to the front
 
   const LiberoSimTask& task_;
   const LiberoScene& scene_;
