@@ -6,6 +6,17 @@ namespace robostress {
 
 using Eigen::Vector3d;
 
+namespace {
+
+// Of a point from the box at the origin; negative: how deep. Convex.
+double FromBox(const Vector3d& half, const Vector3d& point) {
+  const Vector3d beyond = point.cwiseAbs() - half;
+  const double outside = beyond.cwiseMax(0).norm();
+  return outside > 0 ? outside : beyond.maxCoeff();
+}
+
+}  // namespace
+
 double SegmentDistance(const Vector3d& a0, const Vector3d& a1, const Vector3d& b0,
                        const Vector3d& b1) {
   // Ericson, Real-Time Collision Detection, sec. 5.1.9.
@@ -19,13 +30,6 @@ double SegmentDistance(const Vector3d& a0, const Vector3d& a1, const Vector3d& b
     s = a > 0 ? std::clamp((b * t - c) / a, 0.0, 1.0) : 0;
   }
   return (a0 + s * u - b0 - t * v).norm();
-}
-
-// Of a point from the box at the origin; negative: how deep. Convex.
-double FromBox(const Vector3d& half, const Vector3d& point) {
-  const Vector3d beyond = point.cwiseAbs() - half;
-  const double outside = beyond.cwiseMax(0).norm();
-  return outside > 0 ? outside : beyond.maxCoeff();
 }
 
 double Distance(const Box& box, const Capsule& capsule) {
