@@ -1,7 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/Geometry>
 
 namespace robostress {
 
@@ -14,14 +13,6 @@ struct Capsule {
 // Distance of two segments [m].
 double SegmentDistance(const Eigen::Vector3d& a0, const Eigen::Vector3d& a1,
                        const Eigen::Vector3d& b0, const Eigen::Vector3d& b1);
-
-struct Box {
-  Eigen::Isometry3d T_base_box = Eigen::Isometry3d::Identity();
-  Eigen::Vector3d half = Eigen::Vector3d::Zero();  // of its sides [m]
-};
-// Of a capsule's surface from the box [m], to a micrometre; negative: how deep the capsule's
-// segment is in the box, its radius added.
-double Distance(const Box& box, const Capsule& capsule);
 
 // Of their surfaces [m]; negative: how much less than both radii their segments are apart.
 double Distance(const Capsule& a, const Capsule& b);

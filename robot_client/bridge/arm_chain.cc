@@ -1,9 +1,7 @@
 #include "robot_client/bridge/arm_chain.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <optional>
 #include <utility>
 
 #include "absl/strings/match.h"
@@ -13,17 +11,19 @@
 #include "absl/strings/str_split.h"
 #include "common/models/urdf_model.h"
 #include "common/status_macros.h"
+#include "robot_client/bridge/mesh_file.h"
+#include "robot_client/bridge/mesh_parts.h"
 
 namespace robostress::bridge {
 namespace {
 
 using tinyxml2::XMLElement;
 
-constexpr size_t kMostBalls = 512;  // the control thread looks at each of them
+constexpr size_t kMostCorners = 8192;  // the control thread looks at each of them
+constexpr size_t kMostPartsOfMesh = 6;
+constexpr int kSides = 16;          // of a prism about a cylinder
 constexpr int kMostStrips = 4;      // of a box
 constexpr double kBeyondEnd = 0.1;  // [rad] of a limit beyond the model's: two sheets may differ
-constexpr double kUpright = 1e-6;   // of the cosine between an axis and z
-constexpr double kOnAxis = 1e-3;    // [m]
 constexpr double kLongest = 5;      // [m] of a shape, and from a frame to the next
 constexpr double kLongestOfBase = 1000;  // [m] of a shape: it may be the ground
 
@@ -59,15 +59,14 @@ class ChainReader {
       RS_RETURN_IF_ERROR(AddShape(model_.links[i], places_[i]));
     }
     for (ChainLink& link : chain_.links) SumUp(link);
-    LeaveShoulderOut();
     RS_RETURN_IF_ERROR(FindTool());
     AddBones();
-    size_t balls = 0;
-    for (const ChainLink& link : chain_.links) balls += link.shape.size();
-    if (balls > kMostBalls)
-      return absl::InvalidArgumentError(absl::StrCat(
-          file_.name(), ": the links' shapes have ", balls, " corners and balls, at most ",
-          kMostBalls, " are watched; leave shapes out that others hold"));
+    size_t corners = 0;
+    for (const LinkPart& part : chain_.body) corners += part.shape.corners.size();
+    if (corners > kMostCorners)
+      return absl::InvalidArgumentError(
+          absl::StrCat(file_.name(), ": the links' shapes have ", corners, " corners, at most ",
+                       kMostCorners, " are watched; leave shapes out that others hold"));
     return std::move(chain_);
   }
 
@@ -147,54 +146,43 @@ class ChainReader {
     }
   }
 
-  // Balls whose hull holds a shape, and capsules that hold it; none: a mesh. Of a box its half
-  // sides.
-  struct Shape {
-    std::vector<Ball> balls;
-    std::vector<Capsule> parts;
-    std::optional<Eigen::Vector3d> box;
-  };
+  // What a link is where it is touched, or else where it is seen.
   absl::Status AddShape(const urdf::Link& link, const Place& place) {
-    ChainLink* const carrier =
-        place.owner < 0 ? nullptr : &chain_.links[static_cast<size_t>(place.owner)];
-    bool known = false;
     const XMLElement& e = *link.element;
-    for (const XMLElement* collision = e.FirstChildElement("collision"); collision != nullptr;
-         collision = collision->NextSiblingElement("collision")) {
-      Eigen::Isometry3d T = place.T_owner_link;
-      if (const XMLElement* origin = collision->FirstChildElement("origin"); origin != nullptr) {
-        RS_ASSIGN_OR_RETURN(const auto xyz, file_.Numbers(*origin, "xyz", {0, 0, 0}));
-        RS_ASSIGN_OR_RETURN(const auto rpy, file_.Numbers(*origin, "rpy", {0, 0, 0}));
-        T = T * PoseOf(xyz, rpy);
-      }
-      const XMLElement* geometry = collision->FirstChildElement("geometry");
-      if (geometry == nullptr) continue;
-      for (const XMLElement* kind = geometry->FirstChildElement(); kind != nullptr;
-           kind = kind->NextSiblingElement()) {
-        const double longest = carrier == nullptr ? kLongestOfBase : kLongest;
-        RS_ASSIGN_OR_RETURN(const Shape shape, ShapeOf(*kind, longest));
-        for (const Ball& ball : shape.balls)
-          if (carrier != nullptr) carrier->shape.push_back({T * ball.centre, ball.radius});
-        AddParts(place.owner, T, shape);
-        known = known || !shape.balls.empty();
-      }
-    }
+    const bool touched = e.FirstChildElement("collision") != nullptr;
+    RS_ASSIGN_OR_RETURN(const bool known, AddShapes(e, touched ? "collision" : "visual", place));
     if (known) return absl::OkStatus();
-    const bool solid = e.FirstChildElement("collision") != nullptr ||
-                       e.FirstChildElement("visual") != nullptr || link.mass > 0;
+    const bool solid = touched || e.FirstChildElement("visual") != nullptr || link.mass > 0;
     const Eigen::Vector3d origin = place.T_owner_link.translation();
-    if (carrier != nullptr) carrier->shape.push_back({origin, solid ? options_.radius : 0});
+    chain_.body.push_back({place.owner, {{origin}, solid ? options_.radius : 0}, true, false});
     if (solid) unknown_.push_back({place.owner, origin});
     return absl::OkStatus();
   }
 
-  void AddParts(int owner, const Eigen::Isometry3d& T, const Shape& shape) {
-    if (owner < 0 && shape.box) {
-      chain_.body.push_back({owner, Box{T, *shape.box}});
-      return;
+  // Whether there is any whose size is known.
+  absl::StatusOr<bool> AddShapes(const XMLElement& link, const char* what, const Place& place) {
+    bool known = false;
+    for (const XMLElement* shown = link.FirstChildElement(what); shown != nullptr;
+         shown = shown->NextSiblingElement(what)) {
+      Eigen::Isometry3d T = place.T_owner_link;
+      if (const XMLElement* origin = shown->FirstChildElement("origin"); origin != nullptr) {
+        RS_ASSIGN_OR_RETURN(const auto xyz, file_.Numbers(*origin, "xyz", {0, 0, 0}));
+        RS_ASSIGN_OR_RETURN(const auto rpy, file_.Numbers(*origin, "rpy", {0, 0, 0}));
+        T = T * PoseOf(xyz, rpy);
+      }
+      const XMLElement* geometry = shown->FirstChildElement("geometry");
+      if (geometry == nullptr) continue;
+      for (const XMLElement* kind = geometry->FirstChildElement(); kind != nullptr;
+           kind = kind->NextSiblingElement()) {
+        RS_ASSIGN_OR_RETURN(std::vector<Hull> shapes, ShapesOf(*kind, place.owner));
+        known = known || !shapes.empty();
+        for (Hull& shape : shapes) {
+          for (Eigen::Vector3d& corner : shape.corners) corner = T * corner;
+          chain_.body.push_back({place.owner, std::move(shape)});
+        }
+      }
     }
-    for (const Capsule& part : shape.parts)
-      chain_.body.push_back({owner, Capsule{T * part.from, T * part.to, part.radius}});
+    return known;
   }
 
   // A body of unknown shape reaches from its frame around the next joint, or up to the tool's
@@ -209,73 +197,78 @@ class ChainReader {
         const double way = (end - origin).norm();
         end = origin + std::max(0.0, 1 - options_.radius / std::max(way, 1e-9)) * (end - origin);
       }
-      chain_.body.push_back({owner, Capsule{origin, end, options_.radius}});
+      chain_.body.push_back({owner, {{origin, end}, options_.radius}, false, true});
     }
   }
 
-  // What lies on the second joint's axis above an upright first one never changes its height. Were
-  // it below a table, it would be the nearest part for ever, and hide how near the tool is.
-  void LeaveShoulderOut() {
-    const Eigen::Vector3d first = chain_.links[0].T_before_joint.linear() * chain_.links[0].axis;
-    if (chain_.links.size() < 2 || std::abs(first.z()) < 1 - kUpright) return;
-    const Eigen::Vector3d& axis = chain_.links[1].axis;
-    std::vector<Ball>& shape = chain_.links[1].shape;
-    const auto stays = [&](const Ball& ball) { return ball.centre.cross(axis).norm() < kOnAxis; };
-    shape.erase(std::remove_if(shape.begin(), shape.end(), stays), shape.end());
+  // Nothing where a mesh is not there, which is listed.
+  absl::StatusOr<std::vector<Hull>> MeshShapes(const XMLElement& kind, int owner) {
+    const std::string filename = AttributeOf(kind, "filename");
+    RS_ASSIGN_OR_RETURN(const auto scale, file_.Numbers(kind, "scale", {1, 1, 1}));
+    const auto missing = [&](const char* why) {
+      chain_.missing_meshes.push_back(absl::StrCat(filename, why));
+      return std::vector<Hull>();
+    };
+    if (!IsMeshRead(filename)) return missing(" (STL, OBJ and COLLADA are read)");
+    const std::string path = FindMesh(filename, file_.name(), options_.packages);
+    if (path.empty()) return missing(" (not found)");
+    RS_ASSIGN_OR_RETURN(std::vector<Eigen::Vector3d> corners, ReadMesh(path));
+    double longest = 0;
+    for (Eigen::Vector3d& corner : corners) {
+      corner = corner.cwiseProduct(Eigen::Map<const Eigen::Vector3d>(scale.data()));
+      longest = std::max({longest, corner.cwiseAbs().maxCoeff(),
+                          (corner - corners.front()).cwiseAbs().maxCoeff()});
+    }
+    if (!(longest <= kLongest)) {
+      if (owner < 0) return missing(" (larger than 5 m)");
+      return file_.Error(
+          kind, absl::StrCat("mesh ", path, " is ", longest, " m long or away, at most ", kLongest,
+                             "; where it is in millimetres write scale=\"0.001 0.001 0.001\""));
+    }
+    ++chain_.meshes;
+    return PartsOf(corners, kMostPartsOfMesh);
   }
 
-  absl::StatusOr<Shape> ShapeOf(const XMLElement& kind, double longest) const {
+  absl::StatusOr<std::vector<Hull>> ShapesOf(const XMLElement& kind, int owner) {
     const absl::string_view name = kind.Name();
+    const double longest = owner < 0 ? kLongestOfBase : kLongest;
     const auto within = [&](double value) { return value >= 0 && value <= longest; };
     const auto wrong = [&] {
       return file_.Error(kind, absl::StrCat("<", kind.Name(), "> is larger than ", longest,
                                             " m or below 0; URDF is in metres"));
     };
+    if (name == "mesh") return MeshShapes(kind, owner);
     if (name == "sphere") {
       RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
       if (!within(radius[0])) return wrong();
-      const Eigen::Vector3d centre = Eigen::Vector3d::Zero();
-      return Shape{{{centre, radius[0]}}, {{centre, centre, radius[0]}}, {}};
+      return std::vector<Hull>{{{Eigen::Vector3d::Zero()}, radius[0]}};
     }
     if (name == "cylinder" || name == "capsule") {
       RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
       RS_ASSIGN_OR_RETURN(const auto length, file_.Numbers(kind, "length", {0}));
       if (!within(radius[0]) || !within(length[0])) return wrong();
       const Eigen::Vector3d end(0, 0, length[0] / 2);
-      return Shape{{{end, radius[0]}, {-end, radius[0]}}, {{end, -end, radius[0]}}, {}};
+      if (name == "capsule") return std::vector<Hull>{{{end, -end}, radius[0]}};
+      Hull prism;  // about the cylinder
+      const double corner = radius[0] / std::cos(M_PI / kSides);
+      for (int k = 0; k < kSides; ++k) {
+        const double angle = 2 * M_PI * k / kSides;
+        const Eigen::Vector3d side(corner * std::cos(angle), corner * std::sin(angle), 0);
+        prism.corners.insert(prism.corners.end(), {side + end, side - end});
+      }
+      return std::vector<Hull>{prism};
     }
-    if (name != "box") return Shape();
+    if (name != "box") return std::vector<Hull>();
     RS_ASSIGN_OR_RETURN(const auto size, file_.Numbers(kind, "size", {0, 0, 0}));
     const Eigen::Vector3d half = Eigen::Map<const Eigen::Vector3d>(size.data()) / 2;
     for (const double side : size)
       if (!within(side)) return wrong();
-    Shape box;
+    Hull box;
     for (int corner = 0; corner < 8; ++corner) {
       const Eigen::Vector3d sign(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1, corner & 4 ? 1 : -1);
-      box.balls.push_back({half.cwiseProduct(sign), 0});
+      box.corners.push_back(half.cwiseProduct(sign));
     }
-    box.parts = StripsOf(half);
-    box.box = half;
-    return box;
-  }
-
-  // A box in capsules side by side, along its longest side, as thick as its shortest allows.
-  static std::vector<Capsule> StripsOf(const Eigen::Vector3d& half) {
-    std::array<int, 3> axes = {0, 1, 2};
-    std::sort(axes.begin(), axes.end(), [&](int a, int b) { return half[a] > half[b]; });
-    const double length = half[axes[0]], width = half[axes[1]], height = half[axes[2]];
-    const int strips =
-        width > kMostStrips * height ? kMostStrips : std::max(1, static_cast<int>(width / height));
-    const double each = width / strips;
-    std::vector<Capsule> capsules;
-    for (int i = 0; i < strips; ++i) {
-      Capsule strip{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero(), std::hypot(each, height)};
-      strip.from[axes[0]] = length;
-      strip.to[axes[0]] = -length;
-      strip.from[axes[1]] = strip.to[axes[1]] = (2 * i + 1) * each - width;
-      capsules.push_back(strip);
-    }
-    return capsules;
+    return std::vector<Hull>{box};
   }
 
   absl::Status FindTool() {
@@ -285,7 +278,7 @@ class ChainReader {
       if (places_[i].owner != last) continue;
       if (model_.links[i].name == options_.tool) {
         chain_.tool = places_[i].T_owner_link.translation();
-        chain_.links.back().shape.push_back({chain_.tool, 0});
+        chain_.body.push_back({last, {{chain_.tool}, 0}, true, false});
         return absl::OkStatus();
       }
       carried.push_back(model_.links[i].name);

@@ -4,22 +4,22 @@
 #include <Eigen/Geometry>
 #include <string>
 #include <utility>
-#include <variant>
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "robot_client/capsule.h"
+#include "robot_client/bridge/hull.h"
 #include "robot_client/robot_arm.h"
 
 namespace robostress::bridge {
 
 // Section model: of a robot file.
 struct ModelOptions {
-  std::string file;                 // URDF; a relative path is taken from the robot file's folder
-  std::vector<std::string> joints;  // its names of the joints; empty: the driver's
-  std::string tool;                 // link of it that is the tool's point, and a payload's place
-  // [m] of a link whose shape is a mesh: about its frame's origin for table and box; against the
-  // arm itself about the line from there to the next joint, of the last up to the tool's point.
+  std::string file;                   // URDF; a relative path is taken from the robot file's folder
+  std::vector<std::string> joints;    // its names of the joints; empty: the driver's
+  std::string tool;                   // link of it that is the tool's point, and a payload's place
+  std::vector<std::string> packages;  // folders that package:// of the file's meshes is in
+  // [m] of a link whose meshes are not there: about its frame's origin for table and box; against
+  // the arm itself about the line from there to the next joint, of the last up to the tool's point.
   double radius = 0.06;
   std::vector<std::string> ignore;  // "J5-J7", "base-J3": links not watched against each other
 
@@ -28,16 +28,12 @@ struct ModelOptions {
     v.Field("file", file, "URDF of the arm; a relative path begins at this file's folder");
     v.Field("joints", joints, "its names of the joints, from the base on; empty: as the driver's");
     v.Field("tool", tool, "link of it that is the tool's point");
+    v.Field("packages", packages,
+            "folders in which package://NAME of its meshes is looked for, before those above it");
     v.Field("radius", radius,
-            "of a link whose shape is a mesh, about the line from its joint to the next [m]");
+            "of a link whose meshes are not there, about the line from its joint to the next [m]");
     v.Field("ignore", ignore, "links not watched against each other: J5-J7, base-J3");
   }
-};
-
-// A ball; the hull of a link's balls holds the link.
-struct Ball {
-  Eigen::Vector3d centre;  // in the link's frame [m]
-  double radius;           // [m]
 };
 
 // What a joint moves, with everything that is fixed to it, up to the next joint. Its frame is the
@@ -48,14 +44,13 @@ struct ChainLink {
   double mass = 0;                   // [kg]
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();   // of mass [m]
   Eigen::Matrix3d inertia = Eigen::Matrix3d::Zero();  // about the centre [kg m^2]
-  std::vector<Ball> shape;
 };
 
-// Holds a part of a link, in the link's frame; of -1, the base, in the base frame, where a box
-// stays one: it may be a whole table.
+// Holds a part of a link, in the link's frame; of -1, the base, in the base frame.
 struct LinkPart {
   int link;
-  std::variant<Capsule, Box> shape;
+  Hull shape;
+  bool against_bounds = true, against_itself = true;  // of the workspace; of the arm
 };
 
 // Two links by their joints, from 0; -1: the base. The first is nearer to it.
@@ -72,22 +67,25 @@ struct ArmChain {
   std::string file;                                // that it was read from
   std::vector<ChainLink> links;                    // one per joint
   Eigen::Vector3d tool = Eigen::Vector3d::Zero();  // in the frame of the last [m]
-  // What the links' shapes are against the arm itself; of ChooseLinkPairs: whose distances are
-  // watched, two places in `body` each, and links that are always too near each other for that, or
-  // that somebody has left out.
   std::vector<LinkPart> body;
+  int meshes = 0;                           // that were read
+  std::vector<std::string> missing_meshes;  // as the file names them, with the reason
+  // Of ChooseLinkPairs: whose distances are watched, two places in `body` each, and links that are
+  // too near each other for that, with all parts or with some, or that somebody has left out.
   std::vector<std::pair<int, int>> watched;
-  std::vector<LinkPair> too_near, ignored;
+  std::vector<LinkPair> too_near, partly_near, ignored;
+  std::vector<int> too_low;  // of LeaveLowPartsOut: links a part of which is not watched
   double touching = 0;       // share of the poses within the limits where watched parts touch
   LinkPair touching_most{};  // links that do in most of them
 };
 
 // Reads the chain of `joints` out of a URDF. Joints of the file that are not listed stand at 0. A
-// link's shape is that of its <collision>: boxes, cylinders and spheres; of meshes a ball of
-// `radius`; a frame without shape and mass is a point. No pairs are chosen yet.
+// link's shape is that of its <collision>, or where it has none its <visual>: boxes, cylinders,
+// spheres and meshes; of meshes that are not there a ball of `radius`; a frame without shape and
+// mass is a point. No pairs are chosen yet.
 // INVALID_ARGUMENT and NOT_FOUND name file, line or field, value and remedy: a joint that slides,
-// joints that are not in a row, `limits` beyond where the file says that a joint ends, by which a
-// wrong sign or zero is noticed.
+// joints that are not in a row, a mesh that is damaged, `limits` beyond where the file says that a
+// joint ends, by which a wrong sign or zero is noticed.
 absl::StatusOr<ArmChain> ReadArmChain(const std::string& file, const std::string& text,
                                       const std::vector<std::string>& joints,
                                       const ArmLimits& limits, const ModelOptions& options);

@@ -1,12 +1,11 @@
 #include "robot_client/bridge/chain_model.h"
 
 #include <algorithm>
+#include <bitset>
 #include <limits>
 #include <map>
 #include <random>
-#include <set>
 #include <utility>
-#include <variant>
 
 #include "common/check.h"
 
@@ -16,11 +15,12 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-constexpr double kGravity = 9.81;         // [m/s^2]
-constexpr size_t kFirstThatMayTouch = 1;  // the first link turns above its mounting
-constexpr size_t kMostParts = 128;        // the control thread looks at most pairs of them
+constexpr double kGravity = 9.81;      // [m/s^2]
+constexpr int kFirstThatMayTouch = 1;  // the first link turns above its mounting
+constexpr size_t kMostParts = 256;     // the control thread looks at most pairs of them
 constexpr int kPoses = 1000;
-constexpr int kNearlyAll = 950;   // of the poses
+constexpr size_t kMostly = 500;  // of the poses
+constexpr int kNearlyAll = 950;
 constexpr double kStays = 0.001;  // [m]
 
 using LinkPoses = std::array<Eigen::Isometry3d, kMostJoints>;  // in the base frame, by joint
@@ -34,26 +34,24 @@ void Place(const ArmChain& chain, const ArmVector& position, LinkPoses& poses) {
   }
 }
 
-using Parts = std::array<std::variant<Capsule, Box>, kMostParts>;
-
-// The chain's body in the base frame.
-void PlaceBody(const ArmChain& chain, const LinkPoses& poses, Parts& parts) {
-  for (size_t i = 0; i < chain.body.size(); ++i) {
-    const auto& [link, shape] = chain.body[i];
-    parts[i] = shape;
-    if (link < 0) continue;
-    auto& capsule = std::get<Capsule>(parts[i]);  // only the base has boxes
-    const Eigen::Isometry3d& T = poses[static_cast<size_t>(link)];
-    capsule.from = T * capsule.from;
-    capsule.to = T * capsule.to;
-  }
+// What turns with a link, -1: the base, in the base frame.
+Eigen::Isometry3d Of(const LinkPoses& poses, int link) {
+  return link < 0 ? Eigen::Isometry3d::Identity() : poses[static_cast<size_t>(link)];
 }
 
-// The first may be the base's.
-double Between(const Parts& parts, const std::pair<int, int>& pair) {
-  const Capsule& second = std::get<Capsule>(parts[static_cast<size_t>(pair.second)]);
-  return std::visit([&](const auto& first) { return Distance(first, second); },
-                    parts[static_cast<size_t>(pair.first)]);
+double Between(const ArmChain& chain, const LinkPoses& poses, const std::pair<int, int>& pair,
+               double enough = std::numeric_limits<double>::infinity()) {
+  const LinkPart& a = chain.body[static_cast<size_t>(pair.first)];
+  const LinkPart& b = chain.body[static_cast<size_t>(pair.second)];
+  return Distance(a.shape, b.shape, Of(poses, a.link).inverse(Eigen::Isometry) * Of(poses, b.link),
+                  enough);
+}
+
+double LowestOf(const Hull& shape, const Eigen::Isometry3d& T_base_link) {
+  const Vector3d down = T_base_link.linear().row(2);
+  double lowest = std::numeric_limits<double>::infinity();
+  for (const Vector3d& corner : shape.corners) lowest = std::min(lowest, down.dot(corner));
+  return lowest + T_base_link.translation().z() - shape.radius;
 }
 
 // Within the limits, by a fixed stream.
@@ -69,13 +67,30 @@ std::vector<ArmVector> PosesWithin(const ArmLimits& limits, size_t joints) {
   return poses;
 }
 
+// In which poses something is nearer than the margin; the last is home.
+using Near = std::bitset<kPoses + 1>;
+
 // How a pair's distance was over the poses [m].
 struct Seen {
   std::pair<int, int> pair;
   LinkPair links;
   double least = std::numeric_limits<double>::infinity(), most = -least;
-  int too_near = 0;
+  Near near;
 };
+
+// Of one pair of links: leaves out those that are near at home, and while they are in most poses
+// the one that is most often. Returns when they still are.
+Near LeaveNearOut(std::vector<Seen>* pairs) {
+  std::erase_if(*pairs, [](const Seen& s) { return s.near[kPoses]; });
+  while (true) {
+    Near any;
+    for (const Seen& s : *pairs) any |= s.near;
+    if (any.count() <= kMostly) return any;
+    pairs->erase(std::max_element(pairs->begin(), pairs->end(), [](const Seen& x, const Seen& y) {
+      return x.near.count() < y.near.count();
+    }));
+  }
+}
 
 // Every pair of parts of links that no joint connects.
 std::vector<Seen> PairsOf(const ArmChain& chain, const std::vector<LinkPair>& ignored) {
@@ -84,7 +99,8 @@ std::vector<Seen> PairsOf(const ArmChain& chain, const std::vector<LinkPair>& ig
   for (int a = 0; a < parts; ++a) {
     for (int b = 0; b < parts; ++b) {
       const LinkPair links{chain.body[a].link, chain.body[b].link};
-      if (links.first + 2 <= links.second &&
+      if (links.first + 2 <= links.second && chain.body[a].against_itself &&
+          chain.body[b].against_itself &&
           std::find(ignored.begin(), ignored.end(), links) == ignored.end())
         pairs.push_back({{a, b}, links});
     }
@@ -98,57 +114,75 @@ void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, d
                      const std::vector<LinkPair>& ignored, ArmChain* chain) {
   chain->watched.clear();
   chain->too_near.clear();
+  chain->partly_near.clear();
   chain->ignored = ignored;
   chain->touching = 0;
   if (chain->body.size() > kMostParts) return;
   const size_t joints = chain->links.size();
   std::vector<ArmVector> poses = PosesWithin(limits, joints);
-  LinkPoses placed;
-  Parts parts;
-  const auto place = [&](const ArmVector& pose) {
-    Place(*chain, pose, placed);
-    PlaceBody(*chain, placed, parts);
-  };
+  if (home.size() >= joints) std::copy_n(home.begin(), joints, poses.emplace_back().begin());
   std::vector<Seen> pairs = PairsOf(*chain, ignored);
-  const auto look = [&](const ArmVector& pose, int weight) {
-    place(pose);
+  LinkPoses placed;
+  for (size_t k = 0; k < poses.size(); ++k) {
+    Place(*chain, poses[k], placed);
     for (Seen& s : pairs) {
-      const double distance = Between(parts, s.pair);
+      const double distance = Between(*chain, placed, s.pair);
       s.least = std::min(s.least, distance);
       s.most = std::max(s.most, distance);
-      s.too_near += distance < margin ? weight : 0;
+      s.near[k] = distance < margin;
     }
-  };
-  for (const ArmVector& pose : poses) look(pose, 1);
-  if (home.size() >= joints) {
-    ArmVector pose{};
-    std::copy_n(home.begin(), joints, pose.begin());
-    look(pose, kPoses);
   }
+  std::map<LinkPair, std::vector<Seen>> by_links;
   // A distance that does not change cannot be driven to 0, and as the least it would hide others.
-  std::erase_if(pairs, [](const Seen& s) { return s.most - s.least < kStays; });
-  std::set<LinkPair> watched, near;
-  for (const Seen& s : pairs) (s.too_near < kNearlyAll ? watched : near).insert(s.links);
-  for (const LinkPair& links : near)
-    if (watched.count(links) == 0) chain->too_near.push_back(links);
-  std::erase_if(pairs, [](const Seen& s) { return s.too_near >= kNearlyAll; });
-  for (const Seen& s : pairs) chain->watched.push_back(s.pair);
-
-  std::map<LinkPair, int> touches;
-  int touched = 0, most = 0;
-  for (const ArmVector& pose : poses) {
-    place(pose);
-    std::set<LinkPair> here;
-    for (const Seen& s : pairs)
-      if (Between(parts, s.pair) < margin) here.insert(s.links);
-    touched += here.empty() ? 0 : 1;
-    for (const LinkPair& links : here) {
-      if (++touches[links] <= most) continue;
-      most = touches[links];
-      chain->touching_most = links;
-    }
+  for (Seen& s : pairs)
+    if (s.most - s.least >= kStays) by_links[s.links].push_back(std::move(s));
+  Near touching;
+  size_t most = 0;
+  for (auto& [links, parts] : by_links) {
+    const size_t all = parts.size();
+    const Near near = LeaveNearOut(&parts);
+    if (parts.size() < all) (parts.empty() ? chain->too_near : chain->partly_near).push_back(links);
+    for (const Seen& s : parts) chain->watched.push_back(s.pair);
+    touching |= near;
+    if (near.count() <= most) continue;
+    most = near.count();
+    chain->touching_most = links;
   }
-  chain->touching = static_cast<double>(touched) / kPoses;
+  chain->touching = static_cast<double>(touching.count()) / kPoses;
+}
+
+void LeaveLowPartsOut(const ArmLimits& limits, const WorkspaceOptions& workspace, ArmChain* chain) {
+  chain->too_low.clear();
+  std::vector<LinkPoses> poses(kPoses);
+  size_t next = 0;
+  for (const ArmVector& pose : PosesWithin(limits, chain->links.size()))
+    Place(*chain, pose, poses[next++]);
+  const double table = workspace.table_z + workspace.margin;
+  for (int link = kFirstThatMayTouch; link < static_cast<int>(chain->links.size()); ++link) {
+    std::vector<LinkPart*> parts;
+    for (LinkPart& part : chain->body)
+      if (part.link == link && part.against_bounds) parts.push_back(&part);
+    const auto low = [&](const LinkPart* part, const LinkPoses& pose) {
+      return LowestOf(part->shape, Of(pose, link)) < table;
+    };
+    const auto times = [&](const LinkPart* part) {
+      return std::count_if(poses.begin(), poses.end(),
+                           [&](const LinkPoses& pose) { return low(part, pose); });
+    };
+    const auto any = [&](const LinkPoses& pose) {
+      return std::any_of(parts.begin(), parts.end(),
+                         [&](const LinkPart* part) { return low(part, pose); });
+    };
+    const size_t all = parts.size();
+    while (std::count_if(poses.begin(), poses.end(), any) >= kNearlyAll) {
+      const auto lowest = std::max_element(
+          parts.begin(), parts.end(),
+          [&](const LinkPart* a, const LinkPart* b) { return times(a) < times(b); });
+      (*lowest)->against_bounds = false;
+      parts.erase(lowest);
+    }
+    if (parts.size() < all) chain->too_low.push_back(link);
+  }
 }
 
 ChainModel::ChainModel(ArmChain chain, const WorkspaceOptions& workspace)
@@ -158,6 +192,17 @@ ChainModel::ChainModel(ArmChain chain, const WorkspaceOptions& workspace)
       lower_(workspace.lower[0], workspace.lower[1], workspace.lower[2]),
       upper_(workspace.upper[0], workspace.upper[1], workspace.upper[2]) {
   RS_CHECK(chain_.links.size() <= kMostJoints);
+  RS_CHECK(chain_.watched.empty() || chain_.body.size() <= kMostParts);
+  for (const LinkPart& part : chain_.body) {
+    Vector3d low = part.shape.corners.front(), high = low;
+    for (const Vector3d& corner : part.shape.corners)
+      low = low.cwiseMin(corner), high = high.cwiseMax(corner);
+    Reach reach{(low + high) / 2, 0};
+    for (const Vector3d& corner : part.shape.corners)
+      reach.radius = std::max(reach.radius, (corner - reach.centre).norm());
+    reach.radius += part.shape.radius;
+    reaches_.push_back(reach);
+  }
 }
 
 ArmVector ChainModel::Torque(const ArmVector& position, const ArmVector& velocity,
@@ -207,33 +252,58 @@ ArmModel::Clearance ChainModel::ClearanceAt(const ArmVector& position) const {
   Place(chain_, position, poses);
   Clearance clearance;
   clearance.fill(std::numeric_limits<double>::infinity());
-  for (size_t i = kFirstThatMayTouch; i < chain_.links.size(); ++i) {
-    for (const Ball& ball : chain_.links[i].shape) {
-      const Vector3d p = poses[i] * ball.centre;
-      const double inside = std::min((p - lower_).minCoeff(), (upper_ - p).minCoeff());
-      clearance[kTable] = std::min(clearance[kTable], p.z() - ball.radius - table_z_ - margin_);
-      clearance[kBox] = std::min(clearance[kBox], inside - ball.radius - margin_);
+  double least = std::numeric_limits<double>::infinity(), table = least;
+  for (const LinkPart& part : chain_.body) {
+    if (part.link < kFirstThatMayTouch || !part.against_bounds) continue;
+    const Eigen::Isometry3d& T = poses[static_cast<size_t>(part.link)];
+    Vector3d low = Vector3d::Constant(std::numeric_limits<double>::infinity()), high = -low;
+    for (const Vector3d& corner : part.shape.corners) {
+      const Vector3d p = T * corner;
+      low = low.cwiseMin(p), high = high.cwiseMax(p);
     }
+    table = std::min(table, low.z() - part.shape.radius);
+    least = std::min({least, (low - lower_).minCoeff() - part.shape.radius,
+                      (upper_ - high).minCoeff() - part.shape.radius});
   }
-  if (chain_.watched.empty()) return clearance;
-  Parts parts;
-  PlaceBody(chain_, poses, parts);
-  for (const auto& pair : chain_.watched)
-    clearance[kItself] = std::min(clearance[kItself], Between(parts, pair) - margin_);
+  clearance[kTable] = table - table_z_ - margin_;
+  clearance[kBox] = least - margin_;
+  clearance[kItself] = Nearest(poses, nullptr) - margin_;
   return clearance;
 }
 
 std::string ChainModel::NearestParts(const ArmVector& position) const {
   LinkPoses poses;
   Place(chain_, position, poses);
-  Parts parts;
-  PlaceBody(chain_, poses, parts);
-  const auto nearer = [&](const auto& a, const auto& b) {
-    return Between(parts, a) < Between(parts, b);
+  if (chain_.watched.empty()) return "";
+  std::pair<int, int> nearest;
+  Nearest(poses, &nearest);
+  return LinkPairName({chain_.body[nearest.first].link, chain_.body[nearest.second].link});
+}
+
+double ChainModel::Nearest(const LinkPoses& poses, std::pair<int, int>* pair) const {
+  if (chain_.watched.empty()) return std::numeric_limits<double>::infinity();
+  std::array<Vector3d, kMostParts> centres;
+  for (size_t i = 0; i < reaches_.size(); ++i)
+    centres[i] = Of(poses, chain_.body[i].link) * reaches_[i].centre;
+  // The parts themselves are no nearer than the balls that hold them.
+  const auto at_least = [&](const std::pair<int, int>& p) {
+    return (centres[p.first] - centres[p.second]).norm() - reaches_[p.first].radius -
+           reaches_[p.second].radius;
   };
-  const auto nearest = std::min_element(chain_.watched.begin(), chain_.watched.end(), nearer);
-  if (nearest == chain_.watched.end()) return "";
-  return LinkPairName({chain_.body[nearest->first].link, chain_.body[nearest->second].link});
+  double nearest = std::numeric_limits<double>::infinity();
+  const auto look = [&](const std::pair<int, int>& p) {
+    const double distance = Between(chain_, poses, p, nearest);
+    if (distance >= nearest) return;
+    nearest = distance;
+    if (pair != nullptr) *pair = p;
+  };
+  const auto first =
+      std::min_element(chain_.watched.begin(), chain_.watched.end(),
+                       [&](const auto& a, const auto& b) { return at_least(a) < at_least(b); });
+  look(*first);
+  for (const auto& p : chain_.watched)
+    if (at_least(p) < nearest) look(p);
+  return nearest;
 }
 
 Vector3d ChainModel::ToolAt(const ArmVector& position) const {

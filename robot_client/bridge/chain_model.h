@@ -9,14 +9,25 @@
 
 namespace robostress::bridge {
 
-// Chooses what of the arm is watched against itself: pairs of capsules of links that no joint
+// Chooses what of the arm is watched against itself: pairs of parts of links that no joint
 // connects, but those that are nearer than `margin` [m] at `home` (a number per joint [rad]; empty:
-// none) or nearly everywhere within the limits, and those whose distance never changes. They are
-// neighbours, or their shapes are too coarse; MoveIt's setup assistant leaves out the same. 1,000
-// poses of a fixed stream. `ignored` are left out. None are chosen where the links are more than
-// 128 capsules. Says too how often what is chosen touches in those poses.
+// none) or in more than half of all poses within the limits, and those whose distance never
+// changes. They are neighbours, or their shapes are too coarse; MoveIt's setup assistant leaves out
+// the like. 1,000 poses of a fixed stream. `ignored` are left out. None are chosen where the links
+// are more than 256 parts. Says too how often what is chosen touches in those poses.
 void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, double margin,
                      const std::vector<LinkPair>& ignored, ArmChain* chain);
+
+// Leaves out of a link's shape against the table what keeps it below in nearly all of those poses:
+// a shoulder that turns where it is, below the table's top, would be its lowest part for ever, and
+// hide how near the tool is. The first link is not watched at all.
+void LeaveLowPartsOut(const ArmLimits& limits, const WorkspaceOptions& workspace, ArmChain* chain);
+
+// A ball that holds a part, in its link's frame.
+struct Reach {
+  Eigen::Vector3d centre;
+  double radius;  // [m]
+};
 
 // What a chain says of its arm: torques by a recursive Newton-Euler scheme in the base frame
 // (Craig, Introduction to Robotics, sec. 6.5), without rotors and friction; distances of the links'
@@ -34,7 +45,12 @@ class ChainModel : public ArmModel {
   Eigen::Vector3d ToolAt(const ArmVector& position) const;
 
  private:
+  // Of its watched pairs [m]; which one, unless null.
+  double Nearest(const std::array<Eigen::Isometry3d, kMostJoints>& poses,
+                 std::pair<int, int>* pair) const;
+
   const ArmChain chain_;
+  std::vector<Reach> reaches_;  // of the chain's body
   const double table_z_, margin_;
   const Eigen::Vector3d lower_, upper_;
 };

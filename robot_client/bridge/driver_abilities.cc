@@ -84,13 +84,28 @@ std::vector<std::string> WhatADriverSays(const BridgeRobot& robot, const Welcome
     lines.push_back(absl::StrCat("watched by ", chain.file, ": table, box",
                                  chain.watched.empty() ? "" : ", the arm against itself",
                                  torques ? ", torques" : ""));
+    if (chain.meshes > 0) lines.push_back(absl::StrCat("shapes of ", chain.meshes, " meshes"));
+    if (!chain.missing_meshes.empty())
+      lines.push_back(absl::StrFormat(
+          "WARNING: %d meshes are not there, %s first; a link without any is %g m about its bone: "
+          "give their folder as model.packages",
+          chain.missing_meshes.size(), chain.missing_meshes.front(), robot.model->radius));
+    if (!chain.too_low.empty())
+      lines.push_back(absl::StrCat(
+          "not watched against the table, below it in nearly all poses: a part of ",
+          absl::StrJoin(chain.too_low, ", ",
+                        [](std::string* out, int link) { absl::StrAppend(out, "J", link + 1); })));
     if (chain.watched.empty()) {
       lines.emplace_back(
-          "not watched: the arm against itself; its links have no shapes, or more than 128 parts");
+          "not watched: the arm against itself; its links have no shapes, or more than 256 parts");
     }
     if (!chain.watched.empty() && !chain.too_near.empty())
-      lines.push_back(absl::StrCat("not watched against each other, always near: ",
-                                   LinkPairNames(chain.too_near)));
+      lines.push_back(
+          absl::StrCat("not watched against each other, near in most poses or at home: ",
+                       LinkPairNames(chain.too_near)));
+    if (!chain.partly_near.empty())
+      lines.push_back(absl::StrCat("not watched against each other with the parts that are: ",
+                                   LinkPairNames(chain.partly_near)));
     if (chain.touching > 0.1)
       lines.push_back(absl::StrFormat(
           "by their shapes its links touch in %.0f %% of all poses, %s most often; shapes in the "

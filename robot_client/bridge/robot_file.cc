@@ -211,13 +211,14 @@ absl::StatusOr<BridgeRobot> LoadBridgeRobot(const std::string& file) {
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(file, kMostBytes));
   RS_ASSIGN_OR_RETURN(BridgeRobot robot, ParseBridgeRobot(file, text));
   if (!robot.model) return robot;
-  const ModelOptions& model = *robot.model;
+  const std::filesystem::path folder = std::filesystem::path(file).parent_path();
+  ModelOptions model = *robot.model;
+  for (std::string& package : model.packages) package = (folder / package).string();
   std::vector<std::string> joints = model.joints;
   if (joints.empty()) {
     for (const AxisOptions& joint : robot.joints) joints.push_back(joint.name);
   }
-  const std::string path =
-      (std::filesystem::path(file).parent_path() / model.file).lexically_normal().string();
+  const std::string path = (folder / model.file).lexically_normal().string();
   RS_ASSIGN_OR_RETURN(const std::string urdf, ReadFileUpTo(path, kMostModelBytes));
   RS_ASSIGN_OR_RETURN(robot.chain, ReadArmChain(path, urdf, joints, robot.limits, model));
   std::vector<LinkPair> ignored;
@@ -226,6 +227,7 @@ absl::StatusOr<BridgeRobot> LoadBridgeRobot(const std::string& file) {
     ignored.push_back(pair);
   }
   ChooseLinkPairs(robot.limits, robot.home, robot.workspace.margin, ignored, &*robot.chain);
+  LeaveLowPartsOut(robot.limits, robot.workspace, &*robot.chain);
   return robot;
 }
 

@@ -13,6 +13,7 @@
 #include "common/atomic_file.h"
 #include "common/models/urdf_model.h"
 #include "robot_client/bridge/chain_model.h"
+#include "robot_client/capsule.h"
 #include "tests/robot_client/bridge/seven_joints.h"
 
 namespace robostress::bridge {
@@ -123,35 +124,6 @@ TEST(ChainMujoco, TheArmAgainstItselfIsNeverFurtherThanItIs) {
     near += nearest < 0.1;
   }
   EXPECT_GT(near, 100);
-}
-
-// Random capsules about a box: never nearer than what is found by looking at 2,000 of their points.
-TEST(ChainMujoco, ABoxIsAsFarAsItsNearestPoint) {
-  std::mt19937 random(6);
-  std::uniform_real_distribution<double> share(-1, 1);
-  const auto vector = [&] { return Eigen::Vector3d(share(random), share(random), share(random)); };
-  int inside = 0;
-  for (int k = 0; k < 300; ++k) {
-    Box box;
-    box.half = (0.3 * vector()).cwiseAbs();
-    box.T_base_box = Eigen::Translation3d(0.5 * vector()) *
-                     Eigen::AngleAxisd(3 * share(random), vector().normalized());
-    const Capsule capsule{vector(), vector(), 0.1};
-    double nearest = 1e9;
-    for (int i = 0; i <= 2000; ++i) {
-      const Eigen::Vector3d p =
-          box.T_base_box.inverse() *
-          Eigen::Vector3d(capsule.from + i / 2000.0 * (capsule.to - capsule.from));
-      const Eigen::Vector3d beyond = p.cwiseAbs() - box.half;
-      nearest =
-          std::min(nearest, beyond.maxCoeff() > 0 ? beyond.cwiseMax(0).norm() : beyond.maxCoeff());
-    }
-    const double distance = Distance(box, capsule) + capsule.radius;
-    EXPECT_LE(distance, nearest + 1e-6);
-    EXPECT_GE(distance, nearest - 2e-3) << "the points are up to 1.7 mm apart";
-    inside += nearest < 0;
-  }
-  EXPECT_GT(inside, 10);
 }
 
 // Random capsules and balls, as MuJoCo's own collision finds them.

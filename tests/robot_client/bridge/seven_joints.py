@@ -187,7 +187,7 @@ def modelled(build, out):
         run.order("jog J6 -0.5rad", "the arm is there")
         run.order("jog J6 -0.4rad", "the arm is there")
         run.order("jog J4 -0.3rad", "the arm is there")
-        run.order("jog J4 -0.34rad", "mm into the arm itself (J1 and J7)")
+        run.order("jog J4 -0.34rad", "mm into the arm itself (J")
         run.order("home", "the arm is home")
         run.type("quit")
         assert run.client.wait(timeout=30) == 0, run.text("client")

@@ -1,0 +1,395 @@
+#include "robot_client/bridge/hull.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <random>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "common/atomic_file.h"
+#include "robot_client/bridge/chain_model.h"
+#include "robot_client/bridge/mesh_file.h"
+#include "robot_client/bridge/mesh_parts.h"
+#include "robot_client/capsule.h"
+#include "tests/robot_client/bridge/seven_joints.h"
+
+namespace robostress::bridge {
+namespace {
+
+using Eigen::Vector3d;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+class Random {
+ public:
+  explicit Random(unsigned seed) : numbers_(seed) {}
+  double operator()(double low, double high) {
+    return std::uniform_real_distribution<double>(low, high)(numbers_);
+  }
+  Vector3d Vector(double most) {
+    return {(*this)(-most, most), (*this)(-most, most), (*this)(-most, most)};
+  }
+  Eigen::Isometry3d Pose() {
+    Eigen::Isometry3d T(Eigen::AngleAxisd((*this)(-3, 3), Vector(1).normalized()));
+    T.translation() = Vector(0.5);
+    return T;
+  }
+
+ private:
+  std::mt19937 numbers_;
+};
+
+Hull BoxOf(const Vector3d& low, const Vector3d& high) {
+  Hull box;
+  for (int k = 0; k < 8; ++k)
+    box.corners.emplace_back(k & 1 ? high.x() : low.x(), k & 2 ? high.y() : low.y(),
+                             k & 4 ? high.z() : low.z());
+  return box;
+}
+
+Hull Moved(const Eigen::Isometry3d& T, Hull hull) {
+  for (Vector3d& corner : hull.corners) corner = T * corner;
+  return hull;
+}
+
+TEST(Hull, CapsulesAreAsFarAsTheirSegments) {
+  Random random(1);
+  for (int k = 0; k < 2000; ++k) {
+    const Capsule a{random.Vector(1), random.Vector(1), 0.05},
+        b{random.Vector(1), random.Vector(1), 0.02};
+    const Eigen::Isometry3d T = random.Pose();
+    const Hull hull{{T.inverse() * b.from, T.inverse() * b.to}, b.radius};
+    EXPECT_NEAR(Distance({{a.from, a.to}, a.radius}, hull, T), Distance(a, b), 2e-6) << k;
+  }
+}
+
+// Faces, edges and corners that stand exactly against each other, which is where a simplex is flat.
+TEST(Hull, BoxesAlongTheSameAxesAreAsFarAsTheirSides) {
+  Random random(2);
+  int met = 0;
+  for (int k = 0; k < 2000; ++k) {
+    Vector3d centre = random.Vector(0.6);
+    for (int i = 0; i < 3; ++i)
+      if (random(0, 1) < 0.4) centre[i] = 0;
+    const Vector3d ha = random.Vector(0.2).cwiseAbs() + Vector3d::Constant(0.01),
+                   hb = random.Vector(0.2).cwiseAbs() + Vector3d::Constant(0.01);
+    const Eigen::Isometry3d T_world = random.Pose(), T = random.Pose();
+    const Hull a = Moved(T_world, BoxOf(-ha, ha));
+    const Hull b = Moved(T.inverse() * T_world, BoxOf(centre - hb, centre + hb));
+    const Vector3d apart = centre.cwiseAbs() - ha - hb;
+    const double distance = Distance(a, b, T);
+    if (apart.maxCoeff() > 0) {
+      EXPECT_NEAR(distance, apart.cwiseMax(0).norm(), 2e-6) << k;
+    } else {
+      ++met;
+      // The least way out is along a side; other directions may only be longer.
+      EXPECT_LE(distance, apart.maxCoeff() + 1e-9) << k;
+    }
+  }
+  EXPECT_GT(met, 200);
+}
+
+TEST(Hull, DepthGrowsOnTheWayIn) {
+  const Hull box = BoxOf({-0.1, -0.1, -0.1}, {0.1, 0.1, 0.1}), ball{{Vector3d::Zero()}, 0.03};
+  double before = 1;
+  for (double z = 0.3; z > 0.01; z -= 0.01) {
+    const Eigen::Isometry3d T(Eigen::Translation3d(0.02, 0.01, z));
+    const double distance = Distance(box, ball, T);
+    EXPECT_NEAR(distance, z - 0.1 - 0.03, 1e-6);
+    EXPECT_LT(distance, before);
+    before = distance;
+  }
+}
+
+TEST(Hull, EnoughIsSaidOnlyOfWhatIsFurther) {
+  Random random(3);
+  for (int k = 0; k < 500; ++k) {
+    Hull a, b;
+    for (int i = 0; i < 20; ++i)
+      a.corners.push_back(random.Vector(0.2)), b.corners.push_back(random.Vector(0.2));
+    const Eigen::Isometry3d T = random.Pose();
+    const double distance = Distance(a, b, T), enough = random(-0.1, 0.5);
+    const double quick = Distance(a, b, T, enough);
+    EXPECT_LE(quick, distance + 1e-6);
+    if (distance <= enough)
+      EXPECT_NEAR(quick, distance, 1e-9);
+    else
+      EXPECT_GT(quick, enough - 1e-6);
+    // A plane between them is a proof; some direction shows nearly all of the distance.
+    if (distance < 0) continue;
+    double proof = -1;
+    for (int i = 0; i < 3000; ++i) {
+      const Vector3d n = random.Vector(1).normalized();
+      double from_a = -1e9, to_b = 1e9;
+      for (const Vector3d& c : a.corners) from_a = std::max(from_a, n.dot(c));
+      for (const Vector3d& c : b.corners) to_b = std::min(to_b, n.dot(T * c));
+      proof = std::max(proof, to_b - from_a);
+    }
+    EXPECT_LE(proof, distance + 1e-6);
+    EXPECT_GE(proof, distance - 0.02);
+  }
+}
+
+// Twelve triangles, outwards.
+std::vector<Vector3d> BoxMesh(const Vector3d& low, const Vector3d& high) {
+  const Hull box = BoxOf(low, high);
+  const int faces[6][4] = {{0, 2, 3, 1}, {4, 5, 7, 6}, {0, 1, 5, 4},
+                           {2, 6, 7, 3}, {0, 4, 6, 2}, {1, 3, 7, 5}};
+  std::vector<Vector3d> corners;
+  for (const auto& f : faces)
+    for (const int k : {0, 1, 2, 0, 2, 3}) corners.push_back(box.corners[f[k]]);
+  return corners;
+}
+
+std::vector<Vector3d> Angle() {
+  std::vector<Vector3d> corners = BoxMesh({0, 0, 0}, {0.3, 0.04, 0.05});
+  const std::vector<Vector3d> leg = BoxMesh({0, 0.04, 0}, {0.04, 0.3, 0.05});
+  corners.insert(corners.end(), leg.begin(), leg.end());
+  return corners;
+}
+
+double Nearest(const std::vector<Hull>& parts, const Vector3d& p, double radius) {
+  double nearest = 1e9;
+  for (const Hull& part : parts)
+    nearest = std::min(nearest, Distance(part, {{p}, radius}, Eigen::Isometry3d::Identity()));
+  return nearest;
+}
+
+TEST(MeshParts, HoldTheSurfaceAndLeaveTheBendFree) {
+  const std::vector<Vector3d> corners = Angle();
+  const std::vector<Hull> parts = PartsOf(corners, 6), one = PartsOf(corners, 1);
+  EXPECT_EQ(one.size(), 1u);
+  EXPECT_GE(parts.size(), 2u);
+  EXPECT_LE(parts.size(), 6u);
+  Random random(4);
+  double least = 0;
+  for (int k = 0; k < 20000; ++k) {
+    const size_t t = 3 * static_cast<size_t>(random(0, corners.size() / 3 - 1e-9));
+    double a = random(0, 1), b = random(0, 1);
+    if (a + b > 1) a = 1 - a, b = 1 - b;
+    const Vector3d p =
+        corners[t] + a * (corners[t + 1] - corners[t]) + b * (corners[t + 2] - corners[t]);
+    for (const auto* all : {&parts, &one}) ASSERT_LE(Nearest(*all, p, 0), 1e-9) << p.transpose();
+    least = std::min(least, Nearest(parts, p, 0));
+  }
+  EXPECT_GT(least, -0.03) << "inside of a bar of 40 mm";
+  // 20 mm from both legs, in the bend.
+  EXPECT_NEAR(Nearest(parts, {0.06, 0.06, 0.025}, 0.01), 0.01, 0.002);
+  EXPECT_LT(Nearest(one, {0.06, 0.06, 0.025}, 0.01), 0) << "one hull fills it";
+}
+
+// Round, more corners than a part has: still all inside, and no more than 3 mm further.
+TEST(MeshParts, FollowARoundShape) {
+  std::vector<Vector3d> corners;
+  constexpr int kRound = 90;
+  const auto at = [](int i, int j) -> Vector3d {
+    const double a = 2 * M_PI * i / kRound, b = M_PI * j / (kRound / 2);
+    return 0.1 * Vector3d(std::cos(a) * std::sin(b), std::sin(a) * std::sin(b), std::cos(b));
+  };
+  for (int i = 0; i < kRound; ++i)
+    for (int j = 0; j < kRound / 2; ++j)
+      for (const Vector3d& p :
+           {at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j), at(i + 1, j + 1), at(i, j + 1)})
+        corners.push_back(p);
+  const std::vector<Hull> parts = PartsOf(corners, 6);
+  Random random(5);
+  for (int k = 0; k < 5000; ++k) {
+    const Vector3d way = random.Vector(1).normalized();
+    ASSERT_LE(Nearest(parts, 0.0999 * way, 0), 0) << way.transpose();
+    ASSERT_GT(Nearest(parts, 0.106 * way, 0), 0) << way.transpose();
+  }
+}
+
+TEST(MeshParts, NothingAndLittleArePossible) {
+  EXPECT_TRUE(PartsOf({}, 6).empty());
+  const Vector3d p(0.1, 0.2, 0.3);
+  const std::vector<Hull> point = PartsOf({p, p, p}, 6);
+  ASSERT_EQ(point.size(), 1u);
+  EXPECT_LE(Nearest(point, p, 0), 0);
+  const std::vector<Hull> flat = PartsOf({{0, 0, 0}, {1, 0, 0}, {0, 1, 0}}, 6);
+  EXPECT_LE(Nearest(flat, {0.3, 0.3, 0}, 0), 0);
+  EXPECT_GT(Nearest(flat, {0.3, 0.3, 0.01}, 0), 0.005);
+}
+
+// A folder of its own with a mesh in it.
+class MeshFolder : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = absl::StrCat(::testing::TempDir(), "meshes_",
+                           ::testing::UnitTest::GetInstance()->current_test_info()->name());
+    std::filesystem::remove_all(folder_);
+    std::filesystem::create_directories(folder_);
+  }
+  std::string Put(const std::string& name, const std::string& text) {
+    const std::string path = folder_ + "/" + name;
+    std::filesystem::create_directories(std::filesystem::path(path).parent_path());
+    EXPECT_TRUE(WriteFileAtomically(path, text).ok());
+    return path;
+  }
+  static std::string Refusal(const std::string& path) {
+    const auto mesh = ReadMesh(path);
+    EXPECT_FALSE(mesh.ok());
+    return std::string(mesh.status().message());
+  }
+  std::string folder_;
+};
+
+std::string BinaryStl(const std::vector<Vector3d>& corners) {
+  std::string text(80, ' ');
+  const auto put = [&](auto value) {
+    text.append(reinterpret_cast<const char*>(&value), sizeof value);
+  };
+  put(static_cast<uint32_t>(corners.size() / 3));
+  for (size_t i = 0; i + 2 < corners.size(); i += 3) {
+    for (int k = 0; k < 3; ++k) put(0.0f);
+    for (size_t c = 0; c < 3; ++c)
+      for (int k = 0; k < 3; ++k) put(static_cast<float>(corners[i + c][k]));
+    put(static_cast<uint16_t>(0));
+  }
+  return text;
+}
+
+constexpr char kAsciiStl[] =
+    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 0.1 0 0\nvertex 0 0.2 "
+    "0\nendloop\nendfacet\nendsolid a\n";
+constexpr char kObj[] = "v 0 0 0\nv 0.1 0 0\nv 0.1 0.2 0\nv 0 0.2 0\nf 1 2 3 4\n";
+constexpr char kDae[] =
+    "<?xml version=\"1.0\"?><COLLADA xmlns=\"http://www.collada.org/2005/11/COLLADASchema\" "
+    "version=\"1.4.1\">"
+    "<asset><unit name=\"centimeter\" meter=\"0.01\"/><up_axis>Z_UP</up_axis></asset>"
+    "<library_geometries><geometry id=\"g\"><mesh><source id=\"p\"><float_array id=\"f\" "
+    "count=\"9\">0 0 0 10 0 0 0 20 0"
+    "</float_array><technique_common><accessor source=\"#f\" count=\"3\" stride=\"3\"><param "
+    "name=\"X\" type=\"float\"/>"
+    "<param name=\"Y\" type=\"float\"/><param name=\"Z\" "
+    "type=\"float\"/></accessor></technique_common></source>"
+    "<vertices id=\"v\"><input semantic=\"POSITION\" source=\"#p\"/></vertices><triangles "
+    "count=\"1\">"
+    "<input semantic=\"VERTEX\" source=\"#v\" offset=\"0\"/><p>0 1 "
+    "2</p></triangles></mesh></geometry></library_geometries>"
+    "<library_visual_scenes><visual_scene id=\"s\"><node id=\"n\"><translate>0 0 30</translate>"
+    "<instance_geometry url=\"#g\"/></node></visual_scene></library_visual_scenes>"
+    "<scene><instance_visual_scene url=\"#s\"/></scene></COLLADA>";
+
+TEST_F(MeshFolder, StlObjAndColladaAreReadInMetres) {
+  const auto binary = ReadMesh(Put("a.STL", BinaryStl(Angle())));
+  ASSERT_TRUE(binary.ok()) << binary.status();
+  ASSERT_EQ(binary->size(), Angle().size());
+  for (size_t i = 0; i < binary->size(); ++i) EXPECT_LT(((*binary)[i] - Angle()[i]).norm(), 1e-7);
+  const auto ascii = ReadMesh(Put("b.stl", kAsciiStl));
+  ASSERT_TRUE(ascii.ok()) << ascii.status();
+  ASSERT_EQ(ascii->size(), 3u);
+  EXPECT_NEAR((*ascii)[2].y(), 0.2, 1e-7);
+  const auto obj = ReadMesh(Put("c.obj", kObj));
+  ASSERT_TRUE(obj.ok()) << obj.status();
+  EXPECT_EQ(obj->size(), 6u) << "a square in two triangles";
+  const auto dae = ReadMesh(Put("d.dae", kDae));
+  ASSERT_TRUE(dae.ok()) << dae.status();
+  ASSERT_EQ(dae->size(), 3u);
+  EXPECT_LT(((*dae)[2] - Vector3d(0, 0.2, 0.3)).norm(), 1e-6) << (*dae)[2].transpose();
+  // Which axis is called up changes nothing.
+  const auto turned = ReadMesh(Put("e.dae", absl::StrReplaceAll(kDae, {{"Z_UP", "Y_UP"}})));
+  ASSERT_TRUE(turned.ok()) << turned.status();
+  EXPECT_LT(((*turned)[2] - (*dae)[2]).norm(), 1e-6) << (*turned)[2].transpose();
+}
+
+TEST_F(MeshFolder, DamagedFilesAreRefusedByName) {
+  const std::string whole = BinaryStl(Angle());
+  for (const std::string& text : {std::string(), std::string("solid"), std::string("x"),
+                                  whole.substr(0, 83), whole.substr(0, 200)})
+    EXPECT_THAT(Refusal(Put("half.stl", text)),
+                AllOf(HasSubstr("half.stl"), HasSubstr("put the whole file there")))
+        << text.size();
+  std::vector<Vector3d> nan = Angle();
+  nan[4].y() = std::nan("");
+  EXPECT_THAT(Refusal(Put("nan.stl", BinaryStl(nan))), HasSubstr("nan.stl"));
+  EXPECT_THAT(Refusal(Put("points.obj", "v 0 0 0\nv 1 0 0\n")), HasSubstr("points.obj"));
+  EXPECT_THAT(Refusal(Put("list.dae", "<COLLADA/>")), HasSubstr("list.dae"));
+  EXPECT_THAT(Refusal(folder_ + "/none.stl"), HasSubstr("none.stl"));
+  Random random(6);
+  for (int k = 0; k < 300; ++k) {
+    for (const auto& [name, text] : {std::pair<const char*, std::string>{"f.stl", whole},
+                                     {"f.stl", kAsciiStl},
+                                     {"f.obj", kObj},
+                                     {"f.dae", kDae}}) {
+      std::string damaged = text;
+      for (int n = 0; n < 3; ++n)
+        damaged[static_cast<size_t>(random(0, damaged.size() - 1))] =
+            static_cast<char>(random(0, 255));
+      const auto mesh = ReadMesh(Put(name, damaged));
+      if (!mesh.ok()) continue;
+      for (const Vector3d& corner : *mesh) ASSERT_TRUE(corner.allFinite());
+    }
+  }
+}
+
+TEST_F(MeshFolder, AreFoundWhereAPackageIs) {
+  const std::string mesh = Put("ws/arm_description/meshes/a.stl", kAsciiStl);
+  const std::string urdf = Put("ws/arm_description/urdf/arm.urdf", "");
+  const auto found = [](const std::string& where) {
+    return std::filesystem::weakly_canonical(where).string();
+  };
+  EXPECT_EQ(FindMesh("package://arm_description/meshes/a.stl", urdf, {}), found(mesh));
+  EXPECT_EQ(FindMesh("package://renamed/meshes/a.stl", urdf, {}), found(mesh))
+      << "a clone under another name";
+  EXPECT_EQ(FindMesh("../meshes/a.stl", urdf, {}),
+            folder_ + "/ws/arm_description/urdf/../meshes/a.stl");
+  EXPECT_EQ(FindMesh("file://" + mesh, "/elsewhere/arm.urdf", {}), mesh);
+  EXPECT_EQ(FindMesh("package://arm_description/meshes/a.stl", "/elsewhere/arm.urdf", {}), "");
+  EXPECT_EQ(
+      FindMesh("package://arm_description/meshes/a.stl", "/elsewhere/arm.urdf", {folder_ + "/ws"}),
+      mesh);
+  EXPECT_EQ(FindMesh("package://arm_description/meshes/a.stl", "/elsewhere/arm.urdf",
+                     {folder_ + "/ws/arm_description"}),
+            mesh);
+  EXPECT_EQ(FindMesh("package://arm_description/meshes/b.stl", urdf, {}), "");
+  for (const char* odd : {"", "package://", "package://x", "package:///", "file://", ".."})
+    EXPECT_EQ(FindMesh(odd, urdf, {}), "") << odd;
+}
+
+TEST_F(MeshFolder, AnArmsMeshesAreItsShape) {
+  const std::string urdf = Put("seven.urdf", SevenUrdf());
+  const auto read = [&] {
+    return ReadArmChain(urdf, SevenUrdf(), SevenNames(), SevenLimits(), SevenModel());
+  };
+  auto without = read();
+  ASSERT_TRUE(without.ok()) << without.status();
+  EXPECT_EQ(without->meshes, 0);
+  EXPECT_EQ(without->missing_meshes.size(), 6u);
+  Put("link.stl", BinaryStl(BoxMesh({-0.02, -0.03, -0.04}, {0.02, 0.03, 0.04})));
+  auto with = read();
+  ASSERT_TRUE(with.ok()) << with.status();
+  EXPECT_EQ(with->meshes, 6);
+  EXPECT_TRUE(with->missing_meshes.empty());
+  // The wrist is 40 mm thick where a ball of 50 mm was: with the fingers away it is the lowest
+  // part.
+  const ArmVector level = {0, 0, 0, -1.5, 0, 1.5, 0, 0};
+  WorkspaceOptions wide;
+  wide.table_z = -1;
+  wide.lower = {-5, -5, -5};
+  wide.upper = {5, 5, 5};
+  EXPECT_GT(ChainModel(*with, wide).ClearanceAt(level)[ArmModel::kTable],
+            ChainModel(*without, wide).ClearanceAt(level)[ArmModel::kTable] - 1e-9);
+  ChooseLinkPairs(SevenLimits(), {}, 0, {}, &*with);
+  EXPECT_FALSE(with->watched.empty());
+
+  Put("link.stl", BinaryStl(BoxMesh({-20, -30, -40}, {20, 30, 40})));
+  auto large = read();
+  EXPECT_THAT(std::string(large.status().message()),
+              AllOf(HasSubstr("seven.urdf:"), HasSubstr("link.stl is 80 m"),
+                    HasSubstr("scale=\"0.001 0.001 0.001\"")));
+  const std::string scaled =
+      absl::StrReplaceAll(SevenUrdf(), {{"link.stl\"", "link.stl\" scale=\"0.001 -0.001 0.001\""}});
+  EXPECT_TRUE(ReadArmChain(urdf, scaled, SevenNames(), SevenLimits(), SevenModel()).ok());
+  Put("link.stl", "solid");
+  EXPECT_THAT(std::string(read().status().message()), HasSubstr("link.stl"));
+}
+
+}  // namespace
+}  // namespace robostress::bridge
