@@ -158,6 +158,10 @@ bool IsMeshRead(const std::string& path) {
 
 Corners ReadMesh(const std::string& path) {
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFileUpTo(path, kMostBytes));
+  return ParseMesh(path, text);
+}
+
+Corners ParseMesh(const std::string& path, const std::string& text) {
   const std::string ending = EndingOf(path);
   const auto refusal = [&](absl::string_view why) {
     return Refusal(absl::StrCat(absl::StartsWith(why, path) ? "" : absl::StrCat(path, ": "), why,

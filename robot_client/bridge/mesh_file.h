@@ -21,5 +21,8 @@ bool IsMeshRead(const std::string& path);
 // counts, and its up axis does not, as in RViz and MoveIt.
 // INVALID_ARGUMENT names the file and the remedy: no triangles, more than 2,000,000, no numbers.
 absl::StatusOr<std::vector<Eigen::Vector3d>> ReadMesh(const std::string& path);
+// Of a file's content; the path says of which kind it is.
+absl::StatusOr<std::vector<Eigen::Vector3d>> ParseMesh(const std::string& path,
+                                                       const std::string& text);
 
 }  // namespace robostress::bridge

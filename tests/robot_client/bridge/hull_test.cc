@@ -113,6 +113,7 @@ TEST(Hull, EnoughIsSaidOnlyOfWhatIsFurther) {
     Hull a, b;
     for (int i = 0; i < 20; ++i)
       a.corners.push_back(random.Vector(0.2)), b.corners.push_back(random.Vector(0.2));
+    a.radius = 0.04;
     const Eigen::Isometry3d T = random.Pose();
     const double distance = Distance(a, b, T), enough = random(-0.1, 0.5);
     const double quick = Distance(a, b, T, enough);
@@ -129,7 +130,7 @@ TEST(Hull, EnoughIsSaidOnlyOfWhatIsFurther) {
       double from_a = -1e9, to_b = 1e9;
       for (const Vector3d& c : a.corners) from_a = std::max(from_a, n.dot(c));
       for (const Vector3d& c : b.corners) to_b = std::min(to_b, n.dot(T * c));
-      proof = std::max(proof, to_b - from_a);
+      proof = std::max(proof, to_b - from_a - a.radius);
     }
     EXPECT_LE(proof, distance + 1e-6);
     EXPECT_GE(proof, distance - 0.02);
@@ -288,7 +289,12 @@ TEST_F(MeshFolder, StlObjAndColladaAreReadInMetres) {
   EXPECT_NEAR((*ascii)[2].y(), 0.2, 1e-7);
   const auto obj = ReadMesh(Put("c.obj", kObj));
   ASSERT_TRUE(obj.ok()) << obj.status();
-  EXPECT_EQ(obj->size(), 6u) << "a square in two triangles";
+  ASSERT_EQ(obj->size(), 6u) << "a square in two triangles";
+  EXPECT_EQ((*obj)[5], Vector3d(0, 0.2, 0));
+  const auto from_the_end =
+      ReadMesh(Put("f.obj", absl::StrReplaceAll(kObj, {{"1 2 3 4", "-4/1 -3/2 -2//1 -1"}})));
+  ASSERT_TRUE(from_the_end.ok()) << from_the_end.status();
+  EXPECT_EQ(*from_the_end, *obj);
   const auto dae = ReadMesh(Put("d.dae", kDae));
   ASSERT_TRUE(dae.ok()) << dae.status();
   ASSERT_EQ(dae->size(), 3u);
@@ -312,6 +318,15 @@ TEST_F(MeshFolder, DamagedFilesAreRefusedByName) {
   EXPECT_THAT(Refusal(Put("points.obj", "v 0 0 0\nv 1 0 0\n")), HasSubstr("points.obj"));
   EXPECT_THAT(Refusal(Put("list.dae", "<COLLADA/>")), HasSubstr("list.dae"));
   EXPECT_THAT(Refusal(folder_ + "/none.stl"), HasSubstr("none.stl"));
+  EXPECT_THAT(Refusal(Put("far.obj", absl::StrReplaceAll(kObj, {{"3 4", "3 5"}}))),
+              HasSubstr("'f 1 2 3 5'"));
+  EXPECT_THAT(Refusal(Put("far.dae", absl::StrReplaceAll(kDae, {{"0 1 2<", "0 1 3<"}}))),
+              HasSubstr("names corner 3 of 3"));
+  EXPECT_THAT(Refusal(Put("circle.dae", absl::StrReplaceAll(kDae, {{"<translate>",
+                                                                    "<instance_node url=\"#n\"/>"
+                                                                    "<instance_node url=\"#n\"/>"
+                                                                    "<translate>"}}))),
+              HasSubstr("in a circle"));
   Random random(6);
   for (int k = 0; k < 300; ++k) {
     for (const auto& [name, text] : {std::pair<const char*, std::string>{"f.stl", whole},
