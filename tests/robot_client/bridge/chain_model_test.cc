@@ -181,6 +181,30 @@ TEST(ChainModel, TheArmIsWatchedAgainstItself) {
               clearance(-2, 1.6) - 0.03, 1e-12);
 }
 
+// Looking at balls first finds the same as looking at every pair.
+TEST(ChainModel, NoPairIsNearerThanTheNearest) {
+  const ArmChain chain = ChosenChain();
+  const ChainModel model(chain, {});
+  std::mt19937 random(8);
+  for (int k = 0; k < 300; ++k) {
+    ArmVector pose{};
+    std::vector<Eigen::Isometry3d> T(8, Eigen::Isometry3d::Identity());  // of the base first
+    for (size_t j = 0; j < 7; ++j) {
+      pose[j] = std::uniform_real_distribution<double>(SevenLimits().lower[j],
+                                                       SevenLimits().upper[j])(random);
+      T[j + 1] =
+          T[j] * chain.links[j].T_before_joint * Eigen::AngleAxisd(pose[j], chain.links[j].axis);
+    }
+    double nearest = 1;
+    for (const auto& [a, b] : chain.watched) {
+      const LinkPart &first = chain.body[a], &second = chain.body[b];
+      nearest = std::min(nearest, Distance(first.shape, second.shape,
+                                           T[first.link + 1].inverse() * T[second.link + 1]));
+    }
+    ASSERT_NEAR(model.ClearanceAt(pose)[ArmModel::kItself], nearest, 1e-6) << "pose " << k;
+  }
+}
+
 TEST(ChainModel, WhatTouchesIsNamedAndMayBeLeftOut) {
   const ArmVector folded = {0, 0, 0, -3, 0, 0.6, 0, 0};
   const ArmChain all = ChosenChain();
@@ -214,6 +238,11 @@ TEST(ChainModel, WhatIsNearerAtHomeThanTheMarginIsNotWatched) {
   EXPECT_LT(ChosenChain(0.3).watched.size(), all);
   EXPECT_FALSE(Watched(ChosenChain(0.3), 3, 6));
   EXPECT_THAT(ChosenChain(0.3).too_near, ::testing::Contains(LinkPair{3, 6}));
+  // An arm that rests with its hand in its upper arm's shape must be able to go there.
+  const ArmVector folded = {0, 0, 0, -3, 0, 0.6, 0, 0};
+  ArmChain chain = Chain();
+  ChooseLinkPairs(SevenLimits(), {folded.begin(), folded.end()}, 0, {}, &chain);
+  EXPECT_GE(ChainModel(chain, {}).ClearanceAt(folded)[ArmModel::kItself], 0);
 }
 
 // A table that belongs to the file is no 13 cm thick for being 2 m long.
