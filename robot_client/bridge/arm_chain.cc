@@ -21,10 +21,11 @@ using tinyxml2::XMLElement;
 
 constexpr size_t kMostCorners = 8192;  // the control thread looks at each of them
 constexpr size_t kMostPartsOfMesh = 6;
-constexpr int kSides = 16;          // of a prism about a cylinder
-constexpr int kMostStrips = 4;      // of a box
-constexpr double kBeyondEnd = 0.1;  // [rad] of a limit beyond the model's: two sheets may differ
-constexpr double kLongest = 5;      // [m] of a shape, and from a frame to the next
+constexpr int kSides = 16;            // of a prism about a cylinder
+constexpr int kMostStrips = 4;        // of a box
+constexpr double kFrameMass = 0.001;  // [kg] that a frame is given by those who must give it some
+constexpr double kBeyondEnd = 0.1;    // [rad] of a limit beyond the model's: two sheets may differ
+constexpr double kLongest = 5;        // [m] of a shape, and from a frame to the next
 constexpr double kLongestOfBase = 1000;  // [m] of a shape: it may be the ground
 
 Eigen::Isometry3d PoseOf(const std::vector<double>& xyz, const std::vector<double>& rpy) {
@@ -152,7 +153,8 @@ class ChainReader {
     const bool touched = e.FirstChildElement("collision") != nullptr;
     RS_ASSIGN_OR_RETURN(const bool known, AddShapes(e, touched ? "collision" : "visual", place));
     if (known) return absl::OkStatus();
-    const bool solid = touched || e.FirstChildElement("visual") != nullptr || link.mass > 0;
+    const bool solid =
+        touched || e.FirstChildElement("visual") != nullptr || link.mass > kFrameMass;
     const Eigen::Vector3d origin = place.T_owner_link.translation();
     chain_.body.push_back({place.owner, {{origin}, solid ? options_.radius : 0}, true, false});
     if (solid) unknown_.push_back({place.owner, origin});

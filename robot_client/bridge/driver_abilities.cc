@@ -87,8 +87,9 @@ std::vector<std::string> WhatADriverSays(const BridgeRobot& robot, const Welcome
     if (chain.meshes > 0) lines.push_back(absl::StrCat("shapes of ", chain.meshes, " meshes"));
     if (!chain.missing_meshes.empty())
       lines.push_back(absl::StrFormat(
-          "WARNING: %d meshes are not there, %s first; a link without any is %g m about its bone: "
-          "give their folder as model.packages",
+          "WARNING: %d meshes are missing, %s first; a link without any is %g m about its bone: "
+          "put "
+          "them where the URDF says, or name the folder of package:// in model.packages",
           chain.missing_meshes.size(), chain.missing_meshes.front(), robot.model->radius));
     if (!chain.too_low.empty())
       lines.push_back(absl::StrCat(
@@ -108,8 +109,8 @@ std::vector<std::string> WhatADriverSays(const BridgeRobot& robot, const Welcome
                                    LinkPairNames(chain.partly_near)));
     if (chain.touching > 0.1)
       lines.push_back(absl::StrFormat(
-          "by their shapes its links touch in %.0f %% of all poses, %s most often; shapes in the "
-          "file, a smaller model.radius or model.ignore help where the arm is held for nothing",
+          "by their shapes its links touch in %.0f %% of all poses, %s most often; other shapes "
+          "in the file or model.ignore help where the arm is held for nothing",
           100 * chain.touching, LinkPairName(chain.touching_most)));
     if (!chain.ignored.empty())
       lines.push_back(absl::StrCat("not watched against each other, as the robot file says: ",

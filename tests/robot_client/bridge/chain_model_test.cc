@@ -139,6 +139,19 @@ TEST(ChainModel, ShapesAreBoxesCylindersSpheresAndBallsForMeshesThatAreNotThere)
               0.107 + 0.0584 + 0.03 + 0.1, 1e-9);
 }
 
+// Exporters give frames some mass, because a simulator asks for it: that is no body of 50 mm.
+TEST(ChainModel, AFrameOfAMilligramIsAPoint) {
+  const auto tool = [](const char* mass) {
+    const std::string inertial =
+        absl::StrCat("<link name=\"tcp\"><inertial><mass value=\"", mass,
+                     "\"/><inertia ixx=\"1e-6\" iyy=\"1e-6\" izz=\"1e-6\" ixy=\"0\" ixz=\"0\" "
+                     "iyz=\"0\"/></inertial></link>");
+    return HandReach(Changed("<link name=\"tcp\"/>", inertial), Eigen::Vector3d::UnitZ());
+  };
+  EXPECT_NEAR(tool("1e-6"), 0.107 + 0.1034, 1e-9);
+  EXPECT_NEAR(tool("0.2"), 0.107 + 0.1034 + 0.05, 1e-9);
+}
+
 ArmChain ChosenChain(double margin = 0, const std::string& urdf = SevenUrdf(),
                      const std::vector<LinkPair>& ignored = {}) {
   ArmChain chain = Chain(urdf);
