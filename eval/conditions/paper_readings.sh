@@ -17,6 +17,7 @@ options_of() { # READING: preset and --set
     command-* | tracking-*) echo "ours --set method.residual_scale=${1%%-*} --set method.learning_rate=${1#*-}" ;;
     intent) echo ours_intent ;;
     nominal_intent) echo "ours_nominal --set method.target=nominal_intent" ;;
+    nominal_intent-*) echo "ours_nominal --set method.target=nominal_intent --set method.learning_rate=${1#*-}" ;;
     *) echo "$1" ;;
   esac
 }

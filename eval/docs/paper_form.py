@@ -16,6 +16,7 @@ from winning_back import cell, holm, differences, rate, sign_flip_p
 FOLDER = pathlib.Path(__file__).parent / "paper-form"
 SCENARIOS = ["heavy_payload", "thermal_drift_stribeck", "aged_transmission", "aged_joint_uniform"]
 CONTROLS = ["base", "null", "gain"]
+LATER = ["nominal_intent-3e-5"]  # added when the others had been read: outside of Holm's family
 
 
 def outcomes(reading):
@@ -37,10 +38,10 @@ def main():
         rates = [rate(table, c) for c in ["clean", *SCENARIOS]]
         mean = sum(r for r, _ in rates[1:]) / len(SCENARIOS)
         print(name, *(f"{r:.1f}" for r, _ in rates), f"{mean:.1f}", rates[0][1], sep=" | ")
-    readings = [name for name in names if name not in CONTROLS]
+    readings = [name for name in names if name not in CONTROLS + LATER]
     for control in [c for c in CONTROLS if c in tables]:
         print(f"\nagainst {control} on the same episodes [points, 95 %, p]; Holm over the readings in brackets")
-        others = [name for name in readings + CONTROLS if name in tables and name != control]
+        others = [name for name in readings + LATER + CONTROLS if name in tables and name != control]
         p_values = [sign_flip_p(differences(tables[name], tables[control], SCENARIOS)[0]) for name in readings]
         corrected = dict(zip(readings, holm(p_values)))
         for name in others:
