@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_replace.h"
+#include "calibration/excite/urdf_shapes_model.h"
 #include "calibration/model/model_file.h"
 #include "common/atomic_file.h"
 #include "common/image.h"
@@ -22,17 +23,24 @@ constexpr double kG = 9.81, kLightest = 0.005;  // [m/s^2], [kg]
 constexpr int kWidth = 480, kHeight = 360;
 constexpr float kQuality = 60, kLight = 0.6F;
 
-// With its shapes, where MuJoCo finds all files; else without them, and why.
-absl::StatusOr<std::shared_ptr<mjModel>> LoadWithShapes(const Rig& rig, std::string* why_without) {
+// With its shapes, where MuJoCo or our reader of URDF finds their files; else without them, and
+// why.
+absl::StatusOr<std::shared_ptr<mjModel>> LoadWithShapes(const Rig& rig, std::string* why_without,
+                                                        std::vector<std::string>* notes) {
   char error[1000] = "";
-  mjModel* model = mj_loadXML(rig.model.c_str(), nullptr, error, sizeof error);
+  std::shared_ptr<mjModel> model(mj_loadXML(rig.model.c_str(), nullptr, error, sizeof error),
+                                 mj_deleteModel);
   if (model == nullptr) {
     RS_ASSIGN_OR_RETURN(LoadedModel loaded, LoadModel(rig));
     *why_without = absl::StrReplaceAll(error, {{"\n", ", "}});
-    return std::shared_ptr<mjModel>(std::move(loaded.model));
+    if (!loaded.urdf) return std::shared_ptr<mjModel>(std::move(loaded.model));
+    RS_ASSIGN_OR_RETURN(ShapedModel shaped, LoadUrdfWithShapes(rig));
+    for (const std::string& mesh : shaped.missing)
+      notes->push_back(absl::StrCat("mesh ", mesh, " is not watched"));
+    model = std::move(shaped.model);
   }
   if (rig.gravity) mju_copy3(model->opt.gravity, rig.gravity->data());
-  return std::shared_ptr<mjModel>(model, mj_deleteModel);
+  return model;
 }
 
 absl::StatusOr<int> JointId(const mjModel& model, const Rig& rig, const RigJoint& joint) {
@@ -62,7 +70,8 @@ std::string PairName(const mjModel& model, const std::pair<int, int>& pair) {
 
 absl::StatusOr<std::unique_ptr<ArmSpace>> ArmSpace::Load(const Rig& rig, const Options& options) {
   std::unique_ptr<ArmSpace> space(new ArmSpace());
-  RS_ASSIGN_OR_RETURN(space->model_, LoadWithShapes(rig, &space->why_without_shapes_));
+  RS_ASSIGN_OR_RETURN(space->model_,
+                      LoadWithShapes(rig, &space->why_without_shapes_, &space->notes_));
   mjModel& model = *space->model_;
   space->options_ = options;
   space->moves_.assign(model.nbody, 0);

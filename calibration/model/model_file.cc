@@ -1,8 +1,12 @@
 #include "calibration/model/model_file.h"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <filesystem>
+#include <system_error>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -17,31 +21,14 @@ namespace {
 
 constexpr uint64_t kMostBytes = 16 << 20;  // of text; meshes are other files
 
-// Compiles text that needs no other file.
-absl::StatusOr<std::unique_ptr<mjModel, ModelDeleter>> Compile(const std::string& file,
-                                                               const std::string& xml) {
-  constexpr char kName[] = "model.xml";
-  const auto files = std::make_unique<mjVFS>();
-  mj_defaultVFS(files.get());
-  if (mj_makeEmptyFileVFS(files.get(), kName, static_cast<int>(xml.size())) != 0)
-    return absl::ResourceExhaustedError(absl::StrCat(file, ": no memory for the model"));
-  std::copy(xml.begin(), xml.end(),
-            static_cast<char*>(files->filedata[mj_findFileVFS(files.get(), kName)]));
-  char error[1000] = "";
-  std::unique_ptr<mjModel, ModelDeleter> model(mj_loadXML(kName, files.get(), error, sizeof error));
-  mj_deleteVFS(files.get());
-  if (model == nullptr)
-    return absl::InvalidArgumentError(absl::StrCat(file, ": does not load: ", error));
-  return model;
-}
-
 absl::StatusOr<LoadedModel> LoadUrdf(const Rig& rig, const XmlFile& file) {
   std::vector<std::string> moving;
   for (const RigJoint& joint : rig.joints) moving.push_back(joint.name);
   RS_ASSIGN_OR_RETURN(UrdfModel urdf, ReadUrdf(file, moving));
   LoadedModel loaded;
-  RS_ASSIGN_OR_RETURN(loaded.model, Compile(file.name(), urdf.xml));
+  RS_ASSIGN_OR_RETURN(loaded.model, CompileModel(file.name(), urdf.xml));
   loaded.effort = std::move(urdf.effort);
+  loaded.urdf = true;
   loaded.payload_link = urdf.payload_link;
   loaded.facts = std::move(urdf.facts);
   return loaded;
@@ -59,7 +46,7 @@ absl::StatusOr<LoadedModel> LoadMjcf(const XmlFile& file) {
       return absl::InvalidArgumentError(
           absl::StrCat(file.name(), ": does not load: ", error,
                        "\nand not without its shapes and actuators: ", reduced.status().message()));
-    RS_ASSIGN_OR_RETURN(loaded.model, Compile(file.name(), reduced->xml));
+    RS_ASSIGN_OR_RETURN(loaded.model, CompileModel(file.name(), reduced->xml));
     left_out = reduced->facts;
   }
   loaded.facts.push_back(
@@ -148,6 +135,42 @@ void DescribeJoint(const RigJoint& joint, bool urdf, LoadedModel& loaded) {
 }
 
 }  // namespace
+
+absl::StatusOr<CompiledModel> CompileModel(const std::string& file, const std::string& xml) {
+  constexpr char kName[] = "model.xml";
+  const auto files = std::make_unique<mjVFS>();
+  mj_defaultVFS(files.get());
+  if (mj_makeEmptyFileVFS(files.get(), kName, static_cast<int>(xml.size())) != 0)
+    return absl::ResourceExhaustedError(absl::StrCat(file, ": no memory for the model"));
+  std::copy(xml.begin(), xml.end(),
+            static_cast<char*>(files->filedata[mj_findFileVFS(files.get(), kName)]));
+  char error[1000] = "";
+  CompiledModel model(mj_loadXML(kName, files.get(), error, sizeof error));
+  mj_deleteVFS(files.get());
+  if (model == nullptr)
+    return absl::InvalidArgumentError(absl::StrCat(file, ": does not load: ", error));
+  return model;
+}
+
+absl::StatusOr<std::string> MjcfOf(const std::string& file, const std::string& xml) {
+  RS_ASSIGN_OR_RETURN(const CompiledModel model, CompileModel(file, xml));
+  std::error_code error;
+  const std::filesystem::path folder = std::filesystem::temp_directory_path(error);
+  std::string path = (folder / "robostress_model_XXXXXX").string();
+  const int descriptor = mkstemp(path.data());
+  if (descriptor < 0)
+    return absl::UnavailableError(absl::StrCat(path,
+                                               ": cannot be made; set TMPDIR to a folder "
+                                               "that can be written to"));
+  close(descriptor);
+  char why[1000] = "";
+  // MuJoCo writes into files alone, and only what it has compiled last.
+  const int saved = mj_saveLastXML(path.c_str(), model.get(), why, sizeof why);
+  absl::StatusOr<std::string> text = ReadFileUpTo(path, kMostBytes);
+  std::filesystem::remove(path, error);
+  if (saved == 0) return absl::InternalError(absl::StrCat(file, ": ", why));
+  return text;
+}
 
 absl::StatusOr<LoadedModel> LoadModel(const Rig& rig) {
   if (!std::filesystem::exists(rig.model))

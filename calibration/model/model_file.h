@@ -17,14 +17,21 @@ struct ModelDeleter {
   void operator()(mjModel* model) const { mj_deleteModel(model); }
 };
 
+using CompiledModel = std::unique_ptr<mjModel, ModelDeleter>;
+// Compiles text that needs no other file; errors name `file`.
+absl::StatusOr<CompiledModel> CompileModel(const std::string& file, const std::string& xml);
+// The same model as MJCF, numbers to six digits.
+absl::StatusOr<std::string> MjcfOf(const std::string& file, const std::string& xml);
+
 // Sites that are a payload's place, the first that there is.
 inline constexpr const char* kPayloadSites[] = {
     "payload", "tip", "tool", "end_effector", "gripper0_grip_site", "attachment_site"};
 
 struct LoadedModel {
-  std::unique_ptr<mjModel, ModelDeleter> model;
+  CompiledModel model;
   std::map<std::string, double> effort;  // limits of the rig's joints that the file says [Nm]
-  std::string payload_link;              // of a URDF; empty: none is named so
+  bool urdf = false;
+  std::string payload_link;  // of a URDF; empty: none is named so
   std::vector<ModelFact> facts;
 };
 

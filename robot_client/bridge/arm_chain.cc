@@ -10,33 +10,17 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "common/models/urdf_model.h"
+#include "common/models/urdf_shapes.h"
 #include "common/status_macros.h"
-#include "robot_client/bridge/mesh_file.h"
-#include "robot_client/bridge/mesh_parts.h"
 
 namespace robostress::bridge {
 namespace {
 
-using tinyxml2::XMLElement;
-
 constexpr size_t kMostCorners = 8192;  // the control thread looks at each of them
-constexpr size_t kMostPartsOfMesh = 6;
-constexpr int kSides = 16;            // of a prism about a cylinder
-constexpr int kMostStrips = 4;        // of a box
-constexpr double kFrameMass = 0.001;  // [kg] that a frame is given by those who must give it some
-constexpr double kBeyondEnd = 0.1;    // [rad] of a limit beyond the model's: two sheets may differ
-constexpr double kLongest = 5;        // [m] of a shape, and from a frame to the next
-constexpr double kLongestOfBase = 1000;  // [m] of a shape: it may be the ground
-
-Eigen::Isometry3d PoseOf(const std::vector<double>& xyz, const std::vector<double>& rpy) {
-  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-  T.translation() = Eigen::Vector3d(xyz[0], xyz[1], xyz[2]);
-  T.linear() = (Eigen::AngleAxisd(rpy[2], Eigen::Vector3d::UnitZ()) *
-                Eigen::AngleAxisd(rpy[1], Eigen::Vector3d::UnitY()) *
-                Eigen::AngleAxisd(rpy[0], Eigen::Vector3d::UnitX()))
-                   .toRotationMatrix();
-  return T;
-}
+constexpr int kMostStrips = 4;         // of a box
+constexpr double kFrameMass = 0.001;   // [kg] that a frame is given by those who must give it some
+constexpr double kBeyondEnd = 0.1;     // [rad] of a limit beyond the model's: two sheets may differ
+constexpr double kLongest = 5;         // [m] of a shape, and from a frame to the next
 
 // Where a link of the file is: on which of the chain's links, -1: the base, and where on it.
 struct Place {
@@ -55,9 +39,12 @@ class ChainReader {
     masses_.resize(joints.size());
     places_.resize(model_.links.size());
     RS_RETURN_IF_ERROR(PlaceLinks(joints, limits));
+    RS_ASSIGN_OR_RETURN(UrdfShapes shapes, ReadUrdfShapes(file_, model_, options_.packages));
+    chain_.meshes = shapes.meshes;
+    chain_.missing_meshes = std::move(shapes.missing);
     for (size_t i = 0; i < model_.links.size(); ++i) {
       if (places_[i].owner >= 0) AddMass(model_.links[i], places_[i]);
-      RS_RETURN_IF_ERROR(AddShape(model_.links[i], places_[i]));
+      AddShape(model_.links[i], shapes.links[i], places_[i]);
     }
     for (ChainLink& link : chain_.links) SumUp(link);
     RS_RETURN_IF_ERROR(FindTool());
@@ -147,44 +134,16 @@ class ChainReader {
     }
   }
 
-  // What a link is where it is touched, or else where it is seen.
-  absl::Status AddShape(const urdf::Link& link, const Place& place) {
-    const XMLElement& e = *link.element;
-    const bool touched = e.FirstChildElement("collision") != nullptr;
-    RS_ASSIGN_OR_RETURN(const bool known, AddShapes(e, touched ? "collision" : "visual", place));
-    if (known) return absl::OkStatus();
-    const bool solid =
-        touched || e.FirstChildElement("visual") != nullptr || link.mass > kFrameMass;
+  void AddShape(const urdf::Link& link, UrdfShapes::Link& shapes, const Place& place) {
+    for (Hull& part : shapes.parts) {
+      for (Eigen::Vector3d& corner : part.corners) corner = place.T_owner_link * corner;
+      chain_.body.push_back({place.owner, std::move(part)});
+    }
+    if (!shapes.parts.empty()) return;
+    const bool solid = shapes.shown || link.mass > kFrameMass;
     const Eigen::Vector3d origin = place.T_owner_link.translation();
     chain_.body.push_back({place.owner, {{origin}, solid ? options_.radius : 0}, true, false});
     if (solid) unknown_.push_back({place.owner, origin});
-    return absl::OkStatus();
-  }
-
-  // Whether there is any whose size is known.
-  absl::StatusOr<bool> AddShapes(const XMLElement& link, const char* what, const Place& place) {
-    bool known = false;
-    for (const XMLElement* shown = link.FirstChildElement(what); shown != nullptr;
-         shown = shown->NextSiblingElement(what)) {
-      Eigen::Isometry3d T = place.T_owner_link;
-      if (const XMLElement* origin = shown->FirstChildElement("origin"); origin != nullptr) {
-        RS_ASSIGN_OR_RETURN(const auto xyz, file_.Numbers(*origin, "xyz", {0, 0, 0}));
-        RS_ASSIGN_OR_RETURN(const auto rpy, file_.Numbers(*origin, "rpy", {0, 0, 0}));
-        T = T * PoseOf(xyz, rpy);
-      }
-      const XMLElement* geometry = shown->FirstChildElement("geometry");
-      if (geometry == nullptr) continue;
-      for (const XMLElement* kind = geometry->FirstChildElement(); kind != nullptr;
-           kind = kind->NextSiblingElement()) {
-        RS_ASSIGN_OR_RETURN(std::vector<Hull> shapes, ShapesOf(*kind, place.owner));
-        known = known || !shapes.empty();
-        for (Hull& shape : shapes) {
-          for (Eigen::Vector3d& corner : shape.corners) corner = T * corner;
-          chain_.body.push_back({place.owner, std::move(shape)});
-        }
-      }
-    }
-    return known;
   }
 
   // A body of unknown shape reaches from its frame around the next joint, or up to the tool's
@@ -201,76 +160,6 @@ class ChainReader {
       }
       chain_.body.push_back({owner, {{origin, end}, options_.radius}, false, true});
     }
-  }
-
-  // Nothing where a mesh is not there, which is listed.
-  absl::StatusOr<std::vector<Hull>> MeshShapes(const XMLElement& kind, int owner) {
-    const std::string filename = AttributeOf(kind, "filename");
-    RS_ASSIGN_OR_RETURN(const auto scale, file_.Numbers(kind, "scale", {1, 1, 1}));
-    const auto missing = [&](const char* why) {
-      chain_.missing_meshes.push_back(absl::StrCat(filename, why));
-      return std::vector<Hull>();
-    };
-    if (!IsMeshRead(filename)) return missing(" (STL, OBJ and COLLADA are read)");
-    const std::string path = FindMesh(filename, file_.name(), options_.packages);
-    if (path.empty()) return missing(" (not found)");
-    RS_ASSIGN_OR_RETURN(std::vector<Eigen::Vector3d> corners, ReadMesh(path));
-    double longest = 0;
-    for (Eigen::Vector3d& corner : corners) {
-      corner = corner.cwiseProduct(Eigen::Map<const Eigen::Vector3d>(scale.data()));
-      longest = std::max({longest, corner.cwiseAbs().maxCoeff(),
-                          (corner - corners.front()).cwiseAbs().maxCoeff()});
-    }
-    if (!(longest <= kLongest)) {
-      if (owner < 0) return missing(" (larger than 5 m)");
-      return file_.Error(
-          kind, absl::StrCat("mesh ", path, " is ", longest, " m long or away, at most ", kLongest,
-                             "; where it is in millimetres write scale=\"0.001 0.001 0.001\""));
-    }
-    ++chain_.meshes;
-    return PartsOf(corners, kMostPartsOfMesh);
-  }
-
-  absl::StatusOr<std::vector<Hull>> ShapesOf(const XMLElement& kind, int owner) {
-    const absl::string_view name = kind.Name();
-    const double longest = owner < 0 ? kLongestOfBase : kLongest;
-    const auto within = [&](double value) { return value >= 0 && value <= longest; };
-    const auto wrong = [&] {
-      return file_.Error(kind, absl::StrCat("<", kind.Name(), "> is larger than ", longest,
-                                            " m or below 0; URDF is in metres"));
-    };
-    if (name == "mesh") return MeshShapes(kind, owner);
-    if (name == "sphere") {
-      RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
-      if (!within(radius[0])) return wrong();
-      return std::vector<Hull>{{{Eigen::Vector3d::Zero()}, radius[0]}};
-    }
-    if (name == "cylinder" || name == "capsule") {
-      RS_ASSIGN_OR_RETURN(const auto radius, file_.Numbers(kind, "radius", {0}));
-      RS_ASSIGN_OR_RETURN(const auto length, file_.Numbers(kind, "length", {0}));
-      if (!within(radius[0]) || !within(length[0])) return wrong();
-      const Eigen::Vector3d end(0, 0, length[0] / 2);
-      if (name == "capsule") return std::vector<Hull>{{{end, -end}, radius[0]}};
-      Hull prism;  // about the cylinder
-      const double corner = radius[0] / std::cos(M_PI / kSides);
-      for (int k = 0; k < kSides; ++k) {
-        const double angle = 2 * M_PI * k / kSides;
-        const Eigen::Vector3d side(corner * std::cos(angle), corner * std::sin(angle), 0);
-        prism.corners.insert(prism.corners.end(), {side + end, side - end});
-      }
-      return std::vector<Hull>{prism};
-    }
-    if (name != "box") return std::vector<Hull>();
-    RS_ASSIGN_OR_RETURN(const auto size, file_.Numbers(kind, "size", {0, 0, 0}));
-    const Eigen::Vector3d half = Eigen::Map<const Eigen::Vector3d>(size.data()) / 2;
-    for (const double side : size)
-      if (!within(side)) return wrong();
-    Hull box;
-    for (int corner = 0; corner < 8; ++corner) {
-      const Eigen::Vector3d sign(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1, corner & 4 ? 1 : -1);
-      box.corners.push_back(half.cwiseProduct(sign));
-    }
-    return std::vector<Hull>{box};
   }
 
   absl::Status FindTool() {

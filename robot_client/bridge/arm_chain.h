@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "robot_client/bridge/hull.h"
+#include "common/models/hull.h"
 #include "robot_client/robot_arm.h"
 
 namespace robostress::bridge {

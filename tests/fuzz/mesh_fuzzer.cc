@@ -1,13 +1,12 @@
 // Meshes of an arm: the first byte says of which kind the file is, and whether it is cut into
 // parts, which takes a hundred times as long as reading it.
-#include "robot_client/bridge/mesh_file.h"
-#include "robot_client/bridge/mesh_parts.h"
+#include "common/models/mesh_file.h"
+#include "common/models/mesh_parts.h"
 #include "tests/fuzz/fuzz_check.h"
 #include "tests/fuzz/splice_mutator.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   using namespace robostress;
-  using namespace robostress::bridge;
   if (size == 0) return 0;
   const char* const endings[] = {".stl", ".obj", ".dae"};
   const std::string path = std::string("/arms/link") + endings[data[0] % 3];

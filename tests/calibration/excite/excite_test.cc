@@ -5,11 +5,13 @@
 #include <cmath>
 #include <filesystem>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "calibration/excite/excitation_design.h"
 #include "calibration/model/plant.h"
 #include "common/atomic_file.h"
 #include "common/random.h"
+#include "tests/common/models/mesh_samples.h"
 
 namespace robostress::calibration {
 namespace {
@@ -44,6 +46,78 @@ Rig TwoLinks(const std::string& mjcf = kTwoLinks) {
     rig.joints.push_back(joint);
   }
   return rig;
+}
+
+// The same in URDF, the second link a mesh of a package, which MuJoCo does not find.
+Rig TwoLinksOfAPackage(bool with_mesh) {
+  const std::string folder = ::testing::TempDir() + "robostress_excite/two_links";
+  std::filesystem::remove_all(folder);
+  std::filesystem::create_directories(folder + "/urdf");
+  std::filesystem::create_directories(folder + "/meshes");
+  Rig rig = TwoLinks();
+  rig.model = folder + "/urdf/two.urdf";
+  if (with_mesh) {
+    const std::string mesh = BinaryStl(BoxMesh({-0.02, -0.02, 0.06}, {0.02, 0.02, 0.3}));
+    EXPECT_TRUE(WriteFileAtomically(folder + "/meshes/fore.stl", mesh).ok());
+  }
+  const std::string inertial =
+      "<inertial><origin xyz=\"0 0 0.15\"/><mass value=\"1\"/><inertia ixx=\"0.01\" iyy=\"0.01\" "
+      "izz=\"0.01\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>";
+  const auto joint = [](const char* name, const char* parent, const char* child, const char* at) {
+    return absl::StrCat("<joint name=\"", name, "\" type=\"revolute\"><parent link=\"", parent,
+                        "\"/><child link=\"", child, "\"/><origin xyz=\"", at,
+                        "\"/><axis xyz=\"0 1 0\"/><limit lower=\"-3\" upper=\"3\" effort=\"30\" "
+                        "velocity=\"3\"/></joint>");
+  };
+  EXPECT_TRUE(
+      WriteFileAtomically(
+          rig.model,
+          absl::StrCat(
+              "<robot name=\"two\"><link name=\"base\"><collision><origin xyz=\"0 0 -0.1\"/>"
+              "<geometry><box size=\"0.2 0.2 0.1\"/></geometry></collision></link>"
+              "<link name=\"upper\">",
+              inertial,
+              "<collision><origin xyz=\"0 0 0.15\"/><geometry><cylinder radius=\"0.03\" "
+              "length=\"0.3\"/></geometry></collision></link><link name=\"fore\">",
+              inertial,
+              "<collision><geometry><mesh filename=\"package://two_links/meshes/fore.stl\"/>"
+              "</geometry></collision></link>",
+              joint("shoulder", "base", "upper", "0 0 0"),
+              joint("elbow", "upper", "fore", "0 0 0.3"), "</robot>"))
+          .ok());
+  return rig;
+}
+
+TEST(ArmSpaceTest, AUrdfsMeshesAreWatchedWhereverTheirPackageIs) {
+  const auto space = ArmSpace::Load(TwoLinksOfAPackage(true), {});
+  ASSERT_TRUE(space.ok()) << space.status();
+  EXPECT_EQ((*space)->shapes(), 2);
+  ASSERT_TRUE((*space)->WatchFrom({0, 0.8}).ok());
+  EXPECT_EQ((*space)->MetAt({0, 1.5}), "");
+  EXPECT_EQ((*space)->MetAt({0.5, 2.9}), "base and fore");
+  const auto bare = ArmSpace::Load(TwoLinksOfAPackage(false), {});
+  ASSERT_TRUE(bare.ok()) << bare.status();
+  EXPECT_EQ((*bare)->shapes(), 1);
+  ASSERT_EQ((*bare)->notes().size(), 1u);
+  EXPECT_EQ((*bare)->notes()[0],
+            "mesh package://two_links/meshes/fore.stl (not found) is not watched");
+}
+
+// Gravity, inertia and torques are those of the model without shapes.
+TEST(ArmSpaceTest, ShapesOfAUrdfChangeNoTorque) {
+  const auto with = ArmSpace::Load(TwoLinksOfAPackage(true), {});
+  Rig plain = TwoLinks(absl::StrCat(
+      "<mujoco><compiler angle=\"radian\"/><worldbody><body name=\"upper\"><inertial pos=\"0 0 "
+      "0.15\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/><joint name=\"shoulder\" axis=\"0 1 "
+      "0\"/><body name=\"fore\" pos=\"0 0 0.3\"><inertial pos=\"0 0 0.15\" mass=\"1\" "
+      "diaginertia=\"0.01 0.01 0.01\"/><joint name=\"elbow\" axis=\"0 1 0\"/></body></body>"
+      "</worldbody></mujoco>"));
+  const auto without = ArmSpace::Load(plain, {});
+  ASSERT_TRUE(with.ok() && without.ok());
+  const std::vector<double> q = {0.7, -0.4}, v = {1, 2}, a = {-3, 5};
+  const std::vector<double> mine = (*with)->TorquesAt(q, v, a),
+                            other = (*without)->TorquesAt(q, v, a);
+  for (size_t j = 0; j < 2; ++j) EXPECT_NEAR(mine[j], other[j], 1e-5 * std::abs(other[j])) << j;
 }
 
 DesignOptions Brief() {

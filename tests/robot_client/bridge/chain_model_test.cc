@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <limits>
 #include <random>
 #include <string>
@@ -13,6 +14,8 @@
 #include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
 #include "common/robot_description.h"
+#include "robot_client/capsule.h"
+#include "tests/common/models/mesh_samples.h"
 #include "tests/robot_client/bridge/seven_joints.h"
 #include "tests/sim_worker/allocation_counter.h"
 
@@ -152,6 +155,51 @@ TEST(ChainModel, AFrameOfAMilligramIsAPoint) {
   EXPECT_NEAR(tool("0.2"), 0.107 + 0.1034 + 0.05, 1e-9);
 }
 
+TEST(ChainModel, AnArmsMeshesAreItsShape) {
+  const std::string folder = ::testing::TempDir() + "chain_meshes/";
+  std::filesystem::remove_all(folder);
+  std::filesystem::create_directories(folder);
+  const auto put = [&](const std::string& name, const std::string& text) {
+    EXPECT_TRUE(WriteFileAtomically(folder + name, text).ok());
+    return folder + name;
+  };
+  const std::string urdf = put("seven.urdf", SevenUrdf());
+  const auto read = [&] {
+    return ReadArmChain(urdf, SevenUrdf(), SevenNames(), SevenLimits(), SevenModel());
+  };
+  auto without = read();
+  ASSERT_TRUE(without.ok()) << without.status();
+  EXPECT_EQ(without->meshes, 0);
+  EXPECT_EQ(without->missing_meshes.size(), 6u);
+  put("link.stl", BinaryStl(BoxMesh({-0.02, -0.03, -0.04}, {0.02, 0.03, 0.04})));
+  auto with = read();
+  ASSERT_TRUE(with.ok()) << with.status();
+  EXPECT_EQ(with->meshes, 6);
+  EXPECT_TRUE(with->missing_meshes.empty());
+  // The wrist is 40 mm thick where a ball of 50 mm was: with the fingers away it is the lowest
+  // part.
+  const ArmVector level = {0, 0, 0, -1.5, 0, 1.5, 0, 0};
+  WorkspaceOptions wide;
+  wide.table_z = -1;
+  wide.lower = {-5, -5, -5};
+  wide.upper = {5, 5, 5};
+  EXPECT_GT(ChainModel(*with, wide).ClearanceAt(level)[ArmModel::kTable],
+            ChainModel(*without, wide).ClearanceAt(level)[ArmModel::kTable] - 1e-9);
+  ChooseLinkPairs(SevenLimits(), {}, 0, {}, &*with);
+  EXPECT_FALSE(with->watched.empty());
+
+  put("link.stl", BinaryStl(BoxMesh({-20, -30, -40}, {20, 30, 40})));
+  auto large = read();
+  EXPECT_THAT(std::string(large.status().message()),
+              AllOf(HasSubstr("seven.urdf:"), HasSubstr("link.stl is 80 m"),
+                    HasSubstr("scale=\"0.001 0.001 0.001\"")));
+  const std::string scaled =
+      absl::StrReplaceAll(SevenUrdf(), {{"link.stl\"", "link.stl\" scale=\"0.001 -0.001 0.001\""}});
+  EXPECT_TRUE(ReadArmChain(urdf, scaled, SevenNames(), SevenLimits(), SevenModel()).ok());
+  put("link.stl", "solid");
+  EXPECT_THAT(std::string(read().status().message()), HasSubstr("link.stl"));
+}
+
 ArmChain ChosenChain(double margin = 0, const std::string& urdf = SevenUrdf(),
                      const std::vector<LinkPair>& ignored = {}) {
   ArmChain chain = Chain(urdf);
@@ -192,6 +240,19 @@ TEST(ChainModel, TheArmIsWatchedAgainstItself) {
   wide.margin = 0.03;
   EXPECT_NEAR(ChainModel(chain, wide).ClearanceAt({0, 0, 0, -2, 0, 1.6, 0, 0})[ArmModel::kItself],
               clearance(-2, 1.6) - 0.03, 1e-12);
+}
+
+TEST(ChainModel, HullsOfTwoCornersAreAsFarAsThePipersCapsules) {
+  std::mt19937 random(1);
+  std::uniform_real_distribution<double> share(-1, 1);
+  const auto vector = [&] { return Eigen::Vector3d(share(random), share(random), share(random)); };
+  for (int k = 0; k < 2000; ++k) {
+    const Capsule a{vector(), vector(), 0.05}, b{vector(), vector(), 0.02};
+    Eigen::Isometry3d T(Eigen::AngleAxisd(3 * share(random), vector().normalized()));
+    T.translation() = vector();
+    const Hull hull{{T.inverse() * b.from, T.inverse() * b.to}, b.radius};
+    EXPECT_NEAR(Distance({{a.from, a.to}, a.radius}, hull, T), Distance(a, b), 2e-6) << k;
+  }
 }
 
 // Looking at balls first finds the same as looking at every pair.

@@ -1,4 +1,4 @@
-#include "robot_client/bridge/mesh_parts.h"
+#include "common/models/mesh_parts.h"
 
 #include <Eigen/Eigenvalues>
 #include <algorithm>
@@ -9,7 +9,7 @@
 #include <unordered_set>
 #include <utility>
 
-namespace robostress::bridge {
+namespace robostress {
 namespace {
 
 using Eigen::Matrix3d;
@@ -172,4 +172,4 @@ std::vector<Hull> PartsOf(const Points& corners, size_t most) {
   return parts;
 }
 
-}  // namespace robostress::bridge
+}  // namespace robostress

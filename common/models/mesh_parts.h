@@ -4,9 +4,9 @@
 #include <cstddef>
 #include <vector>
 
-#include "robot_client/bridge/hull.h"
+#include "common/models/hull.h"
 
-namespace robostress::bridge {
+namespace robostress {
 
 // Convex parts, at most `most`, that hold every triangle of a mesh, whose corners are three a
 // triangle: a bent link in one hull would touch what stands in its bend. They reach 1.5 mm further
@@ -14,4 +14,4 @@ namespace robostress::bridge {
 // be in none. Empty without triangles.
 std::vector<Hull> PartsOf(const std::vector<Eigen::Vector3d>& corners, size_t most);
 
-}  // namespace robostress::bridge
+}  // namespace robostress

@@ -7,7 +7,7 @@
 
 #include "absl/status/statusor.h"
 
-namespace robostress::bridge {
+namespace robostress {
 
 // Corners of the triangles that a COLLADA file's scene shows, three a triangle, placed by its
 // nodes, in metres by its unit: <triangles>, <polylist> and <polygons>. Its up axis turns nothing.
@@ -15,4 +15,4 @@ namespace robostress::bridge {
 absl::StatusOr<std::vector<Eigen::Vector3d>> ReadCollada(const std::string& name,
                                                          const std::string& text, size_t most);
 
-}  // namespace robostress::bridge
+}  // namespace robostress

@@ -1,10 +1,10 @@
-#include "robot_client/bridge/hull.h"
+#include "common/models/hull.h"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 
-namespace robostress::bridge {
+namespace robostress {
 namespace {
 
 using Eigen::Vector3d;
@@ -124,4 +124,4 @@ double Distance(const Hull& a, const Hull& b, const Eigen::Isometry3d& T_a_b, do
   return simplex.nearest.norm() - radii;
 }
 
-}  // namespace robostress::bridge
+}  // namespace robostress

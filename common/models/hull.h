@@ -5,7 +5,7 @@
 #include <limits>
 #include <vector>
 
-namespace robostress::bridge {
+namespace robostress {
 
 // All points within `radius` of the convex hull of `corners`: a ball has one corner, a capsule two.
 struct Hull {
@@ -20,4 +20,4 @@ struct Hull {
 double Distance(const Hull& a, const Hull& b, const Eigen::Isometry3d& T_a_b,
                 double enough = std::numeric_limits<double>::infinity());
 
-}  // namespace robostress::bridge
+}  // namespace robostress

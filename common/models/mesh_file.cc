@@ -1,4 +1,4 @@
-#include "robot_client/bridge/mesh_file.h"
+#include "common/models/mesh_file.h"
 
 #include <cstring>
 #include <filesystem>
@@ -11,10 +11,10 @@
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "common/atomic_file.h"
+#include "common/models/collada.h"
 #include "common/status_macros.h"
-#include "robot_client/bridge/collada.h"
 
-namespace robostress::bridge {
+namespace robostress {
 namespace {
 
 namespace fs = std::filesystem;
@@ -179,4 +179,4 @@ Corners ParseMesh(const std::string& path, const std::string& text) {
   return corners;
 }
 
-}  // namespace robostress::bridge
+}  // namespace robostress

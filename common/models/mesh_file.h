@@ -6,7 +6,7 @@
 
 #include "absl/status/statusor.h"
 
-namespace robostress::bridge {
+namespace robostress {
 
 // The file that a URDF's <mesh filename> means: a path, "file://PATH", or "package://NAME/REST",
 // which is NAME/REST in a folder above the URDF or in one of `packages`, or REST in one called
@@ -25,4 +25,4 @@ absl::StatusOr<std::vector<Eigen::Vector3d>> ReadMesh(const std::string& path);
 absl::StatusOr<std::vector<Eigen::Vector3d>> ParseMesh(const std::string& path,
                                                        const std::string& text);
 
-}  // namespace robostress::bridge
+}  // namespace robostress

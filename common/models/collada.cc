@@ -1,4 +1,4 @@
-#include "robot_client/bridge/collada.h"
+#include "common/models/collada.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -14,7 +14,7 @@
 #include "common/models/xml_file.h"
 #include "common/status_macros.h"
 
-namespace robostress::bridge {
+namespace robostress {
 namespace {
 
 using Eigen::Vector3d;
@@ -216,4 +216,4 @@ absl::StatusOr<std::vector<Vector3d>> ReadCollada(const std::string& name, const
   return Reader(file, most).Read();
 }
 
-}  // namespace robostress::bridge
+}  // namespace robostress

@@ -1,5 +1,3 @@
-#include "robot_client/bridge/hull.h"
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -13,13 +11,12 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
-#include "robot_client/bridge/chain_model.h"
-#include "robot_client/bridge/mesh_file.h"
-#include "robot_client/bridge/mesh_parts.h"
-#include "robot_client/capsule.h"
-#include "tests/robot_client/bridge/seven_joints.h"
+#include "common/models/hull.h"
+#include "common/models/mesh_file.h"
+#include "common/models/mesh_parts.h"
+#include "tests/common/models/mesh_samples.h"
 
-namespace robostress::bridge {
+namespace robostress {
 namespace {
 
 using Eigen::Vector3d;
@@ -45,28 +42,9 @@ class Random {
   std::mt19937 numbers_;
 };
 
-Hull BoxOf(const Vector3d& low, const Vector3d& high) {
-  Hull box;
-  for (int k = 0; k < 8; ++k)
-    box.corners.emplace_back(k & 1 ? high.x() : low.x(), k & 2 ? high.y() : low.y(),
-                             k & 4 ? high.z() : low.z());
-  return box;
-}
-
 Hull Moved(const Eigen::Isometry3d& T, Hull hull) {
   for (Vector3d& corner : hull.corners) corner = T * corner;
   return hull;
-}
-
-TEST(Hull, CapsulesAreAsFarAsTheirSegments) {
-  Random random(1);
-  for (int k = 0; k < 2000; ++k) {
-    const Capsule a{random.Vector(1), random.Vector(1), 0.05},
-        b{random.Vector(1), random.Vector(1), 0.02};
-    const Eigen::Isometry3d T = random.Pose();
-    const Hull hull{{T.inverse() * b.from, T.inverse() * b.to}, b.radius};
-    EXPECT_NEAR(Distance({{a.from, a.to}, a.radius}, hull, T), Distance(a, b), 2e-6) << k;
-  }
 }
 
 // Faces, edges and corners that stand exactly against each other, which is where a simplex is flat.
@@ -135,17 +113,6 @@ TEST(Hull, EnoughIsSaidOnlyOfWhatIsFurther) {
     EXPECT_LE(proof, distance + 1e-6);
     EXPECT_GE(proof, distance - 0.02);
   }
-}
-
-// Twelve triangles, outwards.
-std::vector<Vector3d> BoxMesh(const Vector3d& low, const Vector3d& high) {
-  const Hull box = BoxOf(low, high);
-  const int faces[6][4] = {{0, 2, 3, 1}, {4, 5, 7, 6}, {0, 1, 5, 4},
-                           {2, 6, 7, 3}, {0, 4, 6, 2}, {1, 3, 7, 5}};
-  std::vector<Vector3d> corners;
-  for (const auto& f : faces)
-    for (const int k : {0, 1, 2, 0, 2, 3}) corners.push_back(box.corners[f[k]]);
-  return corners;
 }
 
 std::vector<Vector3d> Angle() {
@@ -240,21 +207,6 @@ class MeshFolder : public ::testing::Test {
   }
   std::string folder_;
 };
-
-std::string BinaryStl(const std::vector<Vector3d>& corners) {
-  std::string text(80, ' ');
-  const auto put = [&](auto value) {
-    text.append(reinterpret_cast<const char*>(&value), sizeof value);
-  };
-  put(static_cast<uint32_t>(corners.size() / 3));
-  for (size_t i = 0; i + 2 < corners.size(); i += 3) {
-    for (int k = 0; k < 3; ++k) put(0.0f);
-    for (size_t c = 0; c < 3; ++c)
-      for (int k = 0; k < 3; ++k) put(static_cast<float>(corners[i + c][k]));
-    put(static_cast<uint16_t>(0));
-  }
-  return text;
-}
 
 constexpr char kAsciiStl[] =
     "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 0.1 0 0\nvertex 0 0.2 "
@@ -368,43 +320,5 @@ TEST_F(MeshFolder, AreFoundWhereAPackageIs) {
     EXPECT_EQ(FindMesh(odd, urdf, {}), "") << odd;
 }
 
-TEST_F(MeshFolder, AnArmsMeshesAreItsShape) {
-  const std::string urdf = Put("seven.urdf", SevenUrdf());
-  const auto read = [&] {
-    return ReadArmChain(urdf, SevenUrdf(), SevenNames(), SevenLimits(), SevenModel());
-  };
-  auto without = read();
-  ASSERT_TRUE(without.ok()) << without.status();
-  EXPECT_EQ(without->meshes, 0);
-  EXPECT_EQ(without->missing_meshes.size(), 6u);
-  Put("link.stl", BinaryStl(BoxMesh({-0.02, -0.03, -0.04}, {0.02, 0.03, 0.04})));
-  auto with = read();
-  ASSERT_TRUE(with.ok()) << with.status();
-  EXPECT_EQ(with->meshes, 6);
-  EXPECT_TRUE(with->missing_meshes.empty());
-  // The wrist is 40 mm thick where a ball of 50 mm was: with the fingers away it is the lowest
-  // part.
-  const ArmVector level = {0, 0, 0, -1.5, 0, 1.5, 0, 0};
-  WorkspaceOptions wide;
-  wide.table_z = -1;
-  wide.lower = {-5, -5, -5};
-  wide.upper = {5, 5, 5};
-  EXPECT_GT(ChainModel(*with, wide).ClearanceAt(level)[ArmModel::kTable],
-            ChainModel(*without, wide).ClearanceAt(level)[ArmModel::kTable] - 1e-9);
-  ChooseLinkPairs(SevenLimits(), {}, 0, {}, &*with);
-  EXPECT_FALSE(with->watched.empty());
-
-  Put("link.stl", BinaryStl(BoxMesh({-20, -30, -40}, {20, 30, 40})));
-  auto large = read();
-  EXPECT_THAT(std::string(large.status().message()),
-              AllOf(HasSubstr("seven.urdf:"), HasSubstr("link.stl is 80 m"),
-                    HasSubstr("scale=\"0.001 0.001 0.001\"")));
-  const std::string scaled =
-      absl::StrReplaceAll(SevenUrdf(), {{"link.stl\"", "link.stl\" scale=\"0.001 -0.001 0.001\""}});
-  EXPECT_TRUE(ReadArmChain(urdf, scaled, SevenNames(), SevenLimits(), SevenModel()).ok());
-  Put("link.stl", "solid");
-  EXPECT_THAT(std::string(read().status().message()), HasSubstr("link.stl"));
-}
-
 }  // namespace
-}  // namespace robostress::bridge
+}  // namespace robostress
