@@ -81,7 +81,10 @@ Rig TwoLinksOfAPackage(bool with_mesh) {
               "length=\"0.3\"/></geometry></collision></link><link name=\"fore\">",
               inertial,
               "<collision><geometry><mesh filename=\"package://two_links/meshes/fore.stl\"/>"
-              "</geometry></collision></link>",
+              "</geometry></collision></link><link name=\"cover\"><collision><geometry><sphere "
+              "radius=\"0.03\"/></geometry></collision></link><joint name=\"screws\" "
+              "type=\"fixed\">"
+              "<parent link=\"fore\"/><child link=\"cover\"/><origin xyz=\"0 0 0.2\"/></joint>",
               joint("shoulder", "base", "upper", "0 0 0"),
               joint("elbow", "upper", "fore", "0 0 0.3"), "</robot>"))
           .ok());
@@ -91,19 +94,19 @@ Rig TwoLinksOfAPackage(bool with_mesh) {
 TEST(ArmSpaceTest, AUrdfsMeshesAreWatchedWhereverTheirPackageIs) {
   const auto space = ArmSpace::Load(TwoLinksOfAPackage(true), {});
   ASSERT_TRUE(space.ok()) << space.status();
-  EXPECT_EQ((*space)->shapes(), 2);
+  EXPECT_EQ((*space)->shapes(), 3);
   ASSERT_TRUE((*space)->WatchFrom({0, 0.8}).ok());
   EXPECT_EQ((*space)->MetAt({0, 1.5}), "");
   EXPECT_EQ((*space)->MetAt({0.5, 2.9}), "base and fore");
   const auto bare = ArmSpace::Load(TwoLinksOfAPackage(false), {});
   ASSERT_TRUE(bare.ok()) << bare.status();
-  EXPECT_EQ((*bare)->shapes(), 1);
+  EXPECT_EQ((*bare)->shapes(), 2);
   ASSERT_EQ((*bare)->notes().size(), 1u);
   EXPECT_EQ((*bare)->notes()[0],
             "mesh package://two_links/meshes/fore.stl (not found) is not watched");
 }
 
-// Gravity, inertia and torques are those of the model without shapes.
+// Also those of a link that has a shape and no mass.
 TEST(ArmSpaceTest, ShapesOfAUrdfChangeNoTorque) {
   const auto with = ArmSpace::Load(TwoLinksOfAPackage(true), {});
   Rig plain = TwoLinks(absl::StrCat(
