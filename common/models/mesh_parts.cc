@@ -17,12 +17,14 @@ using Eigen::Vector3d;
 
 using Points = std::vector<Vector3d>;
 
-constexpr double kCell = 0.0005;     // [m] of which one corner is enough
-constexpr double kMiss = 0.001;      // [m] that a hull may leave out before it gets a corner more
-constexpr size_t kMostCorners = 96;  // of a part
-constexpr double kLeastGain = 0.02;  // of the volume, or a part is not cut
-constexpr int kCuts = 12;            // of a piece's length, where it may be cut
-constexpr size_t kTried = 500;       // triangles that tell how good a cut is
+constexpr double kCell = 0.0005;       // [m] of which one corner is enough
+constexpr double kMiss = 0.001;        // [m] that a hull may leave out before it gets a corner more
+constexpr size_t kMostCorners = 96;    // of a part
+constexpr double kLeastGain = 0.02;    // of the volume, or a part is not cut
+constexpr int kCuts = 12;              // of a piece's length, where it may be cut
+constexpr size_t kCornersOfSome = 12;  // chosen before all points are looked at again
+constexpr size_t kTriedPoints = 2000;  // of those that a hull leaves out
+constexpr size_t kTried = 500;         // triangles that tell how good a cut is
 
 // One point for each cell that has any: its centre.
 Points Thinned(const Points& points) {
@@ -40,6 +42,25 @@ Points Thinned(const Points& points) {
   return thinned;
 }
 
+Points SomeOf(const Points& points, size_t most) {
+  const size_t stride = (points.size() + most - 1) / most;
+  Points some;
+  for (size_t i = 0; i < points.size(); i += stride) some.push_back(points[i]);
+  return some;
+}
+
+// Leaves the points that the hull leaves out by more than may be; the furthest one's distance, not
+// less than what may be, and place.
+std::pair<double, Vector3d> KeepOutside(const Hull& hull, Points* points) {
+  std::pair<double, Vector3d> furthest = {kMiss, Vector3d::Zero()};
+  std::erase_if(*points, [&](const Vector3d& p) {
+    const double distance = Distance(hull, {{p}, 0}, Eigen::Isometry3d::Identity());
+    if (distance > furthest.first) furthest = {distance, p};
+    return distance <= kMiss;
+  });
+  return furthest;
+}
+
 Hull HullOf(const Points& points) {
   const Points all = Thinned(points);
   Hull hull;
@@ -51,21 +72,17 @@ Hull HullOf(const Points& points) {
     if (std::find(hull.corners.begin(), hull.corners.end(), furthest) == hull.corners.end())
       hull.corners.push_back(furthest);
   }
+  // Corners are chosen among some of the points, until a look at all finds none too far outside.
   Points outside = all;
-  double left_out = kMiss;
-  while (true) {
-    left_out = kMiss;
-    Points still;
-    Vector3d furthest = Vector3d::Zero();
-    for (const Vector3d& p : outside) {
-      const double distance = Distance(hull, {{p}, 0}, Eigen::Isometry3d::Identity());
-      if (distance <= kMiss) continue;
-      still.push_back(p);
-      if (distance > left_out) left_out = distance, furthest = p;
+  double left_out = KeepOutside(hull, &outside).first;
+  while (!outside.empty() && hull.corners.size() < kMostCorners) {
+    Points some = SomeOf(outside, kTriedPoints);
+    const size_t most = std::min(kMostCorners, hull.corners.size() + kCornersOfSome);
+    while (!some.empty() && hull.corners.size() < most) {
+      const Vector3d furthest = KeepOutside(hull, &some).second;
+      if (!some.empty()) hull.corners.push_back(furthest);
     }
-    if (still.empty() || hull.corners.size() >= kMostCorners) break;
-    hull.corners.push_back(furthest);
-    outside = std::move(still);
+    left_out = KeepOutside(hull, &outside).first;
   }
   hull.radius = left_out + std::sqrt(3.0) / 2 * kCell;
   return hull;
