@@ -20,7 +20,9 @@ struct LinkCapsule {
   std::array<double, 3> from, to;  // [m]
   double radius;                   // [m]
 };
-constexpr LinkCapsule kCapsules[] = {
+// Against the arm itself: along the links. On its rest the vendor's shapes are 20 mm apart, and
+// capsules that hold them would meet.
+constexpr LinkCapsule kAlong[] = {
     {0, {0, 0, 0}, {0, 0, 0.07}, 0.06},
     {1, {0, 0, -0.05}, {0, 0, 0.01}, 0.045},
     {2, {0.02, 0, 0}, {0.27, 0, 0}, 0.035},
@@ -29,8 +31,24 @@ constexpr LinkCapsule kCapsules[] = {
     {5, {0, -0.01, 0}, {0, -0.06, 0}, 0.028},
     {6, {0, -0.02, 0.035}, {0, 0.02, 0.035}, 0.042},
 };
+// Against table and box: they hold the shapes of the vendor's description (Piper_ros,
+// piper_description, without its fingers), rounded up to a millimetre.
+constexpr LinkCapsule kAround[] = {
+    {2, {0, 0, 0}, {0.027, -0.005, 0.001}, 0.056},
+    {2, {0.225, -0.029, -0.003}, {0.287, -0.002, 0}, 0.058},
+    {2, {0.172, -0.032, 0}, {0.079, -0.011, 0}, 0.029},
+    {3, {-0.022, -0.214, 0}, {-0.022, -0.083, 0}, 0.030},
+    {3, {0, 0, -0.030}, {-0.019, -0.048, -0.023}, 0.032},
+    {3, {0, 0.001, 0.019}, {-0.018, -0.044, 0.010}, 0.036},
+    {4, {0, 0.006, -0.016}, {0, 0.006, 0.001}, 0.041},
+    {5, {0, -0.090, 0.001}, {0, -0.090, 0.001}, 0.030},
+    {5, {0.001, -0.008, -0.023}, {0, -0.037, 0.001}, 0.034},
+    {6, {0, 0.001, 0.007}, {-0.001, 0.001, 0.007}, 0.031},
+    {6, {-0.028, -0.038, 0.051}, {-0.028, 0.041, 0.051}, 0.014},
+    {6, {0.004, -0.054, 0.052}, {0.004, 0.056, 0.052}, 0.028},
+};
 constexpr double kPadRadius = 0.0134;  // of the capsules of the two pads [m]
-constexpr int kParts = static_cast<int>(std::size(kCapsules)) + 4;
+constexpr int kPads = 4;
 
 struct Placed {
   int link;
@@ -45,14 +63,17 @@ JointVector Joints(const ArmVector& v) {
   return q;
 }
 
-std::array<Placed, kParts> Place(const JointVector& q, double opening, Zero zero) {
-  const auto T_base_link = LinkPoses(q, zero);
+// The capsules and the pads.
+template <size_t kCount>
+std::array<Placed, kCount + kPads> Place(const LinkCapsule (&capsules)[kCount],
+                                         const std::array<Eigen::Isometry3d, kJoints>& T_base_link,
+                                         double opening) {
   const auto in_base = [&](int link, const Vector3d& p) -> Vector3d {
     return link == 0 ? p : Vector3d(T_base_link[link - 1] * p);
   };
-  std::array<Placed, kParts> parts;
-  int n = 0;
-  for (const LinkCapsule& c : kCapsules)
+  std::array<Placed, kCount + kPads> parts;
+  size_t n = 0;
+  for (const LinkCapsule& c : capsules)
     parts[n++] = {c.link, {in_base(c.link, Vec(c.from)), in_base(c.link, Vec(c.to)), c.radius}};
   for (const double side : {-1.0, 1.0}) {
     const double y = side * (kPadHalf[1] + 0.5 * std::clamp(opening, 0.0, 0.1));
@@ -121,20 +142,22 @@ ArmVector PiperModel::Torque(const ArmVector& position, const ArmVector& velocit
 }
 
 ArmModel::Clearance PiperModel::ClearanceAt(const ArmVector& position) const {
-  const auto parts = Place(Joints(position), position[kJoints], zero_);
+  const auto poses = LinkPoses(Joints(position), zero_);
   Clearance clearance;
   clearance.fill(std::numeric_limits<double>::infinity());
-  for (int i = 0; i < kParts; ++i) {
-    const auto& [link, a] = parts[i];
-    for (int j = 0; j < i; ++j) {
-      if (link - parts[j].link < 3) continue;
-      clearance[kItself] = std::min(clearance[kItself], Distance(a, parts[j].capsule) - margin_);
+  const auto along = Place(kAlong, poses, position[kJoints]);
+  for (size_t i = 0; i < along.size(); ++i) {
+    for (size_t j = 0; j < i; ++j) {
+      if (along[i].link - along[j].link < 3) continue;
+      clearance[kItself] =
+          std::min(clearance[kItself], Distance(along[i].capsule, along[j].capsule) - margin_);
     }
-    if (link < 2) continue;
-    for (const Vector3d& p : {a.from, a.to}) {
-      clearance[kTable] = std::min(clearance[kTable], p.z() - a.radius - table_z_ - margin_);
+  }
+  for (const auto& [link, part] : Place(kAround, poses, position[kJoints])) {
+    for (const Vector3d& p : {part.from, part.to}) {
+      clearance[kTable] = std::min(clearance[kTable], p.z() - part.radius - table_z_ - margin_);
       const double inside = std::min((p - lower_).minCoeff(), (upper_ - p).minCoeff());
-      clearance[kBox] = std::min(clearance[kBox], inside - a.radius - margin_);
+      clearance[kBox] = std::min(clearance[kBox], inside - part.radius - margin_);
     }
   }
   return clearance;

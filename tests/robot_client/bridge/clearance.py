@@ -4,10 +4,13 @@
 Without --urdf, as in ctest, on an arm of bent, round and hollow meshes that it makes; it fails where the client takes
 the arm for further away than FCL does, or for much nearer. With --urdf it prints a row for docs/results/arm-bridge.md.
 
-usage: clearance.py BUILD_DIR OUT_DIR [--urdf FILE --tool LINK --joints A,B,... [--packages DIR]... [--poses N]]
+With --piper too the client's own model of the Piper stands beside the vendor's meshes.
+
+usage: clearance.py BUILD_DIR OUT_DIR [--urdf FILE --tool LINK --joints A,B,... [--packages DIR]... [--poses N] [--piper]]
 """
 import argparse
 import json
+import math
 import os
 import statistics
 import subprocess
@@ -67,6 +70,17 @@ def python_of(venv):
     return python
 
 
+def turn_for_the_vendor(file_name):
+    """Piper_ros' description counts J4 and J6 the other way round than the vendor's SDK, and J5 from 5 degrees."""
+    with open(file_name, encoding="utf-8") as file:
+        rows = json.load(file)
+    for row in rows["poses"]:
+        q = row["q"]
+        row["q"] = [*q[:3], -q[3], q[4] - math.radians(5), -q[5]]
+    with open(file_name, "w", encoding="utf-8") as file:
+        json.dump(rows, file)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("build")
@@ -76,6 +90,7 @@ def main():
     parser.add_argument("--joints", default="a,b,c,d")
     parser.add_argument("--packages", action="append", default=[])
     parser.add_argument("--poses", type=int, default=500)
+    parser.add_argument("--piper", action="store_true")
     args = parser.parse_args()
     os.makedirs(args.out, exist_ok=True)
     python = python_of(f"{args.build}/venv-fcl-0.7.0.11")
@@ -89,7 +104,9 @@ def main():
     packages = [word for folder in args.packages for word in ("--packages", folder)]
     with open(ours, "w", encoding="utf-8") as file:
         file.write(run(f"{args.build}/test_bin/bridge_clearance", urdf, "--tool", args.tool, "--joints", args.joints,
-                       "--poses", str(args.poses), *packages))
+                       "--poses", str(args.poses), *packages, *(["--piper"] if args.piper else [])))
+    if args.piper:
+        turn_for_the_vendor(ours)
     run(python, f"{HERE}/fcl_distances.py", urdf, args.joints, ours, both, *args.packages)
     with open(both, encoding="utf-8") as file:
         result = json.load(file)

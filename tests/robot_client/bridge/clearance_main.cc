@@ -12,9 +12,11 @@
 
 #include "common/atomic_file.h"
 #include "common/models/urdf_model.h"
+#include "common/robot_description.h"
 #include "common/run_main.h"
 #include "common/status_macros.h"
 #include "robot_client/bridge/chain_model.h"
+#include "robot_client/piper/piper_model.h"
 
 namespace robostress::bridge {
 namespace {
@@ -48,10 +50,58 @@ struct Line {
   std::string file, tool;
   std::vector<std::string> joints, packages;
   int poses = 500;
+  bool piper = false;
 };
 
+// Clearances of random poses within the limits; how long one took.
+void Look(const ArmModel& model, const ArmLimits& limits, int count, Json* out) {
+  std::mt19937 numbers(1);
+  std::vector<ArmVector> poses(static_cast<size_t>(count));
+  for (ArmVector& pose : poses) {
+    pose = {};
+    for (int k = 0; k < limits.axes.joints; ++k)
+      pose[k] = std::uniform_real_distribution<double>(limits.lower[k], limits.upper[k])(numbers);
+  }
+  const Clock::time_point start = Clock::now();
+  for (const ArmVector& pose : poses) {
+    const ArmModel::Clearance clearance = model.ClearanceAt(pose);
+    (*out)["poses"].push_back(
+        {{"q", std::vector<double>(pose.begin(), pose.begin() + limits.axes.joints)},
+         {"itself", clearance[ArmModel::kItself]},
+         {"table", clearance[ArmModel::kTable]}});
+  }
+  (*out)["us_a_call"] = 1e6 * SecondsSince(start) / count;
+}
+
+// The Piper's own model; its zero is that of the vendor's description.
+void LookAtPiper(int count, Json* out) {
+  ArmLimits limits;
+  limits.axes = {6, true};
+  for (int j = 0; j < 6; ++j) {
+    limits.lower[j] = kPiper.joints[j].lower;
+    limits.upper[j] = kPiper.joints[j].upper;
+  }
+  for (int a = -1; a < 6; ++a)
+    for (int b = a + 3; b < 6; ++b) (*out)["watched"].push_back({a, b});
+  Look(piper::PiperModel(piper::Zero::kBefore_1_6_3, {}), limits, count, out);
+}
+
 absl::Status Run(const Line& line) {
-  const auto& [file, tool, joints, packages, count] = line;
+  Json out = {{"seconds", 0},
+              {"meshes", 0},
+              {"missing", Json::array()},
+              {"parts", 0},
+              {"touching", 0},
+              {"touching_most", ""},
+              {"partly", 0},
+              {"watched", Json::array()},
+              {"poses", Json::array()}};
+  if (line.piper) {
+    LookAtPiper(line.poses, &out);
+    std::printf("%s\n", out.dump().c_str());
+    return absl::OkStatus();
+  }
+  const auto& [file, tool, joints, packages, count, piper] = line;
   ModelOptions options;
   options.tool = tool;
   options.packages = packages;
@@ -60,33 +110,16 @@ absl::Status Run(const Line& line) {
   const Clock::time_point start = Clock::now();
   RS_ASSIGN_OR_RETURN(ArmChain chain, ReadArmChain(file, text, joints, limits, options));
   ChooseLinkPairs(limits, {}, 0, {}, &chain);
-  Json out = {{"seconds", SecondsSince(start)},
+  out.update({{"seconds", SecondsSince(start)},
               {"meshes", chain.meshes},
               {"missing", chain.missing_meshes},
               {"parts", chain.body.size()},
               {"touching", chain.touching},
               {"touching_most", LinkPairName(chain.touching_most)},
-              {"partly", chain.partly_near.size()},
-              {"watched", Json::array()},
-              {"poses", Json::array()}};
+              {"partly", chain.partly_near.size()}});
   for (const auto& [a, b] : chain.watched)
     out["watched"].push_back({chain.body[a].link, chain.body[b].link});
-  const ChainModel model(chain, {});
-  std::mt19937 numbers(1);
-  std::vector<ArmVector> poses(static_cast<size_t>(count));
-  for (ArmVector& pose : poses) {
-    pose = {};
-    for (size_t k = 0; k < joints.size(); ++k)
-      pose[k] = std::uniform_real_distribution<double>(limits.lower[k], limits.upper[k])(numbers);
-  }
-  const Clock::time_point looking = Clock::now();
-  for (const ArmVector& pose : poses) {
-    const ArmModel::Clearance clearance = model.ClearanceAt(pose);
-    out["poses"].push_back({{"q", std::vector<double>(pose.begin(), pose.begin() + joints.size())},
-                            {"itself", clearance[ArmModel::kItself]},
-                            {"table", clearance[ArmModel::kTable]}});
-  }
-  out["us_a_call"] = 1e6 * SecondsSince(looking) / std::max<size_t>(1, poses.size());
+  Look(ChainModel(chain, {}), limits, count, &out);
   std::printf("%s\n", out.dump().c_str());
   return absl::OkStatus();
 }
@@ -97,9 +130,10 @@ absl::Status Run(const Line& line) {
 int main(int argc, char** argv) {
   robostress::cli::App app("Says how near an arm is to itself and to a table.", "bridge_clearance");
   robostress::bridge::Line line;
-  app.add_option("urdf", line.file, "of the arm")->required();
-  app.add_option("--tool", line.tool, "link that is the tool's point")->required();
-  app.add_option("--joints", line.joints, "from the base on")->required()->delimiter(',');
+  app.add_option("urdf", line.file, "of the arm");
+  app.add_option("--tool", line.tool, "link that is the tool's point");
+  app.add_option("--joints", line.joints, "from the base on")->delimiter(',');
+  app.add_flag("--piper", line.piper, "the Piper's own model instead of a URDF");
   app.add_option("--packages", line.packages, "folders of its packages");
   app.add_option("--poses", line.poses, "how many")->check(robostress::cli::Range(1, 1000000));
   return robostress::RunMain(app, argc, argv, [&] { return robostress::bridge::Run(line); });

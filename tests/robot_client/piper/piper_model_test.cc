@@ -10,6 +10,7 @@
 #include "robot_client/arm_path.h"
 #include "robot_client/emulator/piper_mjcf.h"
 #include "robot_client/emulator/piper_plant.h"
+#include "robot_client/piper/kinematics.h"
 
 namespace robostress::piper {
 namespace {
@@ -93,6 +94,37 @@ TEST(PiperModel, DistancesAreThoseOfThePartsItCovers) {
       }
     }
     EXPECT_LT(model.ClearanceAt(q)[ArmModel::kTable], lowest + 0.008) << "some millimetres";
+  }
+}
+
+// Outermost points of the vendor's meshes (Piper_ros, piper_description) along the axes of our
+// frames [m]. What the capsules leave out goes into the table.
+TEST(PiperModel, TheVendorsLinksAreInsideOfTheCapsules) {
+  struct Outermost {
+    int link;
+    Eigen::Vector3d point;
+  };
+  const Outermost kOutermost[] = {
+      {2, {0.316, -0.002, 0.042}},   {2, {0.284, 0.032, 0.042}},   {2, {-0.022, -0.012, 0.049}},
+      {2, {-0.031, 0.001, -0.042}},  {2, {0.230, -0.065, -0.001}}, {2, {0.307, 0.012, -0.049}},
+      {3, {0.030, -0.001, 0.033}},   {3, {0, 0.030, 0.026}},       {3, {-0.013, -0.019, 0.041}},
+      {3, {-0.050, -0.159, -0.002}}, {3, {-0.038, -0.215, 0.008}}, {3, {0.005, -0.041, -0.040}},
+      {4, {0.030, 0.030, 0}},        {4, {-0.002, 0.034, -0.018}}, {4, {0.001, 0.023, 0.029}},
+      {4, {-0.033, -0.004, -0.023}}, {4, {0, -0.029, -0.024}},     {4, {-0.020, -0.020, -0.036}},
+      {5, {0.030, -0.001, -0.027}},  {5, {0, 0.023, -0.029}},      {5, {0, -0.030, 0.030}},
+      {5, {-0.030, 0, -0.027}},      {5, {0.014, -0.091, 0.012}},  {5, {0.012, -0.014, -0.031}},
+      {6, {0.030, 0.001, 0.048}},    {6, {-0.004, 0.074, 0.062}},  {6, {0.009, 0.073, 0.067}},
+      {6, {-0.041, -0.004, 0.054}},  {6, {0.003, -0.071, 0.067}},  {6, {-0.017, -0.022, 0}}};
+  const PiperModel model(Zero::kSince_1_6_3, {});
+  std::mt19937 random(9);
+  for (int i = 0; i < 100000; ++i) {
+    const ArmVector q = Random(random);
+    JointVector joints;
+    std::copy_n(q.begin(), kJoints, joints.begin());
+    const auto poses = LinkPoses(joints, Zero::kSince_1_6_3);
+    const double table = model.ClearanceAt(q)[ArmModel::kTable];
+    for (const auto& [link, point] : kOutermost)
+      ASSERT_LE(table, (poses[link - 1] * point).z() + 1e-3) << "link " << link;
   }
 }
 
