@@ -15,7 +15,7 @@ struct Hull {
 
 // Of the surfaces [m], to a micrometre. Where that is more than `enough`, some value above it that
 // is not more: enough to know that another pair is nearer. Negative: how far one would have to move
-// to be free, the radii included; more than that where the cores meet, where only 14 directions are
+// to be free, the radii included; more than that where the cores meet, of which 27 directions are
 // tried. T_a_b: of b's frame in a's. Allocates nothing.
 double Distance(const Hull& a, const Hull& b, const Eigen::Isometry3d& T_a_b,
                 double enough = std::numeric_limits<double>::infinity());

@@ -79,7 +79,7 @@ struct Seen {
 };
 
 // Of one pair of links: leaves out those that are near at home, and while they are in most poses
-// the one that is most often. Returns when they still are.
+// the one that is most often. In which poses one that is left is near.
 Near LeaveNearOut(std::vector<Seen>* pairs) {
   std::erase_if(*pairs, [](const Seen& s) { return s.near[kPoses]; });
   while (true) {
