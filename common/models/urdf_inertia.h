@@ -14,8 +14,9 @@ struct InertiaRepair {
 
 // The inertia nearest to `given` (symmetric) whose principal moments A <= B <= C fulfil A + B >= C,
 // as those of every body do: with d = C - A - B > 0, A and B grow by d / 3 and C shrinks by d / 3
-// (least squares on the moments). INVALID_ARGUMENT with the value where a moment is below 0 by more
-// than rounding.
-absl::StatusOr<InertiaRepair> RepairInertia(const Eigen::Matrix3d& given);
+// (least squares on the moments). Less than 1e-15 kg m^2 is 0. INVALID_ARGUMENT with the value
+// where a moment is below 0 by more than rounding, and the body weighs a gram at least: lighter
+// ones are frames that an exporter gave some mass, and their moments below 0 become 0 first.
+absl::StatusOr<InertiaRepair> RepairInertia(const Eigen::Matrix3d& given, double mass);
 
 }  // namespace robostress

@@ -129,7 +129,7 @@ class UrdfReader {
                           file_.Numbers(*inertia, entry.name, {0}));
       link.inertia(entry.row, entry.column) = link.inertia(entry.column, entry.row) = number[0];
     }
-    const auto repair = RepairInertia(link.inertia);
+    const auto repair = RepairInertia(link.inertia, link.mass);
     if (!repair.ok())
       return file_.Error(
           *inertia, absl::StrCat("link '", link.name, "': <inertia>: ", repair.status().message()));
@@ -318,7 +318,8 @@ class UrdfReader {
     for (const int index : massless) links_[static_cast<size_t>(index)].mass = kTinyMass;
     for (const Joint& joint : joints_) {
       Link& link = links_[static_cast<size_t>(joint.child)];
-      if (joint.moves && link.mass > 0 && RepairInertia(link.inertia)->after[0] < kTinyInertia)
+      if (joint.moves && link.mass > 0 &&
+          RepairInertia(link.inertia, link.mass)->after[0] < kTinyInertia)
         link.inertia += kTinyInertia * Eigen::Matrix3d::Identity();
     }
     return absl::OkStatus();

@@ -272,6 +272,24 @@ TEST_F(UrdfModelTest, APointOnItsOwnAxisIsRefusedUnlessTheRigGivesAnArmature) {
   EXPECT_TRUE(Plant::Load(rig).ok());
 }
 
+// As found in a Tiago's antenna and an iCub's head [kg m^2].
+TEST_F(UrdfModelTest, WhatExportersWriteOfFramesIsNoReasonToRefuse) {
+  Eigen::Matrix3d antenna;
+  antenna << 2.371e-8, 6.119e-8, 1.179e-8, 6.119e-8, 2.833e-8, 7.74e-9, 1.179e-8, 7.74e-9, 3.849e-8;
+  const auto repaired = RepairInertia(antenna, 1e-6);
+  ASSERT_TRUE(repaired.ok()) << repaired.status();
+  EXPECT_TRUE(repaired->changed);
+  EXPECT_GE(repaired->after[0], 0);
+  EXPECT_GE(repaired->after[0] + repaired->after[1], repaired->after[2]);
+  EXPECT_FALSE(RepairInertia(antenna, 0.01).ok()) << "of a body that weighs something";
+  Eigen::Matrix3d head = Eigen::Matrix3d::Zero();
+  head(0, 2) = head(2, 0) = 2.40741e-35;
+  const auto nothing = RepairInertia(head, 1.33687);
+  ASSERT_TRUE(nothing.ok()) << nothing.status();
+  EXPECT_FALSE(nothing->changed);
+  EXPECT_EQ(nothing->inertia, Eigen::Matrix3d::Zero());
+}
+
 TEST_F(UrdfModelTest, AnInertiaThatNoBodyHasBecomesTheNearest) {
   const auto plant = Plant::Load(RigOf(
       With("ixx=\"0.03\" iyy=\"0.03\" izz=\"0.002\"", "ixx=\"0.03\" iyy=\"0.01\" izz=\"0.005\""),
@@ -284,13 +302,13 @@ TEST_F(UrdfModelTest, AnInertiaThatNoBodyHasBecomesTheNearest) {
   const Eigen::Matrix3d turn =
       Eigen::AngleAxisd(0.8, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix();
   const Eigen::Vector3d moments(0.005, 0.01, 0.03), nearest(0.01, 0.015, 0.025);
-  const auto repair = RepairInertia(turn * moments.asDiagonal() * turn.transpose());
+  const auto repair = RepairInertia(turn * moments.asDiagonal() * turn.transpose(), 1);
   ASSERT_TRUE(repair.ok()) << repair.status();
   EXPECT_TRUE(repair->changed);
   EXPECT_LT((repair->inertia - turn * nearest.asDiagonal() * turn.transpose()).norm(), 1e-9);
   // A flat plate's moments add up exactly: it stays.
   const Eigen::Matrix3d plate = Eigen::Vector3d(0.01, 0.02, 0.03).asDiagonal();
-  const auto kept = RepairInertia(plate);
+  const auto kept = RepairInertia(plate, 1);
   ASSERT_TRUE(kept.ok()) << kept.status();
   EXPECT_FALSE(kept->changed);
   EXPECT_LT((kept->inertia - plate).norm(), 1e-10);
