@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "adapter/compensation.h"
+#include "adapter/thrown_status.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -77,9 +78,13 @@ void LoraAdapter::Publish(LoraWeights phi, double loss, uint64_t feedback_sequen
   const double distance = LoraDistance(phi, phi_0_);
   auto snapshot = std::make_shared<const LoraWeights>(std::move(phi));
   absl::MutexLock lock(&mu_);
-  published_ = std::move(snapshot);
-  distance_ = distance;
-  history_.push_back({published_, distance, loss, feedback_sequence, false});
+  Publish({std::move(snapshot), distance, loss, feedback_sequence, false});
+}
+
+void LoraAdapter::Publish(PublishedVersion version) {
+  published_ = version.weights;
+  distance_ = version.distance;
+  history_.push_back(std::move(version));
   TrimHistory();
 }
 
@@ -132,7 +137,7 @@ absl::StatusOr<UpdateReport> LoraAdapter::Update(
     adam_ = std::move(next);
     Publish(std::move(candidate), report.loss, context.feedback_sequence);
   } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat("update ", index, ": ", error.what()));
+    return ThrownStatus(absl::StrCat("update ", index), error);
   }
   report.applied = true;
   report.version = current->version + 1;
@@ -152,13 +157,13 @@ absl::Status LoraAdapter::CheckShapes(const LoraState& state) const {
 
 absl::Status LoraAdapter::Import(const LoraState& state) {
   RS_RETURN_IF_ERROR(CheckShapes(state));
-  phi_0_ = state.phi_0;
   adam_ = state.adam;
-  {
-    absl::MutexLock lock(&mu_);
-    history_.clear();
-  }
-  Publish(state.phi, 0, 0);
+  PublishedVersion imported{std::make_shared<const LoraWeights>(state.phi)};
+  imported.distance = LoraDistance(state.phi, state.phi_0);
+  absl::MutexLock lock(&mu_);
+  phi_0_ = state.phi_0;
+  history_.clear();
+  Publish(std::move(imported));
   return absl::OkStatus();
 }
 
@@ -182,16 +187,14 @@ absl::Status LoraAdapter::CheckRollback(uint64_t version) const {
 absl::Status LoraAdapter::Rollback(uint64_t version) {
   RS_RETURN_IF_ERROR(CheckRollback(version));
   PublishedVersion found{std::make_shared<const LoraWeights>(phi_0_)};
-  {
-    absl::MutexLock lock(&mu_);
-    while (!history_.empty() && history_.back().weights->version >= version) {
-      if (version != 0 && history_.back().weights->version == version) found = history_.back();
-      history_.pop_back();
-    }
-  }
   adam_ = InitialAdamState(Parameters(phi_0_));
-  Publish(*found.weights, found.loss, found.feedback_sequence);
-  return found.pinned ? Pin(version, true) : absl::OkStatus();
+  absl::MutexLock lock(&mu_);
+  while (!history_.empty() && history_.back().weights->version >= version) {
+    if (version != 0 && history_.back().weights->version == version) found = history_.back();
+    history_.pop_back();
+  }
+  Publish(std::move(found));
+  return absl::OkStatus();
 }
 
 std::vector<PublishedVersion> LoraAdapter::Versions() const {

@@ -103,13 +103,14 @@ class LoraAdapter {
  private:
   LoraAdapter(const VelocityField* field, const LoraOptions& options, const StreamKey& session);
   void Publish(LoraWeights phi, double loss, uint64_t feedback_sequence) ABSL_LOCKS_EXCLUDED(mu_);
+  void Publish(PublishedVersion version) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   void TrimHistory() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const VelocityField* field_;
   const LoraOptions options_;
   const StreamKey session_;
-  LoraWeights phi_0_;
+  LoraWeights phi_0_;  // changed with mu_ held, so that Versions() may read it
   AdamState adam_;
 
   mutable absl::Mutex mu_;

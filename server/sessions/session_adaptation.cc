@@ -107,11 +107,11 @@ absl::StatusOr<std::vector<PublishedVersion>> Session::Versions() const {
 }
 
 absl::StatusOr<std::string> Session::ExportVersion(uint64_t version) {
-  RS_ASSIGN_OR_RETURN(const std::vector<PublishedVersion> versions, Versions());
-  for (const PublishedVersion& held : versions) {
+  RS_RETURN_IF_ERROR(learner_->RequireAdapter("export"));
+  absl::MutexLock lock(&mu_);
+  RS_RETURN_IF_ERROR(AwaitLearned(0));
+  for (const PublishedVersion& held : learner_->Versions()) {
     if (held.weights->version != version) continue;
-    absl::MutexLock lock(&mu_);
-    RS_RETURN_IF_ERROR(AwaitLearned(0));
     AdaptationState state = CurrentAdaptation();
     state.lora.phi = *held.weights;
     state.lora.adam = InitialAdamState(Parameters(*held.weights));

@@ -1,6 +1,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <thread>
+
 #include "server/sessions/session.h"
 #include "tests/server/sessions/drive.h"
 
@@ -73,6 +76,34 @@ TEST(Session, KeepsSixteenVersionsAndEveryPinnedOne) {
   EXPECT_EQ(held.back(), 23u);
   EXPECT_EQ(client.session().Pin(3, true).code(), absl::StatusCode::kNotFound);
   ASSERT_TRUE(client.session().Rollback(2).ok());
+  EXPECT_EQ(client.updates(), 2u);
+}
+
+TEST(Session, ListsVersionsWhileItRollsBackAndImports) {
+  Rig rig;
+  Client client(rig.Open(Spec("ours", {kRate})));
+  client.StartEpisode(0, 0);
+  client.RunChunks(40);
+  const std::string saved = ExportOf(client.session());
+  std::atomic<bool> over = false;
+  std::vector<std::thread> readers;
+  for (int i = 0; i < 3; ++i) {
+    readers.emplace_back([&] {
+      while (!over) {
+        const auto versions = client.session().Versions();
+        ASSERT_TRUE(versions.ok()) << versions.status();
+        ASSERT_FALSE(versions->empty());
+        EXPECT_EQ(versions->front().weights->version, 0u);
+        EXPECT_TRUE(client.session().ExportVersion(0).ok());
+      }
+    });
+  }
+  for (int i = 0; i < 100; ++i) {
+    EXPECT_TRUE(client.session().Rollback(0).ok());
+    EXPECT_TRUE(client.session().Import(saved).ok());
+  }
+  over = true;
+  for (std::thread& reader : readers) reader.join();
   EXPECT_EQ(client.updates(), 2u);
 }
 
