@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/thrown_status.h"
 #include "common/rollout/refusal.h"
 #include "server/inference/torch_threads.h"
 #include "server/inference/without_exceptions.h"
@@ -294,7 +295,7 @@ void Batcher::Compute(const Batch& batch) {
                                    : policy.Sample(context, noise, row.lora))
                  .squeeze(0));
       } catch (const std::exception& error) {
-        pending.status = absl::InternalError(absl::StrCat("prediction failed: ", error.what()));
+        pending.status = ThrownStatus("prediction", error);
       }
     }
   }

@@ -11,6 +11,7 @@
 #include "adapter/compensation.h"
 #include "adapter/method_options.h"
 #include "adapter/pseudo_target.h"
+#include "adapter/thrown_status.h"
 #include "common/status_macros.h"
 #include "server/sessions/state_rules.h"
 
@@ -74,7 +75,7 @@ absl::StatusOr<torch::Tensor> Learner::SentTargetOf(const ExecutedChunk& execute
     if (!torch::isfinite(target).all().item<bool>()) return prediction.raw;
     return target;
   } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat("target of sent commands failed: ", error.what()));
+    return ThrownStatus("target of sent commands", error);
   }
 }
 
@@ -121,7 +122,7 @@ absl::StatusOr<BufferedChunk> Learner::MakeTraining(const MeasuredChunk& measure
     // A policy's transforms may pass float32 where a residual is large: nothing is learned of it.
     if (!torch::isfinite(chunk.target).all().item<bool>()) chunk.target = prediction.raw;
   } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat("pseudo-target failed: ", error.what()));
+    return ThrownStatus("pseudo-target", error);
   }
   return chunk;
 }

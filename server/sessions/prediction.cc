@@ -8,6 +8,7 @@
 #include "absl/strings/str_join.h"
 #include "adapter/command_bounds.h"
 #include "adapter/method_options.h"
+#include "adapter/thrown_status.h"
 #include "common/rollout/noise_key.h"
 #include "common/status_macros.h"
 
@@ -73,7 +74,7 @@ absl::StatusOr<SampledPrediction> ComputePrediction(Batcher& batcher, Prediction
     RS_RETURN_IF_ERROR(CheckComputed(sampled, answer));
     return sampled;
   } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat("prediction failed: ", error.what()));
+    return ThrownStatus("prediction", error);
   }
 }
 

@@ -9,6 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/synchronization/mutex.h"
 #include "adapter/lora.h"
+#include "adapter/thrown_status.h"
 #include "common/status_macros.h"
 #include "server/policies/openpi/openpi_lora.h"
 #include "server/policies/openpi/step_graph.h"
@@ -159,7 +160,7 @@ absl::StatusOr<std::unique_ptr<OpenpiInference>> OpenpiInference::Create(
     const torch::NoGradGuard no_grad;
     return std::unique_ptr<OpenpiInference>(new OpenpiInference(std::move(model), options, device));
   } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat("the network cannot be prepared: ", error.what()));
+    return ThrownStatus("the network cannot be prepared", error);
   }
 }
 
@@ -168,9 +169,8 @@ absl::StatusOr<PolicyContext> OpenpiInference::Encode(const ModelInputs& inputs)
     const torch::NoGradGuard no_grad;
     RS_RETURN_IF_ERROR(CheckInputs(setup_.config, inputs));
     return EncodePrefix(setup_, weights_, inputs);
-  } catch (
-      const std::exception& error) {  // LibTorch reports out of memory and the like by throwing
-    return absl::InternalError(absl::StrCat("encoding failed: ", error.what()));
+  } catch (const std::exception& error) {
+    return ThrownStatus("encoding", error);
   }
 }
 
@@ -184,7 +184,7 @@ absl::StatusOr<torch::Tensor> OpenpiInference::Sample(const PolicyContext& conte
     RS_RETURN_IF_ERROR(CheckLora(lora_targets_, *lora));
     return Predict(context, noise, {lora->A, lora->B, /*rows=*/false});
   } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat("sampling failed: ", error.what()));
+    return ThrownStatus("sampling", error);
   }
 }
 
@@ -208,7 +208,7 @@ absl::StatusOr<torch::Tensor> OpenpiInference::SampleRows(
     LoraRows rows = StackLora(lora_targets_, lora);
     return Predict(context, noise, {std::move(rows.A), std::move(rows.B), /*rows=*/true});
   } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat("sampling failed: ", error.what()));
+    return ThrownStatus("sampling", error);
   }
 }
 

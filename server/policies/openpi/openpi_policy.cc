@@ -3,6 +3,7 @@
 #include <torch/types.h>
 
 #include "absl/strings/str_cat.h"
+#include "adapter/thrown_status.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/status_macros.h"
@@ -82,9 +83,8 @@ class OpenpiPolicy : public FlowPolicy {
       UseThreads();
       RS_ASSIGN_OR_RETURN(const ModelInputs inputs, preprocessor_->Prepare(observation));
       return inference_->Encode(inputs);
-    } catch (const std::exception& error) {  // LibTorch reports out of memory by throwing
-      return absl::InternalError(
-          absl::StrCat(model_.config.name(), ": encoding failed: ", error.what()));
+    } catch (const std::exception& error) {
+      return ThrownStatus(absl::StrCat(model_.config.name(), ": encoding"), error);
     }
   }
 
