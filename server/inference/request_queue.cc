@@ -58,9 +58,21 @@ RequestQueue::Refused RequestQueue::Push(Request request, absl::Duration retry_a
 std::vector<RequestQueue::Request> RequestQueue::PopBatch(MonotonicTime now, int most,
                                                           absl::Duration compute_time,
                                                           Refused& expired) {
+  const auto hopeless = [&](const Request& request) {
+    return request->deadline - now < absl::ToChronoNanoseconds(compute_time);
+  };
+  // Only a prediction mends an estimate that is wrong: where it refuses everything, the request
+  // with the most time left is computed all the same.
+  const QueuedRequest* spared = nullptr;
+  if (std::all_of(waiting_.begin(), waiting_.end(), hopeless)) {
+    for (const Request& request : waiting_) {
+      if (request->deadline > now && (spared == nullptr || request->deadline > spared->deadline))
+        spared = request.get();
+    }
+  }
   for (auto at = waiting_.begin(); at != waiting_.end();) {
     const QueuedRequest& request = **at;
-    if (request.deadline - now < absl::ToChronoNanoseconds(compute_time)) {
+    if (hopeless(*at) && &request != spared) {
       const auto since_arrival = [&](MonotonicTime t) {
         return absl::FormatDuration(
             absl::Floor(absl::FromChrono(t - request.arrival), absl::Microseconds(1)));

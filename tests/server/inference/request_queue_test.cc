@@ -79,6 +79,19 @@ TEST_F(RequestQueueTest, WhatCannotBeDoneByItsDeadlineIsRefusedAndNotComputed) {
   EXPECT_TRUE(absl::IsDeadlineExceeded(expired_[0].second)) << expired_[0].second;
 }
 
+TEST_F(RequestQueueTest, AnEstimateThatRefusesEverythingIsTriedWithTheMostTimeLeft) {
+  RequestQueue queue(options_);
+  const auto passed = Make(1), soon = Make(2), later = Make(3);
+  passed->deadline = now_ - std::chrono::milliseconds(1);
+  soon->deadline = now_ + std::chrono::milliseconds(10);
+  later->deadline = now_ + std::chrono::milliseconds(20);
+  for (const auto& request : {passed, soon, later}) Push(queue, request);
+  EXPECT_THAT(Pop(queue, 3, absl::Seconds(3)), ElementsAre(3));
+  EXPECT_EQ(expired_.size(), 2u);
+  Push(queue, passed);
+  EXPECT_THAT(Pop(queue, 3, absl::Seconds(3)), IsEmpty()) << "its deadline is over";
+}
+
 TEST_F(RequestQueueTest, ANewerObservationReplacesTheWaitingOneOfItsSessionOnly) {
   RequestQueue queue(options_);
   const auto old = Make(1), other = Make(2), lockstep = Make(3), fresh = Make(1);
