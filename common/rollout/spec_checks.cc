@@ -63,6 +63,7 @@ absl::Status CheckActionRange(const PolicySpec& spec) {
 }
 
 absl::Status CheckObservation(const Observation& observation, const PolicySpec& spec) {
+  RS_RETURN_IF_ERROR(CheckUtf8("instruction", observation.instruction));
   std::vector<std::string> cameras;
   for (const CameraView& view : observation.views) cameras.push_back(view.camera);
   if (cameras != spec.cameras) {

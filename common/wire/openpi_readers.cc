@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "common/rollout/field_checks.h"
 #include "common/status_macros.h"
 
 namespace robostress {
@@ -132,6 +133,7 @@ absl::StatusOr<std::string> OpenpiText(const std::string& field, const OpenpiVal
         field, ": ", text == nullptr ? "is no text" : absl::StrCat("has ", text->size(), " bytes"),
         ", must be a text of at most ", most, " bytes"));
   }
+  RS_RETURN_IF_ERROR(CheckUtf8(field, *text));
   return std::string(*text);
 }
 

@@ -33,7 +33,7 @@ absl::StatusOr<Eigen::MatrixXd> OpenpiMatrix(const std::string& field, const Ope
 absl::StatusOr<int64_t> OpenpiInteger(const std::string& field, const OpenpiValue& value,
                                       int64_t low, int64_t high);
 
-// A text (or bytes) of at most `most` bytes.
+// A text (or bytes) of at most `most` bytes of UTF-8.
 absl::StatusOr<std::string> OpenpiText(const std::string& field, const OpenpiValue& value,
                                        size_t most);
 

@@ -2,11 +2,13 @@
 
 #include <torch/types.h>
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "adapter/method_options.h"
 #include "common/monotonic_wait.h"
+#include "common/rollout/message_limits.h"
 #include "common/rollout/spec_checks.h"
 #include "common/status_macros.h"
 #include "server/inference/torch_threads.h"
@@ -134,6 +136,7 @@ absl::StatusOr<PredictedChunk> Session::Predict(std::shared_ptr<const Observatio
                                                 const PredictOptions& options) {
   UseOneTorchThread();
   RS_RETURN_IF_ERROR(CheckObservation(*observation, policy_spec()));
+  RS_RETURN_IF_ERROR(StateRules::CheckKey(key));
   if (options.running) RS_RETURN_IF_ERROR(CheckRunningRows(*options.running, policy_spec()));
 
   auto answer = std::make_shared<PredictedChunk>();
@@ -175,13 +178,15 @@ absl::StatusOr<PredictedChunk> Session::Predict(std::shared_ptr<const Observatio
     if (durable()) AppendPrediction(record, prediction);
     if (prediction.journaled && resources_.sync_predictions) writer = journal_->writer();
     Remember(std::move(prediction));
+    if (durable() && SnapshotsDue() > 0) PostSnapshot();
   }
   if (writer != nullptr) RS_RETURN_IF_ERROR(writer->Sync());
   return *answer;
 }
 
 void Session::Remember(Prediction prediction) {
-  if (episode_ == prediction.key.episode) next_chunk_ = prediction.key.chunk + 1;
+  if (episode_ == prediction.key.episode)
+    next_chunk_ = std::min(prediction.key.chunk + 1, WireLimits::kIndex);
   outstanding_.Keep(std::move(prediction));
 }
 

@@ -162,7 +162,13 @@ class Session : public std::enable_shared_from_this<Session> {
   void AppendPrediction(const std::string& record, Prediction& prediction)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   absl::Status SyncJournal() ABSL_EXCLUSIVE_LOCKS_REQUIRED(order_mu_) ABSL_LOCKS_EXCLUDED(mu_);
+  // How often the journal has grown by what is due since the last snapshot.
+  uint64_t SnapshotsDue() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void SnapshotIfDue() ABSL_EXCLUSIVE_LOCKS_REQUIRED(order_mu_) ABSL_LOCKS_EXCLUDED(mu_);
+  // The same on a learning thread, for predictions that no feedback follows; once at a time.
+  void PostSnapshot() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Nothing where feedback is being taken or an update is pending: then the next one makes it.
+  void SnapshotWhereQuiet() ABSL_LOCKS_EXCLUDED(order_mu_, mu_) ABSL_NO_THREAD_SAFETY_ANALYSIS;
   absl::Status TakeSnapshot() ABSL_EXCLUSIVE_LOCKS_REQUIRED(order_mu_) ABSL_LOCKS_EXCLUDED(mu_);
   SessionSnapshot Capture() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   absl::Status RecoverUnguarded(const std::string& folder);
@@ -189,6 +195,7 @@ class Session : public std::enable_shared_from_this<Session> {
   std::optional<EpisodeKey> episode_ ABSL_GUARDED_BY(mu_);  // now
   int next_chunk_ ABSL_GUARDED_BY(mu_) = 0;  // after the last that was predicted in it
   uint64_t feedback_sequence_ ABSL_GUARDED_BY(mu_) = 0;
+  bool snapshot_posted_ ABSL_GUARDED_BY(mu_) = false;
   OutstandingPredictions outstanding_ ABSL_GUARDED_BY(mu_);
   CommandCorrection correction_ ABSL_GUARDED_BY(mu_);
   SessionCounters counted_ ABSL_GUARDED_BY(mu_);  // what no part counts by itself

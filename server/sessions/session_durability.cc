@@ -103,12 +103,37 @@ absl::Status Session::TakeSnapshot() {
   return status;
 }
 
+uint64_t Session::SnapshotsDue() const {
+  return std::max(journal_->bytes() / resources_.snapshot_bytes,
+                  journal_->records() / resources_.snapshot_records);
+}
+
+void Session::PostSnapshot() {
+  if (std::exchange(snapshot_posted_, true)) return;
+  resources_.LearningOf(spec_.mode)->Post(owner_, [self = shared_from_this()] {
+    self->SnapshotWhereQuiet();
+  });
+}
+
+void Session::SnapshotWhereQuiet() {
+  // Whoever holds it may wait for updates, which run on this thread after this.
+  const bool alone = order_mu_.TryLock();
+  bool quiet = false;
+  {
+    absl::MutexLock lock(&mu_);
+    snapshot_posted_ = false;
+    quiet = learner_->pending() == 0;
+  }
+  if (!alone) return;
+  if (quiet) SnapshotIfDue();
+  order_mu_.Unlock();
+}
+
 void Session::SnapshotIfDue() {
   if (!durable()) return;
   {
     absl::MutexLock lock(&mu_);
-    const uint64_t share = std::max(journal_->bytes() / resources_.snapshot_bytes,
-                                    journal_->records() / resources_.snapshot_records);
+    const uint64_t share = SnapshotsDue();
     // An adapter that is always learning has no quiet moment: then one is made.
     if (share == 0 || (share < 4 && learner_->pending() > 0) || !CheckAlive().ok()) return;
   }

@@ -46,6 +46,11 @@ absl::Status StateRules::CheckEpisode(int64_t task, int64_t episode, int64_t low
   return CheckIndex("episode", episode, low);
 }
 
+absl::Status StateRules::CheckKey(const ChunkKey& key) {
+  RS_RETURN_IF_ERROR(CheckEpisode(key.episode.task, key.episode.episode));
+  return CheckIndex("chunk", key.chunk, 0);
+}
+
 absl::Status StateRules::CheckChunk(const char* field, const torch::Tensor& tensor) const {
   if (!tensor.defined() || tensor.scalar_type() != torch::kFloat32 || tensor.dim() != 2 ||
       tensor.size(0) != policy_->horizon() || tensor.size(1) != policy_->model_action_dim()) {
@@ -122,9 +127,7 @@ absl::Status StateRules::CheckPrediction(const Prediction& prediction) const {
   const auto within = [&where](const absl::Status& status) {
     return status.ok() ? status : Invalid(where, ": ", status.message());
   };
-  RS_RETURN_IF_ERROR(
-      within(CheckEpisode(prediction.key.episode.task, prediction.key.episode.episode)));
-  RS_RETURN_IF_ERROR(within(CheckIndex("chunk", prediction.key.chunk, 0)));
+  RS_RETURN_IF_ERROR(within(CheckKey(prediction.key)));
   const bool adapts = spec_->method->adapts();
   if ((prediction.observation != nullptr) != adapts) {
     return Invalid(where, adapts ? " lacks its observation" : " has an observation", "; method ",

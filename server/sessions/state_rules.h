@@ -42,6 +42,8 @@ class StateRules {
                              const PolicyContext& context) const;
   // Of a start of an episode. `low`: -1 where an import may have left it open.
   static absl::Status CheckEpisode(int64_t task, int64_t episode, int64_t low = 0);
+  // Of what a prediction answers: what is above could not be read from the disk again.
+  static absl::Status CheckKey(const ChunkKey& key);
   static absl::Status CheckCount(const char* field, uint64_t value);
   // All of the above but CheckBuffered, and what the parts have to do with each other. Versions are
   // checked by LoraAdapter::RestoreVersions, corrections by CommandCorrection::set_state.

@@ -131,7 +131,9 @@ absl::Status OpenpiConversation::Begin(const OpenpiValue* session) {
 
 absl::Status OpenpiConversation::EnterEpisode(SessionUse& session, const OpenpiValue& message) {
   EpisodeKey key = episode_.value_or(EpisodeKey{0, 0});
-  bool enter = !episode_;
+  // An imported adapter knows its task and is in none of its episodes.
+  bool enter = !episode_ || episode_->episode < 0;
+  key.episode = std::max(key.episode, 0);
   if (const OpenpiValue* episode = message.Find("episode")) {
     const OpenpiValue *task = episode->Find("task"), *index = episode->Find("episode");
     if (task == nullptr || index == nullptr)
@@ -145,7 +147,7 @@ absl::Status OpenpiConversation::EnterEpisode(SessionUse& session, const OpenpiV
   } else if (const OpenpiValue* reset = message.Find("reset")) {
     const bool* flag = std::get_if<bool>(&reset->value);
     if (flag == nullptr) return absl::InvalidArgumentError("reset: must be true or false");
-    if (*flag && episode_) {
+    if (*flag && !enter) {
       ++key.episode;
       enter = true;
     }

@@ -2,12 +2,28 @@
 
 #include <cmath>
 
+#include "common/rollout/field_checks.h"
 #include "tests/common/rpc/wire_samples.h"
 
 namespace robostress {
 namespace {
 
 using ::testing::HasSubstr;
+
+TEST(FieldChecks, UseUtf8AsItIsDefined) {
+  for (const char* text : {"", "plain", "caf\xc3\xa9", "\xe2\x82\xac", "\xf0\x9f\xa4\x96",
+                           "\xed\x9f\xbf", "\xf4\x8f\xbf\xbf"}) {
+    EXPECT_TRUE(CheckUtf8("prompt", text).ok()) << text;
+  }
+  // Alone, cut off, longer than need be, a surrogate, beyond the last character.
+  for (const char* text :
+       {"\x80", "caf\xe9", "\xc3", "\xe2\x82", "\xf0\x9f\xa4", "\xc0\xaf", "\xe0\x80\xaf",
+        "\xf0\x80\x80\xaf", "\xed\xa0\x80", "\xf4\x90\x80\x80", "\xff"}) {
+    EXPECT_FALSE(CheckUtf8("prompt", text).ok()) << text;
+  }
+  EXPECT_THAT(std::string(CheckUtf8("prompt", "a caf\xe9.").message()),
+              HasSubstr("prompt: byte 6 of 7 (233) is not UTF-8; send the text in UTF-8"));
+}
 
 TEST(SpecChecks, NameWhatThePolicyWants) {
   PolicySpec spec;

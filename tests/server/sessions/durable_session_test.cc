@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "common/atomic_file.h"
+#include "common/rollout/message_limits.h"
 #include "common/rpc/convert_specs.h"
 #include "proto/robostress/v1/state.pb.h"
 #include "server/sessions/journal/session_journal.h"
@@ -278,6 +279,65 @@ TEST_F(DurableSession, AFullDiskRefusesFeedbackTakesNothingAndStopsNoPrediction)
   straight.RunChunks(10);
   EXPECT_EQ(ExportOf(client.session()), ExportOf(straight.session()));
   EXPECT_EQ(ExportOf(*Again(rig)), ExportOf(straight.session()));
+}
+
+TEST_F(DurableSession, PredictionsThatNoFeedbackFollowsDoNotFillTheDisk) {
+  for (const char* method : {"base", "ours"}) {
+    fs::remove_all(folder_);
+    spec_ = Spec(method);
+    snapshot_records_ = 16;
+    Rig rig;
+    Client client(Begin(rig));
+    client.StartEpisode(0, 0);
+    client.Predict();
+    const uint64_t one = client.session().CountersNow().journal_bytes;
+    for (int i = 0; i < 400; ++i) client.Predict();
+    const auto bytes = [&] { return client.session().CountersNow().journal_bytes; };
+    for (int i = 0; i < 500 && bytes() > 32 * one; ++i) {
+      client.Predict();
+      absl::SleepFor(absl::Milliseconds(10));
+    }
+    EXPECT_LE(bytes(), 32 * one) << method;
+    const SessionPosition before = client.session().Position();
+    client.session().Cancel();
+    const auto again = Again(rig);
+    EXPECT_EQ(again->Position().last_prediction_id, before.last_prediction_id);
+    EXPECT_EQ(again->Position().next_chunk, before.next_chunk);
+  }
+}
+
+TEST_F(DurableSession, WhatItAnsweredItCanReadAgainUpToTheGreatestNumbers) {
+  Rig rig;
+  const auto session = Begin(rig);
+  ASSERT_TRUE(session->StartEpisode({0, WireLimits::kIndex}, 0).ok());
+  const auto predict = [&](int task, int episode, int chunk) {
+    return session->Predict(Shared(FakePolicy::MakeObservation(0)), {{task, episode}, chunk}, 0);
+  };
+  ASSERT_TRUE(predict(0, WireLimits::kIndex, WireLimits::kIndex).ok());
+  const absl::Status above = predict(0, WireLimits::kIndex, WireLimits::kIndex + 1).status();
+  EXPECT_EQ(above.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(above.message()), HasSubstr("chunk is 16777217"));
+  Observation latin = FakePolicy::MakeObservation(0);
+  latin.instruction = "caf\xe9";
+  EXPECT_THAT(
+      std::string(
+          session->Predict(Shared(latin), {{0, WireLimits::kIndex}, 1}, 0).status().message()),
+      HasSubstr("instruction: byte 4 of 4 (233) is not UTF-8"));
+  ASSERT_TRUE(session->Flush().ok());
+  session->Cancel();
+  EXPECT_EQ(Again(rig)->Position().next_chunk, WireLimits::kIndex);
+}
+
+TEST_F(DurableSession, AnImportLeavesNoEpisodeToPredictIn) {
+  Rig rig;
+  Client source(rig.Open(spec_));
+  source.StartEpisode(4, 0);
+  source.RunChunks(40);
+  const auto session = Begin(rig);
+  ASSERT_TRUE(session->Import(ExportOf(source.session())).ok());
+  EXPECT_EQ(
+      session->Predict(Shared(FakePolicy::MakeObservation(0)), {{4, -1}, 0}, 40).status().code(),
+      absl::StatusCode::kInvalidArgument);
 }
 
 TEST_F(DurableSession, DuplicatesAreAcknowledgedCountedAndHaveNoEffect) {

@@ -48,6 +48,15 @@ class Served {
     EXPECT_TRUE(session.ok()) << session.status();
     return robostress::ExportOf(**session);
   }
+  // The session's own adapter, imported into it.
+  std::optional<EpisodeKey> ImportInto(const std::string& id) {
+    const auto session = server_->sessions().Use(id);
+    EXPECT_TRUE((*session)->Import(robostress::ExportOf(**session)).ok());
+    return (*session)->Position().episode;
+  }
+  std::optional<EpisodeKey> EpisodeOf(const std::string& id) {
+    return (*server_->sessions().Use(id))->Position().episode;
+  }
 
  private:
   std::unique_ptr<PolicyServer> server_;
@@ -191,6 +200,16 @@ TEST_F(OpenpiResume, GoesOnBitForBitOnAnotherConnection) {
   }
   EXPECT_EQ(cut.actions(), straight.actions());
   EXPECT_EQ(served.ExportOf(cut.id()), expected);
+}
+
+TEST_F(OpenpiResume, AfterAnImportTheFirstEpisodeOfItsTaskBegins) {
+  Served served((root_ / "state").string());
+  Robot robot(served.port());
+  robot.Predict();
+  EXPECT_EQ(served.ImportInto(robot.id()), (EpisodeKey{3, -1}));
+  robot.Connect(served.port());
+  robot.Predict();
+  EXPECT_EQ(served.EpisodeOf(robot.id()), (EpisodeKey{3, 0}));
 }
 
 TEST_F(OpenpiResume, GoesOnBitForBitOnAServerThatWasStartedAgain) {
