@@ -43,8 +43,7 @@ absl::StatusOr<std::optional<SessionRegistry::Leaving>> SessionRegistry::TryTake
     if (entry.session == nullptr || entry.in_flight > 0 || entry.busy) continue;
     if (too_many && entry.client != client) continue;
     held.push_back({id, entry.client, absl::Nanoseconds(clock_->now_ns() - entry.last_used_ns),
-                    entry.attached > 0, entry.was_attached,
-                    entry.session->Position().feedback_sequence > 0});
+                    entry.attached > 0, entry.was_attached, entry.session->Position().learned()});
   }
   const PlaceChoice choice = ChoosePlace(rules, held, client);
   if (choice.victim.empty()) {
@@ -64,7 +63,7 @@ absl::StatusOr<std::optional<SessionRegistry::Leaving>> SessionRegistry::TryTake
 void SessionRegistry::MakeLeave(const Leaving& leaving) {
   const SessionPosition position = leaving.session->Position();
   // Nothing was done with it: there is nothing to keep.
-  const bool unused = position.feedback_sequence == 0 && position.last_prediction_id == 0;
+  const bool unused = !position.learned() && position.last_prediction_id == 0 && !position.episode;
   const bool keep = durable() && !unused;
   spdlog::warn("{}: {} to make room", leaving.id, keep ? "written to disk" : "closed");
   if (keep) {
@@ -78,7 +77,7 @@ void SessionRegistry::MakeLeave(const Leaving& leaving) {
     const auto found = entries_.find(leaving.id);
     found->second.busy = false;
     found->second.made_room = true;
-    found->second.learned = position.feedback_sequence > 0;
+    found->second.learned = position.learned();
     LosePlace(found->second);
     if (!keep) entries_.erase(found);
   }

@@ -91,14 +91,18 @@ absl::StatusOr<std::shared_ptr<Session>> SessionRegistry::ReadFromDisk(
   }
   absl::StatusOr<std::shared_ptr<Session>> session =
       Session::Create(request.spec, resources, owner, request.guard);
-  absl::Status status = session.status();
-  if (status.ok()) {
-    folders_->BeginReading(id);
-    status = (*session)->Recover(folders_->PathOf(id));
-    folders_->EndReading(id);
-    if (status.ok()) return session;
-    (*session)->Cancel();
+  // The session was made once: it is this server's policy that does not fit.
+  if (absl::IsInvalidArgument(session.status())) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        id, " does not fit this server's policy '", request.spec.policy, "': ",
+        session.status().message(), "; start the server with the weights that it was opened with"));
   }
+  RS_RETURN_IF_ERROR(session.status());
+  folders_->BeginReading(id);
+  const absl::Status status = (*session)->Recover(folders_->PathOf(id));
+  folders_->EndReading(id);
+  if (status.ok()) return session;
+  (*session)->Cancel();
   // What its files hold will be no other at the next attempt.
   if (absl::IsDataLoss(status) || absl::IsInvalidArgument(status)) folders_->SetAside(id, status);
   return status;

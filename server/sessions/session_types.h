@@ -38,6 +38,8 @@ struct SessionPosition {
   uint64_t updates_applied = 0;
   std::optional<EpisodeKey> episode;  // of the last StartEpisode
   int next_chunk = 0;                 // after the last that was predicted in it
+  // From feedback, or from an adapter that was imported.
+  bool learned() const { return feedback_sequence > 0 || updates_applied > 0; }
 };
 
 }  // namespace robostress

@@ -331,6 +331,55 @@ TEST_F(RegistryTest, AThousandSessionsOpenedAndDroppedLeaveNothing) {
   EXPECT_EQ(Folders(), 0);
 }
 
+TEST_F(RegistryTest, AnAdapterThatWasImportedIsSomethingToKeep) {
+  Durable();
+  options_.max_sessions = 1;
+  options_.max_stored_sessions = 4;  // three of them one client's
+  Start();
+  AdaptationState state = StateOf(rig_, *Open().session);
+  state.lora.phi.version = 1;  // as a PEFT adapter comes
+  const std::string file = *SerializeAdaptationState(state, rig_.policy->lora_targets());
+  clock_.Advance(absl::ToInt64Nanoseconds(options_.abandoned_after));
+  const OpenedSession opened = Open();
+  ASSERT_TRUE(opened.session->Import(file).ok());
+  for (int i = 0; i < 4; ++i) {
+    clock_.Advance(absl::ToInt64Nanoseconds(2 * options_.abandoned_after));
+    Client client(Open().session);
+    client.StartEpisode(0, 0);
+    client.Predict();
+  }
+  clock_.Advance(absl::ToInt64Nanoseconds(2 * options_.abandoned_after));
+  const auto resumed = registry_->Resume(opened.id, opened.token);
+  ASSERT_TRUE(resumed.ok()) << resumed.status();
+  EXPECT_EQ(resumed->session->Position().updates_applied, 1u);
+}
+
+TEST_F(RegistryTest, APolicyThatDoesNotFitIsTheServersFaultAndTheSessionWaits) {
+  struct Rigid : FakePolicy {
+    Rigid() : FakePolicy("other-hash"), spec_(FakePolicy::spec()) { spec_.adaptable = false; }
+    const PolicySpec& spec() const override { return spec_; }
+    PolicySpec spec_;
+  };
+  Durable();
+  Start();
+  const OpenedSession opened = Open();
+  Client client(opened.session);
+  client.StartEpisode(0, 0);
+  client.RunChunks(40);
+  const std::shared_ptr<FakePolicy> right = rig_.policy;
+  rig_.policy = std::make_shared<Rigid>();
+  Start();
+  const absl::Status refused = registry_->Resume(opened.id, opened.token).status();
+  EXPECT_EQ(refused.code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_THAT(std::string(refused.message()), HasSubstr("start the server with the weights"));
+  rig_.policy = right;
+  EXPECT_TRUE(registry_->Resume(opened.id, opened.token).ok()) << "on the same server";
+  Start();
+  const auto resumed = registry_->Resume(opened.id, opened.token);
+  ASSERT_TRUE(resumed.ok()) << resumed.status();
+  EXPECT_EQ(resumed->session->Position().feedback_sequence, 40u);
+}
+
 TEST_F(RegistryTest, AFolderThatCannotBeReadIsListedAndHarmsNoOther) {
   Durable();
   Start();
