@@ -89,7 +89,8 @@ absl::Status CheckLimits(const ServeOptions& o) {
   RS_RETURN_IF_ERROR(InRange("--abandoned-after", o.abandoned_after, 0.0, 1e7));
   RS_RETURN_IF_ERROR(InRange("--lockstep-timeout", o.lockstep_timeout, 1.0, 86400.0));
   RS_RETURN_IF_ERROR(InRange("--starvation-limit", o.starvation_limit, 0.0, 3600.0));
-  RS_RETURN_IF_ERROR(InRange("--max-message-mib", o.max_message_mib, 1, 1024));
+  RS_RETURN_IF_ERROR(
+      InRange("--max-message-mib", o.max_message_mib, 1, kLargestMessageBytes >> 20));
   RS_RETURN_IF_ERROR(InRange("--kept-traces", o.kept_traces, 1, 100000));
   RS_RETURN_IF_ERROR(InRange("--request-timeout", o.request_timeout, 1.0, 3600.0));
   RS_RETURN_IF_ERROR(InRange("--idle-timeout", o.idle_timeout, 1.0, 86400.0));

@@ -39,8 +39,8 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const PolicyClientOpt
   }
   RS_ASSIGN_OR_RETURN(const auto credentials, ChannelCredentialsFromEnvironment());
   grpc::ChannelArguments arguments;
-  arguments.SetMaxReceiveMessageSize(kMaxMessageBytes);
-  arguments.SetMaxSendMessageSize(kMaxMessageBytes);
+  arguments.SetMaxReceiveMessageSize(kLargestMessageBytes);
+  arguments.SetMaxSendMessageSize(kLargestMessageBytes);
   arguments.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY,
                    0);  // a proxy for the web must not swallow a policy server
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);

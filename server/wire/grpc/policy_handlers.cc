@@ -42,7 +42,7 @@ size_t LargestAdapterBytes(const FlowPolicy& policy, const MethodCaps& caps) {
       static_cast<size_t>(caps.max_buffer_chunks) * static_cast<size_t>(2 * context.layers + 3);
   const size_t names = 256 * tensors + (size_t{64} << 10);  // the file's own header
   const size_t bytes = 4 * 4 * parameters + static_cast<size_t>(caps.max_buffer_chunks) * chunk;
-  return std::min(bytes + names, size_t{kMaxMessageBytes});
+  return std::min(bytes + names, size_t{kLargestMessageBytes});
 }
 
 absl::Status CheckIndex(const char* field, uint32_t value) {
@@ -275,6 +275,7 @@ absl::Status PolicyHandlers::GetStats(GrpcCallView& call, const v1::GetStatsRequ
   response.set_resumes(counters.resumes);
   response.set_rollbacks(counters.rollbacks);
   response.set_steps_masked(counters.steps_masked);
+  response.set_steps_impossible(counters.steps_impossible);
   response.set_journal_bytes(counters.journal_bytes);
   response.set_durable(session->durable());
   return absl::OkStatus();
@@ -285,6 +286,13 @@ absl::Status PolicyHandlers::ExportAdapter(GrpcCallView& call,
                                            v1::ExportAdapterResponse& response) {
   RS_ASSIGN_OR_RETURN(const auto session, sessions_->Use(request.session_id(), call.caller()));
   RS_ASSIGN_OR_RETURN(AdapterState state, session->Export());
+  const size_t mib = (state.safetensors.size() >> 20) + 1;
+  if (mib > static_cast<size_t>(options_.max_message_mib)) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "the adapter with its buffer has ", mib, " MiB, and this server sends at most ",
+        options_.max_message_mib, "; start it with --max-message-mib ", mib,
+        " (at most 1024), or open the session with a smaller buffer_chunks"));
+  }
   response.set_safetensors(std::move(state.safetensors));
   response.set_feedback_sequence(state.feedback_sequence);
   response.set_updates_applied(state.updates_applied);

@@ -25,6 +25,7 @@ class PolicyHandlers {
     int threads = 0, max_sessions = 0;  // for GetServerInfo
     absl::Duration expire_after;
     MethodCaps caps;
+    int max_message_mib = 0;
   };
   // All outlive it. Feedback has threads of its own: a lockstep prediction waits for it.
   PolicyHandlers(const Options& options, const ServedPolicies* policies, SessionRegistry* sessions,

@@ -126,7 +126,8 @@ class PolicyServer::Service {
     host_ = std::make_unique<RegistryHost>(sessions_.get(), std::move(specs), options_.guard,
                                            &telemetry_, &traces_);
     const PolicyHandlers::Options handlers{options_.threads, options_.max_sessions,
-                                           options_.expire_after, options_.caps};
+                                           options_.expire_after, options_.caps,
+                                           options_.max_message_mib};
     handlers_ = std::make_unique<PolicyHandlers>(handlers, &policies_, sessions_.get(), host_.get(),
                                                  &calls_, &feedback_calls_);
     return absl::OkStatus();

@@ -116,6 +116,46 @@ TEST_F(PolicyServiceTest, ImportsWhatItExported) {
   EXPECT_EQ(second->Stats()->adapter_distance, 0);
 }
 
+TEST_F(PolicyServiceTest, CountsStepsThatNoRobotCanShow) {
+  const auto client = Connect(Spec("ours"));
+  ASSERT_TRUE(client->StartEpisode({0, 0}).ok());
+  const auto prediction = client->Predict(FakePolicy::MakeObservation(0), 0);
+  ASSERT_TRUE(prediction.ok()) << prediction.status();
+  ExecutedChunk executed = ToyArm(0.6).Execute(*prediction, 5);
+  executed.steps[2].before.q[0] = 1e30;
+  executed.sequence = 1;
+  ASSERT_TRUE(client->SendFeedback(executed).ok());
+  v1::GetStatsRequest request;
+  request.set_session_id(client->session_id());
+  v1::GetStatsResponse stats;
+  grpc::ClientContext context;
+  const auto stub = v1::PolicyService::NewStub(
+      grpc::CreateChannel(Address().address, grpc::InsecureChannelCredentials()));
+  ASSERT_TRUE(client->Stats().ok()) << "the feedback is in";
+  ASSERT_TRUE(stub->GetStats(&context, request, &stats).ok());
+  EXPECT_EQ(stats.steps_impossible(),
+            (*server_->sessions().Use(client->session_id()))->CountersNow().steps_impossible);
+  EXPECT_GT(stats.steps_impossible(), 0u);
+}
+
+TEST_F(PolicyServiceTest, AnAdapterLargerThanAMessageIsRefusedWithTheFlag) {
+  PolicyServerOptions options;
+  options.max_message_mib = 1;
+  options.caps.max_buffer_chunks = 4096;
+  auto server = PolicyServer::Start(options, {std::make_shared<FakePolicy>()});
+  ASSERT_TRUE(server.ok()) << server.status();
+  server_ = *std::move(server);
+  const auto remote = Connect(Spec("ours", {"buffer_chunks=4096"}));
+  auto session = server_->sessions().Use(remote->session_id());
+  ASSERT_TRUE(session.ok()) << session.status();
+  Client client(session->session());
+  client.StartEpisode(0, 0);
+  client.RunChunks(1500);
+  const absl::Status refused = remote->ExportAdapter().status();
+  EXPECT_EQ(refused.code(), absl::StatusCode::kResourceExhausted);
+  EXPECT_THAT(std::string(refused.message()), HasSubstr("start it with --max-message-mib 2"));
+}
+
 TEST_F(PolicyServiceTest, SaysWhatItServes) {
   const auto info = GetServerInfo(Address());
   ASSERT_TRUE(info.ok()) << info.status();
