@@ -127,7 +127,7 @@ absl::Status CheckConfig(const ClientConfig& c) {
   const auto invalid = [](const auto&... parts) {
     return absl::InvalidArgumentError(absl::StrCat(parts...));
   };
-  RS_RETURN_IF_ERROR(CheckWatchdogs(c.control.watchdogs, c.without));
+  RS_RETURN_IF_ERROR(CheckGuards(c.control.watchdogs, c.control.press, c.without));
   RS_RETURN_IF_ERROR(CheckWorkspace(c.control.workspace, "control.workspace"));
   const LimiterOptions& limits = c.control.limits;
   if (!(limits.joint_velocity > 0 && limits.joint_velocity <= 3 && limits.joint_jerk > 0))

@@ -32,7 +32,7 @@ struct ClientConfig {
   int collision_level = -1;          // of the arm's own protection, 0 (off) .. 8; -1: as it is
   bool record_required = true;       // false: the arm may move on when the recording has failed
   bool record_pictures = false;      // keep what the policy is shown
-  std::vector<std::string> without;  // watchdogs that are given up, by the names of their options
+  std::vector<std::string> without;  // guards that are given up, by the names of their options
   PolicyConnectionOptions policy;
   ControlOptions control;
   FeedbackOptions feedback;
@@ -59,7 +59,7 @@ struct ClientConfig {
             "false: the arm may move on unrecorded, on a full disk for one");
     v.Late("record_pictures", record_pictures, false,
            "keep the pictures that the policy is shown, as PNG");
-    v.Field("without", without, "watchdogs that are given up: they may have values out of range");
+    v.Field("without", without, "guards that are given up: they may have values out of range");
     v.Section("policy", policy, "the policy server and its session");
     v.Section("control", control, "the control loop");
     v.Section("feedback", feedback, "what is reported to the server");

@@ -23,8 +23,8 @@ void AddClientFlags(cli::App& app, ClientFlags& flags) {
   app.add_option("--set", flags.overrides, "key.key=value over the configuration, repeatable")
       ->allow_extra_args(false);
   app.add_option("--without", flags.without,
-                 "a watchdog that is given up (the name of its option under control.watchdogs): it "
-                 "may have a value that guards nothing; repeatable")
+                 "a guard that is given up (the name of its option under control.watchdogs or "
+                 "control.press): it may have a value that guards nothing; repeatable")
       ->allow_extra_args(false);
   app.add_flag("--automatic", flags.automatic,
                "do all of it without a person and quit; not on a real bus");

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <string>
+#include <vector>
+
 #include "absl/status/status.h"
 #include "adapter/disturbance_observer.h"
 #include "robot_client/arm_model.h"
@@ -41,6 +44,12 @@ struct ControlOptions {
     v.Section("workspace", workspace, "where the arm may be");
   }
 };
+
+// INVALID_ARGUMENT names option, value and range where a value of the watchdogs or of a press lies
+// outside of what still guards something and the option is not among `given_up`, which a person
+// gives up by name.
+absl::Status CheckGuards(const WatchdogOptions& watchdogs, const PressOptions& press,
+                         const std::vector<std::string>& given_up);
 
 // INVALID_ARGUMENT names option, value and range. What depends on an arm's limits is
 // CommandLimiter::Configure's to check.

@@ -4,8 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "absl/strings/str_cat.h"
-
 namespace robostress {
 namespace {
 
@@ -24,39 +22,6 @@ bool Finite(const ArmSnapshot& arm) {
 bool Stale(double age_s, double limit_s) { return age_s > limit_s || age_s < -kMostAhead_s; }
 
 }  // namespace
-
-absl::Status CheckWatchdogs(const WatchdogOptions& o, const std::vector<std::string>& given_up) {
-  const struct {
-    const char* name;
-    double value, least, most;
-  } ranges[] = {{"arm_hold_s", o.arm_hold_s, 0.01, 0.2},
-                {"arm_fault_s", o.arm_fault_s, std::min(o.arm_hold_s, 0.2), 1},
-                {"camera_mark_s", o.camera_mark_s, 0.01, 1},
-                {"camera_hold_s", o.camera_hold_s, 0.05, 2},
-                {"server_hold_s", o.server_hold_s, 0.1, 10},
-                {"first_chunk_s", o.first_chunk_s, 0.1, 120},
-                {"following_error", o.following_error, 0.01, 1},
-                {"following_s", o.following_s, 0.05, 2},
-                {"send_hold_ticks", static_cast<double>(o.send_hold_ticks), 1, 30},
-                {"send_fault_ticks", static_cast<double>(o.send_fault_ticks),
-                 static_cast<double>(std::min(o.send_hold_ticks, 60)), 60},
-                {"delay_hold_s", o.delay_hold_s, 0.05, 0.5}};
-  for (const auto& [name, value, least, most] : ranges) {
-    if (value >= least && value <= most) continue;
-    if (value > 0 && std::count(given_up.begin(), given_up.end(), name) > 0) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat("control.watchdogs.", name, " is ", value, ", must be ", least, " to ", most,
-                     ": beyond that it guards nothing; --without ", name, " gives the guard up"));
-  }
-  for (const std::string& name : given_up) {
-    const bool known = std::any_of(std::begin(ranges), std::end(ranges),
-                                   [&](const auto& range) { return name == range.name; });
-    if (!known)
-      return absl::InvalidArgumentError(
-          absl::StrCat("--without ", name, ": no watchdog has this name"));
-  }
-  return absl::OkStatus();
-}
 
 void Watchdogs::OnRunStart(int64_t now_ns) {
   last_row_ns_ = now_ns;

@@ -2,10 +2,7 @@
 
 #include <cstdint>
 #include <limits>
-#include <string>
-#include <vector>
 
-#include "absl/status/status.h"
 #include "robot_client/control/tick_record.h"
 #include "robot_client/robot_arm.h"
 
@@ -53,11 +50,6 @@ class NoCameras : public CameraStamps {
  public:
   int64_t Oldest() const override { return std::numeric_limits<int64_t>::max(); }
 };
-
-// INVALID_ARGUMENT names option, value and range where a value lies outside of what still guards
-// something and the option is not among `given_up`, which a person gives up by name.
-absl::Status CheckWatchdogs(const WatchdogOptions& options,
-                            const std::vector<std::string>& given_up);
 
 // A stamp may be this far ahead of the clock: rounding between a driver's time and ours. Further
 // ahead it says nothing about its age.

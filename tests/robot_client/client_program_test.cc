@@ -229,6 +229,9 @@ TEST(ClientProgramTest, RefusesBadInput) {
   for (const char* wrong : {"control.watchdogs.following_error=.inf", "home_velocity=3",
                             "control.watchdogs.server_hold_s=1e9", "collision_level=9",
                             "control.watchdogs.camera_hold_s=-1", "control.press.excess=[1]",
+                            "control.press.excess_s=1e9", "control.press.payload_kg=50",
+                            "control.press.blocked_error=1e9", "control.press.blocked_s=1e9",
+                            "control.press.blocked_travel=0", "control.rate_hz=1000",
                             "control.workspace.lower=[1,1,1]"}) {
     std::tie(text, code) = run(absl::StrCat("--set ", wrong));
     EXPECT_EQ(code, 2) << wrong;

@@ -2,8 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <functional>
 #include <limits>
+#include <string>
+#include <vector>
 
+#include "robot_client/control/control_options.h"
 #include "robot_client/control/state_machine.h"
 
 namespace robostress {
@@ -141,42 +145,76 @@ TEST(WatchdogsTest, PressingBlockingDelayBoundsRecordAndNonsenseAreHeld) {
   EXPECT_EQ(dogs.Check(in).hold, StateCause::kDelayed);
 }
 
+template <class Options>
+struct Ranged {
+  const char* name;
+  double Options::*value;
+  double least, most;
+};
 // Every option at both ends of its range, a little beyond, and at what is no number.
-TEST(WatchdogsTest, AValueThatGuardsNothingIsRefusedUnlessTheGuardIsGivenUpByName) {
-  constexpr double kInfinite = std::numeric_limits<double>::infinity();
-  const struct {
-    const char* name;
-    double WatchdogOptions::*value;
-    double least, most;
-  } options[] = {{"arm_hold_s", &WatchdogOptions::arm_hold_s, 0.01, 0.2},
-                 {"arm_fault_s", &WatchdogOptions::arm_fault_s, 0.05, 1},
-                 {"camera_mark_s", &WatchdogOptions::camera_mark_s, 0.01, 1},
-                 {"camera_hold_s", &WatchdogOptions::camera_hold_s, 0.05, 2},
-                 {"server_hold_s", &WatchdogOptions::server_hold_s, 0.1, 10},
-                 {"first_chunk_s", &WatchdogOptions::first_chunk_s, 0.1, 120},
-                 {"following_error", &WatchdogOptions::following_error, 0.01, 1},
-                 {"following_s", &WatchdogOptions::following_s, 0.05, 2},
-                 {"delay_hold_s", &WatchdogOptions::delay_hold_s, 0.05, 0.5}};
-  EXPECT_TRUE(CheckWatchdogs({}, {}).ok());
+template <class Options>
+void ExpectRanges(
+    const std::vector<Ranged<Options>>& options,
+    const std::function<absl::Status(const Options&, std::vector<std::string>)>& check) {
+  EXPECT_TRUE(check({}, {}).ok());
   for (const auto& [name, value, least, most] : options) {
-    WatchdogOptions o;
+    Options o;
     for (const double good : {least, most}) {
       o.*value = good;
-      EXPECT_TRUE(CheckWatchdogs(o, {}).ok()) << name << " " << good;
+      EXPECT_TRUE(check(o, {}).ok()) << name << " " << good;
     }
-    for (const double bad :
-         {0.9 * least, 1.1 * most, -1.0, kInfinite, std::numeric_limits<double>::quiet_NaN()}) {
+    for (const double bad : {0.9 * least, 1.1 * most, -1.0, std::numeric_limits<double>::infinity(),
+                             std::numeric_limits<double>::quiet_NaN()}) {
+      if (bad == least) continue;  // 0
       o.*value = bad;
-      const absl::Status status = CheckWatchdogs(o, {});
+      const absl::Status status = check(o, {});
       EXPECT_TRUE(absl::IsInvalidArgument(status)) << name << " " << bad;
       EXPECT_NE(status.message().find(name), absl::string_view::npos) << status;
-      EXPECT_EQ(CheckWatchdogs(o, {name}).ok(), bad > 0) << name << " " << bad;
+      EXPECT_EQ(check(o, {name}).ok(), bad > 0) << name << " " << bad;
     }
   }
+}
+
+TEST(WatchdogsTest, AValueThatGuardsNothingIsRefusedUnlessTheGuardIsGivenUpByName) {
+  using W = WatchdogOptions;
+  ExpectRanges<W>({{"arm_hold_s", &W::arm_hold_s, 0.01, 0.2},
+                   {"arm_fault_s", &W::arm_fault_s, 0.05, 1},
+                   {"camera_mark_s", &W::camera_mark_s, 0.01, 1},
+                   {"camera_hold_s", &W::camera_hold_s, 0.05, 2},
+                   {"server_hold_s", &W::server_hold_s, 0.1, 10},
+                   {"first_chunk_s", &W::first_chunk_s, 0.1, 120},
+                   {"following_error", &W::following_error, 0.01, 1},
+                   {"following_s", &W::following_s, 0.05, 2},
+                   {"delay_hold_s", &W::delay_hold_s, 0.05, 0.5}},
+                  [](const W& o, const auto& given_up) { return CheckGuards(o, {}, given_up); });
+  using P = PressOptions;
+  ExpectRanges<P>({{"excess_s", &P::excess_s, 0.01, 1},
+                   {"payload_kg", &P::payload_kg, 0, 5},
+                   {"blocked_error", &P::blocked_error, 0.01, 0.35},
+                   {"blocked_s", &P::blocked_s, 0.1, 3},
+                   {"blocked_travel", &P::blocked_travel, 0.001, 0.1}},
+                  [](const P& o, const auto& given_up) { return CheckGuards({}, o, given_up); });
   WatchdogOptions ticks;
   ticks.send_hold_ticks = 1'000'000;
-  EXPECT_FALSE(CheckWatchdogs(ticks, {}).ok());
-  EXPECT_FALSE(CheckWatchdogs({}, {"brakes"}).ok()) << "no such guard";
+  EXPECT_FALSE(CheckGuards(ticks, {}, {}).ok());
+  EXPECT_FALSE(CheckGuards({}, {}, {"brakes"}).ok()) << "no such guard";
+}
+
+TEST(WatchdogsTest, ARateThatTheRestDoesNotSupportIsRefused) {
+  ControlOptions o;
+  for (const double good : {5.0, 30.0, 200.0}) {
+    o.rate_hz = good;
+    EXPECT_TRUE(CheckControlOptions(o, 6).ok()) << good;
+  }
+  for (const double bad : {4.9, 201.0, 1000.0, std::numeric_limits<double>::quiet_NaN()}) {
+    o.rate_hz = bad;
+    EXPECT_NE(CheckControlOptions(o, 6).message().find("control.rate_hz is"), std::string::npos)
+        << bad;
+  }
+  o.rate_hz = 30;
+  o.press.excess[2] = 0;
+  EXPECT_NE(CheckControlOptions(o, 6).message().find("press.excess holds 0, must be 0.01 to 100"),
+            std::string::npos);
 }
 
 TEST(StateMachineTest, AMotionOfTheClientsOwnEndsWhereItIsStoppedAndIsNotResumed) {
