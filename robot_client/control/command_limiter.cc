@@ -82,6 +82,15 @@ bool CommandLimiter::at_rest() const {
                      [](double v) { return std::abs(v) < kAtRest; });
 }
 
+int CommandLimiter::BrakingTicks(int i) const {
+  const Axis& axis = axes_[i];
+  const double v = std::min(axis.velocity, axis.step / dt_), a = axis.acceleration, j = axis.jerk;
+  // First it lets go of an acceleration, which changes the velocity by 2 v at most, then it brakes.
+  const double lets_go = std::min(a, 2 * std::sqrt(j * v)) / j;
+  const double brakes = v > a * a / j ? v / a + a / j : 2 * std::sqrt(v / j);
+  return static_cast<int>(std::min(std::ceil((lets_go + brakes) / dt_) + 3, 1e9));
+}
+
 CommandLimiter::Motion CommandLimiter::After(const Motion& now, double a) const {
   const double v = now.v + a * dt_;
   return {now.x + v * dt_, v, a};

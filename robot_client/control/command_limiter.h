@@ -76,6 +76,8 @@ class CommandLimiter {
   const ArmVector& velocity() const { return velocity_; }          // [rad/s], [m/s]
   const ArmVector& acceleration() const { return acceleration_; }  // [rad/s^2], [m/s^2]
   bool at_rest() const;
+  // After so many calls of Decelerate an axis that Limit moved is at rest, whatever it did before.
+  int BrakingTicks(int axis) const;
   uint8_t flags() const { return flags_; }  // of the last Limit or Decelerate
 
  private:

@@ -19,6 +19,7 @@ constexpr double kTogether = 0.1;   // [rad] an arm stands where it is sent
 constexpr double kArrived = 0.03;   // [rad] from the end of a way ...
 constexpr double kArrives_s = 1.5;  // ... within so long of its last row
 constexpr double kGuarded_s = 0.5;  // without a way out of the workspace's bounds: HOLD
+constexpr int kLookAhead = 100;     // ticks of braking that are looked at; each asks the model once
 
 DisturbanceObserver::Joints JointsOf(const ArmVector& v, int joints) {
   return Eigen::Map<const Eigen::VectorXd>(v.data(), joints);
@@ -49,7 +50,30 @@ absl::StatusOr<std::unique_ptr<ControlLoop>> ControlLoop::Create(const ControlOp
   RS_RETURN_IF_ERROR(CheckControlOptions(options, arm->axes().joints));
   auto loop = std::unique_ptr<ControlLoop>(new ControlLoop(options, arm, clock, cameras, model));
   RS_RETURN_IF_ERROR(loop->limiter_.Configure(options.limits, arm->limits(), 1 / options.rate_hz));
+  RS_RETURN_IF_ERROR(loop->CheckLookAhead());
   return loop;
+}
+
+bool ControlLoop::guards_workspace() const { return model_ != nullptr && options_.workspace.guard; }
+
+absl::Status ControlLoop::CheckLookAhead() const {
+  for (int i = 0; i < axes().count() && guards_workspace(); ++i) {
+    const int ticks = limiter_.BrakingTicks(i);
+    if (ticks < kLookAhead) continue;
+    const LimiterOptions& o = options_.limits;
+    const std::string limits =
+        i < joints_
+            ? absl::StrCat("joint_velocity is ", o.joint_velocity, " rad/s, joint_acceleration ",
+                           o.joint_acceleration, " rad/s^2, joint_jerk ", o.joint_jerk, " rad/s^3")
+            : absl::StrCat("gripper_velocity is ", o.gripper_velocity,
+                           " m/s, gripper_acceleration ", o.gripper_acceleration, " m/s^2");
+    return absl::InvalidArgumentError(absl::StrCat(
+        "control.limits: ", limits, ", or the arm's own where lower, and control.rate_hz ",
+        options_.rate_hz, ": ", axes().name(i), " brakes for up to ", ticks,
+        " ticks, and table, box and the arm itself are looked for in ", kLookAhead,
+        "; lower the velocity or the rate, or raise the acceleration"));
+  }
+  return absl::OkStatus();
 }
 
 absl::Status ControlLoop::enable_status() const {
@@ -262,27 +286,28 @@ void ControlLoop::OnStateChange(ClientState before, int64_t now_ns) {
 // The next command on the way to a target, unless it, or a command of braking from it, crosses a
 // bound of the workspace: then it brakes now, which was seen to be free when the last command was.
 ArmVector ControlLoop::Advance(const ArmVector& target) {
-  if (model_ == nullptr || !options_.workspace.guard) return limiter_.Limit(target);
-  constexpr int kMostTicks = 100;
+  if (!guards_workspace()) return limiter_.Limit(target);
   CommandLimiter next = limiter_;
   ArmModel::Clearance before = model_->ClearanceAt(limiter_.position());
   const ArmVector command = next.Limit(target);
   CommandLimiter braking = next;
-  for (int i = 0; i < kMostTicks; ++i) {
+  for (int i = 0; i < kLookAhead; ++i) {
     const ArmModel::Clearance now = model_->ClearanceAt(braking.position());
     if (const ArmModel::Bound bound = CrossedBound(before, now); bound != ArmModel::kBounds) {
       crossed_.store(bound, std::memory_order_release);
-      record_.flags |= kTickGuarded;
-      ++guarded_ticks_;
-      return limiter_.Decelerate();
+      break;
     }
-    if (braking.at_rest()) break;
+    if (braking.at_rest()) {
+      guarded_ticks_ = 0;
+      limiter_ = next;
+      return command;
+    }
     before = now;
     braking.Decelerate();
   }
-  guarded_ticks_ = 0;
-  limiter_ = next;
-  return command;
+  record_.flags |= kTickGuarded;
+  ++guarded_ticks_;
+  return limiter_.Decelerate();
 }
 
 // Stands, or comes to stand, or gives way.

@@ -70,7 +70,8 @@ enum class Refusal : uint8_t {
 class ControlLoop {
  public:
   // `arm`, `clock` and `cameras` outlive the loop; `arm` is connected. FAILED_PRECONDITION for
-  // limits that leave no room, INVALID_ARGUMENT for options out of range.
+  // limits that leave no room, INVALID_ARGUMENT for options out of range, or with which the arm
+  // brakes for longer than is looked ahead.
   // `model`: null, or outlives the loop; without one torques and workspace are not watched.
   static absl::StatusOr<std::unique_ptr<ControlLoop>> Create(const ControlOptions& options,
                                                              RobotArm* arm, Clock* clock,
@@ -144,6 +145,8 @@ class ControlLoop {
 
   ControlLoop(const ControlOptions& options, RobotArm* arm, Clock* clock,
               const CameraStamps* cameras, const ArmModel* model);
+  bool guards_workspace() const;
+  absl::Status CheckLookAhead() const;
   uint32_t StopRequests(int64_t now_ns);
   bool StopAsked() const;
   void EnableArm();

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <random>
@@ -134,6 +135,47 @@ TEST(CommandLimiterTest, WithoutABoundOnJerkItBrakesAtOnce) {
   int ticks = 0;
   for (; !limiter.at_rest(); ++ticks) limiter.Decelerate();
   EXPECT_EQ(ticks, 5);
+}
+
+// Moved about at random and let go at any moment, it rests within the ticks that it says.
+TEST(CommandLimiterTest, BrakesWithinTheTicksThatItSays) {
+  constexpr double kInfinite = std::numeric_limits<double>::infinity();
+  const LimiterOptions kinds[] = {{},
+                                  {.joint_velocity = 3},
+                                  {.joint_velocity = 0.1},
+                                  {.joint_acceleration = 0.5},
+                                  {.joint_acceleration = 9, .joint_jerk = 5},
+                                  {.joint_velocity = 2, .joint_jerk = kInfinite},
+                                  {.gripper_velocity = 0.3, .gripper_acceleration = 0.5}};
+  for (const LimiterOptions& options : kinds) {
+    for (const double period : {1.0 / 5, 1.0 / 30, 1.0 / 200}) {
+      CommandLimiter limiter;
+      ASSERT_TRUE(limiter.Configure(options, Box(), period).ok());
+      limiter.Reset({});
+      std::mt19937 random(4);
+      ArmVector target{};
+      for (int i = 0; i < 500; ++i) {
+        for (int a = 0; a < ArmAxes().count(); ++a) {
+          if (random() % 40 == 0)
+            target[a] = std::uniform_real_distribution<double>(-1.2, 1.2)(random);
+        }
+        limiter.Limit(target);
+        if (i % 5 != 0) continue;
+        CommandLimiter braking = limiter;
+        std::array<int, kMostAxes> ticks{};
+        for (int k = 1; !braking.at_rest(); ++k) {
+          ASSERT_LE(k, 20000);
+          braking.Decelerate();
+          for (int a = 0; a < ArmAxes().count(); ++a)
+            if (std::abs(braking.velocity()[a]) > 1e-6) ticks[a] = k + 1;
+        }
+        for (int a = 0; a < ArmAxes().count(); ++a)
+          ASSERT_LE(ticks[a], limiter.BrakingTicks(a)) << "axis " << a << " period " << period;
+      }
+    }
+  }
+  // 1 rad/s at 5 rad/s^2 and 50 rad/s^3 is 0.3 s, after 0.1 s in which it lets go of speeding up.
+  EXPECT_NEAR(Limiter().BrakingTicks(0), 15, 1);
 }
 
 TEST(CommandLimiterTest, SaysWhichBoundItApplied) {

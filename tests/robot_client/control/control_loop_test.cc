@@ -33,6 +33,8 @@ void operator delete[](void* memory, size_t) noexcept { std::free(memory); }
 namespace robostress {
 namespace {
 
+using ::testing::HasSubstr;
+
 constexpr int64_t kPeriod_ns = 33'333'333;
 
 struct FakeStamps : CameraStamps {
@@ -576,6 +578,36 @@ TEST(ControlLoopTest, NoCommandAndNoBrakingCrossesABoundOfTheWorkspace) {
   EXPECT_EQ(bench.loop->state(), ClientState::kRun)
       << CauseName(bench.loop->cause()) << ": away from it is free";
   EXPECT_LT(bench.seen.back().sent[0], furthest - 0.2);
+}
+
+// What of the way to rest is not looked at may cross a bound.
+TEST(ControlLoopTest, AnArmThatBrakesForLongerThanIsLookedAheadIsRefused) {
+  WallModel model;
+  ManualClock clock{1'000'000'000};
+  FakeArm arm(&clock);
+  FakeStamps cameras;
+  ASSERT_TRUE(arm.Connect().ok());
+  ControlOptions options;
+  const auto create = [&](const ArmModel* known) {
+    return ControlLoop::Create(options, &arm, &clock, &cameras, known).status();
+  };
+  options.rate_hz = 200;
+  EXPECT_TRUE(create(&model).ok());
+  options.limits.joint_velocity = 3;
+  const absl::Status refused = create(&model);
+  EXPECT_TRUE(absl::IsInvalidArgument(refused));
+  EXPECT_THAT(std::string(refused.message()),
+              ::testing::AllOf(HasSubstr("joint_velocity is 3 rad/s, joint_acceleration 5 rad/s^2"),
+                               HasSubstr("control.rate_hz 200: J1 brakes for up to 16"),
+                               HasSubstr("looked for in 100; lower the velocity")));
+  EXPECT_TRUE(create(nullptr).ok()) << "nothing is looked for";
+  options.workspace.guard = false;
+  EXPECT_TRUE(create(&model).ok());
+  options.workspace.guard = true;
+  options.rate_hz = 100;
+  EXPECT_TRUE(create(&model).ok());
+  options.limits.gripper_acceleration = 0.1;
+  EXPECT_THAT(std::string(create(&model).message()), HasSubstr("gripper_acceleration 0.1"));
 }
 
 TEST(ControlLoopTest, ADelayThatIsConstantIsEstimatedAndHeld) {
