@@ -23,17 +23,9 @@ absl::Status CheckWorkspace(const WorkspaceOptions& o, const std::string& sectio
 }
 
 const char* BoundName(ArmModel::Bound bound) {
-  switch (bound) {
-    case ArmModel::kTable:
-      return "the table";
-    case ArmModel::kBox:
-      return "the workspace box";
-    case ArmModel::kItself:
-      return "the arm itself";
-    case ArmModel::kBounds:
-      break;
-  }
-  return "nothing";
+  if (bound == ArmModel::kTable) return "the table";
+  if (bound < ArmModel::kItself) return "the workspace box";
+  return bound == ArmModel::kItself ? "the arm itself" : "nothing";
 }
 
 ArmModel::Bound CrossedBound(const ArmModel::Clearance& now, const ArmModel::Clearance& next) {
@@ -41,6 +33,14 @@ ArmModel::Bound CrossedBound(const ArmModel::Clearance& now, const ArmModel::Cle
   for (int b = 0; b < ArmModel::kBounds; ++b) {
     // Written so that a NaN crosses.
     if (!(next[b] >= 0 || next[b] >= now[b] - kRounding)) return static_cast<ArmModel::Bound>(b);
+  }
+  return ArmModel::kBounds;
+}
+
+ArmModel::Bound BrokenBound(const ArmModel::Clearance& clearance) {
+  constexpr double kRounding = 1e-6;  // of commands that go on pushing against a bound
+  for (int b = 0; b < ArmModel::kBounds; ++b) {
+    if (!(clearance[b] >= -kRounding)) return static_cast<ArmModel::Bound>(b);
   }
   return ArmModel::kBounds;
 }

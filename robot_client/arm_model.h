@@ -42,8 +42,10 @@ class ArmModel {
   virtual ArmVector Torque(const ArmVector& position, const ArmVector& velocity,
                            const ArmVector& acceleration, double payload_kg) const = 0;
 
-  // Distances [m] that the nearest part of the arm keeps; negative: inside.
-  enum Bound { kTable, kBox, kItself, kBounds };
+  // Distances [m] that the nearest part of the arm keeps; negative: inside. Each face of the box is
+  // a bound, so that an elbow that rests out of one does not open the others: kBox and on, lower
+  // x, y, z, then upper.
+  enum Bound { kTable, kBox, kItself = kBox + 6, kBounds };
   using Clearance = std::array<double, kBounds>;
   virtual Clearance ClearanceAt(const ArmVector& position) const = 0;
   // For people, which parts are nearest to each other there: "J5 and J7"; empty: not said. Not for
@@ -57,5 +59,8 @@ const char* BoundName(ArmModel::Bound bound);
 // The first bound that a way from `now` to `next` must not cross: one that is met and gets worse.
 // kBounds: none.
 ArmModel::Bound CrossedBound(const ArmModel::Clearance& now, const ArmModel::Clearance& next);
+
+// The first bound that is not kept there; kBounds: all are.
+ArmModel::Bound BrokenBound(const ArmModel::Clearance& clearance);
 
 }  // namespace robostress

@@ -66,14 +66,10 @@ absl::Status CheckPose(const char* name, const ArmVector& pose, const ArmLimits&
     }
   }
   if (model == nullptr) return absl::OkStatus();
-  const ArmModel::Clearance clearance = model->ClearanceAt(pose);
-  for (int b = 0; b < ArmModel::kBounds; ++b) {
-    if (!(clearance[b] >= 0))
-      return absl::InvalidArgumentError(
-          absl::StrCat(name, " lies ", Depth(*model, static_cast<ArmModel::Bound>(b), pose),
-                       "; correct it, or control.workspace"));
-  }
-  return absl::OkStatus();
+  const ArmModel::Bound bound = BrokenBound(model->ClearanceAt(pose));
+  if (bound == ArmModel::kBounds) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(name, " lies ", Depth(*model, bound, pose),
+                                                 "; correct it, or control.workspace"));
 }
 
 }  // namespace robostress

@@ -352,14 +352,16 @@ absl::StatusOr<std::string> ClientRun::Act(const OperatorOrder& order) {
     case OperatorCommand::kResume:
       if (loop_->state() != ClientState::kHold || !episode_running_)
         return absl::FailedPreconditionError("no episode is held; type end, then start or home");
-      pending_ =
-          PendingAnswer{"resume", clock_.now_ns() + static_cast<int64_t>(0.5e9),
-                        [this]() -> std::optional<absl::StatusOr<std::string>> {
-                          if (loop_->state() != ClientState::kRun) return std::nullopt;
-                          return "the episode goes on";
-                        },
-                        absl::FailedPreconditionError(
-                            "still HOLD: what holds the arm is still there; see events.jsonl")};
+      pending_ = PendingAnswer{
+          "resume", clock_.now_ns() + static_cast<int64_t>(0.5e9),
+          [this, before = loop_->decided()]() -> std::optional<absl::StatusOr<std::string>> {
+            if (loop_->decided() != before && loop_->refusal() == Refusal::kOutside)
+              return Refused(*loop_, "resume");
+            if (loop_->state() != ClientState::kRun) return std::nullopt;
+            return "the episode goes on";
+          },
+          absl::FailedPreconditionError(
+              "still HOLD: what holds the arm is still there; see events.jsonl")};
       loop_->Ask(kRequestResume);
       return "";
     case OperatorCommand::kSuccess:

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 
 namespace robostress {
 namespace {
@@ -27,6 +28,9 @@ const char* TextOf(Refusal refusal) {
       return "a watchdog would hold the arm at once: arm, camera, leader or recording is not well; "
              "see "
              "events.jsonl";
+    case Refusal::kOutside:
+      return "a policy runs only inside the workspace; lead the arm back by home or jog, from HOLD "
+             "after end, or correct control.workspace";
   }
   return "";
 }
@@ -37,6 +41,9 @@ absl::Status Refused(const ControlLoop& loop, const std::string& what) {
   std::string why = TextOf(loop.refusal());
   if (loop.refusal() == Refusal::kLost)
     absl::StrAppend(&why, ": ", loop.reconnect_status().message());
+  if (loop.refusal() == Refusal::kOutside)
+    why = absl::StrFormat("the arm is %.1f mm into %s: %s", 1000 * loop.outside_m(),
+                          BoundName(loop.crossed()), why);
   return absl::FailedPreconditionError(absl::StrCat(
       what, ": the client is ", StateName(loop.state()), why.empty() ? "" : "; ", why));
 }

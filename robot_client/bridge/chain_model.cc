@@ -252,7 +252,7 @@ ArmModel::Clearance ChainModel::ClearanceAt(const ArmVector& position) const {
   Place(chain_, position, poses);
   Clearance clearance;
   clearance.fill(std::numeric_limits<double>::infinity());
-  double least = std::numeric_limits<double>::infinity(), table = least;
+  double table = std::numeric_limits<double>::infinity();
   for (const LinkPart& part : chain_.body) {
     if (part.link < kFirstThatMayTouch || !part.against_bounds) continue;
     const Eigen::Isometry3d& T = poses[static_cast<size_t>(part.link)];
@@ -262,11 +262,13 @@ ArmModel::Clearance ChainModel::ClearanceAt(const ArmVector& position) const {
       low = low.cwiseMin(p), high = high.cwiseMax(p);
     }
     table = std::min(table, low.z() - part.shape.radius);
-    least = std::min({least, (low - lower_).minCoeff() - part.shape.radius,
-                      (upper_ - high).minCoeff() - part.shape.radius});
+    for (int axis = 0; axis < 3; ++axis) {
+      double &below = clearance[kBox + axis], &above = clearance[kBox + 3 + axis];
+      below = std::min(below, low[axis] - lower_[axis] - part.shape.radius - margin_);
+      above = std::min(above, upper_[axis] - high[axis] - part.shape.radius - margin_);
+    }
   }
   clearance[kTable] = table - table_z_ - margin_;
-  clearance[kBox] = least - margin_;
   clearance[kItself] = Nearest(poses, nullptr) - margin_;
   return clearance;
 }

@@ -14,7 +14,7 @@ namespace {
 
 constexpr double kNsPerSecond = 1e9;
 constexpr uint32_t kGoing = kRequestClear | kRequestStart | kRequestMove;
-constexpr uint32_t kDecided = kGoing | kRequestEnable;
+constexpr uint32_t kDecided = kGoing | kRequestEnable | kRequestResume;
 constexpr double kTogether = 0.1;   // [rad] an arm stands where it is sent
 constexpr double kArrived = 0.03;   // [rad] from the end of a way ...
 constexpr double kArrives_s = 1.5;  // ... within so long of its last row
@@ -126,7 +126,7 @@ double ControlLoop::Apart(const ArmSnapshot& arm) const {
 // What of the requests is obeyed: an arm is set going only where it is known to stand now.
 uint32_t ControlLoop::Granted(uint32_t requests, ArmSnapshot& arm, const WatchdogVerdict& verdict,
                               int64_t now_ns) {
-  if ((requests & kGoing) == 0) return requests;
+  if ((requests & (kGoing | kRequestResume)) == 0) return requests;
   const bool clears = (requests & kRequestClear) && machine_.state() == ClientState::kFault;
   Refusal why = Refusal::kNone;
   if (clears) {
@@ -138,14 +138,27 @@ uint32_t ControlLoop::Granted(uint32_t requests, ArmSnapshot& arm, const Watchdo
     arm_->Poll();
     arm = arm_->Latest();
   }
-  if (why == Refusal::kNone && options_.guards) why = WhyNot(arm, now_ns);
+  if ((requests & kGoing) && why == Refusal::kNone && options_.guards) why = WhyNot(arm, now_ns);
   if (clears && why == Refusal::kNone && arm.faults != 0) why = Refusal::kFaults;
   if ((requests & (kRequestStart | kRequestMove)) && why == Refusal::kNone) {
     if (options_.guards && Apart(arm) > kTogether) why = Refusal::kApart;
     if (verdict.hold != StateCause::kNone) why = Refusal::kHeld;
   }
+  if ((requests & (kRequestStart | kRequestResume)) && why == Refusal::kNone && Outside())
+    why = Refusal::kOutside;
   refusal_.store(why, std::memory_order_release);
-  return why == Refusal::kNone ? requests : requests & ~kGoing;
+  return why == Refusal::kNone ? requests : requests & ~(kGoing | kRequestResume);
+}
+
+// Where one part is beyond a bound it hides how far the others go: a person leads the arm out.
+bool ControlLoop::Outside() {
+  if (!guards_workspace()) return false;
+  const ArmModel::Clearance clearance = model_->ClearanceAt(limiter_.position());
+  const ArmModel::Bound bound = BrokenBound(clearance);
+  if (bound == ArmModel::kBounds) return false;
+  crossed_.store(bound, std::memory_order_release);
+  outside_m_.store(-clearance[bound], std::memory_order_release);
+  return true;
 }
 
 absl::Status ControlLoop::reconnect_status() const {

@@ -51,12 +51,13 @@ struct ArmPath {
 // Why a request was not obeyed.
 enum class Refusal : uint8_t {
   kNone,
-  kStale,   // the newest sample is old: nobody knows where the arm is
-  kMoving,  // a joint moves
-  kApart,   // the arm is not where it is sent
-  kFaults,  // the arm still reports a fault
-  kLost,    // its connection is gone, and could not be made again: reconnect_status
-  kHeld,    // a watchdog would hold it at once
+  kStale,    // the newest sample is old: nobody knows where the arm is
+  kMoving,   // a joint moves
+  kApart,    // the arm is not where it is sent
+  kFaults,   // the arm still reports a fault
+  kLost,     // its connection is gone, and could not be made again: reconnect_status
+  kHeld,     // a watchdog would hold it at once
+  kOutside,  // a policy's run: a part of it is beyond a bound of the workspace
 };
 
 // The control loop of one arm. A tick polls the arm, asks the watchdogs, decides the state, picks
@@ -111,14 +112,17 @@ class ControlLoop {
   }
   ClientState state() const { return state_.load(std::memory_order_acquire); }
   StateCause cause() const { return cause_.load(std::memory_order_acquire); }
-  // Why the last clear, start or move was not obeyed; kNone: it was.
+  // Why the last clear, start, resume or move was not obeyed; kNone: it was.
   Refusal refusal() const { return refusal_.load(std::memory_order_acquire); }
-  // Requests to clear, start or move, and to enable, that were decided so far, obeyed or not.
+  // Requests to clear, start, resume or move, and to enable, that were decided so far, obeyed or
+  // not.
   uint64_t decided() const { return decided_.load(std::memory_order_acquire); }
   // The arm as the last tick saw it.
   ArmSnapshot seen() const { return seen_.Load(); }
-  // The bound that stopped the last command that was stopped.
+  // The bound that stopped the last command that was stopped, or that refused kOutside, and then by
+  // how much [m] the arm is beyond it.
   ArmModel::Bound crossed() const { return crossed_.load(std::memory_order_acquire); }
+  double outside_m() const { return outside_m_.load(std::memory_order_acquire); }
   // The run can no longer be recorded: RUN and MOVE end in HOLD, and do not begin.
   void NoteRecordFailed() { record_failed_.store(true, std::memory_order_release); }
   int episode() const { return episode_.load(std::memory_order_acquire); }
@@ -154,6 +158,7 @@ class ControlLoop {
   Refusal WhyNot(const ArmSnapshot& arm, int64_t now_ns) const;
   uint32_t Granted(uint32_t requests, ArmSnapshot& arm, const WatchdogVerdict& verdict,
                    int64_t now_ns);
+  bool Outside();
   void WatchContact(const ArmSnapshot& arm);
   void TakeChunks(int64_t now_ns);
   void AskForPrediction(int64_t now_ns);
@@ -197,6 +202,7 @@ class ControlLoop {
   std::atomic<uint64_t> decided_{0};
   SnapshotCell<ArmSnapshot> seen_;
   std::atomic<ArmModel::Bound> crossed_{ArmModel::kBounds};
+  std::atomic<double> outside_m_{0};
   std::atomic<const ArmPath*> path_{nullptr};
   std::atomic<LiveTarget*> next_live_{nullptr};
   std::atomic<bool> record_failed_{false};

@@ -156,8 +156,11 @@ ArmModel::Clearance PiperModel::ClearanceAt(const ArmVector& position) const {
   for (const auto& [link, part] : Place(kAround, poses, position[kJoints])) {
     for (const Vector3d& p : {part.from, part.to}) {
       clearance[kTable] = std::min(clearance[kTable], p.z() - part.radius - table_z_ - margin_);
-      const double inside = std::min((p - lower_).minCoeff(), (upper_ - p).minCoeff());
-      clearance[kBox] = std::min(clearance[kBox], inside - part.radius - margin_);
+      for (int axis = 0; axis < 3; ++axis) {
+        double &below = clearance[kBox + axis], &above = clearance[kBox + 3 + axis];
+        below = std::min(below, p[axis] - lower_[axis] - part.radius - margin_);
+        above = std::min(above, upper_[axis] - p[axis] - part.radius - margin_);
+      }
     }
   }
   return clearance;

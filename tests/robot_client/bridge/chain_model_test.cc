@@ -69,7 +69,8 @@ TEST(ChainModel, TableAndBoxAreKeptByTheNearestPartBeyondTheFirstLink) {
   // The fingers' balls of 15 mm are 88.4 mm below the hand, the tool's point 103.4 mm.
   EXPECT_NEAR(clearance[ArmModel::kTable], tool.z() - 0.1 - 0.01, 1e-9);
   // The hand is 40 mm wide that way, and the last wrist's ball of 50 mm is 88 mm nearer.
-  EXPECT_NEAR(clearance[ArmModel::kBox], 0.6 - tool.x() - 0.05 - 0.01, 1e-9);
+  EXPECT_NEAR(clearance[ArmModel::kBox + 3], 0.6 - tool.x() - 0.05 - 0.01, 1e-9);
+  EXPECT_NEAR(clearance[ArmModel::kBox + 2], tool.z() + 1 - 0.01, 1e-9) << "the floor, by itself";
   // A finger's ball of 0.1 m would reach 85 mm further than the tool.
   const ChainModel thick(Chain(Changed("sphere radius=\"0.015\"", "sphere radius=\"0.1\"")),
                          workspace);

@@ -610,6 +610,39 @@ TEST(ControlLoopTest, AnArmThatBrakesForLongerThanIsLookedAheadIsRefused) {
   EXPECT_THAT(std::string(create(&model).message()), HasSubstr("gripper_acceleration 0.1"));
 }
 
+TEST(ControlLoopTest, APolicyRunsOnlyInsideTheWorkspace) {
+  WallModel model;
+  model.wall = -0.05;  // the arm stands 50 mm into it
+  Bench bench({}, &model);
+  bench.Tick(kRequestEnable);
+  bench.Tick(kRequestStart);
+  EXPECT_EQ(bench.loop->state(), ClientState::kEnabled);
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kOutside);
+  EXPECT_EQ(bench.loop->crossed(), ArmModel::kTable);
+  EXPECT_NEAR(bench.loop->outside_m(), 0.05, 1e-9);
+  ArmPath out;
+  for (int i = 1; i <= 60; ++i) {
+    out.rows.push_back(bench.arm.Latest().position);
+    out.rows.back()[0] = -0.2 * i / 60;
+  }
+  bench.loop->Play(&out);
+  for (int i = 0; i < 150 && bench.loop->cause() != StateCause::kArrived; ++i) bench.Tick();
+  ASSERT_EQ(bench.loop->cause(), StateCause::kArrived) << "a way of the client's own leads out";
+  bench.Ticks(10);
+  bench.Tick(kRequestStart);
+  ASSERT_EQ(bench.loop->state(), ClientState::kRun);
+  bench.Tick(kRequestHold);
+  bench.Ticks(20);
+  model.wall = -0.3;
+  bench.Tick(kRequestResume);
+  EXPECT_EQ(bench.loop->state(), ClientState::kHold);
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kOutside);
+  model.wall = 10;
+  bench.Tick(kRequestResume);
+  EXPECT_EQ(bench.loop->state(), ClientState::kRun);
+  EXPECT_EQ(bench.loop->refusal(), Refusal::kNone);
+}
+
 TEST(ControlLoopTest, ADelayThatIsConstantIsEstimatedAndHeld) {
   struct LateArm : FakeArm {
     using FakeArm::FakeArm;

@@ -132,13 +132,14 @@ TEST(PiperModel, KnowsTableBoxAndItself) {
   const PiperModel model(Zero::kSince_1_6_3, {});
   const ArmVector rest{}, raised{0, 1.2, -1.0, 0, 0.5, 0, 0.05}, into_table{0, 2.2, -1, 0, 1, 0, 0};
   EXPECT_GT(model.ClearanceAt(raised)[ArmModel::kTable], 0.05);
-  EXPECT_GT(model.ClearanceAt(raised)[ArmModel::kBox], 0.1);
+  for (int face = 0; face < 6; ++face)
+    EXPECT_GT(model.ClearanceAt(raised)[ArmModel::kBox + face], 0.1);
   EXPECT_GT(model.ClearanceAt(raised)[ArmModel::kItself], 0.05);
   EXPECT_LT(model.ClearanceAt(into_table)[ArmModel::kTable], -0.05);
   EXPECT_GT(model.ClearanceAt(rest)[ArmModel::kItself], -0.02) << "folded on its rest";
   WorkspaceOptions narrow;
   narrow.upper = {0.2, 0.2, 1};
-  EXPECT_LT(PiperModel(Zero::kSince_1_6_3, narrow).ClearanceAt(raised)[ArmModel::kBox], 0);
+  EXPECT_LT(PiperModel(Zero::kSince_1_6_3, narrow).ClearanceAt(raised)[ArmModel::kBox + 3], 0);
   WorkspaceOptions wide;
   wide.margin = 0.04;
   EXPECT_NEAR(PiperModel(Zero::kSince_1_6_3, wide).ClearanceAt(raised)[ArmModel::kTable],
@@ -149,6 +150,24 @@ TEST(PiperModel, KnowsTableBoxAndItself) {
   for (int i = 0; i < 20000; ++i)
     least = std::min(least, model.ClearanceAt(Random(random))[ArmModel::kItself]);
   EXPECT_LT(least, -0.02) << "some poses within the joints' limits are impossible";
+}
+
+// The folded elbow is the arm's rearmost part, and the wrist lifts the gripper.
+TEST(PiperModel, AnElbowOutOfOneFaceOpensNoOther) {
+  const ArmVector rest{}, lifted{0, 0, 0, 0, -1.0, 0, 0};
+  constexpr int kBack = ArmModel::kBox, kTop = ArmModel::kBox + 5;
+  WorkspaceOptions workspace;
+  const PiperModel wide(Zero::kSince_1_6_3, workspace);
+  const ArmModel::Clearance now = wide.ClearanceAt(rest), next = wide.ClearanceAt(lifted);
+  ASSERT_NEAR(next[kBack], now[kBack], 1e-9) << "the wrist moves no elbow";
+  ASSERT_LT(next[kTop], now[kTop] - 0.02);
+  workspace.lower[0] += now[kBack] + 0.05;  // the elbow is 50 mm out of the back
+  workspace.upper[2] -= next[kTop] + 0.01;  // a lifted gripper would be 10 mm out of the top
+  const PiperModel model(Zero::kSince_1_6_3, workspace);
+  EXPECT_EQ(CrossedBound(model.ClearanceAt(rest), model.ClearanceAt(lifted)), kTop);
+  EXPECT_EQ(CrossedBound(model.ClearanceAt(lifted), model.ClearanceAt(rest)), ArmModel::kBounds);
+  EXPECT_EQ(BrokenBound(model.ClearanceAt(rest)), kBack);
+  EXPECT_STREQ(BoundName(static_cast<ArmModel::Bound>(kTop)), "the workspace box");
 }
 
 TEST(ArmPath, IsStraightAndNeverFasterThanItsLimits) {
