@@ -157,6 +157,7 @@ class UrdfReader {
 
   absl::Status ReadJoint(const XMLElement& e) {
     Joint joint;
+    joint.element = &e;
     RS_ASSIGN_OR_RETURN(joint.name, NewName(e, joint_of_, joints_.size()));
     joint.type = AttributeOf(e, "type");
     if (std::find(kTypes.begin(), kTypes.end(), joint.type) == kTypes.end())

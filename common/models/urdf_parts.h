@@ -6,7 +6,8 @@
 #include <string>
 #include <vector>
 
-// A robot description in parts, read and checked by urdf_model.cc.
+// A robot description in parts, read and checked by urdf_model.cc. Its elements' lines serve
+// messages.
 namespace robostress::urdf {
 
 struct Pose {
@@ -14,7 +15,7 @@ struct Pose {
   std::vector<double> rpy = {0, 0, 0};  // [rad] about fixed x, y, z
 };
 
-// A body; its line serves messages.
+// A body.
 struct Link {
   std::string name;
   const tinyxml2::XMLElement* element = nullptr;
@@ -27,6 +28,7 @@ struct Link {
 
 struct Joint {
   std::string name, type, mimic;
+  const tinyxml2::XMLElement* element = nullptr;
   int parent = -1, child = -1;  // indices of links
   Pose origin;
   std::vector<double> axis = {1, 0, 0};

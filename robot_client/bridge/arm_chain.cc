@@ -170,7 +170,7 @@ class ChainReader {
       if (model_.links[i].name == options_.tool) {
         chain_.tool = places_[i].T_owner_link.translation();
         chain_.body.push_back({last, {{chain_.tool}, 0}, true, false});
-        return absl::OkStatus();
+        return HoldOthers(model_.links[i]);
       }
       carried.push_back(model_.links[i].name);
     }
@@ -178,6 +178,37 @@ class ChainReader {
     return absl::InvalidArgumentError(
         absl::StrCat("model.tool is '", options_.tool, "', must be a link of ", file_.name(),
                      " that the last joint carries: ", absl::StrJoin(carried, ", ")));
+  }
+
+  // Every listed joint is on the way to the tool. One there that is not listed stands at 0 in the
+  // model: what moves with a listed one would not be where the model has it.
+  absl::Status HoldOthers(const urdf::Link& tool) {
+    for (int index = tool.parent; index >= 0;) {
+      const urdf::Joint& joint = model_.joints[static_cast<size_t>(index)];
+      if (!joint.moves && joint.type != "fixed") {
+        if (const std::string master = MasterOf(joint); !master.empty())
+          return file_.Error(
+              *joint.element,
+              absl::StrCat("joint '", joint.name, "' moves with '", master,
+                           "' (<mimic>) and carries the tool; the model would hold it at 0: "
+                           "leave model out for this arm"));
+        chain_.held.insert(chain_.held.begin(), joint.name);
+      }
+      index = model_.links[static_cast<size_t>(joint.parent)].parent;
+    }
+    return absl::OkStatus();
+  }
+  // The listed joint that it follows, over others; empty: none.
+  std::string MasterOf(const urdf::Joint& joint) const {
+    std::string name = joint.mimic;
+    for (size_t steps = 0; steps < model_.joints.size() && !name.empty(); ++steps) {
+      const auto master = std::find_if(model_.joints.begin(), model_.joints.end(),
+                                       [&](const urdf::Joint& j) { return j.name == name; });
+      if (master == model_.joints.end()) break;
+      if (master->moves) return name;
+      name = master->mimic;
+    }
+    return "";
   }
 
   const XmlFile& file_;

@@ -75,6 +75,7 @@ struct ArmChain {
   std::vector<std::pair<int, int>> watched;
   std::vector<LinkPair> too_near, partly_near, ignored;
   std::vector<int> too_low;  // of LeaveLowPartsOut: links a part of which is not watched
+  std::vector<std::string> held;  // joints on the way to the tool that stand at 0
   double touching = 0;       // share of the poses within the limits where watched parts touch
   LinkPair touching_most{};  // links that do in most of them
 };
@@ -84,8 +85,9 @@ struct ArmChain {
 // spheres and meshes; of meshes that are not there a ball of `radius`; a frame without shape and
 // mass is a point. No pairs are chosen yet.
 // INVALID_ARGUMENT and NOT_FOUND name file, line or field, value and remedy: a joint that slides,
-// joints that are not in a row, a mesh that is damaged, `limits` beyond where the file says that a
-// joint ends, by which a wrong sign or zero is noticed.
+// joints that are not in a row, one between them that follows a listed one (<mimic>), a mesh that
+// is damaged, `limits` beyond where the file says that a joint ends, by which a wrong sign or zero
+// is noticed.
 absl::StatusOr<ArmChain> ReadArmChain(const std::string& file, const std::string& text,
                                       const std::vector<std::string>& joints,
                                       const ArmLimits& limits, const ModelOptions& options);

@@ -91,6 +91,11 @@ std::vector<std::string> WhatADriverSays(const BridgeRobot& robot, const Welcome
           "put "
           "them where the URDF says, or name the folder of package:// in model.packages",
           chain.missing_meshes.size(), chain.missing_meshes.front(), robot.model->radius));
+    if (!chain.held.empty())
+      lines.push_back(
+          absl::StrCat("WARNING: not driven, and at 0 in the model, on the way to the "
+                       "tool: ",
+                       absl::StrJoin(chain.held, ", ")));
     if (!chain.too_low.empty())
       lines.push_back(absl::StrCat(
           "not watched against the table, below it in nearly all poses: a part of ",

@@ -362,6 +362,38 @@ TEST(ChainModel, TooManyPartsAreNotWatchedAgainstEachOther) {
             std::numeric_limits<double>::infinity());
 }
 
+// A joint of seven.urdf that is not driven, between J7 and the hand.
+std::string WithWrist(const std::string& mimic, const std::string& type = "revolute") {
+  return Changed(
+      "<joint name=\"hand_joint\" type=\"fixed\">\n    <parent link=\"link7\"/>",
+      absl::StrCat("<link name=\"wrist\"/>\n<joint name=\"wrist_joint\" type=\"", type,
+                   "\">\n<parent link=\"link7\"/><child link=\"wrist\"/>", mimic,
+                   "</joint>\n<joint name=\"hand_joint\" type=\"fixed\"><parent link=\"wrist\"/>"));
+}
+
+TEST(ChainModel, AJointOnTheWayToTheToolThatIsNotDrivenIsNamedOrRefused) {
+  EXPECT_TRUE(Chain().held.empty()) << "fingers are not on the way";
+  EXPECT_THAT(Chain(WithWrist("")).held, ::testing::ElementsAre("wrist_joint"));
+  EXPECT_TRUE(Chain(WithWrist("", "fixed")).held.empty());
+  EXPECT_THAT(Chain(WithWrist("<mimic joint=\"left_finger_joint\"/>")).held,
+              ::testing::ElementsAre("wrist_joint"))
+      << "what it follows stands still";
+  const std::string with = WithWrist("<mimic joint=\"panda_joint6\" multiplier=\"-1\"/>");
+  EXPECT_THAT(ChainRefusal(with),
+              AllOf(::testing::ContainsRegex("seven.urdf:[0-9]+: joint 'wrist_joint' moves with "
+                                             "'panda_joint6'"),
+                    HasSubstr("leave model out")));
+  const std::string over =
+      absl::StrReplaceAll(WithWrist("<mimic joint=\"left_finger_joint\"/>"),
+                          {{"<limit lower=\"0\" upper=\"0.04\" effort=\"20\" velocity=\"0.2\"/>",
+                            "<mimic joint=\"panda_joint3\"/>"}});
+  EXPECT_THAT(ChainRefusal(over), HasSubstr("moves with 'panda_joint3'"));
+  EXPECT_TRUE(Chain(Changed("<limit lower=\"0\" upper=\"0.04\" effort=\"20\" velocity=\"0.2\"/>",
+                            "<mimic joint=\"panda_joint3\"/>"))
+                  .held.empty())
+      << "a finger carries no tool";
+}
+
 TEST(ChainModel, AFixedLinksMassIsItsCarriers) {
   const ArmChain chain = Chain();
   EXPECT_NEAR(chain.links[6].mass, 0.7 + 0.6 + 2 * 0.05, 1e-12);
