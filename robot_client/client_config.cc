@@ -109,15 +109,11 @@ absl::Status TakeRobotFile(ClientConfig& config) {
                      "robot_client/bridge/so101.yaml"));
   RS_ASSIGN_OR_RETURN(const bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
   config.control.rate_hz = robot.rate_hz;
-  if (config.home.empty()) config.home = robot.home;
+  config.home = robot.home;
   PressOptions& press = config.control.press;
   FitDefaults(robot.limits.axes.joints, press);
-  if (!robot.chain) return absl::OkStatus();
-  WorkspaceOptions& workspace = config.control.workspace;
-  if (workspace == WorkspaceOptions()) workspace = robot.workspace;
-  PressOptions as_fitted;
-  FitDefaults(robot.limits.axes.joints, as_fitted);
-  if (robot.watches_torque() && press.excess == as_fitted.excess) {
+  if (robot.model) config.control.workspace = robot.workspace;
+  if (robot.watches_torque()) {
     for (size_t j = 0; j < robot.joints.size(); ++j) press.excess[j] = robot.joints[j].press;
   }
   return absl::OkStatus();
@@ -201,6 +197,12 @@ absl::StatusOr<std::unique_ptr<RobotArm>> MakeArm(const ClientConfig& config, Cl
     return std::unique_ptr<RobotArm>(std::make_unique<RehearsalArm>(RehearsalArmOptions{}, clock));
   if (IsBridge(config)) {
     RS_ASSIGN_OR_RETURN(bridge::BridgeRobot robot, bridge::LoadBridgeRobot(config.robot));
+    if (const absl::Status chosen =
+            bridge::ChooseWatched(config.control.workspace, config.home, robot);
+        !chosen.ok())
+      return absl::InvalidArgumentError(
+          absl::StrCat(config.robot, ", or control.workspace over it: ", chosen.message()));
+    robot.rate_hz = config.control.rate_hz;
     std::string address(absl::StripPrefix(config.bus, "bridge:"));
     return std::unique_ptr<RobotArm>(
         std::make_unique<bridge::BridgeArm>(std::move(robot), std::move(address), *clock));

@@ -86,9 +86,8 @@ absl::StatusOr<ArmAxes> AxesOf(const ClientConfig& config);
 // What rigs call its joints, from the base on: as the model of the robot file, or as the driver; of
 // a Piper piper_joint1 and on.
 absl::StatusOr<std::vector<std::string>> RigNamesOf(const ClientConfig& config);
-// Takes over what a robot file says of the loop: its rate, and home where the configuration has
-// none; of defaults control.press becomes this arm's, and with a model control.workspace. Nothing
-// for an arm that is no bridge.
+// The robot file's word in place of defaults: rate, home, control.press, and with a model
+// control.workspace. Nothing for an arm that is no bridge.
 absl::Status TakeRobotFile(ClientConfig& config);
 
 // The arm of config.bus, not connected.

@@ -3,6 +3,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "adapter/method_options.h"
+#include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/status_macros.h"
 
@@ -30,19 +31,38 @@ void AddClientFlags(cli::App& app, ClientFlags& flags) {
                "do all of it without a person and quit; not on a real bus");
 }
 
-absl::StatusOr<ClientConfig> ResolveConfig(
-    const ClientFlags& flags, const std::function<absl::Status(ClientConfig&)>& change) {
-  ClientConfig config;
+namespace {
+
+// What the configuration file, the flags, `change` and --set say, in this order, over `config`.
+absl::Status ReadOver(const ClientFlags& flags,
+                      const std::function<absl::Status(ClientConfig&)>& change,
+                      ClientConfig& config) {
   if (!flags.config_file.empty()) {
-    RS_ASSIGN_OR_RETURN(config, LoadConfig<ClientConfig>(flags.config_file));
+    RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(flags.config_file));
+    RS_ASSIGN_OR_RETURN(const YAML::Node root, config_internal::ParseYaml(flags.config_file, text));
+    ConfigReader reader(flags.config_file, root);
+    config.Visit(reader);
+    RS_RETURN_IF_ERROR(reader.Finish());
   }
   if (!flags.bus.empty()) config.bus = flags.bus;
   if (!flags.robot.empty()) config.robot = flags.robot;
-  RS_RETURN_IF_ERROR(TakeRobotFile(config));
   if (!flags.cameras.empty()) config.cameras = flags.cameras;
   if (!flags.without.empty()) config.without = flags.without;
   RS_RETURN_IF_ERROR(change(config));
-  RS_RETURN_IF_ERROR(ApplyOverrides(flags.overrides, config));
+  return ApplyOverrides(flags.overrides, config);
+}
+
+}  // namespace
+
+// Read twice: only all of it says which robot file the defaults are of.
+absl::StatusOr<ClientConfig> ResolveConfig(
+    const ClientFlags& flags, const std::function<absl::Status(ClientConfig&)>& change) {
+  ClientConfig named, config;
+  RS_RETURN_IF_ERROR(ReadOver(flags, change, named));
+  config.bus = named.bus;
+  config.robot = named.robot;
+  RS_RETURN_IF_ERROR(TakeRobotFile(config));
+  RS_RETURN_IF_ERROR(ReadOver(flags, change, config));
   RS_ASSIGN_OR_RETURN(const bool real, IsReal(config));
   if (flags.automatic && real) {
     return absl::InvalidArgumentError(

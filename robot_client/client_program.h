@@ -22,7 +22,8 @@ struct ClientFlags {
 };
 void AddClientFlags(cli::App& app, ClientFlags& flags);
 
-// The configuration file with the flags over it; `change` comes between them and --set.
+// The robot file's defaults, the configuration file, the flags, `change` and --set, each field by
+// field over those before. `change` is called twice.
 absl::StatusOr<ClientConfig> ResolveConfig(
     const ClientFlags& flags, const std::function<absl::Status(ClientConfig&)>& change =
                                   [](ClientConfig&) { return absl::OkStatus(); });

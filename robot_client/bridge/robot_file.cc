@@ -221,14 +221,20 @@ absl::StatusOr<BridgeRobot> LoadBridgeRobot(const std::string& file) {
   const std::string path = (folder / model.file).lexically_normal().string();
   RS_ASSIGN_OR_RETURN(const std::string urdf, ReadFileUpTo(path, kMostModelBytes));
   RS_ASSIGN_OR_RETURN(robot.chain, ReadArmChain(path, urdf, joints, robot.limits, model));
+  return robot;
+}
+
+absl::Status ChooseWatched(const WorkspaceOptions& workspace, const std::vector<double>& home,
+                           BridgeRobot& robot) {
+  if (!robot.chain) return absl::OkStatus();
   std::vector<LinkPair> ignored;
-  for (const std::string& links : model.ignore) {
+  for (const std::string& links : robot.model->ignore) {
     RS_ASSIGN_OR_RETURN(const LinkPair pair, ParseLinkPair(links, robot.limits.axes.joints));
     ignored.push_back(pair);
   }
-  ChooseLinkPairs(robot.limits, robot.home, robot.workspace.margin, ignored, &*robot.chain);
-  LeaveLowPartsOut(robot.limits, robot.workspace, &*robot.chain);
-  return robot;
+  ChooseLinkPairs(robot.limits, home, workspace.margin, ignored, &*robot.chain);
+  LeaveLowPartsOut(robot.limits, workspace, &*robot.chain);
+  return absl::OkStatus();
 }
 
 absl::StatusOr<BridgeRobot> ParseBridgeRobot(const std::string& file, const std::string& yaml) {

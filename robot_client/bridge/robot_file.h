@@ -88,7 +88,7 @@ struct BridgeRobot {
   ExpectedDriver driver;
   bool simulated = false;  // no arm that can hurt anybody
   std::optional<ModelOptions> model;
-  WorkspaceOptions workspace;  // with a model
+  WorkspaceOptions workspace;  // with a model; where no configuration says otherwise
 
   // Of what was read:
   ArmLimits limits;
@@ -105,6 +105,10 @@ struct BridgeRobot {
 // reads the model too, Parse opens no file.
 absl::StatusOr<BridgeRobot> LoadBridgeRobot(const std::string& file);
 absl::StatusOr<BridgeRobot> ParseBridgeRobot(const std::string& file, const std::string& yaml);
+// Chooses what of a loaded model is watched, for the workspace and the home that are in force;
+// nothing without a model. INVALID_ARGUMENT names a height that leaves nothing, value and remedy.
+absl::Status ChooseWatched(const WorkspaceOptions& workspace, const std::vector<double>& home,
+                           BridgeRobot& robot);
 
 // What `expected` asks for and `welcome` does not have, in words; empty: nothing.
 std::string Missing(const ExpectedDriver& expected, const Welcome& welcome);

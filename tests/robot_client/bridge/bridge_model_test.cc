@@ -15,12 +15,17 @@ namespace {
 
 using ::testing::HasSubstr;
 
+BridgeRobot Modelled(double table_z) {
+  BridgeRobot robot = *LoadBridgeRobot("tests/robot_client/bridge/seven_modelled.yaml");
+  robot.workspace.table_z = table_z;
+  EXPECT_TRUE(ChooseWatched(robot.workspace, robot.home, robot).ok());
+  return robot;
+}
+
 // An arm whose file names a model.
 struct ModelledWorld : BridgeWorld {
   explicit ModelledWorld(double table_z = 0.05)
-      : BridgeWorld(*LoadBridgeRobot("tests/robot_client/bridge/seven_modelled.yaml")),
-        workspace(robot.workspace) {
-    workspace.table_z = table_z;
+      : BridgeWorld(Modelled(table_z)), workspace(robot.workspace) {
     model = std::make_unique<ChainModel>(*robot.chain, workspace);
     driver->welcome["measures_effort"] = true;
     driver->model = model.get();

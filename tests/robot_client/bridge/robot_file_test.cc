@@ -173,6 +173,30 @@ TEST(BridgeRobotFile, AModelIsReadFromTheFilesFolder) {
   EXPECT_THAT(std::string(missing.message()), HasSubstr("seven_joints.urdf"));
 }
 
+// The configuration may say another table, margin and home than the file.
+TEST(BridgeRobotFile, WhatIsWatchedIsChosenForTheWorkspaceInForce) {
+  const auto chosen = [](const WorkspaceOptions& workspace, const std::vector<double>& home) {
+    BridgeRobot robot = *LoadBridgeRobot("tests/robot_client/bridge/seven_modelled.yaml");
+    EXPECT_TRUE(robot.chain->watched.empty()) << "not before";
+    EXPECT_TRUE(ChooseWatched(workspace, home, robot).ok());
+    return *robot.chain;
+  };
+  const BridgeRobot file = *LoadBridgeRobot("tests/robot_client/bridge/seven_modelled.yaml");
+  WorkspaceOptions other = file.workspace;
+  other.margin = 0.3;
+  EXPECT_LT(chosen(other, file.home).watched.size(),
+            chosen(file.workspace, file.home).watched.size());
+  EXPECT_TRUE(chosen(file.workspace, file.home).too_low.empty());
+  other = file.workspace;
+  other.table_z = 0.32;
+  EXPECT_EQ(chosen(other, file.home).too_low.size(), 1u);
+  const std::vector<double> folded = {0, 0, 0, -3, 0, 0.6, 0, 0};
+  EXPECT_LT(chosen(file.workspace, folded).watched.size(),
+            chosen(file.workspace, file.home).watched.size());
+  BridgeRobot without = *ParseBridgeRobot("arm.yaml", kFiveServos);
+  EXPECT_TRUE(ChooseWatched({}, {}, without).ok()) << "no model";
+}
+
 TEST(BridgeRobotFile, SaysWhatADriverLacks) {
   ExpectedDriver expected;
   Welcome welcome;
