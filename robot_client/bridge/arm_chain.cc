@@ -142,7 +142,8 @@ class ChainReader {
     if (!shapes.parts.empty()) return;
     const bool solid = shapes.shown || link.mass > kFrameMass;
     const Eigen::Vector3d origin = place.T_owner_link.translation();
-    chain_.body.push_back({place.owner, {{origin}, solid ? options_.radius : 0}, true, false});
+    chain_.body.push_back(
+        {place.owner, {{origin}, solid ? options_.radius : 0}, true, true, false});
     if (solid) unknown_.push_back({place.owner, origin});
   }
 
@@ -158,7 +159,7 @@ class ChainReader {
         const double way = (end - origin).norm();
         end = origin + std::max(0.0, 1 - options_.radius / std::max(way, 1e-9)) * (end - origin);
       }
-      chain_.body.push_back({owner, {{origin, end}, options_.radius}, false, true});
+      chain_.body.push_back({owner, {{origin, end}, options_.radius}, false, false, true});
     }
   }
 
@@ -169,7 +170,7 @@ class ChainReader {
       if (places_[i].owner != last) continue;
       if (model_.links[i].name == options_.tool) {
         chain_.tool = places_[i].T_owner_link.translation();
-        chain_.body.push_back({last, {{chain_.tool}, 0}, true, false});
+        chain_.body.push_back({last, {{chain_.tool}, 0}, true, true, false});
         return HoldOthers(model_.links[i]);
       }
       carried.push_back(model_.links[i].name);

@@ -50,7 +50,7 @@ struct ChainLink {
 struct LinkPart {
   int link;
   Hull shape;
-  bool against_bounds = true, against_itself = true;  // of the workspace; of the arm
+  bool against_table = true, against_box = true, against_itself = true;
 };
 
 // Two links by their joints, from 0; -1: the base. The first is nearer to it.
@@ -61,6 +61,12 @@ struct LinkPair {
 // Of "J5-J7" or "base-J3", in either order; INVALID_ARGUMENT says what it must be.
 absl::StatusOr<LinkPair> ParseLinkPair(const std::string& text, int joints);
 std::string LinkPairName(const LinkPair& pair);  // "J5 and J7"
+
+// A link of which not all is watched against a bound.
+struct LeftOut {
+  int link;
+  bool all;  // of its parts
+};
 
 // An arm's joints in a row, from the base on; the base link stands upright, its z up.
 struct ArmChain {
@@ -74,8 +80,8 @@ struct ArmChain {
   // too near each other for that, with all parts or with some, or that somebody has left out.
   std::vector<std::pair<int, int>> watched;
   std::vector<LinkPair> too_near, partly_near, ignored;
-  std::vector<int> too_low;  // of LeaveLowPartsOut: links a part of which is not watched
-  std::vector<std::string> held;  // joints on the way to the tool that stand at 0
+  std::vector<LeftOut> below_table, below_box;  // of LeaveLowPartsOut
+  std::vector<std::string> held;                // joints on the way to the tool that stand at 0
   double touching = 0;       // share of the poses within the limits where watched parts touch
   LinkPair touching_most{};  // links that do in most of them
 };

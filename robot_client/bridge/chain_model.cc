@@ -7,7 +7,9 @@
 #include <random>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "common/check.h"
+#include "common/status_macros.h"
 
 namespace robostress::bridge {
 namespace {
@@ -108,6 +110,41 @@ std::vector<Seen> PairsOf(const ArmChain& chain, const std::vector<LinkPair>& ig
   return pairs;
 }
 
+// Leaves out of what is `against` a bound the parts that keep a link below `height` [m] in nearly
+// all poses. False: the last link is.
+bool LeaveOutBelow(double height, bool LinkPart::*against, const std::vector<LinkPoses>& poses,
+                   ArmChain* chain, std::vector<LeftOut>* left_out) {
+  left_out->clear();
+  const int last = static_cast<int>(chain->links.size()) - 1;
+  for (int link = kFirstThatMayTouch; link <= last; ++link) {
+    std::vector<LinkPart*> parts;
+    for (LinkPart& part : chain->body)
+      if (part.link == link && part.*against) parts.push_back(&part);
+    const auto low = [&](const LinkPart* part, const LinkPoses& pose) {
+      return LowestOf(part->shape, Of(pose, link)) < height;
+    };
+    const auto times = [&](const LinkPart* part) {
+      return std::count_if(poses.begin(), poses.end(),
+                           [&](const LinkPoses& pose) { return low(part, pose); });
+    };
+    const auto any = [&](const LinkPoses& pose) {
+      return std::any_of(parts.begin(), parts.end(),
+                         [&](const LinkPart* part) { return low(part, pose); });
+    };
+    const size_t all = parts.size();
+    while (std::count_if(poses.begin(), poses.end(), any) >= kNearlyAll) {
+      if (link == last) return false;
+      const auto lowest = std::max_element(
+          parts.begin(), parts.end(),
+          [&](const LinkPart* a, const LinkPart* b) { return times(a) < times(b); });
+      (*lowest)->*against = false;
+      parts.erase(lowest);
+    }
+    if (parts.size() < all) left_out->push_back({link, parts.empty()});
+  }
+  return true;
+}
+
 }  // namespace
 
 void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, double margin,
@@ -151,38 +188,25 @@ void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, d
   chain->touching = static_cast<double>(touching.count()) / kPoses;
 }
 
-void LeaveLowPartsOut(const ArmLimits& limits, const WorkspaceOptions& workspace, ArmChain* chain) {
-  chain->too_low.clear();
+absl::Status LeaveLowPartsOut(const ArmLimits& limits, const WorkspaceOptions& workspace,
+                              ArmChain* chain) {
   std::vector<LinkPoses> poses(kPoses);
   size_t next = 0;
   for (const ArmVector& pose : PosesWithin(limits, chain->links.size()))
     Place(*chain, pose, poses[next++]);
-  const double table = workspace.table_z + workspace.margin;
-  for (int link = kFirstThatMayTouch; link < static_cast<int>(chain->links.size()); ++link) {
-    std::vector<LinkPart*> parts;
-    for (LinkPart& part : chain->body)
-      if (part.link == link && part.against_bounds) parts.push_back(&part);
-    const auto low = [&](const LinkPart* part, const LinkPoses& pose) {
-      return LowestOf(part->shape, Of(pose, link)) < table;
-    };
-    const auto times = [&](const LinkPart* part) {
-      return std::count_if(poses.begin(), poses.end(),
-                           [&](const LinkPoses& pose) { return low(part, pose); });
-    };
-    const auto any = [&](const LinkPoses& pose) {
-      return std::any_of(parts.begin(), parts.end(),
-                         [&](const LinkPart* part) { return low(part, pose); });
-    };
-    const size_t all = parts.size();
-    while (std::count_if(poses.begin(), poses.end(), any) >= kNearlyAll) {
-      const auto lowest = std::max_element(
-          parts.begin(), parts.end(),
-          [&](const LinkPart* a, const LinkPart* b) { return times(a) < times(b); });
-      (*lowest)->against_bounds = false;
-      parts.erase(lowest);
-    }
-    if (parts.size() < all) chain->too_low.push_back(link);
-  }
+  const auto watched = [&](const char* field, double z, bool LinkPart::*against,
+                           std::vector<LeftOut>* left_out) {
+    if (LeaveOutBelow(z + workspace.margin, against, poses, chain, left_out))
+      return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat("workspace.", field, " is ", z, " m and margin ", workspace.margin,
+                     " m in the base frame: J", chain->links.size(),
+                     ", which carries the tool, is below that in nearly all poses, so "
+                     "nothing would keep it above; correct the height, or the margin"));
+  };
+  RS_RETURN_IF_ERROR(
+      watched("table_z", workspace.table_z, &LinkPart::against_table, &chain->below_table));
+  return watched("lower[2]", workspace.lower[2], &LinkPart::against_box, &chain->below_box);
 }
 
 ChainModel::ChainModel(ArmChain chain, const WorkspaceOptions& workspace)
@@ -254,15 +278,15 @@ ArmModel::Clearance ChainModel::ClearanceAt(const ArmVector& position) const {
   clearance.fill(std::numeric_limits<double>::infinity());
   double table = std::numeric_limits<double>::infinity();
   for (const LinkPart& part : chain_.body) {
-    if (part.link < kFirstThatMayTouch || !part.against_bounds) continue;
+    if (part.link < kFirstThatMayTouch || !(part.against_table || part.against_box)) continue;
     const Eigen::Isometry3d& T = poses[static_cast<size_t>(part.link)];
     Vector3d low = Vector3d::Constant(std::numeric_limits<double>::infinity()), high = -low;
     for (const Vector3d& corner : part.shape.corners) {
       const Vector3d p = T * corner;
       low = low.cwiseMin(p), high = high.cwiseMax(p);
     }
-    table = std::min(table, low.z() - part.shape.radius);
-    for (int axis = 0; axis < 3; ++axis) {
+    if (part.against_table) table = std::min(table, low.z() - part.shape.radius);
+    for (int axis = 0; axis < 3 && part.against_box; ++axis) {
       double &below = clearance[kBox + axis], &above = clearance[kBox + 3 + axis];
       below = std::min(below, low[axis] - lower_[axis] - part.shape.radius - margin_);
       above = std::min(above, upper_[axis] - high[axis] - part.shape.radius - margin_);

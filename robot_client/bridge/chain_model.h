@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "robot_client/arm_model.h"
 #include "robot_client/bridge/arm_chain.h"
 
@@ -20,8 +21,10 @@ void ChooseLinkPairs(const ArmLimits& limits, const std::vector<double>& home, d
 
 // Leaves out of a link's shape against the table what keeps it below in nearly all of those poses:
 // a shoulder that turns where it is, below the table's top, would be its lowest part for ever, and
-// hide how near the tool is. The first link is not watched at all.
-void LeaveLowPartsOut(const ArmLimits& limits, const WorkspaceOptions& workspace, ArmChain* chain);
+// hide how near the tool is. The same against the box, by its floor. The first link is not watched
+// at all. INVALID_ARGUMENT where the last link would be left out: the height is wrong.
+absl::Status LeaveLowPartsOut(const ArmLimits& limits, const WorkspaceOptions& workspace,
+                              ArmChain* chain);
 
 // A ball that holds a part, in its link's frame.
 struct Reach {

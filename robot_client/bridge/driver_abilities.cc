@@ -14,6 +14,12 @@ std::string LinkPairNames(const std::vector<LinkPair>& pairs) {
       pairs, ", ", [](std::string* out, const LinkPair& pair) { out->append(LinkPairName(pair)); });
 }
 
+std::string LeftOutNames(const std::vector<LeftOut>& links) {
+  return absl::StrJoin(links, ", ", [](std::string* out, const LeftOut& link) {
+    absl::StrAppend(out, link.all ? "all of J" : "a part of J", link.link + 1);
+  });
+}
+
 }  // namespace
 
 std::string Unfit(const BridgeRobot& robot, const Welcome& w) {
@@ -96,11 +102,12 @@ std::vector<std::string> WhatADriverSays(const BridgeRobot& robot, const Welcome
           absl::StrCat("WARNING: not driven, and at 0 in the model, on the way to the "
                        "tool: ",
                        absl::StrJoin(chain.held, ", ")));
-    if (!chain.too_low.empty())
-      lines.push_back(absl::StrCat(
-          "not watched against the table, below it in nearly all poses: a part of ",
-          absl::StrJoin(chain.too_low, ", ",
-                        [](std::string* out, int link) { absl::StrAppend(out, "J", link + 1); })));
+    if (!chain.below_table.empty())
+      lines.push_back(absl::StrCat("not watched against the table, below it in nearly all poses: ",
+                                   LeftOutNames(chain.below_table)));
+    if (!chain.below_box.empty())
+      lines.push_back(absl::StrCat("not watched against the box, below it in nearly all poses: ",
+                                   LeftOutNames(chain.below_box)));
     if (chain.watched.empty()) {
       lines.emplace_back(
           "not watched: the arm against itself; its links have no shapes, or more than 256 parts");

@@ -233,8 +233,7 @@ absl::Status ChooseWatched(const WorkspaceOptions& workspace, const std::vector<
     ignored.push_back(pair);
   }
   ChooseLinkPairs(robot.limits, home, workspace.margin, ignored, &*robot.chain);
-  LeaveLowPartsOut(robot.limits, workspace, &*robot.chain);
-  return absl::OkStatus();
+  return LeaveLowPartsOut(robot.limits, workspace, &*robot.chain);
 }
 
 absl::StatusOr<BridgeRobot> ParseBridgeRobot(const std::string& file, const std::string& yaml) {

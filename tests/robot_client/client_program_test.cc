@@ -8,6 +8,7 @@
 #include <filesystem>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "common/atomic_file.h"
 #include "common/image.h"
 #include "tests/run_program.h"
@@ -242,6 +243,40 @@ TEST(ClientProgramTest, RefusesBadInput) {
   EXPECT_EQ(code, 2);
   EXPECT_THAT(text, HasSubstr("home lies")) << "below the table";
   EXPECT_EQ(RunProgram(ROBOT_CLIENT, "--help").second, 0);
+}
+
+// Robot file, configuration and --set, each over those before, field by field: the table is the
+// file's, the margin the configuration's. Nothing listens there, and a table that high is refused
+// before anybody is asked.
+TEST(ClientProgramTest, ARobotFilesWorkspaceStandsWhereTheConfigurationSaysNothing) {
+  const std::string out = ::testing::TempDir() + "/client_program_robot";
+  std::filesystem::create_directories(out);
+  const std::string bridge = "tests/robot_client/bridge/";
+  const std::string robot = out + "/robot.yaml", partial = out + "/partial.yaml";
+  ASSERT_TRUE(WriteFileAtomically(
+                  robot, absl::StrReplaceAll(
+                             Text(bridge + "seven_modelled.yaml"),
+                             {{"seven_joints.urdf",
+                               std::filesystem::absolute(bridge + "seven_joints.urdf").string()},
+                              {"table_z: 0.02", "table_z: 2"}}))
+                  .ok());
+  ASSERT_TRUE(
+      WriteFileAtomically(partial, absl::StrCat("bus: bridge:unix:/tmp/nobody\nrobot: ", robot,
+                                                "\ncontrol: {workspace: {margin: 0.01}}\n"))
+          .ok());
+  const auto run = [&](const std::string& arguments) {
+    return RunProgram("timeout 60 " ROBOT_CLIENT, arguments + " --out " + out + "/none");
+  };
+  auto [text, code] = run("--config " + partial);
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text,
+              AllOf(HasSubstr(robot), HasSubstr("workspace.table_z is 2 m and margin 0.01 m")));
+  std::tie(text, code) = run("--set bus=bridge:unix:/tmp/nobody --set robot=" + robot);
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text, HasSubstr("workspace.table_z is 2 m and margin 0 m"));
+  std::tie(text, code) = run("--config " + partial + " --set control.workspace.table_z=0.02");
+  EXPECT_EQ(code, 2);
+  EXPECT_THAT(text, HasSubstr("no driver at unix:/tmp/nobody"));
 }
 
 // No server, no arm: replay and excite on the arm that is not there.

@@ -92,6 +92,22 @@ TEST(BridgeModel, TorqueBeyondTheModelIsPressing) {
   std::printf("pressing with 7 Nm on J4: HOLD (pressing) after %.3f s\n", seconds);
 }
 
+TEST(BridgeModel, WhatIsNotWatchedIsSaid) {
+  ModelledWorld high(0.32);
+  ASSERT_TRUE(high.Connected().ok());
+  EXPECT_THAT(high.arm->Warnings(),
+              ::testing::Contains("not watched against the table, below it in nearly all poses: "
+                                  "all of J2"));
+  BridgeRobot robot = Modelled(0);
+  robot.chain->held = {"wrist_joint"};
+  BridgeWorld held(robot);
+  held.driver->welcome["measures_effort"] = true;
+  ASSERT_TRUE(held.Connected().ok());
+  EXPECT_THAT(held.arm->Warnings(),
+              ::testing::Contains(HasSubstr("not driven, and at 0 in the model, on the way to the "
+                                            "tool: wrist_joint")));
+}
+
 TEST(BridgeModel, TorquesAreNotJudgedWhereTheFileDoesNotSayWhatPresses) {
   BridgeRobot robot = *LoadBridgeRobot("tests/robot_client/bridge/seven_modelled.yaml");
   robot.driver.measures_effort = false;

@@ -85,10 +85,45 @@ TEST(ChainModel, TableAndBoxAreKeptByTheNearestPartBeyondTheFirstLink) {
   workspace.table_z = 0.32;
   const ArmVector ready = {0, -M_PI / 4, 0, -3 * M_PI / 4, 0, M_PI / 2, M_PI / 4, 0};
   ArmChain chain = Chain();
-  LeaveLowPartsOut(SevenLimits(), workspace, &chain);
-  EXPECT_THAT(chain.too_low, ::testing::ElementsAre(1));
+  ASSERT_TRUE(LeaveLowPartsOut(SevenLimits(), workspace, &chain).ok());
+  ASSERT_EQ(chain.below_table.size(), 1u);
+  EXPECT_EQ(chain.below_table[0].link, 1);
+  EXPECT_TRUE(chain.below_table[0].all);
   EXPECT_NEAR(ChainModel(chain, workspace).ClearanceAt(ready)[ArmModel::kTable], 0.042, 1e-3)
       << "the upper arm's cylinder";
+  // The box goes on holding it, and leaves it out only below its own floor.
+  EXPECT_TRUE(chain.below_box.empty());
+  workspace.lower = {-1, -0.04, -1};
+  const ChainModel boxed(chain, workspace);
+  EXPECT_NEAR(boxed.ClearanceAt({M_PI / 2, 0.8, 0, -1.5, 0, 1.9, 0, 0})[ArmModel::kBox + 1],
+              0.04 - 0.05 - 0.01, 1e-9);
+  workspace.lower = {-1, -1, 0.32};
+  ArmChain floored = Chain();
+  ASSERT_TRUE(LeaveLowPartsOut(SevenLimits(), workspace, &floored).ok());
+  ASSERT_EQ(floored.below_box.size(), 1u);
+  EXPECT_NEAR(ChainModel(floored, workspace).ClearanceAt(ready)[ArmModel::kBox + 2], 0.042, 1e-3);
+}
+
+// Nothing would be watched, and everything would look as far away as can be.
+TEST(ChainModel, ATableAboveTheArmIsRefused) {
+  WorkspaceOptions workspace;
+  workspace.table_z = 2;
+  ArmChain chain = Chain();
+  EXPECT_THAT(std::string(LeaveLowPartsOut(SevenLimits(), workspace, &chain).message()),
+              AllOf(HasSubstr("workspace.table_z is 2 m"), HasSubstr("in the base frame: J7"),
+                    HasSubstr("correct the height")));
+  workspace = {};
+  workspace.margin = 0.5;
+  workspace.table_z = 1.2;
+  chain = Chain();
+  EXPECT_THAT(std::string(LeaveLowPartsOut(SevenLimits(), workspace, &chain).message()),
+              HasSubstr("margin 0.5 m"));
+  workspace = {};
+  workspace.lower[2] = 2;
+  workspace.upper[2] = 3;
+  chain = Chain();
+  EXPECT_THAT(std::string(LeaveLowPartsOut(SevenLimits(), workspace, &chain).message()),
+              HasSubstr("workspace.lower[2] is 2 m"));
 }
 
 std::vector<const LinkPart*> PartsOfLink(const ArmChain& chain, int link) {
@@ -127,8 +162,8 @@ TEST(ChainModel, ShapesAreBoxesCylindersSpheresAndBallsForMeshesThatAreNotThere)
   const auto fourth = PartsOfLink(chain, 3);
   ASSERT_EQ(fourth.size(), 2u);
   EXPECT_EQ(fourth[0]->shape.radius, 0.05);
-  EXPECT_TRUE(fourth[0]->against_bounds && !fourth[0]->against_itself);
-  EXPECT_TRUE(!fourth[1]->against_bounds && fourth[1]->against_itself);
+  EXPECT_TRUE(fourth[0]->against_table && fourth[0]->against_box && !fourth[0]->against_itself);
+  EXPECT_TRUE(!fourth[1]->against_table && !fourth[1]->against_box && fourth[1]->against_itself);
   EXPECT_EQ(chain.meshes, 0);
   EXPECT_THAT(chain.missing_meshes,
               ::testing::ElementsAre("link.stl (not found)", "link.stl (not found)",

@@ -186,10 +186,10 @@ TEST(BridgeRobotFile, WhatIsWatchedIsChosenForTheWorkspaceInForce) {
   other.margin = 0.3;
   EXPECT_LT(chosen(other, file.home).watched.size(),
             chosen(file.workspace, file.home).watched.size());
-  EXPECT_TRUE(chosen(file.workspace, file.home).too_low.empty());
+  EXPECT_TRUE(chosen(file.workspace, file.home).below_table.empty());
   other = file.workspace;
   other.table_z = 0.32;
-  EXPECT_EQ(chosen(other, file.home).too_low.size(), 1u);
+  EXPECT_EQ(chosen(other, file.home).below_table.size(), 1u);
   const std::vector<double> folded = {0, 0, 0, -3, 0, 0.6, 0, 0};
   EXPECT_LT(chosen(file.workspace, folded).watched.size(),
             chosen(file.workspace, file.home).watched.size());
