@@ -78,8 +78,12 @@ void CommandLimiter::Reset(const ArmVector& position) {
 }
 
 bool CommandLimiter::at_rest() const {
-  return std::all_of(velocity_.begin(), velocity_.end(),
-                     [](double v) { return std::abs(v) < kAtRest; });
+  for (int i = 0; i < count_; ++i) {
+    // One that turns back has no velocity either, but will have.
+    if (!(std::abs(velocity_[i]) < kAtRest && std::abs(acceleration_[i] * dt_) < kAtRest))
+      return false;
+  }
+  return true;
 }
 
 int CommandLimiter::BrakingTicks(int i) const {

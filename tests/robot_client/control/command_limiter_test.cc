@@ -137,6 +137,19 @@ TEST(CommandLimiterTest, WithoutABoundOnJerkItBrakesAtOnce) {
   EXPECT_EQ(ticks, 5);
 }
 
+TEST(CommandLimiterTest, AJointThatTurnsBackIsNotAtRest) {
+  CommandLimiter limiter = Limiter();
+  for (int i = 0; i < 4; ++i) limiter.Limit(AllJoints(0.9));
+  for (int i = 0; i < 20 && limiter.velocity()[0] > 1e-6; ++i) limiter.Limit(AllJoints(-0.9));
+  ASSERT_NEAR(limiter.velocity()[0], 0, 1e-9) << "after whole ticks of 5 rad/s^2";
+  ASSERT_LT(limiter.acceleration()[0], -4);
+  EXPECT_FALSE(limiter.at_rest());
+  const double turned = limiter.position()[0];
+  for (int i = 0; i < 20; ++i) limiter.Decelerate();
+  EXPECT_LT(limiter.position()[0], turned - 0.01) << "it goes on while it lets go";
+  EXPECT_TRUE(limiter.at_rest());
+}
+
 // Moved about at random and let go at any moment, it rests within the ticks that it says.
 TEST(CommandLimiterTest, BrakesWithinTheTicksThatItSays) {
   constexpr double kInfinite = std::numeric_limits<double>::infinity();
