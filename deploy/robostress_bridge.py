@@ -25,6 +25,7 @@ import os
 import select
 import signal
 import socket
+import stat
 import struct
 import time
 
@@ -115,6 +116,7 @@ class Session:
         self.ended = False
         self.complained = {}
         self.listener = listen(path)
+        self.place = place(path)
 
     # --- what the client is told -------------------------------------------------------------------
 
@@ -359,29 +361,65 @@ class Session:
                 if now >= due:
                     due = max(due + self.period, now)  # what was missed is not made up for
         finally:
+            self.end()
+
+    def end(self):
+        """The arm holds and is closed, whatever else fails."""
+        try:
             if self.client is not None:
                 try:
                     self.send(BYE, b"")
                 except Broken:
                     pass
                 self.drop("the driver ends")
-            self.listener.close()
-            os.unlink(self.path)
-            self.arm.close()
+        finally:
+            try:
+                self.listener.close()
+                if place(self.path) == self.place:  # not a newer driver's
+                    os.unlink(self.path)
+            except OSError as error:
+                LOG.warning("%s is left: %s", self.path, error.strerror)
+            finally:
+                self.arm.close()
+
+
+def place(path):
+    """What tells the file at `path` from a later one, whose inode may be the same number; or None."""
+    try:
+        found = os.lstat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino, found.st_mtime_ns
+
+
+def make_room(path):
+    """A dead driver's socket at `path` is removed, and nothing else ever is."""
+    try:
+        mode = os.lstat(path).st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISSOCK(mode):
+        raise SystemExit(f"--socket {path}: that is a file, not a socket, and it stays; take another path")
+    probe = socket.socket(socket.AF_UNIX)
+    probe.settimeout(1)
+    try:
+        probe.connect(path)
+    except ConnectionRefusedError:
+        os.unlink(path)
+    except FileNotFoundError:
+        pass  # its driver has just ended
+    except OSError as error:
+        raise SystemExit(f"--socket {path}: whether a driver listens there is not known ({error}), so it stays; "
+                         "remove it by hand, or take another path") from error
+    else:
+        raise SystemExit(f"{path}: a driver listens there already; end it, or take another --socket")
+    finally:
+        probe.close()
 
 
 def listen(path):
-    """A socket at `path` that only this user can reach. A dead driver's file is taken over."""
-    if os.path.exists(path):
-        probe = socket.socket(socket.AF_UNIX)
-        try:
-            probe.connect(path)
-        except OSError:
-            os.unlink(path)
-        else:
-            raise SystemExit(f"{path}: a driver listens there already; end it, or take another --socket")
-        finally:
-            probe.close()
+    """A socket at `path` that only this user can reach. A dead driver's is taken over."""
+    make_room(path)
     listener = socket.socket(socket.AF_UNIX)
     before = os.umask(0o177)
     try:

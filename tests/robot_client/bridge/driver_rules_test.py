@@ -25,17 +25,33 @@ class Noted(bridge.Arm):
 
     def __init__(self):
         self.calls, self.at, self.broken = [], [1.0, 2.0], False
+        self.deaf = 0  # so many orders raise
+        self.age_ns, self.effort, self.on, self.closed = 0, None, True, False
 
     def read(self):
         if self.broken:
             raise RuntimeError("no answer")
-        return time.monotonic_ns(), list(self.at), None, None, 0
+        return time.monotonic_ns() - self.age_ns, list(self.at), None, None, 0
+
+    def listens(self):
+        self.deaf -= 1
+        if self.deaf >= 0:
+            raise RuntimeError("a lost packet")
 
     def move(self, targets, gripper_effort):
+        self.listens()
         self.calls.append(("move", targets))
+        self.effort = gripper_effort
 
     def power_off(self):
+        self.listens()
         self.calls.append(("power_off",))
+
+    def powered(self):
+        return self.on
+
+    def close(self):
+        self.closed = True
 
 
 class DriverRules(unittest.TestCase):
@@ -67,15 +83,15 @@ class DriverRules(unittest.TestCase):
         self.client.send(bridge.HEADER.pack(magic, version, kind, len(payload), sequence) + payload)
         self.step()
 
-    def hello(self, axes=("b", "a"), protocol=1):
-        self.frame(bridge.HELLO, json.dumps({"protocol": protocol, "axes": axes}).encode())
+    def hello(self, axes=("b", "a"), protocol=1, gripper=None):
+        self.frame(bridge.HELLO, json.dumps({"protocol": protocol, "axes": axes, "gripper": gripper}).encode())
 
     def command(self, mode, targets=(5.0, 6.0), age_s=0.0, sequence=None):
         head = bridge.COMMAND.pack(time.monotonic_ns() - int(age_s * 1e9), 0, mode, 0, 0.5)
         self.frame(bridge.COMMAND_KIND, head + struct.pack(f"<{len(targets)}d", *targets), sequence)
 
-    def enabled(self):
-        self.hello()
+    def enabled(self, gripper=None):
+        self.hello(gripper=gripper)
         self.command(bridge.ENABLE)
         self.arm.calls.clear()
 
@@ -220,6 +236,51 @@ class DriverRules(unittest.TestCase):
             bridge.listen(self.path)
         self.session.listener.close()
         bridge.listen(self.path).close()
+
+    def test_what_is_no_dead_drivers_socket_stays(self):
+        file, folder = os.path.join(self.folder.name, "calib.json"), os.path.join(self.folder.name, "runs")
+        with open(file, "w") as written:
+            written.write("{}")
+        os.mkdir(folder)
+        other = os.path.join(self.folder.name, "other")  # listens, but is no stream
+        datagrams = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.addCleanup(datagrams.close)
+        datagrams.bind(other)
+        for path, words in ((file, "not a socket"), (folder, "not a socket"), (other, "is not known")):
+            with self.assertRaises(SystemExit) as refused:
+                bridge.listen(path)
+            self.assertIn(path, str(refused.exception))
+            self.assertIn(words, str(refused.exception))
+            self.assertIn("take another path", str(refused.exception))
+            self.assertTrue(os.path.lexists(path))
+        with open(file) as read:
+            self.assertEqual(read.read(), "{}")
+
+    def test_a_driver_that_ends_holds_its_arm_closes_it_and_removes_its_own_socket(self):
+        self.enabled()
+        self.session.end()
+        self.assertEqual((self.arm.calls, self.arm.closed), ([("move", [1.0, 2.0])], True))
+        self.assertFalse(os.path.exists(self.path))
+
+    def test_a_socket_that_is_gone_or_anothers_keeps_no_arm_open(self):
+        os.unlink(self.path)
+        self.session.end()
+        self.assertTrue(self.arm.closed)
+        first = bridge.Session(Noted(), self.path)
+        os.unlink(self.path)
+        second = bridge.listen(self.path)
+        self.addCleanup(second.close)
+        first.end()
+        self.assertTrue(first.arm.closed)
+        self.assertTrue(os.path.exists(self.path), "a newer driver's")
+
+    def test_a_client_that_cannot_be_told_goodbye_keeps_no_arm_open(self):
+        self.enabled()
+        self.session.drop = lambda why: 1 / 0
+        with self.assertRaises(ZeroDivisionError):
+            self.session.end()
+        self.assertTrue(self.arm.closed)
+        self.assertFalse(os.path.exists(self.path))
 
 
 if __name__ == "__main__":
