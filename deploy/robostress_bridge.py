@@ -44,6 +44,8 @@ FAULT_COLLISION, FAULT_STALL, FAULT_OVER_CURRENT = 1 << 6, 1 << 7, 1 << 8
 FAULT_OVER_TEMPERATURE, FAULT_UNDER_VOLTAGE, FAULT_DRIVER = 1 << 9, 1 << 10, 1 << 11
 FAULT_OTHER = 1 << 13
 OLDEST_COMMAND_NS = 100_000_000  # an older target is not obeyed
+OLDEST_READING_NS = 100_000_000  # an older reading does not say where the arm stands
+LAST_TRIES_S = 1.0  # a driver that ends tells the arm to hold for so long
 FAILED_READS = 5  # in a row: a fault. Of fewer the client sees that no new sample came
 
 
@@ -55,7 +57,8 @@ class Arm:
     """What a driver does. Positions are in its own units, one a name of `axes`.
 
     Everything is called from one thread. An exception is reported to the client as a fault of the
-    driver, that of read when it comes five times in a row; the arm is then left as it is.
+    driver, that of read when it comes five times in a row. What the arm was told on silence, and a
+    stop, is told again until it raises no more; for all else the arm is left as it is.
     """
 
     driver = "a driver"  # program, for people
@@ -68,6 +71,9 @@ class Arm:
     measures_effort = False  # [Nm]
     simulated = False
     note = ""  # what a person should know, one line
+    # Kept by look and the session, for hold.
+    last_reading = None  # of numbers, as read gives it
+    last_target = None  # since enable, while the arm has power
 
     def read(self):
         """(stamp [ns, monotonic], positions, velocities or None, efforts or None, faults)."""
@@ -81,9 +87,34 @@ class Arm:
         """Gives the joints power; the arm holds where it stands. Power that is there may stay."""
         self.hold()
 
+    def look(self):
+        """What read gives, remembered for hold where all of it are numbers."""
+        reading = self.read()
+        if all(map(math.isfinite, reading[1])):
+            self.last_reading = reading
+        return reading
+
     def hold(self):
-        """The target becomes where the arm stands."""
-        self.move(self.read()[1], 0.0)
+        """The target becomes where the arm stands.
+
+        Where no number can be read now, the last reading counts while it is young, then the last
+        target, to which the arm is on its way: an old reading would lead it back.
+        """
+        unread = None
+        try:
+            self.look()
+        except Exception as error:  # whatever a vendor's driver raises
+            unread = error
+        oldest = time.monotonic_ns() - OLDEST_READING_NS
+        if self.last_reading is not None and self.last_reading[0] >= oldest:
+            targets = list(self.last_reading[1])
+        elif self.last_target is not None:
+            targets = list(self.last_target)
+        else:
+            raise RuntimeError("where the arm stands is not known")
+        self.move(targets, 0.0)
+        if unread is not None:
+            LOG.warning("the arm holds without having been read: %r", unread)
 
     def stop(self):
         """The fastest stop that there is."""
@@ -109,6 +140,7 @@ class Session:
         self.period = 1.0 / state_hz
         self.client, self.buffer, self.greeted = None, b"", False
         self.flags, self.order = 0, []
+        self.owed = None  # (what, flag): the arm was told and has not obeyed yet
         self.heard = self.taken = self.taken_ns = self.seen = self.sequence = 0
         self.last = (0, [0.0] * len(arm.axes), None, None, 0)
         self.failed = 0  # faults of this driver, until a person has seen them
@@ -154,7 +186,7 @@ class Session:
     def send_state(self):
         stamp, position, velocity, effort, faults = self.last
         try:
-            self.last = stamp, position, velocity, effort, faults = self.arm.read()
+            self.last = stamp, position, velocity, effort, faults = self.arm.look()
             self.missed = 0
         except Exception as error:  # whatever a vendor's driver raises
             self.complain(f"the arm cannot be read: {error!r}")
@@ -163,7 +195,11 @@ class Session:
         if not self.greeted:
             return
         faults |= self.failed
-        powered = self.flags | (POWERED if self.arm.powered() else 0)
+        powered = self.flags
+        if self.arm.powered():
+            powered |= POWERED
+        else:
+            self.arm.last_target = None  # it may be moved by hand now
         nothing = [0.0] * len(position)
         values = [
             float(row[i])
@@ -229,6 +265,7 @@ class Session:
                 target = self.take(sequence, payload, target)
         if target is not None:
             self.arm.move(*target)
+            self.arm.last_target = target[0]
 
     def take(self, sequence, payload, target):
         n = len(self.order)
@@ -242,19 +279,20 @@ class Session:
             return target
         self.seen = sequence
         if mode == STOP or mode == POWER_OFF:  # however old: they are the safe side
-            self.flags &= ~TAKING
             target = None
             if mode == POWER_OFF:
                 self.arm.power_off()
+                self.flags, self.owed = self.flags & ~TAKING, None
             elif not self.flags & STOPPED:  # once: where the arm stands would sink with it
-                self.arm.stop()
-                self.flags |= STOPPED
+                self.flags &= ~TAKING
+                self.obey("stop", STOPPED)
         elif abs(now - stamp) > OLDEST_COMMAND_NS:
             self.complain(f"a command is {(now - stamp) / 1e6:.0f} ms old: left out")
             return target
         elif mode == ENABLE:
+            self.arm.last_target = None  # it holds where it stands: it may have been moved by hand
             self.arm.enable()
-            self.flags, target = TAKING, None
+            self.flags, self.owed, target = TAKING, None, None
         elif mode == ACKNOWLEDGE:
             self.failed = 0
         elif mode == TARGET and self.flags & TAKING:
@@ -281,14 +319,22 @@ class Session:
         """The client is silent or gone: what was agreed happens, once."""
         if not self.flags & TAKING:
             return
-        self.flags = self.flags & ~TAKING | HELD
+        self.flags &= ~TAKING
         LOG.warning("%s: %s", why, self.on_silence)
+        self.obey(self.on_silence, HELD)
+
+    def obey(self, what, flag):
+        """Tells the arm, with every state anew until it obeys; only then the client reads `flag`."""
+        self.owed = what, flag
         try:
             {"hold": self.arm.hold, "stop": self.arm.stop, "torque_off": self.arm.power_off,
-             "nothing": lambda: None}[self.on_silence]()
+             "nothing": lambda: None}[what]()
         except Exception as error:  # whatever a vendor's driver raises
-            LOG.error("the arm did not obey: %r", error)
+            self.complain(f"the arm did not obey, it is told to {what} again: {error!r}")
             self.failed |= FAULT_DRIVER
+            return
+        self.owed = None
+        self.flags |= flag
 
     def drop(self, why):
         LOG.info("%s", why)
@@ -327,6 +373,8 @@ class Session:
         # Before anything is read: a driver that stood still has heard nothing either.
         if self.flags & TAKING and time.monotonic() - self.heard > self.watchdog_s:
             self.silent(f"silent for {self.watchdog_s} s")
+        elif self.owed and time.monotonic() >= due:
+            self.obey(*self.owed)
         if self.client is not None:
             try:
                 if self.client in ready:
@@ -372,6 +420,10 @@ class Session:
                 except Broken:
                     pass
                 self.drop("the driver ends")
+            until = time.monotonic() + LAST_TRIES_S
+            while self.owed and time.monotonic() < until:
+                time.sleep(self.period)
+                self.obey(*self.owed)
         finally:
             try:
                 self.listener.close()

@@ -161,6 +161,80 @@ class DriverRules(unittest.TestCase):
         self.assertEqual(len(self.arm.calls), 1)
         self.assertEqual(self.session.flags, bridge.HELD)
 
+    def test_a_hold_that_the_arm_does_not_obey_is_told_again_and_not_reported_before(self):
+        for on_silence, done in (("hold", ("move", [1.0, 2.0])), ("stop", ("move", [1.0, 2.0])),
+                                 ("torque_off", ("power_off",))):
+            self.enabled()
+            self.session.on_silence, self.session.watchdog_s, self.arm.deaf = on_silence, 0.0, 3
+            self.step()
+            self.assertEqual((self.arm.calls, self.session.flags), ([], 0), on_silence)
+            self.assertTrue(self.session.failed & bridge.FAULT_DRIVER)
+            for _ in range(2):
+                self.step(states=True)
+            self.assertEqual((self.arm.calls, self.session.flags), ([], 0), on_silence)
+            for _ in range(2):
+                self.step(states=True)
+            self.assertEqual((self.arm.calls, self.session.flags), ([done], bridge.HELD), on_silence)
+            self.session.watchdog_s = 30.0
+            self.client.close()
+            self.client, self.sequence = self.dial(), 0
+
+    def test_a_stop_that_the_arm_does_not_obey_is_told_again_after_the_client_has_gone(self):
+        self.enabled()
+        self.arm.deaf = 1
+        self.command(bridge.STOP)
+        self.assertEqual((self.arm.calls, self.session.flags), ([], 0))
+        self.client.close()
+        for _ in range(3):
+            self.step(states=True)
+        self.assertEqual((self.arm.calls, self.session.flags), ([("move", [1.0, 2.0])], bridge.STOPPED))
+
+    def test_an_enable_ends_what_the_arm_was_told_on_silence(self):
+        self.enabled()
+        self.session.watchdog_s, self.arm.deaf = 0.0, 1
+        self.step()
+        self.session.watchdog_s = 30.0
+        self.command(bridge.ENABLE)
+        self.arm.calls.clear()
+        self.step(states=True)
+        self.assertEqual((self.arm.calls, self.session.flags), ([], bridge.TAKING))
+
+    def test_a_power_off_that_failed_leaves_the_arm_watched(self):
+        self.enabled()
+        self.arm.deaf = 1
+        self.command(bridge.POWER_OFF)
+        self.client.close()
+        self.step()
+        self.assertEqual(self.arm.calls, [("move", [1.0, 2.0])])
+
+    def test_an_arm_that_cannot_be_read_holds_where_it_last_stood(self):
+        nan = float("nan")
+        for broken, at in ((True, [1.0, 2.0]), (False, [nan, 2.0])):
+            self.enabled()
+            self.command(bridge.TARGET, (2.1, 1.1))
+            self.step(states=True)
+            self.arm.broken, self.arm.at = broken, at
+            self.session.silent("gone")
+            self.assertEqual(self.arm.calls[-1], ("move", [1.0, 2.0]))
+            self.arm.broken, self.arm.at = False, [1.0, 2.0]
+            self.client.close()
+            self.client, self.sequence = self.dial(), 0
+
+    def test_an_old_reading_does_not_lead_the_arm_back(self):
+        self.enabled()
+        self.arm.age_ns = 10**9
+        self.command(bridge.TARGET, (5.0, 6.0))
+        self.session.silent("gone")
+        self.assertEqual(self.arm.calls, [("move", [6.0, 5.0])] * 2)
+
+    def test_nothing_is_enabled_that_cannot_be_read(self):
+        self.enabled()
+        self.command(bridge.TARGET)
+        self.command(bridge.STOP)
+        self.arm.age_ns = 10**9
+        self.command(bridge.ENABLE)
+        self.assertFalse(self.session.flags & bridge.TAKING)
+
     def test_old_heartbeats_keep_nobody_alive(self):
         self.enabled()
         self.session.watchdog_s = 0.1
@@ -256,8 +330,9 @@ class DriverRules(unittest.TestCase):
         with open(file) as read:
             self.assertEqual(read.read(), "{}")
 
-    def test_a_driver_that_ends_holds_its_arm_closes_it_and_removes_its_own_socket(self):
+    def test_a_driver_that_ends_tells_its_arm_again_closes_it_and_removes_its_own_socket(self):
         self.enabled()
+        self.arm.deaf = 2
         self.session.end()
         self.assertEqual((self.arm.calls, self.arm.closed), ([("move", [1.0, 2.0])], True))
         self.assertFalse(os.path.exists(self.path))
