@@ -7,7 +7,7 @@ Frames. 16 bytes in front, little endian: b"RSBR", version u8, kind u8, payload 
 u64 (grows from frame to frame). Stamps are time.monotonic_ns(), which both ends read. Values are
 floats of 8 bytes in the driver's own units, in the order of the client's hello.
 
-    1 HELLO    client   JSON: protocol, robot, axes (names), rate_hz
+    1 HELLO    client   JSON: protocol, robot, axes (names), gripper (one of them, or null), rate_hz
     2 WELCOME  driver   JSON: see Session.welcome
     3 REFUSAL  driver   JSON: reason; then it closes
     4 STATE    driver   stamp, sent, command u64, command_ns, flags u32, faults u32, then position,
@@ -74,6 +74,7 @@ class Arm:
     # Kept by look and the session, for hold.
     last_reading = None  # of numbers, as read gives it
     last_target = None  # since enable, while the arm has power
+    grip = None  # (axis, target, effort) of the gripper, while the arm has power
 
     def read(self):
         """(stamp [ns, monotonic], positions, velocities or None, efforts or None, faults)."""
@@ -95,7 +96,7 @@ class Arm:
         return reading
 
     def hold(self):
-        """The target becomes where the arm stands.
+        """The target becomes where the arm stands; what the gripper holds it goes on holding.
 
         Where no number can be read now, the last reading counts while it is young, then the last
         target, to which the arm is on its way: an old reading would lead it back.
@@ -112,7 +113,11 @@ class Arm:
             targets = list(self.last_target)
         else:
             raise RuntimeError("where the arm stands is not known")
-        self.move(targets, 0.0)
+        effort = 0.0
+        if self.grip is not None:
+            axis, opening, effort = self.grip
+            targets[axis] = opening
+        self.move(targets, effort)
         if unread is not None:
             LOG.warning("the arm holds without having been read: %r", unread)
 
@@ -139,7 +144,8 @@ class Session:
         self.state_hz = state_hz
         self.period = 1.0 / state_hz
         self.client, self.buffer, self.greeted = None, b"", False
-        self.flags, self.order = 0, []
+        self.enabled = False  # by this client, once
+        self.flags, self.order, self.gripper = 0, [], None
         self.owed = None  # (what, flag): the arm was told and has not obeyed yet
         self.heard = self.taken = self.taken_ns = self.seen = self.sequence = 0
         self.last = (0, [0.0] * len(arm.axes), None, None, 0)
@@ -199,7 +205,8 @@ class Session:
         if self.arm.powered():
             powered |= POWERED
         else:
-            self.arm.last_target = None  # it may be moved by hand now
+            # Limp fingers: whoever gives them power again may have his own between them.
+            self.arm.grip = self.arm.last_target = None
         nothing = [0.0] * len(position)
         values = [
             float(row[i])
@@ -247,7 +254,9 @@ class Session:
         if not isinstance(axes, list) or sorted(map(str, axes)) != sorted(self.arm.axes):
             raise Broken(f"axes {axes}; this driver has {list(self.arm.axes)}")
         self.order = [self.arm.axes.index(name) for name in axes]
-        self.greeted = True
+        gripper = hello.get("gripper")
+        self.gripper = self.arm.axes.index(gripper) if gripper in axes else None
+        self.greeted, self.enabled = True, False
         self.send(WELCOME, json.dumps(self.welcome()).encode())
         LOG.info("a client drives %s", ", ".join(axes))
 
@@ -266,6 +275,8 @@ class Session:
         if target is not None:
             self.arm.move(*target)
             self.arm.last_target = target[0]
+            if self.gripper is not None:
+                self.arm.grip = self.gripper, target[0][self.gripper], target[1]
 
     def take(self, sequence, payload, target):
         n = len(self.order)
@@ -282,7 +293,7 @@ class Session:
             target = None
             if mode == POWER_OFF:
                 self.arm.power_off()
-                self.flags, self.owed = self.flags & ~TAKING, None
+                self.flags, self.owed, self.arm.grip = self.flags & ~TAKING, None, None
             elif not self.flags & STOPPED:  # once: where the arm stands would sink with it
                 self.flags &= ~TAKING
                 self.obey("stop", STOPPED)
@@ -291,8 +302,10 @@ class Session:
             return target
         elif mode == ENABLE:
             self.arm.last_target = None  # it holds where it stands: it may have been moved by hand
+            if not self.enabled:
+                self.arm.grip = None  # nobody has watched its power since the last client
             self.arm.enable()
-            self.flags, self.owed, target = TAKING, None, None
+            self.enabled, self.flags, self.owed, target = True, TAKING, None, None
         elif mode == ACKNOWLEDGE:
             self.failed = 0
         elif mode == TARGET and self.flags & TAKING:
@@ -335,6 +348,8 @@ class Session:
             return
         self.owed = None
         self.flags |= flag
+        if what == "torque_off":
+            self.arm.grip = None
 
     def drop(self, why):
         LOG.info("%s", why)

@@ -14,9 +14,10 @@ What travels are the actions that end in `.pos`, by their names without it, in t
 (degrees, -100..100, 0..100, radians: the robot file of robot_client says which). An action of the
 robot that the client does not name keeps its place when --keep names it.
 
-A LeRobot robot has no stop and no hold of its own: both send it where it stands, once. The power is
-taken off where its bus has `disable_torque`. Some robots switch the power off and on when they
-connect, and off when they disconnect: support the arm when this program begins and ends.
+A LeRobot robot has no stop and no hold of its own: both send it where it stands, once, and its
+gripper where it was last told. The power is taken off where its bus has `disable_torque`. Some robots
+switch the power off and on when they connect, and off when they disconnect: support the arm when
+this program begins and ends.
 """
 
 import argparse

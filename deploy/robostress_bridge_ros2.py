@@ -11,8 +11,8 @@ Commands are trajectory_msgs/JointTrajectory of one point (joint_trajectory_cont
 forward_command_controller's own list. Radians and metres, as ROS has them.
 
 Both controllers keep their last target, and have no stop and no way to take the power off over a
-topic: holding sends the measured positions. The power stays what the hardware makes of it. Efforts
-are passed on where --efforts says that they are newton metres.
+topic: holding sends the measured positions, and the gripper's last target. The power stays what the
+hardware makes of it. Efforts are passed on where --efforts says that they are newton metres.
 """
 
 import argparse

@@ -39,6 +39,12 @@ absl::Status OwnWays::MayMove() const {
       absl::StrCat("the client is ", StateName(loop_->state()), "; the arm is moved from ENABLED"));
 }
 
+ArmVector OwnWays::Stands() const {
+  ArmVector position = loop_->seen().position;
+  position[arm_.axes().opening()] = loop_->opening();
+  return position;
+}
+
 PathLimits OwnWays::Limits(double velocity) const {
   const LimiterOptions& most = config_.control.limits;
   PathLimits limits;
@@ -81,8 +87,8 @@ PendingAnswer OwnWays::Begin(const std::string& what, ArmPath path, Arrived arri
 absl::StatusOr<PendingAnswer> OwnWays::Move(const std::string& what, const std::string& there,
                                             const ArmVector& to, double velocity) {
   RS_RETURN_IF_ERROR(MayMove());
-  ArmPath path = StraightPath(arm_.axes(), loop_->seen().position, to, Limits(velocity),
-                              1 / config_.control.rate_hz);
+  ArmPath path =
+      StraightPath(arm_.axes(), Stands(), to, Limits(velocity), 1 / config_.control.rate_hz);
   if (guarded()) RS_RETURN_IF_ERROR(CheckPath(*model_, path));
   return Begin(what, std::move(path), [there](double off) {
     return absl::StrFormat("the arm is %s, %.1f mrad off", there, off);
@@ -105,8 +111,8 @@ absl::StatusOr<PendingAnswer> OwnWays::Jog(int axis, double amount) {
   if (gripper ? !axes.gripper : axis >= axes.joints)
     return absl::InvalidArgumentError(absl::StrCat("this arm has ", axes.text()));
   if (gripper) axis = axes.opening();
-  ArmVector to = loop_->seen().position;
-  to[axis] += amount;
+  ArmVector to = Stands();
+  to[axis] = loop_->seen().position[axis] + amount;  // also of the gripper: as a person sees it
   // An arm on its rest has joints at the end of what it allows, where the limiter lets none stay.
   const double margin = config_.control.limits.joint_margin;
   for (int j = 0; j < axes.joints; ++j) {
@@ -129,7 +135,7 @@ absl::StatusOr<PendingAnswer> OwnWays::Play(double speed) {
   if (config_.slow_first && speed > kSlowly && fastest_played_ == 0)
     return absl::FailedPreconditionError(
         "the motion was not played slowly yet; type play slow and watch its way, then play");
-  const ArmVector from = loop_->seen().position;
+  const ArmVector from = Stands();
   making_ = std::async(std::launch::async, [this, speed, from]() -> absl::StatusOr<ArmPath> {
     pthread_setname_np(pthread_self(), "motion");
     const double period_s = 1 / config_.control.rate_hz;

@@ -52,6 +52,8 @@ class OwnWays {
 
   absl::Status MayMove() const;
   bool guarded() const { return model_ != nullptr && config_.control.workspace.guard; }
+  // Where a way begins. Of the gripper it is what was commanded, or it would drop what it holds.
+  ArmVector Stands() const;
   PathLimits Limits(double velocity) const;
   absl::StatusOr<PendingAnswer> Move(const std::string& what, const std::string& there,
                                      const ArmVector& to, double velocity);

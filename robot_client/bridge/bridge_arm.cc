@@ -94,6 +94,7 @@ absl::Status BridgeArm::Reconnect(const std::function<bool()>& cancelled) {
   state_ = {};
   state_sequence_ = 0;
   sample_.enabled = false;
+  grip_.reset();
   anywhere_ = true;
   places_seen_ = 0;
   absl::Status status =
@@ -140,7 +141,8 @@ absl::Status BridgeArm::Open(double wait_s, double answer_s, const std::function
 
 absl::Status BridgeArm::Greet(double answer_s, const std::function<bool()>& stop) {
   const std::vector<uint8_t> hello = EncodeText(
-      FrameKind::kHello, ++sent_sequence_, HelloText(robot_.name, robot_.names(), robot_.rate_hz));
+      FrameKind::kHello, ++sent_sequence_,
+      HelloText(robot_.name, robot_.names(), robot_.limits.axes.gripper, robot_.rate_hz));
   std::ignore =
       socket_->Send(hello.data(), hello.size());  // a driver that refuses may have hung up already
   WaitFor(answer_s, [&] { return welcomed_ || !refusal_.empty() || *broken_ != '\0' || stop(); });
@@ -231,6 +233,7 @@ void BridgeArm::TakeState(const FrameHeader& header, const uint8_t* payload) {
   const int64_t now_ns = clock_.now_ns();
   if (!welcome_.monotonic) state.stamp_ns = now_ns;
   sample_.enabled = (state.flags & kPowered) != 0;
+  if (!sample_.enabled) grip_.reset();
   sample_.faults =
       (state.faults & kKnownFaults) | (state.faults & ~kKnownFaults ? kFaultOther : 0u);
   const int64_t before_ns = std::exchange(state_, state).stamp_ns;
@@ -353,12 +356,14 @@ absl::Status BridgeArm::SendFrame(CommandMode mode, const ArmVector& position,
   return absl::UnavailableError("");
 }
 
-// Where the arm stands is its target.
+// Where the arm stands is its target; a gripper goes on holding what it holds.
 absl::Status BridgeArm::SendHold(CommandMode mode) {
   ArmVector position = sample_.position;
+  const int opening = robot_.limits.axes.opening();
+  if (grip_ && robot_.limits.axes.gripper) position[opening] = grip_->position[opening];
   for (int i = 0; i < robot_.limits.axes.count(); ++i)
     position[i] = std::clamp(position[i], robot_.limits.lower[i], robot_.limits.upper[i]);
-  return SendFrame(mode, position, 0);
+  return SendFrame(mode, position, grip_ ? grip_->gripper_effort : 0);
 }
 
 absl::Status BridgeArm::CheckStands(double still) const {
@@ -448,7 +453,9 @@ absl::Status BridgeArm::Send(const ArmCommand& command) {
           command.position[axis] <= robot_.limits.upper[axis]))
       return absl::InvalidArgumentError("");
   }
-  return SendFrame(CommandMode::kTarget, command.position, command.gripper_effort);
+  absl::Status sent = SendFrame(CommandMode::kTarget, command.position, command.gripper_effort);
+  if (sent.ok()) grip_ = command;
+  return sent;
 }
 
 absl::Status BridgeArm::QuickStop() {

@@ -125,11 +125,12 @@ class BridgeArm : public RobotArm {
   ArmSnapshot sample_;
   SnapshotCell<ArmSnapshot> snapshot_;
   SpscRing<ArmSnapshot>* sample_reader_ = nullptr;
-  uint32_t latched_ = 0;       // ArmFault, until Acknowledge
-  bool commanding_ = false;    // since Enable: the driver must go on taking targets
-  bool stopped_ = false;       // by QuickStop, until Enable
-  int64_t stop_ns_ = 0;        // when that began
-  int64_t stop_asked_ns_ = 0;  // when it was last asked for
+  uint32_t latched_ = 0;            // ArmFault, until Acknowledge
+  bool commanding_ = false;         // since Enable: the driver must go on taking targets
+  bool stopped_ = false;            // by QuickStop, until Enable
+  std::optional<ArmCommand> grip_;  // the last one taken since the joints have had power
+  int64_t stop_ns_ = 0;             // when that began
+  int64_t stop_asked_ns_ = 0;       // when it was last asked for
   // Since a sample was refused as a jump: the time that its way took [s].
   double jump_s_ = std::numeric_limits<double>::infinity();
   bool anywhere_ = true;  // the next sample may be: a person has looked

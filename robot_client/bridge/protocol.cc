@@ -277,12 +277,13 @@ absl::StatusOr<Welcome> ParseWelcome(const std::string& json) {
   return welcome;
 }
 
-std::string HelloText(const std::string& robot, const std::vector<std::string>& axes,
+std::string HelloText(const std::string& robot, const std::vector<std::string>& axes, bool gripper,
                       double rate_hz) {
   return nlohmann::json{{"protocol", kVersion},
                         {"client", "robot_client"},
                         {"robot", robot},
                         {"axes", axes},
+                        {"gripper", gripper ? nlohmann::json(axes.back()) : nlohmann::json()},
                         {"rate_hz", rate_hz}}
       .dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
 }

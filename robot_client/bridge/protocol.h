@@ -125,7 +125,7 @@ struct Welcome {
 
 // INVALID_ARGUMENT names field and value.
 absl::StatusOr<Welcome> ParseWelcome(const std::string& json);
-std::string HelloText(const std::string& robot, const std::vector<std::string>& axes,
+std::string HelloText(const std::string& robot, const std::vector<std::string>& axes, bool gripper,
                       double rate_hz);
 // The reason of a refusal; of a text without one, the text.
 std::string ParseRefusal(const std::string& json);

@@ -169,6 +169,7 @@ absl::Status ControlLoop::reconnect_status() const {
 // The tick goes on later, with the time that it is then.
 absl::Status ControlLoop::ReconnectArm() {
   enabling_ = true;
+  grips_ = false;
   absl::Status status = arm_->Reconnect([this] { return StopAsked(); });
   record_.start_ns = clock_->now_ns();
   absl::MutexLock lock(&mu_);
@@ -210,6 +211,8 @@ void ControlLoop::EnableArm() {
   }
   if (status.ok()) status = MoveInside(arm_->limits(), start);
   if (status.ok()) {
+    if (grips_) KeepOpening(start);
+    grips_ = true;
     limiter_.Reset(start);
     press_.Reset();
     held_.Begin(start);
@@ -446,20 +449,28 @@ void ControlLoop::StopPressing(const ArmSnapshot& arm) {
 }
 
 // A fault sends nothing any more, and the arm would go on pressing towards its last target: that
-// becomes where it stands, once.
+// becomes where it stands, once. The gripper keeps what it holds, unless the fault is its own.
 void ControlLoop::LetGo(const ArmSnapshot& arm) {
   const StateCause cause = machine_.cause();
   const bool known = cause != StateCause::kArmSilent && cause != StateCause::kNotFinite &&
                      cause != StateCause::kSendFailed;
+  const bool grips_badly = (arm.faults & kFaultGripper) != 0;  // its motor need not strain on
   if (!options_.guards || machine_.quick_stop() || !known || !arm.enabled ||
-      (arm.faults & kFaultForeignCommand) != 0 || Apart(arm) <= kRelax) {
+      (arm.faults & kFaultForeignCommand) != 0 || (Apart(arm) <= kRelax && !grips_badly)) {
     return;
   }
   ArmVector stand = arm.position;
   if (!MoveInside(arm_->limits(), stand).ok()) return;
+  if (grips_badly) grips_ = false;
+  if (grips_) KeepOpening(stand);
   record_.sent = stand;
   if (arm_->Send({.position = stand, .gripper_effort = options_.gripper_effort}).ok())
     record_.flags |= kTickSent | kTickRelaxed;
+}
+
+// What a gripper holds stands off its command for as long as it is held: there it is let go.
+void ControlLoop::KeepOpening(ArmVector& position) const {
+  position[axes().opening()] = limiter_.position()[axes().opening()];
 }
 
 void ControlLoop::WatchContact(const ArmSnapshot& arm) {
@@ -488,6 +499,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   const int64_t now = clock_->now_ns();
   enabling_ = false;
   arm_->Poll();
+  if (!arm_->Latest().enabled) grips_ = false;  // limp: somebody's fingers may be between its own
   const uint32_t requests = asked_.exchange(0, std::memory_order_acq_rel) | StopRequests(now);
   if ((requests & kRequestEnable) && machine_.state() == ClientState::kIdle &&
       !(requests & (kRequestHold | kRequestQuickStop)))
@@ -556,6 +568,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   PickTarget(record_.start_ns);
   SendCommand();
   record_.sent_ns = clock_->now_ns();
+  opening_.store(limiter_.position()[axes().opening()], std::memory_order_release);
   if (on_tick_) on_tick_(record_);
   Publish();
 }

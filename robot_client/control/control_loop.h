@@ -119,6 +119,8 @@ class ControlLoop {
   uint64_t decided() const { return decided_.load(std::memory_order_acquire); }
   // The arm as the last tick saw it.
   ArmSnapshot seen() const { return seen_.Load(); }
+  // Of the gripper, as last commanded [m]; one that holds something stands further open.
+  double opening() const { return opening_.load(std::memory_order_acquire); }
   // The bound that stopped the last command that was stopped, or that refused kOutside, and then by
   // how much [m] the arm is beyond it.
   ArmModel::Bound crossed() const { return crossed_.load(std::memory_order_acquire); }
@@ -172,6 +174,7 @@ class ControlLoop {
   double Apart(const ArmSnapshot& arm) const;
   void StopPressing(const ArmSnapshot& arm);
   void LetGo(const ArmSnapshot& arm);
+  void KeepOpening(ArmVector& position) const;
   void Correct();
   void SendCommand();
   void Publish();
@@ -201,6 +204,7 @@ class ControlLoop {
   std::atomic<Refusal> refusal_{Refusal::kNone};
   std::atomic<uint64_t> decided_{0};
   SnapshotCell<ArmSnapshot> seen_;
+  std::atomic<double> opening_{0};
   std::atomic<ArmModel::Bound> crossed_{ArmModel::kBounds};
   std::atomic<double> outside_m_{0};
   std::atomic<const ArmPath*> path_{nullptr};
@@ -227,6 +231,7 @@ class ControlLoop {
   int64_t observed_ns_ = 0;       // time of the observer's last call
   bool enabling_ = false;         // this tick blocked for a person's Enable or Reconnect
   bool policy_invalid_ = false;   // since the last tick
+  bool grips_ = false;            // the joints have had power since the gripper was commanded
   const ArmPath* way_ = nullptr;  // in MOVE; or
   LiveTarget* live_ = nullptr;    // in MOVE
   size_t way_row_ = 0;

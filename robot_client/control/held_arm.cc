@@ -70,6 +70,8 @@ std::optional<ArmVector> HeldArm::LetGo(const ArmLimits& limits, const ArmVector
                                         const ArmVector& command) {
   ArmVector stand = measured;
   if (!MoveInside(limits, stand).ok()) return std::nullopt;
+  const int opening = limits.axes.opening();
+  stand[opening] = command[opening];
   for (int j = 0; j < limits.axes.joints; ++j) {
     const double ahead = command[j] - stand[j];
     pushed_[j] = std::abs(ahead) > kRelax ? std::copysign(1.0, ahead) : 0;

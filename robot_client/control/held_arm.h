@@ -37,7 +37,8 @@ class HeldArm {
   // The arm was held because it presses, is blocked or does not follow. Its command is ahead of it
   // by what it lags and by all that it was held back since; led back under the limits it would go
   // on pressing for as long as that takes. So it becomes where the arm stands, which is returned
-  // and is no motion that anybody could ask for. Nothing: it stands outside of its limits.
+  // and is no motion that anybody could ask for. A gripper keeps its command, or it would drop what
+  // it holds. Nothing: it stands outside of its limits.
   std::optional<ArmVector> LetGo(const ArmLimits& limits, const ArmVector& measured,
                                  const ArmVector& command);
 

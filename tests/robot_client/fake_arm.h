@@ -1,5 +1,7 @@
 #pragma once
 
+#include <algorithm>
+
 #include "robot_client/rehearsal_arm.h"
 
 namespace robostress {
@@ -37,6 +39,8 @@ class FakeArm : public RehearsalArm {
       sample_.position = blocked_at_;
       sample_.velocity.fill(0);
     }
+    double& opening = sample_.position[options_.limits.axes.opening()];
+    opening = std::max(opening, grasped);
     if (!blocked) blocked_at_ = sample_.position;
     for (int j = 0; j < options_.limits.axes.joints; ++j) sample_.position[j] += bias;
     if (bias != 0) bias = 0;
@@ -57,6 +61,7 @@ class FakeArm : public RehearsalArm {
 
   bool silent = false, refuse_send = false, refuse_enable = false, lost_enable = false;
   bool blocked = false;  // something holds the joints
+  double grasped = 0;    // [m] between the fingers: they close no further
   double bias = 0;       // [rad], added once to every joint: something pushed the arm
   double drift = 0;      // [rad/s], somebody moves the arm, 30 polls a second
   ArmVector effort{};

@@ -26,7 +26,8 @@ TEST(BridgeArm, ConnectsAndSaysWhatTheDriverCannotDo) {
   world.driver->welcome["note"] = "mind the cat";
   ASSERT_TRUE(world.Connected().ok());
   EXPECT_THAT(world.driver->greeting,
-              HasSubstr(R"("axes":["pan","lift","elbow","flex","roll","jaw"])"));
+              AllOf(HasSubstr(R"("axes":["pan","lift","elbow","flex","roll","jaw"])"),
+                    HasSubstr(R"("gripper":"jaw")")));
   EXPECT_EQ(world.arm->description(), "five behind scripted (five servos) at a stream");
   const ArmSnapshot seen = world.arm->Latest();
   EXPECT_GT(seen.sequence, 0u);
@@ -116,6 +117,38 @@ TEST(BridgeArm, EnablesWithoutMovingAndSendsInTheDriversUnits) {
   EXPECT_EQ(world.arm->Send(command).code(), absl::StatusCode::kInvalidArgument);
   command.position[0] = std::nan("");
   EXPECT_EQ(world.arm->Send(command).code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(BridgeArm, EnabledAgainItsGripperGoesOnHoldingUnlessItWasLimp) {
+  BridgeWorld world;
+  ASSERT_TRUE(world.Connected().ok());
+  ASSERT_TRUE(world.arm->Enable().ok());
+  const auto wait = [&] {
+    world.clock.SleepUntil(world.clock.now_ns() + 300'000'000);
+    world.arm->Poll();
+  };
+  wait();
+  const CommandFrame& last = world.driver->last;
+  EXPECT_NEAR(last.position[5], 50, 1e-9) << "where it stands";
+  EXPECT_EQ(last.gripper_effort, 0);
+  ArmCommand command;
+  command.position = world.arm->Latest().position;
+  command.position[5] = 0;
+  command.gripper_effort = 0.75;
+  world.driver->grasped = 0.03;
+  ASSERT_TRUE(world.arm->Send(command).ok());
+  wait();
+  world.driver->last = {};
+  ASSERT_TRUE(world.arm->Enable().ok());
+  wait();
+  EXPECT_NEAR(last.position[5], 0, 1e-9) << "it holds something";
+  EXPECT_EQ(last.gripper_effort, 0.75);
+  world.driver->powered = false;
+  wait();
+  ASSERT_TRUE(world.arm->Enable().ok());
+  wait();
+  EXPECT_NEAR(last.position[5], 37.5, 1e-9) << "somebody's finger may be there";
+  EXPECT_EQ(last.gripper_effort, 0);
 }
 
 TEST(BridgeArm, AnUnwillingDriverIsNotEnabled) {

@@ -133,8 +133,9 @@ absl::Status Drive(const Line& line, const BridgeRobot& robot, double rate_hz, T
   RS_ASSIGN_OR_RETURN(const int descriptor, Dial(line.socket));
   Timer timer(descriptor, robot.limits.axes.count());
   MonotonicClock clock;
-  const std::vector<uint8_t> hello = EncodeText(FrameKind::kHello, ++timer.sequence(),
-                                                HelloText(robot.name, robot.names(), rate_hz));
+  const std::vector<uint8_t> hello =
+      EncodeText(FrameKind::kHello, ++timer.sequence(),
+                 HelloText(robot.name, robot.names(), robot.limits.axes.gripper, rate_hz));
   RS_RETURN_IF_ERROR(timer.Write(hello.data(), hello.size()));
   Times ignored;
   RS_RETURN_IF_ERROR(timer.ReadUntil(clock.now_ns() + 300'000'000, &ignored));

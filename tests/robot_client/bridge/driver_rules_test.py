@@ -235,6 +235,36 @@ class DriverRules(unittest.TestCase):
         self.command(bridge.ENABLE)
         self.assertFalse(self.session.flags & bridge.TAKING)
 
+    def test_a_gripper_keeps_what_it_was_told_while_the_joints_hold_where_they_stand(self):
+        for end in (lambda: self.session.silent("gone"), lambda: self.command(bridge.STOP),
+                    lambda: self.command(bridge.ENABLE)):
+            self.enabled(gripper="b")
+            self.command(bridge.TARGET, (0.0, 1.1))
+            end()
+            self.assertEqual((self.arm.calls[-1], self.arm.effort), (("move", [1.0, 0.0]), 0.5))
+            self.client.close()
+            self.client, self.sequence = self.dial(), 0
+
+    def test_limp_fingers_and_those_that_nobody_watched_do_not_close_again(self):
+        def limp():
+            self.arm.on = False
+            self.step(states=True)
+            self.arm.on = True
+
+        def left():
+            self.client.close()
+            self.client, self.sequence = self.dial(), 0
+            self.hello(gripper="b")
+
+        for happens in (limp, lambda: self.command(bridge.POWER_OFF), left):
+            self.enabled(gripper="b")
+            self.command(bridge.TARGET, (0.0, 1.1))
+            happens()
+            self.command(bridge.ENABLE)
+            self.assertEqual((self.arm.calls[-1], self.arm.effort), (("move", [1.0, 2.0]), 0.0))
+            self.client.close()
+            self.client, self.sequence = self.dial(), 0
+
     def test_old_heartbeats_keep_nobody_alive(self):
         self.enabled()
         self.session.watchdog_s = 0.1

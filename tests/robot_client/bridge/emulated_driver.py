@@ -98,14 +98,16 @@ class ServoArm(bridge.Arm):
         self.target = list(targets)
 
     def enable(self):
-        self.advance()
-        self.target, self.on = list(self.position), True
+        self.hold()
+        self.on = True
         if self.enabled_at is None:
             self.enabled_at = time.monotonic()
 
     def hold(self):
         self.advance()
         self.target = list(self.position)
+        if self.grip is not None:
+            self.target[self.grip[0]] = self.grip[1]
 
     def stop(self):
         if self.fault("deafstop") is not None:

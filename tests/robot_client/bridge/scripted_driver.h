@@ -95,6 +95,7 @@ class ScriptedDriver {
       if (blocked) break;
       position[i] += std::clamp(target[i] - position[i], -2 * dt, 2 * dt);
     }
+    position[axes_ - 1] = std::max(position[axes_ - 1], grasped);
     last_ns_ = now_ns;
     if (silent || now_ns < next_ns_ || !greeted) return;
     next_ns_ = now_ns + 10'000'000;
@@ -135,7 +136,8 @@ class ScriptedDriver {
   // What goes wrong.
   bool reads = true, silent = false, nan = false, blocked = false, frozen_sequence = false;
   bool obeys_stop = true, obeys_enable = true, lies = false;
-  double shift = 0;  // [rad] of every measurement, or of the axis `shifted`
+  double grasped = -10;  // between the fingers, the last axis: they close no further
+  double shift = 0;      // [rad] of every measurement, or of the axis `shifted`
   int shifted = -1;
   int64_t stamp_back_ns = 0;
   int floods = 1;

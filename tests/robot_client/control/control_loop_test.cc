@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <memory>
 #include <new>
+#include <optional>
 #include <thread>
 
 #include "tests/robot_client/answer_to.h"
@@ -55,6 +56,7 @@ struct Bench {
   std::vector<std::pair<int64_t, ArmChunk>> on_the_way;
   double policy_speed = 0.3;
   double policy_offset = 0;  // [rad], where chunks start against the observation
+  std::optional<double> policy_opening;
 
   explicit Bench(const ControlOptions& options = {}, const ArmModel* model = nullptr) {
     EXPECT_TRUE(arm.Connect().ok());
@@ -72,6 +74,7 @@ struct Bench {
       const ArmChunk chunk = AnswerTo(request, [&](int i) {
         ArmVector target = request.position;
         target[0] += policy_offset + policy_speed * (i + 1) / 30.0;
+        if (policy_opening) target[ArmAxes().opening()] = *policy_opening;
         return target;
       });
       on_the_way.emplace_back(clock.now_ns() + latency_ticks * kPeriod_ns, chunk);
@@ -555,6 +558,70 @@ TEST(ControlLoopTest, AFaultLetsGoOnceAndThenSendsNothing) {
   EXPECT_EQ(bench.arm.last.position[0], bench.arm.Latest().position[0]);
   bench.Ticks(10);
   EXPECT_EQ(bench.arm.sends, sends + 1);
+}
+
+// In mid-motion, with something 30 mm wide between fingers that were told to close.
+struct GraspBench : Bench {
+  GraspBench() {
+    policy_speed = 0.9;
+    policy_opening = 0;
+    arm.grasped = 0.03;
+    Start();
+    Ticks(20);
+    EXPECT_NEAR(Opening(), 0, 1e-4);
+    arm.blocked = true;
+    Ticks(5);
+  }
+  double Opening() const { return arm.last.position[ArmAxes().opening()]; }
+  void Fault(uint32_t fault) {
+    arm.faults = fault;
+    Tick();
+    EXPECT_EQ(loop->state(), ClientState::kFault);
+  }
+  void EnableAgain() {
+    arm.faults = 0;
+    Ticks(10);
+    Tick(kRequestClear);
+    Tick(kRequestEnable);
+    EXPECT_EQ(loop->state(), ClientState::kEnabled);
+  }
+};
+
+TEST(ControlLoopTest, WhatTheGripperHoldsStaysHeldWhereTheJointsLetGo) {
+  GraspBench held;
+  for (int i = 0; i < 60 && held.loop->state() == ClientState::kRun; ++i) held.Tick();
+  EXPECT_EQ(held.loop->cause(), StateCause::kBlocked);
+  held.Ticks(60);
+  EXPECT_NEAR(held.arm.last.position[0], held.arm.Latest().position[0], 0.03);
+  EXPECT_NEAR(held.Opening(), 0, 1e-4);
+
+  GraspBench fault;
+  fault.Fault(kFaultStall);
+  EXPECT_EQ(fault.arm.last.position[0], fault.arm.Latest().position[0]);
+  EXPECT_NEAR(fault.Opening(), 0, 1e-4);
+  fault.EnableAgain();
+  EXPECT_EQ(fault.arm.last.position[0], fault.arm.Latest().position[0]);
+  EXPECT_NEAR(fault.Opening(), 0, 1e-4);
+}
+
+// Somebody's fingers may be between its own.
+TEST(ControlLoopTest, AGripperThatWasLimpOrAtFaultDoesNotCloseAgain) {
+  GraspBench limp;
+  limp.Fault(kFaultStall);
+  limp.arm.lost_enable = true;
+  limp.Ticks(3);
+  limp.arm.lost_enable = false;
+  limp.EnableAgain();
+  EXPECT_NEAR(limp.Opening(), 0.03, 1e-9);
+
+  GraspBench strained;
+  strained.arm.blocked = false;
+  strained.policy_speed = 0;
+  strained.Ticks(60);
+  strained.Fault(kFaultGripper);
+  EXPECT_NEAR(strained.Opening(), 0.03, 1e-9) << "though its joints stand at their command";
+  strained.EnableAgain();
+  EXPECT_NEAR(strained.Opening(), 0.03, 1e-9);
 }
 
 TEST(ControlLoopTest, NoCommandAndNoBrakingCrossesABoundOfTheWorkspace) {
