@@ -307,6 +307,7 @@ absl::StatusOr<std::string> ClientRun::CountEpisode(std::optional<bool> success)
   row.seconds = static_cast<double>(clock_.now_ns() - episode_start_ns_) * 1e-9;
   row.predictions = now.predictions - at_start_.predictions;
   row.failed_predictions = now.failed_predictions - at_start_.failed_predictions;
+  row.failed_feedback = now.failed_feedback - at_start_.failed_feedback;
   row.feedback_chunks = now.feedback_sent - at_start_.feedback_sent;
   row.steps = now.feedback.steps - at_start_.feedback.steps;
   row.steps_masked = now.feedback.steps_masked - at_start_.feedback.steps_masked;

@@ -111,10 +111,10 @@ absl::Status PolicyLink::last_error() const {
   return last_error_;
 }
 
-void PolicyLink::Note(const absl::Status& error) {
+void PolicyLink::Note(const absl::Status& error, uint64_t PolicyLinkCounters::*counter) {
   absl::MutexLock lock(&mu_);
   last_error_ = error;
-  ++counters_.failed_predictions;
+  ++(counters_.*counter);
 }
 
 absl::Status PolicyLink::Look(FrameSource& camera, FrameRecord& record, Observation& observation) {
@@ -268,7 +268,7 @@ void PolicyLink::SendFeedback() {
     const absl::Status status = endpoint_->SendFeedback(*std::move(chunk));
     if (absl::IsFailedPrecondition(status) || absl::IsInvalidArgument(status) ||
         SessionLost(status)) {
-      Note(status);
+      Note(status, &PolicyLinkCounters::failed_feedback);
       if (SessionLost(status)) endpoint_.reset();
       continue;
     }
@@ -299,7 +299,7 @@ bool PolicyLink::Serve() {
     if (status.ok()) {
       failures_ = 0;
     } else {
-      Note(status);
+      Note(status, &PolicyLinkCounters::failed_predictions);
       ++failures_;
       if (SessionLost(status) ||
           (failures_ >= kFailuresUntilNewSession && absl::IsFailedPrecondition(status)))

@@ -34,8 +34,9 @@ struct PolicyLinkOptions {
 
 struct PolicyLinkCounters {
   uint64_t predictions = 0, failed_predictions = 0, stale_frames = 0;
-  uint64_t sessions = 0;       // opened; more than one: adaptation began anew
-  uint64_t feedback_sent = 0;  // chunks
+  uint64_t sessions = 0;         // opened; more than one: adaptation began anew
+  uint64_t feedback_sent = 0;    // chunks
+  uint64_t failed_feedback = 0;  // chunks that the server refused
   uint64_t feedback_of_lost_sessions = 0;
   uint64_t frame_records_lost = 0;  // the recorder was behind
   double longest_prediction_s = 0;
@@ -102,7 +103,9 @@ class PolicyLink {
   void PushFrames(uint64_t prediction_id) ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status PrepareSession(int episode);
   void SendFeedback();
-  void Note(const absl::Status& error) ABSL_LOCKS_EXCLUDED(mu_);
+  // The last error, counted.
+  void Note(const absl::Status& error, uint64_t PolicyLinkCounters::*counter)
+      ABSL_LOCKS_EXCLUDED(mu_);
 
   const PolicyLinkOptions options_;
   ControlLoop* const loop_;

@@ -15,6 +15,7 @@ struct ArmEpisode {
   std::optional<bool> success;  // null: nobody said
   double seconds = 0;
   std::optional<uint64_t> predictions, failed_predictions;
+  std::optional<uint64_t> failed_feedback;  // chunks that the server refused
   uint64_t feedback_chunks = 0;
   uint64_t steps = 0, steps_masked = 0;           // of those in feedback: measured, left out
   double residual = 0;                            // sqrt(eta_sq / displacement_sq), joint space
@@ -32,6 +33,7 @@ struct ArmEpisode {
     v.Field("seconds", r.seconds);
     v.Extra("predictions", r.predictions);
     v.Extra("failed_predictions", r.failed_predictions);
+    v.Extra("failed_feedback", r.failed_feedback);
     v.Field("feedback_chunks", r.feedback_chunks);
     v.Field("steps", r.steps);
     v.Field("steps_masked", r.steps_masked);

@@ -65,6 +65,8 @@ class FakeEndpoint : public PolicyEndpoint {
     return Predict(observation, chunk);
   }
   absl::Status SendFeedback(ExecutedChunk executed) override {
+    if (absl::IsInvalidArgument(seen_->feedback_status))
+      return seen_->feedback_status;  // not taken
     EXPECT_EQ(executed.sequence, ++sequence_);
     EXPECT_LE(executed.prediction_id, predictions_);
     seen_->feedback.push_back(std::move(executed));
@@ -298,6 +300,18 @@ TEST(PolicyLinkTest, FeedbackThatAStreamLostCountsAsSent) {
   bench.Ticks(45);
   EXPECT_GE(bench.seen.feedback.size(), 3u);  // the fake checks that no sequence number repeats
   EXPECT_EQ(bench.loop->state(), ClientState::kRun);
+}
+
+TEST(PolicyLinkTest, RefusedFeedbackIsNoFailedPrediction) {
+  Bench bench;
+  bench.seen.feedback_status = absl::InvalidArgumentError("refused");
+  bench.Start();
+  bench.Ticks(45);
+  const PolicyLinkCounters counters = bench.link->counters();
+  EXPECT_GE(counters.failed_feedback, 3u);
+  EXPECT_EQ(counters.feedback_sent, 0u);
+  EXPECT_EQ(counters.failed_predictions, 0u);
+  EXPECT_THAT(std::string(bench.link->last_error().message()), HasSubstr("refused"));
 }
 
 TEST(PolicyLinkTest, StalePicturesAreNotShownAndTheArmHolds) {

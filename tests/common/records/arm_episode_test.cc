@@ -26,6 +26,7 @@ TEST(ArmEpisode, EveryFieldComesBack) {
   row.seconds = 3.5;
   row.predictions = 4;
   row.failed_predictions = 5;
+  row.failed_feedback = 10;
   row.feedback_chunks = 6;
   row.steps = 7;
   row.steps_masked = 8;
@@ -41,6 +42,7 @@ TEST(ArmEpisode, EveryFieldComesBack) {
   EXPECT_EQ(ArmEpisodeLine(read), line);
   EXPECT_EQ(read.success, false);
   EXPECT_EQ(read.cause, row.cause);
+  EXPECT_EQ(read.failed_feedback, 10u);
   EXPECT_EQ(read.adapter_version, uint64_t{1} << 63);
 }
 
