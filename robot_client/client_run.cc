@@ -25,6 +25,7 @@ constexpr char kEpisodes[] = "/episodes.jsonl";
 constexpr double kEnables_s = 10;
 constexpr double kReconnects_s = 10;  // a driver that was started again
 constexpr double kLastFeedback_s = 0.1;
+constexpr double kBrakes_s = 2;  // an end waits so long for the arm's rest
 
 }  // namespace
 
@@ -162,11 +163,23 @@ void ClientRun::StartThreads() {
   Say("control thread: " + realtime_);
 }
 
+// The last command stays the arm's target: in mid-motion it would be an emergency stop, and behind
+// a bridge the way back to where the arm was measured.
+void ClientRun::Brake() {
+  loop_->Ask(kRequestHold);
+  const int64_t until = clock_.now_ns() + static_cast<int64_t>(kBrakes_s * 1e9);
+  while (!loop_->settled() && clock_.now_ns() < until)
+    clock_.SleepUntil(clock_.now_ns() + kPoll_ns);
+}
+
 void ClientRun::StopThreads() {
   if (!threads_) return;
   threads_ = false;
-  stop_control_ = true;
-  if (control_.joinable()) control_.join();  // the arm stays at its last target
+  if (control_.joinable()) {
+    Brake();
+    stop_control_ = true;
+    control_.join();  // the arm stays at its last target
+  }
   stop_others_ = true;
   if (link_ != nullptr) {
     link_->Wake();

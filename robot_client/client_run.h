@@ -33,7 +33,7 @@ class ClientRun {
   static absl::StatusOr<std::unique_ptr<ClientRun>> Create(const ClientConfig& config,
                                                            const std::string& directory,
                                                            const MotionMaker& motion = nullptr);
-  ~ClientRun();  // stops the threads; the arm holds
+  ~ClientRun();  // brakes and stops the threads; the arm holds
 
   void StartThreads();
   // Acts on an order at once, and never waits: what takes time goes on in Watch. The answer for the
@@ -63,7 +63,7 @@ class ClientRun {
   // With `limp` the arm loses its power, first of all and whatever fails afterwards. Stops the
   // threads, completes the recording and writes timing.json and DONE.
   absl::Status Finish(bool limp);
-  void StopThreads();  // the arm stays at its last target; nothing is completed
+  void StopThreads();  // once the arm has braked, where it has power; nothing is completed
 
  private:
   explicit ClientRun(const ClientConfig& config, std::string directory)
@@ -77,6 +77,7 @@ class ClientRun {
   absl::StatusOr<std::string> EndEpisode(std::optional<bool> success);
   absl::StatusOr<std::string> CountEpisode(std::optional<bool> success);
   void TellServersError();
+  void Brake();
 
   const ClientConfig config_;
   const std::string directory_;

@@ -487,6 +487,15 @@ void ControlLoop::WatchContact(const ArmSnapshot& arm) {
   if (const auto delay = delay_.delay_s(); delay && moves) record_.delay_s = *delay;
 }
 
+bool ControlLoop::Settled() const {
+  if (!machine_.streaming()) return true;
+  const bool moves =
+      machine_.state() == ClientState::kRun || machine_.state() == ClientState::kMove;
+  return !moves && limiter_.at_rest() &&
+         std::all_of(record_.velocity.begin(), record_.velocity.begin() + joints_,
+                     [](double v) { return std::abs(v) < kStill; });
+}
+
 void ControlLoop::Publish() {
   for (Reader& reader : readers_) {
     TickRecord record = record_;
@@ -500,6 +509,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   enabling_ = false;
   arm_->Poll();
   if (!arm_->Latest().enabled) grips_ = false;  // limp: somebody's fingers may be between its own
+  settled_.store(false, std::memory_order_release);  // before what was asked for is taken
   const uint32_t requests = asked_.exchange(0, std::memory_order_acq_rel) | StopRequests(now);
   if ((requests & kRequestEnable) && machine_.state() == ClientState::kIdle &&
       !(requests & (kRequestHold | kRequestQuickStop)))
@@ -569,6 +579,7 @@ void ControlLoop::Tick(int64_t due_ns) {
   SendCommand();
   record_.sent_ns = clock_->now_ns();
   opening_.store(limiter_.position()[axes().opening()], std::memory_order_release);
+  settled_.store(Settled(), std::memory_order_release);
   if (on_tick_) on_tick_(record_);
   Publish();
 }

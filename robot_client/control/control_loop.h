@@ -119,6 +119,10 @@ class ControlLoop {
   uint64_t decided() const { return decided_.load(std::memory_order_acquire); }
   // The arm as the last tick saw it.
   ArmSnapshot seen() const { return seen_.Load(); }
+  // All that was asked for is decided, and command and arm stand, or nothing is commanded.
+  bool settled() const {
+    return asked_.load(std::memory_order_acquire) == 0 && settled_.load(std::memory_order_acquire);
+  }
   // Of the gripper, as last commanded [m]; one that holds something stands further open.
   double opening() const { return opening_.load(std::memory_order_acquire); }
   // The bound that stopped the last command that was stopped, or that refused kOutside, and then by
@@ -177,6 +181,7 @@ class ControlLoop {
   void KeepOpening(ArmVector& position) const;
   void Correct();
   void SendCommand();
+  bool Settled() const;
   void Publish();
 
   const ControlOptions options_;
@@ -205,6 +210,7 @@ class ControlLoop {
   std::atomic<uint64_t> decided_{0};
   SnapshotCell<ArmSnapshot> seen_;
   std::atomic<double> opening_{0};
+  std::atomic<bool> settled_{true};
   std::atomic<ArmModel::Bound> crossed_{ArmModel::kBounds};
   std::atomic<double> outside_m_{0};
   std::atomic<const ArmPath*> path_{nullptr};

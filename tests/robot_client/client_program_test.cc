@@ -4,11 +4,15 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <string>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "common/image.h"
 #include "tests/run_program.h"
@@ -197,6 +201,42 @@ TEST(ClientProgramTest, ATerminationHoldsAndLeavesTheArmWithItsPower) {
   EXPECT_EQ(code, 0) << text;
   EXPECT_THAT(text, AllOf(HasSubstr("HOLD (operator)"), Not(HasSubstr("quick_stop"))));
   EXPECT_TRUE(std::filesystem::exists(out + "/run/DONE"));
+}
+
+// Types into a client of its own until the body ends; `says TEXT` waits for its output.
+constexpr char kTyped[] = R"(
+mkfifo $out/in
+$client $common --set home_velocity=1 --set 'home=[2.0, 1.0, -0.8, 0.0, 0.4, 0.0, 0.06]' < $out/in > $out/log 2>&1 &
+pid=$!
+exec 3> $out/in
+says() { for i in $(seq 400); do grep -q "$1" $out/log && return; sleep 0.05; done; echo "never: $1"; }
+echo enable >&3; says "has power"
+)";
+
+// What a last command leaves behind: a target that the arm stands at, or a sudden stop.
+double LastStep(const std::string& out) {
+  const std::vector<std::string> rows =
+      absl::StrSplit(Text(out + "/run/ticks.csv"), '\n', absl::SkipEmpty());
+  const std::vector<std::string> names = absl::StrSplit(rows[0], ',');
+  const auto column = std::find(names.begin(), names.end(), "sent_J1") - names.begin();
+  const auto sent = [&](size_t back) {
+    const std::vector<std::string> row = absl::StrSplit(rows[rows.size() - back], ',');
+    return std::stod(row[static_cast<size_t>(column)]);
+  };
+  return std::abs(sent(1) - sent(2));
+}
+
+TEST(ClientProgramTest, ATerminationOnTheWayBrakesFirst) {
+  std::string out;
+  const auto [text, code] =
+      WithServer("brakes",
+                 absl::StrCat(kTyped,
+                              "echo home >&3; says MOVE; sleep 1.2; kill -TERM $pid; wait "
+                              "$pid; code=$?; cat $out/log; (exit $code)"),
+                 &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, AllOf(HasSubstr("MOVE (operator)"), Not(HasSubstr("(arrived)"))));
+  EXPECT_LT(LastStep(out), 1e-6);
 }
 
 TEST(ClientProgramTest, AClosedOutputEndsNothing) {

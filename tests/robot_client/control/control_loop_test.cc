@@ -624,6 +624,28 @@ TEST(ControlLoopTest, AGripperThatWasLimpOrAtFaultDoesNotCloseAgain) {
   EXPECT_NEAR(strained.Opening(), 0.03, 1e-9);
 }
 
+TEST(ControlLoopTest, IsSettledOnceCommandAndArmStand) {
+  Bench bench;
+  EXPECT_TRUE(bench.loop->settled());
+  bench.policy_speed = 0.9;
+  bench.Start();
+  bench.Ticks(20);
+  EXPECT_FALSE(bench.loop->settled());
+  bench.loop->Ask(kRequestHold);
+  EXPECT_FALSE(bench.loop->settled());
+  int ticks = 0;
+  while (!bench.loop->settled() && ++ticks < 60) bench.Tick();
+  EXPECT_GT(ticks, 5) << "it brakes";
+  EXPECT_LT(ticks, 30);
+  const ArmVector rest = bench.arm.last.position;
+  bench.loop->Ask(kRequestResume);
+  EXPECT_FALSE(bench.loop->settled()) << "who knows what becomes of it";
+  bench.loop->Ask(kRequestHold);
+  bench.Ticks(10);
+  EXPECT_TRUE(bench.loop->settled());
+  EXPECT_EQ(bench.arm.last.position, rest);
+}
+
 TEST(ControlLoopTest, NoCommandAndNoBrakingCrossesABoundOfTheWorkspace) {
   WallModel model;
   model.wall = 0.45;
