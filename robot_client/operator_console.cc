@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <csignal>
 #include <utility>
@@ -139,16 +140,30 @@ OperatorConsole::~OperatorConsole() {
 void OperatorConsole::Read(int timeout_ms) {
   pollfd wait{ended_ ? -1 : STDIN_FILENO, POLLIN, 0};
   // A signal ends the wait.
-  if (poll(&wait, 1, timeout_ms) > 0) {
-    char bytes[256];
-    const ssize_t count = read(STDIN_FILENO, bytes, sizeof(bytes));
-    if (count <= 0) ended_ = true;
-    if (keys_ != nullptr) {
-      if (count > 0) keys_->Take({bytes, static_cast<size_t>(count)}, &orders_);
-      if (count <= 0) keys_->End();
-    } else if (count > 0) {
-      buffer_.append(bytes, static_cast<size_t>(count));
-    }
+  if (poll(&wait, 1, timeout_ms) <= 0) return;
+  char bytes[256];
+  const ssize_t count = read(STDIN_FILENO, bytes, sizeof(bytes));
+  if (count > 0) return TakeBytes({bytes, static_cast<size_t>(count)});
+  if (count < 0 && (errno == EINTR || errno == EAGAIN)) return;
+  TakeEnd(count < 0 || !terminal_ || (wait.revents & POLLHUP) != 0);
+}
+
+void OperatorConsole::TakeEnd(bool for_good) {
+  if (!for_good) {  // Ctrl-D
+    complaint_ = "end of input: the arm holds; Enter goes on stopping it, quit leaves";
+    orders_.push_back({OperatorCommand::kHold});
+    return;
+  }
+  ended_ = true;
+  if (keys_ != nullptr) keys_->End();
+}
+
+void OperatorConsole::TakeBytes(std::string_view bytes) {
+  attended_ = true;
+  if (keys_ != nullptr) {
+    keys_->Take(bytes, &orders_);
+  } else {
+    buffer_.append(bytes);
   }
   for (size_t end; (end = buffer_.find('\n')) != std::string::npos; buffer_.erase(0, end + 1)) {
     const absl::StatusOr<OperatorOrder> order =
@@ -184,6 +199,12 @@ std::optional<OperatorOrder> OperatorConsole::Next(int timeout_ms, bool busy) {
     Read(timeout_ms);
   if (const auto command = OfSignals()) return OperatorOrder{*command};
   const auto next = ready();
+  if (ended_ && orders_.empty() && std::exchange(attended_, false)) {
+    complaint_ =
+        absl::StrCat("the input has ended and nobody can type any more: the arm holds; kill -TERM ",
+                     getpid(), " ends the client, and the arm keeps its power");
+    return OperatorOrder{OperatorCommand::kHold};
+  }
   if (next == orders_.end()) return std::nullopt;
   const OperatorOrder order = *next;
   orders_.erase(next);

@@ -56,7 +56,9 @@ class KeySink {
 
 // Standard input and signals as orders. SIGINT: one means hold, a second within three seconds the
 // quick stop, a third quit. SIGTERM and SIGHUP, which programs send and not people, hold and then
-// quit; they never make the arm sink. One object at a time, one thread.
+// quit; they never make the arm sink. The end of the input means hold, for nobody can press Enter
+// any more: a pipe's once its last line was obeyed, Ctrl-D at a terminal whenever it is typed. An
+// input that never had an order is nobody's. One object at a time, one thread.
 class OperatorConsole {
  public:
   OperatorConsole();  // takes the signals over, and ignores a closed output
@@ -69,13 +71,15 @@ class OperatorConsole {
   // Bytes go to `keys` as they come, until it is null again. It outlives that.
   void GiveKeysTo(KeySink* keys) { keys_ = keys; }
   std::string TakeComplaint() { return std::exchange(complaint_, ""); }
-  bool input_ended() const { return ended_; }
+  bool input_ended() const { return ended_; }  // a terminal's: when it was closed
   // Counts the signals as they come, for ControlLoop::ObeyStops.
   static const std::atomic<int>* presses();
   static const std::atomic<int>* gentle_presses();
 
  private:
   void Read(int timeout_ms);
+  void TakeBytes(std::string_view bytes);
+  void TakeEnd(bool for_good);
   std::optional<OperatorCommand> OfSignals();
 
   int signals_seen_ = 0, terminations_seen_ = 0;
@@ -83,6 +87,7 @@ class OperatorConsole {
   int64_t last_press_ns_ = 0;
   const bool terminal_;
   bool ended_ = false;
+  bool attended_ = false;  // an order came, and the end of the input was not told
   KeySink* keys_ = nullptr;
   std::string buffer_, complaint_;
   std::deque<OperatorOrder> orders_;

@@ -239,6 +239,19 @@ TEST(ClientProgramTest, ATerminationOnTheWayBrakesFirst) {
   EXPECT_LT(LastStep(out), 1e-6);
 }
 
+TEST(ClientProgramTest, AnInputThatEndsOnTheWayHolds) {
+  std::string out;
+  const auto [text, code] = WithServer(
+      "hung_up",
+      absl::StrCat(kTyped,
+                   "echo home >&3; says MOVE; sleep 0.5; exec 3>&-; says 'home was stopped'; kill "
+                   "-TERM $pid; wait $pid; code=$?; cat $out/log; (exit $code)"),
+      &out);
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_THAT(text, AllOf(HasSubstr("the input has ended and nobody can type"),
+                          HasSubstr("home was stopped"), Not(HasSubstr("never:"))));
+}
+
 TEST(ClientProgramTest, AClosedOutputEndsNothing) {
   std::string out;
   const auto [text, code] =
