@@ -1,7 +1,11 @@
 #include "common/command_line.h"
 
+#include <cerrno>
 #include <cstdint>
+#include <cstdlib>
+#include <limits>
 #include <optional>
+#include <type_traits>
 #include <utility>
 
 #include "CLI/CLI.hpp"
@@ -13,6 +17,29 @@ Check Of(CLI::Validator validator) {
   std::string words = validator.get_description();
   return {[validator = std::move(validator)](const std::string& text) { return validator(text); },
           std::move(words)};
+}
+
+template <class T>
+struct ValueOf {
+  using Type = T;
+};
+template <class T>
+struct ValueOf<std::vector<T>> : ValueOf<T> {};
+template <class T>
+struct ValueOf<std::optional<T>> : ValueOf<T> {};
+
+// CLI11 takes the nearest number of 64 bits for one that does not fit into them.
+template <class T>
+std::string Overflow(const std::string& text) {
+  errno = 0;
+  if constexpr (std::is_signed_v<T>) {
+    std::strtoll(text.c_str(), nullptr, 0);
+  } else {
+    std::strtoull(text.c_str(), nullptr, 0);
+  }
+  if (errno != ERANGE) return "";
+  return text + " is out of range, must be " + std::to_string(std::numeric_limits<T>::min()) + " to " +
+         std::to_string(std::numeric_limits<T>::max());
 }
 
 }  // namespace
@@ -84,7 +111,11 @@ Option* App::Keep(CLI::Option* option) { return &options_.emplace_back(option); 
 
 template <class T>
 Option* App::add_option(const std::string& name, T& value, const std::string& help) {
-  return Keep(app_->add_option(name, value, help));
+  CLI::Option* const option = app_->add_option(name, value, help);
+  using Value = typename ValueOf<T>::Type;
+  if constexpr (std::is_same_v<Value, int64_t> || std::is_same_v<Value, uint64_t>)
+    option->check(Overflow<Value>);
+  return Keep(option);
 }
 template <class T>
 Option* App::add_flag(const std::string& name, T& value, const std::string& help) {

@@ -12,6 +12,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
 #include "adapter/method_options.h"
 #include "adapter/methods.h"
 #include "common/config.h"
@@ -361,21 +362,22 @@ void CheckOverrides(const SweepGrid& grid, Complaints& complaints) {
   }
 }
 
-void CheckLate(const SweepGrid& grid, Complaints& complaints) {
-  UnitConfig unit;
-  unit.latency = grid.latency;
-  if (!ApplyOverrides(Part(grid.overrides).others, unit).ok()) return;  // complained of already
-  unit.robot = grid.robot;
-  unit.remote = grid.remote;
-  for (const std::string& policy : grid.policies) {
-    for (const std::string& name : grid.methods) {
-      const absl::StatusOr<MethodOptions> method = MethodOf(grid, name);
-      if (method.ok()) unit.method = *method;
-      unit.policy = policy;
-      const absl::Status status = CheckLatency(unit);
-      if (!status.ok()) return complaints.Add(std::string(status.message()));
-    }
+// What a worker would refuse, of every suite, policy and method: scenarios, levels and seeds change
+// nothing of it.
+absl::Status CheckUnits(SweepGrid grid) {
+  grid.scenarios.resize(1);
+  grid.severities.resize(1);
+  grid.seeds.resize(1);
+  RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
+  Complaints complaints;
+  std::set<std::string> said;
+  for (const PlannedUnit& unit : units) {
+    const absl::Status status = ResolveUnit(unit.config).status();
+    const std::string complaint =
+        absl::StrCat(unit.config.suite, ": ", absl::StripPrefix(status.message(), "unit: "));
+    if (!status.ok() && said.insert(complaint).second) complaints.Add(complaint);
   }
+  return complaints.ToStatus();
 }
 
 }  // namespace
@@ -420,7 +422,6 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   for (const std::string& policy : grid.policies) labels.push_back(PolicyLabel(policy));
   complaints.CheckUnique("policy name", labels);
   CheckOverrides(grid, complaints);
-  CheckLate(grid, complaints);
   RS_RETURN_IF_ERROR(complaints.ToStatus());
   grid.suites = InOrderOf(suites, grid.suites);
   std::vector<std::string> scenarios = InOrderOf(ScenariosOf(robot), grid.scenarios);
@@ -430,6 +431,7 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   }
   grid.scenarios = scenarios;
   grid.methods = InOrderOf(robot.methods, grid.methods);
+  RS_RETURN_IF_ERROR(CheckUnits(grid));
   return grid;
 }
 

@@ -62,6 +62,14 @@ TEST(GridFlagsTest, ProtocolOpenpiIsItsExample) {
   }
 }
 
+TEST(GridFlagsTest, ASeedThatDoesNotFitIsRefused) {
+  EXPECT_FALSE(GridOf({"--seeds", "0,99999999999999999999"}).ok());
+  EXPECT_FALSE(GridOf({"--seeds=-9223372036854775809"}).ok());
+  const absl::StatusOr<SweepGrid> largest = GridOf({"--seeds", "0,9223372036854775807"});
+  ASSERT_TRUE(largest.ok()) << largest.status();
+  EXPECT_THAT(largest->seeds, ElementsAre(0, 9223372036854775807));
+}
+
 TEST(GridFlagsTest, ProtocolLerobotIsItsEvaluation) {
   const absl::StatusOr<SweepGrid> grid =
       GridOf({"--policy-url", "ws://host:8000", "--protocol", "lerobot", "--dialect", "lerobot"});

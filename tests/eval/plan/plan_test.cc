@@ -211,6 +211,24 @@ TEST(Plan, NothingAndDoublesAreRefused) {
               HasSubstr("method base is given twice"));
 }
 
+TEST(Plan, WhatAWorkerWouldRefuseIsSaidBeforeItStarts) {
+  SweepGrid grid;
+  grid.suites = {"tabletop_goal", "tabletop_long"};
+  grid.episodes = 51;
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              AllOf(HasSubstr("tabletop_goal: episodes is 51, must be 1 to 50: every episode"),
+                    HasSubstr("tabletop_long: episodes is 51")));
+  grid.episodes = 2;
+  grid.first_initial_state = 49;
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("episodes is 2, must be 1 to 1"));
+  grid.first_initial_state = 48;
+  EXPECT_TRUE(ResolveGrid(grid).ok());
+  grid.overrides = {"sim.settle_steps=5000"};
+  EXPECT_THAT(std::string(ResolveGrid(grid).status().message()),
+              HasSubstr("sim.settle_steps is 5000, must be 0 to 1000"));
+}
+
 TEST(Plan, LiberoSuitesAskForTheirFiles) {
   SweepGrid grid;
   grid.suites = {"libero_goal"};
