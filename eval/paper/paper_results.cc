@@ -47,7 +47,8 @@ class Filler {
     for (const UnitResult& unit : run_.units) {
       const UnitConfig& c = unit.config;
       if (c.scenario == scenario && (table_.suites.empty() || c.suite == part) &&
-          c.method->method == column.method && c.policy == protocol_.PolicyOf(column.role) &&
+          c.method->method == column.method &&
+          PolicyLabel(c.policy) == PolicyLabel(protocol_.PolicyOf(column.role)) &&
           (c.severity == column.severity || SameAtEveryLevel(scenario)))
         units.push_back(&unit);
     }

@@ -268,9 +268,9 @@ bool SameAtEveryLevel(const std::string& scenario) {
 }
 
 std::string PolicyLabel(const std::string& policy) {
-  const std::filesystem::path path(policy);
-  return path.has_parent_path() || path.extension() == ".safetensors" ? path.stem().string()
-                                                                      : policy;
+  std::filesystem::path path(policy);
+  if (!path.has_filename()) path = path.parent_path();  // a folder with its slash
+  return path.extension() == ".safetensors" ? path.stem().string() : path.filename().string();
 }
 
 SweepGrid QuickGrid() {
@@ -435,9 +435,20 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home) {
   return grid;
 }
 
-std::string UnitId(const UnitConfig& config) {
+namespace {
+
+std::string IdWith(const std::string& policy, const UnitConfig& config) {
   return absl::StrCat(config.suite, "-", ScenarioLabel(config.scenario), "-L", config.severity, "-",
-                      PolicyLabel(config.policy), "-", config.method->method, "-s", config.seed);
+                      policy, "-", config.method->method, "-s", config.seed);
+}
+
+}  // namespace
+
+std::string UnitId(const UnitConfig& config) { return IdWith(PolicyLabel(config.policy), config); }
+
+std::string OlderUnitId(const UnitConfig& config) {
+  const std::filesystem::path path(config.policy);
+  return path.has_parent_path() ? IdWith(path.stem().string(), config) : UnitId(config);
 }
 
 absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& grid) {

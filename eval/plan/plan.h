@@ -93,10 +93,11 @@ absl::StatusOr<SweepGrid> ResolveGrid(SweepGrid grid, PolicyHome home = PolicyHo
 absl::StatusOr<std::vector<PlannedUnit>> ExpandUnits(const SweepGrid& resolved);
 // The id of the unit with these settings; method.method names the method.
 std::string UnitId(const UnitConfig& config);
+// The same as versions up to 0.2 had it, which called a checkpoint pi0.5 "pi0".
+std::string OlderUnitId(const UnitConfig& config);
 // True when every level of the scenario is the same (clean, nominal, dev_mixed; an arm).
 bool SameAtEveryLevel(const std::string& scenario);
-// The policy's name as it stands in ids and tables: a weights file or a folder is named by its
-// stem.
+// The policy's name as it stands in ids and tables: of a path the last part, .safetensors left out.
 std::string PolicyLabel(const std::string& policy);
 
 }  // namespace robostress

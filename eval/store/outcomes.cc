@@ -67,7 +67,8 @@ absl::StatusOr<UnitResult> ParseUnit(const json& fields) {
   if (!fields.value("noise_paired", true)) config.remote.dialect.name = "not recorded";
   RS_ASSIGN_OR_RETURN(config.method, MakeMethod(fields.at("method").get<std::string>()));
   if (const SuiteInfo* suite = FindSuite(config.suite)) config.robot = suite->robot;
-  if (const std::string named = UnitId(config); named != unit.id) {
+  if (const std::string named = UnitId(config);
+      named != unit.id && OlderUnitId(config) != unit.id) {
     return absl::DataLossError(
         absl::StrCat("field unit is '", unit.id, "', but its other fields are those of ", named));
   }
@@ -77,6 +78,8 @@ absl::StatusOr<UnitResult> ParseUnit(const json& fields) {
                                             " entries, must have one for each of ",
                                             config.tasks.size(), " tasks"));
   }
+  unit.id = UnitId(config);
+  config.policy = PolicyLabel(config.policy);
   config.episodes = static_cast<int>(outcomes[0].size());
   const int updates = fields.at("updates").get<int>();
   for (size_t t = 0; t < outcomes.size(); ++t) {
@@ -183,7 +186,7 @@ absl::StatusOr<std::string> OutcomesText(const RunData& run) {
   for (const UnitResult& unit : run.units) {
     const UnitConfig& config = unit.config;
     RS_ASSIGN_OR_RETURN(const std::vector<std::string> outcomes, OutcomesByTask(unit));
-    ordered_json line = {{"unit", unit.id},
+    ordered_json line = {{"unit", UnitId(config)},
                          {"suite", config.suite},
                          {"scenario", config.scenario},
                          {"severity", config.severity},

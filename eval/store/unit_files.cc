@@ -58,7 +58,8 @@ class UnitReader {
       Damage(absl::StrCat(file, ": suite '", unit.config.suite, "' is unknown"));
       return false;
     }
-    if (const std::string named = UnitId(unit.config); named != unit.id) {
+    if (const std::string named = UnitId(unit.config);
+        named != unit.id && OlderUnitId(unit.config) != unit.id) {
       Damage(absl::StrCat(file, " is that of unit ", named, ", its folder is called ", unit.id,
                           "; a unit lies under its own name, and once"));
     }

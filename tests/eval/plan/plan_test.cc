@@ -99,6 +99,20 @@ TEST(Plan, IdsAreUniqueAndFlagOrderDoesNotMatter) {
   EXPECT_EQ(ids.size(), 16u);
 }
 
+TEST(PolicyLabel, IsThePathsLastPartWithoutTheEndingOfWeights) {
+  EXPECT_EQ(PolicyLabel("nano"), "nano");
+  EXPECT_EQ(PolicyLabel("nano:random"), "nano:random");
+  EXPECT_EQ(PolicyLabel("mine.safetensors"), "mine");
+  EXPECT_EQ(PolicyLabel("a/b/mine-0.5.safetensors"), "mine-0.5");
+  EXPECT_EQ(PolicyLabel("checkpoints/pi0.5"), "pi0.5");
+  EXPECT_EQ(PolicyLabel("checkpoints/pi0.5/"), "pi0.5");
+  EXPECT_NE(PolicyLabel("checkpoints/pi0"), PolicyLabel("checkpoints/pi0.5"));
+  UnitConfig config;
+  config.policy = "checkpoints/pi0.5";
+  EXPECT_EQ(UnitId(config), "tabletop_spatial-clean-L5-pi0.5-base-s0");
+  EXPECT_EQ(OlderUnitId(config), "tabletop_spatial-clean-L5-pi0-base-s0");
+}
+
 TEST(Plan, CleanIsRunAtOneLevelOnly) {
   SweepGrid grid;
   grid.scenarios = {"clean", "heavy_payload"};

@@ -59,6 +59,21 @@ TEST(Outcomes, ComeBackAsTheyWere) {
   EXPECT_FALSE(ours.episodes[3].residual.has_value());
 }
 
+TEST(Outcomes, CallAPolicyByItsLabelAndReadOlderIds) {
+  RunData run = Finished();
+  run.units.resize(1);
+  run.units[0].config.policy = "checkpoints/pi0.5";
+  const std::string text = *OutcomesText(run);
+  const std::string older = absl::StrReplaceAll(text, {{"L5-pi0.5-base", "L5-pi0-base"}});
+  EXPECT_NE(text, older);
+  for (const std::string& written : {text, older}) {
+    const auto read = ReadOutcomes({Written("pi05.jsonl", written)});
+    ASSERT_TRUE(read.ok()) << read.status();
+    EXPECT_EQ(read->run.units[0].id, "tabletop_goal-clean-L5-pi0.5-base-s0");
+    EXPECT_EQ(read->run.units[0].config.policy, "pi0.5");
+  }
+}
+
 TEST(Outcomes, SayWhereSamplingNoiseIsNotPaired) {
   RunData run = Finished();
   run.units[0].config.remote.dialect.name = "libero";

@@ -163,6 +163,32 @@ TEST(LoadRun, RefusesAUnitUnderAnotherName) {
   EXPECT_THAT(std::string(LoadRun(run).status().message()), HasSubstr("config.yaml is empty"));
 }
 
+// Versions up to 0.2 called a checkpoint pi0.5 "pi0".
+TEST(LoadRun, ReadsAUnitUnderItsOlderName) {
+  const std::string run = TestFolder();
+  UnitConfig config;
+  config.policy = "checkpoints/pi0.5";
+  config.tasks = {0};
+  config.episodes = 1;
+  const std::string dir = run + "/units/" + OlderUnitId(config);
+  ASSERT_TRUE(MakeDirectories(dir).ok());
+  for (const auto& [name, text] :
+       {std::pair{"/config.yaml", DumpConfig(config)},
+        std::pair{"/episodes.jsonl", std::string(kLine) + "\n"}, std::pair{"/DONE", std::string()}})
+    ASSERT_TRUE(WriteFileAtomically(dir + name, text).ok());
+  SweepGrid grid;
+  grid.suites = {config.suite};
+  grid.scenarios = {"clean"};
+  grid.policies = {config.policy};
+  grid.methods = {"base"};
+  ASSERT_TRUE(WriteFileAtomically(run + "/sweep.yaml", DumpConfig(grid)).ok());
+  const absl::StatusOr<RunData> data = LoadRun(run);
+  ASSERT_TRUE(data.ok()) << data.status();
+  ASSERT_EQ(data->units.size(), 1u);
+  EXPECT_EQ(PolicyLabel(data->units[0].config.policy), "pi0.5");
+  EXPECT_TRUE(data->unfinished.empty()) << "the grid's unit is that one";
+}
+
 TEST(LoadRun, SaysWhenAFolderIsNoRun) {
   const std::string folder = TestFolder();
   EXPECT_THAT(std::string(LoadRun(folder).status().message()), HasSubstr("not a run directory"));
