@@ -17,6 +17,7 @@
 #include "common/atomic_file.h"
 #include "common/check.h"
 #include "common/config.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "common/version.h"
@@ -107,7 +108,10 @@ absl::Status UnitDirectory::CheckConfig(const UnitConfig& resolved) {
         absl::StrCat("'", path_, "' has episodes without a config.yaml; choose another --out"));
   }
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
-  RS_ASSIGN_OR_RETURN(const UnitConfig read, ReadUnit(file, text));
+  RS_ASSIGN_OR_RETURN(UnitConfig read, ReadUnit(file, text));
+  // Where a scenario file lies may change; what it holds is CheckModel's.
+  if (ScenarioLabel(read.scenario) == ScenarioLabel(resolved.scenario))
+    read.scenario = resolved.scenario;
   RS_ASSIGN_OR_RETURN(const UnitConfig present, ResolveUnit(read));
   if (DumpConfig(present) == wanted) return absl::OkStatus();
   return absl::FailedPreconditionError(absl::StrCat(
@@ -182,7 +186,18 @@ absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::str
   RS_ASSIGN_OR_RETURN(const std::string text, ReadIfPresent(file));
   if (text.empty() || rows_.empty()) return WriteFileAtomically(file, wanted.dump() + "\n");
   const json present = json::parse(text, nullptr, false);
-  const std::string begun = present.is_object() ? present.value("model_hash", "") : "";
+  const auto recorded = [&present](const char* key) {
+    return present.is_object() ? present.value(key, "") : std::string();
+  };
+  const auto scenario = notes.find(kScenarioSha256);
+  const std::string played = recorded(kScenarioSha256);
+  if (scenario != notes.end() && !played.empty() && played != scenario->second) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "'", path_, "' was begun with a scenario file whose SHA-256 begins ", played.substr(0, 12),
+        ", now it begins ", scenario->second.substr(0, 12),
+        "; restore the file, choose another --out or remove the directory"));
+  }
+  const std::string begun = recorded("model_hash");
   if (begun == model_hash) return absl::OkStatus();
   return absl::FailedPreconditionError(absl::StrCat(
       "'", path_, "' was begun with weights ", begun.substr(0, 12), ", policy '", policy,

@@ -13,10 +13,14 @@
 
 namespace robostress {
 
+// The key of provenance.json that a unit of a scenario file has.
+inline constexpr char kScenarioSha256[] = "scenario_sha256";
+
 // The files of one unit, and what makes them resumable:
 //
 //   config.yaml               resolved configuration; another unit's directory is refused
-//   provenance.json           policy, hash of its weights, version of the worker
+//   provenance.json           policy, hash of its weights, version of the worker; of a scenario file
+//                             its SHA-256
 //   servers.jsonl             who answered, where somebody else serves the policy (server_row.h)
 //   episodes.jsonl            one row per finished episode, durable when written
 //   timing.jsonl              wall times, apart because they never repeat
@@ -45,7 +49,8 @@ class UnitDirectory {
   // Finished episodes: the first `episodes()` of the plan.
   size_t episodes() const { return rows_.size(); }
 
-  // Writes provenance.json, or refuses to continue with another model than the one that began.
+  // Writes provenance.json, or refuses to continue with another model than the one that began, or
+  // with another scenario file where `notes` has its hash.
   // `notes`: further keys of it.
   absl::Status CheckModel(const std::string& policy, const std::string& model_hash,
                           const std::map<std::string, std::string>& notes = {});

@@ -1,12 +1,15 @@
 #include "common/unit/unit_runner.h"
 
+#include <map>
 #include <memory>
+#include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/records/json_record.h"
 #include "common/records/server_row.h"
 #include "common/status_macros.h"
@@ -37,7 +40,11 @@ class UnitRun {
       return absl::OkStatus();
     }
     RS_ASSIGN_OR_RETURN(const std::string model_hash, player_.Open());
-    RS_RETURN_IF_ERROR(directory_->CheckModel(unit_.policy, model_hash, player_.Provenance()));
+    std::map<std::string, std::string> notes = player_.Provenance();
+    if (IsScenarioFile(unit_.scenario)) {
+      RS_ASSIGN_OR_RETURN(notes[kScenarioSha256], Sha256OfFile(unit_.scenario));
+    }
+    RS_RETURN_IF_ERROR(directory_->CheckModel(unit_.policy, model_hash, notes));
     RS_RETURN_IF_ERROR(Resume());
     while (directory_->episodes() < plan_.size())
       RS_RETURN_IF_ERROR(PlayOne(directory_->episodes()));

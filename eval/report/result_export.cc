@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <functional>
 #include <map>
 #include <set>
@@ -24,8 +23,6 @@
 
 namespace robostress {
 namespace {
-
-namespace fs = std::filesystem;
 
 using Options = std::map<std::string, std::string>;
 
@@ -80,16 +77,11 @@ Options ProtocolOf(const UnitConfig& unit) {
 }
 
 // What distinguishes the scenario, whatever it is called; empty: it is an arm of the program.
-std::string ScenarioHash(const RunData& run, const UnitConfig& config) {
+std::string ScenarioHash(const UnitConfig& config) {
   if (!ArmTitle(config.scenario).empty()) return "";
-  std::string name = config.scenario;
-  if (IsScenarioFile(name)) {
-    const std::string kept = absl::StrCat(run.dir, "/scenarios/", ScenarioLabel(name), ".yaml");
-    std::error_code none;
-    if (!run.dir.empty() && fs::exists(kept, none)) name = kept;
-  }
-  const absl::StatusOr<Scenario> scenario = MakeScenario(name, config.severity);
-  if (!scenario.ok()) return "";
+  const absl::StatusOr<Scenario> scenario = MakeScenario(config.scenario, config.severity);
+  // Of another arm, or no scenario any more.
+  if (!scenario.ok()) return Sha256OfFile(config.scenario).value_or("");
   std::string text =
       absl::StrCat(scenario->friction_on, scenario->gravity_on, scenario->backlash_on,
                    scenario->compliance_on, static_cast<int>(scenario->profile));
@@ -171,7 +163,7 @@ class Declarations {
     Once(protocols_, config.suite, ProtocolOf(config), absl::StrCat("suite ", config.suite));
     const std::string label = ScenarioLabel(config.scenario);
     const int level = LevelOf(config.scenario, config.severity);
-    Once(scenarios_, std::pair(label, level), ScenarioHash(run_, config),
+    Once(scenarios_, std::pair(label, level), ScenarioHash(config),
          absl::StrCat("scenario ", label));
     Once(policies_, PolicyLabel(config.policy), PolicyOf(unit),
          absl::StrCat("policy ", PolicyLabel(config.policy)));
@@ -333,13 +325,6 @@ absl::StatusOr<RunData> JoinRuns(const std::vector<std::string>& dirs) {
       if (unit.provenance.is_object())
         models.push_back(
             {PolicyLabel(unit.config.policy), unit.provenance.value("model_hash", ""), unit.id});
-      // Where its scenario files are kept.
-      if (IsScenarioFile(unit.config.scenario)) {
-        const std::string kept =
-            absl::StrCat(dir, "/scenarios/", ScenarioLabel(unit.config.scenario), ".yaml");
-        std::error_code none;
-        if (fs::exists(kept, none)) unit.config.scenario = kept;
-      }
       all.units.push_back(std::move(unit));
     }
     all.unfinished.insert(all.unfinished.end(), run.unfinished.begin(), run.unfinished.end());

@@ -73,15 +73,26 @@ std::string RunDirectory::KeptScenario(const std::string& scenario) const {
   return absl::StrCat(path_, "/scenarios/", ScenarioLabel(scenario), ".yaml");
 }
 
+UnitConfig RunDirectory::AsPlayed(UnitConfig config) const {
+  if (IsScenarioFile(config.scenario))
+    config.scenario = fs::absolute(KeptScenario(config.scenario)).lexically_normal().string();
+  return config;
+}
+
 absl::Status RunDirectory::CheckStarted(const SweepGrid& grid,
                                         const std::vector<PlannedUnit>& units) const {
   const std::unordered_set<std::string> started = StartedIds();
   std::vector<std::string> complaints;
   UnitTexts texts;
+  UnitTextReader reader;
   for (const PlannedUnit& unit : units) {
     if (started.count(unit.id) == 0) continue;
     const absl::StatusOr<std::string> present = ReadFile(PlanFile(unit.id));
-    if (!present.ok() || *present == texts.Of(unit) || !Begun(unit.id)) continue;
+    const std::string wanted = texts.Of({unit.id, AsPlayed(unit.config)});
+    if (!present.ok() || *present == wanted || !Begun(unit.id)) continue;
+    // Versions up to 0.2 planned the user's own scenario file; a run directory may be moved.
+    const absl::StatusOr<UnitConfig> begun = reader.Read(PlanFile(unit.id), *present);
+    if (begun.ok() && DumpConfig(AsPlayed(*begun)) == wanted) continue;
     complaints.push_back(absl::StrCat(
         PlanFile(unit.id), " plans this unit with another configuration, and it has been started"));
   }
@@ -122,7 +133,7 @@ absl::Status RunDirectory::Prepare(const SweepGrid& grid,
 }
 
 absl::Status RunDirectory::WritePlan(const PlannedUnit& unit) const {
-  const std::string text = DumpConfig(unit.config);
+  const std::string text = DumpConfig(AsPlayed(unit.config));
   if (ReadFile(PlanFile(unit.id)).value_or("") == text) return absl::OkStatus();
   return WriteFileAtomically(PlanFile(unit.id), text);
 }
@@ -142,6 +153,24 @@ absl::StatusOr<std::vector<SweepGrid>> RunDirectory::Grids() const {
     grids.push_back(*std::move(grid));
   }
   return grids;
+}
+
+absl::StatusOr<std::set<std::string>> RunDirectory::PlannedIds(
+    const std::set<std::string>& present) const {
+  RS_ASSIGN_OR_RETURN(std::vector<SweepGrid> grids, Grids());
+  std::set<std::string> ids;
+  for (SweepGrid& grid : grids) {
+    for (std::string& scenario : grid.scenarios) {
+      if (IsScenarioFile(scenario) && Exists(KeptScenario(scenario)))
+        scenario = KeptScenario(scenario);
+    }
+    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
+    for (const PlannedUnit& unit : units) {
+      const std::string older = OlderUnitId(unit.config);
+      ids.insert(present.count(unit.id) == 0 && present.count(older) > 0 ? older : unit.id);
+    }
+  }
+  return ids;
 }
 
 absl::Status CheckRunDirectories(const std::vector<std::string>& dirs) {

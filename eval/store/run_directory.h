@@ -1,5 +1,6 @@
 #pragma once
 
+#include <set>
 #include <string>
 #include <unordered_set>
 #include <vector>
@@ -37,7 +38,7 @@ absl::StatusOr<std::vector<std::string>> UnitFolders(const std::string& dir);
 //   plan/ID.yaml    configuration of a unit that has been started
 //   units/ID/       written by its worker, DONE last
 //   parts/ID/       ranges of a unit's episodes while they are run apart (work_list.h)
-//   scenarios/        copies of scenario files
+//   scenarios/        copies of scenario files, which is what is played
 //   logs/             one per process
 class RunDirectory {
  public:
@@ -47,6 +48,8 @@ class RunDirectory {
   std::string Parts(const std::string& id) const { return path_ + "/parts/" + id; }
   std::string PlanFile(const std::string& id) const { return path_ + "/plan/" + id + ".yaml"; }
   std::string Log(const std::string& name) const { return path_ + "/logs/" + name + ".log"; }
+  // Of a scenario file: where its copy lies.
+  std::string KeptScenario(const std::string& scenario) const;
   bool Done(const std::string& id) const;
   // A worker has written something that belongs to one configuration.
   bool Begun(const std::string& id) const;
@@ -60,13 +63,17 @@ class RunDirectory {
   absl::Status CheckStarted(const SweepGrid& grid, const std::vector<PlannedUnit>& units) const;
   // Checks, makes the folders, keeps the grid and its scenario files.
   absl::Status Prepare(const SweepGrid& grid, const std::vector<PlannedUnit>& units) const;
-  // Publishes a unit's configuration for its worker.
+  // Publishes a unit's configuration for its worker, which plays the kept copy of a scenario file:
+  // the user's own may change while the sweep runs.
   absl::Status WritePlan(const PlannedUnit& unit) const;
   // Every grid that was planned here, oldest name first; DataLoss when a file is damaged.
   absl::StatusOr<std::vector<SweepGrid>> Grids() const;
+  // Ids of the units that they plan, by what is kept of their scenarios; of a unit that `present`
+  // has under its older id, that one.
+  absl::StatusOr<std::set<std::string>> PlannedIds(const std::set<std::string>& present) const;
 
  private:
-  std::string KeptScenario(const std::string& scenario) const;
+  UnitConfig AsPlayed(UnitConfig config) const;
   const std::string path_;
 };
 

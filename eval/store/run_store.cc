@@ -1,10 +1,10 @@
 #include "eval/store/run_store.h"
 
 #include <algorithm>
+#include <iterator>
 #include <limits>
 #include <set>
 #include <tuple>
-#include <unordered_set>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -73,21 +73,6 @@ double LaunchSeconds(const std::string& file) {
   return seconds;
 }
 
-// Adds the units that the run's grids plan and that have no folder.
-absl::Status AddPlanned(const std::string& dir, const std::unordered_set<std::string>& present,
-                        std::vector<std::string>& unfinished) {
-  RS_ASSIGN_OR_RETURN(const std::vector<SweepGrid> grids, RunDirectory(dir).Grids());
-  for (const SweepGrid& grid : grids) {
-    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
-    for (const PlannedUnit& unit : units) {
-      if (present.count(unit.id) == 0) unfinished.push_back(unit.id);
-    }
-  }
-  std::sort(unfinished.begin(), unfinished.end());
-  unfinished.erase(std::unique(unfinished.begin(), unfinished.end()), unfinished.end());
-  return absl::OkStatus();
-}
-
 }  // namespace
 
 absl::StatusOr<RunData> LoadRun(const std::string& dir) {
@@ -98,7 +83,7 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
   UnitTextReader texts;
   std::vector<std::string> damage;
   std::vector<ModelUse> models;
-  std::unordered_set<std::string> present;
+  std::set<std::string> present;
   for (const std::string& folder : folders) {
     UnitInspection inspection = InspectUnit(folder, texts);
     present.insert(inspection.unit.id);
@@ -114,8 +99,14 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
     run.units.push_back(std::move(unit));
   }
   for (std::string& complaint : DifferentModels(models)) damage.push_back(std::move(complaint));
-  if (const absl::Status status = AddPlanned(dir, present, run.unfinished); !status.ok())
-    damage.emplace_back(status.message());
+  const absl::StatusOr<std::set<std::string>> planned = RunDirectory(dir).PlannedIds(present);
+  if (planned.ok()) {
+    std::set_difference(planned->begin(), planned->end(), present.begin(), present.end(),
+                        std::back_inserter(run.unfinished));
+    std::sort(run.unfinished.begin(), run.unfinished.end());
+  } else {
+    damage.emplace_back(planned.status().message());
+  }
   if (!damage.empty()) return absl::DataLossError(absl::StrJoin(damage, "\n"));
   if (run.units.empty()) {
     return absl::NotFoundError(

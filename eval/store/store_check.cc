@@ -59,27 +59,21 @@ void AddParts(const RunDirectory& run, std::set<std::string>& present, StoreCont
   }
 }
 
-absl::Status CompareWithGrids(const RunDirectory& run, const std::set<std::string>& present,
-                              StoreContents& contents) {
-  const absl::StatusOr<std::vector<SweepGrid>> grids = run.Grids();
-  if (!grids.ok()) {
-    Report(run.path(), "", StoreFault::kDamaged, std::string(grids.status().message()), contents);
-    return absl::OkStatus();
+void CompareWithGrids(const RunDirectory& run, const std::set<std::string>& present,
+                      StoreContents& contents) {
+  const absl::StatusOr<std::set<std::string>> planned = run.PlannedIds(present);
+  if (!planned.ok()) {
+    Report(run.path(), "", StoreFault::kDamaged, std::string(planned.status().message()), contents);
+    return;
   }
-  std::set<std::string> planned;
-  for (const SweepGrid& grid : *grids) {
-    RS_ASSIGN_OR_RETURN(const std::vector<PlannedUnit> units, ExpandUnits(grid));
-    for (const PlannedUnit& unit : units) planned.insert(unit.id);
-  }
-  for (const std::string& id : planned) {
+  for (const std::string& id : *planned) {
     if (present.count(id) > 0) continue;
     Report(run.path(), id, StoreFault::kMissing, "planned and never begun", contents);
   }
   for (const std::string& id : present) {
-    if (planned.count(id) > 0 || grids->empty()) continue;
+    if (planned->count(id) > 0 || planned->empty()) continue;
     Report(run.path(), id, StoreFault::kUnplanned, "no grid of this store plans it", contents);
   }
-  return absl::OkStatus();
 }
 
 void CompareStores(StoreContents& contents) {
@@ -183,7 +177,7 @@ absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores
       AddUnit(store, std::move(inspection), contents);
     }
     AddParts(run, present, contents);
-    RS_RETURN_IF_ERROR(CompareWithGrids(run, present, contents));
+    CompareWithGrids(run, present, contents);
   }
   CompareStores(contents);
   CompareScenarioFiles(stores, contents);

@@ -9,8 +9,11 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
+#include "common/joint_errors/scenario_file.h"
 #include "common/records/json_record.h"
 #include "common/suites.h"
+#include "common/unit/unit_directory.h"
+#include "eval/store/run_directory.h"
 
 namespace robostress {
 namespace {
@@ -32,6 +35,7 @@ class UnitReader {
     if (result_.finished && configured) CheckCompleteness();
     if (result_.finished) CheckSum();
     ReadExtras();
+    FindScenario();
     if (!result_.finished) result_.damage.clear();
     return std::move(result_);
   }
@@ -153,6 +157,23 @@ class UnitReader {
       }
     }
     unit.machines.assign(machines.begin(), machines.end());
+  }
+
+  // The run's copy of a scenario file stands for the user's, which may have changed or gone.
+  void FindScenario() {
+    UnitResult& unit = result_.unit;
+    if (!IsScenarioFile(unit.config.scenario)) return;
+    const std::string run = fs::path(folder_).parent_path().parent_path().string();
+    const std::string kept = RunDirectory(run).KeptScenario(unit.config.scenario);
+    const absl::StatusOr<std::string> sha256 = Sha256OfFile(kept);
+    if (!sha256.ok()) return;
+    unit.config.scenario = kept;
+    if (!unit.provenance.is_object()) return;
+    const std::string played = unit.provenance.value(kScenarioSha256, *sha256);
+    if (played == *sha256) return;
+    Damage(absl::StrCat(folder_, "/provenance.json: ", kScenarioSha256, " is ",
+                        played.substr(0, 12), ", ", kept, " has ", sha256->substr(0, 12),
+                        "; restore that file, or remove the unit's folder and run the sweep again"));
   }
 
   // JSON objects, one a line; lines that are none are passed over: these files decide nothing.

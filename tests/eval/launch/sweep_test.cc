@@ -171,6 +171,29 @@ TEST_F(SweepProgram, OtherConfigurationOfAStartedUnitIsRefused) {
   EXPECT_EQ(*ReadFile(folder_ + "/run/episodes.csv"), table);
 }
 
+TEST_F(SweepProgram, AScenarioFileThatIsGoneChangesNoReport) {
+  const std::string file = folder_ + "/worn.yaml", out = folder_ + "/run";
+  ASSERT_TRUE(WriteFileAtomically(file,
+                                  "title: Worn elbow\n"
+                                  "joints: [{name: J4, effects: [{type: transport_delay, "
+                                  "delay_s: 0.02}]}]\n")
+                  .ok());
+  const std::string command =
+      absl::StrCat("--tasks 1 --episodes 2 --severities 1,3 --methods base --scenarios '", file,
+                   "' --out '", out, "'");
+  ASSERT_EQ(Sweep(command), 0) << output();
+  EXPECT_THAT(*ReadFile(out + "/plan/tabletop_goal-worn-L3-nano-base-s0.yaml"),
+              HasSubstr("scenario: " + out + "/scenarios/worn.yaml\n"));
+  const std::string table = *ReadFile(out + "/table.md"), json = *ReadFile(out + "/report.json");
+  EXPECT_THAT(table, HasSubstr("Worn elbow"));
+  std::filesystem::remove(file);
+  const std::string report = absl::StrCat("'", BIN_DIR, "/robostress-report' '", out,
+                                          "' > /dev/null && '", BIN_DIR, "/robostress-store' verify '");
+  ASSERT_EQ(std::system(absl::StrCat(report, out, "'").c_str()), 0);
+  EXPECT_EQ(*ReadFile(out + "/table.md"), table);
+  EXPECT_EQ(*ReadFile(out + "/report.json"), json);
+}
+
 TEST_F(SweepProgram, WidensARunDirectory) {
   ASSERT_EQ(Sweep(Small("run")), 0) << output();
   ASSERT_EQ(Sweep(absl::StrCat("--suites tabletop_goal --tasks 2 --episodes 3 --scenarios "
