@@ -16,6 +16,7 @@
 #include "eval/report/severity_section.h"
 #include "eval/report/statistics_section.h"
 #include "eval/report/success_section.h"
+#include "eval/store/played_alike.h"
 #include "eval/store/served_policies.h"
 
 namespace robostress {
@@ -150,7 +151,8 @@ std::string ReportPage(const RunData& run, const Summary& summary, const ReportO
                   Tiles(run, summary, main));
   if (const std::string note = MixedMachinesNote(run); !note.empty())
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), ".</p>\n");
-  for (const std::string& note : {UnpairedNoiseNote(run), LateAnswersNote(run)})
+  for (const std::string& note :
+       {UnlikeUnitsNote(run), UnpairedNoiseNote(run), LateAnswersNote(run)})
     if (!note.empty()) absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");
   for (const std::string& note : ServerNotes(run))
     absl::StrAppend(&html, "<p class=warn>", EscapeXml(note), "</p>\n");

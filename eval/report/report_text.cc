@@ -10,6 +10,7 @@
 #include "eval/report/paper_values.h"
 #include "eval/report/report.h"
 #include "eval/report/text_table.h"
+#include "eval/store/played_alike.h"
 #include "eval/store/served_policies.h"
 
 namespace robostress {
@@ -167,7 +168,8 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
       "and other tasks.\n");
   std::vector<std::string> notes = ServerNotes(run);
   notes.insert(notes.begin(),
-               {MixedMachinesNote(run), UnpairedNoiseNote(run), LateAnswersNote(run)});
+               {UnlikeUnitsNote(run), MixedMachinesNote(run), UnpairedNoiseNote(run),
+                LateAnswersNote(run)});
   for (const std::string& note : notes)
     if (!note.empty()) absl::StrAppend(&text, "  ", note, "\n");
   if (!run.unfinished.empty()) {

@@ -2,105 +2,23 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <map>
 #include <set>
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "absl/strings/str_split.h"
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
-#include "common/unit/robots.h"
 #include "eval/plan/plan.h"
+#include "eval/store/played_alike.h"
 #include "eval/store/served_policies.h"
 #include "eval/store/unit_files.h"
 
 namespace robostress {
 namespace {
-
-using Options = std::map<std::string, std::string>;
-
-// A configuration as flat keys: "sim.stepping" -> "fast". What is empty is left out.
-void Flatten(const YAML::Node& node, const std::string& path, Options& options) {
-  if (node.IsMap()) {
-    for (const auto& entry : node) {
-      const std::string key = entry.first.as<std::string>();
-      Flatten(entry.second, path.empty() ? key : absl::StrCat(path, ".", key), options);
-    }
-  } else if (node.IsSequence()) {
-    std::vector<std::string> items;
-    for (const YAML::Node& item : node)
-      items.push_back(item.IsScalar() ? item.Scalar() : YAML::Dump(item));
-    if (!items.empty()) options[path] = absl::StrJoin(items, ",");
-  } else if (node.IsScalar() && !node.Scalar().empty()) {
-    options[path] = node.Scalar();
-  }
-}
-
-Options OptionsOf(const std::string& yaml) {
-  Options options;
-  Flatten(YAML::Load(yaml), "", options);
-  return options;
-}
-
-// A path says where a file lies on somebody's machine; its content decides.
-std::string FileOrWord(const std::string& value) {
-  if (value.find('/') == std::string::npos && !absl::EndsWith(value, ".json")) return value;
-  const absl::StatusOr<std::string> hash = Sha256OfFile(value);
-  return absl::StrCat("file ", hash.ok() ? hash->substr(0, 16) : "that is gone");
-}
-
-// What decides an outcome of the unit beside policy, scenario, method and seed.
-Options ProtocolOf(const UnitConfig& unit) {
-  UnitConfig config = unit;
-  config.scenario.clear();
-  config.policy.clear();
-  config.replay_file.clear();
-  config.libero_root.clear();
-  config.robosuite_root.clear();
-  config.libero_fixtures = FileOrWord(config.libero_fixtures);
-  config.remote = {};
-  Options options = OptionsOf(DumpConfig(config));
-  for (auto option = options.begin(); option != options.end();) {
-    const bool elsewhere = option->first == "severity" || option->first == "seed" ||
-                           option->first == "suite" || option->first == "videos" ||
-                           absl::StartsWith(option->first, "method.");
-    option = elsewhere ? options.erase(option) : std::next(option);
-  }
-  return options;
-}
-
-// What distinguishes the scenario, whatever it is called; empty: it is an arm of the program.
-std::string ScenarioHash(const UnitConfig& config) {
-  if (!ArmTitle(config.scenario).empty()) return "";
-  const absl::StatusOr<Scenario> scenario = MakeScenario(config.scenario, config.severity);
-  // Of another arm, or no scenario any more.
-  if (!scenario.ok()) return Sha256OfFile(config.scenario).value_or("");
-  std::string text =
-      absl::StrCat(scenario->friction_on, scenario->gravity_on, scenario->backlash_on,
-                   scenario->compliance_on, static_cast<int>(scenario->profile));
-  const auto add = [&text](std::initializer_list<double> values) {
-    for (const double value : values) absl::StrAppendFormat(&text, " %.17g", value);
-    text += ';';
-  };
-  for (const JointErrorParameters& p : scenario->nominal)
-    add({p.Fc, p.Fs, p.vs, p.sigma_v, p.B, p.M_eff, p.D, p.K, p.beta});
-  for (const auto* factors : {&scenario->start, &scenario->end}) {
-    for (const SeverityFactors& f : *factors)
-      add({f.friction, f.gravity, f.backlash, f.compliance});
-  }
-  for (const ScenarioEffect& effect : scenario->effects) {
-    absl::StrAppend(&text, effect.type, " ", effect.joint, " ", effect.coupled);
-    for (const double value : effect.values) add({value});
-  }
-  return Sha256Hex(text);
-}
 
 std::string RoleOf(const std::string& method) {
   if (method == "base") return "base";
@@ -139,11 +57,11 @@ class Declarations {
   }
 
   absl::Status Fill(ResultFile& file) const {
-    if (!complaints_.empty()) {
+    if (const std::vector<std::string> unlike = UnlikeUnits(run_); !unlike.empty()) {
       return absl::FailedPreconditionError(absl::StrCat(
           "these units were not played alike, so that their table says nothing to others; export "
           "the runs one by one:\n  ",
-          absl::StrJoin(complaints_, "\n  ")));
+          absl::StrJoin(unlike, "\n  ")));
     }
     for (const auto& [label, policy] : policies_) file.policies.push_back(policy);
     for (const auto& [key, hash] : scenarios_)
@@ -158,47 +76,15 @@ class Declarations {
  private:
   void Add(const UnitResult& unit) {
     const UnitConfig& config = unit.config;
-    const std::string method = DumpConfig(*config.method);
-    Once(methods_, config.method->method, method, absl::StrCat("method ", config.method->method));
-    Once(protocols_, config.suite, ProtocolOf(config), absl::StrCat("suite ", config.suite));
-    const std::string label = ScenarioLabel(config.scenario);
-    const int level = LevelOf(config.scenario, config.severity);
-    Once(scenarios_, std::pair(label, level), ScenarioHash(config),
-         absl::StrCat("scenario ", label));
-    Once(policies_, PolicyLabel(config.policy), PolicyOf(unit),
-         absl::StrCat("policy ", PolicyLabel(config.policy)));
+    if (methods_.count(config.method->method) == 0)
+      methods_.emplace(config.method->method, DumpConfig(*config.method));
+    if (protocols_.count(config.suite) == 0) protocols_.emplace(config.suite, ProtocolOf(config));
+    const std::pair scenario(ScenarioLabel(config.scenario),
+                             LevelOf(config.scenario, config.severity));
+    if (scenarios_.count(scenario) == 0) scenarios_.emplace(scenario, ScenarioHash(config));
+    policies_.emplace(PolicyLabel(config.policy), PolicyOf(unit));
     const std::string version = Recorded(unit, "version");
     versions_.insert(version.empty() ? "not recorded" : version);
-  }
-
-  template <class Map, class Key, class Value>
-  void Once(Map& map, const Key& key, const Value& value, const std::string& what) {
-    const auto [found, fresh] = map.emplace(key, value);
-    if (fresh || Same(found->second, value)) return;
-    if (complaints_.size() < 20)
-      complaints_.insert(absl::StrCat(what, Unlike(found->second, value)));
-  }
-  static bool Same(const std::string& a, const std::string& b) { return a == b; }
-  static bool Same(const Options& a, const Options& b) { return a == b; }
-  static bool Same(const ResultPolicy& a, const ResultPolicy& b) {
-    return a.options == b.options && a.model_hash == b.model_hash;
-  }
-  static std::string Unlike(const std::string&, const std::string&) {
-    return " with other options under one name";
-  }
-  static std::string Unlike(const ResultPolicy& a, const ResultPolicy& b) {
-    return a.model_hash != b.model_hash ? absl::StrCat(" with models ", a.model_hash.substr(0, 12),
-                                                       " and ", b.model_hash.substr(0, 12))
-                                        : Unlike(a.options, b.options);
-  }
-  static std::string Unlike(const Options& a, const Options& b) {
-    for (const auto& [key, value] : a) {
-      const auto other = b.find(key);
-      if (other == b.end() || other->second != value)
-        return absl::StrCat(" with ", key, " ", value, " and ",
-                            other == b.end() ? "without it" : other->second);
-    }
-    return " with further options";
   }
 
   static std::string Recorded(const UnitResult& unit, const char* key) {
@@ -216,7 +102,7 @@ class Declarations {
     if (served == served_.end()) return policy;
     RemotePolicyOptions remote = unit.config.remote;
     remote.dialect.path = remote.dialect.path.substr(0, remote.dialect.path.find('?'));
-    policy.options = OptionsOf(DumpConfig(remote));
+    policy.options = FlatOptionsOf(DumpConfig(remote));
     ResultServer& server = policy.server.emplace();
     server.dialect = served->second.dialect;
     std::set<std::string> urls;
@@ -235,8 +121,8 @@ class Declarations {
   std::map<std::string, ResultPolicy> policies_;
   std::map<std::pair<std::string, int>, std::string> scenarios_;
   std::map<std::string, std::string> methods_;
-  std::map<std::string, Options> protocols_;
-  std::set<std::string> versions_, complaints_;
+  std::map<std::string, FlatOptions> protocols_;
+  std::set<std::string> versions_;
 };
 
 // The cells of one table; a scenario that is equal at every level stands in several of them, and

@@ -1,6 +1,7 @@
 #include <cmath>
 
 #include "eval/report/report.h"
+#include "eval/store/played_alike.h"
 #include "eval/store/served_policies.h"
 #include "nlohmann/json.hpp"
 
@@ -128,6 +129,7 @@ std::string ReportJson(const RunData& run, const Summary& summary) {
                        {"bootstrap_replicates", summary.replicates},
                        {"tables", tables},
                        {"unfinished_units", run.unfinished},
+                       {"unlike_units", UnlikeUnits(run)},
                        {"processors", run.machines},
                        {"servers", ServersJson(run)},
                        {"environment", run.environment},

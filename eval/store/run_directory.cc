@@ -20,6 +20,7 @@
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
 #include "eval/plan/unit_text.h"
+#include "eval/store/played_alike.h"
 
 namespace robostress {
 namespace {
@@ -81,20 +82,50 @@ UnitConfig RunDirectory::AsPlayed(UnitConfig config) const {
 
 absl::Status RunDirectory::CheckStarted(const SweepGrid& grid,
                                         const std::vector<PlannedUnit>& units) const {
+  constexpr char kHere[] = "this command";
   const std::unordered_set<std::string> started = StartedIds();
+  std::set<std::string> ids, others(started.begin(), started.end());
   std::vector<std::string> complaints;
   UnitTexts texts;
   UnitTextReader reader;
+  PlayedAlike alike;  // the units that this command adds
+  bool adds = false;
   for (const PlannedUnit& unit : units) {
-    if (started.count(unit.id) == 0) continue;
-    const absl::StatusOr<std::string> present = ReadFile(PlanFile(unit.id));
+    ids.insert(unit.id);
+    others.erase(unit.id);
+    if (started.count(unit.id) == 0 || !Begun(unit.id)) {
+      adds = true;
+      alike.Add(AsPlayed(unit.config), kHere);
+      continue;
+    }
+    const std::string file = PlanFile(unit.id);
+    const absl::StatusOr<std::string> present = ReadFile(file);
     const std::string wanted = texts.Of({unit.id, AsPlayed(unit.config)});
-    if (!present.ok() || *present == wanted || !Begun(unit.id)) continue;
+    if (!present.ok() || *present == wanted) continue;
     // Versions up to 0.2 planned the user's own scenario file; a run directory may be moved.
-    const absl::StatusOr<UnitConfig> begun = reader.Read(PlanFile(unit.id), *present);
-    if (begun.ok() && DumpConfig(AsPlayed(*begun)) == wanted) continue;
+    absl::StatusOr<UnitConfig> begun = reader.Read(file, *present);
+    if (begun.ok()) *begun = AsPlayed(*std::move(begun));
+    if (begun.ok() && DumpConfig(*begun) == wanted) continue;
     complaints.push_back(absl::StrCat(
-        PlanFile(unit.id), " plans this unit with another configuration, and it has been started"));
+        file, " plans this unit with another configuration, and it has been started: ",
+        begun.ok() ? FirstDifference(FlatOptionsOf(DumpConfig(*begun)), "it",
+                                     FlatOptionsOf(wanted), kHere)
+                   : std::string(begun.status().message())));
+  }
+  if (adds) {
+    for (const std::string& id : others) {
+      absl::StatusOr<std::string> text = ReadFile(PlanFile(id));
+      if (!text.ok()) text = ReadFile(Unit(id) + "/config.yaml");
+      if (!text.ok() || !Begun(id)) continue;
+      const absl::StatusOr<UnitConfig> begun = reader.Read(PlanFile(id), *text);
+      if (!begun.ok()) continue;  // what is damaged is said where it is read
+      if (const std::string named = UnitId(*begun); named != id && ids.count(named) > 0) {
+        complaints.push_back(absl::StrCat(
+            Unit(id), " was begun by a version up to 0.2, and this one calls the unit ", named));
+      }
+      alike.Compare(AsPlayed(*begun), id);
+    }
+    complaints.insert(complaints.end(), alike.complaints().begin(), alike.complaints().end());
   }
   if (!complaints.empty()) {
     complaints.push_back(absl::StrCat(

@@ -59,7 +59,8 @@ class RunDirectory {
   // Only one sweep at a time.
   absl::StatusOr<FileLock> Lock() const;
   // FailedPrecondition, with every unit and file listed: units that were started with another
-  // configuration, scenario files that have changed.
+  // configuration, units that would be played unlike those that were started (played_alike.h),
+  // scenario files that have changed.
   absl::Status CheckStarted(const SweepGrid& grid, const std::vector<PlannedUnit>& units) const;
   // Checks, makes the folders, keeps the grid and its scenario files.
   absl::Status Prepare(const SweepGrid& grid, const std::vector<PlannedUnit>& units) const;

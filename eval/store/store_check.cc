@@ -12,6 +12,7 @@
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
 #include "common/status_macros.h"
+#include "eval/store/played_alike.h"
 #include "eval/store/run_directory.h"
 
 namespace robostress {
@@ -128,6 +129,8 @@ const char* StoreFaultName(StoreFault fault) {
       return "conflict";
     case StoreFault::kOtherModel:
       return "other model";
+    case StoreFault::kUnlike:
+      return "unlike";
     case StoreFault::kUnfinished:
       return "unfinished";
     case StoreFault::kMissing:
@@ -140,7 +143,7 @@ const char* StoreFaultName(StoreFault fault) {
   return "";
 }
 
-bool IsBad(StoreFault fault) { return fault <= StoreFault::kOtherModel; }
+bool IsBad(StoreFault fault) { return fault <= StoreFault::kUnlike; }
 
 bool IsIncomplete(StoreFault fault) {
   return fault == StoreFault::kUnfinished || fault == StoreFault::kMissing;
@@ -161,6 +164,7 @@ absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores
   StoreContents contents;
   UnitTextReader texts;
   std::vector<ModelUse> models;
+  PlayedAlike alike;
   RS_RETURN_IF_ERROR(CheckRunDirectories(stores));
   for (const std::string& store : stores) {
     const RunDirectory run(store);
@@ -174,6 +178,8 @@ absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores
         models.push_back({PolicyLabel(unit.config.policy), unit.provenance.value("model_hash", ""),
                           absl::StrCat(store, "/", unit.id)});
       }
+      if (inspection.finished && inspection.damage.empty())
+        alike.Add(unit.config, absl::StrCat(store, "/", unit.id));
       AddUnit(store, std::move(inspection), contents);
     }
     AddParts(run, present, contents);
@@ -183,6 +189,8 @@ absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores
   CompareScenarioFiles(stores, contents);
   for (const std::string& complaint : DifferentModels(models))
     Report("", "", StoreFault::kOtherModel, complaint, contents);
+  for (const std::string& complaint : alike.complaints())
+    Report("", "", StoreFault::kUnlike, complaint, contents);
   std::stable_sort(contents.findings.begin(), contents.findings.end(),
                    [](const StoreFinding& a, const StoreFinding& b) { return a.fault < b.fault; });
   return contents;

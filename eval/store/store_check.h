@@ -13,6 +13,7 @@ enum class StoreFault {
   kDamaged,     // a finished unit whose files are torn, changed or contradict each other
   kConflict,    // one unit with different results in two stores, or one name for two scenario files
   kOtherModel,  // units of one policy that ran on different weights
+  kUnlike,      // units that their names do not tell apart, played with other options
   kUnfinished,  // begun, without DONE
   kMissing,     // planned by a grid of the store, never begun
   kUnplanned,   // of no grid of the store; counted all the same

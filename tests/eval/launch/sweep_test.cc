@@ -167,8 +167,46 @@ TEST_F(SweepProgram, OtherConfigurationOfAStartedUnitIsRefused) {
   ASSERT_EQ(Sweep(Small("run")), 0) << output();
   const std::string table = *ReadFile(folder_ + "/run/episodes.csv");
   EXPECT_EQ(Sweep(Small("run") + "--set sim.goal_reference=desired"), 1);
-  EXPECT_THAT(output(), HasSubstr("another configuration"));
+  EXPECT_THAT(output(), HasSubstr("another configuration, and it has been started: "
+                                  "sim.goal_reference is achieved in it, and desired in this "
+                                  "command"));
   EXPECT_EQ(*ReadFile(folder_ + "/run/episodes.csv"), table);
+}
+
+// Base and a method with other simulators would be paired as the same episodes.
+TEST_F(SweepProgram, AUnitThatWouldBePlayedUnlikeTheOthersIsRefused) {
+  const std::string goal = "--tasks 1 --episodes 2 --scenarios heavy_payload ";
+  const std::string run = absl::StrCat("--out '", folder_, "/run' "),
+                    other = absl::StrCat("--out '", folder_, "/other' ");
+  ASSERT_EQ(Sweep(goal + "--methods base " + run), 0) << output();
+  const std::string gain = goal + "--methods gain --set sim.controller_kp=300 ";
+  EXPECT_EQ(Sweep(gain + run), 1);
+  EXPECT_THAT(output(), HasSubstr("suite tabletop_goal: sim.controller_kp is 300 in this command, "
+                                  "and its default in "
+                                  "tabletop_goal-heavy_payload-L5-nano-base-s0"));
+  EXPECT_THAT(output(), HasSubstr("Choose another --out, or repeat the options of"));
+  EXPECT_EQ(Sweep(goal + "--methods gain --episodes 1 " + run), 1);
+  EXPECT_EQ(Sweep(goal + "--methods ours --seeds 1 --set method.rank=2 " + run), 0)
+      << "options of another method\n"
+      << output();
+  EXPECT_EQ(Sweep(goal + "--methods ours --seeds 2 " + run), 1);
+  EXPECT_THAT(output(), HasSubstr("method ours: method.rank is "));
+  // A run of an older version that has both.
+  ASSERT_EQ(Sweep(gain + other), 0) << output();
+  const std::string id = "/units/tabletop_goal-heavy_payload-L5-nano-gain-s0";
+  std::filesystem::copy(folder_ + "/other" + id, folder_ + "/run" + id,
+                        std::filesystem::copy_options::recursive);
+  const auto say = [this](const std::string& program) {
+    const int status = std::system(absl::StrCat("'", BIN_DIR, "/robostress-", program, " '",
+                                                folder_, "/run' > '", output_file_, "' 2>&1")
+                                       .c_str());
+    return WEXITSTATUS(status);
+  };
+  EXPECT_EQ(say("store' verify"), 3);
+  EXPECT_THAT(output(), HasSubstr("unlike: suite tabletop_goal: sim.controller_kp is its default"));
+  EXPECT_EQ(say("report'"), 0);
+  EXPECT_THAT(output(), HasSubstr("These units were not played alike"));
+  EXPECT_THAT(*ReadFile(folder_ + "/run/report.html"), HasSubstr("sim.controller_kp is"));
 }
 
 TEST_F(SweepProgram, AScenarioFileThatIsGoneChangesNoReport) {

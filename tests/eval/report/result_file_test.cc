@@ -103,7 +103,8 @@ TEST(ResultFile, UnitsThatWereNotPlayedAlikeAreNoTable) {
   run.units[1].config.sim.settle_steps = 20;
   const auto refused = ExportResults(run, Summarise(run, 20));
   EXPECT_THAT(std::string(refused.status().message()),
-              HasSubstr("suite tabletop_goal with sim.settle_steps 10 and 20"));
+              HasSubstr("suite tabletop_goal: sim.settle_steps is 10 in " + run.units[0].id +
+                        ", and 20 in " + run.units[1].id));
 }
 
 TEST(ResultFile, EveryFieldMustBeThere) {

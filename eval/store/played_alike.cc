@@ -1,0 +1,236 @@
+#include "eval/store/played_alike.h"
+
+#include <bit>
+#include <cstdint>
+#include <type_traits>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "adapter/method_options.h"
+#include "common/atomic_file.h"
+#include "common/config.h"
+#include "common/joint_errors/scenario_file.h"
+#include "common/unit/robots.h"
+#include "eval/plan/plan.h"
+
+namespace robostress {
+namespace {
+
+void Flatten(const YAML::Node& node, const std::string& path, FlatOptions& options) {
+  if (node.IsMap()) {
+    for (const auto& entry : node) {
+      const std::string key = entry.first.as<std::string>();
+      Flatten(entry.second, path.empty() ? key : absl::StrCat(path, ".", key), options);
+    }
+  } else if (node.IsSequence()) {
+    std::vector<std::string> items;
+    for (const YAML::Node& item : node)
+      items.push_back(item.IsScalar() ? item.Scalar() : YAML::Dump(item));
+    if (!items.empty()) options[path] = absl::StrJoin(items, ",");
+  } else if (node.IsScalar() && !node.Scalar().empty()) {
+    options[path] = node.Scalar();
+  }
+}
+
+// A path says where a file lies on somebody's machine; its content decides.
+std::string FileOrWord(const std::string& value) {
+  if (value.find('/') == std::string::npos && !absl::EndsWith(value, ".json")) return value;
+  const absl::StatusOr<std::string> hash = Sha256OfFile(value);
+  return absl::StrCat("file ", hash.ok() ? hash->substr(0, 16) : "that is gone");
+}
+
+// A unit without what ProtocolOf leaves out.
+UnitConfig ProtocolUnit(const UnitConfig& unit) {
+  const UnitConfig usual;
+  UnitConfig config = unit;
+  config.scenario.clear();
+  config.policy.clear();
+  config.replay_file.clear();
+  config.libero_root.clear();
+  config.robosuite_root.clear();
+  config.libero_fixtures = FileOrWord(config.libero_fixtures);
+  config.remote = {};
+  config.suite = usual.suite, config.severity = usual.severity, config.seed = usual.seed;
+  config.videos = usual.videos, config.method = usual.method;
+  return config;
+}
+
+UnitConfig MethodUnit(const UnitConfig& unit) {
+  UnitConfig config;
+  config.method = unit.method;
+  return config;
+}
+
+UnitConfig RemoteUnit(const UnitConfig& unit) {
+  UnitConfig config;
+  config.remote = unit.remote;
+  // A key may stand in a query.
+  std::string& path = config.remote.dialect.path;
+  path = path.substr(0, path.find('?'));
+  return config;
+}
+
+UnitConfig ScenarioUnit(const UnitConfig& unit) {
+  UnitConfig config;
+  config.scenario = ScenarioHash(unit);
+  return config;
+}
+
+// Every value of a configuration, one behind the other: two that are equal have equal texts, at a
+// hundredth of what YAML costs.
+class ValueText {
+ public:
+  template <class T>
+  void Field(const char*, T& value, const char*) {
+    if constexpr (std::is_same_v<T, double>) {
+      absl::StrAppend(&text_, std::bit_cast<uint64_t>(value), "\n");
+    } else if constexpr (std::is_same_v<T, std::string>) {
+      absl::StrAppend(&text_, value.size(), ":", value, "\n");
+    } else if constexpr (std::is_arithmetic_v<T>) {
+      absl::StrAppend(&text_, value, "\n");
+    } else {
+      absl::StrAppend(&text_, value.size(), "[");
+      for (auto item : value) Field("", item, "");
+    }
+  }
+  template <class E>
+  void Choice(const char*, E& value, const std::vector<std::pair<const char*, E>>&, const char*) {
+    absl::StrAppend(&text_, static_cast<int>(value), "\n");
+  }
+  template <class S>
+  void Section(const char*, S& section, const char*) {
+    section.Visit(*this);
+  }
+  template <class T>
+  void Late(const char* key, T& value, const T&, const char* doc) {
+    Field(key, value, doc);
+  }
+  template <class S>
+  void LateSection(const char* key, S& section, bool, const char* doc) {
+    Section(key, section, doc);
+  }
+
+  static std::string Of(UnitConfig config) {
+    ValueText values;
+    config.Visit(values);
+    return std::move(values.text_);
+  }
+
+ private:
+  std::string text_;
+};
+
+}  // namespace
+
+FlatOptions FlatOptionsOf(const std::string& yaml) {
+  FlatOptions options;
+  Flatten(YAML::Load(yaml), "", options);
+  return options;
+}
+
+std::string FirstDifference(const FlatOptions& a, const std::string& in_a, const FlatOptions& b,
+                            const std::string& in_b) {
+  std::set<std::string> keys;
+  for (const FlatOptions* options : {&a, &b})
+    for (const auto& [key, value] : *options) keys.insert(key);
+  const auto value_of = [](const FlatOptions& options, const std::string& key) {
+    const auto found = options.find(key);
+    return found == options.end() ? "its default" : found->second;
+  };
+  for (const std::string& key : keys) {
+    const std::string of_a = value_of(a, key), of_b = value_of(b, key);
+    if (of_a != of_b)
+      return absl::StrCat(key, " is ", of_a, " in ", in_a, ", and ", of_b, " in ", in_b);
+  }
+  return "";
+}
+
+FlatOptions ProtocolOf(const UnitConfig& unit) {
+  FlatOptions options = FlatOptionsOf(DumpConfig(ProtocolUnit(unit)));
+  std::erase_if(options, [](const auto& option) {
+    const std::string& key = option.first;
+    return key == "severity" || key == "seed" || key == "suite" || key == "videos" ||
+           absl::StartsWith(key, "method.");
+  });
+  return options;
+}
+
+std::string ScenarioHash(const UnitConfig& config) {
+  if (!ArmTitle(config.scenario).empty()) return "";
+  const absl::StatusOr<Scenario> scenario = MakeScenario(config.scenario, config.severity);
+  // Of another arm than the Panda, or gone.
+  if (!scenario.ok()) return Sha256OfFile(config.scenario).value_or("");
+  std::string text =
+      absl::StrCat(scenario->friction_on, scenario->gravity_on, scenario->backlash_on,
+                   scenario->compliance_on, static_cast<int>(scenario->profile));
+  const auto add = [&text](std::initializer_list<double> values) {
+    for (const double value : values) absl::StrAppendFormat(&text, " %.17g", value);
+    text += ';';
+  };
+  for (const JointErrorParameters& p : scenario->nominal)
+    add({p.Fc, p.Fs, p.vs, p.sigma_v, p.B, p.M_eff, p.D, p.K, p.beta});
+  for (const auto* factors : {&scenario->start, &scenario->end}) {
+    for (const SeverityFactors& f : *factors)
+      add({f.friction, f.gravity, f.backlash, f.compliance});
+  }
+  for (const ScenarioEffect& effect : scenario->effects) {
+    absl::StrAppend(&text, effect.type, " ", effect.joint, " ", effect.coupled);
+    for (const double value : effect.values) add({value});
+  }
+  return Sha256Hex(text);
+}
+
+void PlayedAlike::Add(const UnitConfig& config, const std::string& place) {
+  Look(config, place, true);
+}
+
+void PlayedAlike::Compare(const UnitConfig& config, const std::string& place) {
+  Look(config, place, false);
+}
+
+void PlayedAlike::Look(const UnitConfig& config, const std::string& place, bool add) {
+  const bool file = IsScenarioFile(config.scenario);
+  UnitConfig whole = config;
+  whole.seed = 0, whole.videos = 0;
+  if (!file) whole.scenario.clear(), whole.severity = 0;
+  if (!seen_.insert(ValueText::Of(std::move(whole))).second) return;
+  std::map<std::string, UnitConfig> parts = {
+      {"suite " + config.suite, ProtocolUnit(config)},
+      {"method " + config.method->method, MethodUnit(config)},
+      {"policy " + PolicyLabel(config.policy), RemoteUnit(config)}};
+  if (file) {
+    parts.emplace(absl::StrCat("scenario ", ScenarioLabel(config.scenario), " at L", config.severity),
+                  ScenarioUnit(config));
+  }
+  for (const auto& [what, part] : parts) {
+    const auto first = first_.find(what);
+    if (first == first_.end()) {
+      if (add) first_.emplace(what, First{part, place});
+      continue;
+    }
+    const std::string difference =
+        FirstDifference(FlatOptionsOf(DumpConfig(first->second.config)), first->second.place,
+                        FlatOptionsOf(DumpConfig(part)), place);
+    if (!difference.empty() && unlike_.insert(what).second)
+      complaints_.push_back(absl::StrCat(what, ": ", difference));
+  }
+}
+
+std::vector<std::string> UnlikeUnits(const RunData& run) {
+  PlayedAlike alike;
+  for (const UnitResult& unit : run.units) alike.Add(unit.config, unit.id);
+  return alike.complaints();
+}
+
+std::string UnlikeUnitsNote(const RunData& run) {
+  const std::vector<std::string> unlike = UnlikeUnits(run);
+  if (unlike.empty()) return "";
+  return absl::StrCat("These units were not played alike, so that their rows and differences say "
+                      "nothing: ",
+                      absl::StrJoin(unlike, "; "), ".");
+}
+
+}  // namespace robostress
