@@ -34,7 +34,7 @@ std::string TitleOf(const PaperColumn& column) {
 class Filler {
  public:
   Filler(const PaperTable& table, const PaperProtocol& protocol, const RunData& run, int replicates)
-      : table_(table), protocol_(protocol), run_(run), replicates_(replicates) {}
+      : table_(table), protocol_(protocol), units_(CountedUnits(run)), replicates_(replicates) {}
 
   bool IsMissing(const PaperColumn& column) const {
     return protocol_.PolicyOf(column.role).empty();
@@ -44,13 +44,13 @@ class Filler {
   Units UnitsIn(const std::string& part, const PaperColumn& column) const {
     const std::string& scenario = table_.suites.empty() ? part : column.scenario;
     Units units;
-    for (const UnitResult& unit : run_.units) {
-      const UnitConfig& c = unit.config;
+    for (const UnitResult* unit : units_) {
+      const UnitConfig& c = unit->config;
       if (c.scenario == scenario && (table_.suites.empty() || c.suite == part) &&
           c.method->method == column.method &&
           PolicyLabel(c.policy) == PolicyLabel(protocol_.PolicyOf(column.role)) &&
           (c.severity == column.severity || SameAtEveryLevel(scenario)))
-        units.push_back(&unit);
+        units.push_back(unit);
     }
     return units;
   }
@@ -111,7 +111,7 @@ class Filler {
  private:
   const PaperTable& table_;
   const PaperProtocol& protocol_;
-  const RunData& run_;
+  const Units units_;
   const int replicates_;
 };
 

@@ -43,12 +43,12 @@ CellKey KeyOf(const UnitConfig& config) {
 // Cells in the order of the store's units.
 std::vector<std::pair<CellKey, Units>> CellsOf(const RunData& run) {
   std::vector<std::pair<CellKey, Units>> cells;
-  for (const UnitResult& unit : run.units) {
-    const CellKey key = KeyOf(unit.config);
+  for (const UnitResult* unit : CountedUnits(run)) {
+    const CellKey key = KeyOf(unit->config);
     auto cell = std::find_if(cells.begin(), cells.end(),
                              [&](const auto& entry) { return entry.first == key; });
     if (cell == cells.end()) cell = cells.insert(cells.end(), {key, {}});
-    cell->second.push_back(&unit);
+    cell->second.push_back(unit);
   }
   return cells;
 }

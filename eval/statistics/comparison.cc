@@ -7,6 +7,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "adapter/method_options.h"
+#include "common/joint_errors/scenario_file.h"
+#include "eval/plan/plan.h"
 #include "eval/statistics/paired_tests.h"
 
 namespace robostress {
@@ -42,6 +44,32 @@ void ForEachPair(const std::vector<PairedUnits>& strata, const Use& use) {
 }
 
 }  // namespace
+
+Units CountedUnits(const RunData& run) {
+  std::map<std::string, bool> same_at_every_level;  // by scenario, which may be a file
+  using Copies = std::tuple<std::string, std::string, std::string, std::string, int64_t>;
+  std::map<Copies, size_t> places;
+  Units units;
+  for (const UnitResult& unit : run.units) {
+    const UnitConfig& c = unit.config;
+    auto same = same_at_every_level.find(c.scenario);
+    if (same == same_at_every_level.end())
+      same = same_at_every_level.emplace(c.scenario, SameAtEveryLevel(c.scenario)).first;
+    if (same->second) {
+      const auto [place, first] =
+          places.emplace(Copies{c.suite, ScenarioLabel(c.scenario), PolicyLabel(c.policy),
+                                c.method->method, c.seed},
+                         units.size());
+      if (!first) {
+        const UnitResult*& counted = units[place->second];
+        if (counted->config.severity < c.severity) counted = &unit;
+        continue;
+      }
+    }
+    units.push_back(&unit);
+  }
+  return units;
+}
 
 Clustering ClusteringOf(const std::vector<Units>& units) {
   for (const Units& some : units) {

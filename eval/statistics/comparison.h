@@ -12,6 +12,9 @@ namespace robostress {
 
 // Units of one cell of a table. They point into a RunData that outlives them.
 using Units = std::vector<const UnitResult*>;
+// The run's units, each episode once: of a scenario that is the same at every level, and was played
+// at several of them, the units of the highest.
+Units CountedUnits(const RunData& run);
 // kTask where the method of any unit carries something from one episode to the next.
 Clustering ClusteringOf(const std::vector<Units>& units);
 

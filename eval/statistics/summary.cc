@@ -253,25 +253,27 @@ Summary Summarise(const RunData& run, int bootstrap_replicates) {
   summary.noise_paired = UnpairedNoiseNote(run).empty();
   std::set<std::pair<std::string, int>> groups;  // policy, severity
   std::map<std::string, std::set<int>> levels;   // of scenarios that have several
-  for (const UnitResult& unit : run.units) {
-    summary.episodes += static_cast<int>(unit.episodes.size());
-    if (!SameAtEveryLevel(unit.config.scenario))
-      levels[unit.config.policy].insert(unit.config.severity);
+  const Units counted = CountedUnits(run);
+  for (const UnitResult* unit : counted) {
+    summary.episodes += static_cast<int>(unit->episodes.size());
+    if (!SameAtEveryLevel(unit->config.scenario))
+      levels[unit->config.policy].insert(unit->config.severity);
   }
-  for (const UnitResult& unit : run.units) {
-    const std::set<int>& of_policy = levels[unit.config.policy];
-    if (of_policy.empty()) groups.insert({unit.config.policy, unit.config.severity});
-    for (const int severity : of_policy) groups.insert({unit.config.policy, severity});
+  for (const UnitResult* unit : counted) {
+    const std::set<int>& of_policy = levels[unit->config.policy];
+    if (of_policy.empty()) groups.insert({unit->config.policy, unit->config.severity});
+    for (const int severity : of_policy) groups.insert({unit->config.policy, severity});
   }
   for (const auto& [policy, severity] : groups) {
     Units units;
     std::vector<std::string> suites;
-    for (const UnitResult& unit : run.units) {
-      if (unit.config.policy != policy) continue;
-      if (unit.config.severity != severity && !SameAtEveryLevel(unit.config.scenario)) continue;
-      units.push_back(&unit);
-      if (std::find(suites.begin(), suites.end(), unit.config.suite) == suites.end())
-        suites.push_back(unit.config.suite);
+    for (const UnitResult* unit : counted) {
+      const UnitConfig& config = unit->config;
+      if (config.policy != policy) continue;
+      if (config.severity != severity && !SameAtEveryLevel(config.scenario)) continue;
+      units.push_back(unit);
+      if (std::find(suites.begin(), suites.end(), config.suite) == suites.end())
+        suites.push_back(config.suite);
     }
     const std::string label = PolicyLabel(policy);
     summary.tables.push_back(MakeTable(units, label, severity, "", bootstrap_replicates));

@@ -99,6 +99,22 @@ TEST(CompareStores, SaysWhatIsInOneStoreAloneAndWhatIsOtherwiseDifferent) {
   EXPECT_THAT(notes, HasSubstr("gain: 1.5"));
 }
 
+TEST(CompareStores, CleanThatWasPlayedAtTwoLevelsCountsOnce) {
+  RunData first, second;
+  first.units = {SyntheticUnit("clean", "base", {0, 1}), SyntheticUnit("clean", "base", {0, 1})};
+  first.units[0].config.severity = 3;
+  second.units = {SyntheticUnit("clean", "base", {1, 1})};
+  for (const bool turned : {false, true}) {
+    const auto comparison =
+        turned ? CompareStores(second, first, 50) : CompareStores(first, second, 50);
+    ASSERT_TRUE(comparison.ok()) << comparison.status();
+    ASSERT_EQ(comparison->rows.size(), 1u);
+    EXPECT_EQ(comparison->rows[0].n_first, 2);
+    EXPECT_EQ(comparison->rows[0].n_second, 2);
+    EXPECT_EQ(comparison->rows[0].paired->pairs, 2);
+  }
+}
+
 TEST(CompareStores, StoresWithoutACommonCellAreRefused) {
   RunData first, second;
   first.dir = "a", second.dir = "b";

@@ -106,6 +106,33 @@ TEST(Summary, CleanStandsInTheTableOfEverySeverity) {
   EXPECT_EQ(summary.tables[1].averages.at("base").success.estimate, 0);
 }
 
+// As a second sweep with other --severities leaves it: Clean is planned at the highest of each.
+TEST(Summary, CleanThatWasPlayedAtTwoLevelsCountsOnce) {
+  const auto at = [](int severity, UnitResult unit) {
+    unit.config.severity = severity;
+    unit.id = UnitId(unit.config);
+    return unit;
+  };
+  RunData once, twice;
+  for (const int severity : {5, 3}) {
+    for (RunData* run : {&once, &twice}) {
+      if (run == &once && severity == 3) continue;
+      run->units.push_back(at(severity, SyntheticUnit("clean", "base", {0, 0, 1, 0, 0, 0})));
+      run->units.push_back(at(severity, SyntheticUnit("clean", "gain", {1, 1, 1, 1, 1, 1})));
+    }
+  }
+  for (RunData* run : {&once, &twice})
+    run->units.push_back(at(3, SyntheticUnit("heavy_payload", "base", {1})));
+  const Summary summary = Summarise(twice, 50), expected = Summarise(once, 50);
+  ASSERT_EQ(summary.tables.size(), 1u);
+  const Cell &gain = summary.tables[0].rows[0].cells.at("gain"),
+             &alone = expected.tables[0].rows[0].cells.at("gain");
+  EXPECT_EQ(gain.n, 6);
+  EXPECT_EQ(gain.contrasts.versus_base->pairs, 6);
+  EXPECT_EQ(gain.contrasts.versus_base->mcnemar_p, alone.contrasts.versus_base->mcnemar_p);
+  EXPECT_EQ(summary.episodes, expected.episodes);
+}
+
 TEST(Summary, CurvesFollowTheEpisodesOfAUnitWithoutClean) {
   RunData run;
   run.units = {SyntheticUnit("clean", "ours", {0, 0}),
