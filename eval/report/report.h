@@ -29,6 +29,8 @@ std::string TerminalTable(const RunData& run, const Summary& summary);
 // One sentence: success over the scenarios with errors, and each method's difference from base with
 // its interval. Empty without base, another method or such a scenario.
 std::string Conclusion(const SuccessTable& table);
+// "" where every method has an average; else which lack what.
+std::string MissingNote(const SuccessTable& table);
 std::string TableCsv(const Summary& summary);
 // The tables over all suites, for a README.
 std::string TableMarkdown(const Summary& summary);

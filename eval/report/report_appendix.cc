@@ -280,7 +280,7 @@ std::string LimitsSection(const RunData& run, const Summary& summary, const Succ
   int clusters = 0;
   const char* noun = "";
   for (const auto& [method, average] : main.averages) {
-    if (clusters > 0 && average.success.clusters >= clusters) continue;
+    if (average.n == 0 || (clusters > 0 && average.success.clusters >= clusters)) continue;
     clusters = average.success.clusters;
     noun = ClusterNoun(average.clustering);
   }

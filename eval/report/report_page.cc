@@ -50,8 +50,11 @@ const SuccessTable* MainTable(const Summary& summary) {
 std::string Headline(const SuccessTable& table) {
   const auto base = table.averages.find("base");
   if (base == table.averages.end() || !std::isfinite(base->second.success.estimate)) {
-    return "<p class=lead>This run has no scenario with errors for the base policy, so there is "
-           "nothing to compare yet.</p>";
+    return absl::StrCat("<p class=lead>",
+                        table.averages.empty()
+                            ? "This run has no scenario with errors"
+                            : "The base policy was not played in every scenario of this run",
+                        ", so there is nothing to compare yet.</p>");
   }
   std::string text = "<p class=lead>";
   const Cell* clean = nullptr;
@@ -105,6 +108,7 @@ std::string Tiles(const RunData& run, const Summary& summary, const SuccessTable
   }
   for (const std::string& method : table.methods) {
     if (html.size() > 700 || !table.averages.count(method)) break;
+    if (table.averages.at(method).n == 0) continue;
     html += Tile(Percent(table.averages.at(method).success.estimate) + " %",
                  absl::StrCat(MethodTitle(method), ", average under errors"));
   }

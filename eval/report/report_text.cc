@@ -132,11 +132,14 @@ std::string Conclusion(const SuccessTable& table) {
   const auto scenarios = std::count_if(table.rows.begin(), table.rows.end(),
                                        [](const auto& row) { return row.scenario != "clean"; });
   std::vector<std::string> others;
+  CountRange counts;
+  counts.Add(base->second.n);
   for (const std::string& method : table.methods) {
     const auto found = table.averages.find(method);
     if (method == "base" || found == table.averages.end() || !found->second.contrasts.versus_base)
       continue;
     const AverageCell& average = found->second;
+    counts.Add(average.n);
     others.push_back(
         absl::StrCat(MethodTitle(method), " ", Percent(average.success.estimate), " % (",
                      PointsText(*average.contrasts.versus_base),
@@ -146,14 +149,29 @@ std::string Conclusion(const SuccessTable& table) {
   const bool arms = !ArmTitle(table.rows.front().scenario).empty();
   return absl::StrCat(
       "Over ", scenarios, arms ? " arm" : " scenario", scenarios == 1 ? "" : "s",
-      arms ? ", " : " with errors, ", base->second.n, " episodes a method, Base succeeds in ",
+      arms ? ", " : " with errors, ", counts.Text(), " episodes a method, Base succeeds in ",
       Percent(base->second.success.estimate), " %, ", absl::StrJoin(others, ", "), ".");
+}
+
+std::string MissingNote(const SuccessTable& table) {
+  std::vector<std::string> methods;
+  for (const std::string& method : table.methods) {
+    const auto average = table.averages.find(method);
+    if (average == table.averages.end() || average->second.missing.empty()) continue;
+    methods.push_back(absl::StrCat(MethodTitle(method), " lacks ",
+                                   absl::StrJoin(average->second.missing, ", ")));
+  }
+  if (methods.empty()) return "";
+  return absl::StrCat("An average is over every scenario of the table: ",
+                      absl::StrJoin(methods, "; "), ".");
 }
 
 std::string TerminalTable(const RunData& run, const Summary& summary) {
   std::string text;
   for (const SuccessTable& table : summary.tables) {
     absl::StrAppend(&text, "\n", TableHeading(table), "\n", AlignedTable(SuccessRows(table)));
+    if (const std::string note = MissingNote(table); !note.empty())
+      absl::StrAppend(&text, "  ", note, "\n");
     if (table.suite.empty()) absl::StrAppend(&text, "\n", AlignedTable(ResidualRows(table)));
   }
   absl::StrAppend(
@@ -187,6 +205,8 @@ std::string TableMarkdown(const Summary& summary) {
   for (const SuccessTable& table : summary.tables) {
     if (!table.suite.empty()) continue;
     absl::StrAppend(&text, TableHeading(table), "\n\n", MarkdownTable(SuccessRows(table)), "\n");
+    if (const std::string note = MissingNote(table); !note.empty())
+      absl::StrAppend(&text, note, "\n\n");
   }
   return text;
 }

@@ -10,6 +10,7 @@
 #include "eval/plan/titles.h"
 #include "eval/report/html_numbers.h"
 #include "eval/report/paper_values.h"
+#include "eval/report/report.h"
 
 namespace robostress {
 namespace {
@@ -88,7 +89,10 @@ std::string SuccessTableHtml(const SuccessTable& table) {
                           PaperAverage().pi0_base, PaperAverage().pi0_ours,
                           PaperAverage().pi05_base, PaperAverage().pi05_ours);
   }
-  return html + "</table></div>\n";
+  html += "</table></div>\n";
+  if (const std::string note = MissingNote(table); !note.empty())
+    absl::StrAppend(&html, "<p class=note>", EscapeXml(note), "</p>\n");
+  return html;
 }
 
 // Scenarios x methods against base; empty when nothing was paired.

@@ -96,6 +96,7 @@ json TableJson(const SuccessTable& table) {
                         {"adapts", average.adapts},
                         {"updates", average.updates},
                         {"n", average.n},
+                        {"lacks", average.missing},
                         {"seeds", SeedsJson(average.seeds)},
                         {"measures", MeasuresJson(average.measures)}};
     AddContrasts(average.contrasts, averages[method]);

@@ -53,14 +53,14 @@ Cell MakeCell(const Units& units) {
 // Scenarios and methods of a table, each in canonical order.
 using Grid = std::map<std::string, std::map<std::string, Units>>;  // scenario -> method -> units
 
-// Units of the method and of another in each scenario that has both.
+// Units of the method and of another in each scenario; none where one of them lacks a scenario.
 std::vector<PairedUnits> StrataOf(const Grid& grid, const std::vector<std::string>& scenarios,
                                   const std::string& method, const std::string& reference) {
   std::vector<PairedUnits> strata;
   for (const std::string& scenario : scenarios) {
     const auto& by_method = grid.at(scenario);
-    if (by_method.count(method) && by_method.count(reference))
-      strata.push_back({by_method.at(method), by_method.at(reference)});
+    if (by_method.count(method) == 0 || by_method.count(reference) == 0) return {};
+    strata.push_back({by_method.at(method), by_method.at(reference)});
   }
   return strata;
 }
@@ -95,9 +95,17 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
   std::vector<std::string> scenarios;
   for (const ScenarioRow& row : table.rows) {
     if (row.scenario == "clean") continue;
-    const auto cell = row.cells.find(method);
+    if (row.cells.count(method) == 0) average.missing.push_back(row.title);
     scenarios.push_back(row.scenario);
-    if (cell == row.cells.end()) continue;
+  }
+  if (!average.missing.empty()) {
+    average.success.estimate = average.success.interval.low = average.success.interval.high = kNaN;
+    average.seeds = SpreadOverSeeds({});
+    return average;
+  }
+  for (const ScenarioRow& row : table.rows) {
+    const auto cell = row.cells.find(method);
+    if (row.scenario == "clean") continue;
     strata.push_back(grid.at(row.scenario).at(method));
     for (const UnitResult* unit : strata.back()) {
       for (const EpisodeRow& episode : unit->episodes) {

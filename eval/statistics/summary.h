@@ -47,8 +47,10 @@ struct ScenarioRow {
   std::map<std::string, Cell> cells;  // by method
 };
 
-// Mean over the scenarios of a table, Clean excluded.
+// Mean over the scenarios of a table, Clean excluded: over all of them, because means over other
+// scenarios do not stand beside each other.
 struct AverageCell {
+  std::vector<std::string> missing;  // titles of those that the method lacks; then n is 0
   int n = 0;
   BootstrapResult success;
   Clustering clustering = Clustering::kInitialState;  // of its interval

@@ -19,6 +19,7 @@
 namespace robostress {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
 
@@ -65,6 +66,37 @@ TEST(Conclusion, SaysInOneSentenceWhatEachMethodIsWorth) {
   EXPECT_THAT(text, HasSubstr("which may be chance)."));
   EXPECT_THAT(TerminalTable(run, summary), ::testing::EndsWith(text + "\n"));
   EXPECT_EQ(Conclusion({}), "");
+}
+
+TEST(Averages, OfOtherScenariosDoNotStandBesideEachOther) {
+  RunData run = SmallRun();
+  run.units.push_back(SyntheticUnit("aged_joint_elbow", "base", {1, 1, 1, 1}));
+  run.units.push_back(SyntheticUnit("aged_joint_elbow", "gain", {1, 1, 1, 1}));
+  run.units.push_back(SyntheticUnit("heavy_payload", "gain", {1, 1, 1, 1}));
+  run.units.push_back(SyntheticUnit("heavy_payload", "null", {1, 1, 0, 0}));
+  const Summary summary = Summarise(run, 100);
+  const SuccessTable& table = summary.tables[0];
+  EXPECT_NEAR(table.averages.at("base").success.estimate, 0.625, 1e-12);
+  EXPECT_TRUE(std::isnan(table.averages.at("ours").success.estimate));
+  EXPECT_EQ(table.averages.at("ours").n, 0);
+  EXPECT_FALSE(table.averages.at("ours").contrasts.versus_base.has_value());
+  EXPECT_FALSE(table.averages.at("gain").contrasts.versus_control.count("null"));
+  const std::string note = MissingNote(table);
+  EXPECT_EQ(note,
+            "An average is over every scenario of the table: " + MethodTitle("ours") +
+                " lacks Aged Joint-Elbow; " + MethodTitle("null") + " lacks Aged Joint-Elbow.");
+  const std::string text = TerminalTable(run, summary), page = ReportPage(run, summary, {});
+  EXPECT_THAT(text, HasSubstr(note));
+  EXPECT_THAT(page, HasSubstr(note));
+  EXPECT_THAT(page, Not(::testing::ContainsRegex("nan[^o]")));
+  EXPECT_THAT(Conclusion(table),
+              AllOf(::testing::StartsWith("Over 2 scenarios with errors, 8 episodes a method, Base "
+                                          "succeeds in 62.5 %, Gain control 100.0 %"),
+                    Not(HasSubstr("Ours"))));
+  run.units.pop_back();
+  for (UnitResult& unit : run.units)
+    if (unit.config.method->method == "gain") unit.episodes.pop_back();
+  EXPECT_THAT(Conclusion(Summarise(run, 100).tables[0]), HasSubstr("6 to 8 episodes a method"));
 }
 
 TEST(ReportPage, RefersToNothingOutsideItself) {
