@@ -2,8 +2,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/strings/str_join.h"
 #include "eval/report/report.h"
+#include "eval/report/text_table.h"
 
 namespace robostress {
 namespace {
@@ -63,7 +63,7 @@ void AppendCells(std::string& csv, std::vector<std::string> cells, const Contras
   cells.push_back(noise_paired ? "1" : "0");
   const auto& base = contrasts.versus_base;
   cells.push_back(base ? ClusterNoun(base->clustering) : "");
-  absl::StrAppend(&csv, absl::StrJoin(cells, ","), "\n");
+  csv += CsvTable({cells});
 }
 
 }  // namespace

@@ -127,16 +127,10 @@ class Declarations {
 
 // The cells of one table; a scenario that is equal at every level stands in several of them, and
 // comes once.
-void AddTable(const RunData& run, const SuccessTable& table, const std::string& suite,
-              std::set<std::string>& seen, ResultFile& file) {
-  const auto levelless = [&](const std::string& label) {
-    return std::any_of(run.units.begin(), run.units.end(), [&](const UnitResult& unit) {
-      return ScenarioLabel(unit.config.scenario) == label && SameAtEveryLevel(unit.config.scenario);
-    });
-  };
+void AddTable(const SuccessTable& table, const std::string& suite, std::set<std::string>& seen, ResultFile& file) {
   for (const ScenarioRow& row : table.rows) {
-    const std::string label = ScenarioLabel(row.scenario);
-    const int level = levelless(label) ? 0 : table.severity;
+    const std::string& label = row.scenario;
+    const int level = row.has_levels ? table.severity : 0;
     for (const std::string& method : table.methods) {
       const auto found = row.cells.find(method);
       if (found == row.cells.end() || found->second.n == 0) continue;
@@ -163,7 +157,7 @@ void AddTable(const RunData& run, const SuccessTable& table, const std::string& 
     cell.severity = table.severity;
     for (const ScenarioRow& row : table.rows) {
       if (row.scenario != "clean" && row.cells.count(method))
-        cell.scenarios.push_back(ScenarioLabel(row.scenario));
+        cell.scenarios.push_back(row.scenario);
     }
     cell.counts.n = average.n, cell.counts.clusters = average.success.clusters;
     cell.clustering = average.clustering;
@@ -243,7 +237,7 @@ absl::StatusOr<ResultFile> ExportResults(const RunData& run, const Summary& summ
     const std::string suite = !table.suite.empty() ? table.suite
                               : suites.size() == 1 ? *suites.begin()
                                                    : "all";
-    AddTable(run, table, suite, seen, file);
+    AddTable(table, suite, seen, file);
   }
   for (const std::string& note : {MixedMachinesNote(run), UnpairedNoiseNote(run)})
     if (!note.empty()) file.notes.push_back(note);

@@ -7,7 +7,6 @@
 #include "absl/strings/str_cat.h"
 #include "adapter/methods.h"
 #include "common/svg_plot.h"
-#include "eval/plan/plan.h"
 #include "eval/plan/titles.h"
 #include "eval/report/html_numbers.h"
 
@@ -18,6 +17,7 @@ constexpr int kPanelWidth = 304, kPanelHeight = 176;
 
 // A scenario in a suite: success by method and level.
 struct Panel {
+  std::string title;  // of the scenario
   std::map<std::string, std::map<int, const Cell*>> cells;
 };
 
@@ -42,9 +42,10 @@ PanelGrid CollectPanels(const Summary& summary, const std::string& policy) {
     AddOnce(grid.suites, table.title);
     for (const std::string& method : table.methods) AddOnce(grid.methods, method);
     for (const ScenarioRow& row : table.rows) {
-      if (SameAtEveryLevel(row.scenario)) continue;
+      if (!row.has_levels) continue;
       AddOnce(grid.scenarios, row.scenario);
       Panel& panel = grid.panels[{row.scenario, table.title}];
+      panel.title = row.title;
       for (const auto& [method, cell] : row.cells) panel.cells[method][table.severity] = &cell;
     }
   }
@@ -69,7 +70,7 @@ LinePlotOptions LevelAxis() {
 }
 
 std::string PanelPlot(const Panel& panel, const std::vector<std::string>& methods,
-                      const std::string& scenario, const std::string& suite) {
+                      const std::string& suite) {
   std::vector<LineSeries> series;
   for (const std::string& method : methods) {
     const auto levels = panel.cells.find(method);
@@ -84,7 +85,7 @@ std::string PanelPlot(const Panel& panel, const std::vector<std::string>& method
     series.push_back(std::move(line));
   }
   LinePlotOptions options = LevelAxis();
-  options.title = absl::StrCat(ScenarioTitle(scenario), " (n = ", CountText(panel), ")");
+  options.title = absl::StrCat(panel.title, " (n = ", CountText(panel), ")");
   options.x_label = absl::StrCat(suite, ", severity level");
   options.width = kPanelWidth;
   options.height = kPanelHeight;
@@ -138,9 +139,8 @@ std::string SeverityFigure(const Summary& summary, const std::string& policy) {
   for (const std::string& scenario : grid.scenarios) {
     for (const std::string& suite : grid.suites) {
       const auto panel = grid.panels.find({scenario, suite});
-      plots.push_back(panel == grid.panels.end()
-                          ? ""
-                          : PanelPlot(panel->second, grid.methods, scenario, suite));
+      plots.push_back(
+          panel == grid.panels.end() ? "" : PanelPlot(panel->second, grid.methods, suite));
     }
   }
   PlotSheetOptions options;

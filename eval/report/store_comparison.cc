@@ -23,6 +23,7 @@
 #include "eval/report/html_numbers.h"
 #include "eval/statistics/episode_bootstrap.h"
 #include "eval/statistics/paired_tests.h"
+#include "eval/store/played_alike.h"
 #include "nlohmann/json.hpp"
 
 namespace robostress {
@@ -104,8 +105,35 @@ std::string ModelOf(const UnitResult& unit) {
   return hash.is_string() ? hash.get<std::string>() : hash.dump();
 }
 
+// Names of scenario files that hold another scenario in the other store.
+std::set<std::string> OtherScenarios(const RunData& first, const RunData& second) {
+  const auto hashes = [](const RunData& run) {
+    std::map<std::string, std::string> of_files;
+    for (const UnitResult& unit : run.units) {
+      if (!IsScenarioFile(unit.config.scenario)) continue;
+      const auto [hash, fresh] = of_files.try_emplace(ScenarioLabel(unit.config.scenario));
+      if (!fresh) continue;
+      UnitConfig config = unit.config;
+      for (config.severity = 1; config.severity <= 5; ++config.severity)
+        hash->second += ScenarioHash(config);
+    }
+    return of_files;
+  };
+  const std::map<std::string, std::string> ours = hashes(first);
+  std::set<std::string> others;
+  for (const auto& [label, hash] : hashes(second)) {
+    const auto found = ours.find(label);
+    if (found != ours.end() && found->second != hash) others.insert(label);
+  }
+  return others;
+}
+
 // Lines of the configuration that differ: "method.gain: 1 -> 1.15" as "gain: 1 | gain: 1.15".
-std::vector<std::string> ChangedLines(const UnitConfig& first, const UnitConfig& second) {
+std::vector<std::string> ChangedLines(UnitConfig first, UnitConfig second) {
+  for (UnitConfig* config : {&first, &second}) {
+    config->scenario = ScenarioLabel(config->scenario);  // where a file lies is nothing
+    config->policy = PolicyLabel(config->policy);
+  }
   const std::vector<std::string> a = absl::StrSplit(DumpConfig(first), '\n'),
                                  b = absl::StrSplit(DumpConfig(second), '\n');
   std::vector<std::string> changes;
@@ -212,7 +240,14 @@ absl::StatusOr<StoreComparison> CompareStores(const RunData& first, const RunDat
   // policy, severity, method -> strata of the average
   std::map<std::tuple<std::string, int, std::string>, std::vector<PairedUnits>> averages;
   int without_partner = 0;
+  const std::set<std::string> other_scenarios = OtherScenarios(first, second);
+  const std::string refused =
+      other_scenarios.empty()
+          ? ""
+          : absl::StrCat("Not compared, because the file holds another scenario in the second: ",
+                         absl::StrJoin(other_scenarios, ", "), ".");
   for (const auto& [key, units] : cells) {
+    if (other_scenarios.count(std::get<3>(key)) > 0) continue;
     const auto other = std::find_if(others.begin(), others.end(),
                                     [&key = key](const auto& entry) { return entry.first == key; });
     if (other == others.end()) continue;
@@ -232,7 +267,8 @@ absl::StatusOr<StoreComparison> CompareStores(const RunData& first, const RunDat
   if (result.rows.empty()) {
     return absl::FailedPreconditionError(absl::StrCat(
         first.dir, " and ", second.dir,
-        " have no cell in common (policy, severity, scenario, method); nothing can be compared"));
+        " have no cell in common (policy, severity, scenario, method); nothing can be compared",
+        refused.empty() ? "" : ". ", refused));
   }
   for (const auto& [key, strata] : averages) {
     if (strata.size() < 2) continue;
@@ -245,6 +281,7 @@ absl::StatusOr<StoreComparison> CompareStores(const RunData& first, const RunDat
   }
   Correct(result.rows);
   result.notes = Notes(first, second);
+  if (!refused.empty()) result.notes.insert(result.notes.begin(), refused);
   if (without_partner > 0) {
     result.notes.push_back(absl::StrCat(without_partner,
                                         " episodes have no partner in the other store; paired "

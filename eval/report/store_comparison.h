@@ -27,8 +27,9 @@ struct StoreRow {
 struct StoreComparison {
   std::string first, second;  // directories
   std::vector<StoreRow> rows;
-  // What is in one store alone, other models under the same name, other configurations, episodes
-  // without a partner.
+  // Scenario files that hold something else in the second, whose cells are left out; what is in one
+  // store alone, other models under the same name, other configurations, episodes without a
+  // partner.
   std::vector<std::string> notes;
 };
 

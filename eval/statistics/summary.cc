@@ -172,7 +172,7 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
   std::set<std::string> methods_present;
   std::vector<std::string> suites;
   for (const UnitResult* unit : units) {
-    grid[unit->config.scenario][unit->config.method->method].push_back(unit);
+    grid[ScenarioLabel(unit->config.scenario)][unit->config.method->method].push_back(unit);
     methods_present.insert(unit->config.method->method);
     const SuiteInfo* info = FindSuite(unit->config.suite);
     const std::string title = info == nullptr ? unit->config.suite : info->title;
@@ -192,7 +192,9 @@ SuccessTable MakeTable(const Units& units, const std::string& policy, int severi
   for (const std::string& scenario : scenarios) {
     const auto by_method = grid.find(scenario);
     if (by_method == grid.end()) continue;
-    ScenarioRow row{scenario, ScenarioTitle(scenario), {}};
+    // Of a scenario file, where it lies.
+    const std::string& place = by_method->second.begin()->second.front()->config.scenario;
+    ScenarioRow row{scenario, ScenarioTitle(place), !SameAtEveryLevel(place), {}};
     for (const auto& [method, cell_units] : by_method->second) {
       Cell cell = MakeCell(cell_units);
       cell.contrasts = MakeContrasts(grid, {scenario}, method, cell.compensates && suite.empty(),
@@ -265,35 +267,35 @@ Summary Summarise(const RunData& run, int bootstrap_replicates) {
   for (const UnitResult* unit : counted) {
     summary.episodes += static_cast<int>(unit->episodes.size());
     if (!SameAtEveryLevel(unit->config.scenario))
-      levels[unit->config.policy].insert(unit->config.severity);
+      levels[PolicyLabel(unit->config.policy)].insert(unit->config.severity);
   }
   for (const UnitResult* unit : counted) {
-    const std::set<int>& of_policy = levels[unit->config.policy];
-    if (of_policy.empty()) groups.insert({unit->config.policy, unit->config.severity});
-    for (const int severity : of_policy) groups.insert({unit->config.policy, severity});
+    const std::string policy = PolicyLabel(unit->config.policy);
+    const std::set<int>& of_policy = levels[policy];
+    if (of_policy.empty()) groups.insert({policy, unit->config.severity});
+    for (const int severity : of_policy) groups.insert({policy, severity});
   }
   for (const auto& [policy, severity] : groups) {
     Units units;
     std::vector<std::string> suites;
     for (const UnitResult* unit : counted) {
       const UnitConfig& config = unit->config;
-      if (config.policy != policy) continue;
+      if (PolicyLabel(config.policy) != policy) continue;
       if (config.severity != severity && !SameAtEveryLevel(config.scenario)) continue;
       units.push_back(unit);
       if (std::find(suites.begin(), suites.end(), config.suite) == suites.end())
         suites.push_back(config.suite);
     }
-    const std::string label = PolicyLabel(policy);
-    summary.tables.push_back(MakeTable(units, label, severity, "", bootstrap_replicates));
+    summary.tables.push_back(MakeTable(units, policy, severity, "", bootstrap_replicates));
     if (suites.size() > 1) {
       for (const std::string& suite : suites) {
         Units of_suite;
         std::copy_if(units.begin(), units.end(), std::back_inserter(of_suite),
                      [&](const UnitResult* unit) { return unit->config.suite == suite; });
-        summary.tables.push_back(MakeTable(of_suite, label, severity, suite, bootstrap_replicates));
+        summary.tables.push_back(MakeTable(of_suite, policy, severity, suite, bootstrap_replicates));
       }
     }
-    CurveSet curves = MakeCurves(units, label, severity);
+    CurveSet curves = MakeCurves(units, policy, severity);
     if (!curves.curves.empty()) summary.curves.push_back(std::move(curves));
   }
   return summary;

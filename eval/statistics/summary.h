@@ -43,7 +43,8 @@ struct Cell {
 };
 
 struct ScenarioRow {
-  std::string scenario, title;
+  std::string scenario, title;  // the scenario's label
+  bool has_levels = true;
   std::map<std::string, Cell> cells;  // by method
 };
 

@@ -24,6 +24,8 @@ struct TimingSums {
 // One finished unit of a run directory.
 struct UnitResult {
   std::string id;
+  // As it was played, but for the policy, which is its label, and a scenario file, which is the
+  // run's copy where it has one.
   UnitConfig config;
   std::vector<EpisodeRow> episodes;  // in the order they were run
   std::vector<std::string> videos;   // paths, sorted

@@ -68,6 +68,13 @@ TEST(Conclusion, SaysInOneSentenceWhatEachMethodIsWorth) {
   EXPECT_EQ(Conclusion({}), "");
 }
 
+TEST(TableCsv, QuotesANameWithAComma) {
+  RunData run = SmallRun();
+  for (UnitResult& unit : run.units) unit.config.policy = "mine, \"the second\"";
+  EXPECT_THAT(TableCsv(Summarise(run, 50)),
+              HasSubstr("\n\"mine, \"\"the second\"\"\",5,all,clean,base,4,3,"));
+}
+
 TEST(Averages, OfOtherScenariosDoNotStandBesideEachOther) {
   RunData run = SmallRun();
   run.units.push_back(SyntheticUnit("aged_joint_elbow", "base", {1, 1, 1, 1}));

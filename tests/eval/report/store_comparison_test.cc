@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_join.h"
 #include "adapter/method_options.h"
+#include "common/atomic_file.h"
 #include "eval/report/text_table.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -113,6 +114,34 @@ TEST(CompareStores, CleanThatWasPlayedAtTwoLevelsCountsOnce) {
     EXPECT_EQ(comparison->rows[0].n_second, 2);
     EXPECT_EQ(comparison->rows[0].paired->pairs, 2);
   }
+}
+
+TEST(CompareStores, AFileOfOneNameThatHoldsAnotherScenarioIsNotCompared) {
+  const std::string folder = TestFolder();
+  const auto worn = [&](const std::string& name, const std::string& delay_s) {
+    const std::string file = folder + "/" + name + "/worn.yaml";
+    EXPECT_TRUE(MakeDirectories(folder + "/" + name).ok());
+    EXPECT_TRUE(WriteFileAtomically(file,
+                                    "joints: [{name: J4, effects: [{type: transport_delay, "
+                                    "delay_s: " +
+                                        delay_s + "}]}]\n")
+                    .ok());
+    return file;
+  };
+  RunData first = Store("a", {0, 1}, {1, 1}), second = Store("b", {1, 1}, {1, 1});
+  first.units.push_back(SyntheticUnit(worn("a", "0.02"), "base", {0, 1}));
+  second.units.push_back(SyntheticUnit(worn("b", "0.02"), "base", {1, 1}));
+  EXPECT_EQ(CompareStores(first, second, 50)->rows.size(), 4u) << "where a file lies is nothing";
+  EXPECT_THAT(NotesOf(*CompareStores(first, second, 50)), Not(HasSubstr("worn.yaml")));
+  worn("b", "0.04");
+  const auto comparison = CompareStores(first, second, 50);
+  EXPECT_EQ(comparison->rows.size(), 3u);
+  EXPECT_THAT(NotesOf(*comparison), HasSubstr("Not compared, because the file holds another "
+                                              "scenario in the second: worn."));
+  first.units.erase(first.units.begin(), first.units.begin() + 2);
+  EXPECT_THAT(std::string(CompareStores(first, second, 50).status().message()),
+              HasSubstr("no cell in common (policy, severity, scenario, method); nothing can be "
+                        "compared. Not compared, because the file"));
 }
 
 TEST(CompareStores, StoresWithoutACommonCellAreRefused) {

@@ -133,6 +133,20 @@ TEST(Summary, CleanThatWasPlayedAtTwoLevelsCountsOnce) {
   EXPECT_EQ(summary.episodes, expected.episodes);
 }
 
+TEST(Summary, OneScenarioAndPolicyUnderTwoSpellingsAreOneRow) {
+  RunData run;
+  run.units = {SyntheticUnit("here/worn.yaml", "base", {0, 1}),
+               SyntheticUnit("/there/worn.yaml", "gain", {1, 1})};
+  run.units[0].config.policy = "mine.safetensors";
+  run.units[1].config.policy = "/there/mine.safetensors";
+  const Summary summary = Summarise(run, 50);
+  ASSERT_EQ(summary.tables.size(), 1u);
+  EXPECT_EQ(summary.tables[0].policy, "mine");
+  ASSERT_EQ(summary.tables[0].rows.size(), 1u);
+  EXPECT_EQ(summary.tables[0].rows[0].scenario, "worn");
+  EXPECT_EQ(summary.tables[0].rows[0].cells.at("gain").contrasts.versus_base->pairs, 2);
+}
+
 TEST(Summary, CurvesFollowTheEpisodesOfAUnitWithoutClean) {
   RunData run;
   run.units = {SyntheticUnit("clean", "ours", {0, 0}),

@@ -140,6 +140,30 @@ TEST(LoadRun, RefusesOnePolicyWithTwoWeights) {
               AllOf(HasSubstr("has weights 0123456789ab"), HasSubstr("fedcba987654")));
 }
 
+TEST(LoadRun, CallsAPolicyByItsLabelHoweverItsPathIsSpelled) {
+  const std::string run = TestFolder();
+  const auto write = [&](int seed, const std::string& policy, const std::string& hash) {
+    const std::string id = WriteUnit(run, seed, 1, std::string(kLine) + "\n", true);
+    UnitConfig config = *LoadConfig<UnitConfig>(run + "/units/" + id + "/config.yaml");
+    config.policy = policy;
+    const std::string folder = run + "/units/" + UnitId(config);
+    std::filesystem::rename(run + "/units/" + id, folder);
+    ASSERT_TRUE(WriteFileAtomically(folder + "/config.yaml", DumpConfig(config)).ok());
+    ASSERT_TRUE(WriteFileAtomically(folder + "/provenance.json",
+                                    nlohmann::json{{"model_hash", hash}}.dump())
+                    .ok());
+  };
+  write(0, "mine.safetensors", "0123456789ab");
+  write(1, "/somewhere/mine.safetensors", "0123456789ab");
+  const absl::StatusOr<RunData> data = LoadRun(run);
+  ASSERT_TRUE(data.ok()) << data.status();
+  for (const UnitResult& unit : data->units) EXPECT_EQ(unit.config.policy, "mine");
+  write(2, "/elsewhere/mine.safetensors", "fedcba987654");
+  EXPECT_THAT(std::string(LoadRun(run).status().message()),
+              AllOf(HasSubstr("policy mine has weights 0123456789ab in 2 units"),
+                    HasSubstr("fedcba987654")));
+}
+
 TEST(WorkList, OnlyEpisodesThatCarryNothingOverAreDivided) {
   for (const auto& [method, divided] :
        {std::pair{"base", true}, std::pair{"gain", true}, std::pair{"ours", false},

@@ -16,6 +16,7 @@ namespace {
 namespace fs = std::filesystem;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 // Everything an index answers; stamps apart, which are of the disk.
 std::string Rows(const std::string& index) {
@@ -153,6 +154,13 @@ TEST_F(Store, ScenarioFilesAreComparedByWhatTheyHold) {
       << "where the file lay is nothing\n"
       << output_;
   EXPECT_THAT(output_, HasSubstr("2 units merged"));
+  // One row, though the configurations name two places.
+  EXPECT_EQ(Run("report", "'" + folder_ + "/merged' --bootstrap 50"), 0) << output_;
+  EXPECT_THAT(Text("merged/table.csv"), AllOf(HasSubstr("\nnano,5,all,worn,base,"),
+                                              HasSubstr("\nnano,5,all,worn,ours,"),
+                                              Not(HasSubstr(folder_))));
+  EXPECT_EQ(Run("compare", "'" + folder_ + "/b' '" + folder_ + "/d'" + Out("compared")), 1)
+      << output_;
   EXPECT_EQ(StoreCommand("merge", {"b", "d"}, Out("mixed")), 3);
   EXPECT_THAT(output_, HasSubstr("conflict: " + folder_ +
                                  "/d: scenarios/worn.yaml is another "
