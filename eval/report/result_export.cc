@@ -57,7 +57,9 @@ class Declarations {
   }
 
   absl::Status Fill(ResultFile& file) const {
-    if (const std::vector<std::string> unlike = UnlikeUnits(run_); !unlike.empty()) {
+    std::vector<std::string> unlike = UnlikeUnits(run_);
+    unlike.insert(unlike.end(), unlike_.begin(), unlike_.end());
+    if (!unlike.empty()) {
       return absl::FailedPreconditionError(absl::StrCat(
           "these units were not played alike, so that their table says nothing to others; export "
           "the runs one by one:\n  ",
@@ -78,7 +80,15 @@ class Declarations {
     const UnitConfig& config = unit.config;
     if (methods_.count(config.method->method) == 0)
       methods_.emplace(config.method->method, DumpConfig(*config.method));
-    if (protocols_.count(config.suite) == 0) protocols_.emplace(config.suite, ProtocolOf(config));
+    const UnitResult& first = *suites_.emplace(config.suite, &unit).first->second;
+    if (&first == &unit) protocols_.emplace(config.suite, ProtocolOf(config));
+    // The file says once for a suite which episodes its results are of.
+    if (first.config.tasks != config.tasks || first.config.episodes != config.episodes ||
+        first.config.first_initial_state != config.first_initial_state) {
+      unlike_.insert(absl::StrCat(
+          "suite ", config.suite, ": ",
+          FirstDifference(ProtocolOf(first.config), first.id, ProtocolOf(config), unit.id)));
+    }
     const std::pair scenario(ScenarioLabel(config.scenario),
                              LevelOf(config.scenario, config.severity));
     if (scenarios_.count(scenario) == 0) scenarios_.emplace(scenario, ScenarioHash(config));
@@ -122,12 +132,14 @@ class Declarations {
   std::map<std::pair<std::string, int>, std::string> scenarios_;
   std::map<std::string, std::string> methods_;
   std::map<std::string, FlatOptions> protocols_;
-  std::set<std::string> versions_;
+  std::map<std::string, const UnitResult*> suites_;  // the first of each
+  std::set<std::string> versions_, unlike_;
 };
 
 // The cells of one table; a scenario that is equal at every level stands in several of them, and
 // comes once.
-void AddTable(const SuccessTable& table, const std::string& suite, std::set<std::string>& seen, ResultFile& file) {
+void AddTable(const SuccessTable& table, const std::string& suite, std::set<std::string>& seen,
+              ResultFile& file) {
   for (const ScenarioRow& row : table.rows) {
     const std::string& label = row.scenario;
     const int level = row.has_levels ? table.severity : 0;

@@ -58,6 +58,15 @@ UnitConfig ProtocolUnit(const UnitConfig& unit) {
   return config;
 }
 
+// Which episodes a unit has decides how many pair, and no outcome.
+UnitConfig SuiteUnit(const UnitConfig& unit) {
+  const UnitConfig usual;
+  UnitConfig config = ProtocolUnit(unit);
+  config.tasks = usual.tasks, config.episodes = usual.episodes;
+  config.first_initial_state = usual.first_initial_state;
+  return config;
+}
+
 UnitConfig MethodUnit(const UnitConfig& unit) {
   UnitConfig config;
   config.method = unit.method;
@@ -198,12 +207,13 @@ void PlayedAlike::Look(const UnitConfig& config, const std::string& place, bool 
   if (!file) whole.scenario.clear(), whole.severity = 0;
   if (!seen_.insert(ValueText::Of(std::move(whole))).second) return;
   std::map<std::string, UnitConfig> parts = {
-      {"suite " + config.suite, ProtocolUnit(config)},
+      {"suite " + config.suite, SuiteUnit(config)},
       {"method " + config.method->method, MethodUnit(config)},
       {"policy " + PolicyLabel(config.policy), RemoteUnit(config)}};
   if (file) {
-    parts.emplace(absl::StrCat("scenario ", ScenarioLabel(config.scenario), " at L", config.severity),
-                  ScenarioUnit(config));
+    parts.emplace(
+        absl::StrCat("scenario ", ScenarioLabel(config.scenario), " at L", config.severity),
+        ScenarioUnit(config));
   }
   for (const auto& [what, part] : parts) {
     const auto first = first_.find(what);
@@ -228,9 +238,10 @@ std::vector<std::string> UnlikeUnits(const RunData& run) {
 std::string UnlikeUnitsNote(const RunData& run) {
   const std::vector<std::string> unlike = UnlikeUnits(run);
   if (unlike.empty()) return "";
-  return absl::StrCat("These units were not played alike, so that their rows and differences say "
-                      "nothing: ",
-                      absl::StrJoin(unlike, "; "), ".");
+  return absl::StrCat(
+      "These units were not played alike, so that their rows and differences say "
+      "nothing: ",
+      absl::StrJoin(unlike, "; "), ".");
 }
 
 }  // namespace robostress

@@ -27,8 +27,8 @@ FlatOptions ProtocolOf(const UnitConfig& unit);
 std::string ScenarioHash(const UnitConfig& config);
 
 // Rates stand beside each other, and episodes pair, only where units agree in what their names do
-// not say: those of a suite in the protocol, those of a method in its options, those of a policy in
-// how its server is asked, those of a scenario file in what it holds.
+// not say: those of a suite in the protocol, whichever episodes they have, those of a method in its
+// options, those of a policy in how its server is asked, those of a scenario file in what it holds.
 class PlayedAlike {
  public:
   // Compares with those added before, and adds. `place` names the unit in complaints.

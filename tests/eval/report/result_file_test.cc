@@ -11,6 +11,7 @@
 #include "eval/report/leaderboard.h"
 #include "eval/report/result_export.h"
 #include "eval/statistics/summary.h"
+#include "eval/store/played_alike.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "nlohmann/json.hpp"
@@ -105,6 +106,11 @@ TEST(ResultFile, UnitsThatWereNotPlayedAlikeAreNoTable) {
   EXPECT_THAT(std::string(refused.status().message()),
               HasSubstr("suite tabletop_goal: sim.settle_steps is 10 in " + run.units[0].id +
                         ", and 20 in " + run.units[1].id));
+  run = RemoteRun();
+  run.units[1].config.first_initial_state = 1;
+  EXPECT_TRUE(UnlikeUnits(run).empty()) << "episodes pair where they are the same";
+  EXPECT_THAT(std::string(ExportResults(run, Summarise(run, 20)).status().message()),
+              HasSubstr("suite tabletop_goal: first_initial_state is 0 in "));
 }
 
 TEST(ResultFile, EveryFieldMustBeThere) {
