@@ -38,8 +38,8 @@ std::string Overflow(const std::string& text) {
     std::strtoull(text.c_str(), nullptr, 0);
   }
   if (errno != ERANGE) return "";
-  return text + " is out of range, must be " + std::to_string(std::numeric_limits<T>::min()) + " to " +
-         std::to_string(std::numeric_limits<T>::max());
+  return text + " is out of range, must be " + std::to_string(std::numeric_limits<T>::min()) +
+         " to " + std::to_string(std::numeric_limits<T>::max());
 }
 
 }  // namespace

@@ -192,10 +192,10 @@ absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::str
   const auto scenario = notes.find(kScenarioSha256);
   const std::string played = recorded(kScenarioSha256);
   if (scenario != notes.end() && !played.empty() && played != scenario->second) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        "'", path_, "' was begun with a scenario file whose SHA-256 begins ", played.substr(0, 12),
-        ", now it begins ", scenario->second.substr(0, 12),
-        "; restore the file, choose another --out or remove the directory"));
+    return absl::FailedPreconditionError(
+        absl::StrCat("'", path_, "' was begun with a scenario file whose SHA-256 begins ",
+                     played.substr(0, 12), ", now it begins ", scenario->second.substr(0, 12),
+                     "; restore the file, choose another --out or remove the directory"));
   }
   const std::string begun = recorded("model_hash");
   if (begun == model_hash) return absl::OkStatus();

@@ -19,8 +19,7 @@ inline constexpr char kScenarioSha256[] = "scenario_sha256";
 // The files of one unit, and what makes them resumable:
 //
 //   config.yaml               resolved configuration; another unit's directory is refused
-//   provenance.json           policy, hash of its weights, version of the worker; of a scenario file
-//                             its SHA-256
+//   provenance.json           policy, version of the worker, hashes of weights and scenario file
 //   servers.jsonl             who answered, where somebody else serves the policy (server_row.h)
 //   episodes.jsonl            one row per finished episode, durable when written
 //   timing.jsonl              wall times, apart because they never repeat

@@ -267,12 +267,12 @@ absl::StatusOr<EpisodeRecording> ReadRecording(const std::string& file, const Un
   }
   absl::StatusOr<EpisodeRecording> read = ReadEpisodeRecording(file);
   if (!read.ok()) return absl::DataLossError(read.status().message());
-  const auto of_row = std::make_tuple(unit.suite, ScenarioLabel(unit.scenario), PolicyLabel(unit.policy),
-                                      unit.method->method, unit.seed, row.task, row.episode,
-                                      static_cast<size_t>(row.steps), row.success);
+  const auto of_row = std::make_tuple(
+      unit.suite, ScenarioLabel(unit.scenario), PolicyLabel(unit.policy), unit.method->method,
+      unit.seed, row.task, row.episode, static_cast<size_t>(row.steps), row.success);
   const auto of_file =
-      std::make_tuple(read->suite, read->scenario, PolicyLabel(read->policy), read->method, read->seed,
-                      read->task, read->episode, read->steps.size(), read->success);
+      std::make_tuple(read->suite, read->scenario, PolicyLabel(read->policy), read->method,
+                      read->seed, read->task, read->episode, read->steps.size(), read->success);
   if (of_row != of_file) {
     return absl::DataLossError(
         absl::StrCat(file, ": is not of the episode in episodes.jsonl, but of ", read->suite,

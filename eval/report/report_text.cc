@@ -158,12 +158,12 @@ std::string MissingNote(const SuccessTable& table) {
   for (const std::string& method : table.methods) {
     const auto average = table.averages.find(method);
     if (average == table.averages.end() || average->second.missing.empty()) continue;
-    methods.push_back(absl::StrCat(MethodTitle(method), " lacks ",
-                                   absl::StrJoin(average->second.missing, ", ")));
+    methods.push_back(
+        absl::StrCat(MethodTitle(method), " lacks ", absl::StrJoin(average->second.missing, ", ")));
   }
   if (methods.empty()) return "";
-  return absl::StrCat("An average is over every scenario of the table: ",
-                      absl::StrJoin(methods, "; "), ".");
+  return absl::StrCat(
+      "An average is over every scenario of the table: ", absl::StrJoin(methods, "; "), ".");
 }
 
 std::string TerminalTable(const RunData& run, const Summary& summary) {
@@ -185,9 +185,8 @@ std::string TerminalTable(const RunData& run, const Summary& summary) {
       "  the controller's steady gain in the scale. The paper's column: another policy "
       "and other tasks.\n");
   std::vector<std::string> notes = ServerNotes(run);
-  notes.insert(notes.begin(),
-               {UnlikeUnitsNote(run), MixedMachinesNote(run), UnpairedNoiseNote(run),
-                LateAnswersNote(run)});
+  notes.insert(notes.begin(), {UnlikeUnitsNote(run), MixedMachinesNote(run), UnpairedNoiseNote(run),
+                               LateAnswersNote(run)});
   for (const std::string& note : notes)
     if (!note.empty()) absl::StrAppend(&text, "  ", note, "\n");
   if (!run.unfinished.empty()) {

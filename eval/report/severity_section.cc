@@ -139,8 +139,8 @@ std::string SeverityFigure(const Summary& summary, const std::string& policy) {
   for (const std::string& scenario : grid.scenarios) {
     for (const std::string& suite : grid.suites) {
       const auto panel = grid.panels.find({scenario, suite});
-      plots.push_back(
-          panel == grid.panels.end() ? "" : PanelPlot(panel->second, grid.methods, suite));
+      plots.push_back(panel == grid.panels.end() ? ""
+                                                 : PanelPlot(panel->second, grid.methods, suite));
     }
   }
   PlotSheetOptions options;

@@ -292,7 +292,8 @@ Summary Summarise(const RunData& run, int bootstrap_replicates) {
         Units of_suite;
         std::copy_if(units.begin(), units.end(), std::back_inserter(of_suite),
                      [&](const UnitResult* unit) { return unit->config.suite == suite; });
-        summary.tables.push_back(MakeTable(of_suite, policy, severity, suite, bootstrap_replicates));
+        summary.tables.push_back(
+            MakeTable(of_suite, policy, severity, suite, bootstrap_replicates));
       }
     }
     CurveSet curves = MakeCurves(units, policy, severity);

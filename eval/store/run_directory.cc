@@ -108,9 +108,9 @@ absl::Status RunDirectory::CheckStarted(const SweepGrid& grid,
     if (begun.ok() && DumpConfig(*begun) == wanted) continue;
     complaints.push_back(absl::StrCat(
         file, " plans this unit with another configuration, and it has been started: ",
-        begun.ok() ? FirstDifference(FlatOptionsOf(DumpConfig(*begun)), "it",
-                                     FlatOptionsOf(wanted), kHere)
-                   : std::string(begun.status().message())));
+        begun.ok()
+            ? FirstDifference(FlatOptionsOf(DumpConfig(*begun)), "it", FlatOptionsOf(wanted), kHere)
+            : std::string(begun.status().message())));
   }
   if (adds) {
     for (const std::string& id : others) {

@@ -93,7 +93,8 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
     }
     damage.insert(damage.end(), inspection.damage.begin(), inspection.damage.end());
     UnitResult& unit = inspection.unit;
-    unit.config.policy = PolicyLabel(unit.config.policy);  // one policy, however its path is spelled
+    unit.config.policy =
+        PolicyLabel(unit.config.policy);  // one policy, however its path is spelled
     if (unit.provenance.is_object())
       models.push_back({unit.config.policy, unit.provenance.value("model_hash", ""), unit.id});
     for (const std::string& machine : unit.machines) ++run.machines[machine];
@@ -239,8 +240,8 @@ std::string UnitTimingCsv(const RunData& run) {
   for (const UnitResult& unit : run.units) {
     const TimingSums& t = unit.timing;
     absl::StrAppend(
-        &csv, absl::StrFormat("%s,%d,%.3f,%.3f,%.3f,%.3f,%.3f\n", CsvCell(unit.id), t.episodes, t.wall_s,
-                              t.predict_s, t.step_s, t.observe_s, t.feedback_s));
+        &csv, absl::StrFormat("%s,%d,%.3f,%.3f,%.3f,%.3f,%.3f\n", CsvCell(unit.id), t.episodes,
+                              t.wall_s, t.predict_s, t.step_s, t.observe_s, t.feedback_s));
   }
   return csv;
 }

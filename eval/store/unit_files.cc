@@ -171,9 +171,10 @@ class UnitReader {
     if (!unit.provenance.is_object()) return;
     const std::string played = unit.provenance.value(kScenarioSha256, *sha256);
     if (played == *sha256) return;
-    Damage(absl::StrCat(folder_, "/provenance.json: ", kScenarioSha256, " is ",
-                        played.substr(0, 12), ", ", kept, " has ", sha256->substr(0, 12),
-                        "; restore that file, or remove the unit's folder and run the sweep again"));
+    Damage(
+        absl::StrCat(folder_, "/provenance.json: ", kScenarioSha256, " is ", played.substr(0, 12),
+                     ", ", kept, " has ", sha256->substr(0, 12),
+                     "; restore that file, or remove the unit's folder and run the sweep again"));
   }
 
   // JSON objects, one a line; lines that are none are passed over: these files decide nothing.

@@ -89,9 +89,9 @@ TEST(Averages, OfOtherScenariosDoNotStandBesideEachOther) {
   EXPECT_FALSE(table.averages.at("ours").contrasts.versus_base.has_value());
   EXPECT_FALSE(table.averages.at("gain").contrasts.versus_control.count("null"));
   const std::string note = MissingNote(table);
-  EXPECT_EQ(note,
-            "An average is over every scenario of the table: " + MethodTitle("ours") +
-                " lacks Aged Joint-Elbow; " + MethodTitle("null") + " lacks Aged Joint-Elbow.");
+  EXPECT_EQ(note, "An average is over every scenario of the table: " + MethodTitle("ours") +
+                      " lacks Aged Joint-Elbow; " + MethodTitle("null") +
+                      " lacks Aged Joint-Elbow.");
   const std::string text = TerminalTable(run, summary), page = ReportPage(run, summary, {});
   EXPECT_THAT(text, HasSubstr(note));
   EXPECT_THAT(page, HasSubstr(note));
