@@ -29,7 +29,7 @@ constexpr char kExamples[] =
     "USING(store, unit) GROUP BY 1, 2\"\n\n"
     "Exit code: 0 complete and sound; 1 units are unfinished or missing, or another error; 2 the "
     "command is wrong; 3 damage,\n"
-    "conflicts or different weights, all listed.\n";
+    "conflicts, different weights or options, all listed.\n";
 
 struct CommandLine {
   std::vector<std::string> stores;
