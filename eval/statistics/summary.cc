@@ -95,17 +95,12 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
   std::vector<std::string> scenarios;
   for (const ScenarioRow& row : table.rows) {
     if (row.scenario == "clean") continue;
-    if (row.cells.count(method) == 0) average.missing.push_back(row.title);
     scenarios.push_back(row.scenario);
-  }
-  if (!average.missing.empty()) {
-    average.success.estimate = average.success.interval.low = average.success.interval.high = kNaN;
-    average.seeds = SpreadOverSeeds({});
-    return average;
-  }
-  for (const ScenarioRow& row : table.rows) {
     const auto cell = row.cells.find(method);
-    if (row.scenario == "clean") continue;
+    if (cell == row.cells.end()) {
+      average.missing.push_back(row.title);
+      continue;
+    }
     strata.push_back(grid.at(row.scenario).at(method));
     for (const UnitResult* unit : strata.back()) {
       for (const EpisodeRow& episode : unit->episodes) {
@@ -119,6 +114,13 @@ AverageCell MakeAverage(const SuccessTable& table, const Grid& grid, const std::
     average.compensates = average.compensates || cell->second.compensates;
     average.updates += cell->second.updates;
     measures.push_back(cell->second.measures);
+  }
+  if (!average.missing.empty()) {
+    AverageCell none;
+    none.missing = std::move(average.missing);
+    none.success = {kNaN, {kNaN, kNaN}, 0};
+    none.seeds = SpreadOverSeeds({});
+    return none;
   }
   average.clustering = ClusteringOf(strata);
   average.success =
