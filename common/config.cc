@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "common/yaml_document.h"
 
 namespace robostress {
 
@@ -57,17 +58,13 @@ std::string Render(const YAML::Node& node) {
 }
 
 absl::StatusOr<YAML::Node> ParseYaml(const std::string& source, const std::string& text) {
-  try {
-    YAML::Node root = YAML::Load(text);
-    if (root.IsNull()) return YAML::Node(YAML::NodeType::Map);
-    if (!root.IsMap()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(source, ": must be a YAML map of keys and values"));
-    }
-    return root;
-  } catch (const YAML::Exception& error) {
-    return absl::InvalidArgumentError(absl::StrCat(source, ": not YAML: ", error.what()));
+  RS_ASSIGN_OR_RETURN(YAML::Node root, ReadYamlDocument(source, text));
+  if (root.IsNull()) return YAML::Node(YAML::NodeType::Map);
+  if (!root.IsMap()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(source, ": must be a YAML map of keys and values"));
   }
+  return root;
 }
 
 absl::StatusOr<YAML::Node> OverrideTree(const std::string& assignment) {

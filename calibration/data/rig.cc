@@ -15,7 +15,7 @@
 #include "common/atomic_file.h"
 #include "common/joint_errors/effects/effect_library.h"
 #include "common/status_macros.h"
-#include "yaml-cpp/yaml.h"
+#include "common/yaml_document.h"
 
 namespace robostress::calibration {
 namespace {
@@ -46,6 +46,15 @@ class Entry {
       const std::string key = pair.first.Scalar();
       if (std::find(allowed.begin(), allowed.end(), key) == allowed.end())
         return Error("unknown key '", key, "'; known: ", absl::StrJoin(allowed, ", "));
+    }
+    return CheckOnce();
+  }
+  // Of two equal keys one would be lost.
+  absl::Status CheckOnce() const {
+    std::set<std::string> seen;
+    for (const auto& pair : node_) {
+      if (!seen.insert(pair.first.Scalar()).second)
+        return Error("key '", pair.first.Scalar(), "' is given twice; remove one");
     }
     return absl::OkStatus();
   }
@@ -241,6 +250,7 @@ absl::StatusOr<RigLog> ReadLogEntry(const Entry& entry, const std::filesystem::p
   const Entry overrides = entry["overrides"];
   if (!overrides.present()) return log;
   if (!overrides.node().IsMap()) return overrides.Error("must be a map of numbers");
+  RS_RETURN_IF_ERROR(overrides.CheckOnce());
   for (const auto& pair : overrides.node()) {
     const std::string key = pair.first.Scalar();
     const bool known = std::any_of(joints.begin(), joints.end(), [&](const RigJoint& joint) {
@@ -346,8 +356,9 @@ const std::vector<std::string>& ModelParameterNames() {
 
 absl::StatusOr<Rig> ReadRig(const std::string& file, RigLogs logs) {
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  RS_ASSIGN_OR_RETURN(const YAML::Node root, ReadYamlDocument(file, text));
   try {
-    return ReadRoot(Entry(YAML::Load(text), file + ":"), file, logs);
+    return ReadRoot(Entry(root, file + ":"), file, logs);
   } catch (const YAML::Exception& error) {
     return absl::InvalidArgumentError(absl::StrCat(file, ": not YAML: ", error.what()));
   }

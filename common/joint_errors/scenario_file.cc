@@ -4,6 +4,7 @@
 #include <cmath>
 #include <filesystem>
 #include <limits>
+#include <set>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -12,7 +13,7 @@
 #include "common/atomic_file.h"
 #include "common/joint_errors/effects/effect_library.h"
 #include "common/status_macros.h"
-#include "yaml-cpp/yaml.h"
+#include "common/yaml_document.h"
 
 namespace robostress {
 namespace {
@@ -97,11 +98,14 @@ class Parser {
     const std::string place = path.empty() ? "the file" : path;
     if (!node.IsMap())
       return Error(place, absl::StrCat("must be a map with ", absl::StrJoin(allowed, ", ")));
+    std::set<std::string> seen;
     for (const auto& pair : node) {
       const std::string key = pair.first.Scalar();
       if (std::find(allowed.begin(), allowed.end(), key) == allowed.end())
         return Error(
             place, absl::StrCat("unknown key '", key, "'; known: ", absl::StrJoin(allowed, ", ")));
+      if (!seen.insert(key).second)
+        return Error(place, absl::StrCat("key '", key, "' is given twice; remove one"));
     }
     return absl::OkStatus();
   }
@@ -237,9 +241,10 @@ EffectRange RangeInScenario(const EffectInfo& effect, size_t index, const RobotD
 
 absl::StatusOr<ScenarioFile> ParseScenarioFile(const std::string& file, const std::string& yaml,
                                                const RobotDescription& robot) {
+  RS_ASSIGN_OR_RETURN(const YAML::Node root, ReadYamlDocument(file, yaml));
   try {
-    return Parser(file, robot).Parse(YAML::Load(yaml));
-  } catch (const YAML::Exception& error) {
+    return Parser(file, robot).Parse(root);
+  } catch (const YAML::Exception& error) {  // a key that is no text
     return absl::InvalidArgumentError(absl::StrCat(file, ": not YAML: ", error.what()));
   }
 }

@@ -53,6 +53,11 @@ TEST(Config, EverythingThatIsWrongIsListed) {
   EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: sim.stepping is 'slow'"));
 }
 
+TEST(Config, ASecondDocumentIsRefusedAndNotLeftOut) {
+  const auto unit = ParseConfig<UnitConfig>("u.yaml", "seed: 1\n---\nseed: 2\n");
+  EXPECT_THAT(Message(unit.status()), HasSubstr("u.yaml: a second document begins before line 3"));
+}
+
 TEST(Config, UnknownChoiceListsTheChoices) {
   const auto unit = ParseConfig<UnitConfig>("u.yaml", "sim: {goal_reference: desire}\n");
   ASSERT_FALSE(unit.ok());

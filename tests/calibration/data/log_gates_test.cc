@@ -327,6 +327,12 @@ TEST_F(RigGates, RefusesWhatItDoesNotKnowAndSaysWhatItDoes) {
               HasSubstr("hinge.known_mass: is -1 kg, must be at least 0"));
   EXPECT_THAT(message("name: hinge, input: position_target, servo: {kp: .nan}", "file: a.csv"),
               HasSubstr("finite"));
+  EXPECT_THAT(message("name: hinge, name: elbow, input: torque", "file: a.csv"),
+              HasSubstr("joints[0]: key 'name' is given twice; remove one"));
+  EXPECT_THAT(message(kJoint, "file: a.csv, overrides: {hinge.damping: 1, hinge.damping: 2}"),
+              HasSubstr("overrides: key 'hinge.damping' is given twice"));
+  EXPECT_THAT(std::string(Read("name: a\n---\nname: b\n").status().message()),
+              HasSubstr("a second document begins before line 3"));
   EXPECT_THAT(std::string(Read("name: [").status().message()), HasSubstr("not YAML"));
 }
 

@@ -97,6 +97,11 @@ TEST(ScenarioFile, NamesFileKeyValueAndWhatIsAllowed) {
       {Effect("type: transport_delay, delay_s: 3"), {"delay_s", "is 3 s", "at most 2"}},
       {Effect("type: torque_saturation, limit: 0"), {"limit", "is 0 Nm", "at least 0.8"}},
       {Effect("type: presliding_hysteresis, F: 1, x_s: 0"), {"x_s", "above 0"}},
+      {Effect("type: deadzone, width: 1, width: 2"),
+       {"joints[0].effects[0]", "key 'width' is given twice; remove one"}},
+      {"base: clean\nbase: nominal\njoints: []\n", {"the file", "key 'base' is given twice"}},
+      {"joints: []\njoints: []\n", {"key 'joints' is given twice"}},
+      {"joints: []\n---\njoints: []\n", {"x.yaml: a second document", "line 3"}},
       {Effect("type: cross_joint_coupling, k: 1"), {"effects[0].joint", "missing"}},
       {Effect("type: cross_joint_coupling, k: 1, joint: J1"), {"another joint"}},
       {"joints: [{name: J1, effects: [{type: deadzone, width: 1}, {type: deadzone, width: 2}]}]\n",
@@ -108,6 +113,10 @@ TEST(ScenarioFile, NamesFileKeyValueAndWhatIsAllowed) {
     for (const char* words : c.says)
       EXPECT_THAT(std::string(file.status().message()), HasSubstr(words)) << c.yaml;
   }
+}
+
+TEST(ScenarioFile, MayEndWithAMarkThatNothingFollows) {
+  EXPECT_TRUE(ParseScenarioFile("x.yaml", "---\njoints: []\n---\n", kPanda).ok());
 }
 
 TEST(ScenarioFile, MayNotBeCalledLikeABuiltInScenario) {
