@@ -12,6 +12,7 @@
 #include "absl/strings/str_join.h"
 #include "common/atomic_file.h"
 #include "common/joint_errors/effects/effect_library.h"
+#include "common/plain_line.h"
 #include "common/status_macros.h"
 #include "common/yaml_document.h"
 
@@ -73,6 +74,10 @@ class Parser {
     RS_RETURN_IF_ERROR(CheckKeys(root, "", {"title", "base", "joints"}));
     if (root["title"]) {
       RS_ASSIGN_OR_RETURN(scenario.title, Text(root["title"], "title"));
+      if (!IsPlainLine(scenario.title))
+        return Error("title", absl::StrCat("is '", PlainLine(scenario.title),
+                                           "' with line breaks or control characters, must be a "
+                                           "line of text: it heads the rows of tables"));
     }
     if (root["base"]) {
       RS_ASSIGN_OR_RETURN(scenario.base, Text(root["base"], "base"));

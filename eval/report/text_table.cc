@@ -5,6 +5,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "common/plain_line.h"
 
 namespace robostress {
 namespace {
@@ -26,9 +27,18 @@ std::string Quoted(const std::string& text) {
   return absl::StrCat("\"", absl::StrReplaceAll(text, {{"\"", "\"\""}}), "\"");
 }
 
+// Cells hold names of others, and a line break would end a row.
+TextRows Lines(TextRows rows) {
+  for (auto& row : rows) {
+    for (std::string& cell : row) cell = PlainLine(cell);
+  }
+  return rows;
+}
+
 }  // namespace
 
-std::string AlignedTable(const TextRows& rows) {
+std::string AlignedTable(const TextRows& cells) {
+  const TextRows rows = Lines(cells);
   std::vector<size_t> widths;
   for (const auto& row : rows) {
     widths.resize(std::max(widths.size(), row.size()));
@@ -44,9 +54,12 @@ std::string AlignedTable(const TextRows& rows) {
   return text;
 }
 
-std::string MarkdownTable(const TextRows& rows) {
+std::string MarkdownTable(const TextRows& cells) {
   std::string text;
+  TextRows rows = Lines(cells);
   for (size_t r = 0; r < rows.size(); ++r) {
+    for (std::string& cell : rows[r])
+      cell = absl::StrReplaceAll(cell, {{"\\", "\\\\"}, {"|", "\\|"}});
     absl::StrAppend(&text, "| ", absl::StrJoin(rows[r], " | "), " |\n");
     if (r > 0) continue;
     text += "|---|";

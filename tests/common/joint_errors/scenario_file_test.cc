@@ -102,6 +102,7 @@ TEST(ScenarioFile, NamesFileKeyValueAndWhatIsAllowed) {
       {"base: clean\nbase: nominal\njoints: []\n", {"the file", "key 'base' is given twice"}},
       {"joints: []\njoints: []\n", {"key 'joints' is given twice"}},
       {"joints: []\n---\njoints: []\n", {"x.yaml: a second document", "line 3"}},
+      {"title: \"Worn\\nelbow\"\njoints: []\n", {"title", "'Worn elbow'", "line breaks"}},
       {Effect("type: cross_joint_coupling, k: 1"), {"effects[0].joint", "missing"}},
       {Effect("type: cross_joint_coupling, k: 1, joint: J1"), {"another joint"}},
       {"joints: [{name: J1, effects: [{type: deadzone, width: 1}, {type: deadzone, width: 2}]}]\n",
