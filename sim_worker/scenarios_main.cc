@@ -163,6 +163,10 @@ void PrintEffects() {
     std::printf("%-28s %-12s %s%s\n", effect.type.c_str(), StageName(effect.stage),
                 effect.equation.c_str(),
                 effect.stage == EffectStage::kSensor ? "  (outside the paper)" : "");
+    if (effect.of_position) {
+      std::printf("    in no scenario: it limits a servo's position command\n");
+      continue;
+    }
     for (size_t i = 0; i < effect.parameters.size(); ++i) {
       const EffectParameter& parameter = effect.parameters[i];
       const EffectRange range = RangeInScenario(effect, i, kPanda, 0);

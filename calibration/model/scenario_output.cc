@@ -142,9 +142,11 @@ absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& aft
         continue;
       }
       RS_ASSIGN_OR_RETURN(const EffectInfo* info, FindEffect(effect.type));
-      if (effect.type == "rate_limit" && joint.input != JointInput::kTorque) {
+      if (info->of_position) {
         output.notes.push_back(absl::StrCat(
-            what, " is left out: it limits a position command, and the arm is given torques"));
+            what, " is left out: scenarios are of arms that are given torques, and ",
+            joint.input == JointInput::kTorque ? "have no limit of a torque command's rate"
+                                               : "it limits a position command"));
         continue;
       }
       ScenarioEffect found;

@@ -33,10 +33,9 @@ struct ScenarioOutput {
 // What `after` has and `declared` has not, as a scenario on Clean: effects that were added, at the
 // arm's joints that the map names. Fitted parameters of the declared model are of the rig's own
 // body and stay there. Effects of stage command act on what the rig's servo was given and, on the
-// arm, on its torque command; a rate limit of a position command has no meaning there and is left
-// out with a note, as are effects of joints that the map does not name and values beyond what a
-// scenario may give the arm's joint, with the remedy. FailedPrecondition where nothing was added or
-// nothing is left.
+// arm, on its torque command; a rate limit has no meaning there and is left out with a note, as are
+// effects of joints that the map does not name and values beyond what a scenario may give the arm's
+// joint, with the remedy. FailedPrecondition where nothing was added or nothing is left.
 absl::StatusOr<ScenarioOutput> ScenarioOfRig(const Rig& declared, const Rig& after,
                                              const JointMap& map, const std::string& title,
                                              const RobotDescription& arm);

@@ -14,7 +14,7 @@ namespace robostress {
 // What a scenario does to the joints of an arm, from the command to the reading: the paper's four
 // errors and the effects of a scenario file, all of them effects of the library. For any number of
 // joints and without a simulator; sub_step.h says in which order the stages act:
-//   command       the joint's torque command on its way to the motor (a rate limit is in Nm/s)
+//   command       the joint's torque command on its way to the motor
 //   drive         the torque that the motor makes of it
 //   torque        torques beside the motor's; dry friction is returned as limits (stick_friction.h)
 //   transmission  the joint coordinate is the link's; the motor's is it minus offset()

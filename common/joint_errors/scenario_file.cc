@@ -167,6 +167,12 @@ class Parser {
     RS_ASSIGN_OR_RETURN(effect.type, Text(node["type"], path + ".type"));
     const auto info = FindEffect(effect.type);
     if (!info.ok()) return Error(path + ".type", std::string(info.status().message()));
+    if ((*info)->of_position) {
+      return Error(path + ".type",
+                   absl::StrCat("'", effect.type, "' limits the position command of a servo [",
+                                (*info)->parameters[0].unit, "], and the motors of a simulated ",
+                                robot_.name, " are given torques; leave it out"));
+    }
     std::vector<std::string> keys = {"type"};
     for (const EffectParameter& parameter : (*info)->parameters) keys.push_back(parameter.name);
     const bool coupling = (*info)->coupled;

@@ -32,6 +32,11 @@ absl::Status CheckEffect(const JointChain& chain, int joint, const EffectInfo& e
                                                    " numbers, ", effect.type, " takes ",
                                                    effect.parameters.size(), ": ", names));
   }
+  if (effect.of_position) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(effect.type, " limits the position command of a servo [",
+                     effect.parameters[0].unit, "], these errors bend torques; leave it out"));
+  }
   const int other = chain.coupled(joint);
   if (effect.coupled != (coupled >= 0) || coupled >= chain.joints() ||
       (coupled >= 0 && (coupled == joint || (other >= 0 && coupled != other)))) {

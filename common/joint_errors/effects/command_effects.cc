@@ -66,7 +66,7 @@ class RateLimitEffect : public CopyableEffect<RateLimitEffect> {
   bool CommandLimits() const override { return true; }
 
  private:
-  double rate_ = 0;  // [rad/s]
+  double rate_ = 0;  // of the command per second: [rad/s], of a joint that logs torques [Nm/s]
   double value_ = 0;
   bool started_ = false;
 };

@@ -61,6 +61,9 @@ struct EffectInfo {
   std::function<std::unique_ptr<JointEffect>()> make;
   bool coupled = false;  // it reads the motion of another joint, its partner
   bool thermal = false;  // it reads the joint's temperature
+  // It limits a servo's position command, in that command's unit. Where a chain is given torques
+  // instead (scenarios, the Python library), nothing is what it was fitted as.
+  bool of_position = false;
 };
 
 // Every effect, in the order of the design.

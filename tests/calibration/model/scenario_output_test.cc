@@ -65,12 +65,13 @@ TEST_F(ScenarioOutputTest, SaysWhatItLeavesOut) {
   EXPECT_THAT(output->notes, ElementsAre(HasSubstr("wrist: deadzone is left out")));
 }
 
-TEST_F(ScenarioOutputTest, HasNoRateLimitOfAPositionCommand) {
-  declared.joints[0].input = after.joints[0].input = JointInput::kPositionTarget;
+TEST_F(ScenarioOutputTest, HasNoRateLimit) {
   Add(0, "rate_limit", {{"rate", 1.0}});
-  const auto output = Make({"hinge=J4"});
-  EXPECT_EQ(output.status().code(), absl::StatusCode::kFailedPrecondition);
-  EXPECT_THAT(std::string(output.status().message()), HasSubstr("position command"));
+  const auto message = [&] { return std::string(Make({"hinge=J4"}).status().message()); };
+  EXPECT_THAT(message(), HasSubstr("torque command's rate"));
+  declared.joints[0].input = after.joints[0].input = JointInput::kPositionTarget;
+  EXPECT_THAT(message(), HasSubstr("it limits a position command"));
+  EXPECT_EQ(Make({"hinge=J4"}).status().code(), absl::StatusCode::kFailedPrecondition);
 }
 
 TEST_F(ScenarioOutputTest, CarriesACouplingWithItsPartner) {

@@ -97,6 +97,8 @@ TEST(ScenarioFile, NamesFileKeyValueAndWhatIsAllowed) {
       {Effect("type: transport_delay, delay_s: 3"), {"delay_s", "is 3 s", "at most 2"}},
       {Effect("type: torque_saturation, limit: 0"), {"limit", "is 0 Nm", "at least 0.8"}},
       {Effect("type: presliding_hysteresis, F: 1, x_s: 0"), {"x_s", "above 0"}},
+      {Effect("type: rate_limit, rate: 1"),
+       {"effects[0].type", "position command of a servo [rad/s]", "Panda are given torques"}},
       {Effect("type: deadzone, width: 1, width: 2"),
        {"joints[0].effects[0]", "key 'width' is given twice; remove one"}},
       {"base: clean\nbase: nominal\njoints: []\n", {"the file", "key 'base' is given twice"}},
@@ -132,6 +134,7 @@ TEST(ScenarioFile, MayNotBeCalledLikeABuiltInScenario) {
 TEST(ScenarioFile, LetsEveryEffectOfTheLibraryStandAtEveryJointOfItsArm) {
   for (const RobotDescription& robot : {kPanda, kPiper}) {
     for (const EffectInfo& info : EffectLibrary()) {
+      if (info.of_position) continue;  // the arms are given torques
       for (size_t joint = 0; joint < robot.joints.size(); ++joint) {
         ScenarioEffect effect{static_cast<int>(joint), info.type, {}};
         for (size_t i = 0; i < info.parameters.size(); ++i) {
