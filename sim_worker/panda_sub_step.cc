@@ -13,6 +13,13 @@ constexpr double kGripperPerSubStep = 0.01;  // of the half stroke
 }  // namespace
 
 absl::Status CheckWarnings(const mjData& data) {
+  // MuJoCo then drives no motor at all, and the state stays finite.
+  if (const mjWarningStat& bad = data.warning[mjWARN_BADCTRL]; bad.number > 0) {
+    return absl::InternalError(absl::StrFormat(
+        "the simulation diverged (%s) at t = %.3f s: a joint's torque is no number; a parameter of "
+        "the scenario's effects is out of all proportion",
+        mju_warningText(mjWARN_BADCTRL, bad.lastinfo), data.time));
+  }
   for (const mjtWarning kind : {mjWARN_BADQPOS, mjWARN_BADQVEL, mjWARN_BADQACC}) {
     if (data.warning[kind].number > 0) {
       return absl::InternalError(

@@ -10,8 +10,12 @@ absl::Span<double> Values(Vector7d& vector) { return {vector.data(), 7}; }
 
 }  // namespace
 
+// NaN stays NaN, so that CheckWarnings hears of it; of cwiseMax it may become a limit.
 Vector7d PandaSim::Impl::Saturated(const Vector7d& torque) const {
-  return torque.cwiseMax(-panda.torque_limit).cwiseMin(panda.torque_limit);
+  Vector7d saturated;
+  for (int i = 0; i < 7; ++i)
+    saturated[i] = std::clamp(torque[i], -panda.torque_limit[i], panda.torque_limit[i]);
+  return saturated;
 }
 
 // With the motors' torques `applied`; forces of contacts and joint limits are the previous

@@ -171,8 +171,8 @@ void PrintEffects() {
       const EffectParameter& parameter = effect.parameters[i];
       const EffectRange range = RangeInScenario(effect, i, kPanda, 0);
       std::printf(
-          "    %-12s [%s] %s %.4g to %.4g%s\n", parameter.name.c_str(), parameter.unit.c_str(),
-          range.lower_open ? "above" : "", range.lower, range.upper,
+          "    %-12s [%s]  %.4g to %.4g%s\n", parameter.name.c_str(), parameter.unit.c_str(),
+          range.lower, range.upper,
           parameter.fixed ? absl::StrFormat(", else %g", parameter.starts.front()).c_str() : "");
     }
     if (effect.type == "cross_joint_coupling")

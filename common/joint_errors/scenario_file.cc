@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <limits>
 #include <set>
 
 #include "absl/strings/match.h"
@@ -21,6 +20,9 @@ namespace {
 
 constexpr char kEnding[] = ".yaml";
 constexpr char kCoupledKey[] = "joint";
+// Of an arm's size: beyond any drive, and far from where a quotient overflows to a torque that is
+// no number.
+constexpr double kLeastDivisor = 1e-6, kMostLimit = 1e12;
 
 // Sizes of the arm, of which the library's bounds are multiples.
 double ArmScale(EffectScale scale, const RobotDescription& robot, int joint) {
@@ -204,17 +206,10 @@ class Parser {
     }
     RS_ASSIGN_OR_RETURN(const double value, Number(node, place));
     const EffectRange range = RangeInScenario(info, index, robot_, joint);
-    const bool below = range.lower_open ? value <= range.lower : value < range.lower;
-    if (below || value > range.upper) {
-      const std::string low = range.lower_open ? absl::StrFormat("above %g", range.lower)
-                                               : absl::StrFormat("at least %g", range.lower);
-      const std::string high = std::isfinite(range.upper)
-                                   ? absl::StrFormat(" and at most %g", range.upper)
-                                   : std::string();
-      return Error(place, absl::StrFormat("is %g %s at %s, must be %s%s", value, parameter.unit,
-                                          robot_.joints[joint].name, low, high));
-    }
-    return value;
+    if (value >= range.lower && value <= range.upper) return value;
+    return Error(place, absl::StrFormat("is %g %s at %s, must be at least %g and at most %g", value,
+                                        parameter.unit, robot_.joints[joint].name, range.lower,
+                                        range.upper));
   }
 
   std::string file_;
@@ -238,16 +233,15 @@ EffectRange RangeInScenario(const EffectInfo& effect, size_t index, const RobotD
                             int joint) {
   const EffectParameter& parameter = effect.parameters[index];
   const double scale = ArmScale(parameter.scale, robot, joint);
-  if (parameter.inverse)
-    return {scale / parameter.upper, std::numeric_limits<double>::infinity(), false};
+  if (parameter.inverse) return {scale / parameter.upper, scale * kMostLimit};
   // What is no amplitude is divided by.
   const bool amplitude = std::find(effect.amplitudes.begin(), effect.amplitudes.end(),
                                    static_cast<int>(index)) != effect.amplitudes.end();
   // The least wavelength of a search follows from the motion that was recorded; a gear's teeth do
   // not.
   const bool divided = !amplitude && parameter.lower >= 0 && parameter.scale != EffectScale::kOne;
-  if (divided) return {0, scale * parameter.upper, true};
-  return {scale * parameter.lower, scale * parameter.upper, !amplitude && parameter.lower == 0};
+  if (divided) return {scale * kLeastDivisor, scale * parameter.upper};
+  return {scale * parameter.lower, scale * parameter.upper};
 }
 
 absl::StatusOr<ScenarioFile> ParseScenarioFile(const std::string& file, const std::string& yaml,

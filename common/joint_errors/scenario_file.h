@@ -45,8 +45,7 @@ bool IsScenarioFile(const std::string& scenario);
 std::string ScenarioLabel(const std::string& scenario);
 
 struct EffectRange {
-  double lower = 0, upper = 0;
-  bool lower_open = false;  // the lower bound itself is refused
+  double lower = 0, upper = 0;  // may be reached
 };
 // What a scenario may give parameter `index` of an effect at `joint`: the library's bounds at the
 // arm's scales (motor limit, half a turn, largest velocity, control period, reach).

@@ -18,6 +18,9 @@
 namespace robostress {
 namespace {
 
+// Beyond any drive, and far from where a quotient overflows to a torque that is no number.
+constexpr double kLeastDivisor = 1e-9, kMostValue = 1e12;
+
 absl::Status CheckEffect(const JointChain& chain, int joint, const EffectInfo& effect,
                          const double* values, size_t count, int coupled) {
   if (joint < 0 || joint >= chain.joints()) {
@@ -52,13 +55,11 @@ absl::Status CheckEffect(const JointChain& chain, int joint, const EffectInfo& e
                                      static_cast<int>(i)) != effect.amplitudes.end();
     const bool signless = parameter.inverse || parameter.lower >= 0;
     const bool divided = parameter.inverse || (signless && !amplitude);
-    if (std::isfinite(values[i]) && (!signless || values[i] >= 0) && (!divided || values[i] > 0))
-      continue;
+    const double least = divided ? kLeastDivisor : signless ? 0 : -kMostValue;
+    if (values[i] >= least && values[i] <= kMostValue) continue;
     return absl::InvalidArgumentError(absl::StrCat(effect.type, ".", parameter.name, " is ",
                                                    values[i], " ", parameter.unit, ", must be ",
-                                                   divided    ? "finite and above 0"
-                                                   : signless ? "finite and at least 0"
-                                                              : "finite"));
+                                                   least, " to ", kMostValue));
   }
   return absl::OkStatus();
 }

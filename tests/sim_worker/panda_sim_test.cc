@@ -358,6 +358,22 @@ TEST(PandaSim, ReportsADivergedState) {
   EXPECT_TRUE(sim->Step(Command(0, 0, 0)).ok());
 }
 
+TEST(PandaSim, ReportsTorquesThatAreNoNumbers) {
+  // At every joint: how a vector's numbers are compared may depend on their place in it.
+  for (int joint = 0; joint < 7; ++joint) {
+    Scenario scenario;
+    scenario.effects.push_back({joint, "position_periodic_torque", {1, 0, 1e-310}});
+    auto sim = MakeTestSim();
+    sim->SetScenario(scenario, 220);
+    ASSERT_TRUE(sim->Reset(HomeState(*sim), PandaHome()).ok());
+    absl::Status status;
+    for (int i = 0; i < 5 && status.ok(); ++i) status = sim->Step(Command(0.3, 0.5, 0.2));
+    EXPECT_EQ(status.code(), absl::StatusCode::kInternal) << joint;
+    EXPECT_THAT(std::string(status.message()),
+                testing::AllOf(HasSubstr("diverged"), HasSubstr("torque is no number")));
+  }
+}
+
 TEST(PandaSim, NamesWhatAModelLacks) {
   const auto bad_xml =
       CompileModel("kitchen scene", "<mujoco><worldbody><geom/></worldbody></mujoco>");

@@ -15,7 +15,7 @@ class TransportDelayEffect : public CopyableEffect<TransportDelayEffect> {
   void Reset(const JointMoment&) override { history_.clear(); }
   double Command(double command, const JointMoment& m) override {
     history_.push_front(command);
-    const double steps = delay_ / m.h;
+    const double steps = std::min(delay_ / m.h, kMostSteps);
     const size_t whole = static_cast<size_t>(steps);
     while (history_.size() > whole + 2) history_.pop_back();
     const double newer = history_[std::min(whole, history_.size() - 1)];
@@ -24,8 +24,9 @@ class TransportDelayEffect : public CopyableEffect<TransportDelayEffect> {
   }
 
  private:
-  double delay_ = 0;            // [s]
-  std::deque<double> history_;  // newest first
+  static constexpr double kMostSteps = 1e7;  // what a count of samples holds, for steps near 0
+  double delay_ = 0;                         // [s]
+  std::deque<double> history_;               // newest first
 };
 
 // First order, exact for a command that is constant over a sub-step.

@@ -41,9 +41,17 @@ class Compliance {
     M_eff_ = p.M_eff, D_ = p.D, K_ = p.K, h_ = h;
     const double alpha = p.D / (2 * p.M_eff), omega2 = p.K / p.M_eff;
     const double w2 = omega2 - alpha * alpha, w = std::sqrt(std::abs(w2));
-    const double C = w2 > 0 ? std::cos(w * h) : std::cosh(w * h);
-    const double S = w == 0 ? h : (w2 > 0 ? std::sin(w * h) : std::sinh(w * h)) / w;
-    const double decay = std::exp(-alpha * h);
+    double decay = std::exp(-alpha * h), C = 1, S = h;
+    if (w2 > 0) {
+      C = std::cos(w * h);
+      S = std::sin(w * h) / w;
+    } else if (w > 0) {
+      // Times e^(-alpha h), without which a stiff one overflows; alpha - w = omega^2 / (alpha + w).
+      const double slow = std::exp(-omega2 / (alpha + w) * h);
+      C = 0.5 * slow * (1 + std::exp(-2 * w * h));
+      S = 0.5 * slow * -std::expm1(-2 * w * h) / w;
+      decay = 1;
+    }
     delta_delta_ = decay * (C + alpha * S);
     delta_rate_ = decay * S;
     rate_delta_ = -decay * omega2 * S;

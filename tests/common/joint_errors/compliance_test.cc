@@ -103,6 +103,17 @@ TEST(Compliance, MeasuredFrequencyAndDampingAreThePapersAtEverySeverity) {
   }
 }
 
+TEST(Compliance, AStiffOverdampedOneOverALongStepComesToRest) {
+  // Of cosh(w h) and e^(-alpha h), w h = 10,882, the first is above any number and the second 0.
+  const double omega = 2 * M_PI * 1000, K = 5;
+  JointErrorParameters p = NominalPandaErrors()[0];
+  p.K = K, p.M_eff = K / (omega * omega), p.D = 4 * K / omega;
+  Compliance compliance;
+  compliance.Reset(0);
+  EXPECT_NEAR(compliance.Step(p, 10, 1), -10 / K, 1e-12);
+  EXPECT_NEAR(compliance.rate(), 0, 1e-9);
+}
+
 TEST(Compliance, AReleasedDeflectionNeverGrowsAndDiesOut) {
   for (const JointErrorParameters& nominal : NominalPandaErrors()) {
     for (const double w : kFactors) {

@@ -329,6 +329,9 @@ TEST_F(Library, SaysWhatIsWrong) {
   refuses(add(0, "backlash", &value, 1, 1), bad, "coupled is 1, must be -1");
   refuses(add(0, "rate_limit", &value, 1, -1), bad,
           "rate_limit limits the position command of a servo [rad/s], these errors bend torques");
+  const double wave[] = {1, 0, 1e-310};
+  refuses(add(0, "position_periodic_torque", wave, 3, -1), bad,
+          "position_periodic_torque.wavelength is 1e-310 rad, must be 1e-09 to 1e+12");
 
   std::mt19937 random(1);
   Moment arm(random, 3);
