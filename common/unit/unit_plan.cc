@@ -1,6 +1,7 @@
 #include "common/unit/unit_plan.h"
 
 #include <algorithm>
+#include <cmath>
 #include <set>
 
 #include "absl/strings/numbers.h"
@@ -132,6 +133,12 @@ absl::StatusOr<UnitConfig> ResolveUnit(const UnitConfig& unit) {
     return absl::InvalidArgumentError(
         absl::StrCat("unit: sim.pictures is 'plain', which is of LIBERO's views; suite '",
                      unit.suite, "' is drawn in one way only; leave it out"));
+  }
+  const double tanh_width = unit.sim.joint_errors.tanh_width;
+  if (!(tanh_width > 0 && std::isfinite(tanh_width))) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("unit: sim.joint_errors.tanh_width is ", tanh_width,
+                     " rad/s, must be finite and above 0; 0.01 is usual"));
   }
   if (!(unit.sim.controller_kp >= 1 && unit.sim.controller_kp <= 2000)) {
     return absl::InvalidArgumentError(

@@ -308,6 +308,10 @@ TEST_F(Library, SaysWhatIsWrong) {
   options = Options();
   options.tanh_width = std::nan("");
   refuses(New("clean", 7, &options, none), bad, "tanh_width is nan");
+  for (const double width : {-0.01, std::numeric_limits<double>::infinity()}) {
+    options.tanh_width = width;
+    refuses(New("clean", 7, &options, none), bad, "tanh_width is ");
+  }
   options = Options();
   options.size += 8;
   refuses(New("clean", 7, &options, none), bad, "options.size is");

@@ -76,6 +76,9 @@ TEST(UnitPlanTest, BadInputNamesKeyValueAndWhatIsAllowed) {
       {"{sim: {pictures: quick}}", "sim.pictures is 'quick', must be original or plain"},
       {"{sim: {pictures: plain}}", "which is of LIBERO's views; suite 'tabletop_spatial'"},
       {"{sim: {controller_kp: 0}}", "sim.controller_kp is 0, must be 1 to 2000"},
+      {"{sim: {joint_errors: {tanh_width: -0.01}}}", "sim.joint_errors.tanh_width is -0.01 rad/s"},
+      {"{sim: {joint_errors: {tanh_width: .inf}}}", "tanh_width is inf rad/s, must be finite"},
+      {"{sim: {joint_errors: {tanh_width: 0}}}", "tanh_width is 0 rad/s"},
       {"{policy: expert, method: {method: ours}}", "policy 'expert' has nothing to adapt"},
   };
   for (const auto& [yaml, message] : cases) {
