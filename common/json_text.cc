@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "common/plain_line.h"
 
 namespace robostress {
 namespace {
@@ -66,9 +67,15 @@ absl::StatusOr<nlohmann::json> ParseJsonObject(std::string_view text, int max_de
   if (!json.is_object()) return absl::InvalidArgumentError("it is not a JSON object");
   if (detector.found()) {
     return absl::InvalidArgumentError(
-        absl::StrCat("key '", detector.duplicate(), "' occurs twice in one object"));
+        absl::StrCat("key '", PlainLine(detector.duplicate()), "' occurs twice in one object"));
   }
   return json;
+}
+
+std::string TextAt(const nlohmann::json& json, const char* key) {
+  if (!json.is_object()) return "";
+  const auto found = json.find(key);
+  return found != json.end() && found->is_string() ? found->get<std::string>() : "";
 }
 
 }  // namespace robostress

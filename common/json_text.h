@@ -1,5 +1,6 @@
 #pragma once
 
+#include <string>
 #include <string_view>
 
 #include "absl/status/statusor.h"
@@ -11,5 +12,8 @@ namespace robostress {
 // and a key that occurs twice in one object (which nlohmann's parser would merge silently). The
 // message names key or depth, the caller adds the file.
 absl::StatusOr<nlohmann::json> ParseJsonObject(std::string_view text, int max_depth = 16);
+
+// The text at `key`; empty where `json` is no object, or holds nothing or no text there.
+std::string TextAt(const nlohmann::json& json, const char* key);
 
 }  // namespace robostress

@@ -131,6 +131,15 @@ absl::Status CheckInfo(const std::string& path, const Json& there, const Json& h
       return absl::InvalidArgumentError(absl::StrCat(path, ": ", field, " is no count"));
     }
   }
+  const Json tasks = there[kOurs].value("tasks", Json());
+  if (!tasks.is_array() ||
+      !std::all_of(tasks.begin(), tasks.end(), [](const Json& task) { return task.is_string(); }) ||
+      !there[kOurs].value("statistics", Json()).is_object()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": ", kOurs,
+                     " holds no list of texts, tasks, or no object, statistics; record into "
+                     "another folder"));
+  }
   return absl::OkStatus();
 }
 
@@ -330,8 +339,14 @@ absl::Status LerobotDataset::Append(const LerobotEpisode& episode) {
   const Table table =
       TableOf(episode, schema_, index, first, TaskIndex(episode.instruction, &info));
   Json& all = info[kOurs]["statistics"];
-  for (const auto& [name, statistics] : table.statistics.items())
-    all[name] = all.contains(name) ? JoinStatistics(all[name], statistics) : statistics;
+  for (const auto& [name, statistics] : table.statistics.items()) {
+    try {
+      all[name] = all.contains(name) ? JoinStatistics(all[name], statistics) : statistics;
+    } catch (const Json::exception& error) {
+      return absl::DataLossError(absl::StrCat(directory_, kInfo, ": ", kOurs, ".statistics.", name,
+                                              ": ", error.what(), "; record into another folder"));
+    }
+  }
   info["total_episodes"] = index + 1;
   info["total_frames"] = first + static_cast<int64_t>(episode.steps);
   info["splits"]["train"] = absl::StrCat("0:", index + 1);

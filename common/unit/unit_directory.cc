@@ -18,6 +18,7 @@
 #include "common/check.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/json_text.h"
 #include "common/safetensors.h"
 #include "common/status_macros.h"
 #include "common/version.h"
@@ -163,8 +164,7 @@ absl::Status UnitDirectory::CheckDone() {
   if (!Exists(File("DONE"))) return absl::OkStatus();
   RS_ASSIGN_OR_RETURN(const std::string text, ReadFile(File("DONE")));
   const json done = json::parse(text, nullptr, false);
-  const std::string expected = done.is_object() ? done.value("episodes_sha256", "") : "";
-  if (rows_.size() != planned_ || expected != Sha256Hex(RowsText())) {
+  if (rows_.size() != planned_ || TextAt(done, "episodes_sha256") != Sha256Hex(RowsText())) {
     return absl::DataLossError(absl::StrCat(
         File("episodes.jsonl"), " is not what DONE says; remove '", path_, "' and run again"));
   }
@@ -186,18 +186,15 @@ absl::Status UnitDirectory::CheckModel(const std::string& policy, const std::str
   RS_ASSIGN_OR_RETURN(const std::string text, ReadIfPresent(file));
   if (text.empty() || rows_.empty()) return WriteFileAtomically(file, wanted.dump() + "\n");
   const json present = json::parse(text, nullptr, false);
-  const auto recorded = [&present](const char* key) {
-    return present.is_object() ? present.value(key, "") : std::string();
-  };
   const auto scenario = notes.find(kScenarioSha256);
-  const std::string played = recorded(kScenarioSha256);
+  const std::string played = TextAt(present, kScenarioSha256);
   if (scenario != notes.end() && !played.empty() && played != scenario->second) {
     return absl::FailedPreconditionError(
         absl::StrCat("'", path_, "' was begun with a scenario file whose SHA-256 begins ",
                      played.substr(0, 12), ", now it begins ", scenario->second.substr(0, 12),
                      "; restore the file, choose another --out or remove the directory"));
   }
-  const std::string begun = recorded("model_hash");
+  const std::string begun = TextAt(present, "model_hash");
   if (begun == model_hash) return absl::OkStatus();
   return absl::FailedPreconditionError(absl::StrCat(
       "'", path_, "' was begun with weights ", begun.substr(0, 12), ", policy '", policy,

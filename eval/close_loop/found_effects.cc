@@ -12,6 +12,7 @@
 #include "common/atomic_file.h"
 #include "common/child_process.h"
 #include "common/joint_errors/effects/effect_library.h"
+#include "common/json_text.h"
 #include "common/program_folder.h"
 #include "common/status_macros.h"
 #include "nlohmann/json.hpp"
@@ -22,6 +23,7 @@ namespace {
 namespace fs = std::filesystem;
 
 // Verdict and rivals of `effect` from the report of its joint, whose name ends in joint<number>.
+// Throws json::exception where a field has another type.
 void TakeVerdict(const nlohmann::json& report, FoundEffect& effect) {
   for (const auto& joint : report.value("joints", nlohmann::json::array())) {
     if (!absl::EndsWith(joint.value("joint", ""), absl::StrCat("joint", effect.joint + 1)))
@@ -77,7 +79,7 @@ absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
   if (!report.is_object())
     return absl::DataLossError(absl::StrCat(report_file, ": is no JSON object"));
   FoundEffects found;
-  found.verdict = report.value("verdict", "");
+  found.verdict = TextAt(report, "verdict");
   RS_ASSIGN_OR_RETURN(const calibration::JointMap map,
                       calibration::ParseJointMap({"own"}, declared, arm));
   const auto output = calibration::ScenarioOfRig(declared, after, map, "Found", arm);
@@ -89,7 +91,12 @@ absl::StatusOr<FoundEffects> ReadFoundEffects(const std::string& rig_file,
   found.notes = output->notes;
   for (const ScenarioEffect& effect : output->scenario.effects) {
     found.effects.push_back({effect.joint, effect.type, "", effect.values, {}});
-    TakeVerdict(report, found.effects.back());
+    try {
+      TakeVerdict(report, found.effects.back());
+    } catch (const nlohmann::json::exception& error) {
+      return absl::DataLossError(absl::StrCat(report_file, ": ", error.what(), "; remove ", folder,
+                                              " and run the command again"));
+    }
   }
   RS_RETURN_IF_ERROR(WriteFileAtomically(scenario_file, WriteScenarioFile(output->scenario, arm)));
   return found;

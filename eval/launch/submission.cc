@@ -89,6 +89,11 @@ absl::Status Submission::Read() {
   } catch (const json::exception& error) {
     return absl::DataLossError(absl::StrCat(folder_, "/settings.json: ", error.what()));
   }
+  if (tasks_ < 1 || servers_ < 0) {
+    return absl::DataLossError(absl::StrCat(folder_, "/settings.json: tasks is ", tasks_,
+                                            ", must be at least 1; servers is ", servers_,
+                                            ", must be at least 0; submit again"));
+  }
   RS_ASSIGN_OR_RETURN(const SweepGrid grid, LoadConfig<SweepGrid>(folder_ + "/grid.yaml"));
   RS_ASSIGN_OR_RETURN(units_, ExpandUnits(grid));
   std::unordered_map<std::string, const PlannedUnit*> by_id;

@@ -11,6 +11,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/json_text.h"
 #include "common/status_macros.h"
 #include "eval/plan/plan.h"
 #include "eval/store/played_alike.h"
@@ -93,20 +94,14 @@ class Declarations {
                              LevelOf(config.scenario, config.severity));
     if (scenarios_.count(scenario) == 0) scenarios_.emplace(scenario, ScenarioHash(config));
     policies_.emplace(PolicyLabel(config.policy), PolicyOf(unit));
-    const std::string version = Recorded(unit, "version");
+    const std::string version = TextAt(unit.provenance, "version");
     versions_.insert(version.empty() ? "not recorded" : version);
-  }
-
-  static std::string Recorded(const UnitResult& unit, const char* key) {
-    if (!unit.provenance.is_object()) return "";
-    const auto found = unit.provenance.find(key);
-    return found != unit.provenance.end() && found->is_string() ? found->get<std::string>() : "";
   }
 
   ResultPolicy PolicyOf(const UnitResult& unit) const {
     ResultPolicy policy;
     policy.label = PolicyLabel(unit.config.policy);
-    policy.model_hash = Recorded(unit, "model_hash");
+    policy.model_hash = TextAt(unit.provenance, "model_hash");
     policy.noise_paired = PairsNoise(unit);
     const auto served = served_.find(policy.label);
     if (served == served_.end()) return policy;
@@ -216,7 +211,7 @@ absl::StatusOr<RunData> JoinRuns(const std::vector<std::string>& dirs) {
                                           dir, "; leave one of the runs out"));
       if (unit.provenance.is_object())
         models.push_back(
-            {PolicyLabel(unit.config.policy), unit.provenance.value("model_hash", ""), unit.id});
+            {PolicyLabel(unit.config.policy), TextAt(unit.provenance, "model_hash"), unit.id});
       all.units.push_back(std::move(unit));
     }
     all.unfinished.insert(all.unfinished.end(), run.unfinished.begin(), run.unfinished.end());
@@ -235,11 +230,7 @@ absl::StatusOr<ResultFile> ExportResults(const RunData& run, const Summary& summ
   ResultFile file;
   file.bootstrap_replicates = summary.replicates;
   RS_RETURN_IF_ERROR(Declarations(run).Fill(file));
-  if (run.environment.is_object()) {
-    const auto mujoco = run.environment.find("mujoco");
-    if (mujoco != run.environment.end() && mujoco->is_string())
-      file.mujoco = mujoco->get<std::string>();
-  }
+  file.mujoco = TextAt(run.environment, "mujoco");
   std::set<std::string> seen;
   for (const SuccessTable& table : summary.tables) {
     std::set<std::string> suites;

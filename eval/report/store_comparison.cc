@@ -16,6 +16,7 @@
 #include "common/config.h"
 #include "common/html_page.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/json_text.h"
 #include "common/status_macros.h"
 #include "common/svg_plot.h"
 #include "eval/plan/plan.h"
@@ -99,12 +100,6 @@ std::map<std::string, const UnitResult*> ById(const RunData& run) {
   return units;
 }
 
-std::string ModelOf(const UnitResult& unit) {
-  if (!unit.provenance.is_object() || !unit.provenance.contains("model_hash")) return "";
-  const json& hash = unit.provenance["model_hash"];
-  return hash.is_string() ? hash.get<std::string>() : hash.dump();
-}
-
 // Names of scenario files that hold another scenario in the other store.
 std::set<std::string> OtherScenarios(const RunData& first, const RunData& second) {
   const auto hashes = [](const RunData& run) {
@@ -155,7 +150,8 @@ std::vector<std::string> Notes(const RunData& first, const RunData& second) {
       only_first.push_back(id);
       continue;
     }
-    const std::string model = ModelOf(*unit), other_model = ModelOf(*other->second);
+    const std::string model = TextAt(unit->provenance, "model_hash"),
+                      other_model = TextAt(other->second->provenance, "model_hash");
     if (model != other_model) {
       models.insert(absl::StrCat(PolicyLabel(unit->config.policy), " (",
                                  model.empty() ? "not recorded" : model.substr(0, 12), " | ",

@@ -12,6 +12,7 @@
 #include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/config.h"
+#include "common/json_text.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "eval/store/unit_files.h"
@@ -29,10 +30,6 @@ std::string OptionsHash(const UnitConfig& config) {
   std::string options = DumpConfig(config.sim) + DumpConfig(*config.method);
   if (config.robot != UnitConfig().robot) options += DumpConfig(config.client);
   return Sha256Hex(options).substr(0, kHashDigits);
-}
-
-std::string ProvenanceOf(const UnitResult& unit, const char* key) {
-  return unit.provenance.is_object() ? unit.provenance.value(key, "") : "";
 }
 
 // [task] one character per episode.
@@ -134,7 +131,7 @@ class Reader {
   absl::StatusOr<RunData> Finish() {
     std::vector<ModelUse> models;
     for (const UnitResult& unit : run_.units)
-      models.push_back({unit.config.policy, ProvenanceOf(unit, "model_hash"), unit.id});
+      models.push_back({unit.config.policy, TextAt(unit.provenance, "model_hash"), unit.id});
     for (std::string& complaint : DifferentModels(models)) damage_.push_back(std::move(complaint));
     if (!damage_.empty()) return absl::DataLossError(absl::StrJoin(damage_, "\n"));
     SortUnits(run_.units);
@@ -171,7 +168,7 @@ class Reader {
 // "NAME: a, b" where the units of a run have several values.
 std::vector<std::string> SeveralVersions(const RunData& run) {
   std::map<std::string, int> versions;
-  for (const UnitResult& unit : run.units) ++versions[ProvenanceOf(unit, "version")];
+  for (const UnitResult& unit : run.units) ++versions[TextAt(unit.provenance, "version")];
   if (versions.size() < 2) return {};
   std::vector<std::string> counted;
   for (const auto& [version, units] : versions)
@@ -198,8 +195,8 @@ absl::StatusOr<std::string> OutcomesText(const RunData& run) {
                          {"outcomes", outcomes},
                          {"updates", unit.episodes.empty() ? 0 : unit.episodes.back().updates},
                          {"options", OptionsHash(config)},
-                         {"model", ProvenanceOf(unit, "model_hash").substr(0, kHashDigits)},
-                         {"version", ProvenanceOf(unit, "version")},
+                         {"model", TextAt(unit.provenance, "model_hash").substr(0, kHashDigits)},
+                         {"version", TextAt(unit.provenance, "version")},
                          {"machines", unit.machines}};
     if (!PairsNoise(unit)) line["noise_paired"] = false;
     absl::StrAppend(&text, line.dump(), "\n");
@@ -228,7 +225,7 @@ std::vector<std::string> HoldAgainstPlan(const std::vector<PlannedUnit>& planned
     const auto found = plan.find(unit.id);
     if (found == plan.end()) return false;
     const UnitConfig &asked = *found->second, &had = unit.config;
-    if (OptionsHash(asked) != ProvenanceOf(unit, "options"))
+    if (OptionsHash(asked) != TextAt(unit.provenance, "options"))
       other_options.insert(had.method->method);
     if (asked.tasks == had.tasks && asked.episodes == had.episodes &&
         asked.first_initial_state == had.first_initial_state)

@@ -14,6 +14,7 @@
 #include "adapter/methods.h"
 #include "common/atomic_file.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/json_text.h"
 #include "common/status_macros.h"
 #include "common/suites.h"
 #include "eval/store/run_directory.h"
@@ -96,7 +97,7 @@ absl::StatusOr<RunData> LoadRun(const std::string& dir) {
     unit.config.policy =
         PolicyLabel(unit.config.policy);  // one policy, however its path is spelled
     if (unit.provenance.is_object())
-      models.push_back({unit.config.policy, unit.provenance.value("model_hash", ""), unit.id});
+      models.push_back({unit.config.policy, TextAt(unit.provenance, "model_hash"), unit.id});
     for (const std::string& machine : unit.machines) ++run.machines[machine];
     run.units.push_back(std::move(unit));
   }
@@ -132,9 +133,7 @@ bool PairsNoise(const UnitConfig& config) {
 }
 
 bool PairsNoise(const UnitResult& unit) {
-  const bool refused = unit.provenance.is_object() &&
-                       unit.provenance.value("noise_paired", std::string("true")) == "false";
-  return PairsNoise(unit.config) && !refused;
+  return PairsNoise(unit.config) && TextAt(unit.provenance, "noise_paired") != "false";
 }
 
 std::string UnpairedNoiseNote(const RunData& run) {

@@ -4,19 +4,13 @@
 #include "absl/strings/str_join.h"
 #include "adapter/method_options.h"
 #include "common/atomic_file.h"
+#include "common/json_text.h"
 #include "eval/plan/plan.h"
 
 namespace robostress {
 namespace {
 
 constexpr size_t kDigits = 12;  // of a hash, in a sentence
-
-// What the unit's provenance holds under a key, where it is text.
-std::string Recorded(const UnitResult& unit, const char* key) {
-  if (!unit.provenance.is_object()) return "";
-  const auto found = unit.provenance.find(key);
-  return found != unit.provenance.end() && found->is_string() ? found->get<std::string>() : "";
-}
 
 void AddServers(const UnitResult& unit, ServedPolicy& policy) {
   std::set<std::string> urls, metadata;
@@ -25,10 +19,10 @@ void AddServers(const UnitResult& unit, ServedPolicy& policy) {
     metadata.insert(row.metadata_sha256);
     policy.reconnections += row.reconnections;
   }
-  if (const std::string said = Recorded(unit, "metadata"); !said.empty())
+  if (const std::string said = TextAt(unit.provenance, "metadata"); !said.empty())
     metadata.insert(Sha256Hex(said));
   // Units of 0.2 and before knew the first address alone.
-  if (const std::string url = Recorded(unit, "url"); urls.empty() && !url.empty())
+  if (const std::string url = TextAt(unit.provenance, "url"); urls.empty() && !url.empty())
     urls.insert(url.substr(0, url.find('?')));
   for (const std::string& url : urls) ++policy.urls[url];
   if (metadata.size() > 1) policy.changed.push_back(unit.id);

@@ -11,6 +11,7 @@
 #include "common/atomic_file.h"
 #include "common/config.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/json_text.h"
 #include "common/status_macros.h"
 #include "eval/store/played_alike.h"
 #include "eval/store/run_directory.h"
@@ -155,9 +156,8 @@ std::string StoredUnit::Fingerprint() const {
   config.robosuite_root.clear();
   config.scenario = ScenarioLabel(config.scenario);
   config.policy = PolicyLabel(config.policy);
-  const nlohmann::json& provenance = inspection.unit.provenance;
-  const std::string model = provenance.is_object() ? provenance.value("model_hash", "") : "";
-  return absl::StrCat(Sha256Hex(DumpConfig(config)), " ", inspection.episodes_sha256, " ", model);
+  return absl::StrCat(Sha256Hex(DumpConfig(config)), " ", inspection.episodes_sha256, " ",
+                      TextAt(inspection.unit.provenance, "model_hash"));
 }
 
 absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores) {
@@ -175,7 +175,7 @@ absl::StatusOr<StoreContents> CheckStores(const std::vector<std::string>& stores
       const UnitResult& unit = inspection.unit;
       present.insert(unit.id);
       if (inspection.finished && unit.provenance.is_object()) {
-        models.push_back({PolicyLabel(unit.config.policy), unit.provenance.value("model_hash", ""),
+        models.push_back({PolicyLabel(unit.config.policy), TextAt(unit.provenance, "model_hash"),
                           absl::StrCat(store, "/", unit.id)});
       }
       if (inspection.finished && inspection.damage.empty())

@@ -13,6 +13,7 @@
 #include "absl/strings/str_join.h"
 #include "adapter/method_options.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/json_text.h"
 #include "common/status_macros.h"
 #include "eval/plan/plan.h"
 #include "eval/store/run_directory.h"
@@ -181,8 +182,7 @@ class Index {
                          : inspection.finished ? "finished"
                                                : "unfinished")
           << int64_t(unit.episodes.size()) << successes << updates
-          << std::optional<double>(unit.timing.wall_s)
-          << (unit.provenance.is_object() ? unit.provenance.value("model_hash", "") : std::string())
+          << std::optional<double>(unit.timing.wall_s) << TextAt(unit.provenance, "model_hash")
           << inspection.episodes_sha256 << absl::StrJoin(unit.machines, "; ") << stamp;
     RS_RETURN_IF_ERROR(unit_.Step().status());
     if (damaged || !inspection.finished) return absl::OkStatus();

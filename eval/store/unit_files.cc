@@ -10,6 +10,7 @@
 #include "absl/strings/str_split.h"
 #include "common/atomic_file.h"
 #include "common/joint_errors/scenario_file.h"
+#include "common/json_text.h"
 #include "common/records/json_record.h"
 #include "common/suites.h"
 #include "common/unit/unit_directory.h"
@@ -124,22 +125,35 @@ class UnitReader {
       result_.without_checksum = true;
       return;
     }
-    if (done["episodes_sha256"] == result_.episodes_sha256 || result_.episodes_sha256.empty())
-      return;
+    if (!MustBeText(file, done, "episodes_sha256")) return;
+    const std::string expected = TextAt(done, "episodes_sha256");
+    if (expected == result_.episodes_sha256 || result_.episodes_sha256.empty()) return;
     Damage(absl::StrCat(folder_, "/episodes.jsonl is not what DONE says: its SHA-256 begins ",
                         result_.episodes_sha256.substr(0, 12), ", DONE has ",
-                        done["episodes_sha256"].get<std::string>().substr(0, 12)));
+                        expected.substr(0, 12)));
+  }
+
+  // What decides something may be absent in old files, but not be something else.
+  bool MustBeText(const std::string& file, const json& object, const char* key) {
+    const auto found = object.find(key);
+    if (found == object.end() || found->is_string()) return true;
+    Damage(absl::StrCat(file, ": ", key, " is ", found->dump(),
+                        ", must be a text; remove the unit's folder and run the sweep again"));
+    return false;
+  }
+
+  void ReadProvenance(const std::string& file, const std::string& text) {
+    json provenance = json::parse(text, nullptr, false);
+    if (!provenance.is_object()) return Damage(file + " is not a JSON object");
+    for (const char* key : {"model_hash", "version", "noise_paired", "options"})
+      MustBeText(file, provenance, key);
+    result_.unit.provenance = std::move(provenance);
   }
 
   void ReadExtras() {
     UnitResult& unit = result_.unit;
-    if (const auto text = ReadFile(folder_ + "/provenance.json"); text.ok()) {
-      unit.provenance = json::parse(*text, nullptr, false);
-      if (unit.provenance.is_discarded()) {
-        Damage(folder_ + "/provenance.json is not JSON");
-        unit.provenance = nullptr;
-      }
-    }
+    const std::string file = folder_ + "/provenance.json";
+    if (const auto text = ReadFile(file); text.ok()) ReadProvenance(file, *text);
     std::error_code none;
     for (const auto& entry : fs::directory_iterator(folder_ + "/videos", none)) {
       if (entry.path().extension() == ".webp") unit.videos.push_back(entry.path().string());

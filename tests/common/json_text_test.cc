@@ -30,5 +30,13 @@ TEST(JsonText, OtherTextRepeatedKeysAndDepthAreRefused) {
   EXPECT_THAT(ErrorOf(std::string(8'000'000, '[')), HasSubstr("the limit is 16"));
 }
 
+TEST(TextAt, IsEmptyWhereThereIsNoText) {
+  const nlohmann::json json = {{"text", "a"}, {"number", 5}, {"nothing", nullptr}};
+  EXPECT_EQ(TextAt(json, "text"), "a");
+  for (const char* key : {"number", "nothing", "absent"}) EXPECT_EQ(TextAt(json, key), "");
+  for (const nlohmann::json& other : {nlohmann::json(), nlohmann::json(5), nlohmann::json::array()})
+    EXPECT_EQ(TextAt(other, "text"), "");
+}
+
 }  // namespace
 }  // namespace robostress

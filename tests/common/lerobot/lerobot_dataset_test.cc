@@ -180,7 +180,19 @@ TEST(LerobotDatasetTest, RefusesAnotherSchemaAndNamesTheValues) {
   larger.width[0] = 128;
   fails(set->Append(larger), "observation.images.base is [48,64,3], this recording has [48,128,3]");
   EXPECT_EQ(set->episodes(), 1);
-  ASSERT_TRUE(WriteFileAtomically(path + "/meta/info.json", "{\"fps\": 30}").ok());
+  const std::string file = path + "/meta/info.json";
+  const nlohmann::ordered_json whole = nlohmann::ordered_json::parse(ReadFile(file).value());
+  const auto damaged = [&](const char* place, const nlohmann::ordered_json& value) {
+    nlohmann::ordered_json info = whole;
+    info[nlohmann::ordered_json::json_pointer(place)] = value;
+    EXPECT_TRUE(WriteFileAtomically(file, info.dump()).ok());
+    absl::StatusOr<LerobotDataset> again = OpenAt(path);
+    return again.ok() ? again->Append(Episode("a", 3)) : again.status();
+  };
+  fails(damaged("/robostress/tasks", {5}), "info.json: robostress holds no list of texts, tasks");
+  fails(damaged("/robostress/statistics", 5), "or no object, statistics");
+  fails(damaged("/robostress/statistics/action/mean", {"x"}), "robostress.statistics.action: ");
+  ASSERT_TRUE(WriteFileAtomically(file, "{\"fps\": 30}").ok());
   fails(OpenAt(path).status(), "is not a data set that RoboStress recorded");
 }
 

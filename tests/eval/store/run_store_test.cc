@@ -128,6 +128,27 @@ TEST(LoadRun, RefusesARecordThatIsNotTheOneThatWasFinished) {
   EXPECT_THAT(std::string(refused.message()), HasSubstr(Sha256Hex(record).substr(0, 12)));
 }
 
+TEST(LoadRun, RefusesRecordsOfAnotherType) {
+  const std::string run = TestFolder(), record = std::string(kLine) + "\n";
+  const std::string folder = run + "/units/" + WriteUnit(run, 0, 1, record, true);
+  const auto refusal = [&](const char* file, const std::string& text) {
+    EXPECT_TRUE(WriteFileAtomically(folder + file, text).ok());
+    const absl::Status status = LoadRun(run).status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kDataLoss) << text;
+    return std::string(status.message());
+  };
+  for (const char* value : {"null", "5", "[]", "{}"}) {
+    EXPECT_THAT(refusal("/provenance.json", absl::StrCat("{\"model_hash\": ", value, "}")),
+                HasSubstr(absl::StrCat("provenance.json: model_hash is ", value)));
+  }
+  EXPECT_THAT(refusal("/provenance.json", "{\"noise_paired\": false}"),
+              HasSubstr("noise_paired is false, must be a text"));
+  EXPECT_THAT(refusal("/provenance.json", "5"), HasSubstr("is not a JSON object"));
+  EXPECT_THAT(refusal("/DONE", "{\"episodes_sha256\": 7}"),
+              HasSubstr("DONE: episodes_sha256 is 7, must be a text"));
+}
+
+
 TEST(LoadRun, RefusesOnePolicyWithTwoWeights) {
   const std::string run = TestFolder();
   for (const auto& [seed, hash] : {std::pair{0, "0123456789ab"}, std::pair{1, "fedcba987654"}}) {

@@ -368,6 +368,19 @@ TEST_F(UnitRunnerTest, RefusesRowsThatChangedAfterDone) {
   EXPECT_THAT(std::string(Run("a").message()), HasSubstr("is not what DONE says"));
 }
 
+TEST_F(UnitRunnerTest, RefusesRecordsOfAnotherType) {
+  ASSERT_TRUE(Run("a").ok());
+  ASSERT_TRUE(WriteFileAtomically(Dir("a") + "/DONE", "{\"episodes_sha256\": 5}").ok());
+  EXPECT_THAT(std::string(Run("a").message()), HasSubstr("is not what DONE says"));
+  std::filesystem::remove(Dir("a") + "/DONE");
+  for (const char* hash : {"null", "5"}) {
+    ASSERT_TRUE(WriteFileAtomically(Dir("a") + "/provenance.json",
+                                    absl::StrCat("{\"model_hash\": ", hash, "}"))
+                    .ok());
+    EXPECT_THAT(std::string(Run("a").message()), HasSubstr("was begun with weights"));
+  }
+}
+
 TEST_F(UnitRunnerTest, RefusesToContinueWithOtherWeights) {
   EXPECT_FALSE(Run("a", 13).ok());
   FakeServerOptions other = ServerOptions();
